@@ -1,0 +1,134 @@
+"""YAML onto frozen dataclasses, strictly: an unknown key, a missing key, a wrong type or an
+impossible value is one sentence that says where and what would fit.
+
+Configurations are looked up by name in the packaged folder, or read from a path:
+`load(VehicleParameters, "vehicles", "land_rover_defender_110")`, `load(..., "my_car.yaml")`.
+"""
+
+import dataclasses
+import difflib
+import json
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import TypeAdapter, ValidationError
+
+T = TypeVar("T")
+
+STRICT = {"extra": "forbid", "arbitrary_types_allowed": True}
+"""Goes into every configuration dataclass as `__pydantic_config__`."""
+
+
+class ConfigError(ValueError):
+    """Bad input, said in one sentence that names the culprit and the valid choices."""
+
+
+def folder() -> Path:
+    """The folder with the shipped configurations, in a checkout as in an installed wheel."""
+    here = Path(__file__).parent
+    packaged = here / "configs"
+    return packaged if packaged.is_dir() else here.parent / "configs"
+
+
+def names(kind: str) -> list[str]:
+    """Names of the shipped configurations of one kind: vehicles, roads, sensors or tasks."""
+    return sorted(f.stem for f in (folder() / kind).glob("*.yaml"))
+
+
+def one_of(what: str, given: object, known: Mapping[str, Any] | list[str]) -> str:
+    """`given` if it is among `known`; else a ConfigError that names the choices."""
+    if isinstance(given, str) and given in known:
+        return given
+    close = difflib.get_close_matches(str(given), list(known), n=1)
+    hint = f" (did you mean {close[0]!r}?)" if close else ""
+    raise ConfigError(f"unknown {what} {given!r}{hint}; known: {', '.join(sorted(known))}")
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """The mapping in a YAML file. Raises ConfigError if it is unreadable or not a mapping."""
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path}: a mapping of keys to values is wanted, got {_kind(data)}")
+    return data
+
+
+def find(kind: str, name: str | Path) -> Path:
+    """The file of a shipped configuration by name, or the path itself if it names a YAML file."""
+    path = Path(name)
+    if path.suffix in (".yaml", ".yml"):
+        return path
+    return folder() / kind / f"{one_of(kind.removesuffix('s'), str(name), names(kind))}.yaml"
+
+
+def load(cls: type[T], kind: str, name: str | Path) -> T:
+    """A configuration by shipped name or by path. Raises ConfigError."""
+    path = find(kind, name)
+    return build(cls, read_yaml(path), str(path))
+
+
+def build(cls: type[T], data: Mapping[str, Any], where: str) -> T:
+    """A frozen dataclass from a mapping. Raises ConfigError with `where` in front."""
+    try:
+        # JSON mode: lists may become tuples, while "16e-6" stays the string that YAML made of it
+        return _adapter(cls).validate_json(json.dumps(data, default=str), strict=True)
+    except ValidationError as error:
+        raise ConfigError(_sentence(error, where, cls)) from None
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
+
+
+@cache
+def _adapter(cls: type) -> TypeAdapter:
+    return TypeAdapter(cls)
+
+
+def _sentence(error: ValidationError, where: str, cls: type) -> str:
+    first = error.errors()[0]
+    path = [str(p) for p in first["loc"]]
+    at = ".".join([where, *path])
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    match first["type"]:
+        case "unexpected_keyword_argument":
+            owner = _owner(cls, path[:-1])
+            known = sorted(f.name for f in dataclasses.fields(owner)) if owner else []
+            close = difflib.get_close_matches(path[-1], known, n=1)
+            hint = f", did you mean {close[0]!r}" if close else ""
+            text = f"unknown key{hint}; known: {', '.join(known)}"
+        case "missing":
+            text = "missing"
+        case "value_error":
+            text = str(first["ctx"]["error"])
+        case _:
+            wanted = first["msg"][0].lower() + first["msg"][1:]
+            text = f"{wanted}, got {first['input']!r} ({_kind(first['input'])})"
+    return f"{at}: {text}{more}"
+
+
+def _owner(cls: Any, path: list[str]) -> type | None:
+    """The dataclass that stands at `path` inside `cls`, if it can be told from the types."""
+    for name in path:
+        if not dataclasses.is_dataclass(cls):
+            return None
+        hints = {f.name: f.type for f in dataclasses.fields(cls)}
+        cls = hints.get(name)
+    return cls if isinstance(cls, type) and dataclasses.is_dataclass(cls) else None
+
+
+def _kind(value: object) -> str:
+    return {
+        "str": "text",
+        "int": "a whole number",
+        "float": "a number",
+        "bool": "true/false",
+        "list": "a list",
+        "dict": "a mapping",
+        "NoneType": "nothing",
+    }.get(type(value).__name__, type(value).__name__)

@@ -1,0 +1,1 @@
+"""Roads: frozen descriptions that can be realised as a `Surface`."""

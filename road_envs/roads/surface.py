@@ -1,0 +1,100 @@
+"""A surface that can be driven on: the heights of both wheel paths on one even grid.
+
+Between grid points the height is the Catmull-Rom cubic, which passes through the samples and has
+a continuous slope; before the first and after the last sample the road is level. The same two
+kernels answer Python callers and the simulator, so there is one law.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from road_envs.jit import kernel
+
+PAD = 3
+"""Samples repeated at each end of `Surface.padded`, so that the kernel needs no special case."""
+
+
+@kernel
+def height_and_slope(padded, side, s, start, ds):
+    """Height [m] and slope [-] of wheel path `side` at station `s` [m] (padded: (2, N + 2 PAD))."""
+    u = (s - start) / ds + PAD
+    u = min(max(u, 1.0), padded.shape[1] - 3.0)
+    i = int(u)
+    x = u - i
+    a, b, c, d = padded[side, i - 1], padded[side, i], padded[side, i + 1], padded[side, i + 2]
+    p = 0.5 * (c - a)
+    q = a - 2.5 * b + 2.0 * c - 0.5 * d
+    r = 0.5 * (d - a) + 1.5 * (b - c)
+    return b + x * (p + x * (q + x * r)), (p + x * (2.0 * q + x * 3.0 * r)) / ds
+
+
+@kernel
+def sample(padded, start, ds, s, z, slope):
+    """Fill `z` and `slope`, both (2, M), at the stations `s` (M,)."""
+    for side in range(2):
+        for k in range(s.size):
+            z[side, k], slope[side, k] = height_and_slope(padded, side, s[k], start, ds)
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Heights `z` (2, N) [m] (left, right), `ds` [m] apart, the first at station `start` [m].
+
+    `notes` says what was done to make it ("10 m tile mirrored 10 times"). Raises ValueError on
+    heights that are not finite, fewer than 4 samples or a spacing that is not positive.
+    """
+
+    z: np.ndarray
+    ds: float
+    start: float = 0.0
+    name: str = "surface"
+    notes: tuple[str, ...] = field(default=())
+
+    def __post_init__(self):
+        z = np.array(self.z, dtype=float)
+        if z.ndim != 2 or z.shape[0] != 2 or z.shape[1] < 4:
+            raise ValueError(f"{self.name}: heights must be (2, N) with N >= 4, got {z.shape}")
+        if not np.isfinite(z).all():
+            raise ValueError(f"{self.name}: heights are not finite (NaN or infinity)")
+        if not (np.isfinite(self.ds) and self.ds > 0):
+            raise ValueError(f"{self.name}: the spacing ds must be positive, got {self.ds}")
+        z.flags.writeable = False
+        object.__setattr__(self, "z", z)
+
+    @property
+    def s(self) -> np.ndarray:
+        """Stations (N,) [m] of the samples."""
+        return self.start + self.ds * np.arange(self.z.shape[1])
+
+    @property
+    def end(self) -> float:
+        """Station [m] of the last sample."""
+        return self.start + self.ds * (self.z.shape[1] - 1)
+
+    @property
+    def length(self) -> float:
+        """Length [m] from the first to the last sample."""
+        return self.end - self.start
+
+    @cached_property
+    def padded(self) -> np.ndarray:
+        """Heights with PAD repeated samples at both ends: what the kernels read."""
+        padded = np.pad(self.z, ((0, 0), (PAD, PAD)), mode="edge")
+        padded.flags.writeable = False
+        return padded
+
+    def height(self, s: np.ndarray) -> np.ndarray:
+        """Heights (2, ...) [m] at stations `s` [m] of any shape."""
+        return self._sample(s)[0]
+
+    def slope(self, s: np.ndarray) -> np.ndarray:
+        """Slopes dz/ds (2, ...) [-] at stations `s` [m] of any shape."""
+        return self._sample(s)[1]
+
+    def _sample(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        s = np.asarray(s, dtype=float)
+        z, slope = np.empty((2, s.size)), np.empty((2, s.size))
+        sample(self.padded, self.start, self.ds, s.ravel(), z, slope)
+        return z.reshape(2, *s.shape), slope.reshape(2, *s.shape)
