@@ -91,9 +91,10 @@ def _adapter(cls: type) -> TypeAdapter:
 
 
 def _sentence(error: ValidationError, where: str, cls: type) -> str:
-    first = error.errors()[0]
+    unknown_first = sorted(error.errors(), key=lambda e: e["type"] != "unexpected_keyword_argument")
+    first = unknown_first[0]
     path = [str(p) for p in first["loc"]]
-    at = ".".join([where, *path])
+    at = f"{where}: {'.'.join(path)}" if path else where
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     match first["type"]:
         case "unexpected_keyword_argument":

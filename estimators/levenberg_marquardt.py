@@ -1,0 +1,295 @@
+"""Levenberg-Marquardt training of a small network, with the rules of MATLAB's `trainlm`.
+
+One tan-sigmoid hidden layer (`tansig` is tanh), linear outputs, samples in columns:
+
+    y = W2 tanh(W1 x + b1) + b2              x (R, N), y (K, N)
+    (J'J + mu I) step = J'e                  e = t - y,  J = dy / d(weights)
+
+J'J and J'e are means over all K N errors, so that the gradient of the mean squared error is
+-2 J'e. A step that lowers the training error is kept and mu falls; otherwise mu rises and the
+step is tried again. Training ends at the epoch limit, the error goal, a small gradient, a large
+mu, or after `max_fail` epochs without a better validation error; the weights of the best
+validation error are returned. Errors are those of the mapped targets (`mapminmax`), so both
+outputs weigh the same: `trainlm` with its `mse` normalisation set to 'standard'.
+
+J is never formed. Every output sees the same hidden derivatives: with d = 1 - tanh^2 and the
+outer products D = x d, output k has the rows D w_k, hence J'J of the hidden layer is
+(D D') * (W2' W2), one product for all outputs.
+
+Sources: K. Levenberg, Quart. Appl. Math. 2 (1944) 164; D. W. Marquardt, J. SIAM 11 (1963) 431;
+M. T. Hagan and M. B. Menhaj, IEEE Trans. Neural Networks 5 (1994) 989, doi 10.1109/72.329697;
+D. Nguyen and B. Widrow, IJCNN 1990, vol. 3, 21, doi 10.1109/IJCNN.1990.137819; MATLAB reference
+pages of trainlm, initnw, mapminmax, dividerand, divideblock and mse.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_solve
+
+CHUNK = 512
+"""Samples whose derivatives are held at a time: 1 MB for the 3-50-2 network stays in the cache."""
+
+MU_MIN = 1e-20
+"""mu falls no further, so that a failing step is not a hundred failures away from help."""
+
+ACTIVE = 2.0
+"""tanh counts as active between net inputs of -2 and 2, as MATLAB's tansig('active') says."""
+
+Stop = Literal["epochs", "goal", "gradient", "mu", "validation"]
+
+
+@dataclass(frozen=True)
+class Network:
+    """Weights: `hidden` (R + 1, S) is W1' above b1', `output` (K, S + 1) is W2 beside b2."""
+
+    hidden: np.ndarray
+    output: np.ndarray
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Outputs (K, N) for inputs `x` (R, N)."""
+        return self.output @ _with_ones(np.tanh(self.hidden.T @ _with_ones(x)))
+
+    def moved(self, step: np.ndarray) -> "Network":
+        """This network after a `step` (P,) in all its weights, hidden layer first."""
+        hidden, output = np.split(step, [self.hidden.size])
+        return Network(
+            self.hidden + hidden.reshape(self.hidden.shape),
+            self.output + output.reshape(self.output.shape),
+        )
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Rows mapped onto [-1, 1] (`mapminmax`); a constant row is left as it is."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+    @classmethod
+    def of(cls, x: np.ndarray) -> "Scaling":
+        """The scaling that just fills [-1, 1] with the rows of `x` (k, N)."""
+        return cls(x.min(axis=1), x.max(axis=1))
+
+    def apply(self, x: np.ndarray) -> np.ndarray:
+        """`x` (k, N) in mapped units; values outside the range go beyond 1."""
+        centre, half = self._centre_and_half()
+        return (x - centre) / half
+
+    def reverse(self, y: np.ndarray) -> np.ndarray:
+        """`y` (k, N) back in the original units."""
+        centre, half = self._centre_and_half()
+        return y * half + centre
+
+    def _centre_and_half(self) -> tuple[np.ndarray, np.ndarray]:
+        constant = self.high == self.low
+        centre = np.where(constant, 0.0, 0.5 * (self.high + self.low))
+        half = np.where(constant, 1.0, 0.5 * (self.high - self.low))
+        return centre[:, None], half[:, None]
+
+
+class Split(NamedTuple):
+    """Indices of the samples for training, validation and test."""
+
+    train: np.ndarray
+    validation: np.ndarray
+    test: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """The parameters of `trainlm`, with its defaults."""
+
+    max_epochs: int = 1000
+    goal: float = 0.0
+    min_grad: float = 1e-7
+    max_fail: int = 6
+    mu: float = 1e-3
+    mu_decrease: float = 0.1
+    mu_increase: float = 10.0
+    mu_max: float = 1e10
+
+
+@dataclass(frozen=True)
+class Training:
+    """A trained `network`, why training ended, and its course: one value per epoch from 0 on.
+
+    `train`, `validation`, `test` are mean squared errors in mapped units, NaN for an empty set;
+    `mu` is the value an epoch began with, `gradient` the norm of the training error's gradient.
+    """
+
+    network: Network
+    stop: Stop
+    best_epoch: int
+    train: np.ndarray
+    validation: np.ndarray
+    test: np.ndarray
+    mu: np.ndarray
+    gradient: np.ndarray
+
+    @property
+    def epochs(self) -> int:
+        """Number of steps taken."""
+        return self.train.size - 1
+
+
+class NormalEquations(NamedTuple):
+    """J'J (P, P) and J'e (P,), means over all errors, and the mean squared error."""
+
+    JJ: np.ndarray
+    Je: np.ndarray
+    mse: float
+
+    @property
+    def gradient(self) -> float:
+        """Norm of the gradient of the mean squared error."""
+        return 2.0 * float(np.linalg.norm(self.Je))
+
+
+def nguyen_widrow(inputs: int, hidden: int, outputs: int, rng: np.random.Generator) -> Network:
+    """Random weights whose active regions spread over inputs in [-1, 1], as `initnw` draws them.
+
+    Every hidden neuron's weights point anywhere, with the length 2 x 0.7 S^(1/R), where the 2
+    stretches Nguyen and Widrow's unit range to tanh's active one; the biases are spread evenly.
+    The output layer is uniform in [-1, 1], as a linear layer has no active region.
+    """
+    magnitude = ACTIVE * 0.7 * hidden ** (1.0 / inputs)
+    W1 = rng.uniform(-1.0, 1.0, (inputs, hidden))
+    W1 *= magnitude / np.linalg.norm(W1, axis=0)
+    spread = np.linspace(-1.0, 1.0, hidden) if hidden > 1 else np.zeros(1)
+    b1 = magnitude * spread * np.sign(W1[0])
+    return Network(np.vstack([W1, b1]), rng.uniform(-1.0, 1.0, (outputs, hidden + 1)))
+
+
+def divide(size: int, how: Literal["random", "block"], rng: np.random.Generator) -> Split:
+    """70, 15 and 15 % of `size` samples, drawn at random (`dividerand`) or in blocks in this
+    order (`divideblock`). Along a time series a random division leaks: neighbours are alike.
+    """
+    held_out = round(0.15 * size)
+    train = size - 2 * held_out
+    order = rng.permutation(size) if how == "random" else np.arange(size)
+    return Split(*(np.sort(part) for part in np.split(order, [train, train + held_out])))
+
+
+def train(
+    network: Network, x: np.ndarray, t: np.ndarray, split: Split, options: Options | None = None
+) -> Training:
+    """Train from `network` on mapped inputs `x` (R, N) and targets `t` (K, N)."""
+    options = options or Options()
+    seen, validated, tested = ((x[:, part], t[:, part]) for part in split)
+    best, best_error, best_epoch = network, np.inf, 0
+    mu, stop, history = options.mu, None, []
+    while stop is None:
+        epoch = len(history)
+        normal = normal_equations(network, *seen)
+        errors = mean_square(network, *validated), mean_square(network, *tested)
+        history.append((normal.mse, *errors, mu, normal.gradient))
+        if errors[0] < best_error or not split.validation.size:
+            best, best_error, best_epoch = network, errors[0], epoch
+        stop = _reason_to_stop(options, epoch, normal, mu, failures=epoch - best_epoch)
+        if stop is None:
+            network, mu = _descend(network, normal, *seen, mu, options)
+    return Training(best, stop, best_epoch, *np.array(history).T)
+
+
+def _reason_to_stop(
+    options: Options, epoch: int, normal: NormalEquations, mu: float, failures: int
+) -> Stop | None:
+    reasons: dict[Stop, bool] = {
+        "goal": normal.mse <= options.goal,
+        "epochs": epoch >= options.max_epochs,
+        "gradient": normal.gradient <= options.min_grad,
+        "mu": mu > options.mu_max,
+        "validation": failures >= options.max_fail,
+    }
+    return next((name for name, holds in reasons.items() if holds), None)
+
+
+def _descend(
+    network: Network,
+    normal: NormalEquations,
+    x: np.ndarray,
+    t: np.ndarray,
+    mu: float,
+    options: Options,
+) -> tuple[Network, float]:
+    """The network after the first step that lowers the error and the next mu; the same network
+    if mu passes its limit before.
+    """
+    while mu <= options.mu_max:
+        step = _damped_step(normal, mu)
+        if step is not None:
+            trial = network.moved(step)
+            if mean_square(trial, x, t) < normal.mse:
+                return trial, max(mu * options.mu_decrease, MU_MIN)
+        mu *= options.mu_increase
+    return network, mu
+
+
+def _damped_step(normal: NormalEquations, mu: float) -> np.ndarray | None:
+    """Solution (P,) of the damped normal equations, or None if they are numerically singular."""
+    damped = normal.JJ.copy()
+    damped.flat[:: damped.shape[0] + 1] += mu
+    try:
+        # not SciPy's: its BLAS has threads of its own, which fight NumPy's for the processor
+        factor = np.linalg.cholesky(damped)
+    except np.linalg.LinAlgError:
+        return None
+    return cho_solve((factor, True), normal.Je, check_finite=False)
+
+
+def normal_equations(network: Network, x: np.ndarray, t: np.ndarray) -> NormalEquations:
+    """J'J, J'e and the mean squared error at `network`, from samples `x` (R, N), `t` (K, N)."""
+    P, (K, width) = network.hidden.size, network.output.shape
+    rows = np.empty((P + width, min(CHUNK, t.shape[1])))
+    products = np.zeros((P + width, P + width))
+    hidden, output = np.zeros_like(network.hidden), np.zeros((K, width))
+    squares = 0.0
+    for x_part, t_part in _chunks(x, t):
+        inputs = _with_ones(x_part)
+        activations = _with_ones(np.tanh(network.hidden.T @ inputs))
+        d = 1.0 - activations[:-1] ** 2
+        e = t_part - network.output @ activations
+        part = rows[:, : e.shape[1]]
+        for D, x_row in zip(np.split(part[:P], inputs.shape[0]), inputs, strict=True):
+            np.multiply(d, x_row, out=D)
+        part[P:] = activations
+        products += part @ part.T
+        hidden += inputs @ (d * (network.output[:, :-1].T @ e)).T
+        output += e @ activations.T
+        squares += float(np.vdot(e, e))
+    Je = np.concatenate([hidden.ravel(), output.ravel()])
+    return NormalEquations(_spread(products, network) / t.size, Je / t.size, squares / t.size)
+
+
+def _spread(products: np.ndarray, network: Network) -> np.ndarray:
+    """J'J (P, P) of all outputs from the `products` of hidden derivatives and activations."""
+    W2 = network.output[:, :-1]
+    R1, P, width = network.hidden.shape[0], network.hidden.size, network.output.shape[1]
+    JJ = np.zeros((P + network.output.size,) * 2)
+    JJ[:P, :P] = products[:P, :P] * np.tile(W2.T @ W2, (R1, R1))
+    for k, w in enumerate(W2):
+        own = slice(P + k * width, P + (k + 1) * width)
+        JJ[:P, own] = products[:P, P:] * np.tile(w, R1)[:, None]
+        JJ[own, :P] = JJ[:P, own].T
+        JJ[own, own] = products[P:, P:]
+    return JJ
+
+
+def mean_square(network: Network, x: np.ndarray, t: np.ndarray) -> float:
+    """Mean squared error over all outputs and samples; NaN without samples."""
+    if not t.size:
+        return float("nan")
+    return sum(float(np.sum((b - network(a)) ** 2)) for a, b in _chunks(x, t)) / t.size
+
+
+def _chunks(x: np.ndarray, t: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    for start in range(0, t.shape[1], CHUNK):
+        part = slice(start, start + CHUNK)
+        yield x[:, part], t[:, part]
+
+
+def _with_ones(x: np.ndarray) -> np.ndarray:
+    return np.vstack([x, np.ones(x.shape[1])])

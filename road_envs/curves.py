@@ -1,0 +1,65 @@
+"""Force curves: breakpoints from YAML, piecewise cubics through them, a uniform table in the kernel.
+
+The paper evaluates its measured strut curves with MATLAB's `ppval`, that is as piecewise cubics
+(section 2.3). Here the cubics are PCHIP (Fritsch & Carlson 1980), which neither overshoot nor ring
+between breakpoints. For the kernel each curve is tabulated on a uniform grid as the Hermite cubic of
+its values and slopes: exact wherever the breakpoints lie on that grid, and a look-up without a
+search everywhere. Beyond its last breakpoint a curve goes on as a straight line.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from road_envs.config import STRICT
+from road_envs.jit import kernel
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curve:
+    """A force over velocity or displacement, given at breakpoints."""
+
+    __pydantic_config__ = STRICT
+
+    x: Annotated[tuple[float, ...], "m or m/s", "breakpoints, increasing"]
+    F: Annotated[tuple[float, ...], "N", "force at each breakpoint"]
+
+    def __post_init__(self):
+        if len(self.x) != len(self.F) or len(self.x) < 2:
+            raise ValueError(f"x and F need one length of at least 2: {len(self.x)}, {len(self.F)}")
+        if not np.isfinite([*self.x, *self.F]).all():
+            raise ValueError("breakpoints must be finite numbers")
+        if not (np.diff(self.x) > 0).all():
+            raise ValueError(f"x must increase from each breakpoint to the next: {self.x}")
+
+    def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Force [N] and its derivative at `x` of any shape."""
+        cubic = PchipInterpolator(self.x, self.F)
+        slope = cubic.derivative()
+        inside = np.clip(x, self.x[0], self.x[-1])
+        return cubic(inside) + slope(inside) * (x - inside), slope(inside)
+
+
+def tabulate(curves: Sequence[Curve], x_0: float, dx: float, cells: int) -> np.ndarray:
+    """The sum of `curves` as cubic coefficients (cells, 4) in powers of the cell fraction."""
+    x = x_0 + dx * np.arange(cells + 1)
+    values, slopes = np.sum([curve(x) for curve in curves], axis=0)
+    m = slopes * dx
+    a, b, rise = values[:-1], m[:-1], np.diff(values)
+    return np.column_stack([a, b, 3.0 * rise - 2.0 * b - m[1:], b + m[1:] - 2.0 * rise])
+
+
+@kernel
+def look_up(table, x_0, dx, x):
+    """Value and derivative at `x` of a tabulated curve; straight lines beyond its ends."""
+    cells = table.shape[0]
+    u = (x - x_0) / dx
+    inside = min(max(u, 0.0), float(cells))
+    i = min(int(inside), cells - 1)
+    t = inside - i
+    a, b, c, d = table[i, 0], table[i, 1], table[i, 2], table[i, 3]
+    slope = b + t * (2.0 * c + t * 3.0 * d)
+    return a + t * (b + t * (c + t * d)) + slope * (u - inside), slope / dx

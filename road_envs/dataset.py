@@ -1,0 +1,94 @@
+"""Drives as records with their truth: made by the simulator, written to and read from Parquet."""
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from road_envs.config import ConfigError
+from road_envs.dynamics import plant
+from road_envs.record import Profile, Record, grid
+from road_envs.roads.surface import Surface
+from road_envs.sensors import Instruments, Logger
+from road_envs.simulate import Drive
+from road_envs.suspension import command, strut_states
+from road_envs.vehicle import VehicleParameters
+
+COLUMNS = ("t", "a_rf", "a_lr", "a_rr", "v", "s", "commands")
+FORMAT = "roadrecon record 1"
+
+
+def truth(surface: Surface) -> Profile:
+    """The profile of both wheel paths on the grid on which estimates are judged."""
+    s = grid(surface.length)
+    return Profile(s, surface.height(s))
+
+
+def record_drive(
+    car: VehicleParameters,
+    surface: Surface,
+    *,
+    speed_kmh: float,
+    mode: str | Mapping[str, str],
+    instruments: Instruments,
+    seed: int | np.random.SeedSequence,
+    step: float = 0.001,
+) -> tuple[Record, Profile]:
+    """Drive over a surface and return what the instruments recorded, and the truth.
+
+    `seed` draws the sensor noise alone. Raises ConfigError, SimulationError.
+    """
+    drive = Drive(plant(car), car, surface, speed_kmh / 3.6, mode, step)
+    logger = Logger(instruments, car, step, np.random.default_rng(seed))
+    trajectory = drive.advance(np.full(drive.steps_left, command(mode), dtype=np.uint8))
+    a = logger.sense(trajectory)
+    every = slice(None, None, logger.every)
+    stiff, high = strut_states(trajectory.commands[every])
+    v = logger.speed_gain * trajectory.v[every]
+    s = drive.start + np.concatenate([[0.0], np.cumsum(v[:-1])]) / instruments.fs
+    record = Record(trajectory.t[every], a, v, s, stiff, high, surface.length)
+    return record, truth(surface)
+
+
+def write_record(path: Path, record: Record, provenance: Mapping[str, object]) -> None:
+    """Write a record as Parquet, whole or not at all; `provenance` goes into its metadata."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    bits = np.concatenate([record.stiff, record.high], axis=1) << np.arange(8)
+    data = (record.t, *record.a, record.v, record.s, bits.sum(axis=1).astype(np.uint8))
+    about = {"format": FORMAT, "length": record.length, "provenance": dict(provenance)}
+    table = pa.table(dict(zip(COLUMNS, data, strict=True)))
+    table = table.replace_schema_metadata({"roadrecon": json.dumps(about)})
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        pq.write_table(table, partial)
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def read_record(path: Path) -> tuple[Record, dict[str, object]]:
+    """A record and its provenance from Parquet. Raises ConfigError that says what is wrong."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(path)
+    except (OSError, pa.ArrowInvalid) as error:
+        raise ConfigError(
+            f"{path}: no readable Parquet file: {str(error).splitlines()[0]}"
+        ) from None
+    meta = (table.schema.metadata or {}).get(b"roadrecon")
+    about = json.loads(meta) if meta else {}
+    if about.get("format") != FORMAT:
+        raise ConfigError(f"{path}: not a RoadRecon record (its metadata lacks {FORMAT!r})")
+    if missing := [c for c in COLUMNS if c not in table.column_names]:
+        raise ConfigError(f"{path}: columns {missing} are missing; wanted: {', '.join(COLUMNS)}")
+    column = {c: table[c].to_numpy() for c in COLUMNS}
+    a = np.stack([column["a_rf"], column["a_lr"], column["a_rr"]])
+    stiff, high = strut_states(column["commands"])
+    record = Record(column["t"], a, column["v"], column["s"], stiff, high, about["length"])
+    return record, about["provenance"]

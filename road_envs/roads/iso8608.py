@@ -1,0 +1,140 @@
+"""Random road of a given roughness (ISO 8608:2016): one-sided displacement spectral density
+
+    G_d(n) = G_d(n0) (n / n0)^-w      n0 = 0.1 cycles/m
+
+as a sum of cosines with random phases; a line that stands for the cell [n - dn/2, n + dn/2]
+carries the integral of G_d over it, so that the expected variance is the integral over the band
+whatever the spacing. The lines are denser than 1/length, so that a road does not repeat.
+
+The two wheel paths, a `track` B apart, are the sum and the difference of two independent roads of
+densities (1 ± g) G_d / 2: each path has density G_d, their cross-spectrum is g G_d, and g² is
+their coherence. A surface that is equally rough in all directions has (x = 2 pi n B, v = w / 2)
+
+    g(n) = 2^(1-v) / Gamma(v) x^v K_v(x),      which is x K_1(x) for w = 2
+
+(Kamash & Robson, J. Sound Vib. 57, 1978, for w = 2; Matérn's integral for any w).
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len
+from scipy.special import gamma, kv
+
+from road_envs.config import STRICT
+from road_envs.roads.surface import Surface
+from road_envs.roughness import CLASSES, N_0
+
+RoadClass = Literal["A", "B", "C", "D", "E", "F", "G", "H"]
+Coherence = Literal["isotropic", "full", "none"]
+PERIODS = 8
+"""Lines between 0 and n_min: the synthesised period is at least this many longest waves."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Iso8608:
+    """A stationary Gaussian road; give `road_class` or `G_d0`, not both."""
+
+    __pydantic_config__ = STRICT
+
+    road_class: Annotated[RoadClass | None, "", "stands for its geometric mean"] = None
+    G_d0: Annotated[float | None, "m³", "displacement spectral density at n0"] = None
+    w: Annotated[float, "", "waviness"] = 2.0
+    length: Annotated[float, "m", "length of the road"] = 100.0
+    n_min: Annotated[float, "cycles/m", "longest wave"] = 0.01
+    n_max: Annotated[float, "cycles/m", "shortest wave"] = 10.0
+    coherence: Annotated[Coherence, "", "between the wheel paths"] = "isotropic"
+    track: Annotated[float, "m", "distance of the wheel paths"] = 1.5
+    ds: Annotated[float, "m", "spacing of the samples"] = 0.01
+
+    def __post_init__(self):
+        if (self.road_class is None) == (self.G_d0 is None):
+            raise ValueError("give exactly one of road_class and G_d0")
+        if self.G_d0 is not None:
+            check_positive(self, "G_d0")
+        check_positive(self, "w", "track")
+        check_band(self)
+
+    @property
+    def density(self) -> float:
+        """G_d(n0) [m³], given or that of the class."""
+        return CLASSES[self.road_class] if self.road_class else float(self.G_d0 or 0.0)
+
+    def realise(self, rng: np.random.Generator) -> Surface:
+        """Draw one road."""
+        edges = line_edges(self)
+        power = power_law(edges, self.density, self.w)
+        g = {"full": 1.0, "none": 0.0}.get(self.coherence)
+        if g is None:
+            g = isotropic(middle(edges), self.w, self.track)
+        name = f"iso8608 {self.road_class or f'G_d0={self.G_d0:g}'}"
+        return synthesise(rng, self, edges, power, g, name)
+
+
+def isotropic(n: np.ndarray, w: float, track: float) -> np.ndarray:
+    """Root of the coherence of two paths on an isotropic surface at `n` [cycles/m], any shape."""
+    x, v = 2.0 * np.pi * n * track, 0.5 * w
+    # K underflows to 0 for large x, as it should
+    return np.clip(2.0 ** (1.0 - v) / gamma(v) * x**v * kv(v, x), 0.0, 1.0)
+
+
+def power_law(edges: np.ndarray, G_d0: float, w: float) -> np.ndarray:
+    """Integral [m²] of G_d0 (n / n0)^-w over each cell between `edges` (K + 1,) [cycles/m]."""
+    if w == 1.0:
+        return G_d0 * N_0 * np.diff(np.log(edges))
+    return G_d0 * N_0 * np.diff((edges / N_0) ** (1.0 - w)) / (1.0 - w)
+
+
+def middle(edges: np.ndarray) -> np.ndarray:
+    """Middles (K,) of the cells between `edges` (K + 1,)."""
+    return 0.5 * (edges[1:] + edges[:-1])
+
+
+def line_edges(road) -> np.ndarray:
+    """Edges (K + 1,) [cycles/m] of the cells of the lines inside [n_min, n_max] of a road."""
+    dn = 1.0 / (_period_samples(road) * road.ds)
+    first, last = round(road.n_min / dn), round(road.n_max / dn)
+    edges = dn * (np.arange(first, last + 2) - 0.5)
+    edges[0], edges[-1] = road.n_min, road.n_max
+    return edges
+
+
+def synthesise(rng, road, edges, power, g, name: str) -> Surface:
+    """Both wheel paths from the `power` (K,) [m²] of each line and the root coherence `g`.
+
+    Each path starts at height 0, for nothing that rides on a road can feel its datum.
+    """
+    size = _period_samples(road)
+    first = round(road.n_min * size * road.ds)
+    phase = rng.uniform(0.0, 2.0 * np.pi, (2, power.size))
+    shares = np.array([1.0 + g, 1.0 - g]).reshape(2, -1)
+    parts = np.sqrt(power * shares) * np.exp(1j * phase)
+    lines = np.zeros((2, size // 2 + 1), dtype=complex)
+    lines[:, first : first + power.size] = [parts[0] + parts[1], parts[0] - parts[1]]
+    z = 0.5 * size * irfft(lines, size)[:, : round(road.length / road.ds) + 1]
+    return Surface(z - z[:, :1], road.ds, name=name)
+
+
+def check_positive(road, *names: str) -> None:
+    """ValueError naming the first of the settings that is not positive and finite."""
+    for name in names:
+        if not 0.0 < getattr(road, name) < np.inf:
+            raise ValueError(f"{name} must be positive, got {getattr(road, name)}")
+
+
+def check_band(road) -> None:
+    """ValueError if length, spacing and band of a random road do not fit together."""
+    check_positive(road, "length", "ds", "n_min")
+    if road.length < 4.0 * road.ds:
+        raise ValueError(f"length {road.length} m must hold at least 4 steps of ds = {road.ds} m")
+    if not road.n_min < road.n_max <= 0.5 / road.ds:
+        raise ValueError(
+            f"wanted n_min < n_max <= 1 / (2 ds) = {0.5 / road.ds:g} cycles/m, "
+            f"got n_min = {road.n_min}, n_max = {road.n_max}"
+        )
+
+
+def _period_samples(road) -> int:
+    """Samples in the period of the sum of cosines: at least two roads and PERIODS longest waves."""
+    return next_fast_len(int(np.ceil(max(2.0 * road.length, PERIODS / road.n_min) / road.ds)), True)

@@ -1,0 +1,169 @@
+"""A vehicle driven over a surface: step by step under changing commands, or whole.
+
+`Drive` is what the environment advances; `simulate` runs one to its end. A drive begins with the
+front axle `run_up` metres before station 0, at rest on the level apron in the commanded mode, and is
+over when the rear axle has passed the end of the surface by the same distance.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from road_envs import integrator
+from road_envs.config import ConfigError
+from road_envs.dynamics import N_DOF, PHI, THETA, Z_B, Plant, equilibrium, plant
+from road_envs.roads.surface import Surface
+from road_envs.suspension import command, memory_at_rest
+from road_envs.vehicle import VehicleParameters
+
+RUN_UP = 5.0
+"""Level apron [m] before and after the surface."""
+
+
+class SimulationError(ArithmeticError):
+    """The motion left the numbers' range; the sentence says when."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Motion of the vehicle at N instants.
+
+    `t` [s], `s` station of the front axle [m], `v` speed [m/s], `commands` bytes as given, all (N,);
+    `signals` (N, 29) as `integrator` lays them out.
+    """
+
+    t: np.ndarray
+    s: np.ndarray
+    v: np.ndarray
+    commands: np.ndarray
+    signals: np.ndarray
+
+    @property
+    def state(self) -> np.ndarray:
+        """Coordinates and rates (N, 14), as in `dynamics`."""
+        return self.signals[:, : 2 * N_DOF]
+
+    @property
+    def acceleration(self) -> np.ndarray:
+        """Accelerations (N, 7) of the degrees of freedom."""
+        return self.signals[:, integrator.ACCELERATION : integrator.ACCELERATION + N_DOF]
+
+    @property
+    def extension(self) -> np.ndarray:
+        """Strut extensions (N, 4) [m] from the static length: rattle space in use."""
+        return self.signals[:, integrator.EXTENSION : integrator.EXTENSION + 4]
+
+    @property
+    def tyre_load(self) -> np.ndarray:
+        """Tyre loads (N, 4) [N]; 0 where a wheel has left the ground."""
+        return self.signals[:, integrator.LOAD : integrator.LOAD + 4]
+
+    def body_acceleration(self, x: float, y: float) -> np.ndarray:
+        """Vertical acceleration (N,) [m/s²] of the body's point at (x, y) [m]."""
+        a = self.acceleration
+        return a[:, Z_B] - x * a[:, THETA] + y * a[:, PHI]
+
+
+class Drive:
+    """One vehicle on its way over a surface; plain NumPy state, so copies and pickles work.
+
+    `speed` [m/s] is constant; `step` [s] is the integrator's. Raises ConfigError on a speed or step
+    that is not positive and on a surface shorter than the wheelbase.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        car: VehicleParameters,
+        surface: Surface,
+        speed: float,
+        mode: str | Mapping[str, str] = "ride",
+        step: float = 0.001,
+    ):
+        if not (np.isfinite(speed) and speed > 0):
+            raise ConfigError(f"the speed must be positive, got {speed} m/s")
+        if not 0 < step <= 0.01:
+            raise ConfigError(f"the integrator's step must be within (0, 0.01] s, got {step} s")
+        if surface.length < car.wheelbase:
+            raise ConfigError(
+                f"{surface.name}: {surface.length:.2f} m of road is shorter than the wheelbase "
+                f"of {car.wheelbase:.3f} m"
+            )
+        self.plant, self.car, self.surface = plant, car, surface
+        self.speed, self.step = float(speed), float(step)
+        byte = command(mode)
+        self.steps = 0
+        self.start = -RUN_UP
+        self.finish = surface.end + car.wheelbase + RUN_UP
+        self.memory = memory_at_rest(byte)
+        self.state = self._at_rest()
+        self._in_pipe = np.full(round(car.valve.delay / step), byte, dtype=np.uint8)
+
+    def _at_rest(self) -> np.ndarray:
+        if self.car.tyre_static_deflection != "equilibrium":
+            return np.zeros(2 * N_DOF)  # the paper's start, some millimetres off equilibrium
+        s = self.start - np.array([0.0, 0.0, self.car.wheelbase, self.car.wheelbase])
+        heights = self.surface.height(s)[[0, 1, 0, 1], range(4)]
+        return equilibrium(self.plant, self.memory, heights)
+
+    @property
+    def t(self) -> float:
+        """Time since the start [s]."""
+        return self.steps * self.step
+
+    @property
+    def station(self) -> float:
+        """Station of the front axle [m]."""
+        return self.start + self.speed * self.t
+
+    @property
+    def steps_left(self) -> int:
+        """Steps until the drive is over."""
+        total = int(np.ceil((self.finish - self.start) / (self.speed * self.step)))
+        return max(total - self.steps, 0)
+
+    @property
+    def over(self) -> bool:
+        """Whether the rear axle has left the surface and its apron."""
+        return self.steps_left == 0
+
+    def advance(self, commands: np.ndarray) -> Trajectory:
+        """Take one step per command byte (n,); returns the signals at the steps' beginnings.
+
+        Raises SimulationError if the motion is no longer finite.
+        """
+        commands = np.asarray(commands, dtype=np.uint8)
+        n = commands.size
+        arriving = np.concatenate([self._in_pipe, commands])
+        self._in_pipe = arriving[n:]
+        half_steps = 2 * self.steps + np.arange(2 * n + 1)
+        s = self.start + self.speed * (0.5 * self.step) * half_steps
+        v = np.full(s.size, self.speed)
+        signals = np.empty((n, integrator.SIGNALS))
+        road = (self.surface.padded, self.surface.start, self.surface.ds, s, v)
+        valve = (arriving[:n], self.car.valve.lag, self.step, signals)
+        integrator.drive(*self.plant.arrays, self.memory, self.state, *road, *valve)
+        t = self.step * (self.steps + np.arange(n))
+        self.steps += n
+        if not np.isfinite(self.state).all():
+            bad = int(np.argmin(np.isfinite(signals).all(axis=1)))
+            raise SimulationError(
+                f"{self.surface.name}: the motion is no longer finite at t = {t[bad]:.3f} s"
+            )
+        return Trajectory(t, s[:-1:2], v[:-1:2], commands, signals)
+
+
+def simulate(
+    car: VehicleParameters,
+    surface: Surface,
+    speed: float,
+    mode: str | Mapping[str, str] = "ride",
+    step: float = 0.001,
+) -> Trajectory:
+    """Drive `car` over the whole `surface` at constant `speed` [m/s] in one 4S4 mode.
+
+    Raises ConfigError on bad input, SimulationError if the motion is no longer finite.
+    """
+    drive = Drive(plant(car), car, surface, speed, mode, step)
+    return drive.advance(np.full(drive.steps_left, command(mode), dtype=np.uint8))

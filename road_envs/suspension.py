@@ -1,0 +1,170 @@
+"""Force laws of one 4S4 strut and one tyre, and the commands that switch the struts.
+
+Strut forces push the body up; `e` [m] is the extension from the static length, `e_dot` [m/s] its
+rate. Five components (paper, section 2.3), the measured ones as tabulated cubics:
+
+    gas spring   F = p_stat A (x_1 / (x_1 + e - e_2))^n_p                       eq. 1
+    damper       function of e_dot, low (ride) and high (handling)              Fig. 1a
+    friction     Stribeck function of e_dot, one for each damper setting        Fig. 1b
+    bushing      function of e, small inside -0.1 ... +0.05 m                   Fig. 1c
+    bump stop    function of e, one for each axle                               Fig. 1d
+
+Two accumulators: the first, of static column x_1, is always open to the strut; the second, x_2,
+stands behind a valve. e_2 is the part of the extension that the second has taken up. Valve open:
+the pressures are equal, e_2 = e x_2 / (x_1 + x_2), and the law is eq. 1 with x_stat = x_1 + x_2
+(ride). Valve closed: e_2 is frozen with the gas behind it, and x_stat = x_1 (handling). Between,
+with u the open fraction of the valve, T the time constant of equalisation and r = x_2/(x_1 + x_2),
+
+    de_2/dt = u r de/dt + u (r e - e_2) / T
+
+so the force is continuous through every switch and a switch under deflection shifts the ride height.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from road_envs.config import ConfigError, one_of
+from road_envs.curves import look_up, tabulate
+from road_envs.jit import kernel
+from road_envs.vehicle import VehicleParameters
+
+WHEELS = ("FL", "FR", "RL", "RR")
+MODES = {
+    "ride": (False, False),
+    "handling": (True, True),
+    "soft_high": (False, True),
+    "stiff_low": (True, False),
+}
+"""The four states of a strut: (stiff spring, high damping)."""
+
+V_0, V_STEP, V_CELLS = -3.0, 0.01, 600
+E_0, E_STEP, E_CELLS = -0.2, 0.0025, 160
+"""Grids of the tables, over rate of extension [m/s] and extension [m]."""
+
+HELD, OPEN, HIGH = 0, 1, 2
+"""Columns of the struts' memory (4, 3): the held extension o [m] of the second accumulator, in
+e_2 = o + u r e; the open fraction u of the valve; the share of high damping. o is 0 as long as the
+valve stays open, and e_2 itself once it is closed."""
+
+
+def command(mode: str | Mapping[str, str]) -> int:
+    """A 4S4 command as one byte: bit w is a stiff spring, bit 4 + w high damping at wheel w.
+
+    `mode` is a name from MODES for the whole vehicle, or a mapping from "front" and "rear", or
+    from all of FL, FR, RL, RR, to such names. Raises ConfigError.
+    """
+    if isinstance(mode, Mapping):
+        if set(mode) == {"front", "rear"}:
+            wheels = [mode["front"], mode["front"], mode["rear"], mode["rear"]]
+        elif set(mode) == set(WHEELS):
+            wheels = [mode[w] for w in WHEELS]
+        else:
+            raise ConfigError(f"a mode is set for front and rear or for {WHEELS}, got {list(mode)}")
+    else:
+        wheels = [mode] * 4
+    states = [MODES[one_of("suspension mode", m, MODES)] for m in wheels]
+    return sum((stiff << w) | (high << (4 + w)) for w, (stiff, high) in enumerate(states))
+
+
+def strut_states(commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Stiff-spring and high-damping flags (N, 4) of command bytes (N,)."""
+    bits = (np.asarray(commands, dtype=np.uint8)[:, None] >> np.arange(8)) & 1
+    return bits[:, :4].astype(bool), bits[:, 4:].astype(bool)
+
+
+def memory_at_rest(byte: int) -> np.ndarray:
+    """Memory (4, 3) of struts that have long stood at their static length under a command."""
+    memory = np.zeros((4, 3))
+    stiff, high = strut_states(np.array([byte]))
+    memory[:, OPEN] = ~stiff[0]
+    memory[:, HIGH] = high[0]
+    return memory
+
+
+def velocity_tables(car: VehicleParameters) -> np.ndarray:
+    """Damper plus friction for ride and handling, (2, V_CELLS, 4)."""
+    strut = car.strut
+    pairs = (
+        (strut.damper.ride, strut.friction.ride),
+        (strut.damper.handling, strut.friction.handling),
+    )
+    return np.stack([tabulate(pair, V_0, V_STEP, V_CELLS) for pair in pairs])
+
+
+def displacement_tables(car: VehicleParameters) -> np.ndarray:
+    """Bushing plus bump stop for the front and rear struts, (2, E_CELLS, 4)."""
+    stops = (car.strut.bump_stop.front, car.strut.bump_stop.rear)
+    return np.stack([tabulate((car.strut.bushing, s), E_0, E_STEP, E_CELLS) for s in stops])
+
+
+@kernel
+def gas_spring(p, column):
+    """Force [N] and its derivative by the gas column [N/m]; a tangent below the shortest column."""
+    inside = max(column, p.column_min)
+    ratio = p.x_1 / inside
+    F = p.p_A * (ratio if p.n_p == 1.0 else ratio**p.n_p)
+    slope = -p.n_p * F / inside
+    return F + slope * (column - inside), slope
+
+
+@kernel
+def gas_column(p, memory, w, e):
+    """Column [m] of the first accumulator of strut `w`, and its derivative by the extension."""
+    share = 1.0 - memory[w, OPEN] * p.r_2
+    return p.x_1 + share * e - memory[w, HELD], share
+
+
+@kernel
+def switch(p, memory, w, e, stiff, high, alpha, h):
+    """Advance the memory of strut `w` by one step `h` [s] of its valves at extension `e`.
+
+    `alpha` is the share of the way to its target that a valve goes in one step.
+    """
+    u = memory[w, OPEN]
+    target = 0.0 if stiff else 1.0
+    closing = u + alpha * (target - u)
+    if abs(target - closing) < 1e-9:
+        closing = target
+    held = memory[w, HELD] + (u - closing) * p.r_2 * e
+    lack = (1.0 - closing) * p.r_2 * e - held
+    memory[w, HELD] = held + lack * (1.0 - np.exp(-closing * h / p.equalisation))
+    memory[w, OPEN] = closing
+    target = 1.0 if high else 0.0
+    d = memory[w, HIGH] + alpha * (target - memory[w, HIGH])
+    memory[w, HIGH] = target if abs(target - d) < 1e-9 else d
+
+
+@kernel
+def damping(p, velocity, memory, w, e_dot):
+    """Damper plus friction [N] over the rate of extension, and the derivative [N s/m]."""
+    high = memory[w, HIGH]
+    if high == 0.0:
+        return look_up(velocity[0], V_0, V_STEP, e_dot)
+    if high == 1.0:
+        return look_up(velocity[1], V_0, V_STEP, e_dot)
+    F_0, c_0 = look_up(velocity[0], V_0, V_STEP, e_dot)
+    F_1, c_1 = look_up(velocity[1], V_0, V_STEP, e_dot)
+    return F_0 + high * (F_1 - F_0), c_0 + high * (c_1 - c_0)
+
+
+@kernel
+def strut_force(p, velocity, displacement, memory, w, e, e_dot):
+    """Force [N] of strut `w`, its stiffness -dF/de [N/m] and damping -dF/de_dot [N s/m]."""
+    column, share = gas_column(p, memory, w, e)
+    gas, slope = gas_spring(p, column)
+    damper, c = damping(p, velocity, memory, w, e_dot)
+    stop, k = look_up(displacement[w // 2], E_0, E_STEP, e)
+    return gas - damper - stop, k - slope * share, c
+
+
+@kernel
+def tyre_force(p, i, u, u_dot):
+    """Load [N] of a tyre on axle `i`, its stiffness and damping; it pushes but never pulls.
+
+    `u` [m] is the compression beyond the static deflection, `u_dot` [m/s] its rate.
+    """
+    T = p.k_t[i] * (p.delta[i] + u) + p.c_t[i] * u_dot
+    if T > 0.0:
+        return T, p.k_t[i], p.c_t[i]
+    return 0.0, 0.0, 0.0
