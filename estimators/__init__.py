@@ -1,0 +1,82 @@
+"""Estimators by name: one file each; none knows another, none knows the simulator.
+
+To add one here: write a file beside this one, import it below, add its line, run `pytest`. To add
+one from another package, declare it there as an entry point, and it appears as `my_estimator`:
+
+    [project.entry-points."roadrecon.estimators"]
+    my_estimator = "my_package.my_module:MyEstimator"
+"""
+
+import dataclasses
+import warnings
+from importlib import metadata
+from typing import Any
+
+from estimators.fir_ridge import FirRidge
+from estimators.flat import Flat
+from estimators.mean import Mean
+from estimators.protocol import Estimator
+from estimators.static_lm import StaticLm
+from estimators.unrelated_road import UnrelatedRoad
+from road_envs.config import ConfigError, build, one_of
+
+GROUP = "roadrecon.estimators"
+"""Entry-point group under which other packages offer estimators."""
+
+REGISTRY: dict[str, type[Estimator]] = {
+    "flat": Flat,
+    "mean": Mean,
+    "unrelated_road": UnrelatedRoad,
+    "static_lm": StaticLm,
+    "fir_ridge": FirRidge,
+}
+
+
+class PluginWarning(UserWarning):
+    """An estimator of another package that cannot be used, and why."""
+
+
+def available() -> dict[str, type[Estimator]]:
+    """All estimators by name, those of other packages included.
+
+    One that cannot be loaded is left out with a PluginWarning. Raises ConfigError if a package
+    claims a name that is taken.
+    """
+    classes = dict(REGISTRY)
+    for entry in metadata.entry_points(group=GROUP):
+        if entry.name in classes:
+            raise ConfigError(
+                f"the estimator {entry.name!r} of {entry.value} needs another name: "
+                f"{classes[entry.name].__module__} has this one"
+            )
+        try:
+            classes[entry.name] = _checked(entry.load())
+        except Exception as error:  # whatever another package does, the rest stays usable
+            said = f"{type(error).__name__}: {error}"
+            warnings.warn(
+                f"the estimator {entry.name!r} of {entry.value} is left out: {said}",
+                PluginWarning,
+                stacklevel=2,
+            )
+    return classes
+
+
+def create(name: str, **settings: Any) -> Estimator:
+    """A fresh estimator. Raises ConfigError that names the choices, if a name or value is wrong."""
+    classes = available()
+    cls: Any = classes[one_of("estimator", name, classes)]
+    known = [field.name for field in dataclasses.fields(cls) if field.init]
+    for setting in settings:
+        one_of(f"setting of {name}", setting, known)
+    return build(cls, settings, name)
+
+
+def _checked(cls: Any) -> type[Estimator]:
+    """`cls` if it has the shape of an estimator. Raises TypeError."""
+    if not (isinstance(cls, type) and dataclasses.is_dataclass(cls)):
+        raise TypeError("it must be a dataclass of settings")
+    if not callable(getattr(cls, "estimate", None)):
+        raise TypeError("it has no method estimate(record, car)")
+    if not isinstance(getattr(cls, "causal", None), bool):
+        raise TypeError("it must say whether it is causal: causal: ClassVar[bool] = ...")
+    return cls

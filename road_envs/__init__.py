@@ -1,0 +1,12 @@
+"""The world: roads, vehicle, instruments, and their Gymnasium face `RoadRecon-v0`.
+
+Read the files in the order in which data flows: `config`, `record`, `roads`, `vehicle`, `curves`,
+`suspension`, `dynamics`, `integrator`, `simulate`, `sensors`, `dataset`, `env`.
+"""
+
+import gymnasium
+
+ID = "RoadRecon-v0"
+
+if ID not in gymnasium.registry:
+    gymnasium.register(id=ID, entry_point="road_envs.env:RoadReconEnv", max_episode_steps=100_000)

@@ -86,7 +86,7 @@ def build(cls: type[T], data: Mapping[str, Any], where: str) -> T:
 
 
 @cache
-def _adapter(cls: type) -> TypeAdapter:
+def _adapter(cls: Any) -> TypeAdapter:
     return TypeAdapter(cls)
 
 

@@ -1,8 +1,8 @@
-"""Force curves: breakpoints from YAML, piecewise cubics through them, a uniform table in the kernel.
+"""Force curves: breakpoints from YAML, piecewise cubics through them, uniform tables for kernels.
 
 The paper evaluates its measured strut curves with MATLAB's `ppval`, that is as piecewise cubics
 (section 2.3). Here the cubics are PCHIP (Fritsch & Carlson 1980), which neither overshoot nor ring
-between breakpoints. For the kernel each curve is tabulated on a uniform grid as the Hermite cubic of
+between breakpoints. For kernels each curve is tabulated on a uniform grid as the Hermite cubic of
 its values and slopes: exact wherever the breakpoints lie on that grid, and a look-up without a
 search everywhere. Beyond its last breakpoint a curve goes on as a straight line.
 """

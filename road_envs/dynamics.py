@@ -15,9 +15,9 @@ origin has every strut at its static length and every tyre at its static deflect
 
 These are equations 2 to 8 of Ngwangwa, Heyns, Breytenbach & Els with z up instead of down and pitch
 positive nose down: paper alpha, beta -> phi, -theta; z_uf, theta -> -z_af, phi_af; z_ur, phi ->
--z_ar, phi_ar; b, a -> x of the front and -x of the rear axle; d, c -> y_s, y_t. Corrections: in eq. 7
-the left tyre's heave stiffness must be negative, as in eq. 8 (a symmetric road must not roll an
-axle); c_trf and c_tlf in eq. 3 are damping constants; the 10 mm of tyre deflection is not the
+-z_ar, phi_ar; b, a -> x of the front and -x of the rear axle; d, c -> y_s, y_t. Corrections: in
+eq. 7 the left tyre's heave stiffness must be negative, as in eq. 8 (a symmetric road must not roll
+an axle); c_trf and c_tlf in eq. 3 are damping constants; the 10 mm of tyre deflection is not the
 equilibrium, which is 21.5 mm, and stays available as `tyre_static_deflection: 0.010`.
 """
 

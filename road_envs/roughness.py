@@ -1,7 +1,156 @@
-"""Roughness of a profile."""
+"""Roughness of a profile: displacement spectral density and class (ISO 8608), and IRI.
+
+Profiles `z` (..., N) [m] stand on even stations `ds` [m] apart, along the last axis. Densities are
+one-sided, `G` (..., K) [m³] at the spatial frequencies `n` (K,) [cycles/m]. Levels are given as
+the density G_d(n0) [m³] at n0 = 0.1 cycles/m of the road with G_d = G_d(n0) (n / n0)^-2 that has
+the same density.
+"""
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.signal import lfilter, welch
 
 N_0 = 0.1
 """Reference spatial frequency of ISO 8608 [cycles/m]."""
 
 CLASSES = {name: 16e-6 * 4.0**k for k, name in enumerate("ABCDEFGH")}
 """Geometric mean of G_d(n0) [m³] of each class (ISO 8608, table C.1); a class ends at twice it."""
+
+FIT_BAND = (0.011, 2.83)
+"""Band [cycles/m] in which ISO 8608 fits a straight line."""
+
+
+def dsd(z: np.ndarray, ds: float, segment: float = 100.0) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement spectral density: `n` (K,) [cycles/m] without 0, and `G` (..., K) [m³].
+
+    Welch's method over the track: Hann windows, half overlapping, segments of at most `segment`
+    [m], each freed of its straight line.
+    """
+    z = np.asarray(z, dtype=float)
+    size = min(z.shape[-1], round(segment / ds))
+    n, G = welch(z, 1.0 / ds, "hann", size, size // 2, detrend="linear")
+    return n[1:], G[..., 1:]
+
+
+def smooth(n: np.ndarray, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Density averaged over the bands of ISO 8608: their centres (M,) and means (..., M).
+
+    Octaves up to 0.0312 cycles/m, third octaves up to 0.25, twelfths above; `n` evenly spaced
+    from its spacing up. Bands that reach beyond `n` are left out.
+    """
+    octave, third = 2.0**-4.5, 2.0 ** (-2 + 1 / 6)  # where the bands of 2^-5 and 2^-2 end
+    edges = np.r_[
+        octave * 2.0 ** np.arange(-8, 0),
+        octave * 2.0 ** (np.arange(8) / 3.0),
+        third * 2.0 ** (np.arange(12 * 12) / 12.0),
+    ]
+    half = 0.5 * (n[1] - n[0])
+    edges = edges[(edges >= n[0] - half) & (edges <= n[-1] + half)]
+    return np.sqrt(edges[1:] * edges[:-1]), band_means(n, G, edges[:-1], edges[1:])
+
+
+def band_means(n: np.ndarray, G: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Mean density (..., M) [m³] over the bands from `low` to `high` (M,) [cycles/m].
+
+    Each line of `n` (evenly spaced) stands for the cell about it (ISO 8608, clause on smoothing).
+    """
+    half = 0.5 * (n[1] - n[0])
+    inside = np.minimum(high[:, None], n + half) - np.maximum(low[:, None], n - half)
+    return G @ (np.maximum(inside, 0.0) / (high - low)[:, None]).T
+
+
+def fit_line(
+    n: np.ndarray, G: np.ndarray, w: float | None = None, band: tuple[float, float] = FIT_BAND
+) -> tuple[float, float]:
+    """`G_d0` [m³] and waviness of the straight line through log G (K,) over log n.
+
+    Least squares over the points inside `band`, which should be smoothed ones, for they are
+    even over log n. A given `w` is kept, and only the level is fitted. Raises ValueError if too
+    few points of positive density are inside.
+    """
+    use = (n >= band[0]) & (n <= band[1]) & (G > 0.0)
+    if use.sum() < 2:
+        raise ValueError(f"fewer than 2 points of the density lie in {band[0]} to {band[1]}")
+    x, y = np.log(n[use] / N_0), np.log(G[use])
+    if w is None:
+        slope, level = np.polyfit(x, y, 1)
+        return float(np.exp(level)), float(-slope)
+    return float(np.exp(np.mean(y + w * x))), w
+
+
+def classify(G_d0: float) -> str:
+    """Class "A" to "H" of a road with the density `G_d0` [m³] at n0."""
+    for name, mean in CLASSES.items():
+        if G_d0 < 2.0 * mean:
+            return name
+    return "H"
+
+
+def octave_levels(
+    n: np.ndarray, G: np.ndarray, band: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Centres (M,) of the octaves centred inside `band` [cycles/m], and levels (..., M) [m³].
+
+    Centres are powers of two. The mean of n^-2 over an octave is that at its centre, so the level
+    of an ISO road is its G_d(n0), and `classify` gives the class of the octave.
+    """
+    low, high = np.ceil(np.log2(band[0])), np.floor(np.log2(band[1]))
+    centre = 2.0 ** np.arange(low, high + 1.0)
+    means = band_means(n, G, centre * 2.0**-0.5, centre * 2.0**0.5)
+    return centre, means * (centre / N_0) ** 2
+
+
+def iri(
+    z: np.ndarray, ds: float, average: float = 0.25, segment: float | None = None
+) -> np.ndarray:
+    """International roughness index [mm/m], (...,) or (..., segments) of `segment` [m] each.
+
+    The mean of `golden_car`; a rest shorter than `segment` is left out.
+    """
+    motion = 1e3 * np.abs(golden_car(z, ds, average))
+    if segment is None:
+        return motion.mean(axis=-1)
+    size = round(segment / ds)
+    count = motion.shape[-1] // size
+    return motion[..., : count * size].reshape(*motion.shape[:-1], count, size).mean(axis=-1)
+
+
+def golden_car(z: np.ndarray, ds: float, average: float = 0.25) -> np.ndarray:
+    """Suspension slope (..., N - base) [-] of the golden car at 80 km/h after each step.
+
+        z_s'' = K2 (z_u - z_s) + C (z_u' - z_s')
+        mu z_u'' = -z_s'' + K1 (y - z_u)          K1 = 653, K2 = 63.3, C = 6, mu = 0.15
+
+    (Sayers, Transp. Res. Rec. 1501, 1995; ASTM E1926). The profile y is averaged over `average`
+    [m] to the nearest `base` of whole steps (0: not at all) and is straight between samples, for
+    which the state transition is exact, mode by mode. At the start the car moves along the mean
+    slope of the first 11 m.
+    """
+    z = np.asarray(z, dtype=float)
+    base = max(1, round(average / ds))
+    slope = (z[..., base:] - z[..., :-base]) / (base * ds)
+    first = max(1, min(round(11.0 / ds), z.shape[-1] - 1))
+    start = (z[..., first] - z[..., 0]) / (first * ds)
+
+    K1, K2, C, mu = 653.0, 63.3, 6.0, 0.15
+    A = np.array(
+        [
+            [0.0, 1.0, 0.0, 0.0],
+            [-K2, -C, K2, C],
+            [0.0, 0.0, 0.0, 1.0],
+            [K2 / mu, C / mu, -(K1 + K2) / mu, -C / mu],
+        ]
+    )
+    B = np.array([0.0, 0.0, 0.0, K1 / mu])
+    dt = ds / (80.0 / 3.6)
+    S = expm(A * dt)
+    P = np.linalg.solve(A, (S - np.eye(4)) @ B)
+    poles, modes = np.linalg.eig(S)
+    inputs = np.linalg.solve(modes, P)
+    before = np.linalg.solve(modes, np.array([1.0, 0.0, 1.0, 0.0]))
+    rattle = modes[0] - modes[2]
+    out = np.zeros(slope.shape, dtype=complex)
+    for pole, gain, x, seen in zip(poles, inputs, before, rattle, strict=True):
+        zi = pole * x * start[..., None]
+        out += seen * lfilter([gain], [1.0, -pole], slope, zi=zi)[0]
+    return out.real

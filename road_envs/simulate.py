@@ -1,7 +1,7 @@
 """A vehicle driven over a surface: step by step under changing commands, or whole.
 
 `Drive` is what the environment advances; `simulate` runs one to its end. A drive begins with the
-front axle `run_up` metres before station 0, at rest on the level apron in the commanded mode, and is
+front axle RUN_UP metres before station 0, at rest on the level apron in the commanded mode, and is
 over when the rear axle has passed the end of the surface by the same distance.
 """
 
@@ -29,8 +29,8 @@ class SimulationError(ArithmeticError):
 class Trajectory:
     """Motion of the vehicle at N instants.
 
-    `t` [s], `s` station of the front axle [m], `v` speed [m/s], `commands` bytes as given, all (N,);
-    `signals` (N, 29) as `integrator` lays them out.
+    `t` [s], `s` station of the front axle [m], `v` speed [m/s], `commands` bytes as given, all
+    (N,); `signals` (N, 29) as `integrator` lays them out.
     """
 
     t: np.ndarray

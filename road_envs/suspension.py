@@ -17,7 +17,8 @@ with u the open fraction of the valve, T the time constant of equalisation and r
 
     de_2/dt = u r de/dt + u (r e - e_2) / T
 
-so the force is continuous through every switch and a switch under deflection shifts the ride height.
+so the force is continuous through every switch, and a switch under deflection shifts the ride
+height.
 """
 
 from collections.abc import Mapping

@@ -14,9 +14,10 @@ from road_envs.roads.belgian import Belgian
 from road_envs.roads.bumps import Bumps
 from road_envs.roads.compose import Altered, Fixed, Flat, Road
 from road_envs.roads.iso8608 import Iso8608
+from road_envs.roads.measured import SUFFIXES, Measured, write_csv
 from road_envs.roads.surface import Surface
 
-__all__ = ["KINDS", "Road", "Surface", "load_road", "with_length"]
+__all__ = ["KINDS", "Road", "Surface", "load_road", "with_length", "write_csv"]
 
 KINDS: dict[str, type] = {
     "altered": Altered,
@@ -25,6 +26,7 @@ KINDS: dict[str, type] = {
     "fixed": Fixed,
     "flat": Flat,
     "iso8608": Iso8608,
+    "measured": Measured,
 }
 
 
@@ -38,8 +40,10 @@ def load_road(source: str | Path | Mapping[str, Any]) -> Road:
         return _from_mapping(source, "")
     if not isinstance(source, str | Path):
         raise ConfigError(f"a road is a name, a path or a mapping, got {source!r}")
+    if Path(source).suffix.lower() in SUFFIXES:
+        return Measured(path=str(source))
     path = find("roads", source)
-    return _from_mapping(read_yaml(path), str(path))
+    return _from_mapping(_beside(read_yaml(path), path.parent), str(path))
 
 
 def with_length(road: Road, length: float) -> Road:
@@ -60,6 +64,16 @@ def _from_mapping(data: Mapping[str, Any], where: str) -> Road:
         raise ConfigError(f"{where or 'road'}: missing kind; known: {', '.join(KINDS)}")
     kind = one_of("kind of road", settings.pop("kind"), KINDS)
     return build(KINDS[kind], settings, where or kind)
+
+
+def _beside(data: Any, folder: Path) -> Any:
+    """Settings in which the paths of surface files are relative to `folder` no longer."""
+    if not isinstance(data, dict):
+        return data
+    inner = {key: _beside(value, folder) for key, value in data.items()}
+    if data.get("kind") == "measured" and isinstance(data.get("path"), str):
+        inner["path"] = str(folder / data["path"])
+    return inner
 
 
 def _shipped(settings: dict[str, Any], where: str) -> Road:

@@ -65,8 +65,8 @@ class Iso8608:
         """Draw one road."""
         edges = line_edges(self)
         power = power_law(edges, self.density, self.w)
-        g = {"full": 1.0, "none": 0.0}.get(self.coherence)
-        if g is None:
+        g = np.full(power.size, 1.0 if self.coherence == "full" else 0.0)
+        if self.coherence == "isotropic":
             g = isotropic(middle(edges), self.w, self.track)
         name = f"iso8608 {self.road_class or f'G_d0={self.G_d0:g}'}"
         return synthesise(rng, self, edges, power, g, name)
@@ -101,15 +101,14 @@ def line_edges(road) -> np.ndarray:
 
 
 def synthesise(rng, road, edges, power, g, name: str) -> Surface:
-    """Both wheel paths from the `power` (K,) [m²] of each line and the root coherence `g`.
+    """Both wheel paths from the `power` (K,) [m²] of each line and the root coherence `g` (K,).
 
     Each path starts at height 0, for nothing that rides on a road can feel its datum.
     """
     size = _period_samples(road)
     first = round(road.n_min * size * road.ds)
     phase = rng.uniform(0.0, 2.0 * np.pi, (2, power.size))
-    shares = np.array([1.0 + g, 1.0 - g]).reshape(2, -1)
-    parts = np.sqrt(power * shares) * np.exp(1j * phase)
+    parts = np.sqrt(power * np.array([1.0 + g, 1.0 - g])) * np.exp(1j * phase)
     lines = np.zeros((2, size // 2 + 1), dtype=complex)
     lines[:, first : first + power.size] = [parts[0] + parts[1], parts[0] - parts[1]]
     z = 0.5 * size * irfft(lines, size)[:, : round(road.length / road.ds) + 1]

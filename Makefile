@@ -1,0 +1,37 @@
+# Each target sets up what it needs; a machine with Python 3.11 or newer and make is enough.
+PYTHON ?= python3
+VENV := .venv
+READY := $(VENV)/.ready
+
+.PHONY: leaderboard policies test lint bench faults clean
+
+leaderboard: $(READY)
+	$(VENV)/bin/roadrecon leaderboard --out out/leaderboard
+
+policies: $(READY)
+	$(VENV)/bin/roadrecon policies --out out/policies
+
+test: lint
+	$(VENV)/bin/pytest
+
+lint: $(READY)
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/mypy
+	$(VENV)/bin/lint-imports
+
+bench: $(READY)
+	$(VENV)/bin/roadrecon bench
+
+faults: $(READY)
+	$(VENV)/bin/python tests/faults.py
+
+$(READY): pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed")'
+	$(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/python -m pip install --quiet --upgrade pip
+	$(VENV)/bin/pip install --quiet --constraint constraints.txt --editable '.[test]'
+	touch $@
+
+clean:
+	rm -rf $(VENV) out build dist

@@ -1,0 +1,127 @@
+"""What an estimator is: it is given a record and the maker's knowledge of the car, and gives back
+both wheel paths on `grid(record.length)`. It sees nothing else.
+
+An estimator is a frozen dataclass of settings. One that learns keeps what it learnt in fields that
+take no part in construction, comparison or printing; `fit` returns a fitted copy.
+"""
+
+import copy
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Protocol, Self, TypeVar, runtime_checkable
+
+import numpy as np
+
+from road_envs.record import Estimate, Profile, Record, grid
+from road_envs.vehicle import VehicleParameters
+
+T = TypeVar("T")
+
+
+class EstimateError(ValueError):
+    """An estimate that cannot be judged, said in one sentence."""
+
+
+class NotFittedError(RuntimeError):
+    """An estimator that learns was asked before it learnt."""
+
+
+class Estimator(Protocol):
+    """From one record to both wheel paths."""
+
+    causal: ClassVar[bool]
+    """Whether the estimate at a station uses only what was sensed up to it."""
+
+    def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
+        """Both wheel paths on `grid(record.length)`; the record is left untouched."""
+        ...
+
+
+@runtime_checkable
+class Trainable(Estimator, Protocol):
+    """An estimator that learns from drives over known roads."""
+
+    def fit(
+        self,
+        records: Sequence[Record],
+        truths: Sequence[Profile],
+        car: VehicleParameters,
+        seed: int,
+    ) -> Self:
+        """A fitted copy; the same arguments give the same copy."""
+        ...
+
+    def weights(self) -> dict[str, np.ndarray]:
+        """All that was learnt, as arrays of numbers. Raises NotFittedError."""
+        ...
+
+    def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
+        """A copy that has learnt `weights`, as `weights()` gave them. Raises ValueError."""
+        ...
+
+
+def copy_with(estimator: T, **fields: Any) -> T:
+    """A copy of a frozen estimator whose learnt `fields` are set."""
+    twin = copy.copy(estimator)
+    for name, value in fields.items():
+        object.__setattr__(twin, name, value)
+    return twin
+
+
+def fitted(value: T | None, estimator: object) -> T:
+    """`value` if `estimator` has learnt it. Raises NotFittedError."""
+    if value is None:
+        name = type(estimator).__name__
+        raise NotFittedError(f"{name} must be fitted before it can estimate: call fit() first")
+    return value
+
+
+def arrays(
+    weights: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int | None, ...]]
+) -> list[np.ndarray]:
+    """The named `weights` as floats, in the order of `shapes`; None stands for any size.
+
+    Raises ValueError if a name is missing or unknown, or if a shape or a value is impossible.
+    """
+    if weights.keys() != shapes.keys():
+        raise ValueError(f"weights {sorted(shapes)} are wanted, got {sorted(weights)}")
+    for name, shape in shapes.items():
+        _check(name, weights[name], shape, ValueError)
+    return [np.array(weights[name], dtype=float) for name in shapes]
+
+
+def check_estimate(estimate: object, record: Record) -> None:
+    """Raise EstimateError unless `estimate` is one that can be judged against the road of `record`:
+    finite heights of both wheel paths at the stations `grid(record.length)`, in this order.
+    """
+    if not isinstance(estimate, Estimate):
+        raise EstimateError(f"an Estimate is wanted, got {type(estimate).__name__}")
+    stations = grid(record.length)
+    size = stations.size
+    _check("stations s", estimate.s, (size,), EstimateError)
+    _check("heights z", estimate.z, (2, size), EstimateError)
+    if (np.diff(estimate.s) <= 0).any():
+        raise EstimateError("stations s must increase all along")
+    if not np.allclose(estimate.s, stations, rtol=0.0, atol=1e-6):
+        raise EstimateError(f"stations s must be grid({record.length:g}), the record's own")
+    if estimate.z_std is not None:
+        _check("standard deviations z_std", estimate.z_std, (2, size), EstimateError)
+        if (estimate.z_std < 0).any():
+            raise EstimateError("standard deviations z_std must not be negative")
+
+
+def _check(
+    what: str, given: object, shape: tuple[int | None, ...], error: type[ValueError]
+) -> None:
+    """Raise `error` unless `given` is an array of finite real numbers of that shape."""
+    if not isinstance(given, np.ndarray) or given.dtype.kind not in "fiu":
+        kind = given.dtype if isinstance(given, np.ndarray) else type(given).__name__
+        raise error(f"{what}: an array of real numbers is wanted, got {kind}")
+    fits = given.ndim == len(shape) and all(
+        wanted in (None, size) for wanted, size in zip(shape, given.shape, strict=True)
+    )
+    if not fits:
+        wanted = ", ".join("any" if size is None else str(size) for size in shape)
+        raise error(f"{what}: shape ({wanted}) is wanted, got {given.shape}")
+    if not np.isfinite(given).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(given))[0])
+        raise error(f"{what}: every value must be finite, {given[where]} stands at {where}")

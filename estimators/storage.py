@@ -1,0 +1,78 @@
+"""Estimators on disk: name, settings and learnt weights in one `.npz`, without pickle.
+
+The array `header` holds JSON: the format, the package's version, the estimator's name and its
+settings; every array of `weights()` stands beside it under its own name.
+"""
+
+import io
+import json
+import os
+import zipfile
+import zlib
+from dataclasses import fields
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from estimators import available, create
+from estimators.protocol import Estimator, Trainable
+
+FORMAT = "roadrecon estimator 1"
+
+
+class StorageError(ValueError):
+    """A file that holds no estimator, or an estimator that cannot be stored, in one sentence."""
+
+
+def save(estimator: Estimator, path: str | Path) -> None:
+    """Write an estimator to `path`, whole or not at all. Raises StorageError, NotFittedError."""
+    path = Path(path)
+    name = next((name for name, cls in available().items() if type(estimator) is cls), None)
+    if name is None:
+        raise StorageError(f"{type(estimator).__name__} is no registered estimator")
+    header = {
+        "format": FORMAT,
+        "version": version("roadrecon"),
+        "name": name,
+        "settings": {f.name: getattr(estimator, f.name) for f in fields(estimator) if f.init},
+    }
+    weights = estimator.weights() if isinstance(estimator, Trainable) else {}
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        with partial.open("wb") as file:
+            np.savez(file, header=np.array(json.dumps(header)), **weights)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def load(path: str | Path) -> Estimator:
+    """The estimator that `save` wrote. Raises StorageError that says what is wrong."""
+    weights = _read(Path(path))
+    try:
+        header = json.loads(str(weights.pop("header")))
+        if header["format"] != FORMAT:
+            raise StorageError(f"format {header['format']!r} is not {FORMAT!r}")
+        estimator = create(header["name"], **header["settings"])
+        return estimator.with_weights(weights) if isinstance(estimator, Trainable) else estimator
+    except KeyError as error:
+        raise StorageError(f"{path}: holds no RoadRecon estimator: {error} is missing") from None
+    except (TypeError, ValueError) as error:
+        raise StorageError(f"{path}: holds no usable estimator: {error}") from None
+
+
+def _read(path: Path) -> dict[str, np.ndarray]:
+    try:
+        data = io.BytesIO(path.read_bytes())
+    except OSError as error:
+        raise StorageError(f"{path}: cannot be read: {error.strerror}") from None
+    if not zipfile.is_zipfile(data):
+        raise StorageError(f"{path}: not an .npz file, or cut short")
+    try:
+        with np.load(data, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise StorageError(f"{path}: damaged, or not written by RoadRecon: {error}") from None

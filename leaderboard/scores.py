@@ -1,0 +1,92 @@
+"""The scores of one estimate, and how each is printed: the judge's table of contents."""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from leaderboard import metrics, spectral
+from leaderboard.bumps import bump_scores
+from road_envs.record import Profile
+
+Better = Literal["low", "high", "zero", ""]
+
+
+class Score(NamedTuple):
+    """How a score is printed: its value times `factor`, in `unit`, with `digits` decimals."""
+
+    label: str
+    unit: str
+    factor: float
+    digits: int
+    better: Better
+
+    def text(self, value: float) -> str:
+        """The value as printed; a dash for one that is not defined."""
+        if not np.isfinite(value):
+            return "–"
+        sign = "+" if self.better == "zero" else ""
+        return f"{self.factor * value:{sign}.{self.digits}f}"
+
+
+SCORES = {
+    "nrmse": Score("in-band NRMSE", "", 1.0, 2, "low"),
+    "nrmse_left": Score("in-band NRMSE, left", "", 1.0, 2, "low"),
+    "nrmse_right": Score("in-band NRMSE, right", "", 1.0, 2, "low"),
+    "nrmse_full": Score("NRMSE, 0.05-3 cycles/m", "", 1.0, 2, "low"),
+    "r": Score("correlation r", "", 1.0, 2, "high"),
+    "lag": Score("best lag", "m", 1.0, 2, "zero"),
+    "r_at_lag": Score("r at best lag", "", 1.0, 2, "high"),
+    "coherence": Score("coherence", "", 1.0, 2, "high"),
+    "level_error": Score("level error, paper eq. 12", "%", 100.0, 1, "low"),
+    "level_error_left": Score("level error, left", "%", 100.0, 1, "low"),
+    "level_error_right": Score("level error, right", "%", 100.0, 1, "low"),
+    "level_bias": Score("level error with its sign", "%", 100.0, 1, "zero"),
+    "dsd_distance_db": Score("DSD distance", "dB", 1.0, 1, "low"),
+    "dsd_bias_db": Score("DSD bias", "dB", 1.0, 1, "zero"),
+    "class_exact": Score("octaves in the true class", "%", 100.0, 0, "high"),
+    "class_within_one": Score("octaves within one class", "%", 100.0, 0, "high"),
+    "fitted_class": Score("fitted class right", "%", 100.0, 0, "high"),
+    "G_d0_error_db": Score("error of Gd(n0)", "dB", 1.0, 1, "zero"),
+    "iri_error": Score("IRI error", "mm/m", 1.0, 2, "low"),
+    "iri_error_relative": Score("IRI error", "%", 100.0, 0, "low"),
+    "bump_precision": Score("bump precision", "%", 100.0, 0, "high"),
+    "bump_recall": Score("bump recall", "%", 100.0, 0, "high"),
+    "bump_f1": Score("bump F1", "", 1.0, 2, "high"),
+    "bump_location_error": Score("bump location error", "m", 1.0, 2, "low"),
+    "bump_height_error": Score("bump height error", "mm", 1000.0, 0, "low"),
+    "bump_height_error_relative": Score("bump height error", "%", 100.0, 0, "low"),
+    "bump_ghosts": Score("ghost bumps", "", 1.0, 1, "low"),
+}
+
+
+def scores(truth: Profile, estimate: Profile, v: float, bumps: bool) -> dict[str, float]:
+    """All scores of an estimate of a drive at `v` [m/s]; those of obstacles where `bumps` says so.
+
+    A score that is not defined, such as the error relative to a flat truth, is NaN.
+    """
+    y, a, ds = truth.z, estimate.z, truth.ds
+    result = _profile_scores(y, a, ds, v) | spectral.scores(y, a, ds, v)
+    if bumps and (found := bump_scores(y, a, ds)) is not None:
+        result |= {f"bump_{name}": float(value) for name, value in found._asdict().items()}
+    return result
+
+
+def _profile_scores(y: np.ndarray, a: np.ndarray, ds: float, v: float) -> dict[str, float]:
+    band = metrics.scored_band(v)
+    error = metrics.nrmse(y, a, ds, band)
+    level = metrics.level_error(y, a)
+    correlation = metrics.correlation(y, a, ds, band)
+    return {
+        "nrmse": error.pooled,
+        "nrmse_left": error.left,
+        "nrmse_right": error.right,
+        "nrmse_full": metrics.nrmse(y, a, ds, metrics.FULL_BAND).pooled,
+        "r": correlation.r,
+        "lag": correlation.lag,
+        "r_at_lag": correlation.r_at_lag,
+        "coherence": metrics.coherence(y, a, ds, band),
+        "level_error": abs(level.pooled),
+        "level_error_left": abs(level.left),
+        "level_error_right": abs(level.right),
+        "level_bias": level.pooled,
+    }

@@ -1,0 +1,219 @@
+"""A measured surface as a road: OpenCRG files, or plain tables of distance and height.
+
+From a grid the wheel paths are taken `track` apart about the line `centre`, between the sections
+by linear interpolation; a path that would touch a missing height is refused, or bridged along the
+track when asked. A table has the columns distance, left, right [m], or distance and one height
+for both paths; fields stand apart by white space, comma, semicolon or tab, lines that begin with
+"#" and one line of names are skipped. Station 0 is the first sample, and both paths start at 0.
+
+A surface shorter than the road wanted is a tile, laid end to end: mirrored, or repeated after the
+line from its first to its last height has been taken away, so that the ends meet.
+"""
+
+import os
+import re
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+
+from road_envs.config import STRICT
+from road_envs.roads.iso8608 import check_positive
+from road_envs.roads.opencrg import CurvedGrid, SurfaceFileError, about, content, heights, parse
+from road_envs.roads.surface import Surface
+
+WHEELBASE = 2.794
+"""The default of `min_length` [m]."""
+SUFFIXES = (".crg", ".csv", ".txt", ".dat")
+PATHS = ("left", "right")
+EVEN = 1e-3
+"""Spacings that differ from their median by less than this share of it count as even."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """A file as a road. Raises SurfaceFileError at once if the file cannot be used."""
+
+    __pydantic_config__ = STRICT
+
+    path: Annotated[str, "", "the file; in a YAML file relative to that file"]
+    length: Annotated[float, "m", "length of the road; 0: that of the surface"] = 0.0
+    repeat: Annotated[Literal["none", "repeat", "mirror"], "", "how a short tile is laid"] = "none"
+    centre: Annotated[float | None, "m", "v midway between the paths; none: of the grid"] = None
+    track: Annotated[float, "m", "distance of the wheel paths"] = 1.5
+    bridge_gaps: Annotated[bool, "", "interpolate along the track where heights miss"] = False
+    min_length: Annotated[float, "m", "a shorter surface is refused"] = WHEELBASE
+
+    def __post_init__(self):
+        check_positive(self, "track", "min_length")
+        with about(self.path):
+            natural = self._tile.length
+            if natural < self.min_length:
+                raise SurfaceFileError(
+                    f"the surface is {natural:.2f} m long, shorter than the {self.min_length:g} m "
+                    "that a vehicle stands on (min_length)"
+                )
+            object.__setattr__(self, "length", self.length or natural)
+            if self.repeat == "none" and self.length > natural * (1.0 + 1e-9):
+                raise SurfaceFileError(
+                    f"the surface is {natural:.2f} m long, shorter than the {self.length:g} m "
+                    "wanted; set repeat to mirror or repeat"
+                )
+        check_positive(self, "length")
+
+    def realise(self, rng: np.random.Generator) -> Surface:
+        """The surface; there is nothing to draw."""
+        tile = self._tile
+        size = round(self.length / tile.ds) + 1
+        z, notes = tile.z[:, :size], tile.notes
+        if size > tile.z.shape[1]:
+            z, note = laid(tile.z, tile.ds, size, self.repeat)
+            notes = (*notes, note)
+        return Surface(z - z[:, :1], tile.ds, name=tile.name, notes=notes)
+
+    @cached_property
+    def _tile(self) -> Surface:
+        """The file as it is."""
+        suffix = Path(self.path).suffix.lower()
+        if suffix not in SUFFIXES:
+            raise SurfaceFileError(f"a surface file ends in {', '.join(SUFFIXES)}")
+        if suffix == ".crg":
+            z, ds, notes = wheel_paths(parse(content(self.path)), self.centre, self.track)
+        else:
+            z, ds, notes = parse_table(content(self.path))
+        if z.shape[1] < 4:
+            raise SurfaceFileError(f"at least 4 stations are wanted, got {z.shape[1]}")
+        z, bridges = bridged(z, ds, self.bridge_gaps)
+        if np.allclose(z[0], z[1], rtol=0.0, atol=1e-9):
+            notes = (*notes, "left and right wheel path are the same")
+        return Surface(z, ds, name=Path(self.path).stem, notes=(*notes, *bridges))
+
+
+Paths = tuple[np.ndarray, float, tuple[str, ...]]
+"""Heights (2, N) [m] of the left and right wheel path, their spacing [m], and notes."""
+
+
+def wheel_paths(grid: CurvedGrid, centre: float | None, track: float) -> Paths:
+    """Both wheel paths, half a `track` [m] to either side of v = `centre` [m]."""
+    v = grid.v
+    middle = 0.5 * (v[0] + v[-1]) if centre is None else centre
+    z = np.empty((2, len(grid.z)))
+    for side, at in enumerate((middle + 0.5 * track, middle - 0.5 * track)):
+        if not v[0] - 1e-9 <= at <= v[-1] + 1e-9:
+            raise SurfaceFileError(
+                f"the {PATHS[side]} wheel path at v = {at:.3g} m is off the grid, "
+                f"which spans {v[0]:.3g} to {v[-1]:.3g} m"
+            )
+        k = int(np.clip(np.searchsorted(v, at) - 1, 0, v.size - 2))
+        share = round((at - v[k]) / (v[k + 1] - v[k]), 9)
+        parts = [w * grid.z[:, k + j] for j, w in enumerate((1.0 - share, share)) if w]
+        z[side] = sum(parts)
+    start = (f"station 0 is u = {grid.u_start:g} m",) if grid.u_start else ()
+    return z, grid.du, (*start, *grid.notes)
+
+
+def parse_table(data: bytes) -> Paths:
+    """Both wheel paths from the bytes of a table."""
+    try:
+        text = re.sub("[,;\t]", " ", data.decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        raise SurfaceFileError("not a text file") from None
+    lines = [s for line in text.splitlines() if (s := line.strip()) and not s.startswith("#")]
+    names = lines.pop(0).lower().split() if lines and not _is_number(lines[0].split()[0]) else []
+    if not lines:
+        raise SurfaceFileError("the table is empty")
+    try:
+        table = np.loadtxt(lines, ndmin=2)
+    except ValueError as error:
+        raise SurfaceFileError(f"not a table of numbers: {error}") from None
+    if table.shape[1] not in (2, 3):
+        raise SurfaceFileError(
+            f"wanted the columns distance, left, right, or distance, height, "
+            f"got {table.shape[1]} columns"
+        )
+    order = [1, -1]
+    if len(names) == 3 and "right" in names[1] and "left" in names[2]:
+        order = [2, 1]
+    return _even(table[:, 0], heights(table[:, order].T))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _even(s: np.ndarray, z: np.ndarray) -> Paths:
+    """Wheel paths `z` (2, N) at the stations `s` (N,) [m] on an even grid."""
+    steps = np.diff(s)
+    if not (np.isfinite(s).all() and (steps > 0.0).all()):
+        bad = int(np.argmin(np.r_[True, steps > 0.0]))
+        raise SurfaceFileError(f"distance does not increase at row {bad + 1}")
+    if s.size < 2:
+        raise SurfaceFileError("at least 4 stations are wanted, got 1")
+    ds = float(np.median(steps))
+    if (np.abs(steps - ds) < EVEN * ds).all():
+        return z, float((s[-1] - s[0]) / steps.size), ()
+    size = (s[-1] - s[0]) / ds + 1.0
+    if size > 4.0 * s.size:
+        raise SurfaceFileError("the stations are too uneven to be interpolated")
+    grid = s[0] + ds * np.arange(int(size + 1e-9))
+    return np.array([np.interp(grid, s, path) for path in z]), ds, (f"resampled to {ds:.4g} m",)
+
+
+def bridged(z: np.ndarray, ds: float, allowed: bool) -> tuple[np.ndarray, list[str]]:
+    """Wheel paths `z` (2, N) with missing heights interpolated, if `allowed`; and notes."""
+    z, notes = z.copy(), []
+    k = np.arange(z.shape[1])
+    for side, path in zip(PATHS, z, strict=True):
+        missing = np.isnan(path)
+        count = int(missing.sum())
+        if not count:
+            continue
+        first = ds * int(np.argmax(missing))
+        if not allowed or count == path.size:
+            raise SurfaceFileError(
+                f"{count} of {path.size} heights of the {side} wheel path are missing, the first "
+                f"at station {first:.2f} m; choose another centre or set bridge_gaps"
+            )
+        path[missing] = np.interp(k[missing], k[~missing], path[~missing])
+        edges = np.flatnonzero(np.diff(np.r_[False, missing, False]))
+        longest = ds * int((edges[1::2] - edges[::2]).max())
+        notes.append(
+            f"bridged {count} heights of the {side} wheel path, at most {longest:.2f} m at once"
+        )
+    return z, notes
+
+
+def laid(z: np.ndarray, ds: float, size: int, repeat: str) -> tuple[np.ndarray, str]:
+    """A tile `z` (2, N) laid end to end to `size` samples, and a note of how."""
+    steps = z.shape[1] - 1
+    times = -(-(size - 1) // steps)
+    k = np.arange(size)
+    what = f"{steps * ds:.2f} m tile {{}} {times} times to {(size - 1) * ds:g} m"
+    if repeat == "mirror":
+        k %= 2 * steps
+        return z[:, np.minimum(k, 2 * steps - k)], what.format("mirrored")
+    rise = z[:, -1:] - z[:, :1]
+    closed = z - rise * np.linspace(0.0, 1.0, steps + 1)
+    left, right = 1e3 * rise[:, 0]
+    note = f"{what.format('repeated')}, its rise of {left:.1f} and {right:.1f} mm taken away"
+    return closed[:, k % steps], note
+
+
+def write_csv(surface: Surface, path: str | Path) -> None:
+    """A surface as a table that `Measured` reads, to 1 nm; whole or not at all."""
+    path = Path(path)
+    remarks = [f"# {line}" for line in (surface.name, *surface.notes)]
+    rows = [f"{s:.9f},{left:.9f},{right:.9f}" for s, left, right in zip(surface.s, *surface.z, strict=True)]
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        text = "\n".join([*remarks, "distance,left,right", *rows, ""])
+        temporary.write_text(text, encoding="utf-8")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
