@@ -71,7 +71,7 @@ def create(name: str, **settings: Any) -> Estimator:
     return build(cls, settings, name)
 
 
-def _checked(cls: Any) -> type[Estimator]:
+def _checked(cls: Any) -> Any:
     """`cls` if it has the shape of an estimator. Raises TypeError."""
     if not (isinstance(cls, type) and dataclasses.is_dataclass(cls)):
         raise TypeError("it must be a dataclass of settings")

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from road_envs.processing import process
 from road_envs.record import GRID, Profile, Record, grid
-from road_envs.sensors import process
 
 F_C = 25.0
 """Band limit of the processed accelerations [Hz]."""

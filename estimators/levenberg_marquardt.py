@@ -53,7 +53,7 @@ class Network:
         return self.output @ _with_ones(np.tanh(self.hidden.T @ _with_ones(x)))
 
     def moved(self, step: np.ndarray) -> "Network":
-        """This network after a `step` (P,) in all its weights, hidden layer first."""
+        """The network after a `step` (P,) in all its weights, hidden layer first."""
         hidden, output = np.split(step, [self.hidden.size])
         return Network(
             self.hidden + hidden.reshape(self.hidden.shape),
@@ -180,7 +180,8 @@ def train(
     options = options or Options()
     seen, validated, tested = ((x[:, part], t[:, part]) for part in split)
     best, best_error, best_epoch = network, np.inf, 0
-    mu, stop, history = options.mu, None, []
+    mu, stop = options.mu, None
+    history: list[tuple[float, ...]] = []
     while stop is None:
         epoch = len(history)
         normal = normal_equations(network, *seen)

@@ -1,7 +1,7 @@
 """Estimators on disk: name, settings and learnt weights in one `.npz`, without pickle.
 
 The array `header` holds JSON: the format, the package's version, the estimator's name and its
-settings; every array of `weights()` stands beside it under its own name.
+settings; the arrays of `weights()` stand beside it as `weights.<name>`.
 """
 
 import io
@@ -12,6 +12,7 @@ import zlib
 from dataclasses import fields
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
@@ -19,6 +20,8 @@ from estimators import available, create
 from estimators.protocol import Estimator, Trainable
 
 FORMAT = "roadrecon estimator 1"
+WEIGHTS = "weights."
+"""Stands before the name of a weight, so that none can be taken for the header."""
 
 
 class StorageError(ValueError):
@@ -27,21 +30,22 @@ class StorageError(ValueError):
 
 def save(estimator: Estimator, path: str | Path) -> None:
     """Write an estimator to `path`, whole or not at all. Raises StorageError, NotFittedError."""
-    path = Path(path)
-    name = next((name for name, cls in available().items() if type(estimator) is cls), None)
+    path, kind = Path(path), cast(Any, type(estimator))
+    name = next((name for name, cls in available().items() if cls is kind), None)
     if name is None:
-        raise StorageError(f"{type(estimator).__name__} is no registered estimator")
+        raise StorageError(f"{kind.__name__} is no registered estimator")
     header = {
         "format": FORMAT,
         "version": version("roadrecon"),
         "name": name,
-        "settings": {f.name: getattr(estimator, f.name) for f in fields(estimator) if f.init},
+        "settings": {f.name: getattr(estimator, f.name) for f in fields(kind) if f.init},
     }
     weights = estimator.weights() if isinstance(estimator, Trainable) else {}
+    arrays: dict[str, Any] = {WEIGHTS + key: value for key, value in weights.items()}
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         with partial.open("wb") as file:
-            np.savez(file, header=np.array(json.dumps(header)), **weights)
+            np.savez(file, header=np.array(json.dumps(header)), **arrays)
             file.flush()
             os.fsync(file.fileno())
         os.replace(partial, path)
@@ -51,9 +55,10 @@ def save(estimator: Estimator, path: str | Path) -> None:
 
 def load(path: str | Path) -> Estimator:
     """The estimator that `save` wrote. Raises StorageError that says what is wrong."""
-    weights = _read(Path(path))
+    arrays = _read(Path(path))
+    weights = {key.removeprefix(WEIGHTS): value for key, value in arrays.items() if key != "header"}
     try:
-        header = json.loads(str(weights.pop("header")))
+        header = json.loads(str(arrays["header"]))
         if header["format"] != FORMAT:
             raise StorageError(f"format {header['format']!r} is not {FORMAT!r}")
         estimator = create(header["name"], **header["settings"])

@@ -9,9 +9,9 @@ from estimators import create
 from estimators.protocol import Estimator
 from leaderboard.drives import DriveSource, simulated
 from leaderboard.environment import environment
-from leaderboard.evaluate import SEEDS, run_task, settings_of, steps
+from leaderboard.evaluate import SEEDS, Entries, run_task, settings_of, steps
 from leaderboard.results import Result, load, load_all, path_of, save
-from leaderboard.sentinels import SENTINELS
+from leaderboard.sentinels import SENTINELS, TRUTH_PLUS_NOISE
 from leaderboard.tasks import Task
 
 Progress = Callable[[int, int, str], None]
@@ -65,8 +65,15 @@ def run_board(
     keeps stored results of the same task, versions, settings and seeds. Raises ConfigError.
     """
     tasks = [task.with_roads(roads) if roads and task.draws_roads else task for task in tasks]
-    entries = {**entries, **{name: create(name) for name in SENTINELS[:-1]}}
-    wanted = {task.name: _missing(task, entries, seeds, out, resume) for task in tasks}
+    everyone: Entries = {**entries, **sentinels()}
+    wanted = {
+        task.name: {
+            name: e
+            for name, e in everyone.items()
+            if not (resume and _stored(task, name, e, seeds, out))
+        }
+        for task in tasks
+    }
     total = sum(steps(task, wanted[task.name]) for task in tasks)
     done = 0
 
@@ -75,22 +82,21 @@ def run_board(
         progress(done, total, text)
         done += 1
 
-    for task in tasks:
+    for task in filter(lambda task: wanted[task.name], tasks):
         for result in run_task(task, wanted[task.name], seeds, drive=drive, report=report):
             save(result, out)
     return load_board(tasks, out)
 
 
-def _missing(
-    task: Task, entries: Mapping[str, Estimator], seeds: Sequence[int], out: Path, resume: bool
-) -> dict[str, Estimator]:
-    """The entries that have to be run."""
-    if not resume:
-        return dict(entries)
-    return {name: e for name, e in entries.items() if not _stored(task, name, e, seeds, out)}
+def sentinels() -> dict[str, Estimator | None]:
+    """The marks that stand on every board."""
+    return {name: None if name == TRUTH_PLUS_NOISE else create(name) for name in SENTINELS}
 
 
-def _stored(task: Task, name: str, estimator: Estimator, seeds: Sequence[int], out: Path) -> bool:
+def _stored(
+    task: Task, name: str, estimator: Estimator | None, seeds: Sequence[int], out: Path
+) -> bool:
+    """Whether a result of the same task, versions, settings, seeds and commit is there to keep."""
     path = path_of(out, task.name, name)
     if not path.exists():
         return False

@@ -30,6 +30,9 @@ SEEDS = (1, 2, 3)
 TRACED = 100.0
 """Length [m] of the first test road that is kept for the figures."""
 
+Entries = Mapping[str, Estimator | None]
+"""Who is judged, by name; None stands for the judge's own truth plus noise."""
+
 Report = Callable[[str], None]
 
 
@@ -49,7 +52,7 @@ class Session(NamedTuple):
 
 @dataclass
 class Row:
-    """An entry on its way through a task; `estimator` is None for the judge's truth plus noise."""
+    """An entry on its way through a task."""
 
     name: str
     estimator: Estimator | None
@@ -63,19 +66,18 @@ class Row:
 
 def run_task(
     task: Task,
-    entries: Mapping[str, Estimator],
+    entries: Entries,
     seeds: Sequence[int] = SEEDS,
     *,
     drive: DriveSource = simulated,
     report: Report = lambda text: None,
 ) -> list[Result]:
-    """Results of `entries` (name: estimator) and of the judge's `truth_plus_noise` on a task.
+    """Results of `entries` on a task.
 
     An estimator that does not learn runs once, with the first seed. `report` hears of each of
     `steps(task, entries)` steps as it begins. Raises ConfigError where the task is bad input.
     """
     rows = [Row(name, e, _seeds_of(e, seeds)) for name, e in entries.items()]
-    rows.append(Row("truth_plus_noise", None, (seeds[0],)))
     notes: dict[str, None] = {}
     for condition in task.conditions:
         report(f"{task.name}: driving, {condition.label}")
@@ -91,9 +93,9 @@ def run_task(
     return [_result(task, row, tuple(notes)) for row in rows]
 
 
-def steps(task: Task, entries: Mapping[str, Estimator]) -> int:
+def steps(task: Task, entries: Entries) -> int:
     """How often `run_task` reports."""
-    return len(task.conditions) * (len(entries) + 2)
+    return len(task.conditions) * (len(entries) + 1)
 
 
 def settings_of(estimator: Estimator | None) -> dict[str, Any]:
@@ -103,7 +105,7 @@ def settings_of(estimator: Estimator | None) -> dict[str, Any]:
     return {f.name: getattr(estimator, f.name) for f in dataclasses.fields(estimator) if f.init}
 
 
-def _seeds_of(estimator: Estimator, seeds: Sequence[int]) -> tuple[int, ...]:
+def _seeds_of(estimator: Estimator | None, seeds: Sequence[int]) -> tuple[int, ...]:
     return tuple(seeds) if isinstance(estimator, Trainable) else (seeds[0],)
 
 

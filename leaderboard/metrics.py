@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import signal
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 VERSION = 1
 """Goes up whenever a score of the same two profiles changes; older results are then stale."""
@@ -64,10 +65,11 @@ def band_pass(z: np.ndarray, ds: float, band: Band) -> np.ndarray:
     ends = [(0, 0)] * (z.ndim - 1) + [(pad, pad)]
     z = np.pad(signal.detrend(z), ends, mode="reflect", reflect_type="odd")
     z = z * signal.windows.tukey(z.shape[-1], 2 * pad / z.shape[-1])
-    n = np.fft.rfftfreq(z.shape[-1], ds)
-    spectrum = np.where((n >= band[0]) & (n <= band[1]), np.fft.rfft(z), 0.0)
+    size = next_fast_len(z.shape[-1], real=True)
+    n = rfftfreq(size, ds)
+    spectrum = np.where((n >= band[0]) & (n <= band[1]), rfft(z, size), 0.0)
     trim = round(min(1.0 / band[0], 0.1 * M * ds) / ds)
-    return np.fft.irfft(spectrum, z.shape[-1])[..., pad + trim : pad + M - trim]
+    return irfft(spectrum, size)[..., pad + trim : pad + M - trim]
 
 
 def nrmse(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> Sides:

@@ -13,7 +13,8 @@ import numpy as np
 from leaderboard.metrics import Band, band_pass
 from road_envs.record import Estimate, Profile
 
-SENTINELS = ("flat", "mean", "unrelated_road", "truth_plus_noise")
+TRUTH_PLUS_NOISE = "truth_plus_noise"
+SENTINELS = ("flat", "mean", "unrelated_road", TRUTH_PLUS_NOISE)
 NOISE = 0.02
 
 

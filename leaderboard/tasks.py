@@ -17,10 +17,11 @@ from typing import Any, Literal
 
 from road_envs import config
 from road_envs.config import STRICT, ConfigError
-from road_envs.roads import Road, load_road, with_length
+from road_envs.roads import Road, with_length
 from road_envs.roads.belgian import Belgian
 from road_envs.roads.compose import Altered, AnyRoad
 from road_envs.roads.iso8608 import Iso8608
+from road_envs.roads.measured import Measured
 from road_envs.sensors import Instruments, load_instruments
 from road_envs.vehicle import VehicleParameters, load_vehicle
 
@@ -152,6 +153,11 @@ class Task:
         text = json.dumps([_canonical(part) for part in parts], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
+    @property
+    def draws_roads(self) -> bool:
+        """Whether it has test drives to choose from."""
+        return len(self.test.roads) * len(self.test.seeds) > 1
+
     def with_roads(self, number: int) -> "Task":
         """The same task with another number of test drives per condition. Raises ConfigError."""
         try:
@@ -186,12 +192,12 @@ def _origin(road: Road) -> Road:
 
 
 def _canonical(value: Any) -> Any:
-    """`value` as JSON types: dataclasses with the name of their class, files by their bytes."""
+    """`value` as JSON types: dataclasses with the name of their class, surface files by content."""
     if dataclasses.is_dataclass(value):
         fields = {f.name: _canonical(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        if isinstance(value, Measured):
+            fields["path"] = hashlib.sha256(Path(value.path).read_bytes()).hexdigest()
         return {"is": type(value).__name__, **fields}
-    if isinstance(value, Path):
-        return hashlib.sha256(value.read_bytes()).hexdigest()
     if isinstance(value, tuple | list):
         return [_canonical(item) for item in value]
     if isinstance(value, dict):

@@ -2,13 +2,76 @@
 
 The weighting is the product of four second-order sections (ISO 2631-1, annex A; s = 2 pi i f):
 
-    band limits   s² / (s² + w1 s √2 + w1²),   1 / (1 + √2 s/w2 + (s/w2)²)
+    band limits   s² / (s² + √2 w1 s + w1²),   1 / (1 + √2 s/w2 + (s/w2)²)
     transition    (1 + s/w3) / (1 + s/(Q4 w4) + (s/w4)²)
     upward step   (w5² + s w5/Q5 + s²) / (w6² + s w6/Q6 + s²)
-
-Each becomes digital by the bilinear transform with its own corners prewarped.
 """
 
 import numpy as np
-from scipy.signal import bilinear_zpk
+from scipy.signal import sosfilt
 
+W_1, W_2, W_3, W_4, W_5, W_6 = 2.0 * np.pi * np.array([0.4, 100.0, 12.5, 12.5, 2.37, 3.35])
+Q_4, Q_5, Q_6 = 0.63, 0.91, 0.91
+ROOT_2 = np.sqrt(2.0)
+SECTIONS = (
+    (np.array([1.0, 0.0, 0.0]), np.array([1.0, ROOT_2 * W_1, W_1**2]), 0.4),
+    (np.array([W_2**2]), np.array([1.0, ROOT_2 * W_2, W_2**2]), 100.0),
+    (np.array([W_4**2 / W_3, W_4**2]), np.array([1.0, W_4 / Q_4, W_4**2]), 12.5),
+    (np.array([1.0, W_5 / Q_5, W_5**2]), np.array([1.0, W_6 / Q_6, W_6**2]), 3.35),
+)
+"""Numerator and denominator in s, and corner [Hz], of each section."""
+
+
+def wk(f: np.ndarray) -> np.ndarray:
+    """Weight Wk [-] at the frequencies `f` [Hz], any shape: the standard's own, analogue."""
+    return np.abs(np.prod([_response(b, a, np.asarray(f)) for b, a, _ in SECTIONS], axis=0))
+
+
+def wk_sos(fs: float) -> np.ndarray:
+    """Second-order sections (4, 6) of Wk for samples at `fs` [Hz], for `scipy.signal.sosfilt`.
+
+    Keep `zi` between calls to filter a running signal. From 0.5 to 31.5 Hz it is within 0.1 % of
+    `wk` at fs = 1 kHz, 0.3 % at 500 Hz and 1.5 % at 200 Hz; at 100 Hz within 1.6 % up to 20 Hz.
+    """
+    if not 0.0 < fs < np.inf:
+        raise ValueError(f"the sampling rate fs must be positive, got {fs}")
+    return np.array([_matched(b, a, corner, fs) for b, a, corner in SECTIONS])
+
+
+def weighted_rms(a: np.ndarray, fs: float) -> np.ndarray:
+    """Root mean square (...,) [m/s²] of vertical accelerations `a` (..., N) [m/s²] after Wk."""
+    return np.sqrt(np.mean(weighted(a, fs) ** 2, axis=-1))
+
+
+def vdv(a: np.ndarray, fs: float) -> np.ndarray:
+    """Vibration dose value (...,) [m/s^1.75]: fourth root of the time integral of (Wk a)^4."""
+    return (np.sum(weighted(a, fs) ** 4, axis=-1) / fs) ** 0.25
+
+
+def weighted(a: np.ndarray, fs: float) -> np.ndarray:
+    """Accelerations `a` (..., N) [m/s²] sampled at `fs` [Hz], weighted by Wk, from rest."""
+    return sosfilt(wk_sos(fs), a, axis=-1)
+
+
+def _matched(b: np.ndarray, a: np.ndarray, corner: float, fs: float) -> np.ndarray:
+    """Digital section (6,) at `fs` [Hz] of the analogue one b(s) / a(s) with a `corner` [Hz].
+
+    The poles are mapped exactly; the zeros give the analogue magnitude at 0, at the corner and at
+    half the sampling rate (Vicanek, Matched second order digital filters, 2016). The bilinear
+    transform would have a zero at half the sampling rate instead.
+    """
+    f = np.array([0.0, min(corner, 0.25 * fs), 0.5 * fs])
+    z = np.exp(2j * np.pi * f / fs)
+    den = np.poly(np.exp(np.roots(a) / fs)).real
+    gain = _response(b, a, f)
+    start, middle, end = np.abs(gain * np.polyval(den, z)) ** 2
+    x = np.sin(np.pi * f[1] / fs) ** 2
+    twist = (middle - start * (1.0 - x) - end * x) / (4.0 * x * (1.0 - x))
+    even, odd = 0.5 * (np.sqrt(start) + np.sqrt(end)), 0.5 * (np.sqrt(start) - np.sqrt(end))
+    first = 0.5 * (even + np.sqrt(max(even**2 + twist, 0.0)))
+    return np.r_[first, odd, -0.25 * twist / first, den]
+
+
+def _response(b: np.ndarray, a: np.ndarray, f: np.ndarray) -> np.ndarray:
+    s = 2j * np.pi * f
+    return np.polyval(b, s) / np.polyval(a, s)

@@ -1,14 +1,14 @@
 """`RoadRecon-v0`: the vehicle on a road as a Gymnasium environment. No physics lives here."""
 
 from dataclasses import asdict, dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
 from scipy import signal
 
 from road_envs.comfort import wk_sos
-from road_envs.config import STRICT, ConfigError, build
+from road_envs.config import STRICT, ConfigError, build, one_of
 from road_envs.dynamics import Z_B, plant
 from road_envs.record import SENSORS
 from road_envs.roads import load_road, with_length
@@ -164,15 +164,15 @@ class RoadReconEnv(gymnasium.Env):
     * v0: first release.
     """
 
-    metadata = {"render_modes": []}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 20}
 
     def __init__(self, render_mode: str | None = None, **options: Any):
         if render_mode is not None:
-            raise ConfigError(f"RoadRecon-v0 has no render mode {render_mode!r}; use None")
+            one_of("render mode", render_mode, self.metadata["render_modes"])
         if isinstance(options.get("weights"), Weights):
             options["weights"] = asdict(options["weights"])
         self.options = o = build(Options, options, "RoadRecon-v0")
-        self.render_mode = None
+        self.render_mode = render_mode
         self.car = load_vehicle(o.vehicle)
         self.plant = plant(self.car)
         self.instruments = load_instruments(o.sensors)
@@ -216,7 +216,9 @@ class RoadReconEnv(gymnasium.Env):
     def step(self, action: int):
         """Drive one control interval under `action`."""
         if not self.action_space.contains(action):
-            raise ConfigError(f"the action must be one of 0 to {self.action_space.n - 1}, got {action!r}")
+            raise ConfigError(
+                f"the action must be one of 0 to {self.action_space.n - 1}, got {action!r}"
+            )
         observation, reward, terminated, info = self._advance(self._bytes[int(action)])
         return observation, reward, terminated, self.drive.over and not terminated, info
 
@@ -224,7 +226,9 @@ class RoadReconEnv(gymnasium.Env):
         """The parts of an observation: RF, LR, RR (k,), speed (1,), front (2,), rear (2,)."""
         k = self._samples
         cuts = np.cumsum([k, k, k, 1, 2])
-        return dict(zip((*SENSORS, "speed", "front", "rear"), np.split(observation, cuts), strict=True))
+        return dict(
+            zip((*SENSORS, "speed", "front", "rear"), np.split(observation, cuts), strict=True)
+        )
 
     def _episode(self, options: dict[str, Any]):
         known = {"speed_kmh": self.options.speed_kmh, "mode": self.options.mode}

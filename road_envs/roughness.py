@@ -128,6 +128,8 @@ def golden_car(z: np.ndarray, ds: float, average: float = 0.25) -> np.ndarray:
     """
     z = np.asarray(z, dtype=float)
     base = max(1, round(average / ds))
+    if z.shape[-1] <= base:
+        raise ValueError(f"a profile of {z.shape[-1]} samples is shorter than {average} m")
     slope = (z[..., base:] - z[..., :-base]) / (base * ds)
     first = max(1, min(round(11.0 / ds), z.shape[-1] - 1))
     start = (z[..., first] - z[..., 0]) / (first * ds)

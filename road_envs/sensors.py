@@ -12,12 +12,12 @@ import numpy as np
 from scipy import signal
 
 from road_envs import config
+from road_envs.processing import butterworth
 from road_envs.record import SENSORS
 from road_envs.simulate import Trajectory
 from road_envs.vehicle import VehicleParameters
 
 ALIAS_ORDER = 4
-LOW_PASS_ORDER = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,24 +118,3 @@ class Logger:
         samples = a[:, -self.taken % self.every :: self.every]
         self.taken += a.shape[1]
         return samples
-
-
-def butterworth(order: int, f_c: float, fs: float, kind: str = "low") -> np.ndarray:
-    """Second-order sections (n, 6) of a Butterworth filter with cut-off `f_c` at rate `fs` [Hz]."""
-    return signal.butter(order, f_c, kind, fs=fs, output="sos")
-
-
-def process(a: np.ndarray, fs: float, f_c: float = 25.0, causal: bool = False) -> np.ndarray:
-    """Accelerations (k, N) [m/s²] without their constant trend, low-passed at `f_c` [Hz].
-
-    Offline the mean is subtracted and the filter runs both ways, so that nothing is delayed; the
-    two passes together are 6 dB down at `f_c`. Causal, the trend is removed by a first-order
-    high-pass at 0.05 Hz and the filter runs once, forward. Raises ValueError on samples that are
-    not finite or fewer than the filter's length.
-    """
-    if not np.isfinite(a).all():
-        raise ValueError("accelerations to be processed must be finite")
-    sos = butterworth(LOW_PASS_ORDER, f_c, fs)
-    if not causal:
-        return signal.sosfiltfilt(sos, a - a.mean(axis=1, keepdims=True), axis=1)
-    return signal.sosfilt(np.vstack([butterworth(1, 0.05, fs, "high"), sos]), a, axis=1)

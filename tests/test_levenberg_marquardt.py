@@ -172,7 +172,7 @@ def test_the_training_error_falls_at_every_epoch():
 
 
 def test_mu_falls_tenfold_with_every_step_that_succeeds_at_once():
-    """A linear problem: with the hidden layer saturated only W2 and b2 matter, and no step fails."""
+    """Without a varying input the problem is nearly linear, and no step fails."""
     rng = np.random.default_rng(11)
     x = rng.uniform(-1.0, 1.0, (1, 50))
     network = lm.Network(np.array([[0.0, 0.0], [1.0, -2.0]]), np.array([[0.5, 0.1, 3.0]]))

@@ -209,7 +209,10 @@ def write_csv(surface: Surface, path: str | Path) -> None:
     """A surface as a table that `Measured` reads, to 1 nm; whole or not at all."""
     path = Path(path)
     remarks = [f"# {line}" for line in (surface.name, *surface.notes)]
-    rows = [f"{s:.9f},{left:.9f},{right:.9f}" for s, left, right in zip(surface.s, *surface.z, strict=True)]
+    rows = [
+        f"{s:.9f},{left:.9f},{right:.9f}"
+        for s, left, right in zip(surface.s, *surface.z, strict=True)
+    ]
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         text = "\n".join([*remarks, "distance,left,right", *rows, ""])
