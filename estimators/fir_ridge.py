@@ -27,6 +27,7 @@ from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 from scipy import signal
+from scipy.linalg import cho_solve
 
 from estimators.features import F_C, accelerations, heights
 from estimators.protocol import arrays, copy_with, fitted
@@ -77,8 +78,10 @@ class Sums(NamedTuple):
     def solve(self, ridge: float) -> np.ndarray:
         """Coefficients (p, 2) with a `ridge` relative to the mean of the diagonal of XX."""
         size = len(self.XX)
-        level = max(np.trace(self.XX) / size, np.finfo(float).tiny)
-        return np.linalg.solve(self.XX + ridge * level * np.eye(size), self.XZ)
+        level = np.trace(self.XX) / size or 1.0  # a drive may have been level
+        # NumPy's factor: SciPy's BLAS has threads of its own, which fight for the processor
+        factor = np.linalg.cholesky(self.XX + ridge * level * np.eye(size))
+        return cho_solve((factor, True), self.XZ)
 
     def squared_error(self, coefficients: np.ndarray) -> float:
         """Sum of squared errors that `coefficients` (p, 2) make on these samples."""

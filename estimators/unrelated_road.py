@@ -50,7 +50,8 @@ class UnrelatedRoad:
         seed: int,
     ) -> Self:
         """Level and waviness of the truths; `seed` draws the phases."""
-        return copy_with(self, learnt=Road(*roughness(truths), seed))
+        phases = int(np.random.default_rng(seed).integers(2**31))  # a float can hold it
+        return copy_with(self, learnt=Road(*roughness(truths), phases))
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """The random road."""

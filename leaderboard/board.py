@@ -104,7 +104,7 @@ def _stored(
     return (
         result.stale(task) is None
         and result.failure is None
-        and set(result.seeds) <= set(seeds)
+        and result.seeds == tuple(seeds)
         and json.dumps(result.settings) == json.dumps(settings_of(estimator), default=str)
         and result.environment.get("commit") == environment().get("commit")
     )

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimators.protocol import Estimator, Trainable
+from estimators.protocol import Estimator
 from leaderboard import metrics
 from leaderboard.drives import Drive, DriveSource, simulated
 from leaderboard.entry import EntryFailure, Outcome, reconstruct
@@ -56,7 +56,7 @@ class Row:
 
     name: str
     estimator: Estimator | None
-    seeds: tuple[int, ...]
+    seeds: tuple[int, ...]  # to run it with
     drives: list[DriveScores] = field(default_factory=list)
     traces: list[Trace] = field(default_factory=list)
     outcomes: list[Outcome] = field(default_factory=list)
@@ -74,10 +74,11 @@ def run_task(
 ) -> list[Result]:
     """Results of `entries` on a task.
 
-    An estimator that does not learn runs once, with the first seed. `report` hears of each of
-    `steps(task, entries)` steps as it begins. Raises ConfigError where the task is bad input.
+    An estimator that gives the same answers with the second seed runs with the first alone.
+    `report` hears of each of `steps(task, entries)` steps as it begins. Raises ConfigError where
+    the task is bad input.
     """
-    rows = [Row(name, e, _seeds_of(e, seeds)) for name, e in entries.items()]
+    rows = [Row(name, e, tuple(seeds)) for name, e in entries.items()]
     notes: dict[str, None] = {}
     for condition in task.conditions:
         report(f"{task.name}: driving, {condition.label}")
@@ -90,7 +91,7 @@ def run_task(
                 _judge(session, row)
         if isinstance(session, Session):
             notes |= dict.fromkeys(note for test in session.tests for note in test.notes)
-    return [_result(task, row, tuple(notes)) for row in rows]
+    return [_result(task, row, tuple(seeds), tuple(notes)) for row in rows]
 
 
 def steps(task: Task, entries: Entries) -> int:
@@ -105,10 +106,6 @@ def settings_of(estimator: Estimator | None) -> dict[str, Any]:
     return {f.name: getattr(estimator, f.name) for f in dataclasses.fields(estimator) if f.init}
 
 
-def _seeds_of(estimator: Estimator | None, seeds: Sequence[int]) -> tuple[int, ...]:
-    return tuple(seeds) if isinstance(estimator, Trainable) else (seeds[0],)
-
-
 def _session(task: Task, condition: Condition, drive: DriveSource) -> Session | str:
     """The drives of a condition, or in one sentence why there are none."""
     try:
@@ -121,13 +118,18 @@ def _session(task: Task, condition: Condition, drive: DriveSource) -> Session | 
 
 def _judge(session: Session, row: Row) -> None:
     """Run an entry under one condition, with every seed, and add what came of it to `row`."""
-    traces = []
+    traces: list[Trace] = []
+    first: list[Estimate] = []
     for seed in row.seeds:
         try:
             outcome = _outcome(session, row, seed)
         except EntryFailure as failure:
             row.failure = f"{session.condition.label}, {failure}"
             return
+        if not row.traces and _same(outcome.estimates, first):
+            row.seeds = row.seeds[:1]  # it draws nothing: one training stands for all
+            break
+        first = first or outcome.estimates
         pairs = zip(session.tests, outcome.estimates, strict=True)
         judged = [_scored(session, test, estimate, seed) for test, estimate in pairs]
         traces.append(_trace(session, outcome.estimates[0], judged[0]))
@@ -135,6 +137,12 @@ def _judge(session: Session, row: Row) -> None:
         row.outcomes.append(dataclasses.replace(outcome, estimates=[]))
         row.metres += sum(test.record.length for test in session.tests)
     row.traces.append(_middle(traces))
+
+
+def _same(some: Sequence[Estimate], others: Sequence[Estimate]) -> bool:
+    return len(some) == len(others) and all(
+        np.array_equal(a.z, b.z) for a, b in zip(some, others, strict=True)
+    )
 
 
 def _outcome(session: Session, row: Row, seed: int) -> Outcome:
@@ -183,7 +191,7 @@ def _middle(traces: list[Trace]) -> Trace:
     return ordered[(len(ordered) - 1) // 2]
 
 
-def _result(task: Task, row: Row, notes: tuple[str, ...]) -> Result:
+def _result(task: Task, row: Row, seeds: tuple[int, ...], notes: tuple[str, ...]) -> Result:
     seconds = sum(outcome.estimate_seconds for outcome in row.outcomes)
     failed = row.failure is not None
     return Result(
@@ -194,7 +202,7 @@ def _result(task: Task, row: Row, notes: tuple[str, ...]) -> Result:
         settings=settings_of(row.estimator),
         package_version=version(),
         metric_version=metrics.VERSION,
-        seeds=row.seeds,
+        seeds=seeds,
         drives=() if failed else tuple(row.drives),
         train_seconds=() if failed else tuple(o.train_seconds for o in row.outcomes),
         estimate_ms_per_100m=1e5 * seconds / row.metres if row.metres and seconds else None,

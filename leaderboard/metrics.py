@@ -107,13 +107,17 @@ def coherence(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> float:
 
 
 def level_error(y: np.ndarray, a: np.ndarray) -> Sides:
-    """Equation 12 with its sign [-]: how much the raw RMS of `a` exceeds that of `y`, both (2, M).
+    """Equation 12 with its sign [-]: how much the RMS of `a` exceeds that of `y`, both (2, M).
 
-    The paper prints one number for a drive of two wheel paths and does not say how it was formed;
-    `pooled` takes the RMS over the samples of both.
+    Heights are taken as given, from whatever datum. The paper prints one number for a drive of two
+    wheel paths and does not say how it was formed; `pooled` takes the RMS over both.
     """
-    level = _ratio(a, y)
-    return Sides(*(x - 1.0 for x in level))
+    return Sides(*(level - 1.0 for level in _ratio(a, y)))
+
+
+def about_mean(z: np.ndarray) -> np.ndarray:
+    """Heights (2, M) [m] about the mean of each wheel path."""
+    return z - z.mean(axis=-1, keepdims=True)
 
 
 def _ratio(above: np.ndarray, below: np.ndarray) -> Sides:

@@ -96,7 +96,7 @@ class Result:
     settings: dict[str, Any]
     package_version: str
     metric_version: int
-    seeds: tuple[int, ...]
+    seeds: tuple[int, ...]  # of the training, as asked; one that draws nothing used the first
     drives: tuple[DriveScores, ...] = ()
     train_seconds: tuple[float, ...] = ()  # one per condition and seed
     estimate_ms_per_100m: float | None = None

@@ -41,6 +41,7 @@ SCORES = {
     "level_error_left": Score("level error, left", "%", 100.0, 1, "low"),
     "level_error_right": Score("level error, right", "%", 100.0, 1, "low"),
     "level_bias": Score("level error with its sign", "%", 100.0, 1, "zero"),
+    "level_error_raw": Score("level error with the datum", "%", 100.0, 1, "low"),
     "dsd_distance_db": Score("DSD distance", "dB", 1.0, 1, "low"),
     "dsd_bias_db": Score("DSD bias", "dB", 1.0, 1, "zero"),
     "class_exact": Score("octaves in the true class", "%", 100.0, 0, "high"),
@@ -62,6 +63,8 @@ SCORES = {
 def scores(truth: Profile, estimate: Profile, v: float, bumps: bool) -> dict[str, float]:
     """All scores of an estimate of a drive at `v` [m/s]; those of obstacles where `bumps` says so.
 
+    Equation 12 is taken of heights about their mean: a surface starts at height 0 by convention,
+    and a level that counts from there would measure the convention. `level_error_raw` does.
     A score that is not defined, such as the error relative to a flat truth, is NaN.
     """
     y, a, ds = truth.z, estimate.z, truth.ds
@@ -74,7 +77,7 @@ def scores(truth: Profile, estimate: Profile, v: float, bumps: bool) -> dict[str
 def _profile_scores(y: np.ndarray, a: np.ndarray, ds: float, v: float) -> dict[str, float]:
     band = metrics.scored_band(v)
     error = metrics.nrmse(y, a, ds, band)
-    level = metrics.level_error(y, a)
+    level = metrics.level_error(metrics.about_mean(y), metrics.about_mean(a))
     correlation = metrics.correlation(y, a, ds, band)
     return {
         "nrmse": error.pooled,
@@ -89,4 +92,5 @@ def _profile_scores(y: np.ndarray, a: np.ndarray, ds: float, v: float) -> dict[s
         "level_error_left": abs(level.left),
         "level_error_right": abs(level.right),
         "level_bias": level.pooled,
+        "level_error_raw": abs(metrics.level_error(y, a).pooled),
     }

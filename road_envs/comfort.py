@@ -31,7 +31,7 @@ def wk_sos(fs: float) -> np.ndarray:
     """Second-order sections (4, 6) of Wk for samples at `fs` [Hz], for `scipy.signal.sosfilt`.
 
     Keep `zi` between calls to filter a running signal. From 0.5 to 31.5 Hz it is within 0.1 % of
-    `wk` at fs = 1 kHz, 0.3 % at 500 Hz and 1.5 % at 200 Hz; at 100 Hz within 1.6 % up to 20 Hz.
+    `wk` at fs = 1 kHz, 0.3 % at 500 Hz and 1.6 % at 200 Hz; at 100 Hz within 2.2 % up to 20 Hz.
     """
     if not 0.0 < fs < np.inf:
         raise ValueError(f"the sampling rate fs must be positive, got {fs}")

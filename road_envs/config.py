@@ -11,7 +11,7 @@ import json
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 import yaml
 from pydantic import TypeAdapter, ValidationError
@@ -78,7 +78,11 @@ def build(cls: type[T], data: Mapping[str, Any], where: str) -> T:
     """A frozen dataclass from a mapping. Raises ConfigError with `where` in front."""
     try:
         # JSON mode: lists may become tuples, while "16e-6" stays the string that YAML made of it
-        return _adapter(cls).validate_json(json.dumps(data, default=str), strict=True)
+        text = json.dumps(data, default=str)
+    except (TypeError, ValueError) as error:  # a date as a key, a mapping inside itself
+        raise ConfigError(f"{where}: {error}") from None
+    try:
+        return _adapter(cls).validate_json(text, strict=True)
     except ValidationError as error:
         raise ConfigError(_sentence(error, where, cls)) from None
     except ConfigError as error:
@@ -120,6 +124,8 @@ def _owner(cls: Any, path: list[str]) -> type | None:
             return None
         hints = {f.name: f.type for f in dataclasses.fields(cls)}
         cls = hints.get(name)
+        if get_origin(cls) is Annotated:
+            cls = get_args(cls)[0]
     return cls if isinstance(cls, type) and dataclasses.is_dataclass(cls) else None
 
 

@@ -57,7 +57,7 @@ def look_up(table, x_0, dx, x):
     """Value and derivative at `x` of a tabulated curve; straight lines beyond its ends."""
     cells = table.shape[0]
     u = (x - x_0) / dx
-    inside = min(max(u, 0.0), float(cells))
+    inside = min(max(0.0, u), float(cells))  # in this order a NaN, too, stays inside
     i = min(int(inside), cells - 1)
     t = inside - i
     a, b, c, d = table[i, 0], table[i, 1], table[i, 2], table[i, 3]

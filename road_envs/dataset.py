@@ -18,6 +18,8 @@ from road_envs.vehicle import VehicleParameters
 
 COLUMNS = ("t", "a_rf", "a_lr", "a_rr", "v", "s", "commands")
 FORMAT = "roadrecon record 1"
+CHUNK = 20_000
+"""Integrator steps between which samples are taken out of the motion."""
 
 
 def truth(surface: Surface) -> Profile:
@@ -42,14 +44,15 @@ def record_drive(
     """
     drive = Drive(plant(car), car, surface, speed_kmh / 3.6, mode, step)
     logger = Logger(instruments, car, step, np.random.default_rng(seed))
-    trajectory = drive.advance(np.full(drive.steps_left, command(mode), dtype=np.uint8))
-    a = logger.sense(trajectory)
-    every = slice(None, None, logger.every)
-    stiff, high = strut_states(trajectory.commands[every])
-    v = logger.speed_gain * trajectory.v[every]
-    s = drive.start + np.concatenate([[0.0], np.cumsum(v[:-1])]) / instruments.fs
-    record = Record(trajectory.t[every], a, v, s, stiff, high, surface.length)
-    return record, truth(surface)
+    byte, parts = command(mode), []
+    while not drive.over:  # in parts, so that a long drive never holds its whole motion
+        commands = np.full(min(CHUNK, drive.steps_left), byte, dtype=np.uint8)
+        parts.append(logger.sense(drive.advance(commands)))
+    a = np.concatenate(parts, axis=1)
+    t = np.arange(a.shape[1]) / instruments.fs
+    v = np.full(t.size, logger.speed_gain * drive.speed)
+    stiff, high = strut_states(np.full(t.size, byte))
+    return Record(t, a, v, drive.start + v * t, stiff, high, surface.length), truth(surface)
 
 
 def write_record(path: Path, record: Record, provenance: Mapping[str, object]) -> None:
@@ -81,14 +84,18 @@ def read_record(path: Path) -> tuple[Record, dict[str, object]]:
         raise ConfigError(
             f"{path}: no readable Parquet file: {str(error).splitlines()[0]}"
         ) from None
-    meta = (table.schema.metadata or {}).get(b"roadrecon")
-    about = json.loads(meta) if meta else {}
-    if about.get("format") != FORMAT:
+    try:
+        about = json.loads((table.schema.metadata or {})[b"roadrecon"])
+    except (KeyError, ValueError):
+        about = None
+    if not (isinstance(about, dict) and about.get("format") == FORMAT and "length" in about):
         raise ConfigError(f"{path}: not a RoadRecon record (its metadata lacks {FORMAT!r})")
     if missing := [c for c in COLUMNS if c not in table.column_names]:
         raise ConfigError(f"{path}: columns {missing} are missing; wanted: {', '.join(COLUMNS)}")
     column = {c: table[c].to_numpy() for c in COLUMNS}
+    if strange := [c for c in COLUMNS if column[c].dtype.kind not in "fu"]:
+        raise ConfigError(f"{path}: columns {strange} must hold numbers, commands whole ones")
     a = np.stack([column["a_rf"], column["a_lr"], column["a_rr"]])
     stiff, high = strut_states(column["commands"])
     record = Record(column["t"], a, column["v"], column["s"], stiff, high, about["length"])
-    return record, about["provenance"]
+    return record, about.get("provenance", {})

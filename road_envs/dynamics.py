@@ -106,22 +106,28 @@ def wheel_height(p, q, w):
 
 
 @kernel
-def add_strut(p, w, F, out):
-    """Add the generalised forces (7,) of a force `F` in strut `w` to `out`."""
-    i, y = w // 2, p.y_s[w]
-    out[Z_B] += F
-    out[PHI] += y * F
-    out[THETA] -= p.x[i] * F
-    out[AXLE + 2 * i] -= F
-    out[AXLE + 2 * i + 1] -= y * F
+def add_struts(p, F, out):
+    """Add the generalised forces (7,) of the struts' forces `F` (4,) to `out`.
+
+    Left and right are subtracted before they meet a lever: equal forces roll nothing, to the bit.
+    """
+    for i in range(2):
+        a, left, right = AXLE + 2 * i, F[2 * i], F[2 * i + 1]
+        push, twist = left + right, p.y_s[2 * i] * (left - right)
+        out[Z_B] += push
+        out[PHI] += twist
+        out[THETA] -= p.x[i] * push
+        out[a] -= push
+        out[a + 1] -= twist
 
 
 @kernel
-def add_tyre(p, w, T, out):
-    """Add the generalised forces (7,) of a load `T` of tyre `w` to `out`."""
-    i = w // 2
-    out[AXLE + 2 * i] += T
-    out[AXLE + 2 * i + 1] += p.y_t[w] * T
+def add_tyres(p, T, out):
+    """Add the generalised forces (7,) of the tyres' loads `T` (4,) to `out`."""
+    for i in range(2):
+        a, left, right = AXLE + 2 * i, T[2 * i], T[2 * i + 1]
+        out[a] += left + right
+        out[a + 1] += p.y_t[2 * i] * (left - right)
 
 
 @kernel
@@ -137,14 +143,16 @@ def accelerations(numbers, velocity, displacement, memory, q, v, z_r, w_r, out):
 
     `z_r`, `w_r` (4,) are the road's height [m] and its rate [m/s] under each wheel.
     """
-    p = numbers[0]
-    out[:] = 0.0
-    add_weight(p, out)
+    p, F, T = numbers[0], np.empty(4), np.empty(4)
     for w in range(4):
         e, e_dot = extension(p, q, w), extension(p, v, w)
-        add_strut(p, w, strut_force(p, velocity, displacement, memory, w, e, e_dot)[0], out)
+        F[w] = strut_force(p, velocity, displacement, memory, w, e, e_dot)[0]
         u, u_dot = z_r[w] - wheel_height(p, q, w), w_r[w] - wheel_height(p, v, w)
-        add_tyre(p, w, tyre_force(p, w // 2, u, u_dot)[0], out)
+        T[w] = tyre_force(p, w // 2, u, u_dot)[0]
+    out[:] = 0.0
+    add_weight(p, out)
+    add_struts(p, F, out)
+    add_tyres(p, T, out)
     for j in range(N_DOF):
         out[j] /= p.M[j]
 
@@ -152,22 +160,24 @@ def accelerations(numbers, velocity, displacement, memory, q, v, z_r, w_r, out):
 @kernel
 def stiffness_and_damping(numbers, velocity, displacement, memory, q, v, z_r, w_r, K, C):
     """Write -df/dq to `K` and -df/dv to `C` (7, 7), f being the generalised forces."""
-    p = numbers[0]
+    p, k, c, k_t, c_t = numbers[0], np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    for w in range(4):
+        e, e_dot = extension(p, q, w), extension(p, v, w)
+        _, k[w], c[w] = strut_force(p, velocity, displacement, memory, w, e, e_dot)
+        u, u_dot = z_r[w] - wheel_height(p, q, w), w_r[w] - wheel_height(p, v, w)
+        _, k_t[w], c_t[w] = tyre_force(p, w // 2, u, u_dot)
     K[:] = 0.0
     C[:] = 0.0
-    for w in range(4):
-        b = np.zeros(N_DOF)
-        add_strut(p, w, 1.0, b)
-        e, e_dot = extension(p, q, w), extension(p, v, w)
-        _, k, c = strut_force(p, velocity, displacement, memory, w, e, e_dot)
-        t = np.zeros(N_DOF)
-        add_tyre(p, w, 1.0, t)
-        u, u_dot = z_r[w] - wheel_height(p, q, w), w_r[w] - wheel_height(p, v, w)
-        _, k_t, c_t = tyre_force(p, w // 2, u, u_dot)
-        for j in range(N_DOF):
-            for m in range(N_DOF):
-                K[j, m] += k * b[j] * b[m] + k_t * t[j] * t[m]
-                C[j, m] += c * b[j] * b[m] + c_t * t[j] * t[m]
+    e, height = np.empty(4), np.empty(4)
+    for j in range(N_DOF):
+        unit = np.zeros(N_DOF)
+        unit[j] = 1.0
+        for w in range(4):
+            e[w], height[w] = extension(p, unit, w), wheel_height(p, unit, w)
+        add_struts(p, k * e, K[:, j])
+        add_tyres(p, k_t * height, K[:, j])
+        add_struts(p, c * e, C[:, j])
+        add_tyres(p, c_t * height, C[:, j])
 
 
 def jacobian(plant: Plant, memory: np.ndarray, state: np.ndarray, z_r: np.ndarray, w_r: np.ndarray):

@@ -28,15 +28,16 @@ from road_envs.dynamics import (
     PHI,
     THETA,
     Z_B,
-    add_strut,
-    add_tyre,
+    accelerations,
+    add_struts,
+    add_tyres,
     add_weight,
     extension,
     wheel_height,
 )
 from road_envs.jit import kernel
 from road_envs.roads.surface import height_and_slope
-from road_envs.suspension import HIGH, OPEN, strut_force, switch, tyre_force
+from road_envs.suspension import settled, strut_force, switch, tyre_force
 
 D = 1.0 / (2.0 + np.sqrt(2.0))
 
@@ -58,10 +59,8 @@ def eliminate(p, s, t, blocks, body):
     for i in range(2):
         left, right = 2 * i, 2 * i + 1
         s0, t0 = s[left] + s[right], t[left] + t[right]
-        s1 = p.y_s[left] * s[left] + p.y_s[right] * s[right]
-        t1 = p.y_t[left] * t[left] + p.y_t[right] * t[right]
-        s2 = p.y_s[left] ** 2 * s[left] + p.y_s[right] ** 2 * s[right]
-        t2 = p.y_t[left] ** 2 * t[left] + p.y_t[right] ** 2 * t[right]
+        s1, s2 = p.y_s[left] * (s[left] - s[right]), p.y_s[left] ** 2 * s0
+        t1, t2 = p.y_t[left] * (t[left] - t[right]), p.y_t[left] ** 2 * t0
         b00, b01, b11 = p.M[AXLE + 2 * i] + s0 + t0, s1 + t1, p.M[AXLE + 2 * i + 1] + s2 + t2
         det = 1.0 / (b00 * b11 - b01 * b01)
         n00, n01, n11 = b11 * det, -b01 * det, b00 * det
@@ -121,6 +120,10 @@ class Work(NamedTuple):
     k_q: np.ndarray
     q: np.ndarray
     v: np.ndarray
+    F: np.ndarray
+    T: np.ndarray
+    dF: np.ndarray
+    dT: np.ndarray
     k: np.ndarray
     k_t: np.ndarray
     s: np.ndarray
@@ -132,10 +135,10 @@ class Work(NamedTuple):
 @kernel
 def workspace():
     """Scratch for `step`."""
-    a, b = np.empty((6, N_DOF)), np.empty((4, 4))
-    return Work(
-        a[0], a[1], a[2], a[3], a[4], a[5], b[0], b[1], b[2], b[3], np.empty((2, 6)), np.empty(6)
-    )
+    a, b = np.empty((6, N_DOF)), np.empty((8, 4))
+    stages = (a[0], a[1], a[2], a[3], a[4], a[5])
+    wheels = (b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7])
+    return Work(*stages, *wheels, np.empty((2, 6)), np.empty(6))
 
 
 @kernel
@@ -147,25 +150,26 @@ def step(numbers, velocity, displacement, memory, y, road, h, work, out):
     p, hd = numbers[0], h * D
     f, g, r, k_q = work.f, work.g, work.r, work.k_q
     q, v = y[:N_DOF], y[N_DOF:]
-    f[:] = 0.0
-    g[:] = 0.0
-    add_weight(p, f)
-    add_weight(p, g)
+    F, T, dF, dT = work.F, work.T, work.dF, work.dT
     for w in range(4):
-        i = w // 2
         e, e_dot = extension(p, q, w), extension(p, v, w)
-        F, k, c = strut_force(p, velocity, displacement, memory, w, e, e_dot)
+        F[w], k, c = strut_force(p, velocity, displacement, memory, w, e, e_dot)
         u = road[0, 0, w] - wheel_height(p, q, w)
         u_dot = road[0, 1, w] - wheel_height(p, v, w)
-        T, k_t, c_t = tyre_force(p, i, u, u_dot)
-        add_strut(p, w, F, f)
-        add_tyre(p, w, T, f)
+        T[w], k_t, c_t = tyre_force(p, w // 2, u, u_dot)
         w_dot = (road[1, 1, w] - road[0, 1, w]) / (0.5 * h)
-        add_strut(p, w, F - hd * k * e_dot, g)
-        add_tyre(p, w, T + hd * (k_t * u_dot + c_t * w_dot), g)
+        dF[w], dT[w] = -hd * k * e_dot, hd * (k_t * u_dot + c_t * w_dot)
         work.k[w], work.k_t[w] = k, k_t
         work.s[w], work.t[w] = hd * (c + hd * k), hd * (c_t + hd * k_t)
-        out[EXTENSION + w], out[LOAD + w] = e, T
+        out[EXTENSION + w], out[LOAD + w] = e, T[w]
+    f[:] = 0.0
+    add_weight(p, f)
+    add_struts(p, F, f)
+    add_tyres(p, T, f)
+    for j in range(N_DOF):
+        g[j] = f[j]
+    add_struts(p, dF, g)
+    add_tyres(p, dT, g)
     for j in range(N_DOF):
         out[STATE + j], out[STATE + N_DOF + j] = q[j], v[j]
         out[ACCELERATION + j] = f[j] / p.M[j]
@@ -178,15 +182,17 @@ def step(numbers, velocity, displacement, memory, y, road, h, work, out):
         work.v[j] = v[j] + 0.5 * h * g[j]
         r[j] = work.v[j] - k_q[j]
         f[j] = -p.M[j] * g[j]
-    add_weight(p, f)
     for w in range(4):
         e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
-        F = strut_force(p, velocity, displacement, memory, w, e, e_dot)[0]
+        F[w] = strut_force(p, velocity, displacement, memory, w, e, e_dot)[0]
+        F[w] -= hd * work.k[w] * extension(p, r, w)
         u = road[1, 0, w] - wheel_height(p, work.q, w)
         u_dot = road[1, 1, w] - wheel_height(p, work.v, w)
-        T = tyre_force(p, w // 2, u, u_dot)[0]
-        add_strut(p, w, F - hd * work.k[w] * extension(p, r, w), f)
-        add_tyre(p, w, T - hd * work.k_t[w] * wheel_height(p, r, w), f)
+        T[w] = tyre_force(p, w // 2, u, u_dot)[0]
+        T[w] -= hd * work.k_t[w] * wheel_height(p, r, w)
+    add_weight(p, f)
+    add_struts(p, F, f)
+    add_tyres(p, T, f)
     solve(p, work.blocks, work.body, f)
     for j in range(N_DOF):
         q[j] += h * (k_q[j] + r[j] + hd * f[j])
@@ -200,6 +206,19 @@ def look_at_road(p, padded, start, ds, s, v, road):
         behind = p.x[0] - p.x[w // 2]
         z, slope = height_and_slope(padded, w % 2, s - behind, start, ds)
         road[0, w], road[1, w] = z, slope * v
+
+
+@kernel
+def state_rate(numbers, velocity, displacement, memory, padded, start, ds, s, v, y, out):
+    """Rate (14,) of the state `y` with the front axle at `s` [m], struts as `memory` holds them.
+
+    The right-hand side for other integrators; it writes to `out`.
+    """
+    road = np.empty((2, 4))
+    look_at_road(numbers[0], padded, start, ds, s, v, road)
+    q, rates = y[:N_DOF], y[N_DOF:]
+    out[:N_DOF] = rates
+    accelerations(numbers, velocity, displacement, memory, q, rates, road[0], road[1], out[N_DOF:])
 
 
 @kernel
@@ -219,6 +238,6 @@ def drive(
         look_at_road(p, padded, start, ds, s[2 * n + 1], v[2 * n + 1], road[1])
         for w in range(4):
             stiff, high = (commands[n] >> w) & 1, (commands[n] >> (4 + w)) & 1
-            if memory[w, OPEN] != 1.0 - stiff or memory[w, HIGH] != high:
+            if not settled(memory, w, stiff, high):
                 switch(p, memory, w, extension(p, y, w), stiff, high, alpha, h)
         step(numbers, velocity, displacement, memory, y, road, h, work, out[n])

@@ -30,6 +30,10 @@ class Place:
     ahead: Annotated[float, "m", "ahead of that axle; negative behind it"]
     y: Annotated[float, "m", "left of the centre line"]
 
+    def __post_init__(self):
+        if not np.isfinite([self.ahead, self.y]).all():
+            raise ValueError(f"a place must be finite, got ahead {self.ahead}, y {self.y}")
+
     def x(self, car: VehicleParameters) -> float:
         """Ahead of the body's centre of mass [m]."""
         return (car.front if self.axle == "front" else car.rear).x + self.ahead
@@ -66,7 +70,7 @@ class Instruments:
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
         for name in ("noise_density", "speed_error"):
-            if not getattr(self, name) >= 0:
+            if not 0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
         if self.f_alias >= 0.5 * self.fs:
             raise ValueError(f"f_alias {self.f_alias} must be below fs / 2 = {0.5 * self.fs}")
@@ -101,7 +105,7 @@ class Logger:
         self.range = instruments.range
         self.noise_std = instruments.noise_density * np.sqrt(0.5 / step)
         places = [getattr(instruments.accelerometers, name) for name in SENSORS]
-        self.levers = np.array([[1.0, p.y, -p.x(car)] for p in places])
+        self.places = [(p.x(car), p.y) for p in places]
         self.sos = butterworth(ALIAS_ORDER, instruments.f_alias, 1.0 / step)
         self.memory = np.zeros((self.sos.shape[0], 3, 2))
         self.taken = 0
@@ -110,9 +114,9 @@ class Logger:
 
     def sense(self, trajectory: Trajectory) -> np.ndarray:
         """Samples (3, n) [m/s²] of RF, LR, RR that fall into `trajectory`, in order."""
-        a = self.levers @ trajectory.acceleration[:, :3].T
-        if self.noise_std > 0.0:
-            a += self.noise_std * self.rng.standard_normal(a.shape)
+        a = np.array([trajectory.body_acceleration(x, y) for x, y in self.places])
+        if self.noise_std > 0.0:  # drawn instant by instant, so that chunks draw what a whole does
+            a += self.noise_std * self.rng.standard_normal(a.shape[::-1]).T
         a = np.clip(a, -self.range, self.range)
         a, self.memory = signal.sosfilt(self.sos, a, axis=1, zi=self.memory)
         samples = a[:, -self.taken % self.every :: self.every]

@@ -147,9 +147,10 @@ class Drive:
         t = self.step * (self.steps + np.arange(n))
         self.steps += n
         if not np.isfinite(self.state).all():
-            bad = int(np.argmin(np.isfinite(signals).all(axis=1)))
+            whole = int(np.isfinite(signals).all(axis=1).sum())
             raise SimulationError(
-                f"{self.surface.name}: the motion is no longer finite at t = {t[bad]:.3f} s"
+                f"{self.surface.name}: the motion is no longer finite at t = "
+                f"{self.step * (self.steps - n + whole):.3f} s"
             )
         return Trajectory(t, s[:-1:2], v[:-1:2], commands, signals)
 

@@ -129,11 +129,20 @@ def switch(p, memory, w, e, stiff, high, alpha, h):
         closing = target
     held = memory[w, HELD] + (u - closing) * p.r_2 * e
     lack = (1.0 - closing) * p.r_2 * e - held
-    memory[w, HELD] = held + lack * (1.0 - np.exp(-closing * h / p.equalisation))
+    held += lack * (1.0 - np.exp(-closing * h / p.equalisation))
+    memory[w, HELD] = 0.0 if closing == 1.0 and abs(held) < 1e-12 else held
     memory[w, OPEN] = closing
     target = 1.0 if high else 0.0
     d = memory[w, HIGH] + alpha * (target - memory[w, HIGH])
     memory[w, HIGH] = target if abs(target - d) < 1e-9 else d
+
+
+@kernel
+def settled(memory, w, stiff, high):
+    """Whether the valves of strut `w` have long followed their command."""
+    if memory[w, HIGH] != high:
+        return False
+    return memory[w, OPEN] == 0.0 if stiff else memory[w, OPEN] == 1.0 and memory[w, HELD] == 0.0
 
 
 @kernel

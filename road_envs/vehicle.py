@@ -5,6 +5,7 @@ mapped in `dynamics.py`.
 """
 
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -17,8 +18,14 @@ GRAVITY = 9.81
 
 def _positive(owner: object, *names: str) -> None:
     for name in names:
-        if not getattr(owner, name) > 0:
-            raise ValueError(f"{name} must be positive, got {getattr(owner, name)}")
+        if not 0 < getattr(owner, name) < inf:
+            raise ValueError(f"{name} must be positive and finite, got {getattr(owner, name)}")
+
+
+def _not_negative(owner: object, *names: str) -> None:
+    for name in names:
+        if not 0 <= getattr(owner, name) < inf:
+            raise ValueError(f"{name} must not be negative, got {getattr(owner, name)}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,8 +44,7 @@ class Axle:
 
     def __post_init__(self):
         _positive(self, "m", "I_xx", "y_s", "y_t", "k_t")
-        if self.c_t < 0:
-            raise ValueError(f"c_t must not be negative, got {self.c_t}")
+        _not_negative(self, "c_t")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,8 +102,7 @@ class Valve:
 
     def __post_init__(self):
         _positive(self, "lag", "equalisation")
-        if self.delay < 0:
-            raise ValueError(f"delay must not be negative, got {self.delay}")
+        _not_negative(self, "delay")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,14 +127,13 @@ class VehicleParameters:
 
     def __post_init__(self):
         _positive(self, "m_b", "I_xx", "I_yy", "h_cg")
-        if not self.front.x > 0 > self.rear.x:
+        if not inf > self.front.x > 0 > self.rear.x > -inf:
             raise ValueError(
                 "the front axle must stand ahead of the centre of mass and the rear axle behind "
                 f"it, got front.x = {self.front.x}, rear.x = {self.rear.x}"
             )
-        deflection = self.tyre_static_deflection
-        if deflection != "equilibrium" and not deflection >= 0:
-            raise ValueError(f"tyre_static_deflection must not be negative, got {deflection}")
+        if self.tyre_static_deflection != "equilibrium":
+            _not_negative(self, "tyre_static_deflection")
 
     @property
     def axles(self) -> tuple[Axle, Axle]:

@@ -21,7 +21,15 @@ import numpy as np
 
 from road_envs.config import STRICT
 from road_envs.roads.iso8608 import check_positive
-from road_envs.roads.opencrg import CurvedGrid, SurfaceFileError, about, content, heights, parse
+from road_envs.roads.opencrg import (
+    MAX_LENGTH,
+    CurvedGrid,
+    SurfaceFileError,
+    about,
+    content,
+    heights,
+    parse,
+)
 from road_envs.roads.surface import Surface
 
 WHEELBASE = 2.794
@@ -149,16 +157,17 @@ def _is_number(text: str) -> bool:
 
 def _even(s: np.ndarray, z: np.ndarray) -> Paths:
     """Wheel paths `z` (2, N) at the stations `s` (N,) [m] on an even grid."""
+    if not (np.abs(s) < MAX_LENGTH).all():
+        raise SurfaceFileError(f"a distance of {s[~(np.abs(s) < MAX_LENGTH)][0]:g} m")
     steps = np.diff(s)
-    if not (np.isfinite(s).all() and (steps > 0.0).all()):
-        bad = int(np.argmin(np.r_[True, steps > 0.0]))
-        raise SurfaceFileError(f"distance does not increase at row {bad + 1}")
+    if not (steps > 0.0).all():
+        raise SurfaceFileError(f"distance does not increase at row {np.argmin(steps > 0.0) + 2}")
     if s.size < 2:
         raise SurfaceFileError("at least 4 stations are wanted, got 1")
     ds = float(np.median(steps))
     if (np.abs(steps - ds) < EVEN * ds).all():
         return z, float((s[-1] - s[0]) / steps.size), ()
-    size = (s[-1] - s[0]) / ds + 1.0
+    size = float(s[-1] - s[0]) / ds + 1.0
     if size > 4.0 * s.size:
         raise SurfaceFileError("the stations are too uneven to be interpolated")
     grid = s[0] + ds * np.arange(int(size + 1e-9))

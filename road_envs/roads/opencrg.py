@@ -30,6 +30,8 @@ WIDTHS = {"LRFI": 10, "LDFI": 20, "KRBI": 4, "KDBI": 8}
 """Characters or bytes of one number."""
 MAX_HEIGHT = 1e4
 """Heights [m] beyond this are no road of this planet but a damaged file."""
+MAX_LENGTH = 1e7
+"""Likewise lengths [m]."""
 DEFAULT_INCREMENT = 0.01
 
 
@@ -197,6 +199,8 @@ def _sections(
     else:
         raise SurfaceFileError("long sections are neither all numbered nor all placed 'at v = '")
     order = np.argsort(v)
+    if not (np.abs(v) < MAX_LENGTH).all():
+        raise SurfaceFileError(f"a long section stands at v = {np.abs(v).max():g} m")
     if not (np.diff(v[order]) > 0.0).all():
         raise SurfaceFileError("two long sections stand at the same v")
     return [found[k][0] for k in order], v[order]
@@ -225,8 +229,8 @@ def _increment(road: dict[str, float]) -> float:
 
 
 def _positive(values: dict[str, float], key: str, default: float) -> float:
-    if not values.get(key, default) > 0.0:
-        raise SurfaceFileError(f"{key} must be positive, got {values[key]:g}")
+    if not 0.0 < values.get(key, default) < MAX_LENGTH:
+        raise SurfaceFileError(f"{key} must be positive and sensible, got {values[key]:g}")
     return values.get(key, default)
 
 

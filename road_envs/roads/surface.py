@@ -21,7 +21,7 @@ def height_and_slope(padded, side, s, start, ds):
     """Height [m] and slope [-] of wheel path `side` at station `s` [m] (padded: (2, N + 2 PAD))."""
     u = (s - start) / ds + PAD
     u = min(max(u, 1.0), padded.shape[1] - 3.0)
-    i = int(u)
+    i = int(max(1.0, u))  # 1 for a NaN, whose height is NaN
     x = u - i
     a, b, c, d = padded[side, i - 1], padded[side, i], padded[side, i + 1], padded[side, i + 2]
     p = 0.5 * (c - a)
@@ -60,6 +60,8 @@ class Surface:
             raise ValueError(f"{self.name}: heights are not finite (NaN or infinity)")
         if not (np.isfinite(self.ds) and self.ds > 0):
             raise ValueError(f"{self.name}: the spacing ds must be positive, got {self.ds}")
+        if not np.isfinite(self.start):
+            raise ValueError(f"{self.name}: the first station must be finite, got {self.start}")
         z.flags.writeable = False
         object.__setattr__(self, "z", z)
 
@@ -81,9 +83,8 @@ class Surface:
     @cached_property
     def padded(self) -> np.ndarray:
         """Heights with PAD repeated samples at both ends: what the kernels read."""
-        padded = np.pad(self.z, ((0, 0), (PAD, PAD)), mode="edge")
-        padded.flags.writeable = False
-        return padded
+        # stays writeable: copies and pickles would be, and kernels compile anew for the other kind
+        return np.pad(self.z, ((0, 0), (PAD, PAD)), mode="edge")
 
     def height(self, s: np.ndarray) -> np.ndarray:
         """Heights (2, ...) [m] at stations `s` [m] of any shape."""

@@ -1,0 +1,58 @@
+"""The command `roadrecon`: its subcommands, and how an error is said.
+
+Bad input ends with one sentence on standard error and exit code 2; `--debug` adds the traceback.
+"""
+
+import sys
+
+import typer
+
+from estimators.protocol import EstimateError, NotFittedError
+from leaderboard.commands import bench, board, drives, policies, roads
+from road_envs.config import ConfigError
+from road_envs.simulate import SimulationError
+
+EXPECTED = (ConfigError, EstimateError, NotFittedError, SimulationError, ValueError, OSError)
+"""Errors that are about the input, not about the program."""
+
+app = typer.Typer(
+    help="Road profile reconstruction from vehicle responses: simulate, train, estimate, judge.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+app.command("simulate")(drives.simulate)
+app.command("train")(drives.train)
+app.command("estimate")(drives.estimate)
+app.command("leaderboard")(board.leaderboard)
+app.command("policies")(policies.policies)
+app.add_typer(roads.app, name="roads")
+app.command("bench")(bench.bench)
+
+
+@app.callback()
+def _options(
+    debug: bool = typer.Option(False, "--debug", help="Show the traceback of an error."),
+) -> None:
+    """Road profile reconstruction from vehicle responses: simulate, train, estimate, judge."""
+
+
+def main() -> None:
+    """Run the command line; the entry point of the package."""
+    try:
+        app()
+    except EXPECTED as error:
+        if "--debug" in sys.argv:
+            raise
+        sys.stderr.write(f"error: {_sentence(error)}\n")
+        raise SystemExit(2) from None
+
+
+def _sentence(error: BaseException) -> str:
+    if isinstance(error, OSError) and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(str(error).split())
+
+
+if __name__ == "__main__":
+    main()

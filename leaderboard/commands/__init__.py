@@ -1,0 +1,73 @@
+"""The subcommands of `roadrecon`, and what they share: option parsing, progress, output."""
+
+import contextlib
+import json
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from road_envs.config import ConfigError
+
+console = Console()
+notices = Console(stderr=True)
+
+
+def mode_of(text: str) -> str | dict[str, str]:
+    """A 4S4 mode from "ride", or from "front=ride,rear=handling"."""
+    if "=" not in text:
+        return text
+    parts = [part.partition("=") for part in text.split(",")]
+    return {wheel.strip(): mode.strip() for wheel, _, mode in parts}
+
+
+def settings_of(pairs: list[str]) -> dict[str, Any]:
+    """Settings from "key=value" pairs, each value read as YAML. Raises ConfigError."""
+    settings = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not (key and equals):
+            raise ConfigError(f"a setting is given as key=value, got {pair!r}")
+        settings[key] = yaml.safe_load(value)
+    return settings
+
+
+def writable(path: Path | None, *suffixes: str) -> Path | None:
+    """`path` if a file of one of these kinds can be written there. Raises ConfigError."""
+    if path is not None:
+        if path.suffix.lower() not in suffixes:
+            raise ConfigError(f"{path}: the name must end in {' or '.join(suffixes)}")
+        if not path.parent.is_dir():
+            raise ConfigError(f"{path}: the folder {path.parent} does not exist")
+    return path
+
+
+def json_text(data: object) -> str:
+    """`data` as JSON; what is not a number becomes null."""
+    return json.dumps(_plain(data), indent=2, allow_nan=False) + "\n"
+
+
+def print_json(data: object) -> None:
+    """Write `data` to standard output as JSON."""
+    print(json_text(data), end="")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@contextlib.contextmanager
+def progress_bar() -> Iterator[Callable[[str, float], None]]:
+    """A bar on standard error that is fed with what is being done and the share done, 0 to 1."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=notices, transient=True) as bar:
+        task = bar.add_task("starting", total=1.0)
+        yield lambda text, share: bar.update(task, description=text, completed=share)

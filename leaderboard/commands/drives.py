@@ -1,0 +1,191 @@
+"""`simulate`, `train` and `estimate`: one drive, one estimator, one reconstruction."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.table import Table
+
+import estimators
+from estimators import storage
+from estimators.protocol import Estimator, Trainable, check_estimate
+from leaderboard import plots
+from leaderboard.commands import (
+    console,
+    mode_of,
+    print_json,
+    progress_bar,
+    settings_of,
+    writable,
+)
+from leaderboard.scores import scores
+from road_envs.config import ConfigError
+from road_envs.dataset import read_record, record_drive, write_record
+from road_envs.record import Profile, Record
+from road_envs.roads import Surface, load_road, with_length
+from road_envs.roads.measured import write_csv
+from road_envs.roughness import iri
+from road_envs.sensors import load_instruments
+from road_envs.vehicle import load_vehicle
+
+Road = Annotated[str, typer.Option(help="Road: shipped name, YAML path or surface file.")]
+Speed = Annotated[float, typer.Option(help="Speed in km/h.")]
+Mode = Annotated[
+    str, typer.Option(help="4S4 mode: ride, handling, ..., or front=ride,rear=handling.")
+]
+Length = Annotated[float | None, typer.Option(help="Another length of the road in metres.")]
+Seed = Annotated[int, typer.Option(help="Seed of the road, and of the sensors' noise.", min=0)]
+Vehicle = Annotated[str, typer.Option(help="Vehicle: shipped name or YAML path.")]
+Sensors = Annotated[str, typer.Option(help="Instruments: shipped name or YAML path.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+
+
+def simulate(
+    road: Road = "belgian",
+    speed_kmh: Speed = 14.5,
+    mode: Mode = "ride",
+    length: Length = None,
+    seed: Seed = 1,
+    vehicle: Vehicle = "land_rover_defender_110",
+    sensors: Sensors = "paper",
+    out: Annotated[Path | None, typer.Option(help="Write the record (.parquet).")] = None,
+    truth: Annotated[Path | None, typer.Option(help="Write the true profile (.csv).")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw profile and record (.png).")] = None,
+    json: Json = False,
+) -> None:
+    """Drive the vehicle over a road and record what its instruments see."""
+    writable(out, ".parquet"), writable(truth, ".csv"), writable(plot, ".png", ".svg", ".pdf")
+    surface = _surface(road, length, seed)
+    settings = {"speed_kmh": speed_kmh, "mode": mode_of(mode)}
+    car, instruments = load_vehicle(vehicle), load_instruments(sensors)
+    record, profile = record_drive(car, surface, **settings, instruments=instruments, seed=seed)
+    said = {"road": road, "vehicle": vehicle, "sensors": sensors, "seed": seed, **settings}
+    if out:
+        write_record(out, record, said)
+    if truth:
+        write_csv(surface, truth)
+    if plot:
+        plots.draw_drive(record, profile, plot)
+    rms = dict(zip(("RF", "LR", "RR"), np.sqrt(np.mean(record.a**2, axis=1)), strict=True))
+    facts = {
+        **said,
+        "length_m": surface.length,
+        "duration_s": float(record.t[-1]),
+        "samples": record.t.size,
+        "iri_mm_per_m": [float(iri(z, surface.ds)) for z in surface.z],
+        "rms_acceleration": {name: float(value) for name, value in rms.items()},
+        "notes": list(surface.notes),
+        "written": [str(p) for p in (out, truth, plot) if p],
+    }
+    print_json(facts) if json else _print_facts(facts)
+
+
+def train(
+    estimator: Annotated[str, typer.Argument(help="Name of a trainable estimator.")],
+    out: Annotated[Path, typer.Option(help="Where to write the fitted estimator (.npz).")],
+    road: Annotated[list[str], typer.Option(help="Training road; may be given again.")],
+    speed_kmh: Speed = 14.5,
+    mode: Mode = "ride",
+    length: Length = None,
+    drives: Annotated[int, typer.Option(help="Drives on each road, each its own seed.", min=1)] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of the training.", min=0)] = 1,
+    vehicle: Vehicle = "land_rover_defender_110",
+    sensors: Sensors = "ideal",
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="Setting of the estimator, key=value.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Train an estimator on simulated drives and store it."""
+    writable(out, ".npz")
+    chosen = estimators.create(estimator, **settings_of(settings or []))
+    if not isinstance(chosen, Trainable):
+        raise ConfigError(f"{estimator} has nothing to learn; use it in `estimate` by its name")
+    car, instruments = load_vehicle(vehicle), load_instruments(sensors)
+    pairs: list[tuple[Record, Profile]] = []
+    with progress_bar() as progress:
+        for k, (name, i) in enumerate((name, i) for name in road for i in range(drives)):
+            progress(f"driving {name}", 0.5 * k / (len(road) * drives))
+            surface = _surface(name, length, seed + i)
+            settings_of_drive = {"speed_kmh": speed_kmh, "mode": mode_of(mode)}
+            pairs.append(
+                record_drive(
+                    car, surface, **settings_of_drive, instruments=instruments, seed=seed + i
+                )
+            )
+        progress(f"training {estimator}", 0.5)
+        fitted = chosen.fit([r for r, _ in pairs], [z for _, z in pairs], car, seed)
+    storage.save(fitted, out)
+    facts: dict[str, Any] = {
+        "estimator": estimator,
+        "drives": len(pairs),
+        "metres": float(sum(r.length for r, _ in pairs)),
+        "written": [str(out)],
+    }
+    training = getattr(fitted, "training", None)
+    if training is not None:
+        facts |= {"epochs": training.epochs, "stopped_by": training.stop}
+    print_json(facts) if json else _print_facts(facts)
+
+
+def estimate(
+    estimator: Annotated[str, typer.Argument(help="A file from `train`, or a name.")],
+    record: Annotated[Path, typer.Argument(help="A record from `simulate` (.parquet).")],
+    truth: Annotated[Path | None, typer.Option(help="True profile (.csv), to score.")] = None,
+    vehicle: Vehicle = "land_rover_defender_110",
+    out: Annotated[Path | None, typer.Option(help="Write the estimate (.csv).")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw the estimate (.png).")] = None,
+    json: Json = False,
+) -> None:
+    """Reconstruct both wheel paths of a record; with the truth at hand, score it."""
+    writable(out, ".csv"), writable(plot, ".png", ".svg", ".pdf")
+    chosen: Estimator = (
+        storage.load(estimator) if estimator.endswith(".npz") else estimators.create(estimator)
+    )
+    seen, _ = read_record(record)
+    found = chosen.estimate(seen, load_vehicle(vehicle))
+    check_estimate(found, seen)
+    facts: dict[str, Any] = {
+        "estimator": estimator,
+        "record": str(record),
+        "rms_m": [float(z.std()) for z in found.z],
+        "notes": list(found.notes),
+        "written": [str(p) for p in (out, plot) if p],
+    }
+    known = None
+    if truth:
+        known = Profile(found.s, load_road(truth).realise(np.random.default_rng(0)).height(found.s))
+        judged = scores(known, found, float(np.median(seen.v)), False)
+        facts["scores"] = dataclasses.asdict(judged) if dataclasses.is_dataclass(judged) else judged
+    if out:
+        write_csv(Surface(found.z, found.ds, name=f"estimate of {record.name}"), out)
+    if plot:
+        plots.draw_estimate(known, found, plot)
+    print_json(facts) if json else _print_facts(facts)
+
+
+def _surface(road: str, length: float | None, seed: int) -> Surface:
+    chosen = load_road(road)
+    if length is not None:
+        chosen = with_length(chosen, length)
+    return chosen.realise(np.random.default_rng(seed))
+
+
+def _print_facts(facts: dict[str, Any]) -> None:
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for key, value in facts.items():
+        if value not in ([], {}, None):
+            table.add_row(key, _text(value))
+    console.print(table)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, dict):
+        return ", ".join(f"{k} {_text(v)}" for k, v in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(_text(v) for v in value)
+    return str(value)

@@ -1,0 +1,83 @@
+"""`roads`: what there is to drive on, how it looks, and a file of it for others."""
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from leaderboard import plots
+from leaderboard.commands import console, print_json, writable
+from leaderboard.commands.drives import Json, Length, Seed, _surface
+from road_envs import config
+from road_envs.roads import Surface, load_road
+from road_envs.roads.measured import write_csv
+from road_envs.roughness import classify, dsd, fit_line, iri
+
+app = typer.Typer(help="List, plot and export roads.", no_args_is_help=True)
+
+Which = Annotated[str, typer.Argument(help="Shipped name, YAML path or surface file.")]
+
+
+@app.command("list")
+def list_roads(json: Json = False) -> None:
+    """The shipped roads, each as drawn from seed 1."""
+    rows = [_facts(name, load_road(name).realise(np.random.default_rng(1))) for name in _names()]
+    if json:
+        print_json(rows)
+        return
+    table = Table("road", "length [m]", "RMS left, right [mm]", "IRI left, right [mm/m]", "class")
+    for row in rows:
+        table.add_row(
+            row["road"],
+            f"{row['length_m']:.1f}",
+            "{:.1f}, {:.1f}".format(*row["rms_mm"]),
+            "{:.1f}, {:.1f}".format(*row["iri_mm_per_m"]),
+            row["class"],
+        )
+    console.print(table)
+
+
+@app.command("plot")
+def plot_road(
+    road: Which,
+    out: Annotated[Path, typer.Option(help="Picture to write (.png, .svg or .pdf).")],
+    length: Length = None,
+    seed: Seed = 1,
+) -> None:
+    """Draw both wheel paths of a road, and their spectrum over the ISO 8608 classes."""
+    writable(out, ".png", ".svg", ".pdf")
+    plots.draw_road(_surface(road, length, seed), out)
+    console.print(f"written: {out}")
+
+
+@app.command("export")
+def export(
+    road: Which,
+    out: Annotated[Path, typer.Option(help="Table to write (.csv): distance, left, right.")],
+    length: Length = None,
+    seed: Seed = 1,
+) -> None:
+    """Write both wheel paths of a road as a table that can be read back as a road."""
+    writable(out, ".csv")
+    surface = _surface(road, length, seed)
+    write_csv(surface, out)
+    console.print(f"written: {out} ({surface.length:g} m, every {1000 * surface.ds:g} mm)")
+
+
+def _names() -> list[str]:
+    return config.names("roads")
+
+
+def _facts(name: str, surface: Surface) -> dict:
+    n, G_d = dsd(surface.z, surface.ds)
+    letters = [classify(fit_line(n, G, w=2.0)[0]) if G.max() > 0 else "-" for G in G_d]
+    return {
+        "road": name,
+        "length_m": surface.length,
+        "rms_mm": [1000.0 * float(z.std()) for z in surface.z],
+        "iri_mm_per_m": [float(iri(z, surface.ds)) for z in surface.z],
+        "class": "".join(sorted(set(letters))),
+        "notes": list(surface.notes),
+    }

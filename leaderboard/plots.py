@@ -1,0 +1,108 @@
+"""Pictures of a road, a drive and an estimate for the command line; matplotlib is loaded on use.
+
+Colours are those of Okabe & Ito (2008), told apart by colour-blind readers: blue left, orange right.
+"""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from road_envs.record import SENSORS, Estimate, Profile, Record
+from road_envs.roads import Surface
+from road_envs.roughness import CLASSES, N_0, dsd, smooth
+
+COLOURS = {"left": "#0072B2", "right": "#D55E00", "truth": "#222222", "sensor": "#009E73"}
+SIDES = ("left", "right")
+
+
+def draw_road(surface: Surface, path: Path) -> None:
+    """Both wheel paths over distance, and their densities over the ISO 8608 classes."""
+
+    def paint(figure: Any) -> None:
+        heights, density = figure.subplots(1, 2, width_ratios=(2, 1))
+        for side, z in zip(SIDES, surface.z, strict=True):
+            heights.plot(surface.s, 1000 * z, color=COLOURS[side], lw=0.9, label=side)
+            if z.any():
+                n, G = smooth(*dsd(z, surface.ds))
+                density.loglog(n, G, color=COLOURS[side], lw=1.4)
+        heights.set(xlabel="distance [m]", ylabel="height [mm]", title=surface.name)
+        heights.legend(frameon=False)
+        draw_classes(density)
+
+    _write(paint, (11.0, 4.0), path)
+
+
+def draw_classes(axes: Any) -> None:
+    """The limits between the ISO 8608 classes as a background of a density plot."""
+    n = np.geomspace(0.02, 10.0, 2)
+    for letter, mean in CLASSES.items():
+        axes.loglog(n, 2.0 * mean * (n / N_0) ** -2.0, color="0.85", lw=0.8, zorder=0)
+        axes.annotate(letter, (n[0], mean * (n[0] / N_0) ** -2.0), color="0.5", fontsize=8)
+    axes.set(
+        xlabel="spatial frequency [cycles/m]",
+        ylabel="displacement spectral density [m³]",
+        xlim=(n[0], n[-1]),
+        ylim=(1e-10, 1e-1),
+        title="over the ISO 8608 classes",
+    )
+
+
+def draw_drive(record: Record, truth: Profile, path: Path) -> None:
+    """The road and what the three accelerometers made of it, over the front axle's station."""
+
+    def paint(figure: Any) -> None:
+        panels = figure.subplots(4, 1, sharex=True)
+        for side, z in zip(SIDES, truth.z, strict=True):
+            panels[0].plot(truth.s, 1000 * z, color=COLOURS[side], lw=0.9, label=side)
+        panels[0].set(ylabel="road [mm]")
+        panels[0].legend(frameon=False, ncols=2, loc="upper right")
+        for axes, name, a in zip(panels[1:], SENSORS, record.a, strict=True):
+            axes.plot(record.s, a, color=COLOURS["sensor"], lw=0.6)
+            axes.set(ylabel=f"{name} [m/s²]")
+        panels[-1].set(xlabel="station of the front axle [m]")
+        panels[0].set_title(f"{record.v[0] * 3.6:.1f} km/h")
+
+    _write(paint, (11.0, 7.0), path)
+
+
+def draw_estimate(truth: Profile | None, estimate: Estimate, path: Path) -> None:
+    """Both wheel paths as estimated (dashed), over the truth (solid) where it is known."""
+
+    def paint(figure: Any) -> None:
+        panels = figure.subplots(2, 1, sharex=True)
+        for i, (axes, side) in enumerate(zip(panels, SIDES, strict=True)):
+            if truth is not None:
+                axes.plot(truth.s, 1000 * truth.z[i], color=COLOURS["truth"], lw=1.0, label="truth")
+            z = 1000 * estimate.z[i]
+            axes.plot(estimate.s, z, "--", color=COLOURS[side], lw=1.1, label="estimate")
+            if estimate.z_std is not None:
+                std = 1645 * estimate.z_std[i]
+                axes.fill_between(
+                    estimate.s, z - std, z + std, color=COLOURS[side], alpha=0.2, lw=0, label="90 %"
+                )
+            axes.set(ylabel=f"{side} [mm]")
+            axes.legend(frameon=False, ncols=3, loc="upper right")
+        panels[-1].set(xlabel="distance [m]")
+
+    _write(paint, (11.0, 5.0), path)
+
+
+def _write(paint: Callable[[Any], None], size: tuple[float, float], path: Path) -> None:
+    """Let `paint` fill a figure of `size` [inch] and write it, whole or not at all."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained", dpi=130)
+    FigureCanvasAgg(figure)
+    paint(figure)
+    for axes in figure.axes:
+        axes.spines[["top", "right"]].set_visible(False)
+    partial = path.with_name(f".{os.getpid()}.{path.name}")
+    try:
+        figure.savefig(partial)
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
