@@ -168,7 +168,7 @@ def _scored(session: Session, test: Drive, estimate: Estimate, seed: int) -> Dri
 
 
 def _trace(session: Session, estimate: Estimate, judged: DriveScores) -> Trace:
-    """The first 100 m of the first test drive, with two of the scores of the whole drive."""
+    """The first 100 m of the first test drive."""
     truth = session.tests[0].truth
     kept = truth.s < TRACED
     return Trace(
@@ -177,8 +177,7 @@ def _trace(session: Session, estimate: Estimate, judged: DriveScores) -> Trace:
         road=judged.road,
         road_seed=judged.road_seed,
         seed=judged.seed,
-        level_error=judged.scores["level_error"],
-        nrmse=judged.scores["nrmse"],
+        scores=judged.scores,
         ds=truth.ds,
         truth=heights(truth.z[:, kept]),
         estimate=heights(estimate.z[:, kept]),
@@ -187,8 +186,12 @@ def _trace(session: Session, estimate: Estimate, judged: DriveScores) -> Trace:
 
 def _middle(traces: list[Trace]) -> Trace:
     """The trace of the training in the middle by in-band error: never the best one."""
-    ordered = sorted(traces, key=lambda t: math.inf if t.nrmse is None else t.nrmse)
+    ordered = sorted(traces, key=lambda t: _or_infinite(t.scores["nrmse"]))
     return ordered[(len(ordered) - 1) // 2]
+
+
+def _or_infinite(value: float | None) -> float:
+    return math.inf if value is None else value
 
 
 def _result(task: Task, row: Row, seeds: tuple[int, ...], notes: tuple[str, ...]) -> Result:

@@ -52,7 +52,10 @@ class DriveScores:
 
 @dataclass(frozen=True, kw_only=True)
 class Trace:
-    """A stretch of truth and estimate to be drawn: heights (2, M) in units of 0.01 mm."""
+    """A stretch of truth and estimate to be drawn: heights (2, M) in units of 0.01 mm.
+
+    `scores` are those of the whole drive.
+    """
 
     __pydantic_config__ = STRICT
 
@@ -61,8 +64,7 @@ class Trace:
     road: str
     road_seed: int
     seed: int
-    level_error: float | None  # of the whole drive, as is nrmse
-    nrmse: float | None
+    scores: dict[str, float | None]
     ds: float  # [m]
     truth: tuple[tuple[int, ...], tuple[int, ...]]
     estimate: tuple[tuple[int, ...], tuple[int, ...]]

@@ -43,7 +43,10 @@ class Line:
 
 @dataclass(frozen=True)
 class Section:
-    """One task: its lines, best first, and what a reader has to know about it."""
+    """One task: its lines, best first, and what a reader has to know about it.
+
+    On a single road there is no spread over roads, so neither an interval nor a rank.
+    """
 
     task: str
     title: str
@@ -101,28 +104,12 @@ def views(board: Board) -> list[View]:
     return made
 
 
-def as_json(board: Board) -> list[dict]:
-    """The same rows for a program: boards, their tasks, and the numbers of each entry."""
-    return [
-        {
-            "task": section.task,
-            "board": view.title,
-            "title": section.title,
-            "notes": list(section.notes),
-            "entries": [
-                {"name": line.name, "state": line.state, "text": line.text, **line.values}
-                for line in section.lines
-            ],
-        }
-        for view in views(board)
-        for section in view.sections
-    ]
-
-
 def _section(board: Board, task: Task) -> Section:
     scored = board.scored(task)
-    ranks = standings({r.estimator: r.values("nrmse") for r in scored if r.role == "entry"})
-    lines = [_line(r, ranks[r.estimator].rank if r.role == "entry" else None) for r in scored]
+    many = {r.estimator: x for r in scored if len(x := r.values("nrmse")) > 1}
+    entries = [r.estimator for r in scored if r.role == "entry"]
+    ranks = standings({name: many[name] for name in entries if name in many})
+    lines = [_line(r, ranks[r.estimator].rank if r.estimator in ranks else None) for r in scored]
     lines.sort(key=lambda line: (line.state, _last_if_none(line.values["nrmse"])))
     claim = [_claim(task.claimed_level_error)] if task.claimed_level_error is not None else []
     failed = [Line(r.estimator, "failed", text=r.failure or "") for r in board.failed(task)]
@@ -136,7 +123,8 @@ def _section(board: Board, task: Task) -> Section:
 
 
 def _line(result: Result, rank: int | None) -> Line:
-    score = interval(result.values("nrmse"))
+    error = result.values("nrmse")
+    score = interval(error) if len(error) > 1 else Interval(np.nan, np.nan, np.nan)
     values: dict[str, float | None] = {name: _mean(result, name) for name in SCORES}
     values |= {
         "rank": rank,
@@ -206,7 +194,8 @@ def _states(result: Result) -> str:
     if error.shape[-1] < 2:
         return ""
     return "/".join(
-        str(int(n)) for n in (np.sum(error < 15), np.sum((error >= 15) & (error <= 25)), np.sum(error > 25))
+        str(int(n))
+        for n in (np.sum(error < 15), np.sum((error >= 15) & (error <= 25)), np.sum(error > 25))
     )
 
 

@@ -94,7 +94,7 @@ def read_record(path: Path) -> tuple[Record, dict[str, object]]:
         raise ConfigError(f"{path}: columns {missing} are missing; wanted: {', '.join(COLUMNS)}")
     column = {c: table[c].to_numpy() for c in COLUMNS}
     if strange := [c for c in COLUMNS if column[c].dtype.kind not in "fu"]:
-        raise ConfigError(f"{path}: columns {strange} must hold numbers, commands whole ones")
+        raise ConfigError(f"{path}: columns {strange} must hold numbers")
     a = np.stack([column["a_rf"], column["a_lr"], column["a_rr"]])
     stiff, high = strut_states(column["commands"])
     record = Record(column["t"], a, column["v"], column["s"], stiff, high, about["length"])

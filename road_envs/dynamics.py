@@ -188,17 +188,30 @@ def jacobian(plant: Plant, memory: np.ndarray, state: np.ndarray, z_r: np.ndarra
     return np.block([[np.zeros((N_DOF, N_DOF)), np.eye(N_DOF)], [-K / M, -C / M]])
 
 
+def _on_the_ground(plant: Plant, z_r: np.ndarray) -> np.ndarray:
+    """Coordinates (7,) of a car lifted onto wheel heights (4,): no tyre changes its deflection."""
+    x, y_t = plant.numbers[0]["x"], plant.numbers[0]["y_t"]
+    left, right = z_r[0::2], z_r[1::2]
+    heave, roll = 0.5 * (left + right), (left - right) / (y_t[0::2] - y_t[1::2])
+    theta = (heave[1] - heave[0]) / (x[0] - x[1])
+    z_b, phi = heave[0] + x[0] * theta, roll.mean()
+    return np.array([z_b, phi, theta, heave[0], roll[0], heave[1], roll[1]])
+
+
 def equilibrium(plant: Plant, memory: np.ndarray, z_r: np.ndarray) -> np.ndarray:
     """State (14,) at rest on wheels at heights `z_r` (4,) [m], found by Newton's method.
 
     Raises ArithmeticError if there is none within reach (a wheel off the ground, say).
     """
-    q, rest = np.zeros(N_DOF), np.zeros(N_DOF)
+    q, rest = _on_the_ground(plant, z_r), np.zeros(N_DOF)
     K, C, a, flat = np.empty((N_DOF, N_DOF)), np.empty((N_DOF, N_DOF)), np.empty(N_DOF), np.zeros(4)
     for _ in range(50):
         accelerations(*plant.arrays, memory, q, rest, z_r, flat, a)
-        if np.abs(a).max() < 1e-10:
+        if np.abs(a).max() < 1e-10 * (1.0 + np.abs(z_r).max()):
             return np.concatenate([q, rest])
         stiffness_and_damping(*plant.arrays, memory, q, rest, z_r, flat, K, C)
-        q = q + np.linalg.solve(K, plant.numbers[0]["M"] * a)
+        try:
+            q = q + np.linalg.solve(K, plant.numbers[0]["M"] * a)
+        except np.linalg.LinAlgError:  # all wheels off the ground
+            break
     raise ArithmeticError(f"no static equilibrium on wheel heights {z_r.tolist()}")

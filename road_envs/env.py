@@ -1,15 +1,17 @@
 """`RoadRecon-v0`: the vehicle on a road as a Gymnasium environment. No physics lives here."""
 
+from collections import deque
 from dataclasses import asdict, dataclass, field
-from typing import Annotated, Any, ClassVar, Literal
+from math import ceil
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
-from scipy import signal
 
 from road_envs.comfort import wk_sos
 from road_envs.config import STRICT, ConfigError, build, one_of
 from road_envs.dynamics import Z_B, plant
+from road_envs.processing import run_sections
 from road_envs.record import SENSORS
 from road_envs.roads import load_road, with_length
 from road_envs.sensors import Logger, load_instruments
@@ -29,6 +31,9 @@ ACTIONS: dict[str, tuple[Any, ...]] = {
 
 TOP_SPEED = 200.0
 """Highest speed that is accepted [km/h]."""
+
+RECENT = 4.0
+"""How much of the accelerations a picture shows [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,10 +64,13 @@ class Options:
     step: float = 0.001
     truth: bool = True
     weights: Weights = field(default_factory=Weights)
+    exaggeration: float = 1.0
 
     def __post_init__(self):
         check_speed(self.speed_kmh)
         command(self.mode)
+        if not self.exaggeration > 0:
+            raise ValueError(f"exaggeration must be above 0, got {self.exaggeration}")
         per_interval = 1.0 / (self.control_rate * self.step) if self.control_rate > 0 else 0.0
         if per_interval < 1.0 or abs(per_interval - round(per_interval)) > 1e-6:
             raise ValueError(
@@ -150,6 +158,7 @@ class RoadReconEnv(gymnasium.Env):
     | `step` | `0.001` | integrator step [s] |
     | `truth` | `True` | whether `info` has `profile` and `loads`, for scoring |
     | `weights` | see above | mapping with `comfort`, `rattle`, `tyre_load` |
+    | `exaggeration` | `1.0` | factor by which pictures enlarge vertical motion |
 
     `reset(options={"speed_kmh": ..., "mode": ...})` overrides these two for one episode.
     `info` has, at reset as at each step: `t` [s], `station` [m] of the front axle, `speed_kmh`,
@@ -164,7 +173,10 @@ class RoadReconEnv(gymnasium.Env):
     * v0: first release.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 20}
+    metadata: dict[str, Any] = {  # noqa: RUF012 - as the base class has it; each instance copies it
+        "render_modes": ["rgb_array"],
+        "render_fps": 20,
+    }
 
     def __init__(self, render_mode: str | None = None, **options: Any):
         if render_mode is not None:
@@ -173,6 +185,8 @@ class RoadReconEnv(gymnasium.Env):
             options["weights"] = asdict(options["weights"])
         self.options = o = build(Options, options, "RoadRecon-v0")
         self.render_mode = render_mode
+        self.metadata = self.metadata | {"render_fps": o.control_rate}
+        self._recent: deque[np.ndarray] = deque(maxlen=ceil(RECENT * o.control_rate))
         self.car = load_vehicle(o.vehicle)
         self.plant = plant(self.car)
         self.instruments = load_instruments(o.sensors)
@@ -209,7 +223,8 @@ class RoadReconEnv(gymnasium.Env):
         step = self.options.step
         self.drive = Drive(self.plant, self.car, surface, speed_kmh / 3.6, mode, step)
         self.logger = Logger(self.instruments, self.car, step, sensor_rng)
-        self._wk_memory = np.zeros((self._wk.shape[0], 2))
+        self._wk_memory = np.zeros((self._wk.shape[0], 1, 2))
+        self._recent.clear()
         observation, _, _, info = self._advance(command(mode))
         return observation, info
 
@@ -221,6 +236,19 @@ class RoadReconEnv(gymnasium.Env):
             )
         observation, reward, terminated, info = self._advance(self._bytes[int(action)])
         return observation, reward, terminated, self.drive.over and not terminated, info
+
+    def render(self) -> np.ndarray | None:
+        """A picture (540, 960, 3), uint8, of the car on its road; None without a render mode."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("nothing is rendered unless render_mode is 'rgb_array'")
+            return None
+        if not self._recent:
+            raise gymnasium.error.ResetNeeded("call reset before render")
+        from road_envs.rendering import Scene, frame  # needs Pillow; few environments are looked at
+
+        samples = np.concatenate(self._recent, axis=1)
+        fs, enlarged = self.instruments.fs, self.options.exaggeration
+        return frame(Scene.of(self.drive, self._shown, samples, fs, RECENT, enlarged))
 
     def split(self, observation: np.ndarray) -> dict[str, np.ndarray]:
         """The parts of an observation: RF, LR, RR (k,), speed (1,), front (2,), rear (2,)."""
@@ -263,7 +291,8 @@ class RoadReconEnv(gymnasium.Env):
 
     def _terms(self, trajectory: Trajectory) -> dict[str, float]:
         heave = trajectory.acceleration[:, Z_B]
-        weighted, self._wk_memory = signal.sosfilt(self._wk, heave, zi=self._wk_memory)
+        weighted = np.empty((1, heave.size))
+        run_sections(self._wk, self._wk_memory, heave[None], weighted)
         variation = trajectory.tyre_load / self._static_load - 1.0
         return {
             "comfort": float(np.sqrt(np.mean(weighted**2))),
@@ -273,6 +302,9 @@ class RoadReconEnv(gymnasium.Env):
 
     def _observe(self, trajectory: Trajectory, byte: int) -> np.ndarray:
         samples = self.logger.sense(trajectory)
+        if self.render_mode is not None:
+            self._shown = trajectory
+            self._recent.append(samples)
         stiff, high = strut_states(np.array([byte]))
         speed = self.logger.speed_gain * self.drive.speed
         states = [stiff[0, 0], high[0, 0], stiff[0, 2], high[0, 2]]

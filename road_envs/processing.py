@@ -3,7 +3,30 @@
 import numpy as np
 from scipy import signal
 
+from road_envs.jit import kernel
+
 LOW_PASS_ORDER = 4
+
+
+@kernel
+def run_sections(sos, memory, x, out):
+    """Filter the rows of `x` (k, N) by second-order sections (n, 6) into `out` (k, N).
+
+    `memory` (n, k, 2) carries on from call to call, as `zi` of `scipy.signal.sosfilt` does with
+    the same layout; that one costs ten times as much on the 50 samples of a control interval.
+    """
+    for row in range(x.shape[0]):
+        for i in range(sos.shape[0]):
+            b0, b1, b2 = sos[i, 0], sos[i, 1], sos[i, 2]
+            a1, a2 = sos[i, 4], sos[i, 5]
+            m0, m1 = memory[i, row, 0], memory[i, row, 1]
+            for j in range(x.shape[1]):
+                value = x[row, j] if i == 0 else out[row, j]
+                y = b0 * value + m0
+                m0 = b1 * value - a1 * y + m1
+                m1 = b2 * value - a2 * y
+                out[row, j] = y
+            memory[i, row, 0], memory[i, row, 1] = m0, m1
 
 
 def butterworth(order: int, f_c: float, fs: float, kind: str = "low") -> np.ndarray:

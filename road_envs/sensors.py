@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from scipy import signal
 
 from road_envs import config
-from road_envs.processing import butterworth
+from road_envs.processing import butterworth, run_sections
 from road_envs.record import SENSORS
 from road_envs.simulate import Trajectory
 from road_envs.vehicle import VehicleParameters
@@ -118,7 +117,7 @@ class Logger:
         if self.noise_std > 0.0:  # drawn instant by instant, so that chunks draw what a whole does
             a += self.noise_std * self.rng.standard_normal(a.shape[::-1]).T
         a = np.clip(a, -self.range, self.range)
-        a, self.memory = signal.sosfilt(self.sos, a, axis=1, zi=self.memory)
+        run_sections(self.sos, self.memory, a, a)
         samples = a[:, -self.taken % self.every :: self.every]
         self.taken += a.shape[1]
         return samples

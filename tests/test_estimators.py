@@ -341,6 +341,12 @@ def test_the_network_s_answers_stay_near_the_heights_it_was_shown():
     assert np.abs(z).max() < 2.0 * np.abs(truth.z).max()
 
 
+def test_the_network_s_limits_are_settings():
+    assert fit("static_lm", max_epochs=2).training.epochs == 2
+    patient, hasty = (fit("static_lm", max_epochs=300, max_fail=n).training for n in (20, 1))
+    assert hasty.epochs < patient.epochs == patient.best_epoch + 20
+
+
 def test_two_seeds_train_two_networks():
     one, other = (fit("static_lm", seed=s).weights()["hidden"] for s in (0, 1))
     assert not np.allclose(one, other)
@@ -476,6 +482,15 @@ def test_a_level_drive_over_a_level_road_trains_a_window_that_answers_level():
     still = replace(record, a=np.zeros_like(record.a))
     window = create("fir_ridge", reach=1.0).fit([still], [Profile(truth.s, 0.0 * truth.z)], CAR, 0)
     assert not window.estimate(record, CAR).z.any()
+
+
+def test_what_the_paper_filters_out_is_not_seen():
+    record, _ = drive(123)
+    offset_and_hum = 3.0 + np.sin(2.0 * np.pi * 70.0 * record.t)
+    dirty = replace(record, a=record.a + offset_and_hum)
+    np.testing.assert_allclose(
+        accelerations(dirty)[:, 100:-100], accelerations(record)[:, 100:-100], atol=1e-3
+    )
 
 
 def test_accelerations_beyond_the_record_are_those_of_a_car_at_rest():

@@ -75,6 +75,27 @@ def test_the_normal_equations_agree_with_complex_steps():
     np.testing.assert_allclose(Je, J.T @ e / e.size, rtol=0, atol=1e-13)
 
 
+def test_the_gradient_is_that_of_the_mean_squared_error():
+    network, x, t = problem(14)
+    normal = lm.normal_equations(network, x, t)
+    downhill = normal.Je / np.linalg.norm(normal.Je)
+    ahead, behind = (lm.mean_square(network.moved(h * downhill), x, t) for h in (1e-5, -1e-5))
+    assert normal.gradient == pytest.approx((behind - ahead) / 2e-5, rel=1e-6)
+
+
+def test_the_defaults_are_those_of_trainlm():
+    assert OPTIONS == lm.Options(
+        max_epochs=1000,
+        goal=0.0,
+        min_grad=1e-7,
+        max_fail=6,
+        mu=1e-3,
+        mu_decrease=0.1,
+        mu_increase=10.0,
+        mu_max=1e10,
+    )
+
+
 def test_samples_may_come_in_chunks_of_any_size(monkeypatch):
     network, x, t = problem(2)
     whole = lm.normal_equations(network, x, t), lm.mean_square(network, x, t)
@@ -207,12 +228,15 @@ def first_that_helps(network, x, t, training, epoch):
 
 
 def test_normal_equations_that_are_singular_count_as_a_failed_step():
-    size = 30
-    network = lm.Network(np.zeros((2, 2)), np.zeros((1, 3)))
-    x, t = np.linspace(-1.0, 1.0, size)[None], np.ones((1, size))
+    """Neurons that are all the same cannot be told apart without mu."""
+    rng = np.random.default_rng(0)
+    network = lm.Network(np.full((2, 5), 0.3), np.full((1, 6), 0.7))
+    x = rng.uniform(-1.0, 1.0, (1, 30))
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(lm.normal_equations(network, x, x).JJ)
     options = replace(OPTIONS, mu=1e-30, max_epochs=1)
-    training = lm.train(network, x, t, everything(size), options)
-    assert training.mu[1] > 1e-30
+    training = lm.train(network, x, x, everything(30), options)
+    assert training.mu[1] > 1e-20
     assert training.train[1] < training.train[0]
 
 

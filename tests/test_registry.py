@@ -198,7 +198,10 @@ def test_an_unfitted_estimator_is_not_stored(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
+@pytest.mark.parametrize(("module", "function"), [(np, "savez"), (os, "replace")])
+def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(
+    tmp_path, monkeypatch, module, function
+):
     path = tmp_path / "kept.npz"
     save(Flat(), path)
     before = path.read_bytes()
@@ -206,7 +209,7 @@ def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path, monke
     def full(*args, **kwargs):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(np, "savez", full)
+    monkeypatch.setattr(module, function, full)
     with pytest.raises(OSError, match="No space left"):
         save(trained_mean(), path)
     assert path.read_bytes() == before

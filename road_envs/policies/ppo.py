@@ -25,6 +25,7 @@ class LearnedPPO:
         progress: Callable[[float], None],
     ) -> None:
         """Train on `steps` control intervals, rounded up to whole rollouts."""
+        import torch
         from stable_baselines3 import PPO
         from stable_baselines3.common.callbacks import BaseCallback
         from stable_baselines3.common.env_util import make_vec_env
@@ -40,7 +41,12 @@ class LearnedPPO:
         self.model = PPO(
             "MlpPolicy", self.statistics, n_steps=ROLLOUT, batch_size=256, seed=seed, device="cpu"
         )
-        self.model.learn(total_timesteps=steps, callback=Progress())
+        threads = torch.get_num_threads()
+        torch.set_num_threads(1)  # layers this small only lose by being split
+        try:
+            self.model.learn(total_timesteps=steps, callback=Progress())
+        finally:
+            torch.set_num_threads(threads)
         self.statistics.training = False
         envs.close()
 

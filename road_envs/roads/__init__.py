@@ -53,7 +53,14 @@ def with_length(road: Road, length: float) -> Road:
     settings: Any = road
     if "length" not in {f.name for f in dataclasses.fields(settings)}:
         raise ConfigError(f"the length of a {_kind(road)} road follows from its other settings")
-    return dataclasses.replace(settings, length=length)
+    if isinstance(length, bool) or not isinstance(length, int | float):
+        raise ConfigError(f"length must be a number, got {length!r}")
+    try:
+        return dataclasses.replace(settings, length=float(length))
+    except ConfigError:
+        raise
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
 
 
 def _from_mapping(data: Mapping[str, Any], where: str) -> Road:

@@ -45,7 +45,7 @@ class Belgian:
     n_sigma: Annotated[float, "cycles/m", "standard deviation of the peak"] = 0.29
     peak: Annotated[float, "", "density at n_cobble over the base there"] = 6.0
     coherence: Annotated[float, "", "coherence (squared) of the wheel paths at n_cobble"] = 0.22
-    n_min: Annotated[float, "cycles/m", "longest wave; a paving is laid level"] = 0.05
+    n_min: Annotated[float, "cycles/m", "longest wave [assumed]: it is laid level"] = 0.05
     n_max: Annotated[float, "cycles/m", "shortest wave"] = 10.0
     track: Annotated[float, "m", "distance of the wheel paths"] = 1.5
     ds: Annotated[float, "m", "spacing of the samples"] = 0.01

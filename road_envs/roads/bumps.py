@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from road_envs.config import STRICT
-from road_envs.roads.iso8608 import check_positive
+from road_envs.roads.iso8608 import check_positive, check_size
 from road_envs.roads.surface import Surface
 
 Layout = Literal["small", "large_small", "asymmetric"]
@@ -67,6 +67,7 @@ class Bumps:
     def __post_init__(self):
         check_positive(self, "spacing", "length_factor", "height_factor", "ds")
         check_positive(self, "run_in", "run_out")
+        check_size(self.length, self.ds)
         for a, b in zip(self.blocks, self.blocks[1:], strict=False):
             if 0.5 * (a.top + b.top) + a.ramp + b.ramp > self.spacing:
                 raise ValueError(f"bumps overlap at a spacing of {self.spacing} m")

@@ -8,6 +8,7 @@ from pydantic import PlainValidator
 
 from road_envs.config import STRICT
 from road_envs.record import GRID
+from road_envs.roads.iso8608 import check_positive, check_size
 from road_envs.roads.surface import Surface
 
 
@@ -41,8 +42,8 @@ class Flat:
     length: Annotated[float, "m", "length of the road"] = 100.0
 
     def __post_init__(self):
-        if not 0.0 < self.length < np.inf:
-            raise ValueError(f"length must be positive, got {self.length}")
+        check_positive(self, "length")
+        check_size(self.length, GRID)
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """The level surface."""

@@ -28,6 +28,7 @@ from road_envs.roughness import CLASSES, N_0
 
 RoadClass = Literal["A", "B", "C", "D", "E", "F", "G", "H"]
 Coherence = Literal["isotropic", "full", "none"]
+MAX_SAMPLES = 50_000_000
 PERIODS = 8
 """Lines between 0 and n_min: the synthesised period is at least this many longest waves."""
 
@@ -93,9 +94,8 @@ def middle(edges: np.ndarray) -> np.ndarray:
 
 def line_edges(road) -> np.ndarray:
     """Edges (K + 1,) [cycles/m] of the cells of the lines inside [n_min, n_max] of a road."""
-    dn = 1.0 / (_period_samples(road) * road.ds)
-    first, last = round(road.n_min / dn), round(road.n_max / dn)
-    edges = dn * (np.arange(first, last + 2) - 0.5)
+    size, first, last = _lines(road)
+    edges = (np.arange(first, last + 2) - 0.5) / (size * road.ds)
     edges[0], edges[-1] = road.n_min, road.n_max
     return edges
 
@@ -105,12 +105,11 @@ def synthesise(rng, road, edges, power, g, name: str) -> Surface:
 
     Each path starts at height 0, for nothing that rides on a road can feel its datum.
     """
-    size = _period_samples(road)
-    first = round(road.n_min * size * road.ds)
+    size, first, last = _lines(road)
     phase = rng.uniform(0.0, 2.0 * np.pi, (2, power.size))
     parts = np.sqrt(power * np.array([1.0 + g, 1.0 - g])) * np.exp(1j * phase)
     lines = np.zeros((2, size // 2 + 1), dtype=complex)
-    lines[:, first : first + power.size] = [parts[0] + parts[1], parts[0] - parts[1]]
+    lines[:, first : last + 1] = [parts[0] + parts[1], parts[0] - parts[1]]
     z = 0.5 * size * irfft(lines, size)[:, : round(road.length / road.ds) + 1]
     return Surface(z - z[:, :1], road.ds, name=name)
 
@@ -122,9 +121,16 @@ def check_positive(road, *names: str) -> None:
             raise ValueError(f"{name} must be positive, got {getattr(road, name)}")
 
 
+def check_size(length: float, ds: float) -> None:
+    """ValueError if `length` [m] holds more steps of `ds` [m] than a computer should be asked."""
+    if not length / ds < MAX_SAMPLES:
+        raise ValueError(f"{length:g} m in steps of {ds:g} m are more than {MAX_SAMPLES:,} samples")
+
+
 def check_band(road) -> None:
     """ValueError if length, spacing and band of a random road do not fit together."""
     check_positive(road, "length", "ds", "n_min")
+    check_size(max(2.0 * road.length, PERIODS / road.n_min), road.ds)
     if road.length < 4.0 * road.ds:
         raise ValueError(f"length {road.length} m must hold at least 4 steps of ds = {road.ds} m")
     if not road.n_min < road.n_max <= 0.5 / road.ds:
@@ -134,6 +140,9 @@ def check_band(road) -> None:
         )
 
 
-def _period_samples(road) -> int:
-    """Samples in the period of the sum of cosines: at least two roads and PERIODS longest waves."""
-    return next_fast_len(int(np.ceil(max(2.0 * road.length, PERIODS / road.n_min) / road.ds)), True)
+def _lines(road) -> tuple[int, int, int]:
+    """Samples in the period, at least two roads and PERIODS longest waves; first and last line."""
+    period = max(2.0 * road.length, PERIODS / road.n_min)
+    size = next_fast_len(int(np.ceil(period / road.ds)), True)
+    last = min(round(road.n_max * size * road.ds), (size - 1) // 2)
+    return size, round(road.n_min * size * road.ds), last

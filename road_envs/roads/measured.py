@@ -20,7 +20,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from road_envs.config import STRICT
-from road_envs.roads.iso8608 import check_positive
+from road_envs.roads.iso8608 import check_positive, check_size
 from road_envs.roads.opencrg import (
     MAX_LENGTH,
     CurvedGrid,
@@ -70,6 +70,7 @@ class Measured:
                     "wanted; set repeat to mirror or repeat"
                 )
         check_positive(self, "length")
+        check_size(self.length, self._tile.ds)
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """The surface; there is nothing to draw."""

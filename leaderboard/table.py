@@ -1,0 +1,102 @@
+"""The boards in a terminal, and for a program."""
+
+import textwrap
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from leaderboard.board import Board
+from leaderboard.findings import findings
+from leaderboard.view import Line, Section, View, views
+
+CASE_WIDTH = 18
+STYLES = {
+    "scored": "bold",
+    "sentinel": "dim",
+    "claim": "italic",
+    "failed": "red",
+    "stale": "yellow",
+}
+LEGEND = (
+    "NRMSE: error over truth, RMS, in 0.2 to min(1.8, 22.5 Hz / v) cycles/m; a flat road has 1. "
+    "eq. 12: error of the level alone. class: octaves in the true ISO 8608 class. Interquartile "
+    "means over roads and trainings; entries that cannot be told apart share a rank. Dim: sentinels."
+)
+
+
+def print_tables(board: Board, console: Console) -> None:
+    """Print every board, what failed or is stale, and what the numbers say."""
+    for view in views(board):
+        if view.sections[0].lines and view.title.startswith("New"):
+            for section in view.sections:
+                console.print(_table(view, (section,), f"{view.title}: {section.title}"))
+        else:
+            console.print(_table(view, view.sections, view.title))
+        _remarks(view, console)
+    console.print(f"[dim]{escape(LEGEND)}[/dim]")
+    for sentence in findings(board):
+        console.print(f"- {escape(sentence)}")
+
+
+def as_json(board: Board) -> list[dict[str, Any]]:
+    """The same rows for a program: boards, their tasks, and the numbers of each entry."""
+    return [
+        {
+            "task": section.task,
+            "board": view.title,
+            "title": section.title,
+            "notes": list(section.notes),
+            "entries": [
+                {"name": line.name, "state": line.state, "text": line.text, **line.values}
+                for line in section.lines
+            ],
+        }
+        for view in views(board)
+        for section in view.sections
+    ]
+
+
+def _table(view: View, sections: tuple[Section, ...], title: str) -> Table:
+    columns = [column for column in view.columns if not column.wide]
+    grouped = len(sections) > 1
+    table = Table(title=title, title_justify="left", box=None, padding=(0, 1), pad_edge=False)
+    if grouped:
+        table.add_column("case", width=CASE_WIDTH)
+    table.add_column("estimator")
+    for column in columns:
+        table.add_column(
+            column.label + (f"\n{column.unit}" if column.unit else ""), justify="right"
+        )
+    for section in sections:
+        case = textwrap.wrap(f"{section.task}: {section.title}", CASE_WIDTH) if grouped else []
+        rows = [_row(line, [column.key for column in columns]) for line in section.lines]
+        blank = [""] * (len(columns) + 1)
+        for k in range(max(len(rows), len(case))):
+            head = [case[k] if k < len(case) else ""] if grouped else []
+            table.add_row(*head, *(rows[k] if k < len(rows) else blank))
+        table.add_section()
+    return table
+
+
+def _row(line: Line, keys: list[str]) -> list[str]:
+    style = STYLES[line.state]
+    name = f"[{style}]{escape(line.name)}[/{style}]"
+    if line.state in ("failed", "stale"):
+        return [name, f"[{style}]{line.state}[/{style}]", *[""] * (len(keys) - 1)]
+    return [name, *(f"[{style}]{line.cells.get(key, '')}[/{style}]" for key in keys)]
+
+
+def _remarks(view: View, console: Console) -> None:
+    """Notes of each task, each said once, and the sentence of each failed or stale result."""
+    said: dict[str, list[str]] = {}
+    for section in view.sections:
+        for note in section.notes:
+            said.setdefault(note, []).append(section.task)
+        for line in section.lines:
+            if line.text:
+                said.setdefault(f"{line.name} {line.state}: {line.text}", []).append(section.task)
+    for note, tasks in said.items():
+        console.print(f"[dim]{escape(', '.join(tasks))}:[/dim] {escape(note)}")
+    console.print()

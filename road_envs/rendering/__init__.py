@@ -1,0 +1,36 @@
+"""Pictures of the vehicle on its road; Pillow is needed and is imported only here.
+
+`frame(scene)` draws one. Each panel has a canvas of its own, so that none spills into another.
+"""
+
+import numpy as np
+
+from road_envs.rendering import panels, style
+from road_envs.rendering.canvas import Canvas
+from road_envs.rendering.rear import RearView
+from road_envs.rendering.scene import Scene
+from road_envs.rendering.side import SideView
+
+__all__ = ["HEIGHT", "WIDTH", "Scene", "frame"]
+
+WIDTH, HEIGHT = 960, 540
+
+PANELS = (
+    (panels.heading, (0, 0), (960, 39), style.PAPER),
+    (lambda canvas, scene: SideView(canvas, scene).draw(), (0, 40), (639, 304), style.SKY),
+    (lambda canvas, scene: RearView(canvas, scene).draw(), (640, 40), (320, 304), style.SKY),
+    (panels.wheel_paths, (0, 345), (639, 88), style.PAPER),
+    (panels.accelerations, (0, 434), (639, 106), style.PAPER),
+    (panels.corners, (640, 345), (320, 195), style.PAPER),
+)
+"""What draws each panel, its top left corner, its width and height [pixels], its ground."""
+
+
+def frame(scene: Scene) -> np.ndarray:
+    """A picture (540, 960, 3) of `scene`, uint8."""
+    image = np.full((HEIGHT, WIDTH, 3), 201, dtype=np.uint8)
+    for draw, (x, y), (width, height), ground in PANELS:
+        canvas = Canvas(width, height, ground)
+        draw(canvas, scene)
+        image[y : y + height, x : x + width] = canvas.pixels()
+    return image

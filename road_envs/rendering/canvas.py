@@ -1,0 +1,78 @@
+"""A drawing surface over Pillow: coordinates in pixels of the frame, smooth edges, crisp text."""
+
+import functools
+from pathlib import Path
+
+import numpy as np
+from gymnasium.error import DependencyNotInstalled
+
+try:
+    from PIL import Image, ImageDraw, ImageFont
+except ImportError as error:
+    raise DependencyNotInstalled("pillow is not installed, run `pip install pillow`") from error
+
+SMOOTHING = 3
+"""Everything but text is drawn this many times too large, then averaged."""
+
+
+@functools.cache
+def font(size: int, bold: bool) -> ImageFont.FreeTypeFont:
+    """DejaVu Sans as matplotlib brings it along: equally wide digits, every sign we need."""
+    import matplotlib
+
+    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    return ImageFont.truetype(Path(matplotlib.get_data_path(), "fonts", "ttf", name), size)
+
+
+class Canvas:
+    """One panel of a frame, `width` x `height` pixels; y counts downward from the top."""
+
+    def __init__(self, width: int, height: int, fill: str):
+        self.width, self.height = width, height
+        size = (SMOOTHING * width, SMOOTHING * height)
+        self._image = Image.new("RGB", size, fill)
+        self._draw = ImageDraw.Draw(self._image)
+        self._words: list[tuple[tuple[float, float], str, dict]] = []
+
+    def polygon(self, points: np.ndarray, fill: str, outline: str | None = None) -> None:
+        """Fill the polygon through `points` (N, 2)."""
+        self._draw.polygon(_large(points), fill=fill, outline=outline, width=SMOOTHING)
+
+    def line(self, points: np.ndarray, fill: str, width: float = 1.0) -> None:
+        """Draw a line through `points` (N, 2)."""
+        self._draw.line(_large(points), fill=fill, width=round(SMOOTHING * width))
+
+    def box(self, x_0: float, y_0: float, x_1: float, y_1: float, fill: str) -> None:
+        """Fill an upright rectangle."""
+        self.polygon(np.array([[x_0, y_0], [x_1, y_0], [x_1, y_1], [x_0, y_1]]), fill)
+
+    def disc(self, x: float, y: float, radius: float, fill: str) -> None:
+        """Fill a circle."""
+        centre, r = SMOOTHING * np.array([x, y]), SMOOTHING * radius
+        self._draw.ellipse([*(centre - r), *(centre + r)], fill=fill)
+
+    def text(
+        self,
+        x: float,
+        y: float,
+        words: str,
+        fill: str,
+        size: int = 12,
+        anchor: str = "ls",
+        bold: bool = False,
+    ) -> None:
+        """Write `words` over everything else; `anchor` as in Pillow (ls: left end of baseline)."""
+        style = {"fill": fill, "font": font(size, bold), "anchor": anchor}
+        self._words.append(((x, y), words, style))
+
+    def pixels(self) -> np.ndarray:
+        """The finished picture (height, width, 3), uint8."""
+        image = self._image.reduce(SMOOTHING)
+        draw = ImageDraw.Draw(image)
+        for place, words, style in self._words:
+            draw.text(place, words, **style)
+        return np.asarray(image)
+
+
+def _large(points: np.ndarray) -> list[float]:
+    return (SMOOTHING * np.asarray(points, dtype=float)).ravel().tolist()

@@ -1,0 +1,154 @@
+"""The panels around the two views: heading, wheel paths, accelerations, struts and tyres."""
+
+import numpy as np
+
+from road_envs.record import SENSORS
+from road_envs.rendering import style
+from road_envs.rendering.canvas import Canvas
+from road_envs.rendering.scene import Scene, free_travel
+from road_envs.suspension import WHEELS, strut_states
+
+BEHIND, AHEAD = 10.0, 20.0
+"""How much road [m] is shown behind and ahead of the front axle."""
+
+TRAVEL = 0.16
+"""Strut extension [m] at the ends of its gauge."""
+
+LOAD = 3.0
+"""Tyre load at the end of its bar, in static loads."""
+
+PATHS = ((style.LEFT_PATH, 1.5), (style.PALE, 2.5))
+"""Colour and thickness of the left and the right wheel path."""
+
+MARGIN = 62
+"""Columns left of a curve, for its labels."""
+
+
+def heading(canvas: Canvas, scene: Scene) -> None:
+    """Road, speed, command, station and time."""
+    y = 0.5 * canvas.height
+    canvas.text(12, y, scene.surface.name, style.INK, 17, "lm", bold=True)
+    canvas.text(330, y, f"{3.6 * scene.speed:.1f} km/h", style.INK, 15, "lm", bold=True)
+    canvas.text(450, y, f"command: {commanded(scene.command)}", style.INK, 13, "lm")
+    canvas.text(860, y, f"station {scene.station:.1f} m", style.INK, 13, "rm")
+    canvas.text(948, y, f"{scene.t:.2f} s", style.INK, 13, "rm")
+
+
+def commanded(byte: int) -> str:
+    """A command byte in words."""
+    stiff, high = (flags[0] for flags in strut_states(np.array([byte])))
+    words = [style.state_word(bool(s), bool(d)) for s, d in zip(stiff, high, strict=True)]
+    if len(set(words)) == 1:
+        return words[0]
+    if words[0] == words[1] and words[2] == words[3]:
+        return f"front {words[0]}, rear {words[2]}"
+    return "each wheel its own"
+
+
+def wheel_paths(canvas: Canvas, scene: Scene) -> None:
+    """Heights of both wheel paths behind and ahead of the car, wheels included."""
+    left, right, top, bottom = MARGIN, canvas.width - 10.0, 22.0, canvas.height - 16.0
+    low, high = min(scene.surface.z.min(), 0.0), max(scene.surface.z.max(), 1e-3)
+
+    def columns(s):
+        return left + (right - left) * (s - scene.station + BEHIND) / (AHEAD + BEHIND)
+
+    def rows(z):
+        return bottom - (bottom - top) * (z - low) / (high - low)
+
+    canvas.text(10, 15, "wheel paths, mm", style.INK, 12)
+    canvas.text(right, 15, "left dark, right light", style.FAINT, 11, "rs")
+    under = np.array([scene.station - scene.car.wheelbase, scene.station])
+    canvas.box(columns(under[0]), top - 2, columns(under[1]), bottom + 2, style.SKY)
+    step = nice((high - low) / 4.0)
+    for z in step * np.arange(np.ceil(low / step), np.floor(high / step) + 1):
+        canvas.line(np.array([[left, rows(z)], [right, rows(z)]]), style.GRID)
+        canvas.text(left - 6, rows(z), f"{1000 * z + 0.0:.0f}", style.FAINT, 11, "rm")
+    first = np.ceil((scene.station - BEHIND) / 5.0) * 5.0
+    for mark in np.arange(first, scene.station + AHEAD, 5.0):
+        canvas.line(np.array([[columns(mark), bottom], [columns(mark), bottom + 4]]), style.FAINT)
+        canvas.text(columns(mark), canvas.height - 2, f"{mark:.0f} m", style.FAINT, 10, "ms")
+    s = np.linspace(scene.station - BEHIND, scene.station + AHEAD, 560)
+    paths = zip(scene.surface.height(s), scene.surface.height(under), PATHS, strict=True)
+    for z, z_under, (colour, thickness) in reversed(list(paths)):
+        canvas.line(np.column_stack([columns(s), rows(z)]), colour, thickness)
+        for column, row in zip(columns(under), rows(z_under), strict=True):
+            canvas.disc(column, row, 3.5, colour)
+
+
+def nice(value: float, leading: tuple[int, ...] = (1, 2, 5)) -> float:
+    """The smallest of the `leading` digits times a power of ten that is not below `value`."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(next(m * power for m in (*leading, 10) if m * power >= value * (1 - 1e-9)))
+
+
+def accelerations(canvas: Canvas, scene: Scene) -> None:
+    """What the three accelerometers have reported of late, newest at the right."""
+    left, right, top = MARGIN, canvas.width - 70.0, 20.0
+    height = (canvas.height - top - 4.0) / len(SENSORS)
+    recent = scene.samples[:, -round(scene.window * scene.fs) :]
+    limit = nice(max(float(np.abs(recent).max()), 1.0), (1, 2, 3, 5))
+    canvas.text(10, 15, f"body accelerations, ±{limit:g} m/s²", style.INK, 12)
+    canvas.text(right, 15, f"last {scene.window:g} s", style.FAINT, 11, "rs")
+    for i, name in enumerate(SENSORS):
+        middle = top + (i + 0.5) * height
+        canvas.line(np.array([[left, middle], [right, middle]]), style.GRID)
+        canvas.text(left - 6, middle, name, style.INK, 12, "rm", bold=True)
+        age, a = envelope(recent[i], scene)
+        points = [right - (right - left) * age / scene.window, middle - 0.47 * height * a / limit]
+        if age.size > 1:
+            canvas.line(np.column_stack(points), style.INK)
+            canvas.text(canvas.width - 10, middle, f"{recent[i, -1]:+.1f}", style.INK, 12, "rm")
+
+
+def envelope(a: np.ndarray, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Ages [s] and values of the lowest and highest of every few samples of `a` (N,)."""
+    size = max(round(scene.window * scene.fs / 500.0), 1)
+    cells = a[a.size % size :].reshape(-1, size)
+    age = np.arange(cells.shape[0])[::-1] * size / scene.fs
+    return np.repeat(age, 2), np.column_stack([cells.min(axis=1), cells.max(axis=1)]).ravel()
+
+
+def corners(canvas: Canvas, scene: Scene) -> None:
+    """State, extension and stops of each strut, and the load of each tyre."""
+    width, height = 0.5 * canvas.width, 0.5 * canvas.height
+    for wheel in range(4):
+        _corner(canvas, scene, wheel, (wheel % 2) * width + 10, (wheel // 2) * height, width - 20)
+
+
+def _corner(canvas: Canvas, scene: Scene, wheel: int, x: float, y: float, width: float) -> None:
+    stiff, high = bool(scene.stiff[wheel]), bool(scene.high[wheel])
+    canvas.text(x, y + 18, WHEELS[wheel], style.INK, 13, bold=True)
+    canvas.box(x + 26, y + 8, x + 33, y + 18, style.state_colour(high))
+    canvas.box(x + 33, y + 8, x + 40, y + 18, style.state_colour(stiff))
+    canvas.text(x + 46, y + 18, style.state_word(stiff, high), style.INK, 12)
+    _extension(canvas, scene, wheel, x, y + 28, width)
+    _load(canvas, scene, wheel, x, y + 62, width)
+
+
+def _extension(canvas, scene, wheel, x, y, width) -> None:
+    e, stop = scene.extension[wheel], scene.stop(wheel)
+    low, high = free_travel(scene.car, wheel)
+
+    def column(extension):
+        return x + width * (0.5 + 0.5 * np.clip(extension / TRAVEL, -1.0, 1.0))
+
+    canvas.box(x, y + 2, x + width, y + 9, style.GRID)
+    canvas.box(x, y, column(low), y + 11, style.LIT if stop < 0 else style.RULE)
+    canvas.box(column(high), y, x + width, y + 11, style.LIT if stop > 0 else style.RULE)
+    canvas.box(column(0.0) - 0.5, y, column(0.0) + 0.5, y + 11, style.FAINT)
+    canvas.box(column(e) - 2, y - 1, column(e) + 2, y + 12, style.INK)
+    words = {-1: "on bump stop", 0: "", 1: "on rebound stop"}[stop]
+    canvas.text(x, y + 24, words or f"strut {1000 * e:+.0f} mm", style.INK, 11)
+
+
+def _load(canvas, scene, wheel, x, y, width) -> None:
+    load = scene.load[wheel]
+    share = load / scene.car.tyre_loads[wheel // 2]
+    canvas.box(x, y, x + width, y + 9, style.GRID)
+    canvas.box(x, y, x + width * min(share / LOAD, 1.0), y + 9, style.STEEL)
+    canvas.box(x + width / LOAD - 0.5, y - 2, x + width / LOAD + 0.5, y + 11, style.INK)
+    if load > 0.0:
+        canvas.text(x, y + 22, f"tyre {load / 1000:.1f} kN", style.INK, 11)
+    else:
+        canvas.text(x, y + 22, "in the air", style.AIR, 11, bold=True)

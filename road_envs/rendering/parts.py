@@ -1,0 +1,48 @@
+"""Parts of the car that both views show."""
+
+import numpy as np
+
+from road_envs.rendering import style
+from road_envs.rendering.canvas import Canvas
+from road_envs.rendering.scene import Scene
+
+MOUNT = 1.02
+"""Height [m] at which the struts are fixed to the body."""
+
+TUBE, COLLAR = 0.34, 0.06
+"""Lengths [m] of a strut's lower tube and of its stops."""
+
+
+def strut(
+    canvas: Canvas, scene: Scene, wheel: int, lower: np.ndarray, upper: np.ndarray, scale: float
+) -> None:
+    """Draw the strut of `wheel` as a telescope from `lower` to `upper` (2,) on the canvas.
+
+    The tube has the damper's colour, the rod the spring's. A stop that is reached lights up: the
+    bump stop under the body, the rebound stop on the tube.
+    """
+    along = upper - lower
+    length = float(np.hypot(*along))
+    along = along / length
+    top = lower + along * min(TUBE * scale, length)
+    across = np.array([-along[1], along[0]])
+    damper = style.state_colour(bool(scene.high[wheel]))
+    spring = style.state_colour(bool(scene.stiff[wheel]))
+    stop = scene.stop(wheel)
+    _bar(canvas, top, upper, across * 0.032 * scale, spring)
+    _bar(canvas, lower, top, across * 0.06 * scale, damper)
+    collar = along * COLLAR * scale
+    _stop(canvas, upper - collar, upper, across * 0.075 * scale, stop < 0)
+    _stop(canvas, top - collar, top, across * 0.075 * scale, stop > 0)
+
+
+def _stop(canvas: Canvas, start: np.ndarray, end: np.ndarray, half: np.ndarray, lit: bool) -> None:
+    if lit:
+        _bar(canvas, start, end, 1.9 * half, style.DARK)
+        _bar(canvas, start, end, 1.6 * half, style.LIT)
+    else:
+        _bar(canvas, start, end, half, style.DARK)
+
+
+def _bar(canvas: Canvas, start: np.ndarray, end: np.ndarray, half: np.ndarray, fill: str) -> None:
+    canvas.polygon(np.array([start + half, end + half, end - half, start - half]), fill)

@@ -1,0 +1,135 @@
+"""The car from behind: solid axle, struts, roll, and the road under the rear wheels.
+
+Left is left. The picture is a section: the body is cut open around wheels and struts.
+"""
+
+import numpy as np
+
+from road_envs.dynamics import AXLE, PHI
+from road_envs.rendering import style
+from road_envs.rendering.canvas import Canvas
+from road_envs.rendering.parts import MOUNT, strut
+from road_envs.rendering.scene import REAR_LEFT, REAR_RIGHT, Scene
+
+SCALE = 104.0
+"""Pixels to a metre."""
+
+GROUND = 254.0
+"""Row of the canvas on which level ground lies."""
+
+TYRE = 0.22
+"""Width of a tyre [m]."""
+
+# Right halves of outlines that their mirror images complete: metres to the side, metres of height
+SHELL = ((0.86, 0.62), (0.895, 1.20), (0.895, 1.30), (0.80, 1.88))
+ROOF = ((0.81, 1.84), (0.77, 1.95), (0.68, 2.00))
+DOOR = ((0.46, 0.70), (0.46, 1.82))
+WINDOW = ((0.38, 1.36), (0.37, 1.76))
+CROSSMEMBER = ((0.74, 0.50), (0.74, 0.64))
+# Parts that stand on both sides
+CORNER_WINDOW = ((0.52, 1.38), (0.78, 1.38), (0.72, 1.76), (0.52, 1.76))
+WELL = ((0.57, 0.62), (0.875, 0.62), (0.885, 0.98), (0.57, 0.98))
+LAMPS = ((0.80, 1.13, style.INDICATOR), (0.80, 1.03, style.LAMP))
+SPARE_HEIGHT = 1.22
+
+SIDES = ("left up", "right up")
+
+
+class RearView:
+    """Draws one scene on one canvas."""
+
+    def __init__(self, canvas: Canvas, scene: Scene):
+        self.canvas, self.scene = canvas, scene
+        self.axle = scene.car.rear
+
+    def draw(self) -> None:
+        """Everything, from the back to the front."""
+        self._body()
+        self._axle()
+        for wheel in (REAR_LEFT, REAR_RIGHT):
+            self._wheel(wheel)
+            self._strut(wheel)
+        self._ground()
+        self._words()
+
+    def place(self, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Points (N, 2) of the canvas for places `y` left, `z` up [m]."""
+        return np.stack([0.5 * self.canvas.width - SCALE * y, GROUND - SCALE * z], axis=-1)
+
+    def on_body(self, outline: tuple, side: int = 1) -> np.ndarray:
+        """Points (N, 2) of the canvas for an outline of the body; `side` -1 mirrors it."""
+        y, z = np.array(outline, dtype=float).T
+        _, y, z = self.scene.body(np.full(y.shape, self.axle.x), side * y, z)
+        return self.place(y, z)
+
+    def _whole(self, half: tuple) -> np.ndarray:
+        return np.concatenate([self.on_body(half), self.on_body(half, -1)[::-1]])
+
+    def _body(self) -> None:
+        canvas = self.canvas
+        canvas.polygon(self._whole(CROSSMEMBER), style.DARK)
+        canvas.polygon(self._whole(SHELL), style.BODY, style.BODY_EDGE)
+        canvas.polygon(self._whole(ROOF), style.ROOF, style.BODY_EDGE)
+        canvas.polygon(self._whole(DOOR), style.BODY, style.BODY_EDGE)
+        canvas.polygon(self._whole(WINDOW), style.GLASS)
+        for side in (1, -1):
+            canvas.polygon(self.on_body(CORNER_WINDOW, side), style.GLASS)
+            canvas.polygon(self.on_body(WELL, side), style.DARK)
+            for y, z, colour in LAMPS:
+                ((column, row),) = self.on_body(((y, z),), side)
+                canvas.disc(column, row, 0.045 * SCALE, colour)
+        ((column, row),) = self.on_body(((0.0, SPARE_HEIGHT),))
+        canvas.disc(column, row, 0.40 * SCALE, style.RUBBER)
+        canvas.disc(column, row, 0.235 * SCALE, style.RIM)
+        canvas.disc(column, row, 0.15 * SCALE, style.STEEL)
+
+    def _axle(self) -> None:
+        y = np.array([self.axle.y_t, -self.axle.y_t])
+        z = np.array([self.scene.hub(wheel) for wheel in (REAR_LEFT, REAR_RIGHT)])
+        self.canvas.line(self.place(y, z), style.STEEL, 9.0)
+        ((column, row),) = self.place(np.array([0.0]), np.array([z.mean()]))
+        self.canvas.disc(column, row, 0.14 * SCALE, style.STEEL)
+
+    def _wheel(self, wheel: int) -> None:
+        scene = self.scene
+        roll = scene.exaggeration * scene.q[AXLE + 3]
+        radius, half = scene.tyre_radius(wheel), 0.5 * TYRE
+        bevel = 0.05
+        y = np.array(
+            [half, half, half - bevel, bevel - half, -half, -half, bevel - half, half - bevel]
+        )
+        z = np.array(
+            [bevel - radius, radius - bevel, radius, radius, radius - bevel, bevel - radius]
+        )
+        z = np.append(z, [-radius, -radius])
+        tread = self.place(scene.lateral(wheel) + y - roll * z, scene.hub(wheel) + z + roll * y)
+        self.canvas.polygon(tread, style.RUBBER)
+
+    def _strut(self, wheel: int) -> None:
+        y = self.axle.y_s if wheel == REAR_LEFT else -self.axle.y_s
+        foot = self.place(np.array([y]), np.array([self.scene.hub(wheel, y)]))[0]
+        head = self.on_body(((y, MOUNT),))[0]
+        strut(self.canvas, self.scene, wheel, foot, head, SCALE)
+
+    def _ground(self) -> None:
+        """The road under the rear axle: both wheel paths, a plane between them."""
+        scene, y = self.scene, self.axle.y_t
+        left, right = scene.road(np.array([scene.station - scene.car.wheelbase]))[:, 0]
+        reach = 0.5 * self.canvas.width / SCALE
+        across = np.array([reach, y - TYRE, -y + TYRE, -reach])
+        top = self.place(across, np.array([left, left, right, right]))
+        low = self.place(across[[-1, 0]], np.full(2, -9.0))
+        self.canvas.polygon(np.concatenate([top, low]), style.EARTH)
+        self.canvas.line(top[:2], style.LEFT_PATH, 2.0)
+        self.canvas.line(top[1:3], style.ROAD, 2.0)
+        self.canvas.line(top[2:], style.RIGHT_PATH, 2.0)
+
+    def _words(self) -> None:
+        write, y = self.canvas.text, self.canvas.height - 12
+        write(12, y, "left", style.PAPER, 12)
+        write(self.canvas.width - 12, y, "right", style.PAPER, 12, "rs")
+        roll, axle = np.degrees(self.scene.q[PHI]), np.degrees(self.scene.q[AXLE + 3])
+        write(10, 20, f"roll {style.tilt(roll, *SIDES)}", style.INK)
+        words = f"rear axle {style.tilt(axle, *SIDES)}"
+        write(0.5 * self.canvas.width, y, words, style.PAPER, 12, "ms")
+        write(self.canvas.width - 10, 20, self.scene.scale_words, style.INK, anchor="rs")

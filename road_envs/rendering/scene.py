@@ -1,0 +1,142 @@
+"""What one frame shows, in numbers: no picture yet, and nothing that a copy or a pickle minds.
+
+Heights in a picture are measured from a datum that follows the road's long waves, as a camera
+beside the car would, and are drawn `exaggeration` times as large: of road, wheels, body and tyre
+deflection alike, so that a wheel that leaves the ground leaves it in the picture too.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from road_envs.curves import Curve
+from road_envs.dynamics import AXLE, PHI, THETA, Z_B
+from road_envs.roads.surface import Surface
+from road_envs.simulate import Drive, Trajectory
+from road_envs.suspension import HIGH, OPEN
+from road_envs.vehicle import VehicleParameters
+
+WHEEL_RADIUS = 0.4
+"""Of an unloaded tyre [m]: 7.50 R 16. The ride model itself needs no radius."""
+
+CAMERA = 20.0
+"""Length of road [m] over whose mean height the camera stands."""
+
+REAR_LEFT, REAR_RIGHT = 2, 3
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """The vehicle on its road at the instant `t` [s], front axle at `station` [m].
+
+    `q` (7,) coordinates as in `dynamics`; `extension` (4,) [m] of the struts; `load` (4,) [N] of
+    the tyres; `stiff`, `high` (4,) where the struts' valves stand; `command` the byte last given;
+    `samples` (3, N) [m/s²] of the accelerometers at `fs` [Hz], newest last, of which the last
+    `window` seconds are shown.
+    """
+
+    car: VehicleParameters
+    surface: Surface
+    t: float
+    station: float
+    speed: float
+    q: np.ndarray
+    extension: np.ndarray
+    load: np.ndarray
+    stiff: np.ndarray
+    high: np.ndarray
+    command: int
+    samples: np.ndarray
+    fs: float
+    window: float
+    exaggeration: float = 1.0
+
+    @classmethod
+    def of(
+        cls,
+        drive: Drive,
+        trajectory: Trajectory,
+        samples: np.ndarray,
+        fs: float,
+        window: float,
+        exaggeration: float,
+    ) -> "Scene":
+        """The scene at the end of `trajectory`, the last that `drive` made."""
+        return cls(
+            car=drive.car,
+            surface=drive.surface,
+            t=float(trajectory.t[-1]),
+            station=float(trajectory.s[-1]),
+            speed=float(trajectory.v[-1]),
+            q=trajectory.state[-1, :7],
+            extension=trajectory.extension[-1],
+            load=trajectory.tyre_load[-1],
+            stiff=drive.memory[:, OPEN] < 0.5,
+            high=drive.memory[:, HIGH] >= 0.5,
+            command=int(trajectory.commands[-1]),
+            samples=samples,
+            fs=fs,
+            window=window,
+            exaggeration=exaggeration,
+        )
+
+    @cached_property
+    def datum(self) -> float:
+        """Height [m] of the camera: a weighted mean of both wheel paths around the car."""
+        middle = self.station - 0.5 * self.car.wheelbase
+        weights = np.hanning(82)[1:-1]
+        s = middle + CAMERA * np.linspace(-0.5, 0.5, weights.size)
+        return float(self.surface.height(s).mean(axis=0) @ weights / weights.sum())
+
+    def drawn(self, z: np.ndarray | float) -> np.ndarray:
+        """Heights `z` [m], of any shape, as they are drawn: from the datum, exaggerated."""
+        return self.exaggeration * (np.asarray(z) - self.datum)
+
+    def road(self, s: np.ndarray) -> np.ndarray:
+        """Heights (2, M) [m] of left and right wheel path at stations `s` (M,), as drawn."""
+        return self.drawn(self.surface.height(s))
+
+    def body(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Where points of the body that rest at `x`, `y`, `z` (N,) [m] are drawn."""
+        k, lever = self.exaggeration, z - self.car.h_cg
+        heave = self.drawn(self.q[Z_B] - x * self.q[THETA] + y * self.q[PHI])
+        return x + k * self.q[THETA] * lever, y - k * self.q[PHI] * lever, z + heave
+
+    def hub(self, wheel: int, y: float | None = None) -> float:
+        """Height [m] of an axle at its `wheel`, or at `y` [m] left of its middle, as drawn."""
+        axle = wheel // 2
+        if y is None:
+            y = self.lateral(wheel)
+        height = self.q[AXLE + 2 * axle] + y * self.q[AXLE + 2 * axle + 1]
+        rest = WHEEL_RADIUS - self.car.tyre_deflections[axle]
+        return float(rest + self.drawn(height))
+
+    def tyre_radius(self, wheel: int) -> float:
+        """Radius [m] of the tyre as drawn, unloaded: its deflection is exaggerated as well."""
+        return WHEEL_RADIUS + (self.exaggeration - 1.0) * self.car.tyre_deflections[wheel // 2]
+
+    def lateral(self, wheel: int) -> float:
+        """How far left of the centre line the `wheel` stands [m]."""
+        y = self.car.axles[wheel // 2].y_t
+        return y if wheel % 2 == 0 else -y
+
+    @property
+    def scale_words(self) -> str:
+        """How the picture's vertical motion compares with the car's size."""
+        k = self.exaggeration
+        return "to scale" if k == 1.0 else f"vertical motion ×{k:g}"
+
+    def stop(self, wheel: int) -> int:
+        """-1 where the strut is on its bump stop, 1 on its rebound stop, 0 between."""
+        low, high = free_travel(self.car, wheel)
+        e = self.extension[wheel]
+        return int(e >= high) - int(e <= low)
+
+
+def free_travel(car: VehicleParameters, wheel: int) -> tuple[float, float]:
+    """Extensions [m] of a strut between which neither of its stops pushes."""
+    stops = car.strut.bump_stop
+    curve: Curve = stops.front if wheel < REAR_LEFT else stops.rear
+    free = [x for x, F in zip(curve.x, curve.F, strict=True) if F == 0.0]
+    return (min(free), max(free)) if free else (0.0, 0.0)

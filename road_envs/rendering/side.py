@@ -1,0 +1,247 @@
+"""The car from its right side, driving to the right over both wheel paths.
+
+An oblique picture: the right wheel path is in front, the left one behind it, a little higher and
+further to the right. Along the car lengths are to scale; the body's outline is a Defender 110's,
+fixed to the axles of whatever vehicle is driven.
+"""
+
+import numpy as np
+
+from road_envs.dynamics import THETA, Z_B
+from road_envs.rendering import style
+from road_envs.rendering.canvas import Canvas
+from road_envs.rendering.parts import MOUNT, strut
+from road_envs.rendering.scene import Scene
+
+SCALE = 92.0
+"""Pixels to a metre."""
+
+SHEAR = np.array([0.07, 0.13])
+"""How far a metre to the left is drawn to the right and upward [m]."""
+
+GROUND = 254.0
+"""Row of the canvas on which a level right wheel path lies."""
+
+SHOULDER = 0.3
+"""Width of the road outside the wheel paths [m]."""
+
+STONE, COURSES = 0.25, 4
+"""Length of a paving stone [m], and how many lie side by side between the wheel paths."""
+
+FRONT_LEFT, FRONT_RIGHT, REAR_LEFT, REAR_RIGHT = range(4)
+
+# Outlines: share of the wheelbase ahead of the rear axle, metres ahead of that, metres of height
+CHASSIS = ((1, 0.52, 0.50), (1, 0.52, 0.64), (0, -0.98, 0.64), (0, -0.98, 0.50))
+BUMPER = ((1, 0.52, 0.50), (1, 0.68, 0.50), (1, 0.68, 0.66), (1, 0.52, 0.66))
+SHELL = (
+    (1, 0.52, 0.60),
+    (1, 0.53, 1.19),
+    (1, 0.47, 1.26),
+    (1, -0.58, 1.33),
+    (1, -0.74, 1.88),
+    (0, -0.99, 1.88),
+    (0, -1.02, 1.30),
+    (0, -1.02, 0.60),
+)
+ROOF = (
+    (1, -0.70, 1.86),
+    (1, -0.78, 1.96),
+    (1, -0.92, 2.00),
+    (0, -0.90, 2.00),
+    (0, -0.98, 1.95),
+    (0, -1.01, 1.84),
+    (1, -0.70, 1.84),
+)
+WINDOWS = (
+    ((1, -0.70, 1.36), (1, -0.82, 1.79), (0.5, -0.06, 1.79), (0.5, -0.06, 1.36)),
+    ((0.5, 0.02, 1.36), (0.5, 0.02, 1.79), (0.5, -0.70, 1.79), (0.5, -0.70, 1.36)),
+    ((0, 0.60, 1.40), (0, 0.60, 1.79), (0, -0.88, 1.79), (0, -0.91, 1.40)),
+)
+ALPINE = ((0, 0.40, 1.89), (0, 0.36, 1.94), (0, -0.74, 1.94), (0, -0.78, 1.89))
+ARCH = ((-0.54, 0.58), (-0.50, 0.82), (-0.36, 0.97), (0.36, 0.97), (0.50, 0.82), (0.54, 0.58))
+SEAMS = (
+    ((1, -0.62, 1.30), (1, -0.62, 0.66)),
+    ((0.5, -0.02, 1.84), (0.5, -0.02, 0.66)),
+    ((0.5, -0.76, 1.84), (0.5, -0.76, 0.98)),
+    ((1, 0.50, 1.10), (0, -1.02, 1.10)),
+)
+SPARE = (
+    (0, -1.04, 0.90),
+    (0, -1.04, 1.62),
+    (0, -1.10, 1.66),
+    (0, -1.22, 1.66),
+    (0, -1.26, 1.60),
+    (0, -1.26, 0.92),
+    (0, -1.22, 0.86),
+    (0, -1.10, 0.86),
+)
+TAIL_LAMP = ((0, -0.98, 0.92), (0, -1.05, 0.92), (0, -1.05, 1.02), (0, -0.98, 1.02))
+HEADLAMP = ((1, 0.52, 0.98), (1, 0.57, 0.99), (1, 0.57, 1.13), (1, 0.52, 1.14))
+TURN_LAMP = ((1, 0.53, 0.84), (1, 0.57, 0.84), (1, 0.57, 0.91), (1, 0.53, 0.91))
+DRIVER = ((1, -1.02, 1.36), (1, -1.06, 1.46), (1, -1.22, 1.48), (1, -1.32, 1.36))
+HEAD = (1, -1.14, 1.57)
+
+LEGEND = (
+    (10, style.SOFT, "soft spring, low damping"),
+    (210, style.STIFF, "stiff spring, high damping"),
+    (420, style.LIT, "stop reached"),
+)
+"""Column, colour and meaning of what the struts show."""
+
+
+class SideView:
+    """Draws one scene on one canvas."""
+
+    def __init__(self, canvas: Canvas, scene: Scene):
+        self.canvas, self.scene = canvas, scene
+        self.origin = 0.5 * canvas.width - SCALE * 0.5 * (scene.car.front.x + scene.car.rear.x)
+        self.near = -scene.car.front.y_t
+        columns = np.linspace(-20.0, canvas.width + 20.0, 340)
+        self.x = (columns - self.origin) / SCALE
+        self.s = self.x + scene.station - scene.car.front.x
+        self.left, self.right = scene.road(self.s)
+
+    def draw(self) -> None:
+        """Everything, from the back to the front."""
+        self._hills()
+        self._far_side()
+        self._road()
+        self._body()
+        for wheel in (REAR_RIGHT, FRONT_RIGHT):
+            self._wheel(wheel)
+            self._strut(wheel)
+        self._foreground()
+        self._words()
+
+    def place(self, x: np.ndarray, y: np.ndarray | float, z: np.ndarray) -> np.ndarray:
+        """Points (N, 2) of the canvas for places `x` ahead, `y` left, `z` up [m]."""
+        depth = np.asarray(y) - self.near
+        columns = self.origin + SCALE * (x + SHEAR[0] * depth)
+        rows = GROUND - SCALE * (z + SHEAR[1] * depth)
+        return np.stack(np.broadcast_arrays(columns, rows), axis=-1)
+
+    def on_body(self, outline: tuple) -> np.ndarray:
+        """Points (N, 2) of the canvas for an outline of the body, in the right struts' plane."""
+        car = self.scene.car
+        share, ahead, z = np.array(outline, dtype=float).T
+        x = car.rear.x + share * car.wheelbase + ahead
+        y = np.full(x.shape, -car.front.y_s)
+        x, _, z = self.scene.body(x, y, z)
+        return self.place(x, self.near, z)
+
+    def _hills(self) -> None:
+        """A far ridge that passes more slowly than the road."""
+        u = 0.12 * self.x + 0.015 * self.scene.station
+        ridge = 0.75 + 0.22 * np.sin(4.1 * u) + 0.12 * np.sin(9.7 * u + 1.0)
+        foot = self.place(self.x, 0.0, np.zeros(self.x.size))
+        self._strip(self.place(self.x, 0.0, ridge), foot, style.HILLS)
+
+    def _far_side(self) -> None:
+        y = -self.near
+        verge = self.place(self.x, y + SHOULDER, self.left)
+        self._strip(verge, self.place(self.x, y, self.left), style.ROAD)
+        for wheel in (REAR_LEFT, FRONT_LEFT):
+            self._wheel(wheel)
+
+    def _road(self) -> None:
+        far, near = (
+            self.place(self.x, -self.near, self.left),
+            self.place(self.x, self.near, self.right),
+        )
+        self._strip(far, near, style.ROAD)
+        self._stones()
+        self.canvas.line(far, style.LEFT_PATH, 1.5)
+        for left in (REAR_LEFT, FRONT_LEFT):
+            x = self.scene.car.axles[left // 2].x
+            ends = [self.scene.hub(left), self.scene.hub(left + 1)]
+            beam = self.place(np.array([x, x]), np.array([-self.near, self.near]), np.array(ends))
+            self.canvas.line(beam, style.DARK, 7.0)
+
+    def _stones(self) -> None:
+        """Courses of stones without a period, which would seem to run backwards."""
+        car, scene = self.scene.car, self.scene
+        for course in range(COURSES):
+            shift = 0.5 * (course % 2)
+            number = np.arange(int(self.s[0] / STONE) - 1, int(self.s[-1] / STONE) + 1)
+            s = STONE * (number[:, None] + shift + np.array([0.04, 0.96, 0.96, 0.04]))
+            across = (course + np.array([0.1, 0.1, 0.95, 0.95])) / COURSES
+            left, right = scene.road(s)
+            x, z = s - scene.station + car.front.x, left + across * (right - left)
+            corners = self.place(x, self.near * (2.0 * across - 1.0), z)
+            for i, stone in zip(number.tolist(), corners, strict=True):
+                self.canvas.polygon(stone, style.STONES[_scatter(i, course) % len(style.STONES)])
+
+    def _body(self) -> None:
+        canvas = self.canvas
+        canvas.polygon(self.on_body(CHASSIS), style.DARK)
+        canvas.polygon(self.on_body(SPARE), style.RUBBER)
+        canvas.polygon(self.on_body(HEADLAMP), style.RIM, style.BODY_EDGE)
+        canvas.polygon(self.on_body(SHELL), style.BODY, style.BODY_EDGE)
+        canvas.polygon(self.on_body(ROOF), style.ROOF, style.BODY_EDGE)
+        for window in WINDOWS:
+            canvas.polygon(self.on_body(window), style.GLASS)
+        canvas.polygon(self.on_body(ALPINE), style.GLASS)
+        canvas.polygon(self.on_body(DRIVER), style.STEEL)
+        ((x, y),) = self.on_body((HEAD,))
+        canvas.disc(x, y, 0.1 * SCALE, style.STEEL)
+        for seam in SEAMS:
+            canvas.line(self.on_body(seam), style.BODY_EDGE)
+        for share in (0, 1):
+            canvas.polygon(self.on_body(tuple((share, *p) for p in ARCH)), style.DARK)
+        canvas.polygon(self.on_body(BUMPER), style.DARK)
+        canvas.polygon(self.on_body(TAIL_LAMP), style.LAMP)
+        canvas.polygon(self.on_body(TURN_LAMP), style.INDICATOR)
+
+    def _wheel(self, wheel: int) -> None:
+        scene, canvas = self.scene, self.canvas
+        x, y, z = scene.car.axles[wheel // 2].x, scene.lateral(wheel), scene.hub(wheel)
+        ((column, row),) = self.place(np.array([x]), y, np.array([z]))
+        radius = SCALE * scene.tyre_radius(wheel)
+        canvas.disc(column, row, radius, style.RUBBER)
+        canvas.disc(column, row, 0.235 * SCALE, style.RIM)
+        canvas.disc(column, row, 0.15 * SCALE, style.STEEL)
+        turned = (scene.station - scene.car.front.x + x) / z
+        mark = 0.19 * SCALE * np.array([np.sin(turned), -np.cos(turned)])
+        canvas.disc(column + mark[0], row + mark[1], 0.035 * SCALE, style.DARK)
+
+    def _strut(self, wheel: int) -> None:
+        axle = self.scene.car.axles[wheel // 2]
+        lower = self.scene.hub(wheel, -axle.y_s)
+        foot = self.place(np.array([axle.x]), self.near, np.array([lower]))[0]
+        head = self.on_body(((1 - wheel // 2, 0.0, MOUNT),))[0]
+        strut(self.canvas, self.scene, wheel, foot, head, SCALE)
+
+    def _foreground(self) -> None:
+        """The road in front of the right wheels, and the earth under it with its stations."""
+        path = self.place(self.x, self.near, self.right)
+        edge = self.place(self.x, self.near - SHOULDER, self.right)
+        self._strip(path, edge, style.ROAD)
+        bottom = np.array([[edge[-1, 0], self.canvas.height], [edge[0, 0], self.canvas.height]])
+        self.canvas.polygon(np.concatenate([edge, bottom]), style.EARTH)
+        self.canvas.line(path, style.RIGHT_PATH, 1.5)
+        for mark in np.arange(np.ceil(self.s[0] / 2.0) * 2.0, self.s[-1], 2.0):
+            i = int(np.searchsorted(self.s, mark))
+            x, y = edge[i]
+            self.canvas.line(np.array([[x, y], [x, y + 6.0]]), style.PAPER)
+            self.canvas.text(x, y + 18.0, f"{mark:.0f} m", style.PAPER, 11, "ms")
+
+    def _strip(self, one: np.ndarray, other: np.ndarray, fill: str) -> None:
+        self.canvas.polygon(np.concatenate([one, other[::-1]]), fill)
+
+    def _words(self) -> None:
+        q = self.scene.q
+        pitch, heave = np.degrees(q[THETA]), 1000.0 * q[Z_B]
+        write = self.canvas.text
+        write(10, 20, f"pitch {style.tilt(pitch, 'nose down', 'nose up')}", style.INK)
+        write(200, 20, f"heave {heave:+4.0f} mm", style.INK)
+        write(self.canvas.width - 10, 20, self.scene.scale_words, style.INK, anchor="rs")
+        y = self.canvas.height - 11.0
+        for x, colour, words in LEGEND:
+            self.canvas.box(x, y - 5, x + 10, y + 5, style.PAPER)
+            self.canvas.box(x + 1, y - 4, x + 9, y + 4, colour)
+            write(x + 16, y, words, style.PAPER, 11, "lm")
+
+
+def _scatter(i: int, row: int) -> int:
+    """A number without pattern for stone `i` of a row: multiplicative hashing."""
+    return ((i * 2654435761 + row * 40503) & 0xFFFFFFFF) >> 13

@@ -1,0 +1,85 @@
+"""Colours and words of the picture.
+
+What has a meaning has a colour of Okabe & Ito's palette, which colour-blind readers tell apart.
+"""
+
+import numpy as np
+
+from road_envs.suspension import MODES
+
+PAPER = "#ffffff"
+RULE = "#c9d1d8"
+INK = "#1d2a35"
+FAINT = "#6b7884"
+PALE = "#93a3b1"
+GRID = "#e6eaee"
+
+SKY = "#dfebf3"
+HILLS = "#cfdccf"
+ROAD = "#a5a198"
+STONES = ("#bcb8b0", "#b3aea5", "#c3bfb8", "#aeaaa3", "#b8b2a6")
+EARTH = "#857d71"
+LEFT_PATH = "#16222d"
+RIGHT_PATH = "#f4f1ea"
+
+BODY = "#5f8263"
+BODY_EDGE = "#44604a"
+ROOF = "#f3efe4"
+GLASS = "#3a4a56"
+DARK = "#2a2d30"
+RUBBER = "#33363a"
+RIM = "#dcd8cc"
+STEEL = "#8d959c"
+LAMP = "#b5382a"
+INDICATOR = "#e08a1e"
+
+SOFT = "#0072b2"
+STIFF = "#d55e00"
+LIT = "#f0e442"
+AIR = LAMP
+
+EDGES = (
+    (PAPER, INK, 2),
+    (PAPER, FAINT, 1),
+    (EARTH, PAPER, 1),
+    (SKY, INK, 1),
+    (BODY, BODY_EDGE, 1),
+)
+"""Colours that often meet, and how many shades between them a smooth edge wants."""
+
+WORDS = {
+    "ride": "ride",
+    "handling": "handling",
+    "soft_high": "soft spring, high damping",
+    "stiff_low": "stiff spring, low damping",
+}
+
+
+def palette() -> list[int]:
+    """Red, green, blue of every colour and of the shades at edges, one after the other."""
+    named = [value for value in globals().values() if isinstance(value, str) and value[:1] == "#"]
+    colours = [_rgb(value) for value in (*named, *STONES)]
+    for one, other, shades in EDGES:
+        share = np.arange(1, shades + 1)[:, None] / (shades + 1)
+        colours.extend(_rgb(one) + share * (_rgb(other) - _rgb(one)))
+    return np.rint(np.unique(colours, axis=0)).astype(int).ravel().tolist()
+
+
+def _rgb(colour: str) -> np.ndarray:
+    return np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)], dtype=float)
+
+
+def tilt(angle: float, positive: str, negative: str) -> str:
+    """An angle [degrees] with the word for its direction."""
+    size = f"{abs(angle):.2f}°"
+    return size if size == "0.00°" else f"{size} {positive if angle > 0 else negative}"
+
+
+def state_word(stiff: bool, high: bool) -> str:
+    """The state of a strut in words."""
+    return WORDS[next(mode for mode, state in MODES.items() if state == (stiff, high))]
+
+
+def state_colour(firm: bool) -> str:
+    """The colour of a soft spring and low damping, or of a stiff one and high damping."""
+    return STIFF if firm else SOFT

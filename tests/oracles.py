@@ -1,0 +1,293 @@
+"""Independent answers for vehicle, suspension, motion and instruments.
+
+Nothing of the packages under test is imported; the paper's constants are typed here again, so that
+a wrong one in the code cannot hide. A `car` is anything with the attributes of a vehicle
+description; `memory` (4, 3) holds each strut's (held extension, open fraction, share of high
+damping). "Paper" is Ngwangwa, Heyns, Breytenbach & Els.
+"""
+
+from types import SimpleNamespace
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+from scipy.linalg import eigh
+
+G = 9.81
+PAPER_AXLE = {"m": 229.0, "I_xx": 33.1, "y_s": 1.1 / 2, "y_t": 1.5 / 2, "k_t": 250e3, "c_t": 1200.0}
+PAPER_CAR = SimpleNamespace(  # Table 1, section 2.2, eq. 1; wheelbase of 110 inches
+    m_b=1734.0,
+    I_xx=688.0,
+    I_yy=2440.0,
+    front=SimpleNamespace(x=1.395, **PAPER_AXLE),
+    rear=SimpleNamespace(x=1.395 - 2.794, **PAPER_AXLE),
+)
+P_STAT, BORE, N_P = 2.167e6, 1.963e-3, 1.0
+X_STAT = {"ride": 0.255, "handling": 0.0509}
+MODES_HZ = {  # roll, bounce, pitch, hops, axle rolls: as computed apart from this project's code
+    "ride": (0.847, 0.955, 1.125, 7.685, 7.687, 14.932, 14.933),
+    "handling": (1.774, 1.897, 2.226, 8.665, 8.696, 15.935, 15.953),
+}
+SIDES = ("left", "right")
+
+
+# --- the linear car, from energy ------------------------------------------------------------------
+
+
+def gas_force(x_stat, extension):
+    """Eq. 1 as printed [N]."""
+    return P_STAT * BORE * (x_stat / (x_stat + extension)) ** N_P
+
+
+def static_rate(mode):
+    """Rate of eq. 1 at its static length [N/m]."""
+    return N_P * P_STAT * BORE / X_STAT[mode]
+
+
+def linear_matrices(car, k_s, c_s=(0.0, 0.0)):
+    """(M, C, K, K_r, C_r) of the car with linear struts `k_s`, `c_s` (front, rear).
+
+    A spring whose stretch is b.q stores k (b.q)^2 / 2 and so adds k b b' to K; no force is summed
+    and no sign is chosen. K_r, C_r (7, 4) belong to the road's heights and their rates.
+    """
+    M, C, K = np.zeros((7, 7)), np.zeros((7, 7)), np.zeros((7, 7))
+    K_r, C_r = np.zeros((7, 4)), np.zeros((7, 4))
+    M[[0, 1, 2], [0, 1, 2]] = car.m_b, car.I_xx, car.I_yy
+    for i, axle in enumerate((car.front, car.rear)):
+        M[3 + 2 * i, 3 + 2 * i], M[4 + 2 * i, 4 + 2 * i] = axle.m, axle.I_xx
+        for side, sign in enumerate((1.0, -1.0)):
+            strut, tyre = np.zeros(7), np.zeros(7)
+            strut[:3] = -1.0, -sign * axle.y_s, axle.x
+            strut[3 + 2 * i : 5 + 2 * i] = 1.0, sign * axle.y_s
+            tyre[3 + 2 * i : 5 + 2 * i] = 1.0, sign * axle.y_t
+            K += k_s[i] * np.outer(strut, strut) + axle.k_t * np.outer(tyre, tyre)
+            C += c_s[i] * np.outer(strut, strut) + axle.c_t * np.outer(tyre, tyre)
+            K_r[:, 2 * i + side], C_r[:, 2 * i + side] = axle.k_t * tyre, axle.c_t * tyre
+    return M, C, K, K_r, C_r
+
+
+def natural_frequencies(M, K):
+    """Undamped natural frequencies [Hz], ascending."""
+    return np.sqrt(eigh(K, M, eigvals_only=True)) / (2.0 * np.pi)
+
+
+def response(matrices, f, road):
+    """Complex accelerations (7,) at `f` [Hz] to complex road amplitudes (4,) [m]."""
+    M, C, K, K_r, C_r = matrices
+    jw = 2j * np.pi * f
+    return jw**2 * np.linalg.solve(jw**2 * M + jw * C + K, (K_r + jw * C_r) @ road)
+
+
+def static_loads(car):
+    """Loads (strut, tyre) [N] of one front and one rear wheel, from force and moment balance."""
+    levers = [[2.0, 2.0], [2.0 * car.front.x, 2.0 * car.rear.x]]
+    struts = np.linalg.solve(levers, [car.m_b * G, 0.0])
+    return struts, struts + 0.5 * G * np.array([car.front.m, car.rear.m])
+
+
+# --- the nonlinear car ----------------------------------------------------------------------------
+
+
+class Cubic:
+    """A force curve: PCHIP through its breakpoints, straight on beyond them; and its integral."""
+
+    def __init__(self, curve):
+        self.inside = PchipInterpolator(curve.x, curve.F)
+        self.slope, self.area = self.inside.derivative(), self.inside.antiderivative()
+        self.ends = curve.x[0], curve.x[-1]
+
+    def __call__(self, x):
+        c = np.clip(x, *self.ends)
+        return self.inside(c) + self.slope(c) * (x - c)
+
+    def integral(self, x):
+        """From 0 to `x`."""
+        c = np.clip(x, *self.ends)
+        beyond = x - c
+        return (
+            self.area(c)
+            - self.area(0.0)
+            + beyond * self.inside(c)
+            + 0.5 * beyond**2 * self.slope(c)
+        )
+
+
+class NonlinearCar:
+    """The paper's equations 2 to 8, corrected, in its own letters and axes; and the energies.
+
+    z points down, pitch beta is positive nose up, roll alpha, theta, phi lift the left side. In
+    eq. 7 the left tyre's heave terms are negative; a tyre that would pull has no force at all.
+    Wheels stand in the order lf, rf, lr, rr.
+    """
+
+    def __init__(self, car):
+        self.car, self.strut = car, car.strut
+        s = car.strut
+        self.damper = Cubic(s.damper.ride), Cubic(s.damper.handling)
+        self.friction = Cubic(s.friction.ride), Cubic(s.friction.handling)
+        self.bushing = Cubic(s.bushing)
+        self.stops = Cubic(s.bump_stop.front), Cubic(s.bump_stop.rear)
+        axles = (car.front, car.front, car.rear, car.rear)
+        self.k_t, self.c_t = np.array([[a.k_t, a.c_t] for a in axles]).T
+        loads = static_loads(car)[1]
+        self.delta = np.repeat([loads[0] / car.front.k_t, loads[1] / car.rear.k_t], 2)
+        if car.tyre_static_deflection != "equilibrium":
+            self.delta[:] = car.tyre_static_deflection
+
+    def gas(self, memory, e):
+        """Force [N] of the gas springs at extensions `e` (4,); a tangent below the least column."""
+        s = self.strut
+        held, opened = memory[:, 0], memory[:, 1]
+        e_2 = held + opened * e * s.x_2 / (s.x_1 + s.x_2)
+        x = s.x_1 + (e - e_2)
+        least = np.maximum(x, s.column_min)
+        F = s.p_stat * s.A * (s.x_1 / least) ** s.n_p
+        return F * (1.0 - s.n_p * (x - least) / least)
+
+    def strut_forces(self, memory, e, e_dot):
+        """Forces (4,) [N] that extend the struts."""
+        share = memory[:, 2]
+        losses = [d(e_dot) + f(e_dot) for d, f in zip(self.damper, self.friction, strict=True)]
+        stops = np.concatenate([self.stops[0](e[:2]), self.stops[1](e[2:])])
+        damping = (1.0 - share) * losses[0] + share * losses[1]
+        return self.gas(memory, e) - damping - self.bushing(e) - stops
+
+    def extensions(self, z_b, alpha, beta, z_uf, theta, z_ur, phi):
+        """Extensions (4,) of the struts, or their rates, in the paper's coordinates."""
+        car = self.car
+        b, a, d_f, d_r = car.front.x, -car.rear.x, car.front.y_s, car.rear.y_s
+        return np.array(
+            [
+                (z_uf - d_f * theta) - (z_b - d_f * alpha - b * beta),
+                (z_uf + d_f * theta) - (z_b + d_f * alpha - b * beta),
+                (z_ur - d_r * phi) - (z_b - d_r * alpha + a * beta),
+                (z_ur + d_r * phi) - (z_b + d_r * alpha + a * beta),
+            ]
+        )
+
+    def accelerations(self, memory, q, v, z_r, w_r):
+        """Accelerations (7,) in the project's axes, of the corrected equations 2 to 8."""
+        car = self.car
+        to_paper = np.array([-1.0, 1.0, -1.0, -1.0, 1.0, -1.0, 1.0])
+        now, rate = to_paper * q, to_paper * v
+        F_lf, F_rf, F_lr, F_rr = self.strut_forces(
+            memory, self.extensions(*now), self.extensions(*rate)
+        )
+        z_b2 = (car.m_b * G - F_rr - F_lr - F_lf - F_rf) / car.m_b  # eq. 2
+        alpha2 = ((F_lr * car.rear.y_s + F_lf * car.front.y_s)
+                  - (F_rr * car.rear.y_s + F_rf * car.front.y_s)) / car.I_xx  # eq. 5  # fmt: skip
+        beta2 = ((F_lf + F_rf) * car.front.x - (F_rr + F_lr) * -car.rear.x) / car.I_yy  # eq. 6
+        axles = []
+        for i, (axle, F_l, F_r) in enumerate([(car.front, F_lf, F_rf), (car.rear, F_lr, F_rr)]):
+            z, roll, z_1, roll_1 = *now[3 + 2 * i : 5 + 2 * i], *rate[3 + 2 * i : 5 + 2 * i]
+            (r_l, r_r), (w_l, w_r_) = -z_r[2 * i : 2 * i + 2], -w_r[2 * i : 2 * i + 2]
+            c, d, delta = axle.y_t, axle.y_s, self.delta[2 * i]
+
+            def touching(z_wheel, z_wheel_1, r, w, axle=axle, delta=delta):
+                load = axle.k_t * (z_wheel - r + delta) + axle.c_t * (z_wheel_1 - w)
+                return (axle.k_t, axle.c_t) if load > 0.0 else (0.0, 0.0)
+
+            k_l, c_l = touching(z - c * roll, z_1 - c * roll_1, r_l, w_l)
+            k_r, c_r = touching(z + c * roll, z_1 + c * roll_1, r_r, w_r_)
+            left = k_r * z + k_r * c * roll + c_r * z_1 + c_r * c * roll_1  # eq. 3, 4
+            left += k_l * z - k_l * c * roll + c_l * z_1 - c_l * c * roll_1
+            right = k_r * r_r + c_r * w_r_ - k_r * delta + k_l * r_l + c_l * w_l - k_l * delta
+            z_2 = (right + axle.m * G + F_r + F_l - left) / axle.m
+            left = -c * k_l * z + c * c * k_l * roll - c * c_l * z_1 + c * c * c_l * roll_1  # 7, 8
+            left += c * k_r * z + c * c * k_r * roll + c * c_r * z_1 + c * c * c_r * roll_1
+            right = -c * k_l * r_l - c * c_l * w_l + c * k_l * delta
+            right += c * k_r * r_r + c * c_r * w_r_ - c * k_r * delta + d * (F_r - F_l)
+            axles += [z_2, (right - left) / axle.I_xx]
+        return to_paper * np.array([z_b2, alpha2, beta2, *axles])
+
+    def energy(self, memory, q, v, z_r):
+        """Mechanical energy [J]: kinetic, of position, gas, bushings and stops, tyres."""
+        car, s = self.car, self.strut
+        masses = np.array([car.m_b, car.I_xx, car.I_yy, car.front.m, car.front.I_xx, car.rear.m,
+                           car.rear.I_xx])  # fmt: skip
+        e, y_t = np.empty(4), np.array([1.0, -1.0, 1.0, -1.0])
+        wheels = np.empty(4)
+        for w, axle in enumerate((car.front, car.front, car.rear, car.rear)):
+            height, roll = q[3 + 2 * (w // 2)], q[4 + 2 * (w // 2)]
+            e[w] = q[0] - axle.x * q[2] - height + y_t[w] * axle.y_s * (q[1] - roll)
+            wheels[w] = height + y_t[w] * axle.y_t * roll
+        share = 1.0 - memory[:, 1] * s.x_2 / (s.x_1 + s.x_2)
+        x = s.x_1 + share * e - memory[:, 0]
+        assert (x > s.column_min).all(), "the closed form ends at the tangent"
+        pA = s.p_stat * s.A
+        if s.n_p == 1.0:
+            gas = -pA * s.x_1 / share * np.log(x / s.x_1)
+        else:
+            n = 1.0 - s.n_p
+            gas = -pA * s.x_1**s.n_p / share * (x**n - s.x_1**n) / n
+        stops = self.bushing.integral(e).sum()
+        stops += self.stops[0].integral(e[:2]).sum() + self.stops[1].integral(e[2:]).sum()
+        tyres = 0.5 * self.k_t * np.maximum(self.delta + z_r - wheels, 0.0) ** 2
+        position = G * (car.m_b * q[0] + car.front.m * q[3] + car.rear.m * q[5])
+        return 0.5 * masses @ v**2 + position + gas.sum() + stops + tyres.sum()
+
+
+# --- road, valve, integrator, instruments ---------------------------------------------------------
+
+
+class Road:
+    """Heights and slopes under the four wheels: Catmull-Rom through the samples, level outside."""
+
+    def __init__(self, z, ds, start=0.0):
+        z = np.pad(np.asarray(z, float), ((0, 0), (3, 3)), mode="edge")
+        s = start + ds * (np.arange(z.shape[1]) - 3)
+        slope = np.zeros_like(z)
+        slope[:, 1:-1] = (z[:, 2:] - z[:, :-2]) / (2.0 * ds)
+        self.ends = s[0], s[-1]
+        self.z = CubicHermiteSpline(s, z, slope, axis=1)
+        self.dz = self.z.derivative()
+
+    def under(self, s, wheelbase, v):
+        """Heights and rates (4,) with the front axle at `s` and the speed `v`."""
+        at = np.clip([s, s - wheelbase], *self.ends)
+        return self.z(at).T.ravel(), v * self.dz(at).T.ravel()
+
+
+def trajectory(car, memory, road, v, s_0, y_0, times, **options):
+    """States (14, N) at `times` by an adaptive method of SciPy; the struts' memory stands still."""
+    oracle, wheelbase = NonlinearCar(car), car.front.x - car.rear.x
+
+    def rate(t, y):
+        z_r, w_r = road.under(s_0 + v * t, wheelbase, v)
+        return np.concatenate([y[7:], oracle.accelerations(memory, y[:7], y[7:], z_r, w_r)])
+
+    found = solve_ivp(rate, (0.0, times[-1]), y_0, t_eval=times, **options)
+    assert found.success
+    return found.y
+
+
+def second_accumulator(e, e_dot, stiff, times, *, u_0, e_2_0, ratio, lag, equalisation):
+    """The extension e_2(t) of the second accumulator for a strut moved as e(t), commanded at 0."""
+
+    def rate(t, y):
+        u = y[0]
+        flow = u * ratio * e_dot(t) + u * (ratio * e(t) - y[1]) / equalisation
+        return [((0.0 if stiff else 1.0) - u) / lag, flow]
+
+    found = solve_ivp(rate, (0.0, times[-1]), [u_0, e_2_0], t_eval=times, rtol=1e-9, atol=1e-12)
+    return found.y[1]
+
+
+def ode23s_step(f, jacobian, f_t, t, y, h):
+    """One step of Shampine & Reichelt's formula (1997), matrices and all."""
+    d = 1.0 / (2.0 + np.sqrt(2.0))
+    W = np.eye(y.size) - h * d * jacobian(t, y)
+    k_1 = np.linalg.solve(W, f(t, y) + h * d * f_t(t, y))
+    k_2 = np.linalg.solve(W, f(t + 0.5 * h, y + 0.5 * h * k_1) - k_1) + k_1
+    return y + h * k_2
+
+
+def point_acceleration(heave, roll, pitch, x, y):
+    """Vertical acceleration of a body's point: a + (angular acceleration x lever), third part."""
+    return heave + np.cross([roll, pitch, 0.0], [x, y, 0.0])[2]
+
+
+def butterworth_gain(f, f_c, order, fs):
+    """Gain of a digital Butterworth low-pass made by the bilinear transform."""
+    warped = np.tan(np.pi * np.asarray(f) / fs) / np.tan(np.pi * f_c / fs)
+    return 1.0 / np.sqrt(1.0 + warped ** (2 * order))

@@ -1,0 +1,135 @@
+"""The command line does what its help says, and says what is wrong in one sentence."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from leaderboard import cli
+from road_envs.dataset import read_record
+from road_envs.roads import load_road
+
+
+@pytest.fixture
+def roadrecon(monkeypatch, capsys, tmp_path):
+    """Run the command in an empty folder; returns exit code, standard output and error."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["roadrecon", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        out, err = capsys.readouterr()
+        return ended.value.code or 0, out, err
+
+    return run
+
+
+DRIVE = ("--road", "iso_c", "--length", "30", "--speed-kmh", "36")
+
+
+def test_every_command_explains_itself(roadrecon):
+    for command in ("simulate", "train", "estimate", "leaderboard", "policies", "roads", "bench"):
+        code, out, _ = roadrecon(command, "--help")
+        assert code == 0
+        assert "Usage: roadrecon" in out and command in out
+
+
+def test_a_drive_is_recorded_reconstructed_and_scored(roadrecon, tmp_path):
+    code, out, _ = roadrecon(
+        "simulate", *DRIVE, "--out", "d.parquet", "--truth", "t.csv", "--plot", "d.png", "--json"
+    )
+    assert code == 0
+    facts = json.loads(out)
+    assert facts["length_m"] == pytest.approx(30.0)
+    record, provenance = read_record(tmp_path / "d.parquet")
+    assert provenance["road"] == "iso_c" and provenance["seed"] == 1
+    assert facts["samples"] == record.t.size
+    assert (tmp_path / "d.png").read_bytes().startswith(b"\x89PNG")
+    truth = load_road(tmp_path / "t.csv").realise(np.random.default_rng(0))
+    drawn = load_road({"name": "iso_c", "length": 30.0}).realise(np.random.default_rng(1))
+    s = np.linspace(0.5, 29.5, 100)
+    np.testing.assert_allclose(truth.height(s), drawn.height(s), atol=1e-6)
+
+    trained = roadrecon(
+        "train", "fir_ridge", *DRIVE, "--drives", 3, "--seed", 10, "--out", "m.npz", "--json"
+    )
+    assert trained[0] == 0 and json.loads(trained[1])["drives"] == 3
+    code, out, _ = roadrecon(
+        "estimate", "m.npz", "d.parquet", "--truth", "t.csv", "--out", "e.csv", "--plot", "e.png",
+        "--json",
+    )  # fmt: skip
+    assert code == 0
+    assert 0.0 < json.loads(out)["scores"]["nrmse"] < 1.0
+    assert {p.name for p in tmp_path.iterdir()} == {
+        "d.parquet", "t.csv", "d.png", "m.npz", "e.csv", "e.png",
+    }  # fmt: skip
+
+
+def test_the_network_says_why_its_training_ended(roadrecon):
+    code, out, _ = roadrecon(
+        "train", "static_lm", *DRIVE, "--set", "max_epochs=3", "--out", "m.npz", "--json"
+    )
+    facts = json.loads(out)
+    assert code == 0 and facts["epochs"] <= 3 and facts["stopped_by"]
+
+
+def test_roads_are_listed_with_what_can_be_measured_of_them(roadrecon):
+    code, out, _ = roadrecon("roads", "list", "--json")
+    rows = {row["road"]: row for row in json.loads(out)}
+    assert code == 0
+    assert rows["iso_d"]["class"] == "D" and rows["iso_f"]["class"] == "F"
+    assert rows["flat"]["rms_mm"] == [0.0, 0.0]
+
+
+def test_a_road_is_plotted_and_exported(roadrecon, tmp_path):
+    assert roadrecon("roads", "plot", "belgian", "--out", "b.png")[0] == 0
+    assert (tmp_path / "b.png").stat().st_size > 10_000
+    assert roadrecon("roads", "export", "bump_small", "--out", "b.csv")[0] == 0
+    again = load_road(tmp_path / "b.csv").realise(np.random.default_rng(0))
+    assert again.z.max() == pytest.approx(0.1, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("simulate", "--road", "belgiun"), ["belgiun", "did you mean 'belgian'"]),
+        (("simulate", "--road", "nowhere.crg"), ["nowhere.crg"]),
+        (("simulate", "--mode", "hard"), ["hard", "handling", "ride"]),
+        (("simulate", "--mode", "front=ride"), ["front and rear"]),
+        (("simulate", "--speed-kmh", "0"), ["speed", "positive"]),
+        (("simulate", "--speed-kmh", "-3"), ["speed", "positive"]),
+        (("simulate", "--road", "iso_a", "--length", "2"), ["shorter than the wheelbase"]),
+        (("simulate", "--vehicle", "beetle"), ["beetle", "land_rover_defender_110"]),
+        (("simulate", "--out", "no/where.parquet"), ["no does not exist"]),
+        (("simulate", "--out", "record.csv"), [".parquet"]),
+        (("estimate", "flat", "missing.parquet"), ["missing.parquet"]),
+        (("estimate", "flot", "missing.parquet"), ["flot", "did you mean 'flat'"]),
+        (("train", "flat", "--road", "iso_a", "--out", "m.npz"), ["nothing to learn"]),
+        (
+            ("train", "static_lm", "--road", "iso_a", "--out", "m.npz", "--set", "hiden=3"),
+            ["hiden", "did you mean 'hidden'"],
+        ),
+        (("train", "static_lm", "--road", "iso_a", "--out", "m.npz", "--set", "hidden"), ["key=value"]),
+        (("policies", "--policy", "randum"), ["randum", "did you mean 'random'"]),
+        (("policies", "--road", "belgiun", "--policy", "random"), ["belgiun"]),
+        (("leaderboard", "--task", "paper_9"), ["paper_9", "paper_1"]),
+        (("leaderboard", "--estimator", "flot"), ["flot", "did you mean 'flat'"]),
+    ],
+)  # fmt: skip
+def test_bad_input_is_one_sentence_and_leaves_nothing_behind(roadrecon, tmp_path, words, said):
+    code, out, err = roadrecon(*words)
+    assert code == 2
+    assert err.startswith("error: ") and err.count("\n") == 1 and "Traceback" not in err
+    for word in said:
+        assert word in err
+    assert out == "" and list(tmp_path.iterdir()) == []
+
+
+def test_debug_shows_the_traceback(monkeypatch):
+    from road_envs.config import ConfigError
+
+    monkeypatch.setattr(sys, "argv", ["roadrecon", "--debug", "simulate", "--road", "belgiun"])
+    with pytest.raises(ConfigError):
+        cli.main()
