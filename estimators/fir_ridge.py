@@ -16,8 +16,8 @@ so of longer waves nothing is claimed. No constant is added: a mirrored drive gi
 road. Taps belong to the speed and the suspension states of their training drives.
 
 Known to fail: at another speed or in another mode than it was fitted for; on large strokes, where
-the struts are far from linear. A window of 3 m instead of 12 m about doubles the error, since it
-holds too little of the body's motion and of the rear axle's passage.
+the struts are far from linear. A window of 3 m instead of 12 m makes the error 1.3 to 2 times as
+large, since it holds too little of the body's motion and of the rear axle's passage.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,6 +28,7 @@ from typing import ClassVar, NamedTuple, Self
 import numpy as np
 from scipy import signal
 from scipy.linalg import cho_solve
+from threadpoolctl import threadpool_limits
 
 from estimators.features import F_C, accelerations, heights
 from estimators.protocol import arrays, copy_with, fitted
@@ -103,6 +104,7 @@ class FirRidge:
         if not 0 < self.reach <= 100:
             raise ValueError(f"reach must be within (0, 100] m, got {self.reach}")
 
+    @threadpool_limits.wrap(limits=1, user_api="blas")  # small products: as in the LM training
     def fit(
         self,
         records: Sequence[Record],

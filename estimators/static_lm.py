@@ -5,7 +5,7 @@ Inputs at a station are the three vertical body accelerations (RF, LR, RR; const
 the left and right wheel path there. Tan-sigmoid hidden layer, linear outputs, no memory
 (Ngwangwa, Heyns, Breytenbach & Els, sections 4 and 5). Training samples stand on `grid`, drives one
 after the other, divided 70/15/15; of more than `max_samples` as many are taken, evenly spread. The
-default is the paper's 3964: behind a 25 Hz filter neighbours are alike, and 302 weights need no more.
+default is the 3964 of the paper: behind a 25 Hz filter neighbours are alike.
 
 Known to fail: a height cannot be told from the accelerations of one moment, so on a new road the
 correlation with the truth is about zero. Trained on an altered version of the test road it matches

@@ -45,7 +45,7 @@ def find_bumps(z: np.ndarray, ds: float, threshold: float) -> list[Bump]:
 
 
 def bump_scores(y: np.ndarray, a: np.ndarray, ds: float) -> BumpScores | None:
-    """Scores of estimate `a` against truth `y`, both (2, M) [m]; None where the truth has no bump."""
+    """Scores of estimate `a` against truth `y`, both (2, M) [m]; None if the truth has no bump."""
     heights = [bump.height for z in y for bump in find_bumps(z, ds, LEAST)]
     if not heights:
         return None
@@ -73,7 +73,7 @@ def bump_scores(y: np.ndarray, a: np.ndarray, ds: float) -> BumpScores | None:
 
 def _matches(true: list[Bump], found: list[Bump]) -> list[tuple[Bump, Bump]]:
     """Pairs (true, found) at most TOLERANCE apart, nearest first, each bump in one pair."""
-    pairs = []
+    pairs: list[tuple[Bump, Bump]] = []
     for t, f in sorted(((t, f) for t in true for f in found), key=lambda p: abs(p[0].s - p[1].s)):
         taken = any(t is t_ or f is f_ for t_, f_ in pairs)
         if abs(t.s - f.s) <= TOLERANCE and not taken:

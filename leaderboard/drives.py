@@ -1,4 +1,4 @@
-"""The judge's drives: a task's roads driven under one condition, with the truth beside the record."""
+"""The judge's drives: a task's roads under one condition, with the truth beside the record."""
 
 import dataclasses
 from collections.abc import Callable, Iterator

@@ -14,7 +14,7 @@ from road_envs.record import Estimate, Profile, Record
 from road_envs.vehicle import VehicleParameters
 
 
-class EntryFailure(Exception):
+class EntryError(Exception):
     """An estimator that cannot be judged, said in one sentence."""
 
 
@@ -35,7 +35,7 @@ def reconstruct(
     car: VehicleParameters,
     seed: int,
 ) -> Outcome:
-    """Train the estimator if it learns, then estimate every record. Raises EntryFailure."""
+    """Train the estimator if it learns, then estimate every record. Raises EntryError."""
     doing = f"training with seed {seed}"
     try:
         start, parameters = time.perf_counter(), 0
@@ -52,5 +52,5 @@ def reconstruct(
             estimates.append(estimate)
     except (Exception, SystemExit) as error:
         said = " ".join(str(error).split()) or "no message"
-        raise EntryFailure(f"{doing}: {type(error).__name__}: {said}") from error
+        raise EntryError(f"{doing}: {type(error).__name__}: {said}") from error
     return Outcome(estimates, trained - start, time.perf_counter() - trained, parameters)

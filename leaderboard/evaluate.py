@@ -15,7 +15,7 @@ import numpy as np
 from estimators.protocol import Estimator
 from leaderboard import metrics
 from leaderboard.drives import Drive, DriveSource, simulated
-from leaderboard.entry import EntryFailure, Outcome, reconstruct
+from leaderboard.entry import EntryError, Outcome, reconstruct
 from leaderboard.environment import environment, version
 from leaderboard.results import DriveScores, Result, Trace, heights
 from leaderboard.scores import scores
@@ -123,8 +123,8 @@ def _judge(session: Session, row: Row) -> None:
     for seed in row.seeds:
         try:
             outcome = _outcome(session, row, seed)
-        except EntryFailure as failure:
-            row.failure = f"{session.condition.label}, {failure}"
+        except EntryError as error:
+            row.failure = f"{session.condition.label}, {error}"
             return
         if not row.traces and _same(outcome.estimates, first):
             row.seeds = row.seeds[:1]  # it draws nothing: one training stands for all

@@ -1,6 +1,6 @@
 """The page's drawings: small SVG panels without fixed colours, so that the page's style rules.
 
-Lines are drawn in marker colours which `_svg` replaces by CSS variables; text keeps the page's font.
+Lines are drawn in marker colours, which become CSS variables; text takes the page's font.
 """
 
 import hashlib
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.metrics import Band, band_pass, scored_band
+from leaderboard.metrics import band_pass, scored_band
 from leaderboard.results import Trace
 from road_envs.roughness import CLASSES, N_0, dsd, smooth
 
@@ -29,8 +29,9 @@ SIDES = ("Left", "Right")
 WINDOW = 20.0
 """Length [m] of a random road that an overlay shows, as in the paper's Figure 10."""
 
-STYLE = {
+STYLE: Any = {
     "svg.fonttype": "none",
+    "svg.hashsalt": "roadrecon",
     "font.size": 8.0,
     "axes.edgecolor": FAINT,
     "axes.labelcolor": INK,
@@ -51,9 +52,9 @@ STYLE = {
 def overlay(trace: Trace, side: int, series: int = 0) -> str:
     """Truth (solid) and estimate (dashed) of one wheel path; the paper's Figures 6 to 10.
 
-    Heights about the mean of the 100 m, which no accelerometer sees; a random road is cut to 20 m.
+    Heights about their median, for no accelerometer sees the datum; a random road is cut to 20 m.
     """
-    y, a = (1e3 * (z[side] - z[side].mean()) for z in (trace.z_true, trace.z_estimated))
+    y, a = (1e3 * (z[side] - np.median(z[side])) for z in (trace.z_true, trace.z_estimated))
     shown = _window(trace.s)
     error = trace.scores["level_error_left" if side == 0 else "level_error_right"]
     title = f"{SIDES[side]} wheel path, eq. 12: {_percent(error)}"
@@ -81,16 +82,16 @@ def spectra(traces: Mapping[str, Trace]) -> str:
 
     def paint(axes: Any) -> None:
         _draw_classes(axes)
-        for n in band:
-            axes.axvline(n, color=FAINT, lw=0.6, ls=":")
+        for edge in band:
+            axes.axvline(edge, color=FAINT, lw=0.6, ls=":")
         axes.loglog(*_density(first.z_true, first.ds), color=INK, lw=1.2, label="truth")
         for k, (name, trace) in enumerate(traces.items()):
             n, G = _density(trace.z_estimated, trace.ds)
             axes.loglog(n, G, color=SERIES[k], lw=1.2, ls=(0, (4, 1.5)), label=name)
         axes.legend(frameon=False, fontsize=7, loc="lower left", handlelength=2.4)
-        axes.set_title(f"{first.condition}")
+        axes.set_title(first.condition)
 
-    return _svg(paint, (3.6, 2.9))
+    return _svg(paint, (3.6, 2.5))
 
 
 def levels(errors: np.ndarray, claims: Sequence[float]) -> str:
@@ -101,8 +102,10 @@ def levels(errors: np.ndarray, claims: Sequence[float]) -> str:
         share = np.arange(1, x.size + 1) / x.size
         axes.plot(x, 100.0 * share, color=SERIES[0], lw=1.6)
         for claim in claims:
-            axes.axvline(100.0 * claim, color=INK, lw=0.9)
-            axes.text(100.0 * claim, 101.0, f"{100.0 * claim:.1f}", ha="center", fontsize=6.5)
+            axes.axvline(100.0 * claim, color=INK, lw=0.8)
+        if claims:
+            low, high = 100.0 * min(claims), 100.0 * max(claims)
+            axes.text(high + 0.7, 8.0, f"paper: {low:.1f} to {high:.1f} %", fontsize=7.5)
         axes.set(
             xlabel="level error, eq. 12 [%]",
             ylabel="unrelated roads below [%]",
@@ -120,12 +123,13 @@ def _overlay(
         axes.plot(s, y, color=INK, lw=1.1)
         axes.plot(s, a, color=SERIES[series], lw=1.2, ls=(0, (4, 1.5)))
         axes.set(xlabel="distance [m]", ylabel=label, title=title, xlim=(s[0], s[-1]))
+        axes.locator_params(axis="x", nbins=6, integer=True)
         reach = 1.15 * max(np.ptp(y), 1e-9)
         middle = 0.5 * (y.max() + y.min())
         low, high = max(a.min(), middle - 1.5 * reach), min(a.max(), middle + 1.5 * reach)
         axes.set_ylim(min(low, middle - 0.6 * reach), max(high, middle + 0.6 * reach))
 
-    return _svg(paint, (3.6, 2.1))
+    return _svg(paint, (3.6, 2.5))
 
 
 def _window(s: np.ndarray) -> slice:
@@ -144,18 +148,18 @@ def _density(z: np.ndarray, ds: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _draw_classes(axes: Any) -> None:
-    """Every other class as a band, with its letter, and the paper's axes."""
-    n = np.array([0.03, 12.0])
+    """Every other class as a band, and the letters of all at the right end of the axes."""
+    n = np.array([0.05, 8.0])
     for k, (letter, mean) in enumerate(CLASSES.items()):
         level = mean * (n / N_0) ** -2.0
         if k % 2 == 0:
             axes.fill_between(n, 0.5 * level, 2.0 * level, color=BAND, lw=0)
-        axes.text(n[1] * 0.82, level[1] * 1.5, letter, fontsize=7, ha="center", va="center")
+        axes.text(n[1] * 1.1, level[1], letter, fontsize=7, ha="left", va="center")
     axes.set(
         xlabel="spatial frequency [cycles/m]",
         ylabel="density [m³]",
         xlim=n,
-        ylim=(1e-10, 1e-1),
+        ylim=(1e-9, 1e-1),
     )
 
 
@@ -166,7 +170,7 @@ def _svg(paint: Callable[[Any], None], size: tuple[float, float]) -> str:
     from matplotlib.figure import Figure
 
     buffer = io.StringIO()
-    with matplotlib.rc_context({**STYLE, "svg.hashsalt": "roadrecon"}):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(size, layout="constrained")
         FigureCanvasSVG(figure)
         paint(figure.subplots())
@@ -189,7 +193,7 @@ def _for_page(svg: str) -> str:
 
 
 def _percent(value: float | None) -> str:
-    return "–" if value is None else f"{value:.1%}".replace("%", " %")
+    return "–" if value is None else f"{100.0 * value:.1f} %"
 
 
 def _number(value: float | None) -> str:

@@ -46,7 +46,6 @@ def surface_tasks(path: Path, conditions: tuple[dict[str, Any], ...] = CONDITION
         "conditions": list(conditions),
         "test": {"roads": [road], "seeds": [1001], "step": 0.0005},
         "source": path.name,
-        "note": "; ".join(surface.notes),
     }
     stem = re.sub(r"[^A-Za-z0-9_.-]", "_", path.stem)
     copies = {
@@ -61,6 +60,7 @@ def surface_tasks(path: Path, conditions: tuple[dict[str, Any], ...] = CONDITION
         "title": f"{path.stem}: trained on random roads of class {letter}, the class of this file",
         "board": "new_road",
         "training": {"roads": [f"iso_{letter.lower()}"], "seeds": list(SEEDS), "length": 100.0},
+        "note": "The class of the training roads was read from the file; on the road it is a guess.",
     }
     return [build(Task, {**common, **special}, str(path)) for special in (copies, others)]
 

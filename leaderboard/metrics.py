@@ -38,7 +38,7 @@ class Sides(NamedTuple):
 
 
 class Correlation(NamedTuple):
-    """Pearson's r at the same station, and the `lag` [m] (+: the estimate comes late) of the best r."""
+    """Pearson's r at equal stations; the best r, at a `lag` [m] (+: the estimate comes late)."""
 
     r: float
     lag: float

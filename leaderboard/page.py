@@ -6,12 +6,15 @@ from pathlib import Path
 
 from leaderboard import figures
 from leaderboard.board import Board
-from leaderboard.findings import NETWORK, UNRELATED, findings, unrelated_levels
+from leaderboard.findings import NETWORK, UNRELATED, findings, pooled, unrelated_levels
 from leaderboard.results import Result, Trace, write_whole
 from leaderboard.scores import SCORES
 from leaderboard.sentinels import NOISE
 from leaderboard.tasks import Task
-from leaderboard.view import Line, Section, View, views
+from leaderboard.view import Line, Section, views
+
+COMPARED = (NETWORK, "mean", "unrelated_road")
+"""Whose numbers stand beside the paper's."""
 
 AXIS = 2.0
 """Error at the right end of the bars that stand for intervals."""
@@ -23,6 +26,14 @@ class Figure:
 
     panels: Sequence[str]
     caption: str
+
+
+@dataclass(frozen=True)
+class Claims:
+    """What the paper says and what was measured: eq. 12, NRMSE and r of each of `names`."""
+
+    names: Sequence[str]
+    rows: Sequence[tuple[str, str, list[str]]]  # task, title, cells: the claim, then three a name
 
 
 @dataclass(frozen=True)
@@ -61,8 +72,9 @@ def render(board: Board) -> str:
         findings=findings(board),
         levels=_levels_figure(board),
         boards=boards,
-        labels={name: score.label for name, score in SCORES.items()},
+        claims=claims(board),
         noise=NOISE,
+        axis=AXIS,
         provenance=provenance(board),
     )
 
@@ -76,6 +88,22 @@ def interval_bar(line: Line) -> Mapping[str, float] | None:
     return {"low": at[0], "mean": at[1], "width": at[2] - at[0], "one": 100.0 / AXIS}
 
 
+def claims(board: Board) -> Claims | None:
+    """The paper's cases with its numbers and ours side by side; None if none was run."""
+    rows = []
+    for task in (task for task in board.tasks if task.board == "paper"):
+        results = {result.estimator: result for result in board.scored(task)}
+        cells = [
+            SCORES[score].text(pooled([results[name]], score)) if name in results else "–"
+            for name in COMPARED
+            for score in ("level_error", "nrmse", "r")
+        ]
+        claim = task.claimed_level_error
+        said = "–" if claim is None else SCORES["level_error"].text(claim)
+        rows.append((task.name, task.title, [said, *cells]))
+    return Claims(COMPARED, rows) if rows else None
+
+
 def provenance(board: Board) -> dict[str, list[tuple[str, str]]]:
     """Where the numbers come from: machines and versions, and the tasks with their digests."""
     shown = [r for task in board.tasks for r in board.scored(task)]
@@ -87,18 +115,16 @@ def provenance(board: Board) -> dict[str, list[tuple[str, str]]]:
 
 
 def _machine(result: Result) -> str:
-    parts = [f"{name} {value}" for name, value in result.environment.items()]
-    return (
-        f"roadrecon {result.package_version}, metrics {result.metric_version}; {', '.join(parts)}"
-    )
+    versions = {"roadrecon": result.package_version, "metrics": result.metric_version}
+    return ", ".join(f"{name} {value}" for name, value in (versions | result.environment).items())
 
 
 def _drives(task: Task, results: Sequence[Result]) -> str:
     seeds = max((len(r.seeds) for r in results), default=0)
     return (
-        f"version {task.version}, digest {task.digest[:12]}; {len(task.conditions)} conditions, each "
-        f"{len(task.training.pairs)} training and {len(task.test.pairs)} test drives; "
-        f"{seeds} trainings"
+        f"version {task.version}, digest {task.digest[:12]}; conditions: {len(task.conditions)}, "
+        f"each with {len(task.training.pairs)} training and {len(task.test.pairs)} test drives; "
+        f"trainings: {seeds}"
     )
 
 
@@ -127,8 +153,9 @@ def _paper_figures(task: Task, drawn: Mapping[str, Result]) -> list[Figure]:
         made.append(
             Figure(
                 panels,
-                f"Truth (solid) and {name} (dashed), {condition.label}; training seed {trace.seed}, "
-                f"the one in the middle by in-band error. Heights about their mean.{densities}",
+                f"Truth (solid) and {name} (dashed), {condition.label}; training seed "
+                f"{trace.seed}, the one in the middle by in-band error. Heights about their "
+                f"median.{densities}",
             )
         )
     return made
@@ -147,9 +174,10 @@ def _new_road_figures(task: Task, drawn: Mapping[str, Result]) -> list[Figure]:
         made.append(
             Figure(
                 [*overlays, figures.spectra(traces)],
-                f"{condition.label}, the first test road ({trace.road}, seed {trace.road_seed}), left "
-                "wheel path inside the scored band: truth (solid) and estimate (dashed). Last: "
-                "densities of the first 100 m over the classes of ISO 8608; dotted: the scored band.",
+                f"{condition.label}, the first test road ({trace.road}, seed {trace.road_seed}), "
+                "left wheel path inside the scored band: truth (solid) and estimate (dashed). "
+                "Last: densities of the first 100 m over the classes of ISO 8608; dotted: the "
+                "scored band.",
             )
         )
     return made

@@ -112,17 +112,14 @@ class Result:
 
     def values(self, score: str) -> np.ndarray:
         """One score as (R, C, S): roads, conditions, seeds; NaN where it is not defined."""
-        axes = [
-            list(dict.fromkeys((d.road, d.road_seed) for d in self.drives)),
-            list(dict.fromkeys(d.condition for d in self.drives)),
-            list(dict.fromkeys(d.seed for d in self.drives)),
-        ]
-        values = np.full([len(axis) for axis in axes], np.nan)
+        roads = list(dict.fromkeys((d.road, d.road_seed) for d in self.drives))
+        conditions = list(dict.fromkeys(d.condition for d in self.drives))
+        seeds = list(dict.fromkeys(d.seed for d in self.drives))
+        values = np.full((len(roads), len(conditions), len(seeds)), np.nan)
         for d in self.drives:
-            key = (d.road, d.road_seed), d.condition, d.seed
+            at = roads.index((d.road, d.road_seed)), conditions.index(d.condition)
             value = d.scores.get(score)
-            at = tuple(axis.index(k) for axis, k in zip(axes, key, strict=True))  # type: ignore[arg-type]
-            values[at] = np.nan if value is None else value
+            values[*at, seeds.index(d.seed)] = np.nan if value is None else value
         return values
 
     def stale(self, task: Task) -> str | None:
@@ -167,7 +164,7 @@ def load(path: Path) -> Result:
     result = build(Result, data, str(path))
     if (result.task, result.estimator) != (path.parent.name, path.stem):
         raise ConfigError(
-            f"{path}: holds the result of {result.estimator} on {result.task}, which is not its name"
+            f"{path}: holds the result of {result.estimator} on {result.task}, not what it says"
         )
     return result
 

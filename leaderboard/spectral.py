@@ -1,9 +1,10 @@
 """How near the roughness of an estimate is to that of the truth: spectral density, class, IRI.
 
-Truth `y` and estimate `a` are heights (2, M) [m], `ds` [m] apart; their densities G_y and G_a (2, K)
-[m³] at `n` (K,) [cycles/m] are made under the same settings (ISO 8608: Welch, Hann, 50 % overlap,
-segments of at most 100 m). The truth is the road as realised, not the class it was drawn from. Ratios of densities are 10 log10(estimate / truth) [dB]; one
-beyond 60 dB, such as that of a flat estimate, counts as 60 dB.
+Truth `y` and estimate `a` are heights (2, M) [m], `ds` [m] apart; their densities `G_y` and `G_a`
+(2, K) [m³] at `n` (K,) [cycles/m] are made under the same settings (ISO 8608: Welch, Hann, 50 %
+overlap, segments of at most 100 m). The truth is the road as realised, not the class it was drawn
+from. Ratios of densities are 10 log10(estimate / truth) [dB]; one beyond 60 dB, such as that of a
+flat estimate, counts as 60 dB.
 """
 
 import numpy as np

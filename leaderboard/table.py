@@ -1,6 +1,7 @@
 """The boards in a terminal, and for a program."""
 
 import textwrap
+from itertools import zip_longest
 from typing import Any
 
 from rich.console import Console
@@ -22,7 +23,8 @@ STYLES = {
 LEGEND = (
     "NRMSE: error over truth, RMS, in 0.2 to min(1.8, 22.5 Hz / v) cycles/m; a flat road has 1. "
     "eq. 12: error of the level alone. class: octaves in the true ISO 8608 class. Interquartile "
-    "means over roads and trainings; entries that cannot be told apart share a rank. Dim: sentinels."
+    "means over roads and trainings; entries that cannot be told apart share a rank. Dim rows: "
+    "sentinels."
 )
 
 
@@ -61,10 +63,12 @@ def as_json(board: Board) -> list[dict[str, Any]]:
 def _table(view: View, sections: tuple[Section, ...], title: str) -> Table:
     columns = [column for column in view.columns if not column.wide]
     grouped = len(sections) > 1
-    table = Table(title=title, title_justify="left", box=None, padding=(0, 1), pad_edge=False)
+    table = Table(
+        title=title, title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False
+    )
     if grouped:
         table.add_column("case", width=CASE_WIDTH)
-    table.add_column("estimator")
+    table.add_column("estimator", no_wrap=True)
     for column in columns:
         table.add_column(
             column.label + (f"\n{column.unit}" if column.unit else ""), justify="right"
@@ -73,10 +77,9 @@ def _table(view: View, sections: tuple[Section, ...], title: str) -> Table:
         case = textwrap.wrap(f"{section.task}: {section.title}", CASE_WIDTH) if grouped else []
         rows = [_row(line, [column.key for column in columns]) for line in section.lines]
         blank = [""] * (len(columns) + 1)
-        for k in range(max(len(rows), len(case))):
-            head = [case[k] if k < len(case) else ""] if grouped else []
-            table.add_row(*head, *(rows[k] if k < len(rows) else blank))
-        table.add_section()
+        for text, row in zip_longest(case, rows, fillvalue=None):
+            table.add_row(*([text or ""] if grouped else []), *(row or blank))
+        table.add_row()
     return table
 
 

@@ -17,7 +17,7 @@ from leaderboard.statistics import Interval, interquartile_mean, interval, stand
 from leaderboard.tasks import Task
 
 State = Literal["scored", "sentinel", "claim", "failed", "stale"]
-CLAIM = "the paper's own claim"
+CLAIM = "paper's claim"
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Line:
-    """One entry: printed `cells` and the `values` behind them, by column; `text` says what befell."""
+    """One entry: printed `cells` and the `values` behind them, by column; or a `text` instead."""
 
     name: str
     state: State
@@ -73,7 +73,7 @@ PAPER_COLUMNS = (
     Column("bump_height_error", "height error", "mm", wide=True),
     Column("bump_ghosts", "ghosts", wide=True),
     Column("states", "trainings", "<15/15-25/>25 %", wide=True),
-    Column("train_seconds", "training", "s", wide=True),
+    Column("train_seconds", "train", "s", wide=True),
 )
 NEW_ROAD_COLUMNS = (
     Column("rank", "rank"),
@@ -83,11 +83,11 @@ NEW_ROAD_COLUMNS = (
     Column("level_error", "eq. 12", "%"),
     Column("class_exact", "class", "%"),
     Column("class_within_one", "within one", "%", wide=True),
-    Column("iri_error", "IRI error", "mm/m"),
+    Column("iri_error", "IRI", "mm/m"),
     Column("dsd_distance_db", "DSD", "dB", wide=True),
     Column("coherence", "coherence", wide=True),
-    Column("train_seconds", "training", "s"),
-    Column("estimate_ms_per_100m", "estimate", "ms/100 m"),
+    Column("train_seconds", "train", "s"),
+    Column("estimate_ms_per_100m", "time", "ms/100m"),
     Column("parameters", "numbers learnt", wide=True),
 )
 
@@ -118,7 +118,7 @@ def _section(board: Board, task: Task) -> Section:
         task.name,
         task.title,
         (*claim, *lines, *failed, *stale),
-        (*_protocol(task), *_surface(scored), *flags(scored)),
+        (*_protocol(task), *_surface([*scored, *board.failed(task)]), *flags(scored)),
     )
 
 
@@ -130,7 +130,9 @@ def _line(result: Result, rank: int | None) -> Line:
         "rank": rank,
         "nrmse_low": _number(score.low),
         "nrmse_high": _number(score.high),
-        "train_seconds": _number(np.mean(result.train_seconds)) if result.parameters else None,
+        "train_seconds": _number(float(np.mean(result.train_seconds)))
+        if result.parameters
+        else None,
         "estimate_ms_per_100m": result.estimate_ms_per_100m,
         "parameters": result.parameters or None,
     }
@@ -193,14 +195,12 @@ def _states(result: Result) -> str:
     error = 100.0 * result.values("level_error")
     if error.shape[-1] < 2:
         return ""
-    return "/".join(
-        str(int(n))
-        for n in (np.sum(error < 15), np.sum((error >= 15) & (error <= 25)), np.sum(error > 25))
-    )
+    near, unstable = int(np.sum(error < 15)), int(np.sum(error > 25))
+    return f"{near}/{error.size - near - unstable}/{unstable}"
 
 
 def _range(score: Interval) -> str:
-    return f"{score.low:.2f}-{score.high:.2f}" if np.isfinite(score.low + score.high) else "–"
+    return f"{score.low:.2f}–{score.high:.2f}" if np.isfinite(score.low + score.high) else "–"
 
 
 def _digits(value: float | None, digits: int) -> str:

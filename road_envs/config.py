@@ -103,7 +103,7 @@ def _sentence(error: ValidationError, where: str, cls: type) -> str:
     match first["type"]:
         case "unexpected_keyword_argument":
             owner = _owner(cls, path[:-1])
-            known = sorted(f.name for f in dataclasses.fields(owner)) if owner else []
+            known = sorted(f.name for f in dataclasses.fields(owner) if f.init) if owner else []
             close = difflib.get_close_matches(path[-1], known, n=1)
             hint = f", did you mean {close[0]!r}" if close else ""
             text = f"unknown key{hint}; known: {', '.join(known)}"

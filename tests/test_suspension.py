@@ -60,7 +60,7 @@ def test_the_static_rates_are_16_7_and_83_6_kilonewtons_per_metre():
 def test_a_strut_pushes_as_the_sum_of_its_five_parts(name, w, memory, e, e_dot):
     oracle = oracles.NonlinearCar(CARS[name])
     moved = np.full(4, e), np.full(4, e_dot)
-    F, k, c = force(memory, e, e_dot, w, name)
+    F, k, _ = force(memory, e, e_dot, w, name)
     expected = oracle.strut_forces(memory, *moved)[w]
     assert F == pytest.approx(expected, rel=1e-9, abs=1e-6)
     assert k > 0.0

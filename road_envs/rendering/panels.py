@@ -20,6 +20,9 @@ LOAD = 3.0
 PATHS = ((style.LEFT_PATH, 1.5), (style.PALE, 2.5))
 """Colour and thickness of the left and the right wheel path."""
 
+LONGEST_NAME = 24
+"""Letters of a road's name for which the heading has room."""
+
 MARGIN = 62
 """Columns left of a curve, for its labels."""
 
@@ -27,7 +30,9 @@ MARGIN = 62
 def heading(canvas: Canvas, scene: Scene) -> None:
     """Road, speed, command, station and time."""
     y = 0.5 * canvas.height
-    canvas.text(12, y, scene.surface.name, style.INK, 17, "lm", bold=True)
+    name = scene.surface.name
+    shown = name if len(name) <= LONGEST_NAME else name[: LONGEST_NAME - 1] + "…"
+    canvas.text(12, y, f"road: {shown}", style.INK, 16, "lm", bold=True)
     canvas.text(330, y, f"{3.6 * scene.speed:.1f} km/h", style.INK, 15, "lm", bold=True)
     canvas.text(450, y, f"command: {commanded(scene.command)}", style.INK, 13, "lm")
     canvas.text(860, y, f"station {scene.station:.1f} m", style.INK, 13, "rm")

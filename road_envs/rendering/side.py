@@ -223,7 +223,9 @@ class SideView:
             i = int(np.searchsorted(self.s, mark))
             x, y = edge[i]
             self.canvas.line(np.array([[x, y], [x, y + 6.0]]), style.PAPER)
-            self.canvas.text(x, y + 18.0, f"{mark:.0f} m", style.PAPER, 11, "ms")
+            self.canvas.text(
+                x, min(y + 18.0, self.canvas.height - 22.0), f"{mark:.0f} m", style.PAPER, 11, "ms"
+            )
 
     def _strip(self, one: np.ndarray, other: np.ndarray, fill: str) -> None:
         self.canvas.polygon(np.concatenate([one, other[::-1]]), fill)

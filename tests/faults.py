@@ -1,0 +1,183 @@
+"""Deliberate faults: a test counts once it has been seen to fail.
+
+    python tests/faults.py [filter]
+
+Each fault changes one line in a temporary copy of the tree and runs the tests that must then turn
+red. `filter` is part of a file name or of a changed text. The exit status is 1 if a fault survives,
+no longer fits its file or breaks more than its tests.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parent.parent
+COPIED = ("road_envs", "configs", "tests", "pyproject.toml")
+PAPER_SAYS = "dynamics::test_the_car_moves_as_the_papers_equations_say"
+JACOBIAN = "dynamics::test_the_jacobian_is_the_slope_of_the_rates"
+FORMULA = "integrator::test_one_step_is_the_published_formula"
+VALVE = "suspension::test_the_second_accumulator_follows_its_equation_through_a_switch"
+WHOLE = "simulate::test_a_drive_in_chunks_is_the_drive_as_a_whole_to_the_bit"
+CUBIC = "surface::test_between_samples_the_height_is_the_catmull_rom_cubic"
+PLACED = "sensors::test_sensors_feel_the_rigid_body_where_the_paper_put_them"
+REFUSED = "config::test_a_fault_in_a_vehicle_is_one_sentence_that_names_it"
+TABLE = "curves::test_the_table_is_the_curve_wherever_breakpoints_lie_on_its_grid"
+
+
+class Fault(NamedTuple):
+    """`old` stands once in `file`; with `new` in its place each of `tests` must fail."""
+
+    file: str
+    old: str
+    new: str
+    tests: str
+
+
+DYNAMICS, INTEGRATOR = "road_envs/dynamics.py", "road_envs/integrator.py"
+SUSPENSION, SIMULATE = "road_envs/suspension.py", "road_envs/simulate.py"
+SENSORS, PROCESSING = "road_envs/sensors.py", "road_envs/processing.py"
+CURVES, SURFACE = "road_envs/curves.py", "road_envs/roads/surface.py"
+DATASET, CONFIG, VEHICLE = "road_envs/dataset.py", "road_envs/config.py", "road_envs/vehicle.py"
+DEFENDER = "configs/vehicles/land_rover_defender_110.yaml"
+
+FAULTS = [
+    Fault(DYNAMICS, "out[THETA] -= p.x[i] * push", "out[THETA] += p.x[i] * push", PAPER_SAYS),
+    Fault(DYNAMICS, "p.y_s[2 * i] * (left - right)", "p.y_t[2 * i] * (left - right)", PAPER_SAYS),
+    Fault(DYNAMICS, "p.y_t[2 * i] * (left - right)", "p.y_s[2 * i] * (left - right)", PAPER_SAYS),
+    Fault(DYNAMICS, "(q[PHI] - q[a + 1])", "(q[PHI] + q[a + 1])", PAPER_SAYS),
+    Fault(DYNAMICS, "for j in (Z_B, AXLE, AXLE + 2):", "for j in (Z_B, AXLE):", PAPER_SAYS),
+    Fault(DYNAMICS, "add_tyres(p, c_t * height, C[:, j])", "add_tyres(p, c_t * e, C[:, j])", JACOBIAN),
+    Fault(DYNAMICS, "(heave[1] - heave[0]) / (x[0]", "(heave[0] - heave[1]) / (x[0]",
+          "dynamics::test_the_car_finds_its_rest_on_any_plausible_ground"),
+    Fault(SUSPENSION, "slope = -p.n_p * F / inside", "slope = -F / inside", JACOBIAN),
+    Fault(SUSPENSION, "(u - closing) * p.r_2 * e", "(closing - u) * p.r_2 * e", VALVE),
+    Fault(SUSPENSION, "lack = (1.0 - closing) * p.r_2", "lack = p.r_2", VALVE),
+    Fault(SUSPENSION, "np.exp(-closing * h", "np.exp(-h",
+          "suspension::test_a_closed_valve_keeps_the_gas_behind_it"),
+    Fault(SUSPENSION, " and memory[w, HELD] == 0.0", "",
+          "suspension::test_an_opened_valve_makes_the_pressures_equal_however_fast_it_is"),
+    Fault(SUSPENSION, "if T > 0.0:", "if T > -1e9:", PAPER_SAYS),
+    Fault(SUSPENSION, "+ p.c_t[i] * u_dot", "- p.c_t[i] * u_dot", PAPER_SAYS),
+    Fault(SUSPENSION, "displacement[w // 2]", "displacement[w % 2]", PAPER_SAYS),
+    Fault(SUSPENSION, "F_0 + high * (F_1 - F_0)", "F_0 + high * F_1", PAPER_SAYS),
+    Fault(SUSPENSION, "memory[:, OPEN] = ~stiff[0]", "memory[:, OPEN] = stiff[0]",
+          "suspension::test_between_bushing_and_stop_the_one_gas_law_is_equation_1"),
+    Fault(SUSPENSION, "(high << (4 + w))", "(high << (3 + w))",
+          "suspension::test_a_command_reaches_the_vehicle_an_axle_or_a_strut"),
+    Fault(CURVES, "3.0 * rise - 2.0 * b", "3.0 * rise - b", TABLE),
+    Fault(CURVES, "+ slope * (u - inside)", "", TABLE),
+    Fault(INTEGRATOR, "D = 1.0 / (2.0 + np.sqrt(2.0))", "D = 0.5", FORMULA),
+    Fault(INTEGRATOR, "q[j] + 0.5 * h * k_q[j]", "q[j] + h * k_q[j]", FORMULA),
+    Fault(INTEGRATOR, "(k_q[j] + r[j] + hd * f[j])", "(k_q[j] + r[j])", FORMULA),
+    Fault(INTEGRATOR, "/ (0.5 * h)", "/ h", FORMULA),
+    Fault(INTEGRATOR, "a12 -= x * r01", "a12 += x * r01", FORMULA),
+    Fault(INTEGRATOR, "p.x[0] - p.x[w // 2]", "p.x[w // 2] - p.x[0]",
+          "simulate::test_each_wheel_meets_the_road_where_and_when_it_stands_on_it"),
+    Fault(INTEGRATOR, "s[2 * n + 1], v[2 * n + 1]", "s[2 * n], v[2 * n]",
+          "integrator::test_the_method_is_of_order_two_on_the_nonlinear_car_over_a_road"),
+    Fault(INTEGRATOR, "alpha = 1.0 - np.exp(-h / lag)", "alpha = 1.0 - np.exp(-0.5 * h / lag)",
+          "simulate::test_95_percent_of_a_switch_is_done_after_50_milliseconds"),
+    Fault(SIMULATE, "car.valve.delay / step", "car.valve.delay / 0.001",
+          "simulate::test_nothing_at_all_happens_before_the_delay_of_the_valve"),
+    Fault(SIMULATE, "2 * self.steps + np.arange", "self.steps + np.arange", WHOLE),
+    Fault(SIMULATE, "- x * a[:, THETA]", "+ x * a[:, THETA]",
+          "simulate::test_a_point_of_the_body_moves_with_the_rigid_body"),
+    Fault(VEHICLE, "return -0.5 * weight * self.rear.x, 0.5 * weight * self.front.x",
+          "return 0.5 * weight * self.front.x, -0.5 * weight * self.rear.x",
+          "vehicle::test_loads_add_up_to_the_weight_and_balance_about_the_centre_of_mass"),
+    Fault(VEHICLE, "GRAVITY = 9.81", "GRAVITY = 9.80665", PAPER_SAYS),
+    Fault(DEFENDER, "I_yy: 2440.0", "I_yy: 2400.0",
+          "dynamics::test_the_car_has_the_printed_frequencies"),
+    Fault(DEFENDER, "-1440.0, -1050.0, -350.0", "-1440.0, -350.0, -350.0",
+          "suspension::test_handling_damps_more_than_ride_at_every_velocity"),
+    Fault(DEFENDER, "delay: 0.02", "delay: 0.03",
+          "suspension::test_the_shipped_valve_is_95_percent_there_within_50_milliseconds"),
+    Fault(SENSORS, "np.sqrt(0.5 / step)", "np.sqrt(1.0 / step)",
+          "sensors::test_noise_has_its_density_at_every_step"),
+    Fault(SENSORS, "np.clip(a, -self.range, self.range)", "np.clip(a, -np.inf, self.range)",
+          "sensors::test_an_instrument_clips_at_its_range_before_the_filter"),
+    Fault(SENSORS, ".x + self.ahead", ".x - self.ahead", PLACED),
+    Fault(SENSORS, "-self.taken % self.every", "self.taken % self.every",
+          "sensors::test_chunks_are_sensed_as_the_whole_to_the_bit"),
+    Fault(SENSORS, "standard_normal(a.shape[::-1]).T", "standard_normal(a.shape)",
+          "sensors::test_chunks_are_sensed_as_the_whole_to_the_bit"),
+    Fault(PROCESSING, "f_c: float = 25.0", "f_c: float = 30.0",
+          "sensors::test_offline_processing_is_6_db_down_at_25_hertz_and_delays_nothing"),
+    Fault(PROCESSING, "a - a.mean(axis=1, keepdims=True)", "a",
+          "sensors::test_processing_removes_the_mean"),
+    Fault(DATASET, "drive.start + v * t", "drive.start + drive.speed * t",
+          "dataset::test_the_odometer_adds_up_the_measured_speed_error_and_all"),
+    Fault(DATASET, "pq.write_table(table, partial)", "pq.write_table(table, path)",
+          "dataset::test_writing_leaves_nothing_but_the_file_even_when_it_fails"),
+    Fault(SURFACE, "q = a - 2.5 * b", "q = a - 2.0 * b", CUBIC),
+    Fault(SURFACE, "(p + x * (2.0 * q + x * 3.0 * r)) / ds", "p + x * (2.0 * q + x * 3.0 * r)", CUBIC),
+    Fault(SURFACE, "padded.shape[1] - 3.0", "padded.shape[1] - 4.0", CUBIC),
+    Fault(CONFIG, '"extra": "forbid"', '"extra": "ignore"', REFUSED),
+    Fault(CONFIG, "strict=True)", "strict=False)", REFUSED),
+]  # fmt: skip
+
+
+def run_tests(tree: Path, tests: str) -> tuple[int, str]:
+    """Exit status and output of pytest in a tree."""
+    file, name = tests.split("::")
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
+    settings = {"XDG_CACHE_HOME": str(tree / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(
+        [*command, f"tests/test_{file}.py::{name}"],
+        cwd=tree,
+        env=os.environ | settings,
+        capture_output=True,
+        text=True,
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+def verdict(tree: Path, fault: Fault) -> str:
+    """"caught", or what went wrong."""
+    path = tree / fault.file
+    text = path.read_text(encoding="utf-8")
+    if text.count(fault.old) != 1:
+        return f"DOES NOT FIT: found {text.count(fault.old)} times"
+    path.write_text(text.replace(fault.old, fault.new), encoding="utf-8")
+    try:
+        status, output = run_tests(tree, fault.tests)
+    finally:
+        path.write_text(text, encoding="utf-8")
+    if status == 0:
+        return "SURVIVED"
+    return "caught" if status == 1 else f"BROKE THE RUN (status {status})\n{output[-800:]}"
+
+
+def main(wanted: str) -> int:
+    chosen = [f for f in FAULTS if wanted in f.file or wanted in f.old or wanted in f.new]
+    missed = 0
+    with tempfile.TemporaryDirectory() as folder:
+        tree = Path(folder)
+        for name in COPIED:
+            if (ROOT / name).is_dir():
+                ignore = shutil.ignore_patterns("__pycache__")
+                shutil.copytree(ROOT / name, tree / name, ignore=ignore)
+            else:
+                shutil.copy(ROOT / name, tree / name)
+        for tests in sorted({f.tests for f in chosen}):
+            status, output = run_tests(tree, tests)
+            if status != 0:
+                print(f"without any fault, {tests} is not green:\n{output[-2000:]}")
+                return 1
+        for fault in chosen:
+            start = time.perf_counter()
+            found = verdict(tree, fault)
+            missed += found != "caught"
+            seconds = time.perf_counter() - start
+            print(f"{found:8} {seconds:4.0f} s  {fault.file}: {fault.old} -> {fault.new}", flush=True)
+    print(f"{len(chosen) - missed} of {len(chosen)} faults caught")
+    return 1 if missed or not chosen else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1] if len(sys.argv) > 1 else ""))
