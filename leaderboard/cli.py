@@ -40,7 +40,7 @@ def _options(
 def main() -> None:
     """Run the command line; the entry point of the package."""
     try:
-        app()
+        app(prog_name="roadrecon")
     except EXPECTED as error:
         if "--debug" in sys.argv:
             raise

@@ -56,12 +56,13 @@ def unrelated_sentence() -> str:
     """What equation 12 says of a road that has nothing to do with the truth."""
     levels, r = unrelated_levels()
     low, median, high = 100.0 * np.quantile(levels, [0.1, 0.5, 0.9])
+    fine = _percent(float(np.mean(levels < 0.15)), 0)
     return (
         f"An unrelated road of the same class D has a level error (the paper's eq. 12) of "
-        f"{median:.0f}\u00a0% in the median, {low:.0f} to {high:.0f}\u00a0% from the 10th to the 90th "
-        f"percentile, and below 15\u00a0% in {_percent(np.mean(levels < 0.15), 0)} of cases, at "
-        f"correlation {abs(np.mean(r)):.2f} ({r.size} pairs of 100 m). The paper reports 10.2 to "
-        "14.8\u00a0% for its network: eq. 12 alone cannot tell a reconstruction from a stranger."
+        f"{median:.0f}\u00a0% in the median, {low:.0f} to {high:.0f}\u00a0% from the 10th to the "
+        f"90th percentile, and below 15\u00a0% in {fine} of cases, at correlation "
+        f"{abs(np.mean(r)):.2f} ({r.size} pairs of 100 m). The paper reports 10.2 to 14.8\u00a0% "
+        "for its network: eq. 12 alone cannot tell a reconstruction from a stranger."
     )
 
 
@@ -74,8 +75,8 @@ def _paper_sentence(board: Board) -> str:
     return (
         f"Trained as the paper trains it, on an altered copy of the test road, the {NETWORK} "
         f"network has a level error of {_percent(level)} on the paving ({np.sum(every < 0.15)} of "
-        f"{every.size} trainings stay below 15\u00a0%), at an in-band error of {error:.2f}, where a "
-        f"flat road has 1, and correlation {r:.2f}."
+        f"{every.size} trainings stay below 15\u00a0%), at an in-band error of {error:.2f}, where "
+        f"a flat road has 1, and correlation {r:.2f}."
     )
 
 

@@ -79,12 +79,10 @@ def compare(
 
 
 def _standing(name, env, scenario, learning_steps, seeds, report) -> Standing:
-    policy = REGISTRY[name]()
-    learns = isinstance(policy, Learner)
-    if learns:
-        options = {**scenario, "truth": False}
+    policy, begin = REGISTRY[name](), 0.0
+    if isinstance(policy, Learner):
+        options, begin = {**scenario, "truth": False}, 0.9
         policy.learn(options, learning_steps, TRAINING_SEED, lambda x: report(0.9 * x))
-    begin = 0.9 if learns else 0.0
     episodes = []
     for k, seed in enumerate(seeds):
         report(begin + (1.0 - begin) * k / len(seeds))
@@ -96,7 +94,8 @@ def _standing(name, env, scenario, learning_steps, seeds, report) -> Standing:
 def episode(policy: Policy, env: gymnasium.Env, seed: int) -> dict[str, float]:
     """METRICS of one drive under `policy` on the road of `seed`."""
     observation, info = env.reset(seed=seed)
-    policy.reset(int(env.action_space.n), seed)  # type: ignore[attr-defined]
+    actions: Any = env.action_space
+    policy.reset(int(actions.n), seed)
     start, last, switches, total = info["station"], None, 0, 0.0
     squares: dict[str, list[float]] = {"comfort": [], "rattle": [], "tyre_load": []}
     over = False

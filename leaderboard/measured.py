@@ -60,7 +60,7 @@ def surface_tasks(path: Path, conditions: tuple[dict[str, Any], ...] = CONDITION
         "title": f"{path.stem}: trained on random roads of class {letter}, the class of this file",
         "board": "new_road",
         "training": {"roads": [f"iso_{letter.lower()}"], "seeds": list(SEEDS), "length": 100.0},
-        "note": "The class of the training roads was read from the file; on the road it is a guess.",
+        "note": "The class of the training roads was read from the file; on a drive it is a guess.",
     }
     return [build(Task, {**common, **special}, str(path)) for special in (copies, others)]
 

@@ -8,10 +8,10 @@ from leaderboard import figures
 from leaderboard.board import Board
 from leaderboard.findings import NETWORK, UNRELATED, findings, pooled, unrelated_levels
 from leaderboard.results import Result, Trace, write_whole
-from leaderboard.scores import SCORES
+from leaderboard.scores import NOTHING, SCORES
 from leaderboard.sentinels import NOISE
 from leaderboard.tasks import Task
-from leaderboard.view import Line, Section, views
+from leaderboard.view import Line, Section, filled, views
 
 COMPARED = (NETWORK, "mean", "unrelated_road")
 """Whose numbers stand beside the paper's."""
@@ -63,7 +63,7 @@ def render(board: Board) -> str:
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    environment.filters["bar"] = interval_bar
+    environment.filters |= {"bar": interval_bar, "filled": filled}
     tasks = {task.name: task for task in board.tasks}
     boards = [
         (view, [_case(board, tasks[s.task], s) for s in view.sections]) for view in views(board)
@@ -94,12 +94,12 @@ def claims(board: Board) -> Claims | None:
     for task in (task for task in board.tasks if task.board == "paper"):
         results = {result.estimator: result for result in board.scored(task)}
         cells = [
-            SCORES[score].text(pooled([results[name]], score)) if name in results else "–"
+            SCORES[score].text(pooled([results[name]], score)) if name in results else NOTHING
             for name in COMPARED
             for score in ("level_error", "nrmse", "r")
         ]
         claim = task.claimed_level_error
-        said = "–" if claim is None else SCORES["level_error"].text(claim)
+        said = NOTHING if claim is None else SCORES["level_error"].text(claim)
         rows.append((task.name, task.title, [said, *cells]))
     return Claims(COMPARED, rows) if rows else None
 

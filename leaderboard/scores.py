@@ -8,6 +8,9 @@ from leaderboard import metrics, spectral
 from leaderboard.bumps import bump_scores
 from road_envs.record import Profile
 
+NOTHING = "–"
+"""Stands for a score that is not defined."""
+
 Better = Literal["low", "high", "zero", ""]
 
 
@@ -23,7 +26,7 @@ class Score(NamedTuple):
     def text(self, value: float) -> str:
         """The value as printed; a dash for one that is not defined."""
         if not np.isfinite(value):
-            return "–"
+            return NOTHING
         sign = "+" if self.better == "zero" else ""
         return f"{self.factor * value:{sign}.{self.digits}f}"
 

@@ -12,6 +12,7 @@ import hashlib
 import json
 import re
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -136,17 +137,17 @@ class Task:
                 "trains_on_test_road: true"
             )
 
-    @property
+    @cached_property
     def vehicle(self) -> VehicleParameters:
         """The car that is driven. Raises ConfigError."""
         return load_vehicle(self.car)
 
-    @property
+    @cached_property
     def sensors(self) -> Instruments:
         """The instruments of the drives. Raises ConfigError."""
         return load_instruments(self.instruments)
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """sha256 of all that decides the drives: the task, its roads, car, instruments, files."""
         parts = [self, self.vehicle, self.sensors]

@@ -11,7 +11,7 @@ import numpy as np
 
 from leaderboard.board import Board
 from leaderboard.results import Result
-from leaderboard.scores import SCORES
+from leaderboard.scores import NOTHING, SCORES
 from leaderboard.sentinels import NOISE, TRUTH_PLUS_NOISE
 from leaderboard.statistics import Interval, interquartile_mean, interval, standings
 from leaderboard.tasks import Task
@@ -102,6 +102,15 @@ def views(board: Board) -> list[View]:
         if tasks:
             made.append(View(title, columns[name], tuple(_section(board, t) for t in tasks)))
     return made
+
+
+def filled(view: View, section: Section) -> list[Column]:
+    """The columns in which at least one line of a section has something to say."""
+    return [
+        column
+        for column in view.columns
+        if any(line.cells.get(column.key, "") not in ("", NOTHING) for line in section.lines)
+    ]
 
 
 def _section(board: Board, task: Task) -> Section:
@@ -200,7 +209,7 @@ def _states(result: Result) -> str:
 
 
 def _range(score: Interval) -> str:
-    return f"{score.low:.2f}–{score.high:.2f}" if np.isfinite(score.low + score.high) else "–"
+    return f"{score.low:.2f}–{score.high:.2f}" if np.isfinite(score.low + score.high) else NOTHING
 
 
 def _digits(value: float | None, digits: int) -> str:

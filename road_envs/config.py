@@ -11,7 +11,7 @@ import json
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args, get_origin
+from typing import Annotated, Any, TypeVar, cast, get_args, get_origin
 
 import yaml
 from pydantic import TypeAdapter, ValidationError
@@ -82,7 +82,7 @@ def build(cls: type[T], data: Mapping[str, Any], where: str) -> T:
     except (TypeError, ValueError) as error:  # a date as a key, a mapping inside itself
         raise ConfigError(f"{where}: {error}") from None
     try:
-        return _adapter(cls).validate_json(text, strict=True)
+        return _adapter(cast(Any, cls)).validate_json(text, strict=True)
     except ValidationError as error:
         raise ConfigError(_sentence(error, where, cls)) from None
     except ConfigError as error:

@@ -203,11 +203,10 @@ class RoadReconEnv(gymnasium.Env):
             )
         self._wk = wk_sos(1.0 / o.step)
         self._static_load = np.repeat(self.car.tyre_loads, 2)
-        low = np.r_[np.full(3 * self._samples, -self.instruments.range), np.zeros(5)]
-        high = np.r_[np.full(3 * self._samples, self.instruments.range), 100.0, np.ones(4)]
-        self.observation_space = gymnasium.spaces.Box(
-            low.astype(np.float32), high.astype(np.float32), dtype=np.float32
-        )
+        reach = np.full(3 * self._samples, self.instruments.range)
+        self._low = np.r_[-reach, np.zeros(5)].astype(np.float32)
+        self._high = np.r_[reach, 100.0, np.ones(4)].astype(np.float32)
+        self.observation_space = gymnasium.spaces.Box(self._low, self._high, dtype=np.float32)
         self.action_space = gymnasium.spaces.Discrete(len(self._bytes))
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
@@ -232,7 +231,7 @@ class RoadReconEnv(gymnasium.Env):
         """Drive one control interval under `action`."""
         if not self.action_space.contains(action):
             raise ConfigError(
-                f"the action must be one of 0 to {self.action_space.n - 1}, got {action!r}"
+                f"the action must be one of 0 to {len(self._bytes) - 1}, got {action!r}"
             )
         observation, reward, terminated, info = self._advance(self._bytes[int(action)])
         return observation, reward, terminated, self.drive.over and not terminated, info
@@ -275,7 +274,7 @@ class RoadReconEnv(gymnasium.Env):
         terms = self._terms(trajectory)
         weights = asdict(self.options.weights)
         reward = -self.interval * sum(weights[name] * terms[name] for name in terms)
-        info = {
+        info: dict[str, Any] = {
             "t": self.drive.t,
             "station": self.drive.station,
             "speed_kmh": self.speed_kmh,
@@ -309,7 +308,7 @@ class RoadReconEnv(gymnasium.Env):
         speed = self.logger.speed_gain * self.drive.speed
         states = [stiff[0, 0], high[0, 0], stiff[0, 2], high[0, 2]]
         observation = np.concatenate([samples.ravel(), [speed], states]).astype(np.float32)
-        return np.clip(observation, self.observation_space.low, self.observation_space.high)
+        return np.clip(observation, self._low, self._high)
 
 
 def _still(commands: np.ndarray, step: float) -> Trajectory:

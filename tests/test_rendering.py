@@ -185,6 +185,16 @@ def test_the_road_comes_towards_the_car_from_the_right():
     assert shift == pytest.approx(92.0, abs=3)
 
 
+def test_the_wheels_turn_with_the_way_driven():
+    def angle(seconds):
+        """Of the mark on the right front rim, clockwise [rad]."""
+        rows, columns = np.nonzero(where(frame(scene("flat", seconds)), style.DARK, under_the_body))
+        return np.arctan2(rows.mean() - 4.0, columns.mean() - 47.5)
+
+    under_the_body = (slice(255, 330), slice(400, 490))
+    assert angle(1.16) - angle(1.08) == pytest.approx(0.08 * 10.0 / 0.4, abs=0.1)
+
+
 def test_the_traces_show_the_last_seconds_with_the_newest_at_the_right():
     a = np.zeros((3, 1000))
     a[:, -100:] = 8.0

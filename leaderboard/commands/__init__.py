@@ -68,6 +68,8 @@ def _plain(value: Any) -> Any:
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
     """A bar on standard error that is fed with what is being done and the share done, 0 to 1."""
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=notices, transient=True) as bar:
+    with Progress(
+        *columns, console=notices, transient=True, disable=not notices.is_terminal
+    ) as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda text, share: bar.update(task, description=text, completed=share)

@@ -1,6 +1,5 @@
 """`simulate`, `train` and `estimate`: one drive, one estimator, one reconstruction."""
 
-import dataclasses
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -57,11 +56,23 @@ def simulate(
 ) -> None:
     """Drive the vehicle over a road and record what its instruments see."""
     writable(out, ".parquet"), writable(truth, ".csv"), writable(plot, ".png", ".svg", ".pdf")
-    surface = _surface(road, length, seed)
-    settings = {"speed_kmh": speed_kmh, "mode": mode_of(mode)}
-    car, instruments = load_vehicle(vehicle), load_instruments(sensors)
-    record, profile = record_drive(car, surface, **settings, instruments=instruments, seed=seed)
-    said = {"road": road, "vehicle": vehicle, "sensors": sensors, "seed": seed, **settings}
+    surface, struts = realised(road, length, seed), mode_of(mode)
+    record, profile = record_drive(
+        load_vehicle(vehicle),
+        surface,
+        speed_kmh=speed_kmh,
+        mode=struts,
+        instruments=load_instruments(sensors),
+        seed=seed,
+    )
+    said: dict[str, Any] = {
+        "road": road,
+        "speed_kmh": speed_kmh,
+        "mode": struts,
+        "vehicle": vehicle,
+        "sensors": sensors,
+        "seed": seed,
+    }
     if out:
         write_record(out, record, said)
     if truth:
@@ -108,13 +119,15 @@ def train(
     with progress_bar() as progress:
         for k, (name, i) in enumerate((name, i) for name in road for i in range(drives)):
             progress(f"driving {name}", 0.5 * k / (len(road) * drives))
-            surface = _surface(name, length, seed + i)
-            settings_of_drive = {"speed_kmh": speed_kmh, "mode": mode_of(mode)}
-            pairs.append(
-                record_drive(
-                    car, surface, **settings_of_drive, instruments=instruments, seed=seed + i
-                )
+            pair = record_drive(
+                car,
+                realised(name, length, seed + i),
+                speed_kmh=speed_kmh,
+                mode=mode_of(mode),
+                instruments=instruments,
+                seed=seed + i,
             )
+            pairs.append(pair)
         progress(f"training {estimator}", 0.5)
         fitted = chosen.fit([r for r, _ in pairs], [z for _, z in pairs], car, seed)
     storage.save(fitted, out)
@@ -157,8 +170,7 @@ def estimate(
     known = None
     if truth:
         known = Profile(found.s, load_road(truth).realise(np.random.default_rng(0)).height(found.s))
-        judged = scores(known, found, float(np.median(seen.v)), False)
-        facts["scores"] = dataclasses.asdict(judged) if dataclasses.is_dataclass(judged) else judged
+        facts["scores"] = scores(known, found, float(np.median(seen.v)), bumps=True)
     if out:
         write_csv(Surface(found.z, found.ds, name=f"estimate of {record.name}"), out)
     if plot:
@@ -166,7 +178,8 @@ def estimate(
     print_json(facts) if json else _print_facts(facts)
 
 
-def _surface(road: str, length: float | None, seed: int) -> Surface:
+def realised(road: str, length: float | None, seed: int) -> Surface:
+    """The surface that `seed` draws of a road, with another length if one is given."""
     chosen = load_road(road)
     if length is not None:
         chosen = with_length(chosen, length)

@@ -9,11 +9,11 @@ from rich.table import Table
 
 from leaderboard import plots
 from leaderboard.commands import console, print_json, writable
-from leaderboard.commands.drives import Json, Length, Seed, _surface
+from leaderboard.commands.drives import Json, Length, Seed, realised
 from road_envs import config
 from road_envs.roads import Surface, load_road
 from road_envs.roads.measured import write_csv
-from road_envs.roughness import classify, dsd, fit_line, iri
+from road_envs.roughness import classify, dsd, fit_line, iri, smooth
 
 app = typer.Typer(help="List, plot and export roads.", no_args_is_help=True)
 
@@ -48,7 +48,7 @@ def plot_road(
 ) -> None:
     """Draw both wheel paths of a road, and their spectrum over the ISO 8608 classes."""
     writable(out, ".png", ".svg", ".pdf")
-    plots.draw_road(_surface(road, length, seed), out)
+    plots.draw_road(realised(road, length, seed), out)
     console.print(f"written: {out}")
 
 
@@ -61,7 +61,7 @@ def export(
 ) -> None:
     """Write both wheel paths of a road as a table that can be read back as a road."""
     writable(out, ".csv")
-    surface = _surface(road, length, seed)
+    surface = realised(road, length, seed)
     write_csv(surface, out)
     console.print(f"written: {out} ({surface.length:g} m, every {1000 * surface.ds:g} mm)")
 
@@ -71,7 +71,7 @@ def _names() -> list[str]:
 
 
 def _facts(name: str, surface: Surface) -> dict:
-    n, G_d = dsd(surface.z, surface.ds)
+    n, G_d = smooth(*dsd(surface.z, surface.ds))
     letters = [classify(fit_line(n, G, w=2.0)[0]) if G.max() > 0 else "-" for G in G_d]
     return {
         "road": name,

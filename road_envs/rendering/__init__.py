@@ -28,7 +28,7 @@ PANELS = (
 
 def frame(scene: Scene) -> np.ndarray:
     """A picture (540, 960, 3) of `scene`, uint8."""
-    image = np.full((HEIGHT, WIDTH, 3), 201, dtype=np.uint8)
+    image = np.full((HEIGHT, WIDTH, 3), 201, dtype=np.uint8)  # grey seams between the panels
     for draw, (x, y), (width, height), ground in PANELS:
         canvas = Canvas(width, height, ground)
         draw(canvas, scene)

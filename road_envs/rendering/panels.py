@@ -1,5 +1,7 @@
 """The panels around the two views: heading, wheel paths, accelerations, struts and tyres."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from road_envs.record import SENSORS
@@ -50,35 +52,52 @@ def commanded(byte: int) -> str:
     return "each wheel its own"
 
 
+@dataclass(frozen=True)
+class Scale:
+    """A straight line of pixels: `start` stands for the value `low`, `end` for `high`."""
+
+    low: float
+    high: float
+    start: float
+    end: float
+
+    def __call__(self, value):
+        """The pixel for a value, or for each of an array."""
+        return self.start + (self.end - self.start) * (value - self.low) / (self.high - self.low)
+
+    def marks(self, step: float) -> np.ndarray:
+        """The multiples of `step` from `low` to `high`."""
+        return step * np.arange(np.ceil(self.low / step), np.floor(self.high / step) + 1)
+
+
 def wheel_paths(canvas: Canvas, scene: Scene) -> None:
-    """Heights of both wheel paths behind and ahead of the car, wheels included."""
-    left, right, top, bottom = MARGIN, canvas.width - 10.0, 22.0, canvas.height - 16.0
-    low, high = min(scene.surface.z.min(), 0.0), max(scene.surface.z.max(), 1e-3)
-
-    def columns(s):
-        return left + (right - left) * (s - scene.station + BEHIND) / (AHEAD + BEHIND)
-
-    def rows(z):
-        return bottom - (bottom - top) * (z - low) / (high - low)
-
+    """Heights of both wheel paths behind and ahead of the car, and where its wheels stand."""
+    z = scene.surface.z
+    columns = Scale(scene.station - BEHIND, scene.station + AHEAD, MARGIN, canvas.width - 10.0)
+    rows = Scale(min(z.min(), 0.0), max(z.max(), 0.01), canvas.height - 16.0, 22.0)
+    axles = np.array([scene.station - scene.car.wheelbase, scene.station])
     canvas.text(10, 15, "wheel paths, mm", style.INK, 12)
-    canvas.text(right, 15, "left dark, right light", style.FAINT, 11, "rs")
-    under = np.array([scene.station - scene.car.wheelbase, scene.station])
-    canvas.box(columns(under[0]), top - 2, columns(under[1]), bottom + 2, style.SKY)
-    step = nice((high - low) / 4.0)
-    for z in step * np.arange(np.ceil(low / step), np.floor(high / step) + 1):
-        canvas.line(np.array([[left, rows(z)], [right, rows(z)]]), style.GRID)
-        canvas.text(left - 6, rows(z), f"{1000 * z + 0.0:.0f}", style.FAINT, 11, "rm")
-    first = np.ceil((scene.station - BEHIND) / 5.0) * 5.0
-    for mark in np.arange(first, scene.station + AHEAD, 5.0):
-        canvas.line(np.array([[columns(mark), bottom], [columns(mark), bottom + 4]]), style.FAINT)
-        canvas.text(columns(mark), canvas.height - 2, f"{mark:.0f} m", style.FAINT, 10, "ms")
-    s = np.linspace(scene.station - BEHIND, scene.station + AHEAD, 560)
-    paths = zip(scene.surface.height(s), scene.surface.height(under), PATHS, strict=True)
-    for z, z_under, (colour, thickness) in reversed(list(paths)):
-        canvas.line(np.column_stack([columns(s), rows(z)]), colour, thickness)
-        for column, row in zip(columns(under), rows(z_under), strict=True):
+    canvas.text(columns.end, 15, "left dark, right light", style.FAINT, 11, "rs")
+    canvas.box(columns(axles[0]), rows.end - 2, columns(axles[1]), rows.start + 2, style.SKY)
+    _marks(canvas, columns, rows)
+    s = np.linspace(columns.low, columns.high, 560)
+    paths = list(zip(scene.surface.height(s), scene.surface.height(axles), PATHS, strict=True))
+    for heights, wheels, (colour, thickness) in reversed(paths):
+        canvas.line(np.column_stack([columns(s), rows(heights)]), colour, thickness)
+        for column, row in zip(columns(axles), rows(wheels), strict=True):
             canvas.disc(column, row, 3.5, colour)
+
+
+def _marks(canvas: Canvas, columns: Scale, rows: Scale) -> None:
+    """Heights with a line across the panel, stations with a tick under it."""
+    for z in rows.marks(nice((rows.high - rows.low) / 4.0)):
+        canvas.line(np.array([[columns.start, rows(z)], [columns.end, rows(z)]]), style.GRID)
+        height = f"{1000 * z + 0.0:g}"  # never -0
+        canvas.text(columns.start - 6, rows(z), height, style.FAINT, 11, "rm")
+    for s in columns.marks(5.0):
+        tick = [[columns(s), rows.start], [columns(s), rows.start + 4]]
+        canvas.line(np.array(tick), style.FAINT)
+        canvas.text(columns(s), canvas.height - 2, f"{s + 0.0:.0f} m", style.FAINT, 10, "ms")
 
 
 def nice(value: float, leading: tuple[int, ...] = (1, 2, 5)) -> float:
@@ -144,7 +163,7 @@ def _extension(canvas, scene, wheel, x, y, width) -> None:
     canvas.box(column(0.0) - 0.5, y, column(0.0) + 0.5, y + 11, style.FAINT)
     canvas.box(column(e) - 2, y - 1, column(e) + 2, y + 12, style.INK)
     words = {-1: "on bump stop", 0: "", 1: "on rebound stop"}[stop]
-    canvas.text(x, y + 24, words or f"strut {1000 * e:+.0f} mm", style.INK, 11)
+    canvas.text(x, y + 24, words or f"strut {round(1000 * e):+d} mm", style.INK, 11)
 
 
 def _load(canvas, scene, wheel, x, y, width) -> None:

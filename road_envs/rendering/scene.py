@@ -23,7 +23,7 @@ WHEEL_RADIUS = 0.4
 CAMERA = 20.0
 """Length of road [m] over whose mean height the camera stands."""
 
-REAR_LEFT, REAR_RIGHT = 2, 3
+FRONT_LEFT, FRONT_RIGHT, REAR_LEFT, REAR_RIGHT = range(4)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,14 @@ from road_envs.dynamics import THETA, Z_B
 from road_envs.rendering import style
 from road_envs.rendering.canvas import Canvas
 from road_envs.rendering.parts import MOUNT, strut
-from road_envs.rendering.scene import Scene
+from road_envs.rendering.scene import (
+    FRONT_LEFT,
+    FRONT_RIGHT,
+    REAR_LEFT,
+    REAR_RIGHT,
+    WHEEL_RADIUS,
+    Scene,
+)
 
 SCALE = 92.0
 """Pixels to a metre."""
@@ -27,8 +34,6 @@ SHOULDER = 0.3
 
 STONE, COURSES = 0.25, 4
 """Length of a paving stone [m], and how many lie side by side between the wheel paths."""
-
-FRONT_LEFT, FRONT_RIGHT, REAR_LEFT, REAR_RIGHT = range(4)
 
 # Outlines: share of the wheelbase ahead of the rear axle, metres ahead of that, metres of height
 CHASSIS = ((1, 0.52, 0.50), (1, 0.52, 0.64), (0, -0.98, 0.64), (0, -0.98, 0.50))
@@ -144,11 +149,8 @@ class SideView:
             self._wheel(wheel)
 
     def _road(self) -> None:
-        far, near = (
-            self.place(self.x, -self.near, self.left),
-            self.place(self.x, self.near, self.right),
-        )
-        self._strip(far, near, style.ROAD)
+        far = self.place(self.x, -self.near, self.left)
+        self._strip(far, self.place(self.x, self.near, self.right), style.ROAD)
         self._stones()
         self.canvas.line(far, style.LEFT_PATH, 1.5)
         for left in (REAR_LEFT, FRONT_LEFT):
@@ -200,7 +202,7 @@ class SideView:
         canvas.disc(column, row, radius, style.RUBBER)
         canvas.disc(column, row, 0.235 * SCALE, style.RIM)
         canvas.disc(column, row, 0.15 * SCALE, style.STEEL)
-        turned = (scene.station - scene.car.front.x + x) / z
+        turned = (scene.station - scene.car.front.x + x) / WHEEL_RADIUS
         mark = 0.19 * SCALE * np.array([np.sin(turned), -np.cos(turned)])
         canvas.disc(column + mark[0], row + mark[1], 0.035 * SCALE, style.DARK)
 
@@ -219,13 +221,11 @@ class SideView:
         bottom = np.array([[edge[-1, 0], self.canvas.height], [edge[0, 0], self.canvas.height]])
         self.canvas.polygon(np.concatenate([edge, bottom]), style.EARTH)
         self.canvas.line(path, style.RIGHT_PATH, 1.5)
-        for mark in np.arange(np.ceil(self.s[0] / 2.0) * 2.0, self.s[-1], 2.0):
-            i = int(np.searchsorted(self.s, mark))
-            x, y = edge[i]
+        for mark in np.arange(np.ceil(self.s[0] / 2.0), self.s[-1] / 2.0) * 2.0:
+            x, y = (np.interp(mark, self.s, along) for along in edge.T)
             self.canvas.line(np.array([[x, y], [x, y + 6.0]]), style.PAPER)
-            self.canvas.text(
-                x, min(y + 18.0, self.canvas.height - 22.0), f"{mark:.0f} m", style.PAPER, 11, "ms"
-            )
+            label = min(y + 18.0, self.canvas.height - 22.0)
+            self.canvas.text(x, label, f"{mark + 0.0:.0f} m", style.PAPER, 11, "ms")
 
     def _strip(self, one: np.ndarray, other: np.ndarray, fill: str) -> None:
         self.canvas.polygon(np.concatenate([one, other[::-1]]), fill)
@@ -235,7 +235,7 @@ class SideView:
         pitch, heave = np.degrees(q[THETA]), 1000.0 * q[Z_B]
         write = self.canvas.text
         write(10, 20, f"pitch {style.tilt(pitch, 'nose down', 'nose up')}", style.INK)
-        write(200, 20, f"heave {heave:+4.0f} mm", style.INK)
+        write(200, 20, f"heave {round(heave):+d} mm", style.INK)
         write(self.canvas.width - 10, 20, self.scene.scale_words, style.INK, anchor="rs")
         y = self.canvas.height - 11.0
         for x, colour, words in LEGEND:

@@ -1,0 +1,192 @@
+"""Tasks are read strictly, never mix training with test, and know when they have changed."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import yaml
+from fakes import task
+
+from leaderboard.drives import simulated
+from leaderboard.measured import surface_class, surface_tasks
+from leaderboard.tasks import load_task, shipped_tasks
+from road_envs.config import ConfigError, names
+from road_envs.record import grid
+from road_envs.roads import load_road, write_csv
+
+DRIVES = {"roads": ["iso_d"], "seeds": [1, 2]}
+
+
+def test_every_shipped_task_loads_and_can_be_driven():
+    tasks = shipped_tasks()
+    assert [t.name for t in tasks] == names("tasks")
+    for t in tasks:
+        first = t.test.pairs[0][0]
+        assert first.length > t.vehicle.wheelbase
+        assert t.sensors.fs * t.test.step <= 1.0
+
+
+def test_the_papers_eight_scenarios_are_those_of_its_tables():
+    """Table 4; ride comfort in scenario 2 and the claims after section 7."""
+    paper = {t.name: t for t in shipped_tasks("paper")}
+    driven = [paper[f"paper_{k}"].conditions[0] for k in range(1, 9)]
+    modes = ["handling", "ride", "ride", "handling", "ride", "handling", "ride", "handling"]
+    assert [c.mode for c in driven] == modes
+    assert [c.speed_kmh for c in driven] == [14.5] * 6 + [54.0] * 2
+    claims = [paper[f"paper_{k}"].claimed_level_error for k in range(1, 9)]
+    assert claims == [None] * 4 + [0.102, 0.128, 0.148, 0.142]
+    assert all(t.trains_on_test_road and len(t.test.pairs) == 1 for t in paper.values())
+    assert [paper[f"paper_{k}"].bumps for k in range(1, 9)] == [True] * 4 + [False] * 4
+
+
+def test_the_new_road_board_holds_seeds_and_roads_apart():
+    t = load_task("new_road")
+    assert not set(t.training.seeds) & set(t.test.seeds) and not t.trains_on_test_road
+    assert len(t.test.pairs) == 10 and len(t.with_roads(50).test.pairs) == 50
+    assert all(road.length == 300.0 for road, _ in t.test.pairs)
+    assert t.test.step < t.training.step
+
+
+def test_more_roads_than_a_task_has_are_refused():
+    with pytest.raises(ConfigError, match="new_road: number of drives must be 1 to 50, got 51"):
+        load_task("new_road").with_roads(51)
+
+
+def test_a_shared_seed_is_refused():
+    with pytest.raises(ConfigError, match=r"training and test share the seeds \[2\]"):
+        task(training=DRIVES, test={"roads": ["iso_d"], "seeds": [2, 3]})
+
+
+@pytest.mark.parametrize("training", ["belgian", "belgian_training"])
+def test_training_on_the_test_road_has_to_be_said(training):
+    roads = {"training": {"roads": [training], "seeds": [1]}}
+    test = {"roads": ["belgian"], "seeds": [2]}
+    with pytest.raises(ConfigError, match="trains_on_test_road"):
+        task(**roads, test=test)
+    assert task(**roads, test=test, trains_on_test_road=True).trains_on_test_road
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"boards": "paper"}, "unknown key, did you mean 'board'"),
+        ({"board": "papers"}, "'paper' or 'new_road'"),
+        ({"test": {"roads": ["iso_x"], "seeds": [9]}}, "unknown road 'iso_x'"),
+        ({"test": {"roads": [], "seeds": [9]}}, "at least one road and one seed"),
+        ({"test": {"roads": ["iso_d"], "seeds": [9, 9]}}, "seeds must differ"),
+        ({"test": {"roads": ["iso_d"], "seeds": [9], "step": 0.0}}, "step must be positive"),
+        ({"conditions": [{"mode": "ride", "speed_kmh": 0.0}]}, "speed_kmh must be positive"),
+        ({"conditions": [{"mode": "sport", "speed_kmh": 9.0}]}, "mode"),
+        ({"conditions": []}, "at least one condition"),
+        ({"name": "../up"}, "letters, digits"),
+    ],
+)
+def test_bad_input_is_one_sentence_that_names_it(change, said):
+    with pytest.raises(ConfigError) as error:
+        task(**{"name": "small", **change})
+    assert said in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_task_is_called_as_its_file(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(yaml.safe_dump({**as_settings(), "name": "other"}))
+    with pytest.raises(ConfigError, match="called 'other', its file 'mine'"):
+        load_task(path)
+
+
+def as_settings():
+    return {
+        "name": "mine",
+        "title": "Mine",
+        "board": "new_road",
+        "version": 1,
+        "car": "land_rover_defender_110",
+        "instruments": "paper",
+        "conditions": [{"mode": "ride", "speed_kmh": 14.5}],
+        "training": DRIVES,
+        "test": {"roads": ["iso_d"], "seeds": [3]},
+    }
+
+
+def test_the_digest_changes_with_all_that_decides_the_drives_and_with_nothing_else(tmp_path):
+    base = task()
+    assert base.digest == task().digest and len(base.digest) == 64
+    # the same roads, said in another way
+    same = {"roads": [{"kind": "iso8608", "road_class": "D"}], "seeds": [1, 2], "length": 40.0}
+    assert task(training=same).digest == base.digest
+    others = [
+        task(version=2),
+        task(bumps=True),
+        base.with_roads(2),
+        task(instruments="ideal"),
+        task(training={**DRIVES, "length": 40.0, "noise": False}),
+        task(training={"roads": ["iso_e"], "seeds": [1, 2], "length": 40.0}),
+    ]
+    digests = {base.digest, *(other.digest for other in others)}
+    assert len(digests) == len(others) + 1
+
+
+def test_the_digest_follows_the_content_of_a_surface_file(tmp_path):
+    path = surface_file(tmp_path, "a.csv", seed=1)
+    before = surface_tasks(path)[0].digest
+    moved = surface_tasks(surface_file(tmp_path / "elsewhere", "a.csv", seed=1))[0].digest
+    assert moved == before
+    surface_file(tmp_path, "a.csv", seed=2)
+    assert surface_tasks(path)[0].digest != before
+
+
+def surface_file(folder, name, seed, length=120.0):
+    folder.mkdir(exist_ok=True)
+    road = load_road({"kind": "iso8608", "road_class": "E", "length": length})
+    write_csv(road.realise(np.random.default_rng(seed)), folder / name)
+    return folder / name
+
+
+def test_a_surface_file_is_judged_both_ways(tmp_path):
+    paper, new = surface_tasks(surface_file(tmp_path, "course.csv", seed=3))
+    assert (paper.name, new.name) == ("course_paper", "course_new_road")
+    assert paper.trains_on_test_road and not new.trains_on_test_road
+    assert "class E, the class of this file" in new.title
+    assert paper.test.pairs[0][0].length == pytest.approx(120.0, abs=0.1)
+
+
+def test_a_short_surface_is_mirrored_and_it_is_said(tmp_path):
+    for t in surface_tasks(surface_file(tmp_path, "tile.csv", seed=4, length=10.0)):
+        surface = t.test.pairs[0][0].realise(np.random.default_rng(0))
+        assert surface.length == pytest.approx(100.0)
+        assert any("mirrored" in note for note in surface.notes)
+
+
+def test_the_class_of_a_surface_is_that_of_its_rougher_path():
+    road = load_road({"kind": "iso8608", "road_class": "C", "length": 300.0})
+    surface = road.realise(np.random.default_rng(5))
+    assert surface_class(surface) == "C"
+    assert surface_class(dataclasses.replace(surface, z=surface.z * [[1.0], [4.0]])) == "E"
+
+
+def test_a_file_that_is_no_surface_is_one_sentence(tmp_path):
+    path = tmp_path / "bad.csv"
+    path.write_text("0 zero\n")
+    with pytest.raises(ConfigError, match="bad.csv"):
+        surface_tasks(path)
+
+
+def test_drives_are_repeatable_and_one_road_is_the_same_in_every_condition():
+    t = task(test={"roads": ["iso_d"], "seeds": [11], "length": 20.0, "step": 0.0005})
+    first, again, fast = (
+        next(simulated(t, t.test, t.conditions[k])) for k in (0, 0, 1)
+    )
+    np.testing.assert_array_equal(first.record.a, again.record.a)
+    np.testing.assert_array_equal(first.truth.z, fast.truth.z)
+    np.testing.assert_array_equal(first.truth.s, grid(first.record.length))
+    assert first.record.a.shape[1] > fast.record.a.shape[1]
+    with pytest.raises(ValueError, match="read-only"):
+        first.record.a[0, 0] = 0.0
+
+
+def test_noise_is_only_where_the_task_wants_it():
+    t = task(test={"roads": ["flat"], "seeds": [11], "length": 20.0, "noise": False})
+    quiet = next(simulated(t, t.test, t.conditions[0])).record
+    assert np.abs(quiet.a).max() < 1e-6
+    noisy = dataclasses.replace(t.test, noise=True)
+    assert next(simulated(t, noisy, t.conditions[0])).record.a.std() > 0.05
