@@ -8,7 +8,7 @@ import sys
 import typer
 
 from estimators.protocol import EstimateError, NotFittedError
-from leaderboard.commands import bench, board, drives, policies, roads
+from leaderboard.commands import animate, bench, board, drives, policies, roads
 from road_envs.config import ConfigError
 from road_envs.simulate import SimulationError
 
@@ -27,6 +27,7 @@ app.command("estimate")(drives.estimate)
 app.command("leaderboard")(board.leaderboard)
 app.command("policies")(policies.policies)
 app.add_typer(roads.app, name="roads")
+app.command("animate")(animate.animate)
 app.command("bench")(bench.bench)
 
 

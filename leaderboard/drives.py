@@ -13,7 +13,7 @@ from road_envs.record import Profile, Record
 
 @dataclass(frozen=True)
 class Drive:
-    """One drive over the `road` realised by `seed`; arrays cannot be written."""
+    """One drive over the `road` realised by `seed`."""
 
     road: str
     seed: int
@@ -46,7 +46,7 @@ def simulated(task: Task, drives: Drives, condition: Condition) -> Iterator[Driv
             seed=np.random.SeedSequence([seed, task.conditions.index(condition)]),
             step=drives.step,
         )
-        yield read_only(Drive(surface.name, seed, record, truth, surface.notes))
+        yield Drive(surface.name, seed, record, truth, surface.notes)
 
 
 def read_only(drive: Drive) -> Drive:

@@ -14,7 +14,7 @@ import numpy as np
 
 from estimators.protocol import Estimator
 from leaderboard import metrics
-from leaderboard.drives import Drive, DriveSource, simulated
+from leaderboard.drives import Drive, DriveSource, read_only, simulated
 from leaderboard.entry import EntryError, Outcome, reconstruct
 from leaderboard.environment import environment, version
 from leaderboard.results import DriveScores, Result, Trace, heights
@@ -109,8 +109,8 @@ def settings_of(estimator: Estimator | None) -> dict[str, Any]:
 def _session(task: Task, condition: Condition, drive: DriveSource) -> Session | str:
     """The drives of a condition, or in one sentence why there are none."""
     try:
-        training = list(drive(task, task.training, condition))
-        tests = list(drive(task, task.test, condition))
+        training = [read_only(d) for d in drive(task, task.training, condition)]
+        tests = [read_only(d) for d in drive(task, task.test, condition)]
     except SimulationError as error:
         return f"{condition.label}: the drive itself failed: {error}"
     return Session(task, condition, training, tests)

@@ -63,9 +63,7 @@ def as_json(board: Board) -> list[dict[str, Any]]:
 def _table(view: View, sections: tuple[Section, ...], title: str) -> Table:
     columns = [column for column in view.columns if not column.wide]
     grouped = len(sections) > 1
-    table = Table(
-        title=title, title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False
-    )
+    table = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False)
     if grouped:
         table.add_column("case", width=CASE_WIDTH)
     table.add_column("estimator", no_wrap=True)

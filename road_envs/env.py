@@ -10,7 +10,7 @@ import numpy as np
 
 from road_envs.comfort import wk_sos
 from road_envs.config import STRICT, ConfigError, build, one_of
-from road_envs.dynamics import Z_B, plant
+from road_envs.dynamics import DOF, Z_B, plant
 from road_envs.processing import run_sections
 from road_envs.record import SENSORS
 from road_envs.roads import load_road, with_length
@@ -28,6 +28,9 @@ ACTIONS: dict[str, tuple[Any, ...]] = {
     ),
 }
 """What the actions 0, 1, ... command, for each choice of `control`."""
+
+ANGLES = [DOF.index(name) for name in ("phi", "theta", "phi_af", "phi_ar")]
+LARGEST_ANGLE = np.radians(45.0)
 
 TOP_SPEED = 200.0
 """Highest speed that is accepted [km/h]."""
@@ -135,8 +138,9 @@ class RoadReconEnv(gymnasium.Env):
     stream of its own.
 
     ## Episode End
-    Truncated when the rear axle has left the road and the apron after it. Terminated only when the
-    motion leaves the range of numbers; `info["reason"]` then says so.
+    Truncated when the rear axle has left the road and the apron after it. Terminated when body or
+    axle has rolled or pitched by more than 45 degrees, where the model's small angles end, or when
+    the motion leaves the range of numbers; `info["reason"]` then says which.
 
     ## Arguments
     ```python
@@ -269,6 +273,7 @@ class RoadReconEnv(gymnasium.Env):
         reason = ""
         try:
             trajectory = self.drive.advance(commands)
+            reason = _overturned(trajectory)
         except SimulationError as error:
             reason, trajectory = str(error), _still(commands, self.drive.step)
         terms = self._terms(trajectory)
@@ -309,6 +314,16 @@ class RoadReconEnv(gymnasium.Env):
         states = [stiff[0, 0], high[0, 0], stiff[0, 2], high[0, 2]]
         observation = np.concatenate([samples.ravel(), [speed], states]).astype(np.float32)
         return np.clip(observation, self._low, self._high)
+
+
+def _overturned(trajectory: Trajectory) -> str:
+    """What turned too far for the model, and when; empty if nothing did."""
+    angles = np.abs(trajectory.state[:, ANGLES])
+    if angles.max() <= LARGEST_ANGLE:
+        return ""
+    row, column = np.unravel_index(np.argmax(angles > LARGEST_ANGLE), angles.shape)
+    name, degrees = DOF[ANGLES[column]], np.degrees(LARGEST_ANGLE)
+    return f"{name} passed {degrees:.0f} degrees at t = {trajectory.t[row]:.3f} s"
 
 
 def _still(commands: np.ndarray, step: float) -> Trajectory:

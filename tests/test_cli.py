@@ -30,7 +30,16 @@ DRIVE = ("--road", "iso_c", "--length", "30", "--speed-kmh", "36")
 
 
 def test_every_command_explains_itself(roadrecon):
-    for command in ("simulate", "train", "estimate", "leaderboard", "policies", "roads", "bench"):
+    for command in (
+        "simulate",
+        "train",
+        "estimate",
+        "leaderboard",
+        "policies",
+        "roads",
+        "animate",
+        "bench",
+    ):
         code, out, _ = roadrecon(command, "--help")
         assert code == 0
         assert "Usage: roadrecon" in out and command in out

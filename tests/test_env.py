@@ -220,6 +220,15 @@ def test_motion_beyond_all_numbers_terminates_with_a_reason():
     assert env.observation_space.contains(observation)
 
 
+def test_a_car_that_overturns_terminates_with_a_reason():
+    env = make(**SHORT)
+    env.reset(seed=0)
+    env.drive.state[1] = 0.9
+    _, _, terminated, truncated, info = env.step(0)
+    assert (terminated, truncated) == (True, False)
+    assert "phi passed 45 degrees at t = 0.050 s" in info["reason"]
+
+
 def test_a_spawned_worker_finds_the_environment_by_module_and_id(tmp_path):
     script = tmp_path / "workers.py"
     script.write_text(

@@ -100,10 +100,6 @@ class Measured:
         return Surface(z, ds, name=Path(self.path).stem, notes=(*notes, *bridges))
 
 
-Paths = tuple[np.ndarray, float, tuple[str, ...]]
-"""Heights (2, N) [m] of the left and right wheel path, their spacing [m], and notes."""
-
-
 def wheel_paths(grid: CurvedGrid, centre: float | None, track: float) -> Paths:
     """Both wheel paths, half a `track` [m] to either side of v = `centre` [m]."""
     v = grid.v
@@ -121,58 +117,6 @@ def wheel_paths(grid: CurvedGrid, centre: float | None, track: float) -> Paths:
         z[side] = sum(parts)
     start = (f"station 0 is u = {grid.u_start:g} m",) if grid.u_start else ()
     return z, grid.du, (*start, *grid.notes)
-
-
-def parse_table(data: bytes) -> Paths:
-    """Both wheel paths from the bytes of a table."""
-    try:
-        text = re.sub("[,;\t]", " ", data.decode("utf-8-sig"))
-    except UnicodeDecodeError:
-        raise SurfaceFileError("not a text file") from None
-    lines = [s for line in text.splitlines() if (s := line.strip()) and not s.startswith("#")]
-    names = lines.pop(0).lower().split() if lines and not _is_number(lines[0].split()[0]) else []
-    if not lines:
-        raise SurfaceFileError("the table is empty")
-    try:
-        table = np.loadtxt(lines, ndmin=2)
-    except ValueError as error:
-        raise SurfaceFileError(f"not a table of numbers: {error}") from None
-    if table.shape[1] not in (2, 3):
-        raise SurfaceFileError(
-            f"wanted the columns distance, left, right, or distance, height, "
-            f"got {table.shape[1]} columns"
-        )
-    order = [1, -1]
-    if len(names) == 3 and "right" in names[1] and "left" in names[2]:
-        order = [2, 1]
-    return _even(table[:, 0], heights(table[:, order].T))
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _even(s: np.ndarray, z: np.ndarray) -> Paths:
-    """Wheel paths `z` (2, N) at the stations `s` (N,) [m] on an even grid."""
-    if not (np.abs(s) < MAX_LENGTH).all():
-        raise SurfaceFileError(f"a distance of {s[~(np.abs(s) < MAX_LENGTH)][0]:g} m")
-    steps = np.diff(s)
-    if not (steps > 0.0).all():
-        raise SurfaceFileError(f"distance does not increase at row {np.argmin(steps > 0.0) + 2}")
-    if s.size < 2:
-        raise SurfaceFileError("at least 4 stations are wanted, got 1")
-    ds = float(np.median(steps))
-    if (np.abs(steps - ds) < EVEN * ds).all():
-        return z, float((s[-1] - s[0]) / steps.size), ()
-    size = float(s[-1] - s[0]) / ds + 1.0
-    if size > 4.0 * s.size:
-        raise SurfaceFileError("the stations are too uneven to be interpolated")
-    grid = s[0] + ds * np.arange(int(size + 1e-9))
-    return np.array([np.interp(grid, s, path) for path in z]), ds, (f"resampled to {ds:.4g} m",)
 
 
 def bridged(z: np.ndarray, ds: float, allowed: bool) -> tuple[np.ndarray, list[str]]:
@@ -213,20 +157,3 @@ def laid(z: np.ndarray, ds: float, size: int, repeat: str) -> tuple[np.ndarray, 
     left, right = 1e3 * rise[:, 0]
     note = f"{what.format('repeated')}, its rise of {left:.1f} and {right:.1f} mm taken away"
     return closed[:, k % steps], note
-
-
-def write_csv(surface: Surface, path: str | Path) -> None:
-    """A surface as a table that `Measured` reads, to 1 nm; whole or not at all."""
-    path = Path(path)
-    remarks = [f"# {line}" for line in (surface.name, *surface.notes)]
-    rows = [
-        f"{s:.9f},{left:.9f},{right:.9f}"
-        for s, left, right in zip(surface.s, *surface.z, strict=True)
-    ]
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        text = "\n".join([*remarks, "distance,left,right", *rows, ""])
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)

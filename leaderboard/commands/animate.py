@@ -1,0 +1,28 @@
+"""`animate`: the vehicle on its road, as a moving picture."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from leaderboard import animation
+from leaderboard.commands import console, progress_bar, writable
+from leaderboard.commands.drives import Length
+
+
+def animate(
+    out: Annotated[Path, typer.Option(help="Picture to write (.gif or .webp).")],
+    road: Annotated[str, typer.Option(help="Road: shipped name, YAML path or surface file.")] = (
+        "belgian"
+    ),
+    speed_kmh: Annotated[float, typer.Option(help="Speed in km/h.")] = 54.0,
+    length: Length = None,
+    seconds: Annotated[float, typer.Option(help="Length of the animation.", min=0.1)] = 6.5,
+    enlarged: Annotated[float, typer.Option(help="Vertical motion enlarged so many times.")] = 2.0,
+) -> None:
+    """Draw the vehicle on its road: ride for the first half, handling for the second."""
+    writable(out, ".gif", ".webp")
+    options = {"road": road, "speed_kmh": speed_kmh, "length": length, "exaggeration": enlarged}
+    with progress_bar() as progress:
+        animation.animate(options, seconds, out, progress)
+    console.print(f"written: {out} ({out.stat().st_size / 1e6:.1f} MB)")

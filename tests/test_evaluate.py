@@ -1,0 +1,212 @@
+"""The judge: every entry is a row, whatever it does, and nobody sees the truth of a test drive."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from fakes import Broken, Learner, Reader, fake_drives, task
+
+from leaderboard.board import load_board, run_board
+from leaderboard.drives import simulated
+from leaderboard.entry import EntryError, reconstruct
+from leaderboard.evaluate import run_task, steps
+from leaderboard.metrics import nrmse, scored_band
+from leaderboard.results import path_of
+from leaderboard.sentinels import NOISE, SENTINELS, truth_plus_noise
+from road_envs.config import ConfigError
+from road_envs.simulate import SimulationError
+
+
+def run(entries, seeds=(1, 2, 3), t=None, **options):
+    results = run_task(t or task(), entries, seeds, drive=fake_drives, **options)
+    return {result.estimator: result for result in results}
+
+
+def board(tmp_path, entries, **options):
+    return run_board([task()], entries, tmp_path, drive=fake_drives, **options)
+
+
+def test_a_scaled_truth_has_the_error_of_its_scale_on_every_drive():
+    result = run({"reader": Reader(gain=0.9)})["reader"]
+    np.testing.assert_allclose(result.values("nrmse"), np.full((3, 2, 1), 0.1), atol=0.01)
+    np.testing.assert_allclose(result.values("level_error"), np.full((3, 2, 1), 0.1), atol=0.01)
+    assert result.failure is None and result.settings == {"gain": 0.9}
+    assert [d.road_seed for d in result.drives] == [11, 12, 13] * 2
+
+
+def test_every_training_seed_is_kept_and_the_traces_show_the_middle_one():
+    result = run({"learner": Learner()})["learner"]
+    error = result.values("nrmse")
+    assert error.shape == (3, 2, 3) and len(result.train_seconds) == 6
+    assert result.parameters == 1
+    for condition, trace in enumerate(result.traces):
+        first_road = error[0, condition]
+        assert trace.scores["nrmse"] == np.median(first_road) != first_road.min()
+
+
+def test_an_entry_that_draws_nothing_is_trained_once():
+    result = run({"learner": Learner(spread=0.0)})["learner"]
+    assert result.values("nrmse").shape == (3, 2, 1)
+    assert result.seeds == (1, 2, 3)
+
+
+def test_the_same_seeds_give_the_same_scores():
+    entries = {"learner": Learner(), "truth_plus_noise": None}
+    once, again = run(entries), run(entries)
+    for name, result in once.items():
+        assert result.drives == again[name].drives and result.traces == again[name].traces
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ("raises", "RuntimeError: no idea"),
+        ("exits", "SystemExit: 3"),
+        ("nan", "must be finite"),
+        ("short", "shape"),
+        ("one path", "shape"),
+        ("text", "an Estimate is wanted, got str"),
+        ("scribbles", "read-only"),
+    ],
+)
+def test_a_failure_is_a_row_that_says_why_and_the_others_are_still_there(how, said):
+    results = run({"broken": Broken(how=how), "reader": Reader()})
+    failed = results["broken"]
+    assert said in failed.failure and "\n" not in failed.failure
+    assert failed.failure.startswith("ride, 14.5 km/h, estimating test drive 1 of 3, seed 1: ")
+    assert failed.drives == failed.traces == ()
+    assert results["reader"].failure is None
+    np.testing.assert_allclose(results["reader"].values("nrmse"), 0.1, atol=0.01)
+
+
+def test_an_absurd_estimate_is_scored_without_a_warning():
+    result = run({"absurd": Broken(how="absurd")})["absurd"]
+    assert result.failure is None
+    assert not (result.values("nrmse") < 1e100).any()
+
+
+def test_training_that_fails_names_the_seed():
+    class Stubborn(Learner):
+        def fit(self, records, truths, car, seed):
+            raise ValueError("singular\nmatrix")
+
+    failed = run({"stubborn": Stubborn()})["stubborn"]
+    assert failed.failure == "ride, 14.5 km/h, training with seed 1: ValueError: singular matrix"
+
+
+def test_a_drive_that_fails_fails_every_row_of_its_task():
+    def breaks_down(t, drives, condition):
+        if condition.speed_kmh > 50.0:
+            raise SimulationError("the car left the road")
+        return fake_drives(t, drives, condition)
+
+    for result in run_task(task(), {"reader": Reader()}, drive=breaks_down):
+        assert "54 km/h: the drive itself failed: the car left the road" in result.failure
+
+
+def test_an_entry_gets_training_truths_and_test_records_only():
+    seen = []
+
+    class Curious(Learner):
+        def fit(self, records, truths, car, seed):
+            seen.extend([("truth", t.z.shape) for t in truths])
+            return super().fit(records, truths, car, seed)
+
+        def estimate(self, record, car):
+            seen.append(tuple(sorted(vars(record))))
+            return super().estimate(record, car)
+
+    run({"curious": Curious()}, seeds=(1,))
+    assert [what for what in seen if what[0] == "truth"] == [("truth", (2, 1585))] * 4
+    fields = ("a", "high", "length", "s", "stiff", "t", "v")
+    assert [what for what in seen if what[0] != "truth"] == [fields] * 6
+
+
+def test_the_seam_hands_back_what_the_entry_says():
+    t = task()
+    drives = list(fake_drives(t, t.test, t.conditions[0]))
+    records = [drive.record for drive in drives]
+    outcome = reconstruct(Reader(gain=1.0), [], records, t.vehicle, seed=1)
+    assert len(outcome.estimates) == 3 and outcome.estimate_seconds > 0.0
+    with pytest.raises(EntryError, match="estimating test drive 1 of 3, seed 7: RuntimeError"):
+        reconstruct(Broken(how="raises"), [], records, t.vehicle, seed=7)
+
+
+def test_the_truth_plus_noise_has_the_error_that_it_says():
+    t = task()
+    (drive, *_) = fake_drives(t, t.test, t.conditions[0])
+    band = scored_band(14.5 / 3.6)
+    noisy = truth_plus_noise(drive.truth, band, seed=1)
+    error = nrmse(drive.truth.z, noisy.z, drive.truth.ds, band)
+    assert error.pooled == pytest.approx(NOISE, rel=1e-9)
+
+
+def test_progress_is_reported_step_by_step():
+    said = []
+    entries = {"reader": Reader(), "broken": Broken(how="raises")}
+    run(entries, report=said.append)
+    assert len(said) == steps(task(), entries) == 6
+    assert said[0] == "small: driving, ride, 14.5 km/h"
+    assert said[-1] == "small: broken, ride front, handling rear, 54 km/h"
+
+
+def test_sentinels_stand_on_every_board(tmp_path):
+    made = board(tmp_path, {"reader": Reader()}, seeds=(1,))
+    (t,) = made.tasks
+    assert {r.estimator for r in made.scored(t)} == {"reader", *SENTINELS}
+    roles = {r.estimator: r.role for r in made.scored(t)}
+    assert roles["reader"] == "entry" and roles["flat"] == "sentinel"
+
+
+def test_progress_of_a_board_counts_up_to_its_end(tmp_path):
+    steps_seen = []
+    board(tmp_path, {"reader": Reader()}, seeds=(1,), progress=lambda *a: steps_seen.append(a[:2]))
+    assert steps_seen == [(k, 12) for k in range(12)]
+
+
+def test_fewer_roads_are_driven_on_request(tmp_path):
+    made = board(tmp_path, {"reader": Reader()}, seeds=(1,), roads=2)
+    assert made.scored(made.tasks[0])[0].values("r").shape[0] == 2
+    with pytest.raises(ConfigError, match="small: number of drives must be 1 to 3, got 9"):
+        board(tmp_path, {"reader": Reader()}, roads=9)
+
+
+def test_a_resumed_run_keeps_what_is_valid_and_runs_the_rest(tmp_path):
+    board(tmp_path, {"reader": Reader(), "broken": Broken(how="raises")}, seeds=(1,))
+    ran = []
+
+    def counting(t, drives, condition):
+        ran.append(condition)
+        return fake_drives(t, drives, condition)
+
+    def resume(entries, **options):
+        ran.clear()
+        run_board([task()], entries, tmp_path, drive=counting, resume=True, **options)
+        return bool(ran)
+
+    assert not resume({"reader": Reader()}, seeds=(1,))
+    assert resume({"reader": Reader(gain=0.5)}, seeds=(1,))  # other settings
+    assert resume({"reader": Reader(gain=0.5)}, seeds=(1, 2))  # other seeds
+    assert resume({"broken": Broken(how="raises")}, seeds=(1,))  # failures are tried again
+
+
+def test_results_of_a_changed_task_are_stale_and_not_mixed(tmp_path):
+    board(tmp_path, {"reader": Reader()}, seeds=(1,))
+    changed = dataclasses.replace(task(), version=2)
+    stored = load_board([changed], tmp_path)
+    assert stored.scored(changed) == [] and len(stored.stale(changed)) == 5
+    assert {why for _, why in stored.stale(changed)} == {"the task has changed"}
+
+
+def test_a_real_drive_is_judged_like_any_other(tmp_path):
+    t = task(
+        conditions=[{"mode": "ride", "speed_kmh": 54.0}],
+        training={"roads": ["iso_d"], "seeds": [1], "length": 20.0},
+        test={"roads": ["iso_d"], "seeds": [11, 12], "length": 20.0, "step": 0.0005},
+    )
+    made = run_board([t], {"learner": Learner()}, tmp_path, seeds=(1,), drive=simulated)
+    results = {r.estimator: r for r in made.scored(t)}
+    assert path_of(tmp_path, "small", "learner").exists()
+    np.testing.assert_allclose(results["flat"].values("nrmse"), 1.0)
+    np.testing.assert_allclose(results["truth_plus_noise"].values("nrmse"), NOISE)
+    assert np.isfinite(results["learner"].values("nrmse")).all()

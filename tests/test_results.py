@@ -1,0 +1,252 @@
+"""Results are written whole, read strictly, and summed up with honest intervals."""
+
+import dataclasses
+import io
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+from fakes import Broken, Learner, Reader, fake_drives, task
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rich.console import Console
+
+from leaderboard import results
+from leaderboard.board import Board
+from leaderboard.evaluate import run_task
+from leaderboard.results import load, load_all, path_of, save
+from leaderboard.statistics import bootstrap, interquartile_mean, interval, standings
+from leaderboard.table import as_json, print_tables
+from leaderboard.view import flags, views
+from road_envs.config import ConfigError
+
+ENTRIES = {
+    "reader": Reader(),
+    "learner": Learner(),
+    "broken": Broken(how="nan"),
+    "flat": Reader(gain=0.0),
+    "truth_plus_noise": None,
+}
+
+
+@cache
+def made():
+    return tuple(run_task(task(), ENTRIES, (1, 2, 3), drive=fake_drives))
+
+
+def named(name):
+    return next(r for r in made() if r.estimator == name)
+
+
+def board():
+    return Board((task(),), {"small": made()})
+
+
+def edited(tmp_path, change):
+    """The file of the reader's result with its text changed."""
+    path = save(named("reader"), tmp_path)
+    path.write_text(change(path.read_text()))
+    return path
+
+
+def with_field(name, value):
+    return lambda text: json.dumps({**json.loads(text), name: value})
+
+
+def test_a_result_comes_back_as_it_was_written(tmp_path):
+    for result in made():
+        path = save(result, tmp_path)
+        assert path == path_of(tmp_path, "small", result.estimator)
+        assert load(path) == result
+    assert [r.estimator for r in load_all(tmp_path, "small")] == sorted(ENTRIES)
+
+
+def test_scores_that_are_not_defined_stay_undefined(tmp_path):
+    drives = tuple(
+        dataclasses.replace(d, scores={**d.scores, "r": None}) for d in named("reader").drives
+    )
+    back = load(save(dataclasses.replace(named("reader"), drives=drives), tmp_path))
+    assert np.isnan(back.values("r")).all() and np.isfinite(back.values("nrmse")).all()
+    assert np.isnan(back.values("no such score")).all()
+
+
+def test_heights_of_a_trace_are_kept_to_a_hundredth_of_a_millimetre():
+    z = np.random.default_rng(0).standard_normal((2, 50))
+    kept = dataclasses.replace(named("reader").traces[0], truth=results.heights(z))
+    np.testing.assert_allclose(kept.z_true, z, atol=0.51e-5)
+    assert kept.s.shape == (50,) and kept.s[1] == kept.ds
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda text: text[:1000], "damaged, not valid JSON"),
+        (lambda text: "", "damaged, not valid JSON"),
+        (lambda text: "[]", "not a result"),
+        (with_field("format", 0), "written in format 0, this version reads 1"),
+        (with_field("score", 1), "score: unknown key"),
+        (with_field("seeds", ["1"]), "seeds"),
+        (with_field("estimator", "other"), "holds the result of other on small"),
+    ],
+)
+def test_a_file_that_is_wrong_is_named_and_never_skipped(tmp_path, change, said):
+    path = edited(tmp_path, change)
+    with pytest.raises(ConfigError) as error:
+        load_all(tmp_path, "small")
+    assert str(path) in str(error.value) and said in str(error.value)
+
+
+def test_a_write_that_is_interrupted_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
+    path = save(named("reader"), tmp_path)
+    before = path.read_text()
+
+    def interrupted(*names):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(results.os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        save(named("reader"), tmp_path)
+    assert path.read_text() == before and list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"task_digest": "0" * 64}, "the task has changed"),
+        ({"package_version": "0.0.1"}, "made by version 0.0.1"),
+        ({"metric_version": 0}, "scored by metrics 0"),
+    ],
+)
+def test_a_result_of_another_task_version_or_metric_is_stale(change, why):
+    assert named("reader").stale(task()) is None
+    old = dataclasses.replace(named("reader"), **change)
+    assert why in old.stale(task())
+    (section,) = views(Board((task(),), {"small": (old,)}))[0].sections
+    (line,) = section.lines
+    assert line.state == "stale" and line.cells == {} and why in line.text
+
+
+# statistics
+
+
+def test_the_interquartile_mean_is_the_mean_of_the_middle_half():
+    assert interquartile_mean(np.array([100.0, 1.0, 2.0, -50.0])) == 1.5
+    assert interquartile_mean(np.array([7.0])) == 7.0
+    # of five values the middle three count, the outer two of them with 3/4 of their weight
+    assert interquartile_mean(np.array([0.0, 1.0, 2.0, 4.0, 9.0])) == pytest.approx(5.75 / 2.5)
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=40), st.floats(-10.0, 10.0))
+@settings(max_examples=50)
+def test_the_interquartile_mean_moves_with_the_scores_and_lies_among_them(x, shift):
+    x = np.array(x)
+    middle = interquartile_mean(x)
+    assert x.min() - 1e-9 <= middle <= x.max() + 1e-9
+    assert interquartile_mean(x + shift) == pytest.approx(middle + shift, abs=1e-6)
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    rng = np.random.default_rng(0)
+    inside = 0
+    for k in range(200):
+        roads = rng.standard_normal((30, 1, 1))  # seeds repeat the road: no information in them
+        _, low, high = interval(roads + np.zeros((1, 1, 3)), seed=k)
+        inside += low <= 0.0 <= high
+    # 95 % of 200, three standard errors; a bootstrap of 30 roads is a little narrow
+    assert 0.87 <= inside / 200 <= 0.99
+
+
+def test_more_seeds_of_one_road_are_no_more_roads():
+    road = np.random.default_rng(1).standard_normal((10, 1, 1))
+    few, many = (np.std(bootstrap(road + np.zeros((1, 1, S)), 0)) for S in (1, 50))
+    assert many == pytest.approx(few, rel=0.05)
+
+
+def test_the_spread_over_seeds_counts():
+    seeds = np.random.default_rng(2).standard_normal((1, 1, 8))
+    assert np.std(bootstrap(seeds + np.zeros((10, 4, 1)), 0)) > 0.15
+
+
+def test_entries_that_cannot_be_told_apart_share_a_rank():
+    rng = np.random.default_rng(3)
+    road = rng.standard_normal((20, 2, 1))
+    scores = {
+        "worst": 3.0 + road + 0.01 * rng.standard_normal((20, 2, 3)),
+        "equal": road + 0.01 * rng.standard_normal((20, 2, 3)),
+        "same": road + 0.01 * rng.standard_normal((20, 2, 3)),
+        "undefined": np.full((20, 2, 3), np.nan),
+    }
+    found = standings(scores)
+    assert {name: row.rank for name, row in found.items()} == {
+        "equal": 1,
+        "same": 1,
+        "worst": 3,
+        "undefined": 4,
+    }
+    assert list(found)[-1] == "undefined"
+
+
+def test_a_small_difference_on_every_road_is_seen_because_roads_are_paired():
+    road = np.random.default_rng(4).standard_normal((20, 1, 1))
+    found = standings({"better": road, "worse": road + 0.1})
+    assert [row.rank for row in found.values()] == [1, 2]
+    assert found["worse"].score.low < found["better"].score.high
+
+
+# tables
+
+
+def printed(width):
+    console = Console(width=width, file=io.StringIO())
+    print_tables(board(), console)
+    return console.file.getvalue()
+
+
+@pytest.mark.parametrize("width", [80, 100])
+def test_the_table_is_readable_on_a_narrow_terminal(width):
+    text = printed(width)
+    assert max(map(len, text.splitlines())) <= width
+    for name in ENTRIES:
+        assert any(line.startswith(name) for line in text.splitlines())
+    assert "…" not in text
+    assert "broken failed: ride, 14.5 km/h, estimating test drive 1 of 3" in " ".join(text.split())
+
+
+def test_ranks_are_given_to_entries_and_not_to_sentinels():
+    (view,) = views(board())
+    ranks = {line.name: line.values.get("rank") for line in view.sections[0].lines}
+    assert {name for name, rank in ranks.items() if rank} == {"learner", "reader"}
+
+
+def test_the_claim_of_the_paper_stands_beside_what_was_measured():
+    t = task(board="paper", claimed_level_error=0.128)
+    mine = [dataclasses.replace(r, task_digest=t.digest) for r in made()]
+    (view,) = views(Board((t,), {"small": mine}))
+    claim, *others = view.sections[0].lines
+    assert (claim.state, claim.cells) == ("claim", {"level_error": "12.8"})
+    reader = next(line for line in others if line.name == "reader")
+    assert float(reader.cells["level_error"]) == pytest.approx(10.0, abs=0.5)
+
+
+def test_an_entry_that_beats_the_noisy_truth_is_flagged_and_so_is_a_broken_judge():
+    assert flags([named("reader"), named("flat"), named("truth_plus_noise")]) == []
+    (perfect,) = run_task(task(), {"perfect": Reader(gain=1.0)}, (1,), drive=fake_drives)
+    (said,) = flags([perfect, named("truth_plus_noise")])
+    assert said.startswith("perfect scores better than the truth with 2% noise")
+    (said,) = flags([dataclasses.replace(named("reader"), estimator="flat", role="sentinel")])
+    assert said.startswith("the judge is broken: flat scores 0.1")
+
+
+def test_a_program_reads_the_same_rows():
+    (section,) = json.loads(json.dumps(as_json(board()), allow_nan=False))
+    entries = {entry["name"]: entry for entry in section["entries"]}
+    assert section["task"] == "small" and set(entries) == set(ENTRIES)
+    assert entries["reader"]["nrmse"] == pytest.approx(0.1, abs=0.005)
+    assert entries["broken"]["state"] == "failed" and "finite" in entries["broken"]["text"]
+
+
+def test_what_was_done_to_a_surface_is_said():
+    noted = [dataclasses.replace(r, notes=("10 m tile mirrored 10 times",)) for r in made()]
+    (view,) = views(Board((task(),), {"small": noted}))
+    assert "Surface: 10 m tile mirrored 10 times." in view.sections[0].notes
