@@ -8,7 +8,7 @@ from pathlib import Path
 from estimators import create
 from estimators.protocol import Estimator
 from leaderboard.drives import DriveSource, simulated
-from leaderboard.environment import environment
+from leaderboard.environment import code
 from leaderboard.evaluate import SEEDS, Entries, run_task, settings_of, steps
 from leaderboard.results import Result, load, load_all, path_of, save
 from leaderboard.sentinels import SENTINELS, TRUTH_PLUS_NOISE
@@ -62,7 +62,8 @@ def run_board(
     return the board of everything stored there.
 
     `roads` is the number of test drives per condition on tasks that draw their roads; `resume`
-    keeps stored results of the same task, versions, settings and seeds. Raises ConfigError.
+    keeps stored results of the same task, code, settings and seeds. Raises ConfigError, before
+    anything is run, if a stored result that is to stay cannot be read.
     """
     tasks = [task.with_roads(roads) if roads and task.draws_roads else task for task in tasks]
     everyone: Entries = {**entries, **sentinels()}
@@ -74,6 +75,10 @@ def run_board(
         }
         for task in tasks
     }
+    for task in tasks:
+        for path in (out / "results" / task.name).glob("*.json"):
+            if path.stem not in wanted[task.name]:
+                load(path)
     total = sum(steps(task, wanted[task.name]) for task in tasks)
     done = 0
 
@@ -96,7 +101,7 @@ def sentinels() -> dict[str, Estimator | None]:
 def _stored(
     task: Task, name: str, estimator: Estimator | None, seeds: Sequence[int], out: Path
 ) -> bool:
-    """Whether a result of the same task, versions, settings, seeds and commit is there to keep."""
+    """Whether a result of the same task, versions, code, settings and seeds is there to keep."""
     path = path_of(out, task.name, name)
     if not path.exists():
         return False
@@ -106,5 +111,5 @@ def _stored(
         and result.failure is None
         and result.seeds == tuple(seeds)
         and json.dumps(result.settings) == json.dumps(settings_of(estimator), default=str)
-        and result.environment.get("commit") == environment().get("commit")
+        and result.environment.get("code") == code()
     )

@@ -1,5 +1,6 @@
 """Where numbers were made: versions, commit and machine, stored beside every result."""
 
+import hashlib
 import os
 import platform
 import subprocess
@@ -7,6 +8,7 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
+PACKAGES = ("road_envs", "estimators", "leaderboard")
 LIBRARIES = ("numpy", "scipy", "numba", "torch")
 
 
@@ -19,13 +21,22 @@ def version() -> str:
 
 
 @cache
+def code() -> str:
+    """Digest of the sources of this project: any edit makes another one."""
+    folder = Path(__file__).parents[1]
+    sources = sorted(path for name in PACKAGES for path in (folder / name).rglob("*.py"))
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:12]
+
+
+@cache
 def environment() -> dict[str, str]:
-    """Python, libraries, commit (in a checkout), processor and operating system."""
+    """Python, libraries, sources, commit (in a checkout), processor and operating system."""
     libraries = {name: found for name in LIBRARIES if (found := _library(name))}
     commit = _commit(Path(__file__).parents[1])
     return {
         "python": platform.python_version(),
         **libraries,
+        "code": code(),
         **({"commit": commit} if commit else {}),
         "processor": f"{_processor()}, {os.cpu_count()} cores",
         "system": f"{platform.system()} {platform.machine()}",

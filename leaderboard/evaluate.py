@@ -21,7 +21,7 @@ from leaderboard.results import DriveScores, Result, Trace, heights
 from leaderboard.scores import scores
 from leaderboard.sentinels import SENTINELS, truth_plus_noise
 from leaderboard.tasks import Condition, Task
-from road_envs.record import Estimate
+from road_envs.record import Estimate, Profile
 from road_envs.simulate import SimulationError
 
 SEEDS = (1, 2, 3)
@@ -29,6 +29,9 @@ SEEDS = (1, 2, 3)
 
 TRACED = 100.0
 """Length [m] of the first test road that is kept for the figures."""
+
+FARTHEST = 1e6
+"""Heights [m] beyond this count as this much: an absurd estimate has an absurd score, not none."""
 
 Entries = Mapping[str, Estimator | None]
 """Who is judged, by name; None stands for the judge's own truth plus noise."""
@@ -130,8 +133,7 @@ def _judge(session: Session, row: Row) -> None:
             row.seeds = row.seeds[:1]  # it draws nothing: one training stands for all
             break
         first = first or outcome.estimates
-        pairs = zip(session.tests, outcome.estimates, strict=True)
-        judged = [_scored(session, test, estimate, seed) for test, estimate in pairs]
+        judged = [_scored(session, k, z, seed) for k, z in enumerate(outcome.estimates)]
         traces.append(_trace(session, outcome.estimates[0], judged[0]))
         row.drives += judged
         row.outcomes.append(dataclasses.replace(outcome, estimates=[]))
@@ -155,11 +157,13 @@ def _outcome(session: Session, row: Row, seed: int) -> Outcome:
     return reconstruct(row.estimator, training, records, session.task.vehicle, seed)
 
 
-def _scored(session: Session, test: Drive, estimate: Estimate, seed: int) -> DriveScores:
-    with np.errstate(all="ignore"):  # an absurd estimate overflows: its score is not defined
-        found = scores(test.truth, estimate, session.v, session.task.bumps)
+def _scored(session: Session, drive: int, estimate: Estimate, seed: int) -> DriveScores:
+    test = session.tests[drive]
+    bounded = Profile(estimate.s, np.clip(estimate.z, -FARTHEST, FARTHEST))
+    found = scores(test.truth, bounded, session.v, session.task.bumps)
     return DriveScores(
         condition=session.condition.label,
+        drive=drive,
         road=test.road,
         road_seed=test.seed,
         seed=seed,

@@ -67,21 +67,21 @@ def unrelated_sentence() -> str:
 
 
 def _paper_sentence(board: Board) -> str:
-    found = _results(board, _claimed(board), NETWORK)
+    found = _results(board, _altered_copies(board), NETWORK)
     if not found:
         return ""
     level, error, r = (pooled(found, name) for name in ("level_error", "nrmse", "r"))
     every = np.concatenate([result.values("level_error").ravel() for result in found])
     return (
         f"Trained as the paper trains it, on an altered copy of the test road, the {NETWORK} "
-        f"network has a level error of {_percent(level)} on the paving ({np.sum(every < 0.15)} of "
+        f"network has a level error of {_percent(level)} (bumps aside; {np.sum(every < 0.15)} of "
         f"{every.size} trainings stay below 15\u00a0%), at an in-band error of {error:.2f}, where "
         f"a flat road has 1, and correlation {r:.2f}."
     )
 
 
 def _memory_sentence(board: Board) -> str:
-    found = _results(board, _claimed(board), "mean")
+    found = _results(board, _altered_copies(board), "mean")
     if not found:
         return ""
     return (
@@ -120,8 +120,9 @@ def _percent(share: float, digits: int = 1) -> str:
     return f"{100.0 * share:.{digits}f}\u00a0%"
 
 
-def _claimed(board: Board) -> list[Task]:
-    return [task for task in board.tasks if task.claimed_level_error is not None]
+def _altered_copies(board: Board) -> list[Task]:
+    """The tasks in the paper's manner on random surfaces."""
+    return [task for task in board.tasks if task.board == "paper" and not task.bumps]
 
 
 def _new_road(board: Board) -> list[Task]:

@@ -36,14 +36,14 @@ NUMBERS = re.compile(r"\[[\s\d.,eE+-]+\]")
 
 @dataclass(frozen=True, kw_only=True)
 class DriveScores:
-    """Scores of one estimate: the road of `road_seed`, an estimator trained with `seed`.
-
-    A score that is not defined is None.
+    """Scores of one estimate: test drive `drive` of the condition, on the road of `road_seed`, by
+    an estimator trained with `seed`. A score that is not defined is None.
     """
 
     __pydantic_config__ = STRICT
 
     condition: str
+    drive: int
     road: str
     road_seed: int
     seed: int
@@ -112,14 +112,14 @@ class Result:
 
     def values(self, score: str) -> np.ndarray:
         """One score as (R, C, S): roads, conditions, seeds; NaN where it is not defined."""
-        roads = list(dict.fromkeys((d.road, d.road_seed) for d in self.drives))
+        roads = list(dict.fromkeys(d.drive for d in self.drives))
         conditions = list(dict.fromkeys(d.condition for d in self.drives))
         seeds = list(dict.fromkeys(d.seed for d in self.drives))
         values = np.full((len(roads), len(conditions), len(seeds)), np.nan)
         for d in self.drives:
-            at = roads.index((d.road, d.road_seed)), conditions.index(d.condition)
+            at = roads.index(d.drive), conditions.index(d.condition), seeds.index(d.seed)
             value = d.scores.get(score)
-            values[*at, seeds.index(d.seed)] = np.nan if value is None else value
+            values[at] = np.nan if value is None else value
         return values
 
     def stale(self, task: Task) -> str | None:

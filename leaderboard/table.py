@@ -31,7 +31,7 @@ LEGEND = (
 def print_tables(board: Board, console: Console) -> None:
     """Print every board, what failed or is stale, and what the numbers say."""
     for view in views(board):
-        if view.sections[0].lines and view.title.startswith("New"):
+        if view.board == "new_road":
             for section in view.sections:
                 console.print(_table(view, (section,), f"{view.title}: {section.title}"))
         else:
@@ -47,7 +47,7 @@ def as_json(board: Board) -> list[dict[str, Any]]:
     return [
         {
             "task": section.task,
-            "board": view.title,
+            "board": view.board,
             "title": section.title,
             "notes": list(section.notes),
             "entries": [

@@ -26,11 +26,15 @@ from road_envs.roads.measured import Measured
 from road_envs.sensors import Instruments, load_instruments
 from road_envs.vehicle import VehicleParameters, load_vehicle
 
-Board = Literal["paper", "new_road"]
+BoardName = Literal["paper", "new_road"]
 StrutMode = Literal["ride", "handling", "soft_high", "stiff_low"]
 
 RANDOM_ROADS = (Iso8608, Belgian)
 """Kinds that are another surface at every seed; any other kind is one surface for ever."""
+
+
+WORDS = frozenset({"title", "source", "sources", "note", "claimed_level_error"})
+"""Fields for the reader, in which an edit voids no result."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +115,7 @@ class Task:
 
     name: str
     title: str
-    board: Board
+    board: BoardName
     version: int
     car: str
     instruments: str
@@ -149,7 +153,7 @@ class Task:
 
     @cached_property
     def digest(self) -> str:
-        """sha256 of all that decides the drives: the task, its roads, car, instruments, files."""
+        """sha256 of all that decides drives and scores: task, roads, car, instruments, files."""
         parts = [self, self.vehicle, self.sensors]
         text = json.dumps([_canonical(part) for part in parts], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
@@ -181,7 +185,7 @@ def load_task(name: str | Path) -> Task:
     return task
 
 
-def shipped_tasks(board: Board | None = None) -> list[Task]:
+def shipped_tasks(board: BoardName | None = None) -> list[Task]:
     """All shipped tasks, or those of one board; the paper's cases in their order."""
     tasks = [load_task(name) for name in config.names("tasks")]
     return [task for task in tasks if board in (None, task.board)]
@@ -195,7 +199,8 @@ def _origin(road: Road) -> Road:
 def _canonical(value: Any) -> Any:
     """`value` as JSON types: dataclasses with the name of their class, surface files by content."""
     if dataclasses.is_dataclass(value):
-        fields = {f.name: _canonical(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        names = [f.name for f in dataclasses.fields(value) if f.name not in WORDS]
+        fields = {name: _canonical(getattr(value, name)) for name in names}
         if isinstance(value, Measured):
             fields["path"] = hashlib.sha256(Path(value.path).read_bytes()).hexdigest()
         return {"is": type(value).__name__, **fields}

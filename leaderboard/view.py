@@ -14,7 +14,7 @@ from leaderboard.results import Result
 from leaderboard.scores import NOTHING, SCORES
 from leaderboard.sentinels import NOISE, TRUTH_PLUS_NOISE
 from leaderboard.statistics import Interval, interquartile_mean, interval, standings
-from leaderboard.tasks import Task
+from leaderboard.tasks import BoardName, Task
 
 State = Literal["scored", "sentinel", "claim", "failed", "stale"]
 CLAIM = "paper's claim"
@@ -58,6 +58,7 @@ class Section:
 class View:
     """One board."""
 
+    board: BoardName
     title: str
     columns: tuple[Column, ...]
     sections: tuple[Section, ...]
@@ -94,14 +95,15 @@ NEW_ROAD_COLUMNS = (
 
 def views(board: Board) -> list[View]:
     """The boards that have a task, the main one first."""
-    titles = {"new_road": "New road", "paper": "The paper's case scenarios"}
-    columns = {"new_road": NEW_ROAD_COLUMNS, "paper": PAPER_COLUMNS}
-    made = []
-    for name, title in titles.items():
-        tasks = [task for task in board.tasks if task.board == name]
-        if tasks:
-            made.append(View(title, columns[name], tuple(_section(board, t) for t in tasks)))
-    return made
+    kinds: list[tuple[BoardName, str, tuple[Column, ...]]] = [
+        ("new_road", "New road", NEW_ROAD_COLUMNS),
+        ("paper", "The paper's case scenarios", PAPER_COLUMNS),
+    ]
+    return [
+        View(name, title, columns, tuple(_section(board, task) for task in tasks))
+        for name, title, columns in kinds
+        if (tasks := [task for task in board.tasks if task.board == name])
+    ]
 
 
 def filled(view: View, section: Section) -> list[Column]:
@@ -119,7 +121,7 @@ def _section(board: Board, task: Task) -> Section:
     entries = [r.estimator for r in scored if r.role == "entry"]
     ranks = standings({name: many[name] for name in entries if name in many})
     lines = [_line(r, ranks[r.estimator].rank if r.estimator in ranks else None) for r in scored]
-    lines.sort(key=lambda line: (line.state, _last_if_none(line.values["nrmse"])))
+    lines.sort(key=lambda line: (line.state != "scored", _last_if_none(line.values["nrmse"])))
     claim = [_claim(task.claimed_level_error)] if task.claimed_level_error is not None else []
     failed = [Line(r.estimator, "failed", text=r.failure or "") for r in board.failed(task)]
     stale = [Line(r.estimator, "stale", text=why) for r, why in board.stale(task)]
@@ -172,7 +174,7 @@ def flags(results: list[Result]) -> list[str]:
         mine = error[r.estimator]
         if r.role == "entry" and mine is not None and best is not None and mine < best:
             said.append(
-                f"{r.estimator} scores better than the truth with {NOISE:.0%} noise: "
+                f"{r.estimator} scores better than the truth with {100 * NOISE:g} % noise: "
                 "it has seen the truth, or the judge is broken"
             )
     for name, wanted in (("flat", 1.0), (TRUTH_PLUS_NOISE, NOISE)):

@@ -50,9 +50,9 @@ def record_drive(
         parts.append(logger.sense(drive.advance(commands)))
     a = np.concatenate(parts, axis=1)
     t = np.arange(a.shape[1]) / instruments.fs
-    v = np.full(t.size, logger.speed_gain * drive.speed)
+    distance, v, _ = (logger.speed_gain * x for x in drive.profile.at(t))
     stiff, high = strut_states(np.full(t.size, byte))
-    return Record(t, a, v, drive.start + v * t, stiff, high, surface.length), truth(surface)
+    return Record(t, a, v, drive.start + distance, stiff, high, surface.length), truth(surface)
 
 
 def write_record(path: Path, record: Record, provenance: Mapping[str, object]) -> None:

@@ -10,6 +10,13 @@ strut on the body and T >= 0 the load of a tyre, both upward,
     I_xx phi''   =  sum ± y_s F               I_a phi_a'' =  sum ± y_t T - sum ± y_s F
     I_yy theta'' = -sum x_a F
 
+In a manoeuvre, accelerations a_x, a_y [m/s²] of the body's centre of mass, which lies l above the
+axis it rolls or pitches about, add the moments of inertia force and displaced weight,
+
+    m_b l_roll (a_y + g phi)  to roll,      m_b l_pitch (g theta - a_x)  to pitch;
+
+on a straight drive at constant speed these are left out, as in the paper.
+
 State (14,): z_b [m], phi, theta [rad], z_af [m], phi_af [rad], z_ar, phi_ar, then their rates. The
 origin has every strut at its static length and every tyre at its static deflection. Small angles.
 
@@ -43,6 +50,7 @@ NUMBERS = np.dtype(
     [
         ("M", "f8", (N_DOF,)),
         *((name, "f8") for name in ("p_A", "n_p", "x_1", "r_2", "column_min", "equalisation")),
+        *((name, "f8") for name in ("roll_moment", "pitch_moment")),
         *((name, "f8", (2,)) for name in ("x", "k_t", "c_t", "delta")),
         *((name, "f8", (4,)) for name in ("y_s", "y_t")),
     ],
@@ -66,8 +74,8 @@ class Plant:
         return self.numbers, self.velocity, self.displacement
 
 
-def plant(car: VehicleParameters) -> Plant:
-    """The kernel's view of a vehicle."""
+def plant(car: VehicleParameters, manoeuvres: bool = False) -> Plant:
+    """The kernel's view of a vehicle; with `manoeuvres` its body leans in turns and on brakes."""
     axles, strut = car.axles, car.strut
     sides = (1.0, -1.0)
     values = {
@@ -76,6 +84,8 @@ def plant(car: VehicleParameters) -> Plant:
         "n_p": strut.n_p,
         "x_1": strut.x_1,
         "r_2": strut.x_2 / (strut.x_1 + strut.x_2),
+        "roll_moment": car.m_b * (car.h_cg - car.roll_centre) if manoeuvres else 0.0,
+        "pitch_moment": car.m_b * (car.h_cg - car.pitch_centre) if manoeuvres else 0.0,
         "column_min": strut.column_min,
         "equalisation": car.valve.equalisation,
         "x": [a.x for a in axles],
@@ -138,10 +148,18 @@ def add_weight(p, out):
 
 
 @kernel
-def accelerations(numbers, velocity, displacement, memory, q, v, z_r, w_r, out):
+def add_lean(p, phi, theta, a_x, a_y, out):
+    """Add the moments of a manoeuvre with accelerations `a_x`, `a_y` [m/s²] to `out` (7,)."""
+    out[PHI] += p.roll_moment * (a_y + GRAVITY * phi)
+    out[THETA] += p.pitch_moment * (GRAVITY * theta - a_x)
+
+
+@kernel
+def accelerations(numbers, velocity, displacement, memory, q, v, z_r, w_r, out, a_x=0.0, a_y=0.0):
     """Write the accelerations (7,) for coordinates `q` (7,), rates `v` (7,) to `out`.
 
-    `z_r`, `w_r` (4,) are the road's height [m] and its rate [m/s] under each wheel.
+    `z_r`, `w_r` (4,) are the road's height [m] and its rate [m/s] under each wheel; `a_x`, `a_y`
+    [m/s²] those of a manoeuvre.
     """
     p, F, T = numbers[0], np.empty(4), np.empty(4)
     for w in range(4):
@@ -153,6 +171,7 @@ def accelerations(numbers, velocity, displacement, memory, q, v, z_r, w_r, out):
     add_weight(p, out)
     add_struts(p, F, out)
     add_tyres(p, T, out)
+    add_lean(p, q[PHI], q[THETA], a_x, a_y, out)
     for j in range(N_DOF):
         out[j] /= p.M[j]
 
@@ -178,6 +197,8 @@ def stiffness_and_damping(numbers, velocity, displacement, memory, q, v, z_r, w_
         add_tyres(p, k_t * height, K[:, j])
         add_struts(p, c * e, C[:, j])
         add_tyres(p, c_t * height, C[:, j])
+    K[PHI, PHI] -= p.roll_moment * GRAVITY
+    K[THETA, THETA] -= p.pitch_moment * GRAVITY
 
 
 def jacobian(plant: Plant, memory: np.ndarray, state: np.ndarray, z_r: np.ndarray, w_r: np.ndarray):

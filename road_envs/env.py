@@ -11,6 +11,7 @@ import numpy as np
 from road_envs.comfort import wk_sos
 from road_envs.config import STRICT, ConfigError, build, one_of
 from road_envs.dynamics import DOF, Z_B, plant
+from road_envs.manoeuvres import load_manoeuvre
 from road_envs.processing import run_sections
 from road_envs.record import SENSORS
 from road_envs.roads import load_road, with_length
@@ -65,6 +66,7 @@ class Options:
     sensors: str = "paper"
     vehicle: str = "land_rover_defender_110"
     step: float = 0.001
+    manoeuvre: str | dict[str, Any] | None = None
     truth: bool = True
     weights: Weights = field(default_factory=Weights)
     exaggeration: float = 1.0
@@ -72,6 +74,8 @@ class Options:
     def __post_init__(self):
         check_speed(self.speed_kmh)
         command(self.mode)
+        if self.manoeuvre is not None:
+            load_manoeuvre(self.manoeuvre)
         if not self.exaggeration > 0:
             raise ValueError(f"exaggeration must be above 0, got {self.exaggeration}")
         per_interval = 1.0 / (self.control_rate * self.step) if self.control_rate > 0 else 0.0
@@ -160,6 +164,7 @@ class RoadReconEnv(gymnasium.Env):
     | `sensors` | `"paper"` | instruments by name or YAML path |
     | `vehicle` | `"land_rover_defender_110"` | vehicle by name or YAML path |
     | `step` | `0.001` | integrator step [s] |
+    | `manoeuvre` | `None` | `"steady_turn"`, `"lane_change"`, `"slalom"`, `"braking"`, or mapping |
     | `truth` | `True` | whether `info` has `profile` and `loads`, for scoring |
     | `weights` | see above | mapping with `comfort`, `rattle`, `tyre_load` |
     | `exaggeration` | `1.0` | factor by which pictures enlarge vertical motion |
@@ -192,7 +197,8 @@ class RoadReconEnv(gymnasium.Env):
         self.metadata = self.metadata | {"render_fps": o.control_rate}
         self._recent: deque[np.ndarray] = deque(maxlen=ceil(RECENT * o.control_rate))
         self.car = load_vehicle(o.vehicle)
-        self.plant = plant(self.car)
+        self.manoeuvre = None if o.manoeuvre is None else load_manoeuvre(o.manoeuvre)
+        self.plant = plant(self.car, manoeuvres=self.manoeuvre is not None)
         self.instruments = load_instruments(o.sensors)
         road = load_road(o.road)
         self.road = road if o.length is None else with_length(road, o.length)
@@ -224,7 +230,8 @@ class RoadReconEnv(gymnasium.Env):
         self.speed_kmh = speed_kmh
         surface = self.road.realise(road_rng)
         step = self.options.step
-        self.drive = Drive(self.plant, self.car, surface, speed_kmh / 3.6, mode, step)
+        speed = speed_kmh / 3.6
+        self.drive = Drive(self.plant, self.car, surface, speed, mode, step, self.manoeuvre)
         self.logger = Logger(self.instruments, self.car, step, sensor_rng)
         self._wk_memory = np.zeros((self._wk.shape[0], 1, 2))
         self._recent.clear()

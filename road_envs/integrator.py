@@ -29,6 +29,7 @@ from road_envs.dynamics import (
     THETA,
     Z_B,
     accelerations,
+    add_lean,
     add_struts,
     add_tyres,
     add_weight,
@@ -38,6 +39,7 @@ from road_envs.dynamics import (
 from road_envs.jit import kernel
 from road_envs.roads.surface import height_and_slope
 from road_envs.suspension import settled, strut_force, switch, tyre_force
+from road_envs.vehicle import GRAVITY
 
 D = 1.0 / (2.0 + np.sqrt(2.0))
 
@@ -47,7 +49,7 @@ SIGNALS = 29
 
 
 @kernel
-def eliminate(p, s, t, blocks, body):
+def eliminate(p, s, t, hd, blocks, body):
     """Factor M + h d C + (h d)² K: axles to `blocks` (2, 6), the body's LDL' to `body` (6,).
 
     `s`, `t` (4,) are h d c + (h d)² k of each strut and tyre. A row of `blocks` holds N, the
@@ -55,7 +57,9 @@ def eliminate(p, s, t, blocks, body):
     with the body and P takes the body's coordinates to heave and roll at the axle. The body is left
     with M_b + sum P' (S - S N S) P.
     """
-    a00, a01, a02, a11, a12, a22 = p.M[Z_B], 0.0, 0.0, p.M[PHI], 0.0, p.M[THETA]
+    a00, a01, a02, a12 = p.M[Z_B], 0.0, 0.0, 0.0
+    a11 = p.M[PHI] - hd * hd * p.roll_moment * GRAVITY
+    a22 = p.M[THETA] - hd * hd * p.pitch_moment * GRAVITY
     for i in range(2):
         left, right = 2 * i, 2 * i + 1
         s0, t0 = s[left] + s[right], t[left] + t[right]
@@ -142,10 +146,11 @@ def workspace():
 
 
 @kernel
-def step(numbers, velocity, displacement, memory, y, road, h, work, out):
+def step(numbers, velocity, displacement, memory, y, road, turn, h, work, out):
     """Advance the state `y` (14,) by `h` [s]; write the signals at its beginning to `out` (29,).
 
     `road` (2, 2, 4): heights [m] and their rates [m/s] under the wheels at t and at t + h/2.
+    `turn` (2, 2): accelerations a_x, a_y [m/s²] of a manoeuvre at these two instants.
     """
     p, hd = numbers[0], h * D
     f, g, r, k_q = work.f, work.g, work.r, work.k_q
@@ -166,15 +171,18 @@ def step(numbers, velocity, displacement, memory, y, road, h, work, out):
     add_weight(p, f)
     add_struts(p, F, f)
     add_tyres(p, T, f)
+    add_lean(p, q[PHI], q[THETA], turn[0, 0], turn[0, 1], f)
     for j in range(N_DOF):
         g[j] = f[j]
     add_struts(p, dF, g)
     add_tyres(p, dT, g)
+    x_dot, y_dot = (turn[1, 0] - turn[0, 0]) / (0.5 * h), (turn[1, 1] - turn[0, 1]) / (0.5 * h)
+    add_lean(p, hd * v[PHI], hd * v[THETA], hd * x_dot, hd * y_dot, g)
     for j in range(N_DOF):
         out[STATE + j], out[STATE + N_DOF + j] = q[j], v[j]
         out[ACCELERATION + j] = f[j] / p.M[j]
 
-    eliminate(p, work.s, work.t, work.blocks, work.body)
+    eliminate(p, work.s, work.t, hd, work.blocks, work.body)
     solve(p, work.blocks, work.body, g)
     for j in range(N_DOF):
         k_q[j] = v[j] + hd * g[j]
@@ -193,6 +201,8 @@ def step(numbers, velocity, displacement, memory, y, road, h, work, out):
     add_weight(p, f)
     add_struts(p, F, f)
     add_tyres(p, T, f)
+    phi, theta = work.q[PHI] + hd * r[PHI], work.q[THETA] + hd * r[THETA]
+    add_lean(p, phi, theta, turn[1, 0], turn[1, 1], f)
     solve(p, work.blocks, work.body, f)
     for j in range(N_DOF):
         q[j] += h * (k_q[j] + r[j] + hd * f[j])
@@ -223,13 +233,14 @@ def state_rate(numbers, velocity, displacement, memory, padded, start, ds, s, v,
 
 @kernel
 def drive(
-    numbers, velocity, displacement, memory, y, padded, start, ds, s, v, commands, lag, h, out
+    numbers, velocity, displacement, memory, y, padded, start, ds, s, v, turn, commands, lag, h, out
 ):
     """Drive len(commands) steps of `h` [s]; `y` (14,) and `memory` (4, 3) end as they stand then.
 
-    `padded`, `start`, `ds`: a Surface. `s`, `v` (2 N + 1,): station of the front axle [m] and speed
-    [m/s] at every half step. `commands` (N,) bytes as they reach the valves, whose time constant is
-    `lag` [s]. `out` (N, 29): the signals at the beginning of each step.
+    `padded`, `start`, `ds`: a Surface. At every half step: `s`, `v` (2 N + 1,), station of the
+    front axle [m] and speed [m/s]; `turn` (2 N + 1, 2), a_x and a_y [m/s²] of a manoeuvre.
+    `commands` (N,): bytes as they reach the valves, whose time constant is `lag` [s]. `out`
+    (N, 29): the signals at the beginning of each step.
     """
     p, work, road = numbers[0], workspace(), np.empty((2, 2, 4))
     alpha = 1.0 - np.exp(-h / lag)
@@ -240,4 +251,5 @@ def drive(
             stiff, high = (commands[n] >> w) & 1, (commands[n] >> (4 + w)) & 1
             if not settled(memory, w, stiff, high):
                 switch(p, memory, w, extension(p, y, w), stiff, high, alpha, h)
-        step(numbers, velocity, displacement, memory, y, road, h, work, out[n])
+        between = turn[2 * n : 2 * n + 2]
+        step(numbers, velocity, displacement, memory, y, road, between, h, work, out[n])

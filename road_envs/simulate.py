@@ -13,7 +13,9 @@ import numpy as np
 from road_envs import integrator
 from road_envs.config import ConfigError
 from road_envs.dynamics import N_DOF, PHI, THETA, Z_B, Plant, equilibrium, plant
+from road_envs.manoeuvres import Manoeuvre
 from road_envs.roads.surface import Surface
+from road_envs.speed import SpeedProfile, constant
 from road_envs.suspension import command, memory_at_rest
 from road_envs.vehicle import VehicleParameters
 
@@ -68,8 +70,10 @@ class Trajectory:
 class Drive:
     """One vehicle on its way over a surface; plain NumPy state, so copies and pickles work.
 
-    `speed` [m/s] is constant; `step` [s] is the integrator's. Raises ConfigError on a speed or step
-    that is not positive and on a surface shorter than the wheelbase.
+    `speed` is a number [m/s] or a SpeedProfile; `step` [s] is the integrator's. A `manoeuvre`, and
+    the acceleration of a speed profile, lean the body if `plant` was made for manoeuvres. Raises
+    ConfigError on a speed or step that is not positive, and on a surface shorter than the
+    wheelbase.
     """
 
     def __init__(
@@ -77,12 +81,15 @@ class Drive:
         plant: Plant,
         car: VehicleParameters,
         surface: Surface,
-        speed: float,
+        speed: float | SpeedProfile,
         mode: str | Mapping[str, str] = "ride",
         step: float = 0.001,
+        manoeuvre: Manoeuvre | None = None,
     ):
-        if not (np.isfinite(speed) and speed > 0):
-            raise ConfigError(f"the speed must be positive, got {speed} m/s")
+        if not isinstance(speed, SpeedProfile):
+            if not (np.isfinite(speed) and speed > 0):
+                raise ConfigError(f"the speed must be positive, got {speed} m/s")
+            speed = constant(speed)
         if not 0 < step <= 0.01:
             raise ConfigError(f"the integrator's step must be within (0, 0.01] s, got {step} s")
         if surface.length < car.wheelbase:
@@ -91,11 +98,12 @@ class Drive:
                 f"of {car.wheelbase:.3f} m"
             )
         self.plant, self.car, self.surface = plant, car, surface
-        self.speed, self.step = float(speed), float(step)
+        self.profile, self.manoeuvre, self.step = speed, manoeuvre, float(step)
         byte = command(mode)
         self.steps = 0
         self.start = -RUN_UP
         self.finish = surface.end + car.wheelbase + RUN_UP
+        self._total = int(np.ceil(speed.arrival(self.finish - self.start) / step))
         self.memory = memory_at_rest(byte)
         self.state = self._at_rest()
         self._in_pipe = np.full(round(car.valve.delay / step), byte, dtype=np.uint8)
@@ -113,15 +121,19 @@ class Drive:
         return self.steps * self.step
 
     @property
+    def speed(self) -> float:
+        """Speed now [m/s]."""
+        return float(self.profile.at(np.array([self.t]))[1][0])
+
+    @property
     def station(self) -> float:
         """Station of the front axle [m]."""
-        return self.start + self.speed * self.t
+        return self.start + float(self.profile.at(np.array([self.t]))[0][0])
 
     @property
     def steps_left(self) -> int:
         """Steps until the drive is over."""
-        total = int(np.ceil((self.finish - self.start) / (self.speed * self.step)))
-        return max(total - self.steps, 0)
+        return max(self._total - self.steps, 0)
 
     @property
     def over(self) -> bool:
@@ -137,11 +149,13 @@ class Drive:
         n = commands.size
         arriving = np.concatenate([self._in_pipe, commands])
         self._in_pipe = arriving[n:]
-        half_steps = 2 * self.steps + np.arange(2 * n + 1)
-        s = self.start + self.speed * (0.5 * self.step) * half_steps
-        v = np.full(s.size, self.speed)
+        instants = 0.5 * self.step * (2 * self.steps + np.arange(2 * n + 1))
+        distance, v, a_x = self.profile.at(instants)
+        s = self.start + distance
+        turn = np.zeros((s.size, 2)) if self.manoeuvre is None else self.manoeuvre.at(instants)
+        turn[:, 0] += a_x
         signals = np.empty((n, integrator.SIGNALS))
-        road = (self.surface.padded, self.surface.start, self.surface.ds, s, v)
+        road = (self.surface.padded, self.surface.start, self.surface.ds, s, v, turn)
         valve = (arriving[:n], self.car.valve.lag, self.step, signals)
         integrator.drive(*self.plant.arrays, self.memory, self.state, *road, *valve)
         t = self.step * (self.steps + np.arange(n))
@@ -158,13 +172,16 @@ class Drive:
 def simulate(
     car: VehicleParameters,
     surface: Surface,
-    speed: float,
+    speed: float | SpeedProfile,
     mode: str | Mapping[str, str] = "ride",
     step: float = 0.001,
+    manoeuvre: Manoeuvre | None = None,
 ) -> Trajectory:
-    """Drive `car` over the whole `surface` at constant `speed` [m/s] in one 4S4 mode.
+    """Drive `car` over the whole `surface` in one 4S4 mode, at a `speed` [m/s] or speed profile.
 
+    Without a `manoeuvre` nothing leans the body, not even a change of speed, as in the paper.
     Raises ConfigError on bad input, SimulationError if the motion is no longer finite.
     """
-    drive = Drive(plant(car), car, surface, speed, mode, step)
+    kernels = plant(car, manoeuvres=manoeuvre is not None)
+    drive = Drive(kernels, car, surface, speed, mode, step, manoeuvre)
     return drive.advance(np.full(drive.steps_left, command(mode), dtype=np.uint8))

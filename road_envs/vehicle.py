@@ -116,6 +116,8 @@ class VehicleParameters:
     I_xx: Annotated[float, "kg m²", "roll inertia of the body"]
     I_yy: Annotated[float, "kg m²", "pitch inertia of the body"]
     h_cg: Annotated[float, "m", "height of the centre of mass"]
+    roll_centre: Annotated[float, "m", "height of the axis about which the body rolls in turns"]
+    pitch_centre: Annotated[float, "m", "height of the axis about which it pitches when braking"]
     front: Axle
     rear: Axle
     strut: Strut

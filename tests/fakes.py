@@ -1,7 +1,7 @@
 """Drives without a car, and entries that know it: what the judge is tested with.
 
-The first two "accelerometers" report the heights of the wheel paths themselves, so that an entry can
-be as good or as bad as a test wants, and a drive costs a millisecond.
+The first two "accelerometers" report the heights of the wheel paths themselves, so that an entry is
+as good or as bad as a test wants, and a drive costs a millisecond.
 """
 
 from collections.abc import Mapping, Sequence

@@ -51,8 +51,8 @@ FAULTS = [
     Fault(DYNAMICS, "p.y_t[2 * i] * (left - right)", "p.y_s[2 * i] * (left - right)", PAPER_SAYS),
     Fault(DYNAMICS, "(q[PHI] - q[a + 1])", "(q[PHI] + q[a + 1])", PAPER_SAYS),
     Fault(DYNAMICS, "for j in (Z_B, AXLE, AXLE + 2):", "for j in (Z_B, AXLE):", PAPER_SAYS),
-    Fault(DYNAMICS, "add_tyres(p, c_t * height, C[:, j])", "add_tyres(p, c_t * e, C[:, j])", JACOBIAN),
-    Fault(DYNAMICS, "(heave[1] - heave[0]) / (x[0]", "(heave[0] - heave[1]) / (x[0]",
+    Fault(DYNAMICS, "p, c_t * height, C[:, j]", "p, c_t * e, C[:, j]", JACOBIAN),
+    Fault(DYNAMICS, "(left - right) / (y_t", "(right - left) / (y_t",
           "dynamics::test_the_car_finds_its_rest_on_any_plausible_ground"),
     Fault(SUSPENSION, "slope = -p.n_p * F / inside", "slope = -F / inside", JACOBIAN),
     Fault(SUSPENSION, "(u - closing) * p.r_2 * e", "(closing - u) * p.r_2 * e", VALVE),
@@ -115,7 +115,7 @@ FAULTS = [
     Fault(DATASET, "pq.write_table(table, partial)", "pq.write_table(table, path)",
           "dataset::test_writing_leaves_nothing_but_the_file_even_when_it_fails"),
     Fault(SURFACE, "q = a - 2.5 * b", "q = a - 2.0 * b", CUBIC),
-    Fault(SURFACE, "(p + x * (2.0 * q + x * 3.0 * r)) / ds", "p + x * (2.0 * q + x * 3.0 * r)", CUBIC),
+    Fault(SURFACE, "(p + x * (2.0 * q + x * 3.0 * r)) / ds", "p + x * (q + x * r)", CUBIC),
     Fault(SURFACE, "padded.shape[1] - 3.0", "padded.shape[1] - 4.0", CUBIC),
     Fault(CONFIG, '"extra": "forbid"', '"extra": "ignore"', REFUSED),
     Fault(CONFIG, "strict=True)", "strict=False)", REFUSED),
@@ -126,6 +126,7 @@ def run_tests(tree: Path, tests: str) -> tuple[int, str]:
     """Exit status and output of pytest in a tree."""
     file, name = tests.split("::")
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
+    command += ["--hypothesis-profile", "faults"]  # a red test need not look for its least example
     settings = {"XDG_CACHE_HOME": str(tree / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(
         [*command, f"tests/test_{file}.py::{name}"],
@@ -138,7 +139,7 @@ def run_tests(tree: Path, tests: str) -> tuple[int, str]:
 
 
 def verdict(tree: Path, fault: Fault) -> str:
-    """"caught", or what went wrong."""
+    """The word "caught", or what went wrong."""
     path = tree / fault.file
     text = path.read_text(encoding="utf-8")
     if text.count(fault.old) != 1:
@@ -173,8 +174,8 @@ def main(wanted: str) -> int:
             start = time.perf_counter()
             found = verdict(tree, fault)
             missed += found != "caught"
-            seconds = time.perf_counter() - start
-            print(f"{found:8} {seconds:4.0f} s  {fault.file}: {fault.old} -> {fault.new}", flush=True)
+            spent = f"{time.perf_counter() - start:4.0f} s"
+            print(f"{found:8} {spent}  {fault.file}: {fault.old} -> {fault.new}", flush=True)
     print(f"{len(chosen) - missed} of {len(chosen)} faults caught")
     return 1 if missed or not chosen else 0
 

@@ -139,3 +139,37 @@ def _text(z, form, eol):
         per = 80 // width
         records += ["".join(fields[k : k + per]) for k in range(0, len(fields), per)]
     return (eol.join(records) + eol).encode("latin-1")
+
+
+def half_sine(s, middle, height, length):
+    x = s - (middle - 0.5 * length)
+    return np.where((x >= 0.0) & (x <= length), height * np.sin(np.pi * x / length), 0.0)
+
+
+def sweep_height(s, length, n_start, n_end, progress, amplitude, amplitude_end):
+    """A sine whose phase is the frequency, integrated numerically from the start."""
+    share = s / length
+    if progress == "linear":
+        n = lambda u: n_start + (n_end - n_start) * u / length  # noqa: E731
+    else:
+        n = lambda u: n_start * (n_end / n_start) ** (u / length)  # noqa: E731
+    cycles = quad(n, 0.0, s, limit=500)[0]
+    envelope = np.exp((1.0 - share) * np.log(amplitude) + share * np.log(amplitude_end))
+    return envelope * np.sin(2.0 * np.pi * cycles)
+
+
+def erd_file(z, form="text", unit="mm", step=0.025, x_unit="m", names=("LElev.", "RElev."), **how):
+    """Header and numbers of an ERD file with the channels `z` (K, N) in `unit`."""
+    eol, samples = how.get("eol", "\n"), how.get("samples", z.shape[1])
+    units = unit if isinstance(unit, tuple) else (unit,) * len(z)
+    kind = 5 if form == "text" else 1
+    lines = ["ERDFILEV2.00", f"{len(z):7d},{samples:7d},     -1,      1,{kind:7d},{step!r:>12},  -1,"]
+    lines += ["TITLE   a section of road: run 1", *how.get("extra", ())]
+    if names:
+        lines.append("SHORTNAM" + "".join(name.ljust(8) for name in names))
+    lines += ["UNITSNAM" + "".join(u.ljust(8) for u in units), f"XUNITS  {x_unit}", "", "END"]
+    header = (eol.join(lines) + eol).encode("ascii")
+    if form != "text":
+        return header, z.T.astype(f"{form}f4").tobytes()
+    rows = ["".join(f"{x:15.7e}" for x in row) for row in z.T]
+    return header, (eol.join(rows) + eol).encode("ascii")

@@ -81,7 +81,8 @@ def roll_on(plant, y, *, h, steps, surface=LEVEL, speed=10.0, s_0=0.0, memory=No
     stiff, high = memory[:, 1] == 0.0, memory[:, 2] == 1.0
     byte = sum((int(stiff[w]) << w) | (int(high[w]) << (4 + w)) for w in range(4))
     s = s_0 + speed * 0.5 * h * np.arange(2 * steps + 1)
-    road = (surface.padded, surface.start, surface.ds, s, np.full(s.size, speed))
+    straight = np.zeros((s.size, 2))
+    road = (surface.padded, surface.start, surface.ds, s, np.full(s.size, speed), straight)
     valve = (np.full(steps, byte, dtype=np.uint8), 0.01, h)
     out = np.empty((steps, integrator.SIGNALS))
     integrator.drive(*plant.arrays, memory, y, *road, *valve, out)

@@ -79,10 +79,10 @@ def test_a_failure_is_a_row_that_says_why_and_the_others_are_still_there(how, sa
     np.testing.assert_allclose(results["reader"].values("nrmse"), 0.1, atol=0.01)
 
 
-def test_an_absurd_estimate_is_scored_without_a_warning():
+def test_an_absurd_estimate_has_an_absurd_score_and_not_none():
     result = run({"absurd": Broken(how="absurd")})["absurd"]
     assert result.failure is None
-    assert not (result.values("nrmse") < 1e100).any()
+    assert (result.values("nrmse") > 1e6).all() and np.isfinite(result.values("iri_error")).all()
 
 
 def test_training_that_fails_names_the_seed():
@@ -172,7 +172,6 @@ def test_fewer_roads_are_driven_on_request(tmp_path):
 
 
 def test_a_resumed_run_keeps_what_is_valid_and_runs_the_rest(tmp_path):
-    board(tmp_path, {"reader": Reader(), "broken": Broken(how="raises")}, seeds=(1,))
     ran = []
 
     def counting(t, drives, condition):
@@ -184,10 +183,29 @@ def test_a_resumed_run_keeps_what_is_valid_and_runs_the_rest(tmp_path):
         run_board([task()], entries, tmp_path, drive=counting, resume=True, **options)
         return bool(ran)
 
+    assert resume({"reader": Reader()}, seeds=(1,))
     assert not resume({"reader": Reader()}, seeds=(1,))
+    assert resume({"broken": Broken(how="raises")}, seeds=(1,))
+    assert resume({"broken": Broken(how="raises")}, seeds=(1,))  # failures are tried again
     assert resume({"reader": Reader(gain=0.5)}, seeds=(1,))  # other settings
     assert resume({"reader": Reader(gain=0.5)}, seeds=(1, 2))  # other seeds
-    assert resume({"broken": Broken(how="raises")}, seeds=(1,))  # failures are tried again
+
+
+def test_a_damaged_result_that_is_to_stay_is_found_before_anything_is_run(tmp_path):
+    path = path_of(tmp_path, "small", "other")
+    path.parent.mkdir(parents=True)
+    path.write_text("{")
+    said = []
+    with pytest.raises(ConfigError, match=r"other\.json: damaged"):
+        board(tmp_path, {"reader": Reader()}, progress=lambda *step: said.append(step))
+    assert said == []
+    board(tmp_path, {"other": Reader()}, seeds=(1,))  # written anew
+
+
+def test_roads_of_one_name_and_seed_are_two_roads():
+    waviness = {"kind": "iso8608", "road_class": "D", "w": 3.0, "length": 40.0}
+    t = task(test={"roads": ["iso_d", waviness], "seeds": [11], "length": 40.0})
+    assert run({"reader": Reader()}, t=t)["reader"].values("r").shape == (2, 2, 1)
 
 
 def test_results_of_a_changed_task_are_stale_and_not_mixed(tmp_path):

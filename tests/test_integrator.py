@@ -59,7 +59,7 @@ def test_one_step_is_the_published_formula(name, mode, y, h, s):
     (z_0, w_0), (_, w_1) = road(0.0), road(0.5 * h)
     bend = (w_1 - w_0) / (0.5 * h)
     load = roll_on(one, y.copy(), h=h, steps=1, surface=ROUGH, speed=SPEED, s_0=s)[0, LOAD:]
-    assume(load.min() > 100.0)
+    assume(((load == 0.0) | (load > 10.0)).all())  # the slope below needs no kink in its way
     d = 1e-5
     drift = (rate(y, z_0 + d * w_0, w_0 + d * bend) - rate(y, z_0 - d * w_0, w_0 - d * bend)) / d
     expected = oracles.ode23s_step(

@@ -210,17 +210,18 @@ def test_octaves_that_the_low_pass_cuts_are_not_judged():
     wrong = G * np.where(n > 1.5, 100.0, 1.0)
     assert spectral.class_agreement(n, G, wrong, v=15.0) == (1.0, 1.0)
     assert spectral.class_agreement(n, G, wrong, v=4.0)[0] == 0.75
+    # at 18 m/s the low-pass ends at 1.25 cycles/m, inside the octave from 0.71 to 1.41
+    assert spectral.class_agreement(n, G, G * np.where(n > 0.71, 100.0, 1.0), v=18.0)[0] == 1.0
 
 
 def test_the_iri_error_is_counted_per_100_m():
     y = road(11, 300.0)
     part = S.size
-    a = y.copy()
-    a[:, :part] *= 2.0
+    a = y * np.repeat([2.0, 0.0, 1.0], part)[: y.shape[1]]  # too rough and too smooth do not cancel
     error, relative = spectral.iri_error(y, a, DS)
     truth = 2.173 * np.sqrt(CLASS_D / 16e-6)  # closed form for w = 2, with the 250 mm filter
-    assert relative == pytest.approx(1.0 / 3.0, abs=0.06)
-    assert error == pytest.approx(truth / 3.0, rel=0.2)
+    assert relative == pytest.approx(2.0 / 3.0, abs=0.1)
+    assert error == pytest.approx(truth * 2.0 / 3.0, rel=0.2)
 
 
 def test_a_bump_is_found_at_its_middle_with_its_height():

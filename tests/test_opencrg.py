@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from oracles_roads import crg_file
 
-from road_envs.roads.measured import parse_table
 from road_envs.roads.opencrg import SurfaceFileError, parse, read_crg
+from road_envs.roads.tables import parse_text
 
 MEASURED = Path(__file__).parents[2] / "shared" / "roads"
 needs_files = pytest.mark.skipif(not MEASURED.is_dir(), reason="needs ../shared/roads")
@@ -191,7 +191,7 @@ def test_arbitrary_bytes_are_refused(data):
     with pytest.raises(SurfaceFileError):
         parse(data)
     with pytest.raises(SurfaceFileError):
-        parse_table(b"1 2 3 4\n" + data)
+        parse_text(b"1 2 3 4\n" + data)
 
 
 @settings(deadline=None, max_examples=250)

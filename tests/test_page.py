@@ -117,9 +117,11 @@ def test_claims_stand_beside_measurements():
 
 def test_each_drawing_has_the_truth_solid_the_estimate_dashed_and_equation_12_on_top():
     trace = next(r for r in results()["paving"] if r.estimator == "reader").traces[0]
+    errors = {"level_error_left": 0.123, "level_error_right": 0.456, "level_error": 0.3}
+    trace = dataclasses.replace(trace, scores=errors)
+    assert "Right wheel path, eq. 12: 45.6 %" in figures.overlay(trace, side=1)
     svg = figures.overlay(trace, side=0)
-    expected = 100.0 * trace.scores["level_error_left"]
-    assert f"Left wheel path, eq. 12: {expected:.1f} %" in svg
+    assert "Left wheel path, eq. 12: 12.3 %" in svg
     lines = re.findall(r'<path d="[^"]*" clip-path[^>]*style="([^"]*)"', svg)
     assert ["stroke-dasharray" in style for style in lines] == [False, True]
     assert "currentColor" in lines[0] and "var(--series-1)" in lines[1]

@@ -233,7 +233,7 @@ def test_an_entry_that_beats_the_noisy_truth_is_flagged_and_so_is_a_broken_judge
     assert flags([named("reader"), named("flat"), named("truth_plus_noise")]) == []
     (perfect,) = run_task(task(), {"perfect": Reader(gain=1.0)}, (1,), drive=fake_drives)
     (said,) = flags([perfect, named("truth_plus_noise")])
-    assert said.startswith("perfect scores better than the truth with 2% noise")
+    assert said.startswith("perfect scores better than the truth with 2 % noise")
     (said,) = flags([dataclasses.replace(named("reader"), estimator="flat", role="sentinel")])
     assert said.startswith("the judge is broken: flat scores 0.1")
 

@@ -126,7 +126,7 @@ def test_the_filter_is_scipys():
 
 
 @settings(max_examples=25)
-@given(st.lists(st.integers(0, 700), max_size=8), st.sampled_from([0.001, 0.0005]))
+@given(st.lists(st.integers(0, 700), max_size=8), st.sampled_from([0.001, 0.00025]))
 def test_chunks_are_sensed_as_the_whole_to_the_bit(cuts, step):
     trajectory, edges = motion(noise(700)), [0, *sorted(cuts), 700]
     whole = logger(PAPER, step=step).sense(trajectory)

@@ -10,7 +10,7 @@ from fakes import task
 from leaderboard.drives import simulated
 from leaderboard.measured import surface_class, surface_tasks
 from leaderboard.tasks import load_task, shipped_tasks
-from road_envs.config import ConfigError, names
+from road_envs.config import ConfigError, folder, names
 from road_envs.record import grid
 from road_envs.roads import load_road, write_csv
 
@@ -44,6 +44,8 @@ def test_the_new_road_board_holds_seeds_and_roads_apart():
     assert not set(t.training.seeds) & set(t.test.seeds) and not t.trains_on_test_road
     assert len(t.test.pairs) == 10 and len(t.with_roads(50).test.pairs) == 50
     assert all(road.length == 300.0 for road, _ in t.test.pairs)
+    families = [type(road).__name__ for road, _ in t.test.pairs]
+    assert families == ["Iso8608", "Belgian"] * 5
     assert t.test.step < t.training.step
 
 
@@ -114,6 +116,7 @@ def test_the_digest_changes_with_all_that_decides_the_drives_and_with_nothing_el
     # the same roads, said in another way
     same = {"roads": [{"kind": "iso8608", "road_class": "D"}], "seeds": [1, 2], "length": 40.0}
     assert task(training=same).digest == base.digest
+    assert task(title="Another title", note="Read this.").digest == base.digest
     others = [
         task(version=2),
         task(bumps=True),
@@ -124,6 +127,25 @@ def test_the_digest_changes_with_all_that_decides_the_drives_and_with_nothing_el
     ]
     digests = {base.digest, *(other.digest for other in others)}
     assert len(digests) == len(others) + 1
+
+
+@pytest.mark.parametrize(
+    ("field", "kind", "shipped", "number"),
+    [
+        ("car", "vehicles", "land_rover_defender_110", "m_b"),
+        ("instruments", "sensors", "paper", "f_alias"),
+    ],
+)
+def test_the_digest_follows_the_content_of_car_and_instruments(
+    tmp_path, field, kind, shipped, number
+):
+    settings = yaml.safe_load((folder() / kind / f"{shipped}.yaml").read_text())
+    path = tmp_path / "mine.yaml"
+    digests = set()
+    for share in (1.0, 0.99):
+        path.write_text(yaml.safe_dump({**settings, number: share * settings[number]}))
+        digests.add(task(**{field: str(path)}).digest)
+    assert len(digests) == 2
 
 
 def test_the_digest_follows_the_content_of_a_surface_file(tmp_path):
@@ -167,7 +189,7 @@ def test_the_class_of_a_surface_is_that_of_its_rougher_path():
 def test_a_file_that_is_no_surface_is_one_sentence(tmp_path):
     path = tmp_path / "bad.csv"
     path.write_text("0 zero\n")
-    with pytest.raises(ConfigError, match="bad.csv"):
+    with pytest.raises(ConfigError, match=r"bad\.csv"):
         surface_tasks(path)
 
 
@@ -178,6 +200,13 @@ def test_drives_are_repeatable_and_one_road_is_the_same_in_every_condition():
     np.testing.assert_array_equal(first.truth.z, fast.truth.z)
     np.testing.assert_array_equal(first.truth.s, grid(first.record.length))
     assert first.record.a.shape[1] > fast.record.a.shape[1]
+
+
+def test_the_judge_drives_with_the_step_of_the_task():
+    t = task(test={"roads": ["iso_d"], "seeds": [11], "length": 20.0, "noise": False})
+    finer = dataclasses.replace(t.test, step=0.0005)
+    a, b = (next(simulated(t, d, t.conditions[0])).record.a for d in (t.test, finer))
+    assert a.shape == b.shape and 0.0 < np.abs(a - b).max() < 0.1 * np.abs(a).max()
 
 
 def test_noise_is_only_where_the_task_wants_it():

@@ -23,8 +23,7 @@ from leaderboard.scores import scores
 from road_envs.config import ConfigError
 from road_envs.dataset import read_record, record_drive, write_record
 from road_envs.record import Profile, Record
-from road_envs.roads import Surface, load_road, with_length
-from road_envs.roads.measured import write_csv
+from road_envs.roads import Surface, load_road, with_length, write_csv
 from road_envs.roughness import iri
 from road_envs.sensors import load_instruments
 from road_envs.vehicle import load_vehicle

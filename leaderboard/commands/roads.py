@@ -11,8 +11,9 @@ from leaderboard import plots
 from leaderboard.commands import console, print_json, writable
 from leaderboard.commands.drives import Json, Length, Seed, realised
 from road_envs import config
+from road_envs.config import ConfigError
 from road_envs.roads import Surface, load_road
-from road_envs.roads.measured import write_csv
+from road_envs.roads.export import WRITERS, write, write_crg
 from road_envs.roughness import classify, dsd, fit_line, iri, smooth
 
 app = typer.Typer(help="List, plot and export roads.", no_args_is_help=True)
@@ -55,14 +56,22 @@ def plot_road(
 @app.command("export")
 def export(
     road: Which,
-    out: Annotated[Path, typer.Option(help="Table to write (.csv): distance, left, right.")],
+    out: Annotated[Path, typer.Option(help="File to write (.csv, .parquet, .crg or .erd).")],
     length: Length = None,
     seed: Seed = 1,
+    form: Annotated[
+        str | None, typer.Option(help="Format of a .crg file: KDBI, KRBI, LDFI or LRFI.")
+    ] = None,
 ) -> None:
-    """Write both wheel paths of a road as a table that can be read back as a road."""
-    writable(out, ".csv")
+    """Write both wheel paths of a road to a file that can be read back as a road."""
+    writable(out, *WRITERS)
+    if form and out.suffix.lower() != ".crg":
+        raise ConfigError(f"{out}: only a .crg file has a --form")
     surface = realised(road, length, seed)
-    write_csv(surface, out)
+    if form:
+        write_crg(surface, out, form)
+    else:
+        write(surface, out)
     console.print(f"written: {out} ({surface.length:g} m, every {1000 * surface.ds:g} mm)")
 
 

@@ -13,20 +13,33 @@ from road_envs.config import ConfigError, build, find, one_of, read_yaml
 from road_envs.roads.belgian import Belgian
 from road_envs.roads.bumps import Bumps
 from road_envs.roads.compose import Altered, Fixed, Flat, Road
+from road_envs.roads.defects import Defects, Potholes
+from road_envs.roads.export import write, write_csv
 from road_envs.roads.iso8608 import Iso8608
-from road_envs.roads.measured import SUFFIXES, Measured, write_csv
+from road_envs.roads.layout import Joined, Offset, Repeated, RunIn, Scaled, Summed
+from road_envs.roads.measured import SUFFIXES, Measured
 from road_envs.roads.surface import Surface
+from road_envs.roads.sweep import Sweep
 
-__all__ = ["KINDS", "Road", "Surface", "load_road", "with_length", "write_csv"]
+__all__ = ["KINDS", "Road", "Surface", "load_road", "with_length", "write", "write_csv"]
 
 KINDS: dict[str, type] = {
     "altered": Altered,
     "belgian": Belgian,
     "bumps": Bumps,
+    "defects": Defects,
     "fixed": Fixed,
     "flat": Flat,
     "iso8608": Iso8608,
+    "joined": Joined,
     "measured": Measured,
+    "offset": Offset,
+    "potholes": Potholes,
+    "repeated": Repeated,
+    "run_in": RunIn,
+    "scaled": Scaled,
+    "summed": Summed,
+    "sweep": Sweep,
 }
 
 
@@ -47,14 +60,17 @@ def load_road(source: str | Path | Mapping[str, Any]) -> Road:
 
 
 def with_length(road: Road, length: float) -> Road:
-    """The same road with another length [m]; reaches into fixed and altered roads."""
-    if isinstance(road, Fixed | Altered):
-        return dataclasses.replace(road, road=with_length(road.road, length))
+    """The same road with another length [m]; reaches into a road that is made of one other."""
+    if isinstance(length, bool) or not isinstance(length, int | float):
+        raise ConfigError(f"length must be a number, got {length!r}")
+    if isinstance(road, Scaled):
+        return dataclasses.replace(road, road=with_length(road.road, length / road.length_factor))
+    if isinstance(road, Fixed | Altered | RunIn | Offset):
+        added = road.length - road.road.length
+        return dataclasses.replace(road, road=with_length(road.road, length - added))
     settings: Any = road
     if "length" not in {f.name for f in dataclasses.fields(settings)}:
         raise ConfigError(f"the length of a {_kind(road)} road follows from its other settings")
-    if isinstance(length, bool) or not isinstance(length, int | float):
-        raise ConfigError(f"length must be a number, got {length!r}")
     try:
         return dataclasses.replace(settings, length=float(length))
     except ConfigError:
@@ -75,6 +91,8 @@ def _from_mapping(data: Mapping[str, Any], where: str) -> Road:
 
 def _beside(data: Any, folder: Path) -> Any:
     """Settings in which the paths of surface files are relative to `folder` no longer."""
+    if isinstance(data, list):
+        return [_beside(value, folder) for value in data]
     if not isinstance(data, dict):
         return data
     inner = {key: _beside(value, folder) for key, value in data.items()}

@@ -17,9 +17,9 @@ import numpy as np
 from scipy.special import ndtr
 
 from road_envs.config import STRICT
+from road_envs.roads.checks import check_positive
 from road_envs.roads.iso8608 import (
     check_band,
-    check_positive,
     isotropic,
     line_edges,
     middle,

@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from road_envs.config import STRICT
-from road_envs.roads.iso8608 import check_positive, check_size
+from road_envs.roads.checks import check_positive, check_size
 from road_envs.roads.surface import Surface
 
 Layout = Literal["small", "large_small", "asymmetric"]

@@ -8,7 +8,7 @@ from pydantic import PlainValidator
 
 from road_envs.config import STRICT
 from road_envs.record import GRID
-from road_envs.roads.iso8608 import check_positive, check_size
+from road_envs.roads.checks import check_not_negative, check_positive, check_size
 from road_envs.roads.surface import Surface
 
 
@@ -31,6 +31,11 @@ def _load(source: Any) -> Road:
 
 
 AnyRoad = Annotated[Road, PlainValidator(_load), "", "a road: shipped name, path or mapping"]
+
+
+def streams(rng: np.random.Generator, count: int) -> list[np.random.Generator]:
+    """A generator for each of `count` causes; they follow from the state of `rng` alone."""
+    return [np.random.default_rng(k) for k in rng.integers(2**63, size=count)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,9 +96,7 @@ class Altered:
     delay: Annotated[float, "m", "level stretch put before the road"] = 1.0
 
     def __post_init__(self):
-        for name in ("noise", "delay"):
-            if not 0.0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+        check_not_negative(self, "noise", "delay")
 
     @property
     def length(self) -> float:
@@ -102,7 +105,7 @@ class Altered:
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """Draw the road, then the noise, each from a stream of its own."""
-        road_rng, noise_rng = (np.random.default_rng(k) for k in rng.integers(2**63, size=2))
+        road_rng, noise_rng = streams(rng, 2)
         surface = self.road.realise(road_rng)
         s = surface.s
         z = surface.z + self._noise(surface, noise_rng).height(s)

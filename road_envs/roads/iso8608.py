@@ -13,29 +13,33 @@ their coherence. A surface that is equally rough in all directions has (x = 2 pi
     g(n) = 2^(1-v) / Gamma(v) x^v K_v(x),      which is x K_1(x) for w = 2
 
 (Kamash & Robson, J. Sound Vib. 57, 1978, for w = 2; Matérn's integral for any w).
+
+With a `variation` the lines are not independent: they are those of white noise whose variance
+follows the roughness along the road.
 """
 
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import gamma, kv
 
 from road_envs.config import STRICT
+from road_envs.roads.checks import check_positive, check_size
+from road_envs.roads.nonstationary import Variation
 from road_envs.roads.surface import Surface
 from road_envs.roughness import CLASSES, N_0
 
 RoadClass = Literal["A", "B", "C", "D", "E", "F", "G", "H"]
 Coherence = Literal["isotropic", "full", "none"]
-MAX_SAMPLES = 50_000_000
 PERIODS = 8
 """Lines between 0 and n_min: the synthesised period is at least this many longest waves."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Iso8608:
-    """A stationary Gaussian road; give `road_class` or `G_d0`, not both."""
+    """A Gaussian road, stationary without a `variation`; give `road_class` or `G_d0`, not both."""
 
     __pydantic_config__ = STRICT
 
@@ -48,6 +52,7 @@ class Iso8608:
     coherence: Annotated[Coherence, "", "between the wheel paths"] = "isotropic"
     track: Annotated[float, "m", "distance of the wheel paths"] = 1.5
     ds: Annotated[float, "m", "spacing of the samples"] = 0.01
+    variation: Annotated[Variation | None, "", "of the roughness along the road"] = None
 
     def __post_init__(self):
         if (self.road_class is None) == (self.G_d0 is None):
@@ -70,7 +75,7 @@ class Iso8608:
         if self.coherence == "isotropic":
             g = isotropic(middle(edges), self.w, self.track)
         name = f"iso8608 {self.road_class or f'G_d0={self.G_d0:g}'}"
-        return synthesise(rng, self, edges, power, g, name)
+        return synthesise(rng, self, edges, power, g, name, self.variation)
 
 
 def isotropic(n: np.ndarray, w: float, track: float) -> np.ndarray:
@@ -100,31 +105,25 @@ def line_edges(road) -> np.ndarray:
     return edges
 
 
-def synthesise(rng, road, edges, power, g, name: str) -> Surface:
+def synthesise(
+    rng, road, edges, power, g, name: str, variation: Variation | None = None
+) -> Surface:
     """Both wheel paths from the `power` (K,) [m²] of each line and the root coherence `g` (K,).
 
     Each path starts at height 0, for nothing that rides on a road can feel its datum.
     """
     size, first, last = _lines(road)
-    phase = rng.uniform(0.0, 2.0 * np.pi, (2, power.size))
-    parts = np.sqrt(power * np.array([1.0 + g, 1.0 - g])) * np.exp(1j * phase)
+    if variation is None:
+        unit = np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, (2, power.size)))
+    else:
+        level = variation.draw(rng, size, road.ds)
+        noise = np.sqrt(level / size) * rng.standard_normal((2, size))
+        unit = rfft(noise)[:, first : last + 1]
+    parts = np.sqrt(power * np.array([1.0 + g, 1.0 - g])) * unit
     lines = np.zeros((2, size // 2 + 1), dtype=complex)
     lines[:, first : last + 1] = [parts[0] + parts[1], parts[0] - parts[1]]
     z = 0.5 * size * irfft(lines, size)[:, : round(road.length / road.ds) + 1]
     return Surface(z - z[:, :1], road.ds, name=name)
-
-
-def check_positive(road, *names: str) -> None:
-    """ValueError naming the first of the settings that is not positive and finite."""
-    for name in names:
-        if not 0.0 < getattr(road, name) < np.inf:
-            raise ValueError(f"{name} must be positive, got {getattr(road, name)}")
-
-
-def check_size(length: float, ds: float) -> None:
-    """ValueError if `length` [m] holds more steps of `ds` [m] than a computer should be asked."""
-    if not length / ds < MAX_SAMPLES:
-        raise ValueError(f"{length:g} m in steps of {ds:g} m are more than {MAX_SAMPLES:,} samples")
 
 
 def check_band(road) -> None:

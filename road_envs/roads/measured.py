@@ -1,17 +1,13 @@
-"""A measured surface as a road: OpenCRG files, or plain tables of distance and height.
+"""A measured surface as a road: OpenCRG and ERD files, or tables of distance and height.
 
 From a grid the wheel paths are taken `track` apart about the line `centre`, between the sections
 by linear interpolation; a path that would touch a missing height is refused, or bridged along the
-track when asked. A table has the columns distance, left, right [m], or distance and one height
-for both paths; fields stand apart by white space, comma, semicolon or tab, lines that begin with
-"#" and one line of names are skipped. Station 0 is the first sample, and both paths start at 0.
+track when asked. Station 0 is the first sample, and both paths start at 0.
 
 A surface shorter than the road wanted is a tile, laid end to end: mirrored, or repeated after the
 line from its first to its last height has been taken away, so that the ends meet.
 """
 
-import os
-import re
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -20,24 +16,16 @@ from typing import Annotated, Literal
 import numpy as np
 
 from road_envs.config import STRICT
-from road_envs.roads.iso8608 import check_positive, check_size
-from road_envs.roads.opencrg import (
-    MAX_LENGTH,
-    CurvedGrid,
-    SurfaceFileError,
-    about,
-    content,
-    heights,
-    parse,
-)
+from road_envs.roads import erd, opencrg, tables
+from road_envs.roads.checks import check_positive, check_size
+from road_envs.roads.opencrg import CurvedGrid, SurfaceFileError, about, content
 from road_envs.roads.surface import Surface
+from road_envs.roads.tables import Paths
 
 WHEELBASE = 2.794
 """The default of `min_length` [m]."""
-SUFFIXES = (".crg", ".csv", ".txt", ".dat")
+SUFFIXES = (".crg", ".erd", ".parquet", ".csv", ".txt", ".dat")
 PATHS = ("left", "right")
-EVEN = 1e-3
-"""Spacings that differ from their median by less than this share of it count as even."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,19 +73,26 @@ class Measured:
     @cached_property
     def _tile(self) -> Surface:
         """The file as it is."""
-        suffix = Path(self.path).suffix.lower()
-        if suffix not in SUFFIXES:
-            raise SurfaceFileError(f"a surface file ends in {', '.join(SUFFIXES)}")
-        if suffix == ".crg":
-            z, ds, notes = wheel_paths(parse(content(self.path)), self.centre, self.track)
-        else:
-            z, ds, notes = parse_table(content(self.path))
+        z, ds, notes = self._read()
         if z.shape[1] < 4:
             raise SurfaceFileError(f"at least 4 stations are wanted, got {z.shape[1]}")
         z, bridges = bridged(z, ds, self.bridge_gaps)
         if np.allclose(z[0], z[1], rtol=0.0, atol=1e-9):
             notes = (*notes, "left and right wheel path are the same")
         return Surface(z, ds, name=Path(self.path).stem, notes=(*notes, *bridges))
+
+    def _read(self) -> Paths:
+        match Path(self.path).suffix.lower():
+            case ".crg":
+                grid = opencrg.parse(content(self.path))
+                return wheel_paths(grid, self.centre, self.track)
+            case ".erd":
+                return erd.read(self.path)
+            case ".parquet":
+                return tables.parse_parquet(content(self.path))
+            case ".csv" | ".txt" | ".dat":
+                return tables.parse_text(content(self.path))
+        raise SurfaceFileError(f"a surface file ends in {', '.join(SUFFIXES)}")
 
 
 def wheel_paths(grid: CurvedGrid, centre: float | None, track: float) -> Paths:

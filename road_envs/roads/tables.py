@@ -69,10 +69,10 @@ def parse_parquet(data: bytes) -> Paths:
     return even(columns[0], heights(np.array([columns[1], columns[-1]])))
 
 
-def numbers(lines: list[str]) -> np.ndarray:
-    """The numbers (M, K) on `lines` that have equally many each."""
+def numbers(lines: list[str], comments: str | None = "#") -> np.ndarray:
+    """The numbers (M, K) on `lines` that have equally many each, up to a mark of `comments`."""
     try:
-        return np.loadtxt(lines, ndmin=2, comments=None)
+        return np.loadtxt(lines, ndmin=2, comments=comments)
     except ValueError as error:
         raise SurfaceFileError(f"not a table of numbers: {error}") from None
 

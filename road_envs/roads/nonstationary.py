@@ -1,0 +1,50 @@
+"""How the roughness of a road varies along it: real roads are not stationary.
+
+The roughness coefficient is constant over patches and random from patch to patch; both wheel paths
+share it, and over all patches its mean is that of the road. Gamma-distributed, this is the Laplace
+road of Bogsjö, Podgórski & Rychlik (Veh. Syst. Dyn. 50, 2012) with the ISO spectrum and two paths
+(Johannesson, Podgórski & Rychlik, Chalmers preprint 2014:4), where the square of `spread` is
+called nu; a log-normal one has the same mean and variance, but more of the very rough patches.
+
+What varies is the white noise that is filtered into the road, and so the road has no steps where
+patches meet: waves much shorter than a patch have the density of the patch, longer ones an average
+over those about. Seen over all patches, short waves have the kurtosis 3 (1 + spread²).
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+
+from road_envs.config import STRICT
+from road_envs.roads.checks import check_positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variation:
+    """The law of the roughness coefficient of a patch over that of the road."""
+
+    __pydantic_config__ = STRICT
+
+    law: Annotated[Literal["gamma", "lognormal"], "", "of the roughness of a patch"] = "gamma"
+    spread: Annotated[float, "", "standard deviation over mean [assumed]"] = 0.7
+    patch: Annotated[float, "m", "length of a patch; the first may start before the road"] = 100.0
+
+    def __post_init__(self):
+        check_positive(self, "spread", "patch")
+        if self.patch < 1.0:
+            raise ValueError(f"a patch must be at least 1 m long, got {self.patch}")
+        if self.spread > 10.0:
+            raise ValueError(f"spread must be at most 10, got {self.spread}")
+
+    def draw(self, rng: np.random.Generator, size: int, ds: float) -> np.ndarray:
+        """The factor (size,) on the density at samples `ds` [m] apart."""
+        start = rng.uniform(0.0, self.patch)
+        k = ((start + ds * np.arange(size)) // self.patch).astype(int)
+        variance = self.spread**2
+        if self.law == "gamma":
+            levels = rng.gamma(1.0 / variance, variance, k[-1] + 1)
+        else:
+            sigma = np.sqrt(np.log1p(variance))
+            levels = rng.lognormal(-0.5 * sigma**2, sigma, k[-1] + 1)
+        return levels[k]

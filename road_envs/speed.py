@@ -1,0 +1,73 @@
+"""How fast the vehicle goes: a speed over time, its integral and its rate.
+
+s(t) = integral of v,   v(t) piecewise linear,   a_x(t) = dv/dt piecewise constant
+"""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from road_envs.config import STRICT
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpeedProfile:
+    """Speed [m/s] at instants [s] from 0 on, linear between them and constant after the last.
+
+    Raises ValueError unless the instants start at 0 and increase, no speed is negative, and the
+    last one is positive, so that every drive comes to its end.
+    """
+
+    __pydantic_config__ = STRICT
+
+    t: Annotated[tuple[float, ...], "s", "instants, the first 0"]
+    v: Annotated[tuple[float, ...], "m/s", "speed at each"]
+
+    def __post_init__(self):
+        t, v = np.array(self.t), np.array(self.v)
+        if t.size != v.size or t.size < 1 or not np.isfinite([*t, *v]).all():
+            raise ValueError("t and v of a speed profile must be finite and of one length")
+        if t[0] != 0.0 or not (np.diff(t) > 0).all():
+            raise ValueError(f"instants must start at 0 and increase, got {self.t}")
+        if not (v >= 0).all() or not v[-1] > 0:
+            raise ValueError(f"speeds must be positive at the end and never negative, got {self.v}")
+
+    def at(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Distance [m], speed [m/s] and acceleration [m/s²] (N,) at the instants `t` (N,) [s]."""
+        knots, v = np.array(self.t), np.array(self.v)
+        a = np.append(np.diff(v) / np.diff(knots), 0.0)
+        s = np.append(0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(knots)))
+        i = np.searchsorted(knots, t, side="right") - 1
+        dt = t - knots[i]
+        return s[i] + dt * (v[i] + 0.5 * a[i] * dt), v[i] + a[i] * dt, a[i]
+
+    def arrival(self, distance: float) -> float:
+        """The instant [s] at which `distance` [m] has been covered."""
+        knots = np.array(self.t)
+        reached = self.at(knots)[0]
+        i = int(np.searchsorted(reached, distance, side="right")) - 1
+        _, (v,), (a,) = self.at(knots[i : i + 1])
+        left = distance - reached[i]
+        # the stable root of v dt + a dt² / 2 = left
+        return float(knots[i] + 2.0 * left / (v + np.sqrt(max(v * v + 2.0 * a * left, 0.0))))
+
+
+def constant(v: float) -> SpeedProfile:
+    """One speed [m/s] throughout."""
+    return SpeedProfile(t=(0.0,), v=(float(v),))
+
+
+def ramp(v_0: float, v_1: float, duration: float, after: float = 0.0) -> SpeedProfile:
+    """From `v_0` to `v_1` [m/s] within `duration`, beginning `after` [s] the start."""
+    if after > 0.0:
+        return SpeedProfile(t=(0.0, after, after + duration), v=(v_0, v_0, v_1))
+    return SpeedProfile(t=(0.0, duration), v=(v_0, v_1))
+
+
+def stop_and_go(v: float, a: float, cruise: float, halt: float, stops: int) -> SpeedProfile:
+    """Cruise at `v` [m/s], brake at `a` [m/s²] to a stand, halt, pull away; `stops` times."""
+    change = v / a
+    parts = [(cruise, v), (change, 0.0), (halt, 0.0), (change, v)] * stops
+    durations, speeds = zip(*parts, strict=True)
+    return SpeedProfile(t=(0.0, *np.cumsum(durations).tolist()), v=(v, *speeds))
