@@ -27,8 +27,8 @@ class Score(NamedTuple):
         """The value as printed; a dash for one that is not defined."""
         if not np.isfinite(value):
             return NOTHING
-        sign = "+" if self.better == "zero" else ""
-        return f"{self.factor * value:{sign}.{self.digits}f}"
+        rounded = round(self.factor * value, self.digits) + 0.0  # no minus before a zero
+        return f"{rounded:{'+' if self.better == 'zero' else ''}.{self.digits}f}"
 
 
 SCORES = {

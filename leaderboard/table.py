@@ -10,7 +10,7 @@ from rich.table import Table
 
 from leaderboard.board import Board
 from leaderboard.findings import findings
-from leaderboard.view import Line, Section, View, views
+from leaderboard.view import Line, Section, View, filled, views
 
 CASE_WIDTH = 18
 STYLES = {
@@ -31,11 +31,9 @@ LEGEND = (
 def print_tables(board: Board, console: Console) -> None:
     """Print every board, what failed or is stale, and what the numbers say."""
     for view in views(board):
-        if view.board == "new_road":
-            for section in view.sections:
-                console.print(_table(view, (section,), f"{view.title}: {section.title}"))
-        else:
-            console.print(_table(view, view.sections, view.title))
+        together = view.board == "paper" and len(view.sections) > 1
+        for sections in [view.sections] if together else [(s,) for s in view.sections]:
+            console.print(_table(view, sections))
         _remarks(view, console)
     console.print(f"[dim]{escape(LEGEND)}[/dim]")
     for sentence in findings(board):
@@ -60,9 +58,11 @@ def as_json(board: Board) -> list[dict[str, Any]]:
     ]
 
 
-def _table(view: View, sections: tuple[Section, ...], title: str) -> Table:
-    columns = [column for column in view.columns if not column.wide]
+def _table(view: View, sections: tuple[Section, ...]) -> Table:
+    """One section with its title, or several that share columns and stand behind each other."""
+    columns = [column for column in filled(view, *sections) if not column.wide]
     grouped = len(sections) > 1
+    title = view.title if grouped else f"{view.title}: {sections[0].title}"
     table = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False)
     if grouped:
         table.add_column("case", width=CASE_WIDTH)
@@ -85,7 +85,7 @@ def _row(line: Line, keys: list[str]) -> list[str]:
     style = STYLES[line.state]
     name = f"[{style}]{escape(line.name)}[/{style}]"
     if line.state in ("failed", "stale"):
-        return [name, f"[{style}]{line.state}[/{style}]", *[""] * (len(keys) - 1)]
+        return [name, *[f"[{style}]{line.state}[/{style}]", *[""] * len(keys)][: len(keys)]]
     return [name, *(f"[{style}]{line.cells.get(key, '')}[/{style}]" for key in keys)]
 
 

@@ -86,10 +86,9 @@ NEW_ROAD_COLUMNS = (
     Column("class_within_one", "within one", "%", wide=True),
     Column("iri_error", "IRI", "mm/m"),
     Column("dsd_distance_db", "DSD", "dB", wide=True),
-    Column("coherence", "coherence", wide=True),
     Column("train_seconds", "train", "s"),
     Column("estimate_ms_per_100m", "time", "ms/100m"),
-    Column("parameters", "numbers learnt", wide=True),
+    Column("parameters", "weights", wide=True),
 )
 
 
@@ -97,7 +96,7 @@ def views(board: Board) -> list[View]:
     """The boards that have a task, the main one first."""
     kinds: list[tuple[BoardName, str, tuple[Column, ...]]] = [
         ("new_road", "New road", NEW_ROAD_COLUMNS),
-        ("paper", "The paper's case scenarios", PAPER_COLUMNS),
+        ("paper", "The paper's protocol", PAPER_COLUMNS),
     ]
     return [
         View(name, title, columns, tuple(_section(board, task) for task in tasks))
@@ -106,12 +105,13 @@ def views(board: Board) -> list[View]:
     ]
 
 
-def filled(view: View, section: Section) -> list[Column]:
-    """The columns in which at least one line of a section has something to say."""
+def filled(view: View, *sections: Section) -> list[Column]:
+    """The columns in which at least one line of some sections has something to say."""
+    lines = [line for section in sections for line in section.lines]
     return [
         column
         for column in view.columns
-        if any(line.cells.get(column.key, "") not in ("", NOTHING) for line in section.lines)
+        if any(line.cells.get(column.key, "") not in ("", NOTHING) for line in lines)
     ]
 
 

@@ -19,6 +19,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parent.parent
 COPIED = ("road_envs", "configs", "tests", "pyproject.toml")
 PAPER_SAYS = "dynamics::test_the_car_moves_as_the_papers_equations_say"
+LEAN = "dynamics::test_in_a_manoeuvre_the_body_leans_as_an_inverted_pendulum"
 JACOBIAN = "dynamics::test_the_jacobian_is_the_slope_of_the_rates"
 FORMULA = "integrator::test_one_step_is_the_published_formula"
 VALVE = "suspension::test_the_second_accumulator_follows_its_equation_through_a_switch"
@@ -51,6 +52,9 @@ FAULTS = [
     Fault(DYNAMICS, "p.y_t[2 * i] * (left - right)", "p.y_s[2 * i] * (left - right)", PAPER_SAYS),
     Fault(DYNAMICS, "(q[PHI] - q[a + 1])", "(q[PHI] + q[a + 1])", PAPER_SAYS),
     Fault(DYNAMICS, "for j in (Z_B, AXLE, AXLE + 2):", "for j in (Z_B, AXLE):", PAPER_SAYS),
+    Fault(DYNAMICS, "(a_y + GRAVITY * phi)", "(a_y - GRAVITY * phi)", LEAN),
+    Fault(DYNAMICS, "(GRAVITY * theta - a_x)", "(GRAVITY * theta + a_x)", LEAN),
+    Fault(DYNAMICS, "K[THETA, THETA] -=", "K[THETA, THETA] +=", JACOBIAN),
     Fault(DYNAMICS, "p, c_t * height, C[:, j]", "p, c_t * e, C[:, j]", JACOBIAN),
     Fault(DYNAMICS, "(left - right) / (y_t", "(right - left) / (y_t",
           "dynamics::test_the_car_finds_its_rest_on_any_plausible_ground"),
@@ -74,8 +78,11 @@ FAULTS = [
     Fault(INTEGRATOR, "D = 1.0 / (2.0 + np.sqrt(2.0))", "D = 0.5", FORMULA),
     Fault(INTEGRATOR, "q[j] + 0.5 * h * k_q[j]", "q[j] + h * k_q[j]", FORMULA),
     Fault(INTEGRATOR, "(k_q[j] + r[j] + hd * f[j])", "(k_q[j] + r[j])", FORMULA),
-    Fault(INTEGRATOR, "/ (0.5 * h)", "/ h", FORMULA),
+    Fault(INTEGRATOR, "road[0, 1, w]) / (0.5 * h)", "road[0, 1, w]) / h", FORMULA),
     Fault(INTEGRATOR, "a12 -= x * r01", "a12 += x * r01", FORMULA),
+    Fault(INTEGRATOR, "hd * hd * p.roll_moment", "hd * p.roll_moment", FORMULA),
+    Fault(INTEGRATOR, "turn[1, 0] - turn[0, 0]", "turn[0, 0] - turn[1, 0]", FORMULA),
+    Fault(INTEGRATOR, "work.q[PHI] + hd * r[PHI]", "work.q[PHI] - hd * r[PHI]", FORMULA),
     Fault(INTEGRATOR, "p.x[0] - p.x[w // 2]", "p.x[w // 2] - p.x[0]",
           "simulate::test_each_wheel_meets_the_road_where_and_when_it_stands_on_it"),
     Fault(INTEGRATOR, "s[2 * n + 1], v[2 * n + 1]", "s[2 * n], v[2 * n]",
@@ -110,7 +117,7 @@ FAULTS = [
           "sensors::test_offline_processing_is_6_db_down_at_25_hertz_and_delays_nothing"),
     Fault(PROCESSING, "a - a.mean(axis=1, keepdims=True)", "a",
           "sensors::test_processing_removes_the_mean"),
-    Fault(DATASET, "drive.start + v * t", "drive.start + drive.speed * t",
+    Fault(DATASET, "(logger.speed_gain * x for x in", "(x for x in",
           "dataset::test_the_odometer_adds_up_the_measured_speed_error_and_all"),
     Fault(DATASET, "pq.write_table(table, partial)", "pq.write_table(table, path)",
           "dataset::test_writing_leaves_nothing_but_the_file_even_when_it_fails"),

@@ -165,8 +165,12 @@ class NonlinearCar:
             ]
         )
 
-    def accelerations(self, memory, q, v, z_r, w_r):
-        """Accelerations (7,) in the project's axes, of the corrected equations 2 to 8."""
+    def accelerations(self, memory, q, v, z_r, w_r, lean=None):
+        """Accelerations (7,) in the project's axes, of the corrected equations 2 to 8.
+
+        `lean`, if given, is (l_roll, l_pitch, a_x, a_y): in a manoeuvre the body is an inverted
+        pendulum of these lengths [m] in the field of gravity less the accelerations [m/s2].
+        """
         car = self.car
         to_paper = np.array([-1.0, 1.0, -1.0, -1.0, 1.0, -1.0, 1.0])
         now, rate = to_paper * q, to_paper * v
@@ -177,6 +181,10 @@ class NonlinearCar:
         alpha2 = ((F_lr * car.rear.y_s + F_lf * car.front.y_s)
                   - (F_rr * car.rear.y_s + F_rf * car.front.y_s)) / car.I_xx  # eq. 5  # fmt: skip
         beta2 = ((F_lf + F_rf) * car.front.x - (F_rr + F_lr) * -car.rear.x) / car.I_yy  # eq. 6
+        if lean is not None:
+            l_roll, l_pitch, a_x, a_y = lean
+            alpha2 += car.m_b * l_roll * (a_y + G * now[1]) / car.I_xx
+            beta2 += car.m_b * l_pitch * (a_x + G * now[2]) / car.I_yy
         axles = []
         for i, (axle, F_l, F_r) in enumerate([(car.front, F_lf, F_rf), (car.rear, F_lr, F_rr)]):
             z, roll, z_1, roll_1 = *now[3 + 2 * i : 5 + 2 * i], *rate[3 + 2 * i : 5 + 2 * i]

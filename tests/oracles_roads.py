@@ -163,7 +163,10 @@ def erd_file(z, form="text", unit="mm", step=0.025, x_unit="m", names=("LElev.",
     eol, samples = how.get("eol", "\n"), how.get("samples", z.shape[1])
     units = unit if isinstance(unit, tuple) else (unit,) * len(z)
     kind = 5 if form == "text" else 1
-    lines = ["ERDFILEV2.00", f"{len(z):7d},{samples:7d},     -1,      1,{kind:7d},{step!r:>12},  -1,"]
+    lines = [
+        "ERDFILEV2.00",
+        f"{len(z):7d},{samples:7d},     -1,      1,{kind:7d},{step!r:>12},  -1,",
+    ]
     lines += ["TITLE   a section of road: run 1", *how.get("extra", ())]
     if names:
         lines.append("SHORTNAM" + "".join(name.ljust(8) for name in names))
@@ -171,5 +174,5 @@ def erd_file(z, form="text", unit="mm", step=0.025, x_unit="m", names=("LElev.",
     header = (eol.join(lines) + eol).encode("ascii")
     if form != "text":
         return header, z.T.astype(f"{form}f4").tobytes()
-    rows = ["".join(f"{x:15.7e}" for x in row) for row in z.T]
+    rows = [" ".join(f"{x:14.7e}" for x in row) for row in z.T]
     return header, (eol.join(rows) + eol).encode("ascii")

@@ -27,6 +27,9 @@ def lopsided() -> VehicleParameters:
         m_b=1500.0,
         I_xx=600.0,
         I_yy=2600.0,
+        h_cg=1.1,
+        roll_centre=0.4,
+        pitch_centre=0.7,
         front=front,
         rear=rear,
         strut=strut,
@@ -48,6 +51,7 @@ def lossless(car: VehicleParameters) -> VehicleParameters:
 
 CARS = {"defender": DEFENDER, "lopsided": lopsided()}
 PLANTS = {name: plant(car) for name, car in CARS.items()}
+LEANING = {name: plant(car, manoeuvres=True) for name, car in CARS.items()}
 LEVEL = Surface(np.zeros((2, 8)), 1.0, name="level")
 STILL = np.zeros(4)
 
@@ -67,22 +71,29 @@ memories = st.tuples(
 """Each strut with a memory of its own: no car of these is symmetric."""
 
 
-def accelerate(plant, memory, q, v, z_r=STILL, w_r=STILL, kernel=accelerations) -> np.ndarray:
+def accelerate(
+    plant, memory, q, v, z_r=STILL, w_r=STILL, turn=(0.0, 0.0), kernel=accelerations
+) -> np.ndarray:
     """Accelerations (7,) by the kernel."""
     out = np.empty(7)
-    kernel(*plant.arrays, memory, q, v, z_r, w_r, out)
+    kernel(*plant.arrays, memory, q, v, z_r, w_r, out, *turn)
     return out
 
 
-def roll_on(plant, y, *, h, steps, surface=LEVEL, speed=10.0, s_0=0.0, memory=None, mode="ride"):
-    """Signals (steps, 29) from the state `y`, which is driven on in place, as is `memory`."""
+def roll_on(
+    plant, y, *, h, steps, surface=LEVEL, speed=10.0, s_0=0.0, memory=None, mode="ride", turn=None
+):
+    """Signals (steps, 29) from the state `y`, which is driven on in place, as is `memory`.
+
+    `turn`, if given, is the manoeuvre's a_x and a_y (2 steps + 1, 2) at every half step.
+    """
     if memory is None:
         memory = memory_at_rest(command(mode))
     stiff, high = memory[:, 1] == 0.0, memory[:, 2] == 1.0
     byte = sum((int(stiff[w]) << w) | (int(high[w]) << (4 + w)) for w in range(4))
     s = s_0 + speed * 0.5 * h * np.arange(2 * steps + 1)
-    straight = np.zeros((s.size, 2))
-    road = (surface.padded, surface.start, surface.ds, s, np.full(s.size, speed), straight)
+    turn = np.zeros((s.size, 2)) if turn is None else turn
+    road = (surface.padded, surface.start, surface.ds, s, np.full(s.size, speed), turn)
     valve = (np.full(steps, byte, dtype=np.uint8), 0.01, h)
     out = np.empty((steps, integrator.SIGNALS))
     integrator.drive(*plant.arrays, memory, y, *road, *valve, out)

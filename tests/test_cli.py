@@ -101,6 +101,16 @@ def test_a_road_is_plotted_and_exported(roadrecon, tmp_path):
 
 
 @pytest.mark.parametrize(
+    "out", [("t.csv",), ("t.parquet",), ("t.erd",), ("t.crg",), ("t.crg", "--form", "LRFI")]
+)
+def test_an_exported_road_can_be_read_back_from_any_kind_of_file(roadrecon, tmp_path, out):
+    assert roadrecon("roads", "export", "twist", "--out", *out)[0] == 0
+    again = load_road(tmp_path / out[0]).realise(np.random.default_rng(0))
+    drawn = load_road("twist").realise(np.random.default_rng(1))
+    np.testing.assert_allclose(again.z, drawn.z, atol=1e-6)
+
+
+@pytest.mark.parametrize(
     ("words", "said"),
     [
         (("simulate", "--road", "belgiun"), ["belgiun", "did you mean 'belgian'"]),
@@ -113,6 +123,9 @@ def test_a_road_is_plotted_and_exported(roadrecon, tmp_path):
         (("simulate", "--vehicle", "beetle"), ["beetle", "land_rover_defender_110"]),
         (("simulate", "--out", "no/where.parquet"), ["no does not exist"]),
         (("simulate", "--out", "record.csv"), [".parquet"]),
+        (("roads", "export", "flat", "--out", "f.xlsx"), [".csv or .parquet or .crg or .erd"]),
+        (("roads", "export", "flat", "--out", "f.crg", "--form", "ABC"), ["ABC", "KDBI"]),
+        (("roads", "export", "flat", "--out", "f.csv", "--form", "KDBI"), ["only a .crg file"]),
         (("estimate", "flat", "missing.parquet"), ["missing.parquet"]),
         (("estimate", "flot", "missing.parquet"), ["flot", "did you mean 'flat'"]),
         (("train", "flat", "--road", "iso_a", "--out", "m.npz"), ["nothing to learn"]),
