@@ -16,6 +16,7 @@ from scipy.interpolate import PchipInterpolator
 
 from road_envs.config import STRICT
 from road_envs.jit import kernel
+from road_envs.vector import four, maximum, minimum, whole
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,13 +54,13 @@ def tabulate(curves: Sequence[Curve], x_0: float, dx: float, cells: int) -> np.n
 
 
 @kernel
-def look_up(table, x_0, dx, x):
-    """Value and derivative at `x` of a tabulated curve; straight lines beyond its ends."""
-    cells = table.shape[0]
+def look_up(tables, k, x_0, dx, x):
+    """Value and derivative at `x` of curve `k` of `tables` (K, cells, 4), straight beyond ends."""
+    cells = float(tables.shape[1])
     u = (x - x_0) / dx
-    inside = min(max(0.0, u), float(cells))  # in this order a NaN, too, stays inside
-    i = min(int(inside), cells - 1)
+    inside = minimum(maximum(u, 0.0), cells)
+    i = minimum(whole(inside), cells - 1.0)
+    a, b, c, d = four(tables, 4.0 * (k * cells + i))
     t = inside - i
-    a, b, c, d = table[i, 0], table[i, 1], table[i, 2], table[i, 3]
     slope = b + t * (2.0 * c + t * 3.0 * d)
     return a + t * (b + t * (c + t * d)) + slope * (u - inside), slope / dx

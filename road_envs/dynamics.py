@@ -39,6 +39,7 @@ from road_envs.suspension import (
     tyre_force,
     velocity_tables,
 )
+from road_envs.vector import add, get
 from road_envs.vehicle import GRAVITY, VehicleParameters
 
 DOF = ("z_b", "phi", "theta", "z_af", "phi_af", "z_ar", "phi_ar")
@@ -50,14 +51,15 @@ NUMBERS = np.dtype(
     [
         ("M", "f8", (N_DOF,)),
         *((name, "f8") for name in ("p_A", "n_p", "x_1", "r_2", "column_min", "equalisation")),
-        *((name, "f8") for name in ("roll_moment", "pitch_moment")),
+        *((name, "f8") for name in ("roll_moment", "pitch_moment", "table")),
         *((name, "f8", (2,)) for name in ("x", "k_t", "c_t", "delta")),
         *((name, "f8", (4,)) for name in ("y_s", "y_t")),
     ],
     align=True,
 )
 """A vehicle's numbers as kernels read them: M are the inertias of the degrees of freedom; y_s and
-y_t are signed, wheel by wheel."""
+y_t are signed, wheel by wheel; `table` is the first of the vehicle's two tables of each kind, where
+several vehicles keep theirs together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +88,7 @@ def plant(car: VehicleParameters, manoeuvres: bool = False) -> Plant:
         "r_2": strut.x_2 / (strut.x_1 + strut.x_2),
         "roll_moment": car.m_b * (car.h_cg - car.roll_centre) if manoeuvres else 0.0,
         "pitch_moment": car.m_b * (car.h_cg - car.pitch_centre) if manoeuvres else 0.0,
+        "table": 0.0,
         "column_min": strut.column_min,
         "equalisation": car.valve.equalisation,
         "x": [a.x for a in axles],
@@ -105,14 +108,15 @@ def plant(car: VehicleParameters, manoeuvres: bool = False) -> Plant:
 def extension(p, q, w):
     """Extension [m] of strut `w` for coordinates `q`; for their rates, its rate."""
     a = AXLE + 2 * (w // 2)
-    return q[Z_B] - p.x[w // 2] * q[THETA] - q[a] + p.y_s[w] * (q[PHI] - q[a + 1])
+    heave = get(q, Z_B) - get(p.x, w // 2) * get(q, THETA) - get(q, a)
+    return heave + get(p.y_s, w) * (get(q, PHI) - get(q, a + 1))
 
 
 @kernel
 def wheel_height(p, q, w):
     """Height [m] of the wheel above tyre `w` for coordinates `q`; for their rates, its rate."""
     a = AXLE + 2 * (w // 2)
-    return q[a] + p.y_t[w] * q[a + 1]
+    return get(q, a) + get(p.y_t, w) * get(q, a + 1)
 
 
 @kernel
@@ -122,36 +126,36 @@ def add_struts(p, F, out):
     Left and right are subtracted before they meet a lever: equal forces roll nothing, to the bit.
     """
     for i in range(2):
-        a, left, right = AXLE + 2 * i, F[2 * i], F[2 * i + 1]
-        push, twist = left + right, p.y_s[2 * i] * (left - right)
-        out[Z_B] += push
-        out[PHI] += twist
-        out[THETA] -= p.x[i] * push
-        out[a] -= push
-        out[a + 1] -= twist
+        left, right = get(F, 2 * i), get(F, 2 * i + 1)
+        push, twist = left + right, get(p.y_s, 2 * i) * (left - right)
+        add(out, Z_B, push)
+        add(out, PHI, twist)
+        add(out, THETA, -get(p.x, i) * push)
+        add(out, AXLE + 2 * i, -push)
+        add(out, AXLE + 2 * i + 1, -twist)
 
 
 @kernel
 def add_tyres(p, T, out):
     """Add the generalised forces (7,) of the tyres' loads `T` (4,) to `out`."""
     for i in range(2):
-        a, left, right = AXLE + 2 * i, T[2 * i], T[2 * i + 1]
-        out[a] += left + right
-        out[a + 1] += p.y_t[2 * i] * (left - right)
+        left, right = get(T, 2 * i), get(T, 2 * i + 1)
+        add(out, AXLE + 2 * i, left + right)
+        add(out, AXLE + 2 * i + 1, get(p.y_t, 2 * i) * (left - right))
 
 
 @kernel
 def add_weight(p, out):
     """Add the weights of body and axles to `out` (7,)."""
     for j in (Z_B, AXLE, AXLE + 2):
-        out[j] -= p.M[j] * GRAVITY
+        add(out, j, -GRAVITY * get(p.M, j))
 
 
 @kernel
 def add_lean(p, phi, theta, a_x, a_y, out):
     """Add the moments of a manoeuvre with accelerations `a_x`, `a_y` [m/s²] to `out` (7,)."""
-    out[PHI] += p.roll_moment * (a_y + GRAVITY * phi)
-    out[THETA] += p.pitch_moment * (GRAVITY * theta - a_x)
+    add(out, PHI, get(p.roll_moment) * (a_y + GRAVITY * phi))
+    add(out, THETA, get(p.pitch_moment) * (GRAVITY * theta - a_x))
 
 
 @kernel

@@ -39,6 +39,7 @@ from road_envs.dynamics import (
 from road_envs.jit import kernel
 from road_envs.roads.surface import height_and_slope
 from road_envs.suspension import settled, strut_force, switch, tyre_force
+from road_envs.vector import add, get, put
 from road_envs.vehicle import GRAVITY
 
 D = 1.0 / (2.0 + np.sqrt(2.0))
@@ -50,69 +51,84 @@ SIGNALS = 29
 
 @kernel
 def eliminate(p, s, t, hd, blocks, body):
-    """Factor M + h d C + (h d)² K: axles to `blocks` (2, 6), the body's LDL' to `body` (6,).
+    """Factor M + h d C + (h d)² K: axles to `blocks` (12,), the body's LDL' to `body` (6,).
 
-    `s`, `t` (4,) are h d c + (h d)² k of each strut and tyre. A row of `blocks` holds N, the
+    `s`, `t` (4,) are h d c + (h d)² k of each strut and tyre. Half of `blocks` holds N, the
     inverse of the axle's own block (n00, n01, n11), and S (s0, s1, s2), where -S P is its coupling
     with the body and P takes the body's coordinates to heave and roll at the axle. The body is left
     with M_b + sum P' (S - S N S) P.
     """
-    a00, a01, a02, a12 = p.M[Z_B], 0.0, 0.0, 0.0
-    a11 = p.M[PHI] - hd * hd * p.roll_moment * GRAVITY
-    a22 = p.M[THETA] - hd * hd * p.pitch_moment * GRAVITY
+    a00 = get(p.M, Z_B)
+    a01 = a02 = a12 = 0.0 * a00
+    a11 = get(p.M, PHI) - hd * hd * GRAVITY * get(p.roll_moment)
+    a22 = get(p.M, THETA) - hd * hd * GRAVITY * get(p.pitch_moment)
     for i in range(2):
-        left, right = 2 * i, 2 * i + 1
-        s0, t0 = s[left] + s[right], t[left] + t[right]
-        s1, s2 = p.y_s[left] * (s[left] - s[right]), p.y_s[left] ** 2 * s0
-        t1, t2 = p.y_t[left] * (t[left] - t[right]), p.y_t[left] ** 2 * t0
-        b00, b01, b11 = p.M[AXLE + 2 * i] + s0 + t0, s1 + t1, p.M[AXLE + 2 * i + 1] + s2 + t2
+        left, right, a = 2 * i, 2 * i + 1, AXLE + 2 * i
+        y_s, y_t, x = get(p.y_s, left), get(p.y_t, left), get(p.x, i)
+        s0, t0 = get(s, left) + get(s, right), get(t, left) + get(t, right)
+        s1, s2 = y_s * (get(s, left) - get(s, right)), y_s * y_s * s0
+        t1, t2 = y_t * (get(t, left) - get(t, right)), y_t * y_t * t0
+        b00, b01, b11 = get(p.M, a) + s0 + t0, s1 + t1, get(p.M, a + 1) + s2 + t2
         det = 1.0 / (b00 * b11 - b01 * b01)
         n00, n01, n11 = b11 * det, -b01 * det, b00 * det
-        blocks[i, 0], blocks[i, 1], blocks[i, 2] = n00, n01, n11
-        blocks[i, 3], blocks[i, 4], blocks[i, 5] = s0, s1, s2
+        put(blocks, 6 * i, n00)
+        put(blocks, 6 * i + 1, n01)
+        put(blocks, 6 * i + 2, n11)
+        put(blocks, 6 * i + 3, s0)
+        put(blocks, 6 * i + 4, s1)
+        put(blocks, 6 * i + 5, s2)
         m00, m01 = n00 * s0 + n01 * s1, n00 * s1 + n01 * s2
         m10, m11 = n01 * s0 + n11 * s1, n01 * s1 + n11 * s2
         r00, r01, r11 = s0 - s0 * m00 - s1 * m10, s1 - s0 * m01 - s1 * m11, s2 - s1 * m01 - s2 * m11
-        x = p.x[i]
-        a00 += r00
-        a01 += r01
-        a02 -= x * r00
-        a11 += r11
-        a12 -= x * r01
-        a22 += x * x * r00
-    body[0] = 1.0 / a00
-    body[1] = a01 * body[0]
-    body[2] = a02 * body[0]
-    body[3] = 1.0 / (a11 - a01 * body[1])
-    low = a12 - a01 * body[2]
-    body[4] = low * body[3]
-    body[5] = 1.0 / (a22 - a02 * body[2] - low * body[4])
+        a00 = a00 + r00
+        a01 = a01 + r01
+        a02 = a02 - x * r00
+        a11 = a11 + r11
+        a12 = a12 - x * r01
+        a22 = a22 + x * x * r00
+    d0 = 1.0 / a00
+    l1, l2 = a01 * d0, a02 * d0
+    d1 = 1.0 / (a11 - a01 * l1)
+    low = a12 - a01 * l2
+    put(body, 0, d0)
+    put(body, 1, l1)
+    put(body, 2, l2)
+    put(body, 3, d1)
+    put(body, 4, low * d1)
+    put(body, 5, 1.0 / (a22 - a02 * l2 - low * low * d1))
 
 
 @kernel
 def solve(p, blocks, body, g):
     """Solve for the rates (7,) in place of the right-hand side `g` (7,)."""
+    z, phi, theta = get(g, Z_B), get(g, PHI), get(g, THETA)
     for i in range(2):
-        a = AXLE + 2 * i
-        n00, n01, n11, s0, s1, s2 = blocks[i]
-        h0, h1 = n00 * g[a] + n01 * g[a + 1], n01 * g[a] + n11 * g[a + 1]
-        g[a], g[a + 1] = h0, h1
+        a, k = AXLE + 2 * i, 6 * i
+        n00, n01, n11 = get(blocks, k), get(blocks, k + 1), get(blocks, k + 2)
+        s0, s1, s2 = get(blocks, k + 3), get(blocks, k + 4), get(blocks, k + 5)
+        h0 = n00 * get(g, a) + n01 * get(g, a + 1)
+        h1 = n01 * get(g, a) + n11 * get(g, a + 1)
+        put(g, a, h0)
+        put(g, a + 1, h1)
         push = s0 * h0 + s1 * h1
-        g[Z_B] += push
-        g[PHI] += s1 * h0 + s2 * h1
-        g[THETA] -= p.x[i] * push
-    g[PHI] -= body[1] * g[Z_B]
-    g[THETA] -= body[2] * g[Z_B] + body[4] * g[PHI]
-    g[THETA] *= body[5]
-    g[PHI] = g[PHI] * body[3] - body[4] * g[THETA]
-    g[Z_B] = g[Z_B] * body[0] - body[1] * g[PHI] - body[2] * g[THETA]
+        z = z + push
+        phi = phi + s1 * h0 + s2 * h1
+        theta = theta - get(p.x, i) * push
+    phi = phi - get(body, 1) * z
+    theta = (theta - get(body, 2) * z - get(body, 4) * phi) * get(body, 5)
+    phi = phi * get(body, 3) - get(body, 4) * theta
+    z = z * get(body, 0) - get(body, 1) * phi - get(body, 2) * theta
+    put(g, Z_B, z)
+    put(g, PHI, phi)
+    put(g, THETA, theta)
     for i in range(2):
-        a = AXLE + 2 * i
-        n00, n01, n11, s0, s1, s2 = blocks[i]
-        heave, roll = g[Z_B] - p.x[i] * g[THETA], g[PHI]
-        f0, f1 = s0 * heave + s1 * roll, s1 * heave + s2 * roll
-        g[a] += n00 * f0 + n01 * f1
-        g[a + 1] += n01 * f0 + n11 * f1
+        a, k = AXLE + 2 * i, 6 * i
+        n00, n01, n11 = get(blocks, k), get(blocks, k + 1), get(blocks, k + 2)
+        s0, s1, s2 = get(blocks, k + 3), get(blocks, k + 4), get(blocks, k + 5)
+        heave = z - get(p.x, i) * theta
+        f0, f1 = s0 * heave + s1 * phi, s1 * heave + s2 * phi
+        add(g, a, n00 * f0 + n01 * f1)
+        add(g, a + 1, n01 * f0 + n11 * f1)
 
 
 class Work(NamedTuple):
@@ -140,82 +156,95 @@ class Work(NamedTuple):
 def workspace():
     """Scratch for `step`."""
     a, b = np.empty((6, N_DOF)), np.empty((8, 4))
-    stages = (a[0], a[1], a[2], a[3], a[4], a[5])
-    wheels = (b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7])
-    return Work(*stages, *wheels, np.empty((2, 6)), np.empty(6))
+    return Work(
+        *(a[0], a[1], a[2], a[3], a[4], a[5]),
+        *(b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]),
+        *(np.empty(12), np.empty(6)),
+    )
 
 
 @kernel
-def step(numbers, velocity, displacement, memory, y, road, turn, h, work, out):
-    """Advance the state `y` (14,) by `h` [s]; write the signals at its beginning to `out` (29,).
+def step(p, velocity, displacement, memory, q, v, road, turn, h, work, out):
+    """Advance the coordinates `q` and rates `v` (7,) by `h` [s], one vehicle or LANES of them.
 
-    `road` (2, 2, 4): heights [m] and their rates [m/s] under the wheels at t and at t + h/2.
-    `turn` (2, 2): accelerations a_x, a_y [m/s²] of a manoeuvre at these two instants.
+    The signals at the beginning go to `out` (29,). `road` (16,): heights [m] of the road under the
+    four wheels at t, their rates [m/s], and both again at t + h/2. `turn` (4,): accelerations a_x,
+    a_y [m/s²] of a manoeuvre at t and at t + h/2. With lanes, every array has them as a last axis.
     """
-    p, hd = numbers[0], h * D
+    hd = h * D
     f, g, r, k_q = work.f, work.g, work.r, work.k_q
-    q, v = y[:N_DOF], y[N_DOF:]
     F, T, dF, dT = work.F, work.T, work.dF, work.dT
     for w in range(4):
         e, e_dot = extension(p, q, w), extension(p, v, w)
-        F[w], k, c = strut_force(p, velocity, displacement, memory, w, e, e_dot)
-        u = road[0, 0, w] - wheel_height(p, q, w)
-        u_dot = road[0, 1, w] - wheel_height(p, v, w)
-        T[w], k_t, c_t = tyre_force(p, w // 2, u, u_dot)
-        w_dot = (road[1, 1, w] - road[0, 1, w]) / (0.5 * h)
-        dF[w], dT[w] = -hd * k * e_dot, hd * (k_t * u_dot + c_t * w_dot)
-        work.k[w], work.k_t[w] = k, k_t
-        work.s[w], work.t[w] = hd * (c + hd * k), hd * (c_t + hd * k_t)
-        out[EXTENSION + w], out[LOAD + w] = e, T[w]
-    f[:] = 0.0
+        force, k, c = strut_force(p, velocity, displacement, memory, w, e, e_dot)
+        u = get(road, w) - wheel_height(p, q, w)
+        u_dot = get(road, 4 + w) - wheel_height(p, v, w)
+        load, k_t, c_t = tyre_force(p, w // 2, u, u_dot)
+        w_dot = (get(road, 12 + w) - get(road, 4 + w)) * (2.0 / h)
+        put(F, w, force)
+        put(T, w, load)
+        put(dF, w, -hd * k * e_dot)
+        put(dT, w, hd * (k_t * u_dot + c_t * w_dot))
+        put(work.k, w, k)
+        put(work.k_t, w, k_t)
+        put(work.s, w, hd * (c + hd * k))
+        put(work.t, w, hd * (c_t + hd * k_t))
+        put(out, EXTENSION + w, e)
+        put(out, LOAD + w, load)
+    for j in range(N_DOF):
+        put(f, j, 0.0)
     add_weight(p, f)
     add_struts(p, F, f)
     add_tyres(p, T, f)
-    add_lean(p, q[PHI], q[THETA], turn[0, 0], turn[0, 1], f)
+    a_x, a_y = get(turn, 0), get(turn, 1)
+    add_lean(p, get(q, PHI), get(q, THETA), a_x, a_y, f)
     for j in range(N_DOF):
-        g[j] = f[j]
+        put(g, j, get(f, j))
+        put(out, STATE + j, get(q, j))
+        put(out, STATE + N_DOF + j, get(v, j))
+        put(out, ACCELERATION + j, get(f, j) / get(p.M, j))
     add_struts(p, dF, g)
     add_tyres(p, dT, g)
-    x_dot, y_dot = (turn[1, 0] - turn[0, 0]) / (0.5 * h), (turn[1, 1] - turn[0, 1]) / (0.5 * h)
-    add_lean(p, hd * v[PHI], hd * v[THETA], hd * x_dot, hd * y_dot, g)
-    for j in range(N_DOF):
-        out[STATE + j], out[STATE + N_DOF + j] = q[j], v[j]
-        out[ACCELERATION + j] = f[j] / p.M[j]
+    x_dot, y_dot = 2.0 * D * (get(turn, 2) - a_x), 2.0 * D * (get(turn, 3) - a_y)
+    add_lean(p, hd * get(v, PHI), hd * get(v, THETA), x_dot, y_dot, g)
 
     eliminate(p, work.s, work.t, hd, work.blocks, work.body)
     solve(p, work.blocks, work.body, g)
     for j in range(N_DOF):
-        k_q[j] = v[j] + hd * g[j]
-        work.q[j] = q[j] + 0.5 * h * k_q[j]
-        work.v[j] = v[j] + 0.5 * h * g[j]
-        r[j] = work.v[j] - k_q[j]
-        f[j] = -p.M[j] * g[j]
+        rate, kv = get(v, j), get(g, j)
+        kq = rate + hd * kv
+        put(k_q, j, kq)
+        put(work.q, j, get(q, j) + 0.5 * h * kq)
+        middle = rate + 0.5 * h * kv
+        put(work.v, j, middle)
+        put(r, j, middle - kq)
+        put(f, j, -get(p.M, j) * kv)
     for w in range(4):
         e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
-        F[w] = strut_force(p, velocity, displacement, memory, w, e, e_dot)[0]
-        F[w] -= hd * work.k[w] * extension(p, r, w)
-        u = road[1, 0, w] - wheel_height(p, work.q, w)
-        u_dot = road[1, 1, w] - wheel_height(p, work.v, w)
-        T[w] = tyre_force(p, w // 2, u, u_dot)[0]
-        T[w] -= hd * work.k_t[w] * wheel_height(p, r, w)
+        force, _, _ = strut_force(p, velocity, displacement, memory, w, e, e_dot)
+        put(F, w, force - hd * get(work.k, w) * extension(p, r, w))
+        u = get(road, 8 + w) - wheel_height(p, work.q, w)
+        u_dot = get(road, 12 + w) - wheel_height(p, work.v, w)
+        load, _, _ = tyre_force(p, w // 2, u, u_dot)
+        put(T, w, load - hd * get(work.k_t, w) * wheel_height(p, r, w))
     add_weight(p, f)
     add_struts(p, F, f)
     add_tyres(p, T, f)
-    phi, theta = work.q[PHI] + hd * r[PHI], work.q[THETA] + hd * r[THETA]
-    add_lean(p, phi, theta, turn[1, 0], turn[1, 1], f)
+    phi, theta = get(work.q, PHI) + hd * get(r, PHI), get(work.q, THETA) + hd * get(r, THETA)
+    add_lean(p, phi, theta, get(turn, 2), get(turn, 3), f)
     solve(p, work.blocks, work.body, f)
     for j in range(N_DOF):
-        q[j] += h * (k_q[j] + r[j] + hd * f[j])
-        v[j] += h * (g[j] + f[j])
+        add(q, j, h * (get(k_q, j) + get(r, j) + hd * get(f, j)))
+        add(v, j, h * (get(g, j) + get(f, j)))
 
 
 @kernel
 def look_at_road(p, padded, start, ds, s, v, road):
-    """Heights and their rates (2, 4) under the wheels with the front axle at `s` [m]."""
+    """Heights and their rates (8,) under the wheels with the front axle at `s` [m]."""
     for w in range(4):
         behind = p.x[0] - p.x[w // 2]
         z, slope = height_and_slope(padded, w % 2, s - behind, start, ds)
-        road[0, w], road[1, w] = z, slope * v
+        road[w], road[4 + w] = z, slope * v
 
 
 @kernel
@@ -224,11 +253,13 @@ def state_rate(numbers, velocity, displacement, memory, padded, start, ds, s, v,
 
     The right-hand side for other integrators; it writes to `out`.
     """
-    road = np.empty((2, 4))
+    road = np.empty(8)
     look_at_road(numbers[0], padded, start, ds, s, v, road)
     q, rates = y[:N_DOF], y[N_DOF:]
     out[:N_DOF] = rates
-    accelerations(numbers, velocity, displacement, memory, q, rates, road[0], road[1], out[N_DOF:])
+    accelerations(
+        numbers, velocity, displacement, memory, q, rates, road[:4], road[4:], out[N_DOF:]
+    )
 
 
 @kernel
@@ -242,14 +273,15 @@ def drive(
     `commands` (N,): bytes as they reach the valves, whose time constant is `lag` [s]. `out`
     (N, 29): the signals at the beginning of each step.
     """
-    p, work, road = numbers[0], workspace(), np.empty((2, 2, 4))
+    p, work, road = numbers[0], workspace(), np.empty(16)
+    q, rates = y[:N_DOF], y[N_DOF:]
     alpha = 1.0 - np.exp(-h / lag)
     for n in range(commands.size):
-        look_at_road(p, padded, start, ds, s[2 * n], v[2 * n], road[0])
-        look_at_road(p, padded, start, ds, s[2 * n + 1], v[2 * n + 1], road[1])
+        look_at_road(p, padded, start, ds, s[2 * n], v[2 * n], road[:8])
+        look_at_road(p, padded, start, ds, s[2 * n + 1], v[2 * n + 1], road[8:])
         for w in range(4):
             stiff, high = (commands[n] >> w) & 1, (commands[n] >> (4 + w)) & 1
             if not settled(memory, w, stiff, high):
-                switch(p, memory, w, extension(p, y, w), stiff, high, alpha, h)
-        between = turn[2 * n : 2 * n + 2]
-        step(numbers, velocity, displacement, memory, y, road, between, h, work, out[n])
+                switch(p, memory, w, extension(p, q, w), stiff, high, alpha, h)
+        between = turn[2 * n : 2 * n + 2].ravel()
+        step(p, velocity, displacement, memory, q, rates, road, between, h, work, out[n])

@@ -43,7 +43,11 @@ def kernel(function: F) -> F:
     before, settings.CACHE_DIR = settings.CACHE_DIR, str(_folder)
     try:
         compiled: Any = numba.njit(
-            cache=True, error_model="numpy", fastmath={"contract", "arcp"}, forceinline=True
+            cache=True,
+            error_model="numpy",
+            fastmath={"contract", "arcp"},
+            forceinline=True,
+            nogil=True,
         )(function)
     finally:
         settings.CACHE_DIR = before

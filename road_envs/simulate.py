@@ -140,6 +140,22 @@ class Drive:
         """Whether the rear axle has left the surface and its apron."""
         return self.steps_left == 0
 
+    def arriving(self, commands: np.ndarray) -> np.ndarray:
+        """The command bytes (n,) that reach the valves while `commands` (n,) are given."""
+        given = np.concatenate([self._in_pipe, commands])
+        self._in_pipe = given[commands.size :]
+        return given[: commands.size]
+
+    def course(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Stations [m], speeds [m/s] (2 n + 1,) and a_x, a_y [m/s²] (2 n + 1, 2) of the next `n`
+        steps, at every half step.
+        """
+        instants = 0.5 * self.step * (2 * self.steps + np.arange(2 * n + 1))
+        distance, v, a_x = self.profile.at(instants)
+        turn = np.zeros((v.size, 2)) if self.manoeuvre is None else self.manoeuvre.at(instants)
+        turn[:, 0] += a_x
+        return self.start + distance, v, turn
+
     def advance(self, commands: np.ndarray) -> Trajectory:
         """Take one step per command byte (n,); returns the signals at the steps' beginnings.
 
@@ -147,16 +163,10 @@ class Drive:
         """
         commands = np.asarray(commands, dtype=np.uint8)
         n = commands.size
-        arriving = np.concatenate([self._in_pipe, commands])
-        self._in_pipe = arriving[n:]
-        instants = 0.5 * self.step * (2 * self.steps + np.arange(2 * n + 1))
-        distance, v, a_x = self.profile.at(instants)
-        s = self.start + distance
-        turn = np.zeros((s.size, 2)) if self.manoeuvre is None else self.manoeuvre.at(instants)
-        turn[:, 0] += a_x
+        s, v, turn = self.course(n)
         signals = np.empty((n, integrator.SIGNALS))
         road = (self.surface.padded, self.surface.start, self.surface.ds, s, v, turn)
-        valve = (arriving[:n], self.car.valve.lag, self.step, signals)
+        valve = (self.arriving(commands), self.car.valve.lag, self.step, signals)
         integrator.drive(*self.plant.arrays, self.memory, self.state, *road, *valve)
         t = self.step * (self.steps + np.arange(n))
         self.steps += n

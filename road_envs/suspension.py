@@ -28,6 +28,7 @@ import numpy as np
 from road_envs.config import ConfigError, one_of
 from road_envs.curves import look_up, tabulate
 from road_envs.jit import kernel
+from road_envs.vector import equals_one, get, if_positive, is_flag, maximum, raised
 from road_envs.vehicle import VehicleParameters
 
 WHEELS = ("FL", "FR", "RL", "RR")
@@ -102,18 +103,21 @@ def displacement_tables(car: VehicleParameters) -> np.ndarray:
 @kernel
 def gas_spring(p, column):
     """Force [N] and its derivative by the gas column [N/m]; a tangent below the shortest column."""
-    inside = max(column, p.column_min)
-    ratio = p.x_1 / inside
-    F = p.p_A * (ratio if p.n_p == 1.0 else ratio**p.n_p)
-    slope = -p.n_p * F / inside
+    n_p = get(p.n_p)
+    inside = maximum(column, get(p.column_min))
+    ratio = get(p.x_1) / inside
+    if not equals_one(n_p):
+        ratio = raised(ratio, n_p)
+    F = get(p.p_A) * ratio
+    slope = -n_p * F / inside
     return F + slope * (column - inside), slope
 
 
 @kernel
 def gas_column(p, memory, w, e):
     """Column [m] of the first accumulator of strut `w`, and its derivative by the extension."""
-    share = 1.0 - memory[w, OPEN] * p.r_2
-    return p.x_1 + share * e - memory[w, HELD], share
+    share = 1.0 - get(memory, w, OPEN) * get(p.r_2)
+    return get(p.x_1) + share * e - get(memory, w, HELD), share
 
 
 @kernel
@@ -148,13 +152,11 @@ def settled(memory, w, stiff, high):
 @kernel
 def damping(p, velocity, memory, w, e_dot):
     """Damper plus friction [N] over the rate of extension, and the derivative [N s/m]."""
-    high = memory[w, HIGH]
-    if high == 0.0:
-        return look_up(velocity[0], V_0, V_STEP, e_dot)
-    if high == 1.0:
-        return look_up(velocity[1], V_0, V_STEP, e_dot)
-    F_0, c_0 = look_up(velocity[0], V_0, V_STEP, e_dot)
-    F_1, c_1 = look_up(velocity[1], V_0, V_STEP, e_dot)
+    high = get(memory, w, HIGH)
+    if is_flag(high):
+        return look_up(velocity, get(p.table) + high, V_0, V_STEP, e_dot)
+    F_0, c_0 = look_up(velocity, get(p.table), V_0, V_STEP, e_dot)
+    F_1, c_1 = look_up(velocity, get(p.table) + 1.0, V_0, V_STEP, e_dot)
     return F_0 + high * (F_1 - F_0), c_0 + high * (c_1 - c_0)
 
 
@@ -164,7 +166,7 @@ def strut_force(p, velocity, displacement, memory, w, e, e_dot):
     column, share = gas_column(p, memory, w, e)
     gas, slope = gas_spring(p, column)
     damper, c = damping(p, velocity, memory, w, e_dot)
-    stop, k = look_up(displacement[w // 2], E_0, E_STEP, e)
+    stop, k = look_up(displacement, get(p.table) + w // 2, E_0, E_STEP, e)
     return gas - damper - stop, k - slope * share, c
 
 
@@ -174,7 +176,6 @@ def tyre_force(p, i, u, u_dot):
 
     `u` [m] is the compression beyond the static deflection, `u_dot` [m/s] its rate.
     """
-    T = p.k_t[i] * (p.delta[i] + u) + p.c_t[i] * u_dot
-    if T > 0.0:
-        return T, p.k_t[i], p.c_t[i]
-    return 0.0, 0.0, 0.0
+    k, c = get(p.k_t, i), get(p.c_t, i)
+    T = k * (get(p.delta, i) + u) + c * u_dot
+    return if_positive(T, T, 0.0), if_positive(T, k, 0.0), if_positive(T, c, 0.0)

@@ -17,17 +17,22 @@ PAD = 3
 
 
 @kernel
+def catmull_rom(a, b, c, d, x, ds):
+    """Value and slope at the fraction `x` of the way from `b` to `c`, samples `ds` [m] apart."""
+    p = 0.5 * (c - a)
+    q = a - 2.5 * b + 2.0 * c - 0.5 * d
+    r = 0.5 * (d - a) + 1.5 * (b - c)
+    return b + x * (p + x * (q + x * r)), (p + x * (2.0 * q + x * 3.0 * r)) / ds
+
+
+@kernel
 def height_and_slope(padded, side, s, start, ds):
     """Height [m] and slope [-] of wheel path `side` at station `s` [m] (padded: (2, N + 2 PAD))."""
     u = (s - start) / ds + PAD
     u = min(max(u, 1.0), padded.shape[1] - 3.0)
     i = int(max(1.0, u))  # 1 for a NaN, whose height is NaN
-    x = u - i
     a, b, c, d = padded[side, i - 1], padded[side, i], padded[side, i + 1], padded[side, i + 2]
-    p = 0.5 * (c - a)
-    q = a - 2.5 * b + 2.0 * c - 0.5 * d
-    r = 0.5 * (d - a) + 1.5 * (b - c)
-    return b + x * (p + x * (q + x * r)), (p + x * (2.0 * q + x * 3.0 * r)) / ds
+    return catmull_rom(a, b, c, d, u - i, ds)
 
 
 @kernel

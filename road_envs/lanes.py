@@ -1,0 +1,223 @@
+"""Many vehicles at once: LANES of them in a vector register, blocks of lanes over threads.
+
+The step is `integrator.step` itself, compiled for vectors (`vector.py`); only reading the road,
+where each lane is on a surface of its own, and switching valves go lane by lane. Every vehicle has
+its own parameters, surface, speed and commands. What a lane computes depends on nothing but its
+own vehicle, so it is the same whatever the number of vehicles and threads.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+
+from road_envs.config import ConfigError
+from road_envs.dynamics import N_DOF, NUMBERS, extension
+from road_envs.integrator import SIGNALS, Work, step
+from road_envs.jit import kernel
+from road_envs.roads.surface import PAD, Surface, catmull_rom
+from road_envs.simulate import Drive
+from road_envs.suspension import settled, switch
+from road_envs.vector import LANES, four, get, maximum, minimum, put, whole
+
+Numbers = NamedTuple("Numbers", [(name, np.ndarray) for name in NUMBERS.names or ()])
+"""`dynamics.NUMBERS` with lanes as the last axis of every field."""
+
+
+class Ways(NamedTuple):
+    """Where each lane drives: its samples in `heights`, from `first` (2,) of left and right on."""
+
+    heights: np.ndarray
+    first: np.ndarray
+    size: np.ndarray
+    start: np.ndarray
+    ds: np.ndarray
+
+
+def aligned(*shape: int) -> np.ndarray:
+    """Zeros (..., LANES) whose rows begin where a vector register's loads cross no cache line."""
+    size = int(np.prod(shape)) * LANES
+    store = np.zeros(size + LANES)
+    skip = -(store.ctypes.data // 8) % LANES
+    return store[skip : skip + size].reshape(*shape, LANES)
+
+
+def copied(array: np.ndarray) -> np.ndarray:
+    """An aligned copy of an array (..., LANES)."""
+    copy = aligned(*array.shape[:-1])
+    copy[...] = array
+    return copy
+
+
+def workspace() -> Work:
+    """Scratch of LANES vehicles for `integrator.step`."""
+    rates, wheels = (aligned(N_DOF) for _ in range(6)), (aligned(4) for _ in range(8))
+    return Work(*rates, *wheels, aligned(12), aligned(6))
+
+
+@kernel
+def look_at_roads(p, ways, s, speed, road, at):
+    """Heights and rates under the wheels to rows `at` ... `at` + 7 of `road` (16, LANES).
+
+    `s`, `speed` (LANES,): stations of the front axles [m] and speeds [m/s].
+    """
+    ds, v = get(ways.ds), get(speed)
+    front = (get(s) - get(ways.start)) / ds + PAD
+    last = get(ways.size) - 3.0
+    for i in range(2):
+        u = minimum(maximum(front - (get(p.x, 0) - get(p.x, i)) / ds, 1.0), last)
+        j = whole(u)
+        for side in range(2):
+            a, b, c, d = four(ways.heights, get(ways.first, side) + j - 1.0)
+            z, slope = catmull_rom(a, b, c, d, u - j, ds)
+            put(road, at + 2 * i + side, z)
+            put(road, at + 4 + 2 * i + side, slope * v)
+
+
+@kernel
+def switch_lane(numbers, memory, q, k, byte, alpha, h):
+    """Advance the valves of lane `k`; returns whether all are settled. `numbers` (1,): its own."""
+    p = numbers[0]
+    own, own_q = np.ascontiguousarray(memory[:, :, k]), np.ascontiguousarray(q[:, k])
+    calm = True
+    for w in range(4):
+        stiff, high = (byte >> w) & 1, (byte >> (4 + w)) & 1
+        if not settled(own, w, stiff, high):
+            switch(p, own, w, extension(p, own_q, w), stiff, high, alpha, h)
+            calm = False
+    memory[:, :, k] = own
+    return calm
+
+
+@kernel
+def drive_lanes(
+    p,
+    numbers,
+    velocity,
+    displacement,
+    memory,
+    q,
+    v,
+    ways,
+    s,
+    speed,
+    turn,
+    commands,
+    alpha,
+    h,
+    work,
+    road,
+    out,
+):
+    """Drive LANES vehicles; `q`, `v` (7, LANES), `memory` (4, 3, LANES) end as they stand then.
+
+    `s`, `speed` (2 N + 1, LANES), `turn` (4 N + 2, LANES), `commands` (N, LANES) and `out`
+    (N, 29, LANES) as in `integrator.drive`; `alpha` (LANES,) is the share of the way to its target
+    that a valve goes in a step. `work` and `road` (16, LANES) are scratch.
+    """
+    last = np.zeros(LANES, dtype=np.uint8)
+    calm = np.zeros(LANES, dtype=np.bool_)
+    for n in range(commands.shape[0]):
+        look_at_roads(p, ways, s[2 * n], speed[2 * n], road, 0)
+        look_at_roads(p, ways, s[2 * n + 1], speed[2 * n + 1], road, 8)
+        for k in range(LANES):
+            byte = commands[n, k]
+            if not calm[k] or byte != last[k]:
+                calm[k] = switch_lane(numbers[k : k + 1], memory, q, k, byte, alpha[k], h)
+                last[k] = byte
+        between = turn[4 * n : 4 * n + 4]
+        step(p, velocity, displacement, memory, q, v, road, between, h, work, out[n])
+
+
+class _Block:
+    """LANES vehicles as the kernel reads them; a block that is not full repeats its last one."""
+
+    def __init__(self, drives: Sequence[Drive]):
+        everyone = [*drives, *[drives[-1]] * (LANES - len(drives))]
+        self.drives, self.everyone = list(drives), everyone
+        self.numbers = np.concatenate([drive.plant.numbers for drive in everyone])
+        self.numbers["table"] = 2.0 * np.arange(LANES)
+        fields = (np.moveaxis(self.numbers[name], 0, -1) for name in NUMBERS.names or ())
+        self.p = Numbers(*map(copied, fields))
+        self.velocity = np.concatenate([drive.plant.velocity for drive in everyone])
+        self.displacement = np.concatenate([drive.plant.displacement for drive in everyone])
+        self.memory = copied(np.stack([drive.memory for drive in everyone], axis=-1))
+        state = np.stack([drive.state for drive in everyone], axis=-1)
+        self.q, self.v = copied(state[:N_DOF]), copied(state[N_DOF:])
+        self.ways = _ways([drive.surface for drive in everyone])
+        self.h = everyone[0].step
+        lags = np.array([drive.car.valve.lag for drive in everyone])
+        self.alpha = copied(1.0 - np.exp(-self.h / lags))
+        self.work, self.road = workspace(), aligned(16)
+
+    def advance(self, commands: np.ndarray, out: np.ndarray) -> None:
+        """Write the signals (n, 29, LANES) under commands (n, vehicles); the drives move on too."""
+        n = len(commands)
+        byte = np.empty((n, LANES), dtype=np.uint8)
+        s, speed, turn = aligned(2 * n + 1), aligned(2 * n + 1), aligned(2 * n + 1, 2)
+        for k, drive in enumerate(self.drives):
+            byte[:, k] = drive.arriving(commands[:, k])
+            s[:, k], speed[:, k], turn[:, :, k] = drive.course(n)
+        for array in (byte, s, speed, turn):
+            array[..., len(self.drives) :] = array[..., [len(self.drives) - 1]]
+        course = (s, speed, turn.reshape(4 * n + 2, LANES), byte, self.alpha, self.h)
+        tables = (self.numbers, self.velocity, self.displacement, self.memory)
+        drive_lanes(self.p, *tables, self.q, self.v, self.ways, *course, self.work, self.road, out)
+        for k, drive in enumerate(self.drives):
+            drive.steps += n
+            drive.state[:N_DOF], drive.state[N_DOF:] = self.q[:, k], self.v[:, k]
+            drive.memory[:] = self.memory[:, :, k]
+
+
+def _ways(surfaces: Sequence[Surface]) -> Ways:
+    sizes = np.array([surface.padded.shape[1] for surface in surfaces])
+    left = np.cumsum([0, *2 * sizes[:-1]])
+    return Ways(
+        np.concatenate([surface.padded.ravel() for surface in surfaces]),
+        copied(np.stack([left, left + sizes]).astype(float)),
+        copied(sizes.astype(float)),
+        copied(np.array([surface.start for surface in surfaces])),
+        copied(np.array([surface.ds for surface in surfaces])),
+    )
+
+
+class Fleet:
+    """Drives that go on side by side, each its own vehicle, surface, speed and commands.
+
+    All take the same integrator step. After each `advance` the drives stand where their vehicles
+    are. Blocks of LANES vehicles are spread over `threads`. Raises ConfigError on drives of
+    different steps and on an empty fleet.
+    """
+
+    def __init__(self, drives: Sequence[Drive], threads: int = 1):
+        if not drives:
+            raise ConfigError("a fleet needs at least one drive")
+        if len({drive.step for drive in drives}) > 1:
+            raise ConfigError("the drives of a fleet must have one integrator step")
+        self.drives, self.threads = list(drives), threads
+        self.blocks = [_Block(drives[i : i + LANES]) for i in range(0, len(drives), LANES)]
+
+    def advance(self, commands: np.ndarray) -> np.ndarray:
+        """Signals (blocks, n, 29, LANES) at the beginnings of n steps.
+
+        `commands` (vehicles, n) are bytes. Vehicle k is lane k % LANES of block k // LANES; `of`
+        picks it. A vehicle whose motion leaves the range of numbers has NaN in its signals and in
+        its drive's state; the others do not notice.
+        """
+        commands = np.asarray(commands, dtype=np.uint8)
+        parts = [commands[i * LANES : (i + 1) * LANES].T for i in range(len(self.blocks))]
+        out = aligned(len(self.blocks), commands.shape[1], SIGNALS)
+        work = zip(self.blocks, parts, out, strict=True)
+        if self.threads == 1:
+            for block, part, signals in work:
+                block.advance(part, signals)
+        else:
+            with ThreadPoolExecutor(self.threads) as pool:
+                list(pool.map(lambda job: job[0].advance(*job[1:]), work))
+        return out
+
+
+def of(signals: np.ndarray, k: int) -> np.ndarray:
+    """Signals (n, 29) of vehicle `k` out of those of a fleet (blocks, n, 29, LANES); a view."""
+    return signals[k // LANES, :, :, k % LANES]
