@@ -1,6 +1,6 @@
 """Pictures of a road, a drive and an estimate for the command line; matplotlib is loaded on use.
 
-Colours are those of Okabe & Ito (2008), told apart by colour-blind readers: blue left, orange right.
+Colours are those of Okabe & Ito (2008), which colour-blind readers tell apart.
 """
 
 import os

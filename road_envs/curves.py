@@ -16,7 +16,7 @@ from scipy.interpolate import PchipInterpolator
 
 from road_envs.config import STRICT
 from road_envs.jit import kernel
-from road_envs.vector import four, maximum, minimum, whole
+from road_envs.vector import four, if_positive, maximum, minimum, whole
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,3 +64,14 @@ def look_up(tables, k, x_0, dx, x):
     t = inside - i
     slope = b + t * (2.0 * c + t * 3.0 * d)
     return a + t * (b + t * (c + t * d)) + slope * (u - inside), slope / dx
+
+
+@kernel
+def curvature(tables, k, x_0, dx, x):
+    """Second derivative at `x` of curve `k`; at a grid point the one to its right, 0 beyond ends."""
+    cells = float(tables.shape[1])
+    u = (x - x_0) / dx
+    inside = minimum(maximum(u, 0.0), cells)
+    i = minimum(whole(inside), cells - 1.0)
+    _, _, c, d = four(tables, 4.0 * (k * cells + i))
+    return if_positive(u * (cells - u), (2.0 * c + 6.0 * d * (inside - i)) / (dx * dx), 0.0)

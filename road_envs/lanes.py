@@ -6,9 +6,10 @@ its own parameters, surface, speed and commands. What a lane computes depends on
 own vehicle, so it is the same whatever the number of vehicles and threads.
 """
 
+from collections import namedtuple
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,11 +18,12 @@ from road_envs.dynamics import N_DOF, NUMBERS, extension
 from road_envs.integrator import SIGNALS, Work, step
 from road_envs.jit import kernel
 from road_envs.roads.surface import PAD, Surface, catmull_rom
-from road_envs.simulate import Drive
+from road_envs.simulate import Drive, half_steps
 from road_envs.suspension import settled, switch
 from road_envs.vector import LANES, four, get, maximum, minimum, put, whole
 
-Numbers = NamedTuple("Numbers", [(name, np.ndarray) for name in NUMBERS.names or ()])
+_named: Any = namedtuple  # its fields are known when it runs, which a type checker cannot follow
+Numbers = _named("Numbers", NUMBERS.names)
 """`dynamics.NUMBERS` with lanes as the last axis of every field."""
 
 
@@ -52,8 +54,8 @@ def copied(array: np.ndarray) -> np.ndarray:
 
 def workspace() -> Work:
     """Scratch of LANES vehicles for `integrator.step`."""
-    rates, wheels = (aligned(N_DOF) for _ in range(6)), (aligned(4) for _ in range(8))
-    return Work(*rates, *wheels, aligned(12), aligned(6))
+    shapes = [N_DOF] * 6 + [4] * 8 + [12, 6]
+    return Work(*map(aligned, shapes))
 
 
 @kernel
@@ -150,24 +152,48 @@ class _Block:
         lags = np.array([drive.car.valve.lag for drive in everyone])
         self.alpha = copied(1.0 - np.exp(-self.h / lags))
         self.work, self.road = workspace(), aligned(16)
+        self.steady = _steady(everyone)
 
     def advance(self, commands: np.ndarray, out: np.ndarray) -> None:
-        """Write the signals (n, 29, LANES) under commands (n, vehicles); the drives move on too."""
-        n = len(commands)
+        """Write the signals (n, 29, LANES) under commands (n, vehicles)."""
+        n, own = len(commands), len(self.drives)
         byte = np.empty((n, LANES), dtype=np.uint8)
-        s, speed, turn = aligned(2 * n + 1), aligned(2 * n + 1), aligned(2 * n + 1, 2)
         for k, drive in enumerate(self.drives):
             byte[:, k] = drive.arriving(commands[:, k])
-            s[:, k], speed[:, k], turn[:, :, k] = drive.course(n)
-        for array in (byte, s, speed, turn):
-            array[..., len(self.drives) :] = array[..., [len(self.drives) - 1]]
-        course = (s, speed, turn.reshape(4 * n + 2, LANES), byte, self.alpha, self.h)
+        byte[:, own:] = byte[:, own - 1 : own]
         tables = (self.numbers, self.velocity, self.displacement, self.memory)
+        course = (*self._course(n), byte, self.alpha, self.h)
         drive_lanes(self.p, *tables, self.q, self.v, self.ways, *course, self.work, self.road, out)
-        for k, drive in enumerate(self.drives):
+        for drive in self.drives:
             drive.steps += n
+
+    def _course(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Stations and speeds (2 n + 1, LANES); a_x, a_y one below the other (4 n + 2, LANES)."""
+        s, speed, turn = aligned(2 * n + 1), aligned(2 * n + 1), aligned(2 * n + 1, 2)
+        if self.steady is not None:
+            begin, v = self.steady
+            s[:] = begin + half_steps(self.h, self.drives[0].steps, n)[:, None] * v
+            speed[:] = v
+        else:
+            for k, drive in enumerate(self.everyone):
+                s[:, k], speed[:, k], turn[:, :, k] = drive.course(n)
+        return s, speed, turn.reshape(4 * n + 2, LANES)
+
+    def land(self) -> None:
+        """Put the drives where their vehicles are."""
+        for k, drive in enumerate(self.drives):
             drive.state[:N_DOF], drive.state[N_DOF:] = self.q[:, k], self.v[:, k]
             drive.memory[:] = self.memory[:, :, k]
+
+
+def _steady(drives: Sequence[Drive]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Starts [m] and speeds [m/s] of drives that are all alike in time and keep their speed."""
+    alike = all(
+        len(d.profile.v) == 1 and d.manoeuvre is None and d.steps == drives[0].steps for d in drives
+    )
+    if not alike:
+        return None
+    return np.array([d.start for d in drives]), np.array([d.profile.v[0] for d in drives])
 
 
 def _ways(surfaces: Sequence[Surface]) -> Ways:
@@ -185,9 +211,9 @@ def _ways(surfaces: Sequence[Surface]) -> Ways:
 class Fleet:
     """Drives that go on side by side, each its own vehicle, surface, speed and commands.
 
-    All take the same integrator step. After each `advance` the drives stand where their vehicles
-    are. Blocks of LANES vehicles are spread over `threads`. Raises ConfigError on drives of
-    different steps and on an empty fleet.
+    All take the same integrator step. While they are in the fleet it holds their motion; `land`
+    puts it back into the drives. Blocks of LANES vehicles are spread over `threads`. Raises
+    ConfigError on drives of different steps and on an empty fleet.
     """
 
     def __init__(self, drives: Sequence[Drive], threads: int = 1):
@@ -202,8 +228,8 @@ class Fleet:
         """Signals (blocks, n, 29, LANES) at the beginnings of n steps.
 
         `commands` (vehicles, n) are bytes. Vehicle k is lane k % LANES of block k // LANES; `of`
-        picks it. A vehicle whose motion leaves the range of numbers has NaN in its signals and in
-        its drive's state; the others do not notice.
+        picks it. A vehicle whose motion leaves the range of numbers has NaN in its signals; the
+        others do not notice.
         """
         commands = np.asarray(commands, dtype=np.uint8)
         parts = [commands[i * LANES : (i + 1) * LANES].T for i in range(len(self.blocks))]
@@ -216,6 +242,12 @@ class Fleet:
             with ThreadPoolExecutor(self.threads) as pool:
                 list(pool.map(lambda job: job[0].advance(*job[1:]), work))
         return out
+
+    def land(self) -> list[Drive]:
+        """The drives, each where its vehicle is."""
+        for block in self.blocks:
+            block.land()
+        return self.drives
 
 
 def of(signals: np.ndarray, k: int) -> np.ndarray:

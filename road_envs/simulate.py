@@ -150,7 +150,7 @@ class Drive:
         """Stations [m], speeds [m/s] (2 n + 1,) and a_x, a_y [m/s²] (2 n + 1, 2) of the next `n`
         steps, at every half step.
         """
-        instants = 0.5 * self.step * (2 * self.steps + np.arange(2 * n + 1))
+        instants = half_steps(self.step, self.steps, n)
         distance, v, a_x = self.profile.at(instants)
         turn = np.zeros((v.size, 2)) if self.manoeuvre is None else self.manoeuvre.at(instants)
         turn[:, 0] += a_x
@@ -177,6 +177,11 @@ class Drive:
                 f"{self.step * (self.steps - n + whole):.3f} s"
             )
         return Trajectory(t, s[:-1:2], v[:-1:2], commands, signals)
+
+
+def half_steps(step: float, done: int, n: int) -> np.ndarray:
+    """The instants (2 n + 1,) [s] of `n` steps after `done` ones, with those half-way between."""
+    return 0.5 * step * (2 * done + np.arange(2 * n + 1))
 
 
 def simulate(

@@ -26,7 +26,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from road_envs.config import ConfigError, one_of
-from road_envs.curves import look_up, tabulate
+from road_envs.curves import curvature, look_up, tabulate
 from road_envs.jit import kernel
 from road_envs.vector import equals_one, get, if_positive, is_flag, maximum, raised
 from road_envs.vehicle import VehicleParameters
@@ -157,7 +157,8 @@ def damping(p, velocity, memory, w, e_dot):
         return look_up(velocity, get(p.table) + high, V_0, V_STEP, e_dot)
     F_0, c_0 = look_up(velocity, get(p.table), V_0, V_STEP, e_dot)
     F_1, c_1 = look_up(velocity, get(p.table) + 1.0, V_0, V_STEP, e_dot)
-    return F_0 + high * (F_1 - F_0), c_0 + high * (c_1 - c_0)
+    low = 1.0 - high  # exact at either end, so that a lane does not feel the others' switching
+    return low * F_0 + high * F_1, low * c_0 + high * c_1
 
 
 @kernel
@@ -168,6 +169,20 @@ def strut_force(p, velocity, displacement, memory, w, e, e_dot):
     damper, c = damping(p, velocity, memory, w, e_dot)
     stop, k = look_up(displacement, get(p.table) + w // 2, E_0, E_STEP, e)
     return gas - damper - stop, k - slope * share, c
+
+
+@kernel
+def strut_curvature(p, velocity, displacement, memory, w, e, e_dot):
+    """Change of a strut's stiffness with `e` [N/m²] and of its damping with `e_dot` [N s²/m²]."""
+    column, share = gas_column(p, memory, w, e)
+    _, slope = gas_spring(p, column)
+    bend = -(get(p.n_p) + 1.0) * slope / maximum(column, get(p.column_min))
+    gas = if_positive(column - get(p.column_min), bend, 0.0)
+    stop = curvature(displacement, get(p.table) + w // 2, E_0, E_STEP, e)
+    high = get(memory, w, HIGH)
+    c_0 = curvature(velocity, get(p.table), V_0, V_STEP, e_dot)
+    c_1 = curvature(velocity, get(p.table) + 1.0, V_0, V_STEP, e_dot)
+    return stop - share * share * gas, (1.0 - high) * c_0 + high * c_1
 
 
 @kernel

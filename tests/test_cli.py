@@ -133,7 +133,10 @@ def test_an_exported_road_can_be_read_back_from_any_kind_of_file(roadrecon, tmp_
             ("train", "static_lm", "--road", "iso_a", "--out", "m.npz", "--set", "hiden=3"),
             ["hiden", "did you mean 'hidden'"],
         ),
-        (("train", "static_lm", "--road", "iso_a", "--out", "m.npz", "--set", "hidden"), ["key=value"]),
+        (
+            ("train", "static_lm", "--road", "iso_a", "--out", "m.npz", "--set", "hidden"),
+            ["key=value"],
+        ),
         (("policies", "--policy", "randum"), ["randum", "did you mean 'random'"]),
         (("policies", "--road", "belgiun", "--policy", "random"), ["belgiun"]),
         (("leaderboard", "--task", "paper_9"), ["paper_9", "paper_1"]),

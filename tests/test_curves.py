@@ -37,7 +37,7 @@ def test_the_table_is_the_curve_wherever_breakpoints_lie_on_its_grid(curve, xs):
     table, slope = tabulate([curve], -1.0, 0.05, 40), oracles.Cubic(curve)
     size = np.abs(curve.F).max() + 1e-12
     for x in xs:
-        found = look_up(table, -1.0, 0.05, x)[0]
+        found = look_up(table[None], 0.0, -1.0, 0.05, x)[0]
         assert found == pytest.approx(float(slope(x)), abs=1e-9 * size * (1.0 + 40.0 * abs(x)))
 
 
@@ -63,7 +63,7 @@ def test_a_table_adds_its_curves_up():
     pair = STRUT.damper.ride, STRUT.friction.ride
     table = tabulate(pair, -3.0, 0.01, 600)
     for x in np.linspace(-4.0, 4.0, 321):
-        F, slope = look_up(table, -3.0, 0.01, x)
+        F, slope = look_up(table[None], 0.0, -3.0, 0.01, x)
         alone = [curve(np.array(x)) for curve in pair]
         assert (F, slope) == pytest.approx(tuple(np.sum(alone, axis=0)), rel=1e-9, abs=1e-6)
 
@@ -73,23 +73,23 @@ def test_breakpoints_between_grid_points_cost_little():
     moved = replace(STRUT.bushing, x=tuple(x + 0.0011 for x in STRUT.bushing.x))
     table, exact = tabulate([moved], -0.2, 0.0025, 160), oracles.Cubic(moved)
     xs = np.linspace(-0.2, 0.2, 2001)
-    found = np.array([look_up(table, -0.2, 0.0025, x)[0] for x in xs])
+    found = np.array([look_up(table[None], 0.0, -0.2, 0.0025, x)[0] for x in xs])
     assert np.abs(found - exact(xs)).max() < 0.002 * max(np.abs(moved.F))
 
 
 def test_a_table_continues_straight_and_without_a_jump_past_both_ends():
     table = tabulate([Curve(x=(-1.0, 0.0, 1.0), F=(-3.0, 0.0, 8.0))], -0.5, 0.25, 4)
     for end, sign in ((-0.5, -1.0), (0.5, 1.0)):
-        F, slope = look_up(table, -0.5, 0.25, end)
-        assert look_up(table, -0.5, 0.25, end + sign * 1e-9)[0] == pytest.approx(F, abs=1e-7)
-        F_far, slope_far = look_up(table, -0.5, 0.25, end + sign)
+        F, slope = look_up(table[None], 0.0, -0.5, 0.25, end)
+        assert look_up(table[None], 0.0, -0.5, 0.25, end + sign * 1e-9)[0] == pytest.approx(F, abs=1e-7)
+        F_far, slope_far = look_up(table[None], 0.0, -0.5, 0.25, end + sign)
         assert slope_far == pytest.approx(slope)
         assert F_far == pytest.approx(F + sign * slope)
 
 
 def test_not_a_number_stays_inside_the_table():
     table = tabulate([STRUT.bushing], -0.2, 0.0025, 160)
-    assert np.isnan(look_up(table, -0.2, 0.0025, np.nan)[0])
+    assert np.isnan(look_up(table[None], 0.0, -0.2, 0.0025, np.nan)[0])
 
 
 @pytest.mark.parametrize(

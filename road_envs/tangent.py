@@ -1,0 +1,314 @@
+"""Tangent and adjoint of the fixed step: what a small change of road and start does to a drive.
+
+`integrator.step` is a map of the state y = (q, v) and of the road's heights and rates at both stage
+times. Its derivative is taken exactly, as the step is computed and not as the motion would be. With
+W = M + h d C + (h d)² K symmetric, k and m the two solutions W k = g(y), W m = f(y, k), and ' a
+derivative along a direction,
+
+    W k' = g' - W' k,        W m' = f' - W' m,        W' = sum over struts of s' b b'
+
+b takes coordinates to the strut's extension and s = h d c + (h d)² k, so s' needs the change of the
+strut's stiffness k with its extension (gas spring, bushing, stop) and of its damping c with the
+rate (damper, friction). The adjoint is the same chain backwards; as W is symmetric it needs no
+solver of its own (Giles & Pierce 2000, doi:10.1023/A:1011430410075, section 2).
+
+At a kink (a wheel that lifts off, a grid point or an end of a table, the shortest gas column) the
+derivative is that of the branch the step took; the small jump of W where a tyre lifts off has no
+derivative and is left out. The struts' memory stands still: no switch lies within a drive.
+
+One row of the tape (ROW,) is all that both need of one step. Per strut (4 each): K_1, C_1 and K_2,
+C_2, its stiffness and damping at the first and the second stage; G_K, G_C and F_K, F_C, what the
+first and the second right-hand side lose by a change of e and of e_dot at the step's beginning
+(of F_K, F_C without K_2, C_2); ON_1 and ON_2, 1 where the tyre touches. Then the factors of W.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from road_envs.dynamics import (
+    N_DOF,
+    PHI,
+    THETA,
+    Plant,
+    add_lean,
+    add_struts,
+    add_tyres,
+    extension,
+    wheel_height,
+)
+from road_envs.integrator import (
+    ACCELERATION,
+    EXTENSION,
+    LOAD,
+    SIGNALS,
+    D,
+    solve,
+    step,
+    workspace,
+)
+from road_envs.jit import kernel
+from road_envs.suspension import strut_curvature, strut_force, tyre_force
+
+K_1, C_1, K_2, C_2, G_K, G_C, F_K, F_C, ON_1, ON_2, BLOCKS, BODY = *range(0, 44, 4), 52
+ROW = 58
+
+
+@kernel
+def taped_step(p, velocity, displacement, memory, q, v, road, turn, h, work, out, row):
+    """Take `integrator.step`, with its arguments, and write its derivative to `row` (ROW,)."""
+    step(p, velocity, displacement, memory, q, v, road, turn, h, work, out)
+    hd = h * D
+    for w in range(4):
+        e, e_dot = out[EXTENSION + w], extension(p, out[N_DOF : 2 * N_DOF], w)
+        _, k, c = strut_force(p, velocity, displacement, memory, w, e, e_dot)
+        bend, c_bend = strut_curvature(p, velocity, displacement, memory, w, e, e_dot)
+        first, second = extension(p, work.g, w), extension(p, work.f, w)
+        row[K_1 + w], row[C_1 + w] = k, c
+        row[G_K + w] = k + hd * bend * (e_dot + hd * first)
+        row[G_C + w] = c + hd * k + hd * c_bend * first
+        row[F_K + w] = hd * bend * (extension(p, work.r, w) + hd * second)
+        row[F_C + w] = hd * c_bend * second
+        e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
+        _, row[K_2 + w], row[C_2 + w] = strut_force(p, velocity, displacement, memory, w, e, e_dot)
+        u, u_dot = (
+            road[8 + w] - wheel_height(p, work.q, w),
+            road[12 + w] - wheel_height(p, work.v, w),
+        )
+        row[ON_1 + w] = 1.0 if out[LOAD + w] > 0.0 else 0.0
+        row[ON_2 + w] = 1.0 if tyre_force(p, w // 2, u, u_dot)[0] > 0.0 else 0.0
+    row[BLOCKS:BODY] = work.blocks
+    row[BODY:ROW] = work.body
+
+
+@kernel
+def tangent_step(p, row, q, v, road, h, work, a):
+    """Carry changes `q`, `v` (7,) of coordinates and rates through one step, in place.
+
+    `road` (16,): changes of the heights [m] and rates [m/s] as `integrator.step` has them. Writes
+    the change of the accelerations (7,) at the step's beginning to `a`.
+    """
+    hd = h * D
+    f, g, r, k_q, F, T, dF, dT = work.f, work.g, work.r, work.k_q, work.F, work.T, work.dF, work.dT
+    blocks, body = row[BLOCKS:BODY], row[BODY:ROW]
+    for w in range(4):
+        e, e_dot = extension(p, q, w), extension(p, v, w)
+        F[w] = -row[K_1 + w] * e - row[C_1 + w] * e_dot
+        dF[w] = -row[G_K + w] * e - row[G_C + w] * e_dot
+        work.s[w] = row[F_K + w] * e + row[F_C + w] * e_dot
+        k_t, c_t = row[ON_1 + w] * p.k_t[w // 2], row[ON_1 + w] * p.c_t[w // 2]
+        u, u_dot = road[w] - wheel_height(p, q, w), road[4 + w] - wheel_height(p, v, w)
+        T[w] = k_t * u + c_t * u_dot
+        dT[w] = T[w] + hd * k_t * u_dot + 2.0 * D * c_t * (road[12 + w] - road[4 + w])
+    f[:], g[:] = 0.0, 0.0
+    add_struts(p, F, f)
+    add_tyres(p, T, f)
+    add_lean(p, q[PHI], q[THETA], 0.0, 0.0, f)
+    add_struts(p, dF, g)
+    add_tyres(p, dT, g)
+    add_lean(p, q[PHI] + hd * v[PHI], q[THETA] + hd * v[THETA], 0.0, 0.0, g)
+    solve(p, blocks, body, g)
+    for j in range(N_DOF):
+        a[j] = f[j] / p.M[j]
+        k_q[j] = v[j] + hd * g[j]
+        work.q[j] = q[j] + 0.5 * h * k_q[j]
+        work.v[j] = v[j] + 0.5 * h * g[j]
+        r[j] = work.v[j] - k_q[j]
+        f[j] = -p.M[j] * g[j]
+    for w in range(4):
+        k_t, c_t = p.k_t[w // 2], p.c_t[w // 2]
+        F[w] = -row[K_2 + w] * extension(p, work.q, w) - row[C_2 + w] * extension(p, work.v, w)
+        F[w] -= hd * row[K_1 + w] * extension(p, r, w) + work.s[w]
+        u, u_dot = (
+            road[8 + w] - wheel_height(p, work.q, w),
+            road[12 + w] - wheel_height(p, work.v, w),
+        )
+        T[w] = row[ON_2 + w] * (k_t * u + c_t * u_dot)
+        T[w] -= hd * row[ON_1 + w] * k_t * wheel_height(p, r, w)
+    add_struts(p, F, f)
+    add_tyres(p, T, f)
+    add_lean(p, work.q[PHI] + hd * r[PHI], work.q[THETA] + hd * r[THETA], 0.0, 0.0, f)
+    solve(p, blocks, body, f)
+    for j in range(N_DOF):
+        q[j] += h * (k_q[j] + r[j] + hd * f[j])
+        v[j] += h * (g[j] + f[j])
+
+
+@kernel
+def second_stage_back(p, row, h, work, road):
+    """The second stage backwards, from the adjoint `work.f` (7,) of m'.
+
+    Completes the adjoints `work.g`, `work.k_q` of the first stage, which hold the end's share, as
+    does `work.r`; writes those of the stage's coordinates and rates to `work.q` and `work.v`, of
+    extensions and their rates at the beginning to `work.dF` and `work.dT`, and half of `road`.
+    """
+    hd = h * D
+    f, r, F, T, q, v = work.f, work.r, work.F, work.T, work.q, work.v
+    solve(p, row[BLOCKS:BODY], row[BODY:ROW], f)
+    q[:], v[:] = 0.0, 0.0
+    add_lean(p, f[PHI], f[THETA], 0.0, 0.0, q)
+    add_lean(p, hd * f[PHI], hd * f[THETA], 0.0, 0.0, r)
+    for w in range(4):
+        push, lift, k_t = extension(p, f, w), wheel_height(p, f, w), p.k_t[w // 2]
+        work.dF[w], work.dT[w] = -row[F_K + w] * push, -row[F_C + w] * push
+        work.k[w], work.s[w] = -row[K_2 + w] * push, -row[C_2 + w] * push
+        road[8 + w] = row[ON_2 + w] * k_t * lift
+        road[12 + w] = row[ON_2 + w] * p.c_t[w // 2] * lift
+        work.k_t[w], work.t[w] = -road[8 + w], -road[12 + w]
+        F[w], T[w] = -hd * row[K_1 + w] * push, -hd * row[ON_1 + w] * k_t * lift
+    add_struts(p, work.k, q)
+    add_tyres(p, work.k_t, q)
+    add_struts(p, work.s, v)
+    add_tyres(p, work.t, v)
+    add_struts(p, F, r)
+    add_tyres(p, T, r)
+    for j in range(N_DOF):
+        v[j] += r[j]
+        work.k_q[j] += 0.5 * h * q[j] - r[j]
+        work.g[j] += 0.5 * h * v[j] + hd * work.k_q[j] - p.M[j] * f[j]
+
+
+@kernel
+def adjoint_step(p, row, a, h, work, q, v, road):
+    """The transpose of `tangent_step`: adjoints `q`, `v` (7,) of the state, a step back in place.
+
+    `a` (7,): the adjoint of the accelerations at the step's beginning. Writes the adjoint of the
+    road's heights and rates, laid out as there, to `road` (16,).
+    """
+    hd = h * D
+    f, g, F, T = work.f, work.g, work.F, work.T
+    for j in range(N_DOF):
+        work.k_q[j] = work.r[j] = h * q[j]
+        g[j] = h * v[j]
+        f[j] = hd * work.r[j] + g[j]
+    second_stage_back(p, row, h, work, road)
+    solve(p, row[BLOCKS:BODY], row[BODY:ROW], g)
+    for j in range(N_DOF):
+        q[j] += work.q[j]
+        v[j] += work.v[j] + work.k_q[j]
+        f[j] = a[j] / p.M[j]
+    add_lean(p, f[PHI] + g[PHI], f[THETA] + g[THETA], 0.0, 0.0, q)
+    add_lean(p, hd * g[PHI], hd * g[THETA], 0.0, 0.0, v)
+    for w in range(4):
+        k_t, c_t = row[ON_1 + w] * p.k_t[w // 2], row[ON_1 + w] * p.c_t[w // 2]
+        first, at_once = extension(p, g, w), extension(p, f, w)
+        work.dF[w] -= row[G_K + w] * first + row[K_1 + w] * at_once
+        work.dT[w] -= row[G_C + w] * first + row[C_1 + w] * at_once
+        first, at_once = wheel_height(p, g, w), wheel_height(p, f, w)
+        z, z_dot = k_t * (first + at_once), c_t * (first + at_once) + hd * k_t * first
+        difference = 2.0 * D * c_t * first
+        road[w], road[4 + w] = z, z_dot - difference
+        road[12 + w] += difference
+        F[w], T[w] = -z, -z_dot
+    add_struts(p, work.dF, q)
+    add_tyres(p, F, q)
+    add_struts(p, work.dT, v)
+    add_tyres(p, T, v)
+
+
+@kernel
+def drive_taped(numbers, velocity, displacement, memory, y, road, turn, h, out, rows):
+    """Take one step for every row of `rows` (N, ROW); `y` (14,) ends as it stands then.
+
+    `road` (N, 16), `turn` (N, 4): what `integrator.step` reads in each step.
+    """
+    p, work, q, v = numbers[0], workspace(), y[:N_DOF], y[N_DOF:]
+    for n in range(rows.shape[0]):
+        taped_step(
+            *(p, velocity, displacement, memory, q, v),
+            *(road[n], turn[n], h, work, out[n], rows[n]),
+        )
+
+
+@kernel
+def drive_tangent(numbers, rows, y, road, h, a):
+    """`tangent_step` from the first row to the last; changes of accelerations to `a` (N, 7)."""
+    p, work, q, v = numbers[0], workspace(), y[:N_DOF], y[N_DOF:]
+    for n in range(rows.shape[0]):
+        tangent_step(p, rows[n], q, v, road[n], h, work, a[n])
+
+
+@kernel
+def drive_adjoint(numbers, rows, a, h, y, road):
+    """`adjoint_step` from the last row to the first; adjoint of the road to `road` (N, 16)."""
+    p, work, q, v = numbers[0], workspace(), y[:N_DOF], y[N_DOF:]
+    for n in range(rows.shape[0] - 1, -1, -1):
+        adjoint_step(p, rows[n], a[n], h, work, q, v, road[n])
+
+
+def _array(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """A fresh copy of `value`; kernels believe in shapes, so a wrong one ends here."""
+    found = np.array(value, dtype=float)
+    if found.shape != shape:
+        raise ValueError(f"{name} must be of shape {shape}, got {found.shape}")
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Tape:
+    """A drive of N steps and its derivative: 464 bytes a step, however often it is applied.
+
+    `signals` (N, 29) at the beginning of each step, as `integrator` lays them out; `end` (14,) the
+    state after the last; `rows` (N, ROW) the derivative of each step of `h` [s].
+    """
+
+    plant: Plant
+    h: float
+    signals: np.ndarray
+    end: np.ndarray
+    rows: np.ndarray
+
+    @property
+    def acceleration(self) -> np.ndarray:
+        """Accelerations (N, 7) of the degrees of freedom at the beginning of each step."""
+        return self.signals[:, ACCELERATION : ACCELERATION + N_DOF]
+
+    def tangent(self, start: np.ndarray, road: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Changes of the accelerations (N, 7) and of the end (14,) to first order.
+
+        `start` (14,): change of the first state; `road` (2 N, 2, 4): change of the heights [m] and
+        of their rates [m/s] under the wheels at the beginning and the middle of each step.
+        """
+        y, steps = _array("start", start, (2 * N_DOF,)), self.rows.shape[0]
+        z = _array("road", road, (2 * steps, 2, 4)).reshape(steps, 16)
+        a = np.empty((steps, N_DOF))
+        drive_tangent(self.plant.numbers, self.rows, y, z, self.h, a)
+        return a, y
+
+    def adjoint(self, acceleration: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The transpose: for a cost's gradient by the accelerations (N, 7) and by the end (14,),
+
+        its gradients by the start (14,) and by the road (2 N, 2, 4).
+        """
+        y, steps = _array("end", end, (2 * N_DOF,)), self.rows.shape[0]
+        a, road = _array("acceleration", acceleration, (steps, N_DOF)), np.empty((steps, 16))
+        drive_adjoint(self.plant.numbers, self.rows, a, self.h, y, road)
+        return y, road.reshape(2 * steps, 2, 4)
+
+
+def drive_on_tape(
+    plant: Plant,
+    memory: np.ndarray,
+    start: np.ndarray,
+    road: np.ndarray,
+    h: float,
+    turn: np.ndarray | None = None,
+) -> Tape:
+    """Drive from the state `start` (14,) in steps of `h` [s] and tape the derivative.
+
+    `memory` (4, 3) of the struts, which stands still; `road` (2 N, 2, 4): heights [m] and their
+    rates [m/s] under the wheels at the beginning and the middle of each step; `turn` (2 N, 2), if
+    given, a_x and a_y [m/s²] of a manoeuvre at the same instants. Raises ValueError on a wrong
+    shape, ArithmeticError if the motion is no longer finite.
+    """
+    road = np.asarray(road, dtype=float)
+    steps = len(road) // 2
+    z, y = _array("road", road, (2 * steps, 2, 4)), _array("start", start, (2 * N_DOF,))
+    lean = _array("turn", np.zeros((2 * steps, 2)) if turn is None else turn, (2 * steps, 2))
+    struts = _array("memory", memory, (4, 3))
+    signals, rows = np.empty((steps, SIGNALS)), np.empty((steps, ROW))
+    course = z.reshape(steps, 16), lean.reshape(steps, 4)
+    drive_taped(*plant.arrays, struts, y, *course, float(h), signals, rows)
+    if not np.isfinite(y).all():
+        raise ArithmeticError("the motion is no longer finite, so it has no derivative")
+    return Tape(plant, float(h), signals, y, rows)
