@@ -17,8 +17,11 @@ import operator
 from typing import Any
 
 from llvmlite import ir
+from numba import extending
 from numba.core import cgutils, types
-from numba.extending import intrinsic, models, overload, register_model
+from numba.extending import models, overload, register_model
+
+intrinsic: Any = extending.intrinsic  # its annotations count the typing context as an argument
 
 LANES = 8
 FLAGS = ("contract", "arcp")

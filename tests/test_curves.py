@@ -81,7 +81,9 @@ def test_a_table_continues_straight_and_without_a_jump_past_both_ends():
     table = tabulate([Curve(x=(-1.0, 0.0, 1.0), F=(-3.0, 0.0, 8.0))], -0.5, 0.25, 4)
     for end, sign in ((-0.5, -1.0), (0.5, 1.0)):
         F, slope = look_up(table[None], 0.0, -0.5, 0.25, end)
-        assert look_up(table[None], 0.0, -0.5, 0.25, end + sign * 1e-9)[0] == pytest.approx(F, abs=1e-7)
+        assert look_up(table[None], 0.0, -0.5, 0.25, end + sign * 1e-9)[0] == pytest.approx(
+            F, abs=1e-7
+        )
         F_far, slope_far = look_up(table[None], 0.0, -0.5, 0.25, end + sign)
         assert slope_far == pytest.approx(slope)
         assert F_far == pytest.approx(F + sign * slope)

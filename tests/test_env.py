@@ -251,6 +251,10 @@ def test_a_spawned_worker_finds_the_environment_by_module_and_id(tmp_path):
 
 
 def test_making_the_environment_does_not_import_torch():
-    code = "import sys, gymnasium, road_envs; gymnasium.make('RoadRecon-v0'); print('torch' in sys.modules)"
+    code = (
+        "import sys, gymnasium, road_envs\n"
+        "gymnasium.make('RoadRecon-v0')\n"
+        "print('torch' in sys.modules)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.stdout.strip() == "False", done.stderr

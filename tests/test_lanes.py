@@ -12,7 +12,6 @@ from road_envs.manoeuvres import Slalom
 from road_envs.roads import load_road
 from road_envs.simulate import Drive
 from road_envs.speed import ramp
-from road_envs.suspension import command
 from road_envs.vector import LANES
 from road_envs.vehicle import load_vehicle
 

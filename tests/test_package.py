@@ -35,7 +35,8 @@ def installed(tmp_path_factory):
     (wheel,) = folder.glob("roadrecon-*.whl")
     home = folder / "environment"
     venv.create(home, with_pip=False)
-    inside = Path(run(home / "bin/python", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=folder).strip())  # fmt: skip
+    ask = "import sysconfig; print(sysconfig.get_path('purelib'))"
+    inside = Path(run(home / "bin/python", "-c", ask, cwd=folder).strip())
     run(*pip, "--python", home / "bin/python", "install", "--no-deps", wheel, cwd=folder)
     # a path file is not read for further path files, so the editable checkout stays out
     (inside / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
