@@ -8,7 +8,7 @@ import sys
 import typer
 
 from estimators.protocol import EstimateError, NotFittedError
-from leaderboard.commands import animate, bench, board, drives, policies, roads
+from leaderboard.commands import animate, bench, board, drives, policies, precision, roads
 from road_envs.config import ConfigError
 from road_envs.simulate import SimulationError
 
@@ -29,6 +29,7 @@ app.command("policies")(policies.policies)
 app.add_typer(roads.app, name="roads")
 app.command("animate")(animate.animate)
 app.command("bench")(bench.bench)
+app.command("precision")(precision.precision)
 
 
 @app.callback()

@@ -90,6 +90,30 @@ def draw_estimate(truth: Profile | None, estimate: Estimate, path: Path) -> None
     _write(paint, (11.0, 5.0), path)
 
 
+def draw_precision(
+    rows: list[dict[str, Any]], ours: tuple[str, ...], drive: str, path: Path
+) -> None:
+    """Error over cost of every method, one line each; `ours` stand out."""
+
+    def paint(figure: Any) -> None:
+        axes = figure.subplots()
+        for k, name in enumerate(dict.fromkeys(row["method"] for row in rows)):
+            chosen = [row for row in rows if row["method"] == name]
+            cost = [1.0 / row["times_real_time"] for row in chosen]
+            error = [100.0 * row["error"] for row in chosen]
+            look = {"lw": 2.4, "ms": 7} if name in ours else {"lw": 1.1, "ms": 5}
+            axes.loglog(cost, error, "os^Dv<>Pp"[k % 9] + "-", label=name, color=f"C{k}", **look)
+        axes.set(
+            xlabel="seconds of computing for one second of driving",
+            ylabel="error of the body's accelerations [%]",
+            title=f"{drive}: error against cost",
+        )
+        axes.grid(which="major", color="0.9")
+        axes.legend(frameon=False)
+
+    _write(paint, (8.5, 5.5), path)
+
+
 def _write(paint: Callable[[Any], None], size: tuple[float, float], path: Path) -> None:
     """Let `paint` fill a figure of `size` [inch] and write it, whole or not at all."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -68,7 +68,7 @@ def look_up(tables, k, x_0, dx, x):
 
 @kernel
 def curvature(tables, k, x_0, dx, x):
-    """Second derivative at `x` of curve `k`: at grid points the one to the right, 0 from ends on."""
+    """Second derivative at `x` of curve `k`; at a grid point that to its right, 0 from the ends."""
     cells = float(tables.shape[1])
     u = (x - x_0) / dx
     inside = minimum(maximum(u, 0.0), cells)

@@ -26,6 +26,7 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.optimize import linear_sum_assignment
 
+from road_envs import suspension
 from road_envs.dynamics import (
     DOF,
     N_DOF,
@@ -39,7 +40,7 @@ from road_envs.dynamics import (
     plant,
     wheel_height,
 )
-from road_envs.suspension import WHEELS, command, damping, memory_at_rest, strut_force, tyre_force
+from road_envs.suspension import WHEELS, command, memory_at_rest, strut_force, tyre_force
 from road_envs.vehicle import VehicleParameters
 
 COORDINATE_UNITS = ("m", "rad", "rad", "m", "rad", "m", "rad")
@@ -181,8 +182,8 @@ def gaussian_damping(
     weight /= weight @ x
     found = np.empty(4)
     for w in range(4):
-        F = [damping(one.numbers[0], one.velocity, memory, w, rate[w] * v)[0] for v in x]
-        found[w] = weight @ np.array(F) / rate[w]
+        law = (suspension.damping(one.numbers[0], one.velocity, memory, w, rate[w] * k) for k in x)
+        found[w] = weight @ np.array([F for F, _ in law]) / rate[w]
     return found
 
 

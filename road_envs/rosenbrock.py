@@ -8,9 +8,9 @@ Shampine & Reichelt (1997), "The MATLAB ODE suite", SIAM J. Sci. Comput. 18, sec
     F_1 = f(t + h/2, y + h k_1 / 2)          W (k_2 - k_1) = F_1 - k_1
     y_1 = y + h k_2,   F_2 = f(t + h, y_1)   W k_3 = F_2 - e_32 (k_2 - F_1) - 2 (k_1 - F_0) + h d T
 
-goes on with y_1, which is of order 2 and L-stable, and takes h (k_1 - 2 k_2 + k_3) / 6, the distance
-to a formula of order 3, for its error. F_2 is F_0 of the next step. Between the ends the solution is
-the quadratic of the same source,
+goes on with y_1, which is of order 2 and L-stable, and takes h (k_1 - 2 k_2 + k_3) / 6, what leads
+from y_1 to a formula of order 3, for its error. F_2 is F_0 of the next step. Between the ends the
+solution is the quadratic of the same source (its section on free interpolants),
 
     y(t + x h) = y + h (x (1 - x) k_1 + x (x - 2 d) k_2) / (1 - 2 d),   0 <= x <= 1
 
@@ -174,7 +174,9 @@ def ode23s(
             h *= resize(error)
             continue
         t, y, F = end if last else t + h, new.y, new.F
-        times.append(t), states.append(y), stages.append((new.k_1, new.k_2))
+        times.append(t)
+        states.append(y)
+        stages.append((new.k_1, new.k_2))
         if last:
             break
         h = min(h * resize(error), max_step)

@@ -14,7 +14,9 @@ solver of its own (Giles & Pierce 2000, doi:10.1023/A:1011430410075, section 2).
 
 At a kink (a wheel that lifts off, a grid point or an end of a table, the shortest gas column) the
 derivative is that of the branch the step took; the small jump of W where a tyre lifts off has no
-derivative and is left out. The struts' memory stands still: no switch lies within a drive.
+derivative and is left out. A car exactly at rest stands on such a kink: friction bends one way for
+a strut that opens and the other way for one that closes. The struts' memory stands still: no switch
+lies within a drive.
 
 One row of the tape (ROW,) is all that both need of one step. Per strut (4 each): K_1, C_1 and K_2,
 C_2, its stiffness and damping at the first and the second stage; G_K, G_C and F_K, F_C, what the
@@ -276,9 +278,9 @@ class Tape:
         return a, y
 
     def adjoint(self, acceleration: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The transpose: for a cost's gradient by the accelerations (N, 7) and by the end (14,),
+        """A cost's gradients by the start (14,) and by the road (2 N, 2, 4): the transpose.
 
-        its gradients by the start (14,) and by the road (2 N, 2, 4).
+        `acceleration` (N, 7), `end` (14,): its gradients by what `tangent` returns.
         """
         y, steps = _array("end", end, (2 * N_DOF,)), self.rows.shape[0]
         a, road = _array("acceleration", acceleration, (steps, N_DOF)), np.empty((steps, 16))

@@ -28,7 +28,11 @@ CUBIC = "surface::test_between_samples_the_height_is_the_catmull_rom_cubic"
 PLACED = "sensors::test_sensors_feel_the_rigid_body_where_the_paper_put_them"
 LANE = "lanes::test_every_lane_is_its_vehicle_driven_alone_to_rounding"
 REFUSED = "config::test_a_fault_in_a_vehicle_is_one_sentence_that_names_it"
+DUALS = "tangent::test_the_tangent_is_the_derivative_that_dual_numbers_find"
+TRANSPOSE = "tangent::test_the_adjoint_of_a_step_is_the_transpose_of_its_tangent"
 TABLE = "curves::test_the_table_is_the_curve_wherever_breakpoints_lie_on_its_grid"
+THIRD = "rosenbrock::test_a_step_and_its_error_make_a_formula_of_order_three"
+PAIR = "adaptive::test_the_compiled_step_and_its_error_are_those_of_the_published_pair"
 
 
 class Fault(NamedTuple):
@@ -43,12 +47,13 @@ class Fault(NamedTuple):
 DYNAMICS, INTEGRATOR = "road_envs/dynamics.py", "road_envs/integrator.py"
 SUSPENSION, SIMULATE = "road_envs/suspension.py", "road_envs/simulate.py"
 SENSORS, PROCESSING = "road_envs/sensors.py", "road_envs/processing.py"
+TANGENT, LINEAR = "road_envs/tangent.py", "road_envs/linear.py"
 CURVES, SURFACE = "road_envs/curves.py", "road_envs/roads/surface.py"
 DATASET, CONFIG, VEHICLE = "road_envs/dataset.py", "road_envs/config.py", "road_envs/vehicle.py"
+ROSENBROCK, ADAPTIVE = "road_envs/rosenbrock.py", "road_envs/adaptive.py"
 DEFENDER = "configs/vehicles/land_rover_defender_110.yaml"
 
 FAULTS = [
-    Fault("road_envs/vector.py", "_where_greater(a, b, b, a)", "_where_greater(a, b, a, b)", LANE),
     Fault("road_envs/vector.py", "_where_greater(c, 0.0, a, b)", "_where_greater(c, 0.0, b, a)", LANE),
     Fault("road_envs/vector.py", "[j, 4 + j]", "[j, 3 + j]", LANE),
     Fault("road_envs/lanes.py", "get(p.x, 0) - get(p.x, i)", "get(p.x, i) - get(p.x, 0)", LANE),
@@ -79,7 +84,7 @@ FAULTS = [
           "suspension::test_an_opened_valve_makes_the_pressures_equal_however_fast_it_is"),
     Fault(SUSPENSION, "if_positive(T, T, 0.0)", "T", PAPER_SAYS),
     Fault(SUSPENSION, "+ c * u_dot", "- c * u_dot", PAPER_SAYS),
-    Fault(SUSPENSION, "get(p.table) + w // 2", "get(p.table) + w % 2", PAPER_SAYS),
+    Fault(SUSPENSION, "stop, k = look_up(displacement, get(p.table) + w // 2", "stop, k = look_up(displacement, get(p.table) + w % 2", PAPER_SAYS),
     Fault(SUSPENSION, "low * F_0 + high * F_1", "F_0 + high * F_1", PAPER_SAYS),
     Fault(SUSPENSION, "memory[:, OPEN] = ~stiff[0]", "memory[:, OPEN] = stiff[0]",
           "suspension::test_between_bushing_and_stop_the_one_gas_law_is_equation_1"),
@@ -125,6 +130,43 @@ FAULTS = [
           "sensors::test_chunks_are_sensed_as_the_whole_to_the_bit"),
     Fault(SENSORS, "standard_normal(a.shape[::-1]).T", "standard_normal(a.shape)",
           "sensors::test_chunks_are_sensed_as_the_whole_to_the_bit"),
+    Fault(CURVES, "(2.0 * c + 6.0 * d * (inside - i))", "(2.0 * c + 3.0 * d * (inside - i))", DUALS),
+    Fault(CURVES, "if_positive(u * (cells - u), (2.0", "if_positive(1.0, (2.0",
+          "tangent::test_the_curvature_of_a_table_is_the_slope_of_its_slope"),
+    Fault(SUSPENSION, "-(get(p.n_p) + 1.0) * slope", "-get(p.n_p) * slope", DUALS),
+    Fault(SUSPENSION, "stop - share * share * gas", "stop - share * gas", DUALS),
+    Fault(SUSPENSION, "if_positive(column - get(p.column_min), bend, 0.0)", "bend", DUALS),
+    Fault(SUSPENSION, "(1.0 - high) * c_0 + high * c_1", "c_0 + high * c_1", DUALS),
+    Fault(TANGENT, "bend * (e_dot + hd * first)", "bend * e_dot", DUALS),
+    Fault(TANGENT, "hd * c_bend * second", "0.0", DUALS),
+    Fault(TANGENT, "1.0 if tyre_force(", "1.0 if 2.0 + tyre_force(", DUALS),
+    Fault(TANGENT, "- row[C_2 + w] * extension", "+ row[C_2 + w] * extension", DUALS),
+    Fault(TANGENT, "hd * k_t * u_dot + 2.0 * D", "hd * k_t * u_dot + D", DUALS),
+    Fault(TANGENT, "q[PHI] + hd * v[PHI]", "q[PHI]", DUALS),
+    Fault(TANGENT, "- p.M[j] * f[j]", "+ p.M[j] * f[j]", TRANSPOSE),
+    Fault(TANGENT, "0.5 * h * v[j] + hd * work.k_q[j]", "0.5 * h * v[j]", TRANSPOSE),
+    Fault(TANGENT, "hd * f[THETA], 0.0, 0.0, r)", "f[THETA], 0.0, 0.0, r)", TRANSPOSE),
+    Fault(TANGENT, "z_dot - difference", "z_dot", TRANSPOSE),
+    Fault(TANGENT, "- 1, -1, -1)", "- 1, 0, -1)",
+          "tangent::test_the_adjoint_of_a_drive_is_the_transpose_of_its_tangent"),
+    Fault(LINEAR, "1.0, y, -x", "1.0, y, x",
+          "linear::test_about_any_state_the_model_is_the_slope_of_motion_and_sensors"),
+    Fault(LINEAR, "rows.T * c_t", "rows.T * k_t",
+          "linear::test_at_rest_the_model_is_that_of_the_energy_matrices"),
+    Fault(LINEAR, "u_dot = z - rows @ y[:N_DOF], w - rows", "u_dot = z + rows @ y[:N_DOF], w + rows",
+          "linear::test_about_any_state_the_model_is_the_slope_of_motion_and_sensors"),
+    Fault(LINEAR, "np.array(now) - wanted", "np.array(now) + wanted",
+          "linear::test_damping_in_place_of_the_slopes_is_where_it_belongs"),
+    Fault(LINEAR, "weight /= weight @ x", "weight /= weight @ weight",
+          "linear::test_gaussian_damping_is_the_best_damper_for_a_normal_rate"),
+    Fault(LINEAR, "(2.0 * omega)", "omega",
+          "linear::test_a_lightly_damped_car_decays_with_its_modes_damping_ratios"),
+    Fault(LINEAR, "names[column] = name", "names[column] = name[::-1]",
+          "linear::test_the_defender_has_the_tabled_modes"),
+    Fault(LINEAR, "+ s[:, None, None] * inputs", "- s[:, None, None] * inputs",
+          "linear::test_on_a_sine_scipys_simulation_swings_in_to_the_frequency_response"),
+    Fault(LINEAR, "np.exp(-2j * np.pi * at", "np.exp(2j * np.pi * at",
+          "linear::test_both_wheel_paths_reach_the_rear_a_wheelbase_later"),
     Fault(PROCESSING, "f_c: float = 25.0", "f_c: float = 30.0",
           "sensors::test_offline_processing_is_6_db_down_at_25_hertz_and_delays_nothing"),
     Fault(PROCESSING, "a - a.mean(axis=1, keepdims=True)", "a",
@@ -138,6 +180,25 @@ FAULTS = [
     Fault(SURFACE, "padded.shape[1] - 3.0", "padded.shape[1] - 4.0", CUBIC),
     Fault(CONFIG, '"extra": "forbid"', '"extra": "ignore"', REFUSED),
     Fault(CONFIG, "strict=True)", "strict=False)", REFUSED),
+    Fault(ROSENBROCK, "E_32 = 6.0 + np.sqrt(2.0)", "E_32 = 6.0 - np.sqrt(2.0)", THIRD),
+    Fault(ROSENBROCK, "- 2.0 * (k_1 - F_0) + h * D * T)", "- 2.0 * (k_1 - F_0))", THIRD),
+    Fault(ROSENBROCK, "k_1 = solve(F_0 + h * D * T)", "k_1 = solve(F_0)", THIRD),
+    Fault(ROSENBROCK, "rate(t + 0.5 * h, y + 0.5", "rate(t, y + 0.5",
+          "rosenbrock::test_at_a_constant_step_the_method_is_of_order_two_even_where_time_enters"),
+    Fault(ROSENBROCK, "x * (x - 2.0 * D) /", "x * (x - D) /",
+          "rosenbrock::test_between_its_ends_a_step_is_as_accurate_as_at_them"),
+    Fault(ROSENBROCK, "error ** (-1.0 / 3.0)", "error ** (-1.0 / 2.0)",
+          "rosenbrock::test_the_next_step_grows_with_the_cube_root_of_the_error_within_limits"),
+    Fault(ROSENBROCK, "new.y, new.F\n", "new.y, F\n",
+          "rosenbrock::test_at_a_constant_step_the_method_is_of_order_two_even_where_time_enters"),
+    Fault(ADAPTIVE, "- E_32 * (k_2v - at_middle[j])", "+ E_32 * (k_2v - at_middle[j])", PAIR),
+    Fault(ADAPTIVE, "work.T[w] = work.dT[w] + hd", "work.T[w] = work.dT[w] - hd", PAIR),
+    Fault(ADAPTIVE, "add_tyres(p, work.T, R_v)", "", PAIR),
+    Fault(ADAPTIVE, "b_1 * work.g[j] + b_2 * k_2v", "b_1 * work.g[j] + b_2 * work.g[j]", PAIR),
+    Fault(ADAPTIVE, "y[:] = before[: 2 * N_DOF]", "pass",
+          "adaptive::test_its_trajectory_is_that_of_small_constant_steps_in_every_signal"),
+    Fault(ADAPTIVE, "(now + 0.5 * k * h)", "(now + 0.25 * k * h)",
+          "adaptive::test_the_drive_is_scipys_radau_and_closer_to_it_the_tighter_the_tolerance"),
 ]  # fmt: skip
 
 

@@ -39,6 +39,7 @@ def test_every_command_explains_itself(roadrecon):
         "roads",
         "animate",
         "bench",
+        "precision",
     ):
         code, out, _ = roadrecon(command, "--help")
         assert code == 0

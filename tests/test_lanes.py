@@ -16,11 +16,17 @@ from road_envs.vector import LANES
 from road_envs.vehicle import load_vehicle
 
 CAR = load_vehicle("land_rover_defender_110")
+DAMPER = CAR.strut.damper
 HEAVY = dataclasses.replace(
     CAR,
     m_b=2100.0,
     front=dataclasses.replace(CAR.front, y_s=0.5, k_t=300e3),
-    strut=dataclasses.replace(CAR.strut, n_p=1.25, p_stat=2.6e6),
+    strut=dataclasses.replace(
+        CAR.strut,
+        n_p=1.25,
+        p_stat=2.6e6,
+        damper=dataclasses.replace(DAMPER, ride=DAMPER.handling),
+    ),
     valve=dataclasses.replace(CAR.valve, delay=0.033, lag=0.004),
 )
 ROADS = ("iso_d", "belgian_like", "bump_asymmetric", "iso_f")

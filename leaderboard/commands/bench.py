@@ -12,21 +12,16 @@ from typing import Any
 
 import numpy as np
 from rich.table import Table
-from scipy.integrate import solve_ivp
 
 import estimators
 from leaderboard.commands import console, print_json, progress_bar
 from leaderboard.commands.drives import Json
+from leaderboard.peers import CAR, Problem, relative_error
 from road_envs.dataset import record_drive
-from road_envs.dynamics import N_DOF, plant
-from road_envs.integrator import state_rate
-from road_envs.roads import load_road, with_length
+from road_envs.roads import load_road
 from road_envs.sensors import load_instruments
-from road_envs.simulate import Drive
-from road_envs.suspension import command
 from road_envs.vehicle import load_vehicle
 
-CAR, SPEED = "land_rover_defender_110", 15.0
 COMPARED = 3.0
 """Drive [s] on which integrators are compared; the reference makes it dear."""
 
@@ -69,68 +64,18 @@ def _median_time(run: Callable[[], object], times: int = 5) -> float:
     return statistics.median(spans)
 
 
-class _Problem:
-    """A class-D road at 15 m/s in ride mode: body accelerations every millisecond."""
-
-    def __init__(self):
-        self.car = load_vehicle(CAR)
-        self.plant = plant(self.car)
-        road = with_length(load_road("iso_d"), SPEED * COMPARED + 20.0)
-        self.surface = road.realise(np.random.default_rng(1))
-        self.t = 0.001 * np.arange(round(COMPARED / 0.001))
-
-    def start(self, step: float) -> Drive:
-        return Drive(self.plant, self.car, self.surface, SPEED, "ride", step)
-
-    def ours(self, step: float) -> np.ndarray:
-        drive, every = self.start(step), round(0.001 / step)
-        byte = command("ride")
-        motion = drive.advance(np.full(self.t.size * every, byte, dtype=np.uint8))
-        return motion.acceleration[::every, :3]
-
-    def peer(self, method: str, rtol: float) -> np.ndarray:
-        drive, surface = self.start(0.001), self.surface
-        road = (surface.padded, surface.start, surface.ds)
-        rate = np.empty(2 * N_DOF)
-
-        def right_hand_side(t: float, y: np.ndarray) -> np.ndarray:
-            s = drive.start + SPEED * t
-            state_rate(*self.plant.arrays, drive.memory, *road, s, SPEED, y, rate)
-            return rate
-
-        solution = solve_ivp(
-            lambda t, y: right_hand_side(t, y).copy(),
-            (0.0, float(self.t[-1])),
-            drive.state,
-            method=method,
-            t_eval=self.t,
-            rtol=rtol,
-            atol=1e-3 * rtol,
-        )
-        rates = [
-            right_hand_side(t, y)[N_DOF : N_DOF + 3].copy()
-            for t, y in zip(self.t, np.ascontiguousarray(solution.y.T), strict=True)
-        ]
-        return np.array(rates)
-
-
 def _integrators() -> list[dict[str, Any]]:
     """The fixed-step drive against LSODA at the loosest tolerance that is as accurate."""
-    problem = _Problem()
-    reference = problem.peer("DOP853", 1e-9)
-    scale = np.sqrt(np.mean(reference**2))
-
-    def error(a: np.ndarray) -> float:
-        return float(np.sqrt(np.mean((a - reference) ** 2)) / scale)
-
-    seconds = _median_time(lambda: problem.ours(0.001), 21)
-    accuracy = error(problem.ours(0.001))
+    problem = Problem(COMPARED)
+    reference = problem.scipy("DOP853", 1e-9)
+    seconds = _median_time(lambda: problem.fixed(0.001), 21)
+    accuracy = relative_error(problem.fixed(0.001), reference)
     rtol = next(
         r
         for r in (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 1e-5)
-        if error(problem.peer("LSODA", r)) < accuracy
+        if relative_error(problem.scipy("LSODA", r), reference) < accuracy
     )
-    peer = _median_time(lambda: problem.peer("LSODA", rtol), 3)
+    peer = _median_time(lambda: problem.scipy("LSODA", rtol), 3)
     ratio = peer / seconds
     return [
         _row(

@@ -11,7 +11,9 @@ from leaderboard import league
 from leaderboard.commands import console, json_text, mode_of, print_json, progress_bar
 from leaderboard.commands.drives import Json, Length
 from leaderboard.results import write_whole
+from leaderboard.statistics import Interval
 from road_envs.config import ConfigError
+from road_envs.manoeuvres import KINDS as MANOEUVRES
 from road_envs.policies import REGISTRY
 
 
@@ -27,6 +29,9 @@ def policies(
         "vehicle"
     ),
     mode: Annotated[str, typer.Option(help="4S4 mode at the start.")] = "ride",
+    manoeuvre: Annotated[
+        str | None, typer.Option(help=f"Manoeuvre on the way: {', '.join(MANOEUVRES)}.")
+    ] = None,
     roads: Annotated[int, typer.Option(help="Number of test roads.", min=2)] = 10,
     steps: Annotated[int, typer.Option(help="Control intervals a learner gets.", min=1)] = (
         league.LEARNING_STEPS
@@ -41,6 +46,7 @@ def policies(
         "length": length,
         "control": control,
         "mode": mode_of(mode),
+        "manoeuvre": manoeuvre,
     }
     seeds = range(league.TEST_SEEDS.start, league.TEST_SEEDS.start + roads)
     with progress_bar() as progress:
@@ -71,20 +77,21 @@ def _row(standing: league.Standing) -> dict[str, Any]:
 
 
 def _print(standings: list[league.Standing], scenario: dict[str, Any], roads: int) -> None:
-    title = "{road}, {length:g} m, {speed_kmh:g} km/h".format(**scenario)
-    table = Table(title=f"Switching policies on {roads} held-out roads: {title}")
-    table.add_column("policy")
-    for heading in (
-        "comfort\n[m/s²]",
-        "rattle\n[mm]",
-        "tyre load\n[-]",
-        "switches\n[1/km]",
-        "return\n[-]",
-    ):
-        table.add_column(heading, justify="right")
+    manoeuvre = scenario["manoeuvre"]
+    where = "{road}, {length:g} m, {speed_kmh:g} km/h".format(**scenario)
+    table = Table(
+        title=f"Switching policies on {roads} held-out roads: {where}",
+        title_justify="left",
+        box=None,
+        padding=(0, 1),
+        pad_edge=False,
+    )
+    table.add_column("policy", no_wrap=True)
+    for heading in ("comfort\nm/s²", "rattle\nmm", "tyre load\n-", "switches\n1/km", "return\n-"):
+        table.add_column(heading, justify="right", no_wrap=True)
     for standing in standings:
         if standing.failure:
-            table.add_row(standing.policy, standing.failure, style="red")
+            table.add_row(standing.policy, f"failed: {standing.failure}", style="red")
             continue
         x = standing.intervals
         table.add_row(
@@ -96,10 +103,14 @@ def _print(standings: list[league.Standing], scenario: dict[str, Any], roads: in
             _span(x["episode_return"], 1.0, 2),
         )
     console.print(table)
-    console.print("Interquartile means, with 95 % bootstrap intervals over roads; lower is better")
-    console.print("(return: higher). Without manoeuvres nothing rewards handling.")
+    console.print(
+        "Interquartile means over roads, ± half the 95 % bootstrap interval; lower is better, for\n"
+        "the return higher."
+    )
+    if manoeuvre is None:
+        console.print("Without manoeuvres nothing rewards handling: see --manoeuvre.")
 
 
-def _span(x, factor: float, digits: int) -> str:
-    low, high = (f"{factor * v:.{digits}f}" for v in (x.low, x.high))
-    return f"{factor * x.mean:.{digits}f} [{low}, {high}]"
+def _span(x: Interval, factor: float, digits: int) -> str:
+    half = 0.5 * factor * (x.high - x.low)
+    return f"{factor * x.mean:.{digits}f} ±{half:.{digits}f}"

@@ -1,0 +1,103 @@
+"""`precision`: error against cost of this project's integrators and of their peers, in one run."""
+
+import functools
+import math
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from leaderboard import plots
+from leaderboard.commands import console, notices, print_json, progress_bar, writable
+from leaderboard.commands.drives import Json
+from leaderboard.peers import MODE, SPEED, PeerError, Problem, relative_error
+from road_envs.config import ConfigError
+from road_envs.roads import load_road
+
+OURS = ("ours, constant step", "ours, adaptive")
+TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)
+SCIPY = {"RK45": TOLERANCES, "DOP853": TOLERANCES, "LSODA": TOLERANCES,
+         "BDF": TOLERANCES[:3], "Radau": TOLERANCES[:3]}  # fmt: skip
+OCTAVE = "Octave ode23s"
+
+Timed = Callable[[float], tuple[np.ndarray, float]]
+
+
+def precision(
+    out: Annotated[Path | None, typer.Option(help="Draw error against cost (.png).")] = None,
+    duration: Annotated[
+        float, typer.Option(help="Drive in seconds; the road begins at 0.33 s.", min=0.5)
+    ] = 3.0,
+    road: Annotated[
+        str | None,
+        typer.Option(help="Road: shipped name, YAML path or surface file; else class D."),
+    ] = None,
+    max_step: Annotated[
+        float, typer.Option(help="Longest step in seconds of solvers that choose theirs.")
+    ] = math.inf,
+    json: Json = False,
+) -> None:
+    """Measure error against cost of the integrators and their peers on one drive."""
+    writable(out, ".png", ".svg", ".pdf")
+    if not max_step > 0:
+        raise ConfigError(f"the longest step must be positive, got {max_step} s")
+    surface = None if road is None else load_road(road).realise(np.random.default_rng(1))
+    problem, rows, skipped = Problem(duration, surface, max_step), [], []
+    with progress_bar() as progress:
+        progress("reference", 0.0)
+        truth = problem.scipy("DOP853", 1e-9)
+        methods = list(_methods(problem))
+        for k, (name, unit, settings, run) in enumerate(methods):
+            progress(name, (k + 1) / (len(methods) + 1))
+            try:
+                for setting in settings:
+                    a, seconds = run(setting)
+                    rows.append({"method": name, unit: setting, "error": relative_error(a, truth),
+                                 "times_real_time": duration / seconds})  # fmt: skip
+            except PeerError as error:
+                skipped.append({"method": name, "skipped": str(error)})
+    if out is not None:
+        plots.draw_precision(rows, OURS, f"{problem.surface.name}, {SPEED:g} m/s, {MODE}", out)
+    if json:
+        print_json(rows + skipped)
+        return
+    console.print(_table(rows))
+    for row in skipped:
+        notices.print(f"{row['method']} is left out: {row['skipped']}")
+
+
+def _methods(problem: Problem) -> Iterator[tuple[str, str, tuple[float, ...], Timed]]:
+    """Name, the setting's name, settings, and what runs one of them and says how long it took."""
+    steps = (1e-3, 5e-4, 2.5e-4, 1.25e-4)
+    yield OURS[0], "step", steps, lambda h: _timed(problem.fixed, h)
+    yield OURS[1], "rtol", (1e-1, *TOLERANCES), lambda r: _timed(problem.adaptive, r)
+    for name, tolerances in SCIPY.items():
+        run = functools.partial(problem.scipy, name)
+        yield f"SciPy {name}", "rtol", tolerances, functools.partial(_timed, run)
+    yield "SUNDIALS CVODE", "rtol", TOLERANCES, lambda r: _timed(problem.cvode, r)
+    yield OCTAVE, "rtol", TOLERANCES[:2], problem.octave
+
+
+def _timed(run: Callable[[float], np.ndarray], setting: float) -> tuple[np.ndarray, float]:
+    """The answer and its median time [s], of three runs or of what half a second holds."""
+    a = run(setting)  # the first run may have to compile
+    spans: list[float] = []
+    while len(spans) < 3 or sum(spans) < 0.5:
+        begin = time.perf_counter()
+        run(setting)
+        spans.append(time.perf_counter() - begin)
+    return a, statistics.median(spans)
+
+
+def _table(rows: list[dict[str, Any]]) -> Table:
+    table = Table("method", "setting", "error", "x real time", title="error against cost")
+    for row in rows:
+        setting = f"h = {1e3 * row['step']:g} ms" if "step" in row else f"rtol {row['rtol']:g}"
+        speed = f"{row['times_real_time']:.3g}"
+        table.add_row(row["method"], setting, f"{100 * row['error']:.3g} %", speed)
+    return table
