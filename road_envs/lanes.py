@@ -139,11 +139,13 @@ class _Block:
         everyone = [*drives, *[drives[-1]] * (LANES - len(drives))]
         self.drives, self.everyone = list(drives), everyone
         self.numbers = np.concatenate([drive.plant.numbers for drive in everyone])
-        self.numbers["table"] = 2.0 * np.arange(LANES)
+        cars = list({id(drive.plant): drive.plant for drive in everyone}.values())
+        of_lane = [next(i for i, c in enumerate(cars) if c is d.plant) for d in everyone]
+        self.numbers["table"] = 2.0 * np.array(of_lane)  # equal cars share their tables
         fields = (np.moveaxis(self.numbers[name], 0, -1) for name in NUMBERS.names or ())
         self.p = Numbers(*map(copied, fields))
-        self.velocity = np.concatenate([drive.plant.velocity for drive in everyone])
-        self.displacement = np.concatenate([drive.plant.displacement for drive in everyone])
+        self.velocity = np.concatenate([car.velocity for car in cars])
+        self.displacement = np.concatenate([car.displacement for car in cars])
         self.memory = copied(np.stack([drive.memory for drive in everyone], axis=-1))
         state = np.stack([drive.state for drive in everyone], axis=-1)
         self.q, self.v = copied(state[:N_DOF]), copied(state[N_DOF:])
@@ -224,8 +226,12 @@ class Fleet:
         self.drives, self.threads = list(drives), threads
         self.blocks = [_Block(drives[i : i + LANES]) for i in range(0, len(drives), LANES)]
 
-    def advance(self, commands: np.ndarray) -> np.ndarray:
-        """Signals (blocks, n, 29, LANES) at the beginnings of n steps.
+    def signals(self, n: int) -> np.ndarray:
+        """Room (blocks, n, 29, LANES) for the signals of n steps, to be used again and again."""
+        return aligned(len(self.blocks), n, SIGNALS)
+
+    def advance(self, commands: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+        """Signals (blocks, n, 29, LANES) at the beginnings of n steps, in `out` if it is given.
 
         `commands` (vehicles, n) are bytes. Vehicle k is lane k % LANES of block k // LANES; `of`
         picks it. A vehicle whose motion leaves the range of numbers has NaN in its signals; the
@@ -233,7 +239,7 @@ class Fleet:
         """
         commands = np.asarray(commands, dtype=np.uint8)
         parts = [commands[i * LANES : (i + 1) * LANES].T for i in range(len(self.blocks))]
-        out = aligned(len(self.blocks), commands.shape[1], SIGNALS)
+        out = self.signals(commands.shape[1]) if out is None else out
         work = zip(self.blocks, parts, out, strict=True)
         if self.threads == 1:
             for block, part, signals in work:

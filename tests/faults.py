@@ -57,7 +57,7 @@ FAULTS = [
     Fault("road_envs/vector.py", "_where_greater(c, 0.0, a, b)", "_where_greater(c, 0.0, b, a)", LANE),
     Fault("road_envs/vector.py", "[j, 4 + j]", "[j, 3 + j]", LANE),
     Fault("road_envs/lanes.py", "get(p.x, 0) - get(p.x, i)", "get(p.x, i) - get(p.x, 0)", LANE),
-    Fault("road_envs/lanes.py", "2.0 * np.arange(LANES)", "0.0 * np.arange(LANES)", LANE),
+    Fault("road_envs/lanes.py", "2.0 * np.array(of_lane)", "0.0 * np.array(of_lane)", LANE),
     Fault("road_envs/lanes.py", "byte != last[k]", "False",
           "lanes::test_every_lane_is_its_vehicle_driven_alone_to_rounding"),
     Fault("road_envs/speed.py", "0.5 * a[i] * dt", "a[i] * dt",

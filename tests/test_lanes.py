@@ -79,7 +79,9 @@ def test_parts_of_a_drive_are_the_whole_drive_to_the_bit():
     whole = Fleet(drives(size)).advance(commands)
     fleet, begin = Fleet(drives(size)), 0
     for part in (1, 50, 249, 300):
-        signals = fleet.advance(commands[:, begin : begin + part])
+        room = fleet.signals(part)
+        signals = fleet.advance(commands[:, begin : begin + part], room)
+        assert signals is room
         for k in range(size):
             np.testing.assert_array_equal(of(signals, k), of(whole, k)[begin : begin + part])
         begin += part

@@ -18,18 +18,25 @@ from leaderboard.commands import console, print_json, progress_bar
 from leaderboard.commands.drives import Json
 from leaderboard.peers import CAR, Problem, relative_error
 from road_envs.dataset import record_drive
+from road_envs.lanes import Fleet
 from road_envs.roads import load_road
 from road_envs.sensors import load_instruments
+from road_envs.suspension import command
 from road_envs.vehicle import load_vehicle
 
 COMPARED = 3.0
 """Drive [s] on which integrators are compared; the reference makes it dear."""
 
 
+FLEET = 64
+"""Vehicles in the lanes' measurement."""
+
+
 def bench(json: Json = False) -> None:
     """Measure speed and memory against peers, and print what was found."""
     parts: dict[str, Callable[[], list[dict[str, Any]]]] = {
         "integrators": _integrators,
+        "lanes": _lanes,
         "environment": _environment,
         "training": _training,
         "start-up": _start_up,
@@ -43,7 +50,7 @@ def bench(json: Json = False) -> None:
     if json:
         print_json(rows)
         return
-    table = Table("what", "measured", "aim", "", title="roadrecon bench")
+    table = Table("what", "measured", "aim", "", title="roadrecon bench", box=None)
     for row in rows:
         verdict = {True: "met", False: "MISSED", None: ""}[row["met"]]
         table.add_row(row["what"], row["measured"], row["aim"], verdict)
@@ -90,6 +97,44 @@ def _integrators() -> list[dict[str, Any]]:
             ">= 400 x",
             ratio >= 400,
             ratio=ratio,
+        ),
+    ]
+
+
+def _lanes() -> list[dict[str, Any]]:
+    """A fleet of vehicles, all signals written, second by second."""
+    problem, byte, steps = Problem(10.0), command("ride"), 1000
+    commands = np.full((FLEET, steps), byte, dtype=np.uint8)
+
+    def rate(threads: int) -> float:
+        fleet = Fleet([problem.start(0.001) for _ in range(FLEET)], threads)
+        signals = fleet.signals(steps)
+        return FLEET * steps * 0.001 / _median_time(lambda: fleet.advance(commands, signals))
+
+    one, two = rate(1), rate(2)
+    alone = problem.start(0.001)
+    single = steps * 0.001 / _median_time(lambda: alone.advance(commands[0]))
+    return [
+        _row(
+            f"{FLEET} vehicles in lanes, one core",
+            f"{one:.0f} vehicle-seconds per second",
+            ">= 10000",
+            one >= 10_000,
+            rate=one,
+        ),
+        _row(
+            f"{FLEET} vehicles in lanes, two threads",
+            f"{two:.0f} vehicle-seconds per second",
+            ">= 20000",
+            two >= 20_000,
+            rate=two,
+        ),
+        _row(
+            "lanes against one vehicle at a time, one core",
+            f"{one / single:.1f} x",
+            ">= 2.5 x",
+            one >= 2.5 * single,
+            ratio=one / single,
         ),
     ]
 
