@@ -1,7 +1,8 @@
 """The world: roads, vehicle, instruments, and their Gymnasium face `RoadRecon-v0`.
 
 Read the files in the order in which data flows: `config`, `record`, `roads`, `vehicle`, `curves`,
-`suspension`, `dynamics`, `integrator`, `simulate`, `sensors`, `dataset`, `env`.
+`suspension`, `dynamics`, `integrator`, `simulate`, `sensors`, `dataset`, `lanes`, `interval`,
+`convoy`, `episode`, `env`, `vector_env`.
 """
 
 import gymnasium
@@ -9,4 +10,9 @@ import gymnasium
 ID = "RoadRecon-v0"
 
 if ID not in gymnasium.registry:
-    gymnasium.register(id=ID, entry_point="road_envs.env:RoadReconEnv", max_episode_steps=100_000)
+    gymnasium.register(
+        id=ID,
+        entry_point="road_envs.env:RoadReconEnv",
+        vector_entry_point="road_envs.vector_env:RoadReconVectorEnv",
+        max_episode_steps=100_000,
+    )

@@ -52,6 +52,12 @@ def copied(array: np.ndarray) -> np.ndarray:
     return copy
 
 
+def numbers_of(numbers: np.ndarray) -> Any:
+    """The Numbers of LANES vehicles from those of `dynamics` (LANES,)."""
+    fields = (np.moveaxis(numbers[name], 0, -1) for name in NUMBERS.names or ())
+    return Numbers(*map(copied, fields))
+
+
 def workspace() -> Work:
     """Scratch of LANES vehicles for `integrator.step`."""
     shapes = [N_DOF] * 6 + [4] * 8 + [12, 6]
@@ -90,6 +96,26 @@ def switch_lane(numbers, memory, q, k, byte, alpha, h):
             calm = False
     memory[:, :, k] = own
     return calm
+
+
+@kernel
+def through_pipe(pipe, delay, passed, commands, arriving):
+    """What reaches the valves while `commands` (N, LANES) are given, to `arriving` (N, LANES).
+
+    A lane's command takes `delay` (LANES,) steps; those on their way are in its column of `pipe`
+    (D, LANES), a ring of which `passed` (LANES,) steps have gone by, which are counted on.
+    """
+    n = commands.shape[0]
+    for k in range(LANES):
+        if delay[k] == 0:
+            arriving[:, k] = commands[:, k]
+        else:
+            slot = passed[k] % delay[k]
+            for i in range(n):
+                arriving[i, k] = pipe[slot, k]
+                pipe[slot, k] = commands[i, k]
+                slot = slot + 1 if slot + 1 < delay[k] else 0
+        passed[k] += n
 
 
 @kernel
@@ -142,8 +168,7 @@ class _Block:
         cars = list({id(drive.plant): drive.plant for drive in everyone}.values())
         of_lane = [next(i for i, c in enumerate(cars) if c is d.plant) for d in everyone]
         self.numbers["table"] = 2.0 * np.array(of_lane)  # equal cars share their tables
-        fields = (np.moveaxis(self.numbers[name], 0, -1) for name in NUMBERS.names or ())
-        self.p = Numbers(*map(copied, fields))
+        self.p = numbers_of(self.numbers)
         self.velocity = np.concatenate([car.velocity for car in cars])
         self.displacement = np.concatenate([car.displacement for car in cars])
         self.memory = copied(np.stack([drive.memory for drive in everyone], axis=-1))
@@ -155,14 +180,18 @@ class _Block:
         self.alpha = copied(1.0 - np.exp(-self.h / lags))
         self.work, self.road = workspace(), aligned(16)
         self.steady = _steady(everyone)
+        self.delay = np.array([drive.pipe.size for drive in everyone])
+        self.pipe = np.zeros((self.delay.max(), LANES), dtype=np.uint8)
+        for k, drive in enumerate(everyone):
+            self.pipe[: drive.pipe.size, k] = drive.pipe
+        self.passed = np.zeros(LANES, dtype=np.int64)
 
     def advance(self, commands: np.ndarray, out: np.ndarray) -> None:
         """Write the signals (n, 29, LANES) under commands (n, vehicles)."""
         n, own = len(commands), len(self.drives)
-        byte = np.empty((n, LANES), dtype=np.uint8)
-        for k, drive in enumerate(self.drives):
-            byte[:, k] = drive.arriving(commands[:, k])
-        byte[:, own:] = byte[:, own - 1 : own]
+        given, byte = np.empty((2, n, LANES), dtype=np.uint8)
+        given[:, :own], given[:, own:] = commands, commands[:, -1:]
+        through_pipe(self.pipe, self.delay, self.passed, given, byte)
         tables = (self.numbers, self.velocity, self.displacement, self.memory)
         course = (*self._course(n), byte, self.alpha, self.h)
         drive_lanes(self.p, *tables, self.q, self.v, self.ways, *course, self.work, self.road, out)
@@ -186,6 +215,9 @@ class _Block:
         for k, drive in enumerate(self.drives):
             drive.state[:N_DOF], drive.state[N_DOF:] = self.q[:, k], self.v[:, k]
             drive.memory[:] = self.memory[:, :, k]
+            if self.delay[k]:
+                ring = self.pipe[: self.delay[k], k]
+                drive.pipe = np.roll(ring, -(self.passed[k] % self.delay[k]))
 
 
 def _steady(drives: Sequence[Drive]) -> tuple[np.ndarray, np.ndarray] | None:

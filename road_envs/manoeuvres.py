@@ -106,7 +106,7 @@ class Braking:
     def at(self, t: np.ndarray) -> np.ndarray:
         """a_x and a_y (N, 2) [m/s²]."""
         turn = SteadyTurn(a_y=self.a_x, begin=self.begin, build_up=self.build_up, hold=self.hold)
-        return np.stack([-turn.at(t)[:, 1], np.zeros_like(t)], axis=-1)
+        return np.stack([-turn.at(t)[..., 1], np.zeros_like(t)], axis=-1)
 
 
 KINDS: dict[str, type] = {

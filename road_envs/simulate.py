@@ -106,7 +106,7 @@ class Drive:
         self._total = int(np.ceil(speed.arrival(self.finish - self.start) / step))
         self.memory = memory_at_rest(byte)
         self.state = self._at_rest()
-        self._in_pipe = np.full(round(car.valve.delay / step), byte, dtype=np.uint8)
+        self.pipe = np.full(round(car.valve.delay / step), byte, dtype=np.uint8)
 
     def _at_rest(self) -> np.ndarray:
         if self.car.tyre_static_deflection != "equilibrium":
@@ -142,8 +142,8 @@ class Drive:
 
     def arriving(self, commands: np.ndarray) -> np.ndarray:
         """The command bytes (n,) that reach the valves while `commands` (n,) are given."""
-        given = np.concatenate([self._in_pipe, commands])
-        self._in_pipe = given[commands.size :]
+        given = np.concatenate([self.pipe, commands])
+        self.pipe = given[commands.size :]
         return given[: commands.size]
 
     def course(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -10,11 +10,18 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from scipy.signal import sosfilt
 
 import road_envs
+from road_envs.comfort import wk_sos
 from road_envs.config import ConfigError
-from road_envs.env import ACTIONS, RoadReconEnv
+from road_envs.dynamics import Z_B
+from road_envs.env import RoadReconEnv
+from road_envs.episode import ACTIONS
 from road_envs.roads import load_road
+from road_envs.sensors import Logger
+from road_envs.simulate import Drive
+from road_envs.suspension import command
 
 VARIANTS = {
     "default": {},
@@ -142,13 +149,13 @@ def test_a_return_does_not_depend_on_the_control_rate():
 
 def test_an_observation_has_the_samples_the_speed_and_the_commanded_states():
     env = make(**SHORT, control="axle", sensors="ideal")
-    for action, command in enumerate(ACTIONS["axle"]):
+    for action, states in enumerate(ACTIONS["axle"]):
         observation = rollout(env, [0, action], seed=1)[-1][0]
         parts = env.split(observation)
         assert parts["RF"].shape == parts["LR"].shape == parts["RR"].shape == (50,)
         assert parts["speed"] == pytest.approx(15.0)
         for axle in ("front", "rear"):
-            np.testing.assert_array_equal(parts[axle], [command[axle] == "handling"] * 2)
+            np.testing.assert_array_equal(parts[axle], [states[axle] == "handling"] * 2)
 
 
 def test_a_command_reaches_the_struts_only_after_the_valve_s_delay():
@@ -167,8 +174,8 @@ def test_an_episode_ends_truncated_behind_the_road_and_not_before():
         *_, terminated, truncated, info = env.step(0)
         ends.append((terminated, truncated))
     assert ends[-1] == (False, True)
-    beyond = info["station"] - 20.0 - env.car.wheelbase - 5.0
-    assert 0.0 <= beyond <= 15.0 * env.interval
+    beyond = info["station"] - 20.0 - env.setup.car.wheelbase - 5.0
+    assert 0.0 <= beyond <= 15.0 * env.setup.interval
 
 
 def test_speeds_are_drawn_from_the_range_and_may_be_set_at_reset():
@@ -213,7 +220,7 @@ def test_an_unknown_reset_option_and_a_bad_action_are_refused():
 def test_motion_beyond_all_numbers_terminates_with_a_reason():
     env = make(**SHORT)
     env.reset(seed=0)
-    env.drive.state[0] = np.inf
+    env.convoy.cars.q[0, 0, 0] = np.inf
     observation, _, terminated, truncated, info = env.step(0)
     assert (terminated, truncated) == (True, False)
     assert "no longer finite" in info["reason"]
@@ -223,7 +230,7 @@ def test_motion_beyond_all_numbers_terminates_with_a_reason():
 def test_a_car_that_overturns_terminates_with_a_reason():
     env = make(**SHORT)
     env.reset(seed=0)
-    env.drive.state[1] = 0.9
+    env.convoy.cars.q[0, 1, 0] = 0.9
     _, _, terminated, truncated, info = env.step(0)
     assert (terminated, truncated) == (True, False)
     assert "phi passed 45 degrees at t = 0.050 s" in info["reason"]
@@ -258,3 +265,36 @@ def test_making_the_environment_does_not_import_torch():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.stdout.strip() == "False", done.stderr
+
+
+def test_what_is_seen_is_what_the_instruments_would_log_of_the_drive():
+    """The compiled interval against the drive and its logger, each of which stands for itself."""
+    options = {"road": "iso_e", "length": 40.0, "speed_kmh": 36.0, "mode": "handling"}
+    env = make(**options)
+    observation, _ = env.reset(seed=11)
+    road_rng, _, sensor_rng = np.random.default_rng(11).spawn(3)
+    setup = env.setup
+    surface = setup.road.realise(road_rng)
+    drive = Drive(setup.plant, setup.car, surface, 10.0, "handling")
+    logger = Logger(setup.instruments, setup.car, 0.001, sensor_rng)
+    wk, memory = wk_sos(1000.0), np.zeros((4, 2))
+    for _ in range(60):
+        trajectory = drive.advance(np.full(50, command("handling"), dtype=np.uint8))
+        parts = env.split(observation)
+        logged = np.clip(logger.sense(trajectory), -setup.instruments.range, np.inf)
+        seen = np.array([parts[name] for name in ("RF", "LR", "RR")])
+        np.testing.assert_allclose(seen, np.minimum(logged, setup.instruments.range), atol=1e-5)
+        assert parts["speed"][0] == pytest.approx(10.0 * logger.speed_gain, rel=1e-6)
+        weighted, memory = sosfilt(wk, trajectory.acceleration[:, Z_B], zi=memory)
+        observation, reward, _, _, info = env.step(1)
+    trajectory = drive.advance(np.full(50, command("handling"), dtype=np.uint8))
+    weighted, memory = sosfilt(wk, trajectory.acceleration[:, Z_B], zi=memory)
+    variation = trajectory.tyre_load / np.repeat(setup.car.tyre_loads, 2) - 1.0
+    terms = [
+        np.sqrt(np.mean(weighted**2)),
+        np.sqrt(np.mean(trajectory.extension**2)),
+        np.sqrt(np.mean(variation**2)),
+    ]
+    assert [info[name] for name in ("comfort", "rattle", "tyre_load")] == pytest.approx(terms)
+    assert reward == pytest.approx(-0.05 * (terms[0] + 10.0 * terms[1] + terms[2]))
+    np.testing.assert_allclose(info["loads"], trajectory.tyre_load.T, rtol=1e-9)

@@ -239,7 +239,7 @@ def test_a_copy_made_in_mid_episode_shows_the_same_picture(clone):
 def test_an_episode_that_broke_down_can_still_be_looked_at():
     env = make().unwrapped
     env.reset(seed=0)
-    env.drive.state[0] = np.inf
+    env.convoy.cars.q[0, 0, 0] = np.inf
     assert env.step(0)[2]
     assert env.render().shape == (HEIGHT, WIDTH, 3)
 

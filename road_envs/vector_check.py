@@ -1,0 +1,173 @@
+"""A checker for vector environments, which Gymnasium has none of.
+
+It compares a vector environment with single ones, step by step and in every autoreset mode: number
+i, seeded with seed + i, must be the single environment seeded so, to the bit, in observations,
+rewards, ends and infos. It also looks for what misleads learners: shared buffers, wrong spaces,
+final observations that are not final, masks that say too much.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+MakeVector = Callable[..., VectorEnv]
+"""From `num_envs` and `autoreset_mode` to the vector environment."""
+
+
+class VectorCheckError(AssertionError):
+    """What a vector environment does that its single environment does not, in one sentence."""
+
+
+def check_vector_env(
+    make_vector: MakeVector,
+    make_single: Callable[[], gymnasium.Env],
+    *,
+    num_envs: int = 3,
+    steps: int = 50,
+    seed: int = 0,
+    modes: tuple[AutoresetMode, ...] = tuple(AutoresetMode),
+) -> int:
+    """Compare `steps` steps under random actions; returns how many episodes have ended in them.
+
+    Choose `steps` so that some do, else autoreset is not seen at work. Raises VectorCheckError.
+    """
+    ended = 0
+    for mode in modes:
+        vector = make_vector(num_envs=num_envs, autoreset_mode=mode)
+        singles = [make_single() for _ in range(num_envs)]
+        try:
+            _check_spaces(vector, singles[0], num_envs, mode)
+            ended += _Comparison(vector, singles, mode).run(steps, seed)
+        finally:
+            vector.close()
+            for single in singles:
+                single.close()
+    return ended
+
+
+def _demand(holds: bool, sentence: str) -> None:
+    if not holds:
+        raise VectorCheckError(sentence)
+
+
+def _check_spaces(vector: VectorEnv, single: gymnasium.Env, n: int, mode: AutoresetMode) -> None:
+    _demand(vector.num_envs == n, f"num_envs is {vector.num_envs}, {n} were asked for")
+    told = vector.metadata.get("autoreset_mode")
+    _demand(isinstance(told, AutoresetMode), f"metadata['autoreset_mode'] is {told!r}, no mode")
+    _demand(told == mode, f"metadata['autoreset_mode'] is {told}, {mode} was asked for")
+    for name in ("observation_space", "action_space"):
+        own, batched = getattr(single, name), getattr(vector, name)
+        _demand(getattr(vector, f"single_{name}") == own, f"single_{name} is not {own}")
+        _demand(batched == batch_space(own, n), f"{name} is not {n} times {own}")
+
+
+class _Comparison:
+    """One vector environment beside its single ones, in one autoreset mode."""
+
+    def __init__(self, vector: VectorEnv, singles: list[gymnasium.Env], mode: AutoresetMode):
+        self.vector, self.singles, self.mode = vector, singles, mode
+        self.ended = np.zeros(len(singles), dtype=bool)
+        self.count = 0
+        self.kept: tuple[Any, Any] | None = None
+
+    def run(self, steps: int, seed: int) -> int:
+        observations, infos = self.vector.reset(seed=seed)
+        for i, single in enumerate(self.singles):
+            self._compare("reset", i, observations, infos, single.reset(seed=seed + i))
+        self._keep(observations)
+        self.vector.action_space.seed(seed)
+        for step in range(steps):
+            if self.mode == AutoresetMode.DISABLED and self.ended.any():
+                self._reset_by_mask(f"reset before step {step}")
+            self._step(f"step {step}")
+        return self.count
+
+    def _step(self, when: str) -> None:
+        actions = self.vector.action_space.sample()
+        observations, rewards, terminated, truncated, infos = self.vector.step(actions)
+        self._check_types(when, observations, rewards, terminated, truncated)
+        self._check_kept(when)
+        before, self.ended = self.ended, np.zeros_like(self.ended)
+        for i, (single, action) in enumerate(zip(self.singles, actions, strict=True)):
+            if before[i]:  # NEXT_STEP: this step is the reset, whatever the action
+                expected: tuple[Any, ...] = (0.0, False, False)
+                self._compare(when, i, observations, infos, single.reset())
+            else:
+                seen, *said, info = single.step(action)
+                expected = tuple(said)
+                self.ended[i] = expected[1] or expected[2]
+                if self.ended[i] and self.mode == AutoresetMode.SAME_STEP:
+                    self._check_final(when, i, infos, seen, info)
+                    seen, info = single.reset()
+                self._compare(when, i, observations, infos, (seen, info))
+            told = (rewards[i], terminated[i], truncated[i])
+            _demand(
+                told == expected,
+                f"{when}, environment {i}: reward, terminated, truncated are {told}, of the single "
+                f"environment {expected}",
+            )
+        self.count += int(self.ended.sum())
+        if self.mode == AutoresetMode.SAME_STEP:
+            masks = np.asarray(infos.get("_final_obs", np.zeros_like(self.ended)))
+            _demand(
+                bool((masks == self.ended).all()), f"{when}: _final_obs is not the ended episodes"
+            )
+            self.ended = np.zeros_like(self.ended)
+        self._keep(observations)
+
+    def _reset_by_mask(self, when: str) -> None:
+        observations, infos = self.vector.reset(options={"reset_mask": self.ended.copy()})
+        self._check_kept(when)
+        for i, single in enumerate(self.singles):
+            if self.ended[i]:
+                self._compare(when, i, observations, infos, single.reset())
+            else:
+                same = np.array_equal(observations[i], self.last[i])
+                _demand(same, f"{when}: the observation of environment {i} was not to be reset")
+                told = [k for k, v in infos.items() if k.startswith("_") and np.asarray(v)[i]]
+                _demand(not told, f"{when}: {told} speak of environment {i}, which was not reset")
+        self.ended = np.zeros_like(self.ended)
+        self._keep(observations)
+
+    def _check_types(self, when: str, observations, rewards, terminated, truncated) -> None:
+        n = len(self.singles)
+        inside = self.vector.observation_space.contains(observations)
+        _demand(inside, f"{when}: the observations are not in the observation space")
+        for name, array, kind in (
+            ("rewards", rewards, "f"),
+            ("terminations", terminated, "b"),
+            ("truncations", truncated, "b"),
+        ):
+            fits = isinstance(array, np.ndarray) and array.shape == (n,)
+            _demand(fits and array.dtype.kind == kind, f"{when}: {name} are {array!r}")
+
+    def _check_final(self, when: str, i: int, infos: dict, seen: Any, info: Mapping) -> None:
+        _demand("final_obs" in infos, f"{when}: an episode has ended, and infos lack final_obs")
+        same = np.array_equal(infos["final_obs"][i], seen)
+        _demand(same, f"{when}, environment {i}: final_obs is not the last observation")
+        self._compare_info(f"{when}, final_info", i, infos["final_info"], info)
+
+    def _compare(self, when: str, i: int, observations, infos: dict, single: tuple) -> None:
+        seen, info = single
+        same = np.array_equal(observations[i], seen)
+        _demand(same, f"{when}, environment {i}: another observation than the single environment")
+        self._compare_info(when, i, infos, info)
+
+    def _compare_info(self, when: str, i: int, infos: dict, info: Mapping) -> None:
+        for name, value in info.items():
+            where = f"{when}, environment {i}: info {name!r}"
+            _demand(name in infos, f"{where} is missing")
+            _demand(bool(np.asarray(infos[f"_{name}"])[i]), f"{where} is masked")
+            _demand(np.array_equal(infos[name][i], value), f"{where} is {infos[name][i]}")
+
+    def _keep(self, observations: np.ndarray) -> None:
+        self.kept, self.last = (observations, observations.copy()), observations.copy()
+
+    def _check_kept(self, when: str) -> None:
+        if self.kept is not None:
+            same = np.array_equal(*self.kept)
+            _demand(same, f"{when}: the observations of the step before have changed")
