@@ -13,6 +13,7 @@ import numpy as np
 from road_envs.comfort import wk_sos
 from road_envs.config import ConfigError
 from road_envs.dynamics import N_DOF, Plant
+from road_envs.integrator import SIGNALS
 from road_envs.interval import (
     BEGIN,
     DONE,
@@ -262,6 +263,7 @@ def _common(plant, car, logger, step, delay, weights, top_speed) -> Common:
         np.array(weights, dtype=float),
         logger.sos,
         wk_sos(1.0 / step),
+        np.arange(SIGNALS),
         float(logger.noise_std),
         float(logger.range),
         float(top_speed),

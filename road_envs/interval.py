@@ -17,6 +17,7 @@ from road_envs.lanes import (
     Ways,
     aligned,
     drive_lanes,
+    lay_course,
     look_at_roads,
     through_pipe,
 )
@@ -73,6 +74,7 @@ class Common(NamedTuple):
     weights: np.ndarray
     alias_sos: np.ndarray
     wk_sos: np.ndarray
+    columns: np.ndarray
     noise_std: float
     range: float
     top_speed: float
@@ -85,6 +87,7 @@ class Desk(NamedTuple):
 
     work: Work
     road: np.ndarray  # (16,)
+    row: np.ndarray  # (29,)
     nothing: np.ndarray  # (1,)
     out: np.ndarray  # (n, 29)
     s: np.ndarray  # (2 n + 1,)
@@ -115,7 +118,7 @@ class Seen(NamedTuple):
 
 def scratch(steps: int) -> np.ndarray:
     """Room (rows, LANES) for the Desk of intervals of so many steps."""
-    return aligned(_WORK + 17 + (SIGNALS + 8) * steps + 2)
+    return aligned(_WORK + 17 + SIGNALS + (SIGNALS + 8) * steps + 2)
 
 
 _WORK = 6 * N_DOF + 8 * 4 + 12 + 6
@@ -144,21 +147,13 @@ def desk(room, n):
         room[w + 44 : at],
     )
     road, nothing, at = room[at : at + 16], room[at + 16 : at + 17], at + 17
+    row, at = room[at : at + SIGNALS], at + SIGNALS
     out, at = room[at : at + SIGNALS * n].reshape(n, SIGNALS, LANES), at + SIGNALS * n
     s, at = room[at : at + 2 * n + 1], at + 2 * n + 1
     v, at = room[at : at + 2 * n + 1], at + 2 * n + 1
     a, at = room[at : at + 3 * n].reshape(3, n, LANES), at + 3 * n
     heave = room[at : at + n].reshape(1, n, LANES)
-    return Desk(work, road, nothing, out, s, v, a, heave)
-
-
-@kernel
-def _lay_course(course, done, h, s, v):
-    """Stations and speeds (2 n + 1, LANES) at the half steps of an interval at constant speed."""
-    for i in range(s.shape[0]):
-        for k in range(LANES):
-            s[i, k] = course[BEGIN, k] + 0.5 * h * (2.0 * done[k] + i) * course[SPEED, k]
-            v[i, k] = course[SPEED, k]
+    return Desk(work, road, row, nothing, out, s, v, a, heave)
 
 
 @kernel
@@ -296,7 +291,7 @@ def drive_blocks(blocks, cars, common, heights, noise, given, pipes, turns, room
         q, v, memory, way = cars.q[b], cars.v[b], cars.memory[b], cars.way[b]
         course, counts, numbers = cars.course[b], cars.counts[b], seen.numbers[rows]
         ways = Ways(heights[b], way[FIRST:SIZE], way[SIZE], way[START], way[DS])
-        _lay_course(course, counts[DONE], common.h, top.s, top.v)
+        lay_course(course[BEGIN], course[SPEED], counts[DONE], common.h, top.s, top.v)
         pipes[0] = given[b]
         through_pipe(cars.pipe[b], common.delay, counts[PASSED], pipes[0], pipes[1])
         drive_lanes(
@@ -316,6 +311,8 @@ def drive_blocks(blocks, cars, common, heights, noise, given, pipes, turns, room
             common.h,
             top.work,
             top.road,
+            top.row,
+            common.columns,
             top.out,
         )
         _find_failures(top.out, q, v, top.nothing, seen.broken[rows], seen.turned[rows])

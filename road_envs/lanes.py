@@ -18,7 +18,7 @@ from road_envs.dynamics import N_DOF, NUMBERS, extension
 from road_envs.integrator import SIGNALS, Work, step
 from road_envs.jit import kernel
 from road_envs.roads.surface import PAD, Surface, catmull_rom
-from road_envs.simulate import Drive, half_steps
+from road_envs.simulate import Drive
 from road_envs.suspension import settled, switch
 from road_envs.vector import LANES, four, get, maximum, minimum, put, whole
 
@@ -119,6 +119,15 @@ def through_pipe(pipe, delay, passed, commands, arriving):
 
 
 @kernel
+def lay_course(begin, v, done, h, s, speed):
+    """Stations and speeds (M, LANES) at half steps from `done` (LANES,) steps on, at speeds `v`."""
+    for i in range(s.shape[0]):
+        for k in range(LANES):
+            s[i, k] = begin[k] + 0.5 * h * (2.0 * done[k] + i) * v[k]
+            speed[i, k] = v[k]
+
+
+@kernel
 def drive_lanes(
     p,
     numbers,
@@ -136,13 +145,17 @@ def drive_lanes(
     h,
     work,
     road,
+    row,
+    columns,
     out,
 ):
     """Drive LANES vehicles; `q`, `v` (7, LANES), `memory` (4, 3, LANES) end as they stand then.
 
-    `s`, `speed` (2 N + 1, LANES), `turn` (4 N + 2, LANES), `commands` (N, LANES) and `out`
-    (N, 29, LANES) as in `integrator.drive`; `alpha` (LANES,) is the share of the way to its target
-    that a valve goes in a step. `work` and `road` (16, LANES) are scratch.
+    `s`, `speed` (2 N + 1, LANES), `turn` (4 N + 2, LANES) and `commands` (N, LANES) as in
+    `integrator.drive`; `alpha` (LANES,) is the share of the way to its target that a valve goes in
+    a step. Of the 29 signals those of `columns` (C,) go to `out` (N, C, LANES): more of them than
+    the caches hold cost as much time as the motion. `work`, `road` (16, LANES) and `row`
+    (29, LANES) are scratch.
     """
     last = np.zeros(LANES, dtype=np.uint8)
     calm = np.zeros(LANES, dtype=np.bool_)
@@ -155,7 +168,9 @@ def drive_lanes(
                 calm[k] = switch_lane(numbers[k : k + 1], memory, q, k, byte, alpha[k], h)
                 last[k] = byte
         between = turn[4 * n : 4 * n + 4]
-        step(p, velocity, displacement, memory, q, v, road, between, h, work, out[n])
+        step(p, velocity, displacement, memory, q, v, road, between, h, work, row)
+        for c in range(columns.size):
+            put(out[n], c, get(row, columns[c]))
 
 
 class _Block:
@@ -178,7 +193,7 @@ class _Block:
         self.h = everyone[0].step
         lags = np.array([drive.car.valve.lag for drive in everyone])
         self.alpha = copied(1.0 - np.exp(-self.h / lags))
-        self.work, self.road = workspace(), aligned(16)
+        self.work, self.road, self.row = workspace(), aligned(16), aligned(SIGNALS)
         self.steady = _steady(everyone)
         self.delay = np.array([drive.pipe.size for drive in everyone])
         self.pipe = np.zeros((self.delay.max(), LANES), dtype=np.uint8)
@@ -186,15 +201,16 @@ class _Block:
             self.pipe[: drive.pipe.size, k] = drive.pipe
         self.passed = np.zeros(LANES, dtype=np.int64)
 
-    def advance(self, commands: np.ndarray, out: np.ndarray) -> None:
-        """Write the signals (n, 29, LANES) under commands (n, vehicles)."""
+    def advance(self, commands: np.ndarray, columns: np.ndarray, out: np.ndarray) -> None:
+        """Write the signals (n, C, LANES) under commands (n, vehicles)."""
         n, own = len(commands), len(self.drives)
         given, byte = np.empty((2, n, LANES), dtype=np.uint8)
         given[:, :own], given[:, own:] = commands, commands[:, -1:]
         through_pipe(self.pipe, self.delay, self.passed, given, byte)
         tables = (self.numbers, self.velocity, self.displacement, self.memory)
         course = (*self._course(n), byte, self.alpha, self.h)
-        drive_lanes(self.p, *tables, self.q, self.v, self.ways, *course, self.work, self.road, out)
+        scratch = (self.work, self.road, self.row)
+        drive_lanes(self.p, *tables, self.q, self.v, self.ways, *course, *scratch, columns, out)
         for drive in self.drives:
             drive.steps += n
 
@@ -202,9 +218,8 @@ class _Block:
         """Stations and speeds (2 n + 1, LANES); a_x, a_y one below the other (4 n + 2, LANES)."""
         s, speed, turn = aligned(2 * n + 1), aligned(2 * n + 1), aligned(2 * n + 1, 2)
         if self.steady is not None:
-            begin, v = self.steady
-            s[:] = begin + half_steps(self.h, self.drives[0].steps, n)[:, None] * v
-            speed[:] = v
+            done = np.full(LANES, self.drives[0].steps)
+            lay_course(*self.steady, done, self.h, s, speed)
         else:
             for k, drive in enumerate(self.everyone):
                 s[:, k], speed[:, k], turn[:, :, k] = drive.course(n)
@@ -246,24 +261,29 @@ class Fleet:
     """Drives that go on side by side, each its own vehicle, surface, speed and commands.
 
     All take the same integrator step. While they are in the fleet it holds their motion; `land`
-    puts it back into the drives. Blocks of LANES vehicles are spread over `threads`. Raises
-    ConfigError on drives of different steps and on an empty fleet.
+    puts it back into the drives. Blocks of LANES vehicles are spread over `threads`. `columns`
+    chooses signals, all 29 by default; what is not needed is better left out, since writing costs
+    time. Raises ConfigError on drives of different steps, an empty fleet and unknown columns.
     """
 
-    def __init__(self, drives: Sequence[Drive], threads: int = 1):
+    def __init__(
+        self, drives: Sequence[Drive], threads: int = 1, columns: Sequence[int] = range(SIGNALS)
+    ):
         if not drives:
             raise ConfigError("a fleet needs at least one drive")
         if len({drive.step for drive in drives}) > 1:
             raise ConfigError("the drives of a fleet must have one integrator step")
-        self.drives, self.threads = list(drives), threads
+        if wrong := [c for c in columns if not 0 <= c < SIGNALS]:
+            raise ConfigError(f"columns of signals are 0 to {SIGNALS - 1}, got {wrong}")
+        self.drives, self.threads, self.columns = list(drives), threads, np.array(columns)
         self.blocks = [_Block(drives[i : i + LANES]) for i in range(0, len(drives), LANES)]
 
     def signals(self, n: int) -> np.ndarray:
-        """Room (blocks, n, 29, LANES) for the signals of n steps, to be used again and again."""
-        return aligned(len(self.blocks), n, SIGNALS)
+        """Room (blocks, n, C, LANES) for the signals of n steps, to be used again and again."""
+        return aligned(len(self.blocks), n, self.columns.size)
 
     def advance(self, commands: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
-        """Signals (blocks, n, 29, LANES) at the beginnings of n steps, in `out` if it is given.
+        """Signals (blocks, n, C, LANES) at the beginnings of n steps, in `out` if it is given.
 
         `commands` (vehicles, n) are bytes. Vehicle k is lane k % LANES of block k // LANES; `of`
         picks it. A vehicle whose motion leaves the range of numbers has NaN in its signals; the
@@ -275,10 +295,10 @@ class Fleet:
         work = zip(self.blocks, parts, out, strict=True)
         if self.threads == 1:
             for block, part, signals in work:
-                block.advance(part, signals)
+                block.advance(part, self.columns, signals)
         else:
             with ThreadPoolExecutor(self.threads) as pool:
-                list(pool.map(lambda job: job[0].advance(*job[1:]), work))
+                list(pool.map(lambda job: job[0].advance(job[1], self.columns, job[2]), work))
         return out
 
     def land(self) -> list[Drive]:
@@ -289,5 +309,5 @@ class Fleet:
 
 
 def of(signals: np.ndarray, k: int) -> np.ndarray:
-    """Signals (n, 29) of vehicle `k` out of those of a fleet (blocks, n, 29, LANES); a view."""
+    """Signals (n, C) of vehicle `k` out of those of a fleet (blocks, n, C, LANES); a view."""
     return signals[k // LANES, :, :, k % LANES]
