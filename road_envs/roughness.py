@@ -9,6 +9,7 @@ the same density.
 import numpy as np
 from scipy.linalg import expm
 from scipy.signal import lfilter, welch
+from scipy.special import gamma, kv
 
 N_0 = 0.1
 """Reference spatial frequency of ISO 8608 [cycles/m]."""
@@ -30,6 +31,19 @@ def dsd(z: np.ndarray, ds: float, segment: float = 100.0) -> tuple[np.ndarray, n
     size = min(z.shape[-1], round(segment / ds))
     n, G = welch(z, 1.0 / ds, "hann", size, size // 2, detrend="linear")
     return n[1:], G[..., 1:]
+
+
+def isotropic(n: np.ndarray, w: float, track: float) -> np.ndarray:
+    """Root of the coherence of two paths `track` [m] apart at `n` [cycles/m], any shape.
+
+    Of a surface that is equally rough in all directions and of waviness `w`. With x = 2 pi n track
+    and v = w / 2 it is 2^(1-v) / Gamma(v) x^v K_v(x), which is x K_1(x) for w = 2 (Kamash & Robson,
+    J. Sound Vib. 57, 1978, for w = 2; Matérn's integral for any w). At n = 0 it is 1.
+    """
+    x, v = 2.0 * np.pi * np.asarray(n, dtype=float) * track, 0.5 * w
+    at = np.maximum(x, 1e-12)  # K is infinite at 0, its product with x^v is not
+    # K underflows to 0 for large x, as it should
+    return np.clip(2.0 ** (1.0 - v) / gamma(v) * at**v * kv(v, at), 0.0, 1.0)
 
 
 def smooth(n: np.ndarray, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

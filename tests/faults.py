@@ -125,7 +125,7 @@ FAULTS = [
           "sensors::test_noise_has_its_density_at_every_step"),
     Fault(SENSORS, "np.clip(a, -self.range, self.range)", "np.clip(a, -np.inf, self.range)",
           "sensors::test_an_instrument_clips_at_its_range_before_the_filter"),
-    Fault(SENSORS, ".x + self.ahead", ".x - self.ahead", PLACED),
+    Fault("road_envs/instruments.py", ".x + self.ahead", ".x - self.ahead", PLACED),
     Fault(SENSORS, "-self.taken % self.every", "self.taken % self.every",
           "sensors::test_chunks_are_sensed_as_the_whole_to_the_bit"),
     Fault(SENSORS, "standard_normal(a.shape[::-1]).T", "standard_normal(a.shape)",

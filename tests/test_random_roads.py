@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from oracles_roads import CLASS_MEANS, iso_density, isotropic_root_coherence, segment_spectrum
 
 from road_envs.roads import load_road, with_length
-from road_envs.roads.iso8608 import Iso8608, isotropic
+from road_envs.roads.iso8608 import Iso8608
+from road_envs.roughness import isotropic
 
 
 def rng(seed=0):

@@ -60,6 +60,27 @@ def test_sensors_feel_the_rigid_body_where_the_paper_put_them(name):
     assert SENSORS == ("RF", "LR", "RR")
 
 
+@pytest.mark.parametrize("name", CARS)
+def test_the_places_an_estimator_is_told_are_those_of_the_sensors(name):
+    car = CARS[name]
+    assert PAPER.places(car) == {
+        "RF": (car.front.x - 0.12, -0.55),
+        "LR": (car.rear.x - 0.62, 0.55),
+        "RR": (car.rear.x - 0.62, -0.55),
+    }
+
+
+def test_the_response_an_estimator_is_told_is_that_of_the_filter():
+    """SciPy's analogue filter; the logger's sampled one, where signals are, but for 0.12 ms."""
+    f = np.geomspace(0.01, 1000.0, 60)
+    b, a = signal.butter(4, 2.0 * np.pi * PAPER.f_alias, analog=True)
+    expected = signal.freqs(b, a, 2.0 * np.pi * f)[1]
+    np.testing.assert_allclose(PAPER.response(f), expected, rtol=1e-9)
+    slow = f[f < 30.0]
+    sampled = signal.sosfreqz(logger(PAPER, step=0.0005).sos, slow, fs=2000.0)[1]
+    np.testing.assert_allclose(PAPER.response(slow), sampled, atol=1.2e-4 * 2.0 * np.pi * 30.0)
+
+
 # --- noise, range, filter, samples ----------------------------------------------------------------
 
 

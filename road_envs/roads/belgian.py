@@ -20,14 +20,13 @@ from road_envs.config import STRICT
 from road_envs.roads.checks import check_positive
 from road_envs.roads.iso8608 import (
     check_band,
-    isotropic,
     line_edges,
     middle,
     power_law,
     synthesise,
 )
 from road_envs.roads.surface import Surface
-from road_envs.roughness import N_0
+from road_envs.roughness import N_0, isotropic
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,11 +8,7 @@ whatever the spacing. The lines are denser than 1/length, so that a road does no
 
 The two wheel paths, a `track` B apart, are the sum and the difference of two independent roads of
 densities (1 ± g) G_d / 2: each path has density G_d, their cross-spectrum is g G_d, and g² is
-their coherence. A surface that is equally rough in all directions has (x = 2 pi n B, v = w / 2)
-
-    g(n) = 2^(1-v) / Gamma(v) x^v K_v(x),      which is x K_1(x) for w = 2
-
-(Kamash & Robson, J. Sound Vib. 57, 1978, for w = 2; Matérn's integral for any w).
+their coherence; `roughness.isotropic` is that of a surface equally rough in all directions.
 
 With a `variation` the lines are not independent: they are those of white noise whose variance
 follows the roughness along the road.
@@ -23,13 +19,12 @@ from typing import Annotated, Literal
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.special import gamma, kv
 
 from road_envs.config import STRICT
 from road_envs.roads.checks import check_positive, check_size
 from road_envs.roads.nonstationary import Variation
 from road_envs.roads.surface import Surface
-from road_envs.roughness import CLASSES, N_0
+from road_envs.roughness import CLASSES, N_0, isotropic
 
 RoadClass = Literal["A", "B", "C", "D", "E", "F", "G", "H"]
 Coherence = Literal["isotropic", "full", "none"]
@@ -76,13 +71,6 @@ class Iso8608:
             g = isotropic(middle(edges), self.w, self.track)
         name = f"iso8608 {self.road_class or f'G_d0={self.G_d0:g}'}"
         return synthesise(rng, self, edges, power, g, name, self.variation)
-
-
-def isotropic(n: np.ndarray, w: float, track: float) -> np.ndarray:
-    """Root of the coherence of two paths on an isotropic surface at `n` [cycles/m], any shape."""
-    x, v = 2.0 * np.pi * n * track, 0.5 * w
-    # K underflows to 0 for large x, as it should
-    return np.clip(2.0 ** (1.0 - v) / gamma(v) * x**v * kv(v, x), 0.0, 1.0)
 
 
 def power_law(edges: np.ndarray, G_d0: float, w: float) -> np.ndarray:
