@@ -8,7 +8,16 @@ import sys
 import typer
 
 from estimators.protocol import EstimateError, NotFittedError
-from leaderboard.commands import animate, bench, board, drives, policies, precision, roads
+from leaderboard.commands import (
+    animate,
+    bench,
+    board,
+    drives,
+    observability,
+    policies,
+    precision,
+    roads,
+)
 from road_envs.config import ConfigError
 from road_envs.simulate import SimulationError
 
@@ -30,6 +39,7 @@ app.add_typer(roads.app, name="roads")
 app.command("animate")(animate.animate)
 app.command("bench")(bench.bench)
 app.command("precision")(precision.precision)
+app.command("observability")(observability.observability)
 
 
 @app.callback()

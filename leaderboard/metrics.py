@@ -17,13 +17,16 @@ import numpy as np
 from scipy import signal
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
+from road_envs.record import F_MAX as F_MAX
+from road_envs.record import N_HI as N_HI
+from road_envs.record import N_LO as N_LO
+from road_envs.record import scored_band as scored_band
+
 VERSION = 1
 """Goes up whenever a score of the same two profiles changes; older results are then stale."""
 
 Band = tuple[float, float]
 FULL_BAND: Band = (0.05, 3.0)
-N_LO, N_HI = 0.2, 1.8
-F_MAX = 0.9 * 25.0  # [Hz] nine tenths of the accelerometers' low-pass
 LAG_MAX = 0.5  # [m]
 SEGMENT = 10.0  # [m] of the coherence's Welch segments: 0.1 cycles/m apart
 NOTHING = 1e-9  # an rms below this share of the truth's is rounding, not content
@@ -43,14 +46,6 @@ class Correlation(NamedTuple):
     r: float
     lag: float
     r_at_lag: float
-
-
-def scored_band(v: float) -> Band:
-    """Band [cycles/m] in which a drive at `v` [m/s] is judged: 0.2 to min(1.8, 0.9 x 25 Hz / v)."""
-    n_hi = min(N_HI, F_MAX / v)
-    if not n_hi > N_LO:
-        raise ValueError(f"at {v:g} m/s nothing above {N_LO} cycles/m passes the 25 Hz low-pass")
-    return N_LO, n_hi
 
 
 def band_pass(z: np.ndarray, ds: float, band: Band) -> np.ndarray:

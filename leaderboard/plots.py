@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from road_envs.record import SENSORS, Estimate, Profile, Record
+from road_envs.observability import Posterior
+from road_envs.record import SENSORS, Estimate, Profile, Record, scored_band
 from road_envs.roads import Surface
 from road_envs.roughness import CLASSES, N_0, dsd, smooth
 
@@ -112,6 +113,41 @@ def draw_precision(
         axes.legend(frameon=False)
 
     _write(paint, (8.5, 5.5), path)
+
+
+LOOKS = (("#D55E00", "-"), ("#0072B2", "--"), ("#009E73", "-."), ("#CC79A7", ":"))
+
+
+def draw_observability(
+    curves: list[tuple[str, float, Posterior, float]], title: str, path: Path
+) -> None:
+    """Share of the amplitude left unknown over n, for the mean and the difference of the wheel
+    paths: one column for each speed, one line for each (mode, km/h, posterior, in-band NRMSE).
+    """
+    speeds = list(dict.fromkeys(speed for _, speed, _, _ in curves))
+
+    def paint(figure: Any) -> None:
+        panels = figure.subplots(2, len(speeds), sharex=True, sharey=True, squeeze=False)
+        for column, speed in zip(panels.T, speeds, strict=True):
+            here = [(mode, found, e) for mode, at, found, e in curves if at == speed]
+            for axes, which in zip(column, ("mean", "difference"), strict=True):
+                axes.axvspan(*scored_band(speed / 3.6), color="0.94", lw=0)
+                for k, (mode, found, nrmse) in enumerate(here):
+                    colour, style = LOOKS[k % len(LOOKS)]
+                    label = f"{mode}: {nrmse:.3f}"
+                    share = found.unknown(which)
+                    axes.loglog(found.n, share, style, color=colour, lw=1.4, label=label)
+                axes.grid(which="major", color="0.85", lw=0.6)
+                axes.set_title(f"{which} of the wheel paths, {speed:g} km/h", fontsize=10)
+            column[0].legend(
+                frameon=False, fontsize=8, loc="upper right", title="front / rear: in-band NRMSE"
+            )
+            column[1].set_xlabel("spatial frequency [cycles/m]; judged band in grey")
+        for axes in panels[:, 0]:
+            axes.set(ylabel="unknown share of amplitude [-]", ylim=(3e-3, 1.3))
+        figure.suptitle(f"What the accelerometers leave unknown: {title}", fontsize=11)
+
+    _write(paint, (5.5 * len(speeds) + 0.5, 7.0), path)
 
 
 def _write(paint: Callable[[Any], None], size: tuple[float, float], path: Path) -> None:

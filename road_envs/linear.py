@@ -40,6 +40,7 @@ from road_envs.dynamics import (
     plant,
     wheel_height,
 )
+from road_envs.jit import kernel
 from road_envs.suspension import WHEELS, command, memory_at_rest, strut_force, tyre_force
 from road_envs.vehicle import VehicleParameters
 
@@ -56,7 +57,8 @@ class LinearModel:
     """x' = A x + B u, a = C x + D u for S sensors, with the names of all that these are.
 
     A (14, 14), B (14, 8), C (S, 14), D (S, 8); `M` (7,): masses [kg] and inertias [kg m²] of the
-    coordinates; `wheelbase` [m]. Units are those of the names at the same place.
+    coordinates; `wheelbase` [m]. Levers over the coordinates: `struts` (4, 7) of the extension of
+    a strut, `body` (S, 7) of the place of a sensor. Units are those of the names at the same place.
     """
 
     A: np.ndarray
@@ -64,6 +66,8 @@ class LinearModel:
     C: np.ndarray
     D: np.ndarray
     M: np.ndarray
+    struts: np.ndarray
+    body: np.ndarray
     wheelbase: float
     sensors: tuple[str, ...]
     states: tuple[str, ...] = (*DOF, *(f"{name}_dot" for name in DOF))
@@ -126,7 +130,8 @@ def linearise(
     body = np.array([_levers(x, y) for x, y in sensors.values()]).reshape(-1, N_DOF)
     M, axles = one.numbers[0]["M"].copy(), one.numbers[0]["x"]
     C, D = body @ A[N_DOF:], body @ B[N_DOF:]
-    return LinearModel(A, B, C, D, M, float(axles[0] - axles[1]), tuple(sensors))
+    struts, wheelbase = _rows(extension, one), float(axles[0] - axles[1])
+    return LinearModel(A, B, C, D, M, struts, body, wheelbase, tuple(sensors))
 
 
 def _levers(x: float, y: float) -> np.ndarray:
@@ -180,11 +185,17 @@ def gaussian_damping(
     x = np.linspace(-6.0, 6.0, 1201)
     weight = x * np.exp(-0.5 * x**2)
     weight /= weight @ x
-    found = np.empty(4)
+    F = np.empty((4, x.size))
+    _damping_forces(one.numbers[0], one.velocity, memory, rate[:, None] * x, F)
+    return F @ weight / rate
+
+
+@kernel
+def _damping_forces(p, velocity, memory, e_dot, out):
+    """Damper and friction [N] of each strut at rates of extension `e_dot` (4, K) [m/s]."""
     for w in range(4):
-        law = (suspension.damping(one.numbers[0], one.velocity, memory, w, rate[w] * k) for k in x)
-        found[w] = weight @ np.array([F for F, _ in law]) / rate[w]
-    return found
+        for k in range(e_dot.shape[1]):
+            out[w, k] = suspension.damping(p, velocity, memory, w, e_dot[w, k])[0]
 
 
 def modes(model: LinearModel) -> Modes:
@@ -211,10 +222,33 @@ def modes(model: LinearModel) -> Modes:
 
 def wheel_response(model: LinearModel, f: np.ndarray) -> np.ndarray:
     """Complex responses (F, S, 4) [m/s² per m] at `f` (F,) [Hz] to each wheel's road height."""
-    s = 2j * np.pi * np.atleast_1d(np.asarray(f, dtype=float))
-    inside = np.linalg.solve(s[:, None, None] * np.eye(2 * N_DOF) - model.A, model.B)
+    s, inside = _inside(model, f, model.B)
     inputs = model.C @ inside + model.D
-    return inputs[:, :, :4] + s[:, None, None] * inputs[:, :, 4:]
+    return inputs[:, :, :4] + s * inputs[:, :, 4:]
+
+
+def strut_rate_response(model: LinearModel, f: np.ndarray) -> np.ndarray:
+    """Complex responses (F, 4, 4) [m/s per m] of the struts' rates of extension at `f` (F,) [Hz]
+    to each wheel's road height.
+    """
+    s, inside = _inside(model, f, model.B)
+    inputs = model.struts @ inside[:, N_DOF:]
+    return inputs[:, :, :4] + s * inputs[:, :, 4:]
+
+
+def force_response(model: LinearModel, f: np.ndarray) -> np.ndarray:
+    """Complex responses (F, S, 4) [m/s² per N] of the sensors at `f` (F,) [Hz] to a force in each
+    strut beside its own, which pushes the body up and the axle down.
+    """
+    force = model.struts.T / model.M[:, None]
+    _, inside = _inside(model, f, np.vstack([np.zeros_like(force), force]))
+    return model.C @ inside + model.body @ force
+
+
+def _inside(model: LinearModel, f: np.ndarray, inputs: np.ndarray):
+    """The variable s = 2 pi j f (F, 1, 1), and the state's responses (F, 14, inputs) there."""
+    s = 2j * np.pi * np.atleast_1d(np.asarray(f, dtype=float))[:, None, None]
+    return s, np.linalg.solve(s * np.eye(2 * N_DOF) - model.A, inputs)
 
 
 def frequency_response(
@@ -230,6 +264,12 @@ def frequency_response(
     if (f is None) == (n is None):
         raise ValueError("frequencies are wanted as f [Hz] or as n [cycles/m], one of them")
     at = np.atleast_1d(np.asarray(f if n is None else v * np.asarray(n), dtype=float))
-    wheels = wheel_response(model, at)
-    delay = np.exp(-2j * np.pi * at * model.wheelbase / v)[:, None, None]
+    return by_path(model, v, at, wheel_response(model, at))
+
+
+def by_path(model: LinearModel, v: float, f: np.ndarray, wheels: np.ndarray) -> np.ndarray:
+    """Responses (F, K, 4) to the wheels' heights at `f` (F,) [Hz] as responses (F, K, 2) to the
+    left and the right wheel path, driven at `v` [m/s].
+    """
+    delay = np.exp(-2j * np.pi * f * model.wheelbase / v)[:, None, None]
     return wheels[:, :, :2] + delay * wheels[:, :, 2:]

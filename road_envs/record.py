@@ -13,6 +13,22 @@ SENSORS = ("RF", "LR", "RR")
 GRID = 100.0 / 3964
 """The paper's spacing of profile samples [m]: 3964 points over 100 m (section 5)."""
 
+N_LO, N_HI = 0.2, 1.8
+"""Band [cycles/m] in which heights are judged, as far as the speed lets them through."""
+F_MAX = 0.9 * 25.0
+"""Nine tenths of the accelerometers' low-pass [Hz]."""
+
+
+def scored_band(v: float) -> tuple[float, float]:
+    """Band [cycles/m] in which a drive at `v` [m/s] is judged: 0.2 to min(1.8, 0.9 x 25 Hz / v).
+
+    Raises ValueError if nothing is left of it.
+    """
+    n_hi = min(N_HI, F_MAX / v)
+    if not n_hi > N_LO:
+        raise ValueError(f"at {v:g} m/s nothing above {N_LO} cycles/m passes the 25 Hz low-pass")
+    return N_LO, n_hi
+
 
 def grid(length: float, ds: float = GRID) -> np.ndarray:
     """Stations (M,) [m] from 0, `ds` apart, on which a road of `length` [m] is judged."""
@@ -34,7 +50,9 @@ class Profile:
 
 @dataclass(frozen=True)
 class Estimate(Profile):
-    """An estimated profile; `z_std` (2, M) [m] is its standard deviation where a method has one."""
+    """An estimated profile, and where a method has it `z_std` (2, M) [m]: the standard deviation of
+    its error in the judged band, for the datum and the drift are nobody's claim.
+    """
 
     z_std: np.ndarray | None = None
     notes: tuple[str, ...] = ()

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
-COPIED = ("road_envs", "configs", "tests", "pyproject.toml")
+COPIED = ("road_envs", "estimators", "leaderboard", "configs", "tests", "pyproject.toml")
 PAPER_SAYS = "dynamics::test_the_car_moves_as_the_papers_equations_say"
 LEAN = "dynamics::test_in_a_manoeuvre_the_body_leans_as_an_inverted_pendulum"
 JACOBIAN = "dynamics::test_the_jacobian_is_the_slope_of_the_rates"
@@ -32,6 +32,7 @@ DUALS = "tangent::test_the_tangent_is_the_derivative_that_dual_numbers_find"
 TRANSPOSE = "tangent::test_the_adjoint_of_a_step_is_the_transpose_of_its_tangent"
 TABLE = "curves::test_the_table_is_the_curve_wherever_breakpoints_lie_on_its_grid"
 THIRD = "rosenbrock::test_a_step_and_its_error_make_a_formula_of_order_three"
+BOUND = "observability::test_the_bound_is_the_inverse_of_prior_and_measured_information"
 PAIR = "adaptive::test_the_compiled_step_and_its_error_are_those_of_the_published_pair"
 
 
@@ -47,6 +48,7 @@ class Fault(NamedTuple):
 DYNAMICS, INTEGRATOR = "road_envs/dynamics.py", "road_envs/integrator.py"
 SUSPENSION, SIMULATE = "road_envs/suspension.py", "road_envs/simulate.py"
 SENSORS, PROCESSING = "road_envs/sensors.py", "road_envs/processing.py"
+OBSERVABILITY = "road_envs/observability.py"
 TANGENT, LINEAR = "road_envs/tangent.py", "road_envs/linear.py"
 CURVES, SURFACE = "road_envs/curves.py", "road_envs/roads/surface.py"
 DATASET, CONFIG, VEHICLE = "road_envs/dataset.py", "road_envs/config.py", "road_envs/vehicle.py"
@@ -199,6 +201,19 @@ FAULTS = [
           "adaptive::test_its_trajectory_is_that_of_small_constant_steps_in_every_signal"),
     Fault(ADAPTIVE, "(now + 0.5 * k * h)", "(now + 0.25 * k * h)",
           "adaptive::test_the_drive_is_scipys_radau_and_closer_to_it_the_tighter_the_tolerance"),
+    Fault(OBSERVABILITY, "noise = np.maximum(instruments.noise_density, 1e-9) ** 2 * v",
+          "noise = np.maximum(instruments.noise_density, 1e-9) ** 2", BOUND),
+    Fault(OBSERVABILITY, "R + mismatch**2", "R + mismatch",
+          "observability::test_the_bound_is_that_of_the_benchmarks_table"),
+    Fault(OBSERVABILITY, "0.5 * (error + _adjoint(error))", "error + _adjoint(error)", BOUND),
+    Fault(OBSERVABILITY, "H[n * v > f_c] = 0.0", "pass",
+          "observability::test_nothing_is_heard_above_the_low_pass"),
+    Fault(OBSERVABILITY, "_along(self.error, 1.0, -1.0)", "_along(self.error, 0.5, -0.5)",
+          "observability::test_mean_and_difference_are_those_of_the_wheel_paths"),
+    Fault(OBSERVABILITY, "prior.spectrum(f / v) / v", "prior.spectrum(f / v)",
+          "observability::test_the_equivalent_dampers_are_the_best_for_the_motion_that_they_allow"),
+    Fault(LINEAR, "inputs = model.struts @ inside[:, N_DOF:]", "inputs = model.struts @ inside[:, :N_DOF]",
+          "observability::test_a_strut_moves_at_the_rate_of_its_ends"),
 ]  # fmt: skip
 
 

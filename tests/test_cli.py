@@ -40,6 +40,7 @@ def test_every_command_explains_itself(roadrecon):
         "animate",
         "bench",
         "precision",
+        "observability",
     ):
         code, out, _ = roadrecon(command, "--help")
         assert code == 0

@@ -1,0 +1,172 @@
+"""`observability`: what the accelerometers can know of the road at all, by state, speed and n."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from leaderboard import plots
+from leaderboard.commands import console, mode_of, print_json, progress_bar, writable
+from leaderboard.commands.drives import Json, Sensors, Vehicle
+from road_envs.config import ConfigError, one_of
+from road_envs.instruments import load_instruments
+from road_envs.observability import F_C, Posterior, RoadPrior, bound, road_damping
+from road_envs.record import scored_band
+from road_envs.roughness import CLASSES
+from road_envs.suspension import MODES, command, strut_states
+from road_envs.vehicle import load_vehicle
+
+PAIRS = (
+    "ride",
+    "handling",
+    "front=ride,rear=handling",
+    "front=handling,rear=ride",
+)
+DRAWN = (0.05, 2.5)
+"""Band [cycles/m] of the picture, as far as the low-pass lets it be seen."""
+
+
+def observability(
+    speed_kmh: Annotated[
+        list[float] | None, typer.Option(help="Speed in km/h; may be given again.")
+    ] = None,
+    mode: Annotated[
+        list[str] | None,
+        typer.Option(help="4S4 mode, as in simulate; may be given again. All four by default."),
+    ] = None,
+    road_class: Annotated[str, typer.Option(help="ISO 8608 class of the road, A to H.")] = "D",
+    noise: Annotated[
+        float | None,
+        typer.Option(help="Noise density in (m/s²)/sqrt(Hz), instead of the instruments' own."),
+    ] = None,
+    mismatch: Annotated[
+        float, typer.Option(help="Error of the model, a share of each sensor's signal.", min=0.0)
+    ] = 0.0,
+    damping: Annotated[
+        str | None,
+        typer.Option(help="Dampers in N s/m by mode, such as ride=2000,handling=5000."),
+    ] = None,
+    vehicle: Vehicle = "land_rover_defender_110",
+    sensors: Sensors = "paper",
+    out: Annotated[Path | None, typer.Option(help="Draw it over spatial frequency.")] = None,
+    json: Json = False,
+) -> None:
+    """Show the least error that any linear estimator can have, and draw it over n."""
+    writable(out, ".png", ".svg", ".pdf")
+    car, instruments = load_vehicle(vehicle), load_instruments(sensors)
+    if noise is not None:
+        try:
+            instruments = dataclasses.replace(instruments, noise_density=noise)
+        except ValueError as error:
+            raise ConfigError(str(error)) from None
+    prior = RoadPrior(
+        G_d0=CLASSES[one_of("road class", road_class, CLASSES)], track=2.0 * car.front.y_t
+    )
+    speeds, modes = speed_kmh or [14.5, 54.0], [mode_of(text) for text in mode or PAIRS]
+    for speed in speeds:
+        if not (np.isfinite(speed) and speed > 0):
+            raise ConfigError(f"the speed must be positive, got {speed} km/h")
+    given = None if damping is None else _dampers(damping)
+    chosen = [_chosen(given, m) for m in modes]  # refused before anything is computed
+    rows: list[dict[str, Any]] = []
+    curves: list[tuple[str, float, Posterior, float]] = []
+    jobs = [(*pair, speed) for pair in zip(modes, chosen, strict=True) for speed in speeds]
+    with progress_bar() as progress:
+        for k, (state, c, speed) in enumerate(jobs):
+            name, v = front_rear(state), speed / 3.6
+            progress(f"{name}, {speed:g} km/h", k / len(jobs))
+            c = road_damping(car, state, v, prior) if c is None else c
+            settings: dict[str, Any] = {"damping": c, "mismatch": mismatch}
+            found = bound(car, state, v, instruments, prior, **settings)
+            rows.append(_row(name, speed, c, found))
+            if out is not None:
+                n = np.geomspace(DRAWN[0], min(DRAWN[1], F_C / v), 3000)
+                drawn = bound(car, state, v, instruments, prior, n=n, **settings)
+                curves.append((name, speed, drawn, found.pooled))
+    facts = {
+        "vehicle": vehicle,
+        "sensors": sensors,
+        "road_class": road_class,
+        "noise_density": instruments.noise_density,
+        "mismatch": mismatch,
+    }
+    if out is not None:
+        plots.draw_observability(curves, _title(facts), out)
+    if json:
+        print_json({**facts, "bounds": rows})
+        return
+    console.print(_table(rows, speeds, _title(facts)))
+
+
+def front_rear(mode: str | dict[str, str]) -> str:
+    """A mode in few words: "ride / handling" where it is set by axle."""
+    if isinstance(mode, str):
+        return f"{mode} / {mode}"
+    if set(mode) == {"front", "rear"}:
+        return f"{mode['front']} / {mode['rear']}"
+    return ", ".join(f"{wheel} {state}" for wheel, state in mode.items())
+
+
+def _dampers(text: str) -> dict[str, float]:
+    """Dampers [N s/m] by mode from "ride=2000,handling=5000"."""
+    found = {}
+    for part in text.split(","):
+        name, equals, value = part.partition("=")
+        try:
+            found[one_of("suspension mode", name.strip(), MODES)] = float(value)
+        except ValueError as error:
+            if isinstance(error, ConfigError):
+                raise
+            equals = ""
+        if not (equals and found[name.strip()] >= 0):
+            raise ConfigError(f"a damper is given as mode=number in N s/m, got {part!r}")
+    return found
+
+
+def _chosen(dampers: dict[str, float] | None, mode: str | dict[str, str]) -> np.ndarray | None:
+    """The damper (4,) [N s/m] that goes with each strut's mode, where they are given."""
+    stiff, high = (flags[0] for flags in strut_states(np.array([command(mode)])))
+    if dampers is None:
+        return None
+    names = {state: name for name, state in MODES.items()}
+    modes = [names[bool(s), bool(h)] for s, h in zip(stiff, high, strict=True)]
+    if missing := sorted(set(modes) - set(dampers)):
+        raise ConfigError(f"dampers are given for {sorted(dampers)}, and are missing for {missing}")
+    return np.array([dampers[name] for name in modes])
+
+
+def _row(mode: str, speed: float, damping: np.ndarray, found: Posterior) -> dict[str, Any]:
+    left, right = found.nrmse()
+    return {
+        "mode": mode,
+        "speed_kmh": speed,
+        "band": scored_band(speed / 3.6),
+        "nrmse": found.pooled,
+        "nrmse_left": float(left),
+        "nrmse_right": float(right),
+        "damping": damping.tolist(),
+    }
+
+
+def _title(facts: dict[str, Any]) -> str:
+    text = f"class {facts['road_class']}, noise {facts['noise_density']:g} (m/s²)/√Hz"
+    return text + (f", {100 * facts['mismatch']:g} % mismatch" if facts["mismatch"] else "")
+
+
+def _table(rows: list[dict[str, Any]], speeds: list[float], title: str) -> Table:
+    heads = [f"{speed:g} km/h" for speed in speeds]
+    table = Table(title=f"Least in-band NRMSE: {title}", caption="left, right wheel path; pooled")
+    table.add_column("front / rear")
+    for head in heads:
+        table.add_column(head, justify="right")
+    for mode in dict.fromkeys(row["mode"] for row in rows):
+        cells = [
+            "{nrmse_left:.3f}, {nrmse_right:.3f}; {nrmse:.3f}".format(**row)
+            for row in rows
+            if row["mode"] == mode
+        ]
+        table.add_row(mode, *cells)
+    return table
