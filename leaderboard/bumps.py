@@ -1,9 +1,10 @@
 """Are the obstacles where they stand, as high as they are, and on the right wheel path?
 
-A bump is a stretch of one wheel path that rises above half the height of the lowest true bump,
-heights counted from the profile's median; stretches less than 0.5 m apart are one bump. It stands
+Obstacles stand on a road that is level between them, so the profile's median is the level. A bump
+is a stretch of one wheel path that rises above half the height of the lowest true obstacle; a hole,
+a bump of negative height, falls as far below. Stretches less than 0.5 m apart are one. It stands
 at the middle of its stretch. An estimated bump is found if it is the nearest within 0.3 m of a
-true bump of the same wheel path; one bump answers for one.
+true one of its kind on the same wheel path; one bump answers for one.
 """
 
 from typing import NamedTuple
@@ -13,10 +14,11 @@ import numpy as np
 TOLERANCE = 0.3  # [m]
 GAP = 0.5  # [m]
 LEAST = 0.02  # [m] true heights below this are no obstacles
+LEVEL = 0.005  # [m] about the median, where at least half of each wheel path lies
 
 
 class Bump(NamedTuple):
-    """An obstacle: the station of its middle and its height, both [m]."""
+    """An obstacle: the station of its middle and its height, both [m]; a hole's is negative."""
 
     s: float
     height: float
@@ -35,18 +37,32 @@ class BumpScores(NamedTuple):
 
 
 def find_bumps(z: np.ndarray, ds: float, threshold: float) -> list[Bump]:
-    """The bumps of one wheel path `z` (M,) that rise above `threshold` [m] over its median."""
+    """Where one wheel path `z` (M,) rises or falls by more than `threshold` [m] from its median."""
     z = z - np.median(z)
-    above = np.flatnonzero(z > threshold)
-    if above.size == 0:
-        return []
-    stretches = np.split(above, np.flatnonzero(np.diff(above) * ds > GAP) + 1)
-    return [Bump(ds * (i[0] + i[-1]) / 2, float(z[i].max())) for i in stretches]
+    found = []
+    for sign in (1.0, -1.0):
+        beyond = np.flatnonzero(sign * z > threshold)
+        stretches = np.split(beyond, np.flatnonzero(np.diff(beyond) * ds > GAP) + 1)
+        found += [
+            Bump(ds * (i[0] + i[-1]) / 2, sign * float((sign * z[i]).max()))
+            for i in stretches
+            if i.size
+        ]
+    return sorted(found)
+
+
+def obstacles(y: np.ndarray, ds: float) -> tuple[list[Bump], list[Bump]]:
+    """The obstacles of both wheel paths of a true road `y` (2, M) [m]; none on an uneven road."""
+    about_level = np.abs(y - np.median(y, axis=1, keepdims=True)) < LEVEL
+    if (about_level.mean(axis=1) < 0.5).any():
+        return [], []
+    left, right = (find_bumps(z, ds, LEAST) for z in y)
+    return left, right
 
 
 def bump_scores(y: np.ndarray, a: np.ndarray, ds: float) -> BumpScores | None:
     """Scores of estimate `a` against truth `y`, both (2, M) [m]; None if the truth has no bump."""
-    heights = [bump.height for z in y for bump in find_bumps(z, ds, LEAST)]
+    heights = [abs(bump.height) for path in obstacles(y, ds) for bump in path]
     if not heights:
         return None
     threshold = min(heights) / 2
@@ -76,17 +92,22 @@ def _matches(true: list[Bump], found: list[Bump]) -> list[tuple[Bump, Bump]]:
     pairs: list[tuple[Bump, Bump]] = []
     for t, f in sorted(((t, f) for t in true for f in found), key=lambda p: abs(p[0].s - p[1].s)):
         taken = any(t is t_ or f is f_ for t_, f_ in pairs)
-        if abs(t.s - f.s) <= TOLERANCE and not taken:
+        if _meet(t, f) and not taken:
             pairs.append((t, f))
     return pairs
 
 
 def _near(bump: Bump, others: list[Bump]) -> bool:
-    return any(abs(bump.s - other.s) <= TOLERANCE for other in others)
+    return any(_meet(bump, other) for other in others)
+
+
+def _meet(a: Bump, b: Bump) -> bool:
+    """Whether two obstacles are of one kind and stand at one place."""
+    return abs(a.s - b.s) <= TOLERANCE and (a.height > 0.0) == (b.height > 0.0)
 
 
 def _errors(pairs: list[tuple[Bump, Bump]]) -> list[tuple[float, float, float]]:
     return [
-        (abs(f.s - t.s), abs(f.height - t.height), abs(f.height - t.height) / t.height)
+        (abs(f.s - t.s), abs(f.height - t.height), abs(f.height - t.height) / abs(t.height))
         for t, f in pairs
     ]

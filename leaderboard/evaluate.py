@@ -21,7 +21,7 @@ from leaderboard.results import DriveScores, Result, Trace, heights
 from leaderboard.scores import scores
 from leaderboard.sentinels import SENTINELS, truth_plus_noise
 from leaderboard.tasks import Condition, Task
-from road_envs.record import Estimate, Profile
+from road_envs.record import Estimate
 from road_envs.simulate import SimulationError
 
 SEEDS = (1, 2, 3)
@@ -159,7 +159,7 @@ def _outcome(session: Session, row: Row, seed: int) -> Outcome:
 
 def _scored(session: Session, drive: int, estimate: Estimate, seed: int) -> DriveScores:
     test = session.tests[drive]
-    bounded = Profile(estimate.s, np.clip(estimate.z, -FARTHEST, FARTHEST))
+    bounded = dataclasses.replace(estimate, z=np.clip(estimate.z, -FARTHEST, FARTHEST))
     found = scores(test.truth, bounded, session.v, session.task.bumps)
     return DriveScores(
         condition=session.condition.label,

@@ -9,20 +9,30 @@ drift nor what its low-pass takes away, so a pointwise score has a band [n_lo, n
 
 A flat estimate has NRMSE 1, an unrelated road of the same roughness sqrt(2). Equation 12 compares
 two levels and nothing else: a road turned upside down scores 0. A score whose truth is flat is NaN.
+
+Where an estimate comes with a standard deviation, the error inside the band is held against it:
+
+    CRPS = mean of sigma (x (2 Phi(x) - 1) + 2 phi(x) - 1 / sqrt(pi)),       x = B e / sigma
+
+for a normal distribution (Gneiting & Raftery, J. Am. Stat. Assoc. 102, 2007, eq. 21): the mean
+absolute error, if sigma is 0.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy import signal
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.special import ndtr, ndtri
 
 from road_envs.record import F_MAX as F_MAX
 from road_envs.record import N_HI as N_HI
 from road_envs.record import N_LO as N_LO
 from road_envs.record import scored_band as scored_band
+from road_envs.roughness import without_line
 
-VERSION = 1
+VERSION = 2
 """Goes up whenever a score of the same two profiles changes; older results are then stale."""
 
 Band = tuple[float, float]
@@ -48,6 +58,14 @@ class Correlation(NamedTuple):
     r_at_lag: float
 
 
+class Uncertainty(NamedTuple):
+    """CRPS [m], and the shares [-] of errors inside the intervals that should hold 50 and 90 %."""
+
+    crps: float
+    coverage_50: float
+    coverage_90: float
+
+
 def band_pass(z: np.ndarray, ds: float, band: Band) -> np.ndarray:
     """The part of `z` (..., M) [m] inside `band`, without phase shift; (..., K) with K < M.
 
@@ -58,7 +76,7 @@ def band_pass(z: np.ndarray, ds: float, band: Band) -> np.ndarray:
     M = z.shape[-1]
     pad = min(M - 1, round(20.0 / ds))
     ends = [(0, 0)] * (z.ndim - 1) + [(pad, pad)]
-    z = np.pad(signal.detrend(z), ends, mode="reflect", reflect_type="odd")
+    z = np.pad(without_line(z), ends, mode="reflect", reflect_type="odd")
     z = z * signal.windows.tukey(z.shape[-1], 2 * pad / z.shape[-1])
     size = next_fast_len(z.shape[-1], real=True)
     n = rfftfreq(size, ds)
@@ -80,10 +98,13 @@ def correlation(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> Correlat
     y, a = band_pass(y, ds, band), band_pass(a, ds, band)
     reach = min(int(LAG_MAX / ds), y.shape[-1] // 4)
     inner = y[:, reach : y.shape[-1] - reach]
-    shifts = np.arange(-reach, reach + 1)
-    r = np.array([_pearson(inner, a[:, reach + k : reach + k + inner.shape[-1]]) for k in shifts])
+    late = sliding_window_view(a, inner.shape[-1], axis=-1)  # (2, 2 reach + 1, inner)
+    product = np.einsum("ij,ikj->k", inner, late)
+    level = np.einsum("ikj,ikj->k", late, late)
+    r = _pearson(np.sum(inner * inner), level, product)
     best = int(np.argmax(r)) if np.nan_to_num(r).any() else reach
-    return Correlation(_pearson(y, a), float(shifts[best] * ds), float(r[best]))
+    whole = _pearson(np.sum(y * y), np.sum(a * a), np.sum(y * a))
+    return Correlation(float(whole), float((best - reach) * ds), float(r[best]))
 
 
 def coherence(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> float:
@@ -92,13 +113,38 @@ def coherence(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> float:
     Two unrelated profiles have 1 / (independent segments), not 0: about 0.1 at 100 m.
     """
     size = min(round(SEGMENT / ds), y.shape[-1] // 4)
-    n, P_yy = signal.welch(y, 1.0 / ds, nperseg=size)
-    P_aa = signal.welch(a, 1.0 / ds, nperseg=size)[1]
-    P_ya = signal.csd(y, a, 1.0 / ds, nperseg=size)[1]
+    Y, A = _segments(y, size), _segments(a, size)
+    n = rfftfreq(size, ds)
     inside = (n >= band[0]) & (n <= band[1])
+    P_yy, P_aa = ((x.real**2 + x.imag**2).sum(axis=1)[:, inside] for x in (Y, A))
+    P_ya = (Y.conj() * A).sum(axis=1)[:, inside]
     product = P_yy * P_aa
     gamma2 = np.divide(np.abs(P_ya) ** 2, product, out=np.zeros_like(product), where=product > 0)
-    return float(gamma2[:, inside].mean()) if P_yy.any() else np.nan
+    return float(gamma2.mean()) if P_yy.any() else np.nan
+
+
+def uncertainty(
+    y: np.ndarray, a: np.ndarray, sigma: np.ndarray, ds: float, band: Band
+) -> Uncertainty:
+    """How honest the standard deviation `sigma` (2, M) [m] of an estimate is about its error.
+
+    Errors are those inside `band`: of the drift outside of it nobody can be sure. A `sigma` of 0
+    claims to know, and only an error of 0 lies inside its intervals.
+    """
+    e = band_pass(a - y, ds, band)
+    trim = (y.shape[-1] - e.shape[-1]) // 2
+    sigma = sigma[:, trim : trim + e.shape[-1]]
+    shares = [float(np.mean(np.abs(e) <= ndtri(0.5 + 0.5 * p) * sigma)) for p in (0.5, 0.9)]
+    return Uncertainty(crps(e, sigma), *shares)
+
+
+def crps(e: np.ndarray, sigma: np.ndarray) -> float:
+    """Mean CRPS [m] of normal forecasts that err by `e` and claim `sigma`, both (...) [m]."""
+    e = np.abs(e)
+    x = np.divide(e, sigma, out=np.full_like(e, np.inf), where=sigma > 0)
+    density = np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi)
+    spread = sigma * (2.0 * density - 1.0 / np.sqrt(np.pi))
+    return float(np.mean(e * (2.0 * ndtr(x) - 1.0) + spread))
 
 
 def level_error(y: np.ndarray, a: np.ndarray) -> Sides:
@@ -123,9 +169,16 @@ def _ratio(above: np.ndarray, below: np.ndarray) -> Sides:
     return Sides(*np.sqrt(ratio).tolist())
 
 
-def _pearson(y: np.ndarray, a: np.ndarray) -> float:
-    """Correlation over both wheel paths of band-passed (hence mean-free) profiles (2, K)."""
-    yy, aa = np.sum(y * y), np.sum(a * a)
+def _pearson(yy: np.ndarray, aa: np.ndarray, ya: np.ndarray) -> np.ndarray:
+    """Correlation from sums of squares and products of band-passed (hence mean-free) profiles."""
     if yy == 0.0:
-        return np.nan
-    return float(np.sum(y * a) / np.sqrt(yy * aa)) if aa > NOTHING**2 * yy else 0.0
+        return np.full_like(ya, np.nan)
+    heard = aa > NOTHING**2 * yy
+    return np.where(heard, ya / np.sqrt(yy * np.where(heard, aa, 1.0)), 0.0)
+
+
+def _segments(z: np.ndarray, size: int) -> np.ndarray:
+    """Spectra (2, segments, K) of half-overlapping Hann-windowed stretches of `z` (2, M)."""
+    parts = sliding_window_view(z, size, axis=-1)[:, :: size - size // 2]
+    window = signal.windows.hann(size, sym=False)
+    return rfft((parts - parts.mean(axis=-1, keepdims=True)) * window)

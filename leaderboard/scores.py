@@ -6,7 +6,7 @@ import numpy as np
 
 from leaderboard import metrics, spectral
 from leaderboard.bumps import bump_scores
-from road_envs.record import Profile
+from road_envs.record import Estimate, Profile
 
 NOTHING = "–"
 """Stands for a score that is not defined."""
@@ -50,7 +50,8 @@ SCORES = {
     "class_exact": Score("octaves in the true class", "%", 100.0, 0, "high"),
     "class_within_one": Score("octaves within one class", "%", 100.0, 0, "high"),
     "fitted_class": Score("fitted class right", "%", 100.0, 0, "high"),
-    "G_d0_error_db": Score("error of Gd(n0)", "dB", 1.0, 1, "zero"),
+    "G_d0_error_db": Score("error of Gd(n0)", "dB", 1.0, 1, "low"),
+    "G_d0_bias_db": Score("error of Gd(n0) with its sign", "dB", 1.0, 1, "zero"),
     "iri_error": Score("IRI error", "mm/m", 1.0, 2, "low"),
     "iri_error_relative": Score("IRI error", "%", 100.0, 0, "low"),
     "bump_precision": Score("bump precision", "%", 100.0, 0, "high"),
@@ -60,11 +61,23 @@ SCORES = {
     "bump_height_error": Score("bump height error", "mm", 1000.0, 0, "low"),
     "bump_height_error_relative": Score("bump height error", "%", 100.0, 0, "low"),
     "bump_ghosts": Score("ghost bumps", "", 1.0, 1, "low"),
+    "crps": Score("CRPS in band", "mm", 1000.0, 2, "low"),
+    "coverage_50": Score("inside the 50 % interval", "%", 100.0, 0, ""),
+    "coverage_90": Score("inside the 90 % interval", "%", 100.0, 0, ""),
+    **{
+        f"class_exact_{n:g}": Score(f"class at {n:g} cycles/m", "%", 100.0, 0, "high")
+        for n in spectral.OCTAVES
+    },
+    **{
+        f"error_at_{n:.3g}": Score(f"NRMSE at {n:.3g} cycles/m", "", 1.0, 2, "low")
+        for n in spectral.THIRDS
+    },
 }
 
 
-def scores(truth: Profile, estimate: Profile, v: float, bumps: bool) -> dict[str, float]:
-    """All scores of an estimate of a drive at `v` [m/s]; those of obstacles where `bumps` says so.
+def scores(truth: Profile, estimate: Estimate, v: float, bumps: bool) -> dict[str, float]:
+    """All scores of an estimate of a drive at `v` [m/s]; those of obstacles where `bumps` says so
+    and the truth has some, those of uncertainty where the estimate has a standard deviation.
 
     Equation 12 is taken of heights about their mean: a surface starts at height 0 by convention,
     and a level that counts from there would measure the convention. `level_error_raw` does.
@@ -74,6 +87,9 @@ def scores(truth: Profile, estimate: Profile, v: float, bumps: bool) -> dict[str
     result = _profile_scores(y, a, ds, v) | spectral.scores(y, a, ds, v)
     if bumps and (found := bump_scores(y, a, ds)) is not None:
         result |= {f"bump_{name}": float(value) for name, value in found._asdict().items()}
+    if estimate.z_std is not None:
+        band = metrics.scored_band(v)
+        result |= metrics.uncertainty(y, a, estimate.z_std, ds, band)._asdict()
     return result
 
 

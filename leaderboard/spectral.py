@@ -23,26 +23,48 @@ from road_envs.roughness import (
 
 CAP = 60.0  # [dB]
 IRI_SEGMENT = 100.0  # [m]
+OCTAVES = (0.25, 0.5, 1.0, 2.0)  # [cycles/m] in which classes are compared
+THIRDS = 2.0 ** (np.arange(-9, 6) / 3.0)
+"""Centres [cycles/m] of the third octaves over which the error is told: 0.125 to 3.17."""
 
 
 def scores(y: np.ndarray, a: np.ndarray, ds: float, v: float) -> dict[str, float]:
     """All scores of roughness for a drive at `v` [m/s]."""
     band = scored_band(v)
-    (n, G_y), (_, G_a) = dsd(y, ds), dsd(a, ds)
+    n, (G_y, G_a, G_e) = dsd(np.stack([y, a, a - y]), ds)
     distance, bias = dsd_distance(n, G_y, G_a, band)
-    exact, within_one = class_agreement(n, G_y, G_a, v)
-    fitted, G_d0_error = fitted_class(n, G_y, G_a, band)
+    steps = class_steps(n, G_y, G_a, v)
+    fitted, size, signed = fitted_class(n, G_y, G_a, band)
     error, relative = iri_error(y, a, ds)
     return {
         "dsd_distance_db": distance,
         "dsd_bias_db": bias,
-        "class_exact": exact,
-        "class_within_one": within_one,
+        "class_exact": _share(steps == 0),
+        "class_within_one": _share(np.abs(steps) <= 1),
         "fitted_class": fitted,
-        "G_d0_error_db": G_d0_error,
+        "G_d0_error_db": size,
+        "G_d0_bias_db": signed,
         "iri_error": error,
         "iri_error_relative": relative,
+        **{
+            f"class_exact_{n_c:g}": _share(steps[:, k] == 0) if k < steps.shape[1] else np.nan
+            for k, n_c in enumerate(OCTAVES)
+        },
+        **{
+            f"error_at_{n_c:.3g}": x
+            for n_c, x in zip(THIRDS, error_over_n(n, G_y, G_e), strict=True)
+        },
     }
+
+
+def error_over_n(n: np.ndarray, G_y: np.ndarray, G_e: np.ndarray) -> list[float]:
+    """NRMSE [-] in each of THIRDS: root of the error's power over the truth's, both paths."""
+    true, wrong = (
+        band_means(n, G.sum(axis=0), THIRDS * 2.0 ** (-1 / 6), THIRDS * 2.0 ** (1 / 6))
+        for G in (G_y, G_e)
+    )
+    ratio = np.divide(wrong, true, out=np.full_like(true, np.nan), where=true > 0)
+    return np.sqrt(ratio).tolist()
 
 
 def dsd_distance(
@@ -57,31 +79,30 @@ def dsd_distance(
     return float(np.sqrt(np.mean(ratio**2))), float(np.mean(ratio))
 
 
-def class_agreement(
-    n: np.ndarray, G_y: np.ndarray, G_a: np.ndarray, v: float
-) -> tuple[float, float]:
-    """Shares [-] of octaves (both wheel paths) in the true ISO class, and within one class of it.
+def class_steps(n: np.ndarray, G_y: np.ndarray, G_a: np.ndarray, v: float) -> np.ndarray:
+    """By how many ISO classes an octave is taken for too rough: (2, octaves), 0 where it is right.
 
-    The octaves at 0.25, 0.5, 1 and 2 cycles/m, as far as the 25 Hz low-pass leaves them whole.
+    OCTAVES as far as the 25 Hz low-pass at `v` [m/s] leaves them whole; perhaps none.
     """
-    octaves = (0.25, min(2.0, F_MAX / v / np.sqrt(2.0)))
-    if octaves[1] < octaves[0]:
-        return np.nan, np.nan
-    true, found = (octave_levels(n, G, octaves)[1].ravel() for G in (G_y, G_a))
-    steps = [_index(a) - _index(y) for a, y in zip(found, true, strict=True)]
-    return float(np.mean(np.equal(steps, 0))), float(np.mean(np.abs(steps) <= 1))
+    whole = [n_c for n_c in OCTAVES if n_c * np.sqrt(2.0) <= F_MAX / v]
+    if not whole:
+        return np.zeros((2, 0), dtype=int)
+    octaves = (whole[0], whole[-1])
+    true, found = (octave_levels(n, G, octaves)[1] for G in (G_y, G_a))
+    return np.vectorize(_index, otypes=[int])(found) - np.vectorize(_index, otypes=[int])(true)
 
 
 def fitted_class(
     n: np.ndarray, G_y: np.ndarray, G_a: np.ndarray, band: Band
-) -> tuple[float, float]:
-    """Share [-] of wheel paths whose class is right, and mean size [dB] of the error of Gd(n0).
+) -> tuple[float, float, float]:
+    """Share [-] of wheel paths whose class is right, and the error of Gd(n0) [dB]: mean size, mean.
 
     Class and Gd(n0) are those of the line with w = 2 through the smoothed density inside `band`.
     """
     true, found = (np.array([_level(n, path, band) for path in G]) for G in (G_y, G_a))
     right = [classify(a) == classify(y) for a, y in zip(found, true, strict=True)]
-    return float(np.mean(right)), float(np.mean(np.abs(_decibels(found, true))))
+    error = _decibels(found, true)
+    return float(np.mean(right)), float(np.mean(np.abs(error))), float(np.mean(error))
 
 
 def iri_error(y: np.ndarray, a: np.ndarray, ds: float) -> tuple[float, float]:
@@ -103,6 +124,10 @@ def _level(n: np.ndarray, G: np.ndarray, band: Band) -> float:
     n, G = smooth(n, G)
     inside = (n >= band[0]) & (n <= band[1]) & (G > 0.0)
     return fit_line(n, G, w=2.0, band=band)[0] if inside.sum() >= 2 else 0.0
+
+
+def _share(hits: np.ndarray) -> float:
+    return float(np.mean(hits)) if hits.size else np.nan
 
 
 def _index(G_d0: float) -> int:

@@ -6,6 +6,8 @@ the density G_d(n0) [m³] at n0 = 0.1 cycles/m of the road with G_d = G_d(n0) (n
 the same density.
 """
 
+from functools import cache
+
 import numpy as np
 from scipy.linalg import expm
 from scipy.signal import lfilter, welch
@@ -29,7 +31,7 @@ def dsd(z: np.ndarray, ds: float, segment: float = 100.0) -> tuple[np.ndarray, n
     """
     z = np.asarray(z, dtype=float)
     size = min(z.shape[-1], round(segment / ds))
-    n, G = welch(z, 1.0 / ds, "hann", size, size // 2, detrend="linear")
+    n, G = welch(z, 1.0 / ds, "hann", size, size // 2, detrend=without_line)
     return n[1:], G[..., 1:]
 
 
@@ -44,6 +46,13 @@ def isotropic(n: np.ndarray, w: float, track: float) -> np.ndarray:
     at = np.maximum(x, 1e-12)  # K is infinite at 0, its product with x^v is not
     # K underflows to 0 for large x, as it should
     return np.clip(2.0 ** (1.0 - v) / gamma(v) * at**v * kv(v, at), 0.0, 1.0)
+
+
+def without_line(z: np.ndarray) -> np.ndarray:
+    """`z` (..., N) without the straight line of least squares along the last axis."""
+    x = np.arange(z.shape[-1]) - 0.5 * (z.shape[-1] - 1)
+    slope = z @ x / (x @ x)
+    return z - z.mean(axis=-1, keepdims=True) - slope[..., None] * x
 
 
 def smooth(n: np.ndarray, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -148,6 +157,19 @@ def golden_car(z: np.ndarray, ds: float, average: float = 0.25) -> np.ndarray:
     first = max(1, min(round(11.0 / ds), z.shape[-1] - 1))
     start = (z[..., first] - z[..., 0]) / (first * ds)
 
+    poles, modes, inputs = _golden_modes(ds)
+    before = np.linalg.solve(modes, np.array([1.0, 0.0, 1.0, 0.0]))
+    rattle = modes[0] - modes[2]
+    out = np.zeros(slope.shape, dtype=complex)
+    for pole, gain, x, seen in zip(poles, inputs, before, rattle, strict=True):
+        zi = pole * x * start[..., None]
+        out += seen * lfilter([gain], [1.0, -pole], slope, zi=zi)[0]
+    return out.real
+
+
+@cache
+def _golden_modes(ds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Poles (4,), modes (4, 4) and modal inputs (4,) of the golden car over one step `ds` [m]."""
     K1, K2, C, mu = 653.0, 63.3, 6.0, 0.15
     A = np.array(
         [
@@ -158,15 +180,7 @@ def golden_car(z: np.ndarray, ds: float, average: float = 0.25) -> np.ndarray:
         ]
     )
     B = np.array([0.0, 0.0, 0.0, K1 / mu])
-    dt = ds / (80.0 / 3.6)
-    S = expm(A * dt)
+    S = expm(A * ds / (80.0 / 3.6))
     P = np.linalg.solve(A, (S - np.eye(4)) @ B)
     poles, modes = np.linalg.eig(S)
-    inputs = np.linalg.solve(modes, P)
-    before = np.linalg.solve(modes, np.array([1.0, 0.0, 1.0, 0.0]))
-    rattle = modes[0] - modes[2]
-    out = np.zeros(slope.shape, dtype=complex)
-    for pole, gain, x, seen in zip(poles, inputs, before, rattle, strict=True):
-        zi = pole * x * start[..., None]
-        out += seen * lfilter([gain], [1.0, -pole], slope, zi=zi)[0]
-    return out.real
+    return poles, modes, np.linalg.solve(modes, P)

@@ -52,10 +52,24 @@ OBSERVABILITY = "road_envs/observability.py"
 TANGENT, LINEAR = "road_envs/tangent.py", "road_envs/linear.py"
 CURVES, SURFACE = "road_envs/curves.py", "road_envs/roads/surface.py"
 DATASET, CONFIG, VEHICLE = "road_envs/dataset.py", "road_envs/config.py", "road_envs/vehicle.py"
+INDEPENDENT = "scores::test_the_scores_are_those_of_an_independent_implementation"
 ROSENBROCK, ADAPTIVE = "road_envs/rosenbrock.py", "road_envs/adaptive.py"
+METRICS, SPECTRAL, BUMPS = (
+    "leaderboard/metrics.py",
+    "leaderboard/spectral.py",
+    "leaderboard/bumps.py",
+)
 DEFENDER = "configs/vehicles/land_rover_defender_110.yaml"
 
 FAULTS = [
+    Fault(METRICS, "float((best - reach) * ds)", "float((reach - best) * ds)", INDEPENDENT),
+    Fault(METRICS, "0.5 + 0.5 * p) * sigma", "p) * sigma", INDEPENDENT),
+    Fault(METRICS, "2.0 * density - 1.0 / np.sqrt(np.pi)", "density - 1.0 / np.sqrt(np.pi)", INDEPENDENT),
+    Fault(METRICS, "size - size // 2]", "size]", INDEPENDENT),
+    Fault(SPECTRAL, "wrong, true, out=", "true, wrong, out=", INDEPENDENT),
+    Fault(SPECTRAL, "n_c * np.sqrt(2.0) <= F_MAX", "n_c <= F_MAX", INDEPENDENT),
+    Fault(SPECTRAL, "np.abs(steps) <= 1", "steps <= 1", INDEPENDENT),
+    Fault(BUMPS, " and (a.height > 0.0) == (b.height > 0.0)", "", "scores::test_a_hole_is_no_bump"),
     Fault("road_envs/vector.py", "_where_greater(c, 0.0, a, b)", "_where_greater(c, 0.0, b, a)", LANE),
     Fault("road_envs/vector.py", "[j, 4 + j]", "[j, 3 + j]", LANE),
     Fault("road_envs/lanes.py", "get(p.x, 0) - get(p.x, i)", "get(p.x, i) - get(p.x, 0)", LANE),
