@@ -54,6 +54,7 @@ CURVES, SURFACE = "road_envs/curves.py", "road_envs/roads/surface.py"
 DATASET, CONFIG, VEHICLE = "road_envs/dataset.py", "road_envs/config.py", "road_envs/vehicle.py"
 INDEPENDENT = "scores::test_the_scores_are_those_of_an_independent_implementation"
 ROSENBROCK, ADAPTIVE = "road_envs/rosenbrock.py", "road_envs/adaptive.py"
+STATISTICS = "leaderboard/statistics.py"
 METRICS, SPECTRAL, BUMPS = (
     "leaderboard/metrics.py",
     "leaderboard/spectral.py",
@@ -70,6 +71,14 @@ FAULTS = [
     Fault(SPECTRAL, "n_c * np.sqrt(2.0) <= F_MAX", "n_c <= F_MAX", INDEPENDENT),
     Fault(SPECTRAL, "np.abs(steps) <= 1", "steps <= 1", INDEPENDENT),
     Fault(BUMPS, " and (a.height > 0.0) == (b.height > 0.0)", "", "scores::test_a_hole_is_no_bump"),
+    Fault(STATISTICS, "seeds[part, None, :]]", "seeds[part, None, :1]]",
+          "scores::test_replicates_are_those_of_roads_then_seeds_drawn_by_hand"),
+    Fault(STATISTICS, "roads[part, :, None]", "np.arange(R)[None, :, None]",
+          "scores::test_on_one_seed_the_interval_is_that_of_scipys_bootstrap"),
+    Fault(STATISTICS, "drawn < mine, axis=1) >", "drawn <= mine, axis=1) >",
+          "scores::test_a_rank_is_one_more_than_the_entries_whose_paired_difference_lies_below_zero"),
+    Fault(STATISTICS, "np.mean(x <= limit, axis=1)", "np.mean(x < limit, axis=0)",
+          "scores::test_a_performance_profile_is_the_share_of_runs_below_each_threshold"),
     Fault("road_envs/vector.py", "_where_greater(c, 0.0, a, b)", "_where_greater(c, 0.0, b, a)", LANE),
     Fault("road_envs/vector.py", "[j, 4 + j]", "[j, 3 + j]", LANE),
     Fault("road_envs/lanes.py", "get(p.x, 0) - get(p.x, i)", "get(p.x, i) - get(p.x, 0)", LANE),

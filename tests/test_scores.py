@@ -9,10 +9,12 @@ import oracles_scores as oracle
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 
-from leaderboard import metrics, spectral
+from leaderboard import metrics, spectral, statistics
 from leaderboard.bumps import bump_scores, find_bumps, obstacles
 from leaderboard.scores import SCORES, scores
+from leaderboard.statistics import bootstrap, interquartile_mean, interval, performance, standings
 from road_envs.record import GRID, Estimate, Profile, grid
 
 STORED = Path(__file__).parent / "data" / "scores.json"
@@ -188,3 +190,76 @@ def test_an_uneven_road_has_no_obstacles():
     y = level_road((0, 20.0, 20.8, 0.1)) + case("late")[0][:, : grid(60.0).size] * 4.0
     assert bump_scores(y, y, GRID) is None
     assert find_bumps(y[0], GRID, 0.02)
+
+
+# --- statistics -----------------------------------------------------------------------------------
+
+
+@given(st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=30))
+@settings(max_examples=50)
+def test_the_interquartile_mean_is_the_mean_of_the_middle_of_the_quantiles(x):
+    assert interquartile_mean(np.array(x)) == pytest.approx(oracle.interquartile_mean(x), abs=1e-9)
+
+
+def test_on_one_seed_the_interval_is_that_of_scipys_bootstrap():
+    roads = np.random.default_rng(1).gamma(2.0, size=25)
+    mine = interval(roads[:, None, None])
+    theirs = stats.bootstrap(
+        (roads,),
+        oracle.interquartile_mean,
+        vectorized=False,
+        n_resamples=2000,
+        method="percentile",
+        rng=np.random.default_rng(2),
+    ).confidence_interval
+    width = theirs.high - theirs.low
+    assert mine.low == pytest.approx(theirs.low, abs=0.1 * width)
+    assert mine.high == pytest.approx(theirs.high, abs=0.1 * width)
+
+
+def test_replicates_are_those_of_roads_then_seeds_drawn_by_hand():
+    rng = np.random.default_rng(3)
+    road, seed = rng.standard_normal((8, 1, 1)), rng.standard_normal((1, 1, 4))
+    scores = road + 0.5 * seed + 0.2 * rng.standard_normal((8, 3, 4))
+    mine, brute = bootstrap(scores, 0, 4000), oracle.hierarchical(scores, 4000, rng)
+    assert mine.mean() == pytest.approx(brute.mean(), abs=0.03)
+    assert np.quantile(mine, [0.025, 0.5, 0.975]) == pytest.approx(
+        np.quantile(brute, [0.025, 0.5, 0.975]), abs=0.12
+    )
+    assert np.std(mine) == pytest.approx(np.std(brute), rel=0.06)
+
+
+def test_replicates_do_not_depend_on_how_many_are_held_at_a_time(monkeypatch):
+    scores = np.random.default_rng(4).standard_normal((6, 2, 3))
+    whole = bootstrap(scores, 0)
+    monkeypatch.setattr(statistics, "CELLS", 100)
+    np.testing.assert_allclose(bootstrap(scores, 0), whole, rtol=0.0, atol=1e-12)
+
+
+def test_a_rank_is_one_more_than_the_entries_whose_paired_difference_lies_below_zero():
+    rng = np.random.default_rng(5)
+    road = rng.standard_normal((12, 2, 1))
+    scores = {
+        f"entry {k}": road + 0.12 * k + 0.3 * rng.standard_normal((12, 2, 3)) for k in range(6)
+    }
+    drawn = {name: bootstrap(x, 0) for name, x in scores.items()}
+    ranks = {name: 1 for name in scores}
+    for name, mine in drawn.items():
+        for other in drawn.values():
+            _, high = np.quantile(other - mine, [0.025, 0.975])
+            ranks[name] += bool(high < 0.0)
+    assert {name: row.rank for name, row in standings(scores).items()} == ranks
+    assert len(set(ranks.values())) > 2
+
+
+def test_a_performance_profile_is_the_share_of_runs_below_each_threshold():
+    scores = np.random.default_rng(6).uniform(size=(30, 2, 2))
+    scores[0] = np.nan
+    thresholds = np.array([-1.0, 0.25, 0.5, 2.0])
+    found = performance(scores, thresholds)
+    by_hand = [sum(x <= limit for x in scores.ravel()) / scores.size for limit in thresholds]
+    assert found.share == pytest.approx(by_hand)
+    assert found.share[0] == 0.0 and found.share[-1] == pytest.approx(29 / 30)
+    assert (found.low <= found.share).all() and (found.share <= found.high).all()
+    # of independent roads the share's deviation is binomial: sqrt(p (1 - p) / 30), at p = 1/2
+    assert found.high[2] - found.low[2] == pytest.approx(4 * 0.5 / np.sqrt(60), rel=0.4)
