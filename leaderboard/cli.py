@@ -17,6 +17,7 @@ from leaderboard.commands import (
     policies,
     precision,
     roads,
+    season,
 )
 from road_envs.config import ConfigError
 from road_envs.simulate import SimulationError
@@ -34,6 +35,7 @@ app.command("simulate")(drives.simulate)
 app.command("train")(drives.train)
 app.command("estimate")(drives.estimate)
 app.command("leaderboard")(board.leaderboard)
+app.command("season")(season.season)
 app.command("policies")(policies.policies)
 app.add_typer(roads.app, name="roads")
 app.command("animate")(animate.animate)

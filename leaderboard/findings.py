@@ -48,7 +48,8 @@ def unrelated_levels(pairs: int = PAIRS, seed: int = 0) -> tuple[np.ndarray, np.
             for j in range(2)
         )
         levels += metrics.level_error(y, a)[:2]
-        r.append(metrics.correlation(y, a, GRID, (metrics.N_LO, metrics.N_HI)).r)
+        y, a = metrics.band_pass(np.stack([y, a]), GRID, metrics.scored_band(1.0))
+        r.append(metrics.correlation(y, a, GRID).r)
     return np.abs(levels), np.array(r)
 
 

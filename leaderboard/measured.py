@@ -22,6 +22,7 @@ LONGEST = 300.0
 CONDITIONS = (
     {"mode": "ride", "speed_kmh": 14.5},
     {"mode": "handling", "speed_kmh": 14.5},
+    {"mode": {"front": "ride", "rear": "handling"}, "speed_kmh": 14.5},
 )
 SEEDS = (1, 2, 3, 4, 5)
 
@@ -45,20 +46,21 @@ def surface_tasks(path: Path, conditions: tuple[dict[str, Any], ...] = CONDITION
         "instruments": "paper",
         "conditions": list(conditions),
         "test": {"roads": [road], "seeds": [1001], "step": 0.0005},
+        "bumps": True,
         "source": path.name,
     }
     stem = re.sub(r"[^A-Za-z0-9_.-]", "_", path.stem)
     copies = {
         "name": f"{stem}_paper",
         "title": f"{path.stem}: trained on an altered copy of itself, as the paper does",
-        "board": "paper",
+        "board": "measured",
         "training": {"roads": [{"kind": "altered", "road": road}], "seeds": [1], "noise": False},
         "trains_on_test_road": True,
     }
     others = {
         "name": f"{stem}_new_road",
         "title": f"{path.stem}: trained on random roads of class {letter}, the class of this file",
-        "board": "new_road",
+        "board": "measured",
         "training": {"roads": [f"iso_{letter.lower()}"], "seeds": list(SEEDS), "length": 100.0},
         "note": "The class of the training roads was read from the file; on a drive it is a guess.",
     }

@@ -87,15 +87,19 @@ def band_pass(z: np.ndarray, ds: float, band: Band) -> np.ndarray:
 
 def nrmse(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> Sides:
     """RMS [-] of the error of estimate `a` over RMS of truth `y`, both (2, M), inside `band`."""
-    return _ratio(band_pass(a - y, ds, band), band_pass(y, ds, band))
+    return error_over_truth(*band_pass(np.stack([y, a]), ds, band))
 
 
-def correlation(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> Correlation:
-    """Pearson's r over both wheel paths inside `band`; lags are searched within +-0.5 m.
+def error_over_truth(y: np.ndarray, a: np.ndarray) -> Sides:
+    """RMS [-] of the error of estimate `a` over that of truth `y`, both (2, K) as they are."""
+    return _ratio(a - y, y)
 
-    An estimate without any content in the band has r = 0 at lag 0.
+
+def correlation(y: np.ndarray, a: np.ndarray, ds: float) -> Correlation:
+    """Pearson's r of two band-passed profiles (2, K); lags are searched within +-0.5 m.
+
+    An estimate without any content has r = 0 at lag 0.
     """
-    y, a = band_pass(y, ds, band), band_pass(a, ds, band)
     reach = min(int(LAG_MAX / ds), y.shape[-1] // 4)
     inner = y[:, reach : y.shape[-1] - reach]
     late = sliding_window_view(a, inner.shape[-1], axis=-1)  # (2, 2 reach + 1, inner)
@@ -123,16 +127,14 @@ def coherence(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> float:
     return float(gamma2.mean()) if P_yy.any() else np.nan
 
 
-def uncertainty(
-    y: np.ndarray, a: np.ndarray, sigma: np.ndarray, ds: float, band: Band
-) -> Uncertainty:
-    """How honest the standard deviation `sigma` (2, M) [m] of an estimate is about its error.
+def uncertainty(y: np.ndarray, a: np.ndarray, sigma: np.ndarray) -> Uncertainty:
+    """How honest the standard deviation `sigma` (2, M) [m] is about the error of `a` from `y`.
 
-    Errors are those inside `band`: of the drift outside of it nobody can be sure. A `sigma` of 0
+    Both are (2, K), band-passed, K < M: of the drift outside nobody can be sure. A `sigma` of 0
     claims to know, and only an error of 0 lies inside its intervals.
     """
-    e = band_pass(a - y, ds, band)
-    trim = (y.shape[-1] - e.shape[-1]) // 2
+    e = a - y
+    trim = (sigma.shape[-1] - e.shape[-1]) // 2
     sigma = sigma[:, trim : trim + e.shape[-1]]
     shares = [float(np.mean(np.abs(e) <= ndtri(0.5 + 0.5 * p) * sigma)) for p in (0.5, 0.9)]
     return Uncertainty(crps(e, sigma), *shares)

@@ -81,7 +81,7 @@ def render(board: Board) -> str:
 
 def interval_bar(line: Line) -> Mapping[str, float] | None:
     """Where mean and interval of a line stand on the bar's axis, in percent; None without them."""
-    low, mean, high = (line.values.get(key) for key in ("nrmse_low", "nrmse", "nrmse_high"))
+    low, mean, high = (line.values.get(key) for key in ("low", "nrmse", "high"))
     if low is None or mean is None or high is None:
         return None
     at = [100.0 * min(x / AXIS, 1.0) for x in (low, mean, high)]

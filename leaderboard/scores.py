@@ -84,20 +84,23 @@ def scores(truth: Profile, estimate: Estimate, v: float, bumps: bool) -> dict[st
     A score that is not defined, such as the error relative to a flat truth, is NaN.
     """
     y, a, ds = truth.z, estimate.z, truth.ds
-    result = _profile_scores(y, a, ds, v) | spectral.scores(y, a, ds, v)
+    inside = metrics.band_pass(np.stack([y, a]), ds, metrics.scored_band(v))
+    result = _profile_scores(y, a, inside, ds, v) | spectral.scores(y, a, ds, v)
     if bumps and (found := bump_scores(y, a, ds)) is not None:
         result |= {f"bump_{name}": float(value) for name, value in found._asdict().items()}
     if estimate.z_std is not None:
-        band = metrics.scored_band(v)
-        result |= metrics.uncertainty(y, a, estimate.z_std, ds, band)._asdict()
+        result |= metrics.uncertainty(inside[0], inside[1], estimate.z_std)._asdict()
     return result
 
 
-def _profile_scores(y: np.ndarray, a: np.ndarray, ds: float, v: float) -> dict[str, float]:
-    band = metrics.scored_band(v)
-    error = metrics.nrmse(y, a, ds, band)
+def _profile_scores(
+    y: np.ndarray, a: np.ndarray, inside: np.ndarray, ds: float, v: float
+) -> dict[str, float]:
+    """Scores of heights; `inside` (2, 2, K) [m] is truth and estimate in the scored band."""
+    y_inside, a_inside = inside
+    error = metrics.error_over_truth(y_inside, a_inside)
     level = metrics.level_error(metrics.about_mean(y), metrics.about_mean(a))
-    correlation = metrics.correlation(y, a, ds, band)
+    correlation = metrics.correlation(y_inside, a_inside, ds)
     return {
         "nrmse": error.pooled,
         "nrmse_left": error.left,
@@ -106,7 +109,7 @@ def _profile_scores(y: np.ndarray, a: np.ndarray, ds: float, v: float) -> dict[s
         "r": correlation.r,
         "lag": correlation.lag,
         "r_at_lag": correlation.r_at_lag,
-        "coherence": metrics.coherence(y, a, ds, band),
+        "coherence": metrics.coherence(y, a, ds, metrics.scored_band(v)),
         "level_error": abs(level.pooled),
         "level_error_left": abs(level.left),
         "level_error_right": abs(level.right),

@@ -62,7 +62,7 @@ def _table(view: View, sections: tuple[Section, ...]) -> Table:
     """One section with its title, or several that share columns and stand behind each other."""
     columns = [column for column in filled(view, *sections) if not column.wide]
     grouped = len(sections) > 1
-    title = view.title if grouped else f"{view.title}: {sections[0].title}"
+    title = view.kind.title if grouped else f"{view.kind.title}: {sections[0].title}"
     table = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False)
     if grouped:
         table.add_column("case", width=CASE_WIDTH)

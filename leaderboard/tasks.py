@@ -26,10 +26,13 @@ from road_envs.roads.measured import Measured
 from road_envs.sensors import Instruments, load_instruments
 from road_envs.vehicle import VehicleParameters, load_vehicle
 
-BoardName = Literal["paper", "new_road"]
+BoardName = Literal["new_road", "field", "class", "measured", "paper"]
 StrutMode = Literal["ride", "handling", "soft_high", "stiff_low"]
 
-WORDS = frozenset({"title", "source", "sources", "note", "claimed_level_error"})
+SEEDS_APART = 10_000
+"""Between the seeds of one road of a list and those of the next."""
+
+WORDS = frozenset({"title", "source", "sources", "note", "claimed_level_error", "families"})
 """Fields for the reader, in which an edit voids no result."""
 
 
@@ -81,10 +84,13 @@ class Drives:
     length: float | None = None  # [m]; else each road's own
     step: float = 0.001  # [s] of the integrator
     noise: bool = True  # of the instruments
+    families: tuple[str, ...] = ()  # to which each of the roads belongs, for a closer look
 
     def __post_init__(self):
         if not self.roads or not self.seeds:
             raise ValueError("at least one road and one seed are wanted")
+        if self.families and len(self.families) != len(self.roads):
+            raise ValueError(f"{len(self.roads)} families are wanted, got {len(self.families)}")
         if len(set(self.seeds)) < len(self.seeds) or min(self.seeds) < 0:
             raise ValueError(f"seeds must differ and not be negative, got {list(self.seeds)}")
         most = len(self.roads) * len(self.seeds)
@@ -95,9 +101,26 @@ class Drives:
 
     @property
     def pairs(self) -> list[tuple[Road, int]]:
-        """The roads to drive, each with the seed that realises it."""
-        pairs = [(self._sized(road), seed) for seed in self.seeds for road in self.roads]
+        """The roads to drive, each with the seed that realises it.
+
+        Equal seeds would give related roads, so the k-th road of the list adds k x SEEDS_APART.
+        """
+        pairs = [
+            (self._sized(road), seed + k * SEEDS_APART)
+            for seed in self.seeds
+            for k, road in enumerate(self.roads)
+        ]
         return pairs[: self.number]
+
+    @property
+    def all_seeds(self) -> set[int]:
+        """Every seed that `pairs` could hold."""
+        return {seed + k * SEEDS_APART for seed in self.seeds for k in range(len(self.roads))}
+
+    def drives_of(self, family: str) -> list[int]:
+        """Which of `pairs` belong to a family."""
+        kinds = [self.families[k % len(self.roads)] for k in range(len(self.pairs))]
+        return [k for k, kind in enumerate(kinds) if kind == family]
 
     def _sized(self, road: Road) -> Road:
         return road if self.length is None else with_length(road, self.length)
@@ -129,7 +152,7 @@ class Task:
             raise ValueError(f"name {self.name!r} may have letters, digits, '_', '-' and '.' only")
         if not self.conditions:
             raise ValueError("at least one condition is wanted")
-        if shared := sorted(set(self.training.seeds) & set(self.test.seeds)):
+        if shared := sorted(self.training.all_seeds & self.test.all_seeds):
             raise ValueError(f"training and test share the seeds {shared}")
         if not self.trains_on_test_road and self._shared_surfaces():
             raise ValueError(
@@ -159,8 +182,11 @@ class Task:
         """Whether it has test drives to choose from."""
         return len(self.test.roads) * len(self.test.seeds) > 1
 
-    def with_roads(self, number: int) -> "Task":
-        """The same task with another number of test drives per condition. Raises ConfigError."""
+    def with_roads(self, number: int | None) -> "Task":
+        """The same task with another number of test drives per condition, all of them for None.
+
+        Raises ConfigError.
+        """
         try:
             test = dataclasses.replace(self.test, number=number)
         except ValueError as error:

@@ -1,15 +1,19 @@
 """What a board shows, as plain rows: the terminal, the page and JSON print the same ones.
 
-Scores are interquartile means over roads, conditions and training seeds. Every line carries its
-numbers and their printed form; a failed or stale result is a line without scores and a sentence.
+Scores are interquartile means over roads, conditions and training seeds, and again over each
+condition and each family of roads alone. Every line carries its numbers and their printed form; a
+failed or stale result is a line without scores and a sentence. An entry stands in the causal
+division or in the offline one; ranks are given among all entries and among the causal ones.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
 from leaderboard.board import Board
+from leaderboard.boards import BOARDS, Column, Kind
 from leaderboard.results import Result
 from leaderboard.scores import NOTHING, SCORES
 from leaderboard.sentinels import NOISE, TRUTH_PLUS_NOISE
@@ -18,40 +22,49 @@ from leaderboard.tasks import BoardName, Task
 
 State = Literal["scored", "sentinel", "claim", "failed", "stale"]
 CLAIM = "paper's claim"
+ALL = ""
+"""Name of the group that holds every run."""
 
+SPECTRUM = tuple(name for name in SCORES if name.startswith("error_at_"))
+"""The scores that tell the error over spatial frequency."""
 
-@dataclass(frozen=True)
-class Column:
-    """One column; a `wide` one is left out where room is short."""
+Part = tuple[list[int] | slice, slice]
+"""Which roads and which conditions of scores (R, C, S)."""
 
-    key: str
-    label: str
-    unit: str = ""
-    wide: bool = False
+EVERY: Part = (slice(None), slice(None))
+Values = dict[str, dict[str, float | None]]
+"""Numbers by group and score."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """One entry: printed `cells` and the `values` behind them, by column; or a `text` instead."""
+    """One entry: printed `cells` and the `values` behind them, by column; or a `text` instead.
+
+    `groups` has the values again over each condition and each family of roads, by its name.
+    """
 
     name: str
     state: State
     cells: dict[str, str] = field(default_factory=dict)
     values: dict[str, float | None] = field(default_factory=dict)
     text: str = ""
+    causal: bool | None = None
+    groups: dict[str, dict[str, float | None]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Section:
     """One task: its lines, best first, and what a reader has to know about it.
 
-    On a single road there is no spread over roads, so neither an interval nor a rank.
+    On a single road there is no spread over roads, so neither an interval nor a rank. `groups`
+    names conditions and families, as far as there is more than one of a kind.
     """
 
     task: str
     title: str
     lines: tuple[Line, ...]
     notes: tuple[str, ...]
+    groups: Mapping[str, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
@@ -59,48 +72,15 @@ class View:
     """One board."""
 
     board: BoardName
-    title: str
-    columns: tuple[Column, ...]
+    kind: Kind
     sections: tuple[Section, ...]
-
-
-PAPER_COLUMNS = (
-    Column("level_error_left", "eq. 12 left", "%"),
-    Column("level_error_right", "eq. 12 right", "%"),
-    Column("level_error", "eq. 12 both", "%"),
-    Column("nrmse", "NRMSE"),
-    Column("r", "r"),
-    Column("bump_f1", "bump F1"),
-    Column("bump_height_error", "height error", "mm", wide=True),
-    Column("bump_ghosts", "ghosts", wide=True),
-    Column("states", "trainings", "<15/15-25/>25 %", wide=True),
-    Column("train_seconds", "train", "s", wide=True),
-)
-NEW_ROAD_COLUMNS = (
-    Column("rank", "rank"),
-    Column("nrmse", "NRMSE"),
-    Column("interval", "95 %"),
-    Column("r", "r"),
-    Column("level_error", "eq. 12", "%"),
-    Column("class_exact", "class", "%"),
-    Column("class_within_one", "within one", "%", wide=True),
-    Column("iri_error", "IRI", "mm/m"),
-    Column("dsd_distance_db", "DSD", "dB", wide=True),
-    Column("train_seconds", "train", "s"),
-    Column("estimate_ms_per_100m", "time", "ms/100m"),
-    Column("parameters", "weights", wide=True),
-)
 
 
 def views(board: Board) -> list[View]:
     """The boards that have a task, the main one first."""
-    kinds: list[tuple[BoardName, str, tuple[Column, ...]]] = [
-        ("new_road", "New road", NEW_ROAD_COLUMNS),
-        ("paper", "The paper's protocol", PAPER_COLUMNS),
-    ]
     return [
-        View(name, title, columns, tuple(_section(board, task) for task in tasks))
-        for name, title, columns in kinds
+        View(name, kind, tuple(_section(board, task, kind) for task in tasks))
+        for name, kind in BOARDS.items()
         if (tasks := [task for task in board.tasks if task.board == name])
     ]
 
@@ -110,18 +90,35 @@ def filled(view: View, *sections: Section) -> list[Column]:
     lines = [line for section in sections for line in section.lines]
     return [
         column
-        for column in view.columns
+        for column in view.kind.columns
         if any(line.cells.get(column.key, "") not in ("", NOTHING) for line in lines)
     ]
 
 
-def _section(board: Board, task: Task) -> Section:
+def groups_of(task: Task) -> dict[str, dict[str, Part]]:
+    """Conditions and families of a task, each with its part of the scores: roads, conditions.
+
+    A kind of which there is one only is left out.
+    """
+    every = slice(None)
+    conditions: dict[str, Part] = {
+        c.label: (every, slice(k, k + 1)) for k, c in enumerate(task.conditions)
+    }
+    families: dict[str, Part] = {
+        family: (task.test.drives_of(family), every) for family in dict.fromkeys(task.test.families)
+    }
+    kinds: dict[str, dict[str, Part]] = {"condition": conditions, "family": families}
+    return {kind: parts for kind, parts in kinds.items() if len(parts) > 1}
+
+
+def _section(board: Board, task: Task, kind: Kind) -> Section:
     scored = board.scored(task)
-    many = {r.estimator: x for r in scored if len(x := r.values("nrmse")) > 1}
-    entries = [r.estimator for r in scored if r.role == "entry"]
-    ranks = standings({name: many[name] for name in entries if name in many})
-    lines = [_line(r, ranks[r.estimator].rank if r.estimator in ranks else None) for r in scored]
-    lines.sort(key=lambda line: (line.state != "scored", _last_if_none(line.values["nrmse"])))
+    groups = groups_of(task)
+    parts = {name: part for parts in groups.values() for name, part in parts.items()}
+    values = {r.estimator: _values(r, kind, parts) for r in scored}
+    _rank(scored, kind, {ALL: EVERY, **parts}, values)
+    lines = [_line(r, values[r.estimator], kind) for r in scored]
+    lines.sort(key=lambda line: (line.state != "scored", _last_if_none(line.values[kind.ranks_by])))
     claim = [_claim(task.claimed_level_error)] if task.claimed_level_error is not None else []
     failed = [Line(r.estimator, "failed", text=r.failure or "") for r in board.failed(task)]
     stale = [Line(r.estimator, "stale", text=why) for r, why in board.stale(task)]
@@ -130,34 +127,66 @@ def _section(board: Board, task: Task) -> Section:
         task.title,
         (*claim, *lines, *failed, *stale),
         (*_protocol(task), *_surface([*scored, *board.failed(task)]), *flags(scored)),
+        {kind_of_group: tuple(named) for kind_of_group, named in groups.items()},
     )
 
 
-def _line(result: Result, rank: int | None) -> Line:
-    error = result.values("nrmse")
-    score = interval(error) if len(error) > 1 else Interval(np.nan, np.nan, np.nan)
-    values: dict[str, float | None] = {name: _mean(result, name) for name in SCORES}
-    values |= {
-        "rank": rank,
-        "nrmse_low": _number(score.low),
-        "nrmse_high": _number(score.high),
+def _values(result: Result, kind: Kind, parts: Mapping[str, Part]) -> Values:
+    """The numbers of a result over every run and over each group of runs."""
+    scores = {name: result.values(name) for name in SCORES}
+    shown = {c.key for c in kind.columns} | {kind.ranks_by} | set(SPECTRUM)
+    values: Values = {ALL: {name: _mean(x) for name, x in scores.items()}}
+    for group, part in parts.items():
+        values[group] = {name: _mean(scores[name][part]) for name in scores if name in shown}
+    for group, part in {ALL: EVERY, **parts}.items():
+        ranked = scores[kind.ranks_by][part]
+        score = interval(ranked) if len(ranked) > 1 else Interval(np.nan, np.nan, np.nan)
+        values[group] |= {"low": _number(score.low), "high": _number(score.high)}
+    values[ALL] |= {
         "train_seconds": _number(float(np.mean(result.train_seconds)))
         if result.parameters
         else None,
         "estimate_ms_per_100m": result.estimate_ms_per_100m,
         "parameters": result.parameters or None,
     }
-    cells = {name: SCORES[name].text(_nan_if_none(values[name])) for name in SCORES}
+    return values
+
+
+def _rank(
+    results: Sequence[Result], kind: Kind, parts: Mapping[str, Part], values: Mapping[str, Values]
+) -> None:
+    """Write into `values` where each entry stands in every group, among all and among the causal.
+
+    There is no rank on a single road.
+    """
+    entries = {r.estimator: r.values(kind.ranks_by) for r in results if r.role == "entry"}
+    causal = {r.estimator for r in results if r.causal}
+    for group, part in parts.items():
+        scores = {name: x[part] for name, x in entries.items() if len(x[part]) > 1}
+        divisions = {
+            "rank": scores,
+            "rank_causal": {n: x for n, x in scores.items() if n in causal},
+        }
+        for key, division in divisions.items():
+            for name, standing in standings(division).items():
+                values[name][group][key] = standing.rank
+
+
+def _line(result: Result, values: Values, kind: Kind) -> Line:
+    mine = values[ALL]
+    cells = {name: SCORES[name].text(_nan_if_none(mine[name])) for name in SCORES}
     cells |= {
-        "rank": str(rank or ""),
-        "interval": _range(score),
+        "rank": _digits(mine.get("rank"), 0),
+        "rank_causal": _digits(mine.get("rank_causal"), 0),
+        "interval": interval_text(mine["low"], mine["high"], kind.ranks_by),
         "states": _states(result),
-        "train_seconds": _digits(values["train_seconds"], 1),
-        "estimate_ms_per_100m": _digits(values["estimate_ms_per_100m"], 1),
-        "parameters": _digits(values["parameters"], 0),
+        "train_seconds": _digits(mine["train_seconds"], 1),
+        "estimate_ms_per_100m": _digits(mine["estimate_ms_per_100m"], 1),
+        "parameters": _digits(mine["parameters"], 0),
     }
     state: State = "sentinel" if result.role == "sentinel" else "scored"
-    return Line(result.estimator, state, cells, values)
+    groups = {name: x for name, x in values.items() if name != ALL}
+    return Line(result.estimator, state, cells, mine, causal=result.causal, groups=groups)
 
 
 def _claim(level_error: float) -> Line:
@@ -167,7 +196,7 @@ def _claim(level_error: float) -> Line:
 
 def flags(results: list[Result]) -> list[str]:
     """What is suspicious about scores: entries too good to be true, or a judge out of order."""
-    error = {r.estimator: _mean(r, "nrmse") for r in results}
+    error = {r.estimator: _mean(r.values("nrmse")) for r in results}
     said = []
     best = error.get(TRUTH_PLUS_NOISE)
     for r in results:
@@ -194,10 +223,9 @@ def _surface(results: list[Result]) -> list[str]:
     return [f"Surface: {'; '.join(notes)}."] if notes else []
 
 
-def _mean(result: Result, score: str) -> float | None:
-    """Interquartile mean over everything; None where no drive has the score."""
-    values = result.values(score).ravel()
-    values = values[np.isfinite(values)]
+def _mean(scores: np.ndarray) -> float | None:
+    """Interquartile mean; None where no run has the score."""
+    values = scores[np.isfinite(scores)]
     return float(interquartile_mean(values)) if values.size else None
 
 
@@ -210,8 +238,11 @@ def _states(result: Result) -> str:
     return f"{near}/{error.size - near - unstable}/{unstable}"
 
 
-def _range(score: Interval) -> str:
-    return f"{score.low:.2f}–{score.high:.2f}" if np.isfinite(score.low + score.high) else NOTHING
+def interval_text(low: float | None, high: float | None, score: str) -> str:
+    """An interval of a score as printed."""
+    if low is None or high is None:
+        return NOTHING
+    return "–".join(SCORES[score].text(x) for x in (low, high))
 
 
 def _digits(value: float | None, digits: int) -> str:

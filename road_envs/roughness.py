@@ -51,7 +51,7 @@ def isotropic(n: np.ndarray, w: float, track: float) -> np.ndarray:
 def without_line(z: np.ndarray) -> np.ndarray:
     """`z` (..., N) without the straight line of least squares along the last axis."""
     x = np.arange(z.shape[-1]) - 0.5 * (z.shape[-1] - 1)
-    slope = z @ x / (x @ x)
+    slope = np.einsum("...i,i->...", z, x) / np.sum(x * x)  # not BLAS, which starts threads for it
     return z - z.mean(axis=-1, keepdims=True) - slope[..., None] * x
 
 

@@ -148,7 +148,7 @@ def test_drawings_do_not_change_from_one_run_to_the_next():
 
 
 def test_an_interval_that_leaves_the_axis_ends_with_it():
-    line = Line("x", "scored", values={"nrmse_low": 1.0, "nrmse": 3.0, "nrmse_high": 9.0})
+    line = Line("x", "scored", values={"low": 1.0, "nrmse": 3.0, "high": 9.0})
     assert interval_bar(line) == {"low": 50.0, "mean": 100.0, "width": 50.0, "one": 50.0}
     assert interval_bar(Line("x", "failed")) is None
 

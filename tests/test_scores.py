@@ -114,13 +114,17 @@ def noise(seed, level, length=300.0):
     return level * e / np.sqrt(np.mean(inside**2))
 
 
+def uncertainty(e, sigma):
+    inside = metrics.band_pass(np.stack([0.0 * e, e]), GRID, (0.2, 1.8))
+    return metrics.uncertainty(*inside, sigma)
+
+
 @pytest.mark.parametrize(("claimed", "half", "most"), [(1.0, 0.5, 0.9), (0.5, 0.264, 0.589)])
 def test_an_honest_deviation_covers_what_it_says_and_half_of_it_less(claimed, half, most):
     # P(|x| < k z) of a normal x with k = 0.5: 2 Phi(0.5 x 0.674) - 1 and 2 Phi(0.5 x 1.645) - 1
     e = noise(1, 0.01)
-    y = np.zeros_like(e)
     sigma = np.full_like(e, 0.01 * claimed)
-    found = metrics.uncertainty(y, e, sigma, GRID, (0.2, 1.8))
+    found = uncertainty(e, sigma)
     assert found.coverage_50 == pytest.approx(half, abs=0.05)
     assert found.coverage_90 == pytest.approx(most, abs=0.05)
 
@@ -129,16 +133,13 @@ def test_an_honest_deviation_covers_what_it_says_and_half_of_it_less(claimed, ha
 @settings(max_examples=10)
 def test_no_other_deviation_scores_a_better_crps_than_the_honest_one(factor):
     e = noise(2, 0.01)
-    honest, other = (
-        metrics.uncertainty(np.zeros_like(e), e, np.full_like(e, x), GRID, (0.2, 1.8)).crps
-        for x in (0.01, 0.01 * factor)
-    )
+    honest, other = (uncertainty(e, np.full_like(e, x)).crps for x in (0.01, 0.01 * factor))
     assert honest <= other * (1.0 + 1e-3)
 
 
 def test_a_deviation_of_zero_is_scored_by_its_mean_absolute_error():
     e = noise(3, 0.01)
-    found = metrics.uncertainty(np.zeros_like(e), e, np.zeros_like(e), GRID, (0.2, 1.8))
+    found = uncertainty(e, np.zeros_like(e))
     assert found.crps == pytest.approx(np.mean(np.abs(metrics.band_pass(e, GRID, (0.2, 1.8)))))
     assert found.coverage_50 == found.coverage_90 == 0.0
 

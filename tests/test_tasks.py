@@ -41,17 +41,36 @@ def test_the_papers_eight_scenarios_are_those_of_its_tables():
 
 def test_the_new_road_board_holds_seeds_and_roads_apart():
     t = load_task("new_road")
-    assert not set(t.training.seeds) & set(t.test.seeds) and not t.trains_on_test_road
-    assert len(t.test.pairs) == 10 and len(t.with_roads(50).test.pairs) == 50
-    assert all(road.length == 300.0 for road, _ in t.test.pairs)
-    families = [type(road).__name__ for road, _ in t.test.pairs]
-    assert families == ["Iso8608", "Belgian"] * 5
+    assert not t.training.all_seeds & t.test.all_seeds and not t.trains_on_test_road
+    assert len(t.test.pairs) == 12 and len(t.with_roads(None).test.pairs) == 60
+    assert all(road.length == pytest.approx(300.0) for road, _ in t.test.pairs)
+    states = {c.label for c in t.conditions}
+    assert {f"ride front, handling rear, {v} km/h" for v in ("14.5", "54")} <= states
+    assert {c.speed_kmh for c in t.conditions} == {14.5, 30.0, 54.0}
     assert t.test.step < t.training.step
 
 
+def test_no_two_test_roads_are_drawn_from_one_seed():
+    """One seed gives related roads, so a board of them would count one road twice."""
+    for t in shipped_tasks():
+        pairs = t.with_roads(None).test.pairs if t.draws_roads else t.test.pairs
+        assert len({seed for _, seed in pairs}) == len(pairs)
+
+
+def test_families_part_the_test_drives():
+    drives = load_task("new_road").with_roads(None).test
+    families = {name: drives.drives_of(name) for name in drives.families}
+    assert sorted(k for part in families.values() for k in part) == list(range(60))
+    assert [len(part) for part in families.values()] == [10, 10, 20, 20]
+    roads = [drives.pairs[k][0] for k in families["ISO w = 2"]]
+    assert {(type(road).__name__, road.w) for road in roads} == {("Iso8608", 2.0)}
+    with pytest.raises(ConfigError, match="2 families are wanted, got 1"):
+        task(test={"roads": ["iso_d", "iso_e"], "seeds": [7], "families": ["one"]})
+
+
 def test_more_roads_than_a_task_has_are_refused():
-    with pytest.raises(ConfigError, match="new_road: number of drives must be 1 to 50, got 51"):
-        load_task("new_road").with_roads(51)
+    with pytest.raises(ConfigError, match="new_road: number of drives must be 1 to 60, got 61"):
+        load_task("new_road").with_roads(61)
 
 
 def test_a_shared_seed_is_refused():
@@ -72,7 +91,7 @@ def test_training_on_the_test_road_has_to_be_said(training):
     ("change", "said"),
     [
         ({"boards": "paper"}, "unknown key, did you mean 'board'"),
-        ({"board": "papers"}, "'paper' or 'new_road'"),
+        ({"board": "papers"}, "'new_road', 'field', 'class', 'measured' or 'paper'"),
         ({"test": {"roads": ["iso_x"], "seeds": [9]}}, "unknown road 'iso_x'"),
         ({"test": {"roads": [], "seeds": [9]}}, "at least one road and one seed"),
         ({"test": {"roads": ["iso_d"], "seeds": [9, 9]}}, "seeds must differ"),

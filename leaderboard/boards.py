@@ -1,0 +1,107 @@
+"""The kinds of board: what each asks, the score that ranks on it, and the columns it shows."""
+
+from dataclasses import dataclass
+
+from leaderboard.tasks import BoardName
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column; a `wide` one is left out where room is short."""
+
+    key: str
+    label: str
+    unit: str = ""
+    wide: bool = False
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of board: its title, the score that ranks, and its columns."""
+
+    title: str
+    ranks_by: str
+    columns: tuple[Column, ...]
+    about: str
+
+
+RANKED = (Column("rank", "rank"), Column("rank_causal", "among causal", wide=True))
+COST = (
+    Column("train_seconds", "train", "s"),
+    Column("estimate_ms_per_100m", "time", "ms/100m"),
+    Column("parameters", "weights", wide=True),
+)
+NEW_ROAD_COLUMNS = (
+    *RANKED,
+    Column("nrmse", "NRMSE"),
+    Column("interval", "95 %"),
+    Column("r", "r"),
+    Column("level_error", "eq. 12", "%"),
+    Column("class_exact", "class", "%"),
+    Column("class_within_one", "within one", "%", wide=True),
+    Column("iri_error", "IRI", "mm/m"),
+    Column("dsd_distance_db", "DSD", "dB", wide=True),
+    Column("bump_f1", "bump F1", wide=True),
+    Column("coverage_90", "in 90 %", "%", wide=True),
+    *COST,
+)
+CLASS_COLUMNS = (
+    *RANKED,
+    Column("dsd_distance_db", "DSD", "dB"),
+    Column("interval", "95 %"),
+    Column("dsd_bias_db", "bias", "dB"),
+    Column("class_exact", "class", "%"),
+    Column("class_within_one", "within one", "%"),
+    Column("fitted_class", "fitted", "%"),
+    Column("G_d0_error_db", "Gd(n0)", "dB"),
+    Column("class_exact_0.25", "at 0.25", "%", wide=True),
+    Column("class_exact_0.5", "at 0.5", "%", wide=True),
+    Column("class_exact_1", "at 1", "%", wide=True),
+    Column("class_exact_2", "at 2", "%", wide=True),
+    Column("iri_error_relative", "IRI", "%"),
+    Column("nrmse", "NRMSE", wide=True),
+)
+PAPER_COLUMNS = (
+    Column("level_error_left", "eq. 12 left", "%"),
+    Column("level_error_right", "eq. 12 right", "%"),
+    Column("level_error", "eq. 12 both", "%"),
+    Column("nrmse", "NRMSE"),
+    Column("r", "r"),
+    Column("bump_f1", "bump F1"),
+    Column("bump_height_error", "height error", "mm", wide=True),
+    Column("bump_ghosts", "ghosts", wide=True),
+    Column("states", "trainings", "<15/15-25/>25 %", wide=True),
+    Column("train_seconds", "train", "s", wide=True),
+)
+BOARDS: dict[BoardName, Kind] = {
+    "new_road": Kind(
+        "New road",
+        "nrmse",
+        NEW_ROAD_COLUMNS,
+        "The main board: roads that no estimator has seen, on the car that it was trained on.",
+    ),
+    "field": Kind(
+        "Field car",
+        "nrmse",
+        NEW_ROAD_COLUMNS,
+        "The same on cars that differ from the one it was trained on, more from S1 to S3.",
+    ),
+    "class": Kind(
+        "Roughness class",
+        "dsd_distance_db",
+        CLASS_COLUMNS,
+        "How rough is the road, whatever its heights: ranked by the distance of the densities.",
+    ),
+    "measured": Kind(
+        "Measured surfaces",
+        "nrmse",
+        NEW_ROAD_COLUMNS,
+        "Surfaces from files, after the paper's protocol and as new roads.",
+    ),
+    "paper": Kind(
+        "The paper's protocol",
+        "nrmse",
+        PAPER_COLUMNS,
+        "The eight case scenarios of Ngwangwa et al., trained on altered copies of the test road.",
+    ),
+}
