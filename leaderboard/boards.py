@@ -35,6 +35,7 @@ NEW_ROAD_COLUMNS = (
     *RANKED,
     Column("nrmse", "NRMSE"),
     Column("interval", "95 %"),
+    Column("bound_efficiency", "of bound", "%", wide=True),
     Column("r", "r"),
     Column("level_error", "eq. 12", "%"),
     Column("class_exact", "class", "%"),

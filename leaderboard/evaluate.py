@@ -14,6 +14,7 @@ import numpy as np
 
 from estimators.protocol import Estimator
 from leaderboard import metrics
+from leaderboard.bounds import nrmse_bound
 from leaderboard.drives import Drive, DriveSource, read_only, simulated
 from leaderboard.entry import EntryError, Outcome, reconstruct
 from leaderboard.environment import environment, version
@@ -29,9 +30,6 @@ SEEDS = (1, 2, 3)
 
 TRACED = 100.0
 """Length [m] of the first test road that is kept for the figures."""
-
-FARTHEST = 1e6
-"""Heights [m] beyond this count as this much: an absurd estimate has an absurd score, not none."""
 
 Entries = Mapping[str, Estimator | None]
 """Who is judged, by name; None stands for the judge's own truth plus noise."""
@@ -159,8 +157,8 @@ def _outcome(session: Session, row: Row, seed: int) -> Outcome:
 
 def _scored(session: Session, drive: int, estimate: Estimate, seed: int) -> DriveScores:
     test = session.tests[drive]
-    bounded = dataclasses.replace(estimate, z=np.clip(estimate.z, -FARTHEST, FARTHEST))
-    found = scores(test.truth, bounded, session.v, session.task.bumps)
+    bound = nrmse_bound(session.task, session.condition, test.truth)
+    found = scores(test.truth, estimate, session.v, session.task.bumps, bound)
     return DriveScores(
         condition=session.condition.label,
         drive=drive,

@@ -11,6 +11,9 @@ from road_envs.record import Estimate, Profile
 NOTHING = "–"
 """Stands for a score that is not defined."""
 
+FARTHEST = 1e6
+"""Heights beyond this [m] count as this much."""
+
 Better = Literal["low", "high", "zero", ""]
 
 
@@ -35,6 +38,8 @@ SCORES = {
     "nrmse": Score("in-band NRMSE", "", 1.0, 2, "low"),
     "nrmse_left": Score("in-band NRMSE, left", "", 1.0, 2, "low"),
     "nrmse_right": Score("in-band NRMSE, right", "", 1.0, 2, "low"),
+    "bound_nrmse": Score("bound on the in-band NRMSE", "", 1.0, 3, "low"),
+    "bound_efficiency": Score("bound efficiency", "%", 100.0, 0, "high"),
     "nrmse_full": Score("NRMSE, 0.05-3 cycles/m", "", 1.0, 2, "low"),
     "r": Score("correlation r", "", 1.0, 2, "high"),
     "lag": Score("best lag", "m", 1.0, 2, "zero"),
@@ -75,21 +80,32 @@ SCORES = {
 }
 
 
-def scores(truth: Profile, estimate: Estimate, v: float, bumps: bool) -> dict[str, float]:
+def scores(
+    truth: Profile, estimate: Estimate, v: float, bumps: bool, bound: float | None = None
+) -> dict[str, float]:
     """All scores of an estimate of a drive at `v` [m/s]; those of obstacles where `bumps` says so
     and the truth has some, those of uncertainty where the estimate has a standard deviation.
+
+    `bound` is the least NRMSE that the drive allows: its efficiency is the mean square error of the
+    bound over that of the estimate. Heights beyond 1000 km count as that: an absurd estimate has an
+    absurd score, not none.
 
     Equation 12 is taken of heights about their mean: a surface starts at height 0 by convention,
     and a level that counts from there would measure the convention. `level_error_raw` does.
     A score that is not defined, such as the error relative to a flat truth, is NaN.
     """
-    y, a, ds = truth.z, estimate.z, truth.ds
+    y, a, ds = truth.z, np.clip(estimate.z, -FARTHEST, FARTHEST), truth.ds
     inside = metrics.band_pass(np.stack([y, a]), ds, metrics.scored_band(v))
     result = _profile_scores(y, a, inside, ds, v) | spectral.scores(y, a, ds, v)
     if bumps and (found := bump_scores(y, a, ds)) is not None:
         result |= {f"bump_{name}": float(value) for name, value in found._asdict().items()}
     if estimate.z_std is not None:
-        result |= metrics.uncertainty(inside[0], inside[1], estimate.z_std)._asdict()
+        sigma = np.minimum(estimate.z_std, FARTHEST)
+        result |= metrics.uncertainty(inside[0], inside[1], sigma)._asdict()
+    if bound is not None:
+        nrmse = result["nrmse"]
+        efficiency = (bound / nrmse) ** 2 if nrmse > 0.0 else np.nan
+        result |= {"bound_nrmse": bound, "bound_efficiency": efficiency}
     return result
 
 

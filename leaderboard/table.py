@@ -49,7 +49,14 @@ def as_json(board: Board) -> list[dict[str, Any]]:
             "title": section.title,
             "notes": list(section.notes),
             "entries": [
-                {"name": line.name, "state": line.state, "text": line.text, **line.values}
+                {
+                    "name": line.name,
+                    "state": line.state,
+                    "text": line.text,
+                    "causal": line.causal,
+                    **line.values,
+                    "groups": line.groups,
+                }
                 for line in section.lines
             ],
         }

@@ -22,6 +22,9 @@ from leaderboard.tasks import BoardName, Task
 
 State = Literal["scored", "sentinel", "claim", "failed", "stale"]
 CLAIM = "paper's claim"
+BOUND = "bound"
+"""Name of the line that says what the sensors allow."""
+
 ALL = ""
 """Name of the group that holds every run."""
 
@@ -117,7 +120,7 @@ def _section(board: Board, task: Task, kind: Kind) -> Section:
     parts = {name: part for parts in groups.values() for name, part in parts.items()}
     values = {r.estimator: _values(r, kind, parts) for r in scored}
     _rank(scored, kind, {ALL: EVERY, **parts}, values)
-    lines = [_line(r, values[r.estimator], kind) for r in scored]
+    lines = [_line(r, values[r.estimator], kind) for r in scored] + _bound(values, kind)
     lines.sort(key=lambda line: (line.state != "scored", _last_if_none(line.values[kind.ranks_by])))
     claim = [_claim(task.claimed_level_error)] if task.claimed_level_error is not None else []
     failed = [Line(r.estimator, "failed", text=r.failure or "") for r in board.failed(task)]
@@ -134,7 +137,7 @@ def _section(board: Board, task: Task, kind: Kind) -> Section:
 def _values(result: Result, kind: Kind, parts: Mapping[str, Part]) -> Values:
     """The numbers of a result over every run and over each group of runs."""
     scores = {name: result.values(name) for name in SCORES}
-    shown = {c.key for c in kind.columns} | {kind.ranks_by} | set(SPECTRUM)
+    shown = {c.key for c in kind.columns} | {kind.ranks_by, "bound_nrmse"} | set(SPECTRUM)
     values: Values = {ALL: {name: _mean(x) for name, x in scores.items()}}
     for group, part in parts.items():
         values[group] = {name: _mean(scores[name][part]) for name in scores if name in shown}
@@ -187,6 +190,17 @@ def _line(result: Result, values: Values, kind: Kind) -> Line:
     state: State = "sentinel" if result.role == "sentinel" else "scored"
     groups = {name: x for name, x in values.items() if name != ALL}
     return Line(result.estimator, state, cells, mine, causal=result.causal, groups=groups)
+
+
+def _bound(values: Mapping[str, Values], kind: Kind) -> list[Line]:
+    """The bound as a line of its own, where it was computed and NRMSE ranks."""
+    told = [v for v in values.values() if v[ALL].get("bound_nrmse") is not None]
+    if not told or kind.ranks_by != "nrmse":
+        return []
+    groups = {group: {"nrmse": x.get("bound_nrmse")} for group, x in told[0].items()}
+    mine = groups.pop(ALL)
+    cells = {"nrmse": SCORES["bound_nrmse"].text(_nan_if_none(mine["nrmse"]))}
+    return [Line(BOUND, "sentinel", cells, mine, groups=groups)]
 
 
 def _claim(level_error: float) -> Line:

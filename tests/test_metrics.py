@@ -270,7 +270,7 @@ def test_every_score_of_the_truth_is_perfect_and_described():
     y = np.stack([plate((20.0, 20.8, 0.15)), plate((30.4, 31.2, 0.10))]) + 0.1 * road(12)
     y[:, 1000:2000] = 0.0  # level enough for obstacles
     found = scores(Profile(S, y), Estimate(S, y, np.zeros_like(y)), 4.0, bumps=True)
-    assert found.keys() == SCORES.keys()
+    assert found.keys() == SCORES.keys() - {"bound_nrmse", "bound_efficiency"}
     for name, value in found.items():
         wanted = 1.0 if SCORES[name].better == "high" or "coverage" in name else 0.0
         assert value == pytest.approx(wanted, abs=1e-12), name

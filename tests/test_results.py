@@ -241,7 +241,8 @@ def test_an_entry_that_beats_the_noisy_truth_is_flagged_and_so_is_a_broken_judge
 def test_a_program_reads_the_same_rows():
     (section,) = json.loads(json.dumps(as_json(board()), allow_nan=False))
     entries = {entry["name"]: entry for entry in section["entries"]}
-    assert section["task"] == "small" and set(entries) == set(ENTRIES)
+    assert section["task"] == "small" and set(entries) == {*ENTRIES, "bound"}
+    assert 0.02 < entries["bound"]["nrmse"] < entries["reader"]["nrmse"] + 0.1
     assert entries["reader"]["nrmse"] == pytest.approx(0.1, abs=0.005)
     assert entries["broken"]["state"] == "failed" and "finite" in entries["broken"]["text"]
 
