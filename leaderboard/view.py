@@ -8,7 +8,7 @@ division or in the offline one; ranks are given among all entries and among the 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -115,12 +115,13 @@ def groups_of(task: Task) -> dict[str, dict[str, Part]]:
 
 
 def _section(board: Board, task: Task, kind: Kind) -> Section:
-    scored = board.scored(task)
     groups = groups_of(task)
     parts = {name: part for parts in groups.values() for name, part in parts.items()}
-    values = {r.estimator: _values(r, kind, parts) for r in scored}
-    _rank(scored, kind, {ALL: EVERY, **parts}, values)
-    lines = [_line(r, values[r.estimator], kind) for r in scored] + _bound(values, kind)
+    scored = board.scored(task)
+    tables = [_table(result, kind, parts) for result in scored]
+    values = {table.name: table.values for table in tables}
+    _rank(tables, parts, values)
+    lines = [_line(r, x, kind) for r, x in zip(scored, tables, strict=True)] + _bound(values, kind)
     lines.sort(key=lambda line: (line.state != "scored", _last_if_none(line.values[kind.ranks_by])))
     claim = [_claim(task.claimed_level_error)] if task.claimed_level_error is not None else []
     failed = [Line(r.estimator, "failed", text=r.failure or "") for r in board.failed(task)]
@@ -129,21 +130,32 @@ def _section(board: Board, task: Task, kind: Kind) -> Section:
         task.name,
         task.title,
         (*claim, *lines, *failed, *stale),
-        (*_protocol(task), *_surface([*scored, *board.failed(task)]), *flags(scored)),
+        (*_protocol(task), *_surface([*scored, *board.failed(task)]), *flags(lines)),
         {kind_of_group: tuple(named) for kind_of_group, named in groups.items()},
     )
 
 
-def _values(result: Result, kind: Kind, parts: Mapping[str, Part]) -> Values:
-    """The numbers of a result over every run and over each group of runs."""
-    scores = {name: result.values(name) for name in SCORES}
+class Table(NamedTuple):
+    """The numbers of a result: `values` by group and score; `ranked` (R, C, S) is what ranks."""
+
+    name: str
+    values: Values
+    ranked: np.ndarray
+    states: str
+    division: tuple[bool, bool]  # ranked among all, among the causal
+
+
+def _table(result: Result, kind: Kind, parts: Mapping[str, Part]) -> Table:
+    """The numbers of a result over every run and over each group of runs; its drives read once."""
+    scores = arrays(result)
     shown = {c.key for c in kind.columns} | {kind.ranks_by, "bound_nrmse"} | set(SPECTRUM)
-    values: Values = {ALL: {name: _mean(x) for name, x in scores.items()}}
+    values: Values = {ALL: {name: _mean(scores.get(name)) for name in SCORES}}
     for group, part in parts.items():
-        values[group] = {name: _mean(scores[name][part]) for name in scores if name in shown}
+        values[group] = {name: _mean(x[part]) for name, x in scores.items() if name in shown}
+    ranked = scores[kind.ranks_by]
     for group, part in {ALL: EVERY, **parts}.items():
-        ranked = scores[kind.ranks_by][part]
-        score = interval(ranked) if len(ranked) > 1 else Interval(np.nan, np.nan, np.nan)
+        mine = ranked[part]
+        score = interval(mine) if len(mine) > 1 else Interval(np.nan, np.nan, np.nan)
         values[group] |= {"low": _number(score.low), "high": _number(score.high)}
     values[ALL] |= {
         "train_seconds": _number(float(np.mean(result.train_seconds)))
@@ -152,43 +164,56 @@ def _values(result: Result, kind: Kind, parts: Mapping[str, Part]) -> Values:
         "estimate_ms_per_100m": result.estimate_ms_per_100m,
         "parameters": result.parameters or None,
     }
-    return values
+    entry = result.role == "entry"
+    division = entry, entry and bool(result.causal)
+    return Table(result.estimator, values, ranked, _states(scores), division)
 
 
-def _rank(
-    results: Sequence[Result], kind: Kind, parts: Mapping[str, Part], values: Mapping[str, Values]
-) -> None:
+def arrays(result: Result) -> dict[str, np.ndarray]:
+    """Every score of a result as (R, C, S): roads, conditions, seeds; NaN where it is not told."""
+    places = [(d.drive, d.condition, d.seed) for d in result.drives]
+    axes = [
+        {name: k for k, name in enumerate(dict.fromkeys(axis))}
+        for axis in zip(*places, strict=True)
+    ]
+    shape = tuple(map(len, axes))
+    found: dict[str, np.ndarray] = {}
+    for place, drive in zip(places, result.drives, strict=True):
+        at = tuple(axis[name] for axis, name in zip(axes, place, strict=True))
+        for name, value in drive.scores.items():
+            if name not in found:
+                found[name] = np.full(shape, np.nan)
+            found[name][at] = np.nan if value is None else value
+    return found
+
+
+def _rank(tables: Sequence[Table], parts: Mapping[str, Part], values: Mapping[str, Values]) -> None:
     """Write into `values` where each entry stands in every group, among all and among the causal.
 
     There is no rank on a single road.
     """
-    entries = {r.estimator: r.values(kind.ranks_by) for r in results if r.role == "entry"}
-    causal = {r.estimator for r in results if r.causal}
-    for group, part in parts.items():
-        scores = {name: x[part] for name, x in entries.items() if len(x[part]) > 1}
-        divisions = {
-            "rank": scores,
-            "rank_causal": {n: x for n, x in scores.items() if n in causal},
-        }
-        for key, division in divisions.items():
-            for name, standing in standings(division).items():
+    for group, part in {ALL: EVERY, **parts}.items():
+        for k, key in enumerate(("rank", "rank_causal")):
+            scores = {x.name: x.ranked[part] for x in tables if x.division[k]}
+            spread = {name: x for name, x in scores.items() if len(x) > 1}
+            for name, standing in standings(spread).items():
                 values[name][group][key] = standing.rank
 
 
-def _line(result: Result, values: Values, kind: Kind) -> Line:
-    mine = values[ALL]
+def _line(result: Result, table: Table, kind: Kind) -> Line:
+    mine = table.values[ALL]
     cells = {name: SCORES[name].text(_nan_if_none(mine[name])) for name in SCORES}
     cells |= {
         "rank": _digits(mine.get("rank"), 0),
         "rank_causal": _digits(mine.get("rank_causal"), 0),
         "interval": interval_text(mine["low"], mine["high"], kind.ranks_by),
-        "states": _states(result),
+        "states": table.states,
         "train_seconds": _digits(mine["train_seconds"], 1),
         "estimate_ms_per_100m": _digits(mine["estimate_ms_per_100m"], 1),
         "parameters": _digits(mine["parameters"], 0),
     }
     state: State = "sentinel" if result.role == "sentinel" else "scored"
-    groups = {name: x for name, x in values.items() if name != ALL}
+    groups = {name: x for name, x in table.values.items() if name != ALL}
     return Line(result.estimator, state, cells, mine, causal=result.causal, groups=groups)
 
 
@@ -208,16 +233,16 @@ def _claim(level_error: float) -> Line:
     return Line(CLAIM, "claim", {"level_error": text}, {"level_error": level_error})
 
 
-def flags(results: list[Result]) -> list[str]:
+def flags(lines: Sequence[Line]) -> list[str]:
     """What is suspicious about scores: entries too good to be true, or a judge out of order."""
-    error = {r.estimator: _mean(r.values("nrmse")) for r in results}
+    error = {line.name: line.values.get("nrmse") for line in lines}
     said = []
     best = error.get(TRUTH_PLUS_NOISE)
-    for r in results:
-        mine = error[r.estimator]
-        if r.role == "entry" and mine is not None and best is not None and mine < best:
+    for line in lines:
+        mine = error[line.name]
+        if line.state == "scored" and mine is not None and best is not None and mine < best:
             said.append(
-                f"{r.estimator} scores better than the truth with {100 * NOISE:g} % noise: "
+                f"{line.name} scores better than the truth with {100 * NOISE:g} % noise: "
                 "it has seen the truth, or the judge is broken"
             )
     for name, wanted in (("flat", 1.0), (TRUTH_PLUS_NOISE, NOISE)):
@@ -237,15 +262,17 @@ def _surface(results: list[Result]) -> list[str]:
     return [f"Surface: {'; '.join(notes)}."] if notes else []
 
 
-def _mean(scores: np.ndarray) -> float | None:
+def _mean(scores: np.ndarray | None) -> float | None:
     """Interquartile mean; None where no run has the score."""
+    if scores is None:
+        return None
     values = scores[np.isfinite(scores)]
     return float(interquartile_mean(values)) if values.size else None
 
 
-def _states(result: Result) -> str:
+def _states(scores: Mapping[str, np.ndarray]) -> str:
     """How many trainings were near-optimal, sub-optimal, unstable: Appendix A of the paper."""
-    error = 100.0 * result.values("level_error")
+    error = 100.0 * scores["level_error"]
     if error.shape[-1] < 2:
         return ""
     near, unstable = int(np.sum(error < 15)), int(np.sum(error > 25))

@@ -18,7 +18,7 @@ from leaderboard.evaluate import run_task
 from leaderboard.results import load, load_all, path_of, save
 from leaderboard.statistics import bootstrap, interquartile_mean, interval, standings
 from leaderboard.table import as_json, print_tables
-from leaderboard.view import flags, views
+from leaderboard.view import arrays, views
 from road_envs.config import ConfigError
 
 ENTRIES = {
@@ -194,7 +194,50 @@ def test_a_small_difference_on_every_road_is_seen_because_roads_are_paired():
     assert found["worse"].score.low < found["better"].score.high
 
 
+def test_the_scores_of_a_result_are_read_in_one_pass():
+    for result in made()[:3]:
+        for name, found in arrays(result).items():
+            np.testing.assert_array_equal(found, result.values(name))
+
+
 # tables
+
+
+def test_every_condition_has_its_own_numbers_interval_and_rank():
+    (view,) = views(board())
+    (section,) = view.sections
+    assert section.groups == {"condition": tuple(c.label for c in task().conditions)}
+    line = next(line for line in section.lines if line.name == "learner")
+    for k, label in enumerate(section.groups["condition"]):
+        mine = named("learner").values("nrmse")[:, k : k + 1]
+        group = line.groups[label]
+        assert group["nrmse"] == pytest.approx(interquartile_mean(mine.ravel()))
+        assert (group["low"], group["high"]) == pytest.approx(interval(mine)[1:])
+        assert group["rank"] in (1, 2)
+
+
+def test_a_family_of_roads_is_looked_at_alone():
+    test = {**FAMILIES, "families": ["level", "rough"]}
+    t = task(test=test)
+    (result,) = run_task(t, {"reader": Reader()}, (1,), drive=fake_drives)
+    (view,) = views(Board((t,), {"small": [result]}))
+    line, _ = view.sections[0].lines
+    rough = result.values("level_error")[[1, 3]]
+    assert line.groups["rough"]["level_error"] == pytest.approx(interquartile_mean(rough.ravel()))
+    assert view.sections[0].groups["family"] == ("level", "rough")
+
+
+FAMILIES = {"roads": ["iso_b", "iso_e"], "seeds": [11, 12], "length": 40.0}
+
+
+def test_causal_entries_are_ranked_among_themselves_too():
+    online = dataclasses.replace(named("learner"), causal=True)
+    (view,) = views(Board((task(),), {"small": [named("reader"), online]}))
+    ranks = {
+        x.name: (x.values.get("rank"), x.values.get("rank_causal")) for x in view.sections[0].lines
+    }
+    assert ranks["learner"][1] == 1 and ranks["reader"][1] is None
+    assert ranks["learner"][0] is not None
 
 
 def printed(width):
@@ -230,12 +273,18 @@ def test_the_claim_of_the_paper_stands_beside_what_was_measured():
 
 
 def test_an_entry_that_beats_the_noisy_truth_is_flagged_and_so_is_a_broken_judge():
-    assert flags([named("reader"), named("flat"), named("truth_plus_noise")]) == []
+    (view,) = views(board())
+    assert view.sections[0].notes == ()
     (perfect,) = run_task(task(), {"perfect": Reader(gain=1.0)}, (1,), drive=fake_drives)
-    (said,) = flags([perfect, named("truth_plus_noise")])
+    (said,) = flagged(perfect, named("truth_plus_noise"))
     assert said.startswith("perfect scores better than the truth with 2 % noise")
-    (said,) = flags([dataclasses.replace(named("reader"), estimator="flat", role="sentinel")])
+    (said,) = flagged(dataclasses.replace(named("reader"), estimator="flat", role="sentinel"))
     assert said.startswith("the judge is broken: flat scores 0.1")
+
+
+def flagged(*results):
+    (view,) = views(Board((task(),), {"small": results}))
+    return view.sections[0].notes
 
 
 def test_a_program_reads_the_same_rows():
