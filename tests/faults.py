@@ -63,6 +63,18 @@ METRICS, SPECTRAL, BUMPS = (
 DEFENDER = "configs/vehicles/land_rover_defender_110.yaml"
 
 FAULTS = [
+    Fault("leaderboard/probes.py", "LF = RF - 2.0 * y[0]", "LF = RF + 2.0 * y[0]",
+          "probes::test_the_swapped_record_is_the_one_of_the_mirrored_road"),
+    Fault("leaderboard/probes.py", "np.stack([LF, RR, LR])", "np.stack([LF, LR, RR])",
+          "probes::test_the_swapped_record_is_the_one_of_the_mirrored_road"),
+    Fault("leaderboard/probes.py", '("FR", "FL", "RR", "RL")', '("FR", "FL", "RL", "RR")',
+          "probes::test_struts_change_sides_with_the_accelerometers"),
+    Fault("leaderboard/probes.py", "record.s >= 0.5", "record.s >= 0.6",
+          "probes::test_the_future_begins_in_the_middle"),
+    Fault("leaderboard/probes.py", "0.5 * record.length - lag - sample", "0.5 * record.length - 2.0 * lag - sample",
+          "probes::test_a_fixed_lag_is_allowed_what_it_says_and_no_more"),
+    Fault("leaderboard/probes.py", 'likeness("swap", asked[::-1])', 'likeness("swap", asked)',
+          "probes::test_each_vice_fails_its_probe_and_no_other"),
     Fault(METRICS, "float((best - reach) * ds)", "float((reach - best) * ds)", INDEPENDENT),
     Fault(METRICS, "0.5 + 0.5 * p) * sigma", "p) * sigma", INDEPENDENT),
     Fault(METRICS, "2.0 * density - 1.0 / np.sqrt(np.pi)", "density - 1.0 / np.sqrt(np.pi)", INDEPENDENT),
