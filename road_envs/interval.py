@@ -11,7 +11,7 @@ import numpy as np
 
 from road_envs.dynamics import DOF, N_DOF, PHI, THETA, Z_B
 from road_envs.integrator import ACCELERATION, EXTENSION, LOAD, SIGNALS, Work
-from road_envs.jit import kernel
+from road_envs.jit import kernel, separate
 from road_envs.lanes import (
     Numbers,
     Ways,
@@ -156,7 +156,7 @@ def desk(room, n):
     return Desk(work, road, row, nothing, out, s, v, a, heave)
 
 
-@kernel
+@separate
 def _first_broken(out, k):
     """The first step before which a signal of lane `k` is not finite."""
     for i in range(out.shape[0]):
@@ -166,7 +166,7 @@ def _first_broken(out, k):
     return out.shape[0]
 
 
-@kernel
+@separate
 def _first_turned(out, k):
     """4 i + column of the first step i at which one of ANGLES of lane `k` is too large."""
     for i in range(out.shape[0]):
@@ -176,7 +176,7 @@ def _first_turned(out, k):
     return -1
 
 
-@kernel
+@separate
 def _find_failures(out, q, v, largest, broken, turned):
     """Write where the lanes' motion fails (LANES,); one that broke down is reported as still."""
     for k in range(LANES):
@@ -196,7 +196,7 @@ def _find_failures(out, q, v, largest, broken, turned):
         turned[k] = _first_turned(out, k) if largest[0, k] > LARGEST_ANGLE else -1
 
 
-@kernel
+@separate
 def _sense(common, levers, alias, noise, used, out, a):
     """What the accelerometers give in an interval, to `a` (3, n, LANES), every step of it."""
     n = out.shape[0]
@@ -218,7 +218,7 @@ def _sense(common, levers, alias, noise, used, out, a):
     run_sections(common.alias_sos, alias, a, a)
 
 
-@kernel
+@separate
 def _add_up(common, wk, out, heave, nothing, numbers):
     """The costs and the reward of an interval, to their columns of `numbers` (LANES, 7)."""
     n = out.shape[0]
@@ -245,7 +245,7 @@ def _add_up(common, wk, out, heave, nothing, numbers):
         numbers[k, 6] = -n * common.h * cost
 
 
-@kernel
+@separate
 def _observe(common, course, a, given, observation):
     """The observations (LANES, 3 k + 5) of a block."""
     high = common.range
@@ -262,7 +262,7 @@ def _observe(common, course, a, given, observation):
             observation[k, at + 2 + wheel] = (byte >> (4 + wheel)) & 1
 
 
-@kernel
+@separate
 def _tell_the_truth(common, ways, top, s, profile, loads):
     """Stations (LANES, k), heights under the front wheels and tyre loads at the samples."""
     for i in range(0, top.out.shape[0], common.every):
@@ -276,7 +276,7 @@ def _tell_the_truth(common, ways, top, s, profile, loads):
                 loads[k, w, at] = top.out[i, LOAD + w, k]
 
 
-@kernel
+@separate
 def drive_blocks(blocks, cars, common, heights, noise, given, pipes, turns, room, seen):
     """Drive the `blocks` (indices) for one interval under the commands `given` (B, LANES).
 
@@ -292,7 +292,9 @@ def drive_blocks(blocks, cars, common, heights, noise, given, pipes, turns, room
         course, counts, numbers = cars.course[b], cars.counts[b], seen.numbers[rows]
         ways = Ways(heights[b], way[FIRST:SIZE], way[SIZE], way[START], way[DS])
         lay_course(course[BEGIN], course[SPEED], counts[DONE], common.h, top.s, top.v)
-        pipes[0] = given[b]
+        for i in range(n):
+            for k in range(LANES):
+                pipes[0, i, k] = given[b, k]
         through_pipe(cars.pipe[b], common.delay, counts[PASSED], pipes[0], pipes[1])
         drive_lanes(
             common.p,

@@ -39,6 +39,15 @@ def kernel(function: F) -> F:
 
     IEEE arithmetic, except that a*b + c may be contracted and x / c become x * (1 / c).
     """
+    return _compiled(function, inlined=True)
+
+
+def separate(function: F) -> F:
+    """As `kernel`, but called: for what is large and called seldom, so that it compiles once."""
+    return _compiled(function, inlined=False)
+
+
+def _compiled(function: F, inlined: bool) -> F:
     settings: Any = numba.config
     before, settings.CACHE_DIR = settings.CACHE_DIR, str(_folder)
     try:
@@ -46,7 +55,7 @@ def kernel(function: F) -> F:
             cache=True,
             error_model="numpy",
             fastmath={"contract", "arcp"},
-            forceinline=True,
+            forceinline=inlined,
             nogil=True,
         )(function)
     finally:

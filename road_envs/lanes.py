@@ -16,7 +16,7 @@ import numpy as np
 from road_envs.config import ConfigError
 from road_envs.dynamics import N_DOF, NUMBERS, extension
 from road_envs.integrator import SIGNALS, Work, step
-from road_envs.jit import kernel
+from road_envs.jit import kernel, separate
 from road_envs.roads.surface import PAD, Surface, catmull_rom
 from road_envs.simulate import Drive
 from road_envs.suspension import settled, switch
@@ -83,22 +83,29 @@ def look_at_roads(p, ways, s, speed, road, at):
             put(road, at + 4 + 2 * i + side, slope * v)
 
 
-@kernel
+@separate
 def switch_lane(numbers, memory, q, k, byte, alpha, h):
     """Advance the valves of lane `k`; returns whether all are settled. `numbers` (1,): its own."""
     p = numbers[0]
-    own, own_q = np.ascontiguousarray(memory[:, :, k]), np.ascontiguousarray(q[:, k])
+    own, own_q = np.empty(memory.shape[:2]), np.empty(q.shape[0])
+    for w in range(own.shape[0]):
+        for j in range(own.shape[1]):
+            own[w, j] = memory[w, j, k]
+    for j in range(own_q.size):
+        own_q[j] = q[j, k]
     calm = True
     for w in range(4):
         stiff, high = (byte >> w) & 1, (byte >> (4 + w)) & 1
         if not settled(own, w, stiff, high):
             switch(p, own, w, extension(p, own_q, w), stiff, high, alpha, h)
             calm = False
-    memory[:, :, k] = own
+    for w in range(own.shape[0]):
+        for j in range(own.shape[1]):
+            memory[w, j, k] = own[w, j]
     return calm
 
 
-@kernel
+@separate
 def through_pipe(pipe, delay, passed, commands, arriving):
     """What reaches the valves while `commands` (N, LANES) are given, to `arriving` (N, LANES).
 
@@ -107,18 +114,17 @@ def through_pipe(pipe, delay, passed, commands, arriving):
     """
     n = commands.shape[0]
     for k in range(LANES):
-        if delay[k] == 0:
-            arriving[:, k] = commands[:, k]
-        else:
-            slot = passed[k] % delay[k]
-            for i in range(n):
+        slot = passed[k] % max(delay[k], 1)
+        for i in range(n):
+            arriving[i, k] = commands[i, k]
+            if delay[k] > 0:
                 arriving[i, k] = pipe[slot, k]
                 pipe[slot, k] = commands[i, k]
                 slot = slot + 1 if slot + 1 < delay[k] else 0
         passed[k] += n
 
 
-@kernel
+@separate
 def lay_course(begin, v, done, h, s, speed):
     """Stations and speeds (M, LANES) at half steps from `done` (LANES,) steps on, at speeds `v`."""
     for i in range(s.shape[0]):
@@ -127,7 +133,7 @@ def lay_course(begin, v, done, h, s, speed):
             speed[i, k] = v[k]
 
 
-@kernel
+@separate
 def drive_lanes(
     p,
     numbers,

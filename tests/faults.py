@@ -27,6 +27,8 @@ WHOLE = "simulate::test_a_drive_in_chunks_is_the_drive_as_a_whole_to_the_bit"
 CUBIC = "surface::test_between_samples_the_height_is_the_catmull_rom_cubic"
 PLACED = "sensors::test_sensors_feel_the_rigid_body_where_the_paper_put_them"
 LANE = "lanes::test_every_lane_is_its_vehicle_driven_alone_to_rounding"
+SEEN = "env::test_what_is_seen_is_what_the_instruments_would_log_of_the_drive"
+SINGLE = "vector_env::test_environment_i_is_the_single_one_seeded_seed_plus_i_in_every_mode"
 REFUSED = "config::test_a_fault_in_a_vehicle_is_one_sentence_that_names_it"
 DUALS = "tangent::test_the_tangent_is_the_derivative_that_dual_numbers_find"
 TRANSPOSE = "tangent::test_the_adjoint_of_a_step_is_the_transpose_of_its_tangent"
@@ -50,6 +52,7 @@ SUSPENSION, SIMULATE = "road_envs/suspension.py", "road_envs/simulate.py"
 SENSORS, PROCESSING = "road_envs/sensors.py", "road_envs/processing.py"
 OBSERVABILITY = "road_envs/observability.py"
 TANGENT, LINEAR = "road_envs/tangent.py", "road_envs/linear.py"
+INTERVAL = "road_envs/interval.py"
 CURVES, SURFACE = "road_envs/curves.py", "road_envs/roads/surface.py"
 DATASET, CONFIG, VEHICLE = "road_envs/dataset.py", "road_envs/config.py", "road_envs/vehicle.py"
 INDEPENDENT = "scores::test_the_scores_are_those_of_an_independent_implementation"
@@ -101,6 +104,22 @@ FAULTS = [
     Fault("road_envs/vector.py", "[j, 4 + j]", "[j, 3 + j]", LANE),
     Fault("road_envs/lanes.py", "get(p.x, 0) - get(p.x, i)", "get(p.x, i) - get(p.x, 0)", LANE),
     Fault("road_envs/lanes.py", "2.0 * np.array(of_lane)", "0.0 * np.array(of_lane)", LANE),
+    Fault("road_envs/lanes.py", "slot = passed[k] % delay[k]", "slot = 0",
+          "lanes::test_parts_of_a_drive_are_the_whole_drive_to_the_bit"),
+    Fault("road_envs/lanes.py", "np.roll(ring, -(", "np.roll(ring, (",
+          "lanes::test_a_landed_drive_goes_on_alone_where_the_fleet_left_it"),
+    Fault(INTERVAL, "noise[k, used[k] + i, j]", "noise[k, used[k] + i, 2 - j]", SEEN),
+    Fault(INTERVAL, "np.sqrt(lane(rattle, k) / (4 * n))", "np.sqrt(lane(rattle, k) / n)", SEEN),
+    Fault(INTERVAL, "numbers[k, 6] = -n * common.h * cost", "numbers[k, 6] = -cost", SEEN),
+    Fault(INTERVAL, "+ pitch * get(", "- pitch * get(", SEEN),
+    Fault("road_envs/vector_env.py", "self._elapsed += ~fresh", "self._elapsed += 1",
+          "vector_env::test_gymnasium_makes_it_and_truncates_through_it"),
+    Fault("road_envs/vector_env.py", "int(seed) + i for", "int(seed) for", SINGLE),
+    Fault("road_envs/vector_env.py", "final_info = self._infos(seen, ended)",
+          "final_info = self._infos(seen, ~ended)", SINGLE),
+    Fault("road_envs/convoy.py", "field[b][..., lanes] = before[at][..., lanes]", "pass", SINGLE),
+    Fault("road_envs/sb3.py", "truncated[i] and not terminated[i]", "truncated[i] or terminated[i]",
+          "sb3::test_a_car_that_fails_is_not_called_out_of_time"),
     Fault("road_envs/lanes.py", "byte != last[k]", "False",
           "lanes::test_every_lane_is_its_vehicle_driven_alone_to_rounding"),
     Fault("road_envs/speed.py", "0.5 * a[i] * dt", "a[i] * dt",

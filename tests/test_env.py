@@ -251,7 +251,7 @@ def test_a_spawned_worker_finds_the_environment_by_module_and_id(tmp_path):
         "    envs.close()\n"
     )
     done = subprocess.run(
-        [sys.executable, script], cwd=tmp_path, capture_output=True, text=True, timeout=120
+        [sys.executable, script], cwd=tmp_path, capture_output=True, text=True, timeout=300
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "(2, 155)"

@@ -15,6 +15,7 @@ follows the roughness along the road.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
@@ -64,13 +65,22 @@ class Iso8608:
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """Draw one road."""
-        edges = line_edges(self)
-        power = power_law(edges, self.density, self.w)
-        g = np.full(power.size, 1.0 if self.coherence == "full" else 0.0)
-        if self.coherence == "isotropic":
-            g = isotropic(middle(edges), self.w, self.track)
+        edges, power, g = _expected(self)
         name = f"iso8608 {self.road_class or f'G_d0={self.G_d0:g}'}"
         return synthesise(rng, self, edges, power, g, name, self.variation)
+
+
+@lru_cache(maxsize=16)
+def _expected(road: Iso8608) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cells, their power and root coherence, which all realisations of a road share."""
+    edges = line_edges(road)
+    power = power_law(edges, road.density, road.w)
+    g = np.full(power.size, 1.0 if road.coherence == "full" else 0.0)
+    if road.coherence == "isotropic":
+        g = isotropic(middle(edges), road.w, road.track)
+    for array in (edges, power, g):
+        array.flags.writeable = False
+    return edges, power, g
 
 
 def power_law(edges: np.ndarray, G_d0: float, w: float) -> np.ndarray:
