@@ -14,6 +14,7 @@ from leaderboard.commands import (
     board,
     drives,
     observability,
+    paper,
     policies,
     precision,
     roads,
@@ -35,6 +36,7 @@ app.command("simulate")(drives.simulate)
 app.command("train")(drives.train)
 app.command("estimate")(drives.estimate)
 app.command("leaderboard")(board.leaderboard)
+app.command("paper")(paper.paper)
 app.command("season")(season.season)
 app.command("policies")(policies.policies)
 app.add_typer(roads.app, name="roads")

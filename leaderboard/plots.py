@@ -28,26 +28,40 @@ def draw_road(surface: Surface, path: Path) -> None:
             heights.plot(surface.s, 1000 * z, color=COLOURS[side], lw=0.9, label=side)
             if z.any():
                 n, G = smooth(*dsd(z, surface.ds))
-                density.loglog(n, G, color=COLOURS[side], lw=1.4)
+                density.plot(n, G, color=COLOURS[side], lw=1.4)
         heights.set(xlabel="distance [m]", ylabel="height [mm]", title=surface.name)
         heights.legend(frameon=False)
         draw_classes(density)
+        density.set_title("over the ISO 8608 classes")
 
     _write(paint, (11.0, 4.0), path)
 
 
 def draw_classes(axes: Any) -> None:
-    """The limits between the ISO 8608 classes as a background of a density plot."""
-    n = np.geomspace(0.02, 10.0, 2)
-    for letter, mean in CLASSES.items():
-        axes.loglog(n, 2.0 * mean * (n / N_0) ** -2.0, color="0.85", lw=0.8, zorder=0)
-        axes.annotate(letter, (n[0], mean * (n[0] / N_0) ** -2.0), color="0.5", fontsize=8)
+    """Axes of a density plot, with the ISO 8608 classes as bands and letters behind whatever is
+    drawn there; also where nothing else is, such as the density of a level road.
+    """
+    n = np.array([0.02, 10.0])
+    for k, (letter, mean) in enumerate(CLASSES.items()):
+        level = mean * (n / N_0) ** -2.0
+        if k % 2 == 0:
+            axes.fill_between(n, 0.5 * level, 2.0 * level, color="0.93", lw=0, zorder=0)
+        axes.annotate(
+            letter,
+            (n[1], level[1]),
+            (3, 0),
+            textcoords="offset points",
+            va="center",
+            color="0.4",
+            fontsize=8,
+        )
     axes.set(
+        xscale="log",
+        yscale="log",
         xlabel="spatial frequency [cycles/m]",
         ylabel="displacement spectral density [m³]",
-        xlim=(n[0], n[-1]),
+        xlim=n,
         ylim=(1e-10, 1e-1),
-        title="over the ISO 8608 classes",
     )
 
 

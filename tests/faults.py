@@ -66,6 +66,12 @@ METRICS, SPECTRAL, BUMPS = (
 DEFENDER = "configs/vehicles/land_rover_defender_110.yaml"
 
 FAULTS = [
+    Fault("leaderboard/paper/claims.py", "< LIMITS[0] for case", "> LIMITS[0] for case",
+          "paper::test_a_claim_agrees_where_the_numbers_do_and_not_where_they_do_not"),
+    Fault("leaderboard/paper/figures.py", "(3 * last) // 4, last)", "last // 4, last)",
+          "paper::test_sessions_are_chosen_by_their_largest_error"),
+    Fault("leaderboard/paper/study.py", "if level_error < near else", "if level_error <= near else",
+          "paper::test_the_states_of_appendix_a"),
     Fault("leaderboard/probes.py", "LF = RF - 2.0 * y[0]", "LF = RF + 2.0 * y[0]",
           "probes::test_the_swapped_record_is_the_one_of_the_mirrored_road"),
     Fault("leaderboard/probes.py", "np.stack([LF, RR, LR])", "np.stack([LF, LR, RR])",

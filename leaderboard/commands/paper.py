@@ -1,0 +1,32 @@
+"""`paper`: the paper's eight scenarios run again, its figures and claims beside what came out."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from leaderboard.commands import console, print_json, progress_bar
+from leaderboard.commands.drives import Json
+from road_envs.config import ConfigError
+
+
+def paper(
+    trainings: Annotated[int, typer.Option(help="Trainings of each scenario.", min=2)] = 20,
+    out: Annotated[Path, typer.Option(help="Folder for the report.")] = Path("out/paper"),
+    json: Json = False,
+) -> None:
+    """Reproduce the paper: HTML and PDF report with its figures, and every number as JSON."""
+    from leaderboard.paper import claims, report, study
+
+    if out.exists() and not out.is_dir():
+        raise ConfigError(f"{out} is a file; a folder for the report is wanted")
+    with progress_bar() as progress:
+        made = study.run(trainings, report=progress)
+        progress("writing the report", 1.0)
+        written = report.write(made, out, f"roadrecon paper --trainings {trainings}")
+    if json:
+        print_json(report.numbers(made, f"roadrecon paper --trainings {trainings}"))
+        return
+    for sentence in claims.summary(made):
+        console.print(f"- {sentence}")
+    console.print(f"written: {', '.join(map(str, written))}")

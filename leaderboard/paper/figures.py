@@ -1,0 +1,265 @@
+"""The paper's figures in their form: what is solid there is solid here, what is dashed is dashed.
+
+Figures 10, 11 and A.1 to A.6 each show the four networks of one training session. Sessions are
+chosen by the largest of their four errors (equation 12 as printed): the least of all for Figures 10
+and 11, as the paper shows its near-optimal one; then the middle one (A.1, A.2), the upper quartile
+(A.3, A.4) and the worst (A.5, A.6).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from leaderboard.paper.study import LIMITS, PRINTED, Case, Study, Training
+from leaderboard.plots import COLOURS, draw_classes
+from road_envs.roads.bumps import LAYOUTS, SIDES, Bumps
+from road_envs.roughness import dsd, smooth
+
+WINDOW = 20.0
+"""Length [m] of the paving that an overlay shows."""
+
+LETTERS = "abcdefgh"
+PATHS = ("left", "right")
+Paint = Callable[[Any], None]
+
+
+@dataclass(frozen=True)
+class Plate:
+    """A figure: `paint` fills a matplotlib figure of `size` [inch]."""
+
+    name: str
+    caption: str
+    paint: Paint
+    size: tuple[float, float] = (8.0, 5.6)
+
+
+def plates(study: Study) -> list[Plate]:
+    """All figures, in the paper's order, then the spread of the trainings."""
+    sessions = dict(zip(("10", "A.1", "A.3", "A.5"), chosen_sessions(study), strict=True))
+    bumps = [_bumps(case, f"{number}") for number, case in zip("6789", study.bumps, strict=True)]
+    paving = [
+        plate
+        for (name, session), second in zip(
+            sessions.items(), ("11", "A.2", "A.4", "A.6"), strict=True
+        )
+        for plate in (_profiles(study, name, session), _densities(study, second, session))
+    ]
+    return [_struts(study), _layouts(), _paving(study), *bumps, *paving, _spread(study)]
+
+
+def chosen_sessions(study: Study) -> list[int]:
+    """Which training of each scenario: the best, the middle, the upper quartile, the worst."""
+    worst = np.max([case.all(PRINTED) for case in study.paving], axis=0)
+    order, last = np.argsort(worst, kind="stable"), len(worst) - 1
+    return [int(order[k]) for k in (0, last // 2, (3 * last) // 4, last)]
+
+
+def _struts(study: Study) -> Plate:
+    strut = study.cases[0].task.vehicle.strut
+
+    def paint(figure: Any) -> None:
+        panels = figure.subplots(2, 2).ravel()
+        v, x = np.linspace(-1.5, 1.5, 601), np.linspace(-0.155, 0.155, 601)
+        slow = np.linspace(-0.2, 0.2, 801)
+        for mode, style in (("ride", "--"), ("handling", "-")):
+            panels[0].plot(v, getattr(strut.damper, mode)(v)[0], style, color="k", label=mode)
+            panels[1].plot(slow, getattr(strut.friction, mode)(slow)[0], style, color="k")
+        inside = x[(x > -0.15) & (x < 0.11)]
+        panels[2].plot(inside, strut.bushing(inside)[0], "-", color="k")
+        for axle, style in (("front", "-"), ("rear", "--")):
+            panels[3].plot(x, getattr(strut.bump_stop, axle)(x)[0], style, color="k", label=axle)
+        titles = ("damping", "friction", "bushing", "bump stop")
+        for k, (axes, title) in enumerate(zip(panels, titles, strict=True)):
+            across = "rate of extension [m/s]" if k < 2 else "extension [m]"
+            axes.set(title=f"({LETTERS[k]}) {title}", xlabel=across, ylabel="force [N]")
+        panels[0].legend(frameon=False)
+        panels[3].legend(frameon=False)
+
+    caption = (
+        "The strut's forces over the rate of extension and the extension: (a) damping, ride "
+        "dashed and handling solid; (b) friction of both; (c) bushing; (d) bump stop, front solid "
+        "and rear dashed. Assumed: the paper prints its curves in a figure only."
+    )
+    return Plate("Figure 1", caption, paint)
+
+
+def _layouts() -> Plate:
+    def paint(figure: Any) -> None:
+        for k, (axes, layout) in enumerate(zip(figure.subplots(3, 1), LAYOUTS, strict=True)):
+            road = Bumps(layout=layout)
+            for block, middle, (_, side) in zip(
+                road.blocks, road.middles, LAYOUTS[layout], strict=True
+            ):
+                for path in SIDES[side]:
+                    s = middle + np.array([-1, -1, 1, 1]) * (
+                        0.5 * block.top + np.array([block.ramp, 0, 0, block.ramp])
+                    )
+                    z = 1000 * block.height * np.array([0, 1, 1, 0])
+                    axes.fill(
+                        s, z / 1000 + 0.25 * (1 - path), color=COLOURS[PATHS[path]], alpha=0.85
+                    )
+                axes.annotate(
+                    f"{1000 * block.height:.0f} mm", (middle, 0.45), ha="center", fontsize=8
+                )
+            if len(road.middles) > 1:
+                first, second = road.middles
+                axes.annotate(
+                    "", (first, -0.06), (second, -0.06), arrowprops={"arrowstyle": "<->", "lw": 0.8}
+                )
+                axes.annotate(
+                    f"{second - first:.1f} m",
+                    (0.5 * (first + second), -0.12),
+                    ha="center",
+                    va="top",
+                    fontsize=8,
+                )
+            axes.set(
+                title=f"({LETTERS[k + 1]}) {layout.replace('_', ', then ')}",
+                xlim=(8.0, 24.0),
+                ylim=(-0.22, 0.6),
+            )
+            axes.set_yticks([0.0, 0.25], ["right", "left"])
+        axes.set_xlabel("distance [m], heights to the same scale")
+
+    caption = "Layouts of the bumps, seen from the side, left wheel path above the right one."
+    return Plate("Figure 2", caption, paint)
+
+
+def _paving(study: Study) -> Plate:
+    truth = study.paving[0].truth
+
+    def paint(figure: Any) -> None:
+        axes = figure.subplots()
+        draw_classes(axes)
+        for path, z in zip(PATHS, truth.z, strict=True):
+            axes.plot(*smooth(*dsd(z, truth.ds)), color=COLOURS[path], lw=1.4, label=path)
+        axes.axvline(6.0, color="0.4", lw=0.8, ls=":")
+        axes.annotate("cobbles", (6.0, 1e-3), (4, 0), textcoords="offset points", fontsize=8)
+        axes.legend(frameon=False)
+
+    caption = (
+        "(b) Displacement spectral density of the Belgian paving over the ISO 8608 classes; its "
+        "cobbles make the peak near 6 cycles/m. Made after the measured cobbles of the OpenCRG "
+        "sample, since the paper's own profile is not published."
+    )
+    return Plate("Figure 3", caption, paint, (6.0, 4.2))
+
+
+def _bumps(case: Case, number: str) -> Plate:
+    training = case.typical()
+
+    def paint(figure: Any) -> None:
+        for side, axes in enumerate(figure.subplots(1, 2, sharey=True)):
+            axes.plot(case.truth.s, case.truth.z[side], "-", color=COLOURS["truth"], lw=1.1)
+            axes.plot(case.truth.s, training.z[side], "--", color=COLOURS[PATHS[side]], lw=1.2)
+            error = training.scores[f"nrmse_{PATHS[side]}"]
+            title = f"({LETTERS[side]}) {PATHS[side]}, in-band error {error:.2f}"
+            axes.set(title=title, xlabel="distance [m]", ylabel="height [m]")
+
+    caption = (
+        f"Bumps of scenario {case.number} ({case.condition}): actual solid, reconstructed dashed, "
+        f"by the training in the middle of {len(case.trainings)} (seed {training.seed}; "
+        f"equation 12 {100 * training.scores[PRINTED]:.1f} %, {training.state})."
+    )
+    return Plate(f"Figure {number}", caption, paint, (8.0, 3.0))
+
+
+def _profiles(study: Study, number: str, session: int) -> Plate:
+    def panel(axes: Any, case: Case, training: Training) -> None:
+        s = case.truth.s
+        shown = np.abs(s - 0.5 * s[-1]) < 0.5 * WINDOW
+        axes.plot(s[shown], 1e3 * case.truth.z[0, shown], "-", color=COLOURS["truth"], lw=1.0)
+        axes.plot(s[shown], 1e3 * training.z[0, shown], "--", color=COLOURS["left"], lw=1.1)
+        axes.set(xlabel="distance [m]", ylabel="height [mm]")
+
+    return Plate(
+        f"Figure {number}",
+        _caption(study, session, "Profiles (left wheel path, 20 m of 100 m)"),
+        _panels(study, session, panel),
+    )
+
+
+def _densities(study: Study, number: str, session: int) -> Plate:
+    def panel(axes: Any, case: Case, training: Training) -> None:
+        draw_classes(axes)
+        ds = case.truth.ds
+        axes.plot(*_mean_density(case.truth.z, ds), "-", color=COLOURS["truth"], lw=1.1)
+        axes.plot(*_mean_density(training.z, ds), "--", color=COLOURS["left"], lw=1.2)
+        axes.set(ylabel="density [m³]")
+
+    return Plate(
+        f"Figure {number}",
+        _caption(study, session, "Densities (mean of both wheel paths)"),
+        _panels(study, session, panel),
+    )
+
+
+def _panels(study: Study, session: int, panel: Callable[[Any, Case, Training], None]) -> Paint:
+    def paint(figure: Any) -> None:
+        for k, (axes, case) in enumerate(
+            zip(figure.subplots(2, 2).ravel(), study.paving, strict=True)
+        ):
+            training = case.trainings[session]
+            panel(axes, case, training)
+            axes.set_title(
+                f"({LETTERS[k]}) {case.condition}: {100 * training.scores[PRINTED]:.1f} %",
+                fontsize=9,
+            )
+
+    return paint
+
+
+def _caption(study: Study, session: int, what: str) -> str:
+    states = [case.trainings[session].state for case in study.paving]
+    return (
+        f"{what}, actual solid and reconstructed dashed, of session {session + 1} of "
+        f"{len(study.paving[0].trainings)}; equation 12 as printed stands on top of each. By it "
+        f"the trainings are {', '.join(states)}."
+    )
+
+
+def _mean_density(z: np.ndarray, ds: float) -> tuple[np.ndarray, np.ndarray]:
+    n, G = smooth(*dsd(z, ds))
+    return n, G.mean(axis=0)
+
+
+def _spread(study: Study) -> Plate:
+    def paint(figure: Any) -> None:
+        level, shape = figure.subplots(1, 2, sharey=True)
+        for k, case in enumerate(study.cases):
+            for score, marker in ((PRINTED, "o"), ("level_error", "x")):
+                x = 100 * case.all(score)
+                level.plot(
+                    x, _spread_out(k, x.size), marker, color=COLOURS["left"], ms=3.5, alpha=0.7
+                )
+            if case.task.claimed_level_error is not None:
+                level.plot(
+                    100 * case.task.claimed_level_error, k, "D", color=COLOURS["right"], ms=7
+                )
+            x = case.all("nrmse")
+            shape.plot(x, _spread_out(k, x.size), "o", color=COLOURS["left"], ms=3.5, alpha=0.7)
+            if case.driven in study.new_road:
+                shape.plot(study.new(case, "nrmse"), k, "s", color=COLOURS["right"], ms=6)
+        for limit in LIMITS:
+            level.axvline(100 * limit, color="0.6", lw=0.8, ls=":")
+        shape.axvline(1.0, color="0.6", lw=0.8, ls=":")
+        level.set(xlabel="equation 12 [%]", xlim=(0.0, 90.0), ylabel="scenario")
+        level.set_yticks(
+            range(len(study.cases)), [f"{case.number}: {case.condition}" for case in study.cases]
+        )
+        shape.set(xlabel="in-band NRMSE", xlim=(0.0, None))
+        level.invert_yaxis()
+
+    caption = (
+        "The spread of the trainings. Left: equation 12 as printed (dots) and of heights about "
+        "their mean (crosses); diamonds: what the paper reports; dotted: 15 and 25 %. Right: "
+        "in-band error; squares: the network on new roads; dotted: a flat road."
+    )
+    return Plate("Spread", caption, paint, (9.0, 4.4))
+
+
+def _spread_out(k: int, size: int) -> np.ndarray:
+    """Places near `k`, so that points do not hide each other."""
+    return k + 0.22 * np.linspace(-1.0, 1.0, size)

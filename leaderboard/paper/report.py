@@ -1,0 +1,306 @@
+"""The study as a report: an HTML file that needs nothing else, the same as PDF, and the numbers."""
+
+import io
+import json
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leaderboard.environment import environment, version
+from leaderboard.paper.claims import claims, summary
+from leaderboard.paper.figures import Plate, plates
+from leaderboard.paper.study import PRINTED, Case, Study
+from leaderboard.results import write_whole
+from leaderboard.scores import NOTHING
+from leaderboard.svg import STYLE, inline
+
+TITLE = "The paper reproduced"
+ABOUT = (
+    "Ngwangwa, Heyns, Breytenbach and Els trained a static network, 3-50-2, on simulated drives "
+    "over altered copies of the road that they tested it on. Here are its eight case scenarios, "
+    "{trainings} trainings of each, beside what the paper reports."
+)
+PAGE = (8.27, 11.69)
+"""A4 [inch]."""
+
+
+Drawn = tuple[Plate, Any]
+"""A figure of the paper, and the matplotlib figure of it."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Numbers in words: a heading for each column, and rows that begin with what they are of."""
+
+    title: str
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    note: str = ""
+
+
+def write(study: Study, out: Path, command: str) -> list[Path]:
+    """Write index.html, report.pdf and numbers.json into `out`, each whole or not at all."""
+    drawn = [(plate, _figure(plate)) for plate in plates(study)]
+    write_whole(out / "index.html", html(study, drawn, command))
+    write_whole(out / "numbers.json", json.dumps(numbers(study, command), indent=1) + "\n")
+    _write_pdf(study, drawn, out / "report.pdf", command)
+    return [out / name for name in ("index.html", "report.pdf", "numbers.json")]
+
+
+def tables(study: Study) -> list[Table]:
+    """The tables of the report: paving, bumps, cost."""
+    return [_paving(study), _bumps(study), _cost(study)]
+
+
+def numbers(study: Study, command: str) -> dict[str, Any]:
+    """Every score of every training, and where it was made."""
+    return {
+        "command": command,
+        "package_version": version(),
+        "environment": environment(),
+        "seconds": round(study.seconds, 1),
+        "new_road": study.new_road,
+        "cases": [
+            {
+                "task": case.task.name,
+                "digest": case.task.digest,
+                "condition": case.condition,
+                "claimed": case.task.claimed_level_error,
+                "states": case.shares(),
+                "drive_seconds": round(case.drive_seconds, 3),
+                "trainings": [
+                    {
+                        "seed": training.seed,
+                        "train_seconds": round(training.train_seconds, 3),
+                        "estimate_seconds": round(training.estimate_seconds, 4),
+                        **_rounded(training.scores),
+                    }
+                    for training in case.trainings
+                ],
+                "sentinels": {n: [_rounded(x) for x in xs] for n, xs in case.sentinels.items()},
+            }
+            for case in study.cases
+        ],
+    }
+
+
+def html(study: Study, drawn: Sequence[Drawn], command: str) -> str:
+    """The report as a page."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    templates = Environment(
+        loader=PackageLoader("leaderboard"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    return templates.get_template("paper.html").render(
+        title=TITLE,
+        about=_about(study),
+        summary=summary(study),
+        tables=tables(study),
+        claims=claims(study),
+        plates=[(plate.name, plate.caption, inline(figure)) for plate, figure in drawn],
+        provenance=_provenance(study, command),
+    )
+
+
+def _write_pdf(study: Study, drawn: Sequence[Drawn], path: Path, command: str) -> None:
+
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    buffer = io.BytesIO()
+    about = {"Title": TITLE, "Creator": f"roadrecon {version()}", "CreationDate": None}
+    with PdfPages(buffer, metadata=about) as pages:
+        for page in _text_pages(study, command):
+            pages.savefig(page)
+        for plate, figure in drawn:
+            figure.text(
+                0.01, 0.0, _wrapped(f"{plate.name}. {plate.caption}", 120), fontsize=8, va="top"
+            )
+            pages.savefig(figure, bbox_inches="tight", pad_inches=0.4)
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        partial.write_bytes(buffer.getvalue())
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _figure(plate: Plate) -> Any:
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(plate.size, layout="constrained")
+        FigureCanvasAgg(figure)
+        plate.paint(figure)
+    return figure
+
+
+def _text_pages(study: Study, command: str) -> list[Any]:
+    """Summary, tables and claims as pages of text."""
+    from matplotlib.figure import Figure
+
+    lines = [TITLE, "", *_lines(_about(study)), ""]
+    for sentence in summary(study):
+        lines += _lines(f"- {sentence}")
+    for table in tables(study):
+        lines += ["", table.title, *_aligned(table), *_lines(table.note)]
+    lines += ["", "What the paper says, and what was found"]
+    for claim in claims(study):
+        lines += [
+            "",
+            *_lines(f"[{claim.verdict}] {claim.says} ({claim.where})"),
+            *_lines(f"Found: {claim.found}", 4),
+            *_lines(f"Why: {claim.why}" if claim.why else "", 4),
+        ]
+    lines += [
+        "",
+        *(line for name, text in _provenance(study, command) for line in _lines(f"{name}: {text}")),
+    ]
+    size = 78
+    pages = []
+    for k in range(0, len(lines), size):
+        figure = Figure(PAGE)
+        figure.text(
+            0.07, 0.96, "\n".join(lines[k : k + size]), family="monospace", fontsize=7.6, va="top"
+        )
+        pages.append(figure)
+    return pages
+
+
+def _aligned(table: Table) -> list[str]:
+    rows = [table.heads, *table.rows]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(table.heads))]
+    return [
+        "  ".join(
+            cell.ljust(width) if k == 0 else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in rows
+    ]
+
+
+def _lines(text: str, indent: int = 0) -> list[str]:
+    space = " " * indent
+    return textwrap.wrap(text, 100, initial_indent=space, subsequent_indent=space + "  ")
+
+
+def _wrapped(text: str, width: int) -> str:
+    return "\n".join(textwrap.wrap(text, width))
+
+
+def _about(study: Study) -> str:
+    return ABOUT.format(trainings=len(study.cases[0].trainings))
+
+
+def _paving(study: Study) -> Table:
+    heads = (
+        "Belgian paving", "paper", "eq. 12", "least-most", "about mean", "<15/15-25/>25 %",
+        "NRMSE", "r", "constant", "unrelated", "its NRMSE", "new road",
+    )  # fmt: skip
+    rows = [
+        [
+            case.condition,
+            _percent(case.task.claimed_level_error),
+            _percent(case.middle(PRINTED)),
+            f"{100 * case.all(PRINTED).min():.1f}-{100 * case.all(PRINTED).max():.1f}",
+            _percent(case.middle("level_error")),
+            _shares(case),
+            f"{case.middle('nrmse'):.2f}",
+            f"{case.middle('r'):.2f}",
+            _percent(case.sentinel("constant", PRINTED)),
+            _percent(case.sentinel("unrelated_road", PRINTED)),
+            f"{case.sentinel('unrelated_road', 'nrmse'):.2f}",
+            f"{study.new(case, 'nrmse'):.2f}",
+        ]
+        for case in study.paving
+    ]
+    note = (
+        "eq. 12 [%] of both wheel paths: of raw heights as printed, interquartile mean and range "
+        "of the trainings, and of heights about their means; shares of trainings in percent; "
+        "in-band NRMSE (a flat road has 1) and correlation r; eq. 12 of a constant height and of "
+        "an unrelated road of the same roughness, and the latter's NRMSE; NRMSE of the network on "
+        "roads that it has not seen."
+    )
+    return Table("Belgian paving, scenarios 5 to 8", heads, rows, note)
+
+
+def _bumps(study: Study) -> Table:
+    heads = (
+        "Bumps", "eq. 12", "<15/15-25/>25 %", "NRMSE left", "right", "r", "found", "of found",
+        "height error", "place", "unrelated", "new road",
+    )  # fmt: skip
+    rows = [
+        [
+            f"{case.number}: {case.condition}",
+            _percent(case.middle(PRINTED)),
+            _shares(case),
+            f"{case.middle('nrmse_left'):.2f}",
+            f"{case.middle('nrmse_right'):.2f}",
+            f"{case.middle('r'):.2f}",
+            _percent(case.middle("bump_recall"), 0),
+            _percent(case.middle("bump_precision"), 0),
+            _percent(case.middle("bump_height_error_relative"), 0),
+            f"{100 * case.middle('bump_location_error'):.0f} cm",
+            f"{case.sentinel('unrelated_road', 'nrmse'):.2f}",
+            f"{study.new(case, 'nrmse'):.2f}",
+        ]
+        for case in study.bumps
+    ]
+    note = (
+        "eq. 12 as printed [%]; in-band NRMSE left and right; percent of the true bumps found "
+        "within 0.3 m, and percent true of those found; errors of height and place of the found; "
+        "NRMSE of an unrelated road and of the network on new roads."
+    )
+    return Table("Bumps, scenarios 1 to 4", heads, rows, note)
+
+
+def _cost(study: Study) -> Table:
+    def mean(seconds: list[float]) -> float:
+        return float(np.mean(seconds))
+
+    rows = [
+        [
+            f"{case.number}: {case.condition}",
+            f"{mean([t.train_seconds for t in case.trainings]):.2f} s",
+            f"{1e3 * mean([t.estimate_seconds for t in case.trainings]):.0f} ms",
+            f"{case.drive_seconds:.2f} s",
+        ]
+        for case in study.cases
+    ]
+    rows.append(["the paper (Core i7, 2.2 GHz)", "63 s", "2 s", NOTHING])
+    heads = ("Time", "one training", "one estimate", "all its drives")
+    return Table("Time of training and of simulating the network", heads, rows)
+
+
+def _provenance(study: Study, command: str) -> list[tuple[str, str]]:
+    return [
+        ("Made by", command),
+        ("In", f"{study.seconds:.0f} s"),
+        (
+            "Versions",
+            ", ".join(f"{k} {v}" for k, v in {"roadrecon": version(), **environment()}.items()),
+        ),
+        ("Tasks", ", ".join(f"{case.task.name} {case.task.digest[:12]}" for case in study.cases)),
+        ("Numbers", "every score of every training: numbers.json beside this file"),
+    ]
+
+
+def _shares(case: Case) -> str:
+    return "/".join(f"{100 * share:.0f}" for share in case.shares().values())
+
+
+def _percent(share: float | None, digits: int = 1) -> str:
+    return NOTHING if share is None or not np.isfinite(share) else f"{100 * share:.{digits}f}"
+
+
+def _rounded(found: dict[str, float]) -> dict[str, float | None]:
+    return {k: float(f"{x:.5g}") if np.isfinite(x) else None for k, x in found.items()}

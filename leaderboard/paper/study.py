@@ -1,0 +1,261 @@
+"""The eight case scenarios of Ngwangwa et al., each with many trainings of the paper's network.
+
+Training k of every scenario makes up session k, for the paper shows the four networks of the paving
+as they came out of one training session. Beside the network stand three that measure nothing: an
+`unrelated_road` of the training road's roughness, the `mean` of the training roads, and a
+`constant`: their mean height. On the new road the network is trained on other roads of the same
+kinds and tested on roads that it has not seen.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+import estimators
+from estimators.protocol import Estimator
+from leaderboard.bumps import TOLERANCE, find_bumps, obstacles
+from leaderboard.drives import Drive, DriveSource, simulated
+from leaderboard.entry import reconstruct
+from leaderboard.scores import scores
+from leaderboard.statistics import interquartile_mean
+from leaderboard.tasks import Condition, Task, load_task, shipped_tasks
+from road_envs.record import Estimate, Profile, Record
+
+NETWORK = "static_lm"
+MEASURE_NOTHING = ("unrelated_road", "mean")
+PRINTED = "level_error_raw"
+"""Equation 12 as it is printed: raw heights."""
+
+NEW_ROAD_SEEDS = (1, 2, 3, 4, 5)
+NEW_ROADS = 6
+"""Held-out roads of each condition, of the families that the network was trained on."""
+
+State = Literal["near-optimal", "sub-optimal", "unstable"]
+LIMITS = (0.15, 0.25)
+"""Equation 12 at which a training stops being near-optimal, and sub-optimal (Appendix A)."""
+
+Report = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Training:
+    """One training and what it makes of the test road: heights `z` (2, M) [m]."""
+
+    seed: int
+    scores: dict[str, float]
+    z: np.ndarray
+    train_seconds: float
+    estimate_seconds: float
+
+    @property
+    def state(self) -> State:
+        """Near-optimal, sub-optimal or unstable, by equation 12 as printed."""
+        return state_of(self.scores[PRINTED])
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A scenario: its truth, its trainings, and the scores of those that measure nothing."""
+
+    task: Task
+    truth: Profile
+    trainings: tuple[Training, ...]
+    sentinels: dict[str, tuple[dict[str, float], ...]]
+    drive_seconds: float  # of all its drives, simulated
+
+    @property
+    def number(self) -> int:
+        """Of the scenario, 1 to 8."""
+        return int(self.task.name.rpartition("_")[2])
+
+    @property
+    def condition(self) -> str:
+        """Such as "ride, 14.5 km/h"."""
+        return self.task.conditions[0].label
+
+    @property
+    def driven(self) -> str:
+        """The condition without the car."""
+        return ", ".join(self.condition.split(", ")[:2])
+
+    @property
+    def speed(self) -> float:
+        """Speed [m/s]."""
+        return self.task.conditions[0].speed_kmh / 3.6
+
+    @property
+    def is_paving(self) -> bool:
+        """Belgian paving, and not bumps."""
+        return not self.task.bumps
+
+    def all(self, score: str) -> np.ndarray:
+        """A score (N,) of every training."""
+        return np.array([training.scores.get(score, np.nan) for training in self.trainings])
+
+    def middle(self, score: str) -> float:
+        """Interquartile mean of a score over the trainings."""
+        found = self.all(score)
+        return float(interquartile_mean(found[np.isfinite(found)])) if found.size else np.nan
+
+    def sentinel(self, name: str, score: str) -> float:
+        """Median of a score of one that measures nothing."""
+        return float(np.median([found[score] for found in self.sentinels[name]]))
+
+    def false_bumps(self) -> float:
+        """Median of how far [m] a false bump stands behind the nearest true one; NaN for none."""
+        y, ds = self.truth.z, self.truth.ds
+        true = [bump for path in obstacles(y, ds) for bump in path]
+        threshold = min(abs(bump.height) for bump in true) / 2
+        found = [b for t in self.trainings for z in t.z for b in find_bumps(z, ds, threshold)]
+        gaps = [min((b.s - bump.s for bump in true), key=abs) for b in found if b.height > 0]
+        return float(np.median([gap for gap in gaps if abs(gap) > TOLERANCE] or [np.nan]))
+
+    def shares(self) -> dict[State, float]:
+        """How many of the trainings are near-optimal, sub-optimal, unstable."""
+        states = [training.state for training in self.trainings]
+        kinds: tuple[State, ...] = ("near-optimal", "sub-optimal", "unstable")
+        return {kind: states.count(kind) / len(states) for kind in kinds}
+
+    def typical(self, score: str = "nrmse") -> Training:
+        """The training in the middle by a score."""
+        return sorted(self.trainings, key=lambda t: t.scores[score])[(len(self.trainings) - 1) // 2]
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """All of it; `new_road` has the network's scores on unseen roads, by condition."""
+
+    cases: tuple[Case, ...]
+    new_road: dict[str, dict[str, float]]
+    seconds: float
+
+    @property
+    def paving(self) -> list[Case]:
+        """The scenarios on Belgian paving, in the order of the panels of Figures 10 and 11."""
+        found = {case.driven: case for case in self.cases if case.is_paving}
+        order = ("handling, 14.5 km/h", "ride, 14.5 km/h", "ride, 54 km/h", "handling, 54 km/h")
+        return [found[label] for label in order]
+
+    @property
+    def bumps(self) -> list[Case]:
+        """The scenarios on bumps."""
+        return [case for case in self.cases if not case.is_paving]
+
+    def new(self, case: Case, score: str) -> float:
+        """A score on new roads, driven as in a scenario."""
+        return self.new_road[case.driven][score]
+
+
+def run(
+    trainings: int,
+    *,
+    network: Estimator | None = None,
+    drive: DriveSource = simulated,
+    report: Report = lambda text, share: None,
+) -> Study:
+    """Drive and train everything; the `network` is the paper's if it is not another one.
+
+    Raises ConfigError, SimulationError, EntryError.
+    """
+    start, network = time.perf_counter(), network or estimators.create(NETWORK)
+    tasks = shipped_tasks("paper")
+    cases = []
+    for k, task in enumerate(tasks):
+        report(f"{task.name}: {task.title}", 0.8 * k / len(tasks))
+        cases.append(_case(task, network, range(1, trainings + 1), drive))
+    report("new roads", 0.8)
+    return Study(tuple(cases), _new_road(cases, network, drive), time.perf_counter() - start)
+
+
+def state_of(level_error: float) -> State:
+    """The state of a training by its level error [-]."""
+    near, sub = LIMITS
+    return (
+        "near-optimal" if level_error < near else "sub-optimal" if level_error < sub else "unstable"
+    )
+
+
+def _case(task: Task, network: Estimator, seeds: Sequence[int], drive: DriveSource) -> Case:
+    (condition,) = task.conditions
+    start = time.perf_counter()
+    training = [(d.record, d.truth) for d in drive(task, task.training, condition)]
+    (test,) = drive(task, task.test, condition)
+    spent = time.perf_counter() - start
+
+    def trained(estimator: Estimator, seed: int) -> Training:
+        return _trained(estimator, task, training, test, seed)
+
+    level = np.mean([truth.z.mean(axis=1) for _, truth in training], axis=0)
+    constant = Estimate(test.truth.s, np.broadcast_to(level[:, None], test.truth.z.shape))
+    sentinels = {
+        name: tuple(
+            trained(estimators.create(name), seed).scores
+            for seed in (seeds if name == "unrelated_road" else seeds[:1])
+        )
+        for name in MEASURE_NOTHING
+    }
+    sentinels["constant"] = (_scores(task, test, constant),)
+    found = tuple(trained(network, seed) for seed in seeds)
+    return Case(task, test.truth, found, sentinels, spent)
+
+
+def _trained(
+    estimator: Estimator,
+    task: Task,
+    training: Sequence[tuple[Record, Profile]],
+    test: Drive,
+    seed: int,
+) -> Training:
+    outcome = reconstruct(estimator, training, [test.record], task.vehicle, seed)
+    (estimate,) = outcome.estimates
+    found = _scores(task, test, estimate)
+    return Training(seed, found, estimate.z, outcome.train_seconds, outcome.estimate_seconds)
+
+
+def _scores(task: Task, test: Drive, estimate: Estimate) -> dict[str, float]:
+    return scores(test.truth, estimate, task.conditions[0].speed_kmh / 3.6, task.bumps)
+
+
+def _new_road(
+    cases: Sequence[Case], network: Estimator, drive: DriveSource
+) -> dict[str, dict[str, float]]:
+    """Interquartile means of the network's scores on new roads, by condition."""
+    task = load_task("new_road")
+    known = len(task.training.roads)  # the first test roads are of the kinds that it trains on
+    test = replace(
+        task.test,
+        roads=task.test.roads[:known],
+        families=(),
+        seeds=task.test.seeds[: NEW_ROADS // known],
+        number=None,
+    )
+    task = replace(task, test=test)
+    found: dict[str, dict[str, float]] = {}
+    for condition in task.conditions:
+        if condition.label in {case.driven for case in cases}:
+            training = [(d.record, d.truth) for d in drive(task, task.training, condition)]
+            tests = list(drive(task, task.test, condition))
+            found[condition.label] = _pooled(task, condition, network, training, tests)
+    return found
+
+
+def _pooled(
+    task: Task,
+    condition: Condition,
+    network: Estimator,
+    training: Sequence[tuple[Record, Profile]],
+    tests: Sequence[Drive],
+) -> dict[str, float]:
+    judged = []
+    for seed in NEW_ROAD_SEEDS:
+        records = [test.record for test in tests]
+        outcome = reconstruct(network, training, records, task.vehicle, seed)
+        for test, estimate in zip(tests, outcome.estimates, strict=True):
+            judged.append(scores(test.truth, estimate, condition.speed_kmh / 3.6, False))
+    return {
+        name: float(interquartile_mean(np.array([one[name] for one in judged])))
+        for name in ("nrmse", "r", "level_error", PRINTED)
+    }
