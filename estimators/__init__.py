@@ -14,6 +14,7 @@ from typing import Any
 
 from estimators.fir_ridge import FirRidge
 from estimators.flat import Flat
+from estimators.map_smoother import MapSmoother
 from estimators.mean import Mean
 from estimators.protocol import Estimator
 from estimators.static_lm import StaticLm
@@ -29,6 +30,7 @@ REGISTRY: dict[str, type[Estimator]] = {
     "unrelated_road": UnrelatedRoad,
     "static_lm": StaticLm,
     "fir_ridge": FirRidge,
+    "map_smoother": MapSmoother,
 }
 
 

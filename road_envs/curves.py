@@ -48,9 +48,24 @@ def tabulate(curves: Sequence[Curve], x_0: float, dx: float, cells: int) -> np.n
     """The sum of `curves` as cubic coefficients (cells, 4) in powers of the cell fraction."""
     x = x_0 + dx * np.arange(cells + 1)
     values, slopes = np.sum([curve(x) for curve in curves], axis=0)
-    m = slopes * dx
-    a, b, rise = values[:-1], m[:-1], np.diff(values)
-    return np.column_stack([a, b, 3.0 * rise - 2.0 * b - m[1:], b + m[1:] - 2.0 * rise])
+    return _hermite(values, slopes * dx)
+
+
+def _hermite(values: np.ndarray, rises: np.ndarray) -> np.ndarray:
+    """Coefficients (..., cells, 4) from values and slopes times the spacing (..., cells + 1)."""
+    a, b, end, rise = values[..., :-1], rises[..., :-1], rises[..., 1:], np.diff(values)
+    return np.stack([a, b, 3.0 * rise - 2.0 * b - end, b + end - 2.0 * rise], axis=-1)
+
+
+def blurred(tables: np.ndarray, x_0: float, dx: float, width: float) -> np.ndarray:
+    """Tables (K, cells, 4) of the mean value when the argument is normal, `width` wide, about x."""
+    x = x_0 + dx * np.arange(tables.shape[1] + 1)
+    u = np.linspace(-4.0, 4.0, 161)
+    weight = np.exp(-0.5 * u**2) / np.exp(-0.5 * u**2).sum()
+    found = np.empty((tables.shape[0], x.size, u.size, 2))
+    look_up_all(tables, x_0, dx, x[:, None] + width * u, found)
+    mean = np.einsum("kxui,u->ikx", found, weight)
+    return _hermite(mean[0], dx * mean[1])
 
 
 @kernel
@@ -64,6 +79,15 @@ def look_up(tables, k, x_0, dx, x):
     t = inside - i
     slope = b + t * (2.0 * c + t * 3.0 * d)
     return a + t * (b + t * (c + t * d)) + slope * (u - inside), slope / dx
+
+
+@kernel
+def look_up_all(tables, x_0, dx, x, out):
+    """Values and derivatives (K, M, N, 2) of all curves at `x` (M, N), to `out`."""
+    for k in range(tables.shape[0]):
+        for i in range(x.shape[0]):
+            for j in range(x.shape[1]):
+                out[k, i, j, 0], out[k, i, j, 1] = look_up(tables, float(k), x_0, dx, x[i, j])
 
 
 @kernel

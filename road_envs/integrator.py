@@ -263,6 +263,18 @@ def state_rate(numbers, velocity, displacement, memory, padded, start, ds, s, v,
 
 
 @kernel
+def follow(p, memory, q, command, alpha, h):
+    """Advance the `memory` (4, 3) of all struts by one step `h` [s] under a `command` byte.
+
+    `alpha` as in `suspension.switch`.
+    """
+    for w in range(4):
+        stiff, high = (command >> w) & 1, (command >> (4 + w)) & 1
+        if not settled(memory, w, stiff, high):
+            switch(p, memory, w, extension(p, q, w), stiff, high, alpha, h)
+
+
+@kernel
 def drive(
     numbers, velocity, displacement, memory, y, padded, start, ds, s, v, turn, commands, lag, h, out
 ):
@@ -279,9 +291,6 @@ def drive(
     for n in range(commands.size):
         look_at_road(p, padded, start, ds, s[2 * n], v[2 * n], road[:8])
         look_at_road(p, padded, start, ds, s[2 * n + 1], v[2 * n + 1], road[8:])
-        for w in range(4):
-            stiff, high = (commands[n] >> w) & 1, (commands[n] >> (4 + w)) & 1
-            if not settled(memory, w, stiff, high):
-                switch(p, memory, w, extension(p, q, w), stiff, high, alpha, h)
+        follow(p, memory, q, commands[n], alpha, h)
         between = turn[2 * n : 2 * n + 2].ravel()
         step(p, velocity, displacement, memory, q, rates, road, between, h, work, out[n])

@@ -15,8 +15,9 @@ solver of its own (Giles & Pierce 2000, doi:10.1023/A:1011430410075, section 2).
 At a kink (a wheel that lifts off, a grid point or an end of a table, the shortest gas column) the
 derivative is that of the branch the step took; the small jump of W where a tyre lifts off has no
 derivative and is left out. A car exactly at rest stands on such a kink: friction bends one way for
-a strut that opens and the other way for one that closes. The struts' memory stands still: no switch
-lies within a drive.
+a strut that opens and the other way for one that closes. The struts' memory goes on with the
+drive as its commands ask, and its derivative is left out: a switch freezes an extension in, and
+that this one depends on the road before the switch is neglected.
 
 One row of the tape (ROW,) is all that both need of one step. Per strut (4 each): K_1, C_1 and K_2,
 C_2, its stiffness and damping at the first and the second stage; G_K, G_C and F_K, F_C, what the
@@ -45,6 +46,7 @@ from road_envs.integrator import (
     LOAD,
     SIGNALS,
     D,
+    follow,
     solve,
     step,
     workspace,
@@ -209,13 +211,19 @@ def adjoint_step(p, row, a, h, work, q, v, road):
 
 
 @kernel
-def drive_taped(numbers, velocity, displacement, memory, y, road, turn, h, out, rows):
-    """Take one step for every row of `rows` (N, ROW); `y` (14,) ends as it stands then.
+def drive_taped(
+    numbers, velocity, displacement, memory, y, road, turn, commands, lag, h, out, rows
+):
+    """Take one step for every row of `rows` (N, ROW); `y` (14,), `memory` end as they stand then.
 
-    `road` (N, 16), `turn` (N, 4): what `integrator.step` reads in each step.
+    `road` (N, 16), `turn` (N, 4): what `integrator.step` reads in each step; `commands` (N,), or
+    (0,) for none, and `lag` as `integrator.drive` has them.
     """
     p, work, q, v = numbers[0], workspace(), y[:N_DOF], y[N_DOF:]
+    alpha = 1.0 - np.exp(-h / lag)
     for n in range(rows.shape[0]):
+        if commands.size > 0:
+            follow(p, memory, q, commands[n], alpha, h)
         taped_step(
             *(p, velocity, displacement, memory, q, v),
             *(road[n], turn[n], h, work, out[n], rows[n]),
@@ -251,13 +259,15 @@ class Tape:
     """A drive of N steps and its derivative: 464 bytes a step, however often it is applied.
 
     `signals` (N, 29) at the beginning of each step, as `integrator` lays them out; `end` (14,) the
-    state after the last; `rows` (N, ROW) the derivative of each step of `h` [s].
+    state after the last and `memory` (4, 3) that of the struts; `rows` (N, ROW) the derivative of
+    each step of `h` [s].
     """
 
     plant: Plant
     h: float
     signals: np.ndarray
     end: np.ndarray
+    memory: np.ndarray
     rows: np.ndarray
 
     @property
@@ -295,13 +305,16 @@ def drive_on_tape(
     road: np.ndarray,
     h: float,
     turn: np.ndarray | None = None,
+    commands: np.ndarray | None = None,
+    lag: float = 0.01,
 ) -> Tape:
     """Drive from the state `start` (14,) in steps of `h` [s] and tape the derivative.
 
-    `memory` (4, 3) of the struts, which stands still; `road` (2 N, 2, 4): heights [m] and their
-    rates [m/s] under the wheels at the beginning and the middle of each step; `turn` (2 N, 2), if
-    given, a_x and a_y [m/s²] of a manoeuvre at the same instants. Raises ValueError on a wrong
-    shape, ArithmeticError if the motion is no longer finite.
+    `memory` (4, 3) of the struts at the start; `road` (2 N, 2, 4): heights [m] and their rates
+    [m/s] under the wheels at the beginning and the middle of each step; `turn` (2 N, 2), if given,
+    a_x and a_y [m/s²] of a manoeuvre at the same instants; `commands` (N,), if given, the bytes
+    that reach the valves, of time constant `lag` [s]: without them the memory stands still. Raises
+    ValueError on a wrong shape, ArithmeticError if the motion is no longer finite.
     """
     road = np.asarray(road, dtype=float)
     steps = len(road) // 2
@@ -309,8 +322,10 @@ def drive_on_tape(
     lean = _array("turn", np.zeros((2 * steps, 2)) if turn is None else turn, (2 * steps, 2))
     struts = _array("memory", memory, (4, 3))
     signals, rows = np.empty((steps, SIGNALS)), np.empty((steps, ROW))
+    bytes_ = np.zeros(0) if commands is None else _array("commands", commands, (steps,))
+    valves = bytes_.astype(np.uint8), float(lag)
     course = z.reshape(steps, 16), lean.reshape(steps, 4)
-    drive_taped(*plant.arrays, struts, y, *course, float(h), signals, rows)
+    drive_taped(*plant.arrays, struts, y, *course, *valves, float(h), signals, rows)
     if not np.isfinite(y).all():
         raise ArithmeticError("the motion is no longer finite, so it has no derivative")
-    return Tape(plant, float(h), signals, y, rows)
+    return Tape(plant, float(h), signals, y, struts, rows)

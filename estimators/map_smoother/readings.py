@@ -1,0 +1,100 @@
+"""What the accelerometers said, as means over short blocks of samples.
+
+A block of b samples with white noise of variance sigma² each has a mean of variance sigma² / b, and
+what the car does to the mean is known; so nothing is lost below the rate of the blocks, and lost,
+clipped or false samples are left out of it, one by one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from road_envs.instruments import Instruments
+from road_envs.record import Record
+
+CLIPPED = 0.98
+"""Share of the range from which a sample is not believed."""
+
+F_HEARD = 25.0
+"""What the benchmark's accelerations hold at least [Hz]."""
+
+SMEAR = 3
+"""Samples to either side of a false one which the anti-alias filter mixes with it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Means `y` (S, J) [m/s²] over blocks, the `share` (S, J, b) of each sample in its block's mean
+    (0 where the sample is not used) and the samples `count` (S, J) in it.
+    """
+
+    y: np.ndarray
+    share: np.ndarray
+    count: np.ndarray
+
+    @property
+    def samples(self) -> int:
+        """Samples J b of each sensor, used or not."""
+        return self.share.shape[1] * self.share.shape[2]
+
+    def means(self, a: np.ndarray) -> np.ndarray:
+        """Means (S, J) of the samples `a` (S, J b) over the same blocks."""
+        return np.einsum("sjb,sjb->sj", self.share, a.reshape(self.share.shape))
+
+    def back(self, means: np.ndarray) -> np.ndarray:
+        """The transpose of `means`: (S, J) to (S, J b)."""
+        return (self.share * means[:, :, None]).reshape(means.shape[0], -1)
+
+
+def readings(a: np.ndarray, used: np.ndarray, block: int) -> Readings:
+    """Means of the samples `a` (S, T) [m/s²] that are `used` (S, T), over `block` samples each.
+
+    Up to `block` - 1 samples at the end fill no block and are left out.
+    """
+    J = a.shape[1] // block
+    shape = (a.shape[0], J, block)
+    kept = used[:, : J * block].reshape(shape)
+    count = kept.sum(axis=2)
+    share = kept / np.maximum(count, 1)[:, :, None]
+    y = np.einsum("sjb,sjb->sj", share, np.where(kept, a[:, : J * block].reshape(shape), 0.0))
+    return Readings(y, share, count.astype(float))
+
+
+def usable(record: Record, instruments: Instruments) -> np.ndarray:
+    """Which samples (S, T) can be believed: finite ones that no neighbour nor itself is clipped."""
+    false = ~np.isfinite(record.a)
+    false |= np.abs(np.nan_to_num(record.a)) >= CLIPPED * instruments.range
+    wide = false.copy()
+    for k in range(1, SMEAR + 1):
+        wide[:, k:] |= false[:, :-k]
+        wide[:, :-k] |= false[:, k:]
+    return ~wide
+
+
+SHORTEST = 1.0
+"""Seconds of a record in which a car can be heard at all."""
+
+SLOWEST = 0.1
+"""Mean speed [m/s] below which a car stands."""
+
+
+def check(record: Record) -> None:
+    """ValueError, in one sentence, if the record cannot be explained by any drive."""
+    if record.t.size < 2 or not record.t[-1] - record.t[0] >= SHORTEST:
+        raise ValueError(
+            f"the record is shorter than {SHORTEST:g} s: too short for the car to be heard"
+        )
+    for name in ("t", "v", "s"):
+        if not np.isfinite(getattr(record, name)).all():
+            raise ValueError(f"the record's {name} must be finite all along")
+    if (record.v < 0.0).any() or (np.diff(record.s) < 0.0).any():
+        raise ValueError("the record drives backwards: v must not be negative nor s decrease")
+    if not record.v.mean() >= SLOWEST:
+        raise ValueError(f"the car stands (mean speed {record.v.mean():.2g} m/s): no road is heard")
+    if record.fs < 2.0 * F_HEARD:
+        raise ValueError(
+            f"sampled at {record.fs:g} Hz; at least {2.0 * F_HEARD:g} Hz are wanted to hear "
+            f"{F_HEARD:g} Hz"
+        )
+    if not np.isfinite(record.a).any():
+        raise ValueError("the record has no finite acceleration")

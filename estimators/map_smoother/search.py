@@ -1,0 +1,150 @@
+"""From no road to the most probable one: Gauss-Newton steps by conjugate gradients, from an easy
+problem to the true one.
+
+Friction turns its sign in 0.02 m/s, and a linearisation there holds for no useful step. So the
+first roads are sought for a car whose dampers and friction are blurred over the rate of the strut,
+as if it trembled, and less and less so; and the readings count as noisy as their misfit is large,
+so that no road is made to explain what the model cannot yet.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimators.map_smoother.problem import Point, Problem, point
+from estimators.map_smoother.stationary import Stationary
+from road_envs.curves import blurred
+from road_envs.dynamics import Plant
+from road_envs.suspension import V_0, V_STEP
+
+Vector = np.ndarray
+Operator = Callable[[Vector], Vector]
+
+STAGES = ((0.3, 2), (0.1, 2), (0.03, 3), (0.0, 12))
+"""Widths [m/s] of the blur, and Gauss-Newton steps at most with each."""
+
+HALVINGS = 6
+
+
+def conjugate_gradients(
+    A: Operator, b: Vector, M: Operator, most: int, tolerance: float
+) -> tuple[Vector, int]:
+    """An approximate solution of A x = b, preconditioned by M, and the iterations it took.
+
+    It ends after `most` iterations, or once sqrt(r' M r) has fallen to `tolerance` of the first.
+    """
+    x, r = np.zeros_like(b), b.copy()
+    z = M(r)
+    p, rz = z.copy(), float(r @ z)
+    enough = tolerance**2 * rz
+    for k in range(most):
+        if rz <= enough:
+            return x, k
+        Ap = A(p)
+        alpha = rz / float(p @ Ap)
+        x += alpha * p
+        r -= alpha * Ap
+        z = M(r)
+        rz, before = float(r @ z), rz
+        p = z + (rz / before) * p
+    return x, most
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Where the search ended: the `point`, how many times the instruments' noise the misfit makes
+    of it (`excess`), and the `steps` and `iterations` it took.
+    """
+
+    point: Point
+    excess: float
+    steps: int
+    iterations: int
+
+
+def search(
+    problem: Problem,
+    picture: Stationary,
+    *,
+    iterations: int = 40,
+    tolerance: float = 0.1,
+    huber: float = np.inf,
+    settled: float = 1e-2,
+    relevel: bool = True,
+    report: Callable[[str, Point], None] = lambda text, at: None,
+) -> Found:
+    """The most probable road, sought from none.
+
+    `huber`: standard deviations from which a block of readings counts less. It ends when a step
+    with the true car lowers the cost by less than the share `settled`.
+    """
+    steps, total, x = 0, 0, np.zeros(problem.size)
+    information = problem.information
+    excess = np.inf
+    for width, most in STAGES:
+        if steps > 0 and relevel:
+            problem, x = releveled(problem, picture, x, excess)
+        plant = problem.belief.plant if width == 0.0 else softened(problem.belief.plant, width)
+        at = point(problem, x, information, plant)
+        for _ in range(most):
+            excess = max(1.0, min(excess, noise_level(at, picture, excess)))
+            at = at.weighing(robust(at.over, information / excess, huber))
+            M = picture.preconditioner(problem, problem.belief.noise * excess)
+            dx, k = conjugate_gradients(at.hessian, -at.gradient(), M, iterations, tolerance)
+            new = line_search(at, dx, plant)
+            steps, total = steps + 1, total + k
+            gained = (at.cost - new.cost) / at.cost
+            report(f"{width} {excess:.1f} {k} {at.cost:.1f} -> {new.cost:.1f}", new)
+            at = new
+            if gained < settled:
+                break
+        x = at.x
+    return Found(at, excess, steps, total)
+
+
+def releveled(
+    problem: Problem, picture: Stationary, x: Vector, excess: float
+) -> tuple[Problem, Vector]:
+    """The problem under the prior that its own road suggests, and `x` there, the road unchanged."""
+    u, _, _ = problem.split(x)
+    level = picture.levels(problem.road, problem.belief.noise * excess, u)
+    road = problem.road.as_likely(level)
+    u = road.whitened(u, problem.road)
+    return replace(problem, road=road), np.concatenate([u.ravel(), x[u.size :]])
+
+
+def line_search(at: Point, dx: Vector, plant: Plant) -> Point:
+    """A point towards `dx`, half-way again and again until the cost has fallen."""
+    slope, length = float(at.gradient() @ dx), 1.0
+    for _ in range(HALVINGS):
+        try:
+            new = point(at.problem, at.x + length * dx, at.inverse, plant)
+        except ArithmeticError:
+            length *= 0.25
+            continue
+        if new.cost <= at.cost + 1e-4 * length * slope:
+            return new
+        length *= 0.5
+    return at
+
+
+def noise_level(at: Point, picture: Stationary, excess: float) -> float:
+    """How many times the instruments' noise is left over, for what the road could not take up."""
+    problem = at.problem
+    squares, used = problem.information * at.over**2, problem.readings.count > 0
+    taken = (
+        picture.decided(problem.road, problem.belief.noise * excess) if np.isfinite(excess) else 0.0
+    )
+    return float(squares[used].mean() / max(1.0 - taken / used.sum(), 0.1))
+
+
+def robust(over: np.ndarray, inverse: np.ndarray, huber: float) -> np.ndarray:
+    """The inverse of the noise, less for readings further off than `huber` standard deviations."""
+    far = np.sqrt(inverse) * np.abs(over)
+    return inverse * np.minimum(1.0, huber / np.maximum(far, 1e-12))
+
+
+def softened(plant: Plant, width: float) -> Plant:
+    """The car with dampers and friction as they are on average if the rate trembles by `width`."""
+    return Plant(plant.numbers, blurred(plant.velocity, V_0, V_STEP, width), plant.displacement)
