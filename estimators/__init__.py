@@ -14,10 +14,13 @@ from typing import Any
 
 from estimators.fir_ridge import FirRidge
 from estimators.flat import Flat
+from estimators.gru import Gru, GruCausal
 from estimators.map_smoother import MapSmoother
 from estimators.mean import Mean
+from estimators.narx import Narx
 from estimators.protocol import Estimator
 from estimators.static_lm import StaticLm
+from estimators.tcn import Tcn, TcnCausal
 from estimators.unrelated_road import UnrelatedRoad
 from road_envs.config import ConfigError, build, one_of
 
@@ -29,8 +32,13 @@ REGISTRY: dict[str, type[Estimator]] = {
     "mean": Mean,
     "unrelated_road": UnrelatedRoad,
     "static_lm": StaticLm,
+    "narx": Narx,
     "fir_ridge": FirRidge,
     "map_smoother": MapSmoother,
+    "tcn": Tcn,
+    "tcn_causal": TcnCausal,
+    "gru": Gru,
+    "gru_causal": GruCausal,
 }
 
 

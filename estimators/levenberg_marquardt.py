@@ -40,6 +40,10 @@ ACTIVE = 2.0
 """tanh counts as active between net inputs of -2 and 2, as MATLAB's tansig('active') says."""
 
 Stop = Literal["epochs", "goal", "gradient", "mu", "validation"]
+STOPS: tuple[Stop, ...] = ("epochs", "goal", "gradient", "mu", "validation")
+CURVES = ("train", "validation", "test", "mu", "gradient")
+COURSE: dict[str, tuple[int | None, ...]] = {"curves": (len(CURVES), None), "stop": (2,)}
+"""Shapes of what `Training.course` gives."""
 
 
 @dataclass(frozen=True)
@@ -134,6 +138,22 @@ class Training:
     def epochs(self) -> int:
         """Number of steps taken."""
         return self.train.size - 1
+
+    def course(self) -> dict[str, np.ndarray]:
+        """All but the network as arrays: `curves` (5, epochs + 1) with -1 for NaN, and `stop`, the
+        place of the reason in STOPS, beside the best epoch.
+        """
+        curves = np.array([getattr(self, name) for name in CURVES])
+        curves[np.isnan(curves)] = -1.0
+        return {"curves": curves, "stop": np.array([STOPS.index(self.stop), self.best_epoch])}
+
+    @classmethod
+    def of(cls, network: Network, curves: np.ndarray, stop: np.ndarray) -> "Training":
+        """A `network` and its course, as `course` gave it. Raises ValueError."""
+        reason, best_epoch = (int(x) for x in stop)
+        if not 0 <= reason < len(STOPS):
+            raise ValueError(f"stop: no reason has the number {reason}")
+        return cls(network, STOPS[reason], best_epoch, *np.where(curves < 0.0, np.nan, curves))
 
 
 class NormalEquations(NamedTuple):

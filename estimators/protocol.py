@@ -6,7 +6,7 @@ take no part in construction, comparison or printing; `fit` returns a fitted cop
 """
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
@@ -56,6 +56,31 @@ class Trainable(Estimator, Protocol):
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
         """A copy that has learnt `weights`, as `weights()` gave them. Raises ValueError."""
+        ...
+
+
+@runtime_checkable
+class Teachable(Trainable, Protocol):
+    """An estimator taught once for all speeds and modes, from more drives than can be held.
+
+    It comes with weights: `weights()` answers at once, and the judge does not fit it.
+    """
+
+    def material(self, record: Record, truth: Profile) -> Any:
+        """What it keeps of a drive to learn from."""
+        ...
+
+    def learn(
+        self,
+        drives: Sequence[Any],
+        car: VehicleParameters,
+        seed: int,
+        progress: Callable[[str, float], None] = ...,
+        keeper: Any = None,
+    ) -> Self:
+        """A copy that has learnt from such drives. `progress` hears what is being done and the
+        share done; a `keeper` can `save` an unfinished state as arrays by name and `load` it.
+        """
         ...
 
 

@@ -19,24 +19,26 @@ from typing import ClassVar, Literal, NamedTuple, Self
 import numpy as np
 
 from estimators import levenberg_marquardt as lm
-from estimators.features import accelerations, heights
+from estimators.features import accelerations, heights, mended
 from estimators.protocol import arrays, copy_with, fitted
 from road_envs.config import STRICT
 from road_envs.record import SENSORS, Estimate, Profile, Record, grid
 from road_envs.vehicle import VehicleParameters
 
 
-class Weights(NamedTuple):
-    """The network and the ranges that its inputs [m/s²] and outputs [m] were mapped from."""
+class Learnt(NamedTuple):
+    """How a network was trained, and the ranges that its inputs [m/s²] and outputs [m] were mapped
+    from.
+    """
 
-    network: lm.Network
+    training: lm.Training
     inputs: lm.Scaling
     outputs: lm.Scaling
 
 
 @dataclass(frozen=True, kw_only=True)
 class StaticLm:
-    """A static network; after `fit`, `training` tells the course of the training."""
+    """A static network; once it has learnt, `training` tells how, and why it stopped."""
 
     __pydantic_config__ = STRICT
     causal: ClassVar[bool] = False
@@ -46,13 +48,17 @@ class StaticLm:
     max_epochs: int = 1000
     max_fail: int = 6
     max_samples: int = 3964
-    learnt: Weights | None = field(default=None, init=False, repr=False, compare=False)
-    training: lm.Training | None = field(default=None, init=False, repr=False, compare=False)
+    learnt: Learnt | None = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self):
         for name in ("hidden", "max_epochs", "max_fail", "max_samples"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+
+    @property
+    def training(self) -> lm.Training:
+        """The course of the training, one value per epoch. Raises NotFittedError."""
+        return fitted(self.learnt, self).training
 
     def fit(
         self,
@@ -62,7 +68,7 @@ class StaticLm:
         seed: int,
     ) -> Self:
         """Train on all drives; `seed` draws the division and the initial weights."""
-        x = np.hstack([accelerations(record) for record in records])
+        x = np.hstack([accelerations(mended(record)[0]) for record in records])
         pairs = zip(records, truths, strict=True)
         t = np.hstack([heights(truth, grid(record.length)) for record, truth in pairs])
         size = x.shape[1]
@@ -75,35 +81,39 @@ class StaticLm:
         start = lm.nguyen_widrow(len(x), self.hidden, len(t), rng)
         options = lm.Options(max_epochs=self.max_epochs, max_fail=self.max_fail)
         training = lm.train(start, inputs.apply(x), outputs.apply(t), split, options)
-        weights = Weights(training.network, inputs, outputs)
-        return copy_with(self, learnt=weights, training=training)
+        return copy_with(self, learnt=Learnt(training, inputs, outputs))
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """The network's answer at every station."""
-        network, inputs, outputs = fitted(self.learnt, self)
-        z = outputs.reverse(network(inputs.apply(accelerations(record))))
-        return Estimate(grid(record.length), z)
+        """The network's answer at every station. Raises RecordError."""
+        training, inputs, outputs = fitted(self.learnt, self)
+        record, notes = mended(record)
+        z = outputs.reverse(training.network(inputs.apply(accelerations(record))))
+        return Estimate(grid(record.length), z, notes=notes)
 
     def weights(self) -> dict[str, np.ndarray]:
-        """Weights of both layers, and the mapped ranges (low, high) of inputs and outputs."""
-        network, inputs, outputs = fitted(self.learnt, self)
+        """Weights of both layers, the mapped ranges (low, high) of inputs and outputs, and the
+        course of the training.
+        """
+        training, inputs, outputs = fitted(self.learnt, self)
         return {
-            "hidden": network.hidden,
-            "output": network.output,
+            "hidden": training.network.hidden,
+            "output": training.network.output,
             "inputs": np.array([inputs.low, inputs.high]),
             "outputs": np.array([outputs.low, outputs.high]),
+            **training.course(),
         }
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
-        """A copy with these weights, without the training's course. Raises ValueError."""
+        """A copy with these weights. Raises ValueError."""
         size = len(SENSORS)
         shapes = {
             "hidden": (size + 1, self.hidden),
             "output": (2, self.hidden + 1),
             "inputs": (2, size),
             "outputs": (2, 2),
+            **lm.COURSE,
         }
-        hidden, output, inputs, outputs = arrays(weights, shapes)
-        network = lm.Network(hidden, output)
-        given = Weights(network, lm.Scaling(*inputs), lm.Scaling(*outputs))
-        return copy_with(self, learnt=given, training=None)
+        hidden, output, inputs, outputs, *course = arrays(weights, shapes)
+        training = lm.Training.of(lm.Network(hidden, output), *course)
+        learnt = Learnt(training, lm.Scaling(*inputs), lm.Scaling(*outputs))
+        return copy_with(self, learnt=learnt)

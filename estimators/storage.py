@@ -1,7 +1,8 @@
-"""Estimators on disk: name, settings and learnt weights in one `.npz`, without pickle.
+"""Estimators on disk: name, settings and learnt weights in one file, without pickle.
 
-The array `header` holds JSON: the format, the package's version, the estimator's name and its
-settings; the arrays of `weights()` stand beside it as `weights.<name>`.
+In an `.npz` the array `header` holds JSON: the format, the package's version, the estimator's name
+and its settings; the arrays of `weights()` stand beside it as `weights.<name>`. In a `.safetensors`
+file the header is metadata, and what else is to be known about the weights stands there too.
 """
 
 import io
@@ -9,6 +10,7 @@ import json
 import os
 import zipfile
 import zlib
+from collections.abc import Mapping
 from dataclasses import fields
 from importlib.metadata import version
 from pathlib import Path
@@ -16,7 +18,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from estimators import available, create
+from estimators import available, create, shipped
 from estimators.protocol import Estimator, Trainable
 
 FORMAT = "roadrecon estimator 1"
@@ -28,8 +30,11 @@ class StorageError(ValueError):
     """A file that holds no estimator, or an estimator that cannot be stored, in one sentence."""
 
 
-def save(estimator: Estimator, path: str | Path) -> None:
-    """Write an estimator to `path`, whole or not at all. Raises StorageError, NotFittedError."""
+def save(estimator: Estimator, path: str | Path, about: Mapping[str, str] | None = None) -> None:
+    """Write an estimator to `path`, whole or not at all; `about` goes into a `.safetensors` file.
+
+    Raises StorageError, NotFittedError.
+    """
     path, kind = Path(path), cast(Any, type(estimator))
     name = next((name for name, cls in available().items() if cls is kind), None)
     if name is None:
@@ -41,6 +46,9 @@ def save(estimator: Estimator, path: str | Path) -> None:
         "settings": {f.name: getattr(estimator, f.name) for f in fields(kind) if f.init},
     }
     weights = estimator.weights() if isinstance(estimator, Trainable) else {}
+    if path.suffix == shipped.SUFFIX:
+        shipped.write(path, weights, {**(about or {}), "header": json.dumps(header)})
+        return
     arrays: dict[str, Any] = {WEIGHTS + key: value for key, value in weights.items()}
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
@@ -55,10 +63,9 @@ def save(estimator: Estimator, path: str | Path) -> None:
 
 def load(path: str | Path) -> Estimator:
     """The estimator that `save` wrote. Raises StorageError that says what is wrong."""
-    arrays = _read(Path(path))
-    weights = {key.removeprefix(WEIGHTS): value for key, value in arrays.items() if key != "header"}
+    weights, said = _read(Path(path))
     try:
-        header = json.loads(str(arrays["header"]))
+        header = json.loads(said["header"])
         if header["format"] != FORMAT:
             raise StorageError(f"format {header['format']!r} is not {FORMAT!r}")
         estimator = create(header["name"], **header["settings"])
@@ -69,7 +76,13 @@ def load(path: str | Path) -> Estimator:
         raise StorageError(f"{path}: holds no usable estimator: {error}") from None
 
 
-def _read(path: Path) -> dict[str, np.ndarray]:
+def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Weights, and what is said about them."""
+    if path.suffix == shipped.SUFFIX:
+        try:
+            return shipped.read(path)
+        except shipped.WeightsError as error:
+            raise StorageError(str(error)) from None
     try:
         data = io.BytesIO(path.read_bytes())
     except OSError as error:
@@ -78,6 +91,8 @@ def _read(path: Path) -> dict[str, np.ndarray]:
         raise StorageError(f"{path}: not an .npz file, or cut short")
     try:
         with np.load(data, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
+            arrays = {name.removeprefix(WEIGHTS): file[name] for name in file.files}
     except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise StorageError(f"{path}: damaged, or not written by RoadRecon: {error}") from None
+    header = arrays.pop("header", None)
+    return arrays, {} if header is None else {"header": str(header)}

@@ -13,6 +13,7 @@ from leaderboard.commands import (
     bench,
     board,
     drives,
+    newcomer,
     observability,
     paper,
     policies,
@@ -44,6 +45,7 @@ app.command("animate")(animate.animate)
 app.command("bench")(bench.bench)
 app.command("precision")(precision.precision)
 app.command("observability")(observability.observability)
+app.command("new-estimator")(newcomer.new_estimator)
 
 
 @app.callback()

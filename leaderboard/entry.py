@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.protocol import Estimator, Trainable, check_estimate
+from estimators.protocol import Estimator, NotFittedError, Trainable, check_estimate
 from road_envs.record import Estimate, Profile, Record
 from road_envs.vehicle import VehicleParameters
 
@@ -28,6 +28,17 @@ class Outcome:
     parameters: int  # numbers learnt
 
 
+def learns(estimator: Estimator) -> bool:
+    """Whether the judge trains an estimator: it can learn, and brings no weights of its own."""
+    if not isinstance(estimator, Trainable):
+        return False
+    try:
+        estimator.weights()
+    except NotFittedError:
+        return True
+    return False
+
+
 def reconstruct(
     estimator: Estimator,
     training: Sequence[tuple[Record, Profile]],
@@ -39,9 +50,10 @@ def reconstruct(
     doing = f"training with seed {seed}"
     try:
         start, parameters = time.perf_counter(), 0
-        if isinstance(estimator, Trainable):
+        if learns(estimator):
             seen, truths = [list(part) for part in zip(*training, strict=True)]
-            estimator = estimator.fit(seen, truths, car, seed)
+            estimator = estimator.fit(seen, truths, car, seed)  # type: ignore[attr-defined]
+        if isinstance(estimator, Trainable):
             parameters = sum(np.size(array) for array in estimator.weights().values())
         trained = time.perf_counter()
         estimates = []

@@ -41,6 +41,7 @@ def test_every_command_explains_itself(roadrecon):
         "bench",
         "precision",
         "observability",
+        "new-estimator",
     ):
         code, out, _ = roadrecon(command, "--help")
         assert code == 0

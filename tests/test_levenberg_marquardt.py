@@ -7,6 +7,8 @@ import pytest
 from scipy.optimize import least_squares
 
 from estimators import levenberg_marquardt as lm
+from leaderboard import lm_peers
+from leaderboard.peers import PeerError
 
 OPTIONS = lm.Options()
 
@@ -300,3 +302,44 @@ def test_blocks_are_contiguous_and_random_divisions_are_not():
     assert (np.diff(drawn.validation) > 1).any()
     other = lm.divide(100, "random", np.random.default_rng(1))
     assert not np.array_equal(drawn.validation, other.validation)
+
+
+def test_the_jacobian_handed_to_the_peers_is_the_slope_of_the_outputs():
+    rng = np.random.default_rng(5)
+    network = lm.nguyen_widrow(3, 4, 2, rng)
+    x = rng.uniform(-1.0, 1.0, (3, 7))
+    p = np.concatenate([network.hidden.ravel(), network.output.ravel()])
+    found = lm_peers.jacobian(network, x)
+    assert found.shape == (14, p.size)
+    for i in range(p.size):
+        step = np.zeros(p.size)
+        step[i] = 1e-6
+        slope = (network.moved(step)(x) - network.moved(-step)(x)).ravel() / 2e-6
+        np.testing.assert_allclose(found[:, i], slope, atol=1e-8)
+
+
+@pytest.mark.parametrize("peer", [lm_peers.seconds_of_scipy, lm_peers.seconds_of_torch])
+def test_a_peer_gets_to_the_same_error_from_the_same_start(peer):
+    rng = np.random.default_rng(6)
+    x = rng.uniform(-1.0, 1.0, (3, 200))
+    t = np.tanh(rng.standard_normal((2, 3)) @ x)
+    given = lm_peers.Samples(x, t, lm.nguyen_widrow(3, lm_peers.HIDDEN, 2, rng))
+    error = float(lm_peers.ours(given, 2).train[-1])
+    try:
+        assert 0.0 < peer(given, error) < lm_peers.PATIENCE
+    except PeerError as missing:
+        pytest.skip(str(missing))
+
+
+def test_the_course_of_a_training_survives_its_arrays():
+    rng = np.random.default_rng(7)
+    x = rng.uniform(-1.0, 1.0, (3, 40))
+    start = lm.nguyen_widrow(3, 3, 2, rng)
+    split = lm.Split(np.arange(40), np.arange(0), np.arange(0))  # nothing validated: NaN
+    training = lm.train(start, x, x[:2] ** 2, split, lm.Options(max_epochs=4))
+    again = lm.Training.of(training.network, **training.course())
+    assert (again.stop, again.best_epoch) == (training.stop, training.best_epoch) == ("epochs", 4)
+    for name in lm.CURVES:
+        np.testing.assert_array_equal(getattr(again, name), getattr(training, name))
+    with pytest.raises(ValueError, match="stop: no reason has the number 9"):
+        lm.Training.of(training.network, training.course()["curves"], np.array([9, 0]))

@@ -1,5 +1,8 @@
 """`simulate`, `train` and `estimate`: one drive, one estimator, one reconstruction."""
 
+import shlex
+import sys
+import time
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,8 +12,8 @@ from rich.table import Table
 
 import estimators
 from estimators import storage
-from estimators.protocol import Estimator, Trainable, check_estimate
-from leaderboard import plots
+from estimators.protocol import Estimator, Teachable, Trainable, check_estimate
+from leaderboard import plots, training
 from leaderboard.commands import (
     console,
     mode_of,
@@ -19,6 +22,7 @@ from leaderboard.commands import (
     settings_of,
     writable,
 )
+from leaderboard.corpus import Corpus
 from leaderboard.scores import scores
 from road_envs.config import ConfigError
 from road_envs.dataset import read_record, record_drive, write_record
@@ -94,12 +98,20 @@ def simulate(
 
 def train(
     estimator: Annotated[str, typer.Argument(help="Name of a trainable estimator.")],
-    out: Annotated[Path, typer.Option(help="Where to write the fitted estimator (.npz).")],
-    road: Annotated[list[str], typer.Option(help="Training road; may be given again.")],
+    out: Annotated[
+        Path, typer.Option(help="Where to write the fitted estimator (.npz or .safetensors).")
+    ],
+    road: Annotated[
+        list[str] | None,
+        typer.Option(help="Training road; may be given again. Without one: the shipped corpus."),
+    ] = None,
     speed_kmh: Speed = 14.5,
     mode: Mode = "ride",
     length: Length = None,
-    drives: Annotated[int, typer.Option(help="Drives on each road, each its own seed.", min=1)] = 1,
+    drives: Annotated[
+        int | None,
+        typer.Option(help="Drives on each road, each its own seed; or of the corpus.", min=1),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the training.", min=0)] = 1,
     vehicle: Vehicle = "land_rover_defender_110",
     sensors: Sensors = "ideal",
@@ -108,12 +120,21 @@ def train(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Train an estimator on simulated drives and store it."""
-    writable(out, ".npz")
+    """Train an estimator on simulated drives and store it.
+
+    On roads that are given, at one speed and in one mode; or, without any, once for all speeds and
+    modes, as the weights that come with the package were made. That takes some minutes, and goes
+    on where it was if it is interrupted and called again.
+    """
+    writable(out, ".npz", ".safetensors")
     chosen = estimators.create(estimator, **settings_of(settings or []))
     if not isinstance(chosen, Trainable):
         raise ConfigError(f"{estimator} has nothing to learn; use it in `estimate` by its name")
-    car, instruments = load_vehicle(vehicle), load_instruments(sensors)
+    if road is None:
+        facts = _teach(chosen, estimator, out, drives, seed)
+        print_json(facts) if json else _print_facts(facts)
+        return
+    car, instruments, drives = load_vehicle(vehicle), load_instruments(sensors), drives or 1
     pairs: list[tuple[Record, Profile]] = []
     with progress_bar() as progress:
         for k, (name, i) in enumerate((name, i) for name in road for i in range(drives)):
@@ -130,16 +151,46 @@ def train(
         progress(f"training {estimator}", 0.5)
         fitted = chosen.fit([r for r, _ in pairs], [z for _, z in pairs], car, seed)
     storage.save(fitted, out)
-    facts: dict[str, Any] = {
+    facts = {
         "estimator": estimator,
         "drives": len(pairs),
         "metres": float(sum(r.length for r, _ in pairs)),
         "written": [str(out)],
     }
-    training = getattr(fitted, "training", None)
-    if training is not None:
-        facts |= {"epochs": training.epochs, "stopped_by": training.stop}
+    course = getattr(fitted, "training", None)
+    if course is not None:
+        facts |= {"epochs": course.epochs, "stopped_by": course.stop}
     print_json(facts) if json else _print_facts(facts)
+
+
+def _teach(
+    estimator: Trainable, name: str, out: Path, number: int | None, seed: int
+) -> dict[str, Any]:
+    """Teach an estimator from the corpus; what there is to say about it."""
+    if not isinstance(estimator, Teachable):
+        able = [key for key, cls in estimators.available().items() if hasattr(cls, "learn")]
+        raise ConfigError(
+            f"{name} learns one speed and mode: give its training roads with --road; "
+            f"taught once for all are {', '.join(able)}"
+        )
+    if out.suffix != ".safetensors":
+        raise ConfigError(f"{out}: the name must end in .safetensors for weights from the corpus")
+    corpus = Corpus() if number is None else Corpus(number=number)
+    begin = time.process_time()
+    with progress_bar() as progress:
+        training.train(estimator, name, corpus, seed, out, command_line(), progress)
+    return {
+        "estimator": name,
+        "drives": corpus.number,
+        "corpus": corpus.digest,
+        "cpu_seconds": time.process_time() - begin,
+        "written": [str(out)],
+    }
+
+
+def command_line() -> str:
+    """The command as it was typed, without the folder of the program."""
+    return shlex.join(["roadrecon", *sys.argv[1:]])
 
 
 def estimate(
@@ -153,9 +204,8 @@ def estimate(
 ) -> None:
     """Reconstruct both wheel paths of a record; with the truth at hand, score it."""
     writable(out, ".csv"), writable(plot, ".png", ".svg", ".pdf")
-    chosen: Estimator = (
-        storage.load(estimator) if estimator.endswith(".npz") else estimators.create(estimator)
-    )
+    stored = Path(estimator).suffix in (".npz", ".safetensors")
+    chosen: Estimator = storage.load(estimator) if stored else estimators.create(estimator)
     seen, _ = read_record(record)
     found = chosen.estimate(seen, load_vehicle(vehicle))
     check_estimate(found, seen)

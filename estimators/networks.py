@@ -1,0 +1,135 @@
+"""The sequence networks, in torch; imported only when one is asked or taught.
+
+Inputs (B, INPUTS, behind + T + ahead) and conditions (B, CONDITIONS, 1 or as long) go in; (B, 4, T)
+comes out: what is to be added to m and q, then the logarithms of their standard deviations, which
+learn from the errors of the first two and do not bend them.
+
+Conditions act by FiLM: a layer's channels are scaled and shifted by a function of the conditions
+(Perez, Strub, de Vries, Dumoulin & Courville, AAAI 2018, arXiv:1709.07871). The convolutions are
+dilated and residual (Bai, Kolter & Koltun 2018, arXiv:1803.01271), of inputs that are there: no
+padding. The recurrent network is gated (Cho et al., EMNLP 2014, arXiv:1406.1078), run both ways
+where it may see the future.
+"""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+EMBEDDED = 32
+"""Numbers that stand for the conditions inside a network."""
+
+
+class Head(nn.Module):
+    """From channels (B, C, T) to (B, 4, T)."""
+
+    def __init__(self, channels: int):
+        super().__init__()
+        self.mean = nn.Conv1d(channels, 2, 1)
+        self.log_std = nn.Conv1d(channels, 2, 1)
+        for weight in (*self.mean.parameters(), *self.log_std.parameters()):
+            nn.init.zeros_(weight)
+
+    def forward(self, h: Tensor) -> Tensor:
+        return torch.cat([self.mean(h), self.log_std(h.detach())], dim=1)
+
+
+class Film(nn.Module):
+    """Channels scaled and shifted by the embedded conditions; at first not at all."""
+
+    def __init__(self, channels: int):
+        super().__init__()
+        self.both = nn.Conv1d(EMBEDDED, 2 * channels, 1)
+        for weight in self.both.parameters():
+            nn.init.zeros_(weight)
+
+    def forward(self, h: Tensor, c: Tensor) -> Tensor:
+        scale, shift = self.both(c).chunk(2, dim=1)
+        return h * (1.0 + scale) + shift
+
+
+class Block(nn.Module):
+    """A dilated convolution between residuals; `early` of its span is cut from the front."""
+
+    def __init__(self, channels: int, kernel: int, dilation: int, causal: bool):
+        super().__init__()
+        self.wide = nn.Conv1d(channels, channels, kernel, dilation=dilation)
+        self.film = Film(channels)
+        self.narrow = nn.Conv1d(channels, channels, 1)
+        self.span = (kernel - 1) * dilation
+        self.early = self.span if causal else self.span // 2
+
+    def forward(self, h: Tensor, c: Tensor) -> tuple[Tensor, Tensor]:
+        c = cut(c, self.early, self.span - self.early)
+        y = self.narrow(nn.functional.gelu(self.film(self.wide(h), c), approximate="tanh"))
+        return cut(h, self.early, self.span - self.early) + y, c
+
+
+class Convolutions(nn.Module):
+    """A temporal convolutional network over distance."""
+
+    def __init__(
+        self,
+        inputs: int,
+        conditions: int,
+        channels: int,
+        kernel: int,
+        dilations: Sequence[int],
+        causal: bool,
+    ):
+        super().__init__()
+        self.embed = embedding(conditions)
+        self.enter = nn.Conv1d(inputs, channels, kernel)
+        self.blocks = nn.ModuleList(Block(channels, kernel, d, causal) for d in dilations)
+        self.head = Head(channels)
+        span = kernel - 1 + sum(block.span for block in self.blocks)  # type: ignore[misc]
+        self.early = kernel - 1 if causal else (kernel - 1) // 2
+        self.behind = span if causal else span // 2
+        self.ahead = span - self.behind
+
+    def forward(self, x: Tensor, conditions: Tensor) -> Tensor:
+        h, c = self.enter(x), self.embed(conditions)
+        c = cut(c, self.early, x.shape[2] - h.shape[2] - self.early)
+        for block in self.blocks:
+            h, c = block(h, c)
+        return self.head(h)
+
+
+class Recurrent(nn.Module):
+    """A gated recurrent network over distance; its context is what it warms up on."""
+
+    def __init__(
+        self, inputs: int, conditions: int, channels: int, kernel: int, context: int, causal: bool
+    ):
+        super().__init__()
+        self.embed = embedding(conditions)
+        self.enter = nn.Conv1d(inputs, channels, kernel)
+        self.film = Film(channels)
+        self.gru = nn.GRU(channels, channels, batch_first=True, bidirectional=not causal)
+        width = channels if causal else 2 * channels
+        self.mix = nn.Conv1d(width + channels, channels, 1)
+        self.late = Film(channels)
+        self.head = Head(channels)
+        self.early = kernel - 1 if causal else (kernel - 1) // 2
+        self.behind, self.ahead = context, 0 if causal else context
+        self.span = kernel - 1
+
+    def forward(self, x: Tensor, conditions: Tensor) -> Tensor:
+        c = cut(self.embed(conditions), self.early, self.span - self.early)
+        h = nn.functional.gelu(self.film(self.enter(x), c), approximate="tanh")
+        r, _ = self.gru(h.transpose(1, 2))
+        early, late = self.behind - self.early, self.ahead - (self.span - self.early)
+        h = cut(torch.cat([h, r.transpose(1, 2)], dim=1), early, late)
+        y = nn.functional.gelu(self.late(self.mix(h), cut(c, early, late)), approximate="tanh")
+        return self.head(y)
+
+
+def embedding(conditions: int) -> nn.Sequential:
+    """From conditions (B, n, T) to what the layers read of them (B, EMBEDDED, T)."""
+    layers = nn.Conv1d(conditions, EMBEDDED, 1), nn.Conv1d(EMBEDDED, EMBEDDED, 1)
+    return nn.Sequential(layers[0], nn.GELU(), layers[1], nn.GELU())
+
+
+def cut(x: Tensor, early: int, late: int) -> Tensor:
+    """`x` (B, C, T) without its ends; what is constant along the road has none."""
+    return x if x.shape[2] == 1 else x[:, :, early : x.shape[2] - late]

@@ -1,0 +1,206 @@
+"""What an estimator is that answers by a sequence network: `tcn`, `gru` and their causal twins.
+
+It comes with weights that `roadrecon train NAME` makes from a corpus of simulated drives; `fit`
+makes others from the drives it is given, without those. An estimator with other settings than the
+shipped weights have, or with `shipped` false, has to be fitted before it can answer.
+"""
+
+import abc
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+
+from estimators.bank import Bank, fitted_bank, shape_of, weighted
+from estimators.course import EDGE, SPACING, course, finer, wheel_paths
+from estimators.features import mended
+from estimators.material import MARGIN, SLOW, Material, limits, material
+from estimators.protocol import arrays, copy_with, fitted
+from estimators.sequence import FLIP, inputs, window
+from estimators.shipped import shipped
+from estimators.teaching import (
+    STD_LOG,
+    Keeper,
+    Lesson,
+    Plan,
+    divided,
+    numbers,
+    one_thread,
+    put,
+    teach,
+)
+from road_envs.config import STRICT
+from road_envs.record import Estimate, Profile, Record, grid
+from road_envs.vehicle import VehicleParameters
+
+COVERED = ((0.5, 0.6745), (0.9, 1.6449))
+"""Shares of errors, and the standard deviations within which they lie if they are Gaussian."""
+
+NETWORK = "network."
+"""Stands before the name of a network's weight."""
+
+WHEELBASE_OFF = 0.02
+"""A wheelbase that differs by more than this share from the taught one is told."""
+
+
+class Learnt(NamedTuple):
+    """Linear windows, weights of the network (float16), the `factor` on its standard deviations,
+    and the `wheelbase` [m] of the car.
+    """
+
+    bank: Bank
+    network: dict[str, np.ndarray]
+    factor: float
+    wheelbase: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Taught(abc.ABC):
+    """A sequence network behind a bank of linear windows."""
+
+    __pydantic_config__ = STRICT
+    name: ClassVar[str]
+    causal: ClassVar[bool]
+    lag: ClassVar[float | None] = None
+    """How far past a station the front axle is when its height is told [m]; None: at the end."""
+
+    shipped: bool = True
+    steps: int = 2500
+    learnt: Learnt | None = field(default=None, init=False, repr=False, compare=False)
+
+    def __post_init__(self):
+        for setting in ("steps", "channels"):
+            if getattr(self, setting) < 1:
+                raise ValueError(f"{setting} must be at least 1, got {getattr(self, setting)}")
+
+    @abc.abstractmethod
+    def network(self) -> Any:
+        """The torch network before it has learnt anything."""
+
+    def material(self, record: Record, truth: Profile) -> Material:
+        """What this estimator keeps of a drive to learn from. Raises RecordError."""
+        return material(record, truth, self.causal)
+
+    def fit(
+        self,
+        records: Sequence[Record],
+        truths: Sequence[Profile],
+        car: VehicleParameters,
+        seed: int,
+    ) -> Self:
+        """A copy that has learnt from these drives and nothing else."""
+        pairs = zip(records, truths, strict=True)
+        return self.learn([self.material(*pair) for pair in pairs], car, seed)
+
+    def learn(
+        self,
+        drives: Sequence[Material],
+        car: VehicleParameters,
+        seed: int,
+        progress: Callable[[str, float], None] = lambda text, share: None,
+        keeper: Keeper | None = None,
+    ) -> Self:
+        """A copy that has learnt from these drives; `seed` draws first weights and batches."""
+        import torch
+
+        progress("fitting linear windows", 0.0)
+        courses, targets = zip(*drives, strict=True)
+        bank = fitted_bank(courses, targets, *window(self.causal))
+        with torch.random.fork_rng():
+            torch.manual_seed(seed)
+            network = self.network()
+        lessons = [self._lesson(drive, bank, car.wheelbase, network) for drive in drives]
+        teach(network, lessons, Plan(self.steps), seed, progress, keeper)
+        rounded = {name: x.astype(np.float16) for name, x in numbers(network).items()}
+        put(network, rounded)
+        _, held_out = divided(lessons)
+        ratios = [self._ratios(part.lesson, network, part.start, part.stop) for part in held_out]
+        factor = honest(np.concatenate(ratios))
+        return copy_with(self, learnt=Learnt(bank, rounded, factor, car.wheelbase))
+
+    def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
+        """Heights with their standard deviation above 0.15 cycles/m. Raises RecordError."""
+        record, notes = mended(record)
+        bank, weights, factor, wheelbase = self._learnt()
+        network = self.network()
+        put(network, weights)
+        seen = course(record, MARGIN, self.causal)
+        read = inputs(seen, bank, car.wheelbase, network, self.causal)
+        missing, std = answer(network, read.x, read.conditions)
+        stations = grid(record.length)
+        z = wheel_paths(finer(read.first + read.level * missing, stations.size))
+        spread = factor * read.level * np.hypot(*std)
+        z_std = np.interp(stations, SPACING * (np.arange(spread.size) - EDGE), spread)
+        notes = (*notes, SLOW, *limits(seen))
+        if abs(car.wheelbase - wheelbase) > WHEELBASE_OFF * wheelbase:
+            notes += (f"taught with a wheelbase of {wheelbase:.2f} m, not {car.wheelbase:.2f} m",)
+        return Estimate(stations, z, np.array([z_std, z_std]), notes)
+
+    def weights(self) -> dict[str, np.ndarray]:
+        """`taps`, `factor`, `wheelbase`, and each weight of the network. Raises NotFittedError."""
+        bank, network, factor, wheelbase = self._learnt()
+        return {
+            "taps": bank.taps,
+            "factor": np.array(factor),
+            "wheelbase": np.array(wheelbase),
+            **{NETWORK + name: x for name, x in network.items()},
+        }
+
+    def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
+        """A copy with these weights. Raises ValueError."""
+        behind, ahead = window(self.causal)
+        shapes: dict[str, tuple[int | None, ...]] = {
+            "taps": shape_of(behind, ahead),
+            "factor": (),
+            "wheelbase": (),
+        }
+        own = {NETWORK + name: x.shape for name, x in numbers(self.network()).items()}
+        taps, factor, wheelbase, *rest = arrays(weights, shapes | own)
+        names = (name.removeprefix(NETWORK) for name in own)
+        network = {name: x.astype(np.float16) for name, x in zip(names, rest, strict=True)}
+        bank = Bank(taps.astype(np.float16), ahead)
+        return copy_with(self, learnt=Learnt(bank, network, float(factor), float(wheelbase)))
+
+    def _learnt(self) -> Learnt:
+        """What was learnt, or what came with the package. Raises NotFittedError."""
+        learnt = self.learnt
+        if learnt is None and self.shipped and (weights := shipped(self.name)) is not None:
+            try:
+                learnt = self.with_weights(weights).learnt
+            except ValueError:  # these settings are not those of the shipped weights
+                learnt = None
+        return fitted(learnt, self)
+
+    def _lesson(self, drive: Material, bank: Bank, wheelbase: float, network: Any) -> Lesson:
+        read = inputs(drive.course, bank, wheelbase, network, self.causal)
+        missing = weighted(drive.target.astype(float) - read.first) / read.level
+        return Lesson(read, missing.astype(np.float32))
+
+    def _ratios(self, lesson: Lesson, network: Any, start: int, stop: int) -> np.ndarray:
+        """Errors of both wheel paths over their standard deviations."""
+        missing, std = answer(network, lesson.inputs.x, lesson.inputs.conditions)
+        error = wheel_paths(lesson.missing - missing) / np.hypot(*std)
+        return error[:, start:stop].ravel()
+
+
+def answer(network: Any, x: np.ndarray, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What is missing of m and q, and its standard deviation, both (2, M) in levels: the mean of
+    what the network says of the drive and, mirrored back, of the mirrored drive.
+    """
+    import torch
+
+    with torch.no_grad(), one_thread():
+        twice = torch.from_numpy(np.array([x, x * FLIP]))
+        told = torch.from_numpy(np.array([conditions, conditions]))
+        said = network(twice, told).numpy().astype(float)
+    mirror = np.array([[1.0], [-1.0]])
+    missing = 0.5 * (said[0, :2] + mirror * said[1, :2])
+    return missing, np.exp(np.clip(said[:, 2:], *STD_LOG).mean(axis=0))
+
+
+def honest(ratios: np.ndarray) -> float:
+    """The factor on standard deviations with which half and nine tenths of the errors are about
+    as far out as those of a Gaussian; `ratios` (N,) are errors over standard deviations.
+    """
+    return float(np.mean([np.quantile(np.abs(ratios), p) / far for p, far in COVERED]))

@@ -1,0 +1,84 @@
+"""Teaching an estimator from a corpus: simulation, learning, and what is said about the weights.
+
+An interrupted teaching goes on where it was: the drives are simulated again, which is the smaller
+part, and the state that was kept beside the output is taken up if it belongs to the same corpus,
+settings, seed and version.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from estimators import shipped, storage
+from estimators.protocol import Teachable
+from leaderboard.corpus import Corpus
+from leaderboard.environment import version
+from leaderboard.evaluate import settings_of
+
+Progress = Callable[[str, float], None]
+SIMULATED = 0.15
+"""Share of the time that the drives take."""
+
+
+class FileKeeper:
+    """An unfinished state in a file; one of another `purpose` is as good as none."""
+
+    def __init__(self, path: Path, purpose: str):
+        self.path, self.purpose = path, purpose
+
+    def load(self) -> dict[str, np.ndarray] | None:
+        """The state, if there is one that fits."""
+        if not self.path.exists():
+            return None
+        try:
+            arrays, about = shipped.read(self.path)
+        except shipped.WeightsError:
+            return None
+        return arrays if about.get("purpose") == self.purpose else None
+
+    def save(self, state: Mapping[str, np.ndarray]) -> None:
+        """Keep a state, whole or not at all."""
+        shipped.write(self.path, state, {"purpose": self.purpose})
+
+    def done(self) -> None:
+        """Nothing is left to be kept."""
+        self.path.unlink(missing_ok=True)
+
+
+def purpose_of(estimator: Teachable, name: str, corpus: Corpus, seed: int) -> str:
+    """Digest of all that decides what is learnt."""
+    what = [name, settings_of(estimator), corpus.digest, seed, version()]
+    return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def train(
+    estimator: Teachable,
+    name: str,
+    corpus: Corpus,
+    seed: int,
+    out: Path,
+    command: str,
+    progress: Progress = lambda text, share: None,
+) -> Teachable:
+    """Teach `estimator` and write it to `out` (.safetensors). Raises ConfigError, StorageError."""
+    purpose = purpose_of(estimator, name, corpus, seed)
+    keeper = FileKeeper(out.with_name(f".{out.name}.unfinished"), purpose)
+    drives = []
+    for k in range(corpus.number):
+        if k % 10 == 0:
+            progress(f"driving, {k} of {corpus.number}", SIMULATED * k / corpus.number)
+        drives.append(estimator.material(*corpus.drive(k)))
+    learnt = estimator.learn(
+        drives,
+        corpus.vehicle,
+        seed,
+        lambda text, share: progress(text, SIMULATED + (1.0 - SIMULATED) * share),
+        keeper,
+    )
+    about = {"command": command, "seed": str(seed), "corpus": corpus.digest, "digest": purpose}
+    storage.save(learnt, out, about)
+    keeper.done()
+    return learnt

@@ -1,0 +1,76 @@
+"""Files written whole or not at all: a reader finds the old content or the new, never a half."""
+
+import itertools
+import os
+import platform
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+PARTIAL = ".partial"
+"""Ends the name of a file that is still being written."""
+
+_counter = itertools.count()
+
+
+@contextmanager
+def whole(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
+    """A name beside `path` to write to, which takes the place of `path` once all is written.
+
+    If anything goes wrong, nothing is left of it and `path` stays as it was. A `durable` file has
+    reached the disk before it takes its place, so that it outlives a loss of power.
+    """
+    path = Path(path)
+    partial = path.with_name(f".{path.name}.{_writer()}-{next(_counter)}{PARTIAL}")
+    try:
+        yield partial
+        if durable:
+            _to_disk(partial)
+        os.replace(partial, path)
+        if durable:
+            _to_disk(path.parent)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def write_text(path: str | Path, text: str, *, durable: bool = False) -> None:
+    """Write a text file whole or not at all; folders that are missing are made."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole(path, durable=durable) as partial:
+        partial.write_text(text, encoding="utf-8")
+
+
+def sweep(folder: Path) -> None:
+    """Remove what writers of this machine left behind in `folder` when they were killed."""
+    mine, _, _ = _writer().partition("-")
+    for partial in folder.rglob(f".*{PARTIAL}"):
+        host, _, rest = partial.name.removesuffix(PARTIAL).rpartition(".")[2].partition("-")
+        pid = rest.partition("-")[0]
+        if host == mine and pid.isdigit() and not _alive(int(pid)):
+            partial.unlink(missing_ok=True)
+
+
+def _writer() -> str:
+    """Machine, process and thread, none of which two writers share at one time."""
+    host = "".join(c for c in platform.node() if c.isalnum()) or "localhost"
+    return f"{host}-{os.getpid()}-{threading.get_ident()}"
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
+def _to_disk(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
