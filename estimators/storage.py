@@ -7,7 +7,6 @@ file the header is metadata, and what else is to be known about the weights stan
 
 import io
 import json
-import os
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -20,6 +19,7 @@ import numpy as np
 
 from estimators import available, create, shipped
 from estimators.protocol import Estimator, Trainable
+from road_envs.files import whole
 
 FORMAT = "roadrecon estimator 1"
 WEIGHTS = "weights."
@@ -50,15 +50,8 @@ def save(estimator: Estimator, path: str | Path, about: Mapping[str, str] | None
         shipped.write(path, weights, {**(about or {}), "header": json.dumps(header)})
         return
     arrays: dict[str, Any] = {WEIGHTS + key: value for key, value in weights.items()}
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        with partial.open("wb") as file:
-            np.savez(file, header=np.array(json.dumps(header)), **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+    with whole(path, durable=True) as partial, partial.open("wb") as file:
+        np.savez(file, header=np.array(json.dumps(header)), **arrays)
 
 
 def load(path: str | Path) -> Estimator:

@@ -4,8 +4,6 @@ The suspension rides softly for the first half and is switched to handling for t
 the difference can be seen. The picture runs in real time, one frame a control interval.
 """
 
-import os
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +13,7 @@ import numpy as np
 
 import road_envs
 from road_envs.config import ConfigError
+from road_envs.files import whole
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -34,7 +33,7 @@ Progress = Callable[[str, float], None]
 def animate(
     env_options: Mapping[str, Any],
     seconds: float,
-    path: str | os.PathLike,
+    path: str | Path,
     progress: Progress = lambda text, share: None,
 ) -> None:
     """Drive up to `seconds` of `RoadRecon-v0` and write the frames to `path` as an endless loop.
@@ -77,15 +76,8 @@ def _save(frames: Iterator[np.ndarray], path: Path, rate: float) -> None:
     first = next(images)
     options = {"save_all": True, "append_images": images, "duration": 1000.0 / rate, "loop": 0}
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, partial = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            first.save(file, kind, optimize=True, **options)
-        os.chmod(partial, 0o644)
-        os.replace(partial, path)
-    except BaseException:
-        os.unlink(partial)
-        raise
+    with whole(path) as partial:
+        first.save(partial, kind, optimize=True, **options)
 
 
 def _flat(frames: Iterator[np.ndarray]) -> Iterator["Image"]:

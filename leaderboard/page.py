@@ -7,11 +7,12 @@ from pathlib import Path
 from leaderboard import figures
 from leaderboard.board import Board
 from leaderboard.findings import NETWORK, UNRELATED, findings, pooled, unrelated_levels
-from leaderboard.results import Result, Trace, write_whole
+from leaderboard.results import Result, Trace
 from leaderboard.scores import NOTHING, SCORES
 from leaderboard.sentinels import NOISE
 from leaderboard.tasks import Task
 from leaderboard.view import Line, Section, filled, views
+from road_envs.files import write_text
 
 COMPARED = (NETWORK, "mean", "unrelated_road")
 """Whose numbers stand beside the paper's."""
@@ -48,7 +49,7 @@ class Case:
 def write_page(board: Board, out: Path) -> Path:
     """Write `out`/index.html, whole or not at all, and return its path."""
     path = out / "index.html"
-    write_whole(path, render(board))
+    write_text(path, render(board))
     return path
 
 

@@ -3,13 +3,13 @@
 Colours are those of Okabe & Ito (2008), which colour-blind readers tell apart.
 """
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from road_envs.files import whole
 from road_envs.observability import Posterior
 from road_envs.record import SENSORS, Estimate, Profile, Record, scored_band
 from road_envs.roads import Surface
@@ -174,9 +174,5 @@ def _write(paint: Callable[[Any], None], size: tuple[float, float], path: Path) 
     paint(figure)
     for axes in figure.axes:
         axes.spines[["top", "right"]].set_visible(False)
-    partial = path.with_name(f".{os.getpid()}.{path.name}")
-    try:
-        figure.savefig(partial)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+    with whole(path) as partial:
+        figure.savefig(partial, format=path.suffix.removeprefix("."))

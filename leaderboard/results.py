@@ -10,9 +10,7 @@ such, never mixed with the rest. A file that cannot be read is an error that nam
 import dataclasses
 import json
 import math
-import os
 import re
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +22,7 @@ from leaderboard import metrics
 from leaderboard.environment import version
 from leaderboard.tasks import Task
 from road_envs.config import STRICT, ConfigError, build
+from road_envs.files import write_text
 
 FORMAT = 1
 Role = Literal["entry", "sentinel"]
@@ -142,7 +141,8 @@ def save(result: Result, out: Path) -> Path:
     """Write a result to its place, whole or not at all."""
     path = path_of(out, result.task, result.estimator)
     text = json.dumps(_plain(dataclasses.asdict(result)), indent=1, allow_nan=False)
-    write_whole(path, NUMBERS.sub(lambda match: " ".join(match[0].split()), text) + "\n")
+    text = NUMBERS.sub(lambda match: " ".join(match[0].split()), text) + "\n"
+    write_text(path, text, durable=True)
     return path
 
 
@@ -172,20 +172,6 @@ def load(path: Path) -> Result:
 def load_all(out: Path, task: str) -> list[Result]:
     """All results of a task, by name of the estimator. Raises ConfigError for a damaged one."""
     return [load(path) for path in sorted((out / "results" / task).glob("*.json"))]
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a file so that a reader finds the old text or the new one, never half of it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, partial = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(partial, 0o644)
-        os.replace(partial, path)
-    except BaseException:
-        os.unlink(partial)
-        raise
 
 
 def heights(z: np.ndarray) -> tuple[tuple[int, ...], tuple[int, ...]]:

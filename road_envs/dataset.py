@@ -1,7 +1,6 @@
 """Drives as records with their truth: made by the simulator, written to and read from Parquet."""
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import numpy as np
 
 from road_envs.config import ConfigError
 from road_envs.dynamics import plant
+from road_envs.files import whole
 from road_envs.record import Profile, Record, grid
 from road_envs.roads.surface import Surface
 from road_envs.sensors import Instruments, Logger
@@ -65,12 +65,8 @@ def write_record(path: Path, record: Record, provenance: Mapping[str, object]) -
     about = {"format": FORMAT, "length": record.length, "provenance": dict(provenance)}
     table = pa.table(dict(zip(COLUMNS, data, strict=True)))
     table = table.replace_schema_metadata({"roadrecon": json.dumps(about)})
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
+    with whole(path) as partial:
         pq.write_table(table, partial)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def read_record(path: Path) -> tuple[Record, dict[str, object]]:

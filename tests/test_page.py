@@ -17,9 +17,10 @@ from leaderboard.board import Board, load_board, sentinels
 from leaderboard.evaluate import run_task
 from leaderboard.findings import findings, unrelated_levels
 from leaderboard.page import claims, interval_bar, render, write_page
-from leaderboard.results import save, write_whole
+from leaderboard.results import save
 from leaderboard.view import Line
 from road_envs.config import ConfigError
+from road_envs.files import write_text
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 VOID = {"meta", "link", "br", "hr", "img", "input"}
@@ -185,7 +186,7 @@ def test_the_page_is_built_from_what_is_stored(tmp_path):
 
 def test_a_damaged_result_stops_the_page_and_leaves_the_old_one(tmp_path):
     old = tmp_path / "index.html"
-    write_whole(old, "old")
+    write_text(old, "old")
     save(results()["paving"][0], tmp_path).write_text("{")
     with pytest.raises(ConfigError, match="damaged"):
         write_page(load_board(tasks(), tmp_path), tmp_path)
@@ -201,7 +202,7 @@ def test_stale_results_are_shown_as_such():
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
 @pytest.mark.parametrize("width", [1280, 400])
 def test_a_browser_renders_the_page_without_complaint(tmp_path, width):
-    write_whole(tmp_path / "index.html", page())
+    write_text(tmp_path / "index.html", page())
     picture = tmp_path / "page.png"
     done = subprocess.run(
         [

@@ -19,6 +19,7 @@ from leaderboard.results import load, load_all, path_of, save
 from leaderboard.statistics import bootstrap, interquartile_mean, interval, standings
 from leaderboard.table import as_json, print_tables
 from leaderboard.view import arrays, views
+from road_envs import files
 from road_envs.config import ConfigError
 
 ENTRIES = {
@@ -104,7 +105,7 @@ def test_a_write_that_is_interrupted_leaves_the_old_file_and_nothing_else(tmp_pa
     def interrupted(*names):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(results.os, "replace", interrupted)
+    monkeypatch.setattr(files.os, "replace", interrupted)
     with pytest.raises(KeyboardInterrupt):
         save(named("reader"), tmp_path)
     assert path.read_text() == before and list(path.parent.iterdir()) == [path]

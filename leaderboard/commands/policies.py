@@ -1,6 +1,5 @@
 """`policies`: the league of suspension-switching policies."""
 
-import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,9 +9,9 @@ from rich.table import Table
 from leaderboard import league
 from leaderboard.commands import console, json_text, mode_of, print_json, progress_bar
 from leaderboard.commands.drives import Json, Length
-from leaderboard.results import write_whole
 from leaderboard.statistics import Interval
 from road_envs.config import ConfigError
+from road_envs.files import write_text
 from road_envs.manoeuvres import KINDS as MANOEUVRES
 from road_envs.policies import REGISTRY
 
@@ -60,8 +59,7 @@ def policies(
     rows = [_row(s) for s in standings]
     data = {"scenario": scenario, "seeds": list(seeds), "learning_steps": steps, "rows": rows}
     if out:
-        os.makedirs(out, exist_ok=True)
-        write_whole(out / "policies.json", json_text(data))
+        write_text(out / "policies.json", json_text(data))
     print_json(data) if json else _print(standings, scenario, roads)
     if failed := [s.policy for s in standings if s.failure]:
         raise ConfigError(f"{', '.join(failed)} failed; the others stand")

@@ -7,15 +7,14 @@ track, and what lies between the paths is interpolated.
 """
 
 import json
-import os
 import textwrap
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from road_envs.config import ConfigError
+from road_envs.files import whole
 from road_envs.roads.opencrg import RECORD, WIDTHS
 from road_envs.roads.surface import Surface
 
@@ -92,18 +91,6 @@ WRITERS: dict[str, Callable[[Surface, str | Path], None]] = {
     ".crg": write_crg,
     ".erd": write_erd,
 }
-
-
-@contextmanager
-def whole(path: str | Path) -> Iterator[Path]:
-    """A name to write to, which takes the place of `path` once all is written."""
-    path = Path(path)
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        yield partial
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _remarks(surface: Surface) -> list[str]:
