@@ -53,32 +53,60 @@ def available() -> dict[str, type[Estimator]]:
     claims a name that is taken.
     """
     classes = dict(REGISTRY)
-    for entry in metadata.entry_points(group=GROUP):
-        if entry.name in classes:
-            raise ConfigError(
-                f"the estimator {entry.name!r} of {entry.value} needs another name: "
-                f"{classes[entry.name].__module__} has this one"
-            )
+    for name, entry in _plugins().items():
         try:
-            classes[entry.name] = _checked(entry.load())
+            classes[name] = _checked(entry.load())
         except Exception as error:  # whatever another package does, the rest stays usable
             said = f"{type(error).__name__}: {error}"
             warnings.warn(
-                f"the estimator {entry.name!r} of {entry.value} is left out: {said}",
+                f"the estimator {name!r} of {entry.value} is left out: {said}",
                 PluginWarning,
                 stacklevel=2,
             )
     return classes
 
 
+def names() -> list[str]:
+    """Names of all estimators; nothing of another package is loaded for it. Raises ConfigError."""
+    return [*REGISTRY, *_plugins()]
+
+
+def find(name: str) -> type[Estimator]:
+    """The estimator of a name; of other packages this one alone is loaded. Raises ConfigError."""
+    plugins = _plugins()
+    one_of("estimator", name, [*REGISTRY, *plugins])
+    if name in REGISTRY:
+        return REGISTRY[name]
+    try:
+        return _checked(plugins[name].load())
+    except Exception as error:
+        said = f"{type(error).__name__}: {error}"
+        where = plugins[name].value
+        raise ConfigError(f"the estimator {name!r} of {where} cannot be used: {said}") from error
+
+
 def create(name: str, **settings: Any) -> Estimator:
     """A fresh estimator. Raises ConfigError that names the choices, if a name or value is wrong."""
-    classes = available()
-    cls: Any = classes[one_of("estimator", name, classes)]
+    cls: Any = find(name)
     known = [field.name for field in dataclasses.fields(cls) if field.init]
     for setting in settings:
         one_of(f"setting of {name}", setting, known)
     return build(cls, settings, name)
+
+
+def _plugins() -> dict[str, metadata.EntryPoint]:
+    """What other packages offer, not loaded. Raises ConfigError for a name that is taken."""
+    found: dict[str, metadata.EntryPoint] = {}
+    for entry in metadata.entry_points(group=GROUP):
+        if entry.name in REGISTRY or entry.name in found:
+            other = found.get(entry.name)
+            owner = other.value if other else REGISTRY[entry.name].__module__
+            raise ConfigError(
+                f"the estimator {entry.name!r} of {entry.value} needs another name: "
+                f"{owner} has this one"
+            )
+        found[entry.name] = entry
+    return found
 
 
 def _checked(cls: Any) -> Any:

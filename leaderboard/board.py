@@ -1,21 +1,57 @@
 """A board: tasks, and what is stored about them. Runs what is missing, reads what is there."""
 
-import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from estimators import create
 from estimators.protocol import Estimator
-from leaderboard.drives import DriveSource, simulated
-from leaderboard.environment import code
-from leaderboard.evaluate import SEEDS, Entries, run_task, settings_of, steps
-from leaderboard.results import Result, load, load_all, path_of, save
+from leaderboard.entries import entry_of
+from leaderboard.entry import Entry
+from leaderboard.evaluate import SEEDS
+from leaderboard.executors import Executor
+from leaderboard.isolation.limits import Limits
+from leaderboard.jobs import to_text
+from leaderboard.plan import Plan, Row, jobs_of
+from leaderboard.results import Result
 from leaderboard.sentinels import SENTINELS, TRUTH_PLUS_NOISE
+from leaderboard.store import load_rows
 from leaderboard.tasks import Task
+from road_envs.config import ConfigError
+from road_envs.files import sweep, write_text
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a run is to leave on the board: `entries` and the sentinels on every one of `tasks`.
+
+    `roads` is the number of test drives per condition on tasks that draw their roads; `resume`
+    keeps stored results that depend on nothing that has changed.
+    """
+
+    tasks: Sequence[Task]
+    entries: Sequence[Entry]
+    seeds: Sequence[int] = SEEDS
+    roads: int | None = None
+    resume: bool = True
+    limits: Limits = field(default_factory=Limits)
+
+    def sized(self) -> list[Task]:
+        """The tasks with as many roads as are wanted. Raises ConfigError."""
+        n = self.roads
+        return [task.with_roads(n) if n and task.draws_roads else task for task in self.tasks]
+
+    def rows(self) -> list[Row]:
+        """Every entry on every task. Raises ConfigError."""
+        everyone = [*self.entries, *(entry_of(name, made) for name, made in sentinels().items())]
+        return [Row(task, entry, tuple(self.seeds)) for task in self.sized() for entry in everyone]
+
 
 Progress = Callable[[int, int, str], None]
-"""Hears of each step as it begins: steps done, steps in all, and what is being done now."""
+"""Hears of each result as it is stored: how many there are, how many in all, and what was run."""
+
+ATTEMPTS = 3
+"""How often a result is made that is found changed by somebody else."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +70,7 @@ class Board:
         return [r for r in self._fresh(task) if r.failure is not None]
 
     def stale(self, task: Task) -> list[tuple[Result, str]]:
-        """Results of another task, package or metric version, each with the reason."""
+        """Results of another task, package, code or metric version, each with the reason."""
         stale = [(r, r.stale(task)) for r in self.results[task.name]]
         return [(r, why) for r, why in stale if why is not None]
 
@@ -43,73 +79,44 @@ class Board:
 
 
 def load_board(tasks: Sequence[Task], out: Path) -> Board:
-    """The board of what is stored under `out`. Raises ConfigError for a damaged file."""
-    return Board(tuple(tasks), {task.name: load_all(out, task.name) for task in tasks})
+    """The board of what is stored under `out`; a file that cannot be read is a failed row."""
+    return Board(tuple(tasks), {task.name: load_rows(out, task) for task in tasks})
 
 
 def run_board(
-    tasks: Sequence[Task],
-    entries: Mapping[str, Estimator],
+    wanted: Wanted,
     out: Path,
-    *,
-    roads: int | None = None,
-    seeds: Sequence[int] = SEEDS,
-    resume: bool = False,
-    drive: DriveSource = simulated,
+    executor: Executor,
     progress: Progress = lambda done, total, text: None,
 ) -> Board:
-    """Evaluate `entries` (name: estimator) and the sentinels on `tasks`, store under `out`, and
-    return the board of everything stored there.
+    """Judge what is wanted, store it under `out`, and return the board of everything stored there.
 
-    `roads` is the number of test drives per condition on tasks that draw their roads; `resume`
-    keeps stored results of the same task, code, settings and seeds. Raises ConfigError, before
-    anything is run, if a stored result that is to stay cannot be read.
+    Failures are tried again. Raises ConfigError, before anything is run, if a file of a newer
+    version would have to be replaced; and what the executor raises.
     """
-    tasks = [task.with_roads(roads) if roads and task.draws_roads else task for task in tasks]
-    everyone: Entries = {**entries, **sentinels()}
-    wanted = {
-        task.name: {
-            name: e
-            for name, e in everyone.items()
-            if not (resume and _stored(task, name, e, seeds, out))
-        }
-        for task in tasks
-    }
-    for task in tasks:
-        for path in (out / "results" / task.name).glob("*.json"):
-            if path.stem not in wanted[task.name]:
-                load(path)
-    total = sum(steps(task, wanted[task.name]) for task in tasks)
-    done = 0
+    sweep(out)
+    plan = Plan(wanted.rows(), out, wanted.resume)
+    for _ in range(ATTEMPTS):
+        jobs = jobs_of(plan.missing(), executor.workers, wanted.limits)
+        total = sum(len(job.entries) for job in jobs)
+        progress(0, total, "starting")
+        for k, done in enumerate(executor.run(jobs, out), start=1):
+            plan.note(done)
+            progress(k, total, f"{done.task}: {done.entry}, {done.condition}")
+        if not plan.settle():
+            return load_board(wanted.sized(), out)
+    raise ConfigError(f"{out}: somebody else changes the files of this run while it is under way")
 
-    def report(text: str) -> None:
-        nonlocal done
-        progress(done, total, text)
-        done += 1
 
-    for task in filter(lambda task: wanted[task.name], tasks):
-        for result in run_task(task, wanted[task.name], seeds, drive=drive, report=report):
-            save(result, out)
-    return load_board(tasks, out)
+def write_jobs(wanted: Wanted, out: Path, folder: Path) -> int:
+    """Write a file for each job that is left to be run, an entry each; how many there are."""
+    plan = Plan(wanted.rows(), out, wanted.resume)
+    missing = plan.missing()
+    for k, job in enumerate(jobs_of(missing, len(missing) ** 2, wanted.limits)):
+        write_text(folder / f"{k}.json", to_text(job))
+    return len(missing)
 
 
 def sentinels() -> dict[str, Estimator | None]:
     """The marks that stand on every board."""
     return {name: None if name == TRUTH_PLUS_NOISE else create(name) for name in SENTINELS}
-
-
-def _stored(
-    task: Task, name: str, estimator: Estimator | None, seeds: Sequence[int], out: Path
-) -> bool:
-    """Whether a result of the same task, versions, code, settings and seeds is there to keep."""
-    path = path_of(out, task.name, name)
-    if not path.exists():
-        return False
-    result = load(path)
-    return (
-        result.stale(task) is None
-        and result.failure is None
-        and result.seeds == tuple(seeds)
-        and json.dumps(result.settings) == json.dumps(settings_of(estimator), default=str)
-        and result.environment.get("code") == code()
-    )

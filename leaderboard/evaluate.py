@@ -1,26 +1,31 @@
-"""The judge at work on one task: every entry becomes one `Result`, and a failure is a row too.
+"""The judge at work: what an entry makes of the drives of one condition, as a `Result`.
 
-For every condition the drives are simulated once and shared by all entries; only one condition's
-drives are held at a time. Training seeds are kept apart, drive by drive.
+The drives are simulated once and shared by all entries; only one condition's drives are held at a
+time. Training seeds are kept apart, drive by drive. A failure is a result too.
 """
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
-
-import numpy as np
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 from estimators.protocol import Estimator
 from leaderboard import metrics
 from leaderboard.bounds import nrmse_bound
 from leaderboard.drives import Drive, DriveSource, read_only, simulated
-from leaderboard.entry import EntryError, Outcome, reconstruct
+from leaderboard.entry import (
+    JUDGES_OWN,
+    Entry,
+    EntryError,
+    Outcome,
+    reconstruct_all,
+    settings_of,
+)
 from leaderboard.environment import environment, version
-from leaderboard.results import DriveScores, Result, Trace, heights
+from leaderboard.results import DriveScores, Result, Trace, heights, together
 from leaderboard.scores import scores
 from leaderboard.sentinels import SENTINELS, truth_plus_noise
+from leaderboard.sources import judge_code
 from leaderboard.tasks import Condition, Task
 from road_envs.record import Estimate
 from road_envs.simulate import SimulationError
@@ -31,8 +36,6 @@ SEEDS = (1, 2, 3)
 TRACED = 100.0
 """Length [m] of the first test road that is kept for the figures."""
 
-Entries = Mapping[str, Estimator | None]
-"""Who is judged, by name; None stands for the judge's own truth plus noise."""
 
 Report = Callable[[str], None]
 
@@ -51,64 +54,68 @@ class Session(NamedTuple):
         return self.condition.speed_kmh / 3.6
 
 
-@dataclass
-class Row:
-    """An entry on its way through a task."""
-
-    name: str
-    estimator: Estimator | None
-    seeds: tuple[int, ...]  # to run it with
-    drives: list[DriveScores] = field(default_factory=list)
-    traces: list[Trace] = field(default_factory=list)
-    outcomes: list[Outcome] = field(default_factory=list)
-    metres: float = 0.0  # estimated in all
-    failure: str | None = None
+Run = Callable[[Entry, Session, Sequence[int]], Iterable[Outcome]]
+"""How an entry is run on a session's records: one outcome for each training seed that tells
+something new. Raises EntryError; `here` is the plain one.
+"""
 
 
 def run_task(
     task: Task,
-    entries: Entries,
+    estimators: Mapping[str, Estimator | None],
     seeds: Sequence[int] = SEEDS,
     *,
     drive: DriveSource = simulated,
     report: Report = lambda text: None,
 ) -> list[Result]:
-    """Results of `entries` on a task.
+    """Results of `estimators` on a task, run in this process; None is the judge's noisy truth.
 
-    An estimator that gives the same answers with the second seed runs with the first alone.
-    `report` hears of each of `steps(task, entries)` steps as it begins. Raises ConfigError where
+    `report` hears of each of `steps(task, estimators)` steps as it begins. Raises ConfigError where
     the task is bad input.
     """
-    rows = [Row(name, e, tuple(seeds)) for name, e in entries.items()]
-    notes: dict[str, None] = {}
+    entries = [_entry(name, estimator) for name, estimator in estimators.items()]
+    parts: dict[str, list[Result]] = {entry.name: [] for entry in entries}
     for condition in task.conditions:
         report(f"{task.name}: driving, {condition.label}")
-        session = _session(task, condition, drive)
-        for row in rows:
-            report(f"{task.name}: {row.name}, {condition.label}")
-            if isinstance(session, str):
-                row.failure = row.failure or session
-            elif row.failure is None:
-                _judge(session, row)
-        if isinstance(session, Session):
-            notes |= dict.fromkeys(note for test in session.tests for note in test.notes)
-    return [_result(task, row, tuple(seeds), tuple(notes)) for row in rows]
+        session = drive_all(task, condition, drive)
+        for entry in entries:
+            report(f"{task.name}: {entry.name}, {condition.label}")
+            if not any(part.failure for part in parts[entry.name]):
+                run = here(estimators[entry.name])
+                parts[entry.name].append(judge(task, condition, session, entry, seeds, run))
+    return [together(found, "") for found in parts.values()]
 
 
-def steps(task: Task, entries: Entries) -> int:
+def steps(task: Task, estimators: Mapping[str, Estimator | None]) -> int:
     """How often `run_task` reports."""
-    return len(task.conditions) * (len(entries) + 1)
+    return len(task.conditions) * (len(estimators) + 1)
 
 
-def settings_of(estimator: Estimator | None) -> dict[str, Any]:
-    """What an estimator was constructed with."""
-    if estimator is None or not dataclasses.is_dataclass(estimator):
-        return {}
-    return {f.name: getattr(estimator, f.name) for f in dataclasses.fields(estimator) if f.init}
+def _entry(name: str, estimator: Estimator | None) -> Entry:
+    """An entry that is run here and need not be found again."""
+    reference = JUDGES_OWN if estimator is None else type(estimator).__name__
+    causal = getattr(estimator, "causal", None)
+    return Entry(name=name, reference=reference, settings=settings_of(estimator), causal=causal)
 
 
-def _session(task: Task, condition: Condition, drive: DriveSource) -> Session | str:
-    """The drives of a condition, or in one sentence why there are none."""
+def here(estimator: Estimator | None) -> Run:
+    """Run an estimator in this process."""
+
+    def run(entry: Entry, session: Session, seeds: Sequence[int]) -> Iterable[Outcome]:
+        assert estimator is not None
+        records = [test.record for test in session.tests]
+        return reconstruct_all(estimator, pairs(session), records, session.task.vehicle, seeds)
+
+    return run
+
+
+def pairs(session: Session) -> list[tuple]:
+    """Training records with their truths."""
+    return [(drive.record, drive.truth) for drive in session.training]
+
+
+def drive_all(task: Task, condition: Condition, drive: DriveSource = simulated) -> Session | str:
+    """The drives of a condition, or in one sentence why there are none. Raises ConfigError."""
     try:
         training = [read_only(d) for d in drive(task, task.training, condition)]
         tests = [read_only(d) for d in drive(task, task.test, condition)]
@@ -117,42 +124,73 @@ def _session(task: Task, condition: Condition, drive: DriveSource) -> Session | 
     return Session(task, condition, training, tests)
 
 
-def _judge(session: Session, row: Row) -> None:
-    """Run an entry under one condition, with every seed, and add what came of it to `row`."""
-    traces: list[Trace] = []
-    first: list[Estimate] = []
-    for seed in row.seeds:
-        try:
-            outcome = _outcome(session, row, seed)
-        except EntryError as error:
-            row.failure = f"{session.condition.label}, {error}"
-            return
-        if not row.traces and _same(outcome.estimates, first):
-            row.seeds = row.seeds[:1]  # it draws nothing: one training stands for all
-            break
-        first = first or outcome.estimates
-        judged = [_scored(session, k, z, seed) for k, z in enumerate(outcome.estimates)]
-        traces.append(_trace(session, outcome.estimates[0], judged[0]))
-        row.drives += judged
-        row.outcomes.append(dataclasses.replace(outcome, estimates=[]))
-        row.metres += sum(test.record.length for test in session.tests)
-    row.traces.append(_middle(traces))
-
-
-def _same(some: Sequence[Estimate], others: Sequence[Estimate]) -> bool:
-    return len(some) == len(others) and all(
-        np.array_equal(a.z, b.z) for a, b in zip(some, others, strict=True)
+def judge(
+    task: Task,
+    condition: Condition,
+    session: Session | str,
+    entry: Entry,
+    seeds: Sequence[int],
+    run: Run,
+) -> Result:
+    """What an entry did under a condition, trained with every seed."""
+    nothing = Result(
+        task=task.name,
+        task_digest=task.digest,
+        estimator=entry.name,
+        role="sentinel" if entry.name in SENTINELS else "entry",
+        settings=entry.settings,
+        package_version=version(),
+        metric_version=metrics.VERSION,
+        seeds=tuple(seeds),
+        code=entry.code,
+        judge=judge_code(),
+        conditions=(condition.label,),
+        causal=entry.causal,
+        environment=environment(),
     )
+    why = entry.failure or (session if isinstance(session, str) else None)
+    if why is not None or isinstance(session, str):
+        return dataclasses.replace(nothing, failure=why)
+    notes = tuple(dict.fromkeys(note for test in session.tests for note in test.notes))
+    try:
+        found = _judged(session, _outcomes(session, entry, seeds, run))
+    except EntryError as error:
+        failure = f"{condition.label}, {error}"
+        return dataclasses.replace(nothing, failure=failure, notes=notes)
+    return dataclasses.replace(nothing, notes=notes, **found)
 
 
-def _outcome(session: Session, row: Row, seed: int) -> Outcome:
-    if row.estimator is None:
-        band = metrics.scored_band(session.v)
-        noisy = [truth_plus_noise(test.truth, band, test.seed) for test in session.tests]
-        return Outcome(noisy, 0.0, 0.0, 0)
-    training = [(drive.record, drive.truth) for drive in session.training]
-    records = [test.record for test in session.tests]
-    return reconstruct(row.estimator, training, records, session.task.vehicle, seed)
+def _outcomes(session: Session, entry: Entry, seeds: Sequence[int], run: Run) -> Iterable[Outcome]:
+    if entry.reference != JUDGES_OWN:
+        return run(entry, session, seeds)
+    band = metrics.scored_band(session.v)
+    noisy = [truth_plus_noise(test.truth, band, test.seed) for test in session.tests]
+    return [Outcome(noisy, 0.0, 0.0, 0, seeds[0])]
+
+
+def _judged(session: Session, outcomes: Iterable[Outcome]) -> dict:
+    """Fields of a result: scores of every outcome, the middle trace, and the costs."""
+    drives: list[DriveScores] = []
+    traces: list[Trace] = []
+    train: list[float] = []
+    seconds, last = 0.0, Outcome([], 0.0, 0.0, 0)
+    for outcome in outcomes:
+        judged = [_scored(session, k, z, outcome.seed) for k, z in enumerate(outcome.estimates)]
+        traces.append(_trace(session, outcome.estimates[0], judged[0]))
+        drives += judged
+        train.append(outcome.train_seconds)
+        seconds += outcome.estimate_seconds
+        last = outcome
+    metres = len(train) * sum(test.record.length for test in session.tests)
+    return {
+        "drives": tuple(drives),
+        "traces": (_middle(traces),),
+        "train_seconds": tuple(train),
+        "estimate_ms_per_100m": 1e5 * seconds / metres if seconds else None,
+        "parameters": last.parameters,
+        "peak_memory": last.peak_memory,
+        "isolation": last.isolation,
+    }
 
 
 def _scored(session: Session, drive: int, estimate: Estimate, seed: int) -> DriveScores:
@@ -194,27 +232,3 @@ def _middle(traces: list[Trace]) -> Trace:
 
 def _or_infinite(value: float | None) -> float:
     return math.inf if value is None else value
-
-
-def _result(task: Task, row: Row, seeds: tuple[int, ...], notes: tuple[str, ...]) -> Result:
-    seconds = sum(outcome.estimate_seconds for outcome in row.outcomes)
-    failed = row.failure is not None
-    return Result(
-        task=task.name,
-        task_digest=task.digest,
-        estimator=row.name,
-        role="sentinel" if row.name in SENTINELS else "entry",
-        settings=settings_of(row.estimator),
-        package_version=version(),
-        metric_version=metrics.VERSION,
-        seeds=seeds,
-        drives=() if failed else tuple(row.drives),
-        train_seconds=() if failed else tuple(o.train_seconds for o in row.outcomes),
-        estimate_ms_per_100m=1e5 * seconds / row.metres if row.metres and seconds else None,
-        parameters=max((outcome.parameters for outcome in row.outcomes), default=None),
-        causal=getattr(row.estimator, "causal", None),
-        failure=row.failure,
-        notes=notes,
-        traces=() if failed else tuple(row.traces),
-        environment=environment(),
-    )

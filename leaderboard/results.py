@@ -1,36 +1,27 @@
-"""Results as files: one JSON per task and estimator, written whole or not at all, read strictly.
-
-    <out>/results/<task>/<estimator>.json
+"""Results: what one estimator did on one task, and how the parts of it are put together.
 
 Every score of every drive and training seed is kept, never only a mean. A result says which task
-(by digest), package and metrics it belongs to; one that belongs to others is stale, and shown as
-such, never mixed with the rest. A file that cannot be read is an error that names it.
+(by digest), code, package and metrics it belongs to; one that belongs to others is stale, and shown
+as such, never mixed with the rest.
 """
 
 import dataclasses
-import json
-import math
-import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from leaderboard import metrics
 from leaderboard.environment import version
+from leaderboard.sources import judge_code
 from leaderboard.tasks import Task
-from road_envs.config import STRICT, ConfigError, build
-from road_envs.files import write_text
+from road_envs.config import STRICT
 
-FORMAT = 1
+FORMAT = 2
 Role = Literal["entry", "sentinel"]
 Z_UNIT = 1e-5
 """Heights of a trace are stored as whole numbers of 0.01 mm."""
-
-NUMBERS = re.compile(r"\[[\s\d.,eE+-]+\]")
-"""A list of numbers in JSON, which is written on one line."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +77,9 @@ class Trace:
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """What one estimator did on one task; with a `failure` in one sentence, nothing is scored."""
+    """What one estimator did on one task, or under one of its conditions; with a `failure` in one
+    sentence, nothing is scored.
+    """
 
     __pydantic_config__ = STRICT
 
@@ -98,14 +91,20 @@ class Result:
     package_version: str
     metric_version: int
     seeds: tuple[int, ...]  # of the training, as asked; one that draws nothing used the first
-    drives: tuple[DriveScores, ...] = ()
+    code: str = ""  # version of the estimator's sources
+    judge: str = ""  # version of the sources that make drives and scores
+    identity: str = ""  # of all that it depends on: task, estimator, versions, seeds
+    conditions: tuple[str, ...] = ()
+    drives: Sequence[DriveScores] = ()
     train_seconds: tuple[float, ...] = ()  # one per condition and seed
     estimate_ms_per_100m: float | None = None
     parameters: int | None = None  # numbers learnt
     causal: bool | None = None
     failure: str | None = None
     notes: tuple[str, ...] = ()
-    traces: tuple[Trace, ...] = ()
+    traces: Sequence[Trace] = ()
+    peak_memory: float | None = None  # [GiB] of the entry's processes, libraries included
+    isolation: str = "none"  # of the entry from the judge: none, process, namespaces
     environment: dict[str, str] = dataclasses.field(default_factory=dict)
     format: int = FORMAT
 
@@ -129,49 +128,35 @@ class Result:
             return f"made by version {self.package_version}"
         if self.metric_version != metrics.VERSION:
             return f"scored by metrics {self.metric_version}, now {metrics.VERSION}"
+        if self.judge != judge_code():
+            return "driven or scored by other code"
         return None
 
 
-def path_of(out: Path, task: str, estimator: str) -> Path:
-    """Where the result of an estimator on a task is kept."""
-    return out / "results" / task / f"{estimator}.json"
-
-
-def save(result: Result, out: Path) -> Path:
-    """Write a result to its place, whole or not at all."""
-    path = path_of(out, result.task, result.estimator)
-    text = json.dumps(_plain(dataclasses.asdict(result)), indent=1, allow_nan=False)
-    text = NUMBERS.sub(lambda match: " ".join(match[0].split()), text) + "\n"
-    write_text(path, text, durable=True)
-    return path
-
-
-def load(path: Path) -> Result:
-    """A result from its file. Raises ConfigError that names the file and what is wrong with it."""
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}") from None
-    except ValueError as error:
-        raise ConfigError(f"{path}: damaged, not valid JSON: {error}") from None
-    if not isinstance(data, dict) or "format" not in data:
-        raise ConfigError(f"{path}: not a result (it has no format)")
-    if data["format"] != FORMAT:
-        raise ConfigError(
-            f"{path}: written in format {data['format']!r}, this version reads {FORMAT}; "
-            "delete the file and evaluate again"
-        )
-    result = build(Result, data, str(path))
-    if (result.task, result.estimator) != (path.parent.name, path.stem):
-        raise ConfigError(
-            f"{path}: holds the result of {result.estimator} on {result.task}, not what it says"
-        )
-    return result
-
-
-def load_all(out: Path, task: str) -> list[Result]:
-    """All results of a task, by name of the estimator. Raises ConfigError for a damaged one."""
-    return [load(path) for path in sorted((out / "results" / task).glob("*.json"))]
+def together(parts: Sequence[Result], identity: str) -> Result:
+    """One result of those under each condition, in their order; a failure in one fails it all."""
+    first = parts[0]
+    failure = next((part.failure for part in parts if part.failure is not None), None)
+    scored = () if failure else parts
+    costs = [part.estimate_ms_per_100m for part in parts if part.estimate_ms_per_100m is not None]
+    names = dict.fromkeys(name for part in parts for name in part.environment)
+    return dataclasses.replace(
+        first,
+        identity=identity,
+        conditions=tuple(label for part in parts for label in part.conditions),
+        drives=tuple(drive for part in scored for drive in part.drives),
+        train_seconds=tuple(spent for part in scored for spent in part.train_seconds),
+        estimate_ms_per_100m=float(np.mean(costs)) if costs else None,
+        parameters=_most(part.parameters for part in parts),
+        peak_memory=_most(part.peak_memory for part in parts),
+        failure=failure,
+        notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
+        traces=tuple(trace for part in scored for trace in part.traces),
+        isolation=_each(part.isolation for part in scored),
+        environment={
+            name: _each(part.environment.get(name, "none") for part in parts) for name in names
+        },
+    )
 
 
 def heights(z: np.ndarray) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -180,12 +165,9 @@ def heights(z: np.ndarray) -> tuple[tuple[int, ...], tuple[int, ...]]:
     return tuple(left), tuple(right)
 
 
-def _plain(value: Any) -> Any:
-    """`value` with None for what JSON has no number for."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return value
+def _each(texts: Iterable[str]) -> str:
+    return " or ".join(dict.fromkeys(texts))
+
+
+def _most(values: Iterable[float | None]) -> Any:
+    return max((value for value in values if value is not None), default=None)

@@ -18,9 +18,9 @@ from typing import Any
 import yaml
 
 from leaderboard.environment import version
-from leaderboard.results import write_whole
 from leaderboard.tasks import SEEDS_APART, Task, load_task
 from road_envs.config import STRICT, ConfigError, build, find, read_yaml
+from road_envs.files import write_text
 
 COMMITMENT = "commitment.json"
 SHORTEST = 12
@@ -58,7 +58,7 @@ def save(season: Season, folder: Path) -> Path:
     path = folder / COMMITMENT
     if path.exists() and load(folder) != season:
         raise ConfigError(f"{path}: another season stands here; choose an empty folder")
-    write_whole(path, json.dumps(dataclasses.asdict(season), indent=1) + "\n")
+    write_text(path, json.dumps(dataclasses.asdict(season), indent=1) + "\n")
     return path
 
 
@@ -92,7 +92,7 @@ def reveal(salt: str, folder: Path) -> list[Path]:
         data["test"] = {**data["test"], "seeds": seeds(salt, task, season.roads[name])}
         data["test"].pop("number", None)
         path = folder / f"{data['name']}.yaml"
-        write_whole(path, yaml.safe_dump(data, sort_keys=False, allow_unicode=True))
+        write_text(path, yaml.safe_dump(data, sort_keys=False, allow_unicode=True))
         load_task(path)
         written.append(path)
     return written

@@ -31,7 +31,8 @@ def _cache_folder() -> Path:
     return (home if usable else Path(tempfile.gettempdir())) / "roadrecon" / digest
 
 
-_folder = _cache_folder()
+CACHE = _cache_folder()
+"""Where compiled kernels are kept."""
 
 
 def kernel(function: F) -> F:
@@ -49,7 +50,7 @@ def separate(function: F) -> F:
 
 def _compiled(function: F, inlined: bool) -> F:
     settings: Any = numba.config
-    before, settings.CACHE_DIR = settings.CACHE_DIR, str(_folder)
+    before, settings.CACHE_DIR = settings.CACHE_DIR, str(CACHE)
     try:
         compiled: Any = numba.njit(
             cache=True,

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 from fakes import Broken, Learner, Reader, fake_drives, task
 
-from leaderboard.board import load_board, run_board
+from leaderboard.board import Wanted, load_board, run_board
 from leaderboard.drives import simulated
-from leaderboard.entry import EntryError, reconstruct
+from leaderboard.entries import entry_of
+from leaderboard.entry import EntryError, learns, reconstruct
 from leaderboard.evaluate import run_task, steps
+from leaderboard.executors import Here
 from leaderboard.metrics import nrmse, scored_band
-from leaderboard.results import path_of
 from leaderboard.sentinels import NOISE, SENTINELS, truth_plus_noise
+from leaderboard.store import path_of
 from road_envs.config import ConfigError
 from road_envs.simulate import SimulationError
 
@@ -22,8 +24,10 @@ def run(entries, seeds=(1, 2, 3), t=None, **options):
     return {result.estimator: result for result in results}
 
 
-def board(tmp_path, entries, **options):
-    return run_board([task()], entries, tmp_path, drive=fake_drives, **options)
+def board(tmp_path, made, t=None, drive=fake_drives, progress=lambda *step: None, **options):
+    entries = [entry_of(name, estimator) for name, estimator in made.items()]
+    wanted = Wanted([t or task()], entries, **options)
+    return run_board(wanted, tmp_path, Here(drive, made), progress)
 
 
 def test_a_scaled_truth_has_the_error_of_its_scale_on_every_drive():
@@ -132,6 +136,15 @@ def test_the_seam_hands_back_what_the_entry_says():
         reconstruct(Broken(how="raises"), [], records, t.vehicle, seed=7)
 
 
+def test_an_estimator_that_brings_its_weights_is_judged_with_them():
+    (first, *_), t = fake_drives(task(), task().training, task().conditions[0]), task()
+    fitted = Learner().fit([first.record], [first.truth], t.vehicle, seed=5)
+    assert learns(Learner()) and not learns(fitted) and not learns(Reader())
+    result = run({"fitted": fitted})["fitted"]
+    assert result.values("nrmse").shape == (3, 2, 1) and result.parameters == 1
+    np.testing.assert_allclose(result.values("nrmse"), abs(1.0 - fitted.gain), atol=0.01)
+
+
 def test_the_truth_plus_noise_has_the_error_that_it_says():
     t = task()
     (drive, *_) = fake_drives(t, t.test, t.conditions[0])
@@ -160,8 +173,9 @@ def test_sentinels_stand_on_every_board(tmp_path):
 
 def test_progress_of_a_board_counts_up_to_its_end(tmp_path):
     steps_seen = []
-    board(tmp_path, {"reader": Reader()}, seeds=(1,), progress=lambda *a: steps_seen.append(a[:2]))
-    assert steps_seen == [(k, 12) for k in range(12)]
+    board(tmp_path, {"reader": Reader()}, seeds=(1,), progress=lambda *a: steps_seen.append(a))
+    assert [step[:2] for step in steps_seen] == [(k, 10) for k in range(11)]
+    assert steps_seen[1][2].startswith("small: ") and steps_seen[1][2].endswith("km/h")
 
 
 def test_fewer_roads_are_driven_on_request(tmp_path):
@@ -169,37 +183,6 @@ def test_fewer_roads_are_driven_on_request(tmp_path):
     assert made.scored(made.tasks[0])[0].values("r").shape[0] == 2
     with pytest.raises(ConfigError, match="small: number of drives must be 1 to 3, got 9"):
         board(tmp_path, {"reader": Reader()}, roads=9)
-
-
-def test_a_resumed_run_keeps_what_is_valid_and_runs_the_rest(tmp_path):
-    ran = []
-
-    def counting(t, drives, condition):
-        ran.append(condition)
-        return fake_drives(t, drives, condition)
-
-    def resume(entries, **options):
-        ran.clear()
-        run_board([task()], entries, tmp_path, drive=counting, resume=True, **options)
-        return bool(ran)
-
-    assert resume({"reader": Reader()}, seeds=(1,))
-    assert not resume({"reader": Reader()}, seeds=(1,))
-    assert resume({"broken": Broken(how="raises")}, seeds=(1,))
-    assert resume({"broken": Broken(how="raises")}, seeds=(1,))  # failures are tried again
-    assert resume({"reader": Reader(gain=0.5)}, seeds=(1,))  # other settings
-    assert resume({"reader": Reader(gain=0.5)}, seeds=(1, 2))  # other seeds
-
-
-def test_a_damaged_result_that_is_to_stay_is_found_before_anything_is_run(tmp_path):
-    path = path_of(tmp_path, "small", "other")
-    path.parent.mkdir(parents=True)
-    path.write_text("{")
-    said = []
-    with pytest.raises(ConfigError, match=r"other\.json: damaged"):
-        board(tmp_path, {"reader": Reader()}, progress=lambda *step: said.append(step))
-    assert said == []
-    board(tmp_path, {"other": Reader()}, seeds=(1,))  # written anew
 
 
 def test_roads_of_one_name_and_seed_are_two_roads():
@@ -222,7 +205,7 @@ def test_a_real_drive_is_judged_like_any_other(tmp_path):
         training={"roads": ["iso_d"], "seeds": [1], "length": 20.0},
         test={"roads": ["iso_d"], "seeds": [11, 12], "length": 20.0, "step": 0.0005},
     )
-    made = run_board([t], {"learner": Learner()}, tmp_path, seeds=(1,), drive=simulated)
+    made = board(tmp_path, {"learner": Learner()}, t, simulated, seeds=(1,))
     results = {r.estimator: r for r in made.scored(t)}
     assert path_of(tmp_path, "small", "learner").exists()
     np.testing.assert_allclose(results["flat"].values("nrmse"), 1.0)

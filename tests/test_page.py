@@ -17,9 +17,8 @@ from leaderboard.board import Board, load_board, sentinels
 from leaderboard.evaluate import run_task
 from leaderboard.findings import findings, unrelated_levels
 from leaderboard.page import claims, interval_bar, render, write_page
-from leaderboard.results import save
+from leaderboard.store import path_of, save
 from leaderboard.view import Line
-from road_envs.config import ConfigError
 from road_envs.files import write_text
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
@@ -184,13 +183,13 @@ def test_the_page_is_built_from_what_is_stored(tmp_path):
     assert path == tmp_path / "index.html" and text_of(path.read_text()) == text_of(page())
 
 
-def test_a_damaged_result_stops_the_page_and_leaves_the_old_one(tmp_path):
-    old = tmp_path / "index.html"
-    write_text(old, "old")
-    save(results()["paving"][0], tmp_path).write_text("{")
-    with pytest.raises(ConfigError, match="damaged"):
-        write_page(load_board(tasks(), tmp_path), tmp_path)
-    assert old.read_text() == "old"
+def test_a_damaged_result_is_a_row_that_says_so_beside_the_others(tmp_path):
+    for result in results()["paving"]:
+        save(result, tmp_path)
+    path_of(tmp_path, "paving", "reader").write_text("{")
+    text = text_of(write_page(load_board(tasks(), tmp_path), tmp_path).read_text())
+    assert "its result cannot be read: " in text and "reader.json: damaged" in text
+    assert "static_lm" in text
 
 
 def test_stale_results_are_shown_as_such():

@@ -1,6 +1,7 @@
 """Results are written whole, read strictly, and summed up with honest intervals."""
 
 import dataclasses
+import hashlib
 import io
 import json
 from functools import cache
@@ -15,8 +16,17 @@ from rich.console import Console
 from leaderboard import results
 from leaderboard.board import Board
 from leaderboard.evaluate import run_task
-from leaderboard.results import load, load_all, path_of, save
 from leaderboard.statistics import bootstrap, interquartile_mean, interval, standings
+from leaderboard.store import (
+    OPENING,
+    checksum,
+    checksum_of,
+    load,
+    load_all,
+    load_rows,
+    path_of,
+    save,
+)
 from leaderboard.table import as_json, print_tables
 from leaderboard.view import arrays, views
 from road_envs import files
@@ -51,8 +61,22 @@ def edited(tmp_path, change):
     return path
 
 
-def with_field(name, value):
-    return lambda text: json.dumps({**json.loads(text), name: value})
+def resealed(change):
+    """A change by somebody who writes the checksum anew."""
+
+    def apply(text):
+        text = change(text)
+        return text.replace(json.loads(text)["sha256"], checksum_of(text))
+
+    return apply
+
+
+def replaced(old, new):
+    def apply(text):
+        assert text.count(old) == 1
+        return text.replace(old, new)
+
+    return apply
 
 
 def test_a_result_comes_back_as_it_was_written(tmp_path):
@@ -79,23 +103,72 @@ def test_heights_of_a_trace_are_kept_to_a_hundredth_of_a_millimetre():
     assert kept.s.shape == (50,) and kept.s[1] == kept.ds
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda text: text[:1000], "damaged, not valid JSON"),
-        (lambda text: "", "damaged, not valid JSON"),
-        (lambda text: "[]", "not a result"),
-        (with_field("format", 0), "written in format 0, this version reads 1"),
-        (with_field("score", 1), "score: unknown key"),
-        (with_field("seeds", ["1"]), "seeds"),
-        (with_field("estimator", "other"), "holds the result of other on small"),
-    ],
-)
+WRONG = [
+    (lambda text: text[:1000], "damaged, not valid JSON"),
+    (lambda text: "", "damaged, not valid JSON"),
+    (lambda text: "[" * 100_000, "damaged, not valid JSON"),
+    (lambda text: "[]", "not a result (it has no format)"),
+    (lambda text: "{}", "not a result (it has no format)"),
+    (lambda text: '{"format": 2}', "does not begin with its checksum"),
+    (lambda text: json.dumps(json.loads(text)), "does not begin with its checksum"),
+    (replaced('"format": 2', '"format": 1'), "written in format 1, this version reads 2"),
+    (replaced('"format": 2', '"format": 9'), "written in format 9 by a newer version"),
+    (replaced('"role": "entry"', '"role": "king"'), "changed since it was written, by hand or"),
+    (resealed(replaced('"role": "entry"', '"role": "king"')), "role: "),
+    (resealed(replaced('"format": 2', '"format": 2, "score": 1')), "score: unknown key"),
+    (resealed(replaced('"seeds": [1, 2, 3]', '"seeds": ["1"]')), "seeds"),
+    (resealed(replaced('"drive": [0, 1, 2, 0, 1, 2]', '"drive": [0]')), "different lengths"),
+    (resealed(replaced('"estimator": "reader"', '"estimator": "x"')), "holds the result of x on"),
+]
+
+
+@pytest.mark.parametrize(("change", "said"), WRONG)
 def test_a_file_that_is_wrong_is_named_and_never_skipped(tmp_path, change, said):
     path = edited(tmp_path, change)
     with pytest.raises(ConfigError) as error:
         load_all(tmp_path, "small")
     assert str(path) in str(error.value) and said in str(error.value)
+
+
+@pytest.mark.parametrize(("change", "said"), WRONG)
+def test_on_the_board_it_is_a_row_that_says_so_and_the_others_stand(tmp_path, change, said):
+    path = edited(tmp_path, change)
+    save(named("learner"), tmp_path)
+    rows = {r.estimator: r for r in load_rows(tmp_path, task())}
+    assert set(rows) == {"reader", "learner"} and rows["learner"].failure is None
+    assert said in rows["reader"].failure and str(path) in rows["reader"].failure
+    assert rows["reader"].stale(task()) is None
+
+
+def test_the_checksum_covers_every_byte_below_it(tmp_path):
+    path = save(named("reader"), tmp_path)
+    text = path.read_text()
+    assert text.startswith(OPENING + checksum(path))
+    assert checksum(path) == hashlib.sha256(text.split("\n", 2)[2].encode()).hexdigest()
+    for at in np.linspace(100, len(text) - 2, 50, dtype=int):
+        path.write_text(text[:at] + chr(ord(text[at]) ^ 1) + text[at + 1 :])
+        assert checksum(path) is None
+
+
+def test_rows_of_a_board_leave_their_drives_on_the_disk_until_they_are_asked_for(tmp_path):
+    for result in made():
+        save(result, tmp_path)
+    rows = load_rows(tmp_path, task())
+    for row in rows:
+        whole = named(row.estimator)
+        assert not isinstance(row.drives, tuple) and len(row.drives) == len(whole.drives)
+        assert row == whole
+        np.testing.assert_array_equal(row.values("nrmse"), whole.values("nrmse"))
+        assert [trace.seed for trace in row.traces] == [trace.seed for trace in whole.traces]
+
+
+def test_a_row_that_is_replaced_while_it_is_read_is_not_mixed_with_the_new_one(tmp_path):
+    path = save(named("reader"), tmp_path)
+    (row,) = load_rows(tmp_path, task())
+    save(dataclasses.replace(named("reader"), seeds=(4, 5)), tmp_path)
+    with pytest.raises(ConfigError, match="another run has written it meanwhile"):
+        row.values("nrmse")
+    assert path.exists()
 
 
 def test_a_write_that_is_interrupted_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
@@ -117,6 +190,7 @@ def test_a_write_that_is_interrupted_leaves_the_old_file_and_nothing_else(tmp_pa
         ({"task_digest": "0" * 64}, "the task has changed"),
         ({"package_version": "0.0.1"}, "made by version 0.0.1"),
         ({"metric_version": 0}, "scored by metrics 0"),
+        ({"judge": "0" * 16}, "driven or scored by other code"),
     ],
 )
 def test_a_result_of_another_task_version_or_metric_is_stale(change, why):

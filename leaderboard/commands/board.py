@@ -1,22 +1,32 @@
 """`leaderboard`: judge estimators on tasks, print the tables, write the page."""
 
+import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 import estimators
-from leaderboard.board import run_board
+from leaderboard.board import Wanted, run_board, write_jobs
 from leaderboard.boards import BOARDS
+from leaderboard.cluster import OnDask
 from leaderboard.commands import console, notices, print_json, progress_bar
 from leaderboard.commands.drives import Json
+from leaderboard.entries import named
+from leaderboard.entry import Entry
 from leaderboard.evaluate import SEEDS
+from leaderboard.executors import Executor, Processes
+from leaderboard.isolation.host import Host
+from leaderboard.isolation.limits import Limits
 from leaderboard.measured import surface_tasks
 from leaderboard.page import write_page
 from leaderboard.sentinels import SENTINELS
 from leaderboard.table import as_json, print_tables
 from leaderboard.tasks import Task, load_task, shipped_tasks
 from road_envs.config import ConfigError, one_of
+
+CORES = os.cpu_count() or 1
 
 
 def leaderboard(
@@ -33,7 +43,8 @@ def leaderboard(
         typer.Option(help="Train and score on this surface file instead; may be given again."),
     ] = None,
     estimator: Annotated[
-        list[str] | None, typer.Option(help="Estimator; may be given again. Default: all.")
+        list[str] | None,
+        typer.Option(help="Estimator, or a file from `train`; may be given again. Default: all."),
     ] = None,
     roads: Annotated[
         int | None, typer.Option(help="Test drives per condition where roads are drawn.", min=2)
@@ -42,32 +53,48 @@ def leaderboard(
         bool, typer.Option("--full", help="All test drives of every task: 50 and more roads.")
     ] = False,
     seeds: Annotated[int, typer.Option(help="Trainings of each learner.", min=1)] = len(SEEDS),
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Keep stored results that are still valid.")
+    again: Annotated[
+        bool, typer.Option("--again", help="Run everything, also what is stored and still valid.")
     ] = False,
+    workers: Annotated[int, typer.Option(help="Jobs at a time on this machine.", min=1)] = CORES,
+    dask: Annotated[
+        str | None, typer.Option(help="Run on the Dask cluster of this scheduler instead.")
+    ] = None,
+    plan: Annotated[
+        Path | None, typer.Option(help="Write jobs for `run-job` into this folder, run nothing.")
+    ] = None,
+    time_limit: Annotated[
+        float, typer.Option(help="Seconds an entry may take under one condition.")
+    ] = Limits.seconds,
+    memory_limit: Annotated[float, typer.Option(help="GiB an entry may hold.")] = Limits.memory,
     out: Annotated[Path, typer.Option(help="Folder for results and page.")] = Path(
         "out/leaderboard"
     ),
     json: Json = False,
 ) -> None:
-    """Judge estimators: one result file per task and estimator, tables, and a page."""
+    """Judge estimators: one result file per task and estimator, tables, and a page.
+
+    Every entry runs in a process of its own. What is stored and still valid is kept.
+    """
     if full and roads:
         raise ConfigError("give either --roads or --full, not both")
     chosen = _tasks(task, board, road)
     if full:
         chosen = [one.with_roads(None) if one.draws_roads else one for one in chosen]
-    names = estimator or [name for name in estimators.available() if name not in SENTINELS]
-    entries = {name: estimators.create(name) for name in names}
+    limits = _limits(time_limit, memory_limit)
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out} is a file; a folder for results and page is wanted")
+    entries = _entries(estimator, limits)
+    wanted = Wanted(chosen, entries, range(1, seeds + 1), roads, resume=not again, limits=limits)
+    if plan:
+        notices.print(f"jobs planned in {plan}: {write_jobs(wanted, out, plan)}")
+        return
+    executor: Executor = OnDask(dask) if dask else Processes(workers)
     with progress_bar() as progress:
         judged = run_board(
-            chosen,
-            entries,
+            wanted,
             out,
-            roads=roads,
-            seeds=range(1, seeds + 1),
-            resume=resume,
+            executor,
             progress=lambda done, total, text: progress(text, done / max(total, 1)),
         )
         progress("writing the page", 1.0)
@@ -93,3 +120,18 @@ def _tasks(
     if names:
         return [load_task(name) for name in names]
     return [task for task in shipped_tasks() if not boards or task.board in boards]
+
+
+def _entries(names: Sequence[str] | None, limits: Limits) -> list[Entry]:
+    chosen = names or [name for name in estimators.names() if name not in SENTINELS]
+    if all(name in estimators.REGISTRY for name in chosen):
+        return named(chosen, None)
+    with Host(limits) as host:
+        return named(chosen, host)
+
+
+def _limits(seconds: float, memory: float) -> Limits:
+    try:
+        return Limits(seconds=seconds, memory=memory)
+    except ValueError as error:
+        raise ConfigError(f"limits: {error}") from None

@@ -14,9 +14,9 @@ from leaderboard.environment import environment, version
 from leaderboard.paper.claims import claims, summary
 from leaderboard.paper.figures import Plate, plates
 from leaderboard.paper.study import PRINTED, Case, Study
-from leaderboard.results import write_whole
 from leaderboard.scores import NOTHING
 from leaderboard.svg import STYLE, inline
+from road_envs.files import write_text
 
 TITLE = "The paper reproduced"
 ABOUT = (
@@ -45,8 +45,8 @@ class Table:
 def write(study: Study, out: Path, command: str) -> list[Path]:
     """Write index.html, report.pdf and numbers.json into `out`, each whole or not at all."""
     drawn = [(plate, _figure(plate)) for plate in plates(study)]
-    write_whole(out / "index.html", html(study, drawn, command))
-    write_whole(out / "numbers.json", json.dumps(numbers(study, command), indent=1) + "\n")
+    write_text(out / "index.html", html(study, drawn, command))
+    write_text(out / "numbers.json", json.dumps(numbers(study, command), indent=1) + "\n")
     _write_pdf(study, drawn, out / "report.pdf", command)
     return [out / name for name in ("index.html", "report.pdf", "numbers.json")]
 

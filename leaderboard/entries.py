@@ -1,0 +1,98 @@
+"""Who is judged: an entry by name, with what it takes to make it anywhere and to know it again.
+
+An estimator of this package is made here. One of another package, or from a file, is not loaded by
+the judge: it describes itself in a process of its own.
+"""
+
+import hashlib
+import importlib
+import json
+from collections.abc import Mapping, Sequence
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+import estimators
+from estimators import storage
+from estimators.protocol import Estimator, Trainable
+from leaderboard.entry import JUDGES_OWN, Entry, EntryError, learns, settings_of
+from leaderboard.sources import code_of
+from road_envs.config import ConfigError, build, one_of
+
+
+class Describes(Protocol):
+    """Something that has an estimator describe itself, such as `isolation.host.Host`."""
+
+    def describe(self, reference: str, settings: Mapping[str, Any]) -> dict[str, Any]: ...
+
+
+def make(reference: str, settings: Mapping[str, Any]) -> Estimator:
+    """The estimator that a reference names. Raises ConfigError and whatever its code raises."""
+    if reference.endswith(".npz"):
+        return storage.load(reference)
+    if ":" not in reference:
+        return estimators.create(reference, **settings)
+    module, _, name = reference.partition(":")
+    cls: Any = attrgetter(name)(importlib.import_module(module))
+    return build(cls, settings, name)
+
+
+def describe(reference: str, estimator: Estimator) -> dict[str, Any]:
+    """Settings, causality and version of an estimator, as JSON types."""
+    code = code_of(type(estimator).__module__)
+    if isinstance(estimator, Trainable) and not learns(estimator):
+        code = f"{code}+{_digest_of(estimator.weights())}"
+    return {
+        "settings": json.loads(json.dumps(settings_of(estimator), default=str)),
+        "causal": getattr(estimator, "causal", None),
+        "code": code,
+    }
+
+
+def entry_of(name: str, estimator: Estimator | None) -> Entry:
+    """The entry of an estimator that stands in this process; None is the judge's noisy truth."""
+    if estimator is None:
+        return Entry(name=name, reference=JUDGES_OWN)
+    cls: Any = type(estimator)
+    registered = next((key for key, known in estimators.REGISTRY.items() if known is cls), None)
+    reference = registered or f"{cls.__module__}:{cls.__qualname__}"
+    return Entry(name=name, reference=reference, **describe(reference, estimator))
+
+
+def named(names: Sequence[str], host: Describes | None) -> list[Entry]:
+    """Entries by registered name or .npz file; those not of this package need a `host`.
+
+    One that cannot be made is an entry with a failure. Raises ConfigError for an unknown name.
+    """
+    known = estimators.names()
+    for name in names:
+        if not name.endswith(".npz"):
+            one_of("estimator", name, known)
+        elif not Path(name).is_file():
+            raise ConfigError(f"{name}: there is no such file")
+    return [_named(name, host) for name in names]
+
+
+def _named(name: str, host: Describes | None) -> Entry:
+    if name in estimators.REGISTRY or host is None:
+        return entry_of(name, estimators.create(name))
+    is_file = name.endswith(".npz")
+    known: dict[str, Any] = {
+        "name": Path(name).stem if is_file else name,
+        "reference": str(Path(name).resolve()) if is_file else name,
+    }
+    try:
+        return build(Entry, {**known, **host.describe(known["reference"], {})}, name)
+    except (EntryError, ConfigError) as error:
+        return Entry(**known, failure=str(error))
+
+
+def _digest_of(arrays: Mapping[str, np.ndarray]) -> str:
+    total = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        total.update(f"{name} {array.dtype} {array.shape}".encode())
+        total.update(array.tobytes())
+    return total.hexdigest()[:16]

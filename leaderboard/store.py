@@ -1,0 +1,286 @@
+"""Results as files: written whole or not at all, read strictly, known by what they depend on.
+
+    <out>/results/<task>/<estimator>.json   a row of the board
+    <out>/jobs/<identity>.json              a part of one: the same under one condition
+
+The name of a part is the digest of all that it depends on, so it never has to be changed, only
+written; two runs that write one folder write the same. A row is put together from its parts, and
+can be again. Each file begins with a checksum of the rest.
+"""
+
+import dataclasses
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, overload
+
+from leaderboard import metrics
+from leaderboard.environment import version
+from leaderboard.results import FORMAT, DriveScores, Result, Trace
+from leaderboard.sentinels import SENTINELS
+from leaderboard.sources import judge_code
+from leaderboard.tasks import Task
+from road_envs.config import STRICT, ConfigError, build
+from road_envs.files import write_text
+
+OPENING = '{\n "sha256": "'
+CLOSING = '",\n'
+
+HELD = 8
+"""How many results are held in memory whole; of the others only what stands above their drives."""
+
+
+class NewerFormatError(ConfigError):
+    """A file that a newer version wrote: not to be read here, nor to be written over."""
+
+
+@dataclass(frozen=True)
+class _Drives:
+    """All scores of a result, column by column."""
+
+    __pydantic_config__ = STRICT
+
+    condition: tuple[str, ...]
+    drive: tuple[int, ...]
+    road: tuple[str, ...]
+    road_seed: tuple[int, ...]
+    seed: tuple[int, ...]
+    scores: dict[str, tuple[float | None, ...]]
+    """A score that was not taken of some drive is None there, as is one that is not defined."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """The large part of a result."""
+
+    drives: tuple[DriveScores, ...]
+    traces: tuple[Trace, ...]
+
+
+def path_of(out: Path, task: str, estimator: str) -> Path:
+    """Where the result of an estimator on a task is kept."""
+    return out / "results" / task / f"{estimator}.json"
+
+
+def part_of(out: Path, identity: str) -> Path:
+    """Where the part of a result is kept."""
+    return out / "jobs" / f"{identity}.json"
+
+
+def save(result: Result, out: Path) -> Path:
+    """Write a result to its place on the board, whole or not at all."""
+    path = path_of(out, result.task, result.estimator)
+    write(path, to_text(result))
+    return path
+
+
+def write(path: Path, text: str) -> None:
+    """Write the text of a result, whole or not at all, and to the disk before anyone sees it."""
+    write_text(path, text, durable=True)
+
+
+def to_text(result: Result) -> str:
+    """A result as JSON, the checksum of the rest first."""
+    data = {f.name: getattr(result, f.name) for f in dataclasses.fields(result)}
+    data["drives"] = _columns(result.drives)
+    data["traces"] = [dataclasses.asdict(trace) for trace in result.traces]
+    rest = _by_lines(_plain(data))[2:] + "\n"
+    blank = f"{OPENING}{'0' * 64}{CLOSING}{rest}"
+    return blank.replace("0" * 64, checksum_of(blank), 1)
+
+
+def load(path: Path) -> Result:
+    """A row of the board from its file. Raises ConfigError that names file and fault."""
+    return load_checked(path)[0]
+
+
+def load_checked(path: Path) -> tuple[Result, str]:
+    """A row as `load` gives it, and the checksum of its file."""
+    result, told = _read(path)
+    if (result.task, result.estimator) != (path.parent.name, path.stem):
+        raise ConfigError(
+            f"{path}: holds the result of {result.estimator} on {result.task}, not what it says"
+        )
+    return result, told
+
+
+def load_part(path: Path) -> Result:
+    """A part from its file. Raises ConfigError that names the file and what is wrong with it."""
+    result = _read(path)[0]
+    if result.identity != path.stem:
+        raise ConfigError(f"{path}: holds the result {result.identity}, not what its name says")
+    return result
+
+
+def load_all(out: Path, task: str) -> list[Result]:
+    """All rows of a task, by name of the estimator. Raises ConfigError for a damaged one."""
+    return [load(path) for path in _files(out, task)]
+
+
+def load_rows(out: Path, task: Task) -> list[Result]:
+    """All rows of a task, whose drives and traces are read from their files when they are needed.
+
+    A file that cannot be read is a failed row that says so.
+    """
+    return [_row(path, task) for path in _files(out, task.name)]
+
+
+def checksum(path: Path) -> str | None:
+    """What a file says of its content; None if there is no such file, or it says something else."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return None
+    told = checksum_of(text)
+    return told if text.startswith(f"{OPENING}{told}{CLOSING}") else None
+
+
+def checksum_of(text: str) -> str:
+    """The checksum of the text of a result, whatever it says itself."""
+    return hashlib.sha256(text[len(OPENING) + 64 + len(CLOSING) :].encode()).hexdigest()
+
+
+def _row(path: Path, task: Task) -> Result:
+    try:
+        result, told = load_checked(path)
+    except ConfigError as error:
+        return Result(
+            task=task.name,
+            task_digest=task.digest,
+            estimator=path.stem,
+            role="sentinel" if path.stem in SENTINELS else "entry",
+            settings={},
+            package_version=version(),
+            metric_version=metrics.VERSION,
+            seeds=(),
+            judge=judge_code(),
+            failure=f"its result cannot be read: {error}",
+        )
+    return dataclasses.replace(
+        result,
+        drives=_Stored(path, told, "drives", len(result.drives)),
+        traces=_Stored(path, told, "traces", len(result.traces)),
+    )
+
+
+class _Stored(Sequence[Any]):
+    """Drives or traces that stay on the disk until they are asked for."""
+
+    def __init__(self, path: Path, told: str, name: str, size: int):
+        self._path, self._told, self._name, self._size = path, told, name, size
+
+    def __len__(self) -> int:
+        return self._size
+
+    @overload
+    def __getitem__(self, at: int) -> Any: ...
+    @overload
+    def __getitem__(self, at: slice) -> Sequence[Any]: ...
+    def __getitem__(self, at: int | slice) -> Any:
+        return self._all()[at]
+
+    def __iter__(self):
+        return iter(self._all())
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and tuple(self) == tuple(other)
+
+    def _all(self) -> tuple[Any, ...]:
+        return getattr(_body(self._path, self._told), self._name)
+
+
+@lru_cache(maxsize=HELD)
+def _body(path: Path, told: str) -> Body:
+    result, found = _read(path)
+    if found != told:
+        raise ConfigError(f"{path}: another run has written it meanwhile; show the board again")
+    return Body(tuple(result.drives), tuple(result.traces))
+
+
+def _files(out: Path, task: str) -> list[Path]:
+    return sorted(p for p in (out / "results" / task).glob("*.json") if p.name[0] != ".")
+
+
+def _read(path: Path) -> tuple[Result, str]:
+    """A result and its checksum."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        data = json.loads(text)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{path}: damaged, not valid JSON: {error}") from None
+    if not isinstance(data, dict) or not isinstance(data.get("format"), int):
+        raise ConfigError(f"{path}: not a result (it has no format)")
+    if data["format"] > FORMAT:
+        raise NewerFormatError(
+            f"{path}: written in format {data['format']} by a newer version, this one reads "
+            f"{FORMAT}; use that version, or another folder"
+        )
+    if data["format"] < FORMAT:
+        raise ConfigError(
+            f"{path}: written in format {data['format']}, this version reads {FORMAT}; "
+            "evaluate again"
+        )
+    told = data.pop("sha256", None)
+    if not text.startswith(f"{OPENING}{told}{CLOSING}"):
+        raise ConfigError(f"{path}: not a result (it does not begin with its checksum)")
+    if checksum_of(text) != told:
+        raise ConfigError(
+            f"{path}: changed since it was written, by hand or by a fault of the disk; "
+            "evaluate again"
+        )
+    drives = build(_Drives, data.pop("drives", {}), f"{path}: drives")
+    result = build(Result, data, str(path))
+    return dataclasses.replace(
+        result, drives=_rows(drives, path), traces=tuple(result.traces)
+    ), str(told)
+
+
+def _columns(drives: Sequence[DriveScores]) -> dict[str, Any]:
+    fields = [f.name for f in dataclasses.fields(DriveScores) if f.name != "scores"]
+    names = dict.fromkeys(name for drive in drives for name in drive.scores)
+    columns: dict[str, Any] = {name: [getattr(d, name) for d in drives] for name in fields}
+    return columns | {"scores": {name: [d.scores.get(name) for d in drives] for name in names}}
+
+
+def _rows(table: _Drives, path: Path) -> tuple[DriveScores, ...]:
+    columns = [table.condition, table.drive, table.road, table.road_seed, table.seed]
+    size = len(table.drive)
+    if any(len(column) != size for column in [*columns, *table.scores.values()]):
+        raise ConfigError(f"{path}: drives: columns of different lengths")
+    return tuple(
+        DriveScores(
+            condition=table.condition[k],
+            drive=table.drive[k],
+            road=table.road[k],
+            road_seed=table.road_seed[k],
+            seed=table.seed[k],
+            scores={name: column[k] for name, column in table.scores.items()},
+        )
+        for k in range(size)
+    )
+
+
+def _by_lines(value: Any, depth: int = 2) -> str:
+    """JSON with a line for each key down to `depth`, and all that lies deeper on that line."""
+    if depth and isinstance(value, dict) and value:
+        indent = " " * (3 - depth)
+        lines = [f"{indent}{json.dumps(k)}: {_by_lines(v, depth - 1)}" for k, v in value.items()]
+        return "{\n" + ",\n".join(lines) + "\n" + indent[1:] + "}"
+    return json.dumps(value, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    """`value` with None for what JSON has no number for."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value
