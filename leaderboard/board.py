@@ -103,7 +103,7 @@ def run_board(
         for k, done in enumerate(executor.run(jobs, out), start=1):
             plan.note(done)
             progress(k, total, f"{done.task}: {done.entry}, {done.condition}")
-        if not plan.settle():
+        if plan.settle():
             return load_board(wanted.sized(), out)
     raise ConfigError(f"{out}: somebody else changes the files of this run while it is under way")
 

@@ -25,7 +25,7 @@ from leaderboard.evaluate import Run, Session, drive_all, judge
 from leaderboard.isolation import processes
 from leaderboard.isolation.host import Host
 from leaderboard.isolation.limits import Limits
-from leaderboard.results import FORMAT, Result
+from leaderboard.results import FORMAT, Result, content
 from leaderboard.sources import judge_code
 from leaderboard.tasks import Task
 from road_envs.config import STRICT, ConfigError, build
@@ -57,7 +57,8 @@ class Done:
     task: str
     entry: str
     condition: str
-    checksum: str
+    content: str  # a digest of it
+    isolation: str
     failure: str | None = None
 
 
@@ -96,9 +97,7 @@ def from_text(text: str, where: str) -> Job:
     if job.judge != judge_code():
         raise ConfigError(f"{where}: planned by other code than this; plan it again")
     if job.task_digest != job.task.digest:
-        raise ConfigError(
-            f"{where}: {job.task.name} is another task here; are all its files there?"
-        )
+        raise ConfigError(f"{where}: {job.task.name} is another task here, or lacks its files")
     return job
 
 
@@ -113,14 +112,15 @@ def perform(job: Job, out: Path, run: Run, drive: DriveSource = simulated) -> It
 def keep(result: Result, job: Job, entry: Entry, out: Path) -> Done:
     """Store the result of an entry of a job."""
     known = identity(job.task, job.condition, entry, job.seeds)
-    text = store.to_text(dataclasses.replace(result, identity=known))
-    store.write(store.part_of(out, known), text)
+    result = dataclasses.replace(result, identity=known)
+    store.write(store.part_of(out, known), store.to_text(result))
     return Done(
         identity=known,
         task=job.task.name,
         entry=entry.name,
         condition=job.task.conditions[job.condition].label,
-        checksum=store.checksum_of(text),
+        content=content(result),
+        isolation=result.isolation,
         failure=result.failure,
     )
 

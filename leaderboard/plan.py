@@ -10,7 +10,7 @@ from leaderboard import store
 from leaderboard.entry import Entry
 from leaderboard.isolation.limits import Limits
 from leaderboard.jobs import Done, Job, identity
-from leaderboard.results import together
+from leaderboard.results import content, together
 from leaderboard.store import NewerFormatError
 from leaderboard.tasks import Task
 from road_envs.config import ConfigError
@@ -39,97 +39,93 @@ class Row:
 class Plan:
     """Which rows stand, which parts are there, and what is left to be run.
 
-    It remembers the checksum of every file that it relies on, so that one that somebody changes
-    while entries run is found.
+    Entries that are not kept in by namespaces could change what is stored while they run. So the
+    plan remembers what it has seen or been told, and looks again before it relies on it.
     """
 
     def __init__(self, rows: Sequence[Row], out: Path, resume: bool):
         """Raises NewerFormatError if a row would take the place of one that cannot be read here."""
         self.rows, self.out = rows, out
-        self._relied: dict[Path, str] = {}
-        self._here: dict[str, bool] = {}  # parts by identity; whether they hold a failure
-        self._standing = {row for row in rows if self._stands(row, resume)}
-        for row in self.open_rows() if resume else []:
+        self._seen: dict[Path, str] = {}  # content of rows and parts
+        self._failed: set[str] = set()  # parts that hold a failure
+        self._in_doubt = False
+        self._open = [row for row in rows if not self._stands(row, resume)]
+        for row in self._open if resume else []:
             for part in row.parts:
                 self._find(part)
-
-    def open_rows(self) -> list[Row]:
-        """Rows that are not on the board yet, or not any more."""
-        return [row for row in self.rows if row not in self._standing]
 
     def missing(self) -> list[tuple[Row, int]]:
         """Conditions of rows that have to be run."""
         return [
             (row, k)
-            for row in self.open_rows()
+            for row in self._open
             for k, part in enumerate(row.parts)
-            if part not in self._here
+            if self._part(part) not in self._seen
         ]
 
     def note(self, done: Done) -> None:
         """Remember a part that was run."""
-        self._here[done.identity] = done.failure is not None
-        self._relied[store.part_of(self.out, done.identity)] = done.checksum
+        self._seen[self._part(done.identity)] = done.content
+        self._in_doubt |= done.isolation != "namespaces"
+        if done.failure is not None:
+            self._failed.add(done.identity)
 
-    def settle(self) -> list[Row]:
-        """Put rows together and write them; those for which something is missing are left open.
+    def settle(self) -> bool:
+        """Put rows together and write them; False if there is more to be run.
 
-        Files that are not what they were are forgotten, and what stands on them is open again.
+        What is no longer what it was is forgotten, and has to be run again.
         """
-        changed = {path for path, told in self._relied.items() if store.checksum(path) != told}
-        for row in list(self._standing):
-            if self._path(row) in changed:
-                self._standing.discard(row)
-        for row in self.open_rows():
-            parts = [store.part_of(self.out, part) for part in row.parts if part in self._here]
-            for path in changed.intersection(parts):
-                del self._here[path.stem]
-            if self._complete(row):
-                self._write(row)
-        for path in changed:
-            self._relied.pop(path, None)
-        return self.open_rows()
+        if self._in_doubt:
+            for path in [path for path, told in self._seen.items() if _content(path) != told]:
+                del self._seen[path]
+        left = [row for row in self.rows if row in self._open or self._row(row) not in self._seen]
+        self._open = [row for row in left if not self._write(row)]
+        return not self._open
 
     def _stands(self, row: Row, resume: bool) -> bool:
-        path = self._path(row)
+        path = self._row(row)
         try:
-            result, told = store.load_checked(path)
+            result = store.load(path)
         except NewerFormatError:
             raise
         except ConfigError:  # none there, or none that is worth keeping
             return False
         if not resume or result.identity != row.identity or result.failure is not None:
             return False
-        self._relied[path] = told
+        self._seen[path] = content(result)
         return True
 
     def _find(self, part: str) -> None:
-        path = store.part_of(self.out, part)
+        path = self._part(part)
         try:
             result = store.load_part(path)
         except ConfigError:
             return
         if result.failure is None:
-            self._here[part] = False
-            self._relied[path] = store.checksum(path) or ""
+            self._seen[path] = content(result)
 
-    def _complete(self, row: Row) -> bool:
-        """Whether all parts are there, or one with a failure: the rest is not run then."""
-        here = [self._here[part] for part in row.parts if part in self._here]
-        return any(here) or len(here) == len(row.parts)
+    def _write(self, row: Row) -> bool:
+        """Put a row together if all parts are there, or one with a failure: then no more is run."""
+        here = [part for part in row.parts if self._part(part) in self._seen]
+        if len(here) < len(row.parts) and not self._failed.intersection(here):
+            return False
+        parts = [store.load_part(self._part(part)) for part in here]
+        whole = together(parts, row.identity)
+        self._seen[store.save(whole, self.out)] = content(whole)
+        return True
 
-    def _write(self, row: Row) -> None:
-        parts = [
-            store.load_part(store.part_of(self.out, part))
-            for part in row.parts
-            if part in self._here
-        ]
-        path = store.save(together(parts, row.identity), self.out)
-        self._relied[path] = store.checksum(path) or ""
-        self._standing.add(row)
-
-    def _path(self, row: Row) -> Path:
+    def _row(self, row: Row) -> Path:
         return store.path_of(self.out, row.task.name, row.entry.name)
+
+    def _part(self, identity: str) -> Path:
+        return store.part_of(self.out, identity)
+
+
+def _content(path: Path) -> str | None:
+    try:
+        return content(store.read(path))
+    except ConfigError:
+        return None
 
 
 def jobs_of(missing: Iterable[tuple[Row, int]], workers: int, limits: Limits) -> list[Job]:

@@ -6,6 +6,8 @@ as such, never mixed with the rest.
 """
 
 import dataclasses
+import hashlib
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -133,6 +135,20 @@ class Result:
         return None
 
 
+MEASURED = frozenset(
+    {"train_seconds", "estimate_ms_per_100m", "peak_memory", "isolation", "environment"}
+)
+"""Fields that differ from run to run."""
+
+
+def content(result: Result) -> str:
+    """Digest of all that is the same whenever and wherever a result is made."""
+    names = sorted(f.name for f in dataclasses.fields(result) if f.name not in MEASURED)
+    values = [getattr(result, name) for name in names]
+    plain = [[vars(x) for x in v] if _records(v) else v for v in values]
+    return hashlib.sha256(json.dumps(plain, sort_keys=True, default=str).encode()).hexdigest()
+
+
 def together(parts: Sequence[Result], identity: str) -> Result:
     """One result of those under each condition, in their order; a failure in one fails it all."""
     first = parts[0]
@@ -163,6 +179,10 @@ def heights(z: np.ndarray) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Heights (2, M) [m] as a trace keeps them; beyond 1 km they are cut."""
     left, right = np.rint(np.clip(z, -1e3, 1e3) / Z_UNIT).astype(int).tolist()
     return tuple(left), tuple(right)
+
+
+def _records(value: Any) -> bool:
+    return isinstance(value, Sequence) and len(value) > 0 and dataclasses.is_dataclass(value[0])
 
 
 def _each(texts: Iterable[str]) -> str:

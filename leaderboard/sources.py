@@ -31,7 +31,8 @@ def code_of(module: str) -> str:
     return digest(closure(module) if top in PACKAGES else _package(top))
 
 
-def closure(module: str, root: Path = ROOT) -> list[Path]:
+@cache
+def closure(module: str, root: Path = ROOT) -> tuple[Path, ...]:
     """The files of this project that a module reaches by imports, its own first."""
     found: dict[Path, None] = {}
     front = [path] if (path := _file(module, root)) else []
@@ -39,8 +40,8 @@ def closure(module: str, root: Path = ROOT) -> list[Path]:
         path = front.pop()
         if path not in found:
             found[path] = None
-            front += [other for name in _imports(path, root) if (other := _file(name, root))]
-    return list(found)
+            front += _imported(path, root)
+    return tuple(found)
 
 
 def digest(paths: Iterable[Path], root: Path = ROOT) -> str:
@@ -51,6 +52,12 @@ def digest(paths: Iterable[Path], root: Path = ROOT) -> str:
         content = hashlib.sha256(path.read_bytes()).hexdigest()
         total.update(f"{Path(name).as_posix()} {content}\n".encode())
     return total.hexdigest()[:16]
+
+
+@cache
+def _imported(path: Path, root: Path) -> tuple[Path, ...]:
+    """The files of this project that a file names in import statements."""
+    return tuple(other for name in _imports(path, root) if (other := _file(name, root)))
 
 
 def _imports(path: Path, root: Path) -> Iterator[str]:

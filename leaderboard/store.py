@@ -85,35 +85,33 @@ def write(path: Path, text: str) -> None:
 
 def to_text(result: Result) -> str:
     """A result as JSON, the checksum of the rest first."""
-    data = {f.name: getattr(result, f.name) for f in dataclasses.fields(result)}
-    data["drives"] = _columns(result.drives)
-    data["traces"] = [dataclasses.asdict(trace) for trace in result.traces]
-    rest = _by_lines(_plain(data))[2:] + "\n"
+    large: dict[str, Any] = {
+        "drives": _columns(result.drives),
+        "traces": [vars(trace) for trace in result.traces],
+    }
+    names = [f.name for f in dataclasses.fields(result)]
+    data = {n: large[n] if n in large else _plain(getattr(result, n)) for n in names}
+    rest = _by_lines(data)[2:] + "\n"
     blank = f"{OPENING}{'0' * 64}{CLOSING}{rest}"
     return blank.replace("0" * 64, checksum_of(blank), 1)
 
 
 def load(path: Path) -> Result:
     """A row of the board from its file. Raises ConfigError that names file and fault."""
-    return load_checked(path)[0]
-
-
-def load_checked(path: Path) -> tuple[Result, str]:
-    """A row as `load` gives it, and the checksum of its file."""
-    result, told = _read(path)
-    if (result.task, result.estimator) != (path.parent.name, path.stem):
-        raise ConfigError(
-            f"{path}: holds the result of {result.estimator} on {result.task}, not what it says"
-        )
-    return result, told
+    return _load(path)[0]
 
 
 def load_part(path: Path) -> Result:
     """A part from its file. Raises ConfigError that names the file and what is wrong with it."""
-    result = _read(path)[0]
+    result = read(path)
     if result.identity != path.stem:
         raise ConfigError(f"{path}: holds the result {result.identity}, not what its name says")
     return result
+
+
+def read(path: Path) -> Result:
+    """A row or a part, whatever the name of its file says. Raises ConfigError."""
+    return _read(path)[0]
 
 
 def load_all(out: Path, task: str) -> list[Result]:
@@ -129,16 +127,6 @@ def load_rows(out: Path, task: Task) -> list[Result]:
     return [_row(path, task) for path in _files(out, task.name)]
 
 
-def checksum(path: Path) -> str | None:
-    """What a file says of its content; None if there is no such file, or it says something else."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        return None
-    told = checksum_of(text)
-    return told if text.startswith(f"{OPENING}{told}{CLOSING}") else None
-
-
 def checksum_of(text: str) -> str:
     """The checksum of the text of a result, whatever it says itself."""
     return hashlib.sha256(text[len(OPENING) + 64 + len(CLOSING) :].encode()).hexdigest()
@@ -146,7 +134,7 @@ def checksum_of(text: str) -> str:
 
 def _row(path: Path, task: Task) -> Result:
     try:
-        result, told = load_checked(path)
+        result, told = _load(path)
     except ConfigError as error:
         return Result(
             task=task.name,
@@ -203,6 +191,15 @@ def _body(path: Path, told: str) -> Body:
 
 def _files(out: Path, task: str) -> list[Path]:
     return sorted(p for p in (out / "results" / task).glob("*.json") if p.name[0] != ".")
+
+
+def _load(path: Path) -> tuple[Result, str]:
+    result, told = _read(path)
+    if (result.task, result.estimator) != (path.parent.name, path.stem):
+        raise ConfigError(
+            f"{path}: holds the result of {result.estimator} on {result.task}, not what it says"
+        )
+    return result, told
 
 
 def _read(path: Path) -> tuple[Result, str]:

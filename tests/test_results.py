@@ -16,10 +16,10 @@ from rich.console import Console
 from leaderboard import results
 from leaderboard.board import Board
 from leaderboard.evaluate import run_task
+from leaderboard.results import content
 from leaderboard.statistics import bootstrap, interquartile_mean, interval, standings
 from leaderboard.store import (
     OPENING,
-    checksum,
     checksum_of,
     load,
     load_all,
@@ -143,11 +143,23 @@ def test_on_the_board_it_is_a_row_that_says_so_and_the_others_stand(tmp_path, ch
 def test_the_checksum_covers_every_byte_below_it(tmp_path):
     path = save(named("reader"), tmp_path)
     text = path.read_text()
-    assert text.startswith(OPENING + checksum(path))
-    assert checksum(path) == hashlib.sha256(text.split("\n", 2)[2].encode()).hexdigest()
+    told = hashlib.sha256(text.split("\n", 2)[2].encode()).hexdigest()
+    assert text.startswith(OPENING + told) and checksum_of(text) == told
     for at in np.linspace(100, len(text) - 2, 50, dtype=int):
         path.write_text(text[:at] + chr(ord(text[at]) ^ 1) + text[at + 1 :])
-        assert checksum(path) is None
+        with pytest.raises(ConfigError):
+            load(path)
+
+
+def test_the_content_of_a_result_is_all_of_it_but_what_was_measured_on_the_way():
+    result = named("learner")
+    known = content(result)
+    again = {"train_seconds": (9.0,), "environment": {}, "peak_memory": 9.0, "isolation": "x"}
+    assert content(dataclasses.replace(result, **again)) == known
+    first, *others = result.drives
+    worse = dataclasses.replace(first, scores={**first.scores, "nrmse": 0.0})
+    for change in ({"drives": (worse, *others)}, {"parameters": 2}, {"failure": "it failed"}):
+        assert content(dataclasses.replace(result, **change)) != known
 
 
 def test_rows_of_a_board_leave_their_drives_on_the_disk_until_they_are_asked_for(tmp_path):
