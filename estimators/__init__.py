@@ -15,6 +15,7 @@ from typing import Any
 from estimators.fir_ridge import FirRidge
 from estimators.flat import Flat
 from estimators.gru import Gru, GruCausal
+from estimators.iterated_wiener import IteratedWiener
 from estimators.map_smoother import MapSmoother
 from estimators.mean import Mean
 from estimators.narx import Narx
@@ -22,6 +23,7 @@ from estimators.protocol import Estimator
 from estimators.static_lm import StaticLm
 from estimators.tcn import Tcn, TcnCausal
 from estimators.unrelated_road import UnrelatedRoad
+from estimators.wiener import Wiener
 from road_envs.config import ConfigError, build, one_of
 
 GROUP = "roadrecon.estimators"
@@ -39,6 +41,8 @@ REGISTRY: dict[str, type[Estimator]] = {
     "tcn_causal": TcnCausal,
     "gru": Gru,
     "gru_causal": GruCausal,
+    "wiener": Wiener,
+    "iterated_wiener": IteratedWiener,
 }
 
 

@@ -26,7 +26,6 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.optimize import linear_sum_assignment
 
-from road_envs import suspension
 from road_envs.dynamics import (
     DOF,
     N_DOF,
@@ -176,7 +175,6 @@ def gaussian_damping(
     errs least in the mean square, c = E[F(e_dot) e_dot] / E[e_dot²] for a normal e_dot.
     """
     one = car if isinstance(car, Plant) else plant(car)
-    memory = memory_at_rest(command(mode))
     rate = np.broadcast_to(np.asarray(rate, dtype=float), (4,))
     if not (np.isfinite(rate) & (rate > 0)).all():
         raise ValueError(
@@ -185,17 +183,32 @@ def gaussian_damping(
     x = np.linspace(-6.0, 6.0, 1201)
     weight = x * np.exp(-0.5 * x**2)
     weight /= weight @ x
-    F = np.empty((4, x.size))
-    _damping_forces(one.numbers[0], one.velocity, memory, rate[:, None] * x, F)
-    return F @ weight / rate
+    F = strut_forces(one, mode, np.zeros((4, x.size)), rate[:, None] * x)
+    return -(F @ weight) / rate  # the spring's part is even, the weight is odd
+
+
+def strut_forces(
+    car: Plant | VehicleParameters,
+    mode: str | Mapping[str, str],
+    e: np.ndarray,
+    e_dot: np.ndarray,
+) -> np.ndarray:
+    """Forces (4, K) [N] that the struts, long in a mode, exert upwards on the body at extensions
+    `e` (4, K) [m] and rates of extension `e_dot` (4, K) [m/s].
+    """
+    one = car if isinstance(car, Plant) else plant(car)
+    found = np.empty(e.shape)
+    tables = (one.velocity, one.displacement, memory_at_rest(command(mode)))
+    _strut_forces(one.numbers[0], *tables, e, e_dot, found)
+    return found
 
 
 @kernel
-def _damping_forces(p, velocity, memory, e_dot, out):
-    """Damper and friction [N] of each strut at rates of extension `e_dot` (4, K) [m/s]."""
+def _strut_forces(p, velocity, displacement, memory, e, e_dot, out):
     for w in range(4):
-        for k in range(e_dot.shape[1]):
-            out[w, k] = suspension.damping(p, velocity, memory, w, e_dot[w, k])[0]
+        for k in range(e.shape[1]):
+            at = e[w, k], e_dot[w, k]
+            out[w, k] = strut_force(p, velocity, displacement, memory, w, at[0], at[1])[0]
 
 
 def modes(model: LinearModel) -> Modes:
@@ -236,13 +249,14 @@ def strut_rate_response(model: LinearModel, f: np.ndarray) -> np.ndarray:
     return inputs[:, :, :4] + s * inputs[:, :, 4:]
 
 
-def force_response(model: LinearModel, f: np.ndarray) -> np.ndarray:
-    """Complex responses (F, S, 4) [m/s² per N] of the sensors at `f` (F,) [Hz] to a force in each
-    strut beside its own, which pushes the body up and the axle down.
+def force_response(model: LinearModel, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Complex responses at `f` (F,) [Hz] to a force in each strut beside its own, which pushes the
+    body up and the axle down: of the sensors (F, S, 4) [m/s² per N], and of the struts' rates of
+    extension (F, 4, 4) [m/s per N].
     """
     force = model.struts.T / model.M[:, None]
     _, inside = _inside(model, f, np.vstack([np.zeros_like(force), force]))
-    return model.C @ inside + model.body @ force
+    return model.C @ inside + model.body @ force, model.struts @ inside[:, N_DOF:]
 
 
 def _inside(model: LinearModel, f: np.ndarray, inputs: np.ndarray):

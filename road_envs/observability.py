@@ -20,8 +20,8 @@ that share, in every sensor in another way. Above the low-pass `f_c` nothing is 
 
 Dampers and friction enter as the damper that errs least in the mean square for a normal rate of
 extension, whose standard deviation follows from the road, the speed and the damper itself
-(`road_damping`). What of their force is not linear is left out here: it is no noise to an estimator
-that knows the law.
+(`road_damping`). What of their force is not linear is left out: it is no noise to an estimator that
+knows the law. To one that is linear it is (`distortion.py`), and then belongs to R.
 """
 
 from collections.abc import Iterable, Mapping
@@ -30,6 +30,7 @@ from functools import cached_property
 
 import numpy as np
 
+from road_envs.distortion import as_noise, distortion, remainder
 from road_envs.dynamics import Plant, plant
 from road_envs.instruments import Instruments
 from road_envs.linear import (
@@ -160,6 +161,7 @@ def bound(
     places: Mapping[str, tuple[float, float]] | None = None,
     damping: np.ndarray | None = None,
     mismatch: float = 0.0,
+    distorted: bool = False,
     n: np.ndarray | None = None,
     f_c: float = F_C,
 ) -> Posterior:
@@ -167,7 +169,8 @@ def bound(
 
     Over `n` [cycles/m], by default the judged band. Sensors sit where the instruments say, or at
     `places`, name -> (x, y) [m]. `damping` (4,) [N s/m] of the struts is `road_damping` if it is
-    not given. Raises ValueError on values that make no sense.
+    not given. With `distorted`, what the struts' forces are not linear in counts as noise: the
+    least error of an estimator that is linear. Raises ValueError on values that make no sense.
     """
     if not 0 <= mismatch < np.inf:
         raise ValueError(f"the mismatch must not be negative, got {mismatch}")
@@ -183,6 +186,9 @@ def bound(
     H[n * v > f_c] = 0.0
     noise = np.maximum(instruments.noise_density, 1e-9) ** 2 * v  # over n; never singular
     R = np.broadcast_to(noise * np.eye(H.shape[1]), (n.size, H.shape[1], H.shape[1]))
+    if distorted:
+        forces = distortion(model, remainder(car, mode, damping), v, prior.spectrum, n * v)
+        R = R + v * as_noise(model, n * v, forces)
     return posterior(n, H, prior.spectrum(n), R, mismatch)
 
 

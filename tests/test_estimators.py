@@ -34,6 +34,7 @@ SMALL = {
     "narx": {"hidden": 4, "max_epochs": 8},
     "fir_ridge": {"reach": 3.0, "shipped": False},
     **dict.fromkeys(("tcn", "tcn_causal", "gru", "gru_causal"), QUICK),
+    "iterated_wiener": {"passes": 3},
 }
 """Settings under which the contract is tested quickly."""
 SPEED, RATE, APRON = 4.0, 200.0, 6.0

@@ -1,0 +1,184 @@
+"""How the linearised car hears a road: responses, prior and noise on a stretch's frequencies, and
+the roughness and the noise that the stretch itself speaks for.
+
+    a = H z + H_F q + e     z: wheel paths, q: what of the struts' forces is not linear, e: noise
+
+The level G_d(n0) of the prior and a factor kappa(f) on the noise, octave by octave, are those that
+make the stretch likely: empirical Bayes by expectation and maximisation (Dempster, Laird & Rubin,
+J. R. Stat. Soc. B 39, 1977), in turns with the equivalent dampers that go with the level. Noise can
+be told from road since three sensors hear two wheel paths: one combination of them hears noise
+alone. A car that is not quite the one supposed shows there, too, and raises kappa.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.fft import next_fast_len, rfft, rfftfreq
+
+from estimators.stretches import Stretch
+from road_envs.distortion import Remainder, distortion, remainder
+from road_envs.dynamics import Plant
+from road_envs.instruments import Instruments
+from road_envs.linear import by_path, force_response, linearise, strut_rate_response, wheel_response
+from road_envs.observability import F_C, Posterior, RoadPrior, posterior, road_damping
+
+APRON = 40.0
+"""Road [m] that nobody measured, behind a stretch, before it begins again in the circle of a
+discrete Fourier transform."""
+
+F_LOW = 0.4
+"""Below it [Hz] the sensors' offsets and drifts are at home."""
+
+OCTAVES = np.array([0.7, 1.4, 2.8, 5.6, 11.0, 20.0])
+"""Centres [Hz] of the bands of kappa, between which it is interpolated over log f."""
+
+DOUBT = 12.0
+"""Weight of kappa = 1 in each band, in lines of the spectrum."""
+
+ROUNDS, TURNS = 4, 6
+"""Times that the dampers follow the level, and steps of expectation and maximisation in each."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hearing:
+    """On the frequencies `n` (F,) [cycles/m], `f` [Hz], of a circle of `size` stations.
+
+    `H` (F, 3, 2) [m/s² per m] and `X` (F, 4, 2) [m/s per m]: responses of the sensors and of the
+    struts' rates of extension to the wheel paths; `H_force` (F, 3, 4), `X_force` (F, 4, 4): to
+    forces beside the struts'. `rest`: the law of those forces, `power` (4,) [N²] and spectrum over
+    n `D` (F, 4, 4) [N² m] of them; `white` [(m/s²)² m] that of a sensor's own noise; `prior` of the
+    road and its spectrum `S` (F, 2, 2) [m³].
+    """
+
+    size: int
+    n: np.ndarray
+    f: np.ndarray
+    H: np.ndarray
+    X: np.ndarray
+    H_force: np.ndarray
+    X_force: np.ndarray
+    rest: Remainder
+    power: np.ndarray
+    D: np.ndarray
+    white: float
+    prior: RoadPrior
+    S: np.ndarray
+    kappa: np.ndarray
+
+    def noise(self, share: np.ndarray | None = None) -> np.ndarray:
+        """Spectrum (F, 3, 3) over n of all noise, with a `share` (4,) of the forces' power left."""
+        left = self.D if share is None else self.D * np.sqrt(np.outer(share, share))
+        forces = self.H_force @ left @ adjoint(self.H_force)
+        return self.kappa[:, None, None] * (forces + self.white * np.eye(3))
+
+    def posterior(self, share: np.ndarray | None = None) -> Posterior:
+        """What can be known of the road at each frequency, with a `share` of the forces unknown."""
+        return posterior(self.n, self.H, self.S, self.noise(share))
+
+
+def listen(
+    one: Plant,
+    places: dict[str, tuple[float, float]],
+    instruments: Instruments,
+    stretch: Stretch,
+    track: float,
+) -> Hearing:
+    """How a car hears a `stretch`; level and noise are fitted to it. `track` [m] of the wheels."""
+    size = next_fast_len(stretch.a.shape[1] + round(APRON / stretch.d), real=True)
+    lines = lines_of(stretch.a, stretch, size)
+    prior = RoadPrior(track=track)
+    kappa = np.ones(size // 2 + 1)
+    for _ in range(ROUNDS):
+        found = hearing(one, places, instruments, stretch, prior, size, kappa)
+        level, kappa = likely(found, lines)
+        prior = replace(prior, G_d0=level)
+    return replace(found, kappa=kappa, prior=prior, S=prior.spectrum(found.n))
+
+
+def hearing(
+    one: Plant,
+    places: dict[str, tuple[float, float]],
+    instruments: Instruments,
+    stretch: Stretch,
+    prior: RoadPrior,
+    size: int,
+    kappa: np.ndarray,
+) -> Hearing:
+    """How a car hears a road like `prior` on a circle of `size` stations."""
+    v = stretch.v
+    n = rfftfreq(size, stretch.d)
+    n[0] = 0.5 * n[1]  # at 0 nothing is heard, and the prior has no end
+    f = n * v
+    damping = road_damping(one, stretch.mode, v, prior)
+    model = linearise(one, stretch.mode, places, damping=damping)
+    alias = instruments.response(f)[:, None, None]
+    H_force, X_force = force_response(model, f)
+    rest = remainder(one, stretch.mode, damping)
+    D = distortion(model, rest, v, prior.spectrum, f)
+    return Hearing(
+        size=size,
+        n=n,
+        f=f,
+        H=by_path(model, v, f, wheel_response(model, f)) * alias,
+        X=by_path(model, v, f, strut_rate_response(model, f)),
+        H_force=H_force * alias,
+        X_force=X_force,
+        rest=rest,
+        power=np.trapezoid(np.real(np.einsum("fww->wf", D)), f),
+        D=D * v,
+        white=max(instruments.noise_density, 1e-6) ** 2 * v,
+        prior=prior,
+        S=prior.spectrum(n),
+        kappa=kappa,
+    )
+
+
+def lines_of(a: np.ndarray, stretch: Stretch, size: int) -> np.ndarray:
+    """The spectrum's lines (F, 3, 1) [m/s² sqrt(m)] of signals `a` (3, M) of a stretch."""
+    window = stretch.seen * _window(np.any(stretch.seen, axis=0))
+    power = np.maximum(np.sum(window**2, axis=1, keepdims=True), 1.0)
+    return rfft(a * window * np.sqrt(2.0 * stretch.d / power), size).T[:, :, None]
+
+
+def _window(seen: np.ndarray) -> np.ndarray:
+    """A Hann window (M,) over what is `seen` (M,): an abrupt end would spread the resonances of
+    the body over frequencies at which there is little else.
+    """
+    window, where = np.zeros(seen.size), np.flatnonzero(seen)
+    if where.size:
+        span = where[-1] - where[0] + 1
+        window[where[0] : where[-1] + 1] = np.sin(np.pi * (np.arange(span) + 0.5) / span) ** 2
+    return window
+
+
+def likely(
+    found: Hearing, lines: np.ndarray, share: np.ndarray | None = None
+) -> tuple[float, np.ndarray]:
+    """A likelier level [m³] and kappa (F,), given the spectrum's `lines` (F, 3, 1)."""
+    heard = (found.f > F_LOW) & (found.f < F_C)
+    n, y, H, S = (x[heard] for x in (found.n, lines, found.H, found.S))
+    base = (found.noise(share) / found.kappa[:, None, None])[heard]
+    band = np.argmin(np.abs(np.log(found.f[heard, None] / OCTAVES)), axis=1)
+    factor = np.interp(np.log(OCTAVES), np.log(found.f), found.kappa)
+    level, unit = found.prior.G_d0, S / found.prior.G_d0
+    for _ in range(TURNS):
+        now = posterior(n, H, unit * level, base * factor[band, None, None])
+        z = now.gain @ y
+        e = y - H @ z
+        road = z @ adjoint(z) + now.error
+        noise = e @ adjoint(e) + H @ now.error @ adjoint(H)
+        level = float(np.mean(_trace(np.linalg.solve(unit, road)))) / 2.0
+        each = _trace(np.linalg.solve(base, noise)) / 3.0
+        lines_in = np.bincount(band, minlength=OCTAVES.size)
+        sums = np.bincount(band, each, OCTAVES.size)
+        factor = (sums + DOUBT) / (lines_in + DOUBT)
+    return level, np.exp(np.interp(np.log(found.f), np.log(OCTAVES), np.log(factor)))
+
+
+def _trace(matrices: np.ndarray) -> np.ndarray:
+    return np.real(np.einsum("fii->f", matrices))
+
+
+def adjoint(matrices: np.ndarray) -> np.ndarray:
+    """Conjugate transposes of the last two axes."""
+    return np.conj(np.swapaxes(matrices, -1, -2))
