@@ -23,6 +23,7 @@ class Kind:
     ranks_by: str
     columns: tuple[Column, ...]
     about: str
+    scale: float = 2.0  # of the ranking score, at the right end of bars and profiles
 
 
 RANKED = (Column("rank", "rank"), Column("rank_causal", "among causal", wide=True))
@@ -37,7 +38,7 @@ NEW_ROAD_COLUMNS = (
     Column("interval", "95 %"),
     Column("bound_efficiency", "of bound", "%", wide=True),
     Column("r", "r"),
-    Column("level_error", "eq. 12", "%"),
+    Column("level_error", "level", "%"),
     Column("class_exact", "class", "%"),
     Column("class_within_one", "within one", "%", wide=True),
     Column("iri_error", "IRI", "mm/m"),
@@ -63,15 +64,21 @@ CLASS_COLUMNS = (
     Column("nrmse", "NRMSE", wide=True),
 )
 PAPER_COLUMNS = (
-    Column("level_error_left", "eq. 12 left", "%"),
-    Column("level_error_right", "eq. 12 right", "%"),
-    Column("level_error", "eq. 12 both", "%"),
+    Column("level_error_raw", "eq. 12", "%"),
+    Column("level_error", "about mean", "%"),
+    Column("level_error_left", "left", "%", wide=True),
+    Column("level_error_right", "right", "%", wide=True),
+    Column("states", "trainings", "<15/15-25/>25 %", wide=True),
     Column("nrmse", "NRMSE"),
+    Column("nrmse_left", "NRMSE left", wide=True),
+    Column("nrmse_right", "NRMSE right", wide=True),
+    Column("bound_efficiency", "of bound", "%", wide=True),
     Column("r", "r"),
     Column("bump_f1", "bump F1"),
     Column("bump_height_error", "height error", "mm", wide=True),
+    Column("bump_location_error", "place", "m", wide=True),
     Column("bump_ghosts", "ghosts", wide=True),
-    Column("states", "trainings", "<15/15-25/>25 %", wide=True),
+    Column("dsd_distance_db", "DSD", "dB", wide=True),
     Column("train_seconds", "train", "s", wide=True),
 )
 BOARDS: dict[BoardName, Kind] = {
@@ -92,6 +99,7 @@ BOARDS: dict[BoardName, Kind] = {
         "dsd_distance_db",
         CLASS_COLUMNS,
         "How rough is the road, whatever its heights: ranked by the distance of the densities.",
+        scale=20.0,
     ),
     "measured": Kind(
         "Measured surfaces",

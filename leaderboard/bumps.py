@@ -24,6 +24,14 @@ class Bump(NamedTuple):
     height: float
 
 
+class Sorted(NamedTuple):
+    """Bumps of one wheel path: `pairs` (true, found), true ones missed, found ones not there."""
+
+    pairs: list[tuple[Bump, Bump]]
+    missed: list[Bump]
+    false: list[Bump]
+
+
 class BumpScores(NamedTuple):
     """Shares [-]; mean absolute errors of the bumps found, NaN if none was; ghosts counted."""
 
@@ -60,15 +68,24 @@ def obstacles(y: np.ndarray, ds: float) -> tuple[list[Bump], list[Bump]]:
     return left, right
 
 
-def bump_scores(y: np.ndarray, a: np.ndarray, ds: float) -> BumpScores | None:
-    """Scores of estimate `a` against truth `y`, both (2, M) [m]; None if the truth has no bump."""
+def sort_out(y: np.ndarray, a: np.ndarray, ds: float) -> tuple[Sorted, Sorted] | None:
+    """Which bumps of the truth `y` an estimate `a` has, both (2, M) [m]; None if there are none."""
     heights = [abs(bump.height) for path in obstacles(y, ds) for bump in path]
     if not heights:
         return None
     threshold = min(heights) / 2
-    true = [find_bumps(z, ds, threshold) for z in y]
-    found = [find_bumps(z, ds, threshold) for z in a]
-    pairs = [pair for t, f in zip(true, found, strict=True) for pair in _matches(t, f)]
+    left, right = (_sorted(y[k], a[k], ds, threshold) for k in range(2))
+    return left, right
+
+
+def bump_scores(y: np.ndarray, a: np.ndarray, ds: float) -> BumpScores | None:
+    """Scores of estimate `a` against truth `y`, both (2, M) [m]; None if the truth has no bump."""
+    paths = sort_out(y, a, ds)
+    if paths is None:
+        return None
+    pairs = [pair for path in paths for pair in path.pairs]
+    true = [[*path.missed, *(t for t, _ in path.pairs)] for path in paths]
+    found = [[*path.false, *(f for _, f in path.pairs)] for path in paths]
     ghosts = sum(
         _near(bump, true[1 - side]) and not _near(bump, true[side])
         for side in range(2)
@@ -84,6 +101,16 @@ def bump_scores(y: np.ndarray, a: np.ndarray, ds: float) -> BumpScores | None:
         height_error=float(height),
         height_error_relative=float(relative),
         ghosts=int(ghosts),
+    )
+
+
+def _sorted(y: np.ndarray, a: np.ndarray, ds: float, threshold: float) -> Sorted:
+    true, found = find_bumps(y, ds, threshold), find_bumps(a, ds, threshold)
+    pairs = _matches(true, found)
+    return Sorted(
+        pairs,
+        [bump for bump in true if not any(bump is t for t, _ in pairs)],
+        [bump for bump in found if not any(bump is f for _, f in pairs)],
     )
 
 

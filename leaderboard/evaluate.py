@@ -221,6 +221,7 @@ def _trace(session: Session, estimate: Estimate, judged: DriveScores) -> Trace:
         ds=truth.ds,
         truth=heights(truth.z[:, kept]),
         estimate=heights(estimate.z[:, kept]),
+        deviation=None if estimate.z_std is None else heights(estimate.z_std[:, kept]),
     )
 
 

@@ -1,61 +1,78 @@
-"""The boards as one HTML file that needs nothing else: tables, drawings and style are inside."""
+"""The boards as a static site that is opened from disk: no server, no network, one folder.
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+    index.html               all boards, with filters, sorting and what the numbers say
+    tasks/<task>.html        one task: every score, and its drawings
+    estimators/<name>.html   one entry: its card, all its results, where they come from
+    export/                  the same for programs and papers
+
+Each page stands alone: style, scripts and numbers are inside. Without scripts the tables are still
+there; filters and drawings need them. The index is written last, so an interrupted build leaves the
+old one; what no longer belongs is swept away.
+"""
+
+import json
+import re
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
-from leaderboard import figures
+from leaderboard import export, payload
 from leaderboard.board import Board
-from leaderboard.findings import NETWORK, UNRELATED, findings, pooled, unrelated_levels
-from leaderboard.results import Result, Trace
-from leaderboard.scores import NOTHING, SCORES
+from leaderboard.findings import UNRELATED, findings, unrelated_levels
+from leaderboard.results import Result
 from leaderboard.sentinels import NOISE
 from leaderboard.tasks import Task
-from leaderboard.view import Line, Section, filled, views
+from leaderboard.view import BOUND, Section, View, filled, views
 from road_envs.files import write_text
 
-COMPARED = (NETWORK, "mean", "unrelated_road")
-"""Whose numbers stand beside the paper's."""
+DRAWN = 8
+"""How many entries of a task are drawn, best first; each has a colour and a dash of its own."""
 
-AXIS = 2.0
-"""Error at the right end of the bars that stand for intervals."""
-
-
-@dataclass(frozen=True)
-class Figure:
-    """Panels side by side, with what they show in words."""
-
-    panels: Sequence[str]
-    caption: str
-
-
-@dataclass(frozen=True)
-class Claims:
-    """What the paper says and what was measured: eq. 12, NRMSE and r of each of `names`."""
-
-    names: Sequence[str]
-    rows: Sequence[tuple[str, str, list[str]]]  # task, title, cells: the claim, then three a name
-
-
-@dataclass(frozen=True)
-class Case:
-    """A task on the page: its rows and its drawings."""
-
-    task: Task
-    section: Section
-    figures: Sequence[Figure]
+FOLDERS = ("tasks", "estimators")
 
 
 def write_page(board: Board, out: Path) -> Path:
-    """Write `out`/index.html, whole or not at all, and return its path."""
-    path = out / "index.html"
-    write_text(path, render(board))
-    return path
+    """Write the site into `out` and return its index; each file whole or not at all."""
+    shown = views(board)
+    texts = dict(pages(board, shown))
+    for name, text in texts.items():
+        if name != "index.html":
+            write_text(out / name, text)
+    export.write(shown, out)
+    write_text(out / "index.html", texts["index.html"])
+    for folder in FOLDERS:
+        for path in (out / folder).glob("*.html"):
+            if f"{folder}/{path.name}" not in texts:
+                path.unlink()
+    return out / "index.html"
 
 
-def render(board: Board) -> str:
-    """The page."""
+def pages(board: Board, shown: Sequence[View]) -> Iterator[tuple[str, str]]:
+    """Every page: its place and its text."""
+    render = _renderer()
+    yield "index.html", render("index.html", _index(board, shown))
+    results: dict[str, list[tuple[Task, Result]]] = {}
+    for view in shown:
+        for section in view.sections:
+            task = next(task for task in board.tasks if task.name == section.task)
+            for result in board.results[task.name]:
+                results.setdefault(result.estimator, []).append((task, result))
+            yield f"tasks/{task.name}.html", render("task.html", _task(board, view, section, task))
+    for name, found in results.items():
+        yield (
+            f"estimators/{file_name(name)}",
+            render("estimator.html", _estimator(shown, name, found)),
+        )
+
+
+def file_name(estimator: str) -> str:
+    """The page of an estimator, whatever it is called."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "_", estimator) + ".html"
+
+
+def _renderer() -> Any:
     from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
 
     environment = Environment(
         loader=PackageLoader("leaderboard"),
@@ -64,55 +81,113 @@ def render(board: Board) -> str:
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    environment.filters |= {"bar": interval_bar, "filled": filled}
-    tasks = {task.name: task for task in board.tasks}
-    boards = [
-        (view, [_case(board, tasks[s.task], s) for s in view.sections]) for view in views(board)
-    ]
-    return environment.get_template("index.html").render(
-        findings=findings(board),
-        levels=_levels_figure(board),
-        boards=boards,
-        claims=claims(board),
-        noise=NOISE,
-        axis=AXIS,
-        provenance=provenance(board),
+    # inside a script only "<" could end it
+    environment.filters["data"] = lambda x: Markup(
+        json.dumps(x, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     )
+    environment.filters |= {"file": file_name}
+
+    def render(template: str, values: dict[str, Any]) -> str:
+        return environment.get_template(f"site/{template}").render(values)
+
+    return render
 
 
-def interval_bar(line: Line) -> Mapping[str, float] | None:
-    """Where mean and interval of a line stand on the bar's axis, in percent; None without them."""
-    low, mean, high = (line.values.get(key) for key in ("low", "nrmse", "high"))
-    if low is None or mean is None or high is None:
-        return None
-    at = [100.0 * min(x / AXIS, 1.0) for x in (low, mean, high)]
-    return {"low": at[0], "mean": at[1], "width": at[2] - at[0], "one": 100.0 / AXIS}
-
-
-def claims(board: Board) -> Claims | None:
-    """The paper's cases with its numbers and ours side by side; None if none was run."""
-    rows = []
-    for task in (task for task in board.tasks if task.board == "paper"):
-        results = {result.estimator: result for result in board.scored(task)}
-        cells = [
-            SCORES[score].text(pooled([results[name]], score)) if name in results else NOTHING
-            for name in COMPARED
-            for score in ("level_error", "nrmse", "r")
-        ]
-        claim = task.claimed_level_error
-        said = NOTHING if claim is None else SCORES["level_error"].text(claim)
-        rows.append((task.name, task.title, [said, *cells]))
-    return Claims(COMPARED, rows) if rows else None
-
-
-def provenance(board: Board) -> dict[str, list[tuple[str, str]]]:
-    """Where the numbers come from: machines and versions, and the tasks with their digests."""
-    shown = [r for task in board.tasks for r in board.scored(task)]
-    made = dict.fromkeys(_machine(r) for r in shown)
+def _index(board: Board, shown: Sequence[View]) -> dict[str, Any]:
+    errors, _ = unrelated_levels()
+    claims = [t.claimed_level_error for t in board.tasks if t.claimed_level_error is not None]
     return {
-        "made": [("Made by", text) for text in made],
-        "tasks": [(task.name, _drives(task, board.scored(task))) for task in board.tasks],
+        "root": "",
+        "findings": findings(shown),
+        "levels": {
+            "x": [payload.rounded(100.0 * x) for x in sorted(errors.tolist())],
+            "claims": sorted(100.0 * x for x in claims),
+        },
+        "pairs": f"{errors.size} wheel paths of class {UNRELATED['road_class']}",
+        "boards": [(view, [_table(view, s) for s in view.sections]) for view in shown],
+        "noise": NOISE,
+        "provenance": provenance(board),
     }
+
+
+def _table(view: View, section: Section) -> dict[str, Any]:
+    """One table: its columns, and the numbers behind it."""
+    columns = filled(view, section)
+    groups = dict.fromkeys(section.conditions)
+    groups |= dict.fromkeys(name for names in section.groups.values() for name in names)
+    return {
+        "section": section,
+        "columns": columns,
+        "groups": list(groups),
+        "data": payload.table(view, section, columns),
+    }
+
+
+def _task(board: Board, view: View, section: Section, task: Task) -> dict[str, Any]:
+    lines = {line.name: line for line in section.lines}
+    by_name = {result.estimator: result for result in board.scored(task)}
+    order = [name for name, line in lines.items() if line.state == "scored"] or [
+        name for name, line in lines.items() if line.state == "sentinel" and name != BOUND
+    ]
+    drawn = {name: by_name[name] for name in order[:DRAWN]}
+    return {
+        "root": "../",
+        "view": view,
+        "table_made": _table(view, section),
+        "task": task,
+        "drawn": payload.scenes(task, view.kind, drawn, lines) if drawn else None,
+        "left_out": order[DRAWN:],
+        "spread": any(line.values.get("low") is not None for line in lines.values()),
+        "facts_rows": [("drives", _drives(task, board.scored(task))), ("digest", task.digest)],
+    }
+
+
+def _estimator(
+    shown: Sequence[View], name: str, found: Sequence[tuple[Task, Result]]
+) -> dict[str, Any]:
+    rows = [
+        (view, section, line)
+        for view in shown
+        for section in view.sections
+        for line in section.lines
+        if line.name == name
+    ]
+    first = found[0][1]
+    return {
+        "root": "../",
+        "name": name,
+        "role": first.role,
+        "causal": first.causal,
+        "settings": first.settings,
+        "probes": (),
+        "probed_on": "",
+        "rows": rows,
+        "results": [(task, result, origin(task, result)) for task, result in found],
+    }
+
+
+def provenance(board: Board) -> list[tuple[str, str]]:
+    """Where the numbers come from: machines and versions, and the tasks with their digests."""
+    made: dict[str, None] = {}
+    rows = []
+    for task in board.tasks:
+        scored = board.scored(task)
+        made |= dict.fromkeys(_machine(result) for result in scored)
+        rows.append((task.name, f"{_drives(task, scored)}; digest {task.digest[:12]}"))
+    return [*(("Made by", text) for text in made), *rows]
+
+
+def origin(task: Task, result: Result) -> list[tuple[str, str]]:
+    """Where the numbers of one result come from."""
+    told = {
+        "file": f"results/{result.task}/{result.estimator}.json",
+        "task": f"version {task.version}, digest {result.task_digest}",
+        "state": result.stale(task) or "fresh",
+        "package": f"roadrecon {result.package_version}, metrics {result.metric_version}",
+        "training seeds": ", ".join(map(str, result.seeds)),
+        "settings": json.dumps(result.settings) if result.settings else "none",
+    }
+    return [*told.items(), *result.environment.items()]
 
 
 def _machine(result: Result) -> str:
@@ -123,74 +198,7 @@ def _machine(result: Result) -> str:
 def _drives(task: Task, results: Sequence[Result]) -> str:
     seeds = max((len(r.seeds) for r in results), default=0)
     return (
-        f"version {task.version}, digest {task.digest[:12]}; conditions: {len(task.conditions)}, "
-        f"each with {len(task.training.pairs)} training and {len(task.test.pairs)} test drives; "
+        f"version {task.version}; conditions: {len(task.conditions)}, each with "
+        f"{len(task.training.pairs)} training and {len(task.test.pairs)} test drives; "
         f"trainings: {seeds}"
-    )
-
-
-def _case(board: Board, task: Task, section: Section) -> Case:
-    order = [line.name for line in section.lines]
-    entries = [r for r in board.scored(task) if r.role == "entry"] or board.scored(task)
-    entries.sort(key=lambda r: (r.estimator != NETWORK, order.index(r.estimator)))
-    drawn = {r.estimator: r for r in entries[: len(figures.SERIES)]}
-    if not drawn:
-        return Case(task, section, ())
-    draw = _paper_figures if task.board == "paper" else _new_road_figures
-    return Case(task, section, draw(task, drawn))
-
-
-def _paper_figures(task: Task, drawn: Mapping[str, Result]) -> list[Figure]:
-    """Overlays of both wheel paths, and the densities where the road is random."""
-    made = []
-    for k, condition in enumerate(task.conditions):
-        traces = {name: result.traces[k] for name, result in drawn.items()}
-        name, trace = next(iter(traces.items()))
-        panels = [figures.overlay(trace, side) for side in range(2)]
-        densities = ""
-        if not task.bumps:
-            panels.append(figures.spectra(traces))
-            densities = " Right: densities over the classes of ISO 8608; dotted: the scored band."
-        made.append(
-            Figure(
-                panels,
-                f"Truth (solid) and {name} (dashed), {condition.label}; training seed "
-                f"{trace.seed}, the one in the middle by in-band error. Heights about their "
-                f"median.{densities}",
-            )
-        )
-    return made
-
-
-def _new_road_figures(task: Task, drawn: Mapping[str, Result]) -> list[Figure]:
-    """Left wheel path inside the scored band, entry by entry, and the densities."""
-    made = []
-    for k, condition in enumerate(task.conditions):
-        traces = {name: result.traces[k] for name, result in drawn.items()}
-        overlays = [
-            figures.band_overlay(trace, 0, name, series)
-            for series, (name, trace) in enumerate(traces.items())
-        ]
-        trace: Trace = next(iter(traces.values()))
-        made.append(
-            Figure(
-                [*overlays, figures.spectra(traces)],
-                f"{condition.label}, the first test road ({trace.road}, seed {trace.road_seed}), "
-                "left wheel path inside the scored band: truth (solid) and estimate (dashed). "
-                "Last: densities of the first 100 m over the classes of ISO 8608; dotted: the "
-                "scored band.",
-            )
-        )
-    return made
-
-
-def _levels_figure(board: Board) -> Figure:
-    claims = [t.claimed_level_error for t in board.tasks if t.claimed_level_error is not None]
-    errors, _ = unrelated_levels()
-    what = f"{errors.size} wheel paths of class {UNRELATED['road_class']}"
-    marks = " Upright lines: what the paper reports for its network." if claims else ""
-    return Figure(
-        [figures.levels(errors, claims)],
-        f"Level error (eq. 12) of {what}, {UNRELATED['length']:g} m each, against another road of "
-        f"that class: the share of pairs below each error.{marks}",
     )

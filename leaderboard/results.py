@@ -60,6 +60,12 @@ class Trace:
     ds: float  # [m]
     truth: tuple[tuple[int, ...], tuple[int, ...]]
     estimate: tuple[tuple[int, ...], tuple[int, ...]]
+    deviation: tuple[tuple[int, ...], tuple[int, ...]] | None = None  # where the estimate has one
+
+    @property
+    def z_std(self) -> np.ndarray | None:
+        """Standard deviation (2, M) [m] of the estimate, where it has one."""
+        return None if self.deviation is None else Z_UNIT * np.array(self.deviation)
 
     @property
     def s(self) -> np.ndarray:

@@ -35,7 +35,7 @@ class Score(NamedTuple):
 
 
 SCORES = {
-    "nrmse": Score("in-band NRMSE", "", 1.0, 2, "low"),
+    "nrmse": Score("in-band NRMSE", "", 1.0, 3, "low"),
     "nrmse_left": Score("in-band NRMSE, left", "", 1.0, 2, "low"),
     "nrmse_right": Score("in-band NRMSE, right", "", 1.0, 2, "low"),
     "bound_nrmse": Score("bound on the in-band NRMSE", "", 1.0, 3, "low"),
@@ -45,11 +45,11 @@ SCORES = {
     "lag": Score("best lag", "m", 1.0, 2, "zero"),
     "r_at_lag": Score("r at best lag", "", 1.0, 2, "high"),
     "coherence": Score("coherence", "", 1.0, 2, "high"),
-    "level_error": Score("level error, paper eq. 12", "%", 100.0, 1, "low"),
-    "level_error_left": Score("level error, left", "%", 100.0, 1, "low"),
-    "level_error_right": Score("level error, right", "%", 100.0, 1, "low"),
-    "level_bias": Score("level error with its sign", "%", 100.0, 1, "zero"),
-    "level_error_raw": Score("level error with the datum", "%", 100.0, 1, "low"),
+    "level_error_raw": Score("level error, paper eq. 12 as printed", "%", 100.0, 1, "low"),
+    "level_error": Score("level error about the mean", "%", 100.0, 1, "low"),
+    "level_error_left": Score("level error about the mean, left", "%", 100.0, 1, "low"),
+    "level_error_right": Score("level error about the mean, right", "%", 100.0, 1, "low"),
+    "level_bias": Score("level error about the mean with its sign", "%", 100.0, 1, "zero"),
     "dsd_distance_db": Score("DSD distance", "dB", 1.0, 1, "low"),
     "dsd_bias_db": Score("DSD bias", "dB", 1.0, 1, "zero"),
     "class_exact": Score("octaves in the true class", "%", 100.0, 0, "high"),
@@ -90,8 +90,9 @@ def scores(
     bound over that of the estimate. Heights beyond 1000 km count as that: an absurd estimate has an
     absurd score, not none.
 
-    Equation 12 is taken of heights about their mean: a surface starts at height 0 by convention,
-    and a level that counts from there would measure the convention. `level_error_raw` does.
+    Equation 12 is told twice. `level_error_raw` is as printed, of raw heights: a surface starts at
+    height 0 by convention, and a level that counts from there measures mostly the convention.
+    `level_error` is of heights about their mean.
     A score that is not defined, such as the error relative to a flat truth, is NaN.
     """
     y, a, ds = truth.z, np.clip(estimate.z, -FARTHEST, FARTHEST), truth.ds

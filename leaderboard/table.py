@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from leaderboard import export
 from leaderboard.board import Board
 from leaderboard.findings import findings
 from leaderboard.view import Line, Section, View, filled, views
@@ -21,48 +22,29 @@ STYLES = {
     "stale": "yellow",
 }
 LEGEND = (
-    "NRMSE: error over truth, RMS, in 0.2 to min(1.8, 22.5 Hz / v) cycles/m; a flat road has 1. "
-    "eq. 12: error of the level alone. class: octaves in the true ISO 8608 class. Interquartile "
-    "means over roads and trainings; entries that cannot be told apart share a rank. Dim rows: "
-    "sentinels."
+    "NRMSE: error over truth, RMS, in 0.2 to min(1.8, 22.5 Hz / v) cycles/m; a flat road has 1, "
+    "the bound is what the sensors allow. level, eq. 12: error of the level alone, about the mean "
+    "and as printed. class: octaves in the true ISO 8608 class. Interquartile means over roads and "
+    "trainings; entries that cannot be told apart share a rank. Dim rows: sentinels."
 )
 
 
 def print_tables(board: Board, console: Console) -> None:
     """Print every board, what failed or is stale, and what the numbers say."""
-    for view in views(board):
+    shown = views(board)
+    for view in shown:
         together = view.board == "paper" and len(view.sections) > 1
         for sections in [view.sections] if together else [(s,) for s in view.sections]:
             console.print(_table(view, sections))
         _remarks(view, console)
     console.print(f"[dim]{escape(LEGEND)}[/dim]")
-    for sentence in findings(board):
+    for sentence in findings(shown):
         console.print(f"- {escape(sentence)}")
 
 
 def as_json(board: Board) -> list[dict[str, Any]]:
-    """The same rows for a program: boards, their tasks, and the numbers of each entry."""
-    return [
-        {
-            "task": section.task,
-            "board": view.board,
-            "title": section.title,
-            "notes": list(section.notes),
-            "entries": [
-                {
-                    "name": line.name,
-                    "state": line.state,
-                    "text": line.text,
-                    "causal": line.causal,
-                    **line.values,
-                    "groups": line.groups,
-                }
-                for line in section.lines
-            ],
-        }
-        for view in views(board)
-        for section in view.sections
-    ]
+    """The same rows for a program."""
+    return export.as_json(views(board))
 
 
 def _table(view: View, sections: tuple[Section, ...]) -> Table:

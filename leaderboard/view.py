@@ -22,6 +22,10 @@ from leaderboard.tasks import BoardName, Task
 
 State = Literal["scored", "sentinel", "claim", "failed", "stale"]
 CLAIM = "paper's claim"
+PRINTED = "level_error_raw"
+"""The score that is the paper's equation 12 as printed."""
+
+TRAININGS = ("near_optimal", "sub_optimal", "unstable")
 BOUND = "bound"
 """Name of the line that says what the sensors allow."""
 
@@ -68,6 +72,7 @@ class Section:
     lines: tuple[Line, ...]
     notes: tuple[str, ...]
     groups: Mapping[str, tuple[str, ...]]
+    conditions: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -130,8 +135,9 @@ def _section(board: Board, task: Task, kind: Kind) -> Section:
         task.name,
         task.title,
         (*claim, *lines, *failed, *stale),
-        (*_protocol(task), *_surface([*scored, *board.failed(task)]), *flags(lines)),
+        (*_protocol(task), *_surface(task, [*scored, *board.failed(task)]), *flags(lines)),
         {kind_of_group: tuple(named) for kind_of_group, named in groups.items()},
+        tuple(condition.label for condition in task.conditions),
     )
 
 
@@ -141,7 +147,6 @@ class Table(NamedTuple):
     name: str
     values: Values
     ranked: np.ndarray
-    states: str
     division: tuple[bool, bool]  # ranked among all, among the causal
 
 
@@ -163,10 +168,11 @@ def _table(result: Result, kind: Kind, parts: Mapping[str, Part]) -> Table:
         else None,
         "estimate_ms_per_100m": result.estimate_ms_per_100m,
         "parameters": result.parameters or None,
+        **_trainings(scores),
     }
     entry = result.role == "entry"
     division = entry, entry and bool(result.causal)
-    return Table(result.estimator, values, ranked, _states(scores), division)
+    return Table(result.estimator, values, ranked, division)
 
 
 def arrays(result: Result) -> dict[str, np.ndarray]:
@@ -207,7 +213,7 @@ def _line(result: Result, table: Table, kind: Kind) -> Line:
         "rank": _digits(mine.get("rank"), 0),
         "rank_causal": _digits(mine.get("rank_causal"), 0),
         "interval": interval_text(mine["low"], mine["high"], kind.ranks_by),
-        "states": table.states,
+        "states": _states(mine),
         "train_seconds": _digits(mine["train_seconds"], 1),
         "estimate_ms_per_100m": _digits(mine["estimate_ms_per_100m"], 1),
         "parameters": _digits(mine["parameters"], 0),
@@ -229,8 +235,8 @@ def _bound(values: Mapping[str, Values], kind: Kind) -> list[Line]:
 
 
 def _claim(level_error: float) -> Line:
-    text = SCORES["level_error"].text(level_error)
-    return Line(CLAIM, "claim", {"level_error": text}, {"level_error": level_error})
+    text = SCORES[PRINTED].text(level_error)
+    return Line(CLAIM, "claim", {PRINTED: text}, {PRINTED: level_error})
 
 
 def flags(lines: Sequence[Line]) -> list[str]:
@@ -257,9 +263,10 @@ def _protocol(task: Task) -> list[str]:
     return [text for text in (trained, task.note) if text]
 
 
-def _surface(results: list[Result]) -> list[str]:
+def _surface(task: Task, results: list[Result]) -> list[str]:
+    """What was done to a surface from a file."""
     notes = dict.fromkeys(note for r in results for note in r.notes)
-    return [f"Surface: {'; '.join(notes)}."] if notes else []
+    return [f"Surface: {'; '.join(notes)}."] if notes and task.board == "measured" else []
 
 
 def _mean(scores: np.ndarray | None) -> float | None:
@@ -270,13 +277,18 @@ def _mean(scores: np.ndarray | None) -> float | None:
     return float(interquartile_mean(values)) if values.size else None
 
 
-def _states(scores: Mapping[str, np.ndarray]) -> str:
-    """How many trainings were near-optimal, sub-optimal, unstable: Appendix A of the paper."""
-    error = 100.0 * scores["level_error"]
+def _trainings(scores: Mapping[str, np.ndarray]) -> dict[str, float | None]:
+    """How many runs were near-optimal, sub-optimal, unstable: Appendix A of the paper."""
+    error = scores[PRINTED]
     if error.shape[-1] < 2:
-        return ""
-    near, unstable = int(np.sum(error < 15)), int(np.sum(error > 25))
-    return f"{near}/{error.size - near - unstable}/{unstable}"
+        return {}
+    near, unstable = int(np.sum(error < 0.15)), int(np.sum(error > 0.25))
+    counts = (near, error.size - near - unstable, unstable)
+    return dict(zip(TRAININGS, map(float, counts), strict=True))
+
+
+def _states(values: Mapping[str, float | None]) -> str:
+    return "/".join(_digits(values[name], 0) for name in TRAININGS if name in values)
 
 
 def interval_text(low: float | None, high: float | None, score: str) -> str:

@@ -354,7 +354,7 @@ def test_the_claim_of_the_paper_stands_beside_what_was_measured():
     mine = [dataclasses.replace(r, task_digest=t.digest) for r in made()]
     (view,) = views(Board((t,), {"small": mine}))
     claim, *others = view.sections[0].lines
-    assert (claim.state, claim.cells) == ("claim", {"level_error": "12.8"})
+    assert (claim.state, claim.cells) == ("claim", {"level_error_raw": "12.8"})
     reader = next(line for line in others if line.name == "reader")
     assert float(reader.cells["level_error"]) == pytest.approx(10.0, abs=0.5)
 
@@ -384,6 +384,10 @@ def test_a_program_reads_the_same_rows():
 
 
 def test_what_was_done_to_a_surface_is_said():
-    noted = [dataclasses.replace(r, notes=("10 m tile mirrored 10 times",)) for r in made()]
-    (view,) = views(Board((task(),), {"small": noted}))
+    t = task(board="measured")
+    noted = [
+        dataclasses.replace(r, task_digest=t.digest, notes=("10 m tile mirrored 10 times",))
+        for r in made()
+    ]
+    (view,) = views(Board((t,), {"small": noted}))
     assert "Surface: 10 m tile mirrored 10 times." in view.sections[0].notes

@@ -102,7 +102,7 @@ def _print(standings: list[league.Standing], scenario: dict[str, Any], roads: in
         )
     console.print(table)
     console.print(
-        "Interquartile means over roads, ± half the 95 % bootstrap interval; lower is better, for\n"
+        "Interquartile means over roads, ± half the 95 % bootstrap interval; lower is better, for "
         "the return higher."
     )
     if manoeuvre is None:

@@ -1,0 +1,183 @@
+// Filters, groups and sorting of the tables. The numbers stand in the page; nothing is fetched.
+"use strict";
+
+const DASH = "–";
+
+/** A number as the judge prints it; see Score.text. */
+function printed(value, form) {
+  if (value === null || value === undefined) return form.blank;
+  const text = (form.factor * value).toFixed(form.digits).replace(/^-(0(\.0*)?)$/, "$1");
+  return (form.sign && !text.startsWith("-") ? "+" : "") + text;
+}
+
+/** What the address says after its #: the state of the filters, so that a view can be passed on. */
+function readState() {
+  return Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
+}
+
+function writeState(state) {
+  const said = Object.entries(state).filter(([, value]) => value);
+  const hash = new URLSearchParams(said).toString();
+  history.replaceState(null, "", hash ? "#" + hash : location.pathname);
+}
+
+class BoardTable {
+  constructor(table) {
+    this.table = table;
+    this.data = JSON.parse(document.getElementById(table.dataset.source).textContent);
+    this.rows = [...table.tBodies[0].rows];
+    this.lines = new Map(this.data.lines.map((line) => [line.name, line]));
+    this.sorting = { key: null, down: false };
+    table.querySelectorAll("button.sort").forEach((button) => {
+      button.addEventListener("click", () => this.sortBy(button.dataset.key));
+    });
+  }
+
+  get groups() {
+    return this.data.groups;
+  }
+
+  /** The value that a cell stands for, in the chosen group and division. */
+  value(line, key) {
+    const numbers = line.groups[this.group];
+    if (!numbers) return null;
+    const told = key === "rank" && this.division === "causal" ? "rank_causal" : key;
+    return numbers[told] ?? null;
+  }
+
+  show(state) {
+    const known = Object.values(this.groups).flat();
+    this.group = known.includes(state.group) ? state.group : "";
+    this.division = state.division || "";
+    for (const row of this.rows) {
+      const line = this.lines.get(row.dataset.name);
+      const wanted = (state.find || "").toLowerCase();
+      const out =
+        (this.division === "causal" && line.state === "scored" && !line.causal) ||
+        (state.find && !line.name.toLowerCase().includes(wanted)) ||
+        (state.marks === "off" && line.state === "sentinel");
+      row.hidden = Boolean(out);
+      if (!line.text) this.fill(row, line);
+    }
+    this.table.classList.toggle("all", state.columns === "all");
+    this.order();
+  }
+
+  fill(row, line) {
+    for (const cell of row.querySelectorAll("td[data-key]")) {
+      const column = this.data.columns[cell.dataset.key];
+      if (cell.dataset.key === "interval") this.drawInterval(cell, line);
+      else if (column.form) {
+        const value = this.value(line, cell.dataset.key);
+        cell.textContent = value === null && line.sparse ? "" : printed(value, column.form);
+      }
+      else if (this.group) cell.textContent = ""; // told of all runs together only
+      else cell.textContent = line.cells[cell.dataset.key] ?? "";
+    }
+  }
+
+  drawInterval(cell, line) {
+    const [low, high] = ["low", "high"].map((key) => this.value(line, key));
+    const form = this.data.columns[this.data.ranks_by].form;
+    cell.replaceChildren();
+    if (low === null || high === null) return;
+    const at = [low, high].map((x) => (100 * Math.min(x, this.data.scale)) / this.data.scale);
+    const bar = document.createElement("span");
+    bar.className = "bar";
+    bar.style.setProperty("--low", `${at[0].toFixed(2)}%`);
+    bar.style.setProperty("--width", `${(at[1] - at[0]).toFixed(2)}%`);
+    if (this.data.flat) bar.style.setProperty("--one", `${(100 * this.data.flat) / this.data.scale}%`);
+    const text = document.createElement("span");
+    text.className = "ends";
+    text.textContent = `${printed(low, form)}${DASH}${printed(high, form)}`;
+    cell.append(bar, text);
+  }
+
+  sortBy(key) {
+    const again = this.sorting.key === key;
+    const best = this.data.columns[key]?.better === "high";
+    this.sorting = { key, down: again ? !this.sorting.down : best };
+    this.order();
+  }
+
+  order() {
+    const { key, down } = this.sorting;
+    const by = key ?? this.data.ranks_by;
+    const groupOf = { claim: 0, scored: 1, sentinel: key ? 1 : 2, failed: 3, stale: 4 };
+    const place = (row) => {
+      const line = this.lines.get(row.dataset.name);
+      const value = key === "name" ? line.name : line.text ? null : this.value(line, by);
+      return { group: groupOf[line.state], value };
+    };
+    const sign = down ? -1 : 1;
+    this.rows.sort((a, b) => {
+      const [p, q] = [place(a), place(b)];
+      if (p.group !== q.group) return p.group - q.group;
+      if (p.value === null || q.value === null) return (p.value === null) - (q.value === null);
+      return sign * (p.value < q.value ? -1 : p.value > q.value ? 1 : 0);
+    });
+    this.table.tBodies[0].append(...this.rows);
+    this.table.querySelectorAll("th[data-key]").forEach((head) => {
+      const mine = head.dataset.key === (key ?? "");
+      head.setAttribute("aria-sort", mine ? (down ? "descending" : "ascending") : "none");
+    });
+  }
+}
+
+function startBoards() {
+  const tables = [...document.querySelectorAll("table[data-source]")].map((t) => new BoardTable(t));
+  const form = document.getElementById("filters");
+  const state = readState();
+  if (form) {
+    const names = ["board", "division", "group", "find", "columns", "marks"];
+    fillGroups(form.elements.group, tables);
+    for (const name of names) {
+      const field = form.elements[name];
+      if (!field) continue;
+      if (field.type === "checkbox") field.checked = (state[name] ?? "") === field.value;
+      else if (state[name]) field.value = state[name];
+      field.addEventListener("input", () => {
+        state[name] = field.type === "checkbox" ? (field.checked ? field.value : "") : field.value;
+        writeState(state);
+        show();
+      });
+    }
+    form.addEventListener("submit", (event) => event.preventDefault());
+  }
+  function show() {
+    document.querySelectorAll("article[data-groups]").forEach((article) => {
+      const groups = JSON.parse(article.dataset.groups);
+      article.hidden = Boolean(state.group && !groups.includes(state.group));
+    });
+    document.querySelectorAll("section[data-board]").forEach((section) => {
+      const empty = !section.querySelector("article:not([hidden])");
+      section.hidden = empty || Boolean(state.board && section.dataset.board !== state.board);
+    });
+    tables.forEach((table) => table.show(state));
+    const count = document.getElementById("count");
+    if (count) {
+      const rows = [...document.querySelectorAll("table[data-source] tbody tr")];
+      const seen = rows.filter((row) => !row.closest("[hidden]") && !row.hidden).length;
+      count.textContent = `${seen} of ${rows.length} rows`;
+    }
+  }
+  show();
+  document.documentElement.dataset.ready = "yes";
+}
+
+function fillGroups(select, tables) {
+  const kinds = {};
+  for (const table of tables) {
+    for (const [kind, names] of Object.entries(table.groups)) {
+      kinds[kind] = [...new Set([...(kinds[kind] ?? []), ...names])];
+    }
+  }
+  for (const [kind, names] of Object.entries(kinds)) {
+    const group = document.createElement("optgroup");
+    group.label = `by ${kind}`;
+    group.append(...names.map((name) => new Option(name, name)));
+    select.append(group);
+  }
+}
+
+startBoards();
