@@ -161,14 +161,15 @@ class Problem:
         """Everything the script reads: forces act along `B` (struts) and `G` (tyres), (4, 7)."""
         drive, p = self.start(), self.plant.numbers[0]
         unit, wheels, axle = np.eye(N_DOF), range(4), np.repeat([0, 1], 2)
-        names = ("p_A", "n_p", "x_1", "column_min")
+        names = ("n_p", "x_1", "column_min")
         weight = np.where(np.isin(np.arange(N_DOF), (0, 3, 5)), GRAVITY, 0.0)
         columns = {
             "share": 1.0 - drive.memory[:, OPEN] * p["r_2"],
             "side": np.array([1.0, 2.0, 1.0, 2.0]),
             "behind": (p["x"][0] - p["x"])[axle],
             "y_0": drive.state, "M": p["M"], "g": weight,
-            **{name: p[name][axle] for name in ("k_t", "c_t", "delta")},
+            **{name: p[name] for name in ("p_A", "k_t", "c_t")},
+            "delta": p["delta"][axle],
         }  # fmt: skip
         return {
             **{name: float(p[name]) for name in names},

@@ -22,6 +22,7 @@ from road_envs.dynamics import (
     add_tyres,
     extension,
     plant,
+    roll_over,
     wheel_height,
 )
 from road_envs.integrator import (
@@ -69,7 +70,7 @@ def step_error(numbers, velocity, displacement, memory, before, y, road, h, work
         # what `step` kept of the tyre's change is by the road and the wheel; df/dt is the road's
         work.T[w] = work.dT[w] + hd * work.k_t[w] * wheel_height(p, before[N_DOF:], w)
         work.T[w] -= hd * work.k_t[w] * wheel_height(p, R_q, w)
-    add_struts(p, work.F, R_v)
+    add_struts(p, work.F, hd * roll_over(R_q, 0), hd * roll_over(R_q, 1), R_v)
     add_tyres(p, work.T, R_v)
     solve(p, work.blocks, work.body, R_v)
     for j in range(N_DOF):
@@ -99,7 +100,7 @@ def observe(numbers, velocity, displacement, memory, y, road, out):
     for w in range(4):
         u, u_dot = road[w] - wheel_height(p, q, w), road[4 + w] - wheel_height(p, v, w)
         out[EXTENSION + w] = extension(p, q, w)
-        out[LOAD + w] = tyre_force(p, w // 2, u, u_dot)[0]
+        out[LOAD + w] = tyre_force(p, w, u, u_dot)[0]
 
 
 @kernel
@@ -163,6 +164,8 @@ def follow(
     """
     if one.steps > 0 or one.manoeuvre is not None or len(one.profile.v) > 1:
         raise ValueError("an adaptive drive starts at its beginning, straight on at one speed")
+    if one.plant.flexible:
+        raise ValueError("a car with a flexible frame is driven in fixed steps, not adaptive ones")
     if not (rtol > 0 and atol > 0 and max_step > 0):
         raise ValueError("tolerances and the longest step must be positive")
     t = np.array(t, dtype=float)

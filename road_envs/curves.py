@@ -43,6 +43,10 @@ class Curve:
         inside = np.clip(x, self.x[0], self.x[-1])
         return cubic(inside) + slope(inside) * (x - inside), slope(inside)
 
+    def times(self, factor: float) -> "Curve":
+        """The same curve with `factor` times the force everywhere."""
+        return self if factor == 1.0 else Curve(x=self.x, F=tuple(factor * F for F in self.F))
+
 
 def tabulate(curves: Sequence[Curve], x_0: float, dx: float, cells: int) -> np.ndarray:
     """The sum of `curves` as cubic coefficients (cells, 4) in powers of the cell fraction."""

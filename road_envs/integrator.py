@@ -28,12 +28,16 @@ from road_envs.dynamics import (
     PHI,
     THETA,
     Z_B,
+    Plant,
     accelerations,
     add_lean,
     add_struts,
     add_tyres,
     add_weight,
+    bend,
     extension,
+    roll_over,
+    twisting,
     wheel_height,
 )
 from road_envs.jit import kernel
@@ -47,6 +51,14 @@ D = 1.0 / (2.0 + np.sqrt(2.0))
 STATE, ACCELERATION, EXTENSION, LOAD = 0, 14, 21, 25
 SIGNALS = 29
 """Columns of the output: state (14), accelerations (7), strut extensions (4), tyre loads (4)."""
+
+TWIST, FLEXIBLE_SIGNALS = 29, 32
+"""Behind them, of a flexible car: the frame's twist [rad], its rate and its acceleration."""
+
+
+def signals_of(plant: Plant) -> int:
+    """How many signals a car has."""
+    return FLEXIBLE_SIGNALS if plant.flexible else SIGNALS
 
 
 @kernel
@@ -66,7 +78,8 @@ def eliminate(p, s, t, hd, blocks, body):
         left, right, a = 2 * i, 2 * i + 1, AXLE + 2 * i
         y_s, y_t, x = get(p.y_s, left), get(p.y_t, left), get(p.x, i)
         s0, t0 = get(s, left) + get(s, right), get(t, left) + get(t, right)
-        s1, s2 = y_s * (get(s, left) - get(s, right)), y_s * y_s * s0
+        s1 = y_s * (get(s, left) - get(s, right))
+        s2 = y_s * y_s * s0 + hd * hd * get(p.k_roll, i)
         t1, t2 = y_t * (get(t, left) - get(t, right)), y_t * y_t * t0
         b00, b01, b11 = get(p.M, a) + s0 + t0, s1 + t1, get(p.M, a + 1) + s2 + t2
         det = 1.0 / (b00 * b11 - b01 * b01)
@@ -164,26 +177,30 @@ def workspace():
 
 
 @kernel
-def step(p, velocity, displacement, memory, q, v, road, turn, h, work, out):
+def step(p, velocity, displacement, memory, q, v, road, turn, h, work, out, twist=None):
     """Advance the coordinates `q` and rates `v` (7,) by `h` [s], one vehicle or LANES of them.
 
     The signals at the beginning go to `out` (29,). `road` (16,): heights [m] of the road under the
     four wheels at t, their rates [m/s], and both again at t + h/2. `turn` (4,): accelerations a_x,
-    a_y [m/s²] of a manoeuvre at t and at t + h/2. With lanes, every array has them as a last axis.
+    a_y [m/s²] of a manoeuvre at t and at t + h/2. `twist`, if given, is four numbers: the frame's
+    twist [rad] and its rate at t and at t + h/2. With lanes, every array has them as a last axis.
     """
     hd = h * D
     f, g, r, k_q = work.f, work.g, work.r, work.k_q
     F, T, dF, dT = work.F, work.T, work.dF, work.dT
     for w in range(4):
-        e, e_dot = extension(p, q, w), extension(p, v, w)
+        e, rate = extension(p, q, w), extension(p, v, w)
+        e_dot = rate
+        if twist is not None:
+            e, e_dot = e + bend(p, twist[0], w), e_dot + bend(p, twist[1], w)
         force, k, c = strut_force(p, velocity, displacement, memory, w, e, e_dot)
         u = get(road, w) - wheel_height(p, q, w)
         u_dot = get(road, 4 + w) - wheel_height(p, v, w)
-        load, k_t, c_t = tyre_force(p, w // 2, u, u_dot)
+        load, k_t, c_t = tyre_force(p, w, u, u_dot)
         w_dot = (get(road, 12 + w) - get(road, 4 + w)) * (2.0 / h)
         put(F, w, force)
         put(T, w, load)
-        put(dF, w, -hd * k * e_dot)
+        put(dF, w, -hd * k * rate)
         put(dT, w, hd * (k_t * u_dot + c_t * w_dot))
         put(work.k, w, k)
         put(work.k_t, w, k_t)
@@ -193,8 +210,11 @@ def step(p, velocity, displacement, memory, q, v, road, turn, h, work, out):
         put(out, LOAD + w, load)
     for j in range(N_DOF):
         put(f, j, 0.0)
+    front, rear = roll_over(q, 0), roll_over(q, 1)
+    if twist is not None:
+        front, rear = front + get(p.half, 0) * twist[0], rear + get(p.half, 1) * twist[0]
     add_weight(p, f)
-    add_struts(p, F, f)
+    add_struts(p, F, front, rear, f)
     add_tyres(p, T, f)
     a_x, a_y = get(turn, 0), get(turn, 1)
     add_lean(p, get(q, PHI), get(q, THETA), a_x, a_y, f)
@@ -203,7 +223,7 @@ def step(p, velocity, displacement, memory, q, v, road, turn, h, work, out):
         put(out, STATE + j, get(q, j))
         put(out, STATE + N_DOF + j, get(v, j))
         put(out, ACCELERATION + j, get(f, j) / get(p.M, j))
-    add_struts(p, dF, g)
+    add_struts(p, dF, hd * roll_over(v, 0), hd * roll_over(v, 1), g)
     add_tyres(p, dT, g)
     x_dot, y_dot = 2.0 * D * (get(turn, 2) - a_x), 2.0 * D * (get(turn, 3) - a_y)
     add_lean(p, hd * get(v, PHI), hd * get(v, THETA), x_dot, y_dot, g)
@@ -221,14 +241,20 @@ def step(p, velocity, displacement, memory, q, v, road, turn, h, work, out):
         put(f, j, -get(p.M, j) * kv)
     for w in range(4):
         e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
+        if twist is not None:
+            e, e_dot = e + bend(p, twist[2], w), e_dot + bend(p, twist[3], w)
         force, _, _ = strut_force(p, velocity, displacement, memory, w, e, e_dot)
         put(F, w, force - hd * get(work.k, w) * extension(p, r, w))
         u = get(road, 8 + w) - wheel_height(p, work.q, w)
         u_dot = get(road, 12 + w) - wheel_height(p, work.v, w)
-        load, _, _ = tyre_force(p, w // 2, u, u_dot)
+        load, _, _ = tyre_force(p, w, u, u_dot)
         put(T, w, load - hd * get(work.k_t, w) * wheel_height(p, r, w))
+    front = roll_over(work.q, 0) + hd * roll_over(r, 0)
+    rear = roll_over(work.q, 1) + hd * roll_over(r, 1)
+    if twist is not None:
+        front, rear = front + get(p.half, 0) * twist[2], rear + get(p.half, 1) * twist[2]
     add_weight(p, f)
-    add_struts(p, F, f)
+    add_struts(p, F, front, rear, f)
     add_tyres(p, T, f)
     phi, theta = get(work.q, PHI) + hd * get(r, PHI), get(work.q, THETA) + hd * get(r, THETA)
     add_lean(p, phi, theta, get(turn, 2), get(turn, 3), f)
@@ -236,6 +262,44 @@ def step(p, velocity, displacement, memory, q, v, road, turn, h, work, out):
     for j in range(N_DOF):
         add(q, j, h * (get(k_q, j) + get(r, j) + hd * get(f, j)))
         add(v, j, h * (get(g, j) + get(f, j)))
+
+
+@kernel
+def flexible_step(p, velocity, displacement, memory, q, v, road, turn, h, work, out):
+    """`step` of a car whose frame twists: `q`, `v` (8,) with the twist last, `out` (32,).
+
+    The same two stages with the matrix of the seven and that of the twist side by side, and
+    nothing where they couple. The formula is of order 2 with any matrix in place of the Jacobian,
+    as k_2 = F(t + h/2, y + h k_1 / 2) + O(h²) then as well; and the coupling is not stiff.
+    """
+    hd = h * D
+    inertia, rate, damping = get(p.frame_inertia), get(p.frame_rate), get(p.frame_damping)
+    inverse = 1.0 / (inertia + hd * (damping + hd * rate))
+    psi, psi_dot = get(q, N_DOF), get(v, N_DOF)
+    for w in range(4):
+        e, e_dot = extension(p, q, w) + bend(p, psi, w), extension(p, v, w) + bend(p, psi_dot, w)
+        put(work.F, w, strut_force(p, velocity, displacement, memory, w, e, e_dot)[0])
+    front, rear = roll_over(q, 0) + get(p.half, 0) * psi, roll_over(q, 1) + get(p.half, 1) * psi
+    moment = twisting(p, work.F, front, rear) - rate * psi - damping * psi_dot
+    put(out, TWIST, psi)
+    put(out, TWIST + 1, psi_dot)
+    put(out, TWIST + 2, moment / inertia)
+    k_v = (moment - hd * rate * psi_dot) * inverse
+    k_q = psi_dot + hd * k_v
+    half, half_dot = psi + 0.5 * h * k_q, psi_dot + 0.5 * h * k_v
+    twist = (psi, psi_dot, half, half_dot)
+    step(p, velocity, displacement, memory, q, v, road, turn, h, work, out, twist)
+    for w in range(4):
+        e = extension(p, work.q, w) + bend(p, half, w)
+        e_dot = extension(p, work.v, w) + bend(p, half_dot, w)
+        put(work.F, w, strut_force(p, velocity, displacement, memory, w, e, e_dot)[0])
+    front = roll_over(work.q, 0) + get(p.half, 0) * half
+    rear = roll_over(work.q, 1) + get(p.half, 1) * half
+    r = half_dot - k_q
+    moment = twisting(p, work.F, front, rear) - rate * (half + hd * r) - damping * half_dot
+    m_v = (moment - inertia * k_v) * inverse
+    put(q, N_DOF, psi + h * (k_q + r + hd * m_v))
+    put(v, N_DOF, psi_dot + h * (k_v + m_v))
 
 
 @kernel
@@ -251,46 +315,53 @@ def look_at_road(p, padded, start, ds, s, v, road):
 def state_rate(numbers, velocity, displacement, memory, padded, start, ds, s, v, y, out):
     """Rate (14,) of the state `y` with the front axle at `s` [m], struts as `memory` holds them.
 
-    The right-hand side for other integrators; it writes to `out`.
+    The right-hand side for other integrators; it writes to `out`. Both are (16,) of a flexible car.
     """
-    road = np.empty(8)
+    road, n = np.empty(8), y.size // 2
     look_at_road(numbers[0], padded, start, ds, s, v, road)
-    q, rates = y[:N_DOF], y[N_DOF:]
-    out[:N_DOF] = rates
-    accelerations(
-        numbers, velocity, displacement, memory, q, rates, road[:4], road[4:], out[N_DOF:]
-    )
+    out[:n] = y[n:]
+    laws = (numbers, velocity, displacement, memory)
+    accelerations(*laws, y[:n], y[n:], road[:4], road[4:], out[n:])
 
 
 @kernel
-def follow(p, memory, q, command, alpha, h):
+def follow(p, memory, q, command, alpha, h, flexible=None):
     """Advance the `memory` (4, 3) of all struts by one step `h` [s] under a `command` byte.
 
-    `alpha` as in `suspension.switch`.
+    `alpha` as in `suspension.switch`; `q` (7,), or (8,) of a `flexible` car.
     """
     for w in range(4):
         stiff, high = (command >> w) & 1, (command >> (4 + w)) & 1
         if not settled(memory, w, stiff, high):
-            switch(p, memory, w, extension(p, q, w), stiff, high, alpha, h)
+            e = extension(p, q, w)
+            if flexible is not None:
+                e += bend(p, q[N_DOF], w)
+            switch(p, memory, w, e, stiff, high, alpha, h)
 
 
 @kernel
 def drive(
-    numbers, velocity, displacement, memory, y, padded, start, ds, s, v, turn, commands, lag, h, out
-):
+    numbers, velocity, displacement, memory, y,
+    padded, start, ds, s, v, turn, commands, lag, h, out, flexible=None,
+):  # fmt: skip
     """Drive len(commands) steps of `h` [s]; `y` (14,) and `memory` (4, 3) end as they stand then.
 
     `padded`, `start`, `ds`: a Surface. At every half step: `s`, `v` (2 N + 1,), station of the
     front axle [m] and speed [m/s]; `turn` (2 N + 1, 2), a_x and a_y [m/s²] of a manoeuvre.
     `commands` (N,): bytes as they reach the valves, whose time constant is `lag` [s]. `out`
-    (N, 29): the signals at the beginning of each step.
+    (N, 29): the signals at the beginning of each step. Of a `flexible` car `y` is (16,) and `out`
+    (N, 32).
     """
     p, work, road = numbers[0], workspace(), np.empty(16)
-    q, rates = y[:N_DOF], y[N_DOF:]
+    q, rates = y[: y.size // 2], y[y.size // 2 :]
     alpha = 1.0 - np.exp(-h / lag)
     for n in range(commands.size):
         look_at_road(p, padded, start, ds, s[2 * n], v[2 * n], road[:8])
         look_at_road(p, padded, start, ds, s[2 * n + 1], v[2 * n + 1], road[8:])
-        follow(p, memory, q, commands[n], alpha, h)
+        follow(p, memory, q, commands[n], alpha, h, flexible)
         between = turn[2 * n : 2 * n + 2].ravel()
-        step(p, velocity, displacement, memory, q, rates, road, between, h, work, out[n])
+        laws = (p, velocity, displacement, memory)
+        if flexible is None:
+            step(*laws, q, rates, road, between, h, work, out[n])
+        else:
+            flexible_step(*laws, q, rates, road, between, h, work, out[n])

@@ -6,25 +6,28 @@ its own parameters, surface, speed and commands. What a lane computes depends on
 own vehicle, so it is the same whatever the number of vehicles and threads.
 """
 
-from collections import namedtuple
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from road_envs.config import ConfigError
-from road_envs.dynamics import N_DOF, NUMBERS, extension
-from road_envs.integrator import SIGNALS, Work, step
+from road_envs.dynamics import N_DOF, NUMBERS, bend, extension
+from road_envs.integrator import Work, flexible_step, signals_of, step
 from road_envs.jit import kernel, separate
 from road_envs.roads.surface import PAD, Surface, catmull_rom
 from road_envs.simulate import Drive
 from road_envs.suspension import settled, switch
 from road_envs.vector import LANES, four, get, maximum, minimum, put, whole
 
-_named: Any = namedtuple  # its fields are known when it runs, which a type checker cannot follow
-Numbers = _named("Numbers", NUMBERS.names)
-"""`dynamics.NUMBERS` with lanes as the last axis of every field."""
+Numbers = np.void
+"""`dynamics.NUMBERS` with lanes as the last axis of every field: a record, which compiled code
+finds by one address (30 arrays have 30, more than there are registers)."""
+
+_NUMBERS = np.dtype([(n, "f8", (*NUMBERS[n].shape, LANES)) for n in NUMBERS.names or ()])
+_SIZES = dict(zip(Work._fields, [N_DOF] * 6 + [4] * 8 + [12, 6], strict=True))
+_WORK = np.dtype([(name, "f8", (size, LANES)) for name, size in _SIZES.items()])
 
 
 class Ways(NamedTuple):
@@ -52,16 +55,22 @@ def copied(array: np.ndarray) -> np.ndarray:
     return copy
 
 
-def numbers_of(numbers: np.ndarray) -> Any:
+def _record(kind: np.dtype) -> np.void:
+    """An aligned record of a kind whose fields have lanes as their last axis."""
+    return aligned(kind.itemsize // (8 * LANES)).reshape(-1).view(kind)[0]
+
+
+def numbers_of(numbers: np.ndarray) -> Numbers:
     """The Numbers of LANES vehicles from those of `dynamics` (LANES,)."""
-    fields = (np.moveaxis(numbers[name], 0, -1) for name in NUMBERS.names or ())
-    return Numbers(*map(copied, fields))
+    p = _record(_NUMBERS)
+    for name in NUMBERS.names or ():
+        p[name][...] = np.moveaxis(numbers[name], 0, -1)
+    return p
 
 
-def workspace() -> Work:
-    """Scratch of LANES vehicles for `integrator.step`."""
-    shapes = [N_DOF] * 6 + [4] * 8 + [12, 6]
-    return Work(*map(aligned, shapes))
+def workspace() -> np.void:
+    """Scratch of LANES vehicles for `integrator.step`: a record with the fields of Work."""
+    return _record(_WORK)
 
 
 @kernel
@@ -97,7 +106,10 @@ def switch_lane(numbers, memory, q, k, byte, alpha, h):
     for w in range(4):
         stiff, high = (byte >> w) & 1, (byte >> (4 + w)) & 1
         if not settled(own, w, stiff, high):
-            switch(p, own, w, extension(p, own_q, w), stiff, high, alpha, h)
+            e = extension(p, own_q, w)
+            if own_q.size > N_DOF:
+                e += bend(p, own_q[N_DOF], w)
+            switch(p, own, w, e, stiff, high, alpha, h)
             calm = False
     for w in range(own.shape[0]):
         for j in range(own.shape[1]):
@@ -154,6 +166,7 @@ def drive_lanes(
     row,
     columns,
     out,
+    flexible=None,
 ):
     """Drive LANES vehicles; `q`, `v` (7, LANES), `memory` (4, 3, LANES) end as they stand then.
 
@@ -161,7 +174,7 @@ def drive_lanes(
     `integrator.drive`; `alpha` (LANES,) is the share of the way to its target that a valve goes in
     a step. Of the 29 signals those of `columns` (C,) go to `out` (N, C, LANES): more of them than
     the caches hold cost as much time as the motion. `work`, `road` (16, LANES) and `row`
-    (29, LANES) are scratch.
+    (29, LANES) are scratch. Of `flexible` cars `q`, `v` are (8, LANES) and there are 32 signals.
     """
     last = np.zeros(LANES, dtype=np.uint8)
     calm = np.zeros(LANES, dtype=np.bool_)
@@ -174,7 +187,10 @@ def drive_lanes(
                 calm[k] = switch_lane(numbers[k : k + 1], memory, q, k, byte, alpha[k], h)
                 last[k] = byte
         between = turn[4 * n : 4 * n + 4]
-        step(p, velocity, displacement, memory, q, v, road, between, h, work, row)
+        if flexible is None:
+            step(p, velocity, displacement, memory, q, v, road, between, h, work, row)
+        else:
+            flexible_step(p, velocity, displacement, memory, q, v, road, between, h, work, row)
         for c in range(columns.size):
             put(out[n], c, get(row, columns[c]))
 
@@ -188,18 +204,22 @@ class _Block:
         self.numbers = np.concatenate([drive.plant.numbers for drive in everyone])
         cars = list({id(drive.plant): drive.plant for drive in everyone}.values())
         of_lane = [next(i for i, c in enumerate(cars) if c is d.plant) for d in everyone]
-        self.numbers["table"] = 2.0 * np.array(of_lane)  # equal cars share their tables
+        for kind, tables in (("losses", "velocity"), ("stops", "displacement")):
+            first = np.cumsum([0, *(len(getattr(c, tables)) for c in cars)])  # equal cars share
+            self.numbers[kind] += first[of_lane][:, None]
         self.p = numbers_of(self.numbers)
         self.velocity = np.concatenate([car.velocity for car in cars])
         self.displacement = np.concatenate([car.displacement for car in cars])
         self.memory = copied(np.stack([drive.memory for drive in everyone], axis=-1))
         state = np.stack([drive.state for drive in everyone], axis=-1)
-        self.q, self.v = copied(state[:N_DOF]), copied(state[N_DOF:])
+        self.q, self.v = map(copied, np.split(state, 2))
+        self.flexible = (True,) if everyone[0].plant.flexible else ()
         self.ways = _ways([drive.surface for drive in everyone])
         self.h = everyone[0].step
         lags = np.array([drive.car.valve.lag for drive in everyone])
         self.alpha = copied(1.0 - np.exp(-self.h / lags))
-        self.work, self.road, self.row = workspace(), aligned(16), aligned(SIGNALS)
+        rows = signals_of(everyone[0].plant)
+        self.work, self.road, self.row = workspace(), aligned(16), aligned(rows)
         self.steady = _steady(everyone)
         self.delay = np.array([drive.pipe.size for drive in everyone])
         self.pipe = np.zeros((self.delay.max(), LANES), dtype=np.uint8)
@@ -215,8 +235,8 @@ class _Block:
         through_pipe(self.pipe, self.delay, self.passed, given, byte)
         tables = (self.numbers, self.velocity, self.displacement, self.memory)
         course = (*self._course(n), byte, self.alpha, self.h)
-        scratch = (self.work, self.road, self.row)
-        drive_lanes(self.p, *tables, self.q, self.v, self.ways, *course, *scratch, columns, out)
+        room = (self.work, self.road, self.row, columns, out, *self.flexible)
+        drive_lanes(self.p, *tables, self.q, self.v, self.ways, *course, *room)
         for drive in self.drives:
             drive.steps += n
 
@@ -234,7 +254,7 @@ class _Block:
     def land(self) -> None:
         """Put the drives where their vehicles are."""
         for k, drive in enumerate(self.drives):
-            drive.state[:N_DOF], drive.state[N_DOF:] = self.q[:, k], self.v[:, k]
+            drive.state[:] = np.concatenate([self.q[:, k], self.v[:, k]])
             drive.memory[:] = self.memory[:, :, k]
             if self.delay[k]:
                 ring = self.pipe[: self.delay[k], k]
@@ -268,19 +288,24 @@ class Fleet:
 
     All take the same integrator step. While they are in the fleet it holds their motion; `land`
     puts it back into the drives. Blocks of LANES vehicles are spread over `threads`. `columns`
-    chooses signals, all 29 by default; what is not needed is better left out, since writing costs
-    time. Raises ConfigError on drives of different steps, an empty fleet and unknown columns.
+    chooses signals, all 29 (of flexible cars 32) by default; what is not needed is better left out,
+    since writing costs time. Raises ConfigError on drives of different steps, on cars of which some
+    have a flexible frame and some have none, on an empty fleet and on unknown columns.
     """
 
     def __init__(
-        self, drives: Sequence[Drive], threads: int = 1, columns: Sequence[int] = range(SIGNALS)
+        self, drives: Sequence[Drive], threads: int = 1, columns: Sequence[int] | None = None
     ):
         if not drives:
             raise ConfigError("a fleet needs at least one drive")
         if len({drive.step for drive in drives}) > 1:
             raise ConfigError("the drives of a fleet must have one integrator step")
-        if wrong := [c for c in columns if not 0 <= c < SIGNALS]:
-            raise ConfigError(f"columns of signals are 0 to {SIGNALS - 1}, got {wrong}")
+        if len({drive.plant.flexible for drive in drives}) > 1:
+            raise ConfigError("the cars of a fleet must all have a flexible frame, or none of them")
+        rows = signals_of(drives[0].plant)
+        columns = range(rows) if columns is None else columns
+        if wrong := [c for c in columns if not 0 <= c < rows]:
+            raise ConfigError(f"columns of signals are 0 to {rows - 1}, got {wrong}")
         self.drives, self.threads, self.columns = list(drives), threads, np.array(columns)
         self.blocks = [_Block(drives[i : i + LANES]) for i in range(0, len(drives), LANES)]
 

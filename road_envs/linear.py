@@ -33,6 +33,7 @@ from road_envs.dynamics import (
     THETA,
     Z_B,
     Plant,
+    bend,
     equilibrium,
     extension,
     jacobian,
@@ -50,6 +51,9 @@ MODE_NAMES = (
 )
 """Names of the modes, each after the coordinate of `dynamics.DOF` that carries it."""
 
+FRAME_MODE = "frame torsion"
+"""That of the twist psi of a flexible frame, a coordinate behind the others."""
+
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
@@ -58,6 +62,7 @@ class LinearModel:
     A (14, 14), B (14, 8), C (S, 14), D (S, 8); `M` (7,): masses [kg] and inertias [kg m²] of the
     coordinates; `wheelbase` [m]. Levers over the coordinates: `struts` (4, 7) of the extension of
     a strut, `body` (S, 7) of the place of a sensor. Units are those of the names at the same place.
+    With a flexible frame there are eight coordinates, so 16 states.
     """
 
     A: np.ndarray
@@ -119,51 +124,67 @@ def linearise(
     memory = mode if isinstance(mode, np.ndarray) else memory_at_rest(command(mode))
     z, w = (np.zeros(4) if v is None else np.array(v, dtype=float) for v in (z_r, w_r))
     y = equilibrium(one, memory, z) if state is None else np.array(state, dtype=float)
-    shapes = [("state", y, (14,)), ("z_r", z, (4,)), ("w_r", w, (4,)), ("memory", memory, (4, 3))]
+    n = one.inertias.size
+    shapes = [
+        ("state", y, (2 * n,)),
+        ("z_r", z, (4,)),
+        ("w_r", w, (4,)),
+        ("memory", memory, (4, 3)),
+    ]
     for name, value, shape in shapes:
         if value.shape != shape:
             raise ValueError(f"{name} must be of shape {shape}, got {value.shape}")
     A, B = jacobian(one, memory, y, z, w), _road_input(one, y, z, w)
     if damping is not None:
-        A[N_DOF:, N_DOF:] += _damping_instead(one, memory, y, np.asarray(damping, dtype=float))
-    body = np.array([_levers(x, y) for x, y in sensors.values()]).reshape(-1, N_DOF)
-    M, axles = one.numbers[0]["M"].copy(), one.numbers[0]["x"]
-    C, D = body @ A[N_DOF:], body @ B[N_DOF:]
+        A[n:, n:] += _damping_instead(one, memory, y, np.asarray(damping, dtype=float))
+    body = np.array([_levers(x, y, n) for x, y in sensors.values()]).reshape(-1, n)
+    axles = one.numbers[0]["x"]
+    C, D = body @ A[n:], body @ B[n:]
     struts, wheelbase = _rows(extension, one), float(axles[0] - axles[1])
-    return LinearModel(A, B, C, D, M, struts, body, wheelbase, tuple(sensors))
+    names, units = (*DOF, "psi")[:n], (*COORDINATE_UNITS, "rad")[:n]
+    return LinearModel(
+        *(A, B, C, D, one.inertias.copy(), struts, body, wheelbase, tuple(sensors)),
+        states=(*names, *(f"{name}_dot" for name in names)),
+        state_units=(*units, *(f"{unit}/s" for unit in units)),
+    )
 
 
-def _levers(x: float, y: float) -> np.ndarray:
-    row = np.zeros(N_DOF)
-    row[[Z_B, PHI, THETA]] = 1.0, y, -x
-    return row
+def _levers(x: float, y: float, n: int) -> np.ndarray:
+    row = np.zeros(N_DOF + 1)
+    row[[Z_B, PHI, THETA, N_DOF]] = 1.0, y, -x, 0.5 * np.sign(x) * y
+    return row[:n]
 
 
 def _rows(law, one: Plant) -> np.ndarray:
-    """A linear law of the coordinates and the wheel as a matrix (4, 7)."""
-    unit = np.eye(N_DOF)
-    return np.array([[law(one.numbers[0], unit[j], w) for j in range(N_DOF)] for w in range(4)])
+    """A linear law of the coordinates and the wheel as a matrix (4, n)."""
+    p, unit = one.numbers[0], np.eye(N_DOF)
+    rows = np.array([[law(p, unit[j], w) for j in range(N_DOF)] for w in range(4)])
+    if not one.flexible:
+        return rows
+    twist = [bend(p, 1.0, w) if law is extension else 0.0 for w in range(4)]
+    return np.column_stack([rows, twist])
 
 
 def _road_input(one: Plant, y: np.ndarray, z: np.ndarray, w: np.ndarray) -> np.ndarray:
     """B (14, 8) at the state `y`: what a tyre in touch makes of the road."""
     rows = _rows(wheel_height, one)
-    u, u_dot = z - rows @ y[:N_DOF], w - rows @ y[N_DOF:]
-    slopes = [tyre_force(one.numbers[0], i // 2, u[i], u_dot[i])[1:] for i in range(4)]
+    n = rows.shape[1]
+    u, u_dot = z - rows @ y[:n], w - rows @ y[n:]
+    slopes = [tyre_force(one.numbers[0], i, u[i], u_dot[i])[1:] for i in range(4)]
     k_t, c_t = np.array(slopes).T
-    B = np.zeros((2 * N_DOF, 8))
-    B[N_DOF:] = np.hstack([rows.T * k_t, rows.T * c_t]) / one.numbers[0]["M"][:, None]
+    B = np.zeros((2 * n, 8))
+    B[n:] = np.hstack([rows.T * k_t, rows.T * c_t]) / one.inertias[:, None]
     return B
 
 
 def _damping_instead(one: Plant, memory, y: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """What replacing the struts' slopes by `wanted` (4,) adds to the rates' block of A (7, 7)."""
+    """What replacing the struts' slopes by `wanted` (4,) adds to the rates' block of A (n, n)."""
     rows = _rows(extension, one)
-    e, e_dot = rows @ y[:N_DOF], rows @ y[N_DOF:]
+    e, e_dot = rows @ y[: rows.shape[1]], rows @ y[rows.shape[1] :]
     now = [
         strut_force(one.numbers[0], *one.arrays[1:], memory, w, e[w], e_dot[w])[2] for w in range(4)
     ]
-    return rows.T @ ((np.array(now) - wanted)[:, None] * rows) / one.numbers[0]["M"][:, None]
+    return rows.T @ ((np.array(now) - wanted)[:, None] * rows) / one.inertias[:, None]
 
 
 def gaussian_damping(
@@ -218,16 +239,16 @@ def modes(model: LinearModel) -> Modes:
     has most of it, all names together making the most of it. Raises ArithmeticError if the state
     is not a stable one (all wheels in the air, or a body that falls over).
     """
-    M = model.M
-    K, C = (-M[:, None] * model.A[N_DOF:, part] for part in (slice(N_DOF), slice(N_DOF, None)))
+    M, n = model.M, model.M.size
+    K, C = (-M[:, None] * model.A[n:, part] for part in (slice(n), slice(n, None)))
     square, shapes = eigh(0.5 * (K + K.T), np.diag(M))
     if not square[0] > 1e-9 * square[-1]:
         raise ArithmeticError("no natural modes: at this state the car does not stand")
     _, place = linear_sum_assignment(M[:, None] * shapes**2, maximize=True)
-    names = [""] * N_DOF
-    for name, column in zip(MODE_NAMES, place, strict=True):
+    names = [""] * n
+    for name, column in zip((*MODE_NAMES, FRAME_MODE)[:n], place, strict=True):
         names[column] = name
-    shapes[:, place] *= np.sign(shapes[np.arange(N_DOF), place])
+    shapes[:, place] *= np.sign(shapes[np.arange(n), place])
     omega = np.sqrt(square)
     zeta = np.einsum("ji,jk,ki->i", shapes, C, shapes) / (2.0 * omega)
     return Modes(tuple(names), omega / (2.0 * np.pi), zeta, shapes)
@@ -245,7 +266,7 @@ def strut_rate_response(model: LinearModel, f: np.ndarray) -> np.ndarray:
     to each wheel's road height.
     """
     s, inside = _inside(model, f, model.B)
-    inputs = model.struts @ inside[:, N_DOF:]
+    inputs = model.struts @ inside[:, model.M.size :]
     return inputs[:, :, :4] + s * inputs[:, :, 4:]
 
 
@@ -262,7 +283,7 @@ def force_response(model: LinearModel, f: np.ndarray) -> tuple[np.ndarray, np.nd
 def _inside(model: LinearModel, f: np.ndarray, inputs: np.ndarray):
     """The variable s = 2 pi j f (F, 1, 1), and the state's responses (F, 14, inputs) there."""
     s = 2j * np.pi * np.atleast_1d(np.asarray(f, dtype=float))[:, None, None]
-    return s, np.linalg.solve(s * np.eye(2 * N_DOF) - model.A, inputs)
+    return s, np.linalg.solve(s * np.eye(len(model.A)) - model.A, inputs)
 
 
 def frequency_response(

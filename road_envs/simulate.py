@@ -32,7 +32,7 @@ class Trajectory:
     """Motion of the vehicle at N instants.
 
     `t` [s], `s` station of the front axle [m], `v` speed [m/s], `commands` bytes as given, all
-    (N,); `signals` (N, 29) as `integrator` lays them out.
+    (N,); `signals` (N, 29), or (N, 32) of a flexible car, as `integrator` lays them out.
     """
 
     t: np.ndarray
@@ -61,10 +61,21 @@ class Trajectory:
         """Tyre loads (N, 4) [N]; 0 where a wheel has left the ground."""
         return self.signals[:, integrator.LOAD : integrator.LOAD + 4]
 
+    @property
+    def twist(self) -> np.ndarray:
+        """Twist of the frame (N, 3): angle [rad], rate and acceleration; nothing of a stiff one."""
+        return self.signals[:, integrator.TWIST :]
+
     def body_acceleration(self, x: float, y: float) -> np.ndarray:
-        """Vertical acceleration (N,) [m/s²] of the body's point at (x, y) [m]."""
+        """Vertical acceleration (N,) [m/s²] of the body's point at (x, y) [m].
+
+        The halves of a flexible frame meet at the centre of mass.
+        """
         a = self.acceleration
-        return a[:, Z_B] - x * a[:, THETA] + y * a[:, PHI]
+        found = a[:, Z_B] - x * a[:, THETA] + y * a[:, PHI]
+        if self.twist.shape[1] > 0:
+            found += 0.5 * np.sign(x) * y * self.twist[:, 2]
+        return found
 
 
 class Drive:
@@ -110,7 +121,8 @@ class Drive:
 
     def _at_rest(self) -> np.ndarray:
         if self.car.tyre_static_deflection != "equilibrium":
-            return np.zeros(2 * N_DOF)  # the paper's start, some millimetres off equilibrium
+            # the paper's start, some millimetres off equilibrium
+            return np.zeros(2 * self.plant.inertias.size)
         s = self.start - np.array([0.0, 0.0, self.car.wheelbase, self.car.wheelbase])
         heights = self.surface.height(s)[[0, 1, 0, 1], range(4)]
         return equilibrium(self.plant, self.memory, heights)
@@ -164,10 +176,13 @@ class Drive:
         commands = np.asarray(commands, dtype=np.uint8)
         n = commands.size
         s, v, turn = self.course(n)
-        signals = np.empty((n, integrator.SIGNALS))
+        signals = np.empty((n, integrator.signals_of(self.plant)))
         road = (self.surface.padded, self.surface.start, self.surface.ds, s, v, turn)
         valve = (self.arriving(commands), self.car.valve.lag, self.step, signals)
-        integrator.drive(*self.plant.arrays, self.memory, self.state, *road, *valve)
+        more = (
+            (True,) if self.plant.flexible else ()
+        )  # a flexible car's kernel is compiled when one comes
+        integrator.drive(*self.plant.arrays, self.memory, self.state, *road, *valve, *more)
         t = self.step * (self.steps + np.arange(n))
         self.steps += n
         if not np.isfinite(self.state).all():

@@ -29,7 +29,7 @@ from road_envs.config import ConfigError, one_of
 from road_envs.curves import curvature, look_up, tabulate
 from road_envs.jit import kernel
 from road_envs.vector import equals_one, get, if_positive, is_flag, maximum, raised
-from road_envs.vehicle import VehicleParameters
+from road_envs.vehicle import NOMINAL, Individual, VehicleParameters
 
 WHEELS = ("FL", "FR", "RL", "RR")
 MODES = {
@@ -84,31 +84,50 @@ def memory_at_rest(byte: int) -> np.ndarray:
     return memory
 
 
-def velocity_tables(car: VehicleParameters) -> np.ndarray:
-    """Damper plus friction for ride and handling, (2, V_CELLS, 4)."""
-    strut = car.strut
-    pairs = (
-        (strut.damper.ride, strut.friction.ride),
-        (strut.damper.handling, strut.friction.handling),
-    )
-    return np.stack([tabulate(pair, V_0, V_STEP, V_CELLS) for pair in pairs])
+def velocity_tables(
+    car: VehicleParameters, one: Individual = NOMINAL
+) -> tuple[np.ndarray, list[int]]:
+    """Damper plus friction, tables (K, V_CELLS, 4), and for each strut its ride table's number.
+
+    The handling table stands behind it. Equal struts share theirs.
+    """
+    damper, friction = car.strut.damper, car.strut.friction
+    factors = list(zip(one.damper, one.friction, strict=True))
+    different = list(dict.fromkeys(factors))
+    tables = [
+        tabulate((law.times(d), rub.times(f)), V_0, V_STEP, V_CELLS)
+        for d, f in different
+        for law, rub in ((damper.ride, friction.ride), (damper.handling, friction.handling))
+    ]
+    return np.stack(tables), [2 * different.index(pair) for pair in factors]
 
 
-def displacement_tables(car: VehicleParameters) -> np.ndarray:
-    """Bushing plus bump stop for the front and rear struts, (2, E_CELLS, 4)."""
+def displacement_tables(
+    car: VehicleParameters, one: Individual = NOMINAL
+) -> tuple[np.ndarray, list[int]]:
+    """Bushing plus bump stop, tables (K, E_CELLS, 4), and each strut's number among them."""
     stops = (car.strut.bump_stop.front, car.strut.bump_stop.rear)
-    return np.stack([tabulate((car.strut.bushing, s), E_0, E_STEP, E_CELLS) for s in stops])
+    which = [(w // 2, factor) for w, factor in enumerate(one.bushing)]
+    different = list(dict.fromkeys(which))
+    tables = [
+        tabulate((car.strut.bushing.times(factor), stops[axle]), E_0, E_STEP, E_CELLS)
+        for axle, factor in different
+    ]
+    return np.stack(tables), [different.index(each) for each in which]
 
 
 @kernel
-def gas_spring(p, column):
-    """Force [N] and its derivative by the gas column [N/m]; a tangent below the shortest column."""
+def gas_spring(p, w, column):
+    """Force [N] of strut `w` and its derivative by the gas column [N/m].
+
+    Below the shortest column it goes on as its tangent.
+    """
     n_p = get(p.n_p)
     inside = maximum(column, get(p.column_min))
     ratio = get(p.x_1) / inside
     if not equals_one(n_p):
         ratio = raised(ratio, n_p)
-    F = get(p.p_A) * ratio
+    F = get(p.p_A, w) * ratio
     slope = -n_p * F / inside
     return F + slope * (column - inside), slope
 
@@ -154,9 +173,9 @@ def damping(p, velocity, memory, w, e_dot):
     """Damper plus friction [N] over the rate of extension, and the derivative [N s/m]."""
     high = get(memory, w, HIGH)
     if is_flag(high):
-        return look_up(velocity, get(p.table) + high, V_0, V_STEP, e_dot)
-    F_0, c_0 = look_up(velocity, get(p.table), V_0, V_STEP, e_dot)
-    F_1, c_1 = look_up(velocity, get(p.table) + 1.0, V_0, V_STEP, e_dot)
+        return look_up(velocity, get(p.losses, w) + high, V_0, V_STEP, e_dot)
+    F_0, c_0 = look_up(velocity, get(p.losses, w), V_0, V_STEP, e_dot)
+    F_1, c_1 = look_up(velocity, get(p.losses, w) + 1.0, V_0, V_STEP, e_dot)
     low = 1.0 - high  # exact at either end, so that a lane does not feel the others' switching
     return low * F_0 + high * F_1, low * c_0 + high * c_1
 
@@ -165,9 +184,9 @@ def damping(p, velocity, memory, w, e_dot):
 def strut_force(p, velocity, displacement, memory, w, e, e_dot):
     """Force [N] of strut `w`, its stiffness -dF/de [N/m] and damping -dF/de_dot [N s/m]."""
     column, share = gas_column(p, memory, w, e)
-    gas, slope = gas_spring(p, column)
+    gas, slope = gas_spring(p, w, column)
     damper, c = damping(p, velocity, memory, w, e_dot)
-    stop, k = look_up(displacement, get(p.table) + w // 2, E_0, E_STEP, e)
+    stop, k = look_up(displacement, get(p.stops, w), E_0, E_STEP, e)
     return gas - damper - stop, k - slope * share, c
 
 
@@ -175,22 +194,41 @@ def strut_force(p, velocity, displacement, memory, w, e, e_dot):
 def strut_curvature(p, velocity, displacement, memory, w, e, e_dot):
     """Change of a strut's stiffness with `e` [N/m²] and of its damping with `e_dot` [N s²/m²]."""
     column, share = gas_column(p, memory, w, e)
-    _, slope = gas_spring(p, column)
+    _, slope = gas_spring(p, w, column)
     bend = -(get(p.n_p) + 1.0) * slope / maximum(column, get(p.column_min))
     gas = if_positive(column - get(p.column_min), bend, 0.0)
-    stop = curvature(displacement, get(p.table) + w // 2, E_0, E_STEP, e)
+    stop = curvature(displacement, get(p.stops, w), E_0, E_STEP, e)
     high = get(memory, w, HIGH)
-    c_0 = curvature(velocity, get(p.table), V_0, V_STEP, e_dot)
-    c_1 = curvature(velocity, get(p.table) + 1.0, V_0, V_STEP, e_dot)
+    c_0 = curvature(velocity, get(p.losses, w), V_0, V_STEP, e_dot)
+    c_1 = curvature(velocity, get(p.losses, w) + 1.0, V_0, V_STEP, e_dot)
     return stop - share * share * gas, (1.0 - high) * c_0 + high * c_1
 
 
 @kernel
-def tyre_force(p, i, u, u_dot):
-    """Load [N] of a tyre on axle `i`, its stiffness and damping; it pushes but never pulls.
+def tyre_force(p, w, u, u_dot):
+    """Load [N] of tyre `w`, its stiffness and damping.
 
-    `u` [m] is the compression beyond the static deflection, `u_dot` [m/s] its rate.
+    `u` [m] is the compression beyond the deflection at the origin, `u_dot` [m/s] its rate. The
+    spring's force E = (k_t + k_t2 x) x grows with the whole compression x; the damper adds to it
+    or takes away, but never more than E itself. So the load lies between 0 and 2 E: a tyre never
+    pulls, and one that closes in on the ground pushes from the touch on and not before.
     """
-    k, c = get(p.k_t, i), get(p.c_t, i)
-    T = k * (get(p.delta, i) + u) + c * u_dot
-    return if_positive(T, T, 0.0), if_positive(T, k, 0.0), if_positive(T, c, 0.0)
+    x = get(p.delta, w // 2) + u
+    x = if_positive(-x, 0.0, x)  # what is not a number stays so, here and below
+    k, c = get(p.k_t, w) + get(p.k_t2, w) * x, get(p.c_t, w)
+    E, slope = k * x, k + get(p.k_t2, w) * x
+    T, most = E + c * u_dot, E + E
+    free = most - T
+    k, c = if_positive(free, slope, slope + slope), if_positive(free, c, 0.0)
+    T = if_positive(free, T, most)
+    return if_positive(-T, 0.0, T), if_positive(T, k, 0.0), if_positive(T, c, 0.0)
+
+
+@kernel
+def tyre_curvature(p, w, u, u_dot):
+    """Change of a tyre's stiffness with its compression [N/m²], in the branch of `tyre_force`."""
+    _, k, _ = tyre_force(p, w, u, u_dot)
+    x, bend = get(p.delta, w // 2) + u, 2.0 * get(p.k_t2, w)
+    E = (get(p.k_t, w) + get(p.k_t2, w) * x) * x
+    at_most = get(p.c_t, w) * u_dot - E
+    return if_positive(k, if_positive(at_most, bend + bend, bend), 0.0)

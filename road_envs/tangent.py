@@ -5,24 +5,29 @@ times. Its derivative is taken exactly, as the step is computed and not as the m
 W = M + h d C + (h d)² K symmetric, k and m the two solutions W k = g(y), W m = f(y, k), and ' a
 derivative along a direction,
 
-    W k' = g' - W' k,        W m' = f' - W' m,        W' = sum over struts of s' b b'
+    W k' = g' - W' k,        W m' = f' - W' m,        W' = sum over struts and tyres of s' b b'
 
 b takes coordinates to the strut's extension and s = h d c + (h d)² k, so s' needs the change of the
 strut's stiffness k with its extension (gas spring, bushing, stop) and of its damping c with the
-rate (damper, friction). The adjoint is the same chain backwards; as W is symmetric it needs no
-solver of its own (Giles & Pierce 2000, doi:10.1023/A:1011430410075, section 2).
+rate (damper, friction). For a tyre b takes them to the height of the wheel, and its stiffness
+changes with its compression, on which the road acts as well. The adjoint is the same chain
+backwards; as W is symmetric it needs no solver of its own (Giles & Pierce 2000,
+doi:10.1023/A:1011430410075, section 2).
 
-At a kink (a wheel that lifts off, a grid point or an end of a table, the shortest gas column) the
-derivative is that of the branch the step took; the small jump of W where a tyre lifts off has no
-derivative and is left out. A car exactly at rest stands on such a kink: friction bends one way for
-a strut that opens and the other way for one that closes. The struts' memory goes on with the
-drive as its commands ask, and its derivative is left out: a switch freezes an extension in, and
-that this one depends on the road before the switch is neglected.
+At a kink (a wheel that lifts off, a tyre whose damper gives all it may, a grid point or an end of a
+table, the shortest gas column) the derivative is that of the branch the step took; the small jump
+of W where a tyre lifts off has no derivative and is left out. A car exactly at rest stands on such
+a kink: friction bends one way for a strut that opens and the other way for one that closes. The
+struts' memory goes on with the drive as its commands ask, and its derivative is left out: a switch
+freezes an extension in, and that this one depends on the road before the switch is neglected. Nor
+does the frame twist: a flexible car is refused.
 
 One row of the tape (ROW,) is all that both need of one step. Per strut (4 each): K_1, C_1 and K_2,
 C_2, its stiffness and damping at the first and the second stage; G_K, G_C and F_K, F_C, what the
 first and the second right-hand side lose by a change of e and of e_dot at the step's beginning
-(of F_K, F_C without K_2, C_2); ON_1 and ON_2, 1 where the tyre touches. Then the factors of W.
+(of F_K, F_C without K_2, C_2). Per tyre: TK_1, TC_1 and TK_2, TC_2, the same; G_U, what the first
+gains by a change of the compression u, and F_U, what the second loses by it without TK_2. Then the
+factors of W.
 """
 
 from dataclasses import dataclass
@@ -38,12 +43,12 @@ from road_envs.dynamics import (
     add_struts,
     add_tyres,
     extension,
+    roll_over,
     wheel_height,
 )
 from road_envs.integrator import (
     ACCELERATION,
     EXTENSION,
-    LOAD,
     SIGNALS,
     D,
     follow,
@@ -52,19 +57,20 @@ from road_envs.integrator import (
     workspace,
 )
 from road_envs.jit import kernel
-from road_envs.suspension import strut_curvature, strut_force, tyre_force
+from road_envs.suspension import strut_curvature, strut_force, tyre_curvature, tyre_force
 
-K_1, C_1, K_2, C_2, G_K, G_C, F_K, F_C, ON_1, ON_2, BLOCKS, BODY = *range(0, 44, 4), 52
-ROW = 58
+K_1, C_1, K_2, C_2, G_K, G_C, F_K, F_C = range(0, 32, 4)
+TK_1, TC_1, TK_2, TC_2, G_U, F_U, BLOCKS, BODY = *range(32, 60, 4), 68
+ROW = 74
 
 
 @kernel
 def taped_step(p, velocity, displacement, memory, q, v, road, turn, h, work, out, row):
     """Take `integrator.step`, with its arguments, and write its derivative to `row` (ROW,)."""
     step(p, velocity, displacement, memory, q, v, road, turn, h, work, out)
-    hd = h * D
+    hd, before = h * D, out[N_DOF : 2 * N_DOF]
     for w in range(4):
-        e, e_dot = out[EXTENSION + w], extension(p, out[N_DOF : 2 * N_DOF], w)
+        e, e_dot = out[EXTENSION + w], extension(p, before, w)
         _, k, c = strut_force(p, velocity, displacement, memory, w, e, e_dot)
         bend, c_bend = strut_curvature(p, velocity, displacement, memory, w, e, e_dot)
         first, second = extension(p, work.g, w), extension(p, work.f, w)
@@ -75,12 +81,18 @@ def taped_step(p, velocity, displacement, memory, q, v, road, turn, h, work, out
         row[F_C + w] = hd * c_bend * second
         e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
         _, row[K_2 + w], row[C_2 + w] = strut_force(p, velocity, displacement, memory, w, e, e_dot)
+        u, u_dot = road[w] - wheel_height(p, out, w), road[4 + w] - wheel_height(p, before, w)
+        _, k, c = tyre_force(p, w, u, u_dot)
+        bend = tyre_curvature(p, w, u, u_dot)
+        first, second = wheel_height(p, work.g, w), wheel_height(p, work.f, w)
+        row[TK_1 + w], row[TC_1 + w] = k, c
+        row[G_U + w] = k + hd * bend * (u_dot - hd * first)
+        row[F_U + w] = hd * bend * (wheel_height(p, work.r, w) + hd * second)
         u, u_dot = (
             road[8 + w] - wheel_height(p, work.q, w),
             road[12 + w] - wheel_height(p, work.v, w),
         )
-        row[ON_1 + w] = 1.0 if out[LOAD + w] > 0.0 else 0.0
-        row[ON_2 + w] = 1.0 if tyre_force(p, w // 2, u, u_dot)[0] > 0.0 else 0.0
+        _, row[TK_2 + w], row[TC_2 + w] = tyre_force(p, w, u, u_dot)
     row[BLOCKS:BODY] = work.blocks
     row[BODY:ROW] = work.body
 
@@ -100,15 +112,18 @@ def tangent_step(p, row, q, v, road, h, work, a):
         F[w] = -row[K_1 + w] * e - row[C_1 + w] * e_dot
         dF[w] = -row[G_K + w] * e - row[G_C + w] * e_dot
         work.s[w] = row[F_K + w] * e + row[F_C + w] * e_dot
-        k_t, c_t = row[ON_1 + w] * p.k_t[w // 2], row[ON_1 + w] * p.c_t[w // 2]
+        k_t, c_t = row[TK_1 + w], row[TC_1 + w]
         u, u_dot = road[w] - wheel_height(p, q, w), road[4 + w] - wheel_height(p, v, w)
         T[w] = k_t * u + c_t * u_dot
-        dT[w] = T[w] + hd * k_t * u_dot + 2.0 * D * c_t * (road[12 + w] - road[4 + w])
+        dT[w] = row[G_U + w] * u + (c_t + hd * k_t) * u_dot
+        dT[w] += 2.0 * D * c_t * (road[12 + w] - road[4 + w])
+        work.t[w] = row[F_U + w] * u
     f[:], g[:] = 0.0, 0.0
-    add_struts(p, F, f)
+    front, rear = roll_over(q, 0), roll_over(q, 1)
+    add_struts(p, F, front, rear, f)
     add_tyres(p, T, f)
     add_lean(p, q[PHI], q[THETA], 0.0, 0.0, f)
-    add_struts(p, dF, g)
+    add_struts(p, dF, front + hd * roll_over(v, 0), rear + hd * roll_over(v, 1), g)
     add_tyres(p, dT, g)
     add_lean(p, q[PHI] + hd * v[PHI], q[THETA] + hd * v[THETA], 0.0, 0.0, g)
     solve(p, blocks, body, g)
@@ -120,16 +135,17 @@ def tangent_step(p, row, q, v, road, h, work, a):
         r[j] = work.v[j] - k_q[j]
         f[j] = -p.M[j] * g[j]
     for w in range(4):
-        k_t, c_t = p.k_t[w // 2], p.c_t[w // 2]
         F[w] = -row[K_2 + w] * extension(p, work.q, w) - row[C_2 + w] * extension(p, work.v, w)
         F[w] -= hd * row[K_1 + w] * extension(p, r, w) + work.s[w]
         u, u_dot = (
             road[8 + w] - wheel_height(p, work.q, w),
             road[12 + w] - wheel_height(p, work.v, w),
         )
-        T[w] = row[ON_2 + w] * (k_t * u + c_t * u_dot)
-        T[w] -= hd * row[ON_1 + w] * k_t * wheel_height(p, r, w)
-    add_struts(p, F, f)
+        T[w] = row[TK_2 + w] * u + row[TC_2 + w] * u_dot
+        T[w] -= hd * row[TK_1 + w] * wheel_height(p, r, w) + work.t[w]
+    front = roll_over(work.q, 0) + hd * roll_over(r, 0)
+    rear = roll_over(work.q, 1) + hd * roll_over(r, 1)
+    add_struts(p, F, front, rear, f)
     add_tyres(p, T, f)
     add_lean(p, work.q[PHI] + hd * r[PHI], work.q[THETA] + hd * r[THETA], 0.0, 0.0, f)
     solve(p, blocks, body, f)
@@ -144,7 +160,8 @@ def second_stage_back(p, row, h, work, road):
 
     Completes the adjoints `work.g`, `work.k_q` of the first stage, which hold the end's share, as
     does `work.r`; writes those of the stage's coordinates and rates to `work.q` and `work.v`, of
-    extensions and their rates at the beginning to `work.dF` and `work.dT`, and half of `road`.
+    extensions and their rates at the beginning to `work.dF` and `work.dT`, and of `road` the second
+    stage's half, with the heights' share in it before that.
     """
     hd = h * D
     f, r, F, T, q, v = work.f, work.r, work.F, work.T, work.q, work.v
@@ -153,18 +170,19 @@ def second_stage_back(p, row, h, work, road):
     add_lean(p, f[PHI], f[THETA], 0.0, 0.0, q)
     add_lean(p, hd * f[PHI], hd * f[THETA], 0.0, 0.0, r)
     for w in range(4):
-        push, lift, k_t = extension(p, f, w), wheel_height(p, f, w), p.k_t[w // 2]
+        push, lift = extension(p, f, w), wheel_height(p, f, w)
         work.dF[w], work.dT[w] = -row[F_K + w] * push, -row[F_C + w] * push
+        road[w] = -row[F_U + w] * lift
         work.k[w], work.s[w] = -row[K_2 + w] * push, -row[C_2 + w] * push
-        road[8 + w] = row[ON_2 + w] * k_t * lift
-        road[12 + w] = row[ON_2 + w] * p.c_t[w // 2] * lift
+        road[8 + w], road[12 + w] = row[TK_2 + w] * lift, row[TC_2 + w] * lift
         work.k_t[w], work.t[w] = -road[8 + w], -road[12 + w]
-        F[w], T[w] = -hd * row[K_1 + w] * push, -hd * row[ON_1 + w] * k_t * lift
-    add_struts(p, work.k, q)
+        F[w], T[w] = -hd * row[K_1 + w] * push, -hd * row[TK_1 + w] * lift
+    front, rear = roll_over(f, 0), roll_over(f, 1)
+    add_struts(p, work.k, front, rear, q)
     add_tyres(p, work.k_t, q)
-    add_struts(p, work.s, v)
+    add_struts(p, work.s, 0.0, 0.0, v)
     add_tyres(p, work.t, v)
-    add_struts(p, F, r)
+    add_struts(p, F, hd * front, hd * rear, r)
     add_tyres(p, T, r)
     for j in range(N_DOF):
         v[j] += r[j]
@@ -194,19 +212,21 @@ def adjoint_step(p, row, a, h, work, q, v, road):
     add_lean(p, f[PHI] + g[PHI], f[THETA] + g[THETA], 0.0, 0.0, q)
     add_lean(p, hd * g[PHI], hd * g[THETA], 0.0, 0.0, v)
     for w in range(4):
-        k_t, c_t = row[ON_1 + w] * p.k_t[w // 2], row[ON_1 + w] * p.c_t[w // 2]
+        k_t, c_t = row[TK_1 + w], row[TC_1 + w]
         first, at_once = extension(p, g, w), extension(p, f, w)
         work.dF[w] -= row[G_K + w] * first + row[K_1 + w] * at_once
         work.dT[w] -= row[G_C + w] * first + row[C_1 + w] * at_once
         first, at_once = wheel_height(p, g, w), wheel_height(p, f, w)
-        z, z_dot = k_t * (first + at_once), c_t * (first + at_once) + hd * k_t * first
+        z = row[G_U + w] * first + k_t * at_once + road[w]
+        z_dot = c_t * (first + at_once) + hd * k_t * first
         difference = 2.0 * D * c_t * first
         road[w], road[4 + w] = z, z_dot - difference
         road[12 + w] += difference
         F[w], T[w] = -z, -z_dot
-    add_struts(p, work.dF, q)
+    front, rear = roll_over(g, 0), roll_over(g, 1)
+    add_struts(p, work.dF, front + roll_over(f, 0), rear + roll_over(f, 1), q)
     add_tyres(p, F, q)
-    add_struts(p, work.dT, v)
+    add_struts(p, work.dT, hd * front, hd * rear, v)
     add_tyres(p, T, v)
 
 
@@ -256,7 +276,7 @@ def _array(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Tape:
-    """A drive of N steps and its derivative: 464 bytes a step, however often it is applied.
+    """A drive of N steps and its derivative: 592 bytes a step, however often it is applied.
 
     `signals` (N, 29) at the beginning of each step, as `integrator` lays them out; `end` (14,) the
     state after the last and `memory` (4, 3) that of the struts; `rows` (N, ROW) the derivative of
@@ -314,8 +334,13 @@ def drive_on_tape(
     [m/s] under the wheels at the beginning and the middle of each step; `turn` (2 N, 2), if given,
     a_x and a_y [m/s²] of a manoeuvre at the same instants; `commands` (N,), if given, the bytes
     that reach the valves, of time constant `lag` [s]: without them the memory stands still. Raises
-    ValueError on a wrong shape, ArithmeticError if the motion is no longer finite.
+    ValueError on a wrong shape and on a flexible car, ArithmeticError if the motion is no longer
+    finite.
     """
+    if plant.flexible:
+        raise ValueError(
+            "a car with a flexible frame has no tape: its twist has no derivative here"
+        )
     road = np.asarray(road, dtype=float)
     steps = len(road) // 2
     z, y = _array("road", road, (2 * steps, 2, 4)), _array("start", start, (2 * N_DOF,))

@@ -171,6 +171,61 @@ class VehicleParameters:
         return front / self.front.k_t, rear / self.rear.k_t
 
 
+Four = tuple[float, float, float, float]
+ALIKE: Four = (1.0, 1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """A body of two halves of equal roll inertia, joined by a torsion spring with little damping.
+
+    The front half carries what is ahead of the centre of mass, the rear half the rest.
+    """
+
+    __pydantic_config__ = config.STRICT
+
+    f: Annotated[float, "Hz", "frequency of the halves' twist against each other, body alone"]
+    zeta: Annotated[float, "", "its damping ratio"]
+
+    def __post_init__(self):
+        _positive(self, "f")
+        _not_negative(self, "zeta")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Individual:
+    """How one manufactured car departs from its description; nothing departs by default.
+
+    Tuples of four are factors, wheel by wheel (FL, FR, RL, RR).
+    """
+
+    gas: Annotated[Four, "", "of the struts' gas pressure"] = ALIKE
+    damper: Annotated[Four, "", "of the dampers' forces"] = ALIKE
+    friction: Annotated[Four, "", "of the struts' friction"] = ALIKE
+    bushing: Annotated[Four, "", "of the bushings' forces"] = ALIKE
+    tyre: Annotated[Four, "", "of the tyres' stiffness"] = ALIKE
+    tyre_progression: Annotated[
+        float, "1/m", "a tyre compressed by x has (1 + this (x - delta)) of its stiffness, as a "
+        "secant; delta is its deflection at the origin"
+    ] = 0.0  # fmt: skip
+    roll_stiffness: Annotated[
+        tuple[float, float], "N m/rad", "of the bushings between body and front, rear axle"
+    ] = (0.0, 0.0)
+    frame: Frame | None = None
+
+    def __post_init__(self):
+        for name in ("gas", "damper", "friction", "bushing", "tyre"):
+            if not all(0 < factor < inf for factor in getattr(self, name)):
+                raise ValueError(f"{name} must be four positive factors, got {getattr(self, name)}")
+        _not_negative(self, "tyre_progression")
+        if not all(0 <= k < inf for k in self.roll_stiffness):
+            raise ValueError(f"roll_stiffness must not be negative, got {self.roll_stiffness}")
+
+
+NOMINAL = Individual()
+"""The car as described."""
+
+
 def load_vehicle(name: str | Path) -> VehicleParameters:
     """A vehicle by shipped name or YAML path. Raises ConfigError."""
     return config.load(VehicleParameters, "vehicles", name)

@@ -10,7 +10,14 @@ from road_envs.curves import Curve
 from road_envs.dynamics import accelerations, plant
 from road_envs.roads.surface import Surface
 from road_envs.suspension import command, memory_at_rest
-from road_envs.vehicle import Axle, ModeCurves, VehicleParameters, load_vehicle
+from road_envs.vehicle import (
+    Axle,
+    Frame,
+    Individual,
+    ModeCurves,
+    VehicleParameters,
+    load_vehicle,
+)
 
 DEFENDER = load_vehicle("land_rover_defender_110")
 
@@ -52,6 +59,20 @@ def lossless(car: VehicleParameters) -> VehicleParameters:
 CARS = {"defender": DEFENDER, "lopsided": lopsided()}
 PLANTS = {name: plant(car) for name, car in CARS.items()}
 LEANING = {name: plant(car, manoeuvres=True) for name, car in CARS.items()}
+ODD = Individual(
+    gas=(1.03, 0.96, 0.99, 1.02),
+    damper=(1.1, 0.85, 1.2, 0.9),
+    friction=(0.8, 1.3, 1.1, 0.9),
+    bushing=(1.2, 0.9, 0.8, 1.1),
+    tyre=(1.06, 0.95, 0.9, 1.08),
+    tyre_progression=4.0,
+    roll_stiffness=(5000.0, 2000.0),
+)
+"""No two struts or tyres alike; and the same with a frame that twists."""
+TWISTING = replace(ODD, frame=Frame(f=11.0, zeta=0.05))
+ODDS = {"odd": ODD, "twisting": TWISTING}
+ODD_PLANTS = {name: plant(CARS["lopsided"], individual=one) for name, one in ODDS.items()}
+ODD_LEANING = {name: plant(CARS["lopsided"], True, one) for name, one in ODDS.items()}
 LEVEL = Surface(np.zeros((2, 8)), 1.0, name="level")
 STILL = np.zeros(4)
 
@@ -74,8 +95,8 @@ memories = st.tuples(
 def accelerate(
     plant, memory, q, v, z_r=STILL, w_r=STILL, turn=(0.0, 0.0), kernel=accelerations
 ) -> np.ndarray:
-    """Accelerations (7,) by the kernel."""
-    out = np.empty(7)
+    """Accelerations (7,) by the kernel; with the frame's twist, eight of everything."""
+    out = np.empty(len(q))
     kernel(*plant.arrays, memory, q, v, z_r, w_r, out, *turn)
     return out
 
@@ -85,7 +106,8 @@ def roll_on(
 ):
     """Signals (steps, 29) from the state `y`, which is driven on in place, as is `memory`.
 
-    `turn`, if given, is the manoeuvre's a_x and a_y (2 steps + 1, 2) at every half step.
+    A flexible car has 32. `turn`, if given, is the manoeuvre's a_x and a_y (2 steps + 1, 2) at
+    every half step.
     """
     if memory is None:
         memory = memory_at_rest(command(mode))
@@ -95,8 +117,9 @@ def roll_on(
     turn = np.zeros((s.size, 2)) if turn is None else turn
     road = (surface.padded, surface.start, surface.ds, s, np.full(s.size, speed), turn)
     valve = (np.full(steps, byte, dtype=np.uint8), 0.01, h)
-    out = np.empty((steps, integrator.SIGNALS))
-    integrator.drive(*plant.arrays, memory, y, *road, *valve, out)
+    more = (True,) if plant.flexible else ()
+    out = np.empty((steps, integrator.signals_of(plant)))
+    integrator.drive(*plant.arrays, memory, y, *road, *valve, out, *more)
     return out
 
 

@@ -13,7 +13,7 @@ from road_envs.roads import load_road
 from road_envs.simulate import Drive
 from road_envs.speed import ramp
 from road_envs.vector import LANES
-from road_envs.vehicle import load_vehicle
+from road_envs.vehicle import NOMINAL, Frame, Individual, load_vehicle
 
 CAR = load_vehicle("land_rover_defender_110")
 DAMPER = CAR.strut.damper
@@ -32,8 +32,21 @@ HEAVY = dataclasses.replace(
 ROADS = ("iso_d", "belgian_like", "bump_asymmetric", "iso_f")
 
 
-def drives(size):
-    """Vehicles no two of which are alike; the same ones at every call."""
+ODD = Individual(
+    gas=(1.03, 0.96, 0.99, 1.02),
+    damper=(1.1, 0.85, 1.2, 0.9),
+    bushing=(1.2, 0.9, 1.0, 1.0),
+    tyre=(1.06, 0.95, 0.9, 1.08),
+    tyre_progression=4.0,
+    roll_stiffness=(5000.0, 2000.0),
+)
+
+
+def drives(size, frame=None):
+    """Vehicles no two of which are alike; the same ones at every call.
+
+    With a `frame` they all have it.
+    """
     made = []
     for k in range(size):
         car = HEAVY if k % 3 == 1 else CAR
@@ -41,7 +54,8 @@ def drives(size):
         speed = ramp(3.0, 12.0, 0.7) if k % 5 == 2 else 4.0 + k
         manoeuvre = Slalom(begin=0.1, period=0.5) if k % 4 == 3 else None
         mode = ("ride", "handling", {"front": "ride", "rear": "handling"})[k % 3]
-        kernels = plant(car, manoeuvres=manoeuvre is not None)
+        one = dataclasses.replace(ODD if k % 4 == 1 else NOMINAL, frame=frame)
+        kernels = plant(car, manoeuvre is not None, one)
         made.append(Drive(kernels, car, surface, speed, mode, manoeuvre=manoeuvre))
     return made
 
@@ -52,14 +66,19 @@ def switching(size, n, seed=5):
     return np.repeat(rng.integers(0, 256, (size, -(-n // 90)), dtype=np.uint8), 90, axis=1)[:, :n]
 
 
-def test_every_lane_is_its_vehicle_driven_alone_to_rounding():
+@pytest.mark.parametrize("frame", [None, Frame(f=11.0, zeta=0.05)], ids=["stiff", "flexible"])
+def test_every_lane_is_its_vehicle_driven_alone_to_rounding(frame):
     size, n = LANES + 3, 1500
     commands = switching(size, n)
-    signals = Fleet(drives(size)).advance(commands)
-    for k, drive in enumerate(drives(size)):
+    fleet = Fleet(drives(size, frame))
+    signals = fleet.advance(commands)
+    for k, drive in enumerate(drives(size, frame)):
         alone = drive.advance(commands[k]).signals
         scale = np.abs(alone).max(axis=0)
+        assert of(signals, k).shape == (n, 29 if frame is None else 32)
         assert (np.abs(of(signals, k) - alone).max(axis=0) <= 1e-9 * scale + 1e-12).all(), k
+        landed = fleet.land()[k].state
+        np.testing.assert_allclose(landed, drive.state, rtol=1e-6, atol=1e-9)
 
 
 def test_a_lane_depends_neither_on_its_company_nor_on_threads_to_the_bit():
@@ -122,10 +141,15 @@ def test_rows_of_lanes_begin_at_the_boundaries_of_cache_lines():
         assert array.shape == (*shape, LANES) and array.ctypes.data % (8 * LANES) == 0
 
 
-def test_a_fleet_of_none_or_of_several_steps_is_refused():
+def test_a_fleet_of_none_or_of_several_steps_or_of_some_flexible_cars_is_refused():
     with pytest.raises(ConfigError, match="at least one drive"):
         Fleet([])
     slow = drives(1)[0]
     fast = Drive(slow.plant, CAR, slow.surface, 5.0, step=0.0005)
     with pytest.raises(ConfigError, match="one integrator step"):
         Fleet([slow, fast])
+    flexible = Drive(
+        plant(CAR, False, Individual(frame=Frame(f=9.0, zeta=0.1))), CAR, slow.surface, 5.0
+    )
+    with pytest.raises(ConfigError, match="all have a flexible frame, or none"):
+        Fleet([slow, flexible])

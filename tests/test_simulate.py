@@ -128,8 +128,9 @@ def test_each_wheel_meets_the_road_where_and_when_it_stands_on_it(name):
         z_r, w_r = road.under(-RUN_UP + 15.0 * 0.001 * k, car.wheelbase, 15.0)
         u = z_r - (q[k, [3, 3, 5, 5]] + y_t * q[k, [4, 4, 6, 6]])
         u_dot = w_r - (v[k, [3, 3, 5, 5]] + y_t * v[k, [4, 4, 6, 6]])
-        load = oracle.k_t * (oracle.delta + u) + oracle.c_t * u_dot
-        np.testing.assert_allclose(trajectory.tyre_load[k], np.maximum(load, 0.0), rtol=1e-9)
+        secants = [oracle.touching(w, u[w], u_dot[w]) for w in range(4)]
+        load = [k * (oracle.delta[w] + u[w]) + c * u_dot[w] for w, (k, c) in enumerate(secants)]
+        np.testing.assert_allclose(trajectory.tyre_load[k], load, rtol=1e-9)
     assert np.abs(np.diff(trajectory.tyre_load[:, :2], axis=1)).max() > 500.0
 
 

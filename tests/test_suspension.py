@@ -3,9 +3,9 @@
 import numpy as np
 import oracles
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
-from strategies import CARS, DEFENDER, PLANTS, memories
+from strategies import CARS, DEFENDER, ODD, ODD_PLANTS, PLANTS, memories
 
 from road_envs import config
 from road_envs.config import ConfigError
@@ -20,6 +20,7 @@ from road_envs.suspension import (
     strut_force,
     strut_states,
     switch,
+    tyre_curvature,
     tyre_force,
 )
 from road_envs.vehicle import VehicleParameters
@@ -214,15 +215,62 @@ def test_a_command_that_means_nothing_is_refused(mode, reason):
 # --- the tyre -------------------------------------------------------------------------------------
 
 
-@every_car
-@given(st.floats(-0.2, 0.2), st.floats(-5.0, 5.0), st.sampled_from([0, 1]))
-def test_a_tyre_pushes_as_spring_and_damper_and_never_pulls(name, u, u_dot, i):
-    axle = (CARS[name].front, CARS[name].rear)[i]
-    delta = oracles.static_loads(CARS[name])[1][i] / axle.k_t
-    load = axle.k_t * (u + delta) + axle.c_t * u_dot
-    T, k, c = tyre_force(PLANTS[name].numbers[0], i, u, u_dot)
-    assert T == pytest.approx(max(load, 0.0), rel=1e-9, abs=1e-6)
-    assert (k, c) == ((axle.k_t, axle.c_t) if T > 0.0 else (0.0, 0.0))
+TYRES = {**PLANTS, "odd": ODD_PLANTS["odd"]}
+every_tyre = pytest.mark.parametrize("name", TYRES)
+wheels = st.integers(0, 3)
+compressions, rates = st.floats(-0.4, 0.2), st.floats(-5.0, 5.0)
+
+
+def tyre(name, w, u, u_dot):
+    """Load, stiffness and damping; the spring's own load."""
+    p = TYRES[name].numbers[0]
+    return *tyre_force(p, w, u, u_dot), tyre_force(p, w, u, 0.0)[0]
+
+
+@every_tyre
+@given(wheels, compressions, rates)
+def test_a_tyre_pushes_as_spring_and_damper_and_never_pulls(name, w, u, u_dot):
+    """And its damper, which opposes every change, never does more than its spring."""
+    one = {"odd": ODD}.get(name, oracles.AS_DESCRIBED)
+    oracle = oracles.NonlinearCar(CARS.get(name, CARS["lopsided"]), one)
+    k, c = oracle.touching(w, u, u_dot)
+    T, _, damping, spring = tyre(name, w, u, u_dot)
+    assert T == pytest.approx(k * (u + oracle.delta[w]) + c * u_dot, rel=1e-9, abs=1e-6)
+    assert damping == c
+    assert 0.0 <= T <= 2.0 * spring
+    assert (T - spring) * u_dot >= 0.0
+
+
+@every_tyre
+@given(wheels, st.floats(1e-9, 0.3), rates)
+def test_a_wheel_in_the_air_feels_nothing_however_fast_it_closes_on_the_ground(
+    name, w, above, u_dot
+):
+    touch = -TYRES[name].numbers[0]["delta"][w // 2]
+    assert tyre(name, w, touch - above, u_dot) == (0.0, 0.0, 0.0, 0.0)
+    just = tyre(name, w, touch + 1e-9, u_dot)[0]
+    assert 0.0 <= just < 1e-3  # no jump of the load, as a damper without a limit would make
+
+
+@every_tyre
+@given(wheels, compressions, rates)
+def test_the_slopes_of_a_tyre_are_those_of_its_load(name, w, u, u_dot):
+    delta, c_t = (TYRES[name].numbers[0][key] for key in ("delta", "c_t"))
+    _, k, c, spring = tyre(name, w, u, u_dot)
+    kinks = np.array([delta[w // 2] + u, spring + c_t[w] * u_dot, spring - c_t[w] * u_dot])
+    assume((np.abs(kinks) > [1e-4, 1.0, 1.0]).all())
+    d = 1e-6
+    by_u = (tyre(name, w, u + d, u_dot)[0] - tyre(name, w, u - d, u_dot)[0]) / (2.0 * d)
+    by_rate = (tyre(name, w, u, u_dot + d)[0] - tyre(name, w, u, u_dot - d)[0]) / (2.0 * d)
+    assert (k, c) == (pytest.approx(by_u, rel=1e-6), pytest.approx(by_rate, rel=1e-6, abs=1e-6))
+    bend = (tyre(name, w, u + d, u_dot)[1] - tyre(name, w, u - d, u_dot)[1]) / (2.0 * d)
+    found = tyre_curvature(TYRES[name].numbers[0], w, u, u_dot)
+    assert found == pytest.approx(bend, rel=1e-4, abs=1e-3)
+
+
+def test_a_tyre_on_a_road_of_no_number_has_no_number_for_a_load():
+    for u in (np.nan, np.inf):
+        assert not np.isfinite(tyre_force(PLANTS["defender"].numbers[0], 0, u, 0.0)[0])
 
 
 # --- what the shipped curves must look like -------------------------------------------------------

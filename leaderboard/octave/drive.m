@@ -34,13 +34,14 @@ function dy = rate(t, y, p)
   e = p.B * q; e_dot = p.B * v;
   column = p.x_1 + p.share .* e;
   inside = max(column, p.column_min);
-  gas = p.p_A * (p.x_1 ./ inside) .^ p.n_p;
+  gas = p.p_A .* (p.x_1 ./ inside) .^ p.n_p;
   gas = gas .* (1 - p.n_p * (column - inside) ./ inside);
   stops = [curve(p.stops_front, p.E_0, p.dE, e(1:2)); curve(p.stops_rear, p.E_0, p.dE, e(3:4))];
   F = gas - curve(p.damper, p.V_0, p.dV, e_dot) - stops;
   [z, slope] = road(p, p.s_0 + p.v * t - p.behind);
   u = z - p.G * q; u_dot = p.v * slope - p.G * v;
-  T = max(p.k_t .* (p.delta + u) + p.c_t .* u_dot, 0);
+  E = p.k_t .* max(p.delta + u, 0);
+  T = max(min(E + p.c_t .* u_dot, 2 * E), 0);
   dy = [v; (p.B' * F + p.G' * T) ./ p.M - p.g];
 end
 
