@@ -284,6 +284,8 @@ FAULTS = [
     Fault(SURFACE, "padded.shape[1] - 3.0", "padded.shape[1] - 4.0", CUBIC),
     Fault(CONFIG, '"extra": "forbid"', '"extra": "ignore"', REFUSED),
     Fault(CONFIG, "strict=True)", "strict=False)", REFUSED),
+    Fault(CONFIG, "if name in seen:", "if False:",
+          "config::test_a_file_that_is_no_configuration_is_refused_with_its_path"),
     Fault(ROSENBROCK, "E_32 = 6.0 + np.sqrt(2.0)", "E_32 = 6.0 - np.sqrt(2.0)", THIRD),
     Fault(ROSENBROCK, "- 2.0 * (k_1 - F_0) + h * D * T)", "- 2.0 * (k_1 - F_0))", THIRD),
     Fault(ROSENBROCK, "k_1 = solve(F_0 + h * D * T)", "k_1 = solve(F_0)", THIRD),

@@ -119,6 +119,10 @@ def test_a_mapping_inside_itself_is_refused():
         ("- 1\n- 2", "a mapping of keys to values is wanted, got a list"),
         ("just words", "a mapping of keys to values is wanted, got text"),
         ("", "a mapping of keys to values is wanted, got nothing"),
+        ("a: !!map x", "not valid YAML"),
+        ("m_b: 1.0\nname: x\nm_b: 2.0", "the key 'm_b' stands twice, line 1 and 3"),
+        ("front: {x: 1.0, m: 2.0,\n  x: 1.0}", "the key 'x' stands twice, line 1 and 2"),
+        ("- a: 1\n  a: 2", "the key 'a' stands twice, line 1 and 2"),
         ("!!python/object:os.system {}", "not valid YAML"),
         (b"\xff\xfe\x00", "not valid YAML"),
     ],
@@ -129,6 +133,13 @@ def test_a_file_that_is_no_configuration_is_refused_with_its_path(tmp_path, text
     with pytest.raises(ConfigError) as caught:
         load(VehicleParameters, "vehicles", path)
     assert sentence(caught).startswith(str(path)) and said in sentence(caught)
+
+
+def test_a_key_may_stand_in_several_mappings(tmp_path):
+    path = tmp_path / "sides.yaml"
+    path.write_text("left: {x: 1.0}\nright: {x: 2.0, '1': 0, 1: 0}\nx: 3.0\nboth: &b {y: 1}\nc: *b")
+    expected = {"left": {"x": 1.0}, "right": {"x": 2.0, "1": 0, 1: 0}, "x": 3.0}
+    assert read_yaml(path) == expected | {"both": {"y": 1}, "c": {"y": 1}}
 
 
 def test_a_file_that_is_not_there_or_a_folder_is_refused(tmp_path):
