@@ -267,9 +267,9 @@ FAULTS = [
           "linear::test_a_lightly_damped_car_decays_with_its_modes_damping_ratios"),
     Fault(LINEAR, "names[column] = name", "names[column] = name[::-1]",
           "linear::test_the_defender_has_the_tabled_modes"),
-    Fault(LINEAR, "+ s[:, None, None] * inputs", "- s[:, None, None] * inputs",
+    Fault(LINEAR, "+ model.D\n    return inputs[:, :, :4] + s", "+ model.D\n    return inputs[:, :, :4] - s",
           "linear::test_on_a_sine_scipys_simulation_swings_in_to_the_frequency_response"),
-    Fault(LINEAR, "np.exp(-2j * np.pi * at", "np.exp(2j * np.pi * at",
+    Fault(LINEAR, "np.exp(-2j * np.pi * f", "np.exp(2j * np.pi * f",
           "linear::test_both_wheel_paths_reach_the_rear_a_wheelbase_later"),
     Fault(PROCESSING, "f_c: float = 25.0", "f_c: float = 30.0",
           "sensors::test_offline_processing_is_6_db_down_at_25_hertz_and_delays_nothing"),
@@ -317,7 +317,7 @@ FAULTS = [
           "observability::test_mean_and_difference_are_those_of_the_wheel_paths"),
     Fault(OBSERVABILITY, "prior.spectrum(f / v) / v", "prior.spectrum(f / v)",
           "observability::test_the_equivalent_dampers_are_the_best_for_the_motion_that_they_allow"),
-    Fault(LINEAR, "inputs = model.struts @ inside[:, N_DOF:]", "inputs = model.struts @ inside[:, :N_DOF]",
+    Fault(LINEAR, "inside[:, model.M.size :]", "inside[:, : model.M.size]",
           "observability::test_a_strut_moves_at_the_rate_of_its_ends"),
 ]  # fmt: skip
 
