@@ -13,7 +13,7 @@ alone. A car that is not quite the one supposed shows there, too, and raises kap
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.fft import next_fast_len, rfft, rfftfreq
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from estimators.stretches import Stretch
 from road_envs.distortion import Remainder, distortion, remainder
@@ -34,6 +34,9 @@ OCTAVES = np.array([0.7, 1.4, 2.8, 5.6, 11.0, 20.0])
 
 DOUBT = 12.0
 """Weight of kappa = 1 in each band, in lines of the spectrum."""
+
+TOLERANCE, STEPS = 1e-3, 80
+"""Of the conjugate gradients: relative size of the rest, and most steps."""
 
 ROUNDS, TURNS = 4, 6
 """Times that the dampers follow the level, and steps of expectation and maximisation in each."""
@@ -85,12 +88,11 @@ def listen(
 ) -> Hearing:
     """How a car hears a `stretch`; level and noise are fitted to it. `track` [m] of the wheels."""
     size = next_fast_len(stretch.a.shape[1] + round(APRON / stretch.d), real=True)
-    lines = lines_of(stretch.a, stretch, size)
     prior = RoadPrior(track=track)
     kappa = np.ones(size // 2 + 1)
     for _ in range(ROUNDS):
         found = hearing(one, places, instruments, stretch, prior, size, kappa)
-        level, kappa = likely(found, lines)
+        level, kappa = likely(found, lines_of(found, stretch), alive(stretch))
         prior = replace(prior, G_d0=level)
     return replace(found, kappa=kappa, prior=prior, S=prior.spectrum(found.n))
 
@@ -133,31 +135,51 @@ def hearing(
     )
 
 
-def lines_of(a: np.ndarray, stretch: Stretch, size: int) -> np.ndarray:
-    """The spectrum's lines (F, 3, 1) [m/s² sqrt(m)] of signals `a` (3, M) of a stretch."""
-    window = stretch.seen * _window(np.any(stretch.seen, axis=0))
-    power = np.maximum(np.sum(window**2, axis=1, keepdims=True), 1.0)
-    return rfft(a * window * np.sqrt(2.0 * stretch.d / power), size).T[:, :, None]
-
-
-def _window(seen: np.ndarray) -> np.ndarray:
-    """A Hann window (M,) over what is `seen` (M,): an abrupt end would spread the resonances of
-    the body over frequencies at which there is little else.
+def lines_of(found: Hearing, stretch: Stretch) -> np.ndarray:
+    """Lines (F, 3, 1) [m/s² sqrt(m)] of the spectrum of a stretch, its gaps filled with what the
+    rest of it makes likely there.
     """
-    window, where = np.zeros(seen.size), np.flatnonzero(seen)
-    if where.size:
-        span = where[-1] - where[0] + 1
-        window[where[0] : where[-1] + 1] = np.sin(np.pi * (np.arange(span) + 0.5) / span) ** 2
-    return window
+    measured = np.flatnonzero(stretch.seen[alive(stretch)].any(axis=0))
+    whole = np.zeros(stretch.a.shape[1], dtype=bool)
+    if measured.size:
+        whole[measured[0] : measured[-1] + 1] = True
+    a = stretch.a
+    if (whole & ~stretch.seen[alive(stretch)]).any():
+        C = spectrum_of(found, found.noise()) / (2.0 * stretch.d)
+        likely_ones = on_circle(C, solve(C, a, stretch.seen, found.size), found.size)
+        a = np.where(stretch.seen, a, likely_ones)
+    # a Hann window: an abrupt end would spread the body's resonances over frequencies at which
+    # there is little else
+    window = np.zeros(whole.size)
+    window[whole] = np.sin(np.pi * (np.arange(whole.sum()) + 0.5) / max(whole.sum(), 1)) ** 2
+    power = max(float(window @ window), 1e-9)
+    return rfft(a * window * np.sqrt(2.0 * stretch.d / power), found.size).T[:, :, None]
+
+
+def alive(stretch: Stretch) -> np.ndarray:
+    """Indices of the sensors that report in most of the stretch."""
+    share = stretch.seen.mean(axis=1)
+    return np.flatnonzero(share > 0.5 * share.max())
 
 
 def likely(
-    found: Hearing, lines: np.ndarray, share: np.ndarray | None = None
+    found: Hearing,
+    lines: np.ndarray,
+    sensors: np.ndarray,
+    share: np.ndarray | None = None,
 ) -> tuple[float, np.ndarray]:
-    """A likelier level [m³] and kappa (F,), given the spectrum's `lines` (F, 3, 1)."""
+    """A likelier level [m³] and kappa (F,), given the spectrum's `lines` (F, 3, 1) of `sensors`.
+
+    With fewer than three sensors noise cannot be told from road, and kappa stays.
+    """
     heard = (found.f > F_LOW) & (found.f < F_C)
-    n, y, H, S = (x[heard] for x in (found.n, lines, found.H, found.S))
-    base = (found.noise(share) / found.kappa[:, None, None])[heard]
+    n, S, y, H = (
+        found.n[heard],
+        found.S[heard],
+        lines[heard][:, sensors],
+        found.H[heard][:, sensors],
+    )
+    base = (found.noise(share) / found.kappa[:, None, None])[heard][:, sensors][:, :, sensors]
     band = np.argmin(np.abs(np.log(found.f[heard, None] / OCTAVES)), axis=1)
     factor = np.interp(np.log(OCTAVES), np.log(found.f), found.kappa)
     level, unit = found.prior.G_d0, S / found.prior.G_d0
@@ -168,10 +190,11 @@ def likely(
         road = z @ adjoint(z) + now.error
         noise = e @ adjoint(e) + H @ now.error @ adjoint(H)
         level = float(np.mean(_trace(np.linalg.solve(unit, road)))) / 2.0
-        each = _trace(np.linalg.solve(base, noise)) / 3.0
-        lines_in = np.bincount(band, minlength=OCTAVES.size)
-        sums = np.bincount(band, each, OCTAVES.size)
-        factor = (sums + DOUBT) / (lines_in + DOUBT)
+        if sensors.size == 3:
+            each = _trace(np.linalg.solve(base, noise)) / 3.0
+            lines_in = np.bincount(band, minlength=OCTAVES.size)
+            sums = np.bincount(band, each, OCTAVES.size)
+            factor = (sums + DOUBT) / (lines_in + DOUBT)
     return level, np.exp(np.interp(np.log(found.f), np.log(OCTAVES), np.log(factor)))
 
 
@@ -182,3 +205,45 @@ def _trace(matrices: np.ndarray) -> np.ndarray:
 def adjoint(matrices: np.ndarray) -> np.ndarray:
     """Conjugate transposes of the last two axes."""
     return np.conj(np.swapaxes(matrices, -1, -2))
+
+
+def spectrum_of(heard: Hearing, noise: np.ndarray) -> np.ndarray:
+    """Spectrum (F, 3, 3) over n of the signals, given that of the noise."""
+    return heard.H @ heard.S @ adjoint(heard.H) + noise
+
+
+def apply(responses: np.ndarray, lines: np.ndarray) -> np.ndarray:
+    """Responses (F, a, b) to lines (b, F), as lines (a, F)."""
+    return np.einsum("fab,bf->af", responses, lines)
+
+
+def on_circle(spectrum: np.ndarray, x: np.ndarray, size: int) -> np.ndarray:
+    """Signals `x` (a, M) times the circulant matrix of a spectrum (F, a, a)."""
+    return irfft(apply(spectrum, rfft(x, size)), size)[:, : x.shape[1]]
+
+
+def solve(
+    C: np.ndarray, y: np.ndarray, seen: np.ndarray, size: int, start: np.ndarray | None = None
+) -> np.ndarray:
+    """The x (3, M), 0 where nothing is `seen`, with C x = y (3, M) where it is.
+
+    By conjugate gradients in Fourier transforms; C^-1 of the whole circle is the preconditioner.
+    """
+    inverse = np.linalg.inv(C)
+    y = seen * y
+    x = np.zeros_like(y) if start is None else start
+    r = y - seen * on_circle(C, x, size)
+    aim = TOLERANCE**2 * np.vdot(y, on_circle(inverse, y, size))
+    p, before = np.zeros_like(y), np.inf
+    for _ in range(STEPS):
+        z = seen * on_circle(inverse, r, size)
+        square = np.vdot(r, z)
+        if not square > aim:
+            break
+        p = z + square / before * p
+        before = square
+        Cp = seen * on_circle(C, p, size)
+        step = square / np.vdot(p, Cp)
+        x = x + step * p
+        r = r - step * Cp
+    return x

@@ -7,8 +7,7 @@ measured, the estimate is
 
     z^ = C_za M' (M C_aa M')^-1 a
 
-which knows nothing of ends and gaps that it must be told. The inner system is solved by conjugate
-gradients in Fourier transforms, with M C_aa^-1 M' as its preconditioner.
+so ends and gaps are nothing in particular (`hearing.solve`).
 
 A `pass` beyond the first is statistical linearisation about the estimate itself: from z^ follow the
 struts' motion and its uncertainty, from these the expected remainder q of their forces and what is
@@ -25,7 +24,17 @@ from typing import NamedTuple
 import numpy as np
 from scipy.fft import irfft, rfft
 
-from estimators.hearing import Hearing, adjoint, likely, lines_of, listen
+from estimators.hearing import (
+    Hearing,
+    adjoint,
+    alive,
+    apply,
+    likely,
+    lines_of,
+    listen,
+    solve,
+    spectrum_of,
+)
 from estimators.stretches import Stretch, stretches
 from road_envs.distortion import Remainder
 from road_envs.dynamics import plant
@@ -49,8 +58,6 @@ next. Less than all, since errors of neighbouring moments cancel; tuned on train
 
 DIVERGING = 0.8
 """Change of the remainder from pass to pass, relative to itself."""
-
-TOLERANCE, STEPS = 1e-3, 80
 
 
 class Pass(NamedTuple):
@@ -102,16 +109,16 @@ def smooth(heard: Hearing, stretch: Stretch, passes: int) -> Iterator[Pass]:
         push = apply(heard.H_force, rfft(q))
         y = np.where(stretch.seen, stretch.a - irfft(push, size)[:, :M], 0.0)
         if start is not None:
-            _, kappa = likely(heard, lines_of(y, stretch, size), share)
+            lines = lines_of(heard, replace(stretch, a=y))
+            _, kappa = likely(heard, lines, alive(stretch), share)
             heard = replace(heard, kappa=kappa)
-        SH = heard.S @ adjoint(heard.H)
-        spectrum = heard.H @ SH + heard.noise(share)
-        C, inverse = spectrum / (2.0 * stretch.d), np.linalg.inv(spectrum) * (2.0 * stretch.d)
-        start = _solve(C, inverse, y, stretch.seen, size, start)
+        spectrum = spectrum_of(heard, heard.noise(share))
+        start = solve(spectrum / (2.0 * stretch.d), y, stretch.seen, size, start)
         unlikely = float(np.vdot(y, start)) / measured + np.mean(np.linalg.slogdet(spectrum)[1]) / 3
         first = unlikely if first is None else first
         if change > DIVERGING and not unlikely <= first:
             return
+        SH = heard.S @ adjoint(heard.H)
         z = apply(SH, rfft(start, size)) / (2.0 * stretch.d) * (heard.f > F_DATUM)
         w = apply(heard.X, z) + apply(heard.X_force, rfft(q))
         now = Pass(z, w, heard.posterior(share).error)
@@ -156,43 +163,6 @@ def _weight(stations: np.ndarray, core: tuple[float, float], length: float) -> n
     up = np.clip((stations - core[0]) / fade + 0.5, 0.0, 1.0) if core[0] > 0.0 else 1.0
     down = np.clip((core[1] - stations) / fade + 0.5, 0.0, 1.0) if core[1] < length else 1.0
     return np.minimum(up, down) * np.ones(stations.size)
-
-
-def apply(responses: np.ndarray, lines: np.ndarray) -> np.ndarray:
-    """Responses (F, a, b) to lines (b, F), as lines (a, F)."""
-    return np.einsum("fab,bf->af", responses, lines)
-
-
-def _on_circle(spectrum: np.ndarray, x: np.ndarray, size: int) -> np.ndarray:
-    """Signals (a, M) times the circulant matrix of a spectrum (F, a, a)."""
-    return irfft(apply(spectrum, rfft(x, size)), size)[:, : x.shape[1]]
-
-
-def _solve(
-    C: np.ndarray,
-    inverse: np.ndarray,
-    y: np.ndarray,
-    seen: np.ndarray,
-    size: int,
-    start: np.ndarray | None,
-) -> np.ndarray:
-    """The x (3, M), 0 where nothing is `seen`, with C x = y where it is: conjugate gradients."""
-    x = np.zeros_like(y) if start is None else start
-    r = y - seen * _on_circle(C, x, size)
-    aim = TOLERANCE**2 * np.vdot(y, _on_circle(inverse, y, size))
-    p, before = np.zeros_like(y), np.inf
-    for _ in range(STEPS):
-        z = seen * _on_circle(inverse, r, size)
-        square = np.vdot(r, z)
-        if not square > aim:
-            break
-        p = z + square / before * p
-        before = square
-        Cp = seen * _on_circle(C, p, size)
-        step = square / np.vdot(p, Cp)
-        x = x + step * p
-        r = r - step * Cp
-    return x
 
 
 def _remainders(heard: Hearing, found: Pass) -> tuple[np.ndarray, np.ndarray]:

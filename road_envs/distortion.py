@@ -35,7 +35,7 @@ from road_envs.suspension import command, memory_at_rest
 from road_envs.vehicle import VehicleParameters
 
 ORDERS = 24
-"""Hermite polynomials in the spectrum; what higher ones add has the shape of the rest."""
+"""Highest Hermite polynomial whose spectrum is computed."""
 
 Spectrum = Callable[[np.ndarray], np.ndarray]
 
@@ -114,9 +114,8 @@ def _hermite(x: np.ndarray, laws: np.ndarray, spectrum: np.ndarray, df: float) -
         each = each * rho
         R += np.outer(a[k], a[k]) * each
     found = rfft(R, axis=0)[: K + 1] / (2 * K * df)
-    # what higher orders hold is given to the spectrum as it stands
-    scale = np.sqrt(power / np.maximum(np.sum(a[2:] ** 2, axis=0), 1e-300))
-    return found * np.outer(scale, scale)
+    # the spectra of higher orders are the broader the higher: all they hold counts as white
+    return found + np.diag(np.maximum(power - np.sum(a[2:] ** 2, axis=0), 0.0)) / (2 * K * df)
 
 
 def _coefficients(
