@@ -26,7 +26,7 @@ def write(path: str | Path, arrays: Mapping[str, np.ndarray], about: Mapping[str
     """Write `arrays`, and what is to be known `about` them, whole or not at all."""
     from safetensors.numpy import save
 
-    solid = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    solid = {name: np.array(array, order="C") for name, array in arrays.items()}
     with whole(path, durable=True) as partial:
         partial.write_bytes(save(solid, metadata=dict(about)))
 

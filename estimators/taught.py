@@ -164,13 +164,10 @@ class Taught(abc.ABC):
 
     def _learnt(self) -> Learnt:
         """What was learnt, or what came with the package. Raises NotFittedError."""
-        learnt = self.learnt
-        if learnt is None and self.shipped and (weights := shipped(self.name)) is not None:
-            try:
-                learnt = self.with_weights(weights).learnt
-            except ValueError:  # these settings are not those of the shipped weights
-                learnt = None
-        return fitted(learnt, self)
+        if self.learnt is not None:
+            return self.learnt
+        weights = shipped(self.name) if self == type(self)() else None
+        return self.with_weights(fitted(weights, self))._learnt()
 
     def _lesson(self, drive: Material, bank: Bank, wheelbase: float, network: Any) -> Lesson:
         read = inputs(drive.course, bank, wheelbase, network, self.causal)
