@@ -6,7 +6,8 @@ READY := $(VENV)/.ready
 .PHONY: leaderboard policies test lint bench faults clean
 
 leaderboard: $(READY)
-	$(VENV)/bin/roadrecon leaderboard --out out/leaderboard
+	$(VENV)/bin/roadrecon leaderboard --board paper --board new_road --roads 2 --seeds 2 \
+		--out out/leaderboard
 
 policies: $(READY)
 	$(VENV)/bin/roadrecon policies --out out/policies

@@ -20,6 +20,7 @@ from estimators.map_smoother import MapSmoother
 from estimators.mean import Mean
 from estimators.narx import Narx
 from estimators.protocol import Estimator
+from estimators.shipped import shipped as shipped_weights
 from estimators.static_lm import StaticLm
 from estimators.tcn import Tcn, TcnCausal
 from estimators.unrelated_road import UnrelatedRoad
@@ -87,6 +88,17 @@ def find(name: str) -> type[Estimator]:
         said = f"{type(error).__name__}: {error}"
         where = plugins[name].value
         raise ConfigError(f"the estimator {name!r} of {where} cannot be used: {said}") from error
+
+
+def untaught() -> list[str]:
+    """Estimators that are taught by `roadrecon train` and whose weights do not come with the
+    package: to be judged they would have to be taught anew, which takes half an hour each.
+    """
+    return [
+        name
+        for name, cls in REGISTRY.items()
+        if hasattr(cls, "learn") and not shipped_weights(name)
+    ]
 
 
 def create(name: str, **settings: Any) -> Estimator:

@@ -123,7 +123,11 @@ def _tasks(
 
 
 def _entries(names: Sequence[str] | None, limits: Limits) -> list[Entry]:
-    chosen = names or [name for name in estimators.names() if name not in SENTINELS]
+    untaught = estimators.untaught()
+    left_out = {*SENTINELS, *untaught}
+    chosen = names or [name for name in estimators.names() if name not in left_out]
+    if untaught and not names:
+        notices.print(f"left out, since their weights do not ship: {', '.join(untaught)}")
     if all(name in estimators.REGISTRY for name in chosen):
         return named(chosen, None)
     with Host(limits) as host:
