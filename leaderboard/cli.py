@@ -13,6 +13,7 @@ from leaderboard.commands import (
     bench,
     board,
     drives,
+    jobs,
     newcomer,
     observability,
     paper,
@@ -39,6 +40,7 @@ app.command("estimate")(drives.estimate)
 app.command("leaderboard")(board.leaderboard)
 app.command("paper")(paper.paper)
 app.command("season")(season.season)
+app.command("run-job")(jobs.run_job)
 app.command("policies")(policies.policies)
 app.add_typer(roads.app, name="roads")
 app.command("animate")(animate.animate)

@@ -17,7 +17,7 @@ from leaderboard.jobs import Done, Job
 from road_envs.config import ConfigError
 
 PATIENCE = 20.0
-"""Seconds in which the scheduler must answer."""
+"""Seconds in which the scheduler must answer, and then have a worker."""
 
 
 class OnDask:
@@ -36,16 +36,18 @@ class OnDask:
         except (OSError, ValueError, TypeError) as error:
             said = " ".join(str(error).split())
             raise ConfigError(f"no Dask scheduler answers at {address!r}: {said}") from None
+        try:
+            self._client.wait_for_workers(1, timeout=PATIENCE)
+        except TimeoutError:
+            raise ConfigError(f"the Dask scheduler at {address!r} has no worker yet") from None
         self.workers = sum(self._client.nthreads().values())
-        if not self.workers:
-            raise ConfigError(f"the Dask scheduler at {address!r} has no worker yet")
 
     def run(self, jobs_: Sequence[Job], out: Path) -> Iterator[Done]:
         """Run all, and store what comes back. Raises ConfigError or JudgeError as a job does."""
         from distributed import KilledWorker, as_completed
 
         asked = {self._submit(job): job for job in jobs_}
-        waiting = as_completed(asked)
+        waiting = as_completed(asked, loop=self._client.loop)
         for future in waiting:
             job = asked.pop(future)
             try:

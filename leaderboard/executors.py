@@ -9,15 +9,16 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Protocol
 
 from estimators.protocol import Estimator
-from leaderboard import entries, evaluate, jobs
+from leaderboard import evaluate, jobs
 from leaderboard.drives import DriveSource, simulated
+from leaderboard.entries import make
 from leaderboard.entry import Entry, Outcome
 from leaderboard.evaluate import Session
 from leaderboard.isolation import processes
@@ -65,15 +66,15 @@ class Here:
                 yield done
 
     def _entry(self, entry: Entry, session: Session, seeds: Sequence[int]) -> Iterator[Outcome]:
-        made = self._made.get(entry.name) or entries.make(entry.reference, entry.settings)
+        made = self._made.get(entry.name) or make(entry.reference, entry.settings)
         yield from evaluate.here(made)(entry, session, seeds)
 
 
 class Processes:
     """Each job in a process of this machine, up to `workers` at a time, fed by threads.
 
-    A job whose process dies is tried again entry by entry; an entry with which it dies again has
-    failed. Where an entry has failed, what is left of it on that task is not run.
+    The entry that ran when the process of a job died is tried again alone; if that process dies
+    too, it has failed. Where an entry has failed, what is left of it on that task is not run.
     """
 
     def __init__(self, workers: int):
@@ -109,14 +110,14 @@ class Processes:
         self, job: Job, out: Path, failed: set[tuple[str, str]], put: Callable[..., None]
     ) -> None:
         try:
-            job = _without(job, failed)
-            left = {entry.name: entry for entry in job.entries}
-            self._attempt(job, out, failed, put, left)
-            for entry in list(left.values()):
-                alone = dataclasses.replace(job, entries=(entry,))
-                status = self._attempt(alone, out, failed, put, left)
-                if entry.name in left:
-                    put(lost(alone, entry, how(status), out))
+            left = {entry.name: entry for entry in _without(job, failed).entries}
+            while left:
+                self._attempt(_with(job, left.values()), out, failed, put, left)
+                if left:  # the process died, while it ran the first that is left
+                    suspect = next(iter(left.values()))
+                    status = self._attempt(_with(job, [suspect]), out, failed, put, left)
+                    if left.pop(suspect.name, None) is not None:
+                        put(lost(job, suspect, how(status), out))
         except BaseException as error:
             put(error)
         else:
@@ -131,10 +132,10 @@ class Processes:
         left: dict[str, Entry],
     ) -> int:
         """Run a process on a job, pass on what it has done, and take that out of `left`."""
-        if not job.entries:
-            return 0
-        with tempfile.TemporaryDirectory(prefix="roadrecon-") as folder:
-            process = start(job, Path(folder), out)
+        with (
+            tempfile.TemporaryDirectory(prefix="roadrecon-") as folder,
+            start(job, Path(folder), out) as process,
+        ):
             self._running.add(process)
             try:
                 assert process.stdout is not None
@@ -151,7 +152,6 @@ class Processes:
             finally:
                 self._running.discard(process)
                 processes.kill_group(process.pid)
-                process.wait()
             if status > 0:
                 raise JudgeError((Path(folder) / "said.txt").read_text(encoding="utf-8")[-4000:])
         return status
@@ -174,10 +174,13 @@ def start(job: Job, folder: Path, out: Path) -> subprocess.Popen[str]:
         )
 
 
+def _with(job: Job, entries: Iterable[Entry]) -> Job:
+    return dataclasses.replace(job, entries=tuple(entries))
+
+
 def _without(job: Job, failed: set[tuple[str, str]]) -> Job:
     """A job without the entries that have failed on its task."""
-    left = (entry for entry in job.entries if (job.task.name, entry.name) not in failed)
-    return dataclasses.replace(job, entries=tuple(left))
+    return _with(job, (e for e in job.entries if (job.task.name, e.name) not in failed))
 
 
 def lost(job: Job, entry: Entry, by: str, out: Path) -> Done:

@@ -115,27 +115,23 @@ def does_print(where, record):
 
 
 def does_kill_parent(where, record):
-    os.kill(os.getppid(), signal.SIGKILL)
+    os.kill(_ancestor(1), signal.SIGKILL)
     time.sleep(1000.0)
 
 
 def does_kill_grandparent(where, record):
-    parent = _parent_of(os.getppid()) if os.getppid() else 0
-    os.kill(parent, signal.SIGKILL)
-    time.sleep(1000.0)
-
-
-def does_stop_parent(where, record):
-    os.kill(os.getppid(), signal.SIGSTOP)
+    os.kill(_ancestor(2), signal.SIGKILL)
     time.sleep(1000.0)
 
 
 def does_kill_judge(where, record):
-    """The fourth in line: guard, server, and the process that drives and scores."""
-    pid = os.getppid()
-    for _ in range(2):
-        pid = _parent_of(pid) if pid else 0
-    os.kill(pid, signal.SIGKILL)
+    """The third in line: after guard and server the process that drives and scores."""
+    os.kill(_ancestor(3), signal.SIGKILL)
+    time.sleep(1000.0)
+
+
+def does_stop_parent(where, record):
+    os.kill(_ancestor(1), signal.SIGSTOP)
     time.sleep(1000.0)
 
 
@@ -260,6 +256,12 @@ def _out(name):
     return Path.cwd().parent / "out" / name
 
 
-def _parent_of(pid):
-    text = Path(f"/proc/{pid}/stat").read_text()
-    return int(text.rpartition(")")[2].split()[1])
+def _ancestor(generations):
+    """The number of the process so far up; fails where none is to be seen."""
+    pid = os.getpid()
+    for _ in range(generations):
+        text = Path(f"/proc/{pid}/stat").read_text()
+        pid = int(text.rpartition(")")[2].split()[1])
+        if pid == 0:
+            raise ProcessLookupError("it sees nobody above")
+    return pid

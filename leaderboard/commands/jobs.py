@@ -1,0 +1,32 @@
+"""`run-job`: one job from its file, for clusters that start processes themselves."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from leaderboard import jobs
+from leaderboard.commands import console, print_json
+from leaderboard.commands.drives import Json
+from road_envs.config import ConfigError
+
+
+def run_job(
+    spec: Annotated[Path, typer.Argument(help="A job from `leaderboard --plan`.")],
+    out: Annotated[Path, typer.Option(help="Folder of results, as for `leaderboard`.")] = Path(
+        "out/leaderboard"
+    ),
+    json: Json = False,
+) -> None:
+    """Run one job; what comes of it is stored for the next `leaderboard --out`.
+
+    It can be run any number of times, beside any number of others.
+    """
+    if out.exists() and not out.is_dir():
+        raise ConfigError(f"{out} is a file; a folder for results is wanted")
+    for done in jobs.run_file(spec, out):
+        if json:
+            print_json(dataclasses.asdict(done))
+        else:
+            console.print(f"{done.task}: {done.entry}, {done.condition}: {done.failure or 'done'}")
