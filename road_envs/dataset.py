@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from road_envs.config import ConfigError
-from road_envs.dynamics import plant
+from road_envs.field import Deviations, field_car
 from road_envs.files import whole
 from road_envs.record import Profile, Record, grid
 from road_envs.roads.surface import Surface
@@ -37,22 +37,29 @@ def record_drive(
     instruments: Instruments,
     seed: int | np.random.SeedSequence,
     step: float = 0.001,
+    grade: str = "S0",
+    deviations: Deviations | None = None,
 ) -> tuple[Record, Profile]:
     """Drive over a surface and return what the instruments recorded, and the truth.
 
-    `seed` draws the sensor noise alone. Raises ConfigError, SimulationError.
+    `grade` is the field car's (`road_envs.field`), S0 the `car` itself; `deviations` are those
+    shipped unless others are given. `seed` draws the sensor noise and, apart from it, the
+    individual that is driven. Raises ConfigError, SimulationError.
     """
-    drive = Drive(plant(car), car, surface, speed_kmh / 3.6, mode, step)
-    logger = Logger(instruments, car, step, np.random.default_rng(seed))
+    one = field_car(car, grade, seed, deviations)
+    step, felt = min(step, one.step), one.felt(surface)
+    drive = Drive(one.plant, one.car, felt, speed_kmh / 3.6, mode, step)
+    logger = Logger(instruments, one.car, step, np.random.default_rng(seed), one.faults)
     byte, parts = command(mode), []
     while not drive.over:  # in parts, so that a long drive never holds its whole motion
         commands = np.full(min(CHUNK, drive.steps_left), byte, dtype=np.uint8)
         parts.append(logger.sense(drive.advance(commands)))
-    a = np.concatenate(parts, axis=1)
+    a = np.concatenate([*parts, logger.rest()], axis=1)
     t = np.arange(a.shape[1]) / instruments.fs
-    distance, v, _ = (logger.speed_gain * x for x in drive.profile.at(t))
+    distance, v, _ = drive.profile.at(t)
+    s, v = drive.start + logger.odometer(distance), logger.speed_gain * v
     stiff, high = strut_states(np.full(t.size, byte))
-    return Record(t, a, v, drive.start + distance, stiff, high, surface.length), truth(surface)
+    return Record(t, a, v, s, stiff, high, surface.length), truth(surface)
 
 
 def write_record(path: Path, record: Record, provenance: Mapping[str, object]) -> None:

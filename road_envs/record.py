@@ -62,7 +62,8 @@ class Estimate(Profile):
 class Record:
     """What the instruments of one drive saw, sampled evenly in time.
 
-    `t` (N,) time [s]; `a` (3, N) vertical body accelerations at RF, LR, RR [m/s²], raw;
+    `t` (N,) time [s]; `a` (3, N) vertical body accelerations at RF, LR, RR [m/s²], raw, and NaN
+    where a sample was lost;
     `v` (N,) measured speed [m/s]; `s` (N,) odometer [m]: station of the front axle, 0 at the
     start of the road of `length` [m] whose profile is wanted; `stiff`, `high` (N, 4) bool: the
     commanded spring and damper state of each strut (ride = neither, handling = both).

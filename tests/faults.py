@@ -39,6 +39,12 @@ ODD_SAYS = "individual::test_it_moves_as_the_papers_equations_with_the_deviation
 SHUT = "individual::test_a_valve_that_closes_on_twisted_ground_moves_nothing"
 AIR = "suspension::test_a_wheel_in_the_air_feels_nothing_however_fast_it_closes_on_the_ground"
 SLOPES = "suspension::test_the_slopes_of_a_tyre_are_those_of_its_load"
+GRADED = "field::test_a_graded_record_is_that_of_its_parts"
+FELT = "field::test_the_felt_height_is_the_mean_of_the_cubic_over_the_patch"
+MOUNTED = (
+    "instrument_faults::test_an_accelerometer_reads_what_its_axis_gain_and_offset_make_of_its_place"
+)
+LOST = "instrument_faults::test_samples_are_lost_in_bursts_of_the_stated_length_and_share"
 PAIR = "adaptive::test_the_compiled_step_and_its_error_are_those_of_the_published_pair"
 
 
@@ -60,6 +66,7 @@ INTERVAL = "road_envs/interval.py"
 CURVES, SURFACE = "road_envs/curves.py", "road_envs/roads/surface.py"
 DATASET, CONFIG, VEHICLE = "road_envs/dataset.py", "road_envs/config.py", "road_envs/vehicle.py"
 INDEPENDENT = "scores::test_the_scores_are_those_of_an_independent_implementation"
+FIELD, FAULTY = "road_envs/field.py", "road_envs/faults.py"
 ROSENBROCK, ADAPTIVE = "road_envs/rosenbrock.py", "road_envs/adaptive.py"
 STATISTICS = "leaderboard/statistics.py"
 METRICS, SPECTRAL, BUMPS = (
@@ -275,8 +282,25 @@ FAULTS = [
           "sensors::test_offline_processing_is_6_db_down_at_25_hertz_and_delays_nothing"),
     Fault(PROCESSING, "a - a.mean(axis=1, keepdims=True)", "a",
           "sensors::test_processing_removes_the_mean"),
-    Fault(DATASET, "(logger.speed_gain * x for x in", "(x for x in",
+    Fault(DATASET, "logger.speed_gain * v", "v",
           "dataset::test_the_odometer_adds_up_the_measured_speed_error_and_all"),
+    Fault(DATASET, "step, felt = min(step, one.step)", "step, felt = step", GRADED),
+    Fault(DATASET, "surface.length), truth(surface)", "surface.length), truth(felt)", GRADED),
+    Fault(DATASET, "[*parts, logger.rest()]", "parts", GRADED),
+    Fault(SENSORS, "np.expm1(-distance / fix)", "np.expm1(-0.5 * distance / fix)",
+          "instrument_faults::test_position_fixes_hold_the_odometers_error_at_their_way_times_the_speeds"),
+    Fault(SENSORS, "(x + ahead, y + left)", "(x + ahead, y)", MOUNTED),
+    Fault(FAULTY, "gain * GRAVITY * (along - 1.0)", "GRAVITY * (along - 1.0)", MOUNTED),
+    Fault(FAULTY, "faults.lost / (faults.burst * (1.0 - faults.lost))", "faults.lost / faults.burst", LOST),
+    Fault(FAULTY, "self.left < 0 and", "self.left <= 0 and", LOST),
+    Fault(FAULTY, "else end - self.reach) - 1", "else end) - 1",
+          "instrument_faults::test_a_stream_in_parts_gives_the_samples_of_the_whole_and_all_of_them"),
+    Fault(FIELD, "rng.choice((-1.0, 1.0))", "rng.choice((1.0, 1.0))",
+          "field::test_draws_fill_their_ranges_on_both_sides"),
+    Fault(FIELD, "spawn_key=(*given.spawn_key, STREAM, group)", "spawn_key=(STREAM, group)",
+          "field::test_a_seed_is_one_individual_and_its_sequence_is_left_as_it_was"),
+    Fault(SURFACE, "begin + x * (end - begin)", "begin + 0.5 * (end - begin)", FELT),
+    Fault(SURFACE, "+ (s - ends[i]) * mean_between(ends[i], s)", "", FELT),
     Fault(DATASET, "pq.write_table(table, partial)", "pq.write_table(table, path)",
           "dataset::test_writing_leaves_nothing_but_the_file_even_when_it_fails"),
     Fault(SURFACE, "q = a - 2.5 * b", "q = a - 2.0 * b", CUBIC),

@@ -48,6 +48,22 @@ def test_every_command_explains_itself(roadrecon):
         assert "Usage: roadrecon" in out and command in out
 
 
+def test_a_field_car_is_recorded_lost_samples_and_all(roadrecon, tmp_path):
+    """The seed draws the individual; what was lost is told, drawn around and read back."""
+    road, files = ("--road", "iso_c", "--length", "60"), ("--out", "d.parquet", "--plot", "d.png")
+    code, out, _ = roadrecon("simulate", *road, "--grade", "S3", *files, "--json")
+    facts = json.loads(out)
+    assert code == 0 and facts["grade"] == "S3" and facts["lost_samples"] > 0
+    record, provenance = read_record(tmp_path / "d.parquet")
+    assert np.isnan(record.a).any(axis=0).sum() == facts["lost_samples"]
+    assert provenance["grade"] == "S3" and all(
+        np.isfinite(list(facts["rms_acceleration"].values()))
+    )
+    assert (tmp_path / "d.png").read_bytes().startswith(b"\x89PNG")
+    code, out, _ = roadrecon("simulate", *road, "--json")
+    assert code == 0 and json.loads(out)["grade"] == "S0" and json.loads(out)["lost_samples"] == 0
+
+
 def test_a_drive_is_recorded_reconstructed_and_scored(roadrecon, tmp_path):
     code, out, _ = roadrecon(
         "simulate", *DRIVE, "--out", "d.parquet", "--truth", "t.csv", "--plot", "d.png", "--json"
@@ -120,6 +136,7 @@ def test_an_exported_road_can_be_read_back_from_any_kind_of_file(roadrecon, tmp_
         (("simulate", "--road", "nowhere.crg"), ["nowhere.crg"]),
         (("simulate", "--mode", "hard"), ["hard", "handling", "ride"]),
         (("simulate", "--mode", "front=ride"), ["front and rear"]),
+        (("simulate", "--grade", "S4"), ["unknown grade 'S4'", "S0, S1, S2, S3"]),
         (("simulate", "--speed-kmh", "0"), ["speed", "positive"]),
         (("simulate", "--speed-kmh", "-3"), ["speed", "positive"]),
         (("simulate", "--road", "iso_a", "--length", "2"), ["shorter than the wheelbase"]),

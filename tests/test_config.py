@@ -8,6 +8,7 @@ import pytest
 
 from road_envs import config
 from road_envs.config import ConfigError, build, load, names, one_of, read_yaml
+from road_envs.field import Deviations
 from road_envs.sensors import Instruments
 from road_envs.vehicle import VehicleParameters
 
@@ -179,7 +180,8 @@ def test_numbers_are_numbers_and_lists_become_tuples():
 
 
 @pytest.mark.parametrize(
-    ("cls", "kind"), [(VehicleParameters, "vehicles"), (Instruments, "sensors")]
+    ("cls", "kind"),
+    [(VehicleParameters, "vehicles"), (Instruments, "sensors"), (Deviations, "field")],
 )
 def test_everything_shipped_loads_by_name_and_by_path(cls, kind):
     assert names(kind)
@@ -196,7 +198,7 @@ def leaves(data, where=""):
         yield from leaves(value, f"{path}.") if isinstance(value, dict) else [path]
 
 
-@pytest.mark.parametrize("kind", ["vehicles", "sensors"])
+@pytest.mark.parametrize("kind", ["vehicles", "sensors", "field"])
 def test_every_shipped_number_has_a_source_and_every_source_a_number(kind):
     for name in names(kind):
         data = read_yaml(config.folder() / kind / f"{name}.yaml")

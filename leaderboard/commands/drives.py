@@ -41,6 +41,9 @@ Length = Annotated[float | None, typer.Option(help="Another length of the road i
 Seed = Annotated[int, typer.Option(help="Seed of the road, and of the sensors' noise.", min=0)]
 Vehicle = Annotated[str, typer.Option(help="Vehicle: shipped name or YAML path.")]
 Sensors = Annotated[str, typer.Option(help="Instruments: shipped name or YAML path.")]
+Grade = Annotated[
+    str, typer.Option(help="Field car: S0 (the car as described) to S3, drawn by the seed.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 
 
@@ -52,6 +55,7 @@ def simulate(
     seed: Seed = 1,
     vehicle: Vehicle = "land_rover_defender_110",
     sensors: Sensors = "paper",
+    grade: Grade = "S0",
     out: Annotated[Path | None, typer.Option(help="Write the record (.parquet).")] = None,
     truth: Annotated[Path | None, typer.Option(help="Write the true profile (.csv).")] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw profile and record (.png).")] = None,
@@ -67,6 +71,7 @@ def simulate(
         mode=struts,
         instruments=load_instruments(sensors),
         seed=seed,
+        grade=grade,
     )
     said: dict[str, Any] = {
         "road": road,
@@ -74,6 +79,7 @@ def simulate(
         "mode": struts,
         "vehicle": vehicle,
         "sensors": sensors,
+        "grade": grade,
         "seed": seed,
     }
     if out:
@@ -82,12 +88,13 @@ def simulate(
         write_csv(surface, truth)
     if plot:
         plots.draw_drive(record, profile, plot)
-    rms = dict(zip(("RF", "LR", "RR"), np.sqrt(np.mean(record.a**2, axis=1)), strict=True))
+    rms = dict(zip(("RF", "LR", "RR"), np.sqrt(np.nanmean(record.a**2, axis=1)), strict=True))
     facts = {
         **said,
         "length_m": surface.length,
         "duration_s": float(record.t[-1]),
         "samples": record.t.size,
+        "lost_samples": int(np.isnan(record.a).any(axis=0).sum()),
         "iri_mm_per_m": [float(iri(z, surface.ds)) for z in surface.z],
         "rms_acceleration": {name: float(value) for name, value in rms.items()},
         "notes": list(surface.notes),

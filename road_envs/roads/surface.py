@@ -5,7 +5,7 @@ a continuous slope; before the first and after the last sample the road is level
 kernels answer Python callers and the simulator, so there is one law.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -104,3 +104,40 @@ class Surface:
         z, slope = np.empty((2, s.size)), np.empty((2, s.size))
         sample(self.padded, self.start, self.ds, s.ravel(), z, slope)
         return z.reshape(2, *s.shape), slope.reshape(2, *s.shape)
+
+
+GAUSS = 0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)
+"""Where the two points of Gauss stand in a cell: their mean is a cubic's, exactly."""
+
+
+def enveloped(surface: Surface, contact_length: float) -> Surface:
+    """What a tyre with a contact patch follows: the mean height over so many metres [m].
+
+    The fixed footprint of Captain, Boghani & Wormley (1979, "Analytical tire models for dynamic
+    vehicle simulation", Vehicle System Dynamics 8), rigid in itself: a sine of n [cycles/m] passes
+    with the gain sin(pi n L) / (pi n L). Samples stand where those of `surface` do, and beyond
+    them by half a patch. Raises ValueError on a length that is not positive.
+    """
+    if not 0 < contact_length < np.inf:
+        raise ValueError(f"the contact length must be positive, got {contact_length} m")
+    ds, half = surface.ds, 0.5 * contact_length
+    beyond = int(np.ceil(half / ds)) + 1  # the cubic bends in the cell before the first sample
+    ends = surface.start + ds * np.arange(-2 * beyond, surface.z.shape[1] + 2 * beyond + 1)
+    level = surface.z[:, :1]
+
+    def mean_between(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+        points = [begin + x * (end - begin) for x in GAUSS]
+        return 0.5 * sum(surface.height(s) for s in points) - level
+
+    areas = np.cumsum(ds * mean_between(ends[:-1], ends[1:]), axis=1)
+    areas = np.pad(areas, ((0, 0), (1, 0)))
+
+    def area_before(s: np.ndarray) -> np.ndarray:
+        i = np.floor((s - ends[0]) / ds).astype(int)
+        return areas[:, i] + (s - ends[i]) * mean_between(ends[i], s)
+
+    s = surface.start + ds * np.arange(-beyond, surface.z.shape[1] + beyond)
+    z = level + (area_before(s + half) - area_before(s - half)) / contact_length
+    note = f"as felt over {1000.0 * contact_length:.0f} mm of contact"
+    notes = (*surface.notes, note)
+    return replace(surface, z=z, start=float(s[0]), notes=notes)
