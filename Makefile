@@ -8,9 +8,10 @@ READY := $(VENV)/.ready
 leaderboard: $(READY)
 	$(VENV)/bin/roadrecon leaderboard --board paper --board new_road --roads 2 --seeds 2 \
 		--out out/leaderboard
+	$(VENV)/bin/roadrecon policies --quick --out out/leaderboard
 
 policies: $(READY)
-	$(VENV)/bin/roadrecon policies --out out/policies
+	$(VENV)/bin/roadrecon policies --scenarios league --sweep --out out/policies
 
 test: lint
 	$(VENV)/bin/pytest

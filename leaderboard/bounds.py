@@ -32,7 +32,7 @@ def nrmse_bound(task: Task, condition: Condition, truth: Profile) -> float:
     road = spectrum(truth, scored_band(v))
     if road is None:
         return np.nan
-    return _pooled(task.car, task.instruments, json.dumps(condition.command), v, *road)
+    return pooled(task.car, task.instruments, condition.command, v, *road)
 
 
 def bound_over_n(task: Task, condition: Condition, G_d0: float = CLASSES["D"]) -> list[float]:
@@ -61,6 +61,13 @@ def spectrum(truth: Profile, band: tuple[float, float]) -> tuple[float, float] |
     w = round(float(np.clip(w, *WAVINESS)), 1)
     level, _ = fit_line(n, G, w=w, band=band)
     return round(10.0 * np.log10(level)), w
+
+
+def pooled(
+    car: str, instruments: str, mode: str | dict[str, str], v: float, level: float, w: float
+) -> float:
+    """Least in-band NRMSE [-] at `v` [m/s] on a road of `level` and `w`, as `spectrum` has them."""
+    return _pooled(car, instruments, json.dumps(mode), v, level, w)
 
 
 @lru_cache(maxsize=4096)

@@ -34,7 +34,7 @@ def draw_road(surface: Surface, path: Path) -> None:
         draw_classes(density)
         density.set_title("over the ISO 8608 classes")
 
-    _write(paint, (11.0, 4.0), path)
+    write_figure(paint, (11.0, 4.0), path)
 
 
 def draw_classes(axes: Any) -> None:
@@ -80,7 +80,7 @@ def draw_drive(record: Record, truth: Profile, path: Path) -> None:
         panels[-1].set(xlabel="station of the front axle [m]")
         panels[0].set_title(f"{record.v[0] * 3.6:.1f} km/h")
 
-    _write(paint, (11.0, 7.0), path)
+    write_figure(paint, (11.0, 7.0), path)
 
 
 def draw_estimate(truth: Profile | None, estimate: Estimate, path: Path) -> None:
@@ -102,7 +102,7 @@ def draw_estimate(truth: Profile | None, estimate: Estimate, path: Path) -> None
             axes.legend(frameon=False, ncols=3, loc="upper right")
         panels[-1].set(xlabel="distance [m]")
 
-    _write(paint, (11.0, 5.0), path)
+    write_figure(paint, (11.0, 5.0), path)
 
 
 def draw_precision(
@@ -126,7 +126,7 @@ def draw_precision(
         axes.grid(which="major", color="0.9")
         axes.legend(frameon=False)
 
-    _write(paint, (8.5, 5.5), path)
+    write_figure(paint, (8.5, 5.5), path)
 
 
 LOOKS = (("#D55E00", "-"), ("#0072B2", "--"), ("#009E73", "-."), ("#CC79A7", ":"))
@@ -161,10 +161,10 @@ def draw_observability(
             axes.set(ylabel="unknown share of amplitude [-]", ylim=(3e-3, 1.3))
         figure.suptitle(f"What the accelerometers leave unknown: {title}", fontsize=11)
 
-    _write(paint, (5.5 * len(speeds) + 0.5, 7.0), path)
+    write_figure(paint, (5.5 * len(speeds) + 0.5, 7.0), path)
 
 
-def _write(paint: Callable[[Any], None], size: tuple[float, float], path: Path) -> None:
+def write_figure(paint: Callable[[Any], None], size: tuple[float, float], path: Path) -> None:
     """Let `paint` fill a figure of `size` [inch] and write it, whole or not at all."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

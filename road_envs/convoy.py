@@ -4,6 +4,7 @@ This is what an environment advances. A car's numbers do not depend on its compa
 environment of one car and one of thousands agree to the bit.
 """
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from math import ceil
@@ -20,11 +21,13 @@ from road_envs.interval import (
     DS,
     FIRST,
     PASSED,
+    PLANAR,
     SIZE,
     SPEED,
     SPEED_GAIN,
     SPEED_KMH,
     START,
+    STRUTS,
     TOLD,
     TOTAL,
     USED,
@@ -66,7 +69,9 @@ class Convoy:
     Plain NumPy state, so copies and pickles work. Raises ConfigError if the instruments cannot
     sample at these steps.
     `weights` are those of the three costs in the reward; `top_speed` [m/s] is the highest that is
-    observed.
+    observed; `planar` and `struts` add these groups to what is observed. `unknown` says, for a
+    speed [m/s], what each command byte leaves unknown of the road (256,) [-], a fourth cost with
+    the weight `information`.
     """
 
     def __init__(
@@ -81,6 +86,10 @@ class Convoy:
         manoeuvre: Manoeuvre | None = None,
         weights: tuple[float, float, float] = (0.0, 0.0, 0.0),
         top_speed: float = np.inf,
+        planar: bool = False,
+        struts: bool = False,
+        unknown: Callable[[float], np.ndarray] | None = None,
+        information: float = 0.0,
         truth: bool = True,
         threads: int = 1,
     ):
@@ -96,7 +105,11 @@ class Convoy:
         blocks = ceil(number / LANES)
         self.rngs: list[np.random.Generator | None] = [None] * (blocks * LANES)
         delay = round(car.valve.delay / step)
-        self.common = _common(plant, car, logger, step, delay, weights, top_speed)
+        groups = (int(planar), int(struts))
+        self.common = _common(plant, car, logger, step, delay, weights, top_speed, groups)
+        self.width = len(SENSORS) * self.samples + 5 + planar * PLANAR + struts * STRUTS
+        self.unknown, self.information = unknown, information
+        self.left_unknown = np.zeros((number, 256 if unknown else 0))
         self.cars = _parked(blocks, delay, len(logger.sos), len(self.common.wk_sos))
         self.heights = np.zeros((blocks, LANES * 2 * (4 + 2 * PAD)))
         self._lay_out(4 + 2 * PAD)
@@ -126,6 +139,8 @@ class Convoy:
         course[SPEED_KMH] = speed_kmh
         counts[PASSED], counts[DONE], counts[TOTAL] = 0, 0, drive.steps_left
         counts[USED], self.rngs[i] = self.noise.shape[2], logger.rng
+        if self.unknown is not None:
+            self.left_unknown[i] = self.unknown(drive.speed)
 
     def advance(self, commands: np.ndarray, mask: np.ndarray | None = None) -> Seen:
         """Drive one interval under `commands` (N,) uint8; the cars outside `mask` (N,) stand still.
@@ -152,12 +167,27 @@ class Convoy:
             list(_pool(len(jobs)).map(lambda job, top: drive(job, *top), jobs, self._desks))
         if mask is not None and kept is not None:
             self._put_back(moving, mask, kept)
+        if self.unknown is not None:
+            self._charge(commands, seen.numbers)
         return seen if size == self.number else Seen(*(field[: self.number] for field in seen))
+
+    def _charge(self, commands: np.ndarray, numbers: np.ndarray) -> None:
+        """Charge the rewards with what the commanded states leave unknown of the road."""
+        unknown = self.left_unknown[np.arange(self.number), commands]
+        numbers[: self.number, TOLD.index("unknown")] = unknown
+        interval = self.steps * self.step
+        numbers[: self.number, TOLD.index("reward")] -= interval * self.information * unknown
 
     @property
     def done(self) -> np.ndarray:
         """Steps taken (N,)."""
         return self.cars.counts[:, DONE].ravel()[: self.number]
+
+    @property
+    def steps_left(self) -> np.ndarray:
+        """Steps until the cars' drives are over (N,)."""
+        left = self.cars.counts[:, TOTAL] - self.cars.counts[:, DONE]
+        return left.ravel()[: self.number]
 
     def land(self, i: int, drive: Drive) -> None:
         """Put `drive` where car `i` is."""
@@ -224,9 +254,9 @@ class Convoy:
 
     def _room(self, size: int) -> Seen:
         """Fresh arrays for what `size` lanes will have seen."""
-        k, truth = self.samples, self.samples if self.truth else 0
+        truth = self.samples if self.truth else 0
         return Seen(
-            np.empty((size, len(SENSORS) * k + 5), dtype=np.float32),
+            np.empty((size, self.width), dtype=np.float32),
             np.empty((size, len(TOLD))),
             np.empty(size, dtype=bool),
             np.empty(size, dtype=np.int64),
@@ -250,7 +280,7 @@ def _desk(steps: int) -> tuple[np.ndarray, np.ndarray]:
     return np.zeros((2, steps, LANES), dtype=np.uint8), scratch(steps)
 
 
-def _common(plant, car, logger, step, delay, weights, top_speed) -> Common:
+def _common(plant, car, logger, step, delay, weights, top_speed, groups) -> Common:
     numbers = np.repeat(plant.numbers, LANES)
     return Common(
         numbers_of(numbers),
@@ -269,6 +299,7 @@ def _common(plant, car, logger, step, delay, weights, top_speed) -> Common:
         float(top_speed),
         step,
         logger.every,
+        *groups,
     )
 
 

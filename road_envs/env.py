@@ -10,7 +10,6 @@ import numpy as np
 from road_envs.config import ConfigError, one_of
 from road_envs.episode import Setup, Start
 from road_envs.interval import TOLD, Seen
-from road_envs.record import SENSORS
 from road_envs.simulate import Drive
 
 RECENT = 4.0
@@ -32,6 +31,8 @@ class RoadReconEnv(gymnasium.Env):
     `control="vehicle"`: `Discrete(2)`, 0 ride, 1 handling, for all struts.
     `control="axle"`: `Discrete(4)`, front + 2 * rear with 0 ride and 1 handling: 0 ride/ride,
     1 front handling, 2 rear handling, 3 handling/handling.
+    `control="states"`: `Discrete(16)`, front + 4 * rear with 0 ride, 1 handling, 2 soft spring and
+    high damping, 3 stiff spring and low damping.
 
     ## Observation Space
     `Box`, float32, (3 k + 5,), where k is the number of samples in a control interval (50 at 1 kHz
@@ -46,8 +47,18 @@ class RoadReconEnv(gymnasium.Env):
     | 3k+1, 3k+2 | front: stiff spring, high damping (commanded) | - | 0 | 1 |
     | 3k+3, 3k+4 | rear: stiff spring, high damping (commanded) | - | 0 | 1 |
 
+    `observe` adds groups of other instruments, here without noise [assumed], at the end:
+
+    | group | numbers | unit | low, high |
+    |---|---|---|---|
+    | `"planar"` | felt longitudinal and lateral acceleration, means | m/s² | ±20 |
+    | `"struts"` | extensions of the struts FL, FR, RL, RR, at the end | m | ±0.5 |
+    | | rates of extension, likewise | m/s | ±10 |
+
+    What is felt on a leaning body is a_x - g theta and a_y + g phi.
+
     ## Rewards
-    Minus the weighted sum of three costs, times the control interval in seconds, so that a return
+    Minus the weighted sum of the costs, times the control interval in seconds, so that a return
     does not depend on the control rate:
 
     | term in `info` | quantity over the interval | unit | weight |
@@ -55,6 +66,12 @@ class RoadReconEnv(gymnasium.Env):
     | `comfort` | RMS heave acceleration, W_k-weighted after ISO 2631-1 | m/s² | 1 |
     | `rattle` | RMS extension of the four struts | m | 10 |
     | `tyre_load` | RMS of tyre load over static load, less 1 | - | 1 |
+    | `unknown` | share of the road's variance that the states leave unknown | - | 0 |
+
+    The last one, whose weight is called `information`, is told where that weight is not 0. It is
+    what the best linear estimate in the commanded states does not know of a class-D road in the
+    judged band (`observability.Information`), for a car that stays in them; one that keeps
+    switching is charged as if it stayed.
 
     ## Starting State
     At rest on a level apron, front axle 5 m before the road, in the mode `mode`; one control
@@ -79,7 +96,7 @@ class RoadReconEnv(gymnasium.Env):
     | `road` | `"belgian"` | shipped name, path of a YAML or surface file, or mapping with `kind` |
     | `speed_kmh` | `14.5` | speed [km/h], or `[low, high]` from which each episode draws |
     | `mode` | `"ride"` | 4S4 mode at the start; also `{"front": ..., "rear": ...}` |
-    | `control` | `"vehicle"` | what an action switches: `"vehicle"` or `"axle"` |
+    | `control` | `"vehicle"` | what an action switches: `"vehicle"`, `"axle"` or `"states"` |
     | `control_rate` | `20.0` | actions per second [Hz] |
     | `length` | `None` | another length of the road [m] |
     | `sensors` | `"paper"` | instruments by name or YAML path |
@@ -87,7 +104,8 @@ class RoadReconEnv(gymnasium.Env):
     | `step` | `0.001` | integrator step [s] |
     | `manoeuvre` | `None` | `"steady_turn"`, `"lane_change"`, `"slalom"`, `"braking"`, or mapping |
     | `truth` | `True` | whether `info` has `profile` and `loads`, for scoring |
-    | `weights` | see above | mapping with `comfort`, `rattle`, `tyre_load` |
+    | `observe` | `["accelerations"]` | what is observed; `"planar"`, `"struts"` may follow |
+    | `weights` | see above | mapping with `comfort`, `rattle`, `tyre_load`, `information` |
     | `exaggeration` | `1.0` | factor by which pictures enlarge vertical motion |
 
     `reset(options={"speed_kmh": ..., "mode": ...})` overrides these two for one episode.
@@ -168,12 +186,10 @@ class RoadReconEnv(gymnasium.Env):
         return self._start.drive
 
     def split(self, observation: np.ndarray) -> dict[str, np.ndarray]:
-        """The parts of an observation: RF, LR, RR (k,), speed (1,), front (2,), rear (2,)."""
-        k = self.setup.samples
-        cuts = np.cumsum([k, k, k, 1, 2])
-        return dict(
-            zip((*SENSORS, "speed", "front", "rear"), np.split(observation, cuts), strict=True)
-        )
+        """The parts of an observation: RF, LR, RR (k,), speed (1,), front (2,), rear (2,); where
+        they are observed planar (2,), extension (4,), extension_rate (4,).
+        """
+        return {name: observation[part] for name, part in self.setup.parts.items()}
 
     def _advance(self, byte: int) -> Seen:
         seen = self.convoy.advance(np.array([byte], dtype=np.uint8))
@@ -187,6 +203,8 @@ class RoadReconEnv(gymnasium.Env):
         """The reward and what is told beside it."""
         info: dict[str, Any] = dict(zip(TOLD, seen.numbers[0].tolist(), strict=True))
         reward = info.pop("reward")
+        if self.setup.options.weights.information == 0.0:
+            del info["unknown"]
         info["reason"] = self.setup.reason(seen, 0, start.surface.name)
         if self.setup.options.truth:
             info |= {"s": seen.s[0], "profile": seen.profile[0], "loads": seen.loads[0]}

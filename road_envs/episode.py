@@ -4,6 +4,7 @@ No physics lives here.
 """
 
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from typing import Annotated, Any, Literal, NamedTuple
 
 import gymnasium
@@ -12,13 +13,24 @@ import numpy as np
 from road_envs.config import STRICT, ConfigError, build
 from road_envs.convoy import Convoy
 from road_envs.dynamics import DOF, plant
-from road_envs.interval import ANGLES, LARGEST_ANGLE, Seen
+from road_envs.interval import (
+    ANGLES,
+    EXTENSION_MOST,
+    LARGEST_ANGLE,
+    PLANAR,
+    PLANAR_MOST,
+    RATE_MOST,
+    STRUTS,
+    Seen,
+)
 from road_envs.manoeuvres import load_manoeuvre
+from road_envs.observability import Information, RoadPrior
+from road_envs.record import SENSORS
 from road_envs.roads import load_road, with_length
 from road_envs.roads.surface import Surface
 from road_envs.sensors import Logger, load_instruments
 from road_envs.simulate import Drive
-from road_envs.suspension import command
+from road_envs.suspension import MODES, command
 from road_envs.vehicle import load_vehicle
 
 ACTIONS: dict[str, tuple[Any, ...]] = {
@@ -28,6 +40,7 @@ ACTIONS: dict[str, tuple[Any, ...]] = {
         for rear in ("ride", "handling")
         for front in ("ride", "handling")
     ),
+    "states": tuple({"front": front, "rear": rear} for rear in MODES for front in MODES),
 }
 """What the actions 0, 1, ... command, for each choice of `control`."""
 
@@ -48,6 +61,11 @@ class Weights:
     comfort: Annotated[float, "per m/s²", "of the W_k-weighted RMS heave acceleration"] = 1.0
     rattle: Annotated[float, "per m", "of the RMS strut extension"] = 10.0
     tyre_load: Annotated[float, "", "of the RMS relative tyre load variation"] = 1.0
+    information: Annotated[float, "", "of the variance left unknown of the road, of 1"] = 0.0
+
+    def __post_init__(self):
+        if not 0.0 <= self.information < np.inf:
+            raise ValueError(f"information must not be negative, got {self.information}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +77,7 @@ class Options:
     road: str | dict[str, Any] = "belgian"
     speed_kmh: float | tuple[float, float] = 14.5
     mode: str | dict[str, str] = "ride"
-    control: Literal["vehicle", "axle"] = "vehicle"
+    control: Literal["vehicle", "axle", "states"] = "vehicle"
     control_rate: float = 20.0
     length: float | None = None
     sensors: str = "paper"
@@ -67,6 +85,7 @@ class Options:
     step: float = 0.001
     manoeuvre: str | dict[str, Any] | None = None
     truth: bool = True
+    observe: tuple[Literal["accelerations", "planar", "struts"], ...] = ("accelerations",)
     weights: Weights = field(default_factory=Weights)
     exaggeration: float = 1.0
 
@@ -75,6 +94,10 @@ class Options:
         command(self.mode)
         if self.manoeuvre is not None:
             load_manoeuvre(self.manoeuvre)
+        if "accelerations" not in self.observe or len(set(self.observe)) < len(self.observe):
+            raise ValueError(
+                f"observe needs 'accelerations', and no group twice, got {list(self.observe)}"
+            )
         if not self.exaggeration > 0:
             raise ValueError(f"exaggeration must be above 0, got {self.exaggeration}")
         per_interval = 1.0 / (self.control_rate * self.step) if self.control_rate > 0 else 0.0
@@ -93,6 +116,11 @@ def check_speed(speed_kmh: float | tuple[float, float]) -> None:
             f"speed_kmh must be a number or a range [low, high] within 0 to {TOP_SPEED:g} km/h "
             f"and above 0, got {speed_kmh}"
         )
+
+
+def _axles(action: str | dict[str, str]) -> dict[str, str]:
+    """The states of both axles under an action."""
+    return action if isinstance(action, dict) else {"front": action, "rear": action}
 
 
 class Start(NamedTuple):
@@ -126,11 +154,60 @@ class Setup:
                 f"control_rate must make a whole number of samples at {self.instruments.fs} Hz, "
                 f"got {o.control_rate} Hz"
             )
-        reach = np.full(3 * self.samples, self.instruments.range)
-        low = np.r_[-reach, np.zeros(5)].astype(np.float32)
-        high = np.r_[reach, TOP_SEEN, np.ones(4)].astype(np.float32)
-        self.observation_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
+        self.observation_space = gymnasium.spaces.Box(*self._limits(), dtype=np.float32)
         self.action_space = gymnasium.spaces.Discrete(len(self.bytes))
+
+    def _limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest observation."""
+        reach = np.full(3 * self.samples, self.instruments.range)
+        more = [
+            np.full(size, most)
+            for group, size, most in (
+                ("planar", PLANAR, PLANAR_MOST),
+                ("struts", STRUTS // 2, EXTENSION_MOST),
+                ("struts", STRUTS // 2, RATE_MOST),
+            )
+            if group in self.options.observe
+        ]
+        beyond = np.concatenate([np.zeros(0), *more])
+        low = np.r_[-reach, np.zeros(5), -beyond].astype(np.float32)
+        return low, np.r_[reach, TOP_SEEN, np.ones(4), beyond].astype(np.float32)
+
+    @cached_property
+    def parts(self) -> dict[str, slice]:
+        """Where in an observation its parts stand, by name."""
+        k = self.samples
+        sizes = dict.fromkeys(SENSORS, k) | {"speed": 1, "front": 2, "rear": 2}
+        if "planar" in self.options.observe:
+            sizes |= {"planar": PLANAR}
+        if "struts" in self.options.observe:
+            sizes |= {"extension": STRUTS // 2, "extension_rate": STRUTS // 2}
+        ends = np.cumsum(list(sizes.values()))
+        return {
+            name: slice(int(end) - size, int(end))
+            for (name, size), end in zip(sizes.items(), ends, strict=True)
+        }
+
+    @cached_property
+    def information(self) -> Information:
+        """What each pair of states leaves unknown of a road of class D."""
+        speeds = np.atleast_1d(np.asarray(self.options.speed_kmh, dtype=float)) / 3.6
+        if speeds[0] < speeds[-1]:
+            speeds = np.linspace(speeds[0], speeds[-1], 5)
+        used = {f[axle] for f in map(_axles, ACTIONS[self.options.control]) for axle in f}
+        modes = tuple(mode for mode in MODES if mode in used)
+        return Information.tabulate(self.car, self.instruments, RoadPrior(), speeds, modes)
+
+    def unknown(self, v: float) -> np.ndarray:
+        """Share (256,) [-] of the road's variance that command bytes leave unknown at `v` [m/s].
+
+        Of bytes that no action commands it is that of nothing known, 1.
+        """
+        left = np.ones(256)
+        for action in ACTIONS[self.options.control]:
+            pair = _axles(action)
+            left[command(action)] = self.information.at(pair["front"], pair["rear"], v) ** 2
+        return left
 
     def convoy(self, number: int = 1, threads: int = 1) -> Convoy:
         """Cars that stand still, one for each environment."""
@@ -145,6 +222,10 @@ class Setup:
             manoeuvre=self.manoeuvre,
             weights=(o.weights.comfort, o.weights.rattle, o.weights.tyre_load),
             top_speed=TOP_SEEN,
+            planar="planar" in o.observe,
+            struts="struts" in o.observe,
+            unknown=self.unknown if o.weights.information > 0.0 else None,
+            information=o.weights.information,
             truth=o.truth,
             threads=threads,
         )

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from road_envs.dynamics import DOF, N_DOF, PHI, THETA, Z_B
+from road_envs.dynamics import DOF, N_DOF, PHI, THETA, Z_B, extension
 from road_envs.integrator import ACCELERATION, EXTENSION, LOAD, SIGNALS, Work
 from road_envs.jit import kernel, separate
 from road_envs.lanes import (
@@ -23,14 +23,22 @@ from road_envs.lanes import (
 )
 from road_envs.processing import run_sections
 from road_envs.vector import LANES, get, lane, maximum, minimum, put
+from road_envs.vehicle import GRAVITY
 
 ANGLES = tuple(DOF.index(name) for name in ("phi", "theta", "phi_af", "phi_ar"))
 LARGEST_ANGLE = float(np.radians(45.0))
 """Beyond it [rad] a small angle is none, whichever of ANGLES it is."""
 
-TOLD = ("t", "station", "speed_kmh", "comfort", "rattle", "tyre_load", "reward")
+TOLD = ("t", "station", "speed_kmh", "comfort", "rattle", "tyre_load", "reward", "unknown")
 """Columns of `Seen.numbers`: time since the start [s], station of the front axle [m], speed, the
-three costs and the reward of an interval."""
+three costs and the reward of an interval; what the states leave unknown of the road is the fourth
+cost, which `Convoy` adds where it has a weight."""
+
+PLANAR, STRUTS = 2, 8
+"""Numbers that an observation holds more where it has the group: horizontal accelerations; strut
+extensions and their rates."""
+PLANAR_MOST, EXTENSION_MOST, RATE_MOST = 20.0, 0.5, 10.0
+"""Largest values observed of them [m/s², m, m/s]."""
 
 PASSED, DONE, USED, TOTAL = range(4)
 BEGIN, SPEED, SPEED_KMH, SPEED_GAIN = range(4)
@@ -80,6 +88,8 @@ class Common(NamedTuple):
     top_speed: float
     h: float
     every: int
+    planar: int
+    struts: int
 
 
 class Desk(NamedTuple):
@@ -99,9 +109,9 @@ class Desk(NamedTuple):
 class Seen(NamedTuple):
     """What an interval gave of N cars, k samples.
 
-    `observation` (N, 3 k + 5) float32 as `RoadReconEnv` describes it; `numbers` (N, 7), the
-    columns of TOLD; `over` (N,), whether the car has left its road; `turned` (N,), 4 i + column of
-    ANGLES where step i first passed LARGEST_ANGLE, else -1; `broken` (N,), the first step whose
+    `observation` (N, 3 k + 5 and more) float32 as `RoadReconEnv` describes it; `numbers` (N, 8),
+    the columns of TOLD; `over` (N,), whether the car has left its road; `turned` (N,), 4 i + column
+    of ANGLES where step i first passed LARGEST_ANGLE, else -1; `broken` (N,), the first step whose
     motion is not finite, else -1; and, or empty, `s` (N, k) [m], `profile` (N, 2, k) [m] and
     `loads` (N, 4, k) [N].
     """
@@ -220,7 +230,7 @@ def _sense(common, levers, alias, noise, used, out, a):
 
 @separate
 def _add_up(common, wk, out, heave, nothing, numbers):
-    """The costs and the reward of an interval, to their columns of `numbers` (LANES, 7)."""
+    """The costs and the reward of an interval, to their columns of `numbers` (LANES, 8)."""
     n = out.shape[0]
     put(nothing, 0, 0.0)
     for i in range(n):
@@ -243,6 +253,7 @@ def _add_up(common, wk, out, heave, nothing, numbers):
         for j in range(3):
             cost += common.weights[j] * numbers[k, 3 + j]
         numbers[k, 6] = -n * common.h * cost
+        numbers[k, 7] = 0.0
 
 
 @separate
@@ -260,6 +271,32 @@ def _observe(common, course, a, given, observation):
         for wheel in (0, 2):
             observation[k, at + 1 + wheel] = (byte >> wheel) & 1
             observation[k, at + 2 + wheel] = (byte >> (4 + wheel)) & 1
+
+
+@separate
+def _observe_more(common, turn, out, k_0, observation):
+    """Horizontal accelerations and struts (LANES, ...), from column `k_0` of the observations on.
+
+    An accelerometer on a leaning body feels its share of the weight too: the means over the
+    interval of a_x - g theta and a_y + g phi. Extensions and rates are those of the last step.
+    """
+    n, at = out.shape[0], k_0
+    if common.planar > 0:
+        for k in range(LANES):
+            a_x = a_y = 0.0
+            for i in range(n):
+                a_x += turn[4 * i, k] - GRAVITY * out[i, THETA, k]
+                a_y += turn[4 * i + 1, k] + GRAVITY * out[i, PHI, k]
+            observation[k, at] = min(max(a_x / n, -PLANAR_MOST), PLANAR_MOST)
+            observation[k, at + 1] = min(max(a_y / n, -PLANAR_MOST), PLANAR_MOST)
+        at += PLANAR
+    if common.struts > 0:
+        for w in range(4):
+            rate = extension(common.p, out[n - 1, N_DOF : 2 * N_DOF], w)
+            for k in range(LANES):
+                e, e_dot = out[n - 1, EXTENSION + w, k], lane(rate, k)
+                observation[k, at + w] = min(max(e, -EXTENSION_MOST), EXTENSION_MOST)
+                observation[k, at + 4 + w] = min(max(e_dot, -RATE_MOST), RATE_MOST)
 
 
 @separate
@@ -285,6 +322,7 @@ def drive_blocks(blocks, cars, common, heights, noise, given, pipes, turns, room
     a `scratch`; the rows of `seen` are the lanes of all blocks.
     """
     n = pipes.shape[1]
+    seen_samples = (n + common.every - 1) // common.every
     top = desk(room, n)
     for b in blocks:
         rows = slice(b * LANES, (b + 1) * LANES)
@@ -321,6 +359,9 @@ def drive_blocks(blocks, cars, common, heights, noise, given, pipes, turns, room
         _sense(common, cars.levers[b], cars.alias[b], noise[b], counts[USED], top.out, top.a)
         _add_up(common, cars.wk[b], top.out, top.heave, top.nothing, numbers)
         _observe(common, course, top.a, given[b], seen.observation[rows])
+        _observe_more(
+            common, turns[b % turns.shape[0]], top.out, 3 * seen_samples + 5, seen.observation[rows]
+        )
         if seen.s.shape[1] > 0:
             truth = (seen.s[rows], seen.profile[rows], seen.loads[rows])
             _tell_the_truth(common, ways, top, *truth)

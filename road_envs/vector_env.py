@@ -177,10 +177,11 @@ class RoadReconVectorEnv(VectorEnv):
 
     def _infos(self, seen: Seen, mask: np.ndarray) -> dict[str, Any]:
         """What is told of the environments in `mask`; other rows are zero."""
+        untold = {"reward"} if self.setup.options.weights.information else {"reward", "unknown"}
         infos: dict[str, Any] = {
             name: np.where(mask, seen.numbers[:, j], 0.0)
             for j, name in enumerate(TOLD)
-            if name != "reward"
+            if name not in untold
         }
         infos["reason"] = np.where(mask, "", None)  # type: ignore[call-overload]
         failed = mask & ((seen.broken >= 0) | (seen.turned >= 0))

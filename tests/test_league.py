@@ -1,104 +1,359 @@
 """Policies are compared on the same roads; what one does wrong is its own row."""
 
-import gymnasium as gym
+import json
+import time
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import trim_mean
 
-from leaderboard import league
-from road_envs.config import ConfigError
-from road_envs.policies import REGISTRY, Learner
+import estimators
+from leaderboard import league, oracle, policy_page, tuning
+from leaderboard.ride import METRICS, ride_metrics, shares, stops
+from leaderboard.scenarios import Scenarios, load_scenarios
+from leaderboard.standings import difference, pareto, summary
+from road_envs.comfort import weighted_rms
+from road_envs.config import ConfigError, build, names
+from road_envs.dataset import record_drive
+from road_envs.dynamics import Z_B
+from road_envs.episode import Setup
+from road_envs.policies import create
+from road_envs.policies.rollout import drive
+from road_envs.simulate import Trajectory
+from road_envs.vector_env import RoadReconVectorEnv
+from road_envs.vehicle import load_vehicle
 
-SCENARIO = {"road": "iso_d", "speed_kmh": 54.0, "length": 20.0}
-SEEDS = (1001, 1002, 1003)
-
-
-class Recorder:
-    """Ride, noting what it is shown."""
-
-    def __init__(self):
-        self.seen = []
-
-    def reset(self, actions, seed):
-        self.seen.append([])
-
-    def act(self, observation):
-        self.seen[-1].append(observation)
-        return 0
-
-
-def test_the_metrics_are_those_of_the_drive():
-    env = gym.make("RoadRecon-v0", **SCENARIO)
-    policy = Recorder()
-    metrics = league.episode(policy, env, 1001)
-    env.reset(seed=1001)
-    over, comfort, total = False, [], 0.0
-    while not over:
-        _, reward, terminated, truncated, info = env.step(0)
-        over = terminated or truncated
-        comfort.append(info["comfort"])
-        total += reward
-    assert metrics["comfort"] == pytest.approx(np.sqrt(np.mean(np.square(comfort))), rel=1e-12)
-    assert metrics["episode_return"] == pytest.approx(total, rel=1e-12)
-    assert metrics["switches_per_km"] == 0.0
-    assert len(policy.seen[0]) == len(comfort)
+TURN = {"kind": "slalom", "begin": 0.0, "period": 1.0}
+CAR = load_vehicle("land_rover_defender_110")
 
 
-def test_switches_are_counted_per_kilometre():
-    env = gym.make("RoadRecon-v0", **SCENARIO, control_rate=10.0)
+def scenarios(**changes) -> Scenarios:
+    """Two cases of 25 m."""
+    settings = {
+        "name": "small",
+        "title": "Two short cases",
+        "cases": [
+            {"road": "iso_d", "speed_kmh": 54.0},
+            {"road": "iso_c", "speed_kmh": 54.0, "manoeuvre": TURN},
+        ],
+        "length": 25.0,
+        "test": {"first": 101, "number": 3},
+        "training": {"first": 1, "number": 2},
+    }
+    return build(Scenarios, {**settings, **changes}, "small")
 
-    class Toggle(Recorder):
-        def act(self, observation):
-            super().act(observation)
-            return len(self.seen[-1]) % 2
 
-    policy = Toggle()
-    metrics = league.episode(policy, env, 1)
-    metres = 15.0 * 0.1 * len(policy.seen[0])
-    assert metrics["switches_per_km"] == pytest.approx(1000.0 * (len(policy.seen[0]) - 1) / metres)
+@dataclass
+class Wrong:
+    """Goes wrong in the manner asked for."""
+
+    how: str
+
+    def reset(self, cabin):
+        self.cabin = cabin
+
+    def act(self, observations):
+        match self.how:
+            case "raises":
+                raise RuntimeError("no idea")
+            case "outside":
+                return np.full(len(observations), 99)
+            case "hangs":
+                while True:
+                    time.sleep(0.01)
+            case "asks for the truth":
+                return self.cabin.info["profile"]
 
 
-def test_handling_is_harsher_and_uses_less_rattle_space_than_ride():
-    ride, handling = league.compare(
-        ["fixed_ride", "fixed_handling"], scenario=SCENARIO, seeds=SEEDS
+# --- metrics --------------------------------------------------------------------------------------
+
+
+def motion(n: int = 4000, **parts) -> Trajectory:
+    """Still at 10 m/s on its static loads, but for `parts` of the signals (n, ...)."""
+    signals = np.zeros((n, 29))
+    signals[:, 25:29] = np.repeat(CAR.tyre_loads, 2)
+    t = 0.001 * np.arange(n)
+    commands = parts.pop("commands", np.zeros(n, dtype=np.uint8))
+    columns = {
+        "phi": slice(1, 2),
+        "heave": slice(14, 15),
+        "e": slice(21, 25),
+        "load": slice(25, 29),
+    }
+    for name, value in parts.items():
+        signals[:, columns[name]] = value
+    return Trajectory(t, 10.0 * t, np.full(n, 10.0), commands, signals)
+
+
+def test_metrics_of_a_motion_known_in_closed_form():
+    t = 0.001 * np.arange(4000)
+    roll = 0.1 * np.sin(2.0 * np.pi * t)
+    load = np.repeat(CAR.tyre_loads, 2) * (1.0 + 0.5 * np.sin(2.0 * np.pi * 2.0 * t)[:, None])
+    load[1000:1500, 2] = 0.0
+    heave = np.sin(2.0 * np.pi * 4.0 * t)
+    commands = np.zeros(4000, dtype=np.uint8)
+    commands[20:] = 255  # from the first interval's mode to the policy's first choice
+    commands[1000:] = 0
+    commands[3000:] = 255
+    found = ride_metrics(
+        motion(phi=roll[:, None], load=load, heave=heave[:, None], commands=commands), CAR, 20
     )
-    assert (handling.drives["comfort"] > ride.drives["comfort"]).all()
-    assert (handling.drives["rattle"] < ride.drives["rattle"]).all()
+    assert found["roll"] == pytest.approx(0.1 / np.sqrt(2.0))
+    assert found["roll_peak"] == pytest.approx(0.1, rel=1e-4)
+    assert found["lift_per_km"] == pytest.approx(0.5 / 0.04)
+    assert found["switches_per_km"] == pytest.approx(2 / 0.04)
+    assert found["dwell"] == pytest.approx(4.0 / 3)
+    assert found["comfort"] == pytest.approx(weighted_rms(heave, 1000.0))
+    assert found["vdv"] == pytest.approx((4.0 * 3 / 8) ** 0.25, rel=0.05)  # W_k(4 Hz) = 0.967
+    extension = 0.05 * np.cos(2.0 * np.pi * t)[:, None] * [1.0, -1.0, 1.0, 1.0]
+    still = ride_metrics(motion(e=extension), CAR)
+    assert still["rattle"] == pytest.approx(0.05 / np.sqrt(2.0))
+    assert still["rattle_peak"] == pytest.approx(0.05)
+    assert (still["tyre_load"], still["roll"], still["switches_per_km"]) == (0.0, 0.0, 0.0)
 
 
-def test_a_policy_that_fails_is_a_row_and_the_others_stand(monkeypatch):
-    class Broken(Recorder):
-        def act(self, observation):
-            raise RuntimeError("no idea")
+def test_a_stop_is_hit_once_each_time_a_strut_goes_beyond_its_free_travel():
+    e = np.zeros((100, 4))
+    e[10:20, 0] = e[30:31, 0] = -0.086  # front: free from -85 to 95 mm
+    e[50:, 1] = 0.096
+    e[10:20, 2] = -0.1049  # rear: free from -105 to 115 mm
+    e[0:5, 3] = 0.1151
+    assert stops(e, CAR) == 4
 
-    class Outside(Recorder):
-        def act(self, observation):
-            return 7
 
-    monkeypatch.setitem(REGISTRY, "broken", Broken)
-    monkeypatch.setitem(REGISTRY, "outside", Outside)
-    alone = league.compare(["fixed_ride"], scenario=SCENARIO, seeds=SEEDS)[0]
-    broken, outside, ride = league.compare(
-        ["broken", "outside", "fixed_ride"], scenario=SCENARIO, seeds=SEEDS
+def test_shares_of_time_in_states():
+    commands = np.array([0] * 30 + [0b11001100] * 60 + [255] * 10, dtype=np.uint8)
+    ride_handling = (False, False, True, True)
+    assert shares(commands) == {
+        (False,) * 4: 0.3,
+        ride_handling: 0.6,
+        (True,) * 4: 0.1,
+    }
+
+
+# --- drives ---------------------------------------------------------------------------------------
+
+
+def test_the_motion_that_is_judged_is_the_one_that_was_driven():
+    """Replayed commands give the environment's own costs, in a manoeuvre too."""
+    course = league.lay_out(scenarios(), 1, [101, 102])
+    driven = drive(create("random"), course.options, course.seeds)
+    envs = RoadReconVectorEnv(2, **course.options)
+    envs.reset(seed=list(course.seeds))
+    rattle, lasted = [], int(driven.intervals[0])
+    for actions in driven.actions:
+        rattle.append(envs.step(actions)[4]["rattle"])
+    for k, moved in enumerate(league.motions(course, driven)):
+        e = moved.extension[20:].reshape(lasted, 20, 4)
+        np.testing.assert_allclose(
+            np.sqrt(np.mean(e**2, axis=(1, 2))), np.array(rattle)[:, k], rtol=1e-9
+        )
+
+
+def test_the_record_of_a_policy_is_that_of_a_car_in_the_same_mode():
+    some = scenarios(cases=[{"road": "iso_d", "speed_kmh": 54.0}], sensors="ideal")
+    course = league.lay_out(some, 0, [101])
+    driven = drive(create("fixed_ride"), course.options, course.seeds)
+    record = league.record_of(course, driven, 0)
+    surface = course.starts[0].surface
+    expected, truth = record_drive(
+        CAR, surface, speed_kmh=54.0, mode="ride", instruments=course.setup.instruments, seed=0
     )
-    assert broken.failure == "RuntimeError: no idea"
-    assert "one of 0 to 1, got 7" in outside.failure
+    n = expected.t.size
+    np.testing.assert_allclose(record.a[:, :n], expected.a, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(record.s[:n], expected.s, rtol=1e-6, atol=1e-5)
+    np.testing.assert_array_equal(record.stiff[:n], expected.stiff)
+    np.testing.assert_array_equal(course.truths[0].z, truth.z)
+
+
+def test_a_record_tells_the_states_that_were_commanded():
+    course = league.lay_out(scenarios(), 0, [101])
+    driven = drive(create("fixed_ride_handling"), course.options, course.seeds)
+    record = league.record_of(course, driven, 0)
+    assert not record.stiff[:20].any() and not record.stiff[:, :2].any()
+    assert record.stiff[20:, 2:].all() and record.high[20:, 2:].all()
+
+
+def test_no_policy_is_told_the_truth():
+    for c, case in enumerate(scenarios().cases):
+        options = scenarios().options(case)
+        assert options["truth"] is False
+        envs = RoadReconVectorEnv(1, **options)
+        infos = envs.reset(seed=c)[1], envs.step(np.zeros(1, dtype=int))[4]
+        for info in infos:
+            assert not {"profile", "loads", "s"} & info.keys()
+
+
+def test_failures_are_rows_and_the_others_stand(monkeypatch):
+    monkeypatch.setattr(league, "PATIENCE", 3.0)
+    wrong = {
+        "raises": "RuntimeError: no idea",
+        "outside": "PolicyError: actions must be 0 to 15, got 99",
+        "hangs": "TimeoutError: no end after 3 s",
+        "asks for the truth": "AttributeError: 'Cabin' object has no attribute 'info'",
+    }
+    alone = league.compare(scenarios(), {"fixed_ride": create("fixed_ride")}, {})[0]
+    entries = {how: Wrong(how) for how in wrong} | {"fixed_ride": create("fixed_ride")}
+    *rows, ride = league.compare(scenarios(), entries, {})
+    for row in rows:
+        assert row.failure == f"iso_d, 54 km/h, straight on: {wrong[row.policy]}"
     assert ride.failure is None
     for name, values in alone.drives.items():
         np.testing.assert_array_equal(ride.drives[name], values)
+    data = summary(scenarios(), [*rows, ride], [101, 102, 103], "fixed_ride")
+    assert "no idea" in policy_page.render(data)
 
 
-def test_training_never_meets_the_test_roads():
-    with pytest.raises(ConfigError, match="seed 1 is for training"):
-        league.compare(["fixed_ride"], scenario=SCENARIO, seeds=[1, 2])
+def test_handling_is_harsher_and_uses_less_rattle_space_and_mixed_states_tell_more():
+    chosen = ("fixed_ride", "fixed_handling", "fixed_ride_handling")
+    rows = league.compare(scenarios(), {n: create(n) for n in chosen}, {})
+    ride, handling, mixed = (row.drives for row in rows)
+    assert (handling["comfort"] > ride["comfort"]).all()
+    assert (handling["rattle"] < ride["rattle"]).all()
+    assert (mixed["bound"] < np.minimum(ride["bound"], handling["bound"])).all()
 
 
-def test_a_learner_learns_by_seed_and_never_sees_the_truth():
-    rows = [
-        league.compare(["ppo"], scenario=SCENARIO, seeds=SEEDS, learning_steps=1024)[0]
-        for _ in range(2)
-    ]
-    assert rows[0].failure is None
-    for name in league.METRICS:
-        np.testing.assert_array_equal(rows[0].drives[name], rows[1].drives[name])
-    assert isinstance(REGISTRY["ppo"](), Learner)
-    assert not isinstance(REGISTRY["random"](), Learner)
+def test_estimators_are_fed_with_the_drives_and_one_that_fails_is_noted(monkeypatch):
+    class Blind:
+        def estimate(self, record, car):
+            raise RuntimeError("too dark")
+
+    readers = {"flat": estimators.create("flat"), "blind": Blind()}
+    (row,) = league.compare(scenarios(), {"fixed_ride": create("fixed_ride")}, readers)
+    np.testing.assert_allclose(row.errors["flat"], 1.0)
+    assert np.isnan(row.errors["blind"]).all()
+    assert len(row.notes) == 2 and "too dark" in row.notes[0]
+    data = summary(scenarios(), [row], [101, 102, 103], "fixed_ride")
+    assert "too dark" in json.dumps(data["rows"])
+
+
+# --- the oracle -----------------------------------------------------------------------------------
+
+
+def test_the_oracle_is_no_worse_than_any_pair_it_knows_and_its_plan_holds_what_it_says():
+    course = league.lay_out(scenarios(), 1, [101, 102])
+    actions = oracle.plan(course.setup, course.starts)
+    planned = drive(league._Script(actions), course.options, course.seeds)
+    for front, rear in oracle.PAIRS:
+        fixed = np.full_like(actions, oracle.action(course.setup, (front, rear)))
+        held = drive(league._Script(fixed), course.options, course.seeds)
+        assert (planned.returns >= held.returns - 1e-12).all()
+    held_for = round(oracle.HELD / course.setup.interval)
+    changes = np.flatnonzero((np.diff(actions, axis=0) != 0).any(axis=1)) + 1
+    assert (changes % held_for == 0).all()
+
+
+def test_cars_change_places_with_all_they_carry():
+    course = league.lay_out(scenarios(), 0, [101])
+    convoy = course.setup.convoy(9)
+    start = course.starts[0]
+    from road_envs.sensors import Logger
+
+    for i in range(9):
+        logger = Logger(course.setup.instruments, CAR, 0.001, np.random.default_rng(0))
+        convoy.start(i, start.drive, logger, start.speed_kmh)
+    bytes_ = course.setup.bytes[np.arange(9)]
+    for _ in range(30):
+        convoy.advance(bytes_)
+    source = np.array([8, 8, 0, 3, 4, 5, 6, 7, 1])
+    oracle.transplant(convoy, source)
+    seen = convoy.advance(np.zeros(9, dtype=np.uint8))
+    np.testing.assert_array_equal(seen.numbers[0], seen.numbers[1])
+    assert seen.numbers[2, 6] != seen.numbers[0, 6]
+
+
+# --- statistics -----------------------------------------------------------------------------------
+
+
+def test_a_paired_difference_does_not_feel_what_makes_a_road_hard():
+    rng = np.random.default_rng(0)
+    road = 10.0 * rng.random((40, 1))
+    better = road + 0.1 * rng.standard_normal((40, 2))
+    worse = road + 0.3 + 0.1 * rng.standard_normal((40, 2))
+    found = difference(better, worse)
+    assert found.low < found.mean < found.high < 0.0
+    assert found.mean == pytest.approx(-0.3, abs=0.5)
+    assert difference(better, better) == (0.0, 0.0, 0.0)
+    by_hand = trim_mean(better.ravel(), 0.25) - trim_mean(worse.ravel(), 0.25)
+    assert found.mean == pytest.approx(by_hand)
+
+
+@given(st.lists(st.tuples(*[st.integers(0, 3)] * 3), min_size=1, max_size=8))
+def test_the_pareto_front_is_what_no_other_beats(points):
+    rows = {
+        f"p{i}": league.Standing(
+            f"p{i}",
+            {"comfort": np.full((3, 1), x), "tyre_load": np.full((3, 1), y)},
+            {"reader": np.full((3, 1), z)},
+        )
+        for i, (x, y, z) in enumerate(points)
+    }
+    found = pareto(rows, list(rows))
+    for i, p in enumerate(points):
+        beaten = any(q != p and all(b <= a for a, b in zip(p, q, strict=True)) for q in points)
+        assert found[i] == (not beaten)
+
+
+# --- configuration --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", names("scenarios"))
+def test_shipped_scenarios_can_be_driven_and_keep_training_apart(name):
+    shipped = load_scenarios(name)
+    assert shipped.name == name
+    assert all(isinstance(setup, Setup) for setup in shipped.setups)
+    assert not set(shipped.test.all) & set(shipped.training.all)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"training": {"first": 99, "number": 5}}, r"share the seeds \[101, 102, 103\]"),
+        ({"cases": []}, "at least one case"),
+        ({"cases": [{"road": "iso_d", "speed_kmh": 54.0}] * 2}, "every case must stand once"),
+        ({"test": {"first": 101, "number": 1}}, "number at least 2"),
+        ({"kases": []}, "unknown key, did you mean 'cases'"),
+        ({"control": "wheel"}, "'vehicle', 'axle' or 'states'"),
+    ],
+)
+def test_bad_scenarios_are_named(changes, said):
+    with pytest.raises(ConfigError, match=said):
+        scenarios(**changes)
+
+
+def test_a_case_that_cannot_be_driven_is_named():
+    bad = scenarios(cases=[{"road": "iso_d", "speed_kmh": 54.0, "manoeuvre": "loop"}])
+    with pytest.raises(ConfigError, match=r"small: iso_d, 54 km/h, loop: .*'loop'"):
+        _ = bad.setups
+    with pytest.raises(ConfigError, match="2 to 3 test roads"):
+        scenarios().some(4)
+
+
+# --- tuning ---------------------------------------------------------------------------------------
+
+
+def test_tuning_takes_the_best_of_its_grid_and_drives_training_roads_alone(monkeypatch):
+    driven = []
+
+    def spy(policy, options, seeds, **kwargs):
+        driven.extend(seeds)
+        return drive(policy, options, seeds, **kwargs)
+
+    monkeypatch.setattr(tuning, "drive", spy)
+    monkeypatch.setitem(tuning.GRIDS, "rrms", {"window": (0.2, 1.0), "ratio": (1.0, 9.0)})
+    best = tuning.tune("rrms", scenarios())
+    assert set(driven) == set(scenarios().training.all)
+    assert len(best.tried) == 4
+    assert best.cost == min(one.cost for one in best.tried)
+    again = tuning.cost(create("rrms", **best.settings), scenarios())
+    assert again == pytest.approx(best.cost)
+
+
+def test_metrics_and_their_names_are_the_same():
+    (row,) = league.compare(scenarios(), {"fixed_ride": create("fixed_ride")}, {})
+    assert row.drives.keys() == METRICS.keys()
+    assert row.drives["comfort"].shape == (3, 2)
+    assert Z_B == 0

@@ -28,6 +28,14 @@ VARIANTS = {
         "manoeuvre": {"kind": "slalom", "begin": 0.0, "period": 0.6},
         "step": 0.0005,
     },
+    "all states and instruments, a price on information": {
+        **SHORT,
+        "speed_kmh": 54.0,
+        "control": "states",
+        "observe": ["accelerations", "planar", "struts"],
+        "weights": {"information": 30.0},
+        "manoeuvre": {"kind": "slalom", "begin": 0.0, "period": 0.6},
+    },
     "roads of several lengths and modes": {
         **SHORT,
         "road": "bump_asymmetric",

@@ -1,4 +1,4 @@
-"""`policies`: the league of suspension-switching policies."""
+"""`policies`: the league of suspension-switching policies; `tune-policy`, `train-policy`."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -6,109 +6,149 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from leaderboard import league
-from leaderboard.commands import console, json_text, mode_of, print_json, progress_bar
-from leaderboard.commands.drives import Json, Length
-from leaderboard.statistics import Interval
-from road_envs.config import ConfigError
+import estimators
+from leaderboard import league, policy_page, tuning
+from leaderboard.commands import console, json_text, notices, print_json, progress_bar
+from leaderboard.commands.drives import Json
+from leaderboard.scenarios import load_scenarios
+from leaderboard.standings import REFERENCE, summary, text
+from road_envs.config import ConfigError, one_of
 from road_envs.files import write_text
-from road_envs.manoeuvres import KINDS as MANOEUVRES
-from road_envs.policies import REGISTRY
+from road_envs.policies import available, create
+from road_envs.policies.information import GreedyInformation
+
+SHOWN = ("comfort", "rattle", "tyre_load", "roll_peak", "stops_per_km", "switches_per_km", "reward")
+SWEEP = (0.0, 30.0, 100.0, 300.0, 1000.0)
+"""Weights of information of the sensing policies in the Pareto plot."""
 
 
 def policies(
     policy: Annotated[
+        list[str] | None, typer.Option(help="Policy, may be given again. Default: all.")
+    ] = None,
+    scenarios: Annotated[
+        str, typer.Option(help="Scenarios: shipped name (quick, league) or YAML path.")
+    ] = "quick",
+    estimator: Annotated[
         list[str] | None,
-        typer.Option(help=f"Policy, may be given again: {', '.join(REGISTRY)}; default all."),
+        typer.Option(help="Estimator fed with the drives' records; may be given again."),
     ] = None,
-    road: Annotated[str, typer.Option(help="Road family to drive on.")] = "iso_d",
-    speed_kmh: Annotated[float, typer.Option(help="Speed in km/h.")] = 54.0,
-    length: Length = 100.0,
-    control: Annotated[str, typer.Option(help="What an action switches: vehicle, axle.")] = (
-        "vehicle"
-    ),
-    mode: Annotated[str, typer.Option(help="4S4 mode at the start.")] = "ride",
-    manoeuvre: Annotated[
-        str | None, typer.Option(help=f"Manoeuvre on the way: {', '.join(MANOEUVRES)}.")
-    ] = None,
-    roads: Annotated[int, typer.Option(help="Number of test roads.", min=2)] = 10,
-    steps: Annotated[int, typer.Option(help="Control intervals a learner gets.", min=1)] = (
-        league.LEARNING_STEPS
-    ),
-    out: Annotated[Path | None, typer.Option(help="Folder for policies.json.")] = None,
+    roads: Annotated[int | None, typer.Option(help="Test roads of each case.", min=2)] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="The quick scenarios, without sweep: half a minute.")
+    ] = False,
+    sweep: Annotated[
+        bool, typer.Option("--sweep", help="Sensing policies with other weights of information.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for results, picture and page.")] = None,
     json: Json = False,
 ) -> None:
-    """Compare policies on comfort, rattle space and tyre load over the same held-out roads."""
-    scenario: dict[str, Any] = {
-        "road": road,
-        "speed_kmh": speed_kmh,
-        "length": length,
-        "control": control,
-        "mode": mode_of(mode),
-        "manoeuvre": manoeuvre,
-    }
-    seeds = range(league.TEST_SEEDS.start, league.TEST_SEEDS.start + roads)
+    """Compare policies on comfort, handling and what their drives tell of held-out roads."""
+    if quick and (scenarios != "quick" or sweep):
+        raise ConfigError("--quick stands for the quick scenarios and no sweep: leave the others")
+    chosen = load_scenarios(scenarios)
+    seeds = chosen.some(roads)
+    known = [*available(), league.ORACLE]
+    names = [one_of("policy", name, known) for name in policy or known]
+    entries: dict[str, Any] = {n: None if n == league.ORACLE else create(n) for n in names}
+    if sweep:
+        entries |= {f"information {w:g}": GreedyInformation(weight=w) for w in SWEEP}
+    readers = {name: estimators.create(name) for name in estimator or ["fir_ridge"]}
+    if out is not None and out.exists() and not out.is_dir():
+        raise ConfigError(f"{out} is a file; a folder is wanted")
     with progress_bar() as progress:
-        standings = league.compare(
-            policy or list(REGISTRY),
-            scenario=scenario,
-            learning_steps=steps,
-            seeds=seeds,
-            progress=progress,
-        )
-    rows = [_row(s) for s in standings]
-    data = {"scenario": scenario, "seeds": list(seeds), "learning_steps": steps, "rows": rows}
-    if out:
-        write_text(out / "policies.json", json_text(data))
-    print_json(data) if json else _print(standings, scenario, roads)
-    if failed := [s.policy for s in standings if s.failure]:
+        found = league.compare(chosen, entries, readers, roads=roads, progress=progress)
+        data = summary(chosen, found, seeds, REFERENCE)
+        if out:
+            write_text(out / "policies.json", json_text(data))
+            page = policy_page.write(data, out)
+            notices.print(f"page: {page}")
+    print_json(data) if json else _print(data)
+    if failed := [s.policy for s in found if s.failure]:
         raise ConfigError(f"{', '.join(failed)} failed; the others stand")
 
 
-def _row(standing: league.Standing) -> dict[str, Any]:
-    return {
-        "policy": standing.policy,
-        "failure": standing.failure,
-        **{name: x._asdict() for name, x in standing.intervals.items()},
-        "drives": {name: x.tolist() for name, x in standing.drives.items()},
-    }
+def tune_policy(
+    name: Annotated[str, typer.Argument(help="Policy to tune.")],
+    scenarios: Annotated[
+        str, typer.Option(help="Scenarios whose training roads are driven.")
+    ] = "training",
+    out: Annotated[Path | None, typer.Option(help="YAML file for the settings.")] = None,
+) -> None:
+    """Search a policy's settings on training roads alone."""
+    one_of("policy", name, tuning.GRIDS)
+    with progress_bar() as progress:
+        best = tuning.tune(name, load_scenarios(scenarios), progress)
+    command = f"roadrecon tune-policy {name} --scenarios {scenarios}"
+    if out:
+        write_text(out, tuning.as_yaml(best, command))
+    for row in best.tried:
+        console.print(f"{row.cost:.4f}  {row.settings}")
+    console.print(f"best: {best.settings}, cost {best.cost:.4f} per second")
 
 
-def _print(standings: list[league.Standing], scenario: dict[str, Any], roads: int) -> None:
-    manoeuvre = scenario["manoeuvre"]
-    where = "{road}, {length:g} m, {speed_kmh:g} km/h".format(**scenario)
+def train_policy(
+    name: Annotated[str, typer.Argument(help="ppo, dqn, ppo_sensing, or a YAML file.")],
+    out: Annotated[Path, typer.Option(help="File for the network, .npz.")],
+    scenarios: Annotated[str, typer.Option(help="Scenarios to learn on.")] = "training",
+    seed: Annotated[int, typer.Option(help="Seed of the training.", min=0)] = 1,
+    steps: Annotated[int | None, typer.Option(help="Control intervals in all.", min=1)] = None,
+    checkpoint: Annotated[
+        Path | None, typer.Option(help="Taken up if it is there, kept while learning.")
+    ] = None,
+    log: Annotated[Path | None, typer.Option(help="Folder for TensorBoard.")] = None,
+) -> None:
+    """Train a network with Stable-Baselines3 on training roads alone."""
+    from road_envs.policies.training import train
+
+    recipe = tuning.recipe(name, steps)
+    chosen = load_scenarios(scenarios)
+    cases = [chosen.options(case) for case in chosen.cases]
+    with progress_bar() as progress:
+        learnt = train(
+            recipe,
+            cases,
+            chosen.training.all,
+            seed,
+            checkpoint=checkpoint,
+            log=log,
+            progress=progress,
+        )
+    tuning.write_bytes(out, learnt.network.as_bytes())
+    for done, value in learnt.curve:
+        console.print(f"{done:9d} steps  return {value:.4f} per second")
+
+
+def _print(data: dict[str, Any]) -> None:
     table = Table(
-        title=f"Switching policies on {roads} held-out roads: {where}",
+        title=f"Switching policies on {len(data['seeds'])} held-out roads: {data['title']}",
         title_justify="left",
         box=None,
         padding=(0, 1),
         pad_edge=False,
     )
+    names = next((list(row["errors"]) for row in data["rows"] if not row["failure"]), [])
     table.add_column("policy", no_wrap=True)
-    for heading in ("comfort\nm/s²", "rattle\nmm", "tyre load\n-", "switches\n1/km", "return\n-"):
+    headings = ("comfort\nm/s²", "rattle\nmm", "tyre\nload", "roll\ndeg", "stops\n1/km")
+    for heading in (*headings, "switches\n1/km", "return\n1/s", "bound", *names):
         table.add_column(heading, justify="right", no_wrap=True)
-    for standing in standings:
-        if standing.failure:
-            table.add_row(standing.policy, f"failed: {standing.failure}", style="red")
+    for row in data["rows"]:
+        if row["failure"]:
+            table.add_row(row["policy"], f"failed: {row['failure']}", style="red")
             continue
-        x = standing.intervals
-        table.add_row(
-            standing.policy,
-            _span(x["comfort"], 1.0, 2),
-            _span(x["rattle"], 1000.0, 1),
-            _span(x["tyre_load"], 1.0, 3),
-            f"{x['switches_per_km'].mean:.0f}",
-            _span(x["episode_return"], 1.0, 2),
-        )
+        cells = [text(name, row["metrics"][name]["mean"]) for name in (*SHOWN, "bound")]
+        cells += [_span(row["errors"][name]) for name in names]
+        mark = "" if row["attainable"] else " (knows the road)"
+        table.add_row(row["policy"] + mark, *cells)
     console.print(table)
     console.print(
-        "Interquartile means over roads, ± half the 95 % bootstrap interval; lower is better, for "
-        "the return higher."
+        "Interquartile means over roads and cases; an estimator's column is its in-band NRMSE\n"
+        "with half the 95 % bootstrap interval over roads. Lower is better, for the return higher."
     )
-    if manoeuvre is None:
-        console.print("Without manoeuvres nothing rewards handling: see --manoeuvre.")
+    for note in dict.fromkeys(note for row in data["rows"] for note in row["notes"]):
+        console.print(note)
 
 
-def _span(x: Interval, factor: float, digits: int) -> str:
-    half = 0.5 * factor * (x.high - x.low)
-    return f"{factor * x.mean:.{digits}f} ±{half:.{digits}f}"
+def _span(x: dict[str, float]) -> str:
+    half = 0.5 * (x["high"] - x["low"])
+    return f"{x['mean']:.3f} ±{half:.3f}" if half == half else "–"

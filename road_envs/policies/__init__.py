@@ -1,18 +1,124 @@
-"""Policies that switch the suspension: one file each; observation in, action out.
+"""Policies that switch the suspension: one file each; observations in, actions out.
 
-To add one: write a file beside this one and put it into REGISTRY.
+To add one here: write a file beside this one and put its line into REGISTRY; settings that were
+tuned go into configs/policies/<name>.yaml. To add one from another package, declare it there as an
+entry point, and it appears as `my_policy`:
+
+    [project.entry-points."roadrecon.policies"]
+    my_policy = "my_package.my_module:MyPolicy"
 """
 
-from road_envs.policies.fixed import FixedHandling, FixedRide
-from road_envs.policies.ppo import LearnedPPO
-from road_envs.policies.protocol import Learner, Policy
-from road_envs.policies.random import RandomSwitching
+import dataclasses
+import warnings
+from dataclasses import dataclass, field
+from importlib import metadata
+from typing import Any
 
-__all__ = ["REGISTRY", "Learner", "Policy"]
+from road_envs import config
+from road_envs.config import STRICT, ConfigError, build, one_of
+from road_envs.policies.add import AccelerationDriven
+from road_envs.policies.fixed import (
+    FixedHandling,
+    FixedHandlingRide,
+    FixedRide,
+    FixedRideHandling,
+)
+from road_envs.policies.groundhook import Groundhook
+from road_envs.policies.information import GreedyInformation
+from road_envs.policies.ppo import Ppo
+from road_envs.policies.protocol import Cabin, Policy, PolicyError
+from road_envs.policies.random import RandomSwitching
+from road_envs.policies.roll_angle import RollAngle
+from road_envs.policies.rrms import RunningRms
+from road_envs.policies.sh_add import SkyhookAdd
+from road_envs.policies.skyhook import Skyhook
+
+__all__ = ["REGISTRY", "Cabin", "Policy", "PolicyError", "available", "create"]
+
+GROUP = "roadrecon.policies"
+"""Entry-point group under which other packages offer policies."""
 
 REGISTRY: dict[str, type[Policy]] = {
     "fixed_ride": FixedRide,
     "fixed_handling": FixedHandling,
+    "fixed_ride_handling": FixedRideHandling,
+    "fixed_handling_ride": FixedHandlingRide,
     "random": RandomSwitching,
-    "ppo": LearnedPPO,
+    "rrms": RunningRms,
+    "roll_angle": RollAngle,
+    "skyhook": Skyhook,
+    "groundhook": Groundhook,
+    "add": AccelerationDriven,
+    "sh_add": SkyhookAdd,
+    "greedy_information": GreedyInformation,
+    "ppo": Ppo,
 }
+
+
+class PluginWarning(UserWarning):
+    """A policy of another package that cannot be used, and why."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tuned:
+    """Settings of a shipped policy, where they come from, and how a learned one was trained
+    (`training.Recipe`).
+    """
+
+    __pydantic_config__ = STRICT
+
+    settings: dict[str, Any] = field(default_factory=dict)
+    source: str = ""
+    recipe: dict[str, Any] = field(default_factory=dict)
+
+
+def available() -> dict[str, type[Policy]]:
+    """All policies by name, those of other packages included.
+
+    One that cannot be loaded is left out with a PluginWarning. Raises ConfigError if a package
+    claims a name that is taken.
+    """
+    classes = dict(REGISTRY)
+    for entry in metadata.entry_points(group=GROUP):
+        if entry.name in classes:
+            raise ConfigError(
+                f"the policy {entry.name!r} of {entry.value} needs another name: "
+                f"{classes[entry.name].__module__} has this one"
+            )
+        try:
+            classes[entry.name] = _checked(entry.load())
+        except Exception as error:  # whatever another package does, the rest stays usable
+            said = f"{type(error).__name__}: {error}"
+            warnings.warn(
+                f"the policy {entry.name!r} of {entry.value} is left out: {said}",
+                PluginWarning,
+                stacklevel=2,
+            )
+    return classes
+
+
+def create(name: str, **settings: Any) -> Policy:
+    """A fresh policy with its tuned settings, some of them replaced. Raises ConfigError."""
+    classes = available()
+    cls: Any = classes[one_of("policy", name, classes)]
+    known = [f.name for f in dataclasses.fields(cls) if f.init]
+    for setting in settings:
+        one_of(f"setting of {name}", setting, known)
+    return build(cls, {**tuned(name), **settings}, name)
+
+
+def tuned(name: str) -> dict[str, Any]:
+    """The shipped settings of a policy; empty if there are none."""
+    if name not in config.names("policies"):
+        return {}
+    return dict(config.load(Tuned, "policies", name).settings)
+
+
+def _checked(cls: Any) -> Any:
+    """`cls` if it has the shape of a policy. Raises TypeError."""
+    if not (isinstance(cls, type) and dataclasses.is_dataclass(cls)):
+        raise TypeError("it must be a dataclass of settings")
+    for method in ("reset", "act"):
+        if not callable(getattr(cls, method, None)):
+            raise TypeError(f"it has no method {method}")
+    return cls

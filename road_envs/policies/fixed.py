@@ -1,26 +1,48 @@
-"""One setting for the whole drive: what the paper's test runs did."""
+"""One setting for the whole drive: what the paper's test runs did, and the two mixed pairs."""
+
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
+from road_envs.config import STRICT
+from road_envs.policies.protocol import Cabin
 
+
+@dataclass(kw_only=True)
 class FixedRide:
     """All struts soft with low damping."""
 
-    def reset(self, actions: int, seed: int) -> None:
-        """Nothing to prepare."""
+    __pydantic_config__ = STRICT
+    states: ClassVar[tuple[str, str]] = ("ride", "ride")
 
-    def act(self, observation: np.ndarray) -> int:
-        """Ride, always: the first action."""
-        return 0
+    actions: np.ndarray = field(init=False, repr=False, compare=False)
+
+    def reset(self, cabin: Cabin) -> None:
+        """Note the action."""
+        self.actions = np.full(cabin.number, cabin.action(*self.states))
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        """Always the same."""
+        return self.actions
 
 
-class FixedHandling:
+@dataclass(kw_only=True)
+class FixedHandling(FixedRide):
     """All struts stiff with high damping."""
 
-    def reset(self, actions: int, seed: int) -> None:
-        """Note which action is handling: the last one."""
-        self.action = actions - 1
+    states = ("handling", "handling")
 
-    def act(self, observation: np.ndarray) -> int:
-        """Handling, always."""
-        return self.action
+
+@dataclass(kw_only=True)
+class FixedRideHandling(FixedRide):
+    """Ride in front, handling at the rear: different states make roll see all of the road."""
+
+    states = ("ride", "handling")
+
+
+@dataclass(kw_only=True)
+class FixedHandlingRide(FixedRide):
+    """Handling in front, ride at the rear."""
+
+    states = ("handling", "ride")

@@ -1,0 +1,57 @@
+"""What learned policies see: the instruments of one interval as FEATURES numbers of order one.
+
+Heave, roll and pitch acceleration and rates, felt horizontal accelerations, struts, running RMS of
+vertical and lateral acceleration over a second, speed, commanded states. Those that need a past
+have a memory for every car, which is forgotten when its episode ends.
+"""
+
+import numpy as np
+
+from road_envs.policies.protocol import Cabin
+from road_envs.policies.signals import Body, Running
+
+SCALES = np.concatenate(
+    [
+        np.full(3, 0.5),  # accelerations [m/s², rad/s²]
+        np.full(3, 3.0),  # rates [m/s, rad/s]
+        np.full(2, 0.3),  # felt [m/s²]
+        np.full(4, 20.0),  # extensions [m]
+        np.full(4, 3.0),  # their rates [m/s]
+        np.full(2, 0.5),  # running RMS [m/s²]
+        np.full(1, 0.05),  # speed [m/s]
+        np.ones(4),  # states
+    ]
+)
+FEATURES = SCALES.size
+MOST = 5.0
+"""Largest size of a feature."""
+
+
+class Features:
+    """Turns observations (N, d) into features (N, FEATURES). Needs "planar" and "struts"."""
+
+    def __init__(self, cabin: Cabin):
+        self.cabin, self.body = cabin, Body(cabin, leak=0.2)
+        self.vertical, self.lateral = Running(cabin, 1.0), Running(cabin, 1.0)
+
+    def restart(self, mask: np.ndarray) -> None:
+        """Forget the cars in `mask` (N,)."""
+        for memory in (self.body, self.vertical, self.lateral):
+            memory.restart(mask)
+
+    def of(self, observations: np.ndarray) -> np.ndarray:
+        """Features (N, FEATURES) float32, going on by one interval."""
+        self.body.feel(observations)
+        planar = self.cabin.part("planar", observations)
+        others = ("extension", "extension_rate")
+        running = (self.vertical.add(self.body.a[:, 0]), self.lateral.add(planar[:, 1]))
+        columns = [
+            self.body.a,
+            self.body.v,
+            planar,
+            *(self.cabin.part(name, observations) for name in others),
+            np.stack(running, axis=1),
+            *(self.cabin.part(name, observations) for name in ("speed", "front", "rear")),
+        ]
+        features = np.concatenate(columns, axis=1) * SCALES
+        return np.clip(features, -MOST, MOST).astype(np.float32)

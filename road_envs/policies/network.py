@@ -1,0 +1,118 @@
+"""A learned policy as plain numbers: layers of a small network, stored without pickle.
+
+    h_0 = features,   h_i = f(W_i h_{i-1} + b_i),   action = argmax of the last, which has no f
+
+A file is a .npz of arrays `W_i`, `b_i` and one text, `about`, in JSON: format, activation,
+control, how many intervals an action is held, and how it was trained. Nothing in it is run, so a
+file of a stranger can do no worse than drive badly.
+"""
+
+import io
+import json
+import zipfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from road_envs.config import STRICT, ConfigError, folder
+from road_envs.episode import ACTIONS
+from road_envs.policies.features import FEATURES, Features
+from road_envs.policies.protocol import Cabin
+
+FORMAT = "roadrecon policy 1"
+ACTIVATIONS: dict[str, Any] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
+
+
+@dataclass(frozen=True)
+class Network:
+    """Weights (out, in) and biases (out,) of each layer; `about` says how they were made."""
+
+    layers: tuple[tuple[np.ndarray, np.ndarray], ...]
+    about: dict[str, Any]
+
+    def values(self, features: np.ndarray) -> np.ndarray:
+        """What the last layer makes (N, actions) of features (N, FEATURES)."""
+        activation, h = ACTIVATIONS[self.about["activation"]], features
+        for i, (W, b) in enumerate(self.layers):
+            h = h @ W.T + b
+            h = activation(h) if i < len(self.layers) - 1 else h
+        return h
+
+    def as_bytes(self) -> bytes:
+        """The file."""
+        arrays = {f"W_{i}": W for i, (W, _) in enumerate(self.layers)}
+        arrays |= {f"b_{i}": b for i, (_, b) in enumerate(self.layers)}
+        text = json.dumps({"format": FORMAT, **self.about}, sort_keys=True)
+        buffer = io.BytesIO()
+        np.savez(buffer, about=np.array(text), **arrays)  # type: ignore[arg-type]
+        return buffer.getvalue()
+
+
+def read_network(path: Path) -> Network:
+    """A network from its file. Raises ConfigError that says what is wrong with it."""
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror or error}") from None
+    except (ValueError, zipfile.BadZipFile, EOFError) as error:
+        raise ConfigError(f"{path}: not a stored policy: {error}") from None
+    try:
+        about = json.loads(str(arrays.pop("about")))
+        if about["format"] != FORMAT:
+            raise ValueError(f"format {about['format']!r} is not {FORMAT!r}")
+        if about["activation"] not in ACTIVATIONS or about["control"] not in ACTIONS:
+            raise ValueError("activation or control is unknown")
+        if not (isinstance(about["held"], int) and about["held"] >= 1):
+            raise ValueError("an action is held for a whole number of intervals")
+        layers = tuple((arrays[f"W_{i}"], arrays[f"b_{i}"]) for i in range(len(arrays) // 2))
+        _check(layers, len(ACTIONS[about["control"]]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: not a stored policy: {error}") from None
+    return Network(layers, about)
+
+
+def _check(layers: tuple[tuple[np.ndarray, np.ndarray], ...], actions: int) -> None:
+    """Raise ValueError unless the layers lead from features to actions."""
+    size = FEATURES
+    for W, b in layers:
+        if W.dtype.kind != "f" or W.ndim != 2 or W.shape[1] != size or b.shape != W.shape[:1]:
+            raise ValueError(f"layers must lead from {FEATURES} features to {actions} actions")
+        if not (np.isfinite(W).all() and np.isfinite(b).all()):
+            raise ValueError("every weight must be finite")
+        size = len(b)
+    if size != actions or not layers:
+        raise ValueError(f"layers must lead from {FEATURES} features to {actions} actions")
+
+
+@dataclass(kw_only=True)
+class Learned:
+    """The likeliest (or most valued) action of the network in `file`, a name in the shipped folder
+    of policies or a path.
+    """
+
+    __pydantic_config__ = STRICT
+
+    file: str
+    network: Network = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self):
+        path = Path(self.file)
+        self.network = read_network(path if path.exists() else folder() / "policies" / self.file)
+
+    def reset(self, cabin: Cabin) -> None:
+        """Forget the past."""
+        if len(cabin.actions) != len(self.network.layers[-1][1]):
+            control = self.network.about["control"]
+            raise ConfigError(f"{self.file} was trained with control {control!r}: drive it so")
+        self.features, self.done = Features(cabin), 0
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        """One pass through the network, now and then."""
+        features = self.features.of(observations)
+        if self.done % self.network.about["held"] == 0:
+            self.actions = np.argmax(self.network.values(features), axis=1)
+        self.done += 1
+        return self.actions

@@ -1,0 +1,38 @@
+"""Handling while the body leans over its axles by more than a threshold, and a while longer."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from road_envs.config import STRICT
+from road_envs.policies.protocol import Cabin
+from road_envs.policies.signals import roll_of_struts
+
+
+@dataclass(kw_only=True)
+class RollAngle:
+    """Handling once roll exceeds `threshold` [rad], until it has stayed below for `hold` [s].
+
+    Needs the instruments "struts".
+    """
+
+    __pydantic_config__ = STRICT
+
+    threshold: float = 0.03
+    hold: float = 0.5
+    cabin: Cabin = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self):
+        if not (self.threshold > 0 and self.hold >= 0):
+            raise ValueError("threshold must be positive and hold must not be negative")
+
+    def reset(self, cabin: Cabin) -> None:
+        """Stand upright."""
+        self.cabin, self.calm = cabin, np.full(cabin.number, np.inf)
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        """Ride or handling."""
+        leaning = np.abs(roll_of_struts(self.cabin, observations)) > self.threshold
+        self.calm = np.where(leaning, 0.0, self.calm + self.cabin.interval)
+        firm = np.repeat((self.calm <= self.hold)[:, None], 2, axis=1)
+        return self.cabin.switch(firm, "ride", "handling")

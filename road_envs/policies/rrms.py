@@ -1,0 +1,42 @@
+"""Running RMS (Els, "The ride comfort vs. handling compromise for off-road vehicles", thesis,
+Pretoria 2006): handling when the lateral acceleration, over about a second, exceeds the vertical.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from road_envs.config import STRICT
+from road_envs.policies.protocol import Cabin
+from road_envs.policies.signals import Body, Running
+
+
+@dataclass(kw_only=True)
+class RunningRms:
+    """Handling on all struts if the RMS of the lateral over `window` [s] exceeds `ratio` times that
+    of the heave acceleration, else ride. Needs the instruments "planar".
+    """
+
+    __pydantic_config__ = STRICT
+
+    window: float = 1.0
+    ratio: float = 1.0
+    cabin: Cabin = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self):
+        for name in ("window", "ratio"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+
+    def reset(self, cabin: Cabin) -> None:
+        """Forget the past."""
+        self.cabin, self.body = cabin, Body(cabin, leak=1.0)
+        self.lateral, self.vertical = Running(cabin, self.window), Running(cabin, self.window)
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        """Ride or handling."""
+        heave = self.cabin.accelerations(observations).transpose(0, 2, 1) @ self.body.modes[0]
+        vertical = self.vertical.add(heave)
+        lateral = self.lateral.add(self.cabin.part("planar", observations)[:, 1])
+        firm = np.repeat((lateral > self.ratio * vertical)[:, None], 2, axis=1)
+        return self.cabin.switch(firm, "ride", "handling")

@@ -1,0 +1,122 @@
+"""Learning on the native environments: cases side by side, resumed runs, stored networks."""
+
+import numpy as np
+import pytest
+
+from leaderboard import tuning
+from road_envs.config import ConfigError
+from road_envs.policies import Cabin
+from road_envs.policies.features import FEATURES, SCALES, Features
+from road_envs.policies.network import Learned
+from road_envs.policies.training import Cases, Recipe, evaluate, train
+from road_envs.vector_env import RoadReconVectorEnv
+
+CASE = {
+    "road": "iso_d",
+    "length": 8.0,
+    "speed_kmh": 54.0,
+    "control": "axle",
+    "control_rate": 50.0,
+    "observe": ["accelerations", "planar", "struts"],
+    "truth": False,
+}
+TURN = {**CASE, "manoeuvre": {"kind": "slalom", "begin": 0.0, "period": 0.8}}
+SMALL = Recipe(
+    steps=256,
+    cars=2,
+    layers=(8,),
+    every=128,
+    hyper={"n_steps": 16, "batch_size": 32, "n_epochs": 2},
+)
+
+
+def test_cases_are_their_environments_with_held_actions_and_scaled_rewards():
+    cases = Cases([CASE, TURN], cars=2, seed=7, scale=3.0, held=4)
+    first = cases.reset()
+    twins = [RoadReconVectorEnv(2, **options) for options in (CASE, TURN)]
+    seen = [twin.reset(seed=7 + 1_000_000 * (i + 1))[0] for i, twin in enumerate(twins)]
+    features = [Features(Cabin.of(twin.setup, 2, 0)) for twin in twins]
+    expected = [f.of(o) for f, o in zip(features, seen, strict=True)]
+    np.testing.assert_array_equal(first, np.concatenate(expected))
+    assert first.shape == (4, FEATURES) and SCALES.shape == (FEATURES,)
+    actions = np.array([0, 3, 1, 2])
+    after, rewards, dones, _ = cases.step(actions)
+    for i, (twin, one) in enumerate(zip(twins, features, strict=True)):
+        total = np.zeros(2)
+        for _ in range(4):
+            observations, reward, *_ = twin.step(actions[2 * i : 2 * i + 2])
+            last, total = one.of(observations), total + reward
+        np.testing.assert_array_equal(after[2 * i : 2 * i + 2], last)
+        np.testing.assert_allclose(rewards[2 * i : 2 * i + 2], 3.0 * total, rtol=1e-5)
+    assert not dones.any()
+
+
+def test_an_episode_that_ends_within_a_hold_ends_for_the_learner():
+    cases = Cases([CASE], cars=2, seed=1, scale=1.0, held=7)
+    cases.reset()
+    for _ in range(40):
+        _, _, dones, infos = cases.step(np.zeros(2, dtype=int))
+        if dones.any():
+            break
+    assert dones.all()
+    for info in infos:
+        assert info["TimeLimit.truncated"] and info["terminal_observation"].shape == (FEATURES,)
+
+
+def test_a_training_by_one_seed_gives_one_network_that_can_drive(tmp_path):
+    learnt = [train(SMALL, [CASE, TURN], [1, 2], seed=3) for _ in range(2)]
+    for (W, b), (W_2, b_2) in zip(*(x.network.layers for x in learnt), strict=True):
+        np.testing.assert_array_equal(W, W_2)
+        np.testing.assert_array_equal(b, b_2)
+    assert [steps for steps, _ in learnt[0].curve] == [128, 256]
+    assert max(value for _, value in learnt[0].curve) == pytest.approx(
+        evaluate(learnt[0].network, [CASE, TURN], [1, 2])
+    )
+    path = tmp_path / "n.npz"
+    tuning.write_bytes(path, learnt[0].network.as_bytes())
+    assert Learned(file=str(path)).network.about["held"] == 5
+
+
+def test_an_interrupted_training_is_taken_up_again(tmp_path):
+    kept = tmp_path / "run.pt"
+    calls = []
+
+    def stop(text, share):
+        calls.append(share)
+        if share > 0.5:
+            raise KeyboardInterrupt
+
+    recipe = Recipe(**{**vars(SMALL), "steps": 1024, "every": 256, "cars": 1})
+    with pytest.raises(KeyboardInterrupt):
+        train(recipe, [CASE], [1], 3, checkpoint=kept, progress=stop)
+    before = kept.read_bytes()
+    resumed = train(recipe, [CASE], [1], 3, checkpoint=kept)
+    assert [steps for steps, _ in resumed.curve] == [256, 512, 768, 1024]
+    other = Recipe(**{**vars(recipe), "steps": 2048})
+    with pytest.raises(ConfigError, match=r"run\.pt: belongs to another recipe"):
+        train(other, [CASE], [1], 3, checkpoint=kept)
+    kept.write_bytes(before[: len(before) // 2])
+    with pytest.raises(ConfigError, match=r"run\.pt: not a checkpoint"):
+        train(recipe, [CASE], [1], 3, checkpoint=kept)
+
+
+def test_deep_q_learning_learns_too():
+    hyper = {"learning_starts": 32, "batch_size": 16, "train_freq": 4, "buffer_size": 500}
+    recipe = Recipe(algorithm="dqn", steps=128, cars=2, layers=(8,), every=128, hyper=hyper)
+    learnt = train(recipe, [CASE], [1], seed=1)
+    assert learnt.network.layers[-1][0].shape == (4, 8)
+    assert learnt.network.about["activation"] == "relu"
+
+
+@pytest.mark.parametrize("name", ["ppo", "ppo_sensing", "dqn"])
+def test_shipped_recipes_are_complete(name):
+    assert tuning.recipe(name, steps=5).steps == 5
+
+
+def test_a_wrong_recipe_is_named():
+    with pytest.raises(ConfigError, match=r"hyper parameters of ppo: .*learning_rat"):
+        train(Recipe(hyper={"learning_rat": 1.0}), [CASE], [1], seed=1)
+    with pytest.raises(ConfigError, match="rrms is not learned"):
+        tuning.recipe("rrms")
+    with pytest.raises(ValueError, match="must be at least 1"):
+        Recipe(steps=0)
