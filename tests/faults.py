@@ -379,6 +379,22 @@ FAULTS = [
           "features::test_a_record_that_cannot_be_used_is_refused_with_the_reason"),
     Fault("leaderboard/training.py", "== self.purpose", "!= \"\"",
           "training::test_an_unfinished_state_of_another_purpose_is_not_taken_up"),
+    Fault("leaderboard/plan.py", "if self._in_doubt:", "if False:",
+          "board::test_what_is_changed_while_entries_run_is_found_and_made_again"),
+    Fault("leaderboard/plan.py", "if result.failure is None:", "if True:",
+          "board::test_failures_are_tried_again_and_the_rest_of_the_entry_is_not_run"),
+    Fault("leaderboard/store.py", "if checksum_of(text) != told:", "if False:",
+          "results::test_the_checksum_covers_every_byte_below_it"),
+    Fault("leaderboard/jobs.py", '"seeds": list(seeds),', "",
+          "board::test_a_change_runs_again_what_depends_on_it_and_no_more"),
+    Fault("road_envs/files.py", "        partial.unlink(missing_ok=True)\n\n\ndef write_text", "        pass\n\n\ndef write_text",
+          "files::test_what_goes_wrong_leaves_the_old_file_and_nothing_else"),
+    Fault("leaderboard/isolation/guard.py", "processes.end_descendants()\n    if pid", "{}\n    if pid",
+          "isolation::test_children_do_not_outlive_their_entry"),
+    Fault("leaderboard/isolation/exchange.py", "os.O_NOFOLLOW | os.O_NONBLOCK", "os.O_NONBLOCK",
+          "isolation::test_what_an_entry_forges_is_not_believed"),
+    Fault("leaderboard/isolation/namespaces.py", "AT_RECURSIVE, set_=ATTR_RDONLY", "0, set_=0",
+          "isolation::test_in_namespaces_nothing_can_be_written_elsewhere_and_results_are_not_seen"),
 ]  # fmt: skip
 
 
