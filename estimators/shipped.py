@@ -6,6 +6,7 @@ Beside its arrays a file tells, as text: format, version of the package, command
 the configuration that made it.
 """
 
+import json
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -16,6 +17,8 @@ from road_envs.files import whole
 
 FOLDER = Path(__file__).parent / "weights"
 SUFFIX = ".safetensors"
+ABOUT = "about"
+"""What is known about the weights, as JSON in the metadata."""
 
 
 class WeightsError(ValueError):
@@ -28,7 +31,8 @@ def write(path: str | Path, arrays: Mapping[str, np.ndarray], about: Mapping[str
 
     solid = {name: np.array(array, order="C") for name, array in arrays.items()}
     with whole(path, durable=True) as partial:
-        partial.write_bytes(save(solid, metadata=dict(about)))
+        # one entry, for several would stand in another order in every file
+        partial.write_bytes(save(solid, metadata={ABOUT: json.dumps(dict(about), sort_keys=True)}))
 
 
 def read(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
@@ -38,7 +42,8 @@ def read(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     try:
         Path(path).open("rb").close()
         with safe_open(path, framework="numpy") as file:
-            return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}
+            arrays = {name: file.get_tensor(name) for name in file.keys()}
+            return arrays, json.loads((file.metadata() or {}).get(ABOUT, "{}"))
     except OSError as error:
         raise WeightsError(f"{path}: cannot be read: {error.strerror or error}") from None
     except SafetensorError as error:

@@ -66,7 +66,7 @@ def trained_mean() -> Mean:
 
 
 def test_the_registry_holds_the_estimators_of_this_package():
-    learning = {"static_lm", "narx", "fir_ridge", "tcn", "tcn_causal", "gru", "gru_causal"}
+    learning = {"static_lm", "narx", "fir_ridge", "tcn"}
     assert learning | {"flat", "mean", "unrelated_road", "map_smoother"} <= set(REGISTRY)
     assert available().keys() >= REGISTRY.keys()
 
