@@ -389,8 +389,6 @@ FAULTS = [
           "board::test_a_change_runs_again_what_depends_on_it_and_no_more"),
     Fault("road_envs/files.py", "        partial.unlink(missing_ok=True)\n\n\ndef write_text", "        pass\n\n\ndef write_text",
           "files::test_what_goes_wrong_leaves_the_old_file_and_nothing_else"),
-    Fault("leaderboard/isolation/guard.py", "processes.end_descendants()\n    if pid", "{}\n    if pid",
-          "isolation::test_children_do_not_outlive_their_entry"),
     Fault("leaderboard/isolation/exchange.py", "os.O_NOFOLLOW | os.O_NONBLOCK", "os.O_NONBLOCK",
           "isolation::test_what_an_entry_forges_is_not_believed"),
     Fault("leaderboard/isolation/namespaces.py", "AT_RECURSIVE, set_=ATTR_RDONLY", "0, set_=0",

@@ -22,6 +22,7 @@ from road_envs.dynamics import Z_B
 from road_envs.episode import Setup
 from road_envs.policies import create
 from road_envs.policies.rollout import drive
+from road_envs.sensors import Logger
 from road_envs.simulate import Trajectory
 from road_envs.vector_env import RoadReconVectorEnv
 from road_envs.vehicle import load_vehicle
@@ -250,8 +251,6 @@ def test_cars_change_places_with_all_they_carry():
     course = league.lay_out(scenarios(), 0, [101])
     convoy = course.setup.convoy(9)
     start = course.starts[0]
-    from road_envs.sensors import Logger
-
     for i in range(9):
         logger = Logger(course.setup.instruments, CAR, 0.001, np.random.default_rng(0))
         convoy.start(i, start.drive, logger, start.speed_kmh)

@@ -11,12 +11,15 @@ from hypothesis import strategies as st
 import road_envs.policies as policies
 from road_envs.config import ConfigError
 from road_envs.episode import Setup
+from road_envs.observability import RoadPrior
 from road_envs.policies import REGISTRY, available, create
 from road_envs.policies.features import FEATURES
+from road_envs.policies.information import expected_comfort
 from road_envs.policies.network import Learned, Network, read_network
 from road_envs.policies.protocol import Cabin, PolicyError, checked
 from road_envs.policies.rollout import drive
 from road_envs.policies.signals import Body, Running
+from road_envs.vector_env import RoadReconVectorEnv
 
 OPTIONS = {
     "road": "iso_d",
@@ -183,12 +186,7 @@ def test_sensing_is_the_pair_of_least_cost_and_turns_from_comfort_to_knowledge()
 
 def test_expected_comfort_is_that_of_the_drives():
     """Closed form against simulation: the linear car on class D, within what friction makes."""
-    from road_envs.observability import RoadPrior
-    from road_envs.policies.information import expected_comfort
-
     straight = {**OPTIONS, "manoeuvre": None, "length": 300.0}
-    from road_envs.vector_env import RoadReconVectorEnv
-
     for name, pair in (("fixed_ride", ("ride", "ride")), ("fixed_handling", ("handling",) * 2)):
         envs = RoadReconVectorEnv(4, **straight, truth=False)
         envs.reset(seed=20)

@@ -86,7 +86,7 @@ def test_an_interrupted_training_is_taken_up_again(tmp_path):
         if share > 0.5:
             raise KeyboardInterrupt
 
-    recipe = Recipe(**{**vars(SMALL), "steps": 1024, "every": 256, "cars": 1})
+    recipe = Recipe(**{**vars(SMALL), "steps": 1024, "every": 256})
     with pytest.raises(KeyboardInterrupt):
         train(recipe, [CASE], [1], 3, checkpoint=kept, progress=stop)
     before = kept.read_bytes()

@@ -172,3 +172,9 @@ def test_the_cobbles_cohere_and_what_lies_below_does_not():
     assert abs(found - np.sqrt(0.22)) < 4.0 * error
     found, error = coherence(z, 2.3, 4.0)
     assert abs(found) < 4.0 * error
+
+
+@pytest.mark.parametrize("length", [83.38983050847457, 124.40677966101694])
+def test_paving_whose_last_cell_of_lines_is_empty_is_still_a_road(length):
+    surface = load_road({"kind": "belgian", "length": length}).realise(np.random.default_rng(0))
+    assert np.isfinite(surface.z).all()

@@ -1,6 +1,5 @@
 """A newcomer's package: written, tested, built, installed, and on the board by its own name."""
 
-import json
 import os
 import subprocess
 import sys
@@ -8,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from leaderboard.store import load
 from leaderboard.template import write_package
 from road_envs.config import ConfigError
 
@@ -44,9 +44,9 @@ def test_the_package_of_a_newcomer_gets_from_an_empty_folder_to_a_row_of_the_boa
         "-m", "leaderboard.cli", "leaderboard", "--task", "paper_5", "--estimator", "double_twice",
         "--seeds", "1", "--out", "board", cwd=tmp_path, path=[target, ROOT],
     )  # fmt: skip
-    row = json.loads((tmp_path / "board/results/paper_5/double_twice.json").read_text())
-    assert row["failure"] is None and row["estimator"] == "double_twice"
-    assert row["drives"][0]["scores"]["nrmse"] > 0.0
+    row = load(tmp_path / "board/results/paper_5/double_twice.json")
+    assert row.failure is None and row.estimator == "double_twice"
+    assert (row.drives[0].scores["nrmse"] or 0.0) > 0.0
     assert "double_twice" in (tmp_path / "board/index.html").read_text()
 
 

@@ -8,7 +8,14 @@ from rich.table import Table
 
 import estimators
 from leaderboard import league, policy_page, tuning
-from leaderboard.commands import console, json_text, notices, print_json, progress_bar
+from leaderboard.commands import (
+    console,
+    json_text,
+    notices,
+    print_json,
+    progress_bar,
+    writable,
+)
 from leaderboard.commands.drives import Json
 from leaderboard.scenarios import load_scenarios
 from leaderboard.standings import REFERENCE, summary, text
@@ -17,7 +24,15 @@ from road_envs.files import write_text
 from road_envs.policies import available, create
 from road_envs.policies.information import GreedyInformation
 
-SHOWN = ("comfort", "rattle", "tyre_load", "roll_peak", "stops_per_km", "switches_per_km", "reward")
+SHOWN = {
+    "comfort": "comfort\nm/s²",
+    "tyre_load": "tyre\nload",
+    "roll_peak": "roll\ndeg",
+    "switches_per_km": "switch\n1/km",
+    "reward": "return\n1/s",
+    "bound": "bound",
+}
+"""Columns of the table; the page has all."""
 SWEEP = (0.0, 30.0, 100.0, 300.0, 1000.0)
 """Weights of information of the sensing policies in the Pareto plot."""
 
@@ -34,6 +49,9 @@ def policies(
         typer.Option(help="Estimator fed with the drives' records; may be given again."),
     ] = None,
     roads: Annotated[int | None, typer.Option(help="Test roads of each case.", min=2)] = None,
+    reference: Annotated[
+        str, typer.Option(help="Policy from which differences are taken.")
+    ] = REFERENCE,
     quick: Annotated[
         bool, typer.Option("--quick", help="The quick scenarios, without sweep: half a minute.")
     ] = False,
@@ -50,6 +68,7 @@ def policies(
     seeds = chosen.some(roads)
     known = [*available(), league.ORACLE]
     names = [one_of("policy", name, known) for name in policy or known]
+    one_of("reference", reference, names if policy else known)
     entries: dict[str, Any] = {n: None if n == league.ORACLE else create(n) for n in names}
     if sweep:
         entries |= {f"information {w:g}": GreedyInformation(weight=w) for w in SWEEP}
@@ -58,7 +77,7 @@ def policies(
         raise ConfigError(f"{out} is a file; a folder is wanted")
     with progress_bar() as progress:
         found = league.compare(chosen, entries, readers, roads=roads, progress=progress)
-        data = summary(chosen, found, seeds, REFERENCE)
+        data = summary(chosen, found, seeds, reference)
         if out:
             write_text(out / "policies.json", json_text(data))
             page = policy_page.write(data, out)
@@ -77,6 +96,7 @@ def tune_policy(
 ) -> None:
     """Search a policy's settings on training roads alone."""
     one_of("policy", name, tuning.GRIDS)
+    writable(out, ".yaml", ".yml")
     with progress_bar() as progress:
         best = tuning.tune(name, load_scenarios(scenarios), progress)
     command = f"roadrecon tune-policy {name} --scenarios {scenarios}"
@@ -102,6 +122,7 @@ def train_policy(
     from road_envs.policies.training import train
 
     recipe = tuning.recipe(name, steps)
+    writable(out, ".npz")
     chosen = load_scenarios(scenarios)
     cases = [chosen.options(case) for case in chosen.cases]
     with progress_bar() as progress:
@@ -129,21 +150,20 @@ def _print(data: dict[str, Any]) -> None:
     )
     names = next((list(row["errors"]) for row in data["rows"] if not row["failure"]), [])
     table.add_column("policy", no_wrap=True)
-    headings = ("comfort\nm/s²", "rattle\nmm", "tyre\nload", "roll\ndeg", "stops\n1/km")
-    for heading in (*headings, "switches\n1/km", "return\n1/s", "bound", *names):
+    for heading in (*SHOWN.values(), *names):
         table.add_column(heading, justify="right", no_wrap=True)
     for row in data["rows"]:
         if row["failure"]:
             table.add_row(row["policy"], f"failed: {row['failure']}", style="red")
             continue
-        cells = [text(name, row["metrics"][name]["mean"]) for name in (*SHOWN, "bound")]
+        cells = [text(name, row["metrics"][name]["mean"]) for name in SHOWN]
         cells += [_span(row["errors"][name]) for name in names]
-        mark = "" if row["attainable"] else " (knows the road)"
-        table.add_row(row["policy"] + mark, *cells)
+        table.add_row(row["policy"] + ("" if row["attainable"] else " *"), *cells)
     console.print(table)
     console.print(
         "Interquartile means over roads and cases; an estimator's column is its in-band NRMSE\n"
-        "with half the 95 % bootstrap interval over roads. Lower is better, for the return higher."
+        "with half the 95 % bootstrap interval over roads. Lower is better, for the return\n"
+        "higher. * knows the road: not attainable."
     )
     for note in dict.fromkeys(note for row in data["rows"] for note in row["notes"]):
         console.print(note)

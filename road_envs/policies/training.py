@@ -308,7 +308,14 @@ def _take_up(model: Any, state: dict[str, Any], path: Path, recipe: Recipe) -> N
         model.policy.optimizer.load_state_dict(stored["optimizer"])
         state |= json.loads(stored["state"])
         arrays, about = stored["network"], json.loads(stored["about"])
-    except (pickle.UnpicklingError, RuntimeError, KeyError, ValueError, EOFError) as error:
+    except (
+        pickle.UnpicklingError,
+        RuntimeError,
+        LookupError,
+        ValueError,
+        OSError,
+        EOFError,
+    ) as error:
         if isinstance(error, ConfigError):
             raise
         said = str(error).splitlines()[0]

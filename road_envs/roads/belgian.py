@@ -68,7 +68,8 @@ class Belgian:
         edges = line_edges(self)
         n, base, cobbles = middle(edges), self._base(edges), self._cobbles(edges)
         power = base + cobbles
-        g = (isotropic(n, self.w, self.track) * base + self._cobble_coherence * cobbles) / power
+        shared = isotropic(n, self.w, self.track) * base + self._cobble_coherence * cobbles
+        g = shared / np.where(power > 0.0, power, 1.0)  # the last cell may be empty
         return synthesise(rng, self, edges, power, g, "belgian")
 
     def _base(self, edges: np.ndarray) -> np.ndarray:
