@@ -5,8 +5,6 @@ environment of one car and one of thousands agree to the bit.
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 from math import ceil
 
 import numpy as np
@@ -38,7 +36,7 @@ from road_envs.interval import (
     drive_blocks,
     scratch,
 )
-from road_envs.lanes import aligned, copied, numbers_of
+from road_envs.lanes import aligned, copied, numbers_of, pool
 from road_envs.manoeuvres import Manoeuvre
 from road_envs.record import SENSORS
 from road_envs.roads.surface import PAD
@@ -49,11 +47,6 @@ from road_envs.vehicle import VehicleParameters
 
 AHEAD = 20
 """Intervals for which noise is drawn at once, in the order in which it would be drawn singly."""
-
-
-@cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads)
 
 
 def levers(logger: Logger) -> np.ndarray:
@@ -164,7 +157,7 @@ class Convoy:
             drive(moving, *self._desks[0])
         else:
             jobs = np.array_split(moving, len(self._desks))
-            list(_pool(len(jobs)).map(lambda job, top: drive(job, *top), jobs, self._desks))
+            list(pool(len(jobs)).map(lambda job, top: drive(job, *top), jobs, self._desks))
         if mask is not None and kept is not None:
             self._put_back(moving, mask, kept)
         if self.unknown is not None:

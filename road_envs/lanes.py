@@ -8,6 +8,7 @@ own vehicle, so it is the same whatever the number of vehicles and threads.
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,12 @@ finds by one address (30 arrays have 30, more than there are registers)."""
 _NUMBERS = np.dtype([(n, "f8", (*NUMBERS[n].shape, LANES)) for n in NUMBERS.names or ()])
 _SIZES = dict(zip(Work._fields, [N_DOF] * 6 + [4] * 8 + [12, 6], strict=True))
 _WORK = np.dtype([(name, "f8", (size, LANES)) for name, size in _SIZES.items()])
+
+
+@cache
+def pool(threads: int) -> ThreadPoolExecutor:
+    """Threads that stay: new ones begin on the core of their maker and are not moved in time."""
+    return ThreadPoolExecutor(threads)
 
 
 class Ways(NamedTuple):
@@ -328,8 +335,8 @@ class Fleet:
             for block, part, signals in work:
                 block.advance(part, self.columns, signals)
         else:
-            with ThreadPoolExecutor(self.threads) as pool:
-                list(pool.map(lambda job: job[0].advance(job[1], self.columns, job[2]), work))
+            workers = pool(self.threads)
+            list(workers.map(lambda job: job[0].advance(job[1], self.columns, job[2]), work))
         return out
 
     def land(self) -> list[Drive]:
