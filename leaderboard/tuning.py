@@ -5,8 +5,6 @@ scenarios. Test roads are never driven here.
 """
 
 import itertools
-import os
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +16,7 @@ import yaml
 from leaderboard.scenarios import Scenarios
 from road_envs import config
 from road_envs.config import ConfigError
+from road_envs.files import whole
 from road_envs.policies import Tuned, create
 from road_envs.policies.rollout import drive
 
@@ -96,12 +95,5 @@ def recipe(name: str, steps: int | None = None) -> Any:
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, partial = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        os.chmod(partial, 0o644)
-        os.replace(partial, path)
-    except BaseException:
-        os.unlink(partial)
-        raise
+    with whole(path) as partial:
+        partial.write_bytes(data)

@@ -17,6 +17,7 @@ import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
 from road_envs.config import STRICT, ConfigError
+from road_envs.files import whole
 from road_envs.policies.features import FEATURES, MOST, Features
 from road_envs.policies.network import Learned, Network
 from road_envs.policies.protocol import Cabin
@@ -279,19 +280,18 @@ def _put_down(model: Any, state: dict[str, Any], path: Path, recipe: Recipe) -> 
         for i, layer in enumerate(state["network"].layers)
         for kind, array in zip("Wb", layer, strict=True)
     }
-    partial = path.with_name(f".{path.name}.partial")
-    torch.save(
-        {
-            "policy": model.policy.state_dict(),
-            "optimizer": model.policy.optimizer.state_dict(),
-            "network": network,
-            "state": json.dumps(plain),
-            "recipe": repr(recipe),
-            "about": json.dumps(state["network"].about),
-        },
-        partial,
-    )
-    partial.replace(path)
+    with whole(path) as partial:
+        torch.save(
+            {
+                "policy": model.policy.state_dict(),
+                "optimizer": model.policy.optimizer.state_dict(),
+                "network": network,
+                "state": json.dumps(plain),
+                "recipe": repr(recipe),
+                "about": json.dumps(state["network"].about),
+            },
+            partial,
+        )
 
 
 def _take_up(model: Any, state: dict[str, Any], path: Path, recipe: Recipe) -> None:
