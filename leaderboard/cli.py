@@ -12,6 +12,7 @@ from leaderboard.commands import (
     animate,
     bench,
     board,
+    classify,
     drives,
     jobs,
     newcomer,
@@ -37,6 +38,7 @@ app = typer.Typer(
 app.command("simulate")(drives.simulate)
 app.command("train")(drives.train)
 app.command("estimate")(drives.estimate)
+app.command("classify")(classify.classify)
 app.command("leaderboard")(board.leaderboard)
 app.command("paper")(paper.paper)
 app.command("season")(season.season)

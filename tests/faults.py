@@ -393,6 +393,14 @@ FAULTS = [
           "isolation::test_what_an_entry_forges_is_not_believed"),
     Fault("leaderboard/isolation/namespaces.py", "AT_RECURSIVE, set_=ATTR_RDONLY", "0, set_=0",
           "isolation::test_in_namespaces_nothing_can_be_written_elsewhere_and_results_are_not_seen"),
+    Fault("road_envs/distortion.py", "for k in range(2, ORDERS + 1):\n        each = each * rho", "for k in range(2, ORDERS + 1):\n        each = rho",
+          "distortion::test_of_a_cube_the_triple_convolution_of_the_spectrum_remains"),
+    Fault("estimators/hearing.py", "np.real(np.einsum(\"fii->f\", matrices))", "np.abs(matrices[:, 0, 0])",
+          "wiener::test_noise_that_is_stronger_than_supposed_is_told_from_road"),
+    Fault("estimators/smoothing.py", "q += RELAXATION * (expected - q)", "q -= RELAXATION * (expected - q)",
+          "wiener::test_taking_the_remainder_out_comes_much_nearer_to_the_bound"),
+    Fault("estimators/spectral_class.py", "levels[k] /= 2.0", "pass",
+          "spectral_class::test_octaves_have_the_levels_and_classes_of_the_road"),
 ]  # fmt: skip
 
 

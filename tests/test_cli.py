@@ -43,6 +43,7 @@ def test_every_command_explains_itself(roadrecon):
         "bench",
         "precision",
         "observability",
+        "classify",
         "new-estimator",
     ):
         code, out, _ = roadrecon(command, "--help")
