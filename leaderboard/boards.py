@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass
 
+from leaderboard.scores import SCORES, Score
 from leaderboard.tasks import BoardName
+from road_envs.field import GRADES
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,18 @@ NEW_ROAD_COLUMNS = (
     Column("coverage_90", "in 90 %", "%", wide=True),
     *COST,
 )
+FIELD_COLUMNS = (
+    *RANKED,
+    *(Column(f"grade_{grade}", grade) for grade in GRADES),
+    Column("slope", "slope", "per grade"),
+    Column("slope_interval", "95 %", wide=True),
+    Column("nrmse", "NRMSE"),
+    Column("interval", "95 %"),
+    Column("r", "r"),
+    Column("class_exact", "class", "%"),
+    Column("iri_error", "IRI", "mm/m"),
+    Column("coverage_90", "in 90 %", "%", wide=True),
+)
 CLASS_COLUMNS = (
     *RANKED,
     Column("dsd_distance_db", "DSD", "dB"),
@@ -81,6 +95,13 @@ PAPER_COLUMNS = (
     Column("dsd_distance_db", "DSD", "dB", wide=True),
     Column("train_seconds", "train", "s", wide=True),
 )
+FORMS: dict[str, Score] = {
+    **SCORES,
+    **{f"grade_{grade}": SCORES["nrmse"] for grade in GRADES},
+    "slope": Score("growth of the NRMSE per grade", "", 1.0, 3, "zero"),
+}
+"""How numbers are printed that are scores, or made of scores."""
+
 BOARDS: dict[BoardName, Kind] = {
     "new_road": Kind(
         "New road",
@@ -91,8 +112,9 @@ BOARDS: dict[BoardName, Kind] = {
     "field": Kind(
         "Field car",
         "nrmse",
-        NEW_ROAD_COLUMNS,
-        "The same on cars that differ from the one it was trained on, more from S1 to S3.",
+        FIELD_COLUMNS,
+        "On cars that differ from the one that it was trained on, more from S1 to S3: NRMSE on "
+        "each, and how fast it grows.",
     ),
     "class": Kind(
         "Roughness class",

@@ -43,8 +43,9 @@ def simulated(task: Task, drives: Drives, condition: Condition) -> Iterator[Driv
             speed_kmh=condition.speed_kmh,
             mode=condition.command,
             instruments=instruments,
-            seed=np.random.SeedSequence([seed, task.conditions.index(condition)]),
+            seed=np.random.SeedSequence([seed, task.stream(condition)]),
             step=drives.step,
+            grade=task.grade(drives, condition),
         )
         yield Drive(surface.name, seed, record, truth, surface.notes)
 

@@ -21,6 +21,7 @@ from road_envs.files import write_text
 FOLDER = "export"
 FIELDS = ("board", "task", "group", "estimator", "state", "causal", "text")
 NUMBERS = ("rank", "rank_causal", "low", "high", *SCORES)
+OVER_GRADES = ("grade_S0", "grade_S1", "grade_S2", "grade_S3", "slope", "slope_low", "slope_high")
 COST = ("train_seconds", "estimate_ms_per_100m", "parameters")
 BIBLIOGRAPHY = """@software{{roadrecon,
   title = {{RoadRecon: road profile reconstruction from vehicle responses, an honest benchmark}},
@@ -80,12 +81,12 @@ def as_json(views: Sequence[View]) -> list[dict[str, Any]]:
 def as_csv(view: View) -> str:
     """One row for each line and group; a score that is not defined is empty."""
     text = io.StringIO()
-    rows = csv.DictWriter(text, [*FIELDS, *NUMBERS, *COST], lineterminator="\n")
+    rows = csv.DictWriter(text, [*FIELDS, *NUMBERS, *OVER_GRADES, *COST], lineterminator="\n")
     rows.writeheader()
     for section in view.sections:
         for line in section.lines:
             for group, values in {ALL: line.values, **line.groups}.items():
-                known = {name: values.get(name) for name in (*NUMBERS, *COST)}
+                known = {name: values.get(name) for name in (*NUMBERS, *OVER_GRADES, *COST)}
                 rows.writerow(
                     {
                         "board": view.board,

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.boards import Column, Kind
+from leaderboard.boards import FORMS, Column, Kind
 from leaderboard.bounds import bound_over_n
 from leaderboard.bumps import Bump, obstacles, sort_out
 from leaderboard.metrics import band_pass, scored_band
@@ -31,6 +31,9 @@ RAW, INSIDE = 0.05, 0.1
 FARTHEST = 3.0
 """Heights [m] beyond this are drawn there."""
 
+WORDS = ("interval", "states", "slope_interval")
+"""Columns that are not one number."""
+
 CLASS_N = (0.05, 10.0)
 THRESHOLDS = 41
 REPLICATES = 300
@@ -40,7 +43,7 @@ REPLICATES = 300
 def table(view: View, section: Section, columns: Sequence[Column]) -> dict[str, Any]:
     """The rows of a task with their numbers over all runs and over each group."""
     keys = [*(column.key for column in columns), view.kind.ranks_by, "rank_causal", "low", "high"]
-    wanted = dict.fromkeys(key for key in keys if key not in ("interval", "states"))
+    wanted = dict.fromkeys(key for key in keys if key not in WORDS)
     return {
         "ranks_by": view.kind.ranks_by,
         "scale": view.kind.scale,
@@ -59,7 +62,7 @@ def _line(line: Line, keys: Sequence[str]) -> dict[str, Any]:
         "causal": bool(line.causal),
         "text": line.text,
         "sparse": line.state == "claim" or line.name == BOUND,
-        "cells": {"states": line.cells.get("states", "")},
+        "cells": {key: line.cells[key] for key in WORDS if line.cells.get(key)},
         "groups": {
             name: {key: rounded(x) for key in keys if (x := found.get(key)) is not None}
             for name, found in groups.items()
@@ -69,8 +72,8 @@ def _line(line: Line, keys: Sequence[str]) -> dict[str, Any]:
 
 def _form(key: str) -> dict[str, Any]:
     """How a script prints a column: as `Score.text` does."""
-    if key in SCORES:
-        score = SCORES[key]
+    if key in FORMS:
+        score = FORMS[key]
         told = {"factor": score.factor, "digits": score.digits, "blank": NOTHING}
         return {"better": score.better, "form": {**told, "sign": score.better == "zero"}}
     plain = {"rank": 0, "rank_causal": 0, "parameters": 0}

@@ -7,7 +7,7 @@ is tested on every road, so a draw of seeds holds for all roads of a replicate. 
 each replicate puts all of them on the same roads.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -56,6 +56,19 @@ def bootstrap(scores: np.ndarray, seed: int, replicates: int = REPLICATES) -> np
     The draw of roads depends on `seed`, R and B alone: entries with one `seed` are paired.
     """
     return np.concatenate([interquartile_mean(x) for x in _drawn(scores, seed, replicates)])
+
+
+def slope(parts: Sequence[np.ndarray], seed: int = 0) -> Interval:
+    """Growth of the interquartile mean from one of `parts` (R, C, S) to the next, by least squares.
+
+    With its 95 % interval; the parts are paired, road by road and seed by seed.
+    """
+    x = np.arange(len(parts)) - 0.5 * (len(parts) - 1)
+    weight = x / np.sum(x * x)
+    drawn = weight @ np.stack([bootstrap(part, seed) for part in parts])
+    low, high = np.quantile(drawn, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
+    mean = weight @ np.array([float(interquartile_mean(part.ravel())) for part in parts])
+    return Interval(float(mean), float(low), float(high))
 
 
 def performance(

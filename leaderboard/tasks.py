@@ -20,6 +20,7 @@ import numpy as np
 
 from road_envs import config
 from road_envs.config import STRICT, ConfigError
+from road_envs.field import load_deviations
 from road_envs.roads import Road, with_length
 from road_envs.roads.compose import Altered, AnyRoad
 from road_envs.roads.measured import Measured
@@ -27,6 +28,7 @@ from road_envs.sensors import Instruments, load_instruments
 from road_envs.vehicle import VehicleParameters, load_vehicle
 
 BoardName = Literal["new_road", "field", "class", "measured", "paper"]
+Grade = Literal["S0", "S1", "S2", "S3"]
 StrutMode = Literal["ride", "handling", "soft_high", "stiff_low"]
 
 SEEDS_APART = 10_000
@@ -54,6 +56,7 @@ class Condition:
 
     mode: StrutMode | AxleModes
     speed_kmh: float
+    grade: Grade = "S0"  # of the car that is tested (`road_envs.field`); S0 is that of the training
 
     def __post_init__(self):
         if not self.speed_kmh > 0:
@@ -61,10 +64,11 @@ class Condition:
 
     @property
     def label(self) -> str:
-        """Such as "ride, 14.5 km/h"."""
+        """Such as "ride, 14.5 km/h", with the car if it is not that of the training."""
         mode = self.mode
         name = mode if isinstance(mode, str) else f"{mode.front} front, {mode.rear} rear"
-        return f"{name}, {self.speed_kmh:g} km/h"
+        car = "" if self.grade == "S0" else f", car {self.grade}"
+        return f"{name}, {self.speed_kmh:g} km/h{car}"
 
     @property
     def command(self) -> str | dict[str, str]:
@@ -173,9 +177,22 @@ class Task:
     @cached_property
     def digest(self) -> str:
         """sha256 of all that decides drives and scores: task, roads, car, instruments, files."""
-        parts = [self, self.vehicle, self.sensors]
+        parts: list[Any] = [self, self.vehicle, self.sensors]
+        if any(condition.grade != "S0" for condition in self.conditions):
+            parts.append(load_deviations())
         text = json.dumps([_canonical(part) for part in parts], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
+
+    def grade(self, drives: Drives, condition: Condition) -> Grade:
+        """The car that is driven: trainings are always on the nominal one."""
+        return condition.grade if drives is self.test else "S0"
+
+    def stream(self, condition: Condition) -> int:
+        """A number that conditions share which differ in the car alone: on each road they are then
+        driven by one individual, whose departures from the drawing grow with its grade.
+        """
+        driven = [(c.mode, c.speed_kmh) for c in self.conditions]
+        return driven.index((condition.mode, condition.speed_kmh))
 
     @property
     def draws_roads(self) -> bool:

@@ -13,12 +13,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from leaderboard.board import Board
-from leaderboard.boards import BOARDS, Column, Kind
+from leaderboard.boards import BOARDS, FORMS, Column, Kind
 from leaderboard.results import Result
 from leaderboard.scores import NOTHING, SCORES
 from leaderboard.sentinels import NOISE, TRUTH_PLUS_NOISE
-from leaderboard.statistics import Interval, interquartile_mean, interval, standings
+from leaderboard.statistics import Interval, interquartile_mean, interval, slope, standings
 from leaderboard.tasks import BoardName, Task
+from road_envs.field import GRADES
 
 State = Literal["scored", "sentinel", "claim", "failed", "stale"]
 CLAIM = "paper's claim"
@@ -35,7 +36,7 @@ ALL = ""
 SPECTRUM = tuple(name for name in SCORES if name.startswith("error_at_"))
 """The scores that tell the error over spatial frequency."""
 
-Part = tuple[list[int] | slice, slice]
+Part = tuple[list[int] | slice, list[int] | slice]
 """Which roads and which conditions of scores (R, C, S)."""
 
 EVERY: Part = (slice(None), slice(None))
@@ -115,7 +116,11 @@ def groups_of(task: Task) -> dict[str, dict[str, Part]]:
     families: dict[str, Part] = {
         family: (task.test.drives_of(family), every) for family in dict.fromkeys(task.test.families)
     }
-    kinds: dict[str, dict[str, Part]] = {"condition": conditions, "family": families}
+    grades: dict[str, Part] = {
+        f"car {grade}": (every, [k for k, c in enumerate(task.conditions) if c.grade == grade])
+        for grade in dict.fromkeys(c.grade for c in task.conditions)
+    }
+    kinds = {"condition": conditions, "family": families, "car": grades}
     return {kind: parts for kind, parts in kinds.items() if len(parts) > 1}
 
 
@@ -169,10 +174,24 @@ def _table(result: Result, kind: Kind, parts: Mapping[str, Part]) -> Table:
         "estimate_ms_per_100m": result.estimate_ms_per_100m,
         "parameters": result.parameters or None,
         **_trainings(scores),
+        **_over_grades(ranked, parts),
     }
     entry = result.role == "entry"
     division = entry, entry and bool(result.causal)
     return Table(result.estimator, values, ranked, division)
+
+
+def _over_grades(ranked: np.ndarray, parts: Mapping[str, Part]) -> dict[str, float | None]:
+    """The ranking score on each car, and how fast it grows from one to the next."""
+    found = {grade: ranked[parts[f"car {grade}"]] for grade in GRADES if f"car {grade}" in parts}
+    if len(found) < 2:
+        return {}
+    values = {f"grade_{grade}": _mean(x) for grade, x in found.items()}
+    if len(ranked) < 2:
+        return values
+    growth = slope(list(found.values()))
+    told = {"slope": growth.mean, "slope_low": growth.low, "slope_high": growth.high}
+    return values | {name: _number(x) for name, x in told.items()}
 
 
 def arrays(result: Result) -> dict[str, np.ndarray]:
@@ -208,8 +227,9 @@ def _rank(tables: Sequence[Table], parts: Mapping[str, Part], values: Mapping[st
 
 def _line(result: Result, table: Table, kind: Kind) -> Line:
     mine = table.values[ALL]
-    cells = {name: SCORES[name].text(_nan_if_none(mine[name])) for name in SCORES}
+    cells = {name: FORMS[name].text(_nan_if_none(x)) for name, x in mine.items() if name in FORMS}
     cells |= {
+        "slope_interval": interval_text(mine.get("slope_low"), mine.get("slope_high"), "slope"),
         "rank": _digits(mine.get("rank"), 0),
         "rank_causal": _digits(mine.get("rank_causal"), 0),
         "interval": interval_text(mine["low"], mine["high"], kind.ranks_by),
@@ -295,7 +315,7 @@ def interval_text(low: float | None, high: float | None, score: str) -> str:
     """An interval of a score as printed."""
     if low is None or high is None:
         return NOTHING
-    return "–".join(SCORES[score].text(x) for x in (low, high))
+    return "–".join(FORMS[score].text(x) for x in (low, high))
 
 
 def _digits(value: float | None, digits: int) -> str:

@@ -77,6 +77,14 @@ METRICS, SPECTRAL, BUMPS = (
 DEFENDER = "configs/vehicles/land_rover_defender_110.yaml"
 
 FAULTS = [
+    Fault("leaderboard/tasks.py", 'condition.grade if drives is self.test else "S0"', "condition.grade",
+          "tasks::test_training_is_driven_by_the_nominal_car_and_the_test_by_one_individual"),
+    Fault("leaderboard/tasks.py", "(condition.mode, condition.speed_kmh))", "(condition.mode, condition.speed_kmh)) + self.conditions.index(condition)",
+          "tasks::test_the_field_board_has_every_car_on_the_same_roads"),
+    Fault(STATISTICS, "[bootstrap(part, seed) for part in parts]", "[bootstrap(part, seed + k) for k, part in enumerate(parts)]",
+          "scores::test_a_slope_is_that_of_numpys_polynomial_and_its_interval_is_paired"),
+    Fault("leaderboard/bounds.py", "wrong / prior", "prior / wrong",
+          "bounds::test_over_frequency_the_shares_add_up_to_the_bound_in_the_band"),
     Fault("leaderboard/paper/claims.py", "< LIMITS[0] for case", "> LIMITS[0] for case",
           "paper::test_a_claim_agrees_where_the_numbers_do_and_not_where_they_do_not"),
     Fault("leaderboard/paper/figures.py", "(3 * last) // 4, last)", "last // 4, last)",

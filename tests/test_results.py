@@ -317,6 +317,25 @@ def test_a_family_of_roads_is_looked_at_alone():
 FAMILIES = {"roads": ["iso_b", "iso_e"], "seeds": [11, 12], "length": 40.0}
 
 
+def test_on_cars_of_several_grades_the_growth_of_the_error_is_told():
+    cars = [{"mode": "ride", "speed_kmh": 30.0, "grade": grade} for grade in ("S0", "S1", "S2")]
+    t = task(board="field", conditions=cars)
+    (result,) = run_task(t, {"reader": Reader()}, (1,), drive=fake_drives)
+    error = {c.label: 0.1 * (1 + k) for k, c in enumerate(t.conditions)}
+    drives = [
+        dataclasses.replace(d, scores={**d.scores, "nrmse": error[d.condition] + 0.01 * d.drive})
+        for d in result.drives
+    ]
+    (view,) = views(Board((t,), {"small": [dataclasses.replace(result, drives=tuple(drives))]}))
+    line, _ = view.sections[0].lines
+    assert [line.values[f"grade_S{k}"] for k in range(3)] == pytest.approx([0.11, 0.21, 0.31])
+    assert line.values["slope"] == pytest.approx(0.1)
+    # every road grows alike, and roads are paired: nothing is left to doubt
+    assert (line.values["slope_low"], line.values["slope_high"]) == pytest.approx((0.1, 0.1))
+    assert line.cells["slope"] == "+0.100" and line.cells["grade_S1"] == "0.210"
+    assert view.sections[0].groups["car"] == ("car S0", "car S1", "car S2")
+
+
 def test_causal_entries_are_ranked_among_themselves_too():
     online = dataclasses.replace(named("learner"), causal=True)
     (view,) = views(Board((task(),), {"small": [named("reader"), online]}))

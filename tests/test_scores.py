@@ -14,7 +14,14 @@ from scipy import stats
 from leaderboard import metrics, spectral, statistics
 from leaderboard.bumps import bump_scores, find_bumps, obstacles
 from leaderboard.scores import SCORES, scores
-from leaderboard.statistics import bootstrap, interquartile_mean, interval, performance, standings
+from leaderboard.statistics import (
+    bootstrap,
+    interquartile_mean,
+    interval,
+    performance,
+    slope,
+    standings,
+)
 from road_envs.record import GRID, Estimate, Profile, grid
 
 STORED = Path(__file__).parent / "data" / "scores.json"
@@ -251,6 +258,17 @@ def test_a_rank_is_one_more_than_the_entries_whose_paired_difference_lies_below_
             ranks[name] += bool(high < 0.0)
     assert {name: row.rank for name, row in standings(scores).items()} == ranks
     assert len(set(ranks.values())) > 2
+
+
+def test_a_slope_is_that_of_numpys_polynomial_and_its_interval_is_paired():
+    rng = np.random.default_rng(7)
+    road = rng.standard_normal((20, 1, 1))
+    parts = [1.0 + 0.3 * k + road + 0.05 * rng.standard_normal((20, 2, 3)) for k in range(4)]
+    found = slope(parts)
+    means = [oracle.interquartile_mean(part.ravel()) for part in parts]
+    assert found.mean == pytest.approx(np.polyfit(range(4), means, 1)[0])
+    # unpaired, the spread of the roads alone would give it +-0.2
+    assert 0.0 < found.high - found.low < 0.05 and found.low < 0.3 < found.high
 
 
 def test_a_performance_profile_is_the_share_of_runs_below_each_threshold():

@@ -7,10 +7,13 @@ import pytest
 import yaml
 from fakes import task
 
+from leaderboard import drives, tasks
 from leaderboard.drives import simulated
 from leaderboard.measured import surface_class, surface_tasks
 from leaderboard.tasks import load_task, shipped_tasks
 from road_envs.config import ConfigError, folder, names
+from road_envs.dataset import record_drive
+from road_envs.field import load_deviations
 from road_envs.record import grid
 from road_envs.roads import load_road, write_csv
 
@@ -18,9 +21,9 @@ DRIVES = {"roads": ["iso_d"], "seeds": [1, 2]}
 
 
 def test_every_shipped_task_loads_and_can_be_driven():
-    tasks = shipped_tasks()
-    assert [t.name for t in tasks] == names("tasks")
-    for t in tasks:
+    shipped = shipped_tasks()
+    assert [t.name for t in shipped] == names("tasks")
+    for t in shipped:
         first = t.test.pairs[0][0]
         assert first.length > t.vehicle.wheelbase
         assert t.sensors.fs * t.test.step <= 1.0
@@ -33,6 +36,7 @@ def test_the_papers_eight_scenarios_are_those_of_its_tables():
     modes = ["handling", "ride", "ride", "handling", "ride", "handling", "ride", "handling"]
     assert [c.mode for c in driven] == modes
     assert [c.speed_kmh for c in driven] == [14.5] * 6 + [54.0] * 2
+    assert {c.grade for c in driven} == {"S3"}  # the field car, in place of the measurements
     claims = [paper[f"paper_{k}"].claimed_level_error for k in range(1, 9)]
     assert claims == [None] * 4 + [0.102, 0.128, 0.148, 0.142]
     assert all(t.trains_on_test_road and len(t.test.pairs) == 1 for t in paper.values())
@@ -66,6 +70,42 @@ def test_families_part_the_test_drives():
     assert {(type(road).__name__, road.w) for road in roads} == {("Iso8608", 2.0)}
     with pytest.raises(ConfigError, match="2 families are wanted, got 1"):
         task(test={"roads": ["iso_d", "iso_e"], "seeds": [7], "families": ["one"]})
+
+
+CARS = [{"mode": "ride", "speed_kmh": 30.0, "grade": grade} for grade in ("S0", "S1", "S3")]
+
+
+def test_the_field_board_has_every_car_on_the_same_roads():
+    t = load_task("field")
+    grades = [c.grade for c in t.conditions]
+    assert grades == ["S0", "S1", "S2", "S3"] * 2
+    assert [t.stream(c) for c in t.conditions] == [0] * 4 + [4] * 4
+    assert t.conditions[3].label == "ride, 14.5 km/h, car S3"
+
+
+def test_training_is_driven_by_the_nominal_car_and_the_test_by_one_individual(monkeypatch):
+    seen = []
+
+    def recorded(car, surface, *, grade, seed, **options):
+        seen.append((grade, seed.entropy))
+        return record_drive(car, surface, grade=grade, seed=seed, **options)
+
+    monkeypatch.setattr(drives, "record_drive", recorded)
+    t = task(conditions=CARS, test={"roads": ["iso_b"], "seeds": [11], "length": 12.0},
+             training={"roads": ["iso_b"], "seeds": [1], "length": 12.0})  # fmt: skip
+    for condition in t.conditions:
+        list(simulated(t, t.training, condition)), list(simulated(t, t.test, condition))
+    trained, tested = seen[::2], seen[1::2]
+    assert trained == [("S0", [1, 0])] * 3
+    assert tested == [(grade, [11, 0]) for grade in ("S0", "S1", "S3")]
+
+
+def test_the_digest_follows_the_deviations_of_the_field_car(monkeypatch):
+    field, plain = task(conditions=CARS), task()
+    digests = field.digest, plain.digest
+    other = dataclasses.replace(load_deviations(), step=0.0001)
+    monkeypatch.setattr(tasks, "load_deviations", lambda: other)
+    assert task(conditions=CARS).digest != digests[0] and task().digest == digests[1]
 
 
 def test_more_roads_than_a_task_has_are_refused():
