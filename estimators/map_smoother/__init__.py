@@ -24,21 +24,22 @@ from typing import ClassVar
 
 import numpy as np
 
-from estimators.map_smoother.course import course
+from estimators.map_smoother.course import Course, course_of
 from estimators.map_smoother.problem import Belief, Problem
 from estimators.map_smoother.readings import check, usable
-from estimators.map_smoother.search import Found, search
+from estimators.map_smoother.search import Found, most_probable
 from estimators.map_smoother.spline import heights
-from estimators.map_smoother.spread import spread
-from estimators.map_smoother.stationary import stationary
+from estimators.map_smoother.spread import error_spread
+from estimators.map_smoother.stationary import stationary_picture
 from estimators.map_smoother.windows import MARGIN, Drive, cuts, reconstruct
 from road_envs.config import STRICT
-from road_envs.dynamics import N_DOF, plant
+from road_envs.dynamics import N_DOF, equilibrium, plant
 from road_envs.instruments import Instruments, load_instruments
 from road_envs.linear import linearise
 from road_envs.observability import RoadPrior
 from road_envs.record import Estimate, Record, grid, scored_band
 from road_envs.roughness import CLASSES
+from road_envs.suspension import memory_at_rest
 from road_envs.vehicle import VehicleParameters
 
 SPACING = (0.025, 0.05)
@@ -47,7 +48,7 @@ SPACING = (0.025, 0.05)
 RATE_HEARD = 70.0
 """Frequency [Hz] up to which nodes stand close enough at any speed, if SPACING lets them."""
 
-REST = np.repeat([1e-3, 1e-2], N_DOF)
+REST = np.repeat([1e-4, 1e-3], N_DOF)
 """Prior deviations of the first state's coordinates and rates, of a car on a level apron."""
 
 MOVING = np.repeat([3e-2, 3e-1], N_DOF)
@@ -114,16 +115,16 @@ class MapSmoother:
         )
 
         def solve(problem: Problem) -> tuple[Found, np.ndarray]:
-            picture = stationary(problem)
-            found = search(problem, picture, huber=self.huber, relevel=self.relevel)
-            return found, spread(found, picture, band, self.draws, seed=0)
+            picture = stationary_picture(problem)
+            found = most_probable(problem, picture, huber=self.huber, relevel=self.relevel)
+            return found, error_spread(found, picture, band, self.draws, seed=0)
 
-        found = reconstruct(belief, drive, prior, windows, solve)
+        found, excess = reconstruct(belief, drive, prior, windows, solve)
         s = grid(record.length)
         x = np.clip((s - drive.start) / drive.ds, 1.0, drive.free.size - 3.0)
         std = np.interp(x, np.arange(drive.free.size), found.spread)
         z_std = np.stack([std, std]) if self.draws else None
-        return Estimate(s, heights(found.c, x), z_std, tuple(self._notes(drive, found.excess)))
+        return Estimate(s, heights(found.c, x), z_std, tuple(self._notes(drive, excess)))
 
     def _belief(self, record: Record, car: VehicleParameters, instruments: Instruments) -> Belief:
         one, places = plant(car), instruments.places(car)
@@ -133,7 +134,7 @@ class MapSmoother:
         return Belief(one, car.valve.lag, car.wheelbase, places, levers, noise)
 
     def _drive(self, record: Record, car: VehicleParameters, instruments: Instruments) -> Drive:
-        way = course(record, instruments, car, self.step)
+        way = course_of(record, instruments, car, self.step)
         used = usable(record, instruments)
         a = np.where(used, record.a, 0.0)
         a -= a.sum(axis=1, keepdims=True) / np.maximum(used.sum(axis=1, keepdims=True), 1)
@@ -144,9 +145,10 @@ class MapSmoother:
         level = self.level_ends and record.s[0] <= 0.0
         end = record.length if self.level_ends else np.inf
         free = (middle > (0.0 if level else -np.inf)) & (middle < end)
-        return Drive(a, used, block, way, REST if level else MOVING, start, ds, free.astype(float))
+        reach = REST if level else MOVING
+        return Drive(a, used, block, way, at_rest(car, way), reach, start, ds, free.astype(float))
 
-    def _notes(self, drive: Drive, excess: tuple[float, ...]) -> list[str]:
+    def _notes(self, drive: Drive, excess: list[float]) -> list[str]:
         notes = []
         lost = int((~drive.used).sum())
         if lost:
@@ -157,3 +159,10 @@ class MapSmoother:
                 "the car may not be the one believed in"
             )
         return notes
+
+
+def at_rest(car: VehicleParameters, way: Course) -> np.ndarray:
+    """State (14,) of the car that stands on a level apron before it is driven off."""
+    if car.tyre_static_deflection != "equilibrium":
+        return np.zeros(2 * N_DOF)  # the paper's start, some millimetres off
+    return equilibrium(plant(car), memory_at_rest(int(way.commands[0])), np.zeros(4))

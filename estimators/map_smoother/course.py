@@ -34,7 +34,7 @@ class Course:
         return Course(self.h, self.every, self.s[half], self.v[half], self.commands[whole])
 
 
-def course(
+def course_of(
     record: Record, instruments: Instruments, car: VehicleParameters, longest: float
 ) -> Course:
     """Steps no longer than `longest` [s], a whole number of them from sample to sample.

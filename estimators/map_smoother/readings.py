@@ -46,7 +46,7 @@ class Readings:
         return (self.share * means[:, :, None]).reshape(means.shape[0], -1)
 
 
-def readings(a: np.ndarray, used: np.ndarray, block: int) -> Readings:
+def block_means(a: np.ndarray, used: np.ndarray, block: int) -> Readings:
     """Means of the samples `a` (S, T) [m/s²] that are `used` (S, T), over `block` samples each.
 
     Up to `block` - 1 samples at the end fill no block and are left out.

@@ -63,7 +63,7 @@ class Found:
     iterations: int
 
 
-def search(
+def most_probable(
     problem: Problem,
     picture: Stationary,
     *,

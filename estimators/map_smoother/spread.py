@@ -21,7 +21,7 @@ UNDERSTATED = 1.1
 """What the curvature left out and the last digits of the search add, on training roads."""
 
 
-def spread(
+def error_spread(
     found: Found, picture: Stationary, band: tuple[float, float], draws: int, seed: int
 ) -> np.ndarray:
     """Standard deviation (K,) [m] of the error inside `band` [cycles/m] at each node of the road,

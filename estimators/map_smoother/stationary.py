@@ -89,7 +89,7 @@ class Stationary:
         return np.exp(np.interp(np.log2(np.maximum(road.n, 1e-9)), centres[known], level))
 
 
-def stationary(problem: Problem) -> Stationary:
+def stationary_picture(problem: Problem) -> Stationary:
     """The stationary picture of a problem at its mean speed; states count by the time they last."""
     road, course = problem.road, problem.course
     n, v = np.maximum(road.n, 1e-6), float(course.v.mean())

@@ -12,7 +12,7 @@ import numpy as np
 
 from estimators.map_smoother.course import Course
 from estimators.map_smoother.problem import Belief, Problem
-from estimators.map_smoother.readings import readings
+from estimators.map_smoother.readings import block_means
 from estimators.map_smoother.road import Road, amplitude, nodes
 from estimators.map_smoother.search import Found
 from road_envs.dynamics import N_DOF
@@ -26,15 +26,16 @@ MARGIN = 4
 @dataclass(frozen=True, eq=False)
 class Drive:
     """A whole drive as it is to be explained: samples `a` (S, T) [m/s²], which of them are `used`
-    (S, T), in blocks of `block`; the `course` of the car, its `reach` (14,) from rest at the start;
-    and the nodes of the road: `start` [m], `ds` [m], how many (`size`), and which may rise or fall
-    (`free` (size,), 0 or 1).
+    (S, T), in blocks of `block`; the `course` of the car, its state at `rest` (14,) and its prior
+    deviation `reach` (14,) from it at the beginning; and the nodes of the road: the station of the
+    first (`start` [m]), `ds` [m] apart, and which may rise or fall (`free` (K,), 0 or 1).
     """
 
     a: np.ndarray
     used: np.ndarray
     block: int
     course: Course
+    rest: np.ndarray
     reach: np.ndarray
     start: float
     ds: float
@@ -51,14 +52,30 @@ class Drive:
 
 
 @dataclass(frozen=True, eq=False)
-class Reconstruction:
-    """Coefficients `c` (2, K) [m] of the road, the `spread` (K,) [m] of its error in the judged
-    band, and how many times the instruments' noise was left over in each window.
+class Known:
+    """What the windows so far have settled: coefficients `c` (2, K) [m] of the road before the node
+    `first`, level from there on, and the `spread` (K,) [m] of their error; `state` (14,) of the car
+    and `memory` (4, 3) of its struts where the next window begins, the state known to within
+    `reach` (14,); the `level` [-] of the road's prior at `n` [cycles/m].
     """
 
     c: np.ndarray
     spread: np.ndarray
-    excess: tuple[float, ...]
+    first: int
+    state: np.ndarray
+    reach: np.ndarray
+    memory: np.ndarray
+    n: np.ndarray
+    level: np.ndarray
+
+
+def nothing_known(drive: Drive) -> Known:
+    """Before the first window."""
+    size = drive.free.size
+    rest = drive.rest + 1e-7  # at rest to the bit friction has a kink
+    memory = memory_at_rest(int(drive.course.commands[0]))
+    flat = np.array([0.0, 1.0]), np.ones(2)
+    return Known(np.zeros((2, size)), np.zeros(size), 0, rest, drive.reach, memory, *flat)
 
 
 def cuts(blocks: int, window: int, overlap: int) -> list[tuple[int, int, int]]:
@@ -76,53 +93,61 @@ def reconstruct(
     prior: RoadPrior,
     windows: list[tuple[int, int, int]],
     solve: Callable[[Problem], tuple[Found, np.ndarray]],
-) -> Reconstruction:
-    """The road of a whole drive; `solve` finds it, and its spread (K,), in one window."""
-    c, spread, excess = np.zeros((2, drive.free.size)), np.zeros(drive.free.size), []
-    state, reach = np.full(2 * N_DOF, 1e-7), drive.reach  # exactly at rest friction has a kink
-    memory, first = memory_at_rest(int(drive.course.commands[0])), 0
-    level = np.array([0.0, 1.0]), np.ones(2)
-    for begin, after, end in windows:
-        course = drive.course.part(begin * drive.unit, end * drive.unit)
-        part = slice(begin * drive.block, end * drive.block)
-        heard = readings(drive.a[:, part], drive.used[:, part], drive.block)
-        low = drive.node(course.s[0] - belief.wheelbase) - MARGIN
-        first = max(first, low)
-        road = _road(drive, prior, c, (low, first, drive.node(course.s[-1]) + MARGIN))
-        road = road.as_likely(np.interp(road.n, *level))
-        found, std = solve(Problem(belief, memory, state, reach, road, course, heard))
-        excess.append(found.excess)
-        final, x = found.point.problem, found.point.x
-        new = final.road.coefficients(final.split(x)[0])
-        level = road.n, level_of(final.road, prior)
-        last = min(low + road.size, drive.free.size)
-        if after < end:
-            steps = (after - begin) * drive.unit
-            state, memory = final.until(x, steps)
-            reach, last = np.zeros(2 * N_DOF), drive.node(course.s[2 * steps]) + 3
-        c[:, first:last], spread[first:last] = (
-            new[:, first - low : last - low],
-            std[first - low : last - low],
-        )
-        c[:, last:], spread[last:] = c[:, last - 1 : last], spread[last - 1]
-        first = last
-    return Reconstruction(c, spread, tuple(excess))
-
-
-def _road(drive: Drive, prior: RoadPrior, c: np.ndarray, reach: tuple[int, int, int]) -> Road:
-    """The road of a window over the nodes from `reach[0]` to `reach[2]` at least, known before
-    `reach[1]` as the coefficients `c` (2, K) have it.
+) -> tuple[Known, list[float]]:
+    """What is known after all windows, and how many times the instruments' noise was left over in
+    each; `solve` finds the road of one window and its spread (K,).
     """
-    low, first, high = reach
-    size = nodes(high + 1 - low)
-    known, free = c[:, low : low + size], drive.free[low : low + size].copy()
-    free[: first - low] = 0.0
+    known, excess = nothing_known(drive), []
+    for begin, after, end in windows:
+        problem = problem_of(belief, drive, prior, known, begin, end)
+        found, std = solve(problem)
+        excess.append(found.excess)
+        steps = (after - begin) * drive.unit if after < end else None
+        known = _learnt(drive, prior, known, found, std, steps)
+    return known, excess
+
+
+def problem_of(
+    belief: Belief, drive: Drive, prior: RoadPrior, known: Known, begin: int, end: int
+) -> Problem:
+    """The drive from the block `begin` to before the block `end`, after all that is `known`."""
+    course = drive.course.part(begin * drive.unit, end * drive.unit)
+    samples = slice(begin * drive.block, end * drive.block)
+    heard = block_means(drive.a[:, samples], drive.used[:, samples], drive.block)
+    low = drive.node(course.s[0] - belief.wheelbase) - MARGIN
+    size = nodes(drive.node(course.s[-1]) + MARGIN + 1 - low)
+    c, free = known.c[:, low : low + size], drive.free[low : low + size].copy()
+    free[: max(known.first - low, 0)] = 0.0
     missing = size - free.size
-    known, free = np.pad(known, ((0, 0), (0, missing)), mode="edge"), np.pad(free, (0, missing))
+    c, free = np.pad(c, ((0, 0), (0, missing)), mode="edge"), np.pad(free, (0, missing))
     start = drive.start + drive.ds * low
-    return Road(start, drive.ds, known, free, amplitude(prior, size, drive.ds))
+    road = Road(start, drive.ds, c, free, amplitude(prior, size, drive.ds))
+    road = road.as_likely(np.interp(road.n, known.n, known.level))
+    return Problem(belief, known.memory, known.state, known.reach, road, course, heard)
 
 
-def level_of(road: Road, prior: RoadPrior) -> np.ndarray:
-    """Density of a road's prior over that of `prior` at each of its lines."""
-    return (road.amplitude[0] / amplitude(prior, road.size, road.ds)[0]) ** 2
+def _learnt(
+    drive: Drive,
+    prior: RoadPrior,
+    known: Known,
+    found: Found,
+    std: np.ndarray,
+    steps: int | None,
+) -> Known:
+    """What is known with a window more, of which the first `steps` are settled; None: all."""
+    problem, x = found.point.problem, found.point.x
+    road, size = problem.road, known.spread.size
+    low = round((road.start - drive.start) / drive.ds)
+    first, last = max(known.first, low), min(low + road.size, size)
+    state, memory = known.state, known.memory
+    if steps is not None:
+        state, memory = problem.until(x, steps)
+        last = drive.node(problem.course.s[2 * steps]) + 3  # those that carry the front axle now
+    c, spread, here = known.c.copy(), known.spread.copy(), slice(first - low, last - low)
+    c[:, first:last], spread[first:last] = (
+        road.coefficients(problem.split(x)[0])[:, here],
+        std[here],
+    )
+    c[:, last:], spread[last:] = c[:, last - 1 : last], spread[last - 1]
+    level = (road.amplitude[0] / amplitude(prior, road.size, road.ds)[0]) ** 2
+    return Known(c, spread, last, state, np.zeros(2 * N_DOF), memory, road.n, level)
