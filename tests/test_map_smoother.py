@@ -97,8 +97,10 @@ def test_what_the_wheels_see_is_transposed():
     assert np.sum(road * dual) == pytest.approx(np.sum(c * back), rel=1e-12)
 
 
-def free_road(ds=0.05) -> Road:
-    size = nodes(4000)
+NODES = nodes(4000)
+
+
+def free_road(size: int = NODES, ds: float = 0.05) -> Road:
     return Road(0.0, ds, np.zeros((2, size)), np.ones(size), amplitude(PRIOR, size, ds))
 
 
