@@ -144,7 +144,7 @@ FAULTS = [
     Fault("road_envs/vector.py", "_where_greater(c, 0.0, a, b)", "_where_greater(c, 0.0, b, a)", LANE),
     Fault("road_envs/vector.py", "[j, 4 + j]", "[j, 3 + j]", LANE),
     Fault("road_envs/lanes.py", "get(p.x, 0) - get(p.x, i)", "get(p.x, i) - get(p.x, 0)", LANE),
-    Fault("road_envs/lanes.py", "slot = passed[k] % delay[k]", "slot = 0",
+    Fault("road_envs/lanes.py", "slot = passed[k] % max(delay[k], 1)", "slot = 0",
           "lanes::test_parts_of_a_drive_are_the_whole_drive_to_the_bit"),
     Fault("road_envs/lanes.py", "np.roll(ring, -(", "np.roll(ring, (",
           "lanes::test_a_landed_drive_goes_on_alone_where_the_fleet_left_it"),
