@@ -12,7 +12,6 @@ from leaderboard.commands import (
     animate,
     bench,
     board,
-    classify,
     drives,
     jobs,
     newcomer,
@@ -20,6 +19,7 @@ from leaderboard.commands import (
     paper,
     policies,
     precision,
+    reconstruct,
     roads,
     season,
 )
@@ -37,8 +37,8 @@ app = typer.Typer(
 )
 app.command("simulate")(drives.simulate)
 app.command("train")(drives.train)
-app.command("estimate")(drives.estimate)
-app.command("classify")(classify.classify)
+app.command("estimate")(reconstruct.estimate)
+app.command("classify")(reconstruct.classify)
 app.command("leaderboard")(board.leaderboard)
 app.command("paper")(paper.paper)
 app.command("season")(season.season)

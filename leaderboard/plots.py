@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from leaderboard.metrics import band_pass
 from road_envs.files import whole
 from road_envs.observability import Posterior
 from road_envs.record import SENSORS, Estimate, Profile, Record, scored_band
@@ -83,26 +84,51 @@ def draw_drive(record: Record, truth: Profile, path: Path) -> None:
     write_figure(paint, (11.0, 7.0), path)
 
 
-def draw_estimate(truth: Profile | None, estimate: Estimate, path: Path) -> None:
-    """Both wheel paths as estimated (dashed), over the truth (solid) where it is known."""
+def draw_estimate(truth: Profile | None, estimate: Estimate, v: float, path: Path) -> None:
+    """Both wheel paths as estimated (dashed) over the truth (solid) where it is known: all of them,
+    and what lies in the band that is judged at `v` [m/s], with the interval that is claimed there.
+    """
+    band = scored_band(v)
+    titles = ("left", "left, in band", "right", "right, in band")
 
     def paint(figure: Any) -> None:
-        panels = figure.subplots(2, 1, sharex=True)
-        for i, (axes, side) in enumerate(zip(panels, SIDES, strict=True)):
+        panels = figure.subplots(4, 1, sharex=True)
+        for axes, title, side in zip(panels, titles, (0, 0, 1, 1), strict=True):
+            inside = title.endswith("in band")
+            shown = _shown_in(band, inside)
+            colour = COLOURS[SIDES[side]]
             if truth is not None:
-                axes.plot(truth.s, 1000 * truth.z[i], color=COLOURS["truth"], lw=1.0, label="truth")
-            z = 1000 * estimate.z[i]
-            axes.plot(estimate.s, z, "--", color=COLOURS[side], lw=1.1, label="estimate")
-            if estimate.z_std is not None:
-                std = 1645 * estimate.z_std[i]
-                axes.fill_between(
-                    estimate.s, z - std, z + std, color=COLOURS[side], alpha=0.2, lw=0, label="90 %"
-                )
-            axes.set(ylabel=f"{side} [mm]")
-            axes.legend(frameon=False, ncols=3, loc="upper right")
+                s, z = shown(truth, truth.z[side])
+                axes.plot(s, 1000 * z, color=COLOURS["truth"], lw=1.0, label="truth")
+            s, z = shown(estimate, estimate.z[side])
+            axes.plot(s, 1000 * z, "--", color=colour, lw=1.1, label="estimate")
+            if inside and estimate.z_std is not None:
+                std = 1.645 * np.interp(s, estimate.s, estimate.z_std[side])
+                low, high = 1000 * (z - std), 1000 * (z + std)
+                axes.fill_between(s, low, high, color=colour, alpha=0.2, lw=0, label="90 %")
+            axes.set(ylabel=f"{title} [mm]")
+        for axes in panels[:2]:
+            axes.legend(frameon=False, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 0.98))
         panels[-1].set(xlabel="distance [m]")
+        low, high = band
+        panels[0].set_title(f"judged band: {low:g} to {high:.2g} cycles/m", loc="left", fontsize=10)
 
-    write_figure(paint, (11.0, 5.0), path)
+    write_figure(paint, (11.0, 8.5), path)
+
+
+def _shown_in(
+    band: tuple[float, float], inside: bool
+) -> Callable[[Profile, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """How a path is drawn: as it is, or its part inside `band` [cycles/m]."""
+
+    def shown(profile: Profile, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if not inside:
+            return profile.s, z
+        kept = band_pass(z, profile.ds, band)
+        trim = (profile.s.size - kept.size) // 2
+        return profile.s[trim : trim + kept.size], kept
+
+    return shown
 
 
 def draw_precision(

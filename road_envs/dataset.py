@@ -76,6 +76,19 @@ def write_record(path: Path, record: Record, provenance: Mapping[str, object]) -
         pq.write_table(table, partial)
 
 
+def is_record(path: Path) -> bool:
+    """Whether a file claims to be a record of this package, readable or not."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    if path.suffix.lower() != ".parquet":
+        return False
+    try:
+        return b"roadrecon" in (pq.read_schema(path).metadata or {})
+    except (OSError, pa.ArrowException):
+        return True
+
+
 def read_record(path: Path) -> tuple[Record, dict[str, object]]:
     """A record and its provenance from Parquet. Raises ConfigError that says what is wrong."""
     import pyarrow as pa

@@ -409,6 +409,12 @@ FAULTS = [
           "wiener::test_taking_the_remainder_out_comes_much_nearer_to_the_bound"),
     Fault("estimators/spectral_class.py", "levels[k] /= 2.0", "pass",
           "spectral_class::test_octaves_have_the_levels_and_classes_of_the_road"),
+    Fault("road_envs/measured_drive.py", "s = s - s[0] + wheelbase", "s = s - s[0]",
+          "measured_drive::test_the_road_of_a_measured_drive_is_the_road_under_its_wheels"),
+    Fault("road_envs/measured_drive.py", "where=met & np.isnan(a)", "where=False",
+          "measured_drive::test_where_nothing_stands_and_where_rows_are_missing_samples_are_lost"),
+    Fault("road_envs/measured_drive.py", "        return a - mean\n", "        return a\n",
+          "measured_drive::test_units_and_gravity_are_told_by_names_and_means"),
 ]  # fmt: skip
 
 

@@ -98,6 +98,31 @@ def test_a_drive_is_recorded_reconstructed_and_scored(roadrecon, tmp_path):
     }  # fmt: skip
 
 
+def test_a_measured_drive_is_read_where_a_record_is(roadrecon, tmp_path):
+    roadrecon("simulate", *DRIVE, "--out", "d.parquet")
+    record, _ = read_record(tmp_path / "d.parquet")
+    rows = np.column_stack([record.t, *record.a, record.v])
+    np.savetxt(tmp_path / "d.csv", rows, "%.9g", ",", header="t,a_rf,a_lr,a_rr,v", comments="")
+    code, out, _ = roadrecon("estimate", "fir_ridge", "d.csv", "--mode", "ride", "--out", "e.csv")
+    assert code == 0 and "length_m" in out and (tmp_path / "e.csv").stat().st_size > 1000
+    code, out, _ = roadrecon("classify", "d.csv", "--mode", "ride", "--json")
+    assert code == 0 and json.loads(out)["class"] in "BCD"
+    code, _, err = roadrecon("estimate", "fir_ridge", "d.csv")
+    assert code == 2 and "the state of the struts is missing" in err
+    code, _, err = roadrecon("classify", "d.parquet", "--mode", "ride")
+    assert code == 2 and "leave out --mode" in err
+
+
+def test_scores_of_an_estimate_are_printed_with_their_units(roadrecon):
+    roadrecon("simulate", *DRIVE, "--out", "d.parquet", "--truth", "t.csv")
+    code, out, _ = roadrecon("estimate", "wiener", "d.parquet", "--truth", "t.csv")
+    lines = {line.rsplit(maxsplit=2)[0]: line.split()[-2:] for line in out.splitlines()}
+    assert code == 0 and lines["IRI error"][1] == "mm/m"
+    assert float(lines["DSD distance"][0]) >= 0.0 and lines["DSD distance"][1] == "dB"
+    code, _, err = roadrecon("estimate", "m.npz", "d.parquet", "--set", "passes=2")
+    assert code == 2 and "--set is for an estimator's name" in err
+
+
 def test_the_network_says_why_its_training_ended(roadrecon):
     code, out, _ = roadrecon(
         "train", "static_lm", *DRIVE, "--set", "max_epochs=3", "--out", "m.npz", "--json"

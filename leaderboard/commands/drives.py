@@ -1,8 +1,9 @@
-"""`simulate`, `train` and `estimate`: one drive, one estimator, one reconstruction."""
+"""`simulate` and `train`: one drive, one estimator."""
 
 import shlex
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +13,7 @@ from rich.table import Table
 
 import estimators
 from estimators import storage
-from estimators.protocol import Estimator, Teachable, Trainable, check_estimate
+from estimators.protocol import Teachable, Trainable
 from leaderboard import plots, training
 from leaderboard.commands import (
     console,
@@ -23,9 +24,8 @@ from leaderboard.commands import (
     writable,
 )
 from leaderboard.corpus import Corpus
-from leaderboard.scores import scores
 from road_envs.config import ConfigError
-from road_envs.dataset import read_record, record_drive, write_record
+from road_envs.dataset import record_drive, write_record
 from road_envs.record import Profile, Record
 from road_envs.roads import Surface, load_road, with_length, write_csv
 from road_envs.roughness import iri
@@ -100,7 +100,7 @@ def simulate(
         "notes": list(surface.notes),
         "written": [str(p) for p in (out, truth, plot) if p],
     }
-    print_json(facts) if json else _print_facts(facts)
+    print_json(facts) if json else print_facts(facts)
 
 
 def train(
@@ -139,7 +139,7 @@ def train(
         raise ConfigError(f"{estimator} has nothing to learn; use it in `estimate` by its name")
     if road is None:
         facts = _teach(chosen, estimator, out, drives, seed)
-        print_json(facts) if json else _print_facts(facts)
+        print_json(facts) if json else print_facts(facts)
         return
     car, instruments, drives = load_vehicle(vehicle), load_instruments(sensors), drives or 1
     pairs: list[tuple[Record, Profile]] = []
@@ -167,7 +167,7 @@ def train(
     course = getattr(fitted, "training", None)
     if course is not None:
         facts |= {"epochs": course.epochs, "stopped_by": course.stop}
-    print_json(facts) if json else _print_facts(facts)
+    print_json(facts) if json else print_facts(facts)
 
 
 def _teach(
@@ -200,40 +200,6 @@ def command_line() -> str:
     return shlex.join(["roadrecon", *sys.argv[1:]])
 
 
-def estimate(
-    estimator: Annotated[str, typer.Argument(help="A file from `train`, or a name.")],
-    record: Annotated[Path, typer.Argument(help="A record from `simulate` (.parquet).")],
-    truth: Annotated[Path | None, typer.Option(help="True profile (.csv), to score.")] = None,
-    vehicle: Vehicle = "land_rover_defender_110",
-    out: Annotated[Path | None, typer.Option(help="Write the estimate (.csv).")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Draw the estimate (.png).")] = None,
-    json: Json = False,
-) -> None:
-    """Reconstruct both wheel paths of a record; with the truth at hand, score it."""
-    writable(out, ".csv"), writable(plot, ".png", ".svg", ".pdf")
-    stored = Path(estimator).suffix in (".npz", ".safetensors")
-    chosen: Estimator = storage.load(estimator) if stored else estimators.create(estimator)
-    seen, _ = read_record(record)
-    found = chosen.estimate(seen, load_vehicle(vehicle))
-    check_estimate(found, seen)
-    facts: dict[str, Any] = {
-        "estimator": estimator,
-        "record": str(record),
-        "rms_m": [float(z.std()) for z in found.z],
-        "notes": list(found.notes),
-        "written": [str(p) for p in (out, plot) if p],
-    }
-    known = None
-    if truth:
-        known = Profile(found.s, load_road(truth).realise(np.random.default_rng(0)).height(found.s))
-        facts["scores"] = scores(known, found, float(np.median(seen.v)), bumps=True)
-    if out:
-        write_csv(Surface(found.z, found.ds, name=f"estimate of {record.name}"), out)
-    if plot:
-        plots.draw_estimate(known, found, plot)
-    print_json(facts) if json else _print_facts(facts)
-
-
 def realised(road: str, length: float | None, seed: int) -> Surface:
     """The surface that `seed` draws of a road, with another length if one is given."""
     chosen = load_road(road)
@@ -242,12 +208,20 @@ def realised(road: str, length: float | None, seed: int) -> Surface:
     return chosen.realise(np.random.default_rng(seed))
 
 
-def _print_facts(facts: dict[str, Any]) -> None:
+def print_facts(facts: dict[str, Any]) -> None:
+    """One line for each fact, and then its notes."""
     table = Table(show_header=False, box=None, pad_edge=False)
     for key, value in facts.items():
-        if value not in ([], {}, None):
+        if key != "notes" and value not in ([], {}, None):
             table.add_row(key, _text(value))
     console.print(table)
+    print_notes(facts.get("notes", ()))
+
+
+def print_notes(notes: Iterable[str]) -> None:
+    """What was assumed or mended, a line each."""
+    for note in notes:
+        console.print(f"- {note}", highlight=False, markup=False)
 
 
 def _text(value: Any) -> str:
