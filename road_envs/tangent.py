@@ -58,6 +58,7 @@ from road_envs.integrator import (
 )
 from road_envs.jit import kernel
 from road_envs.suspension import strut_curvature, strut_force, tyre_curvature, tyre_force
+from road_envs.vector import add, get, put
 
 K_1, C_1, K_2, C_2, G_K, G_C, F_K, F_C = range(0, 32, 4)
 TK_1, TC_1, TK_2, TC_2, G_U, F_U, BLOCKS, BODY = *range(32, 60, 4), 68
@@ -71,7 +72,7 @@ def taped_step(p, velocity, displacement, memory, q, v, road, turn, h, work, out
     hd, before = h * D, out[N_DOF : 2 * N_DOF]
     for w in range(4):
         e, e_dot = out[EXTENSION + w], extension(p, before, w)
-        _, k, c = strut_force(p, velocity, displacement, memory, w, e, e_dot)
+        k, c = work.k[w], work.s[w] / hd - hd * work.k[w]  # as the step has left them
         bend, c_bend = strut_curvature(p, velocity, displacement, memory, w, e, e_dot)
         first, second = extension(p, work.g, w), extension(p, work.f, w)
         row[K_1 + w], row[C_1 + w] = k, c
@@ -102,56 +103,62 @@ def tangent_step(p, row, q, v, road, h, work, a):
     """Carry changes `q`, `v` (7,) of coordinates and rates through one step, in place.
 
     `road` (16,): changes of the heights [m] and rates [m/s] as `integrator.step` has them. Writes
-    the change of the accelerations (7,) at the step's beginning to `a`.
+    the change of the accelerations (7,) at the step's beginning to `a`. LANES changes at once have
+    lanes as the last axis of all but `p` and `row`.
     """
     hd = h * D
     f, g, r, k_q, F, T, dF, dT = work.f, work.g, work.r, work.k_q, work.F, work.T, work.dF, work.dT
     blocks, body = row[BLOCKS:BODY], row[BODY:ROW]
     for w in range(4):
         e, e_dot = extension(p, q, w), extension(p, v, w)
-        F[w] = -row[K_1 + w] * e - row[C_1 + w] * e_dot
-        dF[w] = -row[G_K + w] * e - row[G_C + w] * e_dot
-        work.s[w] = row[F_K + w] * e + row[F_C + w] * e_dot
+        put(F, w, -row[K_1 + w] * e - row[C_1 + w] * e_dot)
+        put(dF, w, -row[G_K + w] * e - row[G_C + w] * e_dot)
+        put(work.s, w, row[F_K + w] * e + row[F_C + w] * e_dot)
         k_t, c_t = row[TK_1 + w], row[TC_1 + w]
-        u, u_dot = road[w] - wheel_height(p, q, w), road[4 + w] - wheel_height(p, v, w)
-        T[w] = k_t * u + c_t * u_dot
-        dT[w] = row[G_U + w] * u + (c_t + hd * k_t) * u_dot
-        dT[w] += 2.0 * D * c_t * (road[12 + w] - road[4 + w])
-        work.t[w] = row[F_U + w] * u
-    f[:], g[:] = 0.0, 0.0
+        u = get(road, w) - wheel_height(p, q, w)
+        u_dot = get(road, 4 + w) - wheel_height(p, v, w)
+        rise = (2.0 * D * c_t) * (get(road, 12 + w) - get(road, 4 + w))
+        put(T, w, k_t * u + c_t * u_dot)
+        put(dT, w, row[G_U + w] * u + (c_t + hd * k_t) * u_dot + rise)
+        put(work.t, w, row[F_U + w] * u)
+    for j in range(N_DOF):
+        put(f, j, 0.0)
+        put(g, j, 0.0)
     front, rear = roll_over(q, 0), roll_over(q, 1)
     add_struts(p, F, front, rear, f)
     add_tyres(p, T, f)
-    add_lean(p, q[PHI], q[THETA], 0.0, 0.0, f)
+    add_lean(p, get(q, PHI), get(q, THETA), 0.0, 0.0, f)
     add_struts(p, dF, front + hd * roll_over(v, 0), rear + hd * roll_over(v, 1), g)
     add_tyres(p, dT, g)
-    add_lean(p, q[PHI] + hd * v[PHI], q[THETA] + hd * v[THETA], 0.0, 0.0, g)
+    phi, theta = get(q, PHI) + hd * get(v, PHI), get(q, THETA) + hd * get(v, THETA)
+    add_lean(p, phi, theta, 0.0, 0.0, g)
     solve(p, blocks, body, g)
     for j in range(N_DOF):
-        a[j] = f[j] / p.M[j]
-        k_q[j] = v[j] + hd * g[j]
-        work.q[j] = q[j] + 0.5 * h * k_q[j]
-        work.v[j] = v[j] + 0.5 * h * g[j]
-        r[j] = work.v[j] - k_q[j]
-        f[j] = -p.M[j] * g[j]
+        rate, k_v = get(v, j), get(g, j)
+        put(a, j, get(f, j) / get(p.M, j))
+        put(k_q, j, rate + hd * k_v)
+        put(work.q, j, get(q, j) + 0.5 * h * get(k_q, j))
+        put(work.v, j, rate + 0.5 * h * k_v)
+        put(r, j, get(work.v, j) - get(k_q, j))
+        put(f, j, -get(p.M, j) * k_v)
     for w in range(4):
-        F[w] = -row[K_2 + w] * extension(p, work.q, w) - row[C_2 + w] * extension(p, work.v, w)
-        F[w] -= hd * row[K_1 + w] * extension(p, r, w) + work.s[w]
-        u, u_dot = (
-            road[8 + w] - wheel_height(p, work.q, w),
-            road[12 + w] - wheel_height(p, work.v, w),
-        )
-        T[w] = row[TK_2 + w] * u + row[TC_2 + w] * u_dot
-        T[w] -= hd * row[TK_1 + w] * wheel_height(p, r, w) + work.t[w]
+        e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
+        force = -row[K_2 + w] * e - row[C_2 + w] * e_dot
+        put(F, w, force - hd * row[K_1 + w] * extension(p, r, w) - get(work.s, w))
+        u = get(road, 8 + w) - wheel_height(p, work.q, w)
+        u_dot = get(road, 12 + w) - wheel_height(p, work.v, w)
+        load = row[TK_2 + w] * u + row[TC_2 + w] * u_dot
+        put(T, w, load - hd * row[TK_1 + w] * wheel_height(p, r, w) - get(work.t, w))
     front = roll_over(work.q, 0) + hd * roll_over(r, 0)
     rear = roll_over(work.q, 1) + hd * roll_over(r, 1)
     add_struts(p, F, front, rear, f)
     add_tyres(p, T, f)
-    add_lean(p, work.q[PHI] + hd * r[PHI], work.q[THETA] + hd * r[THETA], 0.0, 0.0, f)
+    phi, theta = get(work.q, PHI) + hd * get(r, PHI), get(work.q, THETA) + hd * get(r, THETA)
+    add_lean(p, phi, theta, 0.0, 0.0, f)
     solve(p, blocks, body, f)
     for j in range(N_DOF):
-        q[j] += h * (k_q[j] + r[j] + hd * f[j])
-        v[j] += h * (g[j] + f[j])
+        add(q, j, h * (get(k_q, j) + get(r, j) + hd * get(f, j)))
+        add(v, j, h * (get(g, j) + get(f, j)))
 
 
 @kernel

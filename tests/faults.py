@@ -61,6 +61,7 @@ DYNAMICS, INTEGRATOR = "road_envs/dynamics.py", "road_envs/integrator.py"
 SUSPENSION, SIMULATE = "road_envs/suspension.py", "road_envs/simulate.py"
 SENSORS, PROCESSING = "road_envs/sensors.py", "road_envs/processing.py"
 OBSERVABILITY = "road_envs/observability.py"
+PARTS = "map_smoother::test_matrices_of_the_parts_are_the_tangent_of_the_steps"
 TANGENT, LINEAR = "road_envs/tangent.py", "road_envs/linear.py"
 INTERVAL = "road_envs/interval.py"
 CURVES, SURFACE = "road_envs/curves.py", "road_envs/roads/surface.py"
@@ -273,9 +274,9 @@ FAULTS = [
     Fault(TANGENT, "front + hd * roll_over(v, 0)", "front", DUALS),
     Fault(TANGENT, "k_t * at_once + road[w]", "k_t * at_once", TRANSPOSE),
     Fault(TANGENT, "F, hd * front, hd * rear, r)", "F, 0.0, 0.0, r)", TRANSPOSE),
-    Fault(TANGENT, "- row[C_2 + w] * extension", "+ row[C_2 + w] * extension", DUALS),
-    Fault(TANGENT, "+= 2.0 * D * c_t", "+= D * c_t", DUALS),
-    Fault(TANGENT, "q[PHI] + hd * v[PHI]", "q[PHI]", DUALS),
+    Fault(TANGENT, "- row[C_2 + w] * e_dot", "+ row[C_2 + w] * e_dot", DUALS),
+    Fault(TANGENT, "(2.0 * D * c_t) * (get", "(D * c_t) * (get", DUALS),
+    Fault(TANGENT, "get(q, PHI) + hd * get(v, PHI)", "get(q, PHI)", DUALS),
     Fault(TANGENT, "- p.M[j] * f[j]", "+ p.M[j] * f[j]", TRANSPOSE),
     Fault(TANGENT, "0.5 * h * v[j] + hd * work.k_q[j]", "0.5 * h * v[j]", TRANSPOSE),
     Fault(TANGENT, "hd * f[THETA], 0.0, 0.0, r)", "f[THETA], 0.0, 0.0, r)", TRANSPOSE),
@@ -367,6 +368,16 @@ FAULTS = [
           "observability::test_the_equivalent_dampers_are_the_best_for_the_motion_that_they_allow"),
     Fault(LINEAR, "inside[:, model.M.size :]", "inside[:, : model.M.size]",
           "observability::test_a_strut_moves_at_the_rate_of_its_ends"),
+    Fault("estimators/map_smoother/parts.py", "= w[k] * rate[half]", "= w[k]", PARTS),
+    Fault("estimators/map_smoother/parts.py", "if n % every == 0:", "if True:", PARTS),
+    Fault("estimators/map_smoother/parts.py", "] += out[2 * N_DOF", "] = out[2 * N_DOF",
+          "map_smoother::test_the_tangent_is_transposed_and_the_hessian_is_gauss_and_newton_s"),
+    Fault("estimators/map_smoother/road.py", "rise = 2.0 *", "rise = 1.9 *",
+          "map_smoother::test_roads_of_white_noise_have_the_prior_s_density_and_coherence"),
+    Fault("estimators/map_smoother/problem.py", "self.x - self.transposed", "self.transposed",
+          "map_smoother::test_the_gradient_is_the_slope_of_the_cost"),
+    Fault("estimators/map_smoother/problem.py", "count / self.belief.noise", "count / 2.0 / self.belief.noise",
+          "map_smoother::test_on_a_linear_car_it_is_the_dense_gaussian_posterior"),
     Fault("estimators/bank.py", "share * (1.0 - share) * XX", "share * XX",
           "course::test_the_normal_equations_are_least_squares_with_penalty_rows"),
     Fault("estimators/bank.py", "(k == knot) * (1.0 - above)", "(k == knot) * above",

@@ -10,13 +10,15 @@ of the nonlinear car; R_j is their noise. The gradient is that of the computed s
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from estimators.map_smoother.course import Course
+from estimators.map_smoother.parts import Parts, parts_of
 from estimators.map_smoother.readings import Readings
 from estimators.map_smoother.road import Road
-from estimators.map_smoother.spline import under_wheels, under_wheels_back
+from estimators.map_smoother.spline import under_wheels
 from road_envs.dynamics import N_DOF, Plant
 from road_envs.tangent import Tape, drive_on_tape
 
@@ -134,22 +136,24 @@ class Point:
         """Gauss and Newton's, times `dx`."""
         return dx + self.transposed(self.inverse * self.tangent(dx))
 
+    @cached_property
+    def parts(self) -> Parts:
+        """The tangent at this point."""
+        one = self.problem
+        return parts_of(
+            *(self.tape, one.road, one.course, one.readings),
+            *(one.belief.levers, one.belief.wheelbase),
+        )
+
     def tangent(self, dx: np.ndarray) -> np.ndarray:
         """Change (S, J) of the model's block means by a small `dx`."""
-        one = self.problem
-        u, start, offset = one.split(dx)
-        a, _ = self.tape.tangent(start, one.under_wheels(one.road.change(u)))
-        return one.sensed(a, offset)
+        u, start, offset = self.problem.split(dx)
+        return self.parts.tangent(start, self.problem.road.change(u)) + offset[:, None]
 
     def transposed(self, means: np.ndarray) -> np.ndarray:
         """The transpose of `tangent`: from block means (S, J) to `x`."""
         one = self.problem
-        acceleration = np.zeros((one.course.steps, N_DOF))
-        samples = acceleration[:: one.course.every][: one.readings.samples]
-        samples[:] = one.readings.back(means).T @ one.belief.levers
-        start, road = self.tape.adjoint(acceleration, np.zeros(2 * N_DOF))
-        c = np.empty((2, one.road.size))
-        under_wheels_back(road, *one._along, c)
+        start, c = self.parts.transposed(means)
         parts = [one.road.back(c).ravel(), one.reach * start, one.belief.offset * means.sum(axis=1)]
         return np.concatenate(parts)
 

@@ -41,10 +41,6 @@ class Readings:
         """Means (S, J) of the samples `a` (S, J b) over the same blocks."""
         return np.einsum("sjb,sjb->sj", self.share, a.reshape(self.share.shape))
 
-    def back(self, means: np.ndarray) -> np.ndarray:
-        """The transpose of `means`: (S, J) to (S, J b)."""
-        return (self.share * means[:, :, None]).reshape(means.shape[0], -1)
-
 
 def block_means(a: np.ndarray, used: np.ndarray, block: int) -> Readings:
     """Means of the samples `a` (S, T) [m/s²] that are `used` (S, T), over `block` samples each.

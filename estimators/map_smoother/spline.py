@@ -1,4 +1,4 @@
-"""Both wheel paths as cubic B-splines, seen by the wheels of a moving car; and the transpose.
+"""Both wheel paths as cubic B-splines, seen by the wheels of a moving car.
 
     z(s) = sum_k c_k B((s - s_0) / ds - k)          B: the uniform cubic B-spline, of width 4
 
@@ -50,23 +50,6 @@ def under_wheels(c, x, rate, behind, out):
                 c0, c1, c2, c3 = c[side, i - 1], c[side, i], c[side, i + 1], c[side, i + 2]
                 out[m, 0, 2 * axle + side] = a0 * c0 + a1 * c1 + a2 * c2 + a3 * c3
                 out[m, 1, 2 * axle + side] = (b0 * c0 + b1 * c1 + b2 * c2 + b3 * c3) * rate[m]
-
-
-@kernel
-def under_wheels_back(road, x, rate, behind, out):
-    """The transpose of `under_wheels`: from `road` (M, 2, 4) to the coefficients `out` (2, K)."""
-    out[:] = 0.0
-    for m in range(x.size):
-        for axle in range(2):
-            i, t = place(x[m] - axle * behind, out.shape[1])
-            a0, a1, a2, a3 = height_weights(t)
-            b0, b1, b2, b3 = slope_weights(t)
-            for side in range(2):
-                z, w = road[m, 0, 2 * axle + side], road[m, 1, 2 * axle + side] * rate[m]
-                out[side, i - 1] += a0 * z + b0 * w
-                out[side, i] += a1 * z + b1 * w
-                out[side, i + 1] += a2 * z + b2 * w
-                out[side, i + 2] += a3 * z + b3 * w
 
 
 def heights(c: np.ndarray, x: np.ndarray) -> np.ndarray:
