@@ -14,6 +14,7 @@ from typing import Any
 
 from estimators.fir_ridge import FirRidge
 from estimators.flat import Flat
+from estimators.inverse_quarter_car import InverseQuarterCar
 from estimators.iterated_wiener import IteratedWiener
 from estimators.map_smoother import MapSmoother
 from estimators.mean import Mean
@@ -35,6 +36,7 @@ REGISTRY: dict[str, type[Estimator]] = {
     "unrelated_road": UnrelatedRoad,
     "static_lm": StaticLm,
     "narx": Narx,
+    "inverse_quarter_car": InverseQuarterCar,
     "fir_ridge": FirRidge,
     "map_smoother": MapSmoother,
     "tcn": Tcn,
