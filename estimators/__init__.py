@@ -19,7 +19,7 @@ from estimators.iterated_wiener import IteratedWiener
 from estimators.map_smoother import MapSmoother
 from estimators.mean import Mean
 from estimators.narx import Narx
-from estimators.protocol import Estimator
+from estimators.protocol import Estimator, check_class
 from estimators.shipped import shipped as shipped_weights
 from estimators.static_lm import StaticLm
 from estimators.tcn import Tcn
@@ -58,7 +58,7 @@ def available() -> dict[str, type[Estimator]]:
     classes = dict(REGISTRY)
     for name, entry in _plugins().items():
         try:
-            classes[name] = _checked(entry.load())
+            classes[name] = check_class(entry.load())
         except Exception as error:  # whatever another package does, the rest stays usable
             said = f"{type(error).__name__}: {error}"
             warnings.warn(
@@ -81,7 +81,7 @@ def find(name: str) -> type[Estimator]:
     if name in REGISTRY:
         return REGISTRY[name]
     try:
-        return _checked(plugins[name].load())
+        return check_class(plugins[name].load())
     except Exception as error:
         said = f"{type(error).__name__}: {error}"
         where = plugins[name].value
@@ -121,14 +121,3 @@ def _plugins() -> dict[str, metadata.EntryPoint]:
             )
         found[entry.name] = entry
     return found
-
-
-def _checked(cls: Any) -> Any:
-    """`cls` if it has the shape of an estimator. Raises TypeError."""
-    if not (isinstance(cls, type) and dataclasses.is_dataclass(cls)):
-        raise TypeError("it must be a dataclass of settings")
-    if not callable(getattr(cls, "estimate", None)):
-        raise TypeError("it has no method estimate(record, car)")
-    if not isinstance(getattr(cls, "causal", None), bool):
-        raise TypeError("it must say whether it is causal: causal: ClassVar[bool] = ...")
-    return cls

@@ -6,6 +6,9 @@ take no part in construction, comparison or printing; `fit` returns a fitted cop
 """
 
 import copy
+import dataclasses
+import inspect
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Protocol, Self, TypeVar, runtime_checkable
 
@@ -112,6 +115,38 @@ def arrays(
     for name, shape in shapes.items():
         _check(name, weights[name], shape, ValueError)
     return [np.array(weights[name], dtype=float) for name in shapes]
+
+
+def check_class(cls: Any) -> Any:
+    """`cls` if it has the shape of an estimator. Raises TypeError that says what it lacks."""
+    if not (isinstance(cls, type) and dataclasses.is_dataclass(cls)):
+        raise TypeError("it must be a dataclass of settings")
+    if not callable(getattr(cls, "estimate", None)):
+        raise TypeError("it has no method estimate(record, car)")
+    if not isinstance(getattr(cls, "causal", None), bool):
+        raise TypeError("it must say whether it is causal: causal: ClassVar[bool] = ...")
+    if not cls.__dataclass_params__.frozen:  # type: ignore[attr-defined]
+        raise TypeError("its settings must not change: @dataclass(frozen=True)")
+    lag = getattr(cls, "lag", None)
+    if lag is not None and not (isinstance(lag, int | float) and 0.0 <= lag < math.inf):
+        raise TypeError(f"its lag must be metres behind the front axle, got {lag!r}")
+    for method, words in {"estimate": 3, "fit": 5, "weights": 1, "with_weights": 2}.items():
+        if (function := getattr(cls, method, None)) is not None:
+            _check_call(function, method, words)
+    lacks = [name for name in ("weights", "with_weights") if not hasattr(cls, name)]
+    if hasattr(cls, "fit") and lacks:
+        raise TypeError(f"it has fit, but no {' and no '.join(lacks)}: it would never be trained")
+    return cls
+
+
+def _check_call(function: Callable, name: str, words: int) -> None:
+    """Raise TypeError unless a method can be called with so many words, `self` among them."""
+    try:
+        inspect.signature(function).bind(*range(words))
+    except TypeError:
+        given = {"estimate": "record, car", "fit": "records, truths, car, seed"}
+        wanted = given.get(name, "weights" if words > 1 else "")
+        raise TypeError(f"it cannot be called as {name}({wanted})") from None
 
 
 def check_estimate(estimate: object, record: Record) -> None:

@@ -12,6 +12,7 @@ from leaderboard.commands import (
     animate,
     bench,
     board,
+    check,
     drives,
     jobs,
     newcomer,
@@ -52,6 +53,7 @@ app.command("bench")(bench.bench)
 app.command("precision")(precision.precision)
 app.command("observability")(observability.observability)
 app.command("new-estimator")(newcomer.new_estimator)
+app.command("check-estimator")(check.check_estimator)
 
 
 @app.callback()

@@ -7,6 +7,7 @@ the judge: it describes itself in a process of its own.
 import hashlib
 import importlib
 import json
+import re
 from collections.abc import Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
@@ -16,10 +17,13 @@ import numpy as np
 
 import estimators
 from estimators import storage
-from estimators.protocol import Estimator, Trainable
+from estimators.protocol import Estimator, Trainable, check_class
 from leaderboard.entry import JUDGES_OWN, Entry, EntryError, learns, settings_of
 from leaderboard.sources import code_of
 from road_envs.config import ConfigError, build, one_of
+
+CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
+"""How a class of an importable module is named."""
 
 
 class Describes(Protocol):
@@ -36,17 +40,18 @@ def make(reference: str, settings: Mapping[str, Any]) -> Estimator:
         return estimators.create(reference, **settings)
     module, _, name = reference.partition(":")
     cls: Any = attrgetter(name)(importlib.import_module(module))
-    return build(cls, settings, name)
+    return build(check_class(cls), settings, name)
 
 
 def describe(reference: str, estimator: Estimator) -> dict[str, Any]:
-    """Settings, causality and version of an estimator, as JSON types."""
+    """Settings, causality, lag and version of an estimator, as JSON types."""
     code = code_of(type(estimator).__module__)
     if isinstance(estimator, Trainable) and not learns(estimator):
         code = f"{code}+{_digest_of(estimator.weights())}"
     return {
         "settings": json.loads(json.dumps(settings_of(estimator), default=str)),
         "causal": getattr(estimator, "causal", None),
+        "lag": float(getattr(estimator, "lag", None) or 0.0),
         "code": code,
     }
 
@@ -62,16 +67,17 @@ def entry_of(name: str, estimator: Estimator | None) -> Entry:
 
 
 def named(names: Sequence[str], host: Describes | None) -> list[Entry]:
-    """Entries by registered name or .npz file; those not of this package need a `host`.
-
-    One that cannot be made is an entry with a failure. Raises ConfigError for an unknown name.
+    """Entries by registered name, .npz file or "module:Class"; those not of this package need a
+    `host`. One that cannot be made is an entry with a failure. Raises ConfigError for an unknown
+    name.
     """
     known = estimators.names()
     for name in names:
-        if not name.endswith(".npz"):
+        if name.endswith(".npz"):
+            if not Path(name).is_file():
+                raise ConfigError(f"{name}: there is no such file")
+        elif not CLASS.fullmatch(name):
             one_of("estimator", name, known)
-        elif not Path(name).is_file():
-            raise ConfigError(f"{name}: there is no such file")
     return [_named(name, host) for name in names]
 
 
@@ -80,7 +86,7 @@ def _named(name: str, host: Describes | None) -> Entry:
         return entry_of(name, estimators.create(name))
     is_file = name.endswith(".npz")
     known: dict[str, Any] = {
-        "name": Path(name).stem if is_file else name,
+        "name": Path(name).stem if is_file else name.rpartition(":")[2],
         "reference": str(Path(name).resolve()) if is_file else name,
     }
     try:

@@ -24,8 +24,9 @@ JUDGES_OWN = "judge"
 class Entry:
     """Who is judged: an estimator by name, with what it takes to make it anywhere.
 
-    `reference` is a registered name, "module:Class", or the path of an .npz from `train`; `code`
-    is the version of its sources; a `failure` says why it cannot be made.
+    `reference` is a registered name, "module:Class", or the path of an .npz from `train`; `lag` [m]
+    is how far behind the front axle a causal estimate stands; `code` is the version of its sources
+    and weights; a `failure` says why it cannot be made.
     """
 
     __pydantic_config__ = STRICT
@@ -34,6 +35,7 @@ class Entry:
     reference: str
     settings: dict[str, Any] = field(default_factory=dict)
     causal: bool | None = None
+    lag: float = 0.0
     code: str = ""
     failure: str | None = None
 

@@ -71,7 +71,7 @@ def questions(record: Record, instruments: Instruments, seed: int = 0) -> dict[s
     y = [place.y for place in vars(instruments.accelerometers).values()]
     LF = RF - 2.0 * y[0] * (LR - RR) / (y[1] - y[2])
     late = record.s >= 0.5 * record.length
-    noise = record.a.std() * rng.standard_normal(record.a.shape)
+    noise = np.nanstd(record.a) * rng.standard_normal(record.a.shape)
     changed = {
         "asked": record.a,
         "again": record.a,
@@ -195,7 +195,7 @@ def probe(
             fitted = estimator.fit(seen, truths, car, seed)
         return [fitted.estimate(one, car) for one in records]
 
-    lag = getattr(estimator, "lag", 0.0)
+    lag = getattr(estimator, "lag", None) or 0.0
     return examine(answer, record, instruments or load_instruments("paper"), estimator.causal, lag)
 
 

@@ -18,22 +18,31 @@ from leaderboard.paper.figures import chosen_sessions, plates
 from leaderboard.scores import SCORES
 
 TRAININGS = 3
+driven = []
+"""Task, drives and condition of all that was driven."""
 
 
 @cache
 def made():
     """A small network, quickly trained, on drives whose sensors see the road."""
     network = StaticLm(hidden=4, max_epochs=8, max_samples=800)
-    return study.run(TRAININGS, network=network, drive=fake_drives)
+
+    def drive(*asked):
+        driven.append(asked)
+        return fake_drives(*asked)
+
+    return study.run(TRAININGS, network=network, drive=drive)
 
 
-def with_scores(case, **scores):
+def with_scores(case, where="scores", **scores):
     """A case all of whose trainings have these scores; a list gives one to each."""
     trainings = tuple(
         dataclasses.replace(
             training,
-            scores=training.scores
-            | {n: x[k] if isinstance(x, list) else x for n, x in scores.items()},
+            **{
+                where: getattr(training, where)
+                | {n: x[k] if isinstance(x, list) else x for n, x in scores.items()}
+            },
         )
         for k, training in enumerate(case.trainings)
     )
@@ -107,7 +116,8 @@ def test_sessions_are_chosen_by_their_largest_error():
 def test_every_figure_is_there_in_its_form():
     figures = {plate.name: plate for plate in plates(made())}
     wanted = ["1", "2", "3", *"6789", "10", "11", *(f"A.{k}" for k in range(1, 7))]
-    assert list(figures) == [*(f"Figure {name}" for name in wanted), "Spread"]
+    again = [f"Figure {name}, on the car of the training" for name in ("10", "11")]
+    assert list(figures) == [*(f"Figure {name}" for name in wanted), *again, "Spread"]
     for name in ("Figure 1", "Figure 2", "Figure 3"):
         assert all(axes.has_data() for axes in report._figure(figures[name]).axes)
     for name, panels in (("6", 2), ("8", 2), ("10", 4), ("11", 4), ("A.3", 4), ("A.6", 4)):
@@ -181,7 +191,54 @@ def test_the_summary_is_made_from_the_numbers():
     found = changed(lambda case: with_scores(case, **{study.PRINTED: 0.171, "nrmse": 0.777}))
     said = " ".join(claims.summary(found))
     assert "17.1, 17.1, 17.1 and 17.1 % where the paper has 12.8, 10.2, 14.8 and 14.2 %" in said
-    assert "the error is 0.78 of the road" in said
+    assert "the error is 0.78, 0.78, 0.78 and 0.78 of the road" in said
+
+
+def both(case, field, own, score=study.PRINTED):
+    return with_scores(with_scores(case, **{score: field}), "nominal", **{score: own})
+
+
+def test_the_reasons_follow_the_numbers_too():
+    """No sentence about the other car, the axles or the sensors stands where it is not true."""
+    lost, kept = (changed(lambda c, own=own: both(c, 0.9, own)) for own in (0.1, 0.9))
+    assert "they meet another car" in claim(lost, "Trainings end").why
+    assert "the other car makes little difference" in claim(kept, "Trainings end").why
+    assert "100 % near-optimal, 0 % sub-optimal" in claim(lost, "Trainings end").why
+    faster = changed(lambda c: both(c, 0.2, 0.1 if c.speed > 10.0 else 0.2))
+    slower = changed(lambda c: both(c, 0.2, 0.2 if c.speed > 10.0 else 0.1))
+    assert "the faster drives are the better ones" in claim(faster, "Best in ride").why
+    assert "the faster drives" not in claim(slower, "Best in ride").why
+    loud, quiet = (changed(lambda c, x=x: both(c, x, -x, "dsd_bias_db")) for x in (9.0, 1.0))
+    assert "accelerations lie outside" in claim(loud, "Densities").why
+    assert "accelerations lie outside" not in claim(quiet, "Densities").why
+    good, bad = (changed(lambda c, x=x: both(c, 0.5, x, "nrmse")) for x in (0.3, 1.0))
+    assert "know little of this paving" in " ".join(claims.summary(bad))
+    assert "know little of this paving" not in " ".join(claims.summary(good))
+
+
+def test_a_false_bump_is_the_rear_axles_only_where_it_stands_a_wheelbase_behind(monkeypatch):
+    wheelbase = made().bumps[0].task.vehicle.wheelbase
+    for gap, sentence in (
+        (0.9 * wheelbase, "when the rear axle"),
+        (0.4 * wheelbase, "m behind a true one in the median."),
+        (np.nan, "There are no false bumps."),
+    ):
+        monkeypatch.setattr(study.Case, "false_bumps", lambda case, gap=gap: gap)
+        why = claim(made(), "locates the bumps").why
+        assert sentence in why and ("rear axle" in why) == ("rear axle" in sentence)
+
+
+def test_the_test_road_is_driven_by_the_car_of_the_training_too():
+    """Here the sensors see the road itself, so that both cars tell the same."""
+    for case in made().cases:
+        grades = [c.grade for task, drives, c in driven if drives is case.task.test]
+        assert grades == ["S3", "S0"]
+        assert case.condition.endswith("car S3") and "S3" not in case.driven
+        assert case.nominal("nrmse") == pytest.approx(case.middle("nrmse"))
+        assert all(np.array_equal(t.nominal_z, t.z) for t in case.trainings)
+    case = both(made().cases[0], 0.4, 0.2)
+    found = case.middle(study.PRINTED), case.nominal(study.PRINTED)
+    assert found == pytest.approx((0.4, 0.2))
 
 
 def test_the_report_is_written_as_page_pdf_and_numbers(tmp_path, monkeypatch):

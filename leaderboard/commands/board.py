@@ -81,7 +81,7 @@ def leaderboard(
     chosen = _tasks(task, board, road)
     if full:
         chosen = [one.with_roads(None) if one.draws_roads else one for one in chosen]
-    limits = _limits(time_limit, memory_limit)
+    limits = limits_of(time_limit, memory_limit)
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out} is a file; a folder for results and page is wanted")
     entries = _entries(estimator, limits)
@@ -134,7 +134,8 @@ def _entries(names: Sequence[str] | None, limits: Limits) -> list[Entry]:
         return named(chosen, host)
 
 
-def _limits(seconds: float, memory: float) -> Limits:
+def limits_of(seconds: float, memory: float) -> Limits:
+    """Limits as given on the command line. Raises ConfigError."""
     try:
         return Limits(seconds=seconds, memory=memory)
     except ValueError as error:

@@ -3,7 +3,8 @@
 Figures 10, 11 and A.1 to A.6 each show the four networks of one training session. Sessions are
 chosen by the largest of their four errors (equation 12 as printed): the least of all for Figures 10
 and 11, as the paper shows its near-optimal one; then the middle one (A.1, A.2), the upper quartile
-(A.3, A.4) and the worst (A.5, A.6).
+(A.3, A.4) and the worst (A.5, A.6). Figures 10 and 11 stand there once more as the car of the
+training has driven the same road, of the session that is best on it.
 """
 
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.paper.study import LIMITS, PRINTED, Case, Study, Training
+from leaderboard.paper.study import LIMITS, PRINTED, Case, Study, state_of
 from leaderboard.plots import COLOURS, draw_classes
 from road_envs.roads.bumps import LAYOUTS, SIDES, Bumps
 from road_envs.roughness import dsd, smooth
@@ -46,12 +47,14 @@ def plates(study: Study) -> list[Plate]:
         )
         for plate in (_profiles(study, name, session), _densities(study, second, session))
     ]
-    return [_struts(study), _layouts(), _paving(study), *bumps, *paving, _spread(study)]
+    own = chosen_sessions(study, nominal=True)[0]
+    at_home = [_profiles(study, "10", own, True), _densities(study, "11", own, True)]
+    return [_struts(study), _layouts(), _paving(study), *bumps, *paving, *at_home, _spread(study)]
 
 
-def chosen_sessions(study: Study) -> list[int]:
+def chosen_sessions(study: Study, nominal: bool = False) -> list[int]:
     """Which training of each scenario: the best, the middle, the upper quartile, the worst."""
-    worst = np.max([case.all(PRINTED) for case in study.paving], axis=0)
+    worst = np.max([case.all(PRINTED, nominal) for case in study.paving], axis=0)
     order, last = np.argsort(worst, kind="stable"), len(worst) - 1
     return [int(order[k]) for k in (0, last // 2, (3 * last) // 4, last)]
 
@@ -166,53 +169,58 @@ def _bumps(case: Case, number: str) -> Plate:
     return Plate(f"Figure {number}", caption, paint, (8.0, 3.0))
 
 
-def _profiles(study: Study, number: str, session: int) -> Plate:
-    def panel(axes: Any, case: Case, training: Training) -> None:
+def _profiles(study: Study, number: str, session: int, nominal: bool = False) -> Plate:
+    def panel(axes: Any, case: Case, z: np.ndarray) -> None:
         s = case.truth.s
         shown = np.abs(s - 0.5 * s[-1]) < 0.5 * WINDOW
         axes.plot(s[shown], 1e3 * case.truth.z[0, shown], "-", color=COLOURS["truth"], lw=1.0)
-        axes.plot(s[shown], 1e3 * training.z[0, shown], "--", color=COLOURS["left"], lw=1.1)
+        axes.plot(s[shown], 1e3 * z[0, shown], "--", color=COLOURS["left"], lw=1.1)
         axes.set(xlabel="distance [m]", ylabel="height [mm]")
 
     return Plate(
-        f"Figure {number}",
-        _caption(study, session, "Profiles (left wheel path, 20 m of 100 m)"),
-        _panels(study, session, panel),
+        _name(number, nominal),
+        _caption(study, session, "Profiles (left wheel path, 20 m of 100 m)", nominal),
+        _panels(study, session, panel, nominal),
     )
 
 
-def _densities(study: Study, number: str, session: int) -> Plate:
-    def panel(axes: Any, case: Case, training: Training) -> None:
+def _densities(study: Study, number: str, session: int, nominal: bool = False) -> Plate:
+    def panel(axes: Any, case: Case, z: np.ndarray) -> None:
         draw_classes(axes)
         ds = case.truth.ds
         axes.plot(*_mean_density(case.truth.z, ds), "-", color=COLOURS["truth"], lw=1.1)
-        axes.plot(*_mean_density(training.z, ds), "--", color=COLOURS["left"], lw=1.2)
+        axes.plot(*_mean_density(z, ds), "--", color=COLOURS["left"], lw=1.2)
         axes.set(ylabel="density [m³]")
 
     return Plate(
-        f"Figure {number}",
-        _caption(study, session, "Densities (mean of both wheel paths)"),
-        _panels(study, session, panel),
+        _name(number, nominal),
+        _caption(study, session, "Densities (mean of both wheel paths)", nominal),
+        _panels(study, session, panel, nominal),
     )
 
 
-def _panels(study: Study, session: int, panel: Callable[[Any, Case, Training], None]) -> Paint:
+def _name(number: str, nominal: bool) -> str:
+    return f"Figure {number}{', on the car of the training' if nominal else ''}"
+
+
+def _panels(
+    study: Study, session: int, panel: Callable[[Any, Case, np.ndarray], None], nominal: bool
+) -> Paint:
     def paint(figure: Any) -> None:
         for k, (axes, case) in enumerate(
             zip(figure.subplots(2, 2).ravel(), study.paving, strict=True)
         ):
             training = case.trainings[session]
-            panel(axes, case, training)
-            axes.set_title(
-                f"({LETTERS[k]}) {case.condition}: {100 * training.scores[PRINTED]:.1f} %",
-                fontsize=9,
-            )
+            panel(axes, case, training.nominal_z if nominal else training.z)
+            driven = case.driven if nominal else case.condition
+            error = case.all(PRINTED, nominal)[session]
+            axes.set_title(f"({LETTERS[k]}) {driven}: {100 * error:.1f} %", fontsize=9)
 
     return paint
 
 
-def _caption(study: Study, session: int, what: str) -> str:
-    states = [case.trainings[session].state for case in study.paving]
+def _caption(study: Study, session: int, what: str, nominal: bool) -> str:
+    states = [state_of(case.all(PRINTED, nominal)[session]) for case in study.paving]
     return (
         f"{what}, actual solid and reconstructed dashed, of session {session + 1} of "
         f"{len(study.paving[0].trainings)}; equation 12 as printed stands on top of each. By it "

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from leaderboard.bounds import nrmse_bound
 from leaderboard.environment import environment, version
 from leaderboard.paper.claims import claims, summary
 from leaderboard.paper.figures import Plate, plates
@@ -52,8 +53,8 @@ def write(study: Study, out: Path, command: str) -> list[Path]:
 
 
 def tables(study: Study) -> list[Table]:
-    """The tables of the report: paving, bumps, cost."""
-    return [_paving(study), _bumps(study), _cost(study)]
+    """The tables of the report: paving, bumps, modes and cars, cost."""
+    return [_paving(study), _bumps(study), _modes(study), _cost(study)]
 
 
 def numbers(study: Study, command: str) -> dict[str, Any]:
@@ -78,6 +79,7 @@ def numbers(study: Study, command: str) -> dict[str, Any]:
                         "train_seconds": round(training.train_seconds, 3),
                         "estimate_seconds": round(training.estimate_seconds, 4),
                         **_rounded(training.scores),
+                        "nominal": _rounded(training.nominal),
                     }
                     for training in case.trainings
                 ],
@@ -261,6 +263,34 @@ def _bumps(study: Study) -> Table:
         "NRMSE of an unrelated road and of the network on new roads."
     )
     return Table("Bumps, scenarios 1 to 4", heads, rows, note)
+
+
+def _modes(study: Study) -> Table:
+    """Ride against handling, left against right, the field car against that of the training."""
+    heads = (
+        "", "eq. 12", "NRMSE", "left", "right", "eq. 12, S0", "NRMSE, S0", "left", "right",
+        "bound, S0",
+    )  # fmt: skip
+    scores = ("nrmse", "nrmse_left", "nrmse_right")
+    order = [*study.bumps, *sorted(study.paving, key=lambda case: (case.speed, case.number))]
+    rows = [
+        [
+            f"{case.number}: {case.driven}",
+            _percent(case.middle(PRINTED)),
+            *(f"{case.middle(score):.2f}" for score in scores),
+            _percent(case.nominal(PRINTED)),
+            *(f"{case.nominal(score):.2f}" for score in scores),
+            f"{nrmse_bound(case.task, case.task.conditions[0], case.truth):.3f}",
+        ]
+        for case in order
+    ]
+    note = (
+        "eq. 12 as printed [%] and in-band NRMSE of both wheel paths and of each, on the field car "
+        "and, S0, on the car of the training; the least NRMSE of a linear estimator that knows the "
+        "car and has its three accelerometers. Scenarios 3 and 4, 5 and 6, 7 and 8 differ in the "
+        "mode alone."
+    )
+    return Table("Ride against handling, left against right, car against car", heads, rows, note)
 
 
 def _cost(study: Study) -> Table:

@@ -3,8 +3,10 @@
 Training k of every scenario makes up session k, for the paper shows the four networks of the paving
 as they came out of one training session. Beside the network stand three that measure nothing: an
 `unrelated_road` of the training road's roughness, the `mean` of the training roads, and a
-`constant`: their mean height. On the new road the network is trained on other roads of the same
-kinds and tested on roads that it has not seen.
+`constant`: their mean height. The test is driven twice: by the field car, which stands for the
+paper's measurements, and by the nominal car of the training, which tells what the other car costs.
+On the new road the network is trained on other roads of the same kinds and tested on roads that it
+has not seen.
 """
 
 import time
@@ -34,6 +36,7 @@ NEW_ROADS = 6
 """Held-out roads of each condition, of the families that the network was trained on."""
 
 State = Literal["near-optimal", "sub-optimal", "unstable"]
+STATES: tuple[State, ...] = ("near-optimal", "sub-optimal", "unstable")
 LIMITS = (0.15, 0.25)
 """Equation 12 at which a training stops being near-optimal, and sub-optimal (Appendix A)."""
 
@@ -42,11 +45,16 @@ Report = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class Training:
-    """One training and what it makes of the test road: heights `z` (2, M) [m]."""
+    """One training and what it makes of the test road: heights `z` (2, M) [m].
+
+    `nominal` and `nominal_z` are the same where the car of the training has driven the road.
+    """
 
     seed: int
     scores: dict[str, float]
     z: np.ndarray
+    nominal: dict[str, float]
+    nominal_z: np.ndarray
     train_seconds: float
     estimate_seconds: float
 
@@ -91,14 +99,18 @@ class Case:
         """Belgian paving, and not bumps."""
         return not self.task.bumps
 
-    def all(self, score: str) -> np.ndarray:
-        """A score (N,) of every training."""
-        return np.array([training.scores.get(score, np.nan) for training in self.trainings])
+    def all(self, score: str, nominal: bool = False) -> np.ndarray:
+        """A score (N,) of every training, on the field car or on that of the training."""
+        told = [t.nominal if nominal else t.scores for t in self.trainings]
+        return np.array([scores.get(score, np.nan) for scores in told])
 
     def middle(self, score: str) -> float:
-        """Interquartile mean of a score over the trainings."""
-        found = self.all(score)
-        return float(interquartile_mean(found[np.isfinite(found)])) if found.size else np.nan
+        """Interquartile mean of a score over the trainings; NaN where none has it."""
+        return _middle(self.all(score))
+
+    def nominal(self, score: str) -> float:
+        """As `middle`, on the car of the training."""
+        return _middle(self.all(score, nominal=True))
 
     def sentinel(self, name: str, score: str) -> float:
         """Median of a score of one that measures nothing."""
@@ -116,8 +128,7 @@ class Case:
     def shares(self) -> dict[State, float]:
         """How many of the trainings are near-optimal, sub-optimal, unstable."""
         states = [training.state for training in self.trainings]
-        kinds: tuple[State, ...] = ("near-optimal", "sub-optimal", "unstable")
-        return {kind: states.count(kind) / len(states) for kind in kinds}
+        return {kind: states.count(kind) / len(states) for kind in STATES}
 
     def typical(self, score: str = "nrmse") -> Training:
         """The training in the middle by a score."""
@@ -184,9 +195,10 @@ def _case(task: Task, network: Estimator, seeds: Sequence[int], drive: DriveSour
     training = [(d.record, d.truth) for d in drive(task, task.training, condition)]
     (test,) = drive(task, task.test, condition)
     spent = time.perf_counter() - start
+    (nominal,) = drive(task, task.test, replace(condition, grade="S0"))
 
     def trained(estimator: Estimator, seed: int) -> Training:
-        return _trained(estimator, task, training, test, seed)
+        return _trained(estimator, task, training, [test, nominal], seed)
 
     level = np.mean([truth.z.mean(axis=1) for _, truth in training], axis=0)
     constant = Estimate(test.truth.s, np.broadcast_to(level[:, None], test.truth.z.shape))
@@ -206,13 +218,21 @@ def _trained(
     estimator: Estimator,
     task: Task,
     training: Sequence[tuple[Record, Profile]],
-    test: Drive,
+    tests: Sequence[Drive],
     seed: int,
 ) -> Training:
-    outcome = reconstruct(estimator, training, [test.record], task.vehicle, seed)
-    (estimate,) = outcome.estimates
-    found = _scores(task, test, estimate)
-    return Training(seed, found, estimate.z, outcome.train_seconds, outcome.estimate_seconds)
+    outcome = reconstruct(estimator, training, [t.record for t in tests], task.vehicle, seed)
+    found, nominal = (_scores(task, *pair) for pair in zip(tests, outcome.estimates, strict=True))
+    z, nominal_z = (estimate.z for estimate in outcome.estimates)
+    return Training(
+        seed,
+        found,
+        z,
+        nominal,
+        nominal_z,
+        outcome.train_seconds,
+        outcome.estimate_seconds / len(tests),
+    )
 
 
 def _scores(task: Task, test: Drive, estimate: Estimate) -> dict[str, float]:
@@ -240,6 +260,11 @@ def _new_road(
             tests = list(drive(task, task.test, condition))
             found[condition.label] = _pooled(task, condition, network, training, tests)
     return found
+
+
+def _middle(found: np.ndarray) -> float:
+    found = found[np.isfinite(found)]
+    return float(interquartile_mean(found)) if found.size else np.nan
 
 
 def _pooled(

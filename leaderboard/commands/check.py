@@ -1,0 +1,73 @@
+"""`check-estimator`: what the judge will say of an estimator, before it stands on a board."""
+
+import dataclasses
+import os
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from leaderboard.checking import check
+from leaderboard.commands import console, print_json
+from leaderboard.commands.board import limits_of
+from leaderboard.commands.drives import Json
+from leaderboard.entries import named
+from leaderboard.isolation.host import Host
+from leaderboard.isolation.limits import Limits
+from leaderboard.probes import PROBES, Probe
+
+MARKS = {True: "[green]passed[/green]", False: "[red]FAILED[/red]", None: "[dim]noted[/dim]"}
+
+
+def check_estimator(
+    estimator: Annotated[
+        str, typer.Argument(help="Installed name, module:Class, or a file from `train`.")
+    ],
+    time_limit: Annotated[
+        float, typer.Option(help="Seconds an entry may take under one condition.")
+    ] = Limits.seconds,
+    memory_limit: Annotated[float, typer.Option(help="GiB an entry may hold.")] = Limits.memory,
+    json: Json = False,
+) -> None:
+    """Say beforehand whether an estimator can stand on a board; exit status 1 if it cannot.
+
+    It runs in processes of its own on a few short drives: contract, damaged records, probes, cost.
+    """
+    if ":" in estimator and os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())  # as `python -m` has it, so that a file here is found
+    with Host(limits_of(time_limit, memory_limit)) as host:
+        (entry,) = named([estimator], host)
+        found = check(entry, host)
+    failed = [one.name for one in found if one.passed is False]
+    if json:
+        print_json(
+            {
+                "estimator": entry.name,
+                "passed": not failed,
+                "checks": [dataclasses.asdict(one) for one in found],
+            }
+        )
+    else:
+        table = Table.grid(padding=(0, 1))
+        for one in found:
+            table.add_row(MARKS[one.passed], one.name, escape(one.said))
+        console.print(table)
+        console.print(f"{escape(entry.name)}: {_told(found)}", highlight=False)
+    if failed:
+        raise typer.Exit(1)
+
+
+def _told(found: Sequence[Probe]) -> str:
+    failed = [one.name for one in found if one.passed is False]
+    if not failed:
+        return "ready for a board"
+    if set(failed) <= set(PROBES):
+        return f"it can stand on a board, where its mark will say that it failed {_joined(failed)}"
+    return f"not ready for a board: {_joined(failed)}"
+
+
+def _joined(words: Sequence[str]) -> str:
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
