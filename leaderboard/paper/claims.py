@@ -56,7 +56,7 @@ def summary(study: Study) -> list[str]:
     counts = {v: sum(c.verdict == v for c in made) for v in ("agrees", "agrees in part")}
     paving = study.paving
     constant, stranger = (
-        _percents([case.sentinel(name, PRINTED) for case in paving])
+        _percents(sorted({case.sentinel(name, PRINTED) for case in paving}))  # of one road, mostly
         for name in ("constant", "unrelated_road")
     )
     return [
@@ -114,9 +114,9 @@ def _bumps_found(study: Study) -> Claim:
     return Claim(
         "section 7.1, conclusions",
         "The methodology locates the bumps where they occur.",
-        f"Within 0.3 m {_percents(recall)} of the bumps were found in scenarios 1 to 4, and "
-        f"{_percents(own)} on the car of the training; of what was taken for a bump "
-        f"{_percents(precision)} was one.",
+        f"Within 0.3 m {_percents(recall, 0)} of the bumps were found in scenarios 1 to 4, and "
+        f"{_percents(own, 0)} on the car of the training; of what was taken for a bump "
+        f"{_percents(precision, 0)} was one.",
         _verdict(sum(min(pair) > 0.9 for pair in zip(recall, precision, strict=True)), 4)
         if min(recall) <= 0.9 or min(precision) > 0.9
         else "agrees in part",
@@ -145,7 +145,7 @@ def _bump_heights(study: Study) -> Claim:
         "section 7.1, Figures 6 to 9",
         "Small bumps are reconstructed up to 0.08 m of their 0.1 m, large ones closely: within "
         "20 %.",
-        f"The heights of the bumps that were found are wrong by {_percents(wrong)} in scenarios "
+        f"The heights of the bumps that were found are wrong by {_percents(wrong, 0)} in scenarios "
         "1 to 4.",
         _verdict(good, len(wrong)),
     )

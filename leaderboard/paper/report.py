@@ -23,7 +23,9 @@ TITLE = "The paper reproduced"
 ABOUT = (
     "Ngwangwa, Heyns, Breytenbach and Els trained a static network, 3-50-2, on simulated drives "
     "over altered copies of the road that they tested it on. Here are its eight case scenarios, "
-    "{trainings} trainings of each, beside what the paper reports."
+    "{trainings} trainings of each, beside what the paper reports. Its measured drives are not "
+    "published: the field car {grade}, which differs from the car of the training and has faulty "
+    "instruments, drives in their place, and once more the car of the training itself (S0)."
 )
 PAGE = (8.27, 11.69)
 """A4 [inch]."""
@@ -179,8 +181,15 @@ def _text_pages(study: Study, command: str) -> list[Any]:
 
 
 def _aligned(table: Table) -> list[str]:
-    rows = [table.heads, *table.rows]
-    widths = [max(len(row[k]) for row in rows) for k in range(len(table.heads))]
+    """The rows of a table as lines, long heads on several."""
+    columns = range(len(table.heads))
+    widths = [
+        max(map(len, [*table.heads[k].split(" "), *(row[k] for row in table.rows)]), default=0)
+        for k in columns
+    ]
+    heads = [textwrap.wrap(table.heads[k], max(widths[k], 1)) for k in columns]
+    above = [[""] * (max(map(len, heads)) - len(head)) + head for head in heads]
+    rows = [*zip(*above, strict=True), *table.rows]
     return [
         "  ".join(
             cell.ljust(width) if k == 0 else cell.rjust(width)
@@ -192,7 +201,7 @@ def _aligned(table: Table) -> list[str]:
 
 def _lines(text: str, indent: int = 0) -> list[str]:
     space = " " * indent
-    return textwrap.wrap(text, 100, initial_indent=space, subsequent_indent=space + "  ")
+    return textwrap.wrap(text, 112, initial_indent=space, subsequent_indent=space + "  ")
 
 
 def _wrapped(text: str, width: int) -> str:
@@ -200,17 +209,18 @@ def _wrapped(text: str, width: int) -> str:
 
 
 def _about(study: Study) -> str:
-    return ABOUT.format(trainings=len(study.cases[0].trainings))
+    case = study.cases[0]
+    return ABOUT.format(trainings=len(case.trainings), grade=case.task.conditions[0].grade)
 
 
 def _paving(study: Study) -> Table:
     heads = (
-        "Belgian paving", "paper", "eq. 12", "least-most", "about mean", "<15/15-25/>25 %",
-        "NRMSE", "r", "constant", "unrelated", "its NRMSE", "new road",
+        "Paving", "paper", "eq.\u00a012", "least-most", "about mean", "states", "NRMSE", "r",
+        "constant", "unrelated", "its NRMSE", "new road",
     )  # fmt: skip
     rows = [
         [
-            case.condition,
+            f"{case.number}: {case.driven}",
             _percent(case.task.claimed_level_error),
             _percent(case.middle(PRINTED)),
             f"{100 * case.all(PRINTED).min():.1f}-{100 * case.all(PRINTED).max():.1f}",
@@ -227,22 +237,23 @@ def _paving(study: Study) -> Table:
     ]
     note = (
         "eq. 12 [%] of both wheel paths: of raw heights as printed, interquartile mean and range "
-        "of the trainings, and of heights about their means; shares of trainings in percent; "
-        "in-band NRMSE (a flat road has 1) and correlation r; eq. 12 of a constant height and of "
-        "an unrelated road of the same roughness, and the latter's NRMSE; NRMSE of the network on "
-        "roads that it has not seen."
+        "of the trainings, and of heights about their means; states: percent of the trainings that "
+        "are near-optimal (below 15 %), sub-optimal (15 to 25 %) and unstable; in-band NRMSE (a "
+        "flat road has 1) and correlation r; eq. 12 of a constant height and of an unrelated road "
+        "of the same roughness, and the latter's NRMSE; NRMSE of the network on roads that it has "
+        "not seen."
     )
     return Table("Belgian paving, scenarios 5 to 8", heads, rows, note)
 
 
 def _bumps(study: Study) -> Table:
     heads = (
-        "Bumps", "eq. 12", "<15/15-25/>25 %", "NRMSE left", "right", "r", "found", "of found",
+        "Bumps", "eq.\u00a012", "states", "NRMSE left", "right", "r", "found", "of found",
         "height error", "place", "unrelated", "new road",
     )  # fmt: skip
     rows = [
         [
-            f"{case.number}: {case.condition}",
+            f"{case.number}: {case.driven}",
             _percent(case.middle(PRINTED)),
             _shares(case),
             f"{case.middle('nrmse_left'):.2f}",
@@ -258,7 +269,8 @@ def _bumps(study: Study) -> Table:
         for case in study.bumps
     ]
     note = (
-        "eq. 12 as printed [%]; in-band NRMSE left and right; percent of the true bumps found "
+        "eq. 12 as printed [%]; percent of the trainings that are near-optimal, sub-optimal and "
+        "unstable; in-band NRMSE left and right; percent of the true bumps found "
         "within 0.3 m, and percent true of those found; errors of height and place of the found; "
         "NRMSE of an unrelated road and of the network on new roads."
     )
@@ -268,8 +280,8 @@ def _bumps(study: Study) -> Table:
 def _modes(study: Study) -> Table:
     """Ride against handling, left against right, the field car against that of the training."""
     heads = (
-        "", "eq. 12", "NRMSE", "left", "right", "eq. 12, S0", "NRMSE, S0", "left", "right",
-        "bound, S0",
+        "Scenario", "eq.\u00a012", "NRMSE", "left", "right", "eq.\u00a012, S0", "NRMSE, S0",
+        "left", "right", "bound, S0",
     )  # fmt: skip
     scores = ("nrmse", "nrmse_left", "nrmse_right")
     order = [*study.bumps, *sorted(study.paving, key=lambda case: (case.speed, case.number))]
@@ -299,7 +311,7 @@ def _cost(study: Study) -> Table:
 
     rows = [
         [
-            f"{case.number}: {case.condition}",
+            f"{case.number}: {case.driven}",
             f"{mean([t.train_seconds for t in case.trainings]):.2f} s",
             f"{1e3 * mean([t.estimate_seconds for t in case.trainings]):.0f} ms",
             f"{case.drive_seconds:.2f} s",
@@ -307,7 +319,7 @@ def _cost(study: Study) -> Table:
         for case in study.cases
     ]
     rows.append(["the paper (Core i7, 2.2 GHz)", "63 s", "2 s", NOTHING])
-    heads = ("Time", "one training", "one estimate", "all its drives")
+    heads = ("Scenario", "one training", "one estimate", "all its drives")
     return Table("Time of training and of simulating the network", heads, rows)
 
 
