@@ -18,7 +18,7 @@ from leaderboard.sentinels import SENTINELS, TRUTH_PLUS_NOISE
 from leaderboard.store import load_rows
 from leaderboard.tasks import Task
 from road_envs.config import ConfigError
-from road_envs.files import sweep, write_text
+from road_envs.files import sweep, sweep_scratch, write_text
 
 
 @dataclass(frozen=True)
@@ -95,6 +95,7 @@ def run_board(
     version would have to be replaced; and what the executor raises.
     """
     sweep(out)
+    sweep_scratch()
     plan = Plan(wanted.rows(), out, wanted.resume)
     for _ in range(ATTEMPTS):
         jobs = jobs_of(plan.missing(), executor.workers, wanted.limits)

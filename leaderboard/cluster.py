@@ -6,7 +6,6 @@ scheduler.
 """
 
 import dataclasses
-import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from leaderboard import executors, jobs, store
 from leaderboard.executors import Processes
 from leaderboard.jobs import Done, Job
 from road_envs.config import ConfigError
+from road_envs.files import Scratch, sweep_scratch
 
 PATIENCE = 20.0
 """Seconds in which the scheduler must answer, and then have a worker."""
@@ -72,8 +72,8 @@ class OnDask:
 def perform(spec: str) -> list[tuple[Done, str]]:
     """On a worker: run a job, and return what it has done with the text of each result."""
     job = jobs.from_text(spec, "a job")
-    with tempfile.TemporaryDirectory(prefix="roadrecon-") as folder:
-        out = Path(folder)
+    sweep_scratch()
+    with Scratch() as out:
         return [
             (done, store.part_of(out, done.identity).read_text(encoding="utf-8"))
             for done in Processes(1).run([job], out)

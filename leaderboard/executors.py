@@ -8,7 +8,6 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -26,6 +25,7 @@ from leaderboard.isolation.host import how
 from leaderboard.isolation.limits import PINNED
 from leaderboard.jobs import Done, Job
 from road_envs.config import ConfigError, build
+from road_envs.files import Scratch
 
 
 class Executor(Protocol):
@@ -133,8 +133,8 @@ class Processes:
     ) -> int:
         """Run a process on a job, pass on what it has done, and take that out of `left`."""
         with (
-            tempfile.TemporaryDirectory(prefix="roadrecon-") as folder,
-            start(job, Path(folder), out) as process,
+            Scratch() as folder,
+            start(job, folder, out) as process,
         ):
             self._running.add(process)
             try:
@@ -153,7 +153,7 @@ class Processes:
                 self._running.discard(process)
                 processes.kill_group(process.pid)
             if status > 0:
-                raise JudgeError((Path(folder) / "said.txt").read_text(encoding="utf-8")[-4000:])
+                raise JudgeError((folder / "said.txt").read_text(encoding="utf-8")[-4000:])
         return status
 
 

@@ -29,6 +29,7 @@ from leaderboard.results import FORMAT, Result, content
 from leaderboard.sources import judge_code
 from leaderboard.tasks import Task
 from road_envs.config import STRICT, ConfigError, build
+from road_envs.files import sweep_scratch
 from road_envs.roads import KINDS
 
 
@@ -147,6 +148,7 @@ def run_file(spec: Path, out: Path) -> Iterator[Done]:
 
     Raises ConfigError, OSError.
     """
+    sweep_scratch()
     job = from_text(spec.read_text(encoding="utf-8"), str(spec))
     hidden = [out / "results", out / "jobs"]
     for folder in hidden:

@@ -1,8 +1,11 @@
 """Files written whole or not at all: a reader finds the old content or the new, never a half."""
 
+import fcntl
 import itertools
 import os
 import platform
+import shutil
+import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,6 +13,9 @@ from pathlib import Path
 
 PARTIAL = ".partial"
 """Ends the name of a file that is still being written."""
+
+SCRATCH = "roadrecon-scratch-"
+"""Begins the name of a temporary folder."""
 
 _counter = itertools.count()
 
@@ -74,3 +80,66 @@ def _to_disk(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+OWNER = ".owner"
+"""Lies in a temporary folder; who made the folder holds a lock on it for as long as it lives."""
+
+
+class Scratch:
+    """A temporary folder of one process, removed by `close` or a `with` statement.
+
+    If the process is killed, the next `sweep_scratch` removes it: the lock that it held is then
+    free, whoever may have its number meanwhile.
+    """
+
+    def __init__(self):
+        self.path = Path(tempfile.mkdtemp(prefix=SCRATCH))
+        self._owner: int | None = os.open(self.path / OWNER, os.O_RDWR | os.O_CREAT, 0o600)
+        _lock(self._owner)
+
+    def __enter__(self) -> Path:
+        return self.path
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Remove the folder with all that is in it."""
+        shutil.rmtree(self.path, ignore_errors=True)
+        if self._owner is not None:
+            os.close(self._owner)
+        self._owner = None
+
+
+def sweep_scratch() -> list[Path]:
+    """Remove the temporary folders of this user whose owners are dead; returns which."""
+    return [
+        folder
+        for folder in Path(tempfile.gettempdir()).glob(f"{SCRATCH}*")
+        if folder.is_dir() and _orphaned(folder)
+    ]
+
+
+def _orphaned(folder: Path) -> bool:
+    """Remove a temporary folder if nobody holds its lock. One without a lock is left alone."""
+    try:
+        owner = os.open(folder / OWNER, os.O_RDWR | os.O_NOFOLLOW)
+    except OSError:
+        return False
+    try:
+        if os.fstat(owner).st_uid != os.getuid() or not _lock(owner):
+            return False
+        shutil.rmtree(folder, ignore_errors=True)
+        return True
+    finally:
+        os.close(owner)
+
+
+def _lock(handle: int) -> bool:
+    """Take the lock of an open file; False if another process has it."""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True

@@ -4,11 +4,12 @@ import os
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 
 from road_envs import files
-from road_envs.files import sweep, whole, write_text
+from road_envs.files import Scratch, sweep, sweep_scratch, whole, write_text
 
 
 def test_a_file_takes_its_place_only_when_it_is_complete(tmp_path):
@@ -81,3 +82,50 @@ def test_what_a_killed_writer_left_is_swept_and_what_a_living_one_writes_is_not(
         sweep(tmp_path)
         assert partial.exists() and not left.exists()
     assert sorted(os.listdir(folder)) == [".other.txt.elsewhere-999999-1-0.partial", "mine.txt"]
+
+
+HOLDS = """
+import sys, time
+from road_envs.files import Scratch
+with Scratch() as folder:
+    (folder / "large").mkdir()
+    (folder / "large" / "file").write_text("text")
+    print(folder, flush=True)
+    time.sleep(1000.0)
+"""
+
+
+def holder(tmp_path):
+    """A process with a temporary folder, and the folder."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLDS],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+    )
+    with process.stdout as said:
+        return process, Path(said.readline().strip())
+
+
+def test_a_temporary_folder_goes_with_its_owner_and_of_the_dead_at_the_next_start(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(files.tempfile, "tempdir", str(tmp_path))
+    (tmp_path / "roadrecon-my-road").mkdir()  # such as a newcomer's package
+    (tmp_path / f"{files.SCRATCH}of-somebody").mkdir()  # without a lock
+    others = sorted(tmp_path.iterdir())
+    living, his = holder(tmp_path)
+    dead, left = holder(tmp_path)
+    try:
+        dead.kill()
+        dead.wait()
+        with Scratch() as mine:
+            assert mine.parent == tmp_path and (left / "large" / "file").exists()
+            assert sweep_scratch() == [left]
+            assert sorted(tmp_path.iterdir()) == sorted([*others, mine, his])
+            assert (his / "large" / "file").exists()
+        assert not mine.exists()
+    finally:
+        living.kill()
+        living.wait()
+    assert sweep_scratch() == [his] and sorted(tmp_path.iterdir()) == others

@@ -7,7 +7,6 @@ import select
 import shutil
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -22,6 +21,7 @@ from leaderboard.isolation.guard import Order, Verdict
 from leaderboard.isolation.limits import Limits, environment
 from road_envs import jit
 from road_envs.config import build
+from road_envs.files import Scratch
 from road_envs.record import Profile, Record
 from road_envs.vehicle import VehicleParameters
 
@@ -48,7 +48,8 @@ class Host:
         self.verdict: Verdict | None = None  # on the last run
         self.hidden = tuple(str(path.resolve()) for path in hidden)
         self._alone = alone
-        self._home = Path(tempfile.mkdtemp(prefix="roadrecon-"))
+        self._scratch = Scratch()
+        self._home = self._scratch.path
         self._runs = 0
         self._namespaces: bool | None = None
         if alone:
@@ -60,7 +61,7 @@ class Host:
 
     def __exit__(self, *_: object) -> None:
         self._stop()
-        shutil.rmtree(self._home, ignore_errors=True)
+        self._scratch.close()
 
     @property
     def isolation(self) -> str:
