@@ -108,6 +108,7 @@ class FirRidge:
     __pydantic_config__ = STRICT
     causal: ClassVar[bool] = False
     name: ClassVar[str] = "fir_ridge"
+    fits_a_case: ClassVar[bool] = True
 
     reach: float = REACH
     shipped: bool = True

@@ -66,7 +66,9 @@ class Trainable(Estimator, Protocol):
 class Teachable(Trainable, Protocol):
     """An estimator taught once for all speeds and modes, from more drives than can be held.
 
-    It comes with weights: `weights()` answers at once, and the judge does not fit it.
+    It comes with weights: `weights()` answers at once, and the judge does not fit it. Where a
+    protocol wants a training for each speed and mode, one that `fits_a_case` in seconds is made
+    with `shipped` false and fitted; any other stands there with its weights.
     """
 
     def material(self, record: Record, truth: Profile) -> Any:

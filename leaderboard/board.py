@@ -6,7 +6,9 @@ from pathlib import Path
 
 from estimators import create
 from estimators.protocol import Estimator
-from leaderboard.entries import entry_of
+from leaderboard import cards
+from leaderboard.cards import Card
+from leaderboard.entries import entry_of, fitted_to_each_case, registered
 from leaderboard.entry import Entry
 from leaderboard.evaluate import SEEDS
 from leaderboard.executors import Executor
@@ -26,7 +28,7 @@ class Wanted:
     """What a run is to leave on the board: `entries` and the sentinels on every one of `tasks`.
 
     `roads` is the number of test drives per condition on tasks that draw their roads; `resume`
-    keeps stored results that depend on nothing that has changed.
+    keeps stored results that depend on nothing that has changed; `probes` wants a card of each.
     """
 
     tasks: Sequence[Task]
@@ -35,6 +37,7 @@ class Wanted:
     roads: int | None = None
     resume: bool = True
     limits: Limits = field(default_factory=Limits)
+    probes: bool = False
 
     def sized(self) -> list[Task]:
         """The tasks with as many roads as are wanted. Raises ConfigError."""
@@ -44,7 +47,12 @@ class Wanted:
     def rows(self) -> list[Row]:
         """Every entry on every task. Raises ConfigError."""
         everyone = [*self.entries, *(entry_of(name, made) for name, made in sentinels().items())]
-        return [Row(task, entry, tuple(self.seeds)) for task in self.sized() for entry in everyone]
+        return [
+            Row(task, fitted_to_each_case(entry) if task.trains_on_test_road else entry, seeds)
+            for seeds in [tuple(self.seeds)]
+            for task in self.sized()
+            for entry in everyone
+        ]
 
 
 Progress = Callable[[int, int, str], None]
@@ -56,10 +64,15 @@ ATTEMPTS = 3
 
 @dataclass(frozen=True)
 class Board:
-    """Tasks in order, and all stored results of each, fresh, failed and stale."""
+    """Tasks in order, and all stored results of each, fresh, failed and stale.
+
+    `entries` are those that would be judged now, by task and name; `cards` are by identity.
+    """
 
     tasks: tuple[Task, ...]
     results: Mapping[str, Sequence[Result]]
+    entries: Mapping[tuple[str, str], Entry] = field(default_factory=dict)
+    cards: Mapping[str, Card] = field(default_factory=dict)
 
     def scored(self, task: Task) -> list[Result]:
         """The results that count: they belong to the task as it is, and did not fail."""
@@ -71,16 +84,44 @@ class Board:
 
     def stale(self, task: Task) -> list[tuple[Result, str]]:
         """Results of another task, package, code or metric version, each with the reason."""
-        stale = [(r, r.stale(task)) for r in self.results[task.name]]
+        stale = [(r, self.why_stale(task, r)) for r in self.results[task.name]]
         return [(r, why) for r, why in stale if why is not None]
 
+    def why_stale(self, task: Task, result: Result) -> str | None:
+        """Why a result does not count; None if it does."""
+        if (why := result.stale(task)) is not None:
+            return why
+        entry = self.entries.get((task.name, result.estimator))
+        if entry is None or not result.code:
+            return None
+        if result.code != entry.code:
+            return "its code or its weights have changed"
+        return None if result.settings == entry.settings else "made with other settings"
+
+    def card(self, result: Result) -> Card | None:
+        """What the probes said of the estimator that made a result."""
+        return self.cards.get(cards.identity(result.estimator, result.settings, result.code))
+
     def _fresh(self, task: Task) -> list[Result]:
-        return [r for r in self.results[task.name] if r.stale(task) is None]
+        return [r for r in self.results[task.name] if self.why_stale(task, r) is None]
 
 
-def load_board(tasks: Sequence[Task], out: Path) -> Board:
-    """The board of what is stored under `out`; a file that cannot be read is a failed row."""
-    return Board(tuple(tasks), {task.name: load_rows(out, task) for task in tasks})
+def load_board(tasks: Sequence[Task], out: Path, rows: Sequence[Row] = ()) -> Board:
+    """The board of what is stored under `out`; a file that cannot be read is a failed row.
+
+    An estimator is known as it is now from `rows`, or if it is one of this package.
+    """
+    results = {task.name: load_rows(out, task) for task in tasks}
+    entries = {(row.task.name, row.entry.name): row.entry for row in rows}
+    for task in tasks:
+        for name in {result.estimator for result in results[task.name]}:
+            entry = entries.get((task.name, name)) or registered(name, task.trains_on_test_road)
+            if entry is not None:
+                entries[task.name, name] = entry
+    made = {(r.estimator, str(r.settings), r.code): r for rs in results.values() for r in rs}
+    found = [cards.find(out, r.estimator, r.settings, r.code) for r in made.values()]
+    told = {card.identity: card for card in found if card is not None}
+    return Board(tuple(tasks), results, entries, told)
 
 
 def run_board(
@@ -96,7 +137,8 @@ def run_board(
     """
     sweep(out)
     sweep_scratch()
-    plan = Plan(wanted.rows(), out, wanted.resume)
+    rows = wanted.rows()
+    plan = Plan(rows, out, wanted.resume)
     for _ in range(ATTEMPTS):
         jobs = jobs_of(plan.missing(), executor.workers, wanted.limits)
         total = sum(len(job.entries) for job in jobs)
@@ -105,7 +147,10 @@ def run_board(
             plan.note(done)
             progress(k, total, f"{done.task}: {done.entry}, {done.condition}")
         if plan.settle():
-            return load_board(wanted.sized(), out)
+            if wanted.probes:
+                everyone = [row.entry for row in rows]
+                cards.examine_all(everyone, out, wanted.limits, lambda text: progress(1, 1, text))
+            return load_board(wanted.sized(), out, rows)
     raise ConfigError(f"{out}: somebody else changes the files of this run while it is under way")
 
 

@@ -81,6 +81,25 @@ def named(names: Sequence[str], host: Describes | None) -> list[Entry]:
     return [_named(name, host) for name in names]
 
 
+def registered(name: str, each_case: bool) -> Entry | None:
+    """The entry of an estimator of this package as it would be judged now; None for any other."""
+    if name not in estimators.REGISTRY:
+        return None
+    entry = entry_of(name, estimators.create(name))
+    return fitted_to_each_case(entry) if each_case else entry
+
+
+def fitted_to_each_case(entry: Entry) -> Entry:
+    """The entry as it is judged where the protocol wants a training of its own for each case: it
+    leaves the weights at home that it comes with, if it can be fitted to a case in seconds.
+    """
+    cls = estimators.REGISTRY.get(entry.reference)
+    if entry.failure is not None or not getattr(cls, "fits_a_case", False):
+        return entry
+    settings = {**entry.settings, "shipped": False}
+    return entry_of(entry.name, estimators.create(entry.reference, **settings))
+
+
 def _named(name: str, host: Describes | None) -> Entry:
     if name in estimators.REGISTRY or host is None:
         return entry_of(name, estimators.create(name))

@@ -61,7 +61,7 @@ def pages(board: Board, shown: Sequence[View]) -> Iterator[tuple[str, str]]:
     for name, found in results.items():
         yield (
             f"estimators/{file_name(name)}",
-            render("estimator.html", _estimator(shown, name, found)),
+            render("estimator.html", _estimator(board, shown, name, found)),
         )
 
 
@@ -143,7 +143,7 @@ def _task(board: Board, view: View, section: Section, task: Task) -> dict[str, A
 
 
 def _estimator(
-    shown: Sequence[View], name: str, found: Sequence[tuple[Task, Result]]
+    board: Board, shown: Sequence[View], name: str, found: Sequence[tuple[Task, Result]]
 ) -> dict[str, Any]:
     rows = [
         (view, section, line)
@@ -159,10 +159,11 @@ def _estimator(
         "role": first.role,
         "causal": first.causal,
         "settings": first.settings,
-        "probes": (),
-        "probed_on": "",
+        "cards": list(
+            {card.identity: card for _, result in found if (card := board.card(result))}.values()
+        ),
         "rows": rows,
-        "results": [(task, result, origin(task, result)) for task, result in found],
+        "results": [(task, result, origin(board, task, result)) for task, result in found],
     }
 
 
@@ -177,12 +178,12 @@ def provenance(board: Board) -> list[tuple[str, str]]:
     return [*(("Made by", text) for text in made), *rows]
 
 
-def origin(task: Task, result: Result) -> list[tuple[str, str]]:
+def origin(board: Board, task: Task, result: Result) -> list[tuple[str, str]]:
     """Where the numbers of one result come from."""
     told = {
         "file": f"results/{result.task}/{result.estimator}.json",
         "task": f"version {task.version}, digest {result.task_digest}",
-        "state": result.stale(task) or "fresh",
+        "state": board.why_stale(task, result) or "fresh",
         "package": f"roadrecon {result.package_version}, metrics {result.metric_version}",
         "training seeds": ", ".join(map(str, result.seeds)),
         "settings": json.dumps(result.settings) if result.settings else "none",

@@ -90,8 +90,12 @@ def to_text(result: Result) -> str:
         "traces": [vars(trace) for trace in result.traces],
     }
     names = [f.name for f in dataclasses.fields(result)]
-    data = {n: large[n] if n in large else _plain(getattr(result, n)) for n in names}
-    rest = _by_lines(data)[2:] + "\n"
+    return sealed({n: large[n] if n in large else _plain(getattr(result, n)) for n in names})
+
+
+def sealed(data: Mapping[str, Any]) -> str:
+    """`data`, of which `format` is a part, as JSON with the checksum of the rest first."""
+    rest = _by_lines(dict(data))[2:] + "\n"
     blank = f"{OPENING}{'0' * 64}{CLOSING}{rest}"
     return blank.replace("0" * 64, checksum_of(blank), 1)
 
@@ -204,6 +208,19 @@ def _load(path: Path) -> tuple[Result, str]:
 
 def _read(path: Path) -> tuple[Result, str]:
     """A result and its checksum."""
+    data, told = unsealed(path, FORMAT)
+    drives = build(_Drives, data.pop("drives", {}), f"{path}: drives")
+    result = build(Result, data, str(path))
+    return dataclasses.replace(
+        result, drives=_rows(drives, path), traces=tuple(result.traces)
+    ), told
+
+
+def unsealed(path: Path, known: int) -> tuple[dict[str, Any], str]:
+    """What stands in a file made by `sealed` in the format `known`, and its checksum.
+
+    Raises NewerFormatError, and ConfigError that says what is wrong with it.
+    """
     try:
         text = path.read_text(encoding="utf-8")
         data = json.loads(text)
@@ -213,14 +230,14 @@ def _read(path: Path) -> tuple[Result, str]:
         raise ConfigError(f"{path}: damaged, not valid JSON: {error}") from None
     if not isinstance(data, dict) or not isinstance(data.get("format"), int):
         raise ConfigError(f"{path}: not a result (it has no format)")
-    if data["format"] > FORMAT:
+    if data["format"] > known:
         raise NewerFormatError(
             f"{path}: written in format {data['format']} by a newer version, this one reads "
-            f"{FORMAT}; use that version, or another folder"
+            f"{known}; use that version, or another folder"
         )
-    if data["format"] < FORMAT:
+    if data["format"] < known:
         raise ConfigError(
-            f"{path}: written in format {data['format']}, this version reads {FORMAT}; "
+            f"{path}: written in format {data['format']}, this version reads {known}; "
             "evaluate again"
         )
     told = data.pop("sha256", None)
@@ -231,11 +248,7 @@ def _read(path: Path) -> tuple[Result, str]:
             f"{path}: changed since it was written, by hand or by a fault of the disk; "
             "evaluate again"
         )
-    drives = build(_Drives, data.pop("drives", {}), f"{path}: drives")
-    result = build(Result, data, str(path))
-    return dataclasses.replace(
-        result, drives=_rows(drives, path), traces=tuple(result.traces)
-    ), str(told)
+    return data, str(told)
 
 
 def _columns(drives: Sequence[DriveScores]) -> dict[str, Any]:

@@ -72,7 +72,8 @@ def _table(view: View, sections: tuple[Section, ...]) -> Table:
 
 def _row(line: Line, keys: list[str]) -> list[str]:
     style = STYLES[line.state]
-    name = f"[{style}]{escape(line.name)}[/{style}]"
+    mark = f" [dim]{line.cells['probes']}[/dim]" if line.cells.get("probes") else ""
+    name = f"[{style}]{escape(line.name)}[/{style}]{mark}"
     if line.state in ("failed", "stale"):
         return [name, *[f"[{style}]{line.state}[/{style}]", *[""] * len(keys)][: len(keys)]]
     return [name, *(f"[{style}]{line.cells.get(key, '')}[/{style}]" for key in keys)]

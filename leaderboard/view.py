@@ -14,6 +14,7 @@ import numpy as np
 
 from leaderboard.board import Board
 from leaderboard.boards import BOARDS, FORMS, Column, Kind
+from leaderboard.cards import Card
 from leaderboard.results import Result
 from leaderboard.scores import NOTHING, SCORES
 from leaderboard.sentinels import NOISE, TRUTH_PLUS_NOISE
@@ -131,7 +132,9 @@ def _section(board: Board, task: Task, kind: Kind) -> Section:
     tables = [_table(result, kind, parts) for result in scored]
     values = {table.name: table.values for table in tables}
     _rank(tables, parts, values)
-    lines = [_line(r, x, kind) for r, x in zip(scored, tables, strict=True)] + _bound(values, kind)
+    lines = [
+        _line(r, x, kind, board.card(r)) for r, x in zip(scored, tables, strict=True)
+    ] + _bound(values, kind)
     lines.sort(key=lambda line: (line.state != "scored", _last_if_none(line.values[kind.ranks_by])))
     claim = [_claim(task.claimed_level_error)] if task.claimed_level_error is not None else []
     failed = [Line(r.estimator, "failed", text=r.failure or "") for r in board.failed(task)]
@@ -225,7 +228,7 @@ def _rank(tables: Sequence[Table], parts: Mapping[str, Part], values: Mapping[st
                 values[name][group][key] = standing.rank
 
 
-def _line(result: Result, table: Table, kind: Kind) -> Line:
+def _line(result: Result, table: Table, kind: Kind, card: Card | None) -> Line:
     mine = table.values[ALL]
     cells = {name: FORMS[name].text(_nan_if_none(x)) for name, x in mine.items() if name in FORMS}
     cells |= {
@@ -237,6 +240,7 @@ def _line(result: Result, table: Table, kind: Kind) -> Line:
         "train_seconds": _digits(mine["train_seconds"], 1),
         "estimate_ms_per_100m": _digits(mine["estimate_ms_per_100m"], 1),
         "parameters": _digits(mine["parameters"], 0),
+        "probes": card.mark if card else "",
     }
     state: State = "sentinel" if result.role == "sentinel" else "scored"
     groups = {name: x for name, x in table.values.items() if name != ALL}

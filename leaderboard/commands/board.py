@@ -56,6 +56,9 @@ def leaderboard(
     again: Annotated[
         bool, typer.Option("--again", help="Run everything, also what is stored and still valid.")
     ] = False,
+    probes: Annotated[
+        bool, typer.Option("--probes", help="Probe entries that have no card yet, on this machine.")
+    ] = False,
     workers: Annotated[int, typer.Option(help="Jobs at a time on this machine.", min=1)] = CORES,
     dask: Annotated[
         str | None, typer.Option(help="Run on the Dask cluster of this scheduler instead.")
@@ -85,7 +88,7 @@ def leaderboard(
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out} is a file; a folder for results and page is wanted")
     entries = _entries(estimator, limits)
-    wanted = Wanted(chosen, entries, range(1, seeds + 1), roads, resume=not again, limits=limits)
+    wanted = Wanted(chosen, entries, range(1, seeds + 1), roads, not again, limits, probes)
     if plan:
         notices.print(f"jobs planned in {plan}: {write_jobs(wanted, out, plan)}")
         return
