@@ -14,6 +14,7 @@ from typing import Any
 
 from estimators.fir_ridge import FirRidge
 from estimators.flat import Flat
+from estimators.gru import Gru, GruCausal
 from estimators.inverse_quarter_car import InverseQuarterCar
 from estimators.iterated_wiener import IteratedWiener
 from estimators.map_smoother import MapSmoother
@@ -22,7 +23,7 @@ from estimators.narx import Narx
 from estimators.protocol import Estimator, check_class
 from estimators.shipped import shipped as shipped_weights
 from estimators.static_lm import StaticLm
-from estimators.tcn import Tcn
+from estimators.tcn import Tcn, TcnCausal
 from estimators.unrelated_road import UnrelatedRoad
 from estimators.wiener import Wiener
 from road_envs.config import ConfigError, build, one_of
@@ -40,6 +41,9 @@ REGISTRY: dict[str, type[Estimator]] = {
     "fir_ridge": FirRidge,
     "map_smoother": MapSmoother,
     "tcn": Tcn,
+    "tcn_causal": TcnCausal,
+    "gru": Gru,
+    "gru_causal": GruCausal,
     "wiener": Wiener,
     "iterated_wiener": IteratedWiener,
 }

@@ -4,7 +4,9 @@ One for all speeds and modes; what it reads and how it learns is as for `tcn`. I
 up on 9 m before the stations that it answers for, and offline on as much after them; on a drive
 it runs through.
 
-Known to fail: as `tcn`; and it takes several times as long, since it goes station by station.
+Known to fail: as `tcn`, than which it errs more by a tenth (median NRMSE over 42 drives of the main
+board 0.30 for 0.27, causal 0.34 for 0.32), with fewer numbers; in teaching it takes several times
+as long a step, since it goes station by station.
 """
 
 import abc

@@ -32,14 +32,29 @@ F_LOW = 0.4
 OCTAVES = np.array([0.7, 1.4, 2.8, 5.6, 11.0, 20.0])
 """Centres [Hz] of the bands of kappa, between which it is interpolated over log f."""
 
+N_OCTAVES = 0.125 * 2.0 ** np.arange(6)
+"""Centres [cycles/m] of the bands of the road's shape, likewise."""
+
 DOUBT = 12.0
-"""Weight of kappa = 1 in each band, in lines of the spectrum."""
+"""Weight of kappa = 1, and of a shape of 1, in each band, in lines of the spectrum."""
 
 TOLERANCE, STEPS = 1e-3, 80
 """Of the conjugate gradients: relative size of the rest, and most steps."""
 
 ROUNDS, TURNS = 4, 6
 """Times that the dampers follow the level, and steps of expectation and maximisation in each."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Felt(RoadPrior):
+    """A road as it was felt: `shape` at N_OCTAVES times what its level and waviness say."""
+
+    shape: tuple[float, ...] = (1.0,) * N_OCTAVES.size
+
+    def density(self, n: np.ndarray) -> np.ndarray:
+        """One-sided density [m³] of either wheel path at `n` [cycles/m], any shape but 0."""
+        more = np.interp(np.log(n), np.log(N_OCTAVES), np.log(self.shape))
+        return super().density(n) * np.exp(more)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +79,7 @@ class Hearing:
     power: np.ndarray
     D: np.ndarray
     white: float
-    prior: RoadPrior
+    prior: Felt
     S: np.ndarray
     kappa: np.ndarray
 
@@ -88,12 +103,11 @@ def listen(
 ) -> Hearing:
     """How a car hears a `stretch`; level and noise are fitted to it. `track` [m] of the wheels."""
     size = next_fast_len(stretch.a.shape[1] + round(APRON / stretch.d), real=True)
-    prior = RoadPrior(track=track)
+    prior = Felt(track=track)
     kappa = np.ones(size // 2 + 1)
     for _ in range(ROUNDS):
         found = hearing(one, places, instruments, stretch, prior, size, kappa)
-        level, kappa = likely(found, lines_of(found, stretch), alive(stretch))
-        prior = replace(prior, G_d0=level)
+        prior, kappa = likely(found, lines_of(found, stretch), alive(stretch))
     return replace(found, kappa=kappa, prior=prior, S=prior.spectrum(found.n))
 
 
@@ -102,7 +116,7 @@ def hearing(
     places: dict[str, tuple[float, float]],
     instruments: Instruments,
     stretch: Stretch,
-    prior: RoadPrior,
+    prior: Felt,
     size: int,
     kappa: np.ndarray,
 ) -> Hearing:
@@ -167,35 +181,40 @@ def likely(
     lines: np.ndarray,
     sensors: np.ndarray,
     share: np.ndarray | None = None,
-) -> tuple[float, np.ndarray]:
-    """A likelier level [m³] and kappa (F,), given the spectrum's `lines` (F, 3, 1) of `sensors`.
+) -> tuple[Felt, np.ndarray]:
+    """A likelier road and kappa (F,), given the spectrum's `lines` (F, 3, 1) of `sensors`.
 
     With fewer than three sensors noise cannot be told from road, and kappa stays.
     """
     heard = (found.f > F_LOW) & (found.f < F_C)
-    n, S, y, H = (
-        found.n[heard],
-        found.S[heard],
-        lines[heard][:, sensors],
-        found.H[heard][:, sensors],
-    )
+    n, y, H = found.n[heard], lines[heard][:, sensors], found.H[heard][:, sensors]
     base = (found.noise(share) / found.kappa[:, None, None])[heard][:, sensors][:, :, sensors]
     band = np.argmin(np.abs(np.log(found.f[heard, None] / OCTAVES)), axis=1)
     factor = np.interp(np.log(OCTAVES), np.log(found.f), found.kappa)
-    level, unit = found.prior.G_d0, S / found.prior.G_d0
+    octave = np.argmin(np.abs(np.log(n[:, None] / N_OCTAVES)), axis=1)
+    level, unit = found.prior.G_d0, replace(found.prior, G_d0=1.0, shape=Felt.shape).spectrum(n)
+    shape = np.array(found.prior.shape)
     for _ in range(TURNS):
-        now = posterior(n, H, unit * level, base * factor[band, None, None])
+        now = posterior(
+            n, H, unit * (level * shape[octave, None, None]), base * factor[band, None, None]
+        )
         z = now.gain @ y
         e = y - H @ z
         road = z @ adjoint(z) + now.error
         noise = e @ adjoint(e) + H @ now.error @ adjoint(H)
-        level = float(np.mean(_trace(np.linalg.solve(unit, road)))) / 2.0
+        rough = _trace(np.linalg.solve(unit, road)) / 2.0
+        level = float(np.mean(rough / shape[octave]))
+        shape = _shrunk(rough / level, octave, N_OCTAVES.size)
         if sensors.size == 3:
             each = _trace(np.linalg.solve(base, noise)) / 3.0
-            lines_in = np.bincount(band, minlength=OCTAVES.size)
-            sums = np.bincount(band, each, OCTAVES.size)
-            factor = (sums + DOUBT) / (lines_in + DOUBT)
-    return level, np.exp(np.interp(np.log(found.f), np.log(OCTAVES), np.log(factor)))
+            factor = _shrunk(each, band, OCTAVES.size)
+    prior = replace(found.prior, G_d0=level, shape=tuple(shape.tolist()))
+    return prior, np.exp(np.interp(np.log(found.f), np.log(OCTAVES), np.log(factor)))
+
+
+def _shrunk(each: np.ndarray, band: np.ndarray, bands: int) -> np.ndarray:
+    """Means (bands,) of what each line says in its `band`, drawn to 1 where lines are few."""
+    return (np.bincount(band, each, bands) + DOUBT) / (np.bincount(band, minlength=bands) + DOUBT)
 
 
 def _trace(matrices: np.ndarray) -> np.ndarray:

@@ -89,6 +89,15 @@ class Teachable(Trainable, Protocol):
         ...
 
 
+@runtime_checkable
+class Calibrated(Teachable, Protocol):
+    """An estimator whose standard deviations are made honest after it was taught."""
+
+    def calibrated(self, drives: Sequence[Any]) -> Self:
+        """A copy whose claims fit such drives, by the car as described on roads not taught."""
+        ...
+
+
 def copy_with(estimator: T, **fields: Any) -> T:
     """A copy of a frozen estimator whose learnt `fields` are set."""
     twin = copy.copy(estimator)

@@ -21,7 +21,7 @@ from estimators.smoothing import LENGTH, MARGIN
 from estimators.stretches import Stretch, stretches
 from road_envs.dynamics import plant
 from road_envs.instruments import load_instruments
-from road_envs.observability import posterior
+from road_envs.observability import RoadPrior, posterior
 from road_envs.record import F_MAX, Record, scored_band
 from road_envs.roughness import CLASSES
 from road_envs.vehicle import VehicleParameters
@@ -126,7 +126,7 @@ def _levels(heard: Hearing, stretch: Stretch, octaves: np.ndarray) -> _Part:
             continue
         n, y = heard.n[inside], lines[inside][:, sensors]
         H, R = heard.H[inside][:, sensors], noise[inside][:, sensors][:, :, sensors]
-        unit = heard.S[inside] / heard.prior.G_d0
+        unit = RoadPrior(G_d0=1.0, track=heard.prior.track).spectrum(n)
         known = 0.0
         for _ in range(TURNS):
             now = posterior(n, H, unit * levels[k], R)

@@ -13,11 +13,12 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from estimators.bank import Bank, fitted_bank, shape_of, weighted
+from estimators.calibration import TERMS, constant, fitted_widths, honest, inside, judged, widths
 from estimators.course import EDGE, SPACING, course, finer, wheel_paths
 from estimators.features import mended
 from estimators.material import MARGIN, SLOW, Material, limits, material
 from estimators.protocol import arrays, copy_with, fitted
-from estimators.sequence import FLIP, inputs, window
+from estimators.sequence import FLIP, Inputs, inputs, window
 from estimators.shipped import shipped
 from estimators.teaching import (
     STD_LOG,
@@ -34,9 +35,6 @@ from road_envs.config import STRICT
 from road_envs.record import Estimate, Profile, Record, grid
 from road_envs.vehicle import VehicleParameters
 
-COVERED = ((0.5, 0.6745), (0.9, 1.6449))
-"""Shares of errors, and the standard deviations within which they lie if they are Gaussian."""
-
 NETWORK = "network."
 """Stands before the name of a network's weight."""
 
@@ -45,13 +43,13 @@ WHEELBASE_OFF = 0.02
 
 
 class Learnt(NamedTuple):
-    """Linear windows, weights of the network (float16), the `factor` on its standard deviations,
-    and the `wheelbase` [m] of the car.
+    """Linear windows, weights of the network (float16), the coefficients `widths` (TERMS,) of the
+    factor on its standard deviations, and the `wheelbase` [m] of the car.
     """
 
     bank: Bank
     network: dict[str, np.ndarray]
-    factor: float
+    widths: np.ndarray
     wheelbase: float
 
 
@@ -116,13 +114,29 @@ class Taught(abc.ABC):
         put(network, rounded)
         _, held_out = divided(lessons)
         ratios = [self._ratios(part.lesson, network, part.start, part.stop) for part in held_out]
-        factor = honest(np.concatenate(ratios))
-        return copy_with(self, learnt=Learnt(bank, rounded, factor, car.wheelbase))
+        width = constant(honest(np.concatenate(ratios)))
+        return copy_with(self, learnt=Learnt(bank, rounded, width, car.wheelbase))
+
+    def calibrated(self, drives: Sequence[Material]) -> Self:
+        """A copy whose standard deviations are honest on these drives, which it was not taught."""
+        learnt = self._learnt()
+        network = self.network()
+        put(network, learnt.network)
+        ratios, conditions = [], []
+        for drive in drives:
+            read = inputs(drive.course, learnt.bank, learnt.wheelbase, network, self.causal)
+            told, counts = _told(read, network), inside(read.level.size)
+            missing, std = answer(network, read.x, read.conditions)
+            error = wheel_paths(drive.target - read.first - read.level * missing)
+            speed = float(np.median(drive.course.v))
+            ratios.append((judged(error, speed) / (read.level * np.hypot(*std)))[:, counts])
+            conditions.append(told if told.shape[1] == 1 else told[:, counts])
+        return copy_with(self, learnt=learnt._replace(widths=fitted_widths(ratios, conditions)))
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Heights with their standard deviation above 0.15 cycles/m. Raises RecordError."""
         record, notes = mended(record)
-        bank, weights, factor, wheelbase = self._learnt()
+        bank, weights, width, wheelbase = self._learnt()
         network = self.network()
         put(network, weights)
         seen = course(record, MARGIN, self.causal)
@@ -130,7 +144,7 @@ class Taught(abc.ABC):
         missing, std = answer(network, read.x, read.conditions)
         stations = grid(record.length)
         z = wheel_paths(finer(read.first + read.level * missing, stations.size))
-        spread = factor * read.level * np.hypot(*std)
+        spread = widths(width, _told(read, network)) * read.level * np.hypot(*std)
         z_std = np.interp(stations, SPACING * (np.arange(spread.size) - EDGE), spread)
         notes = (*notes, SLOW, *limits(seen))
         if abs(car.wheelbase - wheelbase) > WHEELBASE_OFF * wheelbase:
@@ -138,11 +152,11 @@ class Taught(abc.ABC):
         return Estimate(stations, z, np.array([z_std, z_std]), notes)
 
     def weights(self) -> dict[str, np.ndarray]:
-        """`taps`, `factor`, `wheelbase`, and each weight of the network. Raises NotFittedError."""
-        bank, network, factor, wheelbase = self._learnt()
+        """`taps`, `widths`, `wheelbase`, and each weight of the network. Raises NotFittedError."""
+        bank, network, width, wheelbase = self._learnt()
         return {
             "taps": bank.taps,
-            "factor": np.array(factor),
+            "widths": width,
             "wheelbase": np.array(wheelbase),
             **{NETWORK + name: x for name, x in network.items()},
         }
@@ -152,15 +166,15 @@ class Taught(abc.ABC):
         behind, ahead = window(self.causal)
         shapes: dict[str, tuple[int | None, ...]] = {
             "taps": shape_of(behind, ahead),
-            "factor": (),
+            "widths": (TERMS,),
             "wheelbase": (),
         }
         own = {NETWORK + name: x.shape for name, x in numbers(self.network()).items()}
-        taps, factor, wheelbase, *rest = arrays(weights, shapes | own)
+        taps, width, wheelbase, *rest = arrays(weights, shapes | own)
         names = (name.removeprefix(NETWORK) for name in own)
         network = {name: x.astype(np.float16) for name, x in zip(names, rest, strict=True)}
         bank = Bank(taps.astype(np.float16), ahead)
-        return copy_with(self, learnt=Learnt(bank, network, float(factor), float(wheelbase)))
+        return copy_with(self, learnt=Learnt(bank, network, width, float(wheelbase)))
 
     def _learnt(self) -> Learnt:
         """What was learnt, or what came with the package. Raises NotFittedError."""
@@ -196,8 +210,9 @@ def answer(network: Any, x: np.ndarray, conditions: np.ndarray) -> tuple[np.ndar
     return missing, np.exp(np.clip(said[:, 2:], *STD_LOG).mean(axis=0))
 
 
-def honest(ratios: np.ndarray) -> float:
-    """The factor on standard deviations with which half and nine tenths of the errors are about
-    as far out as those of a Gaussian; `ratios` (N,) are errors over standard deviations.
-    """
-    return float(np.mean([np.quantile(np.abs(ratios), p) / far for p, far in COVERED]))
+def _told(read: Inputs, network: Any) -> np.ndarray:
+    """The conditions (8, 1 or M) under which the network answers for each station."""
+    told = read.conditions.astype(float)
+    if told.shape[1] > 1:
+        told = told[:, network.behind : network.behind + read.level.size]
+    return told

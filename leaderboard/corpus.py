@@ -81,22 +81,26 @@ class Corpus:
         """The instruments before their noise is drawn."""
         return load_instruments(self.instruments)
 
-    def drive(self, k: int) -> tuple[Record, Profile]:
-        """Drive `k` and its truth; the same at every call."""
+    def drive(self, k: int, as_described: bool = False) -> tuple[Record, Profile]:
+        """Drive `k` and its truth; the same at every call. With `as_described` it is that of the
+        very car and instruments, over the same road in the same way.
+        """
         for attempt in range(ATTEMPTS):
             rng = np.random.default_rng([STREAM, self.seed, k, attempt])
             try:
-                return self._drawn(rng)
+                return self._drawn(rng, as_described)
             except SimulationError as error:
                 failed = error
         raise failed
 
-    def _drawn(self, rng: np.random.Generator) -> tuple[Record, Profile]:
+    def _drawn(self, rng: np.random.Generator, as_described: bool) -> tuple[Record, Profile]:
         length = 10.0 * rng.integers(self.shortest // 10, self.longest // 10 + 1)
         surface = draw_road(rng, length).realise(rng)
         front, rear = draw_modes(rng)
         off = rng.uniform()
         noise = float(np.exp(rng.uniform(-1.0, 0.7)))
+        if as_described:
+            off, noise = 0.0, 1.0
         instruments = dataclasses.replace(
             self.sensors,
             noise_density=noise * self.sensors.noise_density,

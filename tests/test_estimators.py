@@ -13,7 +13,6 @@ from scipy import signal
 
 from estimators import REGISTRY, create, fir_ridge
 from estimators.features import accelerations
-from estimators.gru import Gru, GruCausal
 from estimators.mean import mean_profile
 from estimators.protocol import (
     EstimateError,
@@ -23,7 +22,6 @@ from estimators.protocol import (
     check_estimate,
 )
 from estimators.storage import load, save
-from estimators.tcn import TcnCausal
 from estimators.unrelated_road import Road, random_road, roughness
 from road_envs.record import GRID, Estimate, Profile, Record, grid
 from road_envs.roughness import dsd
@@ -43,8 +41,6 @@ SPEED, RATE, APRON = 4.0, 200.0, 6.0
 LEARNING = [name for name, cls in REGISTRY.items() if hasattr(cls, "fit")]
 READY = [name for name, cls in REGISTRY.items() if hasattr(cls, "learn")]
 """These come with weights."""
-WAITING = {cls.name: cls for cls in (TcnCausal, Gru, GruCausal)}
-"""These are not registered as long as none come with them."""
 
 
 def drive(seed: int, length: float = 20.0, noise: float = 0.02) -> tuple[Record, Profile]:
@@ -71,14 +67,9 @@ def drive(seed: int, length: float = 20.0, noise: float = 0.02) -> tuple[Record,
 @cache
 def fit(name: str, seeds=(1, 2, 3), seed: int = 0, **settings):
     """An estimator ready to be asked; fitted once for all tests."""
-    estimator = make(name, **{**SMALL.get(name, {}), **settings})
+    estimator = create(name, **{**SMALL.get(name, {}), **settings})
     records, truths = zip(*(drive(s) for s in seeds), strict=True)
     return estimator.fit(records, truths, CAR, seed) if hasattr(estimator, "fit") else estimator
-
-
-def make(name: str, **settings):
-    """A fresh estimator, be it registered or not."""
-    return WAITING[name](**settings) if name in WAITING else create(name, **settings)
 
 
 @pytest.fixture(scope="module", params=REGISTRY)
@@ -131,9 +122,7 @@ def test_a_record_that_ends_with_the_road_leaves_no_gap_in_the_estimate(estimato
     check_estimate(estimator.estimate(short, CAR), short)
 
 
-@pytest.mark.parametrize(
-    "name", [name for name, cls in [*REGISTRY.items(), *WAITING.items()] if cls.causal]
-)
+@pytest.mark.parametrize("name", [name for name, cls in REGISTRY.items() if cls.causal])
 def test_a_causal_estimator_does_not_see_the_future(name):
     estimator = fit(name)
     record, _ = drive(105)

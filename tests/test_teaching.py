@@ -8,7 +8,6 @@ import pytest
 from estimators import create, shipped
 from estimators.protocol import NotFittedError
 from estimators.sequence import AHEAD, LAG, Inputs
-from estimators.taught import honest
 from estimators.tcn import Tcn
 from estimators.teaching import Lesson, Plan, Stretch, divided, numbers, put, rate, teach
 from tests.test_estimators import CAR, drive, fit
@@ -128,11 +127,6 @@ def test_the_rate_rises_and_falls():
     assert rates[0] < 0.02 and max(rates) > 0.95
     assert np.argmax(rates) == pytest.approx(100, abs=2)
     assert rates[-1] == pytest.approx(0.02)
-
-
-def test_the_factor_makes_gaussian_errors_as_wide_as_they_are():
-    errors = np.random.default_rng(0).standard_normal(200_000)
-    assert honest(3.0 * errors) == pytest.approx(3.0, rel=0.01)
 
 
 @pytest.mark.parametrize("name", ["tcn_causal", "gru_causal"])
