@@ -11,6 +11,7 @@ from strategies import DEFENDER
 
 from estimators.map_smoother import MapSmoother
 from estimators.map_smoother.course import alias_delay, course_of
+from estimators.map_smoother.flight import noise_of
 from estimators.map_smoother.problem import Problem, point
 from estimators.map_smoother.readings import block_means, usable
 from estimators.map_smoother.road import Road, amplitude, nodes
@@ -25,6 +26,7 @@ from road_envs.dynamics import plant
 from road_envs.instruments import load_instruments
 from road_envs.observability import RoadPrior
 from road_envs.record import Record, scored_band
+from road_envs.roads.bumps import Bumps
 from road_envs.roads.iso8608 import Iso8608
 from road_envs.roughness import dsd
 from road_envs.suspension import V_0, V_STEP, command
@@ -124,6 +126,15 @@ def test_the_road_s_map_is_transposed_and_level_where_it_is_not_free():
     twice = road.as_likely(np.full(road.n.size, 4.0))
     np.testing.assert_allclose(twice.change(u), 2.0 * c, atol=1e-15)
     np.testing.assert_allclose(twice.change(twice.whitened(u, road)), c, atol=1e-12)
+
+
+def test_the_noise_of_a_road_gives_its_coefficients():
+    road = free_road(nodes(300))
+    free = np.zeros(road.size)
+    free[50:200] = 1.0
+    road = replace(road, free=free)
+    c = road.coefficients(np.random.default_rng(9).standard_normal((2, road.size)))
+    np.testing.assert_allclose(road.coefficients(noise_of(road, c)), c, atol=1e-12)
 
 
 def test_the_transfer_of_the_road_is_that_of_its_waves():
@@ -248,6 +259,18 @@ def test_blurred_tables_are_means_over_a_trembling_rate():
 def test_far_readings_count_less_in_proportion():
     over, inverse = np.array([0.5, -4.0, 10.0]), np.array([1.0, 1.0, 4.0])
     np.testing.assert_allclose(robust(over, inverse, 2.0), [1.0, 0.5, 0.4])
+
+
+def test_below_a_wheel_that_flies_no_road_is_made_up():
+    """A bump of 10 cm throws both axles into the air; the road behind it is as low as before it."""
+    bump = Bumps(layout="small", run_in=6.0, run_out=6.0).realise(np.random.default_rng(0))
+    record, truth = record_drive(
+        DEFENDER, bump, speed_kmh=14.5, mode="handling", instruments=PAPER, seed=1, step=5e-4
+    )
+    estimate = MapSmoother(draws=0).estimate(record, DEFENDER)
+    ahead, behind = (truth.s > 5.5) & (truth.s < 5.9), (truth.s > 6.9) & (truth.s < 7.1)
+    assert (estimate.z[:, behind] - estimate.z[:, ahead].mean(axis=1)[:, None] < 0.08).all()
+    assert error(estimate, truth, record) < 0.7
 
 
 # --- the linear car -------------------------------------------------------------------------------

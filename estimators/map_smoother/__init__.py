@@ -8,15 +8,17 @@ makes the road (`road.py`), equally rough in all directions, its density taken o
 the drive itself. The rear wheels roll where the front ones did: both axles see one unknown road.
 Gauss-Newton steps with the exact tangent and adjoint of the simulator's step (`problem.py`) are
 found by conjugate gradients, preconditioned by the stationary linear car (`stationary.py`), on a
-way from a car with blurred friction and readings that count as noisy to the true (`search.py`).
+way from a car with blurred friction and readings that count as noisy to the true (`search.py`); at
+its end the road is let down where a wheel flew over it (`flight.py`).
 (Talagrand & Courtier 1987, doi:10.1002/qj.49711347812, for the adjoint method.)
 
 The car believed in is the one given, driven in steps of 1 ms. What is heard are the raw samples in
 means of 5 ms, so up to about 90 Hz: where friction turns, frequencies mix, and what shakes above
 the judged 25 Hz tells of the road below.
 
-Known to fail: on a car that is far from the one given; where a wheel flies, nothing is known of the
-road below it; of waves longer than about 20 m little is heard, and the height drifts.
+Known to fail: on a car that is far from the one given; where a wheel flies, no more is known of the
+road than that it lies below: a bump that throws the car is as long as its leap; of waves longer
+than about 20 m little is heard, and the height drifts.
 """
 
 from dataclasses import dataclass

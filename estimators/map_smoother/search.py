@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimators.map_smoother.flight import released
 from estimators.map_smoother.problem import Point, Problem, point
 from estimators.map_smoother.stationary import Stationary
 from road_envs.curves import blurred
@@ -25,6 +26,9 @@ STAGES = ((0.3, 2), (0.1, 2), (0.03, 3), (0.0, 12))
 """Widths [m/s] of the blur, and Gauss-Newton steps at most with each."""
 
 HALVINGS = 6
+
+RELEASES, RELEASED_STEPS = 2, 5
+"""How often the road below wheels that fly is let down at most, and steps after each time."""
 
 
 def conjugate_gradients(
@@ -79,6 +83,7 @@ def most_probable(
     `huber`: standard deviations from which a block of readings counts less. It ends when a step
     with the true car lowers the cost by less than the share `settled`.
     """
+    inner = Inner(picture, huber, iterations, tolerance)
     steps, total, x = 0, 0, np.zeros(problem.size)
     information = problem.information
     excess = np.inf
@@ -89,18 +94,55 @@ def most_probable(
         at = point(problem, x, information, plant)
         for _ in range(most):
             excess = max(1.0, min(excess, noise_level(at, picture, excess)))
-            at = at.weighing(robust(at.over, information / excess, huber))
-            M = picture.preconditioner(problem, problem.belief.noise * excess)
-            dx, k = conjugate_gradients(at.hessian, -at.gradient(), M, iterations, tolerance)
-            new = line_search(at, dx, plant)
+            new, k = inner.step(at, plant, excess)
             steps, total = steps + 1, total + k
-            gained = (at.cost - new.cost) / at.cost
-            report(f"{width} {excess:.1f} {k} {at.cost:.1f} -> {new.cost:.1f}", new)
+            gained = 1.0 - new.cost / at.weighing(new.inverse).cost
+            report(f"{width} {excess:.1f} {k} {new.cost:.1f}", new)
             at = new
             if gained < settled:
                 break
         x = at.x
+    for _ in range(RELEASES):
+        better = fallen(at, inner, excess)
+        if better is at:
+            break
+        report("released", better)
+        at = better
     return Found(at, excess, steps, total)
+
+
+@dataclass(frozen=True)
+class Inner:
+    """How a Gauss-Newton step is found; settings as `most_probable` has them."""
+
+    picture: Stationary
+    huber: float
+    iterations: int
+    tolerance: float
+
+    def step(self, at: Point, plant: Plant, excess: float) -> tuple[Point, int]:
+        """The next point under `excess` times the noise, and the iterations it took."""
+        problem = at.problem
+        at = at.weighing(robust(at.over, problem.information / excess, self.huber))
+        M = self.picture.preconditioner(problem, problem.belief.noise * excess)
+        dx, k = conjugate_gradients(at.hessian, -at.gradient(), M, self.iterations, self.tolerance)
+        return line_search(at, dx, plant), k
+
+
+def fallen(at: Point, inner: Inner, excess: float) -> Point:
+    """Where the search ends from the road of `at` let down where no wheel pressed on it, unless
+    that explains the readings worse.
+    """
+    x, plant = released(at), at.problem.belief.plant
+    if x is None:
+        return at
+    try:
+        new = point(at.problem, x, at.inverse, plant)
+    except ArithmeticError:
+        return at
+    for _ in range(RELEASED_STEPS):
+        new, _ = inner.step(new, plant, excess)
+    return new if new.weighing(at.inverse).cost < at.cost else at
 
 
 def releveled(
