@@ -17,6 +17,7 @@ from estimators.flat import Flat
 from estimators.gru import Gru, GruCausal
 from estimators.inverse_quarter_car import InverseQuarterCar
 from estimators.iterated_wiener import IteratedWiener
+from estimators.kalman import Kalman, KalmanLag, KalmanRts
 from estimators.map_smoother import MapSmoother
 from estimators.mean import Mean
 from estimators.narx import Narx
@@ -40,6 +41,9 @@ REGISTRY: dict[str, type[Estimator]] = {
     "inverse_quarter_car": InverseQuarterCar,
     "fir_ridge": FirRidge,
     "map_smoother": MapSmoother,
+    "kalman": Kalman,
+    "kalman_lag": KalmanLag,
+    "kalman_rts": KalmanRts,
     "tcn": Tcn,
     "tcn_causal": TcnCausal,
     "gru": Gru,

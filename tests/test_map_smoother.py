@@ -10,15 +10,16 @@ from scipy.linalg import expm
 from strategies import DEFENDER
 
 from estimators.map_smoother import MapSmoother
-from estimators.map_smoother.course import alias_delay, course_of
 from estimators.map_smoother.flight import noise_of
 from estimators.map_smoother.problem import Problem, point
-from estimators.map_smoother.readings import block_means, usable
-from estimators.map_smoother.road import Road, amplitude, nodes
+from estimators.map_smoother.road import Road, nodes
 from estimators.map_smoother.search import conjugate_gradients, most_probable, robust, softened
-from estimators.map_smoother.spline import heights, under_wheels
 from estimators.map_smoother.stationary import stationary_picture
 from estimators.map_smoother.windows import nothing_known, problem_of
+from estimators.rolling.course import alias_delay, course_of
+from estimators.rolling.readings import block_means, usable
+from estimators.rolling.rises import amplitude
+from estimators.rolling.spline import heights, under_wheels
 from leaderboard.metrics import nrmse
 from road_envs.curves import Curve, look_up
 from road_envs.dataset import record_drive

@@ -26,22 +26,21 @@ from typing import ClassVar
 
 import numpy as np
 
-from estimators.map_smoother.course import Course, course_of
 from estimators.map_smoother.problem import Belief, Problem
-from estimators.map_smoother.readings import check, usable
 from estimators.map_smoother.search import Found, most_probable
-from estimators.map_smoother.spline import heights
 from estimators.map_smoother.spread import error_spread
 from estimators.map_smoother.stationary import stationary_picture
 from estimators.map_smoother.windows import MARGIN, Drive, cuts, reconstruct
+from estimators.rolling.course import MOVING, REST, at_rest, course_of
+from estimators.rolling.readings import LEAST_NOISE, check, usable
+from estimators.rolling.spline import heights
 from road_envs.config import STRICT
-from road_envs.dynamics import N_DOF, equilibrium, plant
+from road_envs.dynamics import plant
 from road_envs.instruments import Instruments, load_instruments
 from road_envs.linear import linearise
 from road_envs.observability import RoadPrior
 from road_envs.record import Estimate, Record, grid, scored_band
 from road_envs.roughness import CLASSES
-from road_envs.suspension import memory_at_rest
 from road_envs.vehicle import VehicleParameters
 
 SPACING = (0.025, 0.05)
@@ -50,17 +49,8 @@ SPACING = (0.025, 0.05)
 RATE_HEARD = 70.0
 """Frequency [Hz] up to which nodes stand close enough at any speed, if SPACING lets them."""
 
-REST = np.repeat([1e-4, 1e-3], N_DOF)
-"""Prior deviations of the first state's coordinates and rates, of a car on a level apron."""
-
-MOVING = np.repeat([3e-2, 3e-1], N_DOF)
-"""The same in the middle of a road."""
-
 UNEXPLAINED = 2.0
 """Times the instruments' noise power from which a note says so."""
-
-LEAST_NOISE = 1e-3
-"""Noise density [(m/s²)/sqrt(Hz)] below which the step's own error is what is left over."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,10 +151,3 @@ class MapSmoother:
                 "the car may not be the one believed in"
             )
         return notes
-
-
-def at_rest(car: VehicleParameters, way: Course) -> np.ndarray:
-    """State (14,) of the car that stands on a level apron before it is driven off."""
-    if car.tyre_static_deflection != "equilibrium":
-        return np.zeros(2 * N_DOF)  # the paper's start, some millimetres off
-    return equilibrium(plant(car), memory_at_rest(int(way.commands[0])), np.zeros(4))

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.map_smoother.course import Course
-from estimators.map_smoother.readings import Readings
 from estimators.map_smoother.road import Road
-from estimators.map_smoother.spline import height_weights, place, slope_weights
+from estimators.rolling.course import Course
+from estimators.rolling.readings import Readings
+from estimators.rolling.spline import height_weights, place, slope_weights
 from road_envs.dynamics import N_DOF
 from road_envs.integrator import Work
 from road_envs.jit import kernel

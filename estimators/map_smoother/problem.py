@@ -14,11 +14,11 @@ from functools import cached_property
 
 import numpy as np
 
-from estimators.map_smoother.course import Course
 from estimators.map_smoother.parts import Parts, parts_of
-from estimators.map_smoother.readings import Readings
 from estimators.map_smoother.road import Road
-from estimators.map_smoother.spline import under_wheels
+from estimators.rolling.course import Course
+from estimators.rolling.readings import Readings
+from estimators.rolling.spline import under_wheels
 from road_envs.dynamics import N_DOF, Plant
 from road_envs.tangent import Tape, drive_on_tape
 

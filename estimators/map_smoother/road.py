@@ -3,9 +3,8 @@
     e = irfft(A(n) rfft(u))          increments of the mean path and of half the difference
     c = c_0 + cumsum(free e)         spline coefficients of left = mean + half, right = mean - half
 
-u (2, K) is standard normal, so that |u|² / 2 is the road's share of the cost. Mean and difference
-of the paths of an isotropic surface are independent, of densities G_d (1 ± g) / 2. The spline
-rounds waves off by sinc(n ds)^4, which A(n) makes up for. Where `free` is 0 the road is level.
+u (2, K) is standard normal, so that |u|² / 2 is the road's share of the cost; A(n) is that of
+`estimators.rolling.rises`. Where `free` is 0 the road is level.
 """
 
 from dataclasses import dataclass, replace
@@ -13,12 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-from estimators.map_smoother.spline import heights
-from road_envs.observability import RoadPrior
-from road_envs.roughness import isotropic
-
-N_MIN = 0.01
-"""Waves longer than 1 / N_MIN [m] are no likelier than this one, for any waviness [cycles/m]."""
+from estimators.rolling.spline import heights
 
 TO_PATHS = np.array([[1.0, 1.0], [1.0, -1.0]])
 """From mean and half difference to left and right."""
@@ -85,12 +79,3 @@ class Road:
 def nodes(least: int) -> int:
     """A number of nodes that transforms quickly, with some to spare for waves that run around."""
     return int(next_fast_len(least + 64, real=True))
-
-
-def amplitude(prior: RoadPrior, size: int, ds: float) -> np.ndarray:
-    """A(n) (2, size // 2 + 1) [m] of `size` nodes `ds` [m] apart."""
-    n = np.maximum(rfftfreq(size, ds), N_MIN)
-    g = isotropic(n, prior.w, prior.track)
-    rise = 2.0 * np.sin(np.pi * n * ds) / np.sinc(n * ds) ** 4
-    variance = 0.5 * prior.density(n) / ds * rise**2
-    return np.sqrt(0.5 * variance * np.array([1.0 + g, 1.0 - g]))

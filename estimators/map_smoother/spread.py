@@ -8,10 +8,10 @@ perturbations"); what such roads do inside a band is what the estimate's error d
 import numpy as np
 from scipy.fft import irfft, rfft
 
-from estimators.map_smoother.course import Course
 from estimators.map_smoother.road import Road
 from estimators.map_smoother.search import Found, conjugate_gradients
 from estimators.map_smoother.stationary import Stationary
+from estimators.rolling.course import Course
 
 ITERATIONS = 40
 SMALLEST = 10.0

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.map_smoother.course import Course
 from estimators.map_smoother.problem import Belief, Problem
-from estimators.map_smoother.readings import block_means
-from estimators.map_smoother.road import Road, amplitude, nodes
+from estimators.map_smoother.road import Road, nodes
 from estimators.map_smoother.search import Found
+from estimators.rolling.course import Course
+from estimators.rolling.readings import block_means
+from estimators.rolling.rises import amplitude
 from road_envs.dynamics import N_DOF
 from road_envs.observability import RoadPrior
 from road_envs.suspension import memory_at_rest

@@ -6,9 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from road_envs.dynamics import N_DOF, equilibrium, plant
 from road_envs.instruments import Instruments
 from road_envs.record import Record
+from road_envs.suspension import memory_at_rest
 from road_envs.vehicle import VehicleParameters
+
+REST = np.repeat([1e-4, 1e-3], N_DOF)
+"""Prior deviations of the first state's coordinates and rates, of a car on a level apron."""
+
+MOVING = np.repeat([3e-2, 3e-1], N_DOF)
+"""The same in the middle of a road."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +55,8 @@ def course_of(
     half = record.t[0] - alias_delay(instruments) + 0.5 * h * np.arange(2 * every * record.t.size)
     s, v = (np.interp(half, record.t, x) for x in (record.s, record.v))
     s += v[0] * np.minimum(half - record.t[0], 0.0) + v[-1] * np.maximum(half - record.t[-1], 0.0)
-    bits = np.concatenate([record.stiff, record.high], axis=1) << np.arange(8)
+    flags = np.concatenate([record.stiff, record.high], axis=1).astype(np.uint8)
+    bits = flags << np.arange(8)
     given = bits.sum(axis=1).astype(np.uint8)
     told = np.floor((half[::2] - car.valve.delay - record.t[0]) * record.fs + 1e-6)
     return Course(h, every, s, v, given[np.clip(told, 0, given.size - 1).astype(int)])
@@ -57,3 +66,10 @@ def alias_delay(instruments: Instruments) -> float:
     """Seconds by which slow signals leave the anti-alias filter late."""
     f = 1e-3 * instruments.f_alias
     return float(-np.angle(instruments.response(np.array(f))) / (2.0 * np.pi * f))
+
+
+def at_rest(car: VehicleParameters, way: Course) -> np.ndarray:
+    """State (14,) of the car that stands on a level apron before it is driven off."""
+    if car.tyre_static_deflection != "equilibrium":
+        return np.zeros(2 * N_DOF)  # the paper's start, some millimetres off
+    return equilibrium(plant(car), memory_at_rest(int(way.commands[0])), np.zeros(4))

@@ -18,6 +18,9 @@ CLIPPED = 0.98
 F_HEARD = 25.0
 """What the benchmark's accelerations hold at least [Hz]."""
 
+LEAST_NOISE = 1e-3
+"""Noise density [(m/s²)/sqrt(Hz)] below which the step's own error is what is left over."""
+
 SMEAR = 3
 """Samples to either side of a false one which the anti-alias filter mixes with it."""
 
@@ -67,6 +70,25 @@ def usable(record: Record, instruments: Instruments) -> np.ndarray:
     return ~wide
 
 
+def evenly(record: Record) -> tuple[Record, list[str]]:
+    """The record on an even clock, NaN where it lost a sample, and what is to be noted of it."""
+    steps = np.diff(record.t)
+    dt = float(np.median(steps))
+    if np.abs(steps - dt).max() <= JITTER * dt:
+        return record, []
+    t = record.t[0] + dt * np.arange(round((record.t[-1] - record.t[0]) / dt) + 1)
+    place = np.round((record.t - record.t[0]) / dt).astype(int)
+    a = np.full((record.a.shape[0], t.size), np.nan)
+    a[:, place] = record.a
+    last = np.clip(np.searchsorted(record.t, t + 0.5 * dt) - 1, 0, record.t.size - 1)
+    v, s = (np.interp(t, record.t, x) for x in (record.v, record.s))
+    even = Record(t, a, v, s, record.stiff[last], record.high[last], record.length)
+    return even, [f"the clock is uneven; {t.size - np.unique(place).size} samples were dropped"]
+
+
+JITTER = 0.01
+"""A step of the clock that differs by more than this share from the others is a fault."""
+
 SHORTEST = 1.0
 """Seconds of a record in which a car can be heard at all."""
 
@@ -83,6 +105,14 @@ def check(record: Record) -> None:
     for name in ("t", "v", "s"):
         if not np.isfinite(getattr(record, name)).all():
             raise ValueError(f"the record's {name} must be finite all along")
+    if not (np.diff(record.t) > 0.0).all():
+        raise ValueError("the record's clock must go on from sample to sample")
+    for name in ("stiff", "high"):
+        states = np.asarray(getattr(record, name))
+        if states.shape != (record.t.size, 4) or not np.isin(states, (0, 1)).all():
+            raise ValueError(
+                f"'{name}' must say of each of 4 struts, at each sample, true or false"
+            )
     if (record.v < 0.0).any() or (np.diff(record.s) < 0.0).any():
         raise ValueError("the record drives backwards: v must not be negative nor s decrease")
     if not record.v.mean() >= SLOWEST:

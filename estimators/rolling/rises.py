@@ -1,0 +1,26 @@
+"""How likely a road is, from node to node of its spline.
+
+Mean and difference of the wheel paths of an isotropic surface are independent, of densities
+G_d (1 ± g) / 2. The spline rounds waves off by sinc(n ds)^4, which is made up for.
+"""
+
+import numpy as np
+from scipy.fft import rfftfreq
+
+from road_envs.observability import RoadPrior
+from road_envs.roughness import isotropic
+
+N_MIN = 0.01
+"""Waves longer than 1 / N_MIN [m] are no likelier than this one, for any waviness [cycles/m]."""
+
+
+def amplitude(prior: RoadPrior, size: int, ds: float) -> np.ndarray:
+    """A(n) (2, size // 2 + 1) [m] of `size` nodes `ds` [m] apart, for mean and half difference:
+    irfft(A rfft(white noise)) are rises from coefficient to coefficient as likely as the prior has
+    them.
+    """
+    n = np.maximum(rfftfreq(size, ds), N_MIN)
+    g = isotropic(n, prior.w, prior.track)
+    rise = 2.0 * np.sin(np.pi * n * ds) / np.sinc(n * ds) ** 4
+    variance = 0.5 * prior.density(n) / ds * rise**2
+    return np.sqrt(0.5 * variance * np.array([1.0 + g, 1.0 - g]))
