@@ -104,7 +104,7 @@ class Doubtful:
 
     def estimate(self, record, car) -> Estimate:
         stations = grid(record.length)
-        z = np.zeros((2, stations.size))
+        z = np.zeros((stations.size, 2)).T  # by columns, as some numpy code leaves it
         return Estimate(stations, z, np.full_like(z, self.std))
 
 

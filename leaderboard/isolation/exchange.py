@@ -117,9 +117,9 @@ def write_estimates(folder: Path, seed: int, estimates: Sequence[Estimate]) -> N
     """The entry's side: all that one training estimated."""
     arrays: dict[str, np.ndarray] = {}
     for k, estimate in enumerate(estimates):
-        arrays[f"z{k}"] = np.asarray(estimate.z, dtype=float)
+        arrays[f"z{k}"] = np.ascontiguousarray(estimate.z, dtype=float)
         if estimate.z_std is not None:
-            arrays[f"z_std{k}"] = np.asarray(estimate.z_std, dtype=float)
+            arrays[f"z_std{k}"] = np.ascontiguousarray(estimate.z_std, dtype=float)
     with (folder / "out" / f"seed-{seed}.npz").open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
 
