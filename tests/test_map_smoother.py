@@ -9,11 +9,12 @@ from oracles import linear_matrices
 from scipy.linalg import expm
 from strategies import DEFENDER
 
-from estimators.map_smoother import MapSmoother
+from estimators.map_smoother import MapSmoother, search
 from estimators.map_smoother.flight import noise_of
 from estimators.map_smoother.problem import Problem, point
 from estimators.map_smoother.road import Road, nodes
 from estimators.map_smoother.search import conjugate_gradients, most_probable, robust, softened
+from estimators.map_smoother.spread import noise_heard
 from estimators.map_smoother.stationary import stationary_picture
 from estimators.map_smoother.windows import nothing_known, problem_of
 from estimators.rolling.course import alias_delay, course_of
@@ -272,6 +273,31 @@ def test_below_a_wheel_that_flies_no_road_is_made_up():
     ahead, behind = (truth.s > 5.5) & (truth.s < 5.9), (truth.s > 6.9) & (truth.s < 7.1)
     assert (estimate.z[:, behind] - estimate.z[:, ahead].mean(axis=1)[:, None] < 0.08).all()
     assert error(estimate, truth, record) < 0.7
+
+
+def test_a_tone_that_no_car_can_explain_is_hardly_listened_to(monkeypatch):
+    """What is left over is loud at 12 Hz alone: heard as white noise it would hide the rest."""
+    record, truth = driven()
+    tone = 0.5 * np.sin(2.0 * np.pi * 12.0 * record.t + np.array([[0.0], [2.0], [4.0]]))
+    estimator, wrong = MapSmoother(draws=0), replace(record, a=record.a + tone)
+    found = estimator.estimate(wrong, DEFENDER)
+    assert "left unexplained" in found.notes[-1]
+    monkeypatch.setattr(search, "COLOURINGS", 0)
+    white = estimator.estimate(wrong, DEFENDER)
+    assert error(found, truth, record) < 0.8 * error(white, truth, record)
+
+
+def test_coloured_noise_is_drawn_as_it_is_weighed():
+    """The covariance of what is drawn is the inverse that readings are weighed by."""
+    one = problem(driven(length=12.0)[0])
+    J, rng = one.readings.y.shape[1], np.random.default_rng(10)
+    gain, inverse = rng.uniform(0.01, 2.0, J // 2 + 1), rng.uniform(0.5, 2.0, (3, J))
+    at = point(one, np.zeros(one.size), inverse, gain=gain)
+    drawn = np.array([noise_heard(at, rng).ravel() for _ in range(4000)])
+    probe = rng.standard_normal((3, J))
+    assert np.var(drawn @ probe.ravel()) == pytest.approx(
+        np.sum(probe * at.weighed(probe)), rel=0.1
+    )
 
 
 # --- the linear car -------------------------------------------------------------------------------

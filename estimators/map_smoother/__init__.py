@@ -27,7 +27,7 @@ from typing import ClassVar
 import numpy as np
 
 from estimators.map_smoother.problem import Belief, Problem
-from estimators.map_smoother.search import Found, most_probable
+from estimators.map_smoother.search import UNEXPLAINED, Found, most_probable
 from estimators.map_smoother.spread import error_spread
 from estimators.map_smoother.stationary import stationary_picture
 from estimators.map_smoother.windows import MARGIN, Drive, cuts, reconstruct
@@ -48,9 +48,6 @@ SPACING = (0.025, 0.05)
 
 RATE_HEARD = 70.0
 """Frequency [Hz] up to which nodes stand close enough at any speed, if SPACING lets them."""
-
-UNEXPLAINED = 2.0
-"""Times the instruments' noise power from which a note says so."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +106,7 @@ class MapSmoother:
         def solve(problem: Problem) -> tuple[Found, np.ndarray]:
             picture = stationary_picture(problem)
             found = most_probable(problem, picture, huber=self.huber, relevel=self.relevel)
-            return found, error_spread(found, picture, band, self.draws, seed=0)
+            return found, error_spread(found, band, self.draws, seed=0)
 
         found, excess = reconstruct(belief, drive, prior, windows, solve)
         s = grid(record.length)

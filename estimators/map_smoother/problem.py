@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.fft import irfft, rfft
 
 from estimators.map_smoother.parts import Parts, parts_of
 from estimators.map_smoother.road import Road
@@ -109,7 +110,8 @@ class Problem:
 @dataclass(frozen=True, eq=False)
 class Point:
     """A problem at `x`: the `tape` of the motion, what is left `over` (S, J) [m/s²] of the
-    readings, and the `inverse` (S, J) of the noise variance that they are thought to have.
+    readings, and the `inverse` (S, J) of the noise variance that they are thought to have; `gain`
+    (J // 2 + 1,), if given, by which what is heard at each frequency counts.
     """
 
     problem: Problem
@@ -117,11 +119,19 @@ class Point:
     tape: Tape
     over: np.ndarray
     inverse: np.ndarray
+    gain: np.ndarray | None = None
+
+    def weighed(self, means: np.ndarray) -> np.ndarray:
+        """R^-1 times block means (S, J)."""
+        if self.gain is None:
+            return self.inverse * means
+        root = np.sqrt(self.inverse)
+        return root * coloured(self.gain, root * means)
 
     @property
     def misfit(self) -> float:
         """The readings' share of the cost."""
-        return 0.5 * float(np.sum(self.inverse * self.over**2))
+        return 0.5 * float(np.sum(self.over * self.weighed(self.over)))
 
     @property
     def cost(self) -> float:
@@ -130,11 +140,11 @@ class Point:
 
     def gradient(self) -> np.ndarray:
         """Of the cost by `x`."""
-        return self.x - self.transposed(self.inverse * self.over)
+        return self.x - self.transposed(self.weighed(self.over))
 
     def hessian(self, dx: np.ndarray) -> np.ndarray:
         """Gauss and Newton's, times `dx`."""
-        return dx + self.transposed(self.inverse * self.tangent(dx))
+        return dx + self.transposed(self.weighed(self.tangent(dx)))
 
     @cached_property
     def parts(self) -> Parts:
@@ -161,12 +171,25 @@ class Point:
         """The same point under another inverse (S, J) of the noise."""
         return replace(self, inverse=inverse)
 
+    def at(self, x: np.ndarray, plant: Plant | None = None) -> "Point":
+        """The same problem under the same noise at another `x`. Raises ArithmeticError."""
+        return point(self.problem, x, self.inverse, plant, self.gain)
+
+
+def coloured(gain: np.ndarray, means: np.ndarray) -> np.ndarray:
+    """Block means (S, J) with each frequency taken times `gain` (J // 2 + 1,)."""
+    return irfft(gain * rfft(means, axis=1), means.shape[1], axis=1)
+
 
 def point(
-    problem: Problem, x: np.ndarray, inverse: np.ndarray, plant: Plant | None = None
+    problem: Problem,
+    x: np.ndarray,
+    inverse: np.ndarray,
+    plant: Plant | None = None,
+    gain: np.ndarray | None = None,
 ) -> Point:
     """The problem at `x`, for its own plant or another. Raises ArithmeticError."""
     tape = problem.drive(x, plant)
     _, _, offset = problem.split(x)
     over = problem.readings.y - problem.sensed(tape.acceleration, offset)
-    return Point(problem, x, tape, over, inverse)
+    return Point(problem, x, tape, over, inverse, gain)

@@ -4,13 +4,16 @@ problem to the true one.
 Friction turns its sign in 0.02 m/s, and a linearisation there holds for no useful step. So the
 first roads are sought for a car whose dampers and friction are blurred over the rate of the strut,
 as if it trembled, and less and less so; and the readings count as noisy as their misfit is large,
-so that no road is made to explain what the model cannot yet.
+so that no road is made to explain what the model cannot yet. If much is left over in the end, the
+car is not the one believed in: then each frequency counts as noisy as it was badly explained.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.fft import rfftfreq
+from scipy.signal import welch
 
 from estimators.map_smoother.flight import released
 from estimators.map_smoother.problem import Point, Problem, point
@@ -26,6 +29,12 @@ STAGES = ((0.3, 2), (0.1, 2), (0.03, 3), (0.0, 12))
 """Widths [m/s] of the blur, and Gauss-Newton steps at most with each."""
 
 HALVINGS = 6
+
+UNEXPLAINED = 2.0
+"""Times the instruments' noise power from which the car is not the one believed in."""
+
+COLOURINGS, SMOOTH = 3, 128
+"""Steps under noise of the leftovers' colour, and blocks of the stretches it is taken from."""
 
 RELEASES, RELEASED_STEPS = 2, 5
 """How often the road below wheels that fly is let down at most, and steps after each time."""
@@ -62,6 +71,7 @@ class Found:
     """
 
     point: Point
+    picture: Stationary
     excess: float
     steps: int
     iterations: int
@@ -102,13 +112,21 @@ def most_probable(
             if gained < settled:
                 break
         x = at.x
+    if excess > UNEXPLAINED:
+        for _ in range(COLOURINGS):
+            gain = heard(at, picture, excess)
+            at = replace(at, gain=gain)
+            inner = replace(inner, picture=picture.hearing(problem, gain))
+            at, k = inner.step(at, plant, excess)
+            steps, total = steps + 1, total + k
+            report("coloured", at)
     for _ in range(RELEASES):
         better = fallen(at, inner, excess)
         if better is at:
             break
         report("released", better)
         at = better
-    return Found(at, excess, steps, total)
+    return Found(at, inner.picture, excess, steps, total)
 
 
 @dataclass(frozen=True)
@@ -137,7 +155,7 @@ def fallen(at: Point, inner: Inner, excess: float) -> Point:
     if x is None:
         return at
     try:
-        new = point(at.problem, x, at.inverse, plant)
+        new = at.at(x, plant)
     except ArithmeticError:
         return at
     for _ in range(RELEASED_STEPS):
@@ -161,7 +179,7 @@ def line_search(at: Point, dx: Vector, plant: Plant) -> Point:
     slope, length = float(at.gradient() @ dx), 1.0
     for _ in range(HALVINGS):
         try:
-            new = point(at.problem, at.x + length * dx, at.inverse, plant)
+            new = at.at(at.x + length * dx, plant)
         except ArithmeticError:
             length *= 0.25
             continue
@@ -179,6 +197,19 @@ def noise_level(at: Point, picture: Stationary, excess: float) -> float:
         picture.decided(problem.road, problem.belief.noise * excess) if np.isfinite(excess) else 0.0
     )
     return float(squares[used].mean() / max(1.0 - taken / used.sum(), 0.1))
+
+
+def heard(at: Point, picture: Stationary, excess: float) -> np.ndarray:
+    """Gain (J // 2 + 1,) of each frequency: as little as is left over there, but never less noise
+    than the instruments'.
+    """
+    problem = at.problem
+    r, used = np.sqrt(problem.information) * at.over, problem.readings.count > 0
+    left = 1.0 - picture.decided(problem.road, problem.belief.noise * excess) / used.sum()
+    size = min(SMOOTH, r.shape[1])
+    f, S = welch(r, fs=1.0, nperseg=size)
+    level = np.maximum(0.5 * S.mean(axis=0) / max(left, 0.1), 1.0)
+    return excess / np.interp(rfftfreq(r.shape[1]), f, level)
 
 
 def robust(over: np.ndarray, inverse: np.ndarray, huber: float) -> np.ndarray:

@@ -8,9 +8,9 @@ perturbations"); what such roads do inside a band is what the estimate's error d
 import numpy as np
 from scipy.fft import irfft, rfft
 
+from estimators.map_smoother.problem import Point, coloured
 from estimators.map_smoother.road import Road
 from estimators.map_smoother.search import Found, conjugate_gradients
-from estimators.map_smoother.stationary import Stationary
 from estimators.rolling.course import Course
 
 ITERATIONS = 40
@@ -21,27 +21,30 @@ UNDERSTATED = 1.1
 """What the curvature left out and the last digits of the search add, on training roads."""
 
 
-def error_spread(
-    found: Found, picture: Stationary, band: tuple[float, float], draws: int, seed: int
-) -> np.ndarray:
+def error_spread(found: Found, band: tuple[float, float], draws: int, seed: int) -> np.ndarray:
     """Standard deviation (K,) [m] of the error inside `band` [cycles/m] at each node of the road,
     one for both wheel paths and for each state of the struts.
     """
     at, rng = found.point, np.random.default_rng(seed)
     problem, road = at.problem, at.problem.road
-    precondition = picture.preconditioner(problem, problem.belief.noise * found.excess)
+    precondition = found.picture.preconditioner(problem, problem.belief.noise * found.excess)
     inside = (road.n >= band[0]) & (road.n <= band[1])
     middle = _middle(road.free, round(1.0 / (band[0] * road.ds)))  # waves cut off there leak
     square = np.zeros(road.size)
     for _ in range(draws):
-        readings = np.sqrt(at.inverse) * rng.standard_normal(at.over.shape)
-        b = at.transposed(readings) + rng.standard_normal(problem.size)
+        b = at.transposed(noise_heard(at, rng)) + rng.standard_normal(problem.size)
         x, _ = conjugate_gradients(at.hessian, b, precondition, ITERATIONS, 1e-2)
         u, _, _ = problem.split(x)
         part = road.change(irfft(inside * rfft(road.free * u, axis=1), road.size, axis=1))
         part -= part[:, middle].mean(axis=1, keepdims=True)
         square += np.mean(part**2, axis=0) / draws
     return UNDERSTATED * np.sqrt(_by_state(square, middle, road, problem.course))
+
+
+def noise_heard(at: Point, rng: np.random.Generator) -> np.ndarray:
+    """R^-1/2 times white noise (S, J)."""
+    white = rng.standard_normal(at.over.shape)
+    return np.sqrt(at.inverse) * (white if at.gain is None else coloured(np.sqrt(at.gain), white))
 
 
 def _middle(free: np.ndarray, most: int) -> np.ndarray:

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import irfft, rfft
+from scipy.fft import irfft, rfft, rfftfreq
 
 from estimators.map_smoother.problem import Problem
 from estimators.map_smoother.road import TO_PATHS, Road
@@ -41,6 +41,14 @@ class Stationary:
     """
 
     weight: np.ndarray
+
+    def hearing(self, problem: Problem, gain: np.ndarray) -> "Stationary":
+        """The same if each frequency of the readings (J // 2 + 1,) counts times `gain`."""
+        course = problem.course
+        block = course.h * course.every * problem.readings.share.shape[2]
+        f = rfftfreq(problem.readings.y.shape[1], block)
+        heard = np.interp(problem.road.n * course.v.mean(), f, gain)
+        return Stationary(self.weight * heard[:, None, None])
 
     def precision(self, road: Road, noise: float) -> np.ndarray:
         """P(n) (F, 2, 2) under a `noise` [(m/s²)²] of each sample."""
