@@ -75,12 +75,18 @@ class {cls}:
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Both wheel paths on the grid of the record."""
         stations = grid(record.length)
-        rf, lr, rr = process(record.a, record.fs)
+        rf, lr, rr = process(bridged(record.a), record.fs)
         roll = 0.5 * (lr - rr)
         middle = np.array([rf + roll, roll])  # over the front axle, and half the difference
         f_low = max(self.n_low * float(np.median(record.v)), 0.05)
         z = record.at(stations, twice_integrated(middle, record.fs, f_low))
         return Estimate(stations, np.array([z[0] + z[1], z[0] - z[1]]))
+
+
+def bridged(a: np.ndarray) -> np.ndarray:
+    """Accelerations (k, N) [m/s²] with straight lines where samples were lost, which are NaN."""
+    k = np.arange(a.shape[1])
+    return np.array([np.interp(k, k[known], x[known]) for x in a for known in [np.isfinite(x)]])
 
 
 def twice_integrated(a: np.ndarray, fs: float, f_low: float) -> np.ndarray:
@@ -94,7 +100,7 @@ TEST = '''\
 """What the estimator keeps, tested without a simulator."""
 
 import numpy as np
-from {module}.estimator import {cls}, twice_integrated
+from {module}.estimator import {cls}, bridged, twice_integrated
 
 from estimators.protocol import check_estimate
 from road_envs.record import Record
@@ -106,6 +112,11 @@ def test_a_sine_is_integrated_twice():
     w = 2.0 * np.pi * 2.0
     z = twice_integrated(-(w**2) * np.sin(w * t)[None], 400.0, 0.2)[0]
     np.testing.assert_allclose(z[8000:-8000], np.sin(w * t[8000:-8000]), atol=0.05)
+
+
+def test_lost_samples_are_bridged():
+    a = np.array([[0.0, np.nan, 2.0, np.nan, np.nan, 5.0]])
+    np.testing.assert_array_equal(bridged(a), [[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]])
 
 
 def test_the_estimate_can_be_judged():
@@ -122,7 +133,8 @@ README = """\
 An estimator of road profiles for RoadRecon, called `{name}`.
 
     pip install --editable ".[test]"
-    pytest
+    python -m pytest
+    roadrecon check-estimator {name}
     roadrecon leaderboard --task new_road --estimator {name} --roads 2
 
 The estimator stands in `{module}/estimator.py`: a frozen dataclass of settings with a method

@@ -6,7 +6,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from leaderboard.cli import app
 from leaderboard.store import load
 from leaderboard.template import write_package
 from road_envs.config import ConfigError
@@ -33,16 +35,19 @@ def test_the_package_of_a_newcomer_gets_from_an_empty_folder_to_a_row_of_the_boa
     code = (folder / "roadrecon_double_twice/estimator.py").read_text()
     assert len(code.splitlines()) < 80
     tested = run("-m", "pytest", "-q", "-p", "no:cacheprovider", cwd=folder, path=[folder, ROOT])
-    assert "2 passed" in tested
+    assert "3 passed" in tested
     pip = ("-m", "pip", "--disable-pip-version-check", "--quiet")
     run(*pip, "wheel", folder, "--no-deps", "--no-build-isolation", "-w", tmp_path,
         cwd=tmp_path, path=[])  # fmt: skip
     (wheel,) = tmp_path.glob("roadrecon_double_twice-*.whl")
     target = tmp_path / "target"
     run(*pip, "install", "--no-deps", "--target", target, wheel, cwd=tmp_path, path=[])
+    path = [target, ROOT]
+    said = run("-m", "leaderboard.cli", "check-estimator", "double_twice", cwd=tmp_path, path=path)
+    assert "double_twice: ready for a board" in said
     run(
         "-m", "leaderboard.cli", "leaderboard", "--task", "paper_5", "--estimator", "double_twice",
-        "--seeds", "1", "--out", "board", cwd=tmp_path, path=[target, ROOT],
+        "--seeds", "1", "--out", "board", cwd=tmp_path, path=path,
     )  # fmt: skip
     row = load(tmp_path / "board/results/paper_5/double_twice.json")
     assert row.failure is None and row.estimator == "double_twice"
@@ -69,3 +74,13 @@ def test_a_folder_in_use_is_left_alone(tmp_path):
     with pytest.raises(ConfigError, match="is in use; a new or empty folder is wanted"):
         write_package("my_road", tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_the_command_says_what_to_do_next_in_words_that_can_be_pasted(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    told = CliRunner().invoke(app, ["new-estimator", "my_road"]).stdout
+    assert 'pip install --editable "./roadrecon-my-road[test]"\n' in told
+    assert "python -m pytest ./roadrecon-my-road\n" in told
+    assert "roadrecon check-estimator my_road\n" in told
+    readme = (tmp_path / "roadrecon-my-road" / "README.md").read_text()
+    assert "roadrecon check-estimator my_road" in readme and "{" not in readme

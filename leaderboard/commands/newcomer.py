@@ -19,4 +19,10 @@ def new_estimator(
     folder = out or Path(f"roadrecon-{name.replace('_', '-')}")
     for path in write_package(name, folder):
         console.print(str(path), highlight=False)
-    console.print(f'next: pip install --editable "{folder}[test]" and pytest {folder}')
+    place = folder if folder.is_absolute() else f"./{folder}"
+    for line in (
+        f'next: pip install --editable "{place}[test]"',
+        f"      python -m pytest {place}",
+        f"      roadrecon check-estimator {name}",
+    ):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
