@@ -16,6 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 
 import estimators
+from estimators import shipped as shelf
 from estimators import storage
 from estimators.protocol import Estimator, Trainable, check_class
 from leaderboard.entry import JUDGES_OWN, Entry, EntryError, learns, settings_of
@@ -46,8 +47,8 @@ def make(reference: str, settings: Mapping[str, Any]) -> Estimator:
 def describe(reference: str, estimator: Estimator) -> dict[str, Any]:
     """Settings, causality, lag and version of an estimator, as JSON types."""
     code = code_of(type(estimator).__module__)
-    if isinstance(estimator, Trainable) and not learns(estimator):
-        code = f"{code}+{_digest_of(estimator.weights())}"
+    if (weights := _weights_of(estimator)) is not None:
+        code = f"{code}+{_digest_of(weights)}"
     return {
         "settings": json.loads(json.dumps(settings_of(estimator), default=str)),
         "causal": getattr(estimator, "causal", None),
@@ -112,6 +113,19 @@ def _named(name: str, host: Describes | None) -> Entry:
         return build(Entry, {**known, **host.describe(known["reference"], {})}, name)
     except (EntryError, ConfigError) as error:
         return Entry(**known, failure=str(error))
+
+
+def _weights_of(estimator: Any) -> Mapping[str, np.ndarray] | None:
+    """What an estimator brings that it has learnt. If these are the weights that come with this
+    package, they are read as they stand in their file: a network need not be built for it.
+    """
+    if not isinstance(estimator, Trainable):
+        return None
+    name = getattr(estimator, "name", "")
+    if name in estimators.REGISTRY and getattr(estimator, "learnt", estimator) is None:
+        if estimator == estimators.create(name):
+            return shelf.shipped(name)
+    return None if learns(estimator) else estimator.weights()
 
 
 def _digest_of(arrays: Mapping[str, np.ndarray]) -> str:

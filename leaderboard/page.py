@@ -18,41 +18,61 @@ from typing import Any
 
 from leaderboard import export, payload
 from leaderboard.board import Board
-from leaderboard.findings import UNRELATED, findings, unrelated_levels
+from leaderboard.findings import UNRELATED, unrelated_levels
 from leaderboard.results import Result
 from leaderboard.sentinels import NOISE
+from leaderboard.shown import Shown
 from leaderboard.tasks import Task
-from leaderboard.view import BOUND, Section, View, filled, views
+from leaderboard.view import BOUND, Section, View, filled
 from road_envs.files import write_text
 
 DRAWN = 8
 """How many entries of a task are drawn, best first; each has a colour and a dash of its own."""
 
 FOLDERS = ("tasks", "estimators")
+STAMP = ".page.json"
+"""What the site in a folder shows, by key, and how large its files are."""
 
 
-def write_page(board: Board, out: Path) -> Path:
-    """Write the site into `out` and return its index; each file whole or not at all."""
-    shown = views(board)
-    texts = dict(pages(board, shown))
-    for name, text in texts.items():
-        if name != "index.html":
-            write_text(out / name, text)
-    export.write(shown, out)
-    write_text(out / "index.html", texts["index.html"])
+def write_page(board: Board, shown: Shown, out: Path) -> Path:
+    """Write the site into `out` and return its index; each file whole or not at all.
+
+    Nothing is written if the site that stands there shows the same.
+    """
+    index = out / "index.html"
+    if _stands(out, shown.key):
+        return index
+    (out / STAMP).unlink(missing_ok=True)
+    written = []
+    for name, text in pages(board, shown):  # the index comes last
+        if name == index.name:
+            export.write(shown.views, out)
+        write_text(out / name, text)
+        written.append(name)
     for folder in FOLDERS:
         for path in (out / folder).glob("*.html"):
-            if f"{folder}/{path.name}" not in texts:
+            if f"{folder}/{path.name}" not in written:
                 path.unlink()
-    return out / "index.html"
+    sizes = {name: (out / name).stat().st_size for name in written}
+    write_text(out / STAMP, json.dumps({"key": shown.key, "sizes": sizes}) + "\n")
+    return index
 
 
-def pages(board: Board, shown: Sequence[View]) -> Iterator[tuple[str, str]]:
-    """Every page: its place and its text."""
+def _stands(out: Path, key: str) -> bool:
+    """Whether the whole site of a board stands in `out`."""
+    try:
+        stamp = json.loads((out / STAMP).read_text(encoding="utf-8"))
+        sizes = {name: (out / name).stat().st_size for name in stamp["sizes"]}
+        return bool(stamp["key"] == key and stamp["sizes"] == sizes)
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def pages(board: Board, shown: Shown) -> Iterator[tuple[str, str]]:
+    """Every page, the index last: its place and its text."""
     render = _renderer()
-    yield "index.html", render("index.html", _index(board, shown))
     results: dict[str, list[tuple[Task, Result]]] = {}
-    for view in shown:
+    for view in shown.views:
         for section in view.sections:
             task = next(task for task in board.tasks if task.name == section.task)
             for result in board.results[task.name]:
@@ -61,8 +81,9 @@ def pages(board: Board, shown: Sequence[View]) -> Iterator[tuple[str, str]]:
     for name, found in results.items():
         yield (
             f"estimators/{file_name(name)}",
-            render("estimator.html", _estimator(board, shown, name, found)),
+            render("estimator.html", _estimator(board, shown.views, name, found)),
         )
+    yield "index.html", render("index.html", _index(board, shown))
 
 
 def file_name(estimator: str) -> str:
@@ -93,18 +114,18 @@ def _renderer() -> Any:
     return render
 
 
-def _index(board: Board, shown: Sequence[View]) -> dict[str, Any]:
+def _index(board: Board, shown: Shown) -> dict[str, Any]:
     errors, _ = unrelated_levels()
     claims = [t.claimed_level_error for t in board.tasks if t.claimed_level_error is not None]
     return {
         "root": "",
-        "findings": findings(shown),
+        "findings": shown.findings,
         "levels": {
             "x": [payload.rounded(100.0 * x) for x in sorted(errors.tolist())],
             "claims": sorted(100.0 * x for x in claims),
         },
         "pairs": f"{errors.size} wheel paths of class {UNRELATED['road_class']}",
-        "boards": [(view, [_table(view, s) for s in view.sections]) for view in shown],
+        "boards": [(view, [_table(view, s) for s in view.sections]) for view in shown.views],
         "noise": NOISE,
         "provenance": provenance(board),
     }

@@ -46,7 +46,7 @@ class Plan:
     def __init__(self, rows: Sequence[Row], out: Path, resume: bool):
         """Raises NewerFormatError if a row would take the place of one that cannot be read here."""
         self.rows, self.out = rows, out
-        self._seen: dict[Path, str] = {}  # content of rows and parts
+        self._seen: dict[Path, str] = {}  # rows and parts: content, or checksum of the file
         self._failed: set[str] = set()  # parts that hold a failure
         self._in_doubt = False
         self._open = [row for row in rows if not self._stands(row, resume)]
@@ -76,7 +76,7 @@ class Plan:
         What is no longer what it was is forgotten, and has to be run again.
         """
         if self._in_doubt:
-            for path in [path for path, told in self._seen.items() if _content(path) != told]:
+            for path in [path for path, told in self._seen.items() if not _is_still(path, told)]:
                 del self._seen[path]
         left = [row for row in self.rows if row in self._open or self._row(row) not in self._seen]
         self._open = [row for row in left if not self._write(row)]
@@ -85,14 +85,14 @@ class Plan:
     def _stands(self, row: Row, resume: bool) -> bool:
         path = self._row(row)
         try:
-            result = store.load(path)
+            result, told = store.load_known(path)
         except NewerFormatError:
             raise
         except ConfigError:  # none there, or none that is worth keeping
             return False
         if not resume or result.identity != row.identity or result.failure is not None:
             return False
-        self._seen[path] = content(result)
+        self._seen[path] = told
         return True
 
     def _find(self, part: str) -> None:
@@ -121,11 +121,13 @@ class Plan:
         return store.part_of(self.out, identity)
 
 
-def _content(path: Path) -> str | None:
+def _is_still(path: Path, known: str) -> bool:
+    """Whether a file has the content, or the checksum, that it was known by."""
     try:
-        return content(store.read(path))
+        result, told = store.read_known(path)
     except ConfigError:
-        return None
+        return False
+    return known in (told, content(result))
 
 
 def jobs_of(missing: Iterable[tuple[Row, int]], workers: int, limits: Limits) -> list[Job]:

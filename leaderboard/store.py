@@ -102,7 +102,17 @@ def sealed(data: Mapping[str, Any]) -> str:
 
 def load(path: Path) -> Result:
     """A row of the board from its file. Raises ConfigError that names file and fault."""
-    return _load(path)[0]
+    return load_known(path)[0]
+
+
+def load_known(path: Path) -> tuple[Result, str]:
+    """A row of the board, and the checksum of its file. Raises ConfigError as `load`."""
+    result, told = read_known(path)
+    if (result.task, result.estimator) != (path.parent.name, path.stem):
+        raise ConfigError(
+            f"{path}: holds the result of {result.estimator} on {result.task}, not what it says"
+        )
+    return result, told
 
 
 def load_part(path: Path) -> Result:
@@ -115,7 +125,7 @@ def load_part(path: Path) -> Result:
 
 def read(path: Path) -> Result:
     """A row or a part, whatever the name of its file says. Raises ConfigError."""
-    return _read(path)[0]
+    return read_known(path)[0]
 
 
 def load_all(out: Path, task: str) -> list[Result]:
@@ -131,6 +141,12 @@ def load_rows(out: Path, task: Task) -> list[Result]:
     return [_row(path, task) for path in _files(out, task.name)]
 
 
+def checksum(result: Result) -> str:
+    """Of the file that a result from `load_rows` stands in; of any other, of what it would be."""
+    drives = result.drives
+    return drives.told if isinstance(drives, _Stored) else checksum_of(to_text(result))
+
+
 def checksum_of(text: str) -> str:
     """The checksum of the text of a result, whatever it says itself."""
     return hashlib.sha256(text[len(OPENING) + 64 + len(CLOSING) :].encode()).hexdigest()
@@ -138,7 +154,7 @@ def checksum_of(text: str) -> str:
 
 def _row(path: Path, task: Task) -> Result:
     try:
-        result, told = _load(path)
+        result, told = load_known(path)
     except ConfigError as error:
         return Result(
             task=task.name,
@@ -163,7 +179,8 @@ class _Stored(Sequence[Any]):
     """Drives or traces that stay on the disk until they are asked for."""
 
     def __init__(self, path: Path, told: str, name: str, size: int):
-        self._path, self._told, self._name, self._size = path, told, name, size
+        self.told = told  # checksum of the file
+        self._path, self._name, self._size = path, name, size
 
     def __len__(self) -> int:
         return self._size
@@ -182,12 +199,12 @@ class _Stored(Sequence[Any]):
         return isinstance(other, Sequence) and tuple(self) == tuple(other)
 
     def _all(self) -> tuple[Any, ...]:
-        return getattr(_body(self._path, self._told), self._name)
+        return getattr(_body(self._path, self.told), self._name)
 
 
 @lru_cache(maxsize=HELD)
 def _body(path: Path, told: str) -> Body:
-    result, found = _read(path)
+    result, found = read_known(path)
     if found != told:
         raise ConfigError(f"{path}: another run has written it meanwhile; show the board again")
     return Body(tuple(result.drives), tuple(result.traces))
@@ -197,17 +214,8 @@ def _files(out: Path, task: str) -> list[Path]:
     return sorted(p for p in (out / "results" / task).glob("*.json") if p.name[0] != ".")
 
 
-def _load(path: Path) -> tuple[Result, str]:
-    result, told = _read(path)
-    if (result.task, result.estimator) != (path.parent.name, path.stem):
-        raise ConfigError(
-            f"{path}: holds the result of {result.estimator} on {result.task}, not what it says"
-        )
-    return result, told
-
-
-def _read(path: Path) -> tuple[Result, str]:
-    """A result and its checksum."""
+def read_known(path: Path) -> tuple[Result, str]:
+    """As `read`, with the checksum of the file."""
     data, told = unsealed(path, FORMAT)
     drives = build(_Drives, data.pop("drives", {}), f"{path}: drives")
     result = build(Result, data, str(path))

@@ -9,9 +9,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from leaderboard import export
-from leaderboard.board import Board
-from leaderboard.findings import findings
-from leaderboard.view import Line, Section, View, filled, views
+from leaderboard.shown import Shown
+from leaderboard.view import Line, Section, View, filled
 
 CASE_WIDTH = 18
 STYLES = {
@@ -29,22 +28,21 @@ LEGEND = (
 )
 
 
-def print_tables(board: Board, console: Console) -> None:
+def print_tables(shown: Shown, console: Console) -> None:
     """Print every board, what failed or is stale, and what the numbers say."""
-    shown = views(board)
-    for view in shown:
+    for view in shown.views:
         together = view.board == "paper" and len(view.sections) > 1
         for sections in [view.sections] if together else [(s,) for s in view.sections]:
             console.print(_table(view, sections))
         _remarks(view, console)
     console.print(f"[dim]{escape(LEGEND)}[/dim]")
-    for sentence in findings(shown):
+    for sentence in shown.findings:
         console.print(f"- {escape(sentence)}")
 
 
-def as_json(board: Board) -> list[dict[str, Any]]:
+def as_json(shown: Shown) -> list[dict[str, Any]]:
     """The same rows for a program."""
-    return export.as_json(views(board))
+    return export.as_json(shown.views)
 
 
 def _table(view: View, sections: tuple[Section, ...]) -> Table:

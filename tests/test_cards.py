@@ -8,7 +8,7 @@ import pytest
 from fakes import Reader, fake_drives, task
 from rich.console import Console
 
-import estimators
+from estimators import shipped as shelf
 from leaderboard import cards
 from leaderboard.board import Board, Wanted, load_board, run_board
 from leaderboard.cards import Card, examine_all, find
@@ -19,10 +19,10 @@ from leaderboard.isolation.host import Host
 from leaderboard.isolation.limits import Limits
 from leaderboard.page import pages
 from leaderboard.probes import PROBES
+from leaderboard.shown import shown
 from leaderboard.store import NewerFormatError, unsealed
 from leaderboard.table import print_tables
 from leaderboard.tasks import load_task
-from leaderboard.view import views
 
 LIMITS = Limits(seconds=20.0, memory=1.0)
 ENTRIES = {"Honest": 5, "Dice": 4, "Broken": None}
@@ -108,14 +108,14 @@ def test_the_mark_stands_in_table_and_page_and_the_card_on_the_estimators_page(t
     board, _ = board_of(tmp_path)
     marked = with_card(board, card_of(examined, "Dice").probes)
     for one, mark in ((board, ""), (marked, "4/5")):
-        shown = views(one)
-        lines = {line.name: line for line in shown[0].sections[0].lines}
+        found = shown(one)
+        lines = {line.name: line for line in found.views[0].sections[0].lines}
         assert lines["reader"].cells["probes"] == mark
         assert not lines["flat"].cells["probes"]  # nobody has asked it
         said = io.StringIO()
-        print_tables(one, Console(file=said, width=80))
+        print_tables(found, Console(file=said, width=80))
         assert ("reader 4/5" in said.getvalue()) == bool(mark)
-        texts = dict(pages(one, shown))
+        texts = dict(pages(one, found))
         assert ("4/5</span>" in texts["index.html"]) == bool(mark)
         assert ("<strong>failed</strong>: asked twice" in texts["estimators/reader.html"]) == bool(
             mark
@@ -156,7 +156,7 @@ def test_a_row_of_other_code_weights_or_settings_is_stale(tmp_path):
         changed = dataclasses.replace(board, entries={**board.entries, at: now})
         assert [(r.estimator, said) for r, said in changed.stale(t)] == [("reader", why)]
         assert "reader" not in [r.estimator for r in changed.scored(t)]
-        state = dict(pages(changed, views(changed)))["estimators/reader.html"]
+        state = dict(pages(changed, shown(changed)))["estimators/reader.html"]
         assert why in state
     assert not Board(board.tasks, board.results).stale(t)  # a stranger, of whom nothing is known
 
@@ -167,10 +167,10 @@ def test_estimators_of_this_package_are_known_by_code_and_weights(tmp_path, monk
     wanted = Wanted([task()], [row], seeds=(1,))
     board = run_board(wanted, tmp_path, Here(fake_drives))
     assert "fir_ridge" in [r.estimator for r in board.scored(board.tasks[0])]
-    (bank,) = estimators.fir_ridge.shipped("fir_ridge").values()
+    (bank,) = shelf.shipped("fir_ridge").values()
     changed = np.array(bank)
     changed.flat[0] += 1
-    monkeypatch.setattr(estimators.fir_ridge, "shipped", lambda name: {"bank": changed})
+    monkeypatch.setattr(shelf, "shipped", lambda name: {"bank": changed})
     later = load_board([task()], tmp_path)
     assert {r.estimator: why for r, why in later.stale(task())} == {
         "fir_ridge": "its code or its weights have changed"

@@ -15,11 +15,13 @@ from fakes import Broken, Learner, Reader, fake_drives, task
 
 from leaderboard import export, payload
 from leaderboard.board import Board, load_board, sentinels
+from leaderboard.entry import Entry
 from leaderboard.evaluate import run_task
 from leaderboard.findings import findings, unrelated_levels
 from leaderboard.metrics import band_pass, scored_band
-from leaderboard.page import file_name, pages, write_page
+from leaderboard.page import STAMP, file_name, pages, write_page
 from leaderboard.scores import SCORES
+from leaderboard.shown import shown
 from leaderboard.store import path_of, save
 from leaderboard.view import views
 from road_envs.files import write_text
@@ -89,14 +91,19 @@ def board():
 @cache
 def site():
     made = board()
-    return dict(pages(made, views(made)))
+    return dict(pages(made, shown(made)))
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
-    write_page(board(), folder)
+    built(board(), folder)
     return folder
+
+
+def built(made, folder):
+    """The index of the site of a board in a folder."""
+    return write_page(made, shown(made), folder)
 
 
 @pytest.fixture(scope="module")
@@ -194,7 +201,7 @@ def test_the_site_is_built_from_what_is_stored(tmp_path, written):
     for found in results().values():
         for result in found:
             save(result, tmp_path)
-    path = write_page(load_board(tasks(), tmp_path), tmp_path)
+    path = built(load_board(tasks(), tmp_path), tmp_path)
     assert path == tmp_path / "index.html"
     assert path.read_text() == (written / "index.html").read_text()
 
@@ -202,9 +209,58 @@ def test_the_site_is_built_from_what_is_stored(tmp_path, written):
 def test_what_no_longer_belongs_is_swept_away(tmp_path):
     write_text(tmp_path / "tasks" / "old.html", "old")
     write_text(tmp_path / "estimators" / "old.html", "old")
-    write_page(Board(tuple(tasks()[:1]), {"held_out": results()["held_out"]}), tmp_path)
+    built(Board(tuple(tasks()[:1]), {"held_out": results()["held_out"]}), tmp_path)
     assert [p.name for p in (tmp_path / "tasks").iterdir()] == ["held_out.html"]
     assert not (tmp_path / "estimators" / "old.html").exists()
+
+
+def test_a_site_that_shows_the_same_is_left_alone_and_any_change_builds_it(tmp_path):
+    for found in results().values():
+        for result in found:
+            save(result, tmp_path)
+    many = tuple(tasks())
+
+    def build():
+        made = load_board(many, tmp_path)
+        index = write_page(made, shown(made, tmp_path), tmp_path)
+        return {path: path.stat().st_mtime_ns for path in index.parent.rglob("*.html")}
+
+    first = build()
+    assert build() == first  # nothing was written
+    page = tmp_path / "tasks" / "held_out.html"
+    for change in (
+        page.unlink,
+        lambda: page.write_text("cut short"),
+        (tmp_path / STAMP).unlink,
+        lambda: (tmp_path / STAMP).write_text("{"),
+        lambda: save(dataclasses.replace(results()["paving"][0], notes=("new",)), tmp_path),
+        path_of(tmp_path, "paving", "reader").unlink,
+    ):
+        change()
+        again = build()
+        assert again[page] != first[page] and build() == again
+        first = again
+    assert "cut short" not in page.read_text()
+
+
+def test_what_is_shown_is_kept_to_the_last_digit_and_a_damaged_file_is_no_matter(tmp_path):
+    for found in results().values():
+        for result in found:
+            save(result, tmp_path)
+    made = load_board(tasks(), tmp_path)
+    first = shown(made, tmp_path)
+    kept = tmp_path / ".shown.json"
+    text = kept.read_text()
+    kept.write_text(text.replace('"findings": [', '"findings": ["forged", '))
+    assert shown(made, tmp_path) == first and kept.read_text() == text
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("leaderboard.shown.views", lambda board: pytest.fail("drawn again"))
+        assert shown(made, tmp_path) == first
+    other = dataclasses.replace(made, entries={("held_out", "reader"): Entry(
+        name="reader", reference="x", code="y")})  # fmt: skip
+    assert shown(other).key == first.key  # of a result without code nothing is known
+    fewer = dataclasses.replace(made, tasks=made.tasks[:1])
+    assert shown(fewer).key != first.key
 
 
 def test_an_interrupted_build_leaves_the_old_index(tmp_path, monkeypatch):
@@ -215,7 +271,7 @@ def test_an_interrupted_build_leaves_the_old_index(tmp_path, monkeypatch):
 
     monkeypatch.setattr(export, "write", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        write_page(board(), tmp_path)
+        built(board(), tmp_path)
     assert (tmp_path / "index.html").read_text() == "old"
     assert not list(tmp_path.rglob(".*"))
 
@@ -224,7 +280,7 @@ def test_a_damaged_result_is_a_row_that_says_so_beside_the_others(tmp_path):
     for result in results()["paving"]:
         save(result, tmp_path)
     path_of(tmp_path, "paving", "reader").write_text("{")
-    text = text_of(write_page(load_board(tasks(), tmp_path), tmp_path).read_text())
+    text = text_of(built(load_board(tasks(), tmp_path), tmp_path).read_text())
     assert "its result cannot be read: " in text and "reader.json: damaged" in text
     assert "static_lm" in text
 
@@ -234,13 +290,13 @@ def test_a_board_of_failures_still_makes_a_site():
         name: [r for r in found if r.estimator == "broken"] for name, found in results().items()
     }
     made = Board(tuple(tasks()), failed)
-    index = dict(pages(made, views(made)))["index.html"]
+    index = dict(pages(made, shown(made)))["index.html"]
     assert text_of(index).count("RuntimeError: no idea") == 3
 
 
 def test_stale_results_are_shown_as_such():
     changed = Board(tuple(dataclasses.replace(t, version=9) for t in tasks()), results())
-    text = text_of(dict(pages(changed, views(changed)))["index.html"])
+    text = text_of(dict(pages(changed, shown(changed)))["index.html"])
     assert text.count("stale: the task has changed") == sum(map(len, results().values()))
 
 
@@ -354,7 +410,7 @@ def test_a_flat_estimate_can_be_drawn():
 
 def test_pages_do_not_change_from_one_run_to_the_next():
     made = board()
-    again = dict(pages(made, views(made)))
+    again = dict(pages(made, shown(made)))
     assert again == site()
 
 

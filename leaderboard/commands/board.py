@@ -22,6 +22,7 @@ from leaderboard.isolation.limits import Limits
 from leaderboard.measured import surface_tasks
 from leaderboard.page import write_page
 from leaderboard.sentinels import SENTINELS
+from leaderboard.shown import shown
 from leaderboard.table import as_json, print_tables
 from leaderboard.tasks import Task, load_task, shipped_tasks
 from road_envs.config import ConfigError, one_of
@@ -101,11 +102,12 @@ def leaderboard(
             progress=lambda done, total, text: progress(text, done / max(total, 1)),
         )
         progress("writing the page", 1.0)
-        page = write_page(judged, out)
+        found = shown(judged, out)
+        page = write_page(judged, found, out)
     if json:
-        print_json(as_json(judged))
+        print_json(as_json(found))
     else:
-        print_tables(judged, console)
+        print_tables(found, console)
         notices.print(f"page: {page}")
 
 
