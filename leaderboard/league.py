@@ -2,7 +2,8 @@
 
 Every policy drives the same roads, side by side, without the truth in sight. Its commands are then
 driven again to look at the whole motion, and the record of its own drive is given to estimators:
-one that learns is trained on records of the same policy's drives over training roads.
+one that learns and comes without weights is trained on records of the same policy's drives over
+training roads.
 """
 
 import signal
@@ -18,9 +19,11 @@ from gymnasium.utils import seeding
 from estimators.protocol import Estimator
 from leaderboard import metrics, oracle
 from leaderboard.bounds import pooled, spectrum
-from leaderboard.entry import EntryError, reconstruct
+from leaderboard.entry import EntryError, learns, reconstruct
 from leaderboard.ride import METRICS, ride_metrics, shares
 from leaderboard.scenarios import Case, Scenarios
+from leaderboard.timeline import Timeline
+from road_envs.convoy import Convoy
 from road_envs.dataset import truth as truth_of
 from road_envs.episode import Setup, Start
 from road_envs.lanes import Fleet, of
@@ -45,6 +48,7 @@ Progress = Callable[[str, float], None]
 class Standing:
     """One policy's metrics, each (R, C): roads and cases; `errors` (R, C) in-band NRMSE [-] for
     each estimator. `failure` says why there are none; `notes`, what an estimator did not do.
+    `timeline`: its first drive of the case that the scenarios want shown.
     """
 
     policy: str
@@ -52,6 +56,7 @@ class Standing:
     errors: Mapping[str, np.ndarray] = field(default_factory=dict)
     failure: str | None = None
     notes: tuple[str, ...] = ()
+    timeline: Timeline | None = None
 
 
 class Course(NamedTuple):
@@ -78,15 +83,13 @@ def compare(
     Raises ConfigError where the scenarios are bad input.
     """
     tests = [lay_out(scenarios, c, scenarios.some(roads)) for c in range(len(scenarios.cases))]
-    training = [
-        lay_out(scenarios, c, scenarios.training.all if estimators else range(0))
-        for c in range(len(scenarios.cases))
-    ]
+    lessons = scenarios.training.all if any(map(learns, estimators.values())) else range(0)
+    training = [lay_out(scenarios, c, lessons) for c in range(len(scenarios.cases))]
     standings = []
     for i, (name, policy) in enumerate(policies.items()):
         columns: list[dict[str, np.ndarray]] = []
         notes: dict[str, None] = {}
-        failure = None
+        failure, shown = None, None
         for c, (test, known) in enumerate(zip(tests, training, strict=True)):
             progress(f"{name}: {test.case.label}", (i + c / len(tests)) / len(policies))
             try:
@@ -94,13 +97,15 @@ def compare(
                     driven = _drive(policy, test)
                     seen = _drive(policy, known) if known.seeds else None
                 column, said = _judge(test, driven, known, seen, estimators)
+                if c == scenarios.shown:
+                    shown = Timeline.of(next(motions(test, driven)), test.starts[0].surface)
             except Exception as error:  # whatever a policy does wrong is its own row's news
                 said_by = " ".join(str(error).split()) or "no message"
                 failure = f"{test.case.label}: {type(error).__name__}: {said_by}"
                 break
             columns.append(column)
             notes |= dict.fromkeys(said)
-        standings.append(_standing(name, columns, tuple(estimators), failure, tuple(notes)))
+        standings.append(_standing(name, columns, tuple(estimators), failure, tuple(notes), shown))
     progress("done", 1.0)
     return standings
 
@@ -119,10 +124,10 @@ def lay_out(scenarios: Scenarios, c: int, seeds: Sequence[int]) -> Course:
 def motions(course: Course, driven: Driven) -> Iterator[Trajectory]:
     """The whole motion of every drive, under the commands that were given."""
     setup = course.setup
-    steps = round(setup.interval / setup.options.step)
+    steps, parking = round(setup.interval / setup.options.step), setup.convoy()
     for first in range(0, len(course.starts), LANES):
         some = range(first, min(first + LANES, len(course.starts)))
-        fleet = Fleet([_again(course, k) for k in some])
+        fleet = Fleet([_again(course, k, parking) for k in some])
         given = np.stack([commands(course, driven, k, steps) for k in some])
         signals = fleet.advance(given)
         for lane, k in enumerate(some):
@@ -174,10 +179,10 @@ def time_limit(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def _again(course: Course, k: int):
+def _again(course: Course, k: int, parking: Convoy):
     """The drive number `k` at its beginning, drawn again from its seed: drives go on in place."""
     random = seeding.np_random(course.seeds[k])[0]
-    drive = course.setup.begin(course.setup.convoy(), 0, random, course.setup.options).drive
+    drive = course.setup.begin(parking, 0, random, course.setup.options).drive
     drive.manoeuvre = course.setup.manoeuvre  # the environment's convoy has its own
     return drive
 
@@ -247,9 +252,9 @@ def _bound(test: Course, given: np.ndarray, v: float, road: tuple[float, float])
     return float(np.sqrt(left))
 
 
-def _standing(name, columns, estimators, failure, notes) -> Standing:
+def _standing(name, columns, estimators, failure, notes, timeline) -> Standing:
     if failure is not None:
         return Standing(name, failure=failure, notes=notes)
     table = {key: np.stack([c[key] for c in columns], axis=1) for key in columns[0]}
     errors = {key: table.pop(key) for key in estimators}
-    return Standing(name, table, errors, None, notes)
+    return Standing(name, table, errors, None, notes, timeline)

@@ -80,13 +80,13 @@ def stops(extension: np.ndarray, car: VehicleParameters) -> int:
 
 def shares(commands: np.ndarray) -> dict[tuple[bool, ...], float]:
     """Share of time in each state of front and rear: (stiff, high, stiff, high), left wheels."""
-    stiff, high = strut_states(commands)
+    found, counts = np.unique(commands, return_counts=True)
+    stiff, high = strut_states(found)
     states = np.stack([stiff[:, 0], high[:, 0], stiff[:, 2], high[:, 2]], axis=1)
-    found, counts = np.unique(states, axis=0, return_counts=True)
-    return {
-        tuple(bool(x) for x in state): count / len(commands)
-        for state, count in zip(found, counts.tolist(), strict=True)
-    }
+    total: dict[tuple[bool, ...], float] = {}
+    for state, count in zip(states.tolist(), counts.tolist(), strict=True):
+        total[tuple(state)] = total.get(tuple(state), 0.0) + count / len(commands)
+    return total
 
 
 def _free(curve: Curve) -> tuple[float, float]:

@@ -54,7 +54,9 @@ class Seeds:
 
 @dataclass(frozen=True, kw_only=True)
 class Scenarios:
-    """Cases, and what they have in common; `length` [m] of every road, `control_rate` [Hz]."""
+    """Cases, and what they have in common; `length` [m] of every road, `control_rate` [Hz]. Of the
+    case number `shown` the page shows a drive over time.
+    """
 
     __pydantic_config__ = STRICT
 
@@ -63,6 +65,7 @@ class Scenarios:
     cases: tuple[Case, ...]
     test: Seeds
     training: Seeds
+    shown: int = 0
     length: float = 100.0
     control: Literal["vehicle", "axle", "states"] = "states"
     control_rate: float = 50.0
@@ -75,6 +78,11 @@ class Scenarios:
     def __post_init__(self):
         if not self.cases:
             raise ValueError("at least one case is wanted")
+        if not 0 <= self.shown < len(self.cases):
+            raise ValueError(
+                f"shown must number one of {len(self.cases)} cases, 0 to {len(self.cases) - 1}, "
+                f"got {self.shown}"
+            )
         if len(set(map(repr, self.cases))) < len(self.cases):
             raise ValueError("every case must stand once")
         if shared := sorted(set(self.test.all) & set(self.training.all)):

@@ -8,7 +8,7 @@ import numpy as np
 from leaderboard.league import ORACLE, Standing
 from leaderboard.ride import METRICS
 from leaderboard.scenarios import Scenarios
-from leaderboard.statistics import LEVEL, Interval, bootstrap, interquartile_mean, interval
+from leaderboard.statistics import LEVEL, Interval, bootstrap, interquartile_mean
 
 REFERENCE = "fixed_ride"
 """The policy from which differences are taken."""
@@ -22,7 +22,7 @@ def summary(
 ) -> dict[str, Any]:
     """All that was found, as plain data: a row for each policy."""
     by_name = {s.policy: s for s in standings if s.failure is None}
-    base = by_name.get(reference)
+    base = _drawn_once(by_name.get(reference))
     rows = [_row(s, base) for s in standings]
     for row, on in zip(rows, pareto(by_name, [s.policy for s in standings]), strict=True):
         row["pareto"] = on
@@ -30,20 +30,46 @@ def summary(
         "scenarios": scenarios.name,
         "title": scenarios.title,
         "cases": [case.label for case in scenarios.cases],
+        "shown": scenarios.cases[scenarios.shown].label,
         "seeds": list(seeds),
         "reference": reference,
         "rows": rows,
     }
 
 
-def difference(one: np.ndarray, other: np.ndarray, seed: int = 0) -> Interval:
-    """Interquartile mean of `one` less that of `other`, both (R, C), and its paired interval.
+def averaged(x: np.ndarray) -> Interval:
+    """Mean over cases of the interquartile means over roads of `x` (R, C) or (R, C, S), with its
+    95 % bootstrap interval over roads, then seeds. A case is a kind of drive and counts as much as
+    any other; roads are draws of one kind, of which the odd ones should not rule.
+    """
+    return _interval(_mean(_seeds(x)), _drawn(x))
+
+
+def difference(one: np.ndarray, other: np.ndarray) -> Interval:
+    """`averaged` of `one` less that of `other`, (R, C) or (R, C, S), and its paired interval.
 
     Both are drawn on the same roads again and again, so what makes a road hard falls out.
     """
-    a, b = one[:, :, None], other[:, :, None]
-    drawn = bootstrap(a, seed) - bootstrap(b, seed)
-    mean = float(interquartile_mean(a.ravel()) - interquartile_mean(b.ravel()))
+    mean = _mean(_seeds(one)) - _mean(_seeds(other))
+    return _interval(mean, _drawn(one) - _drawn(other))
+
+
+def _seeds(x: np.ndarray) -> np.ndarray:
+    return x if x.ndim == 3 else x[:, :, None]
+
+
+def _mean(x: np.ndarray) -> float:
+    per_case = [interquartile_mean(x[:, c].ravel()) for c in range(x.shape[1])]
+    return float(np.mean(per_case))
+
+
+def _drawn(x: np.ndarray) -> np.ndarray:
+    """Replicates (B,): with one seed every case is on the same draw of roads."""
+    x = _seeds(x)
+    return np.mean([bootstrap(x[:, [c]], seed=0) for c in range(x.shape[1])], axis=0)
+
+
+def _interval(mean: float, drawn: np.ndarray) -> Interval:
     if not np.isfinite(drawn).all():
         return Interval(np.nan, np.nan, np.nan)
     low, high = np.quantile(drawn, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
@@ -69,10 +95,28 @@ def pareto(by_name: Mapping[str, Standing], names: Sequence[str]) -> list[bool]:
 def _point(standing: Standing) -> np.ndarray:
     errors = list(standing.errors.values()) or [standing.drives["bound"]]
     values = [*(standing.drives[name] for name in FRONT), errors[0]]
-    return np.array([interquartile_mean(x.ravel()) for x in values])
+    return np.array([_mean(_seeds(x)) for x in values])
 
 
-def _row(standing: Standing, base: Standing | None) -> dict[str, Any]:
+Base = dict[tuple[str, str], tuple[float, np.ndarray]]
+"""Of the reference: mean and replicates (B,), by kind and name of what is told."""
+
+
+def _drawn_once(standing: Standing | None) -> Base:
+    if standing is None:
+        return {}
+    return {
+        (kind, name): (_mean(_seeds(x)), _drawn(x))
+        for kind, values in _kinds(standing)
+        for name, x in values.items()
+    }
+
+
+def _kinds(standing: Standing) -> tuple[tuple[str, Mapping[str, np.ndarray]], ...]:
+    return ("metrics", standing.drives), ("errors", standing.errors)
+
+
+def _row(standing: Standing, base: Base) -> dict[str, Any]:
     row: dict[str, Any] = {
         "policy": standing.policy,
         "attainable": standing.policy != ORACLE,
@@ -81,20 +125,29 @@ def _row(standing: Standing, base: Standing | None) -> dict[str, Any]:
     }
     if standing.failure is not None:
         return row
-    for kind, values in (("metrics", standing.drives), ("errors", standing.errors)):
-        row[kind] = {name: _told(name, x, base, kind) for name, x in values.items()}
+    for kind, values in _kinds(standing):
+        row[kind] = {name: _told(x, base.get((kind, name))) for name, x in values.items()}
     return row
 
 
-def _told(name: str, x: np.ndarray, base: Standing | None, kind: str) -> dict[str, Any]:
+def _told(x: np.ndarray, base: tuple[float, np.ndarray] | None) -> dict[str, Any]:
+    mean, drawn = _mean(_seeds(x)), _drawn(x)
     told: dict[str, Any] = {
-        **interval(x[:, :, None])._asdict(),
-        "cases": [float(v) for v in interquartile_mean(x, axis=0)],
+        **_plain(_interval(mean, drawn)),
+        "cases": [_digits(v) for v in interquartile_mean(x, axis=0)],
     }
     if base is not None:
-        other = (base.drives if kind == "metrics" else base.errors)[name]
-        told["difference"] = difference(x, other)._asdict()
+        told["difference"] = _plain(_interval(mean - base[0], drawn - base[1]))
     return told
+
+
+def _plain(x: Interval) -> dict[str, float]:
+    return {name: _digits(value) for name, value in x._asdict().items()}
+
+
+def _digits(x: float) -> float:
+    """Five of them: more is noise, and the file is read by people too."""
+    return float(f"{x:.5g}")
 
 
 def text(name: str, value: float) -> str:

@@ -5,7 +5,7 @@ scenarios. Test roads are never driven here.
 """
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,10 +23,16 @@ from road_envs.policies.rollout import drive
 TWO_STATE: dict[str, tuple[Any, ...]] = {
     "high": ("soft_high", "handling"),
     "leak": (0.2, 1.0),
-    "bias": (-0.5, 0.0),
+    "bias": (-2.0, -0.5),
 }
 GRIDS: dict[str, Mapping[str, tuple[Any, ...]]] = {
     "rrms": {"window": (0.5, 1.0, 2.0), "ratio": (1.0, 2.0, 3.0)},
+    "preview": {
+        "window": (0.5, 1.0),
+        "ratio": (1.0, 2.0),
+        "bump": (0.02, 0.04, 0.08),
+        "reach": (1.0, 2.0),
+    },
     "roll_angle": {"threshold": (0.03, 0.05, 0.07, 0.1), "hold": (0.1, 0.5)},
     "skyhook": TWO_STATE,
     "groundhook": TWO_STATE,
@@ -68,11 +74,13 @@ def tune(
 
 def cost(policy: Any, scenarios: Scenarios) -> float:
     """Minus the mean return per second over all cases and training roads."""
-    rates = []
-    for case in scenarios.cases:
-        driven = drive(policy, scenarios.options(case), scenarios.training.all, keep=False)
-        rates.append(driven.returns * scenarios.control_rate / driven.intervals)
-    return -float(np.mean(rates))
+    return -float(np.mean(rates(policy, scenarios, scenarios.training.all)))
+
+
+def rates(policy: Any, scenarios: Scenarios, seeds: Sequence[int]) -> np.ndarray:
+    """Returns per second (R, C) on the roads of `seeds`, in every case."""
+    driven = [drive(policy, scenarios.options(case), seeds, keep=False) for case in scenarios.cases]
+    return np.stack([d.returns * scenarios.control_rate / d.intervals for d in driven], axis=1)
 
 
 def as_yaml(best: Best, command: str) -> str:

@@ -1,20 +1,25 @@
 """Policies are compared on the same roads; what one does wrong is its own row."""
 
+import io
 import json
 import time
 from dataclasses import dataclass
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 from scipy.stats import trim_mean
 
 import estimators
 from leaderboard import league, oracle, policy_page, tuning
+from leaderboard.commands import policies as command
 from leaderboard.ride import METRICS, ride_metrics, shares, stops
 from leaderboard.scenarios import Scenarios, load_scenarios
-from leaderboard.standings import difference, pareto, summary
+from leaderboard.standings import averaged, difference, pareto, summary
+from leaderboard.timeline import STATES, Timeline
 from road_envs.comfort import weighted_rms
 from road_envs.config import ConfigError, build, names
 from road_envs.dataset import record_drive
@@ -231,6 +236,36 @@ def test_estimators_are_fed_with_the_drives_and_one_that_fails_is_noted(monkeypa
     assert "too dark" in json.dumps(data["rows"])
 
 
+def test_the_table_fits_eighty_columns_and_wide_tells_more(monkeypatch):
+    rng, names = np.random.default_rng(0), ("fir_ridge", "iterated_wiener")
+    rows = [
+        league.Standing(
+            name,
+            {metric: rng.random((3, 2)) for metric in METRICS},
+            {reader: rng.random((3, 2)) for reader in names},
+        )
+        for name in ("fixed_ride_handling", "greedy_information", league.ORACLE)
+    ]
+    rows.append(league.Standing("mine", failure="iso_d: RuntimeError: " + 30 * "no idea "))
+    data = summary(scenarios(), rows, [101, 102, 103], "greedy_information")
+    told = data["rows"][0]["metrics"]["comfort"]
+    expected = difference(rows[0].drives["comfort"], rows[1].drives["comfort"])
+    assert list(told["difference"].values()) == pytest.approx(expected, rel=1e-4)
+    printed = []
+    for columns in (command.NARROW, command.WIDE):
+        page = io.StringIO()
+        monkeypatch.setattr(command, "console", Console(width=80, file=page))
+        command._print(data, columns)
+        printed.append(page.getvalue())
+    narrow, wide = printed
+    assert max(map(len, narrow.splitlines())) <= 80
+    for row in data["rows"][:3]:
+        line = next(x for x in narrow.splitlines() if x.startswith(row["policy"]))
+        assert f"{row['errors']['iterated_wiener']['mean']:.3f} ±" in line
+    assert "mine failed: iso_d: RuntimeError" in narrow
+    assert "rattle" in wide and "rattle" not in narrow
+
+
 # --- the oracle -----------------------------------------------------------------------------------
 
 
@@ -276,8 +311,38 @@ def test_a_paired_difference_does_not_feel_what_makes_a_road_hard():
     assert found.low < found.mean < found.high < 0.0
     assert found.mean == pytest.approx(-0.3, abs=0.5)
     assert difference(better, better) == (0.0, 0.0, 0.0)
-    by_hand = trim_mean(better.ravel(), 0.25) - trim_mean(worse.ravel(), 0.25)
-    assert found.mean == pytest.approx(by_hand)
+    by_hand = [np.mean([trim_mean(x[:, c], 0.25) for c in range(2)]) for x in (better, worse)]
+    assert found.mean == pytest.approx(by_hand[0] - by_hand[1])
+
+
+def test_every_kind_of_drive_counts_and_odd_roads_do_not_rule():
+    easy = np.random.default_rng(0).random(40)
+    hard = 10.0 + easy
+    odd = np.where(np.arange(40) == 3, 1e6, hard)
+    x = np.stack([easy, easy, easy, odd], axis=1)
+    expected = np.mean([*[trim_mean(easy, 0.25)] * 3, trim_mean(hard, 0.25)])
+    found = averaged(x)
+    assert found.mean == pytest.approx(expected, rel=0.01)
+    assert found.low < found.mean < found.high < 4.0
+    seeds = averaged(np.stack([x, x], axis=2))
+    assert seeds.mean == pytest.approx(found.mean)
+
+
+def test_a_time_line_tells_road_states_and_motion_of_the_drive():
+    course = league.lay_out(scenarios(), 1, [101])
+    driven = drive(create("fixed_ride_handling"), course.options, course.seeds)
+    moved = next(league.motions(course, driven))
+    line = Timeline.of(moved, course.starts[0].surface)
+    assert np.diff(line.t) == pytest.approx(0.02)
+    np.testing.assert_array_equal(line.acceleration, moved.acceleration[::20, Z_B])
+    np.testing.assert_array_equal(line.road, course.starts[0].surface.height(moved.s[::20]))
+    assert set(line.states[0]) == {0} and STATES[line.states[1, -1]] == "handling"
+    picture = ElementTree.fromstring(str(line.svg()))
+    strips = [x for x in picture.iter("rect")]
+    assert [x.get("class") for x in strips] == ["handling"]
+    assert float(strips[0].get("width")) > 500.0
+    data = summary(scenarios(), [league.Standing("mine", failure="why")], [101], "mine")
+    assert str(line.svg()) in policy_page.render(data, {"mine": line})
 
 
 @given(st.lists(st.tuples(*[st.integers(0, 3)] * 3), min_size=1, max_size=8))
@@ -314,6 +379,7 @@ def test_shipped_scenarios_can_be_driven_and_keep_training_apart(name):
         ({"cases": []}, "at least one case"),
         ({"cases": [{"road": "iso_d", "speed_kmh": 54.0}] * 2}, "every case must stand once"),
         ({"test": {"first": 101, "number": 1}}, "number at least 2"),
+        ({"shown": 2}, "one of 2 cases, 0 to 1, got 2"),
         ({"kases": []}, "unknown key, did you mean 'cases'"),
         ({"control": "wheel"}, "'vehicle', 'axle' or 'states'"),
     ],

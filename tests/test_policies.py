@@ -5,14 +5,17 @@ import pickle
 
 import numpy as np
 import pytest
+from gymnasium.utils import seeding
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import butter, sosfiltfilt
 
 import road_envs.policies as policies
 from road_envs.config import ConfigError
 from road_envs.episode import Setup
 from road_envs.observability import RoadPrior
 from road_envs.policies import REGISTRY, available, create
+from road_envs.policies.ahead import RoadAhead
 from road_envs.policies.features import FEATURES
 from road_envs.policies.information import expected_comfort
 from road_envs.policies.network import Learned, Network, read_network
@@ -227,6 +230,7 @@ def test_a_policy_of_another_package_appears_by_its_name(monkeypatch):
         ("skyhook", {"high": "hard"}, "'handling' or 'soft_high'"),
         ("rrms", {"window": 0.0}, "window must be positive"),
         ("ppo", {"file": "none.npz"}, "none.npz: No such file"),
+        ("preview", {"bump": 0.0}, "bump must be positive"),
     ],
 )
 def test_a_wrong_policy_or_setting_is_named(name, settings, said):
@@ -259,6 +263,70 @@ def test_what_is_not_observed_or_commanded_is_named():
         create("fixed_ride_handling").reset(Cabin.of(plain, 1, 0))
 
 
+# --- the road ahead -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["fixed_ride", "random"])
+def test_the_road_felt_at_the_front_is_the_road(name):
+    """In band and without any delay, in one state as through random switches of both axles."""
+    options = {**OPTIONS, "length": 60.0, "speed_kmh": 30.0, "manoeuvre": None}
+    driven = drive(create(name), options, [21, 22])
+    setup = Setup(dict(options))
+    road = RoadAhead(Cabin.of(setup, 2, 0))
+    felt = []
+    for observations in driven.observations:
+        road.feel(observations)
+        felt.append(road.wheels[:, :2].copy())
+    v = 30.0 / 3.6
+    station = -5.0 + v * setup.interval * np.arange(1, len(felt) + 1)
+    sos = butter(2, [0.2, 1.8], "bandpass", fs=1.0 / (v * setup.interval), output="sos")
+    for k, seed in enumerate((21, 22)):
+        begun = setup.begin(setup.convoy(), 0, seeding.np_random(seed)[0], setup.options)
+        inside = (station > 0.0) & (station < 60.0)
+        truth = sosfiltfilt(sos, begun.surface.height(station[inside]), axis=1)
+        estimate = sosfiltfilt(sos, np.array(felt)[inside, k].T, axis=1)
+        assert np.sqrt(np.mean((estimate - truth) ** 2) / np.mean(truth**2)) < 0.4
+
+
+def test_what_the_front_felt_lies_ahead_of_the_rear_axle():
+    """A step under the front wheels moves towards the rear axle as fast as the car drives."""
+    road, seen = RoadAhead(cabin(2)), observed(2, speed=15.0)
+    step = 15.0 * SETUP.interval  # 0.3 m an interval
+    for _ in range(20):
+        road.feel(seen)
+    road.past[road.now, 1] = [0.02, -0.01]
+    L = road.wheelbase
+    for driven in range(9):
+        at = L - step * driven
+        heights = road.at(np.array([at - step, at, at - 0.5 * step]))[1]
+        np.testing.assert_allclose(heights[1], [0.02, -0.01], atol=1e-12)
+        if driven:
+            np.testing.assert_allclose(heights[2], [0.01, -0.005], atol=1e-12)
+            assert np.abs(heights[0]).max() < 1e-12
+        assert not road.at(np.array([at]))[0].any()
+        road.feel(seen)
+    road.restart(np.array([False, True]))
+    assert not road.past[:, 1].any() and not road.wheels[1].any()
+
+
+def test_preview_is_rrms_but_for_the_rear_axle_before_a_bump():
+    settings = {"window": 0.1, "ratio": 2.0}
+    policy, plain = create("preview", **settings, bump=0.05, reach=2.0), create("rrms", **settings)
+    for one in (policy, plain):
+        one.reset(cabin(2))
+    up = dict.fromkeys(("RF", "LR", "RR"), 1.0)
+    seen = observed(2, **up, planar=[0.0, 3.0], speed=15.0)
+    policy.road.feel = lambda observations: None
+    policy.road.speed[:] = 15.0
+    for height, rear in ((0.04, "handling"), (0.06, "ride")):
+        policy.road.past[:] = 0.0
+        policy.road.past[policy.road.now - 5, 1, 0] = height  # 1.3 m before the rear axle
+        for _ in range(6):
+            actions, rule = policy.act(seen), plain.act(seen)
+        assert actions[0] == rule[0]
+        assert pair_of(actions[1]) == ("handling", rear)
+
+
 # --- networks -------------------------------------------------------------------------------------
 
 
@@ -269,7 +337,7 @@ def network(rng=None) -> Network:
         (rng.standard_normal((b, a)).astype(np.float32), rng.standard_normal(b).astype(np.float32))
         for a, b in itertools.pairwise(sizes)
     )
-    return Network(layers, {"activation": "tanh", "control": "states", "held": 1})
+    return Network(layers, {"activation": "tanh", "control": "states", "held": 1, "ahead": False})
 
 
 def test_a_stored_network_comes_back_and_is_the_formula(tmp_path):

@@ -2,11 +2,16 @@
 
 import numpy as np
 import pytest
+from scipy.stats import trim_mean
 
 from leaderboard import tuning
-from road_envs.config import ConfigError
+from leaderboard.learning import judged, learn, lines
+from leaderboard.scenarios import Scenarios
+from leaderboard.tuning import rates
+from road_envs.config import ConfigError, build
 from road_envs.policies import Cabin
-from road_envs.policies.features import FEATURES, SCALES, Features
+from road_envs.policies.ahead import RoadAhead
+from road_envs.policies.features import DISTANCES, FEATURES, SCALES, Features, width
 from road_envs.policies.network import Learned
 from road_envs.policies.training import Cases, Recipe, evaluate, train
 from road_envs.vector_env import RoadReconVectorEnv
@@ -30,6 +35,22 @@ SMALL = Recipe(
 )
 
 
+def scenarios(**changes) -> Scenarios:
+    """Two cases of 8 m."""
+    settings = {
+        "name": "small",
+        "title": "Two short cases",
+        "cases": [
+            {"road": "iso_d", "speed_kmh": 54.0},
+            {"road": "iso_d", "speed_kmh": 54.0, "manoeuvre": TURN["manoeuvre"]},
+        ],
+        "length": 8.0,
+        "test": {"first": 101, "number": 3},
+        "training": {"first": 1, "number": 2},
+    }
+    return build(Scenarios, {**settings, **changes}, "small")
+
+
 def test_cases_are_their_environments_with_held_actions_and_scaled_rewards():
     cases = Cases([CASE, TURN], cars=2, seed=7, scale=3.0, held=4)
     first = cases.reset()
@@ -49,6 +70,61 @@ def test_cases_are_their_environments_with_held_actions_and_scaled_rewards():
         np.testing.assert_array_equal(after[2 * i : 2 * i + 2], last)
         np.testing.assert_allclose(rewards[2 * i : 2 * i + 2], 3.0 * total, rtol=1e-5)
     assert not dones.any()
+
+
+def test_twins_take_the_road_out_of_the_reward():
+    """Who stays in ride gains nothing, to the bit, over many roads; the others what they gain."""
+    cases = Cases([CASE, TURN], cars=2, seed=5, scale=10.0, held=3, twins=True)
+    plain = Cases([CASE, TURN], cars=2, seed=5, scale=10.0, held=3)
+    alone = Cases([CASE, TURN], cars=2, seed=5, scale=10.0, held=3)
+    for envs in (cases, plain, alone):
+        envs.reset()
+    actions = np.array([0, 3, 0, 1])
+    over = False
+    for _ in range(30):
+        gained, dones = cases.step(actions)[1:3]
+        expected = plain.step(actions)[1] - alone.step(np.zeros(4, dtype=int))[1]
+        assert not gained[[0, 2]].any()
+        np.testing.assert_allclose(gained, expected, atol=1e-5)
+        over |= dones.any()
+    assert over
+
+
+def test_a_network_that_looks_ahead_sees_what_lies_before_the_rear_axle():
+    cases = Cases([CASE], cars=2, seed=7, scale=1.0, ahead=True)
+    cases.reset()
+    twin = RoadReconVectorEnv(2, **CASE)
+    seen = twin.reset(seed=1_000_007)[0]
+    cabin = Cabin.of(twin.setup, 2, 0)
+    road = RoadAhead(cabin)
+    road.feel(seen)
+    for _ in range(25):
+        features = cases.step(np.zeros(2, dtype=int))[0]
+        road.feel(twin.step(np.zeros(2, dtype=int))[0])
+    z = road.at(DISTANCES)
+    rise = 20.0 * (z[:, 1:] - z[:, :1])
+    assert features.shape == (2, width(True)) and np.abs(rise).max() > 0.1
+    np.testing.assert_allclose(features[:, FEATURES : FEATURES + 6], rise.mean(axis=2), atol=1e-5)
+    np.testing.assert_allclose(
+        features[:, FEATURES + 6 :], 0.5 * (rise[..., 0] - rise[..., 1]), atol=1e-5
+    )
+
+
+def test_seeds_are_judged_together_on_held_out_roads_and_the_best_is_kept(monkeypatch):
+    some = scenarios(test={"first": 101, "number": 4})
+    learning = learn(SMALL, some, [3, 4])
+    assert learning.scores == [max(v for _, v in curve) for curve in learning.curves]
+    kept = learning.networks[int(np.argmax(learning.scores))]
+    assert learning.best is kept
+    told = judged(learning, some)
+    each = [rates(Learned.of(n), some, some.test.all) for n in learning.networks]
+    assert told["seeds"] == [3, 4] and told["roads"] == 4
+    assert told["spread"] == pytest.approx(np.std([x.mean() for x in each], ddof=1))
+    middle = [trim_mean(np.stack(each, axis=2)[:, c].ravel(), 0.25) for c in range(2)]
+    assert told["held_out"]["mean"] == pytest.approx(np.mean(middle))
+    more = told["more_than"]["fixed_ride"]
+    assert more["low"] <= more["mean"] <= more["high"]
+    assert any("rrms" in line for line in lines("ppo", told))
 
 
 def test_an_episode_that_ends_within_a_hold_ends_for_the_learner():
@@ -108,7 +184,7 @@ def test_deep_q_learning_learns_too():
     assert learnt.network.about["activation"] == "relu"
 
 
-@pytest.mark.parametrize("name", ["ppo", "ppo_sensing", "dqn"])
+@pytest.mark.parametrize("name", ["ppo", "ppo_preview", "ppo_sensing", "dqn"])
 def test_shipped_recipes_are_complete(name):
     assert tuning.recipe(name, steps=5).steps == 5
 

@@ -17,6 +17,7 @@ from typing import Any
 from road_envs import config
 from road_envs.config import STRICT, ConfigError, build, one_of
 from road_envs.policies.add import AccelerationDriven
+from road_envs.policies.dqn import Dqn
 from road_envs.policies.fixed import (
     FixedHandling,
     FixedHandlingRide,
@@ -26,6 +27,8 @@ from road_envs.policies.fixed import (
 from road_envs.policies.groundhook import Groundhook
 from road_envs.policies.information import GreedyInformation
 from road_envs.policies.ppo import Ppo
+from road_envs.policies.ppo_sensing import PpoSensing
+from road_envs.policies.preview import Preview
 from road_envs.policies.protocol import Cabin, Policy, PolicyError
 from road_envs.policies.random import RandomSwitching
 from road_envs.policies.roll_angle import RollAngle
@@ -50,8 +53,11 @@ REGISTRY: dict[str, type[Policy]] = {
     "groundhook": Groundhook,
     "add": AccelerationDriven,
     "sh_add": SkyhookAdd,
+    "preview": Preview,
     "greedy_information": GreedyInformation,
     "ppo": Ppo,
+    "dqn": Dqn,
+    "ppo_sensing": PpoSensing,
 }
 
 

@@ -3,8 +3,8 @@
     h_0 = features,   h_i = f(W_i h_{i-1} + b_i),   action = argmax of the last, which has no f
 
 A file is a .npz of arrays `W_i`, `b_i` and one text, `about`, in JSON: format, activation,
-control, how many intervals an action is held, and how it was trained. Nothing in it is run, so a
-file of a stranger can do no worse than drive badly.
+control, how many intervals an action is held, whether it looks ahead, and how it was trained.
+Nothing in it is run, so a file of a stranger can do no worse than drive badly.
 """
 
 import io
@@ -19,10 +19,10 @@ import numpy as np
 
 from road_envs.config import STRICT, ConfigError, folder
 from road_envs.episode import ACTIONS
-from road_envs.policies.features import FEATURES, Features
+from road_envs.policies.features import Features, width
 from road_envs.policies.protocol import Cabin
 
-FORMAT = "roadrecon policy 1"
+FORMAT = "roadrecon policy 2"
 ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "tanh": np.tanh,
     "relu": lambda x: np.maximum(x, 0.0),
@@ -37,7 +37,7 @@ class Network:
     about: dict[str, Any]
 
     def values(self, features: np.ndarray) -> np.ndarray:
-        """What the last layer makes (N, actions) of features (N, FEATURES)."""
+        """What the last layer makes (N, actions) of features (N, K)."""
         activation, h = ACTIVATIONS[self.about["activation"]], features
         for i, (W, b) in enumerate(self.layers):
             h = h @ W.T + b
@@ -72,23 +72,25 @@ def read_network(path: Path) -> Network:
         if not (isinstance(about["held"], int) and about["held"] >= 1):
             raise ValueError("an action is held for a whole number of intervals")
         layers = tuple((arrays[f"W_{i}"], arrays[f"b_{i}"]) for i in range(len(arrays) // 2))
-        _check(layers, len(ACTIONS[about["control"]]))
+        if not isinstance(about["ahead"], bool):
+            raise ValueError("a policy looks ahead or it does not")
+        _check(layers, width(about["ahead"]), len(ACTIONS[about["control"]]))
     except (KeyError, TypeError, ValueError) as error:
         raise ConfigError(f"{path}: not a stored policy: {error}") from None
     return Network(layers, about)
 
 
-def _check(layers: tuple[tuple[np.ndarray, np.ndarray], ...], actions: int) -> None:
+def _check(layers: tuple[tuple[np.ndarray, np.ndarray], ...], features: int, actions: int) -> None:
     """Raise ValueError unless the layers lead from features to actions."""
-    size = FEATURES
+    size, lead = features, f"layers must lead from {features} features to {actions} actions"
     for W, b in layers:
         if W.dtype.kind != "f" or W.ndim != 2 or W.shape[1] != size or b.shape != W.shape[:1]:
-            raise ValueError(f"layers must lead from {FEATURES} features to {actions} actions")
+            raise ValueError(lead)
         if not (np.isfinite(W).all() and np.isfinite(b).all()):
             raise ValueError("every weight must be finite")
         size = len(b)
     if size != actions or not layers:
-        raise ValueError(f"layers must lead from {FEATURES} features to {actions} actions")
+        raise ValueError(lead)
 
 
 @dataclass(kw_only=True)
@@ -106,12 +108,19 @@ class Learned:
         path = Path(self.file)
         self.network = read_network(path if path.exists() else folder() / "policies" / self.file)
 
+    @classmethod
+    def of(cls, network: Network) -> "Learned":
+        """A policy of a network that is in no file yet."""
+        policy = cls.__new__(cls)
+        policy.file, policy.network = "a network in memory", network
+        return policy
+
     def reset(self, cabin: Cabin) -> None:
         """Forget the past."""
         if len(cabin.actions) != len(self.network.layers[-1][1]):
             control = self.network.about["control"]
             raise ConfigError(f"{self.file} was trained with control {control!r}: drive it so")
-        self.features, self.done = Features(cabin), 0
+        self.features, self.done = Features(cabin, self.network.about["ahead"]), 0
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         """One pass through the network, now and then."""

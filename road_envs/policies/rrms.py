@@ -35,8 +35,11 @@ class RunningRms:
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         """Ride or handling."""
+        return self.cabin.switch(self.firm(observations), "ride", "handling")
+
+    def firm(self, observations: np.ndarray) -> np.ndarray:
+        """Which axles (N, 2) are to be in handling."""
         heave = self.cabin.accelerations(observations).transpose(0, 2, 1) @ self.body.modes[0]
         vertical = self.vertical.add(heave)
         lateral = self.lateral.add(self.cabin.part("planar", observations)[:, 1])
-        firm = np.repeat((lateral > self.ratio * vertical)[:, None], 2, axis=1)
-        return self.cabin.switch(firm, "ride", "handling")
+        return np.repeat((lateral > self.ratio * vertical)[:, None], 2, axis=1)

@@ -18,11 +18,14 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from road_envs.config import STRICT, ConfigError
 from road_envs.files import whole
-from road_envs.policies.features import FEATURES, MOST, Features
+from road_envs.policies.features import MOST, Features, width
 from road_envs.policies.network import Learned, Network
 from road_envs.policies.protocol import Cabin
 from road_envs.policies.rollout import drive
 from road_envs.sb3 import RoadReconVecEnv
+
+RIDE = ("ride", "ride")
+"""What the twins do."""
 
 Progress = Callable[[str, float], None]
 
@@ -33,7 +36,11 @@ class Recipe:
     them, choices `steps` in all, cars side by side for each case, layers of the network,
     evaluation every `every` steps on roads of the training seeds, weight of `information`. An
     action is held for `held` intervals: what is tried at random must last to make a difference.
-    A step of the learner is one choice of an action.
+    A step of the learner is one choice of an action. With `twins` the reward is what is gained over
+    a car in ride on the same road: the road's share of it falls out, the best policy stays.
+    With `ahead` the features tell of the road ahead of the rear axle. PPO begins with ride more
+    likely by exp(`lean`) than any other pair: whether another pair pays is seen only when it is an
+    exception, not amid random ones.
     """
 
     __pydantic_config__ = STRICT
@@ -45,6 +52,9 @@ class Recipe:
     every: int = 50_000
     information: float = 0.0
     held: int = 5
+    twins: bool = False
+    ahead: bool = False
+    lean: float = 0.0
     reward_scale: float = 10.0
     hyper: dict[str, Any] = field(default_factory=dict)
 
@@ -63,29 +73,43 @@ class Learnt:
 
 class Cases(VecEnv):
     """`cars` environments of each case as one, observed through Features; an action is held for
-    `held` intervals, and their rewards are added and scaled.
+    `held` intervals, and their rewards are added and scaled. With `twins`, less the rewards of
+    cars that stay in ride on the same roads (once one of a pair turns over, on others of the kind).
     """
 
     def __init__(
-        self, cases: Sequence[dict[str, Any]], cars: int, seed: int, scale: float, held: int = 1
+        self,
+        cases: Sequence[dict[str, Any]],
+        cars: int,
+        seed: int,
+        scale: float,
+        held: int = 1,
+        twins: bool = False,
+        ahead: bool = False,
     ):
-        self.envs = [RoadReconVecEnv(cars, **options) for options in cases]
+        self.envs, self.twins = (
+            [RoadReconVecEnv(cars, **options) for options in some]
+            for some in (cases, cases if twins else [])
+        )
         self.cars, self.scale, self.held = cars, scale, held
-        for i, env in enumerate(self.envs):
-            env.seed(seed + 1_000_000 * (i + 1))
+        for envs in (self.envs, self.twins):
+            for i, env in enumerate(envs):
+                env.seed(seed + 1_000_000 * (i + 1))
         setups = [env.env.setup for env in self.envs]
         if len({setup.action_space.n for setup in setups}) > 1:
             raise ConfigError("all cases must have one control")
-        self.features = [Features(Cabin.of(setup, cars, seed)) for setup in setups]
-        space = gymnasium.spaces.Box(-MOST, MOST, (FEATURES,), dtype=np.float32)
+        self.features = [Features(Cabin.of(setup, cars, seed), ahead) for setup in setups]
+        space = gymnasium.spaces.Box(-MOST, MOST, (width(ahead),), dtype=np.float32)
         super().__init__(cars * len(self.envs), space, setups[0].action_space)
 
     def reset(self) -> np.ndarray:
-        """Features (N, FEATURES) at the beginning."""
+        """Features (N, K) at the beginning."""
         everyone = np.ones(self.cars, dtype=bool)
         for features in self.features:
             features.restart(everyone)
         seen = [env.reset() for env in self.envs]
+        for twin in self.twins:
+            twin.reset()
         return np.concatenate([f.of(o) for f, o in zip(self.features, seen, strict=True)])
 
     def step_async(self, actions: np.ndarray) -> None:
@@ -94,25 +118,35 @@ class Cases(VecEnv):
 
     def step_wait(self):
         """Features, rewards, dones (N, ...) and infos."""
+        twins: list[RoadReconVecEnv | None] = [*self.twins] or [None] * len(self.envs)
         parts = [
-            self._hold(env, features, actions)
-            for env, features, actions in zip(self.envs, self.features, self.chosen, strict=True)
+            self._hold(*each)
+            for each in zip(self.envs, twins, self.features, self.chosen, strict=True)
         ]
         seen, rewards, dones, told = zip(*parts, strict=True)
         infos = [info for part in told for info in part]
         return np.concatenate(seen), np.concatenate(rewards), np.concatenate(dones), infos
 
-    def _hold(self, env: RoadReconVecEnv, features: Features, actions: np.ndarray):
+    def _hold(
+        self,
+        env: RoadReconVecEnv,
+        twin: RoadReconVecEnv | None,
+        features: Features,
+        actions: np.ndarray,
+    ):
         """One case: what comes after an episode's end within the hold counts for nobody."""
         total, ended = np.zeros(self.cars, dtype=np.float32), np.zeros(self.cars, dtype=bool)
         infos: list[dict[str, Any]] = [{} for _ in range(self.cars)]
         for _ in range(self.held):
             env.step_async(actions)
             observations, rewards, dones, told = env.step_wait()
+            if twin is not None:
+                rewards = rewards - twin.step(np.full(self.cars, features.cabin.action(*RIDE)))[1]
             total += np.where(ended, 0.0, self.scale * rewards).astype(np.float32)
-            for i in np.flatnonzero(dones & ~ended):
-                infos[i] = told[i]  # an end is only cut off, so its last view matters
-                infos[i]["terminal_observation"] = self._last(features, told[i], int(i))
+            fresh = np.flatnonzero(dones & ~ended)
+            if fresh.size:  # an end is only cut off, so the last view matters
+                for i, view in zip(fresh, self._last(features, told, fresh), strict=True):
+                    infos[i] = {**told[i], "terminal_observation": view}
             features.restart(dones)
             seen = features.of(observations)
             ended |= dones
@@ -137,11 +171,12 @@ class Cases(VecEnv):
         """No environment is wrapped by itself."""
         return [False] * self.num_envs
 
-    def _last(self, features: Features, info: dict[str, Any], i: int) -> np.ndarray:
-        """Features of an episode's last observation, without the past, which is another road's."""
-        alone = np.repeat(info["terminal_observation"][None], self.cars, axis=0)
-        cabin = features.cabin
-        return Features(cabin).of(alone)[i]
+    def _last(self, features: Features, told: list[dict[str, Any]], ended: np.ndarray):
+        """Features (E, K) of the last observations of cars `ended` (E,), as if they had no past."""
+        views = np.stack([told[i]["terminal_observation"] for i in ended])
+        seen = np.zeros((self.cars, views.shape[1]), dtype=views.dtype)
+        seen[ended] = views
+        return Features(features.cabin, features.road is not None).of(seen)[ended]
 
 
 def train(
@@ -171,7 +206,9 @@ def train(
 
 def _train(recipe, cases, seeds, seed, checkpoint, log, progress) -> Learnt:
     cases = [_with_information(options, recipe.information) for options in cases]
-    envs = Cases(cases, recipe.cars, seed, recipe.reward_scale, recipe.held)
+    envs = Cases(
+        cases, recipe.cars, seed, recipe.reward_scale, recipe.held, recipe.twins, recipe.ahead
+    )
     model = _model(recipe, envs, seed, log)
     state: dict[str, Any] = {"steps": 0, "best": -np.inf, "curve": [], "network": None}
     if checkpoint is not None and checkpoint.exists():
@@ -180,6 +217,7 @@ def _train(recipe, cases, seeds, seed, checkpoint, log, progress) -> Learnt:
         "activation": "tanh" if recipe.algorithm == "ppo" else "relu",
         "control": cases[0]["control"],
         "held": recipe.held,
+        "ahead": recipe.ahead,
         "algorithm": recipe.algorithm,
         "seed": seed,
         "steps": recipe.steps,
@@ -202,8 +240,7 @@ def _train(recipe, cases, seeds, seed, checkpoint, log, progress) -> Learnt:
 
 def evaluate(network: Network, cases: Sequence[dict[str, Any]], seeds: Sequence[int]) -> float:
     """Mean return per second over `cases` and roads of `seeds`."""
-    policy = Learned.__new__(Learned)
-    policy.file, policy.network = "the network in training", network
+    policy = Learned.of(network)
     rates = []
     for options in cases:
         driven = drive(policy, options, seeds, keep=False)
@@ -224,7 +261,7 @@ def _model(recipe: Recipe, envs: Cases, seed: int, log: Path | None):
     shape: Any = {"pi": layers, "vf": layers} if recipe.algorithm == "ppo" else layers
     cls: Any = PPO if recipe.algorithm == "ppo" else DQN
     try:
-        return cls(
+        model = cls(
             "MlpPolicy",
             envs,
             seed=seed,
@@ -235,6 +272,9 @@ def _model(recipe: Recipe, envs: Cases, seed: int, log: Path | None):
         )
     except (TypeError, ValueError) as error:
         raise ConfigError(f"hyper parameters of {recipe.algorithm}: {error}") from None
+    if recipe.algorithm == "ppo":
+        model.policy.action_net.bias.data[envs.features[0].cabin.action(*RIDE)] += recipe.lean
+    return model
 
 
 def _has_tensorboard() -> bool:

@@ -1,0 +1,15 @@
+"""Deep Q-learning (Mnih et al., Nature 518, 2015): a network trained before.
+
+`roadrecon train-policy` makes such files; `training.py` says how.
+"""
+
+from dataclasses import dataclass
+
+from road_envs.policies.network import Learned
+
+
+@dataclass(kw_only=True)
+class Dqn(Learned):
+    """The most valued action of the shipped network, or of another `file`."""
+
+    file: str = "dqn.npz"

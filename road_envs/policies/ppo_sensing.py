@@ -1,0 +1,15 @@
+"""Learned sensing: as `ppo`, but taught with a price on the variance left unknown of the road.
+
+`roadrecon train-policy` makes such files; `training.py` says how.
+"""
+
+from dataclasses import dataclass
+
+from road_envs.policies.network import Learned
+
+
+@dataclass(kw_only=True)
+class PpoSensing(Learned):
+    """The shipped network, or another `file`."""
+
+    file: str = "ppo_sensing.npz"
