@@ -63,6 +63,9 @@ SENSORS, PROCESSING = "road_envs/sensors.py", "road_envs/processing.py"
 OBSERVABILITY = "road_envs/observability.py"
 PARTS = "map_smoother::test_matrices_of_the_parts_are_the_tangent_of_the_steps"
 TANGENT, LINEAR = "road_envs/tangent.py", "road_envs/linear.py"
+EARLY = "kalman::test_what_is_told_early_is_the_dense_posterior_of_what_was_heard_until_then"
+DRIVEN = "kalman::test_what_is_told_of_the_whole_drive_is_its_dense_posterior"
+WHITE = "kalman::test_on_its_own_model_the_news_are_white_and_of_unit_size"
 INTERVAL = "road_envs/interval.py"
 CURVES, SURFACE = "road_envs/curves.py", "road_envs/roads/surface.py"
 DATASET, CONFIG, VEHICLE = "road_envs/dataset.py", "road_envs/config.py", "road_envs/vehicle.py"
@@ -452,6 +455,34 @@ FAULTS = [
           "inverse_quarter_car::test_of_the_difference_it_tells_the_mean_over_three_wheelbases"),
     Fault("estimators/inverse_quarter_car.py", "np.array([-car.rear.x, car.front.x])", "np.array([car.front.x, -car.rear.x])",
           "inverse_quarter_car::test_the_corners_of_the_defender_are_those_of_its_description"),
+    Fault("estimators/kalman/road.py", "variance += weight * row[slot(newest - k, n) + part]", "pass",
+          EARLY),
+    Fault("estimators/kalman/road.py", "x[M], x[M + 1] = c * real - s * imaginary, s * real + c * imaginary", "x[M], x[M + 1] = c * real, c * imaginary",
+          EARLY),
+    Fault("estimators/kalman/road.py", "learnt[SUM] / learnt[WEIGHT], SMOOTHEST", "1.0, SMOOTHEST",
+          "kalman::test_the_level_of_the_road_is_learnt"),
+    Fault("estimators/kalman/road.py", "np.append(phi, 0.0) - np.append(0.0, phi)", "np.append(phi, 0.0)",
+          "kalman::test_the_road_ahead_goes_on_with_the_prior_s_density_and_coherence"),
+    Fault("estimators/kalman/filter.py", "variance -= both[r] ** 2", "pass",
+          EARLY),
+    Fault("estimators/kalman/filter.py", "news[s] -= both[r] * news[r]", "pass",
+          WHITE),
+    Fault("estimators/kalman/block.py", "sign = -1.0 if part == 1 and side == 1 else 1.0", "sign = 1.0",
+          EARLY),
+    Fault("estimators/kalman/block.py", "block.H[s, ZERO + s] = 1.0", "pass",
+          EARLY),
+    Fault("estimators/kalman/telling.py", "u[1] = -0.5 * fade * np.exp(-x) * (np.cos(x) - np.sin(x))", "u[1] = 0.0",
+          EARLY),
+    Fault("estimators/kalman/struts.py", "spread - both**2 / (x**2 @ weight)", "spread",
+          "kalman::test_a_force_over_an_uncertain_rate_is_its_mean_and_best_line_and_what_is_left"),
+    Fault("estimators/kalman/backward.py", "wanted[s] -= V[s, k] * r[k]", "pass",
+          DRIVEN),
+    Fault("estimators/kalman/backward.py", "VNV[s, s] += 1.0", "pass",
+          DRIVEN),
+    Fault("estimators/kalman/backward.py", "            make_even(N)\n", "",
+          "kalman::test_its_intervals_hold_what_they_should"),
+    Fault("estimators/kalman/drive.py", "heard = smear + h", "heard = h",
+          "kalman::test_what_comes_later_changes_nothing_that_was_told_even_where_it_clips"),
     Fault("estimators/spectral_class.py", "levels[k] /= 2.0", "pass",
           "spectral_class::test_octaves_have_the_levels_and_classes_of_the_road"),
     Fault("road_envs/measured_drive.py", "s = s - s[0] + wheelbase", "s = s - s[0]",

@@ -139,6 +139,7 @@ class Kalman(_Filter):
     causal: ClassVar[bool] = True
 
     lag: float = 0.0
+    std_factor: float = 1.0
 
     def __post_init__(self):
         super().__post_init__()
@@ -155,6 +156,7 @@ class KalmanLag(Kalman):
     """The fixed-lag smoother."""
 
     lag: float = LAG
+    std_factor: float = 0.74
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,6 +164,8 @@ class KalmanRts(_Filter):
     """The smoother of the whole drive."""
 
     causal: ClassVar[bool] = False
+
+    std_factor: float = 0.74
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""

@@ -31,6 +31,9 @@ REACH = 0.5
 MEMORY = 15.0
 """Length of road [m] over which roughness is taken together."""
 
+PATIENCE = 1.2
+"""Seconds over which the noise is found greater than believed."""
+
 PERSISTENCE = 0.005
 """Seconds for which what is left of a strut's force stays the same."""
 
@@ -138,6 +141,7 @@ def _model(
         behind=car.wheelbase / DS,
         fade=fade(DS),
         noise=noise,
+        patience=PATIENCE / (per * course.h),
     )
 
 
@@ -171,7 +175,7 @@ def stations(trip: Journey, record: Record, lag: float, smear: float, about: boo
     return Tells(
         at=at,
         due=np.searchsorted(passed, at + lag / DS),
-        top=DS * np.stack([fine, high], axis=1),
+        top=DS * np.stack([fine, high], axis=1) if lag > WINDOW else np.full((s.size, 2), 0.5),
         half=WINDOW / DS,
         about=about,
         z=np.zeros((s.size, 2)),
@@ -197,10 +201,10 @@ END = 2**62
 """A block before which everything is told."""
 
 
-def smoothed(trip: Journey, tells: Tells) -> Tells:
+def smoothed(trip: Journey, tells: Tells, part_size: int = PART) -> None:
     """Filter a drive, part by part, and tell each part again with what the next one heard."""
-    edges = [*range(0, trip.blocks, PART), trip.blocks]
-    if len(edges) > 2 and edges[-1] - edges[-2] < PART // 2:
+    edges = [*range(0, trip.blocks, part_size), trip.blocks]
+    if len(edges) > 2 and edges[-1] - edges[-2] < part_size // 2:
         del edges[-2]
     before: Part | None = None
     for first, last in pairwise(edges):
@@ -213,7 +217,6 @@ def smoothed(trip: Journey, tells: Tells) -> Tells:
         if len(edges) == 2:
             _back(trip, [before], True)
         _keep(tells, before)
-    return tells
 
 
 @dataclass(frozen=True, eq=False)

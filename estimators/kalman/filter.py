@@ -28,9 +28,6 @@ from road_envs.jit import kernel, separate
 FAR = 16.0
 """Square of the news of a block, per reading, from which they count as only so much."""
 
-PATIENCE = 400.0
-"""Blocks over which the noise is found greater than believed."""
-
 
 @separate
 def forward(model: Model, way: Way, state: State, first, last, tells, blocks: Block):
@@ -111,7 +108,7 @@ def hear(model: Model, state: State, y, count, block: Block):
     square = news[0] ** 2 + news[1] ** 2 + news[2] ** 2
     if seen > 0:
         mean = min(square / seen, FAR)
-        state.learnt[EXCESS] = max(1.0, excess * (1.0 + (mean - 1.0) / PATIENCE))
+        state.learnt[EXCESS] = max(1.0, excess * (1.0 + (mean - 1.0) / model.patience))
     if square > FAR * seen:
         news *= np.sqrt(FAR * seen / square)
     for s in range(3):

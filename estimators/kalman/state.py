@@ -40,7 +40,8 @@ class Model(NamedTuple):
     `felt` (3, 4): the sensors' share of it. `ahead` (2, order), `surprise` (2,) [m²]: the next node
     from the last ones; `rise` (2,) [m²]: variance of the rise over `reach` nodes; `memory`: nodes
     over which roughness is taken together. `h` [s], `per` steps a block, a sample `every` so many;
-    `lag` [s] of the valves; `behind`: wheelbase; `fade`, per node; `noise` [(m/s²)²] of a sample.
+    `lag` [s] of the valves; `behind`: wheelbase; `fade`, per node; `noise` [(m/s²)²] of a sample,
+    found greater over `patience` blocks.
     """
 
     numbers: np.ndarray
@@ -65,6 +66,7 @@ class Model(NamedTuple):
     behind: float
     fade: float
     noise: float
+    patience: float
 
 
 class Way(NamedTuple):

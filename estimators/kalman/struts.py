@@ -4,7 +4,7 @@ Friction turns within 0.02 m/s, and the filter knows the rate of a strut to 0.01
 force that it expects is the mean over what the rate may be, its slope the mean slope (the best
 line, for a normal rate), and what is left over is noise of a known variance,
 
-    E[F] = E F(w + s x)     slope = E F'(w + s x)     left = E F² - E[F]² - (slope s)²
+    E[F] = E F(w + s x)     slope = E F'(w + s x)     left = E F² - E[F]² - E[F x]²
 
 with x standard normal (Roberts & Spanos, "Random Vibration and Statistical Linearization", 1990,
 section 5.2; for filters Gelb, "Applied Optimal Estimation", 1974, section 6.2).
@@ -41,9 +41,9 @@ def left_over(velocity: np.ndarray, width: float) -> np.ndarray:
     weight = np.exp(-0.5 * x**2) / np.exp(-0.5 * x**2).sum()
     found = np.empty((velocity.shape[0], rate.size, x.size, 2))
     look_up_all(velocity, V_0, V_STEP, rate[:, None] + width * x, found)
-    F, slope = found[..., 0], found[..., 1] @ weight
-    spread = (F**2) @ weight - (F @ weight) ** 2
-    return np.maximum(spread - (slope * width) ** 2, 0.0)
+    F = found[..., 0]
+    spread, both = (F**2) @ weight - (F @ weight) ** 2, (F * x) @ weight
+    return np.maximum(spread - both**2 / (x**2 @ weight), 0.0)
 
 
 @separate
