@@ -25,7 +25,7 @@ the time; where wheels leave the ground. `kalman_rts` linearises once, about wha
 `map_smoother` does so again and again and is better.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -112,10 +112,10 @@ class _Filter:
             filtered(trip, tells)
         if not np.isfinite(tells.z).all():
             raise ArithmeticError("the filter lost the car: this record is none of such a drive")
-        if trip.state.learnt[EXCESS] > UNEXPLAINED:
+        if (excess := float(trip.state.learnt[EXCESS])) > UNEXPLAINED:
             notes.append(
-                f"{trip.state.learnt[EXCESS]:.1f} times the noise believed in was heard last: "
-                "the car may not be the one believed in"
+                f"at last {excess:.1f} times the noise believed in was heard: the car may not be "
+                "the one believed in"
             )
         z_std = self.std_factor * _deviation(trip, tells, record, prior)
         return Estimate(grid(record.length), tells.z.T.copy(), z_std, tuple(notes))
@@ -124,10 +124,9 @@ class _Filter:
 def _deviation(trip: Journey, tells: Tells, record: Record, prior: RoadPrior) -> np.ndarray:
     """Standard deviations (2, M) [m] in the judged band; of the prior where no wheel has been."""
     n = np.linspace(*scored_band(float(np.clip(record.v.mean(), 0.1, 100.0))), 400)
-    level = float(trip.state.learnt[LEVEL])
-    all_of_it = np.trapezoid(replace(prior, G_d0=level * prior.G_d0).density(n), n)
-    variance = np.maximum(tells.variance.T, 0.0)
-    s = grid(record.length)
+    s, variance = grid(record.length), np.maximum(tells.variance.T, 0.0)
+    level = np.where(s < record.s[0], 1.0, trip.state.learnt[LEVEL])  # once none was learnt yet
+    all_of_it = level * np.trapezoid(prior.density(n), n)
     unseen = (s < record.s[0]) | (s > record.s[-1])
     return np.sqrt(np.where(unseen, np.maximum(variance, all_of_it), variance))
 
@@ -139,7 +138,7 @@ class Kalman(_Filter):
     causal: ClassVar[bool] = True
 
     lag: float = 0.0
-    std_factor: float = 1.0
+    std_factor: float = 1.5
 
     def __post_init__(self):
         super().__post_init__()

@@ -43,6 +43,9 @@ OFFSET = 0.05
 FINEST = 5.0
 """Waves [cycles/m] up to which heights are told, if the speed lets 25 Hz through there."""
 
+FARTHEST = 0.5
+"""Wheelbases that the car may go in one block of readings."""
+
 PART = 3000
 """Blocks in one part of a drive that is smoothed."""
 
@@ -83,9 +86,15 @@ def journey(
 ) -> Journey:
     """Before the first block. `noise` [(m/s²)²] of a sample; stations are told up to `behind` [m]
     behind the front axle; with `level_ends` the road is level before station 0 and after its end.
+    Raises ValueError if the odometer jumps.
     """
     per = readings.share.shape[2] * course.every
-    in_block = float(course.v.max()) * per * course.h / DS
+    moved = float(np.max(course.s[2 * per :] - course.s[: -2 * per]))
+    if moved > FARTHEST * car.wheelbase:
+        raise ValueError(
+            f"the odometer jumps by {moved:.2f} m within {per * course.h:.3g} s: no drive goes so"
+        )
+    in_block = moved / DS
     reach = max(behind, car.wheelbase) + WINDOW
     K = int(np.ceil(reach / DS) + np.ceil(in_block)) + 8
     start = float(course.s[0]) - K * DS
