@@ -46,8 +46,9 @@ FINEST = 5.0
 FARTHEST = 0.5
 """Wheelbases that the car may go in one block of readings."""
 
-PART = 3000
-"""Blocks in one part of a drive that is smoothed."""
+PART = 10_000
+"""Blocks in one part of a drive that is smoothed. What comes after the next one is not waited for,
+and long waves, which are known last, would show at the joints of shorter parts."""
 
 
 @dataclass(frozen=True, eq=False)
