@@ -30,7 +30,7 @@ class Kind:
 
 RANKED = (Column("rank", "rank"), Column("rank_causal", "among causal", wide=True))
 COST = (
-    Column("train_seconds", "train", "s"),
+    Column("train_seconds", "train", "s", wide=True),
     Column("estimate_ms_per_100m", "time", "ms/100m"),
     Column("parameters", "weights", wide=True),
 )
@@ -55,10 +55,10 @@ FIELD_COLUMNS = (
     Column("slope", "slope", "per grade"),
     Column("slope_interval", "95 %", wide=True),
     Column("nrmse", "NRMSE"),
-    Column("interval", "95 %"),
+    Column("interval", "95 %", wide=True),
     Column("r", "r"),
     Column("class_exact", "class", "%"),
-    Column("iri_error", "IRI", "mm/m"),
+    Column("iri_error", "IRI", "mm/m", wide=True),
     Column("coverage_90", "in 90 %", "%", wide=True),
 )
 CLASS_COLUMNS = (
@@ -67,8 +67,8 @@ CLASS_COLUMNS = (
     Column("interval", "95 %"),
     Column("dsd_bias_db", "bias", "dB"),
     Column("class_exact", "class", "%"),
-    Column("class_within_one", "within one", "%"),
-    Column("fitted_class", "fitted", "%"),
+    Column("class_within_one", "within one", "%", wide=True),
+    Column("fitted_class", "fitted", "%", wide=True),
     Column("G_d0_error_db", "Gd(n0)", "dB"),
     Column("class_exact_0.25", "at 0.25", "%", wide=True),
     Column("class_exact_0.5", "at 0.5", "%", wide=True),

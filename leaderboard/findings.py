@@ -112,7 +112,7 @@ def _best_sentence(views: Sequence[View]) -> str:
     best = min(names, key=lambda name: (_mean(by_name[name], "nrmse"), name))
     found = by_name[best]
     bound = list(_lines(views, "new_road", "bound"))
-    allowed = f" (the sensors allow {_mean(bound, 'nrmse'):.2f})" if bound else ""
+    allowed = f" (bound of linear estimators: {_mean(bound, 'nrmse'):.2f})" if bound else ""
     return (
         f"The best there is {best}: in-band error {_mean(found, 'nrmse'):.2f}{allowed}, "
         f"correlation {_mean(found, 'r'):.2f}, {_percent(_mean(found, 'class_exact'), 0)} of "

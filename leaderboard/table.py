@@ -24,7 +24,8 @@ LEGEND = (
     "NRMSE: error over truth, RMS, in 0.2 to min(1.8, 22.5 Hz / v) cycles/m; a flat road has 1, "
     "the bound is what the sensors allow. level, eq. 12: error of the level alone, about the mean "
     "and as printed. class: octaves in the true ISO 8608 class. Interquartile means over roads and "
-    "trainings; entries that cannot be told apart share a rank. Dim rows: sentinels."
+    "trainings; entries that cannot be told apart share a rank. Dim rows: sentinels. 5/5 beside a "
+    "name: the probes passed, of those that apply (--probes)."
 )
 
 

@@ -143,7 +143,7 @@ def _section(board: Board, task: Task, kind: Kind) -> Section:
         task.name,
         task.title,
         (*claim, *lines, *failed, *stale),
-        (*_protocol(task), *_surface(task, [*scored, *board.failed(task)]), *flags(lines)),
+        (*_protocol(task, scored), *_surface(task, [*scored, *board.failed(task)]), *flags(lines)),
         {kind_of_group: tuple(named) for kind_of_group, named in groups.items()},
         tuple(condition.label for condition in task.conditions),
     )
@@ -282,8 +282,11 @@ def flags(lines: Sequence[Line]) -> list[str]:
     return said
 
 
-def _protocol(task: Task) -> list[str]:
-    trained = "Trained on altered copies of the test road." if task.trains_on_test_road else ""
+def _protocol(task: Task, results: Sequence[Result]) -> list[str]:
+    trained, brought = "", [r.estimator for r in results if r.settings.get("shipped")]
+    if task.trains_on_test_road:
+        trained = "Trained on altered copies of the test road"
+        trained += f"; {', '.join(brought)} with the weights brought along." if brought else "."
     return [text for text in (trained, task.note) if text]
 
 

@@ -8,12 +8,14 @@ import pytest
 from fakes import Reader, fake_drives, task
 from rich.console import Console
 
+import estimators
 from estimators import shipped as shelf
 from leaderboard import cards
 from leaderboard.board import Board, Wanted, load_board, run_board
 from leaderboard.cards import Card, examine_all, find
 from leaderboard.entries import entry_of, fitted_to_each_case, named, registered
 from leaderboard.entry import Entry
+from leaderboard.evaluate import run_task
 from leaderboard.executors import Here
 from leaderboard.isolation.host import Host
 from leaderboard.isolation.limits import Limits
@@ -95,12 +97,10 @@ def board_of(tmp_path, **options):
     return run_board(wanted, tmp_path, Here(fake_drives, made)), entries[0]
 
 
-def with_card(board, probes):
-    (result,) = [r for r in board.results["small"] if r.estimator == "reader"]
+def with_card(board, probes, name="reader"):
+    (result,) = [r for r in board.results["small"] if r.estimator == name]
     known = cards.identity(result.estimator, result.settings, result.code)
-    card = Card(
-        identity=known, estimator="reader", settings={}, code="", drive="a road", probes=probes
-    )
+    card = Card(identity=known, estimator=name, settings={}, code="", drive="a road", probes=probes)
     return dataclasses.replace(board, cards={known: card})
 
 
@@ -120,6 +120,33 @@ def test_the_mark_stands_in_table_and_page_and_the_card_on_the_estimators_page(t
         assert ("<strong>failed</strong>: asked twice" in texts["estimators/reader.html"]) == bool(
             mark
         )
+
+
+@pytest.mark.parametrize("kind", ["new_road", "field", "class", "paper", "measured"])
+def test_every_board_fits_a_terminal_of_80_columns_with_its_marks(kind, examined):
+    """The longest name there is, with a mark, and numbers of many digits."""
+    grades = ("S0", "S1", "S2", "S3") if kind == "field" else ("S0",)
+    one = task(
+        board=kind,
+        conditions=[{"mode": "ride", "speed_kmh": 14.5, "grade": grade} for grade in grades],
+        trains_on_test_road=kind == "paper",
+        bumps=True,
+    )
+    name = max(estimators.names(), key=len)
+    found = run_task(one, {name: Reader(gain=-1.0)}, (1,), drive=fake_drives)
+    drives = tuple(
+        dataclasses.replace(
+            drive, scores={k: x and 1.4 * x for k, x in drive.scores.items()} | {"bump_f1": 1.0}
+        )
+        for drive in found[0].drives
+    )
+    slow = dataclasses.replace(found[0], drives=drives, estimate_ms_per_100m=12345.6)
+    board = with_card(Board((one,), {"small": (slow,)}), card_of(examined, "Dice").probes, name)
+    said = io.StringIO()
+    print_tables(shown(board), Console(file=said, width=80))
+    text = said.getvalue()
+    assert "…" not in text and max(map(len, text.splitlines())) <= 80
+    assert f"{name} 4/5" in text
 
 
 def test_a_run_with_probes_leaves_cards_and_one_without_shows_them(tmp_path, monkeypatch):
