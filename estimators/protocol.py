@@ -32,7 +32,9 @@ class Estimator(Protocol):
     """From one record to both wheel paths."""
 
     causal: ClassVar[bool]
-    """Whether the estimate at a station uses only what was sensed up to it."""
+    """Whether the estimate at a station uses only what was sensed up to it; or, if it has a `lag`
+    [m], up to the moment when the front axle was so much further.
+    """
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Both wheel paths on `grid(record.length)`; the record is left untouched."""

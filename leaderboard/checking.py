@@ -24,6 +24,7 @@ import numpy as np
 
 from leaderboard.entry import Entry, EntryError, Outcome
 from leaderboard.isolation.host import Host
+from leaderboard.isolation.limits import Limits
 from leaderboard.probes import Probe, questions, verdicts
 from leaderboard.scores import scores
 from leaderboard.tasks import load_task
@@ -48,6 +49,11 @@ UNKNOWN = {"front": "soft_high", "rear": "stiff_low"}
 
 LOST, BURST = 0.02, 20
 """Share of the samples that is lost, and how many of them in a row."""
+
+PATIENCE = 300.0
+"""Seconds that a run on the sample may take: its drives are an eighth of a condition's training and
+less of its test, so that what takes longer would not come to an end on a board.
+"""
 
 MAY_REFUSE = ("short", "mode")
 ACCIDENTS = (
@@ -89,9 +95,11 @@ def sample() -> Sample:
     return Sample(load_vehicle(CAR), training, record, truth, damaged, said)
 
 
-def check(entry: Entry, host: Host) -> list[Probe]:
-    """Put everything to an entry, in processes of the `host`. It stops where nothing more can be
-    asked: at an estimator that cannot be made, or that does not run.
+def check(entry: Entry, host: Host, limits: Limits) -> list[Probe]:
+    """Put everything to an entry, in processes of the `host`; `limits` are those of the board.
+
+    It stops where nothing more can be asked: at an estimator that cannot be made, or that does not
+    run.
     """
     if entry.failure is not None:
         return [Probe(name="contract", passed=False, said=entry.failure)]
@@ -108,7 +116,7 @@ def check(entry: Entry, host: Host) -> list[Probe]:
         asked = _asked(host, entry, given)
     except EntryError as error:
         return [*found, Probe(name="probes", passed=False, said=str(error))]
-    return [*found, *_verdicts(entry, given, alone, asked), *_costs(host, given, asked)]
+    return [*found, *_verdicts(entry, given, alone, asked), *_costs(limits, given, asked)]
 
 
 def probe_entry(entry: Entry, host: Host) -> list[Probe]:
@@ -186,11 +194,11 @@ def _verdicts(entry: Entry, given: Sample, alone: Outcome, asked: Outcome) -> li
     return verdicts(answers, given.record, bool(entry.causal), entry.lag)
 
 
-def _costs(host: Host, given: Sample, outcome: Outcome) -> list[Probe]:
+def _costs(limits: Limits, given: Sample, outcome: Outcome) -> list[Probe]:
     """Reckoned for one condition of the board, one training, all test drives, from a run of some
     estimates, of which the first may have compiled something.
     """
-    task, limits = load_task(BOARD).with_roads(None), host.limits
+    task = load_task(BOARD).with_roads(None)
     seen = sum(record.length for record, _ in given.training)
     learning, asked = (sum(r.length for r, _ in d.pairs) for d in (task.training, task.test))
     train, metres = outcome.train_seconds, len(outcome.estimates) * given.record.length

@@ -9,10 +9,11 @@ from typer.testing import CliRunner
 from leaderboard import checking
 from leaderboard.checking import ACCIDENTS, check, sample
 from leaderboard.cli import app
+from leaderboard.commands.check import told as verdict
 from leaderboard.entries import named
 from leaderboard.isolation.host import Host
 from leaderboard.isolation.limits import Limits
-from leaderboard.probes import PROBES
+from leaderboard.probes import PROBES, Probe
 
 LIMITS = Limits(seconds=20.0, memory=1.0)
 DAMAGED = ("gaps", "clipped", "field", "short", "mode")
@@ -27,7 +28,7 @@ def host():
 
 def verdicts(host, name):
     (entry,) = named([name if ":" in name or name.islower() else f"vices:{name}"], host)
-    return {one.name: one for one in check(entry, host)}
+    return {one.name: one for one in check(entry, host, LIMITS)}
 
 
 def failed(found):
@@ -123,9 +124,15 @@ def test_the_command_ends_with_1_on_a_failure_and_tells_it_to_programs(monkeypat
     told = json.loads(bad.stdout)
     assert bad.exit_code == 1 and told["passed"] is False and told["estimator"] == "Seer"
     assert [one["name"] for one in told["checks"] if one["passed"] is False] == ["future"]
-    marked = CliRunner().invoke(app, ["check-estimator", "vices:Seer"])
-    assert "it can stand on a board, where its mark will say that it failed future" in " ".join(
-        marked.stdout.split()
-    )
     lost = CliRunner().invoke(app, ["check-estimator", "flatt"])
     assert "unknown estimator 'flatt'" in str(lost.exception)
+
+
+def test_a_failed_probe_keeps_nobody_off_the_board_and_another_failure_does():
+    good, probe, gaps = (
+        Probe(name=name, passed=passed, said="so")
+        for name, passed in (("runs", True), ("sign", False), ("gaps", False))
+    )
+    assert verdict([good]) == "ready for a board"
+    assert verdict([good, probe]).endswith("where its mark will say that it failed sign")
+    assert verdict([good, probe, gaps]) == "not ready for a board: sign and gaps"

@@ -10,7 +10,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from leaderboard.checking import check
+from leaderboard.checking import PATIENCE, check
 from leaderboard.commands import console, print_json
 from leaderboard.commands.board import limits_of
 from leaderboard.commands.drives import Json
@@ -38,9 +38,10 @@ def check_estimator(
     """
     if ":" in estimator and os.getcwd() not in sys.path:
         sys.path.insert(0, os.getcwd())  # as `python -m` has it, so that a file here is found
-    with Host(limits_of(time_limit, memory_limit)) as host:
+    limits = limits_of(time_limit, memory_limit)
+    with Host(dataclasses.replace(limits, seconds=min(PATIENCE, limits.seconds))) as host:
         (entry,) = named([estimator], host)
-        found = check(entry, host)
+        found = check(entry, host, limits)
     failed = [one.name for one in found if one.passed is False]
     if json:
         print_json(
@@ -55,12 +56,13 @@ def check_estimator(
         for one in found:
             table.add_row(MARKS[one.passed], one.name, escape(one.said))
         console.print(table)
-        console.print(f"{escape(entry.name)}: {_told(found)}", highlight=False)
+        console.print(f"{escape(entry.name)}: {told(found)}", highlight=False)
     if failed:
         raise typer.Exit(1)
 
 
-def _told(found: Sequence[Probe]) -> str:
+def told(found: Sequence[Probe]) -> str:
+    """The verdict in words."""
     failed = [one.name for one in found if one.passed is False]
     if not failed:
         return "ready for a board"
