@@ -12,14 +12,13 @@ from strategies import DEFENDER
 from estimators.map_smoother import MapSmoother, search
 from estimators.map_smoother.flight import noise_of
 from estimators.map_smoother.problem import Problem, point
-from estimators.map_smoother.road import Road, nodes
+from estimators.map_smoother.road import N_LEVEL, Road, likely, nodes
 from estimators.map_smoother.search import conjugate_gradients, most_probable, robust, softened
 from estimators.map_smoother.spread import noise_heard
 from estimators.map_smoother.stationary import stationary_picture
 from estimators.map_smoother.windows import nothing_known, problem_of
 from estimators.rolling.course import alias_delay, course_of
 from estimators.rolling.readings import block_means, usable
-from estimators.rolling.rises import amplitude
 from estimators.rolling.spline import heights, under_wheels
 from leaderboard.metrics import nrmse
 from road_envs.curves import Curve, look_up
@@ -96,7 +95,7 @@ NODES = nodes(4000)
 
 
 def free_road(size: int = NODES, ds: float = 0.05) -> Road:
-    return Road(0.0, ds, np.zeros((2, size)), np.ones(size), amplitude(PRIOR, size, ds))
+    return Road(0.0, ds, np.zeros((2, size)), np.ones(size), likely(PRIOR, size, ds))
 
 
 def test_roads_of_white_noise_have_the_prior_s_density_and_coherence():
@@ -114,6 +113,15 @@ def test_roads_of_white_noise_have_the_prior_s_density_and_coherence():
         S = PRIOR.spectrum(n[inside])
         wanted = 0.25 * np.real(S.sum(axis=(1, 2)))
         assert np.mean(mean[:, inside] / wanted) == pytest.approx(1.0, abs=0.15)
+
+
+def test_long_waves_are_no_higher_than_the_longest_of_the_prior():
+    road = free_road()
+    G = 2.0 * road.ds * np.sum(np.abs(road.transfer()) ** 2, axis=0)
+    low = (road.n > 0.0) & (road.n < 1.0)
+    np.testing.assert_allclose(
+        G[low], PRIOR.density(np.maximum(road.n, N_LEVEL))[low], rtol=1e-12, atol=0.0
+    )
 
 
 def test_the_road_s_map_is_transposed_and_level_where_it_is_not_free():

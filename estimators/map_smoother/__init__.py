@@ -18,7 +18,7 @@ the judged 25 Hz tells of the road below.
 
 Known to fail: on a car that is far from the one given; where a wheel flies, no more is known of the
 road than that it lies below: a bump that throws the car is as long as its leap; of waves longer
-than about 20 m little is heard, and the height drifts.
+than about 50 m little is heard at a walking pace, and they are left out.
 """
 
 from dataclasses import dataclass

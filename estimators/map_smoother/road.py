@@ -12,7 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
+from estimators.rolling.rises import amplitude
 from estimators.rolling.spline import heights
+from road_envs.observability import RoadPrior
+
+N_LEVEL = 0.02
+"""Waves longer than 1 / N_LEVEL [m] are no higher than this one [cycles/m]. At a walking pace such
+waves are hardly heard, and the paper's paving has few: what is not heard should be small."""
 
 TO_PATHS = np.array([[1.0, 1.0], [1.0, -1.0]])
 """From mean and half difference to left and right."""
@@ -79,3 +85,8 @@ class Road:
 def nodes(least: int) -> int:
     """A number of nodes that transforms quickly, with some to spare for waves that run around."""
     return int(next_fast_len(least + 64, real=True))
+
+
+def likely(prior: RoadPrior, size: int, ds: float) -> np.ndarray:
+    """A(n) (2, size // 2 + 1) [m] of `size` nodes `ds` [m] apart."""
+    return amplitude(prior, size, ds, level_below=N_LEVEL)

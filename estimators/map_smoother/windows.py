@@ -11,11 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimators.map_smoother.problem import Belief, Problem
-from estimators.map_smoother.road import Road, nodes
+from estimators.map_smoother.road import Road, likely, nodes
 from estimators.map_smoother.search import Found
 from estimators.rolling.course import Course
 from estimators.rolling.readings import block_means
-from estimators.rolling.rises import amplitude
 from road_envs.dynamics import N_DOF
 from road_envs.observability import RoadPrior
 from road_envs.suspension import memory_at_rest
@@ -122,7 +121,7 @@ def problem_of(
     missing = size - free.size
     c, free = np.pad(c, ((0, 0), (0, missing)), mode="edge"), np.pad(free, (0, missing))
     start = drive.start + drive.ds * low
-    road = Road(start, drive.ds, c, free, amplitude(prior, size, drive.ds))
+    road = Road(start, drive.ds, c, free, likely(prior, size, drive.ds))
     road = road.as_likely(np.interp(road.n, known.n, known.level))
     return Problem(belief, known.memory, known.state, known.reach, road, course, heard)
 
@@ -150,5 +149,5 @@ def _learnt(
         std[here],
     )
     c[:, last:], spread[last:] = c[:, last - 1 : last], spread[last - 1]
-    level = (road.amplitude[0] / amplitude(prior, road.size, road.ds)[0]) ** 2
+    level = (road.amplitude[0] / likely(prior, road.size, road.ds)[0]) ** 2
     return Known(c, spread, last, state, np.zeros(2 * N_DOF), memory, road.n, level)
