@@ -66,7 +66,7 @@ def classify(record: Record, car: VehicleParameters, instruments: str = "paper")
     """The roughness of the road of a `record`. Raises ConfigError, ValueError."""
     tools, one = load_instruments(instruments), plant(car)
     places, track = tools.places(car), car.front.y_t + car.rear.y_t
-    octaves = _octaves(float(np.median(record.v)))
+    octaves = octaves_of(float(np.median(record.v)))
     parts = []
     for stretch in stretches(record, tools, LENGTH, MARGIN):
         heard = listen(one, places, tools, stretch, track)
@@ -102,7 +102,7 @@ def _likeliest(log_level: float, log_std: float) -> str:
     return max(of, key=lambda name: of[name])
 
 
-def _octaves(v: float) -> np.ndarray:
+def octaves_of(v: float) -> np.ndarray:
     """Centres (K,) [cycles/m] of the octaves that are judged at `v` [m/s]: 0.25, 0.5, 1 and 2, as
     far as the 25 Hz low-pass leaves them whole.
     """

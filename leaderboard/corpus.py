@@ -18,8 +18,9 @@ The odometer is true: one that is 1 % off ends a drive of 150 m a whole wave awa
 
 import dataclasses
 import hashlib
+import itertools
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -116,6 +117,36 @@ class Corpus:
         )
         gains = 1.0 + 0.01 * off * rng.standard_normal((3, 1))
         return dataclasses.replace(record, a=gains * record.a), truth
+
+
+def drives_in(
+    corpus: Corpus, mode: Mapping[str, str], speeds_kmh: tuple[float, float], number: int
+) -> list[tuple[Record, Profile]]:
+    """Drives of the car as described, its struts in one `mode`, over roads of 100 m as a corpus has
+    them; speeds even in their logarithm.
+    """
+    found: list[tuple[Record, Profile]] = []
+    for k in itertools.count():
+        rng = np.random.default_rng([STREAM, corpus.seed, k, ATTEMPTS])
+        speed = float(np.exp(rng.uniform(*np.log(speeds_kmh))))
+        road = draw_road(rng, 100.0).realise(rng)
+        try:
+            found.append(
+                record_drive(
+                    corpus.vehicle,
+                    road,
+                    speed_kmh=speed,
+                    mode=mode,
+                    instruments=corpus.sensors,
+                    seed=k,
+                )
+            )
+        except SimulationError:
+            if k >= ATTEMPTS * number:
+                raise
+        if len(found) == number:
+            break
+    return found
 
 
 def draw_road(rng: np.random.Generator, length: float) -> Road:

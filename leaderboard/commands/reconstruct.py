@@ -10,14 +10,17 @@ from rich.table import Table
 import estimators
 from estimators import spectral_class, storage
 from estimators.protocol import Estimator, check_estimate
+from estimators.rms_roughness import RmsRoughness, Roughness
+from estimators.stretches import mode_of as mode_in
 from leaderboard import plots
 from leaderboard.commands import console, mode_of, print_json, settings_of, writable
 from leaderboard.commands.drives import Json, Sensors, Vehicle, print_facts, print_notes
+from leaderboard.corpus import Corpus, drives_in
 from leaderboard.scores import NOTHING, SCORES, scores
-from road_envs.config import ConfigError
+from road_envs.config import ConfigError, one_of
 from road_envs.dataset import is_record, read_record
 from road_envs.measured_drive import Measured, read_measured
-from road_envs.record import Profile
+from road_envs.record import Profile, Record
 from road_envs.roads import Surface, load_road, write_csv
 from road_envs.vehicle import VehicleParameters, load_vehicle
 
@@ -38,6 +41,10 @@ TOLD = (
     "bump_precision", "coverage_50", "coverage_90",
 )  # fmt: skip
 """Scores that are printed; `--json` has them all."""
+
+METHODS = ["spectral", "rms"]
+DRIVES, AROUND = 60, 1.5
+"""Drives that the regression learns from, and how far their speeds reach around the record's."""
 
 
 def estimate(
@@ -94,15 +101,29 @@ def classify(
     sensors: Sensors = "paper",
     mode: Mode = None,
     speed_kmh: Speed = None,
+    method: Annotated[
+        str, typer.Option(help="spectral: by the car's model; rms: learnt from simulated drives.")
+    ] = "spectral",
     json: Json = False,
 ) -> None:
-    """Tell the ISO 8608 class of the road of a record, with its probability, octave by octave."""
+    """Tell the ISO 8608 class of the road of a record, with its probability.
+
+    From the spectra of its accelerations, octave by octave; or from their RMS, by a regression on
+    drives simulated for it, in its states and at speeds about its own.
+    """
+    one_of("method", method, METHODS)
     car = load_vehicle(vehicle)
     seen, notes = _record(record, car, mode, speed_kmh)
-    found = spectral_class.classify(seen, car, sensors)
+    found: Any = (
+        spectral_class.classify(seen, car, sensors)
+        if method == "spectral"
+        else _by_rms(seen, Corpus(car=vehicle, instruments=sensors))
+    )
     if json:
-        facts = found._asdict()
-        facts |= {key: facts[key].tolist() for key in ("octaves", "levels", "level_stds")}
+        facts = {
+            key: value.tolist() if isinstance(value, np.ndarray) else value
+            for key, value in found._asdict().items()
+        }
         print_json({"class": found.letter, **facts, "notes": list(notes)})
         return
     share = 100.0 * found.probability[found.letter]
@@ -110,12 +131,25 @@ def classify(
         f"class {found.letter} ({share:.0f} %), Gd(n0) = {1e6 * found.G_d0:.0f}e-6 m³ "
         f"± {4.34 * found.log_std:.1f} dB"
     )
+    if method == "spectral":
+        _print_octaves(found)
+    print_notes(notes)
+
+
+def _by_rms(seen: Record, corpus: Corpus) -> Roughness:
+    """What the regression says, fitted to drives like the one that was `seen`."""
+    mode = mode_in(seen, np.arange(seen.t.size))
+    slow, fast = 3.6 * np.percentile(seen.v, [5.0, 95.0])
+    drives = drives_in(corpus, mode, (slow / AROUND, fast * AROUND), DRIVES)
+    return RmsRoughness.fitted(*zip(*drives, strict=True)).tell(seen)
+
+
+def _print_octaves(found: spectral_class.ClassPosterior) -> None:
     table = Table("octave [cycles/m]", "Gd(n0) [1e-6 m³]", "± [dB]", "class")
     columns = (found.octaves, found.levels, found.level_stds, found.octave_classes)
     for centre, level, std, letter in zip(*columns, strict=True):
         table.add_row(f"{centre:g}", f"{1e6 * level:.0f}", f"{4.34 * std:.1f}", letter)
     console.print(table)
-    print_notes(notes)
 
 
 def _estimator(name: str, settings: dict[str, Any]) -> Estimator:
