@@ -9,10 +9,9 @@ from estimators.calibration import TERMS, constant, fitted_widths, honest, judge
 from estimators.course import SPACING
 from leaderboard import training
 from leaderboard.corpus import Corpus
-from leaderboard.drives import simulated
 from leaderboard.metrics import band_pass, scored_band
-from leaderboard.tasks import load_task
 from road_envs.record import GRID
+from tests.test_training import judged as on_the_board
 
 
 def conditions(rng: np.random.Generator, size: int = 1) -> np.ndarray:
@@ -105,26 +104,10 @@ def test_a_drive_as_described_is_the_same_road_driven_the_same_way_by_the_very_c
     assert np.abs(record.a - plain.a).max() > 0.1
 
 
-def covered(name: str, roads: int) -> np.ndarray:
-    """Shares (conditions, 2) inside the 50 and 90 % intervals on the main board's first roads."""
-    estimator, task = create(name), load_task("new_road")
-    found = []
-    for condition in task.conditions:
-        rows = []
-        for test in simulated(task, task.with_roads(roads).test, condition):
-            estimate = estimator.estimate(test.record, task.vehicle)
-            band = scored_band(condition.speed_kmh / 3.6)
-            error = np.abs(band_pass(estimate.z - test.truth.z, GRID, band))
-            cut = (test.truth.s.size - error.shape[1]) // 2
-            std = estimate.z_std[:, cut : cut + error.shape[1]]
-            rows.append([np.mean(error < far * std) for far in (0.6745, 1.6449)])
-        found.append(np.mean(rows, axis=0))
-    return np.array(found)
-
-
 @pytest.mark.parametrize("name", ["tcn", "tcn_causal", "gru", "gru_causal"])
 def test_shipped_intervals_cover_what_they_promise_on_the_cars_own_roads(name):
     """All conditions of the main board together, and each within what its first two roads allow."""
-    found = covered(name, 2)
+    rows = on_the_board(name, 2).values()
+    found = np.array([np.mean([inside for _, inside in row], axis=0) for row in rows])
     np.testing.assert_allclose(found.mean(axis=0), [0.5, 0.9], atol=0.04)
     assert (np.abs(found - [0.5, 0.9]) < [0.13, 0.07]).all()
