@@ -3,11 +3,12 @@ the roughness and the noise that the stretch itself speaks for.
 
     a = H z + H_F q + e     z: wheel paths, q: what of the struts' forces is not linear, e: noise
 
-The level G_d(n0) of the prior and a factor kappa(f) on the noise, octave by octave, are those that
-make the stretch likely: empirical Bayes by expectation and maximisation (Dempster, Laird & Rubin,
-J. R. Stat. Soc. B 39, 1977), in turns with the equivalent dampers that go with the level. Noise can
-be told from road since three sensors hear two wheel paths: one combination of them hears noise
-alone. A car that is not quite the one supposed shows there, too, and raises kappa.
+The level G_d(n0) of the prior, its shape (how far each octave is from a waviness of 2) and a factor
+kappa(f) on the noise, octave by octave, are those that make the stretch likely: empirical Bayes by
+expectation and maximisation (Dempster, Laird & Rubin, J. R. Stat. Soc. B 39, 1977), in turns with
+the equivalent dampers that go with the road. Noise can be told from road since three sensors hear
+two wheel paths: one combination of them hears noise alone. A car that is not quite the one supposed
+shows there, too, and raises kappa.
 """
 
 from dataclasses import dataclass, replace

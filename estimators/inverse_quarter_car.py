@@ -13,9 +13,9 @@ damper that errs least for the rate of extension that this inversion itself find
 Each wheel path is met twice, by the front and by the rear wheel: the mean of both is told.
 
 R has a double pole at f = 0, where no acceleration tells a height: R / (1 + |R|² H_0²) is used,
-which is R above `f_low` (H_0 is |1 / R| there) and goes to zero below it. Above 25 Hz nothing is
-told. So the band of the answer is f_low / v to 25 Hz / v: 0.07 to 6.2 cycles/m at 14.5 km/h, 0.02
-to 1.7 cycles/m at 54 km/h.
+which is R above `f_low` (H_0 is |1 / R| there) and goes to zero below it. From 25 to 30 Hz the
+answer fades out. So its band is f_low / v to 25 Hz / v: 0.07 to 6.2 cycles/m at 14.5 km/h, 0.02 to
+1.7 cycles/m at 54 km/h.
 
 Inside it, where equal corners are free of each other (the body as four point masses over its
 struts, axles as two under them), the mean of the wheel paths is exact. Their difference is not: a
@@ -104,10 +104,11 @@ class InverseQuarterCar:
         a = over_struts(record.a, tools.places(car), car)
         lines = rfft(a - a.mean(axis=1, keepdims=True), size)
         lines *= np.clip((F_FADE * F_C - f) / ((F_FADE - 1.0) * F_C), 0.0, 1.0) / tools.response(f)
-        corners = fitted(plant(car), car, mode_of(record, np.arange(record.t.size)), f, lines)
+        mode, samples = mode_of(record, np.arange(record.t.size)), record.t.size
+        corners = fitted(plant(car), car, mode, f, lines, samples)
         R = corners.inverse(f)
         H_0 = 1.0 / np.abs(corners.inverse(np.array([self.f_low])))
-        z = irfft(lines * R / (1.0 + np.abs(R * H_0) ** 2), size)[:, : record.t.size]
+        z = irfft(lines * R / (1.0 + np.abs(R * H_0) ** 2), size)[:, :samples]
         lowest, highest = self.f_low / record.v.max(), F_C / record.v.max()
         band = f"waves from {lowest:.2g} to {highest:.2g} cycles/m are estimated"
         stations = grid(record.length)
@@ -146,15 +147,20 @@ def quarter_cars(
 
 
 def fitted(
-    one: Plant, car: VehicleParameters, mode: Mapping[str, str], f: np.ndarray, lines: np.ndarray
+    one: Plant,
+    car: VehicleParameters,
+    mode: Mapping[str, str],
+    f: np.ndarray,
+    lines: np.ndarray,
+    samples: int,
 ) -> QuarterCars:
     """The corners whose dampers go with the motion: `lines` (4, F) are the Fourier transform of the
-    accelerations above the struts at `f` (F,) [Hz].
+    accelerations above the struts at `f` (F,) [Hz], of which the first `samples` were measured.
     """
     rate = np.full(4, RATE)
     for _ in range(ROUNDS):
         corners = quarter_cars(one, car, mode, rate)
-        e_dot = irfft(2j * np.pi * f * corners.extension(f) * lines)
+        e_dot = irfft(2j * np.pi * f * corners.extension(f) * lines)[:, :samples]
         rate = np.maximum(e_dot.std(axis=1), 1e-3)
     return corners
 
