@@ -1,13 +1,15 @@
 """The weights that come with the package are those that their command gives."""
 
 import os
+from functools import cache
 
 import numpy as np
 import pytest
 
 from estimators import create, shipped
 from estimators.bank import fitted_bank
-from estimators.material import BEHIND
+from estimators.material import material
+from estimators.sequence import window
 from leaderboard import training
 from leaderboard.corpus import Corpus
 from leaderboard.drives import simulated
@@ -22,10 +24,9 @@ STIFF_LOW_AND_RIDE = 0b1000
 SEED_SPREAD = 0.05
 """Relative difference of the mean NRMSE that another seed, or another order of sums, may make."""
 
-OFFLINE = {"fir_ridge": "bank", "tcn": "taps", "gru": "taps"}
-"""What stands in whose file."""
-
 NETWORKS = ("tcn", "tcn_causal", "gru", "gru_causal")
+WINDOWS = {"fir_ridge": "bank"} | dict.fromkeys(NETWORKS, "taps")
+"""Under what name they stand in whose file."""
 
 
 def kept(name: str):
@@ -39,31 +40,30 @@ def near(fresh: np.ndarray, stored: np.ndarray) -> bool:
     return bool(apart.max() < 2e-3 * np.abs(stored).max())
 
 
-@pytest.fixture(scope="module")
-def rare_bank() -> np.ndarray:
+@cache
+def rare_taps(causal: bool) -> np.ndarray:
     """Taps of the rarest states, for they follow from their own drives alone."""
-    corpus, estimator = Corpus(), create("fir_ridge")
-    drives = [estimator.material(*corpus.drive(k)) for k in RARE]
+    pairs = [Corpus().drive(k) for k in RARE]
+    drives = [material(record, truth, causal) for record, truth in pairs]
     assert all((drive.course.states == [1.0, 0.0, 0.0, 0.0]).all() for drive in drives)
     courses, targets = zip(*drives, strict=True)
-    return fitted_bank(courses, targets, BEHIND, BEHIND).taps[STIFF_LOW_AND_RIDE]
+    return fitted_bank(courses, targets, *window(causal)).taps[STIFF_LOW_AND_RIDE]
 
 
-@pytest.mark.parametrize(
-    ("name", "array"), [("fir_ridge", "bank"), ("tcn", "taps"), ("gru", "taps")]
-)
-def test_shipped_linear_windows_are_those_of_the_corpus_as_it_is_driven_now(rare_bank, name, array):
+@pytest.mark.parametrize(("name", "array"), WINDOWS.items())
+def test_shipped_linear_windows_are_those_of_the_corpus_as_it_is_driven_now(name, array):
     """Whatever changes in the simulator, in a road or in the corpus, the weights are to follow."""
     arrays, _ = kept(name)
-    assert near(rare_bank, arrays[array][STIFF_LOW_AND_RIDE])
+    assert near(rare_taps(create(name).causal), arrays[array][STIFF_LOW_AND_RIDE])
 
 
-def test_all_that_was_taught_offline_begins_with_the_same_windows():
-    banks = [kept(name)[0][array] for name, array in OFFLINE.items()]
-    for bank in banks[1:]:
-        np.testing.assert_array_equal(bank, banks[0])
-    causal = [kept(name)[0]["taps"] for name in ("tcn_causal", "gru_causal")]
-    np.testing.assert_array_equal(*causal)
+def test_all_that_was_taught_begins_with_the_same_windows():
+    for causal in (False, True):
+        banks = [
+            kept(name)[0][array] for name, array in WINDOWS.items() if create(name).causal == causal
+        ]
+        for bank in banks[1:]:
+            np.testing.assert_array_equal(bank, banks[0])
 
 
 @pytest.mark.parametrize("name", NETWORKS)
