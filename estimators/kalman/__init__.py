@@ -19,10 +19,10 @@ What is heard are means of 3 ms of the raw samples. Samples lost or clipped cost
 have told.
 
 Known to fail: where the front struts are softer than the rear ones, the difference of the wheel
-paths is told by the rear axle first and only long after, so that the early variants have three
-times the error of equal states; on smooth roads (class A), where friction holds the struts most of
-the time; where wheels leave the ground. `kalman_rts` linearises once, about what was known by then;
-`map_smoother` does so again and again and is better.
+paths is told by the rear axle, wheelbases later (`docs/observability.md`), so that the early
+variants have twice the error of equal states; on smooth roads (class A), where friction holds the
+struts most of the time; where wheels leave the ground. `kalman_rts` linearises once, about what was
+known by then; `map_smoother` does so again and again and is better.
 """
 
 from dataclasses import dataclass
