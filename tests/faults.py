@@ -389,6 +389,8 @@ FAULTS = [
     Fault("estimators/map_smoother/parts.py", "if n % every == 0:", "if True:", PARTS),
     Fault("estimators/map_smoother/parts.py", "] += out[2 * N_DOF", "] = out[2 * N_DOF",
           "map_smoother::test_the_tangent_is_transposed_and_the_hessian_is_gauss_and_newton_s"),
+    Fault("estimators/map_smoother/windows.py", "state, memory = problem.until(x, steps)", "problem.until(x, steps)",
+          "map_smoother::test_windows_joined_are_one_window_within_its_spread"),
     Fault("estimators/map_smoother/flight.py", "(most < LIGHT", "(most < -LIGHT",
           "map_smoother::test_below_a_wheel_that_flies_no_road_is_made_up"),
     Fault("estimators/map_smoother/search.py", "return excess / np.interp(", "return excess / np.interp(0.0 * ",

@@ -20,7 +20,7 @@ from estimators.map_smoother.windows import nothing_known, problem_of
 from estimators.rolling.course import alias_delay, course_of
 from estimators.rolling.readings import block_means, usable
 from estimators.rolling.spline import heights, under_wheels
-from leaderboard.metrics import nrmse
+from leaderboard.metrics import band_pass, nrmse
 from road_envs.curves import Curve, look_up
 from road_envs.dataset import record_drive
 from road_envs.dynamics import plant
@@ -306,6 +306,18 @@ def test_coloured_noise_is_drawn_as_it_is_weighed():
     assert np.var(drawn @ probe.ravel()) == pytest.approx(
         np.sum(probe * at.weighed(probe)), rel=0.1
     )
+
+
+def test_windows_joined_are_one_window_within_its_spread():
+    record, truth = driven(length=90.0)
+    whole = MapSmoother().estimate(record, DEFENDER)
+    parts = MapSmoother(window=3.0, overlap=1.0).estimate(record, DEFENDER)
+    band = scored_band(float(record.v.mean()))
+    z = band_pass(np.stack([whole.z, parts.z, truth.z]), truth.ds, band)
+    assert whole.z_std is not None and record.t[-1] > 6.0
+    apart = np.sqrt(np.mean((z[1] - z[0]) ** 2))
+    assert 0.0 < apart < 0.5 * whole.z_std.mean()
+    assert np.sqrt(np.mean((z[1] - z[2]) ** 2)) < 1.2 * np.sqrt(np.mean((z[0] - z[2]) ** 2))
 
 
 # --- the linear car -------------------------------------------------------------------------------
