@@ -209,8 +209,8 @@ def _costs(limits: Limits, given: Sample, outcome: Outcome) -> list[Probe]:
         Probe(
             name="time",
             passed=reckoned < limits.seconds,
-            said=f"{train:.2f} s to train, {per_100m:.3g} ms per 100 m: about {reckoned:.2g} s "
-            f"for a condition of {BOARD}, of {limits.seconds:g} s allowed",
+            said=f"{train:.2f} s to train, {_short(per_100m)} ms per 100 m: about "
+            f"{_short(reckoned)} s for a condition of {BOARD}, of {limits.seconds:g} s allowed",
         ),
         Probe(
             name="memory",
@@ -218,6 +218,11 @@ def _costs(limits: Limits, given: Sample, outcome: Outcome) -> list[Probe]:
             said=f"{memory:.2f} GiB at its peak, of {limits.memory:g} GiB allowed",
         ),
     ]
+
+
+def _short(x: float) -> str:
+    """A positive number in two or more digits, never as a power of ten."""
+    return f"{x:.0f}" if x >= 10.0 else f"{x:.2g}"
 
 
 def _drive(
