@@ -23,6 +23,9 @@ MEMORY = 2.0
 CIRCLE = 400.0
 """Least length [m] of the circle on which covariances are computed."""
 
+SMOOTHEST, ROUGHEST = 1e-4, 1e3
+"""Bounds of the level that is learnt, over that of the prior: far beyond classes A to H."""
+
 
 class Ahead(NamedTuple):
     """`weights` (2, order) of the last nodes, newest first, and `surprise` (2,) [m²], the variance
@@ -133,7 +136,3 @@ def learn_level(model: Model, state: State, rear, free):
         learnt[SUM] = forgotten * learnt[SUM] + 0.5 * (rise * rise + variance) / model.rise[part]
         learnt[WEIGHT] = forgotten * learnt[WEIGHT] + 0.5
     learnt[LEVEL] = min(max(learnt[SUM] / learnt[WEIGHT], SMOOTHEST), ROUGHEST)
-
-
-SMOOTHEST, ROUGHEST = 1e-4, 1e3
-"""Bounds of the level that is learnt, over that of the prior: far beyond classes A to H."""

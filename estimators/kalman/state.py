@@ -22,9 +22,6 @@ from road_envs.jit import kernel
 
 CAR = 2 * N_DOF
 FORCE, ZERO, FADING, NODES = CAR, CAR + 4, CAR + 7, CAR + 11
-FIXED = FADING
-"""Entries before the road's."""
-
 LEVEL, SUM, WEIGHT, EXCESS = 0, 1, 2, 3
 """What is learnt on the way: roughness over the prior's, the sums it comes from, and how many times
 the noise that the model expects the readings seem to hold."""
