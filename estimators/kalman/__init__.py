@@ -18,11 +18,13 @@ waves (`telling.py`); `backward.py` is the smoother for the whole drive.
 What is heard are means of 3 ms of the raw samples. Samples lost or clipped cost what they would
 have told.
 
-Known to fail: where the front struts are softer than the rear ones, the difference of the wheel
-paths is told by the rear axle, wheelbases later (`docs/observability.md`), so that the early
-variants have twice the error of equal states; on smooth roads (class A), where friction holds the
-struts most of the time; where wheels leave the ground. `kalman_rts` linearises once, about what was
-known by then; `map_smoother` does so again and again and is better.
+Known to fail: on a car that is not the one given (on the field car S2 it errs by more than a flat
+road and says so in its notes), for it believes in the car and doubts the road alone; where the
+front struts are softer than the rear ones, the difference of the wheel paths is told by the rear
+axle, wheelbases later (`docs/observability.md`), so that the early variants have twice the error of
+equal states; on smooth roads (class A), where friction holds the struts most of the time; where
+wheels leave the ground. `kalman_rts` linearises once, about what was known by then; `map_smoother`
+does so again and again and is better.
 """
 
 from dataclasses import dataclass
