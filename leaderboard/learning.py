@@ -14,12 +14,9 @@ import numpy as np
 from leaderboard import tuning
 from leaderboard.league import Progress
 from leaderboard.scenarios import Scenarios
-from leaderboard.standings import averaged, difference
+from leaderboard.standings import REFERENCE, RIVALS, averaged, difference
 from road_envs.policies import create
 from road_envs.policies.network import Learned, Network
-
-RIVALS = ("fixed_ride", "rrms", "sh_add")
-"""Whom learning has to beat."""
 
 
 class Learning(NamedTuple):
@@ -79,14 +76,15 @@ def learn(
 
 def judged(learning: Learning, scenarios: Scenarios, weight: float = 0.0) -> dict[str, Any]:
     """Return per second on held-out roads, each with its interval: of all seeds together, of each,
-    of RIVALS, and how much more all seeds get than these. `weight` is that of information.
+    of fixed ride and RIVALS, and how much more all seeds get than these; `weight` of information.
     """
     priced = replace(scenarios, weights=replace(scenarios.weights, information=weight))
     roads = scenarios.test.all
     seeds = [network.about["seed"] for network in learning.networks]
     each = [tuning.rates(Learned.of(n), priced, roads) for n in learning.networks]
     mine = np.stack(each, axis=2)
-    rivals = {name: tuning.rates(create(name), priced, roads)[:, :, None] for name in RIVALS}
+    others = (REFERENCE, *RIVALS)
+    rivals = {name: tuning.rates(create(name), priced, roads)[:, :, None] for name in others}
     return {
         "scenarios": scenarios.name,
         "roads": len(roads),

@@ -13,6 +13,9 @@ from leaderboard.statistics import LEVEL, Interval, bootstrap, interquartile_mea
 REFERENCE = "fixed_ride"
 """The policy from which differences are taken."""
 
+RIVALS = ("rrms", "sh_add")
+"""Tuned policies of the literature, whose returns others have to beat."""
+
 FRONT = ("comfort", "tyre_load")
 """Axes of the Pareto front beside the estimation error: comfort and handling."""
 
@@ -24,6 +27,12 @@ def summary(
     by_name = {s.policy: s for s in standings if s.failure is None}
     base = _drawn_once(by_name.get(reference))
     rows = [_row(s, base) for s in standings]
+    for row in rows:
+        row["more_than"] = {
+            name: _plain(difference(mine.drives["reward"], by_name[name].drives["reward"]))
+            for name in dict.fromkeys((reference, *RIVALS))
+            if name in by_name and (mine := by_name.get(row["policy"]))
+        }
     for row, on in zip(rows, pareto(by_name, [s.policy for s in standings]), strict=True):
         row["pareto"] = on
     return {

@@ -251,6 +251,12 @@ def test_the_table_fits_eighty_columns_and_wide_tells_more(monkeypatch):
     told = data["rows"][0]["metrics"]["comfort"]
     expected = difference(rows[0].drives["comfort"], rows[1].drives["comfort"])
     assert list(told["difference"].values()) == pytest.approx(expected, rel=1e-4)
+    more = difference(rows[0].drives["reward"], rows[1].drives["reward"])
+    assert list(data["rows"][0]["more_than"]) == ["greedy_information"]  # no rival is there
+    assert list(data["rows"][0]["more_than"]["greedy_information"].values()) == pytest.approx(
+        more, rel=1e-4
+    )
+    assert "how much more" in policy_page.render(data)
     printed = []
     for columns in (command.NARROW, command.WIDE):
         page = io.StringIO()

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 import estimators
+from estimators.protocol import Estimator
 from leaderboard import league, policy_page, tuning
 from leaderboard.commands import (
     console,
@@ -42,10 +43,6 @@ WIDE = {
     "bound": "bound\n",
 }
 """Columns of the table, by default and with --wide; the page has all."""
-FITTED = {"fir_ridge": {"shipped": False}}
-"""Settings of estimators here: this one is soon fitted to the drives of a policy, and what comes
-with the package knows no manoeuvre and not every pair of states.
-"""
 SWEEP = (15.0, 30.0, 300.0, 2000.0)
 """Weights of information of the sensing policies in the Pareto plot, beside `greedy_information` at
 its own and none, which is ride: each makes another choice at some speed of the league.
@@ -90,7 +87,7 @@ def policies(
     entries: dict[str, Any] = {n: None if n == league.ORACLE else create(n) for n in names}
     if sweep:
         entries |= {f"{policy_page.SWEPT}{w:g}": GreedyInformation(weight=w) for w in SWEEP}
-    readers = {n: estimators.create(n, **FITTED.get(n, {})) for n in estimator or ["fir_ridge"]}
+    readers = {name: _reader(name) for name in estimator or ["fir_ridge"]}
     if out is not None and out.exists() and not out.is_dir():
         raise ConfigError(f"{out} is a file; a folder is wanted")
     with progress_bar() as progress:
@@ -163,6 +160,15 @@ def train_policy(
             )
     for line in lines(Path(name).stem, told):
         console.print(line)
+
+
+def _reader(name: str) -> Estimator:
+    """An estimator. One that can be fitted to a case in seconds leaves its weights at home: they
+    know no manoeuvre and not every pair of states, and here it is fitted to each policy's drives.
+    """
+    one = estimators.create(name)
+    fits = getattr(type(one), "fits_a_case", False)
+    return estimators.create(name, shipped=False) if fits else one
 
 
 def _print(data: dict[str, Any], shown: dict[str, str]) -> None:
