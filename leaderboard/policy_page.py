@@ -24,12 +24,18 @@ def write(data: dict[str, Any], timelines: Mapping[str, Timeline], out: Path) ->
     """Write policies.html and pareto.png under `out`; the path of the page."""
     draw_pareto(data, out / "pareto.png")
     page = out / "policies.html"
-    write_text(page, render(data, timelines))
+    write_text(page, render(data, timelines, board=(out / "index.html").exists()))
     return page
 
 
-def render(data: dict[str, Any], timelines: Mapping[str, Timeline] = MappingProxyType({})) -> str:
-    """The page from a summary of standings and a drive of every policy over time."""
+def render(
+    data: dict[str, Any],
+    timelines: Mapping[str, Timeline] = MappingProxyType({}),
+    board: bool = False,
+) -> str:
+    """The page from a summary of standings and a drive of every policy over time; with a link to
+    the `board` where that stands beside it.
+    """
     env = Environment(
         loader=PackageLoader("leaderboard"), autoescape=True, undefined=StrictUndefined
     )
@@ -38,7 +44,13 @@ def render(data: dict[str, Any], timelines: Mapping[str, Timeline] = MappingProx
     readers = list(first["errors"]) if first else []
     pictures = {name: timeline.svg() for name, timeline in timelines.items()}
     return template.render(
-        data=data, metrics=METRICS, readers=readers, text=text, timelines=pictures, states=STATES
+        data=data,
+        metrics=METRICS,
+        readers=readers,
+        text=text,
+        timelines=pictures,
+        states=STATES,
+        board=board,
     )
 
 

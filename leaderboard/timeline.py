@@ -64,7 +64,8 @@ class Timeline(NamedTuple):
             top += height + GAP
         panels.append(_seconds(self.t, top - GAP))
         body = "".join(panels)
-        return Markup(f'<svg viewBox="0 0 {WIDTH:g} {top + 12:g}" role="img">{body}</svg>')
+        size = f"0 0 {WIDTH:g} {top + 12:g}"
+        return Markup(f'<svg viewBox="{size}" role="img" aria-label="over time">{body}</svg>')
 
 
 def _x(t: np.ndarray) -> np.ndarray:
