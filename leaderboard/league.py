@@ -9,7 +9,7 @@ training roads.
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -93,7 +93,7 @@ def compare(
         for c, (test, known) in enumerate(zip(tests, training, strict=True)):
             progress(f"{name}: {test.case.label}", (i + c / len(tests)) / len(policies))
             try:
-                with time_limit(PATIENCE):
+                with time_limit(PATIENCE) if policy is not None else nullcontext():
                     driven = _drive(policy, test)
                     seen = _drive(policy, known) if known.seeds else None
                 column, said = _judge(test, driven, known, seen, estimators)
