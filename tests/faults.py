@@ -143,7 +143,7 @@ FAULTS = [
           "league::test_the_motion_that_is_judged_is_the_one_that_was_driven"),
     Fault("leaderboard/oracle.py", "returns = returns[keep]", "returns = returns",
           "league::test_the_oracle_is_no_worse_than_any_pair_it_knows_and_its_plan_holds_what_it_says"),
-    Fault("leaderboard/standings.py", "bootstrap(b, seed)", "bootstrap(b, seed + 1)",
+    Fault("leaderboard/standings.py", "[c]], seed=0)", "[c]], seed=int(1e6 * abs(x.mean())) % 997)",
           "league::test_a_paired_difference_does_not_feel_what_makes_a_road_hard"),
     Fault(STATISTICS, "seeds[part, None, :]]", "seeds[part, None, :1]]",
           "scores::test_replicates_are_those_of_roads_then_seeds_drawn_by_hand"),
