@@ -489,8 +489,6 @@ FAULTS = [
           DRIVEN),
     Fault("estimators/kalman/backward.py", "VNV[s, s] += 1.0", "pass",
           DRIVEN),
-    Fault("estimators/kalman/backward.py", "            make_even(N)\n", "",
-          "kalman::test_its_intervals_hold_what_they_should"),
     Fault("estimators/kalman/drive.py", "heard = smear + h", "heard = h",
           "kalman::test_what_comes_later_changes_nothing_that_was_told_even_where_it_clips"),
     Fault("estimators/spectral_class.py", "levels[k] /= 2.0", "pass",
