@@ -1,5 +1,6 @@
 """From what is wanted to jobs, and from stored parts to the rows of a board."""
 
+import dataclasses
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -131,7 +132,8 @@ def _is_still(path: Path, known: str) -> bool:
 
 
 def jobs_of(missing: Iterable[tuple[Row, int]], workers: int, limits: Limits) -> list[Job]:
-    """Jobs for what has to be run: a condition each, the longest first.
+    """Jobs for what has to be run: a condition each, the longest first, every second one with its
+    entries from the last to the first.
 
     Entries of one condition share its drives; they are spread over several jobs only where there
     would be fewer jobs than workers.
@@ -153,9 +155,18 @@ def jobs_of(missing: Iterable[tuple[Row, int]], workers: int, limits: Limits) ->
                     limits=limits,
                 )
             )
-    return sorted(found, key=_effort, reverse=True)
+    found.sort(key=_effort, reverse=True)
+    return [_turned(job) if k % 2 else job for k, job in enumerate(found)]
+
+
+def _turned(job: Job) -> Job:
+    """The job with its entries in the other order: side by side with one that has them in this
+    order it seldom compiles the same kernels at the same time.
+    """
+    return dataclasses.replace(job, entries=job.entries[::-1])
 
 
 def _effort(job: Job) -> float:
-    """Metres to be estimated, which is about what a job costs."""
-    return len(job.entries) * sum(road.length for road, _ in job.task.test.pairs)
+    """Seconds of driving to be explained, which is about what a job costs."""
+    metres = sum(road.length for road, _ in job.task.test.pairs)
+    return len(job.entries) * metres / job.task.conditions[job.condition].speed_kmh
