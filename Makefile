@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 
 leaderboard: $(READY)
 	$(VENV)/bin/roadrecon leaderboard --board paper --board new_road --roads 2 --seeds 2 \
-		--out out/leaderboard
+		--without kalman --without kalman_rts --out out/leaderboard
 	$(VENV)/bin/roadrecon policies --quick --out out/leaderboard
 
 policies: $(READY)

@@ -192,6 +192,8 @@ def test_an_exported_road_can_be_read_back_from_any_kind_of_file(roadrecon, tmp_
         (("train-policy", "rrms", "--out", "n.npz"), ["rrms is not learned"]),
         (("leaderboard", "--task", "paper_9"), ["paper_9", "paper_1"]),
         (("leaderboard", "--estimator", "flot"), ["flot", "did you mean 'flat'"]),
+        (("leaderboard", "--without", "kalmann"), ["kalmann", "did you mean 'kalman'"]),
+        (("leaderboard", "--estimator", "flat", "--without", "tcn"), ["not both"]),
     ],
 )  # fmt: skip
 def test_bad_input_is_one_sentence_and_leaves_nothing_behind(roadrecon, tmp_path, words, said):

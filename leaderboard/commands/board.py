@@ -47,6 +47,9 @@ def leaderboard(
         list[str] | None,
         typer.Option(help="Estimator, or a file from `train`; may be given again. Default: all."),
     ] = None,
+    without: Annotated[
+        list[str] | None, typer.Option(help="Estimator that is left out; may be given again.")
+    ] = None,
     roads: Annotated[
         int | None, typer.Option(help="Test drives per condition where roads are drawn.", min=2)
     ] = None,
@@ -88,7 +91,7 @@ def leaderboard(
     limits = limits_of(time_limit, memory_limit)
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out} is a file; a folder for results and page is wanted")
-    entries = _entries(estimator, limits)
+    entries = _entries(estimator, without or [], limits)
     wanted = Wanted(chosen, entries, range(1, seeds + 1), roads, not again, limits, probes)
     if plan:
         notices.print(f"jobs planned in {plan}: {write_jobs(wanted, out, plan)}")
@@ -127,9 +130,13 @@ def _tasks(
     return [task for task in shipped_tasks() if not boards or task.board in boards]
 
 
-def _entries(names: Sequence[str] | None, limits: Limits) -> list[Entry]:
+def _entries(names: Sequence[str] | None, without: Sequence[str], limits: Limits) -> list[Entry]:
+    if names and without:
+        raise ConfigError("give either --estimator or --without, not both")
+    for name in without:
+        one_of("estimator", name, estimators.names())
     untaught = estimators.untaught()
-    left_out = {*SENTINELS, *untaught}
+    left_out = {*SENTINELS, *untaught, *without}
     chosen = names or [name for name in estimators.names() if name not in left_out]
     if untaught and not names:
         notices.print(f"left out, since their weights do not ship: {', '.join(untaught)}")
