@@ -26,6 +26,7 @@ def findings(views: Sequence[View]) -> list[str]:
         _memory_sentence(views),
         _new_road_sentence(views),
         _best_sentence(views),
+        _causal_sentence(views),
     ]
     return [sentence for sentence in said if sentence]
 
@@ -73,11 +74,14 @@ def _paper_sentence(views: Sequence[View]) -> str:
         for names in (TRAININGS[:1], TRAININGS)
     )
     counted = f" ({near} of {every} trainings below 15\u00a0%)" if every else ""
+    cars = sorted(_other_cars(views, "paper"))
+    asked = f" and asked on another car ({', '.join(cars)})" if cars else ""
     return (
-        f"Trained as the paper trains it, on an altered copy of the paving, the {NETWORK} network "
-        f"has a level error of {_percent(_mean(found, PRINTED))} by eq. 12 as printed{counted}, "
-        f"which counts the datum, and {_percent(_mean(found, 'level_error'))} of heights about "
-        f"their mean, at an in-band error of {_mean(found, 'nrmse'):.2f}, where a flat road has 1, "
+        f"Trained as the paper trains it, on an altered copy of the paving{asked}, the {NETWORK} "
+        f"network has a level error of {_percent(_mean(found, PRINTED))} by eq. 12 as printed"
+        f"{counted}, which counts the datum, and {_percent(_mean(found, 'level_error'))} of "
+        f"heights about their mean, at an in-band error of {_mean(found, 'nrmse'):.2f}, where a "
+        "flat road has 1, "
         f"and correlation {_mean(found, 'r'):.2f}."
     )
 
@@ -118,6 +122,29 @@ def _best_sentence(views: Sequence[View]) -> str:
         f"correlation {_mean(found, 'r'):.2f}, {_percent(_mean(found, 'class_exact'), 0)} of "
         "octaves in the true ISO class."
     )
+
+
+def _causal_sentence(views: Sequence[View]) -> str:
+    found = [line for line in _lines(views, "new_road") if line.state == "scored" and line.causal]
+    if not found:
+        return ""
+    errors = {
+        line.name: _mean([one for one in found if one.name == line.name], "nrmse") for line in found
+    }
+    best = min(errors, key=lambda name: (errors[name], name))
+    return f"The best that tells heights while driving is {best}: in-band error {errors[best]:.2f}."
+
+
+def _other_cars(views: Sequence[View], board: str) -> set[str]:
+    """Grades of the cars that a board's claimed tasks are driven by, if not that of training."""
+    labels = (
+        label
+        for view in views
+        for section in view.sections
+        if view.board == board and any(line.state == "claim" for line in section.lines)
+        for label in section.conditions
+    )
+    return {car for label in labels if (car := label.partition(", car ")[2])}
 
 
 def _lines(

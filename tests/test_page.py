@@ -304,7 +304,11 @@ def test_stale_results_are_shown_as_such():
 
 
 def test_the_findings_are_made_from_the_numbers():
-    unrelated, trained, memory, new, best = findings(views(board()))
+    shown = views(board())
+    unrelated, trained, memory, new, best, *causal = findings(shown)
+    told = [x for v in shown if v.board == "new_road" for s in v.sections for x in s.lines]
+    assert len(causal) == any(x.causal for x in told if x.state == "scored")
+    assert all("while driving" in sentence for sentence in causal)
     levels, r = unrelated_levels()
     assert f"{100.0 * np.median(levels):.0f}\u00a0% in the median" in unrelated
     assert np.median(levels) == pytest.approx(0.09, abs=0.02) and abs(r.mean()) < 0.02
