@@ -4,15 +4,22 @@ Absolute times of a shared machine prove little, so every comparison is a ratio 
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
+import numpy as np
 from rich.table import Table
 
+import estimators
 from leaderboard import lm_peers, measure
 from leaderboard.commands import console, notices, print_json, progress_bar
 from leaderboard.commands.drives import Json
 from leaderboard.measure import fresh, median_time, row
 from leaderboard.peers import PeerError
+from road_envs.dataset import record_drive
+from road_envs.roads import load_road, with_length
+from road_envs.sensors import load_instruments
+from road_envs.vehicle import load_vehicle
 
 
 def bench(json: Json = False) -> None:
@@ -22,6 +29,7 @@ def bench(json: Json = False) -> None:
         "lanes": measure.lanes,
         "environment": measure.environment,
         "training": _training,
+        "estimators": _estimators,
         "start-up": measure.start_up,
         "memory": _memory,
     }
@@ -66,6 +74,24 @@ def _training() -> list[dict[str, Any]]:
                 ratio=ratio,
             )
         )
+    return rows
+
+
+ESTIMATED = (("map_smoother", 100.0, 5.0), ("kalman_lag", 100.0, 5.0), ("tcn", 1000.0, 1.0))
+"""Estimators that are timed, metres of road at 14.5 km/h, and the seconds aimed at."""
+
+
+def _estimators() -> list[dict[str, Any]]:
+    car, paper = load_vehicle("land_rover_defender_110"), load_instruments("paper")
+    rows = []
+    for name, metres, aim in ESTIMATED:
+        road = with_length(load_road("iso_d"), metres).realise(np.random.default_rng(1))
+        record, _ = record_drive(car, road, speed_kmh=14.5, mode="ride", instruments=paper, seed=1)
+        asked = estimators.create(name)
+        seconds = median_time(partial(asked.estimate, record, car), 3)
+        what = f"{name}, {metres:.0f} m at 14.5 km/h"
+        text = f"{seconds:.2f} s"
+        rows.append(row(what, text, f"< {aim:g} s", seconds < aim, seconds=seconds))
     return rows
 
 
