@@ -192,6 +192,7 @@ def test_an_exported_road_can_be_read_back_from_any_kind_of_file(roadrecon, tmp_
         (("train-policy", "rrms", "--out", "n.npz"), ["rrms is not learned"]),
         (("leaderboard", "--task", "paper_9"), ["paper_9", "paper_1"]),
         (("leaderboard", "--estimator", "flot"), ["flot", "did you mean 'flat'"]),
+        (("leaderboard", "--board", "new-roads"), ["new_roads", "did you mean 'new_road'"]),
         (("leaderboard", "--without", "kalmann"), ["kalmann", "did you mean 'kalman'"]),
         (("leaderboard", "--estimator", "flat", "--without", "tcn"), ["not both"]),
     ],

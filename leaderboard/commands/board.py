@@ -121,9 +121,10 @@ def _tasks(
         raise ConfigError("give one of --task, --board and --road")
     if roads:
         return [task for road in roads for task in surface_tasks(road)]
-    for name in boards or []:
+    boards = [name.replace("-", "_") for name in boards or []]
+    for name in boards:
         one_of("board", name, list(BOARDS))
-    if boards and "measured" in boards:
+    if "measured" in boards:
         raise ConfigError("the board of measured surfaces needs files: use --road")
     if names:
         return [load_task(name) for name in names]
