@@ -7,7 +7,8 @@ READY := $(VENV)/.ready
 
 leaderboard: $(READY)
 	$(VENV)/bin/roadrecon leaderboard --board paper --board new_road --roads 2 --seeds 2 \
-		--without kalman --without kalman_rts --out out/leaderboard
+		--without kalman --without kalman_rts --without gru --without gru_causal \
+		--out out/leaderboard
 	$(VENV)/bin/roadrecon policies --quick --out out/leaderboard
 
 policies: $(READY)
