@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 from estimators import create
 from estimators.protocol import Estimator
@@ -17,7 +18,7 @@ from leaderboard.jobs import to_text
 from leaderboard.plan import Plan, Row, jobs_of
 from leaderboard.results import Result
 from leaderboard.sentinels import SENTINELS, TRUTH_PLUS_NOISE
-from leaderboard.store import load_rows
+from leaderboard.store import RowChangedError, load_rows
 from leaderboard.tasks import Task
 from road_envs.config import ConfigError
 from road_envs.files import sweep, sweep_scratch, write_text
@@ -59,7 +60,9 @@ Progress = Callable[[int, int, str], None]
 """Hears of each result as it is stored: how many there are, how many in all, and what was run."""
 
 ATTEMPTS = 3
-"""How often a result is made that is found changed by somebody else."""
+"""How often a result that another process has changed is made, or read, again."""
+
+Shown = TypeVar("Shown")
 
 
 @dataclass(frozen=True)
@@ -122,6 +125,19 @@ def load_board(tasks: Sequence[Task], out: Path, rows: Sequence[Row] = ()) -> Bo
     found = [cards.find(out, r.estimator, r.settings, r.code) for r in made.values()]
     told = {card.identity: card for card in found if card is not None}
     return Board(tuple(tasks), results, entries, told)
+
+
+def show_board(board: Board, wanted: Wanted, out: Path, show: Callable[[Board], Shown]) -> Shown:
+    """Return `show(board)`; where another run replaces its rows meanwhile, of the board as it is then.
+
+    Raises RowChangedError if its rows are still being replaced at the last of ATTEMPTS.
+    """
+    for _ in range(ATTEMPTS - 1):
+        try:
+            return show(board)
+        except RowChangedError:
+            board = load_board(board.tasks, out, wanted.rows())
+    return show(board)
 
 
 def run_board(

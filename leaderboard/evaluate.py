@@ -203,7 +203,7 @@ def _scored(session: Session, drive: int, estimate: Estimate, seed: int) -> Driv
         road=test.road,
         road_seed=test.seed,
         seed=seed,
-        scores={name: value if math.isfinite(value) else None for name, value in found.items()},
+        scores={name: value for name, value in found.items() if math.isfinite(value)},
     )
 
 
@@ -227,9 +227,5 @@ def _trace(session: Session, estimate: Estimate, judged: DriveScores) -> Trace:
 
 def _middle(traces: list[Trace]) -> Trace:
     """The trace of the training in the middle by in-band error: never the best one."""
-    ordered = sorted(traces, key=lambda t: _or_infinite(t.scores["nrmse"]))
+    ordered = sorted(traces, key=lambda t: t.scores.get("nrmse", math.inf))
     return ordered[(len(ordered) - 1) // 2]
-
-
-def _or_infinite(value: float | None) -> float:
-    return math.inf if value is None else value

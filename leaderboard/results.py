@@ -20,7 +20,7 @@ from leaderboard.sources import judge_code
 from leaderboard.tasks import Task
 from road_envs.config import STRICT
 
-FORMAT = 2
+FORMAT = 3
 Role = Literal["entry", "sentinel"]
 Z_UNIT = 1e-5
 """Heights of a trace are stored as whole numbers of 0.01 mm."""
@@ -29,7 +29,7 @@ Z_UNIT = 1e-5
 @dataclass(frozen=True, kw_only=True)
 class DriveScores:
     """Scores of one estimate: test drive `drive` of the condition, on the road of `road_seed`, by
-    an estimator trained with `seed`. A score that is not defined is None.
+    an estimator trained with `seed`. A score that is not defined is left out, in memory as on disk.
     """
 
     __pydantic_config__ = STRICT
@@ -39,7 +39,7 @@ class DriveScores:
     road: str
     road_seed: int
     seed: int
-    scores: dict[str, float | None]
+    scores: dict[str, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +56,7 @@ class Trace:
     road: str
     road_seed: int
     seed: int
-    scores: dict[str, float | None]
+    scores: dict[str, float]
     ds: float  # [m]
     truth: tuple[tuple[int, ...], tuple[int, ...]]
     estimate: tuple[tuple[int, ...], tuple[int, ...]]
@@ -124,8 +124,7 @@ class Result:
         values = np.full((len(roads), len(conditions), len(seeds)), np.nan)
         for d in self.drives:
             at = roads.index(d.drive), conditions.index(d.condition), seeds.index(d.seed)
-            value = d.scores.get(score)
-            values[at] = np.nan if value is None else value
+            values[at] = d.scores.get(score, np.nan)
         return values
 
     def stale(self, task: Task) -> str | None:

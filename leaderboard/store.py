@@ -30,8 +30,14 @@ from road_envs.files import write_text
 OPENING = '{\n "sha256": "'
 CLOSING = '",\n'
 
+CHANGED = "another run has replaced it by a different result; read the board again"
+
 HELD = 8
 """How many results are held in memory whole; of the others only what stands above their drives."""
+
+
+class RowChangedError(ConfigError):
+    """A row that another run has replaced by a different one since it was listed."""
 
 
 class NewerFormatError(ConfigError):
@@ -50,7 +56,7 @@ class _Drives:
     road_seed: tuple[int, ...]
     seed: tuple[int, ...]
     scores: dict[str, tuple[float | None, ...]]
-    """A score that was not taken of some drive is None there, as is one that is not defined."""
+    """A score that is not defined for a drive is None in its column."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +150,7 @@ def load_rows(out: Path, task: Task) -> list[Result]:
 def checksum(result: Result) -> str:
     """Of the file that a result from `load_rows` stands in; of any other, of what it would be."""
     drives = result.drives
-    return drives.told if isinstance(drives, _Stored) else checksum_of(to_text(result))
+    return drives.checksum if isinstance(drives, _Stored) else checksum_of(to_text(result))
 
 
 def checksum_of(text: str) -> str:
@@ -154,7 +160,7 @@ def checksum_of(text: str) -> str:
 
 def _row(path: Path, task: Task) -> Result:
     try:
-        result, told = load_known(path)
+        result, checksum = load_known(path)
     except ConfigError as error:
         return Result(
             task=task.name,
@@ -170,17 +176,23 @@ def _row(path: Path, task: Task) -> Result:
         )
     return dataclasses.replace(
         result,
-        drives=_Stored(path, told, "drives", len(result.drives)),
-        traces=_Stored(path, told, "traces", len(result.traces)),
+        drives=_Stored(path, result, checksum, "drives"),
+        traces=_Stored(path, result, checksum, "traces"),
     )
 
 
 class _Stored(Sequence[Any]):
-    """Drives or traces that stay on the disk until they are asked for."""
+    """Drives or traces that stay on the disk until they are asked for.
 
-    def __init__(self, path: Path, told: str, name: str, size: int):
-        self.told = told  # checksum of the file
-        self._path, self._name, self._size = path, name, size
+    Another run may write the same row meanwhile. A file with the same identity holds the same
+    drives, whatever its times of computing, so it serves; any other raises RowChangedError.
+    """
+
+    def __init__(self, path: Path, result: Result, checksum: str, name: str):
+        self.checksum = checksum  # of the file as it was found
+        self._path, self._name = path, name
+        self._size = len(getattr(result, name))
+        self._identity = result.identity
 
     def __len__(self) -> int:
         return self._size
@@ -199,14 +211,17 @@ class _Stored(Sequence[Any]):
         return isinstance(other, Sequence) and tuple(self) == tuple(other)
 
     def _all(self) -> tuple[Any, ...]:
-        return getattr(_body(self._path, self.told), self._name)
+        values = getattr(_body(self._path, self.checksum, self._identity), self._name)
+        if len(values) != self._size:
+            raise RowChangedError(f"{self._path}: {CHANGED}")
+        return values
 
 
 @lru_cache(maxsize=HELD)
-def _body(path: Path, told: str) -> Body:
+def _body(path: Path, checksum: str, identity: str) -> Body:
     result, found = read_known(path)
-    if found != told:
-        raise ConfigError(f"{path}: another run has written it meanwhile; show the board again")
+    if found != checksum and (not identity or result.identity != identity):
+        raise RowChangedError(f"{path}: {CHANGED}")
     return Body(tuple(result.drives), tuple(result.traces))
 
 
@@ -278,7 +293,11 @@ def _rows(table: _Drives, path: Path) -> tuple[DriveScores, ...]:
             road=table.road[k],
             road_seed=table.road_seed[k],
             seed=table.seed[k],
-            scores={name: column[k] for name, column in table.scores.items()},
+            scores={
+                name: value
+                for name, column in table.scores.items()
+                if (value := column[k]) is not None
+            },
         )
         for k in range(size)
     )

@@ -198,20 +198,18 @@ def _over_grades(ranked: np.ndarray, parts: Mapping[str, Part]) -> dict[str, flo
 
 
 def arrays(result: Result) -> dict[str, np.ndarray]:
-    """Every score of a result as (R, C, S): roads, conditions, seeds; NaN where it is not told."""
+    """Every score of a result as (R, C, S): roads, conditions, seeds; NaN where it is not defined."""
     places = [(d.drive, d.condition, d.seed) for d in result.drives]
     axes = [
         {name: k for k, name in enumerate(dict.fromkeys(axis))}
         for axis in zip(*places, strict=True)
     ]
     shape = tuple(map(len, axes))
-    found: dict[str, np.ndarray] = {}
+    found = {name: np.full(shape, np.nan) for name in SCORES}
     for place, drive in zip(places, result.drives, strict=True):
         at = tuple(axis[name] for axis, name in zip(axes, place, strict=True))
         for name, value in drive.scores.items():
-            if name not in found:
-                found[name] = np.full(shape, np.nan)
-            found[name][at] = np.nan if value is None else value
+            found[name][at] = value
     return found
 
 

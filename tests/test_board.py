@@ -190,10 +190,10 @@ def test_a_part_that_is_damaged_is_run_again_and_no_other(tmp_path, whole, damag
 def test_a_row_of_a_newer_version_is_never_written_over(tmp_path):
     run(tmp_path)
     path = path_of(tmp_path, "small", "reader")
-    newer = path.read_text().replace('"format": 2', '"format": 3')
+    newer = path.read_text().replace('"format": 3', '"format": 4')
     path.write_text(newer)
     executor = Counting()
-    with pytest.raises(ConfigError, match=r"reader\.json: written in format 3 by a newer version"):
+    with pytest.raises(ConfigError, match=r"reader\.json: written in format 4 by a newer version"):
         run_board(wanted(), tmp_path, executor)
     assert executor.ran == [] and path.read_text() == newer
     found = load_board([small()], tmp_path)

@@ -211,3 +211,30 @@ def test_a_real_drive_is_judged_like_any_other(tmp_path):
     np.testing.assert_allclose(results["flat"].values("nrmse"), 1.0)
     np.testing.assert_allclose(results["truth_plus_noise"].values("nrmse"), NOISE)
     assert np.isfinite(results["learner"].values("nrmse")).all()
+
+
+def test_roads_with_and_without_obstacles_stand_side_by_side_in_a_part(tmp_path):
+    roads = [
+        "iso_d",
+        "belgian_like",
+        {"kind": "iso8608", "road_class": "D", "w": 2.5},
+        {
+            "kind": "iso8608",
+            "road_class": "D",
+            "w": 1.8,
+            "variation": {"law": "gamma", "spread": 0.7, "patch": 50.0},
+        },
+        "potholes",
+        "random_bumps",
+    ]
+    families = task(
+        test={"roads": roads, "seeds": [11], "length": 150.0},
+        conditions=[{"mode": "ride", "speed_kmh": 14.5}],
+        bumps=True,
+    )
+    wanted = Wanted([families], [entry_of("reader", Reader())], seeds=(1,))
+    found = run_board(wanted, tmp_path, Here(fake_drives, {"reader": Reader()}))
+    (row,) = [r for r in found.results["small"] if r.estimator == "reader"]
+    scored = [drive.road for drive in row.drives if "bump_f1" in drive.scores]
+    assert len(row.drives) == 6 and 0 < len(scored) < 6
+    assert all(x is not None for drive in row.drives for x in drive.scores.values())

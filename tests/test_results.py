@@ -14,13 +14,14 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from leaderboard import results
-from leaderboard.board import Board
+from leaderboard.board import ATTEMPTS, Board, Wanted, load_board, show_board
 from leaderboard.evaluate import run_task
 from leaderboard.results import content
 from leaderboard.shown import shown
 from leaderboard.statistics import bootstrap, interquartile_mean, interval, standings
 from leaderboard.store import (
     OPENING,
+    RowChangedError,
     checksum_of,
     load,
     load_all,
@@ -110,13 +111,13 @@ WRONG = [
     (lambda text: "[" * 100_000, "damaged, not valid JSON"),
     (lambda text: "[]", "not a result (it has no format)"),
     (lambda text: "{}", "not a result (it has no format)"),
-    (lambda text: '{"format": 2}', "does not begin with its checksum"),
+    (lambda text: '{"format": 3}', "does not begin with its checksum"),
     (lambda text: json.dumps(json.loads(text)), "does not begin with its checksum"),
-    (replaced('"format": 2', '"format": 1'), "written in format 1, this version reads 2"),
-    (replaced('"format": 2', '"format": 9'), "written in format 9 by a newer version"),
+    (replaced('"format": 3', '"format": 1'), "written in format 1, this version reads 3"),
+    (replaced('"format": 3', '"format": 9'), "written in format 9 by a newer version"),
     (replaced('"role": "entry"', '"role": "king"'), "changed since it was written, by hand or"),
     (resealed(replaced('"role": "entry"', '"role": "king"')), "role: "),
-    (resealed(replaced('"format": 2', '"format": 2, "score": 1')), "score: unknown key"),
+    (resealed(replaced('"format": 3', '"format": 3, "score": 1')), "score: unknown key"),
     (resealed(replaced('"seeds": [1, 2, 3]', '"seeds": ["1"]')), "seeds"),
     (resealed(replaced('"drive": [0, 1, 2, 0, 1, 2]', '"drive": [0]')), "different lengths"),
     (resealed(replaced('"estimator": "reader"', '"estimator": "x"')), "holds the result of x on"),
@@ -179,9 +180,38 @@ def test_a_row_that_is_replaced_while_it_is_read_is_not_mixed_with_the_new_one(t
     path = save(named("reader"), tmp_path)
     (row,) = load_rows(tmp_path, task())
     save(dataclasses.replace(named("reader"), seeds=(4, 5)), tmp_path)
-    with pytest.raises(ConfigError, match="another run has written it meanwhile"):
+    with pytest.raises(ConfigError, match="another run has replaced it by a different result"):
         row.values("nrmse")
     assert path.exists()
+
+
+def test_a_row_written_again_with_other_times_serves_as_well(tmp_path):
+    row_ = dataclasses.replace(named("learner"), identity="of all that it depends on")
+    save(row_, tmp_path)
+    (row,) = load_rows(tmp_path, task())
+    save(dataclasses.replace(row_, train_seconds=(9.0, 9.0)), tmp_path)
+    np.testing.assert_array_equal(row.values("nrmse"), named("learner").values("nrmse"))
+
+
+def test_a_board_whose_rows_are_replaced_while_it_is_shown_is_read_again(tmp_path):
+    save(named("reader"), tmp_path)
+    others = [dataclasses.replace(named("reader"), seeds=(k,)) for k in range(9)]
+    wanted = Wanted([task()], [])
+
+    def show_while(replacements):
+        """Show the board while another run stores `replacements`, one at each reading."""
+
+        def show(board):
+            if replacements:
+                save(replacements.pop(), tmp_path)
+            return board.results["small"][0].values("nrmse")
+
+        return show_board(load_board([task()], tmp_path), wanted, tmp_path, show)
+
+    np.testing.assert_array_equal(show_while(others[: ATTEMPTS - 1]), named("reader").values("nrmse"))
+    save(others[4], tmp_path)  # one whose drives nobody has read yet
+    with pytest.raises(RowChangedError):
+        show_while(others[-ATTEMPTS:])
 
 
 def test_a_write_that_is_interrupted_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import estimators
-from leaderboard.board import Wanted, run_board, write_jobs
+from leaderboard.board import Board, Wanted, run_board, show_board, write_jobs
 from leaderboard.boards import BOARDS
 from leaderboard.cluster import OnDask
 from leaderboard.commands import console, notices, print_json, progress_bar
@@ -22,7 +22,7 @@ from leaderboard.isolation.limits import Limits
 from leaderboard.measured import surface_tasks
 from leaderboard.page import write_page
 from leaderboard.sentinels import SENTINELS
-from leaderboard.shown import shown
+from leaderboard.shown import Shown, shown
 from leaderboard.table import as_json, print_tables
 from leaderboard.tasks import Task, load_task, shipped_tasks
 from road_envs.config import ConfigError, one_of
@@ -105,13 +105,18 @@ def leaderboard(
             progress=lambda done, total, text: progress(text, done / max(total, 1)),
         )
         progress("writing the page", 1.0)
-        found = shown(judged, out)
-        page = write_page(judged, found, out)
+        found, page = show_board(judged, wanted, out, lambda board: _write(board, out))
     if json:
         print_json(as_json(found))
     else:
         print_tables(found, console)
         notices.print(f"page: {page}")
+
+
+def _write(board: Board, out: Path) -> tuple[Shown, Path]:
+    """Write the page of a board; returns what it shows and where it stands."""
+    found = shown(board, out)
+    return found, write_page(board, found, out)
 
 
 def _tasks(

@@ -1,0 +1,138 @@
+"""Numbers that a change of names or of layout must leave as they are, to the bit.
+
+    python tests/golden.py --write FILE      compute them and keep them
+    python tests/golden.py FILE              compute them again and compare
+
+Bits differ between processors and library versions, so this compares two states of the code on one
+machine; `tests/data/golden.json` holds what was computed when the list was made.
+"""
+
+import hashlib
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+from fakes import task
+
+import estimators
+import road_envs  # noqa: F401  registers the environment
+from leaderboard.drives import simulated
+from leaderboard.evaluate import run_task
+from road_envs.adaptive import simulate_adaptive
+from road_envs.comfort import weighted_rms
+from road_envs.dataset import record_drive
+from road_envs.dynamics import plant
+from road_envs.field import field_car
+from road_envs.lanes import Fleet, of
+from road_envs.observability import bound
+from road_envs.roads import load_road
+from road_envs.roughness import iri
+from road_envs.sensors import load_instruments
+from road_envs.simulate import Drive, simulate
+from road_envs.suspension import command
+from road_envs.vehicle import load_vehicle
+
+MIXED = {"front": "ride", "rear": "handling"}
+ROADS = ("iso_d", "belgian", "potholes", "random_bumps", "twist", "iso_c_varying", "sine_sweep")
+ESTIMATORS = (
+    "flat", "inverse_quarter_car", "fir_ridge", "map_smoother", "kalman",
+    "kalman_lag", "kalman_rts", "tcn", "tcn_causal", "gru", "gru_causal", "wiener",
+    "iterated_wiener",
+)  # fmt: skip
+
+
+def numbers() -> Iterator[tuple[str, np.ndarray]]:
+    """Name and values of everything that is held."""
+    car = load_vehicle("land_rover_defender_110")
+    for name in ROADS:
+        surface = load_road(name).realise(np.random.default_rng(7))
+        yield f"surface {name}", surface.z
+        drive = simulate(car, surface, 8.0, MIXED)
+        yield f"drive {name}", drive.signals
+        yield f"comfort {name}", np.array([weighted_rms(drive.signals[:, 0], 1000.0)])
+        yield f"iri {name}", np.asarray(iri(surface.z, surface.ds))
+    surface = load_road("iso_d").realise(np.random.default_rng(7))
+    yield "adaptive", simulate_adaptive(car, surface, 15.0, "handling").trajectory.signals
+    for grade in ("S0", "S1", "S2", "S3"):
+        one = field_car(car, grade, 3)
+        drive = Drive(one.plant, one.car, one.felt(surface), 15.0, "ride", min(1e-3, one.step))
+        n = drive.steps_left
+        yield f"field {grade}", drive.advance(np.full(n, command("ride"), np.uint8)).signals
+        record, truth = record_drive(
+            car, surface, speed_kmh=14.5, mode="ride", instruments=load_instruments("paper"),
+            seed=5, grade=grade,
+        )  # fmt: skip
+        yield f"record {grade}", np.concatenate([record.a.ravel(), record.s, record.v])
+        yield f"truth {grade}", truth.z
+    drives = [Drive(plant(car), car, surface, 5.0 + k, MIXED) for k in range(5)]
+    fleet = Fleet(drives)
+    signals = fleet.advance(np.full((5, 2000), command(MIXED), np.uint8))
+    yield "fleet", np.stack([of(signals, k) for k in range(5)])
+    yield from _environments()
+    record, _ = record_drive(
+        car, surface, speed_kmh=36.0, mode="handling", instruments=load_instruments("paper"), seed=2
+    )
+    for name in ESTIMATORS:
+        found = estimators.create(name).estimate(record, car)
+        yield f"estimate {name}", found.z
+        if found.z_std is not None:
+            yield f"deviation {name}", found.z_std
+    yield "bound", np.array([bound(car, 15.0, MIXED).nrmse(0.2, 1.6)])
+    yield from _rows()
+
+
+def _environments() -> Iterator[tuple[str, np.ndarray]]:
+    for control in ("vehicle", "axle", "states"):
+        env = gymnasium.make("RoadRecon-v0", road="iso_d", control=control, speed_kmh=36.0)
+        observation, _ = env.reset(seed=3)
+        seen, rewards = [observation], []
+        for k in range(40):
+            observation, reward, terminated, truncated, _ = env.step(k % int(env.action_space.n))
+            seen.append(observation)
+            rewards.append(float(reward))
+            if terminated or truncated:
+                break
+        yield f"observations {control}", np.array([np.asarray(x, dtype=float) for x in seen])
+        yield f"rewards {control}", np.array(rewards)
+
+
+def _rows() -> Iterator[tuple[str, np.ndarray]]:
+    short = task(
+        test={"roads": ["iso_d", "random_bumps"], "seeds": [11], "length": 60.0}, bumps=True
+    )
+    entries = {name: estimators.create(name) for name in ("flat", "static_lm", "fir_ridge", "narx")}
+    for row in run_task(short, {**entries, "truth_plus_noise": None}, (1,), drive=simulated):
+        scores = [sorted(drive.scores.items()) for drive in row.drives]
+        yield f"row {row.estimator}", np.array([v for drive in scores for _, v in drive])
+
+
+def digests() -> dict[str, str]:
+    """Digest of the shape and bits of each array."""
+    found = {}
+    for name, values in numbers():
+        array = np.ascontiguousarray(values, dtype=float)
+        found[name] = hashlib.sha256(f"{array.shape}".encode() + array.tobytes()).hexdigest()[:24]
+    return found
+
+
+def main(arguments: list[str]) -> int:
+    """Write the digests, or compare with those written; returns the exit status."""
+    path = Path(arguments[-1])
+    found = digests()
+    if "--write" in arguments:
+        path.write_text(json.dumps(found, indent=1) + "\n")
+        print(f"{len(found)} arrays written to {path}")
+        return 0
+    known = json.loads(path.read_text())
+    wrong = [name for name in known | found if known.get(name) != found.get(name)]
+    print(f"{len(known) - len(wrong)} of {len(known)} arrays are the same to the bit")
+    for name in wrong:
+        print(f"  differs: {name}")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
