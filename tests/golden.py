@@ -27,7 +27,7 @@ from road_envs.dataset import record_drive
 from road_envs.dynamics import plant
 from road_envs.field import field_car
 from road_envs.lanes import Fleet, of
-from road_envs.observability import bound
+from road_envs.observability import RoadPrior, bound
 from road_envs.roads import load_road
 from road_envs.roughness import iri
 from road_envs.sensors import load_instruments
@@ -80,7 +80,8 @@ def numbers() -> Iterator[tuple[str, np.ndarray]]:
         yield f"estimate {name}", found.z
         if found.z_std is not None:
             yield f"deviation {name}", found.z_std
-    yield "bound", np.array([bound(car, 15.0, MIXED).nrmse(0.2, 1.6)])
+    paper = load_instruments("paper")
+    yield "bound", bound(car, MIXED, 15.0, paper, RoadPrior(), distorted=True).error.view(float)
     yield from _rows()
 
 
