@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 READY := $(VENV)/.ready
 
-.PHONY: leaderboard policies test lint bench faults clean
+.PHONY: leaderboard policies test lint bench mutants clean
 
 leaderboard: $(READY)
 	$(VENV)/bin/roadrecon leaderboard --board paper --board new_road --roads 2 --seeds 2 \
@@ -26,8 +26,8 @@ lint: $(READY)
 bench: $(READY)
 	$(VENV)/bin/roadrecon bench
 
-faults: $(READY)
-	$(VENV)/bin/python tests/faults.py
+mutants: $(READY)
+	$(VENV)/bin/python tests/mutants.py
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed")'

@@ -12,21 +12,21 @@ import warnings
 from importlib import metadata
 from typing import Any
 
-from estimators.fir_ridge import FirRidge
-from estimators.flat import Flat
-from estimators.gru import Gru, GruCausal
-from estimators.inverse_quarter_car import InverseQuarterCar
-from estimators.iterated_wiener import IteratedWiener
-from estimators.kalman import Kalman, KalmanLag, KalmanRts
-from estimators.map_smoother import MapSmoother
-from estimators.mean import Mean
-from estimators.narx import Narx
-from estimators.protocol import Estimator, check_class
-from estimators.shipped import shipped as shipped_weights
-from estimators.static_lm import StaticLm
-from estimators.tcn import Tcn, TcnCausal
-from estimators.unrelated_road import UnrelatedRoad
-from estimators.wiener import Wiener
+from estimators.api import Estimator, check_class
+from estimators.baselines.flat import Flat
+from estimators.baselines.mean import Mean
+from estimators.baselines.random_road import UnrelatedRoad
+from estimators.kalman.estimators import Kalman, KalmanLag, KalmanRts
+from estimators.linear.fir_ridge import FirRidge
+from estimators.linear.inverse_quarter_car import InverseQuarterCar
+from estimators.map_smoother.estimator import MapSmoother
+from estimators.networks.gru import Gru, GruCausal
+from estimators.networks.narx import Narx
+from estimators.networks.static_lm import StaticLm
+from estimators.networks.tcn import Tcn, TcnCausal
+from estimators.pretrained_weights import shipped as shipped_weights
+from estimators.wiener.iterated_wiener import IteratedWiener
+from estimators.wiener.wiener import Wiener
 from road_envs.config import ConfigError, build, one_of
 
 GROUP = "roadrecon.estimators"

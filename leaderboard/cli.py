@@ -7,25 +7,29 @@ import sys
 
 import typer
 
-from estimators.protocol import EstimateError, NotFittedError
+from estimators.api import EstimateError, NotFittedError
 from leaderboard.commands import (
     animate,
     bench,
     board,
     check,
-    drives,
+    hidden_seeds,
     jobs,
-    newcomer,
     observability,
     paper,
     policies,
     precision,
-    reconstruct,
     roads,
-    season,
+    scaffold,
+)
+from leaderboard.commands import (
+    estimate as reconstruct,
+)
+from leaderboard.commands import (
+    simulate as drives,
 )
 from road_envs.config import ConfigError
-from road_envs.simulate import SimulationError
+from road_envs.simulation.drive import SimulationError
 
 EXPECTED = (ConfigError, EstimateError, NotFittedError, SimulationError, ValueError, OSError)
 """Errors that are about the input, not about the program."""
@@ -42,7 +46,7 @@ app.command("estimate")(reconstruct.estimate)
 app.command("classify")(reconstruct.classify)
 app.command("leaderboard")(board.leaderboard)
 app.command("paper")(paper.paper)
-app.command("season")(season.season)
+app.command("season")(hidden_seeds.season)
 app.command("run-job")(jobs.run_job)
 app.command("policies")(policies.policies)
 app.command("tune-policy")(policies.tune_policy)
@@ -52,7 +56,7 @@ app.command("animate")(animate.animate)
 app.command("bench")(bench.bench)
 app.command("precision")(precision.precision)
 app.command("observability")(observability.observability)
-app.command("new-estimator")(newcomer.new_estimator)
+app.command("new-estimator")(scaffold.new_estimator)
 app.command("check-estimator")(check.check_estimator)
 
 

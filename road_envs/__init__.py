@@ -12,7 +12,7 @@ ID = "RoadRecon-v0"
 if ID not in gymnasium.registry:
     gymnasium.register(
         id=ID,
-        entry_point="road_envs.env:RoadReconEnv",
-        vector_entry_point="road_envs.vector_env:RoadReconVectorEnv",
+        entry_point="road_envs.envs.road_recon:RoadReconEnv",
+        vector_entry_point="road_envs.envs.vector:RoadReconVectorEnv",
         max_episode_steps=100_000,
     )

@@ -19,21 +19,21 @@ from fakes import task
 
 import estimators
 import road_envs  # noqa: F401  registers the environment
-from leaderboard.drives import simulated
-from leaderboard.evaluate import run_task
-from road_envs.adaptive import simulate_adaptive
-from road_envs.comfort import weighted_rms
-from road_envs.dataset import record_drive
-from road_envs.dynamics import plant
-from road_envs.field import field_car
-from road_envs.lanes import Fleet, of
-from road_envs.observability import RoadPrior, bound
+from leaderboard.evaluation.evaluate import run_task
+from leaderboard.evaluation.test_data import simulated
+from road_envs.analysis.comfort import weighted_rms
+from road_envs.analysis.information_bound import RoadPrior, bound
+from road_envs.analysis.roughness import iri
+from road_envs.data.recording import record_drive
 from road_envs.roads import load_road
-from road_envs.roughness import iri
-from road_envs.sensors import load_instruments
-from road_envs.simulate import Drive, simulate
-from road_envs.suspension import command
-from road_envs.vehicle import load_vehicle
+from road_envs.sensing.data_logger import load_instruments
+from road_envs.simulation.adaptive_drive import simulate_adaptive
+from road_envs.simulation.drive import Drive, simulate
+from road_envs.simulation.fleet import Fleet, of
+from road_envs.vehicle.equations import plant
+from road_envs.vehicle.parameters import load_vehicle
+from road_envs.vehicle.perturbed_vehicle import field_car
+from road_envs.vehicle.suspension import command
 
 MIXED = {"front": "ride", "rear": "handling"}
 ROADS = ("iso_d", "belgian", "potholes", "random_bumps", "twist", "iso_c_varying", "sine_sweep")

@@ -10,20 +10,12 @@ and Filtering Theory", 1970, section 8.3.)
 
 import numpy as np
 
-from estimators.kalman.block import linearise
-from estimators.kalman.road import add_node, learn_level
-from estimators.kalman.state import (
-    CAR,
-    EXCESS,
-    Block,
-    Model,
-    State,
-    Way,
-    at_block,
-)
-from estimators.kalman.struts import blur
-from estimators.kalman.telling import tell
-from road_envs.jit import kernel, separate
+from estimators.kalman.friction_linearization import blur
+from estimators.kalman.linearization import linearise
+from estimators.kalman.profile_output import tell
+from estimators.kalman.road_process import add_node, learn_level
+from estimators.kalman.state import CAR, EXCESS, Block, Model, State, Way, at_block
+from road_envs._numba import kernel, separate
 
 FAR = 16.0
 """Square of the news of a block, per reading, from which they count as only so much."""

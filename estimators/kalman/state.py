@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from road_envs.dynamics import N_DOF
-from road_envs.jit import kernel
+from road_envs._numba import kernel
+from road_envs.vehicle.equations import N_DOF
 
 CAR = 2 * N_DOF
 FORCE, ZERO, FADING, NODES = CAR, CAR + 4, CAR + 7, CAR + 11

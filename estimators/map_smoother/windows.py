@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.map_smoother.problem import Belief, Problem
-from estimators.map_smoother.road import Road, likely, nodes
-from estimators.map_smoother.search import Found
-from estimators.rolling.course import Course
-from estimators.rolling.readings import block_means
-from road_envs.dynamics import N_DOF
-from road_envs.observability import RoadPrior
-from road_envs.suspension import memory_at_rest
+from estimators.common.block_means import block_means
+from estimators.common.model_inputs import Course
+from estimators.map_smoother.gauss_newton import Found
+from estimators.map_smoother.objective import Belief, Problem
+from estimators.map_smoother.road_prior import Road, likely, nodes
+from road_envs.analysis.information_bound import RoadPrior
+from road_envs.vehicle.equations import N_DOF
+from road_envs.vehicle.suspension import memory_at_rest
 
 MARGIN = 4
 """Nodes before the first and behind the last that carries a wheel."""

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from leaderboard import animation
 from leaderboard.commands import console, progress_bar, writable
-from leaderboard.commands.drives import Length
+from leaderboard.commands.simulate import Length
+from leaderboard.report import animation
 
 
 def animate(

@@ -11,26 +11,26 @@ import numpy as np
 from rich.table import Table
 
 import estimators
-from leaderboard import lm_peers, measure
+from leaderboard.benchmarks import levenberg_marquardt, speed
+from leaderboard.benchmarks.integrators import PeerError
+from leaderboard.benchmarks.speed import fresh, median_time, row
 from leaderboard.commands import console, notices, print_json, progress_bar
-from leaderboard.commands.drives import Json
-from leaderboard.measure import fresh, median_time, row
-from leaderboard.peers import PeerError
-from road_envs.dataset import record_drive
+from leaderboard.commands.simulate import Json
+from road_envs.data.recording import record_drive
 from road_envs.roads import load_road, with_length
-from road_envs.sensors import load_instruments
-from road_envs.vehicle import load_vehicle
+from road_envs.sensing.data_logger import load_instruments
+from road_envs.vehicle.parameters import load_vehicle
 
 
 def bench(json: Json = False) -> None:
     """Measure speed and memory against peers, and print what was found."""
     parts: dict[str, Callable[[], list[dict[str, Any]]]] = {
-        "integrators": measure.integrators,
-        "lanes": measure.lanes,
-        "environment": measure.environment,
+        "integrators": speed.integrators,
+        "lanes": speed.lanes,
+        "environment": speed.environment,
         "training": _training,
         "estimators": _estimators,
-        "start-up": measure.start_up,
+        "start-up": speed.start_up,
         "memory": _memory,
     }
     rows = []
@@ -52,19 +52,19 @@ def bench(json: Json = False) -> None:
 
 
 def _training() -> list[dict[str, Any]]:
-    given = lm_peers.samples()
-    seconds = median_time(lambda: lm_peers.ours(given, 100), 3)
-    error = float(lm_peers.ours(given, lm_peers.EPOCHS).train[-1])
-    own = median_time(lambda: lm_peers.ours(given, lm_peers.EPOCHS), 3)
+    given = levenberg_marquardt.samples()
+    seconds = median_time(lambda: levenberg_marquardt.ours(given, 100), 3)
+    error = float(levenberg_marquardt.ours(given, levenberg_marquardt.EPOCHS).train[-1])
+    own = median_time(lambda: levenberg_marquardt.ours(given, levenberg_marquardt.EPOCHS), 3)
     what = f"static_lm, 100 epochs on {given.t.shape[1]} samples"
     rows = [row(what, f"{seconds:.2f} s", "< 3 s", seconds < 3.0, seconds=seconds)]
-    for name, peer in lm_peers.PEERS.items():
+    for name, peer in levenberg_marquardt.PEERS.items():
         try:
             spent = peer(given, error)
         except PeerError as missing:
             rows.append(row(f"static_lm against {name}", str(missing)))
             continue
-        ratio, least = spent / own, "more than " if spent >= lm_peers.PATIENCE else ""
+        ratio, least = spent / own, "more than " if spent >= levenberg_marquardt.PATIENCE else ""
         rows.append(
             row(
                 f"static_lm against {name}, to one training error",
@@ -98,10 +98,10 @@ def _estimators() -> list[dict[str, Any]]:
 DRIVES = """
 import resource, time
 import numpy as np
-from road_envs.dataset import record_drive
+from road_envs.data.recording import record_drive
 from road_envs.roads import load_road
-from road_envs.sensors import load_instruments
-from road_envs.vehicle import load_vehicle
+from road_envs.sensing.data_logger import load_instruments
+from road_envs.vehicle.parameters import load_vehicle
 
 car, paper = load_vehicle("land_rover_defender_110"), load_instruments("paper")
 road, begin = load_road("iso_d"), time.perf_counter()

@@ -8,23 +8,23 @@ from typing import Annotated
 import typer
 
 import estimators
-from leaderboard.board import Board, Wanted, run_board, show_board, write_jobs
-from leaderboard.boards import BOARDS
-from leaderboard.cluster import OnDask
 from leaderboard.commands import console, notices, print_json, progress_bar
-from leaderboard.commands.drives import Json
-from leaderboard.entries import named
-from leaderboard.entry import Entry
-from leaderboard.evaluate import SEEDS
-from leaderboard.executors import Executor, Processes
-from leaderboard.isolation.host import Host
-from leaderboard.isolation.limits import Limits
-from leaderboard.measured import surface_tasks
-from leaderboard.page import write_page
-from leaderboard.sentinels import SENTINELS
-from leaderboard.shown import Shown, shown
-from leaderboard.table import as_json, print_tables
-from leaderboard.tasks import Task, load_task, shipped_tasks
+from leaderboard.commands.simulate import Json
+from leaderboard.evaluation.entries import named
+from leaderboard.evaluation.entry import Entry
+from leaderboard.evaluation.evaluate import SEEDS
+from leaderboard.evaluation.surface_tasks import surface_tasks
+from leaderboard.evaluation.tasks import Task, load_task, shipped_tasks
+from leaderboard.metrics.baselines import SENTINELS
+from leaderboard.report.board_definitions import BOARDS
+from leaderboard.report.cache import Shown, shown
+from leaderboard.report.site import write_page
+from leaderboard.report.terminal import as_json, print_tables
+from leaderboard.running.board import Board, Wanted, run_board, show_board, write_jobs
+from leaderboard.running.dask_executor import OnDask
+from leaderboard.running.executors import Executor, Processes
+from leaderboard.sandbox.client import Host
+from leaderboard.sandbox.limits import Limits
 from road_envs.config import ConfigError, one_of
 
 CORES = os.cpu_count() or 1

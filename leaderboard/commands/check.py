@@ -10,14 +10,14 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from leaderboard.checking import PATIENCE, check
 from leaderboard.commands import console, print_json
 from leaderboard.commands.board import limits_of
-from leaderboard.commands.drives import Json
-from leaderboard.entries import named
-from leaderboard.isolation.host import Host
-from leaderboard.isolation.limits import Limits
-from leaderboard.probes import PROBES, Probe
+from leaderboard.commands.simulate import Json
+from leaderboard.conformance.checks import PATIENCE, check
+from leaderboard.conformance.probes import PROBES, Probe
+from leaderboard.evaluation.entries import named
+from leaderboard.sandbox.client import Host
+from leaderboard.sandbox.limits import Limits
 
 MARKS = {True: "[green]passed[/green]", False: "[red]FAILED[/red]", None: "[dim]noted[/dim]"}
 

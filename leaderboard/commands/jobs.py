@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from leaderboard import jobs
 from leaderboard.commands import console, print_json
-from leaderboard.commands.drives import Json
+from leaderboard.commands.simulate import Json
+from leaderboard.running import jobs
 from road_envs.config import ConfigError
 
 

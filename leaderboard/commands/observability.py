@@ -8,16 +8,16 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from leaderboard import plots
 from leaderboard.commands import console, mode_of, print_json, progress_bar, writable
-from leaderboard.commands.drives import Json, Sensors, Vehicle
+from leaderboard.commands.simulate import Json, Sensors, Vehicle
+from leaderboard.report import plots
+from road_envs.analysis.information_bound import F_C, Posterior, RoadPrior, bound, road_damping
+from road_envs.analysis.roughness import CLASSES
 from road_envs.config import ConfigError, one_of
-from road_envs.instruments import load_instruments
-from road_envs.observability import F_C, Posterior, RoadPrior, bound, road_damping
-from road_envs.record import scored_band
-from road_envs.roughness import CLASSES
-from road_envs.suspension import MODES, command, strut_states
-from road_envs.vehicle import load_vehicle
+from road_envs.data.record import scored_band
+from road_envs.sensing.instruments import load_instruments
+from road_envs.vehicle.parameters import load_vehicle
+from road_envs.vehicle.suspension import MODES, command, strut_states
 
 PAIRS = (
     "ride",

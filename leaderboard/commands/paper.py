@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from leaderboard.commands import console, print_json, progress_bar
-from leaderboard.commands.drives import Json
+from leaderboard.commands.simulate import Json
 from road_envs.config import ConfigError
 
 
@@ -16,7 +16,7 @@ def paper(
     json: Json = False,
 ) -> None:
     """Reproduce the paper: HTML and PDF report with its figures, and every number as JSON."""
-    from leaderboard.paper import claims, report, study
+    from leaderboard.paper import published_figures, report, study
 
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out} is a file; a folder for the report is wanted")
@@ -27,6 +27,6 @@ def paper(
     if json:
         print_json(report.numbers(made, f"roadrecon paper --trainings {trainings}"))
         return
-    for sentence in claims.summary(made):
+    for sentence in published_figures.summary(made):
         console.print(f"- {sentence}")
     console.print(f"written: {', '.join(map(str, written))}")

@@ -8,24 +8,18 @@ from rich.console import Console
 from rich.table import Table
 
 import estimators
-from estimators.protocol import Estimator
-from leaderboard import league, policy_page, tuning
-from leaderboard.commands import (
-    console,
-    json_text,
-    notices,
-    print_json,
-    progress_bar,
-    writable,
-)
-from leaderboard.commands.drives import Json
-from leaderboard.learning import judged, learn, lines
-from leaderboard.scenarios import load_scenarios
-from leaderboard.standings import REFERENCE, summary, text
+from estimators.api import Estimator
+from leaderboard.commands import console, json_text, notices, print_json, progress_bar, writable
+from leaderboard.commands.simulate import Json
+from leaderboard.policies import comparison, grid_search
+from leaderboard.policies import page as policy_page
+from leaderboard.policies.scenarios import load_scenarios
+from leaderboard.policies.summary import REFERENCE, summary, text
+from leaderboard.policies.training_study import judged, learn, lines
+from road_envs._atomic_io import write_text
 from road_envs.config import ConfigError, one_of
-from road_envs.files import write_text
 from road_envs.policies import available, create
-from road_envs.policies.information import GreedyInformation
+from road_envs.policies.greedy_information import GreedyInformation
 
 NARROW = {
     "comfort": "comfort\nm/s²",
@@ -81,17 +75,17 @@ def policies(
         raise ConfigError("--quick stands for the quick scenarios and no sweep: leave the others")
     chosen = load_scenarios(scenarios)
     seeds = chosen.some(roads)
-    known = [*available(), league.ORACLE]
+    known = [*available(), comparison.ORACLE]
     names = [one_of("policy", name, known) for name in policy or known]
     one_of("reference", reference, names if policy else known)
-    entries: dict[str, Any] = {n: None if n == league.ORACLE else create(n) for n in names}
+    entries: dict[str, Any] = {n: None if n == comparison.ORACLE else create(n) for n in names}
     if sweep:
         entries |= {f"{policy_page.SWEPT}{w:g}": GreedyInformation(weight=w) for w in SWEEP}
     readers = {name: _reader(name) for name in estimator or ["fir_ridge"]}
     if out is not None and out.exists() and not out.is_dir():
         raise ConfigError(f"{out} is a file; a folder is wanted")
     with progress_bar() as progress:
-        found = league.compare(chosen, entries, readers, roads=roads, progress=progress)
+        found = comparison.compare(chosen, entries, readers, roads=roads, progress=progress)
         data = summary(chosen, found, seeds, reference)
         if out:
             write_text(out / "policies.json", json_text(data))
@@ -111,13 +105,13 @@ def tune_policy(
     out: Annotated[Path | None, typer.Option(help="YAML file for the settings.")] = None,
 ) -> None:
     """Search a policy's settings on training roads alone."""
-    one_of("policy", name, tuning.GRIDS)
+    one_of("policy", name, grid_search.GRIDS)
     writable(out, ".yaml", ".yml")
     with progress_bar() as progress:
-        best = tuning.tune(name, load_scenarios(scenarios), progress)
+        best = grid_search.tune(name, load_scenarios(scenarios), progress)
     command = f"roadrecon tune-policy {name} --scenarios {scenarios}"
     if out:
-        write_text(out, tuning.as_yaml(best, command))
+        write_text(out, grid_search.as_yaml(best, command))
     for row in best.tried:
         console.print(f"{row.cost:.4f}  {row.settings}")
     console.print(f"best: {best.settings}, cost {best.cost:.4f} per second")
@@ -138,7 +132,7 @@ def train_policy(
     log: Annotated[Path | None, typer.Option(help="Folder for TensorBoard.")] = None,
 ) -> None:
     """Train a network with Stable-Baselines3 on training roads alone; judge it on held-out ones."""
-    recipe = tuning.recipe(name, steps)
+    recipe = grid_search.recipe(name, steps)
     writable(out, ".npz")
     chosen = load_scenarios(scenarios)
     with progress_bar() as progress:
@@ -151,7 +145,7 @@ def train_policy(
             progress=progress,
         )
         told = judged(learning, chosen, recipe.information)
-    tuning.write_bytes(out, learning.best.as_bytes())
+    grid_search.write_bytes(out, learning.best.as_bytes())
     write_text(out.with_suffix(".json"), json_text(told))
     for network, curve in zip(learning.networks, learning.curves, strict=True):
         for done, value in curve:

@@ -12,10 +12,10 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from leaderboard import plots
+from leaderboard.benchmarks.integrators import MODE, SPEED, PeerError, Problem, relative_error
 from leaderboard.commands import console, notices, print_json, progress_bar, writable
-from leaderboard.commands.drives import Json
-from leaderboard.peers import MODE, SPEED, PeerError, Problem, relative_error
+from leaderboard.commands.simulate import Json
+from leaderboard.report import plots
 from road_envs.config import ConfigError
 from road_envs.roads import load_road
 

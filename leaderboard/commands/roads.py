@@ -7,14 +7,14 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from leaderboard import plots
 from leaderboard.commands import console, print_json, writable
-from leaderboard.commands.drives import Json, Length, Seed, realised
+from leaderboard.commands.simulate import Json, Length, Seed, realised
+from leaderboard.report import plots
 from road_envs import config
+from road_envs.analysis.roughness import classify, dsd, fit_line, iri, smooth
 from road_envs.config import ConfigError
 from road_envs.roads import Surface, load_road
-from road_envs.roads.export import WRITERS, write, write_crg
-from road_envs.roughness import classify, dsd, fit_line, iri, smooth
+from road_envs.roads.formats.write import WRITERS, write, write_crg
 
 app = typer.Typer(help="List, plot and export roads.", no_args_is_help=True)
 

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from leaderboard.paper.study import LIMITS, PRINTED, Case, Study, state_of
-from leaderboard.plots import COLOURS, draw_classes
-from road_envs.roads.bumps import LAYOUTS, SIDES, Bumps
-from road_envs.roughness import dsd, smooth
+from leaderboard.report.plots import COLOURS, draw_classes
+from road_envs.analysis.roughness import dsd, smooth
+from road_envs.roads.trapezoids import LAYOUTS, SIDES, Bumps
 
 WINDOW = 20.0
 """Length [m] of the paving that an overlay shows."""

@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.bounds import nrmse_bound
-from leaderboard.environment import environment, version
-from leaderboard.paper.claims import claims, summary
+from leaderboard.evaluation.provenance import environment, version
+from leaderboard.metrics.bound import nrmse_bound
+from leaderboard.metrics.registry import NOTHING
 from leaderboard.paper.figures import Plate, plates
+from leaderboard.paper.published_figures import claims, summary
 from leaderboard.paper.study import PRINTED, Case, Study
-from leaderboard.scores import NOTHING
-from leaderboard.svg import STYLE, inline
-from road_envs.files import write_text
+from leaderboard.report.svg import STYLE, inline
+from road_envs._atomic_io import write_text
 
 TITLE = "The paper reproduced"
 ABOUT = (
@@ -97,7 +97,7 @@ def html(study: Study, drawn: Sequence[Drawn], command: str) -> str:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     templates = Environment(
-        loader=PackageLoader("leaderboard"),
+        loader=PackageLoader("leaderboard.report"),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -17,14 +17,14 @@ from typing import Literal
 import numpy as np
 
 import estimators
-from estimators.protocol import Estimator
-from leaderboard.bumps import TOLERANCE, find_bumps, obstacles
-from leaderboard.drives import Drive, DriveSource, simulated
-from leaderboard.entry import reconstruct
-from leaderboard.scores import scores
-from leaderboard.statistics import interquartile_mean
-from leaderboard.tasks import Condition, Task, load_task, shipped_tasks
-from road_envs.record import Estimate, Profile, Record
+from estimators.api import Estimator
+from leaderboard.evaluation.entry import reconstruct
+from leaderboard.evaluation.tasks import Condition, Task, load_task, shipped_tasks
+from leaderboard.evaluation.test_data import Drive, DriveSource, simulated
+from leaderboard.metrics.bootstrap import interquartile_mean
+from leaderboard.metrics.obstacles import TOLERANCE, find_bumps, obstacles
+from leaderboard.metrics.registry import scores
+from road_envs.data.record import Estimate, Profile, Record
 
 NETWORK = "static_lm"
 MEASURE_NOTHING = ("unrelated_road", "mean")

@@ -17,20 +17,15 @@ from typing import Any
 from road_envs import config
 from road_envs.config import STRICT, ConfigError, build, one_of
 from road_envs.policies.add import AccelerationDriven
+from road_envs.policies.api import Cabin, Policy, PolicyError
 from road_envs.policies.dqn import Dqn
-from road_envs.policies.fixed import (
-    FixedHandling,
-    FixedHandlingRide,
-    FixedRide,
-    FixedRideHandling,
-)
+from road_envs.policies.fixed import FixedHandling, FixedHandlingRide, FixedRide, FixedRideHandling
+from road_envs.policies.greedy_information import GreedyInformation
 from road_envs.policies.groundhook import Groundhook
-from road_envs.policies.information import GreedyInformation
 from road_envs.policies.ppo import Ppo
 from road_envs.policies.ppo_sensing import PpoSensing
 from road_envs.policies.preview import Preview
-from road_envs.policies.protocol import Cabin, Policy, PolicyError
-from road_envs.policies.random import RandomSwitching
+from road_envs.policies.random_switching import RandomSwitching
 from road_envs.policies.roll_angle import RollAngle
 from road_envs.policies.rrms import RunningRms
 from road_envs.policies.sh_add import SkyhookAdd

@@ -10,9 +10,9 @@ before it, half the sum and half the difference of the wheel paths, as felt by t
 
 import numpy as np
 
-from road_envs.policies.ahead import RoadAhead
-from road_envs.policies.protocol import Cabin
-from road_envs.policies.signals import Body, Running
+from road_envs.policies.api import Cabin
+from road_envs.policies.body_motion import Body, Running
+from road_envs.policies.wheelbase_preview import RoadAhead
 
 SCALES = np.concatenate(
     [

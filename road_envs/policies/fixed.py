@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from road_envs.config import STRICT
-from road_envs.policies.protocol import Cabin
+from road_envs.policies.api import Cabin
 
 
 @dataclass(kw_only=True)

@@ -5,7 +5,7 @@
 
 from dataclasses import dataclass
 
-from road_envs.policies.network import Learned
+from road_envs.policies.network_policy import Learned
 
 
 @dataclass(kw_only=True)

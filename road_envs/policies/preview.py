@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from road_envs.policies.ahead import RoadAhead
-from road_envs.policies.protocol import Cabin
+from road_envs.policies.api import Cabin
 from road_envs.policies.rrms import RunningRms
+from road_envs.policies.wheelbase_preview import RoadAhead
 
 
 @dataclass(kw_only=True)

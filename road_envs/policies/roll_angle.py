@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from road_envs.config import STRICT
-from road_envs.policies.protocol import Cabin
-from road_envs.policies.signals import roll_of_struts
+from road_envs.policies.api import Cabin
+from road_envs.policies.body_motion import roll_of_struts
 
 
 @dataclass(kw_only=True)

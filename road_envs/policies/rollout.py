@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from road_envs.policies.protocol import Cabin, Policy, checked
-from road_envs.vector_env import RoadReconVectorEnv
+from road_envs.envs.vector import RoadReconVectorEnv
+from road_envs.policies.api import Cabin, Policy, checked
 
 POLICY_SEED = 0
 """For the policies' own draws."""

@@ -16,13 +16,13 @@ import gymnasium
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
+from road_envs._atomic_io import whole
 from road_envs.config import STRICT, ConfigError
-from road_envs.files import whole
+from road_envs.envs.sb3 import RoadReconVecEnv
+from road_envs.policies.api import Cabin
 from road_envs.policies.features import MOST, Features, width
-from road_envs.policies.network import Learned, Network
-from road_envs.policies.protocol import Cabin
+from road_envs.policies.network_policy import Learned, Network
 from road_envs.policies.rollout import drive
-from road_envs.sb3 import RoadReconVecEnv
 
 RIDE = ("ride", "ride")
 """What the twins do."""

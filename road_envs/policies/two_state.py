@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 
 from road_envs.config import STRICT
-from road_envs.policies.protocol import Cabin
-from road_envs.policies.signals import Body
+from road_envs.policies.api import Cabin
+from road_envs.policies.body_motion import Body
 
 
 @dataclass(kw_only=True)

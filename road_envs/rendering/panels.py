@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from road_envs.record import SENSORS
+from road_envs.data.record import SENSORS
 from road_envs.rendering import style
 from road_envs.rendering.canvas import Canvas
 from road_envs.rendering.scene import Scene, free_travel
-from road_envs.suspension import WHEELS, strut_states
+from road_envs.vehicle.suspension import WHEELS, strut_states
 
 BEHIND, AHEAD = 10.0, 20.0
 """How much road [m] is shown behind and ahead of the front axle."""

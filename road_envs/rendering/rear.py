@@ -5,11 +5,11 @@ Left is left. The picture is a section: the body is cut open around wheels and s
 
 import numpy as np
 
-from road_envs.dynamics import AXLE, PHI
 from road_envs.rendering import style
 from road_envs.rendering.canvas import Canvas
 from road_envs.rendering.parts import MOUNT, strut
 from road_envs.rendering.scene import REAR_LEFT, REAR_RIGHT, Scene
+from road_envs.vehicle.equations import AXLE, PHI
 
 SCALE = 104.0
 """Pixels to a metre."""

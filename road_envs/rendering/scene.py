@@ -10,12 +10,12 @@ from functools import cached_property
 
 import numpy as np
 
-from road_envs.curves import Curve
-from road_envs.dynamics import AXLE, PHI, THETA, Z_B
 from road_envs.roads.surface import Surface
-from road_envs.simulate import Drive, Trajectory
-from road_envs.suspension import HIGH, OPEN
-from road_envs.vehicle import VehicleParameters
+from road_envs.simulation.drive import Drive, Trajectory
+from road_envs.vehicle.equations import AXLE, PHI, THETA, Z_B
+from road_envs.vehicle.force_curves import Curve
+from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.suspension import HIGH, OPEN
 
 WHEEL_RADIUS = 0.4
 """Of an unloaded tyre [m]: 7.50 R 16. The ride model itself needs no radius."""

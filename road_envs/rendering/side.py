@@ -7,7 +7,6 @@ fixed to the axles of whatever vehicle is driven.
 
 import numpy as np
 
-from road_envs.dynamics import THETA, Z_B
 from road_envs.rendering import style
 from road_envs.rendering.canvas import Canvas
 from road_envs.rendering.parts import MOUNT, strut
@@ -19,6 +18,7 @@ from road_envs.rendering.scene import (
     WHEEL_RADIUS,
     Scene,
 )
+from road_envs.vehicle.equations import THETA, Z_B
 
 SCALE = 92.0
 """Pixels to a metre."""

@@ -5,7 +5,7 @@ What has a meaning has a colour of Okabe & Ito's palette, which colour-blind rea
 
 import numpy as np
 
-from road_envs.suspension import MODES
+from road_envs.vehicle.suspension import MODES
 
 PAPER = "#ffffff"
 RULE = "#c9d1d8"

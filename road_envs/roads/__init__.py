@@ -11,15 +11,15 @@ from typing import Any
 
 from road_envs.config import ConfigError, build, find, one_of, read_yaml
 from road_envs.roads.belgian import Belgian
-from road_envs.roads.bumps import Bumps
-from road_envs.roads.compose import Altered, Fixed, Flat, Road
-from road_envs.roads.defects import Defects, Potholes
-from road_envs.roads.export import write, write_csv
+from road_envs.roads.composite import Altered, Fixed, Flat, Road
+from road_envs.roads.formats.write import write, write_csv
 from road_envs.roads.iso8608 import Iso8608
 from road_envs.roads.layout import Joined, Offset, Repeated, RunIn, Scaled, Summed
 from road_envs.roads.measured import SUFFIXES, Measured
+from road_envs.roads.obstacles import Defects, Potholes
+from road_envs.roads.sine_sweep import Sweep
 from road_envs.roads.surface import Surface
-from road_envs.roads.sweep import Sweep
+from road_envs.roads.trapezoids import Bumps
 
 __all__ = ["KINDS", "Road", "Surface", "load_road", "with_length", "write", "write_csv"]
 

@@ -16,17 +16,11 @@ from typing import Annotated
 import numpy as np
 from scipy.special import ndtr
 
+from road_envs.analysis.roughness import N_0, isotropic
 from road_envs.config import STRICT
-from road_envs.roads.checks import check_positive
-from road_envs.roads.iso8608 import (
-    check_band,
-    line_edges,
-    middle,
-    power_law,
-    synthesise,
-)
+from road_envs.roads.iso8608 import check_band, line_edges, middle, power_law, synthesise
 from road_envs.roads.surface import Surface
-from road_envs.roughness import N_0, isotropic
+from road_envs.roads.validation import check_positive
 
 
 @dataclass(frozen=True, kw_only=True)

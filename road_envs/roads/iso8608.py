@@ -21,11 +21,11 @@ from typing import Annotated, Literal
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
+from road_envs.analysis.roughness import CLASSES, N_0, isotropic
 from road_envs.config import STRICT
-from road_envs.roads.checks import check_positive, check_size
 from road_envs.roads.nonstationary import Variation
 from road_envs.roads.surface import Surface
-from road_envs.roughness import CLASSES, N_0, isotropic
+from road_envs.roads.validation import check_positive, check_size
 
 RoadClass = Literal["A", "B", "C", "D", "E", "F", "G", "H"]
 Coherence = Literal["isotropic", "full", "none"]

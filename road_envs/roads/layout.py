@@ -13,10 +13,10 @@ from typing import Annotated, Literal
 import numpy as np
 
 from road_envs.config import STRICT
-from road_envs.roads.checks import check_not_negative, check_positive, check_size, check_some
-from road_envs.roads.compose import AnyRoad, streams
+from road_envs.roads.composite import AnyRoad, streams
 from road_envs.roads.measured import laid
 from road_envs.roads.surface import Surface
+from road_envs.roads.validation import check_not_negative, check_positive, check_size, check_some
 
 
 @dataclass(frozen=True, kw_only=True)

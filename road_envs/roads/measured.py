@@ -16,11 +16,11 @@ from typing import Annotated, Literal
 import numpy as np
 
 from road_envs.config import STRICT
-from road_envs.roads import erd, opencrg, tables
-from road_envs.roads.checks import check_positive, check_size
-from road_envs.roads.opencrg import CurvedGrid, SurfaceFileError, about, content
+from road_envs.roads.formats import erd, opencrg, table
+from road_envs.roads.formats.opencrg import CurvedGrid, SurfaceFileError, about, content
+from road_envs.roads.formats.table import Paths
 from road_envs.roads.surface import Surface
-from road_envs.roads.tables import Paths
+from road_envs.roads.validation import check_positive, check_size
 
 WHEELBASE = 2.794
 """The default of `min_length` [m]."""
@@ -89,9 +89,9 @@ class Measured:
             case ".erd":
                 return erd.read(self.path)
             case ".parquet":
-                return tables.parse_parquet(content(self.path))
+                return table.parse_parquet(content(self.path))
             case ".csv" | ".txt" | ".dat":
-                return tables.parse_text(content(self.path))
+                return table.parse_text(content(self.path))
         raise SurfaceFileError(f"a surface file ends in {', '.join(SUFFIXES)}")
 
 

@@ -17,7 +17,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from road_envs.config import STRICT
-from road_envs.roads.checks import check_positive
+from road_envs.roads.validation import check_positive
 
 
 @dataclass(frozen=True, kw_only=True)

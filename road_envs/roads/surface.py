@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from road_envs.jit import kernel
+from road_envs._numba import kernel
 
 PAD = 3
 """Samples repeated at each end of `Surface.padded`, so that the kernel needs no special case."""

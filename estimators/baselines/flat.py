@@ -1,0 +1,23 @@
+"""A level road: the score that every other estimator must beat."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from road_envs.config import STRICT
+from road_envs.data.record import Estimate, Record, grid
+from road_envs.vehicle.parameters import VehicleParameters
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flat:
+    """Zero everywhere; by definition its in-band error is the truth's own level."""
+
+    __pydantic_config__ = STRICT
+    causal: ClassVar[bool] = True
+
+    def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
+        """Zero heights (2, M) [m]."""
+        stations = grid(record.length)
+        return Estimate(stations, np.zeros((2, stations.size)))

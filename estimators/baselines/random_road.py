@@ -1,0 +1,94 @@
+"""Another road of the same roughness: what a score is worth that only compares levels.
+
+The straight line of ISO 8608 is fitted to the displacement spectral density of the training roads,
+
+    G_d(n) = G_d(n0) (n / n0)^-w            n0 = 0.1 cycles/m
+
+and a road with this density and random phases is drawn, cosine by cosine. It is right in level, by
+expectation, and wrong everywhere else: correlation 0 and sqrt(2) times the error of `flat`. The
+wheel paths are drawn independently of each other, and one fitted estimator answers every drive with
+the same road. The road is synthetic, not one of the training roads, because on the paper's board
+those are altered versions of the test road.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar, NamedTuple, Self
+
+import numpy as np
+from scipy.fft import irfft, rfftfreq
+
+from estimators.api import arrays, copy_with, fitted
+from road_envs.analysis.roughness import FIT_BAND, N_0, dsd, fit_line, smooth
+from road_envs.config import STRICT
+from road_envs.data.record import GRID, Estimate, Profile, Record, grid
+from road_envs.vehicle.parameters import VehicleParameters
+
+
+class Road(NamedTuple):
+    """Level `G_d0` [m³] at n0, waviness `w`, and the `seed` of the phases."""
+
+    G_d0: float
+    w: float
+    seed: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnrelatedRoad:
+    """A random road as rough as the training roads, whatever was measured."""
+
+    __pydantic_config__ = STRICT
+    causal: ClassVar[bool] = True
+
+    learnt: Road | None = field(default=None, init=False, repr=False, compare=False)
+
+    def fit(
+        self,
+        records: Sequence[Record],
+        truths: Sequence[Profile],
+        car: VehicleParameters,
+        seed: int,
+    ) -> Self:
+        """Level and waviness of the truths; `seed` draws the phases."""
+        phases = int(np.random.default_rng(seed).integers(2**31))  # a float can hold it
+        return copy_with(self, learnt=Road(*roughness(truths), phases))
+
+    def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
+        """The random road."""
+        stations = grid(record.length)
+        return Estimate(stations, random_road(fitted(self.learnt, self), stations.size))
+
+    def weights(self) -> dict[str, np.ndarray]:
+        """The scalars `G_d0`, `w` and `seed`."""
+        return {name: np.asarray(x) for name, x in fitted(self.learnt, self)._asdict().items()}
+
+    def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
+        """A copy with these weights. Raises ValueError."""
+        G_d0, w, seed = arrays(weights, {"G_d0": (), "w": (), "seed": ()})
+        return copy_with(self, learnt=Road(float(G_d0), float(w), int(seed)))
+
+
+def roughness(truths: Sequence[Profile]) -> tuple[float, float]:
+    """G_d(n0) [m³] and waviness of all wheel paths together. Raises ValueError on level roads.
+
+    The waviness is the slope over log G. The level is the mean of G over the line, not of log G,
+    which is low by up to 2.5 dB where a band holds a single line of the spectrum.
+    """
+    spectra = [smooth(*dsd(truth.z, truth.ds)) for truth in truths]
+    n = np.concatenate([n for n, _ in spectra])
+    G = np.concatenate([G.mean(axis=0) for _, G in spectra])
+    _, w = fit_line(n, G)
+    inside = (n >= FIT_BAND[0]) & (n <= FIT_BAND[1])
+    return float(np.mean(G[inside] * (n[inside] / N_0) ** w)), w
+
+
+def random_road(road: Road, size: int) -> np.ndarray:
+    """Heights (2, size) [m] on the grid, from 0; the sum of cosines repeats after twice as far."""
+    n = rfftfreq(2 * size, GRID)
+    inside = n >= FIT_BAND[0]
+    G = road.G_d0 * (n[inside] / N_0) ** -road.w
+    phase = np.random.default_rng(road.seed).uniform(0.0, 2.0 * np.pi, (2, G.size))
+    lines = np.zeros((2, n.size), dtype=complex)
+    lines[:, inside] = np.sqrt(2.0 * G * n[1]) * np.exp(1j * phase)
+    z = size * irfft(lines, 2 * size)[:, :size]
+    return z - z[:, :1]

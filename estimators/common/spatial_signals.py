@@ -1,0 +1,132 @@
+"""A drive over distance: what estimators read that are taught once for all speeds and modes.
+
+Three accelerometers on a rigid body are three motions. Those of the centre line over the front and
+over the rear sensors feel the mean m of the wheel paths alone, the rolling one their half
+difference q, whatever the height and length of the body (RF and RR stand on one side):
+
+    roll = (LR - RR) / 2      front = RF + roll      rear = (LR + RR) / 2
+    z_left = m + q            z_right = m - q
+
+so the mirrored road is a change of sign of roll and q. Stations are SPACING apart, fine enough for
+1.8 cycles/m, the end of the judged band; signals are low-passed over distance before, heights are
+brought back to the grid after, by one and the same short filter (REACH to either side), so that
+what is causal before stays so but for 2 REACH. Velocities of the three motions are the integrals
+over time, high-passed at 0.3 Hz.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import signal
+
+from estimators.preprocessing import F_C, heights
+from road_envs.data.record import GRID, Profile, Record, grid
+from road_envs.sensing.filters import process
+
+STEP = 6
+SPACING = STEP * GRID
+"""Distance between stations [m]."""
+
+EDGE = 4
+"""Stations estimated beyond either end of the road, for the filter back to the grid."""
+
+REACH = EDGE * SPACING
+N_CUT = 3.0
+"""Cut-off of the filter [cycles/m]; 50 dB down from 4.5, flat to 0.4 % up to 1.8."""
+
+FILTER = signal.firwin(2 * EDGE * STEP + 1, N_CUT, window=("kaiser", 5.0), fs=1.0 / GRID)
+
+F_VELOCITY = 0.3
+"""Slower velocities are left out [Hz]: they are drift as much as motion."""
+
+N_HIGH_PASS = 0.05
+"""Slower heights are not estimated [cycles/m]: accelerations fall with n² v²."""
+
+MOTIONS = 3
+"""front, rear, roll."""
+
+
+class Course(NamedTuple):
+    """What was sensed, at K even stations: `margin` of them before the first that is estimated and
+    after the last.
+
+    `motions` (6, K): accelerations [m/s²] and velocities [m/s] of front, rear and roll; `v` (K,)
+    speed [m/s]; `states` (K, 4): share of stiff springs and of high damping in front, then at the
+    rear. All are those of the moment when the front axle passed the station; zero motion where the
+    record does not reach.
+    """
+
+    motions: np.ndarray
+    v: np.ndarray
+    states: np.ndarray
+    margin: int
+
+    @property
+    def size(self) -> int:
+        """Stations that are estimated."""
+        return self.v.size - 2 * self.margin
+
+
+def size_of(length: float) -> int:
+    """Stations that are estimated on a road of `length` [m]."""
+    return -(-grid(length).size // STEP) + 2 * EDGE
+
+
+def course(record: Record, margin: int, causal: bool = False) -> Course:
+    """A drive at its stations and `margin` more at either end; `causal`, a station knows nothing of
+    what was sensed more than REACH after it.
+    """
+    K = size_of(record.length) + 2 * margin
+    first = -(EDGE + margin) * STEP
+    fine = GRID * np.arange(first - EDGE * STEP, first + (K - 1 + EDGE) * STEP + 1)
+    seen = record.at(fine, motions(record, causal))
+    seen[:, (fine < record.s[0]) | (fine > record.s[-1])] = 0.0
+    s = fine[EDGE * STEP : -EDGE * STEP : STEP]
+    axles = (record.stiff[:, :2], record.high[:, :2], record.stiff[:, 2:], record.high[:, 2:])
+    states = record.at(s, np.array([pair.mean(axis=1) for pair in axles]))
+    return Course(coarse(seen), np.interp(s, record.s, record.v), states.T, margin)
+
+
+def motions(record: Record, causal: bool) -> np.ndarray:
+    """Accelerations and velocities (6, N) of front, rear and roll over time."""
+    rf, lr, rr = process(record.a, record.fs, F_C, causal)
+    roll = 0.5 * (lr - rr)
+    a = np.array([rf + roll, 0.5 * (lr + rr), roll])
+    sos = signal.butter(2, F_VELOCITY, "high", fs=record.fs, output="sos")
+    summed = np.cumsum(a, axis=1) / record.fs
+    return np.concatenate([a, (signal.sosfilt if causal else _both_ways)(sos, summed)])
+
+
+def coarse(x: np.ndarray) -> np.ndarray:
+    """Rows (k, K) at every STEP-th station, low-passed, of `x` (k, (K - 1 + 2 EDGE) STEP + 1)."""
+    K = (x.shape[1] - 1) // STEP + 1 - 2 * EDGE
+    return signal.upfirdn(FILTER, x, 1, STEP, axis=1)[:, 2 * EDGE : 2 * EDGE + K]
+
+
+def finer(x: np.ndarray, size: int) -> np.ndarray:
+    """Heights (k, size) on the grid from those at the stations (k, M)."""
+    fine = signal.upfirdn(STEP * FILTER, x, STEP, 1, axis=1)
+    return fine[:, 2 * EDGE * STEP : 2 * EDGE * STEP + size]
+
+
+def wanted(truth: Profile, length: float) -> np.ndarray:
+    """Mean and half difference (2, M) [m] of the wheel paths at the stations that are estimated,
+    low-passed as what was sensed and without waves longer than 20 m; beyond its ends the road goes
+    on by odd reflection.
+    """
+    left, right = heights(truth, grid(length))
+    z = np.array([0.5 * (left + right), 0.5 * (left - right)])
+    sos = signal.butter(2, N_HIGH_PASS, "high", fs=1.0 / GRID, output="sos")
+    size = z.shape[1]
+    z = signal.sosfiltfilt(sos, z, axis=1, padlen=min(int(1.0 / (N_HIGH_PASS * GRID)), size - 1))
+    ends = (2 * EDGE * STEP, (size_of(length) - 1) * STEP + 1 - size)
+    return coarse(np.pad(z, ((0, 0), ends), mode="reflect", reflect_type="odd"))
+
+
+def wheel_paths(x: np.ndarray) -> np.ndarray:
+    """Left and right (2, M) from mean and half difference (2, M)."""
+    return np.array([x[0] + x[1], x[0] - x[1]])
+
+
+def _both_ways(sos: np.ndarray, x: np.ndarray) -> np.ndarray:
+    return signal.sosfiltfilt(sos, x, padlen=min(x.shape[-1] - 1, 2000))

@@ -1,0 +1,138 @@
+"""The road ahead of the last node, as the prior foretells it, and what it may do besides.
+
+The next coefficient of the mean and of the half difference of the wheel paths, each from its last
+ones, by the equations of Yule and Walker for the covariance that the prior's spectrum makes
+(`estimators.common.road_prior`). The mean wanders, and its rises are foretold; the half difference of
+an isotropic surface is level for waves longer than the track, and is foretold itself.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.fft import irfft, rfftfreq
+from scipy.linalg import solve_toeplitz, toeplitz
+
+from estimators.common.road_prior import N_MIN, amplitude
+from estimators.kalman.state import FADING, LEVEL, NODES, SUM, WEIGHT, Model, State, slot
+from road_envs._numba import separate
+from road_envs.analysis.information_bound import RoadPrior
+
+MEMORY = 2.0
+"""Length [m] of road behind from which the next node is foretold."""
+
+CIRCLE = 400.0
+"""Least length [m] of the circle on which covariances are computed."""
+
+SMOOTHEST, ROUGHEST = 1e-4, 1e3
+"""Bounds of the level that is learnt, over that of the prior: far beyond classes A to H."""
+
+
+class Ahead(NamedTuple):
+    """`weights` (2, order) of the last nodes, newest first, and `surprise` (2,) [m²], the variance
+    of what they do not tell, of mean and half difference; `covariance` (2, M) [m²] of a coefficient
+    with those up to M nodes behind.
+    """
+
+    weights: np.ndarray
+    surprise: np.ndarray
+    covariance: np.ndarray
+
+    def rise(self, reach: int) -> np.ndarray:
+        """Variances (2,) [m²] of the rise over `reach` nodes."""
+        return 2.0 * (self.covariance[:, 0] - self.covariance[:, reach])
+
+
+def ahead(prior: RoadPrior, ds: float) -> Ahead:
+    """How a road like `prior` goes on from node to node, `ds` [m] apart."""
+    size = 2 ** int(np.ceil(np.log2(CIRCLE / ds)))
+    rises = amplitude(prior, size, ds) ** 2
+    n = np.maximum(rfftfreq(size, ds), N_MIN)
+    levels = irfft(rises / (2.0 * np.sin(np.pi * n * ds)) ** 2, size, axis=1)
+    order = round(MEMORY / ds)
+    phi, mean = yule_walker(irfft(rises[0], size), order - 1)
+    half, difference = yule_walker(levels[1], order)
+    wander = np.append(phi, 0.0) - np.append(0.0, phi)
+    wander[0] += 1.0
+    return Ahead(np.array([wander, half]), np.array([mean, difference]), levels[:, : size // 2])
+
+
+def yule_walker(covariance: np.ndarray, order: int) -> tuple[np.ndarray, float]:
+    """Weights (order,) of the last values in the next, and the variance that they leave."""
+    weights = solve_toeplitz(covariance[:order], covariance[1 : order + 1])
+    return weights, float(covariance[0] - weights @ covariance[1 : order + 1])
+
+
+def unknown_nodes(ahead: Ahead, n: int, oldest: int) -> np.ndarray:
+    """Covariance (n - NODES, n - NODES) [m²] of the nodes from `oldest` on, as they stand in a
+    vector of `n`, on a road of which nothing is known but the prior.
+    """
+    size = (n - NODES) // 2
+    place = (oldest + np.arange(size)) % size
+    P = np.zeros((2 * size, 2 * size))
+    for part in range(2):
+        P[np.ix_(2 * place + part, 2 * place + part)] = toeplitz(ahead.covariance[part, :size])
+    return P
+
+
+@separate
+def add_node(model: Model, state: State, free):
+    """Put a new node ahead of the newest; the oldest goes into the fading sums.
+
+    Where the road is not `free` to rise it goes on level.
+    """
+    x, P, n = state.x, state.P, state.x.size
+    newest = state.newest[0]
+    new = slot(newest + 1, n)
+    row = np.empty(n)
+    for part in range(2):
+        fade_out(x, P, FADING + 2 * part, new + part, model.fade)
+        row[:] = 0.0
+        z = 0.0
+        order = model.ahead.shape[1] if free else 1
+        for k in range(order):
+            old = slot(newest - k, n) + part
+            weight = model.ahead[part, k] if free else 1.0
+            z += weight * x[old]
+            row += weight * P[old]
+        variance = model.surprise[part] * state.learnt[LEVEL] if free else 0.0
+        for k in range(order):
+            weight = model.ahead[part, k] if free else 1.0
+            variance += weight * row[slot(newest - k, n) + part]
+        x[new + part] = z
+        P[new + part, :] = row
+        P[:, new + part] = row
+        P[new + part, new + part] = variance
+    state.newest[0] = newest + 1
+
+
+@separate
+def fade_out(x, P, M, old, fade):
+    """Take the node in the entry `old` into the fading sum at `M`, a node further behind."""
+    c, s = np.exp(-fade) * np.cos(fade), np.exp(-fade) * np.sin(fade)
+    real, imaginary = x[M] + x[old], x[M + 1]
+    x[M], x[M + 1] = c * real - s * imaginary, s * real + c * imaginary
+    for i in range(x.size):
+        real, imaginary = P[M, i] + P[old, i], P[M + 1, i]
+        P[M, i], P[M + 1, i] = c * real - s * imaginary, s * real + c * imaginary
+    for i in range(x.size):
+        real, imaginary = P[i, M] + P[i, old], P[i, M + 1]
+        P[i, M], P[i, M + 1] = c * real - s * imaginary, s * real + c * imaginary
+
+
+@separate
+def learn_level(model: Model, state: State, rear, free):
+    """Learn the roughness from the last rise that the rear axle, at node `rear`, has passed.
+
+    With what is still uncertain of it: a step of expectation and maximisation.
+    """
+    x, P, n, learnt = state.x, state.P, state.x.size, state.learnt
+    low = rear - model.reach
+    if low <= free[0] or rear >= free[1]:
+        return
+    for part in range(2):
+        a, b = slot(low, n) + part, slot(rear, n) + part
+        rise, variance = x[b] - x[a], P[a, a] + P[b, b] - 2.0 * P[a, b]
+        forgotten = 1.0 - 0.5 / model.memory
+        learnt[SUM] = forgotten * learnt[SUM] + 0.5 * (rise * rise + variance) / model.rise[part]
+        learnt[WEIGHT] = forgotten * learnt[WEIGHT] + 0.5
+    learnt[LEVEL] = min(max(learnt[SUM] / learnt[WEIGHT], SMOOTHEST), ROUGHEST)

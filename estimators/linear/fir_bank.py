@@ -1,0 +1,182 @@
+"""One linear window over distance for all speeds and modes: taps that change with both.
+
+    m(s_i) = sum_j  f_j front(s_i+j) + r_j rear(s_i+j)          -behind <= j <= ahead
+    q(s_i) = sum_j  c_j roll(s_i+j)
+
+Between KNOTS, even in the logarithm of the speed, taps are interpolated linearly; every combination
+of the four states (front and rear, spring and damper) has its own. All knots of a combination are
+fitted together, to drives at whatever speeds, each drive at unit level: least squares plus
+
+    mean square of the regressors x (ridge x sum(taps²) + tie x sum(difference of knots²))
+
+where the tie lets knots with few drives lean on their neighbours. Misfit below 0.15 cycles/m counts
+for little: it is most of a road's height and nothing of its judged band. A combination without a
+drive takes the taps of the one that differs in the fewest states.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import signal
+from scipy.linalg import cho_solve
+from threadpoolctl import threadpool_limits
+
+from estimators.common.spatial_signals import MOTIONS, SPACING, Course
+
+KNOTS = np.geomspace(1.35, 20.5, 9)
+"""Speeds [m/s] of the taps; slower and faster drives take those at the end."""
+
+COMBINATIONS = 16
+"""Of front spring, front damper, rear spring, rear damper, the first counting 8."""
+
+RIDGE, TIE = 1e-4, 1e-4
+N_WEIGHT = 0.15
+"""Slower misfits count for little [cycles/m]."""
+
+LEVEL_MIN = 3e-4
+"""Added to the level of a drive [m], so that the noise of a smooth road does not rule."""
+
+MILLI = 1e-3
+"""Taps are stored as float16, of heights in mm."""
+
+
+class Bank(NamedTuple):
+    """`taps` (16, knots, 3, behind + 1 + ahead) [mm s²/m] of front, rear and roll; the latest
+    station that is used stands `ahead` of the estimated one.
+    """
+
+    taps: np.ndarray
+    ahead: int
+
+    @property
+    def behind(self) -> int:
+        """Stations used before the estimated one."""
+        return self.taps.shape[-1] - 1 - self.ahead
+
+    def __call__(self, course: Course, extra: int = 0) -> np.ndarray:
+        """Heights m and q (2, size + 2 extra) [m], `extra` stations beyond either end included."""
+        first = course.margin - extra
+        size = course.size + 2 * extra
+        inside = slice(first, first + size)
+        seen = course.motions[:MOTIONS, first - self.behind : first + size + self.ahead]
+        z = np.zeros((2, size))
+        for combination, knot, share in _shares(course.v[inside], course.states[inside]):
+            taps = self.taps[combination, knot].astype(float)
+            front, rear, roll = (
+                np.correlate(x, h, "valid") for x, h in zip(seen, taps, strict=True)
+            )
+            z += share * np.array([front + rear, roll])
+        return MILLI * z
+
+
+def shape_of(behind: int, ahead: int) -> tuple[int, ...]:
+    """The shape of a bank's taps."""
+    return COMBINATIONS, KNOTS.size, MOTIONS, behind + 1 + ahead
+
+
+def fitted_bank(
+    courses: Sequence[Course], targets: Sequence[np.ndarray], behind: int, ahead: int
+) -> Bank:
+    """The taps of drives with their heights m and q (2, M) [m]. Each counts for the combination of
+    states and the speed that it has on the mean.
+    """
+    drives: dict[int, list[int]] = {}
+    for i, course in enumerate(courses):
+        drives.setdefault(_combination(course), []).append(i)
+    taps = np.zeros(shape_of(behind, ahead), dtype=np.float16)
+    for combination, mine in drives.items():
+        sums = [Blocks.none(2 * taps.shape[-1]), Blocks.none(taps.shape[-1])]
+        for i in mine:
+            _add(sums, courses[i], targets[i], behind, ahead)
+        found = np.concatenate([part.solve() for part in sums], axis=1)
+        taps[combination] = (found / MILLI).reshape(taps.shape[1:])
+    for combination in set(range(COMBINATIONS)) - drives.keys():
+        nearest = min(drives, key=lambda other: ((combination ^ other).bit_count(), other))
+        taps[combination] = taps[nearest]
+    return Bank(taps, ahead)
+
+
+class Blocks(NamedTuple):
+    """Normal equations of all knots: blocks X'X (knots, p, p) of each knot with itself, then with
+    the next, and X'Z (knots, p).
+    """
+
+    own: np.ndarray
+    next: np.ndarray
+    XZ: np.ndarray
+
+    @classmethod
+    def none(cls, p: int) -> "Blocks":
+        """The sums of no samples, for `p` regressors."""
+        return cls(*(np.zeros((KNOTS.size, *shape)) for shape in ((p, p), (p, p), (p,))))
+
+    def add(self, X: np.ndarray, z: np.ndarray, v: float) -> None:
+        """Add regressors X (N, p) and their targets z (N,) of a drive at speed v."""
+        XX, Xz = X.T @ X, X.T @ z
+        (k,), (share,) = _knot(np.array([v]))
+        self.own[k] += (1.0 - share) ** 2 * XX
+        self.own[k + 1] += share**2 * XX
+        self.next[k] += share * (1.0 - share) * XX
+        self.XZ[k] += (1.0 - share) * Xz
+        self.XZ[k + 1] += share * Xz
+
+    @threadpool_limits.wrap(limits=1, user_api="blas")
+    def solve(self) -> np.ndarray:
+        """The taps (knots, p)."""
+        knots, p = self.XZ.shape
+        A = np.zeros((knots, p, knots, p))
+        level = np.einsum("kii->", self.own) / (knots * p) or 1.0
+        tie = TIE * level * np.eye(p)
+        for k in range(knots):
+            A[k, :, k] = self.own[k] + RIDGE * level * np.eye(p)
+            A[k, :, k] += tie * ((k > 0) + (k + 1 < knots))
+            if k + 1 < knots:
+                A[k, :, k + 1] = self.next[k] - tie
+                A[k + 1, :, k] = A[k, :, k + 1].T
+        factor = np.linalg.cholesky(A.reshape(knots * p, knots * p))
+        return cho_solve((factor, True), self.XZ.ravel(), check_finite=False).reshape(knots, p)
+
+
+def weighted(x: np.ndarray, causal: bool = False) -> np.ndarray:
+    """Rows at the stations without the waves that count for little."""
+    sos = signal.butter(2, N_WEIGHT, "high", fs=1.0 / SPACING, output="sos")
+    if causal:
+        return signal.sosfilt(sos, x)
+    return signal.sosfiltfilt(sos, x, padlen=min(x.shape[-1] - 1, 100))
+
+
+def _add(sums: list[Blocks], course: Course, target: np.ndarray, behind: int, ahead: int) -> None:
+    seen, z = weighted(course.motions[:MOTIONS].astype(float)), weighted(target)
+    scale = 1.0 / (LEVEL_MIN + np.sqrt(np.mean(z**2)))
+    inside = seen[:, course.margin - behind : course.margin + course.size + ahead]
+    windows = np.lib.stride_tricks.sliding_window_view(inside, behind + 1 + ahead, axis=1)
+    v = float(course.v[course.margin : course.margin + course.size].mean())
+    sums[0].add(scale * np.concatenate([windows[0], windows[1]], axis=1), scale * z[0], v)
+    sums[1].add(scale * windows[2], scale * z[1], v)
+
+
+def _combination(course: Course) -> int:
+    share = course.states[course.margin : course.margin + course.size].mean(axis=0)
+    return int(sum(8 >> i for i in range(4) if share[i] > 0.5))
+
+
+def _knot(v: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+    """The knots below speeds of any shape, and the shares of those above."""
+    x = np.interp(np.log(np.maximum(v, KNOTS[0])), np.log(KNOTS), np.arange(KNOTS.size))
+    k = np.minimum(x.astype(int), KNOTS.size - 2)
+    return k, x - k
+
+
+def _shares(v: np.ndarray, states: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
+    """Combination, knot and its share (M,) of the estimate, for all that have one."""
+    k, above = _knot(v)
+    for combination in range(COMBINATIONS):
+        on = (combination >> np.arange(3, -1, -1)) & 1
+        here = np.prod(np.where(on, states, 1.0 - states), axis=1)
+        if not here.any():
+            continue
+        for knot in range(KNOTS.size):
+            share = here * ((k == knot) * (1.0 - above) + (k + 1 == knot) * above)
+            if share.any():
+                yield combination, knot, share

@@ -1,0 +1,186 @@
+"""Four quarter cars turned round: from the body's acceleration over each wheel to the road there.
+
+The accelerometers tell heave, roll and pitch of a rigid body, and so the acceleration a above each
+strut. With the corner a quarter car of its own, the forward problem is solved backwards, equation
+by equation (after Ngwangwa 2020, who reverses the solution of the vertical ride dynamics):
+
+    body      m_s a = -(k_s + c_s p) e                       the strut's extension e
+    strut     z_u   = a / p² - e                             the height of the wheel
+    wheel     (k_t + c_t p) (z_r - z_u) = m_u p² z_u + m_s a  the road's height z_r
+
+with p = 2 pi j f. So z_r = R(p) a, exactly. Spring and tyre are linear about rest, and c_s is the
+damper that errs least for the rate of extension that this inversion itself finds in the record.
+Each wheel path is met twice, by the front and by the rear wheel: the mean of both is told.
+
+R has a double pole at f = 0, where no acceleration tells a height: R / (1 + |R|² H_0²) is used,
+which is R above `f_low` (H_0 is |1 / R| there) and goes to zero below it. From 25 to 30 Hz the
+answer fades out. So its band is f_low / v to 25 Hz / v: 0.07 to 6.2 cycles/m at 14.5 km/h, 0.02 to
+1.7 cycles/m at 54 km/h.
+
+Inside it, where equal corners are free of each other (the body as four point masses over its
+struts, axles as two under them), the mean of the wheel paths is exact. Their difference is not: a
+rigid body lets no corner go its own way, so that its roll hears the mean of front and rear, and of
+the difference at the spatial frequency n the share cos²(pi n wheelbase) is told.
+
+Known to fail: by half a road and more on any car, for that reason and others. The Defender's body
+has 0.72 of the pitch inertia and 1.31 of the roll inertia that would make its corners free, and its
+struts stand further in than its wheels. A linear Defender is off by 0.52 to 0.66 of the road in the
+judged band, the Defender with its friction by about as much.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+
+from estimators.preprocessing import F_C, mended
+from estimators.wiener.segments import mode_of
+from road_envs.config import STRICT
+from road_envs.data.record import SENSORS, Estimate, Record, grid
+from road_envs.sensing.instruments import load_instruments
+from road_envs.vehicle.equations import Plant, plant
+from road_envs.vehicle.linear_model import gaussian_damping, strut_forces
+from road_envs.vehicle.parameters import VehicleParameters
+
+PAD = 8.0
+"""Silence [s] behind a record, before it begins again in the circle of a Fourier transform."""
+
+F_FADE = 1.2
+"""Above 25 Hz the answer fades out, until this many times as much."""
+
+RATE, ROUNDS = 0.1, 4
+"""Standard deviation [m/s] of the struts' rates with which their dampers are begun, and how often
+dampers and rates are made to agree."""
+
+
+class QuarterCars(NamedTuple):
+    """The four corners, arrays (4,) in the order of the wheels: masses of body and wheel [kg],
+    rates [N/m] and damping [N s/m] of strut and tyre.
+    """
+
+    m_s: np.ndarray
+    m_u: np.ndarray
+    k_s: np.ndarray
+    c_s: np.ndarray
+    k_t: np.ndarray
+    c_t: np.ndarray
+
+    def extension(self, f: np.ndarray) -> np.ndarray:
+        """Extension of the struts per acceleration above them (4, F) [s²] at `f` (F,) [Hz]."""
+        m_s, k_s, c_s = (x[:, None] for x in (self.m_s, self.k_s, self.c_s))
+        return -m_s / (k_s + 2j * np.pi * f * c_s)
+
+    def inverse(self, f: np.ndarray) -> np.ndarray:
+        """R (4, F): height of the road per acceleration of the body [s²] at `f` (F,) > 0 [Hz]."""
+        p = 2j * np.pi * f
+        m_s, m_u, k_t, c_t = (x[:, None] for x in (self.m_s, self.m_u, self.k_t, self.c_t))
+        z_u = 1.0 / p**2 - self.extension(f)
+        return z_u + (m_u * p**2 * z_u + m_s) / (k_t + c_t * p)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InverseQuarterCar:
+    """For a car with these `instruments`; slower than `f_low` [Hz] nothing is claimed."""
+
+    __pydantic_config__ = STRICT
+    causal: ClassVar[bool] = False
+
+    instruments: str = "paper"
+    f_low: float = 0.3
+
+    def __post_init__(self):
+        if not 0 < self.f_low < F_C:
+            raise ValueError(f"f_low must be within (0, {F_C:g}) Hz, got {self.f_low}")
+
+    def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
+        """Both wheel paths. Raises ConfigError, RecordError."""
+        record, notes = mended(record)
+        tools = load_instruments(self.instruments)
+        size = next_fast_len(record.t.size + round(PAD * record.fs), real=True)
+        f = rfftfreq(size, 1.0 / record.fs)
+        f[0] = 0.5 * f[1]  # R has a pole at 0
+        a = over_struts(record.a, tools.places(car), car)
+        lines = rfft(a - a.mean(axis=1, keepdims=True), size)
+        lines *= np.clip((F_FADE * F_C - f) / ((F_FADE - 1.0) * F_C), 0.0, 1.0) / tools.response(f)
+        mode, samples = mode_of(record, np.arange(record.t.size)), record.t.size
+        corners = fitted(plant(car), car, mode, f, lines, samples)
+        R = corners.inverse(f)
+        H_0 = 1.0 / np.abs(corners.inverse(np.array([self.f_low])))
+        z = irfft(lines * R / (1.0 + np.abs(R * H_0) ** 2), size)[:, :samples]
+        lowest, highest = self.f_low / record.v.max(), F_C / record.v.max()
+        band = f"waves from {lowest:.2g} to {highest:.2g} cycles/m are estimated"
+        stations = grid(record.length)
+        return Estimate(
+            stations, along(record, z, car.wheelbase), notes=(*notes, *_switched(record), band)
+        )
+
+
+def over_struts(
+    a: np.ndarray, places: Mapping[str, tuple[float, float]], car: VehicleParameters
+) -> np.ndarray:
+    """Accelerations (4, N) of a rigid body above its struts, from those (3, N) at the `places`,
+    name -> (x, y) [m], of the sensors.
+    """
+    sensed = np.array([(1.0, *places[name]) for name in SENSORS])
+    struts = np.array([(1.0, axle.x, y) for axle in car.axles for y in (axle.y_s, -axle.y_s)])
+    return struts @ np.linalg.solve(sensed, a)
+
+
+def quarter_cars(
+    one: Plant, car: VehicleParameters, mode: Mapping[str, str], rate: np.ndarray
+) -> QuarterCars:
+    """The corners of a car whose struts extend at `rate` (4,) [m/s], standard deviations."""
+    near = np.array([-1e-4, 1e-4]) * np.ones((4, 1))
+    F = strut_forces(one, mode, near, np.zeros_like(near))
+    share = np.array([-car.rear.x, car.front.x]) / (2.0 * car.wheelbase)
+    axles = [axle for axle in car.axles for _ in range(2)]
+    return QuarterCars(
+        m_s=car.m_b * np.repeat(share, 2),
+        m_u=np.array([0.5 * axle.m for axle in axles]),
+        k_s=(F[:, 0] - F[:, 1]) / (near[:, 1] - near[:, 0]),
+        c_s=gaussian_damping(one, mode, rate),
+        k_t=np.array([axle.k_t for axle in axles]),
+        c_t=np.array([axle.c_t for axle in axles]),
+    )
+
+
+def fitted(
+    one: Plant,
+    car: VehicleParameters,
+    mode: Mapping[str, str],
+    f: np.ndarray,
+    lines: np.ndarray,
+    samples: int,
+) -> QuarterCars:
+    """The corners whose dampers go with the motion: `lines` (4, F) are the Fourier transform of the
+    accelerations above the struts at `f` (F,) [Hz], of which the first `samples` were measured.
+    """
+    rate = np.full(4, RATE)
+    for _ in range(ROUNDS):
+        corners = quarter_cars(one, car, mode, rate)
+        e_dot = irfft(2j * np.pi * f * corners.extension(f) * lines)[:, :samples]
+        rate = np.maximum(e_dot.std(axis=1), 1e-3)
+    return corners
+
+
+def along(record: Record, z: np.ndarray, wheelbase: float) -> np.ndarray:
+    """Both wheel paths (2, M) [m] on the grid, from the heights (4, N) [m] under the wheels over
+    time: the mean of what front and rear wheel met, or of the one that met it while recording.
+    """
+    stations = grid(record.length)
+    heights, met = [], []
+    for wheels, behind in ((z[:2], 0.0), (z[2:], wheelbase)):
+        odometer = stations + behind
+        heights.append(record.at(odometer, wheels))
+        met.append((odometer >= record.s[0]) & (odometer <= record.s[-1]))
+    weights = np.maximum(np.array(met, dtype=float), 1e-9)
+    return np.einsum("am,asm->sm", weights / weights.sum(axis=0), np.array(heights))
+
+
+def _switched(record: Record) -> tuple[str, ...]:
+    flags = np.hstack([record.stiff, record.high])
+    if (flags == flags[0]).all():
+        return ()
+    return ("taken as driven in the states that lasted longest",)

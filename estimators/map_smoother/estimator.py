@@ -1,0 +1,150 @@
+"""The most probable road under the whole nonlinear car (4D-Var).
+
+    minimise  1/2 sum over readings ((y - a(road)) / sigma)² + 1/2 |u|²
+
+a is what three accelerometers would have sensed if the car, with its gas springs, dampers,
+friction, stops and tyres that lift off, had been driven over the road; u is the white noise that
+makes the road (`road.py`), equally rough in all directions, its density taken octave by octave from
+the drive itself. The rear wheels roll where the front ones did: both axles see one unknown road.
+Gauss-Newton steps with the exact tangent and adjoint of the simulator's step (`problem.py`) are
+found by conjugate gradients, preconditioned by the stationary linear car (`stationary.py`), on a
+way from a car with blurred friction and readings that count as noisy to the true (`search.py`); at
+its end the road is let down where a wheel flew over it (`flight.py`).
+(Talagrand & Courtier 1987, doi:10.1002/qj.49711347812, for the adjoint method.)
+
+The car believed in is the one given, driven in steps of 1 ms. What is heard are the raw samples in
+means of 5 ms, so up to about 90 Hz: where friction turns, frequencies mix, and what shakes above
+the judged 25 Hz tells of the road below.
+
+Known to fail: on a car that is far from the one given; where a wheel flies, no more is known of the
+road than that it lies below: a bump that throws the car is as long as its leap; of waves longer
+than about 50 m little is heard at a walking pace, and they are left out.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from estimators.common.block_means import LEAST_NOISE, check, usable
+from estimators.common.model_inputs import MOVING, REST, at_rest, course_of
+from estimators.common.spline import heights
+from estimators.map_smoother.gauss_newton import UNEXPLAINED, Found, most_probable
+from estimators.map_smoother.objective import Belief, Problem
+from estimators.map_smoother.posterior_sampling import error_spread
+from estimators.map_smoother.preconditioner import stationary_picture
+from estimators.map_smoother.windows import MARGIN, Drive, cuts, reconstruct
+from road_envs.analysis.information_bound import RoadPrior
+from road_envs.analysis.roughness import CLASSES
+from road_envs.config import STRICT
+from road_envs.data.record import Estimate, Record, grid, scored_band
+from road_envs.sensing.instruments import Instruments, load_instruments
+from road_envs.vehicle.equations import plant
+from road_envs.vehicle.linear_model import linearise
+from road_envs.vehicle.parameters import VehicleParameters
+
+SPACING = (0.025, 0.05)
+"""Least and greatest distance of the road's nodes [m]."""
+
+RATE_HEARD = 70.0
+"""Frequency [Hz] up to which nodes stand close enough at any speed, if SPACING lets them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapSmoother:
+    """Settings of the search for the most probable road.
+
+    `instruments`: name or path; `noise_density` [(m/s²)/sqrt(Hz)] if it is not theirs. `G_d0` [m³]
+    and `w`: the road's prior before the drive is heard; `relevel`: take its density from the drive.
+    `data_rate` [Hz]: means of readings in a second. `step` [s]: longest step of the model.
+    `level_ends`: the road is level before station 0 and behind its length, where the drive begins
+    at rest. `huber`: standard deviations from which a reading counts less. `window`, `overlap` [s]:
+    longer drives are taken in parts. `draws`: roads drawn for the standard deviation, 0 for none.
+    """
+
+    __pydantic_config__ = STRICT
+    causal: ClassVar[bool] = False
+
+    instruments: str = "paper"
+    noise_density: float | None = None
+    G_d0: float = CLASSES["D"]
+    w: float = 2.0
+    relevel: bool = True
+    data_rate: float = 200.0
+    step: float = 0.001
+    level_ends: bool = True
+    huber: float = 5.0
+    window: float = 40.0
+    overlap: float = 5.0
+    draws: int = 2
+
+    def __post_init__(self):
+        for name in ("G_d0", "w", "data_rate", "step", "huber", "overlap"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        if self.noise_density is not None and not self.noise_density > 0:
+            raise ValueError(f"noise_density must be positive, got {self.noise_density}")
+        if not self.window >= 2.0 * self.overlap:
+            raise ValueError(f"window {self.window} s must be at least twice the overlap")
+        if self.draws < 0:
+            raise ValueError(f"draws must not be negative, got {self.draws}")
+
+    def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
+        """The most probable road of a drive. Raises ValueError if it cannot be explained at all."""
+        check(record)
+        instruments = load_instruments(self.instruments)
+        belief, drive = (
+            self._belief(record, car, instruments),
+            self._drive(record, car, instruments),
+        )
+        prior, band = RoadPrior(G_d0=self.G_d0, w=self.w), scored_band(float(drive.course.v.mean()))
+        rate = 1.0 / (drive.unit * drive.course.h)
+        windows = cuts(
+            drive.a.shape[1] // drive.block, round(self.window * rate), round(self.overlap * rate)
+        )
+
+        def solve(problem: Problem) -> tuple[Found, np.ndarray]:
+            picture = stationary_picture(problem)
+            found = most_probable(problem, picture, huber=self.huber, relevel=self.relevel)
+            return found, error_spread(found, band, self.draws, seed=0)
+
+        found, excess = reconstruct(belief, drive, prior, windows, solve)
+        s = grid(record.length)
+        x = np.clip((s - drive.start) / drive.ds, 1.0, drive.free.size - 3.0)
+        std = np.interp(x, np.arange(drive.free.size), found.spread)
+        z_std = np.stack([std, std]) if self.draws else None
+        return Estimate(s, heights(found.c, x), z_std, tuple(self._notes(drive, excess)))
+
+    def _belief(self, record: Record, car: VehicleParameters, instruments: Instruments) -> Belief:
+        one, places = plant(car), instruments.places(car)
+        levers = linearise(one, "ride", places).body
+        density = self.noise_density or max(instruments.noise_density, LEAST_NOISE)
+        noise = density**2 * 0.5 * record.fs
+        return Belief(one, car.valve.lag, car.wheelbase, places, levers, noise)
+
+    def _drive(self, record: Record, car: VehicleParameters, instruments: Instruments) -> Drive:
+        way = course_of(record, instruments, car, self.step)
+        used = usable(record, instruments)
+        a = np.where(used, record.a, 0.0)
+        a -= a.sum(axis=1, keepdims=True) / np.maximum(used.sum(axis=1, keepdims=True), 1)
+        block = max(1, round(record.fs / self.data_rate))
+        ds = float(np.clip(0.5 * way.v.mean() / RATE_HEARD, *SPACING))
+        start = way.s[0] - car.wheelbase - (MARGIN + 1) * ds
+        middle = start + ds * (np.arange(int((way.s[-1] - start) / ds) + 2 * MARGIN) - 0.5)
+        level = self.level_ends and record.s[0] <= 0.0
+        end = record.length if self.level_ends else np.inf
+        free = (middle > (0.0 if level else -np.inf)) & (middle < end)
+        reach = REST if level else MOVING
+        return Drive(a, used, block, way, at_rest(car, way), reach, start, ds, free.astype(float))
+
+    def _notes(self, drive: Drive, excess: list[float]) -> list[str]:
+        notes = []
+        lost = int((~drive.used).sum())
+        if lost:
+            notes.append(f"{lost} of {drive.used.size} samples lost or clipped, left out")
+        if max(excess) > UNEXPLAINED:
+            notes.append(
+                f"{max(excess):.1f} times the instruments' noise power is left unexplained: "
+                "the car may not be the one believed in"
+            )
+        return notes

@@ -1,0 +1,59 @@
+"""The road below a wheel that flies.
+
+Where no wheel presses on the road, any road below it explains the readings as well, and the prior
+alone should decide. But the search comes from a road that carries the wheel: there the tangent
+takes a lower road to pull the wheel down, and no step leads on. So the search tries again from a
+road that is straight wherever neither axle has pressed on it.
+"""
+
+import numpy as np
+from scipy.fft import irfft, rfft
+
+from estimators.map_smoother.objective import Point
+from estimators.map_smoother.road_prior import TO_PATHS, Road
+from road_envs.simulation.rosenbrock import LOAD
+
+LIGHT = 0.1
+"""Share of a wheel's mean load below which it hardly touches the road."""
+
+DROP = 0.01
+"""Metres by which the road must come down for another search."""
+
+FROM_PATHS = np.linalg.inv(TO_PATHS)
+
+
+def flown_over(at: Point) -> np.ndarray:
+    """Which free nodes (2, K) were passed and never pressed on."""
+    problem, road = at.problem, at.problem.road
+    loads = at.tape.signals[:, LOAD : LOAD + 4]
+    s, most = problem.course.s[::2], np.zeros((2, road.size))
+    passed = np.zeros(road.size, dtype=bool)
+    for wheel in range(4):
+        station = s - (wheel // 2) * problem.belief.wheelbase
+        node = ((station - road.start) / road.ds).astype(int)
+        passed[node.min() : node.max()] = True
+        for k in (0, 1):  # the nodes to either side carry the wheel
+            np.maximum.at(most[wheel % 2], node + k, loads[:, wheel])
+    return (most < LIGHT * loads.mean()) & passed & (road.free > 0)
+
+
+def released(at: Point) -> np.ndarray | None:
+    """`at.x` with the road no higher than straight where it was flown over; None if it is not.
+
+    Across a gap in a road whose steps are random the straight line is the most probable.
+    """
+    off, road = flown_over(at), at.problem.road
+    u, _, _ = at.problem.split(at.x)
+    before, node = road.coefficients(u), np.arange(road.size)
+    c = before.copy()
+    for path, away in zip(c, off, strict=True):
+        path[away] = np.minimum(path, np.interp(node, node[~away], path[~away]))[away]
+    if not (before - c).max() > DROP:
+        return None
+    return np.concatenate([noise_of(road, c).ravel(), at.x[u.size :]])
+
+
+def noise_of(road: Road, c: np.ndarray) -> np.ndarray:
+    """The noise (2, K) of the road with coefficients `c` (2, K), level where it is not free."""
+    rises = road.free * np.diff(c - road.known, axis=1, prepend=0.0)
+    return irfft(rfft(FROM_PATHS @ rises, axis=1) / road.amplitude, road.size, axis=1)

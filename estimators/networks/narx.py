@@ -1,0 +1,206 @@
+"""The authors' recurrent network of 2010: a height from accelerations and the heights before it.
+
+    z_k = W2 tanh(W1 [a_k ... a_k-delays, z_k-1 ... z_k-delays] + b1) + b2
+
+on the grid, 20 hidden units, one output per wheel path (Ngwangwa, Heyns, Labuschagne & Kululanga,
+J. Terramechanics 47, 2010). Trained series-parallel: the heights fed back are the true ones, so
+that training is that of a static network (`levenberg_marquardt.py`). At test there is no truth, and
+it runs in parallel: its own answers are fed back, from the level apron on. The number of delays is
+assumed, and so is the rest as in `static_lm`.
+
+Fed with the truth it looks excellent, because a profile hardly changes from one station to the
+next; that figure cannot be had at test. It is measured on the part of the training roads that was
+held out, beside that of the closed loop on the same stations; both are stored with the weights and
+said in the notes of each estimate.
+
+Known to fail: errors fed back add up, so that on a new road it is no better than a level one.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar, NamedTuple, Self
+
+import numpy as np
+
+from estimators.api import arrays, copy_with, fitted
+from estimators.networks import levenberg_marquardt as lm
+from estimators.preprocessing import accelerations, heights, mended
+from road_envs._numba import kernel
+from road_envs.config import STRICT
+from road_envs.data.record import SENSORS, Estimate, Profile, Record, grid
+from road_envs.vehicle.parameters import VehicleParameters
+
+PATHS = 2
+HELD_OUT = 0.15
+"""Share of each training drive, at its end, on which both loops are measured."""
+
+
+class Learnt(NamedTuple):
+    """How the network was trained, the ranges that accelerations [m/s²] and heights [m] were mapped
+    from, and its error over the level of the held-out heights, open and closed loop.
+    """
+
+    training: lm.Training
+    inputs: lm.Scaling
+    heights: lm.Scaling
+    open_loop: float
+    closed_loop: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Narx:
+    """A network with `delays` heights fed back; once it has learnt, `training` tells how."""
+
+    __pydantic_config__ = STRICT
+    causal: ClassVar[bool] = False  # the processed accelerations are not
+
+    hidden: int = 20
+    delays: int = 2
+    max_epochs: int = 300
+    max_fail: int = 6
+    max_samples: int = 3964
+    learnt: Learnt | None = field(default=None, init=False, repr=False, compare=False)
+
+    def __post_init__(self):
+        for name in ("hidden", "delays", "max_epochs", "max_fail", "max_samples"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+
+    @property
+    def training(self) -> lm.Training:
+        """The course of the training, one value per epoch. Raises NotFittedError."""
+        return fitted(self.learnt, self).training
+
+    def fit(
+        self,
+        records: Sequence[Record],
+        truths: Sequence[Profile],
+        car: VehicleParameters,
+        seed: int,
+    ) -> Self:
+        """Train series-parallel; `seed` draws the division and the initial weights."""
+        a = [accelerations(mended(record)[0]) for record in records]
+        pairs = zip(records, truths, strict=True)
+        z = [heights(truth, grid(record.length)) for record, truth in pairs]
+        inputs, outputs = lm.Scaling.of(np.hstack(a)), lm.Scaling.of(np.hstack(z))
+        drives = [(inputs.apply(x), outputs.apply(y)) for x, y in zip(a, z, strict=True)]
+        seen = [_split(x, y, slice(None, _kept(y))) for x, y in drives]
+        samples = [series_parallel(x, y, self.delays) for x, y in seen]
+        x, t = (np.hstack(part) for part in zip(*samples, strict=True))
+        if t.shape[1] > self.max_samples:
+            spread = np.linspace(0, t.shape[1] - 1, self.max_samples).astype(int)
+            x, t = x[:, spread], t[:, spread]
+        rng = np.random.default_rng(seed)
+        division = lm.divide(t.shape[1], "random", rng)
+        start = lm.nguyen_widrow(len(x), self.hidden, PATHS, rng)
+        options = lm.Options(max_epochs=self.max_epochs, max_fail=self.max_fail)
+        training = lm.train(start, x, t, division, options)
+        loops = self._loops(training.network, outputs, drives)
+        return copy_with(self, learnt=Learnt(training, inputs, outputs, *loops))
+
+    def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
+        """The network in parallel, fed with its own answers. Raises RecordError."""
+        training, inputs, outputs, open_loop, closed_loop = fitted(self.learnt, self)
+        record, notes = mended(record)
+        x = inputs.apply(accelerations(record))
+        before = np.repeat(outputs.apply(np.zeros((PATHS, 1))), self.delays, axis=1)
+        z = outputs.reverse(self._closed(training.network, x, before))
+        said = (
+            f"on held-out training road {closed_loop:.2f} of the level, closed loop as here; "
+            f"{open_loop:.2f} if it were fed with the truth, which cannot be had"
+        )
+        return Estimate(grid(record.length), z, notes=(*notes, said))
+
+    def weights(self) -> dict[str, np.ndarray]:
+        """Both layers, mapped ranges, `open_loop`, `closed_loop` and the training's course."""
+        training, inputs, outputs, open_loop, closed_loop = fitted(self.learnt, self)
+        return {
+            "hidden": training.network.hidden,
+            "output": training.network.output,
+            "inputs": np.array([inputs.low, inputs.high]),
+            "heights": np.array([outputs.low, outputs.high]),
+            "loops": np.array([open_loop, closed_loop]),
+            **training.course(),
+        }
+
+    def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
+        """A copy with these weights. Raises ValueError."""
+        rows = len(SENSORS) * (self.delays + 1) + PATHS * self.delays + 1
+        shapes = {
+            "hidden": (rows, self.hidden),
+            "output": (PATHS, self.hidden + 1),
+            "inputs": (2, len(SENSORS)),
+            "heights": (2, PATHS),
+            "loops": (2,),
+            **lm.COURSE,
+        }
+        hidden, output, inputs, outputs, loops, *course = arrays(weights, shapes)
+        training = lm.Training.of(lm.Network(hidden, output), *course)
+        scalings = lm.Scaling(*inputs), lm.Scaling(*outputs)
+        return copy_with(self, learnt=Learnt(training, *scalings, *loops.tolist()))
+
+    def _closed(self, network: lm.Network, x: np.ndarray, before: np.ndarray) -> np.ndarray:
+        z = np.empty((PATHS, x.shape[1]))
+        run_parallel(network.hidden, network.output, x, before, z)
+        return z
+
+    def _loops(self, network: lm.Network, outputs: lm.Scaling, drives: Sequence) -> list[float]:
+        """Error over level of the held-out heights, fed with the truth and with its own answers."""
+        wrong, level = np.zeros(2), 0.0
+        for x, y in drives:
+            first = _kept(y)
+            parts = _split(x, y, slice(first - self.delays, None))
+            regressors, t = series_parallel(*parts, self.delays)
+            closed = self._closed(network, x[:, first:], y[:, first - self.delays : first])
+            truth = outputs.reverse(t)
+            for k, answer in enumerate((network(regressors), closed)):
+                wrong[k] += np.sum((outputs.reverse(answer) - truth) ** 2)
+            level += np.sum((truth - truth.mean(axis=1, keepdims=True)) ** 2)
+        return np.sqrt(wrong / level).tolist() if level > 0.0 else [0.0, 0.0]
+
+
+def series_parallel(x: np.ndarray, z: np.ndarray, delays: int) -> tuple[np.ndarray, np.ndarray]:
+    """Regressors (3 (delays + 1) + 2 delays, M - delays) and targets (2, M - delays) of mapped
+    accelerations `x` (3, M) and true heights `z` (2, M): newest accelerations first.
+    """
+    M = x.shape[1]
+    felt = [x[:, delays - k : M - k] for k in range(delays + 1)]
+    past = [z[:, delays - k : M - k] for k in range(1, delays + 1)]
+    return np.concatenate([*felt, *past]), z[:, delays:]
+
+
+@kernel
+def run_parallel(hidden, output, x, before, z):
+    """Answers to mapped accelerations `x` (3, M) into `z` (2, M), the network's own fed back.
+
+    `before` (2, delays) are the heights before the first; accelerations before it are the first.
+    """
+    delays, sensors, paths = before.shape[1], x.shape[0], z.shape[0]
+    units = hidden.shape[1]
+    for k in range(x.shape[1]):
+        for i in range(paths):
+            z[i, k] = output[i, units]
+        for j in range(units):
+            net = hidden[hidden.shape[0] - 1, j]
+            row = 0
+            for d in range(delays + 1):
+                for i in range(sensors):
+                    net += hidden[row, j] * x[i, max(k - d, 0)]
+                    row += 1
+            for d in range(1, delays + 1):
+                for i in range(paths):
+                    past = z[i, k - d] if k >= d else before[i, delays + k - d]
+                    net += hidden[row, j] * past
+                    row += 1
+            unit = np.tanh(net)
+            for i in range(paths):
+                z[i, k] += output[i, j] * unit
+
+
+def _kept(z: np.ndarray) -> int:
+    """Stations of a drive that are trained on."""
+    return z.shape[1] - int(HELD_OUT * z.shape[1])
+
+
+def _split(x: np.ndarray, z: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray]:
+    return x[:, part], z[:, part]

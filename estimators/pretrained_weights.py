@@ -1,0 +1,62 @@
+"""Weights on disk without pickle: safetensors files, and those that come with the package.
+
+    estimators/weights/<name>.safetensors
+
+Beside its arrays a file tells, as text: format, version of the package, command, seed and digest of
+the configuration that made it.
+"""
+
+import json
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from road_envs._atomic_io import whole
+
+FOLDER = Path(__file__).parent / "weights"
+SUFFIX = ".safetensors"
+ABOUT = "about"
+"""What is known about the weights, as JSON in the metadata."""
+
+
+class WeightsError(ValueError):
+    """A file of weights that cannot be used, in one sentence."""
+
+
+def write(path: str | Path, arrays: Mapping[str, np.ndarray], about: Mapping[str, str]) -> None:
+    """Write `arrays`, and what is to be known `about` them, whole or not at all."""
+    from safetensors.numpy import save
+
+    solid = {name: np.array(array, order="C") for name, array in arrays.items()}
+    with whole(path, durable=True) as partial:
+        # one entry, for several would stand in another order in every file
+        partial.write_bytes(save(solid, metadata={ABOUT: json.dumps(dict(about), sort_keys=True)}))
+
+
+def read(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """What `write` wrote: arrays and what is known about them. Raises WeightsError."""
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        Path(path).open("rb").close()
+        with safe_open(path, framework="numpy") as file:
+            arrays = {name: file.get_tensor(name) for name in file.keys()}
+            return arrays, json.loads((file.metadata() or {}).get(ABOUT, "{}"))
+    except OSError as error:
+        raise WeightsError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except SafetensorError as error:
+        raise WeightsError(f"{path}: damaged, or no safetensors file: {error}") from None
+
+
+@cache
+def shipped(name: str) -> dict[str, np.ndarray] | None:
+    """The arrays that come with the package for the estimator `name`, read-only, or None."""
+    path = FOLDER / f"{name}{SUFFIX}"
+    if not path.is_file():
+        return None
+    arrays, _ = read(path)
+    for array in arrays.values():
+        array.flags.writeable = False
+    return arrays

@@ -1,0 +1,141 @@
+"""Roughness and ISO class of a road straight from the spectra of the accelerations.
+
+    classify(record, car) -> ClassPosterior
+
+No height is reconstructed: the wheel paths' level in every octave is the one that makes the
+accelerations' spectra likely through the linearised car (empirical Bayes, `hearing.py`), stretch by
+stretch. An octave of M independent lines tells a level to within a factor whose logarithm has the
+standard deviation sqrt(1 / M) at best, and so does the class: its posterior over A to H follows
+from a normal density of log G_d(n0), limits at twice the geometric means (ISO 8608, table C.1).
+
+Known to fail: where wheels leave the ground; on a road too short to have a level.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtr
+
+from estimators.wiener.segments import Stretch, stretches
+from estimators.wiener.smoother import LENGTH, MARGIN
+from estimators.wiener.spectral_model import Hearing, alive, lines_of, listen
+from road_envs.analysis.information_bound import RoadPrior, posterior
+from road_envs.analysis.roughness import CLASSES
+from road_envs.data.record import F_MAX, Record, scored_band
+from road_envs.sensing.instruments import load_instruments
+from road_envs.vehicle.equations import plant
+from road_envs.vehicle.parameters import VehicleParameters
+
+MODEL_ERROR = 0.10
+"""Standard deviation of log level that a car not quite as supposed adds [assumed]."""
+
+TURNS = 8
+"""Steps of expectation and maximisation of an octave's level."""
+
+
+class ClassPosterior(NamedTuple):
+    """What is known of a road's roughness.
+
+    `G_d0` [m³] and the standard deviation `log_std` of its natural logarithm, over the judged band;
+    `octaves` (K,) [cycles/m] and `levels` (K,) [m³] likewise, each octave for itself, with
+    `level_stds` (K,); `probability` of each class by its letter, `octave_classes` the likeliest.
+    """
+
+    G_d0: float
+    log_std: float
+    octaves: np.ndarray
+    levels: np.ndarray
+    level_stds: np.ndarray
+    probability: dict[str, float]
+    octave_classes: tuple[str, ...]
+
+    @property
+    def letter(self) -> str:
+        """The likeliest class."""
+        return max(self.probability, key=lambda name: self.probability[name])
+
+
+class _Part(NamedTuple):
+    """Sums over a stretch: mean power over the prior's, and lines that it rests on, by octave."""
+
+    levels: np.ndarray
+    lines: np.ndarray
+
+
+def classify(record: Record, car: VehicleParameters, instruments: str = "paper") -> ClassPosterior:
+    """The roughness of the road of a `record`. Raises ConfigError, ValueError."""
+    tools, one = load_instruments(instruments), plant(car)
+    places, track = tools.places(car), car.front.y_t + car.rear.y_t
+    octaves = octaves_of(float(np.median(record.v)))
+    parts = []
+    for stretch in stretches(record, tools, LENGTH, MARGIN):
+        heard = listen(one, places, tools, stretch, track)
+        parts.append(_levels(heard, stretch, octaves))
+    weights = np.array([part.lines for part in parts])
+    total = np.maximum(weights.sum(axis=0), 1e-9)
+    levels = (weights * [part.levels for part in parts]).sum(axis=0) / total
+    stds = np.sqrt(1.0 / np.maximum(total, 1.0) + MODEL_ERROR**2)
+    use = total > 1.0
+    share = np.where(use, 1.0 / stds**2, 0.0)
+    log_level = float(share @ np.log(levels) / share.sum())
+    log_std = float(np.sqrt(1.0 / total[use].sum() + MODEL_ERROR**2))
+    return ClassPosterior(
+        float(np.exp(log_level)),
+        log_std,
+        octaves,
+        levels,
+        stds,
+        probabilities(log_level, log_std),
+        tuple(_likeliest(np.log(x), s) for x, s in zip(levels, stds, strict=True)),
+    )
+
+
+def probabilities(log_level: float, log_std: float) -> dict[str, float]:
+    """Probability of each class of a level whose natural logarithm is normal."""
+    limits = np.log([2.0 * mean for mean in CLASSES.values()][:-1])
+    below = np.concatenate([[0.0], ndtr((limits - log_level) / log_std), [1.0]])
+    return dict(zip(CLASSES, (float(p) for p in np.diff(below)), strict=True))
+
+
+def _likeliest(log_level: float, log_std: float) -> str:
+    of = probabilities(log_level, log_std)
+    return max(of, key=lambda name: of[name])
+
+
+def octaves_of(v: float) -> np.ndarray:
+    """Centres (K,) [cycles/m] of the octaves that are judged at `v` [m/s]: 0.25, 0.5, 1 and 2, as
+    far as the 25 Hz low-pass leaves them whole.
+    """
+    low, _ = scored_band(v)
+    high = min(2.0, F_MAX / v / np.sqrt(2.0))
+    if high < low:
+        raise ValueError(f"at {v:.1f} m/s no octave of the judged band passes the low-pass whole")
+    return 2.0 ** np.arange(np.ceil(np.log2(low)), np.floor(np.log2(high)) + 1.0)
+
+
+def _levels(heard: Hearing, stretch: Stretch, octaves: np.ndarray) -> _Part:
+    """Levels (K,) [m³] of a stretch's octaves, and the independent lines (K,) they rest on."""
+    lines, sensors = lines_of(heard, stretch), alive(stretch)
+    noise = heard.noise()
+    levels = np.full(octaves.size, heard.prior.G_d0)
+    counts = np.zeros(octaves.size)
+    span = stretch.seen.any(axis=0).sum() * stretch.d
+    for k, centre in enumerate(octaves):
+        inside = (heard.n >= centre * 2.0**-0.5) & (heard.n < centre * 2.0**0.5)
+        if not inside.any():
+            continue
+        n, y = heard.n[inside], lines[inside][:, sensors]
+        H, R = heard.H[inside][:, sensors], noise[inside][:, sensors][:, :, sensors]
+        unit = RoadPrior(G_d0=1.0, track=heard.prior.track).spectrum(n)
+        known = 0.0
+        for _ in range(TURNS):
+            now = posterior(n, H, unit * levels[k], R)
+            z = now.gain @ y
+            second = z @ np.conj(z.swapaxes(1, 2)) + now.error
+            levels[k] = float(np.mean(np.real(np.einsum("fii->f", np.linalg.solve(unit, second)))))
+            levels[k] /= 2.0
+            left = np.real(np.einsum("fii->f", np.linalg.solve(unit, now.error))) / levels[k]
+            known = float(np.mean(1.0 - 0.5 * left))
+        # a Hann window leaves two thirds as many independent lines; two wheel paths
+        counts[k] = 2.0 * span * (n[-1] - n[0]) * max(known, 0.01) * 2.0 / 3.0
+    return _Part(levels, counts)

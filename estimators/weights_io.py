@@ -1,0 +1,91 @@
+"""Estimators on disk: name, settings and learnt weights in one file, without pickle.
+
+In an `.npz` the array `header` holds JSON: the format, the package's version, the estimator's name
+and its settings; the arrays of `weights()` stand beside it as `weights.<name>`. In a `.safetensors`
+file the header is metadata, and what else is to be known about the weights stands there too.
+"""
+
+import io
+import json
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import fields
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from estimators import available, create, pretrained_weights
+from estimators.api import Estimator, Trainable
+from road_envs._atomic_io import whole
+
+FORMAT = "roadrecon estimator 1"
+WEIGHTS = "weights."
+"""Stands before the name of a weight, so that none can be taken for the header."""
+
+
+class StorageError(ValueError):
+    """A file that holds no estimator, or an estimator that cannot be stored, in one sentence."""
+
+
+def save(estimator: Estimator, path: str | Path, about: Mapping[str, str] | None = None) -> None:
+    """Write an estimator to `path`, whole or not at all; `about` goes into a `.safetensors` file.
+
+    Raises StorageError, NotFittedError.
+    """
+    path, kind = Path(path), cast(Any, type(estimator))
+    name = next((name for name, cls in available().items() if cls is kind), None)
+    if name is None:
+        raise StorageError(f"{kind.__name__} is no registered estimator")
+    header = {
+        "format": FORMAT,
+        "version": version("roadrecon"),
+        "name": name,
+        "settings": {f.name: getattr(estimator, f.name) for f in fields(kind) if f.init},
+    }
+    weights = estimator.weights() if isinstance(estimator, Trainable) else {}
+    if path.suffix == pretrained_weights.SUFFIX:
+        pretrained_weights.write(path, weights, {**(about or {}), "header": json.dumps(header)})
+        return
+    arrays: dict[str, Any] = {WEIGHTS + key: value for key, value in weights.items()}
+    with whole(path, durable=True) as partial, partial.open("wb") as file:
+        np.savez(file, header=np.array(json.dumps(header)), **arrays)
+
+
+def load(path: str | Path) -> Estimator:
+    """The estimator that `save` wrote. Raises StorageError that says what is wrong."""
+    weights, said = _read(Path(path))
+    try:
+        header = json.loads(said["header"])
+        if header["format"] != FORMAT:
+            raise StorageError(f"format {header['format']!r} is not {FORMAT!r}")
+        estimator = create(header["name"], **header["settings"])
+        return estimator.with_weights(weights) if isinstance(estimator, Trainable) else estimator
+    except KeyError as error:
+        raise StorageError(f"{path}: holds no RoadRecon estimator: {error} is missing") from None
+    except (TypeError, ValueError) as error:
+        raise StorageError(f"{path}: holds no usable estimator: {error}") from None
+
+
+def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Weights, and what is said about them."""
+    if path.suffix == pretrained_weights.SUFFIX:
+        try:
+            return pretrained_weights.read(path)
+        except pretrained_weights.WeightsError as error:
+            raise StorageError(str(error)) from None
+    try:
+        data = io.BytesIO(path.read_bytes())
+    except OSError as error:
+        raise StorageError(f"{path}: cannot be read: {error.strerror}") from None
+    if not zipfile.is_zipfile(data):
+        raise StorageError(f"{path}: not an .npz file, or cut short")
+    try:
+        with np.load(data, allow_pickle=False) as file:
+            arrays = {name.removeprefix(WEIGHTS): file[name] for name in file.files}
+    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise StorageError(f"{path}: damaged, or not written by RoadRecon: {error}") from None
+    header = arrays.pop("header", None)
+    return arrays, {} if header is None else {"header": str(header)}

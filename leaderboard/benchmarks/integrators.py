@@ -1,0 +1,190 @@
+"""One drive, integrated by this project and by every peer: what `bench` and `precision` measure.
+
+A class-D road, or another, at 15 m/s in ride mode; wanted are the body's accelerations every
+millisecond. All peers but Octave's call the compiled right-hand side of this project, and the
+implicit ones of SciPy and SUNDIALS its analytic Jacobian, so what differs is the method and the
+language of its loop. Octave's right-hand side is written in its own language, vectorised.
+"""
+
+import math
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.io import loadmat, savemat
+
+from road_envs.roads import load_road, with_length
+from road_envs.roads.surface import PAD, Surface
+from road_envs.simulation.adaptive_drive import LONGEST, follow
+from road_envs.simulation.drive import Drive
+from road_envs.simulation.rosenbrock import look_at_road, state_rate
+from road_envs.vehicle.equations import N_DOF, extension, jacobian, plant, wheel_height
+from road_envs.vehicle.parameters import GRAVITY, load_vehicle
+from road_envs.vehicle.suspension import E_0, E_STEP, OPEN, V_0, V_STEP, command
+
+CAR, SPEED, MODE = "land_rover_defender_110", 15.0, "ride"
+GRID = 0.001
+"""Step [s] between the wanted accelerations."""
+
+EXPLICIT = ("RK45", "DOP853")
+SCRIPT = Path(__file__).parent / "octave" / "drive.m"
+PATIENCE = 600.0
+"""Longest run of Octave [s]."""
+
+
+class PeerError(RuntimeError):
+    """A peer is not installed or did not finish; the sentence says which and why."""
+
+
+def atol_of(rtol: float) -> float:
+    """The absolute tolerance that goes with a relative one, the same for every method."""
+    return 1e-3 * rtol
+
+
+class Problem:
+    """`duration` [s] of the drive; every solver answers with accelerations (N, 3) at times `t`.
+
+    `surface` is another road than that of class D; no solver that chooses its steps takes one
+    longer than `max_step` [s].
+    """
+
+    def __init__(self, duration: float, surface: Surface | None = None, max_step: float = math.inf):
+        self.car = load_vehicle(CAR)
+        self.plant = plant(self.car)
+        if surface is None:
+            road = with_length(load_road("iso_d"), SPEED * duration + 20.0)
+            surface = road.realise(np.random.default_rng(1))
+        self.surface, self.max_step = surface, max_step
+        self.t = GRID * np.arange(round(duration / GRID))
+
+    def start(self, step: float = GRID) -> Drive:
+        """The drive at its beginning, to be integrated in steps of `step` [s]."""
+        return Drive(self.plant, self.car, self.surface, SPEED, MODE, step)
+
+    def fixed(self, step: float) -> np.ndarray:
+        """By this project at a constant step [s], a divisor of the grid's."""
+        drive, every = self.start(step), round(GRID / step)
+        motion = drive.advance(np.full(self.t.size * every, command(MODE), dtype=np.uint8))
+        return motion.acceleration[::every, :3]
+
+    def adaptive(self, rtol: float) -> np.ndarray:
+        """By this project's adaptive Rosenbrock pair."""
+        found = follow(self.start(), self.t, rtol, atol_of(rtol), min(self.max_step, LONGEST))
+        return found.trajectory.acceleration[:, :3]
+
+    def scipy(self, method: str, rtol: float) -> np.ndarray:
+        """By a method of `scipy.integrate.solve_ivp`."""
+        rate, slope = self._equations()
+        given = {} if method in EXPLICIT else {"jac": slope}
+        solution = solve_ivp(
+            lambda t, y: rate(t, y, np.empty(2 * N_DOF)),
+            (0.0, float(self.t[-1])),
+            self.start().state,
+            method=method,
+            t_eval=self.t,
+            rtol=rtol,
+            atol=atol_of(rtol),
+            max_step=self.max_step,
+            **given,
+        )
+        return self._observed(solution.y.T)
+
+    def cvode(self, rtol: float) -> np.ndarray:
+        """By the BDF of SUNDIALS CVODE. Raises PeerError without scikit-sundae."""
+        try:
+            from sksundae.cvode import CVODE
+        except ImportError:
+            raise PeerError(
+                "scikit-sundae is not installed (pip install roadrecon[peers])"
+            ) from None
+        rate, slope = self._equations()
+
+        def fill(t: float, y: np.ndarray, rates: np.ndarray, J: np.ndarray) -> None:
+            J[:] = slope(t, y)
+
+        longest = self.max_step if math.isfinite(self.max_step) else 0.0  # 0 is without end
+        options = {"rtol": rtol, "atol": atol_of(rtol), "max_step": longest}
+        solver = CVODE(rate, jacfn=fill, max_num_steps=10**6, **options)
+        return self._observed(solver.solve(self.t, self.start().state).y)
+
+    def octave(self, rtol: float) -> tuple[np.ndarray, float]:
+        """By Octave's ode23s; also the seconds it took without starting up. Raises PeerError."""
+        program = shutil.which("octave-cli") or shutil.which("octave")
+        if program is None:
+            raise PeerError("Octave is not installed")
+        with tempfile.TemporaryDirectory() as folder:
+            question, answer = Path(folder, "problem.mat"), Path(folder, "answer.mat")
+            savemat(question, self._for_octave() | {"rtol": rtol, "atol": atol_of(rtol)})
+            try:
+                subprocess.run(
+                    [program, "--norc", "--quiet", SCRIPT, question, answer],
+                    check=True, capture_output=True, text=True, timeout=PATIENCE,
+                )  # fmt: skip
+            except subprocess.TimeoutExpired:
+                raise PeerError(f"Octave was stopped after {PATIENCE:.0f} s") from None
+            except subprocess.CalledProcessError as error:
+                raise PeerError(f"Octave failed: {' '.join(error.stderr.split())}") from None
+            found = loadmat(answer)
+        return self._observed(found["y"]), float(found["seconds"].item())
+
+    def _equations(self) -> tuple[Callable[..., np.ndarray], Callable[..., np.ndarray]]:
+        """Right-hand side, which fills and returns its third argument, and Jacobian (14, 14)."""
+        drive, surface, road = self.start(), self.surface, np.empty(8)
+        ground = (surface.padded, surface.start, surface.ds)
+
+        def rate(t: float, y: np.ndarray, out: np.ndarray) -> np.ndarray:
+            s = drive.start + SPEED * t
+            state_rate(*self.plant.arrays, drive.memory, *ground, s, SPEED, y, out)
+            return out
+
+        def slope(t: float, y: np.ndarray) -> np.ndarray:
+            look_at_road(self.plant.numbers[0], *ground, drive.start + SPEED * t, SPEED, road)
+            return jacobian(self.plant, drive.memory, y, road[:4], road[4:])
+
+        return rate, slope
+
+    def _observed(self, states: np.ndarray) -> np.ndarray:
+        if len(states) != self.t.size:
+            raise PeerError(f"the solver stopped after {len(states)} of {self.t.size} ms")
+        rate, _ = self._equations()
+        rates, y = np.empty((self.t.size, 2 * N_DOF)), np.ascontiguousarray(states)
+        for k, t in enumerate(self.t):
+            rate(t, y[k], rates[k])
+        return rates[:, N_DOF : N_DOF + 3]
+
+    def _for_octave(self) -> dict[str, Any]:
+        """Everything the script reads: forces act along `B` (struts) and `G` (tyres), (4, 7)."""
+        drive, p = self.start(), self.plant.numbers[0]
+        unit, wheels, axle = np.eye(N_DOF), range(4), np.repeat([0, 1], 2)
+        names = ("n_p", "x_1", "column_min")
+        weight = np.where(np.isin(np.arange(N_DOF), (0, 3, 5)), GRAVITY, 0.0)
+        columns = {
+            "share": 1.0 - drive.memory[:, OPEN] * p["r_2"],
+            "side": np.array([1.0, 2.0, 1.0, 2.0]),
+            "behind": (p["x"][0] - p["x"])[axle],
+            "y_0": drive.state, "M": p["M"], "g": weight,
+            **{name: p[name] for name in ("p_A", "k_t", "c_t")},
+            "delta": p["delta"][axle],
+        }  # fmt: skip
+        return {
+            **{name: float(p[name]) for name in names},
+            **{name: values[:, None] for name, values in columns.items()},
+            "B": np.array([[extension(p, q, w) for q in unit] for w in wheels]),
+            "G": np.array([[wheel_height(p, q, w) for q in unit] for w in wheels]),
+            "damper": self.plant.velocity[0], "V_0": V_0, "dV": V_STEP,
+            "stops_front": self.plant.displacement[0],
+            "stops_rear": self.plant.displacement[1], "E_0": E_0, "dE": E_STEP,
+            "padded": self.surface.padded, "pad": float(PAD), "start": self.surface.start,
+            "ds": self.surface.ds, "s_0": drive.start, "v": SPEED, "t": self.t,
+            "max_step": min(self.max_step, float(self.t[-1])),
+        }  # fmt: skip
+
+
+def relative_error(a: np.ndarray, truth: np.ndarray) -> float:
+    """RMS difference over the RMS of the truth [-]."""
+    return math.sqrt(float(np.mean((a - truth) ** 2) / np.mean(truth**2)))

@@ -1,0 +1,140 @@
+"""Levenberg-Marquardt against its peers: one network, one start, one set of samples, one error.
+
+The paper's 3-50-2 network on the 3964 samples of a scenario, without validation. Each trains from
+the same weights until its training error is that of ours after EPOCHS; what is compared is the time
+that takes. SciPy's MINPACK routine is given the analytic Jacobian; torch-levenberg-marquardt makes
+its own by `torch.func`. One that does not get there within PATIENCE is counted with that time.
+"""
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from estimators.networks import levenberg_marquardt as lm
+from estimators.preprocessing import accelerations, heights
+from leaderboard.benchmarks.integrators import CAR, PeerError
+from road_envs.data.record import grid
+from road_envs.data.recording import record_drive
+from road_envs.roads import load_road
+from road_envs.sensing.data_logger import load_instruments
+from road_envs.vehicle.parameters import load_vehicle
+
+HIDDEN = 50
+EPOCHS = 20
+PATIENCE = 60.0  # [s]
+
+
+class Samples(NamedTuple):
+    """Mapped inputs (3, N) and targets (2, N), and the weights that all begin with."""
+
+    x: np.ndarray
+    t: np.ndarray
+    start: lm.Network
+
+
+class Reached(Exception):  # noqa: N818 - no error: how a routine without a callback is stopped
+    """The wanted error is reached, or patience is at its end."""
+
+
+def samples(seed: int = 1) -> Samples:
+    """One training scenario of the paper: an altered Belgian paving in ride mode at 14.5 km/h."""
+    surface = load_road("belgian_training").realise(np.random.default_rng(seed))
+    record, truth = record_drive(
+        load_vehicle(CAR),
+        surface,
+        speed_kmh=14.5,
+        mode="ride",
+        instruments=load_instruments("ideal"),
+        seed=seed,
+    )
+    x, t = accelerations(record), heights(truth, grid(record.length))
+    start = lm.nguyen_widrow(len(x), HIDDEN, len(t), np.random.default_rng(seed))
+    return Samples(lm.Scaling.of(x).apply(x), lm.Scaling.of(t).apply(t), start)
+
+
+def ours(given: Samples, epochs: int) -> lm.Training:
+    """Our training, on all samples."""
+    nothing = np.array([], dtype=int)
+    split = lm.Split(np.arange(given.t.shape[1]), nothing, nothing)
+    return lm.train(given.start, given.x, given.t, split, lm.Options(max_epochs=epochs))
+
+
+def seconds_of_scipy(given: Samples, error: float) -> float:
+    """Time [s] in which `least_squares` gets to the mean squared `error`."""
+    begin = time.perf_counter()
+
+    def residuals(p: np.ndarray) -> np.ndarray:
+        found = (_network(given, p)(given.x) - given.t).ravel()
+        if np.mean(found**2) <= error or time.perf_counter() - begin > PATIENCE:
+            raise Reached
+        return found
+
+    start = np.concatenate([given.start.hidden.ravel(), given.start.output.ravel()])
+    try:
+        least_squares(
+            residuals, start, jac=lambda p: jacobian(_network(given, p), given.x), method="lm"
+        )
+    except Reached:
+        return time.perf_counter() - begin
+    return PATIENCE
+
+
+def seconds_of_torch(given: Samples, error: float) -> float:
+    """Time [s] in which torch-levenberg-marquardt gets there. Raises PeerError without it."""
+    try:
+        import torch
+        from torch_levenberg_marquardt.training import LevenbergMarquardtModule
+    except ImportError as missing:
+        raise PeerError(f"torch-levenberg-marquardt is not installed: {missing}") from None
+    first, second = torch.nn.Linear(3, HIDDEN), torch.nn.Linear(HIDDEN, 2)
+    model = torch.nn.Sequential(first, torch.nn.Tanh(), second).double()
+    hidden, output = given.start.hidden, given.start.output
+    with torch.no_grad():
+        first.weight.copy_(torch.from_numpy(hidden[:-1].T.copy()))
+        first.bias.copy_(torch.from_numpy(hidden[-1].copy()))
+        second.weight.copy_(torch.from_numpy(output[:, :-1].copy()))
+        second.bias.copy_(torch.from_numpy(output[:, -1].copy()))
+    x, t = (torch.from_numpy(part.T.copy()) for part in (given.x, given.t))
+    peer = LevenbergMarquardtModule(model)
+    begin = time.perf_counter()
+    while (spent := time.perf_counter() - begin) < PATIENCE:
+        _, loss, stopped, _ = peer.training_step(x, t)
+        if float(loss) <= error:
+            return time.perf_counter() - begin
+        if stopped:
+            break
+    return max(spent, PATIENCE)
+
+
+PEERS: dict[str, Callable[[Samples, float], float]] = {
+    "SciPy least_squares 'lm' (analytic Jacobian)": seconds_of_scipy,
+    "torch-levenberg-marquardt": seconds_of_torch,
+}
+
+
+def jacobian(network: lm.Network, x: np.ndarray) -> np.ndarray:
+    """Derivatives (2 N, P) of the outputs, all of the first before all of the second."""
+    ones = np.ones((1, x.shape[1]))
+    inputs = np.vstack([x, ones])
+    active = np.tanh(network.hidden.T @ inputs)
+    units = np.vstack([active, ones])
+    slope = 1.0 - active**2
+    rows = []
+    for k, weights in enumerate(network.output):
+        hidden = inputs[:, None, :] * (weights[:-1, None] * slope)[None]
+        output = np.zeros((*network.output.shape, x.shape[1]))
+        output[k] = units
+        rows.append(
+            np.concatenate([hidden.reshape(-1, x.shape[1]), output.reshape(-1, x.shape[1])])
+        )
+    return np.concatenate(rows, axis=1).T
+
+
+def _network(given: Samples, p: np.ndarray) -> lm.Network:
+    hidden, output = given.start.hidden, given.start.output
+    return lm.Network(
+        p[: hidden.size].reshape(hidden.shape), p[hidden.size :].reshape(output.shape)
+    )

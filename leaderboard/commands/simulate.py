@@ -1,0 +1,228 @@
+"""`simulate` and `train`: one drive, one estimator."""
+
+import shlex
+import sys
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.table import Table
+
+import estimators
+from estimators import weights_io
+from estimators.api import Teachable, Trainable
+from leaderboard.commands import console, mode_of, print_json, progress_bar, settings_of, writable
+from leaderboard.evaluation import pretraining
+from leaderboard.report import plots
+from road_envs.analysis.roughness import iri
+from road_envs.config import ConfigError
+from road_envs.data.record import Profile, Record
+from road_envs.data.recording import record_drive, write_record
+from road_envs.data.training_corpus import Corpus
+from road_envs.roads import Surface, load_road, with_length, write_csv
+from road_envs.sensing.data_logger import load_instruments
+from road_envs.vehicle.parameters import load_vehicle
+
+Road = Annotated[str, typer.Option(help="Road: shipped name, YAML path or surface file.")]
+Speed = Annotated[float, typer.Option(help="Speed in km/h.")]
+Mode = Annotated[
+    str, typer.Option(help="4S4 mode: ride, handling, ..., or front=ride,rear=handling.")
+]
+Length = Annotated[float | None, typer.Option(help="Another length of the road in metres.")]
+Seed = Annotated[int, typer.Option(help="Seed of the road, and of the sensors' noise.", min=0)]
+Vehicle = Annotated[str, typer.Option(help="Vehicle: shipped name or YAML path.")]
+Sensors = Annotated[str, typer.Option(help="Instruments: shipped name or YAML path.")]
+Grade = Annotated[
+    str, typer.Option(help="Field car: S0 (the car as described) to S3, drawn by the seed.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+
+
+def simulate(
+    road: Road = "belgian",
+    speed_kmh: Speed = 14.5,
+    mode: Mode = "ride",
+    length: Length = None,
+    seed: Seed = 1,
+    vehicle: Vehicle = "land_rover_defender_110",
+    sensors: Sensors = "paper",
+    grade: Grade = "S0",
+    out: Annotated[Path | None, typer.Option(help="Write the record (.parquet).")] = None,
+    truth: Annotated[Path | None, typer.Option(help="Write the true profile (.csv).")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw profile and record (.png).")] = None,
+    json: Json = False,
+) -> None:
+    """Drive the vehicle over a road and record what its instruments see."""
+    writable(out, ".parquet"), writable(truth, ".csv"), writable(plot, ".png", ".svg", ".pdf")
+    surface, struts = realised(road, length, seed), mode_of(mode)
+    record, profile = record_drive(
+        load_vehicle(vehicle),
+        surface,
+        speed_kmh=speed_kmh,
+        mode=struts,
+        instruments=load_instruments(sensors),
+        seed=seed,
+        grade=grade,
+    )
+    said: dict[str, Any] = {
+        "road": road,
+        "speed_kmh": speed_kmh,
+        "mode": struts,
+        "vehicle": vehicle,
+        "sensors": sensors,
+        "grade": grade,
+        "seed": seed,
+    }
+    if out:
+        write_record(out, record, said)
+    if truth:
+        write_csv(surface, truth)
+    if plot:
+        plots.draw_drive(record, profile, plot)
+    rms = dict(zip(("RF", "LR", "RR"), np.sqrt(np.nanmean(record.a**2, axis=1)), strict=True))
+    facts = {
+        **said,
+        "length_m": surface.length,
+        "duration_s": float(record.t[-1]),
+        "samples": record.t.size,
+        "lost_samples": int(np.isnan(record.a).any(axis=0).sum()),
+        "iri_mm_per_m": [float(iri(z, surface.ds)) for z in surface.z],
+        "rms_acceleration": {name: float(value) for name, value in rms.items()},
+        "notes": list(surface.notes),
+        "written": [str(p) for p in (out, truth, plot) if p],
+    }
+    print_json(facts) if json else print_facts(facts)
+
+
+def train(
+    estimator: Annotated[str, typer.Argument(help="Name of a trainable estimator.")],
+    out: Annotated[
+        Path, typer.Option(help="Where to write the fitted estimator (.npz or .safetensors).")
+    ],
+    road: Annotated[
+        list[str] | None,
+        typer.Option(help="Training road; may be given again. Without one: the shipped corpus."),
+    ] = None,
+    speed_kmh: Speed = 14.5,
+    mode: Mode = "ride",
+    length: Length = None,
+    drives: Annotated[
+        int | None,
+        typer.Option(help="Drives on each road, each its own seed; or of the corpus.", min=1),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the training.", min=0)] = 1,
+    vehicle: Vehicle = "land_rover_defender_110",
+    sensors: Sensors = "ideal",
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="Setting of the estimator, key=value.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Train an estimator on simulated drives and store it.
+
+    On roads that are given, at one speed and in one mode; or, without any, once for all speeds and
+    modes, as the weights that come with the package were made. That takes some minutes, and goes
+    on where it was if it is interrupted and called again.
+    """
+    writable(out, ".npz", ".safetensors")
+    chosen = estimators.create(estimator, **settings_of(settings or []))
+    if not isinstance(chosen, Trainable):
+        raise ConfigError(f"{estimator} has nothing to learn; use it in `estimate` by its name")
+    if road is None:
+        facts = _teach(chosen, estimator, out, drives, seed)
+        print_json(facts) if json else print_facts(facts)
+        return
+    car, instruments, drives = load_vehicle(vehicle), load_instruments(sensors), drives or 1
+    pairs: list[tuple[Record, Profile]] = []
+    with progress_bar() as progress:
+        for k, (name, i) in enumerate((name, i) for name in road for i in range(drives)):
+            progress(f"driving {name}", 0.5 * k / (len(road) * drives))
+            pair = record_drive(
+                car,
+                realised(name, length, seed + i),
+                speed_kmh=speed_kmh,
+                mode=mode_of(mode),
+                instruments=instruments,
+                seed=seed + i,
+            )
+            pairs.append(pair)
+        progress(f"training {estimator}", 0.5)
+        fitted = chosen.fit([r for r, _ in pairs], [z for _, z in pairs], car, seed)
+    weights_io.save(fitted, out)
+    facts = {
+        "estimator": estimator,
+        "drives": len(pairs),
+        "metres": float(sum(r.length for r, _ in pairs)),
+        "written": [str(out)],
+    }
+    course = getattr(fitted, "training", None)
+    if course is not None:
+        facts |= {"epochs": course.epochs, "stopped_by": course.stop}
+    print_json(facts) if json else print_facts(facts)
+
+
+def _teach(
+    estimator: Trainable, name: str, out: Path, number: int | None, seed: int
+) -> dict[str, Any]:
+    """Teach an estimator from the corpus; what there is to say about it."""
+    if not isinstance(estimator, Teachable):
+        able = [key for key, cls in estimators.available().items() if hasattr(cls, "learn")]
+        raise ConfigError(
+            f"{name} learns one speed and mode: give its training roads with --road; "
+            f"taught once for all are {', '.join(able)}"
+        )
+    if out.suffix != ".safetensors":
+        raise ConfigError(f"{out}: the name must end in .safetensors for weights from the corpus")
+    corpus = Corpus() if number is None else Corpus(number=number)
+    begin = time.process_time()
+    with progress_bar() as progress:
+        pretraining.train(estimator, name, corpus, seed, out, command_line(), progress)
+    return {
+        "estimator": name,
+        "drives": corpus.number,
+        "corpus": corpus.digest,
+        "cpu_seconds": time.process_time() - begin,
+        "written": [str(out)],
+    }
+
+
+def command_line() -> str:
+    """The command as it was typed, without the folder of the program."""
+    return shlex.join(["roadrecon", *sys.argv[1:]])
+
+
+def realised(road: str, length: float | None, seed: int) -> Surface:
+    """The surface that `seed` draws of a road, with another length if one is given."""
+    chosen = load_road(road)
+    if length is not None:
+        chosen = with_length(chosen, length)
+    return chosen.realise(np.random.default_rng(seed))
+
+
+def print_facts(facts: dict[str, Any]) -> None:
+    """One line for each fact, and then its notes."""
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for key, value in facts.items():
+        if key != "notes" and value not in ([], {}, None):
+            table.add_row(key, _text(value))
+    console.print(table)
+    print_notes(facts.get("notes", ()))
+
+
+def print_notes(notes: Iterable[str]) -> None:
+    """What was assumed or mended, a line each."""
+    for note in notes:
+        console.print(f"- {note}", highlight=False, markup=False)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, dict):
+        return ", ".join(f"{k} {_text(v)}" for k, v in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(_text(v) for v in value)
+    return str(value)

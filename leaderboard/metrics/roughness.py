@@ -1,0 +1,140 @@
+"""How near the roughness of an estimate is to that of the truth: spectral density, class, IRI.
+
+Truth `y` and estimate `a` are heights (2, M) [m], `ds` [m] apart; their densities `G_y` and `G_a`
+(2, K) [m³] at `n` (K,) [cycles/m] are made under the same settings (ISO 8608: Welch, Hann, 50 %
+overlap, segments of at most 100 m). The truth is the road as realised, not the class it was drawn
+from. Ratios of densities are 10 log10(estimate / truth) [dB]; one beyond 60 dB, such as that of a
+flat estimate, counts as 60 dB.
+"""
+
+import numpy as np
+
+from leaderboard.metrics.heights import F_MAX, Band, scored_band
+from road_envs.analysis.roughness import (
+    CLASSES,
+    band_means,
+    classify,
+    dsd,
+    fit_line,
+    golden_car,
+    octave_levels,
+    smooth,
+)
+
+CAP = 60.0  # [dB]
+IRI_SEGMENT = 100.0  # [m]
+OCTAVES = (0.25, 0.5, 1.0, 2.0)  # [cycles/m] in which classes are compared
+THIRDS = 2.0 ** (np.arange(-9, 6) / 3.0)
+"""Centres [cycles/m] of the third octaves over which the error is told: 0.125 to 3.17."""
+
+
+def scores(y: np.ndarray, a: np.ndarray, ds: float, v: float) -> dict[str, float]:
+    """All scores of roughness for a drive at `v` [m/s]."""
+    band = scored_band(v)
+    n, (G_y, G_a, G_e) = dsd(np.stack([y, a, a - y]), ds)
+    distance, bias = dsd_distance(n, G_y, G_a, band)
+    steps = class_steps(n, G_y, G_a, v)
+    fitted, size, signed = fitted_class(n, G_y, G_a, band)
+    error, relative = iri_error(y, a, ds)
+    return {
+        "dsd_distance_db": distance,
+        "dsd_bias_db": bias,
+        "class_exact": _share(steps == 0),
+        "class_within_one": _share(np.abs(steps) <= 1),
+        "fitted_class": fitted,
+        "G_d0_error_db": size,
+        "G_d0_bias_db": signed,
+        "iri_error": error,
+        "iri_error_relative": relative,
+        **{
+            f"class_exact_{n_c:g}": _share(steps[:, k] == 0) if k < steps.shape[1] else np.nan
+            for k, n_c in enumerate(OCTAVES)
+        },
+        **{
+            f"error_at_{n_c:.3g}": x
+            for n_c, x in zip(THIRDS, error_over_n(n, G_y, G_e), strict=True)
+        },
+    }
+
+
+def error_over_n(n: np.ndarray, G_y: np.ndarray, G_e: np.ndarray) -> list[float]:
+    """NRMSE [-] in each of THIRDS: root of the error's power over the truth's, both paths."""
+    true, wrong = (
+        band_means(n, G.sum(axis=0), THIRDS * 2.0 ** (-1 / 6), THIRDS * 2.0 ** (1 / 6))
+        for G in (G_y, G_e)
+    )
+    ratio = np.divide(wrong, true, out=np.full_like(true, np.nan), where=true > 0)
+    return np.sqrt(ratio).tolist()
+
+
+def dsd_distance(
+    n: np.ndarray, G_y: np.ndarray, G_a: np.ndarray, band: Band
+) -> tuple[float, float]:
+    """RMS and mean [dB] of the density ratios over the third octaves that lie inside `band`."""
+    k = np.arange(np.ceil(3 * np.log2(band[0])), np.floor(3 * np.log2(band[1])) + 1)
+    low, high = 2.0 ** ((k - 0.5) / 3), 2.0 ** ((k + 0.5) / 3)
+    inside = (low >= band[0]) & (high <= band[1])
+    true, found = (band_means(n, G, low[inside], high[inside]) for G in (G_y, G_a))
+    ratio = _decibels(found, true)
+    return float(np.sqrt(np.mean(ratio**2))), float(np.mean(ratio))
+
+
+def class_steps(n: np.ndarray, G_y: np.ndarray, G_a: np.ndarray, v: float) -> np.ndarray:
+    """By how many ISO classes an octave is taken for too rough: (2, octaves), 0 where it is right.
+
+    OCTAVES as far as the 25 Hz low-pass at `v` [m/s] leaves them whole; perhaps none.
+    """
+    whole = [n_c for n_c in OCTAVES if n_c * np.sqrt(2.0) <= F_MAX / v]
+    if not whole:
+        return np.zeros((2, 0), dtype=int)
+    octaves = (whole[0], whole[-1])
+    true, found = (octave_levels(n, G, octaves)[1] for G in (G_y, G_a))
+    return np.vectorize(_index, otypes=[int])(found) - np.vectorize(_index, otypes=[int])(true)
+
+
+def fitted_class(
+    n: np.ndarray, G_y: np.ndarray, G_a: np.ndarray, band: Band
+) -> tuple[float, float, float]:
+    """Share [-] of wheel paths whose class is right, and the error of Gd(n0) [dB]: mean size, mean.
+
+    Class and Gd(n0) are those of the line with w = 2 through the smoothed density inside `band`.
+    """
+    true, found = (np.array([_level(n, path, band) for path in G]) for G in (G_y, G_a))
+    right = [classify(a) == classify(y) for a, y in zip(found, true, strict=True)]
+    error = _decibels(found, true)
+    return float(np.mean(right)), float(np.mean(np.abs(error))), float(np.mean(error))
+
+
+def iri_error(y: np.ndarray, a: np.ndarray, ds: float) -> tuple[float, float]:
+    """Mean absolute error of the IRI per 100 m [mm/m], and relative to the true mean [-]."""
+    true, found = _iri(y, ds), _iri(a, ds)
+    error = float(np.mean(np.abs(found - true)))
+    return error, error / float(true.mean()) if true.any() else np.nan
+
+
+def _iri(z: np.ndarray, ds: float) -> np.ndarray:
+    """IRI (2, segments) [mm/m]; the road is cut into whole segments of about 100 m."""
+    motion = 1e3 * np.abs(golden_car(z, ds))
+    segments = max(1, round(z.shape[-1] * ds / IRI_SEGMENT))
+    return np.array([part.mean(axis=-1) for part in np.array_split(motion, segments, axis=-1)]).T
+
+
+def _level(n: np.ndarray, G: np.ndarray, band: Band) -> float:
+    """Gd(n0) [m³] of one wheel path by a line with w = 2 inside `band`; 0 if it is flat."""
+    n, G = smooth(n, G)
+    inside = (n >= band[0]) & (n <= band[1]) & (G > 0.0)
+    return fit_line(n, G, w=2.0, band=band)[0] if inside.sum() >= 2 else 0.0
+
+
+def _share(hits: np.ndarray) -> float:
+    return float(np.mean(hits)) if hits.size else np.nan
+
+
+def _index(G_d0: float) -> int:
+    return list(CLASSES).index(classify(G_d0))
+
+
+def _decibels(a: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """10 log10(a / y), cut at +-60 dB; NaN where both are 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.clip(10.0 * np.log10(a / y), -CAP, CAP)

@@ -1,0 +1,99 @@
+"""What a drive did to the passengers, the suspension and the tyres: one number each.
+
+Comfort is that of heave, at the centre of mass (a seat elsewhere also feels pitch and roll). Stops
+are counted strut by strut, each time one goes beyond the part of its curve that gives no force.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from road_envs.analysis import comfort
+from road_envs.simulation.drive import Trajectory
+from road_envs.vehicle.equations import PHI, Z_B
+from road_envs.vehicle.force_curves import Curve
+from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.suspension import strut_states
+
+
+class Metric(NamedTuple):
+    """How a metric is printed: its value times `factor`, in `unit`, with `digits` decimals."""
+
+    label: str
+    unit: str
+    factor: float
+    digits: int
+
+
+METRICS = {
+    "comfort": Metric("W_k-weighted RMS heave acceleration", "m/s²", 1.0, 2),
+    "vdv": Metric("vibration dose value of heave", "m/s^1.75", 1.0, 2),
+    "rattle": Metric("RMS strut extension", "mm", 1000.0, 1),
+    "rattle_peak": Metric("largest strut extension", "mm", 1000.0, 0),
+    "stops_per_km": Metric("bump-stop hits", "1/km", 1.0, 0),
+    "tyre_load": Metric("dynamic tyre load coefficient", "-", 1.0, 3),
+    "lift_per_km": Metric("time of wheels off the ground", "s/km", 1.0, 2),
+    "roll": Metric("RMS roll angle", "deg", np.degrees(1.0), 2),
+    "roll_peak": Metric("largest roll angle", "deg", np.degrees(1.0), 1),
+    "switches_per_km": Metric("changes of the command", "1/km", 1.0, 0),
+    "dwell": Metric("mean time between changes", "s", 1.0, 2),
+    "turned_over": Metric("drives that ended on the side", "-", 1.0, 2),
+    "reward": Metric("return of the reward, per second", "-", 1.0, 3),
+    "bound": Metric("in-band error that the states leave at least", "-", 1.0, 3),
+}
+
+
+def ride_metrics(motion: Trajectory, car: VehicleParameters, begin: int = 0) -> dict[str, float]:
+    """Those of METRICS that follow from a motion with even steps, in SI units.
+
+    What was commanded before step `begin` was nobody's choice, and leaving it is no switch.
+    """
+    h = float(motion.t[1] - motion.t[0])
+    km = (float(motion.s[-1] - motion.s[0]) + h * float(motion.v[-1])) / 1000.0
+    heave, roll = motion.acceleration[:, Z_B], motion.state[:, PHI]
+    static = np.repeat(car.tyre_loads, 2)
+    changes = int(np.count_nonzero(np.diff(motion.commands[begin:])))
+    return {
+        "comfort": float(comfort.weighted_rms(heave, 1.0 / h)),
+        "vdv": float(comfort.vdv(heave, 1.0 / h)),
+        "rattle": _rms(motion.extension),
+        "rattle_peak": float(np.abs(motion.extension).max()),
+        "stops_per_km": stops(motion.extension, car) / km,
+        "tyre_load": _rms(motion.tyre_load / static - 1.0),
+        "lift_per_km": h * int(np.count_nonzero(motion.tyre_load <= 0.0)) / km,
+        "roll": _rms(roll),
+        "roll_peak": float(np.abs(roll).max()),
+        "switches_per_km": changes / km,
+        "dwell": h * motion.t.size / (changes + 1),
+    }
+
+
+def stops(extension: np.ndarray, car: VehicleParameters) -> int:
+    """How often a strut reaches a bump stop, from extensions (N, 4) [m]."""
+    curves = car.strut.bump_stop
+    limits = np.array([_free(curves.front)] * 2 + [_free(curves.rear)] * 2)
+    hits = 0
+    for beyond in (extension < limits[:, 0], extension > limits[:, 1]):
+        hits += int(beyond[0].sum() + np.count_nonzero(beyond[1:] & ~beyond[:-1]))
+    return hits
+
+
+def shares(commands: np.ndarray) -> dict[tuple[bool, ...], float]:
+    """Share of time in each state of front and rear: (stiff, high, stiff, high), left wheels."""
+    found, counts = np.unique(commands, return_counts=True)
+    stiff, high = strut_states(found)
+    states = np.stack([stiff[:, 0], high[:, 0], stiff[:, 2], high[:, 2]], axis=1)
+    total: dict[tuple[bool, ...], float] = {}
+    for state, count in zip(states.tolist(), counts.tolist(), strict=True):
+        total[tuple(state)] = total.get(tuple(state), 0.0) + count / len(commands)
+    return total
+
+
+def _free(curve: Curve) -> tuple[float, float]:
+    """Extensions [m] between which a bump stop gives no force."""
+    free = [x for x, F in zip(curve.x, curve.F, strict=True) if F == 0.0]
+    return min(free), max(free)
+
+
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(x))))

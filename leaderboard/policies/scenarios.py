@@ -1,0 +1,126 @@
+"""Scenarios: how switching policies are driven, on which roads they are tuned and on which judged.
+
+They come from `configs/scenarios/*.yaml`. A case is a road family at a speed, with or without a
+manoeuvre; every seed realises another road of the family. Test and training never share a seed.
+"""
+
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+from road_envs import config
+from road_envs.config import STRICT, ConfigError
+from road_envs.envs.options import Setup, Weights
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One way to drive; `manoeuvre` as the environment takes it."""
+
+    __pydantic_config__ = STRICT
+
+    road: str
+    speed_kmh: float
+    manoeuvre: str | dict[str, Any] | None = None
+
+    @property
+    def label(self) -> str:
+        """Such as "iso_d, 54 km/h, lane_change"."""
+        kind = self.manoeuvre if isinstance(self.manoeuvre, str | None) else self.manoeuvre["kind"]
+        return f"{self.road}, {self.speed_kmh:g} km/h, {kind or 'straight on'}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seeds:
+    """`number` seeds from `first` on."""
+
+    __pydantic_config__ = STRICT
+
+    first: int
+    number: int
+
+    def __post_init__(self):
+        if self.first < 0 or self.number < 2:
+            raise ValueError(
+                f"first must not be negative and number at least 2, got {self.first}, {self.number}"
+            )
+
+    @property
+    def all(self) -> range:
+        """The seeds."""
+        return range(self.first, self.first + self.number)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenarios:
+    """Cases, and what they have in common; `length` [m] of every road, `control_rate` [Hz]. Of the
+    case number `shown` the page shows a drive over time.
+    """
+
+    __pydantic_config__ = STRICT
+
+    name: str
+    title: str
+    cases: tuple[Case, ...]
+    test: Seeds
+    training: Seeds
+    shown: int = 0
+    length: float = 100.0
+    control: Literal["vehicle", "axle", "states"] = "states"
+    control_rate: float = 50.0
+    mode: str | dict[str, str] = "ride"
+    vehicle: str = "land_rover_defender_110"
+    sensors: str = "paper"
+    weights: Weights = field(default_factory=Weights)
+    note: str = ""
+
+    def __post_init__(self):
+        if not self.cases:
+            raise ValueError("at least one case is wanted")
+        if not 0 <= self.shown < len(self.cases):
+            raise ValueError(
+                f"shown must number one of {len(self.cases)} cases, 0 to {len(self.cases) - 1}, "
+                f"got {self.shown}"
+            )
+        if len(set(map(repr, self.cases))) < len(self.cases):
+            raise ValueError("every case must stand once")
+        if shared := sorted(set(self.test.all) & set(self.training.all)):
+            raise ValueError(f"training and test share the seeds {shared}")
+
+    def options(self, case: Case) -> dict[str, Any]:
+        """Keyword arguments of the environment; `info` never holds the truth."""
+        common = ("length", "control", "control_rate", "mode", "vehicle", "sensors")
+        return {
+            **{name: getattr(self, name) for name in common},
+            "road": case.road,
+            "speed_kmh": case.speed_kmh,
+            "manoeuvre": case.manoeuvre,
+            "weights": asdict(self.weights),
+            "observe": ["accelerations", "planar", "struts"],
+            "truth": False,
+        }
+
+    @cached_property
+    def setups(self) -> tuple[Setup, ...]:
+        """What the options of each case come to. Raises ConfigError for the first bad one."""
+        setups = []
+        for case in self.cases:
+            try:
+                setups.append(Setup(self.options(case)))
+            except ConfigError as error:
+                raise ConfigError(f"{self.name}: {case.label}: {error}") from None
+        return tuple(setups)
+
+    def some(self, roads: int | None) -> range:
+        """The first `roads` test seeds, all of them for None. Raises ConfigError."""
+        if roads is not None and not 2 <= roads <= self.test.number:
+            raise ConfigError(
+                f"{self.name} has 2 to {self.test.number} test roads to choose from, got {roads}"
+            )
+        return self.test.all[:roads]
+
+
+def load_scenarios(name: str | Path) -> Scenarios:
+    """Scenarios by shipped name or YAML path. Raises ConfigError."""
+    return config.load(Scenarios, "scenarios", name)

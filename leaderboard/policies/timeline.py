@@ -1,0 +1,117 @@
+"""One drive of a policy over time: the road, what was commanded, what the car did; as an SVG."""
+
+from typing import NamedTuple
+
+import numpy as np
+from markupsafe import Markup
+
+from road_envs.roads import Surface
+from road_envs.simulation.drive import Trajectory
+from road_envs.vehicle.equations import PHI, Z_B
+from road_envs.vehicle.suspension import MODES, strut_states
+
+RATE = 50.0
+"""Points each second."""
+
+WIDTH, LEFT, GAP = 720.0, 74.0, 12.0
+HEIGHTS = {"road": 52.0, "states": 64.0, "acceleration": 70.0, "roll": 44.0}
+STATES = tuple(MODES)
+
+
+class Timeline(NamedTuple):
+    """At times `t` (T,) [s]: heights (2, T) [m] of the `road` under the front axle, number of the
+    commanded state (2, T) of front and rear, heave acceleration (T,) [m/s²], roll (T,) [rad].
+    """
+
+    t: np.ndarray
+    road: np.ndarray
+    states: np.ndarray
+    acceleration: np.ndarray
+    roll: np.ndarray
+
+    @classmethod
+    def of(cls, motion: Trajectory, surface: Surface) -> "Timeline":
+        """The time line of a motion over a surface; what lasts less than a point is left out."""
+        every = max(1, round(1.0 / (RATE * float(motion.t[1] - motion.t[0]))))
+        some = slice(None, None, every)
+        stiff, high = strut_states(motion.commands[some])
+        flags = list(MODES.values())
+        states = [
+            [flags.index((bool(s[w]), bool(h[w]))) for s, h in zip(stiff, high, strict=True)]
+            for w in (0, 2)
+        ]
+        return cls(
+            motion.t[some],
+            surface.height(motion.s[some]),
+            np.array(states),
+            motion.acceleration[some, Z_B],
+            motion.state[some, PHI],
+        )
+
+    def svg(self) -> Markup:
+        """The picture, without sizes, colours or fonts of its own."""
+        panels, top = [], 4.0
+        lines = {
+            "road": (1000.0 * self.road, "road", "mm"),
+            "states": (self.states, "", ""),
+            "acceleration": (self.acceleration[None], "heave", "m/s²"),
+            "roll": (np.degrees(self.roll)[None], "roll", "deg"),
+        }
+        for name, (values, label, unit) in lines.items():
+            height = HEIGHTS[name]
+            make = _strips if name == "states" else _curves
+            panels.append(make(self.t, values, top, height, label, unit))
+            top += height + GAP
+        panels.append(_seconds(self.t, top - GAP))
+        body = "".join(panels)
+        size = f"0 0 {WIDTH:g} {top + 12:g}"
+        return Markup(f'<svg viewBox="{size}" role="img" aria-label="over time">{body}</svg>')
+
+
+def _x(t: np.ndarray) -> np.ndarray:
+    return LEFT + (WIDTH - LEFT - 4.0) * (t - t[0]) / (t[-1] - t[0])
+
+
+def _curves(t, values, top: float, height: float, label: str, unit: str) -> str:
+    """Lines over one another, with their largest size as the scale."""
+    most = max(float(np.abs(values).max()), 1e-9)
+    middle = top + 0.5 * height
+    parts = [
+        f'<path class="axis" d="M{LEFT:g} {middle:g}H{WIDTH - 4:g}"/>',
+        f'<text x="0" y="{middle:g}">{label}</text>',
+        f'<text class="quiet" x="0" y="{middle + 12:g}">±{most:.2g} {unit}</text>',
+    ]
+    for k, y in enumerate(values):
+        points = zip(_x(t), middle - 0.5 * height * y / most, strict=True)
+        d = "L".join(f"{x:.1f} {v:.1f}" for x, v in points)
+        parts.append(f'<path class="line-{k}" d="M{d}"/>')
+    return "".join(parts)
+
+
+def _strips(t, states, top: float, height: float, label: str, unit: str) -> str:
+    """A strip for each axle, filled from below: the higher the state's place, the fuller."""
+    parts, x, tall = [], _x(t), 0.5 * height - 6.0
+    for k, (axle, state) in enumerate(zip(("front", "rear"), states, strict=True)):
+        bottom = top + (k + 1) * 0.5 * height - 2.0
+        parts.append(f'<text x="0" y="{bottom - 4:g}">{axle}</text>')
+        parts.append(f'<path class="axis" d="M{LEFT:g} {bottom:g}H{WIDTH - 4:g}"/>')
+        changes = np.flatnonzero(np.diff(state)) + 1
+        for a, b in zip([0, *changes], [*changes, len(t) - 1], strict=True):
+            name = STATES[state[a]]
+            if name != "ride" and b > a:
+                parts.append(
+                    f'<rect class="{name}" x="{x[a]:.1f}" y="{bottom - tall:g}" '
+                    f'width="{x[b] - x[a]:.1f}" height="{tall:g}"><title>{axle}: {name}, '
+                    f"{t[a]:.2f} to {t[b]:.2f} s</title></rect>"
+                )
+    return "".join(parts)
+
+
+def _seconds(t, top: float) -> str:
+    ticks = np.arange(np.ceil(t[0]), t[-1] + 1e-9)
+    x = np.interp(ticks, t, _x(t))
+    return "".join(
+        f'<path class="axis" d="M{at:.1f} {top:g}v4"/>'
+        f'<text class="quiet tick" x="{at:.1f}" y="{top + 14:g}">{second:g} s</text>'
+        for at, second in zip(x, ticks, strict=True)
+    )

@@ -1,0 +1,204 @@
+"""Pictures of a road, a drive and an estimate for the command line; matplotlib is loaded on use.
+
+Colours are those of Okabe & Ito (2008), which colour-blind readers tell apart.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leaderboard.metrics.heights import band_pass
+from road_envs._atomic_io import whole
+from road_envs.analysis.information_bound import Posterior
+from road_envs.analysis.roughness import CLASSES, N_0, dsd, smooth
+from road_envs.data.record import SENSORS, Estimate, Profile, Record, scored_band
+from road_envs.roads import Surface
+
+COLOURS = {"left": "#0072B2", "right": "#D55E00", "truth": "#222222", "sensor": "#009E73"}
+SIDES = ("left", "right")
+
+
+def draw_road(surface: Surface, path: Path) -> None:
+    """Both wheel paths over distance, and their densities over the ISO 8608 classes."""
+
+    def paint(figure: Any) -> None:
+        heights, density = figure.subplots(1, 2, width_ratios=(2, 1))
+        for side, z in zip(SIDES, surface.z, strict=True):
+            heights.plot(surface.s, 1000 * z, color=COLOURS[side], lw=0.9, label=side)
+            if z.any():
+                n, G = smooth(*dsd(z, surface.ds))
+                density.plot(n, G, color=COLOURS[side], lw=1.4)
+        heights.set(xlabel="distance [m]", ylabel="height [mm]", title=surface.name)
+        heights.legend(frameon=False)
+        draw_classes(density)
+        density.set_title("over the ISO 8608 classes")
+
+    write_figure(paint, (11.0, 4.0), path)
+
+
+def draw_classes(axes: Any) -> None:
+    """Axes of a density plot, with the ISO 8608 classes as bands and letters behind whatever is
+    drawn there; also where nothing else is, such as the density of a level road.
+    """
+    n = np.array([0.02, 10.0])
+    for k, (letter, mean) in enumerate(CLASSES.items()):
+        level = mean * (n / N_0) ** -2.0
+        if k % 2 == 0:
+            axes.fill_between(n, 0.5 * level, 2.0 * level, color="0.93", lw=0, zorder=0)
+        axes.annotate(
+            letter,
+            (n[1], level[1]),
+            (3, 0),
+            textcoords="offset points",
+            va="center",
+            color="0.4",
+            fontsize=8,
+        )
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel="spatial frequency [cycles/m]",
+        ylabel="displacement spectral density [m³]",
+        xlim=n,
+        ylim=(1e-10, 1e-1),
+    )
+
+
+def draw_drive(record: Record, truth: Profile, path: Path) -> None:
+    """The road and what the three accelerometers made of it, over the front axle's station."""
+
+    def paint(figure: Any) -> None:
+        panels = figure.subplots(4, 1, sharex=True)
+        for side, z in zip(SIDES, truth.z, strict=True):
+            panels[0].plot(truth.s, 1000 * z, color=COLOURS[side], lw=0.9, label=side)
+        panels[0].set(ylabel="road [mm]")
+        panels[0].legend(frameon=False, ncols=2, loc="upper right")
+        for axes, name, a in zip(panels[1:], SENSORS, record.a, strict=True):
+            axes.plot(record.s, a, color=COLOURS["sensor"], lw=0.6)
+            axes.set(ylabel=f"{name} [m/s²]")
+        panels[-1].set(xlabel="station of the front axle [m]")
+        panels[0].set_title(f"{record.v[0] * 3.6:.1f} km/h")
+
+    write_figure(paint, (11.0, 7.0), path)
+
+
+def draw_estimate(truth: Profile | None, estimate: Estimate, v: float, path: Path) -> None:
+    """Both wheel paths as estimated (dashed) over the truth (solid) where it is known: all of them,
+    and what lies in the band that is judged at `v` [m/s], with the interval that is claimed there.
+    """
+    band = scored_band(v)
+    titles = ("left", "left, in band", "right", "right, in band")
+
+    def paint(figure: Any) -> None:
+        panels = figure.subplots(4, 1, sharex=True)
+        for axes, title, side in zip(panels, titles, (0, 0, 1, 1), strict=True):
+            inside = title.endswith("in band")
+            shown = _shown_in(band, inside)
+            colour = COLOURS[SIDES[side]]
+            if truth is not None:
+                s, z = shown(truth, truth.z[side])
+                axes.plot(s, 1000 * z, color=COLOURS["truth"], lw=1.0, label="truth")
+            s, z = shown(estimate, estimate.z[side])
+            axes.plot(s, 1000 * z, "--", color=colour, lw=1.1, label="estimate")
+            if inside and estimate.z_std is not None:
+                std = 1.645 * np.interp(s, estimate.s, estimate.z_std[side])
+                low, high = 1000 * (z - std), 1000 * (z + std)
+                axes.fill_between(s, low, high, color=colour, alpha=0.2, lw=0, label="90 %")
+            axes.set(ylabel=f"{title} [mm]")
+        for axes in panels[:2]:
+            axes.legend(frameon=False, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 0.98))
+        panels[-1].set(xlabel="distance [m]")
+        low, high = band
+        panels[0].set_title(f"judged band: {low:g} to {high:.2g} cycles/m", loc="left", fontsize=10)
+
+    write_figure(paint, (11.0, 8.5), path)
+
+
+def _shown_in(
+    band: tuple[float, float], inside: bool
+) -> Callable[[Profile, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """How a path is drawn: as it is, or its part inside `band` [cycles/m]."""
+
+    def shown(profile: Profile, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if not inside:
+            return profile.s, z
+        kept = band_pass(z, profile.ds, band)
+        trim = (profile.s.size - kept.size) // 2
+        return profile.s[trim : trim + kept.size], kept
+
+    return shown
+
+
+def draw_precision(
+    rows: list[dict[str, Any]], ours: tuple[str, ...], drive: str, path: Path
+) -> None:
+    """Error over cost of every method, one line each; `ours` stand out."""
+
+    def paint(figure: Any) -> None:
+        axes = figure.subplots()
+        for k, name in enumerate(dict.fromkeys(row["method"] for row in rows)):
+            chosen = [row for row in rows if row["method"] == name]
+            cost = [1.0 / row["times_real_time"] for row in chosen]
+            error = [100.0 * row["error"] for row in chosen]
+            look = {"lw": 2.4, "ms": 7} if name in ours else {"lw": 1.1, "ms": 5}
+            axes.loglog(cost, error, "os^Dv<>Pp"[k % 9] + "-", label=name, color=f"C{k}", **look)
+        axes.set(
+            xlabel="seconds of computing for one second of driving",
+            ylabel="error of the body's accelerations [%]",
+            title=f"{drive}: error against cost",
+        )
+        axes.grid(which="major", color="0.9")
+        axes.legend(frameon=False)
+
+    write_figure(paint, (8.5, 5.5), path)
+
+
+LOOKS = (("#D55E00", "-"), ("#0072B2", "--"), ("#009E73", "-."), ("#CC79A7", ":"))
+
+
+def draw_observability(
+    curves: list[tuple[str, float, Posterior, float]], title: str, path: Path
+) -> None:
+    """Share of the amplitude left unknown over n, for the mean and the difference of the wheel
+    paths: one column for each speed, one line for each (mode, km/h, posterior, in-band NRMSE).
+    """
+    speeds = list(dict.fromkeys(speed for _, speed, _, _ in curves))
+
+    def paint(figure: Any) -> None:
+        panels = figure.subplots(2, len(speeds), sharex=True, sharey=True, squeeze=False)
+        for column, speed in zip(panels.T, speeds, strict=True):
+            here = [(mode, found, e) for mode, at, found, e in curves if at == speed]
+            for axes, which in zip(column, ("mean", "difference"), strict=True):
+                axes.axvspan(*scored_band(speed / 3.6), color="0.94", lw=0)
+                for k, (mode, found, nrmse) in enumerate(here):
+                    colour, style = LOOKS[k % len(LOOKS)]
+                    label = f"{mode}: {nrmse:.3f}"
+                    share = found.unknown(which)
+                    axes.loglog(found.n, share, style, color=colour, lw=1.4, label=label)
+                axes.grid(which="major", color="0.85", lw=0.6)
+                axes.set_title(f"{which} of the wheel paths, {speed:g} km/h", fontsize=10)
+            column[0].legend(
+                frameon=False, fontsize=8, loc="upper right", title="front / rear: in-band NRMSE"
+            )
+            column[1].set_xlabel("spatial frequency [cycles/m]; judged band in grey")
+        for axes in panels[:, 0]:
+            axes.set(ylabel="unknown share of amplitude [-]", ylim=(3e-3, 1.3))
+        figure.suptitle(f"What the accelerometers leave unknown: {title}", fontsize=11)
+
+    write_figure(paint, (5.5 * len(speeds) + 0.5, 7.0), path)
+
+
+def write_figure(paint: Callable[[Any], None], size: tuple[float, float], path: Path) -> None:
+    """Let `paint` fill a figure of `size` [inch] and write it, whole or not at all."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained", dpi=130)
+    FigureCanvasAgg(figure)
+    paint(figure)
+    for axes in figure.axes:
+        axes.spines[["top", "right"]].set_visible(False)
+    with whole(path) as partial:
+        figure.savefig(partial, format=path.suffix.removeprefix("."))

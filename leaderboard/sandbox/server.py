@@ -1,0 +1,68 @@
+"""A clean process from which entries are forked: it loads the libraries once, and knows no truth.
+
+    python -P -m leaderboard.sandbox.server
+
+reads orders from standard input, one JSON a line, and answers each with a verdict on standard
+output. It ends when its input does, or when the judge does.
+"""
+
+import dataclasses
+import gc
+import json
+import os
+import sys
+
+from leaderboard.sandbox import namespaces, processes, supervisor
+from leaderboard.sandbox.supervisor import Order, Verdict
+from road_envs.config import build
+
+
+def main() -> None:
+    """Serve until there are no more orders."""
+    processes.die_with_parent()
+    processes.adopt_orphans()
+    _preload()
+    print(json.dumps({"namespaces": namespaces.available()}), flush=True)
+    for line in sys.stdin:
+        verdict = _serve(build(Order, json.loads(line), "order"))
+        if verdict is not None:
+            _say(verdict)
+
+
+def _preload() -> None:
+    """What every entry of this package needs; a plug-in is loaded by its guest alone."""
+    import pyarrow.parquet  # noqa: F401
+
+    import estimators
+    import leaderboard.evaluation.entries  # noqa: F401
+    import road_envs.data.recording  # noqa: F401
+
+    assert estimators.REGISTRY
+    gc.collect()
+    gc.freeze()
+
+
+def _serve(order: Order) -> Verdict | None:
+    """Let a guard see to it; a verdict if the guard could not give its own."""
+    pid = os.fork()
+    if pid == 0:
+        status = 1
+        try:
+            _say(supervisor.run(order))
+            status = 0
+        finally:
+            os._exit(status)
+    _, status = os.waitpid(pid, 0)
+    processes.end_descendants()
+    if status == 0:
+        return None
+    return Verdict(fate="guard", status=os.waitstatus_to_exitcode(status))
+
+
+def _say(verdict: Verdict) -> None:
+    sys.stdout.write(json.dumps(dataclasses.asdict(verdict)) + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

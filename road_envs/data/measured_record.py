@@ -1,0 +1,276 @@
+"""A drive that was measured, from a table: what another logger wrote, as a record.
+
+The table has one line of names and then one row for each sample. It is Parquet or plain text, with
+columns apart by comma, semicolon (then a decimal comma may be used) or tab, after lines that begin
+with "#":
+
+| column | meaning |
+|---|---|
+| `t` | time [s] |
+| `a_rf`, `a_lr`, `a_rr` | vertical accelerations, upwards, at right front, left and right rear [m/s²]; or `a_rf_g` ... in units of g |
+| `v` [m/s] or `v_kmh` [km/h] | speed; may be given once for the whole drive instead |
+| `s` | odometer [m]; without it the speed is summed up |
+| `mode`, or `mode_front` and `mode_rear` | state of the struts (`ride`, `handling`, ...); may be given once for the whole drive instead |
+
+Other columns are not read. Where nothing stands in a row the sample counts as lost.
+"""  # noqa: E501
+
+import io
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from road_envs.config import ConfigError
+from road_envs.data.record import SENSORS, Record
+from road_envs.vehicle.suspension import command, strut_states
+
+G = 9.80665
+"""Standard acceleration of free fall [m/s²]."""
+
+WITH_GRAVITY = 0.5 * G
+"""A channel whose mean is farther from zero than this [m/s²] holds gravity."""
+
+JITTER = 0.01
+"""Share of the sampling interval by which the clock may be uneven without being resampled."""
+
+LOST_AT = 1.5
+"""Sampling intervals between two rows from which samples are missing between them."""
+
+SAMPLES_MIN = 32
+LOST_MAX = 0.2
+"""Fewest samples of a drive, and the largest share of them that may be lost."""
+
+UNITS = {"m/s²": "", "g": "_g"}
+ACCELERATIONS = tuple(f"a_{name.lower()}" for name in SENSORS)
+
+BEGINNING = 10_000
+"""Characters of the rows among which a decimal comma is looked for."""
+
+Columns = Mapping[str, Any]
+"""Columns of a table by name, as pyarrow has them."""
+
+
+class Measured(NamedTuple):
+    """The record, and what had to be assumed or mended to get it."""
+
+    record: Record
+    notes: tuple[str, ...]
+
+
+def read_measured(
+    path: Path,
+    wheelbase: float,
+    *,
+    speed_kmh: float | None = None,
+    mode: str | Mapping[str, str] | None = None,
+) -> Measured:
+    """A measured drive of a car of this `wheelbase` [m].
+
+    `speed_kmh` and `mode` hold for the whole drive; each must be given just where the table has no
+    such column. The road begins where the rear axle stood at the first sample and ends where the
+    front axle stood at the last. Raises ConfigError that names the column, and the row where there
+    is one.
+    """
+    table = read_table(path)
+    try:
+        return _measured(table, wheelbase, speed_kmh, mode)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def read_table(path: Path) -> Columns:
+    """The columns of a table by name, in small letters. Raises ConfigError."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(path) if path.suffix.lower() == ".parquet" else _read_text(path)
+    except (OSError, UnicodeDecodeError, pa.ArrowException) as error:
+        reason = str(getattr(error, "strerror", None) or error).splitlines()[0]
+        raise ConfigError(f"{path}: no readable table: {reason}") from None
+    names = [name.strip().lower() for name in table.column_names]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ConfigError(f"{path}: the column {twice[0]} stands there twice")
+    return dict(zip(names, table.columns, strict=True))
+
+
+def _read_text(path: Path) -> Any:
+    from pyarrow import csv
+
+    text = path.read_text(encoding="utf-8-sig")
+    while text.startswith("#"):
+        text = text.partition("\n")[2]
+    head, _, rest = text.partition("\n")
+    mark = next((mark for mark in ";\t," if mark in head), ",")
+    comma = mark != "," and re.search(r"\d,\d", rest[:BEGINNING]) is not None
+    return csv.read_csv(
+        io.BytesIO(text.encode()),
+        parse_options=csv.ParseOptions(delimiter=mark),
+        convert_options=csv.ConvertOptions(
+            decimal_point="," if comma else ".", strings_can_be_null=True
+        ),
+    )
+
+
+def _measured(
+    table: Columns,
+    wheelbase: float,
+    speed_kmh: float | None,
+    mode: str | Mapping[str, str] | None,
+) -> Measured:
+    t = _clock(table)
+    notes: list[str] = []
+    a = np.array([_acceleration(table, name, notes) for name in ACCELERATIONS])
+    v = _speed(table, t, speed_kmh)
+    s = _numbers(table, "s") if "s" in table else _summed(t, v)
+    bytes_ = _commands(table, t.size, mode)
+    if not (np.isfinite(v).all() and np.isfinite(s).all()):
+        raise ConfigError("speed and odometer must hold a number in every row")
+    if (v < 0.0).any() or (np.diff(s) < 0.0).any():
+        raise ConfigError("the car drives backwards: v must not be negative, nor s decrease")
+    t, (*a_even, v, s), bytes_ = _evenly(t, [*a, v, s], bytes_, notes)
+    a = np.array(a_even)
+    if (share := float(np.isnan(a).any(axis=0).mean())) > LOST_MAX:
+        raise ConfigError(f"{share:.0%} of the samples are lost; at most {LOST_MAX:.0%} may be")
+    s = s - s[0] + wheelbase
+    stiff, high = strut_states(bytes_)
+    return Measured(Record(t, a, v, s, stiff, high, float(s[-1])), tuple(notes))
+
+
+def _clock(table: Columns) -> np.ndarray:
+    t = _numbers(table, "t")
+    if t.size < SAMPLES_MIN:
+        raise ConfigError(f"{t.size} samples; at least {SAMPLES_MIN} are wanted")
+    if not np.isfinite(t).all():
+        raise ConfigError("t must hold a number in every row")
+    if (late := np.flatnonzero(np.diff(t) <= 0.0)).size:
+        raise ConfigError(f"the clock t must go on; it does not after row {late[0] + 1}")
+    return t - t[0]
+
+
+def _acceleration(table: Columns, name: str, notes: list[str]) -> np.ndarray:
+    """One channel [m/s²] without gravity; what was done to it is added to `notes`."""
+    given = [unit for unit, ending in UNITS.items() if name + ending in table]
+    if len(given) != 1:
+        said = "is given twice" if given else "is missing"
+        wanted = " or ".join(f"{name}{ending} [{unit}]" for unit, ending in UNITS.items())
+        raise ConfigError(f"the column {name} {said}; wanted {wanted}, {_known(table)}")
+    a = _numbers(table, name + UNITS[given[0]]) * (G if given[0] == "g" else 1.0)
+    known = a[np.isfinite(a)]
+    if not known.size:
+        raise ConfigError(f"the column {name} holds no number")
+    mean = float(known.mean())
+    if mean < -WITH_GRAVITY:
+        raise ConfigError(
+            f"{name} has a mean of {mean:.1f} m/s²: its axis points down; turn its sign"
+        )
+    if mean > WITH_GRAVITY:
+        notes.append(f"{name}: its mean of {mean:.2f} m/s² is taken for gravity and left out")
+        return a - mean
+    return a
+
+
+def _speed(table: Columns, t: np.ndarray, speed_kmh: float | None) -> np.ndarray:
+    given = [name for name in ("v", "v_kmh") if name in table]
+    if len(given) + (speed_kmh is not None) != 1:
+        said = "given twice" if given else "missing"
+        raise ConfigError(
+            f"the speed is {said}: wanted one of the columns v [m/s] and v_kmh [km/h], "
+            f"or one speed for the whole drive; {_known(table)}"
+        )
+    if speed_kmh is not None:
+        return np.full(t.size, speed_kmh / 3.6)
+    return _numbers(table, given[0]) / (3.6 if given[0] == "v_kmh" else 1.0)
+
+
+def _summed(t: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Distance [m] by the trapezoidal rule."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))])
+
+
+def _commands(table: Columns, size: int, mode: str | Mapping[str, str] | None) -> np.ndarray:
+    """Command bytes (N,) of the struts' states."""
+    axles = [name for name in ("mode_front", "mode_rear") if name in table]
+    columns = [name for name in ("mode", *axles) if name in table]
+    if columns not in ([], ["mode"], ["mode_front", "mode_rear"]) or bool(columns) == (
+        mode is not None
+    ):
+        said = f"given as {', '.join(columns)}" if columns else "missing"
+        also = " and for the whole drive" if columns and mode is not None else ""
+        raise ConfigError(
+            f"the state of the struts is {said}{also}: wanted the column mode, or mode_front and "
+            f"mode_rear, or one mode for the whole drive; {_known(table)}"
+        )
+    if mode is not None:
+        return np.full(size, command(mode), dtype=np.uint8)
+    if columns == ["mode"]:
+        return _bytes_of([(name, name) for name in _names(table, "mode")])
+    return _bytes_of(list(zip(*(_names(table, name) for name in axles), strict=True)))
+
+
+def _names(table: Columns, name: str) -> list[str]:
+    return [str(cell).strip() for cell in table[name].to_pylist()]
+
+
+def _bytes_of(pairs: list[tuple[str, str]]) -> np.ndarray:
+    """Command bytes (N,) of states in front and at the rear. Raises ConfigError."""
+    found = {(front, rear): command({"front": front, "rear": rear}) for front, rear in set(pairs)}
+    return np.array([found[pair] for pair in pairs], dtype=np.uint8)
+
+
+def _evenly(
+    t: np.ndarray, channels: list[np.ndarray], commands: np.ndarray, notes: list[str]
+) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
+    """All that was sampled, on an even clock; NaN where the samples on both sides are far apart."""
+    steps = np.diff(t)
+    dt = float(np.median(steps))
+    if np.abs(steps - dt).max() <= JITTER * dt:
+        return t, channels, commands
+    even = dt * np.arange(int(t[-1] / dt + 1e-6) + 1)
+    after = np.clip(np.searchsorted(t, even), 1, t.size - 1)
+    nearest = after - (even - t[after - 1] < t[after] - even)
+    met = np.abs(even - t[nearest]) <= JITTER * dt
+    lost = ~met & (steps[after - 1] > LOST_AT * dt)
+    *felt, v, s = (np.interp(even, t, x) for x in channels)
+    for a, sampled in zip(felt, channels, strict=False):
+        np.copyto(a, sampled[nearest], where=met & np.isnan(a))  # its neighbour was lost, not it
+        a[lost] = np.nan
+    before = np.where(met, nearest, after - 1)
+    said = (
+        f"the clock is uneven (intervals of {1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms)"
+    )
+    notes.append(f"{said}; resampled to {1.0 / dt:.4g} Hz, {lost.mean():.1%} of the samples lost")
+    return even, [*felt, v, s], commands[before]
+
+
+def _numbers(table: Columns, name: str) -> np.ndarray:
+    """A column as numbers, NaN where nothing stands. Raises ConfigError that names the row."""
+    import pyarrow as pa
+
+    if name not in table:
+        raise ConfigError(f"the column {name} is missing; {_known(table)}")
+    try:
+        column = table[name].cast(pa.float64())
+    except pa.ArrowException:
+        k, cell = next(
+            (k, cell)
+            for k, cell in enumerate(table[name].to_pylist(), start=1)
+            if cell is not None and not _is_number(cell)
+        )
+        raise ConfigError(f"row {k} of {name}: {cell!r} is no number") from None
+    return np.asarray(column.to_numpy(zero_copy_only=False), dtype=float)
+
+
+def _is_number(cell: object) -> bool:
+    try:
+        float(str(cell))
+    except ValueError:
+        return False
+    return True
+
+
+def _known(table: Columns) -> str:
+    return f"the table has {', '.join(table)}"

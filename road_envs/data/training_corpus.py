@@ -1,0 +1,257 @@
+"""What is driven to teach the estimators that are taught once: many roads, speeds, modes and cars.
+
+Domain randomisation: drive k of a corpus is drawn from a generator of its own, so that a corpus can
+be made in any order, in parts, and again. Nothing of the judge's tasks is in it; roads are drawn
+from seeds that the judge's roads cannot have.
+
+    roads   ISO 8608 of any waviness from 1.6 to 2.4, some of them of varying roughness; pavings of
+            the Belgian kind, more or less rough; bumps, humps and potholes on smoother roads
+    speed   even in its logarithm
+    modes   half of the drives in ride or handling mode, a fifth mixed front to rear, the rest any
+            of the sixteen combinations
+    cars    masses, stiffness, damping and friction off by up to 10-20 %; how far off a car is, is
+            drawn too, so that cars close to the described one are in the majority
+    sensors noise from a third to twice the instruments' own; gains off by about 1 %
+
+The odometer is true: one that is 1 % off ends a drive of 150 m a whole wave away from its truth.
+"""
+
+import dataclasses
+import hashlib
+import itertools
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from road_envs.analysis.roughness import CLASSES
+from road_envs.config import ConfigError
+from road_envs.data.record import Profile, Record
+from road_envs.data.recording import record_drive
+from road_envs.roads import Belgian, Bumps, Defects, Iso8608, Potholes, Road, Scaled, Summed
+from road_envs.roads.nonstationary import Variation
+from road_envs.roads.obstacles import Defect
+from road_envs.roads.trapezoids import LAYOUTS
+from road_envs.sensing.data_logger import load_instruments
+from road_envs.simulation.drive import SimulationError
+from road_envs.vehicle.force_curves import Curve
+from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
+from road_envs.vehicle.suspension import MODES
+
+STREAM = 0x7EAC4
+"""Comes first in the seed of every drive: no task has it."""
+
+MIXED = (("ride", "handling"), ("handling", "ride"))
+WHEEL_PATHS: tuple[Literal["left", "right", "both"], ...] = ("left", "right", "both", "both")
+ATTEMPTS = 10
+"""A car that is thrown off its road is given another drive, so many times."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Corpus:
+    """Drives to teach with; `number` of them, of the `car` and `instruments` more or less."""
+
+    number: int = 1200
+    seed: int = 1
+    car: str = "land_rover_defender_110"
+    instruments: str = "paper"
+    slowest_kmh: float = 5.0
+    fastest_kmh: float = 72.0
+    shortest: int = 100  # [m]
+    longest: int = 200
+
+    def __post_init__(self):
+        if self.number < 1:
+            raise ConfigError(f"a corpus has at least one drive, got {self.number}")
+
+    @property
+    def vehicle(self) -> VehicleParameters:
+        """The car that the drives are about."""
+        return load_vehicle(self.car)
+
+    @property
+    def digest(self) -> str:
+        """Tells this corpus from others: settings, car and instruments."""
+        parts = [dataclasses.asdict(x) for x in (self, self.vehicle, self.sensors)]
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:12]
+
+    @property
+    def sensors(self) -> Any:
+        """The instruments before their noise is drawn."""
+        return load_instruments(self.instruments)
+
+    def drive(self, k: int, as_described: bool = False) -> tuple[Record, Profile]:
+        """Drive `k` and its truth; the same at every call. With `as_described` it is that of the
+        very car and instruments, over the same road in the same way.
+        """
+        for attempt in range(ATTEMPTS):
+            rng = np.random.default_rng([STREAM, self.seed, k, attempt])
+            try:
+                return self._drawn(rng, as_described)
+            except SimulationError as error:
+                failed = error
+        raise failed
+
+    def _drawn(self, rng: np.random.Generator, as_described: bool) -> tuple[Record, Profile]:
+        length = 10.0 * rng.integers(self.shortest // 10, self.longest // 10 + 1)
+        surface = draw_road(rng, length).realise(rng)
+        front, rear = draw_modes(rng)
+        off = rng.uniform()
+        noise = float(np.exp(rng.uniform(-1.0, 0.7)))
+        if as_described:
+            off, noise = 0.0, 1.0
+        instruments = dataclasses.replace(
+            self.sensors,
+            noise_density=noise * self.sensors.noise_density,
+            speed_error=0.0,
+        )
+        record, truth = record_drive(
+            another_car(self.vehicle, rng, off),
+            surface,
+            speed_kmh=float(np.exp(rng.uniform(*np.log([self.slowest_kmh, self.fastest_kmh])))),
+            mode={"front": front, "rear": rear},
+            instruments=instruments,
+            seed=np.random.SeedSequence(rng.integers(2**32, size=4).tolist()),
+        )
+        gains = 1.0 + 0.01 * off * rng.standard_normal((3, 1))
+        return dataclasses.replace(record, a=gains * record.a), truth
+
+
+def drives_in(
+    corpus: Corpus, mode: Mapping[str, str], speeds_kmh: tuple[float, float], number: int
+) -> list[tuple[Record, Profile]]:
+    """Drives of the car as described, its struts in one `mode`, over roads of 100 m as a corpus has
+    them; speeds even in their logarithm.
+    """
+    found: list[tuple[Record, Profile]] = []
+    for k in itertools.count():
+        rng = np.random.default_rng([STREAM, corpus.seed, k, ATTEMPTS])
+        speed = float(np.exp(rng.uniform(*np.log(speeds_kmh))))
+        road = draw_road(rng, 100.0).realise(rng)
+        try:
+            found.append(
+                record_drive(
+                    corpus.vehicle,
+                    road,
+                    speed_kmh=speed,
+                    mode=mode,
+                    instruments=corpus.sensors,
+                    seed=k,
+                )
+            )
+        except SimulationError:
+            if k >= ATTEMPTS * number:
+                raise
+        if len(found) == number:
+            break
+    return found
+
+
+def draw_road(rng: np.random.Generator, length: float) -> Road:
+    """One of the roads described above, of about that length [m]."""
+    kind = rng.uniform()
+    low, high = np.log([0.7 * CLASSES["A"], 2.0 * CLASSES["E"]])
+    plain = Iso8608(
+        G_d0=float(np.exp(rng.triangular(low, np.log(CLASSES["D"]), high))),
+        w=rng.uniform(1.6, 2.4),
+        length=length,
+    )
+    if kind < 0.5:
+        return plain
+    if kind < 0.65:
+        patch = Variation(spread=rng.uniform(0.5, 1.0), patch=rng.uniform(20.0, 80.0))
+        return dataclasses.replace(plain, variation=patch)
+    if kind < 0.85:
+        return Scaled(road=Belgian(length=length), height_factor=rng.uniform(0.5, 1.3))
+    smooth = dataclasses.replace(plain, G_d0=float(rng.uniform(0.3, 1.0) * CLASSES["B"]))
+    return Summed(roads=(smooth, draw_obstacles(rng, length)))
+
+
+def draw_obstacles(rng: np.random.Generator, length: float) -> Road:
+    """Potholes, humps or the paper's bumps, of drawn sizes, on a level road."""
+    kind = rng.uniform()
+    if kind < 0.35:
+        return Potholes(length=length, rate=rng.uniform(0.02, 0.1))
+    if kind < 0.75:
+        return Defects(length=length, defects=tuple(_hump(rng, length) for _ in range(6)))
+    layouts = list(LAYOUTS)
+    return Bumps(
+        layout=layouts[rng.integers(len(layouts))],
+        spacing=rng.uniform(6.0, 14.0),
+        length_factor=rng.uniform(0.8, 1.3),
+        height_factor=rng.uniform(0.5, 1.1),
+        run_in=rng.uniform(5.0, 0.5 * length),
+    )
+
+
+def _hump(rng: np.random.Generator, length: float) -> Defect:
+    size = float(np.exp(rng.uniform(np.log(0.3), np.log(4.0))))
+    return Defect(
+        shape="half_sine",
+        at=rng.uniform(5.0, length - 5.0),
+        length=size,
+        height=float(rng.choice([-1.0, 1.0]) * rng.uniform(0.01, min(0.1, 0.12 * size))),
+        side=WHEEL_PATHS[rng.integers(len(WHEEL_PATHS))],
+    )
+
+
+def draw_modes(rng: np.random.Generator) -> tuple[str, str]:
+    """States of the struts in front and at the rear."""
+    kind = rng.uniform()
+    if kind < 0.5:
+        same = "ride" if kind < 0.25 else "handling"
+        return same, same
+    if kind < 0.7:
+        return MIXED[int(kind < 0.6)]
+    front, rear = rng.choice(list(MODES), size=2)
+    return str(front), str(rear)
+
+
+def another_car(car: VehicleParameters, rng: np.random.Generator, off: float) -> VehicleParameters:
+    """A car like `car`: at `off` 1 its numbers have standard deviations of 6 to 15 % [assumed]."""
+
+    def by(std: float) -> float:
+        return float(np.clip(1.0 + off * std * rng.standard_normal(), 0.6, 1.4))
+
+    load, damping, friction = by(0.06), by(0.10), by(0.15)
+    strut = dataclasses.replace(
+        car.strut,
+        p_stat=car.strut.p_stat * load,  # the gas carries the body at the same height
+        x_1=car.strut.x_1 * by(0.07),
+        x_2=car.strut.x_2 * by(0.07),
+        damper=_stronger(car.strut.damper, lambda: damping * by(0.05)),
+        friction=_stronger(car.strut.friction, lambda: friction * by(0.05)),
+    )
+    tyre = by(0.08)
+    axles = [
+        dataclasses.replace(
+            axle,
+            m=axle.m * by(0.07),
+            I_xx=axle.I_xx * by(0.08),
+            k_t=axle.k_t * tyre * by(0.03),
+            c_t=axle.c_t * by(0.15),
+        )
+        for axle in car.axles
+    ]
+    return dataclasses.replace(
+        car,
+        m_b=car.m_b * load,
+        I_xx=car.I_xx * by(0.08),
+        I_yy=car.I_yy * by(0.08),
+        front=axles[0],
+        rear=axles[1],
+        strut=strut,
+    )
+
+
+def _stronger(curves: Any, by: Callable[[], float]) -> Any:
+    """Curves whose forces are multiplied by what `by` draws."""
+
+    def scaled(curve: Curve, factor: float) -> Curve:
+        return dataclasses.replace(curve, F=tuple(factor * F for F in curve.F))
+
+    return dataclasses.replace(
+        curves, ride=scaled(curves.ride, by()), handling=scaled(curves.handling, by())
+    )

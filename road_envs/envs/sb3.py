@@ -1,0 +1,93 @@
+"""`RoadReconVectorEnv` for Stable-Baselines3, which takes vector environments of its own kind only.
+
+```python
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecMonitor
+from road_envs.envs.sb3 import RoadReconVecEnv
+
+envs = VecMonitor(RoadReconVecEnv(64, road="iso_d", truth=False))
+PPO("MlpPolicy", envs).learn(100_000)
+```
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from stable_baselines3.common.vec_env import VecEnv
+
+from road_envs.config import ConfigError
+from road_envs.envs.vector import RoadReconVectorEnv
+
+
+class RoadReconVecEnv(VecEnv):
+    """`num_envs` environments as a Stable-Baselines3 VecEnv; `options` as in RoadReconVectorEnv.
+
+    An environment that has ended starts anew within the same step; its last observation is
+    `info["terminal_observation"]`, and `info["TimeLimit.truncated"]` says whether the road was
+    merely over. `told` names entries of `info` to hand over in every step; none by default, since
+    a dictionary for each environment is what costs most. Raises ConfigError.
+    """
+
+    def __init__(self, num_envs: int = 1, *, told: Sequence[str] = (), **options: Any):
+        if "autoreset_mode" in options:
+            raise ConfigError("autoreset_mode is not to be chosen: Stable-Baselines3 has its own")
+        self.env = RoadReconVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **options)
+        self.told = tuple(told)
+        self._actions = np.zeros(num_envs, dtype=np.int64)
+        super().__init__(num_envs, self.env.single_observation_space, self.env.single_action_space)
+
+    def reset(self) -> np.ndarray:
+        """First observations (num_envs, 3 k + 5), with the seeds that `seed` has set."""
+        seeds = None if self._seeds[0] is None else list(self._seeds)
+        options = self._options[0] if any(self._options) else None
+        observations, infos = self.env.reset(seed=seeds, options=options)
+        self.reset_infos = self._rows(infos)
+        self._reset_seeds()
+        self._reset_options()
+        return observations
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Note the actions (num_envs,)."""
+        self._actions = np.asarray(actions)
+
+    def step_wait(self):
+        """Observations, rewards, dones (num_envs, ...) and a list of infos."""
+        observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
+        dones = terminated | truncated
+        rows = self._rows(infos)
+        for i in np.flatnonzero(dones):
+            final = infos["final_info"]
+            rows[i] |= {name: final[name][i] for name in self.told}
+            rows[i]["terminal_observation"] = infos["final_obs"][i]
+            rows[i]["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
+            if final["reason"][i]:
+                rows[i]["reason"] = final["reason"][i]
+        return observations, rewards.astype(np.float32), dones, rows
+
+    def close(self) -> None:
+        """Nothing is held that needs closing."""
+        self.env.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute, once for each environment: all share it."""
+        return [getattr(self.env, attr_name)] * len(self._chosen(indices))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refused: the environments have no attributes of their own."""
+        raise ConfigError(f"{attr_name} cannot be set: all environments share their options")
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any):
+        """Refused: the environments are rows of arrays and have no methods of their own."""
+        raise ConfigError(f"{method_name} cannot be called: the environments are rows of arrays")
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        """No environment is wrapped by itself."""
+        return [False] * len(self._chosen(indices))
+
+    def _chosen(self, indices: Any) -> Sequence[int]:
+        return list(self._get_indices(indices))
+
+    def _rows(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
+        return [{name: infos[name][i] for name in self.told} for i in range(self.num_envs)]

@@ -1,0 +1,240 @@
+"""`RoadRecon-v0` many times over: all cars are driven side by side in the lanes of one convoy."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from road_envs.config import ConfigError, one_of
+from road_envs.envs.options import Options, Setup
+from road_envs.simulation.control_step import TOLD, Seen
+
+
+class RoadReconVectorEnv(VectorEnv):
+    """`num_envs` environments in one; number i is a `RoadReconEnv` seeded with seed + i, exactly.
+
+    ```python
+    import gymnasium as gym
+    import road_envs
+
+    envs = gym.make_vec(
+        "RoadRecon-v0", num_envs=64, vectorization_mode="vector_entry_point", road="iso_d"
+    )
+    ```
+    | keyword | default | meaning |
+    |---|---|---|
+    | `num_envs` | `1` | how many |
+    | `autoreset_mode` | `NEXT_STEP` | or `SAME_STEP`, `DISABLED`, of Gymnasium's AutoresetMode |
+    | `threads` | `1` | over which the cars are spread; results do not depend on it |
+    | `max_episode_steps` | `None` | steps after which an episode is truncated |
+    | all others | | as in `RoadReconEnv` |
+
+    `reset(seed=..., options=...)` takes a seed or one for each environment, and the options of
+    `RoadReconEnv.reset`; with `DISABLED` also `reset_mask` (num_envs,) bool: which to reset.
+    `info` holds the same names as the scalar environment's, a row for each environment, and with
+    each name `_name` (num_envs,): whose rows say something. `SAME_STEP` adds `final_obs` and
+    `final_info` for those that ended. Pictures come from the scalar environment.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - as the base class has it; each instance copies it
+        "render_modes": [],
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        threads: int = 1,
+        max_episode_steps: int | None = None,
+        render_mode: str | None = None,
+        **options: Any,
+    ):
+        if render_mode is not None:
+            raise ConfigError(
+                f"render_mode {render_mode!r} is not for a vector environment; make pictures with "
+                f"gym.make('RoadRecon-v0', render_mode='rgb_array')"
+            )
+        for name, value in (("num_envs", num_envs), ("threads", threads)):
+            if not (isinstance(value, int) and value >= 1):
+                raise ConfigError(f"{name} must be a whole number of at least 1, got {value!r}")
+        if not isinstance(autoreset_mode, AutoresetMode):
+            known = {mode.value: mode for mode in AutoresetMode}
+            autoreset_mode = known[one_of("autoreset mode", autoreset_mode, known)]
+        self.setup = Setup(options)
+        self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
+        self.autoreset_mode = autoreset_mode
+        self.metadata = self.metadata | {"autoreset_mode": autoreset_mode}
+        self.render_mode = None
+        self.single_observation_space = self.setup.observation_space
+        self.single_action_space = self.setup.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.convoy = self.setup.convoy(num_envs, threads)
+        self._randoms: list[np.random.Generator] = []
+        self._seeds: list[int] = []
+        self._roads = [""] * num_envs
+        self._elapsed = np.zeros(num_envs, dtype=np.int64)
+        self._done = np.zeros(num_envs, dtype=bool)
+        self._observations = np.zeros(
+            self.observation_space.shape or (0,), self.single_observation_space.dtype
+        )
+
+    @property  # type: ignore[misc]
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
+        """The environments' generators."""
+        return tuple(self._randoms)
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
+        """What they were seeded with."""
+        return tuple(self._seeds)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start episodes in all environments, or in those of `reset_mask`. Raises ConfigError."""
+        options = dict(options or {})
+        mask = self._mask(options.pop("reset_mask", None))
+        chosen = self.setup.episode(options)
+        self._sow(seed, mask)
+        seen = self._begin(mask, chosen)
+        self._done[mask] = False
+        self._observations[mask] = seen.observation[mask]
+        return self._observations.copy(), self._infos(seen, mask)
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Drive all environments for one control interval under `actions` (num_envs,)."""
+        if not self._randoms:
+            raise gymnasium.error.ResetNeeded("call reset before step")
+        commands = self.setup.bytes[self._checked(actions)]
+        fresh = np.zeros(self.num_envs, dtype=bool)
+        if self._done.any():
+            if self.autoreset_mode == AutoresetMode.DISABLED:
+                raise gymnasium.error.ResetNeeded(
+                    f"environments {np.flatnonzero(self._done).tolist()} have ended: reset them "
+                    f"with options={{'reset_mask': ...}} before the next step"
+                )
+            fresh = self._done  # their new episodes begin within this step
+            commands[fresh] = self._start(fresh, self.setup.options)[fresh]
+        seen = self.convoy.advance(commands)
+        self._elapsed += ~fresh
+        everyone = np.ones(self.num_envs, dtype=bool)
+        infos = self._infos(seen, everyone)
+        terminated = ((seen.broken >= 0) | (seen.turned >= 0)) & ~fresh
+        truncated = seen.over & ~terminated & ~fresh
+        if self.max_episode_steps is not None:
+            truncated |= (self._elapsed >= self.max_episode_steps) & ~fresh
+        rewards = np.where(fresh, 0.0, seen.numbers[:, TOLD.index("reward")])
+        self._done = terminated | truncated
+        observations = seen.observation
+        if self.autoreset_mode == AutoresetMode.SAME_STEP and self._done.any():
+            observations, infos = self._replace(self._done, seen, infos)
+            self._done = np.zeros(self.num_envs, dtype=bool)
+        self._observations[:] = observations
+        return observations, rewards, terminated, truncated, infos
+
+    def _replace(
+        self, ended: np.ndarray, seen: Seen, infos: dict[str, Any]
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start new episodes where one `ended`; what they show takes the place of its end."""
+        final_obs = np.full(self.num_envs, None, dtype=object)
+        for i in np.flatnonzero(ended):
+            final_obs[i] = seen.observation[i].copy()
+        final_info = self._infos(seen, ended)
+        started = self._begin(ended, self.setup.options)
+        for name, rows in self._infos(started, ended).items():
+            infos[name] = infos[name].copy()
+            infos[name][ended] = rows[ended]
+        observations = np.where(ended[:, None], started.observation, seen.observation)
+        final = {"final_obs": final_obs, "final_info": final_info}
+        masks = {f"_{name}": ended.copy() for name in final}
+        return observations, infos | final | masks
+
+    def _begin(self, mask: np.ndarray, chosen: Options) -> Seen:
+        """Start episodes and drive their first interval."""
+        commands = self._start(mask, chosen)
+        return self.convoy.advance(commands, None if mask.all() else mask)
+
+    def _start(self, mask: np.ndarray, chosen: Options) -> np.ndarray:
+        """Put cars at the beginning of new episodes; their command bytes, in rows of `mask`."""
+        commands = np.zeros(self.num_envs, dtype=np.uint8)
+        for i in np.flatnonzero(mask):
+            start = self.setup.begin(self.convoy, int(i), self._randoms[i], chosen)
+            commands[i], self._roads[i] = start.byte, start.surface.name
+        self._elapsed[mask] = 0
+        return commands
+
+    def _infos(self, seen: Seen, mask: np.ndarray) -> dict[str, Any]:
+        """What is told of the environments in `mask`; other rows are zero."""
+        untold = {"reward"} if self.setup.options.weights.information else {"reward", "unknown"}
+        infos: dict[str, Any] = {
+            name: np.where(mask, seen.numbers[:, j], 0.0)
+            for j, name in enumerate(TOLD)
+            if name not in untold
+        }
+        infos["reason"] = np.where(mask, "", None)  # type: ignore[call-overload]
+        failed = mask & ((seen.broken >= 0) | (seen.turned >= 0))
+        for i in np.flatnonzero(failed):
+            infos["reason"][i] = self.setup.reason(seen, int(i), self._roads[i])
+        if self.setup.options.truth:
+            rows = {"s": seen.s, "profile": seen.profile, "loads": seen.loads}
+            for name, array in rows.items():
+                inside = mask.reshape(-1, *[1] * (array.ndim - 1))
+                infos[name] = array if mask.all() else np.where(inside, array, 0.0)
+        return infos | {f"_{name}": mask.copy() for name in infos}
+
+    def _mask(self, mask: Any) -> np.ndarray:
+        if mask is None:
+            return np.ones(self.num_envs, dtype=bool)
+        fits = isinstance(mask, np.ndarray) and mask.dtype == bool
+        if not fits or mask.shape != (self.num_envs,) or not mask.any():
+            raise ConfigError(
+                f"reset_mask must be an array of {self.num_envs} bools, one of them true at least, "
+                f"got {mask!r}"
+            )
+        if not self._randoms and not mask.all():
+            raise gymnasium.error.ResetNeeded("the first reset must be of all environments")
+        return mask
+
+    def _sow(self, seed: int | Sequence[int | None] | None, mask: np.ndarray) -> None:
+        """Seed the environments in `mask`; without seeds those that have a generator keep it."""
+        if isinstance(seed, int | np.integer):
+            seeds: list[int | None] = [int(seed) + i for i in range(self.num_envs)]
+        else:
+            seeds = [None] * self.num_envs if seed is None else list(seed)
+        if len(seeds) != self.num_envs:
+            raise ConfigError(f"{self.num_envs} seeds are wanted, one each, got {len(seeds)}")
+        if not self._randoms:
+            drawn = [seeding.np_random(s) for s in seeds]
+            self._randoms, self._seeds = [r for r, _ in drawn], [s for _, s in drawn]
+            return
+        for i in np.flatnonzero(mask):
+            if seeds[i] is not None:
+                self._randoms[i], self._seeds[i] = seeding.np_random(seeds[i])
+
+    def _checked(self, actions: Any) -> np.ndarray:
+        """`actions` as indices (num_envs,). Raises ConfigError."""
+        given = np.asarray(actions)
+        last = len(self.setup.bytes) - 1
+        if given.shape != (self.num_envs,) or given.dtype.kind not in "iu":
+            raise ConfigError(
+                f"actions must be {self.num_envs} whole numbers, got {given.dtype} of shape "
+                f"{given.shape}"
+            )
+        if given.size and not (given.min() >= 0 and given.max() <= last):
+            wrong = int(np.flatnonzero((given < 0) | (given > last))[0])
+            raise ConfigError(
+                f"actions must be 0 to {last}, got {given[wrong]} for environment {wrong}"
+            )
+        return given

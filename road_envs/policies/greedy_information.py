@@ -1,0 +1,82 @@
+"""Sensing: the pair of states that will have told most of the road, at a price in comfort.
+
+In the linear model neither what is left unknown of the road nor the expected comfort depends on
+what is measured, so both are closed forms of the states and the speed, and the best pair is found
+before anything has happened: a greedy policy is an optimal one as long as the speed stays. This is
+why it does not switch.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from road_envs.analysis.comfort import wk
+from road_envs.analysis.information_bound import Information, RoadPrior, road_damping
+from road_envs.config import STRICT
+from road_envs.policies.api import Cabin
+from road_envs.vehicle.linear_model import frequency_response, linearise
+from road_envs.vehicle.parameters import VehicleParameters
+
+F = np.geomspace(0.2, 50.0, 400)
+"""Frequencies [Hz] over which the comfort is added up."""
+
+
+@dataclass(kw_only=True)
+class GreedyInformation:
+    """Minimises expected comfort [m/s²] + `weight` x the variance left unknown, of 1, for a road of
+    class D and the speed as it is first measured.
+    """
+
+    __pydantic_config__ = STRICT
+
+    weight: float = 100.0
+    cabin: Cabin = field(init=False, repr=False, compare=False)
+    known: dict[tuple, int] = field(init=False, repr=False, compare=False, default_factory=dict)
+
+    def __post_init__(self):
+        if not self.weight >= 0:
+            raise ValueError(f"weight must not be negative, got {self.weight}")
+
+    def reset(self, cabin: Cabin) -> None:
+        """Choose anew at the next observation."""
+        self.cabin = cabin
+        self.actions = np.zeros(0, dtype=int)
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        """The pair chosen at the first observation."""
+        if self.actions.size == 0:
+            measured = self.cabin.part("speed", observations)[:, 0]
+            speeds, which = np.unique(np.round(measured), return_inverse=True)
+            self.actions = np.array([self.best(max(float(v), 1.0)) for v in speeds])[which]
+        return self.actions
+
+    def best(self, v: float) -> int:
+        """The action of least cost at `v` [m/s]; kept, for it takes a second to find."""
+        key = (v, self.cabin.actions, repr(self.cabin.car), repr(self.cabin.instruments))
+        if key not in self.known:
+            self.known[key] = int(np.argmin(self.costs(v)))
+        return self.known[key]
+
+    def costs(self, v: float) -> np.ndarray:
+        """The cost of every action at `v` [m/s]."""
+        car, prior, cabin = self.cabin.car, RoadPrior(), self.cabin
+        modes = tuple(dict.fromkeys(mode for pair in cabin.actions for mode in pair))
+        table = Information.tabulate(car, cabin.instruments, prior, [v], modes)
+        return np.array(
+            [
+                expected_comfort(car, front, rear, v, prior)
+                + self.weight * table.at(front, rear, v) ** 2
+                for front, rear in cabin.actions
+            ]
+        )
+
+
+def expected_comfort(
+    car: VehicleParameters, front: str, rear: str, v: float, prior: RoadPrior
+) -> float:
+    """W_k-weighted RMS heave acceleration [m/s²] of the linear car at `v` [m/s] on such a road."""
+    mode = {"front": front, "rear": rear}
+    model = linearise(car, mode, {"heave": (0.0, 0.0)}, damping=road_damping(car, mode, v, prior))
+    H = frequency_response(model, v, f=F)
+    density = np.real(np.einsum("fsa,fab,fsb->f", H, prior.spectrum(F / v) / v, H.conj()))
+    return float(np.sqrt(np.trapezoid(wk(F) ** 2 * density, F)))

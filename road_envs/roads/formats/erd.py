@@ -1,0 +1,195 @@
+"""Reader of ERD files, the format of UMTRI's Engineering Research Division in which profilers and
+road-profile software hand on what they measured (M.W. Sayers, S.M. Karamihas, "ERD file format
+for storage and analysis of road profiles", UMTRI; M. Sayers, UMTRI-87-2, 1987).
+
+    ERDFILEV2.00
+    channels, samples, records, bytes, type, step, ...      how the numbers are stored
+    SHORTNAMLElev.  RElev.                                  a keyword of 8 characters, then its text
+    UNITSNAMmm      mm                                      8 characters for each channel
+    XUNITS  m                                               unit of the step
+    END
+
+Then come the numbers, sample after sample with one of each channel: as text (type 5), or as 4-byte
+floats (type 1) in a second file of the same name that ends in ".bin". Those are in the byte order
+of the machine that wrote them, which the header does not tell: it is the one in which most of them
+are sensible numbers.
+
+The wheel paths are the channels of a length that are called left and right; a channel that is
+alone stands for both. What has no unit, or is of another type, is refused.
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from road_envs.roads.formats.opencrg import MAX_LENGTH, SurfaceFileError, content, heights
+from road_envs.roads.formats.table import Paths, numbers
+
+FLOAT, TEXT = 1, 5
+"""Types of the numbers that are read."""
+
+UNITS = {
+    "m": 1.0,
+    "cm": 0.01,
+    "mm": 0.001,
+    "ft": 0.3048,
+    "feet": 0.3048,
+    "in": 0.0254,
+    "inch": 0.0254,
+    "inches": 0.0254,
+    "mil": 25.4e-6,
+    "mils": 25.4e-6,
+}
+"""Metres in each unit of length."""
+
+SENSIBLE = (1e-9, 1e9)
+"""Between these lies the size of nearly every number that was read in the right byte order."""
+
+MOST = 0.9
+"""A file with a smaller share of sensible numbers in either byte order is refused."""
+
+MAX_CHANNELS = 1000
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a header says; `samples` is 0 where it leaves them to be counted."""
+
+    channels: int
+    samples: int
+    form: int
+    step: float
+    keywords: dict[str, str]
+
+
+def read(path: str | Path) -> Paths:
+    """Both wheel paths in the file `path`, the numbers perhaps in the ".bin" beside it."""
+    header, body = parse_header(content(path))
+    if header.form == FLOAT:
+        beside = Path(path).with_suffix(".bin")
+        if not beside.is_file():
+            raise SurfaceFileError(f"its numbers should be in {beside.name}, which is missing")
+        body = content(beside)
+    return parse_numbers(header, body)
+
+
+def parse_header(data: bytes) -> tuple[Header, bytes]:
+    """The header in the bytes of a file, and the bytes that follow it."""
+    if data[:9].upper() != b"ERDFILEV2":
+        raise SurfaceFileError("not an ERD file: it does not begin with ERDFILEV2")
+    data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    end = re.search(rb"(?m)^END *$", data)
+    if end is None:
+        raise SurfaceFileError("damaged: the line END of the header is missing")
+    lines = data[: end.start()].decode("latin-1").split("\n")
+    said = lines[1].split(",")
+    if len(said) < 6:
+        raise SurfaceFileError(f"damaged: its second line has {len(said)} numbers, wanted 6")
+    channels, samples, form = (_whole(said[k]) for k in (0, 1, 4))
+    if not 0 < channels <= MAX_CHANNELS:
+        raise SurfaceFileError(f"damaged: {channels} channels")
+    if form not in (FLOAT, TEXT):
+        raise SurfaceFileError(f"numbers of type {form}; known: 1 (4-byte float) and 5 (text)")
+    keywords = _keywords(lines[2:])
+    step = _number(said[5]) * _metres(keywords.get("XUNITS", ""), "the step")
+    if not 0.0 < step < MAX_LENGTH:
+        raise SurfaceFileError(f"a step of {step:g} m")
+    return Header(channels, max(0, samples), form, step, keywords), data[end.end() :]
+
+
+def parse_numbers(header: Header, body: bytes) -> Paths:
+    """Both wheel paths from the bytes that hold the numbers."""
+    values = _text(body) if header.form == TEXT else _floats(body)
+    samples, rest = divmod(values.size, header.channels)
+    if rest or not samples or samples != (header.samples or samples):
+        raise SurfaceFileError(
+            f"damaged: {values.size} numbers where the header says {header.samples or 'whole'} "
+            f"samples of {header.channels} channels"
+        )
+    table = values.reshape(samples, header.channels)
+    z = [heights(table[:, k], scale) for k, scale in _left_and_right(header)]
+    return np.array(z), header.step, ()
+
+
+def _text(body: bytes) -> np.ndarray:
+    words = body.decode("latin-1").replace(",", " ").split()
+    if not words:
+        return np.empty(0)
+    return numbers(words, comments=None).ravel()
+
+
+def _floats(body: bytes) -> np.ndarray:
+    if len(body) % 4:
+        raise SurfaceFileError(f"damaged: {len(body)} bytes are no whole number of 4-byte floats")
+    both = [np.frombuffer(body, f"{order}f4") for order in "<>"]
+    shares = [_sensible(values) for values in both]
+    if max(shares) < MOST:
+        raise SurfaceFileError("damaged: its numbers are not sensible in either byte order")
+    return both[int(np.argmax(shares))].astype(float)
+
+
+def _sensible(values: np.ndarray) -> float:
+    """Share of `values` (N,) that are 0, missing or of a sensible size."""
+    size = np.abs(values[(values != 0.0) & ~np.isnan(values)])
+    strange = (size < SENSIBLE[0]) | (size > SENSIBLE[1])
+    return 1.0 - strange.sum() / max(1, values.size)
+
+
+def _left_and_right(header: Header) -> list[tuple[int, float]]:
+    """Channel, and metres in its unit, of the left and of the right wheel path."""
+    short, long, unit = (
+        _fields(header, key, width)
+        for key, width in (("SHORTNAM", 8), ("LONGNAME", 32), ("UNITSNAM", 8))
+    )
+    lengths = [k for k in range(header.channels) if unit[k].lower() in UNITS]
+    if header.channels == 1:
+        pair = [0, 0]
+    else:
+        pair = []
+        for letter, word in (("l", "left"), ("r", "right")):
+            called = re.compile(rf"{letter}\W*elev|.*\b{word}\b", re.IGNORECASE)
+            found = [k for k in lengths if called.match(short[k]) or called.match(long[k])]
+            if len(found) != 1:
+                channels = ", ".join(f"{name} [{u}]" for name, u in zip(short, unit, strict=True))
+                raise SurfaceFileError(
+                    f"{len(found)} of its channels are the {word} wheel path: {channels:.200}"
+                )
+            pair += found
+    return [(k, _metres(unit[k], f"channel {k + 1}")) for k in pair]
+
+
+def _fields(header: Header, keyword: str, width: int) -> list[str]:
+    """What stands for each channel under a keyword, each `width` characters wide."""
+    text = header.keywords.get(keyword, "")
+    return [text[k * width : (k + 1) * width].strip() for k in range(header.channels)]
+
+
+def _keywords(lines: list[str]) -> dict[str, str]:
+    """Text by keyword; of a keyword that comes again the first text counts."""
+    return {line[:8].strip().upper(): line[8:] for line in reversed(lines)}
+
+
+def _metres(unit: str, what: str) -> float:
+    name = unit.strip().lower()
+    if name not in UNITS:
+        raise SurfaceFileError(f"{what} is in {name or 'no unit'!r}; known: {', '.join(UNITS)}")
+    return UNITS[name]
+
+
+def _whole(text: str) -> int:
+    value = _number(text)
+    if value != round(value):
+        raise SurfaceFileError(f"damaged: {text.strip()!r} in its second line is no whole number")
+    return int(value)
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.inf
+    if not abs(value) < 1e12:
+        raise SurfaceFileError(f"damaged: {text.strip()!r:.40} in its second line is no number")
+    return value

@@ -1,0 +1,140 @@
+"""Surfaces written to files that `Measured` and other programs read: text tables, Parquet, OpenCRG
+and ERD; each whole or not at all.
+
+In an OpenCRG file a wheel path is level across, half a `track` wide about its middle, so that a
+tyre of any width stands on it: the four long sections stand at v = -3, -1, 1, 3 quarters of the
+track, and what lies between the paths is interpolated.
+"""
+
+import json
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from road_envs._atomic_io import whole
+from road_envs.config import ConfigError
+from road_envs.roads.formats.opencrg import RECORD, WIDTHS
+from road_envs.roads.surface import Surface
+
+TRACK = 1.5
+"""Distance of the wheel paths [m]."""
+
+
+def write(surface: Surface, path: str | Path) -> None:
+    """A surface as a file of the kind that the name ends in. Raises ConfigError."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in WRITERS:
+        raise ConfigError(f"{path}: the name must end in {' or '.join(WRITERS)}")
+    WRITERS[suffix](surface, path)
+
+
+def write_csv(surface: Surface, path: str | Path) -> None:
+    """Distance, left, right [m] to 1 nm, as text."""
+    rows = [
+        f"{s:.9f},{left:.9f},{right:.9f}"
+        for s, left, right in zip(surface.s, *surface.z, strict=True)
+    ]
+    remarks = [f"# {line}" for line in _remarks(surface)]
+    with whole(path) as partial:
+        text = "\n".join([*remarks, "distance,left,right", *rows, ""])
+        partial.write_text(text, encoding="utf-8")
+
+
+def write_parquet(surface: Surface, path: str | Path) -> None:
+    """Distance, left, right [m] to the last bit; name and notes go into the metadata."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    columns = dict(zip(("distance", "left", "right"), (surface.s, *surface.z), strict=True))
+    about = json.dumps({"name": surface.name, "notes": surface.notes})
+    table = pa.table(columns).replace_schema_metadata({"roadrecon surface": about})
+    with whole(path) as partial:
+        pq.write_table(table, partial, write_page_checksum=True)
+
+
+def write_crg(surface: Surface, path: str | Path, form: str = "KDBI") -> None:
+    """An OpenCRG file in one of its four formats: KDBI keeps every bit, KRBI 7 digits."""
+    if form not in WIDTHS:
+        raise ConfigError(f"unknown data format {form!r}; known: {', '.join(WIDTHS)}")
+    left, right = surface.z
+    grid = np.array([right, right, left, left]).T
+    header = "\n".join([*_crg_header(surface, form), "$" * 72, ""]).encode("ascii", "replace")
+    with whole(path) as partial:
+        partial.write_bytes(header + (_binary if form.startswith("K") else _text)(grid, form))
+
+
+def write_erd(surface: Surface, path: str | Path) -> None:
+    """Left and right elevation [mm] to 1 nm, as an ERD file with text numbers."""
+    lines = [
+        "ERDFILEV2.00",
+        f"2, {surface.z.shape[1]}, -1, 1, 5, {surface.ds!r}, -1,",
+        f"TITLE   {_ascii(surface.name)[:80]}",
+        "SHORTNAMLElev.  RElev.",
+        "UNITSNAMmm      mm",
+        f"LONGNAME{'Left elevation':32}Right elevation",
+        "XLABEL  Distance",
+        "XUNITS  m",
+        *(f"HISTORY {_ascii(note)[:80]}" for note in surface.notes),
+        "END",
+        *(f"{left:.6f} {right:.6f}" for left, right in 1e3 * surface.z.T),
+        "",
+    ]
+    with whole(path) as partial:
+        partial.write_text("\n".join(lines), encoding="ascii")
+
+
+WRITERS: dict[str, Callable[[Surface, str | Path], None]] = {
+    ".csv": write_csv,
+    ".parquet": write_parquet,
+    ".crg": write_crg,
+    ".erd": write_erd,
+}
+
+
+def _remarks(surface: Surface) -> list[str]:
+    """Name and notes, each on one line."""
+    return [" ".join(line.split()) for line in (surface.name, *surface.notes)]
+
+
+def _crg_header(surface: Surface, form: str) -> list[str]:
+    quarter = 0.25 * TRACK
+    remarks = [part for line in _remarks(surface) for part in textwrap.wrap(line, 70)]
+    return [
+        "$CT",
+        *(f"  {part}" for part in remarks),
+        "$",
+        "$ROAD_CRG",
+        f"REFERENCE_LINE_START_U   = {surface.start!r}",
+        f"REFERENCE_LINE_END_U     = {surface.end!r}",
+        f"REFERENCE_LINE_INCREMENT = {surface.ds!r}",
+        f"LONG_SECTION_V_RIGHT     = {-3.0 * quarter!r}",
+        f"LONG_SECTION_V_LEFT      = {3.0 * quarter!r}",
+        f"LONG_SECTION_V_INCREMENT = {2.0 * quarter!r}",
+        "$",
+        "$KD_DEFINITION",
+        f"#:{form}",
+        f"U:reference line u,m,{surface.start:.6f},{surface.ds:.6f}",
+        *(f"D:long section {k},m" for k in (1, 2, 3, 4)),
+        "$",
+    ]
+
+
+def _binary(grid: np.ndarray, form: str) -> bytes:
+    """Big-endian floats, filled up with NaN to whole records."""
+    values = grid.astype(f">f{WIDTHS[form]}")
+    missing = -values.nbytes % RECORD // WIDTHS[form]
+    return values.tobytes() + np.full(missing, np.nan, values.dtype).tobytes()
+
+
+def _text(grid: np.ndarray, form: str) -> bytes:
+    """One record for each row, its numbers with as many decimals as their width has room for."""
+    width = WIDTHS[form]
+    decimals = min(15, width - 3 - len(f"{np.abs(grid).max():.0f}"))
+    record = "".join([f"{{:{width}.{decimals}f}}"] * grid.shape[1])
+    return "".join(record.format(*row) + "\n" for row in grid.tolist()).encode("ascii")
+
+
+def _ascii(text: str) -> str:
+    return " ".join(text.split()).encode("ascii", "replace").decode("ascii")

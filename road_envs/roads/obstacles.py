@@ -1,0 +1,161 @@
+"""Defects on a level road: half sines as in the authors' earlier study, and potholes.
+
+    half_sine   height sin(pi x / length), x from the start of the bump; a negative height is a dip
+    pothole     down one edge, along the floor at `height` < 0, up the other edge
+
+Half sines stood for the bumps of Ngwangwa, Heyns, Labuschagne & Kululanga (J. Terramechanics 47,
+2010), where defects also grew. How they grew is not known here [assumed]: a `count` of more than
+1 makes a row of one defect at successive ages, each `growth` times as high as the one before it.
+
+The random potholes have the depths and sizes that the distress manual of the LTPP programme calls
+a pothole (Miller & Bellinger, FHWA-RD-03-031, 2003): at least 150 mm wide; less than 25 mm deep is
+low, more than 50 mm high severity. Its upper bounds and their number are assumed.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+
+from road_envs.config import STRICT
+from road_envs.roads.surface import Surface
+from road_envs.roads.trapezoids import SIDES, Trapezoid
+from road_envs.roads.validation import check_not_negative, check_positive, check_range, check_size
+
+SPACING = 0.005
+"""Of the samples [m]."""
+
+TALLEST = 10.0
+"""No defect is higher or deeper [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Defect:
+    """One bump or hole, or a row of them that grow."""
+
+    __pydantic_config__ = STRICT
+
+    shape: Literal["half_sine", "pothole"]
+    at: Annotated[float, "m", "station of the middle of the first"]
+    length: Annotated[float, "m", "along the road"]
+    height: Annotated[float, "m", "of the crest, or of the floor of a hole: negative"]
+    edge: Annotated[float, "m", "length of either edge of a pothole"] = 0.0
+    side: Annotated[Literal["left", "right", "both"], "", "wheel path"] = "both"
+    count: Annotated[int, "", "how many in a row"] = 1
+    spacing: Annotated[float, "m", "between the middles in a row"] = 0.0
+    growth: Annotated[float, "", "height over that of the one before"] = 1.0
+
+    def __post_init__(self):
+        check_positive(self, "length", "growth")
+        check_not_negative(self, "edge", "spacing")
+        if self.length < 4.0 * SPACING:
+            raise ValueError(f"length must be at least {4.0 * SPACING} m, got {self.length}")
+        if self.shape == "pothole" and not (self.height < 0.0 < self.edge < 0.5 * self.length):
+            raise ValueError("a pothole has a height below 0, and an edge shorter than half of it")
+        if self.shape == "half_sine" and (self.edge or not self.height):
+            raise ValueError("a half sine has a height that is not 0, and no edge")
+        if self.count < 1:
+            raise ValueError(f"count must be at least 1, got {self.count}")
+        if self.count > 1 and self.spacing < self.length:
+            raise ValueError(f"defects of {self.length} m overlap at {self.spacing} m")
+        last = np.log(abs(self.height)) + (self.count - 1) * max(0.0, np.log(self.growth))
+        if not last <= np.log(TALLEST):
+            raise ValueError(f"a defect is higher than {TALLEST:g} m")
+
+    @property
+    def middles(self) -> np.ndarray:
+        """Stations (count,) [m] of the middles."""
+        return self.at + self.spacing * np.arange(self.count)
+
+    @property
+    def heights(self) -> np.ndarray:
+        """Heights (count,) [m]."""
+        return self.height * self.growth ** np.arange(self.count)
+
+    def profile(self, distance: np.ndarray) -> np.ndarray:
+        """Height over that of the crest or floor at `distance` [m] from the middle, any shape."""
+        if self.shape == "pothole":
+            hole = Trapezoid(height=1.0, ramp=self.edge, top=self.length - 2.0 * self.edge)
+            return hole.shape(distance)
+        inside = np.clip(distance / self.length, -0.5, 0.5)
+        return np.cos(np.pi * inside)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Defects:
+    """Defects where the settings put them; where two overlap their heights add up."""
+
+    __pydantic_config__ = STRICT
+
+    defects: tuple[Defect, ...]
+    length: Annotated[float, "m", "length of the road"] = 100.0
+
+    def __post_init__(self):
+        check_positive(self, "length")
+        check_size(self.length, SPACING)
+        for defect in self.defects:
+            first = defect.at - 0.5 * defect.length
+            last = defect.at + defect.spacing * (defect.count - 1) + 0.5 * defect.length
+            if not (first >= 0.0 and last <= self.length):
+                raise ValueError(
+                    f"a defect from {first:g} to {last:g} m is not on a road of {self.length:g} m"
+                )
+
+    def realise(self, rng: np.random.Generator) -> Surface:
+        """The defects; there is nothing to draw."""
+        s, z = level(self.length)
+        for defect in self.defects:
+            for middle, height in zip(defect.middles, defect.heights, strict=True):
+                near = under(s, middle, defect.length)
+                z[SIDES[defect.side], near] += height * defect.profile(s[near] - middle)
+        return Surface(z, SPACING, name="defects")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Potholes:
+    """Potholes anywhere on either wheel path, others at every draw; where two meet, the deeper."""
+
+    __pydantic_config__ = STRICT
+
+    length: Annotated[float, "m", "length of the road"] = 100.0
+    rate: Annotated[float, "1/m", "mean number a metre on each wheel path [assumed]"] = 0.05
+    depth: Annotated[tuple[float, float], "m", "least and greatest"] = (0.025, 0.075)
+    size: Annotated[tuple[float, float], "m", "least and greatest length"] = (0.15, 0.8)
+    edge: Annotated[float, "m", "length of either edge [assumed]"] = 0.05
+
+    def __post_init__(self):
+        check_positive(self, "length", "rate", "edge")
+        check_size(self.length, SPACING)
+        check_size(self.rate, SPACING / self.length)
+        check_range(self, "depth")
+        check_range(self, "size")
+        if not 2.0 * self.edge < self.size[0] <= self.size[1] <= self.length:
+            raise ValueError(f"size must be more than two edges, and not longer than {self.length}")
+
+    def realise(self, rng: np.random.Generator) -> Surface:
+        """Draw number, places, sizes and depths of the holes of each wheel path."""
+        s, z = level(self.length)
+        for path in z:
+            for middle, size, depth in self._holes(rng):
+                near = under(s, middle, size)
+                hole = Trapezoid(height=depth, ramp=self.edge, top=size - 2.0 * self.edge)
+                path[near] = np.minimum(path[near], -hole.shape(s[near] - middle))
+        return Surface(z, SPACING, name="potholes")
+
+    def _holes(self, rng: np.random.Generator) -> np.ndarray:
+        """Middle, size and depth [m] of each hole of a wheel path (count, 3)."""
+        count = rng.poisson(self.rate * self.length)
+        size = rng.uniform(*self.size, count)
+        middle = 0.5 * size + rng.uniform(0.0, 1.0, count) * (self.length - size)
+        return np.column_stack([middle, size, rng.uniform(*self.depth, count)])
+
+
+def level(length: float) -> tuple[np.ndarray, np.ndarray]:
+    """Stations (N,) [m] of a road of `length` [m], and heights (2, N) of 0."""
+    s = SPACING * np.arange(round(length / SPACING) + 1)
+    return s, np.zeros((2, s.size))
+
+
+def under(s: np.ndarray, middle: float, length: float) -> slice:
+    """The part of the stations `s` (N,) [m] that lies under a defect."""
+    return slice(*np.searchsorted(s, [middle - 0.5 * length, middle + 0.5 * length]))

@@ -1,0 +1,104 @@
+"""Trapezoidal bumps in the three layouts of the paper's Figure 2 (Ngwangwa et al., section 3.1).
+
+    small         (b) one small bump on each wheel path, at the same station
+    large_small   (c) large, then small, on both wheel paths
+    asymmetric    (d) large on the left, then small on the right
+
+The heights (100 and 150 mm) and the spacing (10.4 m; 8 m in training) are the paper's. Lengths of
+ramp and top appear only in its figures and are assumed here, as is that the spacing is measured
+between the middles. In training the lengths and heights are scaled by 1 ± 0.1 (section 4).
+"""
+
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+import numpy as np
+
+from road_envs.config import STRICT
+from road_envs.roads.surface import Surface
+from road_envs.roads.validation import check_positive, check_size
+
+Layout = Literal["small", "large_small", "asymmetric"]
+LAYOUTS: dict[Layout, tuple[tuple[str, str], ...]] = {
+    "small": (("small", "both"),),
+    "large_small": (("large", "both"), ("small", "both")),
+    "asymmetric": (("large", "left"), ("small", "right")),
+}
+"""Bumps in the order of driving: size and wheel path."""
+
+SIDES = {"left": [0], "right": [1], "both": [0, 1]}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trapezoid:
+    """One block: up a ramp, along the top, down a ramp of the same length."""
+
+    __pydantic_config__ = STRICT
+
+    height: Annotated[float, "m", "of the top"]
+    ramp: Annotated[float, "m", "length of each ramp along the road"]
+    top: Annotated[float, "m", "length of the top"]
+
+    def __post_init__(self):
+        check_positive(self, "height", "ramp", "top")
+
+    def shape(self, distance: np.ndarray) -> np.ndarray:
+        """Height [m] at `distance` [m] from the middle, any shape."""
+        edge = 0.5 * self.top + self.ramp - np.abs(distance)
+        return self.height * np.clip(edge / self.ramp, 0.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bumps:
+    """Bumps on a level road; `run_in` and `run_out` are level, before and after."""
+
+    __pydantic_config__ = STRICT
+
+    layout: Annotated[Layout, "", "which bumps on which wheel path"]
+    spacing: Annotated[float, "m", "between the middles of two bumps"] = 10.4
+    small: Trapezoid = field(default_factory=lambda: Trapezoid(height=0.1, ramp=0.2, top=0.4))
+    large: Trapezoid = field(default_factory=lambda: Trapezoid(height=0.15, ramp=0.3, top=0.6))
+    length_factor: Annotated[float, "", "scales ramps and tops"] = 1.0
+    height_factor: Annotated[float, "", "scales heights"] = 1.0
+    run_in: Annotated[float, "m", "before the first ramp"] = 10.0
+    run_out: Annotated[float, "m", "after the last ramp"] = 10.0
+    ds: Annotated[float, "m", "spacing of the samples"] = 0.005
+
+    def __post_init__(self):
+        check_positive(self, "spacing", "length_factor", "height_factor", "ds")
+        check_positive(self, "run_in", "run_out")
+        check_size(self.length, self.ds)
+        for a, b in zip(self.blocks, self.blocks[1:], strict=False):
+            if 0.5 * (a.top + b.top) + a.ramp + b.ramp > self.spacing:
+                raise ValueError(f"bumps overlap at a spacing of {self.spacing} m")
+
+    @property
+    def blocks(self) -> list[Trapezoid]:
+        """The bumps in the order of driving, scaled."""
+        x, z = self.length_factor, self.height_factor
+        sizes = [getattr(self, size) for size, _ in LAYOUTS[self.layout]]
+        return [Trapezoid(height=z * b.height, ramp=x * b.ramp, top=x * b.top) for b in sizes]
+
+    @property
+    def middles(self) -> np.ndarray:
+        """Stations [m] of the middles of the bumps."""
+        first = self.blocks[0]
+        return (
+            self.run_in + first.ramp + 0.5 * first.top + self.spacing * np.arange(len(self.blocks))
+        )
+
+    @property
+    def length(self) -> float:
+        """Length [m] of the road, run-in and run-out included."""
+        last = self.blocks[-1]
+        return float(self.middles[-1] + 0.5 * last.top + last.ramp + self.run_out)
+
+    def realise(self, rng: np.random.Generator) -> Surface:
+        """The bumps; there is nothing to draw."""
+        s = self.ds * np.arange(int(np.ceil(self.length / self.ds)) + 1)
+        z = np.zeros((2, s.size))
+        for block, middle, (_, side) in zip(
+            self.blocks, self.middles, LAYOUTS[self.layout], strict=True
+        ):
+            z[SIDES[side]] += block.shape(s - middle)
+        return Surface(z, self.ds, name=f"bumps {self.layout}")

@@ -1,0 +1,93 @@
+"""The instruments as their user describes them: places, sampling, range and noise.
+
+What they make of a drive is in `sensors.py`; this is what an estimator may know of them.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+
+from road_envs import config
+from road_envs.data.record import SENSORS
+from road_envs.vehicle.parameters import VehicleParameters
+
+ALIAS_ORDER = 4
+"""Of the Butterworth filter before the sampler [assumed]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Where on the body an accelerometer sits."""
+
+    __pydantic_config__ = config.STRICT
+
+    axle: Annotated[Literal["front", "rear"], "", "axle from which `ahead` is measured"]
+    ahead: Annotated[float, "m", "ahead of that axle; negative behind it"]
+    y: Annotated[float, "m", "left of the centre line"]
+
+    def __post_init__(self):
+        if not np.isfinite([self.ahead, self.y]).all():
+            raise ValueError(f"a place must be finite, got ahead {self.ahead}, y {self.y}")
+
+    def x(self, car: VehicleParameters) -> float:
+        """Ahead of the body's centre of mass [m]."""
+        return (car.front if self.axle == "front" else car.rear).x + self.ahead
+
+
+@dataclass(frozen=True, kw_only=True)
+class Places:
+    """The paper's three accelerometers."""
+
+    __pydantic_config__ = config.STRICT
+
+    RF: Place
+    LR: Place
+    RR: Place
+
+
+@dataclass(frozen=True, kw_only=True)
+class Instruments:
+    """Accelerometers, their logger and the speed signal of one car."""
+
+    __pydantic_config__ = config.STRICT
+
+    name: str
+    accelerometers: Places
+    fs: Annotated[float, "Hz", "sampling rate"]
+    f_alias: Annotated[float, "Hz", "cut-off of the anti-alias filter"]
+    range: Annotated[float, "m/s²", "clipping level, either way"]
+    noise_density: Annotated[float, "(m/s²)/sqrt(Hz)", "one-sided; std = density sqrt(rate / 2)"]
+    speed_error: Annotated[float, "", "standard deviation of the relative error of speed"]
+    sources: dict[str, str]
+
+    def __post_init__(self):
+        for name in ("fs", "f_alias", "range"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        for name in ("noise_density", "speed_error"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+        if self.f_alias >= 0.5 * self.fs:
+            raise ValueError(f"f_alias {self.f_alias} must be below fs / 2 = {0.5 * self.fs}")
+
+    def places(self, car: VehicleParameters) -> dict[str, tuple[float, float]]:
+        """Each sensor's (x, y) [m], ahead and to the left of the body's centre of mass."""
+        found = {name: getattr(self.accelerometers, name) for name in SENSORS}
+        return {name: (place.x(car), place.y) for name, place in found.items()}
+
+    def response(self, f: np.ndarray) -> np.ndarray:
+        """Complex response [-] of the anti-alias filter at `f` [Hz], any shape.
+
+        Of the analogue Butterworth filter; it delays slow signals by 2.613 / (2 pi f_alias).
+        """
+        s = 1j * np.asarray(f, dtype=float) / self.f_alias
+        k = np.arange(1, ALIAS_ORDER + 1)
+        poles = np.exp(0.5j * np.pi * (2 * k + ALIAS_ORDER - 1) / ALIAS_ORDER)
+        return 1.0 / np.prod(s[..., None] - poles, axis=-1)
+
+
+def load_instruments(name: str | Path) -> Instruments:
+    """Instruments by shipped name or YAML path. Raises ConfigError."""
+    return config.load(Instruments, "sensors", name)

@@ -1,0 +1,367 @@
+"""Fixed-step integration of the vehicle over a surface: a two-stage Rosenbrock method.
+
+The method is the second-order formula of Shampine & Reichelt's `ode23s` (1997, "The MATLAB ODE
+suite", SIAM J. Sci. Comput. 18, eq. 3.1), the paper's integrator, at a constant step:
+
+    W = I - h d J,   d = 1 / (2 + sqrt 2),   T = df/dt
+    W k_1 = F(t, y) + h d T
+    W (k_2 - k_1) = F(t + h/2, y + h k_1 / 2) - k_1
+    y(t + h) = y + h k_2
+
+It is of order 2 and L-stable. With coordinates q, rates v and generalised forces f, k = (k_q, k_v)
+and each stage reduces to the seven rates: k_q = r_q + h d k_v, with
+
+    (M + h d C + (h d)² K) k_v = f + h d df/dt - h d K r_q
+
+where K = -df/dq, C = -df/dv. K and C are sums over struts and tyres, so the products with them are
+taken force by force, and the matrix is never assembled: each axle is eliminated as a 2 x 2 block,
+which leaves a 3 x 3 system in the body (Schur complement).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from road_envs._numba import kernel
+from road_envs.roads.surface import height_and_slope
+from road_envs.simulation.simd import add, get, put
+from road_envs.vehicle.equations import (
+    AXLE,
+    N_DOF,
+    PHI,
+    THETA,
+    Z_B,
+    Plant,
+    accelerations,
+    add_lean,
+    add_struts,
+    add_tyres,
+    add_weight,
+    bend,
+    extension,
+    roll_over,
+    twisting,
+    wheel_height,
+)
+from road_envs.vehicle.parameters import GRAVITY
+from road_envs.vehicle.suspension import settled, strut_force, switch, tyre_force
+
+D = 1.0 / (2.0 + np.sqrt(2.0))
+
+STATE, ACCELERATION, EXTENSION, LOAD = 0, 14, 21, 25
+SIGNALS = 29
+"""Columns of the output: state (14), accelerations (7), strut extensions (4), tyre loads (4)."""
+
+TWIST, FLEXIBLE_SIGNALS = 29, 32
+"""Behind them, of a flexible car: the frame's twist [rad], its rate and its acceleration."""
+
+
+def signals_of(plant: Plant) -> int:
+    """How many signals a car has."""
+    return FLEXIBLE_SIGNALS if plant.flexible else SIGNALS
+
+
+@kernel
+def eliminate(p, s, t, hd, blocks, body):
+    """Factor M + h d C + (h d)² K: axles to `blocks` (12,), the body's LDL' to `body` (6,).
+
+    `s`, `t` (4,) are h d c + (h d)² k of each strut and tyre. Half of `blocks` holds N, the
+    inverse of the axle's own block (n00, n01, n11), and S (s0, s1, s2), where -S P is its coupling
+    with the body and P takes the body's coordinates to heave and roll at the axle. The body is left
+    with M_b + sum P' (S - S N S) P.
+    """
+    a00 = get(p.M, Z_B)
+    a01 = a02 = a12 = 0.0 * a00
+    a11 = get(p.M, PHI) - hd * hd * GRAVITY * get(p.roll_moment)
+    a22 = get(p.M, THETA) - hd * hd * GRAVITY * get(p.pitch_moment)
+    for i in range(2):
+        left, right, a = 2 * i, 2 * i + 1, AXLE + 2 * i
+        y_s, y_t, x = get(p.y_s, left), get(p.y_t, left), get(p.x, i)
+        s0, t0 = get(s, left) + get(s, right), get(t, left) + get(t, right)
+        s1 = y_s * (get(s, left) - get(s, right))
+        s2 = y_s * y_s * s0 + hd * hd * get(p.k_roll, i)
+        t1, t2 = y_t * (get(t, left) - get(t, right)), y_t * y_t * t0
+        b00, b01, b11 = get(p.M, a) + s0 + t0, s1 + t1, get(p.M, a + 1) + s2 + t2
+        det = 1.0 / (b00 * b11 - b01 * b01)
+        n00, n01, n11 = b11 * det, -b01 * det, b00 * det
+        put(blocks, 6 * i, n00)
+        put(blocks, 6 * i + 1, n01)
+        put(blocks, 6 * i + 2, n11)
+        put(blocks, 6 * i + 3, s0)
+        put(blocks, 6 * i + 4, s1)
+        put(blocks, 6 * i + 5, s2)
+        m00, m01 = n00 * s0 + n01 * s1, n00 * s1 + n01 * s2
+        m10, m11 = n01 * s0 + n11 * s1, n01 * s1 + n11 * s2
+        r00, r01, r11 = s0 - s0 * m00 - s1 * m10, s1 - s0 * m01 - s1 * m11, s2 - s1 * m01 - s2 * m11
+        a00 = a00 + r00
+        a01 = a01 + r01
+        a02 = a02 - x * r00
+        a11 = a11 + r11
+        a12 = a12 - x * r01
+        a22 = a22 + x * x * r00
+    d0 = 1.0 / a00
+    l1, l2 = a01 * d0, a02 * d0
+    d1 = 1.0 / (a11 - a01 * l1)
+    low = a12 - a01 * l2
+    put(body, 0, d0)
+    put(body, 1, l1)
+    put(body, 2, l2)
+    put(body, 3, d1)
+    put(body, 4, low * d1)
+    put(body, 5, 1.0 / (a22 - a02 * l2 - low * low * d1))
+
+
+@kernel
+def solve(p, blocks, body, g):
+    """Solve for the rates (7,) in place of the right-hand side `g` (7,)."""
+    z, phi, theta = get(g, Z_B), get(g, PHI), get(g, THETA)
+    for i in range(2):
+        a, k = AXLE + 2 * i, 6 * i
+        n00, n01, n11 = get(blocks, k), get(blocks, k + 1), get(blocks, k + 2)
+        s0, s1, s2 = get(blocks, k + 3), get(blocks, k + 4), get(blocks, k + 5)
+        h0 = n00 * get(g, a) + n01 * get(g, a + 1)
+        h1 = n01 * get(g, a) + n11 * get(g, a + 1)
+        put(g, a, h0)
+        put(g, a + 1, h1)
+        push = s0 * h0 + s1 * h1
+        z = z + push
+        phi = phi + s1 * h0 + s2 * h1
+        theta = theta - get(p.x, i) * push
+    phi = phi - get(body, 1) * z
+    theta = (theta - get(body, 2) * z - get(body, 4) * phi) * get(body, 5)
+    phi = phi * get(body, 3) - get(body, 4) * theta
+    z = z * get(body, 0) - get(body, 1) * phi - get(body, 2) * theta
+    put(g, Z_B, z)
+    put(g, PHI, phi)
+    put(g, THETA, theta)
+    for i in range(2):
+        a, k = AXLE + 2 * i, 6 * i
+        n00, n01, n11 = get(blocks, k), get(blocks, k + 1), get(blocks, k + 2)
+        s0, s1, s2 = get(blocks, k + 3), get(blocks, k + 4), get(blocks, k + 5)
+        heave = z - get(p.x, i) * theta
+        f0, f1 = s0 * heave + s1 * phi, s1 * heave + s2 * phi
+        add(g, a, n00 * f0 + n01 * f1)
+        add(g, a + 1, n01 * f0 + n11 * f1)
+
+
+class Work(NamedTuple):
+    """Scratch of one vehicle: right-hand sides (7,), stage values (7,), wheels (4,), factors."""
+
+    f: np.ndarray
+    g: np.ndarray
+    r: np.ndarray
+    k_q: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    F: np.ndarray
+    T: np.ndarray
+    dF: np.ndarray
+    dT: np.ndarray
+    k: np.ndarray
+    k_t: np.ndarray
+    s: np.ndarray
+    t: np.ndarray
+    blocks: np.ndarray
+    body: np.ndarray
+
+
+@kernel
+def workspace():
+    """Scratch for `step`."""
+    a, b = np.empty((6, N_DOF)), np.empty((8, 4))
+    return Work(
+        *(a[0], a[1], a[2], a[3], a[4], a[5]),
+        *(b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]),
+        *(np.empty(12), np.empty(6)),
+    )
+
+
+@kernel
+def step(p, velocity, displacement, memory, q, v, road, turn, h, work, out, twist=None):
+    """Advance the coordinates `q` and rates `v` (7,) by `h` [s], one vehicle or LANES of them.
+
+    The signals at the beginning go to `out` (29,). `road` (16,): heights [m] of the road under the
+    four wheels at t, their rates [m/s], and both again at t + h/2. `turn` (4,): accelerations a_x,
+    a_y [m/s²] of a manoeuvre at t and at t + h/2. `twist`, if given, is four numbers: the frame's
+    twist [rad] and its rate at t and at t + h/2. With lanes, every array has them as a last axis.
+    """
+    hd = h * D
+    f, g, r, k_q = work.f, work.g, work.r, work.k_q
+    F, T, dF, dT = work.F, work.T, work.dF, work.dT
+    for w in range(4):
+        e, rate = extension(p, q, w), extension(p, v, w)
+        e_dot = rate
+        if twist is not None:
+            e, e_dot = e + bend(p, twist[0], w), e_dot + bend(p, twist[1], w)
+        force, k, c = strut_force(p, velocity, displacement, memory, w, e, e_dot)
+        u = get(road, w) - wheel_height(p, q, w)
+        u_dot = get(road, 4 + w) - wheel_height(p, v, w)
+        load, k_t, c_t = tyre_force(p, w, u, u_dot)
+        w_dot = (get(road, 12 + w) - get(road, 4 + w)) * (2.0 / h)
+        put(F, w, force)
+        put(T, w, load)
+        put(dF, w, -hd * k * rate)
+        put(dT, w, hd * (k_t * u_dot + c_t * w_dot))
+        put(work.k, w, k)
+        put(work.k_t, w, k_t)
+        put(work.s, w, hd * (c + hd * k))
+        put(work.t, w, hd * (c_t + hd * k_t))
+        put(out, EXTENSION + w, e)
+        put(out, LOAD + w, load)
+    for j in range(N_DOF):
+        put(f, j, 0.0)
+    front, rear = roll_over(q, 0), roll_over(q, 1)
+    if twist is not None:
+        front, rear = front + get(p.half, 0) * twist[0], rear + get(p.half, 1) * twist[0]
+    add_weight(p, f)
+    add_struts(p, F, front, rear, f)
+    add_tyres(p, T, f)
+    a_x, a_y = get(turn, 0), get(turn, 1)
+    add_lean(p, get(q, PHI), get(q, THETA), a_x, a_y, f)
+    for j in range(N_DOF):
+        put(g, j, get(f, j))
+        put(out, STATE + j, get(q, j))
+        put(out, STATE + N_DOF + j, get(v, j))
+        put(out, ACCELERATION + j, get(f, j) / get(p.M, j))
+    add_struts(p, dF, hd * roll_over(v, 0), hd * roll_over(v, 1), g)
+    add_tyres(p, dT, g)
+    x_dot, y_dot = 2.0 * D * (get(turn, 2) - a_x), 2.0 * D * (get(turn, 3) - a_y)
+    add_lean(p, hd * get(v, PHI), hd * get(v, THETA), x_dot, y_dot, g)
+
+    eliminate(p, work.s, work.t, hd, work.blocks, work.body)
+    solve(p, work.blocks, work.body, g)
+    for j in range(N_DOF):
+        rate, kv = get(v, j), get(g, j)
+        kq = rate + hd * kv
+        put(k_q, j, kq)
+        put(work.q, j, get(q, j) + 0.5 * h * kq)
+        middle = rate + 0.5 * h * kv
+        put(work.v, j, middle)
+        put(r, j, middle - kq)
+        put(f, j, -get(p.M, j) * kv)
+    for w in range(4):
+        e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
+        if twist is not None:
+            e, e_dot = e + bend(p, twist[2], w), e_dot + bend(p, twist[3], w)
+        force, _, _ = strut_force(p, velocity, displacement, memory, w, e, e_dot)
+        put(F, w, force - hd * get(work.k, w) * extension(p, r, w))
+        u = get(road, 8 + w) - wheel_height(p, work.q, w)
+        u_dot = get(road, 12 + w) - wheel_height(p, work.v, w)
+        load, _, _ = tyre_force(p, w, u, u_dot)
+        put(T, w, load - hd * get(work.k_t, w) * wheel_height(p, r, w))
+    front = roll_over(work.q, 0) + hd * roll_over(r, 0)
+    rear = roll_over(work.q, 1) + hd * roll_over(r, 1)
+    if twist is not None:
+        front, rear = front + get(p.half, 0) * twist[2], rear + get(p.half, 1) * twist[2]
+    add_weight(p, f)
+    add_struts(p, F, front, rear, f)
+    add_tyres(p, T, f)
+    phi, theta = get(work.q, PHI) + hd * get(r, PHI), get(work.q, THETA) + hd * get(r, THETA)
+    add_lean(p, phi, theta, get(turn, 2), get(turn, 3), f)
+    solve(p, work.blocks, work.body, f)
+    for j in range(N_DOF):
+        add(q, j, h * (get(k_q, j) + get(r, j) + hd * get(f, j)))
+        add(v, j, h * (get(g, j) + get(f, j)))
+
+
+@kernel
+def flexible_step(p, velocity, displacement, memory, q, v, road, turn, h, work, out):
+    """`step` of a car whose frame twists: `q`, `v` (8,) with the twist last, `out` (32,).
+
+    The same two stages with the matrix of the seven and that of the twist side by side, and
+    nothing where they couple. The formula is of order 2 with any matrix in place of the Jacobian,
+    as k_2 = F(t + h/2, y + h k_1 / 2) + O(h²) then as well; and the coupling is not stiff.
+    """
+    hd = h * D
+    inertia, rate, damping = get(p.frame_inertia), get(p.frame_rate), get(p.frame_damping)
+    inverse = 1.0 / (inertia + hd * (damping + hd * rate))
+    psi, psi_dot = get(q, N_DOF), get(v, N_DOF)
+    for w in range(4):
+        e, e_dot = extension(p, q, w) + bend(p, psi, w), extension(p, v, w) + bend(p, psi_dot, w)
+        put(work.F, w, strut_force(p, velocity, displacement, memory, w, e, e_dot)[0])
+    front, rear = roll_over(q, 0) + get(p.half, 0) * psi, roll_over(q, 1) + get(p.half, 1) * psi
+    moment = twisting(p, work.F, front, rear) - rate * psi - damping * psi_dot
+    put(out, TWIST, psi)
+    put(out, TWIST + 1, psi_dot)
+    put(out, TWIST + 2, moment / inertia)
+    k_v = (moment - hd * rate * psi_dot) * inverse
+    k_q = psi_dot + hd * k_v
+    half, half_dot = psi + 0.5 * h * k_q, psi_dot + 0.5 * h * k_v
+    twist = (psi, psi_dot, half, half_dot)
+    step(p, velocity, displacement, memory, q, v, road, turn, h, work, out, twist)
+    for w in range(4):
+        e = extension(p, work.q, w) + bend(p, half, w)
+        e_dot = extension(p, work.v, w) + bend(p, half_dot, w)
+        put(work.F, w, strut_force(p, velocity, displacement, memory, w, e, e_dot)[0])
+    front = roll_over(work.q, 0) + get(p.half, 0) * half
+    rear = roll_over(work.q, 1) + get(p.half, 1) * half
+    r = half_dot - k_q
+    moment = twisting(p, work.F, front, rear) - rate * (half + hd * r) - damping * half_dot
+    m_v = (moment - inertia * k_v) * inverse
+    put(q, N_DOF, psi + h * (k_q + r + hd * m_v))
+    put(v, N_DOF, psi_dot + h * (k_v + m_v))
+
+
+@kernel
+def look_at_road(p, padded, start, ds, s, v, road):
+    """Heights and their rates (8,) under the wheels with the front axle at `s` [m]."""
+    for w in range(4):
+        behind = p.x[0] - p.x[w // 2]
+        z, slope = height_and_slope(padded, w % 2, s - behind, start, ds)
+        road[w], road[4 + w] = z, slope * v
+
+
+@kernel
+def state_rate(numbers, velocity, displacement, memory, padded, start, ds, s, v, y, out):
+    """Rate (14,) of the state `y` with the front axle at `s` [m], struts as `memory` holds them.
+
+    The right-hand side for other integrators; it writes to `out`. Both are (16,) of a flexible car.
+    """
+    road, n = np.empty(8), y.size // 2
+    look_at_road(numbers[0], padded, start, ds, s, v, road)
+    out[:n] = y[n:]
+    laws = (numbers, velocity, displacement, memory)
+    accelerations(*laws, y[:n], y[n:], road[:4], road[4:], out[n:])
+
+
+@kernel
+def follow(p, memory, q, command, alpha, h, flexible=None):
+    """Advance the `memory` (4, 3) of all struts by one step `h` [s] under a `command` byte.
+
+    `alpha` as in `suspension.switch`; `q` (7,), or (8,) of a `flexible` car.
+    """
+    for w in range(4):
+        stiff, high = (command >> w) & 1, (command >> (4 + w)) & 1
+        if not settled(memory, w, stiff, high):
+            e = extension(p, q, w)
+            if flexible is not None:
+                e += bend(p, q[N_DOF], w)
+            switch(p, memory, w, e, stiff, high, alpha, h)
+
+
+@kernel
+def drive(
+    numbers, velocity, displacement, memory, y,
+    padded, start, ds, s, v, turn, commands, lag, h, out, flexible=None,
+):  # fmt: skip
+    """Drive len(commands) steps of `h` [s]; `y` (14,) and `memory` (4, 3) end as they stand then.
+
+    `padded`, `start`, `ds`: a Surface. At every half step: `s`, `v` (2 N + 1,), station of the
+    front axle [m] and speed [m/s]; `turn` (2 N + 1, 2), a_x and a_y [m/s²] of a manoeuvre.
+    `commands` (N,): bytes as they reach the valves, whose time constant is `lag` [s]. `out`
+    (N, 29): the signals at the beginning of each step. Of a `flexible` car `y` is (16,) and `out`
+    (N, 32).
+    """
+    p, work, road = numbers[0], workspace(), np.empty(16)
+    q, rates = y[: y.size // 2], y[y.size // 2 :]
+    alpha = 1.0 - np.exp(-h / lag)
+    for n in range(commands.size):
+        look_at_road(p, padded, start, ds, s[2 * n], v[2 * n], road[:8])
+        look_at_road(p, padded, start, ds, s[2 * n + 1], v[2 * n + 1], road[8:])
+        follow(p, memory, q, commands[n], alpha, h, flexible)
+        between = turn[2 * n : 2 * n + 2].ravel()
+        laws = (p, velocity, displacement, memory)
+        if flexible is None:
+            step(*laws, q, rates, road, between, h, work, out[n])
+        else:
+            flexible_step(*laws, q, rates, road, between, h, work, out[n])

@@ -1,0 +1,105 @@
+"""Force curves: breakpoints from YAML, piecewise cubics through them, uniform tables for kernels.
+
+The paper evaluates its measured strut curves with MATLAB's `ppval`, that is as piecewise cubics
+(section 2.3). Here the cubics are PCHIP (Fritsch & Carlson 1980), which neither overshoot nor ring
+between breakpoints. For kernels each curve is tabulated on a uniform grid as the Hermite cubic of
+its values and slopes: exact wherever the breakpoints lie on that grid, and a look-up without a
+search everywhere. Beyond its last breakpoint a curve goes on as a straight line.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from road_envs._numba import kernel
+from road_envs.config import STRICT
+from road_envs.simulation.simd import four, if_positive, maximum, minimum, whole
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curve:
+    """A force over velocity or displacement, given at breakpoints."""
+
+    __pydantic_config__ = STRICT
+
+    x: Annotated[tuple[float, ...], "m or m/s", "breakpoints, increasing"]
+    F: Annotated[tuple[float, ...], "N", "force at each breakpoint"]
+
+    def __post_init__(self):
+        if len(self.x) != len(self.F) or len(self.x) < 2:
+            raise ValueError(f"x and F need one length of at least 2: {len(self.x)}, {len(self.F)}")
+        if not np.isfinite([*self.x, *self.F]).all():
+            raise ValueError("breakpoints must be finite numbers")
+        if not (np.diff(self.x) > 0).all():
+            raise ValueError(f"x must increase from each breakpoint to the next: {self.x}")
+
+    def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Force [N] and its derivative at `x` of any shape."""
+        cubic = PchipInterpolator(self.x, self.F)
+        slope = cubic.derivative()
+        inside = np.clip(x, self.x[0], self.x[-1])
+        return cubic(inside) + slope(inside) * (x - inside), slope(inside)
+
+    def times(self, factor: float) -> "Curve":
+        """The same curve with `factor` times the force everywhere."""
+        return self if factor == 1.0 else Curve(x=self.x, F=tuple(factor * F for F in self.F))
+
+
+def tabulate(curves: Sequence[Curve], x_0: float, dx: float, cells: int) -> np.ndarray:
+    """The sum of `curves` as cubic coefficients (cells, 4) in powers of the cell fraction."""
+    x = x_0 + dx * np.arange(cells + 1)
+    values, slopes = np.sum([curve(x) for curve in curves], axis=0)
+    return _hermite(values, slopes * dx)
+
+
+def _hermite(values: np.ndarray, rises: np.ndarray) -> np.ndarray:
+    """Coefficients (..., cells, 4) from values and slopes times the spacing (..., cells + 1)."""
+    a, b, end, rise = values[..., :-1], rises[..., :-1], rises[..., 1:], np.diff(values)
+    return np.stack([a, b, 3.0 * rise - 2.0 * b - end, b + end - 2.0 * rise], axis=-1)
+
+
+def blurred(tables: np.ndarray, x_0: float, dx: float, width: float) -> np.ndarray:
+    """Tables (K, cells, 4) of the mean value when the argument is normal, `width` wide, about x."""
+    x = x_0 + dx * np.arange(tables.shape[1] + 1)
+    u = np.linspace(-4.0, 4.0, 161)
+    weight = np.exp(-0.5 * u**2) / np.exp(-0.5 * u**2).sum()
+    found = np.empty((tables.shape[0], x.size, u.size, 2))
+    look_up_all(tables, x_0, dx, x[:, None] + width * u, found)
+    mean = np.einsum("kxui,u->ikx", found, weight)
+    return _hermite(mean[0], dx * mean[1])
+
+
+@kernel
+def look_up(tables, k, x_0, dx, x):
+    """Value and derivative at `x` of curve `k` of `tables` (K, cells, 4), straight beyond ends."""
+    cells = float(tables.shape[1])
+    u = (x - x_0) / dx
+    inside = minimum(maximum(u, 0.0), cells)
+    i = minimum(whole(inside), cells - 1.0)
+    a, b, c, d = four(tables, 4.0 * (k * cells + i))
+    t = inside - i
+    slope = b + t * (2.0 * c + t * 3.0 * d)
+    return a + t * (b + t * (c + t * d)) + slope * (u - inside), slope / dx
+
+
+@kernel
+def look_up_all(tables, x_0, dx, x, out):
+    """Values and derivatives (K, M, N, 2) of all curves at `x` (M, N), to `out`."""
+    for k in range(tables.shape[0]):
+        for i in range(x.shape[0]):
+            for j in range(x.shape[1]):
+                out[k, i, j, 0], out[k, i, j, 1] = look_up(tables, float(k), x_0, dx, x[i, j])
+
+
+@kernel
+def curvature(tables, k, x_0, dx, x):
+    """Second derivative at `x` of curve `k`; at a grid point that to its right, 0 from the ends."""
+    cells = float(tables.shape[1])
+    u = (x - x_0) / dx
+    inside = minimum(maximum(u, 0.0), cells)
+    i = minimum(whole(inside), cells - 1.0)
+    _, _, c, d = four(tables, 4.0 * (k * cells + i))
+    return if_positive(u * (cells - u), (2.0 * c + 6.0 * d * (inside - i)) / (dx * dx), 0.0)

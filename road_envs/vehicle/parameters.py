@@ -1,0 +1,231 @@
+"""The vehicle as its user describes it: frozen dataclasses, each quantity with unit and meaning.
+
+Axes after ISO 8855: x ahead, y left, z up. Symbols as in the literature; the paper's letters are
+mapped in `dynamics.py`.
+"""
+
+from dataclasses import dataclass
+from math import inf
+from pathlib import Path
+from typing import Annotated, Literal
+
+from road_envs import config
+from road_envs.vehicle.force_curves import Curve
+
+GRAVITY = 9.81
+"""Standard gravity as used throughout [m/s²]."""
+
+
+def _positive(owner: object, *names: str) -> None:
+    for name in names:
+        if not 0 < getattr(owner, name) < inf:
+            raise ValueError(f"{name} must be positive and finite, got {getattr(owner, name)}")
+
+
+def _not_negative(owner: object, *names: str) -> None:
+    for name in names:
+        if not 0 <= getattr(owner, name) < inf:
+            raise ValueError(f"{name} must not be negative, got {getattr(owner, name)}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axle:
+    """A solid axle with its two struts and two tyres."""
+
+    __pydantic_config__ = config.STRICT
+
+    x: Annotated[float, "m", "ahead of the body's centre of mass; the rear is negative"]
+    m: Annotated[float, "kg", "unsprung mass, wheels included"]
+    I_xx: Annotated[float, "kg m²", "roll inertia"]
+    y_s: Annotated[float, "m", "half the distance between the struts"]
+    y_t: Annotated[float, "m", "half the distance between the tyres"]
+    k_t: Annotated[float, "N/m", "vertical stiffness of one tyre"]
+    c_t: Annotated[float, "N s/m", "damping of one tyre"]
+
+    def __post_init__(self):
+        _positive(self, "m", "I_xx", "y_s", "y_t", "k_t")
+        _not_negative(self, "c_t")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModeCurves:
+    """One curve for each setting of the strut's damper valve."""
+
+    __pydantic_config__ = config.STRICT
+
+    ride: Annotated[Curve, "N over m/s", "low damping"]
+    handling: Annotated[Curve, "N over m/s", "high damping"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxleCurves:
+    """One curve for the struts of each axle."""
+
+    __pydantic_config__ = config.STRICT
+
+    front: Annotated[Curve, "N over m", "both front struts"]
+    rear: Annotated[Curve, "N over m", "both rear struts"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Strut:
+    """The 4S4 strut: gas spring with two accumulators, damper, friction, bushing, bump stop."""
+
+    __pydantic_config__ = config.STRICT
+
+    p_stat: Annotated[float, "Pa", "static gas pressure"]
+    A: Annotated[float, "m²", "bore area"]
+    n_p: Annotated[float, "", "polytropic exponent"]
+    x_1: Annotated[float, "m", "static column of the first accumulator"]
+    x_2: Annotated[float, "m", "static column of the second accumulator, behind the valve"]
+    column_min: Annotated[float, "m", "shortest gas column; below it the tangent goes on"]
+    damper: ModeCurves
+    friction: ModeCurves
+    bushing: Curve
+    bump_stop: AxleCurves
+
+    def __post_init__(self):
+        _positive(self, "p_stat", "A", "n_p", "x_1", "x_2", "column_min")
+        if self.column_min >= self.x_1:
+            raise ValueError(f"column_min {self.column_min} must be below x_1 {self.x_1}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Valve:
+    """How a switching command reaches the strut: pure delay, then first-order lag."""
+
+    __pydantic_config__ = config.STRICT
+
+    delay: Annotated[float, "s", "pure delay"]
+    lag: Annotated[float, "s", "time constant of the valve"]
+    equalisation: Annotated[float, "s", "time constant of the flow through the open valve"]
+
+    def __post_init__(self):
+        _positive(self, "lag", "equalisation")
+        _not_negative(self, "delay")
+
+
+@dataclass(frozen=True, kw_only=True)
+class VehicleParameters:
+    """A two-axle vehicle with solid axles and a four-state semi-active (4S4) suspension."""
+
+    __pydantic_config__ = config.STRICT
+
+    name: str
+    m_b: Annotated[float, "kg", "sprung (body) mass"]
+    I_xx: Annotated[float, "kg m²", "roll inertia of the body"]
+    I_yy: Annotated[float, "kg m²", "pitch inertia of the body"]
+    h_cg: Annotated[float, "m", "height of the centre of mass"]
+    roll_centre: Annotated[float, "m", "height of the axis about which the body rolls in turns"]
+    pitch_centre: Annotated[float, "m", "height of the axis about which it pitches when braking"]
+    front: Axle
+    rear: Axle
+    strut: Strut
+    valve: Valve
+    tyre_static_deflection: Annotated[
+        Literal["equilibrium"] | float, "m", "tyre deflection at the origin of the coordinates"
+    ]
+    sources: dict[str, str]
+
+    def __post_init__(self):
+        _positive(self, "m_b", "I_xx", "I_yy", "h_cg")
+        if not inf > self.front.x > 0 > self.rear.x > -inf:
+            raise ValueError(
+                "the front axle must stand ahead of the centre of mass and the rear axle behind "
+                f"it, got front.x = {self.front.x}, rear.x = {self.rear.x}"
+            )
+        if self.tyre_static_deflection != "equilibrium":
+            _not_negative(self, "tyre_static_deflection")
+
+    @property
+    def axles(self) -> tuple[Axle, Axle]:
+        """Front, rear."""
+        return self.front, self.rear
+
+    @property
+    def wheelbase(self) -> float:
+        """Distance between the axles [m]."""
+        return self.front.x - self.rear.x
+
+    @property
+    def strut_loads(self) -> tuple[float, float]:
+        """Static load of one front and of one rear strut [N]: the body's weight by lever arms."""
+        weight = self.m_b * GRAVITY / self.wheelbase
+        return -0.5 * weight * self.rear.x, 0.5 * weight * self.front.x
+
+    @property
+    def tyre_loads(self) -> tuple[float, float]:
+        """Static load of one front and of one rear tyre [N]."""
+        front, rear = self.strut_loads
+        return (
+            front + 0.5 * self.front.m * GRAVITY,
+            rear + 0.5 * self.rear.m * GRAVITY,
+        )
+
+    @property
+    def tyre_deflections(self) -> tuple[float, float]:
+        """Tyre deflection at the origin of the coordinates, front and rear [m]."""
+        if self.tyre_static_deflection != "equilibrium":
+            return self.tyre_static_deflection, self.tyre_static_deflection
+        front, rear = self.tyre_loads
+        return front / self.front.k_t, rear / self.rear.k_t
+
+
+Four = tuple[float, float, float, float]
+ALIKE: Four = (1.0, 1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """A body of two halves of equal roll inertia, joined by a torsion spring with little damping.
+
+    The front half carries what is ahead of the centre of mass, the rear half the rest.
+    """
+
+    __pydantic_config__ = config.STRICT
+
+    f: Annotated[float, "Hz", "frequency of the halves' twist against each other, body alone"]
+    zeta: Annotated[float, "", "its damping ratio"]
+
+    def __post_init__(self):
+        _positive(self, "f")
+        _not_negative(self, "zeta")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Individual:
+    """How one manufactured car departs from its description; nothing departs by default.
+
+    Tuples of four are factors, wheel by wheel (FL, FR, RL, RR).
+    """
+
+    gas: Annotated[Four, "", "of the struts' gas pressure"] = ALIKE
+    damper: Annotated[Four, "", "of the dampers' forces"] = ALIKE
+    friction: Annotated[Four, "", "of the struts' friction"] = ALIKE
+    bushing: Annotated[Four, "", "of the bushings' forces"] = ALIKE
+    tyre: Annotated[Four, "", "of the tyres' stiffness"] = ALIKE
+    tyre_progression: Annotated[
+        float, "1/m", "a tyre compressed by x has (1 + this (x - delta)) of its stiffness, as a "
+        "secant; delta is its deflection at the origin"
+    ] = 0.0  # fmt: skip
+    roll_stiffness: Annotated[
+        tuple[float, float], "N m/rad", "of the bushings between body and front, rear axle"
+    ] = (0.0, 0.0)
+    frame: Frame | None = None
+
+    def __post_init__(self):
+        for name in ("gas", "damper", "friction", "bushing", "tyre"):
+            if not all(0 < factor < inf for factor in getattr(self, name)):
+                raise ValueError(f"{name} must be four positive factors, got {getattr(self, name)}")
+        _not_negative(self, "tyre_progression")
+        if not all(0 <= k < inf for k in self.roll_stiffness):
+            raise ValueError(f"roll_stiffness must not be negative, got {self.roll_stiffness}")
+
+
+NOMINAL = Individual()
+"""The car as described."""
+
+
+def load_vehicle(name: str | Path) -> VehicleParameters:
+    """A vehicle by shipped name or YAML path. Raises ConfigError."""
+    return config.load(VehicleParameters, "vehicles", name)

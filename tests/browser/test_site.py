@@ -1,0 +1,544 @@
+"""The site holds what was stored, needs nothing from elsewhere, and works in a browser."""
+
+import csv
+import dataclasses
+import io
+import json
+import re
+from functools import cache
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from browser import CHROMIUM, Browser
+from fakes import Broken, Learner, Reader, fake_drives, task
+
+from leaderboard.evaluation.entry import Entry
+from leaderboard.evaluation.evaluate import run_task
+from leaderboard.evaluation.store import path_of, save
+from leaderboard.metrics.heights import band_pass, scored_band
+from leaderboard.metrics.registry import SCORES
+from leaderboard.report import charts, export
+from leaderboard.report.cache import shown
+from leaderboard.report.sentences import findings, unrelated_levels
+from leaderboard.report.site import STAMP, file_name, pages, write_page
+from leaderboard.report.tables import views
+from leaderboard.running.board import Board, load_board, sentinels
+from road_envs._atomic_io import write_text
+from road_envs.data.record import Estimate
+
+VOID = {"meta", "link", "br", "hr", "img", "input"}
+ENTRIES = ("static_lm", "reader", "online", "broken")
+
+
+class Online(Reader):
+    causal = True
+
+    def estimate(self, record, car):
+        found = super().estimate(record, car)
+        return Estimate(found.s, found.z, np.full_like(found.z, 0.003))
+
+
+def tasks():
+    return [
+        task(
+            "held_out",
+            test={
+                "roads": ["iso_d", "iso_c"],
+                "seeds": [11, 12],
+                "length": 40.0,
+                "families": ["rough", "smooth"],
+            },
+        ),
+        task(
+            "paving",
+            title="Paving & <cobbles>",
+            board="paper",
+            conditions=[{"mode": "ride", "speed_kmh": 14.5}],
+            training={"roads": ["belgian_training"], "seeds": [1]},
+            test={"roads": ["belgian"], "seeds": [11]},
+            trains_on_test_road=True,
+            claimed_level_error=0.102,
+        ),
+        task(
+            "blocks",
+            board="paper",
+            conditions=[{"mode": "ride", "speed_kmh": 14.5}],
+            training={"roads": ["bump_asymmetric_training_pp"], "seeds": [1]},
+            test={"roads": ["bump_asymmetric"], "seeds": [11]},
+            trains_on_test_road=True,
+            bumps=True,
+        ),
+    ]
+
+
+@cache
+def results():
+    """One estimator of each fate on each task; the learner stands in for the network."""
+    entries = dict(
+        zip(ENTRIES, (Learner(), Reader(), Online(gain=0.7), Broken(how="raises")), strict=True)
+    )
+    return {
+        t.name: tuple(run_task(t, {**entries, **sentinels()}, (1, 2, 3), drive=fake_drives))
+        for t in tasks()
+    }
+
+
+def board():
+    return Board(tuple(tasks()), results())
+
+
+@cache
+def site():
+    made = board()
+    return dict(pages(made, shown(made)))
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("site")
+    built(board(), folder)
+    return folder
+
+
+def built(made, folder):
+    """The index of the site of a board in a folder."""
+    return write_page(made, shown(made), folder)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    if CHROMIUM is None:
+        pytest.skip("chromium is not installed")
+    with Browser() as made:
+        yield made
+
+
+def text_of(html):
+    html = re.sub(r"<(style|script).*?</\1>|<[^>]*>", " ", html, flags=re.S)
+    return " ".join(html.split())
+
+
+class Nesting(HTMLParser):
+    """Fails at a tag that is closed by another; collects ids and addresses."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.ids, self.addresses = [], [], []
+
+    def handle_starttag(self, tag, attributes):
+        given = dict(attributes)
+        self.ids += [given["id"]] if "id" in given else []
+        self.addresses += [given[k] for k in ("href", "src", "xlink:href") if k in given]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+# --- the files ------------------------------------------------------------------------------------
+
+
+def test_every_page_is_well_formed_and_leads_only_to_what_is_there(written):
+    for name in site():
+        parser = Nesting()
+        parser.feed((written / name).read_text())
+        assert parser.open == [], name
+        assert len(set(parser.ids)) == len(parser.ids)
+        for address in parser.addresses:
+            if address.startswith("#"):
+                assert address[1:] in parser.ids, address
+            elif not address.startswith("data:"):
+                assert ((written / name).parent / address).is_file(), (name, address)
+        assert "@import" not in site()[name] and "http" not in re.sub(
+            r"http://www\.w3\.org/2000/svg", "", site()[name]
+        )
+
+
+def test_there_is_a_page_for_each_task_and_each_entry():
+    names = {f"tasks/{t.name}.html" for t in tasks()}
+    names |= {f"estimators/{name}.html" for name in [*ENTRIES, *sentinels()]}
+    assert set(site()) == names | {"index.html"}
+
+
+def test_the_index_shows_every_entry_with_its_numbers_and_every_failure_with_its_reason():
+    text = text_of(site()["index.html"])
+    for name in ("static_lm", "reader", "flat", "mean", "unrelated_road", "truth_plus_noise"):
+        assert name in text
+    assert text.count("estimating test drive 1 of") == 3
+    assert "RuntimeError: no idea" in text
+    assert "Paving &amp; &lt;cobbles&gt;" in text
+    reader = next(r for r in results()["held_out"] if r.estimator == "reader")
+    assert f"{np.median(reader.values('nrmse')):.3f}" in text
+    assert reader.package_version in text and reader.task_digest[:12] in text
+    assert "paper&#39;s claim" in text and "10.2" in text
+
+
+def test_every_number_of_an_entry_has_an_origin():
+    text = text_of(site()["estimators/reader.html"])
+    for result in (r for found in results().values() for r in found if r.estimator == "reader"):
+        assert f"results/{result.task}/reader.json" in text and result.task_digest in text
+        assert str(result.environment["numpy"]) in text
+    assert "gain 0.9" in text and "training seeds 1, 2, 3" in text
+
+
+def test_an_entry_of_any_name_has_a_page_of_its_own():
+    assert file_name("my entry/../x") == "my_entry_.._x.html"
+
+
+def test_the_site_is_small(written):
+    size = sum(path.stat().st_size for path in written.rglob("*") if path.is_file())
+    assert size < 2e6
+
+
+def test_the_site_is_built_from_what_is_stored(tmp_path, written):
+    for found in results().values():
+        for result in found:
+            save(result, tmp_path)
+    path = built(load_board(tasks(), tmp_path), tmp_path)
+    assert path == tmp_path / "index.html"
+    assert path.read_text() == (written / "index.html").read_text()
+
+
+def test_what_no_longer_belongs_is_swept_away(tmp_path):
+    write_text(tmp_path / "tasks" / "old.html", "old")
+    write_text(tmp_path / "estimators" / "old.html", "old")
+    built(Board(tuple(tasks()[:1]), {"held_out": results()["held_out"]}), tmp_path)
+    assert [p.name for p in (tmp_path / "tasks").iterdir()] == ["held_out.html"]
+    assert not (tmp_path / "estimators" / "old.html").exists()
+
+
+def test_a_site_that_shows_the_same_is_left_alone_and_any_change_builds_it(tmp_path):
+    for found in results().values():
+        for result in found:
+            save(result, tmp_path)
+    many = tuple(tasks())
+
+    def build():
+        made = load_board(many, tmp_path)
+        index = write_page(made, shown(made, tmp_path), tmp_path)
+        return {path: path.stat().st_mtime_ns for path in index.parent.rglob("*.html")}
+
+    first = build()
+    assert build() == first  # nothing was written
+    page = tmp_path / "tasks" / "held_out.html"
+    for change in (
+        page.unlink,
+        lambda: page.write_text("cut short"),
+        (tmp_path / STAMP).unlink,
+        lambda: (tmp_path / STAMP).write_text("{"),
+        lambda: save(dataclasses.replace(results()["paving"][0], notes=("new",)), tmp_path),
+        path_of(tmp_path, "paving", "reader").unlink,
+    ):
+        change()
+        again = build()
+        assert again[page] != first[page] and build() == again
+        assert "held_out" in page.read_text()  # and not what somebody wrote there
+        first = again
+
+
+def test_what_is_shown_is_kept_to_the_last_digit_and_a_damaged_file_is_no_matter(tmp_path):
+    for found in results().values():
+        for result in found:
+            save(result, tmp_path)
+    made = load_board(tasks(), tmp_path)
+    first = shown(made, tmp_path)
+    kept = tmp_path / ".shown.json"
+    text = kept.read_text()
+    kept.write_text(text.replace('"findings": [', '"findings": ["forged", '))
+    assert shown(made, tmp_path) == first and kept.read_text() == text
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("leaderboard.report.cache.views", lambda board: pytest.fail("drawn again"))
+        assert shown(made, tmp_path) == first
+    other = dataclasses.replace(made, entries={("held_out", "reader"): Entry(
+        name="reader", reference="x", code="y")})  # fmt: skip
+    assert shown(other).key == first.key  # of a result without code nothing is known
+    fewer = dataclasses.replace(made, tasks=made.tasks[:1])
+    assert shown(fewer).key != first.key
+
+
+def test_an_interrupted_build_leaves_the_old_index(tmp_path, monkeypatch):
+    write_text(tmp_path / "index.html", "old")
+
+    def interrupted(shown, out):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(export, "write", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        built(board(), tmp_path)
+    assert (tmp_path / "index.html").read_text() == "old"
+    assert not list(tmp_path.rglob(".*"))
+
+
+def test_a_damaged_result_is_a_row_that_says_so_beside_the_others(tmp_path):
+    for result in results()["paving"]:
+        save(result, tmp_path)
+    path_of(tmp_path, "paving", "reader").write_text("{")
+    text = text_of(built(load_board(tasks(), tmp_path), tmp_path).read_text())
+    assert "its result cannot be read: " in text and "reader.json: damaged" in text
+    assert "static_lm" in text
+
+
+def test_a_board_of_failures_still_makes_a_site():
+    failed = {
+        name: [r for r in found if r.estimator == "broken"] for name, found in results().items()
+    }
+    made = Board(tuple(tasks()), failed)
+    index = dict(pages(made, shown(made)))["index.html"]
+    assert text_of(index).count("RuntimeError: no idea") == 3
+
+
+def test_stale_results_are_shown_as_such():
+    changed = Board(tuple(dataclasses.replace(t, version=9) for t in tasks()), results())
+    text = text_of(dict(pages(changed, shown(changed)))["index.html"])
+    assert text.count("stale: the task has changed") == sum(map(len, results().values()))
+
+
+# --- findings and exports -------------------------------------------------------------------------
+
+
+def test_the_findings_are_made_from_the_numbers():
+    shown = views(board())
+    unrelated, trained, memory, new, best, *causal = findings(shown)
+    told = [x for v in shown if v.board == "new_road" for s in v.sections for x in s.lines]
+    assert len(causal) == any(x.causal for x in told if x.state == "scored")
+    assert all("while driving" in sentence for sentence in causal)
+    levels, r = unrelated_levels()
+    assert f"{100.0 * np.median(levels):.0f}\u00a0% in the median" in unrelated
+    assert np.median(levels) == pytest.approx(0.09, abs=0.02) and abs(r.mean()) < 0.02
+    assert "altered copy of the paving" in trained and "of 3 trainings" in trained
+    assert "measures nothing" in memory
+    assert "better than a flat road" in new  # the stand-in reads the truth
+    assert best.startswith("The best there is ")
+
+
+def test_findings_without_measurements_are_left_out():
+    nothing = Board(tuple(tasks()), {t.name: () for t in tasks()})
+    assert len(findings(views(nothing))) == 1
+
+
+def test_the_exports_hold_the_same_numbers(written):
+    (section,) = views(board())[0].sections
+    line = next(line for line in section.lines if line.name == "reader")
+    rows = list(csv.DictReader(io.StringIO((written / "export/new_road.csv").read_text())))
+    mine = [row for row in rows if row["estimator"] == "reader"]
+    assert [row["group"] for row in mine] == ["", *section.groups["condition"], "rough", "smooth"]
+    assert float(mine[0]["nrmse"]) == pytest.approx(line.values["nrmse"], rel=1e-5)
+    assert float(mine[4]["nrmse"]) == pytest.approx(line.groups["smooth"]["nrmse"], rel=1e-5)
+    assert {row["causal"] for row in rows if row["estimator"] == "online"} == {"true"}
+    data = json.loads((written / "export/paper.json").read_text())
+    assert [one["task"] for one in data] == ["paving", "blocks"]
+    tex = (written / "export/new_road.tex").read_text()
+    assert r"static\_lm & " in tex and line.cells["nrmse"] in tex and tex.count(r"\toprule") == 1
+    columns = tex.split(r"\begin{tabular}{")[1].split("}")[0]
+    for row in re.findall(r"^[a-z].*&.*\\\\$", tex, flags=re.M):
+        if "multicolumn" not in row:
+            assert row.count("&") == len(columns) - 1
+    assert "@article{ngwangwa" in (written / "export/roadrecon.bib").read_text()
+
+
+# --- what scripts are handed ----------------------------------------------------------------------
+
+
+def drawn(name, script="drawn"):
+    found = re.search(rf'id="{script}">(.*?)</script>', site()[f"tasks/{name}.html"], flags=re.S)
+    return json.loads(found[1])
+
+
+def test_heights_come_back_from_their_code():
+    data = drawn("held_out")
+    label = tasks()[0].conditions[0].label
+    trace = next(r for r in results()["held_out"] if r.estimator == "reader").traces[0]
+    scene = data["scenes"][label]
+    z = np.cumsum(scene["entries"]["reader"]["raw"][1]) * 1e-4
+    wanted = trace.z_estimated[1] - np.median(trace.z_estimated[1])
+    step = round(scene["raw"]["ds"] / trace.ds)
+    np.testing.assert_allclose(z, wanted[::step], atol=0.6e-4)
+    band = scored_band(14.5 / 3.6)
+    inside = band_pass(trace.z_true, trace.ds, band)
+    step = round(scene["inside"]["ds"] / trace.ds)
+    np.testing.assert_allclose(
+        np.cumsum(scene["inside"]["truth"][0]) * 1e-4, inside[0][::step], atol=0.6e-4
+    )
+    first = round(scene["inside"]["first"] / trace.ds)
+    assert inside.shape[1] == trace.s.size - 2 * first
+
+
+def test_an_interval_is_drawn_where_the_estimate_has_a_deviation():
+    scene = drawn("held_out")["scenes"][tasks()[0].conditions[0].label]
+    assert scene["entries"]["reader"]["std"] is None
+    std = scene["entries"]["online"]["std"]
+    assert len(std[0]) == len(scene["entries"]["online"]["inside"][0]) and set(std[0]) == {30}
+
+
+def test_bumps_are_marked_as_found_missed_and_false():
+    (scene,) = drawn("blocks")["scenes"].values()
+    (left,), (right,) = scene["bumps"]
+    assert left[1] == pytest.approx(1500, abs=5) and right[1] == pytest.approx(1000, abs=5)
+    left, right = scene["entries"]["reader"]["bumps"]
+    assert len(left["found"]) == len(right["found"]) == 1 and not left["missed"] + left["false"]
+
+
+def test_densities_error_and_profile_are_those_of_the_scores():
+    data = drawn("held_out")
+    reader = next(r for r in results()["held_out"] if r.estimator == "reader")
+    told = data["spectrum"]["reader"][""]
+    assert len(told) == len(data["thirds"]) == 15
+    assert told[5] == pytest.approx(0.1, abs=0.02)  # 0.9 of the truth, at every frequency
+    profile = data["performance"]["reader"]
+    below = [100 * np.mean(reader.values("nrmse") <= x) for x in data["thresholds"]]
+    assert profile["share"] == pytest.approx(below, abs=0.1)
+    scene = data["scenes"][tasks()[0].conditions[0].label]
+    truth, mine = (
+        np.array(x, dtype=float) for x in (scene["density"], scene["entries"]["reader"]["density"])
+    )
+    below = np.array(scene["density_n"]) < 3.0  # above, the whole numbers of a trace are noise
+    np.testing.assert_allclose((mine - truth)[below], 2 * np.log10(0.9), atol=0.011)
+    assert len(scene["bound"]) == 15 and min(scene["bound"]) > 0.0
+    assert [c["letter"] for c in data["classes"]] == list("ABCDEFGH")
+
+
+def test_a_flat_estimate_can_be_drawn():
+    flat = {"flat": next(r for r in results()["paving"] if r.estimator == "flat")}
+    (view,) = [v for v in views(board()) if v.board == "paper"]
+    lines = {line.name: line for line in view.sections[0].lines}
+    (scene,) = charts.scenes(tasks()[1], view.kind, flat, lines)["scenes"].values()
+    assert set(scene["entries"]["flat"]["density"]) == {None}
+
+
+def test_pages_do_not_change_from_one_run_to_the_next():
+    made = board()
+    again = dict(pages(made, shown(made)))
+    assert again == site()
+
+
+# --- in a browser ---------------------------------------------------------------------------------
+
+ROWS = """[...document.querySelectorAll('#task-%s tbody tr')].filter(r => !r.hidden)
+.map(r => r.dataset.name)"""
+CELL = 'document.querySelector(\'#task-%s tr[data-name="%s"] td[data-key="%s"]\').textContent'
+
+
+def lines_of(name="held_out"):
+    sections = [s for view in views(board()) for s in view.sections]
+    return {line.name: line for s in sections if s.task == name for line in s.lines}
+
+
+def test_no_page_complains_or_asks_for_anything_and_none_is_too_wide(browser, written):
+    for name in site():
+        for width in (1280, 400):
+            browser.open(written / name, width)
+            over = browser.value("document.documentElement.scrollWidth - innerWidth")
+            assert over <= 0, (name, width)
+    assert browser.complaints == []
+    assert [url for url in browser.asked if not url.startswith(("file:", "data:", "about:"))] == []
+
+
+def test_scripts_print_what_the_judge_prints(browser, written):
+    browser.open(written / "index.html")
+    for name, line in lines_of().items():
+        for key in ("nrmse", "r", "level_error", "class_exact", "iri_error", "dsd_distance_db"):
+            if not line.text:
+                assert browser.value(CELL % ("held_out", name, key)) == line.cells.get(key, "")
+    interval = browser.value(CELL % ("held_out", "reader", "interval"))
+    assert interval.strip() == lines_of()["reader"].cells["interval"]
+
+
+def test_a_condition_or_a_family_has_its_own_numbers(browser, written):
+    for group in ("ride, 14.5 km/h", "smooth"):
+        browser.open(written / "index.html", after=f"#group={group.replace(' ', '%20')}")
+        wanted = lines_of()["static_lm"].groups[group]
+        shown = browser.value(CELL % ("held_out", "static_lm", "nrmse"))
+        assert shown == SCORES["nrmse"].text(wanted["nrmse"])
+        assert browser.value(CELL % ("held_out", "static_lm", "rank")) == f"{wanted['rank']}"
+    assert browser.value("document.getElementById('task-paving').hidden")
+    assert browser.value("document.getElementById('paper').hidden")
+
+
+def test_divisions_boards_names_and_sentinels_are_filtered(browser, written):
+    browser.open(written / "index.html")
+    everyone = browser.value(ROWS % "held_out")
+    assert everyone[:3] == ["reader", "static_lm", "online"] and everyone[-1] == "broken"
+    browser.open(written / "index.html", after="#division=causal&marks=off")
+    assert browser.value(ROWS % "held_out") == ["online", "broken"]
+    assert browser.value(CELL % ("held_out", "online", "rank")) == "1"
+    browser.open(written / "index.html", after="#find=read")
+    assert browser.value(ROWS % "held_out") == ["reader"]
+    browser.open(written / "index.html", after="#board=paper")
+    assert browser.value("document.getElementById('new_road').hidden")
+    assert browser.value("document.getElementById('count').textContent").endswith(" rows")
+
+
+def test_filters_are_chosen_by_hand_and_remembered_in_the_address(browser, written):
+    browser.open(written / "index.html")
+    browser.value(
+        "(() => { const f = document.getElementById('filters').elements.division;"
+        "f.value = 'causal'; f.dispatchEvent(new Event('input', {bubbles: true})); })()"
+    )
+    assert browser.value("location.hash") == "#division=causal"
+    assert "reader" not in browser.value(ROWS % "held_out")
+
+
+def test_tables_are_sorted_with_the_keyboard(browser, written):
+    browser.open(written / "index.html")
+    head = "document.querySelector('#task-held_out th[data-key=\"r\"]')"
+    browser.value(f"{head}.querySelector('button').focus()")
+    browser.press("Enter")
+    assert browser.value(f"{head}.getAttribute('aria-sort')") == "descending"
+    order = browser.value(ROWS % "held_out")
+    r = [lines_of()[name].values.get("r") for name in order if not lines_of()[name].text]
+    told = [x for x in r if x is not None]
+    assert told == sorted(told, reverse=True) and order[-1] == "broken"
+    browser.press("Enter")
+    assert browser.value(f"{head}.getAttribute('aria-sort')") == "ascending"
+    assert browser.value(ROWS % "held_out") != order
+
+
+def test_everything_is_reached_by_tab_and_the_focus_is_seen(browser, written):
+    browser.open(written / "index.html")
+    reached = []
+    for _ in range(12):
+        browser.press("Tab")
+        reached.append(
+            browser.value("document.activeElement.name || document.activeElement.tagName")
+        )
+    assert {"board", "division", "group", "find"} <= set(reached)
+    assert browser.value("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+
+
+def test_the_road_is_moved_and_zoomed_with_the_keyboard(browser, written, tmp_path):
+    browser.open(written / "tasks/held_out.html")
+    ticks = "[...document.querySelectorAll('#road .axes text')].map(t => t.textContent).join(' ')"
+    whole = browser.value(ticks)
+    browser.value("document.querySelector('#road svg').focus()")
+    browser.press("+", "+")
+    zoomed = browser.value(ticks)
+    browser.press("ArrowRight")
+    moved = browser.value(ticks)
+    browser.press("Home")
+    assert len({whole, zoomed, moved}) == 3 and browser.value(ticks) == whole
+    browser.picture(tmp_path / "road.png")
+    assert (tmp_path / "road.png").stat().st_size > 20_000
+
+
+def test_lines_differ_in_dash_as_well_as_in_colour_and_can_be_switched_off(browser, written):
+    browser.open(written / "tasks/held_out.html")
+    lines = "[...document.querySelectorAll('#road svg.chart path[stroke]')]"
+    dashes = browser.value(f"{lines}.map(p => p.getAttribute('stroke-dasharray'))")
+    assert len(dashes) == 4 and len(set(dashes)) == 4  # truth and three entries
+    assert len(browser.value("[...document.querySelectorAll('#road path.band')].map(p => 1)")) == 1
+    browser.value("document.querySelectorAll('#road .legend button')[1].click()")
+    assert len(browser.value(f"{lines}.map(p => 1)")) == 3
+
+
+def test_bumps_are_marked_on_the_road(browser, written):
+    browser.open(written / "tasks/blocks.html")
+    marks = "[...document.querySelectorAll('#road path.mark')].map(m => m.getAttribute('class'))"
+    found = browser.value(marks)
+    assert found.count("mark true") == 1 and "mark found" in found

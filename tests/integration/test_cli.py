@@ -1,0 +1,214 @@
+"""The command line does what its help says, and says what is wrong in one sentence."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from leaderboard import cli
+from road_envs.data.recording import read_record
+from road_envs.roads import load_road
+
+
+@pytest.fixture
+def roadrecon(monkeypatch, capsys, tmp_path):
+    """Run the command in an empty folder; returns exit code, standard output and error."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["roadrecon", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        out, err = capsys.readouterr()
+        return ended.value.code or 0, out, err
+
+    return run
+
+
+DRIVE = ("--road", "iso_c", "--length", "30", "--speed-kmh", "36")
+
+
+def test_every_command_explains_itself(roadrecon):
+    for command in (
+        "simulate",
+        "train",
+        "estimate",
+        "leaderboard",
+        "policies",
+        "tune-policy",
+        "train-policy",
+        "roads",
+        "animate",
+        "bench",
+        "precision",
+        "observability",
+        "classify",
+        "new-estimator",
+    ):
+        code, out, _ = roadrecon(command, "--help")
+        assert code == 0
+        assert "Usage: roadrecon" in out and command in out
+
+
+def test_a_field_car_is_recorded_lost_samples_and_all(roadrecon, tmp_path):
+    """The seed draws the individual; what was lost is told, drawn around and read back."""
+    road, files = ("--road", "iso_c", "--length", "60"), ("--out", "d.parquet", "--plot", "d.png")
+    code, out, _ = roadrecon("simulate", *road, "--grade", "S3", *files, "--json")
+    facts = json.loads(out)
+    assert code == 0 and facts["grade"] == "S3" and facts["lost_samples"] > 0
+    record, provenance = read_record(tmp_path / "d.parquet")
+    assert np.isnan(record.a).any(axis=0).sum() == facts["lost_samples"]
+    assert provenance["grade"] == "S3" and all(
+        np.isfinite(list(facts["rms_acceleration"].values()))
+    )
+    assert (tmp_path / "d.png").read_bytes().startswith(b"\x89PNG")
+    code, out, _ = roadrecon("simulate", *road, "--json")
+    assert code == 0 and json.loads(out)["grade"] == "S0" and json.loads(out)["lost_samples"] == 0
+
+
+def test_a_drive_is_recorded_reconstructed_and_scored(roadrecon, tmp_path):
+    code, out, _ = roadrecon(
+        "simulate", *DRIVE, "--out", "d.parquet", "--truth", "t.csv", "--plot", "d.png", "--json"
+    )
+    assert code == 0
+    facts = json.loads(out)
+    assert facts["length_m"] == pytest.approx(30.0)
+    record, provenance = read_record(tmp_path / "d.parquet")
+    assert provenance["road"] == "iso_c" and provenance["seed"] == 1
+    assert facts["samples"] == record.t.size
+    assert (tmp_path / "d.png").read_bytes().startswith(b"\x89PNG")
+    truth = load_road(tmp_path / "t.csv").realise(np.random.default_rng(0))
+    drawn = load_road({"name": "iso_c", "length": 30.0}).realise(np.random.default_rng(1))
+    s = np.linspace(0.5, 29.5, 100)
+    np.testing.assert_allclose(truth.height(s), drawn.height(s), atol=1e-6)
+
+    trained = roadrecon(
+        "train", "fir_ridge", *DRIVE, "--drives", 3, "--seed", 10, "--out", "m.npz", "--json"
+    )
+    assert trained[0] == 0 and json.loads(trained[1])["drives"] == 3
+    code, out, _ = roadrecon(
+        "estimate", "m.npz", "d.parquet", "--truth", "t.csv", "--out", "e.csv", "--plot", "e.png",
+        "--json",
+    )  # fmt: skip
+    assert code == 0
+    assert 0.0 < json.loads(out)["scores"]["nrmse"] < 1.0
+    assert {p.name for p in tmp_path.iterdir()} == {
+        "d.parquet", "t.csv", "d.png", "m.npz", "e.csv", "e.png",
+    }  # fmt: skip
+
+
+def test_a_measured_drive_is_read_where_a_record_is(roadrecon, tmp_path):
+    roadrecon("simulate", *DRIVE, "--out", "d.parquet")
+    record, _ = read_record(tmp_path / "d.parquet")
+    rows = np.column_stack([record.t, *record.a, record.v])
+    np.savetxt(tmp_path / "d.csv", rows, "%.9g", ",", header="t,a_rf,a_lr,a_rr,v", comments="")
+    code, out, _ = roadrecon("estimate", "fir_ridge", "d.csv", "--mode", "ride", "--out", "e.csv")
+    assert code == 0 and "length_m" in out and (tmp_path / "e.csv").stat().st_size > 1000
+    code, out, _ = roadrecon("classify", "d.csv", "--mode", "ride", "--json")
+    assert code == 0 and json.loads(out)["class"] in "BCD"
+    code, _, err = roadrecon("estimate", "fir_ridge", "d.csv")
+    assert code == 2 and "the state of the struts is missing" in err
+    code, _, err = roadrecon("classify", "d.parquet", "--mode", "ride")
+    assert code == 2 and "leave out --mode" in err
+
+
+def test_scores_of_an_estimate_are_printed_with_their_units(roadrecon):
+    roadrecon("simulate", *DRIVE, "--out", "d.parquet", "--truth", "t.csv")
+    code, out, _ = roadrecon("estimate", "wiener", "d.parquet", "--truth", "t.csv")
+    lines = {line.rsplit(maxsplit=2)[0]: line.split()[-2:] for line in out.splitlines()}
+    assert code == 0 and lines["IRI error"][1] == "mm/m"
+    assert float(lines["DSD distance"][0]) >= 0.0 and lines["DSD distance"][1] == "dB"
+    code, _, err = roadrecon("estimate", "m.npz", "d.parquet", "--set", "passes=2")
+    assert code == 2 and "--set is for an estimator's name" in err
+
+
+def test_the_network_says_why_its_training_ended(roadrecon):
+    code, out, _ = roadrecon(
+        "train", "static_lm", *DRIVE, "--set", "max_epochs=3", "--out", "m.npz", "--json"
+    )
+    facts = json.loads(out)
+    assert code == 0 and facts["epochs"] <= 3 and facts["stopped_by"]
+
+
+def test_roads_are_listed_with_what_can_be_measured_of_them(roadrecon):
+    code, out, _ = roadrecon("roads", "list", "--json")
+    rows = {row["road"]: row for row in json.loads(out)}
+    assert code == 0
+    assert rows["iso_d"]["class"] == "D" and rows["iso_f"]["class"] == "F"
+    assert rows["flat"]["rms_mm"] == [0.0, 0.0]
+
+
+def test_a_road_is_plotted_and_exported(roadrecon, tmp_path):
+    assert roadrecon("roads", "plot", "belgian", "--out", "b.png")[0] == 0
+    assert (tmp_path / "b.png").stat().st_size > 10_000
+    assert roadrecon("roads", "export", "bump_small", "--out", "b.csv")[0] == 0
+    again = load_road(tmp_path / "b.csv").realise(np.random.default_rng(0))
+    assert again.z.max() == pytest.approx(0.1, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "out", [("t.csv",), ("t.parquet",), ("t.erd",), ("t.crg",), ("t.crg", "--form", "LRFI")]
+)
+def test_an_exported_road_can_be_read_back_from_any_kind_of_file(roadrecon, tmp_path, out):
+    assert roadrecon("roads", "export", "twist", "--out", *out)[0] == 0
+    again = load_road(tmp_path / out[0]).realise(np.random.default_rng(0))
+    drawn = load_road("twist").realise(np.random.default_rng(1))
+    np.testing.assert_allclose(again.z, drawn.z, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("simulate", "--road", "belgiun"), ["belgiun", "did you mean 'belgian'"]),
+        (("simulate", "--road", "nowhere.crg"), ["nowhere.crg"]),
+        (("simulate", "--mode", "hard"), ["hard", "handling", "ride"]),
+        (("simulate", "--mode", "front=ride"), ["front and rear"]),
+        (("simulate", "--grade", "S4"), ["unknown grade 'S4'", "S0, S1, S2, S3"]),
+        (("simulate", "--speed-kmh", "0"), ["speed", "positive"]),
+        (("simulate", "--speed-kmh", "-3"), ["speed", "positive"]),
+        (("simulate", "--road", "iso_a", "--length", "2"), ["shorter than the wheelbase"]),
+        (("simulate", "--vehicle", "beetle"), ["beetle", "land_rover_defender_110"]),
+        (("simulate", "--out", "no/where.parquet"), ["no does not exist"]),
+        (("simulate", "--out", "record.csv"), [".parquet"]),
+        (("roads", "export", "flat", "--out", "f.xlsx"), [".csv or .parquet or .crg or .erd"]),
+        (("roads", "export", "flat", "--out", "f.crg", "--form", "ABC"), ["ABC", "KDBI"]),
+        (("roads", "export", "flat", "--out", "f.csv", "--form", "KDBI"), ["only a .crg file"]),
+        (("estimate", "flat", "missing.parquet"), ["missing.parquet"]),
+        (("estimate", "flot", "missing.parquet"), ["flot", "did you mean 'flat'"]),
+        (("train", "flat", "--road", "iso_a", "--out", "m.npz"), ["nothing to learn"]),
+        (
+            ("train", "static_lm", "--road", "iso_a", "--out", "m.npz", "--set", "hiden=3"),
+            ["hiden", "did you mean 'hidden'"],
+        ),
+        (
+            ("train", "static_lm", "--road", "iso_a", "--out", "m.npz", "--set", "hidden"),
+            ["key=value"],
+        ),
+        (("policies", "--policy", "randum"), ["randum", "did you mean 'random'"]),
+        (("policies", "--scenarios", "quik"), ["quik", "did you mean 'quick'"]),
+        (("policies", "--quick", "--sweep"), ["--quick stands for the quick scenarios"]),
+        (("tune-policy", "skihook"), ["skihook", "did you mean 'skyhook'"]),
+        (("train-policy", "rrms", "--out", "n.npz"), ["rrms is not learned"]),
+        (("leaderboard", "--task", "paper_9"), ["paper_9", "paper_1"]),
+        (("leaderboard", "--estimator", "flot"), ["flot", "did you mean 'flat'"]),
+        (("leaderboard", "--board", "new-roads"), ["new_roads", "did you mean 'new_road'"]),
+        (("leaderboard", "--without", "kalmann"), ["kalmann", "did you mean 'kalman'"]),
+        (("leaderboard", "--estimator", "flat", "--without", "tcn"), ["not both"]),
+    ],
+)  # fmt: skip
+def test_bad_input_is_one_sentence_and_leaves_nothing_behind(roadrecon, tmp_path, words, said):
+    code, out, err = roadrecon(*words)
+    assert code == 2
+    assert err.startswith("error: ") and err.count("\n") == 1 and "Traceback" not in err
+    for word in said:
+        assert word in err
+    assert out == "" and list(tmp_path.iterdir()) == []
+
+
+def test_debug_shows_the_traceback(monkeypatch):
+    from road_envs.config import ConfigError
+
+    monkeypatch.setattr(sys, "argv", ["roadrecon", "--debug", "simulate", "--road", "belgiun"])
+    with pytest.raises(ConfigError):
+        cli.main()

@@ -1,0 +1,220 @@
+"""Cards are kept by what they depend on, and shown wherever they exist and fit."""
+
+import dataclasses
+import io
+
+import numpy as np
+import pytest
+from fakes import Reader, fake_drives, task
+from rich.console import Console
+
+import estimators
+from estimators import pretrained_weights as shelf
+from leaderboard.conformance import results as cards
+from leaderboard.conformance.probes import PROBES
+from leaderboard.conformance.results import Card, examine_all, find
+from leaderboard.evaluation.entries import entry_of, fitted_to_each_case, named, registered
+from leaderboard.evaluation.entry import Entry
+from leaderboard.evaluation.evaluate import run_task
+from leaderboard.evaluation.store import NewerFormatError, unsealed
+from leaderboard.evaluation.tasks import load_task
+from leaderboard.report.cache import shown
+from leaderboard.report.site import pages
+from leaderboard.report.terminal import print_tables
+from leaderboard.running.board import Board, Wanted, load_board, run_board
+from leaderboard.running.executors import Here
+from leaderboard.sandbox.client import Host
+from leaderboard.sandbox.limits import Limits
+
+LIMITS = Limits(seconds=20.0, memory=1.0)
+ENTRIES = {"Honest": 5, "Dice": 4, "Broken": None}
+
+
+@pytest.fixture(scope="module")
+def examined(tmp_path_factory):
+    """A folder with the cards of an honest estimator, of one with a vice, of one that fails."""
+    out = tmp_path_factory.mktemp("cards")
+    with Host(LIMITS) as host:
+        entries = {name: named([f"bad_estimators:{name}"], host)[0] for name in ENTRIES}
+    lost = Entry(name="lost", reference="nowhere:Lost", failure="it cannot be made")
+    heard = []
+    asked = [*entries.values(), entry_of("truth_plus_noise", None), lost]
+    assert examine_all(asked, out, LIMITS, heard.append) == 3
+    assert heard == [f"probing {name}" for name in ENTRIES]
+    return out, entries
+
+
+def card_of(examined, name):
+    out, entries = examined
+    return find(out, name, entries[name].settings, entries[name].code)
+
+
+def test_every_entry_has_a_card_and_is_not_asked_twice(examined):
+    out, entries = examined
+    honest, dice, broken = (card_of(examined, name) for name in ENTRIES)
+    assert [p.name for p in honest.probes] == list(PROBES)
+    assert (honest.mark, dice.mark, broken.mark) == ("5/5", "4/5", "")
+    assert [p.name for p in dice.probes if p.passed is False] == ["repeat"]
+    assert broken.failure.endswith("RuntimeError: out of order") and not broken.probes
+    assert "60 m of class D" in honest.drive
+    assert examine_all(entries.values(), out, LIMITS) == 0
+    assert len(list((out / "cards").iterdir())) == 3
+
+
+def test_another_code_other_settings_or_another_examiner_have_no_card(examined, monkeypatch):
+    out, entries = examined
+    code = entries["Honest"].code
+    assert find(out, "Honest", {}, code + "x") is None
+    assert find(out, "Honest", {"gain": 2}, code) is None
+    assert find(out, "Dicey", {}, code) is None
+    monkeypatch.setattr(cards, "_examiner", lambda: "edited")
+    assert find(out, "Honest", {}, code) is None
+
+
+def test_a_damaged_card_is_none_and_is_made_again(examined):
+    out, entries = examined
+    honest = entries["Honest"]
+    path = out / "cards" / f"{cards.identity('Honest', {}, honest.code)}.json"
+    whole = path.read_text()
+    for damaged in (whole.replace('"passed": true', '"passed": null', 1), whole[:200], "{}", ""):
+        path.write_text(damaged)
+        assert find(out, "Honest", {}, honest.code) is None
+    assert examine_all([honest], out, LIMITS) == 1 and path.read_text() == whole
+    path.write_text(whole.replace('"format": 1', '"format": 2'))
+    with pytest.raises(NewerFormatError):
+        unsealed(path, cards.FORMAT)
+    assert find(out, "Honest", {}, honest.code) is None
+    path.write_text(whole)
+
+
+# on the board
+
+
+def board_of(tmp_path, **options):
+    made = {"reader": Reader()}
+    entries = [entry_of(name, estimator) for name, estimator in made.items()]
+    wanted = Wanted([task()], entries, seeds=(1,), **options)
+    return run_board(wanted, tmp_path, Here(fake_drives, made)), entries[0]
+
+
+def with_card(board, probes, name="reader"):
+    (result,) = [r for r in board.results["small"] if r.estimator == name]
+    known = cards.identity(result.estimator, result.settings, result.code)
+    card = Card(identity=known, estimator=name, settings={}, code="", drive="a road", probes=probes)
+    return dataclasses.replace(board, cards={known: card})
+
+
+def test_the_mark_stands_in_table_and_page_and_the_card_on_the_estimators_page(tmp_path, examined):
+    board, _ = board_of(tmp_path)
+    marked = with_card(board, card_of(examined, "Dice").probes)
+    for one, mark in ((board, ""), (marked, "4/5")):
+        found = shown(one)
+        lines = {line.name: line for line in found.views[0].sections[0].lines}
+        assert lines["reader"].cells["probes"] == mark
+        assert not lines["flat"].cells["probes"]  # nobody has asked it
+        said = io.StringIO()
+        print_tables(found, Console(file=said, width=80))
+        assert ("reader 4/5" in said.getvalue()) == bool(mark)
+        texts = dict(pages(one, found))
+        assert ("4/5</span>" in texts["index.html"]) == bool(mark)
+        assert ("<strong>failed</strong>: asked twice" in texts["estimators/reader.html"]) == bool(
+            mark
+        )
+
+
+@pytest.mark.parametrize("kind", ["new_road", "field", "class", "paper", "measured"])
+def test_every_board_fits_a_terminal_of_80_columns_with_its_marks(kind, examined):
+    """The longest name there is, with a mark, and numbers of many digits."""
+    grades = ("S0", "S1", "S2", "S3") if kind == "field" else ("S0",)
+    one = task(
+        board=kind,
+        conditions=[{"mode": "ride", "speed_kmh": 14.5, "grade": grade} for grade in grades],
+        trains_on_test_road=kind == "paper",
+        bumps=True,
+    )
+    name = max(estimators.names(), key=len)
+    found = run_task(one, {name: Reader(gain=-1.0)}, (1,), drive=fake_drives)
+    drives = tuple(
+        dataclasses.replace(
+            drive, scores={k: x and 1.4 * x for k, x in drive.scores.items()} | {"bump_f1": 1.0}
+        )
+        for drive in found[0].drives
+    )
+    slow = dataclasses.replace(found[0], drives=drives, estimate_ms_per_100m=12345.6)
+    board = with_card(Board((one,), {"small": (slow,)}), card_of(examined, "Dice").probes, name)
+    said = io.StringIO()
+    print_tables(shown(board), Console(file=said, width=80))
+    text = said.getvalue()
+    assert "…" not in text and max(map(len, text.splitlines())) <= 80
+    assert f"{name} 4/5" in text
+
+
+def test_a_run_with_probes_leaves_cards_and_one_without_shows_them(tmp_path, monkeypatch):
+    asked = []
+
+    def examine(entries, out, limits, report):
+        asked.extend(entry.name for entry in entries)
+
+    monkeypatch.setattr(cards, "examine_all", examine)
+    board_of(tmp_path)
+    assert not asked
+    board, entry = board_of(tmp_path, probes=True)
+    assert "reader" in asked and not board.cards
+    known = cards.identity("reader", entry.settings, entry.code)
+    card = Card(
+        identity=known, estimator="reader", settings=entry.settings, code=entry.code, drive="a road"
+    )
+    cards.store.write(cards._path(tmp_path, known), cards._text(card))
+    assert load_board([task()], tmp_path).cards == {known: card}
+
+
+# who stands on the board as it is now
+
+
+def test_a_row_of_other_code_weights_or_settings_is_stale(tmp_path):
+    board, entry = board_of(tmp_path)
+    (t,) = board.tasks
+    assert not board.stale(t)
+    at = "small", "reader"
+    for now, why in (
+        (dataclasses.replace(entry, code="other"), "its code or its weights have changed"),
+        (dataclasses.replace(entry, settings={"gain": 0.1}), "made with other settings"),
+    ):
+        changed = dataclasses.replace(board, entries={**board.entries, at: now})
+        assert [(r.estimator, said) for r, said in changed.stale(t)] == [("reader", why)]
+        assert "reader" not in [r.estimator for r in changed.scored(t)]
+        state = dict(pages(changed, shown(changed)))["estimators/reader.html"]
+        assert why in state
+    assert not Board(board.tasks, board.results).stale(t)  # a stranger, of whom nothing is known
+
+
+def test_estimators_of_this_package_are_known_by_code_and_weights(tmp_path, monkeypatch):
+    """A row of a shipped estimator is stale once one of its weights is another number."""
+    row = registered("fir_ridge", each_case=False)
+    wanted = Wanted([task()], [row], seeds=(1,))
+    board = run_board(wanted, tmp_path, Here(fake_drives))
+    assert "fir_ridge" in [r.estimator for r in board.scored(board.tasks[0])]
+    (bank,) = shelf.shipped("fir_ridge").values()
+    changed = np.array(bank)
+    changed.flat[0] += 1
+    monkeypatch.setattr(shelf, "shipped", lambda name: {"bank": changed})
+    later = load_board([task()], tmp_path)
+    assert {r.estimator: why for r, why in later.stale(task())} == {
+        "fir_ridge": "its code or its weights have changed"
+    }
+    assert registered("no_such", each_case=False) is None
+
+
+def test_where_each_case_is_learnt_for_itself_a_quick_learner_leaves_its_weights_at_home():
+    fir, tcn, wiener = (registered(name, each_case=True) for name in ("fir_ridge", "tcn", "wiener"))
+    assert fir.settings["shipped"] is False and "+" not in fir.code  # no weights yet
+    assert tcn == registered("tcn", each_case=False) and "+" in tcn.code  # it takes half an hour
+    assert wiener == registered("wiener", each_case=False)
+    plain = registered("fir_ridge", each_case=False)
+    assert plain.settings["shipped"] is True and "+" in plain.code
+    paper, new = load_task("paper_5"), load_task("new_road")
+    found = {row.task.name: row.entry for row in Wanted([paper, new], [plain]).rows()[:]
+             if row.entry.name == "fir_ridge"}  # fmt: skip
+    assert found == {"paper_5": fir, "new_road": plain}
+    failed = dataclasses.replace(plain, failure="it cannot be made")
+    assert fitted_to_each_case(failed) == failed

@@ -1,0 +1,240 @@
+"""The judge: every entry is a row, whatever it does, and nobody sees the truth of a test drive."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from fakes import Broken, Learner, Reader, fake_drives, task
+
+from leaderboard.evaluation.entries import entry_of
+from leaderboard.evaluation.entry import EntryError, learns, reconstruct
+from leaderboard.evaluation.evaluate import run_task, steps
+from leaderboard.evaluation.store import path_of
+from leaderboard.evaluation.test_data import simulated
+from leaderboard.metrics.baselines import NOISE, SENTINELS, truth_plus_noise
+from leaderboard.metrics.heights import nrmse, scored_band
+from leaderboard.running.board import Wanted, load_board, run_board
+from leaderboard.running.executors import Here
+from road_envs.config import ConfigError
+from road_envs.simulation.drive import SimulationError
+
+
+def run(entries, seeds=(1, 2, 3), t=None, **options):
+    results = run_task(t or task(), entries, seeds, drive=fake_drives, **options)
+    return {result.estimator: result for result in results}
+
+
+def board(tmp_path, made, t=None, drive=fake_drives, progress=lambda *step: None, **options):
+    entries = [entry_of(name, estimator) for name, estimator in made.items()]
+    wanted = Wanted([t or task()], entries, **options)
+    return run_board(wanted, tmp_path, Here(drive, made), progress)
+
+
+def test_a_scaled_truth_has_the_error_of_its_scale_on_every_drive():
+    result = run({"reader": Reader(gain=0.9)})["reader"]
+    np.testing.assert_allclose(result.values("nrmse"), np.full((3, 2, 1), 0.1), atol=0.01)
+    np.testing.assert_allclose(result.values("level_error"), np.full((3, 2, 1), 0.1), atol=0.01)
+    assert result.failure is None and result.settings == {"gain": 0.9}
+    assert [d.road_seed for d in result.drives] == [11, 12, 13] * 2
+
+
+def test_every_training_seed_is_kept_and_the_traces_show_the_middle_one():
+    result = run({"learner": Learner()})["learner"]
+    error = result.values("nrmse")
+    assert error.shape == (3, 2, 3) and len(result.train_seconds) == 6
+    assert result.parameters == 1
+    for condition, trace in enumerate(result.traces):
+        first_road = error[0, condition]
+        assert trace.scores["nrmse"] == np.median(first_road) != first_road.min()
+
+
+def test_an_entry_that_draws_nothing_is_trained_once():
+    result = run({"learner": Learner(spread=0.0)})["learner"]
+    assert result.values("nrmse").shape == (3, 2, 1)
+    assert result.seeds == (1, 2, 3)
+
+
+def test_the_same_seeds_give_the_same_scores():
+    entries = {"learner": Learner(), "truth_plus_noise": None}
+    once, again = run(entries), run(entries)
+    for name, result in once.items():
+        assert result.drives == again[name].drives and result.traces == again[name].traces
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ("raises", "RuntimeError: no idea"),
+        ("exits", "SystemExit: 3"),
+        ("nan", "must be finite"),
+        ("short", "shape"),
+        ("one path", "shape"),
+        ("text", "an Estimate is wanted, got str"),
+        ("scribbles", "read-only"),
+    ],
+)
+def test_a_failure_is_a_row_that_says_why_and_the_others_are_still_there(how, said):
+    results = run({"broken": Broken(how=how), "reader": Reader()})
+    failed = results["broken"]
+    assert said in failed.failure and "\n" not in failed.failure
+    assert failed.failure.startswith("ride, 14.5 km/h, estimating test drive 1 of 3, seed 1: ")
+    assert failed.drives == failed.traces == ()
+    assert results["reader"].failure is None
+    np.testing.assert_allclose(results["reader"].values("nrmse"), 0.1, atol=0.01)
+
+
+def test_an_absurd_estimate_has_an_absurd_score_and_not_none():
+    result = run({"absurd": Broken(how="absurd")})["absurd"]
+    assert result.failure is None
+    assert (result.values("nrmse") > 1e6).all() and np.isfinite(result.values("iri_error")).all()
+
+
+def test_training_that_fails_names_the_seed():
+    class Stubborn(Learner):
+        def fit(self, records, truths, car, seed):
+            raise ValueError("singular\nmatrix")
+
+    failed = run({"stubborn": Stubborn()})["stubborn"]
+    assert failed.failure == "ride, 14.5 km/h, training with seed 1: ValueError: singular matrix"
+
+
+def test_a_drive_that_fails_fails_every_row_of_its_task():
+    def breaks_down(t, drives, condition):
+        if condition.speed_kmh > 50.0:
+            raise SimulationError("the car left the road")
+        return fake_drives(t, drives, condition)
+
+    for result in run_task(task(), {"reader": Reader()}, drive=breaks_down):
+        assert "54 km/h: the drive itself failed: the car left the road" in result.failure
+
+
+def test_an_entry_gets_training_truths_and_test_records_only():
+    seen = []
+
+    class Curious(Learner):
+        def fit(self, records, truths, car, seed):
+            seen.extend([("truth", t.z.shape) for t in truths])
+            return super().fit(records, truths, car, seed)
+
+        def estimate(self, record, car):
+            seen.append(tuple(sorted(vars(record))))
+            return super().estimate(record, car)
+
+    run({"curious": Curious()}, seeds=(1,))
+    assert [what for what in seen if what[0] == "truth"] == [("truth", (2, 1585))] * 4
+    fields = ("a", "high", "length", "s", "stiff", "t", "v")
+    assert [what for what in seen if what[0] != "truth"] == [fields] * 6
+
+
+def test_the_seam_hands_back_what_the_entry_says():
+    t = task()
+    drives = list(fake_drives(t, t.test, t.conditions[0]))
+    records = [drive.record for drive in drives]
+    outcome = reconstruct(Reader(gain=1.0), [], records, t.vehicle, seed=1)
+    assert len(outcome.estimates) == 3 and outcome.estimate_seconds > 0.0
+    with pytest.raises(EntryError, match="estimating test drive 1 of 3, seed 7: RuntimeError"):
+        reconstruct(Broken(how="raises"), [], records, t.vehicle, seed=7)
+
+
+def test_an_estimator_that_brings_its_weights_is_judged_with_them():
+    (first, *_), t = fake_drives(task(), task().training, task().conditions[0]), task()
+    fitted = Learner().fit([first.record], [first.truth], t.vehicle, seed=5)
+    assert learns(Learner()) and not learns(fitted) and not learns(Reader())
+    result = run({"fitted": fitted})["fitted"]
+    assert result.values("nrmse").shape == (3, 2, 1) and result.parameters == 1
+    np.testing.assert_allclose(result.values("nrmse"), abs(1.0 - fitted.gain), atol=0.01)
+
+
+def test_the_truth_plus_noise_has_the_error_that_it_says():
+    t = task()
+    (drive, *_) = fake_drives(t, t.test, t.conditions[0])
+    band = scored_band(14.5 / 3.6)
+    noisy = truth_plus_noise(drive.truth, band, seed=1)
+    error = nrmse(drive.truth.z, noisy.z, drive.truth.ds, band)
+    assert error.pooled == pytest.approx(NOISE, rel=1e-9)
+
+
+def test_progress_is_reported_step_by_step():
+    said = []
+    entries = {"reader": Reader(), "broken": Broken(how="raises")}
+    run(entries, report=said.append)
+    assert len(said) == steps(task(), entries) == 6
+    assert said[0] == "small: driving, ride, 14.5 km/h"
+    assert said[-1] == "small: broken, ride front, handling rear, 54 km/h"
+
+
+def test_sentinels_stand_on_every_board(tmp_path):
+    made = board(tmp_path, {"reader": Reader()}, seeds=(1,))
+    (t,) = made.tasks
+    assert {r.estimator for r in made.scored(t)} == {"reader", *SENTINELS}
+    roles = {r.estimator: r.role for r in made.scored(t)}
+    assert roles["reader"] == "entry" and roles["flat"] == "sentinel"
+
+
+def test_progress_of_a_board_counts_up_to_its_end(tmp_path):
+    steps_seen = []
+    board(tmp_path, {"reader": Reader()}, seeds=(1,), progress=lambda *a: steps_seen.append(a))
+    assert [step[:2] for step in steps_seen] == [(k, 10) for k in range(11)]
+    assert steps_seen[1][2].startswith("small: ") and steps_seen[1][2].endswith("km/h")
+
+
+def test_fewer_roads_are_driven_on_request(tmp_path):
+    made = board(tmp_path, {"reader": Reader()}, seeds=(1,), roads=2)
+    assert made.scored(made.tasks[0])[0].values("r").shape[0] == 2
+    with pytest.raises(ConfigError, match="small: number of drives must be 1 to 3, got 9"):
+        board(tmp_path, {"reader": Reader()}, roads=9)
+
+
+def test_roads_of_one_name_and_seed_are_two_roads():
+    waviness = {"kind": "iso8608", "road_class": "D", "w": 3.0, "length": 40.0}
+    t = task(test={"roads": ["iso_d", waviness], "seeds": [11], "length": 40.0})
+    assert run({"reader": Reader()}, t=t)["reader"].values("r").shape == (2, 2, 1)
+
+
+def test_results_of_a_changed_task_are_stale_and_not_mixed(tmp_path):
+    board(tmp_path, {"reader": Reader()}, seeds=(1,))
+    changed = dataclasses.replace(task(), version=2)
+    stored = load_board([changed], tmp_path)
+    assert stored.scored(changed) == [] and len(stored.stale(changed)) == 5
+    assert {why for _, why in stored.stale(changed)} == {"the task has changed"}
+
+
+def test_a_real_drive_is_judged_like_any_other(tmp_path):
+    t = task(
+        conditions=[{"mode": "ride", "speed_kmh": 54.0}],
+        training={"roads": ["iso_d"], "seeds": [1], "length": 20.0},
+        test={"roads": ["iso_d"], "seeds": [11, 12], "length": 20.0, "step": 0.0005},
+    )
+    made = board(tmp_path, {"learner": Learner()}, t, simulated, seeds=(1,))
+    results = {r.estimator: r for r in made.scored(t)}
+    assert path_of(tmp_path, "small", "learner").exists()
+    np.testing.assert_allclose(results["flat"].values("nrmse"), 1.0)
+    np.testing.assert_allclose(results["truth_plus_noise"].values("nrmse"), NOISE)
+    assert np.isfinite(results["learner"].values("nrmse")).all()
+
+
+def test_roads_with_and_without_obstacles_stand_side_by_side_in_a_part(tmp_path):
+    roads = [
+        "iso_d",
+        "belgian_like",
+        {"kind": "iso8608", "road_class": "D", "w": 2.5},
+        {
+            "kind": "iso8608",
+            "road_class": "D",
+            "w": 1.8,
+            "variation": {"law": "gamma", "spread": 0.7, "patch": 50.0},
+        },
+        "potholes",
+        "random_bumps",
+    ]
+    families = task(
+        test={"roads": roads, "seeds": [11], "length": 150.0},
+        conditions=[{"mode": "ride", "speed_kmh": 14.5}],
+        bumps=True,
+    )
+    wanted = Wanted([families], [entry_of("reader", Reader())], seeds=(1,))
+    found = run_board(wanted, tmp_path, Here(fake_drives, {"reader": Reader()}))
+    (row,) = [r for r in found.results["small"] if r.estimator == "reader"]
+    scored = [drive.road for drive in row.drives if "bump_f1" in drive.scores]
+    assert len(row.drives) == 6 and 0 < len(scored) < 6
+    assert all(x is not None for drive in row.drives for x in drive.scores.values())

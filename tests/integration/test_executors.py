@@ -1,0 +1,270 @@
+"""The whole machine: jobs in processes, entries in processes of theirs, honest and hostile."""
+
+import dataclasses
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from fakes import Reader, task
+from hostile import Hostile
+
+from leaderboard.evaluation import store
+from leaderboard.evaluation.entries import entry_of
+from leaderboard.evaluation.entry import Entry
+from leaderboard.metrics.baselines import SENTINELS
+from leaderboard.running import dask_executor as cluster_module
+from leaderboard.running import executors, jobs
+from leaderboard.running.board import Wanted, run_board
+from leaderboard.running.dask_executor import OnDask
+from leaderboard.running.executors import Here, JudgeError, Processes
+from leaderboard.sandbox import namespaces
+from leaderboard.sandbox.limits import Limits
+from road_envs.config import ConfigError
+
+MODES = ["namespaces", "process"] if namespaces.available() else ["process"]
+LIMITS = Limits(seconds=60.0, memory=0.7, processes=40)
+HONEST = {"reader": Reader(), "half_as_bad": Reader(gain=0.45)}
+
+
+def small():
+    """12 m of road, driven by the real car."""
+    short = {"roads": ["iso_d"], "length": 12.0}
+    return task(
+        conditions=[{"mode": "ride", "speed_kmh": 36.0}, {"mode": "handling", "speed_kmh": 54.0}],
+        training={**short, "seeds": [1]},
+        test={**short, "seeds": [11, 12]},
+    )
+
+
+def wanted(made=HONEST, limits=LIMITS):
+    entries = [entry_of(name, estimator) for name, estimator in made.items()]
+    return Wanted([small()], entries, seeds=(1, 2), limits=limits)
+
+
+def rows(board):
+    """Everything but times, of the rows that did not fail."""
+    return {
+        r.estimator: dataclasses.replace(
+            r,
+            train_seconds=(),
+            estimate_ms_per_100m=None,
+            peak_memory=None,
+            isolation="",
+            environment={},
+            drives=tuple(r.drives),
+            traces=tuple(r.traces),
+        )
+        for r in board.scored(board.tasks[0])
+    }
+
+
+@pytest.fixture(scope="module")
+def honest(tmp_path_factory):
+    """The board of the honest, run in this very process."""
+    board = run_board(wanted(), tmp_path_factory.mktemp("honest"), Here(made=HONEST))
+    assert set(rows(board)) == {*HONEST, *SENTINELS} and not board.failed(small())
+    return rows(board)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_among_hostile_entries_every_honest_row_is_unchanged_to_the_bit(tmp_path, honest, mode):
+    said = {
+        "exit_softly": "its process ended without an answer, by exit status 0",
+        "leave_children": None,
+        "patch_judge": "heights z: every value must be finite",
+        "tamper": None,
+        "grasp": "",
+        "print": None,
+        "kill_parent": "",
+        "kill_judge": "",
+    }
+    first, second = HONEST
+    made = {how: Hostile(how=how, where=str(tmp_path)) for how in said}
+    limits = dataclasses.replace(LIMITS, namespaces=mode == "namespaces")
+    everyone = {first: HONEST[first], **made, second: HONEST[second]}
+    board = run_board(wanted(everyone, limits), tmp_path, Processes(2))
+    found = {**{r.estimator: None for r in board.scored(small())}}
+    found |= {r.estimator: r.failure for r in board.failed(small())}
+    assert set(found) == {*said, *honest}
+    for how, words in said.items():
+        assert (found[how] is None) == (words is None), (how, found[how])
+        assert words is None or (words in found[how] and "\n" not in found[how])
+    assert {name: row for name, row in rows(board).items() if name in honest} == honest
+    if mode == "process":
+        assert "the judge's process was ended twice by SIGKILL while it ran" in found["kill_judge"]
+    assert not list(tmp_path.rglob("hostile.json")) or mode == "process"
+    assert not _left_over(tmp_path)
+
+
+def _left_over(out):
+    """Processes that still work on a job that writes to `out`."""
+    found = []
+    for folder in Path("/proc").iterdir():
+        try:
+            if folder.name.isdigit() and str(out) in (folder / "cmdline").read_text():
+                found.append(folder.name)
+        except OSError:
+            continue
+    return found
+
+
+DRIVER = """
+import sys
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from test_executors import run_board, wanted
+from leaderboard.running.executors import Processes
+run_board(wanted(), Path(sys.argv[1]), Processes(2))
+"""
+
+
+def driver(out):
+    code = DRIVER.format(tests=str(Path(__file__).parents[1] / "support"))
+    return subprocess.Popen([sys.executable, "-c", code, str(out)], cwd=Path(__file__).parents[2])
+
+
+def killed_and_resumed(out, honest, delays):
+    """Kill the run again and again; what it started has to end with it. How often that was."""
+    kills = 0
+    for delay in delays:
+        process = driver(out)
+        time.sleep(delay)
+        process.send_signal(signal.SIGKILL)
+        if process.wait() != -signal.SIGKILL:
+            break
+        kills += 1
+        end = time.monotonic() + 10.0
+        while (left := _left_over(out)) and time.monotonic() < end:
+            time.sleep(0.05)
+        assert not left
+    assert rows(run_board(wanted(), out, Processes(2))) == honest
+    return kills
+
+
+def test_a_run_that_is_killed_takes_its_processes_with_it_and_can_be_resumed(tmp_path, honest):
+    assert killed_and_resumed(tmp_path, honest, (2.0, 3.5)) >= 1
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("ROADRECON_SLOW" not in os.environ, reason="minutes; set ROADRECON_SLOW")
+def test_20_kills_of_the_real_thing_leave_the_same_board(tmp_path, honest):
+    kills = 0
+    for round_ in itertools.count():
+        delays = [1.0 + (0.37 * (k + 3 * round_)) % 6.0 for k in range(8)]
+        now = killed_and_resumed(tmp_path / str(round_), honest, delays)
+        print(f"round {round_}: killed {now} times, resumed, the same board")
+        kills += now
+        if kills >= 20:
+            break
+
+
+def test_the_judges_own_failure_is_no_entrys_fault(tmp_path, monkeypatch):
+    monkeypatch.setattr(executors.jobs, "to_text", lambda job: "{")
+    with pytest.raises(ConfigError, match="damaged, not valid JSON"):
+        run_board(wanted({}), tmp_path, Processes(1))
+    monkeypatch.setattr(executors.sys, "executable", "/bin/false")
+    with pytest.raises(JudgeError):
+        run_board(wanted({}), tmp_path, Processes(1))
+    with pytest.raises(ConfigError, match="at least one worker is wanted, got 0"):
+        Processes(0)
+
+
+def test_an_entry_that_cannot_be_made_is_a_row_on_every_task(tmp_path):
+    lost = Entry(name="lost", reference="nowhere:Lost", failure="it cannot be made: no module")
+    asked = dataclasses.replace(wanted({}), entries=[lost])
+    board = run_board(asked, tmp_path, Here())
+    (failed,) = board.failed(small())
+    assert (failed.estimator, failed.failure) == ("lost", "it cannot be made: no module")
+
+
+# on a cluster
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    """A scheduler and two workers, each a process: the address, and the workers."""
+    pytest.importorskip("distributed", reason="the extra `dask` is not installed")
+    folder = tmp_path_factory.mktemp("dask")
+    path = os.pathsep.join(
+        [str(Path(__file__).parents[1] / "support"), *map(os.path.abspath, sys.path)]
+    )
+    environment = os.environ | {"PYTHONPATH": path, "DASK_DISTRIBUTED__WORKER__DAEMON": "False"}
+
+    def start(*words):
+        with (folder / "said.txt").open("ab") as said:
+            command = [sys.executable, "-m", "distributed.cli." + words[0], *words[1:]]
+            return subprocess.Popen(command, cwd=folder, env=environment, stderr=said, stdout=said)
+
+    file = folder / "scheduler.json"
+    options = ("--scheduler-file", str(file), "--no-dashboard")
+    processes = [start("dask_scheduler", *options, "--port", "0", "--host", "127.0.0.1")]
+    end = time.monotonic() + 60.0
+    while not file.exists() and time.monotonic() < end:
+        time.sleep(0.1)
+    worker = ("dask_worker", *options, "--nthreads", "1", "--no-nanny")
+    processes += [start(*worker, "--name", str(k)) for k in range(2)]
+    yield file, processes[1:]
+    for process in processes:
+        process.kill()
+        process.wait()
+
+
+def test_a_cluster_that_loses_a_worker_makes_the_same_board(tmp_path, honest, cluster):
+    import json
+
+    file, workers = cluster
+    executor = OnDask(json.loads(file.read_text())["address"])
+    executor._client.wait_for_workers(2, timeout=60)
+    executor.workers = 4  # so that each worker has a job to lose
+    done = []
+
+    def lose_a_worker(k, total, text):
+        done.append(k)
+        if len(done) == 2:
+            workers[0].kill()
+
+    board = run_board(wanted(), tmp_path, executor, lose_a_worker)
+    assert rows(board) == honest and not board.failed(small())
+    assert workers[0].wait() == -signal.SIGKILL
+    assert done[-1] == 2 * len(honest)
+    executor._client.close()
+
+
+def test_a_scheduler_that_is_not_there_is_said(monkeypatch):
+    pytest.importorskip("distributed", reason="the extra `dask` is not installed")
+    monkeypatch.setattr(cluster_module, "PATIENCE", 1.0)
+    for address in ("tcp://127.0.0.1:9", "no address"):
+        with pytest.raises(ConfigError, match=f"no Dask scheduler answers at '{address}'"):
+            OnDask(address)
+
+
+def test_without_dask_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ConfigError, match=r"pip install 'roadrecon\[dask\]'"):
+        OnDask("tcp://127.0.0.1:9")
+
+
+def test_a_job_from_its_file_stores_what_the_run_would(tmp_path, honest):
+    from typer.testing import CliRunner
+
+    from leaderboard.cli import app
+    from leaderboard.running.board import write_jobs
+
+    count = write_jobs(wanted({"reader": Reader()}), tmp_path / "out", tmp_path / "jobs")
+    assert count == 2 * (1 + len(SENTINELS))
+    specs = sorted((tmp_path / "jobs").glob("*.json"))
+    spec = next(path for path in specs if '"name": "reader"' in path.read_text())
+    job = jobs.from_text(spec.read_text(), str(spec))
+    label = small().conditions[job.condition].label
+    called = CliRunner().invoke(app, ["run-job", str(spec), "--out", str(tmp_path / "out")])
+    assert called.exit_code == 0, called.output
+    assert f"small: reader, {label}: done" in " ".join(called.output.split())
+    known = jobs.identity(small(), job.condition, job.entries[0], job.seeds)
+    part = store.load_part(store.part_of(tmp_path / "out", known))
+    expected = [d for d in honest["reader"].drives if d.condition == label]
+    assert list(part.drives) == expected

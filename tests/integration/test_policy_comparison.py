@@ -1,0 +1,431 @@
+"""Policies are compared on the same roads; what one does wrong is its own row."""
+
+import io
+import json
+import time
+from dataclasses import dataclass
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+from scipy.stats import trim_mean
+
+import estimators
+from leaderboard.commands import policies as command
+from leaderboard.policies import beam_search, comparison, grid_search
+from leaderboard.policies import page as policy_page
+from leaderboard.policies.ride_metrics import METRICS, ride_metrics, shares, stops
+from leaderboard.policies.scenarios import Scenarios, load_scenarios
+from leaderboard.policies.summary import averaged, difference, pareto, summary
+from leaderboard.policies.timeline import STATES, Timeline
+from road_envs.analysis.comfort import weighted_rms
+from road_envs.config import ConfigError, build, names
+from road_envs.data.recording import record_drive
+from road_envs.envs.options import Setup
+from road_envs.envs.vector import RoadReconVectorEnv
+from road_envs.policies import create
+from road_envs.policies.rollout import drive
+from road_envs.sensing.data_logger import Logger
+from road_envs.simulation.drive import Trajectory
+from road_envs.vehicle.equations import Z_B
+from road_envs.vehicle.parameters import load_vehicle
+
+TURN = {"kind": "slalom", "begin": 0.0, "period": 1.0}
+CAR = load_vehicle("land_rover_defender_110")
+
+
+def scenarios(**changes) -> Scenarios:
+    """Two cases of 25 m."""
+    settings = {
+        "name": "small",
+        "title": "Two short cases",
+        "cases": [
+            {"road": "iso_d", "speed_kmh": 54.0},
+            {"road": "iso_c", "speed_kmh": 54.0, "manoeuvre": TURN},
+        ],
+        "length": 25.0,
+        "test": {"first": 101, "number": 3},
+        "training": {"first": 1, "number": 2},
+    }
+    return build(Scenarios, {**settings, **changes}, "small")
+
+
+@dataclass
+class Wrong:
+    """Goes wrong in the manner asked for."""
+
+    how: str
+
+    def reset(self, cabin):
+        self.cabin = cabin
+
+    def act(self, observations):
+        match self.how:
+            case "raises":
+                raise RuntimeError("no idea")
+            case "outside":
+                return np.full(len(observations), 99)
+            case "hangs":
+                while True:
+                    time.sleep(0.01)
+            case "asks for the truth":
+                return self.cabin.info["profile"]
+
+
+# --- metrics --------------------------------------------------------------------------------------
+
+
+def motion(n: int = 4000, **parts) -> Trajectory:
+    """Still at 10 m/s on its static loads, but for `parts` of the signals (n, ...)."""
+    signals = np.zeros((n, 29))
+    signals[:, 25:29] = np.repeat(CAR.tyre_loads, 2)
+    t = 0.001 * np.arange(n)
+    commands = parts.pop("commands", np.zeros(n, dtype=np.uint8))
+    columns = {
+        "phi": slice(1, 2),
+        "heave": slice(14, 15),
+        "e": slice(21, 25),
+        "load": slice(25, 29),
+    }
+    for name, value in parts.items():
+        signals[:, columns[name]] = value
+    return Trajectory(t, 10.0 * t, np.full(n, 10.0), commands, signals)
+
+
+def test_metrics_of_a_motion_known_in_closed_form():
+    t = 0.001 * np.arange(4000)
+    roll = 0.1 * np.sin(2.0 * np.pi * t)
+    load = np.repeat(CAR.tyre_loads, 2) * (1.0 + 0.5 * np.sin(2.0 * np.pi * 2.0 * t)[:, None])
+    load[1000:1500, 2] = 0.0
+    heave = np.sin(2.0 * np.pi * 4.0 * t)
+    commands = np.zeros(4000, dtype=np.uint8)
+    commands[20:] = 255  # from the first interval's mode to the policy's first choice
+    commands[1000:] = 0
+    commands[3000:] = 255
+    found = ride_metrics(
+        motion(phi=roll[:, None], load=load, heave=heave[:, None], commands=commands), CAR, 20
+    )
+    assert found["roll"] == pytest.approx(0.1 / np.sqrt(2.0))
+    assert found["roll_peak"] == pytest.approx(0.1, rel=1e-4)
+    assert found["lift_per_km"] == pytest.approx(0.5 / 0.04)
+    assert found["switches_per_km"] == pytest.approx(2 / 0.04)
+    assert found["dwell"] == pytest.approx(4.0 / 3)
+    assert found["comfort"] == pytest.approx(weighted_rms(heave, 1000.0))
+    assert found["vdv"] == pytest.approx((4.0 * 3 / 8) ** 0.25, rel=0.05)  # W_k(4 Hz) = 0.967
+    extension = 0.05 * np.cos(2.0 * np.pi * t)[:, None] * [1.0, -1.0, 1.0, 1.0]
+    still = ride_metrics(motion(e=extension), CAR)
+    assert still["rattle"] == pytest.approx(0.05 / np.sqrt(2.0))
+    assert still["rattle_peak"] == pytest.approx(0.05)
+    assert (still["tyre_load"], still["roll"], still["switches_per_km"]) == (0.0, 0.0, 0.0)
+
+
+def test_a_stop_is_hit_once_each_time_a_strut_goes_beyond_its_free_travel():
+    e = np.zeros((100, 4))
+    e[10:20, 0] = e[30:31, 0] = -0.086  # front: free from -85 to 95 mm
+    e[50:, 1] = 0.096
+    e[10:20, 2] = -0.1049  # rear: free from -105 to 115 mm
+    e[0:5, 3] = 0.1151
+    assert stops(e, CAR) == 4
+
+
+def test_shares_of_time_in_states():
+    commands = np.array([0] * 30 + [0b11001100] * 60 + [255] * 10, dtype=np.uint8)
+    ride_handling = (False, False, True, True)
+    assert shares(commands) == {
+        (False,) * 4: 0.3,
+        ride_handling: 0.6,
+        (True,) * 4: 0.1,
+    }
+
+
+# --- drives ---------------------------------------------------------------------------------------
+
+
+def test_the_motion_that_is_judged_is_the_one_that_was_driven():
+    """Replayed commands give the environment's own costs, in a manoeuvre too."""
+    course = comparison.lay_out(scenarios(), 1, [101, 102])
+    driven = drive(create("random"), course.options, course.seeds)
+    envs = RoadReconVectorEnv(2, **course.options)
+    envs.reset(seed=list(course.seeds))
+    rattle, lasted = [], int(driven.intervals[0])
+    for actions in driven.actions:
+        rattle.append(envs.step(actions)[4]["rattle"])
+    for k, moved in enumerate(comparison.motions(course, driven)):
+        e = moved.extension[20:].reshape(lasted, 20, 4)
+        np.testing.assert_allclose(
+            np.sqrt(np.mean(e**2, axis=(1, 2))), np.array(rattle)[:, k], rtol=1e-9
+        )
+
+
+def test_the_record_of_a_policy_is_that_of_a_car_in_the_same_mode():
+    some = scenarios(cases=[{"road": "iso_d", "speed_kmh": 54.0}], sensors="ideal")
+    course = comparison.lay_out(some, 0, [101])
+    driven = drive(create("fixed_ride"), course.options, course.seeds)
+    record = comparison.record_of(course, driven, 0)
+    surface = course.starts[0].surface
+    expected, truth = record_drive(
+        CAR, surface, speed_kmh=54.0, mode="ride", instruments=course.setup.instruments, seed=0
+    )
+    n = expected.t.size
+    np.testing.assert_allclose(record.a[:, :n], expected.a, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(record.s[:n], expected.s, rtol=1e-6, atol=1e-5)
+    np.testing.assert_array_equal(record.stiff[:n], expected.stiff)
+    np.testing.assert_array_equal(course.truths[0].z, truth.z)
+
+
+def test_a_record_tells_the_states_that_were_commanded():
+    course = comparison.lay_out(scenarios(), 0, [101])
+    driven = drive(create("fixed_ride_handling"), course.options, course.seeds)
+    record = comparison.record_of(course, driven, 0)
+    assert not record.stiff[:20].any() and not record.stiff[:, :2].any()
+    assert record.stiff[20:, 2:].all() and record.high[20:, 2:].all()
+
+
+def test_no_policy_is_told_the_truth():
+    for c, case in enumerate(scenarios().cases):
+        options = scenarios().options(case)
+        assert options["truth"] is False
+        envs = RoadReconVectorEnv(1, **options)
+        infos = envs.reset(seed=c)[1], envs.step(np.zeros(1, dtype=int))[4]
+        for info in infos:
+            assert not {"profile", "loads", "s"} & info.keys()
+
+
+def test_failures_are_rows_and_the_others_stand(monkeypatch):
+    monkeypatch.setattr(comparison, "PATIENCE", 3.0)
+    wrong = {
+        "raises": "RuntimeError: no idea",
+        "outside": "PolicyError: actions must be 0 to 15, got 99",
+        "hangs": "TimeoutError: no end after 3 s",
+        "asks for the truth": "AttributeError: 'Cabin' object has no attribute 'info'",
+    }
+    alone = comparison.compare(scenarios(), {"fixed_ride": create("fixed_ride")}, {})[0]
+    entries = {how: Wrong(how) for how in wrong} | {"fixed_ride": create("fixed_ride")}
+    *rows, ride = comparison.compare(scenarios(), entries, {})
+    for row in rows:
+        assert row.failure == f"iso_d, 54 km/h, straight on: {wrong[row.policy]}"
+    assert ride.failure is None
+    for name, values in alone.drives.items():
+        np.testing.assert_array_equal(ride.drives[name], values)
+    data = summary(scenarios(), [*rows, ride], [101, 102, 103], "fixed_ride")
+    assert "no idea" in policy_page.render(data)
+
+
+def test_handling_is_harsher_and_uses_less_rattle_space_and_mixed_states_tell_more():
+    chosen = ("fixed_ride", "fixed_handling", "fixed_ride_handling")
+    rows = comparison.compare(scenarios(), {n: create(n) for n in chosen}, {})
+    ride, handling, mixed = (row.drives for row in rows)
+    assert (handling["comfort"] > ride["comfort"]).all()
+    assert (handling["rattle"] < ride["rattle"]).all()
+    assert (mixed["bound"] < np.minimum(ride["bound"], handling["bound"])).all()
+
+
+def test_estimators_are_fed_with_the_drives_and_one_that_fails_is_noted(monkeypatch):
+    class Blind:
+        def estimate(self, record, car):
+            raise RuntimeError("too dark")
+
+    readers = {"flat": estimators.create("flat"), "blind": Blind()}
+    (row,) = comparison.compare(scenarios(), {"fixed_ride": create("fixed_ride")}, readers)
+    np.testing.assert_allclose(row.errors["flat"], 1.0)
+    assert np.isnan(row.errors["blind"]).all()
+    assert len(row.notes) == 2 and "too dark" in row.notes[0]
+    data = summary(scenarios(), [row], [101, 102, 103], "fixed_ride")
+    assert "too dark" in json.dumps(data["rows"])
+
+
+def test_the_table_fits_eighty_columns_and_wide_tells_more(monkeypatch):
+    rng, names = np.random.default_rng(0), ("fir_ridge", "iterated_wiener")
+    rows = [
+        comparison.Standing(
+            name,
+            {metric: rng.random((3, 2)) for metric in METRICS},
+            {reader: rng.random((3, 2)) for reader in names},
+        )
+        for name in ("fixed_ride_handling", "greedy_information", comparison.ORACLE)
+    ]
+    rows.append(comparison.Standing("mine", failure="iso_d: RuntimeError: " + 30 * "no idea "))
+    data = summary(scenarios(), rows, [101, 102, 103], "greedy_information")
+    told = data["rows"][0]["metrics"]["comfort"]
+    expected = difference(rows[0].drives["comfort"], rows[1].drives["comfort"])
+    assert list(told["difference"].values()) == pytest.approx(expected, rel=1e-4)
+    more = difference(rows[0].drives["reward"], rows[1].drives["reward"])
+    assert list(data["rows"][0]["more_than"]) == ["greedy_information"]  # no rival is there
+    assert list(data["rows"][0]["more_than"]["greedy_information"].values()) == pytest.approx(
+        more, rel=1e-4
+    )
+    assert "how much more" in policy_page.render(data)
+    printed = []
+    for columns in (command.NARROW, command.WIDE):
+        page = io.StringIO()
+        monkeypatch.setattr(command, "console", Console(width=80, file=page))
+        command._print(data, columns)
+        printed.append(page.getvalue())
+    narrow, wide = printed
+    assert max(map(len, narrow.splitlines())) <= 80
+    for row in data["rows"][:3]:
+        line = next(x for x in narrow.splitlines() if x.startswith(row["policy"]))
+        assert f"{row['errors']['iterated_wiener']['mean']:.3f} ±" in line
+    assert "mine failed: iso_d: RuntimeError" in narrow
+    assert "rattle" in wide and "rattle" not in narrow
+
+
+# --- the oracle -----------------------------------------------------------------------------------
+
+
+def test_the_oracle_is_no_worse_than_any_pair_it_knows_and_its_plan_holds_what_it_says():
+    course = comparison.lay_out(scenarios(), 1, [101, 102])
+    actions = beam_search.plan(course.setup, course.starts)
+    planned = drive(comparison._Script(actions), course.options, course.seeds)
+    for front, rear in beam_search.PAIRS:
+        fixed = np.full_like(actions, beam_search.action(course.setup, (front, rear)))
+        held = drive(comparison._Script(fixed), course.options, course.seeds)
+        assert (planned.returns >= held.returns - 1e-12).all()
+    held_for = round(beam_search.HELD / course.setup.interval)
+    changes = np.flatnonzero((np.diff(actions, axis=0) != 0).any(axis=1)) + 1
+    assert (changes % held_for == 0).all()
+
+
+def test_cars_change_places_with_all_they_carry():
+    course = comparison.lay_out(scenarios(), 0, [101])
+    convoy = course.setup.convoy(9)
+    start = course.starts[0]
+    for i in range(9):
+        logger = Logger(course.setup.instruments, CAR, 0.001, np.random.default_rng(0))
+        convoy.start(i, start.drive, logger, start.speed_kmh)
+    bytes_ = course.setup.bytes[np.arange(9)]
+    for _ in range(30):
+        convoy.advance(bytes_)
+    source = np.array([8, 8, 0, 3, 4, 5, 6, 7, 1])
+    beam_search.transplant(convoy, source)
+    seen = convoy.advance(np.zeros(9, dtype=np.uint8))
+    np.testing.assert_array_equal(seen.numbers[0], seen.numbers[1])
+    assert seen.numbers[2, 6] != seen.numbers[0, 6]
+
+
+# --- statistics -----------------------------------------------------------------------------------
+
+
+def test_a_paired_difference_does_not_feel_what_makes_a_road_hard():
+    rng = np.random.default_rng(0)
+    road = 10.0 * rng.random((40, 1))
+    better = road + 0.1 * rng.standard_normal((40, 2))
+    worse = road + 0.3 + 0.1 * rng.standard_normal((40, 2))
+    found = difference(better, worse)
+    assert found.low < found.mean < found.high < 0.0
+    assert found.mean == pytest.approx(-0.3, abs=0.5)
+    assert difference(better, better) == (0.0, 0.0, 0.0)
+    by_hand = [np.mean([trim_mean(x[:, c], 0.25) for c in range(2)]) for x in (better, worse)]
+    assert found.mean == pytest.approx(by_hand[0] - by_hand[1])
+
+
+def test_every_kind_of_drive_counts_and_odd_roads_do_not_rule():
+    easy = np.random.default_rng(0).random(40)
+    hard = 10.0 + easy
+    odd = np.where(np.arange(40) == 3, 1e6, hard)
+    x = np.stack([easy, easy, easy, odd], axis=1)
+    expected = np.mean([*[trim_mean(easy, 0.25)] * 3, trim_mean(hard, 0.25)])
+    found = averaged(x)
+    assert found.mean == pytest.approx(expected, rel=0.01)
+    assert found.low < found.mean < found.high < 4.0
+    seeds = averaged(np.stack([x, x], axis=2))
+    assert seeds.mean == pytest.approx(found.mean)
+
+
+def test_a_time_line_tells_road_states_and_motion_of_the_drive():
+    course = comparison.lay_out(scenarios(), 1, [101])
+    driven = drive(create("fixed_ride_handling"), course.options, course.seeds)
+    moved = next(comparison.motions(course, driven))
+    line = Timeline.of(moved, course.starts[0].surface)
+    assert np.diff(line.t) == pytest.approx(0.02)
+    np.testing.assert_array_equal(line.acceleration, moved.acceleration[::20, Z_B])
+    np.testing.assert_array_equal(line.road, course.starts[0].surface.height(moved.s[::20]))
+    assert set(line.states[0]) == {0} and STATES[line.states[1, -1]] == "handling"
+    picture = ElementTree.fromstring(str(line.svg()))
+    strips = [x for x in picture.iter("rect")]
+    assert [x.get("class") for x in strips] == ["handling"]
+    assert float(strips[0].get("width")) > 500.0
+    data = summary(scenarios(), [comparison.Standing("mine", failure="why")], [101], "mine")
+    assert str(line.svg()) in policy_page.render(data, {"mine": line})
+
+
+@given(st.lists(st.tuples(*[st.integers(0, 3)] * 3), min_size=1, max_size=8))
+def test_the_pareto_front_is_what_no_other_beats(points):
+    rows = {
+        f"p{i}": comparison.Standing(
+            f"p{i}",
+            {"comfort": np.full((3, 1), x), "tyre_load": np.full((3, 1), y)},
+            {"reader": np.full((3, 1), z)},
+        )
+        for i, (x, y, z) in enumerate(points)
+    }
+    found = pareto(rows, list(rows))
+    for i, p in enumerate(points):
+        beaten = any(q != p and all(b <= a for a, b in zip(p, q, strict=True)) for q in points)
+        assert found[i] == (not beaten)
+
+
+# --- configuration --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", names("scenarios"))
+def test_shipped_scenarios_can_be_driven_and_keep_training_apart(name):
+    shipped = load_scenarios(name)
+    assert shipped.name == name
+    assert all(isinstance(setup, Setup) for setup in shipped.setups)
+    assert not set(shipped.test.all) & set(shipped.training.all)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"training": {"first": 99, "number": 5}}, r"share the seeds \[101, 102, 103\]"),
+        ({"cases": []}, "at least one case"),
+        ({"cases": [{"road": "iso_d", "speed_kmh": 54.0}] * 2}, "every case must stand once"),
+        ({"test": {"first": 101, "number": 1}}, "number at least 2"),
+        ({"shown": 2}, "one of 2 cases, 0 to 1, got 2"),
+        ({"kases": []}, "unknown key, did you mean 'cases'"),
+        ({"control": "wheel"}, "'vehicle', 'axle' or 'states'"),
+    ],
+)
+def test_bad_scenarios_are_named(changes, said):
+    with pytest.raises(ConfigError, match=said):
+        scenarios(**changes)
+
+
+def test_a_case_that_cannot_be_driven_is_named():
+    bad = scenarios(cases=[{"road": "iso_d", "speed_kmh": 54.0, "manoeuvre": "loop"}])
+    with pytest.raises(ConfigError, match=r"small: iso_d, 54 km/h, loop: .*'loop'"):
+        _ = bad.setups
+    with pytest.raises(ConfigError, match="2 to 3 test roads"):
+        scenarios().some(4)
+
+
+# --- tuning ---------------------------------------------------------------------------------------
+
+
+def test_tuning_takes_the_best_of_its_grid_and_drives_training_roads_alone(monkeypatch):
+    driven = []
+
+    def spy(policy, options, seeds, **kwargs):
+        driven.extend(seeds)
+        return drive(policy, options, seeds, **kwargs)
+
+    monkeypatch.setattr(grid_search, "drive", spy)
+    monkeypatch.setitem(grid_search.GRIDS, "rrms", {"window": (0.2, 1.0), "ratio": (1.0, 9.0)})
+    best = grid_search.tune("rrms", scenarios())
+    assert set(driven) == set(scenarios().training.all)
+    assert len(best.tried) == 4
+    assert best.cost == min(one.cost for one in best.tried)
+    again = grid_search.cost(create("rrms", **best.settings), scenarios())
+    assert again == pytest.approx(best.cost)
+
+
+def test_metrics_and_their_names_are_the_same():
+    (row,) = comparison.compare(scenarios(), {"fixed_ride": create("fixed_ride")}, {})
+    assert row.drives.keys() == METRICS.keys()
+    assert row.drives["comfort"].shape == (3, 2)
+    assert Z_B == 0

@@ -1,0 +1,78 @@
+"""Stable-Baselines3 learns through the vector environment, and is told how episodes end."""
+
+import numpy as np
+import pytest
+
+from road_envs.config import ConfigError
+from road_envs.envs.sb3 import RoadReconVecEnv
+from road_envs.envs.vector import RoadReconVectorEnv
+
+SHORT = {"road": "iso_d", "length": 6.0, "speed_kmh": [40.0, 70.0], "truth": False}
+
+
+def test_it_is_the_vector_environment_that_resets_within_the_step():
+    ours, theirs = (
+        RoadReconVecEnv(3, **SHORT),
+        RoadReconVectorEnv(3, autoreset_mode="SameStep", **SHORT),
+    )
+    ours.seed(4)
+    np.testing.assert_array_equal(ours.reset(), theirs.reset(seed=4)[0])
+    ended = 0
+    for _ in range(60):
+        observation, reward, done, infos = ours.step(np.array([0, 1, 1]))
+        seen, expected, terminated, truncated, told = theirs.step(np.array([0, 1, 1]))
+        np.testing.assert_array_equal(observation, seen)
+        np.testing.assert_array_equal(reward, expected.astype(np.float32))
+        np.testing.assert_array_equal(done, terminated | truncated)
+        for i in np.flatnonzero(done):
+            np.testing.assert_array_equal(infos[i]["terminal_observation"], told["final_obs"][i])
+            assert infos[i]["TimeLimit.truncated"] is bool(truncated[i] and not terminated[i])
+            ended += 1
+        assert all("terminal_observation" not in infos[i] for i in np.flatnonzero(~done))
+    assert ended >= 6
+
+
+def test_a_car_that_fails_is_not_called_out_of_time():
+    envs = RoadReconVecEnv(2, told=["comfort"], **SHORT)
+    envs.seed(0)
+    envs.reset()
+    envs.env.convoy.cars.q[0, 0, 1] = np.nan
+    _, _, done, infos = envs.step(np.array([0, 0]))
+    assert done.tolist() == [False, True]
+    assert infos[1]["TimeLimit.truncated"] is False and "no longer finite" in infos[1]["reason"]
+    assert infos[0]["comfort"] >= 0.0
+
+
+@pytest.mark.slow
+def test_ppo_learns_through_it_that_a_smooth_ride_pays():
+    """On a rough straight road ride is the better mode: PPO must find it and keep to it."""
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+
+    road = {"road": "iso_e", "length": 30.0, "speed_kmh": 36.0, "truth": False}
+    envs = VecNormalize(VecMonitor(RoadReconVecEnv(16, **road)), norm_reward=True)
+    model = PPO(
+        "MlpPolicy", envs, n_steps=64, batch_size=256, gamma=0.9, learning_rate=1e-3, seed=0
+    )
+    envs.training, observation = False, envs.reset()
+    before = np.mean([model.predict(observation)[0].mean() for _ in range(20)])
+    envs.training = True
+    model.learn(16 * 64 * 12)
+    actions, observation = [], envs.reset()
+    for _ in range(60):
+        action, _ = model.predict(observation, deterministic=True)
+        observation, *_ = envs.step(action)
+        actions.append(action)
+    assert np.mean(actions) < 0.15 < before
+
+
+def test_what_cannot_be_is_refused():
+    envs = RoadReconVecEnv(2, **SHORT)
+    assert envs.env_is_wrapped(object) == [False, False]
+    assert envs.get_attr("num_envs", indices=[0]) == [2]
+    with pytest.raises(ConfigError, match="cannot be set"):
+        envs.set_attr("road", "iso_a")
+    with pytest.raises(ConfigError, match="cannot be called"):
+        envs.env_method("reset")
+    with pytest.raises(ConfigError, match="has its own"):
+        RoadReconVecEnv(2, autoreset_mode="NextStep", **SHORT)

@@ -1,0 +1,86 @@
+"""A newcomer's package: written, tested, built, installed, and on the board by its own name."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from leaderboard.cli import app
+from leaderboard.conformance.scaffold import write_package
+from leaderboard.evaluation.store import load
+from road_envs.config import ConfigError
+
+ROOT = Path(__file__).parents[2]
+
+
+def run(*command, cwd, path):
+    done = subprocess.run(
+        [sys.executable, *map(str, command)],
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, path))},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_the_package_of_a_newcomer_gets_from_an_empty_folder_to_a_row_of_the_board(tmp_path):
+    folder = tmp_path / "mine"
+    write_package("double_twice", folder)
+    code = (folder / "roadrecon_double_twice/estimator.py").read_text()
+    assert len(code.splitlines()) < 80
+    tested = run("-m", "pytest", "-q", "-p", "no:cacheprovider", cwd=folder, path=[folder, ROOT])
+    assert "3 passed" in tested
+    pip = ("-m", "pip", "--disable-pip-version-check", "--quiet")
+    run(*pip, "wheel", folder, "--no-deps", "--no-build-isolation", "-w", tmp_path,
+        cwd=tmp_path, path=[])  # fmt: skip
+    (wheel,) = tmp_path.glob("roadrecon_double_twice-*.whl")
+    target = tmp_path / "target"
+    run(*pip, "install", "--no-deps", "--target", target, wheel, cwd=tmp_path, path=[])
+    path = [target, ROOT]
+    said = run("-m", "leaderboard.cli", "check-estimator", "double_twice", cwd=tmp_path, path=path)
+    assert "double_twice: ready for a board" in said
+    run(
+        "-m", "leaderboard.cli", "leaderboard", "--task", "paper_5", "--estimator", "double_twice",
+        "--seeds", "1", "--out", "board", cwd=tmp_path, path=path,
+    )  # fmt: skip
+    row = load(tmp_path / "board/results/paper_5/double_twice.json")
+    assert row.failure is None and row.estimator == "double_twice"
+    assert (row.drives[0].scores["nrmse"] or 0.0) > 0.0
+    assert "double_twice" in (tmp_path / "board/index.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("My-Road", "'My-Road' cannot be the name of an estimator: small letters, digits"),
+        ("class", "'class' cannot be the name of an estimator"),
+        ("flat", "the name 'flat' is taken by an estimator that is installed"),
+    ],
+)
+def test_a_name_that_cannot_be_used_is_refused_and_nothing_is_written(tmp_path, name, sentence):
+    with pytest.raises(ConfigError, match=sentence):
+        write_package(name, tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_folder_in_use_is_left_alone(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(ConfigError, match="is in use; a new or empty folder is wanted"):
+        write_package("my_road", tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_the_command_says_what_to_do_next_in_words_that_can_be_pasted(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    told = CliRunner().invoke(app, ["new-estimator", "my_road"]).stdout
+    assert 'pip install --editable "./roadrecon-my-road[test]"\n' in told
+    assert "python -m pytest ./roadrecon-my-road\n" in told
+    assert "roadrecon check-estimator my_road\n" in told
+    readme = (tmp_path / "roadrecon-my-road" / "README.md").read_text()
+    assert "roadrecon check-estimator my_road" in readme and "{" not in readme

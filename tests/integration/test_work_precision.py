@@ -1,0 +1,105 @@
+"""The comparison of integrators: all of them solve the same drive, and the table says so."""
+
+import json
+import shutil
+import sys
+
+import numpy as np
+import pytest
+
+from leaderboard import cli
+from leaderboard.benchmarks import integrators
+from leaderboard.benchmarks.integrators import EXPLICIT, PeerError, Problem, relative_error
+from leaderboard.commands import precision
+from road_envs.roads import load_road
+
+METHODS = (*EXPLICIT, "LSODA", "BDF", "Radau")
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return Problem(0.6)
+
+
+@pytest.fixture(scope="module")
+def truth(problem):
+    return problem.scipy("Radau", 1e-6)
+
+
+def test_the_drive_that_is_compared_is_on_its_road_and_moves(truth):
+    assert truth.shape == (600, 3)
+    assert abs(truth[-100:, 0]).max() > 0.1
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_of_scipy_solves_the_same_drive(problem, truth, method):
+    assert relative_error(problem.scipy(method, 1e-5), truth) < 0.003
+
+
+def test_both_of_ours_solve_the_same_drive(problem, truth):
+    assert relative_error(problem.fixed(0.000125), truth) < 0.003
+    assert relative_error(problem.adaptive(1e-6), truth) < 0.003
+
+
+def test_steps_that_are_kept_short_see_a_bump_that_free_ones_may_jump_over():
+    bump = load_road("bump_small").realise(np.random.default_rng(0))
+    blind, seeing = Problem(2.0, bump), Problem(2.0, bump, max_step=0.01)
+    assert np.abs(blind.scipy("BDF", 1e-3)).max() < 1e-9
+    truth = seeing.scipy("DOP853", 1e-6)
+    assert np.abs(truth[:, 0]).max() > 5.0
+    assert relative_error(seeing.scipy("BDF", 1e-4), truth) < 0.02
+    assert relative_error(seeing.adaptive(1e-5), truth) < 0.02
+
+
+def test_sundials_solves_the_same_drive(problem, truth):
+    pytest.importorskip("sksundae", reason="scikit-sundae is not installed")
+    assert relative_error(problem.cvode(1e-6), truth) < 0.003
+
+
+@pytest.mark.skipif(shutil.which("octave-cli") is None, reason="Octave is not installed")
+def test_octaves_own_ode23s_on_equations_in_its_own_language_solves_the_same_drive(problem, truth):
+    a, seconds = problem.octave(1e-3)
+    assert relative_error(a, truth) < 0.01
+    assert seconds > 0.0
+
+
+def test_a_peer_that_is_not_there_or_fails_says_so_in_a_sentence(problem, monkeypatch, tmp_path):
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    with pytest.raises(PeerError, match="Octave is not installed"):
+        problem.octave(1e-3)
+    monkeypatch.setitem(sys.modules, "sksundae.cvode", None)
+    with pytest.raises(PeerError, match="scikit-sundae is not installed"):
+        problem.cvode(1e-3)
+    monkeypatch.setattr(shutil, "which", lambda name: sys.executable)
+    with pytest.raises(PeerError, match=r"Octave failed: .*norc"):
+        problem.octave(1e-3)
+
+
+def test_the_command_measures_draws_and_names_who_is_left_out(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(precision, "_timed", lambda run, setting: (run(setting), 0.05))
+    monkeypatch.setattr(precision, "SCIPY", {"RK45": (1e-3, 1e-5)})
+    monkeypatch.setitem(sys.modules, "sksundae.cvode", None)
+    monkeypatch.setattr(integrators.shutil, "which", lambda name: None)
+    picture = tmp_path / "p.png"
+    words = ["precision", "--out", str(picture), "--duration", "0.6"]
+    with pytest.raises(SystemExit) as ended:
+        monkeypatch.setattr(sys, "argv", ["roadrecon", *words, "--json"])
+        cli.main()
+    assert not ended.value.code
+    rows = json.loads(capsys.readouterr().out)
+    done = [row for row in rows if "error" in row]
+    assert {row["method"] for row in done} == {*precision.OURS, "SciPy RK45"}
+    assert all(row["times_real_time"] == pytest.approx(12.0) for row in done)
+    steps = [row["error"] for row in done if "step" in row]
+    assert steps == sorted(steps, reverse=True) and steps[-1] < 0.02
+    assert [row["method"] for row in rows if "skipped" in row] == [
+        "SUNDIALS CVODE",
+        "Octave ode23s",
+    ]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(SystemExit):
+        monkeypatch.setattr(sys, "argv", ["roadrecon", *words])
+        cli.main()
+    out, err = capsys.readouterr()
+    assert "rtol 0.001" in out and "h = 0.125 ms" in out
+    assert "Octave ode23s is left out: Octave is not installed" in " ".join(err.split())

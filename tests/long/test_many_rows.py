@@ -1,0 +1,84 @@
+"""A board of ten thousand rows: what the driver holds while it reads, prints and draws it.
+
+ROADRECON_SLOW=1 pytest -s tests/test_many_rows.py
+"""
+
+import dataclasses
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from fakes import Learner, Reader, fake_drives, task
+
+from leaderboard.evaluation import store
+from leaderboard.evaluation.evaluate import run_task
+from road_envs._atomic_io import write_text
+
+TASKS = 10
+AIM = 1.0
+"""GiB."""
+
+SHORT = {
+    "training": {"roads": ["iso_d"], "seeds": [1], "length": 20.0},
+    "test": {"roads": ["iso_d"], "seeds": [11, 12, 13, 14], "length": 20.0},
+}
+
+DRIVER = """
+import resource, sys, time
+from pathlib import Path
+from rich.console import Console
+from test_many_rows import tasks
+from leaderboard.running.board import load_board
+from leaderboard.report.site import write_page
+from leaderboard.report.cache import shown
+from leaderboard.report.terminal import print_tables
+
+out, begin = Path(sys.argv[1]), time.process_time()
+board = load_board(tasks(), out)
+found = shown(board, out)
+print_tables(found, Console(file=(out / "said.txt").open("w"), width=80))
+page = write_page(board, found, out)
+peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+print(peak, time.process_time() - begin, page.stat().st_size / 1e6)
+"""
+
+
+def tasks():
+    return [task(f"held_out_{k}", **SHORT) for k in range(TASKS)]
+
+
+def many_rows(out, rows):
+    """Store results of made-up entries, alike on every task."""
+    for one in tasks():
+        entries = {"a": Reader(), "b": Reader(gain=0.5), "c": Learner()}
+        made = run_task(one, entries, (1, 2), drive=fake_drives)
+        for n in range(rows // TASKS):
+            row = dataclasses.replace(made[n % len(made)], estimator=f"entry_{n:05d}")
+            write_text(store.path_of(out, one.name, row.estimator), store.to_text(row))
+
+
+def driver(out):
+    """Peak memory [GiB], processor time [s] and size of the index [MB] of the driver."""
+    path = os.pathsep.join(
+        [str(Path(__file__).parents[1] / "support"), *map(os.path.abspath, sys.path)]
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore::ResourceWarning", "-c", DRIVER, str(out)],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return tuple(map(float, done.stdout.split()))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("ROADRECON_SLOW" not in os.environ, reason="minutes; set ROADRECON_SLOW")
+@pytest.mark.parametrize("rows", [1_000, 10_000])
+def test_the_driver_stays_below_a_gibibyte_whatever_the_number_of_rows(tmp_path, rows):
+    many_rows(tmp_path, rows)
+    peak, seconds, index = driver(tmp_path)
+    print(f"{rows} rows: {peak:.2f} GiB, {seconds:.0f} s, index of {index:.1f} MB")
+    assert peak < AIM

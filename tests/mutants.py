@@ -1,0 +1,597 @@
+"""Deliberate faults: a test counts once it has been seen to fail.
+
+    python tests/mutants.py [filter]
+
+Each fault changes one line in a temporary copy of the tree and runs the tests that must then turn
+red. `filter` is part of a file name or of a changed text. The exit status is 1 if a fault survives,
+no longer fits its file or breaks more than its tests.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parent.parent
+COPIED = ("road_envs", "estimators", "leaderboard", "configs", "tests", "pyproject.toml")
+PAPER_SAYS = "equations::test_the_car_moves_as_the_papers_equations_say"
+LEAN = "equations::test_in_a_manoeuvre_the_body_leans_as_an_inverted_pendulum"
+JACOBIAN = "equations::test_the_jacobian_is_the_slope_of_the_rates"
+FORMULA = "rosenbrock::test_one_step_is_the_published_formula"
+VALVE = "suspension::test_the_second_accumulator_follows_its_equation_through_a_switch"
+WHOLE = "drive::test_a_drive_in_chunks_is_the_drive_as_a_whole_to_the_bit"
+CUBIC = "surface::test_between_samples_the_height_is_the_catmull_rom_cubic"
+PLACED = "data_logger::test_sensors_feel_the_rigid_body_where_the_paper_put_them"
+LANE = "fleet::test_every_lane_is_its_vehicle_driven_alone_to_rounding"
+SEEN = "road_recon_env::test_what_is_seen_is_what_the_instruments_would_log_of_the_drive"
+SINGLE = "vector_env::test_environment_i_is_the_single_one_seeded_seed_plus_i_in_every_mode"
+REFUSED = "config::test_a_fault_in_a_vehicle_is_one_sentence_that_names_it"
+DUALS = "sensitivity::test_the_tangent_is_the_derivative_that_dual_numbers_find"
+TRANSPOSE = "sensitivity::test_the_adjoint_of_a_step_is_the_transpose_of_its_tangent"
+TABLE = "force_curves::test_the_table_is_the_curve_wherever_breakpoints_lie_on_its_grid"
+THIRD = "ode23s::test_a_step_and_its_error_make_a_formula_of_order_three"
+BOUND = "information_bound::test_the_bound_is_the_inverse_of_prior_and_measured_information"
+ODD_SAYS = "vehicle_variation::test_it_moves_as_the_papers_equations_with_the_deviations_say"
+SHUT = "vehicle_variation::test_a_valve_that_closes_on_twisted_ground_moves_nothing"
+AIR = "suspension::test_a_wheel_in_the_air_feels_nothing_however_fast_it_closes_on_the_ground"
+SLOPES = "suspension::test_the_slopes_of_a_tyre_are_those_of_its_load"
+GRADED = "perturbed_vehicle::test_a_graded_record_is_that_of_its_parts"
+FELT = "perturbed_vehicle::test_the_felt_height_is_the_mean_of_the_cubic_over_the_patch"
+MOUNTED = (
+    "sensor_faults::test_an_accelerometer_reads_what_its_axis_gain_and_offset_make_of_its_place"
+)
+LOST = "sensor_faults::test_samples_are_lost_in_bursts_of_the_stated_length_and_share"
+PAIR = "adaptive_drive::test_the_compiled_step_and_its_error_are_those_of_the_published_pair"
+
+
+class Fault(NamedTuple):
+    """`old` stands once in `file`; with `new` in its place each of `tests` must fail."""
+
+    file: str
+    old: str
+    new: str
+    tests: str
+
+
+DYNAMICS, INTEGRATOR = "road_envs/vehicle/equations.py", "road_envs/simulation/rosenbrock.py"
+SUSPENSION, SIMULATE = "road_envs/vehicle/suspension.py", "road_envs/simulation/drive.py"
+SENSORS, PROCESSING = "road_envs/sensing/data_logger.py", "road_envs/sensing/filters.py"
+OBSERVABILITY = "road_envs/analysis/information_bound.py"
+PARTS = "map_smoother::test_matrices_of_the_parts_are_the_tangent_of_the_steps"
+TANGENT, LINEAR = "road_envs/simulation/sensitivity.py", "road_envs/vehicle/linear_model.py"
+EARLY = "kalman::test_what_is_told_early_is_the_dense_posterior_of_what_was_heard_until_then"
+DRIVEN = "kalman::test_what_is_told_of_the_whole_drive_is_its_dense_posterior"
+WHITE = "kalman::test_on_its_own_model_the_news_are_white_and_of_unit_size"
+INTERVAL = "road_envs/simulation/control_step.py"
+CURVES, SURFACE = "road_envs/vehicle/force_curves.py", "road_envs/roads/surface.py"
+DATASET, CONFIG, VEHICLE = (
+    "road_envs/data/recording.py",
+    "road_envs/config.py",
+    "road_envs/vehicle/parameters.py",
+)
+INDEPENDENT = "scores::test_the_scores_are_those_of_an_independent_implementation"
+FIELD, FAULTY = "road_envs/vehicle/perturbed_vehicle.py", "road_envs/sensing/sensor_faults.py"
+ROSENBROCK, ADAPTIVE = "road_envs/simulation/ode23s.py", "road_envs/simulation/adaptive_drive.py"
+STATISTICS = "leaderboard/metrics/bootstrap.py"
+METRICS, SPECTRAL, BUMPS = (
+    "leaderboard/metrics/heights.py",
+    "leaderboard/metrics/roughness.py",
+    "leaderboard/metrics/obstacles.py",
+)
+DEFENDER = "configs/vehicles/land_rover_defender_110.yaml"
+
+FAULTS = [
+    Fault("leaderboard/evaluation/tasks.py", 'condition.grade if drives is self.test else "S0"', "condition.grade",
+          "tasks::test_training_is_driven_by_the_nominal_car_and_the_test_by_one_individual"),
+    Fault("leaderboard/evaluation/tasks.py", "(condition.mode, condition.speed_kmh))", "(condition.mode, condition.speed_kmh)) + self.conditions.index(condition)",
+          "tasks::test_the_field_board_has_every_car_on_the_same_roads"),
+    Fault(STATISTICS, "[bootstrap(part, seed) for part in parts]", "[bootstrap(part, seed + k) for k, part in enumerate(parts)]",
+          "scores::test_a_slope_is_that_of_numpys_polynomial_and_its_interval_is_paired"),
+    Fault("leaderboard/metrics/bound.py", "wrong / prior", "prior / wrong",
+          "score_bound::test_over_frequency_the_shares_add_up_to_the_bound_in_the_band"),
+    Fault("leaderboard/paper/published_figures.py", "< LIMITS[0] for case", "> LIMITS[0] for case",
+          "paper::test_a_claim_agrees_where_the_numbers_do_and_not_where_they_do_not"),
+    Fault("leaderboard/paper/figures.py", "(3 * last) // 4, last)", "last // 4, last)",
+          "paper::test_sessions_are_chosen_by_their_largest_error"),
+    Fault("leaderboard/paper/study.py", "if level_error < near else", "if level_error <= near else",
+          "paper::test_the_states_of_appendix_a"),
+    Fault("leaderboard/conformance/probes.py", "LF = RF - 2.0 * y[0]", "LF = RF + 2.0 * y[0]",
+          "probes::test_the_swapped_record_is_the_one_of_the_mirrored_road"),
+    Fault("leaderboard/conformance/probes.py", "np.stack([LF, RR, LR])", "np.stack([LF, LR, RR])",
+          "probes::test_the_swapped_record_is_the_one_of_the_mirrored_road"),
+    Fault("leaderboard/conformance/probes.py", '("FR", "FL", "RR", "RL")', '("FR", "FL", "RL", "RR")',
+          "probes::test_struts_change_sides_with_the_accelerometers"),
+    Fault("leaderboard/conformance/probes.py", "record.s >= 0.5", "record.s >= 0.6",
+          "probes::test_the_future_begins_in_the_middle"),
+    Fault("leaderboard/conformance/probes.py", "0.5 * record.length - lag - sample", "0.5 * record.length - 2.0 * lag - sample",
+          "probes::test_a_fixed_lag_is_allowed_what_it_says_and_no_more"),
+    Fault("leaderboard/conformance/probes.py", 'likeness("swap", asked[::-1])', 'likeness("swap", asked)',
+          "probes::test_each_vice_fails_its_probe_and_no_other"),
+    Fault(METRICS, "float((best - reach) * ds)", "float((reach - best) * ds)", INDEPENDENT),
+    Fault(METRICS, "0.5 + 0.5 * p) * sigma", "p) * sigma", INDEPENDENT),
+    Fault(METRICS, "2.0 * density - 1.0 / np.sqrt(np.pi)", "density - 1.0 / np.sqrt(np.pi)", INDEPENDENT),
+    Fault(METRICS, "size - size // 2]", "size]", INDEPENDENT),
+    Fault(SPECTRAL, "wrong, true, out=", "true, wrong, out=", INDEPENDENT),
+    Fault(SPECTRAL, "n_c * np.sqrt(2.0) <= F_MAX", "n_c <= F_MAX", INDEPENDENT),
+    Fault(SPECTRAL, "np.abs(steps) <= 1", "steps <= 1", INDEPENDENT),
+    Fault(BUMPS, " and (a.height > 0.0) == (b.height > 0.0)", "", "scores::test_a_hole_is_no_bump"),
+    Fault("road_envs/simulation/control_step.py", "GRAVITY * out[i, PHI, k]", "out[i, PHI, k]",
+          "observation_groups::test_planar_and_struts_are_those_of_the_motion"),
+    Fault("road_envs/simulation/instrumented_fleet.py", "interval * self.information * unknown", "self.information * unknown",
+          "observation_groups::test_the_reward_is_charged_with_the_variance_that_the_bound_leaves"),
+    Fault("road_envs/policies/groundhook.py", "(e_dot - v) * e_dot", "(e_dot + v) * e_dot",
+          "policies::test_the_laws_are_the_published_ones"),
+    Fault("road_envs/policies/sh_add.py", "alpha * np.abs(v), v, a / alpha", "np.abs(v), v, a / alpha",
+          "policies::test_the_laws_are_the_published_ones"),
+    Fault("road_envs/policies/wheelbase_preview.py", "self.k_t + pressed", "self.k_t - pressed",
+          "policies::test_the_road_felt_at_the_front_is_the_road"),
+    Fault("road_envs/policies/wheelbase_preview.py", "f @ self.struts[1]", "-f @ self.struts[1]",
+          "policies::test_the_road_felt_at_the_front_is_the_road"),
+    Fault("road_envs/policies/wheelbase_preview.py", "(self.wheelbase - distances)", "distances",
+          "policies::test_what_the_front_felt_lies_ahead_of_the_rear_axle"),
+    Fault("road_envs/policies/preview.py", "&= ~coming", "&= coming",
+          "policies::test_preview_is_rrms_but_for_the_rear_axle_before_a_bump"),
+    Fault("road_envs/policies/training.py", "rewards - twin", "rewards + twin",
+          "policy_training::test_twins_take_the_road_out_of_the_reward"),
+    Fault("leaderboard/policies/summary.py", "interquartile_mean(x[:, c].ravel())", "np.mean(x[:, c])",
+          "policy_comparison::test_every_kind_of_drive_counts_and_odd_roads_do_not_rule"),
+    Fault("leaderboard/policies/timeline.py", "surface.height(motion.s[some])", "surface.height(motion.t[some])",
+          "policy_comparison::test_a_time_line_tells_road_states_and_motion_of_the_drive"),
+    Fault("road_envs/policies/network_policy.py", "allow_pickle=False", "allow_pickle=True",
+          "policies::test_a_file_of_a_stranger_is_never_unpickled"),
+    Fault("leaderboard/policies/comparison.py", "drive.manoeuvre = course.setup.manoeuvre", "drive.manoeuvre = None",
+          "policy_comparison::test_the_motion_that_is_judged_is_the_one_that_was_driven"),
+    Fault("leaderboard/policies/beam_search.py", "returns = returns[keep]", "returns = returns",
+          "policy_comparison::test_the_oracle_is_no_worse_than_any_pair_it_knows_and_its_plan_holds_what_it_says"),
+    Fault("leaderboard/policies/summary.py", "[c]], seed=0)", "[c]], seed=int(1e6 * abs(x.mean())) % 997)",
+          "policy_comparison::test_a_paired_difference_does_not_feel_what_makes_a_road_hard"),
+    Fault(STATISTICS, "seeds[part, None, :]]", "seeds[part, None, :1]]",
+          "scores::test_replicates_are_those_of_roads_then_seeds_drawn_by_hand"),
+    Fault(STATISTICS, "roads[part, :, None]", "np.arange(R)[None, :, None]",
+          "scores::test_on_one_seed_the_interval_is_that_of_scipys_bootstrap"),
+    Fault(STATISTICS, "drawn < mine, axis=1) >", "drawn <= mine, axis=1) >",
+          "scores::test_a_rank_is_one_more_than_the_entries_whose_paired_difference_lies_below_zero"),
+    Fault(STATISTICS, "np.mean(x <= limit, axis=1)", "np.mean(x < limit, axis=0)",
+          "scores::test_a_performance_profile_is_the_share_of_runs_below_each_threshold"),
+    Fault("leaderboard/evaluation/hidden_seeds.py", "text = json.dumps(said", "text = json.dumps(season.tasks",
+          "hidden_seeds::test_a_season_that_was_edited_is_refused"),
+    Fault("leaderboard/evaluation/tasks.py", "seed + k * SEEDS_APART)", "seed)",
+          "tasks::test_no_two_test_roads_are_drawn_from_one_seed"),
+    Fault("leaderboard/evaluation/tasks.py", "families[k % len(self.roads)]", "families[k // len(self.seeds)]",
+          "tasks::test_families_part_the_test_drives"),
+    Fault("road_envs/simulation/simd.py", "_where_greater(c, 0.0, a, b)", "_where_greater(c, 0.0, b, a)", LANE),
+    Fault("road_envs/simulation/simd.py", "[j, 4 + j]", "[j, 3 + j]", LANE),
+    Fault("road_envs/simulation/fleet.py", "get(p.x, 0) - get(p.x, i)", "get(p.x, i) - get(p.x, 0)", LANE),
+    Fault("road_envs/simulation/fleet.py", "slot = passed[k] % max(delay[k], 1)", "slot = 0",
+          "fleet::test_parts_of_a_drive_are_the_whole_drive_to_the_bit"),
+    Fault("road_envs/simulation/fleet.py", "np.roll(ring, -(", "np.roll(ring, (",
+          "fleet::test_a_landed_drive_goes_on_alone_where_the_fleet_left_it"),
+    Fault(INTERVAL, "noise[k, used[k] + i, j]", "noise[k, used[k] + i, 2 - j]", SEEN),
+    Fault(INTERVAL, "np.sqrt(lane(rattle, k) / (4 * n))", "np.sqrt(lane(rattle, k) / n)", SEEN),
+    Fault(INTERVAL, "numbers[k, 6] = -n * common.h * cost", "numbers[k, 6] = -cost", SEEN),
+    Fault(INTERVAL, "+ pitch * get(", "- pitch * get(", SEEN),
+    Fault("road_envs/envs/vector.py", "self._elapsed += ~fresh", "self._elapsed += 1",
+          "vector_env::test_gymnasium_makes_it_and_truncates_through_it"),
+    Fault("road_envs/envs/vector.py", "int(seed) + i for", "int(seed) for", SINGLE),
+    Fault("road_envs/envs/vector.py", "final_info = self._infos(seen, ended)",
+          "final_info = self._infos(seen, ~ended)", SINGLE),
+    Fault("road_envs/simulation/instrumented_fleet.py", "field[b][..., lanes] = before[at][..., lanes]", "pass", SINGLE),
+    Fault("road_envs/envs/sb3.py", "truncated[i] and not terminated[i]", "truncated[i] or terminated[i]",
+          "sb3::test_a_car_that_fails_is_not_called_out_of_time"),
+    Fault("road_envs/simulation/fleet.py", "self.numbers[kind] += first", "self.numbers[kind] += 0 * first", LANE),
+    Fault("road_envs/simulation/fleet.py", "if own_q.size > N_DOF:", "if False:", SHUT),
+    Fault("road_envs/simulation/fleet.py", "        if flexible is None:", "        if True:", LANE),
+    Fault("road_envs/simulation/fleet.py", "byte != last[k]", "False",
+          "fleet::test_every_lane_is_its_vehicle_driven_alone_to_rounding"),
+    Fault("road_envs/simulation/speed.py", "0.5 * a[i] * dt", "a[i] * dt",
+          "speed::test_distance_is_the_integral_of_speed"),
+    Fault("road_envs/simulation/manoeuvres.py", "2.0 * np.pi * self.offset / T**2", "np.pi * self.offset / T**2",
+          "manoeuvres::test_a_lane_change_ends_one_lane_over_and_back_again"),
+    Fault(DYNAMICS, "add(out, THETA, -get(p.x, i) * push)", "add(out, THETA, get(p.x, i) * push)", PAPER_SAYS),
+    Fault(DYNAMICS, "get(p.y_s, 2 * i) * (get(F", "get(p.y_t, 2 * i) * (get(F", PAPER_SAYS),
+    Fault(DYNAMICS, "- get(p.k_roll, i) * roll", "+ get(p.k_roll, i) * roll", ODD_SAYS),
+    Fault(DYNAMICS, "over + get(p.half, 1)", "over - get(p.half, 1)", ODD_SAYS),
+    Fault(DYNAMICS, "(get(p.half, w // 2) * psi)", "(get(p.half, 0) * psi)", ODD_SAYS),
+    Fault(DYNAMICS, "2.0 * individual.frame.zeta", "individual.frame.zeta", ODD_SAYS),
+    Fault(DYNAMICS, "(1.0 - rise * deltas[w // 2])", "1.0", ODD_SAYS),
+    Fault(DYNAMICS, "k * e, -front, -rear, K[:, j]", "k * e, front, rear, K[:, j]",
+          "vehicle_variation::test_the_jacobian_is_the_slope_of_the_rates"),
+    Fault(DYNAMICS, "twisting(p, k * e, -front, -rear)", "twisting(p, k * e, front, rear)",
+          "vehicle_variation::test_the_jacobian_is_the_slope_of_the_rates"),
+    Fault(DYNAMICS, "get(p.y_t, 2 * i) * (left - right)", "get(p.y_s, 2 * i) * (left - right)", PAPER_SAYS),
+    Fault(DYNAMICS, "(get(q, PHI) - get(q, a + 1))", "(get(q, PHI) + get(q, a + 1))", PAPER_SAYS),
+    Fault(DYNAMICS, "for j in (Z_B, AXLE, AXLE + 2):", "for j in (Z_B, AXLE):", PAPER_SAYS),
+    Fault(DYNAMICS, "(a_y + GRAVITY * phi)", "(a_y - GRAVITY * phi)", LEAN),
+    Fault(DYNAMICS, "(GRAVITY * theta - a_x)", "(GRAVITY * theta + a_x)", LEAN),
+    Fault(DYNAMICS, "K[THETA, THETA] -=", "K[THETA, THETA] +=", JACOBIAN),
+    Fault(DYNAMICS, "p, c_t * height, C[:, j]", "p, c_t * e, C[:, j]", JACOBIAN),
+    Fault(DYNAMICS, "(left - right) / (y_t", "(right - left) / (y_t",
+          "equations::test_the_car_finds_its_rest_on_any_plausible_ground"),
+    Fault(SUSPENSION, "slope = -n_p * F / inside", "slope = -F / inside", JACOBIAN),
+    Fault(SUSPENSION, "(u - closing) * p.r_2 * e", "(closing - u) * p.r_2 * e", VALVE),
+    Fault(SUSPENSION, "lack = (1.0 - closing) * p.r_2", "lack = p.r_2", VALVE),
+    Fault(SUSPENSION, "np.exp(-closing * h", "np.exp(-h",
+          "suspension::test_a_closed_valve_keeps_the_gas_behind_it"),
+    Fault(SUSPENSION, " and memory[w, HELD] == 0.0", "",
+          "suspension::test_an_opened_valve_makes_the_pressures_equal_however_fast_it_is"),
+    Fault(SUSPENSION, "if_positive(-T, 0.0, T)", "T", PAPER_SAYS),
+    Fault(SUSPENSION, "T = if_positive(free, T, most)", "T = T + 0.0 * free", AIR),
+    Fault(SUSPENSION, "if_positive(-x, 0.0, x)", "x", AIR),
+    Fault(SUSPENSION, "if_positive(free, slope, slope + slope)", "slope", SLOPES),
+    Fault(SUSPENSION, "if_positive(at_most, bend + bend, bend)", "bend", SLOPES),
+    Fault(SUSPENSION, "2 * different.index(pair)", "different.index(pair)", ODD_SAYS),
+    Fault(SUSPENSION, "rub.times(f)", "rub", ODD_SAYS),
+    Fault(SUSPENSION, "+ c * u_dot", "- c * u_dot", PAPER_SAYS),
+    Fault(SUSPENSION, "stop, k = look_up(displacement, get(p.stops, w)", "stop, k = look_up(displacement, get(p.stops, 0)", PAPER_SAYS),
+    Fault(SUSPENSION, "low * F_0 + high * F_1", "F_0 + high * F_1", PAPER_SAYS),
+    Fault(SUSPENSION, "memory[:, OPEN] = ~stiff[0]", "memory[:, OPEN] = stiff[0]",
+          "suspension::test_between_bushing_and_stop_the_one_gas_law_is_equation_1"),
+    Fault(SUSPENSION, "(high << (4 + w))", "(high << (3 + w))",
+          "suspension::test_a_command_reaches_the_vehicle_an_axle_or_a_strut"),
+    Fault(CURVES, "3.0 * rise - 2.0 * b", "3.0 * rise - b", TABLE),
+    Fault(CURVES, "+ slope * (u - inside)", "", TABLE),
+    Fault(INTEGRATOR, "D = 1.0 / (2.0 + np.sqrt(2.0))", "D = 0.5", FORMULA),
+    Fault(INTEGRATOR, "get(q, j) + 0.5 * h * kq", "get(q, j) + h * kq", FORMULA),
+    Fault(INTEGRATOR, "get(r, j) + hd * get(f, j)", "get(r, j)", FORMULA),
+    Fault(INTEGRATOR, "get(road, 4 + w)) * (2.0 / h)", "get(road, 4 + w)) / h", FORMULA),
+    Fault(INTEGRATOR, "a12 = a12 - x * r01", "a12 = a12 + x * r01", FORMULA),
+    Fault(INTEGRATOR, "hd * hd * get(p.k_roll, i)", "hd * get(p.k_roll, i)", FORMULA),
+    Fault(INTEGRATOR, "half + hd * r)", "half)", FORMULA),
+    Fault(INTEGRATOR, "(moment - hd * rate * psi_dot)", "moment", FORMULA),
+    Fault(INTEGRATOR, "half, half_dot = psi + 0.5 * h", "half, half_dot = psi + h", FORMULA),
+    Fault(INTEGRATOR, "-hd * k * rate)", "-hd * k * e_dot)", FORMULA),
+    Fault(INTEGRATOR, "e += bend(p, q[N_DOF], w)", "pass", SHUT),
+    Fault(INTEGRATOR, "hd * hd * GRAVITY * get(p.roll_moment)", "hd * GRAVITY * get(p.roll_moment)", FORMULA),
+    Fault(INTEGRATOR, "(get(turn, 2) - a_x)", "(a_x - get(turn, 2))", FORMULA),
+    Fault(INTEGRATOR, "get(work.q, PHI) + hd * get(r, PHI)", "get(work.q, PHI) - hd * get(r, PHI)", FORMULA),
+    Fault(INTEGRATOR, "p.x[0] - p.x[w // 2]", "p.x[w // 2] - p.x[0]",
+          "drive::test_each_wheel_meets_the_road_where_and_when_it_stands_on_it"),
+    Fault(INTEGRATOR, "s[2 * n + 1], v[2 * n + 1]", "s[2 * n], v[2 * n]",
+          "rosenbrock::test_the_method_is_of_order_two_on_the_nonlinear_car_over_a_road"),
+    Fault(INTEGRATOR, "alpha = 1.0 - np.exp(-h / lag)", "alpha = 1.0 - np.exp(-0.5 * h / lag)",
+          "drive::test_95_percent_of_a_switch_is_done_after_50_milliseconds"),
+    Fault(SIMULATE, "car.valve.delay / step", "car.valve.delay / 0.001",
+          "drive::test_nothing_at_all_happens_before_the_delay_of_the_valve"),
+    Fault(SIMULATE, "2 * done + np.arange", "done + np.arange", WHOLE),
+    Fault(SIMULATE, "0.5 * np.sign(x) * y", "0.5 * y",
+          "vehicle_variation::test_a_point_of_a_twisting_body_moves_with_its_half"),
+    Fault(SIMULATE, "- x * a[:, THETA]", "+ x * a[:, THETA]",
+          "drive::test_a_point_of_the_body_moves_with_the_rigid_body"),
+    Fault(VEHICLE, "return -0.5 * weight * self.rear.x, 0.5 * weight * self.front.x",
+          "return 0.5 * weight * self.front.x, -0.5 * weight * self.rear.x",
+          "vehicle::test_loads_add_up_to_the_weight_and_balance_about_the_centre_of_mass"),
+    Fault(VEHICLE, "GRAVITY = 9.81", "GRAVITY = 9.80665", PAPER_SAYS),
+    Fault(DEFENDER, "I_yy: 2440.0", "I_yy: 2400.0",
+          "equations::test_the_car_has_the_printed_frequencies"),
+    Fault(DEFENDER, "-1440.0, -1050.0, -350.0", "-1440.0, -350.0, -350.0",
+          "suspension::test_handling_damps_more_than_ride_at_every_velocity"),
+    Fault(DEFENDER, "delay: 0.02", "delay: 0.03",
+          "suspension::test_the_shipped_valve_is_95_percent_there_within_50_milliseconds"),
+    Fault(SENSORS, "np.sqrt(0.5 / step)", "np.sqrt(1.0 / step)",
+          "data_logger::test_noise_has_its_density_at_every_step"),
+    Fault(SENSORS, "np.clip(a, -self.range, self.range)", "np.clip(a, -np.inf, self.range)",
+          "data_logger::test_an_instrument_clips_at_its_range_before_the_filter"),
+    Fault("road_envs/sensing/instruments.py", ".x + self.ahead", ".x - self.ahead", PLACED),
+    Fault(SENSORS, "-self.taken % self.every", "self.taken % self.every",
+          "data_logger::test_chunks_are_sensed_as_the_whole_to_the_bit"),
+    Fault(SENSORS, "standard_normal(a.shape[::-1]).T", "standard_normal(a.shape)",
+          "data_logger::test_chunks_are_sensed_as_the_whole_to_the_bit"),
+    Fault(CURVES, "(2.0 * c + 6.0 * d * (inside - i))", "(2.0 * c + 3.0 * d * (inside - i))", DUALS),
+    Fault(CURVES, "if_positive(u * (cells - u), (2.0", "if_positive(1.0, (2.0",
+          "sensitivity::test_the_curvature_of_a_table_is_the_slope_of_its_slope"),
+    Fault(SUSPENSION, "-(get(p.n_p) + 1.0) * slope", "-get(p.n_p) * slope", DUALS),
+    Fault(SUSPENSION, "stop - share * share * gas", "stop - share * gas", DUALS),
+    Fault(SUSPENSION, "if_positive(column - get(p.column_min), bend, 0.0)", "bend", DUALS),
+    Fault(SUSPENSION, "(1.0 - high) * c_0 + high * c_1", "c_0 + high * c_1", DUALS),
+    Fault(TANGENT, "bend * (e_dot + hd * first)", "bend * e_dot", DUALS),
+    Fault(TANGENT, "hd * c_bend * second", "0.0", DUALS),
+    Fault(TANGENT, "hd * bend * (u_dot - hd * first)", "hd * bend * u_dot", DUALS),
+    Fault(TANGENT, "(wheel_height(p, work.r, w) + hd * second)", "wheel_height(p, work.r, w)", DUALS),
+    Fault(TANGENT, "(c_t + hd * k_t) * u_dot", "c_t * u_dot", DUALS),
+    Fault(TANGENT, "front + hd * roll_over(v, 0)", "front", DUALS),
+    Fault(TANGENT, "k_t * at_once + road[w]", "k_t * at_once", TRANSPOSE),
+    Fault(TANGENT, "F, hd * front, hd * rear, r)", "F, 0.0, 0.0, r)", TRANSPOSE),
+    Fault(TANGENT, "- row[C_2 + w] * e_dot", "+ row[C_2 + w] * e_dot", DUALS),
+    Fault(TANGENT, "(2.0 * D * c_t) * (get", "(D * c_t) * (get", DUALS),
+    Fault(TANGENT, "get(q, PHI) + hd * get(v, PHI)", "get(q, PHI)", DUALS),
+    Fault(TANGENT, "- p.M[j] * f[j]", "+ p.M[j] * f[j]", TRANSPOSE),
+    Fault(TANGENT, "0.5 * h * v[j] + hd * work.k_q[j]", "0.5 * h * v[j]", TRANSPOSE),
+    Fault(TANGENT, "hd * f[THETA], 0.0, 0.0, r)", "f[THETA], 0.0, 0.0, r)", TRANSPOSE),
+    Fault(TANGENT, "z_dot - difference", "z_dot", TRANSPOSE),
+    Fault(TANGENT, "- 1, -1, -1)", "- 1, 0, -1)",
+          "sensitivity::test_the_adjoint_of_a_drive_is_the_transpose_of_its_tangent"),
+    Fault(LINEAR, "1.0, y, -x", "1.0, y, x",
+          "linear_model::test_about_any_state_the_model_is_the_slope_of_motion_and_sensors"),
+    Fault(LINEAR, "rows.T * c_t", "rows.T * k_t",
+          "linear_model::test_at_rest_the_model_is_that_of_the_energy_matrices"),
+    Fault(LINEAR, "0.5 * np.sign(x) * y", "0.5 * y",
+          "vehicle_variation::test_about_any_state_its_model_is_the_slope_of_motion_and_sensors"),
+    Fault(LINEAR, "u_dot = z - rows @ y[:n], w - rows", "u_dot = z + rows @ y[:n], w + rows",
+          "linear_model::test_about_any_state_the_model_is_the_slope_of_motion_and_sensors"),
+    Fault(LINEAR, "np.array(now) - wanted", "np.array(now) + wanted",
+          "linear_model::test_damping_in_place_of_the_slopes_is_where_it_belongs"),
+    Fault(LINEAR, "weight /= weight @ x", "weight /= weight @ weight",
+          "linear_model::test_gaussian_damping_is_the_best_damper_for_a_normal_rate"),
+    Fault(LINEAR, "(2.0 * omega)", "omega",
+          "linear_model::test_a_lightly_damped_car_decays_with_its_modes_damping_ratios"),
+    Fault(LINEAR, "names[column] = name", "names[column] = name[::-1]",
+          "linear_model::test_the_defender_has_the_tabled_modes"),
+    Fault(LINEAR, "+ model.D\n    return inputs[:, :, :4] + s", "+ model.D\n    return inputs[:, :, :4] - s",
+          "linear_model::test_on_a_sine_scipys_simulation_swings_in_to_the_frequency_response"),
+    Fault(LINEAR, "np.exp(-2j * np.pi * f", "np.exp(2j * np.pi * f",
+          "linear_model::test_both_wheel_paths_reach_the_rear_a_wheelbase_later"),
+    Fault(PROCESSING, "f_c: float = 25.0", "f_c: float = 30.0",
+          "data_logger::test_offline_processing_is_6_db_down_at_25_hertz_and_delays_nothing"),
+    Fault(PROCESSING, "a - a.mean(axis=1, keepdims=True)", "a",
+          "data_logger::test_processing_removes_the_mean"),
+    Fault(DATASET, "logger.speed_gain * v", "v",
+          "recording::test_the_odometer_adds_up_the_measured_speed_error_and_all"),
+    Fault(DATASET, "step, felt = min(step, one.step)", "step, felt = step", GRADED),
+    Fault(DATASET, "surface.length), truth(surface)", "surface.length), truth(felt)", GRADED),
+    Fault(DATASET, "[*parts, logger.rest()]", "parts", GRADED),
+    Fault(SENSORS, "np.expm1(-distance / fix)", "np.expm1(-0.5 * distance / fix)",
+          "sensor_faults::test_position_fixes_hold_the_odometers_error_at_their_way_times_the_speeds"),
+    Fault(SENSORS, "(x + ahead, y + left)", "(x + ahead, y)", MOUNTED),
+    Fault(FAULTY, "gain * GRAVITY * (along - 1.0)", "GRAVITY * (along - 1.0)", MOUNTED),
+    Fault(FAULTY, "faults.lost / (faults.burst * (1.0 - faults.lost))", "faults.lost / faults.burst", LOST),
+    Fault(FAULTY, "self.left < 0 and", "self.left <= 0 and", LOST),
+    Fault(FAULTY, "else end - self.reach) - 1", "else end) - 1",
+          "sensor_faults::test_a_stream_in_parts_gives_the_samples_of_the_whole_and_all_of_them"),
+    Fault(FIELD, "rng.choice((-1.0, 1.0))", "rng.choice((1.0, 1.0))",
+          "perturbed_vehicle::test_draws_fill_their_ranges_on_both_sides"),
+    Fault(FIELD, "spawn_key=(*given.spawn_key, STREAM, group)", "spawn_key=(STREAM, group)",
+          "perturbed_vehicle::test_a_seed_is_one_individual_and_its_sequence_is_left_as_it_was"),
+    Fault(SURFACE, "begin + x * (end - begin)", "begin + 0.5 * (end - begin)", FELT),
+    Fault(SURFACE, "+ (s - ends[i]) * mean_between(ends[i], s)", "", FELT),
+    Fault(DATASET, "pq.write_table(table, partial)", "pq.write_table(table, path)",
+          "recording::test_writing_leaves_nothing_but_the_file_even_when_it_fails"),
+    Fault(SURFACE, "q = a - 2.5 * b", "q = a - 2.0 * b", CUBIC),
+    Fault(SURFACE, "(p + x * (2.0 * q + x * 3.0 * r)) / ds", "p + x * (q + x * r)", CUBIC),
+    Fault(SURFACE, "padded.shape[1] - 3.0", "padded.shape[1] - 4.0", CUBIC),
+    Fault(CONFIG, '"extra": "forbid"', '"extra": "ignore"', REFUSED),
+    Fault(CONFIG, "strict=True)", "strict=False)", REFUSED),
+    Fault(CONFIG, "if name in seen:", "if False:",
+          "config::test_a_file_that_is_no_configuration_is_refused_with_its_path"),
+    Fault(ROSENBROCK, "E_32 = 6.0 + np.sqrt(2.0)", "E_32 = 6.0 - np.sqrt(2.0)", THIRD),
+    Fault(ROSENBROCK, "- 2.0 * (k_1 - F_0) + h * D * T)", "- 2.0 * (k_1 - F_0))", THIRD),
+    Fault(ROSENBROCK, "k_1 = solve(F_0 + h * D * T)", "k_1 = solve(F_0)", THIRD),
+    Fault(ROSENBROCK, "rate(t + 0.5 * h, y + 0.5", "rate(t, y + 0.5",
+          "ode23s::test_at_a_constant_step_the_method_is_of_order_two_even_where_time_enters"),
+    Fault(ROSENBROCK, "x * (x - 2.0 * D) /", "x * (x - D) /",
+          "ode23s::test_between_its_ends_a_step_is_as_accurate_as_at_them"),
+    Fault(ROSENBROCK, "error ** (-1.0 / 3.0)", "error ** (-1.0 / 2.0)",
+          "ode23s::test_the_next_step_grows_with_the_cube_root_of_the_error_within_limits"),
+    Fault(ROSENBROCK, "new.y, new.F\n", "new.y, F\n",
+          "ode23s::test_at_a_constant_step_the_method_is_of_order_two_even_where_time_enters"),
+    Fault(ADAPTIVE, "- E_32 * (k_2v - at_middle[j])", "+ E_32 * (k_2v - at_middle[j])", PAIR),
+    Fault(ADAPTIVE, "work.T[w] = work.dT[w] + hd", "work.T[w] = work.dT[w] - hd", PAIR),
+    Fault(ADAPTIVE, "add_tyres(p, work.T, R_v)", "", PAIR),
+    Fault(ADAPTIVE, "hd * roll_over(R_q, 0)", "roll_over(R_q, 0)", PAIR),
+    Fault(ADAPTIVE, "b_1 * work.g[j] + b_2 * k_2v", "b_1 * work.g[j] + b_2 * work.g[j]", PAIR),
+    Fault(ADAPTIVE, "y[:] = before[: 2 * N_DOF]", "pass",
+          "adaptive_drive::test_its_trajectory_is_that_of_small_constant_steps_in_every_signal"),
+    Fault(ADAPTIVE, "(now + 0.5 * k * h)", "(now + 0.25 * k * h)",
+          "adaptive_drive::test_the_drive_is_scipys_radau_and_closer_to_it_the_tighter_the_tolerance"),
+    Fault(OBSERVABILITY, "noise = np.maximum(instruments.noise_density, 1e-9) ** 2 * v",
+          "noise = np.maximum(instruments.noise_density, 1e-9) ** 2", BOUND),
+    Fault(OBSERVABILITY, "R + mismatch**2", "R + mismatch",
+          "information_bound::test_the_bound_is_that_of_the_benchmarks_table"),
+    Fault(OBSERVABILITY, "0.5 * (error + _adjoint(error))", "error + _adjoint(error)", BOUND),
+    Fault(OBSERVABILITY, "H[n * v > f_c] = 0.0", "pass",
+          "information_bound::test_nothing_is_heard_above_the_low_pass"),
+    Fault(OBSERVABILITY, "_along(self.error, 1.0, -1.0)", "_along(self.error, 0.5, -0.5)",
+          "information_bound::test_mean_and_difference_are_those_of_the_wheel_paths"),
+    Fault(OBSERVABILITY, "prior.spectrum(f / v) / v", "prior.spectrum(f / v)",
+          "information_bound::test_the_equivalent_dampers_are_the_best_for_the_motion_that_they_allow"),
+    Fault(LINEAR, "inside[:, model.M.size :]", "inside[:, : model.M.size]",
+          "information_bound::test_a_strut_moves_at_the_rate_of_its_ends"),
+    Fault("estimators/map_smoother/block_tangent.py", "= w[k] * rate[half]", "= w[k]", PARTS),
+    Fault("estimators/map_smoother/block_tangent.py", "if n % every == 0:", "if True:", PARTS),
+    Fault("estimators/map_smoother/block_tangent.py", "] += out[2 * N_DOF", "] = out[2 * N_DOF",
+          "map_smoother::test_the_tangent_is_transposed_and_the_hessian_is_gauss_and_newton_s"),
+    Fault("estimators/map_smoother/windows.py", "state, memory = problem.until(x, steps)", "problem.until(x, steps)",
+          "map_smoother::test_windows_joined_are_one_window_within_its_spread"),
+    Fault("estimators/map_smoother/wheel_liftoff.py", "(most < LIGHT", "(most < -LIGHT",
+          "map_smoother::test_below_a_wheel_that_flies_no_road_is_made_up"),
+    Fault("estimators/map_smoother/gauss_newton.py", "return excess / np.interp(", "return excess / np.interp(0.0 * ",
+          "map_smoother::test_a_tone_that_no_car_can_explain_is_hardly_listened_to"),
+    Fault("estimators/map_smoother/posterior_sampling.py", "coloured(np.sqrt(at.gain), white)", "coloured(at.gain, white)",
+          "map_smoother::test_coloured_noise_is_drawn_as_it_is_weighed"),
+    Fault("estimators/common/road_prior.py", "np.sin(np.pi * k * ds) /", "np.sin(np.pi * n * ds) /",
+          "map_smoother::test_long_waves_are_no_higher_than_the_longest_of_the_prior"),
+    Fault("estimators/common/road_prior.py", "rise = 2.0 *", "rise = 1.9 *",
+          "map_smoother::test_roads_of_white_noise_have_the_prior_s_density_and_coherence"),
+    Fault("estimators/map_smoother/objective.py", "self.x - self.transposed", "self.transposed",
+          "map_smoother::test_the_gradient_is_the_slope_of_the_cost"),
+    Fault("estimators/map_smoother/objective.py", "count / self.belief.noise", "count / 2.0 / self.belief.noise",
+          "map_smoother::test_on_a_linear_car_it_is_the_dense_gaussian_posterior"),
+    Fault("estimators/linear/fir_bank.py", "share * (1.0 - share) * XX", "share * XX",
+          "spatial_signals::test_the_normal_equations_are_least_squares_with_penalty_rows"),
+    Fault("estimators/linear/fir_bank.py", "(k == knot) * (1.0 - above)", "(k == knot) * above",
+          "spatial_signals::test_between_knots_and_states_taps_are_blended_station_by_station"),
+    Fault("estimators/common/spatial_signals.py", "0.5 * (lr + rr), roll]", "0.5 * (lr + rf), roll]",
+          "spatial_signals::test_the_three_motions_are_those_of_the_centre_line_and_the_roll"),
+    Fault("estimators/common/spatial_signals.py", "F_C, causal)", "F_C)",
+          "spatial_signals::test_a_causal_course_knows_nothing_beyond_its_reach"),
+    Fault("estimators/networks/trainer.py", "{**held, \"state\": moments}", "held",
+          "trainer::test_an_interrupted_teaching_ends_where_a_whole_one_does_to_the_bit"),
+    Fault("estimators/networks/trainer.py", "if error < self.best_error:", "if True:",
+          "trainer::test_the_weights_of_the_least_error_on_held_out_roads_are_kept"),
+    Fault("estimators/networks/trainer.py", "missing * FLIP[6:8]", "missing * FLIP[5:7]",
+          "trainer::test_a_stretch_in_the_mirror_has_roll_and_half_difference_turned_over"),
+    Fault("estimators/networks/narx.py", "if k >= d else", "if k > d else",
+          "narx::test_in_parallel_the_network_is_fed_its_own_answers_station_by_station"),
+    Fault("estimators/preprocessing.py", "np.maximum.accumulate(record.s)", "record.s",
+          "preprocessing::test_a_record_that_cannot_be_used_is_refused_with_the_reason"),
+    Fault("leaderboard/evaluation/pretraining.py", "== self.purpose", "!= \"\"",
+          "pretraining::test_an_unfinished_state_of_another_purpose_is_not_taken_up"),
+    Fault("leaderboard/running/plan.py", "if self._in_doubt:", "if False:",
+          "board::test_what_is_changed_while_entries_run_is_found_and_made_again"),
+    Fault("leaderboard/running/plan.py", "if result.failure is None:", "if True:",
+          "board::test_failures_are_tried_again_and_the_rest_of_the_entry_is_not_run"),
+    Fault("leaderboard/evaluation/store.py", "if checksum_of(text) != told:", "if False:",
+          "results::test_the_checksum_covers_every_byte_below_it"),
+    Fault("leaderboard/running/jobs.py", '"seeds": list(seeds),', "",
+          "board::test_a_change_runs_again_what_depends_on_it_and_no_more"),
+    Fault("road_envs/_atomic_io.py", "        partial.unlink(missing_ok=True)\n\n\ndef write_text", "        pass\n\n\ndef write_text",
+          "atomic_io::test_what_goes_wrong_leaves_the_old_file_and_nothing_else"),
+    Fault("leaderboard/sandbox/messages.py", "os.O_NOFOLLOW | os.O_NONBLOCK", "os.O_NONBLOCK",
+          "sandbox::test_what_an_entry_forges_is_not_believed"),
+    Fault("leaderboard/sandbox/namespaces.py", "AT_RECURSIVE, set_=ATTR_RDONLY", "0, set_=0",
+          "sandbox::test_in_namespaces_nothing_can_be_written_elsewhere_and_results_are_not_seen"),
+    Fault("road_envs/analysis/statistical_linearization.py", "for k in range(2, ORDERS + 1):\n        each = each * rho", "for k in range(2, ORDERS + 1):\n        each = rho",
+          "statistical_linearization::test_of_a_cube_the_triple_convolution_of_the_spectrum_remains"),
+    Fault("estimators/wiener/spectral_model.py", "np.real(np.einsum(\"fii->f\", matrices))", "np.abs(matrices[:, 0, 0])",
+          "wiener::test_noise_that_is_stronger_than_supposed_is_told_from_road"),
+    Fault("estimators/wiener/smoother.py", "q += RELAXATION * (expected - q)", "q -= RELAXATION * (expected - q)",
+          "wiener::test_taking_the_remainder_out_comes_much_nearer_to_the_bound"),
+    Fault("estimators/networks/std_calibration.py", "for _, far in COVERED])  # (2", "for far, _ in COVERED])  # (2",
+          "std_calibration::test_widths_that_follow_speed_states_and_level_are_found"),
+    Fault("leaderboard/evaluation/pretraining.py", "corpus.drive(k, True)", "corpus.drive(k)",
+          "std_calibration::test_what_is_written_is_taught_and_then_calibrated_by_the_car_as_described"),
+    Fault("estimators/networks/sequence_estimator.py", "widths(width, _told(read, network)) * read.level", "read.level",
+          "std_calibration::test_shipped_intervals_cover_what_they_promise_on_the_cars_own_roads"),
+    Fault("estimators/wiener/spectral_model.py", "shape = _shrunk(rough / level, octave, N_OCTAVES.size)", "pass",
+          "wiener::test_a_road_that_falls_otherwise_than_supposed_is_found_to"),
+    Fault("estimators/roughness/rms_regression.py", "inverse - np.outer(alpha, alpha)", "inverse + np.outer(alpha, alpha)",
+          "rms_regression::test_the_evidence_is_the_density_of_the_outputs_and_its_slope_that_of_differences"),
+    Fault("estimators/roughness/rms_regression.py", "np.diag(own) + noise -", "np.diag(own) -",
+          "rms_regression::test_a_prediction_is_the_conditional_of_the_joint_density"),
+    Fault("road_envs/data/training_corpus.py", "w=rng.uniform(1.6, 2.4)", "w=rng.uniform(1.6, 2.5)",
+          "pretrained_weights::test_shipped_linear_windows_are_those_of_the_corpus_as_it_is_driven_now"),
+    Fault("estimators/linear/inverse_quarter_car.py", "(m_u * p**2 * z_u + m_s)", "(m_u * p**2 * z_u)",
+          "inverse_quarter_car::test_it_is_the_inverse_of_the_quarter_car_in_state_space"),
+    Fault("estimators/linear/inverse_quarter_car.py", "(z[2:], wheelbase)", "(z[2:], 0.0)",
+          "inverse_quarter_car::test_of_the_difference_it_tells_the_mean_over_three_wheelbases"),
+    Fault("estimators/linear/inverse_quarter_car.py", "np.array([-car.rear.x, car.front.x])", "np.array([car.front.x, -car.rear.x])",
+          "inverse_quarter_car::test_the_corners_of_the_defender_are_those_of_its_description"),
+    Fault("estimators/kalman/road_process.py", "variance += weight * row[slot(newest - k, n) + part]", "pass",
+          EARLY),
+    Fault("estimators/kalman/road_process.py", "x[M], x[M + 1] = c * real - s * imaginary, s * real + c * imaginary", "x[M], x[M + 1] = c * real, c * imaginary",
+          EARLY),
+    Fault("estimators/kalman/road_process.py", "learnt[SUM] / learnt[WEIGHT], SMOOTHEST", "1.0, SMOOTHEST",
+          "kalman::test_the_level_of_the_road_is_learnt"),
+    Fault("estimators/kalman/road_process.py", "np.append(phi, 0.0) - np.append(0.0, phi)", "np.append(phi, 0.0)",
+          "kalman::test_the_road_ahead_goes_on_with_the_prior_s_density_and_coherence"),
+    Fault("estimators/kalman/filter.py", "variance -= both[r] ** 2", "pass",
+          EARLY),
+    Fault("estimators/kalman/filter.py", "news[s] -= both[r] * news[r]", "pass",
+          WHITE),
+    Fault("estimators/kalman/linearization.py", "sign = -1.0 if part == 1 and side == 1 else 1.0", "sign = 1.0",
+          EARLY),
+    Fault("estimators/kalman/linearization.py", "block.H[s, ZERO + s] = 1.0", "pass",
+          EARLY),
+    Fault("estimators/kalman/profile_output.py", "u[1] = -0.5 * fade * np.exp(-x) * (np.cos(x) - np.sin(x))", "u[1] = 0.0",
+          EARLY),
+    Fault("estimators/kalman/friction_linearization.py", "spread - both**2 / (x**2 @ weight)", "spread",
+          "kalman::test_a_force_over_an_uncertain_rate_is_its_mean_and_best_line_and_what_is_left"),
+    Fault("estimators/kalman/rts_smoother.py", "wanted[s] -= V[s, k] * r[k]", "pass",
+          DRIVEN),
+    Fault("estimators/kalman/rts_smoother.py", "VNV[s, s] += 1.0", "pass",
+          DRIVEN),
+    Fault("estimators/kalman/pipeline.py", "heard = smear + h", "heard = h",
+          "kalman::test_what_comes_later_changes_nothing_that_was_told_even_where_it_clips"),
+    Fault("estimators/roughness/spectral.py", "levels[k] /= 2.0", "pass",
+          "spectral_roughness::test_octaves_have_the_levels_and_classes_of_the_road"),
+    Fault("road_envs/data/measured_record.py", "s = s - s[0] + wheelbase", "s = s - s[0]",
+          "measured_record::test_the_road_of_a_measured_drive_is_the_road_under_its_wheels"),
+    Fault("road_envs/data/measured_record.py", "where=met & np.isnan(a)", "where=False",
+          "measured_record::test_where_nothing_stands_and_where_rows_are_missing_samples_are_lost"),
+    Fault("road_envs/data/measured_record.py", "        return a - mean\n", "        return a\n",
+          "measured_record::test_units_and_gravity_are_told_by_names_and_means"),
+    Fault("leaderboard/conformance/checks.py", "passed=None if refused else False", "passed=None",
+          "conformance_checks::test_a_refusal_in_a_sentence_is_noted_and_an_accident_is_a_failure"),
+    Fault("leaderboard/conformance/checks.py", "found[1] not in ACCIDENTS", "found[1]",
+          "conformance_checks::test_a_refusal_in_a_sentence_is_noted_and_an_accident_is_a_failure"),
+    Fault("leaderboard/conformance/checks.py", "outcome.estimate_seconds * asked / metres", "outcome.estimate_seconds",
+          "conformance_checks::test_time_is_reckoned_for_a_whole_condition_of_the_board"),
+    Fault("leaderboard/conformance/probes.py", "np.nanstd(record.a)", "np.std(record.a)",
+          "conformance_checks::test_a_record_of_the_field_car_can_be_probed"),
+    Fault("estimators/api.py", 'hasattr(cls, "fit") and lacks', "False",
+          "conformance_checks::test_what_cannot_be_made_fails_its_contract_and_is_asked_nothing"),
+    Fault("leaderboard/conformance/results.py", "version(), _examiner(), estimator", "version(), estimator",
+          "conformance_results::test_another_code_other_settings_or_another_examiner_have_no_card"),
+    Fault("leaderboard/running/board.py", "if result.code != entry.code:", "if False:",
+          "conformance_results::test_a_row_of_other_code_weights_or_settings_is_stale"),
+    Fault("leaderboard/evaluation/entries.py", "return shelf.shipped(name)", "return {}",
+          "conformance_results::test_estimators_of_this_package_are_known_by_code_and_weights"),
+    Fault("leaderboard/evaluation/entries.py", '{**entry.settings, "shipped": False}', "entry.settings",
+          "conformance_results::test_where_each_case_is_learnt_for_itself_a_quick_learner_leaves_its_weights_at_home"),
+    Fault("leaderboard/report/cache.py", "store.checksum(result),", "",
+          "site::test_a_site_that_shows_the_same_is_left_alone_and_any_change_builds_it"),
+    Fault("leaderboard/report/site.py", 'and stamp["sizes"] == sizes', "",
+          "site::test_a_site_that_shows_the_same_is_left_alone_and_any_change_builds_it"),
+    Fault("leaderboard/paper/study.py", 'replace(condition, grade="S0")', "condition",
+          "paper::test_the_test_road_is_driven_by_the_car_of_the_training_too"),
+    Fault("leaderboard/paper/published_figures.py", "if lost > 0.1", "if lost > -1.0",
+          "paper::test_the_reasons_follow_the_numbers_too"),
+    Fault("road_envs/_atomic_io.py", "or not _lock(owner)", "",
+          "atomic_io::test_a_temporary_folder_goes_with_its_owner_and_of_the_dead_at_the_next_start"),
+]  # fmt: skip
+
+
+def run_tests(tree: Path, tests: str) -> tuple[int, str]:
+    """Exit status and output of pytest in a tree."""
+    file, name = tests.split("::")
+    (path,) = (tree / "tests").glob(f"*/test_{file}.py")
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
+    command += ["--hypothesis-profile", "faults"]  # a red test need not look for its least example
+    settings = {"XDG_CACHE_HOME": str(tree / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(
+        [*command, f"{path}::{name}"],
+        cwd=tree,
+        env=os.environ | settings,
+        capture_output=True,
+        text=True,
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+def verdict(tree: Path, fault: Fault) -> str:
+    """The word "caught", or what went wrong."""
+    path = tree / fault.file
+    text = path.read_text(encoding="utf-8")
+    if text.count(fault.old) != 1:
+        return f"DOES NOT FIT: found {text.count(fault.old)} times"
+    path.write_text(text.replace(fault.old, fault.new), encoding="utf-8")
+    try:
+        status, output = run_tests(tree, fault.tests)
+    finally:
+        path.write_text(text, encoding="utf-8")
+    if status == 0:
+        return "SURVIVED"
+    return "caught" if status == 1 else f"BROKE THE RUN (status {status})\n{output[-800:]}"
+
+
+def main(wanted: str) -> int:
+    chosen = [f for f in FAULTS if wanted in f.file or wanted in f.old or wanted in f.new]
+    missed = 0
+    with tempfile.TemporaryDirectory() as folder:
+        tree = Path(folder)
+        for name in COPIED:
+            if (ROOT / name).is_dir():
+                ignore = shutil.ignore_patterns("__pycache__")
+                shutil.copytree(ROOT / name, tree / name, ignore=ignore)
+            else:
+                shutil.copy(ROOT / name, tree / name)
+        for tests in sorted({f.tests for f in chosen}):
+            status, output = run_tests(tree, tests)
+            if status != 0:
+                print(f"without any fault, {tests} is not green:\n{output[-2000:]}")
+                return 1
+        for fault in chosen:
+            start = time.perf_counter()
+            found = verdict(tree, fault)
+            missed += found != "caught"
+            spent = f"{time.perf_counter() - start:4.0f} s"
+            print(f"{found:8} {spent}  {fault.file}: {fault.old} -> {fault.new}", flush=True)
+    print(f"{len(chosen) - missed} of {len(chosen)} faults caught")
+    return 1 if missed or not chosen else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1] if len(sys.argv) > 1 else ""))

@@ -1,0 +1,105 @@
+"""Estimators for `check-estimator`: an honest one, and one for each vice. Loaded by name, in the
+process of an entry.
+"""
+
+import dataclasses
+import time
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from road_envs.data.record import Estimate, grid
+from road_envs.sensing.filters import process
+
+
+@dataclass(frozen=True, kw_only=True)
+class Honest:
+    """Left is made of one rear accelerometer, right of the other, whatever was lost bridged."""
+
+    causal: ClassVar[bool] = False
+
+    def estimate(self, record, car):
+        stations = grid(record.length)
+        a = np.array([_bridged(record.t, x) for x in record.a[1:]])
+        return Estimate(stations, -0.01 * record.at(stations, process(a, record.fs)))
+
+
+def _bridged(t, x):
+    here = np.isfinite(x)
+    return np.interp(t, t[here], x[here])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fragile(Honest):
+    """Lets lost samples through."""
+
+    def estimate(self, record, car):
+        z = -0.01 * record.at(grid(record.length), record.a[1:])
+        return Estimate(grid(record.length), z)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choosy(Honest):
+    """Says what it will not have; of a road that is short it only stumbles."""
+
+    def estimate(self, record, car):
+        if record.high[0, 0] != record.stiff[0, 0]:
+            raise ValueError("struts of this kind were never seen")
+        if record.length < 10.0:
+            return np.zeros(3)[int(record.t.size)]
+        return super().estimate(record, car)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seer(Honest):
+    """Says that it is causal, and filters both ways."""
+
+    causal: ClassVar[bool] = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dice(Honest):
+    """Another answer each time."""
+
+    def estimate(self, record, car):
+        told = super().estimate(record, car)
+        noise = 1e-6 * np.random.default_rng().standard_normal(told.z.shape)
+        return dataclasses.replace(told, z=told.z + noise)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slow(Honest):
+    """Takes 0.1 s for any record."""
+
+    def estimate(self, record, car):
+        time.sleep(0.1)
+        return super().estimate(record, car)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Broken(Honest):
+    def estimate(self, record, car):
+        raise RuntimeError("out of order")
+
+
+@dataclass
+class Melting:
+    causal: ClassVar[bool] = False
+
+    def estimate(self, record, car): ...
+
+
+@dataclass(frozen=True)
+class Untrainable(Honest):
+    def fit(self, records, truths, car, seed): ...
+
+
+@dataclass(frozen=True)
+class Alone(Honest):
+    def estimate(self, record): ...
+
+
+@dataclass(frozen=True)
+class Late(Honest):
+    lag: ClassVar[float] = -1.0

@@ -1,0 +1,92 @@
+"""The derivative of the step by dual numbers: the plain Python of the kernels, uncompiled.
+
+    NUMBA_DISABLE_JIT=1 python dual_numbers.py cases.npz derivatives.npz
+
+Reads `n_cases` and for each case its plant (`numbers` as bytes, `velocity`, `displacement`),
+`memory`, `y` (14,), `road` (16,), `turn` (4,), `h` and the changes `dy`, `droad`; writes the
+changes of the end (14,) and of the signals at the beginning (29,).
+"""
+
+import sys
+
+import numpy as np
+
+from road_envs.simulation import rosenbrock
+from road_envs.vehicle.equations import NUMBERS
+
+
+class Dual:
+    """x + d eps with eps² = 0. It has no way to become a float: a derivative cannot be lost."""
+
+    __array_ufunc__ = None
+
+    def __init__(self, x, d=0.0):
+        self.x, self.d = x, d
+
+    def __add__(self, other):
+        other = dual(other)
+        return Dual(self.x + other.x, self.d + other.d)
+
+    def __mul__(self, other):
+        other = dual(other)
+        return Dual(self.x * other.x, self.d * other.x + self.x * other.d)
+
+    def __pow__(self, n):
+        return Dual(self.x**n, n * self.x ** (n - 1.0) * self.d)
+
+    def __truediv__(self, other):
+        return self * dual(other) ** -1.0
+
+    def __rtruediv__(self, other):
+        return other * self**-1.0
+
+    def __neg__(self):
+        return Dual(-self.x, -self.d)
+
+    def __sub__(self, other):
+        return self + -dual(other)
+
+    def __rsub__(self, other):
+        return dual(other) - self
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __gt__(self, other):
+        return self.x > dual(other).x
+
+    def __lt__(self, other):
+        return self.x < dual(other).x
+
+    def __int__(self):
+        return int(self.x)
+
+
+def dual(x):
+    """`x`, or a number that does not change."""
+    return x if isinstance(x, Dual) else Dual(float(x))
+
+
+def duals(x, d):
+    """An array of objects."""
+    return np.array([Dual(a, b) for a, b in zip(x.tolist(), d.tolist(), strict=True)], dtype=object)
+
+
+def main(cases, derivatives):
+    """Each case's derivative."""
+    given = np.load(cases)
+    end, signals = [], []
+    for i in range(int(given["n_cases"])):
+        case = {key.split("/")[1]: given[key] for key in given if key.startswith(f"{i}/")}
+        p = np.frombuffer(case["numbers"].tobytes(), dtype=NUMBERS).view(np.recarray)[0]
+        work = rosenbrock.Work(*(np.empty(a.shape, dtype=object) for a in rosenbrock.workspace()))
+        y, out = duals(case["y"], case["dy"]), np.empty(rosenbrock.SIGNALS, dtype=object)
+        world = (duals(case["road"], case["droad"]), case["turn"], float(case["h"]))
+        tables = case["velocity"], case["displacement"], case["memory"]
+        rosenbrock.step(p, *tables, y[:7], y[7:], *world, work, out)
+        end.append([dual(a).d for a in y])
+        signals.append([dual(a).d for a in out])
+    np.savez(derivatives, end=end, signals=signals)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

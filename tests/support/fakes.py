@@ -1,0 +1,139 @@
+"""Drives without a car, and entries that know it: what the judge is tested with.
+
+The first two "accelerometers" report the heights of the wheel paths themselves, so that an entry is
+as good or as bad as a test wants, and a drive costs a millisecond.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+
+from estimators.api import NotFittedError
+from leaderboard.evaluation.tasks import Condition, Drives, Task
+from leaderboard.evaluation.test_data import Drive
+from road_envs.config import build
+from road_envs.data.record import Estimate, Profile, Record, grid
+
+RATE = 400.0
+
+
+def task(name: str = "small", **changes) -> Task:
+    """A task of two conditions on class-D roads of 40 m."""
+    settings = {
+        "name": name,
+        "title": "Two short roads",
+        "board": "new_road",
+        "version": 1,
+        "car": "land_rover_defender_110",
+        "instruments": "paper",
+        "conditions": [
+            {"mode": "ride", "speed_kmh": 14.5},
+            {"mode": {"front": "ride", "rear": "handling"}, "speed_kmh": 54.0},
+        ],
+        "training": {"roads": ["iso_d"], "seeds": [1, 2], "length": 40.0},
+        "test": {"roads": ["iso_d"], "seeds": [11, 12, 13], "length": 40.0},
+    }
+    return build(Task, {**settings, **changes}, name)
+
+
+def fake_drives(task: Task, drives: Drives, condition: Condition):
+    """As `leaderboard.evaluation.test_data.simulated`, of sensors that see the road itself."""
+    for road, seed in drives.pairs:
+        surface = road.realise(np.random.default_rng(seed))
+        v = condition.speed_kmh / 3.6
+        t = np.arange(int(surface.length / v * RATE) + 2) / RATE
+        s = v * t
+        noise = np.random.default_rng([seed, 1]).standard_normal((1, t.size))
+        state = np.zeros((t.size, 4), dtype=bool)
+        a = np.concatenate([surface.height(s), noise])
+        record = Record(t, a, np.full(t.size, v), s, state, state, surface.length)
+        stations = grid(surface.length)
+        truth = Profile(stations, surface.height(stations))
+        yield Drive(surface.name, seed, record, truth, surface.notes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reader:
+    """Reports the truth times `gain`."""
+
+    causal: ClassVar[bool] = False
+
+    gain: float = 0.9
+
+    def estimate(self, record, car) -> Estimate:
+        stations = grid(record.length)
+        return Estimate(stations, self.gain * record.at(stations, record.a[:2]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Learner:
+    """Its gain is drawn when it is trained; `spread` 0 draws nothing."""
+
+    causal: ClassVar[bool] = False
+
+    spread: float = 0.2
+    gain: float = field(default=np.nan, init=False)
+
+    def fit(self, records: Sequence[Record], truths: Sequence[Profile], car, seed: int):
+        twin = replace(self)
+        drawn = 1.0 + self.spread * np.random.default_rng(seed).standard_normal()
+        object.__setattr__(twin, "gain", drawn)
+        return twin
+
+    def estimate(self, record, car) -> Estimate:
+        return Reader(gain=self.gain).estimate(record, car)
+
+    def weights(self) -> dict[str, np.ndarray]:
+        if np.isnan(self.gain):
+            raise NotFittedError("call fit() first")
+        return {"gain": np.array([self.gain])}
+
+    def with_weights(self, weights: Mapping[str, np.ndarray]):
+        return self
+
+
+@dataclass(frozen=True, kw_only=True)
+class Doubtful:
+    """Says how far it may be off."""
+
+    causal: ClassVar[bool] = False
+
+    std: float
+
+    def estimate(self, record, car) -> Estimate:
+        stations = grid(record.length)
+        z = np.zeros((stations.size, 2)).T  # by columns, as some numpy code leaves it
+        return Estimate(stations, z, np.full_like(z, self.std))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Broken:
+    """Goes wrong in the manner asked for."""
+
+    causal: ClassVar[bool] = True
+
+    how: str
+
+    def estimate(self, record, car) -> Estimate:
+        stations = grid(record.length)
+        z = np.zeros((2, stations.size))
+        match self.how:
+            case "raises":
+                raise RuntimeError("no idea")
+            case "exits":
+                raise SystemExit(3)
+            case "nan":
+                z[1, 5] = np.nan
+            case "short":
+                stations, z = stations[:-1], z[:, :-1]
+            case "one path":
+                z = z[0]
+            case "scribbles":
+                record.a[:] = 0.0
+            case "text":
+                return "a road"
+            case "absurd":
+                z[:] = 1e200 * np.sin(stations)
+        return Estimate(stations, z)

@@ -1,0 +1,135 @@
+"""Cars, states and drives that the tests of the physics have in common."""
+
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import strategies as st
+
+from road_envs.roads.surface import Surface
+from road_envs.simulation import rosenbrock
+from road_envs.vehicle.equations import accelerations, plant
+from road_envs.vehicle.force_curves import Curve
+from road_envs.vehicle.parameters import (
+    Axle,
+    Frame,
+    Individual,
+    ModeCurves,
+    VehicleParameters,
+    load_vehicle,
+)
+from road_envs.vehicle.suspension import command, memory_at_rest
+
+DEFENDER = load_vehicle("land_rover_defender_110")
+
+
+def lopsided() -> VehicleParameters:
+    """A car on which nothing in front is as behind, with a polytropic gas and a slow valve."""
+    front = Axle(x=1.2, m=190.0, I_xx=27.0, y_s=0.5, y_t=0.72, k_t=230000.0, c_t=900.0)
+    rear = Axle(x=-1.6, m=260.0, I_xx=41.0, y_s=0.6, y_t=0.78, k_t=310000.0, c_t=1500.0)
+    strut = replace(DEFENDER.strut, n_p=1.3, p_stat=1.9e6, x_1=0.06, x_2=0.17)
+    valve = replace(DEFENDER.valve, lag=0.004, equalisation=0.05)
+    return replace(
+        DEFENDER,
+        name="lopsided",
+        m_b=1500.0,
+        I_xx=600.0,
+        I_yy=2600.0,
+        h_cg=1.1,
+        roll_centre=0.4,
+        pitch_centre=0.7,
+        front=front,
+        rear=rear,
+        strut=strut,
+        valve=valve,
+    )
+
+
+def lossless(car: VehicleParameters) -> VehicleParameters:
+    """The same car without dampers, friction and tyre damping."""
+    nothing = Curve(x=(-3.0, 3.0), F=(0.0, 0.0))
+    none = ModeCurves(ride=nothing, handling=nothing)
+    return replace(
+        car,
+        front=replace(car.front, c_t=0.0),
+        rear=replace(car.rear, c_t=0.0),
+        strut=replace(car.strut, damper=none, friction=none),
+    )
+
+
+CARS = {"defender": DEFENDER, "lopsided": lopsided()}
+PLANTS = {name: plant(car) for name, car in CARS.items()}
+LEANING = {name: plant(car, manoeuvres=True) for name, car in CARS.items()}
+ODD = Individual(
+    gas=(1.03, 0.96, 0.99, 1.02),
+    damper=(1.1, 0.85, 1.2, 0.9),
+    friction=(0.8, 1.3, 1.1, 0.9),
+    bushing=(1.2, 0.9, 0.8, 1.1),
+    tyre=(1.06, 0.95, 0.9, 1.08),
+    tyre_progression=4.0,
+    roll_stiffness=(5000.0, 2000.0),
+)
+"""No two struts or tyres alike; and the same with a frame that twists."""
+TWISTING = replace(ODD, frame=Frame(f=11.0, zeta=0.05))
+ODDS = {"odd": ODD, "twisting": TWISTING}
+ODD_PLANTS = {name: plant(CARS["lopsided"], individual=one) for name, one in ODDS.items()}
+ODD_LEANING = {name: plant(CARS["lopsided"], True, one) for name, one in ODDS.items()}
+LEVEL = Surface(np.zeros((2, 8)), 1.0, name="level")
+STILL = np.zeros(4)
+
+
+def vectors(size: int, *bounds: float):
+    """Arrays (size,) within ±bounds, which repeat."""
+    limits = [bounds[i % len(bounds)] for i in range(size)]
+    return st.tuples(*(st.floats(-b, b) for b in limits)).map(np.array)
+
+
+coordinates = vectors(7, 0.12, 0.1, 0.08, 0.08, 0.08, 0.08, 0.08)
+rates = vectors(7, 2.0, 2.0, 1.0, 3.0, 2.0, 3.0, 2.0)
+shares = st.sampled_from([0.0, 1.0]) | st.floats(0.0, 1.0)
+memories = st.tuples(
+    *(st.tuples(st.floats(-0.03, 0.03), shares, shares) for _ in range(4)),
+).map(np.array)
+"""Each strut with a memory of its own: no car of these is symmetric."""
+
+
+def accelerate(
+    plant, memory, q, v, z_r=STILL, w_r=STILL, turn=(0.0, 0.0), kernel=accelerations
+) -> np.ndarray:
+    """Accelerations (7,) by the kernel; with the frame's twist, eight of everything."""
+    out = np.empty(len(q))
+    kernel(*plant.arrays, memory, q, v, z_r, w_r, out, *turn)
+    return out
+
+
+def roll_on(
+    plant, y, *, h, steps, surface=LEVEL, speed=10.0, s_0=0.0, memory=None, mode="ride", turn=None
+):
+    """Signals (steps, 29) from the state `y`, which is driven on in place, as is `memory`.
+
+    A flexible car has 32. `turn`, if given, is the manoeuvre's a_x and a_y (2 steps + 1, 2) at
+    every half step.
+    """
+    if memory is None:
+        memory = memory_at_rest(command(mode))
+    stiff, high = memory[:, 1] == 0.0, memory[:, 2] == 1.0
+    byte = sum((int(stiff[w]) << w) | (int(high[w]) << (4 + w)) for w in range(4))
+    s = s_0 + speed * 0.5 * h * np.arange(2 * steps + 1)
+    turn = np.zeros((s.size, 2)) if turn is None else turn
+    road = (surface.padded, surface.start, surface.ds, s, np.full(s.size, speed), turn)
+    valve = (np.full(steps, byte, dtype=np.uint8), 0.01, h)
+    more = (True,) if plant.flexible else ()
+    out = np.empty((steps, rosenbrock.signals_of(plant)))
+    rosenbrock.drive(*plant.arrays, memory, y, *road, *valve, out, *more)
+    return out
+
+
+def smooth_road(length=40.0, height=0.03, ds=0.02, seed=3) -> Surface:
+    """Rounded hills, other ones left and right, over level ends."""
+    s = ds * np.arange(round(length / ds) + 1)
+    rng = np.random.default_rng(seed)
+    z = np.zeros((2, s.size))
+    for wavelength in (9.0, 4.1, 2.3, 1.1):
+        phase = rng.uniform(0.0, 2.0 * np.pi, (2, 1))
+        z += np.sqrt(wavelength / 9.0) * np.sin(2.0 * np.pi * s / wavelength + phase)
+    window = np.clip(np.minimum(s, length - s) / 3.0, 0.0, 1.0)
+    return Surface(height * z * window**3 * (10.0 - 15.0 * window + 6.0 * window**2), ds)

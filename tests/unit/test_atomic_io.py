@@ -1,0 +1,131 @@
+"""Files are written whole or not at all, and what a killed writer leaves is swept away."""
+
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from road_envs import _atomic_io
+from road_envs._atomic_io import Scratch, sweep, sweep_scratch, whole, write_text
+
+
+def test_a_file_takes_its_place_only_when_it_is_complete(tmp_path):
+    path = tmp_path / "name.txt"
+    write_text(path, "old")
+    with whole(path) as partial:
+        partial.write_text("half")
+        assert path.read_text() == "old"
+        partial.write_text("whole")
+    assert path.read_text() == "whole" and os.listdir(tmp_path) == ["name.txt"]
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+@pytest.mark.parametrize("durable", [False, True])
+def test_what_goes_wrong_leaves_the_old_file_and_nothing_else(tmp_path, error, durable):
+    path = tmp_path / "name.txt"
+    write_text(path, "old")
+    with pytest.raises(type(error)), whole(path, durable=durable) as partial:
+        partial.write_text("half")
+        raise error
+    assert path.read_text() == "old" and os.listdir(tmp_path) == ["name.txt"]
+
+
+def test_a_durable_file_has_reached_the_disk_before_it_takes_its_place(tmp_path, monkeypatch):
+    done = []
+    fsync, replace = os.fsync, os.replace
+    monkeypatch.setattr(_atomic_io.os, "fsync", lambda handle: (done.append("disk"), fsync(handle)))
+    monkeypatch.setattr(_atomic_io.os, "replace", lambda *a: (done.append("place"), replace(*a)))
+    write_text(tmp_path / "a" / "name.txt", "text", durable=True)
+    assert done == ["disk", "place", "disk"]  # the file, then the folder that names it
+    assert (tmp_path / "a" / "name.txt").read_text() == "text"
+
+
+def test_writers_of_one_file_do_not_write_into_each_other(tmp_path):
+    path, together = tmp_path / "name.txt", threading.Barrier(4)
+
+    def write(letter):
+        with whole(path) as partial:
+            together.wait(10)
+            partial.write_text(letter * 100_000)
+            together.wait(10)
+
+    threads = [threading.Thread(target=write, args=(letter,)) for letter in "abcd"]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    text = path.read_text()
+    assert text == text[0] * 100_000 and os.listdir(tmp_path) == ["name.txt"]
+
+
+KILLED = """
+import os, sys
+from road_envs._atomic_io import whole
+with whole(sys.argv[1]) as partial:
+    partial.write_text("half")
+    os.kill(os.getpid(), 9)
+"""
+
+
+def test_what_a_killed_writer_left_is_swept_and_what_a_living_one_writes_is_not(tmp_path):
+    folder = tmp_path / "deep"
+    folder.mkdir()
+    done = subprocess.run([sys.executable, "-c", KILLED, str(folder / "name.txt")])
+    assert done.returncode == -9
+    (left,) = folder.iterdir()
+    (folder / ".other.txt.elsewhere-999999-1-0.partial").write_text("of another machine")
+    with whole(folder / "mine.txt") as partial:
+        partial.write_text("being written")
+        sweep(tmp_path)
+        assert partial.exists() and not left.exists()
+    assert sorted(os.listdir(folder)) == [".other.txt.elsewhere-999999-1-0.partial", "mine.txt"]
+
+
+HOLDS = """
+import sys, time
+from road_envs._atomic_io import Scratch
+with Scratch() as folder:
+    (folder / "large").mkdir()
+    (folder / "large" / "file").write_text("text")
+    print(folder, flush=True)
+    time.sleep(1000.0)
+"""
+
+
+def holder(tmp_path):
+    """A process with a temporary folder, and the folder."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLDS],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+    )
+    with process.stdout as said:
+        return process, Path(said.readline().strip())
+
+
+def test_a_temporary_folder_goes_with_its_owner_and_of_the_dead_at_the_next_start(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(_atomic_io.tempfile, "tempdir", str(tmp_path))
+    (tmp_path / "roadrecon-my-road").mkdir()  # such as a newcomer's package
+    (tmp_path / f"{_atomic_io.SCRATCH}of-somebody").mkdir()  # without a lock
+    others = sorted(tmp_path.iterdir())
+    living, his = holder(tmp_path)
+    dead, left = holder(tmp_path)
+    try:
+        dead.kill()
+        dead.wait()
+        with Scratch() as mine:
+            assert mine.parent == tmp_path and (left / "large" / "file").exists()
+            assert sweep_scratch() == [left]
+            assert sorted(tmp_path.iterdir()) == sorted([*others, mine, his])
+            assert (his / "large" / "file").exists()
+        assert not mine.exists()
+    finally:
+        living.kill()
+        living.wait()
+    assert sweep_scratch() == [his] and sorted(tmp_path.iterdir()) == others

@@ -1,0 +1,111 @@
+"""The Wk weighting against the values and the signal tests of the standards."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles_roads import wk_weight
+from scipy.signal import freqz, sosfilt, sosfilt_zi
+
+from road_envs.analysis import comfort
+
+WEIGHTS = {1: 0.482, 2: 0.531, 4: 0.967, 5: 1.039, 8: 1.036, 12.5: 0.902, 16: 0.768, 31.5: 0.405}
+BURSTS = {1: 0.0299, 2: 0.0411, 4: 0.0577, 8: 0.0814, 16: 0.115, None: 0.362}
+
+
+def digital(fs, f):
+    """Gain of the digital filter, section by section from its coefficients."""
+    gains = [np.abs(freqz(s[:3], s[3:], worN=f, fs=fs)[1]) for s in comfort.wk_sos(fs)]
+    return np.prod(gains, axis=0)
+
+
+def saw_tooth(periods, fs=1000.0):
+    """Bursts of `periods` (None: no end) of 100 rad/s and 1 m/s², at 1, 11, ... 51 s of 60 s."""
+    t = np.arange(60 * round(fs)) / fs
+    turns = (t - 1.0) * 100.0 / (2.0 * np.pi)
+    if periods is not None:
+        turns = ((t - 1.0) % 10.0) * 100.0 / (2.0 * np.pi)
+        turns[(turns >= periods) | (t < 1.0)] = 0.0
+    return (
+        2.0 * (turns + 0.5 - np.floor(turns + 0.5)) - 1.0
+        if periods is None
+        else (2.0 * (turns - np.floor(turns + 0.5)))
+    )
+
+
+def test_the_analogue_weights_are_the_tabulated_ones():
+    np.testing.assert_allclose(comfort.wk(list(WEIGHTS)), list(WEIGHTS.values()), atol=7e-4)
+
+
+def test_the_analogue_weight_is_the_product_of_the_printed_magnitudes():
+    f = np.geomspace(0.05, 400.0, 200)
+    np.testing.assert_allclose(comfort.wk(f), wk_weight(f), rtol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("fs", "up_to", "within"),
+    [(2000.0, 31.5, 3e-4), (1000.0, 31.5, 1e-3), (500.0, 31.5, 3e-3), (200.0, 31.5, 0.016),
+     (100.0, 20.0, 0.022)],
+)  # fmt: skip
+def test_the_digital_weights_are_as_close_as_they_claim(fs, up_to, within):
+    f = np.geomspace(0.5, up_to, 100)
+    np.testing.assert_allclose(digital(fs, f), wk_weight(f), rtol=within)
+
+
+@pytest.mark.parametrize("periods", BURSTS)
+def test_saw_tooth_bursts_have_the_rms_of_the_standard(periods):
+    rms = comfort.weighted_rms(saw_tooth(periods), 1000.0)
+    assert rms == pytest.approx(BURSTS[periods], rel=0.02)  # the standard allows 10 %
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.floats(30.0, 20000.0))
+def test_the_filter_is_stable_at_any_rate(fs):
+    sos = comfort.wk_sos(fs)
+    assert sos.shape == (4, 6)
+    for section in sos:
+        assert np.abs(np.roots(section[3:])).max() < 1.0
+
+
+def test_a_steady_sine_has_the_rms_of_its_weight():
+    t = np.arange(0.0, 200.0, 1e-3)
+    rms = comfort.weighted_rms(np.sin(2.0 * np.pi * 4.0 * t), 1000.0)
+    assert rms == pytest.approx(WEIGHTS[4] / np.sqrt(2.0), rel=2e-3)
+
+
+def test_gravity_is_not_felt_in_the_long_run():
+    a = comfort.weighted(np.full(60000, 9.81), 1000.0)
+    assert np.abs(a[-1000:]).max() < 1e-6
+
+
+def test_the_dose_of_a_steady_sine_grows_with_the_fourth_root_of_time():
+    t = np.arange(0.0, 160.0, 2e-3)
+    a = np.sin(2.0 * np.pi * 8.0 * t)
+    expected = WEIGHTS[8] * (3.0 / 8.0 * 160.0) ** 0.25  # mean of sin^4 is 3/8
+    assert comfort.vdv(a, 500.0) == pytest.approx(expected, rel=5e-3)
+    half = comfort.vdv(a[: a.size // 2], 500.0)
+    assert comfort.vdv(a, 500.0) / half == pytest.approx(2.0**0.25, rel=1e-3)
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.integers(0, 2**32), st.integers(1, 999))
+def test_a_signal_may_be_weighted_piece_by_piece(seed, cut):
+    a = np.random.default_rng(seed).standard_normal(1000)
+    sos = comfort.wk_sos(400.0)
+    zi = np.zeros_like(sosfilt_zi(sos))
+    head, zi = sosfilt(sos, a[:cut], zi=zi)
+    tail, _ = sosfilt(sos, a[cut:], zi=zi)
+    np.testing.assert_allclose(np.r_[head, tail], comfort.weighted(a, 400.0), atol=1e-12)
+
+
+def test_channels_are_weighted_each_for_itself():
+    a = np.random.default_rng(3).standard_normal((3, 5000))
+    each = [comfort.weighted_rms(row, 250.0) for row in a]
+    np.testing.assert_allclose(comfort.weighted_rms(a, 250.0), each)
+    np.testing.assert_allclose(comfort.vdv(2.0 * a, 250.0), 2.0 * comfort.vdv(a, 250.0))
+
+
+@pytest.mark.parametrize("fs", [0.0, -1.0, np.nan, np.inf])
+def test_an_impossible_sampling_rate_is_refused(fs):
+    with pytest.raises(ValueError, match="fs"):
+        comfort.wk_sos(fs)

@@ -1,0 +1,211 @@
+"""Roads made of other roads: what they are made of can be found again in them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from road_envs.config import ConfigError
+from road_envs.roads import Road, load_road, with_length
+from road_envs.roads.composite import Fixed, Flat
+from road_envs.roads.iso8608 import Iso8608
+from road_envs.roads.layout import Joined, Offset, Repeated, RunIn, Scaled, Summed
+
+ISO = Iso8608(road_class="C", length=20.0)
+BUMP = load_road("bump_small")
+
+
+def rng(seed=0):
+    return np.random.default_rng(seed)
+
+
+def test_a_run_in_is_level_and_the_road_follows_it():
+    alone = ISO.realise(rng())
+    surface = RunIn(road=ISO, before=5.0, after=7.0).realise(rng())
+    assert surface.end == pytest.approx(32.0)
+    np.testing.assert_array_equal(surface.height(np.linspace(0.0, 5.0, 40)), 0.0)
+    s = np.linspace(0.0, 20.0, 333)
+    np.testing.assert_allclose(surface.height(5.0 + s), alone.height(s), atol=1e-10)
+    end = surface.height(np.linspace(25.0, 32.0, 40))
+    np.testing.assert_allclose(end, alone.z[:, -1:] * np.ones(40), atol=1e-12)
+
+
+def test_an_offset_road_meets_the_left_and_the_right_wheel_at_other_places():
+    alone = BUMP.realise(rng())
+    road = Offset(road=BUMP, left=0.25, right=1.5)
+    surface, s = road.realise(rng()), np.linspace(-1.0, BUMP.length + 1.0, 999)
+    assert road.length == BUMP.length + 1.5
+    np.testing.assert_allclose(surface.height(s + 0.25)[0], alone.height(s)[0], atol=1e-10)
+    np.testing.assert_allclose(surface.height(s + 1.5)[1], alone.height(s)[1], atol=1e-10)
+
+
+@settings(max_examples=40)
+@given(st.floats(-3.0, 3.0).filter(lambda x: abs(x) > 0.01), st.floats(0.1, 5.0))
+def test_a_scaled_road_is_as_high_and_as_long_as_its_factors_say(height, length):
+    alone = ISO.realise(rng())
+    road = Scaled(road=ISO, height_factor=height, length_factor=length)
+    surface, s = road.realise(rng()), np.linspace(0.0, 20.0, 100)
+    assert surface.end == pytest.approx(road.length) == pytest.approx(20.0 * length)
+    np.testing.assert_allclose(surface.height(length * s), height * alone.height(s), atol=1e-9)
+    np.testing.assert_allclose(
+        surface.slope(length * s), height / length * alone.slope(s), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize(("repeat", "sign"), [("repeat", 1.0), ("mirror", -1.0)])
+def test_a_repeated_road_is_one_draw_again_and_again(repeat, sign):
+    surface = Repeated(road=ISO, length=90.0, repeat=repeat).realise(rng(4))
+    s = np.linspace(0.0, 20.0, 200)
+    for start in (40.0, 80.0) if repeat == "mirror" else (20.0, 40.0, 60.0):
+        there = surface.height(start + sign * s[:100])
+        np.testing.assert_allclose(there, surface.height(s[:100]), atol=1e-10)
+    assert surface.end == pytest.approx(90.0)
+    assert "times to 90 m" in surface.notes[-1]
+    alone = ISO.realise(rng(4))
+    rise = alone.z[:, -1:] * s / 20.0 if repeat == "repeat" else 0.0
+    np.testing.assert_allclose(surface.height(s), alone.height(s) - rise, atol=1e-5)
+
+
+def test_joined_roads_follow_one_another_without_a_step():
+    parts = (Fixed(road=ISO, seed=1), BUMP, Fixed(road=Iso8608(G_d0=1e-3, ds=0.04), seed=2))
+    surface = Joined(roads=parts).realise(rng())
+    assert surface.end == pytest.approx(20.0 + BUMP.length + 100.0)
+    assert surface.ds == 0.005
+    start = 0.0
+    for part in parts:
+        # a surface is level from one sample beyond its ends
+        alone, s = part.realise(rng()), np.arange(0.05, part.length - 0.05, 0.005)
+        moved = surface.height(start + s) - surface.height(start)[:, None]
+        np.testing.assert_allclose(moved, alone.height(s), atol=1e-9)
+        start += part.length
+
+
+def test_a_road_more_at_the_end_changes_none_before_it():
+    two = Joined(roads=(ISO, ISO)).realise(rng(7))
+    three = Joined(roads=(ISO, ISO, ISO)).realise(rng(7))
+    np.testing.assert_array_equal(three.z[:, : two.z.shape[1]], two.z)
+    first, second = two.z[:, :2001], two.z[:, 2000:] - two.z[:, 2000:2001]
+    assert np.abs(first - second).max() > 0.01
+
+
+def test_summed_roads_lie_on_top_of_one_another():
+    parts = (Fixed(road=ISO, seed=1), BUMP, Flat(length=30.0))
+    surface = Summed(roads=parts).realise(rng())
+    s = np.arange(0.0, 30.0, 0.005)
+    expected = sum(part.realise(rng()).height(s) for part in parts)
+    np.testing.assert_allclose(surface.height(s), expected, atol=1e-9)
+    assert surface.end == pytest.approx(30.0)
+
+
+# any road
+
+
+leaves = st.one_of(
+    st.builds(lambda x: {"kind": "flat", "length": x}, st.floats(0.5, 9.0)),
+    st.builds(
+        lambda x, n: {"kind": "iso8608", "road_class": "E", "length": x, "n_min": n, "ds": 0.05},
+        st.floats(0.5, 9.0), st.floats(0.1, 1.0),
+    ),
+    st.just({"kind": "sweep", "length": 6.0, "n_start": 0.3, "n_end": 2.0, "amplitude": 0.1,
+             "amplitude_end": 0.01, "taper": 0.0}),
+    st.just("bump_asymmetric"),
+)  # fmt: skip
+metres = st.floats(0.0, 5.0)
+
+
+def wrapped(road):
+    return st.one_of(
+        st.builds(lambda r, a, b: {"kind": "run_in", "road": r, "before": a, "after": b},
+                  road, metres, metres),
+        st.builds(lambda r, a, b: {"kind": "offset", "road": r, "left": a, "right": b},
+                  road, metres, metres),
+        st.builds(lambda r, a, b: {"kind": "scaled", "road": r, "height_factor": a,
+                                   "length_factor": b}, road, st.floats(-2.0, -0.1),
+                  st.floats(0.3, 3.0)),
+        st.builds(lambda r, a, b: {"kind": "repeated", "road": r, "length": a, "repeat": b},
+                  road, st.floats(2.0, 60.0), st.sampled_from(["repeat", "mirror"])),
+        st.builds(lambda k, r: {"kind": k, "roads": r}, st.sampled_from(["joined", "summed"]),
+                  st.lists(road, min_size=1, max_size=3)),
+    )  # fmt: skip
+
+
+@settings(max_examples=150)
+@given(st.recursive(leaves, wrapped, max_leaves=6), st.integers(0, 2**32))
+def test_roads_of_roads_of_roads_keep_the_contract(mapping, seed):
+    road = load_road(mapping)
+    assert isinstance(road, Road) and hash(road) == hash(load_road(mapping))
+    surface, again = road.realise(rng(seed)), road.realise(rng(seed))
+    np.testing.assert_array_equal(surface.z, again.z)
+    # an offset of a part of a step lies where the cubic leaves the level before the first sample
+    np.testing.assert_allclose(surface.z[:, 0], 0.0, atol=1e-12 + 0.1 * np.ptp(surface.z))
+    assert surface.start == 0.0
+    assert surface.end == pytest.approx(road.length, abs=surface.ds)
+
+
+@settings(max_examples=15)
+@given(st.integers(0, 2**32))
+def test_a_road_that_is_wrapped_is_drawn_as_it_is_alone(seed):
+    alone = ISO.realise(rng(seed)).z
+    for road in (RunIn(road=ISO, before=0.0, after=0.0), Offset(road=ISO), Scaled(road=ISO)):
+        np.testing.assert_allclose(road.realise(rng(seed)).z, alone, atol=1e-12)
+
+
+# lengths and settings
+
+
+@pytest.mark.parametrize(
+    "road",
+    [RunIn(road=ISO, before=4.0, after=3.0), Offset(road=ISO, left=2.0),
+     Repeated(road=ISO, length=5.0),
+     Scaled(road=RunIn(road=ISO), length_factor=0.3), load_road("iso_c_varying")],
+    ids=lambda road: type(road).__name__,
+)  # fmt: skip
+def test_a_road_made_of_one_other_can_be_asked_for_at_another_length(road):
+    longer = with_length(road, 70.0)
+    assert type(longer) is type(road)
+    assert longer.length == pytest.approx(70.0)
+    assert longer.realise(rng()).end == pytest.approx(70.0, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("source", "says"),
+    [
+        ({"name": "iso_changing", "length": 30.0}, "follows from its other settings"),
+        ({"name": "iso_b_potholes", "length": 30.0}, "follows from its other settings"),
+        ({"name": "washboard_oblique", "length": "30"}, "length must be a number"),
+        ({"name": "washboard_oblique", "length": 0.1}, "length must be positive"),
+        ({"kind": "joined", "roads": []}, "at least one road"),
+        ({"kind": "summed", "roads": []}, "at least one road"),
+        ({"kind": "summed", "roads": ["flat", "flot"]}, "did you mean 'flat'"),
+        ({"kind": "joined", "roads": "flat"}, "roads"),
+        ({"kind": "run_in", "road": "flat", "before": -1.0}, "before must not be negative"),
+        ({"kind": "offset", "road": "flat", "right": float("inf")}, "right must not be negative"),
+        ({"kind": "scaled", "road": "flat", "height_factor": 0.0}, "height_factor must not be 0"),
+        ({"kind": "scaled", "road": "flat", "length_factor": -1.0}, "length_factor"),
+        ({"kind": "repeated", "road": "flat", "length": 5.0, "repeat": "none"}, "repeat"),
+        ({"kind": "repeated", "road": "flat", "length": 0.0}, "length must be positive"),
+    ],
+)
+def test_a_wrong_layout_is_one_sentence_about_the_culprit(source, says):
+    with pytest.raises(ConfigError) as error:
+        load_road(source)
+    assert says in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "road",
+    [RunIn(road=BUMP, before=1e9), Offset(road=BUMP, right=1e9), Repeated(road=BUMP, length=1e9),
+     Joined(roads=(BUMP, RunIn(road=Flat(), after=1e9)))],
+    ids=lambda road: type(road).__name__,
+)  # fmt: skip
+def test_a_road_too_long_for_a_computer_is_refused_when_it_is_drawn(road):
+    with pytest.raises(ConfigError, match="more than 50,000,000 samples"):
+        road.realise(rng())
+
+
+def test_paths_of_files_among_the_roads_of_a_yaml_file_are_relative_to_it(tmp_path):
+    (tmp_path / "short.csv").write_text("".join(f"{k},{k % 3}\n" for k in range(9)))
+    text = "kind: joined\nroads: [flat, {kind: scaled, road: {kind: measured, path: short.csv}}]\n"
+    (tmp_path / "road.yaml").write_text(text)
+    assert load_road(tmp_path / "road.yaml").length == 108.0

@@ -1,0 +1,217 @@
+"""Configuration: what is wrong is said in one sentence, what is shipped loads and has sources."""
+
+import copy
+import datetime
+from dataclasses import dataclass
+
+import pytest
+
+from road_envs import config
+from road_envs.config import ConfigError, build, load, names, one_of, read_yaml
+from road_envs.sensing.data_logger import Instruments
+from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.perturbed_vehicle import Deviations
+
+DEFENDER = read_yaml(config.find("vehicles", "land_rover_defender_110"))
+PAPER = read_yaml(config.find("sensors", "paper"))
+GONE = object()
+
+
+def changed(data, path, value):
+    """A copy of `data` with `value` at the dotted `path`; GONE takes the key away."""
+    data = copy.deepcopy(data)
+    *parents, last = path.split(".") if isinstance(path, str) else (path,)
+    owner = data
+    for key in parents:
+        owner = owner[key]
+    if value is GONE:
+        del owner[last]
+    else:
+        owner[last] = value
+    return data
+
+
+def sentence(caught) -> str:
+    """The one sentence of a refusal, which no other error must precede."""
+    error = caught.value
+    assert error.__cause__ is None and (error.__context__ is None or error.__suppress_context__)
+    assert "\n" not in str(error)
+    return str(error)
+
+
+VEHICLE_FAULTS = [
+    ("front.kt", 1.0, "car.yaml: front.kt: unknown key, did you mean 'k_t'; known: I_xx, c_t, k_t"),
+    ("frnt", {}, "car.yaml: frnt: unknown key, did you mean 'front'; known: I_xx, I_yy, front"),
+    ("strut.damper.ride.G", [1.0], "car.yaml: strut.damper.ride.G: unknown key; known: F, x"),
+    (2024, 1.0, "car.yaml: 2024: unknown key; known: I_xx"),
+    (datetime.date(2024, 1, 1), 1.0, "car.yaml: keys must be str"),
+    ("m_b", GONE, "car.yaml: m_b: missing"),
+    ("strut.damper.ride.F", GONE, "car.yaml: strut.damper.ride.F: missing"),
+    ("m_b", "16e-6", "car.yaml: m_b: input should be a valid number, got '16e-6' (text)"),
+    ("m_b", True, "car.yaml: m_b: input should be a valid number, got True (true/false)"),
+    ("m_b", None, "car.yaml: m_b: input should be a valid number, got None (nothing)"),
+    ("m_b", [1.0], "car.yaml: m_b: input should be a valid number, got [1.0] (a list)"),
+    ("name", 110, "car.yaml: name: input should be a valid string, got 110 (a whole number)"),
+    ("strut", None, "car.yaml: strut: input should be an object, got None (nothing)"),
+    ("strut.bushing.x", "abc", "car.yaml: strut.bushing.x: input should be a valid array"),
+    ("m_b", -1.0, "car.yaml: m_b must be positive and finite, got -1.0"),
+    ("m_b", float("nan"), "car.yaml: m_b must be positive and finite, got nan"),
+    ("I_yy", float("inf"), "car.yaml: I_yy must be positive and finite, got inf"),
+    ("rear.y_t", 0.0, "car.yaml: rear: y_t must be positive and finite, got 0.0"),
+    ("front.c_t", -1.0, "car.yaml: front: c_t must not be negative, got -1.0"),
+    ("front.c_t", float("nan"), "car.yaml: front: c_t must not be negative, got nan"),
+    ("valve.delay", -0.01, "car.yaml: valve: delay must not be negative, got -0.01"),
+    ("valve.lag", 0.0, "car.yaml: valve: lag must be positive and finite, got 0.0"),
+    ("strut.column_min", 0.06, "car.yaml: strut: column_min 0.06 must be below x_1 0.0509"),
+    ("rear.x", 1.4, "the front axle must stand ahead of the centre of mass"),
+    ("front.x", float("inf"), "the front axle must stand ahead of the centre of mass"),
+    ("tyre_static_deflection", -0.01, "tyre_static_deflection must not be negative, got -0.01"),
+    ("tyre_static_deflection", "static", "input should be 'equilibrium', got 'static'"),
+    ("strut.bushing.x", [0.0, 1.0], "strut.bushing: x and F need one length of at least 2: 2, 12"),
+    ("strut.damper.ride.F", [float("nan")] * 11, "breakpoints must be finite"),
+]
+
+
+@pytest.mark.parametrize(("path", "value", "said"), VEHICLE_FAULTS)
+def test_a_fault_in_a_vehicle_is_one_sentence_that_names_it(path, value, said):
+    with pytest.raises(ConfigError) as caught:
+        build(VehicleParameters, changed(DEFENDER, path, value), "car.yaml")
+    assert sentence(caught).startswith("car.yaml: ")
+    assert said in sentence(caught)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "said"),
+    [
+        ("accelerometers.LF", {"axle": "front", "ahead": 0.0, "y": 0.5}, "known: LR, RF, RR"),
+        ("accelerometers.RF.axle", "middle", "input should be 'front' or 'rear', got 'middle'"),
+        ("accelerometers.RF.y", float("nan"), "a place must be finite"),
+        ("fs", 600.0, "f_alias 333.0 must be below fs / 2 = 300.0"),
+        ("fs", -1.0, "fs must be positive, got -1.0"),
+        ("range", 0.0, "range must be positive, got 0.0"),
+        ("noise_density", -0.1, "noise_density must not be negative, got -0.1"),
+        ("speed_error", float("inf"), "speed_error must not be negative, got inf"),
+    ],
+)
+def test_a_fault_in_instruments_is_one_sentence_that_names_it(path, value, said):
+    with pytest.raises(ConfigError) as caught:
+        build(Instruments, changed(PAPER, path, value), "set.yaml")
+    assert said in sentence(caught)
+
+
+def test_of_several_faults_the_unknown_key_comes_first_and_the_others_are_counted():
+    data = changed(changed(DEFENDER, "m_b", GONE), "mb", 1734.0)
+    with pytest.raises(ConfigError, match=r"car.yaml: mb: unknown key.*\(and 1 more\)"):
+        build(VehicleParameters, data, "car.yaml")
+
+
+def test_a_mapping_inside_itself_is_refused():
+    data = copy.deepcopy(DEFENDER)
+    data["sources"]["all"] = data["sources"]
+    with pytest.raises(ConfigError, match=r"car.yaml: Circular reference"):
+        build(VehicleParameters, data, "car.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a: [1, 2", "not valid YAML"),
+        ("a: b: c", "not valid YAML"),
+        ("- 1\n- 2", "a mapping of keys to values is wanted, got a list"),
+        ("just words", "a mapping of keys to values is wanted, got text"),
+        ("", "a mapping of keys to values is wanted, got nothing"),
+        ("a: !!map x", "not valid YAML"),
+        ("m_b: 1.0\nname: x\nm_b: 2.0", "the key 'm_b' stands twice, line 1 and 3"),
+        ("front: {x: 1.0, m: 2.0,\n  x: 1.0}", "the key 'x' stands twice, line 1 and 2"),
+        ("- a: 1\n  a: 2", "the key 'a' stands twice, line 1 and 2"),
+        ("!!python/object:os.system {}", "not valid YAML"),
+        (b"\xff\xfe\x00", "not valid YAML"),
+    ],
+)
+def test_a_file_that_is_no_configuration_is_refused_with_its_path(tmp_path, text, said):
+    path = tmp_path / "car.yaml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(ConfigError) as caught:
+        load(VehicleParameters, "vehicles", path)
+    assert sentence(caught).startswith(str(path)) and said in sentence(caught)
+
+
+def test_a_key_may_stand_in_several_mappings(tmp_path):
+    path = tmp_path / "sides.yaml"
+    path.write_text("left: {x: 1.0}\nright: {x: 2.0, '1': 0, 1: 0}\nx: 3.0\nboth: &b {y: 1}\nc: *b")
+    expected = {"left": {"x": 1.0}, "right": {"x": 2.0, "1": 0, 1: 0}, "x": 3.0}
+    assert read_yaml(path) == expected | {"both": {"y": 1}, "c": {"y": 1}}
+
+
+def test_a_file_that_is_not_there_or_a_folder_is_refused(tmp_path):
+    (tmp_path / "folder.yaml").mkdir()
+    for name, said in (("none.yaml", "No such file"), ("folder.yaml", "Is a directory")):
+        with pytest.raises(ConfigError, match=said) as caught:
+            load(VehicleParameters, "vehicles", tmp_path / name)
+        assert sentence(caught).startswith(str(tmp_path / name))
+
+
+def test_an_unknown_name_is_refused_with_the_names_that_exist():
+    with pytest.raises(ConfigError) as caught:
+        load(VehicleParameters, "vehicles", "land_rover_defender_11")
+    assert sentence(caught) == (
+        "unknown vehicle 'land_rover_defender_11' (did you mean 'land_rover_defender_110'?); "
+        f"known: {', '.join(names('vehicles'))}"
+    )
+    with pytest.raises(ConfigError, match="unknown colour 7; known: blue, red"):
+        one_of("colour", 7, ["red", "blue"])
+
+
+def test_numbers_are_numbers_and_lists_become_tuples():
+    @dataclass(frozen=True)
+    class Thing:
+        __pydantic_config__ = config.STRICT
+        x: float
+        y: tuple[float, ...]
+        n: int = 3
+
+    thing = build(Thing, {"x": 2, "y": [1, 2.5]}, "here")
+    assert thing == Thing(x=2.0, y=(1.0, 2.5)) and isinstance(thing.x, float)
+    with pytest.raises(ConfigError, match=r"here: n: input should be a valid integer, got 2\.0"):
+        build(Thing, {"x": 2, "y": [], "n": 2.0}, "here")
+
+
+# --- what is shipped ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("cls", "kind"),
+    [(VehicleParameters, "vehicles"), (Instruments, "sensors"), (Deviations, "field")],
+)
+def test_everything_shipped_loads_by_name_and_by_path(cls, kind):
+    assert names(kind)
+    for name in names(kind):
+        by_name = load(cls, kind, name)
+        assert by_name == load(cls, kind, config.folder() / kind / f"{name}.yaml")
+        assert by_name.name == name
+
+
+def leaves(data, where=""):
+    """Dotted paths of everything that is not a mapping."""
+    for key, value in data.items():
+        path = f"{where}{key}"
+        yield from leaves(value, f"{path}.") if isinstance(value, dict) else [path]
+
+
+@pytest.mark.parametrize("kind", ["vehicles", "sensors", "field"])
+def test_every_shipped_number_has_a_source_and_every_source_a_number(kind):
+    for name in names(kind):
+        data = read_yaml(config.folder() / kind / f"{name}.yaml")
+        sources = data.pop("sources")
+        paths = [p for p in leaves(data) if p != "name"]
+        for path in paths:
+            assert any(path == s or path.startswith(f"{s}.") for s in sources), (name, path)
+        for source, text in sources.items():
+            assert any(p == source or p.startswith(f"{source}.") for p in paths), (name, source)
+            assert text.strip()
+
+
+def test_what_the_paper_shows_only_in_a_figure_is_called_assumed():
+    for path in ("damper.ride", "damper.handling", "friction.ride", "friction.handling", "bushing",
+                 "bump_stop.front", "bump_stop.rear"):  # fmt: skip
+        assert DEFENDER["sources"][f"strut.{path}"].startswith("assumed")

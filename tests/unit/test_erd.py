@@ -1,0 +1,223 @@
+"""ERD files: read in any unit and byte order, or refused with the reason."""
+
+import re
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from oracles_roads import erd_file
+
+from road_envs.config import ConfigError
+from road_envs.roads import load_road
+from road_envs.roads.formats.erd import parse_header, parse_numbers
+from road_envs.roads.formats.opencrg import SurfaceFileError
+from road_envs.roads.measured import Measured
+
+METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048, "in": 0.0254, "mils": 2.54e-5}
+
+
+def rng():
+    return np.random.default_rng(0)
+
+
+def wavy(channels=2, size=40):
+    return np.random.default_rng(5).standard_normal((channels, size)).cumsum(axis=1)
+
+
+def read(header, body):
+    return parse_numbers(parse_header(header + body)[0], parse_header(header + body)[1])
+
+
+def read_floats(header, body):
+    return parse_numbers(parse_header(header)[0], body)
+
+
+# the format
+
+
+@given(
+    arrays(float, st.tuples(st.just(2), st.integers(1, 30)), elements=st.floats(-9.0, 9.0)),
+    st.sampled_from(sorted(METRES)), st.sampled_from(sorted(METRES)), st.floats(0.01, 10.0),
+    st.sampled_from(["\n", "\r\n", "\r"]),
+)  # fmt: skip
+def test_heights_and_step_come_out_in_metres(z, unit, x_unit, step, eol):
+    found, ds, notes = read(*erd_file(z, unit=unit, x_unit=x_unit, step=step, eol=eol))
+    np.testing.assert_allclose(found, z * METRES[unit], rtol=1e-7, atol=1e-7 * METRES[unit])
+    assert ds == pytest.approx(step * METRES[x_unit]) and notes == ()
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("offset", [0.0, 583.0, 1e-6])
+def test_binary_numbers_are_read_in_the_byte_order_they_were_written_in(order, offset):
+    z = wavy() + offset
+    found, _, _ = read_floats(*erd_file(z, order))
+    np.testing.assert_allclose(found, z * 1e-3, rtol=1e-6)
+    level, _, _ = read_floats(*erd_file(0.0 * z, order))
+    assert not level.any()
+
+
+def test_the_paths_are_found_by_name_among_other_channels():
+    z = wavy(5)
+    names = ("Speed", "RElev.", "CElev.", "LElev.", "Temp.")
+    units = ("km/h", "in", "mm", "ft", "deg C")
+    found, _, _ = read(*erd_file(z, names=names, unit=units))
+    np.testing.assert_allclose(found, [z[3] * 0.3048, z[1] * 0.0254], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "extra",
+    ["LONGNAME" + "Left elevation".ljust(32) + "Right elevation",
+     "LONGNAME" + "Elevation, left wheel path".ljust(32) + "Elevation, right wheel path"],
+)  # fmt: skip
+def test_the_paths_may_have_long_names_alone(extra):
+    found, _, _ = read(*erd_file(wavy(), names=(), extra=(extra,)))
+    np.testing.assert_allclose(found, 1e-3 * wavy(), rtol=1e-6)
+
+
+def test_one_channel_stands_for_both_paths():
+    found, _, _ = read(*erd_file(wavy(1), names=("Elev.",)))
+    np.testing.assert_array_equal(found[0], found[1])
+
+
+@pytest.mark.parametrize("samples", [-1, 0])
+def test_samples_are_counted_where_the_header_does_not_say(samples):
+    found, _, _ = read(*erd_file(wavy(), samples=samples))
+    assert found.shape == (2, 40)
+
+
+def test_numbers_may_stand_on_lines_of_any_length():
+    header, body = erd_file(wavy())
+    words = body.decode().split()
+    rows = [", ".join(words[k : k + 7]) for k in range(0, len(words), 7)]
+    found, _, _ = read(header, "\n".join(rows).encode())
+    np.testing.assert_allclose(found, 1e-3 * wavy(), rtol=1e-6)
+
+
+def test_a_file_of_the_ltpp_programme_is_understood():
+    text = (
+        "ERDFILEV2.00\n"
+        "      3,      5,     -1,      1,      5,       0.0250,     -1,\n"
+        "TITLE   LTPP SPS Section: Run 1\n"
+        "SHORTNAMLElev.  RElev.  CElev.\n"
+        "UNITSNAMmm      mm      mm\n"
+        "XLABEL  Distance\nXUNITS  m\nDATE    11/Apr/1997\n\nEND\n"
+        " 0.0 0.0 0.0\n 1.0 2.0 3.0\n 2.0 4.0 6.0\n 3.0 6.0 9.0\n 4.0 8.0 12.0\n"
+    )
+    z, ds, _ = read(text.encode(), b"")
+    np.testing.assert_allclose(z, [1e-3 * np.arange(5.0), 2e-3 * np.arange(5.0)])
+    assert ds == 0.025
+
+
+# as roads
+
+
+@pytest.mark.parametrize("form", ["text", "<", ">"])
+def test_an_erd_file_is_a_road(tmp_path, form):
+    z = wavy(size=300)
+    header, body = erd_file(z, form)
+    if form == "text":
+        (tmp_path / "section.erd").write_bytes(header + body)
+    else:
+        (tmp_path / "section.erd").write_bytes(header)
+        (tmp_path / "section.bin").write_bytes(body)
+    surface = load_road(tmp_path / "section.erd").realise(rng())
+    np.testing.assert_allclose(surface.z, 1e-3 * (z - z[:, :1]), atol=1e-8)
+    assert (surface.ds, surface.length) == (0.025, pytest.approx(299 * 0.025))
+
+
+def test_a_missing_file_of_numbers_is_named(tmp_path):
+    (tmp_path / "section.erd").write_bytes(erd_file(wavy(), "<")[0])
+    with pytest.raises(ConfigError, match=r"section\.bin, which is missing"):
+        load_road(tmp_path / "section.erd")
+
+
+def test_missing_heights_are_refused_or_bridged_when_asked(tmp_path):
+    z = wavy(size=300)
+    z[0, 7:9] = np.nan
+    path = tmp_path / "section.erd"
+    path.write_bytes(b"".join(erd_file(z)))
+    with pytest.raises(SurfaceFileError, match="2 of 300 heights of the left wheel path"):
+        load_road(path)
+    assert "bridged 2 heights" in Measured(path=str(path), bridge_gaps=True).realise(rng()).notes[0]
+
+
+# damage
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (b"ERDFILE", b"PROFILE", "not an ERD file"),
+        (b"\nEND\n", b"\nDONE\n", "the line END of the header is missing"),
+        (b"SHORTNAM", b"GENNAME ", "0 of its channels are the left wheel path:  [mm],  [mm]"),
+        (b"RElev.", b"LElev.", "2 of its channels are the left wheel path: LElev. [mm]"),
+        (b"RElev.", b"CElev.", "0 of its channels are the right wheel path"),
+        (b"UNITSNAMmm ", b"UNITSNAMV  ", "0 of its channels are the left wheel path: LElev. [V]"),
+        (b"UNITSNAM", b"NOTHING ", "0 of its channels are the left wheel path: LElev. []"),
+        (b"XUNITS  m", b"XUNITS  s", "the step is in 's'"),
+        (b"XUNITS", b"YUNITS", "the step is in 'no unit'"),
+        (b"0.025", b"-0.02", "a step of -0.02 m"),
+        (b"0.025", b" nan ", "is no number"),
+        (b"0.025", b"1e999", "is no number"),
+        (b"      5,", b"      0,", "numbers of type 0; known: 1 (4-byte float) and 5 (text)"),
+        (b"      2,", b"      3,", "80 numbers where the header says 40 samples of 3 channels"),
+        (b"      2,", b"      0,", "damaged: 0 channels"),
+        (b"      2,", b"9999999,", "damaged: 9999999 channels"),
+        (b"      2,", b"    2.5,", "'2.5' in its second line is no whole number"),
+        (b"     40,", b"     41,", "80 numbers where the header says 41 samples"),
+        (b",       0.025,  -1,", b"", "its second line has 5 numbers, wanted 6"),
+        (b"     40,", b"100e100,", "is no number"),
+    ],
+)
+def test_an_inconsistent_header_is_refused_with_the_reason(old, new, says):
+    header, body = erd_file(wavy())
+    assert header.count(old) >= 1
+    with pytest.raises(SurfaceFileError, match=re.escape(says)):
+        read(header.replace(old, new, 1), body)
+
+
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        (b"", "damaged: 0 numbers"),
+        (b"1.0 2.0 3.0", "damaged: 3 numbers"),
+        (b"1.0 two", "not a table of numbers"),
+        (b"1.0 1.0D-3", "not a table of numbers"),
+        (b"1.0 1_0", "not a table of numbers"),
+        (b"1.0 # 2.0", "not a table of numbers"),
+        (b"1.0 1e99", r"a height of 1e+96 m"),
+        (b"1.0 \xff\x00", "not a table of numbers"),
+    ],
+)
+def test_numbers_that_are_none_are_refused(body, says):
+    header, _ = erd_file(wavy(), samples=-1)
+    with pytest.raises(SurfaceFileError, match=re.escape(says)):
+        read(header, body)
+
+
+@pytest.mark.parametrize("cut", [1, 2, 3, 4, 8, 160, 319])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_a_file_of_numbers_cut_off_is_refused(cut, order):
+    header, body = erd_file(wavy(), order)
+    with pytest.raises(SurfaceFileError, match="damaged"):
+        read_floats(header, body[:-cut])
+
+
+def test_numbers_that_are_no_floats_are_refused():
+    header, _ = erd_file(wavy(), "<", samples=-1)
+    integers = (1e3 * abs(wavy())).astype("<i4").tobytes()
+    for body in (bytes(range(1, 9)) * 100, integers, b"\xfe" * 8):
+        with pytest.raises(SurfaceFileError, match="not sensible in either byte order"):
+            read_floats(header, body)
+
+
+def test_a_promise_of_gigabytes_costs_no_memory():
+    header, body = erd_file(wavy(), samples=10**9)
+    tracemalloc.start()
+    with pytest.raises(SurfaceFileError, match="says 1000000000 samples"):
+        read(header, body)
+    assert tracemalloc.get_traced_memory()[1] < 40 * len(header + body)
+    tracemalloc.stop()

@@ -1,0 +1,155 @@
+"""A lane is the vehicle driven alone: any car, road, speed, manoeuvre, switching, company."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from road_envs.config import ConfigError
+from road_envs.roads import load_road
+from road_envs.simulation.drive import Drive
+from road_envs.simulation.fleet import Fleet, aligned, of
+from road_envs.simulation.manoeuvres import Slalom
+from road_envs.simulation.simd import LANES
+from road_envs.simulation.speed import ramp
+from road_envs.vehicle.equations import plant
+from road_envs.vehicle.parameters import NOMINAL, Frame, Individual, load_vehicle
+
+CAR = load_vehicle("land_rover_defender_110")
+DAMPER = CAR.strut.damper
+HEAVY = dataclasses.replace(
+    CAR,
+    m_b=2100.0,
+    front=dataclasses.replace(CAR.front, y_s=0.5, k_t=300e3),
+    strut=dataclasses.replace(
+        CAR.strut,
+        n_p=1.25,
+        p_stat=2.6e6,
+        damper=dataclasses.replace(DAMPER, ride=DAMPER.handling),
+    ),
+    valve=dataclasses.replace(CAR.valve, delay=0.033, lag=0.004),
+)
+ROADS = ("iso_d", "belgian_like", "bump_asymmetric", "iso_f")
+
+
+ODD = Individual(
+    gas=(1.03, 0.96, 0.99, 1.02),
+    damper=(1.1, 0.85, 1.2, 0.9),
+    bushing=(1.2, 0.9, 1.0, 1.0),
+    tyre=(1.06, 0.95, 0.9, 1.08),
+    tyre_progression=4.0,
+    roll_stiffness=(5000.0, 2000.0),
+)
+
+
+def drives(size, frame=None):
+    """Vehicles no two of which are alike; the same ones at every call.
+
+    With a `frame` they all have it.
+    """
+    made = []
+    for k in range(size):
+        car = HEAVY if k % 3 == 1 else CAR
+        surface = load_road(ROADS[k % len(ROADS)]).realise(np.random.default_rng(k))
+        speed = ramp(3.0, 12.0, 0.7) if k % 5 == 2 else 4.0 + k
+        manoeuvre = Slalom(begin=0.1, period=0.5) if k % 4 == 3 else None
+        mode = ("ride", "handling", {"front": "ride", "rear": "handling"})[k % 3]
+        one = dataclasses.replace(ODD if k % 4 == 1 else NOMINAL, frame=frame)
+        kernels = plant(car, manoeuvre is not None, one)
+        made.append(Drive(kernels, car, surface, speed, mode, manoeuvre=manoeuvre))
+    return made
+
+
+def switching(size, n, seed=5):
+    """Commands (size, n) that change now and then, strut by strut."""
+    rng = np.random.default_rng(seed)
+    return np.repeat(rng.integers(0, 256, (size, -(-n // 90)), dtype=np.uint8), 90, axis=1)[:, :n]
+
+
+@pytest.mark.parametrize("frame", [None, Frame(f=11.0, zeta=0.05)], ids=["stiff", "flexible"])
+def test_every_lane_is_its_vehicle_driven_alone_to_rounding(frame):
+    size, n = LANES + 3, 1500
+    commands = switching(size, n)
+    fleet = Fleet(drives(size, frame))
+    signals = fleet.advance(commands)
+    for k, drive in enumerate(drives(size, frame)):
+        alone = drive.advance(commands[k]).signals
+        scale = np.abs(alone).max(axis=0)
+        assert of(signals, k).shape == (n, 29 if frame is None else 32)
+        assert (np.abs(of(signals, k) - alone).max(axis=0) <= 1e-9 * scale + 1e-12).all(), k
+        landed = fleet.land()[k].state
+        np.testing.assert_allclose(landed, drive.state, rtol=1e-6, atol=1e-9)
+
+
+def test_a_lane_depends_neither_on_its_company_nor_on_threads_to_the_bit():
+    size, n = 2 * LANES + 1, 400
+    commands = switching(size, n)
+    one_thread = Fleet(drives(size)).advance(commands)
+    two_threads = Fleet(drives(size), threads=2).advance(commands)
+    np.testing.assert_array_equal(one_thread, two_threads)
+    for k in (0, 5, LANES + 2, size - 1):
+        lonely = Fleet([drives(size)[k]]).advance(commands[k : k + 1])
+        np.testing.assert_array_equal(of(lonely, 0), of(one_thread, k))
+
+
+def test_parts_of_a_drive_are_the_whole_drive_to_the_bit():
+    size, n = 5, 600
+    commands = switching(size, n)
+    whole = Fleet(drives(size)).advance(commands)
+    fleet, begin = Fleet(drives(size)), 0
+    for part in (1, 50, 249, 300):
+        room = fleet.signals(part)
+        signals = fleet.advance(commands[:, begin : begin + part], room)
+        assert signals is room
+        for k in range(size):
+            np.testing.assert_array_equal(of(signals, k), of(whole, k)[begin : begin + part])
+        begin += part
+
+
+def test_a_landed_drive_goes_on_alone_where_the_fleet_left_it():
+    size, n = 4, 300
+    commands = switching(size, 2 * n)
+    fleet = Fleet(drives(size))
+    fleet.advance(commands[:, :n])
+    landed = fleet.land()
+    for k, drive in enumerate(drives(size)):
+        drive.advance(commands[k, :n])
+        np.testing.assert_allclose(landed[k].state, drive.state, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(landed[k].memory, drive.memory, rtol=1e-9, atol=1e-15)
+        alone, on = (
+            drive.advance(commands[k, n:]).signals,
+            landed[k].advance(commands[k, n:]).signals,
+        )
+        np.testing.assert_allclose(on, alone, rtol=1e-6, atol=1e-6)
+
+
+def test_a_vehicle_that_breaks_down_leaves_its_neighbours_alone():
+    size, n = 3, 200
+    commands = switching(size, n)
+    healthy = Fleet(drives(size)).advance(commands)
+    wrecks = drives(size)
+    wrecks[1].state[0] = np.nan
+    signals = Fleet(wrecks).advance(commands)
+    assert np.isnan(of(signals, 1)[-1]).any()
+    for k in (0, 2):
+        np.testing.assert_array_equal(of(signals, k), of(healthy, k))
+
+
+def test_rows_of_lanes_begin_at_the_boundaries_of_cache_lines():
+    for shape in ((7,), (4, 3), (1,), (50, 29)):
+        array = aligned(*shape)
+        assert array.shape == (*shape, LANES) and array.ctypes.data % (8 * LANES) == 0
+
+
+def test_a_fleet_of_none_or_of_several_steps_or_of_some_flexible_cars_is_refused():
+    with pytest.raises(ConfigError, match="at least one drive"):
+        Fleet([])
+    slow = drives(1)[0]
+    fast = Drive(slow.plant, CAR, slow.surface, 5.0, step=0.0005)
+    with pytest.raises(ConfigError, match="one integrator step"):
+        Fleet([slow, fast])
+    flexible = Drive(
+        plant(CAR, False, Individual(frame=Frame(f=9.0, zeta=0.1))), CAR, slow.surface, 5.0
+    )
+    with pytest.raises(ConfigError, match="all have a flexible frame, or none"):
+        Fleet([slow, flexible])

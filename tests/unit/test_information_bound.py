@@ -1,0 +1,308 @@
+"""The bound against the table of the benchmark, the information form, and drawn roads."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import oracles
+import oracles_roads
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import integrate, stats
+from test_cli import roadrecon as roadrecon
+from test_linear_model import energy_matrices
+from vehicle_fixtures import CARS, DEFENDER, PLANTS
+
+from road_envs.analysis.information_bound import (
+    Information,
+    RoadPrior,
+    bound,
+    posterior,
+    road_damping,
+    strut_rates,
+)
+from road_envs.data.record import scored_band
+from road_envs.roads import load_road, with_length
+from road_envs.sensing.instruments import load_instruments
+from road_envs.simulation.drive import simulate
+from road_envs.vehicle.linear_model import frequency_response, linearise, strut_rate_response
+
+PAPER = load_instruments("paper")
+PAIRS = (("ride",) * 2, ("handling",) * 2, ("ride", "handling"), ("handling", "ride"))
+SLOW, FAST = 14.5 / 3.6, 15.0
+TABLE = {  # speed, mismatch -> NRMSE of the left wheel path for PAIRS
+    (SLOW, 0.0): (0.136, 0.085, 0.032, 0.041),
+    (SLOW, 0.05): (0.161, 0.127, 0.065, 0.067),
+    (FAST, 0.0): (0.111, 0.075, 0.032, 0.044),
+    (FAST, 0.05): (0.154, 0.123, 0.079, 0.071),
+}
+DAMPERS = {"ride": 2000.0, "handling": 5000.0}
+
+
+def modes(pair):
+    return dict(zip(("front", "rear"), pair, strict=True))
+
+
+def ahead():
+    """The instruments with the rear accelerometers 620 mm ahead of the rear axle."""
+    places = PAPER.accelerometers
+    rear = {name: replace(getattr(places, name), ahead=0.62) for name in ("LR", "RR")}
+    return replace(PAPER, accelerometers=replace(places, **rear))
+
+
+def tabled(pair, v, mismatch, n, car=DEFENDER):
+    damping = np.repeat([DAMPERS[state] for state in pair], 2)
+    given = (car, modes(pair), v, ahead(), RoadPrior())
+    return bound(*given, damping=damping, mismatch=mismatch, n=n)
+
+
+# --- the table of the benchmark -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("v", "mismatch"), TABLE)
+def test_the_bound_is_that_of_the_benchmarks_table(v, mismatch):
+    """To all digits on 400 frequencies evenly spaced over log n; the integral is within 0.0013."""
+    top = min(1.8, 0.98 * 25.0 / v)
+    coarse, fine = np.geomspace(0.05, 4.0, 400), np.linspace(0.2, top, 4001)
+    width = np.gradient(coarse)
+    inside = (coarse >= 0.2) & (coarse <= top)
+    for pair, printed in zip(PAIRS, TABLE[v, mismatch], strict=True):
+        found = tabled(pair, v, mismatch, coarse[inside])
+        powers = (width[inside] @ found.paths[:, 0], width[inside] @ found.prior[:, 0, 0])
+        assert round(float(np.sqrt(powers[0] / powers[1])), 3) == printed
+        assert abs(tabled(pair, v, mismatch, fine).nrmse()[0] - printed) < 0.0013
+
+
+def test_with_equal_states_the_difference_is_unknown_at_odd_halves_of_the_inverse_wheelbase():
+    blind = (2.0 * np.arange(5) + 1.0) / (2.0 * DEFENDER.wheelbase)
+    between = np.arange(1, 5) / DEFENDER.wheelbase
+    for pair in PAIRS[:2]:
+        for v in (SLOW, FAST):
+            heard = between[between < 24.0 / v]
+            assert (tabled(pair, v, 0.0, blind).unknown("difference") > 0.97).all()
+            assert (tabled(pair, v, 0.0, heard).unknown("difference") < 0.1).all()
+            assert (tabled(pair, v, 0.0, blind[blind < 20.0 / v]).unknown("mean") < 0.2).all()
+
+
+def test_unequal_states_know_the_difference_everywhere_and_halve_the_bound():
+    blind = (2.0 * np.arange(5) + 1.0) / (2.0 * DEFENDER.wheelbase)
+    for v in (SLOW, FAST):
+        n = blind[blind < 22.5 / v]
+        for pair in PAIRS[2:]:
+            assert (tabled(pair, v, 0.0, n).unknown("difference") < 0.2).all()
+        of = {p: bound(DEFENDER, modes(p), v, PAPER, RoadPrior()).pooled for p in PAIRS}
+        assert max(of[p] for p in PAIRS[2:]) < 0.5 * min(of[p] for p in PAIRS[:2])
+
+
+# --- the law --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("v", [SLOW, FAST])
+@pytest.mark.parametrize("pair", PAIRS[1:3], ids="-".join)
+def test_the_bound_is_the_inverse_of_prior_and_measured_information(v, pair):
+    """P = (1/S + H* H / R)^-1, with H of the energy matrices and S of the oracle's coherence."""
+    n = np.array([0.21, 0.4, 0.9, 1.3])
+    matrices = energy_matrices("defender", modes(pair), [DAMPERS[s] for s in pair])
+    places = [(1.395 - 0.12, -0.55), (-1.399 + 0.62, 0.55), (-1.399 + 0.62, -0.55)]
+    found = tabled(pair, v, 0.0, n)
+    for k, each in enumerate(n):
+        H = np.empty((3, 2), dtype=complex)
+        for side in range(2):
+            road = np.zeros(4, dtype=complex)
+            road[[side, 2 + side]] = 1.0, np.exp(-2j * np.pi * each * DEFENDER.wheelbase)
+            a = oracles.response(matrices, each * v, road)
+            H[:, side] = [oracles.point_acceleration(*a[:3], *at) for at in places]
+        g = oracles_roads.isotropic_root_coherence(each, 2.0, 1.5)
+        S = 1024e-6 * (each / 0.1) ** -2 * np.array([[1.0, g], [g, 1.0]])
+        information = np.linalg.inv(S) + H.conj().T @ H / (0.01**2 * v)
+        expected = np.linalg.inv(information)
+        np.testing.assert_allclose(found.error[k], expected, rtol=1e-4)
+
+
+def test_the_estimate_of_drawn_roads_errs_as_the_bound_says():
+    rng, n = np.random.default_rng(3), np.array([0.25, 0.55, 1.1])
+    found = tabled(PAIRS[0], SLOW, 0.0, n)
+    places, damping = ahead().places(DEFENDER), np.full(4, DAMPERS["ride"])
+    model = linearise(DEFENDER, modes(PAIRS[0]), places, damping=damping)
+    H, size = frequency_response(model, SLOW, n=n), 20_000
+
+    def normal(*shape):
+        return np.sqrt(0.5) * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+
+    z = np.linalg.cholesky(found.prior) @ normal(3, 2, size)
+    a = H @ z + 0.01 * np.sqrt(SLOW) * normal(3, 3, size)
+    error = found.gain @ a - z
+    spectrum = error @ error.conj().swapaxes(1, 2) / size
+    level = np.sqrt(found.paths[:, :, None] * found.paths[:, None, :])
+    assert (np.abs(spectrum - found.error) < 5.0 / np.sqrt(size) * level).all()
+
+
+def test_mean_and_difference_are_those_of_the_wheel_paths():
+    found = tabled(PAIRS[2], SLOW, 0.0, np.linspace(0.2, 1.8, 50))
+    P = found.error
+    np.testing.assert_allclose(found.mean, (P[:, 0, 0] + P[:, 1, 1] + 2 * P[:, 0, 1]).real / 4.0)
+    np.testing.assert_allclose(found.difference, (P[:, 0, 0] + P[:, 1, 1] - 2 * P[:, 0, 1]).real)
+    for side, name in enumerate(("left", "right")):
+        share = np.sqrt(P[:, side, side].real / found.prior[:, side, side])
+        np.testing.assert_allclose(found.unknown(name), share)
+
+
+positive = st.floats(1e-4, 1.0)
+
+
+@settings(max_examples=30)
+@given(st.sampled_from(PAIRS), st.floats(3.0, 30.0), positive, positive, st.floats(0.0, 0.3))
+def test_more_noise_or_a_worse_model_never_help_and_a_drive_never_hurts(
+    pair, v, noise, more, mismatch
+):
+    n, prior = np.linspace(*scored_band(v), 15), RoadPrior()
+    damping = np.full(4, 3000.0)
+
+    def error(density, share):
+        instruments = replace(PAPER, noise_density=density)
+        place = instruments.places(DEFENDER)
+        given = (PLANTS["defender"], modes(pair), v, instruments, prior)
+        return bound(*given, places=place, damping=damping, mismatch=share, n=n)
+
+    good, noisy, wrong = error(noise, 0.0), error(noise + more, 0.0), error(noise, mismatch)
+    slack = 1e-9 * good.prior[:, :1, 0]
+    assert (good.paths <= good.prior[:, [0, 1], [0, 1]] + slack).all()
+    assert (noisy.paths >= good.paths - slack).all()
+    assert (wrong.paths >= good.paths - slack).all()
+
+
+def test_nothing_is_heard_above_the_low_pass():
+    n = np.array([1.6, 1.7, 3.0])
+    found = tabled(PAIRS[0], FAST, 0.0, n)
+    assert found.unknown("left")[0] < 0.9
+    np.testing.assert_allclose(found.unknown("left")[1:], 1.0)
+    assert not found.gain[1:].any()
+
+
+def test_a_sensor_that_hears_nothing_leaves_the_prior():
+    S = RoadPrior().spectrum(np.array([0.3, 0.6]))
+    R = np.tile(np.eye(3), (2, 1, 1))
+    found = posterior(np.array([0.3, 0.6]), np.zeros((2, 3, 2)), S, R)
+    np.testing.assert_array_equal(found.error, S)
+
+
+# --- dampers on a road ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", ["ride", "handling"])
+@pytest.mark.parametrize("name", CARS)
+def test_the_equivalent_dampers_are_the_best_for_the_motion_that_they_allow(name, mode):
+    car, v, prior = CARS[name], 12.0, RoadPrior()
+    found = road_damping(car, mode, v, prior)
+    model = linearise(car, mode, {}, damping=found)
+    f = np.geomspace(0.05, 50.0, 600)
+    rates = strut_rates(model, v, f, prior.spectrum(f / v) / v)
+    curves = [oracles.Cubic(getattr(law, mode)) for law in (car.strut.damper, car.strut.friction)]
+    for rate, c in zip(rates, found, strict=True):
+        mean, _ = integrate.quad(
+            lambda x, s=rate: sum(float(k(s * x)) for k in curves) * x * stats.norm.pdf(x),
+            -8.0, 8.0, points=[-0.02 / rate, 0.0, 0.02 / rate], limit=200,
+        )  # fmt: skip
+        assert c == pytest.approx(mean / rate, rel=0.01)
+
+
+@pytest.mark.parametrize("mode", ["ride", "handling"])
+def test_the_struts_of_the_nonlinear_car_move_as_fast_as_the_dampers_suppose(mode):
+    road = with_length(load_road("iso_c"), 150.0)
+    measured = []
+    for seed in range(3):
+        drive = simulate(DEFENDER, road.realise(np.random.default_rng(seed)), 12.0, mode)
+        rates = np.gradient(drive.extension, drive.t, axis=0)
+        measured.append(np.mean(rates[drive.s > 20.0] ** 2, axis=0))
+    prior, f = RoadPrior(G_d0=256e-6), np.geomspace(0.05, 50.0, 600)
+    damping = road_damping(DEFENDER, mode, 12.0, prior)
+    model = linearise(DEFENDER, mode, {}, damping=damping)
+    expected = strut_rates(model, 12.0, f, prior.spectrum(f / 12.0) / 12.0)
+    np.testing.assert_allclose(np.sqrt(np.mean(measured, axis=0)), expected, rtol=0.15)
+
+
+@pytest.mark.parametrize("name", CARS)
+def test_a_strut_moves_at_the_rate_of_its_ends(name):
+    """Rate of extension = body's rate at the strut less the axle's, by the energy matrices."""
+    car, f = CARS[name], 3.0
+    c = np.array([900.0, 900.0, 1500.0, 1500.0])
+    model = linearise(PLANTS[name], "ride", {"any": (0.0, 0.0)}, damping=c)
+    found = strut_rate_response(model, np.array([f]))[0]
+    A = model.A
+    K, C = (-np.diag(model.M) @ A[7:, part] for part in (slice(7), slice(7, None)))
+    B = np.diag(model.M) @ model.B[7:]
+    for wheel in range(4):
+        a = oracles.response((np.diag(model.M), C, K, B[:, :4], B[:, 4:]), f, np.eye(4)[wheel])
+        v = a / (2j * np.pi * f)
+        for w, axle in enumerate((car.front, car.front, car.rear, car.rear)):
+            y = axle.y_s * (1.0, -1.0)[w % 2]
+            ends = v[0] - axle.x * v[2] + y * v[1], v[3 + 2 * (w // 2)] + y * v[4 + 2 * (w // 2)]
+            assert found[w, wheel] == pytest.approx(ends[0] - ends[1], rel=1e-6)
+
+
+# --- for policies ---------------------------------------------------------------------------------
+
+
+@cache
+def information():
+    return Information.tabulate(DEFENDER, PAPER, RoadPrior(), (6.0, 15.0))
+
+
+def test_the_table_for_policies_holds_the_bound():
+    table = information()
+    for front, rear in PAIRS:
+        for v in table.speeds:
+            exact = bound(DEFENDER, modes((front, rear)), v, PAPER, RoadPrior()).pooled
+            assert table.at(front, rear, v) == pytest.approx(exact, rel=0.01)
+    ends = [table.at("ride", "ride", v) for v in (6.0, 15.0)]
+    assert min(ends) < table.at("ride", "ride", 10.0) < max(ends)
+    assert table.at("ride", "handling", 10.0) < 0.5 * table.at("ride", "ride", 10.0)
+
+
+# --- refusals and the command ---------------------------------------------------------------------
+
+
+def test_what_makes_no_sense_is_refused():
+    with pytest.raises(ValueError, match="mismatch must not be negative"):
+        bound(DEFENDER, "ride", 10.0, PAPER, RoadPrior(), mismatch=-0.1)
+    with pytest.raises(ValueError, match="G_d0 must be positive, got 0"):
+        RoadPrior(G_d0=0.0)
+    with pytest.raises(ValueError, match="give their places"):
+        bound(PLANTS["defender"], "ride", 10.0, PAPER, RoadPrior())
+    with pytest.raises(ValueError, match=r"nothing above 0\.2 cycles/m"):
+        bound(DEFENDER, "ride", 200.0, PAPER, RoadPrior())
+
+
+def test_the_command_prints_and_draws_the_bound(roadrecon, tmp_path):
+    words = ("observability", "--speed-kmh", 54, "--mismatch", 0.05, "--noise", 0.02)
+    code, out, _ = roadrecon(*words, "--mode", "front=ride,rear=handling", "--json")
+    facts = json.loads(out)
+    (row,) = facts["bounds"]
+    instruments = replace(PAPER, noise_density=0.02)
+    given = (DEFENDER, modes(PAIRS[2]), FAST, instruments, RoadPrior())
+    assert code == 0
+    assert row["nrmse"] == pytest.approx(bound(*given, mismatch=0.05).pooled, rel=1e-6)
+    code, out, _ = roadrecon(*words, "--out", "bound.png")
+    assert code == 0
+    assert "handling / ride" in out and "5 % mismatch" in out
+    assert (tmp_path / "bound.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--mode", "ridee"), "unknown suspension mode 'ridee' (did you mean 'ride'?)"),
+        (("--speed-kmh", "-3"), "the speed must be positive, got -3.0 km/h"),
+        (("--noise", "-1"), "noise_density must not be negative, got -1.0"),
+        (("--road-class", "K"), "unknown road class 'K'; known: A, B"),
+        (("--damping", "ride=x"), "a damper is given as mode=number in N s/m, got 'ride=x'"),
+        (("--damping", "ride=1"), "are missing for ['handling']"),
+        (("--out", "x.txt"), "the name must end in .png"),
+    ],
+)
+def test_the_command_refuses_in_one_sentence(roadrecon, words, sentence):
+    code, _, err = roadrecon("observability", *words)
+    assert code == 2
+    assert sentence in err and err.count("\n") == 1

@@ -1,0 +1,311 @@
+"""The linear car: energy matrices, SciPy's transfer functions, tabled modes, wheelbase notches."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import oracles
+import pytest
+from hypothesis import given
+from scipy import integrate, signal, stats
+from scipy.optimize import brentq
+from vehicle_fixtures import CARS, DEFENDER, LEANING, PLANTS, STILL, accelerate, memories, vectors
+
+from road_envs.sensing.data_logger import load_instruments
+from road_envs.vehicle.equations import DOF, equilibrium
+from road_envs.vehicle.force_curves import Curve
+from road_envs.vehicle.linear_model import (
+    MODE_NAMES,
+    frequency_response,
+    gaussian_damping,
+    linearise,
+    modes,
+    wheel_response,
+)
+from road_envs.vehicle.parameters import ModeCurves
+from road_envs.vehicle.suspension import command, memory_at_rest
+
+MODES = ("ride", "handling")
+BODY = {"heave": (0.0, 0.0)}
+PLACES = {"RF": (1.1, -0.5), "LR": (-2.0, 0.6), "RR": (-2.0, -0.6)}
+SPLIT = {"front": "ride", "rear": "handling"}
+every_car = pytest.mark.parametrize("name", CARS)
+every_mode = pytest.mark.parametrize("mode", MODES)
+
+
+def strut_at_rest(strut, stop, mode, load):
+    """Rate [N/m] where gas spring, bushing and stop carry `load` [N], and damping [N s/m]."""
+    column = strut.x_1 + strut.x_2 * (mode == "ride")
+    stops = oracles.Cubic(strut.bushing), oracles.Cubic(stop)
+
+    def gas(e):
+        return strut.p_stat * strut.A * (column / (column + e)) ** strut.n_p
+
+    e = brentq(lambda e: gas(e) - sum(s(e) for s in stops) - load, -0.04, 0.1, xtol=1e-14)
+    k = strut.n_p * gas(e) / (column + e) + sum(s.slope(e) for s in stops)
+    losses = getattr(strut.damper, mode), getattr(strut.friction, mode)
+    return float(k), sum(float(oracles.Cubic(c).slope(0.0)) for c in losses)
+
+
+def energy_matrices(name, mode, c_s=None):
+    """The oracle's matrices about rest; `c_s` (front, rear) in place of the curves' slopes."""
+    car, loads = CARS[name], oracles.static_loads(CARS[name])[0]
+    both = (mode["front"], mode["rear"]) if isinstance(mode, dict) else (mode, mode)
+    stops = car.strut.bump_stop.front, car.strut.bump_stop.rear
+    at_rest = [strut_at_rest(car.strut, *each) for each in zip(stops, both, loads, strict=True)]
+    k_s, slopes = np.array(at_rest).T
+    return oracles.linear_matrices(car, k_s, slopes if c_s is None else c_s)
+
+
+@every_car
+@pytest.mark.parametrize("mode", ["ride", "handling", SPLIT], ids=["ride", "handling", "split"])
+def test_at_rest_the_model_is_that_of_the_energy_matrices(name, mode):
+    model = linearise(PLANTS[name], mode, PLACES)
+    M, C, K, K_r, C_r = energy_matrices(name, mode)
+    np.testing.assert_array_equal(model.A[:7], np.eye(7, 14, 7))
+    np.testing.assert_array_equal(model.B[:7], 0.0)
+    expected = np.linalg.solve(M, np.hstack([-K, -C]))
+    np.testing.assert_allclose(model.A[7:], expected, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(model.B[7:], np.linalg.solve(M, np.hstack([K_r, C_r])), rtol=1e-12)
+    for row, (x, y) in zip(model.C, PLACES.values(), strict=True):
+        body = [oracles.point_acceleration(*model.A[7:10, j], x, y) for j in range(14)]
+        np.testing.assert_allclose(row, body, atol=1e-9)
+
+
+@every_car
+@given(vectors(7, 0.03, 0.03, 0.02, 0.06, 0.02, 0.06, 0.02), vectors(7, 0.7), memories)
+def test_about_any_state_the_model_is_the_slope_of_motion_and_sensors(name, q, v, memory):
+    """By state and by road, on a lifted wheel too, with a body that leans."""
+    one, state, z_r = LEANING[name], np.concatenate([q, v]), np.array([0.0, 0.01, -0.15, 0.0])
+    model = linearise(one, memory, PLACES, state, z_r, 0.1 * z_r)
+
+    def sensed(x, u):
+        a = accelerate(one, memory, x[:7], x[7:], z_r + u[:4], 0.1 * z_r + u[4:])
+        return np.append(a, [oracles.point_acceleration(*a[:3], *at) for at in PLACES.values()])
+
+    rng, eps = np.random.default_rng(0), 1e-7
+    for _ in range(2):
+        dx, du = rng.standard_normal(14), rng.standard_normal(8)
+        there, back = (sensed(state + s * dx, s * du) for s in (eps, -eps))
+        slope = (there - back) / (2.0 * eps)
+        found = np.append(model.A[7:] @ dx + model.B[7:] @ du, model.C @ dx + model.D @ du)
+        np.testing.assert_allclose(found, slope, atol=1e-3 * np.abs(slope).max())
+
+
+@every_car
+@every_mode
+@pytest.mark.parametrize("f", [0.4, 1.0, 8.0, 16.0])
+def test_on_a_sine_scipys_simulation_swings_in_to_the_frequency_response(name, mode, f):
+    damping = gaussian_damping(CARS[name], mode, 0.2)
+    model, omega = linearise(PLANTS[name], mode, PLACES, damping=damping), 2.0 * np.pi * f
+    response, t = wheel_response(model, np.array([f]))[0], 0.0005 * np.arange(round(25.0 / 0.0005))
+    last = slice(t.size - round(5.0 / 0.0005), None)  # whole periods
+    for wheel in (0, 3):
+        u = np.zeros((t.size, 8))
+        u[:, wheel], u[:, 4 + wheel] = np.cos(omega * t), -omega * np.sin(omega * t)
+        _, a, _ = signal.lsim((model.A, model.B, model.C, model.D), u, t)
+        found = 2.0 * np.mean(a[last] * np.exp(-1j * omega * t[last, None]), axis=0)
+        expected = response[:, wheel]
+        np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
+
+
+@every_car
+@every_mode
+def test_both_wheel_paths_reach_the_rear_a_wheelbase_later(name, mode):
+    car, v, f = CARS[name], 11.0, np.array([0.3, 1.0, 2.7, 8.0, 15.0, 40.0])
+    c_s = gaussian_damping(car, mode, 0.2)
+    model = linearise(car, mode, PLACES, damping=c_s)
+    found = frequency_response(model, v, f=f)
+    np.testing.assert_array_equal(found, frequency_response(model, v, n=f / v))
+    matrices = energy_matrices(name, mode, c_s[[0, 2]])
+    for k, each in enumerate(f):
+        behind = np.exp(-2j * np.pi * each * car.wheelbase / v)
+        for side in range(2):
+            road = np.zeros(4, dtype=complex)
+            road[[side, 2 + side]] = 1.0, behind
+            a = oracles.response(matrices, each, road)
+            expected = [a[0] - x * a[2] + y * a[1] for x, y in PLACES.values()]
+            np.testing.assert_allclose(found[k, :, side], expected, rtol=1e-6)
+
+
+@cache
+def even_car():
+    """The Defender with its centre of mass in the middle: front and rear are the same."""
+    half = 0.5 * DEFENDER.wheelbase
+    return replace(
+        DEFENDER,
+        front=replace(DEFENDER.front, x=half),
+        rear=replace(DEFENDER.rear, x=-half),
+    )
+
+
+def roll_by_difference(car, mode, n):
+    """Gain [rad/s² per m] of the body's roll on wheel paths of opposite heights."""
+    model = linearise(car, mode, {"left": (0.0, 0.5), "right": (0.0, -0.5)})
+    H = frequency_response(model, 6.0, n=n)
+    return np.abs((H[:, 0] - H[:, 1]) @ [0.5, -0.5])
+
+
+@every_mode
+def test_equal_axles_make_roll_blind_at_odd_halves_of_the_inverse_wheelbase(mode):
+    car = even_car()
+    blind = (2.0 * np.arange(5) + 1.0) / (2.0 * car.wheelbase)
+    np.testing.assert_allclose(blind, [0.179, 0.537, 0.895, 1.253, 1.611], atol=6e-4)
+    between = np.arange(1, 6) / car.wheelbase
+    seen, unseen = (roll_by_difference(car, mode, n) for n in (between, blind))
+    assert (unseen < 1e-9 * seen).all()
+    near = roll_by_difference(DEFENDER, mode, blind)  # 2 mm of unequal load share
+    assert (near < 3e-3 * roll_by_difference(DEFENDER, mode, between)).all()
+
+
+def test_unequal_states_in_front_and_behind_lift_the_blindness():
+    blind = (2.0 * np.arange(5) + 1.0) / (2.0 * even_car().wheelbase)
+    between = np.arange(1, 6) / even_car().wheelbase
+    seen = roll_by_difference(even_car(), SPLIT, blind)
+    assert (seen > 0.05 * roll_by_difference(even_car(), SPLIT, between)).all()
+
+
+# --- modes ----------------------------------------------------------------------------------------
+
+
+@every_mode
+def test_the_defender_has_the_tabled_modes(mode):
+    found = modes(linearise(DEFENDER, mode, BODY))
+    np.testing.assert_allclose(found.f, oracles.MODES_HZ[mode], atol=1.5e-3)
+    kinds = ("roll", "bounce", "pitch", *("axle hop",) * 2, *("axle roll",) * 2)
+    assert all(kind in name for kind, name in zip(kinds, found.names, strict=True))
+    assert sorted(found.names) == sorted(MODE_NAMES)
+
+
+@every_car
+@every_mode
+def test_modes_are_those_of_the_energy_matrices_and_carry_their_names(name, mode):
+    found = modes(linearise(PLANTS[name], mode, BODY))
+    M, C, K, _, _ = energy_matrices(name, mode)
+    np.testing.assert_allclose(found.f, oracles.natural_frequencies(M, K), rtol=1e-6)
+    omega, phi = 2.0 * np.pi * found.f, found.shapes
+    np.testing.assert_allclose(phi.T @ M @ phi, np.eye(7), atol=1e-12)
+    np.testing.assert_allclose(phi.T @ K @ phi, np.diag(omega**2), atol=1e-4 * omega[-1] ** 2)
+    np.testing.assert_allclose(2.0 * found.zeta * omega, np.diag(phi.T @ C @ phi), rtol=1e-5)
+    carrier = {"bounce": "z_b", "roll": "phi", "pitch": "theta"}
+    carrier |= {"front axle hop": "z_af", "front axle roll": "phi_af"}
+    carrier |= {"rear axle hop": "z_ar", "rear axle roll": "phi_ar"}
+    for column, mode_name in enumerate(found.names):
+        at = DOF.index(carrier[mode_name])
+        assert phi[at, column] > 0.0 and M[at, at] * phi[at, column] ** 2 > 0.45
+
+
+def test_a_lightly_damped_car_decays_with_its_modes_damping_ratios():
+    tyres = {"c_t": 60.0}
+    car = replace(
+        CARS["lopsided"],
+        front=replace(CARS["lopsided"].front, **tyres),
+        rear=replace(CARS["lopsided"].rear, **tyres),
+    )
+    model = linearise(car, "ride", BODY, damping=np.full(4, 40.0))
+    found, poles = modes(model), model.poles
+    poles = poles[poles.imag > 0.0]
+    poles = poles[np.argsort(np.abs(poles))]
+    np.testing.assert_allclose(np.abs(poles) / (2.0 * np.pi), found.f, rtol=1e-4)
+    np.testing.assert_allclose(-poles.real / np.abs(poles), found.zeta, rtol=5e-3)
+
+
+def test_a_leaning_body_rolls_more_slowly():
+    upright, leaning = (
+        modes(linearise(one["defender"], "ride", BODY)) for one in (PLANTS, LEANING)
+    )
+    square = [m.f[m.names.index("roll")] ** 2 for m in (upright, leaning)]
+    lever = DEFENDER.m_b * oracles.G * (DEFENDER.h_cg - DEFENDER.roll_centre)
+    less = (square[0] - square[1]) * (2.0 * np.pi) ** 2 * DEFENDER.I_xx
+    assert less == pytest.approx(lever, rel=0.05)  # the axles roll a little, too
+
+
+def test_a_car_in_the_air_has_no_modes():
+    model = linearise(PLANTS["lopsided"], "ride", BODY, np.zeros(14), np.full(4, -1.0))
+    with pytest.raises(ArithmeticError, match="does not stand"):
+        modes(model)
+
+
+# --- damping on a road ----------------------------------------------------------------------------
+
+
+@every_car
+@every_mode
+@pytest.mark.parametrize("rate", [0.005, 0.05, 0.3])
+def test_gaussian_damping_is_the_best_damper_for_a_normal_rate(name, mode, rate):
+    car = CARS[name]
+    curves = [oracles.Cubic(getattr(law, mode)) for law in (car.strut.damper, car.strut.friction)]
+
+    def force_times_rate(x):
+        return sum(float(c(rate * x)) for c in curves) * x * stats.norm.pdf(x)
+
+    points = [0.02 / rate * k for k in (-5, -1, 0, 1, 5) if abs(0.02 / rate * k) < 8.0]
+    mean, _ = integrate.quad(force_times_rate, -8.0, 8.0, points=points, limit=200)
+    np.testing.assert_allclose(gaussian_damping(car, mode, rate), mean / rate, rtol=1e-4)
+
+
+def test_the_gaussian_damper_of_a_linear_damper_is_itself_wheel_by_wheel():
+    nothing, line = Curve(x=(-3.0, 3.0), F=(0.0, 0.0)), Curve(x=(-3.0, 3.0), F=(-6000.0, 6000.0))
+    strut = replace(
+        DEFENDER.strut,
+        damper=ModeCurves(ride=nothing, handling=line),
+        friction=ModeCurves(ride=nothing, handling=nothing),
+    )
+    found = gaussian_damping(replace(DEFENDER, strut=strut), SPLIT, np.array([0.1, 0.2, 0.3, 0.4]))
+    np.testing.assert_allclose(found, [0.0, 0.0, 2000.0, 2000.0], rtol=1e-6, atol=1e-9)
+
+
+def test_damping_in_place_of_the_slopes_is_where_it_belongs():
+    wanted = np.array([1000.0, 2000.0, 3000.0, 4000.0])
+    with_it = linearise(PLANTS["lopsided"], "ride", BODY, damping=wanted)
+    without = linearise(PLANTS["lopsided"], "ride", BODY, damping=np.zeros(4))
+    difference = -with_it.M[:, None] * (with_it.A - without.A)[7:, 7:]
+    car, signs = CARS["lopsided"], np.array([1.0, -1.0, 1.0, -1.0])
+    expected = np.zeros((7, 7))
+    for w, axle in enumerate((car.front, car.front, car.rear, car.rear)):
+        strut = np.zeros(7)
+        strut[:3] = 1.0, signs[w] * axle.y_s, -axle.x
+        strut[3 + 2 * (w // 2) : 5 + 2 * (w // 2)] = -1.0, -signs[w] * axle.y_s
+        expected += wanted[w] * np.outer(strut, strut)
+    np.testing.assert_allclose(difference, expected, atol=1e-6)
+
+
+# --- names and refusals ---------------------------------------------------------------------------
+
+
+def test_all_that_goes_in_and_out_has_a_name_and_a_unit():
+    instruments, car = load_instruments("paper"), DEFENDER
+    places = instruments.accelerometers
+    sensors = {n: (getattr(places, n).x(car), getattr(places, n).y) for n in ("RF", "LR", "RR")}
+    model = linearise(car, "ride", sensors)
+    assert model.sensors == ("RF", "LR", "RR") and model.wheelbase == car.wheelbase
+    assert len(model.states) == len(model.state_units) == model.A.shape[0] == 14
+    assert len(model.inputs) == len(model.input_units) == model.B.shape[1] == 8
+    assert dict(zip(model.states, model.state_units, strict=True))["phi_ar_dot"] == "rad/s"
+    assert dict(zip(model.inputs, model.input_units, strict=True))["w_RL"] == "m/s"
+
+
+def test_a_car_and_its_plant_have_one_model_with_its_rest_found_on_any_ground():
+    ground = np.array([0.02, -0.01, -0.015, 0.01])
+    by_car = linearise(CARS["lopsided"], "ride", BODY, z_r=ground)
+    memory = memory_at_rest(command("ride"))
+    state = equilibrium(PLANTS["lopsided"], memory, ground)
+    by_plant = linearise(PLANTS["lopsided"], memory, BODY, state, ground, STILL)
+    np.testing.assert_array_equal(by_car.A, by_plant.A)
+    np.testing.assert_array_equal(by_car.D, by_plant.D)
+
+
+def test_what_makes_no_sense_is_refused():
+    model = linearise(DEFENDER, "ride", BODY)
+    with pytest.raises(ValueError, match="one of them"):
+        frequency_response(model, 10.0)
+    with pytest.raises(ValueError, match="one of them"):
+        frequency_response(model, 10.0, f=np.ones(2), n=np.ones(2))
+    with pytest.raises(ValueError, match="speed must be positive"):
+        frequency_response(model, 0.0, f=np.ones(2))
+    with pytest.raises(ValueError, match="must be positive"):
+        gaussian_damping(DEFENDER, "ride", 0.0)
+    with pytest.raises(ValueError, match="state must be of shape"):
+        linearise(DEFENDER, "ride", BODY, np.zeros(7))
+    with pytest.raises(ArithmeticError, match="no static equilibrium"):
+        linearise(DEFENDER, "ride", BODY, z_r=np.array([np.nan, 0.0, 0.0, 0.0]))

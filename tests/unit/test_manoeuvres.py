@@ -1,0 +1,126 @@
+"""Turns and brakes lean the body as moments say; switched off, nothing leans."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.integrate import cumulative_trapezoid
+
+from road_envs.config import ConfigError
+from road_envs.roads import load_road
+from road_envs.simulation.drive import simulate
+from road_envs.simulation.manoeuvres import (
+    KINDS,
+    Braking,
+    LaneChange,
+    Slalom,
+    SteadyTurn,
+    load_manoeuvre,
+)
+from road_envs.simulation.speed import ramp
+from road_envs.vehicle.equations import PHI, THETA, jacobian, plant
+from road_envs.vehicle.force_curves import Curve
+from road_envs.vehicle.parameters import load_vehicle
+from road_envs.vehicle.suspension import command, memory_at_rest
+
+CAR = load_vehicle("land_rover_defender_110")
+FLAT = load_road({"kind": "flat", "length": 200.0}).realise(np.random.default_rng(0))
+LEVEL = np.zeros(4)
+
+
+def without_stops(car):
+    none = Curve(x=(-1.0, 1.0), F=(0.0, 0.0))
+    stops = dataclasses.replace(car.strut.bump_stop, front=none, rear=none)
+    strut = dataclasses.replace(car.strut, bushing=none, bump_stop=stops)
+    return dataclasses.replace(car, strut=strut)
+
+
+@pytest.mark.parametrize(("mode", "rate"), [("ride", 16.69e3), ("handling", 83.6e3)])
+def test_a_gentle_steady_turn_rolls_the_body_by_moment_over_stiffness(mode, rate):
+    a_y = 0.1
+    motion = simulate(CAR, FLAT, 10.0, mode, manoeuvre=SteadyTurn(a_y=a_y))
+    lever = 1734.0 * (1.19 - 0.6)
+    struts, tyres = 4 * rate * 0.55**2, 4 * 250e3 * 0.75**2
+    stiffness = 1.0 / (1.0 / struts + 1.0 / tyres)
+    expected = lever * a_y / (stiffness - lever * 9.81)
+    assert motion.state[-1, PHI] == pytest.approx(expected, rel=0.01)
+
+
+def test_at_four_tenths_of_g_the_stops_hold_what_ride_cannot():
+    # a linear car would lean 24 degrees in ride; the gas spring softens as it extends, so that
+    # without stops there is no such equilibrium, and the car falls over
+    lean = {
+        mode: np.degrees(simulate(CAR, FLAT, 10.0, mode, manoeuvre=SteadyTurn()).state[-1, PHI])
+        for mode in ("ride", "handling")
+    }
+    assert 8.0 < lean["ride"] < 14.0
+    assert 2.5 < lean["handling"] < 5.0
+    free = simulate(without_stops(CAR), FLAT, 10.0, "ride", manoeuvre=SteadyTurn())
+    assert np.degrees(free.state[-1, PHI]) > 90.0
+
+
+def test_a_turn_to_the_left_lifts_the_left_and_loads_the_right():
+    motion = simulate(CAR, FLAT, 10.0, manoeuvre=SteadyTurn(a_y=2.0))
+    left, right = motion.tyre_load[-1, [0, 2]], motion.tyre_load[-1, [1, 3]]
+    assert motion.state[-1, PHI] > 0.0
+    assert (left < right).all()
+
+
+def test_braking_dives_and_pulling_away_squats():
+    braking = simulate(CAR, FLAT, 15.0, manoeuvre=Braking(a_x=3.0, hold=5.0))
+    assert braking.state[3000, THETA] > 0.005
+    still = SteadyTurn(a_y=0.0)
+    away = simulate(CAR, FLAT, ramp(2.0, 14.0, 4.0), manoeuvre=still)
+    assert away.state[3000, THETA] < -0.005
+
+
+def test_a_change_of_speed_alone_leans_nothing_as_in_the_paper():
+    motion = simulate(CAR, FLAT, ramp(2.0, 14.0, 4.0))
+    assert np.abs(motion.acceleration).max() < 1e-6
+
+
+def test_the_jacobian_knows_the_moments_of_displaced_weight():
+    memory = memory_at_rest(command("ride"))
+    state = np.zeros(14)
+    leaning, upright = (
+        jacobian(plant(CAR, manoeuvres=m), memory, state, LEVEL, LEVEL) for m in (True, False)
+    )
+    difference = np.zeros((14, 14))
+    lever = 1734.0 * (1.19 - 0.6) * 9.81
+    difference[7 + PHI, PHI], difference[7 + THETA, THETA] = lever / 688.0, lever / 2440.0
+    np.testing.assert_allclose(leaning - upright, difference, atol=1e-9)
+
+
+def test_a_lane_change_ends_one_lane_over_and_back_again():
+    manoeuvre = LaneChange(v=15.0)
+    t = np.linspace(0.0, 10.0, 200_001)
+    a_y = manoeuvre.at(t)[:, 1]
+    velocity = cumulative_trapezoid(a_y, t, initial=0.0)
+    y = cumulative_trapezoid(velocity, t, initial=0.0)
+    assert y[np.searchsorted(t, 1.0 + 30.0 / 15.0)] == pytest.approx(3.5, abs=1e-4)
+    assert y[-1] == pytest.approx(0.0, abs=1e-3) and velocity[-1] == pytest.approx(0.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_manoeuvre_begins_at_rest_and_is_continuous(kind):
+    t = np.linspace(0.0, 20.0, 200_001)
+    a = load_manoeuvre(kind).at(t)
+    assert a.shape == (t.size, 2)
+    assert np.abs(a[0]).max() == 0.0
+    assert np.abs(np.diff(a, axis=0)).max() < 0.01
+
+
+def test_mirrored_slaloms_mirror_the_motion():
+    left, right = (
+        simulate(CAR, FLAT, 15.0, "handling", manoeuvre=Slalom(a_y=a)) for a in (2.0, -2.0)
+    )
+    np.testing.assert_allclose(left.state[:, PHI], -right.state[:, PHI], atol=1e-12)
+
+
+def test_an_unknown_manoeuvre_or_setting_is_named_with_the_choices():
+    with pytest.raises(ConfigError, match="did you mean 'slalom'"):
+        load_manoeuvre("slalon")
+    with pytest.raises(ConfigError, match="unknown key, did you mean 'a_y'"):
+        load_manoeuvre({"kind": "slalom", "a_z": 1.0})
+    with pytest.raises(ConfigError, match="needs its kind"):
+        load_manoeuvre({"a_y": 1.0})

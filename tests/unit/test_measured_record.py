@@ -1,0 +1,206 @@
+"""Measured drives: tables of other loggers become records, or are refused in one sentence."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from vehicle_fixtures import DEFENDER
+
+import estimators
+from leaderboard.metrics.heights import band_pass
+from road_envs.config import ConfigError
+from road_envs.data.measured_record import G, read_measured
+from road_envs.data.record import scored_band
+from road_envs.data.recording import is_record, record_drive, write_record
+from road_envs.roads import load_road
+from road_envs.sensing.data_logger import load_instruments
+
+BASE = DEFENDER.wheelbase
+T = np.arange(200) / 100.0
+CHANNELS = {
+    "t": T,
+    "a_rf": np.sin(9.0 * T),
+    "a_lr": np.cos(7.0 * T),
+    "a_rr": np.sin(5.0 * T),
+    "v": 5.0 + T,
+    "mode": ["ride"] * T.size,
+}
+
+
+def table(path, columns, mark=",", point="."):
+    def cell(x):
+        text = x if isinstance(x, str) else "" if np.isnan(x) else f"{x:.12g}"
+        return text.replace(".", point)
+
+    rows = [mark.join(columns), *(mark.join(map(cell, row)) for row in zip(*columns.values()))]  # noqa: B905
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return path
+
+
+def changed(**changes):
+    """CHANNELS with columns changed, added, or left out where None is given."""
+    found = {**CHANNELS, **changes}
+    return {name: x for name, x in found.items() if x is not None}
+
+
+@pytest.mark.parametrize(
+    ("mark", "point"), [(",", "."), (";", ","), (";", "."), ("\t", ","), ("\t", ".")]
+)
+def test_a_table_is_read_as_it_stands_whatever_its_marks(tmp_path, mark, point):
+    path = table(tmp_path / "d.csv", CHANNELS, mark, point)
+    path.write_text("# a logger\n# of 2014\n" + path.read_text(), encoding="utf-8")
+    record, notes = read_measured(path, BASE)
+    np.testing.assert_allclose(record.t, T, atol=1e-12)
+    wanted = [CHANNELS[name] for name in ("a_rf", "a_lr", "a_rr")]
+    np.testing.assert_allclose(record.a, wanted, rtol=1e-10, atol=1e-11)
+    np.testing.assert_allclose(record.v, CHANNELS["v"], rtol=1e-11)
+    np.testing.assert_allclose(record.s, BASE + 5.0 * T + 0.5 * T**2, atol=1e-9)
+    assert record.length == record.s[-1] and notes == ()
+    assert not record.stiff.any() and not record.high.any()
+
+
+def test_units_and_gravity_are_told_by_names_and_means(tmp_path):
+    columns = changed(
+        a_rf=None, v=None, a_rf_g=1.0 + CHANNELS["a_rf"] / G, V_kmh=3.6 * CHANNELS["v"]
+    )
+    record, notes = read_measured(table(tmp_path / "d.csv", columns), BASE)
+    np.testing.assert_allclose(record.a[0], CHANNELS["a_rf"] - CHANNELS["a_rf"].mean(), atol=1e-9)
+    np.testing.assert_allclose(record.v, CHANNELS["v"], rtol=1e-10)
+    assert len(notes) == 1 and notes[0].startswith("a_rf: its mean of 9.") and "gravity" in notes[0]
+
+
+def test_an_odometer_that_is_given_is_believed(tmp_path):
+    columns = changed(s=1000.0 + 6.0 * T)
+    record, _ = read_measured(table(tmp_path / "d.csv", columns), BASE)
+    np.testing.assert_allclose(record.s, BASE + 6.0 * T, atol=1e-9)
+
+
+def test_struts_are_told_row_by_row_or_once(tmp_path):
+    switched = ["ride"] * 120 + ["handling"] * 80
+    columns = changed(mode=None, mode_front=switched, mode_rear=["soft_high"] * T.size)
+    record, _ = read_measured(table(tmp_path / "a.csv", columns), BASE)
+    late = T >= 1.195
+    np.testing.assert_array_equal(record.stiff, np.outer(late, [1, 1, 0, 0]).astype(bool))
+    np.testing.assert_array_equal(record.high[:, 2:], np.ones((200, 2), dtype=bool))
+    np.testing.assert_array_equal(record.high[:, 0], late)
+    plain = table(tmp_path / "b.csv", changed(mode=None, v=None))
+    mixed = {"front": "ride", "rear": "handling"}
+    record, _ = read_measured(plain, BASE, speed_kmh=36.0, mode=mixed)
+    assert (record.stiff == [False, False, True, True]).all() and (record.v == 10.0).all()
+
+
+def test_parquet_of_others_is_read_by_the_names_of_its_columns(tmp_path):
+    path = tmp_path / "d.parquet"
+    pq.write_table(pa.table({name.upper(): x for name, x in CHANNELS.items()}), path)
+    assert not is_record(path)
+    record, _ = read_measured(path, BASE)
+    np.testing.assert_array_equal(record.a[1], CHANNELS["a_lr"])
+    write_record(path, record, {})
+    assert is_record(path)
+
+
+def test_where_nothing_stands_and_where_rows_are_missing_samples_are_lost(tmp_path):
+    a = CHANNELS["a_rf"].copy()
+    a[50:53] = np.nan
+    columns = changed(a_rf=a)
+    kept = np.r_[0:100, 105:200]
+    columns = {name: [x[k] for k in kept] for name, x in columns.items()}
+    record, notes = read_measured(table(tmp_path / "d.csv", columns), BASE)
+    assert record.t.size == 200 and record.fs == pytest.approx(100.0)
+    lost = np.isnan(record.a)
+    assert set(np.flatnonzero(lost[0])) == {50, 51, 52, 100, 101, 102, 103, 104}
+    assert set(np.flatnonzero(lost[1])) == {100, 101, 102, 103, 104}
+    assert len(notes) == 1 and "2.5% of the samples lost" in notes[0]
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.integers(0, 2**32 - 1))
+def test_a_trembling_clock_is_straightened(tmp_path_factory, seed):
+    t = T + 0.002 * np.random.default_rng(seed).uniform(-1.0, 1.0, T.size)
+    columns = changed(t=t, a_rf=3.0 * t, v=5.0 + t)
+    record, notes = read_measured(table(tmp_path_factory.mktemp("d") / "d.csv", columns), BASE)
+    steps = np.diff(record.t)
+    np.testing.assert_allclose(steps, steps[0], rtol=1e-9)
+    np.testing.assert_allclose(record.a[0], 3.0 * (record.t + t[0]), atol=1e-6)
+    assert not np.isnan(record.a).any() and "uneven" in notes[0]
+
+
+def test_the_road_of_a_measured_drive_is_the_road_under_its_wheels(tmp_path):
+    """A simulated drive, cut out of its middle and written by another logger."""
+    surface = load_road("iso_d").realise(np.random.default_rng(3))
+    record, truth = record_drive(
+        DEFENDER, surface, speed_kmh=54.0, mode="handling",
+        instruments=load_instruments("paper"), seed=3,
+    )  # fmt: skip
+    cut = slice(1200, 6200)
+    columns = {
+        "time": record.t[cut],
+        "t": record.t[cut],
+        **{f"a_{k}_g": 1.0 + a[cut] / G for k, a in zip(("rf", "lr", "rr"), record.a, strict=True)},
+    }
+    path = table(tmp_path / "d.csv", columns)
+    seen, _ = read_measured(path, BASE, speed_kmh=54.0, mode="handling")
+    found = estimators.create("iterated_wiener").estimate(seen, DEFENDER)
+    begin = record.s[1200] - BASE  # where the rear axle stood
+    wanted = np.stack([np.interp(begin + found.s, truth.s, z) for z in truth.z])
+    inside = [band_pass(z, found.ds, scored_band(15.0)) for z in (wanted, found.z)]
+    assert np.std(inside[1] - inside[0]) < 0.25 * np.std(inside[0])
+
+
+def spoilt(column, k, value):
+    cells = [x if isinstance(x, str) else f"{x:.6g}" for x in CHANNELS[column]]
+    cells[k] = value
+    return {column: cells}
+
+
+@pytest.mark.parametrize(
+    ("columns", "options", "said"),
+    [
+        ({"t": None}, {}, "the column t is missing; the table has a_rf"),
+        ({"a_lr": None}, {}, "column a_lr is missing; wanted a_lr [m/s²] or a_lr_g [g]"),
+        ({"a_lr_g": T}, {}, "column a_lr is given twice"),
+        ({"v": None}, {}, "the speed is missing: wanted one of the columns v [m/s]"),
+        ({}, {"speed_kmh": 50.0}, "the speed is given twice"),
+        ({"mode": None}, {}, "the state of the struts is missing: wanted the column mode"),
+        ({}, {"mode": "ride"}, "given as mode and for the whole drive"),
+        ({"mode": None, "mode_rear": CHANNELS["mode"]}, {}, "given as mode_rear"),
+        (spoilt("mode", 7, "sport"), {}, "unknown suspension mode 'sport'"),
+        (spoilt("a_rr", 4, "over"), {}, "row 5 of a_rr: 'over' is no number"),
+        (spoilt("t", 9, ""), {}, "t must hold a number in every row"),
+        ({"t": T[::-1]}, {}, "the clock t must go on; it does not after row 1"),
+        ({"v": T - 0.5}, {}, "the car drives backwards"),
+        ({"v": np.where(T == 1.0, np.nan, 5.0)}, {}, "speed and odometer must hold a number"),
+        ({"a_rf": np.full(200, np.nan)}, {}, "the column a_rf holds no number"),
+        ({"a_rf": np.where(T < 1.0, np.nan, 1.0)}, {}, "50% of the samples are lost"),
+        ({"a_rf": -9.8 + T}, {}, "its axis points down; turn its sign"),
+        ({" V ": T}, {}, "the column v stands there twice"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_a_drive_is_refused_in_one_sentence(tmp_path, columns, options, said):
+    path = table(tmp_path / "d.csv", changed(**columns))
+    with pytest.raises(ConfigError) as error:
+        read_measured(path, BASE, **options)
+    sentence = str(error.value)
+    assert said in sentence and str(path) in sentence and "\n" not in sentence
+
+
+@pytest.mark.parametrize("data", [b"", b"t\n", b"\xff\xfe\x00", b"t,a_rf\n1,2,3\n", b"t\n1\n2\n"])
+def test_what_is_no_table_is_refused_in_one_sentence(tmp_path, data):
+    for name in ("d.csv", "d.parquet"):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(ConfigError, match=name):
+            read_measured(tmp_path / name, BASE)
+    with pytest.raises(ConfigError, match="missing"):
+        read_measured(tmp_path / "missing.csv", BASE)
+
+
+def test_a_record_is_known_by_its_metadata_damaged_or_not(tmp_path):
+    record, _ = read_measured(table(tmp_path / "d.csv", CHANNELS), BASE)
+    path = tmp_path / "d.parquet"
+    write_record(path, replace(record, length=5.0), {})
+    path.write_bytes(path.read_bytes()[:-10])
+    assert is_record(path) and not is_record(tmp_path / "d.csv")

@@ -1,0 +1,68 @@
+"""The network of 2010: series-parallel in training, its own answers fed back at test."""
+
+import numpy as np
+import pytest
+from test_estimator_contract import drive, error
+
+from estimators.networks import levenberg_marquardt as lm
+from estimators.networks.narx import Narx, run_parallel, series_parallel
+from road_envs.vehicle.parameters import load_vehicle
+
+CAR = load_vehicle("land_rover_defender_110")
+
+
+@pytest.fixture(scope="module")
+def trained() -> Narx:
+    records, truths = zip(*(drive(seed) for seed in (1, 2, 3)), strict=True)
+    return Narx(hidden=6, max_epochs=30).fit(records, truths, CAR, 0)
+
+
+def test_regressors_are_the_accelerations_now_and_before_and_the_true_heights_before():
+    x, z = np.arange(30.0).reshape(3, 10), 100.0 + np.arange(20.0).reshape(2, 10)
+    regressors, targets = series_parallel(x, z, 2)
+    np.testing.assert_array_equal(targets, z[:, 2:])
+    k = 5
+    wanted = [*x[:, k], *x[:, k - 1], *x[:, k - 2], *z[:, k - 1], *z[:, k - 2]]
+    np.testing.assert_array_equal(regressors[:, k - 2], wanted)
+
+
+def test_in_parallel_the_network_is_fed_its_own_answers_station_by_station():
+    rng = np.random.default_rng(0)
+    network = lm.nguyen_widrow(13, 4, 2, rng)
+    x, before = rng.uniform(-1, 1, (3, 12)), rng.uniform(-1, 1, (2, 2))
+    z = np.empty((2, 12))
+    run_parallel(network.hidden, network.output, x, before, z)
+    past, felt = [before[:, 1], before[:, 0]], [x[:, 0], x[:, 0]]
+    for k in range(12):
+        seen = np.concatenate([x[:, k], *felt, *past])
+        answer = network(seen[:, None])[:, 0]
+        np.testing.assert_allclose(z[:, k], answer, rtol=1e-12)
+        past, felt = [answer, past[0]], [x[:, k], felt[0]]
+
+
+def test_fed_with_its_own_answers_where_they_are_the_truth_both_loops_agree():
+    rng = np.random.default_rng(1)
+    network = lm.nguyen_widrow(13, 4, 2, rng)
+    x, before = rng.uniform(-1, 1, (3, 40)), np.zeros((2, 2))
+    z = np.empty((2, 40))
+    run_parallel(network.hidden, network.output, x, before, z)
+    regressors, targets = series_parallel(x, z, 2)
+    np.testing.assert_allclose(network(regressors), targets, atol=1e-12)
+
+
+def test_the_open_loop_looks_excellent_and_the_closed_loop_is_what_comes_out(trained):
+    _, _, _, open_loop, closed_loop = trained.learnt
+    assert open_loop < 0.1 < 0.5 < closed_loop
+    record, truth = drive(300)
+    estimate = trained.estimate(record, CAR)
+    assert error(estimate, truth) > 0.5
+    (note,) = estimate.notes
+    assert f"{closed_loop:.2f} of the level, closed loop as here; {open_loop:.2f} if it" in note
+
+
+def test_the_course_of_the_training_is_stored_with_the_weights(trained):
+    again = Narx(hidden=6).with_weights(trained.weights()).training
+    assert again.stop == trained.training.stop
+    assert again.best_epoch == trained.training.best_epoch
+    for name in lm.CURVES:
+        np.testing.assert_array_equal(getattr(again, name), getattr(trained.training, name))

@@ -1,0 +1,101 @@
+"""More instruments in the observation, all states as actions, a price on what stays unknown."""
+
+import numpy as np
+import pytest
+from gymnasium.utils import seeding
+
+from road_envs.analysis.information_bound import RoadPrior, bound
+from road_envs.config import ConfigError
+from road_envs.envs.road_recon import RoadReconEnv
+from road_envs.vehicle.equations import PHI, THETA, plant
+from road_envs.vehicle.parameters import GRAVITY
+from road_envs.vehicle.suspension import command
+
+EVERYTHING = {
+    "road": "iso_d",
+    "length": 12.0,
+    "speed_kmh": 54.0,
+    "control": "states",
+    "manoeuvre": {"kind": "slalom", "begin": 0.0, "period": 0.8},
+    "observe": ["accelerations", "planar", "struts"],
+}
+MODES = ("ride", "handling", "soft_high", "stiff_low")
+
+
+def test_planar_and_struts_are_those_of_the_motion():
+    env = RoadReconEnv(**EVERYTHING)
+    observation, _ = env.reset(seed=4)
+    setup = env.setup
+    drive = setup.begin(setup.convoy(), 0, seeding.np_random(4)[0], setup.options).drive
+    drive.manoeuvre = setup.manoeuvre
+    byte, car = command("ride"), setup.car
+    for action in (6, 6, 9, 15, 0):
+        motion = drive.advance(np.full(50, byte, dtype=np.uint8))
+        a = setup.manoeuvre.at(motion.t)
+        parts = env.split(observation)
+        felt = [
+            np.mean(a[:, 0] - GRAVITY * motion.state[:, THETA]),
+            np.mean(a[:, 1] + GRAVITY * motion.state[:, PHI]),
+        ]
+        np.testing.assert_allclose(parts["planar"], felt, rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(parts["extension"], motion.extension[-1], atol=1e-6)
+        q_dot = motion.state[-1, 7:]
+        rates = [
+            q_dot[0] - axle.x * q_dot[2] - q_dot[3 + 2 * i] + y * (q_dot[1] - q_dot[4 + 2 * i])
+            for i, axle in enumerate(car.axles)
+            for y in (axle.y_s, -axle.y_s)
+        ]
+        np.testing.assert_allclose(parts["extension_rate"], rates, rtol=1e-4, atol=1e-5)
+        byte = int(setup.bytes[action])
+        observation, *_ = env.step(action)
+
+
+def test_more_instruments_leave_the_others_as_they_are():
+    plain = RoadReconEnv(**{**EVERYTHING, "observe": ["accelerations"]})
+    full = RoadReconEnv(**EVERYTHING)
+    for one, other in ((plain.reset(seed=1), full.reset(seed=1)), (plain.step(3), full.step(3))):
+        assert one[0].shape == (155,) and other[0].shape == (165,)
+        np.testing.assert_array_equal(one[0], other[0][:155])
+    assert full.observation_space.contains(other[0])
+
+
+def test_sixteen_actions_command_every_pair_of_states():
+    env = RoadReconEnv(**EVERYTHING)
+    assert env.action_space.n == 16
+    for action in range(16):
+        pair = {"front": MODES[action % 4], "rear": MODES[action // 4]}
+        assert env.setup.bytes[action] == command(pair)
+
+
+@pytest.mark.parametrize(("action", "pair"), [(0, ("ride", "ride")), (4, ("ride", "handling"))])
+def test_the_reward_is_charged_with_the_variance_that_the_bound_leaves(action, pair):
+    weight = 30.0
+    free = RoadReconEnv(**EVERYTHING)
+    charged = RoadReconEnv(**EVERYTHING, weights={"information": weight})
+    free.reset(seed=2), charged.reset(seed=2)
+    (_, r_0, _, _, told_0), (_, r_1, _, _, told_1) = free.step(action), charged.step(action)
+    setup = charged.setup
+    mode = {"front": pair[0], "rear": pair[1]}
+    places = setup.instruments.places(setup.car)
+    left = (
+        bound(plant(setup.car), mode, 15.0, setup.instruments, RoadPrior(), places=places).pooled
+        ** 2
+    )
+    assert told_1["unknown"] == pytest.approx(left, rel=1e-2)
+    assert r_0 - r_1 == pytest.approx(0.05 * weight * told_1["unknown"], rel=1e-9)
+    assert "unknown" not in told_0
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"observe": ["struts"]}, "observe needs 'accelerations'"),
+        ({"observe": ["accelerations", "planar", "planar"]}, "no group twice"),
+        ({"observe": ["accelerations", "lidar"]}, "'accelerations', 'planar' or 'struts'"),
+        ({"weights": {"information": -1.0}}, "information must not be negative"),
+        ({"control": "wheel"}, "'vehicle', 'axle' or 'states'"),
+    ],
+)
+def test_a_wrong_option_is_named(options, said):
+    with pytest.raises(ConfigError, match=said):
+        RoadReconEnv(**{**EVERYTHING, **options})

@@ -1,0 +1,214 @@
+"""The claims of the adaptive pair, on any equation: orders, error, dense output, step control."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from road_envs.simulation.ode23s import StepSizeError, ode23s, resize, step
+
+
+def slope(x, y):
+    """Exponent of y over x on doubly logarithmic paper."""
+    return np.polyfit(np.log(x), np.log(y), 1)[0]
+
+
+def van_der_pol(mu):
+    """f, df/dy, df/dt of y'' = mu (1 - y²) y' - y."""
+
+    def f(t, y):
+        return np.array([y[1], mu * (1.0 - y[0] ** 2) * y[1] - y[0]])
+
+    def J(t, y):
+        return np.array([[0.0, 1.0], [-2.0 * mu * y[0] * y[1] - 1.0, mu * (1.0 - y[0] ** 2)]])
+
+    return f, J, lambda t, y: np.zeros(2)
+
+
+def clocked():
+    """f, df/dy, df/dt and the solution of two equations, not linear, that read the clock."""
+
+    def f(t, y):
+        return np.array([-2.0 * t * y[0] ** 2, -3.0 * (y[1] - np.sin(2.0 * t)) + y[0] * y[1]])
+
+    def J(t, y):
+        return np.array([[-4.0 * t * y[0], 0.0], [y[1], -3.0 + y[0]]])
+
+    def T(t, y):
+        return np.array([-2.0 * y[0] ** 2, 6.0 * np.cos(2.0 * t)])
+
+    return f, J, T
+
+
+START = np.array([1.0, 0.5])
+
+
+def truth(f, span, y_0, t):
+    found = solve_ivp(f, span, y_0, method="DOP853", t_eval=t, rtol=1e-13, atol=1e-14)
+    assert found.success
+    return found.y.T
+
+
+def test_the_stiff_van_der_pol_oscillator_ends_where_it_should():
+    """Where Octave's ode23s (rtol 1e-6) and SciPy's Radau (1e-10) end."""
+    f, J, T = van_der_pol(1000.0)
+    for rtol, steps in ((1e-3, 40), (1e-6, 250)):
+        found = ode23s(f, J, (0.0, 1.0), [2.0, 0.0], rtol, 1e-3 * rtol, dfdt=T)
+        np.testing.assert_allclose(found.y[-1], (1.9993333705, -6.6703712e-4), rtol=2e-6)
+        assert found.steps < steps  # an explicit method needs hundreds
+
+
+def test_the_jumps_of_the_stiff_oscillator_are_followed():
+    f, J, T = van_der_pol(100.0)
+    found = ode23s(f, J, (0.0, 200.0), [2.0, 0.0], 1e-6, 1e-9, dfdt=T)
+    t = np.linspace(0.0, 200.0, 41)
+    expected = solve_ivp(
+        f, (0, 200), [2, 0], method="Radau", jac=J, t_eval=t, rtol=1e-9, atol=1e-12
+    )
+    np.testing.assert_allclose(found(t)[:, 0], expected.y[0], atol=2e-3)
+    assert np.ptp(found.y[:, 0]) > 4.0
+
+
+@pytest.mark.parametrize("given", [True, False], ids=["df/dt given", "df/dt by differences"])
+def test_at_a_constant_step_the_method_is_of_order_two_even_where_time_enters(given):
+    f, J, T = clocked()
+    h, t = 0.1 / 2.0 ** np.arange(6), np.linspace(0.0, 2.0, 21)
+    expected, error = truth(f, (0.0, 2.0), START, t), []
+    for longest in h:
+        found = ode23s(f, J, (0.0, 2.0), START, 1e6, 1e6, T if given else None, longest)
+        assert found.steps == round(2.0 / longest)
+        error.append(np.abs(found(t) - expected).max())
+    assert slope(h, error) == pytest.approx(2.0, abs=0.05)
+
+
+def one_step(h, t=0.3):
+    f, J, T = clocked()
+    F, (exact,) = f(t, START), truth(f, (t, t + h), START, [t + h])
+    return step(f, t, START, F, J(t, START), T(t, START), h), exact
+
+
+def test_a_step_and_its_error_make_a_formula_of_order_three():
+    h, second, third = 0.2 / 2.0 ** np.arange(6), [], []
+    for each in h:
+        found, exact = one_step(each)
+        second.append(np.abs(found.y - exact).max())
+        third.append(np.abs(found.y + found.error - exact).max())
+    assert slope(h, second) == pytest.approx(3.0, abs=0.1)
+    assert slope(h, third) == pytest.approx(4.0, abs=0.1)
+
+
+def test_between_its_ends_a_step_is_as_accurate_as_at_them():
+    f, J, T = clocked()
+    h, error = 0.2 / 2.0 ** np.arange(6), []
+    for each in h:
+        found = ode23s(f, J, (0.3, 0.3 + each), START, 1e6, 1e6, T)
+        assert found.steps == 1
+        t = 0.3 + each * np.array([0.2, 0.5, 0.8])
+        error.append(np.abs(found(t) - truth(f, (0.3, 0.3 + each), START, t)).max())
+    assert slope(h, error) == pytest.approx(3.0, abs=0.1)
+
+
+def test_the_dense_solution_meets_every_step_and_any_shape_of_times():
+    f, J, T = clocked()
+    found = ode23s(f, J, (0.0, 2.0), START, dfdt=T)
+    np.testing.assert_allclose(found(found.t), found.y, rtol=1e-14)
+    assert found(1.0).shape == (2,) and found(np.ones((3, 4))).shape == (3, 4, 2)
+    assert found.t[0] == 0.0 and found.t[-1] == 2.0
+    for outside in (-0.1, 2.1, np.nan):
+        with pytest.raises(ValueError, match="from 0 to 2 only"):
+            found(outside)
+
+
+@pytest.mark.parametrize("problem", ["clocked", "van der Pol"])
+def test_the_error_follows_the_tolerance_with_the_power_of_two_thirds(problem):
+    """A step's error is of order h³, that of the whole of order h²."""
+    f, J, T = clocked() if problem == "clocked" else van_der_pol(3.0)
+    rtol, t = 10.0 ** -np.arange(4.0, 9.0), np.linspace(0.0, 4.0, 33)
+    expected, error = truth(f, (0.0, 4.0), START, t), []
+    for each in rtol:
+        found = ode23s(f, J, (0.0, 4.0), START, each, each, dfdt=T)
+        error.append(np.abs(found(t) - expected).max())
+    assert slope(rtol, error) == pytest.approx(2.0 / 3.0, abs=0.06)
+
+
+def test_the_last_stage_of_a_step_is_the_first_of_the_next():
+    f, J, T = van_der_pol(100.0)
+    found = ode23s(f, J, (0.0, 200.0), [2.0, 0.0], dfdt=T)
+    assert found.rejections > 0
+    assert found.evaluations == 1 + 2 * (found.steps + found.rejections)
+    assert found.jacobians == found.steps
+
+
+@pytest.mark.parametrize("stiffness", [1e3, 1e6, 1e12])
+def test_however_stiff_the_equation_one_long_step_forgets_its_start(stiffness):
+    """L-stability: the factor of a step goes to 0, not to -1 as with the trapezoidal rule."""
+    J, y = np.array([[-stiffness]]), np.array([1.0])
+    found = step(lambda t, y: J @ y, 0.0, y, J @ y, J, np.zeros(1), 1.0)
+    # (1 + (1 - 2 d) z) / (1 - d z)² with z = -stiffness
+    assert abs(found.y[0]) < 6.0 / stiffness
+
+
+def test_a_stiff_equation_that_follows_a_slow_one_takes_few_steps():
+    """Prothero & Robinson: y = sin t whatever the stiffness."""
+
+    def f(t, y):
+        return -1e8 * (y - np.sin(t)) + np.cos(t)
+
+    found = ode23s(f, lambda t, y: [[-1e8]], (0.0, 10.0), [0.0], 1e-4, 1e-4)
+    t = np.linspace(0.0, 10.0, 200)
+    assert np.abs(found(t)[:, 0] - np.sin(t)).max() < 1e-3
+    assert found.steps < 600  # what is stable explicitly needs 500 million
+
+
+def test_a_jump_in_the_rate_is_met_by_shorter_steps():
+    found = ode23s(
+        lambda t, y: [-y[0] + (100.0 if t > 0.5 else 0.0)], lambda t, y: [[-1.0]], (0.0, 2.0), [1.0]
+    )
+    exact = np.exp(-2.0) + 100.0 * (1.0 - np.exp(-1.5))
+    assert found.y[-1, 0] == pytest.approx(exact, rel=2e-3)
+    assert found.rejections > 3
+    assert np.diff(found.t).min() < 1e-3 * np.diff(found.t).max()
+
+
+def test_a_pulse_may_be_jumped_over_unless_steps_are_kept_short():
+    def run(longest):
+        def rate(t, y):
+            return np.array([-y[0] + np.exp(-(((t - 50.0) / 0.02) ** 2))])
+
+        return ode23s(rate, lambda t, y: [[-1.0]], (0.0, 100.0), [0.0], max_step=longest)
+
+    assert np.abs(run(np.inf).y).max() < 1e-9
+    found = run(0.05)
+    assert found(50.2)[0] == pytest.approx(0.02 * np.sqrt(np.pi) * np.exp(-0.2), rel=0.01)
+    assert np.diff(found.t).max() <= 0.05 * (1.0 + 1e-9)
+
+
+def test_the_next_step_grows_with_the_cube_root_of_the_error_within_limits():
+    assert resize(1.0) == pytest.approx(0.8)
+    assert resize(0.125) == pytest.approx(1.6)
+    assert resize(8.0) == pytest.approx(0.4)
+    assert resize(0.0) == resize(1e-9) == 5.0
+    assert resize(1e9) == resize(np.nan) == resize(np.inf) == 0.2
+
+
+def test_a_rate_that_is_no_number_ends_with_the_time_it_happened():
+    with pytest.raises(StepSizeError, match=r"at t = 0\.5"):
+        ode23s(lambda t, y: [np.nan if t > 0.5 else 1.0], lambda t, y: [[0.0]], (0.0, 1.0), [0.0],
+               dfdt=lambda t, y: [0.0])  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"span": (1.0, 1.0)},
+        {"span": (0.0, np.nan)},
+        {"rtol": 0.0},
+        {"atol": -1.0},
+        {"max_step": 0.0},
+    ],
+    ids=str,
+)
+def test_input_without_sense_is_refused(wrong):
+    f, J, _ = clocked()
+    given = {"span": (0.0, 1.0), "y_0": START} | wrong
+    with pytest.raises(ValueError, match="must"):
+        ode23s(f, J, **given)

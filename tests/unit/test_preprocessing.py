@@ -1,0 +1,122 @@
+"""A damaged record is mended where it can be, and refused in one sentence where it cannot."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_estimator_contract import drive, fit
+
+from estimators.api import check_estimate
+from estimators.preprocessing import RecordError, mended
+from road_envs.data.record import Record
+from road_envs.vehicle.parameters import load_vehicle
+
+CAR = load_vehicle("land_rover_defender_110")
+MENDING = ["static_lm", "narx", "fir_ridge", "tcn", "tcn_causal", "gru", "gru_causal"]
+
+
+def part(record: Record, kept: np.ndarray) -> Record:
+    """The record with these samples alone."""
+    fields = {name: getattr(record, name)[kept] for name in ("t", "v", "s", "stiff", "high")}
+    return replace(record, a=record.a[:, kept], **fields)
+
+
+def with_gap(record: Record, share: float, row: int = 1) -> Record:
+    """The record with NaN in one sensor over a share of its samples, in the middle."""
+    a = record.a.copy()
+    begin = record.t.size // 3
+    a[row, begin : begin + round(share * record.t.size)] = np.nan
+    return replace(record, a=a)
+
+
+def test_a_sound_record_is_handed_back_itself():
+    record, _ = drive(200)
+    found, notes = mended(record)
+    assert found is record and notes == ()
+
+
+def test_missing_samples_are_bridged_by_straight_lines_and_said():
+    record, _ = drive(201)
+    found, notes = mended(with_gap(record, 0.01))
+    assert notes == ("LR: 1.0% of the samples were missing and are bridged",)
+    begin, size = record.t.size // 3, round(0.01 * record.t.size)
+    bridge = found.a[1, begin - 1 : begin + size + 1]
+    np.testing.assert_allclose(np.diff(bridge, 2), 0.0, atol=1e-12)
+    np.testing.assert_array_equal(found.a[[0, 2]], record.a[[0, 2]])
+    np.testing.assert_array_equal(found.a[1, :begin], record.a[1, :begin])
+
+
+def test_samples_that_were_dropped_come_back_at_their_times():
+    record, _ = drive(202)
+    kept = np.ones(record.t.size, dtype=bool)
+    kept[100:103] = kept[500:520:2] = False
+    found, (note,) = mended(part(record, kept))
+    assert "of the samples were dropped (longest step 0.020 s)" in note
+    np.testing.assert_allclose(found.t, record.t, atol=1e-9)
+    np.testing.assert_allclose(found.s, record.s, atol=1e-9)
+    np.testing.assert_allclose(found.a[:, kept], record.a[:, kept], atol=1e-9)
+
+
+def test_a_sensor_at_its_limit_is_said_and_a_smooth_peak_is_not():
+    record, _ = drive(203)
+    limit = np.quantile(np.abs(record.a[0]), 0.9)
+    clipped = replace(record, a=np.clip(record.a, -limit, limit))
+    _, notes = mended(clipped)
+    assert any(note.startswith(f"RF stands at its limit of {limit:.1f} m/s²") for note in notes)
+    hum = np.sin(2.0 * np.pi * 1.0 * record.t)
+    assert mended(replace(record, a=np.array([hum, hum, hum])))[1] == ()
+
+
+def test_a_stop_and_a_record_that_begins_late_are_said():
+    record, _ = drive(204)
+    s = np.where(record.s < 5.0, record.s, np.maximum(record.s - 4.0, 5.0))
+    _, notes = mended(replace(record, s=s))
+    assert "the car stood still for 1.0 s; nothing is learnt of the road there" in notes
+    late = part(record, record.s > 3.0)
+    assert mended(late)[1] == ("the record does not reach the first 3.02 m of the road",)
+
+
+REFUSED = {
+    "LR holds no number in 30% of its samples; at most 20% can be bridged": lambda r: with_gap(
+        r, 0.3
+    ),
+    "sampled at 40 Hz; at least 60 Hz are wanted for a band of 25 Hz": lambda r: part(
+        r, np.arange(r.t.size) % 5 == 0
+    ),
+    "49% of the samples were dropped; at most 20%": lambda r: part(
+        r, (np.arange(r.t.size) < 0.5 * r.t.size) | (np.arange(r.t.size) > 0.99 * r.t.size)
+    ),
+    "the record has 20 samples; at least 32 are wanted": lambda r: part(r, np.arange(20)),
+    r"the car moved by 0\.00 m; at least 1 m are wanted": lambda r: replace(r, s=0.0 * r.s),
+    r"the odometer runs .* m backwards": lambda r: replace(r, s=r.s[::-1]),
+    "the clock must go on; it does not after sample 0": lambda r: replace(r, t=r.t[::-1]),
+    "the strut states 'stiff' must be true or false": lambda r: replace(
+        r, stiff=np.full((r.t.size, 4), 3)
+    ),
+    r"high of the record must have the shape \(\d+, 4\), got \(\d+, 3\)": lambda r: replace(
+        r, high=r.high[:, :3]
+    ),
+    r"a of the record must have the shape \(3, \d+\)": lambda r: replace(r, a=r.a[:2]),
+    r"the road must be longer than 0\.05 m, got 0\.0 m": lambda r: replace(r, length=0.0),
+}
+
+
+@pytest.mark.parametrize("sentence", REFUSED)
+def test_a_record_that_cannot_be_used_is_refused_with_the_reason(sentence):
+    record, _ = drive(205)
+    with pytest.raises(RecordError, match=sentence):
+        mended(REFUSED[sentence](record))
+
+
+@pytest.mark.parametrize("name", MENDING)
+def test_each_learner_says_what_it_mended_and_refuses_what_it_cannot(name):
+    estimator = fit(name)
+    record, _ = drive(206)
+    whole = estimator.estimate(record, CAR)
+    gap = estimator.estimate(with_gap(record, 0.005), CAR)
+    check_estimate(gap, record)
+    assert "LR: 0.5% of the samples were missing and are bridged" in gap.notes
+    change = np.sqrt(np.mean((gap.z - whole.z) ** 2) / np.mean(whole.z**2))
+    assert change < (1.0 if name == "narx" else 0.3)  # errors that are fed back go on for ever
+    with pytest.raises(RecordError, match="LR holds no number"):
+        estimator.estimate(with_gap(record, 0.5), CAR)

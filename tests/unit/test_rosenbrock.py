@@ -1,0 +1,290 @@
+"""The integrator's claims: its formula, order 2, L-stability, energy; and SciPy as the referee."""
+
+from functools import cache
+
+import numpy as np
+import oracles
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from vehicle_fixtures import (
+    CARS,
+    LEANING,
+    LEVEL,
+    ODD_LEANING,
+    ODDS,
+    PLANTS,
+    STILL,
+    accelerate,
+    lossless,
+    roll_on,
+    smooth_road,
+    vectors,
+)
+
+from road_envs.roads.surface import Surface
+from road_envs.simulation.rosenbrock import ACCELERATION, EXTENSION, LOAD, TWIST
+from road_envs.vehicle.equations import equilibrium, jacobian, plant
+from road_envs.vehicle.suspension import command, memory_at_rest
+
+MODES = ("ride", "handling")
+ROLL = [1, 4, 6, 8, 11, 13]
+GENTLE, ROUGH = smooth_road(height=0.007), smooth_road(height=0.03)
+SPEED, S_0 = 12.0, 1.0
+every_car = pytest.mark.parametrize("name", CARS)
+every_mode = pytest.mark.parametrize("mode", MODES)
+
+
+def under(surface, name, s, speed=SPEED):
+    """Heights and rates (4,) under the wheels by the oracle of the road."""
+    car = CARS.get(name, CARS["lopsided"])
+    return oracles.Road(surface.z, surface.ds).under(s, car.wheelbase, speed)
+
+
+@pytest.mark.parametrize("name", [*CARS, *ODDS])
+@every_mode
+@settings(max_examples=40)
+@given(
+    vectors(14, 0.02, 0.02, 0.01, 0.02, 0.02, 0.02, 0.02, 0.5, 0.4, 0.3, 1.0, 0.5, 1.0, 0.5),
+    st.sampled_from([0.0002, 0.001, 0.004, 0.01]),
+    st.floats(5.0, 30.0),
+    st.floats(-0.01, 0.01),
+)
+def test_one_step_is_the_published_formula(name, mode, y, h, s, psi):
+    """With dw/dt, the road's second derivative, taken over the half step as a difference.
+
+    The matrix of a car whose frame twists knows the twist's own spring and damper and no coupling.
+    """
+    one, memory = {**LEANING, **ODD_LEANING}[name], memory_at_rest(command(mode))
+    if one.flexible:
+        y = np.concatenate([y[:7], [psi], y[7:], [20.0 * psi]])
+    n, p = y.size // 2, one.numbers[0]
+    turn = np.array([[-3.0, 2.0], [-3.5, 2.6], [0.0, 0.0]])  # a_x, a_y at 0, h/2 and, unused, h
+
+    def world(t):
+        z_r, w_r = under(ROUGH, name, s + SPEED * t)
+        return np.concatenate([z_r, w_r, turn[round(2.0 * t / h)]])
+
+    def rate(y, x):
+        return np.concatenate([y[n:], accelerate(one, memory, y[:n], y[n:], x[:4], x[4:8], x[8:])])
+
+    def matrix(x):
+        J = jacobian(one, memory, y, x[:4], x[4:8])
+        if one.flexible:
+            J[[8, 9, 10, 11, 12, 13, 14], 7] = J[[8, 9, 10, 11, 12, 13, 14], 15] = 0.0
+            J[15] = 0.0
+            J[15, [7, 15]] = [-p["frame_rate"], -p["frame_damping"]] / p["frame_inertia"]
+        return J
+
+    start, middle = world(0.0), world(0.5 * h)
+    change = np.concatenate([start[4:8], (middle - start)[4:] / (0.5 * h)])
+    options = {"h": h, "steps": 1, "surface": ROUGH, "speed": SPEED, "s_0": s, "turn": turn}
+    found = y.copy()
+    out = roll_on(one, found, mode=mode, **options)
+    load = out[0, LOAD : LOAD + 4]
+    assume(((load == 0.0) | (load > 10.0)).all())  # the slope below needs no kink in its way
+    d = 1e-5
+    expected = oracles.ode23s_step(
+        lambda t, y: rate(y, world(t)),
+        lambda t, y: matrix(start),
+        lambda t, y: (rate(y, start + d * change) - rate(y, start - d * change)) / (2.0 * d),
+        0.0,
+        y,
+        h,
+    )
+    np.testing.assert_array_equal(out[0, :14], np.delete(y, [7, 15]) if one.flexible else y)
+    shown = out[0, [*range(ACCELERATION, ACCELERATION + 7), TWIST + 2][:n]]
+    np.testing.assert_allclose(shown, rate(y, start)[n:], rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(out[0, TWIST : TWIST + 2], y[[7, 15]] if one.flexible else [])
+    np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
+
+
+@cache
+def reference(name, mode, surface, seconds, rtol=1e-9):
+    """Times (N,) and states (14, N) of a drive, by LSODA on the compiled equations."""
+    one, memory = PLANTS[name], memory_at_rest(command(mode))
+    road, wheelbase = oracles.Road(surface.z, surface.ds), CARS[name].wheelbase
+
+    def rate(t, y):
+        z_r, w_r = road.under(S_0 + SPEED * t, wheelbase, SPEED)
+        return np.concatenate([y[7:], accelerate(one, memory, y[:7], y[7:], z_r, w_r)])
+
+    t, y_0 = np.linspace(0.0, seconds, 51), equilibrium(one, memory, STILL)
+    found = solve_ivp(
+        rate, (0.0, seconds), y_0, t_eval=t, method="LSODA", rtol=rtol, atol=rtol * 1e-2
+    )
+    assert found.success
+    return t, found.y
+
+
+def driven(name, mode, surface, t, h):
+    """States (14, N) of the same drive at the times `t`, in steps of `h`; least tyre load."""
+    one, memory = PLANTS[name], memory_at_rest(command(mode))
+    y, every = equilibrium(one, memory, STILL), round((t[1] - t[0]) / h)
+    steps = every * (t.size - 1) + 1
+    out = roll_on(one, y, h=h, steps=steps, surface=surface, speed=SPEED, s_0=S_0, memory=memory)
+    return out[::every, :14].T, out[:, LOAD:].min()
+
+
+def distance(states, truth):
+    """RMS error of the rates, relative to their RMS, the worst degree of freedom."""
+    error = np.sqrt(np.mean((states[7:] - truth[7:]) ** 2, axis=1))
+    return (error / np.sqrt(np.mean(truth[7:] ** 2, axis=1))).max()
+
+
+@every_car
+@every_mode
+def test_the_method_is_of_order_two_on_the_nonlinear_car_over_a_road(name, mode):
+    t, truth = reference(name, mode, GENTLE, 1.0)
+    h = 0.001 / 2.0 ** np.arange(5)
+    error = []
+    for step in h:
+        states, least = driven(name, mode, GENTLE, t, step)
+        assert least > 0.0  # order is a claim about smooth right-hand sides
+        error.append(distance(states, truth))
+    slope = np.polyfit(np.log(h), np.log(error), 1)[0]
+    assert slope == pytest.approx(2.0, abs=0.05)
+    assert error[0] < 1e-3 and error[-1] < 4e-6
+
+
+@pytest.mark.parametrize(("name", "mode"), [("lopsided", "ride"), ("defender", "handling")])
+def test_wheels_that_leave_the_ground_are_followed(name, mode):
+    t, truth = reference(name, mode, ROUGH, 1.0, rtol=1e-8)
+    states, least = driven(name, mode, ROUGH, t, 0.00025)
+    assert least == 0.0
+    assert distance(states, truth) < 1e-4
+
+
+@pytest.mark.parametrize(("name", "mode"), [("lopsided", "handling"), ("defender", "ride")])
+def test_a_drive_is_what_scipy_makes_of_the_papers_equations(name, mode):
+    """Nothing shared: the paper's letters, SciPy's curves, splines and implicit Radau method."""
+    one, memory = PLANTS[name], memory_at_rest(command(mode))
+    y_0, t = equilibrium(one, memory, STILL), np.linspace(0.0, 0.4, 21)
+    road = oracles.Road(GENTLE.z, GENTLE.ds)
+    truth = oracles.trajectory(
+        CARS[name], memory, road, SPEED, S_0, y_0, t, method="Radau", rtol=1e-5, atol=1e-9
+    )
+    states, _ = driven(name, mode, GENTLE, t, 0.0001)
+    assert distance(states, truth) < 5e-5
+
+
+@pytest.mark.parametrize("f", [0.5, 1.5, 4.0, 9.0, 16.0, 30.0])
+@pytest.mark.parametrize(("name", "mode"), [("lopsided", "ride"), ("defender", "handling")])
+def test_small_motions_have_the_frequency_response_of_the_energy_matrices(name, mode, f):
+    """On a sine of 0.1 micrometre under the left wheels, where friction is a linear damper."""
+    car, one, memory = CARS[name], PLANTS[name], memory_at_rest(command(mode))
+    start = equilibrium(one, memory, STILL)
+    column = car.strut.x_1 + (car.strut.x_2 if mode == "ride" else 0.0)
+    # the equilibrium fixes each strut's force, so its column and its rate
+    ratio = oracles.static_loads(car)[0] / (car.strut.p_stat * car.strut.A)
+    k_s = car.strut.n_p / column * car.strut.p_stat * car.strut.A * ratio ** (1 + 1 / car.strut.n_p)
+    curves = getattr(car.strut.damper, mode), getattr(car.strut.friction, mode)
+    c_s = sum(float(oracles.Cubic(c).slope(0.0)) for c in curves)
+    matrices = oracles.linear_matrices(car, k_s, (c_s, c_s))
+    speed, wavelength, amplitude = 10.0, 10.0 / f, 1e-7
+    ds = wavelength / 400
+    s = ds * np.arange(round((10.0 * speed + 6.0) / ds))
+    z = np.stack([amplitude * np.sin(2.0 * np.pi * s / wavelength), 0.0 * s])
+    out = roll_on(
+        one, start.copy(), h=0.0005, steps=19000, surface=Surface(z, ds), speed=speed,
+        s_0=car.wheelbase, memory=memory,
+    )  # fmt: skip
+    last = slice(-round(round(2.0 * f) / f / 0.0005), None)
+    phase = 2.0 * np.pi * f * 0.0005 * np.arange(19000)[last]
+    wave = np.exp(-1j * phase)
+    found = 2.0 * np.mean(out[last, ACCELERATION : ACCELERATION + 7] * wave[:, None], axis=0)
+    behind = np.exp(-2j * np.pi * f * car.wheelbase / speed)
+    lead = np.exp(2j * np.pi * f * car.wheelbase / speed)
+    expected = oracles.response(matrices, f, -1j * amplitude * lead * np.array([1, 0, behind, 0]))
+    np.testing.assert_allclose(found, expected, atol=0.01 * np.abs(expected).max())
+
+
+@every_car
+@every_mode
+def test_damped_motion_on_a_still_road_never_gains_energy(name, mode):
+    oracle, memory = oracles.NonlinearCar(CARS[name]), memory_at_rest(command(mode))
+    rng = np.random.default_rng(5)
+    for _ in range(4):
+        y = np.concatenate([0.01 * rng.standard_normal(7), 0.3 * rng.standard_normal(7)])
+        out = roll_on(PLANTS[name], y, h=0.0005, steps=1500, memory=memory)
+        energy = [oracle.energy(memory, x[:7], x[7:14], STILL) for x in out[::5]]
+        at_rest = equilibrium(PLANTS[name], memory, STILL)
+        span = energy[0] - oracle.energy(memory, at_rest[:7], at_rest[7:], STILL)
+        assert span > 0.0
+        assert np.diff(energy).max() < 1e-6 * span
+        assert energy[-1] - energy[0] < -0.9 * span
+
+
+@every_car
+@every_mode
+def test_without_losses_energy_is_kept_to_the_order_of_the_method(name, mode):
+    car, free = lossless(CARS[name]), plant(lossless(CARS[name]))
+    oracle, memory = oracles.NonlinearCar(car), memory_at_rest(command(mode))
+    start = equilibrium(free, memory, STILL)
+    rest = oracle.energy(memory, start[:7], start[7:], STILL)
+    start[7:] = 0.1, 0.1, 0.05, 0.2, 0.2, -0.2, 0.1
+    h, drift = 0.001 / 2.0 ** np.arange(4), []
+    for step in h:
+        y = start.copy()
+        roll_on(free, y, h=step, steps=round(1.0 / step), memory=memory)
+        first = oracle.energy(memory, start[:7], start[7:], STILL)
+        drift.append(abs(oracle.energy(memory, y[:7], y[7:], STILL) - first) / (first - rest))
+    assert drift[0] < 2e-4
+    assert np.polyfit(np.log(h), np.log(drift), 1)[0] > 1.9
+
+
+def left_alone(name, mode, size, h, steps):
+    """Distances from rest, relative to the first: at each step the greatest of the state."""
+    one, memory = PLANTS[name], memory_at_rest(command(mode))
+    rest = equilibrium(one, memory, STILL)
+    y = rest + size * np.random.default_rng(1).standard_normal(14)
+    out = roll_on(one, y, h=h, steps=steps, memory=memory)
+    away = np.abs(out[:, :14] - rest).max(axis=1)
+    return away / away[0]
+
+
+@every_car
+@every_mode
+@pytest.mark.parametrize("h", [0.05, 0.5, 5.0, 50.0])
+def test_small_motions_die_out_however_long_the_step(name, mode, h):
+    """L-stability: friction takes a millisecond and the axles roll at 15 Hz."""
+    away = left_alone(name, mode, 1e-8, h, 400)
+    assert away.max() < 100.0  # at 16 Hz a heave of 1 mm is a rate of 100 mm/s
+    assert away[-1] < 1e-3
+    if h >= 5.0:
+        assert away[10] < 1e-3
+
+
+@every_car
+@every_mode
+@pytest.mark.parametrize("h", [0.01, 0.02])
+def test_motions_of_centimetres_come_to_rest_in_steps_longer_than_the_fastest_motion(name, mode, h):
+    away = left_alone(name, mode, 0.01, h, 1000)
+    assert away.max() < 100.0 and away[-1] < 1e-3
+
+
+@every_car
+@every_mode
+def test_a_symmetric_road_never_rolls_the_car_to_the_bit(name, mode):
+    z = np.stack([ROUGH.z[0], ROUGH.z[0]])
+    one, memory = PLANTS[name], memory_at_rest(command(mode))
+    y = equilibrium(one, memory, STILL)
+    out = roll_on(
+        one, y, h=0.001, steps=3000, surface=Surface(z, ROUGH.ds), speed=SPEED, memory=memory
+    )
+    assert np.abs(out[:, 0]).max() > 0.01
+    assert (out[:, ROLL] == 0.0).all() and (y[ROLL] == 0.0).all()
+    for left in (EXTENSION, EXTENSION + 2, LOAD, LOAD + 2):
+        np.testing.assert_array_equal(out[:, left], out[:, left + 1])
+
+
+@every_car
+@every_mode
+def test_a_car_at_rest_on_level_ground_stays_at_rest(name, mode):
+    one, memory = PLANTS[name], memory_at_rest(command(mode))
+    rest = equilibrium(one, memory, STILL)
+    y = rest.copy()
+    out = roll_on(one, y, h=0.001, steps=5000, surface=LEVEL, memory=memory)
+    np.testing.assert_allclose(y, rest, atol=1e-12)
+    np.testing.assert_allclose(out[:, ACCELERATION : ACCELERATION + 7], 0.0, atol=1e-9)

@@ -1,0 +1,285 @@
+"""The scores and their statistics against independent answers, on stored cases."""
+
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import oracles_scores as oracle
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from leaderboard.metrics import bootstrap as statistics
+from leaderboard.metrics import heights, roughness
+from leaderboard.metrics.bootstrap import (
+    bootstrap,
+    interquartile_mean,
+    interval,
+    performance,
+    slope,
+    standings,
+)
+from leaderboard.metrics.obstacles import bump_scores, find_bumps, obstacles
+from leaderboard.metrics.registry import SCORES, scores
+from road_envs.data.record import GRID, Estimate, Profile, grid
+
+STORED = Path(__file__).parents[1] / "data" / "scores.json"
+CASES = {"late": 1, "quiet": 2, "loud": 3}
+SPEEDS = {"late": 14.5 / 3.6, "quiet": 30.0 / 3.6, "loud": 15.0}
+SETTINGS = {"late": {}, "quiet": {"share": 0.3, "noise": 0.0005}, "loud": {"noise": 0.03}}
+
+
+@cache
+def case(name):
+    return oracle.case(CASES[name], **SETTINGS[name])
+
+
+@cache
+def found(name):
+    y, a, sigma, ds = case(name)
+    s = ds * np.arange(y.shape[1])
+    return scores(Profile(s, y), Estimate(s, a, sigma), SPEEDS[name], bumps=True)
+
+
+def expected(name):
+    """The same scores by the definitions alone."""
+    y, a, sigma, ds = case(name)
+    v = SPEEDS[name]
+    band = (0.2, min(1.8, 0.9 * 25.0 / v))
+    e = np.array([oracle.in_band(a[i] - y[i], ds, *band) for i in range(2)])
+    trim = (y.shape[1] - e.shape[1]) // 2
+    sigma = sigma[:, trim : trim + e.shape[1]]
+    thin = (slice(None), slice(0, None, 400))  # quadrature is slow: a sample of the errors
+    r, lag, r_at_lag = oracle.pearson(y, a, ds, *band)
+    distance, bias = oracle.dsd_distance(y, a, ds, *band)
+    octaves = [n for n in (0.25, 0.5, 1.0, 2.0) if n * np.sqrt(2.0) <= 22.5 / v]
+    steps = {
+        n: np.subtract(oracle.octave_classes(a, ds, n), oracle.octave_classes(y, ds, n))
+        for n in octaves
+    }
+    every = np.concatenate(list(steps.values()))
+    return {
+        "nrmse": oracle.error_over_truth(y, a, ds, *band),
+        "nrmse_full": oracle.error_over_truth(y, a, ds, 0.05, 3.0),
+        "r": r,
+        "lag": lag,
+        "r_at_lag": r_at_lag,
+        "coherence": oracle.coherence(y, a, ds, *band),
+        "level_bias": oracle.level_error(y, a),
+        "dsd_distance_db": distance,
+        "dsd_bias_db": bias,
+        "class_exact": np.mean(every == 0),
+        "class_within_one": np.mean(np.abs(every) <= 1),
+        **{
+            f"class_exact_{n:g}": np.mean(steps[n] == 0) if n in steps else np.nan
+            for n in (0.25, 0.5, 1.0, 2.0)
+        },
+        "error_at_0.5": oracle.error_at(y, a, ds, 0.5),
+        "error_at_1.26": oracle.error_at(y, a, ds, 2.0 ** (1 / 3)),
+        "coverage_50": oracle.coverage(e, sigma, 0.5),
+        "coverage_90": oracle.coverage(e, sigma, 0.9),
+        "crps of some": np.mean(np.vectorize(oracle.crps)(e[thin], sigma[thin])),
+    }
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_scores_are_those_of_an_independent_implementation(name):
+    y, a, sigma, ds = case(name)
+    mine = dict(found(name))
+    band = heights.scored_band(SPEEDS[name])
+    e = heights.band_pass(a - y, ds, band)
+    trim = (y.shape[1] - e.shape[1]) // 2
+    sigma = sigma[:, trim : trim + e.shape[1]]
+    mine["crps of some"] = heights.crps(e[:, ::400], sigma[:, ::400])
+    for score, value in expected(name).items():
+        assert mine[score] == pytest.approx(value, rel=1e-6, abs=1e-9, nan_ok=True), score
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_scores_of_the_stored_cases_have_not_moved(name):
+    """Where one moves on purpose, `metrics.VERSION` goes up and the file is written anew."""
+    stored = json.loads(STORED.read_text())
+    assert stored["metrics"] == heights.VERSION
+    assert stored[name].keys() == {k for k, x in found(name).items() if np.isfinite(x)}
+    for score, value in stored[name].items():
+        assert found(name)[score] == pytest.approx(value, rel=1e-6, abs=1e-9), score
+
+
+def test_every_score_has_a_form_in_which_it_is_printed():
+    assert set(found("late")) <= SCORES.keys()
+    assert SCORES["crps"].text(0.00123) == "1.23" and SCORES["level_bias"].text(0.1) == "+10.0"
+
+
+# --- uncertainty ----------------------------------------------------------------------------------
+
+
+def noise(seed, level, length=300.0):
+    """White noise (2, M) of RMS `level` inside the band."""
+    e = np.random.default_rng(seed).standard_normal((2, grid(length).size))
+    inside = heights.band_pass(e, GRID, (0.2, 1.8))
+    return level * e / np.sqrt(np.mean(inside**2))
+
+
+def uncertainty(e, sigma):
+    inside = heights.band_pass(np.stack([0.0 * e, e]), GRID, (0.2, 1.8))
+    return heights.uncertainty(*inside, sigma)
+
+
+@pytest.mark.parametrize(("claimed", "half", "most"), [(1.0, 0.5, 0.9), (0.5, 0.264, 0.589)])
+def test_an_honest_deviation_covers_what_it_says_and_half_of_it_less(claimed, half, most):
+    # P(|x| < k z) of a normal x with k = 0.5: 2 Phi(0.5 x 0.674) - 1 and 2 Phi(0.5 x 1.645) - 1
+    e = noise(1, 0.01)
+    sigma = np.full_like(e, 0.01 * claimed)
+    found = uncertainty(e, sigma)
+    assert found.coverage_50 == pytest.approx(half, abs=0.05)
+    assert found.coverage_90 == pytest.approx(most, abs=0.05)
+
+
+@given(factor=st.floats(0.2, 5.0))
+@settings(max_examples=10)
+def test_no_other_deviation_scores_a_better_crps_than_the_honest_one(factor):
+    e = noise(2, 0.01)
+    honest, other = (uncertainty(e, np.full_like(e, x)).crps for x in (0.01, 0.01 * factor))
+    assert honest <= other * (1.0 + 1e-3)
+
+
+def test_a_deviation_of_zero_is_scored_by_its_mean_absolute_error():
+    e = noise(3, 0.01)
+    found = uncertainty(e, np.zeros_like(e))
+    assert found.crps == pytest.approx(np.mean(np.abs(heights.band_pass(e, GRID, (0.2, 1.8)))))
+    assert found.coverage_50 == found.coverage_90 == 0.0
+
+
+def test_an_estimate_without_a_deviation_has_no_such_score():
+    y, a, _, ds = case("late")
+    s = ds * np.arange(y.shape[1])
+    assert not {"crps", "coverage_50"} & scores(Profile(s, y), Estimate(s, a), 4.0, False).keys()
+
+
+# --- over spatial frequency, and obstacles --------------------------------------------------------
+
+
+def test_the_error_over_frequency_tells_where_it_is_wrong():
+    y, _, _, ds = case("late")
+    s = ds * np.arange(y.shape[1])
+    a = y + 0.002 * np.sin(2.0 * np.pi * 1.26 * s)
+    n, (G_y, G_e) = roughness.dsd(np.stack([y, a - y]), ds)
+    error = roughness.error_over_n(n, G_y, G_e)
+    assert int(np.argmax(error)) == list(np.round(roughness.THIRDS, 2)).index(1.26)
+    assert error[0] < 0.01 < 0.2 < max(error)
+    flat = roughness.error_over_n(n, G_y, G_y)
+    assert flat == pytest.approx([1.0] * len(roughness.THIRDS))
+
+
+def level_road(*blocks):
+    s = grid(60.0)
+    z = np.zeros((2, s.size))
+    for side, start, end, height in blocks:
+        z[side, (start <= s) & (s <= end)] = height
+    return z
+
+
+def test_a_hole_is_no_bump():
+    y = level_road((0, 20.0, 20.8, -0.06), (1, 30.0, 30.8, 0.1))
+    (hole,), (bump,) = obstacles(y, GRID)
+    assert hole.height == -0.06 and bump.height == 0.1
+    assert hole.s == pytest.approx(20.4, abs=GRID)
+    assert bump_scores(y, y, GRID)[:3] == (1.0, 1.0, 1.0)
+    upside_down = bump_scores(y, -y, GRID)
+    assert upside_down.f1 == 0.0 and upside_down.ghosts == 0
+    deep = bump_scores(y, 0.9 * y, GRID)
+    assert deep.height_error == pytest.approx(
+        0.008
+    ) and deep.height_error_relative == pytest.approx(0.1)
+
+
+def test_an_uneven_road_has_no_obstacles():
+    y = level_road((0, 20.0, 20.8, 0.1)) + case("late")[0][:, : grid(60.0).size] * 4.0
+    assert bump_scores(y, y, GRID) is None
+    assert find_bumps(y[0], GRID, 0.02)
+
+
+# --- statistics -----------------------------------------------------------------------------------
+
+
+@given(st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=30))
+@settings(max_examples=50)
+def test_the_interquartile_mean_is_the_mean_of_the_middle_of_the_quantiles(x):
+    assert interquartile_mean(np.array(x)) == pytest.approx(oracle.interquartile_mean(x), abs=1e-9)
+
+
+def test_on_one_seed_the_interval_is_that_of_scipys_bootstrap():
+    roads = np.random.default_rng(1).gamma(2.0, size=25)
+    mine = interval(roads[:, None, None])
+    theirs = stats.bootstrap(
+        (roads,),
+        oracle.interquartile_mean,
+        vectorized=False,
+        n_resamples=2000,
+        method="percentile",
+        rng=np.random.default_rng(2),
+    ).confidence_interval
+    width = theirs.high - theirs.low
+    assert mine.low == pytest.approx(theirs.low, abs=0.1 * width)
+    assert mine.high == pytest.approx(theirs.high, abs=0.1 * width)
+
+
+def test_replicates_are_those_of_roads_then_seeds_drawn_by_hand():
+    rng = np.random.default_rng(3)
+    road, seed = rng.standard_normal((8, 1, 1)), rng.standard_normal((1, 1, 4))
+    scores = road + 0.5 * seed + 0.2 * rng.standard_normal((8, 3, 4))
+    mine, brute = bootstrap(scores, 0, 4000), oracle.hierarchical(scores, 4000, rng)
+    assert mine.mean() == pytest.approx(brute.mean(), abs=0.03)
+    assert np.quantile(mine, [0.025, 0.5, 0.975]) == pytest.approx(
+        np.quantile(brute, [0.025, 0.5, 0.975]), abs=0.12
+    )
+    assert np.std(mine) == pytest.approx(np.std(brute), rel=0.06)
+
+
+def test_replicates_do_not_depend_on_how_many_are_held_at_a_time(monkeypatch):
+    scores = np.random.default_rng(4).standard_normal((6, 2, 3))
+    whole = bootstrap(scores, 0)
+    monkeypatch.setattr(statistics, "CELLS", 100)
+    np.testing.assert_allclose(bootstrap(scores, 0), whole, rtol=0.0, atol=1e-12)
+
+
+def test_a_rank_is_one_more_than_the_entries_whose_paired_difference_lies_below_zero():
+    rng = np.random.default_rng(5)
+    road = rng.standard_normal((12, 2, 1))
+    scores = {
+        f"entry {k}": road + 0.12 * k + 0.3 * rng.standard_normal((12, 2, 3)) for k in range(6)
+    }
+    drawn = {name: bootstrap(x, 0) for name, x in scores.items()}
+    ranks = {name: 1 for name in scores}
+    for name, mine in drawn.items():
+        for other in drawn.values():
+            _, high = np.quantile(other - mine, [0.025, 0.975])
+            ranks[name] += bool(high < 0.0)
+    assert {name: row.rank for name, row in standings(scores).items()} == ranks
+    assert len(set(ranks.values())) > 2
+
+
+def test_a_slope_is_that_of_numpys_polynomial_and_its_interval_is_paired():
+    rng = np.random.default_rng(7)
+    road = rng.standard_normal((20, 1, 1))
+    parts = [1.0 + 0.3 * k + road + 0.05 * rng.standard_normal((20, 2, 3)) for k in range(4)]
+    found = slope(parts)
+    means = [oracle.interquartile_mean(part.ravel()) for part in parts]
+    assert found.mean == pytest.approx(np.polyfit(range(4), means, 1)[0])
+    # unpaired, the spread of the roads alone would give it +-0.2
+    assert 0.0 < found.high - found.low < 0.05 and found.low < 0.3 < found.high
+
+
+def test_a_performance_profile_is_the_share_of_runs_below_each_threshold():
+    scores = np.random.default_rng(6).uniform(size=(30, 2, 2))
+    scores[0] = np.nan
+    thresholds = np.array([-1.0, 0.25, 0.5, 2.0])
+    found = performance(scores, thresholds)
+    by_hand = [sum(x <= limit for x in scores.ravel()) / scores.size for limit in thresholds]
+    assert found.share == pytest.approx(by_hand)
+    assert found.share[0] == 0.0 and found.share[-1] == pytest.approx(29 / 30)
+    assert (found.low <= found.share).all() and (found.share <= found.high).all()
+    # of independent roads the share's deviation is binomial: sqrt(p (1 - p) / 30), at p = 1/2
+    assert found.high[2] - found.low[2] == pytest.approx(4 * 0.5 / np.sqrt(60), rel=0.4)

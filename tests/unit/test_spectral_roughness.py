@@ -1,0 +1,49 @@
+"""Class and level from accelerations, against the roads that were driven on."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy import stats
+from test_cli import roadrecon as roadrecon
+from test_wiener import DEFENDER, drive
+
+from estimators.roughness.spectral import classify, probabilities
+from road_envs.analysis.roughness import CLASSES, band_means, dsd
+from road_envs.analysis.roughness import classify as class_of
+from road_envs.data.record import GRID
+
+
+@pytest.mark.parametrize(("road", "mode"), [("iso_b", "ride"), ("iso_d", "split")])
+def test_octaves_have_the_levels_and_classes_of_the_road(road, mode):
+    record, truth = drive("defender", road, mode, 54.0, length=150.0)
+    found = classify(record, DEFENDER)
+    n, G = dsd(truth.z, GRID)
+    low, high = found.octaves * 2.0**-0.5, found.octaves * 2.0**0.5
+    true = band_means(n, G, low, high).mean(axis=0) * (found.octaves / 0.1) ** 2
+    np.testing.assert_array_equal(found.octaves, [0.25, 0.5, 1.0])
+    assert (np.abs(10.0 * np.log10(found.levels / true)) < 1.5).all()
+    assert found.octave_classes == tuple(class_of(level) for level in true)
+    assert found.letter == road[-1].upper()
+
+
+def test_probabilities_are_those_of_a_normal_logarithm():
+    found = probabilities(np.log(600e-6), 0.3)
+    assert sum(found.values()) == pytest.approx(1.0)
+    upper, lower = (np.log(limit / 600e-6) / 0.3 for limit in (512e-6, 128e-6))
+    assert found["C"] == pytest.approx(stats.norm.cdf(upper) - stats.norm.cdf(lower))
+    assert max(found, key=found.get) == "D"
+    for name, mean in CLASSES.items():
+        assert probabilities(np.log(mean), 0.01)[name] == pytest.approx(1.0)
+
+
+def test_the_command_tells_the_class(roadrecon):
+    drive_it = ("simulate", "--road", "iso_c", "--length", "60", "--speed-kmh", "36")
+    assert roadrecon(*drive_it, "--out", "d.parquet")[0] == 0
+    code, out, _ = roadrecon("classify", "d.parquet", "--json")
+    facts = json.loads(out)
+    assert code == 0 and facts["class"] == "C"
+    assert facts["probability"]["C"] > 0.5 and len(facts["levels"]) == len(facts["octaves"])
+    code, out, _ = roadrecon("classify", "d.parquet")
+    assert code == 0 and "class C" in out
+    assert roadrecon("classify", "none.parquet")[0] == 2

@@ -1,0 +1,121 @@
+"""Factors on standard deviations: found where they are known, and honest on the judge's roads."""
+
+import numpy as np
+import pytest
+from scipy import signal
+from test_pretraining import judged as on_the_board
+
+from estimators import create
+from estimators.common.spatial_signals import SPACING
+from estimators.networks.std_calibration import (
+    TERMS,
+    constant,
+    fitted_widths,
+    honest,
+    judged,
+    terms,
+    widths,
+)
+from leaderboard.evaluation import pretraining
+from leaderboard.metrics.heights import band_pass, scored_band
+from road_envs.data.record import GRID
+from road_envs.data.training_corpus import Corpus
+
+
+def conditions(rng: np.random.Generator, size: int = 1) -> np.ndarray:
+    """As a network is told them: speed, its square, four states, level, scale."""
+    states = np.repeat(rng.choice([-1.0, 1.0], (4, 1)), size, axis=1)
+    u, level = rng.uniform(-2.0, 1.4), rng.uniform(-1.0, 1.0)
+    rest = np.array([[u], [u**2 - 1.0]]), np.array([[level], [level]])
+    return np.concatenate([rest[0] * np.ones(size), states, rest[1] * np.ones(size)])
+
+
+def drives(true: np.ndarray, draw, number: int = 400):
+    """Errors over claims `draw`n at unit width and made as wide as `true` says."""
+    rng = np.random.default_rng(1)
+    told = [conditions(rng) for _ in range(number)]
+    return [draw(rng, (2, 500)) * widths(true, each) for each in told], told
+
+
+def normal(rng, shape):
+    return rng.standard_normal(shape)
+
+
+def test_widths_that_follow_speed_states_and_level_are_found():
+    true = 0.15 * np.random.default_rng(0).standard_normal(TERMS)
+    ratios, told = drives(true, normal)
+    found = fitted_widths(ratios, told)
+    new = [conditions(np.random.default_rng(k)) for k in range(1000, 1200)]
+    off = [widths(found, each)[0] / widths(true, each)[0] for each in new]
+    np.testing.assert_allclose(off, 1.0, atol=0.06)
+
+
+def test_of_errors_with_heavy_tails_half_and_nine_tenths_are_covered_as_well_as_one_factor_can():
+    """A Student's t of three degrees of freedom: 50 and 90 % would take 1.13 and 1.43."""
+    ratios, told = drives(constant(2.0), lambda rng, shape: rng.standard_t(3, shape))
+    found = fitted_widths(ratios, told)
+    inside = np.mean(
+        [
+            [np.mean(np.abs(r) < far * widths(found, c)) for far in (0.6745, 1.6449)]
+            for r, c in zip(ratios, told, strict=True)
+        ],
+        axis=0,
+    )
+    assert inside.sum() == pytest.approx(1.4, abs=0.01)
+    assert 0.5 < inside[0] < 0.58 and 0.82 < inside[1] < 0.9
+
+
+def test_a_constant_factor_is_the_same_under_all_conditions():
+    told = conditions(np.random.default_rng(3), 5)
+    np.testing.assert_allclose(widths(constant(0.7), told), 0.7)
+    assert terms(told).shape == (TERMS, 5)
+
+
+def test_the_factor_makes_gaussian_errors_as_wide_as_they_are():
+    errors = np.random.default_rng(0).standard_normal(200_000)
+    assert honest(3.0 * errors) == pytest.approx(3.0, rel=0.01)
+
+
+@pytest.mark.parametrize("v", [4.0, 15.0])
+def test_the_judged_band_at_the_stations_is_that_of_the_judge(v):
+    """Up to 1.5 cycles/m stations every 0.15 m tell what the judge's grid of 25 mm does."""
+    rng = np.random.default_rng(2)
+    sos = signal.butter(4, [0.1, 1.7], "band", fs=1.0 / GRID, output="sos")
+    fine = signal.sosfiltfilt(sos, rng.standard_normal((2, 8000)), axis=1)
+    step = round(SPACING / GRID)
+    found = judged(fine[:, ::step], v)[:, 60:-60].std()
+    assert found == pytest.approx(band_pass(fine, GRID, scored_band(v)).std(), rel=0.02)
+
+
+def test_what_is_written_is_taught_and_then_calibrated_by_the_car_as_described(tmp_path):
+    """By the command's own way, and once more from its parts."""
+    corpus = Corpus(number=4, shortest=20, longest=30)
+    estimator, path = create("tcn", channels=4, steps=4), tmp_path / "t.safetensors"
+    written = pretraining.train(estimator, "tcn", corpus, 1, path, "roadrecon train tcn")
+    taught = [estimator.material(*corpus.drive(k)) for k in range(4)]
+    plain = estimator.learn(taught, corpus.vehicle, 1)
+    others = [estimator.material(*corpus.drive(k, as_described=True)) for k in (4, 5)]
+    again, before = plain.calibrated(others).weights(), plain.weights()
+    for name, x in written.weights().items():
+        np.testing.assert_array_equal(x, again[name])
+        if name != "widths":
+            np.testing.assert_array_equal(x, before[name])
+    assert (again["widths"] != before["widths"]).any()
+
+
+def test_a_drive_as_described_is_the_same_road_driven_the_same_way_by_the_very_car():
+    corpus = Corpus(number=4, shortest=20, longest=30)
+    (record, truth), (plain, same) = corpus.drive(2), corpus.drive(2, as_described=True)
+    np.testing.assert_array_equal(truth.z, same.z)
+    np.testing.assert_array_equal(record.v, plain.v)
+    np.testing.assert_array_equal(record.stiff, plain.stiff)
+    assert np.abs(record.a - plain.a).max() > 0.1
+
+
+@pytest.mark.parametrize("name", ["tcn", "tcn_causal", "gru", "gru_causal"])
+def test_shipped_intervals_cover_what_they_promise_on_the_cars_own_roads(name):
+    """All conditions of the main board together, and each within what its first two roads allow."""
+    rows = on_the_board(name, 2).values()
+    found = np.array([np.mean([inside for _, inside in row], axis=0) for row in rows])
+    np.testing.assert_allclose(found.mean(axis=0), [0.5, 0.9], atol=0.04)
+    assert (np.abs(found - [0.5, 0.9]) < [0.13, 0.07]).all()

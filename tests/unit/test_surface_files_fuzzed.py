@@ -1,0 +1,173 @@
+"""Readers of surface files on bytes that nobody wrote: an answer or a refusal, soon, in no room."""
+
+import re
+import time
+import tracemalloc
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from oracles_roads import crg_file, erd_file
+
+from road_envs.roads.formats import erd, opencrg
+from road_envs.roads.formats import table as tables
+from road_envs.roads.formats.opencrg import SurfaceFileError
+from road_envs.roads.measured import SUFFIXES, Measured
+from road_envs.roads.surface import Surface
+
+Z = 0.01 * np.random.default_rng(1).standard_normal((2, 24)).cumsum(axis=1)
+S = 0.25 * np.arange(24)
+
+
+def parquet(compression):
+    sink = pa.BufferOutputStream()
+    table = pa.table({"distance": S, "left": Z[0], "right": Z[1]})
+    pq.write_table(table, sink, compression=compression, use_dictionary=False)
+    return sink.getvalue().to_pybytes()
+
+
+def text(separator):
+    rows = [separator.join(f"{x:.4f}" for x in row) for row in (S, *Z)]
+    columns = zip(*(row.split(separator) for row in rows), strict=True)
+    return ("distance left right\n" + "\n".join(map(separator.join, columns))).encode()
+
+
+def read_erd(data):
+    return erd.parse_numbers(*erd.parse_header(data))
+
+
+def read_floats(data):
+    return erd.parse_numbers(erd.parse_header(erd_file(Z, "<")[0])[0], data)
+
+
+READERS = {
+    "crg": (opencrg.parse, [crg_file(Z.T, form) for form in opencrg.WIDTHS]),
+    "erd": (read_erd, [b"".join(erd_file(Z)), b"".join(erd_file(Z, samples=-1))]),
+    "erd numbers": (read_floats, [erd_file(Z, order)[1] for order in "<>"]),
+    "parquet": (tables.parse_parquet, [parquet(c) for c in ("none", "snappy", "zstd", "gzip")]),
+    "text": (tables.parse_text, [text(","), text(" "), text(";")]),
+}
+
+
+def answer(read, data):
+    """What the reader makes of `data`, in a time and a room that its size justifies."""
+    tracemalloc.start()
+    began, before = time.process_time(), pa.default_memory_pool().bytes_allocated()
+    try:
+        found = read(data)
+    except SurfaceFileError as error:
+        assert str(error) and "\n" not in str(error)
+        found = None
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 300_000 + 64 * len(data)
+    assert time.process_time() - began < 1.0 + 1e-5 * len(data)
+    assert pa.default_memory_pool().bytes_allocated() <= before + len(data)
+    return found
+
+
+def warmed(reader):
+    read, samples = READERS[reader]
+    for data in samples:
+        read(data)  # imports
+    return read, samples
+
+
+@pytest.mark.parametrize("reader", READERS)
+@settings(max_examples=60)
+@given(st.binary(max_size=600))
+def test_arbitrary_bytes_are_refused(reader, data):
+    read, _ = warmed(reader)
+    assert reader.endswith("numbers") or answer(read, b"\xfe" + data) is None
+
+
+@pytest.mark.parametrize("reader", READERS)
+@settings(max_examples=200)
+@given(st.data())
+def test_a_spoilt_file_is_read_or_refused(reader, data):
+    read, samples = warmed(reader)
+    content = bytearray(data.draw(st.sampled_from(samples)))
+    for _ in range(data.draw(st.integers(1, 6))):
+        at = data.draw(st.integers(0, len(content) - 1))
+        if data.draw(st.booleans()):
+            content[at] = data.draw(st.integers(0, 255))
+        else:
+            content[at : at + data.draw(st.integers(0, 5))] = data.draw(st.binary(max_size=6))
+    found = answer(read, bytes(content))
+    if found is not None and reader != "crg":
+        z, ds, _ = found
+        assert z.ndim == 2 and z.shape[0] == 2 and z.size <= 8 * len(content)
+        assert 0.0 < ds < 1e7
+
+
+@pytest.mark.parametrize("reader", READERS)
+@settings(max_examples=40)
+@given(st.data())
+def test_numbers_that_are_spoilt_are_read_or_refused(reader, data):
+    read, samples = warmed(reader)
+    content = data.draw(st.sampled_from(samples))
+    found = [m.span() for m in re.finditer(rb"[0-9][-+0-9.eE]*", content)]
+    start, end = data.draw(st.sampled_from(found or [(0, 1)]))
+    huge = [b"9" * 400, b"-1", b"0", b"1e308", b"-1e-320", b"nan", b"inf", b"9" * 18, b"4294967296"]
+    answer(read, content[:start] + data.draw(st.sampled_from(huge)) + content[end:])
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_a_file_cut_off_anywhere_is_read_or_refused(reader):
+    read, samples = warmed(reader)
+    for content in samples:
+        for end in range(0, len(content), 1 + len(content) // 120):
+            answer(read, content[:end])
+
+
+@pytest.mark.parametrize(
+    ("reader", "data"),
+    [
+        ("text", b"1 2\n" * 50_000),
+        ("text", b"1" * 200_000),
+        ("text", b"0 1\n1 2\n" + b"2" * 100_000 + b" 3\n" + b"\n" * 50_000),
+        ("text", b"," * 200_000),
+        ("text", b"#\n" * 100_000),
+        ("text", b"0 1\n1e-9 1\n" + b"\n".join(b"%d 1" % k for k in range(1, 20_000))),
+        ("text", b"0 " + b"1 " * 100_000),
+        ("erd", b"".join(erd_file(Z)) + b"9" * 200_000),
+        ("erd", b"".join(erd_file(Z)) + b" 1" * 100_000),
+        ("erd", b"ERDFILEV2.00\n" + b"END " * 50_000),
+        ("erd", b"ERDFILEV2.00\n" + b"1," * 100_000 + b"\nEND\n"),
+        ("erd", b"ERDFILEV2.00\n" + b" " * 200_000 + b"\nEND"),
+        ("erd", b"ERDFILEV2.00\n" + b"\n".join(b"KEY%05d" % k for k in range(20_000)) + b"\nEND\n"),
+        ("crg", b"$CT\n" + b"$\n" * 100_000),
+        ("crg", b"$ROAD_CRG\n" + b"a=1\n" * 50_000),
+        ("crg", b"$KD_DEFINITION\n" + b"D:long section 1,m\n" * 10_000 + b"$\n$ROAD_CRG\n$$$\n"),
+    ],
+    ids=lambda x: x if isinstance(x, str) else x[:12].decode(),
+)
+def test_a_long_file_of_one_kind_of_thing_takes_no_more_than_its_share(reader, data):
+    answer(warmed(reader)[0], data)
+
+
+def test_a_packed_table_of_many_equal_rows_is_refused_before_it_is_unpacked():
+    table = pa.table({name: np.zeros(2_000_000) for name in ("distance", "left", "right")})
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink, compression="zstd")
+    data = sink.getvalue().to_pybytes()
+    assert 8 * table.num_rows > 100 * len(data)
+    assert answer(tables.parse_parquet, data) is None
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@settings(max_examples=25)
+@example(b"")
+@given(st.binary(max_size=200))
+def test_as_a_road_a_file_is_refused_with_its_name(tmp_path_factory, suffix, data):
+    path = tmp_path_factory.getbasetemp() / f"fuzzed{suffix}"
+    path.write_bytes(data)
+    try:
+        surface = Measured(path=str(path)).realise(np.random.default_rng(0))
+    except SurfaceFileError as error:
+        assert str(error).startswith(str(path))
+    else:
+        assert isinstance(surface, Surface)

@@ -1,0 +1,224 @@
+"""Surfaces written to files, and Parquet tables as roads."""
+
+import re
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from road_envs.config import ConfigError
+from road_envs.roads import load_road
+from road_envs.roads.formats.opencrg import SurfaceFileError, read_crg
+from road_envs.roads.formats.table import parse_parquet
+from road_envs.roads.formats.write import WRITERS, write, write_crg
+from road_envs.roads.measured import Measured
+from road_envs.roads.surface import Surface
+
+FORMS = {"LRFI": 0.6e-6, "LDFI": 1e-14, "KRBI": 1e-6, "KDBI": 0.0}
+PRECISION = {".csv": 1.1e-9, ".parquet": 0.0, ".crg": 0.0, ".erd": 1.1e-9}
+
+
+def rng():
+    return np.random.default_rng(0)
+
+
+def wavy(size=60, name="wavy", notes=()):
+    z = 0.01 * np.random.default_rng(3).standard_normal((2, size)).cumsum(axis=1)
+    return Surface(z - z[:, :1], 0.1, name=name, notes=notes)
+
+
+surfaces = st.builds(
+    lambda z, ds: Surface(z - z[:, :1], ds),
+    arrays(float, st.tuples(st.just(2), st.integers(40, 60)), elements=st.floats(-9.0, 9.0)),
+    st.floats(0.1, 3.0),
+)
+
+
+# every kind of file
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+@settings(max_examples=25)
+@given(surface=surfaces)
+def test_a_surface_comes_back_as_a_road(tmp_path_factory, suffix, surface):
+    path = tmp_path_factory.getbasetemp() / f"surface{suffix}"
+    write(surface, path)
+    again = load_road(path).realise(rng())
+    np.testing.assert_allclose(again.z, surface.z, rtol=0.0, atol=PRECISION[suffix])
+    assert again.ds == pytest.approx(surface.ds, rel=1e-9)
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_names_and_notes_of_any_kind_spoil_no_file(tmp_path, suffix):
+    notes = (
+        "$ROAD_CRG",
+        "* x",
+        "END",
+        "# a note, with ü and " + "words " * 40,
+        "two\nlines\rhere",
+        "",
+    )
+    surface = wavy(name="ERDFILE\n$$ Straße", notes=notes)
+    write(surface, tmp_path / f"named{suffix}")
+    again = load_road(tmp_path / f"named{suffix}").realise(rng())
+    np.testing.assert_allclose(again.z, surface.z, atol=1.1e-9)
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_a_surface_that_starts_anywhere_is_written_with_its_stations(tmp_path, suffix):
+    surface = Surface(wavy().z, 0.1, start=730.0)
+    write(surface, tmp_path / f"late{suffix}")
+    again = load_road(tmp_path / f"late{suffix}").realise(rng())
+    np.testing.assert_allclose(again.z, surface.z, atol=1.1e-9)
+    assert again.start == 0.0 and again.ds == pytest.approx(0.1)
+    if suffix == ".crg":
+        assert again.notes == ("station 0 is u = 730 m",)
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_what_cannot_be_written_whole_is_not_written_at_all(tmp_path, monkeypatch, suffix):
+    def full(source, target):
+        raise OSError("no space left")
+
+    path = tmp_path / f"road{suffix}"
+    path.write_text("precious")
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(OSError, match="no space"):
+        write(wavy(), path)
+    assert path.read_text() == "precious"
+    assert [f.name for f in tmp_path.iterdir()] == [path.name]
+
+
+def test_a_kind_of_file_that_is_not_known_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match=r"must end in \.csv or \.parquet or \.crg or \.erd"):
+        write(wavy(), tmp_path / "road.xlsx")
+    with pytest.raises(ConfigError, match="unknown data format 'TEXT'"):
+        write_crg(wavy(), tmp_path / "road.crg", "TEXT")
+    assert not list(tmp_path.iterdir())
+
+
+# OpenCRG
+
+
+@pytest.mark.parametrize(("form", "precision"), FORMS.items())
+def test_an_opencrg_file_has_level_wheel_paths_wide_enough_for_a_tyre(tmp_path, form, precision):
+    surface = wavy()
+    write_crg(surface, tmp_path / "road.crg", form)
+    for shift in (-0.3, 0.0, 0.3):
+        road = Measured(path=str(tmp_path / "road.crg"), centre=shift)
+        np.testing.assert_allclose(road.realise(rng()).z, surface.z, atol=precision)
+    grid = read_crg(tmp_path / "road.crg")
+    np.testing.assert_array_equal(grid.v, [-1.125, -0.375, 0.375, 1.125])
+    assert grid.du == pytest.approx(0.1) and grid.z.shape == (60, 4)
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("height", [0.0, 9.9999999, 99.5, 1234.5678])
+def test_heights_of_any_size_fit_their_fields(tmp_path, form, height):
+    z = np.zeros((2, 40))
+    z[0, 5], z[1, 9] = height, -height
+    write_crg(Surface(z, 0.1), tmp_path / "high.crg", form)
+    again = load_road(tmp_path / "high.crg").realise(rng()).z
+    digits = {"LRFI": 6, "KRBI": 6.9}.get(form, 14)
+    np.testing.assert_allclose(again, z, atol=10.0**-digits * max(1.0, height))
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_header_of_an_opencrg_file_is_plain_text_up_to_column_72(tmp_path, form):
+    write_crg(wavy(size=61, notes=("a long note " * 20,)), tmp_path / "road.crg", form)
+    header, mark, payload = (tmp_path / "road.crg").read_bytes().partition(b"$" * 72 + b"\n")
+    assert mark and header.isascii()
+    assert max(map(len, header.split(b"\n"))) <= 72
+    if form.startswith("K"):
+        assert len(payload) % 80 == 0
+
+
+# Parquet
+
+
+def parquet(path, **columns):
+    pq.write_table(pa.table(columns), path)
+    return path
+
+
+S = 0.1 * np.arange(60)
+Z = wavy().z
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"distance": S, "left": Z[0], "right": Z[1]},
+        {"right": Z[1], "Left ": Z[0], "note": ["x"] * 60, "DISTANCE": S + 7.0},
+        {"distance": S.astype("f4"), "left": Z[0].astype("f4"), "right": Z[1].astype("f4")},
+    ],
+)
+def test_columns_of_a_parquet_table_go_by_their_names(tmp_path, columns):
+    surface = load_road(parquet(tmp_path / "t.parquet", **columns)).realise(rng())
+    np.testing.assert_allclose(surface.z, Z, atol=1e-7)
+
+
+def test_one_height_stands_for_both_paths(tmp_path):
+    path = parquet(tmp_path / "t.parquet", distance=np.arange(9), height=np.arange(9) % 3)
+    surface = load_road(path).realise(rng())
+    np.testing.assert_array_equal(surface.z, [np.arange(9) % 3] * 2)
+    assert "left and right wheel path are the same" in surface.notes
+
+
+def test_nulls_are_missing_heights(tmp_path):
+    left = [None if k in (3, 4) else float(z) for k, z in enumerate(Z[0])]
+    path = parquet(tmp_path / "t.parquet", distance=S, left=left, right=Z[1])
+    with pytest.raises(SurfaceFileError, match="2 of 60 heights of the left wheel path"):
+        load_road(path)
+    bridged = Measured(path=str(path), bridge_gaps=True).realise(rng()).z[0, 2:6]
+    np.testing.assert_allclose(bridged, np.linspace(Z[0, 2], Z[0, 5], 4))
+
+
+@pytest.mark.parametrize(
+    ("columns", "says"),
+    [
+        ({"s": S, "left": Z[0], "right": Z[1]}, "got s, left, right"),
+        ({"distance": S, "left": Z[0]}, "got distance, left"),
+        ({"distance": S, "left": Z[0], "LEFT": Z[0], "right": Z[1]}, "got distance, left, LEFT"),
+        ({"distance": S, "height": ["x"] * 60}, "no readable Parquet file"),
+        ({"distance": S, "height": [[1.0]] * 60}, "no readable Parquet file"),
+        ({"distance": S[::-1], "height": Z[0]}, "does not increase at row 2"),
+        ({"distance": S, "height": 1e9 * Z[0]}, "a height of"),
+        ({"distance": [None, *S[1:]], "height": Z[0]}, "a distance of nan m"),
+        ({"distance": [0.0] * 0, "height": [0.0] * 0}, "damaged: 0 rows"),
+        ({"distance": [0.0], "height": [0.0]}, "at least 4 stations"),
+        ({"distance": [0.0] * 500_000, "height": [0.0] * 500_000}, "damaged: 500000 rows in"),
+    ],
+)
+def test_a_parquet_table_that_is_no_profile_is_refused(tmp_path, columns, says):
+    with pytest.raises(SurfaceFileError, match=re.escape(says)) as error:
+        load_road(parquet(tmp_path / "t.parquet", **columns))
+    assert "\n" not in str(error.value)
+
+
+def test_a_record_of_a_drive_is_no_road(tmp_path):
+    path = parquet(tmp_path / "t.parquet", t=S, a_rf=S, v=S, s=S)
+    with pytest.raises(SurfaceFileError, match="got t, a_rf, v, s"):
+        load_road(path)
+
+
+def test_a_level_road_is_not_too_well_packed_to_be_read(tmp_path):
+    surface = Surface(np.zeros((2, 200_001)), 0.005)
+    write(surface, tmp_path / "level.parquet")
+    assert load_road(tmp_path / "level.parquet").length == pytest.approx(1000.0)
+
+
+def test_no_changed_byte_of_the_numbers_goes_unseen(tmp_path):
+    write(wavy(), tmp_path / "t.parquet")
+    data = (tmp_path / "t.parquet").read_bytes()
+    for at in range(4, len(data) - 8, 7):
+        changed = data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :]
+        try:
+            z, _, _ = parse_parquet(changed)
+        except SurfaceFileError:
+            continue
+        np.testing.assert_array_equal(z, wavy().z)

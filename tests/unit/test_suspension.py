@@ -1,0 +1,344 @@
+"""The force laws, the two accumulators and the valves of a strut; the tyre; the shipped curves."""
+
+import numpy as np
+import oracles
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from vehicle_fixtures import CARS, DEFENDER, ODD, ODD_PLANTS, PLANTS, memories
+
+from road_envs import config
+from road_envs.config import ConfigError
+from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.suspension import (
+    HELD,
+    HIGH,
+    MODES,
+    OPEN,
+    command,
+    memory_at_rest,
+    settled,
+    strut_force,
+    strut_states,
+    switch,
+    tyre_curvature,
+    tyre_force,
+)
+
+STRUT = DEFENDER.strut
+V = np.linspace(0.0, 2.5, 501)[1:]
+every_mode = pytest.mark.parametrize("mode", ["ride", "handling"])
+every_car = pytest.mark.parametrize("name", CARS)
+both_axles = pytest.mark.parametrize("w", [0, 1, 2, 3])
+
+
+def force(memory, e, e_dot=0.0, w=0, name="defender"):
+    plant = PLANTS[name]
+    arrays = plant.numbers[0], plant.velocity, plant.displacement
+    return strut_force(*arrays, memory, w, e, e_dot)
+
+
+# --- the gas spring -------------------------------------------------------------------------------
+
+
+@every_mode
+@given(e=st.floats(-0.03, 0.02))
+def test_between_bushing_and_stop_the_one_gas_law_is_equation_1(mode, e):
+    expected = oracles.gas_force(oracles.X_STAT[mode], e)
+    assert force(memory_at_rest(command(mode)), e)[0] == pytest.approx(expected, rel=1e-14)
+
+
+def test_the_static_rates_are_16_7_and_83_6_kilonewtons_per_metre():
+    for mode, printed in (("ride", 16.7e3), ("handling", 83.6e3)):
+        rate = force(memory_at_rest(command(mode)), 0.0)[1]
+        assert rate == pytest.approx(oracles.static_rate(mode), rel=1e-12)
+        assert rate == pytest.approx(printed, abs=50.0)
+
+
+@every_car
+@both_axles
+@given(memories, st.floats(-0.3, 0.3), st.floats(-4.0, 4.0))
+def test_a_strut_pushes_as_the_sum_of_its_five_parts(name, w, memory, e, e_dot):
+    oracle = oracles.NonlinearCar(CARS[name])
+    moved = np.full(4, e), np.full(4, e_dot)
+    F, k, _ = force(memory, e, e_dot, w, name)
+    expected = oracle.strut_forces(memory, *moved)[w]
+    assert F == pytest.approx(expected, rel=1e-9, abs=1e-6)
+    assert k > 0.0
+
+
+@given(memories, st.floats(-0.2, 0.2), st.floats(-3.0, 3.0))
+def test_the_compiled_strut_is_the_plain_one(memory, e, e_dot):
+    plant = PLANTS["lopsided"]
+    plain = plant.numbers.view(np.recarray)[0], plant.velocity, plant.displacement
+    expected = strut_force.py_func(*plain, memory, 2, e, e_dot)
+    found = force(memory, e, e_dot, 2, "lopsided")
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-9)
+
+
+def test_a_bottomed_gas_column_goes_on_as_its_tangent():
+    memory = memory_at_rest(command("handling"))
+    least = STRUT.column_min - STRUT.x_1
+    assert force(memory, least - 1e-9)[0] == pytest.approx(force(memory, least + 1e-9)[0], rel=1e-6)
+    F, k, _ = force(memory, least)
+    beyond = force(memory, least - 0.002)
+    assert beyond[0] > F and np.isfinite(beyond[0])
+    assert beyond[1] == pytest.approx(k, rel=1e-3)
+    assert np.isfinite(force(memory, -1.0)[0])
+
+
+# --- the second accumulator and the valves --------------------------------------------------------
+
+
+def taken_up(memory, w, e, car):
+    """The part of the extension that the second accumulator has taken up [m]."""
+    return memory[w, HELD] + memory[w, OPEN] * car.strut.x_2 / (car.strut.x_1 + car.strut.x_2) * e
+
+
+def operate(memory, path, stiff, high, car=DEFENDER, name="defender", h=0.001):
+    """Put strut 0 through `path` (N,) of extensions, one step each; returns e_2 after each."""
+    alpha = 1.0 - np.exp(-h / car.valve.lag)
+    found = np.empty(path.size)
+    for n, e in enumerate(path):
+        switch(PLANTS[name].numbers[0], memory, 0, e, stiff, high, alpha, h)
+        found[n] = taken_up(memory, 0, e, car)
+    return found
+
+
+@every_car
+@pytest.mark.parametrize("stiff", [False, True])
+def test_the_second_accumulator_follows_its_equation_through_a_switch(name, stiff):
+    car, h = CARS[name], 2e-5
+    t = h * np.arange(round(0.25 / h))
+    ratio = car.strut.x_2 / (car.strut.x_1 + car.strut.x_2)
+    e = lambda t: 0.03 * np.sin(20.0 * t + 0.7)  # noqa: E731
+    e_dot = lambda t: 0.6 * np.cos(20.0 * t + 0.7)  # noqa: E731
+    memory = memory_at_rest(command("ride" if stiff else "handling"))
+    e_2_0 = taken_up(memory, 0, e(0.0), car)
+    found = operate(memory, e(t), stiff, False, car, name, h)
+    expected = oracles.second_accumulator(
+        e, e_dot, stiff, t, u_0=float(stiff), e_2_0=e_2_0, ratio=ratio,
+        lag=car.valve.lag, equalisation=car.valve.equalisation,
+    )  # fmt: skip
+    np.testing.assert_allclose(found, expected, atol=0.004 * np.abs(expected).max())
+
+
+def test_a_closed_valve_keeps_the_gas_behind_it():
+    memory = memory_at_rest(command("ride"))
+    operate(memory, np.full(300, 0.02), True, True)
+    assert memory[0, OPEN] == 0.0 and settled(memory, 0, True, True)
+    before = taken_up(memory, 0, 0.02, DEFENDER)
+    after = operate(memory, 0.03 * np.sin(np.arange(200.0)), True, True)
+    assert (after == before).all()
+    assert before == pytest.approx(0.02 * STRUT.x_2 / 0.255, rel=1e-12)
+
+
+@every_car
+def test_an_opened_valve_makes_the_pressures_equal_however_fast_it_is(name):
+    """The lopsided car's valve is open long before the pressures are equal."""
+    car, e = CARS[name], 0.025
+    memory = memory_at_rest(command("handling"))
+    while not settled(memory, 0, False, False):
+        operate(memory, np.full(1, e), False, False, car, name)
+    first = car.strut.x_1 / (car.strut.x_1 + e - taken_up(memory, 0, e, car))
+    second = car.strut.x_2 / (car.strut.x_2 + taken_up(memory, 0, e, car))
+    assert first == pytest.approx(second, rel=1e-10)
+    assert memory[0] == pytest.approx([0.0, 1.0, 0.0], abs=0.0)
+
+
+@given(memories, st.floats(-0.03, 0.03), st.booleans(), st.booleans(), st.floats(1e-5, 0.1))
+def test_turning_the_valve_alone_moves_no_gas_force(memory, e, stiff, high, h):
+    """With equal pressures on both sides nothing flows, wherever the valve stands or goes to."""
+    memory[0, HELD] = (1.0 - memory[0, OPEN]) * e * STRUT.x_2 / 0.255
+    before = force(memory, e)[0]
+    operate(memory, np.full(3, e), stiff, high, h=h)
+    assert force(memory, e)[0] == pytest.approx(before, rel=1e-12)
+
+
+def test_damping_goes_from_low_to_high_with_the_lag_of_the_valve():
+    memory = memory_at_rest(command("ride"))
+    low, high = force(memory, 0.0, 0.5)[0], force(memory_at_rest(command("soft_high")), 0.0, 0.5)[0]
+    for n in range(1, 40):
+        operate(memory, np.zeros(1), False, True)
+        expected = low + (high - low) * (1.0 - np.exp(-0.001 * n / DEFENDER.valve.lag))
+        assert force(memory, 0.0, 0.5)[0] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_every_state_is_reached_from_every_other_and_then_is_settled(mode):
+    stiff, high = MODES[mode]
+    for other in MODES:
+        memory = memory_at_rest(command(other))
+        assert settled(memory, 0, *MODES[other])
+        operate(memory, np.zeros(400), stiff, high)
+        np.testing.assert_array_equal(memory[0], memory_at_rest(command(mode))[0])
+
+
+# --- commands -------------------------------------------------------------------------------------
+
+
+def test_a_command_reaches_the_vehicle_an_axle_or_a_strut():
+    stiff, high = strut_states(np.array([command("stiff_low")]))
+    assert stiff.all() and not high.any()
+    stiff, high = strut_states(np.array([command({"front": "ride", "rear": "handling"})]))
+    assert stiff[0].tolist() == high[0].tolist() == [False, False, True, True]
+    single = {"FL": "ride", "FR": "soft_high", "RL": "stiff_low", "RR": "handling"}
+    stiff, high = strut_states(np.array([command(single)]))
+    assert stiff[0].tolist() == [False, False, True, True]
+    assert high[0].tolist() == [False, True, False, True]
+
+
+@given(st.lists(st.integers(0, 255), min_size=1, max_size=9))
+def test_command_bytes_and_strut_states_are_one_language(bytes_):
+    stiff, high = strut_states(np.array(bytes_))
+    for byte, s, d in zip(bytes_, stiff, high, strict=True):
+        assert byte == sum((int(s[w]) << w) | (int(d[w]) << (4 + w)) for w in range(4))
+        memory = memory_at_rest(byte)
+        assert (memory[:, OPEN] == ~s).all() and (memory[:, HIGH] == d).all()
+
+
+@pytest.mark.parametrize(
+    ("mode", "reason"),
+    [
+        ("comfort", "unknown suspension mode 'comfort'; known: handling, ride"),
+        ("handlng", "did you mean 'handling'"),
+        ({"front": "ride"}, "front and rear"),
+        ({"front": "ride", "rear": "soft"}, "unknown suspension mode 'soft'"),
+        (3, "unknown suspension mode 3"),
+    ],
+)
+def test_a_command_that_means_nothing_is_refused(mode, reason):
+    with pytest.raises(ConfigError, match=reason):
+        command(mode)
+
+
+# --- the tyre -------------------------------------------------------------------------------------
+
+
+TYRES = {**PLANTS, "odd": ODD_PLANTS["odd"]}
+every_tyre = pytest.mark.parametrize("name", TYRES)
+wheels = st.integers(0, 3)
+compressions, rates = st.floats(-0.4, 0.2), st.floats(-5.0, 5.0)
+
+
+def tyre(name, w, u, u_dot):
+    """Load, stiffness and damping; the spring's own load."""
+    p = TYRES[name].numbers[0]
+    return *tyre_force(p, w, u, u_dot), tyre_force(p, w, u, 0.0)[0]
+
+
+@every_tyre
+@given(wheels, compressions, rates)
+def test_a_tyre_pushes_as_spring_and_damper_and_never_pulls(name, w, u, u_dot):
+    """And its damper, which opposes every change, never does more than its spring."""
+    one = {"odd": ODD}.get(name, oracles.AS_DESCRIBED)
+    oracle = oracles.NonlinearCar(CARS.get(name, CARS["lopsided"]), one)
+    k, c = oracle.touching(w, u, u_dot)
+    T, _, damping, spring = tyre(name, w, u, u_dot)
+    assert T == pytest.approx(k * (u + oracle.delta[w]) + c * u_dot, rel=1e-9, abs=1e-6)
+    assert damping == c
+    assert 0.0 <= T <= 2.0 * spring
+    assert (T - spring) * u_dot >= 0.0
+
+
+@every_tyre
+@given(wheels, st.floats(1e-9, 0.3), rates)
+def test_a_wheel_in_the_air_feels_nothing_however_fast_it_closes_on_the_ground(
+    name, w, above, u_dot
+):
+    touch = -TYRES[name].numbers[0]["delta"][w // 2]
+    assert tyre(name, w, touch - above, u_dot) == (0.0, 0.0, 0.0, 0.0)
+    just = tyre(name, w, touch + 1e-9, u_dot)[0]
+    assert 0.0 <= just < 1e-3  # no jump of the load, as a damper without a limit would make
+
+
+@every_tyre
+@given(wheels, compressions, rates)
+def test_the_slopes_of_a_tyre_are_those_of_its_load(name, w, u, u_dot):
+    delta, c_t = (TYRES[name].numbers[0][key] for key in ("delta", "c_t"))
+    _, k, c, spring = tyre(name, w, u, u_dot)
+    kinks = np.array([delta[w // 2] + u, spring + c_t[w] * u_dot, spring - c_t[w] * u_dot])
+    assume((np.abs(kinks) > [1e-4, 1.0, 1.0]).all())
+    d = 1e-6
+    by_u = (tyre(name, w, u + d, u_dot)[0] - tyre(name, w, u - d, u_dot)[0]) / (2.0 * d)
+    by_rate = (tyre(name, w, u, u_dot + d)[0] - tyre(name, w, u, u_dot - d)[0]) / (2.0 * d)
+    assert (k, c) == (pytest.approx(by_u, rel=1e-6), pytest.approx(by_rate, rel=1e-6, abs=1e-6))
+    bend = (tyre(name, w, u + d, u_dot)[1] - tyre(name, w, u - d, u_dot)[1]) / (2.0 * d)
+    found = tyre_curvature(TYRES[name].numbers[0], w, u, u_dot)
+    assert found == pytest.approx(bend, rel=1e-4, abs=1e-3)
+
+
+def test_a_tyre_on_a_road_of_no_number_has_no_number_for_a_load():
+    for u in (np.nan, np.inf):
+        assert not np.isfinite(tyre_force(PLANTS["defender"].numbers[0], 0, u, 0.0)[0])
+
+
+# --- what the shipped curves must look like -------------------------------------------------------
+
+
+def test_handling_damps_more_than_ride_at_every_velocity():
+    for v in (V, -V):
+        low, high = STRUT.damper.ride(v)[0], STRUT.damper.handling(v)[0]
+        assert (np.sign(v) * low > 0.0).all() and (np.abs(high) > 1.5 * np.abs(low)).all()
+
+
+def test_dampers_are_digressive_and_rebound_is_the_stronger_side():
+    for curve, bump, rebound in (
+        (STRUT.damper.ride, 1200.0, 2600.0),
+        (STRUT.damper.handling, 3500.0, 6500.0),
+    ):
+        assert (curve(V)[0] > -curve(-V)[0]).all()
+        for v, slope in ((-0.1, bump), (0.1, rebound)):
+            assert curve(np.array(v))[0] / v == pytest.approx(slope, rel=0.01)
+            assert curve(10.0 * np.array(v))[0] / (10.0 * v) < 0.7 * slope
+
+
+@every_mode
+def test_friction_breaks_away_at_two_centimetres_a_second_and_then_falls(mode):
+    friction, damper = getattr(STRUT.friction, mode), getattr(STRUT.damper, mode)
+    v = np.linspace(0.0, 1.0, 10001)
+    for sign in (1.0, -1.0):
+        F = sign * friction(sign * v)[0]
+        assert v[np.argmax(F)] == pytest.approx(0.02, abs=1e-4)
+        assert F.max() == pytest.approx(1.5 * F[-1], rel=0.02)
+        assert (np.diff(F[v > 0.021]) <= 1e-9).all()
+    assert friction(V)[0].max() < 0.5 * damper(V)[0].max()
+    assert np.abs(friction(np.array([1.0]))[0]) < np.abs(damper(np.array([1.0]))[0])
+
+
+def test_friction_is_greater_in_handling():
+    assert (STRUT.friction.handling(V)[0] > STRUT.friction.ride(V)[0]).all()
+    levels = [getattr(STRUT.friction, m)(np.array(1.0))[0] for m in ("ride", "handling")]
+    assert levels == pytest.approx([150.0, 250.0])
+
+
+def test_the_bushing_is_soft_inside_its_range_and_nearly_exponential_outside():
+    F = STRUT.bushing(np.linspace(-0.1, 0.05, 301))[0]
+    assert np.abs(F).max() <= 60.0
+    for beyond in (np.linspace(0.065, 0.11, 4), np.linspace(-0.115, -0.16, 4)):
+        growth = np.abs(STRUT.bushing(beyond)[0])
+        ratios = growth[1:] / growth[:-1]
+        assert (ratios > 2.0).all() and ratios.max() / ratios.min() < 1.6
+
+
+def test_the_rear_struts_have_more_working_space_than_the_front():
+    front, rear = STRUT.bump_stop.front, STRUT.bump_stop.rear
+    e = np.linspace(-0.2, 0.2, 801)
+    for stop in (front, rear):
+        F = stop(e)[0]
+        assert (np.diff(F) >= 0.0).all() and F[0] < -20e3 and F[-1] > 20e3
+    free = [e[np.abs(stop(e)[0]) < 1.0] for stop in (front, rear)]
+    assert free[1].min() < free[0].min() - 0.01 and free[1].max() > free[0].max() + 0.01
+
+
+def test_a_strut_force_opposes_what_extends_it():
+    for curve in (STRUT.bushing, STRUT.bump_stop.front, STRUT.bump_stop.rear):
+        x = np.array(curve.x)
+        assert (np.sign(x) * curve.F >= 0.0).all()
+
+
+@pytest.mark.parametrize("name", config.names("vehicles"))
+def test_the_shipped_valve_is_95_percent_there_within_50_milliseconds(name):
+    valve = config.load(VehicleParameters, "vehicles", name).valve
+    assert 1.0 - np.exp(-(0.050 - valve.delay) / valve.lag) >= 0.95
+    assert 0.040 <= valve.delay + 3.0 * valve.lag <= 0.100

@@ -1,0 +1,183 @@
+"""Networks learn the same to the bit with one seed, interrupted or not, and know what they know."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_estimator_contract import CAR, drive, fit
+
+from estimators import create, pretrained_weights
+from estimators.api import NotFittedError
+from estimators.networks.inputs import AHEAD, LAG, Inputs
+from estimators.networks.tcn import Tcn
+from estimators.networks.trainer import Lesson, Plan, Stretch, divided, numbers, put, rate, teach
+
+torch = pytest.importorskip("torch")
+
+
+class Shallow(torch.nn.Module):
+    """The least network that can be taught: a window of three, its errors' spread beside it."""
+
+    behind = ahead = 1
+
+    def __init__(self, seed: int = 0):
+        super().__init__()
+        torch.manual_seed(seed)
+        self.window = torch.nn.Conv1d(10, 4, 3)
+
+    def forward(self, x, conditions):
+        return self.window(x)
+
+
+def lesson(seed: int, noise: float, size: int = 400) -> Lesson:
+    """What is missing is a window of the inputs, and noise."""
+    rng = np.random.default_rng(seed)
+    x = rng.standard_normal((10, size + 2)).astype(np.float32)
+    missing = np.array([0.7 * x[0, 2:] - 0.3 * x[1, :-2], 0.5 * x[2, 1:-1]])
+    missing = missing + noise * rng.standard_normal(missing.shape)
+    inputs = Inputs(x, np.zeros((8, 1), np.float32), np.ones(size), np.zeros((2, size)))
+    return Lesson(inputs, missing.astype(np.float32))
+
+
+PLAN = Plan(steps=300, batch=8, crop=40, rate=3e-2, decay=0.0)
+
+
+def test_what_a_window_tells_is_learnt_and_what_is_left_is_its_spread():
+    network = Shallow()
+    error = teach(network, [lesson(k, noise=0.2) for k in range(20)], PLAN, 0)
+    assert error == pytest.approx(0.04, rel=0.1)
+    bias = network.window.bias.detach().numpy()
+    np.testing.assert_allclose(np.exp(bias[2:]), 0.2, rtol=0.2)
+
+
+class PowerError(Exception):
+    pass
+
+
+class Memory:
+    """Keeps a state; `last` visits after which the power fails."""
+
+    def __init__(self, last: int | None = None):
+        self.last, self.state = last, None
+
+    def load(self):
+        return self.state
+
+    def save(self, state):
+        self.state = {name: np.array(x) for name, x in state.items()}
+        self.last = None if self.last is None else self.last - 1
+        if self.last == 0:
+            raise PowerError
+
+
+@pytest.mark.parametrize("visits", [1, 7, 20])
+def test_an_interrupted_teaching_ends_where_a_whole_one_does_to_the_bit(visits):
+    lessons = [lesson(k, noise=0.1, size=120) for k in range(12)]
+    plan = PLAN._replace(steps=60)
+    whole, parts = Shallow(), Shallow()
+    teach(whole, lessons, plan, 3)
+    memory = Memory(visits)
+    with pytest.raises(PowerError):
+        teach(parts, lessons, plan, 3, keeper=memory)
+    memory.last = None
+    resumed = Shallow(seed=99)
+    teach(resumed, lessons, plan, 3, keeper=memory)
+    for name, x in numbers(whole).items():
+        np.testing.assert_array_equal(numbers(resumed)[name], x)
+
+
+def test_the_weights_of_the_least_error_on_held_out_roads_are_kept():
+    """Held-out drives follow the opposite law: the best is the beginning, and teaching stops."""
+    lessons = [lesson(k, noise=0.0) for k in range(20)]
+    for k in (9, 19):
+        lessons[k] = lessons[k]._replace(missing=-lessons[k].missing)
+    network = Shallow()
+    for weight in network.parameters():
+        torch.nn.init.zeros_(weight)
+    said = []
+    teach(network, lessons, PLAN, 0, lambda text, share: said.append(share))
+    assert not any(x.any() for name, x in numbers(network).items() if name == "window.weight")
+    assert len(said) == 8 and said[-1] < 0.5  # six checks without a better one, and it ends
+
+
+def test_roads_are_held_out_whole_where_there_are_many_and_in_part_where_there_are_few():
+    many, few = ([lesson(k, 0.0, 100) for k in range(n)] for n in (25, 3))
+    taught, held_out = divided(many)
+    assert [part.lesson for part in held_out] == [many[9], many[19]]
+    assert len(taught) == 23
+    taught, held_out = divided(few)
+    assert [(p.start, p.stop) for p in taught] == 3 * [(0, 80)]
+    assert [(p.start, p.stop) for p in held_out] == 3 * [(80, 100)]
+
+
+def test_a_stretch_in_the_mirror_has_roll_and_half_difference_turned_over():
+    part = lesson(0, 0.1)
+    stretch = Stretch(part, 0, 400)
+    x, _, missing = stretch.cut(10, 5, Shallow, False)
+    turned_x, _, turned = stretch.cut(10, 5, Shallow, True)
+    np.testing.assert_array_equal(missing, part.missing[:, 10:15])
+    np.testing.assert_array_equal(turned, [missing[0], -missing[1]])
+    roll = [2, 5, 7, 9]
+    np.testing.assert_array_equal(turned_x[roll], -x[roll])
+    np.testing.assert_array_equal(np.delete(turned_x, roll, 0), np.delete(x, roll, 0))
+
+
+def test_the_rate_rises_and_falls():
+    rates = [rate(step, 1000) for step in range(1001)]
+    assert rates[0] < 0.02 and max(rates) > 0.95
+    assert np.argmax(rates) == pytest.approx(100, abs=2)
+    assert rates[-1] == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize("name", ["tcn_causal", "gru_causal"])
+def test_a_causal_network_uses_what_its_lag_allows_and_nothing_after(name):
+    """The last sample that moves the estimate stands within half a metre before the limit."""
+    estimator, (record, _) = fit(name), drive(500)
+    before = estimator.estimate(record, CAR)
+    changed = replace(record, a=np.where(record.s > 12.0, record.a + 5.0, record.a))
+    moved = np.any(estimator.estimate(changed, CAR).z != before.z, axis=0)
+    first = before.s[np.argmax(moved)]
+    assert 12.0 - LAG <= first <= 12.0 - LAG + 0.5
+    assert AHEAD > 0
+
+
+def test_settings_that_the_shipped_weights_do_not_have_need_a_fit():
+    record, _ = drive(501)
+    with pytest.raises(NotFittedError, match="Tcn must be fitted"):
+        create("tcn", channels=7).estimate(record, CAR)
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"channels": 0}, "channels must be at least 1"),
+        ({"kernel": 4}, "kernel must be odd and at least 3, got 4"),
+        ({"dilations": ()}, "dilations must be at least 1"),
+    ],
+)
+def test_impossible_settings_are_refused(settings, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        Tcn(**settings)
+
+
+def test_weights_survive_a_file_and_a_damaged_file_is_named(tmp_path):
+    path = tmp_path / "w.safetensors"
+    arrays = {"x": np.arange(3.0).astype(np.float16)[::-1], "y": np.array(2.0)}
+    pretrained_weights.write(path, arrays, {"seed": "1"})
+    found, about = pretrained_weights.read(path)
+    assert about == {"seed": "1"}
+    for name, x in arrays.items():
+        assert (found[name].dtype, found[name].shape) == (x.dtype, x.shape)
+        np.testing.assert_array_equal(found[name], x)
+    path.write_bytes(path.read_bytes()[:-3])
+    with pytest.raises(pretrained_weights.WeightsError, match=r"w\.safetensors: damaged"):
+        pretrained_weights.read(path)
+    with pytest.raises(pretrained_weights.WeightsError, match=r"no\.safetensors: cannot be read"):
+        pretrained_weights.read(tmp_path / "no.safetensors")
+
+
+def test_a_network_takes_the_numbers_it_gave():
+    one, other = Shallow(0), Shallow(1)
+    put(other, numbers(one))
+    x = torch.randn(1, 10, 20)
+    np.testing.assert_array_equal(one(x, x).detach().numpy(), other(x, x).detach().numpy())

@@ -1,0 +1,334 @@
+"""The Wiener smoothers: against the bound on linear cars, against what theory says of the real one,
+and on records with faults."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.fft import irfft
+from vehicle_fixtures import DEFENDER
+
+from estimators import create
+from estimators.api import check_estimate
+from estimators.wiener.segments import Stretch, stretches
+from estimators.wiener.smoother import expect
+from estimators.wiener.spectral_model import Felt, Hearing, hearing, likely, lines_of, listen
+from leaderboard.metrics.heights import band_pass, nrmse
+from road_envs.analysis.information_bound import RoadPrior, bound
+from road_envs.analysis.statistical_linearization import Remainder
+from road_envs.config import ConfigError
+from road_envs.data.record import GRID, grid, scored_band
+from road_envs.data.recording import record_drive
+from road_envs.roads import load_road, with_length
+from road_envs.sensing.instruments import load_instruments
+from road_envs.vehicle.equations import plant
+from road_envs.vehicle.force_curves import Curve
+from road_envs.vehicle.parameters import ModeCurves
+
+PAPER = load_instruments("paper")
+SPLIT = {"front": "ride", "rear": "handling"}
+
+
+@cache
+def linear_car():
+    """The Defender with linear dampers, no friction and a gas of constant rate."""
+    line = [Curve(x=(-3.0, 3.0), F=(-3.0 * c, 3.0 * c)) for c in (2000.0, 5000.0)]
+    none = Curve(x=(-3.0, 3.0), F=(0.0, 0.0))
+    strut = replace(
+        DEFENDER.strut,
+        damper=ModeCurves(ride=line[0], handling=line[1]),
+        friction=ModeCurves(ride=none, handling=none),
+    )
+    return replace(DEFENDER, name="linear", strut=strut)
+
+
+CARS = {"linear": linear_car(), "defender": DEFENDER}
+
+
+@cache
+def drive(car="defender", road="iso_d", mode="ride", speed_kmh=54.0, seed=1, length=150.0):
+    surface = with_length(load_road(road), length).realise(np.random.default_rng(seed))
+    given = {"ride": "ride", "handling": "handling", "split": SPLIT}[mode]
+    return record_drive(
+        CARS[car], surface, speed_kmh=speed_kmh, mode=given, instruments=PAPER, seed=seed,
+        step=0.0005,
+    )  # fmt: skip
+
+
+def in_band(estimate, truth, speed_kmh):
+    return nrmse(truth.z, estimate.z, GRID, scored_band(speed_kmh / 3.6)).pooled
+
+
+# --- how near to theory ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", ["ride", "split"])
+def test_on_a_linear_car_the_smoother_is_at_the_bound(mode):
+    """Class B, so that gas and stops stay linear, too."""
+    errors = []
+    for seed in (1, 2):
+        record, truth = drive("linear", "iso_b", mode, seed=seed)
+        errors.append(in_band(create("wiener").estimate(record, linear_car()), truth, 54.0))
+    given = {"ride": "ride", "split": SPLIT}[mode]
+    prior = RoadPrior(G_d0=64e-6)
+    least = bound(linear_car(), given, 15.0, PAPER, prior).pooled
+    assert np.mean(errors) == pytest.approx(least, rel=0.2)
+
+
+@pytest.mark.parametrize(("mode", "speed_kmh"), [("ride", 54.0), ("handling", 30.0)])
+def test_on_the_defender_it_errs_as_the_closure_of_its_struts_says(mode, speed_kmh):
+    errors = []
+    for seed in (1, 2):
+        record, truth = drive("defender", "iso_c", mode, speed_kmh, seed)
+        errors.append(in_band(create("wiener").estimate(record, DEFENDER), truth, speed_kmh))
+    given = (DEFENDER, mode, speed_kmh / 3.6, PAPER, RoadPrior(G_d0=256e-6))
+    expected, least = bound(*given, distorted=True).pooled, bound(*given).pooled
+    assert np.mean(errors) == pytest.approx(expected, rel=0.2)
+    assert np.mean(errors) > 1.3 * least
+
+
+@pytest.mark.parametrize("mode", ["ride", "split"])
+def test_taking_the_remainder_out_comes_much_nearer_to_the_bound(mode):
+    record, truth = drive("defender", "iso_d", mode)
+    once, often = (
+        in_band(create(name).estimate(record, DEFENDER), truth, 54.0)
+        for name in ("wiener", "iterated_wiener")
+    )
+    assert often < (0.7 if mode == "ride" else 0.4) * once
+
+
+@pytest.mark.parametrize("name", ["wiener", "iterated_wiener"])
+def test_intervals_cover_what_they_promise(name):
+    """In the judged band; on two drives, so the tolerance is twice that of the board."""
+    inside = []
+    for mode in ("ride", "split"):
+        record, truth = drive("defender", "iso_d", mode, length=150.0)
+        found = create(name).estimate(record, DEFENDER)
+        error = band_pass(found.z - truth.z, GRID, scored_band(15.0))
+        cut = (truth.s.size - error.shape[1]) // 2
+        std = found.z_std[:, cut : cut + error.shape[1]]
+        inside.append([np.mean(np.abs(error) < k * std) for k in (0.6745, 1.6449)])
+    half, most = np.mean(inside, axis=0)
+    assert half == pytest.approx(0.5, abs=0.1)
+    assert most == pytest.approx(0.9, abs=0.08)
+
+
+# --- what a stretch speaks for --------------------------------------------------------------------
+
+
+def drawn(
+    level: float, noise: float, seed: int, v: float = 10.0, w: float = 2.0
+) -> tuple[Stretch, Hearing]:
+    """A stretch drawn from the model itself: the road at `level`, the noise `noise` times."""
+    stride, size, M = 3, 4096, 3000
+    mode = dict.fromkeys(("FL", "FR", "RL", "RR"), "ride")
+    stretch = Stretch(
+        np.zeros((3, M)), np.ones((3, M), dtype=bool), 0, stride, v, mode, (0.0, M * stride * GRID)
+    )
+    one, prior = plant(DEFENDER), Felt(G_d0=level, w=w)
+    places = PAPER.places(DEFENDER)
+    model = hearing(one, places, PAPER, stretch, prior, size, np.full(size // 2 + 1, noise))
+    rng = np.random.default_rng(seed)
+    spectrum = model.H @ model.S @ np.conj(model.H.swapaxes(1, 2)) + model.noise()
+    root = np.linalg.cholesky(spectrum + 1e-18 * np.eye(3))
+    white = rng.standard_normal((2, 3, model.n.size)) * np.sqrt(0.5)
+    lines = np.einsum("fab,bf->af", root, white[0] + 1j * white[1])
+    a = irfft(lines * np.sqrt(size / (2.0 * stretch.d)), size)[:, :M]
+    return replace(stretch, a=a), model
+
+
+@pytest.mark.parametrize("level", [64e-6, 1024e-6])
+def test_the_level_of_the_road_is_found_in_the_record(level):
+    found = []
+    for seed in (1, 2, 3):
+        stretch, _ = drawn(level, 1.0, seed)
+        heard = listen(plant(DEFENDER), PAPER.places(DEFENDER), PAPER, stretch, 1.5)
+        found.append(10.0 * np.log10(heard.prior.G_d0 / level))
+    assert abs(np.mean(found)) < 0.5
+
+
+@pytest.mark.parametrize("w", [1.5, 2.5])
+def test_a_road_that_falls_otherwise_than_supposed_is_found_to(w):
+    """By octave, within 1.5 dB of what it was drawn from; supposed were up to 4 dB off."""
+    stretch, model = drawn(1024e-6, 1.0, 7, w=w)
+    heard = listen(plant(DEFENDER), PAPER.places(DEFENDER), PAPER, stretch, 1.5)
+    octaves = np.array([0.25, 0.5, 1.0, 2.0])
+    found = 10.0 * np.log10(heard.prior.density(octaves) / model.prior.density(octaves))
+    assert np.abs(found).max() < 1.5
+
+
+def test_noise_that_is_stronger_than_supposed_is_told_from_road():
+    for noise in (0.5, 1.0, 4.0):
+        stretch, model = drawn(256e-6, noise, 4)
+        supposed = replace(model, kappa=np.ones(model.n.size))
+        prior = kappa = None
+        for _ in range(4):
+            lines = lines_of(supposed, stretch)
+            prior, kappa = likely(supposed, lines, np.arange(3))
+            supposed = replace(supposed, kappa=kappa)
+        heard = (model.f > 1.0) & (model.f < 24.0)
+        ratio = np.exp(np.mean(np.log(kappa[heard]))) / noise
+        assert (0.8 < ratio < 1.5) if noise < 1.0 else (0.7 < ratio < 1.2)  # 1 has some weight
+        assert prior.G_d0 == pytest.approx(256e-6, rel=0.2)
+
+
+def test_the_expected_remainder_is_that_of_drawn_motion():
+    x = np.linspace(-3.0, 3.0, 4001)
+    law = np.array([k * np.tanh(8.0 * x) for k in (50.0, 80.0, 10.0, 20.0)])
+    bend = np.array([k * x**2 for k in (30.0, 20.0, 10.0, 5.0)])
+    rest = Remainder(x, bend, x, law)
+    e, w = np.full((4, 2), [-0.1, 0.2]), np.full((4, 2), [0.05, -0.3])
+    std_e, std_w = np.full(4, 0.05), np.full(4, 0.2)
+    mean, variance = expect(rest, e, w, std_e, std_w)
+    rng = np.random.default_rng(0)
+    near_e = e[..., None] + 0.05 * rng.standard_normal((4, 2, 100_000))
+    near_w = w[..., None] + 0.2 * rng.standard_normal((4, 2, 100_000))
+    drawn_force = np.array([rest.force(near_e[:, k], near_w[:, k]) for k in range(2)])
+    np.testing.assert_allclose(mean, drawn_force.mean(axis=2).T, atol=0.5)
+    np.testing.assert_allclose(variance, drawn_force.var(axis=2).mean(axis=0), rtol=0.05)
+
+
+# --- laws of the estimate -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["wiener", "iterated_wiener"])
+def test_left_and_right_are_not_confused(name):
+    record, truth = drive("defender", "iso_d", "handling", 30.0)
+    band = scored_band(30.0 / 3.6)
+    z, y = (band_pass(p.z, GRID, band) for p in (create(name).estimate(record, DEFENDER), truth))
+    for side in (0, 1):
+        own, other = (np.corrcoef(z[side], y[k])[0, 1] for k in (side, 1 - side))
+        assert own > 0.9 and other < 0.5
+
+
+def test_a_sign_flip_of_the_record_flips_the_linear_estimate_and_its_scale_is_kept():
+    record, _ = drive(length=60.0)
+    once = create("wiener").estimate(record, DEFENDER)
+    flipped = create("wiener").estimate(replace(record, a=-record.a), DEFENDER)
+    np.testing.assert_allclose(flipped.z, -once.z, atol=1e-9)
+    offset = create("wiener").estimate(replace(record, a=record.a + 0.7), DEFENDER)
+    np.testing.assert_allclose(offset.z, once.z, atol=1e-6)
+
+
+def test_where_the_road_gets_rougher_the_stretches_know_it():
+    smooth, _ = drive("defender", "iso_b", "ride", length=150.0)
+    rough, _ = drive("defender", "iso_d", "ride", length=150.0)
+    both = replace(
+        smooth,
+        t=np.concatenate([smooth.t, smooth.t[-1] + 0.001 + rough.t]),
+        s=np.concatenate([smooth.s, smooth.s[-1] + 0.015 + rough.s - rough.s[0]]),
+        length=300.0,
+        **{k: np.concatenate([getattr(smooth, k), getattr(rough, k)]) for k in ("v",)},
+        **{k: np.concatenate([getattr(smooth, k), getattr(rough, k)]) for k in ("stiff", "high")},
+        a=np.hstack([smooth.a, rough.a]),
+    )
+    std = create("wiener").estimate(both, DEFENDER).z_std
+    assert std[0, std.shape[1] * 5 // 6] > 2.0 * std[0, std.shape[1] // 6]
+
+
+def test_a_long_record_is_put_together_without_seams():
+    """Two stretches say what one says, in the judged band."""
+    record, truth = drive("defender", "iso_c", "ride", length=210.0)
+    whole = create("wiener").estimate(record, DEFENDER)
+    parts = list(stretches(record, PAPER, 150.0, 40.0))
+    assert len(parts) == 1
+    parts = list(stretches(record, PAPER, 100.0, 40.0))
+    assert [p.core for p in parts] == [(0.0, 105.0), (105.0, 210.0)]
+    import estimators.wiener.smoother as smoothing
+
+    before = smoothing.LENGTH
+    try:
+        smoothing.LENGTH = 100.0
+        pieces = create("wiener").estimate(record, DEFENDER)
+    finally:
+        smoothing.LENGTH = before
+    band = scored_band(15.0)
+    gap = band_pass(pieces.z - whole.z, GRID, band).std()
+    error = band_pass(whole.z - truth.z, GRID, band).std()
+    assert gap < 0.3 * error
+
+
+# --- faults in the record -------------------------------------------------------------------------
+
+
+def faulty(record, where, value, sensors=slice(None)):
+    a = record.a.copy()
+    a[sensors, where] = value
+    return replace(record, a=a)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 39.24], ids=["nan", "inf", "limit"])
+def test_a_gap_costs_the_road_in_it_and_nothing_far_from_it(value):
+    record, truth = drive()
+    whole = create("wiener").estimate(record, DEFENDER)
+    gap = (record.s > 70.0) & (record.s < 75.0)
+    found = create("wiener").estimate(faulty(record, gap, value), DEFENDER)
+    check_estimate(found, record)
+    assert any("missing or at the limit" in note for note in found.notes)
+    with_gap, without = (
+        band_pass(z - truth.z, GRID, scored_band(15.0)) for z in (found.z, whole.z)
+    )
+    s = truth.s[(truth.s.size - without.shape[1]) // 2 :][: without.shape[1]]
+    far = (s < 50.0) | (s > 95.0)
+    assert with_gap[:, far].std() < 1.25 * without[:, far].std()
+    inside = (found.s > 71.0) & (found.s < 74.0)
+    assert (found.z_std[:, inside] > 2.0 * whole.z_std[:, inside]).all()
+    assert np.abs(found.z[:, inside]).max() < 3.0 * np.abs(truth.z).max()
+
+
+def test_with_one_sensor_dead_the_other_two_still_tell_the_mean_of_the_wheel_paths():
+    record, truth = drive("defender", "iso_d", "split")
+    found = create("wiener").estimate(faulty(record, slice(None), np.nan, [2]), DEFENDER)
+    band = scored_band(15.0)
+    mean = [band_pass(x.mean(axis=0, keepdims=True), GRID, band) for x in (found.z, truth.z)]
+    assert np.corrcoef(mean[0][0], mean[1][0])[0, 1] > 0.8
+
+
+def test_a_varying_speed_and_a_switch_are_said_in_the_notes():
+    record, _ = drive(length=60.0)
+    swaying = replace(record, v=record.v * (1.0 + 0.2 * np.sin(record.t)))
+    notes = create("wiener").estimate(swaying, DEFENDER).notes
+    assert any("taken as driven at" in note for note in notes)
+    stiff = record.stiff.copy()
+    stiff[: record.t.size // 3] = True
+    notes = create("wiener").estimate(replace(record, stiff=stiff), DEFENDER).notes
+    assert any("mode that lasted longest" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda r: {"t": r.t[::-1]}, "at increasing times"),
+        (lambda r: {"s": np.where(r.s > 3.0, np.nan, r.s)}, "odometer and speed"),
+        (lambda r: {"t": 20.0 * r.t}, "sampled at 50 Hz; below 60 Hz"),
+        (lambda r: {"s": 0.0 * r.s}, "moved less than a metre"),
+        (lambda r: {"a": np.full_like(r.a, np.nan)}, "not one acceleration"),
+    ],
+)
+def test_a_record_from_which_nothing_can_be_made_out_is_refused(change, sentence):
+    record, _ = drive(length=60.0)
+    with pytest.raises(ValueError, match=sentence):
+        create("wiener").estimate(replace(record, **change(record)), DEFENDER)
+
+
+def test_settings_are_checked():
+    record, _ = drive(length=60.0)
+    with pytest.raises(ConfigError, match="unknown sensor 'papre'"):
+        create("wiener", instruments="papre").estimate(record, DEFENDER)
+    with pytest.raises(ConfigError, match="passes must be at least 1, got 0"):
+        create("iterated_wiener", passes=0)
+
+
+def test_a_stretch_holds_the_record_on_the_stations_of_the_grid():
+    record, _ = drive(length=60.0)
+    (stretch,) = stretches(record, PAPER, 100.0, 40.0)
+    at = stretch.d * (stretch.first + np.arange(stretch.a.shape[1]))
+    assert stretch.stride == int(15.0 / 100.0 / GRID) and stretch.v == pytest.approx(15.0)
+    assert set(stretch.mode.values()) == {"ride"}
+    assert np.isin(np.round(grid(60.0) / GRID)[:: stretch.stride], np.round(at / GRID)).all()
+    seen = stretch.seen.all(axis=0)
+    assert seen[(at > record.s[0] + 0.2) & (at < record.s[-1] - 0.2)].all()
+    assert not seen[(at < record.s[0]) | (at > record.s[-1])].any()
+    slow = record.at(at[seen], record.a - record.a.mean(axis=1, keepdims=True))
+    assert np.corrcoef(slow[0], stretch.a[0, seen])[0, 1] > 0.9
