@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
 
-from road_envs.data.record import Estimate, Profile, Record, grid
+from road_envs.data.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 T = TypeVar("T")
@@ -65,37 +65,37 @@ class Trainable(Estimator, Protocol):
 
 
 @runtime_checkable
-class Teachable(Trainable, Protocol):
+class Pretrained(Trainable, Protocol):
     """An estimator taught once for all speeds and modes, from more drives than can be held.
 
     It comes with weights: `weights()` answers at once, and the judge does not fit it. Where a
-    protocol wants a training for each speed and mode, one that `fits_a_case` in seconds is made
+    protocol wants a training for each speed and mode, one that `refit_per_case` in seconds is made
     with `shipped` false and fitted; any other stands there with its weights.
     """
 
-    def material(self, record: Record, truth: Profile) -> Any:
+    def training_example(self, record: Record, truth: Profile) -> Any:
         """What it keeps of a drive to learn from."""
         ...
 
-    def learn(
+    def pretrain(
         self,
         drives: Sequence[Any],
         car: VehicleParameters,
         seed: int,
         progress: Callable[[str, float], None] = ...,
-        keeper: Any = None,
+        checkpoint: Any = None,
     ) -> Self:
         """A copy that has learnt from such drives. `progress` hears what is being done and the
-        share done; a `keeper` can `save` an unfinished state as arrays by name and `load` it.
+        share done; a `checkpoint` can `save` an unfinished state as arrays by name and `load` it.
         """
         ...
 
 
 @runtime_checkable
-class Calibrated(Teachable, Protocol):
+class Calibratable(Pretrained, Protocol):
     """An estimator whose standard deviations are made honest after it was taught."""
 
-    def calibrated(self, drives: Sequence[Any]) -> Self:
+    def calibrate(self, drives: Sequence[Any]) -> Self:
         """A copy whose claims fit such drives, by the car as described on roads not taught."""
         ...
 
@@ -108,7 +108,7 @@ def copy_with(estimator: T, **fields: Any) -> T:
     return twin
 
 
-def fitted(value: T | None, estimator: object) -> T:
+def require_fitted(value: T | None, estimator: object) -> T:
     """`value` if `estimator` has learnt it. Raises NotFittedError."""
     if value is None:
         name = type(estimator).__name__
@@ -116,7 +116,7 @@ def fitted(value: T | None, estimator: object) -> T:
     return value
 
 
-def arrays(
+def validate_weights(
     weights: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int | None, ...]]
 ) -> list[np.ndarray]:
     """The named `weights` as floats, in the order of `shapes`; None stands for any size.
@@ -126,7 +126,7 @@ def arrays(
     if weights.keys() != shapes.keys():
         raise ValueError(f"weights {sorted(shapes)} are wanted, got {sorted(weights)}")
     for name, shape in shapes.items():
-        _check(name, weights[name], shape, ValueError)
+        _validate_array(name, weights[name], shape, ValueError)
     return [np.array(weights[name], dtype=float) for name in shapes]
 
 
@@ -143,23 +143,23 @@ def check_class(cls: Any) -> Any:
     lag = getattr(cls, "lag", None)
     if lag is not None and not (isinstance(lag, int | float) and 0.0 <= lag < math.inf):
         raise TypeError(f"its lag must be metres behind the front axle, got {lag!r}")
-    for method, words in {"estimate": 3, "fit": 5, "weights": 1, "with_weights": 2}.items():
+    for method, arguments in {"estimate": 3, "fit": 5, "weights": 1, "with_weights": 2}.items():
         if (function := getattr(cls, method, None)) is not None:
-            _check_call(function, method, words)
-    lacks = [name for name in ("weights", "with_weights") if not hasattr(cls, name)]
-    if hasattr(cls, "fit") and lacks:
-        raise TypeError(f"it has fit, but no {' and no '.join(lacks)}: it would never be trained")
+            _check_call(function, method, arguments)
+    missing = [name for name in ("weights", "with_weights") if not hasattr(cls, name)]
+    if hasattr(cls, "fit") and missing:
+        raise TypeError(f"it has fit, but no {' and no '.join(missing)}: it would never be trained")
     return cls
 
 
-def _check_call(function: Callable, name: str, words: int) -> None:
+def _check_call(function: Callable, name: str, arguments: int) -> None:
     """Raise TypeError unless a method can be called with so many words, `self` among them."""
     try:
-        inspect.signature(function).bind(*range(words))
+        inspect.signature(function).bind(*range(arguments))
     except TypeError:
-        given = {"estimate": "record, car", "fit": "records, truths, car, seed"}
-        wanted = given.get(name, "weights" if words > 1 else "")
-        raise TypeError(f"it cannot be called as {name}({wanted})") from None
+        signatures = {"estimate": "record, car", "fit": "records, truths, car, seed"}
+        parameters = signatures.get(name, "weights" if arguments > 1 else "")
+        raise TypeError(f"it cannot be called as {name}({parameters})") from None
 
 
 def check_estimate(estimate: object, record: Record) -> None:
@@ -168,33 +168,33 @@ def check_estimate(estimate: object, record: Record) -> None:
     """
     if not isinstance(estimate, Estimate):
         raise EstimateError(f"an Estimate is wanted, got {type(estimate).__name__}")
-    stations = grid(record.length)
+    stations = profile_stations(record.length)
     size = stations.size
-    _check("stations s", estimate.s, (size,), EstimateError)
-    _check("heights z", estimate.z, (2, size), EstimateError)
+    _validate_array("stations s", estimate.s, (size,), EstimateError)
+    _validate_array("heights z", estimate.z, (2, size), EstimateError)
     if (np.diff(estimate.s) <= 0).any():
         raise EstimateError("stations s must increase all along")
     if not np.allclose(estimate.s, stations, rtol=0.0, atol=1e-6):
         raise EstimateError(f"stations s must be grid({record.length:g}), the record's own")
     if estimate.z_std is not None:
-        _check("standard deviations z_std", estimate.z_std, (2, size), EstimateError)
+        _validate_array("standard deviations z_std", estimate.z_std, (2, size), EstimateError)
         if (estimate.z_std < 0).any():
             raise EstimateError("standard deviations z_std must not be negative")
 
 
-def _check(
-    what: str, given: object, shape: tuple[int | None, ...], error: type[ValueError]
+def _validate_array(
+    name: str, value: object, shape: tuple[int | None, ...], error: type[ValueError]
 ) -> None:
-    """Raise `error` unless `given` is an array of finite real numbers of that shape."""
-    if not isinstance(given, np.ndarray) or given.dtype.kind not in "fiu":
-        kind = given.dtype if isinstance(given, np.ndarray) else type(given).__name__
-        raise error(f"{what}: an array of real numbers is wanted, got {kind}")
-    fits = given.ndim == len(shape) and all(
-        wanted in (None, size) for wanted, size in zip(shape, given.shape, strict=True)
+    """Raise `error` unless `value` is an array of finite real numbers of that shape."""
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
+        kind = value.dtype if isinstance(value, np.ndarray) else type(value).__name__
+        raise error(f"{name}: an array of real numbers is wanted, got {kind}")
+    fits = value.ndim == len(shape) and all(
+        expected in (None, size) for expected, size in zip(shape, value.shape, strict=True)
     )
     if not fits:
-        wanted = ", ".join("any" if size is None else str(size) for size in shape)
-        raise error(f"{what}: shape ({wanted}) is wanted, got {given.shape}")
-    if not np.isfinite(given).all():
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(given))[0])
-        raise error(f"{what}: every value must be finite, {given[where]} stands at {where}")
+        expected = ", ".join("any" if size is None else str(size) for size in shape)
+        raise error(f"{name}: shape ({expected}) is wanted, got {value.shape}")
+    if not np.isfinite(value).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(value))[0])
+        raise error(f"{name}: every value must be finite, {value[where]} stands at {where}")

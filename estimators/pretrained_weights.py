@@ -13,11 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from road_envs._atomic_io import whole
+from road_envs._atomic_io import atomic_write
+from road_envs._extras import optional_import
 
 FOLDER = Path(__file__).parent / "weights"
 SUFFIX = ".safetensors"
-ABOUT = "about"
+METADATA_KEY = "about"
 """What is known about the weights, as JSON in the metadata."""
 
 
@@ -25,25 +26,31 @@ class WeightsError(ValueError):
     """A file of weights that cannot be used, in one sentence."""
 
 
-def write(path: str | Path, arrays: Mapping[str, np.ndarray], about: Mapping[str, str]) -> None:
-    """Write `arrays`, and what is to be known `about` them, whole or not at all."""
-    from safetensors.numpy import save
+def write_weights(
+    path: str | Path, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]
+) -> None:
+    """Write `arrays`, and what is to be known `metadata` them, whole or not at all."""
+    with optional_import("a file of weights"):
+        from safetensors.numpy import save
 
     solid = {name: np.array(array, order="C") for name, array in arrays.items()}
-    with whole(path, durable=True) as partial:
+    with atomic_write(path, durable=True) as partial:
         # one entry, for several would stand in another order in every file
-        partial.write_bytes(save(solid, metadata={ABOUT: json.dumps(dict(about), sort_keys=True)}))
+        partial.write_bytes(
+            save(solid, metadata={METADATA_KEY: json.dumps(dict(metadata), sort_keys=True)})
+        )
 
 
-def read(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """What `write` wrote: arrays and what is known about them. Raises WeightsError."""
-    from safetensors import SafetensorError, safe_open
+def read_weights(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """What `write_weights` wrote: arrays and what is known about them. Raises WeightsError."""
+    with optional_import("a file of weights"):
+        from safetensors import SafetensorError, safe_open
 
     try:
         Path(path).open("rb").close()
         with safe_open(path, framework="numpy") as file:
             arrays = {name: file.get_tensor(name) for name in file.keys()}
-            return arrays, json.loads((file.metadata() or {}).get(ABOUT, "{}"))
+            return arrays, json.loads((file.metadata() or {}).get(METADATA_KEY, "{}"))
     except OSError as error:
         raise WeightsError(f"{path}: cannot be read: {error.strerror or error}") from None
     except SafetensorError as error:
@@ -51,12 +58,12 @@ def read(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
 
 
 @cache
-def shipped(name: str) -> dict[str, np.ndarray] | None:
+def load_pretrained(name: str) -> dict[str, np.ndarray] | None:
     """The arrays that come with the package for the estimator `name`, read-only, or None."""
     path = FOLDER / f"{name}{SUFFIX}"
     if not path.is_file():
         return None
-    arrays, _ = read(path)
+    arrays, _ = read_weights(path)
     for array in arrays.values():
         array.flags.writeable = False
     return arrays

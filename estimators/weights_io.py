@@ -17,12 +17,13 @@ from typing import Any, cast
 
 import numpy as np
 
-from estimators import available, create, pretrained_weights
+from estimators import pretrained_weights
 from estimators.api import Estimator, Trainable
-from road_envs._atomic_io import whole
+from estimators.registry import available, create
+from road_envs._atomic_io import atomic_write
 
 FORMAT = "roadrecon estimator 1"
-WEIGHTS = "weights."
+WEIGHT_PREFIX = "weights."
 """Stands before the name of a weight, so that none can be taken for the header."""
 
 
@@ -30,8 +31,8 @@ class StorageError(ValueError):
     """A file that holds no estimator, or an estimator that cannot be stored, in one sentence."""
 
 
-def save(estimator: Estimator, path: str | Path, about: Mapping[str, str] | None = None) -> None:
-    """Write an estimator to `path`, whole or not at all; `about` goes into a `.safetensors` file.
+def save(estimator: Estimator, path: str | Path, metadata: Mapping[str, str] | None = None) -> None:
+    """Write an estimator to `path`, whole or not at all; `metadata` goes into a `.safetensors` file.
 
     Raises StorageError, NotFittedError.
     """
@@ -47,18 +48,20 @@ def save(estimator: Estimator, path: str | Path, about: Mapping[str, str] | None
     }
     weights = estimator.weights() if isinstance(estimator, Trainable) else {}
     if path.suffix == pretrained_weights.SUFFIX:
-        pretrained_weights.write(path, weights, {**(about or {}), "header": json.dumps(header)})
+        pretrained_weights.write_weights(
+            path, weights, {**(metadata or {}), "header": json.dumps(header)}
+        )
         return
-    arrays: dict[str, Any] = {WEIGHTS + key: value for key, value in weights.items()}
-    with whole(path, durable=True) as partial, partial.open("wb") as file:
+    arrays: dict[str, Any] = {WEIGHT_PREFIX + key: value for key, value in weights.items()}
+    with atomic_write(path, durable=True) as partial, partial.open("wb") as file:
         np.savez(file, header=np.array(json.dumps(header)), **arrays)
 
 
 def load(path: str | Path) -> Estimator:
     """The estimator that `save` wrote. Raises StorageError that says what is wrong."""
-    weights, said = _read(Path(path))
+    weights, metadata = _read(Path(path))
     try:
-        header = json.loads(said["header"])
+        header = json.loads(metadata["header"])
         if header["format"] != FORMAT:
             raise StorageError(f"format {header['format']!r} is not {FORMAT!r}")
         estimator = create(header["name"], **header["settings"])
@@ -73,7 +76,7 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Weights, and what is said about them."""
     if path.suffix == pretrained_weights.SUFFIX:
         try:
-            return pretrained_weights.read(path)
+            return pretrained_weights.read_weights(path)
         except pretrained_weights.WeightsError as error:
             raise StorageError(str(error)) from None
     try:
@@ -84,7 +87,7 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         raise StorageError(f"{path}: not an .npz file, or cut short")
     try:
         with np.load(data, allow_pickle=False) as file:
-            arrays = {name.removeprefix(WEIGHTS): file[name] for name in file.files}
+            arrays = {name.removeprefix(WEIGHT_PREFIX): file[name] for name in file.files}
     except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise StorageError(f"{path}: damaged, or not written by RoadRecon: {error}") from None
     header = arrays.pop("header", None)

@@ -31,7 +31,7 @@ from leaderboard.commands import (
 from road_envs.config import ConfigError
 from road_envs.simulation.drive import SimulationError
 
-EXPECTED = (ConfigError, EstimateError, NotFittedError, SimulationError, ValueError, OSError)
+INPUT_ERRORS = (ConfigError, EstimateError, NotFittedError, SimulationError, ValueError, OSError)
 """Errors that are about the input, not about the program."""
 
 app = typer.Typer(
@@ -71,7 +71,7 @@ def main() -> None:
     """Run the command line; the entry point of the package."""
     try:
         app(prog_name="roadrecon")
-    except EXPECTED as error:
+    except INPUT_ERRORS as error:
         if "--debug" in sys.argv:
             raise
         sys.stderr.write(f"error: {_sentence(error)}\n")

@@ -2,10 +2,12 @@
 
 Read the files in the order in which data flows: `config`, `record`, `roads`, `vehicle`, `curves`,
 `suspension`, `dynamics`, `integrator`, `simulate`, `sensors`, `dataset`, `lanes`, `interval`,
-`convoy`, `episode`, `env`, `vector_env`.
+`fleet`, `episode`, `env`, `vector_env`.
 """
 
 import gymnasium
+
+__version__ = "0.2.0"
 
 ID = "RoadRecon-v0"
 

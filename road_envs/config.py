@@ -38,7 +38,7 @@ def names(kind: str) -> list[str]:
     return sorted(f.stem for f in (folder() / kind).glob("*.yaml"))
 
 
-def one_of(what: str, given: object, known: Mapping[str, Any] | list[str]) -> str:
+def validate_choice(what: str, given: object, known: Mapping[str, Any] | list[str]) -> str:
     """`given` if it is among `known`; else a ConfigError that names the choices."""
     if isinstance(given, str) and given in known:
         return given
@@ -47,7 +47,7 @@ def one_of(what: str, given: object, known: Mapping[str, Any] | list[str]) -> st
     raise ConfigError(f"unknown {what} {given!r}{hint}; known: {', '.join(sorted(known))}")
 
 
-class _Once(yaml.SafeLoader):
+class _UniqueKeyLoader(yaml.SafeLoader):
     """Refuses a key that stands twice in one mapping, of which YAML would keep the last."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
@@ -66,7 +66,7 @@ class _Once(yaml.SafeLoader):
 def read_yaml(path: Path) -> dict[str, Any]:
     """The mapping in a YAML file. Raises ConfigError if it is unreadable or not a mapping."""
     try:
-        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_Once)
+        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeyLoader)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
     except OSError as error:
@@ -74,7 +74,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
     if not isinstance(data, dict):
-        raise ConfigError(f"{path}: a mapping of keys to values is wanted, got {_kind(data)}")
+        raise ConfigError(f"{path}: a mapping of keys to values is wanted, got {_type_name(data)}")
     return data
 
 
@@ -83,7 +83,9 @@ def find(kind: str, name: str | Path) -> Path:
     path = Path(name)
     if path.suffix in (".yaml", ".yml"):
         return path
-    return folder() / kind / f"{one_of(kind.removesuffix('s'), str(name), names(kind))}.yaml"
+    return (
+        folder() / kind / f"{validate_choice(kind.removesuffix('s'), str(name), names(kind))}.yaml"
+    )
 
 
 def load(cls: type[T], kind: str, name: str | Path) -> T:
@@ -102,7 +104,7 @@ def build(cls: type[T], data: Mapping[str, Any], where: str) -> T:
     try:
         return _adapter(cast(Any, cls)).validate_json(text, strict=True)
     except ValidationError as error:
-        raise ConfigError(_sentence(error, where, cls)) from None
+        raise ConfigError(_format_error(error, where, cls)) from None
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from None
 
@@ -112,7 +114,7 @@ def _adapter(cls: Any) -> TypeAdapter:
     return TypeAdapter(cls)
 
 
-def _sentence(error: ValidationError, where: str, cls: type) -> str:
+def _format_error(error: ValidationError, where: str, cls: type) -> str:
     unknown_first = sorted(error.errors(), key=lambda e: e["type"] != "unexpected_keyword_argument")
     first = unknown_first[0]
     path = [str(p) for p in first["loc"]]
@@ -120,7 +122,7 @@ def _sentence(error: ValidationError, where: str, cls: type) -> str:
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     match first["type"]:
         case "unexpected_keyword_argument":
-            owner = _owner(cls, path[:-1])
+            owner = _dataclass_at(cls, path[:-1])
             known = sorted(f.name for f in dataclasses.fields(owner) if f.init) if owner else []
             close = difflib.get_close_matches(path[-1], known, n=1)
             hint = f", did you mean {close[0]!r}" if close else ""
@@ -131,11 +133,11 @@ def _sentence(error: ValidationError, where: str, cls: type) -> str:
             text = str(first["ctx"]["error"])
         case _:
             wanted = first["msg"][0].lower() + first["msg"][1:]
-            text = f"{wanted}, got {first['input']!r} ({_kind(first['input'])})"
+            text = f"{wanted}, got {first['input']!r} ({_type_name(first['input'])})"
     return f"{at}: {text}{more}"
 
 
-def _owner(cls: Any, path: list[str]) -> type | None:
+def _dataclass_at(cls: Any, path: list[str]) -> type | None:
     """The dataclass that stands at `path` inside `cls`, if it can be told from the types."""
     for name in path:
         if not dataclasses.is_dataclass(cls):
@@ -147,7 +149,7 @@ def _owner(cls: Any, path: list[str]) -> type | None:
     return cls if isinstance(cls, type) and dataclasses.is_dataclass(cls) else None
 
 
-def _kind(value: object) -> str:
+def _type_name(value: object) -> str:
     return {
         "str": "text",
         "int": "a whole number",

@@ -20,20 +20,20 @@ from fakes import task
 import estimators
 import road_envs  # noqa: F401  registers the environment
 from leaderboard.evaluation.evaluate import run_task
-from leaderboard.evaluation.test_data import simulated
+from leaderboard.evaluation.test_data import simulate_drives
 from road_envs.analysis.comfort import weighted_rms
 from road_envs.analysis.information_bound import RoadPrior, bound
 from road_envs.analysis.roughness import iri
-from road_envs.data.recording import record_drive
+from road_envs.data.recording import simulate_record
 from road_envs.roads import load_road
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.simulation.adaptive_drive import simulate_adaptive
-from road_envs.simulation.drive import Drive, simulate
-from road_envs.simulation.fleet import Fleet, of
-from road_envs.vehicle.equations import plant
+from road_envs.simulation.drive import DriveSimulator, simulate
+from road_envs.simulation.fleet import Fleet, select_vehicle
+from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import load_vehicle
-from road_envs.vehicle.perturbed_vehicle import field_car
-from road_envs.vehicle.suspension import command
+from road_envs.vehicle.perturbed_vehicle import perturb_vehicle
+from road_envs.vehicle.suspension import encode_command
 
 MIXED = {"front": "ride", "rear": "handling"}
 ROADS = ("iso_d", "belgian", "potholes", "random_bumps", "twist", "iso_c_varying", "sine_sweep")
@@ -57,22 +57,24 @@ def numbers() -> Iterator[tuple[str, np.ndarray]]:
     surface = load_road("iso_d").realise(np.random.default_rng(7))
     yield "adaptive", simulate_adaptive(car, surface, 15.0, "handling").trajectory.signals
     for grade in ("S0", "S1", "S2", "S3"):
-        one = field_car(car, grade, 3)
-        drive = Drive(one.plant, one.car, one.felt(surface), 15.0, "ride", min(1e-3, one.step))
+        one = perturb_vehicle(car, grade, 3)
+        drive = DriveSimulator(
+            one.plant, one.car, one.enveloped(surface), 15.0, "ride", min(1e-3, one.step)
+        )
         n = drive.steps_left
-        yield f"field {grade}", drive.advance(np.full(n, command("ride"), np.uint8)).signals
-        record, truth = record_drive(
+        yield f"field {grade}", drive.advance(np.full(n, encode_command("ride"), np.uint8)).signals
+        record, truth = simulate_record(
             car, surface, speed_kmh=14.5, mode="ride", instruments=load_instruments("paper"),
             seed=5, grade=grade,
         )  # fmt: skip
         yield f"record {grade}", np.concatenate([record.a.ravel(), record.s, record.v])
         yield f"truth {grade}", truth.z
-    drives = [Drive(plant(car), car, surface, 5.0 + k, MIXED) for k in range(5)]
+    drives = [DriveSimulator(build_plant(car), car, surface, 5.0 + k, MIXED) for k in range(5)]
     fleet = Fleet(drives)
-    signals = fleet.advance(np.full((5, 2000), command(MIXED), np.uint8))
-    yield "fleet", np.stack([of(signals, k) for k in range(5)])
+    signals = fleet.advance(np.full((5, 2000), encode_command(MIXED), np.uint8))
+    yield "fleet", np.stack([select_vehicle(signals, k) for k in range(5)])
     yield from _environments()
-    record, _ = record_drive(
+    record, _ = simulate_record(
         car, surface, speed_kmh=36.0, mode="handling", instruments=load_instruments("paper"), seed=2
     )
     for name in ESTIMATORS:
@@ -81,7 +83,10 @@ def numbers() -> Iterator[tuple[str, np.ndarray]]:
         if found.z_std is not None:
             yield f"deviation {name}", found.z_std
     paper = load_instruments("paper")
-    yield "bound", bound(car, MIXED, 15.0, paper, RoadPrior(), distorted=True).error.view(float)
+    yield (
+        "bound",
+        bound(car, MIXED, 15.0, paper, RoadPrior(), residual_as_noise=True).error.view(float),
+    )
     yield from _rows()
 
 
@@ -105,7 +110,7 @@ def _rows() -> Iterator[tuple[str, np.ndarray]]:
         test={"roads": ["iso_d", "random_bumps"], "seeds": [11], "length": 60.0}, bumps=True
     )
     entries = {name: estimators.create(name) for name in ("flat", "static_lm", "fir_ridge", "narx")}
-    for row in run_task(short, {**entries, "truth_plus_noise": None}, (1,), drive=simulated):
+    for row in run_task(short, {**entries, "truth_plus_noise": None}, (1,), drive=simulate_drives):
         scores = [sorted(drive.scores.items()) for drive in row.drives]
         yield f"row {row.estimator}", np.array([v for drive in scores for _, v in drive])
 

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from road_envs.config import STRICT
-from road_envs.data.record import Estimate, Record, grid
+from road_envs.data.record import Estimate, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 
@@ -19,5 +19,5 @@ class Flat:
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Zero heights (2, M) [m]."""
-        stations = grid(record.length)
+        stations = profile_stations(record.length)
         return Estimate(stations, np.zeros((2, stations.size)))

@@ -12,10 +12,10 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from estimators.api import arrays, copy_with, fitted
-from estimators.preprocessing import heights
+from estimators.api import copy_with, require_fitted, validate_weights
+from estimators.preprocessing import sample_profile
 from road_envs.config import STRICT
-from road_envs.data.record import Estimate, Profile, Record, grid
+from road_envs.data.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 
@@ -41,8 +41,8 @@ class Mean:
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """The mean road, cut or continued at zero to the record's length."""
-        mean = fitted(self.z, self)
-        stations = grid(record.length)
+        mean = require_fitted(self.z, self)
+        stations = profile_stations(record.length)
         z = np.zeros((2, stations.size))
         shared = min(stations.size, mean.shape[1])
         z[:, :shared] = mean[:, :shared]
@@ -50,20 +50,20 @@ class Mean:
 
     def weights(self) -> dict[str, np.ndarray]:
         """`z` (2, M)."""
-        return {"z": fitted(self.z, self)}
+        return {"z": require_fitted(self.z, self)}
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
         """A copy with these weights. Raises ValueError."""
-        (z,) = arrays(weights, {"z": (2, None)})
+        (z,) = validate_weights(weights, {"z": (2, None)})
         return copy_with(self, z=z)
 
 
 def mean_profile(truths: Sequence[Profile]) -> np.ndarray:
     """Mean heights (2, M) [m] on the grid over the truths that reach each station."""
-    stations = grid(max(truth.s[-1] + truth.ds for truth in truths))
+    stations = profile_stations(max(truth.s[-1] + truth.ds for truth in truths))
     total, count = np.zeros((2, stations.size)), np.zeros(stations.size)
     for truth in truths:
         reached = stations <= truth.s[-1] + 1e-9
-        total[:, reached] += heights(truth, stations[reached])
+        total[:, reached] += sample_profile(truth, stations[reached])
         count += reached
     return total / np.maximum(count, 1)

@@ -18,14 +18,14 @@ from typing import ClassVar, NamedTuple, Self
 import numpy as np
 from scipy.fft import irfft, rfftfreq
 
-from estimators.api import arrays, copy_with, fitted
-from road_envs.analysis.roughness import FIT_BAND, N_0, dsd, fit_line, smooth
+from estimators.api import copy_with, require_fitted, validate_weights
+from road_envs.analysis.roughness import FIT_BAND, N_0, displacement_psd, fit_line, smooth_psd
 from road_envs.config import STRICT
-from road_envs.data.record import GRID, Estimate, Profile, Record, grid
+from road_envs.data.record import PROFILE_SPACING, Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 
-class Road(NamedTuple):
+class FittedRoad(NamedTuple):
     """Level `G_d0` [m³] at n0, waviness `w`, and the `seed` of the phases."""
 
     G_d0: float
@@ -40,7 +40,7 @@ class UnrelatedRoad:
     __pydantic_config__ = STRICT
     causal: ClassVar[bool] = True
 
-    learnt: Road | None = field(default=None, init=False, repr=False, compare=False)
+    fitted_state: FittedRoad | None = field(default=None, init=False, repr=False, compare=False)
 
     def fit(
         self,
@@ -51,30 +51,33 @@ class UnrelatedRoad:
     ) -> Self:
         """Level and waviness of the truths; `seed` draws the phases."""
         phases = int(np.random.default_rng(seed).integers(2**31))  # a float can hold it
-        return copy_with(self, learnt=Road(*roughness(truths), phases))
+        return copy_with(self, fitted_state=FittedRoad(*fit_spectrum(truths), phases))
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """The random road."""
-        stations = grid(record.length)
-        return Estimate(stations, random_road(fitted(self.learnt, self), stations.size))
+        stations = profile_stations(record.length)
+        return Estimate(stations, draw_road(require_fitted(self.fitted_state, self), stations.size))
 
     def weights(self) -> dict[str, np.ndarray]:
         """The scalars `G_d0`, `w` and `seed`."""
-        return {name: np.asarray(x) for name, x in fitted(self.learnt, self)._asdict().items()}
+        return {
+            name: np.asarray(x)
+            for name, x in require_fitted(self.fitted_state, self)._asdict().items()
+        }
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
         """A copy with these weights. Raises ValueError."""
-        G_d0, w, seed = arrays(weights, {"G_d0": (), "w": (), "seed": ()})
-        return copy_with(self, learnt=Road(float(G_d0), float(w), int(seed)))
+        G_d0, w, seed = validate_weights(weights, {"G_d0": (), "w": (), "seed": ()})
+        return copy_with(self, fitted_state=FittedRoad(float(G_d0), float(w), int(seed)))
 
 
-def roughness(truths: Sequence[Profile]) -> tuple[float, float]:
+def fit_spectrum(truths: Sequence[Profile]) -> tuple[float, float]:
     """G_d(n0) [m³] and waviness of all wheel paths together. Raises ValueError on level roads.
 
     The waviness is the slope over log G. The level is the mean of G over the line, not of log G,
     which is low by up to 2.5 dB where a band holds a single line of the spectrum.
     """
-    spectra = [smooth(*dsd(truth.z, truth.ds)) for truth in truths]
+    spectra = [smooth_psd(*displacement_psd(truth.z, truth.ds)) for truth in truths]
     n = np.concatenate([n for n, _ in spectra])
     G = np.concatenate([G.mean(axis=0) for _, G in spectra])
     _, w = fit_line(n, G)
@@ -82,9 +85,9 @@ def roughness(truths: Sequence[Profile]) -> tuple[float, float]:
     return float(np.mean(G[inside] * (n[inside] / N_0) ** w)), w
 
 
-def random_road(road: Road, size: int) -> np.ndarray:
+def draw_road(road: FittedRoad, size: int) -> np.ndarray:
     """Heights (2, size) [m] on the grid, from 0; the sum of cosines repeats after twice as far."""
-    n = rfftfreq(2 * size, GRID)
+    n = rfftfreq(2 * size, PROFILE_SPACING)
     inside = n >= FIT_BAND[0]
     G = road.G_d0 * (n[inside] / N_0) ** -road.w
     phase = np.random.default_rng(road.seed).uniform(0.0, 2.0 * np.pi, (2, G.size))

@@ -12,40 +12,40 @@ import numpy as np
 from road_envs.data.record import Record
 from road_envs.sensing.instruments import Instruments
 
-CLIPPED = 0.98
+CLIP_THRESHOLD = 0.98
 """Share of the range from which a sample is not believed."""
 
-F_HEARD = 25.0
+REQUIRED_BANDWIDTH = 25.0
 """What the benchmark's accelerations hold at least [Hz]."""
 
-LEAST_NOISE = 1e-3
+MIN_NOISE_DENSITY = 1e-3
 """Noise density [(m/s²)/sqrt(Hz)] below which the step's own error is what is left over."""
 
-SMEAR = 3
+ANTIALIAS_SPREAD = 3
 """Samples to either side of a false one which the anti-alias filter mixes with it."""
 
 
 @dataclass(frozen=True, eq=False)
-class Readings:
-    """Means `y` (S, J) [m/s²] over blocks, the `share` (S, J, b) of each sample in its block's mean
-    (0 where the sample is not used) and the samples `count` (S, J) in it.
+class BlockMeans:
+    """Means `y` (S, J) [m/s²] over blocks, the `sample_weight` (S, J, b) of each sample in its
+    block's mean (0 where the sample is not used) and the samples `sample_count` (S, J) in it.
     """
 
     y: np.ndarray
-    share: np.ndarray
-    count: np.ndarray
+    sample_weight: np.ndarray
+    sample_count: np.ndarray
 
     @property
-    def samples(self) -> int:
+    def n_samples(self) -> int:
         """Samples J b of each sensor, used or not."""
-        return self.share.shape[1] * self.share.shape[2]
+        return self.sample_weight.shape[1] * self.sample_weight.shape[2]
 
-    def means(self, a: np.ndarray) -> np.ndarray:
+    def average(self, a: np.ndarray) -> np.ndarray:
         """Means (S, J) of the samples `a` (S, J b) over the same blocks."""
-        return np.einsum("sjb,sjb->sj", self.share, a.reshape(self.share.shape))
+        return np.einsum("sjb,sjb->sj", self.sample_weight, a.reshape(self.sample_weight.shape))
 
 
-def block_means(a: np.ndarray, used: np.ndarray, block: int) -> Readings:
+def block_means(a: np.ndarray, used: np.ndarray, block: int) -> BlockMeans:
     """Means of the samples `a` (S, T) [m/s²] that are `used` (S, T), over `block` samples each.
 
     Up to `block` - 1 samples at the end fill no block and are left out.
@@ -56,21 +56,21 @@ def block_means(a: np.ndarray, used: np.ndarray, block: int) -> Readings:
     count = kept.sum(axis=2)
     share = kept / np.maximum(count, 1)[:, :, None]
     y = np.einsum("sjb,sjb->sj", share, np.where(kept, a[:, : J * block].reshape(shape), 0.0))
-    return Readings(y, share, count.astype(float))
+    return BlockMeans(y, share, count.astype(float))
 
 
-def usable(record: Record, instruments: Instruments) -> np.ndarray:
+def valid_samples(record: Record, instruments: Instruments) -> np.ndarray:
     """Which samples (S, T) can be believed: finite ones that no neighbour nor itself is clipped."""
     false = ~np.isfinite(record.a)
-    false |= np.abs(np.nan_to_num(record.a)) >= CLIPPED * instruments.range
+    false |= np.abs(np.nan_to_num(record.a)) >= CLIP_THRESHOLD * instruments.range
     wide = false.copy()
-    for k in range(1, SMEAR + 1):
+    for k in range(1, ANTIALIAS_SPREAD + 1):
         wide[:, k:] |= false[:, :-k]
         wide[:, :-k] |= false[:, k:]
     return ~wide
 
 
-def evenly(record: Record) -> tuple[Record, list[str]]:
+def to_uniform_clock(record: Record) -> tuple[Record, list[str]]:
     """The record on an even clock, NaN where it lost a sample, and what is to be noted of it."""
     steps = np.diff(record.t)
     dt = float(np.median(steps))
@@ -82,32 +82,32 @@ def evenly(record: Record) -> tuple[Record, list[str]]:
     a[:, place] = record.a
     last = np.clip(np.searchsorted(record.t, t + 0.5 * dt) - 1, 0, record.t.size - 1)
     v, s = (np.interp(t, record.t, x) for x in (record.v, record.s))
-    even = Record(t, a, v, s, record.stiff[last], record.high[last], record.length)
+    even = Record(t, a, v, s, record.spring_stiff[last], record.damper_high[last], record.length)
     return even, [f"the clock is uneven; {t.size - np.unique(place).size} samples were dropped"]
 
 
 JITTER = 0.01
 """A step of the clock that differs by more than this share from the others is a fault."""
 
-SHORTEST = 1.0
+MIN_DURATION = 1.0
 """Seconds of a record in which a car can be heard at all."""
 
-SLOWEST = 0.1
+MIN_MEAN_SPEED = 0.1
 """Mean speed [m/s] below which a car stands."""
 
 
-def check(record: Record) -> None:
+def validate_record(record: Record) -> None:
     """ValueError, in one sentence, if the record cannot be explained by any drive."""
-    if record.t.size < 2 or not record.t[-1] - record.t[0] >= SHORTEST:
+    if record.t.size < 2 or not record.t[-1] - record.t[0] >= MIN_DURATION:
         raise ValueError(
-            f"the record is shorter than {SHORTEST:g} s: too short for the car to be heard"
+            f"the record is shorter than {MIN_DURATION:g} s: too short for the car to be heard"
         )
     for name in ("t", "v", "s"):
         if not np.isfinite(getattr(record, name)).all():
             raise ValueError(f"the record's {name} must be finite all along")
     if not (np.diff(record.t) > 0.0).all():
         raise ValueError("the record's clock must go on from sample to sample")
-    for name in ("stiff", "high"):
+    for name in ("spring_stiff", "damper_high"):
         states = np.asarray(getattr(record, name))
         if states.shape != (record.t.size, 4) or not np.isin(states, (0, 1)).all():
             raise ValueError(
@@ -115,12 +115,12 @@ def check(record: Record) -> None:
             )
     if (record.v < 0.0).any() or (np.diff(record.s) < 0.0).any():
         raise ValueError("the record drives backwards: v must not be negative nor s decrease")
-    if not record.v.mean() >= SLOWEST:
+    if not record.v.mean() >= MIN_MEAN_SPEED:
         raise ValueError(f"the car stands (mean speed {record.v.mean():.2g} m/s): no road is heard")
-    if record.fs < 2.0 * F_HEARD:
+    if record.fs < 2.0 * REQUIRED_BANDWIDTH:
         raise ValueError(
-            f"sampled at {record.fs:g} Hz; at least {2.0 * F_HEARD:g} Hz are wanted to hear "
-            f"{F_HEARD:g} Hz"
+            f"sampled at {record.fs:g} Hz; at least {2.0 * REQUIRED_BANDWIDTH:g} Hz are wanted to "
+            f"hear {REQUIRED_BANDWIDTH:g} Hz"
         )
     if not np.isfinite(record.a).any():
         raise ValueError("the record has no finite acceleration")

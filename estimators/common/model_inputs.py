@@ -8,68 +8,77 @@ import numpy as np
 
 from road_envs.data.record import Record
 from road_envs.sensing.instruments import Instruments
-from road_envs.vehicle.equations import N_DOF, equilibrium, plant
+from road_envs.vehicle.equations import N_DOF, build_plant, equilibrium
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.suspension import memory_at_rest
+from road_envs.vehicle.suspension import settled_strut_state
 
-REST = np.repeat([1e-4, 1e-3], N_DOF)
+REST_STD = np.repeat([1e-4, 1e-3], N_DOF)
 """Prior deviations of the first state's coordinates and rates, of a car on a level apron."""
 
-MOVING = np.repeat([3e-2, 3e-1], N_DOF)
+MOVING_STD = np.repeat([3e-2, 3e-1], N_DOF)
 """The same in the middle of a road."""
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class ModelInputs:
     """N steps of `h` [s]. `s` station of the front axle [m] and `v` speed [m/s] at every half step,
-    (2 N,); `commands` (N,): the bytes that reach the valves. A sample is taken every `every` steps.
+    (2 N,); `commands` (N,): the bytes that reach the valves. A sample is taken every `decimation`
+    steps.
     """
 
     h: float
-    every: int
+    decimation: int
     s: np.ndarray
     v: np.ndarray
     commands: np.ndarray
 
     @property
-    def steps(self) -> int:
+    def n_steps(self) -> int:
         """Steps N."""
         return self.commands.size
 
-    def part(self, first: int, last: int) -> "Course":
+    def slice_steps(self, first: int, last: int) -> "ModelInputs":
         """The steps from `first` to before `last`."""
         half, whole = slice(2 * first, 2 * last), slice(first, last)
-        return Course(self.h, self.every, self.s[half], self.v[half], self.commands[whole])
+        return ModelInputs(
+            self.h, self.decimation, self.s[half], self.v[half], self.commands[whole]
+        )
 
 
-def course_of(
-    record: Record, instruments: Instruments, car: VehicleParameters, longest: float
-) -> Course:
-    """Steps no longer than `longest` [s], a whole number of them from sample to sample.
+def build_model_inputs(
+    record: Record, instruments: Instruments, car: VehicleParameters, max_step: float
+) -> ModelInputs:
+    """Steps no longer than `max_step` [s], a whole number of them from sample to sample.
 
     The samples are late by what the anti-alias filter holds them back, and the model is driven
     earlier by as much.
     """
-    every = max(1, int(np.ceil(1.0 / (record.fs * longest) - 1e-6)))
-    h = 1.0 / (record.fs * every)
-    half = record.t[0] - alias_delay(instruments) + 0.5 * h * np.arange(2 * every * record.t.size)
-    s, v = (np.interp(half, record.t, x) for x in (record.s, record.v))
-    s += v[0] * np.minimum(half - record.t[0], 0.0) + v[-1] * np.maximum(half - record.t[-1], 0.0)
-    flags = np.concatenate([record.stiff, record.high], axis=1).astype(np.uint8)
+    decimation = max(1, int(np.ceil(1.0 / (record.fs * max_step) - 1e-6)))
+    h = 1.0 / (record.fs * decimation)
+    half_steps = (
+        record.t[0]
+        - antialias_delay(instruments)
+        + 0.5 * h * np.arange(2 * decimation * record.t.size)
+    )
+    s, v = (np.interp(half_steps, record.t, x) for x in (record.s, record.v))
+    s += v[0] * np.minimum(half_steps - record.t[0], 0.0) + v[-1] * np.maximum(
+        half_steps - record.t[-1], 0.0
+    )
+    flags = np.concatenate([record.spring_stiff, record.damper_high], axis=1).astype(np.uint8)
     bits = flags << np.arange(8)
     given = bits.sum(axis=1).astype(np.uint8)
-    told = np.floor((half[::2] - car.valve.delay - record.t[0]) * record.fs + 1e-6)
-    return Course(h, every, s, v, given[np.clip(told, 0, given.size - 1).astype(int)])
+    told = np.floor((half_steps[::2] - car.valve.delay - record.t[0]) * record.fs + 1e-6)
+    return ModelInputs(h, decimation, s, v, given[np.clip(told, 0, given.size - 1).astype(int)])
 
 
-def alias_delay(instruments: Instruments) -> float:
+def antialias_delay(instruments: Instruments) -> float:
     """Seconds by which slow signals leave the anti-alias filter late."""
     f = 1e-3 * instruments.f_alias
     return float(-np.angle(instruments.response(np.array(f))) / (2.0 * np.pi * f))
 
 
-def at_rest(car: VehicleParameters, way: Course) -> np.ndarray:
+def rest_state(car: VehicleParameters, inputs: ModelInputs) -> np.ndarray:
     """State (14,) of the car that stands on a level apron before it is driven off."""
     if car.tyre_static_deflection != "equilibrium":
         return np.zeros(2 * N_DOF)  # the paper's start, some millimetres off
-    return equilibrium(plant(car), memory_at_rest(int(way.commands[0])), np.zeros(4))
+    return equilibrium(build_plant(car), settled_strut_state(int(inputs.commands[0])), np.zeros(4))

@@ -19,22 +19,24 @@ from typing import NamedTuple
 import numpy as np
 from scipy import signal
 
-from estimators.preprocessing import F_C, heights
-from road_envs.data.record import GRID, Profile, Record, grid
-from road_envs.sensing.filters import process
+from estimators.preprocessing import F_C, sample_profile
+from road_envs.data.record import PROFILE_SPACING, Profile, Record, profile_stations
+from road_envs.sensing.filters import preprocess_accelerations
 
-STEP = 6
-SPACING = STEP * GRID
+DECIMATION = 6
+SPACING = DECIMATION * PROFILE_SPACING
 """Distance between stations [m]."""
 
-EDGE = 4
+EDGE_STATIONS = 4
 """Stations estimated beyond either end of the road, for the filter back to the grid."""
 
-REACH = EDGE * SPACING
+FILTER_REACH = EDGE_STATIONS * SPACING
 N_CUT = 3.0
 """Cut-off of the filter [cycles/m]; 50 dB down from 4.5, flat to 0.4 % up to 1.8."""
 
-FILTER = signal.firwin(2 * EDGE * STEP + 1, N_CUT, window=("kaiser", 5.0), fs=1.0 / GRID)
+LOWPASS = signal.firwin(
+    2 * EDGE_STATIONS * DECIMATION + 1, N_CUT, window=("kaiser", 5.0), fs=1.0 / PROFILE_SPACING
+)
 
 F_VELOCITY = 0.3
 """Slower velocities are left out [Hz]: they are drift as much as motion."""
@@ -42,11 +44,11 @@ F_VELOCITY = 0.3
 N_HIGH_PASS = 0.05
 """Slower heights are not estimated [cycles/m]: accelerations fall with n² v²."""
 
-MOTIONS = 3
+N_MOTIONS = 3
 """front, rear, roll."""
 
 
-class Course(NamedTuple):
+class SpatialSignals(NamedTuple):
     """What was sensed, at K even stations: `margin` of them before the first that is estimated and
     after the last.
 
@@ -67,29 +69,36 @@ class Course(NamedTuple):
         return self.v.size - 2 * self.margin
 
 
-def size_of(length: float) -> int:
+def n_stations(length: float) -> int:
     """Stations that are estimated on a road of `length` [m]."""
-    return -(-grid(length).size // STEP) + 2 * EDGE
+    return -(-profile_stations(length).size // DECIMATION) + 2 * EDGE_STATIONS
 
 
-def course(record: Record, margin: int, causal: bool = False) -> Course:
+def to_spatial(record: Record, margin: int, causal: bool = False) -> SpatialSignals:
     """A drive at its stations and `margin` more at either end; `causal`, a station knows nothing of
     what was sensed more than REACH after it.
     """
-    K = size_of(record.length) + 2 * margin
-    first = -(EDGE + margin) * STEP
-    fine = GRID * np.arange(first - EDGE * STEP, first + (K - 1 + EDGE) * STEP + 1)
-    seen = record.at(fine, motions(record, causal))
+    K = n_stations(record.length) + 2 * margin
+    first = -(EDGE_STATIONS + margin) * DECIMATION
+    fine = PROFILE_SPACING * np.arange(
+        first - EDGE_STATIONS * DECIMATION, first + (K - 1 + EDGE_STATIONS) * DECIMATION + 1
+    )
+    seen = record.interpolate(fine, body_motions(record, causal))
     seen[:, (fine < record.s[0]) | (fine > record.s[-1])] = 0.0
-    s = fine[EDGE * STEP : -EDGE * STEP : STEP]
-    axles = (record.stiff[:, :2], record.high[:, :2], record.stiff[:, 2:], record.high[:, 2:])
-    states = record.at(s, np.array([pair.mean(axis=1) for pair in axles]))
-    return Course(coarse(seen), np.interp(s, record.s, record.v), states.T, margin)
+    s = fine[EDGE_STATIONS * DECIMATION : -EDGE_STATIONS * DECIMATION : DECIMATION]
+    axles = (
+        record.spring_stiff[:, :2],
+        record.damper_high[:, :2],
+        record.spring_stiff[:, 2:],
+        record.damper_high[:, 2:],
+    )
+    states = record.interpolate(s, np.array([pair.mean(axis=1) for pair in axles]))
+    return SpatialSignals(decimate(seen), np.interp(s, record.s, record.v), states.T, margin)
 
 
-def motions(record: Record, causal: bool) -> np.ndarray:
+def body_motions(record: Record, causal: bool) -> np.ndarray:
     """Accelerations and velocities (6, N) of front, rear and roll over time."""
-    rf, lr, rr = process(record.a, record.fs, F_C, causal)
+    rf, lr, rr = preprocess_accelerations(record.a, record.fs, F_C, causal)
     roll = 0.5 * (lr - rr)
     a = np.array([rf + roll, 0.5 * (lr + rr), roll])
     sos = signal.butter(2, F_VELOCITY, "high", fs=record.fs, output="sos")
@@ -97,30 +106,34 @@ def motions(record: Record, causal: bool) -> np.ndarray:
     return np.concatenate([a, (signal.sosfilt if causal else _both_ways)(sos, summed)])
 
 
-def coarse(x: np.ndarray) -> np.ndarray:
+def decimate(x: np.ndarray) -> np.ndarray:
     """Rows (k, K) at every STEP-th station, low-passed, of `x` (k, (K - 1 + 2 EDGE) STEP + 1)."""
-    K = (x.shape[1] - 1) // STEP + 1 - 2 * EDGE
-    return signal.upfirdn(FILTER, x, 1, STEP, axis=1)[:, 2 * EDGE : 2 * EDGE + K]
+    K = (x.shape[1] - 1) // DECIMATION + 1 - 2 * EDGE_STATIONS
+    return signal.upfirdn(LOWPASS, x, 1, DECIMATION, axis=1)[
+        :, 2 * EDGE_STATIONS : 2 * EDGE_STATIONS + K
+    ]
 
 
-def finer(x: np.ndarray, size: int) -> np.ndarray:
+def upsample(x: np.ndarray, size: int) -> np.ndarray:
     """Heights (k, size) on the grid from those at the stations (k, M)."""
-    fine = signal.upfirdn(STEP * FILTER, x, STEP, 1, axis=1)
-    return fine[:, 2 * EDGE * STEP : 2 * EDGE * STEP + size]
+    fine = signal.upfirdn(DECIMATION * LOWPASS, x, DECIMATION, 1, axis=1)
+    return fine[:, 2 * EDGE_STATIONS * DECIMATION : 2 * EDGE_STATIONS * DECIMATION + size]
 
 
-def wanted(truth: Profile, length: float) -> np.ndarray:
+def target_profile(truth: Profile, length: float) -> np.ndarray:
     """Mean and half difference (2, M) [m] of the wheel paths at the stations that are estimated,
     low-passed as what was sensed and without waves longer than 20 m; beyond its ends the road goes
     on by odd reflection.
     """
-    left, right = heights(truth, grid(length))
+    left, right = sample_profile(truth, profile_stations(length))
     z = np.array([0.5 * (left + right), 0.5 * (left - right)])
-    sos = signal.butter(2, N_HIGH_PASS, "high", fs=1.0 / GRID, output="sos")
+    sos = signal.butter(2, N_HIGH_PASS, "high", fs=1.0 / PROFILE_SPACING, output="sos")
     size = z.shape[1]
-    z = signal.sosfiltfilt(sos, z, axis=1, padlen=min(int(1.0 / (N_HIGH_PASS * GRID)), size - 1))
-    ends = (2 * EDGE * STEP, (size_of(length) - 1) * STEP + 1 - size)
-    return coarse(np.pad(z, ((0, 0), ends), mode="reflect", reflect_type="odd"))
+    z = signal.sosfiltfilt(
+        sos, z, axis=1, padlen=min(int(1.0 / (N_HIGH_PASS * PROFILE_SPACING)), size - 1)
+    )
+    ends = (2 * EDGE_STATIONS * DECIMATION, (n_stations(length) - 1) * DECIMATION + 1 - size)
+    return decimate(np.pad(z, ((0, 0), ends), mode="reflect", reflect_type="odd"))
 
 
 def wheel_paths(x: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from road_envs._numba import kernel
 
 
 @kernel
-def place(x, size):
+def locate_node(x, size):
     """Node before `x` and the fraction of the way to the next; never where no four nodes stand."""
     x = min(max(x, 1.0), size - 2.001)
     i = int(x)
@@ -35,25 +35,25 @@ def slope_weights(t):
 
 
 @kernel
-def under_wheels(c, x, rate, behind, out):
+def sample_under_wheels(c, x, node_rate, wheelbase_nodes, out):
     """Heights and their rates under FL, FR, RL, RR at every instant, to `out` (M, 2, 4).
 
-    `x` (M,): node number of the front axle, `behind` nodes ahead of the rear; `rate` (M,): nodes
-    passed in a second.
+    `x` (M,): node number of the front axle, `wheelbase_nodes` nodes ahead of the rear; `node_rate`
+    (M,): nodes passed in a second.
     """
     for m in range(x.size):
         for axle in range(2):
-            i, t = place(x[m] - axle * behind, c.shape[1])
+            i, t = locate_node(x[m] - axle * wheelbase_nodes, c.shape[1])
             a0, a1, a2, a3 = height_weights(t)
             b0, b1, b2, b3 = slope_weights(t)
             for side in range(2):
                 c0, c1, c2, c3 = c[side, i - 1], c[side, i], c[side, i + 1], c[side, i + 2]
                 out[m, 0, 2 * axle + side] = a0 * c0 + a1 * c1 + a2 * c2 + a3 * c3
-                out[m, 1, 2 * axle + side] = (b0 * c0 + b1 * c1 + b2 * c2 + b3 * c3) * rate[m]
+                out[m, 1, 2 * axle + side] = (b0 * c0 + b1 * c1 + b2 * c2 + b3 * c3) * node_rate[m]
 
 
-def heights(c: np.ndarray, x: np.ndarray) -> np.ndarray:
+def evaluate_spline(c: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Heights (2, M) [m] of the curves with coefficients `c` (2, K) at node numbers `x` (M,)."""
     road = np.empty((x.size, 2, 4))
-    under_wheels(c, np.ascontiguousarray(x, dtype=float), np.zeros(x.size), 0.0, road)
+    sample_under_wheels(c, np.ascontiguousarray(x, dtype=float), np.zeros(x.size), 0.0, road)
     return road[:, 0, :2].T.copy()

@@ -9,7 +9,7 @@ The car is driven by the simulator's own step through every switch of its struts
 its exact tangent (`block.py`); the struts' forces are linearised over what is uncertain of their
 rate, and what is left over is noise (`struts.py`), without which the filter soon believes in a
 wrong road. Roughness and excess noise are learnt on the way. Heights are told about their long
-waves (`telling.py`); `backward.py` is the smoother for the whole drive.
+waves (`telling.py`); `smooth_backward.py` is the smoother for the whole drive.
 
     kalman       told when the front axle stands on the station
     kalman_lag   told 4.79 m later, at most 2 m after the rear axle
@@ -32,27 +32,34 @@ from typing import ClassVar
 
 import numpy as np
 
-from estimators.common.block_means import LEAST_NOISE, SMEAR, block_means, check, evenly, usable
-from estimators.common.model_inputs import alias_delay, course_of
-from estimators.kalman.pipeline import Journey, filtered, journey, smoothed, stations
-from estimators.kalman.profile_output import Tells
-from estimators.kalman.state import EXCESS, LEVEL
+from estimators.common.block_means import (
+    ANTIALIAS_SPREAD,
+    MIN_NOISE_DENSITY,
+    block_means,
+    to_uniform_clock,
+    valid_samples,
+    validate_record,
+)
+from estimators.common.model_inputs import antialias_delay, build_model_inputs
+from estimators.kalman.pipeline import FilterRun, run_filter, run_smoother, setup_output, setup_run
+from estimators.kalman.profile_output import ProfileOutput
+from estimators.kalman.state import NOISE_SCALE, ROUGHNESS_SCALE
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.analysis.roughness import CLASSES
 from road_envs.config import STRICT
-from road_envs.data.record import Estimate, Record, grid, scored_band
+from road_envs.data.record import Estimate, Record, profile_stations, scored_band
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters
 
 LAG = 4.79
 """Way [m] that the front axle has gone on when a station is told: the wheelbase and 2 m."""
 
-UNEXPLAINED = 2.0
+NOISE_SCALE_WARNING = 2.0
 """Times the noise believed in from which a note says so."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Filter:
+class _KalmanSettings:
     """Settings of all variants.
 
     `instruments`: name or path; `noise_density` [(m/s²)/sqrt(Hz)] if it is not theirs. `G_d0` [m³]
@@ -81,53 +88,57 @@ class _Filter:
             raise ValueError(f"noise_density must be positive, got {self.noise_density}")
 
     def _estimate(
-        self, record: Record, car: VehicleParameters, lag: float, whole: bool
+        self, record: Record, car: VehicleParameters, lag: float, smooth: bool
     ) -> Estimate:
         """Both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""
-        check(record)
-        record, notes = evenly(record)
+        validate_record(record)
+        record, notes = to_uniform_clock(record)
         instruments = load_instruments(self.instruments)
-        course = course_of(record, instruments, car, self.step)
-        used = usable(record, instruments)
+        model_inputs = build_model_inputs(record, instruments, car, self.step)
+        used = valid_samples(record, instruments)
         if lost := int((~used).sum()):
             notes.append(f"{lost} of {used.size} samples lost or clipped, left out")
         a = np.where(used, record.a, 0.0)
-        readings = block_means(a, used, max(1, round(record.fs / self.data_rate)))
-        density = self.noise_density or max(instruments.noise_density, LEAST_NOISE)
+        measurements = block_means(a, used, max(1, round(record.fs / self.data_rate)))
+        density = self.noise_density or max(instruments.noise_density, MIN_NOISE_DENSITY)
         noise = density**2 * 0.5 * record.fs
         prior = RoadPrior(G_d0=self.G_d0, w=self.w, track=2.0 * car.front.y_t)
-        trip = journey(
-            record, car, instruments, course, readings, noise, prior, self.level_ends, lag
+        run = setup_run(
+            record, car, instruments, model_inputs, measurements, noise, prior, self.level_ends, lag
         )
-        smear = (SMEAR + 1) / record.fs + alias_delay(instruments)
-        tells = stations(trip, record, lag, smear, about=not whole)
-        if whole:
-            smoothed(trip, tells)
+        sensor_latency = (ANTIALIAS_SPREAD + 1) / record.fs + antialias_delay(instruments)
+        output = setup_output(run, record, lag, sensor_latency, detrended=not smooth)
+        if smooth:
+            run_smoother(run, output)
         else:
-            filtered(trip, tells)
-        if not np.isfinite(tells.z).all():
+            run_filter(run, output)
+        if not np.isfinite(output.z).all():
             raise ArithmeticError("the filter lost the car: this record is none of such a drive")
-        if (excess := float(trip.state.learnt[EXCESS])) > UNEXPLAINED:
+        if (excess := float(run.state.adaptive[NOISE_SCALE])) > NOISE_SCALE_WARNING:
             notes.append(
                 f"at last {excess:.1f} times the noise believed in was heard: the car may not be "
                 "the one believed in"
             )
-        z_std = self.std_factor * _deviation(trip, tells, record, prior)
-        return Estimate(grid(record.length), tells.z.T.copy(), z_std, tuple(notes))
+        z_std = self.std_factor * _output_std(run, output, record, prior)
+        return Estimate(profile_stations(record.length), output.z.T.copy(), z_std, tuple(notes))
 
 
-def _deviation(trip: Journey, tells: Tells, record: Record, prior: RoadPrior) -> np.ndarray:
+def _output_std(
+    run: FilterRun, output: ProfileOutput, record: Record, prior: RoadPrior
+) -> np.ndarray:
     """Standard deviations (2, M) [m] in the judged band; of the prior where no wheel has been."""
     n = np.linspace(*scored_band(float(np.clip(record.v.mean(), 0.1, 100.0))), 400)
-    s, variance = grid(record.length), np.maximum(tells.variance.T, 0.0)
-    level = np.where(s < record.s[0], 1.0, trip.state.learnt[LEVEL])  # once none was learnt yet
+    s, variance = profile_stations(record.length), np.maximum(output.variance.T, 0.0)
+    level = np.where(
+        s < record.s[0], 1.0, run.state.adaptive[ROUGHNESS_SCALE]
+    )  # once none was learnt yet
     all_of_it = level * np.trapezoid(prior.density(n), n)
     unseen = (s < record.s[0]) | (s > record.s[-1])
     return np.sqrt(np.where(unseen, np.maximum(variance, all_of_it), variance))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kalman(_Filter):
+class Kalman(_KalmanSettings):
     """The filter: a station is told when the front axle stands `lag` [m] past it."""
 
     causal: ClassVar[bool] = True
@@ -142,7 +153,7 @@ class Kalman(_Filter):
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""
-        return self._estimate(record, car, self.lag, whole=False)
+        return self._estimate(record, car, self.lag, smooth=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,7 +165,7 @@ class KalmanLag(Kalman):
 
 
 @dataclass(frozen=True, kw_only=True)
-class KalmanRts(_Filter):
+class KalmanRts(_KalmanSettings):
     """The smoother of the whole drive."""
 
     causal: ClassVar[bool] = False
@@ -163,4 +174,4 @@ class KalmanRts(_Filter):
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""
-        return self._estimate(record, car, car.wheelbase, whole=True)
+        return self._estimate(record, car, car.wheelbase, smooth=True)

@@ -5,283 +5,324 @@ from itertools import pairwise
 
 import numpy as np
 
-from estimators.common.block_means import Readings
-from estimators.common.model_inputs import MOVING, REST, Course, at_rest
-from estimators.kalman.filter import forward
-from estimators.kalman.friction_linearization import SHARPNESS, WIDTHS, blurred_laws
-from estimators.kalman.linearization import columns
-from estimators.kalman.profile_output import EVERY, WINDOW, Tells, fade, tell
-from estimators.kalman.road_process import Ahead, ahead, unknown_nodes
-from estimators.kalman.rts_smoother import Later, backward
-from estimators.kalman.state import NODES, ZERO, Block, Model, State, Way, empty
+from estimators.common.block_means import BlockMeans
+from estimators.common.model_inputs import MOVING_STD, REST_STD, ModelInputs, rest_state
+from estimators.kalman.filter import filter_forward
+from estimators.kalman.friction_linearization import RATE_STDS, STD_INFLATION, smoothed_tables
+from estimators.kalman.linearization import max_columns
+from estimators.kalman.profile_output import (
+    HALF_WINDOW,
+    VARIANCE_STRIDE,
+    ProfileOutput,
+    decay_per_node,
+    emit,
+)
+from estimators.kalman.road_process import ARModel, fit_ar_model, prior_covariance
+from estimators.kalman.rts_smoother import BackwardState, smooth_backward
+from estimators.kalman.state import (
+    BIAS,
+    NODES,
+    FilterInputs,
+    FilterModel,
+    FilterState,
+    LinearizedBlock,
+    empty_blocks,
+)
 from road_envs.analysis.information_bound import F_C, RoadPrior
-from road_envs.data.record import Record, grid, scored_band
+from road_envs.data.record import Record, profile_stations, scored_band
 from road_envs.sensing.instruments import Instruments
-from road_envs.vehicle.equations import plant
+from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.linear_model import linearise
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.suspension import memory_at_rest
+from road_envs.vehicle.suspension import settled_strut_state
 
-DS = 0.05
+NODE_SPACING = 0.05
 """Distance of the road's nodes [m]."""
 
-REACH = 0.5
+INCREMENT_LENGTH = 0.5
 """Length [m] of the rises that tell how rough the road is."""
 
-MEMORY = 15.0
+ROUGHNESS_LENGTH = 15.0
 """Length of road [m] over which roughness is taken together."""
 
-PATIENCE = 1.2
+NOISE_TIME = 1.2
 """Seconds over which the noise is found greater than believed."""
 
-PERSISTENCE = 0.005
+FORCE_CORRELATION_TIME = 0.005
 """Seconds for which what is left of a strut's force stays the same."""
 
-OFFSET = 0.05
+BIAS_STD = 0.05
 """Prior deviation [m/s²] of the sensors' zeros."""
 
-FINEST = 5.0
+N_MAX_OUTPUT = 5.0
 """Waves [cycles/m] up to which heights are told, if the speed lets 25 Hz through there."""
 
-FARTHEST = 0.5
+MAX_WHEELBASES_PER_BLOCK = 0.5
 """Wheelbases that the car may go in one block of readings."""
 
-PART = 10_000
+CHUNK_BLOCKS = 10_000
 """Blocks in one part of a drive that is smoothed. What comes after the next one is not waited for,
 and long waves, which are known last, would show at the joints of shorter parts."""
 
 
 @dataclass(frozen=True, eq=False)
-class Journey:
-    """A drive as the filter takes it: what does not change (`model`), the `way`, the `state` it is
-    in, and the node number of a station s, (s - `start`) / DS; `columns` of a block at most.
+class FilterRun:
+    """A drive as the filter takes it: what does not change (`model`), the `inputs`, the `state` it
+    is in, and the node number of a station s, (s - `origin`) / DS; `max_columns` of a block at
+    most.
     """
 
-    model: Model
-    way: Way
-    state: State
-    start: float
-    columns: int
+    model: FilterModel
+    inputs: FilterInputs
+    state: FilterState
+    origin: float
+    max_columns: int
 
     @property
-    def size(self) -> int:
+    def n_states(self) -> int:
         """Entries of the filter's vector."""
         return int(self.state.x.size)
 
     @property
-    def blocks(self) -> int:
+    def n_blocks(self) -> int:
         """Blocks of readings."""
-        return int(self.way.y.shape[1])
+        return int(self.inputs.y.shape[1])
 
 
-def journey(
+def setup_run(
     record: Record,
     car: VehicleParameters,
     instruments: Instruments,
-    course: Course,
-    readings: Readings,
-    noise: float,
+    model_inputs: ModelInputs,
+    measurements: BlockMeans,
+    noise_variance: float,
     prior: RoadPrior,
     level_ends: bool,
-    behind: float,
-) -> Journey:
-    """Before the first block. `noise` [(m/s²)²] of a sample; stations are told up to `behind` [m]
-    behind the front axle; with `level_ends` the road is level before station 0 and after its end.
-    Raises ValueError if the odometer jumps.
+    lag: float,
+) -> FilterRun:
+    """Before the first block. `noise_variance` [(m/s²)²] of a sample; stations are told up to `lag`
+    [m] behind the front axle; with `level_ends` the road is level before station 0 and after its
+    end. Raises ValueError if the odometer jumps.
     """
-    per = readings.share.shape[2] * course.every
-    moved = float(np.max(course.s[2 * per :] - course.s[: -2 * per]))
-    if moved > FARTHEST * car.wheelbase:
-        raise ValueError(
-            f"the odometer jumps by {moved:.2f} m within {per * course.h:.3g} s: no drive goes so"
-        )
-    in_block = moved / DS
-    reach = max(behind, car.wheelbase) + WINDOW
-    K = int(np.ceil(reach / DS) + np.ceil(in_block)) + 8
-    start = float(course.s[0]) - K * DS
-    ends = np.array([0.0, record.length]) if level_ends else np.array([-np.inf, np.inf])
-    way = Way(
-        (course.s - start) / DS,
-        course.v / DS,
-        course.commands,
-        readings.y,
-        readings.count,
-        (ends - start) / DS,
+    steps_per_block = measurements.sample_weight.shape[2] * model_inputs.decimation
+    moved = float(
+        np.max(model_inputs.s[2 * steps_per_block :] - model_inputs.s[: -2 * steps_per_block])
     )
-    road = ahead(prior, DS)
-    model = _model(car, instruments, course, per, noise, road)
+    if moved > MAX_WHEELBASES_PER_BLOCK * car.wheelbase:
+        raise ValueError(
+            f"the odometer jumps by {moved:.2f} m within {steps_per_block * model_inputs.h:.3g} s: "
+            "no drive goes so"
+        )
+    in_block = moved / NODE_SPACING
+    reach = max(lag, car.wheelbase) + HALF_WINDOW
+    K = int(np.ceil(reach / NODE_SPACING) + np.ceil(in_block)) + 8
+    origin = float(model_inputs.s[0]) - K * NODE_SPACING
+    ends = np.array([0.0, record.length]) if level_ends else np.array([-np.inf, np.inf])
+    inputs = FilterInputs(
+        (model_inputs.s - origin) / NODE_SPACING,
+        model_inputs.v / NODE_SPACING,
+        model_inputs.commands,
+        measurements.y,
+        measurements.sample_count,
+        (ends - origin) / NODE_SPACING,
+    )
+    road = fit_ar_model(prior, NODE_SPACING)
+    model = _build_model(car, instruments, model_inputs, steps_per_block, noise_variance, road)
     known = level_ends and record.s[0] <= 0.0
-    state = _beginning(car, course, road, NODES + 2 * K, int(way.x[0]) + 2, known)
-    return Journey(model, way, state, start, columns(in_block))
+    state = _initial_state(
+        car, model_inputs, road, NODES + 2 * K, int(inputs.front_node[0]) + 2, known
+    )
+    return FilterRun(model, inputs, state, origin, max_columns(in_block))
 
 
-def _model(
+def _build_model(
     car: VehicleParameters,
     instruments: Instruments,
-    course: Course,
-    per: int,
-    noise: float,
-    road: Ahead,
-) -> Model:
-    one = plant(car)
-    line = linearise(one, "ride", instruments.places(car))
-    push = line.struts / line.M
-    tables, left = blurred_laws(one.velocity)
-    reach = round(REACH / DS)
-    return Model(
-        numbers=one.numbers.copy(),
+    model_inputs: ModelInputs,
+    steps_per_block: int,
+    noise_variance: float,
+    road: ARModel,
+) -> FilterModel:
+    one = build_plant(car)
+    line = linearise(one, "ride", instruments.locations(car))
+    force_to_accel = line.strut_rows / line.M
+    tables, force_variance = smoothed_tables(one.velocity)
+    increment_span = round(INCREMENT_LENGTH / NODE_SPACING)
+    return FilterModel(
+        constants=one.constants.copy(),
         velocity=tables,
         displacement=one.displacement,
-        first=one.numbers["losses"][0].copy(),
-        widths=WIDTHS / SHARPNESS,
-        left=left * PERSISTENCE / (per * course.h),
-        struts=line.struts,
-        sensors=line.body,
-        push=push,
-        felt=line.body @ push.T,
-        ahead=road.weights,
-        surprise=road.surprise,
-        rise=road.rise(reach),
-        reach=reach,
-        memory=MEMORY / DS,
-        h=course.h,
-        per=per,
-        every=course.every,
-        lag=car.valve.lag,
-        behind=car.wheelbase / DS,
-        fade=fade(DS),
-        noise=noise,
-        patience=PATIENCE / (per * course.h),
+        first_table=one.constants["velocity_table"][0].copy(),
+        rate_stds=RATE_STDS / STD_INFLATION,
+        force_variance=force_variance * FORCE_CORRELATION_TIME / (steps_per_block * model_inputs.h),
+        strut_rows=line.strut_rows,
+        sensor_rows=line.sensor_rows,
+        force_to_accel=force_to_accel,
+        force_to_sensor=line.sensor_rows @ force_to_accel.T,
+        ar_weights=road.weights,
+        prediction_variance=road.prediction_variance,
+        increment_variance=road.increment_variance(increment_span),
+        increment_span=increment_span,
+        roughness_memory=ROUGHNESS_LENGTH / NODE_SPACING,
+        h=model_inputs.h,
+        steps_per_block=steps_per_block,
+        decimation=model_inputs.decimation,
+        valve_lag=car.valve.lag,
+        wheelbase_nodes=car.wheelbase / NODE_SPACING,
+        decay=decay_per_node(NODE_SPACING),
+        noise_variance=noise_variance,
+        noise_time=NOISE_TIME / (steps_per_block * model_inputs.h),
     )
 
 
-def _beginning(
-    car: VehicleParameters, course: Course, road: Ahead, n: int, newest: int, level: bool
-) -> State:
+def _initial_state(
+    car: VehicleParameters,
+    model_inputs: ModelInputs,
+    road: ARModel,
+    n: int,
+    newest_node: int,
+    level: bool,
+) -> FilterState:
     x, P = np.zeros(n), np.zeros((n, n))
-    x[: REST.size] = at_rest(car, course) + 1e-7  # at rest to the bit friction has a kink
-    zeros = np.full(3, OFFSET)
-    known = np.concatenate([REST if level else MOVING, np.zeros(ZERO - REST.size), zeros])
+    x[: REST_STD.size] = (
+        rest_state(car, model_inputs) + 1e-7
+    )  # at rest to the bit friction has a kink
+    zeros = np.full(3, BIAS_STD)
+    known = np.concatenate(
+        [REST_STD if level else MOVING_STD, np.zeros(BIAS - REST_STD.size), zeros]
+    )
     P[: known.size, : known.size] = np.diag(known**2)
     if not level:
-        P[NODES:, NODES:] = unknown_nodes(road, n, newest + 1 - (n - NODES) // 2)
-    memory = memory_at_rest(int(course.commands[0]))
-    learnt = np.array([1.0, MEMORY / DS, MEMORY / DS, 1.0])
-    return State(x, P, memory, np.array([newest]), learnt)
+        P[NODES:, NODES:] = prior_covariance(road, n, newest_node + 1 - (n - NODES) // 2)
+    memory = settled_strut_state(int(model_inputs.commands[0]))
+    adaptive = np.array(
+        [1.0, ROUGHNESS_LENGTH / NODE_SPACING, ROUGHNESS_LENGTH / NODE_SPACING, 1.0]
+    )
+    return FilterState(x, P, memory, np.array([newest_node]), adaptive)
 
 
-def stations(trip: Journey, record: Record, lag: float, smear: float, about: bool) -> Tells:
-    """The stations of a record, to be told once the front axle is `lag` [m] past them and `smear`
-    [s] more have been sensed.
+def setup_output(
+    run: FilterRun, record: Record, lag: float, sensor_latency: float, detrended: bool
+) -> ProfileOutput:
+    """The stations of a record, to be told once the front axle is `lag` [m] past them and
+    `sensor_latency` [s] more have been sensed.
     """
-    s, h = grid(record.length), trip.model.h
-    at = (s - trip.start) / DS
-    heard = smear + h * trip.model.per * np.arange(1, trip.blocks + 1)
-    passed = np.interp(heard, 0.5 * h * np.arange(trip.way.x.size), trip.way.x)
+    s, h = profile_stations(record.length), run.model.h
+    node = (s - run.origin) / NODE_SPACING
+    heard = sensor_latency + h * run.model.steps_per_block * np.arange(1, run.n_blocks + 1)
+    passed = np.interp(
+        heard, 0.5 * h * np.arange(run.inputs.front_node.size), run.inputs.front_node
+    )
     v = np.interp(s, record.s, record.v)
-    high = np.array([scored_band(x)[1] for x in np.clip(v, 0.1, FASTEST)])
-    fine = np.minimum(FINEST, F_C / np.maximum(v, 0.1))
-    none = np.zeros((0, 2, trip.size))
-    return Tells(
-        at=at,
-        due=np.searchsorted(passed, at + lag / DS),
-        top=DS * np.stack([fine, high], axis=1) if lag > WINDOW else np.full((s.size, 2), 0.5),
-        half=WINDOW / DS,
-        about=about,
+    high = np.array([scored_band(x)[1] for x in np.clip(v, 0.1, MAX_SPEED)])
+    fine = np.minimum(N_MAX_OUTPUT, F_C / np.maximum(v, 0.1))
+    none = np.zeros((0, 2, run.n_states))
+    return ProfileOutput(
+        node=node,
+        emit_block=np.searchsorted(passed, node + lag / NODE_SPACING),
+        cutoff=NODE_SPACING * np.stack([fine, high], axis=1)
+        if lag > HALF_WINDOW
+        else np.full((s.size, 2), 0.5),
+        half_window=HALF_WINDOW / NODE_SPACING,
+        detrended=detrended,
         z=np.zeros((s.size, 2)),
         variance=np.zeros((s.size, 2)),
-        next=np.zeros(1, dtype=np.int64),
-        rows=none,
-        band=none,
+        next_station=np.zeros(1, dtype=np.int64),
+        height_covariance=none,
+        band_covariance=none,
     )
 
 
-FASTEST = 110.0
+MAX_SPEED = 110.0
 """Speed [m/s] above which no band is left to be judged."""
 
 
-def filtered(trip: Journey, tells: Tells) -> None:
+def run_filter(run: FilterRun, output: ProfileOutput) -> None:
     """Filter a drive to its end, and tell all stations."""
-    one = empty(trip.size, trip.columns, 1)
-    forward(trip.model, trip.way, trip.state, 0, trip.blocks, tells, one)
-    tell(trip.model, trip.state, tells, END)
+    one = empty_blocks(run.n_states, run.max_columns, 1)
+    filter_forward(run.model, run.inputs, run.state, 0, run.n_blocks, output, one)
+    emit(run.model, run.state, output, END)
 
 
 END = 2**62
 """A block before which everything is told."""
 
 
-def smoothed(trip: Journey, tells: Tells, part_size: int = PART) -> None:
+def run_smoother(run: FilterRun, output: ProfileOutput, chunk_blocks: int = CHUNK_BLOCKS) -> None:
     """Filter a drive, part by part, and tell each part again with what the next one heard."""
-    edges = [*range(0, trip.blocks, part_size), trip.blocks]
-    if len(edges) > 2 and edges[-1] - edges[-2] < part_size // 2:
+    edges = [*range(0, run.n_blocks, chunk_blocks), run.n_blocks]
+    if len(edges) > 2 and edges[-1] - edges[-2] < chunk_blocks // 2:
         del edges[-2]
-    before: Part | None = None
+    before: Chunk | None = None
     for first, last in pairwise(edges):
-        part = _ahead(trip, tells, first, last)
+        chunk = _filter_chunk(run, output, first, last)
         if before is not None:
-            _back(trip, [before, part], last == trip.blocks)
-            _keep(tells, before)
-        before = part
+            _smooth_chunks(run, [before, chunk], last == run.n_blocks)
+            _store_chunk(output, before)
+        before = chunk
     if before is not None:
         if len(edges) == 2:
-            _back(trip, [before], True)
-        _keep(tells, before)
+            _smooth_chunks(run, [before], True)
+        _store_chunk(output, before)
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """The blocks from `first` to before `last`, the stations told in them from the one `begin` on,
-    and the last node after them.
+class Chunk:
+    """The blocks from `first` to before `last`, the stations told in them from the one
+    `first_station` on, and the last node after them.
     """
 
     first: int
     last: int
-    begin: int
-    newest: int
-    tells: Tells
-    blocks: Block
+    first_station: int
+    newest_node: int
+    output: ProfileOutput
+    blocks: LinearizedBlock
 
 
-def _ahead(trip: Journey, tells: Tells, first: int, last: int) -> Part:
+def _filter_chunk(run: FilterRun, output: ProfileOutput, first: int, last: int) -> Chunk:
     """Filter one part."""
-    n, begin = trip.size, int(tells.next[0])
-    end = int(np.searchsorted(tells.due, last)) if last < trip.blocks else tells.at.size
-    here, many = slice(begin, end), end - begin
-    own = Tells(
-        at=tells.at[here],
-        due=np.minimum(tells.due[here], last),
-        top=tells.top[here],
-        half=tells.half,
-        about=tells.about,
+    n, first_station = run.n_states, int(output.next_station[0])
+    end = int(np.searchsorted(output.emit_block, last)) if last < run.n_blocks else output.node.size
+    here, many = slice(first_station, end), end - first_station
+    own = ProfileOutput(
+        node=output.node[here],
+        emit_block=np.minimum(output.emit_block[here], last),
+        cutoff=output.cutoff[here],
+        half_window=output.half_window,
+        detrended=output.detrended,
         z=np.zeros((many, 2)),
         variance=np.zeros((many, 2)),
-        next=np.zeros(1, dtype=np.int64),
-        rows=np.zeros((many, 2, n)),
-        band=np.zeros((many // EVERY + 1, 2, n)),
+        next_station=np.zeros(1, dtype=np.int64),
+        height_covariance=np.zeros((many, 2, n)),
+        band_covariance=np.zeros((many // VARIANCE_STRIDE + 1, 2, n)),
     )
-    blocks = empty(n, trip.columns, last - first)
-    forward(trip.model, trip.way, trip.state, first, last, own, blocks)
-    if last == trip.blocks:
-        tell(trip.model, trip.state, own, END)
-    tells.next[0] = end
-    return Part(first, last, begin, int(trip.state.newest[0]), own, blocks)
+    blocks = empty_blocks(n, run.max_columns, last - first)
+    filter_forward(run.model, run.inputs, run.state, first, last, own, blocks)
+    if last == run.n_blocks:
+        emit(run.model, run.state, own, END)
+    output.next_station[0] = end
+    return Chunk(first, last, first_station, int(run.state.newest_node[0]), own, blocks)
 
 
-def _back(trip: Journey, parts: list[Part], at_end: bool) -> None:
-    """Bring back what the last of the `parts` heard, and tell the first of them again; the last as
+def _smooth_chunks(run: FilterRun, chunks: list[Chunk], at_end: bool) -> None:
+    """Bring back what the last of the `chunks` heard, and tell the first of them again; the last as
     well where the drive is `at_end`.
     """
-    n, last = trip.size, parts[-1]
-    later = Later(
-        np.zeros(n), np.zeros((n, n)), np.array([last.newest]), np.zeros(1, dtype=np.int64)
+    n, last = run.n_states, chunks[-1]
+    adjoint = BackwardState(
+        np.zeros(n), np.zeros((n, n)), np.array([last.newest_node]), np.zeros(1, dtype=np.int64)
     )
-    for part in reversed(parts):
-        again = at_end or part is not last
-        later.next[0] = int(np.searchsorted(part.tells.due, part.last)) if again else 0
-        backward(trip.model, trip.way, later, part.first, part.last, part.tells, part.blocks)
+    for chunk in reversed(chunks):
+        again = at_end or chunk is not last
+        adjoint.next_station[0] = (
+            int(np.searchsorted(chunk.output.emit_block, chunk.last)) if again else 0
+        )
+        smooth_backward(
+            run.model, run.inputs, adjoint, chunk.first, chunk.last, chunk.output, chunk.blocks
+        )
 
 
-def _keep(tells: Tells, part: Part) -> None:
-    here = slice(part.begin, part.begin + part.tells.at.size)
-    tells.z[here], tells.variance[here] = part.tells.z, part.tells.variance
+def _store_chunk(output: ProfileOutput, chunk: Chunk) -> None:
+    here = slice(chunk.first_station, chunk.first_station + chunk.output.node.size)
+    output.z[here], output.variance[here] = chunk.output.z, chunk.output.variance

@@ -7,8 +7,8 @@ and these are taken from what is held for true of the whole road at that moment,
 
     told(s) = E[(low * z)(s) - (long * z)(s)]
 
-`low` is a windowed sinc (Hann) that ends at a frequency `top`; `long` the zero-phase low-pass with
-the response 1 / (1 + (n / N_LONG)^4), whose kernel, with u = fade |s|,
+`low` is a windowed sinc (Hann) that ends at a frequency `cutoff`; `long` the zero-phase low-pass
+with the response 1 / (1 + (n / N_LONG)^4), whose kernel, with u = fade |s|,
 
     fade / 2 e^-u (cos u + sin u)           fade = sqrt 2 pi N_LONG
 
@@ -19,46 +19,46 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.kalman.state import FADING, NODES, Model, State
-from road_envs._numba import kernel, separate
+from estimators.kalman.state import NODES, RETIRED, FilterModel, FilterState
+from road_envs._numba import kernel
 
-N_LONG = 0.1
+N_DETREND = 0.1
 """Waves [cycles/m] at which half the height is told; the judged band begins at 0.2."""
 
-WINDOW = 1.0
+HALF_WINDOW = 1.0
 """Half length [m] of `low`."""
 
 
-EVERY = 8
+VARIANCE_STRIDE = 8
 """Stations from one whose deviation is computed to the next."""
 
 
-class Tells(NamedTuple):
+class ProfileOutput(NamedTuple):
     """What is told of M stations, in order.
 
-    Node numbers `at` (M,); the block `due` (M,) before which each is told; `top` (M, 2)
-    [cycles/node], where height and deviation end; `half` [nodes] the window; `about`: whether long
-    waves are taken off the height. Told are heights `z` and the `variance` (M, 2) in the judged
-    band, left and right; the `next` (1,) is the first not yet told. What hearing more will change:
-    the covariance with all that is held of the heights, `rows` (M, 2, n), and of the band's part,
-    `band` (M / EVERY, 2, n); both are of no length if nobody asks.
+    Node numbers `at` (M,); the block `emit_block` (M,) before which each is told; `cutoff` (M, 2)
+    [cycles/node], where height and deviation end; `half_window` [nodes] the window; `detrended`:
+    whether long waves are taken off the height. Told are heights `z` and the `variance` (M, 2) in
+    the judged band, left and right; the `next_station` (1,) is the first not yet told. What hearing
+    more will change: the covariance with all that is held of the heights, `rows` (M, 2, n), and of
+    the band's part, `band` (M / EVERY, 2, n); both are of no length if nobody asks.
     """
 
-    at: np.ndarray
-    due: np.ndarray
-    top: np.ndarray
-    half: float
-    about: bool
+    node: np.ndarray
+    emit_block: np.ndarray
+    cutoff: np.ndarray
+    half_window: float
+    detrended: bool
     z: np.ndarray
     variance: np.ndarray
-    next: np.ndarray
-    rows: np.ndarray
-    band: np.ndarray
+    next_station: np.ndarray
+    height_covariance: np.ndarray
+    band_covariance: np.ndarray
 
 
-def fade(ds: float) -> float:
+def decay_per_node(ds: float) -> float:
     """Decay of the fading sums per node, with nodes `ds` [m] apart."""
-    return float(np.sqrt(2.0) * np.pi * N_LONG * ds)
+    return float(np.sqrt(2.0) * np.pi * N_DETREND * ds)
 
 
 @kernel
@@ -68,97 +68,112 @@ def sinc(x):
 
 
 @kernel
-def windowed(d, top, half):
-    """The low-pass at `d` nodes from its middle; it ends at `top` cycles/node and `half` nodes."""
-    if abs(d) >= half:
+def windowed_sinc(d, cutoff, half_window):
+    """The low-pass at `d` nodes from its middle; it ends at `cutoff` cycles/node and `half_window`
+    nodes.
+    """
+    if abs(d) >= half_window:
         return 0.0
-    return 2.0 * top * sinc(2.0 * top * d) * np.cos(0.5 * np.pi * d / half) ** 2
+    return 2.0 * cutoff * sinc(2.0 * cutoff * d) * np.cos(0.5 * np.pi * d / half_window) ** 2
 
 
 @kernel
-def low_pass(d, top, half):
+def spline_low_pass(d, cutoff, half_window):
     """The same of the curve that the coefficients carry, whose value at a node is (1, 4, 1) / 6."""
-    sides = windowed(d - 1.0, top, half) + windowed(d + 1.0, top, half)
-    return (4.0 * windowed(d, top, half) + sides) / 6.0
+    sides = windowed_sinc(d - 1.0, cutoff, half_window) + windowed_sinc(
+        d + 1.0, cutoff, half_window
+    )
+    return (4.0 * windowed_sinc(d, cutoff, half_window) + sides) / 6.0
 
 
-@separate
-def weigh(u, at, newest, fade, top, half):
+@kernel(inline=False)
+def output_weights(u, at, newest_node, decay, cutoff, half_window):
     """Shares `u` (2 + K,) of fading sums and nodes in what is told at the node number `at`.
 
-    What lies beyond the nodes counts as level with the nearest. Without `fade` nothing is taken
+    What lies beyond the nodes counts as level with the nearest. Without `decay` nothing is taken
     off.
     """
     u[:] = 0.0
     K = u.size - 2
-    oldest, sum_low = newest - K + 1, 0.0
-    low, high = int(np.floor(at - half)) - 1, int(np.ceil(at + half)) + 1
+    oldest, sum_low = newest_node - K + 1, 0.0
+    low, high = int(np.floor(at - half_window)) - 1, int(np.ceil(at + half_window)) + 1
     for k in range(low, high + 1):
-        share = low_pass(k - at, top, half)
-        u[2 + min(max(k, oldest), newest) % K] += share
+        share = spline_low_pass(k - at, cutoff, half_window)
+        u[2 + min(max(k, oldest), newest_node) % K] += share
         sum_low += share
     u /= sum_low
-    if fade == 0.0:
+    if decay == 0.0:
         return
-    for k in range(oldest, newest + 1):
-        x = fade * abs(k - at)
-        u[2 + k % K] -= 0.5 * fade * np.exp(-x) * (np.cos(x) + np.sin(x))
-    x = fade * (newest + 0.5 - at)
-    u[2 + newest % K] -= 0.5 * np.exp(-x) * np.cos(x)
-    x = fade * (at - oldest)
-    u[0] = -0.5 * fade * np.exp(-x) * (np.cos(x) + np.sin(x))
-    u[1] = -0.5 * fade * np.exp(-x) * (np.cos(x) - np.sin(x))
+    for k in range(oldest, newest_node + 1):
+        x = decay * abs(k - at)
+        u[2 + k % K] -= 0.5 * decay * np.exp(-x) * (np.cos(x) + np.sin(x))
+    x = decay * (newest_node + 0.5 - at)
+    u[2 + newest_node % K] -= 0.5 * np.exp(-x) * np.cos(x)
+    x = decay * (at - oldest)
+    u[0] = -0.5 * decay * np.exp(-x) * (np.cos(x) + np.sin(x))
+    u[1] = -0.5 * decay * np.exp(-x) * (np.cos(x) - np.sin(x))
 
 
-@separate
-def gather(P, u, part, out):
+@kernel(inline=False)
+def covariance_row(P, u, component, out):
     """Rows of `P` (n, n) of mean or half difference, with the weights `u`, to `out` (n,)."""
-    out[:] = u[0] * P[FADING + 2 * part] + u[1] * P[FADING + 2 * part + 1]
+    out[:] = u[0] * P[RETIRED + 2 * component] + u[1] * P[RETIRED + 2 * component + 1]
     for k in range(u.size - 2):
         if u[2 + k] != 0.0:
-            out += u[2 + k] * P[NODES + 2 * k + part]
+            out += u[2 + k] * P[NODES + 2 * k + component]
 
 
-@separate
-def told(x, u, part):
+@kernel(inline=False)
+def read_out(x, u, component):
     """The sum of the vector `x` (n,) with the weights `u` of mean or half difference."""
-    z = u[0] * x[FADING + 2 * part] + u[1] * x[FADING + 2 * part + 1]
+    z = u[0] * x[RETIRED + 2 * component] + u[1] * x[RETIRED + 2 * component + 1]
     for k in range(u.size - 2):
-        z += u[2 + k] * x[NODES + 2 * k + part]
+        z += u[2 + k] * x[NODES + 2 * k + component]
     return z
 
 
-@separate
-def gather_sides(P, u, out):
+@kernel(inline=False)
+def covariance_rows(P, u, out):
     """Rows (2, n) of `P` (n, n) of the left and the right wheel path, with the weights `u`."""
-    mean, half = np.empty(P.shape[0]), np.empty(P.shape[0])
-    gather(P, u, 0, mean)
-    gather(P, u, 1, half)
-    out[0] = mean + half
-    out[1] = mean - half
+    mean, difference = np.empty(P.shape[0]), np.empty(P.shape[0])
+    covariance_row(P, u, 0, mean)
+    covariance_row(P, u, 1, difference)
+    out[0] = mean + difference
+    out[1] = mean - difference
 
 
-@separate
-def tell(model: Model, state: State, tells: Tells, j):
+@kernel(inline=False)
+def emit(model: FilterModel, state: FilterState, output: ProfileOutput, j):
     """Tell the stations whose time has come before the block `j`."""
     n = state.x.size
     u, rows = np.empty(2 + (n - NODES) // 2), np.empty((2, n))
-    while tells.next[0] < tells.at.size and tells.due[tells.next[0]] <= j:
-        m, newest = tells.next[0], state.newest[0]
-        at = min(max(tells.at[m], float(newest - u.size + 3)), float(newest))
-        weigh(u, at, newest, model.fade if tells.about else 0.0, tells.top[m, 0], tells.half)
-        z, d = told(state.x, u, 0), told(state.x, u, 1)
-        tells.z[m, 0], tells.z[m, 1] = z + d, z - d
-        if tells.rows.shape[0] > 0:
-            gather_sides(state.P, u, tells.rows[m])
-        if m % EVERY == 0:
-            weigh(u, at, newest, model.fade, tells.top[m, 1], tells.half)
-            gather_sides(state.P, u, rows)
+    while (
+        output.next_station[0] < output.node.size and output.emit_block[output.next_station[0]] <= j
+    ):
+        m, newest_node = output.next_station[0], state.newest_node[0]
+        at = min(max(output.node[m], float(newest_node - u.size + 3)), float(newest_node))
+        output_weights(
+            u,
+            at,
+            newest_node,
+            model.decay if output.detrended else 0.0,
+            output.cutoff[m, 0],
+            output.half_window,
+        )
+        z, d = read_out(state.x, u, 0), read_out(state.x, u, 1)
+        output.z[m, 0], output.z[m, 1] = z + d, z - d
+        if output.height_covariance.shape[0] > 0:
+            covariance_rows(state.P, u, output.height_covariance[m])
+        if m % VARIANCE_STRIDE == 0:
+            output_weights(u, at, newest_node, model.decay, output.cutoff[m, 1], output.half_window)
+            covariance_rows(state.P, u, rows)
             for side in range(2):
                 sign = 1.0 - 2.0 * side
-                tells.variance[m, side] = told(rows[side], u, 0) + sign * told(rows[side], u, 1)
-            if tells.band.shape[0] > 0:
-                tells.band[m // EVERY] = rows
+                output.variance[m, side] = read_out(rows[side], u, 0) + sign * read_out(
+                    rows[side], u, 1
+                )
+            if output.band_covariance.shape[0] > 0:
+                output.band_covariance[m // VARIANCE_STRIDE] = rows
         else:
-            tells.variance[m] = tells.variance[m - 1]
-        tells.next[0] += 1
+            output.variance[m] = output.variance[m - 1]
+        output.next_station[0] += 1

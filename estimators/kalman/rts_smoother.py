@@ -18,50 +18,76 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.kalman.profile_output import EVERY, Tells
-from estimators.kalman.state import CAR, FADING, FORCE, ZERO, Block, Model, Way, at_block, slot
-from road_envs._numba import separate
+from estimators.kalman.profile_output import VARIANCE_STRIDE, ProfileOutput
+from estimators.kalman.state import (
+    BIAS,
+    FORCE,
+    N_VEHICLE,
+    RETIRED,
+    FilterInputs,
+    FilterModel,
+    LinearizedBlock,
+    get_block,
+    node_index,
+)
+from road_envs._numba import kernel
 
 
-class Later(NamedTuple):
+class BackwardState(NamedTuple):
     """What later blocks tell: `r` (n,) and `N` (n, n), at a moment when the last node was the
-    `newest` (1,) and the `next` (1,) station was to be told.
+    `newest_node` (1,) and the `next_station` (1,) station was to be told.
     """
 
     r: np.ndarray
     N: np.ndarray
-    newest: np.ndarray
-    next: np.ndarray
+    newest_node: np.ndarray
+    next_station: np.ndarray
 
 
-@separate
-def backward(model: Model, way: Way, later: Later, first, last, tells: Tells, blocks: Block):
-    """Bring `later` from the block `last` back to `first`, to which `blocks` belong in order.
+@kernel(inline=False)
+def smooth_backward(
+    model: FilterModel,
+    inputs: FilterInputs,
+    adjoint: BackwardState,
+    first,
+    last,
+    output: ProfileOutput,
+    blocks: LinearizedBlock,
+):
+    """Bring `adjoint` from the block `last` back to `first`, to which `blocks` belong in order.
 
     What of the stations was told in between is told again. Heights and variances are changed in
-    place; without `tells.rows` (0, 2, n) they stay.
+    place; without `output.height_covariance` (0, 2, n) they stay.
     """
-    r, N = later.r, later.N
+    r, N = adjoint.r, adjoint.N
     for j in range(last - 1, first - 1, -1):
-        block = at_block(blocks, j - first)
-        leave(r, N, block)
-        unhear(r, N, block)
-        for w in range(FORCE, ZERO):
+        block = get_block(blocks, j - first)
+        adjoint_predict(r, N, block)
+        adjoint_update(r, N, block)
+        for w in range(FORCE, BIAS):
             r[w] = 0.0
             N[w] = 0.0
             N[:, w] = 0.0
-        for _ in range(block.added[0]):
-            later.newest[0] -= 1
-            middle = later.newest[0] + 0.5
-            take_node(model, r, N, later.newest[0], way.free[0] < middle < way.free[1])
-            make_even(N)
-        while later.next[0] > 0 and (tells.due[later.next[0] - 1] >= j or j == 0):
-            later.next[0] -= 1
-            retell(r, N, tells, later.next[0])
+        for _ in range(block.nodes_added[0]):
+            adjoint.newest_node[0] -= 1
+            middle = adjoint.newest_node[0] + 0.5
+            adjoint_add_node(
+                model,
+                r,
+                N,
+                adjoint.newest_node[0],
+                inputs.free_range[0] < middle < inputs.free_range[1],
+            )
+            symmetrize(N)
+        while adjoint.next_station[0] > 0 and (
+            output.emit_block[adjoint.next_station[0] - 1] >= j or j == 0
+        ):
+            adjoint.next_station[0] -= 1
+            smooth_output(r, N, output, adjoint.next_station[0])
 
 
-@separate
-def make_even(N):
+@kernel(inline=False)
+def symmetrize(N):
     """Take off what rounding has made unsymmetrical, which else grows from block to block."""
     for i in range(N.shape[0]):
         for k in range(i):
@@ -70,53 +96,53 @@ def make_even(N):
             N[k, i] = z
 
 
-@separate
-def retell(r, N, tells: Tells, m):
+@kernel(inline=False)
+def smooth_output(r, N, output: ProfileOutput, m):
     """Tell the station `m` again, now with what came later."""
-    if tells.rows.shape[0] == 0:
+    if output.height_covariance.shape[0] == 0:
         return
     n = r.size
     for side in range(2):
-        row = tells.rows[m, side]
+        row = output.height_covariance[m, side]
         for k in range(n):
-            tells.z[m, side] += row[k] * r[k]
-        if m % EVERY == 0:
-            band, taken = tells.band[m // EVERY, side], 0.0
+            output.z[m, side] += row[k] * r[k]
+        if m % VARIANCE_STRIDE == 0:
+            band, taken = output.band_covariance[m // VARIANCE_STRIDE, side], 0.0
             for i in range(n):
                 z = 0.0
                 for k in range(n):
                     z += N[i, k] * band[k]
                 taken += band[i] * z
-            tells.variance[m, side] -= taken
-    if m % EVERY == 0:
-        for k in range(m + 1, min(m + EVERY, tells.at.size)):
-            tells.variance[k] = tells.variance[m]
+            output.variance[m, side] -= taken
+    if m % VARIANCE_STRIDE == 0:
+        for k in range(m + 1, min(m + VARIANCE_STRIDE, output.node.size)):
+            output.variance[k] = output.variance[m]
 
 
-@separate
-def leave(r, N, block: Block):
+@kernel(inline=False)
+def adjoint_predict(r, N, block: LinearizedBlock):
     """The transpose of `filter.go_on`."""
-    n, size, A, at = r.size, block.size[0], block.A, block.at
-    car, rows = r[:CAR].copy(), N[:CAR].copy()
-    r[:CAR] = 0.0
-    N[:CAR] = 0.0
+    n, size, A, at = r.size, block.n_columns[0], block.A, block.columns
+    car, rows = r[:N_VEHICLE].copy(), N[:N_VEHICLE].copy()
+    r[:N_VEHICLE] = 0.0
+    N[:N_VEHICLE] = 0.0
     for d in range(size):
-        for i in range(CAR):
+        for i in range(N_VEHICLE):
             r[at[d]] += A[i, d] * car[i]
             for k in range(n):
                 N[at[d], k] += A[i, d] * rows[i, k]
     for d in range(size):
         row = N[at[d]]
-        cars = row[:CAR].copy()
-        row[:CAR] = 0.0
+        cars = row[:N_VEHICLE].copy()
+        row[:N_VEHICLE] = 0.0
         for e in range(size):
-            for i in range(CAR):
+            for i in range(N_VEHICLE):
                 row[at[e]] += cars[i] * A[i, e]
-    mirror(N, at, size)
+    mirror_rows(N, at, size)
 
 
-@separate
-def mirror(N, at, size):
+@kernel(inline=False)
+def mirror_rows(N, at, size):
     """Make the columns `at` (size,) of `N` what its rows are."""
     for d in range(size):
         i = at[d]
@@ -124,15 +150,22 @@ def mirror(N, at, size):
             N[k, i] = N[i, k]
 
 
-@separate
-def unhear(r, N, block: Block):
+@kernel(inline=False)
+def adjoint_update(r, N, block: LinearizedBlock):
     """Bring a correction back."""
-    n, size, H, V, at, news = r.size, block.size[0], block.H, block.V, block.at, block.news
-    wanted, VN, VNV = np.empty(3), np.zeros((3, n)), np.zeros((3, 3))
+    n, size, H, V, at, innovation = (
+        r.size,
+        block.n_columns[0],
+        block.H,
+        block.V,
+        block.columns,
+        block.innovation,
+    )
+    smoothing_error, VN, VNV = np.empty(3), np.zeros((3, n)), np.zeros((3, 3))
     for s in range(3):
-        wanted[s] = news[s]
+        smoothing_error[s] = innovation[s]
         for k in range(n):
-            wanted[s] -= V[s, k] * r[k]
+            smoothing_error[s] -= V[s, k] * r[k]
         for i in range(n):
             for k in range(n):
                 VN[s, k] += V[s, i] * N[i, k]
@@ -144,7 +177,7 @@ def unhear(r, N, block: Block):
     for d in range(size):
         row = N[at[d]]
         for s in range(3):
-            r[at[d]] += H[s, d] * wanted[s]
+            r[at[d]] += H[s, d] * smoothing_error[s]
             for k in range(n):
                 row[k] -= H[s, d] * VN[s, k]
         for e in range(size):
@@ -152,24 +185,30 @@ def unhear(r, N, block: Block):
                 row[at[e]] -= VN[s, at[d]] * H[s, e]
                 for t in range(3):
                     row[at[e]] += H[s, d] * VNV[s, t] * H[t, e]
-    mirror(N, at, size)
+    mirror_rows(N, at, size)
 
 
-@separate
-def take_node(model: Model, r, N, newest, free):
-    """The transpose of `road.add_node`, which made a node ahead of the `newest`."""
+@kernel(inline=False)
+def adjoint_add_node(model: FilterModel, r, N, newest_node, free):
+    """The transpose of `road.add_node`, which made a node ahead of the `newest_node`."""
     n = r.size
-    c, s = np.exp(-model.fade) * np.cos(model.fade), np.exp(-model.fade) * np.sin(model.fade)
-    order = model.ahead.shape[1] if free else 1
-    for part in (1, 0):
-        new, M = slot(newest + 1, n) + part, FADING + 2 * part
+    c, s = np.exp(-model.decay) * np.cos(model.decay), np.exp(-model.decay) * np.sin(model.decay)
+    order = model.ar_weights.shape[1] if free else 1
+    for component in (1, 0):
+        new, M = node_index(newest_node + 1, n) + component, RETIRED + 2 * component
         for k in range(order):
-            weight, old = model.ahead[part, k] if free else 1.0, slot(newest - k, n) + part
+            weight, old = (
+                model.ar_weights[component, k] if free else 1.0,
+                node_index(newest_node - k, n) + component,
+            )
             r[old] += weight * r[new]
             for i in range(n):
                 N[old, i] += weight * N[new, i]
         for k in range(order):
-            weight, old = model.ahead[part, k] if free else 1.0, slot(newest - k, n) + part
+            weight, old = (
+                model.ar_weights[component, k] if free else 1.0,
+                node_index(newest_node - k, n) + component,
+            )
             for i in range(n):
                 N[i, old] += weight * N[i, new]
         r[M], r[M + 1] = c * r[M] + s * r[M + 1], c * r[M + 1] - s * r[M]

@@ -20,28 +20,28 @@ from typing import NamedTuple
 import numpy as np
 from scipy import signal
 from scipy.linalg import cho_solve
-from threadpoolctl import threadpool_limits
 
-from estimators.common.spatial_signals import MOTIONS, SPACING, Course
+from estimators.common.blas import single_blas_thread
+from estimators.common.spatial_signals import N_MOTIONS, SPACING, SpatialSignals
 
 KNOTS = np.geomspace(1.35, 20.5, 9)
 """Speeds [m/s] of the taps; slower and faster drives take those at the end."""
 
-COMBINATIONS = 16
+N_STATE_COMBINATIONS = 16
 """Of front spring, front damper, rear spring, rear damper, the first counting 8."""
 
-RIDGE, TIE = 1e-4, 1e-4
-N_WEIGHT = 0.15
+RIDGE, SMOOTHNESS = 1e-4, 1e-4
+N_SHORT = 0.15
 """Slower misfits count for little [cycles/m]."""
 
 LEVEL_MIN = 3e-4
 """Added to the level of a drive [m], so that the noise of a smooth road does not rule."""
 
-MILLI = 1e-3
+MM = 1e-3
 """Taps are stored as float16, of heights in mm."""
 
 
-class Bank(NamedTuple):
+class FirBank(NamedTuple):
     """`taps` (16, knots, 3, behind + 1 + ahead) [mm s²/m] of front, rear and roll; the latest
     station that is used stands `ahead` of the estimated one.
     """
@@ -54,124 +54,136 @@ class Bank(NamedTuple):
         """Stations used before the estimated one."""
         return self.taps.shape[-1] - 1 - self.ahead
 
-    def __call__(self, course: Course, extra: int = 0) -> np.ndarray:
+    def __call__(self, signals: SpatialSignals, extra: int = 0) -> np.ndarray:
         """Heights m and q (2, size + 2 extra) [m], `extra` stations beyond either end included."""
-        first = course.margin - extra
-        size = course.size + 2 * extra
+        first = signals.margin - extra
+        size = signals.size + 2 * extra
         inside = slice(first, first + size)
-        seen = course.motions[:MOTIONS, first - self.behind : first + size + self.ahead]
+        motions = signals.motions[:N_MOTIONS, first - self.behind : first + size + self.ahead]
         z = np.zeros((2, size))
-        for combination, knot, share in _shares(course.v[inside], course.states[inside]):
+        for combination, knot, share in _knot_shares(signals.v[inside], signals.states[inside]):
             taps = self.taps[combination, knot].astype(float)
             front, rear, roll = (
-                np.correlate(x, h, "valid") for x, h in zip(seen, taps, strict=True)
+                np.correlate(x, h, "valid") for x, h in zip(motions, taps, strict=True)
             )
             z += share * np.array([front + rear, roll])
-        return MILLI * z
+        return MM * z
 
 
-def shape_of(behind: int, ahead: int) -> tuple[int, ...]:
+def taps_shape(behind: int, ahead: int) -> tuple[int, ...]:
     """The shape of a bank's taps."""
-    return COMBINATIONS, KNOTS.size, MOTIONS, behind + 1 + ahead
+    return N_STATE_COMBINATIONS, KNOTS.size, N_MOTIONS, behind + 1 + ahead
 
 
-def fitted_bank(
-    courses: Sequence[Course], targets: Sequence[np.ndarray], behind: int, ahead: int
-) -> Bank:
+def fit_bank(
+    all_signals: Sequence[SpatialSignals], targets: Sequence[np.ndarray], behind: int, ahead: int
+) -> FirBank:
     """The taps of drives with their heights m and q (2, M) [m]. Each counts for the combination of
     states and the speed that it has on the mean.
     """
     drives: dict[int, list[int]] = {}
-    for i, course in enumerate(courses):
-        drives.setdefault(_combination(course), []).append(i)
-    taps = np.zeros(shape_of(behind, ahead), dtype=np.float16)
-    for combination, mine in drives.items():
-        sums = [Blocks.none(2 * taps.shape[-1]), Blocks.none(taps.shape[-1])]
-        for i in mine:
-            _add(sums, courses[i], targets[i], behind, ahead)
-        found = np.concatenate([part.solve() for part in sums], axis=1)
-        taps[combination] = (found / MILLI).reshape(taps.shape[1:])
-    for combination in set(range(COMBINATIONS)) - drives.keys():
+    for i, signals in enumerate(all_signals):
+        drives.setdefault(_state_combination(signals), []).append(i)
+    taps = np.zeros(taps_shape(behind, ahead), dtype=np.float16)
+    for combination, indices in drives.items():
+        sums = [
+            KnotNormalEquations.zeros(2 * taps.shape[-1]),
+            KnotNormalEquations.zeros(taps.shape[-1]),
+        ]
+        for i in indices:
+            _add_drive(sums, all_signals[i], targets[i], behind, ahead)
+        solution = np.concatenate([part.solve() for part in sums], axis=1)
+        taps[combination] = (solution / MM).reshape(taps.shape[1:])
+    for combination in set(range(N_STATE_COMBINATIONS)) - drives.keys():
         nearest = min(drives, key=lambda other: ((combination ^ other).bit_count(), other))
         taps[combination] = taps[nearest]
-    return Bank(taps, ahead)
+    return FirBank(taps, ahead)
 
 
-class Blocks(NamedTuple):
+class KnotNormalEquations(NamedTuple):
     """Normal equations of all knots: blocks X'X (knots, p, p) of each knot with itself, then with
     the next, and X'Z (knots, p).
     """
 
-    own: np.ndarray
-    next: np.ndarray
+    diagonal: np.ndarray
+    off_diagonal: np.ndarray
     XZ: np.ndarray
 
     @classmethod
-    def none(cls, p: int) -> "Blocks":
+    def zeros(cls, p: int) -> "KnotNormalEquations":
         """The sums of no samples, for `p` regressors."""
         return cls(*(np.zeros((KNOTS.size, *shape)) for shape in ((p, p), (p, p), (p,))))
 
     def add(self, X: np.ndarray, z: np.ndarray, v: float) -> None:
         """Add regressors X (N, p) and their targets z (N,) of a drive at speed v."""
         XX, Xz = X.T @ X, X.T @ z
-        (k,), (share,) = _knot(np.array([v]))
-        self.own[k] += (1.0 - share) ** 2 * XX
-        self.own[k + 1] += share**2 * XX
-        self.next[k] += share * (1.0 - share) * XX
+        (k,), (share,) = _locate_knots(np.array([v]))
+        self.diagonal[k] += (1.0 - share) ** 2 * XX
+        self.diagonal[k + 1] += share**2 * XX
+        self.off_diagonal[k] += share * (1.0 - share) * XX
         self.XZ[k] += (1.0 - share) * Xz
         self.XZ[k + 1] += share * Xz
 
-    @threadpool_limits.wrap(limits=1, user_api="blas")
+    @single_blas_thread()
     def solve(self) -> np.ndarray:
         """The taps (knots, p)."""
         knots, p = self.XZ.shape
         A = np.zeros((knots, p, knots, p))
-        level = np.einsum("kii->", self.own) / (knots * p) or 1.0
-        tie = TIE * level * np.eye(p)
+        level = np.einsum("kii->", self.diagonal) / (knots * p) or 1.0
+        smoothness = SMOOTHNESS * level * np.eye(p)
         for k in range(knots):
-            A[k, :, k] = self.own[k] + RIDGE * level * np.eye(p)
-            A[k, :, k] += tie * ((k > 0) + (k + 1 < knots))
+            A[k, :, k] = self.diagonal[k] + RIDGE * level * np.eye(p)
+            A[k, :, k] += smoothness * ((k > 0) + (k + 1 < knots))
             if k + 1 < knots:
-                A[k, :, k + 1] = self.next[k] - tie
+                A[k, :, k + 1] = self.off_diagonal[k] - smoothness
                 A[k + 1, :, k] = A[k, :, k + 1].T
         factor = np.linalg.cholesky(A.reshape(knots * p, knots * p))
         return cho_solve((factor, True), self.XZ.ravel(), check_finite=False).reshape(knots, p)
 
 
-def weighted(x: np.ndarray, causal: bool = False) -> np.ndarray:
+def keep_short_waves(x: np.ndarray, causal: bool = False) -> np.ndarray:
     """Rows at the stations without the waves that count for little."""
-    sos = signal.butter(2, N_WEIGHT, "high", fs=1.0 / SPACING, output="sos")
+    sos = signal.butter(2, N_SHORT, "high", fs=1.0 / SPACING, output="sos")
     if causal:
         return signal.sosfilt(sos, x)
     return signal.sosfiltfilt(sos, x, padlen=min(x.shape[-1] - 1, 100))
 
 
-def _add(sums: list[Blocks], course: Course, target: np.ndarray, behind: int, ahead: int) -> None:
-    seen, z = weighted(course.motions[:MOTIONS].astype(float)), weighted(target)
+def _add_drive(
+    sums: list[KnotNormalEquations],
+    signals: SpatialSignals,
+    target: np.ndarray,
+    behind: int,
+    ahead: int,
+) -> None:
+    motions, z = (
+        keep_short_waves(signals.motions[:N_MOTIONS].astype(float)),
+        keep_short_waves(target),
+    )
     scale = 1.0 / (LEVEL_MIN + np.sqrt(np.mean(z**2)))
-    inside = seen[:, course.margin - behind : course.margin + course.size + ahead]
+    inside = motions[:, signals.margin - behind : signals.margin + signals.size + ahead]
     windows = np.lib.stride_tricks.sliding_window_view(inside, behind + 1 + ahead, axis=1)
-    v = float(course.v[course.margin : course.margin + course.size].mean())
+    v = float(signals.v[signals.margin : signals.margin + signals.size].mean())
     sums[0].add(scale * np.concatenate([windows[0], windows[1]], axis=1), scale * z[0], v)
     sums[1].add(scale * windows[2], scale * z[1], v)
 
 
-def _combination(course: Course) -> int:
-    share = course.states[course.margin : course.margin + course.size].mean(axis=0)
+def _state_combination(signals: SpatialSignals) -> int:
+    share = signals.states[signals.margin : signals.margin + signals.size].mean(axis=0)
     return int(sum(8 >> i for i in range(4) if share[i] > 0.5))
 
 
-def _knot(v: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+def _locate_knots(v: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
     """The knots below speeds of any shape, and the shares of those above."""
     x = np.interp(np.log(np.maximum(v, KNOTS[0])), np.log(KNOTS), np.arange(KNOTS.size))
     k = np.minimum(x.astype(int), KNOTS.size - 2)
     return k, x - k
 
 
-def _shares(v: np.ndarray, states: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
+def _knot_shares(v: np.ndarray, states: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
     """Combination, knot and its share (M,) of the estimate, for all that have one."""
-    k, above = _knot(v)
-    for combination in range(COMBINATIONS):
+    k, above = _locate_knots(v)
+    for combination in range(N_STATE_COMBINATIONS):
         on = (combination >> np.arange(3, -1, -1)) & 1
         here = np.prod(np.where(on, states, 1.0 - states), axis=1)
         if not here.any():

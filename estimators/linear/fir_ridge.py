@@ -33,19 +33,33 @@ from typing import ClassVar, NamedTuple, Self
 import numpy as np
 from scipy import signal
 from scipy.linalg import cho_solve
-from threadpoolctl import threadpool_limits
 
-from estimators.api import arrays, copy_with, fitted
-from estimators.common.spatial_signals import N_HIGH_PASS, course, finer, wheel_paths
-from estimators.linear.fir_bank import Bank, fitted_bank, shape_of
-from estimators.networks.training_data import BEHIND, MARGIN, SLOW, Material, limits, material
-from estimators.preprocessing import F_C, accelerations, heights, mended
-from estimators.pretrained_weights import shipped
+from estimators.api import copy_with, require_fitted, validate_weights
+from estimators.common.blas import single_blas_thread
+from estimators.common.spatial_signals import N_HIGH_PASS, to_spatial, upsample, wheel_paths
+from estimators.linear.fir_bank import FirBank, fit_bank, taps_shape
+from estimators.networks.training_data import (
+    LONG_WAVE_NOTE,
+    STATION_MARGIN,
+    STATIONS_BEHIND,
+    TrainingExample,
+    training_example,
+    validity_notes,
+)
+from estimators.preprocessing import F_C, clean_record, sample_profile, spatial_accelerations
+from estimators.pretrained_weights import load_pretrained
 from road_envs.config import STRICT
-from road_envs.data.record import GRID, SENSORS, Estimate, Profile, Record, grid
+from road_envs.data.record import (
+    PROFILE_SPACING,
+    SENSORS,
+    Estimate,
+    Profile,
+    Record,
+    profile_stations,
+)
 from road_envs.vehicle.parameters import VehicleParameters
 
-REACH = 12.0
+DEFAULT_REACH = 12.0
 """Of the window that comes with the package, about, and of others unless they say so [m]."""
 
 FOLDS = 5
@@ -64,7 +78,7 @@ class Taps(NamedTuple):
     ridge: float
 
 
-class Sums(NamedTuple):
+class LeastSquaresSums(NamedTuple):
     """Sums over samples of X'X (p, p), X'Z (p, 2) and Z'Z (); they add, part by part."""
 
     XX: np.ndarray
@@ -72,18 +86,18 @@ class Sums(NamedTuple):
     ZZ: np.ndarray
 
     @classmethod
-    def none(cls, size: int) -> "Sums":
+    def zeros(cls, size: int) -> "LeastSquaresSums":
         """The sums of no samples, for `size` regressors."""
         return cls(np.zeros((size, size)), np.zeros((size, 2)), np.zeros(()))
 
     @classmethod
-    def of(cls, X: np.ndarray, Z: np.ndarray) -> "Sums":
+    def from_samples(cls, X: np.ndarray, Z: np.ndarray) -> "LeastSquaresSums":
         """The sums of regressors `X` (N, p) and targets `Z` (N, 2)."""
         return cls(X.T @ X, X.T @ Z, np.vdot(Z, Z))
 
-    def plus(self, other: "Sums", sign: float = 1.0) -> "Sums":
+    def plus(self, other: "LeastSquaresSums", sign: float = 1.0) -> "LeastSquaresSums":
         """These sums with another's added, or taken away with `sign` -1."""
-        return Sums(*(mine + sign * its for mine, its in zip(self, other, strict=True)))
+        return LeastSquaresSums(*(x + sign * y for x, y in zip(self, other, strict=True)))
 
     def solve(self, ridge: float) -> np.ndarray:
         """Coefficients (p, 2) with a `ridge` relative to the mean of the diagonal of XX."""
@@ -108,17 +122,17 @@ class FirRidge:
     __pydantic_config__ = STRICT
     causal: ClassVar[bool] = False
     name: ClassVar[str] = "fir_ridge"
-    fits_a_case: ClassVar[bool] = True
+    refit_per_case: ClassVar[bool] = True
 
-    reach: float = REACH
+    reach: float = DEFAULT_REACH
     shipped: bool = True
-    learnt: Taps | Bank | None = field(default=None, init=False, repr=False, compare=False)
+    fitted_state: Taps | FirBank | None = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self):
         if not 0 < self.reach <= 100:
             raise ValueError(f"reach must be within (0, 100] m, got {self.reach}")
 
-    @threadpool_limits.wrap(limits=1, user_api="blas")  # small products: as in the LM training
+    @single_blas_thread()  # small products: as in the LM training
     def fit(
         self,
         records: Sequence[Record],
@@ -128,100 +142,109 @@ class FirRidge:
     ) -> Self:
         """Taps for the speed and mode of these drives; nothing is drawn, `seed` plays no part."""
         speed = float(np.mean([record.v.mean() for record in records]))
-        stride = max(1, int(speed / (2.0 * F_C) / GRID))
-        half = self._half(stride)
-        folds = [Sums.none(len(SENSORS) * (2 * half + 1))] * FOLDS
+        stride = max(1, int(speed / (2.0 * F_C) / PROFILE_SPACING))
+        half = self._half_taps(stride)
+        folds = [LeastSquaresSums.zeros(len(SENSORS) * (2 * half + 1))] * FOLDS
         for record, truth in zip(records, truths, strict=True):
-            X = windows(mended(record)[0], stride, half)
-            Z = high_passed(truth, grid(record.length))[:, ::stride].T
+            X = sliding_windows(clean_record(record)[0], stride, half)
+            Z = highpass_profile(truth, profile_stations(record.length))[:, ::stride].T
             parts = zip(np.array_split(X, FOLDS), np.array_split(Z, FOLDS), strict=True)
-            folds = [sums.plus(Sums.of(*part)) for sums, part in zip(folds, parts, strict=True)]
-        ridge, coefficients = cross_validated(folds)
+            folds = [
+                sums.plus(LeastSquaresSums.from_samples(*part))
+                for sums, part in zip(folds, parts, strict=True)
+            ]
+        ridge, coefficients = cross_validate(folds)
         taps = coefficients.T.reshape(2, len(SENSORS), 2 * half + 1)
-        return copy_with(self, learnt=Taps(taps, stride, speed, ridge))
+        return copy_with(self, fitted_state=Taps(taps, stride, speed, ridge))
 
-    def material(self, record: Record, truth: Profile) -> Material:
+    def training_example(self, record: Record, truth: Profile) -> TrainingExample:
         """What is kept of a drive to be taught by. Raises RecordError."""
-        return material(record, truth, self.causal)
+        return training_example(record, truth, self.causal)
 
-    def learn(
+    def pretrain(
         self,
-        drives: Sequence[Material],
+        drives: Sequence[TrainingExample],
         car: VehicleParameters,
         seed: int,
         progress: Callable[[str, float], None] = lambda text, share: None,
-        keeper: object = None,
+        checkpoint: object = None,
     ) -> Self:
         """Taps for all speeds and modes; nothing is drawn, and it takes less than a minute."""
         progress("fitting linear windows", 0.0)
-        courses, targets = zip(*drives, strict=True)
-        return copy_with(self, learnt=fitted_bank(courses, targets, BEHIND, BEHIND))
+        all_signals, targets = zip(*drives, strict=True)
+        return copy_with(
+            self, fitted_state=fit_bank(all_signals, targets, STATIONS_BEHIND, STATIONS_BEHIND)
+        )
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """The weighted sums. Raises RecordError."""
-        record, notes = mended(record)
-        learnt, stations = self._learnt(), grid(record.length)
-        if isinstance(learnt, Bank):
-            seen = course(record, MARGIN)
-            z = wheel_paths(finer(learnt(seen), stations.size))
-            return Estimate(stations, z, notes=(*notes, SLOW, *limits(seen)))
-        taps, stride, speed, _ = learnt
+        record, notes = clean_record(record)
+        model, stations = self._fitted_or_pretrained(), profile_stations(record.length)
+        if isinstance(model, FirBank):
+            signals = to_spatial(record, STATION_MARGIN)
+            z = wheel_paths(upsample(model(signals), stations.size))
+            return Estimate(stations, z, notes=(*notes, LONG_WAVE_NOTE, *validity_notes(signals)))
+        taps, stride, speed, _ = model
         half = taps.shape[2] // 2
-        a = accelerations(record, half * stride)
+        a = spatial_accelerations(record, half * stride)
         z = np.zeros((2, stations.size))
         for i in range(taps.shape[2]):
             z += taps[:, :, i] @ a[:, i * stride : i * stride + stations.size]
-        return Estimate(stations, z, notes=(*notes, SLOW, *_another_speed(speed, record)))
+        return Estimate(stations, z, notes=(*notes, LONG_WAVE_NOTE, *_speed_note(speed, record)))
 
     def weights(self) -> dict[str, np.ndarray]:
         """`bank` (16, knots, 3, T); or fitted to one speed, `taps` (2, 3, T), and as scalars
         `stride`, `speed`, `ridge`. Raises NotFittedError.
         """
-        learnt = self._learnt()
-        if isinstance(learnt, Bank):
-            return {"bank": learnt.taps}
-        return {name: np.asarray(x) for name, x in learnt._asdict().items()}
+        model = self._fitted_or_pretrained()
+        if isinstance(model, FirBank):
+            return {"bank": model.taps}
+        return {name: np.asarray(x) for name, x in model._asdict().items()}
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
         """A copy with these weights. Raises ValueError."""
         if "bank" in weights:
-            (taps,) = arrays(weights, {"bank": shape_of(BEHIND, BEHIND)})
-            return copy_with(self, learnt=Bank(taps.astype(np.float16), BEHIND))
+            (taps,) = validate_weights(
+                weights, {"bank": taps_shape(STATIONS_BEHIND, STATIONS_BEHIND)}
+            )
+            return copy_with(self, fitted_state=FirBank(taps.astype(np.float16), STATIONS_BEHIND))
         shapes = {"taps": (2, len(SENSORS), None), "stride": (), "speed": (), "ridge": ()}
-        taps, stride, speed, ridge = arrays(weights, shapes)
-        if stride < 1 or taps.shape[2] != 2 * self._half(int(stride)) + 1:
+        taps, stride, speed, ridge = validate_weights(weights, shapes)
+        if stride < 1 or taps.shape[2] != 2 * self._half_taps(int(stride)) + 1:
             raise ValueError(f"{taps.shape[2]} taps do not make a window of {self.reach} m")
-        return copy_with(self, learnt=Taps(taps, int(stride), float(speed), float(ridge)))
+        return copy_with(self, fitted_state=Taps(taps, int(stride), float(speed), float(ridge)))
 
-    def _learnt(self) -> Taps | Bank:
+    def _fitted_or_pretrained(self) -> Taps | FirBank:
         """What was learnt, or what comes with the package. Raises NotFittedError."""
-        if self.learnt is not None:
-            return self.learnt
-        weights = shipped(self.name) if self.shipped and self.reach == REACH else None
-        return self.with_weights(fitted(weights, self))._learnt()
+        if self.fitted_state is not None:
+            return self.fitted_state
+        weights = (
+            load_pretrained(self.name) if self.shipped and self.reach == DEFAULT_REACH else None
+        )
+        return self.with_weights(require_fitted(weights, self))._fitted_or_pretrained()
 
-    def _half(self, stride: int) -> int:
+    def _half_taps(self, stride: int) -> int:
         """Taps on one side of the station."""
-        return int(self.reach / (stride * GRID))
+        return int(self.reach / (stride * PROFILE_SPACING))
 
 
-def windows(record: Record, stride: int, half: int) -> np.ndarray:
+def sliding_windows(record: Record, stride: int, half: int) -> np.ndarray:
     """What the taps see (N, 3 (2 half + 1)) [m/s²], at every `stride`-th station."""
-    a = accelerations(record, half * stride)
-    seen = np.lib.stride_tricks.sliding_window_view(a, 2 * half * stride + 1, axis=1)
-    return np.concatenate(list(seen[:, ::stride, ::stride]), axis=1)
+    a = spatial_accelerations(record, half * stride)
+    windows = np.lib.stride_tricks.sliding_window_view(a, 2 * half * stride + 1, axis=1)
+    return np.concatenate(list(windows[:, ::stride, ::stride]), axis=1)
 
 
-def high_passed(truth: Profile, stations: np.ndarray) -> np.ndarray:
+def highpass_profile(truth: Profile, stations: np.ndarray) -> np.ndarray:
     """Heights (2, M) [m] at `stations`, without waves longer than 20 m."""
-    sos = signal.butter(2, N_HIGH_PASS, "high", fs=1.0 / GRID, output="sos")
-    padding = min(int(1.0 / (N_HIGH_PASS * GRID)), stations.size - 1)
-    return signal.sosfiltfilt(sos, heights(truth, stations), axis=1, padlen=padding)
+    sos = signal.butter(2, N_HIGH_PASS, "high", fs=1.0 / PROFILE_SPACING, output="sos")
+    padding = min(int(1.0 / (N_HIGH_PASS * PROFILE_SPACING)), stations.size - 1)
+    return signal.sosfiltfilt(sos, sample_profile(truth, stations), axis=1, padlen=padding)
 
 
-def cross_validated(folds: Sequence[Sums]) -> tuple[float, np.ndarray]:
+def cross_validate(folds: Sequence[LeastSquaresSums]) -> tuple[float, np.ndarray]:
     """The ridge with the least error on folds left out, and the coefficients (p, 2) of all."""
-    total = reduce(Sums.plus, folds)
+    total = reduce(LeastSquaresSums.plus, folds)
     errors = np.zeros(RIDGES.size)
     for fold in folds:
         others = total.plus(fold, -1.0)
@@ -230,7 +253,7 @@ def cross_validated(folds: Sequence[Sums]) -> tuple[float, np.ndarray]:
     return best, total.solve(best)
 
 
-def _another_speed(speed: float, record: Record) -> tuple[str, ...]:
+def _speed_note(speed: float, record: Record) -> tuple[str, ...]:
     driven = float(record.v.mean())
     if abs(driven - speed) <= 0.1 * speed:
         return ()

@@ -35,22 +35,22 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-from estimators.preprocessing import F_C, mended
-from estimators.wiener.segments import mode_of
+from estimators.preprocessing import F_C, clean_record
+from estimators.wiener.segments import dominant_modes
 from road_envs.config import STRICT
-from road_envs.data.record import SENSORS, Estimate, Record, grid
+from road_envs.data.record import SENSORS, Estimate, Record, profile_stations
 from road_envs.sensing.instruments import load_instruments
-from road_envs.vehicle.equations import Plant, plant
+from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.linear_model import gaussian_damping, strut_forces
 from road_envs.vehicle.parameters import VehicleParameters
 
-PAD = 8.0
+PADDING_TIME = 8.0
 """Silence [s] behind a record, before it begins again in the circle of a Fourier transform."""
 
-F_FADE = 1.2
+FADE_RATIO = 1.2
 """Above 25 Hz the answer fades out, until this many times as much."""
 
-RATE, ROUNDS = 0.1, 4
+INITIAL_RATE_STD, DAMPING_ITERATIONS = 0.1, 4
 """Standard deviation [m/s] of the struts' rates with which their dampers are begun, and how often
 dampers and rates are made to agree."""
 
@@ -96,58 +96,62 @@ class InverseQuarterCar:
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Both wheel paths. Raises ConfigError, RecordError."""
-        record, notes = mended(record)
-        tools = load_instruments(self.instruments)
-        size = next_fast_len(record.t.size + round(PAD * record.fs), real=True)
+        record, notes = clean_record(record)
+        sensors = load_instruments(self.instruments)
+        size = next_fast_len(record.t.size + round(PADDING_TIME * record.fs), real=True)
         f = rfftfreq(size, 1.0 / record.fs)
         f[0] = 0.5 * f[1]  # R has a pole at 0
-        a = over_struts(record.a, tools.places(car), car)
+        a = accelerations_at_struts(record.a, sensors.locations(car), car)
         lines = rfft(a - a.mean(axis=1, keepdims=True), size)
-        lines *= np.clip((F_FADE * F_C - f) / ((F_FADE - 1.0) * F_C), 0.0, 1.0) / tools.response(f)
-        mode, samples = mode_of(record, np.arange(record.t.size)), record.t.size
-        corners = fitted(plant(car), car, mode, f, lines, samples)
+        lines *= np.clip(
+            (FADE_RATIO * F_C - f) / ((FADE_RATIO - 1.0) * F_C), 0.0, 1.0
+        ) / sensors.response(f)
+        mode, samples = dominant_modes(record, np.arange(record.t.size)), record.t.size
+        corners = fit_corners(build_plant(car), car, mode, f, lines, samples)
         R = corners.inverse(f)
         H_0 = 1.0 / np.abs(corners.inverse(np.array([self.f_low])))
         z = irfft(lines * R / (1.0 + np.abs(R * H_0) ** 2), size)[:, :samples]
         lowest, highest = self.f_low / record.v.max(), F_C / record.v.max()
         band = f"waves from {lowest:.2g} to {highest:.2g} cycles/m are estimated"
-        stations = grid(record.length)
+        stations = profile_stations(record.length)
         return Estimate(
-            stations, along(record, z, car.wheelbase), notes=(*notes, *_switched(record), band)
+            stations,
+            merge_axles(record, z, car.wheelbase),
+            notes=(*notes, *_mode_change_note(record), band),
         )
 
 
-def over_struts(
-    a: np.ndarray, places: Mapping[str, tuple[float, float]], car: VehicleParameters
+def accelerations_at_struts(
+    a: np.ndarray, locations: Mapping[str, tuple[float, float]], car: VehicleParameters
 ) -> np.ndarray:
-    """Accelerations (4, N) of a rigid body above its struts, from those (3, N) at the `places`,
+    """Accelerations (4, N) of a rigid body above its struts, from those (3, N) at the `locations`,
     name -> (x, y) [m], of the sensors.
     """
-    sensed = np.array([(1.0, *places[name]) for name in SENSORS])
+    sensed = np.array([(1.0, *locations[name]) for name in SENSORS])
     struts = np.array([(1.0, axle.x, y) for axle in car.axles for y in (axle.y_s, -axle.y_s)])
     return struts @ np.linalg.solve(sensed, a)
 
 
 def quarter_cars(
-    one: Plant, car: VehicleParameters, mode: Mapping[str, str], rate: np.ndarray
+    plant: Plant, car: VehicleParameters, mode: Mapping[str, str], rate: np.ndarray
 ) -> QuarterCars:
     """The corners of a car whose struts extend at `rate` (4,) [m/s], standard deviations."""
     near = np.array([-1e-4, 1e-4]) * np.ones((4, 1))
-    F = strut_forces(one, mode, near, np.zeros_like(near))
+    F = strut_forces(plant, mode, near, np.zeros_like(near))
     share = np.array([-car.rear.x, car.front.x]) / (2.0 * car.wheelbase)
     axles = [axle for axle in car.axles for _ in range(2)]
     return QuarterCars(
         m_s=car.m_b * np.repeat(share, 2),
         m_u=np.array([0.5 * axle.m for axle in axles]),
         k_s=(F[:, 0] - F[:, 1]) / (near[:, 1] - near[:, 0]),
-        c_s=gaussian_damping(one, mode, rate),
+        c_s=gaussian_damping(plant, mode, rate),
         k_t=np.array([axle.k_t for axle in axles]),
         c_t=np.array([axle.c_t for axle in axles]),
     )
 
 
-def fitted(
-    one: Plant,
+def fit_corners(
+    plant: Plant,
     car: VehicleParameters,
     mode: Mapping[str, str],
     f: np.ndarray,
@@ -157,30 +161,30 @@ def fitted(
     """The corners whose dampers go with the motion: `lines` (4, F) are the Fourier transform of the
     accelerations above the struts at `f` (F,) [Hz], of which the first `samples` were measured.
     """
-    rate = np.full(4, RATE)
-    for _ in range(ROUNDS):
-        corners = quarter_cars(one, car, mode, rate)
+    rate = np.full(4, INITIAL_RATE_STD)
+    for _ in range(DAMPING_ITERATIONS):
+        corners = quarter_cars(plant, car, mode, rate)
         e_dot = irfft(2j * np.pi * f * corners.extension(f) * lines)[:, :samples]
         rate = np.maximum(e_dot.std(axis=1), 1e-3)
     return corners
 
 
-def along(record: Record, z: np.ndarray, wheelbase: float) -> np.ndarray:
+def merge_axles(record: Record, z: np.ndarray, wheelbase: float) -> np.ndarray:
     """Both wheel paths (2, M) [m] on the grid, from the heights (4, N) [m] under the wheels over
     time: the mean of what front and rear wheel met, or of the one that met it while recording.
     """
-    stations = grid(record.length)
-    heights, met = [], []
+    stations = profile_stations(record.length)
+    heights, recorded = [], []
     for wheels, behind in ((z[:2], 0.0), (z[2:], wheelbase)):
         odometer = stations + behind
-        heights.append(record.at(odometer, wheels))
-        met.append((odometer >= record.s[0]) & (odometer <= record.s[-1]))
-    weights = np.maximum(np.array(met, dtype=float), 1e-9)
+        heights.append(record.interpolate(odometer, wheels))
+        recorded.append((odometer >= record.s[0]) & (odometer <= record.s[-1]))
+    weights = np.maximum(np.array(recorded, dtype=float), 1e-9)
     return np.einsum("am,asm->sm", weights / weights.sum(axis=0), np.array(heights))
 
 
-def _switched(record: Record) -> tuple[str, ...]:
-    flags = np.hstack([record.stiff, record.high])
+def _mode_change_note(record: Record) -> tuple[str, ...]:
+    flags = np.hstack([record.spring_stiff, record.damper_high])
     if (flags == flags[0]).all():
         return ()
     return ("taken as driven in the states that lasted longest",)

@@ -6,7 +6,7 @@ a is what three accelerometers would have sensed if the car, with its gas spring
 friction, stops and tyres that lift off, had been driven over the road; u is the white noise that
 makes the road (`road.py`), equally rough in all directions, its density taken octave by octave from
 the drive itself. The rear wheels roll where the front ones did: both axles see one unknown road.
-Gauss-Newton steps with the exact tangent and adjoint of the simulator's step (`problem.py`) are
+Gauss-Newton steps with the exact tangent and adjoint of the simulator's step (`objective.py`) are
 found by conjugate gradients, preconditioned by the stationary linear car (`stationary.py`), on a
 way from a car with blurred friction and readings that count as noisy to the true (`search.py`); at
 its end the road is let down where a wheel flew over it (`flight.py`).
@@ -26,27 +26,27 @@ from typing import ClassVar
 
 import numpy as np
 
-from estimators.common.block_means import LEAST_NOISE, check, usable
-from estimators.common.model_inputs import MOVING, REST, at_rest, course_of
-from estimators.common.spline import heights
-from estimators.map_smoother.gauss_newton import UNEXPLAINED, Found, most_probable
-from estimators.map_smoother.objective import Belief, Problem
-from estimators.map_smoother.posterior_sampling import error_spread
-from estimators.map_smoother.preconditioner import stationary_picture
-from estimators.map_smoother.windows import MARGIN, Drive, cuts, reconstruct
+from estimators.common.block_means import MIN_NOISE_DENSITY, valid_samples, validate_record
+from estimators.common.model_inputs import MOVING_STD, REST_STD, build_model_inputs, rest_state
+from estimators.common.spline import evaluate_spline
+from estimators.map_smoother.gauss_newton import NOISE_SCALE_WARNING, Solution, minimize
+from estimators.map_smoother.objective import MeasurementModel, Objective
+from estimators.map_smoother.posterior_sampling import posterior_std
+from estimators.map_smoother.preconditioner import stationary_hessian
+from estimators.map_smoother.windows import MARGIN, PreparedDrive, reconstruct, split_windows
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.analysis.roughness import CLASSES
 from road_envs.config import STRICT
-from road_envs.data.record import Estimate, Record, grid, scored_band
+from road_envs.data.record import Estimate, Record, profile_stations, scored_band
 from road_envs.sensing.instruments import Instruments, load_instruments
-from road_envs.vehicle.equations import plant
+from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.linear_model import linearise
 from road_envs.vehicle.parameters import VehicleParameters
 
-SPACING = (0.025, 0.05)
+NODE_SPACING_RANGE = (0.025, 0.05)
 """Least and greatest distance of the road's nodes [m]."""
 
-RATE_HEARD = 70.0
+F_RESOLVED = 70.0
 """Frequency [Hz] up to which nodes stand close enough at any speed, if SPACING lets them."""
 
 
@@ -55,8 +55,8 @@ class MapSmoother:
     """Settings of the search for the most probable road.
 
     `instruments`: name or path; `noise_density` [(m/s²)/sqrt(Hz)] if it is not theirs. `G_d0` [m³]
-    and `w`: the road's prior before the drive is heard; `relevel`: take its density from the drive.
-    `data_rate` [Hz]: means of readings in a second. `step` [s]: longest step of the model.
+    and `w`: the road's prior before the drive is heard; `adapt_prior`: take its density from the
+    drive. `data_rate` [Hz]: means of readings in a second. `step` [s]: longest step of the model.
     `level_ends`: the road is level before station 0 and behind its length, where the drive begins
     at rest. `huber`: standard deviations from which a reading counts less. `window`, `overlap` [s]:
     longer drives are taken in parts. `draws`: roads drawn for the standard deviation, 0 for none.
@@ -69,7 +69,7 @@ class MapSmoother:
     noise_density: float | None = None
     G_d0: float = CLASSES["D"]
     w: float = 2.0
-    relevel: bool = True
+    adapt_prior: bool = True
     data_rate: float = 200.0
     step: float = 0.001
     level_ends: bool = True
@@ -91,60 +91,78 @@ class MapSmoother:
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """The most probable road of a drive. Raises ValueError if it cannot be explained at all."""
-        check(record)
+        validate_record(record)
         instruments = load_instruments(self.instruments)
-        belief, drive = (
-            self._belief(record, car, instruments),
-            self._drive(record, car, instruments),
+        model, drive = (
+            self._measurement_model(record, car, instruments),
+            self._prepare_drive(record, car, instruments),
         )
-        prior, band = RoadPrior(G_d0=self.G_d0, w=self.w), scored_band(float(drive.course.v.mean()))
-        rate = 1.0 / (drive.unit * drive.course.h)
-        windows = cuts(
-            drive.a.shape[1] // drive.block, round(self.window * rate), round(self.overlap * rate)
+        prior, band = RoadPrior(G_d0=self.G_d0, w=self.w), scored_band(float(drive.inputs.v.mean()))
+        rate = 1.0 / (drive.steps_per_block * drive.inputs.h)
+        windows = split_windows(
+            drive.a.shape[1] // drive.block_size,
+            round(self.window * rate),
+            round(self.overlap * rate),
         )
 
-        def solve(problem: Problem) -> tuple[Found, np.ndarray]:
-            picture = stationary_picture(problem)
-            found = most_probable(problem, picture, huber=self.huber, relevel=self.relevel)
-            return found, error_spread(found, band, self.draws, seed=0)
+        def solve(objective: Objective) -> tuple[Solution, np.ndarray]:
+            stationary = stationary_hessian(objective)
+            found = minimize(objective, stationary, huber=self.huber, adapt_prior=self.adapt_prior)
+            return found, posterior_std(found, band, self.draws, seed=0)
 
-        found, excess = reconstruct(belief, drive, prior, windows, solve)
-        s = grid(record.length)
-        x = np.clip((s - drive.start) / drive.ds, 1.0, drive.free.size - 3.0)
-        std = np.interp(x, np.arange(drive.free.size), found.spread)
+        found, noise_scale = reconstruct(model, drive, prior, windows, solve)
+        s = profile_stations(record.length)
+        x = np.clip((s - drive.origin) / drive.ds, 1.0, drive.free.size - 3.0)
+        std = np.interp(x, np.arange(drive.free.size), found.std)
         z_std = np.stack([std, std]) if self.draws else None
-        return Estimate(s, heights(found.c, x), z_std, tuple(self._notes(drive, excess)))
+        return Estimate(
+            s, evaluate_spline(found.c, x), z_std, tuple(self._notes(drive, noise_scale))
+        )
 
-    def _belief(self, record: Record, car: VehicleParameters, instruments: Instruments) -> Belief:
-        one, places = plant(car), instruments.places(car)
-        levers = linearise(one, "ride", places).body
-        density = self.noise_density or max(instruments.noise_density, LEAST_NOISE)
+    def _measurement_model(
+        self, record: Record, car: VehicleParameters, instruments: Instruments
+    ) -> MeasurementModel:
+        one, locations = build_plant(car), instruments.locations(car)
+        sensor_rows = linearise(one, "ride", locations).sensor_rows
+        density = self.noise_density or max(instruments.noise_density, MIN_NOISE_DENSITY)
         noise = density**2 * 0.5 * record.fs
-        return Belief(one, car.valve.lag, car.wheelbase, places, levers, noise)
+        return MeasurementModel(one, car.valve.lag, car.wheelbase, locations, sensor_rows, noise)
 
-    def _drive(self, record: Record, car: VehicleParameters, instruments: Instruments) -> Drive:
-        way = course_of(record, instruments, car, self.step)
-        used = usable(record, instruments)
-        a = np.where(used, record.a, 0.0)
-        a -= a.sum(axis=1, keepdims=True) / np.maximum(used.sum(axis=1, keepdims=True), 1)
+    def _prepare_drive(
+        self, record: Record, car: VehicleParameters, instruments: Instruments
+    ) -> PreparedDrive:
+        inputs = build_model_inputs(record, instruments, car, self.step)
+        valid = valid_samples(record, instruments)
+        a = np.where(valid, record.a, 0.0)
+        a -= a.sum(axis=1, keepdims=True) / np.maximum(valid.sum(axis=1, keepdims=True), 1)
         block = max(1, round(record.fs / self.data_rate))
-        ds = float(np.clip(0.5 * way.v.mean() / RATE_HEARD, *SPACING))
-        start = way.s[0] - car.wheelbase - (MARGIN + 1) * ds
-        middle = start + ds * (np.arange(int((way.s[-1] - start) / ds) + 2 * MARGIN) - 0.5)
+        ds = float(np.clip(0.5 * inputs.v.mean() / F_RESOLVED, *NODE_SPACING_RANGE))
+        origin = inputs.s[0] - car.wheelbase - (MARGIN + 1) * ds
+        middle = origin + ds * (np.arange(int((inputs.s[-1] - origin) / ds) + 2 * MARGIN) - 0.5)
         level = self.level_ends and record.s[0] <= 0.0
         end = record.length if self.level_ends else np.inf
         free = (middle > (0.0 if level else -np.inf)) & (middle < end)
-        reach = REST if level else MOVING
-        return Drive(a, used, block, way, at_rest(car, way), reach, start, ds, free.astype(float))
+        initial_std = REST_STD if level else MOVING_STD
+        return PreparedDrive(
+            a,
+            valid,
+            block,
+            inputs,
+            rest_state(car, inputs),
+            initial_std,
+            origin,
+            ds,
+            free.astype(float),
+        )
 
-    def _notes(self, drive: Drive, excess: list[float]) -> list[str]:
+    def _notes(self, drive: PreparedDrive, noise_scale: list[float]) -> list[str]:
         notes = []
-        lost = int((~drive.used).sum())
+        lost = int((~drive.valid).sum())
         if lost:
-            notes.append(f"{lost} of {drive.used.size} samples lost or clipped, left out")
-        if max(excess) > UNEXPLAINED:
+            notes.append(f"{lost} of {drive.valid.size} samples lost or clipped, left out")
+        if max(noise_scale) > NOISE_SCALE_WARNING:
             notes.append(
-                f"{max(excess):.1f} times the instruments' noise power is left unexplained: "
+                f"{max(noise_scale):.1f} times the instruments' noise power is left unexplained: "
                 "the car may not be the one believed in"
             )
         return notes

@@ -15,28 +15,28 @@ import numpy as np
 from scipy.fft import rfftfreq
 from scipy.signal import welch
 
-from estimators.map_smoother.objective import Point, Problem, point
-from estimators.map_smoother.preconditioner import Stationary
-from estimators.map_smoother.wheel_liftoff import released
+from estimators.map_smoother.objective import Linearization, Objective, linearize
+from estimators.map_smoother.preconditioner import StationaryHessian
+from estimators.map_smoother.wheel_liftoff import relax_unloaded
 from road_envs.vehicle.equations import Plant
-from road_envs.vehicle.force_curves import blurred
+from road_envs.vehicle.force_curves import gaussian_smoothed
 from road_envs.vehicle.suspension import V_0, V_STEP
 
 Vector = np.ndarray
 Operator = Callable[[Vector], Vector]
 
-STAGES = ((0.3, 2), (0.1, 2), (0.03, 3), (0.0, 12))
+FRICTION_STAGES = ((0.3, 2), (0.1, 2), (0.03, 3), (0.0, 12))
 """Widths [m/s] of the blur, and Gauss-Newton steps at most with each."""
 
-HALVINGS = 6
+MAX_HALVINGS = 6
 
-UNEXPLAINED = 2.0
+NOISE_SCALE_WARNING = 2.0
 """Times the instruments' noise power from which the car is not the one believed in."""
 
-COLOURINGS, SMOOTH = 3, 128
+REWEIGHTING_STEPS, WELCH_SEGMENT = 3, 128
 """Steps under noise of the leftovers' colour, and blocks of the stretches it is taken from."""
 
-RELEASES, RELEASED_STEPS = 2, 5
+MAX_LIFTOFF_RETRIES, LIFTOFF_STEPS = 2, 5
 """How often the road below wheels that fly is let down at most, and steps after each time."""
 
 
@@ -65,159 +65,185 @@ def conjugate_gradients(
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """Where the search ended: the `point`, how many times the instruments' noise the misfit makes
-    of it (`excess`), and the `steps` and `iterations` it took.
+class Solution:
+    """Where the search ended: the `linearization`, how many times the instruments' noise the misfit
+    makes of it (`noise_scale`), and the `steps` and `cg_iterations` it took.
     """
 
-    point: Point
-    picture: Stationary
-    excess: float
+    linearization: Linearization
+    stationary: StationaryHessian
+    noise_scale: float
     steps: int
-    iterations: int
+    cg_iterations: int
 
 
-def most_probable(
-    problem: Problem,
-    picture: Stationary,
+def minimize(
+    objective: Objective,
+    stationary: StationaryHessian,
     *,
-    iterations: int = 40,
-    tolerance: float = 0.1,
+    cg_iterations: int = 40,
+    cg_tolerance: float = 0.1,
     huber: float = np.inf,
-    settled: float = 1e-2,
-    relevel: bool = True,
-    report: Callable[[str, Point], None] = lambda text, at: None,
-) -> Found:
+    cost_tolerance: float = 1e-2,
+    adapt_prior: bool = True,
+    report: Callable[[str, Linearization], None] = lambda text, lin: None,
+) -> Solution:
     """The most probable road, sought from none.
 
     `huber`: standard deviations from which a block of readings counts less. It ends when a step
-    with the true car lowers the cost by less than the share `settled`.
+    with the true car lowers the cost by less than the share `cost_tolerance`.
     """
-    inner = Inner(picture, huber, iterations, tolerance)
-    steps, total, x = 0, 0, np.zeros(problem.size)
-    information = problem.information
-    excess = np.inf
-    for width, most in STAGES:
-        if steps > 0 and relevel:
-            problem, x = releveled(problem, picture, x, excess)
-        plant = problem.belief.plant if width == 0.0 else softened(problem.belief.plant, width)
-        at = point(problem, x, information, plant)
+    solver = GaussNewton(stationary, huber, cg_iterations, cg_tolerance)
+    steps, total, x = 0, 0, np.zeros(objective.size)
+    information = objective.information
+    noise_scale = np.inf
+    for width, most in FRICTION_STAGES:
+        if steps > 0 and adapt_prior:
+            objective, x = update_prior(objective, stationary, x, noise_scale)
+        plant = (
+            objective.model.plant if width == 0.0 else smooth_friction(objective.model.plant, width)
+        )
+        lin = linearize(objective, x, information, plant)
         for _ in range(most):
-            excess = max(1.0, min(excess, noise_level(at, picture, excess)))
-            new, k = inner.step(at, plant, excess)
+            noise_scale = max(
+                1.0, min(noise_scale, estimate_noise_scale(lin, stationary, noise_scale))
+            )
+            new, k = solver.step(lin, plant, noise_scale)
             steps, total = steps + 1, total + k
-            gained = 1.0 - new.cost / at.weighing(new.inverse).cost
-            report(f"{width} {excess:.1f} {k} {new.cost:.1f}", new)
-            at = new
-            if gained < settled:
+            gained = 1.0 - new.cost / lin.with_inverse_variance(new.inverse_variance).cost
+            report(f"{width} {noise_scale:.1f} {k} {new.cost:.1f}", new)
+            lin = new
+            if gained < cost_tolerance:
                 break
-        x = at.x
-    if excess > UNEXPLAINED:
-        for _ in range(COLOURINGS):
-            gain = heard(at, picture, excess)
-            at = replace(at, gain=gain)
-            inner = replace(inner, picture=picture.hearing(problem, gain))
-            at, k = inner.step(at, plant, excess)
+        x = lin.x
+    if noise_scale > NOISE_SCALE_WARNING:
+        for _ in range(REWEIGHTING_STEPS):
+            frequency_weights = estimate_frequency_weights(lin, stationary, noise_scale)
+            lin = replace(lin, frequency_weights=frequency_weights)
+            solver = replace(solver, stationary=stationary.reweighted(objective, frequency_weights))
+            lin, k = solver.step(lin, plant, noise_scale)
             steps, total = steps + 1, total + k
-            report("coloured", at)
-    for _ in range(RELEASES):
-        better = fallen(at, inner, excess)
-        if better is at:
+            report("coloured", lin)
+    for _ in range(MAX_LIFTOFF_RETRIES):
+        better = retry_after_liftoff(lin, solver, noise_scale)
+        if better is lin:
             break
         report("released", better)
-        at = better
-    return Found(at, inner.picture, excess, steps, total)
+        lin = better
+    return Solution(lin, solver.stationary, noise_scale, steps, total)
 
 
 @dataclass(frozen=True)
-class Inner:
-    """How a Gauss-Newton step is found; settings as `most_probable` has them."""
+class GaussNewton:
+    """How a Gauss-Newton step is found; settings as `minimize` has them."""
 
-    picture: Stationary
+    stationary: StationaryHessian
     huber: float
-    iterations: int
-    tolerance: float
+    cg_iterations: int
+    cg_tolerance: float
 
-    def step(self, at: Point, plant: Plant, excess: float) -> tuple[Point, int]:
-        """The next point under `excess` times the noise, and the iterations it took."""
-        problem = at.problem
-        at = at.weighing(robust(at.over, problem.information / excess, self.huber))
-        M = self.picture.preconditioner(problem, problem.belief.noise * excess)
-        dx, k = conjugate_gradients(at.hessian, -at.gradient(), M, self.iterations, self.tolerance)
-        return line_search(at, dx, plant), k
+    def step(
+        self, lin: Linearization, plant: Plant, noise_scale: float
+    ) -> tuple[Linearization, int]:
+        """The next point under `noise_scale` times the noise, and the iterations it took."""
+        objective = lin.objective
+        lin = lin.with_inverse_variance(
+            huber_weights(lin.residual, objective.information / noise_scale, self.huber)
+        )
+        M = self.stationary.preconditioner(objective, objective.model.noise_variance * noise_scale)
+        dx, k = conjugate_gradients(
+            lin.hessian_product, -lin.gradient(), M, self.cg_iterations, self.cg_tolerance
+        )
+        return line_search(lin, dx, plant), k
 
 
-def fallen(at: Point, inner: Inner, excess: float) -> Point:
-    """Where the search ends from the road of `at` let down where no wheel pressed on it, unless
+def retry_after_liftoff(
+    lin: Linearization, solver: GaussNewton, noise_scale: float
+) -> Linearization:
+    """Where the search ends from the road of `lin` let down where no wheel pressed on it, unless
     that explains the readings worse.
     """
-    x, plant = released(at), at.problem.belief.plant
+    x, plant = relax_unloaded(lin), lin.objective.model.plant
     if x is None:
-        return at
+        return lin
     try:
-        new = at.at(x, plant)
+        new = lin.relinearize(x, plant)
     except ArithmeticError:
-        return at
-    for _ in range(RELEASED_STEPS):
-        new, _ = inner.step(new, plant, excess)
-    return new if new.weighing(at.inverse).cost < at.cost else at
+        return lin
+    for _ in range(LIFTOFF_STEPS):
+        new, _ = solver.step(new, plant, noise_scale)
+    return new if new.with_inverse_variance(lin.inverse_variance).cost < lin.cost else lin
 
 
-def releveled(
-    problem: Problem, picture: Stationary, x: Vector, excess: float
-) -> tuple[Problem, Vector]:
+def update_prior(
+    objective: Objective, stationary: StationaryHessian, x: Vector, noise_scale: float
+) -> tuple[Objective, Vector]:
     """The problem under the prior that its own road suggests, and `x` there, the road unchanged."""
-    u, _, _ = problem.split(x)
-    level = picture.levels(problem.road, problem.belief.noise * excess, u)
-    road = problem.road.as_likely(level)
-    u = road.whitened(u, problem.road)
-    return replace(problem, road=road), np.concatenate([u.ravel(), x[u.size :]])
+    u, _, _ = objective.split(x)
+    level = stationary.density_scale(
+        objective.road, objective.model.noise_variance * noise_scale, u
+    )
+    road = objective.road.scale_density(level)
+    u = road.convert_noise(u, objective.road)
+    return replace(objective, road=road), np.concatenate([u.ravel(), x[u.size :]])
 
 
-def line_search(at: Point, dx: Vector, plant: Plant) -> Point:
+def line_search(lin: Linearization, dx: Vector, plant: Plant) -> Linearization:
     """A point towards `dx`, half-way again and again until the cost has fallen."""
-    slope, length = float(at.gradient() @ dx), 1.0
-    for _ in range(HALVINGS):
+    slope, length = float(lin.gradient() @ dx), 1.0
+    for _ in range(MAX_HALVINGS):
         try:
-            new = at.at(at.x + length * dx, plant)
+            new = lin.relinearize(lin.x + length * dx, plant)
         except ArithmeticError:
             length *= 0.25
             continue
-        if new.cost <= at.cost + 1e-4 * length * slope:
+        if new.cost <= lin.cost + 1e-4 * length * slope:
             return new
         length *= 0.5
-    return at
+    return lin
 
 
-def noise_level(at: Point, picture: Stationary, excess: float) -> float:
+def estimate_noise_scale(
+    lin: Linearization, stationary: StationaryHessian, noise_scale: float
+) -> float:
     """How many times the instruments' noise is left over, for what the road could not take up."""
-    problem = at.problem
-    squares, used = problem.information * at.over**2, problem.readings.count > 0
+    objective = lin.objective
+    squares, used = objective.information * lin.residual**2, objective.measurements.sample_count > 0
     taken = (
-        picture.decided(problem.road, problem.belief.noise * excess) if np.isfinite(excess) else 0.0
+        stationary.effective_dof(objective.road, objective.model.noise_variance * noise_scale)
+        if np.isfinite(noise_scale)
+        else 0.0
     )
     return float(squares[used].mean() / max(1.0 - taken / used.sum(), 0.1))
 
 
-def heard(at: Point, picture: Stationary, excess: float) -> np.ndarray:
+def estimate_frequency_weights(
+    lin: Linearization, stationary: StationaryHessian, noise_scale: float
+) -> np.ndarray:
     """Gain (J // 2 + 1,) of each frequency: as little as is left over there, but never less noise
     than the instruments'.
     """
-    problem = at.problem
-    r, used = np.sqrt(problem.information) * at.over, problem.readings.count > 0
-    left = 1.0 - picture.decided(problem.road, problem.belief.noise * excess) / used.sum()
-    size = min(SMOOTH, r.shape[1])
+    objective = lin.objective
+    r, used = np.sqrt(objective.information) * lin.residual, objective.measurements.sample_count > 0
+    left = (
+        1.0
+        - stationary.effective_dof(objective.road, objective.model.noise_variance * noise_scale)
+        / used.sum()
+    )
+    size = min(WELCH_SEGMENT, r.shape[1])
     f, S = welch(r, fs=1.0, nperseg=size)
     level = np.maximum(0.5 * S.mean(axis=0) / max(left, 0.1), 1.0)
-    return excess / np.interp(rfftfreq(r.shape[1]), f, level)
+    return noise_scale / np.interp(rfftfreq(r.shape[1]), f, level)
 
 
-def robust(over: np.ndarray, inverse: np.ndarray, huber: float) -> np.ndarray:
+def huber_weights(residual: np.ndarray, inverse_variance: np.ndarray, huber: float) -> np.ndarray:
     """The inverse of the noise, less for readings further off than `huber` standard deviations."""
-    far = np.sqrt(inverse) * np.abs(over)
-    return inverse * np.minimum(1.0, huber / np.maximum(far, 1e-12))
+    far = np.sqrt(inverse_variance) * np.abs(residual)
+    return inverse_variance * np.minimum(1.0, huber / np.maximum(far, 1e-12))
 
 
-def softened(plant: Plant, width: float) -> Plant:
+def smooth_friction(plant: Plant, width: float) -> Plant:
     """The car with dampers and friction as they are on average if the rate trembles by `width`."""
-    return Plant(plant.numbers, blurred(plant.velocity, V_0, V_STEP, width), plant.displacement)
+    return Plant(
+        plant.constants, gaussian_smoothed(plant.velocity, V_0, V_STEP, width), plant.displacement
+    )

@@ -15,123 +15,123 @@ from functools import cached_property
 import numpy as np
 from scipy.fft import irfft, rfft
 
-from estimators.common.block_means import Readings
-from estimators.common.model_inputs import Course
-from estimators.common.spline import under_wheels
-from estimators.map_smoother.block_tangent import Parts, parts_of
-from estimators.map_smoother.road_prior import Road
-from road_envs.simulation.sensitivity import Tape, drive_on_tape
+from estimators.common.block_means import BlockMeans
+from estimators.common.model_inputs import ModelInputs
+from estimators.common.spline import sample_under_wheels
+from estimators.map_smoother.block_tangent import BlockTangent, build_block_tangent
+from estimators.map_smoother.road_prior import RoadTransform
+from road_envs.simulation.sensitivity import Tape, linearize_drive
 from road_envs.vehicle.equations import N_DOF, Plant
 
 
 @dataclass(frozen=True, eq=False)
-class Belief:
-    """What is held of car and instruments: the `plant`, the time constant `lag` [s] of its valves,
-    its `wheelbase` [m], the sensors' `places` (x, y) [m] and their `levers` (S, 7) over the car's
-    coordinates, the variance `noise` [(m/s²)²] of a sample, and the deviation `offset` [m/s²] that
-    the sensors' zeros may have.
+class MeasurementModel:
+    """What is held of car and instruments: the `plant`, the time constant `valve_lag` [s] of its
+    valves, its `wheelbase` [m], the sensors' `locations` (x, y) [m] and their `sensor_rows` (S, 7)
+    over the car's coordinates, the variance `noise_variance` [(m/s²)²] of a sample, and the
+    deviation `bias_std` [m/s²] that the sensors' zeros may have.
     """
 
     plant: Plant
-    lag: float
+    valve_lag: float
     wheelbase: float
-    places: Mapping[str, tuple[float, float]]
-    levers: np.ndarray
-    noise: float
-    offset: float = 0.05
+    locations: Mapping[str, tuple[float, float]]
+    sensor_rows: np.ndarray
+    noise_variance: float
+    bias_std: float = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
-    """One stretch of a drive, which begins in the state `start` (14,), with the prior deviations
-    `reach` (14,), and with the struts' `memory` (4, 3).
+class Objective:
+    """One stretch of a drive, which begins in the state `initial_state` (14,), with the prior
+    deviations `initial_std` (14,), and with the struts' `strut_state` (4, 3).
     """
 
-    belief: Belief
-    memory: np.ndarray
-    start: np.ndarray
-    reach: np.ndarray
-    road: Road
-    course: Course
-    readings: Readings
+    model: MeasurementModel
+    strut_state: np.ndarray
+    initial_state: np.ndarray
+    initial_std: np.ndarray
+    road: RoadTransform
+    inputs: ModelInputs
+    measurements: BlockMeans
 
     @property
     def size(self) -> int:
         """Unknowns."""
-        return 2 * self.road.size + 2 * N_DOF + self.belief.levers.shape[0]
+        return 2 * self.road.size + 2 * N_DOF + self.model.sensor_rows.shape[0]
 
     def split(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """`u` (2, K), the start's deviation (14,) and the offsets (S,), all in their units."""
-        u, start, offset = np.split(x, [2 * self.road.size, 2 * self.road.size + 2 * N_DOF])
-        return u.reshape(2, -1), self.reach * start, self.belief.offset * offset
+        u, start, bias = np.split(x, [2 * self.road.size, 2 * self.road.size + 2 * N_DOF])
+        return u.reshape(2, -1), self.initial_std * start, self.model.bias_std * bias
 
-    def under_wheels(self, c: np.ndarray) -> np.ndarray:
+    def road_under_wheels(self, c: np.ndarray) -> np.ndarray:
         """Heights and rates (2 N, 2, 4) under the wheels on the coefficients `c` (2, K)."""
-        out = np.empty((self.course.s.size, 2, 4))
-        under_wheels(c, *self._along, out)
+        out = np.empty((self.inputs.s.size, 2, 4))
+        sample_under_wheels(c, *self._along, out)
         return out
 
     @property
     def _along(self) -> tuple[np.ndarray, np.ndarray, float]:
         ds = self.road.ds
-        x = (self.course.s - self.road.start) / ds
-        return x, self.course.v / ds, self.belief.wheelbase / ds
+        x = (self.inputs.s - self.road.origin) / ds
+        return x, self.inputs.v / ds, self.model.wheelbase / ds
 
-    def drive(self, x: np.ndarray, plant: Plant | None = None) -> Tape:
+    def simulate(self, x: np.ndarray, plant: Plant | None = None) -> Tape:
         """The car's motion on the road of `x`. Raises ArithmeticError if it is not finite."""
         u, start, _ = self.split(x)
-        return drive_on_tape(
-            plant or self.belief.plant,
-            self.memory,
-            self.start + start,
-            self.under_wheels(self.road.coefficients(u)),
-            self.course.h,
-            commands=self.course.commands,
-            lag=self.belief.lag,
+        return linearize_drive(
+            plant or self.model.plant,
+            self.strut_state,
+            self.initial_state + start,
+            self.road_under_wheels(self.road.coefficients(u)),
+            self.inputs.h,
+            commands=self.inputs.commands,
+            lag=self.model.valve_lag,
         )
 
-    def until(self, x: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    def state_after(self, x: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
         """State (14,) of the car and memory (4, 3) of its struts after `steps` on this road."""
-        part = replace(self, course=self.course.part(0, steps))
-        tape = part.drive(x)
-        return tape.end, tape.memory
+        part = replace(self, inputs=self.inputs.slice_steps(0, steps))
+        tape = part.simulate(x)
+        return tape.end, tape.strut_state
 
     @property
     def information(self) -> np.ndarray:
         """The inverse (S, J) of the variance of each block mean, as far as the instruments go."""
-        return self.readings.count / self.belief.noise
+        return self.measurements.sample_count / self.model.noise_variance
 
-    def sensed(self, acceleration: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    def observe(self, acceleration: np.ndarray, bias: np.ndarray) -> np.ndarray:
         """Block means (S, J) of the sensors for accelerations (N, 7) of the coordinates."""
-        samples = acceleration[:: self.course.every][: self.readings.samples]
-        return self.readings.means(self.belief.levers @ samples.T) + offset[:, None]
+        samples = acceleration[:: self.inputs.decimation][: self.measurements.n_samples]
+        return self.measurements.average(self.model.sensor_rows @ samples.T) + bias[:, None]
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
-    """A problem at `x`: the `tape` of the motion, what is left `over` (S, J) [m/s²] of the
-    readings, and the `inverse` (S, J) of the noise variance that they are thought to have; `gain`
-    (J // 2 + 1,), if given, by which what is heard at each frequency counts.
+class Linearization:
+    """A problem at `x`: the `tape` of the motion, what is left `residual` (S, J) [m/s²] of the
+    readings, and the `inverse_variance` (S, J) of the noise variance that they are thought to have;
+    `frequency_weights` (J // 2 + 1,), if given, by which what is heard at each frequency counts.
     """
 
-    problem: Problem
+    objective: Objective
     x: np.ndarray
     tape: Tape
-    over: np.ndarray
-    inverse: np.ndarray
-    gain: np.ndarray | None = None
+    residual: np.ndarray
+    inverse_variance: np.ndarray
+    frequency_weights: np.ndarray | None = None
 
-    def weighed(self, means: np.ndarray) -> np.ndarray:
+    def apply_inverse_covariance(self, means: np.ndarray) -> np.ndarray:
         """R^-1 times block means (S, J)."""
-        if self.gain is None:
-            return self.inverse * means
-        root = np.sqrt(self.inverse)
-        return root * coloured(self.gain, root * means)
+        if self.frequency_weights is None:
+            return self.inverse_variance * means
+        root = np.sqrt(self.inverse_variance)
+        return root * apply_frequency_weights(self.frequency_weights, root * means)
 
     @property
     def misfit(self) -> float:
         """The readings' share of the cost."""
-        return 0.5 * float(np.sum(self.over * self.weighed(self.over)))
+        return 0.5 * float(np.sum(self.residual * self.apply_inverse_covariance(self.residual)))
 
     @property
     def cost(self) -> float:
@@ -140,56 +140,60 @@ class Point:
 
     def gradient(self) -> np.ndarray:
         """Of the cost by `x`."""
-        return self.x - self.transposed(self.weighed(self.over))
+        return self.x - self.adjoint(self.apply_inverse_covariance(self.residual))
 
-    def hessian(self, dx: np.ndarray) -> np.ndarray:
+    def hessian_product(self, dx: np.ndarray) -> np.ndarray:
         """Gauss and Newton's, times `dx`."""
-        return dx + self.transposed(self.weighed(self.tangent(dx)))
+        return dx + self.adjoint(self.apply_inverse_covariance(self.tangent(dx)))
 
     @cached_property
-    def parts(self) -> Parts:
+    def block_tangent(self) -> BlockTangent:
         """The tangent at this point."""
-        one = self.problem
-        return parts_of(
-            *(self.tape, one.road, one.course, one.readings),
-            *(one.belief.levers, one.belief.wheelbase),
+        one = self.objective
+        return build_block_tangent(
+            *(self.tape, one.road, one.inputs, one.measurements),
+            *(one.model.sensor_rows, one.model.wheelbase),
         )
 
     def tangent(self, dx: np.ndarray) -> np.ndarray:
         """Change (S, J) of the model's block means by a small `dx`."""
-        u, start, offset = self.problem.split(dx)
-        return self.parts.tangent(start, self.problem.road.change(u)) + offset[:, None]
+        u, start, bias = self.objective.split(dx)
+        return self.block_tangent.apply(start, self.objective.road.apply(u)) + bias[:, None]
 
-    def transposed(self, means: np.ndarray) -> np.ndarray:
+    def adjoint(self, means: np.ndarray) -> np.ndarray:
         """The transpose of `tangent`: from block means (S, J) to `x`."""
-        one = self.problem
-        start, c = self.parts.transposed(means)
-        parts = [one.road.back(c).ravel(), one.reach * start, one.belief.offset * means.sum(axis=1)]
+        one = self.objective
+        start, c = self.block_tangent.apply_transpose(means)
+        parts = [
+            one.road.apply_transpose(c).ravel(),
+            one.initial_std * start,
+            one.model.bias_std * means.sum(axis=1),
+        ]
         return np.concatenate(parts)
 
-    def weighing(self, inverse: np.ndarray) -> "Point":
+    def with_inverse_variance(self, inverse_variance: np.ndarray) -> "Linearization":
         """The same point under another inverse (S, J) of the noise."""
-        return replace(self, inverse=inverse)
+        return replace(self, inverse_variance=inverse_variance)
 
-    def at(self, x: np.ndarray, plant: Plant | None = None) -> "Point":
+    def relinearize(self, x: np.ndarray, plant: Plant | None = None) -> "Linearization":
         """The same problem under the same noise at another `x`. Raises ArithmeticError."""
-        return point(self.problem, x, self.inverse, plant, self.gain)
+        return linearize(self.objective, x, self.inverse_variance, plant, self.frequency_weights)
 
 
-def coloured(gain: np.ndarray, means: np.ndarray) -> np.ndarray:
-    """Block means (S, J) with each frequency taken times `gain` (J // 2 + 1,)."""
-    return irfft(gain * rfft(means, axis=1), means.shape[1], axis=1)
+def apply_frequency_weights(frequency_weights: np.ndarray, means: np.ndarray) -> np.ndarray:
+    """Block means (S, J) with each frequency taken times `frequency_weights` (J // 2 + 1,)."""
+    return irfft(frequency_weights * rfft(means, axis=1), means.shape[1], axis=1)
 
 
-def point(
-    problem: Problem,
+def linearize(
+    objective: Objective,
     x: np.ndarray,
-    inverse: np.ndarray,
+    inverse_variance: np.ndarray,
     plant: Plant | None = None,
-    gain: np.ndarray | None = None,
-) -> Point:
+    frequency_weights: np.ndarray | None = None,
+) -> Linearization:
     """The problem at `x`, for its own plant or another. Raises ArithmeticError."""
-    tape = problem.drive(x, plant)
-    _, _, offset = problem.split(x)
-    over = problem.readings.y - problem.sensed(tape.acceleration, offset)
-    return Point(problem, x, tape, over, inverse, gain)
+    tape = objective.simulate(x, plant)
+    _, _, bias = objective.split(x)
+    residual = objective.measurements.y - objective.observe(tape.acceleration, bias)
+    return Linearization(objective, x, tape, residual, inverse_variance, frequency_weights)

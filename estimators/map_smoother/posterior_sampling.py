@@ -8,46 +8,52 @@ perturbations"); what such roads do inside a band is what the estimate's error d
 import numpy as np
 from scipy.fft import irfft, rfft
 
-from estimators.common.model_inputs import Course
-from estimators.map_smoother.gauss_newton import Found, conjugate_gradients
-from estimators.map_smoother.objective import Point, coloured
-from estimators.map_smoother.road_prior import Road
+from estimators.common.model_inputs import ModelInputs
+from estimators.map_smoother.gauss_newton import Solution, conjugate_gradients
+from estimators.map_smoother.objective import Linearization, apply_frequency_weights
+from estimators.map_smoother.road_prior import RoadTransform
 
-ITERATIONS = 40
-SMALLEST = 10.0
+CG_ITERATIONS = 40
+MIN_STATE_LENGTH = 10.0
 """Metres of road in one state of the struts from which it has a spread of its own."""
 
-UNDERSTATED = 1.1
+STD_INFLATION = 1.1
 """What the curvature left out and the last digits of the search add, on training roads."""
 
 
-def error_spread(found: Found, band: tuple[float, float], draws: int, seed: int) -> np.ndarray:
+def posterior_std(found: Solution, band: tuple[float, float], draws: int, seed: int) -> np.ndarray:
     """Standard deviation (K,) [m] of the error inside `band` [cycles/m] at each node of the road,
     one for both wheel paths and for each state of the struts.
     """
-    at, rng = found.point, np.random.default_rng(seed)
-    problem, road = at.problem, at.problem.road
-    precondition = found.picture.preconditioner(problem, problem.belief.noise * found.excess)
+    lin, rng = found.linearization, np.random.default_rng(seed)
+    objective, road = lin.objective, lin.objective.road
+    precondition = found.stationary.preconditioner(
+        objective, objective.model.noise_variance * found.noise_scale
+    )
     inside = (road.n >= band[0]) & (road.n <= band[1])
-    middle = _middle(road.free, round(1.0 / (band[0] * road.ds)))  # waves cut off there leak
+    middle = _interior(road.free, round(1.0 / (band[0] * road.ds)))  # waves cut off there leak
     square = np.zeros(road.size)
     for _ in range(draws):
-        b = at.transposed(noise_heard(at, rng)) + rng.standard_normal(problem.size)
-        x, _ = conjugate_gradients(at.hessian, b, precondition, ITERATIONS, 1e-2)
-        u, _, _ = problem.split(x)
-        part = road.change(irfft(inside * rfft(road.free * u, axis=1), road.size, axis=1))
+        b = lin.adjoint(draw_weighted_noise(lin, rng)) + rng.standard_normal(objective.size)
+        x, _ = conjugate_gradients(lin.hessian_product, b, precondition, CG_ITERATIONS, 1e-2)
+        u, _, _ = objective.split(x)
+        part = road.apply(irfft(inside * rfft(road.free * u, axis=1), road.size, axis=1))
         part -= part[:, middle].mean(axis=1, keepdims=True)
         square += np.mean(part**2, axis=0) / draws
-    return UNDERSTATED * np.sqrt(_by_state(square, middle, road, problem.course))
+    return STD_INFLATION * np.sqrt(_average_by_strut_state(square, middle, road, objective.inputs))
 
 
-def noise_heard(at: Point, rng: np.random.Generator) -> np.ndarray:
+def draw_weighted_noise(lin: Linearization, rng: np.random.Generator) -> np.ndarray:
     """R^-1/2 times white noise (S, J)."""
-    white = rng.standard_normal(at.over.shape)
-    return np.sqrt(at.inverse) * (white if at.gain is None else coloured(np.sqrt(at.gain), white))
+    white = rng.standard_normal(lin.residual.shape)
+    return np.sqrt(lin.inverse_variance) * (
+        white
+        if lin.frequency_weights is None
+        else apply_frequency_weights(np.sqrt(lin.frequency_weights), white)
+    )
 
 
-def _middle(free: np.ndarray, most: int) -> np.ndarray:
+def _interior(free: np.ndarray, most: int) -> np.ndarray:
     """Which nodes (K,) are free, at most `most` of them at either end left out."""
     where = np.flatnonzero(free)
     off = min(most, where.size // 4)
@@ -56,14 +62,16 @@ def _middle(free: np.ndarray, most: int) -> np.ndarray:
     return inner
 
 
-def _by_state(square: np.ndarray, free: np.ndarray, road: Road, course: Course) -> np.ndarray:
+def _average_by_strut_state(
+    square: np.ndarray, free: np.ndarray, road: RoadTransform, inputs: ModelInputs
+) -> np.ndarray:
     """The mean of `square` (K,) over the `free` nodes (K,) passed in the same state."""
-    station = road.start + road.ds * np.arange(road.size)
-    passed = np.clip(np.searchsorted(course.s[::2], station), 0, course.steps - 1)
-    state = course.commands[passed]
+    station = road.origin + road.ds * np.arange(road.size)
+    passed = np.clip(np.searchsorted(inputs.s[::2], station), 0, inputs.n_steps - 1)
+    state = inputs.commands[passed]
     found = np.full(road.size, square[free].mean() if free.any() else 0.0)
     for byte in np.unique(state):
         here = state == byte
-        if (here & free).sum() * road.ds >= SMALLEST:
+        if (here & free).sum() * road.ds >= MIN_STATE_LENGTH:
             found[here] = square[here & free].mean()
     return found

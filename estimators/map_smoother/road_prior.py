@@ -12,29 +12,30 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-from estimators.common.road_prior import amplitude
-from estimators.common.spline import heights
+from estimators.common.road_prior import increment_amplitude
+from estimators.common.spline import evaluate_spline
 from road_envs.analysis.information_bound import RoadPrior
 
-N_LEVEL = 0.02
+N_FLAT = 0.02
 """Waves longer than 1 / N_LEVEL [m] are no higher than this one [cycles/m]. At a walking pace such
 waves are hardly heard, and the paper's paving has few: what is not heard should be small."""
 
-TO_PATHS = np.array([[1.0, 1.0], [1.0, -1.0]])
+TO_WHEEL_PATHS = np.array([[1.0, 1.0], [1.0, -1.0]])
 """From mean and half difference to left and right."""
 
 
 @dataclass(frozen=True, eq=False)
-class Road:
+class RoadTransform:
     """The map from `u` to the coefficients of both wheel paths, and its transpose.
 
-    Nodes stand `ds` [m] apart from the station `start` [m]. `known` (2, K) [m] is what the unknown
-    part adds to; `free` (K,) 1 where it may rise or fall; `amplitude` (2, K // 2 + 1) A(n) [m].
+    Nodes stand `ds` [m] apart from the station `origin` [m]. `background` (2, K) [m] is what the
+    unknown part adds to; `free` (K,) 1 where it may rise or fall; `amplitude` (2, K // 2 + 1) A(n)
+    [m].
     """
 
-    start: float
+    origin: float
     ds: float
-    known: np.ndarray
+    background: np.ndarray
     free: np.ndarray
     amplitude: np.ndarray
 
@@ -48,45 +49,45 @@ class Road:
         """Spatial frequencies (K // 2 + 1,) [cycles/m] of the lines of `u`."""
         return rfftfreq(self.size, self.ds)
 
-    def change(self, u: np.ndarray) -> np.ndarray:
+    def apply(self, u: np.ndarray) -> np.ndarray:
         """Change (2, K) [m] of the coefficients by `u` (2, K)."""
         e = irfft(self.amplitude * rfft(u, axis=1), self.size, axis=1)
-        return np.cumsum(self.free * (TO_PATHS @ e), axis=1)
+        return np.cumsum(self.free * (TO_WHEEL_PATHS @ e), axis=1)
 
-    def back(self, c: np.ndarray) -> np.ndarray:
-        """The transpose of `change`, from coefficients (2, K) to `u` (2, K)."""
+    def apply_transpose(self, c: np.ndarray) -> np.ndarray:
+        """The transpose of `apply`, from coefficients (2, K) to `u` (2, K)."""
         rest = np.cumsum(c[:, ::-1], axis=1)[:, ::-1]  # a rise lifts all that comes behind it
-        e = TO_PATHS @ (self.free * rest)
+        e = TO_WHEEL_PATHS @ (self.free * rest)
         return irfft(self.amplitude * rfft(e, axis=1), self.size, axis=1)
 
     def coefficients(self, u: np.ndarray) -> np.ndarray:
         """Coefficients (2, K) [m] of both wheel paths."""
-        return self.known + self.change(u)
+        return self.background + self.apply(u)
 
-    def heights(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+    def heights_at(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Heights (2, M) [m] of both wheel paths at the stations `s` (M,) [m]."""
-        return heights(self.coefficients(u), (s - self.start) / self.ds)
+        return evaluate_spline(self.coefficients(u), (s - self.origin) / self.ds)
 
-    def as_likely(self, level: np.ndarray) -> "Road":
+    def scale_density(self, level: np.ndarray) -> "RoadTransform":
         """The same nodes under another prior, of `level` (K // 2 + 1,) times this density."""
         return replace(self, amplitude=self.amplitude * np.sqrt(level))
 
-    def whitened(self, u: np.ndarray, other: "Road") -> np.ndarray:
+    def convert_noise(self, u: np.ndarray, other: "RoadTransform") -> np.ndarray:
         """The noise (2, K) that gives this road the heights which `u` (2, K) gave the `other`."""
         return irfft(other.amplitude / self.amplitude * rfft(u, axis=1), self.size, axis=1)
 
-    def transfer(self) -> np.ndarray:
+    def transfer_function(self) -> np.ndarray:
         """Complex response (2, K // 2 + 1) [m] of the height of mean and half difference to `u`."""
         turn = np.exp(-2j * np.pi * self.n[1:] * self.ds)
         summed = np.concatenate([[0.0], 1.0 / (1.0 - turn)])  # no line stands for the datum
         return self.amplitude * summed * np.sinc(self.n * self.ds) ** 4
 
 
-def nodes(least: int) -> int:
+def padded_size(least: int) -> int:
     """A number of nodes that transforms quickly, with some to spare for waves that run around."""
     return int(next_fast_len(least + 64, real=True))
 
 
-def likely(prior: RoadPrior, size: int, ds: float) -> np.ndarray:
+def prior_amplitude(prior: RoadPrior, size: int, ds: float) -> np.ndarray:
     """A(n) (2, size // 2 + 1) [m] of `size` nodes `ds` [m] apart."""
-    return amplitude(prior, size, ds, level_below=N_LEVEL)
+    return increment_amplitude(prior, size, ds, flat_below=N_FLAT)

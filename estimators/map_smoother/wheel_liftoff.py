@@ -9,51 +9,51 @@ road that is straight wherever neither axle has pressed on it.
 import numpy as np
 from scipy.fft import irfft, rfft
 
-from estimators.map_smoother.objective import Point
-from estimators.map_smoother.road_prior import TO_PATHS, Road
+from estimators.map_smoother.objective import Linearization
+from estimators.map_smoother.road_prior import TO_WHEEL_PATHS, RoadTransform
 from road_envs.simulation.rosenbrock import LOAD
 
-LIGHT = 0.1
+LIFTOFF_LOAD_SHARE = 0.1
 """Share of a wheel's mean load below which it hardly touches the road."""
 
-DROP = 0.01
+MIN_DROP = 0.01
 """Metres by which the road must come down for another search."""
 
-FROM_PATHS = np.linalg.inv(TO_PATHS)
+FROM_WHEEL_PATHS = np.linalg.inv(TO_WHEEL_PATHS)
 
 
-def flown_over(at: Point) -> np.ndarray:
+def unloaded_nodes(lin: Linearization) -> np.ndarray:
     """Which free nodes (2, K) were passed and never pressed on."""
-    problem, road = at.problem, at.problem.road
-    loads = at.tape.signals[:, LOAD : LOAD + 4]
-    s, most = problem.course.s[::2], np.zeros((2, road.size))
+    objective, road = lin.objective, lin.objective.road
+    loads = lin.tape.signals[:, LOAD : LOAD + 4]
+    s, most = objective.inputs.s[::2], np.zeros((2, road.size))
     passed = np.zeros(road.size, dtype=bool)
     for wheel in range(4):
-        station = s - (wheel // 2) * problem.belief.wheelbase
-        node = ((station - road.start) / road.ds).astype(int)
+        station = s - (wheel // 2) * objective.model.wheelbase
+        node = ((station - road.origin) / road.ds).astype(int)
         passed[node.min() : node.max()] = True
         for k in (0, 1):  # the nodes to either side carry the wheel
             np.maximum.at(most[wheel % 2], node + k, loads[:, wheel])
-    return (most < LIGHT * loads.mean()) & passed & (road.free > 0)
+    return (most < LIFTOFF_LOAD_SHARE * loads.mean()) & passed & (road.free > 0)
 
 
-def released(at: Point) -> np.ndarray | None:
-    """`at.x` with the road no higher than straight where it was flown over; None if it is not.
+def relax_unloaded(lin: Linearization) -> np.ndarray | None:
+    """`lin.x` with the road no higher than straight where it was flown over; None if it is not.
 
     Across a gap in a road whose steps are random the straight line is the most probable.
     """
-    off, road = flown_over(at), at.problem.road
-    u, _, _ = at.problem.split(at.x)
+    off, road = unloaded_nodes(lin), lin.objective.road
+    u, _, _ = lin.objective.split(lin.x)
     before, node = road.coefficients(u), np.arange(road.size)
     c = before.copy()
     for path, away in zip(c, off, strict=True):
         path[away] = np.minimum(path, np.interp(node, node[~away], path[~away]))[away]
-    if not (before - c).max() > DROP:
+    if not (before - c).max() > MIN_DROP:
         return None
-    return np.concatenate([noise_of(road, c).ravel(), at.x[u.size :]])
+    return np.concatenate([noise_from_coefficients(road, c).ravel(), lin.x[u.size :]])
 
 
-def noise_of(road: Road, c: np.ndarray) -> np.ndarray:
+def noise_from_coefficients(road: RoadTransform, c: np.ndarray) -> np.ndarray:
     """The noise (2, K) of the road with coefficients `c` (2, K), level where it is not free."""
-    rises = road.free * np.diff(c - road.known, axis=1, prepend=0.0)
-    return irfft(rfft(FROM_PATHS @ rises, axis=1) / road.amplitude, road.size, axis=1)
+    rises = road.free * np.diff(c - road.background, axis=1, prepend=0.0)
+    return irfft(rfft(FROM_WHEEL_PATHS @ rises, axis=1) / road.amplitude, road.size, axis=1)

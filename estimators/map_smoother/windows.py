@@ -11,74 +11,78 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimators.common.block_means import block_means
-from estimators.common.model_inputs import Course
-from estimators.map_smoother.gauss_newton import Found
-from estimators.map_smoother.objective import Belief, Problem
-from estimators.map_smoother.road_prior import Road, likely, nodes
+from estimators.common.model_inputs import ModelInputs
+from estimators.map_smoother.gauss_newton import Solution
+from estimators.map_smoother.objective import MeasurementModel, Objective
+from estimators.map_smoother.road_prior import RoadTransform, padded_size, prior_amplitude
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.vehicle.equations import N_DOF
-from road_envs.vehicle.suspension import memory_at_rest
+from road_envs.vehicle.suspension import settled_strut_state
 
 MARGIN = 4
 """Nodes before the first and behind the last that carries a wheel."""
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
-    """A whole drive as it is to be explained: samples `a` (S, T) [m/s²], which of them are `used`
-    (S, T), in blocks of `block`; the `course` of the car, its state at `rest` (14,) and its prior
-    deviation `reach` (14,) from it at the beginning; and the nodes of the road: the station of the
-    first (`start` [m]), `ds` [m] apart, and which may rise or fall (`free` (K,), 0 or 1).
+class PreparedDrive:
+    """A whole drive as it is to be explained: samples `a` (S, T) [m/s²], which of them are `valid`
+    (S, T), in blocks of `block_size`; the `inputs` of the car, its state at `rest_state` (14,) and
+    its prior deviation `initial_std` (14,) from it at the beginning; and the nodes of the road: the
+    station of the first (`origin` [m]), `ds` [m] apart, and which may rise or fall (`free` (K,), 0
+    or 1).
     """
 
     a: np.ndarray
-    used: np.ndarray
-    block: int
-    course: Course
-    rest: np.ndarray
-    reach: np.ndarray
-    start: float
+    valid: np.ndarray
+    block_size: int
+    inputs: ModelInputs
+    rest_state: np.ndarray
+    initial_std: np.ndarray
+    origin: float
     ds: float
     free: np.ndarray
 
     @property
-    def unit(self) -> int:
+    def steps_per_block(self) -> int:
         """Steps of a block."""
-        return self.block * self.course.every
+        return self.block_size * self.inputs.decimation
 
-    def node(self, s: float) -> int:
+    def node_at(self, s: float) -> int:
         """The node at the station `s` [m] or just before."""
-        return int((s - self.start) / self.ds)
+        return int((s - self.origin) / self.ds)
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class WindowState:
     """What the windows so far have settled: coefficients `c` (2, K) [m] of the road before the node
-    `first`, level from there on, and the `spread` (K,) [m] of their error; `state` (14,) of the car
-    and `memory` (4, 3) of its struts where the next window begins, the state known to within
-    `reach` (14,); the `level` [-] of the road's prior at `n` [cycles/m].
+    `first_free_node`, level from there on, and the `std` (K,) [m] of their error; `vehicle_state`
+    (14,) of the car and `strut_state` (4, 3) of its struts where the next window begins, the state
+    known to within `initial_std` (14,); the `density_scale` [-] of the road's prior at `n`
+    [cycles/m].
     """
 
     c: np.ndarray
-    spread: np.ndarray
-    first: int
-    state: np.ndarray
-    reach: np.ndarray
-    memory: np.ndarray
+    std: np.ndarray
+    first_free_node: int
+    vehicle_state: np.ndarray
+    initial_std: np.ndarray
+    strut_state: np.ndarray
     n: np.ndarray
-    level: np.ndarray
+    density_scale: np.ndarray
 
 
-def nothing_known(drive: Drive) -> Known:
+def initial_window_state(drive: PreparedDrive) -> WindowState:
     """Before the first window."""
     size = drive.free.size
-    rest = drive.rest + 1e-7  # at rest to the bit friction has a kink
-    memory = memory_at_rest(int(drive.course.commands[0]))
+    rest = drive.rest_state + 1e-7  # at rest to the bit friction has a kink
+    strut_state = settled_strut_state(int(drive.inputs.commands[0]))
     flat = np.array([0.0, 1.0]), np.ones(2)
-    return Known(np.zeros((2, size)), np.zeros(size), 0, rest, drive.reach, memory, *flat)
+    return WindowState(
+        np.zeros((2, size)), np.zeros(size), 0, rest, drive.initial_std, strut_state, *flat
+    )
 
 
-def cuts(blocks: int, window: int, overlap: int) -> list[tuple[int, int, int]]:
+def split_windows(blocks: int, window: int, overlap: int) -> list[tuple[int, int, int]]:
     """Windows over `blocks`: where each begins, where the next one does, and where it ends."""
     found, begin = [], 0
     while blocks - begin > window + overlap:
@@ -88,66 +92,81 @@ def cuts(blocks: int, window: int, overlap: int) -> list[tuple[int, int, int]]:
 
 
 def reconstruct(
-    belief: Belief,
-    drive: Drive,
+    model: MeasurementModel,
+    drive: PreparedDrive,
     prior: RoadPrior,
     windows: list[tuple[int, int, int]],
-    solve: Callable[[Problem], tuple[Found, np.ndarray]],
-) -> tuple[Known, list[float]]:
+    solve: Callable[[Objective], tuple[Solution, np.ndarray]],
+) -> tuple[WindowState, list[float]]:
     """What is known after all windows, and how many times the instruments' noise was left over in
     each; `solve` finds the road of one window and its spread (K,).
     """
-    known, excess = nothing_known(drive), []
+    window_state, noise_scale = initial_window_state(drive), []
     for begin, after, end in windows:
-        problem = problem_of(belief, drive, prior, known, begin, end)
-        found, std = solve(problem)
-        excess.append(found.excess)
-        steps = (after - begin) * drive.unit if after < end else None
-        known = _learnt(drive, prior, known, found, std, steps)
-    return known, excess
+        objective = window_objective(model, drive, prior, window_state, begin, end)
+        found, window_std = solve(objective)
+        noise_scale.append(found.noise_scale)
+        steps = (after - begin) * drive.steps_per_block if after < end else None
+        window_state = _advance(drive, prior, window_state, found, window_std, steps)
+    return window_state, noise_scale
 
 
-def problem_of(
-    belief: Belief, drive: Drive, prior: RoadPrior, known: Known, begin: int, end: int
-) -> Problem:
-    """The drive from the block `begin` to before the block `end`, after all that is `known`."""
-    course = drive.course.part(begin * drive.unit, end * drive.unit)
-    samples = slice(begin * drive.block, end * drive.block)
-    heard = block_means(drive.a[:, samples], drive.used[:, samples], drive.block)
-    low = drive.node(course.s[0] - belief.wheelbase) - MARGIN
-    size = nodes(drive.node(course.s[-1]) + MARGIN + 1 - low)
-    c, free = known.c[:, low : low + size], drive.free[low : low + size].copy()
-    free[: max(known.first - low, 0)] = 0.0
+def window_objective(
+    model: MeasurementModel,
+    drive: PreparedDrive,
+    prior: RoadPrior,
+    window_state: WindowState,
+    begin: int,
+    end: int,
+) -> Objective:
+    """Return the objective of blocks `begin` to `end` (excluded), started from `window_state`."""
+    inputs = drive.inputs.slice_steps(begin * drive.steps_per_block, end * drive.steps_per_block)
+    samples = slice(begin * drive.block_size, end * drive.block_size)
+    measurements = block_means(drive.a[:, samples], drive.valid[:, samples], drive.block_size)
+    low = drive.node_at(inputs.s[0] - model.wheelbase) - MARGIN
+    size = padded_size(drive.node_at(inputs.s[-1]) + MARGIN + 1 - low)
+    c, free = window_state.c[:, low : low + size], drive.free[low : low + size].copy()
+    free[: max(window_state.first_free_node - low, 0)] = 0.0
     missing = size - free.size
     c, free = np.pad(c, ((0, 0), (0, missing)), mode="edge"), np.pad(free, (0, missing))
-    start = drive.start + drive.ds * low
-    road = Road(start, drive.ds, c, free, likely(prior, size, drive.ds))
-    road = road.as_likely(np.interp(road.n, known.n, known.level))
-    return Problem(belief, known.memory, known.state, known.reach, road, course, heard)
-
-
-def _learnt(
-    drive: Drive,
-    prior: RoadPrior,
-    known: Known,
-    found: Found,
-    std: np.ndarray,
-    steps: int | None,
-) -> Known:
-    """What is known with a window more, of which the first `steps` are settled; None: all."""
-    problem, x = found.point.problem, found.point.x
-    road, size = problem.road, known.spread.size
-    low = round((road.start - drive.start) / drive.ds)
-    first, last = max(known.first, low), min(low + road.size, size)
-    state, memory = known.state, known.memory
-    if steps is not None:
-        state, memory = problem.until(x, steps)
-        last = drive.node(problem.course.s[2 * steps]) + 3  # those that carry the front axle now
-    c, spread, here = known.c.copy(), known.spread.copy(), slice(first - low, last - low)
-    c[:, first:last], spread[first:last] = (
-        road.coefficients(problem.split(x)[0])[:, here],
-        std[here],
+    origin = drive.origin + drive.ds * low
+    road = RoadTransform(origin, drive.ds, c, free, prior_amplitude(prior, size, drive.ds))
+    road = road.scale_density(np.interp(road.n, window_state.n, window_state.density_scale))
+    return Objective(
+        model,
+        window_state.strut_state,
+        window_state.vehicle_state,
+        window_state.initial_std,
+        road,
+        inputs,
+        measurements,
     )
-    c[:, last:], spread[last:] = c[:, last - 1 : last], spread[last - 1]
-    level = (road.amplitude[0] / likely(prior, road.size, road.ds)[0]) ** 2
-    return Known(c, spread, last, state, np.zeros(2 * N_DOF), memory, road.n, level)
+
+
+def _advance(
+    drive: PreparedDrive,
+    prior: RoadPrior,
+    window_state: WindowState,
+    found: Solution,
+    window_std: np.ndarray,
+    steps: int | None,
+) -> WindowState:
+    """What is known with a window more, of which the first `steps` are settled; None: all."""
+    objective, x = found.linearization.objective, found.linearization.x
+    road, size = objective.road, window_state.std.size
+    low = round((road.origin - drive.origin) / drive.ds)
+    first, last = max(window_state.first_free_node, low), min(low + road.size, size)
+    state, strut_state = window_state.vehicle_state, window_state.strut_state
+    if steps is not None:
+        state, strut_state = objective.state_after(x, steps)
+        last = (
+            drive.node_at(objective.inputs.s[2 * steps]) + 3
+        )  # those that carry the front axle now
+    c, std, here = window_state.c.copy(), window_state.std.copy(), slice(first - low, last - low)
+    c[:, first:last], std[first:last] = (
+        road.coefficients(objective.split(x)[0])[:, here],
+        window_std[here],
+    )
+    c[:, last:], std[last:] = c[:, last - 1 : last], std[last - 1]
+    level = (road.amplitude[0] / prior_amplitude(prior, road.size, road.ds)[0]) ** 2
+    return WindowState(c, std, last, state, np.zeros(2 * N_DOF), strut_state, road.n, level)

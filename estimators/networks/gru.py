@@ -13,15 +13,15 @@ import abc
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from estimators.networks.inputs import CONDITIONS, INPUTS, LAG
-from estimators.networks.sequence_estimator import Taught
+from estimators.networks.inputs import LAG, N_CONDITIONS, N_INPUTS
+from estimators.networks.sequence_estimator import SequenceEstimator
 
-CONTEXT = 60
+WARM_UP_STATIONS = 60
 """Stations of warming up."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Recurrent(Taught, abc.ABC):
+class _Recurrent(SequenceEstimator, abc.ABC):
     steps: int = 1200
     channels: int = 48
     kernel: int = 9
@@ -33,10 +33,10 @@ class _Recurrent(Taught, abc.ABC):
 
     def network(self) -> Any:
         """The torch network before it has learnt anything."""
-        from estimators.networks.modules import Recurrent
+        from estimators.networks.modules import GatedRecurrentNet
 
-        size = self.channels, self.kernel, CONTEXT
-        return Recurrent(INPUTS, CONDITIONS, *size, self.causal)
+        size = self.channels, self.kernel, WARM_UP_STATIONS
+        return GatedRecurrentNet(N_INPUTS, N_CONDITIONS, *size, self.causal)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,27 +20,33 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from scipy import signal
 
-from estimators.common.spatial_signals import EDGE, MOTIONS, REACH, SPACING, Course
-from estimators.linear.fir_bank import Bank, weighted
-from estimators.networks.training_data import BEHIND
+from estimators.common.spatial_signals import (
+    EDGE_STATIONS,
+    FILTER_REACH,
+    N_MOTIONS,
+    SPACING,
+    SpatialSignals,
+)
+from estimators.linear.fir_bank import FirBank, keep_short_waves
+from estimators.networks.training_data import STATIONS_BEHIND
 
 LAG = 4.79
 """How far the front axle of the Defender is past a station when a causal network tells its height
 [m]: a wheelbase and 2 m."""
 
-AHEAD = int((LAG - 2.0 * REACH) / SPACING)
+STATIONS_AHEAD = int((LAG - 2.0 * FILTER_REACH) / SPACING)
 """Stations after the estimated one that a causal estimator may read; the filters take the rest."""
 
-LEVEL_REACH = 30.0
+LEVEL_DECAY_LENGTH = 30.0
 """Distance [m] over which the level of a causal network fades."""
 
 LEVEL_MIN = 3e-4
 """Added to the level [m]: a drive over a level road is not amplified."""
 
-INPUTS, CONDITIONS = 10, 8
+N_INPUTS, N_CONDITIONS = 10, 8
 
 
-class Inputs(NamedTuple):
+class NetworkInputs(NamedTuple):
     """What a network reads: `x` (INPUTS, behind + M + ahead), `conditions` (CONDITIONS, 1 or as
     many); and what makes heights of its answer: the `level` (M,) [m] and `first` estimate (2, M)
     [m] of m and q.
@@ -52,69 +58,73 @@ class Inputs(NamedTuple):
     first: np.ndarray
 
 
-class Context(Protocol):
+class ReceptiveField(Protocol):
     """What a network reads before and after the stations for which it answers."""
 
     behind: int
     ahead: int
 
 
-FLIP = np.array([1, 1, -1, 1, 1, -1, 1, -1, 1, -1], dtype=np.float32)[:, None]
+MIRROR_SIGNS = np.array([1, 1, -1, 1, 1, -1, 1, -1, 1, -1], dtype=np.float32)[:, None]
 """Signs of the inputs in the mirror."""
 
 
-def window(causal: bool) -> tuple[int, int]:
+def window_span(causal: bool) -> tuple[int, int]:
     """Stations before and after the estimated one that the linear window reads."""
-    return BEHIND, AHEAD if causal else BEHIND
+    return STATIONS_BEHIND, STATIONS_AHEAD if causal else STATIONS_BEHIND
 
 
-def inputs(course: Course, bank: Bank, wheelbase: float, context: Context, causal: bool) -> Inputs:
+def network_inputs(
+    signals: SpatialSignals, bank: FirBank, wheelbase: float, field: ReceptiveField, causal: bool
+) -> NetworkInputs:
     """What a network reads of a drive.
 
     Rows of x: accelerations and velocities of front, rear and roll; m and q of the first estimate,
-    and the same as the rear axle meets it. A causal network answers when the front axle is `AHEAD`
+    and the same as the rear axle meets it. A causal network answers when the front axle is `STATIONS_AHEAD`
     stations further on, so its rows stand at the moment of sensing, and the first estimate comes
-    late by as much.
+    lookahead by as much.
     """
-    late = AHEAD if causal else 0
-    behind, ahead = context.behind, context.ahead
+    lookahead = STATIONS_AHEAD if causal else 0
+    behind, ahead = field.behind, field.ahead
     rear = round(wheelbase / SPACING)
-    extra = max(behind + late + rear, ahead)
-    first = bank(course, extra)
-    shape = weighted(first, causal)
-    level = _level(shape, extra, causal)
-    M = course.size
+    extra = max(behind + lookahead + rear, ahead)
+    first = bank(signals, extra)
+    short_waves = keep_short_waves(first, causal)
+    level = _level(short_waves, extra, causal)
+    M = signals.size
     at = np.arange(-behind, M + ahead)  # the station estimated at each row of x
-    sensed = course.margin + at + late
-    u = np.log(np.maximum(course.v[sensed], 0.1))
+    sensed = signals.margin + at + lookahead
+    u = np.log(np.maximum(signals.v[sensed], 0.1))
     l = level[extra + at]
     scale = np.exp(0.7 * (u - np.log(5.0))) * 100.0 * l
     x = np.concatenate(
         [
-            course.motions[:MOTIONS, sensed] / scale,
-            course.motions[MOTIONS:, sensed] * (8.0 / scale),
-            shape[:, extra + at] / l,
-            shape[:, extra + at - rear] / l,
+            signals.motions[:N_MOTIONS, sensed] / scale,
+            signals.motions[N_MOTIONS:, sensed] * (8.0 / scale),
+            short_waves[:, extra + at] / l,
+            short_waves[:, extra + at - rear] / l,
         ]
     )
-    states = course.states[sensed].T
-    told = (u - 2.0) / 0.8
-    conditions = np.array([told, told**2 - 1, *(2 * states - 1), np.log(l) + 5.5, np.log(scale)])
+    states = signals.states[sensed].T
+    speed_term = (u - 2.0) / 0.8
+    conditions = np.array(
+        [speed_term, speed_term**2 - 1, *(2 * states - 1), np.log(l) + 5.5, np.log(scale)]
+    )
     if np.ptp(conditions, axis=1).max() == 0.0:
         conditions = conditions[:, :1]
     inner = slice(extra, extra + M)
-    return Inputs(
+    return NetworkInputs(
         x.astype(np.float32), conditions.astype(np.float32), level[inner], first[:, inner]
     )
 
 
-def _level(shape: np.ndarray, extra: int, causal: bool) -> np.ndarray:
+def _level(short_waves: np.ndarray, extra: int, causal: bool) -> np.ndarray:
     """The level (M + 2 extra,) [m] of a first estimate (2, M + 2 extra)."""
-    square = np.mean(shape**2, axis=0)
+    square = np.mean(short_waves**2, axis=0)
     if not causal:
         inside = square[extra : square.size - extra]
         return np.full(square.size, LEVEL_MIN + np.sqrt(inside.mean()))
-    fade = np.exp(-SPACING / LEVEL_REACH)
-    on_road = (np.arange(square.size) >= extra - EDGE).astype(float)
-    total, weight = signal.lfilter([1.0], [1.0, -fade], np.array([square * on_road, on_road]))
+    decay = np.exp(-SPACING / LEVEL_DECAY_LENGTH)
+    on_road = (np.arange(square.size) >= extra - EDGE_STATIONS).astype(float)
+    total, weight = signal.lfilter([1.0], [1.0, -decay], np.array([square * on_road, on_road]))
     return LEVEL_MIN + np.sqrt(total / np.maximum(weight, 5.0 / SPACING))

@@ -28,26 +28,27 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_solve
-from threadpoolctl import threadpool_limits
+
+from estimators.common.blas import single_blas_thread
 
 CHUNK = 512
 """Samples whose derivatives are held at a time: 1 MB for the 3-50-2 network stays in the cache."""
 
-MU_MIN = 1e-20
+MU_FLOOR = 1e-20
 """mu falls no further, so that a failing step is not a hundred failures away from help."""
 
-ACTIVE = 2.0
+ACTIVE_RANGE = 2.0
 """tanh counts as active between net inputs of -2 and 2, as MATLAB's tansig('active') says."""
 
-Stop = Literal["epochs", "goal", "gradient", "mu", "validation"]
-STOPS: tuple[Stop, ...] = ("epochs", "goal", "gradient", "mu", "validation")
+StopReason = Literal["epochs", "goal", "gradient", "mu", "validation"]
+STOP_REASONS: tuple[StopReason, ...] = ("epochs", "goal", "gradient", "mu", "validation")
 CURVES = ("train", "validation", "test", "mu", "gradient")
-COURSE: dict[str, tuple[int | None, ...]] = {"curves": (len(CURVES), None), "stop": (2,)}
-"""Shapes of what `Training.course` gives."""
+HISTORY_SHAPES: dict[str, tuple[int | None, ...]] = {"curves": (len(CURVES), None), "stop": (2,)}
+"""Shapes of what `LmResult.to_arrays` gives."""
 
 
 @dataclass(frozen=True)
-class Network:
+class TwoLayerNetwork:
     """Weights: `hidden` (R + 1, S) is W1' above b1', `output` (K, S + 1) is W2 beside b2."""
 
     hidden: np.ndarray
@@ -55,12 +56,12 @@ class Network:
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Outputs (K, N) for inputs `x` (R, N)."""
-        return self.output @ _with_ones(np.tanh(self.hidden.T @ _with_ones(x)))
+        return self.output @ _append_ones(np.tanh(self.hidden.T @ _append_ones(x)))
 
-    def moved(self, step: np.ndarray) -> "Network":
+    def add_step(self, step: np.ndarray) -> "TwoLayerNetwork":
         """The network after a `step` (P,) in all its weights, hidden layer first."""
         hidden, output = np.split(step, [self.hidden.size])
-        return Network(
+        return TwoLayerNetwork(
             self.hidden + hidden.reshape(self.hidden.shape),
             self.output + output.reshape(self.output.shape),
         )
@@ -74,7 +75,7 @@ class Scaling:
     high: np.ndarray
 
     @classmethod
-    def of(cls, x: np.ndarray) -> "Scaling":
+    def fit(cls, x: np.ndarray) -> "Scaling":
         """The scaling that just fills [-1, 1] with the rows of `x` (k, N)."""
         return cls(x.min(axis=1), x.max(axis=1))
 
@@ -104,7 +105,7 @@ class Split(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options:
+class TrainlmOptions:
     """The parameters of `trainlm`, with its defaults."""
 
     max_epochs: int = 1000
@@ -118,15 +119,15 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Training:
+class LmResult:
     """A trained `network`, why training ended, and its course: one value per epoch from 0 on.
 
     `train`, `validation`, `test` are mean squared errors in mapped units, NaN for an empty set;
     `mu` is the value an epoch began with, `gradient` the norm of the training error's gradient.
     """
 
-    network: Network
-    stop: Stop
+    network: TwoLayerNetwork
+    stop: StopReason
     best_epoch: int
     train: np.ndarray
     validation: np.ndarray
@@ -139,21 +140,28 @@ class Training:
         """Number of steps taken."""
         return self.train.size - 1
 
-    def course(self) -> dict[str, np.ndarray]:
+    def to_arrays(self) -> dict[str, np.ndarray]:
         """All but the network as arrays: `curves` (5, epochs + 1) with -1 for NaN, and `stop`, the
         place of the reason in STOPS, beside the best epoch.
         """
         curves = np.array([getattr(self, name) for name in CURVES])
         curves[np.isnan(curves)] = -1.0
-        return {"curves": curves, "stop": np.array([STOPS.index(self.stop), self.best_epoch])}
+        return {
+            "curves": curves,
+            "stop": np.array([STOP_REASONS.index(self.stop), self.best_epoch]),
+        }
 
     @classmethod
-    def of(cls, network: Network, curves: np.ndarray, stop: np.ndarray) -> "Training":
-        """A `network` and its course, as `course` gave it. Raises ValueError."""
+    def from_arrays(
+        cls, network: TwoLayerNetwork, curves: np.ndarray, stop: np.ndarray
+    ) -> "LmResult":
+        """A `network` and its course, as `to_arrays` gave it. Raises ValueError."""
         reason, best_epoch = (int(x) for x in stop)
-        if not 0 <= reason < len(STOPS):
+        if not 0 <= reason < len(STOP_REASONS):
             raise ValueError(f"stop: no reason has the number {reason}")
-        return cls(network, STOPS[reason], best_epoch, *np.where(curves < 0.0, np.nan, curves))
+        return cls(
+            network, STOP_REASONS[reason], best_epoch, *np.where(curves < 0.0, np.nan, curves)
+        )
 
 
 class NormalEquations(NamedTuple):
@@ -169,62 +177,68 @@ class NormalEquations(NamedTuple):
         return 2.0 * float(np.linalg.norm(self.Je))
 
 
-def nguyen_widrow(inputs: int, hidden: int, outputs: int, rng: np.random.Generator) -> Network:
+def nguyen_widrow(
+    inputs: int, hidden: int, outputs: int, rng: np.random.Generator
+) -> TwoLayerNetwork:
     """Random weights whose active regions spread over inputs in [-1, 1], as `initnw` draws them.
 
     Every hidden neuron's weights point anywhere, with the length 2 x 0.7 S^(1/R), where the 2
     stretches Nguyen and Widrow's unit range to tanh's active one; the biases are spread evenly.
     The output layer is uniform in [-1, 1], as a linear layer has no active region.
     """
-    magnitude = ACTIVE * 0.7 * hidden ** (1.0 / inputs)
+    magnitude = ACTIVE_RANGE * 0.7 * hidden ** (1.0 / inputs)
     W1 = rng.uniform(-1.0, 1.0, (inputs, hidden))
     W1 *= magnitude / np.linalg.norm(W1, axis=0)
     spread = np.linspace(-1.0, 1.0, hidden) if hidden > 1 else np.zeros(1)
     b1 = magnitude * spread * np.sign(W1[0])
-    return Network(np.vstack([W1, b1]), rng.uniform(-1.0, 1.0, (outputs, hidden + 1)))
+    return TwoLayerNetwork(np.vstack([W1, b1]), rng.uniform(-1.0, 1.0, (outputs, hidden + 1)))
 
 
-def divide(size: int, how: Literal["random", "block"], rng: np.random.Generator) -> Split:
+def divide(size: int, method: Literal["random", "block"], rng: np.random.Generator) -> Split:
     """70, 15 and 15 % of `size` samples, drawn at random (`dividerand`) or in blocks in this
     order (`divideblock`). Along a time series a random division leaks: neighbours are alike.
     """
     held_out = round(0.15 * size)
     train = size - 2 * held_out
-    order = rng.permutation(size) if how == "random" else np.arange(size)
+    order = rng.permutation(size) if method == "random" else np.arange(size)
     return Split(*(np.sort(part) for part in np.split(order, [train, train + held_out])))
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")
+@single_blas_thread()
 def train(
-    network: Network, x: np.ndarray, t: np.ndarray, split: Split, options: Options | None = None
-) -> Training:
+    network: TwoLayerNetwork,
+    x: np.ndarray,
+    t: np.ndarray,
+    split: Split,
+    options: TrainlmOptions | None = None,
+) -> LmResult:
     """Train from `network` on mapped inputs `x` (R, N) and targets `t` (K, N).
 
     On one thread: products this small gain nothing from more, lose tenfold where another job has
     the other core, and add up in the same order on every machine.
     """
-    options = options or Options()
-    seen, validated, tested = ((x[:, part], t[:, part]) for part in split)
+    options = options or TrainlmOptions()
+    training, validation, test = ((x[:, part], t[:, part]) for part in split)
     best, best_error, best_epoch = network, np.inf, 0
     mu, stop = options.mu, None
     history: list[tuple[float, ...]] = []
     while stop is None:
         epoch = len(history)
-        normal = normal_equations(network, *seen)
-        errors = mean_square(network, *validated), mean_square(network, *tested)
+        normal = normal_equations(network, *training)
+        errors = mean_squared_error(network, *validation), mean_squared_error(network, *test)
         history.append((normal.mse, *errors, mu, normal.gradient))
         if errors[0] < best_error or not split.validation.size:
             best, best_error, best_epoch = network, errors[0], epoch
-        stop = _reason_to_stop(options, epoch, normal, mu, failures=epoch - best_epoch)
+        stop = _stop_reason(options, epoch, normal, mu, failures=epoch - best_epoch)
         if stop is None:
-            network, mu = _descend(network, normal, *seen, mu, options)
-    return Training(best, stop, best_epoch, *np.array(history).T)
+            network, mu = _take_step(network, normal, *training, mu, options)
+    return LmResult(best, stop, best_epoch, *np.array(history).T)
 
 
-def _reason_to_stop(
-    options: Options, epoch: int, normal: NormalEquations, mu: float, failures: int
-) -> Stop | None:
-    reasons: dict[Stop, bool] = {
+def _stop_reason(
+    options: TrainlmOptions, epoch: int, normal: NormalEquations, mu: float, failures: int
+) -> StopReason | None:
+    reasons: dict[StopReason, bool] = {
         "goal": normal.mse <= options.goal,
         "epochs": epoch >= options.max_epochs,
         "gradient": normal.gradient <= options.min_grad,
@@ -234,23 +248,23 @@ def _reason_to_stop(
     return next((name for name, holds in reasons.items() if holds), None)
 
 
-def _descend(
-    network: Network,
+def _take_step(
+    network: TwoLayerNetwork,
     normal: NormalEquations,
     x: np.ndarray,
     t: np.ndarray,
     mu: float,
-    options: Options,
-) -> tuple[Network, float]:
+    options: TrainlmOptions,
+) -> tuple[TwoLayerNetwork, float]:
     """The network after the first step that lowers the error and the next mu; the same network
     if mu passes its limit before.
     """
     while mu <= options.mu_max:
         step = _damped_step(normal, mu)
         if step is not None:
-            trial = network.moved(step)
-            if mean_square(trial, x, t) < normal.mse:
-                return trial, max(mu * options.mu_decrease, MU_MIN)
+            trial = network.add_step(step)
+            if mean_squared_error(trial, x, t) < normal.mse:
+                return trial, max(mu * options.mu_decrease, MU_FLOOR)
         mu *= options.mu_increase
     return network, mu
 
@@ -267,7 +281,7 @@ def _damped_step(normal: NormalEquations, mu: float) -> np.ndarray | None:
     return cho_solve((factor, True), normal.Je, check_finite=False)
 
 
-def normal_equations(network: Network, x: np.ndarray, t: np.ndarray) -> NormalEquations:
+def normal_equations(network: TwoLayerNetwork, x: np.ndarray, t: np.ndarray) -> NormalEquations:
     """J'J, J'e and the mean squared error at `network`, from samples `x` (R, N), `t` (K, N)."""
     P, (K, width) = network.hidden.size, network.output.shape
     rows = np.empty((P + width, min(CHUNK, t.shape[1])))
@@ -275,8 +289,8 @@ def normal_equations(network: Network, x: np.ndarray, t: np.ndarray) -> NormalEq
     hidden, output = np.zeros_like(network.hidden), np.zeros((K, width))
     squares = 0.0
     for x_part, t_part in _chunks(x, t):
-        inputs = _with_ones(x_part)
-        activations = _with_ones(np.tanh(network.hidden.T @ inputs))
+        inputs = _append_ones(x_part)
+        activations = _append_ones(np.tanh(network.hidden.T @ inputs))
         d = 1.0 - activations[:-1] ** 2
         e = t_part - network.output @ activations
         part = rows[:, : e.shape[1]]
@@ -288,10 +302,10 @@ def normal_equations(network: Network, x: np.ndarray, t: np.ndarray) -> NormalEq
         output += e @ activations.T
         squares += float(np.vdot(e, e))
     Je = np.concatenate([hidden.ravel(), output.ravel()])
-    return NormalEquations(_spread(products, network) / t.size, Je / t.size, squares / t.size)
+    return NormalEquations(_assemble_JJ(products, network) / t.size, Je / t.size, squares / t.size)
 
 
-def _spread(products: np.ndarray, network: Network) -> np.ndarray:
+def _assemble_JJ(products: np.ndarray, network: TwoLayerNetwork) -> np.ndarray:
     """J'J (P, P) of all outputs from the `products` of hidden derivatives and activations."""
     W2 = network.output[:, :-1]
     R1, P, width = network.hidden.shape[0], network.hidden.size, network.output.shape[1]
@@ -305,7 +319,7 @@ def _spread(products: np.ndarray, network: Network) -> np.ndarray:
     return JJ
 
 
-def mean_square(network: Network, x: np.ndarray, t: np.ndarray) -> float:
+def mean_squared_error(network: TwoLayerNetwork, x: np.ndarray, t: np.ndarray) -> float:
     """Mean squared error over all outputs and samples; NaN without samples."""
     if not t.size:
         return float("nan")
@@ -318,5 +332,5 @@ def _chunks(x: np.ndarray, t: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarr
         yield x[:, part], t[:, part]
 
 
-def _with_ones(x: np.ndarray) -> np.ndarray:
+def _append_ones(x: np.ndarray) -> np.ndarray:
     return np.vstack([x, np.ones(x.shape[1])])

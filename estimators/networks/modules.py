@@ -13,10 +13,14 @@ where it may see the future.
 
 from collections.abc import Sequence
 
-import torch
-from torch import Tensor, nn
+from road_envs._extras import optional_import
 
-EMBEDDED = 32
+with optional_import("a neural network"):
+    import torch
+    from torch import Tensor, nn
+
+
+EMBEDDING_SIZE = 32
 """Numbers that stand for the conditions inside a network."""
 
 
@@ -39,7 +43,7 @@ class Film(nn.Module):
 
     def __init__(self, channels: int):
         super().__init__()
-        self.both = nn.Conv1d(EMBEDDED, 2 * channels, 1)
+        self.both = nn.Conv1d(EMBEDDING_SIZE, 2 * channels, 1)
         for weight in self.both.parameters():
             nn.init.zeros_(weight)
 
@@ -48,7 +52,7 @@ class Film(nn.Module):
         return h * (1.0 + scale) + shift
 
 
-class Block(nn.Module):
+class ResidualBlock(nn.Module):
     """A dilated convolution between residuals; `early` of its span is cut from the front."""
 
     def __init__(self, channels: int, kernel: int, dilation: int, causal: bool):
@@ -60,12 +64,12 @@ class Block(nn.Module):
         self.early = self.span if causal else self.span // 2
 
     def forward(self, h: Tensor, c: Tensor) -> tuple[Tensor, Tensor]:
-        c = cut(c, self.early, self.span - self.early)
+        c = trim(c, self.early, self.span - self.early)
         y = self.narrow(nn.functional.gelu(self.film(self.wide(h), c), approximate="tanh"))
-        return cut(h, self.early, self.span - self.early) + y, c
+        return trim(h, self.early, self.span - self.early) + y, c
 
 
-class Convolutions(nn.Module):
+class TemporalConvNet(nn.Module):
     """A temporal convolutional network over distance."""
 
     def __init__(
@@ -78,9 +82,9 @@ class Convolutions(nn.Module):
         causal: bool,
     ):
         super().__init__()
-        self.embed = embedding(conditions)
+        self.embed = embed_conditions(conditions)
         self.enter = nn.Conv1d(inputs, channels, kernel)
-        self.blocks = nn.ModuleList(Block(channels, kernel, d, causal) for d in dilations)
+        self.blocks = nn.ModuleList(ResidualBlock(channels, kernel, d, causal) for d in dilations)
         self.head = Head(channels)
         span = kernel - 1 + sum(block.span for block in self.blocks)  # type: ignore[misc]
         self.early = kernel - 1 if causal else (kernel - 1) // 2
@@ -89,20 +93,20 @@ class Convolutions(nn.Module):
 
     def forward(self, x: Tensor, conditions: Tensor) -> Tensor:
         h, c = self.enter(x), self.embed(conditions)
-        c = cut(c, self.early, x.shape[2] - h.shape[2] - self.early)
+        c = trim(c, self.early, x.shape[2] - h.shape[2] - self.early)
         for block in self.blocks:
             h, c = block(h, c)
         return self.head(h)
 
 
-class Recurrent(nn.Module):
+class GatedRecurrentNet(nn.Module):
     """A gated recurrent network over distance; its context is what it warms up on."""
 
     def __init__(
         self, inputs: int, conditions: int, channels: int, kernel: int, context: int, causal: bool
     ):
         super().__init__()
-        self.embed = embedding(conditions)
+        self.embed = embed_conditions(conditions)
         self.enter = nn.Conv1d(inputs, channels, kernel)
         self.film = Film(channels)
         self.gru = nn.GRU(channels, channels, batch_first=True, bidirectional=not causal)
@@ -115,21 +119,21 @@ class Recurrent(nn.Module):
         self.span = kernel - 1
 
     def forward(self, x: Tensor, conditions: Tensor) -> Tensor:
-        c = cut(self.embed(conditions), self.early, self.span - self.early)
+        c = trim(self.embed(conditions), self.early, self.span - self.early)
         h = nn.functional.gelu(self.film(self.enter(x), c), approximate="tanh")
         r, _ = self.gru(h.transpose(1, 2))
         early, late = self.behind - self.early, self.ahead - (self.span - self.early)
-        h = cut(torch.cat([h, r.transpose(1, 2)], dim=1), early, late)
-        y = nn.functional.gelu(self.late(self.mix(h), cut(c, early, late)), approximate="tanh")
+        h = trim(torch.cat([h, r.transpose(1, 2)], dim=1), early, late)
+        y = nn.functional.gelu(self.late(self.mix(h), trim(c, early, late)), approximate="tanh")
         return self.head(y)
 
 
-def embedding(conditions: int) -> nn.Sequential:
+def embed_conditions(conditions: int) -> nn.Sequential:
     """From conditions (B, n, T) to what the layers read of them (B, EMBEDDED, T)."""
-    layers = nn.Conv1d(conditions, EMBEDDED, 1), nn.Conv1d(EMBEDDED, EMBEDDED, 1)
+    layers = nn.Conv1d(conditions, EMBEDDING_SIZE, 1), nn.Conv1d(EMBEDDING_SIZE, EMBEDDING_SIZE, 1)
     return nn.Sequential(layers[0], nn.GELU(), layers[1], nn.GELU())
 
 
-def cut(x: Tensor, early: int, late: int) -> Tensor:
+def trim(x: Tensor, early: int, late: int) -> Tensor:
     """`x` (B, C, T) without its ends; what is constant along the road has none."""
     return x if x.shape[2] == 1 else x[:, :, early : x.shape[2] - late]

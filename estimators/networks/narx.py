@@ -22,27 +22,27 @@ from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from estimators.api import arrays, copy_with, fitted
+from estimators.api import copy_with, require_fitted, validate_weights
 from estimators.networks import levenberg_marquardt as lm
-from estimators.preprocessing import accelerations, heights, mended
+from estimators.preprocessing import clean_record, sample_profile, spatial_accelerations
 from road_envs._numba import kernel
 from road_envs.config import STRICT
-from road_envs.data.record import SENSORS, Estimate, Profile, Record, grid
+from road_envs.data.record import SENSORS, Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 PATHS = 2
-HELD_OUT = 0.15
+HELD_OUT_SHARE = 0.15
 """Share of each training drive, at its end, on which both loops are measured."""
 
 
-class Learnt(NamedTuple):
+class FittedNarx(NamedTuple):
     """How the network was trained, the ranges that accelerations [m/s²] and heights [m] were mapped
     from, and its error over the level of the held-out heights, open and closed loop.
     """
 
-    training: lm.Training
+    training: lm.LmResult
     inputs: lm.Scaling
-    heights: lm.Scaling
+    outputs: lm.Scaling
     open_loop: float
     closed_loop: float
 
@@ -59,7 +59,7 @@ class Narx:
     max_epochs: int = 300
     max_fail: int = 6
     max_samples: int = 3964
-    learnt: Learnt | None = field(default=None, init=False, repr=False, compare=False)
+    fitted_state: FittedNarx | None = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self):
         for name in ("hidden", "delays", "max_epochs", "max_fail", "max_samples"):
@@ -67,9 +67,9 @@ class Narx:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
 
     @property
-    def training(self) -> lm.Training:
+    def training(self) -> lm.LmResult:
         """The course of the training, one value per epoch. Raises NotFittedError."""
-        return fitted(self.learnt, self).training
+        return require_fitted(self.fitted_state, self).training
 
     def fit(
         self,
@@ -79,13 +79,13 @@ class Narx:
         seed: int,
     ) -> Self:
         """Train series-parallel; `seed` draws the division and the initial weights."""
-        a = [accelerations(mended(record)[0]) for record in records]
+        a = [spatial_accelerations(clean_record(record)[0]) for record in records]
         pairs = zip(records, truths, strict=True)
-        z = [heights(truth, grid(record.length)) for record, truth in pairs]
-        inputs, outputs = lm.Scaling.of(np.hstack(a)), lm.Scaling.of(np.hstack(z))
+        z = [sample_profile(truth, profile_stations(record.length)) for record, truth in pairs]
+        inputs, outputs = lm.Scaling.fit(np.hstack(a)), lm.Scaling.fit(np.hstack(z))
         drives = [(inputs.apply(x), outputs.apply(y)) for x, y in zip(a, z, strict=True)]
-        seen = [_split(x, y, slice(None, _kept(y))) for x, y in drives]
-        samples = [series_parallel(x, y, self.delays) for x, y in seen]
+        parts = [_cut(x, y, slice(None, _n_training(y))) for x, y in drives]
+        samples = [series_parallel(x, y, self.delays) for x, y in parts]
         x, t = (np.hstack(part) for part in zip(*samples, strict=True))
         if t.shape[1] > self.max_samples:
             spread = np.linspace(0, t.shape[1] - 1, self.max_samples).astype(int)
@@ -93,34 +93,34 @@ class Narx:
         rng = np.random.default_rng(seed)
         division = lm.divide(t.shape[1], "random", rng)
         start = lm.nguyen_widrow(len(x), self.hidden, PATHS, rng)
-        options = lm.Options(max_epochs=self.max_epochs, max_fail=self.max_fail)
+        options = lm.TrainlmOptions(max_epochs=self.max_epochs, max_fail=self.max_fail)
         training = lm.train(start, x, t, division, options)
-        loops = self._loops(training.network, outputs, drives)
-        return copy_with(self, learnt=Learnt(training, inputs, outputs, *loops))
+        loops = self._loop_errors(training.network, outputs, drives)
+        return copy_with(self, fitted_state=FittedNarx(training, inputs, outputs, *loops))
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """The network in parallel, fed with its own answers. Raises RecordError."""
-        training, inputs, outputs, open_loop, closed_loop = fitted(self.learnt, self)
-        record, notes = mended(record)
-        x = inputs.apply(accelerations(record))
+        training, inputs, outputs, open_loop, closed_loop = require_fitted(self.fitted_state, self)
+        record, notes = clean_record(record)
+        x = inputs.apply(spatial_accelerations(record))
         before = np.repeat(outputs.apply(np.zeros((PATHS, 1))), self.delays, axis=1)
-        z = outputs.reverse(self._closed(training.network, x, before))
-        said = (
+        z = outputs.reverse(self._run_closed_loop(training.network, x, before))
+        loop_note = (
             f"on held-out training road {closed_loop:.2f} of the level, closed loop as here; "
             f"{open_loop:.2f} if it were fed with the truth, which cannot be had"
         )
-        return Estimate(grid(record.length), z, notes=(*notes, said))
+        return Estimate(profile_stations(record.length), z, notes=(*notes, loop_note))
 
     def weights(self) -> dict[str, np.ndarray]:
         """Both layers, mapped ranges, `open_loop`, `closed_loop` and the training's course."""
-        training, inputs, outputs, open_loop, closed_loop = fitted(self.learnt, self)
+        training, inputs, outputs, open_loop, closed_loop = require_fitted(self.fitted_state, self)
         return {
             "hidden": training.network.hidden,
             "output": training.network.output,
             "inputs": np.array([inputs.low, inputs.high]),
             "heights": np.array([outputs.low, outputs.high]),
             "loops": np.array([open_loop, closed_loop]),
-            **training.course(),
+            **training.to_arrays(),
         }
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
@@ -132,26 +132,30 @@ class Narx:
             "inputs": (2, len(SENSORS)),
             "heights": (2, PATHS),
             "loops": (2,),
-            **lm.COURSE,
+            **lm.HISTORY_SHAPES,
         }
-        hidden, output, inputs, outputs, loops, *course = arrays(weights, shapes)
-        training = lm.Training.of(lm.Network(hidden, output), *course)
+        hidden, output, inputs, outputs, loops, *course = validate_weights(weights, shapes)
+        training = lm.LmResult.from_arrays(lm.TwoLayerNetwork(hidden, output), *course)
         scalings = lm.Scaling(*inputs), lm.Scaling(*outputs)
-        return copy_with(self, learnt=Learnt(training, *scalings, *loops.tolist()))
+        return copy_with(self, fitted_state=FittedNarx(training, *scalings, *loops.tolist()))
 
-    def _closed(self, network: lm.Network, x: np.ndarray, before: np.ndarray) -> np.ndarray:
+    def _run_closed_loop(
+        self, network: lm.TwoLayerNetwork, x: np.ndarray, before: np.ndarray
+    ) -> np.ndarray:
         z = np.empty((PATHS, x.shape[1]))
         run_parallel(network.hidden, network.output, x, before, z)
         return z
 
-    def _loops(self, network: lm.Network, outputs: lm.Scaling, drives: Sequence) -> list[float]:
+    def _loop_errors(
+        self, network: lm.TwoLayerNetwork, outputs: lm.Scaling, drives: Sequence
+    ) -> list[float]:
         """Error over level of the held-out heights, fed with the truth and with its own answers."""
         wrong, level = np.zeros(2), 0.0
         for x, y in drives:
-            first = _kept(y)
-            parts = _split(x, y, slice(first - self.delays, None))
+            first = _n_training(y)
+            parts = _cut(x, y, slice(first - self.delays, None))
             regressors, t = series_parallel(*parts, self.delays)
-            closed = self._closed(network, x[:, first:], y[:, first - self.delays : first])
+            closed = self._run_closed_loop(network, x[:, first:], y[:, first - self.delays : first])
             truth = outputs.reverse(t)
             for k, answer in enumerate((network(regressors), closed)):
                 wrong[k] += np.sum((outputs.reverse(answer) - truth) ** 2)
@@ -164,9 +168,9 @@ def series_parallel(x: np.ndarray, z: np.ndarray, delays: int) -> tuple[np.ndarr
     accelerations `x` (3, M) and true heights `z` (2, M): newest accelerations first.
     """
     M = x.shape[1]
-    felt = [x[:, delays - k : M - k] for k in range(delays + 1)]
+    sensed = [x[:, delays - k : M - k] for k in range(delays + 1)]
     past = [z[:, delays - k : M - k] for k in range(1, delays + 1)]
-    return np.concatenate([*felt, *past]), z[:, delays:]
+    return np.concatenate([*sensed, *past]), z[:, delays:]
 
 
 @kernel
@@ -197,10 +201,10 @@ def run_parallel(hidden, output, x, before, z):
                 z[i, k] += output[i, j] * unit
 
 
-def _kept(z: np.ndarray) -> int:
+def _n_training(z: np.ndarray) -> int:
     """Stations of a drive that are trained on."""
-    return z.shape[1] - int(HELD_OUT * z.shape[1])
+    return z.shape[1] - int(HELD_OUT_SHARE * z.shape[1])
 
 
-def _split(x: np.ndarray, z: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray]:
+def _cut(x: np.ndarray, z: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray]:
     return x[:, part], z[:, part]

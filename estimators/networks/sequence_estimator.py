@@ -12,57 +12,70 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from estimators.api import arrays, copy_with, fitted
-from estimators.common.spatial_signals import EDGE, SPACING, course, finer, wheel_paths
-from estimators.linear.fir_bank import Bank, fitted_bank, shape_of, weighted
-from estimators.networks.inputs import FLIP, Inputs, inputs, window
+from estimators.api import copy_with, require_fitted, validate_weights
+from estimators.common.spatial_signals import (
+    EDGE_STATIONS,
+    SPACING,
+    to_spatial,
+    upsample,
+    wheel_paths,
+)
+from estimators.linear.fir_bank import FirBank, fit_bank, keep_short_waves, taps_shape
+from estimators.networks.inputs import MIRROR_SIGNS, NetworkInputs, network_inputs, window_span
 from estimators.networks.std_calibration import (
-    TERMS,
-    constant,
-    fitted_widths,
-    honest,
-    inside,
-    judged,
-    widths,
+    N_TERMS,
+    calibration_factor,
+    constant_scale,
+    fit_std_scale,
+    in_scored_band,
+    interior,
+    std_scale,
 )
 from estimators.networks.trainer import (
-    STD_LOG,
-    Keeper,
-    Lesson,
-    Plan,
-    divided,
-    numbers,
-    one_thread,
-    put,
-    teach,
+    LOG_STD_RANGE,
+    Checkpoint,
+    TrainerConfig,
+    TrainingSequence,
+    get_weights,
+    set_weights,
+    single_thread,
+    split_validation,
+    train_network,
 )
-from estimators.networks.training_data import MARGIN, SLOW, Material, limits, material
-from estimators.preprocessing import mended
-from estimators.pretrained_weights import shipped
+from estimators.networks.training_data import (
+    LONG_WAVE_NOTE,
+    STATION_MARGIN,
+    TrainingExample,
+    training_example,
+    validity_notes,
+)
+from estimators.preprocessing import clean_record
+from estimators.pretrained_weights import load_pretrained
+from road_envs._extras import optional_import
 from road_envs.config import STRICT
-from road_envs.data.record import Estimate, Profile, Record, grid
+from road_envs.data.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
-NETWORK = "network."
+NETWORK_PREFIX = "network."
 """Stands before the name of a network's weight."""
 
-WHEELBASE_OFF = 0.02
+WHEELBASE_TOLERANCE = 0.02
 """A wheelbase that differs by more than this share from the taught one is told."""
 
 
-class Learnt(NamedTuple):
-    """Linear windows, weights of the network (float16), the coefficients `widths` (TERMS,) of the
+class FittedSequence(NamedTuple):
+    """Linear windows, weights of the network (float16), the coefficients `std_coefficients` (N_TERMS,) of the
     factor on its standard deviations, and the `wheelbase` [m] of the car.
     """
 
-    bank: Bank
+    bank: FirBank
     network: dict[str, np.ndarray]
-    widths: np.ndarray
+    std_coefficients: np.ndarray
     wheelbase: float
 
 
 @dataclass(frozen=True, kw_only=True)
-class Taught(abc.ABC):
+class SequenceEstimator(abc.ABC):
     """A sequence network behind a bank of linear windows."""
 
     __pydantic_config__ = STRICT
@@ -73,7 +86,7 @@ class Taught(abc.ABC):
 
     shipped: bool = True
     steps: int = 2500
-    learnt: Learnt | None = field(default=None, init=False, repr=False, compare=False)
+    fitted_state: FittedSequence | None = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self):
         for setting in ("steps", "channels"):
@@ -84,9 +97,9 @@ class Taught(abc.ABC):
     def network(self) -> Any:
         """The torch network before it has learnt anything."""
 
-    def material(self, record: Record, truth: Profile) -> Material:
+    def training_example(self, record: Record, truth: Profile) -> TrainingExample:
         """What this estimator keeps of a drive to learn from. Raises RecordError."""
-        return material(record, truth, self.causal)
+        return training_example(record, truth, self.causal)
 
     def fit(
         self,
@@ -97,130 +110,157 @@ class Taught(abc.ABC):
     ) -> Self:
         """A copy that has learnt from these drives and nothing else."""
         pairs = zip(records, truths, strict=True)
-        return self.learn([self.material(*pair) for pair in pairs], car, seed)
+        return self.pretrain([self.training_example(*pair) for pair in pairs], car, seed)
 
-    def learn(
+    def pretrain(
         self,
-        drives: Sequence[Material],
+        drives: Sequence[TrainingExample],
         car: VehicleParameters,
         seed: int,
         progress: Callable[[str, float], None] = lambda text, share: None,
-        keeper: Keeper | None = None,
+        checkpoint: Checkpoint | None = None,
     ) -> Self:
         """A copy that has learnt from these drives; `seed` draws first weights and batches."""
-        import torch
+        with optional_import("a neural network"):
+            import torch
 
         progress("fitting linear windows", 0.0)
-        courses, targets = zip(*drives, strict=True)
-        bank = fitted_bank(courses, targets, *window(self.causal))
+        all_signals, targets = zip(*drives, strict=True)
+        bank = fit_bank(all_signals, targets, *window_span(self.causal))
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             network = self.network()
-        lessons = [self._lesson(drive, bank, car.wheelbase, network) for drive in drives]
-        teach(network, lessons, Plan(self.steps), seed, progress, keeper)
-        rounded = {name: x.astype(np.float16) for name, x in numbers(network).items()}
-        put(network, rounded)
-        _, held_out = divided(lessons)
-        ratios = [self._ratios(part.lesson, network, part.start, part.stop) for part in held_out]
-        width = constant(honest(np.concatenate(ratios)))
-        return copy_with(self, learnt=Learnt(bank, rounded, width, car.wheelbase))
+        sequences = [
+            self._training_sequence(drive, bank, car.wheelbase, network) for drive in drives
+        ]
+        train_network(network, sequences, TrainerConfig(self.steps), seed, progress, checkpoint)
+        rounded = {name: x.astype(np.float16) for name, x in get_weights(network).items()}
+        set_weights(network, rounded)
+        _, validation = split_validation(sequences)
+        ratios = [
+            self._normalised_errors(part.sequence, network, part.start, part.stop)
+            for part in validation
+        ]
+        coefficients = constant_scale(calibration_factor(np.concatenate(ratios)))
+        return copy_with(
+            self, fitted_state=FittedSequence(bank, rounded, coefficients, car.wheelbase)
+        )
 
-    def calibrated(self, drives: Sequence[Material]) -> Self:
+    def calibrate(self, drives: Sequence[TrainingExample]) -> Self:
         """A copy whose standard deviations are honest on these drives, which it was not taught."""
-        learnt = self._learnt()
+        fitted_state = self._fitted_or_pretrained()
         network = self.network()
-        put(network, learnt.network)
+        set_weights(network, fitted_state.network)
         ratios, conditions = [], []
         for drive in drives:
-            read = inputs(drive.course, learnt.bank, learnt.wheelbase, network, self.causal)
-            told, counts = _told(read, network), inside(read.level.size)
-            missing, std = answer(network, read.x, read.conditions)
-            error = wheel_paths(drive.target - read.first - read.level * missing)
-            speed = float(np.median(drive.course.v))
-            ratios.append((judged(error, speed) / (read.level * np.hypot(*std)))[:, counts])
-            conditions.append(told if told.shape[1] == 1 else told[:, counts])
-        return copy_with(self, learnt=learnt._replace(widths=fitted_widths(ratios, conditions)))
+            inputs = network_inputs(
+                drive.signals, fitted_state.bank, fitted_state.wheelbase, network, self.causal
+            )
+            drive_conditions = _station_conditions(inputs, network)
+            scored = interior(inputs.level.size)
+            residual, std = predict_residual(network, inputs.x, inputs.conditions)
+            error = wheel_paths(drive.target - inputs.first - inputs.level * residual)
+            speed = float(np.median(drive.signals.v))
+            ratios.append(
+                (in_scored_band(error, speed) / (inputs.level * np.hypot(*std)))[:, scored]
+            )
+            varies = drive_conditions.shape[1] > 1
+            conditions.append(drive_conditions[:, scored] if varies else drive_conditions)
+        return copy_with(
+            self,
+            fitted_state=fitted_state._replace(std_coefficients=fit_std_scale(ratios, conditions)),
+        )
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Heights with their standard deviation above 0.15 cycles/m. Raises RecordError."""
-        record, notes = mended(record)
-        bank, weights, width, wheelbase = self._learnt()
+        record, notes = clean_record(record)
+        bank, weights, coefficients, wheelbase = self._fitted_or_pretrained()
         network = self.network()
-        put(network, weights)
-        seen = course(record, MARGIN, self.causal)
-        read = inputs(seen, bank, car.wheelbase, network, self.causal)
-        missing, std = answer(network, read.x, read.conditions)
-        stations = grid(record.length)
-        z = wheel_paths(finer(read.first + read.level * missing, stations.size))
-        spread = widths(width, _told(read, network)) * read.level * np.hypot(*std)
-        z_std = np.interp(stations, SPACING * (np.arange(spread.size) - EDGE), spread)
-        notes = (*notes, SLOW, *limits(seen))
-        if abs(car.wheelbase - wheelbase) > WHEELBASE_OFF * wheelbase:
+        set_weights(network, weights)
+        signals = to_spatial(record, STATION_MARGIN, self.causal)
+        inputs = network_inputs(signals, bank, car.wheelbase, network, self.causal)
+        residual, std = predict_residual(network, inputs.x, inputs.conditions)
+        stations = profile_stations(record.length)
+        z = wheel_paths(upsample(inputs.first + inputs.level * residual, stations.size))
+        factors = std_scale(coefficients, _station_conditions(inputs, network))
+        std_m = factors * inputs.level * np.hypot(*std)
+        z_std = np.interp(stations, SPACING * (np.arange(std_m.size) - EDGE_STATIONS), std_m)
+        notes = (*notes, LONG_WAVE_NOTE, *validity_notes(signals))
+        if abs(car.wheelbase - wheelbase) > WHEELBASE_TOLERANCE * wheelbase:
             notes += (f"taught with a wheelbase of {wheelbase:.2f} m, not {car.wheelbase:.2f} m",)
         return Estimate(stations, z, np.array([z_std, z_std]), notes)
 
     def weights(self) -> dict[str, np.ndarray]:
         """`taps`, `widths`, `wheelbase`, and each weight of the network. Raises NotFittedError."""
-        bank, network, width, wheelbase = self._learnt()
+        bank, network, coefficients, wheelbase = self._fitted_or_pretrained()
         return {
             "taps": bank.taps,
-            "widths": width,
+            "widths": coefficients,
             "wheelbase": np.array(wheelbase),
-            **{NETWORK + name: x for name, x in network.items()},
+            **{NETWORK_PREFIX + name: x for name, x in network.items()},
         }
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
         """A copy with these weights. Raises ValueError."""
-        behind, ahead = window(self.causal)
+        behind, ahead = window_span(self.causal)
         shapes: dict[str, tuple[int | None, ...]] = {
-            "taps": shape_of(behind, ahead),
-            "widths": (TERMS,),
+            "taps": taps_shape(behind, ahead),
+            "widths": (N_TERMS,),
             "wheelbase": (),
         }
-        own = {NETWORK + name: x.shape for name, x in numbers(self.network()).items()}
-        taps, width, wheelbase, *rest = arrays(weights, shapes | own)
-        names = (name.removeprefix(NETWORK) for name in own)
+        own = {NETWORK_PREFIX + name: x.shape for name, x in get_weights(self.network()).items()}
+        taps, coefficients, wheelbase, *rest = validate_weights(weights, shapes | own)
+        names = (name.removeprefix(NETWORK_PREFIX) for name in own)
         network = {name: x.astype(np.float16) for name, x in zip(names, rest, strict=True)}
-        bank = Bank(taps.astype(np.float16), ahead)
-        return copy_with(self, learnt=Learnt(bank, network, width, float(wheelbase)))
+        bank = FirBank(taps.astype(np.float16), ahead)
+        return copy_with(
+            self, fitted_state=FittedSequence(bank, network, coefficients, float(wheelbase))
+        )
 
-    def _learnt(self) -> Learnt:
+    def _fitted_or_pretrained(self) -> FittedSequence:
         """What was learnt, or what came with the package. Raises NotFittedError."""
-        if self.learnt is not None:
-            return self.learnt
-        weights = shipped(self.name) if self == type(self)() else None
-        return self.with_weights(fitted(weights, self))._learnt()
+        if self.fitted_state is not None:
+            return self.fitted_state
+        weights = load_pretrained(self.name) if self == type(self)() else None
+        return self.with_weights(require_fitted(weights, self))._fitted_or_pretrained()
 
-    def _lesson(self, drive: Material, bank: Bank, wheelbase: float, network: Any) -> Lesson:
-        read = inputs(drive.course, bank, wheelbase, network, self.causal)
-        missing = weighted(drive.target.astype(float) - read.first) / read.level
-        return Lesson(read, missing.astype(np.float32))
+    def _training_sequence(
+        self, drive: TrainingExample, bank: FirBank, wheelbase: float, network: Any
+    ) -> TrainingSequence:
+        inputs = network_inputs(drive.signals, bank, wheelbase, network, self.causal)
+        residual = keep_short_waves(drive.target.astype(float) - inputs.first) / inputs.level
+        return TrainingSequence(inputs, residual.astype(np.float32))
 
-    def _ratios(self, lesson: Lesson, network: Any, start: int, stop: int) -> np.ndarray:
+    def _normalised_errors(
+        self, sequence: TrainingSequence, network: Any, start: int, stop: int
+    ) -> np.ndarray:
         """Errors of both wheel paths over their standard deviations."""
-        missing, std = answer(network, lesson.inputs.x, lesson.inputs.conditions)
-        error = wheel_paths(lesson.missing - missing) / np.hypot(*std)
+        residual, std = predict_residual(network, sequence.inputs.x, sequence.inputs.conditions)
+        error = wheel_paths(sequence.residual - residual) / np.hypot(*std)
         return error[:, start:stop].ravel()
 
 
-def answer(network: Any, x: np.ndarray, conditions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def predict_residual(
+    network: Any, x: np.ndarray, conditions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """What is missing of m and q, and its standard deviation, both (2, M) in levels: the mean of
     what the network says of the drive and, mirrored back, of the mirrored drive.
     """
-    import torch
+    with optional_import("a neural network"):
+        import torch
 
-    with torch.no_grad(), one_thread():
-        twice = torch.from_numpy(np.array([x, x * FLIP]))
-        told = torch.from_numpy(np.array([conditions, conditions]))
-        said = network(twice, told).numpy().astype(float)
+    with torch.no_grad(), single_thread():
+        both_drives = torch.from_numpy(np.array([x, x * MIRROR_SIGNS]))
+        both_conditions = torch.from_numpy(np.array([conditions, conditions]))
+        output = network(both_drives, both_conditions).numpy().astype(float)
     mirror = np.array([[1.0], [-1.0]])
-    missing = 0.5 * (said[0, :2] + mirror * said[1, :2])
-    return missing, np.exp(np.clip(said[:, 2:], *STD_LOG).mean(axis=0))
+    residual = 0.5 * (output[0, :2] + mirror * output[1, :2])
+    return residual, np.exp(np.clip(output[:, 2:], *LOG_STD_RANGE).mean(axis=0))
 
 
-def _told(read: Inputs, network: Any) -> np.ndarray:
+def _station_conditions(inputs: NetworkInputs, network: Any) -> np.ndarray:
     """The conditions (8, 1 or M) under which the network answers for each station."""
-    told = read.conditions.astype(float)
-    if told.shape[1] > 1:
-        told = told[:, network.behind : network.behind + read.level.size]
-    return told
+    conditions = inputs.conditions.astype(float)
+    if conditions.shape[1] > 1:
+        conditions = conditions[:, network.behind : network.behind + inputs.level.size]
+    return conditions

@@ -18,20 +18,20 @@ from typing import ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
-from estimators.api import arrays, copy_with, fitted
+from estimators.api import copy_with, require_fitted, validate_weights
 from estimators.networks import levenberg_marquardt as lm
-from estimators.preprocessing import accelerations, heights, mended
+from estimators.preprocessing import clean_record, sample_profile, spatial_accelerations
 from road_envs.config import STRICT
-from road_envs.data.record import SENSORS, Estimate, Profile, Record, grid
+from road_envs.data.record import SENSORS, Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 
-class Learnt(NamedTuple):
+class FittedStaticLm(NamedTuple):
     """How a network was trained, and the ranges that its inputs [m/s²] and outputs [m] were mapped
     from.
     """
 
-    training: lm.Training
+    training: lm.LmResult
     inputs: lm.Scaling
     outputs: lm.Scaling
 
@@ -48,7 +48,7 @@ class StaticLm:
     max_epochs: int = 1000
     max_fail: int = 6
     max_samples: int = 3964
-    learnt: Learnt | None = field(default=None, init=False, repr=False, compare=False)
+    fitted_state: FittedStaticLm | None = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self):
         for name in ("hidden", "max_epochs", "max_fail", "max_samples"):
@@ -56,9 +56,9 @@ class StaticLm:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
 
     @property
-    def training(self) -> lm.Training:
+    def training(self) -> lm.LmResult:
         """The course of the training, one value per epoch. Raises NotFittedError."""
-        return fitted(self.learnt, self).training
+        return require_fitted(self.fitted_state, self).training
 
     def fit(
         self,
@@ -68,39 +68,41 @@ class StaticLm:
         seed: int,
     ) -> Self:
         """Train on all drives; `seed` draws the division and the initial weights."""
-        x = np.hstack([accelerations(mended(record)[0]) for record in records])
+        x = np.hstack([spatial_accelerations(clean_record(record)[0]) for record in records])
         pairs = zip(records, truths, strict=True)
-        t = np.hstack([heights(truth, grid(record.length)) for record, truth in pairs])
+        t = np.hstack(
+            [sample_profile(truth, profile_stations(record.length)) for record, truth in pairs]
+        )
         size = x.shape[1]
         if size > self.max_samples:
             spread = np.linspace(0, size - 1, self.max_samples).astype(int)
             x, t = x[:, spread], t[:, spread]
-        inputs, outputs = lm.Scaling.of(x), lm.Scaling.of(t)
+        inputs, outputs = lm.Scaling.fit(x), lm.Scaling.fit(t)
         rng = np.random.default_rng(seed)
         split = lm.divide(x.shape[1], self.division, rng)
         start = lm.nguyen_widrow(len(x), self.hidden, len(t), rng)
-        options = lm.Options(max_epochs=self.max_epochs, max_fail=self.max_fail)
+        options = lm.TrainlmOptions(max_epochs=self.max_epochs, max_fail=self.max_fail)
         training = lm.train(start, inputs.apply(x), outputs.apply(t), split, options)
-        return copy_with(self, learnt=Learnt(training, inputs, outputs))
+        return copy_with(self, fitted_state=FittedStaticLm(training, inputs, outputs))
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """The network's answer at every station. Raises RecordError."""
-        training, inputs, outputs = fitted(self.learnt, self)
-        record, notes = mended(record)
-        z = outputs.reverse(training.network(inputs.apply(accelerations(record))))
-        return Estimate(grid(record.length), z, notes=notes)
+        training, inputs, outputs = require_fitted(self.fitted_state, self)
+        record, notes = clean_record(record)
+        z = outputs.reverse(training.network(inputs.apply(spatial_accelerations(record))))
+        return Estimate(profile_stations(record.length), z, notes=notes)
 
     def weights(self) -> dict[str, np.ndarray]:
         """Weights of both layers, the mapped ranges (low, high) of inputs and outputs, and the
         course of the training.
         """
-        training, inputs, outputs = fitted(self.learnt, self)
+        training, inputs, outputs = require_fitted(self.fitted_state, self)
         return {
             "hidden": training.network.hidden,
             "output": training.network.output,
             "inputs": np.array([inputs.low, inputs.high]),
             "outputs": np.array([outputs.low, outputs.high]),
-            **training.course(),
+            **training.to_arrays(),
         }
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
@@ -111,9 +113,9 @@ class StaticLm:
             "output": (2, self.hidden + 1),
             "inputs": (2, size),
             "outputs": (2, 2),
-            **lm.COURSE,
+            **lm.HISTORY_SHAPES,
         }
-        hidden, output, inputs, outputs, *course = arrays(weights, shapes)
-        training = lm.Training.of(lm.Network(hidden, output), *course)
-        learnt = Learnt(training, lm.Scaling(*inputs), lm.Scaling(*outputs))
-        return copy_with(self, learnt=learnt)
+        hidden, output, inputs, outputs, *course = validate_weights(weights, shapes)
+        training = lm.LmResult.from_arrays(lm.TwoLayerNetwork(hidden, output), *course)
+        fitted_state = FittedStaticLm(training, lm.Scaling(*inputs), lm.Scaling(*outputs))
+        return copy_with(self, fitted_state=fitted_state)

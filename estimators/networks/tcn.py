@@ -12,12 +12,12 @@ import abc
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from estimators.networks.inputs import CONDITIONS, INPUTS, LAG
-from estimators.networks.sequence_estimator import Taught
+from estimators.networks.inputs import LAG, N_CONDITIONS, N_INPUTS
+from estimators.networks.sequence_estimator import SequenceEstimator
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Convolutional(Taught, abc.ABC):
+class _Convolutional(SequenceEstimator, abc.ABC):
     channels: int = 48
     kernel: int = 5
     dilations: tuple[int, ...] = (1, 2, 4, 8, 16)
@@ -31,10 +31,10 @@ class _Convolutional(Taught, abc.ABC):
 
     def network(self) -> Any:
         """The torch network before it has learnt anything."""
-        from estimators.networks.modules import Convolutions
+        from estimators.networks.modules import TemporalConvNet
 
         size = self.channels, self.kernel, self.dilations
-        return Convolutions(INPUTS, CONDITIONS, *size, self.causal)
+        return TemporalConvNet(N_INPUTS, N_CONDITIONS, *size, self.causal)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,22 +30,22 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
-from estimators.common.spatial_signals import MOTIONS, motions
-from estimators.preprocessing import mended
-from estimators.roughness.spectral import octaves_of, probabilities
-from road_envs.analysis.roughness import dsd, octave_levels
+from estimators.common.spatial_signals import N_MOTIONS, body_motions
+from estimators.preprocessing import clean_record
+from estimators.roughness.spectral import class_probabilities, scored_octaves
+from road_envs.analysis.roughness import displacement_psd, octave_levels
 from road_envs.data.record import Profile, Record
 
-INPUTS = 1 + MOTIONS
+N_INPUTS = 1 + N_MOTIONS
 SLOPE_STD = 3.0
 """Standard deviation of b, of standardised inputs and output: wide."""
 
-LIMITS = ((-4.0, 1.5), *((-1.5, 4.0),) * INPUTS, (-5.0, 0.0))
+THETA_BOUNDS = ((-4.0, 1.5), *((-1.5, 4.0),) * N_INPUTS, (-5.0, 0.0))
 """Logarithms of the process's amplitude, of its lengths and of the noise's amplitude stay inside;
 inputs and output have a standard deviation of 1."""
 
 
-class Roughness(NamedTuple):
+class RoughnessEstimate(NamedTuple):
     """`G_d0` [m³] of a road in the judged octaves, the standard deviation `log_std` of its natural
     logarithm, and the `probability` of each class by its letter.
     """
@@ -60,14 +60,14 @@ class Roughness(NamedTuple):
         return max(self.probability, key=lambda name: self.probability[name])
 
 
-class Scale(NamedTuple):
+class Standardizer(NamedTuple):
     """Means and standard deviations of columns."""
 
     mean: np.ndarray
     std: np.ndarray
 
     @classmethod
-    def of(cls, x: np.ndarray) -> "Scale":
+    def fit(cls, x: np.ndarray) -> "Standardizer":
         """Those of `x` (N, k); a column that does not vary has none."""
         std = x.std(axis=0)
         return cls(x.mean(axis=0), np.where(std > 1e-9, std, 1.0))
@@ -85,49 +85,57 @@ class RmsRoughness:
 
     x: np.ndarray
     y: np.ndarray
-    x_scale: Scale
-    y_scale: Scale
+    x_scale: Standardizer
+    y_scale: Standardizer
     theta: np.ndarray
 
     @classmethod
-    def fitted(cls, records: Sequence[Record], truths: Sequence[Profile]) -> Self:
+    def fit(cls, records: Sequence[Record], truths: Sequence[Profile]) -> Self:
         """From drives over known roads. Raises RecordError."""
         X = np.array([features(record) for record in records])
         pairs = zip(records, truths, strict=True)
-        Y = np.log([level(truth, float(np.median(record.v))) for record, truth in pairs])[:, None]
-        scales = Scale.of(X), Scale.of(Y)
+        Y = np.log([roughness_level(truth, float(np.median(record.v))) for record, truth in pairs])[
+            :, None
+        ]
+        scales = Standardizer.fit(X), Standardizer.fit(Y)
         x, y = scales[0](X), scales[1](Y)[:, 0]
-        start = np.array([-1.0, *np.full(INPUTS, 1.0), -1.5])
-        found = minimize(
-            lambda theta: evidence(x, y, theta), start, jac=True, method="L-BFGS-B", bounds=LIMITS
+        start = np.array([-1.0, *np.full(N_INPUTS, 1.0), -1.5])
+        optimum = minimize(
+            lambda theta: neg_log_marginal_likelihood(x, y, theta),
+            start,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=THETA_BOUNDS,
         )
-        return cls(x, y, *scales, found.x)
+        return cls(x, y, *scales, optimum.x)
 
-    def tell(self, record: Record) -> Roughness:
+    def predict(self, record: Record) -> RoughnessEstimate:
         """What a `record` tells of its road. Raises RecordError."""
         at = self.x_scale(features(record)[None])
-        mean, std = predict(self.x, self.y, self.theta, at)
+        mean, std = predict_gp(self.x, self.y, self.theta, at)
         log_level = float(self.y_scale.mean[0] + self.y_scale.std[0] * mean[0])
         log_std = float(self.y_scale.std[0] * std[0])
-        return Roughness(float(np.exp(log_level)), log_std, probabilities(log_level, log_std))
+        return RoughnessEstimate(
+            float(np.exp(log_level)), log_std, class_probabilities(log_level, log_std)
+        )
 
 
 def features(record: Record) -> np.ndarray:
     """Logarithms (INPUTS,) of the speed and of the RMS of front, rear and roll on the road."""
-    record, _ = mended(record)
+    record, _ = clean_record(record)
     on_road = (record.s >= 0.0) & (record.s <= record.length)
     on_road = on_road if on_road.any() else np.ones(record.s.size, dtype=bool)
-    a = motions(record, causal=False)[:MOTIONS, on_road]
+    a = body_motions(record, causal=False)[:N_MOTIONS, on_road]
     rms = np.sqrt(np.mean(a**2, axis=1))
     return np.log(np.maximum([np.median(record.v[on_road]), *rms], 1e-6))
 
 
-def level(truth: Profile, v: float) -> float:
+def roughness_level(truth: Profile, v: float) -> float:
     """G_d(n0) [m³] of a road: the geometric mean over the octaves judged at `v` [m/s], both paths
     together.
     """
-    centres = octaves_of(v)
-    _, levels = octave_levels(*dsd(truth.z, truth.ds), (centres[0], centres[-1]))
+    centres = scored_octaves(v)
+    _, levels = octave_levels(*displacement_psd(truth.z, truth.ds), (centres[0], centres[-1]))
     return float(np.exp(np.mean(np.log(np.maximum(levels.mean(axis=0), 1e-12)))))
 
 
@@ -135,12 +143,14 @@ def covariance(
     x: np.ndarray, other: np.ndarray, theta: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Covariances (N, M) of the line and of the process between inputs (N, k) and (M, k)."""
-    apart = (x[:, None] - other[None]) * np.exp(-theta[1:-1])
+    scaled_difference = (x[:, None] - other[None]) * np.exp(-theta[1:-1])
     line = SLOPE_STD**2 * (1.0 + x @ other.T)
-    return line, np.exp(2.0 * theta[0] - 0.5 * np.sum(apart**2, axis=2))
+    return line, np.exp(2.0 * theta[0] - 0.5 * np.sum(scaled_difference**2, axis=2))
 
 
-def evidence(x: np.ndarray, y: np.ndarray, theta: np.ndarray) -> tuple[float, np.ndarray]:
+def neg_log_marginal_likelihood(
+    x: np.ndarray, y: np.ndarray, theta: np.ndarray
+) -> tuple[float, np.ndarray]:
     """Negative logarithm of the marginal likelihood of `y` (N,) at `x` (N, k), and its slope."""
     line, process = covariance(x, x, theta)
     noise = np.exp(2.0 * theta[-1]) * np.eye(y.size)
@@ -148,17 +158,17 @@ def evidence(x: np.ndarray, y: np.ndarray, theta: np.ndarray) -> tuple[float, np
     inverse = cho_solve(factor, np.eye(y.size))
     alpha = inverse @ y
     value = 0.5 * y @ alpha + np.log(np.diag(factor[0])).sum() + 0.5 * y.size * np.log(2.0 * np.pi)
-    apart = (x[:, None] - x[None]) * np.exp(-theta[1:-1])
+    scaled_difference = (x[:, None] - x[None]) * np.exp(-theta[1:-1])
     slopes = [
         2.0 * process,
-        *(process * apart[:, :, d] ** 2 for d in range(x.shape[1])),
+        *(process * scaled_difference[:, :, d] ** 2 for d in range(x.shape[1])),
         2.0 * noise,
     ]
     inner = inverse - np.outer(alpha, alpha)
     return float(value), np.array([0.5 * np.sum(inner * slope) for slope in slopes])
 
 
-def predict(
+def predict_gp(
     x: np.ndarray, y: np.ndarray, theta: np.ndarray, at: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean and standard deviation (M,), noise included, of outputs at inputs `at` (M, k), given

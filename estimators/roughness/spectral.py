@@ -3,7 +3,7 @@
     classify(record, car) -> ClassPosterior
 
 No height is reconstructed: the wheel paths' level in every octave is the one that makes the
-accelerations' spectra likely through the linearised car (empirical Bayes, `hearing.py`), stretch by
+accelerations' spectra likely through the linearised car (empirical Bayes, `build_model.py`), stretch by
 stretch. An octave of M independent lines tells a level to within a factor whose logarithm has the
 standard deviation sqrt(1 / M) at best, and so does the class: its posterior over A to H follows
 from a normal density of log G_d(n0), limits at twice the geometric means (ISO 8608, table C.1).
@@ -16,20 +16,25 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from estimators.wiener.segments import Stretch, stretches
-from estimators.wiener.smoother import LENGTH, MARGIN
-from estimators.wiener.spectral_model import Hearing, alive, lines_of, listen
+from estimators.wiener.segments import Segment, split_segments
+from estimators.wiener.smoother import SEGMENT_LENGTH, SEGMENT_MARGIN
+from estimators.wiener.spectral_model import (
+    SpectralModel,
+    active_sensors,
+    fit_hyperparameters,
+    windowed_spectrum,
+)
 from road_envs.analysis.information_bound import RoadPrior, posterior
 from road_envs.analysis.roughness import CLASSES
-from road_envs.data.record import F_MAX, Record, scored_band
+from road_envs.data.record import SCORED_F_MAX, Record, scored_band
 from road_envs.sensing.instruments import load_instruments
-from road_envs.vehicle.equations import plant
+from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import VehicleParameters
 
 MODEL_ERROR = 0.10
 """Standard deviation of log level that a car not quite as supposed adds [assumed]."""
 
-TURNS = 8
+EM_ITERATIONS = 8
 """Steps of expectation and maximisation of an octave's level."""
 
 
@@ -55,22 +60,24 @@ class ClassPosterior(NamedTuple):
         return max(self.probability, key=lambda name: self.probability[name])
 
 
-class _Part(NamedTuple):
+class _OctaveLevels(NamedTuple):
     """Sums over a stretch: mean power over the prior's, and lines that it rests on, by octave."""
 
     levels: np.ndarray
     lines: np.ndarray
 
 
-def classify(record: Record, car: VehicleParameters, instruments: str = "paper") -> ClassPosterior:
+def classify_record(
+    record: Record, car: VehicleParameters, instruments: str = "paper"
+) -> ClassPosterior:
     """The roughness of the road of a `record`. Raises ConfigError, ValueError."""
-    tools, one = load_instruments(instruments), plant(car)
-    places, track = tools.places(car), car.front.y_t + car.rear.y_t
-    octaves = octaves_of(float(np.median(record.v)))
+    sensors, plant = load_instruments(instruments), build_plant(car)
+    locations, track = sensors.locations(car), car.front.y_t + car.rear.y_t
+    octaves = scored_octaves(float(np.median(record.v)))
     parts = []
-    for stretch in stretches(record, tools, LENGTH, MARGIN):
-        heard = listen(one, places, tools, stretch, track)
-        parts.append(_levels(heard, stretch, octaves))
+    for segment in split_segments(record, sensors, SEGMENT_LENGTH, SEGMENT_MARGIN):
+        model = fit_hyperparameters(plant, locations, sensors, segment, track)
+        parts.append(_levels(model, segment, octaves))
     weights = np.array([part.lines for part in parts])
     total = np.maximum(weights.sum(axis=0), 1e-9)
     levels = (weights * [part.levels for part in parts]).sum(axis=0) / total
@@ -85,12 +92,12 @@ def classify(record: Record, car: VehicleParameters, instruments: str = "paper")
         octaves,
         levels,
         stds,
-        probabilities(log_level, log_std),
+        class_probabilities(log_level, log_std),
         tuple(_likeliest(np.log(x), s) for x, s in zip(levels, stds, strict=True)),
     )
 
 
-def probabilities(log_level: float, log_std: float) -> dict[str, float]:
+def class_probabilities(log_level: float, log_std: float) -> dict[str, float]:
     """Probability of each class of a level whose natural logarithm is normal."""
     limits = np.log([2.0 * mean for mean in CLASSES.values()][:-1])
     below = np.concatenate([[0.0], ndtr((limits - log_level) / log_std), [1.0]])
@@ -98,44 +105,47 @@ def probabilities(log_level: float, log_std: float) -> dict[str, float]:
 
 
 def _likeliest(log_level: float, log_std: float) -> str:
-    of = probabilities(log_level, log_std)
+    of = class_probabilities(log_level, log_std)
     return max(of, key=lambda name: of[name])
 
 
-def octaves_of(v: float) -> np.ndarray:
+def scored_octaves(v: float) -> np.ndarray:
     """Centres (K,) [cycles/m] of the octaves that are judged at `v` [m/s]: 0.25, 0.5, 1 and 2, as
     far as the 25 Hz low-pass leaves them whole.
     """
     low, _ = scored_band(v)
-    high = min(2.0, F_MAX / v / np.sqrt(2.0))
+    high = min(2.0, SCORED_F_MAX / v / np.sqrt(2.0))
     if high < low:
         raise ValueError(f"at {v:.1f} m/s no octave of the judged band passes the low-pass whole")
     return 2.0 ** np.arange(np.ceil(np.log2(low)), np.floor(np.log2(high)) + 1.0)
 
 
-def _levels(heard: Hearing, stretch: Stretch, octaves: np.ndarray) -> _Part:
+def _levels(model: SpectralModel, segment: Segment, octaves: np.ndarray) -> _OctaveLevels:
     """Levels (K,) [m³] of a stretch's octaves, and the independent lines (K,) they rest on."""
-    lines, sensors = lines_of(heard, stretch), alive(stretch)
-    noise = heard.noise()
-    levels = np.full(octaves.size, heard.prior.G_d0)
+    lines, sensors = windowed_spectrum(model, segment), active_sensors(segment)
+    noise = model.noise_psd()
+    levels = np.full(octaves.size, model.prior.G_d0)
     counts = np.zeros(octaves.size)
-    span = stretch.seen.any(axis=0).sum() * stretch.d
+    span = segment.valid.any(axis=0).sum() * segment.spacing
     for k, centre in enumerate(octaves):
-        inside = (heard.n >= centre * 2.0**-0.5) & (heard.n < centre * 2.0**0.5)
+        inside = (model.n >= centre * 2.0**-0.5) & (model.n < centre * 2.0**0.5)
         if not inside.any():
             continue
-        n, y = heard.n[inside], lines[inside][:, sensors]
-        H, R = heard.H[inside][:, sensors], noise[inside][:, sensors][:, :, sensors]
-        unit = RoadPrior(G_d0=1.0, track=heard.prior.track).spectrum(n)
+        n, y = model.n[inside], lines[inside][:, sensors]
+        H, R = model.H[inside][:, sensors], noise[inside][:, sensors][:, :, sensors]
+        unit = RoadPrior(G_d0=1.0, track=model.prior.track).spectrum(n)
         known = 0.0
-        for _ in range(TURNS):
-            now = posterior(n, H, unit * levels[k], R)
-            z = now.gain @ y
-            second = z @ np.conj(z.swapaxes(1, 2)) + now.error
+        for _ in range(EM_ITERATIONS):
+            road_posterior = posterior(n, H, unit * levels[k], R)
+            z = road_posterior.gain @ y
+            second = z @ np.conj(z.swapaxes(1, 2)) + road_posterior.error
             levels[k] = float(np.mean(np.real(np.einsum("fii->f", np.linalg.solve(unit, second)))))
             levels[k] /= 2.0
-            left = np.real(np.einsum("fii->f", np.linalg.solve(unit, now.error))) / levels[k]
+            left = (
+                np.real(np.einsum("fii->f", np.linalg.solve(unit, road_posterior.error)))
+                / levels[k]
+            )
             known = float(np.mean(1.0 - 0.5 * left))
         # a Hann window leaves two thirds as many independent lines; two wheel paths
         counts[k] = 2.0 * span * (n[-1] - n[0]) * max(known, 0.01) * 2.0 / 3.0
-    return _Part(levels, counts)
+    return _OctaveLevels(levels, counts)

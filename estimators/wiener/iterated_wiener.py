@@ -13,7 +13,7 @@ better than that one.
 from dataclasses import dataclass
 from typing import ClassVar
 
-from estimators.wiener.smoother import reconstruct
+from estimators.wiener.smoother import smooth_record
 from road_envs.config import STRICT
 from road_envs.data.record import Estimate, Record
 from road_envs.vehicle.parameters import VehicleParameters
@@ -36,4 +36,4 @@ class IteratedWiener:
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Both wheel paths. Raises ConfigError, ValueError."""
-        return reconstruct(record, car, self.instruments, self.passes, self.std_factor)
+        return smooth_record(record, car, self.instruments, self.passes, self.std_factor)

@@ -12,27 +12,27 @@ from itertools import pairwise
 import numpy as np
 from scipy import signal
 
-from road_envs.data.record import GRID, Record
+from road_envs.data.record import PROFILE_SPACING, Record
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.suspension import MODES
 
-RATE = 100.0
+STATION_RATE = 100.0
 """Samples per second that are kept, at least; signals above 40 Hz are filtered off [Hz]."""
 
 PASS_ORDER, F_PASS = 8, 40.0
-REACH = 0.08
+FILTER_TIME = 0.08
 """Time [s] over which the filter carries a bad sample."""
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
-    """Signals `a` (3, M) [m/s²] on stations `first + i` (i < M) in steps `d` [m] of `stride` grid
-    spacings, with `seen` (3, M): which of them are measured. Driven at `v` [m/s] in `mode`, wheel
+class Segment:
+    """Signals `a` (3, M) [m/s²] on stations `first + i` (i < M) in steps `spacing` [m] of `stride` grid
+    spacings, with `valid` (3, M): which of them are measured. Driven at `v` [m/s] in `mode`, wheel
     by wheel; `core` (2,) [m] is the part of the road that it is to answer for.
     """
 
     a: np.ndarray
-    seen: np.ndarray
+    valid: np.ndarray
     first: int
     stride: int
     v: float
@@ -41,31 +41,31 @@ class Stretch:
     notes: tuple[str, ...] = ()
 
     @property
-    def d(self) -> float:
+    def spacing(self) -> float:
         """Distance of the stations [m]."""
-        return self.stride * GRID
+        return self.stride * PROFILE_SPACING
 
 
-def stretches(
+def split_segments(
     record: Record, instruments: Instruments, length: float, margin: float
-) -> Iterator[Stretch]:
+) -> Iterator[Segment]:
     """Stretches of about `length` [m] of road, and up to `margin` [m] of record around them.
 
     Raises ValueError on a record from which nothing can be made out.
     """
-    check(record)
-    good = trusted(record, instruments)
+    validate_record(record)
+    good = valid_samples(record, instruments)
     fs = record.fs
-    a = smooth(record.a, good, fs)
-    reach = np.ones(2 * round(REACH * fs) + 1)
+    a = bridge_and_lowpass(record.a, good, fs)
+    reach = np.ones(2 * round(FILTER_TIME * fs) + 1)
     bad = np.array([signal.fftconvolve(~g, reach, "same") > 0.5 for g in good])
     count = max(1, round(record.length / length))
     edges = np.linspace(0.0, record.length, count + 1)
     for low, high in pairwise(edges):
-        yield _stretch(record, a, bad, (float(low), float(high)), margin)
+        yield _segment(record, a, bad, (float(low), float(high)), margin)
 
 
-def check(record: Record) -> None:
+def validate_record(record: Record) -> None:
     """ValueError in one sentence if a model of motion can make nothing of `record`."""
     if record.t.size < 16 or not (np.diff(record.t) > 0).all():
         raise ValueError("a record needs 16 samples or more, at increasing times")
@@ -81,12 +81,12 @@ def check(record: Record) -> None:
         raise ValueError("not one acceleration of the record is finite")
 
 
-def trusted(record: Record, instruments: Instruments) -> np.ndarray:
+def valid_samples(record: Record, instruments: Instruments) -> np.ndarray:
     """Which samples (3, N) of the record are finite and off the limits of the range."""
     return np.isfinite(record.a) & (np.abs(np.nan_to_num(record.a)) < 0.995 * instruments.range)
 
 
-def smooth(a: np.ndarray, good: np.ndarray, fs: float) -> np.ndarray:
+def bridge_and_lowpass(a: np.ndarray, good: np.ndarray, fs: float) -> np.ndarray:
     """Signals (3, N) without their mean, bridged where they are not `good`, low-passed at 40 Hz."""
     t = np.arange(a.shape[1])
     whole = np.zeros(a.shape)
@@ -97,7 +97,7 @@ def smooth(a: np.ndarray, good: np.ndarray, fs: float) -> np.ndarray:
     return signal.sosfiltfilt(sos, whole, axis=1, padlen=min(50, a.shape[1] - 1))
 
 
-def _stretch(record: Record, a: np.ndarray, bad: np.ndarray, core, margin: float) -> Stretch:
+def _segment(record: Record, a: np.ndarray, bad: np.ndarray, core, margin: float) -> Segment:
     low = max(core[0] - margin, record.s[0])
     high = min(core[1] + margin, record.s[-1])
     inside = (record.s >= core[0] - margin) & (record.s <= core[1] + margin)
@@ -109,31 +109,31 @@ def _stretch(record: Record, a: np.ndarray, bad: np.ndarray, core, margin: float
     v = float(np.median(record.v[part][moving])) if moving.any() else 0.0
     if not v > 0.1:
         v = max((s[-1] - s[0]) / (t[-1] - t[0]), 0.1)
-    stride = max(1, int(v / RATE / GRID))
-    d = stride * GRID
-    first = int(np.ceil((min(core[0], low) - 1e-9) / d))
-    size = max(int(np.floor((max(core[1], high) + 1e-9) / d)) - first + 1, 16)
-    at = d * (first + np.arange(size))
+    stride = max(1, int(v / STATION_RATE / PROFILE_SPACING))
+    spacing = stride * PROFILE_SPACING
+    first = int(np.ceil((min(core[0], low) - 1e-9) / spacing))
+    size = max(int(np.floor((max(core[1], high) + 1e-9) / spacing)) - first + 1, 16)
+    at = spacing * (first + np.arange(size))
     outside = (at < low) | (at > high)
-    values, hidden = record.at(at, a), record.at(at, bad.astype(float)) > 0.0
-    seen = ~hidden & ~outside
-    return Stretch(
-        np.where(seen, values, 0.0),
-        seen,
+    values, hidden = record.interpolate(at, a), record.interpolate(at, bad.astype(float)) > 0.0
+    valid = ~hidden & ~outside
+    return Segment(
+        np.where(valid, values, 0.0),
+        valid,
         first,
         stride,
         v,
-        mode_of(record, part),
+        dominant_modes(record, part),
         core,
         _notes(record, part, v, core, hidden[:, ~outside]),
     )
 
 
-def mode_of(record: Record, part: np.ndarray) -> dict[str, str]:
+def dominant_modes(record: Record, part: np.ndarray) -> dict[str, str]:
     """The state in which each strut is for most of the samples `part`."""
     names = {state: name for name, state in MODES.items()}
-    stiff = record.stiff[part].mean(axis=0) > 0.5
-    high = record.high[part].mean(axis=0) > 0.5
+    stiff = record.spring_stiff[part].mean(axis=0) > 0.5
+    high = record.damper_high[part].mean(axis=0) > 0.5
     states = [names[bool(k), bool(c)] for k, c in zip(stiff, high, strict=True)]
     return dict(zip(("FL", "FR", "RL", "RR"), states, strict=True))
 
@@ -144,7 +144,7 @@ def _notes(record: Record, part, v: float, core, hidden: np.ndarray) -> tuple[st
     slow, fast = np.percentile(record.v[part], [5, 95])
     if fast - slow > 0.1 * v:
         notes.append(f"{where}: taken as driven at {v:.1f} m/s, {slow:.1f} to {fast:.1f} in truth")
-    flags = np.hstack([record.stiff[part], record.high[part]])
+    flags = np.hstack([record.spring_stiff[part], record.damper_high[part]])
     if (flags != flags[0]).any():
         notes.append(f"{where}: taken as driven in the mode that lasted longest")
     if hidden.size and (share := hidden.mean()) > 0.01:

@@ -2,7 +2,7 @@
 
 The car is linearised about rest, with the dampers that err least for the motion at hand; what its
 struts do besides is noise of known spectrum (`road_envs.analysis.statistical_linearization`). The roughness, and with it
-the dampers and that noise, is estimated from the record itself (`hearing.py`), stretch by stretch,
+the dampers and that noise, is estimated from the record itself (`build_model.py`), stretch by stretch,
 so that nothing is learnt beforehand. Missing, clipped or cut signals cost only what they would have
 told (`smoothing.py`).
 
@@ -13,7 +13,7 @@ within a stretch. Friction sets its limit: the same car with linear struts would
 from dataclasses import dataclass
 from typing import ClassVar
 
-from estimators.wiener.smoother import reconstruct
+from estimators.wiener.smoother import smooth_record
 from road_envs.config import STRICT
 from road_envs.data.record import Estimate, Record
 from road_envs.vehicle.parameters import VehicleParameters
@@ -31,4 +31,4 @@ class Wiener:
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Both wheel paths. Raises ConfigError, ValueError."""
-        return reconstruct(record, car, self.instruments, 1, self.std_factor)
+        return smooth_record(record, car, self.instruments, 1, self.std_factor)

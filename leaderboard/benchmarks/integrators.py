@@ -20,20 +20,20 @@ from scipy.io import loadmat, savemat
 
 from road_envs.roads import load_road, with_length
 from road_envs.roads.surface import PAD, Surface
-from road_envs.simulation.adaptive_drive import LONGEST, follow
-from road_envs.simulation.drive import Drive
-from road_envs.simulation.rosenbrock import look_at_road, state_rate
-from road_envs.vehicle.equations import N_DOF, extension, jacobian, plant, wheel_height
+from road_envs.simulation.adaptive_drive import MAX_STEP, integrate_adaptive
+from road_envs.simulation.drive import DriveSimulator
+from road_envs.simulation.rosenbrock import sample_road, state_rate
+from road_envs.vehicle.equations import N_DOF, build_plant, extension, jacobian, wheel_height
 from road_envs.vehicle.parameters import GRAVITY, load_vehicle
-from road_envs.vehicle.suspension import E_0, E_STEP, OPEN, V_0, V_STEP, command
+from road_envs.vehicle.suspension import E_0, E_STEP, V_0, V_STEP, VALVE_OPEN, encode_command
 
 CAR, SPEED, MODE = "land_rover_defender_110", 15.0, "ride"
-GRID = 0.001
+OUTPUT_STEP = 0.001
 """Step [s] between the wanted accelerations."""
 
-EXPLICIT = ("RK45", "DOP853")
+EXPLICIT_METHODS = ("RK45", "DOP853")
 SCRIPT = Path(__file__).parent / "octave" / "drive.m"
-PATIENCE = 600.0
+OCTAVE_TIMEOUT = 600.0
 """Longest run of Octave [s]."""
 
 
@@ -46,7 +46,7 @@ def atol_of(rtol: float) -> float:
     return 1e-3 * rtol
 
 
-class Problem:
+class IntegrationProblem:
     """`duration` [s] of the drive; every solver answers with accelerations (N, 3) at times `t`.
 
     `surface` is another road than that of class D; no solver that chooses its steps takes one
@@ -55,36 +55,38 @@ class Problem:
 
     def __init__(self, duration: float, surface: Surface | None = None, max_step: float = math.inf):
         self.car = load_vehicle(CAR)
-        self.plant = plant(self.car)
+        self.plant = build_plant(self.car)
         if surface is None:
             road = with_length(load_road("iso_d"), SPEED * duration + 20.0)
             surface = road.realise(np.random.default_rng(1))
         self.surface, self.max_step = surface, max_step
-        self.t = GRID * np.arange(round(duration / GRID))
+        self.t = OUTPUT_STEP * np.arange(round(duration / OUTPUT_STEP))
 
-    def start(self, step: float = GRID) -> Drive:
+    def new_drive(self, step: float = OUTPUT_STEP) -> DriveSimulator:
         """The drive at its beginning, to be integrated in steps of `step` [s]."""
-        return Drive(self.plant, self.car, self.surface, SPEED, MODE, step)
+        return DriveSimulator(self.plant, self.car, self.surface, SPEED, MODE, step)
 
-    def fixed(self, step: float) -> np.ndarray:
+    def fixed_step(self, step: float) -> np.ndarray:
         """By this project at a constant step [s], a divisor of the grid's."""
-        drive, every = self.start(step), round(GRID / step)
-        motion = drive.advance(np.full(self.t.size * every, command(MODE), dtype=np.uint8))
+        drive, every = self.new_drive(step), round(OUTPUT_STEP / step)
+        motion = drive.advance(np.full(self.t.size * every, encode_command(MODE), dtype=np.uint8))
         return motion.acceleration[::every, :3]
 
     def adaptive(self, rtol: float) -> np.ndarray:
         """By this project's adaptive Rosenbrock pair."""
-        found = follow(self.start(), self.t, rtol, atol_of(rtol), min(self.max_step, LONGEST))
+        found = integrate_adaptive(
+            self.new_drive(), self.t, rtol, atol_of(rtol), min(self.max_step, MAX_STEP)
+        )
         return found.trajectory.acceleration[:, :3]
 
     def scipy(self, method: str, rtol: float) -> np.ndarray:
         """By a method of `scipy.integrate.solve_ivp`."""
-        rate, slope = self._equations()
-        given = {} if method in EXPLICIT else {"jac": slope}
+        rate, slope = self._rate_and_jacobian()
+        given = {} if method in EXPLICIT_METHODS else {"jac": slope}
         solution = solve_ivp(
             lambda t, y: rate(t, y, np.empty(2 * N_DOF)),
             (0.0, float(self.t[-1])),
-            self.start().state,
+            self.new_drive().state,
             method=method,
             t_eval=self.t,
             rtol=rtol,
@@ -92,7 +94,7 @@ class Problem:
             max_step=self.max_step,
             **given,
         )
-        return self._observed(solution.y.T)
+        return self._accelerations(solution.y.T)
 
     def cvode(self, rtol: float) -> np.ndarray:
         """By the BDF of SUNDIALS CVODE. Raises PeerError without scikit-sundae."""
@@ -102,7 +104,7 @@ class Problem:
             raise PeerError(
                 "scikit-sundae is not installed (pip install roadrecon[peers])"
             ) from None
-        rate, slope = self._equations()
+        rate, slope = self._rate_and_jacobian()
 
         def fill(t: float, y: np.ndarray, rates: np.ndarray, J: np.ndarray) -> None:
             J[:] = slope(t, y)
@@ -110,7 +112,7 @@ class Problem:
         longest = self.max_step if math.isfinite(self.max_step) else 0.0  # 0 is without end
         options = {"rtol": rtol, "atol": atol_of(rtol), "max_step": longest}
         solver = CVODE(rate, jacfn=fill, max_num_steps=10**6, **options)
-        return self._observed(solver.solve(self.t, self.start().state).y)
+        return self._accelerations(solver.solve(self.t, self.new_drive().state).y)
 
     def octave(self, rtol: float) -> tuple[np.ndarray, float]:
         """By Octave's ode23s; also the seconds it took without starting up. Raises PeerError."""
@@ -119,52 +121,52 @@ class Problem:
             raise PeerError("Octave is not installed")
         with tempfile.TemporaryDirectory() as folder:
             question, answer = Path(folder, "problem.mat"), Path(folder, "answer.mat")
-            savemat(question, self._for_octave() | {"rtol": rtol, "atol": atol_of(rtol)})
+            savemat(question, self._octave_inputs() | {"rtol": rtol, "atol": atol_of(rtol)})
             try:
                 subprocess.run(
                     [program, "--norc", "--quiet", SCRIPT, question, answer],
-                    check=True, capture_output=True, text=True, timeout=PATIENCE,
+                    check=True, capture_output=True, text=True, timeout=OCTAVE_TIMEOUT,
                 )  # fmt: skip
             except subprocess.TimeoutExpired:
-                raise PeerError(f"Octave was stopped after {PATIENCE:.0f} s") from None
+                raise PeerError(f"Octave was stopped after {OCTAVE_TIMEOUT:.0f} s") from None
             except subprocess.CalledProcessError as error:
                 raise PeerError(f"Octave failed: {' '.join(error.stderr.split())}") from None
             found = loadmat(answer)
-        return self._observed(found["y"]), float(found["seconds"].item())
+        return self._accelerations(found["y"]), float(found["seconds"].item())
 
-    def _equations(self) -> tuple[Callable[..., np.ndarray], Callable[..., np.ndarray]]:
+    def _rate_and_jacobian(self) -> tuple[Callable[..., np.ndarray], Callable[..., np.ndarray]]:
         """Right-hand side, which fills and returns its third argument, and Jacobian (14, 14)."""
-        drive, surface, road = self.start(), self.surface, np.empty(8)
+        drive, surface, road = self.new_drive(), self.surface, np.empty(8)
         ground = (surface.padded, surface.start, surface.ds)
 
         def rate(t: float, y: np.ndarray, out: np.ndarray) -> np.ndarray:
             s = drive.start + SPEED * t
-            state_rate(*self.plant.arrays, drive.memory, *ground, s, SPEED, y, out)
+            state_rate(*self.plant.arrays, drive.strut_state, *ground, s, SPEED, y, out)
             return out
 
         def slope(t: float, y: np.ndarray) -> np.ndarray:
-            look_at_road(self.plant.numbers[0], *ground, drive.start + SPEED * t, SPEED, road)
-            return jacobian(self.plant, drive.memory, y, road[:4], road[4:])
+            sample_road(self.plant.constants[0], *ground, drive.start + SPEED * t, SPEED, road)
+            return jacobian(self.plant, drive.strut_state, y, road[:4], road[4:])
 
         return rate, slope
 
-    def _observed(self, states: np.ndarray) -> np.ndarray:
+    def _accelerations(self, states: np.ndarray) -> np.ndarray:
         if len(states) != self.t.size:
             raise PeerError(f"the solver stopped after {len(states)} of {self.t.size} ms")
-        rate, _ = self._equations()
+        rate, _ = self._rate_and_jacobian()
         rates, y = np.empty((self.t.size, 2 * N_DOF)), np.ascontiguousarray(states)
         for k, t in enumerate(self.t):
             rate(t, y[k], rates[k])
         return rates[:, N_DOF : N_DOF + 3]
 
-    def _for_octave(self) -> dict[str, Any]:
+    def _octave_inputs(self) -> dict[str, Any]:
         """Everything the script reads: forces act along `B` (struts) and `G` (tyres), (4, 7)."""
-        drive, p = self.start(), self.plant.numbers[0]
+        drive, p = self.new_drive(), self.plant.constants[0]
         unit, wheels, axle = np.eye(N_DOF), range(4), np.repeat([0, 1], 2)
         names = ("n_p", "x_1", "column_min")
         weight = np.where(np.isin(np.arange(N_DOF), (0, 3, 5)), GRAVITY, 0.0)
         columns = {
-            "share": 1.0 - drive.memory[:, OPEN] * p["r_2"],
+            "share": 1.0 - drive.strut_state[:, VALVE_OPEN] * p["r_2"],
             "side": np.array([1.0, 2.0, 1.0, 2.0]),
             "behind": (p["x"][0] - p["x"])[axle],
             "y_0": drive.state, "M": p["M"], "g": weight,

@@ -14,17 +14,18 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from estimators.networks import levenberg_marquardt as lm
-from estimators.preprocessing import accelerations, heights
+from estimators.preprocessing import sample_profile, spatial_accelerations
 from leaderboard.benchmarks.integrators import CAR, PeerError
-from road_envs.data.record import grid
-from road_envs.data.recording import record_drive
+from road_envs._extras import optional_import
+from road_envs.data.record import profile_stations
+from road_envs.data.recording import simulate_record
 from road_envs.roads import load_road
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 
 HIDDEN = 50
 EPOCHS = 20
-PATIENCE = 60.0  # [s]
+TIME_LIMIT = 60.0  # [s]
 
 
 class Samples(NamedTuple):
@@ -32,17 +33,17 @@ class Samples(NamedTuple):
 
     x: np.ndarray
     t: np.ndarray
-    start: lm.Network
+    start: lm.TwoLayerNetwork
 
 
-class Reached(Exception):  # noqa: N818 - no error: how a routine without a callback is stopped
+class StopTraining(Exception):  # noqa: N818 - no error: how a routine without a callback is stopped
     """The wanted error is reached, or patience is at its end."""
 
 
 def samples(seed: int = 1) -> Samples:
     """One training scenario of the paper: an altered Belgian paving in ride mode at 14.5 km/h."""
     surface = load_road("belgian_training").realise(np.random.default_rng(seed))
-    record, truth = record_drive(
+    record, truth = simulate_record(
         load_vehicle(CAR),
         surface,
         speed_kmh=14.5,
@@ -50,26 +51,26 @@ def samples(seed: int = 1) -> Samples:
         instruments=load_instruments("ideal"),
         seed=seed,
     )
-    x, t = accelerations(record), heights(truth, grid(record.length))
+    x, t = spatial_accelerations(record), sample_profile(truth, profile_stations(record.length))
     start = lm.nguyen_widrow(len(x), HIDDEN, len(t), np.random.default_rng(seed))
-    return Samples(lm.Scaling.of(x).apply(x), lm.Scaling.of(t).apply(t), start)
+    return Samples(lm.Scaling.fit(x).apply(x), lm.Scaling.fit(t).apply(t), start)
 
 
-def ours(given: Samples, epochs: int) -> lm.Training:
+def train_ours(given: Samples, epochs: int) -> lm.LmResult:
     """Our training, on all samples."""
     nothing = np.array([], dtype=int)
     split = lm.Split(np.arange(given.t.shape[1]), nothing, nothing)
-    return lm.train(given.start, given.x, given.t, split, lm.Options(max_epochs=epochs))
+    return lm.train(given.start, given.x, given.t, split, lm.TrainlmOptions(max_epochs=epochs))
 
 
-def seconds_of_scipy(given: Samples, error: float) -> float:
+def time_scipy(given: Samples, error: float) -> float:
     """Time [s] in which `least_squares` gets to the mean squared `error`."""
     begin = time.perf_counter()
 
     def residuals(p: np.ndarray) -> np.ndarray:
         found = (_network(given, p)(given.x) - given.t).ravel()
-        if np.mean(found**2) <= error or time.perf_counter() - begin > PATIENCE:
-            raise Reached
+        if np.mean(found**2) <= error or time.perf_counter() - begin > TIME_LIMIT:
+            raise StopTraining
         return found
 
     start = np.concatenate([given.start.hidden.ravel(), given.start.output.ravel()])
@@ -77,15 +78,16 @@ def seconds_of_scipy(given: Samples, error: float) -> float:
         least_squares(
             residuals, start, jac=lambda p: jacobian(_network(given, p), given.x), method="lm"
         )
-    except Reached:
+    except StopTraining:
         return time.perf_counter() - begin
-    return PATIENCE
+    return TIME_LIMIT
 
 
-def seconds_of_torch(given: Samples, error: float) -> float:
+def time_torch(given: Samples, error: float) -> float:
     """Time [s] in which torch-levenberg-marquardt gets there. Raises PeerError without it."""
     try:
-        import torch
+        with optional_import("a neural network"):
+            import torch
         from torch_levenberg_marquardt.training import LevenbergMarquardtModule
     except ImportError as missing:
         raise PeerError(f"torch-levenberg-marquardt is not installed: {missing}") from None
@@ -100,22 +102,22 @@ def seconds_of_torch(given: Samples, error: float) -> float:
     x, t = (torch.from_numpy(part.T.copy()) for part in (given.x, given.t))
     peer = LevenbergMarquardtModule(model)
     begin = time.perf_counter()
-    while (spent := time.perf_counter() - begin) < PATIENCE:
+    while (spent := time.perf_counter() - begin) < TIME_LIMIT:
         _, loss, stopped, _ = peer.training_step(x, t)
         if float(loss) <= error:
             return time.perf_counter() - begin
         if stopped:
             break
-    return max(spent, PATIENCE)
+    return max(spent, TIME_LIMIT)
 
 
 PEERS: dict[str, Callable[[Samples, float], float]] = {
-    "SciPy least_squares 'lm' (analytic Jacobian)": seconds_of_scipy,
-    "torch-levenberg-marquardt": seconds_of_torch,
+    "SciPy least_squares 'lm' (analytic Jacobian)": time_scipy,
+    "torch-levenberg-marquardt": time_torch,
 }
 
 
-def jacobian(network: lm.Network, x: np.ndarray) -> np.ndarray:
+def jacobian(network: lm.TwoLayerNetwork, x: np.ndarray) -> np.ndarray:
     """Derivatives (2 N, P) of the outputs, all of the first before all of the second."""
     ones = np.ones((1, x.shape[1]))
     inputs = np.vstack([x, ones])
@@ -133,8 +135,8 @@ def jacobian(network: lm.Network, x: np.ndarray) -> np.ndarray:
     return np.concatenate(rows, axis=1).T
 
 
-def _network(given: Samples, p: np.ndarray) -> lm.Network:
+def _network(given: Samples, p: np.ndarray) -> lm.TwoLayerNetwork:
     hidden, output = given.start.hidden, given.start.output
-    return lm.Network(
+    return lm.TwoLayerNetwork(
         p[: hidden.size].reshape(hidden.shape), p[hidden.size :].reshape(output.shape)
     )

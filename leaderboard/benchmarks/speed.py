@@ -15,28 +15,28 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.benchmarks.integrators import PeerError, Problem, relative_error
+from leaderboard.benchmarks.integrators import IntegrationProblem, PeerError, relative_error
 from road_envs.simulation.fleet import Fleet
 from road_envs.simulation.rosenbrock import ACCELERATION
-from road_envs.vehicle.suspension import command
+from road_envs.vehicle.suspension import encode_command
 
-COMPARED = 3.0
+COMPARISON_DURATION = 3.0
 """Drive [s] on which integrators are compared; the reference makes it dear."""
 
-FLEET = 64
+FLEET_SIZE = 64
 """Vehicles in the lanes' measurement."""
 
-ENVIRONMENTS = 1024
+N_ENVIRONMENTS = 1024
 
 TOLERANCES = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 1e-5)
 
-COMPILED = (
+COMPILED_NOTE = (
     "the peers call this project's compiled right-hand side and Jacobian on a road with a "
     "continuous slope, where they run 10 to 50 times as fast as with one in Python"
 )
 
 
-def row(
+def benchmark_row(
     what: str,
     measured: str,
     aim: str = "",
@@ -60,26 +60,26 @@ def median_time(run: Callable[[], object], times: int = 5) -> float:
     return statistics.median(spans)
 
 
-def fresh(code: str, **environment: str) -> str:
+def run_in_new_process(code: str, **variables: str) -> str:
     """What a new interpreter prints."""
     return subprocess.run(
         [sys.executable, "-c", code],
         check=True,
         capture_output=True,
         text=True,
-        env=os.environ | environment,
+        env=os.environ | variables,
     ).stdout
 
 
-def integrators() -> list[dict[str, Any]]:
+def integrator_speed() -> list[dict[str, Any]]:
     """The fixed-step drive against each peer at the loosest tolerance that is as accurate."""
-    problem = Problem(COMPARED)
+    problem = IntegrationProblem(COMPARISON_DURATION)
     reference = problem.scipy("DOP853", 1e-9)
-    seconds = median_time(lambda: problem.fixed(0.001), 21)
-    accuracy = relative_error(problem.fixed(0.001), reference)
-    factor = COMPARED / seconds
+    seconds = median_time(lambda: problem.fixed_step(0.001), 21)
+    accuracy = relative_error(problem.fixed_step(0.001), reference)
+    factor = COMPARISON_DURATION / seconds
     rows = [
-        row(
+        benchmark_row(
             "one vehicle, one core, 1 ms step",
             f"{factor:.0f} x real time",
             ">= 3000 x",
@@ -88,7 +88,9 @@ def integrators() -> list[dict[str, Any]]:
             "single vehicle cannot fill the vector registers, which lanes do",
             factor=factor,
         ),
-        row("error of body acceleration at 1 ms", f"{100 * accuracy:.2f} %", error=accuracy),
+        benchmark_row(
+            "error of body acceleration at 1 ms", f"{100 * accuracy:.2f} %", error=accuracy
+        ),
     ]
     peers: dict[str, tuple[Callable[[float], Any], float]] = {
         "SciPy LSODA": (lambda rtol: problem.scipy("LSODA", rtol), 1e3),
@@ -96,12 +98,12 @@ def integrators() -> list[dict[str, Any]]:
         "SciPy Radau": (lambda rtol: problem.scipy("Radau", rtol), 2e4),
     }
     for name, (solve, aim) in peers.items():
-        rows.append(_against(name, solve, aim, reference, accuracy, seconds))
+        rows.append(_compare_with(name, solve, aim, reference, accuracy, seconds))
     try:
         _, spent = problem.octave(1e-3)
         ratio = spent / seconds
         rows.append(
-            row(
+            benchmark_row(
                 "against Octave ode23s (rtol 1e-3)",
                 f"{ratio:.0f} x faster",
                 ">= 1000000 x",
@@ -111,46 +113,47 @@ def integrators() -> list[dict[str, Any]]:
             )
         )
     except PeerError as error:
-        rows.append(row("against Octave ode23s", f"left out: {error}"))
+        rows.append(benchmark_row("against Octave ode23s", f"left out: {error}"))
     return rows
 
 
-def _against(name, solve, aim, reference, accuracy, seconds) -> dict[str, Any]:
+def _compare_with(name, solve, aim, reference, accuracy, seconds) -> dict[str, Any]:
     try:
         rtol = next(r for r in TOLERANCES if relative_error(solve(r), reference) < accuracy)
     except PeerError as error:
-        return row(f"against {name}", f"left out: {error}")
+        return benchmark_row(f"against {name}", f"left out: {error}")
     ratio = median_time(lambda: solve(rtol), 3) / seconds
     what = f"against {name} (rtol {rtol:g})"
-    return row(
-        what, f"{ratio:.0f} x faster", f">= {aim:.0f} x", ratio >= aim, COMPILED, ratio=ratio
+    return benchmark_row(
+        what, f"{ratio:.0f} x faster", f">= {aim:.0f} x", ratio >= aim, COMPILED_NOTE, ratio=ratio
     )
 
 
-def lanes() -> list[dict[str, Any]]:
+def fleet_throughput() -> list[dict[str, Any]]:
     """A fleet of vehicles whose accelerations are kept, second by second; then environments."""
-    problem, byte, steps = Problem(10.0), command("ride"), 1000
-    commands = np.full((FLEET, steps), byte, dtype=np.uint8)
+    problem, byte, steps = IntegrationProblem(10.0), encode_command("ride"), 1000
+    commands = np.full((FLEET_SIZE, steps), byte, dtype=np.uint8)
     kept = range(ACCELERATION, ACCELERATION + 7)
 
     def rate(threads: int, columns) -> float:
-        fleet = Fleet([problem.start(0.001) for _ in range(FLEET)], threads, columns)
-        signals = fleet.signals(steps)
-        return FLEET * steps * 0.001 / median_time(lambda: fleet.advance(commands, signals), 9)
+        fleet = Fleet([problem.new_drive(0.001) for _ in range(FLEET_SIZE)], threads, columns)
+        signals = fleet.allocate_signals(steps)
+        return FLEET_SIZE * steps * 0.001 / median_time(lambda: fleet.advance(commands, signals), 9)
 
     one, two, whole = rate(1, kept), rate(2, kept), rate(1, range(29))
-    alone = problem.start(0.001)
+    alone = problem.new_drive(0.001)
     single = steps * 0.001 / median_time(lambda: alone.advance(commands[0]), 9)
     unit = "vehicle-seconds per second"
     traffic = "the compiled step itself takes about 80 ns per vehicle and millisecond"
     return [
-        row(f"{FLEET} vehicles in lanes, one core", f"{one:.0f} {unit}", ">= 10000", one >= 1e4,
-            traffic, rate=one),
-        row(f"{FLEET} vehicles in lanes, two threads", f"{two:.0f} {unit}", ">= 20000", two >= 2e4,
-            f"{traffic}; the two cores share caches and memory", rate=two),
-        row("the same, one core, all 29 signals written", f"{whole:.0f} {unit}", rate=whole),
-        row("lanes against one vehicle at a time, one core", f"{one / single:.1f} x", ">= 2.5 x",
-            one >= 2.5 * single, ratio=one / single),
+        benchmark_row(f"{FLEET_SIZE} vehicles in lanes, one core", f"{one:.0f} {unit}",
+            ">= 10000", one >= 1e4, traffic, rate=one),
+        benchmark_row(f"{FLEET_SIZE} vehicles in lanes, two threads", f"{two:.0f} {unit}",
+            ">= 20000", two >= 2e4, f"{traffic}; the two cores share caches and memory", rate=two),
+        benchmark_row("the same, one core, all 29 signals written", f"{whole:.0f} {unit}",
+            rate=whole),
+        benchmark_row("lanes against one vehicle at a time, one core", f"{one / single:.1f} x",
+            ">= 2.5 x", one >= 2.5 * single, ratio=one / single),
         *_vector_environment(one),
     ]  # fmt: skip
 
@@ -158,14 +161,14 @@ def lanes() -> list[dict[str, Any]]:
 def _vector_environment(of_lanes: float) -> list[dict[str, Any]]:
     from road_envs.envs.vector import RoadReconVectorEnv
 
-    envs = RoadReconVectorEnv(ENVIRONMENTS, road="iso_d", truth=False)
+    envs = RoadReconVectorEnv(N_ENVIRONMENTS, road="iso_d", truth=False)
     envs.reset(seed=0)
-    actions = np.zeros(ENVIRONMENTS, dtype=int)
-    rate = ENVIRONMENTS * envs.setup.interval / median_time(lambda: envs.step(actions), 21)
+    actions = np.zeros(N_ENVIRONMENTS, dtype=int)
+    rate = N_ENVIRONMENTS * envs.setup.interval / median_time(lambda: envs.step(actions), 21)
     share = rate / of_lanes
     return [
-        row(
-            f"vector environment, {ENVIRONMENTS} vehicles, observations included",
+        benchmark_row(
+            f"vector environment, {N_ENVIRONMENTS} vehicles, observations included",
             f"{rate:.0f} vehicle-seconds per second: {100 * share:.0f} % of the lanes",
             ">= 60 %",
             share >= 0.6,
@@ -175,22 +178,22 @@ def _vector_environment(of_lanes: float) -> list[dict[str, Any]]:
     ]
 
 
-def environment() -> list[dict[str, Any]]:
+def environment_overhead() -> list[dict[str, Any]]:
     """A step of the scalar environment, and how much of it is not motion."""
     from road_envs.envs.road_recon import RoadReconEnv
-    from road_envs.simulation.drive import Drive
+    from road_envs.simulation.drive import DriveSimulator
 
     env = RoadReconEnv(road="iso_d", length=1000.0)
     env.reset(seed=0)
     setup, commands = env.setup, np.zeros(50, dtype=np.uint8)
     surface = setup.road.realise(np.random.default_rng(0))
-    drive = Drive(setup.plant, setup.car, surface, 14.5 / 3.6)
+    drive = DriveSimulator(setup.plant, setup.car, surface, 14.5 / 3.6)
     step = median_time(lambda: [env.step(0) for _ in range(100)], 9) / 100
     motion = median_time(lambda: [drive.advance(commands) for _ in range(100)], 9) / 100
     rest = 1e6 * (step - motion)
     return [
-        row("environment step of 50 ms", f"{1e6 * step:.0f} µs", microseconds=1e6 * step),
-        row(
+        benchmark_row("environment step of 50 ms", f"{1e6 * step:.0f} µs", microseconds=1e6 * step),
+        benchmark_row(
             "the same beyond the drive alone",
             f"{rest:.0f} µs",
             "<= 25 µs",
@@ -203,14 +206,14 @@ def environment() -> list[dict[str, Any]]:
     ]
 
 
-FIRST = """
+FIRST_STEP_SCRIPT = """
 import time; t = time.perf_counter()
 import gymnasium, road_envs
 env = gymnasium.make("RoadRecon-v0"); env.reset(seed=0); env.step(0)
 print(time.perf_counter() - t)
 """
 
-HOUR = """
+HOUR_SCRIPT = """
 import resource
 import gymnasium, road_envs
 env = gymnasium.make("RoadRecon-v0", road="iso_d", max_episode_steps=10**9).unwrapped
@@ -226,26 +229,28 @@ print((drive(60_000) - begin) / 1024)
 """
 
 
-def start_up() -> list[dict[str, Any]]:
+def start_up_cost() -> list[dict[str, Any]]:
     """Import, first call and an hour of driving, each in an interpreter of its own."""
     code = (
         "import time; t = time.perf_counter(); import sys, gymnasium, road_envs;"
         "gymnasium.make('RoadRecon-v0'); print(time.perf_counter() - t, 'torch' in sys.modules)"
     )
-    answers = [fresh(code).split() for _ in range(4)]
+    answers = [run_in_new_process(code).split() for _ in range(4)]
     seconds = statistics.median(float(s) for s, _ in answers[1:])
     torch = answers[-1][1] == "True"
     with tempfile.TemporaryDirectory() as folder:
-        cold, warm = (float(fresh(FIRST, XDG_CACHE_HOME=folder)) for _ in range(2))
-    grown = float(fresh(HOUR))
+        cold, warm = (
+            float(run_in_new_process(FIRST_STEP_SCRIPT, XDG_CACHE_HOME=folder)) for _ in range(2)
+        )
+    grown = float(run_in_new_process(HOUR_SCRIPT))
     said = f"{seconds:.2f} s{', with torch' if torch else ', without torch'}"
     return [
-        row("import road_envs and gym.make", said, "< 1.5 s, without torch",
+        benchmark_row("import road_envs and gym.make", said, "< 1.5 s, without torch",
             seconds < 1.5 and not torch, seconds=seconds),
-        row("first step, nothing compiled yet", f"{cold:.1f} s", "<= 25 s", cold <= 25.0,
+        benchmark_row("first step, nothing compiled yet", f"{cold:.1f} s", "<= 25 s", cold <= 25.0,
             "one compiled pass holds the drive, the sensors and the costs", seconds=cold),
-        row("first step, compiled before", f"{warm:.2f} s", "<= 1 s", warm <= 1.0,
+        benchmark_row("first step, compiled before", f"{warm:.2f} s", "<= 1 s", warm <= 1.0,
             "imports of gymnasium, numba, scipy and pydantic", seconds=warm),
-        row("memory gained in the last 50 minutes of an hour's driving", f"{grown:.1f} MiB",
-            "<= 5 MiB", grown <= 5.0, mib=grown),
+        benchmark_row("memory gained in the last 50 minutes of an hour's driving",
+            f"{grown:.1f} MiB", "<= 5 MiB", grown <= 5.0, mib=grown),
     ]  # fmt: skip

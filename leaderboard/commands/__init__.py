@@ -17,7 +17,7 @@ console = Console()
 notices = Console(stderr=True)
 
 
-def mode_of(text: str) -> str | dict[str, str]:
+def parse_mode(text: str) -> str | dict[str, str]:
     """A 4S4 mode from "ride", or from "front=ride,rear=handling"."""
     if "=" not in text:
         return text
@@ -25,7 +25,7 @@ def mode_of(text: str) -> str | dict[str, str]:
     return {wheel.strip(): mode.strip() for wheel, _, mode in parts}
 
 
-def settings_of(pairs: list[str]) -> dict[str, Any]:
+def parse_settings(pairs: list[str]) -> dict[str, Any]:
     """Settings from "key=value" pairs, each value read as YAML. Raises ConfigError."""
     settings = {}
     for pair in pairs:
@@ -36,7 +36,7 @@ def settings_of(pairs: list[str]) -> dict[str, Any]:
     return settings
 
 
-def writable(path: Path | None, *suffixes: str) -> Path | None:
+def check_output_path(path: Path | None, *suffixes: str) -> Path | None:
     """`path` if a file of one of these kinds can be written there. Raises ConfigError."""
     if path is not None:
         if path.suffix.lower() not in suffixes:
@@ -46,21 +46,21 @@ def writable(path: Path | None, *suffixes: str) -> Path | None:
     return path
 
 
-def json_text(data: object) -> str:
+def to_json(data: object) -> str:
     """`data` as JSON; what is not a number becomes null."""
-    return json.dumps(_plain(data), indent=2, allow_nan=False) + "\n"
+    return json.dumps(_nan_to_none(data), indent=2, allow_nan=False) + "\n"
 
 
 def print_json(data: object) -> None:
     """Write `data` to standard output as JSON."""
-    print(json_text(data), end="")
+    print(to_json(data), end="")
 
 
-def _plain(value: Any) -> Any:
+def _nan_to_none(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _plain(v) for key, v in value.items()}
+        return {key: _nan_to_none(v) for key, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [_nan_to_none(v) for v in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

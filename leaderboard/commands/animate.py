@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from leaderboard.commands import console, progress_bar, writable
+from leaderboard.commands import check_output_path, console, progress_bar
 from leaderboard.commands.simulate import Length
 from leaderboard.report import animation
 
@@ -21,7 +21,7 @@ def animate(
     enlarged: Annotated[float, typer.Option(help="Vertical motion enlarged so many times.")] = 2.0,
 ) -> None:
     """Draw the vehicle on its road: ride for the first half, handling for the second."""
-    writable(out, ".gif", ".webp")
+    check_output_path(out, ".gif", ".webp")
     options = {"road": road, "speed_kmh": speed_kmh, "length": length, "exaggeration": enlarged}
     with progress_bar() as progress:
         animation.animate(options, seconds, out, progress)

@@ -13,10 +13,10 @@ from rich.table import Table
 import estimators
 from leaderboard.benchmarks import levenberg_marquardt, speed
 from leaderboard.benchmarks.integrators import PeerError
-from leaderboard.benchmarks.speed import fresh, median_time, row
+from leaderboard.benchmarks.speed import benchmark_row, median_time, run_in_new_process
 from leaderboard.commands import console, notices, print_json, progress_bar
 from leaderboard.commands.simulate import Json
-from road_envs.data.recording import record_drive
+from road_envs.data.recording import simulate_record
 from road_envs.roads import load_road, with_length
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
@@ -25,12 +25,12 @@ from road_envs.vehicle.parameters import load_vehicle
 def bench(json: Json = False) -> None:
     """Measure speed and memory against peers, and print what was found."""
     parts: dict[str, Callable[[], list[dict[str, Any]]]] = {
-        "integrators": speed.integrators,
-        "lanes": speed.lanes,
-        "environment": speed.environment,
+        "integrators": speed.integrator_speed,
+        "lanes": speed.fleet_throughput,
+        "environment": speed.environment_overhead,
         "training": _training,
         "estimators": _estimators,
-        "start-up": speed.start_up,
+        "start-up": speed.start_up_cost,
         "memory": _memory,
     }
     rows = []
@@ -53,20 +53,20 @@ def bench(json: Json = False) -> None:
 
 def _training() -> list[dict[str, Any]]:
     given = levenberg_marquardt.samples()
-    seconds = median_time(lambda: levenberg_marquardt.ours(given, 100), 3)
-    error = float(levenberg_marquardt.ours(given, levenberg_marquardt.EPOCHS).train[-1])
-    own = median_time(lambda: levenberg_marquardt.ours(given, levenberg_marquardt.EPOCHS), 3)
+    seconds = median_time(lambda: levenberg_marquardt.train_ours(given, 100), 3)
+    error = float(levenberg_marquardt.train_ours(given, levenberg_marquardt.EPOCHS).train[-1])
+    own = median_time(lambda: levenberg_marquardt.train_ours(given, levenberg_marquardt.EPOCHS), 3)
     what = f"static_lm, 100 epochs on {given.t.shape[1]} samples"
-    rows = [row(what, f"{seconds:.2f} s", "< 3 s", seconds < 3.0, seconds=seconds)]
+    rows = [benchmark_row(what, f"{seconds:.2f} s", "< 3 s", seconds < 3.0, seconds=seconds)]
     for name, peer in levenberg_marquardt.PEERS.items():
         try:
             spent = peer(given, error)
         except PeerError as missing:
-            rows.append(row(f"static_lm against {name}", str(missing)))
+            rows.append(benchmark_row(f"static_lm against {name}", str(missing)))
             continue
-        ratio, least = spent / own, "more than " if spent >= levenberg_marquardt.PATIENCE else ""
+        ratio, least = spent / own, "more than " if spent >= levenberg_marquardt.TIME_LIMIT else ""
         rows.append(
-            row(
+            benchmark_row(
                 f"static_lm against {name}, to one training error",
                 f"{least}{ratio:.0f} x faster",
                 ">= 5 x",
@@ -77,28 +77,30 @@ def _training() -> list[dict[str, Any]]:
     return rows
 
 
-ESTIMATED = (("map_smoother", 100.0, 5.0), ("kalman_lag", 100.0, 5.0), ("tcn", 1000.0, 1.0))
+TIMED_ESTIMATORS = (("map_smoother", 100.0, 5.0), ("kalman_lag", 100.0, 5.0), ("tcn", 1000.0, 1.0))
 """Estimators that are timed, metres of road at 14.5 km/h, and the seconds aimed at."""
 
 
 def _estimators() -> list[dict[str, Any]]:
     car, paper = load_vehicle("land_rover_defender_110"), load_instruments("paper")
     rows = []
-    for name, metres, aim in ESTIMATED:
+    for name, metres, aim in TIMED_ESTIMATORS:
         road = with_length(load_road("iso_d"), metres).realise(np.random.default_rng(1))
-        record, _ = record_drive(car, road, speed_kmh=14.5, mode="ride", instruments=paper, seed=1)
+        record, _ = simulate_record(
+            car, road, speed_kmh=14.5, mode="ride", instruments=paper, seed=1
+        )
         asked = estimators.create(name)
         seconds = median_time(partial(asked.estimate, record, car), 3)
         what = f"{name}, {metres:.0f} m at 14.5 km/h"
         text = f"{seconds:.2f} s"
-        rows.append(row(what, text, f"< {aim:g} s", seconds < aim, seconds=seconds))
+        rows.append(benchmark_row(what, text, f"< {aim:g} s", seconds < aim, seconds=seconds))
     return rows
 
 
-DRIVES = """
+DRIVES_SCRIPT = """
 import resource, time
 import numpy as np
-from road_envs.data.recording import record_drive
+from road_envs.data.recording import simulate_record
 from road_envs.roads import load_road
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
@@ -107,13 +109,15 @@ car, paper = load_vehicle("land_rover_defender_110"), load_instruments("paper")
 road, begin = load_road("iso_d"), time.perf_counter()
 for seed in range(1000):
     surface = road.realise(np.random.default_rng(seed))
-    record_drive(car, surface, speed_kmh=54.0, mode="ride", instruments=paper, seed=seed)
+    simulate_record(car, surface, speed_kmh=54.0, mode="ride", instruments=paper, seed=seed)
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 print(peak, time.perf_counter() - begin)
 """
 
 
 def _memory() -> list[dict[str, Any]]:
-    peak, seconds = map(float, fresh(DRIVES).split())
+    peak, seconds = map(float, run_in_new_process(DRIVES_SCRIPT).split())
     what = "100 km of drives at 54 km/h, one by one"
-    return [row(what, f"{peak:.2f} GiB, {seconds:.0f} s", "< 2 GiB", peak < 2.0, gib=peak)]
+    return [
+        benchmark_row(what, f"{peak:.2f} GiB, {seconds:.0f} s", "< 2 GiB", peak < 2.0, gib=peak)
+    ]

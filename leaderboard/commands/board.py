@@ -10,22 +10,22 @@ import typer
 import estimators
 from leaderboard.commands import console, notices, print_json, progress_bar
 from leaderboard.commands.simulate import Json
-from leaderboard.evaluation.entries import named
+from leaderboard.evaluation.entries import resolve_entries
 from leaderboard.evaluation.entry import Entry
 from leaderboard.evaluation.evaluate import SEEDS
 from leaderboard.evaluation.surface_tasks import surface_tasks
 from leaderboard.evaluation.tasks import Task, load_task, shipped_tasks
-from leaderboard.metrics.baselines import SENTINELS
+from leaderboard.metrics.baselines import BASELINES
 from leaderboard.report.board_definitions import BOARDS
-from leaderboard.report.cache import Shown, shown
-from leaderboard.report.site import write_page
+from leaderboard.report.cache import Report, build_report
+from leaderboard.report.site import write_site
 from leaderboard.report.terminal import as_json, print_tables
-from leaderboard.running.board import Board, Wanted, run_board, show_board, write_jobs
-from leaderboard.running.dask_executor import OnDask
-from leaderboard.running.executors import Executor, Processes
-from leaderboard.sandbox.client import Host
+from leaderboard.running.board import Board, RunRequest, render_with_retry, run_board, write_jobs
+from leaderboard.running.dask_executor import DaskExecutor
+from leaderboard.running.executors import Executor, ProcessExecutor
+from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
-from road_envs.config import ConfigError, one_of
+from road_envs.config import ConfigError, validate_choice
 
 CORES = os.cpu_count() or 1
 
@@ -87,25 +87,27 @@ def leaderboard(
         raise ConfigError("give either --roads or --full, not both")
     chosen = _tasks(task, board, road)
     if full:
-        chosen = [one.with_roads(None) if one.draws_roads else one for one in chosen]
-    limits = limits_of(time_limit, memory_limit)
+        chosen = [
+            one.with_test_drives(None) if one.has_several_test_drives else one for one in chosen
+        ]
+    limits = parse_limits(time_limit, memory_limit)
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out} is a file; a folder for results and page is wanted")
     entries = _entries(estimator, without or [], limits)
-    wanted = Wanted(chosen, entries, range(1, seeds + 1), roads, not again, limits, probes)
+    request = RunRequest(chosen, entries, range(1, seeds + 1), roads, not again, limits, probes)
     if plan:
-        notices.print(f"jobs planned in {plan}: {write_jobs(wanted, out, plan)}")
+        notices.print(f"jobs planned in {plan}: {write_jobs(request, out, plan)}")
         return
-    executor: Executor = OnDask(dask) if dask else Processes(workers)
+    executor: Executor = DaskExecutor(dask) if dask else ProcessExecutor(workers)
     with progress_bar() as progress:
         judged = run_board(
-            wanted,
+            request,
             out,
             executor,
             progress=lambda done, total, text: progress(text, done / max(total, 1)),
         )
         progress("writing the page", 1.0)
-        found, page = show_board(judged, wanted, out, lambda board: _write(board, out))
+        found, page = render_with_retry(judged, request, out, lambda board: _write(board, out))
     if json:
         print_json(as_json(found))
     else:
@@ -113,10 +115,10 @@ def leaderboard(
         notices.print(f"page: {page}")
 
 
-def _write(board: Board, out: Path) -> tuple[Shown, Path]:
+def _write(board: Board, out: Path) -> tuple[Report, Path]:
     """Write the page of a board; returns what it shows and where it stands."""
-    found = shown(board, out)
-    return found, write_page(board, found, out)
+    found = build_report(board, out)
+    return found, write_site(board, found, out)
 
 
 def _tasks(
@@ -128,7 +130,7 @@ def _tasks(
         return [task for road in roads for task in surface_tasks(road)]
     boards = [name.replace("-", "_") for name in boards or []]
     for name in boards:
-        one_of("board", name, list(BOARDS))
+        validate_choice("board", name, list(BOARDS))
     if "measured" in boards:
         raise ConfigError("the board of measured surfaces needs files: use --road")
     if names:
@@ -140,19 +142,19 @@ def _entries(names: Sequence[str] | None, without: Sequence[str], limits: Limits
     if names and without:
         raise ConfigError("give either --estimator or --without, not both")
     for name in without:
-        one_of("estimator", name, estimators.names())
-    untaught = estimators.untaught()
-    left_out = {*SENTINELS, *untaught, *without}
+        validate_choice("estimator", name, estimators.names())
+    untaught = estimators.without_weights()
+    left_out = {*BASELINES, *untaught, *without}
     chosen = names or [name for name in estimators.names() if name not in left_out]
     if untaught and not names:
         notices.print(f"left out, since their weights do not ship: {', '.join(untaught)}")
     if all(name in estimators.REGISTRY for name in chosen):
-        return named(chosen, None)
-    with Host(limits) as host:
-        return named(chosen, host)
+        return resolve_entries(chosen, None)
+    with SandboxClient(limits) as sandbox:
+        return resolve_entries(chosen, sandbox)
 
 
-def limits_of(seconds: float, memory: float) -> Limits:
+def parse_limits(seconds: float, memory: float) -> Limits:
     """Limits as given on the command line. Raises ConfigError."""
     try:
         return Limits(seconds=seconds, memory=memory)

@@ -1,4 +1,4 @@
-"""`check-estimator`: what the judge will say of an estimator, before it stands on a board."""
+"""`check_entry-estimator`: what the judge will say of an estimator, before it stands on a board."""
 
 import dataclasses
 import os
@@ -11,12 +11,12 @@ from rich.markup import escape
 from rich.table import Table
 
 from leaderboard.commands import console, print_json
-from leaderboard.commands.board import limits_of
+from leaderboard.commands.board import parse_limits
 from leaderboard.commands.simulate import Json
-from leaderboard.conformance.checks import PATIENCE, check
-from leaderboard.conformance.probes import PROBES, Probe
-from leaderboard.evaluation.entries import named
-from leaderboard.sandbox.client import Host
+from leaderboard.conformance.checks import RUN_TIME_LIMIT, check_entry
+from leaderboard.conformance.probes import PROBES, CheckResult
+from leaderboard.evaluation.entries import resolve_entries
+from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 
 MARKS = {True: "[green]passed[/green]", False: "[red]FAILED[/red]", None: "[dim]noted[/dim]"}
@@ -38,10 +38,12 @@ def check_estimator(
     """
     if ":" in estimator and os.getcwd() not in sys.path:
         sys.path.insert(0, os.getcwd())  # as `python -m` has it, so that a file here is found
-    limits = limits_of(time_limit, memory_limit)
-    with Host(dataclasses.replace(limits, seconds=min(PATIENCE, limits.seconds))) as host:
-        (entry,) = named([estimator], host)
-        found = check(entry, host, limits)
+    limits = parse_limits(time_limit, memory_limit)
+    with SandboxClient(
+        dataclasses.replace(limits, seconds=min(RUN_TIME_LIMIT, limits.seconds))
+    ) as sandbox:
+        (entry,) = resolve_entries([estimator], sandbox)
+        found = check_entry(entry, sandbox, limits)
     failed = [one.name for one in found if one.passed is False]
     if json:
         print_json(
@@ -54,22 +56,24 @@ def check_estimator(
     else:
         table = Table.grid(padding=(0, 1))
         for one in found:
-            table.add_row(MARKS[one.passed], one.name, escape(one.said))
+            table.add_row(MARKS[one.passed], one.name, escape(one.message))
         console.print(table)
-        console.print(f"{escape(entry.name)}: {told(found)}", highlight=False)
+        console.print(f"{escape(entry.name)}: {summarize(found)}", highlight=False)
     if failed:
         raise typer.Exit(1)
 
 
-def told(found: Sequence[Probe]) -> str:
+def summarize(found: Sequence[CheckResult]) -> str:
     """The verdict in words."""
     failed = [one.name for one in found if one.passed is False]
     if not failed:
         return "ready for a board"
     if set(failed) <= set(PROBES):
-        return f"it can stand on a board, where its mark will say that it failed {_joined(failed)}"
-    return f"not ready for a board: {_joined(failed)}"
+        return (
+            f"it can stand on a board, where its mark will say that it failed {_join_words(failed)}"
+        )
+    return f"not ready for a board: {_join_words(failed)}"
 
 
-def _joined(words: Sequence[str]) -> str:
+def _join_words(words: Sequence[str]) -> str:
     return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))

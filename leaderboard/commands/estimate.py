@@ -11,17 +11,17 @@ import estimators
 from estimators import weights_io
 from estimators.api import Estimator, check_estimate
 from estimators.roughness import spectral
-from estimators.roughness.rms_regression import RmsRoughness, Roughness
-from estimators.wiener.segments import mode_of as mode_in
-from leaderboard.commands import console, mode_of, print_json, settings_of, writable
+from estimators.roughness.rms_regression import RmsRoughness, RoughnessEstimate
+from estimators.wiener.segments import dominant_modes
+from leaderboard.commands import check_output_path, console, parse_mode, parse_settings, print_json
 from leaderboard.commands.simulate import Json, Sensors, Vehicle, print_facts, print_notes
-from leaderboard.metrics.registry import NOTHING, SCORES, scores
+from leaderboard.metrics.registry import SCORES, UNDEFINED, compute_scores
 from leaderboard.report import plots
-from road_envs.config import ConfigError, one_of
-from road_envs.data.measured_record import Measured, read_measured
+from road_envs.config import ConfigError, validate_choice
+from road_envs.data.measured_record import MeasuredRecord, read_measured_record
 from road_envs.data.record import Profile, Record
 from road_envs.data.recording import is_record, read_record
-from road_envs.data.training_corpus import Corpus, drives_in
+from road_envs.data.training_corpus import Corpus, drives_in_mode
 from road_envs.roads import Surface, load_road, write_csv
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 
@@ -36,7 +36,7 @@ Mode = Annotated[
     typer.Option(help="4S4 mode of a measured drive: ride, handling, ..., or front=..,rear=.."),
 ]
 Speed = Annotated[float | None, typer.Option(help="Speed of a measured drive in km/h.", min=0.1)]
-TOLD = (
+PRINTED_SCORES = (
     "nrmse", "nrmse_left", "nrmse_right", "r", "coherence", "level_error", "level_error_raw",
     "class_exact", "fitted_class", "dsd_distance_db", "iri_error", "bump_recall",
     "bump_precision", "coverage_50", "coverage_90",
@@ -44,7 +44,7 @@ TOLD = (
 """Scores that are printed; `--json` has them all."""
 
 METHODS = ["spectral", "rms"]
-DRIVES, AROUND = 60, 1.5
+N_DRIVES, SPEED_MARGIN = 60, 1.5
 """Drives that the regression learns from, and how far their speeds reach around the record's."""
 
 
@@ -67,8 +67,8 @@ def estimate(
     A measured drive is a table with the columns t [s], a_rf, a_lr, a_rr [m/s²] (or a_rf_g ... [g]),
     v [m/s] or v_kmh, and mode; speed and mode may be options instead.
     """
-    writable(out, ".csv"), writable(plot, ".png", ".svg", ".pdf")
-    chosen, car = _estimator(estimator, settings_of(settings or [])), load_vehicle(vehicle)
+    check_output_path(out, ".csv"), check_output_path(plot, ".png", ".svg", ".pdf")
+    chosen, car = _estimator(estimator, parse_settings(settings or [])), load_vehicle(vehicle)
     seen, notes = _record(record, car, mode, speed_kmh)
     found = chosen.estimate(seen, car)
     check_estimate(found, seen)
@@ -83,7 +83,7 @@ def estimate(
     known, v, scored = None, float(np.median(seen.v)), {}
     if truth:
         known = Profile(found.s, load_road(truth).realise(np.random.default_rng(0)).height(found.s))
-        scored = scores(known, found, v, bumps=True)
+        scored = compute_scores(known, found, v, bumps=True)
     if out:
         write_csv(Surface(found.z, found.ds, name=f"estimate of {record.name}"), out)
     if plot:
@@ -112,11 +112,11 @@ def classify(
     From the spectra of its accelerations, octave by octave; or from their RMS, by a regression on
     drives simulated for it, in its states and at speeds about its own.
     """
-    one_of("method", method, METHODS)
+    validate_choice("method", method, METHODS)
     car = load_vehicle(vehicle)
     seen, notes = _record(record, car, mode, speed_kmh)
     found: Any = (
-        spectral.classify(seen, car, sensors)
+        spectral.classify_record(seen, car, sensors)
         if method == "spectral"
         else _by_rms(seen, Corpus(car=vehicle, instruments=sensors))
     )
@@ -137,12 +137,12 @@ def classify(
     print_notes(notes)
 
 
-def _by_rms(seen: Record, corpus: Corpus) -> Roughness:
+def _by_rms(seen: Record, corpus: Corpus) -> RoughnessEstimate:
     """What the regression says, fitted to drives like the one that was `seen`."""
-    mode = mode_in(seen, np.arange(seen.t.size))
+    mode = dominant_modes(seen, np.arange(seen.t.size))
     slow, fast = 3.6 * np.percentile(seen.v, [5.0, 95.0])
-    drives = drives_in(corpus, mode, (slow / AROUND, fast * AROUND), DRIVES)
-    return RmsRoughness.fitted(*zip(*drives, strict=True)).tell(seen)
+    drives = drives_in_mode(corpus, mode, (slow / SPEED_MARGIN, fast * SPEED_MARGIN), N_DRIVES)
+    return RmsRoughness.fit(*zip(*drives, strict=True)).predict(seen)
 
 
 def _print_octaves(found: spectral.ClassPosterior) -> None:
@@ -163,20 +163,20 @@ def _estimator(name: str, settings: dict[str, Any]) -> Estimator:
 
 def _record(
     path: Path, car: VehicleParameters, mode: str | None, speed_kmh: float | None
-) -> Measured:
+) -> MeasuredRecord:
     """A record of this package, or a measured drive. Raises ConfigError."""
     if not is_record(path):
-        struts = mode_of(mode) if mode is not None else None
-        return read_measured(path, car.wheelbase, speed_kmh=speed_kmh, mode=struts)
+        struts = parse_mode(mode) if mode is not None else None
+        return read_measured_record(path, car.wheelbase, speed_kmh=speed_kmh, mode=struts)
     if mode is not None or speed_kmh is not None:
         raise ConfigError(f"{path} tells its own mode and speed: leave out --mode and --speed-kmh")
-    return Measured(read_record(path)[0], ())
+    return MeasuredRecord(read_record(path)[0], ())
 
 
 def _print_scores(scored: dict[str, float]) -> None:
     """The scores that are most asked for, each with its unit."""
     table = Table(box=None, pad_edge=False, show_header=False)
-    for key in TOLD:
-        if key in scored and (text := SCORES[key].text(scored[key])) != NOTHING:
+    for key in PRINTED_SCORES:
+        if key in scored and (text := SCORES[key].format_value(scored[key])) != UNDEFINED:
             table.add_row(SCORES[key].label, text, SCORES[key].unit)
     console.print(table)

@@ -8,11 +8,11 @@ import typer
 
 from leaderboard.commands import console, print_json
 from leaderboard.commands.simulate import Json
-from leaderboard.evaluation import hidden_seeds as seasons
+from leaderboard.evaluation import hidden_seeds
 from leaderboard.evaluation.tasks import load_task, shipped_tasks
 from road_envs.config import ConfigError
 
-DRAWN = ("new_road", "field", "class")
+RANDOM_ROAD_BOARDS = ("new_road", "field", "class")
 """Boards whose roads are drawn."""
 
 
@@ -35,13 +35,13 @@ def season(
             raise ConfigError("--reveal needs the season's --salt")
         if task:
             raise ConfigError("--reveal takes the tasks of the season; leave --task away")
-        paths = [str(path) for path in seasons.reveal(salt, out)]
-        facts = {"commitment": seasons.load(out).commitment, "salt": salt, "tasks": paths}
+        paths = [str(path) for path in hidden_seeds.reveal(salt, out)]
+        facts = {"commitment": hidden_seeds.load(out).commitment, "salt": salt, "tasks": paths}
     else:
-        chosen = [load_task(name) for name in task] if task else _drawn()
+        chosen = [load_task(name) for name in task] if task else _random_road_tasks()
         drawn, salt = salt is None, salt or secrets.token_urlsafe(24)
-        made = seasons.commit(salt, chosen)
-        path = seasons.save(made, out)
+        made = hidden_seeds.commit(salt, chosen)
+        path = hidden_seeds.save(made, out)
         facts = {"commitment": made.commitment, "publish": str(path)}
         if drawn:
             facts["salt, to be kept secret"] = salt
@@ -52,5 +52,5 @@ def season(
         console.print(f"{name}: {', '.join(value) if isinstance(value, list) else value}")
 
 
-def _drawn():
-    return [one for one in shipped_tasks() if one.board in DRAWN]
+def _random_road_tasks():
+    return [one for one in shipped_tasks() if one.board in RANDOM_ROAD_BOARDS]

@@ -25,7 +25,7 @@ def run_job(
     """
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out} is a file; a folder for results is wanted")
-    for done in jobs.run_file(spec, out):
+    for done in jobs.run_job_file(spec, out):
         if json:
             print_json(dataclasses.asdict(done))
         else:

@@ -8,24 +8,30 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from leaderboard.commands import console, mode_of, print_json, progress_bar, writable
+from leaderboard.commands import check_output_path, console, parse_mode, print_json, progress_bar
 from leaderboard.commands.simulate import Json, Sensors, Vehicle
 from leaderboard.report import plots
-from road_envs.analysis.information_bound import F_C, Posterior, RoadPrior, bound, road_damping
+from road_envs.analysis.information_bound import (
+    F_C,
+    Posterior,
+    RoadPrior,
+    bound,
+    equivalent_damping,
+)
 from road_envs.analysis.roughness import CLASSES
-from road_envs.config import ConfigError, one_of
+from road_envs.config import ConfigError, validate_choice
 from road_envs.data.record import scored_band
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
-from road_envs.vehicle.suspension import MODES, command, strut_states
+from road_envs.vehicle.suspension import MODES, decode_commands, encode_command
 
-PAIRS = (
+DEFAULT_MODES = (
     "ride",
     "handling",
     "front=ride,rear=handling",
     "front=handling,rear=ride",
 )
-DRAWN = (0.05, 2.5)
+PLOTTED_BAND = (0.05, 2.5)
 """Band [cycles/m] of the picture, as far as the low-pass lets it be seen."""
 
 
@@ -55,7 +61,7 @@ def observability(
     json: Json = False,
 ) -> None:
     """Show the least error that any linear estimator can have, and draw it over n."""
-    writable(out, ".png", ".svg", ".pdf")
+    check_output_path(out, ".png", ".svg", ".pdf")
     car, instruments = load_vehicle(vehicle), load_instruments(sensors)
     if noise is not None:
         try:
@@ -63,14 +69,14 @@ def observability(
         except ValueError as error:
             raise ConfigError(str(error)) from None
     prior = RoadPrior(
-        G_d0=CLASSES[one_of("road class", road_class, CLASSES)], track=2.0 * car.front.y_t
+        G_d0=CLASSES[validate_choice("road class", road_class, CLASSES)], track=2.0 * car.front.y_t
     )
-    speeds, modes = speed_kmh or [14.5, 54.0], [mode_of(text) for text in mode or PAIRS]
+    speeds, modes = speed_kmh or [14.5, 54.0], [parse_mode(text) for text in mode or DEFAULT_MODES]
     for speed in speeds:
         if not (np.isfinite(speed) and speed > 0):
             raise ConfigError(f"the speed must be positive, got {speed} km/h")
     given = None if damping is None else _dampers(damping)
-    chosen = [_chosen(given, m) for m in modes]  # refused before anything is computed
+    chosen = [_damping_by_strut(given, m) for m in modes]  # refused before anything is computed
     rows: list[dict[str, Any]] = []
     curves: list[tuple[str, float, Posterior, float]] = []
     jobs = [(*pair, speed) for pair in zip(modes, chosen, strict=True) for speed in speeds]
@@ -78,12 +84,12 @@ def observability(
         for k, (state, c, speed) in enumerate(jobs):
             name, v = front_rear(state), speed / 3.6
             progress(f"{name}, {speed:g} km/h", k / len(jobs))
-            c = road_damping(car, state, v, prior) if c is None else c
+            c = equivalent_damping(car, state, v, prior) if c is None else c
             settings: dict[str, Any] = {"damping": c, "mismatch": mismatch}
             found = bound(car, state, v, instruments, prior, **settings)
             rows.append(_row(name, speed, c, found))
             if out is not None:
-                n = np.geomspace(DRAWN[0], min(DRAWN[1], F_C / v), 3000)
+                n = np.geomspace(PLOTTED_BAND[0], min(PLOTTED_BAND[1], F_C / v), 3000)
                 drawn = bound(car, state, v, instruments, prior, n=n, **settings)
                 curves.append((name, speed, drawn, found.pooled))
     facts = {
@@ -116,7 +122,7 @@ def _dampers(text: str) -> dict[str, float]:
     for part in text.split(","):
         name, equals, value = part.partition("=")
         try:
-            found[one_of("suspension mode", name.strip(), MODES)] = float(value)
+            found[validate_choice("suspension mode", name.strip(), MODES)] = float(value)
         except ValueError as error:
             if isinstance(error, ConfigError):
                 raise
@@ -126,9 +132,11 @@ def _dampers(text: str) -> dict[str, float]:
     return found
 
 
-def _chosen(dampers: dict[str, float] | None, mode: str | dict[str, str]) -> np.ndarray | None:
+def _damping_by_strut(
+    dampers: dict[str, float] | None, mode: str | dict[str, str]
+) -> np.ndarray | None:
     """The damper (4,) [N s/m] that goes with each strut's mode, where they are given."""
-    stiff, high = (flags[0] for flags in strut_states(np.array([command(mode)])))
+    stiff, high = (flags[0] for flags in decode_commands(np.array([encode_command(mode)])))
     if dampers is None:
         return None
     names = {state: name for name, state in MODES.items()}

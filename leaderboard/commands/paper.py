@@ -21,12 +21,12 @@ def paper(
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out} is a file; a folder for the report is wanted")
     with progress_bar() as progress:
-        made = study.run(trainings, report=progress)
+        made = study.run_study(trainings, progress=progress)
         progress("writing the report", 1.0)
-        written = report.write(made, out, f"roadrecon paper --trainings {trainings}")
+        written = report.write_report(made, out, f"roadrecon paper --trainings {trainings}")
     if json:
         print_json(report.numbers(made, f"roadrecon paper --trainings {trainings}"))
         return
-    for sentence in published_figures.summary(made):
+    for sentence in published_figures.key_findings(made):
         console.print(f"- {sentence}")
     console.print(f"written: {', '.join(map(str, written))}")

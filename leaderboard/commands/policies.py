@@ -9,26 +9,33 @@ from rich.table import Table
 
 import estimators
 from estimators.api import Estimator
-from leaderboard.commands import console, json_text, notices, print_json, progress_bar, writable
+from leaderboard.commands import (
+    check_output_path,
+    console,
+    notices,
+    print_json,
+    progress_bar,
+    to_json,
+)
 from leaderboard.commands.simulate import Json
 from leaderboard.policies import comparison, grid_search
 from leaderboard.policies import page as policy_page
 from leaderboard.policies.scenarios import load_scenarios
-from leaderboard.policies.summary import REFERENCE, summary, text
-from leaderboard.policies.training_study import judged, learn, lines
+from leaderboard.policies.summary import REFERENCE, format_metric, summarize_results
+from leaderboard.policies.training_study import evaluate_study, study_lines, train_seeds
 from road_envs._atomic_io import write_text
-from road_envs.config import ConfigError, one_of
+from road_envs.config import ConfigError, validate_choice
 from road_envs.policies import available, create
 from road_envs.policies.greedy_information import GreedyInformation
 
-NARROW = {
+COLUMNS = {
     "comfort": "comfort\nm/s²",
     "tyre_load": "tyre\nload",
     "switches_per_km": "switch\n1/km",
     "reward": "return\n1/s",
 }
-WIDE = {
-    **NARROW,
+WIDE_COLUMNS = {
+    **COLUMNS,
     "vdv": "VDV\nm/s^1.75",
     "rattle": "rattle\nmm",
     "stops_per_km": "stops\n1/km",
@@ -37,7 +44,7 @@ WIDE = {
     "bound": "bound\n",
 }
 """Columns of the table, by default and with --wide; the page has all."""
-SWEEP = (15.0, 30.0, 300.0, 2000.0)
+SWEPT_WEIGHTS = (15.0, 30.0, 300.0, 2000.0)
 """Weights of information of the sensing policies in the Pareto plot, beside `greedy_information` at
 its own and none, which is ride: each makes another choice at some speed of the league.
 """
@@ -74,25 +81,27 @@ def policies(
     if quick and (scenarios != "quick" or sweep):
         raise ConfigError("--quick stands for the quick scenarios and no sweep: leave the others")
     chosen = load_scenarios(scenarios)
-    seeds = chosen.some(roads)
+    seeds = chosen.test_seeds(roads)
     known = [*available(), comparison.ORACLE]
-    names = [one_of("policy", name, known) for name in policy or known]
-    one_of("reference", reference, names if policy else known)
+    names = [validate_choice("policy", name, known) for name in policy or known]
+    validate_choice("reference", reference, names if policy else known)
     entries: dict[str, Any] = {n: None if n == comparison.ORACLE else create(n) for n in names}
     if sweep:
-        entries |= {f"{policy_page.SWEPT}{w:g}": GreedyInformation(weight=w) for w in SWEEP}
-    readers = {name: _reader(name) for name in estimator or ["fir_ridge"]}
+        entries |= {
+            f"{policy_page.SWEEP_PREFIX}{w:g}": GreedyInformation(weight=w) for w in SWEPT_WEIGHTS
+        }
+    readers = {name: _make_estimator(name) for name in estimator or ["fir_ridge"]}
     if out is not None and out.exists() and not out.is_dir():
         raise ConfigError(f"{out} is a file; a folder is wanted")
     with progress_bar() as progress:
         found = comparison.compare(chosen, entries, readers, roads=roads, progress=progress)
-        data = summary(chosen, found, seeds, reference)
+        data = summarize_results(chosen, found, seeds, reference)
         if out:
-            write_text(out / "policies.json", json_text(data))
+            write_text(out / "policies.json", to_json(data))
             shown = {s.policy: s.timeline for s in found if s.timeline is not None}
-            page = policy_page.write(data, shown, out)
+            page = policy_page.write_policy_page(data, shown, out)
             notices.print(f"page: {page}")
-    print_json(data) if json else _print(data, WIDE if wide else NARROW)
+    print_json(data) if json else _print(data, WIDE_COLUMNS if wide else COLUMNS)
     if failed := [s.policy for s in found if s.failure]:
         raise ConfigError(f"{', '.join(failed)} failed; the others stand")
 
@@ -105,14 +114,14 @@ def tune_policy(
     out: Annotated[Path | None, typer.Option(help="YAML file for the settings.")] = None,
 ) -> None:
     """Search a policy's settings on training roads alone."""
-    one_of("policy", name, grid_search.GRIDS)
-    writable(out, ".yaml", ".yml")
+    validate_choice("policy", name, grid_search.GRIDS)
+    check_output_path(out, ".yaml", ".yml")
     with progress_bar() as progress:
         best = grid_search.tune(name, load_scenarios(scenarios), progress)
     command = f"roadrecon tune-policy {name} --scenarios {scenarios}"
     if out:
         write_text(out, grid_search.as_yaml(best, command))
-    for row in best.tried:
+    for row in best.trials:
         console.print(f"{row.cost:.4f}  {row.settings}")
     console.print(f"best: {best.settings}, cost {best.cost:.4f} per second")
 
@@ -132,36 +141,36 @@ def train_policy(
     log: Annotated[Path | None, typer.Option(help="Folder for TensorBoard.")] = None,
 ) -> None:
     """Train a network with Stable-Baselines3 on training roads alone; judge it on held-out ones."""
-    recipe = grid_search.recipe(name, steps)
-    writable(out, ".npz")
+    training_config = grid_search.load_training_config(name, steps)
+    check_output_path(out, ".npz")
     chosen = load_scenarios(scenarios)
     with progress_bar() as progress:
-        learning = learn(
-            recipe,
+        learning = train_seeds(
+            training_config,
             chosen,
             range(seed, seed + seeds),
             checkpoint=checkpoint,
             log=log,
             progress=progress,
         )
-        told = judged(learning, chosen, recipe.information)
-    grid_search.write_bytes(out, learning.best.as_bytes())
-    write_text(out.with_suffix(".json"), json_text(told))
+        told = evaluate_study(learning, chosen, training_config.unresolved_variance)
+    grid_search.write_bytes(out, learning.best.to_bytes())
+    write_text(out.with_suffix(".json"), to_json(told))
     for network, curve in zip(learning.networks, learning.curves, strict=True):
         for done, value in curve:
             console.print(
-                f"seed {network.about['seed']}: {done:8d} steps  return {value:.4f} per second"
+                f"seed {network.metadata['seed']}: {done:8d} steps  return {value:.4f} per second"
             )
-    for line in lines(Path(name).stem, told):
+    for line in study_lines(Path(name).stem, told):
         console.print(line)
 
 
-def _reader(name: str) -> Estimator:
+def _make_estimator(name: str) -> Estimator:
     """An estimator. One that can be fitted to a case in seconds leaves its weights at home: they
     know no manoeuvre and not every pair of states, and here it is fitted to each policy's drives.
     """
     one = estimators.create(name)
-    fits = getattr(type(one), "fits_a_case", False)
+    fits = getattr(type(one), "refit_per_case", False)
     return estimators.create(name, shipped=False) if fits else one
 
 
@@ -179,7 +188,7 @@ def _print(data: dict[str, Any], shown: dict[str, str]) -> None:
     for row in data["rows"]:
         if row["failure"]:
             continue
-        cells = [text(name, row["metrics"][name]["mean"]) for name in shown]
+        cells = [format_metric(name, row["metrics"][name]["mean"]) for name in shown]
         cells += [_span(row["errors"][name]) for name in names]
         table.add_row(row["policy"] + ("" if row["attainable"] else " *"), *cells)
     needed = console.measure(table, options=console.options.update(width=500)).maximum

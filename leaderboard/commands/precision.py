@@ -12,8 +12,14 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from leaderboard.benchmarks.integrators import MODE, SPEED, PeerError, Problem, relative_error
-from leaderboard.commands import console, notices, print_json, progress_bar, writable
+from leaderboard.benchmarks.integrators import (
+    MODE,
+    SPEED,
+    IntegrationProblem,
+    PeerError,
+    relative_error,
+)
+from leaderboard.commands import check_output_path, console, notices, print_json, progress_bar
 from leaderboard.commands.simulate import Json
 from leaderboard.report import plots
 from road_envs.config import ConfigError
@@ -43,11 +49,11 @@ def precision(
     json: Json = False,
 ) -> None:
     """Measure error against cost of the integrators and their peers on one drive."""
-    writable(out, ".png", ".svg", ".pdf")
+    check_output_path(out, ".png", ".svg", ".pdf")
     if not max_step > 0:
         raise ConfigError(f"the longest step must be positive, got {max_step} s")
     surface = None if road is None else load_road(road).realise(np.random.default_rng(1))
-    problem, rows, skipped = Problem(duration, surface, max_step), [], []
+    problem, rows, skipped = IntegrationProblem(duration, surface, max_step), [], []
     with progress_bar() as progress:
         progress("reference", 0.0)
         truth = problem.scipy("DOP853", 1e-9)
@@ -71,10 +77,10 @@ def precision(
         notices.print(f"{row['method']} is left out: {row['skipped']}")
 
 
-def _methods(problem: Problem) -> Iterator[tuple[str, str, tuple[float, ...], Timed]]:
+def _methods(problem: IntegrationProblem) -> Iterator[tuple[str, str, tuple[float, ...], Timed]]:
     """Name, the setting's name, settings, and what runs one of them and says how long it took."""
     steps = (1e-3, 5e-4, 2.5e-4, 1.25e-4)
-    yield OURS[0], "step", steps, lambda h: _timed(problem.fixed, h)
+    yield OURS[0], "step", steps, lambda h: _timed(problem.fixed_step, h)
     yield OURS[1], "rtol", (1e-1, *TOLERANCES), lambda r: _timed(problem.adaptive, r)
     for name, tolerances in SCIPY.items():
         run = functools.partial(problem.scipy, name)

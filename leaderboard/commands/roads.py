@@ -7,11 +7,17 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from leaderboard.commands import console, print_json, writable
-from leaderboard.commands.simulate import Json, Length, Seed, realised
+from leaderboard.commands import check_output_path, console, print_json
+from leaderboard.commands.simulate import Json, Length, Seed, realise_road
 from leaderboard.report import plots
 from road_envs import config
-from road_envs.analysis.roughness import classify, dsd, fit_line, iri, smooth
+from road_envs.analysis.roughness import (
+    displacement_psd,
+    fit_line,
+    iri,
+    roughness_class,
+    smooth_psd,
+)
 from road_envs.config import ConfigError
 from road_envs.roads import Surface, load_road
 from road_envs.roads.formats.write import WRITERS, write, write_crg
@@ -48,8 +54,8 @@ def plot_road(
     seed: Seed = 1,
 ) -> None:
     """Draw both wheel paths of a road, and their spectrum over the ISO 8608 classes."""
-    writable(out, ".png", ".svg", ".pdf")
-    plots.draw_road(realised(road, length, seed), out)
+    check_output_path(out, ".png", ".svg", ".pdf")
+    plots.draw_road(realise_road(road, length, seed), out)
     console.print(f"written: {out}")
 
 
@@ -64,10 +70,10 @@ def export(
     ] = None,
 ) -> None:
     """Write both wheel paths of a road to a file that can be read back as a road."""
-    writable(out, *WRITERS)
+    check_output_path(out, *WRITERS)
     if form and out.suffix.lower() != ".crg":
         raise ConfigError(f"{out}: only a .crg file has a --form")
-    surface = realised(road, length, seed)
+    surface = realise_road(road, length, seed)
     if form:
         write_crg(surface, out, form)
     else:
@@ -80,8 +86,8 @@ def _names() -> list[str]:
 
 
 def _facts(name: str, surface: Surface) -> dict:
-    n, G_d = smooth(*dsd(surface.z, surface.ds))
-    letters = [classify(fit_line(n, G, w=2.0)[0]) if G.max() > 0 else "-" for G in G_d]
+    n, G_d = smooth_psd(*displacement_psd(surface.z, surface.ds))
+    letters = [roughness_class(fit_line(n, G, w=2.0)[0]) if G.max() > 0 else "-" for G in G_d]
     return {
         "road": name,
         "length_m": surface.length,

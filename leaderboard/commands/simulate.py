@@ -13,14 +13,21 @@ from rich.table import Table
 
 import estimators
 from estimators import weights_io
-from estimators.api import Teachable, Trainable
-from leaderboard.commands import console, mode_of, print_json, progress_bar, settings_of, writable
+from estimators.api import Pretrained, Trainable
+from leaderboard.commands import (
+    check_output_path,
+    console,
+    parse_mode,
+    parse_settings,
+    print_json,
+    progress_bar,
+)
 from leaderboard.evaluation import pretraining
 from leaderboard.report import plots
 from road_envs.analysis.roughness import iri
 from road_envs.config import ConfigError
 from road_envs.data.record import Profile, Record
-from road_envs.data.recording import record_drive, write_record
+from road_envs.data.recording import simulate_record, write_record
 from road_envs.data.training_corpus import Corpus
 from road_envs.roads import Surface, load_road, with_length, write_csv
 from road_envs.sensing.data_logger import load_instruments
@@ -56,9 +63,13 @@ def simulate(
     json: Json = False,
 ) -> None:
     """Drive the vehicle over a road and record what its instruments see."""
-    writable(out, ".parquet"), writable(truth, ".csv"), writable(plot, ".png", ".svg", ".pdf")
-    surface, struts = realised(road, length, seed), mode_of(mode)
-    record, profile = record_drive(
+    (
+        check_output_path(out, ".parquet"),
+        check_output_path(truth, ".csv"),
+        check_output_path(plot, ".png", ".svg", ".pdf"),
+    )
+    surface, struts = realise_road(road, length, seed), parse_mode(mode)
+    record, profile = simulate_record(
         load_vehicle(vehicle),
         surface,
         speed_kmh=speed_kmh,
@@ -127,12 +138,12 @@ def train(
     modes, as the weights that come with the package were made. That takes some minutes, and goes
     on where it was if it is interrupted and called again.
     """
-    writable(out, ".npz", ".safetensors")
-    chosen = estimators.create(estimator, **settings_of(settings or []))
+    check_output_path(out, ".npz", ".safetensors")
+    chosen = estimators.create(estimator, **parse_settings(settings or []))
     if not isinstance(chosen, Trainable):
         raise ConfigError(f"{estimator} has nothing to learn; use it in `estimate` by its name")
     if road is None:
-        facts = _teach(chosen, estimator, out, drives, seed)
+        facts = _pretrain(chosen, estimator, out, drives, seed)
         print_json(facts) if json else print_facts(facts)
         return
     car, instruments, drives = load_vehicle(vehicle), load_instruments(sensors), drives or 1
@@ -140,11 +151,11 @@ def train(
     with progress_bar() as progress:
         for k, (name, i) in enumerate((name, i) for name in road for i in range(drives)):
             progress(f"driving {name}", 0.5 * k / (len(road) * drives))
-            pair = record_drive(
+            pair = simulate_record(
                 car,
-                realised(name, length, seed + i),
+                realise_road(name, length, seed + i),
                 speed_kmh=speed_kmh,
-                mode=mode_of(mode),
+                mode=parse_mode(mode),
                 instruments=instruments,
                 seed=seed + i,
             )
@@ -164,12 +175,12 @@ def train(
     print_json(facts) if json else print_facts(facts)
 
 
-def _teach(
+def _pretrain(
     estimator: Trainable, name: str, out: Path, number: int | None, seed: int
 ) -> dict[str, Any]:
     """Teach an estimator from the corpus; what there is to say about it."""
-    if not isinstance(estimator, Teachable):
-        able = [key for key, cls in estimators.available().items() if hasattr(cls, "learn")]
+    if not isinstance(estimator, Pretrained):
+        able = [key for key, cls in estimators.available().items() if hasattr(cls, "pretrain")]
         raise ConfigError(
             f"{name} learns one speed and mode: give its training roads with --road; "
             f"taught once for all are {', '.join(able)}"
@@ -194,7 +205,7 @@ def command_line() -> str:
     return shlex.join(["roadrecon", *sys.argv[1:]])
 
 
-def realised(road: str, length: float | None, seed: int) -> Surface:
+def realise_road(road: str, length: float | None, seed: int) -> Surface:
     """The surface that `seed` draws of a road, with another length if one is given."""
     chosen = load_road(road)
     if length is not None:

@@ -22,14 +22,14 @@ from functools import cache
 
 import numpy as np
 
-from leaderboard.conformance.probes import Probe, questions, verdicts
-from leaderboard.evaluation.entry import Entry, EntryError, Outcome
+from leaderboard.conformance.probes import CheckResult, evaluate_probes, perturbed_records
+from leaderboard.evaluation.entry import Entry, EntryError, TrainingRun
 from leaderboard.evaluation.tasks import load_task
-from leaderboard.metrics.registry import scores
-from leaderboard.sandbox.client import Host
+from leaderboard.metrics.registry import compute_scores
+from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from road_envs.data.record import Estimate, Profile, Record
-from road_envs.data.recording import record_drive
+from road_envs.data.recording import simulate_record
 from road_envs.roads import load_road
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
@@ -44,31 +44,31 @@ SEED = 1
 SHORT = 5.0
 """Length [m] of a road that an estimator may find too short."""
 
-UNKNOWN = {"front": "soft_high", "rear": "stiff_low"}
+UNTRAINED_MODES = {"front": "soft_high", "rear": "stiff_low"}
 """States of the struts in which the sample's training drives were not driven."""
 
-LOST, BURST = 0.02, 20
+DROPOUT_RATE, DROPOUT_LENGTH = 0.02, 20
 """Share of the samples that is lost, and how many of them in a row."""
 
-PATIENCE = 300.0
+RUN_TIME_LIMIT = 300.0
 """Seconds that a run on the sample may take: its drives are an eighth of a condition's training and
 less of its test, so that what takes longer would not come to an end on a board.
 """
 
-MAY_REFUSE = ("short", "mode")
-ACCIDENTS = (
+REFUSAL_ALLOWED = ("short", "mode")
+UNINTENDED_ERRORS = (
     "ArithmeticError", "AssertionError", "AttributeError", "EstimateError", "FloatingPointError",
     "IndexError", "KeyError", "LinAlgError", "MemoryError", "NameError", "OverflowError",
     "RecursionError", "TypeError", "UnboundLocalError", "ZeroDivisionError",
 )  # fmt: skip
 """Errors that nobody raises to refuse a record."""
 
-BOARD = "new_road"
+COST_TASK = "new_road"
 """The task whose drives a time is reckoned for."""
 
 
 @dataclass(frozen=True)
-class Sample:
+class CheckDrives:
     """What an estimator is asked: drives to learn from, one with its truth, and damaged ones."""
 
     car: VehicleParameters
@@ -76,151 +76,182 @@ class Sample:
     record: Record
     truth: Profile
     damaged: Mapping[str, Record]
-    said: str
+    message: str
 
 
 @cache
-def sample() -> Sample:
+def check_drives() -> CheckDrives:
     """The same drives in every run."""
     training = tuple(_drive(seed) for seed in TRAINING_SEEDS)
     record, truth = _drive(TEST_SEED)
     damaged = {
-        "gaps": dataclasses.replace(record, a=_with_gaps(record.a)),
+        "gaps": dataclasses.replace(record, a=_with_dropouts(record.a)),
         "clipped": dataclasses.replace(record, a=_clipped(record.a)),
         "field": _drive(TEST_SEED, grade="S3")[0],
         "short": _drive(TEST_SEED, length=SHORT)[0],
-        "mode": _drive(TEST_SEED, mode=UNKNOWN)[0],
+        "mode": _drive(TEST_SEED, mode=UNTRAINED_MODES)[0],
     }
-    said = f"{record.length:g} m of class {ROAD['road_class']}, {MODE}, {SPEED_KMH:g} km/h"
-    return Sample(load_vehicle(CAR), training, record, truth, damaged, said)
+    message = f"{record.length:g} m of class {ROAD['road_class']}, {MODE}, {SPEED_KMH:g} km/h"
+    return CheckDrives(load_vehicle(CAR), training, record, truth, damaged, message)
 
 
-def check(entry: Entry, host: Host, limits: Limits) -> list[Probe]:
-    """Put everything to an entry, in processes of the `host`; `limits` are those of the board.
+def check_entry(entry: Entry, sandbox: SandboxClient, limits: Limits) -> list[CheckResult]:
+    """Put everything to an entry, in processes of the `sandbox`; `limits` are those of the board.
 
     It stops where nothing more can be asked: at an estimator that cannot be made, or that does not
     run.
     """
     if entry.failure is not None:
-        return [Probe(name="contract", passed=False, said=entry.failure)]
+        return [CheckResult(name="contract", passed=False, message=entry.failure)]
     how = "causal" if entry.causal else "offline"
     behind = f", {entry.lag:g} m behind the front axle" if entry.lag else ""
-    contract = Probe(name="contract", passed=True, said=f"a frozen dataclass, {how}{behind}")
-    given = sample()
+    contract = CheckResult(
+        name="contract", passed=True, message=f"a frozen dataclass, {how}{behind}"
+    )
+    given = check_drives()
     try:
-        alone = _ask(host, entry, [given.record])
+        alone = _run(sandbox, entry, [given.record])
     except EntryError as error:
-        return [contract, Probe(name="runs", passed=False, said=f"on {given.said}: {error}")]
-    found = [contract, _runs(given, alone), *_damaged(host, entry, given)]
+        return [
+            contract,
+            CheckResult(name="runs", passed=False, message=f"on {given.message}: {error}"),
+        ]
+    found = [contract, _check_run(given, alone), *_check_damaged_records(sandbox, entry, given)]
     try:
-        asked = _asked(host, entry, given)
+        asked = _run_probes(sandbox, entry, given)
     except EntryError as error:
-        return [*found, Probe(name="probes", passed=False, said=str(error))]
-    return [*found, *_verdicts(entry, given, alone, asked), *_costs(limits, given, asked)]
+        return [*found, CheckResult(name="probes", passed=False, message=str(error))]
+    return [
+        *found,
+        *_evaluate_probes(entry, given, alone, asked),
+        *_check_costs(limits, given, asked),
+    ]
 
 
-def probe_entry(entry: Entry, host: Host) -> list[Probe]:
+def probe_entry(entry: Entry, sandbox: SandboxClient) -> list[CheckResult]:
     """The probes alone. Raises EntryError."""
-    given = sample()
-    alone = _ask(host, entry, [given.record])
-    return _verdicts(entry, given, alone, _asked(host, entry, given))
+    given = check_drives()
+    alone = _run(sandbox, entry, [given.record])
+    return _evaluate_probes(entry, given, alone, _run_probes(sandbox, entry, given))
 
 
-def _ask(host: Host, entry: Entry, records: Sequence[Record]) -> Outcome:
-    given = sample()
-    (outcome,) = host.reconstruct(
+def _run(sandbox: SandboxClient, entry: Entry, records: Sequence[Record]) -> TrainingRun:
+    given = check_drives()
+    (training_run,) = sandbox.reconstruct(
         entry.reference, entry.settings, given.training, records, given.car, [SEED], entry.name
     )
-    return outcome
+    return training_run
 
 
-def _runs(given: Sample, outcome: Outcome) -> Probe:
-    found = scores(given.truth, outcome.estimates[0], SPEED_KMH / 3.6, False)
-    held = f"isolated by {outcome.isolation}" if outcome.isolation == "namespaces" else "isolated"
-    said = (
-        f"{given.said}, in a process of its own ({held}): in-band error {found['nrmse']:.2f}, "
+def _check_run(given: CheckDrives, training_run: TrainingRun) -> CheckResult:
+    found = compute_scores(given.truth, training_run.estimates[0], SPEED_KMH / 3.6, False)
+    held = (
+        f"isolated by {training_run.isolation}"
+        if training_run.isolation == "namespaces"
+        else "isolated"
+    )
+    message = (
+        f"{given.message}, in a process of its own ({held}): in-band error {found['nrmse']:.2f}, "
         "where a flat road has 1"
     )
-    return Probe(name="runs", passed=True, said=said)
+    return CheckResult(name="runs", passed=True, message=message)
 
 
-def _damaged(host: Host, entry: Entry, given: Sample) -> list[Probe]:
+def _check_damaged_records(
+    sandbox: SandboxClient, entry: Entry, given: CheckDrives
+) -> list[CheckResult]:
     """All at once, and only where that fails one by one."""
     what = {
-        "gaps": f"{LOST:.0%} of the samples lost, in bursts",
+        "gaps": f"{DROPOUT_RATE:.0%} of the samples lost, in bursts",
         "clipped": "clipped at half of what there was to see",
         "field": "car S3 with faulty instruments",
         "short": f"{SHORT:g} m of road",
         "mode": "states of the struts unlike the training's",
     }
     try:
-        _ask(host, entry, list(given.damaged.values()))
+        _run(sandbox, entry, list(given.damaged.values()))
     except EntryError:
-        return [_one(host, entry, name, record, what) for name, record in given.damaged.items()]
-    return [Probe(name=name, passed=True, said=f"{what[name]}: estimated") for name in what]
+        return [
+            _check_damaged_record(sandbox, entry, name, record, what)
+            for name, record in given.damaged.items()
+        ]
+    return [
+        CheckResult(name=name, passed=True, message=f"{what[name]}: estimated") for name in what
+    ]
 
 
-def _one(host: Host, entry: Entry, name: str, record: Record, what: Mapping[str, str]) -> Probe:
+def _check_damaged_record(
+    sandbox: SandboxClient, entry: Entry, name: str, record: Record, what: Mapping[str, str]
+) -> CheckResult:
     try:
-        _ask(host, entry, [record])
+        _run(sandbox, entry, [record])
     except EntryError as error:
-        refused = name in MAY_REFUSE and _is_refusal(str(error))
-        said = re.sub(r"^estimating test drive [^:]*: ", "", str(error))
+        refused = name in REFUSAL_ALLOWED and _is_refusal(str(error))
+        message = re.sub(r"^estimating test drive [^:]*: ", "", str(error))
         verb = "refused" if refused else "failed"
-        return Probe(
-            name=name, passed=None if refused else False, said=f"{what[name]}: {verb}: {said}"
+        return CheckResult(
+            name=name, passed=None if refused else False, message=f"{what[name]}: {verb}: {message}"
         )
-    return Probe(name=name, passed=True, said=f"{what[name]}: estimated")
+    return CheckResult(name=name, passed=True, message=f"{what[name]}: estimated")
 
 
-def _is_refusal(said: str) -> bool:
+def _is_refusal(message: str) -> bool:
     """Whether an entry's failure is an error that its author wrote for the reader."""
-    found = re.match(r"estimating test drive [^:]*: (\w+): (.+)", said)
-    return found is not None and found[1] not in ACCIDENTS and found[2] != "no message"
+    found = re.match(r"estimating test drive [^:]*: (\w+): (.+)", message)
+    return found is not None and found[1] not in UNINTENDED_ERRORS and found[2] != "no message"
 
 
-def _asked(host: Host, entry: Entry, given: Sample) -> Outcome:
-    return _ask(host, entry, list(_questions(given).values()))
+def _run_probes(sandbox: SandboxClient, entry: Entry, given: CheckDrives) -> TrainingRun:
+    return _run(sandbox, entry, list(_perturbed_records(given).values()))
 
 
-def _questions(given: Sample) -> dict[str, Record]:
-    return questions(given.record, load_instruments(INSTRUMENTS))
+def _perturbed_records(given: CheckDrives) -> dict[str, Record]:
+    return perturbed_records(given.record, load_instruments(INSTRUMENTS))
 
 
-def _verdicts(entry: Entry, given: Sample, alone: Outcome, asked: Outcome) -> list[Probe]:
+def _evaluate_probes(
+    entry: Entry, given: CheckDrives, alone: TrainingRun, asked: TrainingRun
+) -> list[CheckResult]:
     """`alone` has the estimate of the sample from another process, after a training of its own."""
-    answers: dict[str, Estimate] = dict(zip(_questions(given), asked.estimates, strict=True))
+    answers: dict[str, Estimate] = dict(
+        zip(_perturbed_records(given), asked.estimates, strict=True)
+    )
     answers["retrained"] = alone.estimates[0]
-    return verdicts(answers, given.record, bool(entry.causal), entry.lag)
+    return evaluate_probes(answers, given.record, bool(entry.causal), entry.lag)
 
 
-def _costs(limits: Limits, given: Sample, outcome: Outcome) -> list[Probe]:
+def _check_costs(
+    limits: Limits, given: CheckDrives, training_run: TrainingRun
+) -> list[CheckResult]:
     """Reckoned for one condition of the board, one training, all test drives, from a run of some
     estimates, of which the first may have compiled something.
     """
-    task = load_task(BOARD).with_roads(None)
+    task = load_task(COST_TASK).with_test_drives(None)
     seen = sum(record.length for record, _ in given.training)
-    learning, asked = (sum(r.length for r, _ in d.pairs) for d in (task.training, task.test))
-    train, metres = outcome.train_seconds, len(outcome.estimates) * given.record.length
-    reckoned = train * learning / seen + outcome.estimate_seconds * asked / metres
-    per_100m = 1e5 * outcome.estimate_seconds / metres
-    memory = outcome.peak_memory or 0.0
+    learning, asked = (
+        sum(r.length for r, _ in d.roads_and_seeds) for d in (task.training, task.test)
+    )
+    train, metres = training_run.train_seconds, len(training_run.estimates) * given.record.length
+    reckoned = train * learning / seen + training_run.estimate_seconds * asked / metres
+    per_100m = 1e5 * training_run.estimate_seconds / metres
+    memory = training_run.peak_memory or 0.0
     return [
-        Probe(
+        CheckResult(
             name="time",
             passed=reckoned < limits.seconds,
-            said=f"{train:.2f} s to train, {_short(per_100m)} ms per 100 m: about "
-            f"{_short(reckoned)} s for a condition of {BOARD}, of {limits.seconds:g} s allowed",
+            message=f"{train:.2f} s to train, {_format_number(per_100m)} ms per 100 m: about "
+            f"{_format_number(reckoned)} s for a condition of {COST_TASK}, "
+            f"of {limits.seconds:g} s allowed",
         ),
-        Probe(
+        CheckResult(
             name="memory",
             passed=memory < limits.memory,
-            said=f"{memory:.2f} GiB at its peak, of {limits.memory:g} GiB allowed",
+            message=f"{memory:.2f} GiB at its peak, of {limits.memory:g} GiB allowed",
         ),
     ]
 
 
-def _short(x: float) -> str:
+def _format_number(x: float) -> str:
     """A positive number in two or more digits, never as a power of ten."""
     return f"{x:.0f}" if x >= 10.0 else f"{x:.2g}"
 
@@ -229,7 +260,7 @@ def _drive(
     seed: int, mode: object = MODE, grade: str = "S0", length: float = 60.0
 ) -> tuple[Record, Profile]:
     road = load_road({**ROAD, "length": length})
-    return record_drive(
+    return simulate_record(
         load_vehicle(CAR),
         road.realise(np.random.default_rng(seed)),
         speed_kmh=SPEED_KMH,
@@ -240,11 +271,14 @@ def _drive(
     )
 
 
-def _with_gaps(a: np.ndarray) -> np.ndarray:
+def _with_dropouts(a: np.ndarray) -> np.ndarray:
     rng, found = np.random.default_rng(0), a.copy()
     for channel in found:
-        for first in rng.integers(channel.size - BURST, size=int(LOST * channel.size / BURST) + 1):
-            channel[first : first + BURST] = np.nan
+        for first in rng.integers(
+            channel.size - DROPOUT_LENGTH,
+            size=int(DROPOUT_RATE * channel.size / DROPOUT_LENGTH) + 1,
+        ):
+            channel[first : first + DROPOUT_LENGTH] = np.nan
     return found
 
 

@@ -7,8 +7,8 @@
     future    noise from the middle on: a causal estimate must not change before it
     repeat    asked twice, run and trained twice with one seed: one answer
 
-`questions` makes the records, whoever runs the estimator answers them, `verdicts` compares the
-answers; so a judge need not hold the estimator in its own process. `probe` does all three here.
+`perturbed_records` makes the records and `evaluate_probes` compares the estimates made from them,
+so the caller need not hold the estimator in its own process. `probe_estimator` does both here.
 
 The body is rigid, so where there is no left front accelerometer, with sensors at y,
 
@@ -34,37 +34,37 @@ from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import WHEELS
 
 PROBES = ("sign", "scale", "shuffle", "swap", "future", "repeat")
-FOLLOWS = 0.5
+MIN_CORRELATION = 0.5
 """Least r at which one shape is taken for the other."""
 
-HALF = 0.5
+SCALE_FACTOR = 0.5
 """Factor on the accelerations in `scale`."""
 
-FELT = 0.1
+LOOKAHEAD_THRESHOLD = 0.1
 """Change, over the estimate's own deviation, that counts as having looked ahead."""
 
-SAME = 1e-9
+EQUALITY_TOLERANCE = 1e-9
 """Change [m] below which an estimate has not changed: rounding."""
 
-MIRRORED = [WHEELS.index(wheel) for wheel in ("FR", "FL", "RR", "RL")]
+MIRRORED_WHEELS = [WHEELS.index(wheel) for wheel in ("FR", "FL", "RR", "RL")]
 
 
-Answer = Callable[[Sequence[Record]], Sequence[Estimate]]
+EstimateFunction = Callable[[Sequence[Record]], Sequence[Estimate]]
 """Estimates of some records, one each, after a training with a seed that is always the same."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Probe:
+class CheckResult:
     """What came of one probe; `passed` is None where it does not apply to the estimator."""
 
     __pydantic_config__ = STRICT
 
     name: str
     passed: bool | None
-    said: str
+    message: str
 
 
-def questions(record: Record, instruments: Instruments, seed: int = 0) -> dict[str, Record]:
+def perturbed_records(record: Record, instruments: Instruments, seed: int = 0) -> dict[str, Record]:
     """The records to be estimated by name of the probe; "asked" is `record` itself, "again" too."""
     rng = np.random.default_rng(seed)
     RF, LR, RR = record.a
@@ -76,7 +76,7 @@ def questions(record: Record, instruments: Instruments, seed: int = 0) -> dict[s
         "asked": record.a,
         "again": record.a,
         "sign": -record.a,
-        "scale": HALF * record.a,
+        "scale": SCALE_FACTOR * record.a,
         "shuffle": record.a[:, rng.permutation(record.t.size)],
         "future": record.a + np.where(late, noise, 0.0),
     }
@@ -84,16 +84,16 @@ def questions(record: Record, instruments: Instruments, seed: int = 0) -> dict[s
     asked["swap"] = dataclasses.replace(
         record,
         a=np.stack([LF, RR, LR]),
-        stiff=record.stiff[:, MIRRORED],
-        high=record.high[:, MIRRORED],
+        spring_stiff=record.spring_stiff[:, MIRRORED_WHEELS],
+        damper_high=record.damper_high[:, MIRRORED_WHEELS],
     )
     return asked
 
 
-def verdicts(
+def evaluate_probes(
     answers: Mapping[str, Estimate], record: Record, causal: bool, lag: float = 0.0
-) -> list[Probe]:
-    """What the estimates of `questions` say; "retrained" is another of "asked" by a second run.
+) -> list[CheckResult]:
+    """Compare the estimates of `perturbed_records`; "retrained" is one of "asked" by a second run.
 
     `lag` [m] is how far behind the front axle a causal estimate stands.
     """
@@ -113,32 +113,34 @@ def verdicts(
     level = float(np.sqrt(np.mean(shape["scale"] ** 2) / max(np.mean(asked**2), 1e-30)))
     looks = bool(asked.any())
     return [
-        Probe(
+        CheckResult(
             name="sign",
-            passed=r["sign"] > FOLLOWS,
-            said=f"upside down, r = {r['sign']:.2f} to the mirrored estimate",
+            passed=r["sign"] > MIN_CORRELATION,
+            message=f"upside down, r = {r['sign']:.2f} to the mirrored estimate",
         ),
-        Probe(
+        CheckResult(
             name="scale",
-            passed=r["scale"] > FOLLOWS and HALF**2 < level < HALF**0.5,
-            said=f"at half the accelerations {level:.2f} of the height, r = {r['scale']:.2f}",
+            passed=r["scale"] > MIN_CORRELATION and SCALE_FACTOR**2 < level < SCALE_FACTOR**0.5,
+            message=f"at half the accelerations {level:.2f} of the height, r = {r['scale']:.2f}",
         ),
-        Probe(
+        CheckResult(
             name="shuffle",
-            passed=looks and abs(r["shuffle"]) < FOLLOWS,
-            said=f"out of order, r = {r['shuffle']:.2f} to the estimate in order",
+            passed=looks and abs(r["shuffle"]) < MIN_CORRELATION,
+            message=f"out of order, r = {r['shuffle']:.2f} to the estimate in order",
         ),
-        Probe(
+        CheckResult(
             name="swap",
-            passed=r["swap"] > FOLLOWS,
-            said=f"left for right, r = {r['swap']:.2f} to the exchanged wheel paths",
+            passed=r["swap"] > MIN_CORRELATION,
+            message=f"left for right, r = {r['swap']:.2f} to the exchanged wheel paths",
         ),
-        _future(answers, record, causal, lag),
-        _repeat(answers),
+        _evaluate_future(answers, record, causal, lag),
+        _evaluate_repeat(answers),
     ]
 
 
-def _future(answers: Mapping[str, Estimate], record: Record, causal: bool, lag: float) -> Probe:
+def _evaluate_future(
+    answers: Mapping[str, Estimate], record: Record, causal: bool, lag: float
+) -> CheckResult:
     stations = answers["asked"].s
     change = np.abs(answers["future"].z - answers["asked"].z).max(axis=0)
     sample = float(np.diff(record.s).max())  # between two samples one may interpolate
@@ -146,38 +148,44 @@ def _future(answers: Mapping[str, Estimate], record: Record, causal: bool, lag: 
     if causal:
         early = change[stations < first]
         known = f", {lag:g} m behind the front axle" if lag else ""
-        return Probe(
+        return CheckResult(
             name="future",
-            passed=bool(early.max(initial=0.0) <= SAME),
-            said=f"what comes later changes {1e3 * early.max(initial=0.0):.3g} mm of it{known}",
+            passed=bool(early.max(initial=0.0) <= EQUALITY_TOLERANCE),
+            message=f"what comes later changes {1e3 * early.max(initial=0.0):.3g} mm of it{known}",
         )
-    felt = stations[change > FELT * answers["asked"].z.std()]
+    felt = stations[change > LOOKAHEAD_THRESHOLD * answers["asked"].z.std()]
     reach = max(0.0, first - felt.min(initial=first))
-    return Probe(name="future", passed=None, said=f"offline: looks {reach:.1f} m ahead")
+    return CheckResult(name="future", passed=None, message=f"offline: looks {reach:.1f} m ahead")
 
 
-def _repeat(answers: Mapping[str, Estimate]) -> Probe:
+def _evaluate_repeat(answers: Mapping[str, Estimate]) -> CheckResult:
     how = {"again": "asked twice", "retrained": "run twice with one seed"}
     gap = {name: float(np.abs(answers[name].z - answers["asked"].z).max()) for name in how}
-    said = ", ".join(f"{how[name]}: {1e3 * x:.3g} mm apart" for name, x in gap.items())
-    return Probe(name="repeat", passed=max(gap.values()) <= SAME, said=said)
+    message = ", ".join(f"{how[name]}: {1e3 * x:.3g} mm apart" for name, x in gap.items())
+    return CheckResult(
+        name="repeat", passed=max(gap.values()) <= EQUALITY_TOLERANCE, message=message
+    )
 
 
-def examine(
-    answer: Answer, record: Record, instruments: Instruments, causal: bool, lag: float = 0.0
-) -> list[Probe]:
+def run_probes(
+    answer: EstimateFunction,
+    record: Record,
+    instruments: Instruments,
+    causal: bool,
+    lag: float = 0.0,
+) -> list[CheckResult]:
     """Probe whoever stands behind `answer`, on a `record` of 50 m or more.
 
     `answer` trains, if there is something to train, and estimates some records; it is called twice
     and has to use one training seed. Raises what it raises.
     """
-    asked = questions(record, instruments)
+    asked = perturbed_records(record, instruments)
     answers = dict(zip(asked, answer(list(asked.values())), strict=True))
     (answers["retrained"],) = answer([record])
-    return verdicts(answers, record, causal, lag)
+    return evaluate_probes(answers, record, causal, lag)
 
 
-def probe(
+def probe_estimator(
     estimator: Estimator,
     record: Record,
     car: VehicleParameters,
@@ -185,8 +193,8 @@ def probe(
     training: Sequence[tuple[Record, Profile]] = (),
     seed: int = 1,
     instruments: Instruments | None = None,
-) -> list[Probe]:
-    """As `examine`, of an estimator in this process; one that learns does so on `training`."""
+) -> list[CheckResult]:
+    """As `run_probes`, of an estimator in this process; one that learns does so on `training`."""
 
     def answer(records: Sequence[Record]) -> list[Estimate]:
         fitted = estimator
@@ -196,10 +204,12 @@ def probe(
         return [fitted.estimate(one, car) for one in records]
 
     lag = getattr(estimator, "lag", None) or 0.0
-    return examine(answer, record, instruments or load_instruments("paper"), estimator.causal, lag)
+    return run_probes(
+        answer, record, instruments or load_instruments("paper"), estimator.causal, lag
+    )
 
 
-def mark(probes: Sequence[Probe]) -> str:
+def count_passed(probes: Sequence[CheckResult]) -> str:
     """How a board shows them: "5/5", those passed of those that apply."""
     told = [p.passed for p in probes if p.passed is not None]
     return f"{sum(told)}/{len(told)}" if told else ""

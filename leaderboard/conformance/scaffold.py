@@ -55,8 +55,8 @@ from typing import ClassVar
 import numpy as np
 from scipy import signal
 
-from road_envs.sensing.filters import process
-from road_envs.data.record import Estimate, Record, grid
+from road_envs.data.record import Estimate, Record, profile_stations
+from road_envs.sensing.filters import preprocess_accelerations
 from road_envs.vehicle.parameters import VehicleParameters
 
 
@@ -74,22 +74,22 @@ class {cls}:
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Both wheel paths on the grid of the record."""
-        stations = grid(record.length)
-        rf, lr, rr = process(bridged(record.a), record.fs)
+        stations = profile_stations(record.length)
+        rf, lr, rr = preprocess_accelerations(fill_gaps(record.a), record.fs)
         roll = 0.5 * (lr - rr)
         middle = np.array([rf + roll, roll])  # over the front axle, and half the difference
         f_low = max(self.n_low * float(np.median(record.v)), 0.05)
-        z = record.at(stations, twice_integrated(middle, record.fs, f_low))
+        z = record.interpolate(stations, integrate_twice(middle, record.fs, f_low))
         return Estimate(stations, np.array([z[0] + z[1], z[0] - z[1]]))
 
 
-def bridged(a: np.ndarray) -> np.ndarray:
+def fill_gaps(a: np.ndarray) -> np.ndarray:
     """Accelerations (k, N) [m/s²] with straight lines where samples were lost, which are NaN."""
     k = np.arange(a.shape[1])
     return np.array([np.interp(k, k[known], x[known]) for x in a for known in [np.isfinite(x)]])
 
 
-def twice_integrated(a: np.ndarray, fs: float, f_low: float) -> np.ndarray:
+def integrate_twice(a: np.ndarray, fs: float, f_low: float) -> np.ndarray:
     """Displacements (k, N) [m] of accelerations (k, N) [m/s²], above `f_low` [Hz]."""
     sos = signal.butter(2, f_low, "high", fs=fs, output="sos")
     v = signal.sosfiltfilt(sos, np.cumsum(a, axis=1) / fs, axis=1)
@@ -100,7 +100,7 @@ TEST = '''\
 """What the estimator keeps, tested without a simulator."""
 
 import numpy as np
-from {module}.estimator import {cls}, bridged, twice_integrated
+from {module}.estimator import {cls}, fill_gaps, integrate_twice
 
 from estimators.api import check_estimate
 from road_envs.data.record import Record
@@ -110,13 +110,13 @@ from road_envs.vehicle.parameters import load_vehicle
 def test_a_sine_is_integrated_twice():
     t = np.arange(24_000) / 400.0
     w = 2.0 * np.pi * 2.0
-    z = twice_integrated(-(w**2) * np.sin(w * t)[None], 400.0, 0.2)[0]
+    z = integrate_twice(-(w**2) * np.sin(w * t)[None], 400.0, 0.2)[0]
     np.testing.assert_allclose(z[8000:-8000], np.sin(w * t[8000:-8000]), atol=0.05)
 
 
-def test_lost_samples_are_bridged():
+def test_lost_samples_are_fill_gaps():
     a = np.array([[0.0, np.nan, 2.0, np.nan, np.nan, 5.0]])
-    np.testing.assert_array_equal(bridged(a), [[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]])
+    np.testing.assert_array_equal(fill_gaps(a), [[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]])
 
 
 def test_the_estimate_can_be_judged():
@@ -138,8 +138,9 @@ An estimator of road profiles for RoadRecon, called `{name}`.
     roadrecon leaderboard --task new_road --estimator {name} --roads 2
 
 The estimator stands in `{module}/estimator.py`: a frozen dataclass of settings with a method
-`estimate(record, car)` that returns heights of both wheel paths on `grid(record.length)`. One that
-learns has `fit`, `weights` and `with_weights` too (`estimators/api.py` says what they do).
+`estimate(record, car)` that returns heights of both wheel paths at the stations
+`profile_stations(record.length)`. One that is trained has `fit`, `weights` and
+`with_weights` too; `estimators/api.py` documents them.
 `pyproject.toml` registers it under the entry-point group `roadrecon.estimators`.
 """
 

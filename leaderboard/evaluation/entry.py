@@ -16,7 +16,7 @@ from road_envs.config import STRICT
 from road_envs.data.record import Estimate, Profile, Record
 from road_envs.vehicle.parameters import VehicleParameters
 
-JUDGES_OWN = "judge"
+BUILTIN = "judge"
 """Reference of an entry that the judge itself answers for."""
 
 
@@ -45,7 +45,7 @@ class EntryError(Exception):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TrainingRun:
     """What came of one training and its test records."""
 
     estimates: list[Estimate]
@@ -57,7 +57,7 @@ class Outcome:
     isolation: str = "none"
 
 
-def learns(estimator: Estimator) -> bool:
+def needs_training(estimator: Estimator) -> bool:
     """Whether the judge trains an estimator: it can learn, and brings no weights of its own."""
     if not isinstance(estimator, Trainable):
         return False
@@ -74,17 +74,17 @@ def reconstruct_all(
     records: Sequence[Record],
     car: VehicleParameters,
     seeds: Sequence[int],
-) -> Iterator[Outcome]:
+) -> Iterator[TrainingRun]:
     """One outcome for each training seed; the first alone where nothing is drawn from the seed,
     which is seen when the second gives the same answers. Raises EntryError.
     """
     first: list[Estimate] = []
-    for seed in seeds if learns(estimator) else seeds[:1]:
-        outcome = reconstruct(estimator, training, records, car, seed)
-        if first and _same(outcome.estimates, first):
+    for seed in seeds if needs_training(estimator) else seeds[:1]:
+        training_run = reconstruct(estimator, training, records, car, seed)
+        if first and _equal_estimates(training_run.estimates, first):
             return
-        yield outcome
-        first = first or outcome.estimates
+        yield training_run
+        first = first or training_run.estimates
 
 
 def reconstruct(
@@ -93,12 +93,12 @@ def reconstruct(
     records: Sequence[Record],
     car: VehicleParameters,
     seed: int,
-) -> Outcome:
+) -> TrainingRun:
     """Train the estimator if it learns, then estimate every record. Raises EntryError."""
     doing = f"training with seed {seed}"
     try:
         start = time.perf_counter()
-        if learns(estimator):
+        if needs_training(estimator):
             seen, truths = [list(part) for part in zip(*training, strict=True)]
             estimator = estimator.fit(seen, truths, car, seed)  # type: ignore[attr-defined]
         trained = time.perf_counter()
@@ -110,19 +110,19 @@ def reconstruct(
             check_estimate(estimate, record)
             estimates.append(estimate)
     except (Exception, SystemExit) as error:
-        raise EntryError(f"{doing}: {said(error)}") from error
+        raise EntryError(f"{doing}: {describe_error(error)}") from error
     spent = time.perf_counter() - trained
-    return Outcome(estimates, trained - start, spent, parameters, seed)
+    return TrainingRun(estimates, trained - start, spent, parameters, seed)
 
 
-def settings_of(estimator: Estimator | None) -> dict[str, Any]:
+def get_settings(estimator: Estimator | None) -> dict[str, Any]:
     """What an estimator was constructed with."""
     if estimator is None or not dataclasses.is_dataclass(estimator):
         return {}
     return {f.name: getattr(estimator, f.name) for f in dataclasses.fields(estimator) if f.init}
 
 
-def said(error: BaseException) -> str:
+def describe_error(error: BaseException) -> str:
     """An error in one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
 
@@ -131,7 +131,7 @@ def _weights(estimator: Estimator) -> list[np.ndarray]:
     return list(estimator.weights().values()) if isinstance(estimator, Trainable) else []
 
 
-def _same(some: Sequence[Estimate], others: Sequence[Estimate]) -> bool:
+def _equal_estimates(some: Sequence[Estimate], others: Sequence[Estimate]) -> bool:
     return len(some) == len(others) and all(
         np.array_equal(a.z, b.z) for a, b in zip(some, others, strict=True)
     )

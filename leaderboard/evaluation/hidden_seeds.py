@@ -17,18 +17,18 @@ from typing import Any
 
 import yaml
 
-from leaderboard.evaluation.provenance import version
-from leaderboard.evaluation.tasks import SEEDS_APART, Task, load_task
+from leaderboard.evaluation.provenance import package_version
+from leaderboard.evaluation.tasks import SEED_STRIDE, Task, load_task
 from road_envs._atomic_io import write_text
 from road_envs.config import STRICT, ConfigError, build, find, read_yaml
 
 COMMITMENT = "commitment.json"
-SHORTEST = 12
+MIN_SALT_LENGTH = 12
 """Characters of a salt: a shorter one could be found by trying."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Season:
+class HiddenSeeds:
     """What is published beforehand: digests of the public tasks by name, and the commitment."""
 
     __pydantic_config__ = STRICT
@@ -41,32 +41,32 @@ class Season:
     commitment: str = ""
 
 
-def commit(salt: str, tasks: Sequence[Task]) -> Season:
+def commit(salt: str, tasks: Sequence[Task]) -> HiddenSeeds:
     """The season of a secret `salt`. Raises ConfigError if it is too short to stay secret."""
-    if len(salt) < SHORTEST:
-        raise ConfigError(f"a salt has at least {SHORTEST} characters, got {len(salt)}")
-    season = Season(
-        package_version=version(),
+    if len(salt) < MIN_SALT_LENGTH:
+        raise ConfigError(f"a salt has at least {MIN_SALT_LENGTH} characters, got {len(salt)}")
+    hidden = HiddenSeeds(
+        package_version=package_version(),
         tasks={task.name: task.digest for task in tasks},
         roads={task.name: len(task.test.seeds) for task in tasks},
     )
-    return dataclasses.replace(season, commitment=_commitment(salt, season))
+    return dataclasses.replace(hidden, commitment=_commitment(salt, hidden))
 
 
-def save(season: Season, folder: Path) -> Path:
+def save(hidden: HiddenSeeds, folder: Path) -> Path:
     """Write what is to be published. Raises ConfigError if another season stands there."""
     path = folder / COMMITMENT
-    if path.exists() and load(folder) != season:
+    if path.exists() and load(folder) != hidden:
         raise ConfigError(f"{path}: another season stands here; choose an empty folder")
-    write_text(path, json.dumps(dataclasses.asdict(season), indent=1) + "\n")
+    write_text(path, json.dumps(dataclasses.asdict(hidden), indent=1) + "\n")
     return path
 
 
-def load(folder: Path) -> Season:
+def load(folder: Path) -> HiddenSeeds:
     """The season that was published. Raises ConfigError."""
     path = folder / COMMITMENT
     try:
-        return build(Season, json.loads(path.read_text(encoding="utf-8")), str(path))
+        return build(HiddenSeeds, json.loads(path.read_text(encoding="utf-8")), str(path))
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from None
     except json.JSONDecodeError as error:
@@ -78,18 +78,18 @@ def reveal(salt: str, folder: Path) -> list[Path]:
 
     Raises ConfigError if the salt is another one, or the public tasks are no longer those.
     """
-    season = load(folder)
-    if _commitment(salt, season) != season.commitment:
+    hidden = load(folder)
+    if _commitment(salt, hidden) != hidden.commitment:
         raise ConfigError(f"{folder / COMMITMENT}: this salt does not give the commitment")
     written = []
-    for name, digest in season.tasks.items():
+    for name, digest in hidden.tasks.items():
         task = load_task(name)
         if task.digest != digest:
             raise ConfigError(f"{name}: the public task has changed since the season was drawn")
         data: dict[str, Any] = read_yaml(find("tasks", name))
-        data["name"] = f"{name}_{season.commitment[:8]}"
-        data["title"] = f"{task.title}; season {season.commitment[:8]}"
-        data["test"] = {**data["test"], "seeds": seeds(salt, task, season.roads[name])}
+        data["name"] = f"{name}_{hidden.commitment[:8]}"
+        data["title"] = f"{task.title}; season {hidden.commitment[:8]}"
+        data["test"] = {**data["test"], "seeds": seeds(salt, task, hidden.roads[name])}
         data["test"].pop("number", None)
         path = folder / f"{data['name']}.yaml"
         write_text(path, yaml.safe_dump(data, sort_keys=False, allow_unicode=True))
@@ -106,15 +106,15 @@ def seeds(salt: str, task: Task, count: int) -> list[int]:
     while len(found) < count:
         text = "\0".join([salt, task.name, task.digest, str(k)])
         seed = int.from_bytes(hashlib.sha256(text.encode()).digest()[:6], "big")
-        roads = {seed + i * SEEDS_APART for i in range(len(task.test.roads))}
+        roads = {seed + i * SEED_STRIDE for i in range(len(task.test.roads))}
         if not roads & public:
             found.append(seed)
         k += 1
     return found
 
 
-def _commitment(salt: str, season: Season) -> str:
+def _commitment(salt: str, hidden: HiddenSeeds) -> str:
     """A slow hash, so that a guessed salt takes a while to try."""
-    said = {**dataclasses.asdict(season), "commitment": ""}
+    said = {**dataclasses.asdict(hidden), "commitment": ""}
     text = json.dumps(said, sort_keys=True)
     return hashlib.scrypt(salt.encode(), salt=text.encode(), n=2**14, r=8, p=1, dklen=32).hex()

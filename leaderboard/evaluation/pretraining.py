@@ -14,20 +14,20 @@ from pathlib import Path
 import numpy as np
 
 from estimators import pretrained_weights, weights_io
-from estimators.api import Calibrated, Teachable
-from leaderboard.evaluation.evaluate import settings_of
-from leaderboard.evaluation.provenance import version
+from estimators.api import Calibratable, Pretrained
+from leaderboard.evaluation.evaluate import get_settings
+from leaderboard.evaluation.provenance import package_version
 from road_envs.data.training_corpus import Corpus
 
 Progress = Callable[[str, float], None]
-SIMULATED = 0.15
+SIMULATION_SHARE = 0.15
 """Share of the time that the drives take."""
 
-UNTAUGHT = 0.5
+CALIBRATION_SHARE = 0.5
 """Drives by the car as described that standard deviations are made honest on, per drive taught."""
 
 
-class FileKeeper:
+class FileCheckpoint:
     """An unfinished state in a file; one of another `purpose` is as good as none."""
 
     def __init__(self, path: Path, purpose: str):
@@ -38,55 +38,56 @@ class FileKeeper:
         if not self.path.exists():
             return None
         try:
-            arrays, about = pretrained_weights.read(self.path)
+            arrays, about = pretrained_weights.read_weights(self.path)
         except pretrained_weights.WeightsError:
             return None
         return arrays if about.get("purpose") == self.purpose else None
 
     def save(self, state: Mapping[str, np.ndarray]) -> None:
         """Keep a state, whole or not at all."""
-        pretrained_weights.write(self.path, state, {"purpose": self.purpose})
+        pretrained_weights.write_weights(self.path, state, {"purpose": self.purpose})
 
     def done(self) -> None:
         """Nothing is left to be kept."""
         self.path.unlink(missing_ok=True)
 
 
-def purpose_of(estimator: Teachable, name: str, corpus: Corpus, seed: int) -> str:
+def run_digest(estimator: Pretrained, name: str, corpus: Corpus, seed: int) -> str:
     """Digest of all that decides what is learnt."""
-    what = [name, settings_of(estimator), corpus.digest, seed, version()]
+    what = [name, get_settings(estimator), corpus.digest, seed, package_version()]
     return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:12]
 
 
 def train(
-    estimator: Teachable,
+    estimator: Pretrained,
     name: str,
     corpus: Corpus,
     seed: int,
     out: Path,
     command: str,
     progress: Progress = lambda text, share: None,
-) -> Teachable:
+) -> Pretrained:
     """Teach `estimator` and write it to `out` (.safetensors). Raises ConfigError, StorageError."""
-    purpose = purpose_of(estimator, name, corpus, seed)
-    keeper = FileKeeper(out.with_name(f".{out.name}.unfinished"), purpose)
+    purpose = run_digest(estimator, name, corpus, seed)
+    checkpoint = FileCheckpoint(out.with_name(f".{out.name}.unfinished"), purpose)
     drives = []
     for k in range(corpus.number):
         if k % 10 == 0:
-            progress(f"driving, {k} of {corpus.number}", SIMULATED * k / corpus.number)
-        drives.append(estimator.material(*corpus.drive(k)))
-    learnt = estimator.learn(
+            progress(f"driving, {k} of {corpus.number}", SIMULATION_SHARE * k / corpus.number)
+        drives.append(estimator.training_example(*corpus.simulate_drive(k)))
+    learnt = estimator.pretrain(
         drives,
         corpus.vehicle,
         seed,
-        lambda text, share: progress(text, SIMULATED + (1.0 - SIMULATED) * share),
-        keeper,
+        lambda text, share: progress(text, SIMULATION_SHARE + (1.0 - SIMULATION_SHARE) * share),
+        checkpoint,
     )
-    if isinstance(learnt, Calibrated):
+    if isinstance(learnt, Calibratable):
         progress("making standard deviations honest", 1.0)
-        more = range(corpus.number, corpus.number + math.ceil(UNTAUGHT * corpus.number))
-        learnt = learnt.calibrated([learnt.material(*corpus.drive(k, True)) for k in more])
+        more = range(corpus.number, corpus.number + math.ceil(CALIBRATION_SHARE * corpus.number))
+        drives = [learnt.training_example(*corpus.simulate_drive(k, True)) for k in more]
+        learnt = learnt.calibrate(drives)
     about = {"command": command, "seed": str(seed), "corpus": corpus.digest, "digest": purpose}
     weights_io.save(learnt, out, about)
-    keeper.done()
+    checkpoint.done()
     return learnt

@@ -12,7 +12,7 @@ PACKAGES = ("road_envs", "estimators", "leaderboard")
 LIBRARIES = ("numpy", "scipy", "numba", "torch")
 
 
-def version() -> str:
+def package_version() -> str:
     """Version of the installed package; "unknown" when it runs from a bare checkout."""
     try:
         return metadata.version("roadrecon")
@@ -21,7 +21,7 @@ def version() -> str:
 
 
 @cache
-def code() -> str:
+def source_digest() -> str:
     """Digest of the sources of this project: any edit makes another one."""
     folder = Path(__file__).parents[2]
     sources = sorted(path for name in PACKAGES for path in (folder / name).rglob("*.py"))
@@ -29,14 +29,14 @@ def code() -> str:
 
 
 @cache
-def environment() -> dict[str, str]:
+def describe_environment() -> dict[str, str]:
     """Python, libraries, sources, commit (in a checkout), processor and operating system."""
     libraries = {name: found for name in LIBRARIES if (found := _library(name))}
     commit = _commit(Path(__file__).parents[2])
     return {
         "python": platform.python_version(),
         **libraries,
-        "code": code(),
+        "code": source_digest(),
         **({"commit": commit} if commit else {}),
         "processor": f"{_processor()}, {os.cpu_count()} cores",
         "system": f"{platform.system()} {platform.machine()}",

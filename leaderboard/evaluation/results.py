@@ -14,10 +14,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from leaderboard.evaluation.code_version import judge_code
-from leaderboard.evaluation.provenance import version
+from leaderboard.evaluation.code_version import evaluation_version
+from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.tasks import Task
-from leaderboard.metrics import heights as metrics
+from leaderboard.metrics import heights
 from road_envs.config import STRICT
 
 FORMAT = 3
@@ -127,34 +127,34 @@ class Result:
             values[at] = d.scores.get(score, np.nan)
         return values
 
-    def stale(self, task: Task) -> str | None:
+    def stale_reason(self, task: Task) -> str | None:
         """Why this result does not belong beside results of `task` made now; None if it does."""
         if self.task_digest != task.digest:
             return "the task has changed"
-        if self.package_version != version():
+        if self.package_version != package_version():
             return f"made by version {self.package_version}"
-        if self.metric_version != metrics.VERSION:
-            return f"scored by metrics {self.metric_version}, now {metrics.VERSION}"
-        if self.judge != judge_code():
+        if self.metric_version != heights.VERSION:
+            return f"scored by metrics {self.metric_version}, now {heights.VERSION}"
+        if self.judge != evaluation_version():
             return "driven or scored by other code"
         return None
 
 
-MEASURED = frozenset(
+RUN_DEPENDENT = frozenset(
     {"train_seconds", "estimate_ms_per_100m", "peak_memory", "isolation", "environment"}
 )
 """Fields that differ from run to run."""
 
 
-def content(result: Result) -> str:
+def content_digest(result: Result) -> str:
     """Digest of all that is the same whenever and wherever a result is made."""
-    names = sorted(f.name for f in dataclasses.fields(result) if f.name not in MEASURED)
+    names = sorted(f.name for f in dataclasses.fields(result) if f.name not in RUN_DEPENDENT)
     values = [getattr(result, name) for name in names]
-    plain = [[vars(x) for x in v] if _records(v) else v for v in values]
+    plain = [[vars(x) for x in v] if _is_dataclass_sequence(v) else v for v in values]
     return hashlib.sha256(json.dumps(plain, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def together(parts: Sequence[Result], identity: str) -> Result:
+def merge_parts(parts: Sequence[Result], identity: str) -> Result:
     """One result of those under each condition, in their order; a failure in one fails it all."""
     first = parts[0]
     failure = next((part.failure for part in parts if part.failure is not None), None)
@@ -168,31 +168,32 @@ def together(parts: Sequence[Result], identity: str) -> Result:
         drives=tuple(drive for part in scored for drive in part.drives),
         train_seconds=tuple(spent for part in scored for spent in part.train_seconds),
         estimate_ms_per_100m=float(np.mean(costs)) if costs else None,
-        parameters=_most(part.parameters for part in parts),
-        peak_memory=_most(part.peak_memory for part in parts),
+        parameters=_maximum(part.parameters for part in parts),
+        peak_memory=_maximum(part.peak_memory for part in parts),
         failure=failure,
         notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
         traces=tuple(trace for part in scored for trace in part.traces),
-        isolation=_each(part.isolation for part in scored),
+        isolation=_join_distinct(part.isolation for part in scored),
         environment={
-            name: _each(part.environment.get(name, "none") for part in parts) for name in names
+            name: _join_distinct(part.environment.get(name, "none") for part in parts)
+            for name in names
         },
     )
 
 
-def heights(z: np.ndarray) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def quantize_heights(z: np.ndarray) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Heights (2, M) [m] as a trace keeps them; beyond 1 km they are cut."""
     left, right = np.rint(np.clip(z, -1e3, 1e3) / Z_UNIT).astype(int).tolist()
     return tuple(left), tuple(right)
 
 
-def _records(value: Any) -> bool:
+def _is_dataclass_sequence(value: Any) -> bool:
     return isinstance(value, Sequence) and len(value) > 0 and dataclasses.is_dataclass(value[0])
 
 
-def _each(texts: Iterable[str]) -> str:
+def _join_distinct(texts: Iterable[str]) -> str:
     return " or ".join(dict.fromkeys(texts))
 
 
-def _most(values: Iterable[float | None]) -> Any:
+def _maximum(values: Iterable[float | None]) -> Any:
     return max((value for value in values if value is not None), default=None)

@@ -18,21 +18,21 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, overload
 
-from leaderboard.evaluation.code_version import judge_code
-from leaderboard.evaluation.provenance import version
+from leaderboard.evaluation.code_version import evaluation_version
+from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.results import FORMAT, DriveScores, Result, Trace
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import heights
-from leaderboard.metrics.baselines import SENTINELS
+from leaderboard.metrics.baselines import BASELINES
 from road_envs._atomic_io import write_text
 from road_envs.config import STRICT, ConfigError, build
 
-OPENING = '{\n "sha256": "'
-CLOSING = '",\n'
+CHECKSUM_PREFIX = '{\n "sha256": "'
+CHECKSUM_SUFFIX = '",\n'
 
-CHANGED = "another run has replaced it by a different result; read the board again"
+ROW_REPLACED = "another run has replaced it by a different result; read the board again"
 
-HELD = 8
+CACHED_ROWS = 8
 """How many results are held in memory whole; of the others only what stands above their drives."""
 
 
@@ -45,7 +45,7 @@ class NewerFormatError(ConfigError):
 
 
 @dataclass(frozen=True)
-class _Drives:
+class _DriveColumns:
     """All scores of a result, column by column."""
 
     __pydantic_config__ = STRICT
@@ -60,31 +60,31 @@ class _Drives:
 
 
 @dataclass(frozen=True)
-class Body:
+class _LargeFields:
     """The large part of a result."""
 
     drives: tuple[DriveScores, ...]
     traces: tuple[Trace, ...]
 
 
-def path_of(out: Path, task: str, estimator: str) -> Path:
+def row_path(out: Path, task: str, estimator: str) -> Path:
     """Where the result of an estimator on a task is kept."""
     return out / "results" / task / f"{estimator}.json"
 
 
-def part_of(out: Path, identity: str) -> Path:
+def part_path(out: Path, identity: str) -> Path:
     """Where the part of a result is kept."""
     return out / "jobs" / f"{identity}.json"
 
 
 def save(result: Result, out: Path) -> Path:
     """Write a result to its place on the board, whole or not at all."""
-    path = path_of(out, result.task, result.estimator)
-    write(path, to_text(result))
+    path = row_path(out, result.task, result.estimator)
+    write_durable(path, to_text(result))
     return path
 
 
-def write(path: Path, text: str) -> None:
+def write_durable(path: Path, text: str) -> None:
     """Write the text of a result, whole or not at all, and to the disk before anyone sees it."""
     write_text(path, text, durable=True)
 
@@ -96,24 +96,26 @@ def to_text(result: Result) -> str:
         "traces": [vars(trace) for trace in result.traces],
     }
     names = [f.name for f in dataclasses.fields(result)]
-    return sealed({n: large[n] if n in large else _plain(getattr(result, n)) for n in names})
+    return with_checksum(
+        {n: large[n] if n in large else _nan_to_none(getattr(result, n)) for n in names}
+    )
 
 
-def sealed(data: Mapping[str, Any]) -> str:
+def with_checksum(data: Mapping[str, Any]) -> str:
     """`data`, of which `format` is a part, as JSON with the checksum of the rest first."""
-    rest = _by_lines(dict(data))[2:] + "\n"
-    blank = f"{OPENING}{'0' * 64}{CLOSING}{rest}"
-    return blank.replace("0" * 64, checksum_of(blank), 1)
+    rest = _dump_by_lines(dict(data))[2:] + "\n"
+    blank = f"{CHECKSUM_PREFIX}{'0' * 64}{CHECKSUM_SUFFIX}{rest}"
+    return blank.replace("0" * 64, text_checksum(blank), 1)
 
 
 def load(path: Path) -> Result:
     """A row of the board from its file. Raises ConfigError that names file and fault."""
-    return load_known(path)[0]
+    return load_with_checksum(path)[0]
 
 
-def load_known(path: Path) -> tuple[Result, str]:
+def load_with_checksum(path: Path) -> tuple[Result, str]:
     """A row of the board, and the checksum of its file. Raises ConfigError as `load`."""
-    result, told = read_known(path)
+    result, told = read_with_checksum(path)
     if (result.task, result.estimator) != (path.parent.name, path.stem):
         raise ConfigError(
             f"{path}: holds the result of {result.estimator} on {result.task}, not what it says"
@@ -131,12 +133,12 @@ def load_part(path: Path) -> Result:
 
 def read(path: Path) -> Result:
     """A row or a part, whatever the name of its file says. Raises ConfigError."""
-    return read_known(path)[0]
+    return read_with_checksum(path)[0]
 
 
 def load_all(out: Path, task: str) -> list[Result]:
     """All rows of a task, by name of the estimator. Raises ConfigError for a damaged one."""
-    return [load(path) for path in _files(out, task)]
+    return [load(path) for path in _row_files(out, task)]
 
 
 def load_rows(out: Path, task: Task) -> list[Result]:
@@ -144,44 +146,48 @@ def load_rows(out: Path, task: Task) -> list[Result]:
 
     A file that cannot be read is a failed row that says so.
     """
-    return [_row(path, task) for path in _files(out, task.name)]
+    return [_row_or_failure(path, task) for path in _row_files(out, task.name)]
 
 
-def checksum(result: Result) -> str:
+def row_checksum(result: Result) -> str:
     """Of the file that a result from `load_rows` stands in; of any other, of what it would be."""
     drives = result.drives
-    return drives.checksum if isinstance(drives, _Stored) else checksum_of(to_text(result))
+    return (
+        drives.checksum if isinstance(drives, _StoredSequence) else text_checksum(to_text(result))
+    )
 
 
-def checksum_of(text: str) -> str:
+def text_checksum(text: str) -> str:
     """The checksum of the text of a result, whatever it says itself."""
-    return hashlib.sha256(text[len(OPENING) + 64 + len(CLOSING) :].encode()).hexdigest()
+    return hashlib.sha256(
+        text[len(CHECKSUM_PREFIX) + 64 + len(CHECKSUM_SUFFIX) :].encode()
+    ).hexdigest()
 
 
-def _row(path: Path, task: Task) -> Result:
+def _row_or_failure(path: Path, task: Task) -> Result:
     try:
-        result, checksum = load_known(path)
+        result, checksum = load_with_checksum(path)
     except ConfigError as error:
         return Result(
             task=task.name,
             task_digest=task.digest,
             estimator=path.stem,
-            role="sentinel" if path.stem in SENTINELS else "entry",
+            role="sentinel" if path.stem in BASELINES else "entry",
             settings={},
-            package_version=version(),
+            package_version=package_version(),
             metric_version=heights.VERSION,
             seeds=(),
-            judge=judge_code(),
+            judge=evaluation_version(),
             failure=f"its result cannot be read: {error}",
         )
     return dataclasses.replace(
         result,
-        drives=_Stored(path, result, checksum, "drives"),
-        traces=_Stored(path, result, checksum, "traces"),
+        drives=_StoredSequence(path, result, checksum, "drives"),
+        traces=_StoredSequence(path, result, checksum, "traces"),
     )
 
 
-class _Stored(Sequence[Any]):
+class _StoredSequence(Sequence[Any]):
     """Drives or traces that stay on the disk until they are asked for.
 
     Another run may write the same row meanwhile. A file with the same identity holds the same
@@ -211,36 +217,36 @@ class _Stored(Sequence[Any]):
         return isinstance(other, Sequence) and tuple(self) == tuple(other)
 
     def _all(self) -> tuple[Any, ...]:
-        values = getattr(_body(self._path, self.checksum, self._identity), self._name)
+        values = getattr(_large_fields(self._path, self.checksum, self._identity), self._name)
         if len(values) != self._size:
-            raise RowChangedError(f"{self._path}: {CHANGED}")
+            raise RowChangedError(f"{self._path}: {ROW_REPLACED}")
         return values
 
 
-@lru_cache(maxsize=HELD)
-def _body(path: Path, checksum: str, identity: str) -> Body:
-    result, found = read_known(path)
+@lru_cache(maxsize=CACHED_ROWS)
+def _large_fields(path: Path, checksum: str, identity: str) -> _LargeFields:
+    result, found = read_with_checksum(path)
     if found != checksum and (not identity or result.identity != identity):
-        raise RowChangedError(f"{path}: {CHANGED}")
-    return Body(tuple(result.drives), tuple(result.traces))
+        raise RowChangedError(f"{path}: {ROW_REPLACED}")
+    return _LargeFields(tuple(result.drives), tuple(result.traces))
 
 
-def _files(out: Path, task: str) -> list[Path]:
+def _row_files(out: Path, task: str) -> list[Path]:
     return sorted(p for p in (out / "results" / task).glob("*.json") if p.name[0] != ".")
 
 
-def read_known(path: Path) -> tuple[Result, str]:
+def read_with_checksum(path: Path) -> tuple[Result, str]:
     """As `read`, with the checksum of the file."""
-    data, told = unsealed(path, FORMAT)
-    drives = build(_Drives, data.pop("drives", {}), f"{path}: drives")
+    data, told = read_checked_json(path, FORMAT)
+    drives = build(_DriveColumns, data.pop("drives", {}), f"{path}: drives")
     result = build(Result, data, str(path))
     return dataclasses.replace(
-        result, drives=_rows(drives, path), traces=tuple(result.traces)
+        result, drives=_drive_scores(drives, path), traces=tuple(result.traces)
     ), told
 
 
-def unsealed(path: Path, known: int) -> tuple[dict[str, Any], str]:
-    """What stands in a file made by `sealed` in the format `known`, and its checksum.
+def read_checked_json(path: Path, known: int) -> tuple[dict[str, Any], str]:
+    """What stands in a file made by `with_checksum` in the format `known`, and its checksum.
 
     Raises NewerFormatError, and ConfigError that says what is wrong with it.
     """
@@ -264,9 +270,9 @@ def unsealed(path: Path, known: int) -> tuple[dict[str, Any], str]:
             "evaluate again"
         )
     told = data.pop("sha256", None)
-    if not text.startswith(f"{OPENING}{told}{CLOSING}"):
+    if not text.startswith(f"{CHECKSUM_PREFIX}{told}{CHECKSUM_SUFFIX}"):
         raise ConfigError(f"{path}: not a result (it does not begin with its checksum)")
-    if checksum_of(text) != told:
+    if text_checksum(text) != told:
         raise ConfigError(
             f"{path}: changed since it was written, by hand or by a fault of the disk; "
             "evaluate again"
@@ -281,7 +287,7 @@ def _columns(drives: Sequence[DriveScores]) -> dict[str, Any]:
     return columns | {"scores": {name: [d.scores.get(name) for d in drives] for name in names}}
 
 
-def _rows(table: _Drives, path: Path) -> tuple[DriveScores, ...]:
+def _drive_scores(table: _DriveColumns, path: Path) -> tuple[DriveScores, ...]:
     columns = [table.condition, table.drive, table.road, table.road_seed, table.seed]
     size = len(table.drive)
     if any(len(column) != size for column in [*columns, *table.scores.values()]):
@@ -303,21 +309,23 @@ def _rows(table: _Drives, path: Path) -> tuple[DriveScores, ...]:
     )
 
 
-def _by_lines(value: Any, depth: int = 2) -> str:
+def _dump_by_lines(value: Any, depth: int = 2) -> str:
     """JSON with a line for each key down to `depth`, and all that lies deeper on that line."""
     if depth and isinstance(value, dict) and value:
         indent = " " * (3 - depth)
-        lines = [f"{indent}{json.dumps(k)}: {_by_lines(v, depth - 1)}" for k, v in value.items()]
+        lines = [
+            f"{indent}{json.dumps(k)}: {_dump_by_lines(v, depth - 1)}" for k, v in value.items()
+        ]
         return "{\n" + ",\n".join(lines) + "\n" + indent[1:] + "}"
     return json.dumps(value, allow_nan=False)
 
 
-def _plain(value: Any) -> Any:
+def _nan_to_none(value: Any) -> Any:
     """`value` with None for what JSON has no number for."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: _nan_to_none(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [_nan_to_none(item) for item in value]
     return value

@@ -8,15 +8,15 @@ import numpy as np
 
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.heights import scored_band
-from road_envs.analysis.roughness import classify, dsd, fit_line, smooth
+from road_envs.analysis.roughness import displacement_psd, fit_line, roughness_class, smooth_psd
 from road_envs.config import build
-from road_envs.data.record import GRID, grid
+from road_envs.data.record import PROFILE_SPACING, profile_stations
 from road_envs.roads import Surface, load_road
 
-SHORTEST = 100.0
+MIN_LENGTH = 100.0
 """A shorter surface [m] is laid end to end, mirrored, up to this length."""
 
-LONGEST = 300.0
+MAX_LENGTH = 300.0
 """Of a longer surface this much [m] is driven, from its start."""
 
 CONDITIONS = (
@@ -34,7 +34,7 @@ def surface_tasks(path: Path, conditions: tuple[dict[str, Any], ...] = CONDITION
     title says so. Raises ConfigError if the file cannot be used.
     """
     native = load_road(path).length
-    length = min(max(native, SHORTEST), LONGEST)
+    length = min(max(native, MIN_LENGTH), MAX_LENGTH)
     road = {"kind": "measured", "path": str(path), "length": length}
     if native < length:
         road["repeat"] = "mirror"
@@ -69,7 +69,7 @@ def surface_tasks(path: Path, conditions: tuple[dict[str, Any], ...] = CONDITION
 
 def surface_class(surface: Surface) -> str:
     """ISO class of the louder wheel path in the band that is judged at low speed (w = 2)."""
-    s = grid(surface.length)
-    n, G = smooth(*dsd(surface.height(s), GRID))
+    s = profile_stations(surface.length)
+    n, G = smooth_psd(*displacement_psd(surface.height(s), PROFILE_SPACING))
     band = scored_band(1.0)
-    return classify(max(fit_line(n, path, w=2.0, band=band)[0] for path in G))
+    return roughness_class(max(fit_line(n, path, w=2.0, band=band)[0] for path in G))

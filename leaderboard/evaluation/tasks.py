@@ -21,20 +21,23 @@ import numpy as np
 from road_envs import config
 from road_envs.config import STRICT, ConfigError
 from road_envs.roads import Road, with_length
-from road_envs.roads.composite import Altered, AnyRoad
+from road_envs.roads.api import AnyRoad
+from road_envs.roads.composite import NoisyCopy
 from road_envs.roads.measured import Measured
 from road_envs.sensing.data_logger import Instruments, load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
-from road_envs.vehicle.perturbed_vehicle import load_deviations
+from road_envs.vehicle.perturbed_vehicle import load_plant_mismatch
 
 BoardName = Literal["new_road", "field", "class", "measured", "paper"]
 Grade = Literal["S0", "S1", "S2", "S3"]
 StrutMode = Literal["ride", "handling", "soft_high", "stiff_low"]
 
-SEEDS_APART = 10_000
+SEED_STRIDE = 10_000
 """Between the seeds of one road of a list and those of the next."""
 
-WORDS = frozenset({"title", "source", "sources", "note", "claimed_level_error", "families"})
+DESCRIPTIVE_FIELDS = frozenset(
+    {"title", "source", "sources", "note", "claimed_level_error", "families"}
+)
 """Fields for the reader, in which an edit voids no result."""
 
 
@@ -56,7 +59,7 @@ class Condition:
 
     mode: StrutMode | AxleModes
     speed_kmh: float
-    grade: Grade = "S0"  # of the car that is tested (`road_envs.vehicle.perturbed_vehicle`); S0 is that of the training
+    grade: Grade = "S0"  # of the test vehicle (`perturbed_vehicle`); training uses S0
 
     def __post_init__(self):
         if not self.speed_kmh > 0:
@@ -71,13 +74,13 @@ class Condition:
         return f"{name}, {self.speed_kmh:g} km/h{car}"
 
     @property
-    def command(self) -> str | dict[str, str]:
+    def simulator_mode(self) -> str | dict[str, str]:
         """The mode as the simulator takes it."""
         return self.mode if isinstance(self.mode, str) else dataclasses.asdict(self.mode)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drives:
+class DriveSet:
     """Every road at every seed; the first `number` of them, seed by seed, where it is given."""
 
     __pydantic_config__ = STRICT
@@ -104,13 +107,13 @@ class Drives:
             raise ValueError(f"step must be positive, got {self.step}")
 
     @property
-    def pairs(self) -> list[tuple[Road, int]]:
+    def roads_and_seeds(self) -> list[tuple[Road, int]]:
         """The roads to drive, each with the seed that realises it.
 
         Equal seeds would give related roads, so the k-th road of the list adds k x SEEDS_APART.
         """
         pairs = [
-            (self._sized(road), seed + k * SEEDS_APART)
+            (self._with_length(road), seed + k * SEED_STRIDE)
             for seed in self.seeds
             for k, road in enumerate(self.roads)
         ]
@@ -119,14 +122,14 @@ class Drives:
     @property
     def all_seeds(self) -> set[int]:
         """Every seed that `pairs` could hold."""
-        return {seed + k * SEEDS_APART for seed in self.seeds for k in range(len(self.roads))}
+        return {seed + k * SEED_STRIDE for seed in self.seeds for k in range(len(self.roads))}
 
-    def drives_of(self, family: str) -> list[int]:
+    def indices_of_family(self, family: str) -> list[int]:
         """Which of `pairs` belong to a family."""
-        kinds = [self.families[k % len(self.roads)] for k in range(len(self.pairs))]
+        kinds = [self.families[k % len(self.roads)] for k in range(len(self.roads_and_seeds))]
         return [k for k, kind in enumerate(kinds) if kind == family]
 
-    def _sized(self, road: Road) -> Road:
+    def _with_length(self, road: Road) -> Road:
         return road if self.length is None else with_length(road, self.length)
 
 
@@ -143,8 +146,8 @@ class Task:
     car: str
     instruments: str
     conditions: tuple[Condition, ...]
-    training: Drives
-    test: Drives
+    training: DriveSet
+    test: DriveSet
     trains_on_test_road: bool = False
     bumps: bool = False  # score obstacles too
     claimed_level_error: float | None = None  # [-] eq. 12 as the paper prints it
@@ -179,15 +182,15 @@ class Task:
         """sha256 of all that decides drives and scores: task, roads, car, instruments, files."""
         parts: list[Any] = [self, self.vehicle, self.sensors]
         if any(condition.grade != "S0" for condition in self.conditions):
-            parts.append(load_deviations())
+            parts.append(load_plant_mismatch())
         text = json.dumps([_canonical(part) for part in parts], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
-    def grade(self, drives: Drives, condition: Condition) -> Grade:
+    def grade(self, drives: DriveSet, condition: Condition) -> Grade:
         """The car that is driven: trainings are always on the nominal one."""
         return condition.grade if drives is self.test else "S0"
 
-    def stream(self, condition: Condition) -> int:
+    def seed_stream(self, condition: Condition) -> int:
         """A number that conditions share which differ in the car alone: on each road they are then
         driven by one individual, whose departures from the drawing grow with its grade.
         """
@@ -195,11 +198,11 @@ class Task:
         return driven.index((condition.mode, condition.speed_kmh))
 
     @property
-    def draws_roads(self) -> bool:
+    def has_several_test_drives(self) -> bool:
         """Whether it has test drives to choose from."""
         return len(self.test.roads) * len(self.test.seeds) > 1
 
-    def with_roads(self, number: int | None) -> "Task":
+    def with_test_drives(self, number: int | None) -> "Task":
         """The same task with another number of test drives per condition, all of them for None.
 
         Raises ConfigError.
@@ -211,8 +214,8 @@ class Task:
         return dataclasses.replace(self, test=test)
 
     def _shared_surfaces(self) -> bool:
-        fixed = [road for road in self.test.roads if not _is_drawn(road)]
-        return any(_origin(road) in map(_origin, fixed) for road in self.training.roads)
+        fixed = [road for road in self.test.roads if not _is_random(road)]
+        return any(_base_road(road) in map(_base_road, fixed) for road in self.training.roads)
 
 
 def load_task(name: str | Path) -> Task:
@@ -230,21 +233,21 @@ def shipped_tasks(board: BoardName | None = None) -> list[Task]:
     return [task for task in tasks if board in (None, task.board)]
 
 
-def _is_drawn(road: Road) -> bool:
+def _is_random(road: Road) -> bool:
     """Whether a road is another surface at every seed, and not one surface for ever."""
     one, other = (road.realise(np.random.default_rng(seed)).z for seed in (0, 1))
     return not np.array_equal(one, other)
 
 
-def _origin(road: Road) -> Road:
+def _base_road(road: Road) -> Road:
     """The road from which an altered one is made."""
-    return _origin(road.road) if isinstance(road, Altered) else road
+    return _base_road(road.road) if isinstance(road, NoisyCopy) else road
 
 
 def _canonical(value: Any) -> Any:
     """`value` as JSON types: dataclasses with the name of their class, surface files by content."""
     if dataclasses.is_dataclass(value):
-        names = [f.name for f in dataclasses.fields(value) if f.name not in WORDS]
+        names = [f.name for f in dataclasses.fields(value) if f.name not in DESCRIPTIVE_FIELDS]
         fields = {name: _canonical(getattr(value, name)) for name in names}
         if isinstance(value, Measured):
             fields["path"] = hashlib.sha256(Path(value.path).read_bytes()).hexdigest()

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leaderboard.evaluation.tasks import Condition, Drives, Task
+from leaderboard.evaluation.tasks import Condition, DriveSet, Task
 from road_envs.data.record import Profile, Record
-from road_envs.data.recording import record_drive
+from road_envs.data.recording import simulate_record
 
 
 @dataclass(frozen=True)
-class Drive:
+class RecordedDrive:
     """One drive over the `road` realised by `seed`."""
 
     road: str
@@ -22,11 +22,11 @@ class Drive:
     notes: tuple[str, ...] = ()
 
 
-DriveSource = Callable[[Task, Drives, Condition], Iterator[Drive]]
-"""What makes drives; `simulated` is the one that counts, tests bring a faster one."""
+DriveSimulation = Callable[[Task, DriveSet, Condition], Iterator[RecordedDrive]]
+"""What makes drives; `simulate_drives` is the one that counts, tests bring a faster one."""
 
 
-def simulated(task: Task, drives: Drives, condition: Condition) -> Iterator[Drive]:
+def simulate_drives(task: Task, drives: DriveSet, condition: Condition) -> Iterator[RecordedDrive]:
     """Drive the task's car. Raises ConfigError, SimulationError.
 
     A road seed realises its road, the same one under every condition; the noise of the
@@ -35,22 +35,22 @@ def simulated(task: Task, drives: Drives, condition: Condition) -> Iterator[Driv
     car, instruments = task.vehicle, task.sensors
     if not drives.noise:
         instruments = dataclasses.replace(instruments, noise_density=0.0, speed_error=0.0)
-    for road, seed in drives.pairs:
+    for road, seed in drives.roads_and_seeds:
         surface = road.realise(np.random.default_rng(seed))
-        record, truth = record_drive(
+        record, truth = simulate_record(
             car,
             surface,
             speed_kmh=condition.speed_kmh,
-            mode=condition.command,
+            mode=condition.simulator_mode,
             instruments=instruments,
-            seed=np.random.SeedSequence([seed, task.stream(condition)]),
+            seed=np.random.SeedSequence([seed, task.seed_stream(condition)]),
             step=drives.step,
             grade=task.grade(drives, condition),
         )
-        yield Drive(surface.name, seed, record, truth, surface.notes)
+        yield RecordedDrive(surface.name, seed, record, truth, surface.notes)
 
 
-def read_only(drive: Drive) -> Drive:
+def lock_arrays(drive: RecordedDrive) -> RecordedDrive:
     """Lock the arrays of a drive, which all entries share: one that writes into them fails."""
     for holder in (drive.record, drive.truth):
         for value in vars(holder).values():

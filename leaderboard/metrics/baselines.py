@@ -14,15 +14,15 @@ from leaderboard.metrics.heights import Band, band_pass
 from road_envs.data.record import Estimate, Profile
 
 TRUTH_PLUS_NOISE = "truth_plus_noise"
-SENTINELS = ("flat", "mean", "unrelated_road", TRUTH_PLUS_NOISE)
-NOISE = 0.02
+BASELINES = ("flat", "mean", "unrelated_road", TRUTH_PLUS_NOISE)
+NOISE_LEVEL = 0.02
 
 
 def truth_plus_noise(truth: Profile, band: Band, seed: int) -> Estimate:
     """The truth with Gaussian noise whose level inside `band` is 2 % of the truth's."""
     noise = np.random.default_rng(seed).standard_normal(truth.z.shape)
     level = _rms(band_pass(truth.z, truth.ds, band)) / _rms(band_pass(noise, truth.ds, band))
-    return Estimate(truth.s, truth.z + NOISE * level * noise)
+    return Estimate(truth.s, truth.z + NOISE_LEVEL * level * noise)
 
 
 def _rms(z: np.ndarray) -> float:

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 REPLICATES = 2000
-LEVEL = 0.95
-CELLS = 2_000_000
+CONFIDENCE = 0.95
+MAX_BATCH_SCORES = 2_000_000
 """Scores held at a time while replicates are drawn: 16 MB."""
 
 
@@ -26,7 +26,7 @@ class Interval(NamedTuple):
     high: float
 
 
-class Performance(NamedTuple):
+class PerformanceProfile(NamedTuple):
     """Shares (T,) of runs at or below each threshold, with their bootstrap intervals."""
 
     share: np.ndarray
@@ -34,7 +34,7 @@ class Performance(NamedTuple):
     high: np.ndarray
 
 
-class Standing(NamedTuple):
+class Rank(NamedTuple):
     """Where an entry stands: `rank` is 1 + how many entries are better beyond doubt."""
 
     rank: int
@@ -55,10 +55,12 @@ def bootstrap(scores: np.ndarray, seed: int, replicates: int = REPLICATES) -> np
 
     The draw of roads depends on `seed`, R and B alone: entries with one `seed` are paired.
     """
-    return np.concatenate([interquartile_mean(x) for x in _drawn(scores, seed, replicates)])
+    return np.concatenate(
+        [interquartile_mean(x) for x in _replicate_scores(scores, seed, replicates)]
+    )
 
 
-def slope(parts: Sequence[np.ndarray], seed: int = 0) -> Interval:
+def iqm_slope(parts: Sequence[np.ndarray], seed: int = 0) -> Interval:
     """Growth of the interquartile mean from one of `parts` (R, C, S) to the next, by least squares.
 
     With its 95 % interval; the parts are paired, road by road and seed by seed.
@@ -66,14 +68,14 @@ def slope(parts: Sequence[np.ndarray], seed: int = 0) -> Interval:
     x = np.arange(len(parts)) - 0.5 * (len(parts) - 1)
     weight = x / np.sum(x * x)
     drawn = weight @ np.stack([bootstrap(part, seed) for part in parts])
-    low, high = np.quantile(drawn, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
+    low, high = np.quantile(drawn, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
     mean = weight @ np.array([float(interquartile_mean(part.ravel())) for part in parts])
     return Interval(float(mean), float(low), float(high))
 
 
-def performance(
+def performance_profile(
     scores: np.ndarray, thresholds: np.ndarray, seed: int = 0, replicates: int = REPLICATES
-) -> Performance:
+) -> PerformanceProfile:
     """Performance profile of `scores` (R, C, S), the lower the better, at `thresholds` (T,).
 
     The share of runs that are at least as good as each threshold; a score that is NaN never is.
@@ -82,33 +84,35 @@ def performance(
         reached = [np.mean(scores <= x) for x in thresholds]
         parts = [
             np.stack([np.mean(x <= limit, axis=1) for limit in thresholds], axis=1)
-            for x in _drawn(scores, seed, replicates)
+            for x in _replicate_scores(scores, seed, replicates)
         ]
-    low, high = np.quantile(np.concatenate(parts), [0.5 - LEVEL / 2, 0.5 + LEVEL / 2], axis=0)
-    return Performance(np.array(reached), low, high)
+    low, high = np.quantile(
+        np.concatenate(parts), [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2], axis=0
+    )
+    return PerformanceProfile(np.array(reached), low, high)
 
 
-def _drawn(scores: np.ndarray, seed: int, replicates: int) -> Iterator[np.ndarray]:
+def _replicate_scores(scores: np.ndarray, seed: int, replicates: int) -> Iterator[np.ndarray]:
     """The replicates' scores (b, R C S), some replicates at a time."""
     R, _, S = scores.shape
     road_rng, seed_rng = np.random.default_rng(seed).spawn(2)
     roads = road_rng.integers(R, size=(replicates, R))
     seeds = seed_rng.integers(S, size=(replicates, S))
-    size = max(1, CELLS // scores.size)
+    size = max(1, MAX_BATCH_SCORES // scores.size)
     for k in range(0, replicates, size):
         part = slice(k, k + size)
         drawn = scores[roads[part, :, None], :, seeds[part, None, :]]
         yield drawn.reshape(len(drawn), -1)
 
 
-def interval(scores: np.ndarray, seed: int = 0) -> Interval:
+def iqm_interval(scores: np.ndarray, seed: int = 0) -> Interval:
     """Interquartile mean of `scores` (R, C, S) with its 95 % interval; NaN if any score is."""
-    return _interval(scores, bootstrap(scores, seed))
+    return _as_interval(scores, bootstrap(scores, seed))
 
 
-def standings(
+def rank_entries(
     scores: Mapping[str, np.ndarray], seed: int = 0, replicates: int = REPLICATES
-) -> dict[str, Standing]:
+) -> dict[str, Rank]:
     """Rank of each entry by `scores` (R, C, S), the lower the better, best first.
 
     An entry is better beyond doubt if the 95 % interval of the paired difference is below 0: if
@@ -120,9 +124,9 @@ def standings(
     drawn = np.stack([bootstrap(x, seed, replicates) for x in scores.values()])  # (N, B)
     drawn[np.isnan(drawn).any(axis=1)] = np.inf
     rows = {
-        name: Standing(
-            1 + int(np.sum(np.mean(drawn < mine, axis=1) > 0.5 + LEVEL / 2)),
-            _interval(scores[name], mine),
+        name: Rank(
+            1 + int(np.sum(np.mean(drawn < mine, axis=1) > 0.5 + CONFIDENCE / 2)),
+            _as_interval(scores[name], mine),
         )
         for name, mine in zip(scores, drawn, strict=True)
     }
@@ -131,8 +135,8 @@ def standings(
     return dict(by_mean)
 
 
-def _interval(scores: np.ndarray, replicates: np.ndarray) -> Interval:
+def _as_interval(scores: np.ndarray, replicates: np.ndarray) -> Interval:
     if not np.isfinite(replicates).all():
         return Interval(np.nan, np.nan, np.nan)
-    low, high = np.quantile(replicates, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
+    low, high = np.quantile(replicates, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
     return Interval(float(interquartile_mean(scores.ravel())), float(low), float(high))

@@ -26,10 +26,10 @@ from scipy import signal
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.special import ndtr, ndtri
 
-from road_envs.analysis.roughness import without_line
-from road_envs.data.record import F_MAX as F_MAX
-from road_envs.data.record import N_HI as N_HI
-from road_envs.data.record import N_LO as N_LO
+from road_envs.analysis.roughness import detrend_linear
+from road_envs.data.record import SCORED_F_MAX as SCORED_F_MAX
+from road_envs.data.record import SCORED_N_MAX as SCORED_N_MAX
+from road_envs.data.record import SCORED_N_MIN as SCORED_N_MIN
 from road_envs.data.record import scored_band as scored_band
 
 VERSION = 2
@@ -38,8 +38,8 @@ VERSION = 2
 Band = tuple[float, float]
 FULL_BAND: Band = (0.05, 3.0)
 LAG_MAX = 0.5  # [m]
-SEGMENT = 10.0  # [m] of the coherence's Welch segments: 0.1 cycles/m apart
-NOTHING = 1e-9  # an rms below this share of the truth's is rounding, not content
+SEGMENT_LENGTH = 10.0  # [m] of the coherence's Welch segments: 0.1 cycles/m apart
+NEGLIGIBLE = 1e-9  # an rms below this share of the truth's is rounding, not content
 
 
 class Sides(NamedTuple):
@@ -76,7 +76,7 @@ def band_pass(z: np.ndarray, ds: float, band: Band) -> np.ndarray:
     M = z.shape[-1]
     pad = min(M - 1, round(20.0 / ds))
     ends = [(0, 0)] * (z.ndim - 1) + [(pad, pad)]
-    z = np.pad(without_line(z), ends, mode="reflect", reflect_type="odd")
+    z = np.pad(detrend_linear(z), ends, mode="reflect", reflect_type="odd")
     z = z * signal.windows.tukey(z.shape[-1], 2 * pad / z.shape[-1])
     size = next_fast_len(z.shape[-1], real=True)
     n = rfftfreq(size, ds)
@@ -116,7 +116,7 @@ def coherence(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> float:
 
     Two unrelated profiles have 1 / (independent segments), not 0: about 0.1 at 100 m.
     """
-    size = min(round(SEGMENT / ds), y.shape[-1] // 4)
+    size = min(round(SEGMENT_LENGTH / ds), y.shape[-1] // 4)
     Y, A = _segments(y, size), _segments(a, size)
     n = rfftfreq(size, ds)
     inside = (n >= band[0]) & (n <= band[1])
@@ -158,7 +158,7 @@ def level_error(y: np.ndarray, a: np.ndarray) -> Sides:
     return Sides(*(level - 1.0 for level in _ratio(a, y)))
 
 
-def about_mean(z: np.ndarray) -> np.ndarray:
+def remove_mean(z: np.ndarray) -> np.ndarray:
     """Heights (2, M) [m] about the mean of each wheel path."""
     return z - z.mean(axis=-1, keepdims=True)
 
@@ -167,7 +167,7 @@ def _ratio(above: np.ndarray, below: np.ndarray) -> Sides:
     """RMS of `above` over RMS of `below`, both (2, M); NaN over a wheel path that is flat."""
     a, b = np.mean(above**2, axis=-1), np.mean(below**2, axis=-1)
     a, b = np.append(a, a.mean()), np.append(b, b.mean())
-    ratio = np.divide(a, b, out=np.full(3, np.nan), where=b > NOTHING**2 * b[2])
+    ratio = np.divide(a, b, out=np.full(3, np.nan), where=b > NEGLIGIBLE**2 * b[2])
     return Sides(*np.sqrt(ratio).tolist())
 
 
@@ -175,7 +175,7 @@ def _pearson(yy: np.ndarray, aa: np.ndarray, ya: np.ndarray) -> np.ndarray:
     """Correlation from sums of squares and products of band-passed (hence mean-free) profiles."""
     if yy == 0.0:
         return np.full_like(ya, np.nan)
-    heard = aa > NOTHING**2 * yy
+    heard = aa > NEGLIGIBLE**2 * yy
     return np.where(heard, ya / np.sqrt(yy * np.where(heard, aa, 1.0)), 0.0)
 
 

@@ -5,13 +5,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from leaderboard.metrics import heights, roughness
-from leaderboard.metrics.obstacles import bump_scores
+from leaderboard.metrics.obstacles import obstacle_scores
 from road_envs.data.record import Estimate, Profile
 
-NOTHING = "–"
+UNDEFINED = "–"
 """Stands for a score that is not defined."""
 
-FARTHEST = 1e6
+HEIGHT_LIMIT = 1e6
 """Heights beyond this [m] count as this much."""
 
 Better = Literal["low", "high", "zero", ""]
@@ -26,10 +26,10 @@ class Score(NamedTuple):
     digits: int
     better: Better
 
-    def text(self, value: float) -> str:
+    def format_value(self, value: float) -> str:
         """The value as printed; a dash for one that is not defined."""
         if not np.isfinite(value):
-            return NOTHING
+            return UNDEFINED
         rounded = round(self.factor * value, self.digits) + 0.0  # no minus before a zero
         return f"{rounded:{'+' if self.better == 'zero' else ''}.{self.digits}f}"
 
@@ -71,16 +71,16 @@ SCORES = {
     "coverage_90": Score("inside the 90 % interval", "%", 100.0, 0, ""),
     **{
         f"class_exact_{n:g}": Score(f"class at {n:g} cycles/m", "%", 100.0, 0, "high")
-        for n in roughness.OCTAVES
+        for n in roughness.OCTAVE_CENTRES
     },
     **{
         f"error_at_{n:.3g}": Score(f"NRMSE at {n:.3g} cycles/m", "", 1.0, 2, "low")
-        for n in roughness.THIRDS
+        for n in roughness.THIRD_OCTAVES
     },
 }
 
 
-def scores(
+def compute_scores(
     truth: Profile, estimate: Estimate, v: float, bumps: bool, bound: float | None = None
 ) -> dict[str, float]:
     """All scores of an estimate of a drive at `v` [m/s]; those of obstacles where `bumps` says so
@@ -95,13 +95,13 @@ def scores(
     `level_error` is of heights about their mean.
     A score that is not defined, such as the error relative to a flat truth, is NaN.
     """
-    y, a, ds = truth.z, np.clip(estimate.z, -FARTHEST, FARTHEST), truth.ds
+    y, a, ds = truth.z, np.clip(estimate.z, -HEIGHT_LIMIT, HEIGHT_LIMIT), truth.ds
     inside = heights.band_pass(np.stack([y, a]), ds, heights.scored_band(v))
-    result = _profile_scores(y, a, inside, ds, v) | roughness.scores(y, a, ds, v)
-    if bumps and (found := bump_scores(y, a, ds)) is not None:
+    result = _profile_scores(y, a, inside, ds, v) | roughness.roughness_scores(y, a, ds, v)
+    if bumps and (found := obstacle_scores(y, a, ds)) is not None:
         result |= {f"bump_{name}": float(value) for name, value in found._asdict().items()}
     if estimate.z_std is not None:
-        sigma = np.minimum(estimate.z_std, FARTHEST)
+        sigma = np.minimum(estimate.z_std, HEIGHT_LIMIT)
         result |= heights.uncertainty(inside[0], inside[1], sigma)._asdict()
     if bound is not None:
         nrmse = result["nrmse"]
@@ -116,7 +116,7 @@ def _profile_scores(
     """Scores of heights; `inside` (2, 2, K) [m] is truth and estimate in the scored band."""
     y_inside, a_inside = inside
     error = heights.error_over_truth(y_inside, a_inside)
-    level = heights.level_error(heights.about_mean(y), heights.about_mean(a))
+    level = heights.level_error(heights.remove_mean(y), heights.remove_mean(a))
     correlation = heights.correlation(y_inside, a_inside, ds)
     return {
         "nrmse": error.pooled,

@@ -9,31 +9,31 @@ flat estimate, counts as 60 dB.
 
 import numpy as np
 
-from leaderboard.metrics.heights import F_MAX, Band, scored_band
+from leaderboard.metrics.heights import SCORED_F_MAX, Band, scored_band
 from road_envs.analysis.roughness import (
     CLASSES,
     band_means,
-    classify,
-    dsd,
+    displacement_psd,
     fit_line,
     golden_car,
     octave_levels,
-    smooth,
+    roughness_class,
+    smooth_psd,
 )
 
-CAP = 60.0  # [dB]
-IRI_SEGMENT = 100.0  # [m]
-OCTAVES = (0.25, 0.5, 1.0, 2.0)  # [cycles/m] in which classes are compared
-THIRDS = 2.0 ** (np.arange(-9, 6) / 3.0)
+MAX_RATIO_DB = 60.0  # [dB]
+IRI_SEGMENT_LENGTH = 100.0  # [m]
+OCTAVE_CENTRES = (0.25, 0.5, 1.0, 2.0)  # [cycles/m] in which classes are compared
+THIRD_OCTAVES = 2.0 ** (np.arange(-9, 6) / 3.0)
 """Centres [cycles/m] of the third octaves over which the error is told: 0.125 to 3.17."""
 
 
-def scores(y: np.ndarray, a: np.ndarray, ds: float, v: float) -> dict[str, float]:
+def roughness_scores(y: np.ndarray, a: np.ndarray, ds: float, v: float) -> dict[str, float]:
     """All scores of roughness for a drive at `v` [m/s]."""
     band = scored_band(v)
-    n, (G_y, G_a, G_e) = dsd(np.stack([y, a, a - y]), ds)
+    n, (G_y, G_a, G_e) = displacement_psd(np.stack([y, a, a - y]), ds)
     distance, bias = dsd_distance(n, G_y, G_a, band)
-    steps = class_steps(n, G_y, G_a, v)
+    steps = class_differences(n, G_y, G_a, v)
     fitted, size, signed = fitted_class(n, G_y, G_a, band)
     error, relative = iri_error(y, a, ds)
     return {
@@ -48,19 +48,21 @@ def scores(y: np.ndarray, a: np.ndarray, ds: float, v: float) -> dict[str, float
         "iri_error_relative": relative,
         **{
             f"class_exact_{n_c:g}": _share(steps[:, k] == 0) if k < steps.shape[1] else np.nan
-            for k, n_c in enumerate(OCTAVES)
+            for k, n_c in enumerate(OCTAVE_CENTRES)
         },
         **{
             f"error_at_{n_c:.3g}": x
-            for n_c, x in zip(THIRDS, error_over_n(n, G_y, G_e), strict=True)
+            for n_c, x in zip(THIRD_OCTAVES, third_octave_errors(n, G_y, G_e), strict=True)
         },
     }
 
 
-def error_over_n(n: np.ndarray, G_y: np.ndarray, G_e: np.ndarray) -> list[float]:
+def third_octave_errors(n: np.ndarray, G_y: np.ndarray, G_e: np.ndarray) -> list[float]:
     """NRMSE [-] in each of THIRDS: root of the error's power over the truth's, both paths."""
     true, wrong = (
-        band_means(n, G.sum(axis=0), THIRDS * 2.0 ** (-1 / 6), THIRDS * 2.0 ** (1 / 6))
+        band_means(
+            n, G.sum(axis=0), THIRD_OCTAVES * 2.0 ** (-1 / 6), THIRD_OCTAVES * 2.0 ** (1 / 6)
+        )
         for G in (G_y, G_e)
     )
     ratio = np.divide(wrong, true, out=np.full_like(true, np.nan), where=true > 0)
@@ -79,17 +81,19 @@ def dsd_distance(
     return float(np.sqrt(np.mean(ratio**2))), float(np.mean(ratio))
 
 
-def class_steps(n: np.ndarray, G_y: np.ndarray, G_a: np.ndarray, v: float) -> np.ndarray:
+def class_differences(n: np.ndarray, G_y: np.ndarray, G_a: np.ndarray, v: float) -> np.ndarray:
     """By how many ISO classes an octave is taken for too rough: (2, octaves), 0 where it is right.
 
     OCTAVES as far as the 25 Hz low-pass at `v` [m/s] leaves them whole; perhaps none.
     """
-    whole = [n_c for n_c in OCTAVES if n_c * np.sqrt(2.0) <= F_MAX / v]
+    whole = [n_c for n_c in OCTAVE_CENTRES if n_c * np.sqrt(2.0) <= SCORED_F_MAX / v]
     if not whole:
         return np.zeros((2, 0), dtype=int)
     octaves = (whole[0], whole[-1])
     true, found = (octave_levels(n, G, octaves)[1] for G in (G_y, G_a))
-    return np.vectorize(_index, otypes=[int])(found) - np.vectorize(_index, otypes=[int])(true)
+    return np.vectorize(_class_index, otypes=[int])(found) - np.vectorize(
+        _class_index, otypes=[int]
+    )(true)
 
 
 def fitted_class(
@@ -99,8 +103,8 @@ def fitted_class(
 
     Class and Gd(n0) are those of the line with w = 2 through the smoothed density inside `band`.
     """
-    true, found = (np.array([_level(n, path, band) for path in G]) for G in (G_y, G_a))
-    right = [classify(a) == classify(y) for a, y in zip(found, true, strict=True)]
+    true, found = (np.array([_fitted_G_d0(n, path, band) for path in G]) for G in (G_y, G_a))
+    right = [roughness_class(a) == roughness_class(y) for a, y in zip(found, true, strict=True)]
     error = _decibels(found, true)
     return float(np.mean(right)), float(np.mean(np.abs(error))), float(np.mean(error))
 
@@ -115,13 +119,13 @@ def iri_error(y: np.ndarray, a: np.ndarray, ds: float) -> tuple[float, float]:
 def _iri(z: np.ndarray, ds: float) -> np.ndarray:
     """IRI (2, segments) [mm/m]; the road is cut into whole segments of about 100 m."""
     motion = 1e3 * np.abs(golden_car(z, ds))
-    segments = max(1, round(z.shape[-1] * ds / IRI_SEGMENT))
+    segments = max(1, round(z.shape[-1] * ds / IRI_SEGMENT_LENGTH))
     return np.array([part.mean(axis=-1) for part in np.array_split(motion, segments, axis=-1)]).T
 
 
-def _level(n: np.ndarray, G: np.ndarray, band: Band) -> float:
+def _fitted_G_d0(n: np.ndarray, G: np.ndarray, band: Band) -> float:
     """Gd(n0) [m³] of one wheel path by a line with w = 2 inside `band`; 0 if it is flat."""
-    n, G = smooth(n, G)
+    n, G = smooth_psd(n, G)
     inside = (n >= band[0]) & (n <= band[1]) & (G > 0.0)
     return fit_line(n, G, w=2.0, band=band)[0] if inside.sum() >= 2 else 0.0
 
@@ -130,11 +134,11 @@ def _share(hits: np.ndarray) -> float:
     return float(np.mean(hits)) if hits.size else np.nan
 
 
-def _index(G_d0: float) -> int:
-    return list(CLASSES).index(classify(G_d0))
+def _class_index(G_d0: float) -> int:
+    return list(CLASSES).index(roughness_class(G_d0))
 
 
 def _decibels(a: np.ndarray, y: np.ndarray) -> np.ndarray:
     """10 log10(a / y), cut at +-60 dB; NaN where both are 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.clip(10.0 * np.log10(a / y), -CAP, CAP)
+        return np.clip(10.0 * np.log10(a / y), -MAX_RATIO_DB, MAX_RATIO_DB)

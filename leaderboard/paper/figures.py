@@ -13,21 +13,21 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.paper.study import LIMITS, PRINTED, Case, Study, state_of
+from leaderboard.paper.study import EQ_12_RAW, STATE_LIMITS, PaperScenario, Study, training_state
 from leaderboard.report.plots import COLOURS, draw_classes
-from road_envs.analysis.roughness import dsd, smooth
+from road_envs.analysis.roughness import displacement_psd, smooth_psd
 from road_envs.roads.trapezoids import LAYOUTS, SIDES, Bumps
 
-WINDOW = 20.0
+OVERLAY_LENGTH = 20.0
 """Length [m] of the paving that an overlay shows."""
 
-LETTERS = "abcdefgh"
-PATHS = ("left", "right")
+PANEL_LETTERS = "abcdefgh"
+WHEEL_PATHS = ("left", "right")
 Paint = Callable[[Any], None]
 
 
 @dataclass(frozen=True)
-class Plate:
+class PaperFigure:
     """A figure: `paint` fills a matplotlib figure of `size` [inch]."""
 
     name: str
@@ -36,31 +36,33 @@ class Plate:
     size: tuple[float, float] = (8.0, 5.6)
 
 
-def plates(study: Study) -> list[Plate]:
+def paper_figures(study: Study) -> list[PaperFigure]:
     """All figures, in the paper's order, then the spread of the trainings."""
-    sessions = dict(zip(("10", "A.1", "A.3", "A.5"), chosen_sessions(study), strict=True))
-    bumps = [_bumps(case, f"{number}") for number, case in zip("6789", study.bumps, strict=True)]
+    sessions = dict(zip(("10", "A.1", "A.3", "A.5"), select_sessions(study), strict=True))
+    bumps = [
+        _bumps(scenario, f"{number}") for number, scenario in zip("6789", study.bumps, strict=True)
+    ]
     paving = [
-        plate
+        figure
         for (name, session), second in zip(
             sessions.items(), ("11", "A.2", "A.4", "A.6"), strict=True
         )
-        for plate in (_profiles(study, name, session), _densities(study, second, session))
+        for figure in (_profiles(study, name, session), _densities(study, second, session))
     ]
-    own = chosen_sessions(study, nominal=True)[0]
+    own = select_sessions(study, nominal=True)[0]
     at_home = [_profiles(study, "10", own, True), _densities(study, "11", own, True)]
     return [_struts(study), _layouts(), _paving(study), *bumps, *paving, *at_home, _spread(study)]
 
 
-def chosen_sessions(study: Study, nominal: bool = False) -> list[int]:
+def select_sessions(study: Study, nominal: bool = False) -> list[int]:
     """Which training of each scenario: the best, the middle, the upper quartile, the worst."""
-    worst = np.max([case.all(PRINTED, nominal) for case in study.paving], axis=0)
+    worst = np.max([scenario.score_values(EQ_12_RAW, nominal) for scenario in study.paving], axis=0)
     order, last = np.argsort(worst, kind="stable"), len(worst) - 1
     return [int(order[k]) for k in (0, last // 2, (3 * last) // 4, last)]
 
 
-def _struts(study: Study) -> Plate:
-    strut = study.cases[0].task.vehicle.strut
+def _struts(study: Study) -> PaperFigure:
+    strut = study.scenarios[0].task.vehicle.strut
 
     def paint(figure: Any) -> None:
         panels = figure.subplots(2, 2).ravel()
@@ -76,7 +78,7 @@ def _struts(study: Study) -> Plate:
         titles = ("damping", "friction", "bushing", "bump stop")
         for k, (axes, title) in enumerate(zip(panels, titles, strict=True)):
             across = "rate of extension [m/s]" if k < 2 else "extension [m]"
-            axes.set(title=f"({LETTERS[k]}) {title}", xlabel=across, ylabel="force [N]")
+            axes.set(title=f"({PANEL_LETTERS[k]}) {title}", xlabel=across, ylabel="force [N]")
         panels[0].legend(frameon=False)
         panels[3].legend(frameon=False)
 
@@ -85,10 +87,10 @@ def _struts(study: Study) -> Plate:
         "dashed and handling solid; (b) friction of both; (c) bushing; (d) bump stop, front solid "
         "and rear dashed. Assumed: the paper prints its curves in a figure only."
     )
-    return Plate("Figure 1", caption, paint)
+    return PaperFigure("Figure 1", caption, paint)
 
 
-def _layouts() -> Plate:
+def _layouts() -> PaperFigure:
     def paint(figure: Any) -> None:
         for k, (axes, layout) in enumerate(zip(figure.subplots(3, 1), LAYOUTS, strict=True)):
             road = Bumps(layout=layout)
@@ -101,7 +103,10 @@ def _layouts() -> Plate:
                     )
                     z = 1000 * block.height * np.array([0, 1, 1, 0])
                     axes.fill(
-                        s, z / 1000 + 0.25 * (1 - path), color=COLOURS[PATHS[path]], alpha=0.85
+                        s,
+                        z / 1000 + 0.25 * (1 - path),
+                        color=COLOURS[WHEEL_PATHS[path]],
+                        alpha=0.85,
                     )
                 axes.annotate(
                     f"{1000 * block.height:.0f} mm", (middle, 0.45), ha="center", fontsize=8
@@ -119,7 +124,7 @@ def _layouts() -> Plate:
                     fontsize=8,
                 )
             axes.set(
-                title=f"({LETTERS[k + 1]}) {layout.replace('_', ', then ')}",
+                title=f"({PANEL_LETTERS[k + 1]}) {layout.replace('_', ', then ')}",
                 xlim=(8.0, 24.0),
                 ylim=(-0.22, 0.6),
             )
@@ -127,17 +132,19 @@ def _layouts() -> Plate:
         axes.set_xlabel("distance [m], heights to the same scale")
 
     caption = "Layouts of the bumps, seen from the side, left wheel path above the right one."
-    return Plate("Figure 2", caption, paint)
+    return PaperFigure("Figure 2", caption, paint)
 
 
-def _paving(study: Study) -> Plate:
+def _paving(study: Study) -> PaperFigure:
     truth = study.paving[0].truth
 
     def paint(figure: Any) -> None:
         axes = figure.subplots()
         draw_classes(axes)
-        for path, z in zip(PATHS, truth.z, strict=True):
-            axes.plot(*smooth(*dsd(z, truth.ds)), color=COLOURS[path], lw=1.4, label=path)
+        for path, z in zip(WHEEL_PATHS, truth.z, strict=True):
+            axes.plot(
+                *smooth_psd(*displacement_psd(z, truth.ds)), color=COLOURS[path], lw=1.4, label=path
+            )
         axes.axvline(6.0, color="0.4", lw=0.8, ls=":")
         axes.annotate("cobbles", (6.0, 1e-3), (4, 0), textcoords="offset points", fontsize=8)
         axes.legend(frameon=False)
@@ -147,52 +154,54 @@ def _paving(study: Study) -> Plate:
         "cobbles make the peak near 6 cycles/m. Made after the measured cobbles of the OpenCRG "
         "sample, since the paper's own profile is not published."
     )
-    return Plate("Figure 3", caption, paint, (6.0, 4.2))
+    return PaperFigure("Figure 3", caption, paint, (6.0, 4.2))
 
 
-def _bumps(case: Case, number: str) -> Plate:
-    training = case.typical()
+def _bumps(scenario: PaperScenario, number: str) -> PaperFigure:
+    training = scenario.median_run()
 
     def paint(figure: Any) -> None:
         for side, axes in enumerate(figure.subplots(1, 2, sharey=True)):
-            axes.plot(case.truth.s, case.truth.z[side], "-", color=COLOURS["truth"], lw=1.1)
-            axes.plot(case.truth.s, training.z[side], "--", color=COLOURS[PATHS[side]], lw=1.2)
-            error = training.scores[f"nrmse_{PATHS[side]}"]
-            title = f"({LETTERS[side]}) {PATHS[side]}, in-band error {error:.2f}"
+            axes.plot(scenario.truth.s, scenario.truth.z[side], "-", color=COLOURS["truth"], lw=1.1)
+            axes.plot(
+                scenario.truth.s, training.z[side], "--", color=COLOURS[WHEEL_PATHS[side]], lw=1.2
+            )
+            error = training.scores[f"nrmse_{WHEEL_PATHS[side]}"]
+            title = f"({PANEL_LETTERS[side]}) {WHEEL_PATHS[side]}, in-band error {error:.2f}"
             axes.set(title=title, xlabel="distance [m]", ylabel="height [m]")
 
     caption = (
-        f"Bumps of scenario {case.number} ({case.condition}): actual solid, reconstructed dashed, "
-        f"by the training in the middle of {len(case.trainings)} (seed {training.seed}; "
-        f"equation 12 {100 * training.scores[PRINTED]:.1f} %, {training.state})."
+        f"Bumps of scenario {scenario.number} ({scenario.condition}): actual solid, reconstructed "
+        f"dashed, by the median training of {len(scenario.trainings)} (seed {training.seed}; "
+        f"equation 12 {100 * training.scores[EQ_12_RAW]:.1f} %, {training.state})."
     )
-    return Plate(f"Figure {number}", caption, paint, (8.0, 3.0))
+    return PaperFigure(f"Figure {number}", caption, paint, (8.0, 3.0))
 
 
-def _profiles(study: Study, number: str, session: int, nominal: bool = False) -> Plate:
-    def panel(axes: Any, case: Case, z: np.ndarray) -> None:
-        s = case.truth.s
-        shown = np.abs(s - 0.5 * s[-1]) < 0.5 * WINDOW
-        axes.plot(s[shown], 1e3 * case.truth.z[0, shown], "-", color=COLOURS["truth"], lw=1.0)
+def _profiles(study: Study, number: str, session: int, nominal: bool = False) -> PaperFigure:
+    def panel(axes: Any, scenario: PaperScenario, z: np.ndarray) -> None:
+        s = scenario.truth.s
+        shown = np.abs(s - 0.5 * s[-1]) < 0.5 * OVERLAY_LENGTH
+        axes.plot(s[shown], 1e3 * scenario.truth.z[0, shown], "-", color=COLOURS["truth"], lw=1.0)
         axes.plot(s[shown], 1e3 * z[0, shown], "--", color=COLOURS["left"], lw=1.1)
         axes.set(xlabel="distance [m]", ylabel="height [mm]")
 
-    return Plate(
+    return PaperFigure(
         _name(number, nominal),
         _caption(study, session, "Profiles (left wheel path, 20 m of 100 m)", nominal),
         _panels(study, session, panel, nominal),
     )
 
 
-def _densities(study: Study, number: str, session: int, nominal: bool = False) -> Plate:
-    def panel(axes: Any, case: Case, z: np.ndarray) -> None:
+def _densities(study: Study, number: str, session: int, nominal: bool = False) -> PaperFigure:
+    def panel(axes: Any, scenario: PaperScenario, z: np.ndarray) -> None:
         draw_classes(axes)
-        ds = case.truth.ds
-        axes.plot(*_mean_density(case.truth.z, ds), "-", color=COLOURS["truth"], lw=1.1)
+        ds = scenario.truth.ds
+        axes.plot(*_mean_density(scenario.truth.z, ds), "-", color=COLOURS["truth"], lw=1.1)
         axes.plot(*_mean_density(z, ds), "--", color=COLOURS["left"], lw=1.2)
         axes.set(ylabel="density [m³]")
 
-    return Plate(
+    return PaperFigure(
         _name(number, nominal),
         _caption(study, session, "Densities (mean of both wheel paths)", nominal),
         _panels(study, session, panel, nominal),
@@ -204,23 +213,29 @@ def _name(number: str, nominal: bool) -> str:
 
 
 def _panels(
-    study: Study, session: int, panel: Callable[[Any, Case, np.ndarray], None], nominal: bool
+    study: Study,
+    session: int,
+    panel: Callable[[Any, PaperScenario, np.ndarray], None],
+    nominal: bool,
 ) -> Paint:
     def paint(figure: Any) -> None:
-        for k, (axes, case) in enumerate(
+        for k, (axes, scenario) in enumerate(
             zip(figure.subplots(2, 2).ravel(), study.paving, strict=True)
         ):
-            training = case.trainings[session]
-            panel(axes, case, training.nominal_z if nominal else training.z)
-            driven = case.driven if nominal else case.condition
-            error = case.all(PRINTED, nominal)[session]
-            axes.set_title(f"({LETTERS[k]}) {driven}: {100 * error:.1f} %", fontsize=9)
+            training = scenario.trainings[session]
+            panel(axes, scenario, training.nominal_z if nominal else training.z)
+            driven = scenario.drive_label if nominal else scenario.condition
+            error = scenario.score_values(EQ_12_RAW, nominal)[session]
+            axes.set_title(f"({PANEL_LETTERS[k]}) {driven}: {100 * error:.1f} %", fontsize=9)
 
     return paint
 
 
 def _caption(study: Study, session: int, what: str, nominal: bool) -> str:
-    states = [state_of(case.all(PRINTED, nominal)[session]) for case in study.paving]
+    states = [
+        training_state(scenario.score_values(EQ_12_RAW, nominal)[session])
+        for scenario in study.paving
+    ]
     return (
         f"{what}, actual solid and reconstructed dashed, of session {session + 1} of "
         f"{len(study.paving[0].trainings)}; equation 12 as printed stands on top of each. By it "
@@ -229,26 +244,30 @@ def _caption(study: Study, session: int, what: str, nominal: bool) -> str:
 
 
 def _mean_density(z: np.ndarray, ds: float) -> tuple[np.ndarray, np.ndarray]:
-    n, G = smooth(*dsd(z, ds))
+    n, G = smooth_psd(*displacement_psd(z, ds))
     return n, G.mean(axis=0)
 
 
-def _spread(study: Study) -> Plate:
+def _spread(study: Study) -> PaperFigure:
     def paint(figure: Any) -> None:
         level, shape = figure.subplots(1, 2, sharey=True)
         cars = ((False, COLOURS["left"]), (True, "0.55"))
-        for k, case in enumerate(study.cases):
+        for k, scenario in enumerate(study.scenarios):
             for (nominal, colour), up in zip(cars, (-0.12, 0.12), strict=True):
-                for axes, score, factor in ((level, PRINTED, 100.0), (shape, "nrmse", 1.0)):
-                    x = np.clip(factor * case.all(score, nominal), *axes_of(axes is level))
-                    y = _spread_out(k + up, x.size)
+                for axes, score, factor in ((level, EQ_12_RAW, 100.0), (shape, "nrmse", 1.0)):
+                    x = np.clip(
+                        factor * scenario.score_values(score, nominal), *axes_of(axes is level)
+                    )
+                    y = _jittered(k + up, x.size)
                     axes.plot(x, y, "o", color=colour, ms=3.5, alpha=0.7)
-            if case.task.claimed_level_error is not None:
-                claimed = 100 * case.task.claimed_level_error
+            if scenario.task.claimed_level_error is not None:
+                claimed = 100 * scenario.task.claimed_level_error
                 level.plot(claimed, k, "D", color=COLOURS["right"], ms=7)
-            if case.driven in study.new_road:
-                shape.plot(study.new(case, "nrmse"), k, "s", color=COLOURS["right"], ms=6)
-        for limit in LIMITS:
+            if scenario.drive_label in study.new_road:
+                shape.plot(
+                    study.new_road_score(scenario, "nrmse"), k, "s", color=COLOURS["right"], ms=6
+                )
+        for limit in STATE_LIMITS:
             level.axvline(100 * limit, color="0.6", lw=0.8, ls=":")
         shape.axvline(1.0, color="0.6", lw=0.8, ls=":")
         for axes, label in ((level, "equation 12 [%]"), (shape, "in-band NRMSE")):
@@ -257,7 +276,8 @@ def _spread(study: Study) -> Plate:
             axes.xaxis.set_major_formatter("{x:g}")
         level.set_ylabel("scenario")
         level.set_yticks(
-            range(len(study.cases)), [f"{case.number}: {case.driven}" for case in study.cases]
+            range(len(study.scenarios)),
+            [f"{scenario.number}: {scenario.drive_label}" for scenario in study.scenarios],
         )
         level.invert_yaxis()
 
@@ -270,9 +290,9 @@ def _spread(study: Study) -> Plate:
         "and 25 %. Right: in-band error; squares: the network on new roads; dotted: a flat road. "
         "What lies beyond the axes stands at their ends."
     )
-    return Plate("Spread", caption, paint, (9.0, 4.8))
+    return PaperFigure("Spread", caption, paint, (9.0, 4.8))
 
 
-def _spread_out(k: float, size: int) -> np.ndarray:
+def _jittered(k: float, size: int) -> np.ndarray:
     """Places near `k`, so that points do not hide each other."""
     return k + 0.1 * np.linspace(-1.0, 1.0, size)

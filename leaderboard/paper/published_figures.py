@@ -1,4 +1,4 @@
-"""What the paper says, what came out here, whether they agree, and why: made from the numbers."""
+"""The statements of the paper, each compared with the results of the study."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -7,16 +7,24 @@ import numpy as np
 
 from leaderboard.metrics.bound import nrmse_bound
 from leaderboard.metrics.heights import scored_band
-from leaderboard.paper.study import LIMITS, PRINTED, STATES, Case, State, Study, state_of
+from leaderboard.paper.study import (
+    EQ_12_RAW,
+    STATE_LIMITS,
+    TRAINING_STATES,
+    PaperScenario,
+    Study,
+    TrainingState,
+    training_state,
+)
 
-NOTHING = ("constant", "unrelated_road", "mean")
+NAIVE_BASELINES = ("constant", "unrelated_road", "mean")
 """Those that measure nothing."""
 
 Verdict = Literal["agrees", "agrees in part", "does not agree"]
-FLAT = 0.9
+FLAT_ERROR = 0.9
 """In-band error above which an estimate is hardly better than a flat road, which has 1."""
 
-CLOSE = 3.0
+CLOSE_DB = 3.0
 """Distance [dB] of two densities within which a class, 6 dB wide, is likely the same."""
 
 PAPER_SECONDS = (65.0, 2.0)
@@ -25,13 +33,13 @@ PAPER_SECONDS = (65.0, 2.0)
 
 @dataclass(frozen=True)
 class Claim:
-    """A statement of the paper beside what was found; `why` where the difference has a reason."""
+    """A statement of the paper and the result of the study; `reason` explains a difference."""
 
-    where: str
-    says: str
-    found: str
+    section: str
+    statement: str
+    result: str
     verdict: Verdict
-    why: str = ""
+    reason: str = ""
 
 
 def claims(study: Study) -> list[Claim]:
@@ -50,22 +58,24 @@ def claims(study: Study) -> list[Claim]:
     ]
 
 
-def summary(study: Study) -> list[str]:
+def key_findings(study: Study) -> list[str]:
     """The few sentences that a reader should take away."""
     made = claims(study)
     counts = {v: sum(c.verdict == v for c in made) for v in ("agrees", "agrees in part")}
     paving = study.paving
     constant, stranger = (
-        _percents(sorted({case.sentinel(name, PRINTED) for case in paving}))  # of one road, mostly
+        _percents(
+            sorted({scenario.baseline_median(name, EQ_12_RAW) for scenario in paving})
+        )  # of one road, mostly
         for name in ("constant", "unrelated_road")
     )
     return [
         f"Of {len(made)} statements of the paper {counts['agrees']} agree with what was found here "
         f"and {counts['agrees in part']} in part.",
-        f"On the paving, equation 12 as it is printed gives {_listed(study, PRINTED)} where the "
+        f"On the paving, equation 12 as it is printed gives {_listed(study, EQ_12_RAW)} where the "
         f"paper has {_claimed(study)} (handling and ride at 14.5 km/h, ride and handling at "
         f"54 km/h). On the car that they were trained on the same networks have "
-        f"{_percents([case.nominal(PRINTED) for case in paving])}.",
+        f"{_percents([scenario.nominal_iq_mean(EQ_12_RAW) for scenario in paving])}.",
         "The equation compares levels, and of raw heights it compares mostly the datum: a "
         f"constant height, which has no road in it, is given {constant}, an unrelated road of the "
         f"same roughness {stranger}. Of heights about their mean the networks have "
@@ -77,14 +87,15 @@ def summary(study: Study) -> list[str]:
 
 def _point_by_point(study: Study) -> str:
     field, own = (
-        [find(case, "nrmse") for case in study.paving] for find in (Case.middle, Case.nominal)
+        [find(scenario, "nrmse") for scenario in study.paving]
+        for find in (PaperScenario.iq_mean, PaperScenario.nominal_iq_mean)
     )
-    low, high = scored_band(min(case.speed for case in study.paving))
+    low, high = scored_band(min(scenario.speed for scenario in study.paving))
     told = (
         f"Point by point, between {low:g} and {high:g} cycles/m, the error is {_numbers(field, 2)} "
         f"of the road, and {_numbers(own, 2)} on the car of the training, where a flat road has 1"
     )
-    if min(own) > FLAT:
+    if min(own) > FLAT_ERROR:
         return (
             f"{told}: the networks know little of this paving, though they were trained on an "
             "altered copy of it."
@@ -93,8 +104,8 @@ def _point_by_point(study: Study) -> str:
 
 
 def _new_roads(study: Study) -> str:
-    new = [study.new(case, "nrmse") for case in study.paving]
-    level = [study.new(case, PRINTED) for case in study.paving]
+    new = [study.new_road_score(scenario, "nrmse") for scenario in study.paving]
+    level = [study.new_road_score(scenario, EQ_12_RAW) for scenario in study.paving]
     worse = ": a flat road would have been the better answer" if min(new) > 1.0 else ""
     return (
         f"On roads that they have not seen, the networks' error is {_numbers(new, 2)}{worse}; by "
@@ -104,11 +115,11 @@ def _new_roads(study: Study) -> str:
 
 def _bumps_found(study: Study) -> Claim:
     recall, precision, own = (
-        [find(case, score) for case in study.bumps]
+        [find(scenario, score) for scenario in study.bumps]
         for find, score in (
-            (Case.middle, "bump_recall"),
-            (Case.middle, "bump_precision"),
-            (Case.nominal, "bump_recall"),
+            (PaperScenario.iq_mean, "bump_recall"),
+            (PaperScenario.iq_mean, "bump_precision"),
+            (PaperScenario.nominal_iq_mean, "bump_recall"),
         )
     )
     return Claim(
@@ -125,7 +136,7 @@ def _bumps_found(study: Study) -> Claim:
 
 
 def _false_bumps(study: Study) -> str:
-    behind = [x for case in study.bumps if np.isfinite(x := case.false_bumps())]
+    behind = [x for scenario in study.bumps if np.isfinite(x := scenario.false_bump_offset())]
     if not behind:
         return "There are no false bumps."
     wheelbase = study.bumps[0].task.vehicle.wheelbase
@@ -139,7 +150,7 @@ def _false_bumps(study: Study) -> str:
 
 
 def _bump_heights(study: Study) -> Claim:
-    wrong = [case.middle("bump_height_error_relative") for case in study.bumps]
+    wrong = [scenario.iq_mean("bump_height_error_relative") for scenario in study.bumps]
     good = sum(x < 0.2 for x in wrong)
     return Claim(
         "section 7.1, Figures 6 to 9",
@@ -153,14 +164,14 @@ def _bump_heights(study: Study) -> Claim:
 
 def _ride_on_bumps(study: Study) -> Claim:
     pair = [next(c for c in study.bumps if c.number == number) for number in (3, 4)]
-    ride, handling = (case.middle("nrmse") for case in pair)
-    own = [case.nominal("nrmse") for case in pair]
+    ride, handling = (scenario.iq_mean("nrmse") for scenario in pair)
+    own = [scenario.nominal_iq_mean("nrmse") for scenario in pair]
     least = [nrmse_bound(c.task, c.task.conditions[0], c.truth) for c in pair]
     bound = (
         f"the least error of a linear estimator that knows the car is {least[0]:.3f} in ride and "
         f"{least[1]:.3f} in handling"
     )
-    why = (
+    reason = (
         f"A stiff suspension hands on more of the road: {bound}. The paper blames its model of "
         "the car in handling."
         if (least[1] < least[0]) and handling <= ride
@@ -172,13 +183,19 @@ def _ride_on_bumps(study: Study) -> Claim:
         f"On the asymmetric bumps the in-band error is {ride:.2f} in ride and {handling:.2f} in "
         f"handling; on the car of the training {own[0]:.2f} and {own[1]:.2f}.",
         "agrees" if ride < handling else "does not agree",
-        why,
+        reason,
     )
 
 
 def _left_and_right(study: Study) -> Claim:
-    pairs = [(case.middle("nrmse_left"), case.middle("nrmse_right")) for case in study.bumps]
-    own = [(case.nominal("nrmse_left"), case.nominal("nrmse_right")) for case in study.bumps]
+    pairs = [
+        (scenario.iq_mean("nrmse_left"), scenario.iq_mean("nrmse_right"))
+        for scenario in study.bumps
+    ]
+    own = [
+        (scenario.nominal_iq_mean("nrmse_left"), scenario.nominal_iq_mean("nrmse_right"))
+        for scenario in study.bumps
+    ]
     better = [left < right for left, right in pairs]
     at_home = sum(left < right for left, right in own)
     return Claim(
@@ -197,17 +214,17 @@ def _left_and_right(study: Study) -> Claim:
 
 
 def _levels(study: Study) -> Claim:
-    below = [case.middle(PRINTED) < LIMITS[0] for case in study.paving]
-    case = study.paving[0]
-    nothing = [_percent(case.sentinel(name, PRINTED)) for name in NOTHING]
-    own = _percents([case.nominal(PRINTED) for case in study.paving])
+    below = [scenario.iq_mean(EQ_12_RAW) < STATE_LIMITS[0] for scenario in study.paving]
+    scenario = study.paving[0]
+    nothing = [_percent(scenario.baseline_median(name, EQ_12_RAW)) for name in NAIVE_BASELINES]
+    own = _percents([scenario.nominal_iq_mean(EQ_12_RAW) for scenario in study.paving])
     return Claim(
         "section 7.2, Figure 10",
         f"The RMS errors (equation 12) of the near-optimal trainings are below 15 %: "
         f"{_claimed(study)}.",
-        f"Over {len(case.trainings)} trainings each: {_listed(study, PRINTED)} of raw heights, "
-        f"{_listed(study, 'level_error')} about their means; on the car of the training {own} of "
-        "raw heights.",
+        f"Over {len(scenario.trainings)} trainings each: {_listed(study, EQ_12_RAW)} of raw "
+        f"heights, {_listed(study, 'level_error')} about their means; on the car of the training "
+        f"{own} of raw heights.",
         _verdict(sum(below), len(below)),
         "Of raw heights the equation counts the datum, which the network's bias learns: the mean "
         f"height of the training road alone is given {nothing[0]}, an unrelated road of the same "
@@ -220,7 +237,8 @@ def _levels(study: Study) -> Claim:
 
 def _order(study: Study) -> Claim:
     mine, own = (
-        [find(case, PRINTED) for case in study.paving] for find in (Case.middle, Case.nominal)
+        [find(scenario, EQ_12_RAW) for scenario in study.paving]
+        for find in (PaperScenario.iq_mean, PaperScenario.nominal_iq_mean)
     )
     low, high = float(np.mean(mine[:2])), float(np.mean(mine[2:]))
     agrees = int(np.argmin(mine)) == 1, int(np.argmax(mine)) == 2
@@ -233,7 +251,8 @@ def _order(study: Study) -> Claim:
     return Claim(
         "section 7.2, Figure 10",
         "Best in ride at 14.5 km/h, worst in ride at 54 km/h, handling between the two.",
-        f"{_listed(study, PRINTED)}: {_percent(low)} at 14.5 km/h and {_percent(high)} at 54 km/h.",
+        f"{_listed(study, EQ_12_RAW)}: {_percent(low)} at 14.5 km/h and {_percent(high)} at "
+        "54 km/h.",
         _verdict(sum(agrees), 2),
         f"On the car of the training it is {_percents(own)}{faster}. The paper's own sessions "
         "change their order from Figure 10 to A.1 and A.3.",
@@ -241,12 +260,14 @@ def _order(study: Study) -> Claim:
 
 
 def _densities(study: Study) -> Claim:
-    mine = [case.middle("dsd_distance_db") for case in study.paving]
-    own = [case.nominal("dsd_distance_db") for case in study.paving]
-    stranger = [case.sentinel("unrelated_road", "dsd_distance_db") for case in study.paving]
+    mine = [scenario.iq_mean("dsd_distance_db") for scenario in study.paving]
+    own = [scenario.nominal_iq_mean("dsd_distance_db") for scenario in study.paving]
+    stranger = [
+        scenario.baseline_median("unrelated_road", "dsd_distance_db") for scenario in study.paving
+    ]
     easy = (
         ": without having measured anything it has nearly the right one"
-        if max(stranger) < 1.5 * CLOSE
+        if max(stranger) < 1.5 * CLOSE_DB
         else ""
     )
     return Claim(
@@ -254,16 +275,18 @@ def _densities(study: Study) -> Claim:
         "Densities are very well correlated between 0.2 and 1.8 cycles/m, whatever the training.",
         f"They are {_numbers(mine)} dB apart in that band, and {_numbers(own)} dB on the car of "
         f"the training; those of an unrelated road {_numbers(stranger)} dB.",
-        _verdict(sum(x < CLOSE for x in mine), len(mine)),
+        _verdict(sum(x < CLOSE_DB for x in mine), len(mine)),
         f"A density has no phase, so an unrelated road of the same roughness can match it{easy}. "
         f"{_bias(study)}",
     )
 
 
 def _classes(study: Study) -> Claim:
-    mine = [case.middle("class_exact") for case in study.paving]
-    own = [case.nominal("class_exact") for case in study.paving]
-    stranger = [case.sentinel("unrelated_road", "class_exact") for case in study.paving]
+    mine = [scenario.iq_mean("class_exact") for scenario in study.paving]
+    own = [scenario.nominal_iq_mean("class_exact") for scenario in study.paving]
+    stranger = [
+        scenario.baseline_median("unrelated_road", "class_exact") for scenario in study.paving
+    ]
     return Claim(
         "section 7.2",
         "The roads are consistently classified as D between 0.2 and 3 cycles/m.",
@@ -277,7 +300,8 @@ def _classes(study: Study) -> Claim:
 def _bias(study: Study) -> str:
     """Which way the densities are off, and what that comes from."""
     field, own = (
-        [find(case, "dsd_bias_db") for case in study.paving] for find in (Case.middle, Case.nominal)
+        [find(scenario, "dsd_bias_db") for scenario in study.paving]
+        for find in (PaperScenario.iq_mean, PaperScenario.nominal_iq_mean)
     )
     told = (
         f"The networks' densities are {_numbers(field)} dB off in the mean over the band, and "
@@ -288,7 +312,7 @@ def _bias(study: Study) -> str:
             " There they are too low, for a fit in the least squares that explains a small share "
             "of the road has no more than that share of its height."
         )
-    if max(field) > CLOSE:
+    if max(field) > CLOSE_DB:
         told += (
             " Where they are too high, the field car's accelerations lie outside of what the "
             "network was trained on."
@@ -297,12 +321,16 @@ def _bias(study: Study) -> str:
 
 
 def _states(study: Study) -> Claim:
-    paving = [t.state for case in study.paving for t in case.trainings]
-    every = [t.state for case in study.cases for t in case.trainings]
-    own = [state_of(t.nominal[PRINTED]) for case in study.paving for t in case.trainings]
-    seen = sum(kind in paving for kind in STATES)
+    paving = [t.state for scenario in study.paving for t in scenario.trainings]
+    every = [t.state for scenario in study.scenarios for t in scenario.trainings]
+    own = [
+        training_state(t.nominal[EQ_12_RAW])
+        for scenario in study.paving
+        for t in scenario.trainings
+    ]
+    seen = sum(kind in paving for kind in TRAINING_STATES)
     lost = (paving.count("unstable") - own.count("unstable")) / len(paving)
-    why = (
+    reason = (
         "what makes networks unstable here is that they meet another car than that of the "
         "training, and a network of 302 weights is free to go anywhere between and beyond its "
         "training samples. The paper's were tested on a measured car."
@@ -315,19 +343,23 @@ def _states(study: Study) -> Claim:
         "(above 25 %), and it is hard to come to the same state twice.",
         f"On the paving {_shares(paving)}; of all scenarios {_shares(every)}.",
         _verdict(seen, 3),
-        f"On the paving, on the car of the training, {_shares(own)}: {why}",
+        f"On the paving, on the car of the training, {_shares(own)}: {reason}",
     )
 
 
-def _shares(states: list[State]) -> str:
-    shares = [f"{_percent(states.count(k) / len(states), 0)} {k}" for k in STATES]
+def _shares(states: list[TrainingState]) -> str:
+    shares = [f"{_percent(states.count(k) / len(states), 0)} {k}" for k in TRAINING_STATES]
     return ", ".join(shares)
 
 
 def _times(study: Study) -> Claim:
-    train = float(np.mean([t.train_seconds for case in study.cases for t in case.trainings]))
-    run = float(np.mean([t.estimate_seconds for case in study.cases for t in case.trainings]))
-    drives = float(np.mean([case.drive_seconds for case in study.cases]))
+    train = float(
+        np.mean([t.train_seconds for scenario in study.scenarios for t in scenario.trainings])
+    )
+    run = float(
+        np.mean([t.estimate_seconds for scenario in study.scenarios for t in scenario.trainings])
+    )
+    drives = float(np.mean([scenario.drive_seconds for scenario in study.scenarios]))
     total, simulation = PAPER_SECONDS
     return Claim(
         "section 7.2",
@@ -345,11 +377,11 @@ def _verdict(good: int, of: int) -> Verdict:
 
 
 def _claimed(study: Study) -> str:
-    return _percents([case.task.claimed_level_error or np.nan for case in study.paving])
+    return _percents([scenario.task.claimed_level_error or np.nan for scenario in study.paving])
 
 
 def _listed(study: Study, score: str) -> str:
-    return _percents([case.middle(score) for case in study.paving])
+    return _percents([scenario.iq_mean(score) for scenario in study.paving])
 
 
 def _percents(values: list[float], digits: int = 1) -> str:

@@ -10,14 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.evaluation.provenance import environment, version
+from leaderboard.evaluation.provenance import describe_environment, package_version
 from leaderboard.metrics.bound import nrmse_bound
-from leaderboard.metrics.registry import NOTHING
-from leaderboard.paper.figures import Plate, plates
-from leaderboard.paper.published_figures import claims, summary
-from leaderboard.paper.study import PRINTED, Case, Study
-from leaderboard.report.svg import STYLE, inline
+from leaderboard.metrics.registry import UNDEFINED
+from leaderboard.paper.figures import PaperFigure, paper_figures
+from leaderboard.paper.published_figures import claims, key_findings
+from leaderboard.paper.study import EQ_12_RAW, PaperScenario, Study
+from leaderboard.report.svg import STYLE, inline_svg
 from road_envs._atomic_io import write_text
+from road_envs._extras import optional_import
 
 TITLE = "The paper reproduced"
 ABOUT = (
@@ -31,12 +32,12 @@ PAGE = (8.27, 11.69)
 """A4 [inch]."""
 
 
-Drawn = tuple[Plate, Any]
+DrawnFigure = tuple[PaperFigure, Any]
 """A figure of the paper, and the matplotlib figure of it."""
 
 
 @dataclass(frozen=True)
-class Table:
+class ReportTable:
     """Numbers in words: a heading for each column, and rows that begin with what they are of."""
 
     title: str
@@ -45,16 +46,16 @@ class Table:
     note: str = ""
 
 
-def write(study: Study, out: Path, command: str) -> list[Path]:
+def write_report(study: Study, out: Path, command: str) -> list[Path]:
     """Write index.html, report.pdf and numbers.json into `out`, each whole or not at all."""
-    drawn = [(plate, _figure(plate)) for plate in plates(study)]
-    write_text(out / "index.html", html(study, drawn, command))
+    drawn = [(paper_figure, _figure(paper_figure)) for paper_figure in paper_figures(study)]
+    write_text(out / "index.html", render_html(study, drawn, command))
     write_text(out / "numbers.json", json.dumps(numbers(study, command), indent=1) + "\n")
     _write_pdf(study, drawn, out / "report.pdf", command)
     return [out / name for name in ("index.html", "report.pdf", "numbers.json")]
 
 
-def tables(study: Study) -> list[Table]:
+def tables(study: Study) -> list[ReportTable]:
     """The tables of the report: paving, bumps, modes and cars, cost."""
     return [_paving(study), _bumps(study), _modes(study), _cost(study)]
 
@@ -63,18 +64,18 @@ def numbers(study: Study, command: str) -> dict[str, Any]:
     """Every score of every training, and where it was made."""
     return {
         "command": command,
-        "package_version": version(),
-        "environment": environment(),
+        "package_version": package_version(),
+        "environment": describe_environment(),
         "seconds": round(study.seconds, 1),
         "new_road": study.new_road,
         "cases": [
             {
-                "task": case.task.name,
-                "digest": case.task.digest,
-                "condition": case.condition,
-                "claimed": case.task.claimed_level_error,
-                "states": case.shares(),
-                "drive_seconds": round(case.drive_seconds, 3),
+                "task": scenario.task.name,
+                "digest": scenario.task.digest,
+                "condition": scenario.condition,
+                "claimed": scenario.task.claimed_level_error,
+                "states": scenario.state_shares(),
+                "drive_seconds": round(scenario.drive_seconds, 3),
                 "trainings": [
                     {
                         "seed": training.seed,
@@ -83,18 +84,19 @@ def numbers(study: Study, command: str) -> dict[str, Any]:
                         **_rounded(training.scores),
                         "nominal": _rounded(training.nominal),
                     }
-                    for training in case.trainings
+                    for training in scenario.trainings
                 ],
-                "sentinels": {n: [_rounded(x) for x in xs] for n, xs in case.sentinels.items()},
+                "sentinels": {n: [_rounded(x) for x in xs] for n, xs in scenario.baselines.items()},
             }
-            for case in study.cases
+            for scenario in study.scenarios
         ],
     }
 
 
-def html(study: Study, drawn: Sequence[Drawn], command: str) -> str:
+def render_html(study: Study, drawn: Sequence[DrawnFigure], command: str) -> str:
     """The report as a page."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+    with optional_import("a page"):
+        from jinja2 import Environment, PackageLoader, StrictUndefined
 
     templates = Environment(
         loader=PackageLoader("leaderboard.report"),
@@ -106,26 +108,34 @@ def html(study: Study, drawn: Sequence[Drawn], command: str) -> str:
     return templates.get_template("paper.html").render(
         title=TITLE,
         about=_about(study),
-        summary=summary(study),
+        findings=key_findings(study),
         tables=tables(study),
         claims=claims(study),
-        plates=[(plate.name, plate.caption, inline(figure)) for plate, figure in drawn],
+        figures=[
+            (paper_figure.name, paper_figure.caption, inline_svg(figure))
+            for paper_figure, figure in drawn
+        ],
         provenance=_provenance(study, command),
     )
 
 
-def _write_pdf(study: Study, drawn: Sequence[Drawn], path: Path, command: str) -> None:
+def _write_pdf(study: Study, drawn: Sequence[DrawnFigure], path: Path, command: str) -> None:
 
-    from matplotlib.backends.backend_pdf import PdfPages
+    with optional_import("a figure"):
+        from matplotlib.backends.backend_pdf import PdfPages
 
     buffer = io.BytesIO()
-    about = {"Title": TITLE, "Creator": f"roadrecon {version()}", "CreationDate": None}
+    about = {"Title": TITLE, "Creator": f"roadrecon {package_version()}", "CreationDate": None}
     with PdfPages(buffer, metadata=about) as pages:
         for page in _text_pages(study, command):
             pages.savefig(page)
-        for plate, figure in drawn:
+        for paper_figure, figure in drawn:
             figure.text(
-                0.01, 0.0, _wrapped(f"{plate.name}. {plate.caption}", 120), fontsize=8, va="top"
+                0.01,
+                0.0,
+                _wrapped(f"{paper_figure.name}. {paper_figure.caption}", 120),
+                fontsize=8,
+                va="top",
             )
             pages.savefig(figure, bbox_inches="tight", pad_inches=0.4)
     partial = path.with_name(f".{path.name}.partial")
@@ -136,24 +146,26 @@ def _write_pdf(study: Study, drawn: Sequence[Drawn], path: Path, command: str) -
         partial.unlink(missing_ok=True)
 
 
-def _figure(plate: Plate) -> Any:
-    import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+def _figure(paper_figure: PaperFigure) -> Any:
+    with optional_import("a figure"):
+        import matplotlib
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
 
     with matplotlib.rc_context(STYLE):
-        figure = Figure(plate.size, layout="constrained")
+        figure = Figure(paper_figure.size, layout="constrained")
         FigureCanvasAgg(figure)
-        plate.paint(figure)
+        paper_figure.paint(figure)
     return figure
 
 
 def _text_pages(study: Study, command: str) -> list[Any]:
     """Summary, tables and claims as pages of text."""
-    from matplotlib.figure import Figure
+    with optional_import("a figure"):
+        from matplotlib.figure import Figure
 
     lines = [TITLE, "", *_lines(_about(study)), ""]
-    for sentence in summary(study):
+    for sentence in key_findings(study):
         lines += _lines(f"- {sentence}")
     for table in tables(study):
         lines += ["", table.title, *_aligned(table), *_lines(table.note)]
@@ -161,9 +173,9 @@ def _text_pages(study: Study, command: str) -> list[Any]:
     for claim in claims(study):
         lines += [
             "",
-            *_lines(f"[{claim.verdict}] {claim.says} ({claim.where})"),
-            *_lines(f"Found: {claim.found}", 4),
-            *_lines(f"Why: {claim.why}" if claim.why else "", 4),
+            *_lines(f"[{claim.verdict}] {claim.statement} ({claim.section})"),
+            *_lines(f"Found: {claim.result}", 4),
+            *_lines(f"Why: {claim.reason}" if claim.reason else "", 4),
         ]
     lines += [
         "",
@@ -180,7 +192,7 @@ def _text_pages(study: Study, command: str) -> list[Any]:
     return pages
 
 
-def _aligned(table: Table) -> list[str]:
+def _aligned(table: ReportTable) -> list[str]:
     """The rows of a table as lines, long heads on several."""
     columns = range(len(table.heads))
     widths = [
@@ -209,31 +221,33 @@ def _wrapped(text: str, width: int) -> str:
 
 
 def _about(study: Study) -> str:
-    case = study.cases[0]
-    return ABOUT.format(trainings=len(case.trainings), grade=case.task.conditions[0].grade)
+    scenario = study.scenarios[0]
+    return ABOUT.format(trainings=len(scenario.trainings), grade=scenario.task.conditions[0].grade)
 
 
-def _paving(study: Study) -> Table:
+def _paving(study: Study) -> ReportTable:
     heads = (
         "Paving", "paper", "eq.\u00a012", "least-most", "about mean", "states", "NRMSE", "r",
         "constant", "unrelated", "its NRMSE", "new road",
     )  # fmt: skip
     rows = [
         [
-            f"{case.number}: {case.driven}",
-            _percent(case.task.claimed_level_error),
-            _percent(case.middle(PRINTED)),
-            f"{100 * case.all(PRINTED).min():.1f}-{100 * case.all(PRINTED).max():.1f}",
-            _percent(case.middle("level_error")),
-            _shares(case),
-            f"{case.middle('nrmse'):.2f}",
-            f"{case.middle('r'):.2f}",
-            _percent(case.sentinel("constant", PRINTED)),
-            _percent(case.sentinel("unrelated_road", PRINTED)),
-            f"{case.sentinel('unrelated_road', 'nrmse'):.2f}",
-            f"{study.new(case, 'nrmse'):.2f}",
+            f"{scenario.number}: {scenario.drive_label}",
+            _percent(scenario.task.claimed_level_error),
+            _percent(scenario.iq_mean(EQ_12_RAW)),
+            "-".join(
+                f"{100 * end(scenario.score_values(EQ_12_RAW)):.1f}" for end in (np.min, np.max)
+            ),
+            _percent(scenario.iq_mean("level_error")),
+            _shares(scenario),
+            f"{scenario.iq_mean('nrmse'):.2f}",
+            f"{scenario.iq_mean('r'):.2f}",
+            _percent(scenario.baseline_median("constant", EQ_12_RAW)),
+            _percent(scenario.baseline_median("unrelated_road", EQ_12_RAW)),
+            f"{scenario.baseline_median('unrelated_road', 'nrmse'):.2f}",
+            f"{study.new_road_score(scenario, 'nrmse'):.2f}",
         ]
-        for case in study.paving
+        for scenario in study.paving
     ]
     note = (
         "eq. 12 [%] of both wheel paths: of raw heights as printed, interquartile mean and range "
@@ -243,30 +257,30 @@ def _paving(study: Study) -> Table:
         "of the same roughness, and the latter's NRMSE; NRMSE of the network on roads that it has "
         "not seen."
     )
-    return Table("Belgian paving, scenarios 5 to 8", heads, rows, note)
+    return ReportTable("Belgian paving, scenarios 5 to 8", heads, rows, note)
 
 
-def _bumps(study: Study) -> Table:
+def _bumps(study: Study) -> ReportTable:
     heads = (
         "Bumps", "eq.\u00a012", "states", "NRMSE left", "right", "r", "found", "of found",
         "height error", "place", "unrelated", "new road",
     )  # fmt: skip
     rows = [
         [
-            f"{case.number}: {case.driven}",
-            _percent(case.middle(PRINTED)),
-            _shares(case),
-            f"{case.middle('nrmse_left'):.2f}",
-            f"{case.middle('nrmse_right'):.2f}",
-            f"{case.middle('r'):.2f}",
-            _percent(case.middle("bump_recall"), 0),
-            _percent(case.middle("bump_precision"), 0),
-            _percent(case.middle("bump_height_error_relative"), 0),
-            f"{100 * case.middle('bump_location_error'):.0f} cm",
-            f"{case.sentinel('unrelated_road', 'nrmse'):.2f}",
-            f"{study.new(case, 'nrmse'):.2f}",
+            f"{scenario.number}: {scenario.drive_label}",
+            _percent(scenario.iq_mean(EQ_12_RAW)),
+            _shares(scenario),
+            f"{scenario.iq_mean('nrmse_left'):.2f}",
+            f"{scenario.iq_mean('nrmse_right'):.2f}",
+            f"{scenario.iq_mean('r'):.2f}",
+            _percent(scenario.iq_mean("bump_recall"), 0),
+            _percent(scenario.iq_mean("bump_precision"), 0),
+            _percent(scenario.iq_mean("bump_height_error_relative"), 0),
+            f"{100 * scenario.iq_mean('bump_location_error'):.0f} cm",
+            f"{scenario.baseline_median('unrelated_road', 'nrmse'):.2f}",
+            f"{study.new_road_score(scenario, 'nrmse'):.2f}",
         ]
-        for case in study.bumps
+        for scenario in study.bumps
     ]
     note = (
         "eq. 12 as printed [%]; percent of the trainings that are near-optimal, sub-optimal and "
@@ -274,27 +288,30 @@ def _bumps(study: Study) -> Table:
         "within 0.3 m, and percent true of those found; errors of height and place of the found; "
         "NRMSE of an unrelated road and of the network on new roads."
     )
-    return Table("Bumps, scenarios 1 to 4", heads, rows, note)
+    return ReportTable("Bumps, scenarios 1 to 4", heads, rows, note)
 
 
-def _modes(study: Study) -> Table:
+def _modes(study: Study) -> ReportTable:
     """Ride against handling, left against right, the field car against that of the training."""
     heads = (
         "Scenario", "eq.\u00a012", "NRMSE", "left", "right", "eq.\u00a012, S0", "NRMSE, S0",
         "left", "right", "bound, S0",
     )  # fmt: skip
     scores = ("nrmse", "nrmse_left", "nrmse_right")
-    order = [*study.bumps, *sorted(study.paving, key=lambda case: (case.speed, case.number))]
+    order = [
+        *study.bumps,
+        *sorted(study.paving, key=lambda scenario: (scenario.speed, scenario.number)),
+    ]
     rows = [
         [
-            f"{case.number}: {case.driven}",
-            _percent(case.middle(PRINTED)),
-            *(f"{case.middle(score):.2f}" for score in scores),
-            _percent(case.nominal(PRINTED)),
-            *(f"{case.nominal(score):.2f}" for score in scores),
-            f"{nrmse_bound(case.task, case.task.conditions[0], case.truth):.3f}",
+            f"{scenario.number}: {scenario.drive_label}",
+            _percent(scenario.iq_mean(EQ_12_RAW)),
+            *(f"{scenario.iq_mean(score):.2f}" for score in scores),
+            _percent(scenario.nominal_iq_mean(EQ_12_RAW)),
+            *(f"{scenario.nominal_iq_mean(score):.2f}" for score in scores),
+            f"{nrmse_bound(scenario.task, scenario.task.conditions[0], scenario.truth):.3f}",
         ]
-        for case in order
+        for scenario in order
     ]
     note = (
         "eq. 12 as printed [%] and in-band NRMSE of both wheel paths and of each, on the field car "
@@ -302,25 +319,27 @@ def _modes(study: Study) -> Table:
         "car and has its three accelerometers. Scenarios 3 and 4, 5 and 6, 7 and 8 differ in the "
         "mode alone."
     )
-    return Table("Ride against handling, left against right, car against car", heads, rows, note)
+    return ReportTable(
+        "Ride against handling, left against right, car against car", heads, rows, note
+    )
 
 
-def _cost(study: Study) -> Table:
+def _cost(study: Study) -> ReportTable:
     def mean(seconds: list[float]) -> float:
         return float(np.mean(seconds))
 
     rows = [
         [
-            f"{case.number}: {case.driven}",
-            f"{mean([t.train_seconds for t in case.trainings]):.2f} s",
-            f"{1e3 * mean([t.estimate_seconds for t in case.trainings]):.0f} ms",
-            f"{case.drive_seconds:.2f} s",
+            f"{scenario.number}: {scenario.drive_label}",
+            f"{mean([t.train_seconds for t in scenario.trainings]):.2f} s",
+            f"{1e3 * mean([t.estimate_seconds for t in scenario.trainings]):.0f} ms",
+            f"{scenario.drive_seconds:.2f} s",
         ]
-        for case in study.cases
+        for scenario in study.scenarios
     ]
-    rows.append(["the paper (Core i7, 2.2 GHz)", "63 s", "2 s", NOTHING])
+    rows.append(["the paper (Core i7, 2.2 GHz)", "63 s", "2 s", UNDEFINED])
     heads = ("Scenario", "one training", "one estimate", "all its drives")
-    return Table("Time of training and of simulating the network", heads, rows)
+    return ReportTable("Time of training and of simulating the network", heads, rows)
 
 
 def _provenance(study: Study, command: str) -> list[tuple[str, str]]:
@@ -329,19 +348,27 @@ def _provenance(study: Study, command: str) -> list[tuple[str, str]]:
         ("In", f"{study.seconds:.0f} s"),
         (
             "Versions",
-            ", ".join(f"{k} {v}" for k, v in {"roadrecon": version(), **environment()}.items()),
+            ", ".join(
+                f"{k} {v}"
+                for k, v in {"roadrecon": package_version(), **describe_environment()}.items()
+            ),
         ),
-        ("Tasks", ", ".join(f"{case.task.name} {case.task.digest[:12]}" for case in study.cases)),
+        (
+            "Tasks",
+            ", ".join(
+                f"{scenario.task.name} {scenario.task.digest[:12]}" for scenario in study.scenarios
+            ),
+        ),
         ("Numbers", "every score of every training: numbers.json beside this file"),
     ]
 
 
-def _shares(case: Case) -> str:
-    return "/".join(f"{100 * share:.0f}" for share in case.shares().values())
+def _shares(scenario: PaperScenario) -> str:
+    return "/".join(f"{100 * share:.0f}" for share in scenario.state_shares().values())
 
 
 def _percent(share: float | None, digits: int = 1) -> str:
-    return NOTHING if share is None or not np.isfinite(share) else f"{100 * share:.{digits}f}"
+    return UNDEFINED if share is None or not np.isfinite(share) else f"{100 * share:.{digits}f}"
 
 
 def _rounded(found: dict[str, float]) -> dict[str, float | None]:

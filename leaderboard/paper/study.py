@@ -20,31 +20,31 @@ import estimators
 from estimators.api import Estimator
 from leaderboard.evaluation.entry import reconstruct
 from leaderboard.evaluation.tasks import Condition, Task, load_task, shipped_tasks
-from leaderboard.evaluation.test_data import Drive, DriveSource, simulated
+from leaderboard.evaluation.test_data import DriveSimulation, RecordedDrive, simulate_drives
 from leaderboard.metrics.bootstrap import interquartile_mean
-from leaderboard.metrics.obstacles import TOLERANCE, find_bumps, obstacles
-from leaderboard.metrics.registry import scores
+from leaderboard.metrics.obstacles import MATCH_DISTANCE, detect_obstacles, true_obstacles
+from leaderboard.metrics.registry import compute_scores
 from road_envs.data.record import Estimate, Profile, Record
 
-NETWORK = "static_lm"
-MEASURE_NOTHING = ("unrelated_road", "mean")
-PRINTED = "level_error_raw"
+PAPER_NETWORK = "static_lm"
+NAIVE_ESTIMATORS = ("unrelated_road", "mean")
+EQ_12_RAW = "level_error_raw"
 """Equation 12 as it is printed: raw heights."""
 
 NEW_ROAD_SEEDS = (1, 2, 3, 4, 5)
 NEW_ROADS = 6
 """Held-out roads of each condition, of the families that the network was trained on."""
 
-State = Literal["near-optimal", "sub-optimal", "unstable"]
-STATES: tuple[State, ...] = ("near-optimal", "sub-optimal", "unstable")
-LIMITS = (0.15, 0.25)
+TrainingState = Literal["near-optimal", "sub-optimal", "unstable"]
+TRAINING_STATES: tuple[TrainingState, ...] = ("near-optimal", "sub-optimal", "unstable")
+STATE_LIMITS = (0.15, 0.25)
 """Equation 12 at which a training stops being near-optimal, and sub-optimal (Appendix A)."""
 
-Report = Callable[[str, float], None]
+Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Training:
+class TrainingRun:
     """One training and what it makes of the test road: heights `z` (2, M) [m].
 
     `nominal` and `nominal_z` are the same where the car of the training has driven the road.
@@ -59,19 +59,19 @@ class Training:
     estimate_seconds: float
 
     @property
-    def state(self) -> State:
+    def state(self) -> TrainingState:
         """Near-optimal, sub-optimal or unstable, by equation 12 as printed."""
-        return state_of(self.scores[PRINTED])
+        return training_state(self.scores[EQ_12_RAW])
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class PaperScenario:
     """A scenario: its truth, its trainings, and the scores of those that measure nothing."""
 
     task: Task
     truth: Profile
-    trainings: tuple[Training, ...]
-    sentinels: dict[str, tuple[dict[str, float], ...]]
+    trainings: tuple[TrainingRun, ...]
+    baselines: dict[str, tuple[dict[str, float], ...]]
     drive_seconds: float  # of all its drives, simulated
 
     @property
@@ -85,7 +85,7 @@ class Case:
         return self.task.conditions[0].label
 
     @property
-    def driven(self) -> str:
+    def drive_label(self) -> str:
         """The condition without the car."""
         return ", ".join(self.condition.split(", ")[:2])
 
@@ -99,38 +99,38 @@ class Case:
         """Belgian paving, and not bumps."""
         return not self.task.bumps
 
-    def all(self, score: str, nominal: bool = False) -> np.ndarray:
+    def score_values(self, score: str, nominal: bool = False) -> np.ndarray:
         """A score (N,) of every training, on the field car or on that of the training."""
         told = [t.nominal if nominal else t.scores for t in self.trainings]
         return np.array([scores.get(score, np.nan) for scores in told])
 
-    def middle(self, score: str) -> float:
+    def iq_mean(self, score: str) -> float:
         """Interquartile mean of a score over the trainings; NaN where none has it."""
-        return _middle(self.all(score))
+        return _iq_mean(self.score_values(score))
 
-    def nominal(self, score: str) -> float:
-        """As `middle`, on the car of the training."""
-        return _middle(self.all(score, nominal=True))
+    def nominal_iq_mean(self, score: str) -> float:
+        """As `iq_mean`, on the car of the training."""
+        return _iq_mean(self.score_values(score, nominal=True))
 
-    def sentinel(self, name: str, score: str) -> float:
+    def baseline_median(self, name: str, score: str) -> float:
         """Median of a score of one that measures nothing."""
-        return float(np.median([found[score] for found in self.sentinels[name]]))
+        return float(np.median([found[score] for found in self.baselines[name]]))
 
-    def false_bumps(self) -> float:
+    def false_bump_offset(self) -> float:
         """Median of how far [m] a false bump stands behind the nearest true one; NaN for none."""
         y, ds = self.truth.z, self.truth.ds
-        true = [bump for path in obstacles(y, ds) for bump in path]
+        true = [bump for path in true_obstacles(y, ds) for bump in path]
         threshold = min(abs(bump.height) for bump in true) / 2
-        found = [b for t in self.trainings for z in t.z for b in find_bumps(z, ds, threshold)]
+        found = [b for t in self.trainings for z in t.z for b in detect_obstacles(z, ds, threshold)]
         gaps = [min((b.s - bump.s for bump in true), key=abs) for b in found if b.height > 0]
-        return float(np.median([gap for gap in gaps if abs(gap) > TOLERANCE] or [np.nan]))
+        return float(np.median([gap for gap in gaps if abs(gap) > MATCH_DISTANCE] or [np.nan]))
 
-    def shares(self) -> dict[State, float]:
+    def state_shares(self) -> dict[TrainingState, float]:
         """How many of the trainings are near-optimal, sub-optimal, unstable."""
         states = [training.state for training in self.trainings]
-        return {kind: states.count(kind) / len(states) for kind in STATES}
+        return {kind: states.count(kind) / len(states) for kind in TRAINING_STATES}
 
-    def typical(self, score: str = "nrmse") -> Training:
+    def median_run(self, score: str = "nrmse") -> TrainingRun:
         """The training in the middle by a score."""
         return sorted(self.trainings, key=lambda t: t.scores[score])[(len(self.trainings) - 1) // 2]
 
@@ -139,57 +139,63 @@ class Case:
 class Study:
     """All of it; `new_road` has the network's scores on unseen roads, by condition."""
 
-    cases: tuple[Case, ...]
+    scenarios: tuple[PaperScenario, ...]
     new_road: dict[str, dict[str, float]]
     seconds: float
 
     @property
-    def paving(self) -> list[Case]:
+    def paving(self) -> list[PaperScenario]:
         """The scenarios on Belgian paving, in the order of the panels of Figures 10 and 11."""
-        found = {case.driven: case for case in self.cases if case.is_paving}
+        found = {
+            scenario.drive_label: scenario for scenario in self.scenarios if scenario.is_paving
+        }
         order = ("handling, 14.5 km/h", "ride, 14.5 km/h", "ride, 54 km/h", "handling, 54 km/h")
         return [found[label] for label in order]
 
     @property
-    def bumps(self) -> list[Case]:
+    def bumps(self) -> list[PaperScenario]:
         """The scenarios on bumps."""
-        return [case for case in self.cases if not case.is_paving]
+        return [scenario for scenario in self.scenarios if not scenario.is_paving]
 
-    def new(self, case: Case, score: str) -> float:
+    def new_road_score(self, scenario: PaperScenario, score: str) -> float:
         """A score on new roads, driven as in a scenario."""
-        return self.new_road[case.driven][score]
+        return self.new_road[scenario.drive_label][score]
 
 
-def run(
+def run_study(
     trainings: int,
     *,
     network: Estimator | None = None,
-    drive: DriveSource = simulated,
-    report: Report = lambda text, share: None,
+    drive: DriveSimulation = simulate_drives,
+    progress: Progress = lambda text, share: None,
 ) -> Study:
     """Drive and train everything; the `network` is the paper's if it is not another one.
 
     Raises ConfigError, SimulationError, EntryError.
     """
-    start, network = time.perf_counter(), network or estimators.create(NETWORK)
+    start, network = time.perf_counter(), network or estimators.create(PAPER_NETWORK)
     tasks = shipped_tasks("paper")
-    cases = []
+    scenarios = []
     for k, task in enumerate(tasks):
-        report(f"{task.name}: {task.title}", 0.8 * k / len(tasks))
-        cases.append(_case(task, network, range(1, trainings + 1), drive))
-    report("new roads", 0.8)
-    return Study(tuple(cases), _new_road(cases, network, drive), time.perf_counter() - start)
+        progress(f"{task.name}: {task.title}", 0.8 * k / len(tasks))
+        scenarios.append(_run_scenario(task, network, range(1, trainings + 1), drive))
+    progress("new roads", 0.8)
+    return Study(
+        tuple(scenarios), _score_new_roads(scenarios, network, drive), time.perf_counter() - start
+    )
 
 
-def state_of(level_error: float) -> State:
+def training_state(level_error: float) -> TrainingState:
     """The state of a training by its level error [-]."""
-    near, sub = LIMITS
+    near, sub = STATE_LIMITS
     return (
         "near-optimal" if level_error < near else "sub-optimal" if level_error < sub else "unstable"
     )
 
 
-def _case(task: Task, network: Estimator, seeds: Sequence[int], drive: DriveSource) -> Case:
+def _run_scenario(
+    task: Task, network: Estimator, seeds: Sequence[int], drive: DriveSimulation
+) -> PaperScenario:
     (condition,) = task.conditions
     start = time.perf_counter()
     training = [(d.record, d.truth) for d in drive(task, task.training, condition)]
@@ -197,34 +203,34 @@ def _case(task: Task, network: Estimator, seeds: Sequence[int], drive: DriveSour
     spent = time.perf_counter() - start
     (nominal,) = drive(task, task.test, replace(condition, grade="S0"))
 
-    def trained(estimator: Estimator, seed: int) -> Training:
-        return _trained(estimator, task, training, [test, nominal], seed)
+    def trained(estimator: Estimator, seed: int) -> TrainingRun:
+        return _train_and_score(estimator, task, training, [test, nominal], seed)
 
     level = np.mean([truth.z.mean(axis=1) for _, truth in training], axis=0)
     constant = Estimate(test.truth.s, np.broadcast_to(level[:, None], test.truth.z.shape))
-    sentinels = {
+    baselines = {
         name: tuple(
             trained(estimators.create(name), seed).scores
             for seed in (seeds if name == "unrelated_road" else seeds[:1])
         )
-        for name in MEASURE_NOTHING
+        for name in NAIVE_ESTIMATORS
     }
-    sentinels["constant"] = (_scores(task, test, constant),)
+    baselines["constant"] = (_scores(task, test, constant),)
     found = tuple(trained(network, seed) for seed in seeds)
-    return Case(task, test.truth, found, sentinels, spent)
+    return PaperScenario(task, test.truth, found, baselines, spent)
 
 
-def _trained(
+def _train_and_score(
     estimator: Estimator,
     task: Task,
     training: Sequence[tuple[Record, Profile]],
-    tests: Sequence[Drive],
+    tests: Sequence[RecordedDrive],
     seed: int,
-) -> Training:
+) -> TrainingRun:
     outcome = reconstruct(estimator, training, [t.record for t in tests], task.vehicle, seed)
     found, nominal = (_scores(task, *pair) for pair in zip(tests, outcome.estimates, strict=True))
     z, nominal_z = (estimate.z for estimate in outcome.estimates)
-    return Training(
+    return TrainingRun(
         seed,
         found,
         z,
@@ -235,12 +241,12 @@ def _trained(
     )
 
 
-def _scores(task: Task, test: Drive, estimate: Estimate) -> dict[str, float]:
-    return scores(test.truth, estimate, task.conditions[0].speed_kmh / 3.6, task.bumps)
+def _scores(task: Task, test: RecordedDrive, estimate: Estimate) -> dict[str, float]:
+    return compute_scores(test.truth, estimate, task.conditions[0].speed_kmh / 3.6, task.bumps)
 
 
-def _new_road(
-    cases: Sequence[Case], network: Estimator, drive: DriveSource
+def _score_new_roads(
+    scenarios: Sequence[PaperScenario], network: Estimator, drive: DriveSimulation
 ) -> dict[str, dict[str, float]]:
     """Interquartile means of the network's scores on new roads, by condition."""
     task = load_task("new_road")
@@ -255,32 +261,32 @@ def _new_road(
     task = replace(task, test=test)
     found: dict[str, dict[str, float]] = {}
     for condition in task.conditions:
-        if condition.label in {case.driven for case in cases}:
+        if condition.label in {scenario.drive_label for scenario in scenarios}:
             training = [(d.record, d.truth) for d in drive(task, task.training, condition)]
             tests = list(drive(task, task.test, condition))
-            found[condition.label] = _pooled(task, condition, network, training, tests)
+            found[condition.label] = _new_road_scores(task, condition, network, training, tests)
     return found
 
 
-def _middle(found: np.ndarray) -> float:
+def _iq_mean(found: np.ndarray) -> float:
     found = found[np.isfinite(found)]
     return float(interquartile_mean(found)) if found.size else np.nan
 
 
-def _pooled(
+def _new_road_scores(
     task: Task,
     condition: Condition,
     network: Estimator,
     training: Sequence[tuple[Record, Profile]],
-    tests: Sequence[Drive],
+    tests: Sequence[RecordedDrive],
 ) -> dict[str, float]:
     judged = []
     for seed in NEW_ROAD_SEEDS:
         records = [test.record for test in tests]
         outcome = reconstruct(network, training, records, task.vehicle, seed)
         for test, estimate in zip(tests, outcome.estimates, strict=True):
-            judged.append(scores(test.truth, estimate, condition.speed_kmh / 3.6, False))
+            judged.append(compute_scores(test.truth, estimate, condition.speed_kmh / 3.6, False))
     return {
         name: float(interquartile_mean(np.array([one[name] for one in judged])))
-        for name in ("nrmse", "r", "level_error", PRINTED)
+        for name in ("nrmse", "r", "level_error", EQ_12_RAW)
     }

@@ -15,10 +15,10 @@ import yaml
 
 from leaderboard.policies.scenarios import Scenarios
 from road_envs import config
-from road_envs._atomic_io import whole
+from road_envs._atomic_io import atomic_write
 from road_envs.config import ConfigError
-from road_envs.policies import Tuned, create
-from road_envs.policies.rollout import drive
+from road_envs.policies import PolicySettings, create
+from road_envs.policies.rollout import roll_out
 
 TWO_STATE: dict[str, tuple[Any, ...]] = {
     "high": ("soft_high", "handling"),
@@ -42,66 +42,69 @@ GRIDS: dict[str, Mapping[str, tuple[Any, ...]]] = {
 """What is tried of every policy that has something to tune."""
 
 
-class Tried(NamedTuple):
+class Trial(NamedTuple):
     """Settings and their cost per second."""
 
     settings: dict[str, Any]
     cost: float
 
 
-class Best(NamedTuple):
+class SearchResult(NamedTuple):
     """The settings of least cost, the cost before, and all that was tried."""
 
     settings: dict[str, Any]
     cost: float
-    tried: list[Tried]
+    trials: list[Trial]
 
 
 def tune(
     name: str, scenarios: Scenarios, progress: Callable[[str, float], None] = lambda text, x: None
-) -> Best:
+) -> SearchResult:
     """Try all of a policy's grid."""
     grid = GRIDS[name]
-    tried: list[Tried] = []
+    trials: list[Trial] = []
     choices = list(itertools.product(*grid.values()))
     for k, values in enumerate(choices):
         settings = dict(zip(grid, values, strict=True))
         progress(f"{name}: {settings}", k / len(choices))
-        tried.append(Tried(settings, cost(create(name, **settings), scenarios)))
-    best = min(tried, key=lambda one: one.cost)
-    return Best(best.settings, best.cost, tried)
+        trials.append(Trial(settings, cost(create(name, **settings), scenarios)))
+    best = min(trials, key=lambda one: one.cost)
+    return SearchResult(best.settings, best.cost, trials)
 
 
 def cost(policy: Any, scenarios: Scenarios) -> float:
     """Minus the mean return per second over all cases and training roads."""
-    return -float(np.mean(rates(policy, scenarios, scenarios.training.all)))
+    return -float(np.mean(return_rates(policy, scenarios, scenarios.training.seeds)))
 
 
-def rates(policy: Any, scenarios: Scenarios, seeds: Sequence[int]) -> np.ndarray:
+def return_rates(policy: Any, scenarios: Scenarios, seeds: Sequence[int]) -> np.ndarray:
     """Returns per second (R, C) on the roads of `seeds`, in every case."""
-    driven = [drive(policy, scenarios.options(case), seeds, keep=False) for case in scenarios.cases]
+    driven = [
+        roll_out(policy, scenarios.options(case), seeds, store_observations=False)
+        for case in scenarios.cases
+    ]
     return np.stack([d.returns * scenarios.control_rate / d.intervals for d in driven], axis=1)
 
 
-def as_yaml(best: Best, command: str) -> str:
+def as_yaml(best: SearchResult, command: str) -> str:
     """The file for `configs/policies`."""
-    source = f"{command}: cost {best.cost:.4f} per second, best of {len(best.tried)}"
+    source = f"{command}: cost {best.cost:.4f} per second, best of {len(best.trials)}"
     return yaml.safe_dump({"settings": best.settings, "source": source}, sort_keys=False)
 
 
-def recipe(name: str, steps: int | None = None) -> Any:
+def load_training_config(name: str, steps: int | None = None) -> Any:
     """How a learned policy is trained, by name or YAML path. Raises ConfigError."""
-    from road_envs.policies.training import Recipe
+    from road_envs.policies.training import TrainingConfig
 
-    shipped = config.load(Tuned, "policies", name)
-    if not shipped.recipe:
-        raise ConfigError(f"{name} is not learned: its settings have no recipe")
-    found = config.build(Recipe, shipped.recipe, f"{name}: recipe")
+    shipped = config.load(PolicySettings, "policies", name)
+    if not shipped.training:
+        raise ConfigError(f"{name} is not learned: its settings have no training section")
+    found = config.build(TrainingConfig, shipped.training, f"{name}: training")
     return found if steps is None else replace(found, steps=steps)
 
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole(path) as partial:
+    with atomic_write(path) as partial:
         partial.write_bytes(data)

@@ -6,29 +6,37 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from leaderboard.policies.ride_metrics import METRICS
-from leaderboard.policies.summary import FRONT, text
-from leaderboard.policies.timeline import STATES, Timeline
+from leaderboard.policies.summary import PARETO_METRICS, format_metric
+from leaderboard.policies.timeline import MODE_NAMES, Timeline
 from road_envs._atomic_io import write_text
+from road_envs._extras import optional_import
 from road_envs.policies.greedy_information import GreedyInformation
 
-FRONTIER, BEATEN, KNOWING, SWEPT_COLOUR = "#D55E00", "#0072B2", "0.6", "#009E73"
+with optional_import("a page"):
+    from jinja2 import Environment, PackageLoader, StrictUndefined
 
-SWEPT = "information "
+PARETO_COLOUR, DOMINATED_COLOUR, ORACLE_COLOUR, SWEEP_COLOUR = (
+    "#D55E00",
+    "#0072B2",
+    "0.6",
+    "#009E73",
+)
+
+SWEEP_PREFIX = "information "
 """How the sensing policies of a sweep are named, before their price of information."""
 
 
-def write(data: dict[str, Any], timelines: Mapping[str, Timeline], out: Path) -> Path:
+def write_policy_page(data: dict[str, Any], timelines: Mapping[str, Timeline], out: Path) -> Path:
     """Write policies.html and pareto.png under `out`; the path of the page."""
     draw_pareto(data, out / "pareto.png")
     page = out / "policies.html"
-    write_text(page, render(data, timelines, board=(out / "index.html").exists()))
+    write_text(page, render_page(data, timelines, board=(out / "index.html").exists()))
     return page
 
 
-def render(
+def render_page(
     data: dict[str, Any],
     timelines: Mapping[str, Timeline] = MappingProxyType({}),
     board: bool = False,
@@ -41,15 +49,15 @@ def render(
     )
     template = env.get_template("policies.html")
     first = next((row for row in data["rows"] if not row["failure"]), None)
-    readers = list(first["errors"]) if first else []
+    estimators = list(first["errors"]) if first else []
     pictures = {name: timeline.svg() for name, timeline in timelines.items()}
     return template.render(
         data=data,
         metrics=METRICS,
-        readers=readers,
-        text=text,
+        estimators=estimators,
+        format_metric=format_metric,
         timelines=pictures,
-        states=STATES,
+        states=MODE_NAMES,
         board=board,
     )
 
@@ -61,49 +69,60 @@ def draw_pareto(data: dict[str, Any], path: Path) -> None:
     from leaderboard.report.plots import write_figure
 
     rows = [row for row in data["rows"] if not row["failure"]]
-    swept = [row for row in rows if _price(row["policy"]) is not None]
-    swept.sort(key=lambda row: _price(row["policy"]) or 0.0)
+    swept = [row for row in rows if _sensing_weight(row["policy"]) is not None]
+    swept.sort(key=lambda row: _sensing_weight(row["policy"]) or 0.0)
 
     def paint(figure: Any) -> None:
-        for axes, name in zip(figure.subplots(1, 2, sharey=True), FRONT, strict=True):
+        for axes, name in zip(figure.subplots(1, 2, sharey=True), PARETO_METRICS, strict=True):
             for row in rows:
-                _dot(axes, row["metrics"][name], _error(row), row)
-            line = [(row["metrics"][name]["mean"], _error(row)["mean"]) for row in swept]
+                _draw_policy(axes, row["metrics"][name], _first_error(row), row)
+            line = [(row["metrics"][name]["mean"], _first_error(row)["mean"]) for row in swept]
             if len(line) > 2:
-                axes.plot(*zip(*line, strict=True), color=SWEPT_COLOUR, lw=1.0, zorder=0)
+                axes.plot(*zip(*line, strict=True), color=SWEEP_COLOUR, lw=1.0, zorder=0)
             metric = METRICS[name]
             axes.set(xlabel=f"{metric.label} [{metric.unit}]")
             axes.grid(color="0.93", lw=0.6)
         figure.axes[0].set(ylabel="in-band reconstruction error [-]")
-        figure.legend(handles=_names(rows), loc="outside right center", frameon=False, fontsize=8)
+        figure.legend(
+            handles=_legend_entries(rows), loc="outside right center", frameon=False, fontsize=8
+        )
         figure.suptitle("Comfort and handling against what the drive tells of the road")
         for k, row in enumerate(rows, start=1):
-            for axes, name in zip(figure.axes, FRONT, strict=True):
-                at = (row["metrics"][name]["mean"], _error(row)["mean"])
+            for axes, name in zip(figure.axes, PARETO_METRICS, strict=True):
+                at = (row["metrics"][name]["mean"], _first_error(row)["mean"])
                 axes.annotate(str(k), at, (4, 3), textcoords="offset points", fontsize=8)
 
     write_figure(paint, (10.0, 5.0), path)
 
 
-def _price(name: str) -> float | None:
+def _sensing_weight(name: str) -> float | None:
     """The price of information of a policy that is the best one at it; without one it is ride."""
     known = {"fixed_ride": 0.0, "greedy_information": GreedyInformation().weight}
-    return float(name.removeprefix(SWEPT)) if name.startswith(SWEPT) else known.get(name)
+    return (
+        float(name.removeprefix(SWEEP_PREFIX)) if name.startswith(SWEEP_PREFIX) else known.get(name)
+    )
 
 
-def _names(rows: Sequence[dict[str, Any]]) -> list[Any]:
+def _legend_entries(rows: Sequence[dict[str, Any]]) -> list[Any]:
     """The key: numbers and names of the policies, and the colours."""
-    from matplotlib.lines import Line2D
+    with optional_import("a figure"):
+        from matplotlib.lines import Line2D
 
-    colours = {"beaten by nobody": FRONTIER, "beaten": BEATEN, "knows the road": KNOWING}
+    colours = {
+        "beaten by nobody": PARETO_COLOUR,
+        "beaten": DOMINATED_COLOUR,
+        "knows the road": ORACLE_COLOUR,
+    }
     names = [Line2D([], [], ls="", label=f"{k}  {row['policy']}") for k, row in enumerate(rows, 1)]
     dots = [Line2D([], [], ls="", marker="o", color=c, label=n) for n, c in colours.items()]
-    return [*dots, Line2D([], [], color=SWEPT_COLOUR, label="price of information"), *names]
+    return [*dots, Line2D([], [], color=SWEEP_COLOUR, label="price of information"), *names]
 
 
-def _dot(axes: Any, x: dict[str, float], y: dict[str, float], row: dict[str, Any]) -> None:
+def _draw_policy(axes: Any, x: dict[str, float], y: dict[str, float], row: dict[str, Any]) -> None:
     """A policy with its intervals; a ring if another one beats it."""
-    colour = FRONTIER if row["pareto"] else BEATEN if row["attainable"] else KNOWING
+    colour = (
+        PARETO_COLOUR if row["pareto"] else DOMINATED_COLOUR if row["attainable"] else ORACLE_COLOUR
+    )
     spans = [
         np.array([[max(v["mean"] - v["low"], 0.0)], [max(v["high"] - v["mean"], 0.0)]])
         for v in (x, y)
@@ -114,5 +133,5 @@ def _dot(axes: Any, x: dict[str, float], y: dict[str, float], row: dict[str, Any
     axes.scatter(*at, s=26.0, facecolor=inside, edgecolor=colour, zorder=2)
 
 
-def _error(row: dict[str, Any]) -> dict[str, float]:
+def _first_error(row: dict[str, Any]) -> dict[str, float]:
     return next(iter(row["errors"].values()), row["metrics"]["bound"])

@@ -13,7 +13,7 @@ from road_envs.simulation.drive import Trajectory
 from road_envs.vehicle.equations import PHI, Z_B
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.suspension import strut_states
+from road_envs.vehicle.suspension import decode_commands
 
 
 class Metric(NamedTuple):
@@ -43,22 +43,24 @@ METRICS = {
 }
 
 
-def ride_metrics(motion: Trajectory, car: VehicleParameters, begin: int = 0) -> dict[str, float]:
+def ride_metrics(
+    motion: Trajectory, car: VehicleParameters, first_step: int = 0
+) -> dict[str, float]:
     """Those of METRICS that follow from a motion with even steps, in SI units.
 
-    What was commanded before step `begin` was nobody's choice, and leaving it is no switch.
+    What was commanded before step `first_step` was nobody's choice, and leaving it is no switch.
     """
     h = float(motion.t[1] - motion.t[0])
     km = (float(motion.s[-1] - motion.s[0]) + h * float(motion.v[-1])) / 1000.0
     heave, roll = motion.acceleration[:, Z_B], motion.state[:, PHI]
     static = np.repeat(car.tyre_loads, 2)
-    changes = int(np.count_nonzero(np.diff(motion.commands[begin:])))
+    changes = int(np.count_nonzero(np.diff(motion.commands[first_step:])))
     return {
         "comfort": float(comfort.weighted_rms(heave, 1.0 / h)),
         "vdv": float(comfort.vdv(heave, 1.0 / h)),
         "rattle": _rms(motion.extension),
         "rattle_peak": float(np.abs(motion.extension).max()),
-        "stops_per_km": stops(motion.extension, car) / km,
+        "stops_per_km": count_bump_stop_hits(motion.extension, car) / km,
         "tyre_load": _rms(motion.tyre_load / static - 1.0),
         "lift_per_km": h * int(np.count_nonzero(motion.tyre_load <= 0.0)) / km,
         "roll": _rms(roll),
@@ -68,20 +70,20 @@ def ride_metrics(motion: Trajectory, car: VehicleParameters, begin: int = 0) -> 
     }
 
 
-def stops(extension: np.ndarray, car: VehicleParameters) -> int:
+def count_bump_stop_hits(extension: np.ndarray, car: VehicleParameters) -> int:
     """How often a strut reaches a bump stop, from extensions (N, 4) [m]."""
     curves = car.strut.bump_stop
-    limits = np.array([_free(curves.front)] * 2 + [_free(curves.rear)] * 2)
+    limits = np.array([_zero_force_range(curves.front)] * 2 + [_zero_force_range(curves.rear)] * 2)
     hits = 0
     for beyond in (extension < limits[:, 0], extension > limits[:, 1]):
         hits += int(beyond[0].sum() + np.count_nonzero(beyond[1:] & ~beyond[:-1]))
     return hits
 
 
-def shares(commands: np.ndarray) -> dict[tuple[bool, ...], float]:
+def state_time_shares(commands: np.ndarray) -> dict[tuple[bool, ...], float]:
     """Share of time in each state of front and rear: (stiff, high, stiff, high), left wheels."""
     found, counts = np.unique(commands, return_counts=True)
-    stiff, high = strut_states(found)
+    stiff, high = decode_commands(found)
     states = np.stack([stiff[:, 0], high[:, 0], stiff[:, 2], high[:, 2]], axis=1)
     total: dict[tuple[bool, ...], float] = {}
     for state, count in zip(states.tolist(), counts.tolist(), strict=True):
@@ -89,7 +91,7 @@ def shares(commands: np.ndarray) -> dict[tuple[bool, ...], float]:
     return total
 
 
-def _free(curve: Curve) -> tuple[float, float]:
+def _zero_force_range(curve: Curve) -> tuple[float, float]:
     """Extensions [m] between which a bump stop gives no force."""
     free = [x for x, F in zip(curve.x, curve.F, strict=True) if F == 0.0]
     return min(free), max(free)

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from road_envs import config
 from road_envs.config import STRICT, ConfigError
-from road_envs.envs.options import Setup, Weights
+from road_envs.envs.options import EnvSetup, Weights
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ class Case:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Seeds:
+class SeedRange:
     """`number` seeds from `first` on."""
 
     __pydantic_config__ = STRICT
@@ -47,7 +47,7 @@ class Seeds:
             )
 
     @property
-    def all(self) -> range:
+    def seeds(self) -> range:
         """The seeds."""
         return range(self.first, self.first + self.number)
 
@@ -63,8 +63,8 @@ class Scenarios:
     name: str
     title: str
     cases: tuple[Case, ...]
-    test: Seeds
-    training: Seeds
+    test: SeedRange
+    training: SeedRange
     shown: int = 0
     length: float = 100.0
     control: Literal["vehicle", "axle", "states"] = "states"
@@ -85,7 +85,7 @@ class Scenarios:
             )
         if len(set(map(repr, self.cases))) < len(self.cases):
             raise ValueError("every case must stand once")
-        if shared := sorted(set(self.test.all) & set(self.training.all)):
+        if shared := sorted(set(self.test.seeds) & set(self.training.seeds)):
             raise ValueError(f"training and test share the seeds {shared}")
 
     def options(self, case: Case) -> dict[str, Any]:
@@ -102,23 +102,23 @@ class Scenarios:
         }
 
     @cached_property
-    def setups(self) -> tuple[Setup, ...]:
+    def setups(self) -> tuple[EnvSetup, ...]:
         """What the options of each case come to. Raises ConfigError for the first bad one."""
         setups = []
         for case in self.cases:
             try:
-                setups.append(Setup(self.options(case)))
+                setups.append(EnvSetup(self.options(case)))
             except ConfigError as error:
                 raise ConfigError(f"{self.name}: {case.label}: {error}") from None
         return tuple(setups)
 
-    def some(self, roads: int | None) -> range:
+    def test_seeds(self, roads: int | None) -> range:
         """The first `roads` test seeds, all of them for None. Raises ConfigError."""
         if roads is not None and not 2 <= roads <= self.test.number:
             raise ConfigError(
                 f"{self.name} has 2 to {self.test.number} test roads to choose from, got {roads}"
             )
-        return self.test.all[:roads]
+        return self.test.seeds[:roads]
 
 
 def load_scenarios(name: str | Path) -> Scenarios:

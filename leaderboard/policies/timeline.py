@@ -8,14 +8,14 @@ from markupsafe import Markup
 from road_envs.roads import Surface
 from road_envs.simulation.drive import Trajectory
 from road_envs.vehicle.equations import PHI, Z_B
-from road_envs.vehicle.suspension import MODES, strut_states
+from road_envs.vehicle.suspension import MODES, decode_commands
 
-RATE = 50.0
+POINTS_PER_SECOND = 50.0
 """Points each second."""
 
 WIDTH, LEFT, GAP = 720.0, 74.0, 12.0
-HEIGHTS = {"road": 52.0, "states": 64.0, "acceleration": 70.0, "roll": 44.0}
-STATES = tuple(MODES)
+PANEL_HEIGHTS = {"road": 52.0, "states": 64.0, "acceleration": 70.0, "roll": 44.0}
+MODE_NAMES = tuple(MODES)
 
 
 class Timeline(NamedTuple):
@@ -30,11 +30,11 @@ class Timeline(NamedTuple):
     roll: np.ndarray
 
     @classmethod
-    def of(cls, motion: Trajectory, surface: Surface) -> "Timeline":
+    def from_trajectory(cls, motion: Trajectory, surface: Surface) -> "Timeline":
         """The time line of a motion over a surface; what lasts less than a point is left out."""
-        every = max(1, round(1.0 / (RATE * float(motion.t[1] - motion.t[0]))))
+        every = max(1, round(1.0 / (POINTS_PER_SECOND * float(motion.t[1] - motion.t[0]))))
         some = slice(None, None, every)
-        stiff, high = strut_states(motion.commands[some])
+        stiff, high = decode_commands(motion.commands[some])
         flags = list(MODES.values())
         states = [
             [flags.index((bool(s[w]), bool(h[w]))) for s, h in zip(stiff, high, strict=True)]
@@ -58,21 +58,21 @@ class Timeline(NamedTuple):
             "roll": (np.degrees(self.roll)[None], "roll", "deg"),
         }
         for name, (values, label, unit) in lines.items():
-            height = HEIGHTS[name]
-            make = _strips if name == "states" else _curves
+            height = PANEL_HEIGHTS[name]
+            make = _draw_mode_strips if name == "states" else _draw_curves
             panels.append(make(self.t, values, top, height, label, unit))
             top += height + GAP
-        panels.append(_seconds(self.t, top - GAP))
+        panels.append(_draw_time_axis(self.t, top - GAP))
         body = "".join(panels)
         size = f"0 0 {WIDTH:g} {top + 12:g}"
         return Markup(f'<svg viewBox="{size}" role="img" aria-label="over time">{body}</svg>')
 
 
-def _x(t: np.ndarray) -> np.ndarray:
+def _x_pixels(t: np.ndarray) -> np.ndarray:
     return LEFT + (WIDTH - LEFT - 4.0) * (t - t[0]) / (t[-1] - t[0])
 
 
-def _curves(t, values, top: float, height: float, label: str, unit: str) -> str:
+def _draw_curves(t, values, top: float, height: float, label: str, unit: str) -> str:
     """Lines over one another, with their largest size as the scale."""
     most = max(float(np.abs(values).max()), 1e-9)
     middle = top + 0.5 * height
@@ -82,22 +82,22 @@ def _curves(t, values, top: float, height: float, label: str, unit: str) -> str:
         f'<text class="quiet" x="0" y="{middle + 12:g}">±{most:.2g} {unit}</text>',
     ]
     for k, y in enumerate(values):
-        points = zip(_x(t), middle - 0.5 * height * y / most, strict=True)
+        points = zip(_x_pixels(t), middle - 0.5 * height * y / most, strict=True)
         d = "L".join(f"{x:.1f} {v:.1f}" for x, v in points)
         parts.append(f'<path class="line-{k}" d="M{d}"/>')
     return "".join(parts)
 
 
-def _strips(t, states, top: float, height: float, label: str, unit: str) -> str:
+def _draw_mode_strips(t, states, top: float, height: float, label: str, unit: str) -> str:
     """A strip for each axle, filled from below: the higher the state's place, the fuller."""
-    parts, x, tall = [], _x(t), 0.5 * height - 6.0
+    parts, x, tall = [], _x_pixels(t), 0.5 * height - 6.0
     for k, (axle, state) in enumerate(zip(("front", "rear"), states, strict=True)):
         bottom = top + (k + 1) * 0.5 * height - 2.0
         parts.append(f'<text x="0" y="{bottom - 4:g}">{axle}</text>')
         parts.append(f'<path class="axis" d="M{LEFT:g} {bottom:g}H{WIDTH - 4:g}"/>')
         changes = np.flatnonzero(np.diff(state)) + 1
         for a, b in zip([0, *changes], [*changes, len(t) - 1], strict=True):
-            name = STATES[state[a]]
+            name = MODE_NAMES[state[a]]
             if name != "ride" and b > a:
                 parts.append(
                     f'<rect class="{name}" x="{x[a]:.1f}" y="{bottom - tall:g}" '
@@ -107,9 +107,9 @@ def _strips(t, states, top: float, height: float, label: str, unit: str) -> str:
     return "".join(parts)
 
 
-def _seconds(t, top: float) -> str:
+def _draw_time_axis(t, top: float) -> str:
     ticks = np.arange(np.ceil(t[0]), t[-1] + 1e-9)
-    x = np.interp(ticks, t, _x(t))
+    x = np.interp(ticks, t, _x_pixels(t))
     return "".join(
         f'<path class="axis" d="M{at:.1f} {top:g}v4"/>'
         f'<text class="quiet tick" x="{at:.1f}" y="{top + 14:g}">{second:g} s</text>'

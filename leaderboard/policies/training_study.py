@@ -14,15 +14,15 @@ import numpy as np
 from leaderboard.policies import grid_search
 from leaderboard.policies.comparison import Progress
 from leaderboard.policies.scenarios import Scenarios
-from leaderboard.policies.summary import REFERENCE, RIVALS, averaged, difference
+from leaderboard.policies.summary import REFERENCE, TUNED_POLICIES, case_mean, paired_difference
 from road_envs.policies import create
-from road_envs.policies.network_policy import Learned, Network
+from road_envs.policies.network_policy import NetworkPolicy, PolicyNetwork
 
 
-class Learning(NamedTuple):
+class TrainingStudy(NamedTuple):
     """Networks, and the curves of their trainings on training roads, seed by seed."""
 
-    networks: list[Network]
+    networks: list[PolicyNetwork]
     curves: list[tuple[tuple[int, float], ...]]
 
     @property
@@ -31,20 +31,20 @@ class Learning(NamedTuple):
         return [max(value for _, value in curve) for curve in self.curves]
 
     @property
-    def best(self) -> Network:
+    def best(self) -> PolicyNetwork:
         """The network that did best on training roads."""
         return self.networks[int(np.argmax(self.scores))]
 
 
-def learn(
-    recipe: Any,
+def train_seeds(
+    training_config: Any,
     scenarios: Scenarios,
     seeds: Sequence[int],
     *,
     checkpoint: Path | None = None,
     log: Path | None = None,
     progress: Progress = lambda text, share: None,
-) -> Learning:
+) -> TrainingStudy:
     """Train from each of `seeds`; with several, each has a checkpoint of its own. Raises
     ConfigError.
     """
@@ -62,44 +62,51 @@ def learn(
             kept = checkpoint.with_stem(f"{checkpoint.stem}_{seed}")
         found.append(
             train(
-                recipe,
+                training_config,
                 cases,
-                scenarios.training.all,
+                scenarios.training.seeds,
                 seed,
                 checkpoint=kept,
                 log=log,
                 progress=told,
             )
         )
-    return Learning([one.network for one in found], [one.curve for one in found])
+    return TrainingStudy([one.network for one in found], [one.curve for one in found])
 
 
-def judged(learning: Learning, scenarios: Scenarios, weight: float = 0.0) -> dict[str, Any]:
+def evaluate_study(
+    study: TrainingStudy, scenarios: Scenarios, weight: float = 0.0
+) -> dict[str, Any]:
     """Return per second on held-out roads, each with its interval: of all seeds together, of each,
     of fixed ride and RIVALS, and how much more all seeds get than these; `weight` of information.
     """
-    priced = replace(scenarios, weights=replace(scenarios.weights, information=weight))
-    roads = scenarios.test.all
-    seeds = [network.about["seed"] for network in learning.networks]
-    each = [grid_search.rates(Learned.of(n), priced, roads) for n in learning.networks]
+    priced = replace(scenarios, weights=replace(scenarios.weights, unresolved_variance=weight))
+    roads = scenarios.test.seeds
+    seeds = [network.metadata["seed"] for network in study.networks]
+    each = [
+        grid_search.return_rates(NetworkPolicy.from_network(n), priced, roads)
+        for n in study.networks
+    ]
     mine = np.stack(each, axis=2)
-    others = (REFERENCE, *RIVALS)
-    rivals = {name: grid_search.rates(create(name), priced, roads)[:, :, None] for name in others}
+    others = (REFERENCE, *TUNED_POLICIES)
+    rivals = {
+        name: grid_search.return_rates(create(name), priced, roads)[:, :, None] for name in others
+    }
     return {
         "scenarios": scenarios.name,
         "roads": len(roads),
         "seeds": seeds,
-        "training_roads": learning.scores,
-        "held_out": averaged(mine)._asdict(),
-        "by_seed": [float(averaged(x[:, :, None]).mean) for x in each],
+        "training_roads": study.scores,
+        "held_out": case_mean(mine)._asdict(),
+        "by_seed": [float(case_mean(x[:, :, None]).mean) for x in each],
         "spread": float(np.std([np.mean(x) for x in each], ddof=1)) if len(each) > 1 else 0.0,
-        "rivals": {name: averaged(x)._asdict() for name, x in rivals.items()},
-        "more_than": {name: difference(mine, x)._asdict() for name, x in rivals.items()},
+        "rivals": {name: case_mean(x)._asdict() for name, x in rivals.items()},
+        "more_than": {name: paired_difference(mine, x)._asdict() for name, x in rivals.items()},
     }
 
 
-def lines(name: str, told: Mapping[str, Any]) -> list[str]:
-    """What `judged` found, for a terminal."""
+def study_lines(name: str, told: Mapping[str, Any]) -> list[str]:
+    """What `evaluate_study` found, for a terminal."""
 
     def span(x: Mapping[str, float], sign: str = "") -> str:
         return f"{x['mean']:{sign}.4f} ({x['low']:{sign}.4f} to {x['high']:{sign}.4f})"

@@ -12,16 +12,17 @@ import gymnasium
 import numpy as np
 
 import road_envs
-from road_envs._atomic_io import whole
+from road_envs._atomic_io import atomic_write
+from road_envs._extras import optional_import
 from road_envs.config import ConfigError
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-FORMATS = {".gif": "GIF", ".webp": "WEBP"}
+ANIMATION_FORMATS = {".gif": "GIF", ".webp": "WEBP"}
 """Files that hold moving pictures, by the ending of their names."""
 
-STALE = 40
+EDGE_TOLERANCE = 40
 """By how much a mixed pixel at an edge may be out of date in a GIF, of 255: less to store."""
 
 SEED = 0
@@ -43,8 +44,8 @@ def animate(
     refuses.
     """
     path = Path(path)
-    if path.suffix.lower() not in FORMATS:
-        raise ConfigError(f"{path}: the name must end in {' or '.join(FORMATS)}")
+    if path.suffix.lower() not in ANIMATION_FORMATS:
+        raise ConfigError(f"{path}: the name must end in {' or '.join(ANIMATION_FORMATS)}")
     env = gymnasium.make(road_envs.ID, **{**env_options, "render_mode": "rgb_array"})
     rate = env.metadata["render_fps"]
     total = round(seconds * rate)
@@ -69,20 +70,22 @@ def _drive(env: gymnasium.Env, total: int, progress: Progress) -> Iterator[np.nd
 
 
 def _save(frames: Iterator[np.ndarray], path: Path, rate: float) -> None:
-    from PIL import Image
+    with optional_import("a picture"):
+        from PIL import Image
 
-    kind = FORMATS[path.suffix.lower()]
-    images = _flat(frames) if kind == "GIF" else map(Image.fromarray, frames)
+    kind = ANIMATION_FORMATS[path.suffix.lower()]
+    images = _quantized(frames) if kind == "GIF" else map(Image.fromarray, frames)
     first = next(images)
     options = {"save_all": True, "append_images": images, "duration": 1000.0 / rate, "loop": 0}
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole(path) as partial:
+    with atomic_write(path) as partial:
         first.save(partial, kind, optimize=True, **options)
 
 
-def _flat(frames: Iterator[np.ndarray]) -> Iterator["Image"]:
+def _quantized(frames: Iterator[np.ndarray]) -> Iterator["Image"]:
     """Frames in the renderer's own colours; at edges, pixels of the last one that still will do."""
-    from PIL import Image
+    with optional_import("a picture"):
+        from PIL import Image
 
     from road_envs.rendering.style import palette
 
@@ -98,7 +101,7 @@ def _flat(frames: Iterator[np.ndarray]) -> Iterator["Image"]:
             shown = nearest
         at_edge = (frame != values[nearest]).any(axis=2)
         off = np.abs(frame - values[shown]).max(axis=2)
-        shown = np.where(at_edge & (off <= STALE), shown, nearest)
+        shown = np.where(at_edge & (off <= EDGE_TOLERANCE), shown, nearest)
         image = Image.fromarray(shown)
         image.putpalette(palette())
         yield image

@@ -18,24 +18,24 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Kind:
+class BoardDefinition:
     """A kind of board: its title, the score that ranks, and its columns."""
 
     title: str
     ranks_by: str
     columns: tuple[Column, ...]
-    about: str
+    description: str
     scale: float = 2.0  # of the ranking score, at the right end of bars and profiles
 
 
-RANKED = (Column("rank", "rank"), Column("rank_causal", "among causal", wide=True))
-COST = (
+RANK_COLUMNS = (Column("rank", "rank"), Column("rank_causal", "among causal", wide=True))
+COST_COLUMNS = (
     Column("train_seconds", "train", "s", wide=True),
     Column("estimate_ms_per_100m", "time", "ms/100m"),
     Column("parameters", "weights", wide=True),
 )
 NEW_ROAD_COLUMNS = (
-    *RANKED,
+    *RANK_COLUMNS,
     Column("nrmse", "NRMSE"),
     Column("interval", "95 %"),
     Column("bound_efficiency", "of bound", "%", wide=True),
@@ -47,10 +47,10 @@ NEW_ROAD_COLUMNS = (
     Column("dsd_distance_db", "DSD", "dB", wide=True),
     Column("bump_f1", "bump F1", wide=True),
     Column("coverage_90", "in 90 %", "%", wide=True),
-    *COST,
+    *COST_COLUMNS,
 )
 FIELD_COLUMNS = (
-    *RANKED,
+    *RANK_COLUMNS,
     *(Column(f"grade_{grade}", grade) for grade in GRADES),
     Column("slope", "slope", "per grade"),
     Column("slope_interval", "95 %", wide=True),
@@ -62,7 +62,7 @@ FIELD_COLUMNS = (
     Column("coverage_90", "in 90 %", "%", wide=True),
 )
 CLASS_COLUMNS = (
-    *RANKED,
+    *RANK_COLUMNS,
     Column("dsd_distance_db", "DSD", "dB"),
     Column("interval", "95 %"),
     Column("dsd_bias_db", "bias", "dB"),
@@ -95,41 +95,41 @@ PAPER_COLUMNS = (
     Column("dsd_distance_db", "DSD", "dB", wide=True),
     Column("train_seconds", "train", "s", wide=True),
 )
-FORMS: dict[str, Score] = {
+COLUMN_FORMATS: dict[str, Score] = {
     **SCORES,
     **{f"grade_{grade}": SCORES["nrmse"] for grade in GRADES},
     "slope": Score("growth of the NRMSE per grade", "", 1.0, 3, "zero"),
 }
 """How numbers are printed that are scores, or made of scores."""
 
-BOARDS: dict[BoardName, Kind] = {
-    "new_road": Kind(
+BOARDS: dict[BoardName, BoardDefinition] = {
+    "new_road": BoardDefinition(
         "New road",
         "nrmse",
         NEW_ROAD_COLUMNS,
         "The main board: roads that no estimator has seen, on the car that it was trained on.",
     ),
-    "field": Kind(
+    "field": BoardDefinition(
         "Field car",
         "nrmse",
         FIELD_COLUMNS,
         "On cars that differ from the one that it was trained on, more from S1 to S3: NRMSE on "
         "each, and how fast it grows.",
     ),
-    "class": Kind(
+    "class": BoardDefinition(
         "Roughness class",
         "dsd_distance_db",
         CLASS_COLUMNS,
         "How rough is the road, whatever its heights: ranked by the distance of the densities.",
         scale=20.0,
     ),
-    "measured": Kind(
+    "measured": BoardDefinition(
         "Measured surfaces",
         "nrmse",
         NEW_ROAD_COLUMNS,
         "Surfaces from files, after the paper's protocol and as new roads.",
     ),
-    "paper": Kind(
+    "paper": BoardDefinition(
         "The paper's protocol",
         "nrmse",
         PAPER_COLUMNS,

@@ -13,16 +13,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from leaderboard.evaluation.provenance import version
+from leaderboard.evaluation.provenance import package_version
 from leaderboard.metrics.registry import SCORES
-from leaderboard.report.tables import ALL, Line, Section, View, filled
+from leaderboard.report.tables import ALL_RUNS, BoardView, Row, Section, nonempty_columns
 from road_envs._atomic_io import write_text
 
 FOLDER = "export"
-FIELDS = ("board", "task", "group", "estimator", "state", "causal", "text")
-NUMBERS = ("rank", "rank_causal", "low", "high", *SCORES)
-OVER_GRADES = ("grade_S0", "grade_S1", "grade_S2", "grade_S3", "slope", "slope_low", "slope_high")
-COST = ("train_seconds", "estimate_ms_per_100m", "parameters")
+ROW_FIELDS = ("board", "task", "group", "estimator", "state", "causal", "text")
+SCORE_FIELDS = ("rank", "rank_causal", "low", "high", *SCORES)
+GRADE_FIELDS = ("grade_S0", "grade_S1", "grade_S2", "grade_S3", "slope", "slope_low", "slope_high")
+COST_FIELDS = ("train_seconds", "estimate_ms_per_100m", "parameters")
 BIBLIOGRAPHY = """@software{{roadrecon,
   title = {{RoadRecon: road profile reconstruction from vehicle responses, an honest benchmark}},
   version = {{{version}}},
@@ -37,23 +37,25 @@ BIBLIOGRAPHY = """@software{{roadrecon,
   journal = {{Journal of Terramechanics}},
 }}
 """
-ESCAPED = str.maketrans({c: f"\\{c}" for c in "&%$#_{}"} | {"–": "--", "²": "$^2$", "~": "\\~{}"})
+LATEX_ESCAPES = str.maketrans(
+    {c: f"\\{c}" for c in "&%$#_{}"} | {"–": "--", "²": "$^2$", "~": "\\~{}"}
+)
 
 
-def write(views: Sequence[View], out: Path) -> list[Path]:
+def write_exports(views: Sequence[BoardView], out: Path) -> list[Path]:
     """Write all of them, each whole or not at all."""
-    texts = {"roadrecon.bib": bibtex(views)}
+    texts = {"roadrecon.bib": as_bibtex(views)}
     for view in views:
         texts[f"{view.board}.csv"] = as_csv(view)
         texts[f"{view.board}.json"] = json.dumps(as_json([view]), indent=1) + "\n"
-        texts[f"{view.board}.tex"] = latex(view)
+        texts[f"{view.board}.tex"] = as_latex(view)
     paths = [out / FOLDER / name for name in texts]
     for path, text in zip(paths, texts.values(), strict=True):
         write_text(path, text)
     return paths
 
 
-def as_json(views: Sequence[View]) -> list[dict[str, Any]]:
+def as_json(views: Sequence[BoardView]) -> list[dict[str, Any]]:
     """The rows for a program: boards, their tasks, and the numbers of each entry."""
     return [
         {
@@ -63,14 +65,14 @@ def as_json(views: Sequence[View]) -> list[dict[str, Any]]:
             "notes": list(section.notes),
             "entries": [
                 {
-                    "name": line.name,
-                    "state": line.state,
-                    "text": line.text,
-                    "causal": line.causal,
-                    **line.values,
-                    "groups": line.groups,
+                    "name": row.name,
+                    "state": row.state,
+                    "text": row.message,
+                    "causal": row.causal,
+                    **row.values,
+                    "groups": row.groups,
                 }
-                for line in section.lines
+                for row in section.rows
             ],
         }
         for view in views
@@ -78,46 +80,50 @@ def as_json(views: Sequence[View]) -> list[dict[str, Any]]:
     ]
 
 
-def as_csv(view: View) -> str:
+def as_csv(view: BoardView) -> str:
     """One row for each line and group; a score that is not defined is empty."""
     text = io.StringIO()
-    rows = csv.DictWriter(text, [*FIELDS, *NUMBERS, *OVER_GRADES, *COST], lineterminator="\n")
-    rows.writeheader()
+    writer = csv.DictWriter(
+        text, [*ROW_FIELDS, *SCORE_FIELDS, *GRADE_FIELDS, *COST_FIELDS], lineterminator="\n"
+    )
+    writer.writeheader()
     for section in view.sections:
-        for line in section.lines:
-            for group, values in {ALL: line.values, **line.groups}.items():
-                known = {name: values.get(name) for name in (*NUMBERS, *OVER_GRADES, *COST)}
-                rows.writerow(
+        for row in section.rows:
+            for group, values in {ALL_RUNS: row.values, **row.groups}.items():
+                known = {
+                    name: values.get(name) for name in (*SCORE_FIELDS, *GRADE_FIELDS, *COST_FIELDS)
+                }
+                writer.writerow(
                     {
                         "board": view.board,
                         "task": section.task,
                         "group": group,
-                        "estimator": line.name,
-                        "state": line.state,
-                        "causal": "" if line.causal is None else str(line.causal).lower(),
-                        "text": line.text,
+                        "estimator": row.name,
+                        "state": row.state,
+                        "causal": "" if row.causal is None else str(row.causal).lower(),
+                        "text": row.message,
                         **{name: "" if x is None else f"{x:.6g}" for name, x in known.items()},
                     }
                 )
     return text.getvalue()
 
 
-def latex(view: View) -> str:
+def as_latex(view: BoardView) -> str:
     """A table of each task with the columns of the page."""
     return "\n".join(_tabular(view, section) for section in view.sections)
 
 
-def bibtex(views: Sequence[View]) -> str:
+def as_bibtex(views: Sequence[BoardView]) -> str:
     """How to cite this project and the paper that it follows."""
     boards = ", ".join(view.board.replace("_", " ") for view in views)
-    return BIBLIOGRAPHY.format(version=version(), boards=boards)
+    return BIBLIOGRAPHY.format(version=package_version(), boards=boards)
 
 
-def _tabular(view: View, section: Section) -> str:
-    columns = [column for column in filled(view, section) if not column.wide]
+def _tabular(view: BoardView, section: Section) -> str:
+    columns = [column for column in nonempty_columns(view, section) if not column.wide]
     heads = [column.label + (f" [{column.unit}]" if column.unit else "") for column in columns]
-    lines = [_row(["estimator", *heads]), "\\midrule"]
-    lines += [_latex_line(line, [column.key for column in columns]) for line in section.lines]
+    lines = [_latex_cells(["estimator", *heads]), "\\midrule"]
+    lines += [_latex_row(row, [column.key for column in columns]) for row in section.rows]
     return "\n".join(
         [
             f"% {section.task}: {section.title}",
@@ -131,12 +137,13 @@ def _tabular(view: View, section: Section) -> str:
     )
 
 
-def _latex_line(line: Line, keys: Sequence[str]) -> str:
-    if line.text:
-        said = f"{line.state}: {line.text}".translate(ESCAPED)
-        return f"{line.name.translate(ESCAPED)} & \\multicolumn{{{len(keys)}}}{{l}}{{{said}}} \\\\"
-    return _row([line.name, *(line.cells.get(key, "") for key in keys)])
+def _latex_row(row: Row, keys: Sequence[str]) -> str:
+    if row.message:
+        name = row.name.translate(LATEX_ESCAPES)
+        message = f"{row.state}: {row.message}".translate(LATEX_ESCAPES)
+        return f"{name} & \\multicolumn{{{len(keys)}}}{{l}}{{{message}}} \\\\"
+    return _latex_cells([row.name, *(row.cells.get(key, "") for key in keys)])
 
 
-def _row(cells: Sequence[str]) -> str:
-    return " & ".join(cell.replace("\\", "/").translate(ESCAPED) for cell in cells) + " \\\\"
+def _latex_cells(cells: Sequence[str]) -> str:
+    return " & ".join(cell.replace("\\", "/").translate(LATEX_ESCAPES) for cell in cells) + " \\\\"

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from leaderboard.metrics.heights import band_pass
-from road_envs._atomic_io import whole
+from road_envs._atomic_io import atomic_write
+from road_envs._extras import optional_import
 from road_envs.analysis.information_bound import Posterior
-from road_envs.analysis.roughness import CLASSES, N_0, dsd, smooth
+from road_envs.analysis.roughness import CLASSES, N_0, displacement_psd, smooth_psd
 from road_envs.data.record import SENSORS, Estimate, Profile, Record, scored_band
 from road_envs.roads import Surface
 
@@ -28,7 +29,7 @@ def draw_road(surface: Surface, path: Path) -> None:
         for side, z in zip(SIDES, surface.z, strict=True):
             heights.plot(surface.s, 1000 * z, color=COLOURS[side], lw=0.9, label=side)
             if z.any():
-                n, G = smooth(*dsd(z, surface.ds))
+                n, G = smooth_psd(*displacement_psd(z, surface.ds))
                 density.plot(n, G, color=COLOURS[side], lw=1.4)
         heights.set(xlabel="distance [m]", ylabel="height [mm]", title=surface.name)
         heights.legend(frameon=False)
@@ -95,7 +96,7 @@ def draw_estimate(truth: Profile | None, estimate: Estimate, v: float, path: Pat
         panels = figure.subplots(4, 1, sharex=True)
         for axes, title, side in zip(panels, titles, (0, 0, 1, 1), strict=True):
             inside = title.endswith("in band")
-            shown = _shown_in(band, inside)
+            shown = _path_part(band, inside)
             colour = COLOURS[SIDES[side]]
             if truth is not None:
                 s, z = shown(truth, truth.z[side])
@@ -116,7 +117,7 @@ def draw_estimate(truth: Profile | None, estimate: Estimate, v: float, path: Pat
     write_figure(paint, (11.0, 8.5), path)
 
 
-def _shown_in(
+def _path_part(
     band: tuple[float, float], inside: bool
 ) -> Callable[[Profile, np.ndarray], tuple[np.ndarray, np.ndarray]]:
     """How a path is drawn: as it is, or its part inside `band` [cycles/m]."""
@@ -155,7 +156,7 @@ def draw_precision(
     write_figure(paint, (8.5, 5.5), path)
 
 
-LOOKS = (("#D55E00", "-"), ("#0072B2", "--"), ("#009E73", "-."), ("#CC79A7", ":"))
+LINE_STYLES = (("#D55E00", "-"), ("#0072B2", "--"), ("#009E73", "-."), ("#CC79A7", ":"))
 
 
 def draw_observability(
@@ -173,9 +174,9 @@ def draw_observability(
             for axes, which in zip(column, ("mean", "difference"), strict=True):
                 axes.axvspan(*scored_band(speed / 3.6), color="0.94", lw=0)
                 for k, (mode, found, nrmse) in enumerate(here):
-                    colour, style = LOOKS[k % len(LOOKS)]
+                    colour, style = LINE_STYLES[k % len(LINE_STYLES)]
                     label = f"{mode}: {nrmse:.3f}"
-                    share = found.unknown(which)
+                    share = found.relative_error(which)
                     axes.loglog(found.n, share, style, color=colour, lw=1.4, label=label)
                 axes.grid(which="major", color="0.85", lw=0.6)
                 axes.set_title(f"{which} of the wheel paths, {speed:g} km/h", fontsize=10)
@@ -192,13 +193,14 @@ def draw_observability(
 
 def write_figure(paint: Callable[[Any], None], size: tuple[float, float], path: Path) -> None:
     """Let `paint` fill a figure of `size` [inch] and write it, whole or not at all."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    with optional_import("a figure"):
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
 
     figure = Figure(figsize=size, layout="constrained", dpi=130)
     FigureCanvasAgg(figure)
     paint(figure)
     for axes in figure.axes:
         axes.spines[["top", "right"]].set_visible(False)
-    with whole(path) as partial:
+    with atomic_write(path) as partial:
         figure.savefig(partial, format=path.suffix.removeprefix("."))

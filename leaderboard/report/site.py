@@ -18,61 +18,62 @@ from typing import Any
 
 from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.tasks import Task
-from leaderboard.metrics.baselines import NOISE
+from leaderboard.metrics.baselines import NOISE_LEVEL
 from leaderboard.report import charts, export
-from leaderboard.report.cache import Shown
-from leaderboard.report.sentences import UNRELATED, unrelated_levels
-from leaderboard.report.tables import BOUND, Section, View, filled
+from leaderboard.report.cache import Report
+from leaderboard.report.sentences import UNRELATED_ROAD, unrelated_level_errors
+from leaderboard.report.tables import BOUND_ROW, BoardView, Section, nonempty_columns
 from leaderboard.running.board import Board
 from road_envs._atomic_io import write_text
+from road_envs._extras import optional_import
 
-DRAWN = 8
+MAX_DRAWN = 8
 """How many entries of a task are drawn, best first; each has a colour and a dash of its own."""
 
-FOLDERS = ("tasks", "estimators")
-STAMP = ".page.json"
+PAGE_FOLDERS = ("tasks", "estimators")
+STAMP_FILE = ".page.json"
 """What the site in a folder shows, by key, and how large its files are."""
 
 
-def write_page(board: Board, shown: Shown, out: Path) -> Path:
+def write_site(board: Board, report: Report, out: Path) -> Path:
     """Write the site into `out` and return its index; each file whole or not at all.
 
     Nothing is written if the site that stands there shows the same.
     """
     index = out / "index.html"
-    if _stands(out, shown.key):
+    if _is_current(out, report.key):
         return index
-    (out / STAMP).unlink(missing_ok=True)
+    (out / STAMP_FILE).unlink(missing_ok=True)
     written = []
-    for name, text in pages(board, shown):  # the index comes last
+    for name, text in render_pages(board, report):  # the index comes last
         if name == index.name:
-            export.write(shown.views, out)
+            export.write_exports(report.views, out)
         write_text(out / name, text)
         written.append(name)
-    for folder in FOLDERS:
+    for folder in PAGE_FOLDERS:
         for path in (out / folder).glob("*.html"):
             if f"{folder}/{path.name}" not in written:
                 path.unlink()
     sizes = {name: (out / name).stat().st_size for name in written}
-    write_text(out / STAMP, json.dumps({"key": shown.key, "sizes": sizes}) + "\n")
+    write_text(out / STAMP_FILE, json.dumps({"key": report.key, "sizes": sizes}) + "\n")
     return index
 
 
-def _stands(out: Path, key: str) -> bool:
+def _is_current(out: Path, key: str) -> bool:
     """Whether the whole site of a board stands in `out`."""
     try:
-        stamp = json.loads((out / STAMP).read_text(encoding="utf-8"))
+        stamp = json.loads((out / STAMP_FILE).read_text(encoding="utf-8"))
         sizes = {name: (out / name).stat().st_size for name in stamp["sizes"]}
         return bool(stamp["key"] == key and stamp["sizes"] == sizes)
     except (OSError, ValueError, KeyError, TypeError):
         return False
 
 
-def pages(board: Board, shown: Shown) -> Iterator[tuple[str, str]]:
+def render_pages(board: Board, report: Report) -> Iterator[tuple[str, str]]:
     """Every page, the index last: its place and its text."""
     render = _renderer()
     results: dict[str, list[tuple[Task, Result]]] = {}
-    for view in shown.views:
+    for view in report.views:
         for section in view.sections:
             task = next(task for task in board.tasks if task.name == section.task)
             for result in board.results[task.name]:
@@ -81,9 +82,9 @@ def pages(board: Board, shown: Shown) -> Iterator[tuple[str, str]]:
     for name, found in results.items():
         yield (
             f"estimators/{file_name(name)}",
-            render("estimator.html", _estimator(board, shown.views, name, found)),
+            render("estimator.html", _estimator(board, report.views, name, found)),
         )
-    yield "index.html", render("index.html", _index(board, shown))
+    yield "index.html", render("index.html", _index(board, report))
 
 
 def file_name(estimator: str) -> str:
@@ -92,7 +93,8 @@ def file_name(estimator: str) -> str:
 
 
 def _renderer() -> Any:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+    with optional_import("a page"):
+        from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
 
     environment = Environment(
@@ -114,64 +116,67 @@ def _renderer() -> Any:
     return render
 
 
-def _index(board: Board, shown: Shown) -> dict[str, Any]:
-    errors, _ = unrelated_levels()
+def _index(board: Board, report: Report) -> dict[str, Any]:
+    errors, _ = unrelated_level_errors()
     claims = [t.claimed_level_error for t in board.tasks if t.claimed_level_error is not None]
     return {
         "root": "",
-        "findings": shown.findings,
+        "findings": report.findings,
         "levels": {
             "x": [charts.rounded(100.0 * x) for x in sorted(errors.tolist())],
             "claims": sorted(100.0 * x for x in claims),
         },
-        "pairs": f"{errors.size} wheel paths of class {UNRELATED['road_class']}",
-        "boards": [(view, [_table(view, s) for s in view.sections]) for view in shown.views],
-        "noise": NOISE,
-        "provenance": provenance(board),
+        "pairs": f"{errors.size} wheel paths of class {UNRELATED_ROAD['road_class']}",
+        "boards": [(view, [_table(view, s) for s in view.sections]) for view in report.views],
+        "noise": NOISE_LEVEL,
+        "provenance": board_provenance(board),
     }
 
 
-def _table(view: View, section: Section) -> dict[str, Any]:
+def _table(view: BoardView, section: Section) -> dict[str, Any]:
     """One table: its columns, and the numbers behind it."""
-    columns = filled(view, section)
+    columns = nonempty_columns(view, section)
     groups = dict.fromkeys(section.conditions)
     groups |= dict.fromkeys(name for names in section.groups.values() for name in names)
     return {
         "section": section,
         "columns": columns,
         "groups": list(groups),
-        "data": charts.table(view, section, columns),
+        "data": charts.table_data(view, section, columns),
     }
 
 
-def _task(board: Board, view: View, section: Section, task: Task) -> dict[str, Any]:
-    lines = {line.name: line for line in section.lines}
+def _task(board: Board, view: BoardView, section: Section, task: Task) -> dict[str, Any]:
+    rows = {row.name: row for row in section.rows}
     by_name = {result.estimator: result for result in board.scored(task)}
-    order = [name for name, line in lines.items() if line.state == "scored"] or [
-        name for name, line in lines.items() if line.state == "sentinel" and name != BOUND
+    order = [name for name, row in rows.items() if row.state == "scored"] or [
+        name for name, row in rows.items() if row.state == "baseline" and name != BOUND_ROW
     ]
-    drawn = {name: by_name[name] for name in order[:DRAWN]}
+    drawn = {name: by_name[name] for name in order[:MAX_DRAWN]}
     return {
         "root": "../",
         "view": view,
-        "table_made": _table(view, section),
+        "score_table": _table(view, section),
         "task": task,
-        "drawn": charts.scenes(task, view.kind, drawn, lines) if drawn else None,
-        "left_out": order[DRAWN:],
-        "spread": any(line.values.get("low") is not None for line in lines.values()),
-        "facts_rows": [("drives", _drives(task, board.scored(task))), ("digest", task.digest)],
+        "chart_data": charts.chart_data(task, view.definition, drawn, rows) if drawn else None,
+        "left_out": order[MAX_DRAWN:],
+        "spread": any(row.values.get("low") is not None for row in rows.values()),
+        "facts_rows": [
+            ("drives", _drive_counts(task, board.scored(task))),
+            ("digest", task.digest),
+        ],
     }
 
 
 def _estimator(
-    board: Board, shown: Sequence[View], name: str, found: Sequence[tuple[Task, Result]]
+    board: Board, views: Sequence[BoardView], name: str, found: Sequence[tuple[Task, Result]]
 ) -> dict[str, Any]:
     rows = [
-        (view, section, line)
-        for view in shown
+        (view, section, row)
+        for view in views
         for section in view.sections
-        for line in section.lines
-        if line.name == name
+        for row in section.rows
+        if row.name == name
     ]
     first = found[0][1]
     return {
@@ -184,27 +189,29 @@ def _estimator(
             {card.identity: card for _, result in found if (card := board.card(result))}.values()
         ),
         "rows": rows,
-        "results": [(task, result, origin(board, task, result)) for task, result in found],
+        "results": [
+            (task, result, result_provenance(board, task, result)) for task, result in found
+        ],
     }
 
 
-def provenance(board: Board) -> list[tuple[str, str]]:
+def board_provenance(board: Board) -> list[tuple[str, str]]:
     """Where the numbers come from: machines and versions, and the tasks with their digests."""
     made: dict[str, None] = {}
     rows = []
     for task in board.tasks:
         scored = board.scored(task)
         made |= dict.fromkeys(_machine(result) for result in scored)
-        rows.append((task.name, f"{_drives(task, scored)}; digest {task.digest[:12]}"))
+        rows.append((task.name, f"{_drive_counts(task, scored)}; digest {task.digest[:12]}"))
     return [*(("Made by", text) for text in made), *rows]
 
 
-def origin(board: Board, task: Task, result: Result) -> list[tuple[str, str]]:
+def result_provenance(board: Board, task: Task, result: Result) -> list[tuple[str, str]]:
     """Where the numbers of one result come from."""
     told = {
         "file": f"results/{result.task}/{result.estimator}.json",
         "task": f"version {task.version}, digest {result.task_digest}",
-        "state": board.why_stale(task, result) or "fresh",
+        "state": board.stale_reason(task, result) or "fresh",
         "package": f"roadrecon {result.package_version}, metrics {result.metric_version}",
         "training seeds": ", ".join(map(str, result.seeds)),
         "settings": json.dumps(result.settings) if result.settings else "none",
@@ -217,10 +224,10 @@ def _machine(result: Result) -> str:
     return ", ".join(f"{name} {value}" for name, value in (versions | result.environment).items())
 
 
-def _drives(task: Task, results: Sequence[Result]) -> str:
+def _drive_counts(task: Task, results: Sequence[Result]) -> str:
     seeds = max((len(r.seeds) for r in results), default=0)
     return (
         f"version {task.version}; conditions: {len(task.conditions)}, each with "
-        f"{len(task.training.pairs)} training and {len(task.test.pairs)} test drives; "
-        f"trainings: {seeds}"
+        f"{len(task.training.roads_and_seeds)} training and "
+        f"{len(task.test.roads_and_seeds)} test drives; trainings: {seeds}"
     )

@@ -5,6 +5,8 @@ import io
 import re
 from typing import Any
 
+from road_envs._extras import optional_import
+
 STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "roadrecon",
@@ -19,9 +21,10 @@ STYLE: Any = {
 """How figures of a report look, on paper as in a page."""
 
 
-def inline(figure: Any) -> str:
+def inline_svg(figure: Any) -> str:
     """The SVG of a figure: the same figure, the same text, with no size or fonts of its own."""
-    import matplotlib
+    with optional_import("a figure"):
+        import matplotlib
 
     buffer = io.StringIO()
     with matplotlib.rc_context(STYLE):

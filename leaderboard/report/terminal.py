@@ -9,13 +9,13 @@ from rich.markup import escape
 from rich.table import Table
 
 from leaderboard.report import export
-from leaderboard.report.cache import Shown
-from leaderboard.report.tables import Line, Section, View, filled
+from leaderboard.report.cache import Report
+from leaderboard.report.tables import BoardView, Row, Section, nonempty_columns
 
 CASE_WIDTH = 18
 STYLES = {
     "scored": "bold",
-    "sentinel": "dim",
+    "baseline": "dim",
     "claim": "italic",
     "failed": "red",
     "stale": "yellow",
@@ -29,28 +29,28 @@ LEGEND = (
 )
 
 
-def print_tables(shown: Shown, console: Console) -> None:
+def print_tables(report: Report, console: Console) -> None:
     """Print every board, what failed or is stale, and what the numbers say."""
-    for view in shown.views:
+    for view in report.views:
         together = view.board == "paper" and len(view.sections) > 1
         for sections in [view.sections] if together else [(s,) for s in view.sections]:
             console.print(_table(view, sections))
         _remarks(view, console)
     console.print(f"[dim]{escape(LEGEND)}[/dim]")
-    for sentence in shown.findings:
+    for sentence in report.findings:
         console.print(f"- {escape(sentence)}")
 
 
-def as_json(shown: Shown) -> list[dict[str, Any]]:
+def as_json(report: Report) -> list[dict[str, Any]]:
     """The same rows for a program."""
-    return export.as_json(shown.views)
+    return export.as_json(report.views)
 
 
-def _table(view: View, sections: tuple[Section, ...]) -> Table:
+def _table(view: BoardView, sections: tuple[Section, ...]) -> Table:
     """One section with its title, or several that share columns and stand behind each other."""
-    columns = [column for column in filled(view, *sections) if not column.wide]
+    columns = [column for column in nonempty_columns(view, *sections) if not column.wide]
     grouped = len(sections) > 1
-    title = view.kind.title if grouped else f"{view.kind.title}: {sections[0].title}"
+    title = view.definition.title if grouped else f"{view.definition.title}: {sections[0].title}"
     table = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False)
     if grouped:
         table.add_column("case", width=CASE_WIDTH)
@@ -61,32 +61,32 @@ def _table(view: View, sections: tuple[Section, ...]) -> Table:
         )
     for section in sections:
         case = textwrap.wrap(f"{section.task}: {section.title}", CASE_WIDTH) if grouped else []
-        rows = [_row(line, [column.key for column in columns]) for line in section.lines]
+        cells = [_cells(row, [column.key for column in columns]) for row in section.rows]
         blank = [""] * (len(columns) + 1)
-        for text, row in zip_longest(case, rows, fillvalue=None):
+        for text, row in zip_longest(case, cells, fillvalue=None):
             table.add_row(*([text or ""] if grouped else []), *(row or blank))
         table.add_row()
     return table
 
 
-def _row(line: Line, keys: list[str]) -> list[str]:
-    style = STYLES[line.state]
-    mark = f" [dim]{line.cells['probes']}[/dim]" if line.cells.get("probes") else ""
-    name = f"[{style}]{escape(line.name)}[/{style}]{mark}"
-    if line.state in ("failed", "stale"):
-        return [name, *[f"[{style}]{line.state}[/{style}]", *[""] * len(keys)][: len(keys)]]
-    return [name, *(f"[{style}]{line.cells.get(key, '')}[/{style}]" for key in keys)]
+def _cells(row: Row, keys: list[str]) -> list[str]:
+    style = STYLES[row.state]
+    mark = f" [dim]{row.cells['probes']}[/dim]" if row.cells.get("probes") else ""
+    name = f"[{style}]{escape(row.name)}[/{style}]{mark}"
+    if row.state in ("failed", "stale"):
+        return [name, *[f"[{style}]{row.state}[/{style}]", *[""] * len(keys)][: len(keys)]]
+    return [name, *(f"[{style}]{row.cells.get(key, '')}[/{style}]" for key in keys)]
 
 
-def _remarks(view: View, console: Console) -> None:
+def _remarks(view: BoardView, console: Console) -> None:
     """Notes of each task, each said once, and the sentence of each failed or stale result."""
     said: dict[str, list[str]] = {}
     for section in view.sections:
         for note in section.notes:
             said.setdefault(note, []).append(section.task)
-        for line in section.lines:
-            if line.text:
-                said.setdefault(f"{line.name} {line.state}: {line.text}", []).append(section.task)
+        for row in section.rows:
+            if row.message:
+                said.setdefault(f"{row.name} {row.state}: {row.message}", []).append(section.task)
     for note, tasks in said.items():
         console.print(f"[dim]{escape(', '.join(tasks))}:[/dim] {escape(note)}")
     console.print()

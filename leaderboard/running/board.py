@@ -7,25 +7,25 @@ from typing import TypeVar
 
 from estimators import create
 from estimators.api import Estimator
-from leaderboard.conformance import results as cards
-from leaderboard.conformance.results import Card
-from leaderboard.evaluation.entries import entry_of, fitted_to_each_case, registered
+from leaderboard.conformance import results as conformance_results
+from leaderboard.conformance.results import EstimatorCard
+from leaderboard.evaluation.entries import entry_refit_per_case, make_entry, registered_entry
 from leaderboard.evaluation.entry import Entry
 from leaderboard.evaluation.evaluate import SEEDS
 from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.store import RowChangedError, load_rows
 from leaderboard.evaluation.tasks import Task
-from leaderboard.metrics.baselines import SENTINELS, TRUTH_PLUS_NOISE
+from leaderboard.metrics.baselines import BASELINES, TRUTH_PLUS_NOISE
 from leaderboard.running.executors import Executor
 from leaderboard.running.jobs import to_text
-from leaderboard.running.plan import Plan, Row, jobs_of
+from leaderboard.running.plan import Plan, PlannedRow, make_jobs
 from leaderboard.sandbox.limits import Limits
-from road_envs._atomic_io import sweep, sweep_scratch, write_text
+from road_envs._atomic_io import remove_stale_partials, remove_stale_temp, write_text
 from road_envs.config import ConfigError
 
 
 @dataclass(frozen=True)
-class Wanted:
+class RunRequest:
     """What a run is to leave on the board: `entries` and the sentinels on every one of `tasks`.
 
     `roads` is the number of test drives per condition on tasks that draw their roads; `resume`
@@ -40,29 +40,35 @@ class Wanted:
     limits: Limits = field(default_factory=Limits)
     probes: bool = False
 
-    def sized(self) -> list[Task]:
+    def sized_tasks(self) -> list[Task]:
         """The tasks with as many roads as are wanted. Raises ConfigError."""
         n = self.roads
-        return [task.with_roads(n) if n and task.draws_roads else task for task in self.tasks]
-
-    def rows(self) -> list[Row]:
-        """Every entry on every task. Raises ConfigError."""
-        everyone = [*self.entries, *(entry_of(name, made) for name, made in sentinels().items())]
         return [
-            Row(task, fitted_to_each_case(entry) if task.trains_on_test_road else entry, seeds)
+            task.with_test_drives(n) if n and task.has_several_test_drives else task
+            for task in self.tasks
+        ]
+
+    def rows(self) -> list[PlannedRow]:
+        """Every entry on every task. Raises ConfigError."""
+        baselines = [make_entry(name, baseline) for name, baseline in create_baselines().items()]
+        everyone = [*self.entries, *baselines]
+        return [
+            PlannedRow(
+                task, entry_refit_per_case(entry) if task.trains_on_test_road else entry, seeds
+            )
             for seeds in [tuple(self.seeds)]
-            for task in self.sized()
+            for task in self.sized_tasks()
             for entry in everyone
         ]
 
 
-Progress = Callable[[int, int, str], None]
+JobProgress = Callable[[int, int, str], None]
 """Hears of each result as it is stored: how many there are, how many in all, and what was run."""
 
 ATTEMPTS = 3
 """How often a result that another process has changed is made, or read, again."""
 
-Shown = TypeVar("Shown")
+Rendered = TypeVar("Rendered")
 
 
 @dataclass(frozen=True)
@@ -75,7 +81,7 @@ class Board:
     tasks: tuple[Task, ...]
     results: Mapping[str, Sequence[Result]]
     entries: Mapping[tuple[str, str], Entry] = field(default_factory=dict)
-    cards: Mapping[str, Card] = field(default_factory=dict)
+    cards: Mapping[str, EstimatorCard] = field(default_factory=dict)
 
     def scored(self, task: Task) -> list[Result]:
         """The results that count: they belong to the task as it is, and did not fail."""
@@ -87,12 +93,12 @@ class Board:
 
     def stale(self, task: Task) -> list[tuple[Result, str]]:
         """Results of another task, package, code or metric version, each with the reason."""
-        stale = [(r, self.why_stale(task, r)) for r in self.results[task.name]]
+        stale = [(r, self.stale_reason(task, r)) for r in self.results[task.name]]
         return [(r, why) for r, why in stale if why is not None]
 
-    def why_stale(self, task: Task, result: Result) -> str | None:
+    def stale_reason(self, task: Task, result: Result) -> str | None:
         """Why a result does not count; None if it does."""
-        if (why := result.stale(task)) is not None:
+        if (why := result.stale_reason(task)) is not None:
             return why
         entry = self.entries.get((task.name, result.estimator))
         if entry is None or not result.code:
@@ -101,15 +107,17 @@ class Board:
             return "its code or its weights have changed"
         return None if result.settings == entry.settings else "made with other settings"
 
-    def card(self, result: Result) -> Card | None:
+    def card(self, result: Result) -> EstimatorCard | None:
         """What the probes said of the estimator that made a result."""
-        return self.cards.get(cards.identity(result.estimator, result.settings, result.code))
+        return self.cards.get(
+            conformance_results.card_identity(result.estimator, result.settings, result.code)
+        )
 
     def _fresh(self, task: Task) -> list[Result]:
-        return [r for r in self.results[task.name] if self.why_stale(task, r) is None]
+        return [r for r in self.results[task.name] if self.stale_reason(task, r) is None]
 
 
-def load_board(tasks: Sequence[Task], out: Path, rows: Sequence[Row] = ()) -> Board:
+def load_board(tasks: Sequence[Task], out: Path, rows: Sequence[PlannedRow] = ()) -> Board:
     """The board of what is stored under `out`; a file that cannot be read is a failed row.
 
     An estimator is known as it is now from `rows`, or if it is one of this package.
@@ -118,67 +126,75 @@ def load_board(tasks: Sequence[Task], out: Path, rows: Sequence[Row] = ()) -> Bo
     entries = {(row.task.name, row.entry.name): row.entry for row in rows}
     for task in tasks:
         for name in {result.estimator for result in results[task.name]}:
-            entry = entries.get((task.name, name)) or registered(name, task.trains_on_test_road)
+            entry = entries.get((task.name, name)) or registered_entry(
+                name, task.trains_on_test_road
+            )
             if entry is not None:
                 entries[task.name, name] = entry
     made = {(r.estimator, str(r.settings), r.code): r for rs in results.values() for r in rs}
-    found = [cards.find(out, r.estimator, r.settings, r.code) for r in made.values()]
+    found = [
+        conformance_results.find_card(out, r.estimator, r.settings, r.code) for r in made.values()
+    ]
     told = {card.identity: card for card in found if card is not None}
     return Board(tuple(tasks), results, entries, told)
 
 
-def show_board(board: Board, wanted: Wanted, out: Path, show: Callable[[Board], Shown]) -> Shown:
-    """Return `show(board)`; where another run replaces its rows meanwhile, of the board as it is then.
+def render_with_retry(
+    board: Board, request: RunRequest, out: Path, render: Callable[[Board], Rendered]
+) -> Rendered:
+    """Return `render(board)`, read again where another run replaces its rows meanwhile.
 
     Raises RowChangedError if its rows are still being replaced at the last of ATTEMPTS.
     """
     for _ in range(ATTEMPTS - 1):
         try:
-            return show(board)
+            return render(board)
         except RowChangedError:
-            board = load_board(board.tasks, out, wanted.rows())
-    return show(board)
+            board = load_board(board.tasks, out, request.rows())
+    return render(board)
 
 
 def run_board(
-    wanted: Wanted,
+    request: RunRequest,
     out: Path,
     executor: Executor,
-    progress: Progress = lambda done, total, text: None,
+    progress: JobProgress = lambda done, total, text: None,
 ) -> Board:
     """Judge what is wanted, store it under `out`, and return the board of everything stored there.
 
     Failures are tried again. Raises ConfigError, before anything is run, if a file of a newer
     version would have to be replaced; and what the executor raises.
     """
-    sweep(out)
-    sweep_scratch()
-    rows = wanted.rows()
-    plan = Plan(rows, out, wanted.resume)
+    remove_stale_partials(out)
+    remove_stale_temp()
+    rows = request.rows()
+    plan = Plan(rows, out, request.resume)
     for _ in range(ATTEMPTS):
-        jobs = jobs_of(plan.missing(), executor.workers, wanted.limits)
+        jobs = make_jobs(plan.missing(), executor.workers, request.limits)
         total = sum(len(job.entries) for job in jobs)
         progress(0, total, "starting")
         for k, done in enumerate(executor.run(jobs, out), start=1):
-            plan.note(done)
+            plan.record_part(done)
             progress(k, total, f"{done.task}: {done.entry}, {done.condition}")
-        if plan.settle():
-            if wanted.probes:
+        if plan.assemble_rows():
+            if request.probes:
                 everyone = [row.entry for row in rows]
-                cards.examine_all(everyone, out, wanted.limits, lambda text: progress(1, 1, text))
-            return load_board(wanted.sized(), out, rows)
+                conformance_results.probe_entries(
+                    everyone, out, request.limits, lambda text: progress(1, 1, text)
+                )
+            return load_board(request.sized_tasks(), out, rows)
     raise ConfigError(f"{out}: somebody else changes the files of this run while it is under way")
 
 
-def write_jobs(wanted: Wanted, out: Path, folder: Path) -> int:
+def write_jobs(request: RunRequest, out: Path, folder: Path) -> int:
     """Write a file for each job that is left to be run, an entry each; how many there are."""
-    plan = Plan(wanted.rows(), out, wanted.resume)
+    plan = Plan(request.rows(), out, request.resume)
     missing = plan.missing()
-    for k, job in enumerate(jobs_of(missing, len(missing) ** 2, wanted.limits)):
+    for k, job in enumerate(make_jobs(missing, len(missing) ** 2, request.limits)):
         write_text(folder / f"{k}.json", to_text(job))
     return len(missing)
 
 
-def sentinels() -> dict[str, Estimator | None]:
+def create_baselines() -> dict[str, Estimator | None]:
     """The marks that stand on every board."""
-    return {name: None if name == TRUTH_PLUS_NOISE else create(name) for name in SENTINELS}
+    return {name: None if name == TRUTH_PLUS_NOISE else create(name) for name in BASELINES}

@@ -16,16 +16,16 @@ from typing import Protocol
 
 from estimators.api import Estimator
 from leaderboard.evaluation import evaluate
-from leaderboard.evaluation.entries import make
-from leaderboard.evaluation.entry import Entry, Outcome
-from leaderboard.evaluation.evaluate import Session
-from leaderboard.evaluation.test_data import DriveSource, simulated
+from leaderboard.evaluation.entries import make_estimator
+from leaderboard.evaluation.entry import Entry, TrainingRun
+from leaderboard.evaluation.evaluate import ConditionData
+from leaderboard.evaluation.test_data import DriveSimulation, simulate_drives
 from leaderboard.running import jobs
-from leaderboard.running.jobs import Done, Job
+from leaderboard.running.jobs import Job, JobDone
 from leaderboard.sandbox import processes
-from leaderboard.sandbox.client import how
-from leaderboard.sandbox.limits import PINNED
-from road_envs._atomic_io import Scratch
+from leaderboard.sandbox.client import describe_exit
+from leaderboard.sandbox.limits import THREAD_VARIABLES
+from road_envs._atomic_io import TempFolder
 from road_envs.config import ConfigError, build
 
 
@@ -37,14 +37,14 @@ class Executor(Protocol):
         """How many jobs it runs at a time."""
         ...
 
-    def run(self, jobs: Sequence[Job], out: Path) -> Iterator[Done]: ...
+    def run(self, jobs: Sequence[Job], out: Path) -> Iterator[JobDone]: ...
 
 
-class JudgeError(Exception):
+class EvaluatorError(Exception):
     """The judge itself has failed, which is no entry's fault."""
 
 
-class Here:
+class InProcessExecutor:
     """In this process, without any isolation: for tests, and for looking for one's own mistakes.
 
     `made` estimators are taken as they are, by name; others are made from their entry.
@@ -53,25 +53,31 @@ class Here:
     workers = 1
 
     def __init__(
-        self, drive: DriveSource = simulated, made: Mapping[str, Estimator | None] | None = None
+        self,
+        drive: DriveSimulation = simulate_drives,
+        made: Mapping[str, Estimator | None] | None = None,
     ):
-        self._drive, self._made = drive, made or {}
+        self._simulate, self._estimators = drive, made or {}
 
-    def run(self, jobs_: Sequence[Job], out: Path) -> Iterator[Done]:
+    def run(self, jobs_: Sequence[Job], out: Path) -> Iterator[JobDone]:
         """Run one after the other; what is left of an entry that failed is not run."""
         failed: set[tuple[str, str]] = set()
         for job in jobs_:
-            for done in jobs.perform(_without(job, failed), out, self._entry, self._drive):
+            for done in jobs.run_job(
+                _without_failed(job, failed), out, self._run_entry, self._simulate
+            ):
                 if done.failure is not None:
                     failed.add((done.task, done.entry))
                 yield done
 
-    def _entry(self, entry: Entry, session: Session, seeds: Sequence[int]) -> Iterator[Outcome]:
-        made = self._made.get(entry.name) or make(entry.reference, entry.settings)
-        yield from evaluate.here(made)(entry, session, seeds)
+    def _run_entry(
+        self, entry: Entry, condition_data: ConditionData, seeds: Sequence[int]
+    ) -> Iterator[TrainingRun]:
+        made = self._estimators.get(entry.name) or make_estimator(entry.reference, entry.settings)
+        yield from evaluate.in_process(made)(entry, condition_data, seeds)
 
 
-class Processes:
+class ProcessExecutor:
     """Each job in a process of this machine, up to `workers` at a time, fed by threads.
 
     The entry that ran when the process of a job died is tried again alone; if that process dies
@@ -84,14 +90,14 @@ class Processes:
         self.workers = workers
         self._running: set[subprocess.Popen[str]] = set()
 
-    def run(self, jobs_: Sequence[Job], out: Path) -> Iterator[Done]:
+    def run(self, jobs_: Sequence[Job], out: Path) -> Iterator[JobDone]:
         """Run all. Raises ConfigError, OSError or JudgeError as soon as a job meets one."""
-        queue: SimpleQueue[Done | BaseException | None] = SimpleQueue()
+        queue: SimpleQueue[JobDone | BaseException | None] = SimpleQueue()
         failed: set[tuple[str, str]] = set()
         pool = ThreadPoolExecutor(self.workers)
         try:
             for job in jobs_:
-                pool.submit(self._perform, job, out, failed, queue.put)
+                pool.submit(self._run_job, job, out, failed, queue.put)
             left = len(jobs_)
             while left:
                 found = queue.get()
@@ -107,24 +113,26 @@ class Processes:
                 processes.kill_group(process.pid)
             pool.shutdown(wait=True)
 
-    def _perform(
+    def _run_job(
         self, job: Job, out: Path, failed: set[tuple[str, str]], put: Callable[..., None]
     ) -> None:
         try:
-            left = {entry.name: entry for entry in _without(job, failed).entries}
+            left = {entry.name: entry for entry in _without_failed(job, failed).entries}
             while left:
-                self._attempt(_with(job, left.values()), out, failed, put, left)
+                self._run_process(_with_entries(job, left.values()), out, failed, put, left)
                 if left:  # the process died, while it ran the first that is left
                     suspect = next(iter(left.values()))
-                    status = self._attempt(_with(job, [suspect]), out, failed, put, left)
+                    status = self._run_process(
+                        _with_entries(job, [suspect]), out, failed, put, left
+                    )
                     if left.pop(suspect.name, None) is not None:
-                        put(lost(job, suspect, how(status), out))
+                        put(record_crash(job, suspect, describe_exit(status), out))
         except BaseException as error:
             put(error)
         else:
             put(None)
 
-    def _attempt(
+    def _run_process(
         self,
         job: Job,
         out: Path,
@@ -134,8 +142,8 @@ class Processes:
     ) -> int:
         """Run a process on a job, pass on what it has done, and take that out of `left`."""
         with (
-            Scratch() as folder,
-            start(job, folder, out) as process,
+            TempFolder() as folder,
+            start_job(job, folder, out) as process,
         ):
             self._running.add(process)
             try:
@@ -144,7 +152,7 @@ class Processes:
                     data = json.loads(line)
                     if "error" in data:
                         raise ConfigError(data["error"])
-                    done = build(Done, data, "a job")
+                    done = build(JobDone, data, "a job")
                     left.pop(done.entry, None)
                     if done.failure is not None:
                         failed.add((done.task, done.entry))
@@ -154,11 +162,11 @@ class Processes:
                 self._running.discard(process)
                 processes.kill_group(process.pid)
             if status > 0:
-                raise JudgeError((folder / "said.txt").read_text(encoding="utf-8")[-4000:])
+                raise EvaluatorError((folder / "said.txt").read_text(encoding="utf-8")[-4000:])
         return status
 
 
-def start(job: Job, folder: Path, out: Path) -> subprocess.Popen[str]:
+def start_job(job: Job, folder: Path, out: Path) -> subprocess.Popen[str]:
     """A process that runs a job; `folder` gets its file, and what it says on standard error."""
     spec = folder / "spec.json"
     spec.write_text(jobs.to_text(job), encoding="utf-8")
@@ -170,23 +178,25 @@ def start(job: Job, folder: Path, out: Path) -> subprocess.Popen[str]:
             stdout=subprocess.PIPE,
             stderr=stderr,
             text=True,
-            env=os.environ | dict.fromkeys(PINNED, "1") | {"PYTHONPATH": path},
+            env=os.environ | dict.fromkeys(THREAD_VARIABLES, "1") | {"PYTHONPATH": path},
             start_new_session=True,
         )
 
 
-def _with(job: Job, entries: Iterable[Entry]) -> Job:
+def _with_entries(job: Job, entries: Iterable[Entry]) -> Job:
     return dataclasses.replace(job, entries=tuple(entries))
 
 
-def _without(job: Job, failed: set[tuple[str, str]]) -> Job:
+def _without_failed(job: Job, failed: set[tuple[str, str]]) -> Job:
     """A job without the entries that have failed on its task."""
-    return _with(job, (e for e in job.entries if (job.task.name, e.name) not in failed))
+    return _with_entries(job, (e for e in job.entries if (job.task.name, e.name) not in failed))
 
 
-def lost(job: Job, entry: Entry, by: str, out: Path) -> Done:
+def record_crash(job: Job, entry: Entry, by: str, out: Path) -> JobDone:
     """Store that the judge's own process did not outlive an entry, and what ended it."""
     condition = job.task.conditions[job.condition]
     why = f"{condition.label}, the judge's process was ended twice by {by} while it ran"
-    result = evaluate.judge(job.task, condition, why, entry, job.seeds, evaluate.here(None))
-    return jobs.keep(result, job, entry, out)
+    result = evaluate.evaluate_entry(
+        job.task, condition, why, entry, job.seeds, evaluate.in_process(None)
+    )
+    return jobs.store_result(result, job, entry, out)

@@ -9,16 +9,16 @@ from pathlib import Path
 
 from leaderboard.evaluation import store
 from leaderboard.evaluation.entry import Entry
-from leaderboard.evaluation.results import content, together
+from leaderboard.evaluation.results import content_digest, merge_parts
 from leaderboard.evaluation.store import NewerFormatError
 from leaderboard.evaluation.tasks import Task
-from leaderboard.running.jobs import Done, Job, identity
+from leaderboard.running.jobs import Job, JobDone, result_identity
 from leaderboard.sandbox.limits import Limits
 from road_envs.config import ConfigError
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
+class PlannedRow:
     """A row that a run is to leave on the board."""
 
     task: Task
@@ -28,13 +28,13 @@ class Row:
     @cached_property
     def identity(self) -> str:
         """Of the whole row."""
-        return identity(self.task, None, self.entry, self.seeds)
+        return result_identity(self.task, None, self.entry, self.seeds)
 
     @cached_property
     def parts(self) -> tuple[str, ...]:
         """Identities of its parts, one for each condition."""
         conditions = range(len(self.task.conditions))
-        return tuple(identity(self.task, k, self.entry, self.seeds) for k in conditions)
+        return tuple(result_identity(self.task, k, self.entry, self.seeds) for k in conditions)
 
 
 class Plan:
@@ -44,101 +44,107 @@ class Plan:
     plan remembers what it has seen or been told, and looks again before it relies on it.
     """
 
-    def __init__(self, rows: Sequence[Row], out: Path, resume: bool):
+    def __init__(self, rows: Sequence[PlannedRow], out: Path, resume: bool):
         """Raises NewerFormatError if a row would take the place of one that cannot be read here."""
         self.rows, self.out = rows, out
-        self._seen: dict[Path, str] = {}  # rows and parts: content, or checksum of the file
+        self._known: dict[Path, str] = {}  # rows and parts: content, or checksum of the file
         self._failed: set[str] = set()  # parts that hold a failure
-        self._in_doubt = False
-        self._open = [row for row in rows if not self._stands(row, resume)]
-        for row in self._open if resume else []:
+        self._may_be_altered = False
+        self._pending = [row for row in rows if not self._is_current(row, resume)]
+        for row in self._pending if resume else []:
             for part in row.parts:
-                self._find(part)
+                self._find_part(part)
 
-    def missing(self) -> list[tuple[Row, int]]:
+    def missing(self) -> list[tuple[PlannedRow, int]]:
         """Conditions of rows that have to be run."""
         return [
             (row, k)
-            for row in self._open
+            for row in self._pending
             for k, part in enumerate(row.parts)
-            if self._part(part) not in self._seen
+            if self._part_path(part) not in self._known
         ]
 
-    def note(self, done: Done) -> None:
+    def record_part(self, done: JobDone) -> None:
         """Remember a part that was run."""
-        self._seen[self._part(done.identity)] = done.content
-        self._in_doubt |= done.isolation != "namespaces"
+        self._known[self._part_path(done.identity)] = done.content_digest
+        self._may_be_altered |= done.isolation != "namespaces"
         if done.failure is not None:
             self._failed.add(done.identity)
 
-    def settle(self) -> bool:
+    def assemble_rows(self) -> bool:
         """Put rows together and write them; False if there is more to be run.
 
         What is no longer what it was is forgotten, and has to be run again.
         """
-        if self._in_doubt:
-            for path in [path for path, told in self._seen.items() if not _is_still(path, told)]:
-                del self._seen[path]
-        left = [row for row in self.rows if row in self._open or self._row(row) not in self._seen]
-        self._open = [row for row in left if not self._write(row)]
-        return not self._open
+        if self._may_be_altered:
+            for path in [
+                path for path, told in self._known.items() if not _is_unchanged(path, told)
+            ]:
+                del self._known[path]
+        left = [
+            row
+            for row in self.rows
+            if row in self._pending or self._row_path(row) not in self._known
+        ]
+        self._pending = [row for row in left if not self._assemble(row)]
+        return not self._pending
 
-    def _stands(self, row: Row, resume: bool) -> bool:
-        path = self._row(row)
+    def _is_current(self, row: PlannedRow, resume: bool) -> bool:
+        path = self._row_path(row)
         try:
-            result, told = store.load_known(path)
+            result, told = store.load_with_checksum(path)
         except NewerFormatError:
             raise
         except ConfigError:  # none there, or none that is worth keeping
             return False
         if not resume or result.identity != row.identity or result.failure is not None:
             return False
-        self._seen[path] = told
+        self._known[path] = told
         return True
 
-    def _find(self, part: str) -> None:
-        path = self._part(part)
+    def _find_part(self, part: str) -> None:
+        path = self._part_path(part)
         try:
             result = store.load_part(path)
         except ConfigError:
             return
         if result.failure is None:
-            self._seen[path] = content(result)
+            self._known[path] = content_digest(result)
 
-    def _write(self, row: Row) -> bool:
+    def _assemble(self, row: PlannedRow) -> bool:
         """Put a row together if all parts are there, or one with a failure: then no more is run."""
-        here = [part for part in row.parts if self._part(part) in self._seen]
+        here = [part for part in row.parts if self._part_path(part) in self._known]
         if len(here) < len(row.parts) and not self._failed.intersection(here):
             return False
-        parts = [store.load_part(self._part(part)) for part in here]
-        whole = together(parts, row.identity)
-        self._seen[store.save(whole, self.out)] = content(whole)
+        parts = [store.load_part(self._part_path(part)) for part in here]
+        whole = merge_parts(parts, row.identity)
+        self._known[store.save(whole, self.out)] = content_digest(whole)
         return True
 
-    def _row(self, row: Row) -> Path:
-        return store.path_of(self.out, row.task.name, row.entry.name)
+    def _row_path(self, row: PlannedRow) -> Path:
+        return store.row_path(self.out, row.task.name, row.entry.name)
 
-    def _part(self, identity: str) -> Path:
-        return store.part_of(self.out, identity)
+    def _part_path(self, identity: str) -> Path:
+        return store.part_path(self.out, identity)
 
 
-def _is_still(path: Path, known: str) -> bool:
+def _is_unchanged(path: Path, known: str) -> bool:
     """Whether a file has the content, or the checksum, that it was known by."""
     try:
-        result, told = store.read_known(path)
+        result, told = store.read_with_checksum(path)
     except ConfigError:
         return False
-    return known in (told, content(result))
+    return known in (told, content_digest(result))
 
 
-def jobs_of(missing: Iterable[tuple[Row, int]], workers: int, limits: Limits) -> list[Job]:
+def make_jobs(missing: Iterable[tuple[PlannedRow, int]], workers: int, limits: Limits) -> list[Job]:
     """Jobs for what has to be run: a condition each, the longest first, every second one with its
     entries from the last to the first.
 
     Entries of one condition share its drives; they are spread over several jobs only where there
     would be fewer jobs than workers.
     """
-    groups: dict[tuple[str, int, tuple[int, ...]], list[Row]] = {}
+    groups: dict[tuple[str, int, tuple[int, ...]], list[PlannedRow]] = {}
     for row, condition in missing:
         groups.setdefault((row.task.digest, condition, row.seeds), []).append(row)
     spread = math.ceil(workers / max(1, len(groups)))
@@ -155,18 +161,18 @@ def jobs_of(missing: Iterable[tuple[Row, int]], workers: int, limits: Limits) ->
                     limits=limits,
                 )
             )
-    found.sort(key=_effort, reverse=True)
-    return [_turned(job) if k % 2 else job for k, job in enumerate(found)]
+    found.sort(key=_estimated_cost, reverse=True)
+    return [_reversed(job) if k % 2 else job for k, job in enumerate(found)]
 
 
-def _turned(job: Job) -> Job:
+def _reversed(job: Job) -> Job:
     """The job with its entries in the other order: side by side with one that has them in this
     order it seldom compiles the same kernels at the same time.
     """
     return dataclasses.replace(job, entries=job.entries[::-1])
 
 
-def _effort(job: Job) -> float:
+def _estimated_cost(job: Job) -> float:
     """Seconds of driving to be explained, which is about what a job costs."""
-    metres = sum(road.length for road, _ in job.task.test.pairs)
+    metres = sum(road.length for road, _ in job.task.test.roads_and_seeds)
     return len(job.entries) * metres / job.task.conditions[job.condition].speed_kmh

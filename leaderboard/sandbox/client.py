@@ -14,27 +14,27 @@ from signal import Signals
 from typing import Any, TypeVar
 
 from estimators.api import EstimateError, check_estimate
-from leaderboard.evaluation.entry import EntryError, Outcome
+from leaderboard.evaluation.entry import EntryError, TrainingRun
 from leaderboard.sandbox import messages, processes
-from leaderboard.sandbox.limits import Limits, environment
-from leaderboard.sandbox.messages import Answer, Ask, Training
-from leaderboard.sandbox.supervisor import Order, Verdict
+from leaderboard.sandbox.limits import Limits, worker_environment
+from leaderboard.sandbox.messages import Request, Response, TrainingReport
+from leaderboard.sandbox.supervisor import LaunchRequest, RunStatus
 from road_envs import _numba
-from road_envs._atomic_io import Scratch
+from road_envs._atomic_io import TempFolder
 from road_envs.config import build
 from road_envs.data.record import Profile, Record
 from road_envs.vehicle.parameters import VehicleParameters
 
 T = TypeVar("T")
 
-PATIENCE = 60.0
+GRACE_PERIOD = 60.0
 """Seconds after a time limit in which the guard must have given its verdict."""
 
-LOADING = 300.0
+STARTUP_TIMEOUT = 300.0
 """Seconds in which the server must have loaded its libraries."""
 
 
-class Host:
+class SandboxClient:
     """Runs entries in processes of their own, one run at a time; closed by a `with` statement.
 
     `hidden` folders are kept from the entries where the platform can. `alone` says that this
@@ -45,18 +45,18 @@ class Host:
         self, limits: Limits | None = None, hidden: Sequence[Path] = (), *, alone: bool = False
     ):
         self.limits = limits or Limits()
-        self.verdict: Verdict | None = None  # on the last run
+        self.run_status: RunStatus | None = None  # on the last run
         self.hidden = tuple(str(path.resolve()) for path in hidden)
         self._alone = alone
-        self._scratch = Scratch()
+        self._scratch = TempFolder()
         self._home = self._scratch.path
         self._runs = 0
         self._namespaces: bool | None = None
         if alone:
-            processes.adopt_orphans()
+            processes.become_subreaper()
         self._server = self._start()  # it loads its libraries while the judge drives
 
-    def __enter__(self) -> "Host":
+    def __enter__(self) -> "SandboxClient":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -66,7 +66,7 @@ class Host:
     @property
     def isolation(self) -> str:
         """What keeps entries in: "namespaces", or "process" where those are not to be had."""
-        return "namespaces" if self._granted() and self.limits.namespaces else "process"
+        return "namespaces" if self._may_use_namespaces() and self.limits.namespaces else "process"
 
     def reconstruct(
         self,
@@ -77,12 +77,12 @@ class Host:
         car: VehicleParameters,
         seeds: Sequence[int],
         cache: str = "",
-    ) -> list[Outcome]:
+    ) -> list[TrainingRun]:
         """As `entry.reconstruct_all`, of an estimator made from `reference`. Raises EntryError.
 
         Entries of one `cache` share their compiled kernels.
         """
-        ask = Ask(
+        request = Request(
             reference=reference,
             settings=dict(settings),
             seeds=tuple(seeds),
@@ -91,52 +91,52 @@ class Host:
             car=dataclasses.asdict(car),
         )
 
-        def outcomes(folder: Path, answer: Answer) -> list[Outcome]:
-            ran = [told.seed for told in answer.trainings]
+        def training_runs(folder: Path, response: Response) -> list[TrainingRun]:
+            ran = [told.seed for told in response.trainings]
             if ran not in ([*seeds], [*seeds[:1]]):
                 raise EntryError(f"it ran the training seeds {ran} and not {list(seeds)}")
-            assert self.verdict is not None
-            memory, isolation = self.verdict.memory, self.isolation
-            found = (_trusted(folder, told, records) for told in answer.trainings)
+            assert self.run_status is not None
+            memory, isolation = self.run_status.memory, self.isolation
+            found = (_read_checked_run(folder, told, records) for told in response.trainings)
             return [
                 dataclasses.replace(outcome, peak_memory=memory, isolation=isolation)
                 for outcome in found
             ]
 
-        return self._run(ask, training, records, cache, outcomes)
+        return self._run(request, training, records, cache, training_runs)
 
     def describe(self, reference: str, settings: Mapping[str, Any]) -> dict[str, Any]:
         """As `entries.describe`, of an estimator that the judge never loads. Raises EntryError."""
-        ask = Ask(reference=reference, settings=dict(settings))
-        return self._run(ask, [], [], "", lambda folder, answer: answer.description or {})
+        request = Request(reference=reference, settings=dict(settings))
+        return self._run(request, [], [], "", lambda folder, response: response.description or {})
 
     def _run(
         self,
-        ask: Ask,
+        request: Request,
         training: Sequence[tuple[Record, Profile]],
         records: Sequence[Record],
         cache: str,
-        take: Callable[[Path, Answer], T],
+        take: Callable[[Path, Response], T],
     ) -> T:
         self._runs += 1
         folder = self._home / str(self._runs)
         try:
-            messages.write_ask(folder, ask, training, records)
-            verdict = self.verdict = self._serve(folder, cache)
-            if (why := _wrong(verdict, self.limits)) is not None:
+            messages.write_request(folder, request, training, records)
+            run_status = self.run_status = self._start_run(folder, cache)
+            if (why := _describe_violation(run_status, self.limits)) is not None:
                 raise EntryError(why)
-            answer = messages.read_answer(folder)
-            if answer is None:
-                raise EntryError(_without_answer(verdict))
-            if answer.failure is not None:
-                raise EntryError(answer.failure)
-            return take(folder, answer)
+            response = messages.read_response(folder)
+            if response is None:
+                raise EntryError(_describe_missing_response(run_status))
+            if response.failure is not None:
+                raise EntryError(response.failure)
+            return take(folder, response)
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
-    def _serve(self, folder: Path, cache: str) -> Verdict:
+    def _start_run(self, folder: Path, cache: str) -> RunStatus:
         isolation: Any = self.isolation
-        order = Order(
+        launch = LaunchRequest(
             folder=str(folder.resolve()),
             limits=self.limits,
             isolation=isolation,
@@ -145,14 +145,14 @@ class Host:
         )
         begin = time.monotonic()
         try:
-            os.write(self._server.stdin.fileno(), _line(dataclasses.asdict(order)))  # type: ignore[union-attr]
-            line = self._hear(self.limits.seconds + PATIENCE)
-            return build(Verdict, json.loads(line), "verdict")
+            os.write(self._server.stdin.fileno(), _json_line(dataclasses.asdict(launch)))  # type: ignore[union-attr]
+            line = self._read_line(self.limits.seconds + GRACE_PERIOD)
+            return build(RunStatus, json.loads(line), "run status")
         except (OSError, ValueError):
             status = self._stop()
             self._server = self._start()
             spent = time.monotonic() - begin
-            return Verdict(fate="guard", status=status, seconds=spent)
+            return RunStatus(outcome="supervisor", status=status, seconds=spent)
 
     def _start(self) -> subprocess.Popen[bytes]:
         self._namespaces = None
@@ -162,22 +162,22 @@ class Host:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=said,
-                env=environment(self._home),
+                env=worker_environment(self._home),
                 cwd=self._home,
                 start_new_session=True,
             )
 
-    def _granted(self) -> bool:
+    def _may_use_namespaces(self) -> bool:
         """Whether the server may have namespaces, which is the first thing that it says."""
         if self._namespaces is None:
             try:
-                self._namespaces = bool(json.loads(self._hear(LOADING))["namespaces"])
+                self._namespaces = bool(json.loads(self._read_line(STARTUP_TIMEOUT))["namespaces"])
             except (OSError, ValueError, KeyError, TypeError) as error:
                 said = (self._home / "said.txt").read_text(encoding="utf-8", errors="replace")
                 raise RuntimeError(f"the server of entries does not start: {said}") from error
         return self._namespaces
 
-    def _hear(self, seconds: float) -> bytes:
+    def _read_line(self, seconds: float) -> bytes:
         """The next line that the server says. Raises OSError if it says none in time."""
         handle, said = self._server.stdout.fileno(), b""  # type: ignore[union-attr]
         end = time.monotonic() + seconds
@@ -201,12 +201,12 @@ class Host:
             processes.kill_group(server.pid)
             status = server.wait()
         if self._alone:
-            processes.end_descendants()
+            processes.kill_descendants()
         return status
 
 
-def _trusted(folder: Path, told: Training, records: Sequence[Record]) -> Outcome:
-    outcome = messages.read_outcome(folder, told, records)
+def _read_checked_run(folder: Path, told: TrainingReport, records: Sequence[Record]) -> TrainingRun:
+    outcome = messages.read_training_run(folder, told, records)
     for k, (estimate, record) in enumerate(zip(outcome.estimates, records, strict=True), start=1):
         try:
             check_estimate(estimate, record)
@@ -217,27 +217,29 @@ def _trusted(folder: Path, told: Training, records: Sequence[Record]) -> Outcome
     return outcome
 
 
-def _wrong(verdict: Verdict, limits: Limits) -> str | None:
+def _describe_violation(run_status: RunStatus, limits: Limits) -> str | None:
     """In one sentence, what ended a run other than the entry itself."""
-    match verdict.fate:
+    match run_status.outcome:
         case "time":
             return f"it was ended after {limits.seconds:g} s, the time limit"
         case "memory":
             return f"it was ended when it held more than {limits.memory:g} GiB, the memory limit"
         case "processes":
             return f"it was ended when it had more than {limits.processes} processes"
-        case "guard":
-            return f"the process that watched over it was ended by {how(verdict.status)}"
+        case "supervisor":
+            return (
+                f"the process that watched over it was ended by {describe_exit(run_status.status)}"
+            )
     return None
 
 
-def _without_answer(verdict: Verdict) -> str:
-    words = verdict.last_words.strip().splitlines()
+def _describe_missing_response(run_status: RunStatus) -> str:
+    words = run_status.output_tail.strip().splitlines()
     said = f"; its last words: {words[-1].strip()[:200]}" if words else ""
-    return f"its process ended without an answer, by {how(verdict.status)}{said}"
+    return f"its process ended without an answer, by {describe_exit(run_status.status)}{said}"
 
 
-def how(status: int) -> str:
+def describe_exit(status: int) -> str:
     """An exit status, or the name of the signal, that ended a process."""
     if status >= 0:
         return f"exit status {status}"
@@ -265,5 +267,5 @@ def _private_cache(name: str) -> tuple[tuple[str, str], ...]:
     return ((str(own), str(judges)),)
 
 
-def _line(data: Mapping[str, Any]) -> bytes:
+def _json_line(data: Mapping[str, Any]) -> bytes:
     return (json.dumps(data) + "\n").encode()

@@ -10,7 +10,7 @@ from road_envs.config import STRICT
 
 GIB = 2**30
 
-PINNED = (
+THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
     "MKL_NUM_THREADS",
@@ -21,7 +21,7 @@ PINNED = (
 )
 """Set to 1: sums are taken in one order whatever the machine, and times can be compared."""
 
-KEPT = ("PATH", "LANG", "LC_ALL", "TZ", "VIRTUAL_ENV", "LD_LIBRARY_PATH")
+INHERITED_VARIABLES = ("PATH", "LANG", "LC_ALL", "TZ", "VIRTUAL_ENV", "LD_LIBRARY_PATH")
 """All that an entry gets of the judge's environment."""
 
 
@@ -48,12 +48,12 @@ def cache_home() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
-def environment(folder: Path) -> dict[str, str]:
+def worker_environment(folder: Path) -> dict[str, str]:
     """The environment of an entry that works in `folder`."""
-    kept = {name: os.environ[name] for name in KEPT if name in os.environ}
+    kept = {name: os.environ[name] for name in INHERITED_VARIABLES if name in os.environ}
     return {
         **kept,
-        **dict.fromkeys(PINNED, "1"),
+        **dict.fromkeys(THREAD_VARIABLES, "1"),
         "HOME": str(folder),
         "TMPDIR": str(folder),
         "XDG_CACHE_HOME": str(cache_home()),

@@ -1,9 +1,9 @@
 """What crosses the border between judge and entry, as files in one folder.
 
-    in/ask.json            which estimator, its settings, the car, the training seeds
+    in/request.json            which estimator, its settings, the car, the training seeds
     in/training-0.parquet  a training record; its truth stands beside it as training-0.npz
     in/test-0.parquet      a test record; its truth stays with the judge
-    out/answer.json        what came of it, written last
+    out/response.json        what came of it, written last
     out/seed-1.npz         estimates of one training: z0, z1, ... and z_std0, ... where given
 
 The judge believes nothing that comes out: files are opened without following links, of limited
@@ -25,19 +25,19 @@ from typing import Any
 import numpy as np
 from numpy.lib import format as npy
 
-from leaderboard.evaluation.entry import EntryError, Outcome
-from road_envs._atomic_io import whole
+from leaderboard.evaluation.entry import EntryError, TrainingRun
+from road_envs._atomic_io import atomic_write
 from road_envs.config import STRICT, ConfigError, build
-from road_envs.data.record import Estimate, Profile, Record, grid
+from road_envs.data.record import Estimate, Profile, Record, profile_stations
 from road_envs.data.recording import read_record, write_record
 from road_envs.vehicle.parameters import VehicleParameters
 
-ANSWER_SIZE = 1_000_000
+MAX_RESPONSE_SIZE = 1_000_000
 """Most bytes of an answer; estimates may have what their arrays need and half as much again."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ask:
+class Request:
     """What the judge wants of an entry: an estimate of every test record after every training."""
 
     __pydantic_config__ = STRICT
@@ -51,7 +51,7 @@ class Ask:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Training:
+class TrainingReport:
     """The cost of one training, told by the entry's process."""
 
     __pydantic_config__ = STRICT
@@ -63,18 +63,21 @@ class Training:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answer:
+class Response:
     """What an entry's process says: what it did, or in one sentence why not."""
 
     __pydantic_config__ = STRICT
 
     failure: str | None = None
-    trainings: tuple[Training, ...] = ()
+    trainings: tuple[TrainingReport, ...] = ()
     description: dict[str, Any] | None = None
 
 
-def write_ask(
-    folder: Path, ask: Ask, training: Sequence[tuple[Record, Profile]], tests: Sequence[Record]
+def write_request(
+    folder: Path,
+    request: Request,
+    training: Sequence[tuple[Record, Profile]],
+    tests: Sequence[Record],
 ) -> None:
     """The judge's side: fill `folder`/in, and make an empty `folder`/out."""
     inside = folder / "in"
@@ -85,27 +88,27 @@ def write_ask(
         np.savez(inside / f"training-{k}.npz", s=truth.s, z=truth.z)
     for k, record in enumerate(tests):
         write_record(inside / f"test-{k}.parquet", record, {})
-    (inside / "ask.json").write_text(json.dumps(dataclasses.asdict(ask)), encoding="utf-8")
+    (inside / "request.json").write_text(json.dumps(dataclasses.asdict(request)), encoding="utf-8")
 
 
-def read_ask(folder: Path) -> Ask:
+def read_request(folder: Path) -> Request:
     """The entry's side: what is wanted."""
-    text = (folder / "in" / "ask.json").read_text(encoding="utf-8")
-    return build(Ask, json.loads(text), "ask.json")
+    text = (folder / "in" / "request.json").read_text(encoding="utf-8")
+    return build(Request, json.loads(text), "request.json")
 
 
 def read_drives(
-    folder: Path, ask: Ask
+    folder: Path, request: Request
 ) -> tuple[list[tuple[Record, Profile]], list[Record], VehicleParameters]:
     """The entry's side: training drives with their truth, test records, and the car."""
     inside = folder / "in"
     training = []
-    for k in range(ask.training):
+    for k in range(request.training):
         with np.load(inside / f"training-{k}.npz") as truth:
             pair = _record(inside / f"training-{k}.parquet"), Profile(truth["s"], truth["z"])
         training.append(pair)
-    tests = [_record(inside / f"test-{k}.parquet") for k in range(ask.tests)]
-    return training, tests, build(VehicleParameters, ask.car or {}, "car")
+    tests = [_record(inside / f"test-{k}.parquet") for k in range(request.tests)]
+    return training, tests, build(VehicleParameters, request.car or {}, "car")
 
 
 def _record(path: Path) -> Record:
@@ -124,35 +127,37 @@ def write_estimates(folder: Path, seed: int, estimates: Sequence[Estimate]) -> N
         np.savez(file, allow_pickle=False, **arrays)
 
 
-def write_answer(folder: Path, answer: Answer) -> None:
+def write_response(folder: Path, response: Response) -> None:
     """The entry's side: the last thing that it does."""
-    with whole(folder / "out" / "answer.json") as partial:
-        partial.write_text(json.dumps(dataclasses.asdict(answer)), encoding="utf-8")
+    with atomic_write(folder / "out" / "response.json") as partial:
+        partial.write_text(json.dumps(dataclasses.asdict(response)), encoding="utf-8")
 
 
-def read_answer(folder: Path) -> Answer | None:
+def read_response(folder: Path) -> Response | None:
     """The judge's side: what the entry's process said; None if it said nothing.
 
     Raises EntryError for what is no answer.
     """
-    data = _content(folder / "out", "answer.json", ANSWER_SIZE)
+    data = _read_regular_file(folder / "out", "response.json", MAX_RESPONSE_SIZE)
     if data is None:
         return None
     try:
-        return build(Answer, json.loads(data), "its answer")
+        return build(Response, json.loads(data), "its answer")
     except (ConfigError, ValueError, RecursionError) as error:
         raise EntryError(f"its answer cannot be read: {' '.join(str(error).split())}") from None
 
 
-def read_outcome(folder: Path, training: Training, tests: Sequence[Record]) -> Outcome:
+def read_training_run(
+    folder: Path, training: TrainingReport, tests: Sequence[Record]
+) -> TrainingRun:
     """The judge's side: the estimates of one training. Raises EntryError.
 
     Stations are the judge's own; whether heights are finite is for `check_estimate` to say.
     """
-    stations = [grid(record.length) for record in tests]
+    stations = [profile_stations(record.length) for record in tests]
     most = int(1.5 * sum(2 * 2 * 8 * s.size for s in stations)) + 10_000 * (len(tests) + 1)
     name = f"seed-{training.seed}.npz"
-    data = _content(folder / "out", name, most)
+    data = _read_regular_file(folder / "out", name, most)
     if data is None:
         raise EntryError(f"there are no estimates of the training with seed {training.seed}")
     try:
@@ -165,7 +170,7 @@ def read_outcome(folder: Path, training: Training, tests: Sequence[Record]) -> O
         raise EntryError(f"{name}: no estimate {error.args[0]}") from None
     except (ValueError, EOFError, OSError, zipfile.BadZipFile, zlib.error) as error:
         raise EntryError(f"{name}: {error}") from None
-    return Outcome(
+    return TrainingRun(
         estimates,
         training.train_seconds,
         training.estimate_seconds,
@@ -201,7 +206,7 @@ def _arrays(data: bytes, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, np.
     return arrays
 
 
-def _content(folder: Path, name: str, most: int) -> bytes | None:
+def _read_regular_file(folder: Path, name: str, most: int) -> bytes | None:
     """A regular file that is no link, of at most so many bytes. Raises EntryError."""
     try:
         place = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)

@@ -1,7 +1,8 @@
 """Linux namespaces for an entry: no network, no other process, nothing to write but its folder.
 
-The guard leaves the judge's users, processes, network and System V objects (`leave`); the guest,
-its child, leaves the judge's mounts and gives up every privilege (`enclose`). See namespaces(7),
+The supervisor leaves the evaluator's users, processes, network and System V objects
+(`enter_namespaces`); the worker, its child, leaves the evaluator's mounts and drops every privilege
+(`confine`). See namespaces(7),
 mount_setattr(2) and capabilities(7). No step needs a program or a library beyond libc.
 """
 
@@ -37,10 +38,10 @@ def available() -> bool:
     if pid == 0:
         status = 1
         try:
-            leave()
+            enter_namespaces()
             guest = os.fork()
             if guest == 0:
-                enclose(None, [], [])
+                confine(None, [], [])
                 os._exit(0)
             status = os.waitstatus_to_exitcode(os.waitpid(guest, 0)[1])
         except OSError:
@@ -50,17 +51,17 @@ def available() -> bool:
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
 
 
-def leave() -> None:
+def enter_namespaces() -> None:
     """New users, and for children new process numbers, network and IPC. Raises OSError."""
     user, group = os.geteuid(), os.getegid()
     flags = NEW_USERS | NEW_PIDS | NEW_NETWORK | NEW_IPC
-    _check(libc.unshare(ctypes.c_int(flags)), "unshare")
+    _raise_on_error(libc.unshare(ctypes.c_int(flags)), "unshare")
     Path("/proc/self/setgroups").write_text("deny")
     Path("/proc/self/uid_map").write_text(f"{user} {user} 1")
     Path("/proc/self/gid_map").write_text(f"{group} {group} 1")
 
 
-def enclose(
+def confine(
     folder: Path | None, private: Sequence[tuple[Path, Path]], hidden: Sequence[Path]
 ) -> None:
     """Nothing can be written any more but in `folder` and in what stands in for other folders.
@@ -68,7 +69,7 @@ def enclose(
     Of each pair in `private` the first folder is put in the place of the second; `hidden` folders
     look empty. Raises OSError.
     """
-    _check(libc.unshare(ctypes.c_int(NEW_MOUNTS)), "unshare")
+    _raise_on_error(libc.unshare(ctypes.c_int(NEW_MOUNTS)), "unshare")
     _mount("none", "/", "", RECURSIVE | PRIVATE)
     open_to = [Path("/dev/shm"), *(place for _, place in private)]
     if folder is not None:
@@ -80,31 +81,31 @@ def enclose(
         _mount("tmpfs", place, "tmpfs", NO_SUID | NO_DEV | NO_EXEC, "size=4k")
     if open_to[0].is_dir():
         _mount("tmpfs", open_to[0], "tmpfs", NO_SUID | NO_DEV, "size=256m")
-    _attributes(Path("/"), AT_RECURSIVE, set_=ATTR_RDONLY)
+    _set_mount_attributes(Path("/"), AT_RECURSIVE, set_=ATTR_RDONLY)
     for place in filter(Path.is_dir, open_to):
-        _attributes(place, 0, clear=ATTR_RDONLY)
+        _set_mount_attributes(place, 0, clear=ATTR_RDONLY)
     try:
         _mount("proc", "/proc", "proc", NO_SUID | NO_DEV | NO_EXEC)
     except OSError:  # refused where the judge's own /proc is masked; its numbers lead nowhere then
         pass
-    _give_up_privileges()
+    _drop_privileges()
 
 
-def _give_up_privileges() -> None:
+def _drop_privileges() -> None:
     for capability in range(LAST_CAPABILITY + 1):
         libc.prctl(PR_CAPBSET_DROP, capability, 0, 0, 0)  # beyond the kernel's last one: an error
-    _check(libc.prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0), "prctl")
+    _raise_on_error(libc.prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0), "prctl")
     header = (ctypes.c_uint32 * 2)(CAPABILITY_VERSION_3, 0)
-    _check(libc.capset(header, (ctypes.c_uint32 * 6)()), "capset")
+    _raise_on_error(libc.capset(header, (ctypes.c_uint32 * 6)()), "capset")
 
 
 def _mount(source: object, place: object, kind: str, flags: int, data: str = "") -> None:
     words = [os.fsencode(str(word)) for word in (source, place, kind, data)]
     done = libc.mount(words[0], words[1], words[2], ctypes.c_ulong(flags), words[3])
-    _check(done, f"mount {place}")
+    _raise_on_error(done, f"mount {place}")
 
 
-def _attributes(place: Path, flags: int, set_: int = 0, clear: int = 0) -> None:
+def _set_mount_attributes(place: Path, flags: int, set_: int = 0, clear: int = 0) -> None:
     attributes = _MountAttributes(set_, clear, 0, 0)
     done = libc.syscall(
         ctypes.c_long(SYS_MOUNT_SETATTR),
@@ -114,10 +115,10 @@ def _attributes(place: Path, flags: int, set_: int = 0, clear: int = 0) -> None:
         ctypes.byref(attributes),
         ctypes.c_size_t(ctypes.sizeof(attributes)),
     )
-    _check(done, f"mount_setattr {place}")
+    _raise_on_error(done, f"mount_setattr {place}")
 
 
-def _check(status: int, what: str) -> None:
+def _raise_on_error(status: int, what: str) -> None:
     if status != 0:
         number = ctypes.get_errno()
         raise OSError(number, f"{what}: {os.strerror(number)}")

@@ -33,7 +33,7 @@ def die_with_parent(number: signal.Signals = signal.SIGKILL) -> None:
         libc.prctl(PR_SET_PDEATHSIG, int(number), 0, 0, 0)
 
 
-def adopt_orphans() -> None:
+def become_subreaper() -> None:
     """Become the parent of every descendant whose own parent ends (Linux)."""
     if LINUX:
         libc.prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
@@ -45,7 +45,7 @@ def descendants(root: int) -> list[Process]:
         return []
     children: dict[int, list[Process]] = {}
     for entry in os.scandir(PROC):
-        if entry.name.isdigit() and (process := _read(int(entry.name))) is not None:
+        if entry.name.isdigit() and (process := _read_process(int(entry.name))) is not None:
             children.setdefault(process.parent, []).append(process)
     found, front = [], [root]
     while front:
@@ -55,18 +55,18 @@ def descendants(root: int) -> list[Process]:
     return found
 
 
-def shared_out(processes: list[Process]) -> int:
+def proportional_memory(processes: list[Process]) -> int:
     """Memory [bytes] of some processes, a page that several of them share counted once."""
-    return sum(_proportional(process) for process in processes)
+    return sum(_proportional_memory(process) for process in processes)
 
 
-def end_descendants(patience: float = 10.0) -> dict[int, int]:
+def kill_descendants(timeout: float = 10.0) -> dict[int, int]:
     """Kill every descendant of this process and wait for them; their exit statuses by number.
 
-    It has to `adopt_orphans`. What still runs after `patience` [s] cannot be killed by anyone.
+    It has to `become_subreaper`. What still runs after `timeout` [s] cannot be killed by anyone.
     """
     statuses: dict[int, int] = {}
-    end = time.monotonic() + patience
+    end = time.monotonic() + timeout
     while time.monotonic() < end:
         for process in descendants(os.getpid()):
             kill(process.pid)
@@ -95,7 +95,7 @@ def kill_group(pid: int) -> None:
         pass
 
 
-def _read(pid: int) -> Process | None:
+def _read_process(pid: int) -> Process | None:
     """A process as /proc knows it; None if it has gone or is a zombie."""
     try:
         text = (PROC / str(pid) / "stat").read_text()
@@ -105,7 +105,7 @@ def _read(pid: int) -> Process | None:
     return Process(pid, int(fields[1]), PAGE * int(fields[21]))
 
 
-def _proportional(process: Process) -> int:
+def _proportional_memory(process: Process) -> int:
     try:
         text = (PROC / str(process.pid) / "smaps_rollup").read_text()
     except OSError:

@@ -13,20 +13,20 @@ import os
 import sys
 
 from leaderboard.sandbox import namespaces, processes, supervisor
-from leaderboard.sandbox.supervisor import Order, Verdict
+from leaderboard.sandbox.supervisor import LaunchRequest, RunStatus
 from road_envs.config import build
 
 
 def main() -> None:
     """Serve until there are no more orders."""
     processes.die_with_parent()
-    processes.adopt_orphans()
+    processes.become_subreaper()
     _preload()
     print(json.dumps({"namespaces": namespaces.available()}), flush=True)
     for line in sys.stdin:
-        verdict = _serve(build(Order, json.loads(line), "order"))
-        if verdict is not None:
-            _say(verdict)
+        run_status = _supervise(build(LaunchRequest, json.loads(line), "launch request"))
+        if run_status is not None:
+            _send(run_status)
 
 
 def _preload() -> None:
@@ -42,25 +42,25 @@ def _preload() -> None:
     gc.freeze()
 
 
-def _serve(order: Order) -> Verdict | None:
+def _supervise(launch: LaunchRequest) -> RunStatus | None:
     """Let a guard see to it; a verdict if the guard could not give its own."""
     pid = os.fork()
     if pid == 0:
         status = 1
         try:
-            _say(supervisor.run(order))
+            _send(supervisor.run(launch))
             status = 0
         finally:
             os._exit(status)
     _, status = os.waitpid(pid, 0)
-    processes.end_descendants()
+    processes.kill_descendants()
     if status == 0:
         return None
-    return Verdict(fate="guard", status=os.waitstatus_to_exitcode(status))
+    return RunStatus(outcome="supervisor", status=os.waitstatus_to_exitcode(status))
 
 
-def _say(verdict: Verdict) -> None:
-    sys.stdout.write(json.dumps(dataclasses.asdict(verdict)) + "\n")
+def _send(run_status: RunStatus) -> None:
+    sys.stdout.write(json.dumps(dataclasses.asdict(run_status)) + "\n")
     sys.stdout.flush()
 
 

@@ -16,20 +16,20 @@ from pathlib import Path
 from typing import Literal
 
 from leaderboard.sandbox import namespaces, processes, worker
-from leaderboard.sandbox.limits import GIB, Limits, environment
+from leaderboard.sandbox.limits import GIB, Limits, worker_environment
 from road_envs.config import STRICT
 
-Fate = Literal["ended", "time", "memory", "processes", "guard"]
+RunOutcome = Literal["exited", "time", "memory", "processes", "supervisor"]
 
-LOOK = 0.1
+POLL_INTERVAL = 0.1
 """Seconds between two looks at memory and processes."""
 
-LAST_WORDS = 4000
+OUTPUT_TAIL_SIZE = 4000
 """Bytes of output that are kept, the last ones; the rest is counted and thrown away."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Order:
+class LaunchRequest:
     """One run: where, how limited, and what it must not see."""
 
     __pydantic_config__ = STRICT
@@ -42,106 +42,106 @@ class Order:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Verdict:
+class RunStatus:
     """How a run went; `status` as of `subprocess`: below 0 the signal that ended it."""
 
     __pydantic_config__ = STRICT
 
-    fate: Fate
+    outcome: RunOutcome
     status: int = 0
     seconds: float = 0.0
     memory: float = 0.0  # [GiB] at its peak
-    printed: int = 0  # bytes
-    last_words: str = ""
+    output_size: int = 0  # bytes
+    output_tail: str = ""
 
 
-def run(order: Order) -> Verdict:
+def run(launch: LaunchRequest) -> RunStatus:
     """Fork the guest, watch it to its end, and end what it leaves behind."""
-    processes.adopt_orphans()
-    if order.isolation == "namespaces":
-        namespaces.leave()
+    processes.become_subreaper()
+    if launch.isolation == "namespaces":
+        namespaces.enter_namespaces()
     output, written = os.pipe()
     start = time.monotonic()
     pid = os.fork()
     if pid == 0:
-        _become_guest(order, written)
+        _run_worker(launch, written)
     os.close(written)
     for number in (signal.SIGTERM, signal.SIGINT):  # when the server ends, or is told to
-        signal.signal(number, lambda *_: (processes.end_descendants(), os._exit(1)))
+        signal.signal(number, lambda *_: (processes.kill_descendants(), os._exit(1)))
     processes.die_with_parent(signal.SIGTERM)
-    watch = _Watch(order.limits, pid, output, start)
-    fate = watch.until_it_ends()
+    watch = _Monitor(launch.limits, pid, output, start)
+    outcome = watch.wait()
     processes.kill(pid)
     processes.kill_group(pid)
-    statuses = processes.end_descendants()
+    statuses = processes.kill_descendants()
     if pid not in statuses:
         statuses[pid] = watch.status or 0
     watch.drain()
-    return Verdict(
-        fate=fate,
+    return RunStatus(
+        outcome=outcome,
         status=os.waitstatus_to_exitcode(statuses[pid]),
         seconds=time.monotonic() - start,
         memory=max(watch.memory, _largest_child()) / GIB,
-        printed=watch.printed,
-        last_words=watch.last_words.decode(errors="replace"),
+        output_size=watch.output_size,
+        output_tail=watch.output_tail.decode(errors="replace"),
     )
 
 
-class _Watch:
+class _Monitor:
     """What is seen of a guest while it runs."""
 
     def __init__(self, limits: Limits, pid: int, output: int, start: float):
         self.limits, self.pid = limits, pid
         self.end = start + limits.seconds
-        self.printed, self.last_words, self.memory = 0, b"", 0
+        self.output_size, self.output_tail, self.memory = 0, b"", 0
         self.status: int | None = None
         self.output: int | None = output
         os.set_blocking(output, False)
         self._life = os.pidfd_open(pid) if hasattr(os, "pidfd_open") else None
         self._next_look = start
 
-    def until_it_ends(self) -> Fate:
+    def wait(self) -> RunOutcome:
         """Wait for the guest; a limit that it passes ends the wait."""
-        while not self._over():
+        while not self._has_ended():
             if (now := time.monotonic()) > self.end:
                 return "time"
             if now >= self._next_look:
-                self._next_look = now + LOOK
-                if (fate := self._look()) is not None:
-                    return fate
-            self._wait(min(self._next_look, self.end) - now)
-        return "ended"
+                self._next_look = now + POLL_INTERVAL
+                if (outcome := self._check_limits()) is not None:
+                    return outcome
+            self._wait_for_output(min(self._next_look, self.end) - now)
+        return "exited"
 
     def drain(self) -> None:
         """Read what is left of the output, for as long as nobody keeps it coming."""
-        while self._read():
+        while self._read_output():
             pass
 
-    def _over(self) -> bool:
+    def _has_ended(self) -> bool:
         if self.status is None:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
             self.status = status if pid else None
         return self.status is not None
 
-    def _look(self) -> Fate | None:
+    def _check_limits(self) -> RunOutcome | None:
         found = processes.descendants(os.getpid())
         held = sum(process.resident for process in found)
         if held > self.limits.memory * GIB and len(found) > 1:
-            held = processes.shared_out(found)
+            held = processes.proportional_memory(found)
         self.memory = max(self.memory, held)
         if held > self.limits.memory * GIB:
             return "memory"
         return "processes" if len(found) > self.limits.processes else None
 
-    def _wait(self, seconds: float) -> None:
+    def _wait_for_output(self, seconds: float) -> None:
         waited = [handle for handle in (self.output, self._life) if handle is not None]
         if self._life is None:
             seconds = min(seconds, 0.02)
         ready, _, _ = select.select(waited, [], [], max(0.0, seconds))
         if self.output in ready:
-            self._read()
+            self._read_output()
 
-    def _read(self) -> bool:
+    def _read_output(self) -> bool:
         """Take what was printed; False if there is nothing at the moment, or will be no more."""
         if self.output is None:
             return False
@@ -151,8 +151,8 @@ class _Watch:
             return False
         if not text:
             self.output = None
-        self.printed += len(text)
-        self.last_words = (self.last_words + text)[-LAST_WORDS:]
+        self.output_size += len(text)
+        self.output_tail = (self.output_tail + text)[-OUTPUT_TAIL_SIZE:]
         return bool(text)
 
 
@@ -162,7 +162,7 @@ def _largest_child() -> int:
     return peak if sys.platform == "darwin" else 1024 * peak
 
 
-def _become_guest(order: Order, output: int) -> None:
+def _run_worker(launch: LaunchRequest, output: int) -> None:
     """From here on this process is the entry's. Never returns."""
     status = 1
     try:
@@ -173,16 +173,16 @@ def _become_guest(order: Order, output: int) -> None:
         os.closerange(3, resource.getrlimit(resource.RLIMIT_NOFILE)[0])
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_DFL)
-        folder = Path(order.folder)
-        if order.isolation == "namespaces":
-            private = [(Path(a), Path(b)) for a, b in order.private]
-            namespaces.enclose(folder, private, [Path(place) for place in order.hidden])
+        folder = Path(launch.folder)
+        if launch.isolation == "namespaces":
+            private = [(Path(a), Path(b)) for a, b in launch.private]
+            namespaces.confine(folder, private, [Path(place) for place in launch.hidden])
         processes.die_with_parent()
-        _limit(order.limits)
+        _set_resource_limits(launch.limits)
         work = folder / "work"
         work.mkdir()
         os.chdir(work)
-        given = environment(work)
+        given = worker_environment(work)
         os.environ.clear()
         os.environ.update(given)
         worker.run(folder)
@@ -195,12 +195,12 @@ def _become_guest(order: Order, output: int) -> None:
         os._exit(status)
 
 
-def _limit(limits: Limits) -> None:
+def _set_resource_limits(limits: Limits) -> None:
     """What the kernel itself refuses. Memory that is only reserved does not count."""
     wanted: Mapping[str, int] = {
         "RLIMIT_CORE": 0,
         "RLIMIT_FSIZE": int(limits.file * GIB),
-        "RLIMIT_DATA": int(limits.memory * GIB) + _data(),
+        "RLIMIT_DATA": int(limits.memory * GIB) + _mapped_memory(),
         "RLIMIT_CPU": int(limits.seconds * max(1, os.cpu_count() or 1)) + 60,
     }
     for name, value in wanted.items():
@@ -210,7 +210,7 @@ def _limit(limits: Limits) -> None:
         resource.setrlimit(kind, (value, value))
 
 
-def _data() -> int:
+def _mapped_memory() -> int:
     """Writable memory [bytes] that this process had already mapped when it was forked."""
     try:
         lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()

@@ -12,10 +12,10 @@ from scipy.signal import sosfilt
 
 W_1, W_2, W_3, W_4, W_5, W_6 = 2.0 * np.pi * np.array([0.4, 100.0, 12.5, 12.5, 2.37, 3.35])
 Q_4, Q_5, Q_6 = 0.63, 0.91, 0.91
-ROOT_2 = np.sqrt(2.0)
-SECTIONS = (
-    (np.array([1.0, 0.0, 0.0]), np.array([1.0, ROOT_2 * W_1, W_1**2]), 0.4),
-    (np.array([W_2**2]), np.array([1.0, ROOT_2 * W_2, W_2**2]), 100.0),
+SQRT_2 = np.sqrt(2.0)
+WK_SECTIONS = (
+    (np.array([1.0, 0.0, 0.0]), np.array([1.0, SQRT_2 * W_1, W_1**2]), 0.4),
+    (np.array([W_2**2]), np.array([1.0, SQRT_2 * W_2, W_2**2]), 100.0),
     (np.array([W_4**2 / W_3, W_4**2]), np.array([1.0, W_4 / Q_4, W_4**2]), 12.5),
     (np.array([1.0, W_5 / Q_5, W_5**2]), np.array([1.0, W_6 / Q_6, W_6**2]), 3.35),
 )
@@ -24,7 +24,7 @@ SECTIONS = (
 
 def wk(f: np.ndarray) -> np.ndarray:
     """Weight Wk [-] at the frequencies `f` [Hz], any shape: the standard's own, analogue."""
-    return np.abs(np.prod([_response(b, a, np.asarray(f)) for b, a, _ in SECTIONS], axis=0))
+    return np.abs(np.prod([_response(b, a, np.asarray(f)) for b, a, _ in WK_SECTIONS], axis=0))
 
 
 def wk_sos(fs: float) -> np.ndarray:
@@ -35,25 +35,25 @@ def wk_sos(fs: float) -> np.ndarray:
     """
     if not 0.0 < fs < np.inf:
         raise ValueError(f"the sampling rate fs must be positive, got {fs}")
-    return np.array([_matched(b, a, corner, fs) for b, a, corner in SECTIONS])
+    return np.array([_match_section(b, a, corner, fs) for b, a, corner in WK_SECTIONS])
 
 
 def weighted_rms(a: np.ndarray, fs: float) -> np.ndarray:
     """Root mean square (...,) [m/s²] of vertical accelerations `a` (..., N) [m/s²] after Wk."""
-    return np.sqrt(np.mean(weighted(a, fs) ** 2, axis=-1))
+    return np.sqrt(np.mean(apply_wk(a, fs) ** 2, axis=-1))
 
 
 def vdv(a: np.ndarray, fs: float) -> np.ndarray:
     """Vibration dose value (...,) [m/s^1.75]: fourth root of the time integral of (Wk a)^4."""
-    return (np.sum(weighted(a, fs) ** 4, axis=-1) / fs) ** 0.25
+    return (np.sum(apply_wk(a, fs) ** 4, axis=-1) / fs) ** 0.25
 
 
-def weighted(a: np.ndarray, fs: float) -> np.ndarray:
+def apply_wk(a: np.ndarray, fs: float) -> np.ndarray:
     """Accelerations `a` (..., N) [m/s²] sampled at `fs` [Hz], weighted by Wk, from rest."""
     return sosfilt(wk_sos(fs), a, axis=-1)
 
 
-def _matched(b: np.ndarray, a: np.ndarray, corner: float, fs: float) -> np.ndarray:
+def _match_section(b: np.ndarray, a: np.ndarray, corner: float, fs: float) -> np.ndarray:
     """Digital section (6,) at `fs` [Hz] of the analogue one b(s) / a(s) with a `corner` [Hz].
 
     The poles are mapped exactly; the zeros give the analogue magnitude at 0, at the corner and at

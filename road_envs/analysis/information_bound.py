@@ -14,14 +14,15 @@ Estimation", 2000, chapter 7). Three accelerometers hear heave, pitch and roll; 
 made by the mean of the wheel paths, and only roll by their difference. With equal suspension in
 front and behind roll is blind at n = (2 k + 1) / (2 wheelbase); with unequal it is not.
 
-R = N² v, N the sensors' noise density; with a `mismatch` m each sensor reports besides that m times
-its own road-made signal as noise of its own, R_ii = N² v + m² (H S H*)_ii: a model that is wrong by
-that share, in every sensor in another way. Above the low-pass `f_c` nothing is heard.
+R = N² v, N the sensors' noise density; with a `model_error` m each sensor reports besides that m
+times its own road-made signal as noise of its own, R_ii = N² v + m² (H S H*)_ii: a model that is
+wrong by that share, in every sensor in another way. Above the low-pass `f_c` nothing is heard.
 
 Dampers and friction enter as the damper that errs least in the mean square for a normal rate of
 extension, whose standard deviation follows from the road, the speed and the damper itself
-(`road_damping`). What of their force is not linear is left out: it is no noise to an estimator that
-knows the law. To one that is linear it is (`distortion.py`), and then belongs to R.
+(`equivalent_damping`). What of their force is not linear is left out: it is no noise to an
+estimator that knows the law. To one that is linear it is (`residual_force_psd.py`), and then
+belongs to R.
 """
 
 from collections.abc import Iterable, Mapping
@@ -30,14 +31,18 @@ from functools import cached_property
 
 import numpy as np
 
-from road_envs.analysis.roughness import CLASSES, N_0, isotropic
-from road_envs.analysis.statistical_linearization import as_noise, distortion, remainder
+from road_envs.analysis.roughness import CLASSES, N_0, root_coherence
+from road_envs.analysis.statistical_linearization import (
+    nonlinear_residual,
+    residual_force_psd,
+    sensor_psd,
+)
 from road_envs.data.record import scored_band
 from road_envs.sensing.instruments import Instruments
-from road_envs.vehicle.equations import Plant, plant
+from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.linear_model import (
     LinearModel,
-    by_path,
+    combine_wheel_paths,
     frequency_response,
     gaussian_damping,
     linearise,
@@ -48,7 +53,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 F_C = 25.0
 """Low-pass of the processed accelerations [Hz]."""
 
-LINES = 4001
+N_FREQUENCIES = 4001
 """Frequencies in a band: enough for the narrowest notch, that of stiff struts."""
 
 Mode = str | Mapping[str, str]
@@ -75,7 +80,7 @@ class RoadPrior:
 
     def spectrum(self, n: np.ndarray) -> np.ndarray:
         """Densities and cross-densities (F, 2, 2) [m³] of both wheel paths at `n` (F,)."""
-        g = isotropic(n, self.w, self.track)
+        g = root_coherence(n, self.w, self.track)
         one = np.ones_like(g)
         rows = np.array([[one, g], [g, one]]) * self.density(n)
         return np.moveaxis(rows, -1, 0)
@@ -100,20 +105,20 @@ class Posterior:
     @property
     def mean(self) -> np.ndarray:
         """Density (F,) [m³] of the error of the mean of the wheel paths."""
-        return _along(self.error, 0.5, 0.5)
+        return _project_psd(self.error, 0.5, 0.5)
 
     @property
     def difference(self) -> np.ndarray:
         """Density (F,) [m³] of the error of left less right."""
-        return _along(self.error, 1.0, -1.0)
+        return _project_psd(self.error, 1.0, -1.0)
 
-    def unknown(self, which: str) -> np.ndarray:
+    def relative_error(self, which: str) -> np.ndarray:
         """Share (F,) [-] of the amplitude that stays unknown of "left", "right", "mean" or
         "difference".
         """
         weights = {"left": (1.0, 0.0), "right": (0.0, 1.0), "mean": (0.5, 0.5)}
         at = weights.get(which, (1.0, -1.0))
-        return np.sqrt(_along(self.error, *at) / _along(self.prior, *at))
+        return np.sqrt(_project_psd(self.error, *at) / _project_psd(self.prior, *at))
 
     def variance(self) -> np.ndarray:
         """Variance (2,) [m²] of the error of each wheel path over the frequencies held."""
@@ -130,21 +135,21 @@ class Posterior:
         return float(np.sqrt(np.mean(self.nrmse() ** 2)))
 
 
-def _along(spectrum: np.ndarray, left: float, right: float) -> np.ndarray:
+def _project_psd(spectrum: np.ndarray, left: float, right: float) -> np.ndarray:
     """Density (F,) of left x the left path + right x the right path."""
     a = np.array([left, right])
     return np.maximum(np.real(a @ spectrum @ a), 0.0)  # rounding may leave -1e-30
 
 
 def posterior(
-    n: np.ndarray, H: np.ndarray, S: np.ndarray, R: np.ndarray, mismatch: float = 0.0
+    n: np.ndarray, H: np.ndarray, S: np.ndarray, R: np.ndarray, model_error: float = 0.0
 ) -> Posterior:
     """The best linear estimate of wheel paths with the spectrum `S` (F, 2, 2) from sensors with the
     responses `H` (F, S, 2) and the noise spectrum `R` (F, S, S), over `n` (F,).
     """
     HS = H @ S
     signal = HS @ _adjoint(H)
-    noise = R + mismatch**2 * np.real(signal) * np.eye(H.shape[1])
+    noise = R + model_error**2 * np.real(signal) * np.eye(H.shape[1])
     # K (signal + noise) = S H*, solved for the adjoint of K
     gain = _adjoint(np.linalg.solve(signal + noise, HS))
     error = S - gain @ HS
@@ -158,45 +163,48 @@ def bound(
     instruments: Instruments,
     prior: RoadPrior,
     *,
-    places: Mapping[str, tuple[float, float]] | None = None,
+    locations: Mapping[str, tuple[float, float]] | None = None,
     damping: np.ndarray | None = None,
-    mismatch: float = 0.0,
-    distorted: bool = False,
+    model_error: float = 0.0,
+    residual_as_noise: bool = False,
     n: np.ndarray | None = None,
     f_c: float = F_C,
 ) -> Posterior:
     """What `instruments` on a car in `mode` at `v` [m/s] leave unknown of a road like `prior`.
 
     Over `n` [cycles/m], by default the judged band. Sensors sit where the instruments say, or at
-    `places`, name -> (x, y) [m]. `damping` (4,) [N s/m] of the struts is `road_damping` if it is
-    not given. With `distorted`, what the struts' forces are not linear in counts as noise: the
-    least error of an estimator that is linear. Raises ValueError on values that make no sense.
+    `locations`, name -> (x, y) [m]. `damping` (4,) [N s/m] of the struts is `equivalent_damping` if
+    it is not given. With `residual_as_noise`, what the struts' forces are not linear in counts as
+    noise: the least error of an estimator that is linear. Raises ValueError on values that make no
+    sense.
     """
-    if not 0 <= mismatch < np.inf:
-        raise ValueError(f"the mismatch must not be negative, got {mismatch}")
-    n = np.linspace(*scored_band(v), LINES) if n is None else np.asarray(n, dtype=float)
+    if not 0 <= model_error < np.inf:
+        raise ValueError(f"model_error must not be negative, got {model_error}")
+    n = np.linspace(*scored_band(v), N_FREQUENCIES) if n is None else np.asarray(n, dtype=float)
     if damping is None:
-        damping = road_damping(car, mode, v, prior)
-    if places is None:
+        damping = equivalent_damping(car, mode, v, prior)
+    if locations is None:
         if isinstance(car, Plant):
             raise ValueError("a plant does not know the axles of its sensors: give their places")
-        places = instruments.places(car)
-    model = linearise(car, mode, places, damping=damping)
+        locations = instruments.locations(car)
+    model = linearise(car, mode, locations, damping=damping)
     H = frequency_response(model, v, n=n)
     H[n * v > f_c] = 0.0
     noise = np.maximum(instruments.noise_density, 1e-9) ** 2 * v  # over n; never singular
     R = np.broadcast_to(noise * np.eye(H.shape[1]), (n.size, H.shape[1], H.shape[1]))
-    if distorted:
-        forces = distortion(model, remainder(car, mode, damping), v, prior.spectrum, n * v)
-        R = R + v * as_noise(model, n * v, forces)
-    return posterior(n, H, prior.spectrum(n), R, mismatch)
+    if residual_as_noise:
+        forces = residual_force_psd(
+            model, nonlinear_residual(car, mode, damping), v, prior.spectrum, n * v
+        )
+        R = R + v * sensor_psd(model, n * v, forces)
+    return posterior(n, H, prior.spectrum(n), R, model_error)
 
 
 def _adjoint(matrices: np.ndarray) -> np.ndarray:
     return np.conj(np.swapaxes(matrices, -1, -2))
 
 
-def road_damping(
+def equivalent_damping(
     car: Plant | VehicleParameters, mode: Mode, v: float, prior: RoadPrior
 ) -> np.ndarray:
     """The struts' equivalent dampers (4,) [N s/m] on a road like `prior` at `v` [m/s].
@@ -204,13 +212,13 @@ def road_damping(
     Fixed point of statistical linearisation: the dampers decide how fast the struts move, and the
     motion decides the dampers. Raises ValueError, and ArithmeticError if it is not found.
     """
-    one = car if isinstance(car, Plant) else plant(car)
+    one = car if isinstance(car, Plant) else build_plant(car)
     f = np.geomspace(0.05, 50.0, 300)
     S = prior.spectrum(f / v) / v
     damping = gaussian_damping(one, mode, 0.1)
     for _ in range(60):
         model = linearise(one, mode, {}, damping=damping)
-        new = gaussian_damping(one, mode, np.maximum(strut_rates(model, v, f, S), 1e-6))
+        new = gaussian_damping(one, mode, np.maximum(strut_rate_std(model, v, f, S), 1e-6))
         change = np.abs(np.log(new / damping)).max()
         damping = damping**0.3 * new**0.7  # quickest where a damper falls with the root of its rate
         if change < 1e-3:
@@ -218,17 +226,17 @@ def road_damping(
     raise ArithmeticError(f"no equivalent damping was found at {v:g} m/s, G_d0 {prior.G_d0:g} m³")
 
 
-def strut_rates(model: LinearModel, v: float, f: np.ndarray, S: np.ndarray) -> np.ndarray:
+def strut_rate_std(model: LinearModel, v: float, f: np.ndarray, S: np.ndarray) -> np.ndarray:
     """Standard deviations (4,) [m/s] of the struts' rates of extension on wheel paths with the
     spectrum `S` (F, 2, 2) [m²/Hz] at `f` (F,) [Hz].
     """
-    H = by_path(model, v, f, strut_rate_response(model, f))
+    H = combine_wheel_paths(model, v, f, strut_rate_response(model, f))
     density = np.real(np.einsum("fwa,fab,fwb->fw", H, S, H.conj()))
     return np.sqrt(np.trapezoid(density, f, axis=0))
 
 
 @dataclass(frozen=True, eq=False)
-class Information:
+class BoundTable:
     """The bound as a table that a switching policy can look up at every step.
 
     `nrmse` (front state, rear state, speed) [-], both wheel paths pooled, for `modes` and `speeds`
@@ -248,24 +256,31 @@ class Information:
         prior: RoadPrior,
         speeds: Iterable[float],
         modes: tuple[str, ...] = ("ride", "handling"),
-        mismatch: float = 0.0,
-    ) -> "Information":
+        model_error: float = 0.0,
+    ) -> "BoundTable":
         """Evaluate the bound for every pair of states and every speed."""
         v = np.unique(np.array(list(speeds), dtype=float))
-        one, places = plant(car), instruments.places(car)
+        one, locations = build_plant(car), instruments.locations(car)
 
-        def unknown(front: str, rear: str, speed: float) -> float:
+        def relative_error(front: str, rear: str, speed: float) -> float:
             mode = {"front": front, "rear": rear}
-            n = np.linspace(*scored_band(speed), LINES // 4)
+            n = np.linspace(*scored_band(speed), N_FREQUENCIES // 4)
             found = bound(
-                one, mode, speed, instruments, prior, places=places, mismatch=mismatch, n=n
+                one,
+                mode,
+                speed,
+                instruments,
+                prior,
+                locations=locations,
+                model_error=model_error,
+                n=n,
             )
             return found.pooled
 
-        table = [[[unknown(f, r, speed) for speed in v] for r in modes] for f in modes]
+        table = [[[relative_error(f, r, speed) for speed in v] for r in modes] for f in modes]
         return cls(modes, v, np.array(table))
 
-    def at(self, front: str, rear: str, v: float) -> float:
+    def interpolate(self, front: str, rear: str, v: float) -> float:
         """The bound [-] in a pair of states at `v` [m/s], between the speeds by interpolation."""
         pair = self.nrmse[self.modes.index(front), self.modes.index(rear)]
         return float(np.interp(v, self.speeds, pair))

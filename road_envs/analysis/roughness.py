@@ -23,7 +23,9 @@ FIT_BAND = (0.011, 2.83)
 """Band [cycles/m] in which ISO 8608 fits a straight line."""
 
 
-def dsd(z: np.ndarray, ds: float, segment: float = 100.0) -> tuple[np.ndarray, np.ndarray]:
+def displacement_psd(
+    z: np.ndarray, ds: float, segment: float = 100.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Displacement spectral density: `n` (K,) [cycles/m] without 0, and `G` (..., K) [m³].
 
     Welch's method over the track: Hann windows, half overlapping, segments of at most `segment`
@@ -31,11 +33,11 @@ def dsd(z: np.ndarray, ds: float, segment: float = 100.0) -> tuple[np.ndarray, n
     """
     z = np.asarray(z, dtype=float)
     size = min(z.shape[-1], round(segment / ds))
-    n, G = welch(z, 1.0 / ds, "hann", size, size // 2, detrend=without_line)
+    n, G = welch(z, 1.0 / ds, "hann", size, size // 2, detrend=detrend_linear)
     return n[1:], G[..., 1:]
 
 
-def isotropic(n: np.ndarray, w: float, track: float) -> np.ndarray:
+def root_coherence(n: np.ndarray, w: float, track: float) -> np.ndarray:
     """Root of the coherence of two paths `track` [m] apart at `n` [cycles/m], any shape.
 
     Of a surface that is equally rough in all directions and of waviness `w`. With x = 2 pi n track
@@ -48,14 +50,14 @@ def isotropic(n: np.ndarray, w: float, track: float) -> np.ndarray:
     return np.clip(2.0 ** (1.0 - v) / gamma(v) * at**v * kv(v, at), 0.0, 1.0)
 
 
-def without_line(z: np.ndarray) -> np.ndarray:
+def detrend_linear(z: np.ndarray) -> np.ndarray:
     """`z` (..., N) without the straight line of least squares along the last axis."""
     x = np.arange(z.shape[-1]) - 0.5 * (z.shape[-1] - 1)
     slope = np.einsum("...i,i->...", z, x) / np.sum(x * x)  # not BLAS, which starts threads for it
     return z - z.mean(axis=-1, keepdims=True) - slope[..., None] * x
 
 
-def smooth(n: np.ndarray, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def smooth_psd(n: np.ndarray, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Density averaged over the bands of ISO 8608: their centres (M,) and means (..., M).
 
     Octaves up to 0.0312 cycles/m, third octaves up to 0.25, twelfths above; `n` evenly spaced
@@ -101,7 +103,7 @@ def fit_line(
     return float(np.exp(np.mean(y + w * x))), w
 
 
-def classify(G_d0: float) -> str:
+def roughness_class(G_d0: float) -> str:
     """Class "A" to "H" of a road with the density `G_d0` [m³] at n0."""
     for name, mean in CLASSES.items():
         if G_d0 < 2.0 * mean:
@@ -115,7 +117,7 @@ def octave_levels(
     """Centres (M,) of the octaves centred inside `band` [cycles/m], and levels (..., M) [m³].
 
     Centres are powers of two. The mean of n^-2 over an octave is that at its centre, so the level
-    of an ISO road is its G_d(n0), and `classify` gives the class of the octave.
+    of an ISO road is its G_d(n0), and `roughness_class` gives the class of the octave.
     """
     low, high = np.ceil(np.log2(band[0])), np.floor(np.log2(band[1]))
     centre = 2.0 ** np.arange(low, high + 1.0)

@@ -22,53 +22,54 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import irfft, rfft
 
-from road_envs.vehicle.equations import N_DOF, Plant, equilibrium, plant
+from road_envs.vehicle.equations import N_DOF, Plant, build_plant, equilibrium
 from road_envs.vehicle.linear_model import (
     LinearModel,
-    by_path,
+    combine_wheel_paths,
     force_response,
     linearise,
     strut_forces,
     strut_rate_response,
 )
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.suspension import command, memory_at_rest
+from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 ORDERS = 24
 """Highest Hermite polynomial whose spectrum is computed."""
 
 Spectrum = Callable[[np.ndarray], np.ndarray]
 
-F_TOP, LINES = 60.0, 4096
+BANDWIDTH, N_FREQUENCIES = 60.0, 4096
 """Band [Hz] and number of frequencies in which the motion is described."""
 
 
 @dataclass(frozen=True, eq=False)
-class Remainder:
-    """Forces (4, K) [N] upwards on the body, beside the linear ones of each strut: `of_e` over the
-    extension from rest `e` (K,) [m], `of_rate` over the rate of extension `e_dot` (K,) [m/s].
+class NonlinearResidual:
+    """Forces (4, K) [N] upwards on the body, beside the linear ones of each strut: `over_extension`
+    over the extension from rest `e` (K,) [m], `over_rate` over the rate of extension `e_dot` (K,)
+    [m/s].
     """
 
     e: np.ndarray
-    of_e: np.ndarray
+    over_extension: np.ndarray
     e_dot: np.ndarray
-    of_rate: np.ndarray
+    over_rate: np.ndarray
 
     def force(self, e: np.ndarray, e_dot: np.ndarray) -> np.ndarray:
         """Force (4, N) [N] at extensions (4, N) [m] from rest and their rates (4, N) [m/s]."""
-        tables = zip(self.of_e, self.of_rate, e, e_dot, strict=True)
+        tables = zip(self.over_extension, self.over_rate, e, e_dot, strict=True)
         return np.array(
             [np.interp(x, self.e, r) + np.interp(w, self.e_dot, q) for r, q, x, w in tables]
         )
 
 
-def remainder(
+def nonlinear_residual(
     car: Plant | VehicleParameters, mode: str | Mapping[str, str], damping: np.ndarray
-) -> Remainder:
+) -> NonlinearResidual:
     """What `damping` (4,) [N s/m] and the struts' rates at rest leave out in a mode."""
-    one = car if isinstance(car, Plant) else plant(car)
-    rest = equilibrium(one, memory_at_rest(command(mode)), np.zeros(4))
-    at_rest = (linearise(one, mode, {}, damping=damping).struts @ rest[:N_DOF])[:, None]
+    one = car if isinstance(car, Plant) else build_plant(car)
+    rest = equilibrium(one, settled_strut_state(encode_command(mode)), np.zeros(4))
+    at_rest = (linearise(one, mode, {}, damping=damping).strut_rows @ rest[:N_DOF])[:, None]
     e, e_dot, still = np.linspace(-0.2, 0.25, 1801), np.linspace(-3.0, 3.0, 6001), np.zeros((4, 1))
     F_0 = strut_forces(one, mode, at_rest, still)
     near = 1e-5
@@ -76,23 +77,23 @@ def remainder(
     k = (ends[1] - ends[0]) / (2.0 * near)
     F_e = strut_forces(one, mode, at_rest + e, np.zeros((4, e.size)))
     F_rate = strut_forces(one, mode, np.broadcast_to(at_rest, (4, e_dot.size)), still + e_dot)
-    return Remainder(e, F_e - F_0 + k * e, e_dot, F_rate - F_0 + damping[:, None] * e_dot)
+    return NonlinearResidual(e, F_e - F_0 + k * e, e_dot, F_rate - F_0 + damping[:, None] * e_dot)
 
 
-def distortion(
-    model: LinearModel, rest: Remainder, v: float, spectrum: Spectrum, f: np.ndarray
+def residual_force_psd(
+    model: LinearModel, rest: NonlinearResidual, v: float, spectrum: Spectrum, f: np.ndarray
 ) -> np.ndarray:
     """Densities and cross-densities (F, 4, 4) [N²/Hz] at `f` (F,) [Hz] of the struts' remainders.
 
     At `v` [m/s] on wheel paths whose `spectrum(n)` is (F, 2, 2) [m³] at `n` (F,) [cycles/m].
     """
-    df = F_TOP / LINES
-    at = df * np.arange(1, LINES + 1)
-    H = by_path(model, v, at, strut_rate_response(model, at))
+    df = BANDWIDTH / N_FREQUENCIES
+    at = df * np.arange(1, N_FREQUENCIES + 1)
+    H = combine_wheel_paths(model, v, at, strut_rate_response(model, at))
     rates = H @ (spectrum(at / v) / v) @ np.conj(np.swapaxes(H, 1, 2))
     extensions = rates / (2.0 * np.pi * at[:, None, None]) ** 2
-    found = _hermite(rest.e_dot, rest.of_rate, rates, df) + _hermite(
-        rest.e, rest.of_e, extensions, df
+    found = _hermite(rest.e_dot, rest.over_rate, rates, df) + _hermite(
+        rest.e, rest.over_extension, extensions, df
     )
     grid = df * np.arange(len(found))
     flat = found.reshape(grid.size, -1)
@@ -135,7 +136,7 @@ def _coefficients(
     return a, F**2 @ weight - a[0] ** 2 - a[1] ** 2
 
 
-def as_noise(model: LinearModel, f: np.ndarray, forces: np.ndarray) -> np.ndarray:
+def sensor_psd(model: LinearModel, f: np.ndarray, forces: np.ndarray) -> np.ndarray:
     """Spectrum (F, S, S) [(m/s²)²/Hz] at the sensors of forces (F, 4, 4) [N²/Hz] beside the struts,
     at `f` (F,) [Hz].
     """

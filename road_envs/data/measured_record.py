@@ -23,50 +23,51 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from road_envs._extras import optional_import
 from road_envs.config import ConfigError
 from road_envs.data.record import SENSORS, Record
-from road_envs.vehicle.suspension import command, strut_states
+from road_envs.vehicle.suspension import decode_commands, encode_command
 
-G = 9.80665
+STANDARD_GRAVITY = 9.80665
 """Standard acceleration of free fall [m/s²]."""
 
-WITH_GRAVITY = 0.5 * G
+GRAVITY_THRESHOLD = 0.5 * STANDARD_GRAVITY
 """A channel whose mean is farther from zero than this [m/s²] holds gravity."""
 
-JITTER = 0.01
+CLOCK_TOLERANCE = 0.01
 """Share of the sampling interval by which the clock may be uneven without being resampled."""
 
-LOST_AT = 1.5
+GAP_INTERVALS = 1.5
 """Sampling intervals between two rows from which samples are missing between them."""
 
-SAMPLES_MIN = 32
-LOST_MAX = 0.2
+MIN_SAMPLES = 32
+MAX_LOST_SHARE = 0.2
 """Fewest samples of a drive, and the largest share of them that may be lost."""
 
 UNITS = {"m/s²": "", "g": "_g"}
 ACCELERATIONS = tuple(f"a_{name.lower()}" for name in SENSORS)
 
-BEGINNING = 10_000
+SNIFFED_CHARACTERS = 10_000
 """Characters of the rows among which a decimal comma is looked for."""
 
 Columns = Mapping[str, Any]
 """Columns of a table by name, as pyarrow has them."""
 
 
-class Measured(NamedTuple):
+class MeasuredRecord(NamedTuple):
     """The record, and what had to be assumed or mended to get it."""
 
     record: Record
     notes: tuple[str, ...]
 
 
-def read_measured(
+def read_measured_record(
     path: Path,
     wheelbase: float,
     *,
     speed_kmh: float | None = None,
     mode: str | Mapping[str, str] | None = None,
-) -> Measured:
+) -> MeasuredRecord:
     """A measured drive of a car of this `wheelbase` [m].
 
     `speed_kmh` and `mode` hold for the whole drive; each must be given just where the table has no
@@ -76,15 +77,16 @@ def read_measured(
     """
     table = read_table(path)
     try:
-        return _measured(table, wheelbase, speed_kmh, mode)
+        return _to_record(table, wheelbase, speed_kmh, mode)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
 
 
 def read_table(path: Path) -> Columns:
     """The columns of a table by name, in small letters. Raises ConfigError."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
+    with optional_import("a table as CSV or Parquet"):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
 
     try:
         table = pq.read_table(path) if path.suffix.lower() == ".parquet" else _read_text(path)
@@ -98,14 +100,15 @@ def read_table(path: Path) -> Columns:
 
 
 def _read_text(path: Path) -> Any:
-    from pyarrow import csv
+    with optional_import("a table as CSV or Parquet"):
+        from pyarrow import csv
 
     text = path.read_text(encoding="utf-8-sig")
     while text.startswith("#"):
         text = text.partition("\n")[2]
     head, _, rest = text.partition("\n")
     mark = next((mark for mark in ";\t," if mark in head), ",")
-    comma = mark != "," and re.search(r"\d,\d", rest[:BEGINNING]) is not None
+    comma = mark != "," and re.search(r"\d,\d", rest[:SNIFFED_CHARACTERS]) is not None
     return csv.read_csv(
         io.BytesIO(text.encode()),
         parse_options=csv.ParseOptions(delimiter=mark),
@@ -115,35 +118,37 @@ def _read_text(path: Path) -> Any:
     )
 
 
-def _measured(
+def _to_record(
     table: Columns,
     wheelbase: float,
     speed_kmh: float | None,
     mode: str | Mapping[str, str] | None,
-) -> Measured:
-    t = _clock(table)
+) -> MeasuredRecord:
+    t = _time_column(table)
     notes: list[str] = []
-    a = np.array([_acceleration(table, name, notes) for name in ACCELERATIONS])
-    v = _speed(table, t, speed_kmh)
-    s = _numbers(table, "s") if "s" in table else _summed(t, v)
+    a = np.array([_acceleration_column(table, name, notes) for name in ACCELERATIONS])
+    v = _speed_column(table, t, speed_kmh)
+    s = _numeric_column(table, "s") if "s" in table else _integrate_speed(t, v)
     bytes_ = _commands(table, t.size, mode)
     if not (np.isfinite(v).all() and np.isfinite(s).all()):
         raise ConfigError("speed and odometer must hold a number in every row")
     if (v < 0.0).any() or (np.diff(s) < 0.0).any():
         raise ConfigError("the car drives backwards: v must not be negative, nor s decrease")
-    t, (*a_even, v, s), bytes_ = _evenly(t, [*a, v, s], bytes_, notes)
+    t, (*a_even, v, s), bytes_ = _resample_uniformly(t, [*a, v, s], bytes_, notes)
     a = np.array(a_even)
-    if (share := float(np.isnan(a).any(axis=0).mean())) > LOST_MAX:
-        raise ConfigError(f"{share:.0%} of the samples are lost; at most {LOST_MAX:.0%} may be")
+    if (share := float(np.isnan(a).any(axis=0).mean())) > MAX_LOST_SHARE:
+        raise ConfigError(
+            f"{share:.0%} of the samples are lost; at most {MAX_LOST_SHARE:.0%} may be"
+        )
     s = s - s[0] + wheelbase
-    stiff, high = strut_states(bytes_)
-    return Measured(Record(t, a, v, s, stiff, high, float(s[-1])), tuple(notes))
+    stiff, high = decode_commands(bytes_)
+    return MeasuredRecord(Record(t, a, v, s, stiff, high, float(s[-1])), tuple(notes))
 
 
-def _clock(table: Columns) -> np.ndarray:
-    t = _numbers(table, "t")
-    if t.size < SAMPLES_MIN:
-        raise ConfigError(f"{t.size} samples; at least {SAMPLES_MIN} are wanted")
+def _time_column(table: Columns) -> np.ndarray:
+    t = _numeric_column(table, "t")
+    if t.size < MIN_SAMPLES:
+        raise ConfigError(f"{t.size} samples; at least {MIN_SAMPLES} are wanted")
     if not np.isfinite(t).all():
         raise ConfigError("t must hold a number in every row")
     if (late := np.flatnonzero(np.diff(t) <= 0.0)).size:
@@ -151,42 +156,44 @@ def _clock(table: Columns) -> np.ndarray:
     return t - t[0]
 
 
-def _acceleration(table: Columns, name: str, notes: list[str]) -> np.ndarray:
+def _acceleration_column(table: Columns, name: str, notes: list[str]) -> np.ndarray:
     """One channel [m/s²] without gravity; what was done to it is added to `notes`."""
     given = [unit for unit, ending in UNITS.items() if name + ending in table]
     if len(given) != 1:
         said = "is given twice" if given else "is missing"
         wanted = " or ".join(f"{name}{ending} [{unit}]" for unit, ending in UNITS.items())
-        raise ConfigError(f"the column {name} {said}; wanted {wanted}, {_known(table)}")
-    a = _numbers(table, name + UNITS[given[0]]) * (G if given[0] == "g" else 1.0)
+        raise ConfigError(f"the column {name} {said}; wanted {wanted}, {_list_columns(table)}")
+    a = _numeric_column(table, name + UNITS[given[0]]) * (
+        STANDARD_GRAVITY if given[0] == "g" else 1.0
+    )
     known = a[np.isfinite(a)]
     if not known.size:
         raise ConfigError(f"the column {name} holds no number")
     mean = float(known.mean())
-    if mean < -WITH_GRAVITY:
+    if mean < -GRAVITY_THRESHOLD:
         raise ConfigError(
             f"{name} has a mean of {mean:.1f} m/s²: its axis points down; turn its sign"
         )
-    if mean > WITH_GRAVITY:
+    if mean > GRAVITY_THRESHOLD:
         notes.append(f"{name}: its mean of {mean:.2f} m/s² is taken for gravity and left out")
         return a - mean
     return a
 
 
-def _speed(table: Columns, t: np.ndarray, speed_kmh: float | None) -> np.ndarray:
+def _speed_column(table: Columns, t: np.ndarray, speed_kmh: float | None) -> np.ndarray:
     given = [name for name in ("v", "v_kmh") if name in table]
     if len(given) + (speed_kmh is not None) != 1:
         said = "given twice" if given else "missing"
         raise ConfigError(
             f"the speed is {said}: wanted one of the columns v [m/s] and v_kmh [km/h], "
-            f"or one speed for the whole drive; {_known(table)}"
+            f"or one speed for the whole drive; {_list_columns(table)}"
         )
     if speed_kmh is not None:
         return np.full(t.size, speed_kmh / 3.6)
-    return _numbers(table, given[0]) / (3.6 if given[0] == "v_kmh" else 1.0)
+    return _numeric_column(table, given[0]) / (3.6 if given[0] == "v_kmh" else 1.0)
 
 
-def _summed(t: np.ndarray, v: np.ndarray) -> np.ndarray:
+def _integrate_speed(t: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Distance [m] by the trapezoidal rule."""
     return np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))])
 
@@ -202,40 +209,42 @@ def _commands(table: Columns, size: int, mode: str | Mapping[str, str] | None) -
         also = " and for the whole drive" if columns and mode is not None else ""
         raise ConfigError(
             f"the state of the struts is {said}{also}: wanted the column mode, or mode_front and "
-            f"mode_rear, or one mode for the whole drive; {_known(table)}"
+            f"mode_rear, or one mode for the whole drive; {_list_columns(table)}"
         )
     if mode is not None:
-        return np.full(size, command(mode), dtype=np.uint8)
+        return np.full(size, encode_command(mode), dtype=np.uint8)
     if columns == ["mode"]:
-        return _bytes_of([(name, name) for name in _names(table, "mode")])
-    return _bytes_of(list(zip(*(_names(table, name) for name in axles), strict=True)))
+        return _encode_pairs([(name, name) for name in _text_column(table, "mode")])
+    return _encode_pairs(list(zip(*(_text_column(table, name) for name in axles), strict=True)))
 
 
-def _names(table: Columns, name: str) -> list[str]:
+def _text_column(table: Columns, name: str) -> list[str]:
     return [str(cell).strip() for cell in table[name].to_pylist()]
 
 
-def _bytes_of(pairs: list[tuple[str, str]]) -> np.ndarray:
+def _encode_pairs(pairs: list[tuple[str, str]]) -> np.ndarray:
     """Command bytes (N,) of states in front and at the rear. Raises ConfigError."""
-    found = {(front, rear): command({"front": front, "rear": rear}) for front, rear in set(pairs)}
+    found = {
+        (front, rear): encode_command({"front": front, "rear": rear}) for front, rear in set(pairs)
+    }
     return np.array([found[pair] for pair in pairs], dtype=np.uint8)
 
 
-def _evenly(
+def _resample_uniformly(
     t: np.ndarray, channels: list[np.ndarray], commands: np.ndarray, notes: list[str]
 ) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
     """All that was sampled, on an even clock; NaN where the samples on both sides are far apart."""
     steps = np.diff(t)
     dt = float(np.median(steps))
-    if np.abs(steps - dt).max() <= JITTER * dt:
+    if np.abs(steps - dt).max() <= CLOCK_TOLERANCE * dt:
         return t, channels, commands
     even = dt * np.arange(int(t[-1] / dt + 1e-6) + 1)
     after = np.clip(np.searchsorted(t, even), 1, t.size - 1)
     nearest = after - (even - t[after - 1] < t[after] - even)
-    met = np.abs(even - t[nearest]) <= JITTER * dt
-    lost = ~met & (steps[after - 1] > LOST_AT * dt)
-    *felt, v, s = (np.interp(even, t, x) for x in channels)
-    for a, sampled in zip(felt, channels, strict=False):
+    met = np.abs(even - t[nearest]) <= CLOCK_TOLERANCE * dt
+    lost = ~met & (steps[after - 1] > GAP_INTERVALS * dt)
+    *sensed, v, s = (np.interp(even, t, x) for x in channels)
+    for a, sampled in zip(sensed, channels, strict=False):
         np.copyto(a, sampled[nearest], where=met & np.isnan(a))  # its neighbour was lost, not it
         a[lost] = np.nan
     before = np.where(met, nearest, after - 1)
@@ -243,15 +252,16 @@ def _evenly(
         f"the clock is uneven (intervals of {1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms)"
     )
     notes.append(f"{said}; resampled to {1.0 / dt:.4g} Hz, {lost.mean():.1%} of the samples lost")
-    return even, [*felt, v, s], commands[before]
+    return even, [*sensed, v, s], commands[before]
 
 
-def _numbers(table: Columns, name: str) -> np.ndarray:
+def _numeric_column(table: Columns, name: str) -> np.ndarray:
     """A column as numbers, NaN where nothing stands. Raises ConfigError that names the row."""
-    import pyarrow as pa
+    with optional_import("a table as CSV or Parquet"):
+        import pyarrow as pa
 
     if name not in table:
-        raise ConfigError(f"the column {name} is missing; {_known(table)}")
+        raise ConfigError(f"the column {name} is missing; {_list_columns(table)}")
     try:
         column = table[name].cast(pa.float64())
     except pa.ArrowException:
@@ -272,5 +282,5 @@ def _is_number(cell: object) -> bool:
     return True
 
 
-def _known(table: Columns) -> str:
+def _list_columns(table: Columns) -> str:
     return f"the table has {', '.join(table)}"

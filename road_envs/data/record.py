@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 SENSORS = ("RF", "LR", "RR")
-GRID = 100.0 / 3964
+PROFILE_SPACING = 100.0 / 3964
 """The paper's spacing of profile samples [m]: 3964 points over 100 m (section 5)."""
 
-N_LO, N_HI = 0.2, 1.8
+SCORED_N_MIN, SCORED_N_MAX = 0.2, 1.8
 """Band [cycles/m] in which heights are judged, as far as the speed lets them through."""
-F_MAX = 0.9 * 25.0
+SCORED_F_MAX = 0.9 * 25.0
 """Nine tenths of the accelerometers' low-pass [Hz]."""
 
 
@@ -24,13 +24,15 @@ def scored_band(v: float) -> tuple[float, float]:
 
     Raises ValueError if nothing is left of it.
     """
-    n_hi = min(N_HI, F_MAX / v)
-    if not n_hi > N_LO:
-        raise ValueError(f"at {v:g} m/s nothing above {N_LO} cycles/m passes the 25 Hz low-pass")
-    return N_LO, n_hi
+    n_hi = min(SCORED_N_MAX, SCORED_F_MAX / v)
+    if not n_hi > SCORED_N_MIN:
+        raise ValueError(
+            f"at {v:g} m/s nothing above {SCORED_N_MIN} cycles/m passes the 25 Hz low-pass"
+        )
+    return SCORED_N_MIN, n_hi
 
 
-def grid(length: float, ds: float = GRID) -> np.ndarray:
+def profile_stations(length: float, ds: float = PROFILE_SPACING) -> np.ndarray:
     """Stations (M,) [m] from 0, `ds` apart, on which a road of `length` [m] is judged."""
     return ds * np.arange(int(np.floor(length / ds + 1e-9)))
 
@@ -65,16 +67,16 @@ class Record:
     `t` (N,) time [s]; `a` (3, N) vertical body accelerations at RF, LR, RR [m/s²], raw, and NaN
     where a sample was lost;
     `v` (N,) measured speed [m/s]; `s` (N,) odometer [m]: station of the front axle, 0 at the
-    start of the road of `length` [m] whose profile is wanted; `stiff`, `high` (N, 4) bool: the
-    commanded spring and damper state of each strut (ride = neither, handling = both).
+    start of the road of `length` [m] whose profile is wanted; `spring_stiff`, `damper_high` (N, 4)
+    bool: the commanded spring and damper state of each strut (ride = neither, handling = both).
     """
 
     t: np.ndarray
     a: np.ndarray
     v: np.ndarray
     s: np.ndarray
-    stiff: np.ndarray
-    high: np.ndarray
+    spring_stiff: np.ndarray
+    damper_high: np.ndarray
     length: float
 
     @property
@@ -82,6 +84,6 @@ class Record:
         """Sampling rate [Hz]."""
         return float((self.t.size - 1) / (self.t[-1] - self.t[0]))
 
-    def at(self, stations: np.ndarray, signals: np.ndarray) -> np.ndarray:
+    def interpolate(self, stations: np.ndarray, signals: np.ndarray) -> np.ndarray:
         """`signals` (k, N) of this record, at the times when the front axle passed `stations`."""
         return np.array([np.interp(stations, self.s, x) for x in signals])

@@ -29,9 +29,9 @@ import numpy as np
 from road_envs.analysis.roughness import CLASSES
 from road_envs.config import ConfigError
 from road_envs.data.record import Profile, Record
-from road_envs.data.recording import record_drive
-from road_envs.roads import Belgian, Bumps, Defects, Iso8608, Potholes, Road, Scaled, Summed
-from road_envs.roads.nonstationary import Variation
+from road_envs.data.recording import simulate_record
+from road_envs.roads import Belgian, Bumps, Defects, Iso8608, Potholes, Road, Scaled, Superposed
+from road_envs.roads.nonstationary import RoughnessVariation
 from road_envs.roads.obstacles import Defect
 from road_envs.roads.trapezoids import LAYOUTS
 from road_envs.sensing.data_logger import load_instruments
@@ -40,10 +40,10 @@ from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.suspension import MODES
 
-STREAM = 0x7EAC4
+SEED_STREAM = 0x7EAC4
 """Comes first in the seed of every drive: no task has it."""
 
-MIXED = (("ride", "handling"), ("handling", "ride"))
+MIXED_MODES = (("ride", "handling"), ("handling", "ride"))
 WHEEL_PATHS: tuple[Literal["left", "right", "both"], ...] = ("left", "right", "both", "both")
 ATTEMPTS = 10
 """A car that is thrown off its road is given another drive, so many times."""
@@ -82,44 +82,44 @@ class Corpus:
         """The instruments before their noise is drawn."""
         return load_instruments(self.instruments)
 
-    def drive(self, k: int, as_described: bool = False) -> tuple[Record, Profile]:
-        """Drive `k` and its truth; the same at every call. With `as_described` it is that of the
+    def simulate_drive(self, k: int, nominal: bool = False) -> tuple[Record, Profile]:
+        """Drive `k` and its truth; the same at every call. With `nominal` it is that of the
         very car and instruments, over the same road in the same way.
         """
         for attempt in range(ATTEMPTS):
-            rng = np.random.default_rng([STREAM, self.seed, k, attempt])
+            rng = np.random.default_rng([SEED_STREAM, self.seed, k, attempt])
             try:
-                return self._drawn(rng, as_described)
+                return self._simulate(rng, nominal)
             except SimulationError as error:
-                failed = error
-        raise failed
+                last_error = error
+        raise last_error
 
-    def _drawn(self, rng: np.random.Generator, as_described: bool) -> tuple[Record, Profile]:
+    def _simulate(self, rng: np.random.Generator, nominal: bool) -> tuple[Record, Profile]:
         length = 10.0 * rng.integers(self.shortest // 10, self.longest // 10 + 1)
         surface = draw_road(rng, length).realise(rng)
         front, rear = draw_modes(rng)
-        off = rng.uniform()
+        deviation_scale = rng.uniform()
         noise = float(np.exp(rng.uniform(-1.0, 0.7)))
-        if as_described:
-            off, noise = 0.0, 1.0
+        if nominal:
+            deviation_scale, noise = 0.0, 1.0
         instruments = dataclasses.replace(
             self.sensors,
             noise_density=noise * self.sensors.noise_density,
             speed_error=0.0,
         )
-        record, truth = record_drive(
-            another_car(self.vehicle, rng, off),
+        record, truth = simulate_record(
+            perturb_parameters(self.vehicle, rng, deviation_scale),
             surface,
             speed_kmh=float(np.exp(rng.uniform(*np.log([self.slowest_kmh, self.fastest_kmh])))),
             mode={"front": front, "rear": rear},
             instruments=instruments,
             seed=np.random.SeedSequence(rng.integers(2**32, size=4).tolist()),
         )
-        gains = 1.0 + 0.01 * off * rng.standard_normal((3, 1))
+        gains = 1.0 + 0.01 * deviation_scale * rng.standard_normal((3, 1))
         return dataclasses.replace(record, a=gains * record.a), truth
 
 
-def drives_in(
+def drives_in_mode(
     corpus: Corpus, mode: Mapping[str, str], speeds_kmh: tuple[float, float], number: int
 ) -> list[tuple[Record, Profile]]:
     """Drives of the car as described, its struts in one `mode`, over roads of 100 m as a corpus has
@@ -127,12 +127,12 @@ def drives_in(
     """
     found: list[tuple[Record, Profile]] = []
     for k in itertools.count():
-        rng = np.random.default_rng([STREAM, corpus.seed, k, ATTEMPTS])
+        rng = np.random.default_rng([SEED_STREAM, corpus.seed, k, ATTEMPTS])
         speed = float(np.exp(rng.uniform(*np.log(speeds_kmh))))
         road = draw_road(rng, 100.0).realise(rng)
         try:
             found.append(
-                record_drive(
+                simulate_record(
                     corpus.vehicle,
                     road,
                     speed_kmh=speed,
@@ -161,12 +161,12 @@ def draw_road(rng: np.random.Generator, length: float) -> Road:
     if kind < 0.5:
         return plain
     if kind < 0.65:
-        patch = Variation(spread=rng.uniform(0.5, 1.0), patch=rng.uniform(20.0, 80.0))
+        patch = RoughnessVariation(spread=rng.uniform(0.5, 1.0), patch=rng.uniform(20.0, 80.0))
         return dataclasses.replace(plain, variation=patch)
     if kind < 0.85:
         return Scaled(road=Belgian(length=length), height_factor=rng.uniform(0.5, 1.3))
     smooth = dataclasses.replace(plain, G_d0=float(rng.uniform(0.3, 1.0) * CLASSES["B"]))
-    return Summed(roads=(smooth, draw_obstacles(rng, length)))
+    return Superposed(roads=(smooth, draw_obstacles(rng, length)))
 
 
 def draw_obstacles(rng: np.random.Generator, length: float) -> Road:
@@ -204,16 +204,20 @@ def draw_modes(rng: np.random.Generator) -> tuple[str, str]:
         same = "ride" if kind < 0.25 else "handling"
         return same, same
     if kind < 0.7:
-        return MIXED[int(kind < 0.6)]
+        return MIXED_MODES[int(kind < 0.6)]
     front, rear = rng.choice(list(MODES), size=2)
     return str(front), str(rear)
 
 
-def another_car(car: VehicleParameters, rng: np.random.Generator, off: float) -> VehicleParameters:
-    """A car like `car`: at `off` 1 its numbers have standard deviations of 6 to 15 % [assumed]."""
+def perturb_parameters(
+    car: VehicleParameters, rng: np.random.Generator, deviation_scale: float
+) -> VehicleParameters:
+    """A car like `car`: at `deviation_scale` 1 its numbers have standard deviations of 6 to 15 %
+    [assumed].
+    """
 
     def by(std: float) -> float:
-        return float(np.clip(1.0 + off * std * rng.standard_normal(), 0.6, 1.4))
+        return float(np.clip(1.0 + deviation_scale * std * rng.standard_normal(), 0.6, 1.4))
 
     load, damping, friction = by(0.06), by(0.10), by(0.15)
     strut = dataclasses.replace(
@@ -221,8 +225,8 @@ def another_car(car: VehicleParameters, rng: np.random.Generator, off: float) ->
         p_stat=car.strut.p_stat * load,  # the gas carries the body at the same height
         x_1=car.strut.x_1 * by(0.07),
         x_2=car.strut.x_2 * by(0.07),
-        damper=_stronger(car.strut.damper, lambda: damping * by(0.05)),
-        friction=_stronger(car.strut.friction, lambda: friction * by(0.05)),
+        damper=_scale_curves(car.strut.damper, lambda: damping * by(0.05)),
+        friction=_scale_curves(car.strut.friction, lambda: friction * by(0.05)),
     )
     tyre = by(0.08)
     axles = [
@@ -246,7 +250,7 @@ def another_car(car: VehicleParameters, rng: np.random.Generator, off: float) ->
     )
 
 
-def _stronger(curves: Any, by: Callable[[], float]) -> Any:
+def _scale_curves(curves: Any, by: Callable[[], float]) -> Any:
     """Curves whose forces are multiplied by what `by` draws."""
 
     def scaled(curve: Curve, factor: float) -> Curve:

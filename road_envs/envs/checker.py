@@ -49,20 +49,20 @@ def check_vector_env(
     return ended
 
 
-def _demand(holds: bool, sentence: str) -> None:
+def _require(holds: bool, sentence: str) -> None:
     if not holds:
         raise VectorCheckError(sentence)
 
 
 def _check_spaces(vector: VectorEnv, single: gymnasium.Env, n: int, mode: AutoresetMode) -> None:
-    _demand(vector.num_envs == n, f"num_envs is {vector.num_envs}, {n} were asked for")
+    _require(vector.num_envs == n, f"num_envs is {vector.num_envs}, {n} were asked for")
     told = vector.metadata.get("autoreset_mode")
-    _demand(isinstance(told, AutoresetMode), f"metadata['autoreset_mode'] is {told!r}, no mode")
-    _demand(told == mode, f"metadata['autoreset_mode'] is {told}, {mode} was asked for")
+    _require(isinstance(told, AutoresetMode), f"metadata['autoreset_mode'] is {told!r}, no mode")
+    _require(told == mode, f"metadata['autoreset_mode'] is {told}, {mode} was asked for")
     for name in ("observation_space", "action_space"):
         own, batched = getattr(single, name), getattr(vector, name)
-        _demand(getattr(vector, f"single_{name}") == own, f"single_{name} is not {own}")
-        _demand(batched == batch_space(own, n), f"{name} is not {n} times {own}")
+        _require(getattr(vector, f"single_{name}") == own, f"single_{name} is not {own}")
+        _require(batched == batch_space(own, n), f"{name} is not {n} times {own}")
 
 
 class _Comparison:
@@ -72,13 +72,13 @@ class _Comparison:
         self.vector, self.singles, self.mode = vector, singles, mode
         self.ended = np.zeros(len(singles), dtype=bool)
         self.count = 0
-        self.kept: tuple[Any, Any] | None = None
+        self.returned: tuple[Any, Any] | None = None
 
     def run(self, steps: int, seed: int) -> int:
         observations, infos = self.vector.reset(seed=seed)
         for i, single in enumerate(self.singles):
             self._compare("reset", i, observations, infos, single.reset(seed=seed + i))
-        self._keep(observations)
+        self._remember(observations)
         self.vector.action_space.seed(seed)
         for step in range(steps):
             if self.mode == AutoresetMode.DISABLED and self.ended.any():
@@ -90,22 +90,22 @@ class _Comparison:
         actions = self.vector.action_space.sample()
         observations, rewards, terminated, truncated, infos = self.vector.step(actions)
         self._check_types(when, observations, rewards, terminated, truncated)
-        self._check_kept(when)
+        self._check_buffers(when)
         before, self.ended = self.ended, np.zeros_like(self.ended)
         for i, (single, action) in enumerate(zip(self.singles, actions, strict=True)):
             if before[i]:  # NEXT_STEP: this step is the reset, whatever the action
                 expected: tuple[Any, ...] = (0.0, False, False)
                 self._compare(when, i, observations, infos, single.reset())
             else:
-                seen, *said, info = single.step(action)
+                observation, *said, info = single.step(action)
                 expected = tuple(said)
                 self.ended[i] = expected[1] or expected[2]
                 if self.ended[i] and self.mode == AutoresetMode.SAME_STEP:
-                    self._check_final(when, i, infos, seen, info)
-                    seen, info = single.reset()
-                self._compare(when, i, observations, infos, (seen, info))
+                    self._check_final(when, i, infos, observation, info)
+                    observation, info = single.reset()
+                self._compare(when, i, observations, infos, (observation, info))
             told = (rewards[i], terminated[i], truncated[i])
-            _demand(
+            _require(
                 told == expected,
                 f"{when}, environment {i}: reward, terminated, truncated are {told}, of the single "
                 f"environment {expected}",
@@ -113,61 +113,61 @@ class _Comparison:
         self.count += int(self.ended.sum())
         if self.mode == AutoresetMode.SAME_STEP:
             masks = np.asarray(infos.get("_final_obs", np.zeros_like(self.ended)))
-            _demand(
+            _require(
                 bool((masks == self.ended).all()), f"{when}: _final_obs is not the ended episodes"
             )
             self.ended = np.zeros_like(self.ended)
-        self._keep(observations)
+        self._remember(observations)
 
     def _reset_by_mask(self, when: str) -> None:
         observations, infos = self.vector.reset(options={"reset_mask": self.ended.copy()})
-        self._check_kept(when)
+        self._check_buffers(when)
         for i, single in enumerate(self.singles):
             if self.ended[i]:
                 self._compare(when, i, observations, infos, single.reset())
             else:
                 same = np.array_equal(observations[i], self.last[i])
-                _demand(same, f"{when}: the observation of environment {i} was not to be reset")
+                _require(same, f"{when}: the observation of environment {i} was not to be reset")
                 told = [k for k, v in infos.items() if k.startswith("_") and np.asarray(v)[i]]
-                _demand(not told, f"{when}: {told} speak of environment {i}, which was not reset")
+                _require(not told, f"{when}: {told} speak of environment {i}, which was not reset")
         self.ended = np.zeros_like(self.ended)
-        self._keep(observations)
+        self._remember(observations)
 
     def _check_types(self, when: str, observations, rewards, terminated, truncated) -> None:
         n = len(self.singles)
         inside = self.vector.observation_space.contains(observations)
-        _demand(inside, f"{when}: the observations are not in the observation space")
+        _require(inside, f"{when}: the observations are not in the observation space")
         for name, array, kind in (
             ("rewards", rewards, "f"),
             ("terminations", terminated, "b"),
             ("truncations", truncated, "b"),
         ):
             fits = isinstance(array, np.ndarray) and array.shape == (n,)
-            _demand(fits and array.dtype.kind == kind, f"{when}: {name} are {array!r}")
+            _require(fits and array.dtype.kind == kind, f"{when}: {name} are {array!r}")
 
-    def _check_final(self, when: str, i: int, infos: dict, seen: Any, info: Mapping) -> None:
-        _demand("final_obs" in infos, f"{when}: an episode has ended, and infos lack final_obs")
-        same = np.array_equal(infos["final_obs"][i], seen)
-        _demand(same, f"{when}, environment {i}: final_obs is not the last observation")
+    def _check_final(self, when: str, i: int, infos: dict, observation: Any, info: Mapping) -> None:
+        _require("final_obs" in infos, f"{when}: an episode has ended, and infos lack final_obs")
+        same = np.array_equal(infos["final_obs"][i], observation)
+        _require(same, f"{when}, environment {i}: final_obs is not the last observation")
         self._compare_info(f"{when}, final_info", i, infos["final_info"], info)
 
     def _compare(self, when: str, i: int, observations, infos: dict, single: tuple) -> None:
-        seen, info = single
-        same = np.array_equal(observations[i], seen)
-        _demand(same, f"{when}, environment {i}: another observation than the single environment")
+        observation, info = single
+        same = np.array_equal(observations[i], observation)
+        _require(same, f"{when}, environment {i}: another observation than the single environment")
         self._compare_info(when, i, infos, info)
 
     def _compare_info(self, when: str, i: int, infos: dict, info: Mapping) -> None:
         for name, value in info.items():
             where = f"{when}, environment {i}: info {name!r}"
-            _demand(name in infos, f"{where} is missing")
-            _demand(bool(np.asarray(infos[f"_{name}"])[i]), f"{where} is masked")
-            _demand(np.array_equal(infos[name][i], value), f"{where} is {infos[name][i]}")
+            _require(name in infos, f"{where} is missing")
+            _require(bool(np.asarray(infos[f"_{name}"])[i]), f"{where} is masked")
+            _require(np.array_equal(infos[name][i], value), f"{where} is {infos[name][i]}")
 
-    def _keep(self, observations: np.ndarray) -> None:
-        self.kept, self.last = (observations, observations.copy()), observations.copy()
+    def _remember(self, observations: np.ndarray) -> None:
+        self.returned, self.last = (observations, observations.copy()), observations.copy()
 
-    def _check_kept(self, when: str) -> None:
-        if self.kept is not None:
-            same = np.array_equal(*self.kept)
-            _demand(same, f"{when}: the observations of the step before have changed")
+    def _check_buffers(self, when: str) -> None:
+        if self.returned is not None:
+            same = np.array_equal(*self.returned)
+            _require(same, f"{when}: the observations of the step before have changed")

@@ -10,28 +10,28 @@ from typing import Annotated, Any, Literal, NamedTuple
 import gymnasium
 import numpy as np
 
-from road_envs.analysis.information_bound import Information, RoadPrior
+from road_envs.analysis.information_bound import BoundTable, RoadPrior
 from road_envs.config import STRICT, ConfigError, build
 from road_envs.data.record import SENSORS
 from road_envs.roads import load_road, with_length
 from road_envs.roads.surface import Surface
-from road_envs.sensing.data_logger import Logger, load_instruments
+from road_envs.sensing.data_logger import DataLogger, load_instruments
 from road_envs.simulation.control_step import (
     ANGLES,
-    EXTENSION_MOST,
-    LARGEST_ANGLE,
-    PLANAR,
-    PLANAR_MOST,
-    RATE_MOST,
-    STRUTS,
-    Seen,
+    MAX_ANGLE,
+    MAX_EXTENSION,
+    MAX_EXTENSION_RATE,
+    MAX_PLANAR,
+    N_PLANAR,
+    N_STRUT_SIGNALS,
+    StepOutput,
 )
-from road_envs.simulation.drive import Drive
-from road_envs.simulation.instrumented_fleet import Convoy
+from road_envs.simulation.drive import DriveSimulator
+from road_envs.simulation.instrumented_fleet import InstrumentedFleet
 from road_envs.simulation.manoeuvres import load_manoeuvre
-from road_envs.vehicle.equations import DOF, plant
+from road_envs.vehicle.equations import DOF, build_plant
 from road_envs.vehicle.parameters import load_vehicle
-from road_envs.vehicle.suspension import MODES, command
+from road_envs.vehicle.suspension import MODES, encode_command
 
 ACTIONS: dict[str, tuple[Any, ...]] = {
     "vehicle": ("ride", "handling"),
@@ -44,11 +44,11 @@ ACTIONS: dict[str, tuple[Any, ...]] = {
 }
 """What the actions 0, 1, ... command, for each choice of `control`."""
 
-TOP_SPEED = 200.0
+MAX_SPEED_KMH = 200.0
 """Highest speed that is accepted [km/h]."""
 
 
-TOP_SEEN = 100.0
+MAX_OBSERVED_SPEED = 100.0
 """Highest speed that is observed [m/s]."""
 
 
@@ -61,15 +61,19 @@ class Weights:
     comfort: Annotated[float, "per m/s²", "of the W_k-weighted RMS heave acceleration"] = 1.0
     rattle: Annotated[float, "per m", "of the RMS strut extension"] = 10.0
     tyre_load: Annotated[float, "", "of the RMS relative tyre load variation"] = 1.0
-    information: Annotated[float, "", "of the variance left unknown of the road, of 1"] = 0.0
+    unresolved_variance: Annotated[float, "", "of the variance left unknown of the road, of 1"] = (
+        0.0
+    )
 
     def __post_init__(self):
-        if not 0.0 <= self.information < np.inf:
-            raise ValueError(f"information must not be negative, got {self.information}")
+        if not 0.0 <= self.unresolved_variance < np.inf:
+            raise ValueError(
+                f"unresolved_variance must not be negative, got {self.unresolved_variance}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options:
+class EnvOptions:
     """The keyword arguments of the environment; see `RoadReconEnv`."""
 
     __pydantic_config__ = STRICT
@@ -90,8 +94,8 @@ class Options:
     exaggeration: float = 1.0
 
     def __post_init__(self):
-        check_speed(self.speed_kmh)
-        command(self.mode)
+        validate_speed(self.speed_kmh)
+        encode_command(self.mode)
         if self.manoeuvre is not None:
             load_manoeuvre(self.manoeuvre)
         if "accelerations" not in self.observe or len(set(self.observe)) < len(self.observe):
@@ -108,80 +112,82 @@ class Options:
             )
 
 
-def check_speed(speed_kmh: float | tuple[float, float]) -> None:
+def validate_speed(speed_kmh: float | tuple[float, float]) -> None:
     """Raise ValueError unless `speed_kmh` is a speed or a range of speeds that can be driven."""
     speeds = np.atleast_1d(np.asarray(speed_kmh, dtype=float))
-    if not ((speeds > 0) & (speeds <= TOP_SPEED)).all() or speeds[0] > speeds[-1]:
+    if not ((speeds > 0) & (speeds <= MAX_SPEED_KMH)).all() or speeds[0] > speeds[-1]:
         raise ValueError(
-            f"speed_kmh must be a number or a range [low, high] within 0 to {TOP_SPEED:g} km/h "
+            f"speed_kmh must be a number or a range [low, high] within 0 to {MAX_SPEED_KMH:g} km/h "
             f"and above 0, got {speed_kmh}"
         )
 
 
-def _axles(action: str | dict[str, str]) -> dict[str, str]:
+def _axle_modes(action: str | dict[str, str]) -> dict[str, str]:
     """The states of both axles under an action."""
     return action if isinstance(action, dict) else {"front": action, "rear": action}
 
 
-class Start(NamedTuple):
+class EpisodeStart(NamedTuple):
     """How one episode begins: speed [km/h], command byte, surface, and the drive over it."""
 
     speed_kmh: float
-    byte: int
+    command_byte: int
     surface: Surface
-    drive: Drive
+    drive: DriveSimulator
 
 
-class Setup:
+class EnvSetup:
     """What the keyword arguments of the environments come to. Raises ConfigError."""
 
     def __init__(self, options: dict[str, Any]):
         if isinstance(options.get("weights"), Weights):
             options["weights"] = asdict(options["weights"])
-        self.options = o = build(Options, options, "RoadRecon-v0")
+        self.options = o = build(EnvOptions, options, "RoadRecon-v0")
         self.car = load_vehicle(o.vehicle)
         self.manoeuvre = None if o.manoeuvre is None else load_manoeuvre(o.manoeuvre)
-        self.plant = plant(self.car, manoeuvres=self.manoeuvre is not None)
+        self.plant = build_plant(self.car, manoeuvres=self.manoeuvre is not None)
         self.instruments = load_instruments(o.sensors)
         road = load_road(o.road)
         self.road = road if o.length is None else with_length(road, o.length)
         self.interval = 1.0 / o.control_rate
-        self.bytes = np.array([command(action) for action in ACTIONS[o.control]], dtype=np.uint8)
+        self.command_bytes = np.array(
+            [encode_command(action) for action in ACTIONS[o.control]], dtype=np.uint8
+        )
         samples = self.instruments.fs * self.interval
-        self.samples = round(samples)
-        if self.samples < 1 or abs(self.samples - samples) > 1e-6:
+        self.samples_per_interval = round(samples)
+        if self.samples_per_interval < 1 or abs(self.samples_per_interval - samples) > 1e-6:
             raise ConfigError(
                 f"control_rate must make a whole number of samples at {self.instruments.fs} Hz, "
                 f"got {o.control_rate} Hz"
             )
         self.observation_space = gymnasium.spaces.Box(*self._limits(), dtype=np.float32)
-        self.action_space = gymnasium.spaces.Discrete(len(self.bytes))
+        self.action_space = gymnasium.spaces.Discrete(len(self.command_bytes))
 
     def _limits(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest observation."""
-        reach = np.full(3 * self.samples, self.instruments.range)
+        reach = np.full(3 * self.samples_per_interval, self.instruments.range)
         more = [
             np.full(size, most)
             for group, size, most in (
-                ("planar", PLANAR, PLANAR_MOST),
-                ("struts", STRUTS // 2, EXTENSION_MOST),
-                ("struts", STRUTS // 2, RATE_MOST),
+                ("planar", N_PLANAR, MAX_PLANAR),
+                ("struts", N_STRUT_SIGNALS // 2, MAX_EXTENSION),
+                ("struts", N_STRUT_SIGNALS // 2, MAX_EXTENSION_RATE),
             )
             if group in self.options.observe
         ]
         beyond = np.concatenate([np.zeros(0), *more])
         low = np.r_[-reach, np.zeros(5), -beyond].astype(np.float32)
-        return low, np.r_[reach, TOP_SEEN, np.ones(4), beyond].astype(np.float32)
+        return low, np.r_[reach, MAX_OBSERVED_SPEED, np.ones(4), beyond].astype(np.float32)
 
     @cached_property
-    def parts(self) -> dict[str, slice]:
+    def observation_slices(self) -> dict[str, slice]:
         """Where in an observation its parts stand, by name."""
-        k = self.samples
+        k = self.samples_per_interval
         sizes = dict.fromkeys(SENSORS, k) | {"speed": 1, "front": 2, "rear": 2}
         if "planar" in self.options.observe:
-            sizes |= {"planar": PLANAR}
+            sizes |= {"planar": N_PLANAR}
         if "struts" in self.options.observe:
-            sizes |= {"extension": STRUTS // 2, "extension_rate": STRUTS // 2}
+            sizes |= {"extension": N_STRUT_SIGNALS // 2, "extension_rate": N_STRUT_SIGNALS // 2}
         ends = np.cumsum(list(sizes.values()))
         return {
             name: slice(int(end) - size, int(end))
@@ -189,55 +195,61 @@ class Setup:
         }
 
     @cached_property
-    def information(self) -> Information:
+    def bound_table(self) -> BoundTable:
         """What each pair of states leaves unknown of a road of class D."""
         speeds = np.atleast_1d(np.asarray(self.options.speed_kmh, dtype=float)) / 3.6
         if speeds[0] < speeds[-1]:
             speeds = np.linspace(speeds[0], speeds[-1], 5)
-        used = {f[axle] for f in map(_axles, ACTIONS[self.options.control]) for axle in f}
+        used = {f[axle] for f in map(_axle_modes, ACTIONS[self.options.control]) for axle in f}
         modes = tuple(mode for mode in MODES if mode in used)
-        return Information.tabulate(self.car, self.instruments, RoadPrior(), speeds, modes)
+        return BoundTable.tabulate(self.car, self.instruments, RoadPrior(), speeds, modes)
 
-    def unknown(self, v: float) -> np.ndarray:
+    def unresolved_variance_by_command(self, v: float) -> np.ndarray:
         """Share (256,) [-] of the road's variance that command bytes leave unknown at `v` [m/s].
 
         Of bytes that no action commands it is that of nothing known, 1.
         """
         left = np.ones(256)
         for action in ACTIONS[self.options.control]:
-            pair = _axles(action)
-            left[command(action)] = self.information.at(pair["front"], pair["rear"], v) ** 2
+            pair = _axle_modes(action)
+            left[encode_command(action)] = (
+                self.bound_table.interpolate(pair["front"], pair["rear"], v) ** 2
+            )
         return left
 
-    def convoy(self, number: int = 1, threads: int = 1) -> Convoy:
+    def make_fleet(self, n_vehicles: int = 1, threads: int = 1) -> InstrumentedFleet:
         """Cars that stand still, one for each environment."""
         o = self.options
-        return Convoy(
+        return InstrumentedFleet(
             self.plant,
             self.car,
             self.instruments,
             step=o.step,
             steps=round(self.interval / o.step),
-            number=number,
+            n_vehicles=n_vehicles,
             manoeuvre=self.manoeuvre,
             weights=(o.weights.comfort, o.weights.rattle, o.weights.tyre_load),
-            top_speed=TOP_SEEN,
+            top_speed=MAX_OBSERVED_SPEED,
             planar="planar" in o.observe,
             struts="struts" in o.observe,
-            unknown=self.unknown if o.weights.information > 0.0 else None,
-            information=o.weights.information,
+            unresolved_variance=self.unresolved_variance_by_command
+            if o.weights.unresolved_variance > 0.0
+            else None,
+            unresolved_variance_weight=o.weights.unresolved_variance,
             truth=o.truth,
             threads=threads,
         )
 
-    def episode(self, options: dict[str, Any]) -> Options:
+    def episode_options(self, options: dict[str, Any]) -> EnvOptions:
         """These options with those of one episode. Raises ConfigError on unknown ones."""
         known = {"speed_kmh": self.options.speed_kmh, "mode": self.options.mode}
         if extra := options.keys() - known.keys():
             raise ConfigError(f"unknown reset options {sorted(extra)}; known: {', '.join(known)}")
-        return build(Options, known | options, "reset options")
+        return build(EnvOptions, known | options, "reset options")
 
-    def begin(self, convoy: Convoy, i: int, random: np.random.Generator, o: Options) -> Start:
+    def start_episode(
+        self, fleet: InstrumentedFleet, i: int, random: np.random.Generator, o: EnvOptions
+    ) -> EpisodeStart:
         """Put car `i` at the beginning of an episode drawn from `random`."""
         # one stream per cause: new ones go to the end, so that old seeds keep their roads
         road_rng, speed_rng, sensor_rng = random.spawn(3)
@@ -245,18 +257,18 @@ class Setup:
         speed_kmh = float(v if isinstance(v, int | float) else speed_rng.uniform(*v))
         surface = self.road.realise(road_rng)
         step = self.options.step
-        drive = Drive(self.plant, self.car, surface, speed_kmh / 3.6, o.mode, step)
-        convoy.start(i, drive, Logger(self.instruments, self.car, step, sensor_rng), speed_kmh)
-        return Start(speed_kmh, command(o.mode), surface, drive)
+        drive = DriveSimulator(self.plant, self.car, surface, speed_kmh / 3.6, o.mode, step)
+        fleet.start(i, drive, DataLogger(self.instruments, self.car, step, sensor_rng), speed_kmh)
+        return EpisodeStart(speed_kmh, encode_command(o.mode), surface, drive)
 
-    def reason(self, seen: Seen, i: int, road: str) -> str:
+    def failure_reason(self, output: StepOutput, i: int, road: str) -> str:
         """Why the episode of environment `i` on `road` has failed; empty if it has not."""
-        begin = round((seen.numbers[i, 0] - self.interval) / self.options.step)
-        if seen.broken[i] >= 0:
-            t = self.options.step * (begin + seen.broken[i])
+        begin = round((output.values[i, 0] - self.interval) / self.options.step)
+        if output.nonfinite_step[i] >= 0:
+            t = self.options.step * (begin + output.nonfinite_step[i])
             return f"{road}: the motion is no longer finite at t = {t:.3f} s"
-        if seen.turned[i] >= 0:
-            row, column = divmod(int(seen.turned[i]), len(ANGLES))
-            t, degrees = self.options.step * (begin + row), np.degrees(LARGEST_ANGLE)
+        if output.rollover[i] >= 0:
+            row, column = divmod(int(output.rollover[i]), len(ANGLES))
+            t, degrees = self.options.step * (begin + row), np.degrees(MAX_ANGLE)
             return f"{DOF[ANGLES[column]]} passed {degrees:.0f} degrees at t = {t:.3f} s"
         return ""

@@ -7,12 +7,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from road_envs.config import ConfigError, one_of
-from road_envs.envs.options import Setup, Start
-from road_envs.simulation.control_step import TOLD, Seen
-from road_envs.simulation.drive import Drive
+from road_envs.config import ConfigError, validate_choice
+from road_envs.envs.options import EnvSetup, EpisodeStart
+from road_envs.simulation.control_step import OUTPUT_COLUMNS, StepOutput
+from road_envs.simulation.drive import DriveSimulator
 
-RECENT = 4.0
+RENDERED_HISTORY = 4.0
 """How much of the accelerations a picture shows [s]."""
 
 
@@ -66,11 +66,11 @@ class RoadReconEnv(gymnasium.Env):
     | `comfort` | RMS heave acceleration, W_k-weighted after ISO 2631-1 | m/s² | 1 |
     | `rattle` | RMS extension of the four struts | m | 10 |
     | `tyre_load` | RMS of tyre load over static load, less 1 | - | 1 |
-    | `unknown` | share of the road's variance that the states leave unknown | - | 0 |
+    | `unresolved_variance` | share of the road's variance that the states leave unknown | - | 0 |
 
     The last one, whose weight is called `information`, is told where that weight is not 0. It is
     what the best linear estimate in the commanded states does not know of a class-D road in the
-    judged band (`observability.Information`), for a car that stays in them; one that keeps
+    judged band (`observability.BoundTable`), for a car that stays in them; one that keeps
     switching is charged as if it stayed.
 
     ## Starting State
@@ -128,84 +128,85 @@ class RoadReconEnv(gymnasium.Env):
 
     def __init__(self, render_mode: str | None = None, **options: Any):
         if render_mode is not None:
-            one_of("render mode", render_mode, self.metadata["render_modes"])
-        self.setup = Setup(options)
+            validate_choice("render mode", render_mode, self.metadata["render_modes"])
+        self.setup = EnvSetup(options)
         self.render_mode = render_mode
         rate = self.setup.options.control_rate
         self.metadata = self.metadata | {"render_fps": rate}
         self.observation_space = self.setup.observation_space
         self.action_space = self.setup.action_space
-        self.convoy = self.setup.convoy()
-        self._start: Start | None = None
-        self._byte = 0
-        self._recent: deque[np.ndarray] = deque(maxlen=ceil(RECENT * rate))
+        self.fleet = self.setup.make_fleet()
+        self._start: EpisodeStart | None = None
+        self._command_byte = 0
+        self._history: deque[np.ndarray] = deque(maxlen=ceil(RENDERED_HISTORY * rate))
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """Start an episode; see the class for `options`. Raises ConfigError on unknown ones."""
         super().reset(seed=seed)
-        chosen = self.setup.episode(options or {})
-        self._start = self.setup.begin(self.convoy, 0, self.np_random, chosen)
-        self._recent.clear()
-        seen = self._advance(self._start.byte)
-        return seen.observation[0], self._info(seen, self._start)[1]
+        episode_options = self.setup.episode_options(options or {})
+        self._start = self.setup.start_episode(self.fleet, 0, self.np_random, episode_options)
+        self._history.clear()
+        output = self._advance(self._start.command_byte)
+        return output.observation[0], self._info(output, self._start)[1]
 
     def step(self, action: int):
         """Drive one control interval under `action`."""
         if self._start is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
         if not self.action_space.contains(action):
-            raise ConfigError(
-                f"the action must be one of 0 to {len(self.setup.bytes) - 1}, got {action!r}"
-            )
-        seen = self._advance(int(self.setup.bytes[action]))
-        reward, info = self._info(seen, self._start)
+            last = len(self.setup.command_bytes) - 1
+            raise ConfigError(f"the action must be one of 0 to {last}, got {action!r}")
+        output = self._advance(int(self.setup.command_bytes[action]))
+        reward, info = self._info(output, self._start)
         terminated = info["reason"] != ""
-        truncated = not terminated and bool(seen.over[0])
-        return seen.observation[0], reward, terminated, truncated, info
+        truncated = not terminated and bool(output.end_of_road[0])
+        return output.observation[0], reward, terminated, truncated, info
 
     def render(self) -> np.ndarray | None:
         """A picture (540, 960, 3), uint8, of the car on its road; None without a render mode."""
         if self.render_mode is None:
             gymnasium.logger.warn("nothing is rendered unless render_mode is 'rgb_array'")
             return None
-        if not self._recent:
+        if not self._history:
             raise gymnasium.error.ResetNeeded("call reset before render")
-        from road_envs.rendering import Scene, frame
+        from road_envs.rendering import Scene, render_frame
 
-        samples = np.concatenate(self._recent, axis=1)
+        samples = np.concatenate(self._history, axis=1)
         fs, enlarged = self.setup.instruments.fs, self.setup.options.exaggeration
-        shown = self.convoy.last_interval(0, self._byte)
-        return frame(Scene.of(self.drive, shown, samples, fs, RECENT, enlarged))
+        shown = self.fleet.last_interval(0, self._command_byte)
+        return render_frame(
+            Scene.from_drive(self.drive, shown, samples, fs, RENDERED_HISTORY, enlarged)
+        )
 
     @property
-    def drive(self) -> Drive:
+    def drive(self) -> DriveSimulator:
         """The drive of this episode, where it is now; a copy of what the environment holds."""
         if self._start is None:
             raise gymnasium.error.ResetNeeded("call reset before looking at the drive")
-        self.convoy.land(0, self._start.drive)
+        self.fleet.write_back(0, self._start.drive)
         return self._start.drive
 
     def split(self, observation: np.ndarray) -> dict[str, np.ndarray]:
         """The parts of an observation: RF, LR, RR (k,), speed (1,), front (2,), rear (2,); where
         they are observed planar (2,), extension (4,), extension_rate (4,).
         """
-        return {name: observation[part] for name, part in self.setup.parts.items()}
+        return {name: observation[part] for name, part in self.setup.observation_slices.items()}
 
-    def _advance(self, byte: int) -> Seen:
-        seen = self.convoy.advance(np.array([byte], dtype=np.uint8))
-        self._byte = byte
+    def _advance(self, byte: int) -> StepOutput:
+        output = self.fleet.advance(np.array([byte], dtype=np.uint8))
+        self._command_byte = byte
         if self.render_mode is not None:
-            k = self.setup.samples
-            self._recent.append(seen.observation[0, : 3 * k].reshape(3, k).copy())
-        return seen
+            k = self.setup.samples_per_interval
+            self._history.append(output.observation[0, : 3 * k].reshape(3, k).copy())
+        return output
 
-    def _info(self, seen: Seen, start: Start) -> tuple[float, dict[str, Any]]:
+    def _info(self, output: StepOutput, start: EpisodeStart) -> tuple[float, dict[str, Any]]:
         """The reward and what is told beside it."""
-        info: dict[str, Any] = dict(zip(TOLD, seen.numbers[0].tolist(), strict=True))
+        info: dict[str, Any] = dict(zip(OUTPUT_COLUMNS, output.values[0].tolist(), strict=True))
         reward = info.pop("reward")
-        if self.setup.options.weights.information == 0.0:
-            del info["unknown"]
-        info["reason"] = self.setup.reason(seen, 0, start.surface.name)
+        if self.setup.options.weights.unresolved_variance == 0.0:
+            del info["unresolved_variance"]
+        info["reason"] = self.setup.failure_reason(output, 0, start.surface.name)
         if self.setup.options.truth:
-            info |= {"s": seen.s[0], "profile": seen.profile[0], "loads": seen.loads[0]}
+            info |= {"s": output.s[0], "profile": output.profile[0], "loads": output.loads[0]}
         return reward, info

@@ -15,10 +15,13 @@ from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from stable_baselines3.common.vec_env import VecEnv
 
+from road_envs._extras import optional_import
 from road_envs.config import ConfigError
 from road_envs.envs.vector import RoadReconVectorEnv
+
+with optional_import("Stable-Baselines3 environments"):
+    from stable_baselines3.common.vec_env import VecEnv
 
 
 class RoadReconVecEnv(VecEnv):
@@ -26,15 +29,15 @@ class RoadReconVecEnv(VecEnv):
 
     An environment that has ended starts anew within the same step; its last observation is
     `info["terminal_observation"]`, and `info["TimeLimit.truncated"]` says whether the road was
-    merely over. `told` names entries of `info` to hand over in every step; none by default, since
-    a dictionary for each environment is what costs most. Raises ConfigError.
+    merely over. `info_keys` names entries of `info` to hand over in every step; none by default,
+    since a dictionary for each environment is what costs most. Raises ConfigError.
     """
 
-    def __init__(self, num_envs: int = 1, *, told: Sequence[str] = (), **options: Any):
+    def __init__(self, num_envs: int = 1, *, info_keys: Sequence[str] = (), **options: Any):
         if "autoreset_mode" in options:
             raise ConfigError("autoreset_mode is not to be chosen: Stable-Baselines3 has its own")
         self.env = RoadReconVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **options)
-        self.told = tuple(told)
+        self.info_keys = tuple(info_keys)
         self._actions = np.zeros(num_envs, dtype=np.int64)
         super().__init__(num_envs, self.env.single_observation_space, self.env.single_action_space)
 
@@ -59,7 +62,7 @@ class RoadReconVecEnv(VecEnv):
         rows = self._rows(infos)
         for i in np.flatnonzero(dones):
             final = infos["final_info"]
-            rows[i] |= {name: final[name][i] for name in self.told}
+            rows[i] |= {name: final[name][i] for name in self.info_keys}
             rows[i]["terminal_observation"] = infos["final_obs"][i]
             rows[i]["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
             if final["reason"][i]:
@@ -72,7 +75,7 @@ class RoadReconVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """An attribute, once for each environment: all share it."""
-        return [getattr(self.env, attr_name)] * len(self._chosen(indices))
+        return [getattr(self.env, attr_name)] * len(self._selected(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Refused: the environments have no attributes of their own."""
@@ -84,10 +87,10 @@ class RoadReconVecEnv(VecEnv):
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
         """No environment is wrapped by itself."""
-        return [False] * len(self._chosen(indices))
+        return [False] * len(self._selected(indices))
 
-    def _chosen(self, indices: Any) -> Sequence[int]:
+    def _selected(self, indices: Any) -> Sequence[int]:
         return list(self._get_indices(indices))
 
     def _rows(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
-        return [{name: infos[name][i] for name in self.told} for i in range(self.num_envs)]
+        return [{name: infos[name][i] for name in self.info_keys} for i in range(self.num_envs)]

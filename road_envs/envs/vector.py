@@ -9,9 +9,9 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from road_envs.config import ConfigError, one_of
-from road_envs.envs.options import Options, Setup
-from road_envs.simulation.control_step import TOLD, Seen
+from road_envs.config import ConfigError, validate_choice
+from road_envs.envs.options import EnvOptions, EnvSetup
+from road_envs.simulation.control_step import OUTPUT_COLUMNS, StepOutput
 
 
 class RoadReconVectorEnv(VectorEnv):
@@ -65,8 +65,8 @@ class RoadReconVectorEnv(VectorEnv):
                 raise ConfigError(f"{name} must be a whole number of at least 1, got {value!r}")
         if not isinstance(autoreset_mode, AutoresetMode):
             known = {mode.value: mode for mode in AutoresetMode}
-            autoreset_mode = known[one_of("autoreset mode", autoreset_mode, known)]
-        self.setup = Setup(options)
+            autoreset_mode = known[validate_choice("autoreset mode", autoreset_mode, known)]
+        self.setup = EnvSetup(options)
         self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
         self.autoreset_mode = autoreset_mode
         self.metadata = self.metadata | {"autoreset_mode": autoreset_mode}
@@ -75,8 +75,8 @@ class RoadReconVectorEnv(VectorEnv):
         self.single_action_space = self.setup.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.convoy = self.setup.convoy(num_envs, threads)
-        self._randoms: list[np.random.Generator] = []
+        self.fleet = self.setup.make_fleet(num_envs, threads)
+        self._generators: list[np.random.Generator] = []
         self._seeds: list[int] = []
         self._roads = [""] * num_envs
         self._elapsed = np.zeros(num_envs, dtype=np.int64)
@@ -88,7 +88,7 @@ class RoadReconVectorEnv(VectorEnv):
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """The environments' generators."""
-        return tuple(self._randoms)
+        return tuple(self._generators)
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
@@ -103,98 +103,104 @@ class RoadReconVectorEnv(VectorEnv):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start episodes in all environments, or in those of `reset_mask`. Raises ConfigError."""
         options = dict(options or {})
-        mask = self._mask(options.pop("reset_mask", None))
-        chosen = self.setup.episode(options)
-        self._sow(seed, mask)
-        seen = self._begin(mask, chosen)
+        mask = self._validate_mask(options.pop("reset_mask", None))
+        episode_options = self.setup.episode_options(options)
+        self._seed_generators(seed, mask)
+        output = self._start_and_advance(mask, episode_options)
         self._done[mask] = False
-        self._observations[mask] = seen.observation[mask]
-        return self._observations.copy(), self._infos(seen, mask)
+        self._observations[mask] = output.observation[mask]
+        return self._observations.copy(), self._infos(output, mask)
 
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Drive all environments for one control interval under `actions` (num_envs,)."""
-        if not self._randoms:
+        if not self._generators:
             raise gymnasium.error.ResetNeeded("call reset before step")
-        commands = self.setup.bytes[self._checked(actions)]
-        fresh = np.zeros(self.num_envs, dtype=bool)
+        commands = self.setup.command_bytes[self._validate_actions(actions)]
+        restarted = np.zeros(self.num_envs, dtype=bool)
         if self._done.any():
             if self.autoreset_mode == AutoresetMode.DISABLED:
                 raise gymnasium.error.ResetNeeded(
                     f"environments {np.flatnonzero(self._done).tolist()} have ended: reset them "
                     f"with options={{'reset_mask': ...}} before the next step"
                 )
-            fresh = self._done  # their new episodes begin within this step
-            commands[fresh] = self._start(fresh, self.setup.options)[fresh]
-        seen = self.convoy.advance(commands)
-        self._elapsed += ~fresh
-        everyone = np.ones(self.num_envs, dtype=bool)
-        infos = self._infos(seen, everyone)
-        terminated = ((seen.broken >= 0) | (seen.turned >= 0)) & ~fresh
-        truncated = seen.over & ~terminated & ~fresh
+            restarted = self._done  # their new episodes begin within this step
+            commands[restarted] = self._start_episodes(restarted, self.setup.options)[restarted]
+        output = self.fleet.advance(commands)
+        self._elapsed += ~restarted
+        all_envs = np.ones(self.num_envs, dtype=bool)
+        infos = self._infos(output, all_envs)
+        terminated = ((output.nonfinite_step >= 0) | (output.rollover >= 0)) & ~restarted
+        truncated = output.end_of_road & ~terminated & ~restarted
         if self.max_episode_steps is not None:
-            truncated |= (self._elapsed >= self.max_episode_steps) & ~fresh
-        rewards = np.where(fresh, 0.0, seen.numbers[:, TOLD.index("reward")])
+            truncated |= (self._elapsed >= self.max_episode_steps) & ~restarted
+        rewards = np.where(restarted, 0.0, output.values[:, OUTPUT_COLUMNS.index("reward")])
         self._done = terminated | truncated
-        observations = seen.observation
+        observations = output.observation
         if self.autoreset_mode == AutoresetMode.SAME_STEP and self._done.any():
-            observations, infos = self._replace(self._done, seen, infos)
+            observations, infos = self._autoreset(self._done, output, infos)
             self._done = np.zeros(self.num_envs, dtype=bool)
         self._observations[:] = observations
         return observations, rewards, terminated, truncated, infos
 
-    def _replace(
-        self, ended: np.ndarray, seen: Seen, infos: dict[str, Any]
+    def _autoreset(
+        self, ended: np.ndarray, output: StepOutput, infos: dict[str, Any]
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start new episodes where one `ended`; what they show takes the place of its end."""
         final_obs = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(ended):
-            final_obs[i] = seen.observation[i].copy()
-        final_info = self._infos(seen, ended)
-        started = self._begin(ended, self.setup.options)
+            final_obs[i] = output.observation[i].copy()
+        final_info = self._infos(output, ended)
+        started = self._start_and_advance(ended, self.setup.options)
         for name, rows in self._infos(started, ended).items():
             infos[name] = infos[name].copy()
             infos[name][ended] = rows[ended]
-        observations = np.where(ended[:, None], started.observation, seen.observation)
+        observations = np.where(ended[:, None], started.observation, output.observation)
         final = {"final_obs": final_obs, "final_info": final_info}
         masks = {f"_{name}": ended.copy() for name in final}
         return observations, infos | final | masks
 
-    def _begin(self, mask: np.ndarray, chosen: Options) -> Seen:
+    def _start_and_advance(self, mask: np.ndarray, episode_options: EnvOptions) -> StepOutput:
         """Start episodes and drive their first interval."""
-        commands = self._start(mask, chosen)
-        return self.convoy.advance(commands, None if mask.all() else mask)
+        commands = self._start_episodes(mask, episode_options)
+        return self.fleet.advance(commands, None if mask.all() else mask)
 
-    def _start(self, mask: np.ndarray, chosen: Options) -> np.ndarray:
+    def _start_episodes(self, mask: np.ndarray, episode_options: EnvOptions) -> np.ndarray:
         """Put cars at the beginning of new episodes; their command bytes, in rows of `mask`."""
         commands = np.zeros(self.num_envs, dtype=np.uint8)
         for i in np.flatnonzero(mask):
-            start = self.setup.begin(self.convoy, int(i), self._randoms[i], chosen)
-            commands[i], self._roads[i] = start.byte, start.surface.name
+            start = self.setup.start_episode(
+                self.fleet, int(i), self._generators[i], episode_options
+            )
+            commands[i], self._roads[i] = start.command_byte, start.surface.name
         self._elapsed[mask] = 0
         return commands
 
-    def _infos(self, seen: Seen, mask: np.ndarray) -> dict[str, Any]:
+    def _infos(self, output: StepOutput, mask: np.ndarray) -> dict[str, Any]:
         """What is told of the environments in `mask`; other rows are zero."""
-        untold = {"reward"} if self.setup.options.weights.information else {"reward", "unknown"}
+        omitted = (
+            {"reward"}
+            if self.setup.options.weights.unresolved_variance
+            else {"reward", "unresolved_variance"}
+        )
         infos: dict[str, Any] = {
-            name: np.where(mask, seen.numbers[:, j], 0.0)
-            for j, name in enumerate(TOLD)
-            if name not in untold
+            name: np.where(mask, output.values[:, j], 0.0)
+            for j, name in enumerate(OUTPUT_COLUMNS)
+            if name not in omitted
         }
         infos["reason"] = np.where(mask, "", None)  # type: ignore[call-overload]
-        failed = mask & ((seen.broken >= 0) | (seen.turned >= 0))
+        failed = mask & ((output.nonfinite_step >= 0) | (output.rollover >= 0))
         for i in np.flatnonzero(failed):
-            infos["reason"][i] = self.setup.reason(seen, int(i), self._roads[i])
+            infos["reason"][i] = self.setup.failure_reason(output, int(i), self._roads[i])
         if self.setup.options.truth:
-            rows = {"s": seen.s, "profile": seen.profile, "loads": seen.loads}
+            rows = {"s": output.s, "profile": output.profile, "loads": output.loads}
             for name, array in rows.items():
                 inside = mask.reshape(-1, *[1] * (array.ndim - 1))
                 infos[name] = array if mask.all() else np.where(inside, array, 0.0)
         return infos | {f"_{name}": mask.copy() for name in infos}
 
-    def _mask(self, mask: Any) -> np.ndarray:
+    def _validate_mask(self, mask: Any) -> np.ndarray:
         if mask is None:
             return np.ones(self.num_envs, dtype=bool)
         fits = isinstance(mask, np.ndarray) and mask.dtype == bool
@@ -203,11 +209,11 @@ class RoadReconVectorEnv(VectorEnv):
                 f"reset_mask must be an array of {self.num_envs} bools, one of them true at least, "
                 f"got {mask!r}"
             )
-        if not self._randoms and not mask.all():
+        if not self._generators and not mask.all():
             raise gymnasium.error.ResetNeeded("the first reset must be of all environments")
         return mask
 
-    def _sow(self, seed: int | Sequence[int | None] | None, mask: np.ndarray) -> None:
+    def _seed_generators(self, seed: int | Sequence[int | None] | None, mask: np.ndarray) -> None:
         """Seed the environments in `mask`; without seeds those that have a generator keep it."""
         if isinstance(seed, int | np.integer):
             seeds: list[int | None] = [int(seed) + i for i in range(self.num_envs)]
@@ -215,26 +221,26 @@ class RoadReconVectorEnv(VectorEnv):
             seeds = [None] * self.num_envs if seed is None else list(seed)
         if len(seeds) != self.num_envs:
             raise ConfigError(f"{self.num_envs} seeds are wanted, one each, got {len(seeds)}")
-        if not self._randoms:
+        if not self._generators:
             drawn = [seeding.np_random(s) for s in seeds]
-            self._randoms, self._seeds = [r for r, _ in drawn], [s for _, s in drawn]
+            self._generators, self._seeds = [r for r, _ in drawn], [s for _, s in drawn]
             return
         for i in np.flatnonzero(mask):
             if seeds[i] is not None:
-                self._randoms[i], self._seeds[i] = seeding.np_random(seeds[i])
+                self._generators[i], self._seeds[i] = seeding.np_random(seeds[i])
 
-    def _checked(self, actions: Any) -> np.ndarray:
+    def _validate_actions(self, actions: Any) -> np.ndarray:
         """`actions` as indices (num_envs,). Raises ConfigError."""
-        given = np.asarray(actions)
-        last = len(self.setup.bytes) - 1
-        if given.shape != (self.num_envs,) or given.dtype.kind not in "iu":
+        indices = np.asarray(actions)
+        last = len(self.setup.command_bytes) - 1
+        if indices.shape != (self.num_envs,) or indices.dtype.kind not in "iu":
             raise ConfigError(
-                f"actions must be {self.num_envs} whole numbers, got {given.dtype} of shape "
-                f"{given.shape}"
+                f"actions must be {self.num_envs} whole numbers, got {indices.dtype} of shape "
+                f"{indices.shape}"
             )
-        if given.size and not (given.min() >= 0 and given.max() <= last):
-            wrong = int(np.flatnonzero((given < 0) | (given > last))[0])
+        if indices.size and not (indices.min() >= 0 and indices.max() <= last):
+            wrong = int(np.flatnonzero((indices < 0) | (indices > last))[0])
             raise ConfigError(
-                f"actions must be 0 to {last}, got {given[wrong]} for environment {wrong}"
+                f"actions must be 0 to {last}, got {indices[wrong]} for environment {wrong}"
             )
-        return given
+        return indices

@@ -15,9 +15,9 @@ from importlib import metadata
 from typing import Any
 
 from road_envs import config
-from road_envs.config import STRICT, ConfigError, build, one_of
+from road_envs.config import STRICT, ConfigError, build, validate_choice
 from road_envs.policies.add import AccelerationDriven
-from road_envs.policies.api import Cabin, Policy, PolicyError
+from road_envs.policies.api import Policy, PolicyContext, PolicyError
 from road_envs.policies.dqn import Dqn
 from road_envs.policies.fixed import FixedHandling, FixedHandlingRide, FixedRide, FixedRideHandling
 from road_envs.policies.greedy_information import GreedyInformation
@@ -27,13 +27,13 @@ from road_envs.policies.ppo_sensing import PpoSensing
 from road_envs.policies.preview import Preview
 from road_envs.policies.random_switching import RandomSwitching
 from road_envs.policies.roll_angle import RollAngle
-from road_envs.policies.rrms import RunningRms
+from road_envs.policies.rrms import RunningRmsPolicy
 from road_envs.policies.sh_add import SkyhookAdd
 from road_envs.policies.skyhook import Skyhook
 
-__all__ = ["REGISTRY", "Cabin", "Policy", "PolicyError", "available", "create"]
+__all__ = ["REGISTRY", "Policy", "PolicyContext", "PolicyError", "available", "create"]
 
-GROUP = "roadrecon.policies"
+ENTRY_POINT_GROUP = "roadrecon.policies"
 """Entry-point group under which other packages offer policies."""
 
 REGISTRY: dict[str, type[Policy]] = {
@@ -42,7 +42,7 @@ REGISTRY: dict[str, type[Policy]] = {
     "fixed_ride_handling": FixedRideHandling,
     "fixed_handling_ride": FixedHandlingRide,
     "random": RandomSwitching,
-    "rrms": RunningRms,
+    "rrms": RunningRmsPolicy,
     "roll_angle": RollAngle,
     "skyhook": Skyhook,
     "groundhook": Groundhook,
@@ -56,21 +56,21 @@ REGISTRY: dict[str, type[Policy]] = {
 }
 
 
-class PluginWarning(UserWarning):
+class PolicyPluginWarning(UserWarning):
     """A policy of another package that cannot be used, and why."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tuned:
+class PolicySettings:
     """Settings of a shipped policy, where they come from, and how a learned one was trained
-    (`training.Recipe`).
+    (`training.TrainingConfig`).
     """
 
     __pydantic_config__ = STRICT
 
     settings: dict[str, Any] = field(default_factory=dict)
     source: str = ""
-    recipe: dict[str, Any] = field(default_factory=dict)
+    training: dict[str, Any] = field(default_factory=dict)
 
 
 def available() -> dict[str, type[Policy]]:
@@ -80,19 +80,19 @@ def available() -> dict[str, type[Policy]]:
     claims a name that is taken.
     """
     classes = dict(REGISTRY)
-    for entry in metadata.entry_points(group=GROUP):
+    for entry in metadata.entry_points(group=ENTRY_POINT_GROUP):
         if entry.name in classes:
             raise ConfigError(
                 f"the policy {entry.name!r} of {entry.value} needs another name: "
                 f"{classes[entry.name].__module__} has this one"
             )
         try:
-            classes[entry.name] = _checked(entry.load())
+            classes[entry.name] = _validate_policy_class(entry.load())
         except Exception as error:  # whatever another package does, the rest stays usable
             said = f"{type(error).__name__}: {error}"
             warnings.warn(
                 f"the policy {entry.name!r} of {entry.value} is left out: {said}",
-                PluginWarning,
+                PolicyPluginWarning,
                 stacklevel=2,
             )
     return classes
@@ -101,21 +101,21 @@ def available() -> dict[str, type[Policy]]:
 def create(name: str, **settings: Any) -> Policy:
     """A fresh policy with its tuned settings, some of them replaced. Raises ConfigError."""
     classes = available()
-    cls: Any = classes[one_of("policy", name, classes)]
+    cls: Any = classes[validate_choice("policy", name, classes)]
     known = [f.name for f in dataclasses.fields(cls) if f.init]
     for setting in settings:
-        one_of(f"setting of {name}", setting, known)
-    return build(cls, {**tuned(name), **settings}, name)
+        validate_choice(f"setting of {name}", setting, known)
+    return build(cls, {**tuned_settings(name), **settings}, name)
 
 
-def tuned(name: str) -> dict[str, Any]:
+def tuned_settings(name: str) -> dict[str, Any]:
     """The shipped settings of a policy; empty if there are none."""
     if name not in config.names("policies"):
         return {}
-    return dict(config.load(Tuned, "policies", name).settings)
+    return dict(config.load(PolicySettings, "policies", name).settings)
 
 
-def _checked(cls: Any) -> Any:
+def _validate_policy_class(cls: Any) -> Any:
     """`cls` if it has the shape of a policy. Raises TypeError."""
     if not (isinstance(cls, type) and dataclasses.is_dataclass(cls)):
         raise TypeError("it must be a dataclass of settings")

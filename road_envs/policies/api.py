@@ -12,7 +12,7 @@ import numpy as np
 
 from road_envs.config import ConfigError
 from road_envs.data.record import SENSORS
-from road_envs.envs.options import ACTIONS, Setup
+from road_envs.envs.options import ACTIONS, EnvSetup
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -22,33 +22,37 @@ class PolicyError(ValueError):
 
 
 @dataclass(frozen=True)
-class Cabin:
-    """What a policy may know before it drives `number` cars side by side.
+class PolicyContext:
+    """What a policy may know before it drives `n_vehicles` cars side by side.
 
-    `actions`: front and rear state of each action. `parts`: where in an observation its parts
-    stand. `interval` [s] of control. `car` and `instruments` as their makers know them. `seed` is
-    for the policy's own draws and says nothing of the roads.
+    `actions`: front and rear state of each action. `observation_slices`: where in an observation
+    its parts stand. `interval` [s] of control. `car` and `instruments` as their makers know them.
+    `seed` is for the policy's own draws and says nothing of the roads.
     """
 
-    number: int
+    n_vehicles: int
     actions: tuple[tuple[str, str], ...]
-    parts: Mapping[str, slice]
+    observation_slices: Mapping[str, slice]
     interval: float
     car: VehicleParameters
     instruments: Instruments
     seed: int
 
     @classmethod
-    def of(cls, setup: Setup, number: int, seed: int) -> "Cabin":
-        """The cabin of `number` environments with this `setup`."""
+    def from_setup(cls, setup: EnvSetup, n_vehicles: int, seed: int) -> "PolicyContext":
+        """The context of `n_vehicles` environments with this `setup`."""
         actions = tuple(
             (a, a) if isinstance(a, str) else (a["front"], a["rear"])
             for a in ACTIONS[setup.options.control]
         )
-        parts, car, instruments = setup.parts, setup.car, setup.instruments
-        return cls(number, actions, parts, setup.interval, car, instruments, seed)
+        observation_slices, car, instruments = (
+            setup.observation_slices,
+            setup.car,
+            setup.instruments,
+        )
+        return cls(n_vehicles, actions, observation_slices, setup.interval, car, instruments, seed)
 
-    def action(self, front: str, rear: str) -> int:
+    def action_index(self, front: str, rear: str) -> int:
         """The action that commands these states. Raises ConfigError if there is none."""
         if (front, rear) not in self.actions:
             raise ConfigError(
@@ -57,31 +61,31 @@ class Cabin:
             )
         return self.actions.index((front, rear))
 
-    def switch(self, firm: np.ndarray, low: str, high: str) -> np.ndarray:
+    def switch_axles(self, firm: np.ndarray, low: str, high: str) -> np.ndarray:
         """Actions (N,) that put the axles into `high` where `firm` (N, 2) says so, else `low`."""
         states = (low, high)
-        table = np.array([[self.action(front, rear) for rear in states] for front in states])
+        table = np.array([[self.action_index(front, rear) for rear in states] for front in states])
         return table[firm[:, 0].astype(int), firm[:, 1].astype(int)]
 
-    def part(self, name: str, observations: np.ndarray) -> np.ndarray:
+    def signal(self, name: str, observations: np.ndarray) -> np.ndarray:
         """A part (N, ...) of `observations` (N, d). Raises ConfigError if it is not observed."""
-        if name not in self.parts:
+        if name not in self.observation_slices:
             raise ConfigError(
                 f"{name!r} is not observed; the environment's option observe adds 'planar' and "
                 f"'struts'"
             )
-        return observations[:, self.parts[name]]
+        return observations[:, self.observation_slices[name]]
 
     def accelerations(self, observations: np.ndarray) -> np.ndarray:
         """The samples (N, 3, k) [m/s²] of RF, LR, RR in the last interval."""
-        return np.stack([self.part(name, observations) for name in SENSORS], axis=1)
+        return np.stack([self.signal(name, observations) for name in SENSORS], axis=1)
 
 
 class Policy(Protocol):
     """Chooses actions of `RoadRecon-v0` from observations; never sees the road."""
 
-    def reset(self, cabin: Cabin) -> None:
-        """Begin an episode in all cars of the `cabin`."""
+    def reset(self, context: PolicyContext) -> None:
+        """Begin an episode in all cars of the `context`."""
         ...
 
     def act(self, observations: np.ndarray) -> np.ndarray:
@@ -89,12 +93,12 @@ class Policy(Protocol):
         ...
 
 
-def checked(actions: object, cabin: Cabin) -> np.ndarray:
+def validate_actions(actions: object, context: PolicyContext) -> np.ndarray:
     """`actions` as (N,) indices of the action space. Raises PolicyError that says what they are."""
-    given, last = np.asarray(actions), len(cabin.actions) - 1
-    if given.shape != (cabin.number,) or given.dtype.kind not in "iu":
+    given, last = np.asarray(actions), len(context.actions) - 1
+    if given.shape != (context.n_vehicles,) or given.dtype.kind not in "iu":
         raise PolicyError(
-            f"actions must be {cabin.number} whole numbers, got {given.dtype} of shape "
+            f"actions must be {context.n_vehicles} whole numbers, got {given.dtype} of shape "
             f"{given.shape}"
         )
     outside = given[(given < 0) | (given > last)]

@@ -5,11 +5,11 @@
 
 from dataclasses import dataclass
 
-from road_envs.policies.network_policy import Learned
+from road_envs.policies.network_policy import NetworkPolicy
 
 
 @dataclass(kw_only=True)
-class Dqn(Learned):
+class Dqn(NetworkPolicy):
     """The most valued action of the shipped network, or of another `file`."""
 
     file: str = "dqn.npz"

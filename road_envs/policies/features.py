@@ -10,11 +10,11 @@ before it, half the sum and half the difference of the wheel paths, as felt by t
 
 import numpy as np
 
-from road_envs.policies.api import Cabin
-from road_envs.policies.body_motion import Body, Running
-from road_envs.policies.wheelbase_preview import RoadAhead
+from road_envs.policies.api import PolicyContext
+from road_envs.policies.body_motion import BodyMotionEstimator, RunningRms
+from road_envs.policies.wheelbase_preview import WheelbasePreview
 
-SCALES = np.concatenate(
+FEATURE_SCALES = np.concatenate(
     [
         np.full(3, 0.5),  # accelerations [m/s², rad/s²]
         np.full(3, 3.0),  # rates [m/s, rad/s]
@@ -26,61 +26,61 @@ SCALES = np.concatenate(
         np.ones(4),  # states
     ]
 )
-FEATURES = SCALES.size
-DISTANCES = np.linspace(0.0, 2.4, 7)
+N_FEATURES = FEATURE_SCALES.size
+PREVIEW_DISTANCES = np.linspace(0.0, 2.4, 7)
 """From the rear axle [m]; heights are told from that at the first."""
 
-AHEAD, HEIGHT = 2 * (DISTANCES.size - 1), 20.0
+N_PREVIEW_FEATURES, HEIGHT_SCALE = 2 * (PREVIEW_DISTANCES.size - 1), 20.0
 """Features of the road ahead, and their scale [1/m]."""
 
-MOST = 5.0
+MAX_FEATURE = 5.0
 """Largest size of a feature."""
 
 
-class Features:
+class FeatureExtractor:
     """Turns observations (N, d) into features (N, K): K = FEATURES, and AHEAD more for those who
-    look `ahead`. Needs "planar" and "struts".
+    look `preview`. Needs "planar" and "struts".
     """
 
-    def __init__(self, cabin: Cabin, ahead: bool = False):
-        self.cabin, self.body = cabin, Body(cabin, leak=0.2)
-        self.vertical, self.lateral = Running(cabin, 1.0), Running(cabin, 1.0)
-        self.road = RoadAhead(cabin) if ahead else None
+    def __init__(self, context: PolicyContext, preview: bool = False):
+        self.context, self.body = context, BodyMotionEstimator(context, leak=0.2)
+        self.vertical, self.lateral = RunningRms(context, 1.0), RunningRms(context, 1.0)
+        self.preview = WheelbasePreview(context) if preview else None
 
-    def restart(self, mask: np.ndarray) -> None:
+    def reset(self, mask: np.ndarray) -> None:
         """Forget the cars in `mask` (N,)."""
-        for memory in (self.body, self.vertical, self.lateral, self.road):
+        for memory in (self.body, self.vertical, self.lateral, self.preview):
             if memory is not None:
-                memory.restart(mask)
+                memory.reset(mask)
 
-    def of(self, observations: np.ndarray) -> np.ndarray:
+    def update(self, observations: np.ndarray) -> np.ndarray:
         """Features (N, K) float32, going on by one interval."""
-        self.body.feel(observations)
-        planar = self.cabin.part("planar", observations)
+        self.body.update(observations)
+        planar = self.context.signal("planar", observations)
         others = ("extension", "extension_rate")
         running = (self.vertical.add(self.body.a[:, 0]), self.lateral.add(planar[:, 1]))
         columns = [
             self.body.a,
             self.body.v,
             planar,
-            *(self.cabin.part(name, observations) for name in others),
+            *(self.context.signal(name, observations) for name in others),
             np.stack(running, axis=1),
-            *(self.cabin.part(name, observations) for name in ("speed", "front", "rear")),
+            *(self.context.signal(name, observations) for name in ("speed", "front", "rear")),
         ]
-        features = np.concatenate(columns, axis=1) * SCALES
-        if self.road is not None:
-            features = np.concatenate([features, self._ahead(observations)], axis=1)
-        return np.clip(features, -MOST, MOST).astype(np.float32)
+        features = np.concatenate(columns, axis=1) * FEATURE_SCALES
+        if self.preview is not None:
+            features = np.concatenate([features, self._preview_features(observations)], axis=1)
+        return np.clip(features, -MAX_FEATURE, MAX_FEATURE).astype(np.float32)
 
-    def _ahead(self, observations: np.ndarray) -> np.ndarray:
+    def _preview_features(self, observations: np.ndarray) -> np.ndarray:
         """Features (N, AHEAD) of the road ahead of the rear axle."""
-        assert self.road is not None
-        self.road.feel(observations)
-        z = self.road.at(DISTANCES)
+        assert self.preview is not None
+        self.preview.update(observations)
+        z = self.preview.heights_at(PREVIEW_DISTANCES)
         left, right = np.moveaxis(z[:, 1:] - z[:, :1], -1, 0)
-        return 0.5 * HEIGHT * np.concatenate([left + right, left - right], axis=1)
+        return 0.5 * HEIGHT_SCALE * np.concatenate([left + right, left - right], axis=1)
 
 
-def width(ahead: bool) -> int:
+def n_features(preview: bool) -> int:
     """How many features there are."""
-    return FEATURES + AHEAD * ahead
+    return N_FEATURES + N_PREVIEW_FEATURES * preview

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from road_envs.config import STRICT
-from road_envs.policies.api import Cabin
+from road_envs.policies.api import PolicyContext
 
 
 @dataclass(kw_only=True)
@@ -18,9 +18,9 @@ class FixedRide:
 
     actions: np.ndarray = field(init=False, repr=False, compare=False)
 
-    def reset(self, cabin: Cabin) -> None:
+    def reset(self, context: PolicyContext) -> None:
         """Note the action."""
-        self.actions = np.full(cabin.number, cabin.action(*self.states))
+        self.actions = np.full(context.n_vehicles, context.action_index(*self.states))
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         """Always the same."""

@@ -5,11 +5,11 @@
 
 from dataclasses import dataclass
 
-from road_envs.policies.network_policy import Learned
+from road_envs.policies.network_policy import NetworkPolicy
 
 
 @dataclass(kw_only=True)
-class Ppo(Learned):
+class Ppo(NetworkPolicy):
     """The shipped network, or another `file`."""
 
     file: str = "ppo.npz"

@@ -9,20 +9,21 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from road_envs.policies.api import Cabin
-from road_envs.policies.rrms import RunningRms
-from road_envs.policies.wheelbase_preview import RoadAhead
+from road_envs.policies.api import PolicyContext
+from road_envs.policies.rrms import RunningRmsPolicy
+from road_envs.policies.wheelbase_preview import WheelbasePreview
 
 
 @dataclass(kw_only=True)
-class Preview(RunningRms):
-    """As `RunningRms`, but the rear axle is in ride while within the next `reach` [m] the road's
-    heights, on either wheel path, differ by more than `bump` [m]. Needs "planar" and "struts".
+class Preview(RunningRmsPolicy):
+    """As `RunningRmsPolicy`, but the rear axle is in ride while within the next `reach` [m] the
+    road's heights, on either wheel path, differ by more than `bump` [m]. Needs "planar" and
+    "struts".
     """
 
     bump: float = 0.04
     reach: float = 2.0
-    road: RoadAhead = field(init=False, repr=False, compare=False)
+    preview: WheelbasePreview = field(init=False, repr=False, compare=False)
 
     def __post_init__(self):
         super().__post_init__()
@@ -30,17 +31,17 @@ class Preview(RunningRms):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
-    def reset(self, cabin: Cabin) -> None:
+    def reset(self, context: PolicyContext) -> None:
         """Forget the past."""
-        super().reset(cabin)
-        self.road = RoadAhead(cabin)
-        self.distances = np.linspace(0.0, min(self.reach, self.road.wheelbase), 9)
+        super().reset(context)
+        self.preview = WheelbasePreview(context)
+        self.distances = np.linspace(0.0, min(self.reach, self.preview.wheelbase), 9)
 
-    def firm(self, observations: np.ndarray) -> np.ndarray:
+    def firm_axles(self, observations: np.ndarray) -> np.ndarray:
         """The rear axle is firm where the front one is and nothing is coming."""
-        self.road.feel(observations)
-        heights = self.road.at(self.distances)
-        coming = np.ptp(heights, axis=1).max(axis=1) > self.bump
-        firm = super().firm(observations)
-        firm[:, 1] &= ~coming
-        return firm
+        self.preview.update(observations)
+        road_heights = self.preview.heights_at(self.distances)
+        obstacle_ahead = np.ptp(road_heights, axis=1).max(axis=1) > self.bump
+        firm_axles = super().firm_axles(observations)
+        firm_axles[:, 1] &= ~obstacle_ahead
+        return firm_axles

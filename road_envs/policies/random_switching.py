@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from road_envs.config import STRICT
-from road_envs.policies.api import Cabin
+from road_envs.policies.api import PolicyContext
 
 
 @dataclass(kw_only=True)
@@ -15,19 +15,21 @@ class RandomSwitching:
     __pydantic_config__ = STRICT
 
     hold: float = 0.1
-    cabin: Cabin = field(init=False, repr=False, compare=False)
+    context: PolicyContext = field(init=False, repr=False, compare=False)
 
     def __post_init__(self):
         if not self.hold > 0:
             raise ValueError(f"hold must be positive, got {self.hold}")
 
-    def reset(self, cabin: Cabin) -> None:
+    def reset(self, context: PolicyContext) -> None:
         """Seed the draws."""
-        self.cabin, self.rng, self.done = cabin, np.random.default_rng(cabin.seed), 0
+        self.context, self.rng, self.done = context, np.random.default_rng(context.seed), 0
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         """The last draw, or a new one."""
-        if self.done % max(1, round(self.hold / self.cabin.interval)) == 0:
-            self.actions = self.rng.integers(len(self.cabin.actions), size=self.cabin.number)
+        if self.done % max(1, round(self.hold / self.context.interval)) == 0:
+            self.actions = self.rng.integers(
+                len(self.context.actions), size=self.context.n_vehicles
+            )
         self.done += 1
         return self.actions

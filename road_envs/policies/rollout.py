@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 
 from road_envs.envs.vector import RoadReconVectorEnv
-from road_envs.policies.api import Cabin, Policy, checked
+from road_envs.policies.api import Policy, PolicyContext, validate_actions
 
 POLICY_SEED = 0
 """For the policies' own draws."""
 
 
 @dataclass(frozen=True)
-class Driven:
+class Rollout:
     """What N cars did and saw in at most T intervals after the first one, which no action decided.
 
     `actions` (T, N); `observations` (T + 1, N, d); `intervals` (N,), how many of the T were driven;
@@ -28,37 +28,37 @@ class Driven:
     reasons: tuple[str, ...]
 
 
-def drive(
+def roll_out(
     policy: Policy,
     options: dict[str, Any],
     seeds: Sequence[int],
     *,
-    keep: bool = True,
-    report: Callable[[float], None] = lambda share: None,
-) -> Driven:
+    store_observations: bool = True,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Rollout:
     """Drive the roads of `seeds` in environments with `options`, to their ends.
 
-    Observations are kept only if `keep`. Raises PolicyError for actions that are none, ConfigError,
-    and whatever the policy raises.
+    Observations are kept only if `store_observations`. Raises PolicyError for actions that are
+    none, ConfigError, and whatever the policy raises.
     """
     envs = RoadReconVectorEnv(len(seeds), **{**options, "truth": False})
     observations, _ = envs.reset(seed=list(seeds))
-    cabin = Cabin.of(envs.setup, len(seeds), POLICY_SEED)
-    policy.reset(cabin)
+    context = PolicyContext.from_setup(envs.setup, len(seeds), POLICY_SEED)
+    policy.reset(context)
     alive = np.ones(len(seeds), dtype=bool)
     returns, intervals = np.zeros(len(seeds)), np.zeros(len(seeds), dtype=int)
     reasons, actions, seen = [""] * len(seeds), [], [observations.copy()]
-    total = envs.convoy.steps_left.max() / envs.convoy.steps
+    total = envs.fleet.steps_left.max() / envs.fleet.steps
     while alive.any():
-        chosen = checked(policy.act(observations), cabin)
-        observations, rewards, terminated, truncated, infos = envs.step(chosen)
+        selected_actions = validate_actions(policy.act(observations), context)
+        observations, rewards, terminated, truncated, infos = envs.step(selected_actions)
         returns += np.where(alive, rewards, 0.0)
         intervals += alive
         for i in np.flatnonzero(alive & terminated):
             reasons[i] = infos["reason"][i]
         alive &= ~(terminated | truncated)
-        actions.append(chosen.copy())
-        if keep:
+        actions.append(selected_actions.copy())
+        if store_observations:
             seen.append(observations.copy())
-        report(min(len(actions) / total, 1.0))
-    return Driven(np.array(actions), np.array(seen), intervals, returns, tuple(reasons))
+        progress(min(len(actions) / total, 1.0))
+    return Rollout(np.array(actions), np.array(seen), intervals, returns, tuple(reasons))

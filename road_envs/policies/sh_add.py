@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from road_envs.policies.two_state import TwoState
+from road_envs.policies.two_state import TwoStateDamper
 
 
 @dataclass(kw_only=True)
-class SkyhookAdd(TwoState):
+class SkyhookAdd(TwoStateDamper):
     """Crosses over at `crossover` [Hz], alpha = 2 pi crossover."""
 
     crossover: float = 1.9

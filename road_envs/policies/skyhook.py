@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from road_envs.policies.two_state import TwoState
+from road_envs.policies.two_state import TwoStateDamper
 
 
 @dataclass(kw_only=True)
-class Skyhook(TwoState):
+class Skyhook(TwoStateDamper):
     """Firm where v e' > 0: a strut that extends pulls down a body that rises."""
 
     def law(self, v: np.ndarray, a: np.ndarray, e_dot: np.ndarray) -> np.ndarray:

@@ -1,4 +1,5 @@
-"""Learning with Stable-Baselines3 on the native vector environment; what comes out is a `Network`.
+"""Training with Stable-Baselines3 on the native vector environment; the result is a
+`PolicyNetwork`.
 
 Every case of the scenarios has its own vector environment, all are stepped as one, and their roads
 are drawn from training seeds without end. What the learner holds is kept as tensors and numbers
@@ -14,15 +15,18 @@ from typing import Any, Literal
 
 import gymnasium
 import numpy as np
-from stable_baselines3.common.vec_env import VecEnv
 
-from road_envs._atomic_io import whole
+from road_envs._atomic_io import atomic_write
+from road_envs._extras import optional_import
 from road_envs.config import STRICT, ConfigError
 from road_envs.envs.sb3 import RoadReconVecEnv
-from road_envs.policies.api import Cabin
-from road_envs.policies.features import MOST, Features, width
-from road_envs.policies.network_policy import Learned, Network
-from road_envs.policies.rollout import drive
+from road_envs.policies.api import PolicyContext
+from road_envs.policies.features import MAX_FEATURE, FeatureExtractor, n_features
+from road_envs.policies.network_policy import NetworkPolicy, PolicyNetwork
+from road_envs.policies.rollout import roll_out
+
+with optional_import("training a policy"):
+    from stable_baselines3.common.vec_env import VecEnv
 
 RIDE = ("ride", "ride")
 """What the twins do."""
@@ -31,86 +35,96 @@ Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recipe:
-    """How a policy is learnt: `algorithm` with its `hyper` parameters as Stable-Baselines3 names
+class TrainingConfig:
+    """How a policy is learnt: `algorithm` with its `hyperparameters` as Stable-Baselines3 names
     them, choices `steps` in all, cars side by side for each case, layers of the network,
-    evaluation every `every` steps on roads of the training seeds, weight of `information`. An
-    action is held for `held` intervals: what is tried at random must last to make a difference.
-    A step of the learner is one choice of an action. With `twins` the reward is what is gained over
-    a car in ride on the same road: the road's share of it falls out, the best policy stays.
-    With `ahead` the features tell of the road ahead of the rear axle. PPO begins with ride more
-    likely by exp(`lean`) than any other pair: whether another pair pays is seen only when it is an
-    exception, not amid random ones.
+    evaluation every `eval_interval` steps on roads of the training seeds, weight of
+    `unresolved_variance`. An action is held for `action_repeat` intervals: what is tried at random
+    must last to make a difference. A step of the learner is one choice of an action. With
+    `paired_baseline` the reward is what is gained over a car in ride on the same road: the road's
+    share of it falls out, the best policy stays. With `preview` the features tell of the road ahead
+    of the rear axle. PPO begins with ride more likely by exp(`ride_logit_bias`) than any other
+    pair: whether another pair pays is seen only when it is an exception, not amid random ones.
     """
 
     __pydantic_config__ = STRICT
 
     algorithm: Literal["ppo", "dqn"] = "ppo"
     steps: int = 300_000
-    cars: int = 16
+    n_envs: int = 16
     layers: tuple[int, ...] = (64, 64)
-    every: int = 50_000
-    information: float = 0.0
-    held: int = 5
-    twins: bool = False
-    ahead: bool = False
-    lean: float = 0.0
+    eval_interval: int = 50_000
+    unresolved_variance: float = 0.0
+    action_repeat: int = 5
+    paired_baseline: bool = False
+    preview: bool = False
+    ride_logit_bias: float = 0.0
     reward_scale: float = 10.0
-    hyper: dict[str, Any] = field(default_factory=dict)
+    hyperparameters: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self):
-        if min(self.steps, self.cars, self.every, self.held, *self.layers) < 1:
-            raise ValueError("steps, cars, every, held and layers must be at least 1")
+        if min(self.steps, self.n_envs, self.eval_interval, self.action_repeat, *self.layers) < 1:
+            raise ValueError(
+                "steps, n_envs, eval_interval, action_repeat and layers must be at least 1"
+            )
 
 
 @dataclass(frozen=True)
-class Learnt:
+class TrainingResult:
     """The best network by its own evaluations, and the evaluations: steps, return per second."""
 
-    network: Network
+    network: PolicyNetwork
     curve: tuple[tuple[int, float], ...]
 
 
-class Cases(VecEnv):
-    """`cars` environments of each case as one, observed through Features; an action is held for
-    `held` intervals, and their rewards are added and scaled. With `twins`, less the rewards of
-    cars that stay in ride on the same roads (once one of a pair turns over, on others of the kind).
+class MultiScenarioVecEnv(VecEnv):
+    """`n_envs` environments of each case as one, observed through Features; an action is held for
+    `action_repeat` intervals, and their rewards are added and scaled. With `paired_baseline`, less
+    the rewards of cars that stay in ride on the same roads (once one of a pair turns over, on
+    others of the kind).
     """
 
     def __init__(
         self,
         cases: Sequence[dict[str, Any]],
-        cars: int,
+        n_envs: int,
         seed: int,
-        scale: float,
-        held: int = 1,
-        twins: bool = False,
-        ahead: bool = False,
+        reward_scale: float,
+        action_repeat: int = 1,
+        paired_baseline: bool = False,
+        preview: bool = False,
     ):
-        self.envs, self.twins = (
-            [RoadReconVecEnv(cars, **options) for options in some]
-            for some in (cases, cases if twins else [])
+        self.envs, self.baselines = (
+            [RoadReconVecEnv(n_envs, **options) for options in some]
+            for some in (cases, cases if paired_baseline else [])
         )
-        self.cars, self.scale, self.held = cars, scale, held
-        for envs in (self.envs, self.twins):
+        self.n_envs, self.reward_scale, self.action_repeat = n_envs, reward_scale, action_repeat
+        for envs in (self.envs, self.baselines):
             for i, env in enumerate(envs):
                 env.seed(seed + 1_000_000 * (i + 1))
         setups = [env.env.setup for env in self.envs]
         if len({setup.action_space.n for setup in setups}) > 1:
             raise ConfigError("all cases must have one control")
-        self.features = [Features(Cabin.of(setup, cars, seed), ahead) for setup in setups]
-        space = gymnasium.spaces.Box(-MOST, MOST, (width(ahead),), dtype=np.float32)
-        super().__init__(cars * len(self.envs), space, setups[0].action_space)
+        self.features = [
+            FeatureExtractor(PolicyContext.from_setup(setup, n_envs, seed), preview)
+            for setup in setups
+        ]
+        space = gymnasium.spaces.Box(
+            -MAX_FEATURE, MAX_FEATURE, (n_features(preview),), dtype=np.float32
+        )
+        super().__init__(n_envs * len(self.envs), space, setups[0].action_space)
 
     def reset(self) -> np.ndarray:
         """Features (N, K) at the beginning."""
-        everyone = np.ones(self.cars, dtype=bool)
+        everyone = np.ones(self.n_envs, dtype=bool)
         for features in self.features:
-            features.restart(everyone)
-        seen = [env.reset() for env in self.envs]
-        for twin in self.twins:
-            twin.reset()
-        return np.concatenate([f.of(o) for f, o in zip(self.features, seen, strict=True)])
+            features.reset(everyone)
+        observations = [env.reset() for env in self.envs]
+        for baseline in self.baselines:
+            baseline.reset()
+        return np.concatenate(
+            [f.update(o) for f, o in zip(self.features, observations, strict=True)]
+        )
 
     def step_async(self, actions: np.ndarray) -> None:
         """Note the actions (N,)."""
@@ -118,39 +132,42 @@ class Cases(VecEnv):
 
     def step_wait(self):
         """Features, rewards, dones (N, ...) and infos."""
-        twins: list[RoadReconVecEnv | None] = [*self.twins] or [None] * len(self.envs)
+        baselines: list[RoadReconVecEnv | None] = [*self.baselines] or [None] * len(self.envs)
         parts = [
-            self._hold(*each)
-            for each in zip(self.envs, twins, self.features, self.chosen, strict=True)
+            self._repeat_action(*each)
+            for each in zip(self.envs, baselines, self.features, self.chosen, strict=True)
         ]
-        seen, rewards, dones, told = zip(*parts, strict=True)
-        infos = [info for part in told for info in part]
-        return np.concatenate(seen), np.concatenate(rewards), np.concatenate(dones), infos
+        observations, rewards, dones, part_infos = zip(*parts, strict=True)
+        infos = [info for part in part_infos for info in part]
+        return np.concatenate(observations), np.concatenate(rewards), np.concatenate(dones), infos
 
-    def _hold(
+    def _repeat_action(
         self,
         env: RoadReconVecEnv,
-        twin: RoadReconVecEnv | None,
-        features: Features,
+        baseline: RoadReconVecEnv | None,
+        features: FeatureExtractor,
         actions: np.ndarray,
     ):
         """One case: what comes after an episode's end within the hold counts for nobody."""
-        total, ended = np.zeros(self.cars, dtype=np.float32), np.zeros(self.cars, dtype=bool)
-        infos: list[dict[str, Any]] = [{} for _ in range(self.cars)]
-        for _ in range(self.held):
+        total, ended = np.zeros(self.n_envs, dtype=np.float32), np.zeros(self.n_envs, dtype=bool)
+        infos: list[dict[str, Any]] = [{} for _ in range(self.n_envs)]
+        for _ in range(self.action_repeat):
             env.step_async(actions)
-            observations, rewards, dones, told = env.step_wait()
-            if twin is not None:
-                rewards = rewards - twin.step(np.full(self.cars, features.cabin.action(*RIDE)))[1]
-            total += np.where(ended, 0.0, self.scale * rewards).astype(np.float32)
+            observations, rewards, dones, part_infos = env.step_wait()
+            if baseline is not None:
+                ride = np.full(self.n_envs, features.context.action_index(*RIDE))
+                rewards = rewards - baseline.step(ride)[1]
+            total += np.where(ended, 0.0, self.reward_scale * rewards).astype(np.float32)
             fresh = np.flatnonzero(dones & ~ended)
             if fresh.size:  # an end is only cut off, so the last view matters
-                for i, view in zip(fresh, self._last(features, told, fresh), strict=True):
-                    infos[i] = {**told[i], "terminal_observation": view}
-            features.restart(dones)
-            seen = features.of(observations)
+                for i, view in zip(
+                    fresh, self._terminal_features(features, part_infos, fresh), strict=True
+                ):
+                    infos[i] = {**part_infos[i], "terminal_observation": view}
+            features.reset(dones)
+            observations = features.update(observations)
             ended |= dones
-        return seen, total, ended, infos
+        return observations, total, ended, infos
 
     def close(self) -> None:
         """Nothing is held that needs closing."""
@@ -171,16 +188,20 @@ class Cases(VecEnv):
         """No environment is wrapped by itself."""
         return [False] * self.num_envs
 
-    def _last(self, features: Features, told: list[dict[str, Any]], ended: np.ndarray):
+    def _terminal_features(
+        self, features: FeatureExtractor, part_infos: list[dict[str, Any]], ended: np.ndarray
+    ):
         """Features (E, K) of the last observations of cars `ended` (E,), as if they had no past."""
-        views = np.stack([told[i]["terminal_observation"] for i in ended])
-        seen = np.zeros((self.cars, views.shape[1]), dtype=views.dtype)
-        seen[ended] = views
-        return Features(features.cabin, features.road is not None).of(seen)[ended]
+        views = np.stack([part_infos[i]["terminal_observation"] for i in ended])
+        observations = np.zeros((self.n_envs, views.shape[1]), dtype=views.dtype)
+        observations[ended] = views
+        return FeatureExtractor(features.context, features.preview is not None).update(
+            observations
+        )[ended]
 
 
 def train(
-    recipe: Recipe,
+    config: TrainingConfig,
     cases: Sequence[dict[str, Any]],
     seeds: Sequence[int],
     seed: int,
@@ -188,78 +209,92 @@ def train(
     checkpoint: Path | None = None,
     log: Path | None = None,
     progress: Progress = lambda text, share: None,
-) -> Learnt:
+) -> TrainingResult:
     """Learn on `cases` (options of the environment), judged on the roads of `seeds`.
 
     A `checkpoint` is taken up if it is there, and written after every evaluation; `log` is a folder
     for TensorBoard, where that is installed. Raises ConfigError.
     """
-    import torch
+    with optional_import("a neural network"):
+        import torch
 
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # layers this small only lose by being split
     try:
-        return _train(recipe, cases, seeds, seed, checkpoint, log, progress)
+        return _train(config, cases, seeds, seed, checkpoint, log, progress)
     finally:
         torch.set_num_threads(threads)
 
 
-def _train(recipe, cases, seeds, seed, checkpoint, log, progress) -> Learnt:
-    cases = [_with_information(options, recipe.information) for options in cases]
-    envs = Cases(
-        cases, recipe.cars, seed, recipe.reward_scale, recipe.held, recipe.twins, recipe.ahead
+def _train(config, cases, seeds, seed, checkpoint, log, progress) -> TrainingResult:
+    cases = [_with_information_weight(options, config.unresolved_variance) for options in cases]
+    envs = MultiScenarioVecEnv(
+        cases,
+        config.n_envs,
+        seed,
+        config.reward_scale,
+        config.action_repeat,
+        config.paired_baseline,
+        config.preview,
     )
-    model = _model(recipe, envs, seed, log)
+    model = _model(config, envs, seed, log)
     state: dict[str, Any] = {"steps": 0, "best": -np.inf, "curve": [], "network": None}
     if checkpoint is not None and checkpoint.exists():
-        _take_up(model, state, checkpoint, recipe)
-    about = {
-        "activation": "tanh" if recipe.algorithm == "ppo" else "relu",
+        _resume(model, state, checkpoint, config)
+    metadata = {
+        "activation": "tanh" if config.algorithm == "ppo" else "relu",
         "control": cases[0]["control"],
-        "held": recipe.held,
-        "ahead": recipe.ahead,
-        "algorithm": recipe.algorithm,
+        "held": config.action_repeat,
+        "ahead": config.preview,
+        "algorithm": config.algorithm,
         "seed": seed,
-        "steps": recipe.steps,
-        "information": recipe.information,
+        "steps": config.steps,
+        "information": config.unresolved_variance,
     }
-    while state["steps"] < recipe.steps:
-        part = min(recipe.every, recipe.steps - state["steps"])
+    while state["steps"] < config.steps:
+        part = min(config.eval_interval, config.steps - state["steps"])
         done = state["steps"]
-        model.learn(part, callback=_bar(progress, done, recipe.steps), reset_num_timesteps=False)
+        model.learn(
+            part,
+            callback=_progress_callback(progress, done, config.steps),
+            reset_num_timesteps=False,
+        )
         state["steps"] = int(model.num_timesteps)
-        network = Network(_layers(model, recipe.algorithm), about)
+        network = PolicyNetwork(_actor_layers(model, config.algorithm), metadata)
         score = evaluate(network, cases, seeds)
         state["curve"].append((state["steps"], score))
         if score > state["best"]:
             state["best"], state["network"] = score, network
         if checkpoint is not None:
-            _put_down(model, state, checkpoint, recipe)
-    return Learnt(state["network"], tuple(map(tuple, state["curve"])))
+            _save_checkpoint(model, state, checkpoint, config)
+    return TrainingResult(state["network"], tuple(map(tuple, state["curve"])))
 
 
-def evaluate(network: Network, cases: Sequence[dict[str, Any]], seeds: Sequence[int]) -> float:
+def evaluate(
+    network: PolicyNetwork, cases: Sequence[dict[str, Any]], seeds: Sequence[int]
+) -> float:
     """Mean return per second over `cases` and roads of `seeds`."""
-    policy = Learned.of(network)
+    policy = NetworkPolicy.from_network(network)
     rates = []
     for options in cases:
-        driven = drive(policy, options, seeds, keep=False)
+        driven = roll_out(policy, options, seeds, store_observations=False)
         rates.append(driven.returns / (driven.intervals / options["control_rate"]))
     return float(np.mean(rates))
 
 
-def _with_information(options: dict[str, Any], weight: float) -> dict[str, Any]:
-    return {**options, "weights": {**options.get("weights", {}), "information": weight}}
+def _with_information_weight(options: dict[str, Any], weight: float) -> dict[str, Any]:
+    return {**options, "weights": {**options.get("weights", {}), "unresolved_variance": weight}}
 
 
-def _model(recipe: Recipe, envs: Cases, seed: int, log: Path | None):
-    import torch
-    from stable_baselines3 import DQN, PPO
+def _model(config: TrainingConfig, envs: MultiScenarioVecEnv, seed: int, log: Path | None):
+    with optional_import("a neural network"):
+        import torch
+        from stable_baselines3 import DQN, PPO
 
-    layers = list(recipe.layers)
-    activation = torch.nn.Tanh if recipe.algorithm == "ppo" else torch.nn.ReLU
-    shape: Any = {"pi": layers, "vf": layers} if recipe.algorithm == "ppo" else layers
-    cls: Any = PPO if recipe.algorithm == "ppo" else DQN
+    layers = list(config.layers)
+    activation = torch.nn.Tanh if config.algorithm == "ppo" else torch.nn.ReLU
+    shape: Any = {"pi": layers, "vf": layers} if config.algorithm == "ppo" else layers
+    cls: Any = PPO if config.algorithm == "ppo" else DQN
     try:
         model = cls(
             "MlpPolicy",
@@ -268,12 +303,14 @@ def _model(recipe: Recipe, envs: Cases, seed: int, log: Path | None):
             device="cpu",
             policy_kwargs={"net_arch": shape, "activation_fn": activation},
             tensorboard_log=str(log) if log is not None and _has_tensorboard() else None,
-            **recipe.hyper,
+            **config.hyperparameters,
         )
     except (TypeError, ValueError) as error:
-        raise ConfigError(f"hyper parameters of {recipe.algorithm}: {error}") from None
-    if recipe.algorithm == "ppo":
-        model.policy.action_net.bias.data[envs.features[0].cabin.action(*RIDE)] += recipe.lean
+        raise ConfigError(f"hyper parameters of {config.algorithm}: {error}") from None
+    if config.algorithm == "ppo":
+        model.policy.action_net.bias.data[envs.features[0].context.action_index(*RIDE)] += (
+            config.ride_logit_bias
+        )
     return model
 
 
@@ -283,8 +320,9 @@ def _has_tensorboard() -> bool:
     return find_spec("tensorboard") is not None
 
 
-def _bar(progress: Progress, done: int, total: int):
-    from stable_baselines3.common.callbacks import BaseCallback
+def _progress_callback(progress: Progress, done: int, total: int):
+    with optional_import("training a policy"):
+        from stable_baselines3.common.callbacks import BaseCallback
 
     class Bar(BaseCallback):
         def _on_step(self) -> bool:
@@ -295,9 +333,10 @@ def _bar(progress: Progress, done: int, total: int):
     return Bar()
 
 
-def _layers(model: Any, algorithm: str) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+def _actor_layers(model: Any, algorithm: str) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     """The acting network of a model as plain arrays."""
-    import torch
+    with optional_import("a neural network"):
+        import torch
 
     if algorithm == "ppo":
         net = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
@@ -310,9 +349,10 @@ def _layers(model: Any, algorithm: str) -> tuple[tuple[np.ndarray, np.ndarray], 
     )
 
 
-def _put_down(model: Any, state: dict[str, Any], path: Path, recipe: Recipe) -> None:
+def _save_checkpoint(model: Any, state: dict[str, Any], path: Path, config: TrainingConfig) -> None:
     """Write what is needed to go on; the old file stays until the new one is whole."""
-    import torch
+    with optional_import("a neural network"):
+        import torch
 
     plain = {"steps": state["steps"], "best": state["best"], "curve": state["curve"]}
     network = {
@@ -320,34 +360,35 @@ def _put_down(model: Any, state: dict[str, Any], path: Path, recipe: Recipe) -> 
         for i, layer in enumerate(state["network"].layers)
         for kind, array in zip("Wb", layer, strict=True)
     }
-    with whole(path) as partial:
+    with atomic_write(path) as partial:
         torch.save(
             {
                 "policy": model.policy.state_dict(),
                 "optimizer": model.policy.optimizer.state_dict(),
                 "network": network,
                 "state": json.dumps(plain),
-                "recipe": repr(recipe),
-                "about": json.dumps(state["network"].about),
+                "config": repr(config),
+                "about": json.dumps(state["network"].metadata),
             },
             partial,
         )
 
 
-def _take_up(model: Any, state: dict[str, Any], path: Path, recipe: Recipe) -> None:
+def _resume(model: Any, state: dict[str, Any], path: Path, config: TrainingConfig) -> None:
     """Go on from a checkpoint. Raises ConfigError if it is damaged or of another recipe."""
     import pickle
 
-    import torch
+    with optional_import("a neural network"):
+        import torch
 
     try:
         stored = torch.load(path, weights_only=True)
-        if stored["recipe"] != repr(recipe):
+        if stored["config"] != repr(config):
             raise ConfigError(f"{path}: belongs to another recipe; train into another file")
         model.policy.load_state_dict(stored["policy"])
         model.policy.optimizer.load_state_dict(stored["optimizer"])
         state |= json.loads(stored["state"])
-        arrays, about = stored["network"], json.loads(stored["about"])
+        arrays, metadata = stored["network"], json.loads(stored["about"])
     except (
         pickle.UnpicklingError,
         RuntimeError,
@@ -361,5 +402,5 @@ def _take_up(model: Any, state: dict[str, Any], path: Path, recipe: Recipe) -> N
         said = str(error).splitlines()[0]
         raise ConfigError(f"{path}: not a checkpoint that can be taken up: {said}") from None
     layers = [(arrays[f"W_{i}"], arrays[f"b_{i}"]) for i in range(len(arrays) // 2)]
-    state["network"] = Network(tuple((W.numpy(), b.numpy()) for W, b in layers), about)
+    state["network"] = PolicyNetwork(tuple((W.numpy(), b.numpy()) for W, b in layers), metadata)
     model.num_timesteps = state["steps"]

@@ -11,12 +11,12 @@ from typing import Literal
 import numpy as np
 
 from road_envs.config import STRICT
-from road_envs.policies.api import Cabin
-from road_envs.policies.body_motion import Body
+from road_envs.policies.api import PolicyContext
+from road_envs.policies.body_motion import BodyMotionEstimator
 
 
 @dataclass(kw_only=True)
-class TwoState:
+class TwoStateDamper:
     """`high` where the law asks for damping, else ride; rates leak below `leak` [Hz].
 
     A positive `bias` makes the axle firm while the sum is somewhat below 0 as well: it is the share
@@ -28,25 +28,30 @@ class TwoState:
     high: Literal["handling", "soft_high"] = "soft_high"
     leak: float = 0.2
     bias: float = 0.0
-    cabin: Cabin = field(init=False, repr=False, compare=False)
+    context: PolicyContext = field(init=False, repr=False, compare=False)
 
     def __post_init__(self):
         if not self.leak > 0:
             raise ValueError(f"leak must be positive, got {self.leak}")
 
-    def reset(self, cabin: Cabin) -> None:
+    def reset(self, context: PolicyContext) -> None:
         """Stand still."""
-        self.cabin, self.body = cabin, Body(cabin, self.leak)
-        self.size, self.decay = np.zeros((cabin.number, 2)), np.exp(-cabin.interval)
+        self.context, self.body = context, BodyMotionEstimator(context, self.leak)
+        self.mean_magnitude, self.decay = (
+            np.zeros((context.n_vehicles, 2)),
+            np.exp(-context.interval),
+        )
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         """Firm or soft, axle by axle."""
-        self.body.feel(observations)
-        v, a = self.body.at_struts(self.body.v), self.body.at_struts(self.body.a)
-        work = self.law(v, a, self.cabin.part("extension_rate", observations).astype(float))
+        self.body.update(observations)
+        v, a = self.body.at_strut_mounts(self.body.v), self.body.at_strut_mounts(self.body.a)
+        work = self.law(v, a, self.context.signal("extension_rate", observations).astype(float))
         axles = work.reshape(-1, 2, 2).sum(axis=2)
-        self.size = self.decay * self.size + (1.0 - self.decay) * np.abs(axles)
-        return self.cabin.switch(axles + self.bias * self.size > 0, "ride", self.high)
+        self.mean_magnitude = self.decay * self.mean_magnitude + (1.0 - self.decay) * np.abs(axles)
+        return self.context.switch_axles(
+            axles + self.bias * self.mean_magnitude > 0, "ride", self.high
+        )
 
     def law(self, v: np.ndarray, a: np.ndarray, e_dot: np.ndarray) -> np.ndarray:
         """The number of each strut (N, 4) from v [m/s], a [m/s²] and e' [m/s], each (N, 4)."""

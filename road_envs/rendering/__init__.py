@@ -1,6 +1,7 @@
 """Pictures of the vehicle on its road; Pillow is needed and is imported only here.
 
-`frame(scene)` draws one. Each panel has a canvas of its own, so that none spills into another.
+`render_frame(scene)` draws one. Each panel has a canvas of its own, so that none spills into
+another.
 """
 
 import numpy as np
@@ -26,7 +27,7 @@ PANELS = (
 """What draws each panel, its top left corner, its width and height [pixels], its ground."""
 
 
-def frame(scene: Scene) -> np.ndarray:
+def render_frame(scene: Scene) -> np.ndarray:
     """A picture (540, 960, 3) of `scene`, uint8."""
     image = np.full((HEIGHT, WIDTH, 3), 201, dtype=np.uint8)  # grey seams between the panels
     for draw, (x, y), (width, height), ground in PANELS:

@@ -8,21 +8,21 @@ from road_envs.data.record import SENSORS
 from road_envs.rendering import style
 from road_envs.rendering.canvas import Canvas
 from road_envs.rendering.scene import Scene, free_travel
-from road_envs.vehicle.suspension import WHEELS, strut_states
+from road_envs.vehicle.suspension import WHEELS, decode_commands
 
-BEHIND, AHEAD = 10.0, 20.0
+ROAD_BEHIND, ROAD_AHEAD = 10.0, 20.0
 """How much road [m] is shown behind and ahead of the front axle."""
 
-TRAVEL = 0.16
+GAUGE_TRAVEL = 0.16
 """Strut extension [m] at the ends of its gauge."""
 
-LOAD = 3.0
+GAUGE_LOAD = 3.0
 """Tyre load at the end of its bar, in static loads."""
 
-PATHS = ((style.LEFT_PATH, 1.5), (style.PALE, 2.5))
+PATH_STYLES = ((style.LEFT_PATH, 1.5), (style.PALE, 2.5))
 """Colour and thickness of the left and the right wheel path."""
 
-LONGEST_NAME = 24
+MAX_NAME_LENGTH = 24
 """Letters of a road's name for which the heading has room."""
 
 MARGIN = 62
@@ -33,18 +33,18 @@ def heading(canvas: Canvas, scene: Scene) -> None:
     """Road, speed, command, station and time."""
     y = 0.5 * canvas.height
     name = scene.surface.name
-    shown = name if len(name) <= LONGEST_NAME else name[: LONGEST_NAME - 1] + "…"
+    shown = name if len(name) <= MAX_NAME_LENGTH else name[: MAX_NAME_LENGTH - 1] + "…"
     canvas.text(12, y, f"road: {shown}", style.INK, 16, "lm", bold=True)
     canvas.text(330, y, f"{3.6 * scene.speed:.1f} km/h", style.INK, 15, "lm", bold=True)
-    canvas.text(450, y, f"command: {commanded(scene.command)}", style.INK, 13, "lm")
+    canvas.text(450, y, f"command: {describe_command(scene.command)}", style.INK, 13, "lm")
     canvas.text(860, y, f"station {scene.station:.1f} m", style.INK, 13, "rm")
     canvas.text(948, y, f"{scene.t:.2f} s", style.INK, 13, "rm")
 
 
-def commanded(byte: int) -> str:
+def describe_command(byte: int) -> str:
     """A command byte in words."""
-    stiff, high = (flags[0] for flags in strut_states(np.array([byte])))
-    words = [style.state_word(bool(s), bool(d)) for s, d in zip(stiff, high, strict=True)]
+    stiff, high = (flags[0] for flags in decode_commands(np.array([byte])))
+    words = [style.describe_state(bool(s), bool(d)) for s, d in zip(stiff, high, strict=True)]
     if len(set(words)) == 1:
         return words[0]
     if words[0] == words[1] and words[2] == words[3]:
@@ -53,7 +53,7 @@ def commanded(byte: int) -> str:
 
 
 @dataclass(frozen=True)
-class Scale:
+class AxisScale:
     """A straight line of pixels: `start` stands for the value `low`, `end` for `high`."""
 
     low: float
@@ -65,7 +65,7 @@ class Scale:
         """The pixel for a value, or for each of an array."""
         return self.start + (self.end - self.start) * (value - self.low) / (self.high - self.low)
 
-    def marks(self, step: float) -> np.ndarray:
+    def ticks(self, step: float) -> np.ndarray:
         """The multiples of `step` from `low` to `high`."""
         return step * np.arange(np.ceil(self.low / step), np.floor(self.high / step) + 1)
 
@@ -73,34 +73,38 @@ class Scale:
 def wheel_paths(canvas: Canvas, scene: Scene) -> None:
     """Heights of both wheel paths behind and ahead of the car, and where its wheels stand."""
     z = scene.surface.z
-    columns = Scale(scene.station - BEHIND, scene.station + AHEAD, MARGIN, canvas.width - 10.0)
-    rows = Scale(min(z.min(), 0.0), max(z.max(), 0.01), canvas.height - 16.0, 22.0)
+    columns = AxisScale(
+        scene.station - ROAD_BEHIND, scene.station + ROAD_AHEAD, MARGIN, canvas.width - 10.0
+    )
+    rows = AxisScale(min(z.min(), 0.0), max(z.max(), 0.01), canvas.height - 16.0, 22.0)
     axles = np.array([scene.station - scene.car.wheelbase, scene.station])
     canvas.text(10, 15, "wheel paths, mm", style.INK, 12)
     canvas.text(columns.end, 15, "left dark, right light", style.FAINT, 11, "rs")
     canvas.box(columns(axles[0]), rows.end - 2, columns(axles[1]), rows.start + 2, style.SKY)
-    _marks(canvas, columns, rows)
+    _grid_lines(canvas, columns, rows)
     s = np.linspace(columns.low, columns.high, 560)
-    paths = list(zip(scene.surface.height(s), scene.surface.height(axles), PATHS, strict=True))
+    paths = list(
+        zip(scene.surface.height(s), scene.surface.height(axles), PATH_STYLES, strict=True)
+    )
     for heights, wheels, (colour, thickness) in reversed(paths):
         canvas.line(np.column_stack([columns(s), rows(heights)]), colour, thickness)
         for column, row in zip(columns(axles), rows(wheels), strict=True):
             canvas.disc(column, row, 3.5, colour)
 
 
-def _marks(canvas: Canvas, columns: Scale, rows: Scale) -> None:
+def _grid_lines(canvas: Canvas, columns: AxisScale, rows: AxisScale) -> None:
     """Heights with a line across the panel, stations with a tick under it."""
-    for z in rows.marks(nice((rows.high - rows.low) / 4.0)):
+    for z in rows.ticks(round_up((rows.high - rows.low) / 4.0)):
         canvas.line(np.array([[columns.start, rows(z)], [columns.end, rows(z)]]), style.GRID)
         height = f"{1000 * z + 0.0:g}"  # never -0
         canvas.text(columns.start - 6, rows(z), height, style.FAINT, 11, "rm")
-    for s in columns.marks(5.0):
+    for s in columns.ticks(5.0):
         tick = [[columns(s), rows.start], [columns(s), rows.start + 4]]
         canvas.line(np.array(tick), style.FAINT)
         canvas.text(columns(s), canvas.height - 2, f"{s + 0.0:.0f} m", style.FAINT, 10, "ms")
 
 
-def nice(value: float, leading: tuple[int, ...] = (1, 2, 5)) -> float:
+def round_up(value: float, leading: tuple[int, ...] = (1, 2, 5)) -> float:
     """The smallest of the `leading` digits times a power of ten that is not below `value`."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(next(m * power for m in (*leading, 10) if m * power >= value * (1 - 1e-9)))
@@ -111,7 +115,7 @@ def accelerations(canvas: Canvas, scene: Scene) -> None:
     left, right, top = MARGIN, canvas.width - 70.0, 20.0
     height = (canvas.height - top - 4.0) / len(SENSORS)
     recent = scene.samples[:, -round(scene.window * scene.fs) :]
-    limit = nice(max(float(np.abs(recent).max()), 1.0), (1, 2, 3, 5))
+    limit = round_up(max(float(np.abs(recent).max()), 1.0), (1, 2, 3, 5))
     canvas.text(10, 15, f"body accelerations, ±{limit:g} m/s²", style.INK, 12)
     canvas.text(right, 15, f"last {scene.window:g} s", style.FAINT, 11, "rs")
     for i, name in enumerate(SENSORS):
@@ -141,25 +145,25 @@ def corners(canvas: Canvas, scene: Scene) -> None:
 
 
 def _corner(canvas: Canvas, scene: Scene, wheel: int, x: float, y: float, width: float) -> None:
-    stiff, high = bool(scene.stiff[wheel]), bool(scene.high[wheel])
+    stiff, high = bool(scene.spring_stiff[wheel]), bool(scene.damper_high[wheel])
     canvas.text(x, y + 18, WHEELS[wheel], style.INK, 13, bold=True)
     canvas.box(x + 26, y + 8, x + 33, y + 18, style.state_colour(high))
     canvas.box(x + 33, y + 8, x + 40, y + 18, style.state_colour(stiff))
-    canvas.text(x + 46, y + 18, style.state_word(stiff, high), style.INK, 12)
+    canvas.text(x + 46, y + 18, style.describe_state(stiff, high), style.INK, 12)
     _extension(canvas, scene, wheel, x, y + 28, width)
     _load(canvas, scene, wheel, x, y + 62, width)
 
 
 def _extension(canvas, scene, wheel, x, y, width) -> None:
-    e, stop = scene.extension[wheel], scene.stop(wheel)
+    e, stop = scene.extension[wheel], scene.stop_state(wheel)
     low, high = free_travel(scene.car, wheel)
 
     def column(extension):
-        return x + width * (0.5 + 0.5 * np.clip(extension / TRAVEL, -1.0, 1.0))
+        return x + width * (0.5 + 0.5 * np.clip(extension / GAUGE_TRAVEL, -1.0, 1.0))
 
     canvas.box(x, y + 2, x + width, y + 9, style.GRID)
-    canvas.box(x, y, column(low), y + 11, style.LIT if stop < 0 else style.RULE)
-    canvas.box(column(high), y, x + width, y + 11, style.LIT if stop > 0 else style.RULE)
+    canvas.box(x, y, column(low), y + 11, style.STOP_REACHED if stop < 0 else style.RULE)
+    canvas.box(column(high), y, x + width, y + 11, style.STOP_REACHED if stop > 0 else style.RULE)
     canvas.box(column(0.0) - 0.5, y, column(0.0) + 0.5, y + 11, style.FAINT)
     canvas.box(column(e) - 2, y - 1, column(e) + 2, y + 12, style.INK)
     words = {-1: "on bump stop", 0: "", 1: "on rebound stop"}[stop]
@@ -170,9 +174,9 @@ def _load(canvas, scene, wheel, x, y, width) -> None:
     load = scene.load[wheel]
     share = load / scene.car.tyre_loads[wheel // 2]
     canvas.box(x, y, x + width, y + 9, style.GRID)
-    canvas.box(x, y, x + width * min(share / LOAD, 1.0), y + 9, style.STEEL)
-    canvas.box(x + width / LOAD - 0.5, y - 2, x + width / LOAD + 0.5, y + 11, style.INK)
+    canvas.box(x, y, x + width * min(share / GAUGE_LOAD, 1.0), y + 9, style.STEEL)
+    canvas.box(x + width / GAUGE_LOAD - 0.5, y - 2, x + width / GAUGE_LOAD + 0.5, y + 11, style.INK)
     if load > 0.0:
         canvas.text(x, y + 22, f"tyre {load / 1000:.1f} kN", style.INK, 11)
     else:
-        canvas.text(x, y + 22, "in the air", style.AIR, 11, bold=True)
+        canvas.text(x, y + 22, "in the air", style.AIRBORNE, 11, bold=True)

@@ -26,9 +26,9 @@ def strut(
     along = along / length
     top = lower + along * min(TUBE * scale, length)
     across = np.array([-along[1], along[0]])
-    damper = style.state_colour(bool(scene.high[wheel]))
-    spring = style.state_colour(bool(scene.stiff[wheel]))
-    stop = scene.stop(wheel)
+    damper = style.state_colour(bool(scene.damper_high[wheel]))
+    spring = style.state_colour(bool(scene.spring_stiff[wheel]))
+    stop = scene.stop_state(wheel)
     _bar(canvas, top, upper, across * 0.032 * scale, spring)
     _bar(canvas, lower, top, across * 0.06 * scale, damper)
     collar = along * COLLAR * scale
@@ -39,7 +39,7 @@ def strut(
 def _stop(canvas: Canvas, start: np.ndarray, end: np.ndarray, half: np.ndarray, lit: bool) -> None:
     if lit:
         _bar(canvas, start, end, 1.9 * half, style.DARK)
-        _bar(canvas, start, end, 1.6 * half, style.LIT)
+        _bar(canvas, start, end, 1.6 * half, style.STOP_REACHED)
     else:
         _bar(canvas, start, end, half, style.DARK)
 

@@ -44,53 +44,53 @@ class RearView:
 
     def draw(self) -> None:
         """Everything, from the back to the front."""
-        self._body()
-        self._axle()
+        self._draw_body()
+        self._draw_axle()
         for wheel in (REAR_LEFT, REAR_RIGHT):
-            self._wheel(wheel)
-            self._strut(wheel)
-        self._ground()
-        self._words()
+            self._draw_wheel(wheel)
+            self._draw_strut(wheel)
+        self._draw_ground()
+        self._draw_captions()
 
-    def place(self, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    def project(self, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Points (N, 2) of the canvas for places `y` left, `z` up [m]."""
         return np.stack([0.5 * self.canvas.width - SCALE * y, GROUND - SCALE * z], axis=-1)
 
-    def on_body(self, outline: tuple, side: int = 1) -> np.ndarray:
+    def project_body(self, outline: tuple, side: int = 1) -> np.ndarray:
         """Points (N, 2) of the canvas for an outline of the body; `side` -1 mirrors it."""
         y, z = np.array(outline, dtype=float).T
-        _, y, z = self.scene.body(np.full(y.shape, self.axle.x), side * y, z)
-        return self.place(y, z)
+        _, y, z = self.scene.body_points(np.full(y.shape, self.axle.x), side * y, z)
+        return self.project(y, z)
 
-    def _whole(self, half: tuple) -> np.ndarray:
-        return np.concatenate([self.on_body(half), self.on_body(half, -1)[::-1]])
+    def _mirrored_outline(self, half: tuple) -> np.ndarray:
+        return np.concatenate([self.project_body(half), self.project_body(half, -1)[::-1]])
 
-    def _body(self) -> None:
+    def _draw_body(self) -> None:
         canvas = self.canvas
-        canvas.polygon(self._whole(CROSSMEMBER), style.DARK)
-        canvas.polygon(self._whole(SHELL), style.BODY, style.BODY_EDGE)
-        canvas.polygon(self._whole(ROOF), style.ROOF, style.BODY_EDGE)
-        canvas.polygon(self._whole(DOOR), style.BODY, style.BODY_EDGE)
-        canvas.polygon(self._whole(WINDOW), style.GLASS)
+        canvas.polygon(self._mirrored_outline(CROSSMEMBER), style.DARK)
+        canvas.polygon(self._mirrored_outline(SHELL), style.BODY, style.BODY_EDGE)
+        canvas.polygon(self._mirrored_outline(ROOF), style.ROOF, style.BODY_EDGE)
+        canvas.polygon(self._mirrored_outline(DOOR), style.BODY, style.BODY_EDGE)
+        canvas.polygon(self._mirrored_outline(WINDOW), style.GLASS)
         for side in (1, -1):
-            canvas.polygon(self.on_body(CORNER_WINDOW, side), style.GLASS)
-            canvas.polygon(self.on_body(WELL, side), style.DARK)
+            canvas.polygon(self.project_body(CORNER_WINDOW, side), style.GLASS)
+            canvas.polygon(self.project_body(WELL, side), style.DARK)
             for y, z, colour in LAMPS:
-                ((column, row),) = self.on_body(((y, z),), side)
+                ((column, row),) = self.project_body(((y, z),), side)
                 canvas.disc(column, row, 0.045 * SCALE, colour)
-        ((column, row),) = self.on_body(((0.0, SPARE_HEIGHT),))
+        ((column, row),) = self.project_body(((0.0, SPARE_HEIGHT),))
         canvas.disc(column, row, 0.40 * SCALE, style.RUBBER)
         canvas.disc(column, row, 0.235 * SCALE, style.RIM)
         canvas.disc(column, row, 0.15 * SCALE, style.STEEL)
 
-    def _axle(self) -> None:
+    def _draw_axle(self) -> None:
         y = np.array([self.axle.y_t, -self.axle.y_t])
-        z = np.array([self.scene.hub(wheel) for wheel in (REAR_LEFT, REAR_RIGHT)])
-        self.canvas.line(self.place(y, z), style.STEEL, 9.0)
-        ((column, row),) = self.place(np.array([0.0]), np.array([z.mean()]))
+        z = np.array([self.scene.hub_height(wheel) for wheel in (REAR_LEFT, REAR_RIGHT)])
+        self.canvas.line(self.project(y, z), style.STEEL, 9.0)
+        ((column, row),) = self.project(np.array([0.0]), np.array([z.mean()]))
         self.canvas.disc(column, row, 0.14 * SCALE, style.STEEL)
 
-    def _wheel(self, wheel: int) -> None:
+    def _draw_wheel(self, wheel: int) -> None:
         scene = self.scene
         roll = scene.exaggeration * scene.q[AXLE + 3]
         radius, half = scene.tyre_radius(wheel), 0.5 * TYRE
@@ -102,34 +102,36 @@ class RearView:
             [bevel - radius, radius - bevel, radius, radius, radius - bevel, bevel - radius]
         )
         z = np.append(z, [-radius, -radius])
-        tread = self.place(scene.lateral(wheel) + y - roll * z, scene.hub(wheel) + z + roll * y)
+        tread = self.project(
+            scene.wheel_y(wheel) + y - roll * z, scene.hub_height(wheel) + z + roll * y
+        )
         self.canvas.polygon(tread, style.RUBBER)
 
-    def _strut(self, wheel: int) -> None:
+    def _draw_strut(self, wheel: int) -> None:
         y = self.axle.y_s if wheel == REAR_LEFT else -self.axle.y_s
-        foot = self.place(np.array([y]), np.array([self.scene.hub(wheel, y)]))[0]
-        head = self.on_body(((y, MOUNT),))[0]
+        foot = self.project(np.array([y]), np.array([self.scene.hub_height(wheel, y)]))[0]
+        head = self.project_body(((y, MOUNT),))[0]
         strut(self.canvas, self.scene, wheel, foot, head, SCALE)
 
-    def _ground(self) -> None:
+    def _draw_ground(self) -> None:
         """The road under the rear axle: both wheel paths, a plane between them."""
         scene, y = self.scene, self.axle.y_t
-        left, right = scene.road(np.array([scene.station - scene.car.wheelbase]))[:, 0]
+        left, right = scene.road_heights(np.array([scene.station - scene.car.wheelbase]))[:, 0]
         reach = 0.5 * self.canvas.width / SCALE
         across = np.array([reach, y - TYRE, -y + TYRE, -reach])
-        top = self.place(across, np.array([left, left, right, right]))
-        low = self.place(across[[-1, 0]], np.full(2, -9.0))
+        top = self.project(across, np.array([left, left, right, right]))
+        low = self.project(across[[-1, 0]], np.full(2, -9.0))
         self.canvas.polygon(np.concatenate([top, low]), style.EARTH)
         self.canvas.line(top[:2], style.LEFT_PATH, 2.0)
         self.canvas.line(top[1:3], style.ROAD, 2.0)
         self.canvas.line(top[2:], style.RIGHT_PATH, 2.0)
 
-    def _words(self) -> None:
+    def _draw_captions(self) -> None:
         write, y = self.canvas.text, self.canvas.height - 12
         write(12, y, "left", style.PAPER, 12)
         write(self.canvas.width - 12, y, "right", style.PAPER, 12, "rs")
         roll, axle = np.degrees(self.scene.q[PHI]), np.degrees(self.scene.q[AXLE + 3])
-        write(10, 20, f"roll {style.tilt(roll, *SIDES)}", style.INK)
-        words = f"rear axle {style.tilt(axle, *SIDES)}"
+        write(10, 20, f"roll {style.describe_tilt(roll, *SIDES)}", style.INK)
+        words = f"rear axle {style.describe_tilt(axle, *SIDES)}"
         write(0.5 * self.canvas.width, y, words, style.PAPER, 12, "ms")
-        write(self.canvas.width - 10, 20, self.scene.scale_words, style.INK, anchor="rs")
+        write(self.canvas.width - 10, 20, self.scene.scale_caption, style.INK, anchor="rs")

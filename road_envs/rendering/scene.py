@@ -11,16 +11,16 @@ from functools import cached_property
 import numpy as np
 
 from road_envs.roads.surface import Surface
-from road_envs.simulation.drive import Drive, Trajectory
+from road_envs.simulation.drive import DriveSimulator, Trajectory
 from road_envs.vehicle.equations import AXLE, PHI, THETA, Z_B
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.suspension import HIGH, OPEN
+from road_envs.vehicle.suspension import DAMPING_HIGH, VALVE_OPEN
 
 WHEEL_RADIUS = 0.4
 """Of an unloaded tyre [m]: 7.50 R 16. The ride model itself needs no radius."""
 
-CAMERA = 20.0
+CAMERA_WINDOW = 20.0
 """Length of road [m] over whose mean height the camera stands."""
 
 FRONT_LEFT, FRONT_RIGHT, REAR_LEFT, REAR_RIGHT = range(4)
@@ -31,9 +31,9 @@ class Scene:
     """The vehicle on its road at the instant `t` [s], front axle at `station` [m].
 
     `q` (7,) coordinates as in `dynamics`; `extension` (4,) [m] of the struts; `load` (4,) [N] of
-    the tyres; `stiff`, `high` (4,) where the struts' valves stand; `command` the byte last given;
-    `samples` (3, N) [m/s²] of the accelerometers at `fs` [Hz], newest last, of which the last
-    `window` seconds are shown.
+    the tyres; `spring_stiff`, `damper_high` (4,) where the struts' valves stand; `command` the byte
+    last given; `samples` (3, N) [m/s²] of the accelerometers at `fs` [Hz], newest last, of which
+    the last `window` seconds are shown.
     """
 
     car: VehicleParameters
@@ -44,8 +44,8 @@ class Scene:
     q: np.ndarray
     extension: np.ndarray
     load: np.ndarray
-    stiff: np.ndarray
-    high: np.ndarray
+    spring_stiff: np.ndarray
+    damper_high: np.ndarray
     command: int
     samples: np.ndarray
     fs: float
@@ -53,9 +53,9 @@ class Scene:
     exaggeration: float = 1.0
 
     @classmethod
-    def of(
+    def from_drive(
         cls,
-        drive: Drive,
+        drive: DriveSimulator,
         trajectory: Trajectory,
         samples: np.ndarray,
         fs: float,
@@ -72,8 +72,8 @@ class Scene:
             q=trajectory.state[-1, :7],
             extension=trajectory.extension[-1],
             load=trajectory.tyre_load[-1],
-            stiff=drive.memory[:, OPEN] < 0.5,
-            high=drive.memory[:, HIGH] >= 0.5,
+            spring_stiff=drive.strut_state[:, VALVE_OPEN] < 0.5,
+            damper_high=drive.strut_state[:, DAMPING_HIGH] >= 0.5,
             command=int(trajectory.commands[-1]),
             samples=samples,
             fs=fs,
@@ -86,48 +86,48 @@ class Scene:
         """Height [m] of the camera: a weighted mean of both wheel paths around the car."""
         middle = self.station - 0.5 * self.car.wheelbase
         weights = np.hanning(82)[1:-1]
-        s = middle + CAMERA * np.linspace(-0.5, 0.5, weights.size)
+        s = middle + CAMERA_WINDOW * np.linspace(-0.5, 0.5, weights.size)
         return float(self.surface.height(s).mean(axis=0) @ weights / weights.sum())
 
-    def drawn(self, z: np.ndarray | float) -> np.ndarray:
+    def to_display(self, z: np.ndarray | float) -> np.ndarray:
         """Heights `z` [m], of any shape, as they are drawn: from the datum, exaggerated."""
         return self.exaggeration * (np.asarray(z) - self.datum)
 
-    def road(self, s: np.ndarray) -> np.ndarray:
+    def road_heights(self, s: np.ndarray) -> np.ndarray:
         """Heights (2, M) [m] of left and right wheel path at stations `s` (M,), as drawn."""
-        return self.drawn(self.surface.height(s))
+        return self.to_display(self.surface.height(s))
 
-    def body(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, ...]:
+    def body_points(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, ...]:
         """Where points of the body that rest at `x`, `y`, `z` (N,) [m] are drawn."""
         k, lever = self.exaggeration, z - self.car.h_cg
-        heave = self.drawn(self.q[Z_B] - x * self.q[THETA] + y * self.q[PHI])
+        heave = self.to_display(self.q[Z_B] - x * self.q[THETA] + y * self.q[PHI])
         return x + k * self.q[THETA] * lever, y - k * self.q[PHI] * lever, z + heave
 
-    def hub(self, wheel: int, y: float | None = None) -> float:
+    def hub_height(self, wheel: int, y: float | None = None) -> float:
         """Height [m] of an axle at its `wheel`, or at `y` [m] left of its middle, as drawn."""
         axle = wheel // 2
         if y is None:
-            y = self.lateral(wheel)
+            y = self.wheel_y(wheel)
         height = self.q[AXLE + 2 * axle] + y * self.q[AXLE + 2 * axle + 1]
         rest = WHEEL_RADIUS - self.car.tyre_deflections[axle]
-        return float(rest + self.drawn(height))
+        return float(rest + self.to_display(height))
 
     def tyre_radius(self, wheel: int) -> float:
         """Radius [m] of the tyre as drawn, unloaded: its deflection is exaggerated as well."""
         return WHEEL_RADIUS + (self.exaggeration - 1.0) * self.car.tyre_deflections[wheel // 2]
 
-    def lateral(self, wheel: int) -> float:
+    def wheel_y(self, wheel: int) -> float:
         """How far left of the centre line the `wheel` stands [m]."""
         y = self.car.axles[wheel // 2].y_t
         return y if wheel % 2 == 0 else -y
 
     @property
-    def scale_words(self) -> str:
+    def scale_caption(self) -> str:
         """How the picture's vertical motion compares with the car's size."""
         k = self.exaggeration
         return "to scale" if k == 1.0 else f"vertical motion ×{k:g}"
 
-    def stop(self, wheel: int) -> int:
+    def stop_state(self, wheel: int) -> int:
         """-1 where the strut is on its bump stop, 1 on its rebound stop, 0 between."""
         low, high = free_travel(self.car, wheel)
         e = self.extension[wheel]

@@ -89,7 +89,7 @@ HEAD = (1, -1.14, 1.57)
 LEGEND = (
     (10, style.SOFT, "soft spring, low damping"),
     (210, style.STIFF, "stiff spring, high damping"),
-    (420, style.LIT, "stop reached"),
+    (420, style.STOP_REACHED, "stop reached"),
 )
 """Column, colour and meaning of what the struts show."""
 
@@ -104,62 +104,62 @@ class SideView:
         columns = np.linspace(-20.0, canvas.width + 20.0, 340)
         self.x = (columns - self.origin) / SCALE
         self.s = self.x + scene.station - scene.car.front.x
-        self.left, self.right = scene.road(self.s)
+        self.left, self.right = scene.road_heights(self.s)
 
     def draw(self) -> None:
         """Everything, from the back to the front."""
-        self._hills()
-        self._far_side()
-        self._road()
-        self._body()
+        self._draw_hills()
+        self._draw_far_side()
+        self._draw_road()
+        self._draw_body()
         for wheel in (REAR_RIGHT, FRONT_RIGHT):
-            self._wheel(wheel)
-            self._strut(wheel)
-        self._foreground()
-        self._words()
+            self._draw_wheel(wheel)
+            self._draw_strut(wheel)
+        self._draw_foreground()
+        self._draw_captions()
 
-    def place(self, x: np.ndarray, y: np.ndarray | float, z: np.ndarray) -> np.ndarray:
+    def project(self, x: np.ndarray, y: np.ndarray | float, z: np.ndarray) -> np.ndarray:
         """Points (N, 2) of the canvas for places `x` ahead, `y` left, `z` up [m]."""
         depth = np.asarray(y) - self.near
         columns = self.origin + SCALE * (x + SHEAR[0] * depth)
         rows = GROUND - SCALE * (z + SHEAR[1] * depth)
         return np.stack(np.broadcast_arrays(columns, rows), axis=-1)
 
-    def on_body(self, outline: tuple) -> np.ndarray:
+    def project_body(self, outline: tuple) -> np.ndarray:
         """Points (N, 2) of the canvas for an outline of the body, in the right struts' plane."""
         car = self.scene.car
         share, ahead, z = np.array(outline, dtype=float).T
         x = car.rear.x + share * car.wheelbase + ahead
         y = np.full(x.shape, -car.front.y_s)
-        x, _, z = self.scene.body(x, y, z)
-        return self.place(x, self.near, z)
+        x, _, z = self.scene.body_points(x, y, z)
+        return self.project(x, self.near, z)
 
-    def _hills(self) -> None:
+    def _draw_hills(self) -> None:
         """A far ridge that passes more slowly than the road."""
         u = 0.12 * self.x + 0.015 * self.scene.station
         ridge = 0.75 + 0.22 * np.sin(4.1 * u) + 0.12 * np.sin(9.7 * u + 1.0)
-        foot = self.place(self.x, 0.0, np.zeros(self.x.size))
-        self._strip(self.place(self.x, 0.0, ridge), foot, style.HILLS)
+        foot = self.project(self.x, 0.0, np.zeros(self.x.size))
+        self._fill_strip(self.project(self.x, 0.0, ridge), foot, style.HILLS)
 
-    def _far_side(self) -> None:
+    def _draw_far_side(self) -> None:
         y = -self.near
-        verge = self.place(self.x, y + SHOULDER, self.left)
-        self._strip(verge, self.place(self.x, y, self.left), style.ROAD)
+        verge = self.project(self.x, y + SHOULDER, self.left)
+        self._fill_strip(verge, self.project(self.x, y, self.left), style.ROAD)
         for wheel in (REAR_LEFT, FRONT_LEFT):
-            self._wheel(wheel)
+            self._draw_wheel(wheel)
 
-    def _road(self) -> None:
-        far = self.place(self.x, -self.near, self.left)
-        self._strip(far, self.place(self.x, self.near, self.right), style.ROAD)
-        self._stones()
+    def _draw_road(self) -> None:
+        far = self.project(self.x, -self.near, self.left)
+        self._fill_strip(far, self.project(self.x, self.near, self.right), style.ROAD)
+        self._draw_stones()
         self.canvas.line(far, style.LEFT_PATH, 1.5)
         for left in (REAR_LEFT, FRONT_LEFT):
             x = self.scene.car.axles[left // 2].x
-            ends = [self.scene.hub(left), self.scene.hub(left + 1)]
-            beam = self.place(np.array([x, x]), np.array([-self.near, self.near]), np.array(ends))
+            ends = [self.scene.hub_height(left), self.scene.hub_height(left + 1)]
+            beam = self.project(np.array([x, x]), np.array([-self.near, self.near]), np.array(ends))
             self.canvas.line(beam, style.DARK, 7.0)
 
-    def _stones(self) -> None:
+    def _draw_stones(self) -> None:
         """Courses of stones without a period, which would seem to run backwards."""
         car, scene = self.scene.car, self.scene
         for course in range(COURSES):
@@ -167,37 +167,39 @@ class SideView:
             number = np.arange(int(self.s[0] / STONE) - 1, int(self.s[-1] / STONE) + 1)
             s = STONE * (number[:, None] + shift + np.array([0.04, 0.96, 0.96, 0.04]))
             across = (course + np.array([0.1, 0.1, 0.95, 0.95])) / COURSES
-            left, right = scene.road(s)
+            left, right = scene.road_heights(s)
             x, z = s - scene.station + car.front.x, left + across * (right - left)
-            corners = self.place(x, self.near * (2.0 * across - 1.0), z)
+            corners = self.project(x, self.near * (2.0 * across - 1.0), z)
             for i, stone in zip(number.tolist(), corners, strict=True):
-                self.canvas.polygon(stone, style.STONES[_scatter(i, course) % len(style.STONES)])
+                self.canvas.polygon(
+                    stone, style.STONES[_scatter_hash(i, course) % len(style.STONES)]
+                )
 
-    def _body(self) -> None:
+    def _draw_body(self) -> None:
         canvas = self.canvas
-        canvas.polygon(self.on_body(CHASSIS), style.DARK)
-        canvas.polygon(self.on_body(SPARE), style.RUBBER)
-        canvas.polygon(self.on_body(HEADLAMP), style.RIM, style.BODY_EDGE)
-        canvas.polygon(self.on_body(SHELL), style.BODY, style.BODY_EDGE)
-        canvas.polygon(self.on_body(ROOF), style.ROOF, style.BODY_EDGE)
+        canvas.polygon(self.project_body(CHASSIS), style.DARK)
+        canvas.polygon(self.project_body(SPARE), style.RUBBER)
+        canvas.polygon(self.project_body(HEADLAMP), style.RIM, style.BODY_EDGE)
+        canvas.polygon(self.project_body(SHELL), style.BODY, style.BODY_EDGE)
+        canvas.polygon(self.project_body(ROOF), style.ROOF, style.BODY_EDGE)
         for window in WINDOWS:
-            canvas.polygon(self.on_body(window), style.GLASS)
-        canvas.polygon(self.on_body(ALPINE), style.GLASS)
-        canvas.polygon(self.on_body(DRIVER), style.STEEL)
-        ((x, y),) = self.on_body((HEAD,))
+            canvas.polygon(self.project_body(window), style.GLASS)
+        canvas.polygon(self.project_body(ALPINE), style.GLASS)
+        canvas.polygon(self.project_body(DRIVER), style.STEEL)
+        ((x, y),) = self.project_body((HEAD,))
         canvas.disc(x, y, 0.1 * SCALE, style.STEEL)
         for seam in SEAMS:
-            canvas.line(self.on_body(seam), style.BODY_EDGE)
+            canvas.line(self.project_body(seam), style.BODY_EDGE)
         for share in (0, 1):
-            canvas.polygon(self.on_body(tuple((share, *p) for p in ARCH)), style.DARK)
-        canvas.polygon(self.on_body(BUMPER), style.DARK)
-        canvas.polygon(self.on_body(TAIL_LAMP), style.LAMP)
-        canvas.polygon(self.on_body(TURN_LAMP), style.INDICATOR)
+            canvas.polygon(self.project_body(tuple((share, *p) for p in ARCH)), style.DARK)
+        canvas.polygon(self.project_body(BUMPER), style.DARK)
+        canvas.polygon(self.project_body(TAIL_LAMP), style.LAMP)
+        canvas.polygon(self.project_body(TURN_LAMP), style.INDICATOR)
 
-    def _wheel(self, wheel: int) -> None:
+    def _draw_wheel(self, wheel: int) -> None:
         scene, canvas = self.scene, self.canvas
-        x, y, z = scene.car.axles[wheel // 2].x, scene.lateral(wheel), scene.hub(wheel)
-        ((column, row),) = self.place(np.array([x]), y, np.array([z]))
+        x, y, z = scene.car.axles[wheel // 2].x, scene.wheel_y(wheel), scene.hub_height(wheel)
+        ((column, row),) = self.project(np.array([x]), y, np.array([z]))
         radius = SCALE * scene.tyre_radius(wheel)
         canvas.disc(column, row, radius, style.RUBBER)
         canvas.disc(column, row, 0.235 * SCALE, style.RIM)
@@ -206,18 +208,18 @@ class SideView:
         mark = 0.19 * SCALE * np.array([np.sin(turned), -np.cos(turned)])
         canvas.disc(column + mark[0], row + mark[1], 0.035 * SCALE, style.DARK)
 
-    def _strut(self, wheel: int) -> None:
+    def _draw_strut(self, wheel: int) -> None:
         axle = self.scene.car.axles[wheel // 2]
-        lower = self.scene.hub(wheel, -axle.y_s)
-        foot = self.place(np.array([axle.x]), self.near, np.array([lower]))[0]
-        head = self.on_body(((1 - wheel // 2, 0.0, MOUNT),))[0]
+        lower = self.scene.hub_height(wheel, -axle.y_s)
+        foot = self.project(np.array([axle.x]), self.near, np.array([lower]))[0]
+        head = self.project_body(((1 - wheel // 2, 0.0, MOUNT),))[0]
         strut(self.canvas, self.scene, wheel, foot, head, SCALE)
 
-    def _foreground(self) -> None:
+    def _draw_foreground(self) -> None:
         """The road in front of the right wheels, and the earth under it with its stations."""
-        path = self.place(self.x, self.near, self.right)
-        edge = self.place(self.x, self.near - SHOULDER, self.right)
-        self._strip(path, edge, style.ROAD)
+        path = self.project(self.x, self.near, self.right)
+        edge = self.project(self.x, self.near - SHOULDER, self.right)
+        self._fill_strip(path, edge, style.ROAD)
         bottom = np.array([[edge[-1, 0], self.canvas.height], [edge[0, 0], self.canvas.height]])
         self.canvas.polygon(np.concatenate([edge, bottom]), style.EARTH)
         self.canvas.line(path, style.RIGHT_PATH, 1.5)
@@ -227,16 +229,16 @@ class SideView:
             label = min(y + 18.0, self.canvas.height - 22.0)
             self.canvas.text(x, label, f"{mark + 0.0:.0f} m", style.PAPER, 11, "ms")
 
-    def _strip(self, one: np.ndarray, other: np.ndarray, fill: str) -> None:
+    def _fill_strip(self, one: np.ndarray, other: np.ndarray, fill: str) -> None:
         self.canvas.polygon(np.concatenate([one, other[::-1]]), fill)
 
-    def _words(self) -> None:
+    def _draw_captions(self) -> None:
         q = self.scene.q
         pitch, heave = np.degrees(q[THETA]), 1000.0 * q[Z_B]
         write = self.canvas.text
-        write(10, 20, f"pitch {style.tilt(pitch, 'nose down', 'nose up')}", style.INK)
+        write(10, 20, f"pitch {style.describe_tilt(pitch, 'nose down', 'nose up')}", style.INK)
         write(200, 20, f"heave {round(heave):+d} mm", style.INK)
-        write(self.canvas.width - 10, 20, self.scene.scale_words, style.INK, anchor="rs")
+        write(self.canvas.width - 10, 20, self.scene.scale_caption, style.INK, anchor="rs")
         y = self.canvas.height - 11.0
         for x, colour, words in LEGEND:
             self.canvas.box(x, y - 5, x + 10, y + 5, style.PAPER)
@@ -244,6 +246,6 @@ class SideView:
             write(x + 16, y, words, style.PAPER, 11, "lm")
 
 
-def _scatter(i: int, row: int) -> int:
+def _scatter_hash(i: int, row: int) -> int:
     """A number without pattern for stone `i` of a row: multiplicative hashing."""
     return ((i * 2654435761 + row * 40503) & 0xFFFFFFFF) >> 13

@@ -35,10 +35,10 @@ INDICATOR = "#e08a1e"
 
 SOFT = "#0072b2"
 STIFF = "#d55e00"
-LIT = "#f0e442"
-AIR = LAMP
+STOP_REACHED = "#f0e442"
+AIRBORNE = LAMP
 
-EDGES = (
+BLENDED_EDGES = (
     (PAPER, INK, 2),
     (PAPER, FAINT, 1),
     (EARTH, PAPER, 1),
@@ -47,7 +47,7 @@ EDGES = (
 )
 """Colours that often meet, and how many shades between them a smooth edge wants."""
 
-WORDS = {
+STATE_NAMES = {
     "ride": "ride",
     "handling": "handling",
     "soft_high": "soft spring, high damping",
@@ -59,7 +59,7 @@ def palette() -> list[int]:
     """Red, green, blue of every colour and of the shades at edges, one after the other."""
     named = [value for value in globals().values() if isinstance(value, str) and value[:1] == "#"]
     colours = [_rgb(value) for value in (*named, *STONES)]
-    for one, other, shades in EDGES:
+    for one, other, shades in BLENDED_EDGES:
         share = np.arange(1, shades + 1)[:, None] / (shades + 1)
         colours.extend(_rgb(one) + share * (_rgb(other) - _rgb(one)))
     return np.rint(np.unique(colours, axis=0)).astype(int).ravel().tolist()
@@ -69,15 +69,15 @@ def _rgb(colour: str) -> np.ndarray:
     return np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)], dtype=float)
 
 
-def tilt(angle: float, positive: str, negative: str) -> str:
+def describe_tilt(angle: float, positive: str, negative: str) -> str:
     """An angle [degrees] with the word for its direction."""
     size = f"{abs(angle):.2f}°"
     return size if size == "0.00°" else f"{size} {positive if angle > 0 else negative}"
 
 
-def state_word(stiff: bool, high: bool) -> str:
+def describe_state(stiff: bool, high: bool) -> str:
     """The state of a strut in words."""
-    return WORDS[next(mode for mode, state in MODES.items() if state == (stiff, high))]
+    return STATE_NAMES[next(mode for mode, state in MODES.items() if state == (stiff, high))]
 
 
 def state_colour(firm: bool) -> str:

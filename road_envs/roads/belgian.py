@@ -16,9 +16,9 @@ from typing import Annotated
 import numpy as np
 from scipy.special import ndtr
 
-from road_envs.analysis.roughness import N_0, isotropic
+from road_envs.analysis.roughness import N_0, root_coherence
 from road_envs.config import STRICT
-from road_envs.roads.iso8608 import check_band, line_edges, middle, power_law, synthesise
+from road_envs.roads.iso8608 import cell_centres, cell_edges, check_band, power_law, synthesise
 from road_envs.roads.surface import Surface
 from road_envs.roads.validation import check_positive
 
@@ -59,10 +59,10 @@ class Belgian:
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """Draw one paving."""
-        edges = line_edges(self)
-        n, base, cobbles = middle(edges), self._base(edges), self._cobbles(edges)
+        edges = cell_edges(self)
+        n, base, cobbles = cell_centres(edges), self._base(edges), self._cobbles(edges)
         power = base + cobbles
-        shared = isotropic(n, self.w, self.track) * base + self._cobble_coherence * cobbles
+        shared = root_coherence(n, self.w, self.track) * base + self._cobble_coherence * cobbles
         g = shared / np.where(power > 0.0, power, 1.0)  # the last cell may be empty
         return synthesise(rng, self, edges, power, g, "belgian")
 

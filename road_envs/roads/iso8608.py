@@ -21,15 +21,15 @@ from typing import Annotated, Literal
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
-from road_envs.analysis.roughness import CLASSES, N_0, isotropic
+from road_envs.analysis.roughness import CLASSES, N_0, root_coherence
 from road_envs.config import STRICT
-from road_envs.roads.nonstationary import Variation
+from road_envs.roads.nonstationary import RoughnessVariation
 from road_envs.roads.surface import Surface
 from road_envs.roads.validation import check_positive, check_size
 
 RoadClass = Literal["A", "B", "C", "D", "E", "F", "G", "H"]
 Coherence = Literal["isotropic", "full", "none"]
-PERIODS = 8
+MIN_PERIODS = 8
 """Lines between 0 and n_min: the synthesised period is at least this many longest waves."""
 
 
@@ -48,7 +48,7 @@ class Iso8608:
     coherence: Annotated[Coherence, "", "between the wheel paths"] = "isotropic"
     track: Annotated[float, "m", "distance of the wheel paths"] = 1.5
     ds: Annotated[float, "m", "spacing of the samples"] = 0.01
-    variation: Annotated[Variation | None, "", "of the roughness along the road"] = None
+    variation: Annotated[RoughnessVariation | None, "", "of the roughness along the road"] = None
 
     def __post_init__(self):
         if (self.road_class is None) == (self.G_d0 is None):
@@ -65,19 +65,19 @@ class Iso8608:
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """Draw one road."""
-        edges, power, g = _expected(self)
+        edges, power, g = _cell_spectra(self)
         name = f"iso8608 {self.road_class or f'G_d0={self.G_d0:g}'}"
         return synthesise(rng, self, edges, power, g, name, self.variation)
 
 
 @lru_cache(maxsize=16)
-def _expected(road: Iso8608) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _cell_spectra(road: Iso8608) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cells, their power and root coherence, which all realisations of a road share."""
-    edges = line_edges(road)
+    edges = cell_edges(road)
     power = power_law(edges, road.density, road.w)
     g = np.full(power.size, 1.0 if road.coherence == "full" else 0.0)
     if road.coherence == "isotropic":
-        g = isotropic(middle(edges), road.w, road.track)
+        g = root_coherence(cell_centres(edges), road.w, road.track)
     for array in (edges, power, g):
         array.flags.writeable = False
     return edges, power, g
@@ -90,27 +90,27 @@ def power_law(edges: np.ndarray, G_d0: float, w: float) -> np.ndarray:
     return G_d0 * N_0 * np.diff((edges / N_0) ** (1.0 - w)) / (1.0 - w)
 
 
-def middle(edges: np.ndarray) -> np.ndarray:
+def cell_centres(edges: np.ndarray) -> np.ndarray:
     """Middles (K,) of the cells between `edges` (K + 1,)."""
     return 0.5 * (edges[1:] + edges[:-1])
 
 
-def line_edges(road) -> np.ndarray:
+def cell_edges(road) -> np.ndarray:
     """Edges (K + 1,) [cycles/m] of the cells of the lines inside [n_min, n_max] of a road."""
-    size, first, last = _lines(road)
+    size, first, last = _spectral_lines(road)
     edges = (np.arange(first, last + 2) - 0.5) / (size * road.ds)
     edges[0], edges[-1] = road.n_min, road.n_max
     return edges
 
 
 def synthesise(
-    rng, road, edges, power, g, name: str, variation: Variation | None = None
+    rng, road, edges, power, g, name: str, variation: RoughnessVariation | None = None
 ) -> Surface:
     """Both wheel paths from the `power` (K,) [m²] of each line and the root coherence `g` (K,).
 
     Each path starts at height 0, for nothing that rides on a road can feel its datum.
     """
-    size, first, last = _lines(road)
+    size, first, last = _spectral_lines(road)
     if variation is None:
         unit = np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, (2, power.size)))
     else:
@@ -127,7 +127,7 @@ def synthesise(
 def check_band(road) -> None:
     """ValueError if length, spacing and band of a random road do not fit together."""
     check_positive(road, "length", "ds", "n_min")
-    check_size(max(2.0 * road.length, PERIODS / road.n_min), road.ds)
+    check_size(max(2.0 * road.length, MIN_PERIODS / road.n_min), road.ds)
     if road.length < 4.0 * road.ds:
         raise ValueError(f"length {road.length} m must hold at least 4 steps of ds = {road.ds} m")
     if not road.n_min < road.n_max <= 0.5 / road.ds:
@@ -137,9 +137,9 @@ def check_band(road) -> None:
         )
 
 
-def _lines(road) -> tuple[int, int, int]:
+def _spectral_lines(road) -> tuple[int, int, int]:
     """Samples in the period, at least two roads and PERIODS longest waves; first and last line."""
-    period = max(2.0 * road.length, PERIODS / road.n_min)
+    period = max(2.0 * road.length, MIN_PERIODS / road.n_min)
     size = next_fast_len(int(np.ceil(period / road.ds)), True)
     last = min(round(road.n_max * size * road.ds), (size - 1) // 2)
     return size, round(road.n_min * size * road.ds), last

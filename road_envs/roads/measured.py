@@ -17,15 +17,15 @@ import numpy as np
 
 from road_envs.config import STRICT
 from road_envs.roads.formats import erd, opencrg, table
-from road_envs.roads.formats.opencrg import CurvedGrid, SurfaceFileError, about, content
-from road_envs.roads.formats.table import Paths
+from road_envs.roads.formats.opencrg import CurvedGrid, SurfaceFileError, error_context, read_bytes
+from road_envs.roads.formats.table import WheelPaths
 from road_envs.roads.surface import Surface
 from road_envs.roads.validation import check_positive, check_size
 
-WHEELBASE = 2.794
+DEFAULT_MIN_LENGTH = 2.794
 """The default of `min_length` [m]."""
-SUFFIXES = (".crg", ".erd", ".parquet", ".csv", ".txt", ".dat")
-PATHS = ("left", "right")
+SURFACE_SUFFIXES = (".crg", ".erd", ".parquet", ".csv", ".txt", ".dat")
+SIDE_NAMES = ("left", "right")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,11 +40,11 @@ class Measured:
     centre: Annotated[float | None, "m", "v midway between the paths; none: of the grid"] = None
     track: Annotated[float, "m", "distance of the wheel paths"] = 1.5
     bridge_gaps: Annotated[bool, "", "interpolate along the track where heights miss"] = False
-    min_length: Annotated[float, "m", "a shorter surface is refused"] = WHEELBASE
+    min_length: Annotated[float, "m", "a shorter surface is refused"] = DEFAULT_MIN_LENGTH
 
     def __post_init__(self):
         check_positive(self, "track", "min_length")
-        with about(self.path):
+        with error_context(self.path):
             natural = self._tile.length
             if natural < self.min_length:
                 raise SurfaceFileError(
@@ -66,7 +66,7 @@ class Measured:
         size = round(self.length / tile.ds) + 1
         z, notes = tile.z[:, :size], tile.notes
         if size > tile.z.shape[1]:
-            z, note = laid(tile.z, tile.ds, size, self.repeat)
+            z, note = tile_heights(tile.z, tile.ds, size, self.repeat)
             notes = (*notes, note)
         return Surface(z - z[:, :1], tile.ds, name=tile.name, notes=notes)
 
@@ -76,26 +76,26 @@ class Measured:
         z, ds, notes = self._read()
         if z.shape[1] < 4:
             raise SurfaceFileError(f"at least 4 stations are wanted, got {z.shape[1]}")
-        z, bridges = bridged(z, ds, self.bridge_gaps)
+        z, gap_notes = fill_gaps(z, ds, self.bridge_gaps)
         if np.allclose(z[0], z[1], rtol=0.0, atol=1e-9):
             notes = (*notes, "left and right wheel path are the same")
-        return Surface(z, ds, name=Path(self.path).stem, notes=(*notes, *bridges))
+        return Surface(z, ds, name=Path(self.path).stem, notes=(*notes, *gap_notes))
 
-    def _read(self) -> Paths:
+    def _read(self) -> WheelPaths:
         match Path(self.path).suffix.lower():
             case ".crg":
-                grid = opencrg.parse(content(self.path))
+                grid = opencrg.parse(read_bytes(self.path))
                 return wheel_paths(grid, self.centre, self.track)
             case ".erd":
                 return erd.read(self.path)
             case ".parquet":
-                return table.parse_parquet(content(self.path))
+                return table.parse_parquet(read_bytes(self.path))
             case ".csv" | ".txt" | ".dat":
-                return table.parse_text(content(self.path))
-        raise SurfaceFileError(f"a surface file ends in {', '.join(SUFFIXES)}")
+                return table.parse_text(read_bytes(self.path))
+        raise SurfaceFileError(f"a surface file ends in {', '.join(SURFACE_SUFFIXES)}")
 
 
-def wheel_paths(grid: CurvedGrid, centre: float | None, track: float) -> Paths:
+def wheel_paths(grid: CurvedGrid, centre: float | None, track: float) -> WheelPaths:
     """Both wheel paths, half a `track` [m] to either side of v = `centre` [m]."""
     v = grid.v
     middle = 0.5 * (v[0] + v[-1]) if centre is None else centre
@@ -103,7 +103,7 @@ def wheel_paths(grid: CurvedGrid, centre: float | None, track: float) -> Paths:
     for side, at in enumerate((middle + 0.5 * track, middle - 0.5 * track)):
         if not v[0] - 1e-9 <= at <= v[-1] + 1e-9:
             raise SurfaceFileError(
-                f"the {PATHS[side]} wheel path at v = {at:.3g} m is off the grid, "
+                f"the {SIDE_NAMES[side]} wheel path at v = {at:.3g} m is off the grid, "
                 f"which spans {v[0]:.3g} to {v[-1]:.3g} m"
             )
         k = int(np.clip(np.searchsorted(v, at) - 1, 0, v.size - 2))
@@ -114,11 +114,11 @@ def wheel_paths(grid: CurvedGrid, centre: float | None, track: float) -> Paths:
     return z, grid.du, (*start, *grid.notes)
 
 
-def bridged(z: np.ndarray, ds: float, allowed: bool) -> tuple[np.ndarray, list[str]]:
+def fill_gaps(z: np.ndarray, ds: float, allowed: bool) -> tuple[np.ndarray, list[str]]:
     """Wheel paths `z` (2, N) with missing heights interpolated, if `allowed`; and notes."""
     z, notes = z.copy(), []
     k = np.arange(z.shape[1])
-    for side, path in zip(PATHS, z, strict=True):
+    for side, path in zip(SIDE_NAMES, z, strict=True):
         missing = np.isnan(path)
         count = int(missing.sum())
         if not count:
@@ -138,7 +138,7 @@ def bridged(z: np.ndarray, ds: float, allowed: bool) -> tuple[np.ndarray, list[s
     return z, notes
 
 
-def laid(z: np.ndarray, ds: float, size: int, repeat: str) -> tuple[np.ndarray, str]:
+def tile_heights(z: np.ndarray, ds: float, size: int, repeat: str) -> tuple[np.ndarray, str]:
     """A tile `z` (2, N) laid end to end to `size` samples, and a note of how."""
     steps = z.shape[1] - 1
     times = -(-(size - 1) // steps)

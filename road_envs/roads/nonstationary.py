@@ -21,7 +21,7 @@ from road_envs.roads.validation import check_positive
 
 
 @dataclass(frozen=True, kw_only=True)
-class Variation:
+class RoughnessVariation:
     """The law of the roughness coefficient of a patch over that of the road."""
 
     __pydantic_config__ = STRICT

@@ -22,10 +22,10 @@ from road_envs.roads.surface import Surface
 from road_envs.roads.trapezoids import SIDES, Trapezoid
 from road_envs.roads.validation import check_not_negative, check_positive, check_range, check_size
 
-SPACING = 0.005
+SAMPLE_SPACING = 0.005
 """Of the samples [m]."""
 
-TALLEST = 10.0
+MAX_DEFECT_HEIGHT = 10.0
 """No defect is higher or deeper [m]."""
 
 
@@ -48,8 +48,8 @@ class Defect:
     def __post_init__(self):
         check_positive(self, "length", "growth")
         check_not_negative(self, "edge", "spacing")
-        if self.length < 4.0 * SPACING:
-            raise ValueError(f"length must be at least {4.0 * SPACING} m, got {self.length}")
+        if self.length < 4.0 * SAMPLE_SPACING:
+            raise ValueError(f"length must be at least {4.0 * SAMPLE_SPACING} m, got {self.length}")
         if self.shape == "pothole" and not (self.height < 0.0 < self.edge < 0.5 * self.length):
             raise ValueError("a pothole has a height below 0, and an edge shorter than half of it")
         if self.shape == "half_sine" and (self.edge or not self.height):
@@ -59,8 +59,8 @@ class Defect:
         if self.count > 1 and self.spacing < self.length:
             raise ValueError(f"defects of {self.length} m overlap at {self.spacing} m")
         last = np.log(abs(self.height)) + (self.count - 1) * max(0.0, np.log(self.growth))
-        if not last <= np.log(TALLEST):
-            raise ValueError(f"a defect is higher than {TALLEST:g} m")
+        if not last <= np.log(MAX_DEFECT_HEIGHT):
+            raise ValueError(f"a defect is higher than {MAX_DEFECT_HEIGHT:g} m")
 
     @property
     def middles(self) -> np.ndarray:
@@ -72,11 +72,11 @@ class Defect:
         """Heights (count,) [m]."""
         return self.height * self.growth ** np.arange(self.count)
 
-    def profile(self, distance: np.ndarray) -> np.ndarray:
+    def unit_height(self, distance: np.ndarray) -> np.ndarray:
         """Height over that of the crest or floor at `distance` [m] from the middle, any shape."""
         if self.shape == "pothole":
             hole = Trapezoid(height=1.0, ramp=self.edge, top=self.length - 2.0 * self.edge)
-            return hole.shape(distance)
+            return hole.height_at(distance)
         inside = np.clip(distance / self.length, -0.5, 0.5)
         return np.cos(np.pi * inside)
 
@@ -92,7 +92,7 @@ class Defects:
 
     def __post_init__(self):
         check_positive(self, "length")
-        check_size(self.length, SPACING)
+        check_size(self.length, SAMPLE_SPACING)
         for defect in self.defects:
             first = defect.at - 0.5 * defect.length
             last = defect.at + defect.spacing * (defect.count - 1) + 0.5 * defect.length
@@ -103,12 +103,12 @@ class Defects:
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """The defects; there is nothing to draw."""
-        s, z = level(self.length)
+        s, z = flat_road_grid(self.length)
         for defect in self.defects:
             for middle, height in zip(defect.middles, defect.heights, strict=True):
-                near = under(s, middle, defect.length)
-                z[SIDES[defect.side], near] += height * defect.profile(s[near] - middle)
-        return Surface(z, SPACING, name="defects")
+                near = footprint(s, middle, defect.length)
+                z[SIDES[defect.side], near] += height * defect.unit_height(s[near] - middle)
+        return Surface(z, SAMPLE_SPACING, name="defects")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,8 +125,8 @@ class Potholes:
 
     def __post_init__(self):
         check_positive(self, "length", "rate", "edge")
-        check_size(self.length, SPACING)
-        check_size(self.rate, SPACING / self.length)
+        check_size(self.length, SAMPLE_SPACING)
+        check_size(self.rate, SAMPLE_SPACING / self.length)
         check_range(self, "depth")
         check_range(self, "size")
         if not 2.0 * self.edge < self.size[0] <= self.size[1] <= self.length:
@@ -134,13 +134,13 @@ class Potholes:
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """Draw number, places, sizes and depths of the holes of each wheel path."""
-        s, z = level(self.length)
+        s, z = flat_road_grid(self.length)
         for path in z:
             for middle, size, depth in self._holes(rng):
-                near = under(s, middle, size)
+                near = footprint(s, middle, size)
                 hole = Trapezoid(height=depth, ramp=self.edge, top=size - 2.0 * self.edge)
-                path[near] = np.minimum(path[near], -hole.shape(s[near] - middle))
-        return Surface(z, SPACING, name="potholes")
+                path[near] = np.minimum(path[near], -hole.height_at(s[near] - middle))
+        return Surface(z, SAMPLE_SPACING, name="potholes")
 
     def _holes(self, rng: np.random.Generator) -> np.ndarray:
         """Middle, size and depth [m] of each hole of a wheel path (count, 3)."""
@@ -150,12 +150,12 @@ class Potholes:
         return np.column_stack([middle, size, rng.uniform(*self.depth, count)])
 
 
-def level(length: float) -> tuple[np.ndarray, np.ndarray]:
+def flat_road_grid(length: float) -> tuple[np.ndarray, np.ndarray]:
     """Stations (N,) [m] of a road of `length` [m], and heights (2, N) of 0."""
-    s = SPACING * np.arange(round(length / SPACING) + 1)
+    s = SAMPLE_SPACING * np.arange(round(length / SAMPLE_SPACING) + 1)
     return s, np.zeros((2, s.size))
 
 
-def under(s: np.ndarray, middle: float, length: float) -> slice:
+def footprint(s: np.ndarray, middle: float, length: float) -> slice:
     """The part of the stations `s` (N,) [m] that lies under a defect."""
     return slice(*np.searchsorted(s, [middle - 0.5 * length, middle + 0.5 * length]))

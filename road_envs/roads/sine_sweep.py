@@ -23,8 +23,8 @@ from road_envs.config import STRICT
 from road_envs.roads.surface import Surface
 from road_envs.roads.validation import check_not_negative, check_positive, check_size
 
-Paths = Literal["in_phase", "antiphase", "left", "right"]
-SIGNS: dict[Paths, tuple[float, float]] = {
+PathSigns = Literal["in_phase", "antiphase", "left", "right"]
+SIGNS: dict[PathSigns, tuple[float, float]] = {
     "in_phase": (1.0, 1.0),
     "antiphase": (1.0, -1.0),
     "left": (1.0, 0.0),
@@ -32,12 +32,12 @@ SIGNS: dict[Paths, tuple[float, float]] = {
 }
 """What the left and the right wheel path have of the sine."""
 
-SAMPLES = 8
+MIN_SAMPLES_PER_WAVE = 8
 """A wave has at least this many samples."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sweep:
+class SineSweep:
     """A sine of changing frequency and amplitude."""
 
     __pydantic_config__ = STRICT
@@ -50,7 +50,7 @@ class Sweep:
     )
     amplitude: Annotated[float, "m", "at the start"]
     amplitude_end: Annotated[float, "m", "at the end"]
-    paths: Annotated[Paths, "", "which wheel paths, and how"] = "in_phase"
+    paths: Annotated[PathSigns, "", "which wheel paths, and how"] = "in_phase"
     taper: Annotated[float, "m", "from level to the full amplitude, and back"] = 2.0
     ds: Annotated[float, "m", "spacing of the samples"] = 0.01
 
@@ -60,10 +60,11 @@ class Sweep:
         check_size(self.length, self.ds)
         if not 2.0 * self.taper <= self.length:
             raise ValueError(f"tapers of {self.taper} m do not fit into {self.length} m")
-        if not max(self.n_start, self.n_end) * SAMPLES * self.ds <= 1.0:
+        if not max(self.n_start, self.n_end) * MIN_SAMPLES_PER_WAVE * self.ds <= 1.0:
             raise ValueError(
-                f"wanted n_start and n_end up to 1 / ({SAMPLES} ds) = "
-                f"{1.0 / (SAMPLES * self.ds):g} cycles/m, got {self.n_start} and {self.n_end}"
+                f"n_start and n_end must be at most 1 / ({MIN_SAMPLES_PER_WAVE} ds) = "
+                f"{1.0 / (MIN_SAMPLES_PER_WAVE * self.ds):g} cycles/m, "
+                f"got {self.n_start} and {self.n_end}"
             )
 
     def realise(self, rng: np.random.Generator) -> Surface:

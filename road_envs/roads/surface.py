@@ -36,7 +36,7 @@ def height_and_slope(padded, side, s, start, ds):
 
 
 @kernel
-def sample(padded, start, ds, s, z, slope):
+def sample_surface(padded, start, ds, s, z, slope):
     """Fill `z` and `slope`, both (2, M), at the stations `s` (M,)."""
     for side in range(2):
         for k in range(s.size):
@@ -102,11 +102,11 @@ class Surface:
     def _sample(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         s = np.asarray(s, dtype=float)
         z, slope = np.empty((2, s.size)), np.empty((2, s.size))
-        sample(self.padded, self.start, self.ds, s.ravel(), z, slope)
+        sample_surface(self.padded, self.start, self.ds, s.ravel(), z, slope)
         return z.reshape(2, *s.shape), slope.reshape(2, *s.shape)
 
 
-GAUSS = 0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)
+GAUSS_POINTS = 0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)
 """Where the two points of Gauss stand in a cell: their mean is a cubic's, exactly."""
 
 
@@ -126,7 +126,7 @@ def enveloped(surface: Surface, contact_length: float) -> Surface:
     level = surface.z[:, :1]
 
     def mean_between(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
-        points = [begin + x * (end - begin) for x in GAUSS]
+        points = [begin + x * (end - begin) for x in GAUSS_POINTS]
         return 0.5 * sum(surface.height(s) for s in points) - level
 
     areas = np.cumsum(ds * mean_between(ends[:-1], ends[1:]), axis=1)

@@ -42,7 +42,7 @@ class Trapezoid:
     def __post_init__(self):
         check_positive(self, "height", "ramp", "top")
 
-    def shape(self, distance: np.ndarray) -> np.ndarray:
+    def height_at(self, distance: np.ndarray) -> np.ndarray:
         """Height [m] at `distance` [m] from the middle, any shape."""
         edge = 0.5 * self.top + self.ramp - np.abs(distance)
         return self.height * np.clip(edge / self.ramp, 0.0, 1.0)
@@ -100,5 +100,5 @@ class Bumps:
         for block, middle, (_, side) in zip(
             self.blocks, self.middles, LAYOUTS[self.layout], strict=True
         ):
-            z[SIDES[side]] += block.shape(s - middle)
+            z[SIDES[side]] += block.height_at(s - middle)
         return Surface(z, self.ds, name=f"bumps {self.layout}")

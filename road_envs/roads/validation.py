@@ -38,7 +38,7 @@ def check_size(length: float, ds: float) -> None:
         )
 
 
-def check_some(roads: Sequence) -> None:
+def check_not_empty(roads: Sequence) -> None:
     """ValueError if there are no roads."""
     if not roads:
         raise ValueError("roads must name at least one road")

@@ -13,12 +13,12 @@ from road_envs import config
 from road_envs.data.record import SENSORS
 from road_envs.vehicle.parameters import VehicleParameters
 
-ALIAS_ORDER = 4
+ANTIALIAS_ORDER = 4
 """Of the Butterworth filter before the sampler [assumed]."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
+class SensorLocation:
     """Where on the body an accelerometer sits."""
 
     __pydantic_config__ = config.STRICT
@@ -37,14 +37,14 @@ class Place:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Places:
+class SensorLocations:
     """The paper's three accelerometers."""
 
     __pydantic_config__ = config.STRICT
 
-    RF: Place
-    LR: Place
-    RR: Place
+    RF: SensorLocation
+    LR: SensorLocation
+    RR: SensorLocation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +54,7 @@ class Instruments:
     __pydantic_config__ = config.STRICT
 
     name: str
-    accelerometers: Places
+    accelerometers: SensorLocations
     fs: Annotated[float, "Hz", "sampling rate"]
     f_alias: Annotated[float, "Hz", "cut-off of the anti-alias filter"]
     range: Annotated[float, "m/s²", "clipping level, either way"]
@@ -72,7 +72,7 @@ class Instruments:
         if self.f_alias >= 0.5 * self.fs:
             raise ValueError(f"f_alias {self.f_alias} must be below fs / 2 = {0.5 * self.fs}")
 
-    def places(self, car: VehicleParameters) -> dict[str, tuple[float, float]]:
+    def locations(self, car: VehicleParameters) -> dict[str, tuple[float, float]]:
         """Each sensor's (x, y) [m], ahead and to the left of the body's centre of mass."""
         found = {name: getattr(self.accelerometers, name) for name in SENSORS}
         return {name: (place.x(car), place.y) for name, place in found.items()}
@@ -83,8 +83,8 @@ class Instruments:
         Of the analogue Butterworth filter; it delays slow signals by 2.613 / (2 pi f_alias).
         """
         s = 1j * np.asarray(f, dtype=float) / self.f_alias
-        k = np.arange(1, ALIAS_ORDER + 1)
-        poles = np.exp(0.5j * np.pi * (2 * k + ALIAS_ORDER - 1) / ALIAS_ORDER)
+        k = np.arange(1, ANTIALIAS_ORDER + 1)
+        poles = np.exp(0.5j * np.pi * (2 * k + ANTIALIAS_ORDER - 1) / ANTIALIAS_ORDER)
         return 1.0 / np.prod(s[..., None] - poles, axis=-1)
 
 

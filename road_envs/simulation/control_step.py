@@ -9,96 +9,100 @@ from typing import NamedTuple
 
 import numpy as np
 
-from road_envs._numba import kernel, separate
-from road_envs.sensing.filters import run_sections
+from road_envs._numba import kernel
+from road_envs.sensing.filters import sosfilt_kernel
 from road_envs.simulation.fleet import (
-    Numbers,
-    Ways,
-    aligned,
-    drive_lanes,
-    lay_course,
-    look_at_roads,
-    through_pipe,
+    LaneConstants,
+    RoadBuffers,
+    aligned_zeros,
+    delay_commands,
+    front_axle_stations,
+    integrate_lanes,
+    sample_roads,
 )
-from road_envs.simulation.rosenbrock import ACCELERATION, EXTENSION, LOAD, SIGNALS, Work
-from road_envs.simulation.simd import LANES, get, lane, maximum, minimum, put
+from road_envs.simulation.rosenbrock import ACCELERATION, EXTENSION, LOAD, N_SIGNALS, StepWorkspace
+from road_envs.simulation.simd import LANES, extract_lane, get, maximum, minimum, put
 from road_envs.vehicle.equations import DOF, N_DOF, PHI, THETA, Z_B, extension
 from road_envs.vehicle.parameters import GRAVITY
 
 ANGLES = tuple(DOF.index(name) for name in ("phi", "theta", "phi_af", "phi_ar"))
-LARGEST_ANGLE = float(np.radians(45.0))
+MAX_ANGLE = float(np.radians(45.0))
 """Beyond it [rad] a small angle is none, whichever of ANGLES it is."""
 
-TOLD = ("t", "station", "speed_kmh", "comfort", "rattle", "tyre_load", "reward", "unknown")
-"""Columns of `Seen.numbers`: time since the start [s], station of the front axle [m], speed, the
-three costs and the reward of an interval; what the states leave unknown of the road is the fourth
-cost, which `Convoy` adds where it has a weight."""
+OUTPUT_COLUMNS = (
+    "t", "station", "speed_kmh", "comfort", "rattle", "tyre_load", "reward", "unresolved_variance",
+)  # fmt: skip
+OUT_T, OUT_STATION, OUT_SPEED_KMH, OUT_COMFORT = range(4)
+OUT_RATTLE, OUT_TYRE_LOAD, OUT_REWARD, OUT_UNRESOLVED = range(4, 8)
+"""Columns of `StepOutput.values`: time since the start [s], station of the front axle [m], speed
+[km/h], the three costs and the reward of the interval, and the share of the road's variance that
+the strut states leave unresolved. The last one is a fourth cost that `InstrumentedFleet` adds."""
 
-PLANAR, STRUTS = 2, 8
+N_PLANAR, N_STRUT_SIGNALS = 2, 8
 """Numbers that an observation holds more where it has the group: horizontal accelerations; strut
 extensions and their rates."""
-PLANAR_MOST, EXTENSION_MOST, RATE_MOST = 20.0, 0.5, 10.0
+MAX_PLANAR, MAX_EXTENSION, MAX_EXTENSION_RATE = 20.0, 0.5, 10.0
 """Largest values observed of them [m/s², m, m/s]."""
 
-PASSED, DONE, USED, TOTAL = range(4)
-BEGIN, SPEED, SPEED_KMH, SPEED_GAIN = range(4)
-FIRST, SIZE, START, DS = 0, 2, 3, 4
-"""Rows of `Cars.counts`, `Cars.course` and `Cars.way`."""
+STEPS_DELAYED, STEPS_DONE, NOISE_ROWS_USED, STEPS_TOTAL = range(4)
+DRIVE_START, SPEED, SPEED_KMH, SPEED_GAIN = range(4)
+ROAD_OFFSET, ROAD_SIZE, ROAD_START, ROAD_DS = 0, 2, 3, 4
+"""Rows of `FleetState.counts`, `FleetState.kinematics` and `FleetState.road_layout`."""
 
 
-class Cars(NamedTuple):
-    """What every car carries on from interval to interval; blocks first, lanes last.
+class FleetState(NamedTuple):
+    """State that every vehicle keeps between control intervals; blocks first, lanes last.
 
-    Coordinates `q`, rates `v` (B, 7), struts' `memory` (B, 4, 3), command `pipe` (B, D), memories
-    `alias` (B, n, 3, 2) and `wk` (B, m, 1, 2) of the filters, `levers` (B, 3, 3), the sensors' rows
-    on heave, roll and pitch. `counts` (B, 4): steps gone through the pipe, steps done, rows of
-    noise used, steps in all. `course` (B, 4): station at the start [m], speed [m/s], the same
-    [km/h], gain of the speed signal. `way` (B, 5): where in its heights the road of a car stands,
-    as `lanes.Ways` has it.
+    Coordinates `q` and rates `v` (B, 7), `strut_state` (B, 4, 3), command `delay_line` (B, D),
+    filter states `antialias_state` (B, n, 3, 2) and `wk_state` (B, m, 1, 2), `sensor_rows`
+    (B, 3, 3) as `instrumented_fleet.sensor_rows` returns them. `counts` (B, 4): steps passed
+    through the delay line, steps done, noise rows used, steps in total. `kinematics` (B, 4):
+    station at the start [m], speed [m/s], speed [km/h], gain of the speed signal. `road_layout`
+    (B, 5): the fields of `fleet.RoadBuffers` other than the heights.
     """
 
     q: np.ndarray
     v: np.ndarray
-    memory: np.ndarray
-    pipe: np.ndarray
-    alias: np.ndarray
-    wk: np.ndarray
-    levers: np.ndarray
+    strut_state: np.ndarray
+    delay_line: np.ndarray
+    antialias_state: np.ndarray
+    wk_state: np.ndarray
+    sensor_rows: np.ndarray
     counts: np.ndarray
-    course: np.ndarray
-    way: np.ndarray
+    kinematics: np.ndarray
+    road_layout: np.ndarray
 
 
-class Common(NamedTuple):
+class FleetParameters(NamedTuple):
     """What all cars share: parameters, tables, filters, clipping level, step, steps per sample."""
 
-    p: Numbers
-    numbers: np.ndarray
+    p: LaneConstants
+    constants: np.ndarray
     velocity: np.ndarray
     displacement: np.ndarray
     delay: np.ndarray
     alpha: np.ndarray
     static_load: np.ndarray
     weights: np.ndarray
-    alias_sos: np.ndarray
+    antialias_sos: np.ndarray
     wk_sos: np.ndarray
     columns: np.ndarray
     noise_std: float
     range: float
     top_speed: float
     h: float
-    every: int
+    decimation: int
     planar: int
     struts: int
 
 
-class Desk(NamedTuple):
+class ControlStepWorkspace(NamedTuple):
     """Scratch of one thread for a block and its n steps."""
 
-    work: Work
+    work: StepWorkspace
     road: np.ndarray  # (16,)
     row: np.ndarray  # (29,)
-    nothing: np.ndarray  # (1,)
+    scalar: np.ndarray  # (1,)
     out: np.ndarray  # (n, 29)
     s: np.ndarray  # (2 n + 1,)
     v: np.ndarray  # (2 n + 1,)
@@ -106,68 +110,68 @@ class Desk(NamedTuple):
     heave: np.ndarray  # (1, n)
 
 
-class Seen(NamedTuple):
-    """What an interval gave of N cars, k samples.
+class StepOutput(NamedTuple):
+    """Output of one control interval with k samples, of N vehicles.
 
-    `observation` (N, 3 k + 5 and more) float32 as `RoadReconEnv` describes it; `numbers` (N, 8),
-    the columns of TOLD; `over` (N,), whether the car has left its road; `turned` (N,), 4 i + column
-    of ANGLES where step i first passed LARGEST_ANGLE, else -1; `broken` (N,), the first step whose
-    motion is not finite, else -1; and, or empty, `s` (N, k) [m], `profile` (N, 2, k) [m] and
-    `loads` (N, 4, k) [N].
+    `observation` (N, 3 k + 5 or more) float32, see `RoadReconEnv`; `values` (N, 8), see
+    OUTPUT_COLUMNS; `end_of_road` (N,), whether the vehicle has left its road; `rollover` (N,),
+    4 i + column of ANGLES if an angle first exceeds MAX_ANGLE in step i, else -1; `nonfinite_step`
+    (N,), the first step with a non-finite motion, else -1. The ground truth `s` (N, k) [m],
+    `profile` (N, 2, k) [m] and `loads` (N, 4, k) [N] is empty unless requested.
     """
 
     observation: np.ndarray
-    numbers: np.ndarray
-    over: np.ndarray
-    turned: np.ndarray
-    broken: np.ndarray
+    values: np.ndarray
+    end_of_road: np.ndarray
+    rollover: np.ndarray
+    nonfinite_step: np.ndarray
     s: np.ndarray
     profile: np.ndarray
     loads: np.ndarray
 
 
-def scratch(steps: int) -> np.ndarray:
+def workspace_buffer(steps: int) -> np.ndarray:
     """Room (rows, LANES) for the Desk of intervals of so many steps."""
-    return aligned(_WORK + 17 + SIGNALS + (SIGNALS + 8) * steps + 2)
+    return aligned_zeros(_WORK + 17 + N_SIGNALS + (N_SIGNALS + 8) * steps + 2)
 
 
 _WORK = 6 * N_DOF + 8 * 4 + 12 + 6
 
 
 @kernel
-def desk(room, n):
-    """The Desk of intervals of `n` steps in a `scratch`."""
+def workspace_views(buffer, n):
+    """The Desk of intervals of `n` steps in a `workspace_buffer`."""
     q, w, at = N_DOF, 6 * N_DOF, _WORK
-    work = Work(
-        room[:q],
-        room[q : 2 * q],
-        room[2 * q : 3 * q],
-        room[3 * q : 4 * q],
-        room[4 * q : 5 * q],
-        room[5 * q : w],
-        room[w : w + 4],
-        room[w + 4 : w + 8],
-        room[w + 8 : w + 12],
-        room[w + 12 : w + 16],
-        room[w + 16 : w + 20],
-        room[w + 20 : w + 24],
-        room[w + 24 : w + 28],
-        room[w + 28 : w + 32],
-        room[w + 32 : w + 44],
-        room[w + 44 : at],
+    work = StepWorkspace(
+        buffer[:q],
+        buffer[q : 2 * q],
+        buffer[2 * q : 3 * q],
+        buffer[3 * q : 4 * q],
+        buffer[4 * q : 5 * q],
+        buffer[5 * q : w],
+        buffer[w : w + 4],
+        buffer[w + 4 : w + 8],
+        buffer[w + 8 : w + 12],
+        buffer[w + 12 : w + 16],
+        buffer[w + 16 : w + 20],
+        buffer[w + 20 : w + 24],
+        buffer[w + 24 : w + 28],
+        buffer[w + 28 : w + 32],
+        buffer[w + 32 : w + 44],
+        buffer[w + 44 : at],
     )
-    road, nothing, at = room[at : at + 16], room[at + 16 : at + 17], at + 17
-    row, at = room[at : at + SIGNALS], at + SIGNALS
-    out, at = room[at : at + SIGNALS * n].reshape(n, SIGNALS, LANES), at + SIGNALS * n
-    s, at = room[at : at + 2 * n + 1], at + 2 * n + 1
-    v, at = room[at : at + 2 * n + 1], at + 2 * n + 1
-    a, at = room[at : at + 3 * n].reshape(3, n, LANES), at + 3 * n
-    heave = room[at : at + n].reshape(1, n, LANES)
-    return Desk(work, road, row, nothing, out, s, v, a, heave)
+    road, scalar, at = buffer[at : at + 16], buffer[at + 16 : at + 17], at + 17
+    row, at = buffer[at : at + N_SIGNALS], at + N_SIGNALS
+    out, at = buffer[at : at + N_SIGNALS * n].reshape(n, N_SIGNALS, LANES), at + N_SIGNALS * n
+    s, at = buffer[at : at + 2 * n + 1], at + 2 * n + 1
+    v, at = buffer[at : at + 2 * n + 1], at + 2 * n + 1
+    a, at = buffer[at : at + 3 * n].reshape(3, n, LANES), at + 3 * n
+    heave = buffer[at : at + n].reshape(1, n, LANES)
+    return ControlStepWorkspace(work, road, row, scalar, out, s, v, a, heave)
 
 
-@separate
-def _first_broken(out, k):
+@kernel(inline=False)
+def _first_nonfinite(out, k):
     """The first step before which a signal of lane `k` is not finite."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
@@ -176,26 +180,26 @@ def _first_broken(out, k):
     return out.shape[0]
 
 
-@separate
-def _first_turned(out, k):
+@kernel(inline=False)
+def _first_rollover(out, k):
     """4 i + column of the first step i at which one of ANGLES of lane `k` is too large."""
     for i in range(out.shape[0]):
         for column in range(len(ANGLES)):
-            if abs(out[i, ANGLES[column], k]) > LARGEST_ANGLE:
+            if abs(out[i, ANGLES[column], k]) > MAX_ANGLE:
                 return len(ANGLES) * i + column
     return -1
 
 
-@separate
-def _find_failures(out, q, v, largest, broken, turned):
+@kernel(inline=False)
+def _find_failures(out, q, v, largest, nonfinite_step, rollover):
     """Write where the lanes' motion fails (LANES,); one that broke down is reported as still."""
     for k in range(LANES):
         total = 0.0
         for j in range(N_DOF):
             total += q[j, k] + v[j, k]
-        broken[k] = -1
+        nonfinite_step[k] = -1
         if not np.isfinite(total):
-            broken[k] = _first_broken(out, k)
+            nonfinite_step[k] = _first_nonfinite(out, k)
             out[:, :, k] = 0.0
     put(largest, 0, 0.0)
     for i in range(out.shape[0]):
@@ -203,14 +207,14 @@ def _find_failures(out, q, v, largest, broken, turned):
             x = get(out[i], angle)
             put(largest, 0, maximum(get(largest, 0), maximum(x, -x)))
     for k in range(LANES):
-        turned[k] = _first_turned(out, k) if largest[0, k] > LARGEST_ANGLE else -1
+        rollover[k] = _first_rollover(out, k) if largest[0, k] > MAX_ANGLE else -1
 
 
-@separate
-def _sense(common, levers, alias, noise, used, out, a):
+@kernel(inline=False)
+def _sample_accelerometers(parameters, sensor_rows, antialias_state, noise, used, out, a):
     """What the accelerometers give in an interval, to `a` (3, n, LANES), every step of it."""
     n = out.shape[0]
-    if common.noise_std > 0.0:
+    if parameters.noise_std > 0.0:
         for k in range(LANES):
             for i in range(n):
                 for j in range(a.shape[0]):
@@ -219,155 +223,173 @@ def _sense(common, levers, alias, noise, used, out, a):
     else:
         a[:] = 0.0
     for j in range(a.shape[0]):
-        heave, roll, pitch = get(levers, j, 0), get(levers, j, 1), get(levers, j, 2)
+        heave, roll, pitch = get(sensor_rows, j, 0), get(sensor_rows, j, 1), get(sensor_rows, j, 2)
         for i in range(n):
             z, phi = get(out[i], ACCELERATION + Z_B), get(out[i], ACCELERATION + PHI)
             true = heave * z + roll * phi + pitch * get(out[i], ACCELERATION + THETA)
-            x = true + common.noise_std * get(a, j, i)
-            put(a[j], i, minimum(maximum(x, -common.range), common.range))
-    run_sections(common.alias_sos, alias, a, a)
+            x = true + parameters.noise_std * get(a, j, i)
+            put(a[j], i, minimum(maximum(x, -parameters.range), parameters.range))
+    sosfilt_kernel(parameters.antialias_sos, antialias_state, a, a)
 
 
-@separate
-def _add_up(common, wk, out, heave, nothing, numbers):
-    """The costs and the reward of an interval, to their columns of `numbers` (LANES, 8)."""
+@kernel(inline=False)
+def _sum_costs(parameters, wk_state, out, heave, scalar, values):
+    """The costs and the reward of an interval, to their columns of `values` (LANES, 8)."""
     n = out.shape[0]
-    put(nothing, 0, 0.0)
+    put(scalar, 0, 0.0)
     for i in range(n):
         put(heave[0], i, get(out[i], ACCELERATION + Z_B))
-    run_sections(common.wk_sos, wk, heave, heave)
-    comfort = rattle = load = get(nothing, 0)
+    sosfilt_kernel(parameters.wk_sos, wk_state, heave, heave)
+    comfort = rattle = load = get(scalar, 0)
     for i in range(n):
         x = get(heave, 0, i)
         comfort = comfort + x * x
         for w in range(4):
             e = get(out[i], EXTENSION + w)
             rattle = rattle + e * e
-            variation = get(out[i], LOAD + w) / common.static_load[w] - 1.0
+            variation = get(out[i], LOAD + w) / parameters.static_load[w] - 1.0
             load = load + variation * variation
     for k in range(LANES):
-        numbers[k, 3] = np.sqrt(lane(comfort, k) / n)
-        numbers[k, 4] = np.sqrt(lane(rattle, k) / (4 * n))
-        numbers[k, 5] = np.sqrt(lane(load, k) / (4 * n))
+        values[k, OUT_COMFORT] = np.sqrt(extract_lane(comfort, k) / n)
+        values[k, OUT_RATTLE] = np.sqrt(extract_lane(rattle, k) / (4 * n))
+        values[k, OUT_TYRE_LOAD] = np.sqrt(extract_lane(load, k) / (4 * n))
         cost = 0.0
         for j in range(3):
-            cost += common.weights[j] * numbers[k, 3 + j]
-        numbers[k, 6] = -n * common.h * cost
-        numbers[k, 7] = 0.0
+            cost += parameters.weights[j] * values[k, OUT_COMFORT + j]
+        values[k, OUT_REWARD] = -n * parameters.h * cost
+        values[k, OUT_UNRESOLVED] = 0.0
 
 
-@separate
-def _observe(common, course, a, given, observation):
+@kernel(inline=False)
+def _write_observation(parameters, kinematics, a, commands, observation):
     """The observations (LANES, 3 k + 5) of a block."""
-    high = common.range
+    high = parameters.range
     for k in range(LANES):
-        at, byte = 0, given[k]
+        at, byte = 0, commands[k]
         for j in range(a.shape[0]):
-            for i in range(0, a.shape[1], common.every):
+            for i in range(0, a.shape[1], parameters.decimation):
                 observation[k, at] = min(max(a[j, i, k], -high), high)
                 at += 1
-        seen = course[SPEED_GAIN, k] * course[SPEED, k]
-        observation[k, at] = min(max(seen, 0.0), common.top_speed)
+        measured = kinematics[SPEED_GAIN, k] * kinematics[SPEED, k]
+        observation[k, at] = min(max(measured, 0.0), parameters.top_speed)
         for wheel in (0, 2):
             observation[k, at + 1 + wheel] = (byte >> wheel) & 1
             observation[k, at + 2 + wheel] = (byte >> (4 + wheel)) & 1
 
 
-@separate
-def _observe_more(common, turn, out, k_0, observation):
+@kernel(inline=False)
+def _write_optional_groups(parameters, a_xy, out, k_0, observation):
     """Horizontal accelerations and struts (LANES, ...), from column `k_0` of the observations on.
 
     An accelerometer on a leaning body feels its share of the weight too: the means over the
     interval of a_x - g theta and a_y + g phi. Extensions and rates are those of the last step.
     """
     n, at = out.shape[0], k_0
-    if common.planar > 0:
+    if parameters.planar > 0:
         for k in range(LANES):
             a_x = a_y = 0.0
             for i in range(n):
-                a_x += turn[4 * i, k] - GRAVITY * out[i, THETA, k]
-                a_y += turn[4 * i + 1, k] + GRAVITY * out[i, PHI, k]
-            observation[k, at] = min(max(a_x / n, -PLANAR_MOST), PLANAR_MOST)
-            observation[k, at + 1] = min(max(a_y / n, -PLANAR_MOST), PLANAR_MOST)
-        at += PLANAR
-    if common.struts > 0:
+                a_x += a_xy[4 * i, k] - GRAVITY * out[i, THETA, k]
+                a_y += a_xy[4 * i + 1, k] + GRAVITY * out[i, PHI, k]
+            observation[k, at] = min(max(a_x / n, -MAX_PLANAR), MAX_PLANAR)
+            observation[k, at + 1] = min(max(a_y / n, -MAX_PLANAR), MAX_PLANAR)
+        at += N_PLANAR
+    if parameters.struts > 0:
         for w in range(4):
-            rate = extension(common.p, out[n - 1, N_DOF : 2 * N_DOF], w)
+            rate = extension(parameters.p, out[n - 1, N_DOF : 2 * N_DOF], w)
             for k in range(LANES):
-                e, e_dot = out[n - 1, EXTENSION + w, k], lane(rate, k)
-                observation[k, at + w] = min(max(e, -EXTENSION_MOST), EXTENSION_MOST)
-                observation[k, at + 4 + w] = min(max(e_dot, -RATE_MOST), RATE_MOST)
+                e, e_dot = out[n - 1, EXTENSION + w, k], extract_lane(rate, k)
+                observation[k, at + w] = min(max(e, -MAX_EXTENSION), MAX_EXTENSION)
+                observation[k, at + 4 + w] = min(
+                    max(e_dot, -MAX_EXTENSION_RATE), MAX_EXTENSION_RATE
+                )
 
 
-@separate
-def _tell_the_truth(common, ways, top, s, profile, loads):
+@kernel(inline=False)
+def _write_truth(parameters, roads, workspace, s, profile, loads):
     """Stations (LANES, k), heights under the front wheels and tyre loads at the samples."""
-    for i in range(0, top.out.shape[0], common.every):
-        at = i // common.every
-        look_at_roads(common.p, ways, top.s[2 * i], top.v[2 * i], top.road, 0)
+    for i in range(0, workspace.out.shape[0], parameters.decimation):
+        at = i // parameters.decimation
+        station, speed = workspace.s[2 * i], workspace.v[2 * i]
+        sample_roads(parameters.p, roads, station, speed, workspace.road, 0)
         for k in range(LANES):
-            s[k, at] = top.s[2 * i, k]
+            s[k, at] = station[k]
             for side in range(2):
-                profile[k, side, at] = top.road[side, k]
+                profile[k, side, at] = workspace.road[side, k]
             for w in range(4):
-                loads[k, w, at] = top.out[i, LOAD + w, k]
+                loads[k, w, at] = workspace.out[i, LOAD + w, k]
 
 
-@separate
-def drive_blocks(blocks, cars, common, heights, noise, given, pipes, turns, room, seen):
-    """Drive the `blocks` (indices) for one interval under the commands `given` (B, LANES).
+@kernel(inline=False)
+def advance_blocks(
+    blocks, state, parameters, road_heights, noise, commands, delayed, a_xy_blocks, buffer, output
+):
+    """Advance the `blocks` (indices) by one control interval under `commands` (B, LANES).
 
-    `heights` (B, ...): the roads; `noise` (B, LANES, rows, 3): standard normal; `pipes`
-    (2, n, LANES): scratch of bytes; `turns` (B or 1, 4 n + 2): a_x, a_y of a manoeuvre; `room`:
-    a `scratch`; the rows of `seen` are the lanes of all blocks.
+    `road_heights` (B, ...): the roads; `noise` (B, LANES, rows, 3): standard normal; `delayed`
+    (2, n, LANES): scratch for command bytes; `a_xy_blocks` (B or 1, 4 n + 2): a_x, a_y [m/s²] of a
+    manoeuvre; `buffer`: a `workspace_buffer`. The rows of `output` are the lanes of all blocks.
     """
-    n = pipes.shape[1]
-    seen_samples = (n + common.every - 1) // common.every
-    top = desk(room, n)
+    n = delayed.shape[1]
+    n_samples = (n + parameters.decimation - 1) // parameters.decimation
+    workspace = workspace_views(buffer, n)
     for b in blocks:
         rows = slice(b * LANES, (b + 1) * LANES)
-        q, v, memory, way = cars.q[b], cars.v[b], cars.memory[b], cars.way[b]
-        course, counts, numbers = cars.course[b], cars.counts[b], seen.numbers[rows]
-        ways = Ways(heights[b], way[FIRST:SIZE], way[SIZE], way[START], way[DS])
-        lay_course(course[BEGIN], course[SPEED], counts[DONE], common.h, top.s, top.v)
+        q, v, strut_state, layout = (
+            state.q[b],
+            state.v[b],
+            state.strut_state[b],
+            state.road_layout[b],
+        )
+        kinematics, counts, values = state.kinematics[b], state.counts[b], output.values[rows]
+        offset, size = layout[ROAD_OFFSET:ROAD_SIZE], layout[ROAD_SIZE]
+        roads = RoadBuffers(road_heights[b], offset, size, layout[ROAD_START], layout[ROAD_DS])
+        start, speed, h = kinematics[DRIVE_START], kinematics[SPEED], parameters.h
+        front_axle_stations(start, speed, counts[STEPS_DONE], h, workspace.s, workspace.v)
+        a_xy, out = a_xy_blocks[b % a_xy_blocks.shape[0]], workspace.out
         for i in range(n):
             for k in range(LANES):
-                pipes[0, i, k] = given[b, k]
-        through_pipe(cars.pipe[b], common.delay, counts[PASSED], pipes[0], pipes[1])
-        drive_lanes(
-            common.p,
-            common.numbers,
-            common.velocity,
-            common.displacement,
-            memory,
+                delayed[0, i, k] = commands[b, k]
+        delay_commands(
+            state.delay_line[b], parameters.delay, counts[STEPS_DELAYED], delayed[0], delayed[1]
+        )
+        integrate_lanes(
+            parameters.p,
+            parameters.constants,
+            parameters.velocity,
+            parameters.displacement,
+            strut_state,
             q,
             v,
-            ways,
-            top.s,
-            top.v,
-            turns[b % turns.shape[0]],
-            pipes[1],
-            common.alpha,
-            common.h,
-            top.work,
-            top.road,
-            top.row,
-            common.columns,
-            top.out,
+            roads,
+            workspace.s,
+            workspace.v,
+            a_xy,
+            delayed[1],
+            parameters.alpha,
+            h,
+            workspace.work,
+            workspace.road,
+            workspace.row,
+            parameters.columns,
+            out,
         )
-        _find_failures(top.out, q, v, top.nothing, seen.broken[rows], seen.turned[rows])
-        _sense(common, cars.levers[b], cars.alias[b], noise[b], counts[USED], top.out, top.a)
-        _add_up(common, cars.wk[b], top.out, top.heave, top.nothing, numbers)
-        _observe(common, course, top.a, given[b], seen.observation[rows])
-        _observe_more(
-            common, turns[b % turns.shape[0]], top.out, 3 * seen_samples + 5, seen.observation[rows]
-        )
-        if seen.s.shape[1] > 0:
-            truth = (seen.s[rows], seen.profile[rows], seen.loads[rows])
-            _tell_the_truth(common, ways, top, *truth)
+        nonfinite_step, rollover = output.nonfinite_step[rows], output.rollover[rows]
+        _find_failures(out, q, v, workspace.scalar, nonfinite_step, rollover)
+        filters, used = state.antialias_state[b], counts[NOISE_ROWS_USED]
+        sensor_rows, a = state.sensor_rows[b], workspace.a
+        _sample_accelerometers(parameters, sensor_rows, filters, noise[b], used, out, a)
+        _sum_costs(parameters, state.wk_state[b], out, workspace.heave, workspace.scalar, values)
+        observation = output.observation[rows]
+        _write_observation(parameters, kinematics, a, commands[b], observation)
+        _write_optional_groups(parameters, a_xy, out, 3 * n_samples + 5, observation)
+        if output.s.shape[1] > 0:
+            truth = (output.s[rows], output.profile[rows], output.loads[rows])
+            _write_truth(parameters, roads, workspace, *truth)
         for k in range(LANES):
-            counts[DONE, k] += n
-            numbers[k, 0] = counts[DONE, k] * common.h
-            numbers[k, 1] = course[BEGIN, k] + numbers[k, 0] * course[SPEED, k]
-            numbers[k, 2] = course[SPEED_KMH, k]
-            seen.over[b * LANES + k] = counts[DONE, k] >= counts[TOTAL, k]
+            counts[STEPS_DONE, k] += n
+            t = counts[STEPS_DONE, k] * parameters.h
+            values[k, OUT_T] = t
+            values[k, OUT_STATION] = kinematics[DRIVE_START, k] + t * kinematics[SPEED, k]
+            values[k, OUT_SPEED_KMH] = kinematics[SPEED_KMH, k]
+            output.end_of_road[b * LANES + k] = counts[STEPS_DONE, k] >= counts[STEPS_TOTAL, k]

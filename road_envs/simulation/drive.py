@@ -1,8 +1,8 @@
-"""A vehicle driven over a surface: step by step under changing commands, or whole.
+"""Simulation of one vehicle over a surface, step by step under changing commands or as a whole.
 
-`Drive` is what the environment advances; `simulate` runs one to its end. A drive begins with the
-front axle RUN_UP metres before station 0, at rest on the level apron in the commanded mode, and is
-over when the rear axle has passed the end of the surface by the same distance.
+`DriveSimulator` advances step by step; `simulate` runs one to its end. A drive begins with the
+front axle APRON_LENGTH metres before station 0, at rest on a level apron in the commanded mode. It
+is finished when the rear axle has passed the end of the surface by the same distance.
 """
 
 from collections.abc import Mapping
@@ -14,12 +14,12 @@ from road_envs.config import ConfigError
 from road_envs.roads.surface import Surface
 from road_envs.simulation import rosenbrock
 from road_envs.simulation.manoeuvres import Manoeuvre
-from road_envs.simulation.speed import SpeedProfile, constant
-from road_envs.vehicle.equations import N_DOF, PHI, THETA, Z_B, Plant, equilibrium, plant
+from road_envs.simulation.speed import SpeedProfile, constant_speed
+from road_envs.vehicle.equations import N_DOF, PHI, THETA, Z_B, Plant, build_plant, equilibrium
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.suspension import command, memory_at_rest
+from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
-RUN_UP = 5.0
+APRON_LENGTH = 5.0
 """Level apron [m] before and after the surface."""
 
 
@@ -72,13 +72,13 @@ class Trajectory:
         The halves of a flexible frame meet at the centre of mass.
         """
         a = self.acceleration
-        found = a[:, Z_B] - x * a[:, THETA] + y * a[:, PHI]
+        a_point = a[:, Z_B] - x * a[:, THETA] + y * a[:, PHI]
         if self.twist.shape[1] > 0:
-            found += 0.5 * np.sign(x) * y * self.twist[:, 2]
-        return found
+            a_point += 0.5 * np.sign(x) * y * self.twist[:, 2]
+        return a_point
 
 
-class Drive:
+class DriveSimulator:
     """One vehicle on its way over a surface; plain NumPy state, so copies and pickles work.
 
     `speed` is a number [m/s] or a SpeedProfile; `step` [s] is the integrator's. A `manoeuvre`, and
@@ -100,7 +100,7 @@ class Drive:
         if not isinstance(speed, SpeedProfile):
             if not (np.isfinite(speed) and speed > 0):
                 raise ConfigError(f"the speed must be positive, got {speed} m/s")
-            speed = constant(speed)
+            speed = constant_speed(speed)
         if not 0 < step <= 0.01:
             raise ConfigError(f"the integrator's step must be within (0, 0.01] s, got {step} s")
         if surface.length < car.wheelbase:
@@ -109,15 +109,15 @@ class Drive:
                 f"of {car.wheelbase:.3f} m"
             )
         self.plant, self.car, self.surface = plant, car, surface
-        self.profile, self.manoeuvre, self.step = speed, manoeuvre, float(step)
-        byte = command(mode)
+        self.speed_profile, self.manoeuvre, self.step = speed, manoeuvre, float(step)
+        byte = encode_command(mode)
         self.steps = 0
-        self.start = -RUN_UP
-        self.finish = surface.end + car.wheelbase + RUN_UP
-        self._total = int(np.ceil(speed.arrival(self.finish - self.start) / step))
-        self.memory = memory_at_rest(byte)
+        self.start = -APRON_LENGTH
+        self.end = surface.end + car.wheelbase + APRON_LENGTH
+        self._total = int(np.ceil(speed.arrival_time(self.end - self.start) / step))
+        self.strut_state = settled_strut_state(byte)
         self.state = self._at_rest()
-        self.pipe = np.full(round(car.valve.delay / step), byte, dtype=np.uint8)
+        self.delay_line = np.full(round(car.valve.delay / step), byte, dtype=np.uint8)
 
     def _at_rest(self) -> np.ndarray:
         if self.car.tyre_static_deflection != "equilibrium":
@@ -125,7 +125,7 @@ class Drive:
             return np.zeros(2 * self.plant.inertias.size)
         s = self.start - np.array([0.0, 0.0, self.car.wheelbase, self.car.wheelbase])
         heights = self.surface.height(s)[[0, 1, 0, 1], range(4)]
-        return equilibrium(self.plant, self.memory, heights)
+        return equilibrium(self.plant, self.strut_state, heights)
 
     @property
     def t(self) -> float:
@@ -135,12 +135,12 @@ class Drive:
     @property
     def speed(self) -> float:
         """Speed now [m/s]."""
-        return float(self.profile.at(np.array([self.t]))[1][0])
+        return float(self.speed_profile.at(np.array([self.t]))[1][0])
 
     @property
     def station(self) -> float:
         """Station of the front axle [m]."""
-        return self.start + float(self.profile.at(np.array([self.t]))[0][0])
+        return self.start + float(self.speed_profile.at(np.array([self.t]))[0][0])
 
     @property
     def steps_left(self) -> int:
@@ -148,25 +148,25 @@ class Drive:
         return max(self._total - self.steps, 0)
 
     @property
-    def over(self) -> bool:
+    def is_finished(self) -> bool:
         """Whether the rear axle has left the surface and its apron."""
         return self.steps_left == 0
 
-    def arriving(self, commands: np.ndarray) -> np.ndarray:
+    def delayed_commands(self, commands: np.ndarray) -> np.ndarray:
         """The command bytes (n,) that reach the valves while `commands` (n,) are given."""
-        given = np.concatenate([self.pipe, commands])
-        self.pipe = given[commands.size :]
-        return given[: commands.size]
+        sent = np.concatenate([self.delay_line, commands])
+        self.delay_line = sent[commands.size :]
+        return sent[: commands.size]
 
-    def course(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def half_step_inputs(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Stations [m], speeds [m/s] (2 n + 1,) and a_x, a_y [m/s²] (2 n + 1, 2) of the next `n`
         steps, at every half step.
         """
-        instants = half_steps(self.step, self.steps, n)
-        distance, v, a_x = self.profile.at(instants)
-        turn = np.zeros((v.size, 2)) if self.manoeuvre is None else self.manoeuvre.at(instants)
-        turn[:, 0] += a_x
-        return self.start + distance, v, turn
+        instants = half_step_times(self.step, self.steps, n)
+        distance, v, a_x = self.speed_profile.at(instants)
+        a_xy = np.zeros((v.size, 2)) if self.manoeuvre is None else self.manoeuvre.at(instants)
+        a_xy[:, 0] += a_x
+        return self.start + distance, v, a_xy
 
     def advance(self, commands: np.ndarray) -> Trajectory:
         """Take one step per command byte (n,); returns the signals at the steps' beginnings.
@@ -175,26 +175,27 @@ class Drive:
         """
         commands = np.asarray(commands, dtype=np.uint8)
         n = commands.size
-        s, v, turn = self.course(n)
-        signals = np.empty((n, rosenbrock.signals_of(self.plant)))
-        road = (self.surface.padded, self.surface.start, self.surface.ds, s, v, turn)
-        valve = (self.arriving(commands), self.car.valve.lag, self.step, signals)
-        more = (
-            (True,) if self.plant.flexible else ()
-        )  # a flexible car's kernel is compiled when one comes
-        rosenbrock.drive(*self.plant.arrays, self.memory, self.state, *road, *valve, *more)
+        s, v, a_xy = self.half_step_inputs(n)
+        signals = np.empty((n, rosenbrock.n_signals(self.plant)))
+        road = (self.surface.padded, self.surface.start, self.surface.ds, s, v, a_xy)
+        valve = (self.delayed_commands(commands), self.car.valve.lag, self.step, signals)
+        # without the argument a rigid car's kernel compiles without the frame's branch
+        flexible = (True,) if self.plant.flexible else ()
+        rosenbrock.integrate(
+            *self.plant.arrays, self.strut_state, self.state, *road, *valve, *flexible
+        )
         t = self.step * (self.steps + np.arange(n))
         self.steps += n
         if not np.isfinite(self.state).all():
-            whole = int(np.isfinite(signals).all(axis=1).sum())
+            n_finite = int(np.isfinite(signals).all(axis=1).sum())
             raise SimulationError(
                 f"{self.surface.name}: the motion is no longer finite at t = "
-                f"{self.step * (self.steps - n + whole):.3f} s"
+                f"{self.step * (self.steps - n + n_finite):.3f} s"
             )
         return Trajectory(t, s[:-1:2], v[:-1:2], commands, signals)
 
 
-def half_steps(step: float, done: int, n: int) -> np.ndarray:
+def half_step_times(step: float, done: int, n: int) -> np.ndarray:
     """The instants (2 n + 1,) [s] of `n` steps after `done` ones, with those half-way between."""
     return 0.5 * step * (2 * done + np.arange(2 * n + 1))
 
@@ -212,6 +213,6 @@ def simulate(
     Without a `manoeuvre` nothing leans the body, not even a change of speed, as in the paper.
     Raises ConfigError on bad input, SimulationError if the motion is no longer finite.
     """
-    kernels = plant(car, manoeuvres=manoeuvre is not None)
-    drive = Drive(kernels, car, surface, speed, mode, step, manoeuvre)
-    return drive.advance(np.full(drive.steps_left, command(mode), dtype=np.uint8))
+    plant = build_plant(car, manoeuvres=manoeuvre is not None)
+    drive = DriveSimulator(plant, car, surface, speed, mode, step, manoeuvre)
+    return drive.advance(np.full(drive.steps_left, encode_command(mode), dtype=np.uint8))

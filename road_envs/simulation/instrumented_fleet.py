@@ -13,58 +13,61 @@ from road_envs.analysis.comfort import wk_sos
 from road_envs.config import ConfigError
 from road_envs.data.record import SENSORS
 from road_envs.roads.surface import PAD
-from road_envs.sensing.data_logger import Instruments, Logger
+from road_envs.sensing.data_logger import DataLogger, Instruments
 from road_envs.simulation.control_step import (
-    BEGIN,
-    DONE,
-    DS,
-    FIRST,
-    PASSED,
-    PLANAR,
-    SIZE,
+    DRIVE_START,
+    N_PLANAR,
+    N_STRUT_SIGNALS,
+    NOISE_ROWS_USED,
+    OUT_REWARD,
+    OUT_UNRESOLVED,
+    OUTPUT_COLUMNS,
+    ROAD_DS,
+    ROAD_OFFSET,
+    ROAD_SIZE,
+    ROAD_START,
     SPEED,
     SPEED_GAIN,
     SPEED_KMH,
-    START,
-    STRUTS,
-    TOLD,
-    TOTAL,
-    USED,
-    Cars,
-    Common,
-    Seen,
-    desk,
-    drive_blocks,
-    scratch,
+    STEPS_DELAYED,
+    STEPS_DONE,
+    STEPS_TOTAL,
+    FleetParameters,
+    FleetState,
+    StepOutput,
+    advance_blocks,
+    workspace_buffer,
+    workspace_views,
 )
-from road_envs.simulation.drive import Drive, Trajectory
-from road_envs.simulation.fleet import aligned, copied, numbers_of, pool
+from road_envs.simulation.drive import DriveSimulator, Trajectory
+from road_envs.simulation.fleet import aligned_copy, aligned_zeros, lane_constants, thread_pool
 from road_envs.simulation.manoeuvres import Manoeuvre
-from road_envs.simulation.rosenbrock import SIGNALS
+from road_envs.simulation.rosenbrock import N_SIGNALS
 from road_envs.simulation.simd import LANES
 from road_envs.vehicle.equations import N_DOF, Plant
 from road_envs.vehicle.parameters import VehicleParameters
 
-AHEAD = 20
+NOISE_INTERVALS = 20
 """Intervals for which noise is drawn at once, in the order in which it would be drawn singly."""
 
 
-def levers(logger: Logger) -> np.ndarray:
+def sensor_rows(logger: DataLogger) -> np.ndarray:
     """Rows (3, 3) that take heave, roll and pitch acceleration to the sensors."""
-    return np.array([[1.0, y, -x] for x, y in logger.places])
+    return np.array([[1.0, y, -x] for x, y in logger.locations])
 
 
-class Convoy:
-    """`number` cars of one make, each of them started by `start` and then driven by `advance`.
+class InstrumentedFleet:
+    """`n_vehicles` equal instrumented vehicles: `start` begins a drive, `advance` moves all.
 
-    `steps` of `step` [s] make an interval, a whole number of samples of the `instruments`. With
-    `truth`, what is `Seen` holds the road and the tyre loads. Blocks are spread over `threads`.
-    Plain NumPy state, so copies and pickles work. Raises ConfigError if the instruments cannot
-    sample at these steps.
-    `weights` are those of the three costs in the reward; `top_speed` [m/s] is the highest that is
-    observed; `planar` and `struts` add these groups to what is observed. `unknown` says, for a
-    speed [m/s], what each command byte leaves unknown of the road (256,) [-], a fourth cost with
-    the weight `information`.
+    A control interval has `steps` steps of `step` [s], a whole number of samples of the
+    `instruments`. With `truth`, `StepOutput` holds the road and the tyre loads. Blocks are spread
+    over `threads`. The state is plain NumPy, so copies and pickles work. Raises ConfigError if
+    the instruments cannot sample at these steps.
+
+    `weights` are those of the three costs in the reward; `top_speed` [m/s] is the highest speed
+    observed; `planar` and `struts` add these groups to the observation. `unresolved_variance`
+    returns, for a speed [m/s], the share (256,) [-] of the road's variance that each command byte
+    leaves unresolved, a fourth cost with the weight `unresolved_variance_weight`.
     """
 
     def __init__(
@@ -75,158 +78,172 @@ class Convoy:
         *,
         step: float,
         steps: int,
-        number: int = 1,
+        n_vehicles: int = 1,
         manoeuvre: Manoeuvre | None = None,
         weights: tuple[float, float, float] = (0.0, 0.0, 0.0),
         top_speed: float = np.inf,
         planar: bool = False,
         struts: bool = False,
-        unknown: Callable[[float], np.ndarray] | None = None,
-        information: float = 0.0,
+        unresolved_variance: Callable[[float], np.ndarray] | None = None,
+        unresolved_variance_weight: float = 0.0,
         truth: bool = True,
         threads: int = 1,
     ):
-        logger = Logger(instruments, car, step, np.random.default_rng(0))
-        if steps % logger.every:
+        logger = DataLogger(instruments, car, step, np.random.default_rng(0))
+        if steps % logger.decimation:
             raise ConfigError(
                 f"an interval of {steps} steps of {step} s must hold a whole number of samples at "
                 f"{instruments.fs} Hz"
             )
         self.plant, self.car, self.manoeuvre = plant, car, manoeuvre
-        self.step, self.steps, self.number, self.truth = step, steps, number, truth
-        self.threads, self.samples = threads, steps // logger.every
-        blocks = ceil(number / LANES)
+        self.step, self.steps, self.n_vehicles, self.truth = step, steps, n_vehicles, truth
+        self.threads, self.samples = threads, steps // logger.decimation
+        blocks = ceil(n_vehicles / LANES)
         self.rngs: list[np.random.Generator | None] = [None] * (blocks * LANES)
         delay = round(car.valve.delay / step)
         groups = (int(planar), int(struts))
-        self.common = _common(plant, car, logger, step, delay, weights, top_speed, groups)
-        self.width = len(SENSORS) * self.samples + 5 + planar * PLANAR + struts * STRUTS
-        self.unknown, self.information = unknown, information
-        self.left_unknown = np.zeros((number, 256 if unknown else 0))
-        self.cars = _parked(blocks, delay, len(logger.sos), len(self.common.wk_sos))
-        self.heights = np.zeros((blocks, LANES * 2 * (4 + 2 * PAD)))
-        self._lay_out(4 + 2 * PAD)
-        rows = AHEAD * steps if logger.noise_std > 0.0 else 1
+        self.parameters = _fleet_parameters(
+            plant, car, logger, step, delay, weights, top_speed, groups
+        )
+        self.observation_size = len(SENSORS) * self.samples + 5
+        self.observation_size += planar * N_PLANAR + struts * N_STRUT_SIGNALS
+        self.unresolved_variance = unresolved_variance
+        self.unresolved_variance_weight = unresolved_variance_weight
+        self.unresolved = np.zeros((n_vehicles, 256 if unresolved_variance else 0))
+        self.state = _initial_state(blocks, delay, len(logger.sos), len(self.parameters.wk_sos))
+        self.road_heights = np.zeros((blocks, LANES * 2 * (4 + 2 * PAD)))
+        self._resize_roads(4 + 2 * PAD)
+        rows = NOISE_INTERVALS * steps if logger.noise_std > 0.0 else 1
         self.noise = np.zeros((blocks, LANES, rows, len(SENSORS)))
         self._moving = np.arange(blocks)
-        self._desks = [_desk(steps) for _ in range(min(threads, blocks))]
-        self._straight = np.zeros((1, 4 * steps + 2, LANES))
+        self._workspaces = [_thread_workspace(steps) for _ in range(min(threads, blocks))]
+        self._no_manoeuvre = np.zeros((1, 4 * steps + 2, LANES))
 
-    def start(self, i: int, drive: Drive, logger: Logger, speed_kmh: float) -> None:
+    def start(self, i: int, drive: DriveSimulator, logger: DataLogger, speed_kmh: float) -> None:
         """Put car `i` at the beginning of a `drive`, at one speed, seen through a `logger`.
 
         `speed_kmh` is that speed as it will be told.
         """
         b, k = divmod(i, LANES)
-        self._pave(b, k, drive)
-        cars = self.cars
-        cars.q[b, :, k], cars.v[b, :, k] = drive.state[:N_DOF], drive.state[N_DOF:]
-        cars.memory[b, :, :, k], cars.pipe[b, :, k] = drive.memory, drive.pipe
-        cars.alias[b, ..., k], cars.wk[b, ..., k], cars.levers[b, ..., k] = 0.0, 0.0, levers(logger)
-        course, counts = cars.course[b, :, k], cars.counts[b, :, k]
-        course[BEGIN], course[SPEED], course[SPEED_GAIN] = (
+        self._set_road(b, k, drive)
+        state = self.state
+        state.q[b, :, k], state.v[b, :, k] = drive.state[:N_DOF], drive.state[N_DOF:]
+        state.strut_state[b, :, :, k] = drive.strut_state
+        state.delay_line[b, :, k] = drive.delay_line
+        state.antialias_state[b, ..., k], state.wk_state[b, ..., k] = 0.0, 0.0
+        state.sensor_rows[b, ..., k] = sensor_rows(logger)
+        kinematics, counts = state.kinematics[b, :, k], state.counts[b, :, k]
+        kinematics[DRIVE_START], kinematics[SPEED], kinematics[SPEED_GAIN] = (
             drive.start,
             drive.speed,
             logger.speed_gain,
         )
-        course[SPEED_KMH] = speed_kmh
-        counts[PASSED], counts[DONE], counts[TOTAL] = 0, 0, drive.steps_left
-        counts[USED], self.rngs[i] = self.noise.shape[2], logger.rng
-        if self.unknown is not None:
-            self.left_unknown[i] = self.unknown(drive.speed)
+        kinematics[SPEED_KMH] = speed_kmh
+        counts[STEPS_DELAYED], counts[STEPS_DONE], counts[STEPS_TOTAL] = 0, 0, drive.steps_left
+        counts[NOISE_ROWS_USED], self.rngs[i] = self.noise.shape[2], logger.rng
+        if self.unresolved_variance is not None:
+            self.unresolved[i] = self.unresolved_variance(drive.speed)
 
-    def advance(self, commands: np.ndarray, mask: np.ndarray | None = None) -> Seen:
+    def advance(self, commands: np.ndarray, mask: np.ndarray | None = None) -> StepOutput:
         """Drive one interval under `commands` (N,) uint8; the cars outside `mask` (N,) stand still.
 
         Rows of cars outside the mask say nothing.
         """
-        blocks, size = len(self.heights), len(self.heights) * LANES
-        given = np.zeros(size, dtype=np.uint8)
-        given[: self.number] = commands
+        blocks, size = len(self.road_heights), len(self.road_heights) * LANES
+        lane_commands = np.zeros(size, dtype=np.uint8)
+        lane_commands[: self.n_vehicles] = commands
         moving = self._moving if mask is None else np.unique(np.flatnonzero(mask) // LANES)
-        if self.common.noise_std > 0.0:
+        if self.parameters.noise_std > 0.0:
             self._draw_noise(moving)
-        kept = None if mask is None else [field[moving] for field in self.cars]
-        seen, byte, turns = self._room(size), given.reshape(blocks, LANES), self._turns()
-        inputs = (self.cars, self.common, self.heights, self.noise, byte)
+        saved = None if mask is None else [field[moving] for field in self.state]
+        output, a_xy = self._allocate_output(size), self._manoeuvre_inputs()
+        block_commands = lane_commands.reshape(blocks, LANES)
+        inputs = (self.state, self.parameters, self.road_heights, self.noise, block_commands)
 
-        def drive(job: np.ndarray, pipes: np.ndarray, room: np.ndarray) -> None:
-            drive_blocks(job, *inputs, pipes, turns, room, seen)
+        def run(job: np.ndarray, delayed: np.ndarray, buffer: np.ndarray) -> None:
+            advance_blocks(job, *inputs, delayed, a_xy, buffer, output)
 
-        if len(self._desks) == 1:
-            drive(moving, *self._desks[0])
+        if len(self._workspaces) == 1:
+            run(moving, *self._workspaces[0])
         else:
-            jobs = np.array_split(moving, len(self._desks))
-            list(pool(len(jobs)).map(lambda job, top: drive(job, *top), jobs, self._desks))
-        if mask is not None and kept is not None:
-            self._put_back(moving, mask, kept)
-        if self.unknown is not None:
-            self._charge(commands, seen.numbers)
-        return seen if size == self.number else Seen(*(field[: self.number] for field in seen))
+            jobs = np.array_split(moving, len(self._workspaces))
+            workers = thread_pool(len(jobs))
+            list(workers.map(lambda job, room: run(job, *room), jobs, self._workspaces))
+        if mask is not None and saved is not None:
+            self._restore_unmasked(moving, mask, saved)
+        if self.unresolved_variance is not None:
+            self._subtract_information_cost(commands, output.values)
+        if size == self.n_vehicles:
+            return output
+        return StepOutput(*(field[: self.n_vehicles] for field in output))
 
-    def _charge(self, commands: np.ndarray, numbers: np.ndarray) -> None:
+    def _subtract_information_cost(self, commands: np.ndarray, values: np.ndarray) -> None:
         """Charge the rewards with what the commanded states leave unknown of the road."""
-        unknown = self.left_unknown[np.arange(self.number), commands]
-        numbers[: self.number, TOLD.index("unknown")] = unknown
-        interval = self.steps * self.step
-        numbers[: self.number, TOLD.index("reward")] -= interval * self.information * unknown
+        n, interval = self.n_vehicles, self.steps * self.step
+        unresolved = self.unresolved[np.arange(n), commands]
+        values[:n, OUT_UNRESOLVED] = unresolved
+        values[:n, OUT_REWARD] -= interval * self.unresolved_variance_weight * unresolved
 
     @property
     def done(self) -> np.ndarray:
         """Steps taken (N,)."""
-        return self.cars.counts[:, DONE].ravel()[: self.number]
+        return self.state.counts[:, STEPS_DONE].ravel()[: self.n_vehicles]
 
     @property
     def steps_left(self) -> np.ndarray:
         """Steps until the cars' drives are over (N,)."""
-        left = self.cars.counts[:, TOTAL] - self.cars.counts[:, DONE]
-        return left.ravel()[: self.number]
+        left = self.state.counts[:, STEPS_TOTAL] - self.state.counts[:, STEPS_DONE]
+        return left.ravel()[: self.n_vehicles]
 
-    def land(self, i: int, drive: Drive) -> None:
+    def write_back(self, i: int, drive: DriveSimulator) -> None:
         """Put `drive` where car `i` is."""
         b, k = divmod(i, LANES)
-        drive.state[:N_DOF], drive.state[N_DOF:] = self.cars.q[b, :, k], self.cars.v[b, :, k]
-        drive.memory[:] = self.cars.memory[b, :, :, k]
-        drive.steps = int(self.cars.counts[b, DONE, k])
-        if drive.pipe.size:
-            ring = self.cars.pipe[b, :, k]
-            drive.pipe = np.roll(ring, -(self.cars.counts[b, PASSED, k] % ring.size))
+        drive.state[:N_DOF], drive.state[N_DOF:] = self.state.q[b, :, k], self.state.v[b, :, k]
+        drive.strut_state[:] = self.state.strut_state[b, :, :, k]
+        drive.steps = int(self.state.counts[b, STEPS_DONE, k])
+        if drive.delay_line.size:
+            ring = self.state.delay_line[b, :, k]
+            drive.delay_line = np.roll(ring, -(self.state.counts[b, STEPS_DELAYED, k] % ring.size))
 
-    def last_interval(self, i: int, command: int) -> Trajectory:
-        """The motion of car `i` in the last interval, under `command`; of the first block only."""
-        last = desk(self._desks[0][1], self.steps)
-        begin = int(self.cars.counts[0, DONE, i]) - self.steps
-        t = self.step * (begin + np.arange(self.steps))
-        commands = np.full(self.steps, command, dtype=np.uint8)
+    def last_interval(self, i: int, byte: int) -> Trajectory:
+        """The motion of car `i` in the last interval, under `byte`; of the first block only."""
+        last = workspace_views(self._workspaces[0][1], self.steps)
+        first = int(self.state.counts[0, STEPS_DONE, i]) - self.steps
+        t = self.step * (first + np.arange(self.steps))
+        commands = np.full(self.steps, byte, dtype=np.uint8)
         s, v = last.s[:-1:2, i].copy(), last.v[:-1:2, i].copy()
         return Trajectory(t, s, v, commands, last.out[:, :, i].copy())
 
-    def _pave(self, b: int, k: int, drive: Drive) -> None:
+    def _set_road(self, b: int, k: int, drive: DriveSimulator) -> None:
         """Lay the surface of `drive` under lane `k` of block `b`."""
         z = drive.surface.z
         size = z.shape[1] + 2 * PAD
-        if size > self.heights.shape[1] // (2 * LANES):
-            self._lay_out(size)
-        room = self.heights.shape[1] // (2 * LANES)
+        if size > self.road_heights.shape[1] // (2 * LANES):
+            self._resize_roads(size)
+        capacity = self.road_heights.shape[1] // (2 * LANES)
         for side in range(2):
-            at = (2 * k + side) * room
-            lane = self.heights[b, at : at + size]
-            lane[:PAD], lane[PAD:-PAD], lane[-PAD:] = z[side, 0], z[side], z[side, -1]
-        way = self.cars.way[b, :, k]
-        way[SIZE], way[START], way[DS] = size, drive.surface.start, drive.surface.ds
+            offset = (2 * k + side) * capacity
+            path = self.road_heights[b, offset : offset + size]
+            path[:PAD], path[PAD:-PAD], path[-PAD:] = z[side, 0], z[side], z[side, -1]
+        layout = self.state.road_layout[b, :, k]
+        layout[ROAD_SIZE], layout[ROAD_START], layout[ROAD_DS] = (
+            size,
+            drive.surface.start,
+            drive.surface.ds,
+        )
 
-    def _lay_out(self, room: int) -> None:
-        """Make room for `room` samples of each wheel path of every lane."""
-        blocks, old = len(self.heights), self.heights.shape[1] // (2 * LANES)
-        heights = np.zeros((blocks, 2 * LANES, room))
-        kept = min(old, room)
-        heights[:, :, :kept] = self.heights.reshape(blocks, 2 * LANES, old)[:, :, :kept]
-        self.heights = heights.reshape(blocks, 2 * LANES * room)
-        at = room * np.arange(2.0 * LANES).reshape(LANES, 2)
-        self.cars.way[:, FIRST:SIZE] = at.T
+    def _resize_roads(self, capacity: int) -> None:
+        """Make room for `capacity` samples of each wheel path of every lane."""
+        blocks, old = len(self.road_heights), self.road_heights.shape[1] // (2 * LANES)
+        heights = np.zeros((blocks, 2 * LANES, capacity))
+        common = min(old, capacity)
+        heights[:, :, :common] = self.road_heights.reshape(blocks, 2 * LANES, old)[:, :, :common]
+        self.road_heights = heights.reshape(blocks, 2 * LANES * capacity)
+        offsets = capacity * np.arange(2.0 * LANES).reshape(LANES, 2)
+        self.state.road_layout[:, ROAD_OFFSET:ROAD_SIZE] = offsets.T
 
     def _draw_noise(self, moving: np.ndarray) -> None:
-        rows, used = self.noise.shape[2], self.cars.counts[:, USED]
+        rows, used = self.noise.shape[2], self.state.counts[:, NOISE_ROWS_USED]
         if used.max() < rows:
             return
         for b in moving[(used[moving] >= rows).any(axis=1)]:
@@ -236,21 +253,21 @@ class Convoy:
                     rng.standard_normal(out=self.noise[b, k])
                 used[b, k] = 0
 
-    def _turns(self) -> np.ndarray:
+    def _manoeuvre_inputs(self) -> np.ndarray:
         """a_x, a_y one below the other (B or 1, 4 n + 2, LANES) for the coming interval."""
         if self.manoeuvre is None:
-            return self._straight
-        done = self.cars.counts[:, DONE]
+            return self._no_manoeuvre
+        done = self.state.counts[:, STEPS_DONE]
         instants = 0.5 * self.step * (2 * done[:, None] + np.arange(2 * self.steps + 1)[:, None])
-        turn = self.manoeuvre.at(instants)
-        return np.moveaxis(turn, -1, 2).reshape(len(done), 4 * self.steps + 2, LANES)
+        a_xy = self.manoeuvre.at(instants)
+        return np.moveaxis(a_xy, -1, 2).reshape(len(done), 4 * self.steps + 2, LANES)
 
-    def _room(self, size: int) -> Seen:
+    def _allocate_output(self, size: int) -> StepOutput:
         """Fresh arrays for what `size` lanes will have seen."""
         truth = self.samples if self.truth else 0
-        return Seen(
-            np.empty((size, self.width), dtype=np.float32),
-            np.empty((size, len(TOLD))),
+        return StepOutput(
+            np.empty((size, self.observation_size), dtype=np.float32),
+            np.empty((size, len(OUTPUT_COLUMNS))),
             np.empty(size, dtype=bool),
             np.empty(size, dtype=np.int64),
             np.empty(size, dtype=np.int64),
@@ -259,56 +276,62 @@ class Convoy:
             np.empty((size, 4, truth)),
         )
 
-    def _put_back(self, moving: np.ndarray, mask: np.ndarray, kept: list[np.ndarray]) -> None:
+    def _restore_unmasked(
+        self, moving: np.ndarray, mask: np.ndarray, saved: list[np.ndarray]
+    ) -> None:
         """Undo what the last interval did to cars outside the `mask`."""
-        still = np.ones(len(self.heights) * LANES, dtype=bool)
-        still[: self.number] = ~mask
-        for field, before in zip(self.cars, kept, strict=True):
-            for at, b in enumerate(moving):
-                lanes = still[b * LANES : (b + 1) * LANES]
-                field[b][..., lanes] = before[at][..., lanes]
+        unmasked = np.ones(len(self.road_heights) * LANES, dtype=bool)
+        unmasked[: self.n_vehicles] = ~mask
+        for field, before in zip(self.state, saved, strict=True):
+            for j, b in enumerate(moving):
+                lanes = unmasked[b * LANES : (b + 1) * LANES]
+                field[b][..., lanes] = before[j][..., lanes]
 
 
-def _desk(steps: int) -> tuple[np.ndarray, np.ndarray]:
-    return np.zeros((2, steps, LANES), dtype=np.uint8), scratch(steps)
+def _thread_workspace(steps: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.zeros((2, steps, LANES), dtype=np.uint8), workspace_buffer(steps)
 
 
-def _common(plant, car, logger, step, delay, weights, top_speed, groups) -> Common:
-    numbers = np.repeat(plant.numbers, LANES)
-    return Common(
-        numbers_of(numbers),
-        numbers,
+def _fleet_parameters(
+    plant, car, logger, step, delay, weights, top_speed, groups
+) -> FleetParameters:
+    constants = np.repeat(plant.constants, LANES)
+    return FleetParameters(
+        lane_constants(constants),
+        constants,
         plant.velocity,
         plant.displacement,
         np.full(LANES, delay),
-        copied(np.full(LANES, 1.0 - np.exp(-step / car.valve.lag))),
+        aligned_copy(np.full(LANES, 1.0 - np.exp(-step / car.valve.lag))),
         np.repeat(car.tyre_loads, 2),
         np.array(weights, dtype=float),
         logger.sos,
         wk_sos(1.0 / step),
-        np.arange(SIGNALS),
+        np.arange(N_SIGNALS),
         float(logger.noise_std),
         float(logger.range),
         float(top_speed),
         step,
-        logger.every,
+        logger.decimation,
         *groups,
     )
 
 
-def _parked(blocks: int, delay: int, alias: int, wk: int) -> Cars:
+def _initial_state(
+    blocks: int, delay: int, antialias_sections: int, wk_sections: int
+) -> FleetState:
     """Cars that stand still on level ground, all lanes of every block."""
-    cars = Cars(
-        q=aligned(blocks, N_DOF),
-        v=aligned(blocks, N_DOF),
-        memory=aligned(blocks, 4, 3),
-        pipe=np.zeros((blocks, delay, LANES), dtype=np.uint8),
-        alias=aligned(blocks, alias, len(SENSORS), 2),
-        wk=aligned(blocks, wk, 1, 2),
-        levers=aligned(blocks, len(SENSORS), 3),
+    state = FleetState(
+        q=aligned_zeros(blocks, N_DOF),
+        v=aligned_zeros(blocks, N_DOF),
+        strut_state=aligned_zeros(blocks, 4, 3),
+        delay_line=np.zeros((blocks, delay, LANES), dtype=np.uint8),
+        antialias_state=aligned_zeros(blocks, antialias_sections, len(SENSORS), 2),
+        wk_state=aligned_zeros(blocks, wk_sections, 1, 2),
+        sensor_rows=aligned_zeros(blocks, len(SENSORS), 3),
         counts=np.zeros((blocks, 4, LANES), dtype=np.int64),
-        course=aligned(blocks, 4),
-        way=aligned(blocks, 5),
+        kinematics=aligned_zeros(blocks, 4),
+        road_layout=aligned_zeros(blocks, 5),
     )
-    cars.way[:, SIZE], cars.way[:, DS] = 4.0 + 2.0 * PAD, 1.0
-    return cars
+    state.road_layout[:, ROAD_SIZE], state.road_layout[:, ROAD_DS] = 4.0 + 2.0 * PAD, 1.0
+    return state

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Protocol
 
 import numpy as np
 
-from road_envs.config import STRICT, ConfigError, build, one_of
+from road_envs.config import STRICT, ConfigError, build, validate_choice
 
 
 class Manoeuvre(Protocol):
@@ -122,5 +122,5 @@ def load_manoeuvre(source: str | dict[str, Any]) -> Manoeuvre:
     settings = {"kind": source} if isinstance(source, str) else dict(source)
     if "kind" not in settings:
         raise ConfigError(f"a manoeuvre needs its kind; known: {', '.join(KINDS)}")
-    kind = one_of("manoeuvre", settings.pop("kind"), KINDS)
+    kind = validate_choice("manoeuvre", settings.pop("kind"), KINDS)
     return build(KINDS[kind], settings, kind)

@@ -39,7 +39,7 @@ class StepSizeError(ArithmeticError):
 
 
 @kernel
-def resize(error):
+def step_size_factor(error):
     """Factor of the next step after an error of `error` tolerances: its cube root, with care.
 
     The error is of order h³. 0.8 is for safety, and no step is less than a fifth of the one before
@@ -51,7 +51,7 @@ def resize(error):
 
 
 @kernel
-def blend(x):
+def dense_output_weights(x):
     """Weights of h k_1 and h k_2 in the solution at the share `x` of a step."""
     return x * (1.0 - x) / (1.0 - 2.0 * D), x * (x - 2.0 * D) / (1.0 - 2.0 * D)
 
@@ -84,7 +84,7 @@ class Solution:
             raise ValueError(f"the solution is known from {self.t[0]:g} to {self.t[-1]:g} only")
         i = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, self.steps - 1)
         h = (self.t[i + 1] - self.t[i])[..., None]
-        b_1, b_2 = blend((t - self.t[i])[..., None] / h)
+        b_1, b_2 = dense_output_weights((t - self.t[i])[..., None] / h)
         return self.y[i] + h * (b_1 * self.k[i, 0] + b_2 * self.k[i, 1])
 
 
@@ -126,13 +126,13 @@ class _System:
         self.calls += 1
         return np.array(self.rate(t, y), dtype=float)
 
-    def slopes(self, t: float, y: np.ndarray, F: np.ndarray, h: float):
+    def derivatives(self, t: float, y: np.ndarray, F: np.ndarray, h: float):
         """df/dy (n, n) and df/dt (n,), the latter by a difference within `h` if it is not given."""
         J = np.asarray(self.jacobian(t, y), dtype=float)
         if self.dfdt is not None:
             return J, np.asarray(self.dfdt(t, y), dtype=float)
-        ahead = t + min(np.sqrt(np.finfo(float).eps) * max(abs(t), abs(t + h)), h)
-        return J, (self.f(ahead, y) - F) / (ahead - t)
+        t_ahead = t + min(np.sqrt(np.finfo(float).eps) * max(abs(t), abs(t + h)), h)
+        return J, (self.f(t_ahead, y) - F) / (t_ahead - t)
 
 
 def ode23s(
@@ -159,19 +159,19 @@ def ode23s(
         raise ValueError("tolerances and the longest step must be positive")
     system, y = _System(rate, jacobian, dfdt), np.array(y_0, dtype=float)
     F, h = system.f(t, y), min(max_step, end - t)
-    J, T = system.slopes(t, y, F, h)
-    h = min(h, _first(rtol, atol, y, J @ F + T))
-    times, states, stages, tried = [t], [y], [], 0
+    J, T = system.derivatives(t, y, F, h)
+    h = min(h, _initial_step(rtol, atol, y, J @ F + T))
+    times, states, stages, n_tried = [t], [y], [], 0
     while True:
         last = t + h * (1.0 + 1e-9) >= end
         h = end - t if last else h
         if not h > 4.0 * np.spacing(abs(t)):
             raise StepSizeError(f"no step meets the tolerance at t = {t:.9g}")
-        new, tried = step(system.f, t, y, F, J, T, h), tried + 1
+        new, n_tried = step(system.f, t, y, F, J, T, h), n_tried + 1
         scale = atol + rtol * np.maximum(np.abs(y), np.abs(new.y))
         error = float(np.max(np.abs(new.error) / scale))
         if not error <= 1.0:
-            h *= resize(error)
+            h *= step_size_factor(error)
             continue
         t, y, F = end if last else t + h, new.y, new.F
         times.append(t)
@@ -179,13 +179,15 @@ def ode23s(
         stages.append((new.k_1, new.k_2))
         if last:
             break
-        h = min(h * resize(error), max_step)
-        J, T = system.slopes(t, y, F, h)
-    taken, ks = len(stages), np.array(stages)
-    return Solution(np.array(times), np.array(states), ks, tried - taken, system.calls, taken)
+        h = min(h * step_size_factor(error), max_step)
+        J, T = system.derivatives(t, y, F, h)
+    n_accepted, ks = len(stages), np.array(stages)
+    return Solution(
+        np.array(times), np.array(states), ks, n_tried - n_accepted, system.calls, n_accepted
+    )
 
 
-def _first(rtol: float, atol: float, y: np.ndarray, curvature: np.ndarray) -> float:
+def _initial_step(rtol: float, atol: float, y: np.ndarray, curvature: np.ndarray) -> float:
     """A first step whose bend y'' h² / 2 is within the tolerance."""
     with np.errstate(divide="ignore"):
         return float(np.min(np.sqrt(2.0 * (atol + rtol * np.abs(y)) / np.abs(curvature))))

@@ -33,36 +33,36 @@ from road_envs.vehicle.equations import (
     Z_B,
     Plant,
     accelerations,
-    add_lean,
+    add_manoeuvre_moments,
     add_struts,
     add_tyres,
     add_weight,
-    bend,
     extension,
-    roll_over,
-    twisting,
+    relative_roll,
+    twist_extension,
+    twist_moment,
     wheel_height,
 )
 from road_envs.vehicle.parameters import GRAVITY
-from road_envs.vehicle.suspension import settled, strut_force, switch, tyre_force
+from road_envs.vehicle.suspension import advance_valve, strut_force, tyre_force, valves_settled
 
 D = 1.0 / (2.0 + np.sqrt(2.0))
 
 STATE, ACCELERATION, EXTENSION, LOAD = 0, 14, 21, 25
-SIGNALS = 29
+N_SIGNALS = 29
 """Columns of the output: state (14), accelerations (7), strut extensions (4), tyre loads (4)."""
 
-TWIST, FLEXIBLE_SIGNALS = 29, 32
+TWIST, N_FLEXIBLE_SIGNALS = 29, 32
 """Behind them, of a flexible car: the frame's twist [rad], its rate and its acceleration."""
 
 
-def signals_of(plant: Plant) -> int:
+def n_signals(plant: Plant) -> int:
     """How many signals a car has."""
-    return FLEXIBLE_SIGNALS if plant.flexible else SIGNALS
+    return N_FLEXIBLE_SIGNALS if plant.flexible else N_SIGNALS
 
 
 @kernel
-def eliminate(p, s, t, hd, blocks, body):
+def factorize(p, s, t, hd, blocks, body):
     """Factor M + h d C + (h d)² K: axles to `blocks` (12,), the body's LDL' to `body` (6,).
 
     `s`, `t` (4,) are h d c + (h d)² k of each strut and tyre. Half of `blocks` holds N, the
@@ -112,7 +112,7 @@ def eliminate(p, s, t, hd, blocks, body):
 
 
 @kernel
-def solve(p, blocks, body, g):
+def solve_factored(p, blocks, body, g):
     """Solve for the rates (7,) in place of the right-hand side `g` (7,)."""
     z, phi, theta = get(g, Z_B), get(g, PHI), get(g, THETA)
     for i in range(2):
@@ -144,7 +144,7 @@ def solve(p, blocks, body, g):
         add(g, a + 1, n01 * f0 + n11 * f1)
 
 
-class Work(NamedTuple):
+class StepWorkspace(NamedTuple):
     """Scratch of one vehicle: right-hand sides (7,), stage values (7,), wheels (4,), factors."""
 
     f: np.ndarray
@@ -169,7 +169,7 @@ class Work(NamedTuple):
 def workspace():
     """Scratch for `step`."""
     a, b = np.empty((6, N_DOF)), np.empty((8, 4))
-    return Work(
+    return StepWorkspace(
         *(a[0], a[1], a[2], a[3], a[4], a[5]),
         *(b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]),
         *(np.empty(12), np.empty(6)),
@@ -177,11 +177,11 @@ def workspace():
 
 
 @kernel
-def step(p, velocity, displacement, memory, q, v, road, turn, h, work, out, twist=None):
+def step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out, twist=None):
     """Advance the coordinates `q` and rates `v` (7,) by `h` [s], one vehicle or LANES of them.
 
     The signals at the beginning go to `out` (29,). `road` (16,): heights [m] of the road under the
-    four wheels at t, their rates [m/s], and both again at t + h/2. `turn` (4,): accelerations a_x,
+    four wheels at t, their rates [m/s], and both again at t + h/2. `a_xy` (4,): accelerations a_x,
     a_y [m/s²] of a manoeuvre at t and at t + h/2. `twist`, if given, is four numbers: the frame's
     twist [rad] and its rate at t and at t + h/2. With lanes, every array has them as a last axis.
     """
@@ -192,8 +192,8 @@ def step(p, velocity, displacement, memory, q, v, road, turn, h, work, out, twis
         e, rate = extension(p, q, w), extension(p, v, w)
         e_dot = rate
         if twist is not None:
-            e, e_dot = e + bend(p, twist[0], w), e_dot + bend(p, twist[1], w)
-        force, k, c = strut_force(p, velocity, displacement, memory, w, e, e_dot)
+            e, e_dot = e + twist_extension(p, twist[0], w), e_dot + twist_extension(p, twist[1], w)
+        force, k, c = strut_force(p, velocity, displacement, strut_state, w, e, e_dot)
         u = get(road, w) - wheel_height(p, q, w)
         u_dot = get(road, 4 + w) - wheel_height(p, v, w)
         load, k_t, c_t = tyre_force(p, w, u, u_dot)
@@ -210,62 +210,68 @@ def step(p, velocity, displacement, memory, q, v, road, turn, h, work, out, twis
         put(out, LOAD + w, load)
     for j in range(N_DOF):
         put(f, j, 0.0)
-    front, rear = roll_over(q, 0), roll_over(q, 1)
+    front, rear = relative_roll(q, 0), relative_roll(q, 1)
     if twist is not None:
-        front, rear = front + get(p.half, 0) * twist[0], rear + get(p.half, 1) * twist[0]
+        front, rear = (
+            front + get(p.twist_share, 0) * twist[0],
+            rear + get(p.twist_share, 1) * twist[0],
+        )
     add_weight(p, f)
     add_struts(p, F, front, rear, f)
     add_tyres(p, T, f)
-    a_x, a_y = get(turn, 0), get(turn, 1)
-    add_lean(p, get(q, PHI), get(q, THETA), a_x, a_y, f)
+    a_x, a_y = get(a_xy, 0), get(a_xy, 1)
+    add_manoeuvre_moments(p, get(q, PHI), get(q, THETA), a_x, a_y, f)
     for j in range(N_DOF):
         put(g, j, get(f, j))
         put(out, STATE + j, get(q, j))
         put(out, STATE + N_DOF + j, get(v, j))
         put(out, ACCELERATION + j, get(f, j) / get(p.M, j))
-    add_struts(p, dF, hd * roll_over(v, 0), hd * roll_over(v, 1), g)
+    add_struts(p, dF, hd * relative_roll(v, 0), hd * relative_roll(v, 1), g)
     add_tyres(p, dT, g)
-    x_dot, y_dot = 2.0 * D * (get(turn, 2) - a_x), 2.0 * D * (get(turn, 3) - a_y)
-    add_lean(p, hd * get(v, PHI), hd * get(v, THETA), x_dot, y_dot, g)
+    x_dot, y_dot = 2.0 * D * (get(a_xy, 2) - a_x), 2.0 * D * (get(a_xy, 3) - a_y)
+    add_manoeuvre_moments(p, hd * get(v, PHI), hd * get(v, THETA), x_dot, y_dot, g)
 
-    eliminate(p, work.s, work.t, hd, work.blocks, work.body)
-    solve(p, work.blocks, work.body, g)
+    factorize(p, work.s, work.t, hd, work.blocks, work.body)
+    solve_factored(p, work.blocks, work.body, g)
     for j in range(N_DOF):
         rate, kv = get(v, j), get(g, j)
         kq = rate + hd * kv
         put(k_q, j, kq)
         put(work.q, j, get(q, j) + 0.5 * h * kq)
-        middle = rate + 0.5 * h * kv
-        put(work.v, j, middle)
-        put(r, j, middle - kq)
+        v_mid = rate + 0.5 * h * kv
+        put(work.v, j, v_mid)
+        put(r, j, v_mid - kq)
         put(f, j, -get(p.M, j) * kv)
     for w in range(4):
         e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
         if twist is not None:
-            e, e_dot = e + bend(p, twist[2], w), e_dot + bend(p, twist[3], w)
-        force, _, _ = strut_force(p, velocity, displacement, memory, w, e, e_dot)
+            e, e_dot = e + twist_extension(p, twist[2], w), e_dot + twist_extension(p, twist[3], w)
+        force, _, _ = strut_force(p, velocity, displacement, strut_state, w, e, e_dot)
         put(F, w, force - hd * get(work.k, w) * extension(p, r, w))
         u = get(road, 8 + w) - wheel_height(p, work.q, w)
         u_dot = get(road, 12 + w) - wheel_height(p, work.v, w)
         load, _, _ = tyre_force(p, w, u, u_dot)
         put(T, w, load - hd * get(work.k_t, w) * wheel_height(p, r, w))
-    front = roll_over(work.q, 0) + hd * roll_over(r, 0)
-    rear = roll_over(work.q, 1) + hd * roll_over(r, 1)
+    front = relative_roll(work.q, 0) + hd * relative_roll(r, 0)
+    rear = relative_roll(work.q, 1) + hd * relative_roll(r, 1)
     if twist is not None:
-        front, rear = front + get(p.half, 0) * twist[2], rear + get(p.half, 1) * twist[2]
+        front, rear = (
+            front + get(p.twist_share, 0) * twist[2],
+            rear + get(p.twist_share, 1) * twist[2],
+        )
     add_weight(p, f)
     add_struts(p, F, front, rear, f)
     add_tyres(p, T, f)
     phi, theta = get(work.q, PHI) + hd * get(r, PHI), get(work.q, THETA) + hd * get(r, THETA)
-    add_lean(p, phi, theta, get(turn, 2), get(turn, 3), f)
-    solve(p, work.blocks, work.body, f)
+    add_manoeuvre_moments(p, phi, theta, get(a_xy, 2), get(a_xy, 3), f)
+    solve_factored(p, work.blocks, work.body, f)
     for j in range(N_DOF):
         add(q, j, h * (get(k_q, j) + get(r, j) + hd * get(f, j)))
         add(v, j, h * (get(g, j) + get(f, j)))
 
 
 @kernel
-def flexible_step(p, velocity, displacement, memory, q, v, road, turn, h, work, out):
+def flexible_step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out):
     """`step` of a car whose frame twists: `q`, `v` (8,) with the twist last, `out` (32,).
 
     The same two stages with the matrix of the seven and that of the twist side by side, and
@@ -277,33 +283,41 @@ def flexible_step(p, velocity, displacement, memory, q, v, road, turn, h, work, 
     inverse = 1.0 / (inertia + hd * (damping + hd * rate))
     psi, psi_dot = get(q, N_DOF), get(v, N_DOF)
     for w in range(4):
-        e, e_dot = extension(p, q, w) + bend(p, psi, w), extension(p, v, w) + bend(p, psi_dot, w)
-        put(work.F, w, strut_force(p, velocity, displacement, memory, w, e, e_dot)[0])
-    front, rear = roll_over(q, 0) + get(p.half, 0) * psi, roll_over(q, 1) + get(p.half, 1) * psi
-    moment = twisting(p, work.F, front, rear) - rate * psi - damping * psi_dot
+        e, e_dot = (
+            extension(p, q, w) + twist_extension(p, psi, w),
+            extension(p, v, w) + twist_extension(p, psi_dot, w),
+        )
+        put(work.F, w, strut_force(p, velocity, displacement, strut_state, w, e, e_dot)[0])
+    front, rear = (
+        relative_roll(q, 0) + get(p.twist_share, 0) * psi,
+        relative_roll(q, 1) + get(p.twist_share, 1) * psi,
+    )
+    moment = twist_moment(p, work.F, front, rear) - rate * psi - damping * psi_dot
     put(out, TWIST, psi)
     put(out, TWIST + 1, psi_dot)
     put(out, TWIST + 2, moment / inertia)
     k_v = (moment - hd * rate * psi_dot) * inverse
     k_q = psi_dot + hd * k_v
-    half, half_dot = psi + 0.5 * h * k_q, psi_dot + 0.5 * h * k_v
-    twist = (psi, psi_dot, half, half_dot)
-    step(p, velocity, displacement, memory, q, v, road, turn, h, work, out, twist)
+    psi_mid, psi_mid_dot = psi + 0.5 * h * k_q, psi_dot + 0.5 * h * k_v
+    twist = (psi, psi_dot, psi_mid, psi_mid_dot)
+    step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out, twist)
     for w in range(4):
-        e = extension(p, work.q, w) + bend(p, half, w)
-        e_dot = extension(p, work.v, w) + bend(p, half_dot, w)
-        put(work.F, w, strut_force(p, velocity, displacement, memory, w, e, e_dot)[0])
-    front = roll_over(work.q, 0) + get(p.half, 0) * half
-    rear = roll_over(work.q, 1) + get(p.half, 1) * half
-    r = half_dot - k_q
-    moment = twisting(p, work.F, front, rear) - rate * (half + hd * r) - damping * half_dot
+        e = extension(p, work.q, w) + twist_extension(p, psi_mid, w)
+        e_dot = extension(p, work.v, w) + twist_extension(p, psi_mid_dot, w)
+        put(work.F, w, strut_force(p, velocity, displacement, strut_state, w, e, e_dot)[0])
+    front = relative_roll(work.q, 0) + get(p.twist_share, 0) * psi_mid
+    rear = relative_roll(work.q, 1) + get(p.twist_share, 1) * psi_mid
+    r = psi_mid_dot - k_q
+    moment = (
+        twist_moment(p, work.F, front, rear) - rate * (psi_mid + hd * r) - damping * psi_mid_dot
+    )
     m_v = (moment - inertia * k_v) * inverse
     put(q, N_DOF, psi + h * (k_q + r + hd * m_v))
     put(v, N_DOF, psi_dot + h * (k_v + m_v))
 
 
 @kernel
-def look_at_road(p, padded, start, ds, s, v, road):
+def sample_road(p, padded, start, ds, s, v, road):
     """Heights and their rates (8,) under the wheels with the front axle at `s` [m]."""
     for w in range(4):
         behind = p.x[0] - p.x[w // 2]
@@ -312,56 +326,57 @@ def look_at_road(p, padded, start, ds, s, v, road):
 
 
 @kernel
-def state_rate(numbers, velocity, displacement, memory, padded, start, ds, s, v, y, out):
-    """Rate (14,) of the state `y` with the front axle at `s` [m], struts as `memory` holds them.
+def state_rate(constants, velocity, displacement, strut_state, padded, start, ds, s, v, y, out):
+    """Write the rate (14,) of the state `y` with the front axle at station `s` [m] to `out`.
 
-    The right-hand side for other integrators; it writes to `out`. Both are (16,) of a flexible car.
+    This is the right-hand side for other integrators; `strut_state` (4, 3) is held. Of a flexible
+    car `y` and `out` are (16,).
     """
     road, n = np.empty(8), y.size // 2
-    look_at_road(numbers[0], padded, start, ds, s, v, road)
+    sample_road(constants[0], padded, start, ds, s, v, road)
     out[:n] = y[n:]
-    laws = (numbers, velocity, displacement, memory)
+    laws = (constants, velocity, displacement, strut_state)
     accelerations(*laws, y[:n], y[n:], road[:4], road[4:], out[n:])
 
 
 @kernel
-def follow(p, memory, q, command, alpha, h, flexible=None):
-    """Advance the `memory` (4, 3) of all struts by one step `h` [s] under a `command` byte.
+def update_valves(p, strut_state, q, command, alpha, h, flexible=None):
+    """Advance the `strut_state` (4, 3) of all struts by one step `h` [s] under a `command` byte.
 
-    `alpha` as in `suspension.switch`; `q` (7,), or (8,) of a `flexible` car.
+    `alpha` as in `suspension.advance_valve`; `q` (7,), or (8,) of a `flexible` car.
     """
     for w in range(4):
         stiff, high = (command >> w) & 1, (command >> (4 + w)) & 1
-        if not settled(memory, w, stiff, high):
+        if not valves_settled(strut_state, w, stiff, high):
             e = extension(p, q, w)
             if flexible is not None:
-                e += bend(p, q[N_DOF], w)
-            switch(p, memory, w, e, stiff, high, alpha, h)
+                e += twist_extension(p, q[N_DOF], w)
+            advance_valve(p, strut_state, w, e, stiff, high, alpha, h)
 
 
 @kernel
-def drive(
-    numbers, velocity, displacement, memory, y,
-    padded, start, ds, s, v, turn, commands, lag, h, out, flexible=None,
+def integrate(
+    constants, velocity, displacement, strut_state, y,
+    padded, start, ds, s, v, a_xy, commands, lag, h, out, flexible=None,
 ):  # fmt: skip
-    """Drive len(commands) steps of `h` [s]; `y` (14,) and `memory` (4, 3) end as they stand then.
+    """Integrate len(commands) steps of `h` [s]; `y` (14,), `strut_state` (4, 3) change in place.
 
     `padded`, `start`, `ds`: a Surface. At every half step: `s`, `v` (2 N + 1,), station of the
-    front axle [m] and speed [m/s]; `turn` (2 N + 1, 2), a_x and a_y [m/s²] of a manoeuvre.
+    front axle [m] and speed [m/s]; `a_xy` (2 N + 1, 2), a_x and a_y [m/s²] of a manoeuvre.
     `commands` (N,): bytes as they reach the valves, whose time constant is `lag` [s]. `out`
     (N, 29): the signals at the beginning of each step. Of a `flexible` car `y` is (16,) and `out`
     (N, 32).
     """
-    p, work, road = numbers[0], workspace(), np.empty(16)
+    p, work, road = constants[0], workspace(), np.empty(16)
     q, rates = y[: y.size // 2], y[y.size // 2 :]
     alpha = 1.0 - np.exp(-h / lag)
     for n in range(commands.size):
-        look_at_road(p, padded, start, ds, s[2 * n], v[2 * n], road[:8])
-        look_at_road(p, padded, start, ds, s[2 * n + 1], v[2 * n + 1], road[8:])
-        follow(p, memory, q, commands[n], alpha, h, flexible)
-        between = turn[2 * n : 2 * n + 2].ravel()
-        laws = (p, velocity, displacement, memory)
+        sample_road(p, padded, start, ds, s[2 * n], v[2 * n], road[:8])
+        sample_road(p, padded, start, ds, s[2 * n + 1], v[2 * n + 1], road[8:])
+        update_valves(p, strut_state, q, commands[n], alpha, h, flexible)
+        a_xy_step = a_xy[2 * n : 2 * n + 2].ravel()
+        laws = (p, velocity, displacement, strut_state)
         if flexible is None:
-            step(*laws, q, rates, road, between, h, work, out[n])
+            step(*laws, q, rates, road, a_xy_step, h, work, out[n])
         else:
-            flexible_step(*laws, q, rates, road, between, h, work, out[n])
+            flexible_step(*laws, q, rates, road, a_xy_step, h, work, out[n])

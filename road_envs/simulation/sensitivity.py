@@ -38,11 +38,11 @@ from road_envs._numba import kernel
 from road_envs.simulation.rosenbrock import (
     ACCELERATION,
     EXTENSION,
-    SIGNALS,
+    N_SIGNALS,
     D,
-    follow,
-    solve,
+    solve_factored,
     step,
+    update_valves,
     workspace,
 )
 from road_envs.simulation.simd import add, get, put
@@ -51,51 +51,55 @@ from road_envs.vehicle.equations import (
     PHI,
     THETA,
     Plant,
-    add_lean,
+    add_manoeuvre_moments,
     add_struts,
     add_tyres,
     extension,
-    roll_over,
+    relative_roll,
     wheel_height,
 )
 from road_envs.vehicle.suspension import strut_curvature, strut_force, tyre_curvature, tyre_force
 
 K_1, C_1, K_2, C_2, G_K, G_C, F_K, F_C = range(0, 32, 4)
 TK_1, TC_1, TK_2, TC_2, G_U, F_U, BLOCKS, BODY = *range(32, 60, 4), 68
-ROW = 74
+TAPE_ROW_SIZE = 74
 
 
 @kernel
-def taped_step(p, velocity, displacement, memory, q, v, road, turn, h, work, out, row):
+def step_with_derivative(
+    p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out, row
+):
     """Take `integrator.step`, with its arguments, and write its derivative to `row` (ROW,)."""
-    step(p, velocity, displacement, memory, q, v, road, turn, h, work, out)
+    step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out)
     hd, before = h * D, out[N_DOF : 2 * N_DOF]
     for w in range(4):
         e, e_dot = out[EXTENSION + w], extension(p, before, w)
         k, c = work.k[w], work.s[w] / hd - hd * work.k[w]  # as the step has left them
-        bend, c_bend = strut_curvature(p, velocity, displacement, memory, w, e, e_dot)
+        k_slope, c_slope = strut_curvature(p, velocity, displacement, strut_state, w, e, e_dot)
         first, second = extension(p, work.g, w), extension(p, work.f, w)
         row[K_1 + w], row[C_1 + w] = k, c
-        row[G_K + w] = k + hd * bend * (e_dot + hd * first)
-        row[G_C + w] = c + hd * k + hd * c_bend * first
-        row[F_K + w] = hd * bend * (extension(p, work.r, w) + hd * second)
-        row[F_C + w] = hd * c_bend * second
+        row[G_K + w] = k + hd * k_slope * (e_dot + hd * first)
+        row[G_C + w] = c + hd * k + hd * c_slope * first
+        row[F_K + w] = hd * k_slope * (extension(p, work.r, w) + hd * second)
+        row[F_C + w] = hd * c_slope * second
         e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
-        _, row[K_2 + w], row[C_2 + w] = strut_force(p, velocity, displacement, memory, w, e, e_dot)
+        _, row[K_2 + w], row[C_2 + w] = strut_force(
+            p, velocity, displacement, strut_state, w, e, e_dot
+        )
         u, u_dot = road[w] - wheel_height(p, out, w), road[4 + w] - wheel_height(p, before, w)
         _, k, c = tyre_force(p, w, u, u_dot)
-        bend = tyre_curvature(p, w, u, u_dot)
+        k_slope = tyre_curvature(p, w, u, u_dot)
         first, second = wheel_height(p, work.g, w), wheel_height(p, work.f, w)
         row[TK_1 + w], row[TC_1 + w] = k, c
-        row[G_U + w] = k + hd * bend * (u_dot - hd * first)
-        row[F_U + w] = hd * bend * (wheel_height(p, work.r, w) + hd * second)
+        row[G_U + w] = k + hd * k_slope * (u_dot - hd * first)
+        row[F_U + w] = hd * k_slope * (wheel_height(p, work.r, w) + hd * second)
         u, u_dot = (
             road[8 + w] - wheel_height(p, work.q, w),
             road[12 + w] - wheel_height(p, work.v, w),
         )
         _, row[TK_2 + w], row[TC_2 + w] = tyre_force(p, w, u, u_dot)
     row[BLOCKS:BODY] = work.blocks
-    row[BODY:ROW] = work.body
+    row[BODY:TAPE_ROW_SIZE] = work.body
 
 
 @kernel
@@ -108,7 +112,7 @@ def tangent_step(p, row, q, v, road, h, work, a):
     """
     hd = h * D
     f, g, r, k_q, F, T, dF, dT = work.f, work.g, work.r, work.k_q, work.F, work.T, work.dF, work.dT
-    blocks, body = row[BLOCKS:BODY], row[BODY:ROW]
+    blocks, body = row[BLOCKS:BODY], row[BODY:TAPE_ROW_SIZE]
     for w in range(4):
         e, e_dot = extension(p, q, w), extension(p, v, w)
         put(F, w, -row[K_1 + w] * e - row[C_1 + w] * e_dot)
@@ -124,15 +128,15 @@ def tangent_step(p, row, q, v, road, h, work, a):
     for j in range(N_DOF):
         put(f, j, 0.0)
         put(g, j, 0.0)
-    front, rear = roll_over(q, 0), roll_over(q, 1)
+    front, rear = relative_roll(q, 0), relative_roll(q, 1)
     add_struts(p, F, front, rear, f)
     add_tyres(p, T, f)
-    add_lean(p, get(q, PHI), get(q, THETA), 0.0, 0.0, f)
-    add_struts(p, dF, front + hd * roll_over(v, 0), rear + hd * roll_over(v, 1), g)
+    add_manoeuvre_moments(p, get(q, PHI), get(q, THETA), 0.0, 0.0, f)
+    add_struts(p, dF, front + hd * relative_roll(v, 0), rear + hd * relative_roll(v, 1), g)
     add_tyres(p, dT, g)
     phi, theta = get(q, PHI) + hd * get(v, PHI), get(q, THETA) + hd * get(v, THETA)
-    add_lean(p, phi, theta, 0.0, 0.0, g)
-    solve(p, blocks, body, g)
+    add_manoeuvre_moments(p, phi, theta, 0.0, 0.0, g)
+    solve_factored(p, blocks, body, g)
     for j in range(N_DOF):
         rate, k_v = get(v, j), get(g, j)
         put(a, j, get(f, j) / get(p.M, j))
@@ -149,20 +153,20 @@ def tangent_step(p, row, q, v, road, h, work, a):
         u_dot = get(road, 12 + w) - wheel_height(p, work.v, w)
         load = row[TK_2 + w] * u + row[TC_2 + w] * u_dot
         put(T, w, load - hd * row[TK_1 + w] * wheel_height(p, r, w) - get(work.t, w))
-    front = roll_over(work.q, 0) + hd * roll_over(r, 0)
-    rear = roll_over(work.q, 1) + hd * roll_over(r, 1)
+    front = relative_roll(work.q, 0) + hd * relative_roll(r, 0)
+    rear = relative_roll(work.q, 1) + hd * relative_roll(r, 1)
     add_struts(p, F, front, rear, f)
     add_tyres(p, T, f)
     phi, theta = get(work.q, PHI) + hd * get(r, PHI), get(work.q, THETA) + hd * get(r, THETA)
-    add_lean(p, phi, theta, 0.0, 0.0, f)
-    solve(p, blocks, body, f)
+    add_manoeuvre_moments(p, phi, theta, 0.0, 0.0, f)
+    solve_factored(p, blocks, body, f)
     for j in range(N_DOF):
         add(q, j, h * (get(k_q, j) + get(r, j) + hd * get(f, j)))
         add(v, j, h * (get(g, j) + get(f, j)))
 
 
 @kernel
-def second_stage_back(p, row, h, work, road):
+def reverse_second_stage(p, row, h, work, road):
     """The second stage backwards, from the adjoint `work.f` (7,) of m'.
 
     Completes the adjoints `work.g`, `work.k_q` of the first stage, which hold the end's share, as
@@ -172,10 +176,10 @@ def second_stage_back(p, row, h, work, road):
     """
     hd = h * D
     f, r, F, T, q, v = work.f, work.r, work.F, work.T, work.q, work.v
-    solve(p, row[BLOCKS:BODY], row[BODY:ROW], f)
+    solve_factored(p, row[BLOCKS:BODY], row[BODY:TAPE_ROW_SIZE], f)
     q[:], v[:] = 0.0, 0.0
-    add_lean(p, f[PHI], f[THETA], 0.0, 0.0, q)
-    add_lean(p, hd * f[PHI], hd * f[THETA], 0.0, 0.0, r)
+    add_manoeuvre_moments(p, f[PHI], f[THETA], 0.0, 0.0, q)
+    add_manoeuvre_moments(p, hd * f[PHI], hd * f[THETA], 0.0, 0.0, r)
     for w in range(4):
         push, lift = extension(p, f, w), wheel_height(p, f, w)
         work.dF[w], work.dT[w] = -row[F_K + w] * push, -row[F_C + w] * push
@@ -184,7 +188,7 @@ def second_stage_back(p, row, h, work, road):
         road[8 + w], road[12 + w] = row[TK_2 + w] * lift, row[TC_2 + w] * lift
         work.k_t[w], work.t[w] = -road[8 + w], -road[12 + w]
         F[w], T[w] = -hd * row[K_1 + w] * push, -hd * row[TK_1 + w] * lift
-    front, rear = roll_over(f, 0), roll_over(f, 1)
+    front, rear = relative_roll(f, 0), relative_roll(f, 1)
     add_struts(p, work.k, front, rear, q)
     add_tyres(p, work.k_t, q)
     add_struts(p, work.s, 0.0, 0.0, v)
@@ -210,14 +214,14 @@ def adjoint_step(p, row, a, h, work, q, v, road):
         work.k_q[j] = work.r[j] = h * q[j]
         g[j] = h * v[j]
         f[j] = hd * work.r[j] + g[j]
-    second_stage_back(p, row, h, work, road)
-    solve(p, row[BLOCKS:BODY], row[BODY:ROW], g)
+    reverse_second_stage(p, row, h, work, road)
+    solve_factored(p, row[BLOCKS:BODY], row[BODY:TAPE_ROW_SIZE], g)
     for j in range(N_DOF):
         q[j] += work.q[j]
         v[j] += work.v[j] + work.k_q[j]
         f[j] = a[j] / p.M[j]
-    add_lean(p, f[PHI] + g[PHI], f[THETA] + g[THETA], 0.0, 0.0, q)
-    add_lean(p, hd * g[PHI], hd * g[THETA], 0.0, 0.0, v)
+    add_manoeuvre_moments(p, f[PHI] + g[PHI], f[THETA] + g[THETA], 0.0, 0.0, q)
+    add_manoeuvre_moments(p, hd * g[PHI], hd * g[THETA], 0.0, 0.0, v)
     for w in range(4):
         k_t, c_t = row[TK_1 + w], row[TC_1 + w]
         first, at_once = extension(p, g, w), extension(p, f, w)
@@ -230,71 +234,71 @@ def adjoint_step(p, row, a, h, work, q, v, road):
         road[w], road[4 + w] = z, z_dot - difference
         road[12 + w] += difference
         F[w], T[w] = -z, -z_dot
-    front, rear = roll_over(g, 0), roll_over(g, 1)
-    add_struts(p, work.dF, front + roll_over(f, 0), rear + roll_over(f, 1), q)
+    front, rear = relative_roll(g, 0), relative_roll(g, 1)
+    add_struts(p, work.dF, front + relative_roll(f, 0), rear + relative_roll(f, 1), q)
     add_tyres(p, F, q)
     add_struts(p, work.dT, hd * front, hd * rear, v)
     add_tyres(p, T, v)
 
 
 @kernel
-def drive_taped(
-    numbers, velocity, displacement, memory, y, road, turn, commands, lag, h, out, rows
+def integrate_with_derivative(
+    constants, velocity, displacement, strut_state, y, road, a_xy, commands, lag, h, out, rows
 ):
-    """Take one step for every row of `rows` (N, ROW); `y` (14,), `memory` end as they stand then.
+    """Take one step per row of `rows` (N, TAPE_ROW_SIZE); `y` (14,), `strut_state` change in place.
 
-    `road` (N, 16), `turn` (N, 4): what `integrator.step` reads in each step; `commands` (N,), or
+    `road` (N, 16), `a_xy` (N, 4): what `integrator.step` reads in each step; `commands` (N,), or
     (0,) for none, and `lag` as `integrator.drive` has them.
     """
-    p, work, q, v = numbers[0], workspace(), y[:N_DOF], y[N_DOF:]
+    p, work, q, v = constants[0], workspace(), y[:N_DOF], y[N_DOF:]
     alpha = 1.0 - np.exp(-h / lag)
     for n in range(rows.shape[0]):
         if commands.size > 0:
-            follow(p, memory, q, commands[n], alpha, h)
-        taped_step(
-            *(p, velocity, displacement, memory, q, v),
-            *(road[n], turn[n], h, work, out[n], rows[n]),
+            update_valves(p, strut_state, q, commands[n], alpha, h)
+        step_with_derivative(
+            *(p, velocity, displacement, strut_state, q, v),
+            *(road[n], a_xy[n], h, work, out[n], rows[n]),
         )
 
 
 @kernel
-def drive_tangent(numbers, rows, y, road, h, a):
+def propagate_tangent(constants, rows, y, road, h, a):
     """`tangent_step` from the first row to the last; changes of accelerations to `a` (N, 7)."""
-    p, work, q, v = numbers[0], workspace(), y[:N_DOF], y[N_DOF:]
+    p, work, q, v = constants[0], workspace(), y[:N_DOF], y[N_DOF:]
     for n in range(rows.shape[0]):
         tangent_step(p, rows[n], q, v, road[n], h, work, a[n])
 
 
 @kernel
-def drive_adjoint(numbers, rows, a, h, y, road):
+def propagate_adjoint(constants, rows, a, h, y, road):
     """`adjoint_step` from the last row to the first; adjoint of the road to `road` (N, 16)."""
-    p, work, q, v = numbers[0], workspace(), y[:N_DOF], y[N_DOF:]
+    p, work, q, v = constants[0], workspace(), y[:N_DOF], y[N_DOF:]
     for n in range(rows.shape[0] - 1, -1, -1):
         adjoint_step(p, rows[n], a[n], h, work, q, v, road[n])
 
 
-def _array(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def _checked_copy(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """A fresh copy of `value`; kernels believe in shapes, so a wrong one ends here."""
-    found = np.array(value, dtype=float)
-    if found.shape != shape:
-        raise ValueError(f"{name} must be of shape {shape}, got {found.shape}")
-    return found
+    copy = np.array(value, dtype=float)
+    if copy.shape != shape:
+        raise ValueError(f"{name} must be of shape {shape}, got {copy.shape}")
+    return copy
 
 
 @dataclass(frozen=True, eq=False)
 class Tape:
     """A drive of N steps and its derivative: 592 bytes a step, however often it is applied.
 
-    `signals` (N, 29) at the beginning of each step, as `integrator` lays them out; `end` (14,) the
-    state after the last and `memory` (4, 3) that of the struts; `rows` (N, ROW) the derivative of
-    each step of `h` [s].
+    `signals` (N, 29) at the beginning of each step, laid out as in `rosenbrock`; `end` (14,) and
+    `strut_state` (4, 3) after the last step; `rows` (N, TAPE_ROW_SIZE), the derivative of each
+    step of `h` [s].
     """
 
     plant: Plant
     h: float
     signals: np.ndarray
     end: np.ndarray
-    memory: np.ndarray
+    strut_state: np.ndarray
     rows: np.ndarray
 
     @property
@@ -308,10 +312,10 @@ class Tape:
         `start` (14,): change of the first state; `road` (2 N, 2, 4): change of the heights [m] and
         of their rates [m/s] under the wheels at the beginning and the middle of each step.
         """
-        y, steps = _array("start", start, (2 * N_DOF,)), self.rows.shape[0]
-        z = _array("road", road, (2 * steps, 2, 4)).reshape(steps, 16)
+        y, steps = _checked_copy("start", start, (2 * N_DOF,)), self.rows.shape[0]
+        z = _checked_copy("road", road, (2 * steps, 2, 4)).reshape(steps, 16)
         a = np.empty((steps, N_DOF))
-        drive_tangent(self.plant.numbers, self.rows, y, z, self.h, a)
+        propagate_tangent(self.plant.constants, self.rows, y, z, self.h, a)
         return a, y
 
     def adjoint(self, acceleration: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -319,26 +323,26 @@ class Tape:
 
         `acceleration` (N, 7), `end` (14,): its gradients by what `tangent` returns.
         """
-        y, steps = _array("end", end, (2 * N_DOF,)), self.rows.shape[0]
-        a, road = _array("acceleration", acceleration, (steps, N_DOF)), np.empty((steps, 16))
-        drive_adjoint(self.plant.numbers, self.rows, a, self.h, y, road)
+        y, steps = _checked_copy("end", end, (2 * N_DOF,)), self.rows.shape[0]
+        a, road = _checked_copy("acceleration", acceleration, (steps, N_DOF)), np.empty((steps, 16))
+        propagate_adjoint(self.plant.constants, self.rows, a, self.h, y, road)
         return y, road.reshape(2 * steps, 2, 4)
 
 
-def drive_on_tape(
+def linearize_drive(
     plant: Plant,
-    memory: np.ndarray,
+    strut_state: np.ndarray,
     start: np.ndarray,
     road: np.ndarray,
     h: float,
-    turn: np.ndarray | None = None,
+    a_xy: np.ndarray | None = None,
     commands: np.ndarray | None = None,
     lag: float = 0.01,
 ) -> Tape:
     """Drive from the state `start` (14,) in steps of `h` [s] and tape the derivative.
 
-    `memory` (4, 3) of the struts at the start; `road` (2 N, 2, 4): heights [m] and their rates
-    [m/s] under the wheels at the beginning and the middle of each step; `turn` (2 N, 2), if given,
+    `strut_state` (4, 3) of the struts at the start; `road` (2 N, 2, 4): heights [m] and their rates
+    [m/s] under the wheels at the beginning and the middle of each step; `a_xy` (2 N, 2), if given,
     a_x and a_y [m/s²] of a manoeuvre at the same instants; `commands` (N,), if given, the bytes
     that reach the valves, of time constant `lag` [s]: without them the memory stands still. Raises
     ValueError on a wrong shape and on a flexible car, ArithmeticError if the motion is no longer
@@ -350,14 +354,21 @@ def drive_on_tape(
         )
     road = np.asarray(road, dtype=float)
     steps = len(road) // 2
-    z, y = _array("road", road, (2 * steps, 2, 4)), _array("start", start, (2 * N_DOF,))
-    lean = _array("turn", np.zeros((2 * steps, 2)) if turn is None else turn, (2 * steps, 2))
-    struts = _array("memory", memory, (4, 3))
-    signals, rows = np.empty((steps, SIGNALS)), np.empty((steps, ROW))
-    bytes_ = np.zeros(0) if commands is None else _array("commands", commands, (steps,))
+    z, y = (
+        _checked_copy("road", road, (2 * steps, 2, 4)),
+        _checked_copy("start", start, (2 * N_DOF,)),
+    )
+    a_xy_steps = _checked_copy(
+        "a_xy", np.zeros((2 * steps, 2)) if a_xy is None else a_xy, (2 * steps, 2)
+    )
+    strut_state_end = _checked_copy("strut_state", strut_state, (4, 3))
+    signals, rows = np.empty((steps, N_SIGNALS)), np.empty((steps, TAPE_ROW_SIZE))
+    bytes_ = np.zeros(0) if commands is None else _checked_copy("commands", commands, (steps,))
     valves = bytes_.astype(np.uint8), float(lag)
-    course = z.reshape(steps, 16), lean.reshape(steps, 4)
-    drive_taped(*plant.arrays, struts, y, *course, *valves, float(h), signals, rows)
+    course = z.reshape(steps, 16), a_xy_steps.reshape(steps, 4)
+    integrate_with_derivative(
+        *plant.arrays, strut_state_end, y, *course, *valves, float(h), signals, rows
+    )
     if not np.isfinite(y).all():
         raise ArithmeticError("the motion is no longer finite, so it has no derivative")
-    return Tape(plant, float(h), signals, y, struts, rows)
+    return Tape(plant, float(h), signals, y, strut_state_end, rows)

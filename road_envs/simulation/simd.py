@@ -49,7 +49,7 @@ def _any_vector(*kinds) -> bool:
     return any(isinstance(kind, Vector) for kind in kinds)
 
 
-def _lifted(context, builder, value, kind):
+def _broadcast(context, builder, value, kind):
     """`value` as a vector: a number goes into every lane."""
     if isinstance(kind, Vector):
         return value
@@ -60,15 +60,15 @@ def _lifted(context, builder, value, kind):
     return builder.shuffle_vector(first, nothing, zeros)
 
 
-def _lift_all(context, builder, signature, values):
-    return [_lifted(context, builder, v, k) for v, k in zip(values, signature.args, strict=True)]
+def _broadcast_all(context, builder, signature, values):
+    return [_broadcast(context, builder, v, k) for v, k in zip(values, signature.args, strict=True)]
 
 
 def _arithmetic(instruction: str) -> Any:
     @intrinsic
     def operation(context, a, b):
         def generate(context, builder, signature, values):
-            a, b = _lift_all(context, builder, signature, values)
+            a, b = _broadcast_all(context, builder, signature, values)
             return getattr(builder, instruction)(a, b, flags=FLAGS)
 
         return vector(a, b), generate
@@ -92,7 +92,7 @@ _overload_arithmetic((operator.truediv, operator.itruediv), "fdiv")
 
 
 @intrinsic
-def _negative(context, a):
+def _negate(context, a):
     def generate(context, builder, signature, values):
         return builder.fneg(values[0], flags=FLAGS)
 
@@ -100,8 +100,8 @@ def _negative(context, a):
 
 
 @overload(operator.neg)
-def _negative_of_vector(a):
-    return (lambda a: _negative(a)) if _any_vector(a) else None
+def _negate_vector(a):
+    return (lambda a: _negate(a)) if _any_vector(a) else None
 
 
 @intrinsic
@@ -109,7 +109,7 @@ def _where_greater(context, a, b, x, y):
     """Lane by lane `x` where a > b, else `y`."""
 
     def generate(context, builder, signature, values):
-        a, b, x, y = _lift_all(context, builder, signature, values)
+        a, b, x, y = _broadcast_all(context, builder, signature, values)
         return builder.select(builder.fcmp_ordered(">", a, b), x, y)
 
     return vector(a, b, x, y), generate
@@ -152,7 +152,7 @@ def _if_positive(c, a, b):
 
 
 @intrinsic
-def lane(context, x, k):
+def extract_lane(context, x, k):
     """Lane `k` of a vector as a number."""
 
     def generate(context, builder, signature, values):
@@ -163,7 +163,7 @@ def lane(context, x, k):
 
 
 @intrinsic
-def with_lane(context, x, k, value):
+def insert_lane(context, x, k, value):
     """A vector with the number `value` in lane `k`."""
 
     def generate(context, builder, signature, values):
@@ -175,11 +175,11 @@ def with_lane(context, x, k, value):
 
 
 @intrinsic
-def splat(context, value):
+def broadcast(context, value):
     """A vector with the number `value` in every lane."""
 
     def generate(context, builder, signature, values):
-        return _lifted(context, builder, values[0], signature.args[0])
+        return _broadcast(context, builder, values[0], signature.args[0])
 
     return vector(value), generate
 
@@ -212,7 +212,7 @@ def _store(context, array, indices, x):
         kind, index_kinds, x_kind = signature.args
         unpacked = cgutils.unpack_tuple(builder, values[1])
         at = _address(context, builder, kind, values[0], index_kinds, unpacked)
-        builder.store(_lifted(context, builder, values[2], x_kind), at).align = 8
+        builder.store(_broadcast(context, builder, values[2], x_kind), at).align = 8
         return context.get_dummy_value()
 
     return types.void(array, indices, x), generate
@@ -259,7 +259,7 @@ def _all_equal(context, x, a, b):
     """Whether every lane of `x` equals the number `a` or the number `b`."""
 
     def generate(context, builder, signature, values):
-        x, a, b = _lift_all(context, builder, signature, values)
+        x, a, b = _broadcast_all(context, builder, signature, values)
         equal = (builder.fcmp_ordered("==", x, y) for y in (a, b))
         bits = builder.bitcast(builder.or_(*equal), ir.IntType(LANES))
         return builder.icmp_unsigned("==", bits, ir.Constant(ir.IntType(LANES), -1))
@@ -272,7 +272,7 @@ def equals_one(x):
     return x == 1.0
 
 
-def is_flag(x):
+def is_zero_or_one(x):
     """Whether `x`, or every lane of it, is 0 or 1."""
     return x == 0.0 or x == 1.0
 
@@ -282,32 +282,32 @@ def _equals_one(x):
     return (lambda x: _all_equal(x, 1.0, 1.0)) if _any_vector(x) else equals_one
 
 
-@overload(is_flag)
+@overload(is_zero_or_one)
 def _is_flag(x):
-    return (lambda x: _all_equal(x, 0.0, 1.0)) if _any_vector(x) else is_flag
+    return (lambda x: _all_equal(x, 0.0, 1.0)) if _any_vector(x) else is_zero_or_one
 
 
-def raised(x, n):
+def power(x, n):
     """`x` to the power `n`."""
     return x**n
 
 
-@overload(raised)
+@overload(power)
 def _raised(x, n):
     if not _any_vector(x, n):
-        return raised
+        return power
 
     def lane_by_lane(x, n):
         y = x
         for k in range(LANES):
-            y = with_lane(y, k, lane(x, k) ** lane(n, k))
+            y = insert_lane(y, k, extract_lane(x, k) ** extract_lane(n, k))
         return y
 
     return lane_by_lane
 
 
 @intrinsic
-def _whole(context, x):
+def _integer_part_of_vector(context, x):
     def generate(context, builder, signature, values):
         integers = builder.fptosi(values[0], ir.VectorType(ir.IntType(64), LANES))
         return builder.sitofp(integers, _llvm)
@@ -315,37 +315,37 @@ def _whole(context, x):
     return vector(x), generate
 
 
-def whole(x):
+def integer_part(x):
     """The whole part of `x` >= 0, as a float."""
     return float(int(x))
 
 
-@overload(whole)
-def _whole_part(x):
-    return (lambda x: _whole(x)) if _any_vector(x) else whole
+@overload(integer_part)
+def _overload_integer_part(x):
+    return (lambda x: _integer_part_of_vector(x)) if _any_vector(x) else integer_part
 
 
 @intrinsic
-def _four(context, array, first):
+def _load_four_lanes(context, array, first):
     """Per lane four neighbours, loaded as one row each and transposed: no gather is as fast."""
     four, row = ir.VectorType(ir.DoubleType(), 4), types.UniTuple(vector, 4)
 
     def generate(context, builder, signature, values):
         struct = context.make_array(signature.args[0])(context, builder, values[0])
-        first = _lifted(context, builder, values[1], signature.args[1])
+        first = _broadcast(context, builder, values[1], signature.args[1])
         at = builder.fptosi(first, ir.VectorType(ir.IntType(64), LANES))
         rows = []
         for k in range(LANES):
             address = builder.gep(struct.data, [builder.extract_element(at, _int32(k))])
             rows.append(builder.load(builder.bitcast(address, four.as_pointer())))
             rows[-1].align = 8
-        columns = _transposed(builder, rows)
+        columns = _transpose(builder, rows)
         return context.make_tuple(builder, signature.return_type, columns)
 
     return row(array, first), generate
 
 
-def _transposed(builder, rows):
+def _transpose(builder, rows):
     """Four vectors of LANES from LANES rows of four, by joining rows two and two."""
 
     def shuffled(a, b, mask):
@@ -361,7 +361,7 @@ def _transposed(builder, rows):
     return columns
 
 
-def four(array, first):
+def load_four(array, first):
     """Four neighbours in memory of a contiguous array, from element number `first` on."""
     flat = array.ravel()
     i = int(first)
@@ -369,7 +369,7 @@ def four(array, first):
 
 
 @intrinsic
-def _four_numbers(context, array, first):
+def _load_four_numbers(context, array, first):
     def generate(context, builder, signature, values):
         struct = context.make_array(signature.args[0])(context, builder, values[0])
         at = context.cast(builder, values[1], signature.args[1], types.int64)
@@ -380,8 +380,8 @@ def _four_numbers(context, array, first):
     return types.UniTuple(types.float64, 4)(array, first), generate
 
 
-@overload(four)
-def _four_neighbours(array, first):
+@overload(load_four)
+def _overload_load_four(array, first):
     if _any_vector(first):
-        return lambda array, first: _four(array, first)
-    return lambda array, first: _four_numbers(array, first)
+        return lambda array, first: _load_four_lanes(array, first)
+    return lambda array, first: _load_four_numbers(array, first)

@@ -42,23 +42,25 @@ class SpeedProfile:
         dt = t - knots[i]
         return s[i] + dt * (v[i] + 0.5 * a[i] * dt), v[i] + a[i] * dt, a[i]
 
-    def arrival(self, distance: float) -> float:
+    def arrival_time(self, distance: float) -> float:
         """The instant [s] at which `distance` [m] has been covered."""
         knots = np.array(self.t)
-        reached = self.at(knots)[0]
-        i = int(np.searchsorted(reached, distance, side="right")) - 1
+        distances = self.at(knots)[0]
+        i = int(np.searchsorted(distances, distance, side="right")) - 1
         _, (v,), (a,) = self.at(knots[i : i + 1])
-        left = distance - reached[i]
+        remaining = distance - distances[i]
         # the stable root of v dt + a dt² / 2 = left
-        return float(knots[i] + 2.0 * left / (v + np.sqrt(max(v * v + 2.0 * a * left, 0.0))))
+        return float(
+            knots[i] + 2.0 * remaining / (v + np.sqrt(max(v * v + 2.0 * a * remaining, 0.0)))
+        )
 
 
-def constant(v: float) -> SpeedProfile:
+def constant_speed(v: float) -> SpeedProfile:
     """One speed [m/s] throughout."""
     return SpeedProfile(t=(0.0,), v=(float(v),))
 
 
-def ramp(v_0: float, v_1: float, duration: float, after: float = 0.0) -> SpeedProfile:
+def speed_ramp(v_0: float, v_1: float, duration: float, after: float = 0.0) -> SpeedProfile:
     """From `v_0` to `v_1` [m/s] within `duration`, beginning `after` [s] the start."""
     if after > 0.0:
         return SpeedProfile(t=(0.0, after, after + duration), v=(v_0, v_0, v_1))

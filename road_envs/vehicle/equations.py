@@ -20,11 +20,11 @@ on a straight drive at constant speed these are left out, as in the paper.
 State (14,): z_b [m], phi, theta [rad], z_af [m], phi_af [rad], z_ar, phi_ar, then their rates. The
 origin has every strut at its static length and every tyre at its static deflection. Small angles.
 
-An individual car (`vehicle.Individual`) can have more. Bushings with a roll stiffness k_r push the
-body and the axle back with k_r (phi - phi_a). A body with a flexible frame is two halves, of half
-the roll inertia each, that roll by phi ± psi / 2, front and rear; phi is their mean, and psi [rad],
-the twist, an eighth coordinate that stands behind the seven, as its rate behind theirs. With M the
-roll moments of struts and bushings on a half,
+A `parameters.VehicleVariation` can add two elements. Bushings with a roll stiffness k_r exert the
+moment k_r (phi - phi_a) between body and axle. A body with a flexible frame consists of two halves
+with half the roll inertia each, which roll by phi ± psi / 2 (front and rear): phi is their mean and
+the twist psi [rad] is an eighth coordinate, after the other seven; its rate is the last rate. With
+M the roll moment of struts and bushings on each half,
 
     I_xx / 4 psi'' = (M_front - M_rear) / 2 - k_f psi - c_f psi'
 
@@ -42,7 +42,7 @@ import numpy as np
 
 from road_envs._numba import kernel
 from road_envs.simulation.simd import add, get
-from road_envs.vehicle.parameters import GRAVITY, NOMINAL, Individual, VehicleParameters
+from road_envs.vehicle.parameters import GRAVITY, NOMINAL, VehicleParameters, VehicleVariation
 from road_envs.vehicle.suspension import (
     displacement_tables,
     strut_force,
@@ -55,64 +55,64 @@ N_DOF = len(DOF)
 Z_B, PHI, THETA, AXLE = 0, 1, 2, 3
 """Indices of the state; axle i has its heave at AXLE + 2 i and its roll behind that."""
 
-NUMBERS = np.dtype(
+PLANT_DTYPE = np.dtype(
     [
         ("M", "f8", (N_DOF,)),
         *((name, "f8") for name in ("n_p", "x_1", "r_2", "column_min", "equalisation")),
         *((name, "f8") for name in ("roll_moment", "pitch_moment")),
         *((name, "f8") for name in ("frame_inertia", "frame_rate", "frame_damping")),
-        *((name, "f8", (2,)) for name in ("x", "delta", "k_roll", "half")),
+        *((name, "f8", (2,)) for name in ("x", "delta", "k_roll", "twist_share")),
         *((name, "f8", (4,)) for name in ("y_s", "y_t", "p_A", "k_t", "k_t2", "c_t")),
-        *((name, "f8", (4,)) for name in ("losses", "stops")),
+        *((name, "f8", (4,)) for name in ("velocity_table", "displacement_table")),
     ],
     align=True,
 )
-"""A vehicle's numbers as kernels read them: M are the inertias of the degrees of freedom; y_s and
-y_t are signed, wheel by wheel; `half` is the share of the frame's twist by which the body rolls
-above each axle; `losses` and `stops` are the numbers of each strut's first table of either kind,
-where several vehicles keep theirs together."""
+"""The constants of one vehicle as kernels read them. M: masses and inertias of the degrees of
+freedom; y_s, y_t: signed, per wheel; `twist_share`: body roll above each axle per twist of the
+frame; `velocity_table`, `displacement_table`: index of each strut's first table of either kind,
+with an offset where several vehicles share one array of tables."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plant:
     """What the kernels need of one vehicle: its numbers (1,) and its tables."""
 
-    numbers: np.ndarray
+    constants: np.ndarray
     velocity: np.ndarray
     displacement: np.ndarray
 
     @property
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The three arrays in the order of every kernel's arguments."""
-        return self.numbers, self.velocity, self.displacement
+        return self.constants, self.velocity, self.displacement
 
     @property
     def flexible(self) -> bool:
         """Whether the body's frame twists, and the state has 16 numbers instead of 14."""
-        return bool(self.numbers["frame_inertia"][0] > 0.0)
+        return bool(self.constants["frame_inertia"][0] > 0.0)
 
     @property
     def inertias(self) -> np.ndarray:
         """Masses [kg] and inertias [kg m²] of the coordinates: (7,), (8,) of a flexible car."""
-        M, twist = self.numbers["M"][0], self.numbers["frame_inertia"]
+        M, twist = self.constants["M"][0], self.constants["frame_inertia"]
         return np.concatenate([M, twist]) if self.flexible else M
 
 
-def plant(
-    car: VehicleParameters, manoeuvres: bool = False, individual: Individual = NOMINAL
+def build_plant(
+    car: VehicleParameters, manoeuvres: bool = False, variation: VehicleVariation = NOMINAL
 ) -> Plant:
     """The kernel's view of a vehicle; with `manoeuvres` its body leans in turns and on brakes.
 
-    An `individual` is a manufactured car of that description. Raises ValueError if its tyres'
+    An `variation` is a manufactured car of that description. Raises ValueError if its tyres'
     progression leaves them no stiffness when they are first touched.
     """
     axles, strut = car.axles, car.strut
     sides = (1.0, -1.0)
-    velocity, losses = velocity_tables(car, individual)
-    displacement, stops = displacement_tables(car, individual)
+    velocity, velocity_table = velocity_tables(car, variation)
+    displacement, displacement_table = displacement_tables(car, variation)
     values = {
         "M": [car.m_b, car.I_xx, car.I_yy, *(v for a in axles for v in (a.m, a.I_xx))],
-        "p_A": [factor * strut.p_stat * strut.A for factor in individual.gas],
+        "p_A": [factor * strut.p_stat * strut.A for factor in variation.gas],
         "n_p": strut.n_p,
         "x_1": strut.x_1,
         "r_2": strut.x_2 / (strut.x_1 + strut.x_2),
@@ -122,25 +122,25 @@ def plant(
         "equalisation": car.valve.equalisation,
         "x": [a.x for a in axles],
         "delta": car.tyre_deflections,
-        "k_roll": individual.roll_stiffness,
+        "k_roll": variation.roll_stiffness,
         "y_s": [side * a.y_s for a in axles for side in sides],
         "y_t": [side * a.y_t for a in axles for side in sides],
         "c_t": [a.c_t for a in axles for _ in sides],
-        "losses": losses,
-        "stops": stops,
-        **_tyres(car, individual),
-        **_frame(car, individual),
+        "velocity_table": velocity_table,
+        "displacement_table": displacement_table,
+        **_tyre_constants(car, variation),
+        **_frame_constants(car, variation),
     }
-    numbers = np.zeros(1, dtype=NUMBERS)
-    for name in NUMBERS.names or ():
-        numbers[name] = values[name]
-    return Plant(numbers, velocity, displacement)
+    constants = np.zeros(1, dtype=PLANT_DTYPE)
+    for name in PLANT_DTYPE.names or ():
+        constants[name] = values[name]
+    return Plant(constants, velocity, displacement)
 
 
-def _tyres(car: VehicleParameters, individual: Individual) -> dict[str, list[float]]:
+def _tyre_constants(car: VehicleParameters, variation: VehicleVariation) -> dict[str, list[float]]:
     """k_t and k_t2 of each tyre: at the deflection of the origin it is as stiff as described."""
-    rise, deltas = individual.tyre_progression, car.tyre_deflections
-    k = [factor * car.axles[w // 2].k_t for w, factor in enumerate(individual.tyre)]
+    rise, deltas = variation.tyre_progression, car.tyre_deflections
+    k = [factor * car.axles[w // 2].k_t for w, factor in enumerate(variation.tyre)]
     if not rise * max(deltas) < 1.0:
         raise ValueError(
             f"tyre_progression must be below {1.0 / max(deltas):.1f} 1/m, got {rise}: the tyres "
@@ -152,16 +152,16 @@ def _tyres(car: VehicleParameters, individual: Individual) -> dict[str, list[flo
     }
 
 
-def _frame(car: VehicleParameters, individual: Individual) -> dict[str, object]:
-    if individual.frame is None:
+def _frame_constants(car: VehicleParameters, variation: VehicleVariation) -> dict[str, object]:
+    if variation.frame is None:
         none = dict.fromkeys(("frame_inertia", "frame_rate", "frame_damping"), 0.0)
-        return {**none, "half": (0.0, 0.0)}
-    inertia, omega = 0.25 * car.I_xx, 2.0 * np.pi * individual.frame.f
+        return {**none, "twist_share": (0.0, 0.0)}
+    inertia, omega = 0.25 * car.I_xx, 2.0 * np.pi * variation.frame.f
     return {
         "frame_inertia": inertia,
         "frame_rate": inertia * omega**2,
-        "frame_damping": 2.0 * individual.frame.zeta * inertia * omega,
-        "half": (0.5, -0.5),
+        "frame_damping": 2.0 * variation.frame.zeta * inertia * omega,
+        "twist_share": (0.5, -0.5),
     }
 
 
@@ -181,19 +181,19 @@ def wheel_height(p, q, w):
 
 
 @kernel
-def roll_over(q, i):
+def relative_roll(q, i):
     """Roll [rad] of the body less that of axle `i` for coordinates `q`, or its rate for rates."""
     return get(q, PHI) - get(q, AXLE + 2 * i + 1)
 
 
 @kernel
-def bend(p, psi, w):
+def twist_extension(p, psi, w):
     """What a twist `psi` [rad] of the frame adds to the extension of strut `w` [m]."""
-    return get(p.y_s, w) * (get(p.half, w // 2) * psi)
+    return get(p.y_s, w) * (get(p.twist_share, w // 2) * psi)
 
 
 @kernel
-def moment_over(p, F, i, roll):
+def axle_roll_moment(p, F, i, roll):
     """Roll moment [N m] on the body over axle `i`: struts `F` (4,), bushings turned by `roll`.
 
     Left and right are subtracted before they meet a lever: equal forces roll nothing, to the bit.
@@ -209,7 +209,7 @@ def add_struts(p, F, front, rear, out):
     """
     for i in range(2):
         push = get(F, 2 * i) + get(F, 2 * i + 1)
-        twist = moment_over(p, F, i, front if i == 0 else rear)
+        twist = axle_roll_moment(p, F, i, front if i == 0 else rear)
         add(out, Z_B, push)
         add(out, PHI, twist)
         add(out, THETA, -get(p.x, i) * push)
@@ -227,10 +227,10 @@ def add_tyres(p, T, out):
 
 
 @kernel
-def twisting(p, F, front, rear):
+def twist_moment(p, F, front, rear):
     """Generalised force [N m] on the frame's twist of struts and bushings, as above."""
-    over = get(p.half, 0) * moment_over(p, F, 0, front)
-    return over + get(p.half, 1) * moment_over(p, F, 1, rear)
+    over = get(p.twist_share, 0) * axle_roll_moment(p, F, 0, front)
+    return over + get(p.twist_share, 1) * axle_roll_moment(p, F, 1, rear)
 
 
 @kernel
@@ -241,52 +241,63 @@ def add_weight(p, out):
 
 
 @kernel
-def add_lean(p, phi, theta, a_x, a_y, out):
+def add_manoeuvre_moments(p, phi, theta, a_x, a_y, out):
     """Add the moments of a manoeuvre with accelerations `a_x`, `a_y` [m/s²] to `out` (7,)."""
     add(out, PHI, get(p.roll_moment) * (a_y + GRAVITY * phi))
     add(out, THETA, get(p.pitch_moment) * (GRAVITY * theta - a_x))
 
 
 @kernel
-def accelerations(numbers, velocity, displacement, memory, q, v, z_r, w_r, out, a_x=0.0, a_y=0.0):
+def accelerations(
+    constants, velocity, displacement, strut_state, q, v, z_r, w_r, out, a_x=0.0, a_y=0.0
+):
     """Write the accelerations (7,) for coordinates `q` (7,), rates `v` (7,) to `out`.
 
     `z_r`, `w_r` (4,) are the road's height [m] and its rate [m/s] under each wheel; `a_x`, `a_y`
     [m/s²] those of a manoeuvre. With the frame's twist all three are (8,).
     """
-    p, F, T = numbers[0], np.empty(4), np.empty(4)
+    p, F, T = constants[0], np.empty(4), np.empty(4)
     flexible = q.size > N_DOF
     psi, psi_dot = (q[N_DOF], v[N_DOF]) if flexible else (0.0, 0.0)
     for w in range(4):
-        e, e_dot = extension(p, q, w) + bend(p, psi, w), extension(p, v, w) + bend(p, psi_dot, w)
-        F[w] = strut_force(p, velocity, displacement, memory, w, e, e_dot)[0]
+        e, e_dot = (
+            extension(p, q, w) + twist_extension(p, psi, w),
+            extension(p, v, w) + twist_extension(p, psi_dot, w),
+        )
+        F[w] = strut_force(p, velocity, displacement, strut_state, w, e, e_dot)[0]
         u, u_dot = z_r[w] - wheel_height(p, q, w), w_r[w] - wheel_height(p, v, w)
         T[w] = tyre_force(p, w, u, u_dot)[0]
-    front, rear = roll_over(q, 0) + p.half[0] * psi, roll_over(q, 1) + p.half[1] * psi
+    front, rear = (
+        relative_roll(q, 0) + p.twist_share[0] * psi,
+        relative_roll(q, 1) + p.twist_share[1] * psi,
+    )
     out[:] = 0.0
     add_weight(p, out)
     add_struts(p, F, front, rear, out)
     add_tyres(p, T, out)
-    add_lean(p, q[PHI], q[THETA], a_x, a_y, out)
+    add_manoeuvre_moments(p, q[PHI], q[THETA], a_x, a_y, out)
     for j in range(N_DOF):
         out[j] /= p.M[j]
     if flexible:
-        moment = twisting(p, F, front, rear) - p.frame_rate * psi - p.frame_damping * psi_dot
+        moment = twist_moment(p, F, front, rear) - p.frame_rate * psi - p.frame_damping * psi_dot
         out[N_DOF] = moment / p.frame_inertia
 
 
 @kernel
-def stiffness_and_damping(numbers, velocity, displacement, memory, q, v, z_r, w_r, K, C):
+def stiffness_and_damping(constants, velocity, displacement, strut_state, q, v, z_r, w_r, K, C):
     """Write -df/dq to `K` and -df/dv to `C` (7, 7), f being the generalised forces.
 
     With the frame's twist, `q` and `v` are (8,) and both matrices (8, 8).
     """
-    p, k, c, k_t, c_t = numbers[0], np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    p, k, c, k_t, c_t = constants[0], np.empty(4), np.empty(4), np.empty(4), np.empty(4)
     flexible = q.size > N_DOF
     psi, psi_dot = (q[N_DOF], v[N_DOF]) if flexible else (0.0, 0.0)
     for w in range(4):
-        e, e_dot = extension(p, q, w) + bend(p, psi, w), extension(p, v, w) + bend(p, psi_dot, w)
-        _, k[w], c[w] = strut_force(p, velocity, displacement, memory, w, e, e_dot)
+        e, e_dot = (
+            extension(p, q, w) + twist_extension(p, psi, w),
+            extension(p, v, w) + twist_extension(p, psi_dot, w),
+        )
+        _, k[w], c[w] = strut_force(p, velocity, displacement, strut_state, w, e, e_dot)
         u, u_dot = z_r[w] - wheel_height(p, q, w), w_r[w] - wheel_height(p, v, w)
         _, k_t[w], c_t[w] = tyre_force(p, w, u, u_dot)
     K[:] = 0.0
@@ -296,32 +307,34 @@ def stiffness_and_damping(numbers, velocity, displacement, memory, q, v, z_r, w_
         unit = np.zeros(N_DOF + 1)
         unit[j] = 1.0
         for w in range(4):
-            e[w] = extension(p, unit, w) + bend(p, unit[N_DOF], w)
+            e[w] = extension(p, unit, w) + twist_extension(p, unit[N_DOF], w)
             height[w] = wheel_height(p, unit, w)
-        front = roll_over(unit, 0) + p.half[0] * unit[N_DOF]
-        rear = roll_over(unit, 1) + p.half[1] * unit[N_DOF]
+        front = relative_roll(unit, 0) + p.twist_share[0] * unit[N_DOF]
+        rear = relative_roll(unit, 1) + p.twist_share[1] * unit[N_DOF]
         add_struts(p, k * e, -front, -rear, K[:, j])
         add_tyres(p, k_t * height, K[:, j])
         add_struts(p, c * e, 0.0, 0.0, C[:, j])
         add_tyres(p, c_t * height, C[:, j])
         if flexible:
-            K[N_DOF, j] = twisting(p, k * e, -front, -rear) + p.frame_rate * unit[N_DOF]
-            C[N_DOF, j] = twisting(p, c * e, 0.0, 0.0) + p.frame_damping * unit[N_DOF]
+            K[N_DOF, j] = twist_moment(p, k * e, -front, -rear) + p.frame_rate * unit[N_DOF]
+            C[N_DOF, j] = twist_moment(p, c * e, 0.0, 0.0) + p.frame_damping * unit[N_DOF]
     K[PHI, PHI] -= p.roll_moment * GRAVITY
     K[THETA, THETA] -= p.pitch_moment * GRAVITY
 
 
-def jacobian(plant: Plant, memory: np.ndarray, state: np.ndarray, z_r: np.ndarray, w_r: np.ndarray):
+def jacobian(
+    plant: Plant, strut_state: np.ndarray, state: np.ndarray, z_r: np.ndarray, w_r: np.ndarray
+):
     """Jacobian (14, 14) of the rate of the state (14,) by the state; (16, 16) of a flexible car."""
     M, n = plant.inertias[:, None], plant.inertias.size
     K, C = np.empty((n, n)), np.empty((n, n))
-    stiffness_and_damping(*plant.arrays, memory, state[:n], state[n:], z_r, w_r, K, C)
+    stiffness_and_damping(*plant.arrays, strut_state, state[:n], state[n:], z_r, w_r, K, C)
     return np.block([[np.zeros((n, n)), np.eye(n)], [-K / M, -C / M]])
 
 
-def _on_the_ground(plant: Plant, z_r: np.ndarray) -> np.ndarray:
+def _pose_on_ground(plant: Plant, z_r: np.ndarray) -> np.ndarray:
     """Coordinates of a car lifted onto wheel heights (4,): no tyre changes its deflection."""
-    x, y_t = plant.numbers[0]["x"], plant.numbers[0]["y_t"]
+    x, y_t = plant.constants[0]["x"], plant.constants[0]["y_t"]
     left, right = z_r[0::2], z_r[1::2]
     heave, roll = 0.5 * (left + right), (left - right) / (y_t[0::2] - y_t[1::2])
     theta = (heave[1] - heave[0]) / (x[0] - x[1])
@@ -330,20 +343,20 @@ def _on_the_ground(plant: Plant, z_r: np.ndarray) -> np.ndarray:
     return np.array([z_b, phi, theta, heave[0], roll[0], heave[1], roll[1], *untwisted])
 
 
-def equilibrium(plant: Plant, memory: np.ndarray, z_r: np.ndarray) -> np.ndarray:
+def equilibrium(plant: Plant, strut_state: np.ndarray, z_r: np.ndarray) -> np.ndarray:
     """State (14,) at rest on wheels at heights `z_r` (4,) [m], found by Newton's method.
 
     That of a flexible car is (16,). Raises ArithmeticError if there is none within reach (a wheel
     off the ground, say).
     """
     M, n = plant.inertias, plant.inertias.size
-    q, rest, flat = _on_the_ground(plant, z_r), np.zeros(n), np.zeros(4)
+    q, rest, flat = _pose_on_ground(plant, z_r), np.zeros(n), np.zeros(4)
     K, C, a = np.empty((n, n)), np.empty((n, n)), np.empty(n)
     for _ in range(50):
-        accelerations(*plant.arrays, memory, q, rest, z_r, flat, a)
+        accelerations(*plant.arrays, strut_state, q, rest, z_r, flat, a)
         if np.abs(a).max() < 1e-10 * (1.0 + np.abs(z_r).max()):
             return np.concatenate([q, rest])
-        stiffness_and_damping(*plant.arrays, memory, q, rest, z_r, flat, K, C)
+        stiffness_and_damping(*plant.arrays, strut_state, q, rest, z_r, flat, K, C)
         try:
             q = q + np.linalg.solve(K, M * a)
         except np.linalg.LinAlgError:  # all wheels off the ground

@@ -16,7 +16,7 @@ from scipy.interpolate import PchipInterpolator
 
 from road_envs._numba import kernel
 from road_envs.config import STRICT
-from road_envs.simulation.simd import four, if_positive, maximum, minimum, whole
+from road_envs.simulation.simd import if_positive, integer_part, load_four, maximum, minimum
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ class Curve:
         inside = np.clip(x, self.x[0], self.x[-1])
         return cubic(inside) + slope(inside) * (x - inside), slope(inside)
 
-    def times(self, factor: float) -> "Curve":
+    def scaled(self, factor: float) -> "Curve":
         """The same curve with `factor` times the force everywhere."""
         return self if factor == 1.0 else Curve(x=self.x, F=tuple(factor * F for F in self.F))
 
@@ -61,45 +61,47 @@ def _hermite(values: np.ndarray, rises: np.ndarray) -> np.ndarray:
     return np.stack([a, b, 3.0 * rise - 2.0 * b - end, b + end - 2.0 * rise], axis=-1)
 
 
-def blurred(tables: np.ndarray, x_0: float, dx: float, width: float) -> np.ndarray:
+def gaussian_smoothed(tables: np.ndarray, x_0: float, dx: float, width: float) -> np.ndarray:
     """Tables (K, cells, 4) of the mean value when the argument is normal, `width` wide, about x."""
     x = x_0 + dx * np.arange(tables.shape[1] + 1)
     u = np.linspace(-4.0, 4.0, 161)
     weight = np.exp(-0.5 * u**2) / np.exp(-0.5 * u**2).sum()
     found = np.empty((tables.shape[0], x.size, u.size, 2))
-    look_up_all(tables, x_0, dx, x[:, None] + width * u, found)
+    interpolate_tables(tables, x_0, dx, x[:, None] + width * u, found)
     mean = np.einsum("kxui,u->ikx", found, weight)
     return _hermite(mean[0], dx * mean[1])
 
 
 @kernel
-def look_up(tables, k, x_0, dx, x):
+def interpolate_table(tables, k, x_0, dx, x):
     """Value and derivative at `x` of curve `k` of `tables` (K, cells, 4), straight beyond ends."""
     cells = float(tables.shape[1])
     u = (x - x_0) / dx
     inside = minimum(maximum(u, 0.0), cells)
-    i = minimum(whole(inside), cells - 1.0)
-    a, b, c, d = four(tables, 4.0 * (k * cells + i))
+    i = minimum(integer_part(inside), cells - 1.0)
+    a, b, c, d = load_four(tables, 4.0 * (k * cells + i))
     t = inside - i
     slope = b + t * (2.0 * c + t * 3.0 * d)
     return a + t * (b + t * (c + t * d)) + slope * (u - inside), slope / dx
 
 
 @kernel
-def look_up_all(tables, x_0, dx, x, out):
+def interpolate_tables(tables, x_0, dx, x, out):
     """Values and derivatives (K, M, N, 2) of all curves at `x` (M, N), to `out`."""
     for k in range(tables.shape[0]):
         for i in range(x.shape[0]):
             for j in range(x.shape[1]):
-                out[k, i, j, 0], out[k, i, j, 1] = look_up(tables, float(k), x_0, dx, x[i, j])
+                out[k, i, j, 0], out[k, i, j, 1] = interpolate_table(
+                    tables, float(k), x_0, dx, x[i, j]
+                )
 
 
 @kernel
-def curvature(tables, k, x_0, dx, x):
+def second_derivative(tables, k, x_0, dx, x):
     """Second derivative at `x` of curve `k`; at a grid point that to its right, 0 from the ends."""
     cells = float(tables.shape[1])
     u = (x - x_0) / dx
     inside = minimum(maximum(u, 0.0), cells)
-    i = minimum(whole(inside), cells - 1.0)
-    _, _, c, d = four(tables, 4.0 * (k * cells + i))
+    i = minimum(integer_part(inside), cells - 1.0)
+    _, _, c, d = load_four(tables, 4.0 * (k * cells + i))
     return if_positive(u * (cells - u), (2.0 * c + 6.0 * d * (inside - i)) / (dx * dx), 0.0)

@@ -34,24 +34,30 @@ from road_envs.vehicle.equations import (
     THETA,
     Z_B,
     Plant,
-    bend,
+    build_plant,
     equilibrium,
     extension,
     jacobian,
-    plant,
+    twist_extension,
     wheel_height,
 )
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.suspension import WHEELS, command, memory_at_rest, strut_force, tyre_force
+from road_envs.vehicle.suspension import (
+    WHEELS,
+    encode_command,
+    settled_strut_state,
+    strut_force,
+    tyre_force,
+)
 
 COORDINATE_UNITS = ("m", "rad", "rad", "m", "rad", "m", "rad")
-MODE_NAMES = (
+NATURAL_MODE_NAMES = (
     *("bounce", "roll", "pitch"),
     *("front axle hop", "front axle roll", "rear axle hop", "rear axle roll"),
 )
 """Names of the modes, each after the coordinate of `dynamics.DOF` that carries it."""
 
-FRAME_MODE = "frame torsion"
+FRAME_TORSION_MODE = "frame torsion"
 """That of the twist psi of a flexible frame, a coordinate behind the others."""
 
 
@@ -70,8 +76,8 @@ class LinearModel:
     C: np.ndarray
     D: np.ndarray
     M: np.ndarray
-    struts: np.ndarray
-    body: np.ndarray
+    strut_rows: np.ndarray
+    sensor_rows: np.ndarray
     wheelbase: float
     sensors: tuple[str, ...]
     states: tuple[str, ...] = (*DOF, *(f"{name}_dot" for name in DOF))
@@ -87,7 +93,7 @@ class LinearModel:
 
 
 @dataclass(frozen=True, eq=False)
-class Modes:
+class NaturalModes:
     """The seven natural modes, slowest first.
 
     `f` (7,): undamped natural frequencies [Hz]. `zeta` (7,): damping ratios, the mode's own share
@@ -111,36 +117,38 @@ def linearise(
     w_r: np.ndarray | None = None,
     damping: np.ndarray | None = None,
 ) -> LinearModel:
-    """The car's linear model about a `state` (14,), or at rest, on a road under its wheels.
+    """Linearise the vehicle about a `state` (14,), by default its static equilibrium.
 
-    `mode` as in `suspension.command`, or the struts' memory (4, 3), which stands still. `sensors`:
-    name -> (x, y) [m], ahead and to the left of the body's centre of mass. `z_r`, `w_r` (4,): the
-    road's heights [m] and rates [m/s] under the wheels, 0 by default. `damping` (4,) [N s/m], if
-    given, is that of the struts in place of their curves' slope. About a state that is not at rest
-    the model holds for deviations from the motion, and for as long as its slopes stay. Raises
-    ArithmeticError if the car finds no rest there.
+    `mode` as in `suspension.encode_command`, or a strut state (4, 3), which is held constant.
+    `sensors`: name -> (x, y) [m], ahead and to the left of the body's centre of mass. `z_r`, `w_r`
+    (4,): road heights [m] and rates [m/s] under the wheels, 0 by default. `damping` (4,) [N s/m]
+    replaces the slopes of the struts' force curves. About a state that is not an equilibrium, the
+    model describes deviations from the motion as long as the slopes are constant. Raises ValueError
+    on a wrong shape and ArithmeticError if there is no static equilibrium.
     """
-    one = car if isinstance(car, Plant) else plant(car)
-    memory = mode if isinstance(mode, np.ndarray) else memory_at_rest(command(mode))
+    one = car if isinstance(car, Plant) else build_plant(car)
+    strut_state = (
+        mode if isinstance(mode, np.ndarray) else settled_strut_state(encode_command(mode))
+    )
     z, w = (np.zeros(4) if v is None else np.array(v, dtype=float) for v in (z_r, w_r))
-    y = equilibrium(one, memory, z) if state is None else np.array(state, dtype=float)
+    y = equilibrium(one, strut_state, z) if state is None else np.array(state, dtype=float)
     n = one.inertias.size
     shapes = [
         ("state", y, (2 * n,)),
         ("z_r", z, (4,)),
         ("w_r", w, (4,)),
-        ("memory", memory, (4, 3)),
+        ("memory", strut_state, (4, 3)),
     ]
     for name, value, shape in shapes:
         if value.shape != shape:
             raise ValueError(f"{name} must be of shape {shape}, got {value.shape}")
-    A, B = jacobian(one, memory, y, z, w), _road_input(one, y, z, w)
+    A, B = jacobian(one, strut_state, y, z, w), _road_input_matrix(one, y, z, w)
     if damping is not None:
-        A[n:, n:] += _damping_instead(one, memory, y, np.asarray(damping, dtype=float))
-    body = np.array([_levers(x, y, n) for x, y in sensors.values()]).reshape(-1, n)
-    axles = one.numbers[0]["x"]
+        A[n:, n:] += _damping_correction(one, strut_state, y, np.asarray(damping, dtype=float))
+    body = np.array([_sensor_row(x, y, n) for x, y in sensors.values()]).reshape(-1, n)
+    axles = one.constants[0]["x"]
     C, D = body @ A[n:], body @ B[n:]
-    struts, wheelbase = _rows(extension, one), float(axles[0] - axles[1])
+    struts, wheelbase = _as_matrix(extension, one), float(axles[0] - axles[1])
     names, units = (*DOF, "psi")[:n], (*COORDINATE_UNITS, "rad")[:n]
     return LinearModel(
         *(A, B, C, D, one.inertias.copy(), struts, body, wheelbase, tuple(sensors)),
@@ -149,40 +157,41 @@ def linearise(
     )
 
 
-def _levers(x: float, y: float, n: int) -> np.ndarray:
+def _sensor_row(x: float, y: float, n: int) -> np.ndarray:
     row = np.zeros(N_DOF + 1)
     row[[Z_B, PHI, THETA, N_DOF]] = 1.0, y, -x, 0.5 * np.sign(x) * y
     return row[:n]
 
 
-def _rows(law, one: Plant) -> np.ndarray:
+def _as_matrix(law, one: Plant) -> np.ndarray:
     """A linear law of the coordinates and the wheel as a matrix (4, n)."""
-    p, unit = one.numbers[0], np.eye(N_DOF)
+    p, unit = one.constants[0], np.eye(N_DOF)
     rows = np.array([[law(p, unit[j], w) for j in range(N_DOF)] for w in range(4)])
     if not one.flexible:
         return rows
-    twist = [bend(p, 1.0, w) if law is extension else 0.0 for w in range(4)]
+    twist = [twist_extension(p, 1.0, w) if law is extension else 0.0 for w in range(4)]
     return np.column_stack([rows, twist])
 
 
-def _road_input(one: Plant, y: np.ndarray, z: np.ndarray, w: np.ndarray) -> np.ndarray:
+def _road_input_matrix(one: Plant, y: np.ndarray, z: np.ndarray, w: np.ndarray) -> np.ndarray:
     """B (14, 8) at the state `y`: what a tyre in touch makes of the road."""
-    rows = _rows(wheel_height, one)
+    rows = _as_matrix(wheel_height, one)
     n = rows.shape[1]
     u, u_dot = z - rows @ y[:n], w - rows @ y[n:]
-    slopes = [tyre_force(one.numbers[0], i, u[i], u_dot[i])[1:] for i in range(4)]
+    slopes = [tyre_force(one.constants[0], i, u[i], u_dot[i])[1:] for i in range(4)]
     k_t, c_t = np.array(slopes).T
     B = np.zeros((2 * n, 8))
     B[n:] = np.hstack([rows.T * k_t, rows.T * c_t]) / one.inertias[:, None]
     return B
 
 
-def _damping_instead(one: Plant, memory, y: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def _damping_correction(one: Plant, strut_state, y: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """What replacing the struts' slopes by `wanted` (4,) adds to the rates' block of A (n, n)."""
-    rows = _rows(extension, one)
+    rows = _as_matrix(extension, one)
     e, e_dot = rows @ y[: rows.shape[1]], rows @ y[rows.shape[1] :]
     now = [
-        strut_force(one.numbers[0], *one.arrays[1:], memory, w, e[w], e_dot[w])[2] for w in range(4)
+        strut_force(one.constants[0], *one.arrays[1:], strut_state, w, e[w], e_dot[w])[2]
+        for w in range(4)
     ]
     return rows.T @ ((np.array(now) - wanted)[:, None] * rows) / one.inertias[:, None]
 
@@ -195,7 +204,7 @@ def gaussian_damping(
     `rate` [m/s], a number or (4,): standard deviation of the rate of extension. The damper that
     errs least in the mean square, c = E[F(e_dot) e_dot] / E[e_dot²] for a normal e_dot.
     """
-    one = car if isinstance(car, Plant) else plant(car)
+    one = car if isinstance(car, Plant) else build_plant(car)
     rate = np.broadcast_to(np.asarray(rate, dtype=float), (4,))
     if not (np.isfinite(rate) & (rate > 0)).all():
         raise ValueError(
@@ -217,22 +226,22 @@ def strut_forces(
     """Forces (4, K) [N] that the struts, long in a mode, exert upwards on the body at extensions
     `e` (4, K) [m] and rates of extension `e_dot` (4, K) [m/s].
     """
-    one = car if isinstance(car, Plant) else plant(car)
+    one = car if isinstance(car, Plant) else build_plant(car)
     found = np.empty(e.shape)
-    tables = (one.velocity, one.displacement, memory_at_rest(command(mode)))
-    _strut_forces(one.numbers[0], *tables, e, e_dot, found)
+    tables = (one.velocity, one.displacement, settled_strut_state(encode_command(mode)))
+    _strut_forces(one.constants[0], *tables, e, e_dot, found)
     return found
 
 
 @kernel
-def _strut_forces(p, velocity, displacement, memory, e, e_dot, out):
+def _strut_forces(p, velocity, displacement, strut_state, e, e_dot, out):
     for w in range(4):
         for k in range(e.shape[1]):
             at = e[w, k], e_dot[w, k]
-            out[w, k] = strut_force(p, velocity, displacement, memory, w, at[0], at[1])[0]
+            out[w, k] = strut_force(p, velocity, displacement, strut_state, w, at[0], at[1])[0]
 
 
-def modes(model: LinearModel) -> Modes:
+def natural_modes(model: LinearModel) -> NaturalModes:
     """Natural modes of M q'' + C q' + K q = 0, named after the coordinate that carries them.
 
     M phi_j² is a mode's share of kinetic energy in each coordinate; a name goes to the mode that
@@ -246,17 +255,17 @@ def modes(model: LinearModel) -> Modes:
         raise ArithmeticError("no natural modes: at this state the car does not stand")
     _, place = linear_sum_assignment(M[:, None] * shapes**2, maximize=True)
     names = [""] * n
-    for name, column in zip((*MODE_NAMES, FRAME_MODE)[:n], place, strict=True):
+    for name, column in zip((*NATURAL_MODE_NAMES, FRAME_TORSION_MODE)[:n], place, strict=True):
         names[column] = name
     shapes[:, place] *= np.sign(shapes[np.arange(n), place])
     omega = np.sqrt(square)
     zeta = np.einsum("ji,jk,ki->i", shapes, C, shapes) / (2.0 * omega)
-    return Modes(tuple(names), omega / (2.0 * np.pi), zeta, shapes)
+    return NaturalModes(tuple(names), omega / (2.0 * np.pi), zeta, shapes)
 
 
 def wheel_response(model: LinearModel, f: np.ndarray) -> np.ndarray:
     """Complex responses (F, S, 4) [m/s² per m] at `f` (F,) [Hz] to each wheel's road height."""
-    s, inside = _inside(model, f, model.B)
+    s, inside = _state_response(model, f, model.B)
     inputs = model.C @ inside + model.D
     return inputs[:, :, :4] + s * inputs[:, :, 4:]
 
@@ -265,8 +274,8 @@ def strut_rate_response(model: LinearModel, f: np.ndarray) -> np.ndarray:
     """Complex responses (F, 4, 4) [m/s per m] of the struts' rates of extension at `f` (F,) [Hz]
     to each wheel's road height.
     """
-    s, inside = _inside(model, f, model.B)
-    inputs = model.struts @ inside[:, model.M.size :]
+    s, inside = _state_response(model, f, model.B)
+    inputs = model.strut_rows @ inside[:, model.M.size :]
     return inputs[:, :, :4] + s * inputs[:, :, 4:]
 
 
@@ -275,12 +284,12 @@ def force_response(model: LinearModel, f: np.ndarray) -> tuple[np.ndarray, np.nd
     body up and the axle down: of the sensors (F, S, 4) [m/s² per N], and of the struts' rates of
     extension (F, 4, 4) [m/s per N].
     """
-    force = model.struts.T / model.M[:, None]
-    _, inside = _inside(model, f, np.vstack([np.zeros_like(force), force]))
-    return model.C @ inside + model.body @ force, model.struts @ inside[:, N_DOF:]
+    force = model.strut_rows.T / model.M[:, None]
+    _, inside = _state_response(model, f, np.vstack([np.zeros_like(force), force]))
+    return model.C @ inside + model.sensor_rows @ force, model.strut_rows @ inside[:, N_DOF:]
 
 
-def _inside(model: LinearModel, f: np.ndarray, inputs: np.ndarray):
+def _state_response(model: LinearModel, f: np.ndarray, inputs: np.ndarray):
     """The variable s = 2 pi j f (F, 1, 1), and the state's responses (F, 14, inputs) there."""
     s = 2j * np.pi * np.atleast_1d(np.asarray(f, dtype=float))[:, None, None]
     return s, np.linalg.solve(s * np.eye(len(model.A)) - model.A, inputs)
@@ -299,10 +308,12 @@ def frequency_response(
     if (f is None) == (n is None):
         raise ValueError("frequencies are wanted as f [Hz] or as n [cycles/m], one of them")
     at = np.atleast_1d(np.asarray(f if n is None else v * np.asarray(n), dtype=float))
-    return by_path(model, v, at, wheel_response(model, at))
+    return combine_wheel_paths(model, v, at, wheel_response(model, at))
 
 
-def by_path(model: LinearModel, v: float, f: np.ndarray, wheels: np.ndarray) -> np.ndarray:
+def combine_wheel_paths(
+    model: LinearModel, v: float, f: np.ndarray, wheels: np.ndarray
+) -> np.ndarray:
     """Responses (F, K, 4) to the wheels' heights at `f` (F,) [Hz] as responses (F, K, 2) to the
     left and the right wheel path, driven at `v` [m/s].
     """

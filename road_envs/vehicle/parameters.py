@@ -16,13 +16,13 @@ GRAVITY = 9.81
 """Standard gravity as used throughout [m/s²]."""
 
 
-def _positive(owner: object, *names: str) -> None:
+def _check_positive(owner: object, *names: str) -> None:
     for name in names:
         if not 0 < getattr(owner, name) < inf:
             raise ValueError(f"{name} must be positive and finite, got {getattr(owner, name)}")
 
 
-def _not_negative(owner: object, *names: str) -> None:
+def _check_not_negative(owner: object, *names: str) -> None:
     for name in names:
         if not 0 <= getattr(owner, name) < inf:
             raise ValueError(f"{name} must not be negative, got {getattr(owner, name)}")
@@ -43,8 +43,8 @@ class Axle:
     c_t: Annotated[float, "N s/m", "damping of one tyre"]
 
     def __post_init__(self):
-        _positive(self, "m", "I_xx", "y_s", "y_t", "k_t")
-        _not_negative(self, "c_t")
+        _check_positive(self, "m", "I_xx", "y_s", "y_t", "k_t")
+        _check_not_negative(self, "c_t")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +85,7 @@ class Strut:
     bump_stop: AxleCurves
 
     def __post_init__(self):
-        _positive(self, "p_stat", "A", "n_p", "x_1", "x_2", "column_min")
+        _check_positive(self, "p_stat", "A", "n_p", "x_1", "x_2", "column_min")
         if self.column_min >= self.x_1:
             raise ValueError(f"column_min {self.column_min} must be below x_1 {self.x_1}")
 
@@ -101,8 +101,8 @@ class Valve:
     equalisation: Annotated[float, "s", "time constant of the flow through the open valve"]
 
     def __post_init__(self):
-        _positive(self, "lag", "equalisation")
-        _not_negative(self, "delay")
+        _check_positive(self, "lag", "equalisation")
+        _check_not_negative(self, "delay")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,14 +128,14 @@ class VehicleParameters:
     sources: dict[str, str]
 
     def __post_init__(self):
-        _positive(self, "m_b", "I_xx", "I_yy", "h_cg")
+        _check_positive(self, "m_b", "I_xx", "I_yy", "h_cg")
         if not inf > self.front.x > 0 > self.rear.x > -inf:
             raise ValueError(
                 "the front axle must stand ahead of the centre of mass and the rear axle behind "
                 f"it, got front.x = {self.front.x}, rear.x = {self.rear.x}"
             )
         if self.tyre_static_deflection != "equilibrium":
-            _not_negative(self, "tyre_static_deflection")
+            _check_not_negative(self, "tyre_static_deflection")
 
     @property
     def axles(self) -> tuple[Axle, Axle]:
@@ -171,12 +171,12 @@ class VehicleParameters:
         return front / self.front.k_t, rear / self.rear.k_t
 
 
-Four = tuple[float, float, float, float]
-ALIKE: Four = (1.0, 1.0, 1.0, 1.0)
+PerWheel = tuple[float, float, float, float]
+UNIT_FACTORS: PerWheel = (1.0, 1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Frame:
+class TorsionalFrame:
     """A body of two halves of equal roll inertia, joined by a torsion spring with little damping.
 
     The front half carries what is ahead of the centre of mass, the rear half the rest.
@@ -188,22 +188,22 @@ class Frame:
     zeta: Annotated[float, "", "its damping ratio"]
 
     def __post_init__(self):
-        _positive(self, "f")
-        _not_negative(self, "zeta")
+        _check_positive(self, "f")
+        _check_not_negative(self, "zeta")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Individual:
+class VehicleVariation:
     """How one manufactured car departs from its description; nothing departs by default.
 
     Tuples of four are factors, wheel by wheel (FL, FR, RL, RR).
     """
 
-    gas: Annotated[Four, "", "of the struts' gas pressure"] = ALIKE
-    damper: Annotated[Four, "", "of the dampers' forces"] = ALIKE
-    friction: Annotated[Four, "", "of the struts' friction"] = ALIKE
-    bushing: Annotated[Four, "", "of the bushings' forces"] = ALIKE
-    tyre: Annotated[Four, "", "of the tyres' stiffness"] = ALIKE
+    gas: Annotated[PerWheel, "", "of the struts' gas pressure"] = UNIT_FACTORS
+    damper: Annotated[PerWheel, "", "of the dampers' forces"] = UNIT_FACTORS
+    friction: Annotated[PerWheel, "", "of the struts' friction"] = UNIT_FACTORS
+    bushing: Annotated[PerWheel, "", "of the bushings' forces"] = UNIT_FACTORS
+    tyre: Annotated[PerWheel, "", "of the tyres' stiffness"] = UNIT_FACTORS
     tyre_progression: Annotated[
         float, "1/m", "a tyre compressed by x has (1 + this (x - delta)) of its stiffness, as a "
         "secant; delta is its deflection at the origin"
@@ -211,18 +211,18 @@ class Individual:
     roll_stiffness: Annotated[
         tuple[float, float], "N m/rad", "of the bushings between body and front, rear axle"
     ] = (0.0, 0.0)
-    frame: Frame | None = None
+    frame: TorsionalFrame | None = None
 
     def __post_init__(self):
         for name in ("gas", "damper", "friction", "bushing", "tyre"):
             if not all(0 < factor < inf for factor in getattr(self, name)):
                 raise ValueError(f"{name} must be four positive factors, got {getattr(self, name)}")
-        _not_negative(self, "tyre_progression")
+        _check_not_negative(self, "tyre_progression")
         if not all(0 <= k < inf for k in self.roll_stiffness):
             raise ValueError(f"roll_stiffness must not be negative, got {self.roll_stiffness}")
 
 
-NOMINAL = Individual()
+NOMINAL = VehicleVariation()
 """The car as described."""
 
 

@@ -26,20 +26,27 @@ import numpy as np
 
 from road_envs import config
 from road_envs.roads.surface import Surface, enveloped
-from road_envs.sensing.sensor_faults import SOUND, Faults, Three
-from road_envs.vehicle.equations import Plant, plant
-from road_envs.vehicle.parameters import NOMINAL, Axle, Four, Frame, Individual, VehicleParameters
+from road_envs.sensing.sensor_faults import NO_FAULTS, PerSensor, SensorFaults
+from road_envs.vehicle.equations import Plant, build_plant
+from road_envs.vehicle.parameters import (
+    NOMINAL,
+    Axle,
+    PerWheel,
+    TorsionalFrame,
+    VehicleParameters,
+    VehicleVariation,
+)
 
 GRADES = ("S0", "S1", "S2", "S3")
 
 Range = tuple[float, float]
-MANUFACTURE, STRUCTURE, INSTRUMENTS = 1, 2, 3
-STREAM = 9
+MANUFACTURE_STREAM, STRUCTURE_STREAM, INSTRUMENT_STREAM = 1, 2, 3
+PERTURBATION_STREAM = 9
 """First key of the streams of random numbers that draw an individual; the second is one of the
 three above. Instruments draw their noise from the seed itself, whatever the grade."""
 
 
-def _checked(owner: object, *names: str) -> None:
+def _check_relative(owner: object, *names: str) -> None:
     for name in names:
         value = getattr(owner, name)
         low, high = value if isinstance(value, tuple) else (0.0, value)
@@ -48,7 +55,7 @@ def _checked(owner: object, *names: str) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Manufacture:
+class ManufacturingTolerances:
     """Relative departures of one car from the drawing."""
 
     __pydantic_config__ = config.STRICT
@@ -62,24 +69,24 @@ class Manufacture:
     strut_bushing: Annotated[float, "", "of each bushing's force"]
 
     def __post_init__(self):
-        _checked(self, *self.__dataclass_fields__)
+        _check_relative(self, *self.__dataclass_fields__)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Structure:
+class UnmodelledStructure:
     """What the training car's equations leave out."""
 
     __pydantic_config__ = config.STRICT
 
     contact_length: Annotated[float, "m", "of the tyres on the road"]
-    tyre_progression: Annotated[float, "1/m", "as in `vehicle.Individual`"]
+    tyre_progression: Annotated[float, "1/m", "as in `vehicle.VehicleVariation`"]
     tyre_pressure: Annotated[float, "", "relative departure of each tyre's pressure"]
     tyre_pressure_effect: Annotated[float, "", "relative stiffness by relative pressure"]
     roll_stiffness: Annotated[tuple[float, float], "N m/rad", "of the bushings, front and rear"]
-    frame: Frame | None
+    frame: TorsionalFrame | None
 
     def __post_init__(self):
-        _checked(self, "tyre_pressure")
+        _check_relative(self, "tyre_pressure")
         for name in ("contact_length", "tyre_progression", "tyre_pressure_effect"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
@@ -88,7 +95,7 @@ class Structure:
 
 
 @dataclass(frozen=True, kw_only=True)
-class InstrumentFaults:
+class SensorFaultLimits:
     """Greatest departures of the instruments; the last four are as they stand."""
 
     __pydantic_config__ = config.STRICT
@@ -98,30 +105,37 @@ class InstrumentFaults:
     gain: Annotated[float, "", "relative, of its sensitivity"]
     offset: Annotated[float, "m/s²", "of its reading"]
     speed: Annotated[float, "", "relative, of the speed signal, constant over a drive"]
-    fix: Annotated[float, "m", "way in which position fixes bring the odometer back by 63 %"]
+    position_fix_length: Annotated[
+        float, "m", "way in which position fixes bring the odometer back by 63 %"
+    ]
     jitter: Annotated[float, "s", "standard deviation of the instants of the samples"]
-    lost: Annotated[float, "", "share of the samples that are lost"]
-    burst: Annotated[int, "samples", "mean length of a loss"]
+    dropout_rate: Annotated[float, "", "share of the samples that are lost"]
+    dropout_length: Annotated[int, "samples", "mean length of a loss"]
 
     def __post_init__(self):
-        _checked(self, "gain", "speed")
+        _check_relative(self, "gain", "speed")
         for name in ("place", "tilt", "offset"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
-        Faults(jitter=self.jitter, lost=self.lost, burst=self.burst, fix=self.fix)
+        SensorFaults(
+            jitter=self.jitter,
+            dropout_rate=self.dropout_rate,
+            dropout_length=self.dropout_length,
+            position_fix_length=self.position_fix_length,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
-class Deviations:
+class PlantMismatch:
     """By how much field cars depart from the training car."""
 
     __pydantic_config__ = config.STRICT
 
     name: str
     step: Annotated[float, "s", "of the integrator"]
-    manufacture: Manufacture
-    structure: Structure
-    instruments: InstrumentFaults
+    manufacture: ManufacturingTolerances
+    structure: UnmodelledStructure
+    instruments: SensorFaultLimits
     sources: dict[str, str]
 
     def __post_init__(self):
@@ -130,7 +144,7 @@ class Deviations:
 
 
 @dataclass(frozen=True)
-class FieldCar:
+class PerturbedVehicle:
     """One individual: its description, what is beyond it, its instruments' faults and its step.
 
     `step` [s] is the longest that the integrator may take. A `contact_length` [m] of 0 is a point
@@ -139,54 +153,56 @@ class FieldCar:
 
     grade: str
     car: VehicleParameters
-    individual: Individual = NOMINAL
+    variation: VehicleVariation = NOMINAL
     contact_length: float = 0.0
-    faults: Faults = SOUND
+    faults: SensorFaults = NO_FAULTS
     step: float = np.inf
 
     @cached_property
     def plant(self) -> Plant:
         """What the kernels need of it."""
-        return plant(self.car, individual=self.individual)
+        return build_plant(self.car, variation=self.variation)
 
-    def felt(self, surface: Surface) -> Surface:
+    def enveloped(self, surface: Surface) -> Surface:
         """The surface as its tyres follow it; the truth stays what it is."""
         return enveloped(surface, self.contact_length) if self.contact_length > 0.0 else surface
 
 
-def load_deviations(name: str | Path = "assumed") -> Deviations:
+def load_plant_mismatch(name: str | Path = "assumed") -> PlantMismatch:
     """Deviations by shipped name or YAML path. Raises ConfigError."""
-    return config.load(Deviations, "field", name)
+    return config.load(PlantMismatch, "field", name)
 
 
-def field_car(
+def perturb_vehicle(
     car: VehicleParameters,
     grade: str,
     seed: int | np.random.SeedSequence,
-    deviations: Deviations | None = None,
-) -> FieldCar:
+    plant_mismatch: PlantMismatch | None = None,
+) -> PerturbedVehicle:
     """The individual of a `grade` that `seed` draws; the same one under every grade.
 
-    `deviations` are those shipped as "assumed" unless others are given. Raises ConfigError.
+    `plant_mismatch` are those shipped as "assumed" unless others are given. Raises ConfigError.
     """
-    level = GRADES.index(config.one_of("grade", grade, list(GRADES)))
+    level = GRADES.index(config.validate_choice("grade", grade, list(GRADES)))
     if level == 0:
-        return FieldCar(grade, car)
-    by = load_deviations() if deviations is None else deviations
-    one = _manufactured(FieldCar(grade, car, step=by.step), by.manufacture, seed)
-    if level >= STRUCTURE:
-        one = _structured(one, by.structure, seed)
-    if level >= INSTRUMENTS:
-        one = replace(one, faults=_faults(by.instruments, seed))
+        return PerturbedVehicle(grade, car)
+    by = load_plant_mismatch() if plant_mismatch is None else plant_mismatch
+    one = _with_tolerances(PerturbedVehicle(grade, car, step=by.step), by.manufacture, seed)
+    if level >= STRUCTURE_STREAM:
+        one = _with_structure(one, by.structure, seed)
+    if level >= INSTRUMENT_STREAM:
+        one = replace(one, faults=_draw_sensor_faults(by.instruments, seed))
     return one
 
 
-def _stream(seed: int | np.random.SeedSequence, group: int) -> np.random.SeedSequence:
+def _seed_sequence(seed: int | np.random.SeedSequence, group: int) -> np.random.SeedSequence:
     given = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-    return np.random.SeedSequence(given.entropy, spawn_key=(*given.spawn_key, STREAM, group))
+    return np.random.SeedSequence(
+        given.entropy, spawn_key=(*given.spawn_key, PERTURBATION_STREAM, group)
+    )
 
 
-def _either_way(rng: np.random.Generator) -> Callable[..., float]:
+def _two_sided_factor(rng: np.random.Generator) -> Callable[..., float]:
     """Draws a factor that departs from 1 by `least` to `most`, up or down."""
 
     def factor(least: float, most: float) -> float:
@@ -195,21 +211,23 @@ def _either_way(rng: np.random.Generator) -> Callable[..., float]:
     return factor
 
 
-def _four(rng: np.random.Generator, most: float) -> Four:
+def _four_factors(rng: np.random.Generator, most: float) -> PerWheel:
     """Factors that depart from 1 by up to `most`."""
     a, b, c, d = (1.0 + rng.uniform(-most, most, 4)).tolist()
     return a, b, c, d
 
 
-def _three(rng: np.random.Generator, most: float, middle: float = 0.0) -> Three:
+def _three_values(rng: np.random.Generator, most: float, middle: float = 0.0) -> PerSensor:
     """Values within `most` of `middle`."""
     a, b, c = (middle + rng.uniform(-most, most, 3)).tolist()
     return a, b, c
 
 
-def _manufactured(one: FieldCar, by: Manufacture, seed: int | np.random.SeedSequence) -> FieldCar:
-    rng = np.random.default_rng(_stream(seed, MANUFACTURE))
-    factor = _either_way(rng)
+def _with_tolerances(
+    one: PerturbedVehicle, by: ManufacturingTolerances, seed: int | np.random.SeedSequence
+) -> PerturbedVehicle:
+    rng = np.random.default_rng(_seed_sequence(seed, MANUFACTURE_STREAM))
+    factor = _two_sided_factor(rng)
 
     def made(axle: Axle) -> Axle:
         return replace(axle, m=axle.m * factor(*by.mass), I_xx=axle.I_xx * factor(*by.inertia))
@@ -222,41 +240,43 @@ def _manufactured(one: FieldCar, by: Manufacture, seed: int | np.random.SeedSequ
         front=made(one.car.front),
         rear=made(one.car.rear),
     )
-    rubs, (a, b, c, d) = factor(*by.friction), _four(rng, by.strut_friction)
-    struts = Individual(
-        gas=_four(rng, by.strut_gas),
-        damper=_four(rng, by.strut_damper),
+    rubs, (a, b, c, d) = factor(*by.friction), _four_factors(rng, by.strut_friction)
+    struts = VehicleVariation(
+        gas=_four_factors(rng, by.strut_gas),
+        damper=_four_factors(rng, by.strut_damper),
         friction=(rubs * a, rubs * b, rubs * c, rubs * d),
-        bushing=_four(rng, by.strut_bushing),
+        bushing=_four_factors(rng, by.strut_bushing),
     )
-    return replace(one, car=car, individual=struts)
+    return replace(one, car=car, variation=struts)
 
 
-def _structured(one: FieldCar, by: Structure, seed: int | np.random.SeedSequence) -> FieldCar:
-    rng = np.random.default_rng(_stream(seed, STRUCTURE))
-    individual = replace(
-        one.individual,
-        tyre=_four(rng, by.tyre_pressure * by.tyre_pressure_effect),
+def _with_structure(
+    one: PerturbedVehicle, by: UnmodelledStructure, seed: int | np.random.SeedSequence
+) -> PerturbedVehicle:
+    rng = np.random.default_rng(_seed_sequence(seed, STRUCTURE_STREAM))
+    variation = replace(
+        one.variation,
+        tyre=_four_factors(rng, by.tyre_pressure * by.tyre_pressure_effect),
         tyre_progression=by.tyre_progression,
         roll_stiffness=by.roll_stiffness,
         frame=by.frame,
     )
-    return replace(one, individual=individual, contact_length=by.contact_length)
+    return replace(one, variation=variation, contact_length=by.contact_length)
 
 
-def _faults(by: InstrumentFaults, seed: int | np.random.SeedSequence) -> Faults:
-    stream = _stream(seed, INSTRUMENTS)
+def _draw_sensor_faults(by: SensorFaultLimits, seed: int | np.random.SeedSequence) -> SensorFaults:
+    stream = _seed_sequence(seed, INSTRUMENT_STREAM)
     rng = np.random.default_rng(stream)
-    return Faults(
-        ahead=_three(rng, by.place),
-        left=_three(rng, by.place),
-        tilt=_three(rng, by.tilt),
-        gain=_three(rng, by.gain, 1.0),
-        offset=_three(rng, by.offset),
+    return SensorFaults(
+        dx=_three_values(rng, by.place),
+        dy=_three_values(rng, by.place),
+        tilt=_three_values(rng, by.tilt),
+        gain=_three_values(rng, by.gain, 1.0),
+        offset=_three_values(rng, by.offset),
         speed=float(rng.uniform(-by.speed, by.speed)),
-        fix=by.fix,
+        position_fix_length=by.position_fix_length,
         jitter=by.jitter,
-        lost=by.lost,
-        burst=by.burst,
+        dropout_rate=by.dropout_rate,
+        dropout_length=by.dropout_length,
         seed=tuple(int(x) for x in stream.generate_state(4)),
     )

@@ -26,10 +26,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from road_envs._numba import kernel
-from road_envs.config import ConfigError, one_of
-from road_envs.simulation.simd import equals_one, get, if_positive, is_flag, maximum, raised
-from road_envs.vehicle.force_curves import curvature, look_up, tabulate
-from road_envs.vehicle.parameters import NOMINAL, Individual, VehicleParameters
+from road_envs.config import ConfigError, validate_choice
+from road_envs.simulation.simd import equals_one, get, if_positive, is_zero_or_one, maximum, power
+from road_envs.vehicle.force_curves import interpolate_table, second_derivative, tabulate
+from road_envs.vehicle.parameters import NOMINAL, VehicleParameters, VehicleVariation
 
 WHEELS = ("FL", "FR", "RL", "RR")
 MODES = {
@@ -44,13 +44,13 @@ V_0, V_STEP, V_CELLS = -3.0, 0.01, 600
 E_0, E_STEP, E_CELLS = -0.2, 0.0025, 160
 """Grids of the tables, over rate of extension [m/s] and extension [m]."""
 
-HELD, OPEN, HIGH = 0, 1, 2
+HELD_EXTENSION, VALVE_OPEN, DAMPING_HIGH = 0, 1, 2
 """Columns of the struts' memory (4, 3): the held extension o [m] of the second accumulator, in
 e_2 = o + u r e; the open fraction u of the valve; the share of high damping. o is 0 as long as the
 valve stays open, and e_2 itself once it is closed."""
 
 
-def command(mode: str | Mapping[str, str]) -> int:
+def encode_command(mode: str | Mapping[str, str]) -> int:
     """A 4S4 command as one byte: bit w is a stiff spring, bit 4 + w high damping at wheel w.
 
     `mode` is a name from MODES for the whole vehicle, or a mapping from "front" and "rear", or
@@ -65,27 +65,27 @@ def command(mode: str | Mapping[str, str]) -> int:
             raise ConfigError(f"a mode is set for front and rear or for {WHEELS}, got {list(mode)}")
     else:
         wheels = [mode] * 4
-    states = [MODES[one_of("suspension mode", m, MODES)] for m in wheels]
+    states = [MODES[validate_choice("suspension mode", m, MODES)] for m in wheels]
     return sum((stiff << w) | (high << (4 + w)) for w, (stiff, high) in enumerate(states))
 
 
-def strut_states(commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def decode_commands(commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Stiff-spring and high-damping flags (N, 4) of command bytes (N,)."""
     bits = (np.asarray(commands, dtype=np.uint8)[:, None] >> np.arange(8)) & 1
     return bits[:, :4].astype(bool), bits[:, 4:].astype(bool)
 
 
-def memory_at_rest(byte: int) -> np.ndarray:
+def settled_strut_state(byte: int) -> np.ndarray:
     """Memory (4, 3) of struts that have long stood at their static length under a command."""
-    memory = np.zeros((4, 3))
-    stiff, high = strut_states(np.array([byte]))
-    memory[:, OPEN] = ~stiff[0]
-    memory[:, HIGH] = high[0]
-    return memory
+    strut_state = np.zeros((4, 3))
+    stiff, high = decode_commands(np.array([byte]))
+    strut_state[:, VALVE_OPEN] = ~stiff[0]
+    strut_state[:, DAMPING_HIGH] = high[0]
+    return strut_state
 
 
 def velocity_tables(
-    car: VehicleParameters, one: Individual = NOMINAL
+    car: VehicleParameters, one: VehicleVariation = NOMINAL
 ) -> tuple[np.ndarray, list[int]]:
     """Damper plus friction, tables (K, V_CELLS, 4), and for each strut its ride table's number.
 
@@ -95,7 +95,7 @@ def velocity_tables(
     factors = list(zip(one.damper, one.friction, strict=True))
     different = list(dict.fromkeys(factors))
     tables = [
-        tabulate((law.times(d), rub.times(f)), V_0, V_STEP, V_CELLS)
+        tabulate((law.scaled(d), rub.scaled(f)), V_0, V_STEP, V_CELLS)
         for d, f in different
         for law, rub in ((damper.ride, friction.ride), (damper.handling, friction.handling))
     ]
@@ -103,14 +103,14 @@ def velocity_tables(
 
 
 def displacement_tables(
-    car: VehicleParameters, one: Individual = NOMINAL
+    car: VehicleParameters, one: VehicleVariation = NOMINAL
 ) -> tuple[np.ndarray, list[int]]:
     """Bushing plus bump stop, tables (K, E_CELLS, 4), and each strut's number among them."""
     stops = (car.strut.bump_stop.front, car.strut.bump_stop.rear)
     which = [(w // 2, factor) for w, factor in enumerate(one.bushing)]
     different = list(dict.fromkeys(which))
     tables = [
-        tabulate((car.strut.bushing.times(factor), stops[axle]), E_0, E_STEP, E_CELLS)
+        tabulate((car.strut.bushing.scaled(factor), stops[axle]), E_0, E_STEP, E_CELLS)
         for axle, factor in different
     ]
     return np.stack(tables), [different.index(each) for each in which]
@@ -126,81 +126,85 @@ def gas_spring(p, w, column):
     inside = maximum(column, get(p.column_min))
     ratio = get(p.x_1) / inside
     if not equals_one(n_p):
-        ratio = raised(ratio, n_p)
+        ratio = power(ratio, n_p)
     F = get(p.p_A, w) * ratio
     slope = -n_p * F / inside
     return F + slope * (column - inside), slope
 
 
 @kernel
-def gas_column(p, memory, w, e):
+def gas_column(p, strut_state, w, e):
     """Column [m] of the first accumulator of strut `w`, and its derivative by the extension."""
-    share = 1.0 - get(memory, w, OPEN) * get(p.r_2)
-    return get(p.x_1) + share * e - get(memory, w, HELD), share
+    share = 1.0 - get(strut_state, w, VALVE_OPEN) * get(p.r_2)
+    return get(p.x_1) + share * e - get(strut_state, w, HELD_EXTENSION), share
 
 
 @kernel
-def switch(p, memory, w, e, stiff, high, alpha, h):
+def advance_valve(p, strut_state, w, e, stiff, high, alpha, h):
     """Advance the memory of strut `w` by one step `h` [s] of its valves at extension `e`.
 
     `alpha` is the share of the way to its target that a valve goes in one step.
     """
-    u = memory[w, OPEN]
+    u = strut_state[w, VALVE_OPEN]
     target = 0.0 if stiff else 1.0
     closing = u + alpha * (target - u)
     if abs(target - closing) < 1e-9:
         closing = target
-    held = memory[w, HELD] + (u - closing) * p.r_2 * e
+    held = strut_state[w, HELD_EXTENSION] + (u - closing) * p.r_2 * e
     lack = (1.0 - closing) * p.r_2 * e - held
     held += lack * (1.0 - np.exp(-closing * h / p.equalisation))
-    memory[w, HELD] = 0.0 if closing == 1.0 and abs(held) < 1e-12 else held
-    memory[w, OPEN] = closing
+    strut_state[w, HELD_EXTENSION] = 0.0 if closing == 1.0 and abs(held) < 1e-12 else held
+    strut_state[w, VALVE_OPEN] = closing
     target = 1.0 if high else 0.0
-    d = memory[w, HIGH] + alpha * (target - memory[w, HIGH])
-    memory[w, HIGH] = target if abs(target - d) < 1e-9 else d
+    d = strut_state[w, DAMPING_HIGH] + alpha * (target - strut_state[w, DAMPING_HIGH])
+    strut_state[w, DAMPING_HIGH] = target if abs(target - d) < 1e-9 else d
 
 
 @kernel
-def settled(memory, w, stiff, high):
+def valves_settled(strut_state, w, stiff, high):
     """Whether the valves of strut `w` have long followed their command."""
-    if memory[w, HIGH] != high:
+    if strut_state[w, DAMPING_HIGH] != high:
         return False
-    return memory[w, OPEN] == 0.0 if stiff else memory[w, OPEN] == 1.0 and memory[w, HELD] == 0.0
+    return (
+        strut_state[w, VALVE_OPEN] == 0.0
+        if stiff
+        else strut_state[w, VALVE_OPEN] == 1.0 and strut_state[w, HELD_EXTENSION] == 0.0
+    )
 
 
 @kernel
-def damping(p, velocity, memory, w, e_dot):
+def damping_force(p, velocity, strut_state, w, e_dot):
     """Damper plus friction [N] over the rate of extension, and the derivative [N s/m]."""
-    high = get(memory, w, HIGH)
-    if is_flag(high):
-        return look_up(velocity, get(p.losses, w) + high, V_0, V_STEP, e_dot)
-    F_0, c_0 = look_up(velocity, get(p.losses, w), V_0, V_STEP, e_dot)
-    F_1, c_1 = look_up(velocity, get(p.losses, w) + 1.0, V_0, V_STEP, e_dot)
+    high = get(strut_state, w, DAMPING_HIGH)
+    if is_zero_or_one(high):
+        return interpolate_table(velocity, get(p.velocity_table, w) + high, V_0, V_STEP, e_dot)
+    F_0, c_0 = interpolate_table(velocity, get(p.velocity_table, w), V_0, V_STEP, e_dot)
+    F_1, c_1 = interpolate_table(velocity, get(p.velocity_table, w) + 1.0, V_0, V_STEP, e_dot)
     low = 1.0 - high  # exact at either end, so that a lane does not feel the others' switching
     return low * F_0 + high * F_1, low * c_0 + high * c_1
 
 
 @kernel
-def strut_force(p, velocity, displacement, memory, w, e, e_dot):
+def strut_force(p, velocity, displacement, strut_state, w, e, e_dot):
     """Force [N] of strut `w`, its stiffness -dF/de [N/m] and damping -dF/de_dot [N s/m]."""
-    column, share = gas_column(p, memory, w, e)
+    column, share = gas_column(p, strut_state, w, e)
     gas, slope = gas_spring(p, w, column)
-    damper, c = damping(p, velocity, memory, w, e_dot)
-    stop, k = look_up(displacement, get(p.stops, w), E_0, E_STEP, e)
+    damper, c = damping_force(p, velocity, strut_state, w, e_dot)
+    stop, k = interpolate_table(displacement, get(p.displacement_table, w), E_0, E_STEP, e)
     return gas - damper - stop, k - slope * share, c
 
 
 @kernel
-def strut_curvature(p, velocity, displacement, memory, w, e, e_dot):
+def strut_curvature(p, velocity, displacement, strut_state, w, e, e_dot):
     """Change of a strut's stiffness with `e` [N/m²] and of its damping with `e_dot` [N s²/m²]."""
-    column, share = gas_column(p, memory, w, e)
+    column, share = gas_column(p, strut_state, w, e)
     _, slope = gas_spring(p, w, column)
     bend = -(get(p.n_p) + 1.0) * slope / maximum(column, get(p.column_min))
     gas = if_positive(column - get(p.column_min), bend, 0.0)
-    stop = curvature(displacement, get(p.stops, w), E_0, E_STEP, e)
-    high = get(memory, w, HIGH)
-    c_0 = curvature(velocity, get(p.losses, w), V_0, V_STEP, e_dot)
-    c_1 = curvature(velocity, get(p.losses, w) + 1.0, V_0, V_STEP, e_dot)
+    stop = second_derivative(displacement, get(p.displacement_table, w), E_0, E_STEP, e)
+    high = get(strut_state, w, DAMPING_HIGH)
+    c_0 = second_derivative(velocity, get(p.velocity_table, w), V_0, V_STEP, e_dot)
+    c_1 = second_derivative(velocity, get(p.velocity_table, w) + 1.0, V_0, V_STEP, e_dot)
     return stop - share * share * gas, (1.0 - high) * c_0 + high * c_1
 
 

@@ -15,15 +15,15 @@ from fakes import Broken, Learner, Reader, fake_drives, task
 
 from leaderboard.evaluation.entry import Entry
 from leaderboard.evaluation.evaluate import run_task
-from leaderboard.evaluation.store import path_of, save
+from leaderboard.evaluation.store import row_path, save
 from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.metrics.registry import SCORES
 from leaderboard.report import charts, export
-from leaderboard.report.cache import shown
-from leaderboard.report.sentences import findings, unrelated_levels
-from leaderboard.report.site import STAMP, file_name, pages, write_page
-from leaderboard.report.tables import views
-from leaderboard.running.board import Board, load_board, sentinels
+from leaderboard.report.cache import build_report
+from leaderboard.report.sentences import findings, unrelated_level_errors
+from leaderboard.report.site import STAMP_FILE, file_name, render_pages, write_site
+from leaderboard.report.tables import board_views
+from leaderboard.running.board import Board, create_baselines, load_board
 from road_envs._atomic_io import write_text
 from road_envs.data.record import Estimate
 
@@ -79,7 +79,7 @@ def results():
         zip(ENTRIES, (Learner(), Reader(), Online(gain=0.7), Broken(how="raises")), strict=True)
     )
     return {
-        t.name: tuple(run_task(t, {**entries, **sentinels()}, (1, 2, 3), drive=fake_drives))
+        t.name: tuple(run_task(t, {**entries, **create_baselines()}, (1, 2, 3), drive=fake_drives))
         for t in tasks()
     }
 
@@ -91,7 +91,7 @@ def board():
 @cache
 def site():
     made = board()
-    return dict(pages(made, shown(made)))
+    return dict(render_pages(made, build_report(made)))
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +103,7 @@ def written(tmp_path_factory):
 
 def built(made, folder):
     """The index of the site of a board in a folder."""
-    return write_page(made, shown(made), folder)
+    return write_site(made, build_report(made), folder)
 
 
 @pytest.fixture(scope="module")
@@ -163,7 +163,7 @@ def test_every_page_is_well_formed_and_leads_only_to_what_is_there(written):
 
 def test_there_is_a_page_for_each_task_and_each_entry():
     names = {f"tasks/{t.name}.html" for t in tasks()}
-    names |= {f"estimators/{name}.html" for name in [*ENTRIES, *sentinels()]}
+    names |= {f"estimators/{name}.html" for name in [*ENTRIES, *create_baselines()]}
     assert set(site()) == names | {"index.html"}
 
 
@@ -222,7 +222,7 @@ def test_a_site_that_shows_the_same_is_left_alone_and_any_change_builds_it(tmp_p
 
     def build():
         made = load_board(many, tmp_path)
-        index = write_page(made, shown(made, tmp_path), tmp_path)
+        index = write_site(made, build_report(made, tmp_path), tmp_path)
         return {path: path.stat().st_mtime_ns for path in index.parent.rglob("*.html")}
 
     first = build()
@@ -231,10 +231,10 @@ def test_a_site_that_shows_the_same_is_left_alone_and_any_change_builds_it(tmp_p
     for change in (
         page.unlink,
         lambda: page.write_text("cut short"),
-        (tmp_path / STAMP).unlink,
-        lambda: (tmp_path / STAMP).write_text("{"),
+        (tmp_path / STAMP_FILE).unlink,
+        lambda: (tmp_path / STAMP_FILE).write_text("{"),
         lambda: save(dataclasses.replace(results()["paving"][0], notes=("new",)), tmp_path),
-        path_of(tmp_path, "paving", "reader").unlink,
+        row_path(tmp_path, "paving", "reader").unlink,
     ):
         change()
         again = build()
@@ -248,28 +248,30 @@ def test_what_is_shown_is_kept_to_the_last_digit_and_a_damaged_file_is_no_matter
         for result in found:
             save(result, tmp_path)
     made = load_board(tasks(), tmp_path)
-    first = shown(made, tmp_path)
+    first = build_report(made, tmp_path)
     kept = tmp_path / ".shown.json"
     text = kept.read_text()
     kept.write_text(text.replace('"findings": [', '"findings": ["forged", '))
-    assert shown(made, tmp_path) == first and kept.read_text() == text
+    assert build_report(made, tmp_path) == first and kept.read_text() == text
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("leaderboard.report.cache.views", lambda board: pytest.fail("drawn again"))
-        assert shown(made, tmp_path) == first
+        patch.setattr(
+            "leaderboard.report.cache.board_views", lambda board: pytest.fail("drawn again")
+        )
+        assert build_report(made, tmp_path) == first
     other = dataclasses.replace(made, entries={("held_out", "reader"): Entry(
         name="reader", reference="x", code="y")})  # fmt: skip
-    assert shown(other).key == first.key  # of a result without code nothing is known
+    assert build_report(other).key == first.key  # of a result without code nothing is known
     fewer = dataclasses.replace(made, tasks=made.tasks[:1])
-    assert shown(fewer).key != first.key
+    assert build_report(fewer).key != first.key
 
 
 def test_an_interrupted_build_leaves_the_old_index(tmp_path, monkeypatch):
     write_text(tmp_path / "index.html", "old")
 
-    def interrupted(shown, out):
+    def interrupted(build_report, out):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(export, "write", interrupted)
+    monkeypatch.setattr(export, "write_exports", interrupted)
     with pytest.raises(KeyboardInterrupt):
         built(board(), tmp_path)
     assert (tmp_path / "index.html").read_text() == "old"
@@ -279,7 +281,7 @@ def test_an_interrupted_build_leaves_the_old_index(tmp_path, monkeypatch):
 def test_a_damaged_result_is_a_row_that_says_so_beside_the_others(tmp_path):
     for result in results()["paving"]:
         save(result, tmp_path)
-    path_of(tmp_path, "paving", "reader").write_text("{")
+    row_path(tmp_path, "paving", "reader").write_text("{")
     text = text_of(built(load_board(tasks(), tmp_path), tmp_path).read_text())
     assert "its result cannot be read: " in text and "reader.json: damaged" in text
     assert "static_lm" in text
@@ -290,13 +292,13 @@ def test_a_board_of_failures_still_makes_a_site():
         name: [r for r in found if r.estimator == "broken"] for name, found in results().items()
     }
     made = Board(tuple(tasks()), failed)
-    index = dict(pages(made, shown(made)))["index.html"]
+    index = dict(render_pages(made, build_report(made)))["index.html"]
     assert text_of(index).count("RuntimeError: no idea") == 3
 
 
 def test_stale_results_are_shown_as_such():
     changed = Board(tuple(dataclasses.replace(t, version=9) for t in tasks()), results())
-    text = text_of(dict(pages(changed, shown(changed)))["index.html"])
+    text = text_of(dict(render_pages(changed, build_report(changed)))["index.html"])
     assert text.count("stale: the task has changed") == sum(map(len, results().values()))
 
 
@@ -304,12 +306,12 @@ def test_stale_results_are_shown_as_such():
 
 
 def test_the_findings_are_made_from_the_numbers():
-    shown = views(board())
-    unrelated, trained, memory, new, best, *causal = findings(shown)
-    told = [x for v in shown if v.board == "new_road" for s in v.sections for x in s.lines]
+    build_report = board_views(board())
+    unrelated, trained, memory, new, best, *causal = findings(build_report)
+    told = [x for v in build_report if v.board == "new_road" for s in v.sections for x in s.rows]
     assert len(causal) == any(x.causal for x in told if x.state == "scored")
     assert all("while driving" in sentence for sentence in causal)
-    levels, r = unrelated_levels()
+    levels, r = unrelated_level_errors()
     assert f"{100.0 * np.median(levels):.0f}\u00a0% in the median" in unrelated
     assert np.median(levels) == pytest.approx(0.09, abs=0.02) and abs(r.mean()) < 0.02
     assert "altered copy of the paving" in trained and "of 3 trainings" in trained
@@ -320,12 +322,12 @@ def test_the_findings_are_made_from_the_numbers():
 
 def test_findings_without_measurements_are_left_out():
     nothing = Board(tuple(tasks()), {t.name: () for t in tasks()})
-    assert len(findings(views(nothing))) == 1
+    assert len(findings(board_views(nothing))) == 1
 
 
 def test_the_exports_hold_the_same_numbers(written):
-    (section,) = views(board())[0].sections
-    line = next(line for line in section.lines if line.name == "reader")
+    (section,) = board_views(board())[0].sections
+    line = next(line for line in section.rows if line.name == "reader")
     rows = list(csv.DictReader(io.StringIO((written / "export/new_road.csv").read_text())))
     mine = [row for row in rows if row["estimator"] == "reader"]
     assert [row["group"] for row in mine] == ["", *section.groups["condition"], "rough", "smooth"]
@@ -346,16 +348,16 @@ def test_the_exports_hold_the_same_numbers(written):
 # --- what scripts are handed ----------------------------------------------------------------------
 
 
-def drawn(name, script="drawn"):
+def chart_data(name, script="chart-data"):
     found = re.search(rf'id="{script}">(.*?)</script>', site()[f"tasks/{name}.html"], flags=re.S)
     return json.loads(found[1])
 
 
 def test_heights_come_back_from_their_code():
-    data = drawn("held_out")
+    data = chart_data("held_out")
     label = tasks()[0].conditions[0].label
     trace = next(r for r in results()["held_out"] if r.estimator == "reader").traces[0]
-    scene = data["scenes"][label]
+    scene = data["conditions"][label]
     z = np.cumsum(scene["entries"]["reader"]["raw"][1]) * 1e-4
     wanted = trace.z_estimated[1] - np.median(trace.z_estimated[1])
     step = round(scene["raw"]["ds"] / trace.ds)
@@ -371,14 +373,14 @@ def test_heights_come_back_from_their_code():
 
 
 def test_an_interval_is_drawn_where_the_estimate_has_a_deviation():
-    scene = drawn("held_out")["scenes"][tasks()[0].conditions[0].label]
+    scene = chart_data("held_out")["conditions"][tasks()[0].conditions[0].label]
     assert scene["entries"]["reader"]["std"] is None
     std = scene["entries"]["online"]["std"]
     assert len(std[0]) == len(scene["entries"]["online"]["inside"][0]) and set(std[0]) == {30}
 
 
 def test_bumps_are_marked_as_found_missed_and_false():
-    (scene,) = drawn("blocks")["scenes"].values()
+    (scene,) = chart_data("blocks")["conditions"].values()
     (left,), (right,) = scene["bumps"]
     assert left[1] == pytest.approx(1500, abs=5) and right[1] == pytest.approx(1000, abs=5)
     left, right = scene["entries"]["reader"]["bumps"]
@@ -386,7 +388,7 @@ def test_bumps_are_marked_as_found_missed_and_false():
 
 
 def test_densities_error_and_profile_are_those_of_the_scores():
-    data = drawn("held_out")
+    data = chart_data("held_out")
     reader = next(r for r in results()["held_out"] if r.estimator == "reader")
     told = data["spectrum"]["reader"][""]
     assert len(told) == len(data["thirds"]) == 15
@@ -394,7 +396,7 @@ def test_densities_error_and_profile_are_those_of_the_scores():
     profile = data["performance"]["reader"]
     below = [100 * np.mean(reader.values("nrmse") <= x) for x in data["thresholds"]]
     assert profile["share"] == pytest.approx(below, abs=0.1)
-    scene = data["scenes"][tasks()[0].conditions[0].label]
+    scene = data["conditions"][tasks()[0].conditions[0].label]
     truth, mine = (
         np.array(x, dtype=float) for x in (scene["density"], scene["entries"]["reader"]["density"])
     )
@@ -406,15 +408,15 @@ def test_densities_error_and_profile_are_those_of_the_scores():
 
 def test_a_flat_estimate_can_be_drawn():
     flat = {"flat": next(r for r in results()["paving"] if r.estimator == "flat")}
-    (view,) = [v for v in views(board()) if v.board == "paper"]
-    lines = {line.name: line for line in view.sections[0].lines}
-    (scene,) = charts.scenes(tasks()[1], view.kind, flat, lines)["scenes"].values()
+    (view,) = [v for v in board_views(board()) if v.board == "paper"]
+    lines = {line.name: line for line in view.sections[0].rows}
+    (scene,) = charts.chart_data(tasks()[1], view.definition, flat, lines)["conditions"].values()
     assert set(scene["entries"]["flat"]["density"]) == {None}
 
 
 def test_pages_do_not_change_from_one_run_to_the_next():
     made = board()
-    again = dict(pages(made, shown(made)))
+    again = dict(render_pages(made, build_report(made)))
     assert again == site()
 
 
@@ -426,8 +428,8 @@ CELL = 'document.querySelector(\'#task-%s tr[data-name="%s"] td[data-key="%s"]\'
 
 
 def lines_of(name="held_out"):
-    sections = [s for view in views(board()) for s in view.sections]
-    return {line.name: line for s in sections if s.task == name for line in s.lines}
+    sections = [s for view in board_views(board()) for s in view.sections]
+    return {line.name: line for s in sections if s.task == name for line in s.rows}
 
 
 def test_no_page_complains_or_asks_for_anything_and_none_is_too_wide(browser, written):
@@ -436,15 +438,17 @@ def test_no_page_complains_or_asks_for_anything_and_none_is_too_wide(browser, wr
             browser.open(written / name, width)
             over = browser.value("document.documentElement.scrollWidth - innerWidth")
             assert over <= 0, (name, width)
-    assert browser.complaints == []
-    assert [url for url in browser.asked if not url.startswith(("file:", "data:", "about:"))] == []
+    assert browser.errors == []
+    assert [
+        url for url in browser.requests if not url.startswith(("file:", "data:", "about:"))
+    ] == []
 
 
 def test_scripts_print_what_the_judge_prints(browser, written):
     browser.open(written / "index.html")
     for name, line in lines_of().items():
         for key in ("nrmse", "r", "level_error", "class_exact", "iri_error", "dsd_distance_db"):
-            if not line.text:
+            if not line.message:
                 assert browser.value(CELL % ("held_out", name, key)) == line.cells.get(key, "")
     interval = browser.value(CELL % ("held_out", "reader", "interval"))
     assert interval.strip() == lines_of()["reader"].cells["interval"]
@@ -454,8 +458,8 @@ def test_a_condition_or_a_family_has_its_own_numbers(browser, written):
     for group in ("ride, 14.5 km/h", "smooth"):
         browser.open(written / "index.html", after=f"#group={group.replace(' ', '%20')}")
         wanted = lines_of()["static_lm"].groups[group]
-        shown = browser.value(CELL % ("held_out", "static_lm", "nrmse"))
-        assert shown == SCORES["nrmse"].text(wanted["nrmse"])
+        build_report = browser.value(CELL % ("held_out", "static_lm", "nrmse"))
+        assert build_report == SCORES["nrmse"].format_value(wanted["nrmse"])
         assert browser.value(CELL % ("held_out", "static_lm", "rank")) == f"{wanted['rank']}"
     assert browser.value("document.getElementById('task-paving').hidden")
     assert browser.value("document.getElementById('paper').hidden")
@@ -465,7 +469,7 @@ def test_divisions_boards_names_and_sentinels_are_filtered(browser, written):
     browser.open(written / "index.html")
     everyone = browser.value(ROWS % "held_out")
     assert everyone[:3] == ["reader", "static_lm", "online"] and everyone[-1] == "broken"
-    browser.open(written / "index.html", after="#division=causal&marks=off")
+    browser.open(written / "index.html", after="#division=causal&baselines=off")
     assert browser.value(ROWS % "held_out") == ["online", "broken"]
     assert browser.value(CELL % ("held_out", "online", "rank")) == "1"
     browser.open(written / "index.html", after="#find=read")
@@ -492,7 +496,7 @@ def test_tables_are_sorted_with_the_keyboard(browser, written):
     browser.press("Enter")
     assert browser.value(f"{head}.getAttribute('aria-sort')") == "descending"
     order = browser.value(ROWS % "held_out")
-    r = [lines_of()[name].values.get("r") for name in order if not lines_of()[name].text]
+    r = [lines_of()[name].values.get("r") for name in order if not lines_of()[name].message]
     told = [x for x in r if x is not None]
     assert told == sorted(told, reverse=True) and order[-1] == "broken"
     browser.press("Enter")

@@ -15,15 +15,15 @@ import pytest
 from fakes import Broken, Learner, Reader, fake_drives, task
 
 from leaderboard.evaluation import evaluate, store
-from leaderboard.evaluation.entries import entry_of
-from leaderboard.evaluation.results import content
-from leaderboard.evaluation.store import part_of, path_of
+from leaderboard.evaluation.entries import make_entry
+from leaderboard.evaluation.results import content_digest
+from leaderboard.evaluation.store import part_path, row_path
 from leaderboard.evaluation.tasks import shipped_tasks
-from leaderboard.metrics.baselines import SENTINELS
+from leaderboard.metrics.baselines import BASELINES
 from leaderboard.running import board as board_module
 from leaderboard.running import jobs, plan
-from leaderboard.running.board import Wanted, load_board, run_board, write_jobs
-from leaderboard.running.executors import Here
+from leaderboard.running.board import RunRequest, load_board, run_board, write_jobs
+from leaderboard.running.executors import InProcessExecutor
 from road_envs.config import ConfigError, build
 
 SHORT = {
@@ -33,7 +33,7 @@ SHORT = {
 """Very short roads: what is tested here is not the scores."""
 
 MADE = {"reader": Reader(), "learner": Learner()}
-NAMES = {*MADE, *SENTINELS}
+NAMES = {*MADE, *BASELINES}
 PARTS = 2 * len(NAMES)
 
 
@@ -43,11 +43,11 @@ def small(**changes):
 
 
 def wanted(made=MADE, t=None, **options):
-    entries = [entry_of(name, estimator) for name, estimator in made.items()]
-    return Wanted([t or small()], entries, **{"seeds": (1, 2), **options})
+    entries = [make_entry(name, estimator) for name, estimator in made.items()]
+    return RunRequest([t or small()], entries, **{"seeds": (1, 2), **options})
 
 
-class Counting(Here):
+class Counting(InProcessExecutor):
     """Runs here, and counts what it ran."""
 
     def __init__(self, made=MADE, drive=fake_drives):
@@ -131,7 +131,7 @@ def test_a_change_runs_again_what_depends_on_it_and_no_more(tmp_path, change, co
     assert run(tmp_path)[1] == []  # what was there before is there still
 
 
-@pytest.mark.parametrize("name", ["version", "judge_code"])
+@pytest.mark.parametrize("name", ["package_version", "evaluation_version"])
 def test_another_package_or_judge_runs_everything_again(tmp_path, monkeypatch, name):
     run(tmp_path)
     monkeypatch.setattr(jobs, name, lambda: "another")
@@ -168,10 +168,10 @@ def test_stored_rows_of_other_entries_stay_on_the_board(tmp_path):
 
 def test_a_row_that_is_lost_or_damaged_is_put_together_again_from_its_parts(tmp_path, whole):
     run(tmp_path)
-    path_of(tmp_path, "small", "reader").unlink()
-    path_of(tmp_path, "small", "learner").write_text("{")
-    text = path_of(tmp_path, "small", "flat").read_text()
-    path_of(tmp_path, "small", "flat").write_text(text.replace('"nrmse": [1.0', '"nrmse": [0.0'))
+    row_path(tmp_path, "small", "reader").unlink()
+    row_path(tmp_path, "small", "learner").write_text("{")
+    text = row_path(tmp_path, "small", "flat").read_text()
+    row_path(tmp_path, "small", "flat").write_text(text.replace('"nrmse": [1.0', '"nrmse": [0.0'))
     found, ran = run(tmp_path)
     assert ran == [] and rows(found) == whole
 
@@ -181,16 +181,16 @@ def test_a_part_that_is_damaged_is_run_again_and_no_other(tmp_path, whole, damag
     run(tmp_path)
     t = small()
     (reader, _) = wanted().entries
-    part = part_of(tmp_path, jobs.identity(t, 1, reader, (1, 2)))
+    part = part_path(tmp_path, jobs.identity(t, 1, reader, (1, 2)))
     part.write_text(damage(part.read_text()))
-    path_of(tmp_path, "small", "reader").unlink()
+    row_path(tmp_path, "small", "reader").unlink()
     found, ran = run(tmp_path)
     assert ran == [("reader", t.conditions[1].label)] and rows(found) == whole
 
 
 def test_a_row_of_a_newer_version_is_never_written_over(tmp_path):
     run(tmp_path)
-    path = path_of(tmp_path, "small", "reader")
+    path = row_path(tmp_path, "small", "reader")
     newer = path.read_text().replace('"format": 3', '"format": 4')
     path.write_text(newer)
     executor = Counting()
@@ -316,15 +316,15 @@ class Meddler(Counting):
             self.times -= 1
             path = self.target(out)
             text = path.read_text().replace('"nrmse": [', '"nrmse": [-')
-            path.write_text(text.replace(json.loads(text)["sha256"], store.checksum_of(text)))
+            path.write_text(text.replace(json.loads(text)["sha256"], store.text_checksum(text)))
 
 
 def part(out):
-    return part_of(out, jobs.identity(small(), 0, wanted().entries[0], (1, 2)))
+    return part_path(out, jobs.identity(small(), 0, wanted().entries[0], (1, 2)))
 
 
 def row(out):
-    return path_of(out, "small", "flat")
+    return row_path(out, "small", "flat")
 
 
 @pytest.mark.parametrize("target", [part, row])
@@ -333,7 +333,7 @@ def test_what_is_changed_while_entries_run_is_found_and_made_again(tmp_path, who
         run(tmp_path)
         executor = Meddler(target, 1)
         made = {**MADE, "third": Reader(gain=0.3)}
-        executor._made = made
+        executor._estimators = made
         found = rows(run_board(wanted(made), tmp_path, executor))
         assert {k: v for k, v in found.items() if k[1] != "third"} == whole
     else:
@@ -346,7 +346,7 @@ def test_what_is_changed_while_entries_run_is_found_and_made_again(tmp_path, who
 def test_somebody_who_does_not_stop_is_named_as_the_trouble(tmp_path):
     with pytest.raises(ConfigError, match="somebody else changes the files of this run"):
         run_board(wanted(), tmp_path, Meddler(part, 99))
-    assert not path_of(tmp_path, "small", "reader").exists()
+    assert not row_path(tmp_path, "small", "reader").exists()
     assert board_module.ATTEMPTS < 99
 
 
@@ -384,7 +384,7 @@ def test_jobs_share_drives_unless_workers_would_be_idle(tmp_path):
     assert len(missing) == PARTS
     limits = wanted().limits
     for workers, count in ((1, 2), (2, 2), (4, 4), (99, PARTS)):
-        found = plan.jobs_of(missing, workers, limits)
+        found = plan.make_jobs(missing, workers, limits)
         assert len(found) == count
         done = [(entry.name, job.condition) for job in found for entry in job.entries]
         assert sorted(done) == sorted((row.entry.name, k) for row, k in missing)
@@ -396,16 +396,19 @@ def test_planned_jobs_are_what_a_run_would_do(tmp_path, whole):
     assert len(files) == PARTS
     for path in reversed(files):  # in any order
         job = jobs.from_text(path.read_text(), str(path))
-        list(Here(fake_drives, MADE).run([job], tmp_path / "out"))
+        list(InProcessExecutor(fake_drives, MADE).run([job], tmp_path / "out"))
     found, ran = run(tmp_path / "out")
     assert ran == [] and rows(found) == whole
     assert write_jobs(wanted(), tmp_path / "out", tmp_path / "more") == 0
 
 
 def test_what_a_job_has_done_can_be_told_in_one_line(tmp_path):
-    (job, *_) = plan.jobs_of(
+    (job, *_) = plan.make_jobs(
         plan.Plan(wanted().rows(), tmp_path, True).missing(), 1, wanted().limits
     )
-    for done in Here(fake_drives, MADE).run([job], tmp_path):
-        assert build(jobs.Done, json.loads(json.dumps(dataclasses.asdict(done))), "done") == done
-        assert content(store.load_part(part_of(tmp_path, done.identity))) == done.content
+    for done in InProcessExecutor(fake_drives, MADE).run([job], tmp_path):
+        assert build(jobs.JobDone, json.loads(json.dumps(dataclasses.asdict(done))), "done") == done
+        assert (
+            content_digest(store.load_part(part_path(tmp_path, done.identity)))
+            == done.content_digest
+        )

@@ -9,81 +9,88 @@ from fakes import Reader, fake_drives, task
 from rich.console import Console
 
 import estimators
-from estimators import pretrained_weights as shelf
-from leaderboard.conformance import results as cards
+from estimators import pretrained_weights
+from leaderboard.conformance import results as conformance_results
 from leaderboard.conformance.probes import PROBES
-from leaderboard.conformance.results import Card, examine_all, find
-from leaderboard.evaluation.entries import entry_of, fitted_to_each_case, named, registered
+from leaderboard.conformance.results import EstimatorCard, find_card, probe_entries
+from leaderboard.evaluation.entries import (
+    entry_refit_per_case,
+    make_entry,
+    registered_entry,
+    resolve_entries,
+)
 from leaderboard.evaluation.entry import Entry
 from leaderboard.evaluation.evaluate import run_task
-from leaderboard.evaluation.store import NewerFormatError, unsealed
+from leaderboard.evaluation.store import NewerFormatError, read_checked_json
 from leaderboard.evaluation.tasks import load_task
-from leaderboard.report.cache import shown
-from leaderboard.report.site import pages
+from leaderboard.report.cache import build_report
+from leaderboard.report.site import render_pages
 from leaderboard.report.terminal import print_tables
-from leaderboard.running.board import Board, Wanted, load_board, run_board
-from leaderboard.running.executors import Here
-from leaderboard.sandbox.client import Host
+from leaderboard.running.board import Board, RunRequest, load_board, run_board
+from leaderboard.running.executors import InProcessExecutor
+from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 
 LIMITS = Limits(seconds=20.0, memory=1.0)
-ENTRIES = {"Honest": 5, "Dice": 4, "Broken": None}
+ENTRIES = {"Valid": 5, "NonDeterministic": 4, "Broken": None}
 
 
 @pytest.fixture(scope="module")
 def examined(tmp_path_factory):
     """A folder with the cards of an honest estimator, of one with a vice, of one that fails."""
     out = tmp_path_factory.mktemp("cards")
-    with Host(LIMITS) as host:
-        entries = {name: named([f"bad_estimators:{name}"], host)[0] for name in ENTRIES}
+    with SandboxClient(LIMITS) as sandbox:
+        entries = {
+            name: resolve_entries([f"bad_estimators:{name}"], sandbox)[0] for name in ENTRIES
+        }
     lost = Entry(name="lost", reference="nowhere:Lost", failure="it cannot be made")
     heard = []
-    asked = [*entries.values(), entry_of("truth_plus_noise", None), lost]
-    assert examine_all(asked, out, LIMITS, heard.append) == 3
+    asked = [*entries.values(), make_entry("truth_plus_noise", None), lost]
+    assert probe_entries(asked, out, LIMITS, heard.append) == 3
     assert heard == [f"probing {name}" for name in ENTRIES]
     return out, entries
 
 
 def card_of(examined, name):
     out, entries = examined
-    return find(out, name, entries[name].settings, entries[name].code)
+    return find_card(out, name, entries[name].settings, entries[name].code)
 
 
 def test_every_entry_has_a_card_and_is_not_asked_twice(examined):
     out, entries = examined
     honest, dice, broken = (card_of(examined, name) for name in ENTRIES)
     assert [p.name for p in honest.probes] == list(PROBES)
-    assert (honest.mark, dice.mark, broken.mark) == ("5/5", "4/5", "")
+    assert (honest.passed_count, dice.passed_count, broken.passed_count) == ("5/5", "4/5", "")
     assert [p.name for p in dice.probes if p.passed is False] == ["repeat"]
     assert broken.failure.endswith("RuntimeError: out of order") and not broken.probes
     assert "60 m of class D" in honest.drive
-    assert examine_all(entries.values(), out, LIMITS) == 0
+    assert probe_entries(entries.values(), out, LIMITS) == 0
     assert len(list((out / "cards").iterdir())) == 3
 
 
 def test_another_code_other_settings_or_another_examiner_have_no_card(examined, monkeypatch):
     out, entries = examined
-    code = entries["Honest"].code
-    assert find(out, "Honest", {}, code + "x") is None
-    assert find(out, "Honest", {"gain": 2}, code) is None
-    assert find(out, "Dicey", {}, code) is None
-    monkeypatch.setattr(cards, "_examiner", lambda: "edited")
-    assert find(out, "Honest", {}, code) is None
+    code = entries["Valid"].code
+    assert find_card(out, "Valid", {}, code + "x") is None
+    assert find_card(out, "Valid", {"gain": 2}, code) is None
+    assert find_card(out, "Dicey", {}, code) is None
+    monkeypatch.setattr(conformance_results, "_checks_version", lambda: "edited")
+    assert find_card(out, "Valid", {}, code) is None
 
 
 def test_a_damaged_card_is_none_and_is_made_again(examined):
     out, entries = examined
-    honest = entries["Honest"]
-    path = out / "cards" / f"{cards.identity('Honest', {}, honest.code)}.json"
+    honest = entries["Valid"]
+    path = out / "cards" / f"{conformance_results.card_identity('Valid', {}, honest.code)}.json"
     whole = path.read_text()
     for damaged in (whole.replace('"passed": true', '"passed": null', 1), whole[:200], "{}", ""):
         path.write_text(damaged)
-        assert find(out, "Honest", {}, honest.code) is None
-    assert examine_all([honest], out, LIMITS) == 1 and path.read_text() == whole
+        assert find_card(out, "Valid", {}, honest.code) is None
+    assert probe_entries([honest], out, LIMITS) == 1 and path.read_text() == whole
     path.write_text(whole.replace('"format": 1', '"format": 2'))
     with pytest.raises(NewerFormatError):
-        unsealed(path, cards.FORMAT)
-    assert find(out, "Honest", {}, honest.code) is None
+        read_checked_json(path, conformance_results.FORMAT)
+    assert find_card(out, "Valid", {}, honest.code) is None
     path.write_text(whole)
 
 
@@ -92,30 +99,32 @@ def test_a_damaged_card_is_none_and_is_made_again(examined):
 
 def board_of(tmp_path, **options):
     made = {"reader": Reader()}
-    entries = [entry_of(name, estimator) for name, estimator in made.items()]
-    wanted = Wanted([task()], entries, seeds=(1,), **options)
-    return run_board(wanted, tmp_path, Here(fake_drives, made)), entries[0]
+    entries = [make_entry(name, estimator) for name, estimator in made.items()]
+    wanted = RunRequest([task()], entries, seeds=(1,), **options)
+    return run_board(wanted, tmp_path, InProcessExecutor(fake_drives, made)), entries[0]
 
 
 def with_card(board, probes, name="reader"):
     (result,) = [r for r in board.results["small"] if r.estimator == name]
-    known = cards.identity(result.estimator, result.settings, result.code)
-    card = Card(identity=known, estimator=name, settings={}, code="", drive="a road", probes=probes)
+    known = conformance_results.card_identity(result.estimator, result.settings, result.code)
+    card = EstimatorCard(
+        identity=known, estimator=name, settings={}, code="", drive="a road", probes=probes
+    )
     return dataclasses.replace(board, cards={known: card})
 
 
 def test_the_mark_stands_in_table_and_page_and_the_card_on_the_estimators_page(tmp_path, examined):
     board, _ = board_of(tmp_path)
-    marked = with_card(board, card_of(examined, "Dice").probes)
+    marked = with_card(board, card_of(examined, "NonDeterministic").probes)
     for one, mark in ((board, ""), (marked, "4/5")):
-        found = shown(one)
-        lines = {line.name: line for line in found.views[0].sections[0].lines}
+        found = build_report(one)
+        lines = {line.name: line for line in found.views[0].sections[0].rows}
         assert lines["reader"].cells["probes"] == mark
         assert not lines["flat"].cells["probes"]  # nobody has asked it
         said = io.StringIO()
         print_tables(found, Console(file=said, width=80))
         assert ("reader 4/5" in said.getvalue()) == bool(mark)
-        texts = dict(pages(one, found))
+        texts = dict(render_pages(one, found))
         assert ("4/5</span>" in texts["index.html"]) == bool(mark)
         assert ("<strong>failed</strong>: asked twice" in texts["estimators/reader.html"]) == bool(
             mark
@@ -141,9 +150,11 @@ def test_every_board_fits_a_terminal_of_80_columns_with_its_marks(kind, examined
         for drive in found[0].drives
     )
     slow = dataclasses.replace(found[0], drives=drives, estimate_ms_per_100m=12345.6)
-    board = with_card(Board((one,), {"small": (slow,)}), card_of(examined, "Dice").probes, name)
+    board = with_card(
+        Board((one,), {"small": (slow,)}), card_of(examined, "NonDeterministic").probes, name
+    )
     said = io.StringIO()
-    print_tables(shown(board), Console(file=said, width=80))
+    print_tables(build_report(board), Console(file=said, width=80))
     text = said.getvalue()
     assert "…" not in text and max(map(len, text.splitlines())) <= 80
     assert f"{name} 4/5" in text
@@ -155,16 +166,18 @@ def test_a_run_with_probes_leaves_cards_and_one_without_shows_them(tmp_path, mon
     def examine(entries, out, limits, report):
         asked.extend(entry.name for entry in entries)
 
-    monkeypatch.setattr(cards, "examine_all", examine)
+    monkeypatch.setattr(conformance_results, "probe_entries", examine)
     board_of(tmp_path)
     assert not asked
     board, entry = board_of(tmp_path, probes=True)
     assert "reader" in asked and not board.cards
-    known = cards.identity("reader", entry.settings, entry.code)
-    card = Card(
+    known = conformance_results.card_identity("reader", entry.settings, entry.code)
+    card = EstimatorCard(
         identity=known, estimator="reader", settings=entry.settings, code=entry.code, drive="a road"
     )
-    cards.store.write(cards._path(tmp_path, known), cards._text(card))
+    conformance_results.store.write_durable(
+        conformance_results._path(tmp_path, known), conformance_results._text(card)
+    )
     assert load_board([task()], tmp_path).cards == {known: card}
 
 
@@ -183,38 +196,42 @@ def test_a_row_of_other_code_weights_or_settings_is_stale(tmp_path):
         changed = dataclasses.replace(board, entries={**board.entries, at: now})
         assert [(r.estimator, said) for r, said in changed.stale(t)] == [("reader", why)]
         assert "reader" not in [r.estimator for r in changed.scored(t)]
-        state = dict(pages(changed, shown(changed)))["estimators/reader.html"]
+        state = dict(render_pages(changed, build_report(changed)))["estimators/reader.html"]
         assert why in state
     assert not Board(board.tasks, board.results).stale(t)  # a stranger, of whom nothing is known
 
 
 def test_estimators_of_this_package_are_known_by_code_and_weights(tmp_path, monkeypatch):
     """A row of a shipped estimator is stale once one of its weights is another number."""
-    row = registered("fir_ridge", each_case=False)
-    wanted = Wanted([task()], [row], seeds=(1,))
-    board = run_board(wanted, tmp_path, Here(fake_drives))
+    row = registered_entry("fir_ridge", each_case=False)
+    wanted = RunRequest([task()], [row], seeds=(1,))
+    board = run_board(wanted, tmp_path, InProcessExecutor(fake_drives))
     assert "fir_ridge" in [r.estimator for r in board.scored(board.tasks[0])]
-    (bank,) = shelf.shipped("fir_ridge").values()
+    (bank,) = pretrained_weights.load_pretrained("fir_ridge").values()
     changed = np.array(bank)
     changed.flat[0] += 1
-    monkeypatch.setattr(shelf, "shipped", lambda name: {"bank": changed})
+    monkeypatch.setattr(pretrained_weights, "load_pretrained", lambda name: {"bank": changed})
     later = load_board([task()], tmp_path)
     assert {r.estimator: why for r, why in later.stale(task())} == {
         "fir_ridge": "its code or its weights have changed"
     }
-    assert registered("no_such", each_case=False) is None
+    assert registered_entry("no_such", each_case=False) is None
 
 
 def test_where_each_case_is_learnt_for_itself_a_quick_learner_leaves_its_weights_at_home():
-    fir, tcn, wiener = (registered(name, each_case=True) for name in ("fir_ridge", "tcn", "wiener"))
+    fir, tcn, wiener = (
+        registered_entry(name, each_case=True) for name in ("fir_ridge", "tcn", "wiener")
+    )
     assert fir.settings["shipped"] is False and "+" not in fir.code  # no weights yet
-    assert tcn == registered("tcn", each_case=False) and "+" in tcn.code  # it takes half an hour
-    assert wiener == registered("wiener", each_case=False)
-    plain = registered("fir_ridge", each_case=False)
+    assert (
+        tcn == registered_entry("tcn", each_case=False) and "+" in tcn.code
+    )  # it takes half an hour
+    assert wiener == registered_entry("wiener", each_case=False)
+    plain = registered_entry("fir_ridge", each_case=False)
     assert plain.settings["shipped"] is True and "+" in plain.code
     paper, new = load_task("paper_5"), load_task("new_road")
-    found = {row.task.name: row.entry for row in Wanted([paper, new], [plain]).rows()[:]
+    found = {row.task.name: row.entry for row in RunRequest([paper, new], [plain]).rows()[:]
              if row.entry.name == "fir_ridge"}  # fmt: skip
     assert found == {"paper_5": fir, "new_road": plain}
     failed = dataclasses.replace(plain, failure="it cannot be made")
-    assert fitted_to_each_case(failed) == failed
+    assert entry_refit_per_case(failed) == failed

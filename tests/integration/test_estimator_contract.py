@@ -12,14 +12,20 @@ import pytest
 from scipy import signal
 
 from estimators import REGISTRY, create
-from estimators.api import EstimateError, NotFittedError, Trainable, arrays, check_estimate
+from estimators.api import (
+    EstimateError,
+    NotFittedError,
+    Trainable,
+    check_estimate,
+    validate_weights,
+)
 from estimators.baselines.mean import mean_profile
-from estimators.baselines.random_road import Road, random_road, roughness
+from estimators.baselines.random_road import FittedRoad, draw_road, fit_spectrum
 from estimators.linear import fir_ridge
-from estimators.preprocessing import accelerations
+from estimators.preprocessing import spatial_accelerations
 from estimators.weights_io import load, save
-from road_envs.analysis.roughness import dsd
-from road_envs.data.record import GRID, Estimate, Profile, Record, grid
+from road_envs.analysis.roughness import displacement_psd
+from road_envs.data.record import PROFILE_SPACING, Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import load_vehicle
 
 CAR = load_vehicle("land_rover_defender_110")
@@ -34,7 +40,7 @@ SMALL = {
 """Settings under which the contract is tested quickly."""
 SPEED, RATE, APRON = 4.0, 200.0, 6.0
 LEARNING = [name for name, cls in REGISTRY.items() if hasattr(cls, "fit")]
-READY = [name for name, cls in REGISTRY.items() if hasattr(cls, "learn")]
+READY = [name for name, cls in REGISTRY.items() if hasattr(cls, "pretrain")]
 """These come with weights."""
 
 
@@ -55,7 +61,7 @@ def drive(seed: int, length: float = 20.0, noise: float = 0.02) -> tuple[Record,
     felt = signal.lfilter(b, a, roads, axis=1) + noise * rng.standard_normal(roads.shape)
     state = np.zeros((t.size, 4), dtype=bool)
     record = Record(t, felt, np.full(t.size, SPEED), odometer, state, state, length)
-    stations = grid(length)
+    stations = profile_stations(length)
     return record, Profile(stations, np.array([np.interp(stations, s, path) for path in z]))
 
 
@@ -112,7 +118,9 @@ def test_the_record_is_left_untouched_bit_for_bit(estimator):
 def test_a_record_that_ends_with_the_road_leaves_no_gap_in_the_estimate(estimator):
     record, _ = drive(104)
     on_road = (record.s >= 0.3) & (record.s <= record.length - 0.3)
-    cut = {key: getattr(record, key)[on_road] for key in ("t", "v", "s", "stiff", "high")}
+    cut = {
+        key: getattr(record, key)[on_road] for key in ("t", "v", "s", "spring_stiff", "damper_high")
+    }
     short = replace(record, a=record.a[:, on_road], **cut)
     check_estimate(estimator.estimate(short, CAR), short)
 
@@ -193,9 +201,9 @@ def test_impossible_weights_are_refused(name):
 
 def test_weights_of_the_wrong_kind_are_refused():
     with pytest.raises(ValueError, match="w: an array of real numbers is wanted, got <U4"):
-        arrays({"w": np.array("text")}, {"w": ()})
+        validate_weights({"w": np.array("text")}, {"w": ()})
     with pytest.raises(ValueError, match="w: an array of real numbers is wanted, got list"):
-        arrays({"w": [1.0]}, {"w": (1,)})
+        validate_weights({"w": [1.0]}, {"w": (1,)})
 
 
 FAULTS = {
@@ -244,7 +252,7 @@ def test_flat_is_flat():
 
 
 def test_the_mean_is_taken_over_the_roads_that_reach_a_station():
-    short, long = grid(1.0), grid(2.0)
+    short, long = profile_stations(1.0), profile_stations(2.0)
     truths = [
         Profile(short, np.array([np.full(short.size, 1.0), np.full(short.size, 4.0)])),
         Profile(long, np.array([np.full(long.size, 3.0), np.full(long.size, 8.0)])),
@@ -260,8 +268,8 @@ def test_the_mean_is_taken_over_the_roads_that_reach_a_station():
 def test_the_mean_remembers_nothing_beyond_the_longest_training_road():
     record, _ = drive(110, length=25.0)
     z = fit("mean").estimate(record, CAR).z
-    assert z[:, grid(20.0).size - 100 : grid(20.0).size].any()
-    assert not z[:, grid(20.0).size :].any()
+    assert z[:, profile_stations(20.0).size - 100 : profile_stations(20.0).size].any()
+    assert not z[:, profile_stations(20.0).size :].any()
 
 
 def test_the_mean_of_one_road_is_that_road():
@@ -271,8 +279,8 @@ def test_the_mean_of_one_road_is_that_road():
 
 def class_d(seed: int, w: float = 2.0, length: float = 300.0) -> Profile:
     """Two independent class-D paths: integrated white noise, shaped to the waviness `w`."""
-    stations = grid(length)
-    n = np.fft.rfftfreq(4 * stations.size, GRID)[1:]
+    stations = profile_stations(length)
+    n = np.fft.rfftfreq(4 * stations.size, PROFILE_SPACING)[1:]
     G = 1024e-6 * (n / 0.1) ** -w
     white = np.random.default_rng(seed).standard_normal((2, 2, n.size))
     lines = np.sqrt(G * n[0]) * (white[0] + 1j * white[1]) * 2 * stations.size
@@ -283,14 +291,14 @@ def class_d(seed: int, w: float = 2.0, length: float = 300.0) -> Profile:
 @pytest.mark.parametrize("w", [1.6, 2.0, 2.4])
 def test_the_unrelated_road_takes_level_and_waviness_from_the_training_roads(w):
     truths = [class_d(seed, w) for seed in range(4)]
-    G_d0, fitted_w = roughness(truths)
+    G_d0, fitted_w = fit_spectrum(truths)
     assert fitted_w == pytest.approx(w, abs=0.1)
     assert 10.0 * np.log10(G_d0 / 1024e-6) == pytest.approx(0.0, abs=1.0)
 
 
 def test_the_unrelated_road_has_the_density_it_was_given():
-    z = np.concatenate([random_road(Road(1024e-6, 2.0, seed), 20_000) for seed in range(8)])
-    n, G = dsd(z, GRID)
+    z = np.concatenate([draw_road(FittedRoad(1024e-6, 2.0, seed), 20_000) for seed in range(8)])
+    n, G = displacement_psd(z, PROFILE_SPACING)
     for low, high in ((0.05, 0.2), (0.2, 0.6), (0.6, 1.8)):
         inside = (n > low) & (n < high)
         level = np.mean(G[:, inside] * (n[inside] / 0.1) ** 2)
@@ -305,7 +313,7 @@ def test_the_unrelated_road_is_as_rough_as_the_truth_and_knows_nothing_of_it():
     for seed in range(8):
         guess = create("unrelated_road").fit([record], truths, CAR, seed).estimate(record, CAR)
         truth = class_d(100 + seed)
-        sos = signal.butter(4, [0.2, 1.8], "band", fs=1.0 / GRID, output="sos")
+        sos = signal.butter(4, [0.2, 1.8], "band", fs=1.0 / PROFILE_SPACING, output="sos")
         a, b = (signal.sosfiltfilt(sos, z, axis=1) for z in (guess.z, truth.z))
         errors.append(np.sqrt(np.mean((a - b) ** 2) / np.mean(b**2)))
         correlations.append(np.corrcoef(a.ravel(), b.ravel())[0, 1])
@@ -332,8 +340,10 @@ def test_the_network_learns_a_height_that_one_moment_tells():
 
     def told(seed):
         record, _ = drive(seed)
-        a = accelerations(record)
-        return record, Profile(grid(record.length), 0.01 * np.array([np.tanh(a[0]), a[1] * a[2]]))
+        a = spatial_accelerations(record)
+        return record, Profile(
+            profile_stations(record.length), 0.01 * np.array([np.tanh(a[0]), a[1] * a[2]])
+        )
 
     records, truths = zip(*(told(seed) for seed in (1, 2, 3)), strict=True)
     network = create("static_lm", hidden=10).fit(records, truths, CAR, 0)
@@ -418,28 +428,28 @@ def test_a_window_fitted_at_one_speed_says_so_at_another():
 
 def test_taps_stand_as_far_apart_as_the_band_limit_allows():
     """At 4 m/s nothing above 6.25 cycles/m is left: 80 mm apart, three steps of the grid."""
-    learnt = fit("fir_ridge").learnt
-    assert learnt.stride == 3
-    assert learnt.taps.shape == (2, 3, 2 * int(3.0 / (3 * GRID)) + 1)
+    fitted_state = fit("fir_ridge").fitted_state
+    assert fitted_state.stride == 3
+    assert fitted_state.taps.shape == (2, 3, 2 * int(3.0 / (3 * PROFILE_SPACING)) + 1)
 
 
 def test_the_window_s_taps_are_found_again():
     """Heights made by known taps from the accelerations come back when there is enough to see."""
     rng = np.random.default_rng(0)
-    stride, half = 3, int(0.5 / (3 * GRID))
+    stride, half = 3, int(0.5 / (3 * PROFILE_SPACING))
     coefficients = rng.standard_normal((3 * (2 * half + 1), 2))
-    sums = fir_ridge.Sums.none(len(coefficients))
+    sums = fir_ridge.LeastSquaresSums.zeros(len(coefficients))
     for seed in range(4):
-        X = fir_ridge.windows(drive(seed, noise=1.0)[0], stride, half)
-        sums = sums.plus(fir_ridge.Sums.of(X, X @ coefficients))
+        X = fir_ridge.sliding_windows(drive(seed, noise=1.0)[0], stride, half)
+        sums = sums.plus(fir_ridge.LeastSquaresSums.from_samples(X, X @ coefficients))
     np.testing.assert_allclose(sums.solve(1e-12), coefficients, rtol=1e-4)
 
 
 def test_estimating_tap_by_tap_equals_the_windows_of_training():
     window = fit("fir_ridge")
     record, _ = drive(120)
-    taps, stride, _, _ = window.learnt
-    X = fir_ridge.windows(record, stride, taps.shape[2] // 2)
+    taps, stride, _, _ = window.fitted_state
+    X = fir_ridge.sliding_windows(record, stride, taps.shape[2] // 2)
     z = window.estimate(record, CAR).z[:, ::stride]
     np.testing.assert_allclose(taps.reshape(2, -1) @ X.T, z, atol=1e-12)
 
@@ -451,7 +461,9 @@ def test_the_ridge_is_the_least_squares_problem_with_a_penalty_row_for_each_tap(
     level = np.mean(np.sum(X**2, axis=0))
     penalty = np.sqrt(ridge * level) * np.eye(9)
     wanted, *_ = np.linalg.lstsq(np.vstack([X, penalty]), np.vstack([Z, np.zeros((9, 2))]))
-    sums = fir_ridge.Sums.of(X[:20], Z[:20]).plus(fir_ridge.Sums.of(X[20:], Z[20:]))
+    sums = fir_ridge.LeastSquaresSums.from_samples(X[:20], Z[:20]).plus(
+        fir_ridge.LeastSquaresSums.from_samples(X[20:], Z[20:])
+    )
     found = sums.solve(ridge)
     np.testing.assert_allclose(found, wanted, rtol=1e-10, atol=1e-12)
     assert sums.squared_error(found) == pytest.approx(np.sum((Z - X @ found) ** 2), rel=1e-10)
@@ -464,19 +476,21 @@ def test_cross_validation_takes_a_strong_ridge_for_noise_and_a_weak_one_for_a_cl
 
     def chosen(Z):
         parts = zip(np.split(X, 5), np.split(Z, 5), strict=True)
-        return fir_ridge.cross_validated([fir_ridge.Sums.of(*part) for part in parts])[0]
+        return fir_ridge.cross_validate(
+            [fir_ridge.LeastSquaresSums.from_samples(*part) for part in parts]
+        )[0]
 
     assert chosen(noise) == fir_ridge.RIDGES[-1]
     assert chosen(clear) == fir_ridge.RIDGES[0]
 
 
 def test_the_target_keeps_waves_of_the_band_and_leaves_out_slow_ones():
-    stations = grid(200.0)
+    stations = profile_stations(200.0)
     middle = slice(stations.size // 4, -stations.size // 4)
 
     def passed(n):
         wave = np.sin(2.0 * np.pi * n * stations)
-        kept = fir_ridge.high_passed(Profile(stations, np.array([wave, wave])), stations)
+        kept = fir_ridge.highpass_profile(Profile(stations, np.array([wave, wave])), stations)
         return np.std(kept[0, middle]) / np.std(wave[middle])
 
     assert passed(0.2) == pytest.approx(1.0, abs=0.01)
@@ -496,14 +510,16 @@ def test_what_the_paper_filters_out_is_not_seen():
     offset_and_hum = 3.0 + np.sin(2.0 * np.pi * 70.0 * record.t)
     dirty = replace(record, a=record.a + offset_and_hum)
     np.testing.assert_allclose(
-        accelerations(dirty)[:, 100:-100], accelerations(record)[:, 100:-100], atol=1e-3
+        spatial_accelerations(dirty)[:, 100:-100],
+        spatial_accelerations(record)[:, 100:-100],
+        atol=1e-3,
     )
 
 
 def test_accelerations_beyond_the_record_are_those_of_a_car_at_rest():
     record, _ = drive(122)
-    a = accelerations(record, margin=1000)
-    s = GRID * np.arange(-1000, grid(record.length).size + 1000)
+    a = spatial_accelerations(record, margin=1000)
+    s = PROFILE_SPACING * np.arange(-1000, profile_stations(record.length).size + 1000)
     assert not a[:, s < -APRON].any()
     assert not a[:, s > record.length + APRON].any()
     assert a[:, (s > 0) & (s < 20)].all()

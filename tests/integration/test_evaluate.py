@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from fakes import Broken, Learner, Reader, fake_drives, task
 
-from leaderboard.evaluation.entries import entry_of
-from leaderboard.evaluation.entry import EntryError, learns, reconstruct
+from leaderboard.evaluation.entries import make_entry
+from leaderboard.evaluation.entry import EntryError, needs_training, reconstruct
 from leaderboard.evaluation.evaluate import run_task, steps
-from leaderboard.evaluation.store import path_of
-from leaderboard.evaluation.test_data import simulated
-from leaderboard.metrics.baselines import NOISE, SENTINELS, truth_plus_noise
+from leaderboard.evaluation.store import row_path
+from leaderboard.evaluation.test_data import simulate_drives
+from leaderboard.metrics.baselines import BASELINES, NOISE_LEVEL, truth_plus_noise
 from leaderboard.metrics.heights import nrmse, scored_band
-from leaderboard.running.board import Wanted, load_board, run_board
-from leaderboard.running.executors import Here
+from leaderboard.running.board import RunRequest, load_board, run_board
+from leaderboard.running.executors import InProcessExecutor
 from road_envs.config import ConfigError
 from road_envs.simulation.drive import SimulationError
 
@@ -25,9 +25,9 @@ def run(entries, seeds=(1, 2, 3), t=None, **options):
 
 
 def board(tmp_path, made, t=None, drive=fake_drives, progress=lambda *step: None, **options):
-    entries = [entry_of(name, estimator) for name, estimator in made.items()]
-    wanted = Wanted([t or task()], entries, **options)
-    return run_board(wanted, tmp_path, Here(drive, made), progress)
+    entries = [make_entry(name, estimator) for name, estimator in made.items()]
+    wanted = RunRequest([t or task()], entries, **options)
+    return run_board(wanted, tmp_path, InProcessExecutor(drive, made), progress)
 
 
 def test_a_scaled_truth_has_the_error_of_its_scale_on_every_drive():
@@ -122,7 +122,7 @@ def test_an_entry_gets_training_truths_and_test_records_only():
 
     run({"curious": Curious()}, seeds=(1,))
     assert [what for what in seen if what[0] == "truth"] == [("truth", (2, 1585))] * 4
-    fields = ("a", "high", "length", "s", "stiff", "t", "v")
+    fields = ("a", "damper_high", "length", "s", "spring_stiff", "t", "v")
     assert [what for what in seen if what[0] != "truth"] == [fields] * 6
 
 
@@ -130,8 +130,8 @@ def test_the_seam_hands_back_what_the_entry_says():
     t = task()
     drives = list(fake_drives(t, t.test, t.conditions[0]))
     records = [drive.record for drive in drives]
-    outcome = reconstruct(Reader(gain=1.0), [], records, t.vehicle, seed=1)
-    assert len(outcome.estimates) == 3 and outcome.estimate_seconds > 0.0
+    training_run = reconstruct(Reader(gain=1.0), [], records, t.vehicle, seed=1)
+    assert len(training_run.estimates) == 3 and training_run.estimate_seconds > 0.0
     with pytest.raises(EntryError, match="estimating test drive 1 of 3, seed 7: RuntimeError"):
         reconstruct(Broken(how="raises"), [], records, t.vehicle, seed=7)
 
@@ -139,7 +139,7 @@ def test_the_seam_hands_back_what_the_entry_says():
 def test_an_estimator_that_brings_its_weights_is_judged_with_them():
     (first, *_), t = fake_drives(task(), task().training, task().conditions[0]), task()
     fitted = Learner().fit([first.record], [first.truth], t.vehicle, seed=5)
-    assert learns(Learner()) and not learns(fitted) and not learns(Reader())
+    assert needs_training(Learner()) and not needs_training(fitted) and not needs_training(Reader())
     result = run({"fitted": fitted})["fitted"]
     assert result.values("nrmse").shape == (3, 2, 1) and result.parameters == 1
     np.testing.assert_allclose(result.values("nrmse"), abs(1.0 - fitted.gain), atol=0.01)
@@ -151,7 +151,7 @@ def test_the_truth_plus_noise_has_the_error_that_it_says():
     band = scored_band(14.5 / 3.6)
     noisy = truth_plus_noise(drive.truth, band, seed=1)
     error = nrmse(drive.truth.z, noisy.z, drive.truth.ds, band)
-    assert error.pooled == pytest.approx(NOISE, rel=1e-9)
+    assert error.pooled == pytest.approx(NOISE_LEVEL, rel=1e-9)
 
 
 def test_progress_is_reported_step_by_step():
@@ -166,7 +166,7 @@ def test_progress_is_reported_step_by_step():
 def test_sentinels_stand_on_every_board(tmp_path):
     made = board(tmp_path, {"reader": Reader()}, seeds=(1,))
     (t,) = made.tasks
-    assert {r.estimator for r in made.scored(t)} == {"reader", *SENTINELS}
+    assert {r.estimator for r in made.scored(t)} == {"reader", *BASELINES}
     roles = {r.estimator: r.role for r in made.scored(t)}
     assert roles["reader"] == "entry" and roles["flat"] == "sentinel"
 
@@ -205,11 +205,11 @@ def test_a_real_drive_is_judged_like_any_other(tmp_path):
         training={"roads": ["iso_d"], "seeds": [1], "length": 20.0},
         test={"roads": ["iso_d"], "seeds": [11, 12], "length": 20.0, "step": 0.0005},
     )
-    made = board(tmp_path, {"learner": Learner()}, t, simulated, seeds=(1,))
+    made = board(tmp_path, {"learner": Learner()}, t, simulate_drives, seeds=(1,))
     results = {r.estimator: r for r in made.scored(t)}
-    assert path_of(tmp_path, "small", "learner").exists()
+    assert row_path(tmp_path, "small", "learner").exists()
     np.testing.assert_allclose(results["flat"].values("nrmse"), 1.0)
-    np.testing.assert_allclose(results["truth_plus_noise"].values("nrmse"), NOISE)
+    np.testing.assert_allclose(results["truth_plus_noise"].values("nrmse"), NOISE_LEVEL)
     assert np.isfinite(results["learner"].values("nrmse")).all()
 
 
@@ -232,8 +232,8 @@ def test_roads_with_and_without_obstacles_stand_side_by_side_in_a_part(tmp_path)
         conditions=[{"mode": "ride", "speed_kmh": 14.5}],
         bumps=True,
     )
-    wanted = Wanted([families], [entry_of("reader", Reader())], seeds=(1,))
-    found = run_board(wanted, tmp_path, Here(fake_drives, {"reader": Reader()}))
+    wanted = RunRequest([families], [make_entry("reader", Reader())], seeds=(1,))
+    found = run_board(wanted, tmp_path, InProcessExecutor(fake_drives, {"reader": Reader()}))
     (row,) = [r for r in found.results["small"] if r.estimator == "reader"]
     scored = [drive.road for drive in row.drives if "bump_f1" in drive.scores]
     assert len(row.drives) == 6 and 0 < len(scored) < 6

@@ -14,14 +14,14 @@ from fakes import Reader, task
 from hostile import Hostile
 
 from leaderboard.evaluation import store
-from leaderboard.evaluation.entries import entry_of
+from leaderboard.evaluation.entries import make_entry
 from leaderboard.evaluation.entry import Entry
-from leaderboard.metrics.baselines import SENTINELS
+from leaderboard.metrics.baselines import BASELINES
 from leaderboard.running import dask_executor as cluster_module
 from leaderboard.running import executors, jobs
-from leaderboard.running.board import Wanted, run_board
-from leaderboard.running.dask_executor import OnDask
-from leaderboard.running.executors import Here, JudgeError, Processes
+from leaderboard.running.board import RunRequest, run_board
+from leaderboard.running.dask_executor import DaskExecutor
+from leaderboard.running.executors import EvaluatorError, InProcessExecutor, ProcessExecutor
 from leaderboard.sandbox import namespaces
 from leaderboard.sandbox.limits import Limits
 from road_envs.config import ConfigError
@@ -42,8 +42,8 @@ def small():
 
 
 def wanted(made=HONEST, limits=LIMITS):
-    entries = [entry_of(name, estimator) for name, estimator in made.items()]
-    return Wanted([small()], entries, seeds=(1, 2), limits=limits)
+    entries = [make_entry(name, estimator) for name, estimator in made.items()]
+    return RunRequest([small()], entries, seeds=(1, 2), limits=limits)
 
 
 def rows(board):
@@ -66,8 +66,8 @@ def rows(board):
 @pytest.fixture(scope="module")
 def honest(tmp_path_factory):
     """The board of the honest, run in this very process."""
-    board = run_board(wanted(), tmp_path_factory.mktemp("honest"), Here(made=HONEST))
-    assert set(rows(board)) == {*HONEST, *SENTINELS} and not board.failed(small())
+    board = run_board(wanted(), tmp_path_factory.mktemp("honest"), InProcessExecutor(made=HONEST))
+    assert set(rows(board)) == {*HONEST, *BASELINES} and not board.failed(small())
     return rows(board)
 
 
@@ -87,7 +87,7 @@ def test_among_hostile_entries_every_honest_row_is_unchanged_to_the_bit(tmp_path
     made = {how: Hostile(how=how, where=str(tmp_path)) for how in said}
     limits = dataclasses.replace(LIMITS, namespaces=mode == "namespaces")
     everyone = {first: HONEST[first], **made, second: HONEST[second]}
-    board = run_board(wanted(everyone, limits), tmp_path, Processes(2))
+    board = run_board(wanted(everyone, limits), tmp_path, ProcessExecutor(2))
     found = {**{r.estimator: None for r in board.scored(small())}}
     found |= {r.estimator: r.failure for r in board.failed(small())}
     assert set(found) == {*said, *honest}
@@ -116,15 +116,17 @@ def _left_over(out):
 DRIVER = """
 import sys
 from pathlib import Path
-sys.path.insert(0, {tests!r})
+sys.path[:0] = {folders!r}
 from test_executors import run_board, wanted
-from leaderboard.running.executors import Processes
-run_board(wanted(), Path(sys.argv[1]), Processes(2))
+from leaderboard.running.executors import ProcessExecutor
+run_board(wanted(), Path(sys.argv[1]), ProcessExecutor(2))
 """
 
 
 def driver(out):
-    code = DRIVER.format(tests=str(Path(__file__).parents[1] / "support"))
+    code = DRIVER.format(
+        folders=[str(Path(__file__).parent), str(Path(__file__).parents[1] / "support")]
+    )
     return subprocess.Popen([sys.executable, "-c", code, str(out)], cwd=Path(__file__).parents[2])
 
 
@@ -142,7 +144,7 @@ def killed_and_resumed(out, honest, delays):
         while (left := _left_over(out)) and time.monotonic() < end:
             time.sleep(0.05)
         assert not left
-    assert rows(run_board(wanted(), out, Processes(2))) == honest
+    assert rows(run_board(wanted(), out, ProcessExecutor(2))) == honest
     return kills
 
 
@@ -166,18 +168,18 @@ def test_20_kills_of_the_real_thing_leave_the_same_board(tmp_path, honest):
 def test_the_judges_own_failure_is_no_entrys_fault(tmp_path, monkeypatch):
     monkeypatch.setattr(executors.jobs, "to_text", lambda job: "{")
     with pytest.raises(ConfigError, match="damaged, not valid JSON"):
-        run_board(wanted({}), tmp_path, Processes(1))
+        run_board(wanted({}), tmp_path, ProcessExecutor(1))
     monkeypatch.setattr(executors.sys, "executable", "/bin/false")
-    with pytest.raises(JudgeError):
-        run_board(wanted({}), tmp_path, Processes(1))
+    with pytest.raises(EvaluatorError):
+        run_board(wanted({}), tmp_path, ProcessExecutor(1))
     with pytest.raises(ConfigError, match="at least one worker is wanted, got 0"):
-        Processes(0)
+        ProcessExecutor(0)
 
 
 def test_an_entry_that_cannot_be_made_is_a_row_on_every_task(tmp_path):
     lost = Entry(name="lost", reference="nowhere:Lost", failure="it cannot be made: no module")
     asked = dataclasses.replace(wanted({}), entries=[lost])
-    board = run_board(asked, tmp_path, Here())
+    board = run_board(asked, tmp_path, InProcessExecutor())
     (failed,) = board.failed(small())
     assert (failed.estimator, failed.failure) == ("lost", "it cannot be made: no module")
 
@@ -218,7 +220,7 @@ def test_a_cluster_that_loses_a_worker_makes_the_same_board(tmp_path, honest, cl
     import json
 
     file, workers = cluster
-    executor = OnDask(json.loads(file.read_text())["address"])
+    executor = DaskExecutor(json.loads(file.read_text())["address"])
     executor._client.wait_for_workers(2, timeout=60)
     executor.workers = 4  # so that each worker has a job to lose
     done = []
@@ -237,16 +239,16 @@ def test_a_cluster_that_loses_a_worker_makes_the_same_board(tmp_path, honest, cl
 
 def test_a_scheduler_that_is_not_there_is_said(monkeypatch):
     pytest.importorskip("distributed", reason="the extra `dask` is not installed")
-    monkeypatch.setattr(cluster_module, "PATIENCE", 1.0)
+    monkeypatch.setattr(cluster_module, "SCHEDULER_TIMEOUT", 1.0)
     for address in ("tcp://127.0.0.1:9", "no address"):
         with pytest.raises(ConfigError, match=f"no Dask scheduler answers at '{address}'"):
-            OnDask(address)
+            DaskExecutor(address)
 
 
 def test_without_dask_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ConfigError, match=r"pip install 'roadrecon\[dask\]'"):
-        OnDask("tcp://127.0.0.1:9")
+        DaskExecutor("tcp://127.0.0.1:9")
 
 
 def test_a_job_from_its_file_stores_what_the_run_would(tmp_path, honest):
@@ -256,7 +258,7 @@ def test_a_job_from_its_file_stores_what_the_run_would(tmp_path, honest):
     from leaderboard.running.board import write_jobs
 
     count = write_jobs(wanted({"reader": Reader()}), tmp_path / "out", tmp_path / "jobs")
-    assert count == 2 * (1 + len(SENTINELS))
+    assert count == 2 * (1 + len(BASELINES))
     specs = sorted((tmp_path / "jobs").glob("*.json"))
     spec = next(path for path in specs if '"name": "reader"' in path.read_text())
     job = jobs.from_text(spec.read_text(), str(spec))
@@ -265,6 +267,6 @@ def test_a_job_from_its_file_stores_what_the_run_would(tmp_path, honest):
     assert called.exit_code == 0, called.output
     assert f"small: reader, {label}: done" in " ".join(called.output.split())
     known = jobs.identity(small(), job.condition, job.entries[0], job.seeds)
-    part = store.load_part(store.part_of(tmp_path / "out", known))
+    part = store.load_part(store.part_path(tmp_path / "out", known))
     expected = [d for d in honest["reader"].drives if d.condition == label]
     assert list(part.drives) == expected

@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from leaderboard.cli import app
-from leaderboard.evaluation import hidden_seeds as seasons
+from leaderboard.evaluation import hidden_seeds
 from leaderboard.evaluation.tasks import load_task
 from road_envs.config import ConfigError
 
@@ -15,38 +15,40 @@ SALT = "correct horse battery"
 
 @pytest.fixture
 def published(tmp_path):
-    seasons.save(seasons.commit(SALT, [load_task("class")]), tmp_path)
+    hidden_seeds.save(hidden_seeds.commit(SALT, [load_task("class")]), tmp_path)
     return tmp_path
 
 
 def test_what_is_published_holds_neither_salt_nor_seeds(published):
-    text = (published / seasons.COMMITMENT).read_text()
-    assert [path.name for path in published.iterdir()] == [seasons.COMMITMENT]
+    text = (published / hidden_seeds.COMMITMENT).read_text()
+    assert [path.name for path in published.iterdir()] == [hidden_seeds.COMMITMENT]
     assert SALT not in text and load_task("class").digest in text
-    for seed in seasons.seeds(SALT, load_task("class"), 10):
+    for seed in hidden_seeds.seeds(SALT, load_task("class"), 10):
         assert str(seed) not in text
 
 
 def test_the_revealed_tasks_are_the_public_ones_with_other_roads(published):
-    (path,) = seasons.reveal(SALT, published)
-    public, hidden = load_task("class").with_roads(None), load_task(path)
-    assert hidden.name == f"class_{seasons.load(published).commitment[:8]}"
+    (path,) = hidden_seeds.reveal(SALT, published)
+    public, hidden = load_task("class").with_test_drives(None), load_task(path)
+    assert hidden.name == f"class_{hidden_seeds.load(published).commitment[:8]}"
     assert hidden.conditions == public.conditions and hidden.training == public.training
-    assert len(hidden.test.pairs) == len(public.test.pairs) == 50
-    assert [road for road, _ in hidden.test.pairs] == [road for road, _ in public.test.pairs]
+    assert len(hidden.test.roads_and_seeds) == len(public.test.roads_and_seeds) == 50
+    assert [road for road, _ in hidden.test.roads_and_seeds] == [
+        road for road, _ in public.test.roads_and_seeds
+    ]
     used = public.training.all_seeds | public.test.all_seeds
     assert not hidden.test.all_seeds & used and len(hidden.test.all_seeds) == 50
 
 
 def test_another_salt_gives_other_seeds_and_another_commitment():
     t = load_task("class")
-    one, other = (seasons.commit(salt, [t]).commitment for salt in (SALT, SALT + "!"))
-    assert one != other and one == seasons.commit(SALT, [t]).commitment
-    assert not set(seasons.seeds(SALT, t, 50)) & set(seasons.seeds(SALT + "!", t, 50))
+    one, other = (hidden_seeds.commit(salt, [t]).commitment for salt in (SALT, SALT + "!"))
+    assert one != other and one == hidden_seeds.commit(SALT, [t]).commitment
+    assert not set(hidden_seeds.seeds(SALT, t, 50)) & set(hidden_seeds.seeds(SALT + "!", t, 50))
 
 
 def test_one_salt_draws_other_seeds_for_every_task():
-    found = [set(seasons.seeds(SALT, load_task(name), 20)) for name in ("class", "new_road")]
+    found = [set(hidden_seeds.seeds(SALT, load_task(name), 20)) for name in ("class", "new_road")]
     assert not found[0] & found[1]
 
 
@@ -60,32 +62,32 @@ def test_one_salt_draws_other_seeds_for_every_task():
     ],
 )
 def test_a_season_that_was_edited_is_refused(published, change, said):
-    path = published / seasons.COMMITMENT
+    path = published / hidden_seeds.COMMITMENT
     path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
     with pytest.raises(ConfigError, match=said):
-        seasons.reveal(SALT, published)
+        hidden_seeds.reveal(SALT, published)
     assert list(published.glob("*.yaml")) == []
 
 
 def test_a_wrong_salt_a_short_one_and_an_empty_folder_are_one_sentence(published, tmp_path):
     with pytest.raises(ConfigError, match="this salt does not give the commitment"):
-        seasons.reveal(SALT + "?", published)
+        hidden_seeds.reveal(SALT + "?", published)
     with pytest.raises(ConfigError, match="at least 12 characters, got 6"):
-        seasons.commit("winter", [load_task("class")])
+        hidden_seeds.commit("winter", [load_task("class")])
     with pytest.raises(ConfigError, match="No such file"):
-        seasons.reveal(SALT, tmp_path / "nothing")
+        hidden_seeds.reveal(SALT, tmp_path / "nothing")
 
 
 def test_a_task_that_has_changed_since_is_refused(published, monkeypatch):
-    older = load_task("class").with_roads(20)
-    monkeypatch.setattr(seasons, "load_task", lambda name: older)
+    older = load_task("class").with_test_drives(20)
+    monkeypatch.setattr(hidden_seeds, "load_task", lambda name: older)
     with pytest.raises(ConfigError, match="class: the public task has changed"):
-        seasons.reveal(SALT, published)
+        hidden_seeds.reveal(SALT, published)
 
 
 def test_a_folder_holds_one_season(published):
     with pytest.raises(ConfigError, match="another season stands here"):
-        seasons.save(seasons.commit(SALT + "!", [load_task("class")]), published)
+        hidden_seeds.save(hidden_seeds.commit(SALT + "!", [load_task("class")]), published)
 
 
 def run(*words):
@@ -96,7 +98,7 @@ def test_the_command_draws_a_salt_and_reveals_with_it(tmp_path):
     made = run("--out", tmp_path, "--task", "class", "--json")
     facts = json.loads(made.stdout)
     salt = facts["salt, to be kept secret"]
-    assert len(salt) >= 24 and facts["commitment"] == seasons.load(tmp_path).commitment
+    assert len(salt) >= 24 and facts["commitment"] == hidden_seeds.load(tmp_path).commitment
     shown = run("--out", tmp_path, "--salt", salt, "--reveal", "--json")
     (path,) = json.loads(shown.stdout)["tasks"]
     assert load_task(path).board == "class"

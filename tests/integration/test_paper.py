@@ -15,7 +15,7 @@ from estimators.networks.static_lm import StaticLm
 from leaderboard.cli import app
 from leaderboard.metrics.registry import SCORES
 from leaderboard.paper import published_figures, report, study
-from leaderboard.paper.figures import chosen_sessions, plates
+from leaderboard.paper.figures import paper_figures, select_sessions
 
 TRAININGS = 3
 driven = []
@@ -31,7 +31,7 @@ def made():
         driven.append(asked)
         return fake_drives(*asked)
 
-    return study.run(TRAININGS, network=network, drive=drive)
+    return study.run_study(TRAININGS, network=network, drive=drive)
 
 
 def with_scores(case, where="scores", **scores):
@@ -51,16 +51,16 @@ def with_scores(case, where="scores", **scores):
 
 def changed(change):
     """The study with every case passed through `change`."""
-    return dataclasses.replace(made(), cases=tuple(change(case) for case in made().cases))
+    return dataclasses.replace(made(), scenarios=tuple(change(case) for case in made().scenarios))
 
 
 def claim(found, says):
-    (one,) = [c for c in published_figures.claims(found) if says in c.says]
+    (one,) = [c for c in published_figures.claims(found) if says in c.statement]
     return one
 
 
 def test_there_are_the_papers_eight_scenarios_in_its_order():
-    cases = made().cases
+    cases = made().scenarios
     assert [case.number for case in cases] == list(range(1, 9))
     assert [case.is_paving for case in cases] == [False] * 4 + [True] * 4
     assert [case.number for case in made().paving] == [6, 5, 7, 8]  # panels (a) to (d)
@@ -72,19 +72,19 @@ def test_there_are_the_papers_eight_scenarios_in_its_order():
 
 def test_what_measures_nothing_stands_beside_the_network():
     case = made().paving[0]
-    assert set(case.sentinels) == {"unrelated_road", "mean", "constant"}
+    assert set(case.baselines) == {"unrelated_road", "mean", "constant"}
     # a constant at the mean height of the truth has the level |mean| / rms, by equation 12 raw
     z = case.truth.z
     level = np.sqrt(np.mean(z.mean(axis=1) ** 2) / np.mean(z**2))
-    assert case.sentinel("constant", study.PRINTED) == pytest.approx(1.0 - level, abs=0.02)
-    assert case.sentinel("constant", "nrmse") == pytest.approx(1.0)
-    assert 1.2 < case.sentinel("unrelated_road", "nrmse") < 1.6
+    assert case.baseline_median("constant", study.EQ_12_RAW) == pytest.approx(1.0 - level, abs=0.02)
+    assert case.baseline_median("constant", "nrmse") == pytest.approx(1.0)
+    assert 1.2 < case.baseline_median("unrelated_road", "nrmse") < 1.6
 
 
 def test_new_roads_are_driven_as_the_scenarios_are():
-    assert set(made().new_road) == {case.driven for case in made().cases}
-    for case in made().cases:
-        assert np.isfinite(made().new(case, "nrmse"))
+    assert set(made().new_road) == {case.drive_label for case in made().scenarios}
+    for case in made().scenarios:
+        assert np.isfinite(made().new_road_score(case, "nrmse"))
 
 
 @pytest.mark.parametrize(
@@ -92,29 +92,29 @@ def test_new_roads_are_driven_as_the_scenarios_are():
     [(0.1499, "near-optimal"), (0.15, "sub-optimal"), (0.2499, "sub-optimal"), (0.25, "unstable")],
 )
 def test_the_states_of_appendix_a(error, state):
-    assert study.state_of(error) == state
+    assert study.training_state(error) == state
 
 
 def test_shares_and_the_typical_training():
     case = with_scores(
-        made().cases[0], **{study.PRINTED: [0.1, 0.2, 0.9], "nrmse": [0.9, 0.1, 0.5]}
+        made().scenarios[0], **{study.EQ_12_RAW: [0.1, 0.2, 0.9], "nrmse": [0.9, 0.1, 0.5]}
     )
-    assert case.shares() == pytest.approx(
+    assert case.state_shares() == pytest.approx(
         {"near-optimal": 1 / 3, "sub-optimal": 1 / 3, "unstable": 1 / 3}
     )
-    assert case.typical().seed == 3
+    assert case.median_run().seed == 3
 
 
 def test_sessions_are_chosen_by_their_largest_error():
     errors = {5: [0.5, 0.1, 0.2], 6: [0.1, 0.1, 0.2], 7: [0.1, 0.1, 0.1], 8: [0.1, 0.1, 0.3]}
     found = changed(
-        lambda case: with_scores(case, **{study.PRINTED: errors.get(case.number, [0.0] * 3)})
+        lambda case: with_scores(case, **{study.EQ_12_RAW: errors.get(case.number, [0.0] * 3)})
     )
-    assert chosen_sessions(found) == [1, 2, 2, 0]
+    assert select_sessions(found) == [1, 2, 2, 0]
 
 
 def test_every_figure_is_there_in_its_form():
-    figures = {plate.name: plate for plate in plates(made())}
+    figures = {figure.name: figure for figure in paper_figures(made())}
     wanted = ["1", "2", "3", *"6789", "10", "11", *(f"A.{k}" for k in range(1, 7))]
     again = [f"Figure {name}, on the car of the training" for name in ("10", "11")]
     assert list(figures) == [*(f"Figure {name}" for name in wanted), *again, "Spread"]
@@ -126,9 +126,9 @@ def test_every_figure_is_there_in_its_form():
         for axes in drawn.axes:
             assert [line.get_linestyle() for line in axes.lines] == ["-", "--"]
     titles = [axes.get_title(loc="left") for axes in report._figure(figures["Figure 10"]).axes]
-    session = chosen_sessions(made())[0]
+    session = select_sessions(made())[0]
     for title, case in zip(titles, made().paving, strict=True):
-        error = 100 * case.trainings[session].scores[study.PRINTED]
+        error = 100 * case.trainings[session].scores[study.EQ_12_RAW]
         assert case.condition in title and f"{error:.1f} %" in title
 
 
@@ -139,8 +139,8 @@ def test_densities_are_drawn_over_all_classes_on_log_axes_also_of_a_flat_estimat
             trainings=tuple(dataclasses.replace(t, z=0.0 * t.z) for t in case.trainings),
         )
     )
-    (plate,) = [p for p in plates(flat) if p.name == "Figure 11"]
-    for axes in report._figure(plate).axes:
+    (figure,) = [p for p in paper_figures(flat) if p.name == "Figure 11"]
+    for axes in report._figure(figure).axes:
         assert axes.get_xscale() == axes.get_yscale() == "log"
         assert [text.get_text() for text in axes.texts] == list("ABCDEFGH")
 
@@ -148,7 +148,7 @@ def test_densities_are_drawn_over_all_classes_on_log_axes_also_of_a_flat_estimat
 @pytest.mark.parametrize(
     ("says", "good", "bad"),
     [
-        ("trainings are below 15 %", {study.PRINTED: 0.12}, {study.PRINTED: 0.4}),
+        ("trainings are below 15 %", {study.EQ_12_RAW: 0.12}, {study.EQ_12_RAW: 0.4}),
         ("locates the bumps", {"bump_recall": 1.0, "bump_precision": 1.0}, {"bump_recall": 0.2}),
         ("Small bumps", {"bump_height_error_relative": 0.1}, {"bump_height_error_relative": 0.5}),
         (
@@ -174,9 +174,9 @@ def test_ride_and_handling_order_states_and_time_are_judged_too():
 
     assert claim(changed(ride_is_better), "better in ride comfort").verdict == "agrees"
     paper = {6: 0.128, 5: 0.102, 7: 0.148, 8: 0.142}
-    as_printed = changed(lambda c: with_scores(c, **{study.PRINTED: paper.get(c.number, 0.1)}))
+    as_printed = changed(lambda c: with_scores(c, **{study.EQ_12_RAW: paper.get(c.number, 0.1)}))
     assert claim(as_printed, "Best in ride at 14.5").verdict == "agrees"
-    every = changed(lambda c: with_scores(c, **{study.PRINTED: [0.1, 0.2, 0.9]}))
+    every = changed(lambda c: with_scores(c, **{study.EQ_12_RAW: [0.1, 0.2, 0.9]}))
     assert claim(every, "Trainings end").verdict == "agrees"
     slow = changed(
         lambda c: dataclasses.replace(
@@ -188,32 +188,32 @@ def test_ride_and_handling_order_states_and_time_are_judged_too():
 
 
 def test_the_summary_is_made_from_the_numbers():
-    found = changed(lambda case: with_scores(case, **{study.PRINTED: 0.171, "nrmse": 0.777}))
-    said = " ".join(published_figures.summary(found))
+    found = changed(lambda case: with_scores(case, **{study.EQ_12_RAW: 0.171, "nrmse": 0.777}))
+    said = " ".join(published_figures.key_findings(found))
     assert "17.1, 17.1, 17.1 and 17.1 % where the paper has 12.8, 10.2, 14.8 and 14.2 %" in said
     assert "the error is 0.78, 0.78, 0.78 and 0.78 of the road" in said
 
 
-def both(case, field, own, score=study.PRINTED):
+def both(case, field, own, score=study.EQ_12_RAW):
     return with_scores(with_scores(case, **{score: field}), "nominal", **{score: own})
 
 
 def test_the_reasons_follow_the_numbers_too():
     """No sentence about the other car, the axles or the sensors stands where it is not true."""
     lost, kept = (changed(lambda c, own=own: both(c, 0.9, own)) for own in (0.1, 0.9))
-    assert "they meet another car" in claim(lost, "Trainings end").why
-    assert "the other car makes little difference" in claim(kept, "Trainings end").why
-    assert "100 % near-optimal, 0 % sub-optimal" in claim(lost, "Trainings end").why
+    assert "they meet another car" in claim(lost, "Trainings end").reason
+    assert "the other car makes little difference" in claim(kept, "Trainings end").reason
+    assert "100 % near-optimal, 0 % sub-optimal" in claim(lost, "Trainings end").reason
     faster = changed(lambda c: both(c, 0.2, 0.1 if c.speed > 10.0 else 0.2))
     slower = changed(lambda c: both(c, 0.2, 0.2 if c.speed > 10.0 else 0.1))
-    assert "the faster drives are the better ones" in claim(faster, "Best in ride").why
-    assert "the faster drives" not in claim(slower, "Best in ride").why
+    assert "the faster drives are the better ones" in claim(faster, "Best in ride").reason
+    assert "the faster drives" not in claim(slower, "Best in ride").reason
     loud, quiet = (changed(lambda c, x=x: both(c, x, -x, "dsd_bias_db")) for x in (9.0, 1.0))
-    assert "accelerations lie outside" in claim(loud, "Densities").why
-    assert "accelerations lie outside" not in claim(quiet, "Densities").why
+    assert "accelerations lie outside" in claim(loud, "Densities").reason
+    assert "accelerations lie outside" not in claim(quiet, "Densities").reason
     good, bad = (changed(lambda c, x=x: both(c, 0.5, x, "nrmse")) for x in (0.3, 1.0))
-    assert "know little of this paving" in " ".join(published_figures.summary(bad))
-    assert "know little of this paving" not in " ".join(published_figures.summary(good))
+    assert "know little of this paving" in " ".join(published_figures.key_findings(bad))
+    assert "know little of this paving" not in " ".join(published_figures.key_findings(good))
 
 
 def test_a_false_bump_is_the_rear_axles_only_where_it_stands_a_wheelbase_behind(monkeypatch):
@@ -223,28 +223,34 @@ def test_a_false_bump_is_the_rear_axles_only_where_it_stands_a_wheelbase_behind(
         (0.4 * wheelbase, "m behind a true one in the median."),
         (np.nan, "There are no false bumps."),
     ):
-        monkeypatch.setattr(study.Case, "false_bumps", lambda case, gap=gap: gap)
-        why = claim(made(), "locates the bumps").why
+        monkeypatch.setattr(study.PaperScenario, "false_bump_offset", lambda case, gap=gap: gap)
+        why = claim(made(), "locates the bumps").reason
         assert sentence in why and ("rear axle" in why) == ("rear axle" in sentence)
 
 
 def test_the_test_road_is_driven_by_the_car_of_the_training_too():
     """Here the sensors see the road itself, so that both cars tell the same."""
-    for case in made().cases:
+    for case in made().scenarios:
         grades = [c.grade for task, drives, c in driven if drives is case.task.test]
         assert grades == ["S3", "S0"]
-        assert case.condition.endswith("car S3") and "S3" not in case.driven
-        assert case.nominal("nrmse") == pytest.approx(case.middle("nrmse"))
+        assert case.condition.endswith("car S3") and "S3" not in case.drive_label
+        assert case.nominal_iq_mean("nrmse") == pytest.approx(case.iq_mean("nrmse"))
         assert all(np.array_equal(t.nominal_z, t.z) for t in case.trainings)
-    case = both(made().cases[0], 0.4, 0.2)
-    found = case.middle(study.PRINTED), case.nominal(study.PRINTED)
+    case = both(made().scenarios[0], 0.4, 0.2)
+    found = case.iq_mean(study.EQ_12_RAW), case.nominal_iq_mean(study.EQ_12_RAW)
     assert found == pytest.approx((0.4, 0.2))
 
 
 def test_the_report_is_written_as_page_pdf_and_numbers(tmp_path, monkeypatch):
-    few = [plate for plate in plates(made()) if plate.name in ("Figure 3", "Figure 6", "Spread")]
-    monkeypatch.setattr(report, "plates", lambda found: few)  # that all can be drawn is seen above
-    page, pdf, numbers = report.write(made(), tmp_path, "roadrecon paper --trainings 3")
+    few = [
+        figure
+        for figure in paper_figures(made())
+        if figure.name in ("Figure 3", "Figure 6", "Spread")
+    ]
+    monkeypatch.setattr(
+        report, "paper_figures", lambda found: few
+    )  # that all can be drawn is seen above
+    page, pdf, numbers = report.write_report(made(), tmp_path, "roadrecon paper --trainings 3")
     text = page.read_text()
     parser = Nesting()
     parser.feed(text)
@@ -252,7 +258,7 @@ def test_the_report_is_written_as_page_pdf_and_numbers(tmp_path, monkeypatch):
     assert all(a.startswith(("#", "data:")) for a in parser.addresses)
     for name in ("Figure 3.", "Figure 6.", "Spread.", "agree", "--trainings 3"):
         assert name in text
-    assert f"{100 * made().paving[0].middle(study.PRINTED):.1f}" in text
+    assert f"{100 * made().paving[0].iq_mean(study.EQ_12_RAW):.1f}" in text
     content = pdf.read_bytes()
     assert content.startswith(b"%PDF") and len(re.findall(rb"/Type /Page\b", content)) > 3
     assert len(text) < 3e6 and len(content) < 2e6
@@ -260,15 +266,17 @@ def test_the_report_is_written_as_page_pdf_and_numbers(tmp_path, monkeypatch):
     assert len(data["cases"]) == 8 and data["command"].endswith("--trainings 3")
     first = data["cases"][0]["trainings"][0]
     assert set(SCORES) & set(first) and first["nrmse"] == pytest.approx(
-        made().cases[0].trainings[0].scores["nrmse"], rel=1e-4
+        made().scenarios[0].trainings[0].scores["nrmse"], rel=1e-4
     )
     assert not list(tmp_path.glob(".*"))
 
 
 def test_the_command_says_what_it_found_and_where_it_stands(tmp_path, monkeypatch):
     asked = []
-    monkeypatch.setattr(study, "run", lambda trainings, report: asked.append(trainings) or made())
-    monkeypatch.setattr(report, "write", lambda found, out, command: [out / command])
+    monkeypatch.setattr(
+        study, "run_study", lambda trainings, progress: asked.append(trainings) or made()
+    )
+    monkeypatch.setattr(report, "write_report", lambda found, out, command: [out / command])
     done = CliRunner().invoke(app, ["paper", "--trainings", "3", "--out", str(tmp_path)])
     said = " ".join(done.stdout.split())
     assert asked == [3] and "equation 12 as it is printed" in said

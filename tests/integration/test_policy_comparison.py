@@ -14,21 +14,26 @@ from rich.console import Console
 from scipy.stats import trim_mean
 
 import estimators
-from leaderboard.commands import policies as command
+from leaderboard.commands import policies as policies_command
 from leaderboard.policies import beam_search, comparison, grid_search
 from leaderboard.policies import page as policy_page
-from leaderboard.policies.ride_metrics import METRICS, ride_metrics, shares, stops
+from leaderboard.policies.ride_metrics import (
+    METRICS,
+    count_bump_stop_hits,
+    ride_metrics,
+    state_time_shares,
+)
 from leaderboard.policies.scenarios import Scenarios, load_scenarios
-from leaderboard.policies.summary import averaged, difference, pareto, summary
-from leaderboard.policies.timeline import STATES, Timeline
+from leaderboard.policies.summary import case_mean, paired_difference, pareto, summarize_results
+from leaderboard.policies.timeline import MODE_NAMES, Timeline
 from road_envs.analysis.comfort import weighted_rms
 from road_envs.config import ConfigError, build, names
-from road_envs.data.recording import record_drive
-from road_envs.envs.options import Setup
+from road_envs.data.recording import simulate_record
+from road_envs.envs.options import EnvSetup
 from road_envs.envs.vector import RoadReconVectorEnv
 from road_envs.policies import create
-from road_envs.policies.rollout import drive
-from road_envs.sensing.data_logger import Logger
+from road_envs.policies.rollout import roll_out
+from road_envs.sensing.data_logger import DataLogger
 from road_envs.simulation.drive import Trajectory
 from road_envs.vehicle.equations import Z_B
 from road_envs.vehicle.parameters import load_vehicle
@@ -59,8 +64,8 @@ class Wrong:
 
     how: str
 
-    def reset(self, cabin):
-        self.cabin = cabin
+    def reset(self, context):
+        self.context = context
 
     def act(self, observations):
         match self.how:
@@ -72,7 +77,7 @@ class Wrong:
                 while True:
                     time.sleep(0.01)
             case "asks for the truth":
-                return self.cabin.info["profile"]
+                return self.context.info["profile"]
 
 
 # --- metrics --------------------------------------------------------------------------------------
@@ -128,13 +133,13 @@ def test_a_stop_is_hit_once_each_time_a_strut_goes_beyond_its_free_travel():
     e[50:, 1] = 0.096
     e[10:20, 2] = -0.1049  # rear: free from -105 to 115 mm
     e[0:5, 3] = 0.1151
-    assert stops(e, CAR) == 4
+    assert count_bump_stop_hits(e, CAR) == 4
 
 
 def test_shares_of_time_in_states():
     commands = np.array([0] * 30 + [0b11001100] * 60 + [255] * 10, dtype=np.uint8)
     ride_handling = (False, False, True, True)
-    assert shares(commands) == {
+    assert state_time_shares(commands) == {
         (False,) * 4: 0.3,
         ride_handling: 0.6,
         (True,) * 4: 0.1,
@@ -146,14 +151,14 @@ def test_shares_of_time_in_states():
 
 def test_the_motion_that_is_judged_is_the_one_that_was_driven():
     """Replayed commands give the environment's own costs, in a manoeuvre too."""
-    course = comparison.lay_out(scenarios(), 1, [101, 102])
-    driven = drive(create("random"), course.options, course.seeds)
-    envs = RoadReconVectorEnv(2, **course.options)
-    envs.reset(seed=list(course.seeds))
+    prepared = comparison.prepare_case(scenarios(), 1, [101, 102])
+    driven = roll_out(create("random"), prepared.options, prepared.seeds)
+    envs = RoadReconVectorEnv(2, **prepared.options)
+    envs.reset(seed=list(prepared.seeds))
     rattle, lasted = [], int(driven.intervals[0])
     for actions in driven.actions:
         rattle.append(envs.step(actions)[4]["rattle"])
-    for k, moved in enumerate(comparison.motions(course, driven)):
+    for k, moved in enumerate(comparison.trajectories(prepared, driven)):
         e = moved.extension[20:].reshape(lasted, 20, 4)
         np.testing.assert_allclose(
             np.sqrt(np.mean(e**2, axis=(1, 2))), np.array(rattle)[:, k], rtol=1e-9
@@ -162,26 +167,26 @@ def test_the_motion_that_is_judged_is_the_one_that_was_driven():
 
 def test_the_record_of_a_policy_is_that_of_a_car_in_the_same_mode():
     some = scenarios(cases=[{"road": "iso_d", "speed_kmh": 54.0}], sensors="ideal")
-    course = comparison.lay_out(some, 0, [101])
-    driven = drive(create("fixed_ride"), course.options, course.seeds)
-    record = comparison.record_of(course, driven, 0)
-    surface = course.starts[0].surface
-    expected, truth = record_drive(
-        CAR, surface, speed_kmh=54.0, mode="ride", instruments=course.setup.instruments, seed=0
+    prepared = comparison.prepare_case(some, 0, [101])
+    driven = roll_out(create("fixed_ride"), prepared.options, prepared.seeds)
+    record = comparison.record_of(prepared, driven, 0)
+    surface = prepared.starts[0].surface
+    expected, truth = simulate_record(
+        CAR, surface, speed_kmh=54.0, mode="ride", instruments=prepared.setup.instruments, seed=0
     )
     n = expected.t.size
     np.testing.assert_allclose(record.a[:, :n], expected.a, rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(record.s[:n], expected.s, rtol=1e-6, atol=1e-5)
-    np.testing.assert_array_equal(record.stiff[:n], expected.stiff)
-    np.testing.assert_array_equal(course.truths[0].z, truth.z)
+    np.testing.assert_array_equal(record.spring_stiff[:n], expected.spring_stiff)
+    np.testing.assert_array_equal(prepared.truths[0].z, truth.z)
 
 
 def test_a_record_tells_the_states_that_were_commanded():
-    course = comparison.lay_out(scenarios(), 0, [101])
-    driven = drive(create("fixed_ride_handling"), course.options, course.seeds)
-    record = comparison.record_of(course, driven, 0)
-    assert not record.stiff[:20].any() and not record.stiff[:, :2].any()
-    assert record.stiff[20:, 2:].all() and record.high[20:, 2:].all()
+    prepared = comparison.prepare_case(scenarios(), 0, [101])
+    driven = roll_out(create("fixed_ride_handling"), prepared.options, prepared.seeds)
+    record = comparison.record_of(prepared, driven, 0)
+    assert not record.spring_stiff[:20].any() and not record.spring_stiff[:, :2].any()
+    assert record.spring_stiff[20:, 2:].all() and record.damper_high[20:, 2:].all()
 
 
 def test_no_policy_is_told_the_truth():
@@ -195,7 +200,7 @@ def test_no_policy_is_told_the_truth():
 
 
 def test_failures_are_rows_and_the_others_stand(monkeypatch):
-    monkeypatch.setattr(comparison, "PATIENCE", 3.0)
+    monkeypatch.setattr(comparison, "TIME_LIMIT", 3.0)
     wrong = {
         "raises": "RuntimeError: no idea",
         "outside": "PolicyError: actions must be 0 to 15, got 99",
@@ -208,16 +213,16 @@ def test_failures_are_rows_and_the_others_stand(monkeypatch):
     for row in rows:
         assert row.failure == f"iso_d, 54 km/h, straight on: {wrong[row.policy]}"
     assert ride.failure is None
-    for name, values in alone.drives.items():
-        np.testing.assert_array_equal(ride.drives[name], values)
-    data = summary(scenarios(), [*rows, ride], [101, 102, 103], "fixed_ride")
-    assert "no idea" in policy_page.render(data)
+    for name, values in alone.metrics.items():
+        np.testing.assert_array_equal(ride.metrics[name], values)
+    data = summarize_results(scenarios(), [*rows, ride], [101, 102, 103], "fixed_ride")
+    assert "no idea" in policy_page.render_page(data)
 
 
 def test_handling_is_harsher_and_uses_less_rattle_space_and_mixed_states_tell_more():
     chosen = ("fixed_ride", "fixed_handling", "fixed_ride_handling")
     rows = comparison.compare(scenarios(), {n: create(n) for n in chosen}, {})
-    ride, handling, mixed = (row.drives for row in rows)
+    ride, handling, mixed = (row.metrics for row in rows)
     assert (handling["comfort"] > ride["comfort"]).all()
     assert (handling["rattle"] < ride["rattle"]).all()
     assert (mixed["bound"] < np.minimum(ride["bound"], handling["bound"])).all()
@@ -233,36 +238,36 @@ def test_estimators_are_fed_with_the_drives_and_one_that_fails_is_noted(monkeypa
     np.testing.assert_allclose(row.errors["flat"], 1.0)
     assert np.isnan(row.errors["blind"]).all()
     assert len(row.notes) == 2 and "too dark" in row.notes[0]
-    data = summary(scenarios(), [row], [101, 102, 103], "fixed_ride")
+    data = summarize_results(scenarios(), [row], [101, 102, 103], "fixed_ride")
     assert "too dark" in json.dumps(data["rows"])
 
 
 def test_the_table_fits_eighty_columns_and_wide_tells_more(monkeypatch):
     rng, names = np.random.default_rng(0), ("fir_ridge", "iterated_wiener")
     rows = [
-        comparison.Standing(
+        comparison.PolicyResult(
             name,
             {metric: rng.random((3, 2)) for metric in METRICS},
             {reader: rng.random((3, 2)) for reader in names},
         )
         for name in ("fixed_ride_handling", "greedy_information", comparison.ORACLE)
     ]
-    rows.append(comparison.Standing("mine", failure="iso_d: RuntimeError: " + 30 * "no idea "))
-    data = summary(scenarios(), rows, [101, 102, 103], "greedy_information")
+    rows.append(comparison.PolicyResult("mine", failure="iso_d: RuntimeError: " + 30 * "no idea "))
+    data = summarize_results(scenarios(), rows, [101, 102, 103], "greedy_information")
     told = data["rows"][0]["metrics"]["comfort"]
-    expected = difference(rows[0].drives["comfort"], rows[1].drives["comfort"])
+    expected = paired_difference(rows[0].metrics["comfort"], rows[1].metrics["comfort"])
     assert list(told["difference"].values()) == pytest.approx(expected, rel=1e-4)
-    more = difference(rows[0].drives["reward"], rows[1].drives["reward"])
+    more = paired_difference(rows[0].metrics["reward"], rows[1].metrics["reward"])
     assert list(data["rows"][0]["more_than"]) == ["greedy_information"]  # no rival is there
     assert list(data["rows"][0]["more_than"]["greedy_information"].values()) == pytest.approx(
         more, rel=1e-4
     )
-    assert "how much more" in policy_page.render(data)
+    assert "how much more" in policy_page.render_page(data)
     printed = []
-    for columns in (command.NARROW, command.WIDE):
+    for columns in (policies_command.NARROW, policies_command.WIDE):
         page = io.StringIO()
-        monkeypatch.setattr(command, "console", Console(width=80, file=page))
-        command._print(data, columns)
+        monkeypatch.setattr(policies_command, "console", Console(width=80, file=page))
+        policies_command._print(data, columns)
         printed.append(page.getvalue())
     narrow, wide = printed
     assert max(map(len, narrow.splitlines())) <= 80
@@ -277,31 +282,31 @@ def test_the_table_fits_eighty_columns_and_wide_tells_more(monkeypatch):
 
 
 def test_the_oracle_is_no_worse_than_any_pair_it_knows_and_its_plan_holds_what_it_says():
-    course = comparison.lay_out(scenarios(), 1, [101, 102])
-    actions = beam_search.plan(course.setup, course.starts)
-    planned = drive(comparison._Script(actions), course.options, course.seeds)
-    for front, rear in beam_search.PAIRS:
-        fixed = np.full_like(actions, beam_search.action(course.setup, (front, rear)))
-        held = drive(comparison._Script(fixed), course.options, course.seeds)
+    prepared = comparison.prepare_case(scenarios(), 1, [101, 102])
+    actions = beam_search.search_actions(prepared.setup, prepared.starts)
+    planned = roll_out(comparison._FixedActions(actions), prepared.options, prepared.seeds)
+    for front, rear in beam_search.MODE_PAIRS:
+        fixed = np.full_like(actions, beam_search.action_index(prepared.setup, (front, rear)))
+        held = roll_out(comparison._FixedActions(fixed), prepared.options, prepared.seeds)
         assert (planned.returns >= held.returns - 1e-12).all()
-    held_for = round(beam_search.HELD / course.setup.interval)
+    held_for = round(beam_search.HOLD_TIME / prepared.setup.interval)
     changes = np.flatnonzero((np.diff(actions, axis=0) != 0).any(axis=1)) + 1
     assert (changes % held_for == 0).all()
 
 
 def test_cars_change_places_with_all_they_carry():
-    course = comparison.lay_out(scenarios(), 0, [101])
-    convoy = course.setup.convoy(9)
-    start = course.starts[0]
+    prepared = comparison.prepare_case(scenarios(), 0, [101])
+    fleet = prepared.setup.make_fleet(9)
+    start = prepared.starts[0]
     for i in range(9):
-        logger = Logger(course.setup.instruments, CAR, 0.001, np.random.default_rng(0))
-        convoy.start(i, start.drive, logger, start.speed_kmh)
-    bytes_ = course.setup.bytes[np.arange(9)]
+        logger = DataLogger(prepared.setup.instruments, CAR, 0.001, np.random.default_rng(0))
+        fleet.start(i, start.drive, logger, start.speed_kmh)
+    bytes_ = prepared.setup.command_bytes[np.arange(9)]
     for _ in range(30):
-        convoy.advance(bytes_)
+        fleet.advance(bytes_)
     source = np.array([8, 8, 0, 3, 4, 5, 6, 7, 1])
-    beam_search.transplant(convoy, source)
-    seen = convoy.advance(np.zeros(9, dtype=np.uint8))
+    beam_search.copy_vehicles(fleet, source)
+    seen = fleet.advance(np.zeros(9, dtype=np.uint8))
     np.testing.assert_array_equal(seen.numbers[0], seen.numbers[1])
     assert seen.numbers[2, 6] != seen.numbers[0, 6]
 
@@ -314,10 +319,10 @@ def test_a_paired_difference_does_not_feel_what_makes_a_road_hard():
     road = 10.0 * rng.random((40, 1))
     better = road + 0.1 * rng.standard_normal((40, 2))
     worse = road + 0.3 + 0.1 * rng.standard_normal((40, 2))
-    found = difference(better, worse)
+    found = paired_difference(better, worse)
     assert found.low < found.mean < found.high < 0.0
     assert found.mean == pytest.approx(-0.3, abs=0.5)
-    assert difference(better, better) == (0.0, 0.0, 0.0)
+    assert paired_difference(better, better) == (0.0, 0.0, 0.0)
     by_hand = [np.mean([trim_mean(x[:, c], 0.25) for c in range(2)]) for x in (better, worse)]
     assert found.mean == pytest.approx(by_hand[0] - by_hand[1])
 
@@ -328,34 +333,36 @@ def test_every_kind_of_drive_counts_and_odd_roads_do_not_rule():
     odd = np.where(np.arange(40) == 3, 1e6, hard)
     x = np.stack([easy, easy, easy, odd], axis=1)
     expected = np.mean([*[trim_mean(easy, 0.25)] * 3, trim_mean(hard, 0.25)])
-    found = averaged(x)
+    found = case_mean(x)
     assert found.mean == pytest.approx(expected, rel=0.01)
     assert found.low < found.mean < found.high < 4.0
-    seeds = averaged(np.stack([x, x], axis=2))
+    seeds = case_mean(np.stack([x, x], axis=2))
     assert seeds.mean == pytest.approx(found.mean)
 
 
 def test_a_time_line_tells_road_states_and_motion_of_the_drive():
-    course = comparison.lay_out(scenarios(), 1, [101])
-    driven = drive(create("fixed_ride_handling"), course.options, course.seeds)
-    moved = next(comparison.motions(course, driven))
-    line = Timeline.of(moved, course.starts[0].surface)
+    prepared = comparison.prepare_case(scenarios(), 1, [101])
+    driven = roll_out(create("fixed_ride_handling"), prepared.options, prepared.seeds)
+    moved = next(comparison.trajectories(prepared, driven))
+    line = Timeline.from_trajectory(moved, prepared.starts[0].surface)
     assert np.diff(line.t) == pytest.approx(0.02)
     np.testing.assert_array_equal(line.acceleration, moved.acceleration[::20, Z_B])
-    np.testing.assert_array_equal(line.road, course.starts[0].surface.height(moved.s[::20]))
-    assert set(line.states[0]) == {0} and STATES[line.states[1, -1]] == "handling"
+    np.testing.assert_array_equal(line.road, prepared.starts[0].surface.height(moved.s[::20]))
+    assert set(line.states[0]) == {0} and MODE_NAMES[line.states[1, -1]] == "handling"
     picture = ElementTree.fromstring(str(line.svg()))
     strips = [x for x in picture.iter("rect")]
     assert [x.get("class") for x in strips] == ["handling"]
     assert float(strips[0].get("width")) > 500.0
-    data = summary(scenarios(), [comparison.Standing("mine", failure="why")], [101], "mine")
-    assert str(line.svg()) in policy_page.render(data, {"mine": line})
+    data = summarize_results(
+        scenarios(), [comparison.PolicyResult("mine", failure="why")], [101], "mine"
+    )
+    assert str(line.svg()) in policy_page.render_page(data, {"mine": line})
 
 
 @given(st.lists(st.tuples(*[st.integers(0, 3)] * 3), min_size=1, max_size=8))
 def test_the_pareto_front_is_what_no_other_beats(points):
     rows = {
-        f"p{i}": comparison.Standing(
+        f"p{i}": comparison.PolicyResult(
             f"p{i}",
             {"comfort": np.full((3, 1), x), "tyre_load": np.full((3, 1), y)},
             {"reader": np.full((3, 1), z)},
@@ -375,8 +382,8 @@ def test_the_pareto_front_is_what_no_other_beats(points):
 def test_shipped_scenarios_can_be_driven_and_keep_training_apart(name):
     shipped = load_scenarios(name)
     assert shipped.name == name
-    assert all(isinstance(setup, Setup) for setup in shipped.setups)
-    assert not set(shipped.test.all) & set(shipped.training.all)
+    assert all(isinstance(setup, EnvSetup) for setup in shipped.setups)
+    assert not set(shipped.test.seeds) & set(shipped.training.seeds)
 
 
 @pytest.mark.parametrize(
@@ -401,7 +408,7 @@ def test_a_case_that_cannot_be_driven_is_named():
     with pytest.raises(ConfigError, match=r"small: iso_d, 54 km/h, loop: .*'loop'"):
         _ = bad.setups
     with pytest.raises(ConfigError, match="2 to 3 test roads"):
-        scenarios().some(4)
+        scenarios().test_seeds(4)
 
 
 # --- tuning ---------------------------------------------------------------------------------------
@@ -412,20 +419,20 @@ def test_tuning_takes_the_best_of_its_grid_and_drives_training_roads_alone(monke
 
     def spy(policy, options, seeds, **kwargs):
         driven.extend(seeds)
-        return drive(policy, options, seeds, **kwargs)
+        return roll_out(policy, options, seeds, **kwargs)
 
     monkeypatch.setattr(grid_search, "drive", spy)
     monkeypatch.setitem(grid_search.GRIDS, "rrms", {"window": (0.2, 1.0), "ratio": (1.0, 9.0)})
     best = grid_search.tune("rrms", scenarios())
-    assert set(driven) == set(scenarios().training.all)
-    assert len(best.tried) == 4
-    assert best.cost == min(one.cost for one in best.tried)
+    assert set(driven) == set(scenarios().training.seeds)
+    assert len(best.trials) == 4
+    assert best.cost == min(one.cost for one in best.trials)
     again = grid_search.cost(create("rrms", **best.settings), scenarios())
     assert again == pytest.approx(best.cost)
 
 
 def test_metrics_and_their_names_are_the_same():
     (row,) = comparison.compare(scenarios(), {"fixed_ride": create("fixed_ride")}, {})
-    assert row.drives.keys() == METRICS.keys()
-    assert row.drives["comfort"].shape == (3, 2)
+    assert row.metrics.keys() == METRICS.keys()
+    assert row.metrics["comfort"].shape == (3, 2)
     assert Z_B == 0

@@ -12,23 +12,23 @@ from test_cli import roadrecon  # noqa: F401
 from estimators import REGISTRY, create, pretrained_weights, weights_io
 from estimators.api import check_estimate
 from leaderboard.evaluation import pretraining
-from leaderboard.evaluation.entry import learns
+from leaderboard.evaluation.entry import needs_training
 from leaderboard.evaluation.tasks import load_task
-from leaderboard.evaluation.test_data import simulated
+from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.metrics.heights import band_pass, nrmse, scored_band
-from road_envs.data.training_corpus import Corpus, another_car
+from road_envs.data.training_corpus import Corpus, perturb_parameters
 
 CORPUS = Corpus(number=12, shortest=20, longest=30)
 READY = [path.stem for path in sorted(pretrained_weights.FOLDER.glob("*.safetensors"))]
 
 
-def judged(name: str, number: int):
+def errors_and_coverage(name: str, number: int):
     """Errors in band, and what the intervals cover, on drives of the main board."""
     estimator, task = create(name), load_task("new_road")
     found = {}
     for condition in task.conditions:
         rows = []
-        for test in simulated(task, task.with_roads(number).test, condition):
+        for test in simulate_drives(task, task.with_test_drives(number).test, condition):
             estimate = estimator.estimate(test.record, task.vehicle)
             check_estimate(estimate, test.record)
             band = scored_band(condition.speed_kmh / 3.6)
@@ -48,17 +48,17 @@ def _covered(truth, estimate, band):
 
 
 def test_a_drive_of_the_corpus_is_the_same_at_every_call_and_another_for_another_number():
-    one, same, other = (CORPUS.drive(k) for k in (3, 3, 4))
+    one, same, other = (CORPUS.simulate_drive(k) for k in (3, 3, 4))
     np.testing.assert_array_equal(one[0].a, same[0].a)
     np.testing.assert_array_equal(one[1].z, same[1].z)
     assert one[0].v[0] != other[0].v[0]
 
 
 def test_the_corpus_covers_speeds_modes_and_levels():
-    drives = [CORPUS.drive(k) for k in range(50)]
+    drives = [CORPUS.simulate_drive(k) for k in range(50)]
     v = 3.6 * np.array([record.v[0] for record, _ in drives])
     assert v.min() < 10.0 and v.max() > 50.0 and np.all((v > 4.9) & (v < 72.1))
-    states = {(*r.stiff[0, [0, 2]], *r.high[0, [0, 2]]) for r, _ in drives}
+    states = {(*r.spring_stiff[0, [0, 2]], *r.damper_high[0, [0, 2]]) for r, _ in drives}
     assert {(False,) * 4, (True,) * 4, (False, True, False, True)} <= states and len(states) > 6
     level = np.array([truth.z.std() for _, truth in drives])
     assert level.max() > 10.0 * level.min()
@@ -67,11 +67,11 @@ def test_the_corpus_covers_speeds_modes_and_levels():
 def test_cars_differ_by_as_much_as_they_are_said_to():
     car = Corpus().vehicle
     rng = np.random.default_rng(0)
-    others = [another_car(car, rng, 1.0) for _ in range(200)]
+    others = [perturb_parameters(car, rng, 1.0) for _ in range(200)]
     assert np.std([c.m_b / car.m_b for c in others]) == pytest.approx(0.06, rel=0.2)
     peaks = [c.strut.friction.ride.F[0] / car.strut.friction.ride.F[0] for c in others]
     assert np.std(peaks) == pytest.approx(0.158, rel=0.2)  # 15 % and 5 % together
-    assert another_car(car, rng, 0.0) == car
+    assert perturb_parameters(car, rng, 0.0) == car
 
 
 def test_corpora_are_told_apart():
@@ -92,29 +92,27 @@ def test_a_short_teaching_reproduces_itself_to_the_bit_interrupted_or_not(tmp_pa
         return out
 
     whole = teach(tmp_path / "whole")
-    kept = pretraining.FileKeeper.save
+    kept = pretraining.FileCheckpoint.save
 
     def failing(self, state):
         kept(self, state)
         if state["about"][0] >= 3:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(pretraining.FileKeeper, "save", failing)
+    monkeypatch.setattr(pretraining.FileCheckpoint, "save", failing)
     with pytest.raises(KeyboardInterrupt):
         teach(tmp_path / "parts")
     assert [p.name for p in (tmp_path / "parts").iterdir()] == [".tcn.safetensors.unfinished"]
-    monkeypatch.setattr(pretraining.FileKeeper, "save", kept)
-    begun = []
+    monkeypatch.setattr(pretraining.FileCheckpoint, "save", kept)
+    begun, load = [], pretraining.FileCheckpoint.load
     monkeypatch.setattr(
-        pretraining.FileKeeper, "load", lambda self, load=pretraining.FileKeeper.load: begun.append(
-            load(self)
-        ) or begun[-1]
-    )  # fmt: skip
+        pretraining.FileCheckpoint, "load", lambda self: begun.append(load(self)) or begun[-1]
+    )
     parts = teach(tmp_path / "parts")
     assert begun[0]["about"][0] == 3.0
     assert whole.read_bytes() == parts.read_bytes()
     assert [p.name for p in (tmp_path / "parts").iterdir()] == ["tcn.safetensors"]
-    _, about = pretrained_weights.read(whole)
+    _, about = pretrained_weights.read_weights(whole)
     assert about["command"] == "roadrecon train tcn" and about["seed"] == "1"
     assert about["corpus"] == CORPUS.digest
     assert json.loads(about["header"])["settings"]["channels"] == 4
@@ -122,11 +120,11 @@ def test_a_short_teaching_reproduces_itself_to_the_bit_interrupted_or_not(tmp_pa
 
 def test_an_unfinished_state_of_another_purpose_is_not_taken_up(tmp_path):
     path = tmp_path / "state"
-    pretraining.FileKeeper(path, "this").save({"about": np.zeros(3)})
-    assert pretraining.FileKeeper(path, "this").load() is not None
-    assert pretraining.FileKeeper(path, "that").load() is None
+    pretraining.FileCheckpoint(path, "this").save({"about": np.zeros(3)})
+    assert pretraining.FileCheckpoint(path, "this").load() is not None
+    assert pretraining.FileCheckpoint(path, "that").load() is None
     path.write_bytes(b"cut short")
-    assert pretraining.FileKeeper(path, "this").load() is None
+    assert pretraining.FileCheckpoint(path, "this").load() is None
 
 
 def test_the_command_teaches_from_the_corpus_and_its_file_estimates(roadrecon, tmp_path):  # noqa: F811
@@ -134,10 +132,10 @@ def test_the_command_teaches_from_the_corpus_and_its_file_estimates(roadrecon, t
         "train", "fir_ridge", "--drives", 4, "--out", "bank.safetensors", "--json"
     )
     assert code == 0 and json.loads(out)["drives"] == 4
-    _, about = pretrained_weights.read(tmp_path / "bank.safetensors")
+    _, about = pretrained_weights.read_weights(tmp_path / "bank.safetensors")
     assert about["command"].startswith("roadrecon train fir_ridge --drives 4")
     kept = weights_io.load(tmp_path / "bank.safetensors")
-    assert kept.weights().keys() == {"bank"} and not learns(kept)
+    assert kept.weights().keys() == {"bank"} and not needs_training(kept)
 
 
 def test_what_learns_one_speed_alone_asks_for_its_road(roadrecon):  # noqa: F811
@@ -151,20 +149,20 @@ def test_what_learns_one_speed_alone_asks_for_its_road(roadrecon):  # noqa: F811
 def test_shipped_weights_are_small_ready_and_of_the_corpus_as_it_is(name):
     path = pretrained_weights.FOLDER / f"{name}.safetensors"
     assert path.stat().st_size < 500_000
-    _, about = pretrained_weights.read(path)
+    _, about = pretrained_weights.read_weights(path)
     header = json.loads(about["header"])
     assert header["name"] == name
     assert about["corpus"] == Corpus().digest
     estimator = create(name)
-    assert header["settings"] == json.loads(json.dumps(pretraining.settings_of(estimator)))
-    purpose = pretraining.purpose_of(estimator, name, Corpus(), int(about["seed"]))
+    assert header["settings"] == json.loads(json.dumps(pretraining.get_settings(estimator)))
+    purpose = pretraining.run_digest(estimator, name, Corpus(), int(about["seed"]))
     assert about["digest"] == purpose
     assert about["command"] == f"roadrecon train {name} --out {name}.safetensors"
-    assert not learns(estimator) and learns(create(name, shipped=False))
+    assert not needs_training(estimator) and needs_training(create(name, shipped=False))
 
 
 def test_all_that_can_be_taught_comes_with_weights_of_less_than_two_megabytes():
-    assert set(READY) == {name for name, cls in REGISTRY.items() if hasattr(cls, "learn")}
+    assert set(READY) == {name for name, cls in REGISTRY.items() if hasattr(cls, "pretrain")}
     total = sum(path.stat().st_size for path in pretrained_weights.FOLDER.glob("*.safetensors"))
     assert total < 2_000_000
 

@@ -10,11 +10,11 @@ import pytest
 from fakes import Learner
 
 import estimators
-from leaderboard.conformance.probes import PROBES, mark, probe, questions
-from road_envs.data.record import Estimate, grid
-from road_envs.data.recording import record_drive
+from leaderboard.conformance.probes import PROBES, count_passed, perturbed_records, probe_estimator
+from road_envs.data.record import Estimate, profile_stations
+from road_envs.data.recording import simulate_record
 from road_envs.roads import Surface, load_road
-from road_envs.sensing.filters import process
+from road_envs.sensing.filters import preprocess_accelerations
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 
@@ -30,13 +30,13 @@ def road(seed):
 
 @cache
 def drive(seed=1):
-    return record_drive(
+    return simulate_record(
         CAR, road(seed), speed_kmh=30.0, mode="handling", instruments=PAPER, seed=seed
     )
 
 
 def verdicts(estimator, **options):
-    return {p.name: p for p in probe(estimator, drive()[0], CAR, **options)}
+    return {p.name: p for p in probe_estimator(estimator, drive()[0], CAR, **options)}
 
 
 def refused(estimator, **options):
@@ -53,19 +53,19 @@ class Sums:
     how: str = ""
 
     def estimate(self, record, car):
-        a = process(record.a, record.fs)
+        a = preprocess_accelerations(record.a, record.fs)
         if self.how == "even":
             a = np.abs(a)
         if self.how == "normalised":
             a = a / a.std()
-        z = -0.01 * record.at(grid(record.length), a[1:])
+        z = -0.01 * record.interpolate(profile_stations(record.length), a[1:])
         if self.how == "left only":
             z[1] = 0.0
         if self.how == "crossed":
             z = np.stack([z[0], -z[0]])
         if self.how == "moody":
             z = z + 1e-6 * np.random.default_rng().standard_normal(z.shape)
-        return Estimate(grid(record.length), z)
+        return Estimate(profile_stations(record.length), z)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,17 +78,17 @@ class Online(Sums):
     lag: float = 0.0
 
     def estimate(self, record, car):
-        a = process(record.a, record.fs, causal=self.filtered)
-        ahead = np.minimum(grid(record.length) + self.lag, record.length)
-        return Estimate(grid(record.length), -0.01 * record.at(ahead, a[1:]))
+        a = preprocess_accelerations(record.a, record.fs, causal=self.filtered)
+        ahead = np.minimum(profile_stations(record.length) + self.lag, record.length)
+        return Estimate(profile_stations(record.length), -0.01 * record.interpolate(ahead, a[1:]))
 
 
 def test_every_probe_is_answered_and_an_honest_estimator_passes():
     found = verdicts(Sums())
     assert tuple(found) == PROBES
     assert {name for name, p in found.items() if p.passed} == set(PROBES) - {"future"}
-    assert found["future"].passed is None and "offline: looks " in found["future"].said
-    assert mark(list(found.values())) == "5/5" and mark([]) == ""
+    assert found["future"].passed is None and "offline: looks " in found["future"].message
+    assert count_passed(list(found.values())) == "5/5" and count_passed([]) == ""
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def test_what_measures_nothing_fails_the_probes_of_measuring(name):
 def test_a_window_passes_and_is_trained_twice():
     found = verdicts(estimators.create("fir_ridge"), training=[drive(2), drive(3)])
     assert all(p.passed is not False for p in found.values())
-    assert "run twice with one seed: 0 mm apart" in found["repeat"].said
+    assert "run twice with one seed: 0 mm apart" in found["repeat"].message
 
 
 def test_a_training_that_the_seed_does_not_decide_is_seen():
@@ -123,18 +123,18 @@ def test_a_training_that_the_seed_does_not_decide_is_seen():
             return super().fit(records, truths, car, np.random.SeedSequence())
 
     found = verdicts(Moody(), training=[drive(2)])["repeat"]
-    assert found.passed is False and found.said.startswith("asked twice: 0 mm apart")
+    assert found.passed is False and found.message.startswith("asked twice: 0 mm apart")
 
 
 def test_who_looks_ahead_is_not_causal():
     assert "future" not in refused(Online())
     cheat = verdicts(Online(filtered=False))["future"]
-    assert cheat.passed is False and "what comes later changes" in cheat.said
+    assert cheat.passed is False and "what comes later changes" in cheat.message
 
 
 def test_a_fixed_lag_is_allowed_what_it_says_and_no_more():
     assert verdicts(Online(lag=2.0))["future"].passed
-    assert "2 m behind the front axle" in verdicts(Online(lag=2.0))["future"].said
+    assert "2 m behind the front axle" in verdicts(Online(lag=2.0))["future"].message
 
     class Hasty(Online):
         def estimate(self, record, car):
@@ -147,9 +147,9 @@ def test_a_fixed_lag_is_allowed_what_it_says_and_no_more():
 def test_the_swapped_record_is_the_one_of_the_mirrored_road(mode):
     """Driven on the mirrored road itself, without noise."""
     record, mirrored = (record_on(mirror, mode) for mirror in (False, True))
-    swapped = questions(record, SILENT)["swap"]
+    swapped = perturbed_records(record, SILENT)["swap"]
     np.testing.assert_allclose(swapped.a, mirrored.a, atol=0.02 * mirrored.a.std())
-    np.testing.assert_array_equal(swapped.stiff, mirrored.stiff)
+    np.testing.assert_array_equal(swapped.spring_stiff, mirrored.spring_stiff)
     assert np.abs(record.a - mirrored.a).max() > mirrored.a.std()
 
 
@@ -157,20 +157,20 @@ def record_on(mirror, mode):
     surface = road(5)
     z = np.ascontiguousarray(surface.z[::-1] if mirror else surface.z)
     one = Surface(z, surface.ds, surface.start)
-    return record_drive(CAR, one, speed_kmh=30.0, mode=mode, instruments=SILENT, seed=1)[0]
+    return simulate_record(CAR, one, speed_kmh=30.0, mode=mode, instruments=SILENT, seed=1)[0]
 
 
 def test_struts_change_sides_with_the_accelerometers():
     record, _ = drive()
-    stiff = record.stiff.copy()
+    stiff = record.spring_stiff.copy()
     stiff[:, [0, 3]] = False  # front left and rear right soft, the others as they were
     stiff[:, [1, 2]] = True
-    swapped = questions(dataclasses.replace(record, stiff=stiff), PAPER)["swap"]
-    np.testing.assert_array_equal(swapped.stiff, ~stiff)
+    swapped = perturbed_records(dataclasses.replace(record, spring_stiff=stiff), PAPER)["swap"]
+    np.testing.assert_array_equal(swapped.spring_stiff, ~stiff)
 
 
 def test_the_future_begins_in_the_middle():
     record, _ = drive()
-    changed = questions(record, PAPER)["future"].a != record.a
+    changed = perturbed_records(record, PAPER)["future"].a != record.a
     assert not changed[:, record.s < 0.5 * record.length].any()
     assert changed[:, record.s >= 0.5 * record.length].all()

@@ -15,9 +15,9 @@ from fakes import Learner, Reader, fake_drives, task
 
 from leaderboard.evaluation import entries
 from leaderboard.evaluation.entry import EntryError, reconstruct_all
-from leaderboard.sandbox import client as host_module
+from leaderboard.sandbox import client as client_module
 from leaderboard.sandbox import namespaces
-from leaderboard.sandbox.client import Host
+from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from road_envs import _numba
 
@@ -26,27 +26,27 @@ LIMITS = Limits(seconds=20.0, memory=0.5, processes=40, file=0.05)
 
 
 @pytest.fixture(scope="module", params=MODES)
-def any_host(request):
+def any_sandbox(request):
     limits = dataclasses.replace(LIMITS, namespaces=request.param == "namespaces")
-    with Host(limits) as host:
-        assert host.isolation == request.param
-        yield host
+    with SandboxClient(limits) as sandbox:
+        assert sandbox.isolation == request.param
+        yield sandbox
 
 
 @pytest.fixture
-def host(any_host):
+def sandbox(any_sandbox):
     """A host with its usual limits, which a test may change."""
-    limits = any_host.limits
-    yield any_host
-    any_host.limits, any_host.hidden = limits, ()
+    limits = any_sandbox.limits
+    yield any_sandbox
+    any_sandbox.limits, any_sandbox.hidden = limits, ()
 
 
-def limit(host, **limits):
-    host.limits = dataclasses.replace(host.limits, **limits)
+def limit(sandbox, **limits):
+    sandbox.limits = dataclasses.replace(sandbox.limits, **limits)
 
 
-def only_once(host):
-    if host.isolation != MODES[0]:
+def only_once(sandbox):
+    if sandbox.isolation != MODES[0]:
         pytest.skip("the same in every mode")
 
 
@@ -56,17 +56,17 @@ def drives(number=1):
     return training, [d.record for d in fake_drives(t, t.test, t.conditions[0])], t.vehicle
 
 
-def run(host, estimator=None, how="", where="", seeds=(1,), number=1, **settings):
+def run(sandbox, estimator=None, how="", where="", seeds=(1,), number=1, **settings):
     reference = estimator or "hostile:Hostile"
     settings = settings or {"how": how, "where": str(where)}
     training, records, car = drives(number)
     training = [] if how and how != "look_for_truth" else training
-    return host.reconstruct(reference, settings, training, records, car, seeds, cache="hostile")
+    return sandbox.reconstruct(reference, settings, training, records, car, seeds, cache="hostile")
 
 
-def family_of(host):
+def family_of(sandbox):
     """Every process that was started with the environment of this host's server."""
-    marked = f"HOME={host._home}".encode()
+    marked = f"HOME={sandbox._home}".encode()
     found = []
     for pid in filter(str.isdigit, os.listdir("/proc")):
         try:
@@ -77,34 +77,36 @@ def family_of(host):
     return found
 
 
-def alone(host, patience=5.0):
+def alone(sandbox, patience=5.0):
     """Whether nothing is left of the entries, after a moment that the kernel may need."""
     end = time.monotonic() + patience
-    while (found := family_of(host)) != [host._server.pid] and time.monotonic() < end:
+    while (found := family_of(sandbox)) != [sandbox._server.pid] and time.monotonic() < end:
         time.sleep(0.02)
-    return found == [host._server.pid]
+    return found == [sandbox._server.pid]
 
 
 @pytest.mark.parametrize("estimator", [Reader(gain=0.7), Learner(), Learner(spread=0.0)])
-def test_an_entry_estimates_to_the_bit_what_it_does_in_the_judges_process(host, estimator):
-    known = entries.entry_of("x", estimator)
+def test_an_entry_estimates_to_the_bit_what_it_does_in_the_judges_process(sandbox, estimator):
+    known = entries.make_entry("x", estimator)
     training, records, car = drives(2)
     expected = list(reconstruct_all(estimator, training, records, car, (1, 2, 3)))
-    found = run(host, known.reference, seeds=(1, 2, 3), number=2, **known.settings)
-    assert [outcome.seed for outcome in found] == [outcome.seed for outcome in expected]
-    assert [outcome.parameters for outcome in found] == [o.parameters for o in expected]
+    found = run(sandbox, known.reference, seeds=(1, 2, 3), number=2, **known.settings)
+    assert [training_run.seed for training_run in found] == [
+        training_run.seed for training_run in expected
+    ]
+    assert [training_run.parameters for training_run in found] == [o.parameters for o in expected]
     for mine, theirs in zip(found, expected, strict=True):
         for a, b in zip(mine.estimates, theirs.estimates, strict=True):
             np.testing.assert_array_equal(a.z, b.z)
             np.testing.assert_array_equal(a.s, b.s)
             assert a.z_std is None
-    assert found[0].isolation == host.isolation and 0.01 < found[0].peak_memory < 2.0
-    assert found[0].estimate_seconds > 0.0 and alone(host)
+    assert found[0].isolation == sandbox.isolation and 0.01 < found[0].peak_memory < 2.0
+    assert found[0].estimate_seconds > 0.0 and alone(sandbox)
 
 
-def test_standard_deviations_cross_the_border(host):
-    (outcome,) = run(host, "fakes:Doubtful", std=0.003)
-    np.testing.assert_array_equal(outcome.estimates[0].z_std, 0.003)
+def test_standard_deviations_cross_the_border(sandbox):
+    (training_run,) = run(sandbox, "fakes:Doubtful", std=0.003)
+    np.testing.assert_array_equal(training_run.estimates[0].z_std, 0.003)
 
 
 @pytest.mark.parametrize(
@@ -121,23 +123,25 @@ def test_standard_deviations_cross_the_border(host):
         ("fill", "File too large"),
     ],
 )
-def test_whatever_goes_wrong_is_one_sentence_and_nothing_is_left(host, how, said):
+def test_whatever_goes_wrong_is_one_sentence_and_nothing_is_left(sandbox, how, said):
     with pytest.raises(EntryError) as error:
-        run(host, how=how)
+        run(sandbox, how=how)
     text = str(error.value)
     assert said in text or (how in ("hoard", "grasp") and "MemoryError" in text), text
     assert "\n" not in text and len(text) < 500
-    assert alone(host)
-    assert len(run(host, how="nothing")) == 1  # and the next entry is judged as if nothing had been
+    assert alone(sandbox)
+    assert (
+        len(run(sandbox, how="nothing")) == 1
+    )  # and the next entry is judged as if nothing had been
 
 
 @pytest.mark.parametrize(
     ("how", "said"),
     [
         ("forge_answer", "its answer cannot be read: "),
-        ("link_answer", "answer.json cannot be read: "),
-        ("answer_with_a_pipe", "answer.json is no file"),
-        ("answer_at_length", "answer.json has 2000015 bytes, more than the 1000000 it may have"),
+        ("link_answer", "response.json cannot be read: "),
+        ("answer_with_a_pipe", "response.json is no file"),
+        ("answer_at_length", "response.json has 2000015 bytes, more than the 1000000 it may have"),
         ("answer_without_estimates", "there are no estimates of the training with seed 1"),
         ("send_a_pickle", "(2, 1585) floats are wanted, got object (1,)"),
         ("send_a_bomb", "(2, 1585) floats are wanted, got float64 (2, 4194304)"),
@@ -145,69 +149,69 @@ def test_whatever_goes_wrong_is_one_sentence_and_nothing_is_left(host, how, said
         ("send_half", "seed-1.npz: File is not a zip file"),
     ],
 )
-def test_what_an_entry_forges_is_not_believed(host, how, said):
-    only_once(host)
+def test_what_an_entry_forges_is_not_believed(sandbox, how, said):
+    only_once(sandbox)
     with pytest.raises(EntryError) as error:
-        run(host, how=how)
+        run(sandbox, how=how)
     assert said in str(error.value) and "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("how", ["hang", "spin"])
-def test_an_entry_that_does_not_come_back_is_ended_in_time(host, how):
-    limit(host, seconds=0.5)
+def test_an_entry_that_does_not_come_back_is_ended_in_time(sandbox, how):
+    limit(sandbox, seconds=0.5)
     begin = time.monotonic()
     with pytest.raises(EntryError, match=r"it was ended after 0\.5 s, the time limit"):
-        run(host, how=how)
-    assert time.monotonic() - begin < 10.0 and alone(host)
+        run(sandbox, how=how)
+    assert time.monotonic() - begin < 10.0 and alone(sandbox)
 
 
-def test_children_do_not_outlive_their_entry(host):
-    assert len(run(host, how="leave_children")) == 1
-    assert alone(host)
+def test_children_do_not_outlive_their_entry(sandbox):
+    assert len(run(sandbox, how="leave_children")) == 1
+    assert alone(sandbox)
 
 
-def test_100_megabytes_of_output_are_counted_and_thrown_away(host):
-    assert len(run(host, how="print")) == 1
-    assert host.verdict.printed == 100_000_000 + len("that was 100 MB\n")
-    assert host.verdict.last_words.endswith("that was 100 MB\n")
-    assert len(host.verdict.last_words) <= 4000
+def test_100_megabytes_of_output_are_counted_and_thrown_away(sandbox):
+    assert len(run(sandbox, how="print")) == 1
+    assert sandbox.run_status.output_size == 100_000_000 + len("that was 100 MB\n")
+    assert sandbox.run_status.output_tail.endswith("that was 100 MB\n")
+    assert len(sandbox.run_status.output_tail) <= 4000
 
 
 @pytest.mark.parametrize("how", ["kill_parent", "kill_grandparent", "stop_parent"])
-def test_an_entry_that_turns_on_those_who_watch_it_harms_itself_alone(host, how, monkeypatch):
-    monkeypatch.setattr(host_module, "PATIENCE", 1.0)
-    limit(host, seconds=1.5)
+def test_an_entry_that_turns_on_those_who_watch_it_harms_itself_alone(sandbox, how, monkeypatch):
+    monkeypatch.setattr(client_module, "GRACE_PERIOD", 1.0)
+    limit(sandbox, seconds=1.5)
     with pytest.raises(EntryError) as error:
-        run(host, how=how)
-    if host.isolation == "namespaces":  # it sees nobody to turn on
+        run(sandbox, how=how)
+    if sandbox.isolation == "namespaces":  # it sees nobody to turn on
         assert "ProcessLookupError: it sees nobody above" in str(error.value)
     else:
         assert "the process that watched over it was ended by" in str(error.value)
-    limit(host, seconds=20.0)
-    assert len(run(host, how="nothing")) == 1 and alone(host)
+    limit(sandbox, seconds=20.0)
+    assert len(run(sandbox, how="nothing")) == 1 and alone(sandbox)
 
 
-def test_the_judges_secrets_are_not_in_the_environment(host, monkeypatch):
-    only_once(host)
+def test_the_judges_secrets_are_not_in_the_environment(sandbox, monkeypatch):
+    only_once(sandbox)
     monkeypatch.setenv("ROADRECON_SECRET", "a token")
-    host._stop()
-    host._server = host._start()
+    sandbox._stop()
+    sandbox._server = sandbox._start()
     with pytest.raises(EntryError) as error:
-        run(host, how="ask_for_secrets")
+        run(sandbox, how="ask_for_secrets")
     assert "it has None at " in str(error.value) and str(Path.home()) not in str(error.value)
 
 
-def test_test_records_come_without_truth_road_and_seed(host, tmp_path):
+def test_test_records_come_without_truth_road_and_seed(sandbox, tmp_path):
     with pytest.raises(EntryError) as error:
-        run(host, how="look_for_truth", where=tmp_path)
-    given = ["ask.json", "test-0.parquet"]
+        run(sandbox, how="look_for_truth", where=tmp_path)
+    given = ["request.json", "test-0.parquet"]
     given += [f"training-{k}.{kind}" for k in range(2) for kind in ("npz", "parquet")]
     assert f"found [], given {given} and" in str(error.value)
     known = ["car", "reference", "seeds", "settings", "tests", "training"]
     assert str(error.value).endswith(f"and {known}")
 
 
-def test_no_message_leaves_the_machine_where_the_platform_can_help_it(host):
+def test_no_message_leaves_the_machine_where_the_platform_can_help_it(sandbox):
     heard = []
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(0.5)
@@ -222,45 +226,45 @@ def test_no_message_leaves_the_machine_where_the_platform_can_help_it(host):
 
         thread = threading.Thread(target=listen)
         thread.start()
-        call = partial(run, host, how="connect", where=server.getsockname()[1])
-        if host.isolation == "namespaces":
+        call = partial(run, sandbox, how="connect", where=server.getsockname()[1])
+        if sandbox.isolation == "namespaces":
             with pytest.raises(EntryError, match=r"Network is unreachable|refused"):
                 call()
         else:
             call()
         thread.join()
-    assert heard == ([] if host.isolation == "namespaces" else [b"the record is mine"])
+    assert heard == ([] if sandbox.isolation == "namespaces" else [b"the record is mine"])
 
 
-def test_in_namespaces_nothing_can_be_written_elsewhere_and_results_are_not_seen(host, tmp_path):
-    if host.isolation != "namespaces":
+def test_in_namespaces_nothing_can_be_written_elsewhere_and_results_are_not_seen(sandbox, tmp_path):
+    if sandbox.isolation != "namespaces":
         pytest.skip("no namespaces: an entry may write where its user may")
     results, other = tmp_path / "results", tmp_path / "other"
     for folder in (results, other):
         folder.mkdir()
         (folder / "row.json").write_text("{}")
-    host.hidden = (str(results),)
+    sandbox.hidden = (str(results),)
     with pytest.raises(EntryError, match="Read-only file system"):
-        run(host, how="write_elsewhere", where=other)
+        run(sandbox, how="write_elsewhere", where=other)
     with pytest.raises(EntryError, match=r"Read-only|No space"):
-        run(host, how="write_elsewhere", where=results)
+        run(sandbox, how="write_elsewhere", where=results)
     with pytest.raises(EntryError, match=r"found \[\],"):
-        run(host, how="look_for_truth", where=results)
+        run(sandbox, how="look_for_truth", where=results)
     with pytest.raises(EntryError, match=r"found \['row.json'\],"):
-        run(host, how="look_for_truth", where=other)
-    run(host, how="poison_kernels")
+        run(sandbox, how="look_for_truth", where=other)
+    run(sandbox, how="poison_kernels")
     assert [p.name for p in results.iterdir()] == [p.name for p in other.iterdir()] == ["row.json"]
     assert not (_numba.CACHE / "hostile.nbc").exists()
     (_numba.CACHE.parent / "entries" / _numba.CACHE.name / "hostile" / "hostile.nbc").unlink()
 
 
-def test_the_server_has_one_thread_when_it_forks(host):
-    run(host, how="nothing")
-    assert len(os.listdir(f"/proc/{host._server.pid}/task")) == 1
+def test_the_server_has_one_thread_when_it_forks(sandbox):
+    run(sandbox, how="nothing")
+    assert len(os.listdir(f"/proc/{sandbox._server.pid}/task")) == 1
 
 
-def test_a_plug_in_describes_itself_without_being_loaded_here(host, tmp_path, monkeypatch):
-    only_once(host)
+def test_a_plug_in_describes_itself_without_being_loaded_here(sandbox, tmp_path, monkeypatch):
+    only_once(sandbox)
     (tmp_path / "somebodys_slope.py").write_text(
         "import sys\n"
         "from dataclasses import dataclass\n"
@@ -278,8 +282,8 @@ def test_a_plug_in_describes_itself_without_being_loaded_here(host, tmp_path, mo
         "[roadrecon.estimators]\nslope = somebodys_slope:Slope\nsunken = no_such_module:Hole\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    with Host(host.limits) as fresh:
-        slope, sunken, flat = entries.named(["slope", "sunken", "flat"], fresh)
+    with SandboxClient(sandbox.limits) as fresh:
+        slope, sunken, flat = entries.resolve_entries(["slope", "sunken", "flat"], fresh)
     assert (slope.settings, slope.causal, slope.failure) == ({"steep": 0.5}, True, None)
     assert len(slope.code) == 16 and "somebodys_slope" not in sys.modules
     assert "it cannot be made: ConfigError: the estimator 'sunken'" in sunken.failure
@@ -288,8 +292,8 @@ def test_a_plug_in_describes_itself_without_being_loaded_here(host, tmp_path, mo
     (tmp_path / "somebodys_slope.py").write_text(
         (tmp_path / "somebodys_slope.py").read_text().replace("0.5", "0.6")
     )
-    with Host(host.limits) as fresh:
-        (slope,) = entries.named(["slope"], fresh)
+    with SandboxClient(sandbox.limits) as fresh:
+        (slope,) = entries.resolve_entries(["slope"], fresh)
     assert slope.code != before and slope.settings == {"steep": 0.6}
 
 

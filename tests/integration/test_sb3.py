@@ -20,12 +20,14 @@ def test_it_is_the_vector_environment_that_resets_within_the_step():
     ended = 0
     for _ in range(60):
         observation, reward, done, infos = ours.step(np.array([0, 1, 1]))
-        seen, expected, terminated, truncated, told = theirs.step(np.array([0, 1, 1]))
+        seen, expected, terminated, truncated, info_keys = theirs.step(np.array([0, 1, 1]))
         np.testing.assert_array_equal(observation, seen)
         np.testing.assert_array_equal(reward, expected.astype(np.float32))
         np.testing.assert_array_equal(done, terminated | truncated)
         for i in np.flatnonzero(done):
-            np.testing.assert_array_equal(infos[i]["terminal_observation"], told["final_obs"][i])
+            np.testing.assert_array_equal(
+                infos[i]["terminal_observation"], info_keys["final_obs"][i]
+            )
             assert infos[i]["TimeLimit.truncated"] is bool(truncated[i] and not terminated[i])
             ended += 1
         assert all("terminal_observation" not in infos[i] for i in np.flatnonzero(~done))
@@ -33,10 +35,10 @@ def test_it_is_the_vector_environment_that_resets_within_the_step():
 
 
 def test_a_car_that_fails_is_not_called_out_of_time():
-    envs = RoadReconVecEnv(2, told=["comfort"], **SHORT)
+    envs = RoadReconVecEnv(2, info_keys=["comfort"], **SHORT)
     envs.seed(0)
     envs.reset()
-    envs.env.convoy.cars.q[0, 0, 1] = np.nan
+    envs.env.fleet.state.q[0, 0, 1] = np.nan
     _, _, done, infos = envs.step(np.array([0, 0]))
     assert done.tolist() == [False, True]
     assert infos[1]["TimeLimit.truncated"] is False and "no longer finite" in infos[1]["reason"]

@@ -9,16 +9,21 @@ import pytest
 
 from leaderboard import cli
 from leaderboard.benchmarks import integrators
-from leaderboard.benchmarks.integrators import EXPLICIT, PeerError, Problem, relative_error
+from leaderboard.benchmarks.integrators import (
+    EXPLICIT_METHODS,
+    IntegrationProblem,
+    PeerError,
+    relative_error,
+)
 from leaderboard.commands import precision
 from road_envs.roads import load_road
 
-METHODS = (*EXPLICIT, "LSODA", "BDF", "Radau")
+METHODS = (*EXPLICIT_METHODS, "LSODA", "BDF", "Radau")
 
 
 @pytest.fixture(scope="module")
 def problem():
-    return Problem(0.6)
+    return IntegrationProblem(0.6)
 
 
 @pytest.fixture(scope="module")
@@ -37,13 +42,13 @@ def test_every_method_of_scipy_solves_the_same_drive(problem, truth, method):
 
 
 def test_both_of_ours_solve_the_same_drive(problem, truth):
-    assert relative_error(problem.fixed(0.000125), truth) < 0.003
+    assert relative_error(problem.fixed_step(0.000125), truth) < 0.003
     assert relative_error(problem.adaptive(1e-6), truth) < 0.003
 
 
 def test_steps_that_are_kept_short_see_a_bump_that_free_ones_may_jump_over():
     bump = load_road("bump_small").realise(np.random.default_rng(0))
-    blind, seeing = Problem(2.0, bump), Problem(2.0, bump, max_step=0.01)
+    blind, seeing = IntegrationProblem(2.0, bump), IntegrationProblem(2.0, bump, max_step=0.01)
     assert np.abs(blind.scipy("BDF", 1e-3)).max() < 1e-9
     truth = seeing.scipy("DOP853", 1e-6)
     assert np.abs(truth[:, 0]).max() > 5.0

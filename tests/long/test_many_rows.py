@@ -31,15 +31,15 @@ from pathlib import Path
 from rich.console import Console
 from test_many_rows import tasks
 from leaderboard.running.board import load_board
-from leaderboard.report.site import write_page
-from leaderboard.report.cache import shown
+from leaderboard.report.site import write_site
+from leaderboard.report.cache import build_report
 from leaderboard.report.terminal import print_tables
 
 out, begin = Path(sys.argv[1]), time.process_time()
 board = load_board(tasks(), out)
-found = shown(board, out)
+found = build_report(board, out)
 print_tables(found, Console(file=(out / "said.txt").open("w"), width=80))
-page = write_page(board, found, out)
+page = write_site(board, found, out)
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 print(peak, time.process_time() - begin, page.stat().st_size / 1e6)
 """
@@ -56,7 +56,7 @@ def many_rows(out, rows):
         made = run_task(one, entries, (1, 2), drive=fake_drives)
         for n in range(rows // TASKS):
             row = dataclasses.replace(made[n % len(made)], estimator=f"entry_{n:05d}")
-            write_text(store.path_of(out, one.name, row.estimator), store.to_text(row))
+            write_text(store.row_path(out, one.name, row.estimator), store.to_text(row))
 
 
 def driver(out):

@@ -2,7 +2,7 @@
 
 Nothing of the packages under test is imported; the paper's constants are typed here again, so that
 a wrong one in the code cannot hide. A `car` is anything with the attributes of a vehicle
-description; `memory` (4, 3) holds each strut's (held extension, open fraction, share of high
+description; `strut_state` (4, 3) holds each strut's (held extension, open fraction, share of high
 damping). "Paper" is Ngwangwa, Heyns, Breytenbach & Els.
 """
 
@@ -88,7 +88,7 @@ def static_loads(car):
 # --- the nonlinear car ----------------------------------------------------------------------------
 
 
-class Cubic:
+class CubicCurve:
     """A force curve: PCHIP through its breakpoints, straight on beyond them; and its integral."""
 
     def __init__(self, curve):
@@ -112,7 +112,7 @@ class Cubic:
         )
 
 
-AS_DESCRIBED = SimpleNamespace(
+NOMINAL = SimpleNamespace(
     **dict.fromkeys(("gas", "damper", "friction", "bushing", "tyre"), (1.0, 1.0, 1.0, 1.0)),
     tyre_progression=0.0,
     roll_stiffness=(0.0, 0.0),
@@ -126,46 +126,51 @@ class NonlinearCar:
     z points down, pitch beta is positive nose up, roll alpha, theta, phi lift the left side. In
     eq. 7 the left tyre's heave terms are negative; a tyre that would pull has no force at all, and
     one whose damper would do more than its spring has twice the spring's. Wheels stand in the order
-    lf, rf, lr, rr. `one` is a manufactured car of the description: factors of its parts, a tyre
-    of which the secant rises, bushings between body and axles, a body of two halves that twist.
-    With a frame an eighth coordinate, the twist, is the last.
+    lf, rf, lr, rr. `variation` has factors of the parts of one manufactured car, tyres of rising
+    secant stiffness, bushings between body and axles, and a body of two halves that twist. With a
+    frame an eighth coordinate, the twist, is the last.
     """
 
-    def __init__(self, car, one=AS_DESCRIBED):
-        self.car, self.strut, self.one = car, car.strut, one
+    def __init__(self, car, variation=NOMINAL):
+        self.car, self.strut, self.variation = car, car.strut, variation
         s = car.strut
-        self.damper = Cubic(s.damper.ride), Cubic(s.damper.handling)
-        self.friction = Cubic(s.friction.ride), Cubic(s.friction.handling)
-        self.bushing = Cubic(s.bushing)
-        self.stops = Cubic(s.bump_stop.front), Cubic(s.bump_stop.rear)
+        self.damper = CubicCurve(s.damper.ride), CubicCurve(s.damper.handling)
+        self.friction = CubicCurve(s.friction.ride), CubicCurve(s.friction.handling)
+        self.bushing = CubicCurve(s.bushing)
+        self.stops = CubicCurve(s.bump_stop.front), CubicCurve(s.bump_stop.rear)
         axles = (car.front, car.front, car.rear, car.rear)
         self.k_t, self.c_t = np.array([[a.k_t, a.c_t] for a in axles]).T
-        self.k_t = self.k_t * one.tyre
+        self.k_t = self.k_t * variation.tyre
         loads = static_loads(car)[1]
         self.delta = np.repeat([loads[0] / car.front.k_t, loads[1] / car.rear.k_t], 2)
         if car.tyre_static_deflection != "equilibrium":
             self.delta[:] = car.tyre_static_deflection
 
-    def gas(self, memory, e):
+    def gas(self, strut_state, e):
         """Force [N] of the gas springs at extensions `e` (4,); a tangent below the least column."""
         s = self.strut
-        held, opened = memory[:, 0], memory[:, 1]
+        held, opened = strut_state[:, 0], strut_state[:, 1]
         e_2 = held + opened * e * s.x_2 / (s.x_1 + s.x_2)
         x = s.x_1 + (e - e_2)
         least = np.maximum(x, s.column_min)
-        F = np.array(self.one.gas) * s.p_stat * s.A * (s.x_1 / least) ** s.n_p
+        F = np.array(self.variation.gas) * s.p_stat * s.A * (s.x_1 / least) ** s.n_p
         return F * (1.0 - s.n_p * (x - least) / least)
 
-    def strut_forces(self, memory, e, e_dot):
+    def strut_forces(self, strut_state, e, e_dot):
         """Forces (4,) [N] that extend the struts."""
-        share = memory[:, 2]
-        d_w, f_w = np.array(self.one.damper), np.array(self.one.friction)
+        share = strut_state[:, 2]
+        d_w, f_w = np.array(self.variation.damper), np.array(self.variation.friction)
         losses = [
             d_w * d(e_dot) + f_w * f(e_dot) for d, f in zip(self.damper, self.friction, strict=True)
         ]
         stops = np.concatenate([self.stops[0](e[:2]), self.stops[1](e[2:])])
         damping = (1.0 - share) * losses[0] + share * losses[1]
-        return self.gas(memory, e) - damping - np.array(self.one.bushing) * self.bushing(e) - stops
+        return (
+            self.gas(strut_state, e)
+            - damping
+            - np.array(self.variation.bushing) * self.bushing(e)
+            - stops
+        )
 
     def extensions(self, z_b, alpha, beta, z_uf, theta, z_ur, phi, twist=0.0):
         """Extensions (4,) of the struts, or their rates, in the paper's coordinates."""
@@ -181,28 +186,28 @@ class NonlinearCar:
             ]
         )
 
-    def accelerations(self, memory, q, v, z_r, w_r, lean=None):
+    def accelerations(self, strut_state, q, v, z_r, w_r, manoeuvre=None):
         """Accelerations (7,) in the project's axes, of the corrected equations 2 to 8.
 
-        `lean`, if given, is (l_roll, l_pitch, a_x, a_y): in a manoeuvre the body is an inverted
-        pendulum of these lengths [m] in the field of gravity less the accelerations [m/s2].
+        `manoeuvre`, if given, is (l_roll, l_pitch, a_x, a_y): the body is then an inverted pendulum
+        of these lengths [m] in the field of gravity less the accelerations [m/s2].
         """
         car = self.car
         to_paper = np.array([-1.0, 1.0, -1.0, -1.0, 1.0, -1.0, 1.0, 1.0])[: len(q)]
         now, rate = to_paper * q, to_paper * v
         F_lf, F_rf, F_lr, F_rr = self.strut_forces(
-            memory, self.extensions(*now), self.extensions(*rate)
+            strut_state, self.extensions(*now), self.extensions(*rate)
         )
         psi = now[7] if len(q) == 8 else 0.0
-        R_f = self.one.roll_stiffness[0] * (now[1] + 0.5 * psi - now[4])
-        R_r = self.one.roll_stiffness[1] * (now[1] - 0.5 * psi - now[6])
+        R_f = self.variation.roll_stiffness[0] * (now[1] + 0.5 * psi - now[4])
+        R_r = self.variation.roll_stiffness[1] * (now[1] - 0.5 * psi - now[6])
         z_b2 = (car.m_b * G - F_rr - F_lr - F_lf - F_rf) / car.m_b  # eq. 2
         M_f = F_lf * car.front.y_s - F_rf * car.front.y_s - R_f
         M_r = F_lr * car.rear.y_s - F_rr * car.rear.y_s - R_r
         alpha2 = (M_f + M_r) / car.I_xx  # eq. 5
         beta2 = ((F_lf + F_rf) * car.front.x - (F_rr + F_lr) * -car.rear.x) / car.I_yy  # eq. 6
-        if lean is not None:
-            l_roll, l_pitch, a_x, a_y = lean
+        if manoeuvre is not None:
+            l_roll, l_pitch, a_x, a_y = manoeuvre
             alpha2 += car.m_b * l_roll * (a_y + G * now[1]) / car.I_xx
             beta2 += car.m_b * l_pitch * (a_x + G * now[2]) / car.I_yy
         axles = []
@@ -212,8 +217,10 @@ class NonlinearCar:
             (r_l, r_r), (w_l, w_r_) = -z_r[2 * i : 2 * i + 2], -w_r[2 * i : 2 * i + 2]
             c, d, delta = axle.y_t, axle.y_s, self.delta[2 * i]
 
-            k_l, c_l = self.touching(2 * i, z - c * roll - r_l, z_1 - c * roll_1 - w_l)
-            k_r, c_r = self.touching(2 * i + 1, z + c * roll - r_r, z_1 + c * roll_1 - w_r_)
+            k_l, c_l = self.tyre_coefficients(2 * i, z - c * roll - r_l, z_1 - c * roll_1 - w_l)
+            k_r, c_r = self.tyre_coefficients(
+                2 * i + 1, z + c * roll - r_r, z_1 + c * roll_1 - w_r_
+            )
             left = k_r * z + k_r * c * roll + c_r * z_1 + c_r * c * roll_1  # eq. 3, 4
             left += k_l * z - k_l * c * roll + c_l * z_1 - c_l * c * roll_1
             right = k_r * r_r + c_r * w_r_ - k_r * delta + k_l * r_l + c_l * w_l - k_l * delta
@@ -224,25 +231,25 @@ class NonlinearCar:
             right += c * k_r * r_r + c * c_r * w_r_ - c * k_r * delta + d * (F_r - F_l)
             axles += [z_2, (right - left + R) / axle.I_xx]
         if len(q) == 8:
-            inertia, omega = 0.25 * car.I_xx, 2.0 * np.pi * self.one.frame.f
-            spring = omega**2 * psi + 2.0 * self.one.frame.zeta * omega * rate[7]
+            inertia, omega = 0.25 * car.I_xx, 2.0 * np.pi * self.variation.frame.f
+            spring = omega**2 * psi + 2.0 * self.variation.frame.zeta * omega * rate[7]
             axles.append(0.5 * (M_f - M_r) / inertia - spring)
         return to_paper * np.array([z_b2, alpha2, beta2, *axles])
 
-    def touching(self, wheel, u, u_1):
+    def tyre_coefficients(self, wheel, u, u_1):
         """Secant stiffness and damping of a tyre compressed by `u` beyond its deflection."""
         x = u + self.delta[wheel]
-        k = self.k_t[wheel] * (1.0 + self.one.tyre_progression * u)
+        k = self.k_t[wheel] * (1.0 + self.variation.tyre_progression * u)
         if x <= 0.0 or k * x + self.c_t[wheel] * u_1 <= 0.0:
             return 0.0, 0.0
         return (2.0 * k, 0.0) if self.c_t[wheel] * u_1 > k * x else (k, self.c_t[wheel])
 
-    def energy(self, memory, q, v, z_r):
+    def energy(self, strut_state, q, v, z_r):
         """Mechanical energy [J]: kinetic, of position, gas, bushings and stops, tyres."""
         car, s = self.car, self.strut
         masses = np.array([car.m_b, car.I_xx, car.I_yy, car.front.m, car.front.I_xx, car.rear.m,
                            car.rear.I_xx, 0.25 * car.I_xx])[: len(q)]  # fmt: skip
-        psi, one = (q[7] if len(q) == 8 else 0.0), self.one
+        psi, variation = (q[7] if len(q) == 8 else 0.0), self.variation
         e, y_t = np.empty(4), np.array([1.0, -1.0, 1.0, -1.0])
         wheels = np.empty(4)
         for w, axle in enumerate((car.front, car.front, car.rear, car.rear)):
@@ -250,31 +257,31 @@ class NonlinearCar:
             body = q[1] + (0.5 if w < 2 else -0.5) * psi
             e[w] = q[0] - axle.x * q[2] - height + y_t[w] * axle.y_s * (body - roll)
             wheels[w] = height + y_t[w] * axle.y_t * roll
-        share = 1.0 - memory[:, 1] * s.x_2 / (s.x_1 + s.x_2)
-        x = s.x_1 + share * e - memory[:, 0]
+        share = 1.0 - strut_state[:, 1] * s.x_2 / (s.x_1 + s.x_2)
+        x = s.x_1 + share * e - strut_state[:, 0]
         assert (x > s.column_min).all(), "the closed form ends at the tangent"
-        pA = s.p_stat * s.A * np.array(one.gas)
+        pA = s.p_stat * s.A * np.array(variation.gas)
         if s.n_p == 1.0:
             gas = -pA * s.x_1 / share * np.log(x / s.x_1)
         else:
             n = 1.0 - s.n_p
             gas = -pA * s.x_1**s.n_p / share * (x**n - s.x_1**n) / n
-        stops = (np.array(one.bushing) * self.bushing.integral(e)).sum()
+        stops = (np.array(variation.bushing) * self.bushing.integral(e)).sum()
         stops += self.stops[0].integral(e[:2]).sum() + self.stops[1].integral(e[2:]).sum()
-        x, rise = np.maximum(self.delta + z_r - wheels, 0.0), one.tyre_progression
+        x, rise = np.maximum(self.delta + z_r - wheels, 0.0), variation.tyre_progression
         tyres = self.k_t * (0.5 * (1.0 - rise * self.delta) * x**2 + rise * x**3 / 3.0)
         position = G * (car.m_b * q[0] + car.front.m * q[3] + car.rear.m * q[5])
         rolls = np.array([q[1] + 0.5 * psi - q[4], q[1] - 0.5 * psi - q[6]])
-        turned = 0.5 * np.array(one.roll_stiffness) @ rolls**2
-        if one.frame is not None:
-            turned += 0.5 * 0.25 * car.I_xx * (2.0 * np.pi * one.frame.f * psi) ** 2
+        turned = 0.5 * np.array(variation.roll_stiffness) @ rolls**2
+        if variation.frame is not None:
+            turned += 0.5 * 0.25 * car.I_xx * (2.0 * np.pi * variation.frame.f * psi) ** 2
         return 0.5 * masses @ v**2 + position + gas.sum() + stops + tyres.sum() + turned
 
 
 # --- road, valve, integrator, instruments ---------------------------------------------------------
 
 
-class Road:
+class SplineRoad:
     """Heights and slopes under the four wheels: Catmull-Rom through the samples, level outside."""
 
     def __init__(self, z, ds, start=0.0):
@@ -286,19 +293,19 @@ class Road:
         self.z = CubicHermiteSpline(s, z, slope, axis=1)
         self.dz = self.z.derivative()
 
-    def under(self, s, wheelbase, v):
+    def wheel_inputs(self, s, wheelbase, v):
         """Heights and rates (4,) with the front axle at `s` and the speed `v`."""
         at = np.clip([s, s - wheelbase], *self.ends)
         return self.z(at).T.ravel(), v * self.dz(at).T.ravel()
 
 
-def trajectory(car, memory, road, v, s_0, y_0, times, one=AS_DESCRIBED, **options):
+def trajectory(car, strut_state, road, v, s_0, y_0, times, variation=NOMINAL, **options):
     """States (14, N) at `times` by an adaptive method of SciPy; the struts' memory stands still."""
-    oracle, wheelbase, n = NonlinearCar(car, one), car.front.x - car.rear.x, len(y_0) // 2
+    oracle, wheelbase, n = NonlinearCar(car, variation), car.front.x - car.rear.x, len(y_0) // 2
 
     def rate(t, y):
-        z_r, w_r = road.under(s_0 + v * t, wheelbase, v)
-        return np.concatenate([y[n:], oracle.accelerations(memory, y[:n], y[n:], z_r, w_r)])
+        z_r, w_r = road.wheel_inputs(s_0 + v * t, wheelbase, v)
+        return np.concatenate([y[n:], oracle.accelerations(strut_state, y[:n], y[n:], z_r, w_r)])
 
     found = solve_ivp(rate, (0.0, times[-1]), y_0, t_eval=times, **options)
     assert found.success

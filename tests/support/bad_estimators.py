@@ -9,20 +9,22 @@ from typing import ClassVar
 
 import numpy as np
 
-from road_envs.data.record import Estimate, grid
-from road_envs.sensing.filters import process
+from road_envs.data.record import Estimate, profile_stations
+from road_envs.sensing.filters import preprocess_accelerations
 
 
 @dataclass(frozen=True, kw_only=True)
-class Honest:
+class Valid:
     """Left is made of one rear accelerometer, right of the other, whatever was lost bridged."""
 
     causal: ClassVar[bool] = False
 
     def estimate(self, record, car):
-        stations = grid(record.length)
+        stations = profile_stations(record.length)
         a = np.array([_bridged(record.t, x) for x in record.a[1:]])
-        return Estimate(stations, -0.01 * record.at(stations, process(a, record.fs)))
+        return Estimate(
+            stations, -0.01 * record.interpolate(stations, preprocess_accelerations(a, record.fs))
+        )
 
 
 def _bridged(t, x):
@@ -31,20 +33,20 @@ def _bridged(t, x):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fragile(Honest):
+class PassesMissingSamples(Valid):
     """Lets lost samples through."""
 
     def estimate(self, record, car):
-        z = -0.01 * record.at(grid(record.length), record.a[1:])
-        return Estimate(grid(record.length), z)
+        z = -0.01 * record.interpolate(profile_stations(record.length), record.a[1:])
+        return Estimate(profile_stations(record.length), z)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Choosy(Honest):
+class RefusesSome(Valid):
     """Says what it will not have; of a road that is short it only stumbles."""
 
     def estimate(self, record, car):
-        if record.high[0, 0] != record.stiff[0, 0]:
+        if record.damper_high[0, 0] != record.spring_stiff[0, 0]:
             raise ValueError("struts of this kind were never seen")
         if record.length < 10.0:
             return np.zeros(3)[int(record.t.size)]
@@ -52,14 +54,14 @@ class Choosy(Honest):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Seer(Honest):
+class NotCausal(Valid):
     """Says that it is causal, and filters both ways."""
 
     causal: ClassVar[bool] = True
 
 
 @dataclass(frozen=True, kw_only=True)
-class Dice(Honest):
+class NonDeterministic(Valid):
     """Another answer each time."""
 
     def estimate(self, record, car):
@@ -69,7 +71,7 @@ class Dice(Honest):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Slow(Honest):
+class Slow(Valid):
     """Takes 0.1 s for any record."""
 
     def estimate(self, record, car):
@@ -78,28 +80,28 @@ class Slow(Honest):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Broken(Honest):
+class Broken(Valid):
     def estimate(self, record, car):
         raise RuntimeError("out of order")
 
 
 @dataclass
-class Melting:
+class NotFrozen:
     causal: ClassVar[bool] = False
 
     def estimate(self, record, car): ...
 
 
 @dataclass(frozen=True)
-class Untrainable(Honest):
+class IncompleteTrainable(Valid):
     def fit(self, records, truths, car, seed): ...
 
 
 @dataclass(frozen=True)
-class Alone(Honest):
+class WrongSignature(Valid):
     def estimate(self, record): ...
 
 
 @dataclass(frozen=True)
-class Late(Honest):
+class NegativeLag(Valid):
     lag: ClassVar[float] = -1.0

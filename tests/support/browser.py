@@ -36,12 +36,12 @@ KEYS = {
 
 
 class Browser:
-    """One tab; `complaints` are errors of scripts and console, `asked` all addresses requested."""
+    """One tab; `errors` are errors of scripts and console, `asked` all addresses requested."""
 
     def __init__(self, patience: float = 60.0):
         self.patience, self.count, self.rest = patience, 0, b""
-        self.complaints: list[str] = []
-        self.asked: list[str] = []
+        self.errors: list[str] = []
+        self.requests: list[str] = []
         self.home = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         to_read, self.write = os.pipe()
         self.read, to_write = os.pipe()
@@ -64,11 +64,11 @@ class Browser:
 
     def _attach(self):
         self.session = None
-        target = self.ask("Target.createTarget", url="about:blank")["targetId"]
-        attached = self.ask("Target.attachToTarget", targetId=target, flatten=True)
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        attached = self.call("Target.attachToTarget", targetId=target, flatten=True)
         self.session = attached["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
-            self.ask(f"{domain}.enable")
+            self.call(f"{domain}.enable")
 
     def __enter__(self):
         return self
@@ -83,17 +83,17 @@ class Browser:
     def open(self, path: Path, width: int = 1280, height: int = 1000, after: str = ""):
         """Open a file, with `after` behind its name, and wait until its scripts have run."""
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-        self.ask("Emulation.setDeviceMetricsOverride", **size)
-        self.ask("Page.navigate", url="about:blank")
-        self.ask("Page.navigate", url=path.as_uri() + after)
+        self.call("Emulation.setDeviceMetricsOverride", **size)
+        self.call("Page.navigate", url="about:blank")
+        self.call("Page.navigate", url=path.as_uri() + after)
         end = time.monotonic() + self.patience
         while not self.value(READY % json.dumps(path.name)):
-            assert time.monotonic() < end, f"{path} is not ready: {self.complaints}"
+            assert time.monotonic() < end, f"{path} is not ready: {self.errors}"
             time.sleep(0.05)
 
     def value(self, script: str):
         """The value of an expression in the page."""
-        found = self.ask("Runtime.evaluate", expression=script, returnByValue=True)
+        found = self.call("Runtime.evaluate", expression=script, returnByValue=True)
         assert "exceptionDetails" not in found, found["exceptionDetails"]
         return found["result"].get("value")
 
@@ -103,14 +103,14 @@ class Browser:
             code, text = KEYS[name]
             key = {"key": name, "windowsVirtualKeyCode": code, "nativeVirtualKeyCode": code}
             down = {"type": "keyDown", "text": text} if text else {"type": "rawKeyDown"}
-            self.ask("Input.dispatchKeyEvent", **key, **down)
-            self.ask("Input.dispatchKeyEvent", **key, type="keyUp")
+            self.call("Input.dispatchKeyEvent", **key, **down)
+            self.call("Input.dispatchKeyEvent", **key, type="keyUp")
 
     def picture(self, path: Path):
         """What is seen, as PNG."""
-        path.write_bytes(base64.b64decode(self.ask("Page.captureScreenshot")["data"]))
+        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot")["data"]))
 
-    def ask(self, method: str, **params) -> dict:
+    def call(self, method: str, **params) -> dict:
         """Send a command and return its answer; what happens meanwhile is noted."""
         self.count += 1
         message = {"id": self.count, "method": method, "params": params}
@@ -128,11 +128,11 @@ class Browser:
         params = heard.get("params", {})
         match heard.get("method"):
             case "Runtime.exceptionThrown":
-                self.complaints.append(json.dumps(params["exceptionDetails"]))
+                self.errors.append(json.dumps(params["exceptionDetails"]))
             case "Log.entryAdded":
-                self.complaints.append(params["entry"]["text"])
+                self.errors.append(params["entry"]["text"])
             case "Network.requestWillBeSent":
-                self.asked.append(params["request"]["url"])
+                self.requests.append(params["request"]["url"])
 
     def _next(self) -> dict:
         end = time.monotonic() + self.patience

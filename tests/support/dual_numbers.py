@@ -2,8 +2,8 @@
 
     NUMBA_DISABLE_JIT=1 python dual_numbers.py cases.npz derivatives.npz
 
-Reads `n_cases` and for each case its plant (`numbers` as bytes, `velocity`, `displacement`),
-`memory`, `y` (14,), `road` (16,), `turn` (4,), `h` and the changes `dy`, `droad`; writes the
+Reads `n_cases` and for each case its plant (`constants` as bytes, `velocity`, `displacement`),
+`strut_state`, `y` (14,), `road` (16,), `a_xy` (4,), `h` and the changes `dy`, `droad`; writes the
 changes of the end (14,) and of the signals at the beginning (29,).
 """
 
@@ -12,7 +12,7 @@ import sys
 import numpy as np
 
 from road_envs.simulation import rosenbrock
-from road_envs.vehicle.equations import NUMBERS
+from road_envs.vehicle.equations import PLANT_DTYPE
 
 
 class Dual:
@@ -77,11 +77,13 @@ def main(cases, derivatives):
     end, signals = [], []
     for i in range(int(given["n_cases"])):
         case = {key.split("/")[1]: given[key] for key in given if key.startswith(f"{i}/")}
-        p = np.frombuffer(case["numbers"].tobytes(), dtype=NUMBERS).view(np.recarray)[0]
-        work = rosenbrock.Work(*(np.empty(a.shape, dtype=object) for a in rosenbrock.workspace()))
-        y, out = duals(case["y"], case["dy"]), np.empty(rosenbrock.SIGNALS, dtype=object)
-        world = (duals(case["road"], case["droad"]), case["turn"], float(case["h"]))
-        tables = case["velocity"], case["displacement"], case["memory"]
+        p = np.frombuffer(case["constants"].tobytes(), dtype=PLANT_DTYPE).view(np.recarray)[0]
+        work = rosenbrock.StepWorkspace(
+            *(np.empty(a.shape, dtype=object) for a in rosenbrock.workspace())
+        )
+        y, out = duals(case["y"], case["dy"]), np.empty(rosenbrock.N_SIGNALS, dtype=object)
+        world = (duals(case["road"], case["droad"]), case["a_xy"], float(case["h"]))
+        tables = case["velocity"], case["displacement"], case["strut_state"]
         rosenbrock.step(p, *tables, y[:7], y[7:], *world, work, out)
         end.append([dual(a).d for a in y])
         signals.append([dual(a).d for a in out])

@@ -11,10 +11,10 @@ from typing import ClassVar
 import numpy as np
 
 from estimators.api import NotFittedError
-from leaderboard.evaluation.tasks import Condition, Drives, Task
-from leaderboard.evaluation.test_data import Drive
+from leaderboard.evaluation.tasks import Condition, DriveSet, Task
+from leaderboard.evaluation.test_data import RecordedDrive
 from road_envs.config import build
-from road_envs.data.record import Estimate, Profile, Record, grid
+from road_envs.data.record import Estimate, Profile, Record, profile_stations
 
 RATE = 400.0
 
@@ -38,9 +38,9 @@ def task(name: str = "small", **changes) -> Task:
     return build(Task, {**settings, **changes}, name)
 
 
-def fake_drives(task: Task, drives: Drives, condition: Condition):
-    """As `leaderboard.evaluation.test_data.simulated`, of sensors that see the road itself."""
-    for road, seed in drives.pairs:
+def fake_drives(task: Task, drives: DriveSet, condition: Condition):
+    """As `test_data.simulate_drives`, with sensors that measure the road itself."""
+    for road, seed in drives.roads_and_seeds:
         surface = road.realise(np.random.default_rng(seed))
         v = condition.speed_kmh / 3.6
         t = np.arange(int(surface.length / v * RATE) + 2) / RATE
@@ -49,9 +49,9 @@ def fake_drives(task: Task, drives: Drives, condition: Condition):
         state = np.zeros((t.size, 4), dtype=bool)
         a = np.concatenate([surface.height(s), noise])
         record = Record(t, a, np.full(t.size, v), s, state, state, surface.length)
-        stations = grid(surface.length)
+        stations = profile_stations(surface.length)
         truth = Profile(stations, surface.height(stations))
-        yield Drive(surface.name, seed, record, truth, surface.notes)
+        yield RecordedDrive(surface.name, seed, record, truth, surface.notes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,8 +63,8 @@ class Reader:
     gain: float = 0.9
 
     def estimate(self, record, car) -> Estimate:
-        stations = grid(record.length)
-        return Estimate(stations, self.gain * record.at(stations, record.a[:2]))
+        stations = profile_stations(record.length)
+        return Estimate(stations, self.gain * record.interpolate(stations, record.a[:2]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +103,7 @@ class Doubtful:
     std: float
 
     def estimate(self, record, car) -> Estimate:
-        stations = grid(record.length)
+        stations = profile_stations(record.length)
         z = np.zeros((stations.size, 2)).T  # by columns, as some numpy code leaves it
         return Estimate(stations, z, np.full_like(z, self.std))
 
@@ -117,7 +117,7 @@ class Broken:
     how: str
 
     def estimate(self, record, car) -> Estimate:
-        stations = grid(record.length)
+        stations = profile_stations(record.length)
         z = np.zeros((2, stations.size))
         match self.how:
             case "raises":

@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from road_envs.data.record import Estimate, grid
+from road_envs.data.record import Estimate, profile_stations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +28,7 @@ class Hostile:
     where: str = ""
 
     def estimate(self, record, car) -> Estimate:
-        stations = grid(record.length)
+        stations = profile_stations(record.length)
         answer = globals()["does_" + self.how](self.where, record)
         return answer or Estimate(stations, np.zeros((2, stations.size)))
 
@@ -140,8 +140,8 @@ def does_patch_judge(where, record):
     from leaderboard.metrics import heights
 
     heights.nrmse = lambda *a, **k: 0.0
-    leaderboard.entry.check_estimate = lambda *a, **k: None
-    stations = grid(record.length)
+    leaderboard.evaluation.entry.check_estimate = lambda *a, **k: None
+    stations = profile_stations(record.length)
     return Estimate(stations, np.full((2, stations.size), np.nan))
 
 
@@ -152,10 +152,10 @@ def does_look_for_truth(where, record):
         for path in folder.rglob("*"):
             if path.suffix == ".npz" and "training" not in path.name:
                 found.append(path.name)
-            if path.suffix == ".json" and path.name != "ask.json":
+            if path.suffix == ".json" and path.name != "request.json":
                 found.append(path.name)
     names = sorted(f.name for f in Path.cwd().parent.joinpath("in").iterdir())
-    known = json.loads(Path.cwd().parent.joinpath("in", "ask.json").read_text())
+    known = json.loads(Path.cwd().parent.joinpath("in", "request.json").read_text())
     raise RuntimeError(f"found {found}, given {names} and {sorted(known)}")
 
 
@@ -202,28 +202,28 @@ def does_fill(where, record):
 
 
 def does_forge_answer(where, record):
-    _out("answer.json").write_text('{"trainings": [{"seed": 7, "score": 0.0}]}')
+    _out("response.json").write_text('{"trainings": [{"seed": 7, "score": 0.0}]}')
     os._exit(0)
 
 
 def does_link_answer(where, record):
-    _out("answer.json").symlink_to("/etc/hostname")
+    _out("response.json").symlink_to("/etc/hostname")
     os._exit(0)
 
 
 def does_answer_with_a_pipe(where, record):
-    os.mkfifo(_out("answer.json"))
+    os.mkfifo(_out("response.json"))
     os._exit(0)
 
 
 def does_answer_at_length(where, record):
-    _out("answer.json").write_text('{"failure": "' + "x" * 2_000_000 + '"}')
+    _out("response.json").write_text('{"failure": "' + "x" * 2_000_000 + '"}')
     os._exit(0)
 
 
 def does_answer_without_estimates(where, record):
     told = {"seed": 1, "train_seconds": 0.0, "estimate_seconds": 0.0, "parameters": 0}
-    _out("answer.json").write_text(json.dumps({"trainings": [told]}))
+    _out("response.json").write_text(json.dumps({"trainings": [told]}))
     os._exit(0)
 
 
@@ -236,11 +236,11 @@ def does_send_a_bomb(where, record):
 
 
 def does_send_another_name(where, record):
-    does_send_arrays(z0=np.zeros((2, grid(record.length).size)), truth=np.zeros(3))
+    does_send_arrays(z0=np.zeros((2, profile_stations(record.length).size)), truth=np.zeros(3))
 
 
 def does_send_half(where, record):
-    np.savez(_out("seed-1.npz"), z0=np.zeros((2, grid(record.length).size)))
+    np.savez(_out("seed-1.npz"), z0=np.zeros((2, profile_stations(record.length).size)))
     data = _out("seed-1.npz").read_bytes()
     _out("seed-1.npz").write_bytes(data[: len(data) // 2])
     does_answer_without_estimates(where, record)

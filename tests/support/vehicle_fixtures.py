@@ -7,22 +7,22 @@ from hypothesis import strategies as st
 
 from road_envs.roads.surface import Surface
 from road_envs.simulation import rosenbrock
-from road_envs.vehicle.equations import accelerations, plant
+from road_envs.vehicle.equations import accelerations, build_plant
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.parameters import (
     Axle,
-    Frame,
-    Individual,
     ModeCurves,
+    TorsionalFrame,
     VehicleParameters,
+    VehicleVariation,
     load_vehicle,
 )
-from road_envs.vehicle.suspension import command, memory_at_rest
+from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 DEFENDER = load_vehicle("land_rover_defender_110")
 
 
-def lopsided() -> VehicleParameters:
+def unequal_axles_car() -> VehicleParameters:
     """A car on which nothing in front is as behind, with a polytropic gas and a slow valve."""
     front = Axle(x=1.2, m=190.0, I_xx=27.0, y_s=0.5, y_t=0.72, k_t=230000.0, c_t=900.0)
     rear = Axle(x=-1.6, m=260.0, I_xx=41.0, y_s=0.6, y_t=0.78, k_t=310000.0, c_t=1500.0)
@@ -30,7 +30,7 @@ def lopsided() -> VehicleParameters:
     valve = replace(DEFENDER.valve, lag=0.004, equalisation=0.05)
     return replace(
         DEFENDER,
-        name="lopsided",
+        name="unequal_axles",
         m_b=1500.0,
         I_xx=600.0,
         I_yy=2600.0,
@@ -56,10 +56,10 @@ def lossless(car: VehicleParameters) -> VehicleParameters:
     )
 
 
-CARS = {"defender": DEFENDER, "lopsided": lopsided()}
-PLANTS = {name: plant(car) for name, car in CARS.items()}
-LEANING = {name: plant(car, manoeuvres=True) for name, car in CARS.items()}
-ODD = Individual(
+CARS = {"defender": DEFENDER, "unequal_axles": unequal_axles_car()}
+PLANTS = {name: build_plant(car) for name, car in CARS.items()}
+MANOEUVRE_PLANTS = {name: build_plant(car, manoeuvres=True) for name, car in CARS.items()}
+VARIED = VehicleVariation(
     gas=(1.03, 0.96, 0.99, 1.02),
     damper=(1.1, 0.85, 1.2, 0.9),
     friction=(0.8, 1.3, 1.1, 0.9),
@@ -69,12 +69,16 @@ ODD = Individual(
     roll_stiffness=(5000.0, 2000.0),
 )
 """No two struts or tyres alike; and the same with a frame that twists."""
-TWISTING = replace(ODD, frame=Frame(f=11.0, zeta=0.05))
-ODDS = {"odd": ODD, "twisting": TWISTING}
-ODD_PLANTS = {name: plant(CARS["lopsided"], individual=one) for name, one in ODDS.items()}
-ODD_LEANING = {name: plant(CARS["lopsided"], True, one) for name, one in ODDS.items()}
-LEVEL = Surface(np.zeros((2, 8)), 1.0, name="level")
-STILL = np.zeros(4)
+VARIED_FLEXIBLE = replace(VARIED, frame=TorsionalFrame(f=11.0, zeta=0.05))
+VARIATIONS = {"varied": VARIED, "flexible": VARIED_FLEXIBLE}
+VARIED_PLANTS = {
+    name: build_plant(CARS["unequal_axles"], variation=one) for name, one in VARIATIONS.items()
+}
+VARIED_MANOEUVRE_PLANTS = {
+    name: build_plant(CARS["unequal_axles"], True, one) for name, one in VARIATIONS.items()
+}
+FLAT_SURFACE = Surface(np.zeros((2, 8)), 1.0, name="level")
+ZEROS = np.zeros(4)
 
 
 def vectors(size: int, *bounds: float):
@@ -86,40 +90,50 @@ def vectors(size: int, *bounds: float):
 coordinates = vectors(7, 0.12, 0.1, 0.08, 0.08, 0.08, 0.08, 0.08)
 rates = vectors(7, 2.0, 2.0, 1.0, 3.0, 2.0, 3.0, 2.0)
 shares = st.sampled_from([0.0, 1.0]) | st.floats(0.0, 1.0)
-memories = st.tuples(
+strut_states = st.tuples(
     *(st.tuples(st.floats(-0.03, 0.03), shares, shares) for _ in range(4)),
 ).map(np.array)
 """Each strut with a memory of its own: no car of these is symmetric."""
 
 
-def accelerate(
-    plant, memory, q, v, z_r=STILL, w_r=STILL, turn=(0.0, 0.0), kernel=accelerations
+def compute_accelerations(
+    plant, strut_state, q, v, z_r=ZEROS, w_r=ZEROS, a_xy=(0.0, 0.0), kernel=accelerations
 ) -> np.ndarray:
     """Accelerations (7,) by the kernel; with the frame's twist, eight of everything."""
     out = np.empty(len(q))
-    kernel(*plant.arrays, memory, q, v, z_r, w_r, out, *turn)
+    kernel(*plant.arrays, strut_state, q, v, z_r, w_r, out, *a_xy)
     return out
 
 
-def roll_on(
-    plant, y, *, h, steps, surface=LEVEL, speed=10.0, s_0=0.0, memory=None, mode="ride", turn=None
+def run_integrator(
+    plant,
+    y,
+    *,
+    h,
+    steps,
+    surface=FLAT_SURFACE,
+    speed=10.0,
+    s_0=0.0,
+    strut_state=None,
+    mode="ride",
+    a_xy=None,
 ):
-    """Signals (steps, 29) from the state `y`, which is driven on in place, as is `memory`.
+    """Signals (steps, 29) from the state `y`, which is driven on in place, as is `strut_state`.
 
-    A flexible car has 32. `turn`, if given, is the manoeuvre's a_x and a_y (2 steps + 1, 2) at
+    A flexible car has 32. `a_xy`, if given, is the manoeuvre's a_x and a_y (2 steps + 1, 2) at
     every half step.
     """
-    if memory is None:
-        memory = memory_at_rest(command(mode))
-    stiff, high = memory[:, 1] == 0.0, memory[:, 2] == 1.0
+    if strut_state is None:
+        strut_state = settled_strut_state(encode_command(mode))
+    stiff, high = strut_state[:, 1] == 0.0, strut_state[:, 2] == 1.0
     byte = sum((int(stiff[w]) << w) | (int(high[w]) << (4 + w)) for w in range(4))
     s = s_0 + speed * 0.5 * h * np.arange(2 * steps + 1)
-    turn = np.zeros((s.size, 2)) if turn is None else turn
-    road = (surface.padded, surface.start, surface.ds, s, np.full(s.size, speed), turn)
+    a_xy = np.zeros((s.size, 2)) if a_xy is None else a_xy
+    road = (surface.padded, surface.start, surface.ds, s, np.full(s.size, speed), a_xy)
     valve = (np.full(steps, byte, dtype=np.uint8), 0.01, h)
     more = (True,) if plant.flexible else ()
-    out = np.empty((steps, rosenbrock.signals_of(plant)))
-    rosenbrock.drive(*plant.arrays, memory, y, *road, *valve, out, *more)
+    out = np.empty((steps, rosenbrock.n_signals(plant)))
+    rosenbrock.integrate(*plant.arrays, strut_state, y, *road, *valve, out, *more)
     return out
 
 

@@ -9,13 +9,19 @@ from pathlib import Path
 import pytest
 
 from road_envs import _atomic_io
-from road_envs._atomic_io import Scratch, sweep, sweep_scratch, whole, write_text
+from road_envs._atomic_io import (
+    TempFolder,
+    atomic_write,
+    remove_stale_partials,
+    remove_stale_temp,
+    write_text,
+)
 
 
 def test_a_file_takes_its_place_only_when_it_is_complete(tmp_path):
     path = tmp_path / "name.txt"
     write_text(path, "old")
-    with whole(path) as partial:
+    with atomic_write(path) as partial:
         partial.write_text("half")
         assert path.read_text() == "old"
         partial.write_text("whole")
@@ -27,7 +33,7 @@ def test_a_file_takes_its_place_only_when_it_is_complete(tmp_path):
 def test_what_goes_wrong_leaves_the_old_file_and_nothing_else(tmp_path, error, durable):
     path = tmp_path / "name.txt"
     write_text(path, "old")
-    with pytest.raises(type(error)), whole(path, durable=durable) as partial:
+    with pytest.raises(type(error)), atomic_write(path, durable=durable) as partial:
         partial.write_text("half")
         raise error
     assert path.read_text() == "old" and os.listdir(tmp_path) == ["name.txt"]
@@ -47,7 +53,7 @@ def test_writers_of_one_file_do_not_write_into_each_other(tmp_path):
     path, together = tmp_path / "name.txt", threading.Barrier(4)
 
     def write(letter):
-        with whole(path) as partial:
+        with atomic_write(path) as partial:
             together.wait(10)
             partial.write_text(letter * 100_000)
             together.wait(10)
@@ -63,8 +69,8 @@ def test_writers_of_one_file_do_not_write_into_each_other(tmp_path):
 
 KILLED = """
 import os, sys
-from road_envs._atomic_io import whole
-with whole(sys.argv[1]) as partial:
+from road_envs._atomic_io import atomic_write
+with atomic_write(sys.argv[1]) as partial:
     partial.write_text("half")
     os.kill(os.getpid(), 9)
 """
@@ -77,17 +83,17 @@ def test_what_a_killed_writer_left_is_swept_and_what_a_living_one_writes_is_not(
     assert done.returncode == -9
     (left,) = folder.iterdir()
     (folder / ".other.txt.elsewhere-999999-1-0.partial").write_text("of another machine")
-    with whole(folder / "mine.txt") as partial:
+    with atomic_write(folder / "mine.txt") as partial:
         partial.write_text("being written")
-        sweep(tmp_path)
+        remove_stale_partials(tmp_path)
         assert partial.exists() and not left.exists()
     assert sorted(os.listdir(folder)) == [".other.txt.elsewhere-999999-1-0.partial", "mine.txt"]
 
 
 HOLDS = """
 import sys, time
-from road_envs._atomic_io import Scratch
-with Scratch() as folder:
+from road_envs._atomic_io import TempFolder
+with TempFolder() as folder:
     (folder / "large").mkdir()
     (folder / "large" / "file").write_text("text")
     print(folder, flush=True)
@@ -112,20 +118,20 @@ def test_a_temporary_folder_goes_with_its_owner_and_of_the_dead_at_the_next_star
 ):
     monkeypatch.setattr(_atomic_io.tempfile, "tempdir", str(tmp_path))
     (tmp_path / "roadrecon-my-road").mkdir()  # such as a newcomer's package
-    (tmp_path / f"{_atomic_io.SCRATCH}of-somebody").mkdir()  # without a lock
+    (tmp_path / f"{_atomic_io.TEMP_PREFIX}of-somebody").mkdir()  # without a lock
     others = sorted(tmp_path.iterdir())
     living, his = holder(tmp_path)
     dead, left = holder(tmp_path)
     try:
         dead.kill()
         dead.wait()
-        with Scratch() as mine:
+        with TempFolder() as mine:
             assert mine.parent == tmp_path and (left / "large" / "file").exists()
-            assert sweep_scratch() == [left]
+            assert remove_stale_temp() == [left]
             assert sorted(tmp_path.iterdir()) == sorted([*others, mine, his])
             assert (his / "large" / "file").exists()
         assert not mine.exists()
     finally:
         living.kill()
         living.wait()
-    assert sweep_scratch() == [his] and sorted(tmp_path.iterdir()) == others
+    assert remove_stale_temp() == [his] and sorted(tmp_path.iterdir()) == others

@@ -74,7 +74,7 @@ def test_a_steady_sine_has_the_rms_of_its_weight():
 
 
 def test_gravity_is_not_felt_in_the_long_run():
-    a = comfort.weighted(np.full(60000, 9.81), 1000.0)
+    a = comfort.apply_wk(np.full(60000, 9.81), 1000.0)
     assert np.abs(a[-1000:]).max() < 1e-6
 
 
@@ -95,7 +95,7 @@ def test_a_signal_may_be_weighted_piece_by_piece(seed, cut):
     zi = np.zeros_like(sosfilt_zi(sos))
     head, zi = sosfilt(sos, a[:cut], zi=zi)
     tail, _ = sosfilt(sos, a[cut:], zi=zi)
-    np.testing.assert_allclose(np.r_[head, tail], comfort.weighted(a, 400.0), atol=1e-12)
+    np.testing.assert_allclose(np.r_[head, tail], comfort.apply_wk(a, 400.0), atol=1e-12)
 
 
 def test_channels_are_weighted_each_for_itself():

@@ -7,9 +7,17 @@ from hypothesis import strategies as st
 
 from road_envs.config import ConfigError
 from road_envs.roads import Road, load_road, with_length
-from road_envs.roads.composite import Fixed, Flat
+from road_envs.roads.composite import (
+    Concatenated,
+    FixedSeed,
+    Flat,
+    Offset,
+    Scaled,
+    Superposed,
+    Tiled,
+    WithAprons,
+)
 from road_envs.roads.iso8608 import Iso8608
-from road_envs.roads.layout import Joined, Offset, Repeated, RunIn, Scaled, Summed
 
 ISO = Iso8608(road_class="C", length=20.0)
 BUMP = load_road("bump_small")
@@ -21,7 +29,7 @@ def rng(seed=0):
 
 def test_a_run_in_is_level_and_the_road_follows_it():
     alone = ISO.realise(rng())
-    surface = RunIn(road=ISO, before=5.0, after=7.0).realise(rng())
+    surface = WithAprons(road=ISO, before=5.0, after=7.0).realise(rng())
     assert surface.end == pytest.approx(32.0)
     np.testing.assert_array_equal(surface.height(np.linspace(0.0, 5.0, 40)), 0.0)
     s = np.linspace(0.0, 20.0, 333)
@@ -54,7 +62,7 @@ def test_a_scaled_road_is_as_high_and_as_long_as_its_factors_say(height, length)
 
 @pytest.mark.parametrize(("repeat", "sign"), [("repeat", 1.0), ("mirror", -1.0)])
 def test_a_repeated_road_is_one_draw_again_and_again(repeat, sign):
-    surface = Repeated(road=ISO, length=90.0, repeat=repeat).realise(rng(4))
+    surface = Tiled(road=ISO, length=90.0, repeat=repeat).realise(rng(4))
     s = np.linspace(0.0, 20.0, 200)
     for start in (40.0, 80.0) if repeat == "mirror" else (20.0, 40.0, 60.0):
         there = surface.height(start + sign * s[:100])
@@ -67,8 +75,8 @@ def test_a_repeated_road_is_one_draw_again_and_again(repeat, sign):
 
 
 def test_joined_roads_follow_one_another_without_a_step():
-    parts = (Fixed(road=ISO, seed=1), BUMP, Fixed(road=Iso8608(G_d0=1e-3, ds=0.04), seed=2))
-    surface = Joined(roads=parts).realise(rng())
+    parts = (FixedSeed(road=ISO, seed=1), BUMP, FixedSeed(road=Iso8608(G_d0=1e-3, ds=0.04), seed=2))
+    surface = Concatenated(roads=parts).realise(rng())
     assert surface.end == pytest.approx(20.0 + BUMP.length + 100.0)
     assert surface.ds == 0.005
     start = 0.0
@@ -81,16 +89,16 @@ def test_joined_roads_follow_one_another_without_a_step():
 
 
 def test_a_road_more_at_the_end_changes_none_before_it():
-    two = Joined(roads=(ISO, ISO)).realise(rng(7))
-    three = Joined(roads=(ISO, ISO, ISO)).realise(rng(7))
+    two = Concatenated(roads=(ISO, ISO)).realise(rng(7))
+    three = Concatenated(roads=(ISO, ISO, ISO)).realise(rng(7))
     np.testing.assert_array_equal(three.z[:, : two.z.shape[1]], two.z)
     first, second = two.z[:, :2001], two.z[:, 2000:] - two.z[:, 2000:2001]
     assert np.abs(first - second).max() > 0.01
 
 
 def test_summed_roads_lie_on_top_of_one_another():
-    parts = (Fixed(road=ISO, seed=1), BUMP, Flat(length=30.0))
-    surface = Summed(roads=parts).realise(rng())
+    parts = (FixedSeed(road=ISO, seed=1), BUMP, Flat(length=30.0))
+    surface = Superposed(roads=parts).realise(rng())
     s = np.arange(0.0, 30.0, 0.005)
     expected = sum(part.realise(rng()).height(s) for part in parts)
     np.testing.assert_allclose(surface.height(s), expected, atol=1e-9)
@@ -146,7 +154,7 @@ def test_roads_of_roads_of_roads_keep_the_contract(mapping, seed):
 @given(st.integers(0, 2**32))
 def test_a_road_that_is_wrapped_is_drawn_as_it_is_alone(seed):
     alone = ISO.realise(rng(seed)).z
-    for road in (RunIn(road=ISO, before=0.0, after=0.0), Offset(road=ISO), Scaled(road=ISO)):
+    for road in (WithAprons(road=ISO, before=0.0, after=0.0), Offset(road=ISO), Scaled(road=ISO)):
         np.testing.assert_allclose(road.realise(rng(seed)).z, alone, atol=1e-12)
 
 
@@ -155,9 +163,9 @@ def test_a_road_that_is_wrapped_is_drawn_as_it_is_alone(seed):
 
 @pytest.mark.parametrize(
     "road",
-    [RunIn(road=ISO, before=4.0, after=3.0), Offset(road=ISO, left=2.0),
-     Repeated(road=ISO, length=5.0),
-     Scaled(road=RunIn(road=ISO), length_factor=0.3), load_road("iso_c_varying")],
+    [WithAprons(road=ISO, before=4.0, after=3.0), Offset(road=ISO, left=2.0),
+     Tiled(road=ISO, length=5.0),
+     Scaled(road=WithAprons(road=ISO), length_factor=0.3), load_road("iso_c_varying")],
     ids=lambda road: type(road).__name__,
 )  # fmt: skip
 def test_a_road_made_of_one_other_can_be_asked_for_at_another_length(road):
@@ -195,8 +203,8 @@ def test_a_wrong_layout_is_one_sentence_about_the_culprit(source, says):
 
 @pytest.mark.parametrize(
     "road",
-    [RunIn(road=BUMP, before=1e9), Offset(road=BUMP, right=1e9), Repeated(road=BUMP, length=1e9),
-     Joined(roads=(BUMP, RunIn(road=Flat(), after=1e9)))],
+    [WithAprons(road=BUMP, before=1e9), Offset(road=BUMP, right=1e9), Tiled(road=BUMP, length=1e9),
+     Concatenated(roads=(BUMP, WithAprons(road=Flat(), after=1e9)))],
     ids=lambda road: type(road).__name__,
 )  # fmt: skip
 def test_a_road_too_long_for_a_computer_is_refused_when_it_is_drawn(road):

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import pytest
 
 from road_envs import config
-from road_envs.config import ConfigError, build, load, names, one_of, read_yaml
+from road_envs.config import ConfigError, build, load, names, read_yaml, validate_choice
 from road_envs.sensing.data_logger import Instruments
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.perturbed_vehicle import Deviations
+from road_envs.vehicle.perturbed_vehicle import PlantMismatch
 
 DEFENDER = read_yaml(config.find("vehicles", "land_rover_defender_110"))
 PAPER = read_yaml(config.find("sensors", "paper"))
@@ -159,7 +159,7 @@ def test_an_unknown_name_is_refused_with_the_names_that_exist():
         f"known: {', '.join(names('vehicles'))}"
     )
     with pytest.raises(ConfigError, match="unknown colour 7; known: blue, red"):
-        one_of("colour", 7, ["red", "blue"])
+        validate_choice("colour", 7, ["red", "blue"])
 
 
 def test_numbers_are_numbers_and_lists_become_tuples():
@@ -181,7 +181,7 @@ def test_numbers_are_numbers_and_lists_become_tuples():
 
 @pytest.mark.parametrize(
     ("cls", "kind"),
-    [(VehicleParameters, "vehicles"), (Instruments, "sensors"), (Deviations, "field")],
+    [(VehicleParameters, "vehicles"), (Instruments, "sensors"), (PlantMismatch, "field")],
 )
 def test_everything_shipped_loads_by_name_and_by_path(cls, kind):
     assert names(kind)

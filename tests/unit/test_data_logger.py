@@ -15,10 +15,10 @@ from vehicle_fixtures import CARS, DEFENDER
 from road_envs import config
 from road_envs.config import ConfigError
 from road_envs.data.record import SENSORS
-from road_envs.sensing.data_logger import Logger, load_instruments
-from road_envs.sensing.filters import butterworth, process, run_sections
+from road_envs.sensing.data_logger import DataLogger, load_instruments
+from road_envs.sensing.filters import butterworth_sos, preprocess_accelerations, sosfilt_kernel
 from road_envs.simulation.drive import Trajectory
-from road_envs.simulation.rosenbrock import ACCELERATION, SIGNALS
+from road_envs.simulation.rosenbrock import ACCELERATION, N_SIGNALS
 
 IDEAL, PAPER = load_instruments("ideal"), load_instruments("paper")
 STEP = 0.001
@@ -26,7 +26,7 @@ STEP = 0.001
 
 def motion(acceleration) -> Trajectory:
     """A trajectory of body accelerations (N, 3): heave, roll, pitch."""
-    signals = np.zeros((len(acceleration), SIGNALS))
+    signals = np.zeros((len(acceleration), N_SIGNALS))
     signals[:, ACCELERATION : ACCELERATION + 3] = acceleration
     t = STEP * np.arange(len(acceleration))
     return Trajectory(t, 15.0 * t, np.full(t.size, 15.0), np.zeros(t.size, np.uint8), signals)
@@ -37,8 +37,8 @@ def part(trajectory, where) -> Trajectory:
     return Trajectory(*(getattr(trajectory, f)[where] for f in fields))
 
 
-def logger(instruments=IDEAL, car=DEFENDER, step=STEP, seed=0) -> Logger:
-    return Logger(instruments, car, step, np.random.default_rng(seed))
+def logger(instruments=IDEAL, car=DEFENDER, step=STEP, seed=0) -> DataLogger:
+    return DataLogger(instruments, car, step, np.random.default_rng(seed))
 
 
 def noise(size=4000, seed=1, scale=2.0):
@@ -52,10 +52,10 @@ def noise(size=4000, seed=1, scale=2.0):
 def test_sensors_feel_the_rigid_body_where_the_paper_put_them(name):
     """A constant acceleration passes the filter; 120 mm behind the front axle, 620 mm the rear."""
     car = CARS[name]
-    places = [(car.front.x - 0.12, -0.55), (car.rear.x - 0.62, 0.55), (car.rear.x - 0.62, -0.55)]
+    locations = [(car.front.x - 0.12, -0.55), (car.rear.x - 0.62, 0.55), (car.rear.x - 0.62, -0.55)]
     for heave, roll, pitch in np.vstack([np.eye(3), [1.0, -2.0, 0.5]]):
-        found = logger(car=car).sense(motion(np.tile([heave, roll, pitch], (3000, 1))))[:, -1]
-        expected = [oracles.point_acceleration(heave, roll, pitch, x, y) for x, y in places]
+        found = logger(car=car).sample(motion(np.tile([heave, roll, pitch], (3000, 1))))[:, -1]
+        expected = [oracles.point_acceleration(heave, roll, pitch, x, y) for x, y in locations]
         np.testing.assert_allclose(found, expected, atol=1e-9)
     assert SENSORS == ("RF", "LR", "RR")
 
@@ -63,7 +63,7 @@ def test_sensors_feel_the_rigid_body_where_the_paper_put_them(name):
 @pytest.mark.parametrize("name", CARS)
 def test_the_places_an_estimator_is_told_are_those_of_the_sensors(name):
     car = CARS[name]
-    assert PAPER.places(car) == {
+    assert PAPER.locations(car) == {
         "RF": (car.front.x - 0.12, -0.55),
         "LR": (car.rear.x - 0.62, 0.55),
         "RR": (car.rear.x - 0.62, -0.55),
@@ -89,7 +89,7 @@ def test_noise_has_its_density_at_every_step(step):
     """Welch averages of K half-overlapping Hann segments err by about 1.1 / sqrt(K) each."""
     density, size, segment = 0.03, 2**17, 1024
     instruments = replace(IDEAL, noise_density=density)
-    samples = logger(instruments, step=step).sense(motion(np.zeros((size, 3))))
+    samples = logger(instruments, step=step).sample(motion(np.zeros((size, 3))))
     f, G = signal.welch(samples, fs=1000.0, nperseg=segment, axis=1)
     band = (f > 5.0) & (f < 100.0)
     found = G[:, band].mean(axis=1)
@@ -100,7 +100,7 @@ def test_noise_has_its_density_at_every_step(step):
 
 
 def test_the_papers_noise_is_a_tenth_of_a_metre_per_second_squared_in_100_hertz():
-    samples = logger(PAPER).sense(motion(np.zeros((2**16, 3))))
+    samples = logger(PAPER).sample(motion(np.zeros((2**16, 3))))
     below = signal.sosfiltfilt(signal.butter(8, 100.0, fs=1000.0, output="sos"), samples, axis=1)
     np.testing.assert_allclose(below.std(axis=1), 0.1, rtol=0.03)
 
@@ -109,11 +109,11 @@ def test_an_instrument_clips_at_its_range_before_the_filter():
     assert PAPER.range == pytest.approx(4.0 * oracles.G)
     blows = np.repeat([100.0, -100.0, 100.0], 1000)
     trajectory = motion(np.outer(blows, [1.0, 0.0, 0.0]))
-    clipped = logger(replace(PAPER, noise_density=0.0)).sense(trajectory)
+    clipped = logger(replace(PAPER, noise_density=0.0)).sample(trajectory)
     for end, sign in ((999, 1.0), (1999, -1.0), (2999, 1.0)):
         np.testing.assert_allclose(clipped[:, end], sign * PAPER.range, rtol=1e-6)
     assert clipped.max() > 1.05 * PAPER.range  # the filter overshoots what was clipped
-    assert logger(IDEAL).sense(trajectory)[0, 999] == pytest.approx(100.0)
+    assert logger(IDEAL).sample(trajectory)[0, 999] == pytest.approx(100.0)
 
 
 @pytest.mark.parametrize(("step", "f"), [(0.001, 100.0), (0.001, 333.0), (0.00025, 500.0),
@@ -122,7 +122,7 @@ def test_the_anti_alias_filter_attenuates_as_a_fourth_order_butterworth(step, f)
     t = step * np.arange(round(1.0 / step))
     tone = motion(np.outer(np.sin(2.0 * np.pi * f * t), [1.0, 0.0, 0.0]))
     instruments = replace(IDEAL, fs=1.0 / step, f_alias=333.0)
-    samples = logger(instruments, step=step).sense(tone)[0]
+    samples = logger(instruments, step=step).sample(tone)[0]
     found = 2.0 * np.abs(np.mean((samples * np.exp(-2j * np.pi * f * t))[t >= 0.5]))
     expected = oracles.butterworth_gain(f, 333.0, 4, 1.0 / step)
     assert found == pytest.approx(expected, rel=1e-3)
@@ -133,14 +133,14 @@ def test_the_anti_alias_filter_attenuates_as_a_fourth_order_butterworth(step, f)
 @pytest.mark.parametrize(("step", "every"), [(0.001, 1), (0.0005, 2), (0.0001, 10)])
 def test_a_sample_is_the_filtered_acceleration_at_its_instant(step, every):
     trajectory = motion(noise(1003))
-    all_of_them = logger(replace(IDEAL, fs=1.0 / step), step=step).sense(trajectory)
-    np.testing.assert_array_equal(logger(step=step).sense(trajectory), all_of_them[:, ::every])
+    all_of_them = logger(replace(IDEAL, fs=1.0 / step), step=step).sample(trajectory)
+    np.testing.assert_array_equal(logger(step=step).sample(trajectory), all_of_them[:, ::every])
 
 
 def test_the_filter_is_scipys():
     a = noise(500).T
-    sos, memory, out = butterworth(4, 80.0, 1000.0), np.zeros((2, 3, 2)), np.empty((3, 500))
-    run_sections(sos, memory, a, out)
+    sos, memory, out = butterworth_sos(4, 80.0, 1000.0), np.zeros((2, 3, 2)), np.empty((3, 500))
+    sosfilt_kernel(sos, memory, a, out)
     expected, left = signal.sosfilt(sos, a, axis=1, zi=np.zeros((2, 3, 2)))
     np.testing.assert_allclose(out, expected, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(memory, left, rtol=1e-10, atol=1e-12)
@@ -150,9 +150,9 @@ def test_the_filter_is_scipys():
 @given(st.lists(st.integers(0, 700), max_size=8), st.sampled_from([0.001, 0.00025]))
 def test_chunks_are_sensed_as_the_whole_to_the_bit(cuts, step):
     trajectory, edges = motion(noise(700)), [0, *sorted(cuts), 700]
-    whole = logger(PAPER, step=step).sense(trajectory)
+    whole = logger(PAPER, step=step).sample(trajectory)
     piecewise = logger(PAPER, step=step)
-    parts = [piecewise.sense(part(trajectory, slice(*ends))) for ends in pairwise(edges)]
+    parts = [piecewise.sample(part(trajectory, slice(*ends))) for ends in pairwise(edges)]
     np.testing.assert_array_equal(np.concatenate(parts, axis=1), whole)
 
 
@@ -166,8 +166,8 @@ def test_speed_has_one_relative_error_a_drive():
 def test_a_speed_error_draws_no_other_noise():
     trajectory = motion(np.zeros((50, 3)))
     np.testing.assert_array_equal(
-        logger(PAPER).sense(trajectory),
-        logger(replace(PAPER, speed_error=0.02)).sense(trajectory),
+        logger(PAPER).sample(trajectory),
+        logger(replace(PAPER, speed_error=0.02)).sample(trajectory),
     )
 
 
@@ -182,8 +182,10 @@ def test_a_sampling_rate_between_steps_is_refused(fs, step):
 
 def test_processing_removes_the_mean():
     a = 3.0 + noise(5000).T
-    assert np.abs(process(a, 1000.0).mean(axis=1)).max() < 0.01
-    np.testing.assert_allclose(process(a + 40.0, 1000.0), process(a, 1000.0), atol=1e-9)
+    assert np.abs(preprocess_accelerations(a, 1000.0).mean(axis=1)).max() < 0.01
+    np.testing.assert_allclose(
+        preprocess_accelerations(a + 40.0, 1000.0), preprocess_accelerations(a, 1000.0), atol=1e-9
+    )
 
 
 def tone(f, fs=1000.0, seconds=20.0):
@@ -199,7 +201,7 @@ def gain(processed, f, fs=1000.0):
 
 @pytest.mark.parametrize("f", [1.0, 10.0, 25.0, 50.0])
 def test_offline_processing_is_6_db_down_at_25_hertz_and_delays_nothing(f):
-    found = gain(process(tone(f), 1000.0), f)
+    found = gain(preprocess_accelerations(tone(f), 1000.0), f)
     assert found == pytest.approx(oracles.butterworth_gain(f, 25.0, 4, 1000.0) ** 2, abs=1e-4)
     if f == 25.0:
         assert 20.0 * np.log10(abs(found)) == pytest.approx(-6.02, abs=0.01)
@@ -207,26 +209,29 @@ def test_offline_processing_is_6_db_down_at_25_hertz_and_delays_nothing(f):
 
 @pytest.mark.parametrize("f", [1.0, 10.0, 25.0, 50.0])
 def test_causal_processing_is_3_db_down_at_25_hertz(f):
-    found = abs(gain(process(tone(f), 1000.0, causal=True), f))
+    found = abs(gain(preprocess_accelerations(tone(f), 1000.0, causal=True), f))
     assert found == pytest.approx(oracles.butterworth_gain(f, 25.0, 4, 1000.0), abs=2e-3)
 
 
 def test_causal_processing_does_not_see_the_future_and_forgets_the_mean():
     a = noise(4000).T
-    whole, cut = process(a, 1000.0, causal=True), process(a[:, :2500], 1000.0, causal=True)
+    whole, cut = (
+        preprocess_accelerations(a, 1000.0, causal=True),
+        preprocess_accelerations(a[:, :2500], 1000.0, causal=True),
+    )
     np.testing.assert_array_equal(whole[:, :2500], cut)
     b = a.copy()
     b[:, 2500:] += 7.0
-    np.testing.assert_array_equal(process(b, 1000.0, causal=True)[:, :2500], cut)
-    constant = process(np.full((1, 40_000), 2.0), 1000.0, causal=True)
+    np.testing.assert_array_equal(preprocess_accelerations(b, 1000.0, causal=True)[:, :2500], cut)
+    constant = preprocess_accelerations(np.full((1, 40_000), 2.0), 1000.0, causal=True)
     assert abs(constant[0, -1]) < 2.0 * np.exp(-2.0 * np.pi * 0.05 * 39.0) + 1e-3
 
 
 def test_processing_refuses_what_is_not_finite_or_too_short():
     with pytest.raises(ValueError, match="finite"):
-        process(np.array([[0.0, np.nan, 1.0]]), 1000.0)
+        preprocess_accelerations(np.array([[0.0, np.nan, 1.0]]), 1000.0)
     with pytest.raises(ValueError, match="length"):
-        process(np.zeros((3, 5)), 1000.0)
+        preprocess_accelerations(np.zeros((3, 5)), 1000.0)
 
 
 # --- what is shipped ------------------------------------------------------------------------------
@@ -236,7 +241,7 @@ def test_processing_refuses_what_is_not_finite_or_too_short():
 def test_every_shipped_set_of_instruments_can_log(name):
     instruments = load_instruments(name)
     assert instruments.name == name
-    assert np.isfinite(logger(instruments).sense(motion(noise(50)))).all()
+    assert np.isfinite(logger(instruments).sample(motion(noise(50)))).all()
 
 
 def test_the_papers_logger_samples_at_1_kilohertz_behind_333_hertz():

@@ -13,18 +13,26 @@ from vehicle_fixtures import CARS, DEFENDER, PLANTS, smooth_road
 
 from road_envs.config import ConfigError
 from road_envs.roads.surface import Surface
-from road_envs.simulation.drive import RUN_UP, Drive, SimulationError, Trajectory, simulate
-from road_envs.simulation.rosenbrock import SIGNALS
-from road_envs.vehicle.equations import plant
-from road_envs.vehicle.suspension import HELD, HIGH, OPEN, command
+from road_envs.simulation.drive import (
+    APRON_LENGTH,
+    DriveSimulator,
+    SimulationError,
+    Trajectory,
+    simulate,
+)
+from road_envs.simulation.rosenbrock import N_SIGNALS
+from road_envs.vehicle.equations import build_plant
+from road_envs.vehicle.suspension import DAMPING_HIGH, HELD_EXTENSION, VALVE_OPEN, encode_command
 
 ROAD = smooth_road(length=30.0, height=0.015)
-RIDE, HANDLING = command("ride"), command("handling")
+RIDE, HANDLING = encode_command("ride"), encode_command("handling")
 every_car = pytest.mark.parametrize("name", CARS)
 
 
-def drive(name="defender", road=ROAD, speed=15.0, mode="ride", step=0.001) -> Drive:
-    return Drive(PLANTS[name], CARS[name], road, speed, mode, step)
+def make_simulator(
+    name="defender", road=ROAD, speed=15.0, mode="ride", step=0.001
+) -> DriveSimulator:
+    return DriveSimulator(PLANTS[name], CARS[name], road, speed, mode, step)
 
 
 def commands(*pairs) -> np.ndarray:
@@ -32,15 +40,15 @@ def commands(*pairs) -> np.ndarray:
     return np.concatenate([np.full(count, byte, dtype=np.uint8) for byte, count in pairs])
 
 
-MIXED = commands((RIDE, 300), (HANDLING, 500), (command("soft_high"), 200), (RIDE, 700))
+MIXED = commands((RIDE, 300), (HANDLING, 500), (encode_command("soft_high"), 200), (RIDE, 700))
 
 
-def same(one: Trajectory, other: Trajectory) -> None:
+def assert_same(a: Trajectory, b: Trajectory) -> None:
     for field in ("t", "s", "v", "commands", "signals"):
-        np.testing.assert_array_equal(getattr(one, field), getattr(other, field))
+        np.testing.assert_array_equal(getattr(a, field), getattr(b, field))
 
 
-def joined(parts) -> Trajectory:
+def concatenate(parts) -> Trajectory:
     fields = ("t", "s", "v", "commands", "signals")
     return Trajectory(*(np.concatenate([getattr(p, f) for p in parts]) for f in fields))
 
@@ -48,35 +56,35 @@ def joined(parts) -> Trajectory:
 @settings(max_examples=20)
 @given(st.lists(st.integers(0, MIXED.size), max_size=8))
 def test_a_drive_in_chunks_is_the_drive_as_a_whole_to_the_bit(cuts):
-    whole, chunked = drive(), drive()
+    whole, chunked = make_simulator(), make_simulator()
     parts = [chunked.advance(part) for part in np.split(MIXED, sorted(cuts))]
-    same(joined(parts), whole.advance(MIXED))
+    assert_same(concatenate(parts), whole.advance(MIXED))
     np.testing.assert_array_equal(chunked.state, whole.state)
-    np.testing.assert_array_equal(chunked.memory, whole.memory)
+    np.testing.assert_array_equal(chunked.strut_state, whole.strut_state)
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda d: pickle.loads(pickle.dumps(d))])
 def test_a_copy_taken_mid_way_goes_on_to_the_bit_and_leaves_the_original_alone(duplicate):
-    original = drive()
+    original = make_simulator()
     original.advance(MIXED[:310])  # commands are still on their way to the valves
     twin = duplicate(original)
-    same(twin.advance(MIXED[310:]), original.advance(MIXED[310:]))
+    assert_same(twin.advance(MIXED[310:]), original.advance(MIXED[310:]))
     assert twin.steps == original.steps and twin.state is not original.state
 
 
 def test_copies_do_not_make_the_kernels_compile_again():
-    from road_envs.simulation.rosenbrock import drive as kernel
+    from road_envs.simulation.rosenbrock import integrate as kernel
 
-    drive().advance(MIXED[:3])
+    make_simulator().advance(MIXED[:3])
     before = len(kernel.signatures)
-    copy.deepcopy(drive()).advance(MIXED[:3])
-    pickle.loads(pickle.dumps(drive())).advance(MIXED[:3])
+    copy.deepcopy(make_simulator()).advance(MIXED[:3])
+    pickle.loads(pickle.dumps(make_simulator())).advance(MIXED[:3])
     assert len(kernel.signatures) == before
 
 
 def test_half_the_step_is_the_same_drive():
-    coarse = drive().advance(MIXED)
-    fine = drive(step=0.0005).advance(np.repeat(MIXED, 2))
+    coarse = make_simulator().advance(MIXED)
+    fine = make_simulator(step=0.0005).advance(np.repeat(MIXED, 2))
     for signal, tolerance in (("state", 0.02), ("acceleration", 0.05), ("tyre_load", 0.02)):
         a, b = getattr(coarse, signal), getattr(fine, signal)[::2]
         error = np.sqrt(np.mean((a - b) ** 2, axis=0))
@@ -106,29 +114,29 @@ def test_a_drive_starts_at_rest_on_an_apron_of_any_height_and_cross_fall():
 
 
 def test_a_drive_begins_before_the_road_and_ends_behind_it():
-    one = drive()
-    assert one.station == -RUN_UP and not one.over
-    steps = one.steps_left
-    trajectory = one.advance(np.full(steps, RIDE))
-    assert one.over and one.steps_left == 0 and trajectory.t.size == steps
-    assert one.station == pytest.approx(30.0 + DEFENDER.wheelbase + RUN_UP, abs=0.016)
-    np.testing.assert_allclose(trajectory.s, -RUN_UP + 15.0 * trajectory.t, atol=1e-9)
+    simulator = make_simulator()
+    assert simulator.station == -APRON_LENGTH and not simulator.is_finished
+    steps = simulator.steps_left
+    trajectory = simulator.advance(np.full(steps, RIDE))
+    assert simulator.is_finished and simulator.steps_left == 0 and trajectory.t.size == steps
+    assert simulator.station == pytest.approx(30.0 + DEFENDER.wheelbase + APRON_LENGTH, abs=0.016)
+    np.testing.assert_allclose(trajectory.s, -APRON_LENGTH + 15.0 * trajectory.t, atol=1e-9)
     np.testing.assert_allclose(trajectory.t, 0.001 * np.arange(steps), rtol=1e-12)
     assert (trajectory.v == 15.0).all() and (trajectory.commands == RIDE).all()
-    same(simulate(DEFENDER, ROAD, 15.0), trajectory)
+    assert_same(simulate(DEFENDER, ROAD, 15.0), trajectory)
 
 
 @every_car
 def test_each_wheel_meets_the_road_where_and_when_it_stands_on_it(name):
-    car, trajectory = CARS[name], drive(name).advance(MIXED)
-    oracle, road = oracles.NonlinearCar(car), oracles.Road(ROAD.z, ROAD.ds)
+    car, trajectory = CARS[name], make_simulator(name).advance(MIXED)
+    oracle, road = oracles.NonlinearCar(car), oracles.SplineRoad(ROAD.z, ROAD.ds)
     q, v = trajectory.state[:, :7], trajectory.state[:, 7:]
     y_t = np.array([a.y_t * side for a in car.axles for side in (1.0, -1.0)])
     for k in range(0, MIXED.size, 50):
-        z_r, w_r = road.under(-RUN_UP + 15.0 * 0.001 * k, car.wheelbase, 15.0)
+        z_r, w_r = road.wheel_inputs(-APRON_LENGTH + 15.0 * 0.001 * k, car.wheelbase, 15.0)
         u = z_r - (q[k, [3, 3, 5, 5]] + y_t * q[k, [4, 4, 6, 6]])
         u_dot = w_r - (v[k, [3, 3, 5, 5]] + y_t * v[k, [4, 4, 6, 6]])
-        secants = [oracle.touching(w, u[w], u_dot[w]) for w in range(4)]
+        secants = [oracle.tyre_coefficients(w, u[w], u_dot[w]) for w in range(4)]
         load = [k * (oracle.delta[w] + u[w]) + c * u_dot[w] for w, (k, c) in enumerate(secants)]
         np.testing.assert_allclose(trajectory.tyre_load[k], load, rtol=1e-9)
     assert np.abs(np.diff(trajectory.tyre_load[:, :2], axis=1)).max() > 500.0
@@ -136,9 +144,9 @@ def test_each_wheel_meets_the_road_where_and_when_it_stands_on_it(name):
 
 @every_car
 def test_signals_say_what_the_states_say(name):
-    trajectory = drive(name).advance(MIXED)
+    trajectory = make_simulator(name).advance(MIXED)
     car, q, h = CARS[name], trajectory.state, 0.001
-    assert trajectory.signals.shape == (MIXED.size, SIGNALS)
+    assert trajectory.signals.shape == (MIXED.size, N_SIGNALS)
     rates = (q[2:, :7] - q[:-2, :7]) / (2.0 * h)
     size = np.abs(q[:, 7:]).max(axis=0)
     np.testing.assert_allclose(rates / size, q[1:-1, 7:] / size, atol=0.02)
@@ -156,7 +164,7 @@ def test_signals_say_what_the_states_say(name):
 
 @given(st.floats(-3.0, 3.0), st.floats(-1.0, 1.0))
 def test_a_point_of_the_body_moves_with_the_rigid_body(x, y):
-    signals = np.zeros((1, SIGNALS))
+    signals = np.zeros((1, N_SIGNALS))
     signals[0, 14:17] = 1.3, -0.4, 0.7
     found = Trajectory(*np.zeros((4, 1)), signals).body_acceleration(x, y)
     assert found[0] == pytest.approx(oracles.point_acceleration(1.3, -0.4, 0.7, x, y))
@@ -180,7 +188,7 @@ def test_the_ten_millimetre_option_starts_as_the_paper_does():
 @pytest.mark.parametrize("step", [0.001, 0.0005])
 def test_nothing_at_all_happens_before_the_delay_of_the_valve(name, step):
     before, delay = round(0.3 / step), round(CARS[name].valve.delay / step)
-    kept, switched = drive(name, step=step), drive(name, step=step)
+    kept, switched = make_simulator(name, step=step), make_simulator(name, step=step)
     a = kept.advance(np.full(before + delay + 5, RIDE)).signals
     b = switched.advance(commands((RIDE, before), (HANDLING, delay + 5))).signals
     np.testing.assert_array_equal(a[: before + delay], b[: before + delay])
@@ -189,26 +197,30 @@ def test_nothing_at_all_happens_before_the_delay_of_the_valve(name, step):
 
 @pytest.mark.parametrize(("mode", "target"), [("handling", [0.0, 1.0]), ("ride", [1.0, 0.0])])
 def test_95_percent_of_a_switch_is_done_after_50_milliseconds(mode, target):
-    one = drive(mode="ride" if mode == "handling" else "handling")
-    one.advance(np.full(50, command(mode)))
-    np.testing.assert_allclose(one.memory[:, [OPEN, HIGH]], np.tile(target, (4, 1)), atol=0.05)
-    one.advance(np.full(250, command(mode)))
-    np.testing.assert_array_equal(one.memory[:, [OPEN, HIGH]], np.tile(target, (4, 1)))
+    simulator = make_simulator(mode="ride" if mode == "handling" else "handling")
+    simulator.advance(np.full(50, encode_command(mode)))
+    np.testing.assert_allclose(
+        simulator.strut_state[:, [VALVE_OPEN, DAMPING_HIGH]], np.tile(target, (4, 1)), atol=0.05
+    )
+    simulator.advance(np.full(250, encode_command(mode)))
+    np.testing.assert_array_equal(
+        simulator.strut_state[:, [VALVE_OPEN, DAMPING_HIGH]], np.tile(target, (4, 1))
+    )
 
 
 def test_a_strut_switches_alone():
-    one = drive()
+    simulator = make_simulator()
     single = {"FL": "ride", "FR": "handling", "RL": "stiff_low", "RR": "soft_high"}
-    one.advance(np.full(500, command(single)))
-    assert one.memory[:, OPEN].tolist() == [1.0, 0.0, 0.0, 1.0]
-    assert one.memory[:, HIGH].tolist() == [0.0, 1.0, 0.0, 1.0]
+    simulator.advance(np.full(500, encode_command(single)))
+    assert simulator.strut_state[:, VALVE_OPEN].tolist() == [1.0, 0.0, 0.0, 1.0]
+    assert simulator.strut_state[:, DAMPING_HIGH].tolist() == [0.0, 1.0, 0.0, 1.0]
 
 
 def test_struts_on_an_axle_share_their_force_without_a_jump_when_switched():
     """Halving the step halves every change from step to step, at the switches too."""
     largest = []
     for n in (1, 2, 4):
-        trajectory = drive(step=0.001 / n).advance(np.repeat(MIXED, n))
+        trajectory = make_simulator(step=0.001 / n).advance(np.repeat(MIXED, n))
         front = trajectory.tyre_load[:, :2].sum(axis=1)
         front -= DEFENDER.front.m * (trajectory.acceleration[:, 3] + oracles.G)
         switching = (trajectory.t > 0.29) & (trajectory.t < 0.45)
@@ -221,19 +233,19 @@ def test_a_switch_under_deflection_shifts_the_ride_height_and_switching_back_und
     """Over a step up, the springs are caught compressed or extended and stay so when closed."""
     car = CARS[name]
     step_up = Surface(np.tile(np.clip(np.arange(6000) * 0.05 - 9.0, 0.0, 0.08), (2, 1)), 0.05)
-    one = drive(name, step_up, speed=10.0)
-    before = one.advance(np.full(1480, RIDE)).extension[0]
-    one.advance(np.full(10_000, HANDLING))
-    closed = one.advance(np.full(1, HANDLING)).extension[0]
-    held = one.memory[:, HELD]
+    simulator = make_simulator(name, step_up, speed=10.0)
+    before = simulator.advance(np.full(1480, RIDE)).extension[0]
+    simulator.advance(np.full(10_000, HANDLING))
+    closed = simulator.advance(np.full(1, HANDLING)).extension[0]
+    held = simulator.strut_state[:, HELD_EXTENSION]
     assert np.abs(held).max() > 0.005
     ratio = oracles.static_loads(car)[0] / (car.strut.p_stat * car.strut.A)
     column = car.strut.x_1 * np.repeat(ratio, 2) ** (-1.0 / car.strut.n_p)
     np.testing.assert_allclose(closed - held, column - car.strut.x_1, atol=2e-5)
     assert np.abs(closed - before).max() > 0.004
-    back = one.advance(np.full(10_000, RIDE)).extension[-1]
+    back = simulator.advance(np.full(10_000, RIDE)).extension[-1]
     np.testing.assert_allclose(back, before, atol=2e-5)
-    assert (one.memory[:, HELD] == 0.0).all()
+    assert (simulator.strut_state[:, HELD_EXTENSION] == 0.0).all()
 
 
 # --- refusals -------------------------------------------------------------------------------------
@@ -255,22 +267,22 @@ def test_a_switch_under_deflection_shifts_the_ride_height_and_switching_back_und
 )
 def test_a_drive_that_cannot_be_is_refused_in_one_sentence(options, reason):
     with pytest.raises(ConfigError, match=reason):
-        drive(**options)
+        make_simulator(**options)
 
 
 @pytest.mark.parametrize("after", [0, 40])
 def test_a_motion_that_is_no_longer_finite_is_said_with_its_time(after):
-    one = drive()
-    one.advance(np.full(after + 10, RIDE))
-    one.state[3] = np.nan
+    simulator = make_simulator()
+    simulator.advance(np.full(after + 10, RIDE))
+    simulator.state[3] = np.nan
     with pytest.raises(SimulationError, match=rf"no longer finite at t = 0\.0{after + 10} s"):
-        one.advance(np.full(20, RIDE))
+        simulator.advance(np.full(20, RIDE))
 
 
 def test_a_plant_can_serve_many_drives():
-    shared = plant(DEFENDER)
+    shared = build_plant(DEFENDER)
     before = [a.copy() for a in shared.arrays]
     for mode in ("ride", "handling"):
-        Drive(shared, DEFENDER, ROAD, 15.0, mode).advance(MIXED)
+        DriveSimulator(shared, DEFENDER, ROAD, 15.0, mode).advance(MIXED)
     for a, b in zip(before, shared.arrays, strict=True):
         np.testing.assert_array_equal(a, b)

@@ -10,83 +10,94 @@ from hypothesis import strategies as st
 from vehicle_fixtures import (
     CARS,
     DEFENDER,
-    LEANING,
+    MANOEUVRE_PLANTS,
     PLANTS,
-    STILL,
-    accelerate,
+    ZEROS,
+    compute_accelerations,
     coordinates,
     lossless,
-    memories,
     rates,
+    strut_states,
     vectors,
 )
 
-from road_envs.vehicle.equations import Plant, accelerations, equilibrium, jacobian, plant
-from road_envs.vehicle.suspension import command, memory_at_rest
+from road_envs.vehicle.equations import Plant, accelerations, build_plant, equilibrium, jacobian
+from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 ORACLES = {name: oracles.NonlinearCar(car) for name, car in CARS.items()}
-FREE = {name: plant(lossless(car)) for name, car in CARS.items()}
+FREE = {name: build_plant(lossless(car)) for name, car in CARS.items()}
 MODES = ("ride", "handling")
 every_car = pytest.mark.parametrize("name", CARS)
 every_mode = pytest.mark.parametrize("mode", MODES)
 
 
 @every_car
-@given(coordinates, rates, memories, vectors(4, 0.15), vectors(4, 2.0))
-def test_the_car_moves_as_the_papers_equations_say(name, q, v, memory, z_r, w_r):
-    expected = ORACLES[name].accelerations(memory, q, v, z_r, w_r)
-    found = accelerate(PLANTS[name], memory, q, v, z_r, w_r)
+@given(coordinates, rates, strut_states, vectors(4, 0.15), vectors(4, 2.0))
+def test_the_car_moves_as_the_papers_equations_say(name, q, v, strut_state, z_r, w_r):
+    expected = ORACLES[name].accelerations(strut_state, q, v, z_r, w_r)
+    found = compute_accelerations(PLANTS[name], strut_state, q, v, z_r, w_r)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-7)
 
 
 @every_car
-@given(coordinates, rates, memories, vectors(2, 5.0))
-def test_in_a_manoeuvre_the_body_leans_as_an_inverted_pendulum(name, q, v, memory, turn):
+@given(coordinates, rates, strut_states, vectors(2, 5.0))
+def test_in_a_manoeuvre_the_body_leans_as_an_inverted_pendulum(name, q, v, strut_state, a_xy):
     car = CARS[name]
-    lean = car.h_cg - car.roll_centre, car.h_cg - car.pitch_centre, *turn
-    expected = ORACLES[name].accelerations(memory, q, v, STILL, STILL, lean)
-    found = accelerate(LEANING[name], memory, q, v, turn=turn)
+    lean = car.h_cg - car.roll_centre, car.h_cg - car.pitch_centre, *a_xy
+    expected = ORACLES[name].accelerations(strut_state, q, v, ZEROS, ZEROS, lean)
+    found = compute_accelerations(MANOEUVRE_PLANTS[name], strut_state, q, v, a_xy=a_xy)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-7)
-    upright = accelerate(PLANTS[name], memory, q, v)
-    np.testing.assert_array_equal(accelerate(PLANTS[name], memory, q, v, turn=turn), upright)
+    upright = compute_accelerations(PLANTS[name], strut_state, q, v)
+    np.testing.assert_array_equal(
+        compute_accelerations(PLANTS[name], strut_state, q, v, a_xy=a_xy), upright
+    )
 
 
-@given(coordinates, rates, memories, vectors(4, 0.15))
-def test_the_ten_millimetre_option_moves_as_the_papers_equations_say(q, v, memory, z_r):
-    car = replace(CARS["lopsided"], tyre_static_deflection=0.010)
-    expected = oracles.NonlinearCar(car).accelerations(memory, q, v, z_r, STILL)
-    found = accelerate(plant(car), memory, q, v, z_r)
+@given(coordinates, rates, strut_states, vectors(4, 0.15))
+def test_the_ten_millimetre_option_moves_as_the_papers_equations_say(q, v, strut_state, z_r):
+    car = replace(CARS["unequal_axles"], tyre_static_deflection=0.010)
+    expected = oracles.NonlinearCar(car).accelerations(strut_state, q, v, z_r, ZEROS)
+    found = compute_accelerations(build_plant(car), strut_state, q, v, z_r)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-7)
 
 
 FAR = vectors(7, 0.05, 0.05, 0.03, 0.05, 0.05, 0.05, 0.05)
-far = st.tuples(FAR, st.just(memory_at_rest(command("ride"))))
-near = st.tuples(vectors(7, 0.008, 0.008, 0.004, 0.008), memories.map(lambda m: m * [0.2, 1, 1]))
+far = st.tuples(FAR, st.just(settled_strut_state(encode_command("ride"))))
+near = st.tuples(
+    vectors(7, 0.008, 0.008, 0.004, 0.008), strut_states.map(lambda m: m * [0.2, 1, 1])
+)
 
 
 @every_car
 @given(far | near, vectors(4, 0.1))
 def test_forces_are_the_slope_of_the_energy(name, q_and_memory, z_r):
     oracle, rest, d = ORACLES[name], np.zeros(7), 1e-6
-    q, memory = q_and_memory
+    q, strut_state = q_and_memory
     slope = np.array(
         [
-            oracle.energy(memory, q + d * unit, rest, z_r)
-            - oracle.energy(memory, q - d * unit, rest, z_r)
+            oracle.energy(strut_state, q + d * unit, rest, z_r)
+            - oracle.energy(strut_state, q - d * unit, rest, z_r)
             for unit in np.eye(7)
         ]
     ) / (2.0 * d)
-    M = PLANTS[name].numbers[0]["M"]
-    found = M * accelerate(PLANTS[name], memory, q, rest, z_r)
+    M = PLANTS[name].constants[0]["M"]
+    found = M * compute_accelerations(PLANTS[name], strut_state, q, rest, z_r)
     np.testing.assert_allclose(found, -slope, rtol=1e-5, atol=1.0)
 
 
 @every_car
-@given(coordinates, rates, memories)
-def test_nothing_in_the_car_adds_energy_on_a_still_road(name, q, v, memory):
+@given(coordinates, rates, strut_states)
+def test_nothing_in_the_car_adds_energy_on_a_still_road(name, q, v, strut_state):
     losing, free = PLANTS[name], FREE[name]
-    M = losing.numbers[0]["M"]
-    power = M * v @ (accelerate(losing, memory, q, v) - accelerate(free, memory, q, v))
+    M = losing.constants[0]["M"]
+    power = (
+        M
+        * v
+        @ (
+            compute_accelerations(losing, strut_state, q, v)
+            - compute_accelerations(free, strut_state, q, v)
+        )
+    )
     assert power <= 1e-9
 
 
@@ -94,16 +105,16 @@ def test_nothing_in_the_car_adds_energy_on_a_still_road(name, q, v, memory):
 @every_mode
 def test_small_motions_follow_the_energy_matrices(name, mode):
     car = CARS[name]
-    free, memory = plant(lossless(car)), memory_at_rest(command(mode))
+    free, strut_state = build_plant(lossless(car)), settled_strut_state(encode_command(mode))
     column = car.strut.x_1 + (car.strut.x_2 if mode == "ride" else 0.0)
     rate = car.strut.n_p * car.strut.p_stat * car.strut.A / column
     M, C, K, K_r, _ = oracles.linear_matrices(lossless(car), (rate, rate))
     rng = np.random.default_rng(0)
-    at_rest = accelerate(free, memory, np.zeros(7), np.zeros(7))
+    at_rest = compute_accelerations(free, strut_state, np.zeros(7), np.zeros(7))
     for _ in range(20):
         q, v, z_r = (1e-7 * rng.standard_normal(n) for n in (7, 7, 4))
         expected = np.linalg.solve(M, K_r @ z_r - K @ q - C @ v)
-        found = accelerate(free, memory, q, v, z_r) - at_rest
+        found = compute_accelerations(free, strut_state, q, v, z_r) - at_rest
         np.testing.assert_allclose(found, expected, atol=3e-5 * np.abs(expected).max())
 
 
@@ -116,9 +127,9 @@ def test_the_energy_matrices_have_the_printed_frequencies(mode):
     )
 
 
-def frequencies(free, memory, state):
+def frequencies(free, strut_state, state):
     """Undamped frequencies [Hz] of a plant without losses, from its Jacobian."""
-    lower = jacobian(free, memory, state, STILL, STILL)[7:, :7]
+    lower = jacobian(free, strut_state, state, ZEROS, ZEROS)[7:, :7]
     return np.sort(np.sqrt(np.linalg.eigvals(-lower).real)) / (2.0 * np.pi)
 
 
@@ -130,17 +141,17 @@ def test_the_car_has_the_printed_frequencies(mode):
     0.1 % more in front and 0.2 % less behind. The rate goes with the square of the force (the gas
     column shortens as well), the frequency with its root: so 0.2 % here.
     """
-    free, memory = plant(lossless(DEFENDER)), memory_at_rest(command(mode))
-    at_origin = frequencies(free, memory, np.zeros(14))
+    free, strut_state = build_plant(lossless(DEFENDER)), settled_strut_state(encode_command(mode))
+    at_origin = frequencies(free, strut_state, np.zeros(14))
     np.testing.assert_allclose(at_origin, oracles.MODES_HZ[mode], atol=0.0005)
-    at_rest = frequencies(free, memory, equilibrium(free, memory, STILL))
+    at_rest = frequencies(free, strut_state, equilibrium(free, strut_state, ZEROS))
     np.testing.assert_allclose(at_rest, oracles.MODES_HZ[mode], rtol=0.002)
 
 
 @every_car
-@pytest.mark.parametrize("plants", [PLANTS, LEANING], ids=["straight", "leaning"])
-@given(coordinates, rates, memories, vectors(4, 0.15), vectors(4, 2.0))
-def test_the_jacobian_is_the_slope_of_the_rates(name, plants, q, v, memory, z_r, w_r):
+@pytest.mark.parametrize("plants", [PLANTS, MANOEUVRE_PLANTS], ids=["straight", "leaning"])
+@given(coordinates, rates, strut_states, vectors(4, 0.15), vectors(4, 2.0))
+def test_the_jacobian_is_the_slope_of_the_rates(name, plants, q, v, strut_state, z_r, w_r):
     """By central differences of 1e-6, whose error is that times the curvature of the bump stops
     (6e7 N/m² where they begin) over twice the rate that they then have: some 1e-4 of the row."""
     one, d = plants[name], 1e-6
@@ -152,10 +163,10 @@ def test_the_jacobian_is_the_slope_of_the_rates(name, plants, q, v, memory, z_r,
     assume((np.abs([spring, spring + damper, spring - damper]) > 5.0).all())
     slope = np.empty((7, 14))
     for j, unit in enumerate(d * np.eye(14)):
-        ahead = accelerate(one, memory, q + unit[:7], v + unit[7:], z_r, w_r)
-        behind = accelerate(one, memory, q - unit[:7], v - unit[7:], z_r, w_r)
+        ahead = compute_accelerations(one, strut_state, q + unit[:7], v + unit[7:], z_r, w_r)
+        behind = compute_accelerations(one, strut_state, q - unit[:7], v - unit[7:], z_r, w_r)
         slope[:, j] = (ahead - behind) / (2.0 * d)
-    found = jacobian(one, memory, np.concatenate([q, v]), z_r, w_r)
+    found = jacobian(one, strut_state, np.concatenate([q, v]), z_r, w_r)
     np.testing.assert_array_equal(found[:7], np.eye(7, 14, 7))
     for part in (slice(0, 7), slice(7, 14)):
         size = np.abs(slope[:, part]).max(axis=1, keepdims=True)
@@ -163,11 +174,13 @@ def test_the_jacobian_is_the_slope_of_the_rates(name, plants, q, v, memory, z_r,
 
 
 @every_car
-@given(coordinates, rates, memories, vectors(4, 0.15), vectors(4, 2.0))
-def test_the_mirror_image_of_a_car_rolls_the_other_way(name, q, v, memory, z_r, w_r):
+@given(coordinates, rates, strut_states, vectors(4, 0.15), vectors(4, 2.0))
+def test_the_mirror_image_of_a_car_rolls_the_other_way(name, q, v, strut_state, z_r, w_r):
     signs, swap = np.array([1, -1, 1, 1, -1, 1, -1]), [1, 0, 3, 2]
-    found = accelerate(PLANTS[name], memory[swap], signs * q, signs * v, z_r[swap], w_r[swap])
-    expected = signs * accelerate(PLANTS[name], memory, q, v, z_r, w_r)
+    found = compute_accelerations(
+        PLANTS[name], strut_state[swap], signs * q, signs * v, z_r[swap], w_r[swap]
+    )
+    expected = signs * compute_accelerations(PLANTS[name], strut_state, q, v, z_r, w_r)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
@@ -176,16 +189,18 @@ def test_the_mirror_image_of_a_car_rolls_the_other_way(name, q, v, memory, z_r, 
 def test_a_symmetric_motion_stays_symmetric_to_the_bit(name, q, v, mode, z_r, w_r):
     roll = [1, 4, 6]
     q[roll] = v[roll] = 0.0
-    memory = memory_at_rest(command(mode))
-    found = accelerate(PLANTS[name], memory, q, v, np.repeat(z_r, 2), np.repeat(w_r, 2))
+    strut_state = settled_strut_state(encode_command(mode))
+    found = compute_accelerations(
+        PLANTS[name], strut_state, q, v, np.repeat(z_r, 2), np.repeat(w_r, 2)
+    )
     assert (found[roll] == 0.0).all()
 
 
 @every_car
 def test_an_axle_in_the_air_falls_with_gravity_and_the_struts_push(name):
     car, one = CARS[name], PLANTS[name]
-    memory, q = memory_at_rest(command("ride")), np.zeros(7)
-    found = accelerate(one, memory, q, np.zeros(7), z_r=np.full(4, -1.0))
+    strut_state, q = settled_strut_state(encode_command("ride")), np.zeros(7)
+    found = compute_accelerations(one, strut_state, q, np.zeros(7), z_r=np.full(4, -1.0))
     struts = 2.0 * car.strut.p_stat * car.strut.A
     for i, axle in enumerate((car.front, car.rear)):
         assert found[3 + 2 * i] == pytest.approx(-oracles.G - struts / axle.m)
@@ -197,8 +212,10 @@ def test_an_axle_in_the_air_falls_with_gravity_and_the_struts_push(name):
 @every_mode
 def test_at_rest_the_tyres_carry_the_whole_weight_where_statics_puts_it(name, mode):
     car, one = CARS[name], PLANTS[name]
-    state = equilibrium(one, memory_at_rest(command(mode)), STILL)
-    found = accelerate(one, memory_at_rest(command(mode)), state[:7], state[7:])
+    state = equilibrium(one, settled_strut_state(encode_command(mode)), ZEROS)
+    found = compute_accelerations(
+        one, settled_strut_state(encode_command(mode)), state[:7], state[7:]
+    )
     np.testing.assert_allclose(found, 0.0, atol=1e-9)
     assert (state[[1, 4, 6]] == 0.0).all() and (state[7:] == 0.0).all()
     assert state[[3, 5]] == pytest.approx([0.0, 0.0], abs=1e-12)
@@ -225,9 +242,13 @@ GROUNDS = {
 @every_mode
 @pytest.mark.parametrize("ground", GROUNDS.values(), ids=GROUNDS.keys())
 def test_the_car_finds_its_rest_on_any_plausible_ground(name, mode, ground):
-    memory, one, ground = memory_at_rest(command(mode)), PLANTS[name], np.array(ground)
-    state = equilibrium(one, memory, ground)
-    found = accelerate(one, memory, state[:7], state[7:], ground)
+    strut_state, one, ground = (
+        settled_strut_state(encode_command(mode)),
+        PLANTS[name],
+        np.array(ground),
+    )
+    state = equilibrium(one, strut_state, ground)
+    found = compute_accelerations(one, strut_state, state[:7], state[7:], ground)
     np.testing.assert_allclose(found, 0.0, atol=1e-9 * (1.0 + np.abs(ground).max()))
     heaves, rolls = 0.5 * (ground[::2] + ground[1::2]), ground[::2] - ground[1::2]
     np.testing.assert_allclose(state[[3, 5]], heaves, atol=0.01)
@@ -235,15 +256,15 @@ def test_the_car_finds_its_rest_on_any_plausible_ground(name, mode, ground):
 
 
 def test_where_no_rest_is_to_be_found_the_reason_is_said():
-    memory = memory_at_rest(command("ride"))
+    strut_state = settled_strut_state(encode_command("ride"))
     with pytest.raises(ArithmeticError, match="no static equilibrium"):
-        equilibrium(PLANTS["lopsided"], memory, np.array([np.nan, 0.0, 0.0, 0.0]))
+        equilibrium(PLANTS["unequal_axles"], strut_state, np.array([np.nan, 0.0, 0.0, 0.0]))
 
 
 @every_car
-@given(coordinates, rates, memories)
-def test_the_compiled_equations_are_the_plain_ones(name, q, v, memory):
-    found = accelerate(PLANTS[name], memory, q, v)
-    plain = Plant(PLANTS[name].numbers.view(np.recarray), *PLANTS[name].arrays[1:])
-    plain = accelerate(plain, memory, q, v, kernel=accelerations.py_func)
+@given(coordinates, rates, strut_states)
+def test_the_compiled_equations_are_the_plain_ones(name, q, v, strut_state):
+    found = compute_accelerations(PLANTS[name], strut_state, q, v)
+    plain = Plant(PLANTS[name].constants.view(np.recarray), *PLANTS[name].arrays[1:])
+    plain = compute_accelerations(plain, strut_state, q, v, kernel=accelerations.py_func)
     np.testing.assert_allclose(found, plain, rtol=1e-12, atol=1e-9)

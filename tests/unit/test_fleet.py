@@ -7,13 +7,13 @@ import pytest
 
 from road_envs.config import ConfigError
 from road_envs.roads import load_road
-from road_envs.simulation.drive import Drive
-from road_envs.simulation.fleet import Fleet, aligned, of
+from road_envs.simulation.drive import DriveSimulator
+from road_envs.simulation.fleet import Fleet, aligned_zeros, select_vehicle
 from road_envs.simulation.manoeuvres import Slalom
 from road_envs.simulation.simd import LANES
-from road_envs.simulation.speed import ramp
-from road_envs.vehicle.equations import plant
-from road_envs.vehicle.parameters import NOMINAL, Frame, Individual, load_vehicle
+from road_envs.simulation.speed import speed_ramp
+from road_envs.vehicle.equations import build_plant
+from road_envs.vehicle.parameters import NOMINAL, TorsionalFrame, VehicleVariation, load_vehicle
 
 CAR = load_vehicle("land_rover_defender_110")
 DAMPER = CAR.strut.damper
@@ -32,7 +32,7 @@ HEAVY = dataclasses.replace(
 ROADS = ("iso_d", "belgian_like", "bump_asymmetric", "iso_f")
 
 
-ODD = Individual(
+VARIED = VehicleVariation(
     gas=(1.03, 0.96, 0.99, 1.02),
     damper=(1.1, 0.85, 1.2, 0.9),
     bushing=(1.2, 0.9, 1.0, 1.0),
@@ -47,17 +47,17 @@ def drives(size, frame=None):
 
     With a `frame` they all have it.
     """
-    made = []
+    simulators = []
     for k in range(size):
         car = HEAVY if k % 3 == 1 else CAR
         surface = load_road(ROADS[k % len(ROADS)]).realise(np.random.default_rng(k))
-        speed = ramp(3.0, 12.0, 0.7) if k % 5 == 2 else 4.0 + k
+        speed = speed_ramp(3.0, 12.0, 0.7) if k % 5 == 2 else 4.0 + k
         manoeuvre = Slalom(begin=0.1, period=0.5) if k % 4 == 3 else None
         mode = ("ride", "handling", {"front": "ride", "rear": "handling"})[k % 3]
-        one = dataclasses.replace(ODD if k % 4 == 1 else NOMINAL, frame=frame)
-        kernels = plant(car, manoeuvre is not None, one)
-        made.append(Drive(kernels, car, surface, speed, mode, manoeuvre=manoeuvre))
-    return made
+        variation = dataclasses.replace(VARIED if k % 4 == 1 else NOMINAL, frame=frame)
+        plant = build_plant(car, manoeuvre is not None, variation)
+        simulators.append(DriveSimulator(plant, car, surface, speed, mode, manoeuvre=manoeuvre))
+    return simulators
 
 
 def switching(size, n, seed=5):
@@ -66,18 +66,22 @@ def switching(size, n, seed=5):
     return np.repeat(rng.integers(0, 256, (size, -(-n // 90)), dtype=np.uint8), 90, axis=1)[:, :n]
 
 
-@pytest.mark.parametrize("frame", [None, Frame(f=11.0, zeta=0.05)], ids=["stiff", "flexible"])
+@pytest.mark.parametrize(
+    "frame", [None, TorsionalFrame(f=11.0, zeta=0.05)], ids=["stiff", "flexible"]
+)
 def test_every_lane_is_its_vehicle_driven_alone_to_rounding(frame):
     size, n = LANES + 3, 1500
     commands = switching(size, n)
     fleet = Fleet(drives(size, frame))
     signals = fleet.advance(commands)
     for k, drive in enumerate(drives(size, frame)):
-        alone = drive.advance(commands[k]).signals
+        alone = drive.advance(commands[k]).allocate_signals
         scale = np.abs(alone).max(axis=0)
-        assert of(signals, k).shape == (n, 29 if frame is None else 32)
-        assert (np.abs(of(signals, k) - alone).max(axis=0) <= 1e-9 * scale + 1e-12).all(), k
-        landed = fleet.land()[k].state
+        assert select_vehicle(signals, k).shape == (n, 29 if frame is None else 32)
+        assert (
+            np.abs(select_vehicle(signals, k) - alone).max(axis=0) <= 1e-9 * scale + 1e-12
+        ).all(), k
+        landed = fleet.write_back()[k].state
         np.testing.assert_allclose(landed, drive.state, rtol=1e-6, atol=1e-9)
 
 
@@ -89,7 +93,7 @@ def test_a_lane_depends_neither_on_its_company_nor_on_threads_to_the_bit():
     np.testing.assert_array_equal(one_thread, two_threads)
     for k in (0, 5, LANES + 2, size - 1):
         lonely = Fleet([drives(size)[k]]).advance(commands[k : k + 1])
-        np.testing.assert_array_equal(of(lonely, 0), of(one_thread, k))
+        np.testing.assert_array_equal(select_vehicle(lonely, 0), select_vehicle(one_thread, k))
 
 
 def test_parts_of_a_drive_are_the_whole_drive_to_the_bit():
@@ -98,11 +102,13 @@ def test_parts_of_a_drive_are_the_whole_drive_to_the_bit():
     whole = Fleet(drives(size)).advance(commands)
     fleet, begin = Fleet(drives(size)), 0
     for part in (1, 50, 249, 300):
-        room = fleet.signals(part)
+        room = fleet.allocate_signals(part)
         signals = fleet.advance(commands[:, begin : begin + part], room)
         assert signals is room
         for k in range(size):
-            np.testing.assert_array_equal(of(signals, k), of(whole, k)[begin : begin + part])
+            np.testing.assert_array_equal(
+                select_vehicle(signals, k), select_vehicle(whole, k)[begin : begin + part]
+            )
         begin += part
 
 
@@ -111,14 +117,14 @@ def test_a_landed_drive_goes_on_alone_where_the_fleet_left_it():
     commands = switching(size, 2 * n)
     fleet = Fleet(drives(size))
     fleet.advance(commands[:, :n])
-    landed = fleet.land()
+    landed = fleet.write_back()
     for k, drive in enumerate(drives(size)):
         drive.advance(commands[k, :n])
         np.testing.assert_allclose(landed[k].state, drive.state, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(landed[k].memory, drive.memory, rtol=1e-9, atol=1e-15)
+        np.testing.assert_allclose(landed[k].strut_state, drive.strut_state, rtol=1e-9, atol=1e-15)
         alone, on = (
-            drive.advance(commands[k, n:]).signals,
-            landed[k].advance(commands[k, n:]).signals,
+            drive.advance(commands[k, n:]).allocate_signals,
+            landed[k].advance(commands[k, n:]).allocate_signals,
         )
         np.testing.assert_allclose(on, alone, rtol=1e-6, atol=1e-6)
 
@@ -130,14 +136,14 @@ def test_a_vehicle_that_breaks_down_leaves_its_neighbours_alone():
     wrecks = drives(size)
     wrecks[1].state[0] = np.nan
     signals = Fleet(wrecks).advance(commands)
-    assert np.isnan(of(signals, 1)[-1]).any()
+    assert np.isnan(select_vehicle(signals, 1)[-1]).any()
     for k in (0, 2):
-        np.testing.assert_array_equal(of(signals, k), of(healthy, k))
+        np.testing.assert_array_equal(select_vehicle(signals, k), select_vehicle(healthy, k))
 
 
 def test_rows_of_lanes_begin_at_the_boundaries_of_cache_lines():
     for shape in ((7,), (4, 3), (1,), (50, 29)):
-        array = aligned(*shape)
+        array = aligned_zeros(*shape)
         assert array.shape == (*shape, LANES) and array.ctypes.data % (8 * LANES) == 0
 
 
@@ -145,11 +151,14 @@ def test_a_fleet_of_none_or_of_several_steps_or_of_some_flexible_cars_is_refused
     with pytest.raises(ConfigError, match="at least one drive"):
         Fleet([])
     slow = drives(1)[0]
-    fast = Drive(slow.plant, CAR, slow.surface, 5.0, step=0.0005)
+    fast = DriveSimulator(slow.plant, CAR, slow.surface, 5.0, step=0.0005)
     with pytest.raises(ConfigError, match="one integrator step"):
         Fleet([slow, fast])
-    flexible = Drive(
-        plant(CAR, False, Individual(frame=Frame(f=9.0, zeta=0.1))), CAR, slow.surface, 5.0
+    flexible = DriveSimulator(
+        build_plant(CAR, False, VehicleVariation(frame=TorsionalFrame(f=9.0, zeta=0.1))),
+        CAR,
+        slow.surface,
+        5.0,
     )
     with pytest.raises(ConfigError, match="all have a flexible frame, or none"):
         Fleet([slow, flexible])

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from vehicle_fixtures import DEFENDER
 
-from road_envs.vehicle.force_curves import Curve, look_up, tabulate
+from road_envs.vehicle.force_curves import Curve, interpolate_table, tabulate
 
 STRUT = DEFENDER.strut
 SHIPPED = {
@@ -34,10 +34,10 @@ def curves_on_the_grid(draw):
 
 @given(curves_on_the_grid(), st.lists(st.floats(-2.0, 2.0), min_size=1, max_size=9))
 def test_the_table_is_the_curve_wherever_breakpoints_lie_on_its_grid(curve, xs):
-    table, slope = tabulate([curve], -1.0, 0.05, 40), oracles.Cubic(curve)
+    table, slope = tabulate([curve], -1.0, 0.05, 40), oracles.CubicCurve(curve)
     size = np.abs(curve.F).max() + 1e-12
     for x in xs:
-        found = look_up(table[None], 0.0, -1.0, 0.05, x)[0]
+        found = interpolate_table(table[None], 0.0, -1.0, 0.05, x)[0]
         assert found == pytest.approx(float(slope(x)), abs=1e-9 * size * (1.0 + 40.0 * abs(x)))
 
 
@@ -63,7 +63,7 @@ def test_a_table_adds_its_curves_up():
     pair = STRUT.damper.ride, STRUT.friction.ride
     table = tabulate(pair, -3.0, 0.01, 600)
     for x in np.linspace(-4.0, 4.0, 321):
-        F, slope = look_up(table[None], 0.0, -3.0, 0.01, x)
+        F, slope = interpolate_table(table[None], 0.0, -3.0, 0.01, x)
         alone = [curve(np.array(x)) for curve in pair]
         assert (F, slope) == pytest.approx(tuple(np.sum(alone, axis=0)), rel=1e-9, abs=1e-6)
 
@@ -71,27 +71,27 @@ def test_a_table_adds_its_curves_up():
 def test_breakpoints_between_grid_points_cost_little():
     """A kink lies at most half a cell from the grid: the error is bounded by that corner."""
     moved = replace(STRUT.bushing, x=tuple(x + 0.0011 for x in STRUT.bushing.x))
-    table, exact = tabulate([moved], -0.2, 0.0025, 160), oracles.Cubic(moved)
+    table, exact = tabulate([moved], -0.2, 0.0025, 160), oracles.CubicCurve(moved)
     xs = np.linspace(-0.2, 0.2, 2001)
-    found = np.array([look_up(table[None], 0.0, -0.2, 0.0025, x)[0] for x in xs])
+    found = np.array([interpolate_table(table[None], 0.0, -0.2, 0.0025, x)[0] for x in xs])
     assert np.abs(found - exact(xs)).max() < 0.002 * max(np.abs(moved.F))
 
 
 def test_a_table_continues_straight_and_without_a_jump_past_both_ends():
     table = tabulate([Curve(x=(-1.0, 0.0, 1.0), F=(-3.0, 0.0, 8.0))], -0.5, 0.25, 4)
     for end, sign in ((-0.5, -1.0), (0.5, 1.0)):
-        F, slope = look_up(table[None], 0.0, -0.5, 0.25, end)
-        assert look_up(table[None], 0.0, -0.5, 0.25, end + sign * 1e-9)[0] == pytest.approx(
-            F, abs=1e-7
-        )
-        F_far, slope_far = look_up(table[None], 0.0, -0.5, 0.25, end + sign)
+        F, slope = interpolate_table(table[None], 0.0, -0.5, 0.25, end)
+        assert interpolate_table(table[None], 0.0, -0.5, 0.25, end + sign * 1e-9)[
+            0
+        ] == pytest.approx(F, abs=1e-7)
+        F_far, slope_far = interpolate_table(table[None], 0.0, -0.5, 0.25, end + sign)
         assert slope_far == pytest.approx(slope)
         assert F_far == pytest.approx(F + sign * slope)
 
 
 def test_not_a_number_stays_inside_the_table():
     table = tabulate([STRUT.bushing], -0.2, 0.0025, 160)
-    assert np.isnan(look_up(table[None], 0.0, -0.2, 0.0025, np.nan)[0])
+    assert np.isnan(interpolate_table(table[None], 0.0, -0.2, 0.0025, np.nan)[0])
 
 
 @pytest.mark.parametrize(

@@ -9,14 +9,14 @@ import pytest
 from test_wiener import CARS, SPLIT, linear_car
 
 from estimators import create
-from estimators.linear.inverse_quarter_car import QuarterCars, over_struts, quarter_cars
+from estimators.linear.inverse_quarter_car import QuarterCars, accelerations_at_struts, quarter_cars
 from leaderboard.metrics.heights import band_pass, nrmse
 from road_envs.config import ConfigError
-from road_envs.data.record import GRID, scored_band
-from road_envs.data.recording import record_drive
+from road_envs.data.record import PROFILE_SPACING, scored_band
+from road_envs.data.recording import simulate_record
 from road_envs.roads import load_road, with_length
 from road_envs.sensing.instruments import load_instruments
-from road_envs.vehicle.equations import plant
+from road_envs.vehicle.equations import build_plant
 
 IDEAL = load_instruments("ideal")
 CORNERS = QuarterCars(
@@ -45,7 +45,7 @@ def drive(mode="ride", speed_kmh=54.0, mirrored=False):
     surface = replace(surface, z=0.1 * surface.z)  # the gas spring is linear for small motions
     if mirrored:
         surface = replace(surface, z=surface.z[[0, 0]])
-    return record_drive(
+    return simulate_record(
         free_car(), surface, speed_kmh=speed_kmh, mode=mode, instruments=IDEAL, seed=3, step=0.00025
     )
 
@@ -74,17 +74,19 @@ def test_it_is_the_inverse_of_the_quarter_car_in_state_space(k):
 def test_the_struts_feel_the_rigid_body_whichever_the_motion():
     car, rng = CARS["defender"], np.random.default_rng(0)
     heave, roll, pitch = rng.standard_normal((3, 5))
-    places = IDEAL.places(car)
-    a = np.array([heave - x * pitch + y * roll for x, y in places.values()])
+    locations = IDEAL.locations(car)
+    a = np.array([heave - x * pitch + y * roll for x, y in locations.values()])
     corners = [(a.x, side * a.y_s) for a in car.axles for side in (1.0, -1.0)]
     wished = [heave - x * pitch + y * roll for x, y in corners]
-    np.testing.assert_allclose(over_struts(a, places, car), wished, atol=1e-12)
+    np.testing.assert_allclose(accelerations_at_struts(a, locations, car), wished, atol=1e-12)
 
 
 @pytest.mark.parametrize(("mode", "k_s"), [("ride", 16682.0), ("handling", 83574.0)])
 def test_the_corners_of_the_defender_are_those_of_its_description(mode, k_s):
     car = CARS["defender"]
-    found = quarter_cars(plant(car), car, dict.fromkeys(("front", "rear"), mode), np.full(4, 0.1))
+    found = quarter_cars(
+        build_plant(car), car, dict.fromkeys(("front", "rear"), mode), np.full(4, 0.1)
+    )
     assert found.m_s.sum() == pytest.approx(car.m_b)
     assert found.m_s @ np.repeat([car.front.x, car.rear.x], 2) == pytest.approx(0.0, abs=1e-9)
     assert found.k_s == pytest.approx(np.full(4, k_s), rel=0.01)  # p_stat A / x_stat, and bushing
@@ -94,7 +96,7 @@ def test_the_corners_of_the_defender_are_those_of_its_description(mode, k_s):
 @pytest.mark.parametrize("mode", ["ride", "handling", SPLIT], ids=str)
 def test_where_both_wheel_paths_are_equal_free_corners_are_inverted_exactly(mode, speed_kmh):
     record, truth = drive.__wrapped__(mode, speed_kmh, mirrored=True)
-    error = nrmse(truth.z, ask(record).z, GRID, scored_band(speed_kmh / 3.6)).pooled
+    error = nrmse(truth.z, ask(record).z, PROFILE_SPACING, scored_band(speed_kmh / 3.6)).pooled
     assert error < (0.01 if speed_kmh < 20.0 else 0.03)
 
 
@@ -109,16 +111,18 @@ def test_of_the_difference_it_tells_the_mean_over_three_wheelbases():
     )
     inside = (truth.s > 10.0) & (truth.s < truth.s[-1] - 10.0)
     wished = np.array([mean + combed, mean - combed])[:, inside]
-    assert nrmse(wished, found.z[:, inside], GRID, scored_band(15.0)).pooled < 0.04
-    assert 0.35 < nrmse(truth.z, found.z, GRID, scored_band(15.0)).pooled < 0.5
+    assert nrmse(wished, found.z[:, inside], PROFILE_SPACING, scored_band(15.0)).pooled < 0.04
+    assert 0.35 < nrmse(truth.z, found.z, PROFILE_SPACING, scored_band(15.0)).pooled < 0.5
 
 
 def test_slower_than_its_band_nothing_is_claimed():
     """What stands below f_low / v is less than half, and less yet for a higher f_low."""
     record, truth = drive(mirrored=True)
     slow = (0.05, 0.1)
-    levels = [band_pass(ask(record, f_low=f).z, GRID, slow).std() for f in (0.3, 2.5, 5.0)]
-    true = band_pass(truth.z, GRID, slow).std()
+    levels = [
+        band_pass(ask(record, f_low=f).z, PROFILE_SPACING, slow).std() for f in (0.3, 2.5, 5.0)
+    ]
+    true = band_pass(truth.z, PROFILE_SPACING, slow).std()
     assert levels[0] == pytest.approx(true, rel=0.15)
     assert levels[1] < 0.5 * true and levels[2] < 0.2 * true
     assert any("waves from 0.02 to 1.7 cycles/m" in note for note in ask(record).notes)
@@ -126,9 +130,9 @@ def test_slower_than_its_band_nothing_is_claimed():
 
 def test_a_switch_is_told_and_impossible_settings_are_refused():
     record, _ = drive()
-    stiff = record.stiff.copy()
+    stiff = record.spring_stiff.copy()
     stiff[: record.t.size // 3] = True
-    notes = ask(replace(record, stiff=stiff)).notes
+    notes = ask(replace(record, spring_stiff=stiff)).notes
     assert "taken as driven in the states that lasted longest" in notes
     with pytest.raises(ConfigError, match=r"f_low must be within \(0, 25\) Hz, got 0"):
         create("inverse_quarter_car", f_low=0.0)

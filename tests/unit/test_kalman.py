@@ -12,26 +12,44 @@ from scipy.linalg import expm
 from vehicle_fixtures import DEFENDER
 
 from estimators import create
-from estimators.common.block_means import block_means, evenly
-from estimators.common.model_inputs import REST, course_of
-from estimators.kalman.filter import forward
-from estimators.kalman.friction_linearization import WIDTHS, blurred_laws, left_over
-from estimators.kalman.pipeline import DS, OFFSET, filtered, journey, smoothed, stations
-from estimators.kalman.profile_output import EVERY, WINDOW, fade, weigh
-from estimators.kalman.road_process import ahead
-from estimators.kalman.state import CAR, LEVEL, SUM, WEIGHT, empty
-from leaderboard.conformance.probes import probe
+from estimators.common.block_means import block_means, to_uniform_clock
+from estimators.common.model_inputs import REST_STD, build_model_inputs
+from estimators.kalman.filter import filter_forward
+from estimators.kalman.friction_linearization import RATE_STDS, residual_variance, smoothed_tables
+from estimators.kalman.pipeline import (
+    BIAS_STD,
+    NODE_SPACING,
+    run_filter,
+    run_smoother,
+    setup_output,
+    setup_run,
+)
+from estimators.kalman.profile_output import (
+    HALF_WINDOW,
+    VARIANCE_STRIDE,
+    decay_per_node,
+    output_weights,
+)
+from estimators.kalman.road_process import fit_ar_model
+from estimators.kalman.state import (
+    N_VEHICLE,
+    ROUGHNESS_SCALE,
+    ROUGHNESS_SUM,
+    ROUGHNESS_WEIGHT,
+    empty_blocks,
+)
+from leaderboard.conformance.probes import probe_estimator
 from leaderboard.metrics.heights import band_pass, nrmse, uncertainty
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.analysis.roughness import dsd
-from road_envs.data.record import GRID, Record, grid, scored_band
-from road_envs.data.recording import record_drive
+from road_envs.analysis.roughness import displacement_psd
+from road_envs.data.record import PROFILE_SPACING, Record, profile_stations, scored_band
+from road_envs.data.recording import simulate_record
 from road_envs.roads import load_road, with_length
 from road_envs.sensing.instruments import load_instruments
-from road_envs.vehicle.equations import plant
-from road_envs.vehicle.force_curves import Curve, look_up
+from road_envs.vehicle.equations import build_plant
+from road_envs.vehicle.force_curves import Curve, interpolate_table
 from road_envs.vehicle.parameters import ModeCurves, VehicleParameters
-from road_envs.vehicle.suspension import V_0, V_STEP, command, strut_states
+from road_envs.vehicle.suspension import V_0, V_STEP, decode_commands, encode_command
 
 PAPER = load_instruments("paper")
 SPLIT = {"front": "ride", "rear": "handling"}
@@ -64,18 +82,18 @@ def still(a: np.ndarray) -> Record:
     return Record(t, a, np.full(t.size, SPEED), s, state, state, SPEED * TIME - LEAD - 1.0)
 
 
-def trip_of(a: np.ndarray, lag: float):
+def run_of(a: np.ndarray, lag: float):
     """The short drive as the filter takes it, with nothing learnt on the way, and a start that does
     not bend the gas springs.
     """
     record, car = still(a), linear_car()
-    course = course_of(record, PAPER, car, STEP)
+    course = build_model_inputs(record, PAPER, car, STEP)
     readings = block_means(record.a, np.isfinite(record.a), 3)
-    trip = journey(record, car, PAPER, course, readings, NOISE, SMALL, True, lag)
-    model = trip.model._replace(memory=np.inf, patience=np.inf)
-    trip.state.learnt[[SUM, WEIGHT]] = 1e15
-    trip.state.P[:CAR, :CAR] *= START**2
-    return replace(trip, model=model), record, course
+    run = setup_run(record, car, PAPER, course, readings, NOISE, SMALL, True, lag)
+    model = run.model._replace(roughness_memory=np.inf, noise_time=np.inf)
+    run.state.adaptive[[ROUGHNESS_SUM, ROUGHNESS_WEIGHT]] = 1e15
+    run.state.P[:N_VEHICLE, :N_VEHICLE] *= START**2
+    return replace(run, model=model), record, course
 
 
 @cache
@@ -84,18 +102,22 @@ def dense():
     them (3, J, unknowns), from the energies' matrices and the exact solution of their equations;
     and the node number of the front axle at first.
     """
-    trip, _, course = trip_of(np.zeros((3, round(1000 * TIME))), 4.79)
-    road, newest = ahead(SMALL, DS), int(trip.way.x[0]) + 2
-    last = int(trip.way.x[-1]) + 3
+    run, _, course = run_of(np.zeros((3, round(1000 * TIME))), 4.79)
+    road, newest_node = fit_ar_model(SMALL, NODE_SPACING), int(run.inputs.front_node[0]) + 2
+    last = int(run.inputs.front_node[-1]) + 3
     number = np.arange(last + 1)
-    free = (number - 0.5 > trip.way.free[0]) & (number - 0.5 < trip.way.free[1]) & (number > newest)
+    free = (
+        (number - 0.5 > run.inputs.free_range[0])
+        & (number - 0.5 < run.inputs.free_range[1])
+        & (number > newest_node)
+    )
     made = np.zeros((2, last + 1, last + 1))
-    for part in range(2):
-        for k in number[newest + 1 :]:
+    for component in range(2):
+        for k in number[newest_node + 1 :]:
             order = road.weights.shape[1] if free[k] else 1
-            weights = road.weights[part] if free[k] else np.ones(1)
-            made[part, k] = weights @ made[part, k - 1 - np.arange(order)]
-            made[part, k, k] = free[k] * np.sqrt(road.surprise[part])
+            weights = road.weights[component] if free[k] else np.ones(1)
+            made[component, k] = weights @ made[component, k - 1 - np.arange(order)]
+            made[component, k, k] = free[k] * np.sqrt(road.prediction_variance[component])
     M, C, K, K_r, C_r = linear_matrices(DEFENDER, (K_S, K_S), (C_S, C_S))
     h, size = course.h, 2 * number.size
     A = np.block([[np.zeros((7, 7)), np.eye(7)], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])
@@ -106,36 +128,39 @@ def dense():
     unknowns = size + 17
     state, road_now = np.zeros((14, unknowns)), []
     state[:, size : size + 14] = np.eye(14)
-    for x in trip.way.x[::2]:
+    for x in run.inputs.front_node[::2]:
         under = np.zeros((8, unknowns))
         for axle in range(2):
-            at = x - axle * DEFENDER.wheelbase / DS
+            at = x - axle * DEFENDER.wheelbase / NODE_SPACING
             i, t = int(at), at - int(at)
             r = 1.0 - t
             z = np.array([r**3, 4 - 6 * t**2 + 3 * t**3, 4 - 6 * r**2 + 3 * r**3, t**3]) / 6.0
             w = np.array([-(r**2), 3 * t**2 - 4 * t, 4 * r - 3 * r**2, t**2]) / 2.0
             nodes = i + np.arange(-1, 3)
             for side, sign in enumerate((1.0, -1.0)):
-                for rows, shares in ((2 * axle + side, z), (4 + 2 * axle + side, w * SPEED / DS)):
+                for rows, shares in (
+                    (2 * axle + side, z),
+                    (4 + 2 * axle + side, w * SPEED / NODE_SPACING),
+                ):
                     under[rows, nodes] = shares
                     under[rows, number.size + nodes] = sign * shares
         road_now.append(under)
-    levers = np.array([[1.0, y, -forward_] for forward_, y in PAPER.places(DEFENDER).values()])
+    levers = np.array([[1.0, y, -forward_] for forward_, y in PAPER.locations(DEFENDER).values()])
     sensed = np.zeros((len(road_now), 3, unknowns))
     for n, now in enumerate(road_now):
         sensed[n] = levers @ (A @ state + B @ now)[[7, 8, 9]]
         drift = (road_now[n + 1] if n + 1 < len(road_now) else now) - now
         state = step[:, :14] @ state + step[:, 14:22] @ now + step[:, 22:] @ drift
-    J = trip.blocks
-    means = sensed[:: course.every][: 3 * J].reshape(J, 3, 3, unknowns).mean(axis=1)
+    J = run.n_blocks
+    means = sensed[:: course.decimation][: 3 * J].reshape(J, 3, 3, unknowns).mean(axis=1)
     means = means.transpose(1, 0, 2)
     means[np.arange(3), :, size + 14 + np.arange(3)] = 1.0
     half = number.size
     P = np.zeros((unknowns, unknowns))
     P[:half, :half], P[half:size, half:size] = made[0] @ made[0].T, made[1] @ made[1].T
-    rest = np.concatenate([START * REST, np.full(3, OFFSET)])
+    rest = np.concatenate([START * REST_STD, np.full(3, BIAS_STD)])
     P[size:, size:] = np.diag(rest**2)
-    return P, means, trip.way.x[0]
+    return P, means, run.inputs.front_node[0]
 
 
 @cache
@@ -150,10 +175,10 @@ def drawn() -> np.ndarray:
     return np.pad(a, ((0, 0), (0, round(1000 * TIME) - a.shape[1])), mode="edge")
 
 
-def functional(at: float, top: float, about: bool) -> np.ndarray:
+def functional(at: float, top: float, detrended: bool) -> np.ndarray:
     """Shares of coefficients in what is told at a node number, summed out over all nodes."""
     half = dense()[0].shape[0] // 2 - 8  # 17 unknowns stand behind the coefficients
-    number, window = np.arange(half), WINDOW / DS
+    number, window = np.arange(half), HALF_WINDOW / NODE_SPACING
 
     def low(d):
         shape = np.where(np.abs(d) < window, np.cos(0.5 * np.pi * d / window) ** 2, 0.0)
@@ -166,9 +191,9 @@ def functional(at: float, top: float, about: bool) -> np.ndarray:
         share, np.clip(far, 0, half - 1), low(d - 1) / 6.0 + 4.0 * low(d) / 6.0 + low(d + 1) / 6.0
     )
     share /= share.sum()
-    if about:
-        u = fade(DS) * np.abs(number - at)
-        share -= 0.5 * fade(DS) * np.exp(-u) * (np.cos(u) + np.sin(u))
+    if detrended:
+        u = decay_per_node(NODE_SPACING) * np.abs(number - at)
+        share -= 0.5 * decay_per_node(NODE_SPACING) * np.exp(-u) * (np.cos(u) + np.sin(u))
     return share
 
 
@@ -185,106 +210,108 @@ def posterior(seen: int, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return gain.T @ y, np.diag(f @ P @ f.T - (f @ P @ H.T) @ gain)
 
 
-def shift_of(trip) -> int:
+def shift_of(run) -> int:
     """From node numbers of a trip to those of the dense model; windows of other lengths differ."""
-    return round(dense()[2] - trip.way.x[0])
+    return round(dense()[2] - run.inputs.front_node[0])
 
 
-def held(trip, tells, m) -> np.ndarray:
+def held(run, output, m) -> np.ndarray:
     """Shares in what is told of the station `m` about its long waves, by one who knows no node
     ahead of the newest at that time and holds the road level from there on.
     """
-    shift, seen = shift_of(trip), min(tells.due[m], trip.blocks)
-    front = int(np.floor(trip.way.x[2 * seen * trip.model.per - 1])) + 2
-    share = functional(tells.at[m] + shift, 0.09, True)
-    low = functional(tells.at[m] + shift, 0.09, False)[front + shift + 1 :].sum()
-    u = fade(DS) * (front + 0.5 - tells.at[m])
+    shift, seen = shift_of(run), min(output.emit_block[m], run.n_blocks)
+    front = int(np.floor(run.inputs.front_node[2 * seen * run.model.steps_per_block - 1])) + 2
+    share = functional(output.node[m] + shift, 0.09, True)
+    low = functional(output.node[m] + shift, 0.09, False)[front + shift + 1 :].sum()
+    u = decay_per_node(NODE_SPACING) * (front + 0.5 - output.node[m])
     share[front + shift + 1 :] = 0.0
     share[front + shift] += low - 0.5 * np.exp(-u) * np.cos(u)
     return share
 
 
-def compare(tells, wanted, at_least: int):
+def compare(output, wanted, at_least: int):
     """Heights within a tenth of their deviation, deviations to a hundredth."""
     compared = 0
-    for m in range(EVERY * 8, tells.at.size, EVERY * 4):  # on the apron all is known
+    for m in range(
+        VARIANCE_STRIDE * 8, output.node.size, VARIANCE_STRIDE * 4
+    ):  # on the apron all is known
         z, variance = wanted(m)
-        assert np.abs(tells.z[m] - z).max() < 0.1 * np.sqrt(variance.min())
-        np.testing.assert_allclose(np.sqrt(tells.variance[m]), np.sqrt(variance), rtol=0.01)
+        assert np.abs(output.z[m] - z).max() < 0.1 * np.sqrt(variance.min())
+        np.testing.assert_allclose(np.sqrt(output.variance[m]), np.sqrt(variance), rtol=0.01)
         compared += 1
     assert compared >= at_least
 
 
 @pytest.mark.parametrize("lag", [0.0, 4.79])
 def test_what_is_told_early_is_the_dense_posterior_of_what_was_heard_until_then(lag):
-    trip, record, _ = trip_of(drawn(), lag)
-    tells = stations(trip, record, lag, 0.004, about=True)
-    tells = tells._replace(top=np.full_like(tells.top, 0.09))
-    assert np.searchsorted(tells.due, trip.blocks) > 100
-    filtered(trip, tells)
+    run, record, _ = run_of(drawn(), lag)
+    output = setup_output(run, record, lag, 0.004, detrended=True)
+    output = output._replace(cutoff=np.full_like(output.cutoff, 0.09))
+    assert np.searchsorted(output.emit_block, run.n_blocks) > 100
+    run_filter(run, output)
 
     def wanted(m):
-        return posterior(min(tells.due[m], trip.blocks), held(trip, tells, m))
+        return posterior(min(output.emit_block[m], run.n_blocks), held(run, output, m))
 
-    compare(tells, wanted, 7)
+    compare(output, wanted, 7)
 
 
 def test_what_is_told_of_the_whole_drive_is_its_dense_posterior():
-    trip, record, _ = trip_of(drawn(), DEFENDER.wheelbase)
-    tells = stations(trip, record, DEFENDER.wheelbase, 0.004, about=False)
-    tells = tells._replace(top=np.full_like(tells.top, 0.09))
-    smoothed(trip, tells)
-    shift, known = shift_of(trip), int(np.searchsorted(tells.due, trip.blocks))
-    assert known > 20 * EVERY
+    run, record, _ = run_of(drawn(), DEFENDER.wheelbase)
+    output = setup_output(run, record, DEFENDER.wheelbase, 0.004, detrended=False)
+    output = output._replace(cutoff=np.full_like(output.cutoff, 0.09))
+    run_smoother(run, output)
+    shift, known = shift_of(run), int(np.searchsorted(output.emit_block, run.n_blocks))
+    assert known > 20 * VARIANCE_STRIDE
 
-    for m in range(EVERY * 8, known, EVERY * 2):
-        at = tells.at[m] + shift
-        z, variance = posterior(trip.blocks, functional(at, 0.09, False))
-        assert np.abs(tells.z[m] - z).max() < 0.1 * np.sqrt(variance.min())
-        _, variance = posterior(trip.blocks, held(trip, tells, m))
-        np.testing.assert_allclose(np.sqrt(tells.variance[m]), np.sqrt(variance), rtol=0.01)
+    for m in range(VARIANCE_STRIDE * 8, known, VARIANCE_STRIDE * 2):
+        at = output.node[m] + shift
+        z, variance = posterior(run.n_blocks, functional(at, 0.09, False))
+        assert np.abs(output.z[m] - z).max() < 0.1 * np.sqrt(variance.min())
+        _, variance = posterior(run.n_blocks, held(run, output, m))
+        np.testing.assert_allclose(np.sqrt(output.variance[m]), np.sqrt(variance), rtol=0.01)
 
 
 def test_smoothing_in_parts_is_smoothing_at_once_where_much_follows():
     once, parts = [], []
     for found, size in ((once, 10**6), (parts, 200)):
-        trip, record, _ = trip_of(drawn(), DEFENDER.wheelbase)
-        tells = stations(trip, record, DEFENDER.wheelbase, 0.004, about=False)
-        smoothed(trip, tells, size)
-        found += [tells.z, np.sqrt(tells.variance)]
+        run, record, _ = run_of(drawn(), DEFENDER.wheelbase)
+        output = setup_output(run, record, DEFENDER.wheelbase, 0.004, detrended=False)
+        run_smoother(run, output, size)
+        found += [output.z, np.sqrt(output.variance)]
     assert np.abs(once[0] - parts[0]).max() < 0.3 * once[1].max()
     np.testing.assert_allclose(parts[1], once[1], rtol=0.1, atol=1e-3 * once[1].max())
     assert (once[1] <= 1.001 * parts[1]).all()
 
 
 def test_on_its_own_model_the_news_are_white_and_of_unit_size():
-    trip, record, _ = trip_of(drawn(), 4.79)
-    tells = stations(trip, record, 4.79, 0.004, about=True)
-    blocks = empty(trip.size, trip.columns, trip.blocks)
-    forward(trip.model, trip.way, trip.state, 0, trip.blocks, tells, blocks)
-    news, many = blocks.news, 3 * trip.blocks
-    assert np.mean(news**2) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / many))
+    run, record, _ = run_of(drawn(), 4.79)
+    output = setup_output(run, record, 4.79, 0.004, detrended=True)
+    blocks = empty_blocks(run.n_states, run.max_columns, run.n_blocks)
+    filter_forward(run.model, run.inputs, run.state, 0, run.n_blocks, output, blocks)
+    innovation, many = blocks.innovation, 3 * run.n_blocks
+    assert np.mean(innovation**2) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / many))
     for gap in (1, 2, 5):
         for s in range(3):
-            both = np.mean(news[gap:, s] * news[:-gap, s])
-            assert abs(both) < 4.0 / np.sqrt(trip.blocks)
-    assert abs(np.mean(news[:, 0] * news[:, 2])) < 4.0 / np.sqrt(trip.blocks)
+            both = np.mean(innovation[gap:, s] * innovation[:-gap, s])
+            assert abs(both) < 4.0 / np.sqrt(run.n_blocks)
+    assert abs(np.mean(innovation[:, 0] * innovation[:, 2])) < 4.0 / np.sqrt(run.n_blocks)
 
 
 # --- its parts ------------------------------------------------------------------------------------
 
 
 def test_the_road_ahead_goes_on_with_the_prior_s_density_and_coherence():
-    road, rng, size = ahead(PRIOR, DS), np.random.default_rng(1), 12000
+    road, rng, size = fit_ar_model(PRIOR, NODE_SPACING), np.random.default_rng(1), 12000
     order = road.weights.shape[1]
     z = np.zeros((2, 2, size))
-    noise = np.sqrt(road.surprise)[:, None] * rng.standard_normal((2, 2, size))
+    noise = np.sqrt(road.prediction_variance)[:, None] * rng.standard_normal((2, 2, size))
     for k in range(order, size):
         past = z[:, :, k - 1 : k - order - 1 : -1] if k > order else z[:, :, order - 1 :: -1]
         z[:, :, k] = np.einsum("rpk,pk->rp", past, road.weights) + noise[:, :, k]
     heights = (z[:, :, :-2] + 4.0 * z[:, :, 1:-1] + z[:, :, 2:]) / 6.0
-    n, mean = dsd(heights[:, 0, 500:], DS)
-    _, half = dsd(heights[:, 1, 500:], DS)
+    n, mean = displacement_psd(heights[:, 0, 500:], NODE_SPACING)
+    _, half = displacement_psd(heights[:, 1, 500:], NODE_SPACING)
     for low, high in ((0.2, 0.5), (0.5, 1.8)):
         inside = (n > low) & (n < high)
         S = PRIOR.spectrum(n[inside])
@@ -292,44 +319,46 @@ def test_the_road_ahead_goes_on_with_the_prior_s_density_and_coherence():
             wanted = 0.5 * np.real(S[:, 0, 0] + sign * S[:, 0, 1])
             assert np.mean(found[:, inside] / wanted) == pytest.approx(1.0, abs=0.12)
     rise = z[:, :, order + 10 :] - z[:, :, order:-10]
-    np.testing.assert_allclose(np.mean(rise**2, axis=(0, 2)), road.rise(10), rtol=0.1)
+    np.testing.assert_allclose(np.mean(rise**2, axis=(0, 2)), road.increment_variance(10), rtol=0.1)
 
 
 def test_waves_are_told_in_their_band_and_no_long_ones():
-    u, K, newest = np.empty(2 + 4000), 4000, 5000
-    number = newest - K + 1 + np.arange(K)
-    at, half = 3000.3, WINDOW / DS
+    u, K, newest_node = np.empty(2 + 4000), 4000, 5000
+    number = newest_node - K + 1 + np.arange(K)
+    at, half = 3000.3, HALF_WINDOW / NODE_SPACING
     for n, top, wanted in (
         (0.02, 0.25, 0.0016),
         (0.1, 0.25, 0.5),
         (1.0, 0.25, 1.0),
         (4.0, 0.1, 0.0),
     ):
-        weigh(u, at, newest, fade(DS), top, half)
-        wave = np.cos(2.0 * np.pi * n * DS * (number - at))
+        output_weights(u, at, newest_node, decay_per_node(NODE_SPACING), top, half)
+        wave = np.cos(2.0 * np.pi * n * NODE_SPACING * (number - at))
         found = sum(u[2 + k % K] * x for k, x in zip(number, wave, strict=True))
-        rounding = (2.0 + np.cos(2.0 * np.pi * n * DS)) / 3.0  # coefficients of a wave of height 1
+        rounding = (
+            2.0 + np.cos(2.0 * np.pi * n * NODE_SPACING)
+        ) / 3.0  # coefficients of a wave of height 1
         assert found * (rounding if n < 1.0 else 1.0) == pytest.approx(
             wanted * (1.0 if n < 1.0 else rounding), abs=0.02
         )
 
 
 def test_a_force_over_an_uncertain_rate_is_its_mean_and_best_line_and_what_is_left():
-    one = plant(DEFENDER)
-    tables, left = blurred_laws(one.velocity)
+    one = build_plant(DEFENDER)
+    tables, left = smoothed_tables(one.velocity)
     kinds, rng = one.velocity.shape[0], np.random.default_rng(3)
-    for which, width in ((3, WIDTHS[3]), (6, WIDTHS[6])):
+    for which, width in ((3, RATE_STDS[3]), (6, RATE_STDS[6])):
         for k, rate in ((0, 0.02), (1, -0.15)):
             w = rng.normal(rate, width, 20_000)
-            F = np.array([look_up(one.velocity, float(k), V_0, V_STEP, x)[0] for x in w])
+            F = np.array([interpolate_table(one.velocity, float(k), V_0, V_STEP, x)[0] for x in w])
             line = np.polynomial.Polynomial.fit(w - rate, F, 1).convert()
-            mean, slope = look_up(tables, float(kinds * which + k), V_0, V_STEP, rate)
+            mean, slope = interpolate_table(tables, float(kinds * which + k), V_0, V_STEP, rate)
             assert mean == pytest.approx(F.mean(), abs=0.03 * F.std())
             assert slope == pytest.approx(line.coef[1], rel=0.05)
             over = np.var(F - line(w - rate))
             at = round((rate - V_0) / V_STEP)
             assert left[which, k, at] == pytest.approx(over, rel=0.1)
-    assert left_over(one.velocity, 0.0).max() < 1e-6
+    assert residual_variance(one.velocity, 0.0).max() < 1e-6
 
 
 # --- the real car ---------------------------------------------------------------------------------
@@ -339,7 +368,7 @@ def test_a_force_over_an_uncertain_rate_is_its_mean_and_best_line_and_what_is_le
 def drive(mode="handling", kmh=54.0, seed=3, length=100.0, road="iso_d"):
     surface = with_length(load_road(road), length).realise(np.random.default_rng(seed))
     given = SPLIT if mode == "split" else mode
-    return record_drive(
+    return simulate_record(
         DEFENDER, surface, speed_kmh=kmh, mode=given, instruments=PAPER, seed=seed, step=5e-4
     )
 
@@ -350,7 +379,7 @@ def told(name, *args, **settings):
 
 
 def error(estimate, truth, kmh=54.0) -> float:
-    return nrmse(truth.z, estimate.z, GRID, scored_band(kmh / 3.6)).pooled
+    return nrmse(truth.z, estimate.z, PROFILE_SPACING, scored_band(kmh / 3.6)).pooled
 
 
 @pytest.mark.parametrize("mode, most", [("ride", 0.2), ("handling", 0.13)])
@@ -396,9 +425,9 @@ def test_lost_clipped_and_dropped_samples_cost_little_and_are_noted():
     keep[[0, -1]] = True
     fewer = Record(
         record.t[keep], record.a[:, keep], record.v[keep], record.s[keep],
-        record.stiff[keep], record.high[keep], record.length,
+        record.spring_stiff[keep], record.damper_high[keep], record.length,
     )  # fmt: skip
-    even, notes = evenly(fewer)
+    even, notes = to_uniform_clock(fewer)
     assert even.t.size == record.t.size and np.isnan(even.a[0]).sum() == (~keep).sum()
     assert notes == [f"the clock is uneven; {(~keep).sum()} samples were dropped"]
     dropped = create("kalman_lag").estimate(fewer, DEFENDER)
@@ -410,8 +439,10 @@ def test_switches_in_the_drive_are_followed_valve_by_valve():
     record, truth = switched()
     estimate = create("kalman_lag").estimate(record, DEFENDER)
     assert error(estimate, truth) < 0.25
-    never = np.zeros_like(record.stiff)
-    deaf = create("kalman_lag").estimate(replace(record, stiff=never, high=never), DEFENDER)
+    never = np.zeros_like(record.spring_stiff)
+    deaf = create("kalman_lag").estimate(
+        replace(record, spring_stiff=never, damper_high=never), DEFENDER
+    )
     assert error(deaf, truth) > 2.0 * error(estimate, truth)
 
 
@@ -419,24 +450,24 @@ def test_switches_in_the_drive_are_followed_valve_by_valve():
 def switched():
     """A drive whose struts change their state every second and a half."""
     from road_envs.data.recording import truth as truth_of
-    from road_envs.sensing.data_logger import Logger
-    from road_envs.simulation.drive import Drive
+    from road_envs.sensing.data_logger import DataLogger
+    from road_envs.simulation.drive import DriveSimulator
 
     surface = with_length(load_road("iso_d"), 100.0).realise(np.random.default_rng(4))
     step = 5e-4
-    car = Drive(plant(DEFENDER), DEFENDER, surface, 15.0, "ride", step)
-    logger = Logger(PAPER, DEFENDER, step, np.random.default_rng(4))
-    modes = [command(mode) for mode in ("ride", "handling", "stiff_low", SPLIT, "soft_high")]
+    car = DriveSimulator(build_plant(DEFENDER), DEFENDER, surface, 15.0, "ride", step)
+    logger = DataLogger(PAPER, DEFENDER, step, np.random.default_rng(4))
+    modes = [encode_command(mode) for mode in ("ride", "handling", "stiff_low", SPLIT, "soft_high")]
     parts, bytes_ = [], []
-    while not car.over:
+    while not car.is_finished:
         many = min(3000, car.steps_left)
         commands = np.full(many, modes[len(parts) % len(modes)], dtype=np.uint8)
-        parts.append(logger.sense(car.advance(commands)))
+        parts.append(logger.sample(car.advance(commands)))
         bytes_.append(commands)
-    a = np.concatenate([*parts, logger.rest()], axis=1)
+    a = np.concatenate([*parts, logger.flush()], axis=1)
     t = np.arange(a.shape[1]) / PAPER.fs
-    distance, v, _ = car.profile.at(t)
-    stiff, high = strut_states(np.concatenate(bytes_)[::2][: t.size])
+    distance, v, _ = car.speed_profile.at(t)
+    stiff, high = decode_commands(np.concatenate(bytes_)[::2][: t.size])
     record = Record(t, a, v, car.start + distance, stiff, high, surface.length)
     return record, truth_of(surface)
 
@@ -446,13 +477,16 @@ def test_it_begins_in_the_middle_of_a_road_and_ends_there():
     inside = (record.s > 20.0) & (record.s < 80.0)
     cut = Record(
         record.t[inside], record.a[:, inside], record.v[inside], record.s[inside],
-        record.stiff[inside], record.high[inside], record.length,
+        record.spring_stiff[inside], record.damper_high[inside], record.length,
     )  # fmt: skip
     for name in ("kalman_lag", "kalman_rts"):
         estimate = create(name).estimate(cut, DEFENDER)
-        s = grid(record.length)
+        s = profile_stations(record.length)
         here = (s > 25.0) & (s < 70.0)
-        assert nrmse(truth.z[:, here], estimate.z[:, here], GRID, scored_band(15.0)).pooled < 0.3
+        assert (
+            nrmse(truth.z[:, here], estimate.z[:, here], PROFILE_SPACING, scored_band(15.0)).pooled
+            < 0.3
+        )
         assert estimate.z_std[:, s > 81.0].min() > 5.0 * np.median(estimate.z_std[:, here])
 
 
@@ -465,7 +499,7 @@ def test_its_intervals_hold_what_they_should(name):
     ):  # fmt: skip
         _, truth = drive(mode, kmh, 6, 60.0, road)
         estimate = told(name, mode, kmh, 6, 60.0, road)
-        y, a = band_pass(np.stack([truth.z, estimate.z]), GRID, scored_band(kmh / 3.6))
+        y, a = band_pass(np.stack([truth.z, estimate.z]), PROFILE_SPACING, scored_band(kmh / 3.6))
         found = uncertainty(y, a, estimate.z_std)
         shares.append((found.coverage_50, found.coverage_90))
     half, most = np.mean(shares, axis=0)
@@ -476,27 +510,35 @@ def test_its_intervals_hold_what_they_should(name):
 def test_the_level_of_the_road_is_learnt():
     for name, level in (("iso_b", 1.0 / 16.0), ("iso_e", 4.0)):
         record, _ = drive("handling", 54.0, 2, 60.0, name)
-        course = course_of(record, PAPER, DEFENDER, 0.001)
+        course = build_model_inputs(record, PAPER, DEFENDER, 0.001)
         readings = block_means(record.a, np.isfinite(record.a), 3)
-        trip = journey(record, DEFENDER, PAPER, course, readings, 0.05, PRIOR, True, 4.79)
-        filtered(trip, stations(trip, record, 4.79, 0.004, about=True))
-        assert abs(np.log2(trip.state.learnt[LEVEL] / level)) < 1.0
+        run = setup_run(record, DEFENDER, PAPER, course, readings, 0.05, PRIOR, True, 4.79)
+        run_filter(run, setup_output(run, record, 4.79, 0.004, detrended=True))
+        assert abs(np.log2(run.state.adaptive[ROUGHNESS_SCALE] / level)) < 1.0
 
 
 @pytest.mark.parametrize("name", ["kalman", "kalman_lag"])
 def test_the_probes_are_passed(name):
     record, _ = drive("handling", 54.0, 3, 60.0)
-    for found in probe(create(name), record, DEFENDER):
+    for found in probe_estimator(create(name), record, DEFENDER):
         assert found.passed, f"{found.name}: {found.said}"
 
 
 REFUSED = {
     "shorter than 1 s": lambda r: Record(
-        r.t[:200], r.a[:, :200], r.v[:200], r.s[:200], r.stiff[:200], r.high[:200], r.length
+        r.t[:200],
+        r.a[:, :200],
+        r.v[:200],
+        r.s[:200],
+        r.spring_stiff[:200],
+        r.damper_high[:200],
+        r.length,
     ),
     "the car stands": lambda r: replace(r, v=0.0 * r.v, s=0.0 * r.s),
     "at least 50 Hz": lambda r: replace(r, t=25.0 * r.t),
-    "'stiff' must say of each of 4 struts": lambda r: replace(r, stiff=2 * r.stiff.astype(int)),
+    "'spring_stiff' must say of each of 4 struts": lambda r: replace(
+        r, spring_stiff=2 * r.spring_stiff.astype(int)
+    ),
     "no finite acceleration": lambda r: replace(r, a=np.nan * r.a),
     "drives backwards": lambda r: replace(r, s=r.s[::-1]),
     "the record's v must be finite": lambda r: replace(r, v=np.nan * r.v),

@@ -10,7 +10,7 @@ from estimators.networks import levenberg_marquardt as lm
 from leaderboard.benchmarks import levenberg_marquardt as lm_peers
 from leaderboard.benchmarks.integrators import PeerError
 
-OPTIONS = lm.Options()
+DEFAULTS = lm.TrainlmOptions()
 
 
 def problem(seed: int, size: int = 300, hidden: int = 7):
@@ -31,13 +31,13 @@ def everything(size: int) -> lm.Split:
 def near_an_optimum(seed: int):
     """A network beside the one that made the samples (1, N), (1, N), noise apart."""
     rng = np.random.default_rng(seed)
-    teacher = lm.Network(np.array([[2.0, -3.0], [0.5, 1.0]]), np.array([[0.7, 0.4, -0.2]]))
+    teacher = lm.TwoLayerNetwork(np.array([[2.0, -3.0], [0.5, 1.0]]), np.array([[0.7, 0.4, -0.2]]))
     x = rng.uniform(-1.0, 1.0, (1, 80))
     t = teacher(x) + 0.02 * rng.standard_normal(x.shape)
-    return teacher.moved(0.3 * rng.standard_normal(7)), x, t
+    return teacher.add_step(0.3 * rng.standard_normal(7)), x, t
 
 
-def parameters(network: lm.Network) -> np.ndarray:
+def parameters(network: lm.TwoLayerNetwork) -> np.ndarray:
     """The weights in the order of the normal equations."""
     return np.concatenate([network.hidden.ravel(), network.output.ravel()])
 
@@ -67,7 +67,7 @@ def test_the_normal_equations_agree_with_complex_steps():
     step = 1e-30
     J = np.array(
         [
-            network.moved(1j * step * unit)(x).imag.ravel() / step
+            network.add_step(1j * step * unit)(x).imag.ravel() / step
             for unit in np.eye(parameters(network).size)
         ]
     ).T
@@ -81,12 +81,14 @@ def test_the_gradient_is_that_of_the_mean_squared_error():
     network, x, t = problem(14)
     normal = lm.normal_equations(network, x, t)
     downhill = normal.Je / np.linalg.norm(normal.Je)
-    ahead, behind = (lm.mean_square(network.moved(h * downhill), x, t) for h in (1e-5, -1e-5))
+    ahead, behind = (
+        lm.mean_squared_error(network.add_step(h * downhill), x, t) for h in (1e-5, -1e-5)
+    )
     assert normal.gradient == pytest.approx((behind - ahead) / 2e-5, rel=1e-6)
 
 
 def test_the_defaults_are_those_of_trainlm():
-    assert OPTIONS == lm.Options(
+    assert DEFAULTS == lm.TrainlmOptions(
         max_epochs=1000,
         goal=0.0,
         min_grad=1e-7,
@@ -100,9 +102,9 @@ def test_the_defaults_are_those_of_trainlm():
 
 def test_samples_may_come_in_chunks_of_any_size(monkeypatch):
     network, x, t = problem(2)
-    whole = lm.normal_equations(network, x, t), lm.mean_square(network, x, t)
+    whole = lm.normal_equations(network, x, t), lm.mean_squared_error(network, x, t)
     monkeypatch.setattr(lm, "CHUNK", 37)
-    parts = lm.normal_equations(network, x, t), lm.mean_square(network, x, t)
+    parts = lm.normal_equations(network, x, t), lm.mean_squared_error(network, x, t)
     for a, b in zip(whole[0], parts[0], strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-15)
     assert whole[1] == pytest.approx(parts[1], rel=1e-12)
@@ -126,10 +128,10 @@ def test_the_paper_s_network_has_302_weights():
 
 def test_without_validation_it_reaches_the_optimum_that_scipy_reaches():
     start, x, t = near_an_optimum(5)
-    training = lm.train(start, x, t, everything(80), replace(OPTIONS, min_grad=1e-10))
+    training = lm.train(start, x, t, everything(80), replace(DEFAULTS, min_grad=1e-10))
 
     def residuals(weights):
-        return (t - start.moved(weights - parameters(start))(x)).ravel()
+        return (t - start.add_step(weights - parameters(start))(x)).ravel()
 
     peer = least_squares(residuals, parameters(start), method="lm", ftol=1e-14, xtol=1e-14)
     assert training.train[-1] == pytest.approx(np.mean(peer.fun**2), rel=1e-6)
@@ -137,14 +139,14 @@ def test_without_validation_it_reaches_the_optimum_that_scipy_reaches():
 
 def test_training_ends_at_the_epoch_limit():
     network, x, t = problem(6)
-    training = lm.train(network, x, t, everything(300), replace(OPTIONS, max_epochs=3))
+    training = lm.train(network, x, t, everything(300), replace(DEFAULTS, max_epochs=3))
     assert (training.stop, training.epochs) == ("epochs", 3)
 
 
 def test_training_ends_at_the_goal():
     network, x, t = problem(6)
-    goal = 0.5 * lm.mean_square(network, x, t)
-    training = lm.train(network, x, t, everything(300), replace(OPTIONS, goal=goal))
+    goal = 0.5 * lm.mean_squared_error(network, x, t)
+    training = lm.train(network, x, t, everything(300), replace(DEFAULTS, goal=goal))
     assert training.stop == "goal"
     assert training.train[-1] <= goal < training.train[-2]
 
@@ -158,7 +160,7 @@ def test_training_ends_where_the_gradient_vanishes():
 
 def test_training_ends_when_no_mu_lowers_the_error():
     network, x, t = near_an_optimum(7)
-    optimum = lm.train(network, x, t, everything(80), replace(OPTIONS, min_grad=0.0))
+    optimum = lm.train(network, x, t, everything(80), replace(DEFAULTS, min_grad=0.0))
     assert optimum.stop == "mu"
     assert optimum.mu[-1] > 1e10
     assert optimum.mu[-2] <= 1e10
@@ -182,13 +184,13 @@ def test_a_better_validation_error_starts_the_count_afresh():
     assert training.epochs == training.best_epoch + 6
     assert training.best_epoch > 0
     assert training.best_epoch == np.argmin(training.validation)
-    best = lm.mean_square(training.network, x[:, split.validation], t[:, split.validation])
+    best = lm.mean_squared_error(training.network, x[:, split.validation], t[:, split.validation])
     assert best == training.validation.min()
 
 
 def test_the_training_error_falls_at_every_epoch():
     network, x, t = problem(10)
-    training = lm.train(network, x, t, everything(300), replace(OPTIONS, max_epochs=40))
+    training = lm.train(network, x, t, everything(300), replace(DEFAULTS, max_epochs=40))
     assert (np.diff(training.train) < 0).all()
     assert np.isnan(training.validation).all()
     assert np.isnan(training.test).all()
@@ -198,15 +200,15 @@ def test_mu_falls_tenfold_with_every_step_that_succeeds_at_once():
     """Without a varying input the problem is nearly linear, and no step fails."""
     rng = np.random.default_rng(11)
     x = rng.uniform(-1.0, 1.0, (1, 50))
-    network = lm.Network(np.array([[0.0, 0.0], [1.0, -2.0]]), np.array([[0.5, 0.1, 3.0]]))
-    options = replace(OPTIONS, max_epochs=3, min_grad=0.0)
+    network = lm.TwoLayerNetwork(np.array([[0.0, 0.0], [1.0, -2.0]]), np.array([[0.5, 0.1, 3.0]]))
+    options = replace(DEFAULTS, max_epochs=3, min_grad=0.0)
     training = lm.train(network, 0.0 * x, x, everything(50), options)
     np.testing.assert_allclose(training.mu, [1e-3, 1e-4, 1e-5, 1e-6], rtol=1e-12)
 
 
 def test_mu_rises_tenfold_with_every_step_that_fails():
     network, x, t = problem(12, hidden=20)
-    options = replace(OPTIONS, max_epochs=60, mu=1e-9)
+    options = replace(DEFAULTS, max_epochs=60, mu=1e-9)
     training = lm.train(network, x, t, everything(300), options)
     exponents = np.diff(np.log10(training.mu))
     np.testing.assert_allclose(exponents, np.round(exponents), atol=1e-9)
@@ -218,12 +220,12 @@ def test_mu_rises_tenfold_with_every_step_that_fails():
 
 def first_that_helps(network, x, t, training, epoch):
     """Assert that mu at the end of `epoch` is that of the first step that lowers the error."""
-    at = lm.train(network, x, t, everything(300), replace(OPTIONS, max_epochs=epoch, mu=1e-9))
+    at = lm.train(network, x, t, everything(300), replace(DEFAULTS, max_epochs=epoch, mu=1e-9))
     JJ, Je, mse = lm.normal_equations(at.network, x, t)
     mu = training.mu[epoch]
     while True:
         step = np.linalg.solve(JJ + mu * np.eye(len(JJ)), Je)
-        if lm.mean_square(at.network.moved(step), x, t) < mse:
+        if lm.mean_squared_error(at.network.add_step(step), x, t) < mse:
             break
         mu *= 10.0
     assert training.mu[epoch + 1] == pytest.approx(0.1 * mu, rel=1e-9)
@@ -232,11 +234,11 @@ def first_that_helps(network, x, t, training, epoch):
 def test_normal_equations_that_are_singular_count_as_a_failed_step():
     """Neurons that are all the same cannot be told apart without mu."""
     rng = np.random.default_rng(0)
-    network = lm.Network(np.full((2, 5), 0.3), np.full((1, 6), 0.7))
+    network = lm.TwoLayerNetwork(np.full((2, 5), 0.3), np.full((1, 6), 0.7))
     x = rng.uniform(-1.0, 1.0, (1, 30))
     with pytest.raises(np.linalg.LinAlgError):
         np.linalg.cholesky(lm.normal_equations(network, x, x).JJ)
-    options = replace(OPTIONS, mu=1e-30, max_epochs=1)
+    options = replace(DEFAULTS, mu=1e-30, max_epochs=1)
     training = lm.train(network, x, x, everything(30), options)
     assert training.mu[1] > 1e-20
     assert training.train[1] < training.train[0]
@@ -280,7 +282,7 @@ def test_a_single_hidden_neuron_starts_in_the_middle():
 
 def test_mapping_fills_the_range_and_leaves_a_constant_row_as_it_is():
     x = np.array([[1.0, 2.0, 4.0], [7.0, 7.0, 7.0], [0.0, 0.0, 0.0]])
-    scaling = lm.Scaling.of(x)
+    scaling = lm.Scaling.fit(x)
     y = scaling.apply(x)
     np.testing.assert_allclose(y[0], [-1.0, -1.0 / 3.0, 1.0], rtol=1e-12)
     np.testing.assert_array_equal(y[1:], x[1:])
@@ -314,19 +316,19 @@ def test_the_jacobian_handed_to_the_peers_is_the_slope_of_the_outputs():
     for i in range(p.size):
         step = np.zeros(p.size)
         step[i] = 1e-6
-        slope = (network.moved(step)(x) - network.moved(-step)(x)).ravel() / 2e-6
+        slope = (network.add_step(step)(x) - network.add_step(-step)(x)).ravel() / 2e-6
         np.testing.assert_allclose(found[:, i], slope, atol=1e-8)
 
 
-@pytest.mark.parametrize("peer", [lm_peers.seconds_of_scipy, lm_peers.seconds_of_torch])
+@pytest.mark.parametrize("peer", [lm_peers.time_scipy, lm_peers.time_torch])
 def test_a_peer_gets_to_the_same_error_from_the_same_start(peer):
     rng = np.random.default_rng(6)
     x = rng.uniform(-1.0, 1.0, (3, 200))
     t = np.tanh(rng.standard_normal((2, 3)) @ x)
     given = lm_peers.Samples(x, t, lm.nguyen_widrow(3, lm_peers.HIDDEN, 2, rng))
-    error = float(lm_peers.ours(given, 2).train[-1])
+    error = float(lm_peers.train_ours(given, 2).train[-1])
     try:
-        assert 0.0 < peer(given, error) < lm_peers.PATIENCE
+        assert 0.0 < peer(given, error) < lm_peers.TIME_LIMIT
     except PeerError as missing:
         pytest.skip(str(missing))
 
@@ -336,10 +338,10 @@ def test_the_course_of_a_training_survives_its_arrays():
     x = rng.uniform(-1.0, 1.0, (3, 40))
     start = lm.nguyen_widrow(3, 3, 2, rng)
     split = lm.Split(np.arange(40), np.arange(0), np.arange(0))  # nothing validated: NaN
-    training = lm.train(start, x, x[:2] ** 2, split, lm.Options(max_epochs=4))
-    again = lm.Training.of(training.network, **training.course())
+    training = lm.train(start, x, x[:2] ** 2, split, lm.TrainlmOptions(max_epochs=4))
+    again = lm.LmResult.from_arrays(training.network, **training.to_arrays())
     assert (again.stop, again.best_epoch) == (training.stop, training.best_epoch) == ("epochs", 4)
     for name in lm.CURVES:
         np.testing.assert_array_equal(getattr(again, name), getattr(training, name))
     with pytest.raises(ValueError, match="stop: no reason has the number 9"):
-        lm.Training.of(training.network, training.course()["curves"], np.array([9, 0]))
+        lm.LmResult.from_arrays(training.network, training.to_arrays()["curves"], np.array([9, 0]))

@@ -9,21 +9,30 @@ import pytest
 from hypothesis import given
 from scipy import integrate, signal, stats
 from scipy.optimize import brentq
-from vehicle_fixtures import CARS, DEFENDER, LEANING, PLANTS, STILL, accelerate, memories, vectors
+from vehicle_fixtures import (
+    CARS,
+    DEFENDER,
+    MANOEUVRE_PLANTS,
+    PLANTS,
+    ZEROS,
+    compute_accelerations,
+    strut_states,
+    vectors,
+)
 
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.vehicle.equations import DOF, equilibrium
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.linear_model import (
-    MODE_NAMES,
+    NATURAL_MODE_NAMES,
     frequency_response,
     gaussian_damping,
     linearise,
-    modes,
+    natural_modes,
     wheel_response,
 )
 from road_envs.vehicle.parameters import ModeCurves
-from road_envs.vehicle.suspension import command, memory_at_rest
+from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 MODES = ("ride", "handling")
 BODY = {"heave": (0.0, 0.0)}
@@ -36,7 +45,7 @@ every_mode = pytest.mark.parametrize("mode", MODES)
 def strut_at_rest(strut, stop, mode, load):
     """Rate [N/m] where gas spring, bushing and stop carry `load` [N], and damping [N s/m]."""
     column = strut.x_1 + strut.x_2 * (mode == "ride")
-    stops = oracles.Cubic(strut.bushing), oracles.Cubic(stop)
+    stops = oracles.CubicCurve(strut.bushing), oracles.CubicCurve(stop)
 
     def gas(e):
         return strut.p_stat * strut.A * (column / (column + e)) ** strut.n_p
@@ -44,7 +53,7 @@ def strut_at_rest(strut, stop, mode, load):
     e = brentq(lambda e: gas(e) - sum(s(e) for s in stops) - load, -0.04, 0.1, xtol=1e-14)
     k = strut.n_p * gas(e) / (column + e) + sum(s.slope(e) for s in stops)
     losses = getattr(strut.damper, mode), getattr(strut.friction, mode)
-    return float(k), sum(float(oracles.Cubic(c).slope(0.0)) for c in losses)
+    return float(k), sum(float(oracles.CubicCurve(c).slope(0.0)) for c in losses)
 
 
 def energy_matrices(name, mode, c_s=None):
@@ -73,14 +82,18 @@ def test_at_rest_the_model_is_that_of_the_energy_matrices(name, mode):
 
 
 @every_car
-@given(vectors(7, 0.03, 0.03, 0.02, 0.06, 0.02, 0.06, 0.02), vectors(7, 0.7), memories)
-def test_about_any_state_the_model_is_the_slope_of_motion_and_sensors(name, q, v, memory):
+@given(vectors(7, 0.03, 0.03, 0.02, 0.06, 0.02, 0.06, 0.02), vectors(7, 0.7), strut_states)
+def test_about_any_state_the_model_is_the_slope_of_motion_and_sensors(name, q, v, strut_state):
     """By state and by road, on a lifted wheel too, with a body that leans."""
-    one, state, z_r = LEANING[name], np.concatenate([q, v]), np.array([0.0, 0.01, -0.15, 0.0])
-    model = linearise(one, memory, PLACES, state, z_r, 0.1 * z_r)
+    one, state, z_r = (
+        MANOEUVRE_PLANTS[name],
+        np.concatenate([q, v]),
+        np.array([0.0, 0.01, -0.15, 0.0]),
+    )
+    model = linearise(one, strut_state, PLACES, state, z_r, 0.1 * z_r)
 
     def sensed(x, u):
-        a = accelerate(one, memory, x[:7], x[7:], z_r + u[:4], 0.1 * z_r + u[4:])
+        a = compute_accelerations(one, strut_state, x[:7], x[7:], z_r + u[:4], 0.1 * z_r + u[4:])
         return np.append(a, [oracles.point_acceleration(*a[:3], *at) for at in PLACES.values()])
 
     rng, eps = np.random.default_rng(0), 1e-7
@@ -170,17 +183,17 @@ def test_unequal_states_in_front_and_behind_lift_the_blindness():
 
 @every_mode
 def test_the_defender_has_the_tabled_modes(mode):
-    found = modes(linearise(DEFENDER, mode, BODY))
+    found = natural_modes(linearise(DEFENDER, mode, BODY))
     np.testing.assert_allclose(found.f, oracles.MODES_HZ[mode], atol=1.5e-3)
     kinds = ("roll", "bounce", "pitch", *("axle hop",) * 2, *("axle roll",) * 2)
     assert all(kind in name for kind, name in zip(kinds, found.names, strict=True))
-    assert sorted(found.names) == sorted(MODE_NAMES)
+    assert sorted(found.names) == sorted(NATURAL_MODE_NAMES)
 
 
 @every_car
 @every_mode
 def test_modes_are_those_of_the_energy_matrices_and_carry_their_names(name, mode):
-    found = modes(linearise(PLANTS[name], mode, BODY))
+    found = natural_modes(linearise(PLANTS[name], mode, BODY))
     M, C, K, _, _ = energy_matrices(name, mode)
     np.testing.assert_allclose(found.f, oracles.natural_frequencies(M, K), rtol=1e-6)
     omega, phi = 2.0 * np.pi * found.f, found.shapes
@@ -198,12 +211,12 @@ def test_modes_are_those_of_the_energy_matrices_and_carry_their_names(name, mode
 def test_a_lightly_damped_car_decays_with_its_modes_damping_ratios():
     tyres = {"c_t": 60.0}
     car = replace(
-        CARS["lopsided"],
-        front=replace(CARS["lopsided"].front, **tyres),
-        rear=replace(CARS["lopsided"].rear, **tyres),
+        CARS["unequal_axles"],
+        front=replace(CARS["unequal_axles"].front, **tyres),
+        rear=replace(CARS["unequal_axles"].rear, **tyres),
     )
     model = linearise(car, "ride", BODY, damping=np.full(4, 40.0))
-    found, poles = modes(model), model.poles
+    found, poles = natural_modes(model), model.poles
     poles = poles[poles.imag > 0.0]
     poles = poles[np.argsort(np.abs(poles))]
     np.testing.assert_allclose(np.abs(poles) / (2.0 * np.pi), found.f, rtol=1e-4)
@@ -212,7 +225,8 @@ def test_a_lightly_damped_car_decays_with_its_modes_damping_ratios():
 
 def test_a_leaning_body_rolls_more_slowly():
     upright, leaning = (
-        modes(linearise(one["defender"], "ride", BODY)) for one in (PLANTS, LEANING)
+        natural_modes(linearise(one["defender"], "ride", BODY))
+        for one in (PLANTS, MANOEUVRE_PLANTS)
     )
     square = [m.f[m.names.index("roll")] ** 2 for m in (upright, leaning)]
     lever = DEFENDER.m_b * oracles.G * (DEFENDER.h_cg - DEFENDER.roll_centre)
@@ -221,9 +235,9 @@ def test_a_leaning_body_rolls_more_slowly():
 
 
 def test_a_car_in_the_air_has_no_modes():
-    model = linearise(PLANTS["lopsided"], "ride", BODY, np.zeros(14), np.full(4, -1.0))
+    model = linearise(PLANTS["unequal_axles"], "ride", BODY, np.zeros(14), np.full(4, -1.0))
     with pytest.raises(ArithmeticError, match="does not stand"):
-        modes(model)
+        natural_modes(model)
 
 
 # --- damping on a road ----------------------------------------------------------------------------
@@ -234,7 +248,9 @@ def test_a_car_in_the_air_has_no_modes():
 @pytest.mark.parametrize("rate", [0.005, 0.05, 0.3])
 def test_gaussian_damping_is_the_best_damper_for_a_normal_rate(name, mode, rate):
     car = CARS[name]
-    curves = [oracles.Cubic(getattr(law, mode)) for law in (car.strut.damper, car.strut.friction)]
+    curves = [
+        oracles.CubicCurve(getattr(law, mode)) for law in (car.strut.damper, car.strut.friction)
+    ]
 
     def force_times_rate(x):
         return sum(float(c(rate * x)) for c in curves) * x * stats.norm.pdf(x)
@@ -257,10 +273,10 @@ def test_the_gaussian_damper_of_a_linear_damper_is_itself_wheel_by_wheel():
 
 def test_damping_in_place_of_the_slopes_is_where_it_belongs():
     wanted = np.array([1000.0, 2000.0, 3000.0, 4000.0])
-    with_it = linearise(PLANTS["lopsided"], "ride", BODY, damping=wanted)
-    without = linearise(PLANTS["lopsided"], "ride", BODY, damping=np.zeros(4))
+    with_it = linearise(PLANTS["unequal_axles"], "ride", BODY, damping=wanted)
+    without = linearise(PLANTS["unequal_axles"], "ride", BODY, damping=np.zeros(4))
     difference = -with_it.M[:, None] * (with_it.A - without.A)[7:, 7:]
-    car, signs = CARS["lopsided"], np.array([1.0, -1.0, 1.0, -1.0])
+    car, signs = CARS["unequal_axles"], np.array([1.0, -1.0, 1.0, -1.0])
     expected = np.zeros((7, 7))
     for w, axle in enumerate((car.front, car.front, car.rear, car.rear)):
         strut = np.zeros(7)
@@ -275,8 +291,10 @@ def test_damping_in_place_of_the_slopes_is_where_it_belongs():
 
 def test_all_that_goes_in_and_out_has_a_name_and_a_unit():
     instruments, car = load_instruments("paper"), DEFENDER
-    places = instruments.accelerometers
-    sensors = {n: (getattr(places, n).x(car), getattr(places, n).y) for n in ("RF", "LR", "RR")}
+    locations = instruments.accelerometers
+    sensors = {
+        n: (getattr(locations, n).x(car), getattr(locations, n).y) for n in ("RF", "LR", "RR")
+    }
     model = linearise(car, "ride", sensors)
     assert model.sensors == ("RF", "LR", "RR") and model.wheelbase == car.wheelbase
     assert len(model.states) == len(model.state_units) == model.A.shape[0] == 14
@@ -287,10 +305,10 @@ def test_all_that_goes_in_and_out_has_a_name_and_a_unit():
 
 def test_a_car_and_its_plant_have_one_model_with_its_rest_found_on_any_ground():
     ground = np.array([0.02, -0.01, -0.015, 0.01])
-    by_car = linearise(CARS["lopsided"], "ride", BODY, z_r=ground)
-    memory = memory_at_rest(command("ride"))
-    state = equilibrium(PLANTS["lopsided"], memory, ground)
-    by_plant = linearise(PLANTS["lopsided"], memory, BODY, state, ground, STILL)
+    by_car = linearise(CARS["unequal_axles"], "ride", BODY, z_r=ground)
+    strut_state = settled_strut_state(encode_command("ride"))
+    state = equilibrium(PLANTS["unequal_axles"], strut_state, ground)
+    by_plant = linearise(PLANTS["unequal_axles"], strut_state, BODY, state, ground, ZEROS)
     np.testing.assert_array_equal(by_car.A, by_plant.A)
     np.testing.assert_array_equal(by_car.D, by_plant.D)
 

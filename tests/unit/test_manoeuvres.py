@@ -17,11 +17,11 @@ from road_envs.simulation.manoeuvres import (
     SteadyTurn,
     load_manoeuvre,
 )
-from road_envs.simulation.speed import ramp
-from road_envs.vehicle.equations import PHI, THETA, jacobian, plant
+from road_envs.simulation.speed import speed_ramp
+from road_envs.vehicle.equations import PHI, THETA, build_plant, jacobian
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.parameters import load_vehicle
-from road_envs.vehicle.suspension import command, memory_at_rest
+from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 CAR = load_vehicle("land_rover_defender_110")
 FLAT = load_road({"kind": "flat", "length": 200.0}).realise(np.random.default_rng(0))
@@ -70,20 +70,21 @@ def test_braking_dives_and_pulling_away_squats():
     braking = simulate(CAR, FLAT, 15.0, manoeuvre=Braking(a_x=3.0, hold=5.0))
     assert braking.state[3000, THETA] > 0.005
     still = SteadyTurn(a_y=0.0)
-    away = simulate(CAR, FLAT, ramp(2.0, 14.0, 4.0), manoeuvre=still)
+    away = simulate(CAR, FLAT, speed_ramp(2.0, 14.0, 4.0), manoeuvre=still)
     assert away.state[3000, THETA] < -0.005
 
 
 def test_a_change_of_speed_alone_leans_nothing_as_in_the_paper():
-    motion = simulate(CAR, FLAT, ramp(2.0, 14.0, 4.0))
+    motion = simulate(CAR, FLAT, speed_ramp(2.0, 14.0, 4.0))
     assert np.abs(motion.acceleration).max() < 1e-6
 
 
 def test_the_jacobian_knows_the_moments_of_displaced_weight():
-    memory = memory_at_rest(command("ride"))
+    strut_state = settled_strut_state(encode_command("ride"))
     state = np.zeros(14)
     leaning, upright = (
-        jacobian(plant(CAR, manoeuvres=m), memory, state, LEVEL, LEVEL) for m in (True, False)
+        jacobian(build_plant(CAR, manoeuvres=m), strut_state, state, LEVEL, LEVEL)
+        for m in (True, False)
     )
     difference = np.zeros((14, 14))
     lever = 1734.0 * (1.19 - 0.6) * 9.81

@@ -13,9 +13,9 @@ from vehicle_fixtures import DEFENDER
 import estimators
 from leaderboard.metrics.heights import band_pass
 from road_envs.config import ConfigError
-from road_envs.data.measured_record import G, read_measured
+from road_envs.data.measured_record import STANDARD_GRAVITY, read_measured_record
 from road_envs.data.record import scored_band
-from road_envs.data.recording import is_record, record_drive, write_record
+from road_envs.data.recording import is_record, simulate_record, write_record
 from road_envs.roads import load_road
 from road_envs.sensing.data_logger import load_instruments
 
@@ -53,21 +53,24 @@ def changed(**changes):
 def test_a_table_is_read_as_it_stands_whatever_its_marks(tmp_path, mark, point):
     path = table(tmp_path / "d.csv", CHANNELS, mark, point)
     path.write_text("# a logger\n# of 2014\n" + path.read_text(), encoding="utf-8")
-    record, notes = read_measured(path, BASE)
+    record, notes = read_measured_record(path, BASE)
     np.testing.assert_allclose(record.t, T, atol=1e-12)
     wanted = [CHANNELS[name] for name in ("a_rf", "a_lr", "a_rr")]
     np.testing.assert_allclose(record.a, wanted, rtol=1e-10, atol=1e-11)
     np.testing.assert_allclose(record.v, CHANNELS["v"], rtol=1e-11)
     np.testing.assert_allclose(record.s, BASE + 5.0 * T + 0.5 * T**2, atol=1e-9)
     assert record.length == record.s[-1] and notes == ()
-    assert not record.stiff.any() and not record.high.any()
+    assert not record.spring_stiff.any() and not record.damper_high.any()
 
 
 def test_units_and_gravity_are_told_by_names_and_means(tmp_path):
     columns = changed(
-        a_rf=None, v=None, a_rf_g=1.0 + CHANNELS["a_rf"] / G, V_kmh=3.6 * CHANNELS["v"]
+        a_rf=None,
+        v=None,
+        a_rf_g=1.0 + CHANNELS["a_rf"] / STANDARD_GRAVITY,
+        V_kmh=3.6 * CHANNELS["v"],
     )
-    record, notes = read_measured(table(tmp_path / "d.csv", columns), BASE)
+    record, notes = read_measured_record(table(tmp_path / "d.csv", columns), BASE)
     np.testing.assert_allclose(record.a[0], CHANNELS["a_rf"] - CHANNELS["a_rf"].mean(), atol=1e-9)
     np.testing.assert_allclose(record.v, CHANNELS["v"], rtol=1e-10)
     assert len(notes) == 1 and notes[0].startswith("a_rf: its mean of 9.") and "gravity" in notes[0]
@@ -75,29 +78,29 @@ def test_units_and_gravity_are_told_by_names_and_means(tmp_path):
 
 def test_an_odometer_that_is_given_is_believed(tmp_path):
     columns = changed(s=1000.0 + 6.0 * T)
-    record, _ = read_measured(table(tmp_path / "d.csv", columns), BASE)
+    record, _ = read_measured_record(table(tmp_path / "d.csv", columns), BASE)
     np.testing.assert_allclose(record.s, BASE + 6.0 * T, atol=1e-9)
 
 
 def test_struts_are_told_row_by_row_or_once(tmp_path):
     switched = ["ride"] * 120 + ["handling"] * 80
     columns = changed(mode=None, mode_front=switched, mode_rear=["soft_high"] * T.size)
-    record, _ = read_measured(table(tmp_path / "a.csv", columns), BASE)
+    record, _ = read_measured_record(table(tmp_path / "a.csv", columns), BASE)
     late = T >= 1.195
-    np.testing.assert_array_equal(record.stiff, np.outer(late, [1, 1, 0, 0]).astype(bool))
-    np.testing.assert_array_equal(record.high[:, 2:], np.ones((200, 2), dtype=bool))
-    np.testing.assert_array_equal(record.high[:, 0], late)
+    np.testing.assert_array_equal(record.spring_stiff, np.outer(late, [1, 1, 0, 0]).astype(bool))
+    np.testing.assert_array_equal(record.damper_high[:, 2:], np.ones((200, 2), dtype=bool))
+    np.testing.assert_array_equal(record.damper_high[:, 0], late)
     plain = table(tmp_path / "b.csv", changed(mode=None, v=None))
     mixed = {"front": "ride", "rear": "handling"}
-    record, _ = read_measured(plain, BASE, speed_kmh=36.0, mode=mixed)
-    assert (record.stiff == [False, False, True, True]).all() and (record.v == 10.0).all()
+    record, _ = read_measured_record(plain, BASE, speed_kmh=36.0, mode=mixed)
+    assert (record.spring_stiff == [False, False, True, True]).all() and (record.v == 10.0).all()
 
 
 def test_parquet_of_others_is_read_by_the_names_of_its_columns(tmp_path):
     path = tmp_path / "d.parquet"
     pq.write_table(pa.table({name.upper(): x for name, x in CHANNELS.items()}), path)
     assert not is_record(path)
-    record, _ = read_measured(path, BASE)
+    record, _ = read_measured_record(path, BASE)
     np.testing.assert_array_equal(record.a[1], CHANNELS["a_lr"])
     write_record(path, record, {})
     assert is_record(path)
@@ -109,7 +112,7 @@ def test_where_nothing_stands_and_where_rows_are_missing_samples_are_lost(tmp_pa
     columns = changed(a_rf=a)
     kept = np.r_[0:100, 105:200]
     columns = {name: [x[k] for k in kept] for name, x in columns.items()}
-    record, notes = read_measured(table(tmp_path / "d.csv", columns), BASE)
+    record, notes = read_measured_record(table(tmp_path / "d.csv", columns), BASE)
     assert record.t.size == 200 and record.fs == pytest.approx(100.0)
     lost = np.isnan(record.a)
     assert set(np.flatnonzero(lost[0])) == {50, 51, 52, 100, 101, 102, 103, 104}
@@ -122,7 +125,9 @@ def test_where_nothing_stands_and_where_rows_are_missing_samples_are_lost(tmp_pa
 def test_a_trembling_clock_is_straightened(tmp_path_factory, seed):
     t = T + 0.002 * np.random.default_rng(seed).uniform(-1.0, 1.0, T.size)
     columns = changed(t=t, a_rf=3.0 * t, v=5.0 + t)
-    record, notes = read_measured(table(tmp_path_factory.mktemp("d") / "d.csv", columns), BASE)
+    record, notes = read_measured_record(
+        table(tmp_path_factory.mktemp("d") / "d.csv", columns), BASE
+    )
     steps = np.diff(record.t)
     np.testing.assert_allclose(steps, steps[0], rtol=1e-9)
     np.testing.assert_allclose(record.a[0], 3.0 * (record.t + t[0]), atol=1e-6)
@@ -132,7 +137,7 @@ def test_a_trembling_clock_is_straightened(tmp_path_factory, seed):
 def test_the_road_of_a_measured_drive_is_the_road_under_its_wheels(tmp_path):
     """A simulated drive, cut out of its middle and written by another logger."""
     surface = load_road("iso_d").realise(np.random.default_rng(3))
-    record, truth = record_drive(
+    record, truth = simulate_record(
         DEFENDER, surface, speed_kmh=54.0, mode="handling",
         instruments=load_instruments("paper"), seed=3,
     )  # fmt: skip
@@ -140,10 +145,13 @@ def test_the_road_of_a_measured_drive_is_the_road_under_its_wheels(tmp_path):
     columns = {
         "time": record.t[cut],
         "t": record.t[cut],
-        **{f"a_{k}_g": 1.0 + a[cut] / G for k, a in zip(("rf", "lr", "rr"), record.a, strict=True)},
+        **{
+            f"a_{k}_g": 1.0 + a[cut] / STANDARD_GRAVITY
+            for k, a in zip(("rf", "lr", "rr"), record.a, strict=True)
+        },
     }
     path = table(tmp_path / "d.csv", columns)
-    seen, _ = read_measured(path, BASE, speed_kmh=54.0, mode="handling")
+    seen, _ = read_measured_record(path, BASE, speed_kmh=54.0, mode="handling")
     found = estimators.create("iterated_wiener").estimate(seen, DEFENDER)
     begin = record.s[1200] - BASE  # where the rear axle stood
     wanted = np.stack([np.interp(begin + found.s, truth.s, z) for z in truth.z])
@@ -183,7 +191,7 @@ def spoilt(column, k, value):
 def test_what_cannot_be_a_drive_is_refused_in_one_sentence(tmp_path, columns, options, said):
     path = table(tmp_path / "d.csv", changed(**columns))
     with pytest.raises(ConfigError) as error:
-        read_measured(path, BASE, **options)
+        read_measured_record(path, BASE, **options)
     sentence = str(error.value)
     assert said in sentence and str(path) in sentence and "\n" not in sentence
 
@@ -193,13 +201,13 @@ def test_what_is_no_table_is_refused_in_one_sentence(tmp_path, data):
     for name in ("d.csv", "d.parquet"):
         (tmp_path / name).write_bytes(data)
         with pytest.raises(ConfigError, match=name):
-            read_measured(tmp_path / name, BASE)
+            read_measured_record(tmp_path / name, BASE)
     with pytest.raises(ConfigError, match="missing"):
-        read_measured(tmp_path / "missing.csv", BASE)
+        read_measured_record(tmp_path / "missing.csv", BASE)
 
 
 def test_a_record_is_known_by_its_metadata_damaged_or_not(tmp_path):
-    record, _ = read_measured(table(tmp_path / "d.csv", CHANNELS), BASE)
+    record, _ = read_measured_record(table(tmp_path / "d.csv", CHANNELS), BASE)
     path = tmp_path / "d.parquet"
     write_record(path, replace(record, length=5.0), {})
     path.write_bytes(path.read_bytes()[:-10])

@@ -10,13 +10,13 @@ from scipy import signal
 from scipy.fft import next_fast_len
 
 from leaderboard.metrics import heights, roughness
-from leaderboard.metrics.obstacles import bump_scores, find_bumps
-from leaderboard.metrics.registry import SCORES, scores
-from road_envs.data.record import GRID, Estimate, Profile, grid
+from leaderboard.metrics.obstacles import detect_obstacles, obstacle_scores
+from leaderboard.metrics.registry import SCORES, compute_scores
+from road_envs.data.record import PROFILE_SPACING, Estimate, Profile, profile_stations
 
-DS = GRID
+DS = PROFILE_SPACING
 BAND = (0.2, 1.8)
-S = grid(100.0)
+S = profile_stations(100.0)
 CLASS_D = 1024e-6
 
 
@@ -29,7 +29,7 @@ def road(seed, length=100.0, n_lo=0.01, n_hi=10.0):
     a = np.sqrt(2.0 * CLASS_D * (n / 0.1) ** -2.0 * n[0]) * ((n >= n_lo) & (n <= n_hi))
     phase = np.exp(2j * np.pi * rng.uniform(size=(2, n.size)))
     lines = np.concatenate([np.zeros((2, 1)), 0.5 * size * a * phase], axis=1)
-    z = np.fft.irfft(lines, size)[:, : grid(length).size]
+    z = np.fft.irfft(lines, size)[:, : profile_stations(length).size]
     return z - z.mean(axis=1, keepdims=True)
 
 
@@ -193,7 +193,7 @@ def test_an_estimate_without_content_correlates_with_nothing():
 @settings(max_examples=10)
 def test_a_scaled_road_is_so_many_decibels_away(decibels):
     y = road(8)
-    found = roughness.scores(y, 10.0 ** (decibels / 20.0) * y, DS, 4.0)
+    found = roughness.roughness_scores(y, 10.0 ** (decibels / 20.0) * y, DS, 4.0)
     assert found["dsd_bias_db"] == pytest.approx(decibels, abs=1e-6)
     assert found["dsd_distance_db"] == pytest.approx(abs(decibels), abs=1e-6)
     assert found["G_d0_error_db"] == pytest.approx(abs(decibels), abs=1e-6)
@@ -201,7 +201,10 @@ def test_a_scaled_road_is_so_many_decibels_away(decibels):
 
 def test_classes_agree_within_their_width():
     y = road(9, 300.0)
-    found = {k: roughness.scores(y, 10.0 ** (k / 20.0) * y, DS, 4.0) for k in (0.0, 6.02, 12.04)}
+    found = {
+        k: roughness.roughness_scores(y, 10.0 ** (k / 20.0) * y, DS, 4.0)
+        for k in (0.0, 6.02, 12.04)
+    }
     assert found[0.0]["class_exact"] == found[0.0]["fitted_class"] == 1.0
     # a class is 6 dB wide, so twice the height is the next class, four times the one after it
     assert found[6.02]["class_exact"] == 0.0 and found[6.02]["class_within_one"] == 1.0
@@ -210,14 +213,14 @@ def test_classes_agree_within_their_width():
 
 def test_octaves_that_the_low_pass_cuts_are_not_judged():
     y = road(10, 300.0)
-    n, G = roughness.dsd(y, DS)
+    n, G = roughness.displacement_psd(y, DS)
     wrong = G * np.where(n > 1.5, 100.0, 1.0)
-    assert not roughness.class_steps(n, G, wrong, v=15.0).any()
-    assert (roughness.class_steps(n, G, wrong, v=4.0) == [0, 0, 0, 3]).all()
+    assert not roughness.class_differences(n, G, wrong, v=15.0).any()
+    assert (roughness.class_differences(n, G, wrong, v=4.0) == [0, 0, 0, 3]).all()
     # at 18 m/s the low-pass ends at 1.25 cycles/m, inside the octave from 0.71 to 1.41
-    cut = roughness.class_steps(n, G, G * np.where(n > 0.71, 100.0, 1.0), v=18.0)
+    cut = roughness.class_differences(n, G, G * np.where(n > 0.71, 100.0, 1.0), v=18.0)
     assert cut.shape == (2, 2) and not cut.any()
-    assert roughness.class_steps(n, G, G, v=80.0).shape == (2, 0)
+    assert roughness.class_differences(n, G, G, v=80.0).shape == (2, 0)
 
 
 def test_the_iri_error_is_counted_per_100_m():
@@ -231,14 +234,14 @@ def test_the_iri_error_is_counted_per_100_m():
 
 
 def test_a_bump_is_found_at_its_middle_with_its_height():
-    (bump,) = find_bumps(plate((20.0, 20.8, 0.15)), DS, 0.05)
+    (bump,) = detect_obstacles(plate((20.0, 20.8, 0.15)), DS, 0.05)
     assert bump.s == pytest.approx(20.4, abs=DS) and bump.height == 0.15
 
 
 def test_bumps_are_matched_on_their_own_wheel_path():
     y = np.stack([plate((20.0, 20.8, 0.15)), plate((30.4, 31.2, 0.10))])
     a = np.stack([plate((20.2, 21.0, 0.12)), plate((20.0, 20.8, 0.08))])
-    found = bump_scores(y, a, DS)
+    found = obstacle_scores(y, a, DS)
     assert (found.precision, found.recall, found.f1) == (0.5, 0.5, 0.5)
     assert found.location_error == pytest.approx(0.2, abs=DS)
     assert found.height_error == pytest.approx(0.03)
@@ -249,27 +252,27 @@ def test_bumps_are_matched_on_their_own_wheel_path():
 def test_a_bump_beyond_the_tolerance_is_a_miss_and_a_false_alarm():
     y = np.stack([plate((20.0, 20.8, 0.1))] * 2)
     a = np.stack([plate((20.35, 21.15, 0.1)), plate((20.0, 20.8, 0.1))])
-    found = bump_scores(y, a, DS)
+    found = obstacle_scores(y, a, DS)
     assert (found.precision, found.recall, found.ghosts) == (0.5, 0.5, 0)
 
 
 def test_one_estimated_bump_answers_for_one_true_bump():
     y = np.stack([plate((20.0, 20.05, 0.1), (20.57, 20.62, 0.1))] * 2)
     a = np.stack([plate((20.28, 20.34, 0.1))] * 2)
-    assert bump_scores(y, a, DS).recall == 0.5
+    assert obstacle_scores(y, a, DS).recall == 0.5
 
 
 def test_a_flat_estimate_finds_no_bump_and_a_flat_truth_has_none():
     y = np.stack([plate((20.0, 20.8, 0.1))] * 2)
-    found = bump_scores(y, 0.0 * y, DS)
+    found = obstacle_scores(y, 0.0 * y, DS)
     assert found.f1 == 0.0 and np.isnan(found.location_error)
-    assert bump_scores(0.0 * y, y, DS) is None
+    assert obstacle_scores(0.0 * y, y, DS) is None
 
 
 def test_every_score_of_the_truth_is_perfect_and_described():
     y = np.stack([plate((20.0, 20.8, 0.15)), plate((30.4, 31.2, 0.10))]) + 0.1 * road(12)
     y[:, 1000:2000] = 0.0  # level enough for obstacles
-    found = scores(Profile(S, y), Estimate(S, y, np.zeros_like(y)), 4.0, bumps=True)
+    found = compute_scores(Profile(S, y), Estimate(S, y, np.zeros_like(y)), 4.0, bumps=True)
     assert found.keys() == SCORES.keys() - {"bound_nrmse", "bound_efficiency"}
     for name, value in found.items():
         wanted = 1.0 if SCORES[name].better == "high" or "coverage" in name else 0.0
@@ -278,6 +281,6 @@ def test_every_score_of_the_truth_is_perfect_and_described():
 
 def test_equation_12_on_the_board_does_not_see_the_datum():
     y = road(13)
-    found = scores(Profile(S, y + 5.0), Estimate(S, y), 4.0, bumps=False)
+    found = compute_scores(Profile(S, y + 5.0), Estimate(S, y), 4.0, bumps=False)
     assert found["level_error"] == pytest.approx(0.0, abs=1e-9)
     assert found["level_error_raw"] > 0.9

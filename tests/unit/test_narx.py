@@ -32,12 +32,12 @@ def test_in_parallel_the_network_is_fed_its_own_answers_station_by_station():
     x, before = rng.uniform(-1, 1, (3, 12)), rng.uniform(-1, 1, (2, 2))
     z = np.empty((2, 12))
     run_parallel(network.hidden, network.output, x, before, z)
-    past, felt = [before[:, 1], before[:, 0]], [x[:, 0], x[:, 0]]
+    past, sensed = [before[:, 1], before[:, 0]], [x[:, 0], x[:, 0]]
     for k in range(12):
-        seen = np.concatenate([x[:, k], *felt, *past])
+        seen = np.concatenate([x[:, k], *sensed, *past])
         answer = network(seen[:, None])[:, 0]
         np.testing.assert_allclose(z[:, k], answer, rtol=1e-12)
-        past, felt = [answer, past[0]], [x[:, k], felt[0]]
+        past, sensed = [answer, past[0]], [x[:, k], sensed[0]]
 
 
 def test_fed_with_its_own_answers_where_they_are_the_truth_both_loops_agree():
@@ -51,7 +51,7 @@ def test_fed_with_its_own_answers_where_they_are_the_truth_both_loops_agree():
 
 
 def test_the_open_loop_looks_excellent_and_the_closed_loop_is_what_comes_out(trained):
-    _, _, _, open_loop, closed_loop = trained.learnt
+    _, _, _, open_loop, closed_loop = trained.fitted_state
     assert open_loop < 0.1 < 0.5 < closed_loop
     record, truth = drive(300)
     estimate = trained.estimate(record, CAR)

@@ -9,7 +9,7 @@ from scipy.stats import gamma, kstest, lognorm
 from road_envs.config import ConfigError
 from road_envs.roads import load_road
 from road_envs.roads.iso8608 import Iso8608
-from road_envs.roads.nonstationary import Variation
+from road_envs.roads.nonstationary import RoughnessVariation
 
 LAWS = {
     "gamma": lambda cv: gamma(1.0 / cv**2, scale=cv**2),
@@ -22,7 +22,7 @@ def rng(seed=0):
 
 
 def varying(law="gamma", spread=0.7, patch=50.0, length=4000.0, **settings):
-    variation = Variation(law=law, spread=spread, patch=patch)
+    variation = RoughnessVariation(law=law, spread=spread, patch=patch)
     band = dict(n_min=0.05, n_max=5.0, ds=0.05)
     return Iso8608(G_d0=256e-6, length=length, variation=variation, **band, **settings)
 
@@ -30,7 +30,7 @@ def varying(law="gamma", spread=0.7, patch=50.0, length=4000.0, **settings):
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("spread", [0.3, 0.7, 1.5])
 def test_the_level_of_a_patch_follows_its_law(law, spread):
-    level = Variation(law=law, spread=spread, patch=2.0).draw(rng(), 40_000, 1.0)
+    level = RoughnessVariation(law=law, spread=spread, patch=2.0).draw(rng(), 40_000, 1.0)
     patches = level[1:][np.diff(level) != 0.0]
     assert patches.size == pytest.approx(20_000, abs=1)
     assert kstest(patches, LAWS[law](spread).cdf).pvalue > 1e-3
@@ -41,7 +41,7 @@ def test_the_level_of_a_patch_follows_its_law(law, spread):
 def test_patches_are_as_long_as_they_should_be_and_start_anywhere():
     firsts = []
     for seed in range(200):
-        level = Variation(patch=10.0).draw(rng(seed), 1000, 0.1)
+        level = RoughnessVariation(patch=10.0).draw(rng(seed), 1000, 0.1)
         ends = np.flatnonzero(np.diff(level))
         np.testing.assert_array_equal(np.diff(ends), 100)
         firsts.append(ends[0])
@@ -100,7 +100,7 @@ def test_patches_meet_without_a_step():
 
 @pytest.mark.parametrize("road_class", ["A", "D"])
 def test_the_variation_scales_with_the_class(road_class):
-    variation = Variation()
+    variation = RoughnessVariation()
     road, b = (Iso8608(road_class=c, variation=variation) for c in (road_class, "B"))
     factor = 2.0 ** ("ABCD".index(road_class) - 1)
     np.testing.assert_allclose(road.realise(rng()).z, factor * b.realise(rng()).z, rtol=1e-9)

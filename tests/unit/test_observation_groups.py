@@ -7,9 +7,9 @@ from gymnasium.utils import seeding
 from road_envs.analysis.information_bound import RoadPrior, bound
 from road_envs.config import ConfigError
 from road_envs.envs.road_recon import RoadReconEnv
-from road_envs.vehicle.equations import PHI, THETA, plant
+from road_envs.vehicle.equations import PHI, THETA, build_plant
 from road_envs.vehicle.parameters import GRAVITY
-from road_envs.vehicle.suspension import command
+from road_envs.vehicle.suspension import encode_command
 
 EVERYTHING = {
     "road": "iso_d",
@@ -26,9 +26,9 @@ def test_planar_and_struts_are_those_of_the_motion():
     env = RoadReconEnv(**EVERYTHING)
     observation, _ = env.reset(seed=4)
     setup = env.setup
-    drive = setup.begin(setup.convoy(), 0, seeding.np_random(4)[0], setup.options).drive
+    drive = setup.start_episode(setup.make_fleet(), 0, seeding.np_random(4)[0], setup.options).drive
     drive.manoeuvre = setup.manoeuvre
-    byte, car = command("ride"), setup.car
+    byte, car = encode_command("ride"), setup.car
     for action in (6, 6, 9, 15, 0):
         motion = drive.advance(np.full(50, byte, dtype=np.uint8))
         a = setup.manoeuvre.at(motion.t)
@@ -46,7 +46,7 @@ def test_planar_and_struts_are_those_of_the_motion():
             for y in (axle.y_s, -axle.y_s)
         ]
         np.testing.assert_allclose(parts["extension_rate"], rates, rtol=1e-4, atol=1e-5)
-        byte = int(setup.bytes[action])
+        byte = int(setup.command_bytes[action])
         observation, *_ = env.step(action)
 
 
@@ -64,26 +64,28 @@ def test_sixteen_actions_command_every_pair_of_states():
     assert env.action_space.n == 16
     for action in range(16):
         pair = {"front": MODES[action % 4], "rear": MODES[action // 4]}
-        assert env.setup.bytes[action] == command(pair)
+        assert env.setup.command_bytes[action] == encode_command(pair)
 
 
 @pytest.mark.parametrize(("action", "pair"), [(0, ("ride", "ride")), (4, ("ride", "handling"))])
 def test_the_reward_is_charged_with_the_variance_that_the_bound_leaves(action, pair):
     weight = 30.0
     free = RoadReconEnv(**EVERYTHING)
-    charged = RoadReconEnv(**EVERYTHING, weights={"information": weight})
+    charged = RoadReconEnv(**EVERYTHING, weights={"unresolved_variance": weight})
     free.reset(seed=2), charged.reset(seed=2)
     (_, r_0, _, _, told_0), (_, r_1, _, _, told_1) = free.step(action), charged.step(action)
     setup = charged.setup
     mode = {"front": pair[0], "rear": pair[1]}
-    places = setup.instruments.places(setup.car)
+    locations = setup.instruments.locations(setup.car)
     left = (
-        bound(plant(setup.car), mode, 15.0, setup.instruments, RoadPrior(), places=places).pooled
+        bound(
+            build_plant(setup.car), mode, 15.0, setup.instruments, RoadPrior(), locations=locations
+        ).pooled
         ** 2
     )
-    assert told_1["unknown"] == pytest.approx(left, rel=1e-2)
-    assert r_0 - r_1 == pytest.approx(0.05 * weight * told_1["unknown"], rel=1e-9)
-    assert "unknown" not in told_0
+    assert told_1["unresolved_variance"] == pytest.approx(left, rel=1e-2)
+    assert r_0 - r_1 == pytest.approx(0.05 * weight * told_1["unresolved_variance"], rel=1e-9)
+    assert "unresolved_variance" not in told_0
 
 
 @pytest.mark.parametrize(
@@ -92,7 +94,7 @@ def test_the_reward_is_charged_with_the_variance_that_the_bound_leaves(action, p
         ({"observe": ["struts"]}, "observe needs 'accelerations'"),
         ({"observe": ["accelerations", "planar", "planar"]}, "no group twice"),
         ({"observe": ["accelerations", "lidar"]}, "'accelerations', 'planar' or 'struts'"),
-        ({"weights": {"information": -1.0}}, "information must not be negative"),
+        ({"weights": {"unresolved_variance": -1.0}}, "unresolved_variance must not be negative"),
         ({"control": "wheel"}, "'vehicle', 'axle' or 'states'"),
     ],
 )

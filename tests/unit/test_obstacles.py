@@ -9,7 +9,7 @@ from oracles_roads import half_sine, sweep_height, trapezoid
 from road_envs.config import ConfigError
 from road_envs.roads import load_road
 from road_envs.roads.obstacles import Defect, Defects, Potholes
-from road_envs.roads.sine_sweep import Sweep
+from road_envs.roads.sine_sweep import SineSweep
 
 
 def rng(seed=0):
@@ -164,7 +164,7 @@ def test_wrong_potholes_are_one_sentence_about_the_culprit(setting, says):
     st.floats(1e-3, 0.1), st.floats(1e-3, 0.1), st.floats(10.0, 90.0),
 )  # fmt: skip
 def test_a_sweep_is_a_sine_of_its_integrated_frequency(start, end, progress, a, b, s):
-    road = Sweep(n_start=start, n_end=end, progress=progress, amplitude=a, amplitude_end=b)
+    road = SineSweep(n_start=start, n_end=end, progress=progress, amplitude=a, amplitude_end=b)
     expected = sweep_height(s, 100.0, start, end, progress, a, b)
     assert road.height(np.array(s)) == pytest.approx(expected, abs=1e-9)
     surface = road.realise(rng())
@@ -173,7 +173,7 @@ def test_a_sweep_is_a_sine_of_its_integrated_frequency(start, end, progress, a, 
 
 @pytest.mark.parametrize(("progress", "cycles"), [("linear", 105.0), ("logarithmic", 63.423)])
 def test_a_sweep_has_as_many_waves_as_its_law_says(progress, cycles):
-    road = Sweep(n_start=0.1, n_end=2.0, progress=progress, amplitude=0.01, amplitude_end=0.01)
+    road = SineSweep(n_start=0.1, n_end=2.0, progress=progress, amplitude=0.01, amplitude_end=0.01)
     z = road.realise(rng()).z[0]
     assert 0.5 * np.count_nonzero(np.diff(np.sign(z[1:-1]))) == pytest.approx(cycles, abs=0.6)
 
@@ -201,7 +201,7 @@ def test_a_tapered_sweep_leaves_and_meets_the_level_road_without_a_kink():
 )
 def test_the_wheel_paths_of_a_sweep_have_their_shares_of_it(paths, signs):
     settings = dict(n_start=0.2, n_end=0.2, amplitude=0.05, amplitude_end=0.05)
-    road = Sweep(**settings, paths=paths)
+    road = SineSweep(**settings, paths=paths)
     surface = road.realise(rng())
     np.testing.assert_array_equal(surface.z, np.outer(signs, road.height(surface.s)))
 
@@ -218,7 +218,7 @@ def test_the_twist_lifts_one_wheel_as_it_lowers_the_other():
 @pytest.mark.parametrize(
     ("setting", "says"),
     [
-        ({"n_end": 13.0}, "up to 1 / (8 ds) = 12.5 cycles/m"),
+        ({"n_end": 13.0}, "at most 1 / (8 ds) = 12.5 cycles/m"),
         ({"n_start": 0.0}, "n_start must be positive"),
         ({"taper": 51.0}, "do not fit"),
         ({"taper": -1.0}, "taper must not be negative"),

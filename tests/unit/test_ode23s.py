@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from road_envs.simulation.ode23s import StepSizeError, ode23s, resize, step
+from road_envs.simulation.ode23s import StepSizeError, ode23s, step, step_size_factor
 
 
 def slope(x, y):
@@ -24,7 +24,7 @@ def van_der_pol(mu):
     return f, J, lambda t, y: np.zeros(2)
 
 
-def clocked():
+def time_dependent_problem():
     """f, df/dy, df/dt and the solution of two equations, not linear, that read the clock."""
 
     def f(t, y):
@@ -70,7 +70,7 @@ def test_the_jumps_of_the_stiff_oscillator_are_followed():
 
 @pytest.mark.parametrize("given", [True, False], ids=["df/dt given", "df/dt by differences"])
 def test_at_a_constant_step_the_method_is_of_order_two_even_where_time_enters(given):
-    f, J, T = clocked()
+    f, J, T = time_dependent_problem()
     h, t = 0.1 / 2.0 ** np.arange(6), np.linspace(0.0, 2.0, 21)
     expected, error = truth(f, (0.0, 2.0), START, t), []
     for longest in h:
@@ -81,7 +81,7 @@ def test_at_a_constant_step_the_method_is_of_order_two_even_where_time_enters(gi
 
 
 def one_step(h, t=0.3):
-    f, J, T = clocked()
+    f, J, T = time_dependent_problem()
     F, (exact,) = f(t, START), truth(f, (t, t + h), START, [t + h])
     return step(f, t, START, F, J(t, START), T(t, START), h), exact
 
@@ -97,7 +97,7 @@ def test_a_step_and_its_error_make_a_formula_of_order_three():
 
 
 def test_between_its_ends_a_step_is_as_accurate_as_at_them():
-    f, J, T = clocked()
+    f, J, T = time_dependent_problem()
     h, error = 0.2 / 2.0 ** np.arange(6), []
     for each in h:
         found = ode23s(f, J, (0.3, 0.3 + each), START, 1e6, 1e6, T)
@@ -108,7 +108,7 @@ def test_between_its_ends_a_step_is_as_accurate_as_at_them():
 
 
 def test_the_dense_solution_meets_every_step_and_any_shape_of_times():
-    f, J, T = clocked()
+    f, J, T = time_dependent_problem()
     found = ode23s(f, J, (0.0, 2.0), START, dfdt=T)
     np.testing.assert_allclose(found(found.t), found.y, rtol=1e-14)
     assert found(1.0).shape == (2,) and found(np.ones((3, 4))).shape == (3, 4, 2)
@@ -118,10 +118,10 @@ def test_the_dense_solution_meets_every_step_and_any_shape_of_times():
             found(outside)
 
 
-@pytest.mark.parametrize("problem", ["clocked", "van der Pol"])
+@pytest.mark.parametrize("problem", ["time dependent", "van der Pol"])
 def test_the_error_follows_the_tolerance_with_the_power_of_two_thirds(problem):
     """A step's error is of order h³, that of the whole of order h²."""
-    f, J, T = clocked() if problem == "clocked" else van_der_pol(3.0)
+    f, J, T = time_dependent_problem() if problem == "time dependent" else van_der_pol(3.0)
     rtol, t = 10.0 ** -np.arange(4.0, 9.0), np.linspace(0.0, 4.0, 33)
     expected, error = truth(f, (0.0, 4.0), START, t), []
     for each in rtol:
@@ -183,11 +183,11 @@ def test_a_pulse_may_be_jumped_over_unless_steps_are_kept_short():
 
 
 def test_the_next_step_grows_with_the_cube_root_of_the_error_within_limits():
-    assert resize(1.0) == pytest.approx(0.8)
-    assert resize(0.125) == pytest.approx(1.6)
-    assert resize(8.0) == pytest.approx(0.4)
-    assert resize(0.0) == resize(1e-9) == 5.0
-    assert resize(1e9) == resize(np.nan) == resize(np.inf) == 0.2
+    assert step_size_factor(1.0) == pytest.approx(0.8)
+    assert step_size_factor(0.125) == pytest.approx(1.6)
+    assert step_size_factor(8.0) == pytest.approx(0.4)
+    assert step_size_factor(0.0) == step_size_factor(1e-9) == 5.0
+    assert step_size_factor(1e9) == step_size_factor(np.nan) == step_size_factor(np.inf) == 0.2
 
 
 def test_a_rate_that_is_no_number_ends_with_the_time_it_happened():
@@ -208,7 +208,7 @@ def test_a_rate_that_is_no_number_ends_with_the_time_it_happened():
     ids=str,
 )
 def test_input_without_sense_is_refused(wrong):
-    f, J, _ = clocked()
+    f, J, _ = time_dependent_problem()
     given = {"span": (0.0, 1.0), "y_0": START} | wrong
     with pytest.raises(ValueError, match="must"):
         ode23s(f, J, **given)

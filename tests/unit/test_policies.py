@@ -13,16 +13,16 @@ from scipy.signal import butter, sosfiltfilt
 import road_envs.policies as policies
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.config import ConfigError
-from road_envs.envs.options import Setup
+from road_envs.envs.options import EnvSetup
 from road_envs.envs.vector import RoadReconVectorEnv
 from road_envs.policies import REGISTRY, available, create
-from road_envs.policies.api import Cabin, PolicyError, checked
-from road_envs.policies.body_motion import Body, Running
-from road_envs.policies.features import FEATURES
+from road_envs.policies.api import PolicyContext, PolicyError, validate_actions
+from road_envs.policies.body_motion import BodyMotionEstimator, RunningRms
+from road_envs.policies.features import N_FEATURES
 from road_envs.policies.greedy_information import expected_comfort
-from road_envs.policies.network_policy import Learned, Network, read_network
-from road_envs.policies.rollout import drive
-from road_envs.policies.wheelbase_preview import RoadAhead
+from road_envs.policies.network_policy import NetworkPolicy, PolicyNetwork, read_policy_network
+from road_envs.policies.rollout import roll_out
+from road_envs.policies.wheelbase_preview import WheelbasePreview
 
 OPTIONS = {
     "road": "iso_d",
@@ -33,33 +33,33 @@ OPTIONS = {
     "manoeuvre": {"kind": "slalom", "begin": 0.0, "period": 0.8},
     "observe": ["accelerations", "planar", "struts"],
 }
-SETUP = Setup(dict(OPTIONS))
+SETUP = EnvSetup(dict(OPTIONS))
 LAWS = ("skyhook", "groundhook", "add", "sh_add")
 
 
-def cabin(number: int = 1) -> Cabin:
-    return Cabin.of(SETUP, number, seed=0)
+def context(number: int = 1) -> PolicyContext:
+    return PolicyContext.from_setup(SETUP, number, seed=0)
 
 
 def observed(number: int = 1, **parts) -> np.ndarray:
     """Observations (number, d) that are zero but for `parts`."""
     x = np.zeros((number, SETUP.observation_space.shape[0]), dtype=np.float32)
     for name, value in parts.items():
-        x[:, SETUP.parts[name]] = value
+        x[:, SETUP.observation_slices[name]] = value
     return x
 
 
 def pair_of(action) -> tuple[str, str]:
-    return cabin().actions[int(action)]
+    return context().actions[int(action)]
 
 
 @pytest.mark.parametrize("name", REGISTRY)
 def test_every_policy_drives_and_no_car_notices_another(name):
     policy = create(name)
-    three = drive(policy, OPTIONS, [5, 6, 7])
+    three = roll_out(policy, OPTIONS, [5, 6, 7])
     if name == "random":  # its draws are for all cars together
         return
-    alone = drive(policy, OPTIONS, [6])
+    alone = roll_out(policy, OPTIONS, [6])
     np.testing.assert_array_equal(three.actions[:, 1], alone.actions[:, 0])
     np.testing.assert_array_equal(three.observations[:, 1], alone.observations[:, 0])
     assert three.returns[1] == alone.returns[0]
@@ -75,12 +75,12 @@ def test_every_policy_drives_and_no_car_notices_another(name):
     ],
 )
 def test_fixed_policies_hold_their_pair(name, pair):
-    assert {pair_of(a) for a in drive(create(name), OPTIONS, [1, 2]).actions.ravel()} == {pair}
+    assert {pair_of(a) for a in roll_out(create(name), OPTIONS, [1, 2]).actions.ravel()} == {pair}
 
 
 def test_random_policies_hold_a_draw_and_draw_all_actions():
     policy = create("random", hold=0.04)
-    policy.reset(cabin(500))
+    policy.reset(context(500))
     actions = np.array([policy.act(observed(500)) for _ in range(4)])
     np.testing.assert_array_equal(actions[0], actions[1])
     assert (actions[1] != actions[2]).any()
@@ -106,7 +106,7 @@ def test_the_laws_are_the_published_ones(seed):
 
 def test_a_two_state_policy_firms_the_axle_whose_dampers_should_work():
     policy = create("add", high="soft_high", bias=0.0)
-    policy.reset(cabin())
+    policy.reset(context())
     up = dict.fromkeys(("RF", "LR", "RR"), 1.0)  # the whole body is pushed up
     rates = np.array([0.1, 0.1, -0.1, -0.1])  # in front the struts extend
     assert pair_of(policy.act(observed(**up, extension_rate=rates))[0]) == ("soft_high", "ride")
@@ -114,12 +114,12 @@ def test_a_two_state_policy_firms_the_axle_whose_dampers_should_work():
 
 def test_rates_of_the_body_come_back_from_its_accelerations():
     """A sine of heave far above the leak: its rate is the integral, a quarter period late."""
-    one, w, dt = cabin(), 2.0 * np.pi * 2.0, SETUP.interval
-    body, found = Body(one, leak=0.05), []
+    one, w, dt = context(), 2.0 * np.pi * 2.0, SETUP.interval
+    body, found = BodyMotionEstimator(one, leak=0.05), []
     t = dt * np.arange(500)
     for k in t:
-        heave = np.cos(w * (k + 0.001 * np.arange(SETUP.samples)))
-        body.feel(observed(RF=heave, LR=heave, RR=heave))
+        heave = np.cos(w * (k + 0.001 * np.arange(SETUP.samples_per_interval)))
+        body.update(observed(RF=heave, LR=heave, RR=heave))
         found.append(body.v[0].copy())
     found = np.array(found)
     inside = t > 6.0
@@ -129,14 +129,14 @@ def test_rates_of_the_body_come_back_from_its_accelerations():
 
 
 def test_heave_roll_and_pitch_are_told_apart():
-    one = cabin()
-    body = Body(one, leak=0.1)
+    one = context()
+    body = BodyMotionEstimator(one, leak=0.1)
     motion = np.array([0.7, -0.4, 0.3])
-    places = one.instruments.places(one.car)
-    signals = {n: motion[0] + y * motion[1] - x * motion[2] for n, (x, y) in places.items()}
-    body.feel(observed(**signals))
+    locations = one.instruments.locations(one.car)
+    signals = {n: motion[0] + y * motion[1] - x * motion[2] for n, (x, y) in locations.items()}
+    body.update(observed(**signals))
     np.testing.assert_allclose(body.a[0], motion, rtol=1e-5)
-    corners = body.at_struts(body.a)[0]
+    corners = body.at_strut_mounts(body.a)[0]
     front, rear = one.car.axles
     assert corners[0] == pytest.approx(0.7 - 0.4 * front.y_s - 0.3 * front.x, rel=1e-5)
     assert corners[3] == pytest.approx(0.7 + 0.4 * rear.y_s - 0.3 * rear.x, rel=1e-5)
@@ -144,7 +144,7 @@ def test_heave_roll_and_pitch_are_told_apart():
 
 @given(st.lists(st.floats(-5, 5), min_size=1, max_size=40))
 def test_the_running_rms_is_that_of_the_window(values):
-    running = Running(cabin(), 0.2)
+    running = RunningRms(context(), 0.2)
     x = np.concatenate([np.zeros(10), values])
     for k, value in enumerate(values):
         expected = np.sqrt(np.mean(x[k + 1 : k + 11] ** 2))
@@ -153,7 +153,7 @@ def test_the_running_rms_is_that_of_the_window(values):
 
 def test_rrms_weighs_lateral_against_vertical():
     policy = create("rrms", window=0.1, ratio=2.0)
-    policy.reset(cabin(3))
+    policy.reset(context(3))
     up = dict.fromkeys(("RF", "LR", "RR"), 1.0)
     planar = np.array([[0.0, 1.9], [0.0, -2.1], [9.0, 0.0]])
     for _ in range(6):
@@ -163,7 +163,7 @@ def test_rrms_weighs_lateral_against_vertical():
 
 def test_a_lean_is_answered_until_it_has_been_gone_for_a_while():
     policy = create("roll_angle", threshold=0.05, hold=0.06)
-    policy.reset(cabin())
+    policy.reset(context())
     y = SETUP.car.front.y_s
 
     def lean(angle):
@@ -179,9 +179,9 @@ def test_sensing_is_the_pair_of_least_cost_and_turns_from_comfort_to_knowledge()
     chosen = []
     for weight in (0.0, 1e6):
         policy = create("greedy_information", weight=weight)
-        policy.reset(cabin())
+        policy.reset(context())
         action = int(policy.act(slow)[0])
-        assert action == int(np.argmin(policy.costs(15.0)))
+        assert action == int(np.argmin(policy.action_costs(15.0)))
         chosen.append(pair_of(action))
     assert chosen[0] == ("ride", "ride")
     assert chosen[1][0] != chosen[1][1]
@@ -194,7 +194,7 @@ def test_expected_comfort_is_that_of_the_drives():
         envs = RoadReconVectorEnv(4, **straight, truth=False)
         envs.reset(seed=20)
         policy = create(name)
-        policy.reset(Cabin.of(envs.setup, 4, 0))
+        policy.reset(PolicyContext.from_setup(envs.setup, 4, 0))
         squares = []
         for _ in range(900):
             seen = envs.step(policy.act(np.zeros((4, 1))))
@@ -217,7 +217,7 @@ def test_a_policy_of_another_package_appears_by_its_name(monkeypatch):
     with pytest.raises(ConfigError, match="'random' of somewhere:Mine needs another name"):
         available()
     Entry.name, Entry.load = "mine", lambda self: print
-    with pytest.warns(policies.PluginWarning, match="must be a dataclass"):
+    with pytest.warns(policies.PolicyPluginWarning, match="must be a dataclass"):
         assert "mine" not in available()
 
 
@@ -250,17 +250,17 @@ def test_a_wrong_policy_or_setting_is_named(name, settings, said):
 )
 def test_actions_that_are_none_are_named(actions, said):
     with pytest.raises(PolicyError, match=said):
-        checked(actions, cabin(2))
+        validate_actions(actions, context(2))
 
 
 def test_what_is_not_observed_or_commanded_is_named():
-    plain = Setup({**OPTIONS, "observe": ["accelerations"], "control": "vehicle"})
+    plain = EnvSetup({**OPTIONS, "observe": ["accelerations"], "control": "vehicle"})
     policy = create("roll_angle")
-    policy.reset(Cabin.of(plain, 1, 0))
+    policy.reset(PolicyContext.from_setup(plain, 1, 0))
     with pytest.raises(ConfigError, match="'extension' is not observed"):
         policy.act(np.zeros((1, 65)))
     with pytest.raises(ConfigError, match="no action commands ride in front and handling"):
-        create("fixed_ride_handling").reset(Cabin.of(plain, 1, 0))
+        create("fixed_ride_handling").reset(PolicyContext.from_setup(plain, 1, 0))
 
 
 # --- the road ahead -------------------------------------------------------------------------------
@@ -270,18 +270,20 @@ def test_what_is_not_observed_or_commanded_is_named():
 def test_the_road_felt_at_the_front_is_the_road(name):
     """In band and without any delay, in one state as through random switches of both axles."""
     options = {**OPTIONS, "length": 60.0, "speed_kmh": 30.0, "manoeuvre": None}
-    driven = drive(create(name), options, [21, 22])
-    setup = Setup(dict(options))
-    road = RoadAhead(Cabin.of(setup, 2, 0))
+    driven = roll_out(create(name), options, [21, 22])
+    setup = EnvSetup(dict(options))
+    road = WheelbasePreview(PolicyContext.from_setup(setup, 2, 0))
     felt = []
     for observations in driven.observations:
-        road.feel(observations)
-        felt.append(road.wheels[:, :2].copy())
+        road.update(observations)
+        felt.append(road.wheel_heights[:, :2].copy())
     v = 30.0 / 3.6
     station = -5.0 + v * setup.interval * np.arange(1, len(felt) + 1)
     sos = butter(2, [0.2, 1.8], "bandpass", fs=1.0 / (v * setup.interval), output="sos")
     for k, seed in enumerate((21, 22)):
-        begun = setup.begin(setup.convoy(), 0, seeding.np_random(seed)[0], setup.options)
+        begun = setup.start_episode(
+            setup.make_fleet(), 0, seeding.np_random(seed)[0], setup.options
+        )
         inside = (station > 0.0) & (station < 60.0)
         truth = sosfiltfilt(sos, begun.surface.height(station[inside]), axis=1)
         estimate = sosfiltfilt(sos, np.array(felt)[inside, k].T, axis=1)
@@ -290,37 +292,39 @@ def test_the_road_felt_at_the_front_is_the_road(name):
 
 def test_what_the_front_felt_lies_ahead_of_the_rear_axle():
     """A step under the front wheels moves towards the rear axle as fast as the car drives."""
-    road, seen = RoadAhead(cabin(2)), observed(2, speed=15.0)
+    road, seen = WheelbasePreview(context(2)), observed(2, speed=15.0)
     step = 15.0 * SETUP.interval  # 0.3 m an interval
     for _ in range(20):
-        road.feel(seen)
-    road.past[road.now, 1] = [0.02, -0.01]
+        road.update(seen)
+    road.history[road.newest, 1] = [0.02, -0.01]
     L = road.wheelbase
     for driven in range(9):
         at = L - step * driven
-        heights = road.at(np.array([at - step, at, at - 0.5 * step]))[1]
+        heights = road.heights_at(np.array([at - step, at, at - 0.5 * step]))[1]
         np.testing.assert_allclose(heights[1], [0.02, -0.01], atol=1e-12)
         if driven:
             np.testing.assert_allclose(heights[2], [0.01, -0.005], atol=1e-12)
             assert np.abs(heights[0]).max() < 1e-12
-        assert not road.at(np.array([at]))[0].any()
-        road.feel(seen)
-    road.restart(np.array([False, True]))
-    assert not road.past[:, 1].any() and not road.wheels[1].any()
+        assert not road.heights_at(np.array([at]))[0].any()
+        road.update(seen)
+    road.reset(np.array([False, True]))
+    assert not road.history[:, 1].any() and not road.wheel_heights[1].any()
 
 
 def test_preview_is_rrms_but_for_the_rear_axle_before_a_bump():
     settings = {"window": 0.1, "ratio": 2.0}
     policy, plain = create("preview", **settings, bump=0.05, reach=2.0), create("rrms", **settings)
     for one in (policy, plain):
-        one.reset(cabin(2))
+        one.reset(context(2))
     up = dict.fromkeys(("RF", "LR", "RR"), 1.0)
     seen = observed(2, **up, planar=[0.0, 3.0], speed=15.0)
-    policy.road.feel = lambda observations: None
-    policy.road.speed[:] = 15.0
+    policy.preview.update = lambda observations: None
+    policy.preview.speed[:] = 15.0
     for height, rear in ((0.04, "handling"), (0.06, "ride")):
-        policy.road.past[:] = 0.0
-        policy.road.past[policy.road.now - 5, 1, 0] = height  # 1.3 m before the rear axle
+        policy.preview.history[:] = 0.0
+        policy.preview.history[policy.preview.newest - 5, 1, 0] = (
+            height  # 1.3 m before the rear axle
+        )
         for _ in range(6):
             actions, rule = policy.act(seen), plain.act(seen)
         assert actions[0] == rule[0]
@@ -330,25 +334,27 @@ def test_preview_is_rrms_but_for_the_rear_axle_before_a_bump():
 # --- networks -------------------------------------------------------------------------------------
 
 
-def network(rng=None) -> Network:
+def network(rng=None) -> PolicyNetwork:
     rng = rng or np.random.default_rng(0)
-    sizes = (FEATURES, 8, 16)
+    sizes = (N_FEATURES, 8, 16)
     layers = tuple(
         (rng.standard_normal((b, a)).astype(np.float32), rng.standard_normal(b).astype(np.float32))
         for a, b in itertools.pairwise(sizes)
     )
-    return Network(layers, {"activation": "tanh", "control": "states", "held": 1, "ahead": False})
+    return PolicyNetwork(
+        layers, {"activation": "tanh", "control": "states", "held": 1, "ahead": False}
+    )
 
 
 def test_a_stored_network_comes_back_and_is_the_formula(tmp_path):
     path = tmp_path / "n.npz"
-    path.write_bytes(network().as_bytes())
-    again = read_network(path)
-    x = np.random.default_rng(1).standard_normal((5, FEATURES))
+    path.write_bytes(network().to_bytes())
+    again = read_policy_network(path)
+    x = np.random.default_rng(1).standard_normal((5, N_FEATURES))
     (W_0, b_0), (W_1, b_1) = network().layers
     expected = [W_1 @ np.tanh(W_0 @ row + b_0) + b_1 for row in x]
-    np.testing.assert_allclose(again.values(x), expected, rtol=1e-6)
-    driven = drive(Learned(file=str(path)), OPTIONS, [3])
+    np.testing.assert_allclose(again.forward(x), expected, rtol=1e-6)
+    driven = roll_out(NetworkPolicy(file=str(path)), OPTIONS, [3])
     assert driven.actions.shape[1] == 1
 
 
@@ -362,10 +368,10 @@ def test_a_file_of_a_stranger_is_never_unpickled(tmp_path):
     path = tmp_path / "trap.npz"
     np.savez(path, about=np.array(Trap(), dtype=object))
     with pytest.raises(ConfigError, match="not a stored policy"):
-        read_network(path)
+        read_policy_network(path)
     path.write_bytes(pickle.dumps(Trap()))
     with pytest.raises(ConfigError, match="not a stored policy"):
-        read_network(path)
+        read_policy_network(path)
     assert not ran.exists()
 
 
@@ -374,15 +380,15 @@ def test_a_damaged_network_is_refused(tmp_path, fault):
     good, path = network(), tmp_path / "n.npz"
     (W, b), last = good.layers
     if fault == "shape":
-        data = Network(((W[:, :-1], b), last), good.about).as_bytes()
+        data = PolicyNetwork(((W[:, :-1], b), last), good.metadata).to_bytes()
     elif fault == "nan":
-        data = Network(((W * np.nan, b), last), good.about).as_bytes()
+        data = PolicyNetwork(((W * np.nan, b), last), good.metadata).to_bytes()
     elif fault == "format":
-        data = Network(good.layers, {**good.about, "activation": "sine"}).as_bytes()
+        data = PolicyNetwork(good.layers, {**good.metadata, "activation": "sine"}).to_bytes()
     elif fault == "missing":
-        data = Network(((W, b),), good.about).as_bytes()
+        data = PolicyNetwork(((W, b),), good.metadata).to_bytes()
     else:
-        data = good.as_bytes()[:-40]
+        data = good.to_bytes()[:-40]
     path.write_bytes(data)
     with pytest.raises(ConfigError, match=r"n\.npz: not a stored policy"):
-        read_network(path)
+        read_policy_network(path)

@@ -7,7 +7,7 @@ import pytest
 from test_estimator_contract import drive, fit
 
 from estimators.api import check_estimate
-from estimators.preprocessing import RecordError, mended
+from estimators.preprocessing import RecordError, clean_record
 from road_envs.data.record import Record
 from road_envs.vehicle.parameters import load_vehicle
 
@@ -17,7 +17,9 @@ MENDING = ["static_lm", "narx", "fir_ridge", "tcn", "tcn_causal", "gru", "gru_ca
 
 def part(record: Record, kept: np.ndarray) -> Record:
     """The record with these samples alone."""
-    fields = {name: getattr(record, name)[kept] for name in ("t", "v", "s", "stiff", "high")}
+    fields = {
+        name: getattr(record, name)[kept] for name in ("t", "v", "s", "spring_stiff", "damper_high")
+    }
     return replace(record, a=record.a[:, kept], **fields)
 
 
@@ -31,13 +33,13 @@ def with_gap(record: Record, share: float, row: int = 1) -> Record:
 
 def test_a_sound_record_is_handed_back_itself():
     record, _ = drive(200)
-    found, notes = mended(record)
+    found, notes = clean_record(record)
     assert found is record and notes == ()
 
 
 def test_missing_samples_are_bridged_by_straight_lines_and_said():
     record, _ = drive(201)
-    found, notes = mended(with_gap(record, 0.01))
+    found, notes = clean_record(with_gap(record, 0.01))
     assert notes == ("LR: 1.0% of the samples were missing and are bridged",)
     begin, size = record.t.size // 3, round(0.01 * record.t.size)
     bridge = found.a[1, begin - 1 : begin + size + 1]
@@ -50,7 +52,7 @@ def test_samples_that_were_dropped_come_back_at_their_times():
     record, _ = drive(202)
     kept = np.ones(record.t.size, dtype=bool)
     kept[100:103] = kept[500:520:2] = False
-    found, (note,) = mended(part(record, kept))
+    found, (note,) = clean_record(part(record, kept))
     assert "of the samples were dropped (longest step 0.020 s)" in note
     np.testing.assert_allclose(found.t, record.t, atol=1e-9)
     np.testing.assert_allclose(found.s, record.s, atol=1e-9)
@@ -61,19 +63,19 @@ def test_a_sensor_at_its_limit_is_said_and_a_smooth_peak_is_not():
     record, _ = drive(203)
     limit = np.quantile(np.abs(record.a[0]), 0.9)
     clipped = replace(record, a=np.clip(record.a, -limit, limit))
-    _, notes = mended(clipped)
+    _, notes = clean_record(clipped)
     assert any(note.startswith(f"RF stands at its limit of {limit:.1f} m/s²") for note in notes)
     hum = np.sin(2.0 * np.pi * 1.0 * record.t)
-    assert mended(replace(record, a=np.array([hum, hum, hum])))[1] == ()
+    assert clean_record(replace(record, a=np.array([hum, hum, hum])))[1] == ()
 
 
 def test_a_stop_and_a_record_that_begins_late_are_said():
     record, _ = drive(204)
     s = np.where(record.s < 5.0, record.s, np.maximum(record.s - 4.0, 5.0))
-    _, notes = mended(replace(record, s=s))
+    _, notes = clean_record(replace(record, s=s))
     assert "the car stood still for 1.0 s; nothing is learnt of the road there" in notes
     late = part(record, record.s > 3.0)
-    assert mended(late)[1] == ("the record does not reach the first 3.02 m of the road",)
+    assert clean_record(late)[1] == ("the record does not reach the first 3.02 m of the road",)
 
 
 REFUSED = {
@@ -90,11 +92,11 @@ REFUSED = {
     r"the car moved by 0\.00 m; at least 1 m are wanted": lambda r: replace(r, s=0.0 * r.s),
     r"the odometer runs .* m backwards": lambda r: replace(r, s=r.s[::-1]),
     "the clock must go on; it does not after sample 0": lambda r: replace(r, t=r.t[::-1]),
-    "the strut states 'stiff' must be true or false": lambda r: replace(
-        r, stiff=np.full((r.t.size, 4), 3)
+    "the strut states 'spring_stiff' must be true or false": lambda r: replace(
+        r, spring_stiff=np.full((r.t.size, 4), 3)
     ),
-    r"high of the record must have the shape \(\d+, 4\), got \(\d+, 3\)": lambda r: replace(
-        r, high=r.high[:, :3]
+    r"damper_high of the record must have the shape \(\d+, 4\), got \(\d+, 3\)": lambda r: replace(
+        r, damper_high=r.damper_high[:, :3]
     ),
     r"a of the record must have the shape \(3, \d+\)": lambda r: replace(r, a=r.a[:2]),
     r"the road must be longer than 0\.05 m, got 0\.0 m": lambda r: replace(r, length=0.0),
@@ -105,7 +107,7 @@ REFUSED = {
 def test_a_record_that_cannot_be_used_is_refused_with_the_reason(sentence):
     record, _ = drive(205)
     with pytest.raises(RecordError, match=sentence):
-        mended(REFUSED[sentence](record))
+        clean_record(REFUSED[sentence](record))
 
 
 @pytest.mark.parametrize("name", MENDING)

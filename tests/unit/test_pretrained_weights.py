@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from estimators import create, pretrained_weights
-from estimators.linear.fir_bank import fitted_bank
-from estimators.networks.inputs import window
-from estimators.networks.training_data import material
+from estimators.linear.fir_bank import fit_bank
+from estimators.networks.inputs import window_span
+from estimators.networks.training_data import training_example
 from leaderboard.evaluation import pretraining
 from leaderboard.evaluation.tasks import load_task
-from leaderboard.evaluation.test_data import simulated
+from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.metrics.heights import nrmse, scored_band
 from road_envs.data.training_corpus import Corpus
 
@@ -31,7 +31,7 @@ WINDOWS = {"fir_ridge": "bank"} | dict.fromkeys(NETWORKS, "taps")
 
 def kept(name: str):
     """Arrays and what is said about them."""
-    return pretrained_weights.read(pretrained_weights.FOLDER / f"{name}.safetensors")
+    return pretrained_weights.read_weights(pretrained_weights.FOLDER / f"{name}.safetensors")
 
 
 def near(fresh: np.ndarray, stored: np.ndarray) -> bool:
@@ -43,11 +43,11 @@ def near(fresh: np.ndarray, stored: np.ndarray) -> bool:
 @cache
 def rare_taps(causal: bool) -> np.ndarray:
     """Taps of the rarest states, for they follow from their own drives alone."""
-    pairs = [Corpus().drive(k) for k in RARE]
-    drives = [material(record, truth, causal) for record, truth in pairs]
-    assert all((drive.course.states == [1.0, 0.0, 0.0, 0.0]).all() for drive in drives)
-    courses, targets = zip(*drives, strict=True)
-    return fitted_bank(courses, targets, *window(causal)).taps[STIFF_LOW_AND_RIDE]
+    pairs = [Corpus().simulate_drive(k) for k in RARE]
+    drives = [training_example(record, truth, causal) for record, truth in pairs]
+    assert all((drive.signals.states == [1.0, 0.0, 0.0, 0.0]).all() for drive in drives)
+    all_signals, targets = zip(*drives, strict=True)
+    return fit_bank(all_signals, targets, *window_span(causal)).taps[STIFF_LOW_AND_RIDE]
 
 
 @pytest.mark.parametrize(("name", "array"), WINDOWS.items())
@@ -86,7 +86,7 @@ def mean_error(estimator) -> float:
     """In-band NRMSE over every condition of the main board, a road of each of two families."""
     task, found = load_task("new_road"), []
     for condition in task.conditions:
-        for drive in simulated(task, task.with_roads(2).test, condition):
+        for drive in simulate_drives(task, task.with_test_drives(2).test, condition):
             z = estimator.estimate(drive.record, task.vehicle).z
             band = scored_band(condition.speed_kmh / 3.6)
             found.append(nrmse(drive.truth.z, z, drive.truth.ds, band).pooled)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles_roads import CLASS_MEANS, iso_density, isotropic_root_coherence, segment_spectrum
 
-from road_envs.analysis.roughness import isotropic
+from road_envs.analysis.roughness import root_coherence
 from road_envs.roads import load_road, with_length
 from road_envs.roads.iso8608 import Iso8608
 
@@ -93,7 +93,7 @@ def test_height_scales_with_the_root_of_the_density(G_d0, factor, seed):
 @pytest.mark.parametrize("w", [1.5, 2.0, 3.0])
 @pytest.mark.parametrize("n", [0.01, 0.05, 0.2, 0.5])
 def test_the_isotropic_coherence_is_the_cut_through_a_surface(n, w):
-    assert isotropic(np.array(n), w, 1.5) == pytest.approx(
+    assert root_coherence(np.array(n), w, 1.5) == pytest.approx(
         isotropic_root_coherence(n, w, 1.5), abs=2e-6
     )
 

@@ -11,10 +11,16 @@ from vehicle_fixtures import DEFENDER, smooth_road
 
 from road_envs.config import ConfigError
 from road_envs.data import recording
-from road_envs.data.record import GRID, Record, grid
-from road_envs.data.recording import COLUMNS, read_record, record_drive, truth, write_record
+from road_envs.data.record import PROFILE_SPACING, Record, profile_stations
+from road_envs.data.recording import (
+    COLUMNS,
+    read_record,
+    simulate_record,
+    true_profile,
+    write_record,
+)
 from road_envs.sensing.data_logger import load_instruments
-from road_envs.simulation.drive import RUN_UP
+from road_envs.simulation.drive import APRON_LENGTH
 
 ROAD = smooth_road(length=20.0, height=0.01)
 PAPER = load_instruments("paper")
@@ -23,7 +29,7 @@ MIXED = {"FL": "ride", "FR": "handling", "RL": "soft_high", "RR": "stiff_low"}
 
 def drive(seed=0, speed_kmh=54.0, mode="ride", **changes):
     options = {"step": changes.pop("step")} if "step" in changes else {}
-    return record_drive(
+    return simulate_record(
         DEFENDER, ROAD, speed_kmh=speed_kmh, mode=mode,
         instruments=replace(PAPER, **changes), seed=seed, **options,
     )  # fmt: skip
@@ -55,19 +61,21 @@ def test_a_record_says_what_was_driven():
     speed = 54.0 / 3.6
     assert record.fs == pytest.approx(1000.0)
     np.testing.assert_allclose(np.diff(record.t), 0.001, rtol=1e-9)
-    assert record.t[0] == 0.0 and record.s[0] == -RUN_UP
-    assert record.t[-1] == pytest.approx((20.0 + DEFENDER.wheelbase + 2 * RUN_UP) / speed, abs=2e-3)
+    assert record.t[0] == 0.0 and record.s[0] == -APRON_LENGTH
+    assert record.t[-1] == pytest.approx(
+        (20.0 + DEFENDER.wheelbase + 2 * APRON_LENGTH) / speed, abs=2e-3
+    )
     assert (record.v == speed).all() and record.length == 20.0
-    np.testing.assert_allclose(record.s, -RUN_UP + speed * record.t, atol=1e-9)
-    assert (record.stiff == [False, True, False, True]).all()
-    assert (record.high == [False, True, True, False]).all()
+    np.testing.assert_allclose(record.s, -APRON_LENGTH + speed * record.t, atol=1e-9)
+    assert (record.spring_stiff == [False, True, False, True]).all()
+    assert (record.damper_high == [False, True, True, False]).all()
 
 
 def test_the_odometer_adds_up_the_measured_speed_error_and_all():
     record, _ = drive(speed_error=0.02)
     assert record.v[0] != 15.0 and (record.v == record.v[0]).all()
     np.testing.assert_allclose(np.diff(record.s), record.v[:-1] / 1000.0, rtol=1e-9)
-    assert record.s[-1] + RUN_UP == pytest.approx(record.v[0] * record.t[-1])
+    assert record.s[-1] + APRON_LENGTH == pytest.approx(record.v[0] * record.t[-1])
 
 
 @pytest.mark.parametrize("chunk", [17, 1000])
@@ -87,19 +95,23 @@ def test_a_finer_step_makes_the_same_record():
 
 def test_the_truth_is_the_road_on_the_grid_of_the_paper():
     _, road = drive()
-    assert GRID == pytest.approx(0.0252, abs=5e-5) and grid(100.0).size == 3964
+    assert (
+        PROFILE_SPACING == pytest.approx(0.0252, abs=5e-5) and profile_stations(100.0).size == 3964
+    )
     np.testing.assert_allclose(road.s, 100.0 / 3964 * np.arange(road.s.size), rtol=1e-12)
     np.testing.assert_array_equal(road.z, ROAD.height(road.s))
-    assert 20.0 - 2.0 * GRID < road.s[-1] < 20.0 and road.ds == pytest.approx(GRID)
-    np.testing.assert_array_equal(truth(ROAD).z, road.z)
+    assert 20.0 - 2.0 * PROFILE_SPACING < road.s[-1] < 20.0 and road.ds == pytest.approx(
+        PROFILE_SPACING
+    )
+    np.testing.assert_array_equal(true_profile(ROAD).z, road.z)
 
 
 def test_signals_are_found_at_the_times_of_the_stations():
     record, _ = drive()
     stations = np.array([0.0, 5.004, 12.3])
-    found = record.at(stations, np.stack([record.s, record.t]))
+    found = record.interpolate(stations, np.stack([record.s, record.t]))
     np.testing.assert_allclose(found[0], stations, atol=1e-9)
-    np.testing.assert_allclose(found[1], (stations + RUN_UP) / 15.0, atol=1e-9)
+    np.testing.assert_allclose(found[1], (stations + APRON_LENGTH) / 15.0, atol=1e-9)
 
 
 # --- writing and reading --------------------------------------------------------------------------

@@ -11,14 +11,20 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-import estimators
-from estimators import GROUP, REGISTRY, PluginWarning, available, create
+from estimators import (
+    ENTRY_POINT_GROUP,
+    REGISTRY,
+    EstimatorPluginWarning,
+    available,
+    create,
+    registry,
+)
 from estimators.api import NotFittedError
 from estimators.baselines.flat import Flat
 from estimators.baselines.mean import Mean
 from estimators.weights_io import StorageError, load, save
 from road_envs.config import ConfigError
-from road_envs.data.record import Estimate, Profile, grid
+from road_envs.data.record import Estimate, Profile, profile_stations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +36,7 @@ class Plateau:
     height: float = 1.0
 
     def estimate(self, record, car) -> Estimate:
-        stations = grid(record.length)
+        stations = profile_stations(record.length)
         return Estimate(stations, np.full((2, stations.size), self.height))
 
 
@@ -52,15 +58,17 @@ class NoWordOnCausality:
 
 def offer(monkeypatch, **values: str) -> None:
     """Pretend that other packages offer these entry points, name by name."""
-    entries = [metadata.EntryPoint(name, value, GROUP) for name, value in values.items()]
+    entries = [
+        metadata.EntryPoint(name, value, ENTRY_POINT_GROUP) for name, value in values.items()
+    ]
     monkeypatch.setattr(
-        estimators.metadata, "entry_points", lambda group: [e for e in entries if e.group == group]
+        registry.metadata, "entry_points", lambda group: [e for e in entries if e.group == group]
     )
 
 
 def trained_mean() -> Mean:
     """A fitted estimator without a drive."""
-    stations = grid(2.0)
+    stations = profile_stations(2.0)
     truth = Profile(stations, np.array([np.sin(stations), np.cos(stations)]))
     return Mean().fit([], [truth], None, 0)
 
@@ -86,7 +94,7 @@ def test_settings_reach_the_estimator():
     [
         ("static_ml", {}, r"unknown estimator 'static_ml' \(did you mean 'static_lm'\?\)"),
         ("static_lm", {"hiden": 7}, r"unknown setting of static_lm 'hiden' .*known: .*hidden"),
-        ("static_lm", {"learnt": 7}, "unknown setting of static_lm 'learnt'"),
+        ("static_lm", {"fitted_state": 7}, "unknown setting of static_lm 'fitted_state'"),
         ("flat", {"height": 1.0}, "unknown setting of flat 'height'"),
         ("static_lm", {"hidden": "many"}, "static_lm.*hidden: .*valid integer, got 'many'"),
         ("static_lm", {"hidden": 0}, "hidden must be at least 1, got 0"),
@@ -120,7 +128,7 @@ def test_an_installed_package_is_found_by_its_metadata(tmp_path, monkeypatch):
     about = tmp_path / "somebodys_hill-1.0.dist-info"
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: somebodys-hill\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text(f"[{GROUP}]\nhill = somebodys_hill:Hill\n")
+    (about / "entry_points.txt").write_text(f"[{ENTRY_POINT_GROUP}]\nhill = somebodys_hill:Hill\n")
     monkeypatch.syspath_prepend(tmp_path)
     assert available()["hill"].__name__ == "Hill"
     monkeypatch.delitem(sys.modules, "somebodys_hill")
@@ -139,7 +147,7 @@ def test_an_installed_package_is_found_by_its_metadata(tmp_path, monkeypatch):
 )
 def test_a_broken_plug_in_is_reported_by_name_and_takes_no_other_down(monkeypatch, value, reason):
     offer(monkeypatch, broken=value, plateau=f"{__name__}:Plateau")
-    with pytest.warns(PluginWarning, match=f"'broken' of {value} is left out: .*{reason}"):
+    with pytest.warns(EstimatorPluginWarning, match=f"'broken' of {value} is left out: .*{reason}"):
         found = available()
     assert set(found) == {*REGISTRY, "plateau"}
 

@@ -16,13 +16,13 @@ import road_envs  # registers the environment
 from leaderboard.report.animation import animate
 from road_envs.config import ConfigError
 from road_envs.envs.road_recon import RoadReconEnv
-from road_envs.rendering import HEIGHT, WIDTH, Scene, frame, panels, style
+from road_envs.rendering import HEIGHT, WIDTH, Scene, panels, render_frame, style
 from road_envs.rendering.scene import free_travel
 from road_envs.roads import load_road
-from road_envs.simulation.drive import Drive
-from road_envs.vehicle.equations import AXLE, PHI, THETA, Z_B, plant
+from road_envs.simulation.drive import DriveSimulator
+from road_envs.vehicle.equations import AXLE, PHI, THETA, Z_B, build_plant
 from road_envs.vehicle.parameters import load_vehicle
-from road_envs.vehicle.suspension import command
+from road_envs.vehicle.suspension import encode_command
 
 CAR = load_vehicle("land_rover_defender_110")
 SIDE = (slice(40, 344), slice(0, 639))
@@ -38,9 +38,9 @@ def make(**options):
 def scene(road="flat", seconds=0.05, mode="ride", **changes):
     """A scene after a drive at 10 m/s, with some of its fields changed."""
     surface = load_road(road).realise(np.random.default_rng(0))
-    drive = Drive(plant(CAR), CAR, surface, 10.0, mode)
-    trajectory = drive.advance(np.full(round(1000 * seconds), command(mode), dtype=np.uint8))
-    found = Scene.of(drive, trajectory, np.zeros((3, 50)), 1000.0, 4.0, 1.0)
+    drive = DriveSimulator(build_plant(CAR), CAR, surface, 10.0, mode)
+    trajectory = drive.advance(np.full(round(1000 * seconds), encode_command(mode), dtype=np.uint8))
+    found = Scene.from_drive(drive, trajectory, np.zeros((3, 50)), 1000.0, 4.0, 1.0)
     return dataclasses.replace(found, **changes)
 
 
@@ -96,41 +96,41 @@ def test_looking_changes_nothing_in_the_episode():
 
 @pytest.mark.parametrize("road", ["flat", "bump_large_small"])
 def test_the_same_road_under_both_sides_gives_a_symmetric_rear_view(road):
-    picture = frame(scene(road, seconds=1.8))[REAR][30:225].astype(float)
+    picture = render_frame(scene(road, seconds=1.8))[REAR][30:225].astype(float)
     assert np.abs(picture - picture[:, ::-1]).mean() < 0.2
 
 
 def test_different_wheel_paths_give_a_lopsided_rear_view():
-    picture = frame(scene("bump_asymmetric", seconds=1.8))[REAR][30:225].astype(float)
+    picture = render_frame(scene("bump_asymmetric", seconds=1.8))[REAR][30:225].astype(float)
     assert np.abs(picture - picture[:, ::-1]).mean() > 1.0
 
 
 def test_positive_roll_lifts_the_left_side():
-    roof = where(frame(moved(PHI, 0.05)), style.ROOF, REAR)
+    roof = where(render_frame(moved(PHI, 0.05)), style.ROOF, REAR)
     left, right = top(roof[:, 90:96]), top(roof[:, 224:230])
     assert right - left == pytest.approx(0.05 * 1.3 * 104, abs=3)
 
 
 def test_positive_axle_roll_lifts_the_left_wheel():
-    tyres = where(frame(moved(AXLE + 3, 0.1)), style.RUBBER, REAR)
+    tyres = where(render_frame(moved(AXLE + 3, 0.1)), style.RUBBER, REAR)
     left, right = top(tyres[:, 65:100]), top(tyres[:, 220:255])
     assert right - left == pytest.approx(0.1 * 1.5 * 104, abs=3)
 
 
 def test_positive_pitch_lowers_the_nose():
-    level, dipped = (where(frame(moved(THETA, a)), style.BODY, SIDE) for a in (0.0, 0.04))
+    level, dipped = (where(render_frame(moved(THETA, a)), style.BODY, SIDE) for a in (0.0, 0.04))
     nose, tail = slice(440, 490), slice(100, 140)
     assert top(dipped[:, nose]) > top(level[:, nose]) + 3
     assert top(dipped[:, tail]) < top(level[:, tail]) - 3
 
 
 def test_heave_is_to_scale_or_exaggerated_as_stated():
-    rest = top(where(frame(scene()), style.ROOF, SIDE))
-    raised = top(where(frame(moved(Z_B, 0.1)), style.ROOF, SIDE))
+    rest = top(where(render_frame(scene()), style.ROOF, SIDE))
+    raised = top(where(render_frame(moved(Z_B, 0.1)), style.ROOF, SIDE))
     large = dataclasses.replace(moved(Z_B, 0.1), exaggeration=3.0)
     assert rest - raised == pytest.approx(9.2, abs=1)
-    assert rest - top(where(frame(large), style.ROOF, SIDE)) == pytest.approx(27.6, abs=1)
-    assert (large.scale_words, scene().scale_words) == ("vertical motion ×3", "to scale")
+    assert rest - top(where(render_frame(large), style.ROOF, SIDE)) == pytest.approx(27.6, abs=1)
+    assert (large.scale_caption, scene().scale_caption) == ("vertical motion ×3", "to scale")
 
 
 @pytest.mark.parametrize("exaggeration", [1.0, 3.0])
@@ -140,7 +140,7 @@ def test_a_wheel_leaves_the_drawn_road_when_its_tyre_is_unloaded(exaggeration):
     def sky_under_the_left_tyre(lift):
         q = np.zeros(7)
         q[AXLE + 2] = lift
-        picture = frame(scene(q=q, exaggeration=exaggeration))
+        picture = render_frame(scene(q=q, exaggeration=exaggeration))
         return where(picture, style.SKY, REAR)[246:254, 82].any()
 
     assert not sky_under_the_left_tyre(rest - 0.005)
@@ -149,8 +149,10 @@ def test_a_wheel_leaves_the_drawn_road_when_its_tyre_is_unloaded(exaggeration):
 
 def test_the_load_of_a_tyre_is_a_bar_that_vanishes_in_the_air():
     def bars(load):
-        picture = frame(scene(load=np.full(4, load)))
-        return where(picture, style.STEEL, CORNERS).sum(), where(picture, style.AIR, CORNERS).sum()
+        picture = render_frame(scene(load=np.full(4, load)))
+        return where(picture, style.STEEL, CORNERS).sum(), where(
+            picture, style.AIRBORNE, CORNERS
+        ).sum()
 
     (light, _), (heavy, no_words), (nothing, words) = bars(2000.0), bars(4000.0), bars(0.0)
     assert heavy == pytest.approx(2 * light, rel=0.05)
@@ -159,7 +161,9 @@ def test_the_load_of_a_tyre_is_a_bar_that_vanishes_in_the_air():
 
 
 def test_struts_have_the_colour_of_their_state():
-    soft, stiff = (where(frame(scene(mode=mode)), style.STIFF) for mode in ("ride", "handling"))
+    soft, stiff = (
+        where(render_frame(scene(mode=mode)), style.STIFF) for mode in ("ride", "handling")
+    )
     assert stiff[REAR].sum() > 500 and stiff[CORNERS].sum() > 200
     assert soft[REAR].sum() == soft[CORNERS].sum() == 0
 
@@ -168,16 +172,18 @@ def test_struts_have_the_colour_of_their_state():
 def test_a_stop_lights_up_once_the_strut_has_reached_it(end):
     limit = free_travel(CAR, 2)[end]
     for share, lit in ((0.98, False), (1.02, True)):
-        picture = frame(scene(extension=np.array([0.0, 0.0, share * limit, 0.0])))
-        assert (where(picture, style.LIT, REAR).sum() > 50) == lit
-        gauge = where(picture, style.LIT, CORNERS)[:, 10:150]  # of RL, shortest at the left
+        picture = render_frame(scene(extension=np.array([0.0, 0.0, share * limit, 0.0])))
+        assert (where(picture, style.STOP_REACHED, REAR).sum() > 50) == lit
+        gauge = where(picture, style.STOP_REACHED, CORNERS)[
+            :, 10:150
+        ]  # of RL, shortest at the left
         assert (gauge[:, 70 * end : 70 * end + 70].sum() > 50) == lit
         assert gauge[:, 70 * (1 - end) : 70 * (1 - end) + 70].sum() == 0
 
 
 def test_the_road_comes_towards_the_car_from_the_right():
     def column_of_the_bump(seconds):
-        earth = where(frame(scene("bump_large_small", seconds)), style.EARTH, SIDE)
+        earth = where(render_frame(scene("bump_large_small", seconds)), style.EARTH, SIDE)
         return float(np.flatnonzero(earth[: top(earth) + 3].any(axis=0)).mean())
 
     # the bump is 10 m ahead of the front axle's 5 m of run-up: 92 pixels are a metre
@@ -188,7 +194,9 @@ def test_the_road_comes_towards_the_car_from_the_right():
 def test_the_wheels_turn_with_the_way_driven():
     def angle(seconds):
         """Of the mark on the right front rim, clockwise [rad]."""
-        rows, columns = np.nonzero(where(frame(scene("flat", seconds)), style.DARK, under_the_body))
+        rows, columns = np.nonzero(
+            where(render_frame(scene("flat", seconds)), style.DARK, under_the_body)
+        )
         return np.arctan2(rows.mean() - 4.0, columns.mean() - 47.5)
 
     under_the_body = (slice(255, 330), slice(400, 490))
@@ -198,24 +206,24 @@ def test_the_wheels_turn_with_the_way_driven():
 def test_the_traces_show_the_last_seconds_with_the_newest_at_the_right():
     a = np.zeros((3, 1000))
     a[:, -100:] = 8.0
-    picture = frame(scene(samples=a))
+    picture = render_frame(scene(samples=a))
     trace = where(picture, style.INK, (slice(455, 470), slice(62, 569)))
     assert trace[:8, -12:].any() and not trace[:8, :-20].any()
 
 
 def test_a_command_is_said_in_words():
-    assert panels.commanded(command("handling")) == "handling"
-    front_rear = command({"front": "ride", "rear": "stiff_low"})
-    assert panels.commanded(front_rear) == "front ride, rear stiff spring, low damping"
-    each = command({"FL": "ride", "FR": "handling", "RL": "ride", "RR": "ride"})
-    assert panels.commanded(each) == "each wheel its own"
+    assert panels.describe_command(encode_command("handling")) == "handling"
+    front_rear = encode_command({"front": "ride", "rear": "stiff_low"})
+    assert panels.describe_command(front_rear) == "front ride, rear stiff spring, low damping"
+    each = encode_command({"FL": "ride", "FR": "handling", "RL": "ride", "RR": "ride"})
+    assert panels.describe_command(each) == "each wheel its own"
 
 
 @pytest.mark.parametrize(
     ("value", "expected"), [(0.02, 0.02), (0.021, 0.05), (3.0, 5.0), (7.0, 10.0), (120.0, 200.0)]
 )
 def test_scales_end_at_round_numbers(value, expected):
-    assert panels.nice(value) == pytest.approx(expected)
+    assert panels.round_up(value) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("options", [{}, {"exaggeration": 2.0, "control_rate": 50.0}])
@@ -239,7 +247,7 @@ def test_a_copy_made_in_mid_episode_shows_the_same_picture(clone):
 def test_an_episode_that_broke_down_can_still_be_looked_at():
     env = make().unwrapped
     env.reset(seed=0)
-    env.convoy.cars.q[0, 0, 0] = np.inf
+    env.fleet.state.q[0, 0, 0] = np.inf
     assert env.step(0)[2]
     assert env.render().shape == (HEIGHT, WIDTH, 3)
 

@@ -15,22 +15,22 @@ from rich.console import Console
 
 from leaderboard.evaluation import results
 from leaderboard.evaluation.evaluate import run_task
-from leaderboard.evaluation.results import content
+from leaderboard.evaluation.results import content_digest
 from leaderboard.evaluation.store import (
-    OPENING,
+    CHECKSUM_PREFIX,
     RowChangedError,
-    checksum_of,
     load,
     load_all,
     load_rows,
-    path_of,
+    row_path,
     save,
+    text_checksum,
 )
-from leaderboard.metrics.bootstrap import bootstrap, interquartile_mean, interval, standings
-from leaderboard.report.cache import shown
-from leaderboard.report.tables import arrays, views
+from leaderboard.metrics.bootstrap import bootstrap, interquartile_mean, iqm_interval, rank_entries
+from leaderboard.report.cache import build_report
+from leaderboard.report.tables import board_views, score_arrays
 from leaderboard.report.terminal import as_json, print_tables
-from leaderboard.running.board import ATTEMPTS, Board, Wanted, load_board, show_board
+from leaderboard.running.board import ATTEMPTS, Board, RunRequest, load_board, render_with_retry
 from road_envs import _atomic_io
 from road_envs.config import ConfigError
 
@@ -68,7 +68,7 @@ def resealed(change):
 
     def apply(text):
         text = change(text)
-        return text.replace(json.loads(text)["sha256"], checksum_of(text))
+        return text.replace(json.loads(text)["sha256"], text_checksum(text))
 
     return apply
 
@@ -84,7 +84,7 @@ def replaced(old, new):
 def test_a_result_comes_back_as_it_was_written(tmp_path):
     for result in made():
         path = save(result, tmp_path)
-        assert path == path_of(tmp_path, "small", result.estimator)
+        assert path == row_path(tmp_path, "small", result.estimator)
         assert load(path) == result
     assert [r.estimator for r in load_all(tmp_path, "small")] == sorted(ENTRIES)
 
@@ -100,7 +100,7 @@ def test_scores_that_are_not_defined_stay_undefined(tmp_path):
 
 def test_heights_of_a_trace_are_kept_to_a_hundredth_of_a_millimetre():
     z = np.random.default_rng(0).standard_normal((2, 50))
-    kept = dataclasses.replace(named("reader").traces[0], truth=results.heights(z))
+    kept = dataclasses.replace(named("reader").traces[0], truth=results.quantize_heights(z))
     np.testing.assert_allclose(kept.z_true, z, atol=0.51e-5)
     assert kept.s.shape == (50,) and kept.s[1] == kept.ds
 
@@ -139,14 +139,14 @@ def test_on_the_board_it_is_a_row_that_says_so_and_the_others_stand(tmp_path, ch
     rows = {r.estimator: r for r in load_rows(tmp_path, task())}
     assert set(rows) == {"reader", "learner"} and rows["learner"].failure is None
     assert said in rows["reader"].failure and str(path) in rows["reader"].failure
-    assert rows["reader"].stale(task()) is None
+    assert rows["reader"].stale_reason(task()) is None
 
 
 def test_the_checksum_covers_every_byte_below_it(tmp_path):
     path = save(named("reader"), tmp_path)
     text = path.read_text()
     told = hashlib.sha256(text.split("\n", 2)[2].encode()).hexdigest()
-    assert text.startswith(OPENING + told) and checksum_of(text) == told
+    assert text.startswith(CHECKSUM_PREFIX + told) and text_checksum(text) == told
     for at in np.linspace(100, len(text) - 2, 50, dtype=int):
         path.write_text(text[:at] + chr(ord(text[at]) ^ 1) + text[at + 1 :])
         with pytest.raises(ConfigError):
@@ -155,13 +155,13 @@ def test_the_checksum_covers_every_byte_below_it(tmp_path):
 
 def test_the_content_of_a_result_is_all_of_it_but_what_was_measured_on_the_way():
     result = named("learner")
-    known = content(result)
+    known = content_digest(result)
     again = {"train_seconds": (9.0,), "environment": {}, "peak_memory": 9.0, "isolation": "x"}
-    assert content(dataclasses.replace(result, **again)) == known
+    assert content_digest(dataclasses.replace(result, **again)) == known
     first, *others = result.drives
     worse = dataclasses.replace(first, scores={**first.scores, "nrmse": 0.0})
     for change in ({"drives": (worse, *others)}, {"parameters": 2}, {"failure": "it failed"}):
-        assert content(dataclasses.replace(result, **change)) != known
+        assert content_digest(dataclasses.replace(result, **change)) != known
 
 
 def test_rows_of_a_board_leave_their_drives_on_the_disk_until_they_are_asked_for(tmp_path):
@@ -196,7 +196,7 @@ def test_a_row_written_again_with_other_times_serves_as_well(tmp_path):
 def test_a_board_whose_rows_are_replaced_while_it_is_shown_is_read_again(tmp_path):
     save(named("reader"), tmp_path)
     others = [dataclasses.replace(named("reader"), seeds=(k,)) for k in range(9)]
-    wanted = Wanted([task()], [])
+    wanted = RunRequest([task()], [])
 
     def show_while(replacements):
         """Show the board while another run stores `replacements`, one at each reading."""
@@ -206,7 +206,7 @@ def test_a_board_whose_rows_are_replaced_while_it_is_shown_is_read_again(tmp_pat
                 save(replacements.pop(), tmp_path)
             return board.results["small"][0].values("nrmse")
 
-        return show_board(load_board([task()], tmp_path), wanted, tmp_path, show)
+        return render_with_retry(load_board([task()], tmp_path), wanted, tmp_path, show)
 
     np.testing.assert_array_equal(
         show_while(others[: ATTEMPTS - 1]), named("reader").values("nrmse")
@@ -239,12 +239,12 @@ def test_a_write_that_is_interrupted_leaves_the_old_file_and_nothing_else(tmp_pa
     ],
 )
 def test_a_result_of_another_task_version_or_metric_is_stale(change, why):
-    assert named("reader").stale(task()) is None
+    assert named("reader").stale_reason(task()) is None
     old = dataclasses.replace(named("reader"), **change)
-    assert why in old.stale(task())
-    (section,) = views(Board((task(),), {"small": (old,)}))[0].sections
-    (line,) = section.lines
-    assert line.state == "stale" and line.cells == {} and why in line.text
+    assert why in old.stale_reason(task())
+    (section,) = board_views(Board((task(),), {"small": (old,)}))[0].sections
+    (line,) = section.rows
+    assert line.state == "stale" and line.cells == {} and why in line.message
 
 
 # statistics
@@ -271,7 +271,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     inside = 0
     for k in range(200):
         roads = rng.standard_normal((30, 1, 1))  # seeds repeat the road: no information in them
-        _, low, high = interval(roads + np.zeros((1, 1, 3)), seed=k)
+        _, low, high = iqm_interval(roads + np.zeros((1, 1, 3)), seed=k)
         inside += low <= 0.0 <= high
     # 95 % of 200, three standard errors; a bootstrap of 30 roads is a little narrow
     assert 0.87 <= inside / 200 <= 0.99
@@ -297,7 +297,7 @@ def test_entries_that_cannot_be_told_apart_share_a_rank():
         "same": road + 0.01 * rng.standard_normal((20, 2, 3)),
         "undefined": np.full((20, 2, 3), np.nan),
     }
-    found = standings(scores)
+    found = rank_entries(scores)
     assert {name: row.rank for name, row in found.items()} == {
         "equal": 1,
         "same": 1,
@@ -309,14 +309,14 @@ def test_entries_that_cannot_be_told_apart_share_a_rank():
 
 def test_a_small_difference_on_every_road_is_seen_because_roads_are_paired():
     road = np.random.default_rng(4).standard_normal((20, 1, 1))
-    found = standings({"better": road, "worse": road + 0.1})
+    found = rank_entries({"better": road, "worse": road + 0.1})
     assert [row.rank for row in found.values()] == [1, 2]
     assert found["worse"].score.low < found["better"].score.high
 
 
 def test_the_scores_of_a_result_are_read_in_one_pass():
     for result in made()[:3]:
-        for name, found in arrays(result).items():
+        for name, found in score_arrays(result).items():
             np.testing.assert_array_equal(found, result.values(name))
 
 
@@ -324,15 +324,15 @@ def test_the_scores_of_a_result_are_read_in_one_pass():
 
 
 def test_every_condition_has_its_own_numbers_interval_and_rank():
-    (view,) = views(board())
+    (view,) = board_views(board())
     (section,) = view.sections
     assert section.groups == {"condition": tuple(c.label for c in task().conditions)}
-    line = next(line for line in section.lines if line.name == "learner")
+    line = next(line for line in section.rows if line.name == "learner")
     for k, label in enumerate(section.groups["condition"]):
         mine = named("learner").values("nrmse")[:, k : k + 1]
         group = line.groups[label]
         assert group["nrmse"] == pytest.approx(interquartile_mean(mine.ravel()))
-        assert (group["low"], group["high"]) == pytest.approx(interval(mine)[1:])
+        assert (group["low"], group["high"]) == pytest.approx(iqm_interval(mine)[1:])
         assert group["rank"] in (1, 2)
 
 
@@ -340,8 +340,8 @@ def test_a_family_of_roads_is_looked_at_alone():
     test = {**FAMILIES, "families": ["level", "rough"]}
     t = task(test=test)
     (result,) = run_task(t, {"reader": Reader()}, (1,), drive=fake_drives)
-    (view,) = views(Board((t,), {"small": [result]}))
-    line, _ = view.sections[0].lines
+    (view,) = board_views(Board((t,), {"small": [result]}))
+    line, _ = view.sections[0].rows
     rough = result.values("level_error")[[1, 3]]
     assert line.groups["rough"]["level_error"] == pytest.approx(interquartile_mean(rough.ravel()))
     assert view.sections[0].groups["family"] == ("level", "rough")
@@ -359,8 +359,10 @@ def test_on_cars_of_several_grades_the_growth_of_the_error_is_told():
         dataclasses.replace(d, scores={**d.scores, "nrmse": error[d.condition] + 0.01 * d.drive})
         for d in result.drives
     ]
-    (view,) = views(Board((t,), {"small": [dataclasses.replace(result, drives=tuple(drives))]}))
-    line, _ = view.sections[0].lines
+    (view,) = board_views(
+        Board((t,), {"small": [dataclasses.replace(result, drives=tuple(drives))]})
+    )
+    line, _ = view.sections[0].rows
     assert [line.values[f"grade_S{k}"] for k in range(3)] == pytest.approx([0.11, 0.21, 0.31])
     assert line.values["slope"] == pytest.approx(0.1)
     # every road grows alike, and roads are paired: nothing is left to doubt
@@ -371,9 +373,9 @@ def test_on_cars_of_several_grades_the_growth_of_the_error_is_told():
 
 def test_causal_entries_are_ranked_among_themselves_too():
     online = dataclasses.replace(named("learner"), causal=True)
-    (view,) = views(Board((task(),), {"small": [named("reader"), online]}))
+    (view,) = board_views(Board((task(),), {"small": [named("reader"), online]}))
     ranks = {
-        x.name: (x.values.get("rank"), x.values.get("rank_causal")) for x in view.sections[0].lines
+        x.name: (x.values.get("rank"), x.values.get("rank_causal")) for x in view.sections[0].rows
     }
     assert ranks["learner"][1] == 1 and ranks["reader"][1] is None
     assert ranks["learner"][0] is not None
@@ -381,7 +383,7 @@ def test_causal_entries_are_ranked_among_themselves_too():
 
 def printed(width):
     console = Console(width=width, file=io.StringIO())
-    print_tables(shown(board()), console)
+    print_tables(build_report(board()), console)
     return console.file.getvalue()
 
 
@@ -396,23 +398,23 @@ def test_the_table_is_readable_on_a_narrow_terminal(width):
 
 
 def test_ranks_are_given_to_entries_and_not_to_sentinels():
-    (view,) = views(board())
-    ranks = {line.name: line.values.get("rank") for line in view.sections[0].lines}
+    (view,) = board_views(board())
+    ranks = {line.name: line.values.get("rank") for line in view.sections[0].rows}
     assert {name for name, rank in ranks.items() if rank} == {"learner", "reader"}
 
 
 def test_the_claim_of_the_paper_stands_beside_what_was_measured():
     t = task(board="paper", claimed_level_error=0.128)
     mine = [dataclasses.replace(r, task_digest=t.digest) for r in made()]
-    (view,) = views(Board((t,), {"small": mine}))
-    claim, *others = view.sections[0].lines
+    (view,) = board_views(Board((t,), {"small": mine}))
+    claim, *others = view.sections[0].rows
     assert (claim.state, claim.cells) == ("claim", {"level_error_raw": "12.8"})
     reader = next(line for line in others if line.name == "reader")
     assert float(reader.cells["level_error"]) == pytest.approx(10.0, abs=0.5)
 
 
 def test_an_entry_that_beats_the_noisy_truth_is_flagged_and_so_is_a_broken_judge():
-    (view,) = views(board())
+    (view,) = board_views(board())
     assert view.sections[0].notes == ()
     (perfect,) = run_task(task(), {"perfect": Reader(gain=1.0)}, (1,), drive=fake_drives)
     (said,) = flagged(perfect, named("truth_plus_noise"))
@@ -422,12 +424,12 @@ def test_an_entry_that_beats_the_noisy_truth_is_flagged_and_so_is_a_broken_judge
 
 
 def flagged(*results):
-    (view,) = views(Board((task(),), {"small": results}))
+    (view,) = board_views(Board((task(),), {"small": results}))
     return view.sections[0].notes
 
 
 def test_a_program_reads_the_same_rows():
-    (section,) = json.loads(json.dumps(as_json(shown(board())), allow_nan=False))
+    (section,) = json.loads(json.dumps(as_json(build_report(board())), allow_nan=False))
     entries = {entry["name"]: entry for entry in section["entries"]}
     assert section["task"] == "small" and set(entries) == {*ENTRIES, "bound"}
     assert 0.02 < entries["bound"]["nrmse"] < entries["reader"]["nrmse"] + 0.1
@@ -441,5 +443,5 @@ def test_what_was_done_to_a_surface_is_said():
         dataclasses.replace(r, task_digest=t.digest, notes=("10 m tile mirrored 10 times",))
         for r in made()
     ]
-    (view,) = views(Board((t,), {"small": noted}))
+    (view,) = board_views(Board((t,), {"small": noted}))
     assert "Surface: 10 m tile mirrored 10 times." in view.sections[0].notes

@@ -11,17 +11,17 @@ from test_cli import roadrecon as roadrecon
 from test_wiener import drive
 
 from estimators.roughness.rms_regression import (
-    INPUTS,
+    N_INPUTS,
     SLOPE_STD,
     RmsRoughness,
-    evidence,
     features,
-    level,
-    predict,
+    neg_log_marginal_likelihood,
+    predict_gp,
+    roughness_level,
 )
-from road_envs.analysis.roughness import classify as class_of
-from road_envs.data.record import Profile, grid
-from road_envs.data.training_corpus import Corpus, drives_in
+from road_envs.analysis.roughness import roughness_class
+from road_envs.data.record import Profile, profile_stations
+from road_envs.data.training_corpus import Corpus, drives_in_mode
 
 THETA = np.array([-0.3, 0.5, 0.2, 1.0, -0.1, -1.2])
 
@@ -39,15 +39,17 @@ def dense(x: np.ndarray, theta: np.ndarray) -> np.ndarray:
 
 def drawn(size: int):
     rng = np.random.default_rng(0)
-    x = rng.standard_normal((size, INPUTS))
+    x = rng.standard_normal((size, N_INPUTS))
     return x, rng.multivariate_normal(np.zeros(size), dense(x, THETA))
 
 
 def test_the_evidence_is_the_density_of_the_outputs_and_its_slope_that_of_differences():
     x, y = drawn(15)
-    value, slope = evidence(x, y, THETA)
+    value, slope = neg_log_marginal_likelihood(x, y, THETA)
     assert value == pytest.approx(-stats.multivariate_normal(cov=dense(x, THETA)).logpdf(y))
-    differences = approx_fprime(THETA, lambda theta: evidence(x, y, theta)[0], 1e-6)
+    differences = approx_fprime(
+        THETA, lambda theta: neg_log_marginal_likelihood(x, y, theta)[0], 1e-6
+    )
     np.testing.assert_allclose(slope, differences, rtol=1e-3, atol=1e-4)
 
 
@@ -56,7 +58,7 @@ def test_a_prediction_is_the_conditional_of_the_joint_density():
     K = dense(x, THETA)
     rest = slice(0, 12), slice(12, 15)
     known, across, own = K[rest[0], rest[0]], K[rest[1], rest[0]], K[rest[1], rest[1]]
-    mean, std = predict(x[:12], y[:12], THETA, x[12:])
+    mean, std = predict_gp(x[:12], y[:12], THETA, x[12:])
     solved = np.linalg.inv(known)
     np.testing.assert_allclose(mean, across @ solved @ y[:12], rtol=1e-6)
     wished = np.sqrt(np.diag(own - across @ solved @ across.T))
@@ -65,30 +67,30 @@ def test_a_prediction_is_the_conditional_of_the_joint_density():
 
 def test_the_level_of_a_road_is_that_of_its_judged_octaves():
     """A cosine of the density of one line in each octave; the level is their geometric mean."""
-    stations = grid(400.0)
+    stations = profile_stations(400.0)
     z = np.zeros(stations.size)
     for n, G_d0 in ((0.25, 4e-4), (0.5, 1e-4), (1.0, 4e-4)):
         width = n * (2.0**0.5 - 2.0**-0.5)
         z += np.sqrt(2.0 * G_d0 * (n / 0.1) ** -2.0 * width) * np.cos(2.0 * np.pi * n * stations)
     truth = Profile(stations, np.array([z, z]))
-    assert level(truth, 15.0) == pytest.approx((4e-4 * 1e-4 * 4e-4) ** (1 / 3), rel=0.05)
+    assert roughness_level(truth, 15.0) == pytest.approx((4e-4 * 1e-4 * 4e-4) ** (1 / 3), rel=0.05)
 
 
 @cache
 def regression(mode: str):
-    drives = drives_in(Corpus(), dict.fromkeys(("front", "rear"), mode), (30.0, 72.0), 40)
-    return RmsRoughness.fitted(*zip(*drives, strict=True))
+    drives = drives_in_mode(Corpus(), dict.fromkeys(("front", "rear"), mode), (30.0, 72.0), 40)
+    return RmsRoughness.fit(*zip(*drives, strict=True))
 
 
 @pytest.mark.parametrize("road", ["iso_b", "iso_c", "iso_d"])
 def test_roads_of_the_classes_are_told(road):
     record, truth = drive("defender", road, "handling", 54.0, length=150.0)
-    found, true = regression("handling").tell(record), level(truth, 15.0)
+    found, true = regression("handling").predict(record), roughness_level(truth, 15.0)
     off = np.log(found.G_d0 / true)
     assert abs(off) < np.log(10.0**0.2) and abs(off) < 4.0 * found.log_std
     assert found.log_std < 0.4
     assert sum(found.probability.values()) == pytest.approx(1.0)
-    assert found.letter == class_of(true)
+    assert found.letter == roughness_class(true)
 
 
 def test_the_speed_is_taken_out():
@@ -97,8 +99,8 @@ def test_the_speed_is_taken_out():
     apart = features(fast[0])[1:] - features(slow[0])[1:]
     assert apart.mean() > 0.3  # as if its density were almost twice as high
     for record, truth in (slow, fast):
-        true = level(truth, float(np.median(record.v)))
-        assert abs(np.log(regression("handling").tell(record).G_d0 / true)) < 0.46
+        true = roughness_level(truth, float(np.median(record.v)))
+        assert abs(np.log(regression("handling").predict(record).G_d0 / true)) < 0.46
 
 
 def test_the_command_tells_the_class_by_either_method(roadrecon):

@@ -18,10 +18,10 @@ from road_envs.config import ConfigError
 from road_envs.envs.options import ACTIONS
 from road_envs.envs.road_recon import RoadReconEnv
 from road_envs.roads import load_road
-from road_envs.sensing.data_logger import Logger
-from road_envs.simulation.drive import Drive
+from road_envs.sensing.data_logger import DataLogger
+from road_envs.simulation.drive import DriveSimulator
 from road_envs.vehicle.equations import Z_B
-from road_envs.vehicle.suspension import command
+from road_envs.vehicle.suspension import encode_command
 
 VARIANTS = {
     "default": {},
@@ -220,7 +220,7 @@ def test_an_unknown_reset_option_and_a_bad_action_are_refused():
 def test_motion_beyond_all_numbers_terminates_with_a_reason():
     env = make(**SHORT)
     env.reset(seed=0)
-    env.convoy.cars.q[0, 0, 0] = np.inf
+    env.fleet.state.q[0, 0, 0] = np.inf
     observation, _, terminated, truncated, info = env.step(0)
     assert (terminated, truncated) == (True, False)
     assert "no longer finite" in info["reason"]
@@ -230,7 +230,7 @@ def test_motion_beyond_all_numbers_terminates_with_a_reason():
 def test_a_car_that_overturns_terminates_with_a_reason():
     env = make(**SHORT)
     env.reset(seed=0)
-    env.convoy.cars.q[0, 1, 0] = 0.9
+    env.fleet.state.q[0, 1, 0] = 0.9
     _, _, terminated, truncated, info = env.step(0)
     assert (terminated, truncated) == (True, False)
     assert "phi passed 45 degrees at t = 0.050 s" in info["reason"]
@@ -275,19 +275,19 @@ def test_what_is_seen_is_what_the_instruments_would_log_of_the_drive():
     road_rng, _, sensor_rng = np.random.default_rng(11).spawn(3)
     setup = env.setup
     surface = setup.road.realise(road_rng)
-    drive = Drive(setup.plant, setup.car, surface, 10.0, "handling")
-    logger = Logger(setup.instruments, setup.car, 0.001, sensor_rng)
+    drive = DriveSimulator(setup.plant, setup.car, surface, 10.0, "handling")
+    logger = DataLogger(setup.instruments, setup.car, 0.001, sensor_rng)
     wk, memory = wk_sos(1000.0), np.zeros((4, 2))
     for _ in range(60):
-        trajectory = drive.advance(np.full(50, command("handling"), dtype=np.uint8))
+        trajectory = drive.advance(np.full(50, encode_command("handling"), dtype=np.uint8))
         parts = env.split(observation)
-        logged = np.clip(logger.sense(trajectory), -setup.instruments.range, np.inf)
+        logged = np.clip(logger.sample(trajectory), -setup.instruments.range, np.inf)
         seen = np.array([parts[name] for name in ("RF", "LR", "RR")])
         np.testing.assert_allclose(seen, np.minimum(logged, setup.instruments.range), atol=1e-5)
         assert parts["speed"][0] == pytest.approx(10.0 * logger.speed_gain, rel=1e-6)
         weighted, memory = sosfilt(wk, trajectory.acceleration[:, Z_B], zi=memory)
         observation, reward, _, _, info = env.step(1)
-    trajectory = drive.advance(np.full(50, command("handling"), dtype=np.uint8))
+    trajectory = drive.advance(np.full(50, encode_command("handling"), dtype=np.uint8))
     weighted, memory = sosfilt(wk, trajectory.acceleration[:, Z_B], zi=memory)
     variation = trajectory.tyre_load / np.repeat(setup.car.tyre_loads, 2) - 1.0
     terms = [

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from oracles_roads import trapezoid
 
 from road_envs.config import ConfigError, find, names, read_yaml
-from road_envs.data.record import grid
+from road_envs.data.record import profile_stations
 from road_envs.roads import KINDS, Road, load_road, with_length
 from road_envs.roads.belgian import Belgian
-from road_envs.roads.composite import Altered, Fixed, Flat
+from road_envs.roads.composite import FixedSeed, Flat, NoisyCopy
 from road_envs.roads.iso8608 import Iso8608
 from road_envs.roads.trapezoids import Bumps, Trapezoid
 
@@ -230,7 +230,7 @@ def test_a_fixed_road_does_not_touch_the_generator():
 
 def test_the_training_paving_is_the_paving_a_metre_late_with_a_tenth_of_noise():
     true = load_road("belgian").realise(rng())
-    s = grid(99.0)[1:]
+    s = profile_stations(99.0)[1:]
     noise = []
     for seed in range(5):
         surface = load_road("belgian_training").realise(rng(seed))
@@ -252,7 +252,7 @@ CUBIC = 0.902  # between white nodes the Catmull-Rom cubic is smaller (RMS)
 
 def test_noise_and_road_of_an_altered_road_are_drawn_apart():
     quiet, noisy = (
-        Altered(road=Iso8608(road_class="C"), noise=x, delay=0.0).realise(rng(4))
+        NoisyCopy(road=Iso8608(road_class="C"), noise=x, delay=0.0).realise(rng(4))
         for x in (0.0, 0.1)
     )
     error = noisy.z - quiet.z
@@ -262,8 +262,8 @@ def test_noise_and_road_of_an_altered_road_are_drawn_apart():
 
 
 def test_an_altered_road_without_noise_or_delay_is_the_road():
-    road = Fixed(road=Belgian(length=30.0), seed=1)
-    same = Altered(road=road, noise=0.0, delay=0.0).realise(rng())
+    road = FixedSeed(road=Belgian(length=30.0), seed=1)
+    same = NoisyCopy(road=road, noise=0.0, delay=0.0).realise(rng())
     np.testing.assert_allclose(same.z, road.realise(rng()).z, atol=1e-15)
 
 

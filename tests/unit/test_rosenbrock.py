@@ -10,23 +10,23 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from vehicle_fixtures import (
     CARS,
-    LEANING,
-    LEVEL,
-    ODD_LEANING,
-    ODDS,
+    FLAT_SURFACE,
+    MANOEUVRE_PLANTS,
     PLANTS,
-    STILL,
-    accelerate,
+    VARIATIONS,
+    VARIED_MANOEUVRE_PLANTS,
+    ZEROS,
+    compute_accelerations,
     lossless,
-    roll_on,
+    run_integrator,
     smooth_road,
     vectors,
 )
 
 from road_envs.roads.surface import Surface
 from road_envs.simulation.rosenbrock import ACCELERATION, EXTENSION, LOAD, TWIST
-from road_envs.vehicle.equations import equilibrium, jacobian, plant
-from road_envs.vehicle.suspension import command, memory_at_rest
+from road_envs.vehicle.equations import build_plant, equilibrium, jacobian
+from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 MODES = ("ride", "handling")
 ROLL = [1, 4, 6, 8, 11, 13]
@@ -36,13 +36,13 @@ every_car = pytest.mark.parametrize("name", CARS)
 every_mode = pytest.mark.parametrize("mode", MODES)
 
 
-def under(surface, name, s, speed=SPEED):
+def road_under(surface, name, s, speed=SPEED):
     """Heights and rates (4,) under the wheels by the oracle of the road."""
-    car = CARS.get(name, CARS["lopsided"])
-    return oracles.Road(surface.z, surface.ds).under(s, car.wheelbase, speed)
+    car = CARS.get(name, CARS["unequal_axles"])
+    return oracles.SplineRoad(surface.z, surface.ds).wheel_inputs(s, car.wheelbase, speed)
 
 
-@pytest.mark.parametrize("name", [*CARS, *ODDS])
+@pytest.mark.parametrize("name", [*CARS, *VARIATIONS])
 @every_mode
 @settings(max_examples=40)
 @given(
@@ -56,22 +56,27 @@ def test_one_step_is_the_published_formula(name, mode, y, h, s, psi):
 
     The matrix of a car whose frame twists knows the twist's own spring and damper and no coupling.
     """
-    one, memory = {**LEANING, **ODD_LEANING}[name], memory_at_rest(command(mode))
-    if one.flexible:
+    plant, strut_state = (
+        {**MANOEUVRE_PLANTS, **VARIED_MANOEUVRE_PLANTS}[name],
+        settled_strut_state(encode_command(mode)),
+    )
+    if plant.flexible:
         y = np.concatenate([y[:7], [psi], y[7:], [20.0 * psi]])
-    n, p = y.size // 2, one.numbers[0]
-    turn = np.array([[-3.0, 2.0], [-3.5, 2.6], [0.0, 0.0]])  # a_x, a_y at 0, h/2 and, unused, h
+    n, p = y.size // 2, plant.constants[0]
+    a_xy = np.array([[-3.0, 2.0], [-3.5, 2.6], [0.0, 0.0]])  # a_x, a_y at 0, h/2 and, unused, h
 
     def world(t):
-        z_r, w_r = under(ROUGH, name, s + SPEED * t)
-        return np.concatenate([z_r, w_r, turn[round(2.0 * t / h)]])
+        z_r, w_r = road_under(ROUGH, name, s + SPEED * t)
+        return np.concatenate([z_r, w_r, a_xy[round(2.0 * t / h)]])
 
     def rate(y, x):
-        return np.concatenate([y[n:], accelerate(one, memory, y[:n], y[n:], x[:4], x[4:8], x[8:])])
+        return np.concatenate(
+            [y[n:], compute_accelerations(plant, strut_state, y[:n], y[n:], x[:4], x[4:8], x[8:])]
+        )
 
     def matrix(x):
-        J = jacobian(one, memory, y, x[:4], x[4:8])
-        if one.flexible:
+        J = jacobian(plant, strut_state, y, x[:4], x[4:8])
+        if plant.flexible:
             J[[8, 9, 10, 11, 12, 13, 14], 7] = J[[8, 9, 10, 11, 12, 13, 14], 15] = 0.0
             J[15] = 0.0
             J[15, [7, 15]] = [-p["frame_rate"], -p["frame_damping"]] / p["frame_inertia"]
@@ -79,9 +84,9 @@ def test_one_step_is_the_published_formula(name, mode, y, h, s, psi):
 
     start, middle = world(0.0), world(0.5 * h)
     change = np.concatenate([start[4:8], (middle - start)[4:] / (0.5 * h)])
-    options = {"h": h, "steps": 1, "surface": ROUGH, "speed": SPEED, "s_0": s, "turn": turn}
+    options = {"h": h, "steps": 1, "surface": ROUGH, "speed": SPEED, "s_0": s, "a_xy": a_xy}
     found = y.copy()
-    out = roll_on(one, found, mode=mode, **options)
+    out = run_integrator(plant, found, mode=mode, **options)
     load = out[0, LOAD : LOAD + 4]
     assume(((load == 0.0) | (load > 10.0)).all())  # the slope below needs no kink in its way
     d = 1e-5
@@ -93,24 +98,26 @@ def test_one_step_is_the_published_formula(name, mode, y, h, s, psi):
         y,
         h,
     )
-    np.testing.assert_array_equal(out[0, :14], np.delete(y, [7, 15]) if one.flexible else y)
-    shown = out[0, [*range(ACCELERATION, ACCELERATION + 7), TWIST + 2][:n]]
-    np.testing.assert_allclose(shown, rate(y, start)[n:], rtol=1e-9, atol=1e-9)
-    np.testing.assert_array_equal(out[0, TWIST : TWIST + 2], y[[7, 15]] if one.flexible else [])
+    np.testing.assert_array_equal(out[0, :14], np.delete(y, [7, 15]) if plant.flexible else y)
+    accelerations = out[0, [*range(ACCELERATION, ACCELERATION + 7), TWIST + 2][:n]]
+    np.testing.assert_allclose(accelerations, rate(y, start)[n:], rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(out[0, TWIST : TWIST + 2], y[[7, 15]] if plant.flexible else [])
     np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
 
 
 @cache
 def reference(name, mode, surface, seconds, rtol=1e-9):
     """Times (N,) and states (14, N) of a drive, by LSODA on the compiled equations."""
-    one, memory = PLANTS[name], memory_at_rest(command(mode))
-    road, wheelbase = oracles.Road(surface.z, surface.ds), CARS[name].wheelbase
+    plant, strut_state = PLANTS[name], settled_strut_state(encode_command(mode))
+    road, wheelbase = oracles.SplineRoad(surface.z, surface.ds), CARS[name].wheelbase
 
     def rate(t, y):
-        z_r, w_r = road.under(S_0 + SPEED * t, wheelbase, SPEED)
-        return np.concatenate([y[7:], accelerate(one, memory, y[:7], y[7:], z_r, w_r)])
+        z_r, w_r = road.wheel_inputs(S_0 + SPEED * t, wheelbase, SPEED)
+        return np.concatenate(
+            [y[7:], compute_accelerations(plant, strut_state, y[:7], y[7:], z_r, w_r)]
+        )
 
-    t, y_0 = np.linspace(0.0, seconds, 51), equilibrium(one, memory, STILL)
+    t, y_0 = np.linspace(0.0, seconds, 51), equilibrium(plant, strut_state, ZEROS)
     found = solve_ivp(
         rate, (0.0, seconds), y_0, t_eval=t, method="LSODA", rtol=rtol, atol=rtol * 1e-2
     )
@@ -118,16 +125,18 @@ def reference(name, mode, surface, seconds, rtol=1e-9):
     return t, found.y
 
 
-def driven(name, mode, surface, t, h):
+def simulate_states(name, mode, surface, t, h):
     """States (14, N) of the same drive at the times `t`, in steps of `h`; least tyre load."""
-    one, memory = PLANTS[name], memory_at_rest(command(mode))
-    y, every = equilibrium(one, memory, STILL), round((t[1] - t[0]) / h)
+    plant, strut_state = PLANTS[name], settled_strut_state(encode_command(mode))
+    y, every = equilibrium(plant, strut_state, ZEROS), round((t[1] - t[0]) / h)
     steps = every * (t.size - 1) + 1
-    out = roll_on(one, y, h=h, steps=steps, surface=surface, speed=SPEED, s_0=S_0, memory=memory)
+    out = run_integrator(
+        plant, y, h=h, steps=steps, surface=surface, speed=SPEED, s_0=S_0, strut_state=strut_state
+    )
     return out[::every, :14].T, out[:, LOAD:].min()
 
 
-def distance(states, truth):
+def relative_error(states, truth):
     """RMS error of the rates, relative to their RMS, the worst degree of freedom."""
     error = np.sqrt(np.mean((states[7:] - truth[7:]) ** 2, axis=1))
     return (error / np.sqrt(np.mean(truth[7:] ** 2, axis=1))).max()
@@ -140,55 +149,55 @@ def test_the_method_is_of_order_two_on_the_nonlinear_car_over_a_road(name, mode)
     h = 0.001 / 2.0 ** np.arange(5)
     error = []
     for step in h:
-        states, least = driven(name, mode, GENTLE, t, step)
+        states, least = simulate_states(name, mode, GENTLE, t, step)
         assert least > 0.0  # order is a claim about smooth right-hand sides
-        error.append(distance(states, truth))
+        error.append(relative_error(states, truth))
     slope = np.polyfit(np.log(h), np.log(error), 1)[0]
     assert slope == pytest.approx(2.0, abs=0.05)
     assert error[0] < 1e-3 and error[-1] < 4e-6
 
 
-@pytest.mark.parametrize(("name", "mode"), [("lopsided", "ride"), ("defender", "handling")])
+@pytest.mark.parametrize(("name", "mode"), [("unequal_axles", "ride"), ("defender", "handling")])
 def test_wheels_that_leave_the_ground_are_followed(name, mode):
     t, truth = reference(name, mode, ROUGH, 1.0, rtol=1e-8)
-    states, least = driven(name, mode, ROUGH, t, 0.00025)
+    states, least = simulate_states(name, mode, ROUGH, t, 0.00025)
     assert least == 0.0
-    assert distance(states, truth) < 1e-4
+    assert relative_error(states, truth) < 1e-4
 
 
-@pytest.mark.parametrize(("name", "mode"), [("lopsided", "handling"), ("defender", "ride")])
+@pytest.mark.parametrize(("name", "mode"), [("unequal_axles", "handling"), ("defender", "ride")])
 def test_a_drive_is_what_scipy_makes_of_the_papers_equations(name, mode):
     """Nothing shared: the paper's letters, SciPy's curves, splines and implicit Radau method."""
-    one, memory = PLANTS[name], memory_at_rest(command(mode))
-    y_0, t = equilibrium(one, memory, STILL), np.linspace(0.0, 0.4, 21)
-    road = oracles.Road(GENTLE.z, GENTLE.ds)
+    plant, strut_state = PLANTS[name], settled_strut_state(encode_command(mode))
+    y_0, t = equilibrium(plant, strut_state, ZEROS), np.linspace(0.0, 0.4, 21)
+    road = oracles.SplineRoad(GENTLE.z, GENTLE.ds)
     truth = oracles.trajectory(
-        CARS[name], memory, road, SPEED, S_0, y_0, t, method="Radau", rtol=1e-5, atol=1e-9
+        CARS[name], strut_state, road, SPEED, S_0, y_0, t, method="Radau", rtol=1e-5, atol=1e-9
     )
-    states, _ = driven(name, mode, GENTLE, t, 0.0001)
-    assert distance(states, truth) < 5e-5
+    states, _ = simulate_states(name, mode, GENTLE, t, 0.0001)
+    assert relative_error(states, truth) < 5e-5
 
 
 @pytest.mark.parametrize("f", [0.5, 1.5, 4.0, 9.0, 16.0, 30.0])
-@pytest.mark.parametrize(("name", "mode"), [("lopsided", "ride"), ("defender", "handling")])
+@pytest.mark.parametrize(("name", "mode"), [("unequal_axles", "ride"), ("defender", "handling")])
 def test_small_motions_have_the_frequency_response_of_the_energy_matrices(name, mode, f):
     """On a sine of 0.1 micrometre under the left wheels, where friction is a linear damper."""
-    car, one, memory = CARS[name], PLANTS[name], memory_at_rest(command(mode))
-    start = equilibrium(one, memory, STILL)
+    car, plant, strut_state = CARS[name], PLANTS[name], settled_strut_state(encode_command(mode))
+    start = equilibrium(plant, strut_state, ZEROS)
     column = car.strut.x_1 + (car.strut.x_2 if mode == "ride" else 0.0)
     # the equilibrium fixes each strut's force, so its column and its rate
     ratio = oracles.static_loads(car)[0] / (car.strut.p_stat * car.strut.A)
     k_s = car.strut.n_p / column * car.strut.p_stat * car.strut.A * ratio ** (1 + 1 / car.strut.n_p)
     curves = getattr(car.strut.damper, mode), getattr(car.strut.friction, mode)
-    c_s = sum(float(oracles.Cubic(c).slope(0.0)) for c in curves)
+    c_s = sum(float(oracles.CubicCurve(c).slope(0.0)) for c in curves)
     matrices = oracles.linear_matrices(car, k_s, (c_s, c_s))
     speed, wavelength, amplitude = 10.0, 10.0 / f, 1e-7
     ds = wavelength / 400
     s = ds * np.arange(round((10.0 * speed + 6.0) / ds))
     z = np.stack([amplitude * np.sin(2.0 * np.pi * s / wavelength), 0.0 * s])
-    out = roll_on(
-        one, start.copy(), h=0.0005, steps=19000, surface=Surface(z, ds), speed=speed,
-        s_0=car.wheelbase, memory=memory,
+    out = run_integrator(
+        plant, start.copy(), h=0.0005, steps=19000, surface=Surface(z, ds), speed=speed,
+        s_0=car.wheelbase, strut_state=strut_state,
     )  # fmt: skip
     last = slice(-round(round(2.0 * f) / f / 0.0005), None)
     phase = 2.0 * np.pi * f * 0.0005 * np.arange(19000)[last]
@@ -203,14 +212,17 @@ def test_small_motions_have_the_frequency_response_of_the_energy_matrices(name, 
 @every_car
 @every_mode
 def test_damped_motion_on_a_still_road_never_gains_energy(name, mode):
-    oracle, memory = oracles.NonlinearCar(CARS[name]), memory_at_rest(command(mode))
+    oracle, strut_state = (
+        oracles.NonlinearCar(CARS[name]),
+        settled_strut_state(encode_command(mode)),
+    )
     rng = np.random.default_rng(5)
     for _ in range(4):
         y = np.concatenate([0.01 * rng.standard_normal(7), 0.3 * rng.standard_normal(7)])
-        out = roll_on(PLANTS[name], y, h=0.0005, steps=1500, memory=memory)
-        energy = [oracle.energy(memory, x[:7], x[7:14], STILL) for x in out[::5]]
-        at_rest = equilibrium(PLANTS[name], memory, STILL)
-        span = energy[0] - oracle.energy(memory, at_rest[:7], at_rest[7:], STILL)
+        out = run_integrator(PLANTS[name], y, h=0.0005, steps=1500, strut_state=strut_state)
+        energy = [oracle.energy(strut_state, x[:7], x[7:14], ZEROS) for x in out[::5]]
+        at_rest = equilibrium(PLANTS[name], strut_state, ZEROS)
+        span = energy[0] - oracle.energy(strut_state, at_rest[:7], at_rest[7:], ZEROS)
         assert span > 0.0
         assert np.diff(energy).max() < 1e-6 * span
         assert energy[-1] - energy[0] < -0.9 * span
@@ -219,27 +231,27 @@ def test_damped_motion_on_a_still_road_never_gains_energy(name, mode):
 @every_car
 @every_mode
 def test_without_losses_energy_is_kept_to_the_order_of_the_method(name, mode):
-    car, free = lossless(CARS[name]), plant(lossless(CARS[name]))
-    oracle, memory = oracles.NonlinearCar(car), memory_at_rest(command(mode))
-    start = equilibrium(free, memory, STILL)
-    rest = oracle.energy(memory, start[:7], start[7:], STILL)
+    car, free = lossless(CARS[name]), build_plant(lossless(CARS[name]))
+    oracle, strut_state = oracles.NonlinearCar(car), settled_strut_state(encode_command(mode))
+    start = equilibrium(free, strut_state, ZEROS)
+    rest = oracle.energy(strut_state, start[:7], start[7:], ZEROS)
     start[7:] = 0.1, 0.1, 0.05, 0.2, 0.2, -0.2, 0.1
     h, drift = 0.001 / 2.0 ** np.arange(4), []
     for step in h:
         y = start.copy()
-        roll_on(free, y, h=step, steps=round(1.0 / step), memory=memory)
-        first = oracle.energy(memory, start[:7], start[7:], STILL)
-        drift.append(abs(oracle.energy(memory, y[:7], y[7:], STILL) - first) / (first - rest))
+        run_integrator(free, y, h=step, steps=round(1.0 / step), strut_state=strut_state)
+        first = oracle.energy(strut_state, start[:7], start[7:], ZEROS)
+        drift.append(abs(oracle.energy(strut_state, y[:7], y[7:], ZEROS) - first) / (first - rest))
     assert drift[0] < 2e-4
     assert np.polyfit(np.log(h), np.log(drift), 1)[0] > 1.9
 
 
-def left_alone(name, mode, size, h, steps):
+def decay_towards_rest(name, mode, size, h, steps):
     """Distances from rest, relative to the first: at each step the greatest of the state."""
-    one, memory = PLANTS[name], memory_at_rest(command(mode))
-    rest = equilibrium(one, memory, STILL)
+    plant, strut_state = PLANTS[name], settled_strut_state(encode_command(mode))
+    rest = equilibrium(plant, strut_state, ZEROS)
     y = rest + size * np.random.default_rng(1).standard_normal(14)
-    out = roll_on(one, y, h=h, steps=steps, memory=memory)
+    out = run_integrator(plant, y, h=h, steps=steps, strut_state=strut_state)
     away = np.abs(out[:, :14] - rest).max(axis=1)
     return away / away[0]
 
@@ -249,7 +261,7 @@ def left_alone(name, mode, size, h, steps):
 @pytest.mark.parametrize("h", [0.05, 0.5, 5.0, 50.0])
 def test_small_motions_die_out_however_long_the_step(name, mode, h):
     """L-stability: friction takes a millisecond and the axles roll at 15 Hz."""
-    away = left_alone(name, mode, 1e-8, h, 400)
+    away = decay_towards_rest(name, mode, 1e-8, h, 400)
     assert away.max() < 100.0  # at 16 Hz a heave of 1 mm is a rate of 100 mm/s
     assert away[-1] < 1e-3
     if h >= 5.0:
@@ -260,7 +272,7 @@ def test_small_motions_die_out_however_long_the_step(name, mode, h):
 @every_mode
 @pytest.mark.parametrize("h", [0.01, 0.02])
 def test_motions_of_centimetres_come_to_rest_in_steps_longer_than_the_fastest_motion(name, mode, h):
-    away = left_alone(name, mode, 0.01, h, 1000)
+    away = decay_towards_rest(name, mode, 0.01, h, 1000)
     assert away.max() < 100.0 and away[-1] < 1e-3
 
 
@@ -268,10 +280,16 @@ def test_motions_of_centimetres_come_to_rest_in_steps_longer_than_the_fastest_mo
 @every_mode
 def test_a_symmetric_road_never_rolls_the_car_to_the_bit(name, mode):
     z = np.stack([ROUGH.z[0], ROUGH.z[0]])
-    one, memory = PLANTS[name], memory_at_rest(command(mode))
-    y = equilibrium(one, memory, STILL)
-    out = roll_on(
-        one, y, h=0.001, steps=3000, surface=Surface(z, ROUGH.ds), speed=SPEED, memory=memory
+    plant, strut_state = PLANTS[name], settled_strut_state(encode_command(mode))
+    y = equilibrium(plant, strut_state, ZEROS)
+    out = run_integrator(
+        plant,
+        y,
+        h=0.001,
+        steps=3000,
+        surface=Surface(z, ROUGH.ds),
+        speed=SPEED,
+        strut_state=strut_state,
     )
     assert np.abs(out[:, 0]).max() > 0.01
     assert (out[:, ROLL] == 0.0).all() and (y[ROLL] == 0.0).all()
@@ -282,9 +300,11 @@ def test_a_symmetric_road_never_rolls_the_car_to_the_bit(name, mode):
 @every_car
 @every_mode
 def test_a_car_at_rest_on_level_ground_stays_at_rest(name, mode):
-    one, memory = PLANTS[name], memory_at_rest(command(mode))
-    rest = equilibrium(one, memory, STILL)
+    plant, strut_state = PLANTS[name], settled_strut_state(encode_command(mode))
+    rest = equilibrium(plant, strut_state, ZEROS)
     y = rest.copy()
-    out = roll_on(one, y, h=0.001, steps=5000, surface=LEVEL, memory=memory)
+    out = run_integrator(
+        plant, y, h=0.001, steps=5000, surface=FLAT_SURFACE, strut_state=strut_state
+    )
     np.testing.assert_allclose(y, rest, atol=1e-12)
     np.testing.assert_allclose(out[:, ACCELERATION : ACCELERATION + 7], 0.0, atol=1e-9)

@@ -27,7 +27,7 @@ def sine(n, amplitude=1e-3, length=100.0, ds=0.01):
 
 def test_the_density_is_that_of_a_spectrum_by_hand():
     z = np.random.default_rng(1).standard_normal(5000).cumsum() * 1e-3
-    n, G = roughness.dsd(z, 0.05, segment=50.0)
+    n, G = roughness.displacement_psd(z, 0.05, segment=50.0)
     n_hand, G_hand = segment_spectrum(z, 0.05, 1000)
     np.testing.assert_allclose(n, n_hand)
     np.testing.assert_allclose(G, G_hand, rtol=1e-9)
@@ -35,7 +35,7 @@ def test_the_density_is_that_of_a_spectrum_by_hand():
 
 @pytest.mark.parametrize("n_0", [0.2, 1.0, 3.7])
 def test_the_density_of_a_sine_holds_its_power_at_its_frequency(n_0):
-    n, G = roughness.dsd(sine(n_0, amplitude=2e-3, length=1000.0), 0.01)
+    n, G = roughness.displacement_psd(sine(n_0, amplitude=2e-3, length=1000.0), 0.01)
     near = np.abs(n - n_0) < 0.05
     assert G[near].sum() * n[0] == pytest.approx(2e-6, rel=1e-3)
     assert G[~near].sum() * n[0] < 5e-4 * 2e-6
@@ -45,8 +45,8 @@ def test_the_density_of_a_sine_holds_its_power_at_its_frequency(n_0):
 @given(st.integers(0, 2**32), st.floats(1e-3, 1e3), st.floats(0.01, 1.0))
 def test_the_density_scales_with_the_square_of_height_and_with_length(seed, scale, ds):
     z = np.random.default_rng(seed).standard_normal(800)
-    n, G = roughness.dsd(z, 1.0, segment=200.0)
-    n_scaled, G_scaled = roughness.dsd(scale * z, ds, segment=200.0 * ds)
+    n, G = roughness.displacement_psd(z, 1.0, segment=200.0)
+    n_scaled, G_scaled = roughness.displacement_psd(scale * z, ds, segment=200.0 * ds)
     np.testing.assert_allclose(n_scaled, n / ds)
     np.testing.assert_allclose(G_scaled, G * scale**2 * ds, rtol=1e-6, atol=1e-12 * scale**2 * ds)
 
@@ -54,7 +54,7 @@ def test_the_density_scales_with_the_square_of_height_and_with_length(seed, scal
 def test_smoothing_keeps_the_power_inside_its_bands():
     n = 0.01 * np.arange(1, 1001)
     G = np.random.default_rng(2).exponential(1.0, n.size)
-    centre, mean = roughness.smooth(n, G)
+    centre, mean = roughness.smooth_psd(n, G)
     # centres printed in ISO 8608 for octaves, third octaves and twelfths
     for printed in (0.0156, 0.0312, 0.0496, 0.0625, 0.0787, 0.125, 0.1984, 0.25, 0.2888, 1.0293):
         assert np.abs(centre / printed - 1.0).min() < 5e-3
@@ -69,7 +69,7 @@ def test_smoothing_keeps_the_power_inside_its_bands():
 
 def test_smoothing_leaves_a_constant_density_alone():
     n = 0.02 * np.arange(1, 300)
-    assert roughness.smooth(n, np.full((2, n.size), 3.0))[1] == pytest.approx(3.0)
+    assert roughness.smooth_psd(n, np.full((2, n.size), 3.0))[1] == pytest.approx(3.0)
 
 
 @settings(deadline=None)
@@ -91,10 +91,10 @@ def test_the_fit_looks_only_inside_its_band():
 
 def test_classes_begin_and_end_at_twice_their_means():
     for k, (name, mean) in enumerate(CLASS_MEANS.items()):
-        assert roughness.classify(mean) == name
-        assert roughness.classify(1.99 * mean) == name
-        assert roughness.classify(2.01 * mean) == "ABCDEFGHH"[k + 1]
-    assert roughness.classify(0.0) == "A"
+        assert roughness.roughness_class(mean) == name
+        assert roughness.roughness_class(1.99 * mean) == name
+        assert roughness.roughness_class(2.01 * mean) == "ABCDEFGHH"[k + 1]
+    assert roughness.roughness_class(0.0) == "A"
 
 
 def test_octave_levels_of_an_iso_road_are_its_level_at_every_octave():
@@ -109,12 +109,12 @@ def test_a_drawn_road_is_given_back_its_class_and_exponent():
         Iso8608(road_class="C", length=1000.0).realise(np.random.default_rng(k)) for k in (1, 2)
     ]
     z = np.concatenate([road.z for road in roads])
-    n, G = roughness.smooth(*roughness.dsd(z, 0.01))
+    n, G = roughness.smooth_psd(*roughness.displacement_psd(z, 0.01))
     fits = np.array([roughness.fit_line(n, g) for g in G])
     # one path of 1000 m scatters by 0.09 dB rms at w = 2; the bands below 0.05 cycles/m by more
     assert np.log10(fits[:, 0] / 256e-6).mean() == pytest.approx(0.0, abs=0.05)
     assert fits[:, 1].mean() == pytest.approx(2.0, abs=0.05)
-    assert {roughness.classify(roughness.fit_line(n, g, w=2.0)[0]) for g in G} == {"C"}
+    assert {roughness.roughness_class(roughness.fit_line(n, g, w=2.0)[0]) for g in G} == {"C"}
 
 
 TRIANGLE = {3: 0.475180, 5: 0.782931, 10: 0.508670, 15: 0.371304, 20: 0.295143, 25: 0.241392}

@@ -1,4 +1,4 @@
-"""The bound beside a score is the one of `road_envs.analysis.information_bound` for the road that was driven."""
+"""The bound of a score is the information bound of the road that was driven."""
 
 import dataclasses
 
@@ -7,11 +7,11 @@ import pytest
 from fakes import task
 
 from leaderboard.evaluation.tasks import load_task
-from leaderboard.metrics.bound import bound_over_n, nrmse_bound, spectrum
-from leaderboard.metrics.registry import scores
-from leaderboard.metrics.roughness import THIRDS
+from leaderboard.metrics.bound import fit_spectrum, nrmse_bound, third_octave_bound
+from leaderboard.metrics.registry import compute_scores
+from leaderboard.metrics.roughness import THIRD_OCTAVES
 from road_envs.analysis.information_bound import RoadPrior, bound
-from road_envs.data.record import Estimate, Profile, grid
+from road_envs.data.record import Estimate, Profile, profile_stations
 from road_envs.roads import load_road
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
@@ -19,7 +19,7 @@ from road_envs.vehicle.parameters import load_vehicle
 
 def realised(length=300.0, seed=3, **road):
     drawn = load_road({"kind": "iso8608", "length": length, **road})
-    s = grid(length)
+    s = profile_stations(length)
     return Profile(s, drawn.realise(np.random.default_rng(seed)).height(s))
 
 
@@ -29,21 +29,23 @@ def test_it_is_the_bound_of_a_road_of_that_class(place):
     condition = t.conditions[place]  # ride at 14.5, front ride and rear handling at 54 km/h
     found = nrmse_bound(t, condition, realised(road_class="D"))
     car, instruments = load_vehicle(t.car), load_instruments(t.instruments)
-    wanted = bound(car, condition.command, condition.speed_kmh / 3.6, instruments, RoadPrior())
+    wanted = bound(
+        car, condition.simulator_mode, condition.speed_kmh / 3.6, instruments, RoadPrior()
+    )
     assert found == pytest.approx(wanted.pooled, rel=0.1)
     assert found == pytest.approx((0.117, 0.0266)[place], rel=0.1)
 
 
 def test_the_road_is_told_by_its_own_spectrum_inside_the_band():
     band = (0.2, 1.8)
-    level, w = spectrum(realised(road_class="D"), band)
+    level, w = fit_spectrum(realised(road_class="D"), band)
     assert level == pytest.approx(10.0 * np.log10(1024e-6), abs=1.0) and w == pytest.approx(
         2.0, abs=0.2
     )
-    rough, steep = spectrum(realised(road_class="E", w=2.5), band)
+    rough, steep = fit_spectrum(realised(road_class="E", w=2.5), band)
     assert rough - level == pytest.approx(6.0, abs=1.5) and steep == pytest.approx(2.5, abs=0.2)
     truth = realised(road_class="D")
-    assert spectrum(dataclasses.replace(truth, z=0.0 * truth.z), band) is None
+    assert fit_spectrum(dataclasses.replace(truth, z=0.0 * truth.z), band) is None
     t = task()
     assert np.isnan(nrmse_bound(t, t.conditions[0], dataclasses.replace(truth, z=0.0 * truth.z)))
 
@@ -52,22 +54,24 @@ def test_over_frequency_the_shares_add_up_to_the_bound_in_the_band():
     """Weighted with the road's n^-2, the thirds that tile 0.2 to 1.6 make up the whole."""
     t = load_task("new_road")
     for condition in (t.conditions[0], t.conditions[2]):
-        shares = np.array(bound_over_n(t, condition))
-        inside = (THIRDS > 0.24) & (THIRDS < 1.45)
-        weight = THIRDS[inside] ** -1.0
+        shares = np.array(third_octave_bound(t, condition))
+        inside = (THIRD_OCTAVES > 0.24) & (THIRD_OCTAVES < 1.45)
+        weight = THIRD_OCTAVES[inside] ** -1.0
         over = np.sqrt(np.sum(weight * shares[inside] ** 2) / weight.sum())
-        n = np.linspace(THIRDS[inside][0] * 2 ** (-1 / 6), THIRDS[inside][-1] * 2 ** (1 / 6), 4001)
+        n = np.linspace(
+            THIRD_OCTAVES[inside][0] * 2 ** (-1 / 6), THIRD_OCTAVES[inside][-1] * 2 ** (1 / 6), 4001
+        )
         car, instruments = load_vehicle(t.car), load_instruments(t.instruments)
         v = condition.speed_kmh / 3.6
-        whole = bound(car, condition.command, v, instruments, RoadPrior(), n=n).pooled
+        whole = bound(car, condition.simulator_mode, v, instruments, RoadPrior(), n=n).pooled
         assert over == pytest.approx(whole, rel=0.02)
 
 
 def test_efficiency_is_the_bounds_mean_square_error_over_that_of_the_estimate():
     truth = realised(100.0, road_class="D")
-    half = scores(truth, Estimate(truth.s, 0.8 * truth.z), 4.0, False, bound=0.1)
+    half = compute_scores(truth, Estimate(truth.s, 0.8 * truth.z), 4.0, False, bound=0.1)
     assert half["bound_nrmse"] == 0.1
     assert half["bound_efficiency"] == pytest.approx((0.1 / 0.2) ** 2)
-    perfect = scores(truth, Estimate(truth.s, truth.z), 4.0, False, bound=0.1)
+    perfect = compute_scores(truth, Estimate(truth.s, truth.z), 4.0, False, bound=0.1)
     assert np.isnan(perfect["bound_efficiency"])
-    assert "bound_nrmse" not in scores(truth, Estimate(truth.s, truth.z), 4.0, False)
+    assert "bound_nrmse" not in compute_scores(truth, Estimate(truth.s, truth.z), 4.0, False)

@@ -16,14 +16,14 @@ from leaderboard.metrics import heights, roughness
 from leaderboard.metrics.bootstrap import (
     bootstrap,
     interquartile_mean,
-    interval,
-    performance,
-    slope,
-    standings,
+    iqm_interval,
+    iqm_slope,
+    performance_profile,
+    rank_entries,
 )
-from leaderboard.metrics.obstacles import bump_scores, find_bumps, obstacles
-from leaderboard.metrics.registry import SCORES, scores
-from road_envs.data.record import GRID, Estimate, Profile, grid
+from leaderboard.metrics.obstacles import detect_obstacles, obstacle_scores, true_obstacles
+from leaderboard.metrics.registry import SCORES, compute_scores
+from road_envs.data.record import PROFILE_SPACING, Estimate, Profile, profile_stations
 
 STORED = Path(__file__).parents[1] / "data" / "scores.json"
 CASES = {"late": 1, "quiet": 2, "loud": 3}
@@ -40,7 +40,7 @@ def case(name):
 def found(name):
     y, a, sigma, ds = case(name)
     s = ds * np.arange(y.shape[1])
-    return scores(Profile(s, y), Estimate(s, a, sigma), SPEEDS[name], bumps=True)
+    return compute_scores(Profile(s, y), Estimate(s, a, sigma), SPEEDS[name], bumps=True)
 
 
 def expected(name):
@@ -109,7 +109,10 @@ def test_the_scores_of_the_stored_cases_have_not_moved(name):
 
 def test_every_score_has_a_form_in_which_it_is_printed():
     assert set(found("late")) <= SCORES.keys()
-    assert SCORES["crps"].text(0.00123) == "1.23" and SCORES["level_bias"].text(0.1) == "+10.0"
+    assert (
+        SCORES["crps"].format_value(0.00123) == "1.23"
+        and SCORES["level_bias"].format_value(0.1) == "+10.0"
+    )
 
 
 # --- uncertainty ----------------------------------------------------------------------------------
@@ -117,13 +120,13 @@ def test_every_score_has_a_form_in_which_it_is_printed():
 
 def noise(seed, level, length=300.0):
     """White noise (2, M) of RMS `level` inside the band."""
-    e = np.random.default_rng(seed).standard_normal((2, grid(length).size))
-    inside = heights.band_pass(e, GRID, (0.2, 1.8))
+    e = np.random.default_rng(seed).standard_normal((2, profile_stations(length).size))
+    inside = heights.band_pass(e, PROFILE_SPACING, (0.2, 1.8))
     return level * e / np.sqrt(np.mean(inside**2))
 
 
 def uncertainty(e, sigma):
-    inside = heights.band_pass(np.stack([0.0 * e, e]), GRID, (0.2, 1.8))
+    inside = heights.band_pass(np.stack([0.0 * e, e]), PROFILE_SPACING, (0.2, 1.8))
     return heights.uncertainty(*inside, sigma)
 
 
@@ -148,14 +151,19 @@ def test_no_other_deviation_scores_a_better_crps_than_the_honest_one(factor):
 def test_a_deviation_of_zero_is_scored_by_its_mean_absolute_error():
     e = noise(3, 0.01)
     found = uncertainty(e, np.zeros_like(e))
-    assert found.crps == pytest.approx(np.mean(np.abs(heights.band_pass(e, GRID, (0.2, 1.8)))))
+    assert found.crps == pytest.approx(
+        np.mean(np.abs(heights.band_pass(e, PROFILE_SPACING, (0.2, 1.8))))
+    )
     assert found.coverage_50 == found.coverage_90 == 0.0
 
 
 def test_an_estimate_without_a_deviation_has_no_such_score():
     y, a, _, ds = case("late")
     s = ds * np.arange(y.shape[1])
-    assert not {"crps", "coverage_50"} & scores(Profile(s, y), Estimate(s, a), 4.0, False).keys()
+    assert (
+        not {"crps", "coverage_50"}
+        & compute_scores(Profile(s, y), Estimate(s, a), 4.0, False).keys()
+    )
 
 
 # --- over spatial frequency, and obstacles --------------------------------------------------------
@@ -165,16 +173,16 @@ def test_the_error_over_frequency_tells_where_it_is_wrong():
     y, _, _, ds = case("late")
     s = ds * np.arange(y.shape[1])
     a = y + 0.002 * np.sin(2.0 * np.pi * 1.26 * s)
-    n, (G_y, G_e) = roughness.dsd(np.stack([y, a - y]), ds)
-    error = roughness.error_over_n(n, G_y, G_e)
-    assert int(np.argmax(error)) == list(np.round(roughness.THIRDS, 2)).index(1.26)
+    n, (G_y, G_e) = roughness.displacement_psd(np.stack([y, a - y]), ds)
+    error = roughness.third_octave_errors(n, G_y, G_e)
+    assert int(np.argmax(error)) == list(np.round(roughness.THIRD_OCTAVES, 2)).index(1.26)
     assert error[0] < 0.01 < 0.2 < max(error)
-    flat = roughness.error_over_n(n, G_y, G_y)
-    assert flat == pytest.approx([1.0] * len(roughness.THIRDS))
+    flat = roughness.third_octave_errors(n, G_y, G_y)
+    assert flat == pytest.approx([1.0] * len(roughness.THIRD_OCTAVES))
 
 
 def level_road(*blocks):
-    s = grid(60.0)
+    s = profile_stations(60.0)
     z = np.zeros((2, s.size))
     for side, start, end, height in blocks:
         z[side, (start <= s) & (s <= end)] = height
@@ -183,22 +191,22 @@ def level_road(*blocks):
 
 def test_a_hole_is_no_bump():
     y = level_road((0, 20.0, 20.8, -0.06), (1, 30.0, 30.8, 0.1))
-    (hole,), (bump,) = obstacles(y, GRID)
+    (hole,), (bump,) = true_obstacles(y, PROFILE_SPACING)
     assert hole.height == -0.06 and bump.height == 0.1
-    assert hole.s == pytest.approx(20.4, abs=GRID)
-    assert bump_scores(y, y, GRID)[:3] == (1.0, 1.0, 1.0)
-    upside_down = bump_scores(y, -y, GRID)
+    assert hole.s == pytest.approx(20.4, abs=PROFILE_SPACING)
+    assert obstacle_scores(y, y, PROFILE_SPACING)[:3] == (1.0, 1.0, 1.0)
+    upside_down = obstacle_scores(y, -y, PROFILE_SPACING)
     assert upside_down.f1 == 0.0 and upside_down.ghosts == 0
-    deep = bump_scores(y, 0.9 * y, GRID)
+    deep = obstacle_scores(y, 0.9 * y, PROFILE_SPACING)
     assert deep.height_error == pytest.approx(
         0.008
     ) and deep.height_error_relative == pytest.approx(0.1)
 
 
 def test_an_uneven_road_has_no_obstacles():
-    y = level_road((0, 20.0, 20.8, 0.1)) + case("late")[0][:, : grid(60.0).size] * 4.0
-    assert bump_scores(y, y, GRID) is None
-    assert find_bumps(y[0], GRID, 0.02)
+    y = level_road((0, 20.0, 20.8, 0.1)) + case("late")[0][:, : profile_stations(60.0).size] * 4.0
+    assert obstacle_scores(y, y, PROFILE_SPACING) is None
+    assert detect_obstacles(y[0], PROFILE_SPACING, 0.02)
 
 
 # --- statistics -----------------------------------------------------------------------------------
@@ -212,7 +220,7 @@ def test_the_interquartile_mean_is_the_mean_of_the_middle_of_the_quantiles(x):
 
 def test_on_one_seed_the_interval_is_that_of_scipys_bootstrap():
     roads = np.random.default_rng(1).gamma(2.0, size=25)
-    mine = interval(roads[:, None, None])
+    mine = iqm_interval(roads[:, None, None])
     theirs = stats.bootstrap(
         (roads,),
         oracle.interquartile_mean,
@@ -241,7 +249,7 @@ def test_replicates_are_those_of_roads_then_seeds_drawn_by_hand():
 def test_replicates_do_not_depend_on_how_many_are_held_at_a_time(monkeypatch):
     scores = np.random.default_rng(4).standard_normal((6, 2, 3))
     whole = bootstrap(scores, 0)
-    monkeypatch.setattr(statistics, "CELLS", 100)
+    monkeypatch.setattr(statistics, "MAX_BATCH_SCORES", 100)
     np.testing.assert_allclose(bootstrap(scores, 0), whole, rtol=0.0, atol=1e-12)
 
 
@@ -257,7 +265,7 @@ def test_a_rank_is_one_more_than_the_entries_whose_paired_difference_lies_below_
         for other in drawn.values():
             _, high = np.quantile(other - mine, [0.025, 0.975])
             ranks[name] += bool(high < 0.0)
-    assert {name: row.rank for name, row in standings(scores).items()} == ranks
+    assert {name: row.rank for name, row in rank_entries(scores).items()} == ranks
     assert len(set(ranks.values())) > 2
 
 
@@ -265,7 +273,7 @@ def test_a_slope_is_that_of_numpys_polynomial_and_its_interval_is_paired():
     rng = np.random.default_rng(7)
     road = rng.standard_normal((20, 1, 1))
     parts = [1.0 + 0.3 * k + road + 0.05 * rng.standard_normal((20, 2, 3)) for k in range(4)]
-    found = slope(parts)
+    found = iqm_slope(parts)
     means = [oracle.interquartile_mean(part.ravel()) for part in parts]
     assert found.mean == pytest.approx(np.polyfit(range(4), means, 1)[0])
     # unpaired, the spread of the roads alone would give it +-0.2
@@ -276,7 +284,7 @@ def test_a_performance_profile_is_the_share_of_runs_below_each_threshold():
     scores = np.random.default_rng(6).uniform(size=(30, 2, 2))
     scores[0] = np.nan
     thresholds = np.array([-1.0, 0.25, 0.5, 2.0])
-    found = performance(scores, thresholds)
+    found = performance_profile(scores, thresholds)
     by_hand = [sum(x <= limit for x in scores.ravel()) / scores.size for limit in thresholds]
     assert found.share == pytest.approx(by_hand)
     assert found.share[0] == 0.0 and found.share[-1] == pytest.approx(29 / 30)

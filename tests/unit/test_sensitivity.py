@@ -13,36 +13,36 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from vehicle_fixtures import (
     CARS,
-    LEANING,
-    ODD_LEANING,
+    MANOEUVRE_PLANTS,
     PLANTS,
-    STILL,
-    memories,
-    roll_on,
+    VARIED_MANOEUVRE_PLANTS,
+    ZEROS,
+    run_integrator,
     smooth_road,
+    strut_states,
     vectors,
 )
 
 from road_envs.simulation.rosenbrock import ACCELERATION, LOAD
-from road_envs.simulation.sensitivity import drive_on_tape
+from road_envs.simulation.sensitivity import linearize_drive
 from road_envs.vehicle.equations import equilibrium, jacobian
-from road_envs.vehicle.force_curves import curvature, look_up
-from road_envs.vehicle.suspension import command, memory_at_rest
+from road_envs.vehicle.force_curves import interpolate_table, second_derivative
+from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 MODES = ("ride", "handling")
 REACH = np.repeat([0.05, 0.5], 7)
 """Coordinates and rates of a hard drive; a road of centimetres and metres a second with it."""
 UNEVEN = np.array([0.02, 0.5])[:, None]
-LEAN = {**LEANING, "odd": ODD_LEANING["odd"]}
+TEST_PLANTS = {**MANOEUVRE_PLANTS, "varied": VARIED_MANOEUVRE_PLANTS["varied"]}
 every_car = pytest.mark.parametrize("name", CARS)
-every_plant = pytest.mark.parametrize("name", LEAN)
+every_plant = pytest.mark.parametrize("name", TEST_PLANTS)
 every_mode = pytest.mark.parametrize("mode", MODES)
 states = vectors(14, *REACH)
 roads = vectors(16, *np.repeat([0.02, 0.5], 4)).map(lambda x: x.reshape(2, 2, 4))
 directions = vectors(14, 1.0), vectors(16, 1.0), vectors(7, 1.0), vectors(14, 1.0)
 
 
-def balance(tape, start, road, a, end):
+def duality_products(tape, start, road, a, end):
     """Both sides of <dual, tangent> = <adjoint, direction>, and the size of their parts."""
     da, dend = tape.tangent(start, road)
     back, road_back = tape.adjoint(a, end)
@@ -51,13 +51,13 @@ def balance(tape, start, road, a, end):
 
 
 @every_plant
-@given(states, memories, roads, st.sampled_from([0.0002, 0.001, 0.01]), *directions)
+@given(states, strut_states, roads, st.sampled_from([0.0002, 0.001, 0.01]), *directions)
 def test_the_adjoint_of_a_step_is_the_transpose_of_its_tangent(
-    name, y, memory, road, h, start, turn_road, a, end
+    name, y, strut_state, road, h, start, turn_road, a, end
 ):
-    tape = drive_on_tape(LEAN[name], memory, y, road, h)
+    tape = linearize_drive(TEST_PLANTS[name], strut_state, y, road, h)
     change = turn_road.reshape(2, 2, 4)
-    forth, back, size = balance(tape, REACH * start, UNEVEN * change, a[None], end)
+    forth, back, size = duality_products(tape, REACH * start, UNEVEN * change, a[None], end)
     assert abs(forth - back) <= 1e-12 * size
 
 
@@ -65,15 +65,17 @@ def random_cases(size):
     """Steps of the odd car: every fourth a wild one, every third with a wheel in the air."""
     rng, cases = np.random.default_rng(11), []
     for i in range(size):
-        memory = memory_at_rest(command(MODES[i % 2]))
+        strut_state = settled_strut_state(encode_command(MODES[i % 2]))
         if i % 5 == 4:
-            memory = np.column_stack([rng.uniform(-0.02, 0.02, 4), *rng.uniform(0.0, 1.0, (2, 4))])
+            strut_state = np.column_stack(
+                [rng.uniform(-0.02, 0.02, 4), *rng.uniform(0.0, 1.0, (2, 4))]
+            )
         size = 2.0 if i % 4 == 0 else 0.1
         road = size * UNEVEN * rng.standard_normal((2, 2, 4))
         road[:, 0, i // 3 % 4] -= 0.1 * (i % 3 == 0)
         y, dy = size * REACH * rng.standard_normal(14), REACH * rng.standard_normal(14)
-        droad, turn = UNEVEN * rng.standard_normal((2, 2, 4)), rng.standard_normal((2, 2))
-        cases.append((memory, y, road, (0.001, 0.005)[i % 2], turn, dy, droad))
+        droad, a_xy = UNEVEN * rng.standard_normal((2, 2, 4)), rng.standard_normal((2, 2))
+        cases.append((strut_state, y, road, (0.001, 0.005)[i % 2], a_xy, dy, droad))
     return cases
 
 
@@ -81,18 +83,19 @@ def random_cases(size):
 def tapes():
     """The random steps and their tapes."""
     cases = random_cases(120)
-    return cases, [drive_on_tape(LEAN["odd"], *case[:5]) for case in cases]
+    return cases, [linearize_drive(TEST_PLANTS["varied"], *case[:5]) for case in cases]
 
 
 def test_the_tangent_is_the_derivative_that_dual_numbers_find(tmp_path):
     """To rounding: on soft and stiff struts, between the two, and with wheels in the air."""
-    plant, (cases, tape) = LEAN["odd"], tapes()
+    plant, (cases, case_tapes) = TEST_PLANTS["varied"], tapes()
     given = {"n_cases": len(cases)}
-    for i, (memory, y, road, h, turn, dy, droad) in enumerate(cases):
+    for i, (strut_state, y, road, h, a_xy, dy, droad) in enumerate(cases):
         values = {
-            "numbers": np.frombuffer(plant.numbers.tobytes(), dtype=np.uint8),
-            "velocity": plant.velocity, "displacement": plant.displacement, "memory": memory,
-            "y": y, "road": road.ravel(), "turn": turn.ravel(), "h": h,
+            "constants": np.frombuffer(plant.constants.tobytes(), dtype=np.uint8),
+            "velocity": plant.velocity, "displacement": plant.displacement,
+            "strut_state": strut_state,
+            "y": y, "road": road.ravel(), "a_xy": a_xy.ravel(), "h": h,
             "dy": dy, "droad": droad.ravel(),
         }  # fmt: skip
         given |= {f"{i}/{name}": value for name, value in values.items()}
@@ -102,10 +105,10 @@ def test_the_tangent_is_the_derivative_that_dual_numbers_find(tmp_path):
     command = [sys.executable, here / "dual_numbers.py", "cases.npz", "found.npz"]
     subprocess.run(command, env={**os.environ, **uncompiled}, cwd=tmp_path, check=True, timeout=120)
     exact = np.load(tmp_path / "found.npz")
-    loads = np.array([one.signals[0, LOAD:] for one in tape])
+    loads = np.array([tape.signals[0, LOAD:] for tape in case_tapes])
     assert 40 <= (loads == 0.0).any(axis=1).sum() <= 80
-    for i, one in enumerate(tape):
-        a, end = one.tangent(*cases[i][5:])
+    for i, tape in enumerate(case_tapes):
+        a, end = tape.tangent(*cases[i][5:])
         expected = exact["signals"][i, ACCELERATION : ACCELERATION + 7]
         np.testing.assert_allclose(a[0], expected, atol=1e-11 * np.abs(expected).max())
         for half in (slice(7), slice(7, None)):
@@ -114,14 +117,14 @@ def test_the_tangent_is_the_derivative_that_dual_numbers_find(tmp_path):
 
 
 def test_the_tangent_is_the_slope_of_the_step():
-    for (memory, y, road, h, turn, dy, droad), one in zip(*tapes(), strict=True):
+    for (strut_state, y, road, h, a_xy, dy, droad), tape in zip(*tapes(), strict=True):
         eps, ends, starts = 1e-6, [], []
         for sign in (1.0, -1.0):
             there = y + sign * eps * dy, road + sign * eps * droad
-            moved = drive_on_tape(LEAN["odd"], memory, *there, h, turn)
+            moved = linearize_drive(TEST_PLANTS["varied"], strut_state, *there, h, a_xy)
             ends.append(moved.end)
             starts.append(moved.acceleration[0])
-        a, end = one.tangent(dy, droad)
+        a, end = tape.tangent(dy, droad)
         slope = (ends[0] - ends[1]) / (2.0 * eps), (starts[0] - starts[1]) / (2.0 * eps)
         np.testing.assert_allclose(end, slope[0], atol=1e-6 * np.abs(end).max())
         np.testing.assert_allclose(a[0], slope[1], atol=1e-6 * np.abs(a).max())
@@ -132,20 +135,20 @@ def test_the_curvature_of_a_table_is_the_slope_of_its_slope(k, x):
     """Also of curves that are bent to the very end of their table, and straight only beyond it."""
     assume(abs(2.0 * x - round(2.0 * x)) > 1e-4)
     tables = np.random.default_rng(3).standard_normal((2, 8, 4))
-    slopes = [look_up(tables, float(k), 0.0, 0.5, x + eps)[1] for eps in (1e-5, -1e-5)]
-    found = curvature(tables, float(k), 0.0, 0.5, x)
+    slopes = [interpolate_table(tables, float(k), 0.0, 0.5, x + eps)[1] for eps in (1e-5, -1e-5)]
+    found = second_derivative(tables, float(k), 0.0, 0.5, x)
     assert found == pytest.approx((slopes[0] - slopes[1]) / 2e-5, rel=1e-6, abs=1e-6)
     assert (found == 0.0) == (not 0.0 < x < 4.0)
 
 
 def test_a_wheel_in_the_air_does_not_feel_its_road():
-    memory, y = memory_at_rest(command("ride")), np.zeros(14)
+    strut_state, y = settled_strut_state(encode_command("ride")), np.zeros(14)
     road = np.zeros((2, 2, 4))
     road[:, 0, 2] = -0.2
-    tape = drive_on_tape(PLANTS["lopsided"], memory, y, road, 0.001)
+    tape = linearize_drive(PLANTS["unequal_axles"], strut_state, y, road, 0.001)
     assert (tape.signals[0, LOAD:] == 0.0).tolist() == [False, False, True, False]
-    _, felt = tape.adjoint(np.ones((1, 7)), np.ones(14))
-    assert (felt[..., 2] == 0.0).all() and (felt[:, :, [0, 1, 3]] != 0.0).all()
+    _, adjoint_road = tape.adjoint(np.ones((1, 7)), np.ones(14))
+    assert (adjoint_road[..., 2] == 0.0).all() and (adjoint_road[:, :, [0, 1, 3]] != 0.0).all()
 
 
 # --- whole drives ---------------------------------------------------------------------------------
@@ -163,19 +166,21 @@ def under_wheels(name, surface):
 
 
 @cache
-def driven(name, mode):
+def linearized_drive(name, mode):
     """Start, road and tape of a drive on which wheels leave the ground."""
-    memory = memory_at_rest(command(mode))
-    start, road = equilibrium(PLANTS[name], memory, STILL), under_wheels(name, ROUGH)
-    return start, road, drive_on_tape(PLANTS[name], memory, start, road, H)
+    strut_state = settled_strut_state(encode_command(mode))
+    start, road = equilibrium(PLANTS[name], strut_state, ZEROS), under_wheels(name, ROUGH)
+    return start, road, linearize_drive(PLANTS[name], strut_state, start, road, H)
 
 
 @every_car
 @every_mode
 def test_a_taped_drive_is_the_drive_itself(name, mode):
-    start, _, tape = driven(name, mode)
+    start, _, tape = linearized_drive(name, mode)
     y = start.copy()
-    out = roll_on(PLANTS[name], y, h=H, steps=STEPS, surface=ROUGH, speed=SPEED, s_0=S_0, mode=mode)
+    out = run_integrator(
+        PLANTS[name], y, h=H, steps=STEPS, surface=ROUGH, speed=SPEED, s_0=S_0, mode=mode
+    )
     assert (out[:, LOAD:] == 0.0).any()
     np.testing.assert_allclose(tape.signals, out, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(tape.end, y, rtol=1e-9, atol=1e-9)
@@ -184,31 +189,31 @@ def test_a_taped_drive_is_the_drive_itself(name, mode):
 @every_car
 @every_mode
 def test_the_adjoint_of_a_drive_is_the_transpose_of_its_tangent(name, mode):
-    _, road, tape = driven(name, mode)
+    _, road, tape = linearized_drive(name, mode)
     rng = np.random.default_rng(2)
     for _ in range(5):
         change = REACH * rng.standard_normal(14), UNEVEN * rng.standard_normal(road.shape)
         dual = rng.standard_normal((STEPS, 7)), rng.standard_normal(14)
-        forth, back, size = balance(tape, *change, *dual)
+        forth, back, size = duality_products(tape, *change, *dual)
         assert abs(forth - back) <= 1e-11 * size and abs(forth) > 1e-4 * size
 
 
-@pytest.mark.parametrize(("name", "mode"), [("lopsided", "ride"), ("defender", "handling")])
+@pytest.mark.parametrize(("name", "mode"), [("unequal_axles", "ride"), ("defender", "handling")])
 def test_the_adjoint_of_a_misfit_is_its_slope_along_the_road(name, mode):
     """On a road on which every tyre keeps touching: no jump of the step lies in the way."""
-    memory, target = memory_at_rest(command(mode)), smooth_road(height=0.006)
-    rest, road = equilibrium(PLANTS[name], memory, STILL), under_wheels(name, target)
+    strut_state, target = settled_strut_state(encode_command(mode)), smooth_road(height=0.006)
+    rest, road = equilibrium(PLANTS[name], strut_state, ZEROS), under_wheels(name, target)
     start = rest + 1e-4 * np.linspace(-1.0, 1.0, 14)  # at rest friction stands on a kink
-    wanted = drive_on_tape(PLANTS[name], memory, start, road, H).acceleration
+    target_acceleration = linearize_drive(PLANTS[name], strut_state, start, road, H).acceleration
     rng = np.random.default_rng(4)
     guess = road + 0.1 * under_wheels(name, smooth_road(height=0.006, seed=8))
-    tape = drive_on_tape(PLANTS[name], memory, start, guess, H)
+    tape = linearize_drive(PLANTS[name], strut_state, start, guess, H)
     assert tape.signals[:, LOAD:].min() > 0.0
-    by_start, by_road = tape.adjoint(tape.acceleration - wanted, np.zeros(14))
+    by_start, by_road = tape.adjoint(tape.acceleration - target_acceleration, np.zeros(14))
 
     def misfit(eps):
-        there = drive_on_tape(PLANTS[name], memory, start + eps * dy, guess + eps * droad, H)
-        return 0.5 * np.sum((there.acceleration - wanted) ** 2)
+        there = linearize_drive(PLANTS[name], strut_state, start + eps * dy, guess + eps * droad, H)
+        return 0.5 * np.sum((there.acceleration - target_acceleration) ** 2)
 
     for _ in range(3):
         dy, droad = 0.1 * REACH * rng.standard_normal(14), rng.uniform(-1, 1, (1, 1, 4)) * road
@@ -220,20 +225,20 @@ def test_the_adjoint_of_a_misfit_is_its_slope_along_the_road(name, mode):
 @every_mode
 def test_about_rest_the_tangent_is_the_linear_motion_to_order_two(name, mode):
     """The matrix exponential of the equations' Jacobian is the referee."""
-    memory, change = memory_at_rest(command(mode)), np.linspace(-1.0, 1.0, 14)
-    start, seconds = equilibrium(PLANTS[name], memory, STILL), 0.1
-    truth = expm(seconds * jacobian(PLANTS[name], memory, start, STILL, STILL)) @ change
+    strut_state, change = settled_strut_state(encode_command(mode)), np.linspace(-1.0, 1.0, 14)
+    start, seconds = equilibrium(PLANTS[name], strut_state, ZEROS), 0.1
+    truth = expm(seconds * jacobian(PLANTS[name], strut_state, start, ZEROS, ZEROS)) @ change
     error, h = [], 0.001 / 2.0 ** np.arange(4)
     for step in h:
         road = np.zeros((2 * round(seconds / step), 2, 4))
-        tape = drive_on_tape(PLANTS[name], memory, start, road, step)
+        tape = linearize_drive(PLANTS[name], strut_state, start, road, step)
         error.append(np.linalg.norm(tape.tangent(change, road)[1] - truth))
     assert error[0] < 0.02 * np.linalg.norm(truth)
     assert np.polyfit(np.log(h), np.log(error), 1)[0] == pytest.approx(2.0, abs=0.1)
 
 
 def test_applied_twice_a_tape_gives_the_same_and_leaves_its_arguments_alone():
-    _, road, tape = driven("lopsided", "ride")
+    _, road, tape = linearized_drive("unequal_axles", "ride")
     start, dual, end = np.ones(14), np.ones((STEPS, 7)), np.ones(14)
     first, second = (tape.tangent(start, road) + tape.adjoint(dual, end) for _ in range(2))
     for a, b in zip(first, second, strict=True):
@@ -242,13 +247,13 @@ def test_applied_twice_a_tape_gives_the_same_and_leaves_its_arguments_alone():
 
 
 def test_arrays_of_a_wrong_shape_are_refused_by_name():
-    plant, memory, start = PLANTS["lopsided"], np.zeros((4, 3)), np.zeros(14)
-    _, road, tape = driven("lopsided", "ride")
+    plant, strut_state, start = PLANTS["unequal_axles"], np.zeros((4, 3)), np.zeros(14)
+    _, road, tape = linearized_drive("unequal_axles", "ride")
     wrong = [
-        ("road", lambda: drive_on_tape(plant, memory, start, np.zeros((5, 2, 4)), H)),
-        ("start", lambda: drive_on_tape(plant, memory, start[:7], road, H)),
-        ("turn", lambda: drive_on_tape(plant, memory, start, road, H, road[:, 0, :2].T)),
-        ("memory", lambda: drive_on_tape(plant, memory[:3], start, road, H)),
+        ("road", lambda: linearize_drive(plant, strut_state, start, np.zeros((5, 2, 4)), H)),
+        ("start", lambda: linearize_drive(plant, strut_state, start[:7], road, H)),
+        ("a_xy", lambda: linearize_drive(plant, strut_state, start, road, H, road[:, 0, :2].T)),
+        ("strut_state", lambda: linearize_drive(plant, strut_state[:3], start, road, H)),
         ("road", lambda: tape.tangent(start, road[:-2])),
         ("start", lambda: tape.tangent(start[:7], road)),
         ("acceleration", lambda: tape.adjoint(np.zeros((STEPS - 1, 7)), start)),
@@ -263,4 +268,4 @@ def test_a_motion_that_leaves_the_numbers_has_no_derivative():
     road = np.zeros((4, 2, 4))
     road[2, 0, 1] = np.inf
     with pytest.raises(ArithmeticError, match="no longer finite"):
-        drive_on_tape(PLANTS["lopsided"], np.zeros((4, 3)), np.zeros(14), road, H)
+        linearize_drive(PLANTS["unequal_axles"], np.zeros((4, 3)), np.zeros(14), road, H)

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from vehicle_fixtures import DEFENDER
 
-from estimators.preprocessing import accelerations, mended
+from estimators.preprocessing import clean_record, spatial_accelerations
 from road_envs.data.record import Record
-from road_envs.sensing.data_logger import Logger, load_instruments
-from road_envs.sensing.sensor_faults import SOUND, Faults, Sampler
+from road_envs.sensing.data_logger import DataLogger, load_instruments
+from road_envs.sensing.sensor_faults import NO_FAULTS, JitteredSampler, SensorFaults
 from road_envs.simulation.drive import Trajectory
-from road_envs.simulation.rosenbrock import ACCELERATION, SIGNALS
+from road_envs.simulation.rosenbrock import ACCELERATION, N_SIGNALS
 
 IDEAL, PAPER = load_instruments("ideal"), load_instruments("paper")
 STEP = 0.0005
@@ -24,29 +24,29 @@ STEP = 0.0005
 
 def motion(acceleration) -> Trajectory:
     """A trajectory of body accelerations (N, 3): heave, roll, pitch."""
-    signals = np.zeros((len(acceleration), SIGNALS))
+    signals = np.zeros((len(acceleration), N_SIGNALS))
     signals[:, ACCELERATION : ACCELERATION + 3] = acceleration
     t = STEP * np.arange(len(acceleration))
     return Trajectory(t, 15.0 * t, np.full(t.size, 15.0), np.zeros(t.size, np.uint8), signals)
 
 
-def logger(faults=SOUND, instruments=IDEAL, seed=0) -> Logger:
-    return Logger(instruments, DEFENDER, STEP, np.random.default_rng(seed), faults)
+def logger(faults=NO_FAULTS, instruments=IDEAL, seed=0) -> DataLogger:
+    return DataLogger(instruments, DEFENDER, STEP, np.random.default_rng(seed), faults)
 
 
 # --- mounting, gain, offset -----------------------------------------------------------------------
 
 
 def test_an_accelerometer_reads_what_its_axis_gain_and_offset_make_of_its_place():
-    faults = Faults(
-        ahead=(0.02, -0.01, 0.03), left=(0.01, 0.04, -0.02), tilt=(0.05, -0.1, 0.2),
+    faults = SensorFaults(
+        dx=(0.02, -0.01, 0.03), dy=(0.01, 0.04, -0.02), tilt=(0.05, -0.1, 0.2),
         gain=(1.02, 0.97, 1.0), offset=(0.1, -0.3, 0.0),
     )  # fmt: skip
-    places = [(1.395 - 0.12 + 0.02, -0.55 + 0.01), (-1.399 - 0.62 - 0.01, 0.55 + 0.04),
+    locations = [(1.395 - 0.12 + 0.02, -0.55 + 0.01), (-1.399 - 0.62 - 0.01, 0.55 + 0.04),
               (-1.399 - 0.62 + 0.03, -0.55 - 0.02)]  # fmt: skip
     for body in ([1.5, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, -3.0], [1.0, -2.0, 0.5]):
-        found = logger(faults).sense(motion(np.tile(body, (4000, 1))))[:, -1]
-        for k, place in enumerate(places):
+        found = logger(faults).sample(motion(np.tile(body, (4000, 1))))[:, -1]
+        for k, place in enumerate(locations):
             a = oracles.point_acceleration(*body, *place)
             felt = (a + oracles.G) * np.cos(faults.tilt[k]) - oracles.G
             expected = faults.gain[k] * felt + faults.offset[k]
@@ -55,25 +55,25 @@ def test_an_accelerometer_reads_what_its_axis_gain_and_offset_make_of_its_place(
 
 def test_a_sound_set_of_instruments_senses_as_ever_to_the_bit():
     trajectory = motion(2.0 * np.random.default_rng(1).standard_normal((801, 3)))
-    plain, sound = logger(instruments=PAPER), logger(Faults(), PAPER)
-    np.testing.assert_array_equal(plain.sense(trajectory), sound.sense(trajectory))
-    assert plain.rest().shape == (3, 0) and plain.speed_gain == sound.speed_gain == 1.0
+    plain, sound = logger(instruments=PAPER), logger(SensorFaults(), PAPER)
+    np.testing.assert_array_equal(plain.sample(trajectory), sound.sample(trajectory))
+    assert plain.flush().shape == (3, 0) and plain.speed_gain == sound.speed_gain == 1.0
 
 
 def test_noise_is_that_of_the_seed_whatever_the_faults():
     still = motion(np.zeros((2000, 3)))
     quiet, noisy = (
-        logger(Faults(offset=(0.5, 0.5, 0.5)), replace(PAPER, noise_density=d)).sense(still)
+        logger(SensorFaults(offset=(0.5, 0.5, 0.5)), replace(PAPER, noise_density=d)).sample(still)
         for d in (0.0, 0.01)
     )
-    np.testing.assert_allclose(noisy - quiet, logger(instruments=PAPER).sense(still), atol=1e-12)
+    np.testing.assert_allclose(noisy - quiet, logger(instruments=PAPER).sample(still), atol=1e-12)
 
 
 # --- speed and odometer ---------------------------------------------------------------------------
 
 
 def test_the_speed_error_comes_on_top_of_the_instruments_own():
-    one = logger(Faults(speed=0.02), replace(PAPER, speed_error=0.01), seed=4)
+    one = logger(SensorFaults(speed=0.02), replace(PAPER, speed_error=0.01), seed=4)
     own = logger(instruments=replace(PAPER, speed_error=0.01), seed=4)
     assert one.speed_gain == pytest.approx(1.02 * own.speed_gain) and own.speed_gain != 1.0
 
@@ -82,13 +82,13 @@ def test_the_speed_error_comes_on_top_of_the_instruments_own():
 @pytest.mark.parametrize("speed", [-0.02, 0.015])
 def test_position_fixes_hold_the_odometers_error_at_their_way_times_the_speeds(fix, speed):
     distance = np.linspace(0.0, 120.0, 200)
-    found = logger(Faults(speed=speed, fix=fix)).odometer(distance)
+    found = logger(SensorFaults(speed=speed, position_fix_length=fix)).odometer(distance)
     error = solve_ivp(lambda d, e: speed - e / fix, (0.0, 120.0), [0.0], t_eval=distance,
                       rtol=1e-10, atol=1e-13).y[0]  # fmt: skip
     np.testing.assert_allclose(found - distance, error, atol=1e-9)
     assert (np.diff(found) > 0.0).all()
     np.testing.assert_array_equal(
-        logger(Faults(speed=speed)).odometer(distance), (1.0 + speed) * distance
+        logger(SensorFaults(speed=speed)).odometer(distance), (1.0 + speed) * distance
     )
 
 
@@ -97,10 +97,10 @@ def test_position_fixes_hold_the_odometers_error_at_their_way_times_the_speeds(f
 
 def sampled(a, every=2, parts=(), **faults):
     """What a sampler takes from a stream (3, N), in parts if cuts are given."""
-    one = Sampler(every, STEP, Faults(**faults))
+    one = JitteredSampler(every, STEP, SensorFaults(**faults))
     edges = [0, *sorted(parts), a.shape[1]]
-    found = [one.take(a[:, begin:end]) for begin, end in pairwise(edges)]
-    return np.concatenate([*found, one.take(np.zeros((3, 0)), last=True)], axis=1)
+    found = [one.sample(a[:, begin:end]) for begin, end in pairwise(edges)]
+    return np.concatenate([*found, one.sample(np.zeros((3, 0)), last=True)], axis=1)
 
 
 def test_a_jittering_clock_errs_on_a_ramp_by_slope_times_its_error():
@@ -130,7 +130,7 @@ def test_a_stream_in_parts_gives_the_samples_of_the_whole_and_all_of_them(
     cuts, every, jitter, lost
 ):
     a = np.random.default_rng(3).standard_normal((3, 700))
-    faults = {"jitter": jitter, "lost": lost, "burst": 4, "seed": (7,)}
+    faults = {"jitter": jitter, "dropout_rate": lost, "dropout_length": 4, "seed": (7,)}
     whole = sampled(a, every, **faults)
     np.testing.assert_array_equal(sampled(a, every, cuts, **faults), whole)
     assert whole.shape[1] == -(-700 // every)
@@ -143,7 +143,7 @@ def test_a_stream_in_parts_gives_the_samples_of_the_whole_and_all_of_them(
 
 @pytest.mark.parametrize(("share", "burst"), [(0.02, 5), (0.1, 1), (0.3, 8)])
 def test_samples_are_lost_in_bursts_of_the_stated_length_and_share(share, burst):
-    found = sampled(np.ones((3, 400_000)), 1, lost=share, burst=burst)
+    found = sampled(np.ones((3, 400_000)), 1, dropout_rate=share, dropout_length=burst)
     lost = np.isnan(found)
     assert (lost == lost[0]).all()  # of all sensors at once
     edges = np.flatnonzero(np.diff(lost[0].astype(int), prepend=0, append=0))
@@ -166,9 +166,9 @@ def record(lost=()):
 
 def test_what_an_estimator_makes_of_a_record_with_gaps_is_nearly_that_without_and_is_said():
     whole, holed = record(), record([1000, *range(2000, 2009), *range(3500, 3505)])
-    error = accelerations(mended(holed)[0]) - accelerations(whole)
+    error = spatial_accelerations(clean_record(holed)[0]) - spatial_accelerations(whole)
     assert 0.0 < np.abs(error).max() < 0.05
-    assert mended(whole)[1] == () and "missing and are bridged" in mended(holed)[1][0]
+    assert clean_record(whole)[1] == () and "missing and are bridged" in clean_record(holed)[1][0]
 
 
 # --- refusals -------------------------------------------------------------------------------------
@@ -178,12 +178,12 @@ def test_what_an_estimator_makes_of_a_record_with_gaps_is_nearly_that_without_an
     ("options", "says"),
     [
         ({"jitter": -1e-4}, "jitter must not be negative"),
-        ({"lost": -0.1}, "lost must not be negative"),
-        ({"lost": 0.5}, "lost must be below half"),
-        ({"burst": 0}, "burst must be at least one"),
-        ({"fix": 0.0}, "fix must be positive"),
+        ({"dropout_rate": -0.1}, "dropout_rate must not be negative"),
+        ({"dropout_rate": 0.5}, "dropout_rate must be below half"),
+        ({"dropout_length": 0}, "dropout_length must be at least one"),
+        ({"position_fix_length": 0.0}, "position_fix_length must be positive"),
     ],
 )
 def test_faults_that_cannot_be_are_refused_in_one_sentence(options, says):
     with pytest.raises(ValueError, match=says):
-        Faults(**options)
+        SensorFaults(**options)

@@ -8,18 +8,18 @@ from test_estimator_contract import CAR, drive
 
 from estimators.common import spatial_signals
 from estimators.common.spatial_signals import (
-    EDGE,
-    MOTIONS,
+    DECIMATION,
+    EDGE_STATIONS,
+    N_MOTIONS,
     SPACING,
-    STEP,
-    Course,
-    finer,
-    wanted,
+    SpatialSignals,
+    target_profile,
+    upsample,
     wheel_paths,
 )
 from estimators.linear import fir_bank
-from estimators.linear.fir_bank import KNOTS, Bank, fitted_bank
-from road_envs.data.record import GRID, Profile, grid
+from estimators.linear.fir_bank import KNOTS, FirBank, fit_bank
+from road_envs.data.record import PROFILE_SPACING, Profile, profile_stations
 
 
 def middle(x: np.ndarray) -> np.ndarray:
@@ -28,10 +28,12 @@ def middle(x: np.ndarray) -> np.ndarray:
 
 
 def test_a_wave_of_the_band_comes_back_from_the_stations_as_it_was():
-    stations = grid(200.0)
+    stations = profile_stations(200.0)
     for n, within in ((0.3, 0.005), (1.0, 0.005), (1.8, 0.025)):
         left, right = np.sin(2 * np.pi * n * stations), np.cos(2 * np.pi * n * stations)
-        z = finer(wanted(Profile(stations, np.array([left, right])), 200.0), stations.size)
+        z = upsample(
+            target_profile(Profile(stations, np.array([left, right])), 200.0), stations.size
+        )
         error = middle(wheel_paths(z) - np.array([left, right]))
         assert np.abs(error).max() < within
 
@@ -43,42 +45,44 @@ def test_the_three_motions_are_those_of_the_centre_line_and_the_roll():
     front, rear, y = 1.2, -2.0, 0.55
     a = np.array([heave - front * pitch - y * roll, heave - rear * pitch + y * roll,
                   heave - rear * pitch - y * roll])  # fmt: skip
-    found = spatial_signals.motions(replace(record, a=a), causal=False)[:MOTIONS]
-    alone = spatial_signals.motions(
+    found = spatial_signals.body_motions(replace(record, a=a), causal=False)[:N_MOTIONS]
+    alone = spatial_signals.body_motions(
         replace(record, a=np.array([heave - front * pitch] * 3)), False
     )[0]
     np.testing.assert_allclose(found[0], alone, atol=1e-9)
     without_roll = replace(record, a=a + y * np.array([[1], [-1], [1]]) * roll)
     np.testing.assert_allclose(
-        found[:2], spatial_signals.motions(without_roll, False)[:2], atol=1e-9
+        found[:2], spatial_signals.body_motions(without_roll, False)[:2], atol=1e-9
     )
-    np.testing.assert_allclose(spatial_signals.motions(without_roll, False)[2], 0.0, atol=1e-9)
+    np.testing.assert_allclose(spatial_signals.body_motions(without_roll, False)[2], 0.0, atol=1e-9)
 
 
 def test_velocities_are_the_integrals_of_the_accelerations():
     record, _ = drive(401)
     w = 2.0 * np.pi * 2.0
     a = np.cos(w * record.t) * np.ones((3, 1))
-    found = spatial_signals.motions(replace(record, a=a), causal=False)[MOTIONS]
+    found = spatial_signals.body_motions(replace(record, a=a), causal=False)[N_MOTIONS]
     np.testing.assert_allclose(found[300:-300], np.sin(w * record.t[300:-300]) / w, atol=0.003)
 
 
 def test_a_causal_course_knows_nothing_beyond_its_reach():
     record, _ = drive(402)
     changed = replace(record, a=np.where(record.s > 10.0, 5.0, record.a))
-    one, other = (spatial_signals.course(r, 20, causal=True) for r in (record, changed))
-    s = SPACING * (np.arange(one.v.size) - 20 - EDGE)
-    past = s < 10.0 - spatial_signals.REACH - 1e-9
+    one, other = (spatial_signals.to_spatial(r, 20, causal=True) for r in (record, changed))
+    s = SPACING * (np.arange(one.v.size) - 20 - EDGE_STATIONS)
+    past = s < 10.0 - spatial_signals.FILTER_REACH - 1e-9
     np.testing.assert_array_equal(one.motions[:, past], other.motions[:, past])
     assert np.any(one.motions[:, s > 10.0] != other.motions[:, s > 10.0])
 
 
-def plain_course(rng: np.random.Generator, v, combination: int = 0, size: int = 300) -> Course:
+def plain_course(
+    rng: np.random.Generator, v, combination: int = 0, size: int = 300
+) -> SpatialSignals:
     """White motions at a speed, in one combination of states."""
     K = size + 2 * 20
     bits = (combination >> np.arange(3, -1, -1)) & 1
     states = np.broadcast_to(bits.astype(float), (K, 4))
-    return Course(rng.standard_normal((6, K)), np.broadcast_to(v, (K,)), states, 20)
+    return SpatialSignals(rng.standard_normal((6, K)), np.broadcast_to(v, (K,)), states, 20)
 
 
 def taps_of_speed(v: float) -> np.ndarray:
@@ -97,7 +101,7 @@ def test_the_bank_finds_taps_that_change_with_the_speed_and_the_states():
         m, q = windows[:2].transpose(1, 0, 2).reshape(300, 10) @ taps[:2].ravel(), windows[2]
         drives.append(seen)
         targets.append(np.array([m, q @ taps[2]]))
-    found = fitted_bank(drives, targets, 2, 2)
+    found = fit_bank(drives, targets, 2, 2)
     for combination, sign in ((0, 1.0), (15, -1.0)):
         for knot in range(1, KNOTS.size - 1):
             wished = sign * taps_of_speed(KNOTS[knot])
@@ -109,7 +113,7 @@ def test_the_bank_finds_taps_that_change_with_the_speed_and_the_states():
 def test_a_combination_without_a_drive_takes_the_taps_of_the_nearest():
     rng = np.random.default_rng(2)
     seen = [plain_course(rng, 5.0, c) for c in (0, 15)]
-    found = fitted_bank(seen, [c.motions[:2, 20:-20] for c in seen], 2, 2)
+    found = fit_bank(seen, [c.motions[:2, 20:-20] for c in seen], 2, 2)
     np.testing.assert_array_equal(found.taps[1], found.taps[0])
     np.testing.assert_array_equal(found.taps[14], found.taps[15])
     assert np.any(found.taps[0] != found.taps[15])
@@ -118,7 +122,7 @@ def test_a_combination_without_a_drive_takes_the_taps_of_the_nearest():
 def test_between_knots_and_states_taps_are_blended_station_by_station():
     rng = np.random.default_rng(3)
     taps = rng.standard_normal((16, KNOTS.size, 3, 5)).astype(np.float16)
-    whole = Bank(taps, 2)
+    whole = FirBank(taps, 2)
     v = np.exp(np.linspace(np.log(1.0), np.log(30.0), 340))
     seen = plain_course(rng, v)
     seen = seen._replace(states=rng.uniform(0.0, 1.0, (340, 4)))
@@ -171,8 +175,8 @@ def test_a_mirrored_drive_gives_the_mirrored_road(causal):
 
 
 def test_stations_stand_where_the_grid_says():
-    assert SPACING == STEP * GRID
+    assert SPACING == DECIMATION * PROFILE_SPACING
     record, _ = drive(404)
-    seen = spatial_signals.course(record, 3)
-    assert seen.size == spatial_signals.size_of(record.length)
+    seen = spatial_signals.to_spatial(record, 3)
+    assert seen.size == spatial_signals.n_stations(record.length)
     assert seen.motions.shape == (6, seen.v.size) and seen.states.shape == (seen.v.size, 4)

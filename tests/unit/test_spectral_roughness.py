@@ -8,33 +8,32 @@ from scipy import stats
 from test_cli import roadrecon as roadrecon
 from test_wiener import DEFENDER, drive
 
-from estimators.roughness.spectral import classify, probabilities
-from road_envs.analysis.roughness import CLASSES, band_means, dsd
-from road_envs.analysis.roughness import classify as class_of
-from road_envs.data.record import GRID
+from estimators.roughness.spectral import class_probabilities, classify_record
+from road_envs.analysis.roughness import CLASSES, band_means, displacement_psd, roughness_class
+from road_envs.data.record import PROFILE_SPACING
 
 
 @pytest.mark.parametrize(("road", "mode"), [("iso_b", "ride"), ("iso_d", "split")])
 def test_octaves_have_the_levels_and_classes_of_the_road(road, mode):
     record, truth = drive("defender", road, mode, 54.0, length=150.0)
-    found = classify(record, DEFENDER)
-    n, G = dsd(truth.z, GRID)
+    found = classify_record(record, DEFENDER)
+    n, G = displacement_psd(truth.z, PROFILE_SPACING)
     low, high = found.octaves * 2.0**-0.5, found.octaves * 2.0**0.5
     true = band_means(n, G, low, high).mean(axis=0) * (found.octaves / 0.1) ** 2
     np.testing.assert_array_equal(found.octaves, [0.25, 0.5, 1.0])
     assert (np.abs(10.0 * np.log10(found.levels / true)) < 1.5).all()
-    assert found.octave_classes == tuple(class_of(level) for level in true)
+    assert found.octave_classes == tuple(roughness_class(level) for level in true)
     assert found.letter == road[-1].upper()
 
 
 def test_probabilities_are_those_of_a_normal_logarithm():
-    found = probabilities(np.log(600e-6), 0.3)
+    found = class_probabilities(np.log(600e-6), 0.3)
     assert sum(found.values()) == pytest.approx(1.0)
     upper, lower = (np.log(limit / 600e-6) / 0.3 for limit in (512e-6, 128e-6))
     assert found["C"] == pytest.approx(stats.norm.cdf(upper) - stats.norm.cdf(lower))
     assert max(found, key=found.get) == "D"
     for name, mean in CLASSES.items():
-        assert probabilities(np.log(mean), 0.01)[name] == pytest.approx(1.0)
+        assert class_probabilities(np.log(mean), 0.01)[name] == pytest.approx(1.0)
 
 
 def test_the_command_tells_the_class(roadrecon):

@@ -9,11 +9,11 @@ from scipy.optimize import brentq
 
 from road_envs.config import ConfigError
 from road_envs.roads import load_road
-from road_envs.simulation.drive import RUN_UP, Drive, simulate
-from road_envs.simulation.speed import SpeedProfile, constant, ramp, stop_and_go
-from road_envs.vehicle.equations import plant
+from road_envs.simulation.drive import APRON_LENGTH, DriveSimulator, simulate
+from road_envs.simulation.speed import SpeedProfile, constant_speed, speed_ramp, stop_and_go
+from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import load_vehicle
-from road_envs.vehicle.suspension import command
+from road_envs.vehicle.suspension import encode_command
 
 CAR = load_vehicle("land_rover_defender_110")
 BELGIAN = load_road({"name": "belgian", "length": 40.0}).realise(np.random.default_rng(0))
@@ -41,10 +41,10 @@ def test_distance_is_the_integral_of_speed(profile, t):
 
 @given(profiles(), st.floats(0.1, 500.0))
 def test_arrival_is_when_the_distance_has_been_covered(profile, distance):
-    arrival = profile.arrival(distance)
+    arrival_time = profile.arrival_time(distance)
     late = profile.t[-1] + distance / profile.v[-1] + 1.0
     found = brentq(lambda t: profile.at(np.array([t]))[0][0] - distance, 0.0, late, xtol=1e-12)
-    covered = profile.at(np.array([arrival, found]))[0]
+    covered = profile.at(np.array([arrival_time, found]))[0]
     np.testing.assert_allclose(covered, distance, rtol=1e-9, atol=1e-6)
 
 
@@ -58,7 +58,7 @@ def test_a_stop_and_go_stands_still_for_as_long_as_it_halts():
 
 def test_a_constant_profile_drives_as_its_number_does():
     by_number = simulate(CAR, BELGIAN, 15.0)
-    by_profile = simulate(CAR, BELGIAN, constant(15.0))
+    by_profile = simulate(CAR, BELGIAN, constant_speed(15.0))
     np.testing.assert_array_equal(by_number.signals, by_profile.signals)
 
 
@@ -68,16 +68,16 @@ def test_the_car_comes_to_rest_where_it_halts():
     halting = (motion.t > profile.t[2] + 5.5) & (motion.t < profile.t[3])
     assert np.ptp(motion.s[halting]) == 0.0
     assert np.abs(motion.acceleration[halting]).max() < 0.02
-    assert motion.s[-1] == pytest.approx(BELGIAN.end + CAR.wheelbase + RUN_UP, abs=0.01)
+    assert motion.s[-1] == pytest.approx(BELGIAN.end + CAR.wheelbase + APRON_LENGTH, abs=0.01)
 
 
 def test_parts_of_a_drive_under_a_profile_are_the_whole_drive():
-    whole = simulate(CAR, BELGIAN, ramp(4.0, 15.0, 3.0, after=0.5))
-    drive = Drive(plant(CAR), CAR, BELGIAN, ramp(4.0, 15.0, 3.0, after=0.5))
+    whole = simulate(CAR, BELGIAN, speed_ramp(4.0, 15.0, 3.0, after=0.5))
+    drive = DriveSimulator(build_plant(CAR), CAR, BELGIAN, speed_ramp(4.0, 15.0, 3.0, after=0.5))
     parts = []
-    while not drive.over:
+    while not drive.is_finished:
         n = min(333, drive.steps_left)
-        parts.append(drive.advance(np.full(n, command("ride"), dtype=np.uint8)).signals)
+        parts.append(drive.advance(np.full(n, encode_command("ride"), dtype=np.uint8)).signals)
     np.testing.assert_array_equal(np.concatenate(parts), whole.signals)
     assert drive.speed == 15.0
 

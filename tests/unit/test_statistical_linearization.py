@@ -7,12 +7,22 @@ from scipy import signal
 from test_linear_model import energy_matrices
 from vehicle_fixtures import CARS, DEFENDER, PLANTS
 
-from road_envs.analysis.information_bound import RoadPrior, bound, road_damping, strut_rates
-from road_envs.analysis.statistical_linearization import Remainder, _hermite, distortion, remainder
+from road_envs.analysis.information_bound import (
+    RoadPrior,
+    bound,
+    equivalent_damping,
+    strut_rate_std,
+)
+from road_envs.analysis.statistical_linearization import (
+    NonlinearResidual,
+    _hermite,
+    nonlinear_residual,
+    residual_force_psd,
+)
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.equations import N_DOF, equilibrium
 from road_envs.vehicle.linear_model import force_response, linearise, strut_forces
-from road_envs.vehicle.suspension import command, memory_at_rest
+from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 PLACES = {"RF": (1.2, -0.5), "LR": (-2.0, 0.6), "RR": (-2.0, -0.6)}
 DF = 0.05
@@ -102,16 +112,16 @@ def test_linear_force_and_remainder_are_the_struts_force(name, mode):
     """The curves of the oracle at any motion, with the slopes of the linear model."""
     car, one = CARS[name], PLANTS[name]
     c = np.array([1500.0, 1500.0, 2500.0, 2500.0])
-    rest = remainder(one, mode, c)
-    y = equilibrium(one, memory_at_rest(command(mode)), np.zeros(4))
+    rest = nonlinear_residual(one, mode, c)
+    y = equilibrium(one, settled_strut_state(encode_command(mode)), np.zeros(4))
     model = linearise(one, mode, PLACES, damping=c)
-    e_0 = model.struts @ y[:N_DOF]
+    e_0 = model.strut_rows @ y[:N_DOF]
     _, _, K, _, _ = energy_matrices(name, mode)
     e = np.array([[-0.02, -0.01, 0.0, 0.02]] * 4)
     w = np.array([[0.3, -0.02, 0.01, -0.5]] * 4)
     k = [K_of_strut(K, car, i) for i in range(4)]
     losses = [
-        oracles.Cubic(getattr(curve, mode)) for curve in (car.strut.damper, car.strut.friction)
+        oracles.CubicCurve(getattr(curve, mode)) for curve in (car.strut.damper, car.strut.friction)
     ]
     column = car.strut.x_1 + (car.strut.x_2 if mode == "ride" else 0.0)
     found = rest.force(e, w)
@@ -120,7 +130,7 @@ def test_linear_force_and_remainder_are_the_struts_force(name, mode):
 
         def static(x, stop=stop):
             gas = car.strut.p_stat * car.strut.A * (column / (column + x)) ** car.strut.n_p
-            return gas - sum(float(oracles.Cubic(s)(x)) for s in (car.strut.bushing, stop))
+            return gas - sum(float(oracles.CubicCurve(s)(x)) for s in (car.strut.bushing, stop))
 
         for x, rate, value in zip(e[i], w[i], found[i], strict=True):
             force = static(e_0[i] + x) - sum(float(law(rate)) for law in losses)
@@ -139,15 +149,18 @@ def K_of_strut(K, car, i):
 
 def test_the_remainder_is_not_correlated_with_the_motion_that_chose_the_damper():
     v, prior = 8.0, RoadPrior(G_d0=256e-6)
-    c = road_damping(DEFENDER, "ride", v, prior)
-    rest, model = remainder(DEFENDER, "ride", c), linearise(DEFENDER, "ride", {}, damping=c)
+    c = equivalent_damping(DEFENDER, "ride", v, prior)
+    rest, model = (
+        nonlinear_residual(DEFENDER, "ride", c),
+        linearise(DEFENDER, "ride", {}, damping=c),
+    )
     f = np.linspace(0.02, 60.0, 3000)
-    sigma = strut_rates(model, v, f, prior.spectrum(f / v) / v)[:, None]
+    sigma = strut_rate_std(model, v, f, prior.spectrum(f / v) / v)[:, None]
     w = sigma * np.random.default_rng(0).standard_normal((4, 200_000))
     q = rest.force(np.zeros_like(w), w)
     correlation = np.mean(q * w, axis=1) / np.sqrt(np.mean(q**2, axis=1) * np.mean(w**2, axis=1))
     assert (np.abs(correlation) < 0.02).all()
-    D = distortion(model, rest, v, prior.spectrum, f)
+    D = residual_force_psd(model, rest, v, prior.spectrum, f)
     power = np.trapezoid(np.real(np.einsum("fww->wf", D)), f)
     assert ((power > 0.8 * np.var(q, axis=1)) & (power < 1.05 * np.var(q, axis=1))).all()
 
@@ -182,12 +195,12 @@ def test_forces_of_many_struts_are_those_of_each():
 def test_what_is_not_linear_is_noise_to_a_linear_estimator():
     for mode in ("ride", "handling", {"front": "ride", "rear": "handling"}):
         given = (DEFENDER, mode, 15.0, load_instruments("paper"), RoadPrior())
-        assert bound(*given, distorted=True).pooled > 1.5 * bound(*given).pooled
+        assert bound(*given, residual_as_noise=True).pooled > 1.5 * bound(*given).pooled
 
 
 def test_a_linear_strut_leaves_nothing():
     x = np.linspace(-1.0, 1.0, 11)
-    rest = Remainder(x, np.zeros((4, 11)), x, np.zeros((4, 11)))
+    rest = NonlinearResidual(x, np.zeros((4, 11)), x, np.zeros((4, 11)))
     model = linearise(DEFENDER, "ride", PLACES, damping=np.full(4, 2000.0))
-    D = distortion(model, rest, 10.0, RoadPrior().spectrum, np.array([1.0, 5.0]))
+    D = residual_force_psd(model, rest, 10.0, RoadPrior().spectrum, np.array([1.0, 5.0]))
     np.testing.assert_array_equal(D, 0.0)

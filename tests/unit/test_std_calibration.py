@@ -3,22 +3,22 @@
 import numpy as np
 import pytest
 from scipy import signal
-from test_pretraining import judged as on_the_board
+from test_pretraining import errors_and_coverage as on_the_board
 
 from estimators import create
 from estimators.common.spatial_signals import SPACING
 from estimators.networks.std_calibration import (
-    TERMS,
-    constant,
-    fitted_widths,
-    honest,
-    judged,
-    terms,
-    widths,
+    N_TERMS,
+    calibration_factor,
+    constant_scale,
+    design_matrix,
+    fit_std_scale,
+    in_scored_band,
+    std_scale,
 )
 from leaderboard.evaluation import pretraining
 from leaderboard.metrics.heights import band_pass, scored_band
-from road_envs.data.record import GRID
+from road_envs.data.record import PROFILE_SPACING
 from road_envs.data.training_corpus import Corpus
 
 
@@ -34,7 +34,7 @@ def drives(true: np.ndarray, draw, number: int = 400):
     """Errors over claims `draw`n at unit width and made as wide as `true` says."""
     rng = np.random.default_rng(1)
     told = [conditions(rng) for _ in range(number)]
-    return [draw(rng, (2, 500)) * widths(true, each) for each in told], told
+    return [draw(rng, (2, 500)) * std_scale(true, each) for each in told], told
 
 
 def normal(rng, shape):
@@ -42,21 +42,21 @@ def normal(rng, shape):
 
 
 def test_widths_that_follow_speed_states_and_level_are_found():
-    true = 0.15 * np.random.default_rng(0).standard_normal(TERMS)
+    true = 0.15 * np.random.default_rng(0).standard_normal(N_TERMS)
     ratios, told = drives(true, normal)
-    found = fitted_widths(ratios, told)
+    found = fit_std_scale(ratios, told)
     new = [conditions(np.random.default_rng(k)) for k in range(1000, 1200)]
-    off = [widths(found, each)[0] / widths(true, each)[0] for each in new]
+    off = [std_scale(found, each)[0] / std_scale(true, each)[0] for each in new]
     np.testing.assert_allclose(off, 1.0, atol=0.06)
 
 
 def test_of_errors_with_heavy_tails_half_and_nine_tenths_are_covered_as_well_as_one_factor_can():
     """A Student's t of three degrees of freedom: 50 and 90 % would take 1.13 and 1.43."""
-    ratios, told = drives(constant(2.0), lambda rng, shape: rng.standard_t(3, shape))
-    found = fitted_widths(ratios, told)
+    ratios, told = drives(constant_scale(2.0), lambda rng, shape: rng.standard_t(3, shape))
+    found = fit_std_scale(ratios, told)
     inside = np.mean(
         [
-            [np.mean(np.abs(r) < far * widths(found, c)) for far in (0.6745, 1.6449)]
+            [np.mean(np.abs(r) < far * std_scale(found, c)) for far in (0.6745, 1.6449)]
             for r, c in zip(ratios, told, strict=True)
         ],
         axis=0,
@@ -67,24 +67,24 @@ def test_of_errors_with_heavy_tails_half_and_nine_tenths_are_covered_as_well_as_
 
 def test_a_constant_factor_is_the_same_under_all_conditions():
     told = conditions(np.random.default_rng(3), 5)
-    np.testing.assert_allclose(widths(constant(0.7), told), 0.7)
-    assert terms(told).shape == (TERMS, 5)
+    np.testing.assert_allclose(std_scale(constant_scale(0.7), told), 0.7)
+    assert design_matrix(told).shape == (N_TERMS, 5)
 
 
 def test_the_factor_makes_gaussian_errors_as_wide_as_they_are():
     errors = np.random.default_rng(0).standard_normal(200_000)
-    assert honest(3.0 * errors) == pytest.approx(3.0, rel=0.01)
+    assert calibration_factor(3.0 * errors) == pytest.approx(3.0, rel=0.01)
 
 
 @pytest.mark.parametrize("v", [4.0, 15.0])
 def test_the_judged_band_at_the_stations_is_that_of_the_judge(v):
     """Up to 1.5 cycles/m stations every 0.15 m tell what the judge's grid of 25 mm does."""
     rng = np.random.default_rng(2)
-    sos = signal.butter(4, [0.1, 1.7], "band", fs=1.0 / GRID, output="sos")
+    sos = signal.butter(4, [0.1, 1.7], "band", fs=1.0 / PROFILE_SPACING, output="sos")
     fine = signal.sosfiltfilt(sos, rng.standard_normal((2, 8000)), axis=1)
-    step = round(SPACING / GRID)
-    found = judged(fine[:, ::step], v)[:, 60:-60].std()
-    assert found == pytest.approx(band_pass(fine, GRID, scored_band(v)).std(), rel=0.02)
+    step = round(SPACING / PROFILE_SPACING)
+    found = in_scored_band(fine[:, ::step], v)[:, 60:-60].std()
+    assert found == pytest.approx(band_pass(fine, PROFILE_SPACING, scored_band(v)).std(), rel=0.02)
 
 
 def test_what_is_written_is_taught_and_then_calibrated_by_the_car_as_described(tmp_path):
@@ -92,10 +92,10 @@ def test_what_is_written_is_taught_and_then_calibrated_by_the_car_as_described(t
     corpus = Corpus(number=4, shortest=20, longest=30)
     estimator, path = create("tcn", channels=4, steps=4), tmp_path / "t.safetensors"
     written = pretraining.train(estimator, "tcn", corpus, 1, path, "roadrecon train tcn")
-    taught = [estimator.material(*corpus.drive(k)) for k in range(4)]
-    plain = estimator.learn(taught, corpus.vehicle, 1)
-    others = [estimator.material(*corpus.drive(k, as_described=True)) for k in (4, 5)]
-    again, before = plain.calibrated(others).weights(), plain.weights()
+    taught = [estimator.training_example(*corpus.simulate_drive(k)) for k in range(4)]
+    plain = estimator.pretrain(taught, corpus.vehicle, 1)
+    others = [estimator.training_example(*corpus.simulate_drive(k, nominal=True)) for k in (4, 5)]
+    again, before = plain.calibrate(others).weights(), plain.weights()
     for name, x in written.weights().items():
         np.testing.assert_array_equal(x, again[name])
         if name != "widths":
@@ -105,10 +105,13 @@ def test_what_is_written_is_taught_and_then_calibrated_by_the_car_as_described(t
 
 def test_a_drive_as_described_is_the_same_road_driven_the_same_way_by_the_very_car():
     corpus = Corpus(number=4, shortest=20, longest=30)
-    (record, truth), (plain, same) = corpus.drive(2), corpus.drive(2, as_described=True)
+    (record, truth), (plain, same) = (
+        corpus.simulate_drive(2),
+        corpus.simulate_drive(2, nominal=True),
+    )
     np.testing.assert_array_equal(truth.z, same.z)
     np.testing.assert_array_equal(record.v, plain.v)
-    np.testing.assert_array_equal(record.stiff, plain.stiff)
+    np.testing.assert_array_equal(record.spring_stiff, plain.spring_stiff)
     assert np.abs(record.a - plain.a).max() > 0.1
 
 

@@ -22,7 +22,7 @@ starts = st.sampled_from([0.0, -3.3, 12.5])
 
 @given(heights, spacings, starts)
 def test_between_samples_the_height_is_the_catmull_rom_cubic(z, ds, start):
-    surface, road = Surface(np.array(z), ds, start), oracles.Road(z, ds, start)
+    surface, road = Surface(np.array(z), ds, start), oracles.SplineRoad(z, ds, start)
     s = np.linspace(start - 4.0 * ds, surface.end + 4.0 * ds, 333)
     inside = np.clip(s, *road.ends)
     np.testing.assert_allclose(surface.height(s), road.z(inside), atol=1e-9)

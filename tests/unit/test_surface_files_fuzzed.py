@@ -15,7 +15,7 @@ from oracles_roads import crg_file, erd_file
 from road_envs.roads.formats import erd, opencrg
 from road_envs.roads.formats import table as tables
 from road_envs.roads.formats.opencrg import SurfaceFileError
-from road_envs.roads.measured import SUFFIXES, Measured
+from road_envs.roads.measured import SURFACE_SUFFIXES, Measured
 from road_envs.roads.surface import Surface
 
 Z = 0.01 * np.random.default_rng(1).standard_normal((2, 24)).cumsum(axis=1)
@@ -158,7 +158,7 @@ def test_a_packed_table_of_many_equal_rows_is_refused_before_it_is_unpacked():
     assert answer(tables.parse_parquet, data) is None
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", SURFACE_SUFFIXES)
 @settings(max_examples=25)
 @example(b"")
 @given(st.binary(max_size=200))

@@ -5,24 +5,24 @@ import oracles
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from vehicle_fixtures import CARS, DEFENDER, ODD, ODD_PLANTS, PLANTS, memories
+from vehicle_fixtures import CARS, DEFENDER, PLANTS, VARIED, VARIED_PLANTS, strut_states
 
 from road_envs import config
 from road_envs.config import ConfigError
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import (
-    HELD,
-    HIGH,
+    DAMPING_HIGH,
+    HELD_EXTENSION,
     MODES,
-    OPEN,
-    command,
-    memory_at_rest,
-    settled,
+    VALVE_OPEN,
+    advance_valve,
+    decode_commands,
+    encode_command,
+    settled_strut_state,
     strut_force,
-    strut_states,
-    switch,
     tyre_curvature,
     tyre_force,
+    valves_settled,
 )
 
 STRUT = DEFENDER.strut
@@ -32,10 +32,10 @@ every_car = pytest.mark.parametrize("name", CARS)
 both_axles = pytest.mark.parametrize("w", [0, 1, 2, 3])
 
 
-def force(memory, e, e_dot=0.0, w=0, name="defender"):
+def force(strut_state, e, e_dot=0.0, w=0, name="defender"):
     plant = PLANTS[name]
-    arrays = plant.numbers[0], plant.velocity, plant.displacement
-    return strut_force(*arrays, memory, w, e, e_dot)
+    arrays = plant.constants[0], plant.velocity, plant.displacement
+    return strut_force(*arrays, strut_state, w, e, e_dot)
 
 
 # --- the gas spring -------------------------------------------------------------------------------
@@ -45,63 +45,70 @@ def force(memory, e, e_dot=0.0, w=0, name="defender"):
 @given(e=st.floats(-0.03, 0.02))
 def test_between_bushing_and_stop_the_one_gas_law_is_equation_1(mode, e):
     expected = oracles.gas_force(oracles.X_STAT[mode], e)
-    assert force(memory_at_rest(command(mode)), e)[0] == pytest.approx(expected, rel=1e-14)
+    assert force(settled_strut_state(encode_command(mode)), e)[0] == pytest.approx(
+        expected, rel=1e-14
+    )
 
 
 def test_the_static_rates_are_16_7_and_83_6_kilonewtons_per_metre():
     for mode, printed in (("ride", 16.7e3), ("handling", 83.6e3)):
-        rate = force(memory_at_rest(command(mode)), 0.0)[1]
+        rate = force(settled_strut_state(encode_command(mode)), 0.0)[1]
         assert rate == pytest.approx(oracles.static_rate(mode), rel=1e-12)
         assert rate == pytest.approx(printed, abs=50.0)
 
 
 @every_car
 @both_axles
-@given(memories, st.floats(-0.3, 0.3), st.floats(-4.0, 4.0))
-def test_a_strut_pushes_as_the_sum_of_its_five_parts(name, w, memory, e, e_dot):
+@given(strut_states, st.floats(-0.3, 0.3), st.floats(-4.0, 4.0))
+def test_a_strut_pushes_as_the_sum_of_its_five_parts(name, w, strut_state, e, e_dot):
     oracle = oracles.NonlinearCar(CARS[name])
     moved = np.full(4, e), np.full(4, e_dot)
-    F, k, _ = force(memory, e, e_dot, w, name)
-    expected = oracle.strut_forces(memory, *moved)[w]
+    F, k, _ = force(strut_state, e, e_dot, w, name)
+    expected = oracle.strut_forces(strut_state, *moved)[w]
     assert F == pytest.approx(expected, rel=1e-9, abs=1e-6)
     assert k > 0.0
 
 
-@given(memories, st.floats(-0.2, 0.2), st.floats(-3.0, 3.0))
-def test_the_compiled_strut_is_the_plain_one(memory, e, e_dot):
-    plant = PLANTS["lopsided"]
-    plain = plant.numbers.view(np.recarray)[0], plant.velocity, plant.displacement
-    expected = strut_force.py_func(*plain, memory, 2, e, e_dot)
-    found = force(memory, e, e_dot, 2, "lopsided")
+@given(strut_states, st.floats(-0.2, 0.2), st.floats(-3.0, 3.0))
+def test_the_compiled_strut_is_the_plain_one(strut_state, e, e_dot):
+    plant = PLANTS["unequal_axles"]
+    plain = plant.constants.view(np.recarray)[0], plant.velocity, plant.displacement
+    expected = strut_force.py_func(*plain, strut_state, 2, e, e_dot)
+    found = force(strut_state, e, e_dot, 2, "unequal_axles")
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-9)
 
 
 def test_a_bottomed_gas_column_goes_on_as_its_tangent():
-    memory = memory_at_rest(command("handling"))
+    strut_state = settled_strut_state(encode_command("handling"))
     least = STRUT.column_min - STRUT.x_1
-    assert force(memory, least - 1e-9)[0] == pytest.approx(force(memory, least + 1e-9)[0], rel=1e-6)
-    F, k, _ = force(memory, least)
-    beyond = force(memory, least - 0.002)
+    assert force(strut_state, least - 1e-9)[0] == pytest.approx(
+        force(strut_state, least + 1e-9)[0], rel=1e-6
+    )
+    F, k, _ = force(strut_state, least)
+    beyond = force(strut_state, least - 0.002)
     assert beyond[0] > F and np.isfinite(beyond[0])
     assert beyond[1] == pytest.approx(k, rel=1e-3)
-    assert np.isfinite(force(memory, -1.0)[0])
+    assert np.isfinite(force(strut_state, -1.0)[0])
 
 
 # --- the second accumulator and the valves --------------------------------------------------------
 
 
-def taken_up(memory, w, e, car):
+def taken_up(strut_state, w, e, car):
     """The part of the extension that the second accumulator has taken up [m]."""
-    return memory[w, HELD] + memory[w, OPEN] * car.strut.x_2 / (car.strut.x_1 + car.strut.x_2) * e
+    return (
+        strut_state[w, HELD_EXTENSION]
+        + strut_state[w, VALVE_OPEN] * car.strut.x_2 / (car.strut.x_1 + car.strut.x_2) * e
+    )
 
 
-def operate(memory, path, stiff, high, car=DEFENDER, name="defender", h=0.001):
+def operate(strut_state, path, stiff, high, car=DEFENDER, name="defender", h=0.001):
     """Put strut 0 through `path` (N,) of extensions, one step each; returns e_2 after each."""
     alpha = 1.0 - np.exp(-h / car.valve.lag)
     found = np.empty(path.size)
     for n, e in enumerate(path):
-        switch(PLANTS[name].numbers[0], memory, 0, e, stiff, high, alpha, h)
-        found[n] = taken_up(memory, 0, e, car)
+        advance_valve(PLANTS[name].constants[0], strut_state, 0, e, stiff, high, alpha, h)
+        found[n] = taken_up(strut_state, 0, e, car)
     return found
 
 
@@ -113,9 +120,9 @@ def test_the_second_accumulator_follows_its_equation_through_a_switch(name, stif
     ratio = car.strut.x_2 / (car.strut.x_1 + car.strut.x_2)
     e = lambda t: 0.03 * np.sin(20.0 * t + 0.7)  # noqa: E731
     e_dot = lambda t: 0.6 * np.cos(20.0 * t + 0.7)  # noqa: E731
-    memory = memory_at_rest(command("ride" if stiff else "handling"))
-    e_2_0 = taken_up(memory, 0, e(0.0), car)
-    found = operate(memory, e(t), stiff, False, car, name, h)
+    strut_state = settled_strut_state(encode_command("ride" if stiff else "handling"))
+    e_2_0 = taken_up(strut_state, 0, e(0.0), car)
+    found = operate(strut_state, e(t), stiff, False, car, name, h)
     expected = oracles.second_accumulator(
         e, e_dot, stiff, t, u_0=float(stiff), e_2_0=e_2_0, ratio=ratio,
         lag=car.valve.lag, equalisation=car.valve.equalisation,
@@ -124,11 +131,11 @@ def test_the_second_accumulator_follows_its_equation_through_a_switch(name, stif
 
 
 def test_a_closed_valve_keeps_the_gas_behind_it():
-    memory = memory_at_rest(command("ride"))
-    operate(memory, np.full(300, 0.02), True, True)
-    assert memory[0, OPEN] == 0.0 and settled(memory, 0, True, True)
-    before = taken_up(memory, 0, 0.02, DEFENDER)
-    after = operate(memory, 0.03 * np.sin(np.arange(200.0)), True, True)
+    strut_state = settled_strut_state(encode_command("ride"))
+    operate(strut_state, np.full(300, 0.02), True, True)
+    assert strut_state[0, VALVE_OPEN] == 0.0 and valves_settled(strut_state, 0, True, True)
+    before = taken_up(strut_state, 0, 0.02, DEFENDER)
+    after = operate(strut_state, 0.03 * np.sin(np.arange(200.0)), True, True)
     assert (after == before).all()
     assert before == pytest.approx(0.02 * STRUT.x_2 / 0.255, rel=1e-12)
 
@@ -137,64 +144,69 @@ def test_a_closed_valve_keeps_the_gas_behind_it():
 def test_an_opened_valve_makes_the_pressures_equal_however_fast_it_is(name):
     """The lopsided car's valve is open long before the pressures are equal."""
     car, e = CARS[name], 0.025
-    memory = memory_at_rest(command("handling"))
-    while not settled(memory, 0, False, False):
-        operate(memory, np.full(1, e), False, False, car, name)
-    first = car.strut.x_1 / (car.strut.x_1 + e - taken_up(memory, 0, e, car))
-    second = car.strut.x_2 / (car.strut.x_2 + taken_up(memory, 0, e, car))
+    strut_state = settled_strut_state(encode_command("handling"))
+    while not valves_settled(strut_state, 0, False, False):
+        operate(strut_state, np.full(1, e), False, False, car, name)
+    first = car.strut.x_1 / (car.strut.x_1 + e - taken_up(strut_state, 0, e, car))
+    second = car.strut.x_2 / (car.strut.x_2 + taken_up(strut_state, 0, e, car))
     assert first == pytest.approx(second, rel=1e-10)
-    assert memory[0] == pytest.approx([0.0, 1.0, 0.0], abs=0.0)
+    assert strut_state[0] == pytest.approx([0.0, 1.0, 0.0], abs=0.0)
 
 
-@given(memories, st.floats(-0.03, 0.03), st.booleans(), st.booleans(), st.floats(1e-5, 0.1))
-def test_turning_the_valve_alone_moves_no_gas_force(memory, e, stiff, high, h):
+@given(strut_states, st.floats(-0.03, 0.03), st.booleans(), st.booleans(), st.floats(1e-5, 0.1))
+def test_turning_the_valve_alone_moves_no_gas_force(strut_state, e, stiff, high, h):
     """With equal pressures on both sides nothing flows, wherever the valve stands or goes to."""
-    memory[0, HELD] = (1.0 - memory[0, OPEN]) * e * STRUT.x_2 / 0.255
-    before = force(memory, e)[0]
-    operate(memory, np.full(3, e), stiff, high, h=h)
-    assert force(memory, e)[0] == pytest.approx(before, rel=1e-12)
+    strut_state[0, HELD_EXTENSION] = (1.0 - strut_state[0, VALVE_OPEN]) * e * STRUT.x_2 / 0.255
+    before = force(strut_state, e)[0]
+    operate(strut_state, np.full(3, e), stiff, high, h=h)
+    assert force(strut_state, e)[0] == pytest.approx(before, rel=1e-12)
 
 
 def test_damping_goes_from_low_to_high_with_the_lag_of_the_valve():
-    memory = memory_at_rest(command("ride"))
-    low, high = force(memory, 0.0, 0.5)[0], force(memory_at_rest(command("soft_high")), 0.0, 0.5)[0]
+    strut_state = settled_strut_state(encode_command("ride"))
+    low, high = (
+        force(strut_state, 0.0, 0.5)[0],
+        force(settled_strut_state(encode_command("soft_high")), 0.0, 0.5)[0],
+    )
     for n in range(1, 40):
-        operate(memory, np.zeros(1), False, True)
+        operate(strut_state, np.zeros(1), False, True)
         expected = low + (high - low) * (1.0 - np.exp(-0.001 * n / DEFENDER.valve.lag))
-        assert force(memory, 0.0, 0.5)[0] == pytest.approx(expected, rel=1e-12)
+        assert force(strut_state, 0.0, 0.5)[0] == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_every_state_is_reached_from_every_other_and_then_is_settled(mode):
     stiff, high = MODES[mode]
     for other in MODES:
-        memory = memory_at_rest(command(other))
-        assert settled(memory, 0, *MODES[other])
-        operate(memory, np.zeros(400), stiff, high)
-        np.testing.assert_array_equal(memory[0], memory_at_rest(command(mode))[0])
+        strut_state = settled_strut_state(encode_command(other))
+        assert valves_settled(strut_state, 0, *MODES[other])
+        operate(strut_state, np.zeros(400), stiff, high)
+        np.testing.assert_array_equal(strut_state[0], settled_strut_state(encode_command(mode))[0])
 
 
 # --- commands -------------------------------------------------------------------------------------
 
 
 def test_a_command_reaches_the_vehicle_an_axle_or_a_strut():
-    stiff, high = strut_states(np.array([command("stiff_low")]))
+    stiff, high = decode_commands(np.array([encode_command("stiff_low")]))
     assert stiff.all() and not high.any()
-    stiff, high = strut_states(np.array([command({"front": "ride", "rear": "handling"})]))
+    stiff, high = decode_commands(np.array([encode_command({"front": "ride", "rear": "handling"})]))
     assert stiff[0].tolist() == high[0].tolist() == [False, False, True, True]
     single = {"FL": "ride", "FR": "soft_high", "RL": "stiff_low", "RR": "handling"}
-    stiff, high = strut_states(np.array([command(single)]))
+    stiff, high = decode_commands(np.array([encode_command(single)]))
     assert stiff[0].tolist() == [False, False, True, True]
     assert high[0].tolist() == [False, True, False, True]
 
 
 @given(st.lists(st.integers(0, 255), min_size=1, max_size=9))
 def test_command_bytes_and_strut_states_are_one_language(bytes_):
-    stiff, high = strut_states(np.array(bytes_))
+    stiff, high = decode_commands(np.array(bytes_))
     for byte, s, d in zip(bytes_, stiff, high, strict=True):
         assert byte == sum((int(s[w]) << w) | (int(d[w]) << (4 + w)) for w in range(4))
-        memory = memory_at_rest(byte)
-        assert (memory[:, OPEN] == ~s).all() and (memory[:, HIGH] == d).all()
+        strut_state = settled_strut_state(byte)
+        assert (strut_state[:, VALVE_OPEN] == ~s).all() and (
+            strut_state[:, DAMPING_HIGH] == d
+        ).all()
 
 
 @pytest.mark.parametrize(
@@ -209,13 +221,13 @@ def test_command_bytes_and_strut_states_are_one_language(bytes_):
 )
 def test_a_command_that_means_nothing_is_refused(mode, reason):
     with pytest.raises(ConfigError, match=reason):
-        command(mode)
+        encode_command(mode)
 
 
 # --- the tyre -------------------------------------------------------------------------------------
 
 
-TYRES = {**PLANTS, "odd": ODD_PLANTS["odd"]}
+TYRES = {**PLANTS, "varied": VARIED_PLANTS["varied"]}
 every_tyre = pytest.mark.parametrize("name", TYRES)
 wheels = st.integers(0, 3)
 compressions, rates = st.floats(-0.4, 0.2), st.floats(-5.0, 5.0)
@@ -223,7 +235,7 @@ compressions, rates = st.floats(-0.4, 0.2), st.floats(-5.0, 5.0)
 
 def tyre(name, w, u, u_dot):
     """Load, stiffness and damping; the spring's own load."""
-    p = TYRES[name].numbers[0]
+    p = TYRES[name].constants[0]
     return *tyre_force(p, w, u, u_dot), tyre_force(p, w, u, 0.0)[0]
 
 
@@ -231,9 +243,9 @@ def tyre(name, w, u, u_dot):
 @given(wheels, compressions, rates)
 def test_a_tyre_pushes_as_spring_and_damper_and_never_pulls(name, w, u, u_dot):
     """And its damper, which opposes every change, never does more than its spring."""
-    one = {"odd": ODD}.get(name, oracles.AS_DESCRIBED)
-    oracle = oracles.NonlinearCar(CARS.get(name, CARS["lopsided"]), one)
-    k, c = oracle.touching(w, u, u_dot)
+    one = {"varied": VARIED}.get(name, oracles.NOMINAL)
+    oracle = oracles.NonlinearCar(CARS.get(name, CARS["unequal_axles"]), one)
+    k, c = oracle.tyre_coefficients(w, u, u_dot)
     T, _, damping, spring = tyre(name, w, u, u_dot)
     assert T == pytest.approx(k * (u + oracle.delta[w]) + c * u_dot, rel=1e-9, abs=1e-6)
     assert damping == c
@@ -246,7 +258,7 @@ def test_a_tyre_pushes_as_spring_and_damper_and_never_pulls(name, w, u, u_dot):
 def test_a_wheel_in_the_air_feels_nothing_however_fast_it_closes_on_the_ground(
     name, w, above, u_dot
 ):
-    touch = -TYRES[name].numbers[0]["delta"][w // 2]
+    touch = -TYRES[name].constants[0]["delta"][w // 2]
     assert tyre(name, w, touch - above, u_dot) == (0.0, 0.0, 0.0, 0.0)
     just = tyre(name, w, touch + 1e-9, u_dot)[0]
     assert 0.0 <= just < 1e-3  # no jump of the load, as a damper without a limit would make
@@ -255,7 +267,7 @@ def test_a_wheel_in_the_air_feels_nothing_however_fast_it_closes_on_the_ground(
 @every_tyre
 @given(wheels, compressions, rates)
 def test_the_slopes_of_a_tyre_are_those_of_its_load(name, w, u, u_dot):
-    delta, c_t = (TYRES[name].numbers[0][key] for key in ("delta", "c_t"))
+    delta, c_t = (TYRES[name].constants[0][key] for key in ("delta", "c_t"))
     _, k, c, spring = tyre(name, w, u, u_dot)
     kinks = np.array([delta[w // 2] + u, spring + c_t[w] * u_dot, spring - c_t[w] * u_dot])
     assume((np.abs(kinks) > [1e-4, 1.0, 1.0]).all())
@@ -264,13 +276,13 @@ def test_the_slopes_of_a_tyre_are_those_of_its_load(name, w, u, u_dot):
     by_rate = (tyre(name, w, u, u_dot + d)[0] - tyre(name, w, u, u_dot - d)[0]) / (2.0 * d)
     assert (k, c) == (pytest.approx(by_u, rel=1e-6), pytest.approx(by_rate, rel=1e-6, abs=1e-6))
     bend = (tyre(name, w, u + d, u_dot)[1] - tyre(name, w, u - d, u_dot)[1]) / (2.0 * d)
-    found = tyre_curvature(TYRES[name].numbers[0], w, u, u_dot)
+    found = tyre_curvature(TYRES[name].constants[0], w, u, u_dot)
     assert found == pytest.approx(bend, rel=1e-4, abs=1e-3)
 
 
 def test_a_tyre_on_a_road_of_no_number_has_no_number_for_a_load():
     for u in (np.nan, np.inf):
-        assert not np.isfinite(tyre_force(PLANTS["defender"].numbers[0], 0, u, 0.0)[0])
+        assert not np.isfinite(tyre_force(PLANTS["defender"].constants[0], 0, u, 0.0)[0])
 
 
 # --- what the shipped curves must look like -------------------------------------------------------

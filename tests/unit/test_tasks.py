@@ -10,12 +10,12 @@ from fakes import task
 from leaderboard.evaluation import tasks, test_data
 from leaderboard.evaluation.surface_tasks import surface_class, surface_tasks
 from leaderboard.evaluation.tasks import load_task, shipped_tasks
-from leaderboard.evaluation.test_data import simulated
+from leaderboard.evaluation.test_data import simulate_drives
 from road_envs.config import ConfigError, folder, names
-from road_envs.data.record import grid
-from road_envs.data.recording import record_drive
+from road_envs.data.record import profile_stations
+from road_envs.data.recording import simulate_record
 from road_envs.roads import load_road, write_csv
-from road_envs.vehicle.perturbed_vehicle import load_deviations
+from road_envs.vehicle.perturbed_vehicle import load_plant_mismatch
 
 DRIVES = {"roads": ["iso_d"], "seeds": [1, 2]}
 
@@ -24,7 +24,7 @@ def test_every_shipped_task_loads_and_can_be_driven():
     shipped = shipped_tasks()
     assert [t.name for t in shipped] == names("tasks")
     for t in shipped:
-        first = t.test.pairs[0][0]
+        first = t.test.roads_and_seeds[0][0]
         assert first.length > t.vehicle.wheelbase
         assert t.sensors.fs * t.test.step <= 1.0
 
@@ -39,15 +39,18 @@ def test_the_papers_eight_scenarios_are_those_of_its_tables():
     assert {c.grade for c in driven} == {"S3"}  # the field car, in place of the measurements
     claims = [paper[f"paper_{k}"].claimed_level_error for k in range(1, 9)]
     assert claims == [None] * 4 + [0.102, 0.128, 0.148, 0.142]
-    assert all(t.trains_on_test_road and len(t.test.pairs) == 1 for t in paper.values())
+    assert all(t.trains_on_test_road and len(t.test.roads_and_seeds) == 1 for t in paper.values())
     assert [paper[f"paper_{k}"].bumps for k in range(1, 9)] == [True] * 4 + [False] * 4
 
 
 def test_the_new_road_board_holds_seeds_and_roads_apart():
     t = load_task("new_road")
     assert not t.training.all_seeds & t.test.all_seeds and not t.trains_on_test_road
-    assert len(t.test.pairs) == 12 and len(t.with_roads(None).test.pairs) == 60
-    assert all(road.length == pytest.approx(300.0) for road, _ in t.test.pairs)
+    assert (
+        len(t.test.roads_and_seeds) == 12
+        and len(t.with_test_drives(None).test.roads_and_seeds) == 60
+    )
+    assert all(road.length == pytest.approx(300.0) for road, _ in t.test.roads_and_seeds)
     states = {c.label for c in t.conditions}
     assert {f"ride front, handling rear, {v} km/h" for v in ("14.5", "54")} <= states
     assert {c.speed_kmh for c in t.conditions} == {14.5, 30.0, 54.0}
@@ -57,16 +60,20 @@ def test_the_new_road_board_holds_seeds_and_roads_apart():
 def test_no_two_test_roads_are_drawn_from_one_seed():
     """One seed gives related roads, so a board of them would count one road twice."""
     for t in shipped_tasks():
-        pairs = t.with_roads(None).test.pairs if t.draws_roads else t.test.pairs
+        pairs = (
+            t.with_test_drives(None).test.roads_and_seeds
+            if t.has_several_test_drives
+            else t.test.roads_and_seeds
+        )
         assert len({seed for _, seed in pairs}) == len(pairs)
 
 
 def test_families_part_the_test_drives():
-    drives = load_task("new_road").with_roads(None).test
-    families = {name: drives.drives_of(name) for name in drives.families}
+    drives = load_task("new_road").with_test_drives(None).test
+    families = {name: drives.indices_of_family(name) for name in drives.families}
     assert sorted(k for part in families.values() for k in part) == list(range(60))
     assert [len(part) for part in families.values()] == [10, 10, 20, 20]
-    roads = [drives.pairs[k][0] for k in families["ISO w = 2"]]
+    roads = [drives.roads_and_seeds[k][0] for k in families["ISO w = 2"]]
     assert {(type(road).__name__, road.w) for road in roads} == {("Iso8608", 2.0)}
     with pytest.raises(ConfigError, match="2 families are wanted, got 1"):
         task(test={"roads": ["iso_d", "iso_e"], "seeds": [7], "families": ["one"]})
@@ -79,7 +86,7 @@ def test_the_field_board_has_every_car_on_the_same_roads():
     t = load_task("field")
     grades = [c.grade for c in t.conditions]
     assert grades == ["S0", "S1", "S2", "S3"] * 2
-    assert [t.stream(c) for c in t.conditions] == [0] * 4 + [4] * 4
+    assert [t.seed_stream(c) for c in t.conditions] == [0] * 4 + [4] * 4
     assert t.conditions[3].label == "ride, 14.5 km/h, car S3"
 
 
@@ -88,13 +95,13 @@ def test_training_is_driven_by_the_nominal_car_and_the_test_by_one_individual(mo
 
     def recorded(car, surface, *, grade, seed, **options):
         seen.append((grade, seed.entropy))
-        return record_drive(car, surface, grade=grade, seed=seed, **options)
+        return simulate_record(car, surface, grade=grade, seed=seed, **options)
 
-    monkeypatch.setattr(test_data, "record_drive", recorded)
+    monkeypatch.setattr(test_data, "simulate_record", recorded)
     t = task(conditions=CARS, test={"roads": ["iso_b"], "seeds": [11], "length": 12.0},
              training={"roads": ["iso_b"], "seeds": [1], "length": 12.0})  # fmt: skip
     for condition in t.conditions:
-        list(simulated(t, t.training, condition)), list(simulated(t, t.test, condition))
+        list(simulate_drives(t, t.training, condition)), list(simulate_drives(t, t.test, condition))
     trained, tested = seen[::2], seen[1::2]
     assert trained == [("S0", [1, 0])] * 3
     assert tested == [(grade, [11, 0]) for grade in ("S0", "S1", "S3")]
@@ -103,14 +110,14 @@ def test_training_is_driven_by_the_nominal_car_and_the_test_by_one_individual(mo
 def test_the_digest_follows_the_deviations_of_the_field_car(monkeypatch):
     field, plain = task(conditions=CARS), task()
     digests = field.digest, plain.digest
-    other = dataclasses.replace(load_deviations(), step=0.0001)
+    other = dataclasses.replace(load_plant_mismatch(), step=0.0001)
     monkeypatch.setattr(tasks, "load_deviations", lambda: other)
     assert task(conditions=CARS).digest != digests[0] and task().digest == digests[1]
 
 
 def test_more_roads_than_a_task_has_are_refused():
     with pytest.raises(ConfigError, match="new_road: number of drives must be 1 to 60, got 61"):
-        load_task("new_road").with_roads(61)
+        load_task("new_road").with_test_drives(61)
 
 
 def test_a_shared_seed_is_refused():
@@ -179,7 +186,7 @@ def test_the_digest_changes_with_all_that_decides_the_drives_and_with_nothing_el
     others = [
         task(version=2),
         task(bumps=True),
-        base.with_roads(2),
+        base.with_test_drives(2),
         task(instruments="ideal"),
         task(training={**DRIVES, "length": 40.0, "noise": False}),
         task(training={"roads": ["iso_e"], "seeds": [1, 2], "length": 40.0}),
@@ -228,12 +235,12 @@ def test_a_surface_file_is_judged_both_ways(tmp_path):
     assert (paper.name, new.name) == ("course_paper", "course_new_road")
     assert paper.trains_on_test_road and not new.trains_on_test_road
     assert "class E, the class of this file" in new.title
-    assert paper.test.pairs[0][0].length == pytest.approx(120.0, abs=0.1)
+    assert paper.test.roads_and_seeds[0][0].length == pytest.approx(120.0, abs=0.1)
 
 
 def test_a_short_surface_is_mirrored_and_it_is_said(tmp_path):
     for t in surface_tasks(surface_file(tmp_path, "tile.csv", seed=4, length=10.0)):
-        surface = t.test.pairs[0][0].realise(np.random.default_rng(0))
+        surface = t.test.roads_and_seeds[0][0].realise(np.random.default_rng(0))
         assert surface.length == pytest.approx(100.0)
         assert any("mirrored" in note for note in surface.notes)
 
@@ -254,23 +261,23 @@ def test_a_file_that_is_no_surface_is_one_sentence(tmp_path):
 
 def test_drives_are_repeatable_and_one_road_is_the_same_in_every_condition():
     t = task(test={"roads": ["iso_d"], "seeds": [11], "length": 20.0, "step": 0.0005})
-    first, again, fast = (next(simulated(t, t.test, t.conditions[k])) for k in (0, 0, 1))
+    first, again, fast = (next(simulate_drives(t, t.test, t.conditions[k])) for k in (0, 0, 1))
     np.testing.assert_array_equal(first.record.a, again.record.a)
     np.testing.assert_array_equal(first.truth.z, fast.truth.z)
-    np.testing.assert_array_equal(first.truth.s, grid(first.record.length))
+    np.testing.assert_array_equal(first.truth.s, profile_stations(first.record.length))
     assert first.record.a.shape[1] > fast.record.a.shape[1]
 
 
 def test_the_judge_drives_with_the_step_of_the_task():
     t = task(test={"roads": ["iso_d"], "seeds": [11], "length": 20.0, "noise": False})
     finer = dataclasses.replace(t.test, step=0.0005)
-    a, b = (next(simulated(t, d, t.conditions[0])).record.a for d in (t.test, finer))
+    a, b = (next(simulate_drives(t, d, t.conditions[0])).record.a for d in (t.test, finer))
     assert a.shape == b.shape and 0.0 < np.abs(a - b).max() < 0.1 * np.abs(a).max()
 
 
 def test_noise_is_only_where_the_task_wants_it():
     t = task(test={"roads": ["flat"], "seeds": [11], "length": 20.0, "noise": False})
-    quiet = next(simulated(t, t.test, t.conditions[0])).record
+    quiet = next(simulate_drives(t, t.test, t.conditions[0])).record
     assert np.abs(quiet.a).max() < 1e-6
     noisy = dataclasses.replace(t.test, noise=True)
-    assert next(simulated(t, noisy, t.conditions[0])).record.a.std() > 0.05
+    assert next(simulate_drives(t, noisy, t.conditions[0])).record.a.std() > 0.05

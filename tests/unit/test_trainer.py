@@ -8,9 +8,18 @@ from test_estimator_contract import CAR, drive, fit
 
 from estimators import create, pretrained_weights
 from estimators.api import NotFittedError
-from estimators.networks.inputs import AHEAD, LAG, Inputs
+from estimators.networks.inputs import LAG, STATIONS_AHEAD, NetworkInputs
 from estimators.networks.tcn import Tcn
-from estimators.networks.trainer import Lesson, Plan, Stretch, divided, numbers, put, rate, teach
+from estimators.networks.trainer import (
+    SequencePart,
+    TrainerConfig,
+    TrainingSequence,
+    get_weights,
+    learning_rate_factor,
+    set_weights,
+    split_validation,
+    train_network,
+)
 
 torch = pytest.importorskip("torch")
 
@@ -29,22 +38,22 @@ class Shallow(torch.nn.Module):
         return self.window(x)
 
 
-def lesson(seed: int, noise: float, size: int = 400) -> Lesson:
+def sequence(seed: int, noise: float, size: int = 400) -> TrainingSequence:
     """What is missing is a window of the inputs, and noise."""
     rng = np.random.default_rng(seed)
     x = rng.standard_normal((10, size + 2)).astype(np.float32)
-    missing = np.array([0.7 * x[0, 2:] - 0.3 * x[1, :-2], 0.5 * x[2, 1:-1]])
-    missing = missing + noise * rng.standard_normal(missing.shape)
-    inputs = Inputs(x, np.zeros((8, 1), np.float32), np.ones(size), np.zeros((2, size)))
-    return Lesson(inputs, missing.astype(np.float32))
+    residual = np.array([0.7 * x[0, 2:] - 0.3 * x[1, :-2], 0.5 * x[2, 1:-1]])
+    residual = residual + noise * rng.standard_normal(residual.shape)
+    inputs = NetworkInputs(x, np.zeros((8, 1), np.float32), np.ones(size), np.zeros((2, size)))
+    return TrainingSequence(inputs, residual.astype(np.float32))
 
 
-PLAN = Plan(steps=300, batch=8, crop=40, rate=3e-2, decay=0.0)
+CONFIG = TrainerConfig(steps=300, batch=8, crop_length=40, learning_rate=3e-2, weight_decay=0.0)
 
 
 def test_what_a_window_tells_is_learnt_and_what_is_left_is_its_spread():
     network = Shallow()
-    error = teach(network, [lesson(k, noise=0.2) for k in range(20)], PLAN, 0)
+    error = train_network(network, [sequence(k, noise=0.2) for k in range(20)], CONFIG, 0)
     assert error == pytest.approx(0.04, rel=0.1)
     bias = network.window.bias.detach().numpy()
     np.testing.assert_allclose(np.exp(bias[2:]), 0.2, rtol=0.2)
@@ -72,58 +81,58 @@ class Memory:
 
 @pytest.mark.parametrize("visits", [1, 7, 20])
 def test_an_interrupted_teaching_ends_where_a_whole_one_does_to_the_bit(visits):
-    lessons = [lesson(k, noise=0.1, size=120) for k in range(12)]
-    plan = PLAN._replace(steps=60)
+    sequences = [sequence(k, noise=0.1, size=120) for k in range(12)]
+    config = CONFIG._replace(steps=60)
     whole, parts = Shallow(), Shallow()
-    teach(whole, lessons, plan, 3)
+    train_network(whole, sequences, config, 3)
     memory = Memory(visits)
     with pytest.raises(PowerError):
-        teach(parts, lessons, plan, 3, keeper=memory)
+        train_network(parts, sequences, config, 3, checkpoint=memory)
     memory.last = None
     resumed = Shallow(seed=99)
-    teach(resumed, lessons, plan, 3, keeper=memory)
-    for name, x in numbers(whole).items():
-        np.testing.assert_array_equal(numbers(resumed)[name], x)
+    train_network(resumed, sequences, config, 3, checkpoint=memory)
+    for name, x in get_weights(whole).items():
+        np.testing.assert_array_equal(get_weights(resumed)[name], x)
 
 
 def test_the_weights_of_the_least_error_on_held_out_roads_are_kept():
     """Held-out drives follow the opposite law: the best is the beginning, and teaching stops."""
-    lessons = [lesson(k, noise=0.0) for k in range(20)]
+    sequences = [sequence(k, noise=0.0) for k in range(20)]
     for k in (9, 19):
-        lessons[k] = lessons[k]._replace(missing=-lessons[k].missing)
+        sequences[k] = sequences[k]._replace(residual=-sequences[k].residual)
     network = Shallow()
     for weight in network.parameters():
         torch.nn.init.zeros_(weight)
     said = []
-    teach(network, lessons, PLAN, 0, lambda text, share: said.append(share))
-    assert not any(x.any() for name, x in numbers(network).items() if name == "window.weight")
+    train_network(network, sequences, CONFIG, 0, lambda text, share: said.append(share))
+    assert not any(x.any() for name, x in get_weights(network).items() if name == "window.weight")
     assert len(said) == 8 and said[-1] < 0.5  # six checks without a better one, and it ends
 
 
 def test_roads_are_held_out_whole_where_there_are_many_and_in_part_where_there_are_few():
-    many, few = ([lesson(k, 0.0, 100) for k in range(n)] for n in (25, 3))
-    taught, held_out = divided(many)
-    assert [part.lesson for part in held_out] == [many[9], many[19]]
-    assert len(taught) == 23
-    taught, held_out = divided(few)
-    assert [(p.start, p.stop) for p in taught] == 3 * [(0, 80)]
-    assert [(p.start, p.stop) for p in held_out] == 3 * [(80, 100)]
+    many, few = ([sequence(k, 0.0, 100) for k in range(n)] for n in (25, 3))
+    training, validation = split_validation(many)
+    assert [part.sequence for part in validation] == [many[9], many[19]]
+    assert len(training) == 23
+    training, validation = split_validation(few)
+    assert [(p.start, p.stop) for p in training] == 3 * [(0, 80)]
+    assert [(p.start, p.stop) for p in validation] == 3 * [(80, 100)]
 
 
 def test_a_stretch_in_the_mirror_has_roll_and_half_difference_turned_over():
-    part = lesson(0, 0.1)
-    stretch = Stretch(part, 0, 400)
-    x, _, missing = stretch.cut(10, 5, Shallow, False)
-    turned_x, _, turned = stretch.cut(10, 5, Shallow, True)
-    np.testing.assert_array_equal(missing, part.missing[:, 10:15])
-    np.testing.assert_array_equal(turned, [missing[0], -missing[1]])
+    part = sequence(0, 0.1)
+    stretch = SequencePart(part, 0, 400)
+    x, _, residual = stretch.crop(10, 5, Shallow, False)
+    turned_x, _, turned = stretch.crop(10, 5, Shallow, True)
+    np.testing.assert_array_equal(residual, part.residual[:, 10:15])
+    np.testing.assert_array_equal(turned, [residual[0], -residual[1]])
     roll = [2, 5, 7, 9]
     np.testing.assert_array_equal(turned_x[roll], -x[roll])
     np.testing.assert_array_equal(np.delete(turned_x, roll, 0), np.delete(x, roll, 0))
 
 
 def test_the_rate_rises_and_falls():
-    rates = [rate(step, 1000) for step in range(1001)]
+    rates = [learning_rate_factor(step, 1000) for step in range(1001)]
     assert rates[0] < 0.02 and max(rates) > 0.95
     assert np.argmax(rates) == pytest.approx(100, abs=2)
     assert rates[-1] == pytest.approx(0.02)
@@ -138,7 +147,7 @@ def test_a_causal_network_uses_what_its_lag_allows_and_nothing_after(name):
     moved = np.any(estimator.estimate(changed, CAR).z != before.z, axis=0)
     first = before.s[np.argmax(moved)]
     assert 12.0 - LAG <= first <= 12.0 - LAG + 0.5
-    assert AHEAD > 0
+    assert STATIONS_AHEAD > 0
 
 
 def test_settings_that_the_shipped_weights_do_not_have_need_a_fit():
@@ -163,21 +172,21 @@ def test_impossible_settings_are_refused(settings, sentence):
 def test_weights_survive_a_file_and_a_damaged_file_is_named(tmp_path):
     path = tmp_path / "w.safetensors"
     arrays = {"x": np.arange(3.0).astype(np.float16)[::-1], "y": np.array(2.0)}
-    pretrained_weights.write(path, arrays, {"seed": "1"})
-    found, about = pretrained_weights.read(path)
+    pretrained_weights.write_weights(path, arrays, {"seed": "1"})
+    found, about = pretrained_weights.read_weights(path)
     assert about == {"seed": "1"}
     for name, x in arrays.items():
         assert (found[name].dtype, found[name].shape) == (x.dtype, x.shape)
         np.testing.assert_array_equal(found[name], x)
     path.write_bytes(path.read_bytes()[:-3])
     with pytest.raises(pretrained_weights.WeightsError, match=r"w\.safetensors: damaged"):
-        pretrained_weights.read(path)
+        pretrained_weights.read_weights(path)
     with pytest.raises(pretrained_weights.WeightsError, match=r"no\.safetensors: cannot be read"):
-        pretrained_weights.read(tmp_path / "no.safetensors")
+        pretrained_weights.read_weights(tmp_path / "no.safetensors")
 
 
 def test_a_network_takes_the_numbers_it_gave():
     one, other = Shallow(0), Shallow(1)
-    put(other, numbers(one))
+    set_weights(other, get_weights(one))
     x = torch.randn(1, 10, 20)
     np.testing.assert_array_equal(one(x, x).detach().numpy(), other(x, x).detach().numpy())

@@ -33,7 +33,7 @@ VARIANTS = {
         "speed_kmh": 54.0,
         "control": "states",
         "observe": ["accelerations", "planar", "struts"],
-        "weights": {"information": 30.0},
+        "weights": {"unresolved_variance": 30.0},
         "manoeuvre": {"kind": "slalom", "begin": 0.0, "period": 0.6},
     },
     "roads of several lengths and modes": {
@@ -109,8 +109,8 @@ def test_a_car_that_fails_says_why_and_its_neighbours_do_not_notice():
     healthy, envs = vector(), vector()
     healthy.reset(seed=1)
     envs.reset(seed=1)
-    envs.convoy.cars.q[0, 0, 1] = np.nan
-    envs.convoy.cars.q[0, 1, 2] = 0.9
+    envs.fleet.state.q[0, 0, 1] = np.nan
+    envs.fleet.state.q[0, 1, 2] = 0.9
     observation, reward, terminated, truncated, infos = envs.step(np.zeros(3, dtype=int))
     expected = healthy.step(np.zeros(3, dtype=int))
     assert terminated.tolist() == [False, True, True] and not truncated.any()

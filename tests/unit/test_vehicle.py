@@ -44,7 +44,7 @@ def test_loads_add_up_to_the_weight_and_balance_about_the_centre_of_mass(name):
 
 
 def test_the_heavier_end_is_the_one_nearer_the_centre_of_mass():
-    front, rear = CARS["lopsided"].strut_loads
+    front, rear = CARS["unequal_axles"].strut_loads
     assert front / rear == pytest.approx(1.6 / 1.2)
 
 

@@ -11,18 +11,25 @@ from vehicle_fixtures import DEFENDER
 
 from estimators import create
 from estimators.api import check_estimate
-from estimators.wiener.segments import Stretch, stretches
-from estimators.wiener.smoother import expect
-from estimators.wiener.spectral_model import Felt, Hearing, hearing, likely, lines_of, listen
+from estimators.wiener.segments import Segment, split_segments
+from estimators.wiener.smoother import gaussian_expectation
+from estimators.wiener.spectral_model import (
+    ShapedRoadPrior,
+    SpectralModel,
+    build_model,
+    fit_hyperparameters,
+    run_em,
+    windowed_spectrum,
+)
 from leaderboard.metrics.heights import band_pass, nrmse
 from road_envs.analysis.information_bound import RoadPrior, bound
-from road_envs.analysis.statistical_linearization import Remainder
+from road_envs.analysis.statistical_linearization import NonlinearResidual
 from road_envs.config import ConfigError
-from road_envs.data.record import GRID, grid, scored_band
-from road_envs.data.recording import record_drive
+from road_envs.data.record import PROFILE_SPACING, profile_stations, scored_band
+from road_envs.data.recording import simulate_record
 from road_envs.roads import load_road, with_length
 from road_envs.sensing.instruments import load_instruments
-from road_envs.vehicle.equations import plant
+from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.parameters import ModeCurves
 
@@ -50,14 +57,14 @@ CARS = {"linear": linear_car(), "defender": DEFENDER}
 def drive(car="defender", road="iso_d", mode="ride", speed_kmh=54.0, seed=1, length=150.0):
     surface = with_length(load_road(road), length).realise(np.random.default_rng(seed))
     given = {"ride": "ride", "handling": "handling", "split": SPLIT}[mode]
-    return record_drive(
+    return simulate_record(
         CARS[car], surface, speed_kmh=speed_kmh, mode=given, instruments=PAPER, seed=seed,
         step=0.0005,
     )  # fmt: skip
 
 
 def in_band(estimate, truth, speed_kmh):
-    return nrmse(truth.z, estimate.z, GRID, scored_band(speed_kmh / 3.6)).pooled
+    return nrmse(truth.z, estimate.z, PROFILE_SPACING, scored_band(speed_kmh / 3.6)).pooled
 
 
 # --- how near to theory ---------------------------------------------------------------------------
@@ -83,7 +90,7 @@ def test_on_the_defender_it_errs_as_the_closure_of_its_struts_says(mode, speed_k
         record, truth = drive("defender", "iso_c", mode, speed_kmh, seed)
         errors.append(in_band(create("wiener").estimate(record, DEFENDER), truth, speed_kmh))
     given = (DEFENDER, mode, speed_kmh / 3.6, PAPER, RoadPrior(G_d0=256e-6))
-    expected, least = bound(*given, distorted=True).pooled, bound(*given).pooled
+    expected, least = bound(*given, residual_as_noise=True).pooled, bound(*given).pooled
     assert np.mean(errors) == pytest.approx(expected, rel=0.2)
     assert np.mean(errors) > 1.3 * least
 
@@ -105,7 +112,7 @@ def test_intervals_cover_what_they_promise(name):
     for mode in ("ride", "split"):
         record, truth = drive("defender", "iso_d", mode, length=150.0)
         found = create(name).estimate(record, DEFENDER)
-        error = band_pass(found.z - truth.z, GRID, scored_band(15.0))
+        error = band_pass(found.z - truth.z, PROFILE_SPACING, scored_band(15.0))
         cut = (truth.s.size - error.shape[1]) // 2
         std = found.z_std[:, cut : cut + error.shape[1]]
         inside.append([np.mean(np.abs(error) < k * std) for k in (0.6745, 1.6449)])
@@ -119,31 +126,39 @@ def test_intervals_cover_what_they_promise(name):
 
 def drawn(
     level: float, noise: float, seed: int, v: float = 10.0, w: float = 2.0
-) -> tuple[Stretch, Hearing]:
+) -> tuple[Segment, SpectralModel]:
     """A stretch drawn from the model itself: the road at `level`, the noise `noise` times."""
     stride, size, M = 3, 4096, 3000
     mode = dict.fromkeys(("FL", "FR", "RL", "RR"), "ride")
-    stretch = Stretch(
-        np.zeros((3, M)), np.ones((3, M), dtype=bool), 0, stride, v, mode, (0.0, M * stride * GRID)
+    segment = Segment(
+        np.zeros((3, M)),
+        np.ones((3, M), dtype=bool),
+        0,
+        stride,
+        v,
+        mode,
+        (0.0, M * stride * PROFILE_SPACING),
     )
-    one, prior = plant(DEFENDER), Felt(G_d0=level, w=w)
-    places = PAPER.places(DEFENDER)
-    model = hearing(one, places, PAPER, stretch, prior, size, np.full(size // 2 + 1, noise))
+    one, prior = build_plant(DEFENDER), ShapedRoadPrior(G_d0=level, w=w)
+    locations = PAPER.locations(DEFENDER)
+    model = build_model(one, locations, PAPER, segment, prior, size, np.full(size // 2 + 1, noise))
     rng = np.random.default_rng(seed)
-    spectrum = model.H @ model.S @ np.conj(model.H.swapaxes(1, 2)) + model.noise()
+    spectrum = model.H @ model.S @ np.conj(model.H.swapaxes(1, 2)) + model.noise_psd()
     root = np.linalg.cholesky(spectrum + 1e-18 * np.eye(3))
     white = rng.standard_normal((2, 3, model.n.size)) * np.sqrt(0.5)
     lines = np.einsum("fab,bf->af", root, white[0] + 1j * white[1])
-    a = irfft(lines * np.sqrt(size / (2.0 * stretch.d)), size)[:, :M]
-    return replace(stretch, a=a), model
+    a = irfft(lines * np.sqrt(size / (2.0 * segment.spacing)), size)[:, :M]
+    return replace(segment, a=a), model
 
 
 @pytest.mark.parametrize("level", [64e-6, 1024e-6])
 def test_the_level_of_the_road_is_found_in_the_record(level):
     found = []
     for seed in (1, 2, 3):
-        stretch, _ = drawn(level, 1.0, seed)
-        heard = listen(plant(DEFENDER), PAPER.places(DEFENDER), PAPER, stretch, 1.5)
+        segment, _ = drawn(level, 1.0, seed)
+        heard = fit_hyperparameters(
+            build_plant(DEFENDER), PAPER.locations(DEFENDER), PAPER, segment, 1.5
+        )
         found.append(10.0 * np.log10(heard.prior.G_d0 / level))
     assert abs(np.mean(found)) < 0.5
 
@@ -151,8 +166,10 @@ def test_the_level_of_the_road_is_found_in_the_record(level):
 @pytest.mark.parametrize("w", [1.5, 2.5])
 def test_a_road_that_falls_otherwise_than_supposed_is_found_to(w):
     """By octave, within 1.5 dB of what it was drawn from; supposed were up to 4 dB off."""
-    stretch, model = drawn(1024e-6, 1.0, 7, w=w)
-    heard = listen(plant(DEFENDER), PAPER.places(DEFENDER), PAPER, stretch, 1.5)
+    segment, model = drawn(1024e-6, 1.0, 7, w=w)
+    heard = fit_hyperparameters(
+        build_plant(DEFENDER), PAPER.locations(DEFENDER), PAPER, segment, 1.5
+    )
     octaves = np.array([0.25, 0.5, 1.0, 2.0])
     found = 10.0 * np.log10(heard.prior.density(octaves) / model.prior.density(octaves))
     assert np.abs(found).max() < 1.5
@@ -160,15 +177,15 @@ def test_a_road_that_falls_otherwise_than_supposed_is_found_to(w):
 
 def test_noise_that_is_stronger_than_supposed_is_told_from_road():
     for noise in (0.5, 1.0, 4.0):
-        stretch, model = drawn(256e-6, noise, 4)
-        supposed = replace(model, kappa=np.ones(model.n.size))
-        prior = kappa = None
+        segment, model = drawn(256e-6, noise, 4)
+        supposed = replace(model, noise_scale=np.ones(model.n.size))
+        prior = noise_scale = None
         for _ in range(4):
-            lines = lines_of(supposed, stretch)
-            prior, kappa = likely(supposed, lines, np.arange(3))
-            supposed = replace(supposed, kappa=kappa)
+            lines = windowed_spectrum(supposed, segment)
+            prior, noise_scale = run_em(supposed, lines, np.arange(3))
+            supposed = replace(supposed, noise_scale=noise_scale)
         heard = (model.f > 1.0) & (model.f < 24.0)
-        ratio = np.exp(np.mean(np.log(kappa[heard]))) / noise
+        ratio = np.exp(np.mean(np.log(noise_scale[heard]))) / noise
         assert (0.8 < ratio < 1.5) if noise < 1.0 else (0.7 < ratio < 1.2)  # 1 has some weight
         assert prior.G_d0 == pytest.approx(256e-6, rel=0.2)
 
@@ -177,10 +194,10 @@ def test_the_expected_remainder_is_that_of_drawn_motion():
     x = np.linspace(-3.0, 3.0, 4001)
     law = np.array([k * np.tanh(8.0 * x) for k in (50.0, 80.0, 10.0, 20.0)])
     bend = np.array([k * x**2 for k in (30.0, 20.0, 10.0, 5.0)])
-    rest = Remainder(x, bend, x, law)
+    rest = NonlinearResidual(x, bend, x, law)
     e, w = np.full((4, 2), [-0.1, 0.2]), np.full((4, 2), [0.05, -0.3])
     std_e, std_w = np.full(4, 0.05), np.full(4, 0.2)
-    mean, variance = expect(rest, e, w, std_e, std_w)
+    mean, variance = gaussian_expectation(rest, e, w, std_e, std_w)
     rng = np.random.default_rng(0)
     near_e = e[..., None] + 0.05 * rng.standard_normal((4, 2, 100_000))
     near_w = w[..., None] + 0.2 * rng.standard_normal((4, 2, 100_000))
@@ -196,7 +213,10 @@ def test_the_expected_remainder_is_that_of_drawn_motion():
 def test_left_and_right_are_not_confused(name):
     record, truth = drive("defender", "iso_d", "handling", 30.0)
     band = scored_band(30.0 / 3.6)
-    z, y = (band_pass(p.z, GRID, band) for p in (create(name).estimate(record, DEFENDER), truth))
+    z, y = (
+        band_pass(p.z, PROFILE_SPACING, band)
+        for p in (create(name).estimate(record, DEFENDER), truth)
+    )
     for side in (0, 1):
         own, other = (np.corrcoef(z[side], y[k])[0, 1] for k in (side, 1 - side))
         assert own > 0.9 and other < 0.5
@@ -220,7 +240,10 @@ def test_where_the_road_gets_rougher_the_stretches_know_it():
         s=np.concatenate([smooth.s, smooth.s[-1] + 0.015 + rough.s - rough.s[0]]),
         length=300.0,
         **{k: np.concatenate([getattr(smooth, k), getattr(rough, k)]) for k in ("v",)},
-        **{k: np.concatenate([getattr(smooth, k), getattr(rough, k)]) for k in ("stiff", "high")},
+        **{
+            k: np.concatenate([getattr(smooth, k), getattr(rough, k)])
+            for k in ("spring_stiff", "damper_high")
+        },
         a=np.hstack([smooth.a, rough.a]),
     )
     std = create("wiener").estimate(both, DEFENDER).z_std
@@ -231,21 +254,21 @@ def test_a_long_record_is_put_together_without_seams():
     """Two stretches say what one says, in the judged band."""
     record, truth = drive("defender", "iso_c", "ride", length=210.0)
     whole = create("wiener").estimate(record, DEFENDER)
-    parts = list(stretches(record, PAPER, 150.0, 40.0))
+    parts = list(split_segments(record, PAPER, 150.0, 40.0))
     assert len(parts) == 1
-    parts = list(stretches(record, PAPER, 100.0, 40.0))
+    parts = list(split_segments(record, PAPER, 100.0, 40.0))
     assert [p.core for p in parts] == [(0.0, 105.0), (105.0, 210.0)]
     import estimators.wiener.smoother as smoothing
 
-    before = smoothing.LENGTH
+    before = smoothing.SEGMENT_LENGTH
     try:
-        smoothing.LENGTH = 100.0
+        smoothing.SEGMENT_LENGTH = 100.0
         pieces = create("wiener").estimate(record, DEFENDER)
     finally:
-        smoothing.LENGTH = before
+        smoothing.SEGMENT_LENGTH = before
     band = scored_band(15.0)
-    gap = band_pass(pieces.z - whole.z, GRID, band).std()
-    error = band_pass(whole.z - truth.z, GRID, band).std()
+    gap = band_pass(pieces.z - whole.z, PROFILE_SPACING, band).std()
+    error = band_pass(whole.z - truth.z, PROFILE_SPACING, band).std()
     assert gap < 0.3 * error
 
 
@@ -267,7 +290,7 @@ def test_a_gap_costs_the_road_in_it_and_nothing_far_from_it(value):
     check_estimate(found, record)
     assert any("missing or at the limit" in note for note in found.notes)
     with_gap, without = (
-        band_pass(z - truth.z, GRID, scored_band(15.0)) for z in (found.z, whole.z)
+        band_pass(z - truth.z, PROFILE_SPACING, scored_band(15.0)) for z in (found.z, whole.z)
     )
     s = truth.s[(truth.s.size - without.shape[1]) // 2 :][: without.shape[1]]
     far = (s < 50.0) | (s > 95.0)
@@ -281,7 +304,9 @@ def test_with_one_sensor_dead_the_other_two_still_tell_the_mean_of_the_wheel_pat
     record, truth = drive("defender", "iso_d", "split")
     found = create("wiener").estimate(faulty(record, slice(None), np.nan, [2]), DEFENDER)
     band = scored_band(15.0)
-    mean = [band_pass(x.mean(axis=0, keepdims=True), GRID, band) for x in (found.z, truth.z)]
+    mean = [
+        band_pass(x.mean(axis=0, keepdims=True), PROFILE_SPACING, band) for x in (found.z, truth.z)
+    ]
     assert np.corrcoef(mean[0][0], mean[1][0])[0, 1] > 0.8
 
 
@@ -290,9 +315,9 @@ def test_a_varying_speed_and_a_switch_are_said_in_the_notes():
     swaying = replace(record, v=record.v * (1.0 + 0.2 * np.sin(record.t)))
     notes = create("wiener").estimate(swaying, DEFENDER).notes
     assert any("taken as driven at" in note for note in notes)
-    stiff = record.stiff.copy()
+    stiff = record.spring_stiff.copy()
     stiff[: record.t.size // 3] = True
-    notes = create("wiener").estimate(replace(record, stiff=stiff), DEFENDER).notes
+    notes = create("wiener").estimate(replace(record, spring_stiff=stiff), DEFENDER).notes
     assert any("mode that lasted longest" in note for note in notes)
 
 
@@ -322,13 +347,18 @@ def test_settings_are_checked():
 
 def test_a_stretch_holds_the_record_on_the_stations_of_the_grid():
     record, _ = drive(length=60.0)
-    (stretch,) = stretches(record, PAPER, 100.0, 40.0)
-    at = stretch.d * (stretch.first + np.arange(stretch.a.shape[1]))
-    assert stretch.stride == int(15.0 / 100.0 / GRID) and stretch.v == pytest.approx(15.0)
-    assert set(stretch.mode.values()) == {"ride"}
-    assert np.isin(np.round(grid(60.0) / GRID)[:: stretch.stride], np.round(at / GRID)).all()
-    seen = stretch.seen.all(axis=0)
-    assert seen[(at > record.s[0] + 0.2) & (at < record.s[-1] - 0.2)].all()
-    assert not seen[(at < record.s[0]) | (at > record.s[-1])].any()
-    slow = record.at(at[seen], record.a - record.a.mean(axis=1, keepdims=True))
-    assert np.corrcoef(slow[0], stretch.a[0, seen])[0, 1] > 0.9
+    (segment,) = split_segments(record, PAPER, 100.0, 40.0)
+    at = segment.spacing * (segment.first + np.arange(segment.a.shape[1]))
+    assert segment.stride == int(15.0 / 100.0 / PROFILE_SPACING) and segment.v == pytest.approx(
+        15.0
+    )
+    assert set(segment.mode.values()) == {"ride"}
+    assert np.isin(
+        np.round(profile_stations(60.0) / PROFILE_SPACING)[:: segment.stride],
+        np.round(at / PROFILE_SPACING),
+    ).all()
+    valid = segment.valid.all(axis=0)
+    assert valid[(at > record.s[0] + 0.2) & (at < record.s[-1] - 0.2)].all()
+    assert not valid[(at < record.s[0]) | (at > record.s[-1])].any()
+    slow = record.interpolate(at[valid], record.a - record.a.mean(axis=1, keepdims=True))
+    assert np.corrcoef(slow[0], segment.a[0, valid])[0, 1] > 0.9

@@ -24,8 +24,13 @@ from pathlib import Path
 
 import numpy as np
 
-from road_envs.roads.formats.opencrg import MAX_LENGTH, SurfaceFileError, content, heights
-from road_envs.roads.formats.table import Paths, numbers
+from road_envs.roads.formats.opencrg import (
+    MAX_LENGTH,
+    SurfaceFileError,
+    checked_heights,
+    read_bytes,
+)
+from road_envs.roads.formats.table import WheelPaths, parse_number_rows
 
 FLOAT, TEXT = 1, 5
 """Types of the numbers that are read."""
@@ -44,10 +49,10 @@ UNITS = {
 }
 """Metres in each unit of length."""
 
-SENSIBLE = (1e-9, 1e9)
+PLAUSIBLE_RANGE = (1e-9, 1e9)
 """Between these lies the size of nearly every number that was read in the right byte order."""
 
-MOST = 0.9
+MIN_PLAUSIBLE_SHARE = 0.9
 """A file with a smaller share of sensible numbers in either byte order is refused."""
 
 MAX_CHANNELS = 1000
@@ -59,19 +64,19 @@ class Header:
 
     channels: int
     samples: int
-    form: int
+    number_type: int
     step: float
     keywords: dict[str, str]
 
 
-def read(path: str | Path) -> Paths:
+def read(path: str | Path) -> WheelPaths:
     """Both wheel paths in the file `path`, the numbers perhaps in the ".bin" beside it."""
-    header, body = parse_header(content(path))
-    if header.form == FLOAT:
+    header, body = parse_header(read_bytes(path))
+    if header.number_type == FLOAT:
         beside = Path(path).with_suffix(".bin")
         if not beside.is_file():
             raise SurfaceFileError(f"its numbers should be in {beside.name}, which is missing")
-        body = content(beside)
+        body = read_bytes(beside)
     return parse_numbers(header, body)
 
 
@@ -84,24 +89,26 @@ def parse_header(data: bytes) -> tuple[Header, bytes]:
     if end is None:
         raise SurfaceFileError("damaged: the line END of the header is missing")
     lines = data[: end.start()].decode("latin-1").split("\n")
-    said = lines[1].split(",")
-    if len(said) < 6:
-        raise SurfaceFileError(f"damaged: its second line has {len(said)} numbers, wanted 6")
-    channels, samples, form = (_whole(said[k]) for k in (0, 1, 4))
+    fields = lines[1].split(",")
+    if len(fields) < 6:
+        raise SurfaceFileError(f"damaged: its second line has {len(fields)} numbers, wanted 6")
+    channels, samples, number_type = (_whole_number(fields[k]) for k in (0, 1, 4))
     if not 0 < channels <= MAX_CHANNELS:
         raise SurfaceFileError(f"damaged: {channels} channels")
-    if form not in (FLOAT, TEXT):
-        raise SurfaceFileError(f"numbers of type {form}; known: 1 (4-byte float) and 5 (text)")
+    if number_type not in (FLOAT, TEXT):
+        raise SurfaceFileError(
+            f"numbers of type {number_type}; known: 1 (4-byte float) and 5 (text)"
+        )
     keywords = _keywords(lines[2:])
-    step = _number(said[5]) * _metres(keywords.get("XUNITS", ""), "the step")
+    step = _number(fields[5]) * _metres(keywords.get("XUNITS", ""), "the step")
     if not 0.0 < step < MAX_LENGTH:
         raise SurfaceFileError(f"a step of {step:g} m")
-    return Header(channels, max(0, samples), form, step, keywords), data[end.end() :]
+    return Header(channels, max(0, samples), number_type, step, keywords), data[end.end() :]
 
 
-def parse_numbers(header: Header, body: bytes) -> Paths:
+def parse_numbers(header: Header, body: bytes) -> WheelPaths:
     """Both wheel paths from the bytes that hold the numbers."""
-    values = _text(body) if header.form == TEXT else _floats(body)
+    values = _text(body) if header.number_type == TEXT else _floats(body)
     samples, rest = divmod(values.size, header.channels)
     if rest or not samples or samples != (header.samples or samples):
         raise SurfaceFileError(
@@ -109,7 +116,7 @@ def parse_numbers(header: Header, body: bytes) -> Paths:
             f"samples of {header.channels} channels"
         )
     table = values.reshape(samples, header.channels)
-    z = [heights(table[:, k], scale) for k, scale in _left_and_right(header)]
+    z = [checked_heights(table[:, k], scale) for k, scale in _left_and_right(header)]
     return np.array(z), header.step, ()
 
 
@@ -117,23 +124,23 @@ def _text(body: bytes) -> np.ndarray:
     words = body.decode("latin-1").replace(",", " ").split()
     if not words:
         return np.empty(0)
-    return numbers(words, comments=None).ravel()
+    return parse_number_rows(words, comments=None).ravel()
 
 
 def _floats(body: bytes) -> np.ndarray:
     if len(body) % 4:
         raise SurfaceFileError(f"damaged: {len(body)} bytes are no whole number of 4-byte floats")
     both = [np.frombuffer(body, f"{order}f4") for order in "<>"]
-    shares = [_sensible(values) for values in both]
-    if max(shares) < MOST:
+    shares = [_plausible_share(values) for values in both]
+    if max(shares) < MIN_PLAUSIBLE_SHARE:
         raise SurfaceFileError("damaged: its numbers are not sensible in either byte order")
     return both[int(np.argmax(shares))].astype(float)
 
 
-def _sensible(values: np.ndarray) -> float:
+def _plausible_share(values: np.ndarray) -> float:
     """Share of `values` (N,) that are 0, missing or of a sensible size."""
     size = np.abs(values[(values != 0.0) & ~np.isnan(values)])
-    strange = (size < SENSIBLE[0]) | (size > SENSIBLE[1])
+    strange = (size < PLAUSIBLE_RANGE[0]) | (size > PLAUSIBLE_RANGE[1])
     return 1.0 - strange.sum() / max(1, values.size)
 
 
@@ -178,7 +185,7 @@ def _metres(unit: str, what: str) -> float:
     return UNITS[name]
 
 
-def _whole(text: str) -> int:
+def _whole_number(text: str) -> int:
     value = _number(text)
     if value != round(value):
         raise SurfaceFileError(f"damaged: {text.strip()!r} in its second line is no whole number")

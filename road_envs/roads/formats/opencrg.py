@@ -55,11 +55,11 @@ class CurvedGrid:
 
 def read_crg(path: str | Path) -> CurvedGrid:
     """The grid in a file. Raises SurfaceFileError naming file and reason."""
-    with about(path):
-        return parse(content(path))
+    with error_context(path):
+        return parse(read_bytes(path))
 
 
-def content(path: str | Path) -> bytes:
+def read_bytes(path: str | Path) -> bytes:
     """The bytes of a regular file."""
     if not Path(path).is_file():
         raise SurfaceFileError("no such file")
@@ -67,7 +67,7 @@ def content(path: str | Path) -> bytes:
 
 
 @contextmanager
-def about(path: str | Path) -> Iterator[None]:
+def error_context(path: str | Path) -> Iterator[None]:
     """Puts the name of the file before what goes wrong with it."""
     try:
         yield
@@ -87,10 +87,10 @@ def parse(data: bytes) -> CurvedGrid:
             raise SurfaceFileError(f"not an OpenCRG file: no ${name} block")
     road = _virtual_u(blocks["KD_DEFINITION"]) | _numbers(blocks["ROAD_CRG"], "ROAD_CRG")
     scale = _numbers(blocks.get("ROAD_CRG_MODS", []), "ROAD_CRG_MODS")
-    form, channels = _channels(blocks["KD_DEFINITION"])
+    data_format, channels = _channels(blocks["KD_DEFINITION"])
     sections, v = _sections(channels, road)
-    table = _table(payload, form, len(channels), _rows(road))
-    z = heights(table[:, sections], scale.get("scale_z_grid", 1.0))
+    table = _table(payload, data_format, len(channels), _rows(road))
+    z = checked_heights(table[:, sections], scale.get("scale_z_grid", 1.0))
     return CurvedGrid(
         z=z,
         u_start=road.get("reference_line_start_u", 0.0),
@@ -162,18 +162,18 @@ def _number(text: str, what: str) -> float:
 
 def _channels(lines: list[str]) -> tuple[str, list[tuple[str, str]]]:
     """Format of the payload, and (name, unit) of each of its channels."""
-    form, channels = "KRBI", []
+    data_format, channels = "KRBI", []
     for line in lines:
         if line.startswith("#:"):
-            form = line[2:].strip().upper()
+            data_format = line[2:].strip().upper()
         elif line.upper().startswith("D:"):
             name, _, unit = line[2:].partition(",")
             channels.append((" ".join(name.lower().split()), unit.split(",")[0].strip().lower()))
-    if form not in WIDTHS:
-        raise SurfaceFileError(f"unknown data format {form!r}; known: {', '.join(WIDTHS)}")
+    if data_format not in WIDTHS:
+        raise SurfaceFileError(f"unknown data format {data_format!r}; known: {', '.join(WIDTHS)}")
     if not channels:
         raise SurfaceFileError("$KD_DEFINITION defines no channel")
-    return form, channels
+    return data_format, channels
 
 
 def _sections(
@@ -247,10 +247,10 @@ def _rows(road: dict[str, float]) -> int | None:
     return round(steps) + 1
 
 
-def _table(payload: bytes, form: str, columns: int, rows: int | None) -> np.ndarray:
+def _table(payload: bytes, data_format: str, columns: int, rows: int | None) -> np.ndarray:
     """All channels (nu, columns)."""
-    read = _binary if form.startswith("K") else _text
-    table = read(payload, WIDTHS[form], columns, rows)
+    read = _binary if data_format.startswith("K") else _text
+    table = read(payload, WIDTHS[data_format], columns, rows)
     if len(table) < 2:
         raise SurfaceFileError(f"at least 2 rows of data are wanted, got {len(table)}")
     return table
@@ -309,7 +309,7 @@ def _fields(lines: list[bytes], count: int, width: int) -> np.ndarray:
         raise SurfaceFileError(f"damaged data: {error}") from None
 
 
-def heights(z: np.ndarray, scale: float = 1.0) -> np.ndarray:
+def checked_heights(z: np.ndarray, scale: float = 1.0) -> np.ndarray:
     """`scale` times `z` (any shape) [m], if those are heights of a road; NaN may be among them."""
     with np.errstate(all="ignore"):
         worst = np.nan_to_num(np.abs(scale * z), posinf=np.inf).max()

@@ -9,19 +9,20 @@ import re
 
 import numpy as np
 
-from road_envs.roads.formats.opencrg import MAX_LENGTH, SurfaceFileError, heights
+from road_envs._extras import optional_import
+from road_envs.roads.formats.opencrg import MAX_LENGTH, SurfaceFileError, checked_heights
 
-EVEN = 1e-3
+EVEN_TOLERANCE = 1e-3
 """Spacings that differ from their median by less than this share of it count as even."""
 
-MAX_UNPACKED = 100
+MAX_COMPRESSION = 100
 """A Parquet file that claims more bytes of numbers than this many times its own is refused."""
 
-Paths = tuple[np.ndarray, float, tuple[str, ...]]
+WheelPaths = tuple[np.ndarray, float, tuple[str, ...]]
 """Heights (2, N) [m] of the left and right wheel path, their spacing [m], and notes."""
 
 
-def parse_text(data: bytes) -> Paths:
+def parse_text(data: bytes) -> WheelPaths:
     """Both wheel paths from the bytes of a text file."""
     try:
         text = re.sub("[,;\t]", " ", data.decode("utf-8-sig"))
@@ -31,7 +32,7 @@ def parse_text(data: bytes) -> Paths:
     names = lines.pop(0).lower().split() if lines and not _is_number(lines[0].split()[0]) else []
     if not lines:
         raise SurfaceFileError("the table is empty")
-    table = numbers(lines)
+    table = parse_number_rows(lines)
     if table.shape[1] not in (2, 3):
         raise SurfaceFileError(
             f"wanted the columns distance, left, right, or distance, height, "
@@ -40,13 +41,14 @@ def parse_text(data: bytes) -> Paths:
     order = [1, -1]
     if len(names) == 3 and "right" in names[1] and "left" in names[2]:
         order = [2, 1]
-    return even(table[:, 0], heights(table[:, order].T))
+    return resample_evenly(table[:, 0], checked_heights(table[:, order].T))
 
 
-def parse_parquet(data: bytes) -> Paths:
+def parse_parquet(data: bytes) -> WheelPaths:
     """Both wheel paths from the bytes of a Parquet file."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
+    with optional_import("a table as CSV or Parquet"):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
 
     try:
         file = pq.ParquetFile(
@@ -57,7 +59,7 @@ def parse_parquet(data: bytes) -> Paths:
         )
         names = _columns(file.schema_arrow.names)
         rows = file.metadata.num_rows
-        if not 0 < 8 * len(names) * rows <= MAX_UNPACKED * len(data):
+        if not 0 < 8 * len(names) * rows <= MAX_COMPRESSION * len(data):
             raise SurfaceFileError(f"damaged: {rows} rows in {len(data)} bytes")
         table = file.read(columns=names, use_threads=False)
         columns = [table[name].to_numpy().astype(float) for name in names]
@@ -66,10 +68,10 @@ def parse_parquet(data: bytes) -> Paths:
     except (pa.ArrowException, OSError, ValueError, TypeError, OverflowError) as error:
         reason = " ".join(str(error).split())
         raise SurfaceFileError(f"no readable Parquet file: {reason}") from None
-    return even(columns[0], heights(np.array([columns[1], columns[-1]])))
+    return resample_evenly(columns[0], checked_heights(np.array([columns[1], columns[-1]])))
 
 
-def numbers(lines: list[str], comments: str | None = "#") -> np.ndarray:
+def parse_number_rows(lines: list[str], comments: str | None = "#") -> np.ndarray:
     """The numbers (M, K) on `lines` that have equally many each, up to a mark of `comments`."""
     try:
         return np.loadtxt(lines, ndmin=2, comments=comments)
@@ -77,7 +79,7 @@ def numbers(lines: list[str], comments: str | None = "#") -> np.ndarray:
         raise SurfaceFileError(f"not a table of numbers: {error}") from None
 
 
-def even(s: np.ndarray, z: np.ndarray) -> Paths:
+def resample_evenly(s: np.ndarray, z: np.ndarray) -> WheelPaths:
     """Wheel paths `z` (2, N) at the stations `s` (N,) [m] on an even grid."""
     if not (np.abs(s) < MAX_LENGTH).all():
         raise SurfaceFileError(f"a distance of {s[~(np.abs(s) < MAX_LENGTH)][0]:g} m")
@@ -87,7 +89,7 @@ def even(s: np.ndarray, z: np.ndarray) -> Paths:
     if s.size < 2:
         raise SurfaceFileError("at least 4 stations are wanted, got 1")
     ds = float(np.median(steps))
-    if (np.abs(steps - ds) < EVEN * ds).all():
+    if (np.abs(steps - ds) < EVEN_TOLERANCE * ds).all():
         return z, float((s[-1] - s[0]) / steps.size), ()
     size = float(s[-1] - s[0]) / ds + 1.0
     if size > 4.0 * s.size:

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from road_envs._atomic_io import whole
+from road_envs._atomic_io import atomic_write
+from road_envs._extras import optional_import
 from road_envs.config import ConfigError
 from road_envs.roads.formats.opencrg import RECORD, WIDTHS
 from road_envs.roads.surface import Surface
@@ -37,32 +38,37 @@ def write_csv(surface: Surface, path: str | Path) -> None:
         for s, left, right in zip(surface.s, *surface.z, strict=True)
     ]
     remarks = [f"# {line}" for line in _remarks(surface)]
-    with whole(path) as partial:
+    with atomic_write(path) as partial:
         text = "\n".join([*remarks, "distance,left,right", *rows, ""])
         partial.write_text(text, encoding="utf-8")
 
 
 def write_parquet(surface: Surface, path: str | Path) -> None:
     """Distance, left, right [m] to the last bit; name and notes go into the metadata."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
+    with optional_import("a table as CSV or Parquet"):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
 
     columns = dict(zip(("distance", "left", "right"), (surface.s, *surface.z), strict=True))
     about = json.dumps({"name": surface.name, "notes": surface.notes})
     table = pa.table(columns).replace_schema_metadata({"roadrecon surface": about})
-    with whole(path) as partial:
+    with atomic_write(path) as partial:
         pq.write_table(table, partial, write_page_checksum=True)
 
 
-def write_crg(surface: Surface, path: str | Path, form: str = "KDBI") -> None:
+def write_crg(surface: Surface, path: str | Path, data_format: str = "KDBI") -> None:
     """An OpenCRG file in one of its four formats: KDBI keeps every bit, KRBI 7 digits."""
-    if form not in WIDTHS:
-        raise ConfigError(f"unknown data format {form!r}; known: {', '.join(WIDTHS)}")
+    if data_format not in WIDTHS:
+        raise ConfigError(f"unknown data format {data_format!r}; known: {', '.join(WIDTHS)}")
     left, right = surface.z
     grid = np.array([right, right, left, left]).T
-    header = "\n".join([*_crg_header(surface, form), "$" * 72, ""]).encode("ascii", "replace")
-    with whole(path) as partial:
-        partial.write_bytes(header + (_binary if form.startswith("K") else _text)(grid, form))
+    header = "\n".join([*_crg_header(surface, data_format), "$" * 72, ""]).encode(
+        "ascii", "replace"
+    )
+    with atomic_write(path) as partial:
+        partial.write_bytes(
+            header + (_binary if data_format.startswith("K") else _text)(grid, data_format)
+        )
 
 
 def write_erd(surface: Surface, path: str | Path) -> None:
@@ -81,7 +87,7 @@ def write_erd(surface: Surface, path: str | Path) -> None:
         *(f"{left:.6f} {right:.6f}" for left, right in 1e3 * surface.z.T),
         "",
     ]
-    with whole(path) as partial:
+    with atomic_write(path) as partial:
         partial.write_text("\n".join(lines), encoding="ascii")
 
 
@@ -98,7 +104,7 @@ def _remarks(surface: Surface) -> list[str]:
     return [" ".join(line.split()) for line in (surface.name, *surface.notes)]
 
 
-def _crg_header(surface: Surface, form: str) -> list[str]:
+def _crg_header(surface: Surface, data_format: str) -> list[str]:
     quarter = 0.25 * TRACK
     remarks = [part for line in _remarks(surface) for part in textwrap.wrap(line, 70)]
     return [
@@ -114,23 +120,23 @@ def _crg_header(surface: Surface, form: str) -> list[str]:
         f"LONG_SECTION_V_INCREMENT = {2.0 * quarter!r}",
         "$",
         "$KD_DEFINITION",
-        f"#:{form}",
+        f"#:{data_format}",
         f"U:reference line u,m,{surface.start:.6f},{surface.ds:.6f}",
         *(f"D:long section {k},m" for k in (1, 2, 3, 4)),
         "$",
     ]
 
 
-def _binary(grid: np.ndarray, form: str) -> bytes:
+def _binary(grid: np.ndarray, data_format: str) -> bytes:
     """Big-endian floats, filled up with NaN to whole records."""
-    values = grid.astype(f">f{WIDTHS[form]}")
-    missing = -values.nbytes % RECORD // WIDTHS[form]
+    values = grid.astype(f">f{WIDTHS[data_format]}")
+    missing = -values.nbytes % RECORD // WIDTHS[data_format]
     return values.tobytes() + np.full(missing, np.nan, values.dtype).tobytes()
 
 
-def _text(grid: np.ndarray, form: str) -> bytes:
+def _text(grid: np.ndarray, data_format: str) -> bytes:
     """One record for each row, its numbers with as many decimals as their width has room for."""
-    width = WIDTHS[form]
+    width = WIDTHS[data_format]
     decimals = min(15, width - 3 - len(f"{np.abs(grid).max():.0f}"))
     record = "".join([f"{{:{width}.{decimals}f}}"] * grid.shape[1])
     return "".join(record.format(*row) + "\n" for row in grid.tolist()).encode("ascii")

@@ -26,7 +26,7 @@ class BoardTable {
     this.table = table;
     this.data = JSON.parse(document.getElementById(table.dataset.source).textContent);
     this.rows = [...table.tBodies[0].rows];
-    this.lines = new Map(this.data.lines.map((line) => [line.name, line]));
+    this.rowData = new Map(this.data.rows.map((row) => [row.name, row]));
     this.sorting = { key: null, down: false };
     table.querySelectorAll("button.sort").forEach((button) => {
       button.addEventListener("click", () => this.sortBy(button.dataset.key));
@@ -50,14 +50,14 @@ class BoardTable {
     this.group = known.includes(state.group) ? state.group : "";
     this.division = state.division || "";
     for (const row of this.rows) {
-      const line = this.lines.get(row.dataset.name);
+      const line = this.rowData.get(row.dataset.name);
       const wanted = (state.find || "").toLowerCase();
       const out =
         (this.division === "causal" && line.state === "scored" && !line.causal) ||
         (state.find && !line.name.toLowerCase().includes(wanted)) ||
-        (state.marks === "off" && line.state === "sentinel");
+        (state.baselines === "off" && line.state === "baseline");
       row.hidden = Boolean(out);
-      if (!line.text) this.fill(row, line);
+      if (!line.message) this.fill(row, line);
     }
     this.table.classList.toggle("all", state.columns === "all");
     this.order();
@@ -67,9 +67,9 @@ class BoardTable {
     for (const cell of row.querySelectorAll("td[data-key]")) {
       const column = this.data.columns[cell.dataset.key];
       if (cell.dataset.key === "interval") this.drawInterval(cell, line);
-      else if (column.form) {
+      else if (column.format) {
         const value = this.value(line, cell.dataset.key);
-        cell.textContent = value === null && line.sparse ? "" : printed(value, column.form);
+        cell.textContent = value === null && line.sparse ? "" : printed(value, column.format);
       }
       else if (this.group) cell.textContent = ""; // told of all runs together only
       else cell.textContent = line.cells[cell.dataset.key] ?? "";
@@ -78,7 +78,7 @@ class BoardTable {
 
   drawInterval(cell, line) {
     const [low, high] = ["low", "high"].map((key) => this.value(line, key));
-    const form = this.data.columns[this.data.ranks_by].form;
+    const form = this.data.columns[this.data.ranks_by].format;
     cell.replaceChildren();
     if (low === null || high === null) return;
     const at = [low, high].map((x) => (100 * Math.min(x, this.data.scale)) / this.data.scale);
@@ -103,10 +103,10 @@ class BoardTable {
   order() {
     const { key, down } = this.sorting;
     const by = key ?? this.data.ranks_by;
-    const groupOf = { claim: 0, scored: 1, sentinel: key ? 1 : 2, failed: 3, stale: 4 };
+    const groupOf = { claim: 0, scored: 1, baseline: key ? 1 : 2, failed: 3, stale: 4 };
     const place = (row) => {
-      const line = this.lines.get(row.dataset.name);
-      const value = key === "name" ? line.name : line.text ? null : this.value(line, by);
+      const line = this.rowData.get(row.dataset.name);
+      const value = key === "name" ? line.name : line.message ? null : this.value(line, by);
       return { group: groupOf[line.state], value };
     };
     const sign = down ? -1 : 1;
@@ -129,7 +129,7 @@ function startBoards() {
   const form = document.getElementById("filters");
   const state = readState();
   if (form) {
-    const names = ["board", "division", "group", "find", "columns", "marks"];
+    const names = ["board", "division", "group", "find", "columns", "baselines"];
     fillGroups(form.elements.group, tables);
     for (const name of names) {
       const field = form.elements[name];

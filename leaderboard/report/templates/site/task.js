@@ -14,10 +14,10 @@ function stations(size, ds, first) {
 }
 
 function startTask() {
-  const source = document.getElementById("drawn");
+  const source = document.getElementById("chart-data");
   if (!source) return;
   const task = JSON.parse(source.textContent);
-  const form = document.getElementById("drawing");
+  const form = document.getElementById("chart-options");
   const style = Object.fromEntries(
     task.entries.map((name, k) => [name, { colour: `var(--line-${k % COLOURS})`, dash: 1 + k }])
   );
@@ -92,9 +92,9 @@ function startTask() {
     const lines = task.entries.filter((name) => task.spectrum[name]).map((name) => ({
       name, ...style[name], x: task.thirds, y: task.spectrum[name][label] ?? task.spectrum[name][""],
     }));
-    const bound = task.scenes[label].bound;
+    const bound = task.conditions[label].bound;
     if (bound) lines.unshift({ name: "bound", colour: "currentColor", dash: 2, x: task.thirds, y: bound });
-    error.set(lines, { uprights: task.scenes[label].band });
+    error.set(lines, { uprights: task.conditions[label].band });
   }
 
   function drawRuns() {
@@ -109,8 +109,8 @@ function startTask() {
 
   function draw() {
     const label = form.elements.condition.value;
-    const scene = task.scenes[label];
-    document.getElementById("scene").textContent = scene.said;
+    const scene = task.conditions[label];
+    document.getElementById("caption").textContent = scene.caption;
     drawRoad(scene, Number(form.elements.side.value));
     drawDensity(scene);
     drawError(label);

@@ -1,0 +1,187 @@
+"""Digests of source code that change when the code does, and not with its comments or docstrings.
+
+A file counts by its syntax tree without docstrings. Which files belong together is found by
+following import statements. Both are remembered by the content of the file, so that a process
+that finds nothing changed parses nothing.
+"""
+
+import ast
+import hashlib
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[1]
+"""Folder that holds the packages of this project."""
+
+PACKAGES = ("road_envs", "estimators", "leaderboard")
+
+DIGITS = 16
+"""Hex digits of a digest."""
+
+LARGEST_MEMORY = 4000
+"""Most files that are remembered from one process to the next."""
+
+
+class Source(NamedTuple):
+    """One Python file: digest of its code, and what it imports of this project.
+
+    `imports` holds "a" for `import a` and "a:b" for `from a import b`.
+    """
+
+    digest: str
+    imports: tuple[str, ...]
+
+    def files(self, root: Path) -> list[Path]:
+        """Files that it imports: of "a:b" the module a.b, or a where b is none."""
+        found = []
+        for name in self.imports:
+            module, _, inner = name.partition(":")
+            path = inner and find_source(f"{module}.{inner}", root)
+            found.append(path or find_source(module, root))
+        return [path for path in found if path]
+
+
+def cache_home() -> Path:
+    """Folder for what can be computed again: XDG_CACHE_HOME, ~/.cache or the temporary folder."""
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    try:
+        home.mkdir(parents=True, exist_ok=True)
+        usable = os.access(home, os.W_OK)
+    except OSError:
+        usable = False
+    return (home if usable else Path(tempfile.gettempdir())) / "roadrecon"
+
+
+def code_digest(text: bytes) -> str:
+    """Digest of Python source without docstrings, comments and layout.
+
+    Raises SyntaxError if the text is no Python.
+    """
+    tree = ast.parse(text)
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            node.body = [s for s in body if not _is_text(s)] or [ast.Pass()]  # type: ignore[attr-defined]
+    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:DIGITS]
+
+
+@cache
+def closure(module: str, root: Path = ROOT) -> tuple[Path, ...]:
+    """Return the files of this project that `module` reaches by imports, its own first."""
+    found: dict[Path, None] = {}
+    front = [path] if (path := find_source(module, root)) else []
+    while front:
+        path = front.pop()
+        if path not in found:
+            found[path] = None
+            front += _source(path).files(root)
+    _save_memory()
+    return tuple(found)
+
+
+def importers(folder: Path, module: str) -> list[Path]:
+    """Return the files below `folder` that import something from `module`."""
+    return [
+        path
+        for path in sorted(folder.rglob("*.py"))
+        if any(name.partition(":")[0] == module for name in _source(path).imports)
+    ]
+
+
+def digest(paths: Iterable[Path], root: Path = ROOT) -> str:
+    """Return a digest of names and contents of files, in any order of `paths`.
+
+    Python files count by their code, others by every byte.
+    """
+    total = hashlib.sha256()
+    for path in sorted(set(paths)):
+        name = path.relative_to(root) if path.is_relative_to(root) else Path(path.name)
+        if path.suffix == ".py":
+            content = _source(path).digest
+        else:
+            content = hashlib.sha256(path.read_bytes()).hexdigest()
+        total.update(f"{name.as_posix()} {content}\n".encode())
+    _save_memory()
+    return total.hexdigest()[:DIGITS]
+
+
+def find_source(module: str, root: Path = ROOT) -> Path | None:
+    """Return the file of a module of this project; None for any other module."""
+    if module.partition(".")[0] not in PACKAGES:
+        return None
+    path = root.joinpath(*module.split("."))
+    choices = (path.with_suffix(".py"), path / "__init__.py")
+    return next((choice for choice in choices if choice.is_file()), None)
+
+
+def _is_text(statement: ast.AST) -> bool:
+    """Whether a statement is a bare string: a docstring of a module, class, function or name."""
+    return (
+        isinstance(statement, ast.Expr)
+        and isinstance(statement.value, ast.Constant)
+        and isinstance(statement.value.value, str)
+    )
+
+
+def _source(path: Path) -> Source:
+    """Digest and imports of a file, parsed only if its content was never met before."""
+    text = path.read_bytes()
+    key = hashlib.sha256(text).hexdigest()
+    known = _memory()
+    if key not in known:
+        try:
+            known[key] = Source(code_digest(text), _imports(text))
+        except SyntaxError:  # in somebody else's package; it counts by every byte
+            known[key] = Source(key[:DIGITS], ())
+        _parsed.append(key)
+    return known[key]
+
+
+def _imports(text: bytes) -> tuple[str, ...]:
+    """Import statements of this project's packages, wherever they stand, as `Source` has them."""
+    names: dict[str, None] = {}
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            names.update(dict.fromkeys(alias.name for alias in node.names))
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names.update(dict.fromkeys(f"{node.module}:{alias.name}" for alias in node.names))
+    return tuple(name for name in names if name.partition(":")[0].partition(".")[0] in PACKAGES)
+
+
+_parsed: list[str] = []
+"""Contents that this process has parsed and not saved."""
+
+
+def _memory_file() -> Path:
+    return cache_home() / f"sources-{sys.version_info[0]}{sys.version_info[1]}.json"
+
+
+@cache
+def _memory() -> dict[str, Source]:
+    try:
+        stored = json.loads(_memory_file().read_text(encoding="utf-8"))
+        return {key: Source(value[0], tuple(value[1])) for key, value in stored.items()}
+    except (OSError, ValueError, TypeError, AttributeError, IndexError, KeyError):
+        return {}  # none there, or a damaged one: it is made again
+
+
+def _save_memory() -> None:
+    """Write what was parsed, whole or not at all; where that fails it is parsed again next time."""
+    if not _parsed:
+        return
+    _parsed.clear()
+    path = _memory_file()
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    entries = dict(list(_memory().items())[-LARGEST_MEMORY:])
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_text(json.dumps(entries), encoding="utf-8")
+        partial.replace(path)
+    except OSError:
+        partial.unlink(missing_ok=True)

@@ -1,0 +1,49 @@
+"""Entry point of the command `road-recon`.
+
+It stands in `road_envs`, the one of our package names that a user's own folder is unlikely to have,
+so that a clash of the other two can be reported instead of failing inside an import.
+"""
+
+import importlib
+import importlib.util
+import sys
+from pathlib import Path
+
+from road_envs._extras import missing_extra
+
+SIBLINGS = ("estimators", "leaderboard")
+
+
+def foreign_package() -> str | None:
+    """Return one sentence on a folder or module that hides one of our packages; None if none does."""
+    root = Path(__file__).parents[1]
+    for name in SIBLINGS:
+        spec = importlib.util.find_spec(name)
+        places = (
+            [Path(p) for p in (spec.submodule_search_locations or [spec.origin])] if spec else []
+        )
+        if places and root / name not in places:
+            return (
+                f"{places[0]} hides the package {name!r} of road-envs: rename it, or run the command "
+                "from a folder that is not on PYTHONPATH beside it"
+            )
+    return None
+
+
+def main() -> None:
+    """Run the command line; exit with status 2 and one sentence if it cannot start."""
+    problem = foreign_package()
+    if problem is None:
+        try:
+            run = importlib.import_module("leaderboard.cli").main
+        except ModuleNotFoundError as error:
+            problem = missing_extra(error, "the command line")
+        else:
+            run()
+            return
+    sys.stderr.write(f"error: {problem}\n")
+    raise SystemExit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,42 @@
+"""Optional dependencies: which extra of the distribution brings them, and a clear error without."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+DISTRIBUTION = "road-envs"
+
+EXTRAS = {
+    "learn": ("torch", "stable_baselines3", "safetensors", "threadpoolctl"),
+    "board": ("typer", "rich", "jinja2", "matplotlib", "pyarrow", "pandas"),
+    "render": ("PIL",),
+    "dask": ("distributed",),
+}
+"""Top-level modules of other packages, by the extra that brings them."""
+
+
+class MissingExtraError(ImportError):
+    """An optional package is not installed; the message says what to install."""
+
+
+@contextmanager
+def optional_import(purpose: str) -> Iterator[None]:
+    """Turn a failed import inside the block into one sentence that names the extra.
+
+    `purpose` completes "... needs". Raises MissingExtraError.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(missing_extra(error, purpose)) from error
+
+
+def missing_extra(error: ModuleNotFoundError, purpose: str) -> str:
+    """Return one sentence on what is missing for `purpose` and how to install it."""
+    module = (error.name or "").partition(".")[0]
+    extra = next((name for name, modules in EXTRAS.items() if module in modules), None)
+    if extra is None:
+        return f"{purpose} needs the package {module!r}, which is not installed"
+    return (
+        f"{purpose} needs the extra {extra!r} (no module named {module!r}): "
+        f"pip install '{DISTRIBUTION}[{extra}]'"
+    )

@@ -1,0 +1,110 @@
+"""What a road is, and how one is loaded from a name, a path or a mapping.
+
+The table KINDS is empty here and filled by `road_envs.roads`: composite roads hold other roads of
+any kind, so their module needs the loader, while the table needs their classes.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Protocol, runtime_checkable
+
+import numpy as np
+from pydantic import PlainValidator
+
+from road_envs.config import ConfigError, build, find, read_yaml, validate_choice
+from road_envs.roads.measured import SURFACE_SUFFIXES, Measured
+from road_envs.roads.surface import Surface
+
+KINDS: dict[str, type] = {}
+"""Classes of roads by the `kind` of their configuration."""
+
+
+@runtime_checkable
+class Road(Protocol):
+    """A frozen description of a road, from station 0 to `length` [m], that can be realised."""
+
+    @property
+    def length(self) -> float: ...
+
+    def realise(self, rng: np.random.Generator) -> Surface:
+        """Draw one surface; same road and same generator state, same surface."""
+        ...
+
+
+@runtime_checkable
+class Resizable(Protocol):
+    """A road whose length follows from that of another road, and that can be given another one."""
+
+    def with_length(self, length: float) -> Road:
+        """The same road with another length [m]."""
+        ...
+
+
+def load_road(source: str | Path | Mapping[str, Any]) -> Road:
+    """A road from a shipped name ("iso_d"), a YAML path, a surface file or a mapping.
+
+    A mapping has `kind` and the settings of that kind, or `name` of a shipped road and perhaps
+    another `length`. Raises ConfigError.
+    """
+    if isinstance(source, Mapping):
+        return _from_mapping(source, "")
+    if not isinstance(source, str | Path):
+        raise ConfigError(f"a road is a name, a path or a mapping, got {source!r}")
+    if Path(source).suffix.lower() in SURFACE_SUFFIXES:
+        return Measured(path=str(source))
+    path = find("roads", source)
+    return _from_mapping(_resolve_paths(read_yaml(path), path.parent), str(path))
+
+
+def with_length(road: Road, length: float) -> Road:
+    """The same road with another length [m]; reaches into a road that is made of one other."""
+    if isinstance(length, bool) or not isinstance(length, int | float):
+        raise ConfigError(f"length must be a number, got {length!r}")
+    if isinstance(road, Resizable):
+        return road.with_length(length)
+    settings: Any = road
+    if "length" not in {f.name for f in dataclasses.fields(settings)}:
+        raise ConfigError(f"the length of a {_kind_of(road)} road follows from its other settings")
+    try:
+        return dataclasses.replace(settings, length=float(length))
+    except ConfigError:
+        raise
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+
+
+def _from_mapping(data: Mapping[str, Any], where: str) -> Road:
+    settings = dict(data)
+    if "name" in settings and "kind" not in settings:
+        return _load_named(settings, where)
+    if "kind" not in settings:
+        raise ConfigError(f"{where or 'road'}: missing kind; known: {', '.join(KINDS)}")
+    kind = validate_choice("kind of road", settings.pop("kind"), KINDS)
+    return build(KINDS[kind], settings, where or kind)
+
+
+def _resolve_paths(data: Any, folder: Path) -> Any:
+    """Settings in which the paths of surface files are relative to `folder` no longer."""
+    if isinstance(data, list):
+        return [_resolve_paths(value, folder) for value in data]
+    if not isinstance(data, dict):
+        return data
+    inner = {key: _resolve_paths(value, folder) for key, value in data.items()}
+    if data.get("kind") == "measured" and isinstance(data.get("path"), str):
+        inner["path"] = str(folder / data["path"])
+    return inner
+
+
+def _load_named(settings: dict[str, Any], where: str) -> Road:
+    if extra := settings.keys() - {"name", "length"}:
+        raise ConfigError(f"{where or 'road'}: unknown {sorted(extra)} beside name; known: length")
+    road = load_road(settings["name"])
+    return with_length(road, settings["length"]) if "length" in settings else road
+
+
+def _kind_of(road: Road) -> str:
+    return next((kind for kind, cls in KINDS.items() if type(road) is cls), type(road).__name__)
+
+
+AnyRoad = Annotated[Road, PlainValidator(load_road), "", "a road: shipped name, path or mapping"]
