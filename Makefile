@@ -6,13 +6,13 @@ READY := $(VENV)/.ready
 .PHONY: leaderboard policies test lint bench mutants clean
 
 leaderboard: $(READY)
-	$(VENV)/bin/roadrecon leaderboard --board paper --board new_road --roads 2 --seeds 2 \
+	$(VENV)/bin/road-recon leaderboard --board paper --board new_road --roads 2 --seeds 2 \
 		--without kalman --without kalman_rts --without gru --without gru_causal \
 		--out out/leaderboard
-	$(VENV)/bin/roadrecon policies --quick --out out/leaderboard
+	$(VENV)/bin/road-recon policies --quick --out out/leaderboard
 
 policies: $(READY)
-	$(VENV)/bin/roadrecon policies --scenarios league --sweep --out out/policies
+	$(VENV)/bin/road-recon policies --scenarios league --sweep --out out/policies
 
 test: lint
 	$(VENV)/bin/pytest
@@ -24,7 +24,7 @@ lint: $(READY)
 	$(VENV)/bin/lint-imports
 
 bench: $(READY)
-	$(VENV)/bin/roadrecon bench
+	$(VENV)/bin/road-recon bench
 
 mutants: $(READY)
 	$(VENV)/bin/python tests/mutants.py

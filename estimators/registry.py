@@ -3,7 +3,7 @@
 To add one here: write a file beside this one, import it below, add its line, run `pytest`. To add
 one from another package, declare it there as an entry point, and it appears as `my_estimator`:
 
-    [project.entry-points."roadrecon.estimators"]
+    [project.entry-points."road_envs.estimators"]
     my_estimator = "my_package.my_module:MyEstimator"
 """
 
@@ -29,7 +29,7 @@ from estimators.wiener.iterated_wiener import IteratedWiener
 from estimators.wiener.wiener import Wiener
 from road_envs.config import ConfigError, build, validate_choice
 
-ENTRY_POINT_GROUP = "roadrecon.estimators"
+ENTRY_POINT_GROUP = "road_envs.estimators"
 """Entry-point group under which other packages offer estimators."""
 
 REGISTRY: dict[str, type[Estimator]] = {
@@ -97,7 +97,7 @@ def find(name: str) -> type[Estimator]:
 
 
 def without_weights() -> list[str]:
-    """Estimators that are taught by `roadrecon train` and whose weights do not come with the
+    """Estimators that are taught by `road-recon train` and whose weights do not come with the
     package: to be judged they would have to be taught anew, which takes half an hour each.
     """
     return [

@@ -11,7 +11,6 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import fields
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,6 +19,7 @@ import numpy as np
 from estimators import pretrained_weights
 from estimators.api import Estimator, Trainable
 from estimators.registry import available, create
+from road_envs import __version__
 from road_envs._atomic_io import atomic_write
 
 FORMAT = "roadrecon estimator 1"
@@ -42,7 +42,7 @@ def save(estimator: Estimator, path: str | Path, metadata: Mapping[str, str] | N
         raise StorageError(f"{kind.__name__} is no registered estimator")
     header = {
         "format": FORMAT,
-        "version": version("roadrecon"),
+        "version": __version__,
         "name": name,
         "settings": {f.name: getattr(estimator, f.name) for f in fields(kind) if f.init},
     }

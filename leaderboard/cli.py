@@ -1,4 +1,4 @@
-"""The command `roadrecon`: its subcommands, and how an error is said.
+"""The command `road-recon`: its subcommands, and how an error is said.
 
 Bad input ends with one sentence on standard error and exit code 2; `--debug` adds the traceback.
 """
@@ -70,7 +70,7 @@ def _options(
 def main() -> None:
     """Run the command line; the entry point of the package."""
     try:
-        app(prog_name="roadrecon")
+        app(prog_name="road-recon")
     except INPUT_ERRORS as error:
         if "--debug" in sys.argv:
             raise

@@ -55,7 +55,7 @@ def cache_home() -> Path:
         usable = os.access(home, os.W_OK)
     except OSError:
         usable = False
-    return (home if usable else Path(tempfile.gettempdir())) / "roadrecon"
+    return (home if usable else Path(tempfile.gettempdir())) / "road-recon"
 
 
 def code_digest(text: bytes) -> str:

@@ -15,7 +15,7 @@ SIBLINGS = ("estimators", "leaderboard")
 
 
 def foreign_package() -> str | None:
-    """Return one sentence on a folder or module that hides one of our packages; None if none does."""
+    """Return one sentence on a folder that hides one of our packages; None if none does."""
     root = Path(__file__).parents[1]
     for name in SIBLINGS:
         spec = importlib.util.find_spec(name)
@@ -24,8 +24,8 @@ def foreign_package() -> str | None:
         )
         if places and root / name not in places:
             return (
-                f"{places[0]} hides the package {name!r} of road-envs: rename it, or run the command "
-                "from a folder that is not on PYTHONPATH beside it"
+                f"{places[0]} hides the package {name!r} of road-envs: "
+                "rename it, or take its folder off PYTHONPATH"
             )
     return None
 

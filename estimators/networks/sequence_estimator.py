@@ -1,6 +1,6 @@
 """What an estimator is that answers by a sequence network: `tcn`, `gru` and their causal twins.
 
-It comes with weights that `roadrecon train NAME` makes from a corpus of simulated drives; `fit`
+It comes with weights that `road-recon train NAME` makes from a corpus of simulated drives; `fit`
 makes others from the drives it is given, without those. An estimator with other settings than the
 shipped weights have, or with `shipped` false, has to be fitted before it can answer.
 """

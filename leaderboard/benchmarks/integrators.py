@@ -102,7 +102,7 @@ class IntegrationProblem:
             from sksundae.cvode import CVODE
         except ImportError:
             raise PeerError(
-                "scikit-sundae is not installed (pip install roadrecon[peers])"
+                "scikit-sundae is not installed (pip install road-envs[peers])"
             ) from None
         rate, slope = self._rate_and_jacobian()
 

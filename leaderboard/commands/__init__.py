@@ -1,4 +1,4 @@
-"""The subcommands of `roadrecon`, and what they share: option parsing, progress, output."""
+"""The subcommands of `road-recon`, and what they share: option parsing, progress, output."""
 
 import contextlib
 import json

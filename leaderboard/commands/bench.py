@@ -41,7 +41,7 @@ def bench(json: Json = False) -> None:
     if json:
         print_json(rows)
         return
-    table = Table("what", "measured", "aim", "", title="roadrecon bench", box=None)
+    table = Table("what", "measured", "aim", "", title="road-recon bench", box=None)
     for found in rows:
         verdict = {True: "met", False: "MISSED", None: ""}[found["met"]]
         table.add_row(found["what"], found["measured"], found["aim"], verdict)

@@ -23,9 +23,9 @@ def paper(
     with progress_bar() as progress:
         made = study.run_study(trainings, progress=progress)
         progress("writing the report", 1.0)
-        written = report.write_report(made, out, f"roadrecon paper --trainings {trainings}")
+        written = report.write_report(made, out, f"road-recon paper --trainings {trainings}")
     if json:
-        print_json(report.numbers(made, f"roadrecon paper --trainings {trainings}"))
+        print_json(report.numbers(made, f"road-recon paper --trainings {trainings}"))
         return
     for sentence in published_figures.key_findings(made):
         console.print(f"- {sentence}")

@@ -118,7 +118,7 @@ def tune_policy(
     check_output_path(out, ".yaml", ".yml")
     with progress_bar() as progress:
         best = grid_search.tune(name, load_scenarios(scenarios), progress)
-    command = f"roadrecon tune-policy {name} --scenarios {scenarios}"
+    command = f"road-recon tune-policy {name} --scenarios {scenarios}"
     if out:
         write_text(out, grid_search.as_yaml(best, command))
     for row in best.trials:

@@ -202,7 +202,7 @@ def _pretrain(
 
 def command_line() -> str:
     """The command as it was typed, without the folder of the program."""
-    return shlex.join(["roadrecon", *sys.argv[1:]])
+    return shlex.join(["road-recon", *sys.argv[1:]])
 
 
 def realise_road(road: str, length: float | None, seed: int) -> Surface:

@@ -23,12 +23,12 @@ version = "0.1.0"
 description = "An estimator for RoadRecon"
 readme = "README.md"
 requires-python = ">=3.11"
-dependencies = ["roadrecon"]
+dependencies = ["road-envs[board]"]
 
 [project.optional-dependencies]
 test = ["pytest>=8"]
 
-[project.entry-points."roadrecon.estimators"]
+[project.entry-points."road_envs.estimators"]
 {name} = "{module}.estimator:{cls}"
 
 [tool.hatch.build.targets.wheel]
@@ -134,14 +134,14 @@ An estimator of road profiles for RoadRecon, called `{name}`.
 
     pip install --editable ".[test]"
     python -m pytest
-    roadrecon check-estimator {name}
-    roadrecon leaderboard --task new_road --estimator {name} --roads 2
+    road-recon check-estimator {name}
+    road-recon leaderboard --task new_road --estimator {name} --roads 2
 
 The estimator stands in `{module}/estimator.py`: a frozen dataclass of settings with a method
 `estimate(record, car)` that returns heights of both wheel paths at the stations
 `profile_stations(record.length)`. One that is trained has `fit`, `weights` and
 `with_weights` too; `estimators/api.py` documents them.
-`pyproject.toml` registers it under the entry-point group `roadrecon.estimators`.
+`pyproject.toml` registers it under the entry-point group `road_envs.estimators`.
 """
 
 
@@ -160,7 +160,7 @@ def write_package(name: str, folder: Path) -> list[Path]:
         raise ConfigError(f"the name {name!r} is taken by an estimator that is installed")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ConfigError(f"{folder} is in use; a new or empty folder is wanted")
-    module = f"roadrecon_{name}"
+    module = f"road_recon_{name}"
     words = {
         "name": name,
         "module": module,

@@ -8,16 +8,15 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
+import road_envs
+
 PACKAGES = ("road_envs", "estimators", "leaderboard")
 LIBRARIES = ("numpy", "scipy", "numba", "torch")
 
 
 def package_version() -> str:
-    """Version of the installed package; "unknown" when it runs from a bare checkout."""
-    try:
-        return metadata.version("roadrecon")
-    except metadata.PackageNotFoundError:
-        return "unknown"
+    """Return the version of road-envs."""
+    return road_envs.__version__
 
 
 @cache

@@ -125,7 +125,7 @@ def _write_pdf(study: Study, drawn: Sequence[DrawnFigure], path: Path, command: 
         from matplotlib.backends.backend_pdf import PdfPages
 
     buffer = io.BytesIO()
-    about = {"Title": TITLE, "Creator": f"roadrecon {package_version()}", "CreationDate": None}
+    about = {"Title": TITLE, "Creator": f"road-envs {package_version()}", "CreationDate": None}
     with PdfPages(buffer, metadata=about) as pages:
         for page in _text_pages(study, command):
             pages.savefig(page)
@@ -350,7 +350,7 @@ def _provenance(study: Study, command: str) -> list[tuple[str, str]]:
             "Versions",
             ", ".join(
                 f"{k} {v}"
-                for k, v in {"roadrecon": package_version(), **describe_environment()}.items()
+                for k, v in {"road-envs": package_version(), **describe_environment()}.items()
             ),
         ),
         (

@@ -3,7 +3,7 @@
 <out>/export/<board>.csv    every score of every line, over all runs and over each group
 <out>/export/<board>.json   the same, with notes
 <out>/export/<board>.tex    the table of the page, for the package booktabs
-<out>/export/roadrecon.bib  how to cite this project and the paper
+<out>/export/road_recon.bib  how to cite this project and the paper
 """
 
 import csv
@@ -23,7 +23,7 @@ ROW_FIELDS = ("board", "task", "group", "estimator", "state", "causal", "text")
 SCORE_FIELDS = ("rank", "rank_causal", "low", "high", *SCORES)
 GRADE_FIELDS = ("grade_S0", "grade_S1", "grade_S2", "grade_S3", "slope", "slope_low", "slope_high")
 COST_FIELDS = ("train_seconds", "estimate_ms_per_100m", "parameters")
-BIBLIOGRAPHY = """@software{{roadrecon,
+BIBLIOGRAPHY = """@software{{road_recon,
   title = {{RoadRecon: road profile reconstruction from vehicle responses, an honest benchmark}},
   version = {{{version}}},
   note = {{results of board {boards}}},
@@ -44,7 +44,7 @@ LATEX_ESCAPES = str.maketrans(
 
 def write_exports(views: Sequence[BoardView], out: Path) -> list[Path]:
     """Write all of them, each whole or not at all."""
-    texts = {"roadrecon.bib": as_bibtex(views)}
+    texts = {"road_recon.bib": as_bibtex(views)}
     for view in views:
         texts[f"{view.board}.csv"] = as_csv(view)
         texts[f"{view.board}.json"] = json.dumps(as_json([view]), indent=1) + "\n"

@@ -212,7 +212,7 @@ def result_provenance(board: Board, task: Task, result: Result) -> list[tuple[st
         "file": f"results/{result.task}/{result.estimator}.json",
         "task": f"version {task.version}, digest {result.task_digest}",
         "state": board.stale_reason(task, result) or "fresh",
-        "package": f"roadrecon {result.package_version}, metrics {result.metric_version}",
+        "package": f"road-envs {result.package_version}, metrics {result.metric_version}",
         "training seeds": ", ".join(map(str, result.seeds)),
         "settings": json.dumps(result.settings) if result.settings else "none",
     }
@@ -220,7 +220,7 @@ def result_provenance(board: Board, task: Task, result: Result) -> list[tuple[st
 
 
 def _machine(result: Result) -> str:
-    versions = {"roadrecon": result.package_version, "metrics": result.metric_version}
+    versions = {"road-envs": result.package_version, "metrics": result.metric_version}
     return ", ".join(f"{name} {value}" for name, value in (versions | result.environment).items())
 
 

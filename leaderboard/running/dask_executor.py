@@ -32,7 +32,7 @@ class DaskExecutor:
                 from distributed import Client
         except ImportError:
             raise ConfigError(
-                "Dask is not installed; it comes with the extra: pip install 'roadrecon[dask]'"
+                "Dask is not installed; it comes with the extra: pip install 'road-envs[dask]'"
             ) from None
         try:
             self._client = Client(address, timeout=SCHEDULER_TIMEOUT, set_as_default=False)

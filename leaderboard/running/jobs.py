@@ -1,7 +1,7 @@
 """A job: some entries on one condition of one task; from a file with all that it depends on to
 results in the store. It can be run anywhere, any number of times, in any order.
 
-    roadrecon run-job spec.json --out FOLDER
+    road-recon run-job spec.json --out FOLDER
 
 The process that runs it is the judge: it drives, keeps the truth, has every entry run in a process
 of its own, scores, and writes what came of it. On standard output it says what it has done, one

@@ -4,7 +4,7 @@ To add one here: write a file beside this one and put its line into REGISTRY; se
 tuned go into configs/policies/<name>.yaml. To add one from another package, declare it there as an
 entry point, and it appears as `my_policy`:
 
-    [project.entry-points."roadrecon.policies"]
+    [project.entry-points."road_envs.policies"]
     my_policy = "my_package.my_module:MyPolicy"
 """
 
@@ -33,7 +33,7 @@ from road_envs.policies.skyhook import Skyhook
 
 __all__ = ["REGISTRY", "Policy", "PolicyContext", "PolicyError", "available", "create"]
 
-ENTRY_POINT_GROUP = "roadrecon.policies"
+ENTRY_POINT_GROUP = "road_envs.policies"
 """Entry-point group under which other packages offer policies."""
 
 REGISTRY: dict[str, type[Policy]] = {

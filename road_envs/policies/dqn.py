@@ -1,6 +1,6 @@
 """Deep Q-learning (Mnih et al., Nature 518, 2015): a network trained before.
 
-`roadrecon train-policy` makes such files; `training.py` says how.
+`road-recon train-policy` makes such files; `training.py` says how.
 """
 
 from dataclasses import dataclass

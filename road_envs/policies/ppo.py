@@ -1,6 +1,6 @@
 """Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347): a network trained before.
 
-`roadrecon train-policy` makes such files; `training.py` says how.
+`road-recon train-policy` makes such files; `training.py` says how.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """Learned sensing: as `ppo`, but taught with a price on the variance left unknown of the road.
 
-`roadrecon train-policy` makes such files; `training.py` says how.
+`road-recon train-policy` makes such files; `training.py` says how.
 """
 
 from dataclasses import dataclass

@@ -9,7 +9,7 @@ from gymnasium.error import DependencyNotInstalled
 try:
     from PIL import Image, ImageDraw, ImageFont
 except ImportError as error:
-    raise DependencyNotInstalled("pillow is not installed, run `pip install pillow`") from error
+    raise DependencyNotInstalled("run `pip install 'road-envs[render]'`") from error
 
 SMOOTHING = 3
 """Everything but text is drawn this many times too large, then averaged."""

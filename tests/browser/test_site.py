@@ -342,7 +342,7 @@ def test_the_exports_hold_the_same_numbers(written):
     for row in re.findall(r"^[a-z].*&.*\\\\$", tex, flags=re.M):
         if "multicolumn" not in row:
             assert row.count("&") == len(columns) - 1
-    assert "@article{ngwangwa" in (written / "export/roadrecon.bib").read_text()
+    assert "@article{ngwangwa" in (written / "export/road_recon.bib").read_text()
 
 
 # --- what scripts are handed ----------------------------------------------------------------------

@@ -12,12 +12,12 @@ from road_envs.roads import load_road
 
 
 @pytest.fixture
-def roadrecon(monkeypatch, capsys, tmp_path):
+def road_recon(monkeypatch, capsys, tmp_path):
     """Run the command in an empty folder; returns exit code, standard output and error."""
     monkeypatch.chdir(tmp_path)
 
     def run(*words):
-        monkeypatch.setattr(sys, "argv", ["roadrecon", *map(str, words)])
+        monkeypatch.setattr(sys, "argv", ["road-recon", *map(str, words)])
         with pytest.raises(SystemExit) as ended:
             cli.main()
         out, err = capsys.readouterr()
@@ -29,7 +29,7 @@ def roadrecon(monkeypatch, capsys, tmp_path):
 DRIVE = ("--road", "iso_c", "--length", "30", "--speed-kmh", "36")
 
 
-def test_every_command_explains_itself(roadrecon):
+def test_every_command_explains_itself(road_recon):
     for command in (
         "simulate",
         "train",
@@ -46,15 +46,15 @@ def test_every_command_explains_itself(roadrecon):
         "classify",
         "new-estimator",
     ):
-        code, out, _ = roadrecon(command, "--help")
+        code, out, _ = road_recon(command, "--help")
         assert code == 0
-        assert "Usage: roadrecon" in out and command in out
+        assert "Usage: road-recon" in out and command in out
 
 
-def test_a_field_car_is_recorded_lost_samples_and_all(roadrecon, tmp_path):
+def test_a_field_car_is_recorded_lost_samples_and_all(road_recon, tmp_path):
     """The seed draws the individual; what was lost is told, drawn around and read back."""
     road, files = ("--road", "iso_c", "--length", "60"), ("--out", "d.parquet", "--plot", "d.png")
-    code, out, _ = roadrecon("simulate", *road, "--grade", "S3", *files, "--json")
+    code, out, _ = road_recon("simulate", *road, "--grade", "S3", *files, "--json")
     facts = json.loads(out)
     assert code == 0 and facts["grade"] == "S3" and facts["lost_samples"] > 0
     record, provenance = read_record(tmp_path / "d.parquet")
@@ -63,12 +63,12 @@ def test_a_field_car_is_recorded_lost_samples_and_all(roadrecon, tmp_path):
         np.isfinite(list(facts["rms_acceleration"].values()))
     )
     assert (tmp_path / "d.png").read_bytes().startswith(b"\x89PNG")
-    code, out, _ = roadrecon("simulate", *road, "--json")
+    code, out, _ = road_recon("simulate", *road, "--json")
     assert code == 0 and json.loads(out)["grade"] == "S0" and json.loads(out)["lost_samples"] == 0
 
 
-def test_a_drive_is_recorded_reconstructed_and_scored(roadrecon, tmp_path):
-    code, out, _ = roadrecon(
+def test_a_drive_is_recorded_reconstructed_and_scored(road_recon, tmp_path):
+    code, out, _ = road_recon(
         "simulate", *DRIVE, "--out", "d.parquet", "--truth", "t.csv", "--plot", "d.png", "--json"
     )
     assert code == 0
@@ -83,11 +83,11 @@ def test_a_drive_is_recorded_reconstructed_and_scored(roadrecon, tmp_path):
     s = np.linspace(0.5, 29.5, 100)
     np.testing.assert_allclose(truth.height(s), drawn.height(s), atol=1e-6)
 
-    trained = roadrecon(
+    trained = road_recon(
         "train", "fir_ridge", *DRIVE, "--drives", 3, "--seed", 10, "--out", "m.npz", "--json"
     )
     assert trained[0] == 0 and json.loads(trained[1])["drives"] == 3
-    code, out, _ = roadrecon(
+    code, out, _ = road_recon(
         "estimate", "m.npz", "d.parquet", "--truth", "t.csv", "--out", "e.csv", "--plot", "e.png",
         "--json",
     )  # fmt: skip
@@ -98,51 +98,51 @@ def test_a_drive_is_recorded_reconstructed_and_scored(roadrecon, tmp_path):
     }  # fmt: skip
 
 
-def test_a_measured_drive_is_read_where_a_record_is(roadrecon, tmp_path):
-    roadrecon("simulate", *DRIVE, "--out", "d.parquet")
+def test_a_measured_drive_is_read_where_a_record_is(road_recon, tmp_path):
+    road_recon("simulate", *DRIVE, "--out", "d.parquet")
     record, _ = read_record(tmp_path / "d.parquet")
     rows = np.column_stack([record.t, *record.a, record.v])
     np.savetxt(tmp_path / "d.csv", rows, "%.9g", ",", header="t,a_rf,a_lr,a_rr,v", comments="")
-    code, out, _ = roadrecon("estimate", "fir_ridge", "d.csv", "--mode", "ride", "--out", "e.csv")
+    code, out, _ = road_recon("estimate", "fir_ridge", "d.csv", "--mode", "ride", "--out", "e.csv")
     assert code == 0 and "length_m" in out and (tmp_path / "e.csv").stat().st_size > 1000
-    code, out, _ = roadrecon("classify", "d.csv", "--mode", "ride", "--json")
+    code, out, _ = road_recon("classify", "d.csv", "--mode", "ride", "--json")
     assert code == 0 and json.loads(out)["class"] in "BCD"
-    code, _, err = roadrecon("estimate", "fir_ridge", "d.csv")
+    code, _, err = road_recon("estimate", "fir_ridge", "d.csv")
     assert code == 2 and "the state of the struts is missing" in err
-    code, _, err = roadrecon("classify", "d.parquet", "--mode", "ride")
+    code, _, err = road_recon("classify", "d.parquet", "--mode", "ride")
     assert code == 2 and "leave out --mode" in err
 
 
-def test_scores_of_an_estimate_are_printed_with_their_units(roadrecon):
-    roadrecon("simulate", *DRIVE, "--out", "d.parquet", "--truth", "t.csv")
-    code, out, _ = roadrecon("estimate", "wiener", "d.parquet", "--truth", "t.csv")
+def test_scores_of_an_estimate_are_printed_with_their_units(road_recon):
+    road_recon("simulate", *DRIVE, "--out", "d.parquet", "--truth", "t.csv")
+    code, out, _ = road_recon("estimate", "wiener", "d.parquet", "--truth", "t.csv")
     lines = {line.rsplit(maxsplit=2)[0]: line.split()[-2:] for line in out.splitlines()}
     assert code == 0 and lines["IRI error"][1] == "mm/m"
     assert float(lines["DSD distance"][0]) >= 0.0 and lines["DSD distance"][1] == "dB"
-    code, _, err = roadrecon("estimate", "m.npz", "d.parquet", "--set", "passes=2")
+    code, _, err = road_recon("estimate", "m.npz", "d.parquet", "--set", "passes=2")
     assert code == 2 and "--set is for an estimator's name" in err
 
 
-def test_the_network_says_why_its_training_ended(roadrecon):
-    code, out, _ = roadrecon(
+def test_the_network_says_why_its_training_ended(road_recon):
+    code, out, _ = road_recon(
         "train", "static_lm", *DRIVE, "--set", "max_epochs=3", "--out", "m.npz", "--json"
     )
     facts = json.loads(out)
     assert code == 0 and facts["epochs"] <= 3 and facts["stopped_by"]
 
 
-def test_roads_are_listed_with_what_can_be_measured_of_them(roadrecon):
-    code, out, _ = roadrecon("roads", "list", "--json")
+def test_roads_are_listed_with_what_can_be_measured_of_them(road_recon):
+    code, out, _ = road_recon("roads", "list", "--json")
     rows = {row["road"]: row for row in json.loads(out)}
     assert code == 0
     assert rows["iso_d"]["class"] == "D" and rows["iso_f"]["class"] == "F"
     assert rows["flat"]["rms_mm"] == [0.0, 0.0]
 
 
-def test_a_road_is_plotted_and_exported(roadrecon, tmp_path):
-    assert roadrecon("roads", "plot", "belgian", "--out", "b.png")[0] == 0
+def test_a_road_is_plotted_and_exported(road_recon, tmp_path):
+    assert road_recon("roads", "plot", "belgian", "--out", "b.png")[0] == 0
     assert (tmp_path / "b.png").stat().st_size > 10_000
-    assert roadrecon("roads", "export", "bump_small", "--out", "b.csv")[0] == 0
+    assert road_recon("roads", "export", "bump_small", "--out", "b.csv")[0] == 0
     again = load_road(tmp_path / "b.csv").realise(np.random.default_rng(0))
     assert again.z.max() == pytest.approx(0.1, abs=1e-6)
 
@@ -150,8 +150,8 @@ def test_a_road_is_plotted_and_exported(roadrecon, tmp_path):
 @pytest.mark.parametrize(
     "out", [("t.csv",), ("t.parquet",), ("t.erd",), ("t.crg",), ("t.crg", "--form", "LRFI")]
 )
-def test_an_exported_road_can_be_read_back_from_any_kind_of_file(roadrecon, tmp_path, out):
-    assert roadrecon("roads", "export", "twist", "--out", *out)[0] == 0
+def test_an_exported_road_can_be_read_back_from_any_kind_of_file(road_recon, tmp_path, out):
+    assert road_recon("roads", "export", "twist", "--out", *out)[0] == 0
     again = load_road(tmp_path / out[0]).realise(np.random.default_rng(0))
     drawn = load_road("twist").realise(np.random.default_rng(1))
     np.testing.assert_allclose(again.z, drawn.z, atol=1e-6)
@@ -197,8 +197,8 @@ def test_an_exported_road_can_be_read_back_from_any_kind_of_file(roadrecon, tmp_
         (("leaderboard", "--estimator", "flat", "--without", "tcn"), ["not both"]),
     ],
 )  # fmt: skip
-def test_bad_input_is_one_sentence_and_leaves_nothing_behind(roadrecon, tmp_path, words, said):
-    code, out, err = roadrecon(*words)
+def test_bad_input_is_one_sentence_and_leaves_nothing_behind(road_recon, tmp_path, words, said):
+    code, out, err = road_recon(*words)
     assert code == 2
     assert err.startswith("error: ") and err.count("\n") == 1 and "Traceback" not in err
     for word in said:
@@ -209,6 +209,6 @@ def test_bad_input_is_one_sentence_and_leaves_nothing_behind(roadrecon, tmp_path
 def test_debug_shows_the_traceback(monkeypatch):
     from road_envs.config import ConfigError
 
-    monkeypatch.setattr(sys, "argv", ["roadrecon", "--debug", "simulate", "--road", "belgiun"])
+    monkeypatch.setattr(sys, "argv", ["road-recon", "--debug", "simulate", "--road", "belgiun"])
     with pytest.raises(ConfigError):
         cli.main()

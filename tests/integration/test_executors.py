@@ -247,7 +247,7 @@ def test_a_scheduler_that_is_not_there_is_said(monkeypatch):
 
 def test_without_dask_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ConfigError, match=r"pip install 'roadrecon\[dask\]'"):
+    with pytest.raises(ConfigError, match=r"pip install 'road-envs\[dask\]'"):
         DaskExecutor("tcp://127.0.0.1:9")
 
 

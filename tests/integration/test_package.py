@@ -32,7 +32,7 @@ def installed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wheel")
     pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet")
     run(*pip, "wheel", ROOT, "--no-deps", "--no-build-isolation", "-w", folder, cwd=folder)
-    (wheel,) = folder.glob("roadrecon-*.whl")
+    (wheel,) = folder.glob("road_envs-*.whl")
     home = folder / "environment"
     venv.create(home, with_pip=False)
     ask = "import sysconfig; print(sysconfig.get_path('purelib'))"
@@ -56,7 +56,7 @@ def test_the_installed_wheel_runs_the_main_job_from_another_folder(installed, tm
     )
     assert Path(where.strip()).is_relative_to(inside)
     run(
-        bin_folder / "roadrecon", "leaderboard", "--task", "paper_5", "--estimator", "static_lm",
+        bin_folder / "road-recon", "leaderboard", "--task", "paper_5", "--estimator", "static_lm",
         "--seeds", "1", "--out", "board", cwd=tmp_path,
     )  # fmt: skip
     result = json.loads((tmp_path / "board/results/paper_5/static_lm.json").read_text())

@@ -250,7 +250,7 @@ def test_the_report_is_written_as_page_pdf_and_numbers(tmp_path, monkeypatch):
     monkeypatch.setattr(
         report, "paper_figures", lambda found: few
     )  # that all can be drawn is seen above
-    page, pdf, numbers = report.write_report(made(), tmp_path, "roadrecon paper --trainings 3")
+    page, pdf, numbers = report.write_report(made(), tmp_path, "road-recon paper --trainings 3")
     text = page.read_text()
     parser = Nesting()
     parser.feed(text)
@@ -280,7 +280,7 @@ def test_the_command_says_what_it_found_and_where_it_stands(tmp_path, monkeypatc
     done = CliRunner().invoke(app, ["paper", "--trainings", "3", "--out", str(tmp_path)])
     said = " ".join(done.stdout.split())
     assert asked == [3] and "equation 12 as it is printed" in said
-    assert "roadrecon paper --trainings 3" in said
+    assert "road-recon paper --trainings 3" in said
     (tmp_path / "file").write_text("")
     refused = CliRunner().invoke(app, ["paper", "--out", str(tmp_path / "file")])
     assert "is a file" in str(refused.exception)

@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from test_cli import roadrecon  # noqa: F401
+from test_cli import road_recon  # noqa: F401
 
 from estimators import REGISTRY, create, pretrained_weights, weights_io
 from estimators.api import check_estimate
@@ -88,7 +88,7 @@ def test_a_short_teaching_reproduces_itself_to_the_bit_interrupted_or_not(tmp_pa
         folder.mkdir(exist_ok=True)
         estimator = create("tcn", channels=4, steps=20)
         out = folder / "tcn.safetensors"
-        pretraining.train(estimator, "tcn", CORPUS, 1, out, "roadrecon train tcn")
+        pretraining.train(estimator, "tcn", CORPUS, 1, out, "road-recon train tcn")
         return out
 
     whole = teach(tmp_path / "whole")
@@ -113,7 +113,7 @@ def test_a_short_teaching_reproduces_itself_to_the_bit_interrupted_or_not(tmp_pa
     assert whole.read_bytes() == parts.read_bytes()
     assert [p.name for p in (tmp_path / "parts").iterdir()] == ["tcn.safetensors"]
     _, about = pretrained_weights.read_weights(whole)
-    assert about["command"] == "roadrecon train tcn" and about["seed"] == "1"
+    assert about["command"] == "road-recon train tcn" and about["seed"] == "1"
     assert about["corpus"] == CORPUS.digest
     assert json.loads(about["header"])["settings"]["channels"] == 4
 
@@ -127,21 +127,21 @@ def test_an_unfinished_state_of_another_purpose_is_not_taken_up(tmp_path):
     assert pretraining.FileCheckpoint(path, "this").load() is None
 
 
-def test_the_command_teaches_from_the_corpus_and_its_file_estimates(roadrecon, tmp_path):  # noqa: F811
-    code, out, _ = roadrecon(
+def test_the_command_teaches_from_the_corpus_and_its_file_estimates(road_recon, tmp_path):  # noqa: F811
+    code, out, _ = road_recon(
         "train", "fir_ridge", "--drives", 4, "--out", "bank.safetensors", "--json"
     )
     assert code == 0 and json.loads(out)["drives"] == 4
     _, about = pretrained_weights.read_weights(tmp_path / "bank.safetensors")
-    assert about["command"].startswith("roadrecon train fir_ridge --drives 4")
+    assert about["command"].startswith("road-recon train fir_ridge --drives 4")
     kept = weights_io.load(tmp_path / "bank.safetensors")
     assert kept.weights().keys() == {"bank"} and not needs_training(kept)
 
 
-def test_what_learns_one_speed_alone_asks_for_its_road(roadrecon):  # noqa: F811
-    code, _, err = roadrecon("train", "static_lm", "--out", "s.npz")
+def test_what_learns_one_speed_alone_asks_for_its_road(road_recon):  # noqa: F811
+    code, _, err = road_recon("train", "static_lm", "--out", "s.npz")
     assert code == 2 and "static_lm learns one speed and mode: give its training roads" in err
-    code, _, err = roadrecon("train", "fir_ridge", "--out", "s.npz")
+    code, _, err = road_recon("train", "fir_ridge", "--out", "s.npz")
     assert code == 2 and "the name must end in .safetensors" in err
 
 
@@ -157,7 +157,7 @@ def test_shipped_weights_are_small_ready_and_of_the_corpus_as_it_is(name):
     assert header["settings"] == json.loads(json.dumps(pretraining.get_settings(estimator)))
     purpose = pretraining.run_digest(estimator, name, Corpus(), int(about["seed"]))
     assert about["digest"] == purpose
-    assert about["command"] == f"roadrecon train {name} --out {name}.safetensors"
+    assert about["command"] == f"road-recon train {name} --out {name}.safetensors"
     assert not needs_training(estimator) and needs_training(create(name, shipped=False))
 
 

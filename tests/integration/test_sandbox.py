@@ -279,7 +279,7 @@ def test_a_plug_in_describes_itself_without_being_loaded_here(sandbox, tmp_path,
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: somebodys-slope\nVersion: 1.0\n")
     (about / "entry_points.txt").write_text(
-        "[roadrecon.estimators]\nslope = somebodys_slope:Slope\nsunken = no_such_module:Hole\n"
+        "[road_envs.estimators]\nslope = somebodys_slope:Slope\nsunken = no_such_module:Hole\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     with SandboxClient(sandbox.limits) as fresh:

@@ -32,14 +32,14 @@ def run(*command, cwd, path):
 def test_the_package_of_a_newcomer_gets_from_an_empty_folder_to_a_row_of_the_board(tmp_path):
     folder = tmp_path / "mine"
     write_package("double_twice", folder)
-    code = (folder / "roadrecon_double_twice/estimator.py").read_text()
+    code = (folder / "road_recon_double_twice/estimator.py").read_text()
     assert len(code.splitlines()) < 80
     tested = run("-m", "pytest", "-q", "-p", "no:cacheprovider", cwd=folder, path=[folder, ROOT])
     assert "3 passed" in tested
     pip = ("-m", "pip", "--disable-pip-version-check", "--quiet")
     run(*pip, "wheel", folder, "--no-deps", "--no-build-isolation", "-w", tmp_path,
         cwd=tmp_path, path=[])  # fmt: skip
-    (wheel,) = tmp_path.glob("roadrecon_double_twice-*.whl")
+    (wheel,) = tmp_path.glob("road_recon_double_twice-*.whl")
     target = tmp_path / "target"
     run(*pip, "install", "--no-deps", "--target", target, wheel, cwd=tmp_path, path=[])
     path = [target, ROOT]
@@ -79,8 +79,8 @@ def test_a_folder_in_use_is_left_alone(tmp_path):
 def test_the_command_says_what_to_do_next_in_words_that_can_be_pasted(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     told = CliRunner().invoke(app, ["new-estimator", "my_road"]).stdout
-    assert 'pip install --editable "./roadrecon-my-road[test]"\n' in told
-    assert "python -m pytest ./roadrecon-my-road\n" in told
-    assert "roadrecon check-estimator my_road\n" in told
-    readme = (tmp_path / "roadrecon-my-road" / "README.md").read_text()
-    assert "roadrecon check-estimator my_road" in readme and "{" not in readme
+    assert 'pip install --editable "./road-recon-my-road[test]"\n' in told
+    assert "python -m pytest ./road-recon-my-road\n" in told
+    assert "road-recon check-estimator my_road\n" in told
+    readme = (tmp_path / "road-recon-my-road" / "README.md").read_text()
+    assert "road-recon check-estimator my_road" in readme and "{" not in readme

@@ -88,7 +88,7 @@ def test_the_command_measures_draws_and_names_who_is_left_out(monkeypatch, tmp_p
     picture = tmp_path / "p.png"
     words = ["precision", "--out", str(picture), "--duration", "0.6"]
     with pytest.raises(SystemExit) as ended:
-        monkeypatch.setattr(sys, "argv", ["roadrecon", *words, "--json"])
+        monkeypatch.setattr(sys, "argv", ["road-recon", *words, "--json"])
         cli.main()
     assert not ended.value.code
     rows = json.loads(capsys.readouterr().out)
@@ -103,7 +103,7 @@ def test_the_command_measures_draws_and_names_who_is_left_out(monkeypatch, tmp_p
     ]
     assert picture.read_bytes().startswith(b"\x89PNG")
     with pytest.raises(SystemExit):
-        monkeypatch.setattr(sys, "argv", ["roadrecon", *words])
+        monkeypatch.setattr(sys, "argv", ["road-recon", *words])
         cli.main()
     out, err = capsys.readouterr()
     assert "rtol 0.001" in out and "h = 0.125 ms" in out

@@ -117,7 +117,7 @@ def test_a_temporary_folder_goes_with_its_owner_and_of_the_dead_at_the_next_star
     tmp_path, monkeypatch
 ):
     monkeypatch.setattr(_atomic_io.tempfile, "tempdir", str(tmp_path))
-    (tmp_path / "roadrecon-my-road").mkdir()  # such as a newcomer's package
+    (tmp_path / "road-recon-my-road").mkdir()  # such as a newcomer's package
     (tmp_path / f"{_atomic_io.TEMP_PREFIX}of-somebody").mkdir()  # without a lock
     others = sorted(tmp_path.iterdir())
     living, his = holder(tmp_path)

@@ -100,7 +100,7 @@ def test_what_was_parsed_is_remembered_and_a_damaged_memory_is_made_again(tmp_pa
         return done.stdout
 
     first = run()
-    (memory,) = (tmp_path / "roadrecon").glob("sources-*.json")
+    (memory,) = (tmp_path / "road-recon").glob("sources-*.json")
     assert run() == first
     memory.write_text(memory.read_text()[:100])
     assert run() == first

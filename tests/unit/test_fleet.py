@@ -75,7 +75,7 @@ def test_every_lane_is_its_vehicle_driven_alone_to_rounding(frame):
     fleet = Fleet(drives(size, frame))
     signals = fleet.advance(commands)
     for k, drive in enumerate(drives(size, frame)):
-        alone = drive.advance(commands[k]).allocate_signals
+        alone = drive.advance(commands[k]).signals
         scale = np.abs(alone).max(axis=0)
         assert select_vehicle(signals, k).shape == (n, 29 if frame is None else 32)
         assert (
@@ -123,8 +123,8 @@ def test_a_landed_drive_goes_on_alone_where_the_fleet_left_it():
         np.testing.assert_allclose(landed[k].state, drive.state, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(landed[k].strut_state, drive.strut_state, rtol=1e-9, atol=1e-15)
         alone, on = (
-            drive.advance(commands[k, n:]).allocate_signals,
-            landed[k].advance(commands[k, n:]).allocate_signals,
+            drive.advance(commands[k, n:]).signals,
+            landed[k].advance(commands[k, n:]).signals,
         )
         np.testing.assert_allclose(on, alone, rtol=1e-6, atol=1e-6)
 

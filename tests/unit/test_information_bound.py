@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import integrate, stats
-from test_cli import roadrecon as roadrecon
+from test_cli import road_recon as road_recon
 from test_linear_model import energy_matrices
 from vehicle_fixtures import CARS, DEFENDER, PLANTS
 
@@ -281,16 +281,16 @@ def test_what_makes_no_sense_is_refused():
         bound(DEFENDER, "ride", 200.0, PAPER, RoadPrior())
 
 
-def test_the_command_prints_and_draws_the_bound(roadrecon, tmp_path):
+def test_the_command_prints_and_draws_the_bound(road_recon, tmp_path):
     words = ("observability", "--speed-kmh", 54, "--mismatch", 0.05, "--noise", 0.02)
-    code, out, _ = roadrecon(*words, "--mode", "front=ride,rear=handling", "--json")
+    code, out, _ = road_recon(*words, "--mode", "front=ride,rear=handling", "--json")
     facts = json.loads(out)
     (row,) = facts["bounds"]
     instruments = replace(PAPER, noise_density=0.02)
     given = (DEFENDER, modes(PAIRS[2]), FAST, instruments, RoadPrior())
     assert code == 0
     assert row["nrmse"] == pytest.approx(bound(*given, model_error=0.05).pooled, rel=1e-6)
-    code, out, _ = roadrecon(*words, "--out", "bound.png")
+    code, out, _ = road_recon(*words, "--out", "bound.png")
     assert code == 0
     assert "handling / ride" in out and "5 % mismatch" in out
     assert (tmp_path / "bound.png").read_bytes().startswith(b"\x89PNG")
@@ -308,7 +308,7 @@ def test_the_command_prints_and_draws_the_bound(roadrecon, tmp_path):
         (("--out", "x.txt"), "the name must end in .png"),
     ],
 )
-def test_the_command_refuses_in_one_sentence(roadrecon, words, sentence):
-    code, _, err = roadrecon("observability", *words)
+def test_the_command_refuses_in_one_sentence(road_recon, words, sentence):
+    code, _, err = road_recon("observability", *words)
     assert code == 2
     assert sentence in err and err.count("\n") == 1

@@ -75,7 +75,7 @@ def test_a_file_of_weights_holds_half_precision_and_little_else(name):
 
 
 def taught(name: str, path):
-    """What `roadrecon train NAME` makes, with the seed that the shipped file tells."""
+    """What `road-recon train NAME` makes, with the seed that the shipped file tells."""
     about = kept(name)[1]
     return pretraining.train(
         create(name), name, Corpus(), int(about["seed"]), path, about["command"]

@@ -167,7 +167,7 @@ def test_a_stored_file_tells_format_name_settings_and_version(tmp_path):
         assert set(file.files) == {"header", *(f"weights.{name}" for name in window())}
     assert header == {
         "format": "roadrecon estimator 1",
-        "version": metadata.version("roadrecon"),
+        "version": road_envs.__version__,
         "name": "fir_ridge",
         "settings": {"reach": 2.5, "shipped": True},
     }

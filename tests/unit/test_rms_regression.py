@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 from scipy.optimize import approx_fprime
-from test_cli import roadrecon as roadrecon
+from test_cli import road_recon as road_recon
 from test_wiener import drive
 
 from estimators.roughness.rms_regression import (
@@ -103,11 +103,11 @@ def test_the_speed_is_taken_out():
         assert abs(np.log(regression("handling").predict(record).G_d0 / true)) < 0.46
 
 
-def test_the_command_tells_the_class_by_either_method(roadrecon):
+def test_the_command_tells_the_class_by_either_method(road_recon):
     drive_it = ("simulate", "--road", "iso_c", "--length", "100", "--speed-kmh", "36")
-    assert roadrecon(*drive_it, "--out", "d.parquet")[0] == 0
-    code, out, _ = roadrecon("classify", "d.parquet", "--method", "rms", "--json")
+    assert road_recon(*drive_it, "--out", "d.parquet")[0] == 0
+    code, out, _ = road_recon("classify", "d.parquet", "--method", "rms", "--json")
     facts = json.loads(out)
     assert code == 0 and facts["class"] == "C" and facts["probability"]["C"] > 0.5
-    code, _, err = roadrecon("classify", "d.parquet", "--method", "rsm")
+    code, _, err = road_recon("classify", "d.parquet", "--method", "rsm")
     assert code == 2 and "unknown method 'rsm'" in err and "rms" in err

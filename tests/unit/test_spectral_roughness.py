@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from scipy import stats
-from test_cli import roadrecon as roadrecon
+from test_cli import road_recon as road_recon
 from test_wiener import DEFENDER, drive
 
 from estimators.roughness.spectral import class_probabilities, classify_record
@@ -36,13 +36,13 @@ def test_probabilities_are_those_of_a_normal_logarithm():
         assert class_probabilities(np.log(mean), 0.01)[name] == pytest.approx(1.0)
 
 
-def test_the_command_tells_the_class(roadrecon):
+def test_the_command_tells_the_class(road_recon):
     drive_it = ("simulate", "--road", "iso_c", "--length", "60", "--speed-kmh", "36")
-    assert roadrecon(*drive_it, "--out", "d.parquet")[0] == 0
-    code, out, _ = roadrecon("classify", "d.parquet", "--json")
+    assert road_recon(*drive_it, "--out", "d.parquet")[0] == 0
+    code, out, _ = road_recon("classify", "d.parquet", "--json")
     facts = json.loads(out)
     assert code == 0 and facts["class"] == "C"
     assert facts["probability"]["C"] > 0.5 and len(facts["levels"]) == len(facts["octaves"])
-    code, out, _ = roadrecon("classify", "d.parquet")
+    code, out, _ = road_recon("classify", "d.parquet")
     assert code == 0 and "class C" in out
-    assert roadrecon("classify", "none.parquet")[0] == 2
+    assert road_recon("classify", "none.parquet")[0] == 2

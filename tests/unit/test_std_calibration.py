@@ -91,7 +91,7 @@ def test_what_is_written_is_taught_and_then_calibrated_by_the_car_as_described(t
     """By the command's own way, and once more from its parts."""
     corpus = Corpus(number=4, shortest=20, longest=30)
     estimator, path = create("tcn", channels=4, steps=4), tmp_path / "t.safetensors"
-    written = pretraining.train(estimator, "tcn", corpus, 1, path, "roadrecon train tcn")
+    written = pretraining.train(estimator, "tcn", corpus, 1, path, "road-recon train tcn")
     taught = [estimator.training_example(*corpus.simulate_drive(k)) for k in range(4)]
     plain = estimator.pretrain(taught, corpus.vehicle, 1)
     others = [estimator.training_example(*corpus.simulate_drive(k, nominal=True)) for k in (4, 5)]
