@@ -1,6 +1,6 @@
-"""Estimators by name: one file each; none knows another, none knows the simulator.
+"""Estimators of the road profile: registry (`registry.py`), interface (`api.py`), implementations.
 
-The names and the way to add one stand in `registry.py`, what an estimator is in `api.py`.
+An estimator imports neither another estimator nor the simulator.
 """
 
 from estimators.registry import (

@@ -1,4 +1,4 @@
-"""What learning estimators read: sensor signals and truths over distance instead of time."""
+"""Cleaning of records, and their signals over distance instead of time."""
 
 import dataclasses
 
@@ -8,38 +8,39 @@ from road_envs.data.record import PROFILE_SPACING, SENSORS, Profile, Record, pro
 from road_envs.sensing.filters import preprocess_accelerations
 
 F_C = 25.0
-"""Band limit of the processed accelerations [Hz]."""
+"""Low-pass cut-off [Hz] of the processed accelerations."""
 
 FS_MIN = 2.4 * F_C
-"""Slowest sampling [Hz] that still tells that band."""
+"""Lowest sample rate [Hz] for a bandwidth of F_C."""
 
 SAMPLES_MIN = 32
 TRAVEL_MIN = 1.0
-"""Shortest way [m] and fewest samples of a record that can be used."""
+"""Smallest number of samples, and shortest distance travelled [m], of a usable record."""
 
 MISSING_SHARE_MAX = 0.2
-"""Greatest share of a channel's samples that is bridged."""
+"""Largest fraction of a channel's samples that is interpolated."""
 
 CLOCK_JITTER_MAX = 0.01
-"""A step of the clock that differs by more than this share from the others is a fault."""
+"""Relative deviation of a time step above which the clock is resampled."""
 
 
 CLIPPING_TOLERANCE, CLIPPING_SAMPLES = 1e-5, 5
-"""A sensor that stays this near to its greatest value for so many samples is clipped: no motion
-above 0.4 Hz, sampled a thousand times a second, has so flat a peak."""
+"""A sensor within this relative distance of its maximum for so many consecutive samples is clipped:
+at 1 kHz no motion above 0.4 Hz has such a flat peak.
+"""
 
 
 class RecordError(ValueError):
-    """A record that cannot be used, in one sentence."""
+    """A record that cannot be used; the message says why."""
 
 
 def clean_record(record: Record) -> tuple[Record, tuple[str, ...]]:
-    """A record on an even clock without gaps, and what had to be done or borne to get it.
+    """Return `record` on a uniform clock without gaps, and notes on what was changed or tolerated.
 
-    Missing samples (NaN, or steps left out by the clock) are bridged by straight lines. A record
-    that needs no mending is handed back itself. Raises RecordError where a channel has another
-    shape than the clock, misses more than a fifth of its samples, or where clock, sampling rate,
-    strut states or odometer cannot be those of a drive over the road.
+    Missing samples (NaN, or steps skipped by the clock) are interpolated linearly. A record that
+    needs no change is returned itself. Raises RecordError if a channel's shape differs from the
+    clock's, if more than a fifth of its samples are missing, or if clock, sample rate, strut states
+    or odometer cannot belong to a drive over the road.
     """
     _check_shapes(record)
     record, gap_notes = _fill_gaps(record)
@@ -49,8 +50,8 @@ def clean_record(record: Record) -> tuple[Record, tuple[str, ...]]:
 
 
 def spatial_accelerations(record: Record, margin: int = 0) -> np.ndarray:
-    """Processed accelerations (3, M + 2 margin) [m/s²] at the moments when the front axle passed
-    the grid and `margin` points beyond either end of it; zero where the record does not reach.
+    """Return processed accelerations (3, M + 2 margin) [m/s²] at the moments when the front axle
+    passed the profile stations and `margin` stations beyond either end; zero outside the record.
     """
     stations = PROFILE_SPACING * np.arange(-margin, profile_stations(record.length).size + margin)
     a = record.interpolate(stations, preprocess_accelerations(record.a, record.fs, F_C))
@@ -59,11 +60,12 @@ def spatial_accelerations(record: Record, margin: int = 0) -> np.ndarray:
 
 
 def sample_profile(truth: Profile, stations: np.ndarray) -> np.ndarray:
-    """True heights (2, M) [m] at `stations` (M,) [m]."""
+    """Return the true heights (2, M) [m] at `stations` (M,) [m]."""
     return np.array([np.interp(stations, truth.s, z) for z in truth.z])
 
 
 def _check_shapes(record: Record) -> None:
+    """Raise RecordError unless shapes, length, clock and strut states are valid."""
     size = np.size(record.t)
     expected = {
         "t": (size,), "a": (len(SENSORS), size), "v": (size,), "s": (size,),
@@ -74,16 +76,16 @@ def _check_shapes(record: Record) -> None:
         if actual != shape:
             raise RecordError(f"{name} of the record must have the shape {shape}, got {actual}")
     if size < SAMPLES_MIN:
-        raise RecordError(f"the record has {size} samples; at least {SAMPLES_MIN} are wanted")
+        raise RecordError(f"the record has {size} samples; at least {SAMPLES_MIN} are needed")
     if not np.isfinite(record.length) or profile_stations(max(record.length, 0.0)).size < 2:
         raise RecordError(
             f"the road must be longer than {2 * PROFILE_SPACING:.2f} m, got {record.length} m"
         )
     late = np.flatnonzero(~(np.diff(record.t) > 0.0))
     if late.size:
-        raise RecordError(f"the clock must go on; it does not after sample {late[0]}")
+        raise RecordError(f"the times t must increase; they do not after sample {late[0]}")
     if not np.isfinite(record.t).all():
-        raise RecordError("the clock must be finite")
+        raise RecordError("the times t must be finite")
     for name in ("spring_stiff", "damper_high"):
         states = np.asarray(getattr(record, name))
         if states.dtype != bool and not np.isin(states, (0, 1)).all():
@@ -91,7 +93,7 @@ def _check_shapes(record: Record) -> None:
 
 
 def _fill_gaps(record: Record) -> tuple[Record, list[str]]:
-    """The record with what is not a number in its channels bridged."""
+    """Return the record with non-finite samples interpolated, and notes."""
     channels = {**dict(zip(SENSORS, record.a, strict=True)), "v": record.v, "s": record.s}
     filled, notes = {}, []
     for name, x in channels.items():
@@ -99,12 +101,12 @@ def _fill_gaps(record: Record) -> tuple[Record, list[str]]:
         share = bad.mean()
         if share > MISSING_SHARE_MAX:
             raise RecordError(
-                f"{name} holds no number in {share:.0%} of its samples; "
-                f"at most {MISSING_SHARE_MAX:.0%} can be bridged"
+                f"{name} is not finite in {share:.0%} of its samples; "
+                f"at most {MISSING_SHARE_MAX:.0%} can be interpolated"
             )
         filled[name] = np.interp(record.t, record.t[~bad], x[~bad]) if bad.any() else x
         if bad.any():
-            notes.append(f"{name}: {share:.1%} of the samples were missing and are bridged")
+            notes.append(f"{name}: {share:.1%} of the samples were missing and are interpolated")
     if not notes:
         return record, notes
     a = np.array([filled[name] for name in SENSORS])
@@ -112,13 +114,13 @@ def _fill_gaps(record: Record) -> tuple[Record, list[str]]:
 
 
 def _resample_evenly(record: Record) -> tuple[Record, list[str]]:
-    """The record sampled evenly, at the rate of most of its steps."""
+    """Return the record on a uniform clock at its median time step, and notes."""
     steps = np.diff(record.t)
     dt = float(np.median(steps))
     if 1.0 / dt < FS_MIN:
         raise RecordError(
             f"the record is sampled at {1.0 / dt:.4g} Hz; "
-            f"at least {FS_MIN:g} Hz are wanted for a band of {F_C:g} Hz"
+            f"at least {FS_MIN:g} Hz are needed for a bandwidth of {F_C:g} Hz"
         )
     if np.abs(steps - dt).max() <= CLOCK_JITTER_MAX * dt:
         return record, []
@@ -127,8 +129,9 @@ def _resample_evenly(record: Record) -> tuple[Record, list[str]]:
     if lost > MISSING_SHARE_MAX:
         raise RecordError(
             f"{lost:.0%} of the samples were dropped; "
-            f"at most {MISSING_SHARE_MAX:.0%} can be bridged"
+            f"at most {MISSING_SHARE_MAX:.0%} can be interpolated"
         )
+    # strut states are switches: the last known value holds, it is not interpolated
     before = np.clip(np.searchsorted(record.t, t, side="right") - 1, 0, record.t.size - 1)
     resampled = dataclasses.replace(
         record,
@@ -140,23 +143,23 @@ def _resample_evenly(record: Record) -> tuple[Record, list[str]]:
         damper_high=record.damper_high[before],
     )
     longest = steps.max()
-    what = f"{lost:.1%} of the samples were dropped" if lost > 0 else "the clock is uneven"
-    return resampled, [f"{what} (longest step {longest:.3f} s); the record is resampled evenly"]
+    what = f"{lost:.1%} of the samples were dropped" if lost > 0 else "the clock is not uniform"
+    return resampled, [f"{what} (longest step {longest:.3f} s); the record is resampled"]
 
 
 def _check_odometer(record: Record) -> tuple[Record, list[str]]:
-    """The record with an odometer that never falls."""
+    """Return the record with a non-decreasing odometer, and notes."""
     notes = []
     forward = np.maximum.accumulate(record.s)
     if (back := float((forward - record.s).max())) > 0.1:
-        raise RecordError(f"the odometer runs {back:.2f} m backwards; a drive goes forward")
+        raise RecordError(f"the odometer decreases by {back:.2f} m; a drive must go forward")
     if (moved := float(forward[-1] - forward[0])) < TRAVEL_MIN:
-        raise RecordError(f"the car moved by {moved:.2f} m; at least {TRAVEL_MIN:g} m are wanted")
+        raise RecordError(f"the vehicle moved by {moved:.2f} m; at least {TRAVEL_MIN:g} m are needed")
     if back > 0.0:
         record = dataclasses.replace(record, s=forward)
     still = float(np.sum(np.diff(forward) <= 0.0) / record.fs)
     if still > 0.1:
-        notes.append(f"the car stood still for {still:.1f} s; nothing is learnt of the road there")
+        notes.append(f"the vehicle stood still for {still:.1f} s; these samples carry no road information")
     for missed, where in (
         (forward[0], f"the first {forward[0]:.2f} m"),
         (record.length - forward[-1], f"the last {record.length - forward[-1]:.2f} m"),
@@ -167,7 +170,7 @@ def _check_odometer(record: Record) -> tuple[Record, list[str]]:
 
 
 def _clipping_notes(record: Record) -> list[str]:
-    """A note for each sensor that stands at its limit, sample after sample."""
+    """Return a note for each sensor that stays at its limit."""
     notes = []
     for name, a in zip(SENSORS, record.a, strict=True):
         limit = np.abs(a).max()
@@ -175,7 +178,7 @@ def _clipping_notes(record: Record) -> list[str]:
         in_a_row = np.lib.stride_tricks.sliding_window_view(at_limit, CLIPPING_SAMPLES).all(axis=1)
         if limit > 0.0 and in_a_row.any():
             notes.append(
-                f"{name} stands at its limit of {limit:.1f} m/s² in {at_limit.mean():.1%} "
-                "of the samples; the road is understated there"
+                f"{name} is clipped at {limit:.1f} m/s² in {at_limit.mean():.1%} "
+                "of the samples; the road is underestimated there"
             )
     return notes

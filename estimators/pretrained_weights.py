@@ -1,9 +1,9 @@
-"""Weights on disk without pickle: safetensors files, and those that come with the package.
+"""Weights in safetensors files (no pickle), including those shipped with the package.
 
     estimators/weights/<name>.safetensors
 
-Beside its arrays a file tells, as text: format, version of the package, command, seed and digest of
-the configuration that made it.
+The metadata of a file holds, as text: format, package version, command, seed and digest of the
+configuration that produced it.
 """
 
 import json
@@ -19,30 +19,30 @@ from road_envs._extras import optional_import
 FOLDER = Path(__file__).parent / "weights"
 SUFFIX = ".safetensors"
 METADATA_KEY = "about"
-"""What is known about the weights, as JSON in the metadata."""
+"""Key of the single metadata entry; its value is JSON."""
 
 
 class WeightsError(ValueError):
-    """A file of weights that cannot be used, in one sentence."""
+    """A weights file that cannot be used; the message says why."""
 
 
 def write_weights(
     path: str | Path, arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str]
 ) -> None:
-    """Write `arrays`, and what is to be known `metadata` them, whole or not at all."""
+    """Write `arrays` and their `metadata` to `path` atomically."""
     with optional_import("a file of weights"):
         from safetensors.numpy import save
 
     solid = {name: np.array(array, order="C") for name, array in arrays.items()}
     with atomic_write(path, durable=True) as partial:
-        # one entry, for several would stand in another order in every file
+        # one entry only: safetensors writes several in an order that varies between files
         partial.write_bytes(
             save(solid, metadata={METADATA_KEY: json.dumps(dict(metadata), sort_keys=True)})
         )
 
 
 def read_weights(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """What `write_weights` wrote: arrays and what is known about them. Raises WeightsError."""
+    """Return the arrays and metadata that `write_weights` stored. Raises WeightsError."""
     with optional_import("a file of weights"):
         from safetensors import SafetensorError, safe_open
 
@@ -54,12 +54,12 @@ def read_weights(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str
     except OSError as error:
         raise WeightsError(f"{path}: cannot be read: {error.strerror or error}") from None
     except SafetensorError as error:
-        raise WeightsError(f"{path}: damaged, or no safetensors file: {error}") from None
+        raise WeightsError(f"{path}: damaged or not a safetensors file: {error}") from None
 
 
 @cache
 def load_pretrained(name: str) -> dict[str, np.ndarray] | None:
-    """The arrays that come with the package for the estimator `name`, read-only, or None."""
+    """Return the read-only weights shipped for the estimator `name`, or None."""
     path = FOLDER / f"{name}{SUFFIX}"
     if not path.is_file():
         return None

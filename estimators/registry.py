@@ -1,9 +1,10 @@
-"""Estimators by name: one file each; none knows another, none knows the simulator.
+"""Registry of the estimators: names of this package and of installed plug-ins.
 
-To add one here: write a file beside this one, import it below, add its line, run `pytest`. To add
-one from another package, declare it there as an entry point, and it appears as `my_estimator`:
+To add an estimator to this package: write its module, import the class below, add a line to
+REGISTRY, run `pytest`. To add one from another package, declare an entry point there; the
+estimator is then available as `my_estimator`:
 
-    [project.entry-points."road_envs.estimators"]
+    [project.entry-points."roadrecon.estimators"]
     my_estimator = "my_package.my_module:MyEstimator"
 """
 
@@ -30,7 +31,7 @@ from estimators.wiener.wiener import Wiener
 from road_envs.config import ConfigError, build, validate_choice
 
 ENTRY_POINT_GROUP = "road_envs.estimators"
-"""Entry-point group under which other packages offer estimators."""
+"""Entry-point group in which other packages declare estimators."""
 
 REGISTRY: dict[str, type[Estimator]] = {
     "flat": Flat,
@@ -54,23 +55,23 @@ REGISTRY: dict[str, type[Estimator]] = {
 
 
 class EstimatorPluginWarning(UserWarning):
-    """An estimator of another package that cannot be used, and why."""
+    """Warning that an estimator of another package cannot be loaded."""
 
 
 def available() -> dict[str, type[Estimator]]:
-    """All estimators by name, those of other packages included.
+    """Return all estimator classes by name, including those of other packages.
 
-    One that cannot be loaded is left out with a PluginWarning. Raises ConfigError if a package
-    claims a name that is taken.
+    An estimator that cannot be loaded is skipped with an EstimatorPluginWarning. Raises
+    ConfigError if two packages use the same name.
     """
     classes = dict(REGISTRY)
     for name, entry in _plugins().items():
         try:
             classes[name] = check_class(entry.load())
-        except Exception as error:  # whatever another package does, the rest stays usable
+        except Exception as error:  # a broken plug-in must not disable the other estimators
             reason = f"{type(error).__name__}: {error}"
             warnings.warn(
-                f"the estimator {name!r} of {entry.value} is left out: {reason}",
+                f"the estimator {name!r} of {entry.value} is skipped: {reason}",
                 EstimatorPluginWarning,
                 stacklevel=2,
             )
@@ -78,12 +79,14 @@ def available() -> dict[str, type[Estimator]]:
 
 
 def names() -> list[str]:
-    """Names of all estimators; nothing of another package is loaded for it. Raises ConfigError."""
+    """Return the names of all estimators without loading other packages. Raises ConfigError."""
     return [*REGISTRY, *_plugins()]
 
 
 def find(name: str) -> type[Estimator]:
-    """The estimator of a name; of other packages this one alone is loaded. Raises ConfigError."""
+    """Return the estimator class `name`, loading its package only. Raises ConfigError if the name
+    is unknown or its class cannot be used.
+    """
     plugins = _plugins()
     validate_choice("estimator", name, [*REGISTRY, *plugins])
     if name in REGISTRY:
@@ -97,8 +100,9 @@ def find(name: str) -> type[Estimator]:
 
 
 def without_weights() -> list[str]:
-    """Estimators that are taught by `road-recon train` and whose weights do not come with the
-    package: to be judged they would have to be taught anew, which takes half an hour each.
+    """Return the names of pretrained estimators whose weights are not part of the package.
+
+    They need `roadrecon train` (about half an hour each) before they can be evaluated.
     """
     return [
         name
@@ -108,7 +112,9 @@ def without_weights() -> list[str]:
 
 
 def create(name: str, **settings: Any) -> Estimator:
-    """A fresh estimator. Raises ConfigError that names the choices, if a name or value is wrong."""
+    """Return an unfitted estimator with these settings. Raises ConfigError, which lists the choices,
+    if the name, a setting or a value is wrong.
+    """
     cls: Any = find(name)
     known = [field.name for field in dataclasses.fields(cls) if field.init]
     for setting in settings:
@@ -117,15 +123,17 @@ def create(name: str, **settings: Any) -> Estimator:
 
 
 def _plugins() -> dict[str, metadata.EntryPoint]:
-    """What other packages offer, not loaded. Raises ConfigError for a name that is taken."""
+    """Return the entry points of other packages by name, not loaded. Raises ConfigError if a name
+    is already taken.
+    """
     plugins: dict[str, metadata.EntryPoint] = {}
     for entry in metadata.entry_points(group=ENTRY_POINT_GROUP):
         if entry.name in REGISTRY or entry.name in plugins:
             other = plugins.get(entry.name)
             owner = other.value if other else REGISTRY[entry.name].__module__
             raise ConfigError(
-                f"the estimator {entry.name!r} of {entry.value} needs another name: "
-                f"{owner} has this one"
+                f"the estimator name {entry.name!r} of {entry.value} is already taken by {owner}: "
+                "rename the entry point"
             )
         plugins[entry.name] = entry
     return plugins

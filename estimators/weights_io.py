@@ -1,8 +1,8 @@
-"""Estimators on disk: name, settings and learnt weights in one file, without pickle.
+"""Storage of an estimator (name, settings and weights) in one file without pickle.
 
-In an `.npz` the array `header` holds JSON: the format, the package's version, the estimator's name
-and its settings; the arrays of `weights()` stand beside it as `weights.<name>`. In a `.safetensors`
-file the header is metadata, and what else is to be known about the weights stands there too.
+In an `.npz` file the array `header` holds JSON with format, package version, estimator name and
+settings; the weights are the arrays `weights.<name>`. In a `.safetensors` file the header is an
+entry of the metadata.
 """
 
 import io
@@ -24,22 +24,22 @@ from road_envs._atomic_io import atomic_write
 
 FORMAT = "roadrecon estimator 1"
 WEIGHT_PREFIX = "weights."
-"""Stands before the name of a weight, so that none can be taken for the header."""
+"""Prefix of the weights' names in an `.npz` file; keeps them apart from the header."""
 
 
 class StorageError(ValueError):
-    """A file that holds no estimator, or an estimator that cannot be stored, in one sentence."""
+    """A file without a usable estimator, or an estimator that cannot be stored."""
 
 
 def save(estimator: Estimator, path: str | Path, metadata: Mapping[str, str] | None = None) -> None:
-    """Write an estimator to `path`, whole or not at all; `metadata` goes into a `.safetensors` file.
+    """Write an estimator to `path` atomically; `metadata` is stored in a `.safetensors` file only.
 
-    Raises StorageError, NotFittedError.
+    Raises StorageError if its class is not registered, NotFittedError if it has no weights.
     """
     path, kind = Path(path), cast(Any, type(estimator))
     name = next((name for name, cls in available().items() if cls is kind), None)
     if name is None:
-        raise StorageError(f"{kind.__name__} is no registered estimator")
+        raise StorageError(f"{kind.__name__} is not a registered estimator and cannot be stored")
     header = {
         "format": FORMAT,
         "version": __version__,
@@ -58,22 +58,22 @@ def save(estimator: Estimator, path: str | Path, metadata: Mapping[str, str] | N
 
 
 def load(path: str | Path) -> Estimator:
-    """The estimator that `save` wrote. Raises StorageError that says what is wrong."""
+    """Return the estimator stored by `save`. Raises StorageError."""
     weights, metadata = _read(Path(path))
     try:
         header = json.loads(metadata["header"])
         if header["format"] != FORMAT:
-            raise StorageError(f"format {header['format']!r} is not {FORMAT!r}")
+            raise StorageError(f"format {header['format']!r} is not supported, expected {FORMAT!r}")
         estimator = create(header["name"], **header["settings"])
         return estimator.with_weights(weights) if isinstance(estimator, Trainable) else estimator
     except KeyError as error:
-        raise StorageError(f"{path}: holds no RoadRecon estimator: {error} is missing") from None
+        raise StorageError(f"{path}: not a RoadRecon estimator: {error} is missing") from None
     except (TypeError, ValueError) as error:
-        raise StorageError(f"{path}: holds no usable estimator: {error}") from None
+        raise StorageError(f"{path}: not a usable estimator: {error}") from None
 
 
 def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Weights, and what is said about them."""
+    """Return weights and metadata of a file. Raises StorageError."""
     if path.suffix == pretrained_weights.SUFFIX:
         try:
             return pretrained_weights.read_weights(path)
@@ -84,11 +84,11 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     except OSError as error:
         raise StorageError(f"{path}: cannot be read: {error.strerror}") from None
     if not zipfile.is_zipfile(data):
-        raise StorageError(f"{path}: not an .npz file, or cut short")
+        raise StorageError(f"{path}: truncated or not an .npz file")
     try:
         with np.load(data, allow_pickle=False) as file:
             arrays = {name.removeprefix(WEIGHT_PREFIX): file[name] for name in file.files}
     except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise StorageError(f"{path}: damaged, or not written by RoadRecon: {error}") from None
+        raise StorageError(f"{path}: damaged or not written by RoadRecon: {error}") from None
     header = arrays.pop("header", None)
     return arrays, {} if header is None else {"header": str(header)}

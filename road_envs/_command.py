@@ -19,9 +19,8 @@ def foreign_package() -> str | None:
     root = Path(__file__).parents[1]
     for name in SIBLINGS:
         spec = importlib.util.find_spec(name)
-        places = (
-            [Path(p) for p in (spec.submodule_search_locations or [spec.origin])] if spec else []
-        )
+        found = (spec.submodule_search_locations or [spec.origin or ""]) if spec else []
+        places = [Path(place) for place in found]
         if places and root / name not in places:
             return (
                 f"{places[0]} hides the package {name!r} of road-envs: "

@@ -21,19 +21,19 @@ COPIED = ("road_envs", "estimators", "leaderboard", "configs", "tests", "pyproje
 PAPER_SAYS = "equations::test_the_car_moves_as_the_papers_equations_say"
 LEAN = "equations::test_in_a_manoeuvre_the_body_leans_as_an_inverted_pendulum"
 JACOBIAN = "equations::test_the_jacobian_is_the_slope_of_the_rates"
-FORMULA = "rosenbrock::test_one_step_is_the_published_formula"
+FORMULA = "rosenbrock::test_one_step_equals_the_published_formula"
 VALVE = "suspension::test_the_second_accumulator_follows_its_equation_through_a_switch"
-WHOLE = "drive::test_a_drive_in_chunks_is_the_drive_as_a_whole_to_the_bit"
+WHOLE = "drive::test_a_drive_in_chunks_equals_the_whole_drive_bitwise"
 CUBIC = "surface::test_between_samples_the_height_is_the_catmull_rom_cubic"
 PLACED = "data_logger::test_sensors_feel_the_rigid_body_where_the_paper_put_them"
-LANE = "fleet::test_every_lane_is_its_vehicle_driven_alone_to_rounding"
+LANE = "fleet::test_every_lane_matches_its_vehicle_simulated_alone"
 SEEN = "road_recon_env::test_what_is_seen_is_what_the_instruments_would_log_of_the_drive"
 SINGLE = "vector_env::test_environment_i_is_the_single_one_seeded_seed_plus_i_in_every_mode"
 REFUSED = "config::test_a_fault_in_a_vehicle_is_one_sentence_that_names_it"
-DUALS = "sensitivity::test_the_tangent_is_the_derivative_that_dual_numbers_find"
+DUALS = "sensitivity::test_the_tangent_equals_the_derivative_by_dual_numbers"
 TRANSPOSE = "sensitivity::test_the_adjoint_of_a_step_is_the_transpose_of_its_tangent"
 TABLE = "force_curves::test_the_table_is_the_curve_wherever_breakpoints_lie_on_its_grid"
-THIRD = "ode23s::test_a_step_and_its_error_make_a_formula_of_order_three"
+THIRD = "ode23s::test_a_step_plus_its_error_estimate_has_order_three"
 BOUND = "information_bound::test_the_bound_is_the_inverse_of_prior_and_measured_information"
 ODD_SAYS = "vehicle_variation::test_it_moves_as_the_papers_equations_with_the_deviations_say"
 SHUT = "vehicle_variation::test_a_valve_that_closes_on_twisted_ground_moves_nothing"
@@ -45,7 +45,7 @@ MOUNTED = (
     "sensor_faults::test_an_accelerometer_reads_what_its_axis_gain_and_offset_make_of_its_place"
 )
 LOST = "sensor_faults::test_samples_are_lost_in_bursts_of_the_stated_length_and_share"
-PAIR = "adaptive_drive::test_the_compiled_step_and_its_error_are_those_of_the_published_pair"
+PAIR = "adaptive_drive::test_the_compiled_step_and_its_error_equal_the_published_pair"
 
 
 class Fault(NamedTuple):
@@ -167,9 +167,9 @@ FAULTS = [
     Fault("road_envs/simulation/simd.py", "[j, 4 + j]", "[j, 3 + j]", LANE),
     Fault("road_envs/simulation/fleet.py", "get(p.x, 0) - get(p.x, i)", "get(p.x, i) - get(p.x, 0)", LANE),
     Fault("road_envs/simulation/fleet.py", "slot = steps_delayed[k] % max(delay[k], 1)", "slot = 0",
-          "fleet::test_parts_of_a_drive_are_the_whole_drive_to_the_bit"),
+          "fleet::test_a_fleet_in_chunks_equals_the_whole_drive_bitwise"),
     Fault("road_envs/simulation/fleet.py", "np.roll(ring, -(", "np.roll(ring, (",
-          "fleet::test_a_landed_drive_goes_on_alone_where_the_fleet_left_it"),
+          "fleet::test_a_simulator_continues_alone_after_write_back"),
     Fault(INTERVAL, "noise[k, used[k] + i, j]", "noise[k, used[k] + i, 2 - j]", SEEN),
     Fault(INTERVAL, "np.sqrt(extract_lane(rattle, k) / (4 * n))", "np.sqrt(extract_lane(rattle, k) / n)", SEEN),
     Fault(INTERVAL, "values[k, OUT_REWARD] = -n * parameters.h * cost", "values[k, OUT_REWARD] = -cost", SEEN),
@@ -186,11 +186,11 @@ FAULTS = [
     Fault("road_envs/simulation/fleet.py", "if own_q.size > N_DOF:", "if False:", SHUT),
     Fault("road_envs/simulation/fleet.py", "        if flexible is None:", "        if True:", LANE),
     Fault("road_envs/simulation/fleet.py", "byte != last[k]", "False",
-          "fleet::test_every_lane_is_its_vehicle_driven_alone_to_rounding"),
+          "fleet::test_every_lane_matches_its_vehicle_simulated_alone"),
     Fault("road_envs/simulation/speed.py", "0.5 * a[i] * dt", "a[i] * dt",
           "speed::test_distance_is_the_integral_of_speed"),
     Fault("road_envs/simulation/manoeuvres.py", "2.0 * np.pi * self.offset / T**2", "np.pi * self.offset / T**2",
-          "manoeuvres::test_a_lane_change_ends_one_lane_over_and_back_again"),
+          "manoeuvres::test_a_lane_change_moves_one_lane_over_and_back"),
     Fault(DYNAMICS, "add(out, THETA, -get(p.x, i) * push)", "add(out, THETA, get(p.x, i) * push)", PAPER_SAYS),
     Fault(DYNAMICS, "get(p.y_s, 2 * i) * (get(F", "get(p.y_t, 2 * i) * (get(F", PAPER_SAYS),
     Fault(DYNAMICS, "- get(p.k_roll, i) * roll", "+ get(p.k_roll, i) * roll", ODD_SAYS),
@@ -249,18 +249,18 @@ FAULTS = [
     Fault(INTEGRATOR, "(get(a_xy, 2) - a_x)", "(a_x - get(a_xy, 2))", FORMULA),
     Fault(INTEGRATOR, "get(work.q, PHI) + hd * get(r, PHI)", "get(work.q, PHI) - hd * get(r, PHI)", FORMULA),
     Fault(INTEGRATOR, "p.x[0] - p.x[w // 2]", "p.x[w // 2] - p.x[0]",
-          "drive::test_each_wheel_meets_the_road_where_and_when_it_stands_on_it"),
+          "drive::test_each_tyre_load_follows_from_the_road_at_its_own_station"),
     Fault(INTEGRATOR, "s[2 * n + 1], v[2 * n + 1]", "s[2 * n], v[2 * n]",
-          "rosenbrock::test_the_method_is_of_order_two_on_the_nonlinear_car_over_a_road"),
+          "rosenbrock::test_the_method_has_order_two_on_the_nonlinear_vehicle_over_a_road"),
     Fault(INTEGRATOR, "alpha = 1.0 - np.exp(-h / lag)", "alpha = 1.0 - np.exp(-0.5 * h / lag)",
-          "drive::test_95_percent_of_a_switch_is_done_after_50_milliseconds"),
+          "drive::test_a_switch_is_95_percent_complete_after_50_milliseconds"),
     Fault(SIMULATE, "car.valve.delay / step", "car.valve.delay / 0.001",
-          "drive::test_nothing_at_all_happens_before_the_delay_of_the_valve"),
+          "drive::test_a_command_has_no_effect_before_the_delay_of_the_valve"),
     Fault(SIMULATE, "2 * done + np.arange", "done + np.arange", WHOLE),
     Fault(SIMULATE, "0.5 * np.sign(x) * y", "0.5 * y",
           "vehicle_variation::test_a_point_of_a_twisting_body_moves_with_its_half"),
     Fault(SIMULATE, "- x * a[:, THETA]", "+ x * a[:, THETA]",
-          "drive::test_a_point_of_the_body_moves_with_the_rigid_body"),
+          "drive::test_the_acceleration_of_a_body_point_is_that_of_the_rigid_body"),
     Fault(VEHICLE, "return -0.5 * weight * self.rear.x, 0.5 * weight * self.front.x",
           "return 0.5 * weight * self.front.x, -0.5 * weight * self.rear.x",
           "vehicle::test_loads_add_up_to_the_weight_and_balance_about_the_centre_of_mass"),
@@ -282,7 +282,7 @@ FAULTS = [
           "data_logger::test_chunks_are_sensed_as_the_whole_to_the_bit"),
     Fault(CURVES, "(2.0 * c + 6.0 * d * (inside - i))", "(2.0 * c + 3.0 * d * (inside - i))", DUALS),
     Fault(CURVES, "if_positive(u * (cells - u), (2.0", "if_positive(1.0, (2.0",
-          "sensitivity::test_the_curvature_of_a_table_is_the_slope_of_its_slope"),
+          "sensitivity::test_the_second_derivative_of_a_table_is_the_slope_of_its_slope"),
     Fault(SUSPENSION, "-(get(p.n_p) + 1.0) * slope", "-get(p.n_p) * slope", DUALS),
     Fault(SUSPENSION, "stop - share * share * gas", "stop - share * gas", DUALS),
     Fault(SUSPENSION, "if_positive(column - get(p.column_min), bend, 0.0)", "bend", DUALS),
@@ -360,22 +360,22 @@ FAULTS = [
     Fault(ROSENBROCK, "- 2.0 * (k_1 - F_0) + h * D * T)", "- 2.0 * (k_1 - F_0))", THIRD),
     Fault(ROSENBROCK, "k_1 = solve(F_0 + h * D * T)", "k_1 = solve(F_0)", THIRD),
     Fault(ROSENBROCK, "rate(t + 0.5 * h, y + 0.5", "rate(t, y + 0.5",
-          "ode23s::test_at_a_constant_step_the_method_is_of_order_two_even_where_time_enters"),
+          "ode23s::test_at_a_constant_step_the_method_has_order_two_on_a_time_dependent_rate"),
     Fault(ROSENBROCK, "x * (x - 2.0 * D) /", "x * (x - D) /",
-          "ode23s::test_between_its_ends_a_step_is_as_accurate_as_at_them"),
+          "ode23s::test_dense_output_is_as_accurate_as_the_steps"),
     Fault(ROSENBROCK, "error ** (-1.0 / 3.0)", "error ** (-1.0 / 2.0)",
-          "ode23s::test_the_next_step_grows_with_the_cube_root_of_the_error_within_limits"),
+          "ode23s::test_the_step_size_factor_is_a_limited_cube_root_of_the_error"),
     Fault(ROSENBROCK, "new.y, new.F\n", "new.y, F\n",
-          "ode23s::test_at_a_constant_step_the_method_is_of_order_two_even_where_time_enters"),
+          "ode23s::test_at_a_constant_step_the_method_has_order_two_on_a_time_dependent_rate"),
     Fault(ADAPTIVE, "- E_32 * (k_2v - at_middle[j])", "+ E_32 * (k_2v - at_middle[j])", PAIR),
     Fault(ADAPTIVE, "work.T[w] = work.dT[w] + hd", "work.T[w] = work.dT[w] - hd", PAIR),
     Fault(ADAPTIVE, "add_tyres(p, work.T, R_v)", "", PAIR),
     Fault(ADAPTIVE, "hd * relative_roll(R_q, 0)", "relative_roll(R_q, 0)", PAIR),
     Fault(ADAPTIVE, "b_1 * work.g[j] + b_2 * k_2v", "b_1 * work.g[j] + b_2 * work.g[j]", PAIR),
     Fault(ADAPTIVE, "y[:] = start_signals[: 2 * N_DOF]", "pass",
-          "adaptive_drive::test_its_trajectory_is_that_of_small_constant_steps_in_every_signal"),
+          "adaptive_drive::test_every_signal_matches_the_drive_in_small_fixed_steps"),
     Fault(ADAPTIVE, "(now + 0.5 * k * h)", "(now + 0.25 * k * h)",
-          "adaptive_drive::test_the_drive_is_scipys_radau_and_closer_to_it_the_tighter_the_tolerance"),
+          "adaptive_drive::test_the_drive_converges_to_scipys_radau_with_the_tolerance"),
     Fault(OBSERVABILITY, "noise = np.maximum(instruments.noise_density, 1e-9) ** 2 * v",
           "noise = np.maximum(instruments.noise_density, 1e-9) ** 2", BOUND),
     Fault(OBSERVABILITY, "R + model_error**2", "R + model_error",
@@ -418,17 +418,17 @@ FAULTS = [
     Fault("estimators/common/spatial_signals.py", "F_C, causal)", "F_C)",
           "spatial_signals::test_a_causal_course_knows_nothing_beyond_its_reach"),
     Fault("estimators/networks/trainer.py", "{**current, \"state\": moments}", "current",
-          "trainer::test_an_interrupted_teaching_ends_where_a_whole_one_does_to_the_bit"),
+          "trainer::test_an_interrupted_training_gives_the_same_weights_to_the_bit"),
     Fault("estimators/networks/trainer.py", "if error < self.best_error:", "if True:",
-          "trainer::test_the_weights_of_the_least_error_on_held_out_roads_are_kept"),
+          "trainer::test_the_weights_of_the_smallest_validation_error_are_kept"),
     Fault("estimators/networks/trainer.py", "residual * MIRROR_SIGNS[6:8]", "residual * MIRROR_SIGNS[5:7]",
-          "trainer::test_a_stretch_in_the_mirror_has_roll_and_half_difference_turned_over"),
+          "trainer::test_a_mirrored_crop_has_roll_and_half_difference_negated"),
     Fault("estimators/networks/narx.py", "if k >= d else", "if k > d else",
-          "narx::test_in_parallel_the_network_is_fed_its_own_answers_station_by_station"),
+          "narx::test_in_parallel_the_network_feeds_back_its_own_outputs"),
     Fault("estimators/preprocessing.py", "np.maximum.accumulate(record.s)", "record.s",
-          "preprocessing::test_a_record_that_cannot_be_used_is_refused_with_the_reason"),
+          "preprocessing::test_an_unusable_record_is_rejected_with_the_reason"),
     Fault("leaderboard/evaluation/pretraining.py", "== self.purpose", "!= \"\"",
-          "pretraining::test_an_unfinished_state_of_another_purpose_is_not_taken_up"),
+          "pretraining::test_an_unfinished_state_of_another_purpose_is_ignored"),
     Fault("leaderboard/running/plan.py", "if self._may_be_altered:", "if False:",
           "board::test_what_is_changed_while_entries_run_is_found_and_made_again"),
     Fault("leaderboard/running/plan.py", "if result.failure is None:", "if True:",
@@ -446,29 +446,29 @@ FAULTS = [
     Fault("road_envs/analysis/statistical_linearization.py", "for k in range(2, ORDERS + 1):\n        each = each * rho", "for k in range(2, ORDERS + 1):\n        each = rho",
           "statistical_linearization::test_of_a_cube_the_triple_convolution_of_the_spectrum_remains"),
     Fault("estimators/wiener/spectral_model.py", "np.real(np.einsum(\"fii->f\", matrices))", "np.abs(matrices[:, 0, 0])",
-          "wiener::test_noise_that_is_stronger_than_supposed_is_told_from_road"),
+          "wiener::test_the_noise_scale_is_separated_from_the_road_level"),
     Fault("estimators/wiener/smoother.py", "q += RELAXATION * (expected - q)", "q -= RELAXATION * (expected - q)",
-          "wiener::test_taking_the_remainder_out_comes_much_nearer_to_the_bound"),
+          "wiener::test_subtracting_the_force_residuals_reduces_the_error"),
     Fault("estimators/networks/std_calibration.py", "np.log(n_std) for _, n_std in COV", "np.log(n_std) for n_std, _ in COV",
-          "std_calibration::test_widths_that_follow_speed_states_and_level_are_found"),
+          "std_calibration::test_factors_depending_on_speed_states_and_level_are_recovered"),
     Fault("leaderboard/evaluation/pretraining.py", "corpus.simulate_drive(k, True)", "corpus.simulate_drive(k)",
-          "std_calibration::test_what_is_written_is_taught_and_then_calibrated_by_the_car_as_described"),
+          "std_calibration::test_the_command_trains_and_then_calibrates_on_the_nominal_vehicle"),
     Fault("estimators/networks/sequence_estimator.py", "factors * inputs.level", "inputs.level",
-          "std_calibration::test_shipped_intervals_cover_what_they_promise_on_the_cars_own_roads"),
+          "std_calibration::test_shipped_intervals_have_the_stated_coverage_on_the_main_board"),
     Fault("estimators/wiener/spectral_model.py", "shape = _shrunk_band_means(level_per_line / level, octave, ROAD_OCTAVES.size)", "pass",
-          "wiener::test_a_road_that_falls_otherwise_than_supposed_is_found_to"),
+          "wiener::test_a_waviness_other_than_the_prior_is_estimated"),
     Fault("estimators/roughness/rms_regression.py", "inverse - np.outer(alpha, alpha)", "inverse + np.outer(alpha, alpha)",
-          "rms_regression::test_the_evidence_is_the_density_of_the_outputs_and_its_slope_that_of_differences"),
+          "rms_regression::test_the_marginal_likelihood_is_the_outputs_density_and_its_gradient_matches"),
     Fault("estimators/roughness/rms_regression.py", "np.diag(own) + noise -", "np.diag(own) -",
           "rms_regression::test_a_prediction_is_the_conditional_of_the_joint_density"),
     Fault("road_envs/data/training_corpus.py", "w=rng.uniform(1.6, 2.4)", "w=rng.uniform(1.6, 2.5)",
-          "pretrained_weights::test_shipped_linear_windows_are_those_of_the_corpus_as_it_is_driven_now"),
+          "pretrained_weights::test_shipped_fir_taps_match_the_corpus_as_simulated_now"),
     Fault("estimators/linear/inverse_quarter_car.py", "(m_u * p**2 * z_u + m_s)", "(m_u * p**2 * z_u)",
           "inverse_quarter_car::test_it_is_the_inverse_of_the_quarter_car_in_state_space"),
     Fault("estimators/linear/inverse_quarter_car.py", "(z[2:], wheelbase)", "(z[2:], 0.0)",
-          "inverse_quarter_car::test_of_the_difference_it_tells_the_mean_over_three_wheelbases"),
+          "inverse_quarter_car::test_of_the_difference_a_comb_over_three_wheelbases_is_recovered"),
     Fault("estimators/linear/inverse_quarter_car.py", "np.array([-car.rear.x, car.front.x])", "np.array([car.front.x, -car.rear.x])",
-          "inverse_quarter_car::test_the_corners_of_the_defender_are_those_of_its_description"),
+          "inverse_quarter_car::test_the_corners_of_the_defender_match_its_parameters"),
     Fault("estimators/kalman/road_process.py", "variance += weight * row[node_index(newest_node - k, n) + component]", "pass",
           EARLY),
     Fault("estimators/kalman/road_process.py", "x[M], x[M + 1] = c * real - s * imaginary, s * real + c * imaginary", "x[M], x[M + 1] = c * real, c * imaginary",

@@ -1,4 +1,4 @@
-"""A level road: the score that every other estimator must beat."""
+"""Level road: the baseline that every estimator must beat."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -12,12 +12,12 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 @dataclass(frozen=True, kw_only=True)
 class Flat:
-    """Zero everywhere; by definition its in-band error is the truth's own level."""
+    """Zero everywhere; its in-band error is the level of the truth by definition."""
 
     __pydantic_config__ = STRICT
     causal: ClassVar[bool] = True
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Zero heights (2, M) [m]."""
+        """Return zero heights (2, M) [m]."""
         stations = profile_stations(record.length)
         return Estimate(stations, np.zeros((2, stations.size)))

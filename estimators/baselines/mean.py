@@ -1,9 +1,9 @@
-"""The mean of the training roads: what memory of them is worth without any measurement.
+"""Mean of the training roads: the score of memory without any measurement.
 
-At each station the heights of those training roads that reach so far are averaged, each wheel path
-for itself. Beyond the longest of them nothing is remembered and the road is level at zero. On new
-roads this is close to `flat` (independent roads average out); on a board whose test road is an
-altered training road it is nearly the truth, and shows that the board asks for memory.
+Each station is the average of the training roads that reach it, per wheel path; beyond the longest
+the road is zero. On new roads this is close to `flat`, since independent roads average out. On a
+board whose test road is a modified training road it is nearly the truth and shows that the board
+rewards memory.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,13 +21,13 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 @dataclass(frozen=True, kw_only=True)
 class Mean:
-    """The mean training road, whatever was measured."""
+    """The mean training road, independent of the record."""
 
     __pydantic_config__ = STRICT
     causal: ClassVar[bool] = True
 
     z: np.ndarray | None = field(default=None, init=False, repr=False, compare=False)
-    """Mean heights (2, M) [m] on the grid, as far as the longest training road."""
+    """Mean heights (2, M) [m] at the stations of the longest training road."""
 
     def fit(
         self,
@@ -36,11 +36,11 @@ class Mean:
         car: VehicleParameters,
         seed: int,
     ) -> Self:
-        """Average the truths; records, car and seed play no part."""
+        """Average the truths; records, car and seed are unused."""
         return copy_with(self, z=mean_profile(truths))
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """The mean road, cut or continued at zero to the record's length."""
+        """Return the mean road, truncated or extended by zeros. Raises NotFittedError."""
         mean = require_fitted(self.z, self)
         stations = profile_stations(record.length)
         z = np.zeros((2, stations.size))
@@ -49,17 +49,17 @@ class Mean:
         return Estimate(stations, z)
 
     def weights(self) -> dict[str, np.ndarray]:
-        """`z` (2, M)."""
+        """Return `z` (2, M). Raises NotFittedError."""
         return {"z": require_fitted(self.z, self)}
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
-        """A copy with these weights. Raises ValueError."""
+        """Return a copy with these weights. Raises ValueError."""
         (z,) = validate_weights(weights, {"z": (2, None)})
         return copy_with(self, z=z)
 
 
 def mean_profile(truths: Sequence[Profile]) -> np.ndarray:
-    """Mean heights (2, M) [m] on the grid over the truths that reach each station."""
+    """Return mean heights (2, M) [m] over the truths that reach each station."""
     stations = profile_stations(max(truth.s[-1] + truth.ds for truth in truths))
     total, count = np.zeros((2, stations.size)), np.zeros(stations.size)
     for truth in truths:

@@ -1,14 +1,13 @@
-"""Another road of the same roughness: what a score is worth that only compares levels.
+"""Random road of the same roughness: the score of an estimate that matches the level only.
 
 The straight line of ISO 8608 is fitted to the displacement spectral density of the training roads,
 
     G_d(n) = G_d(n0) (n / n0)^-w            n0 = 0.1 cycles/m
 
-and a road with this density and random phases is drawn, cosine by cosine. It is right in level, by
-expectation, and wrong everywhere else: correlation 0 and sqrt(2) times the error of `flat`. The
-wheel paths are drawn independently of each other, and one fitted estimator answers every drive with
-the same road. The road is synthetic, not one of the training roads, because on the paper's board
-those are altered versions of the test road.
+and a road with this density and random phases is synthesised from cosines. Its level is right in
+expectation, everything else is unrelated to the truth: correlation 0 and sqrt(2) times the error of
+`flat`. The wheel paths are independent, and a fitted estimator returns the same road for every drive.
+It is synthetic and not a training road, since on the paper's board those are modified test roads.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,7 +34,7 @@ class FittedRoad(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class UnrelatedRoad:
-    """A random road as rough as the training roads, whatever was measured."""
+    """A random road as rough as the training roads, independent of the record."""
 
     __pydantic_config__ = STRICT
     causal: ClassVar[bool] = True
@@ -49,33 +48,33 @@ class UnrelatedRoad:
         car: VehicleParameters,
         seed: int,
     ) -> Self:
-        """Level and waviness of the truths; `seed` draws the phases."""
-        phases = int(np.random.default_rng(seed).integers(2**31))  # a float can hold it
+        """Fit level and waviness of the truths; `seed` draws the phases. Raises ValueError."""
+        phases = int(np.random.default_rng(seed).integers(2**31))  # exact as a float
         return copy_with(self, fitted_state=FittedRoad(*fit_spectrum(truths), phases))
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """The random road."""
+        """Return the random road. Raises NotFittedError."""
         stations = profile_stations(record.length)
         return Estimate(stations, draw_road(require_fitted(self.fitted_state, self), stations.size))
 
     def weights(self) -> dict[str, np.ndarray]:
-        """The scalars `G_d0`, `w` and `seed`."""
+        """Return the scalars `G_d0`, `w` and `seed`. Raises NotFittedError."""
         return {
             name: np.asarray(x)
             for name, x in require_fitted(self.fitted_state, self)._asdict().items()
         }
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
-        """A copy with these weights. Raises ValueError."""
+        """Return a copy with these weights. Raises ValueError."""
         G_d0, w, seed = validate_weights(weights, {"G_d0": (), "w": (), "seed": ()})
         return copy_with(self, fitted_state=FittedRoad(float(G_d0), float(w), int(seed)))
 
 
 def fit_spectrum(truths: Sequence[Profile]) -> tuple[float, float]:
-    """G_d(n0) [m³] and waviness of all wheel paths together. Raises ValueError on level roads.
+    """Return G_d(n0) [m³] and waviness of all wheel paths together. Raises ValueError on level roads.
 
-    The waviness is the slope over log G. The level is the mean of G over the line, not of log G,
-    which is low by up to 2.5 dB where a band holds a single line of the spectrum.
+    The waviness is the slope of log G. The level is the mean of G over the line, not of log G, which is
+    low by up to 2.5 dB where a band contains a single spectral line.
     """
     spectra = [smooth_psd(*displacement_psd(truth.z, truth.ds)) for truth in truths]
     n = np.concatenate([n for n, _ in spectra])
@@ -86,7 +85,7 @@ def fit_spectrum(truths: Sequence[Profile]) -> tuple[float, float]:
 
 
 def draw_road(road: FittedRoad, size: int) -> np.ndarray:
-    """Heights (2, size) [m] on the grid, from 0; the sum of cosines repeats after twice as far."""
+    """Return heights (2, size) [m] at the profile stations, from 0; the period is twice the length."""
     n = rfftfreq(2 * size, PROFILE_SPACING)
     inside = n >= FIT_BAND[0]
     G = road.G_d0 * (n[inside] / N_0) ** -road.w

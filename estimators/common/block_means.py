@@ -1,8 +1,8 @@
-"""What the accelerometers said, as means over short blocks of samples.
+"""Measurements as means of acceleration samples over short blocks.
 
 A block of b samples with white noise of variance sigma² each has a mean of variance sigma² / b, and
-what the car does to the mean is known; so nothing is lost below the rate of the blocks, and lost,
-clipped or false samples are left out of it, one by one.
+the vehicle model predicts that mean exactly. No information below the block rate is lost, and
+missing, clipped or invalid samples are left out one by one.
 """
 
 from dataclasses import dataclass
@@ -13,22 +13,23 @@ from road_envs.data.record import Record
 from road_envs.sensing.instruments import Instruments
 
 CLIP_THRESHOLD = 0.98
-"""Share of the range from which a sample is not believed."""
+"""Share of the sensor's range from which on a sample counts as clipped."""
 
 REQUIRED_BANDWIDTH = 25.0
-"""What the benchmark's accelerations hold at least [Hz]."""
+"""Bandwidth [Hz] that the accelerations must at least hold: that of the scored band."""
 
 MIN_NOISE_DENSITY = 1e-3
-"""Noise density [(m/s²)/sqrt(Hz)] below which the step's own error is what is left over."""
+"""Noise density [(m/s²)/sqrt(Hz)] below which the integration error of the model dominates."""
 
 ANTIALIAS_SPREAD = 3
-"""Samples to either side of a false one which the anti-alias filter mixes with it."""
+"""Samples to either side of an invalid one that the anti-alias filter mixes with it."""
 
 
 @dataclass(frozen=True, eq=False)
 class BlockMeans:
-    """Means `y` (S, J) [m/s²] over blocks, the `sample_weight` (S, J, b) of each sample in its
-    block's mean (0 where the sample is not used) and the samples `sample_count` (S, J) in it.
+    """Means `y` (S, J) [m/s²] over blocks of b samples, the `sample_weight` (S, J, b) of each
+    sample in the mean of its block (0 if unused) and the number of samples used, `sample_count` (S,
+    J).
     """
 
     y: np.ndarray
@@ -41,12 +42,13 @@ class BlockMeans:
         return self.sample_weight.shape[1] * self.sample_weight.shape[2]
 
     def average(self, a: np.ndarray) -> np.ndarray:
-        """Means (S, J) of the samples `a` (S, J b) over the same blocks."""
+        """Return the means (S, J) of other samples `a` (S, J b) with the same weights."""
         return np.einsum("sjb,sjb->sj", self.sample_weight, a.reshape(self.sample_weight.shape))
 
 
 def block_means(a: np.ndarray, used: np.ndarray, block: int) -> BlockMeans:
-    """Means of the samples `a` (S, T) [m/s²] that are `used` (S, T), over `block` samples each.
+    """Return the means of the samples `a` (S, T) [m/s²] that are `valid` (S, T), over blocks of
+    `block`.
 
     Up to `block` - 1 samples at the end fill no block and are left out.
     """
@@ -60,7 +62,7 @@ def block_means(a: np.ndarray, used: np.ndarray, block: int) -> BlockMeans:
 
 
 def valid_samples(record: Record, instruments: Instruments) -> np.ndarray:
-    """Which samples (S, T) can be believed: finite ones that no neighbour nor itself is clipped."""
+    """Return which samples (S, T) are finite and neither clipped nor near a clipped or missing one."""
     false = ~np.isfinite(record.a)
     false |= np.abs(np.nan_to_num(record.a)) >= CLIP_THRESHOLD * instruments.range
     wide = false.copy()
@@ -71,7 +73,9 @@ def valid_samples(record: Record, instruments: Instruments) -> np.ndarray:
 
 
 def to_uniform_clock(record: Record) -> tuple[Record, list[str]]:
-    """The record on an even clock, NaN where it lost a sample, and what is to be noted of it."""
+    """Return the record on a uniform clock, NaN where samples are missing, and a note if it
+    changed.
+    """
     steps = np.diff(record.t)
     dt = float(np.median(steps))
     if np.abs(steps - dt).max() <= JITTER * dt:
@@ -87,17 +91,17 @@ def to_uniform_clock(record: Record) -> tuple[Record, list[str]]:
 
 
 JITTER = 0.01
-"""A step of the clock that differs by more than this share from the others is a fault."""
+"""Relative deviation of a clock step from the median above which the clock counts as uneven."""
 
 MIN_DURATION = 1.0
-"""Seconds of a record in which a car can be heard at all."""
+"""Least duration [s] of a record."""
 
 MIN_MEAN_SPEED = 0.1
-"""Mean speed [m/s] below which a car stands."""
+"""Mean speed [m/s] below which the vehicle counts as standing."""
 
 
 def validate_record(record: Record) -> None:
-    """ValueError, in one sentence, if the record cannot be explained by any drive."""
+    """Raise ValueError unless the record can be that of a drive which these estimators can use."""
     if record.t.size < 2 or not record.t[-1] - record.t[0] >= MIN_DURATION:
         raise ValueError(
             f"the record is shorter than {MIN_DURATION:g} s: too short for the car to be heard"

@@ -1,6 +1,4 @@
-"""A record as the model drives it: where the front axle is and what the valves are told, step by
-step.
-"""
+"""Inputs of the vehicle model along a record: station, speed and valve commands at each step."""
 
 from dataclasses import dataclass
 
@@ -13,7 +11,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import settled_strut_state
 
 REST_STD = np.repeat([1e-4, 1e-3], N_DOF)
-"""Prior deviations of the first state's coordinates and rates, of a car on a level apron."""
+"""Prior standard deviations of the first vehicle state, of a vehicle at rest on a level apron."""
 
 MOVING_STD = np.repeat([3e-2, 3e-1], N_DOF)
 """The same in the middle of a road."""
@@ -21,9 +19,9 @@ MOVING_STD = np.repeat([3e-2, 3e-1], N_DOF)
 
 @dataclass(frozen=True, eq=False)
 class ModelInputs:
-    """N steps of `h` [s]. `s` station of the front axle [m] and `v` speed [m/s] at every half step,
-    (2 N,); `commands` (N,): the bytes that reach the valves. A sample is taken every `decimation`
-    steps.
+    """Inputs of N steps of `h` [s]: station `s` [m] of the front axle and speed `v` [m/s] at each
+    half step (2 N,), and the command bytes `commands` (N,) that reach the valves. A sample is taken
+    every `decimation` steps.
     """
 
     h: float
@@ -38,7 +36,7 @@ class ModelInputs:
         return self.commands.size
 
     def slice_steps(self, first: int, last: int) -> "ModelInputs":
-        """The steps from `first` to before `last`."""
+        """Return the steps `first` to `last` (excluded)."""
         half, whole = slice(2 * first, 2 * last), slice(first, last)
         return ModelInputs(
             self.h, self.decimation, self.s[half], self.v[half], self.commands[whole]
@@ -48,10 +46,9 @@ class ModelInputs:
 def build_model_inputs(
     record: Record, instruments: Instruments, car: VehicleParameters, max_step: float
 ) -> ModelInputs:
-    """Steps no longer than `max_step` [s], a whole number of them from sample to sample.
+    """Return the inputs of a record, in steps of at most `max_step` [s], a whole number per sample.
 
-    The samples are late by what the anti-alias filter holds them back, and the model is driven
-    earlier by as much.
+    The anti-alias filter delays the samples, so the model is driven earlier by as much.
     """
     decimation = max(1, int(np.ceil(1.0 / (record.fs * max_step) - 1e-6)))
     h = 1.0 / (record.fs * decimation)
@@ -72,13 +69,13 @@ def build_model_inputs(
 
 
 def antialias_delay(instruments: Instruments) -> float:
-    """Seconds by which slow signals leave the anti-alias filter late."""
+    """Return the delay [s] of slow signals in the anti-alias filter."""
     f = 1e-3 * instruments.f_alias
     return float(-np.angle(instruments.response(np.array(f))) / (2.0 * np.pi * f))
 
 
 def rest_state(car: VehicleParameters, inputs: ModelInputs) -> np.ndarray:
-    """State (14,) of the car that stands on a level apron before it is driven off."""
+    """Return the state (14,) of the vehicle at rest on a level apron before the drive."""
     if car.tyre_static_deflection != "equilibrium":
         return np.zeros(2 * N_DOF)  # the paper's start, some millimetres off
     return equilibrium(build_plant(car), settled_strut_state(int(inputs.commands[0])), np.zeros(4))

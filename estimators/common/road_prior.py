@@ -1,7 +1,7 @@
-"""How likely a road is, from node to node of its spline.
+"""Prior spectrum of a road's increments from node to node of its spline.
 
-Mean and difference of the wheel paths of an isotropic surface are independent, of densities
-G_d (1 ± g) / 2. The spline rounds waves off by sinc(n ds)^4, which is made up for.
+Mean and half difference of the wheel paths of an isotropic surface are independent, of densities
+G_d (1 ± g) / 2. The spline attenuates waves by sinc(n ds)^4, for which the amplitude compensates.
 """
 
 import numpy as np
@@ -11,19 +11,18 @@ from road_envs.analysis.information_bound import RoadPrior
 from road_envs.analysis.roughness import root_coherence
 
 N_MIN = 0.01
-"""Steps of waves longer than 1 / N_MIN [m] are no likelier than this one's, for any waviness
-[cycles/m]."""
+"""Spatial frequency [cycles/m] below which the density of the increments is constant, for any
+waviness."""
 
 
 def increment_amplitude(
     prior: RoadPrior, size: int, ds: float, flat_below: float | None = None
 ) -> np.ndarray:
-    """A(n) (2, size // 2 + 1) [m] of `size` nodes `ds` [m] apart, for mean and half difference:
-    irfft(A rfft(white noise)) are rises from coefficient to coefficient as likely as the prior has
-    them.
+    """Return A(n) (2, size // 2 + 1) [m] for mean and half difference, `size` nodes `ds` [m] apart.
 
-    Longer waves than 1 / N_MIN [m] go on as a random walk; or, from `flat_below` [cycles/m] on, no
-    wave is higher than that one.
+    irfft(A rfft(white noise)) are increments from coefficient to coefficient with the spectrum of
+    `prior`. Waves longer than 1 / N_MIN [m] continue as a random walk; with `flat_below` [cycles/m]
+    waves longer than 1 / `flat_below` are no higher than that one.
     """
     line = rfftfreq(size, ds)
     line[0] = 0.5 * line[1]  # a slope all along is half a wave

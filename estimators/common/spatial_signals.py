@@ -1,17 +1,17 @@
-"""A drive over distance: what estimators read that are taught once for all speeds and modes.
+"""Signals of a drive over distance, the inputs of estimators trained for all speeds and modes.
 
-Three accelerometers on a rigid body are three motions. Those of the centre line over the front and
-over the rear sensors feel the mean m of the wheel paths alone, the rolling one their half
-difference q, whatever the height and length of the body (RF and RR stand on one side):
+Three accelerometers on a rigid body give three motions. Those of the centre line above the front
+and the rear sensors depend on the mean m of the wheel paths alone, the roll on their half
+difference q, whatever the height and length of the body (RF and RR are on one side):
 
     roll = (LR - RR) / 2      front = RF + roll      rear = (LR + RR) / 2
     z_left = m + q            z_right = m - q
 
-so the mirrored road is a change of sign of roll and q. Stations are SPACING apart, fine enough for
-1.8 cycles/m, the end of the judged band; signals are low-passed over distance before, heights are
-brought back to the grid after, by one and the same short filter (REACH to either side), so that
-what is causal before stays so but for 2 REACH. Velocities of the three motions are the integrals
-over time, high-passed at 0.3 Hz.
+Mirroring the road therefore changes the sign of roll and q. Stations are SPACING apart, fine enough
+for 1.8 cycles/m, the end of the scored band. Signals are low-passed over distance before decimation
+and heights after upsampling to the profile grid, by the same short filter, which reaches
+FILTER_REACH to either side: a causal input stays causal up to 2 FILTER_REACH. Velocities of the
+three motions are integrals over time, high-passed at 0.3 Hz.
 """
 
 from typing import NamedTuple
@@ -32,30 +32,30 @@ EDGE_STATIONS = 4
 
 FILTER_REACH = EDGE_STATIONS * SPACING
 N_CUT = 3.0
-"""Cut-off of the filter [cycles/m]; 50 dB down from 4.5, flat to 0.4 % up to 1.8."""
+"""Cut-off of the filter [cycles/m]: 50 dB down from 4.5 on, flat to 0.4 % up to 1.8."""
 
 LOWPASS = signal.firwin(
     2 * EDGE_STATIONS * DECIMATION + 1, N_CUT, window=("kaiser", 5.0), fs=1.0 / PROFILE_SPACING
 )
 
 F_VELOCITY = 0.3
-"""Slower velocities are left out [Hz]: they are drift as much as motion."""
+"""High-pass of the velocities [Hz]: below, integrated drift is as large as motion."""
 
 N_HIGH_PASS = 0.05
-"""Slower heights are not estimated [cycles/m]: accelerations fall with n² v²."""
+"""High-pass of the target heights [cycles/m]: accelerations fall with n² v²."""
 
 N_MOTIONS = 3
-"""front, rear, roll."""
+"""Front, rear and roll."""
 
 
 class SpatialSignals(NamedTuple):
-    """What was sensed, at K even stations: `margin` of them before the first that is estimated and
-    after the last.
+    """Signals at K even stations, `margin` of them before the first that is estimated and after the
+    last.
 
-    `motions` (6, K): accelerations [m/s²] and velocities [m/s] of front, rear and roll; `v` (K,)
-    speed [m/s]; `states` (K, 4): share of stiff springs and of high damping in front, then at the
-    rear. All are those of the moment when the front axle passed the station; zero motion where the
-    record does not reach.
+    `motions` (6, K): accelerations [m/s²] and velocities [m/s] of front, rear and roll; `v` (K,):
+    speed [m/s]; `states` (K, 4): shares of stiff springs and of high damping in front, then at the
+    rear. All are those of the moment when the front axle passed the station; motions are zero where
+    the record does not reach.
     """
 
     motions: np.ndarray
@@ -65,18 +65,19 @@ class SpatialSignals(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Stations that are estimated."""
+        """Number of estimated stations."""
         return self.v.size - 2 * self.margin
 
 
 def n_stations(length: float) -> int:
-    """Stations that are estimated on a road of `length` [m]."""
+    """Return the number of estimated stations on a road of `length` [m]."""
     return -(-profile_stations(length).size // DECIMATION) + 2 * EDGE_STATIONS
 
 
 def to_spatial(record: Record, margin: int, causal: bool = False) -> SpatialSignals:
-    """A drive at its stations and `margin` more at either end; `causal`, a station knows nothing of
-    what was sensed more than REACH after it.
+    """Return the signals of a record at its stations and at `margin` more at either end.
+
+    With `causal` no station uses a sample from more than FILTER_REACH after it.
     """
     K = n_stations(record.length) + 2 * margin
     first = -(EDGE_STATIONS + margin) * DECIMATION
@@ -97,7 +98,7 @@ def to_spatial(record: Record, margin: int, causal: bool = False) -> SpatialSign
 
 
 def body_motions(record: Record, causal: bool) -> np.ndarray:
-    """Accelerations and velocities (6, N) of front, rear and roll over time."""
+    """Return accelerations and velocities (6, N) of front, rear and roll over time."""
     rf, lr, rr = preprocess_accelerations(record.a, record.fs, F_C, causal)
     roll = 0.5 * (lr - rr)
     a = np.array([rf + roll, 0.5 * (lr + rr), roll])
@@ -107,7 +108,9 @@ def body_motions(record: Record, causal: bool) -> np.ndarray:
 
 
 def decimate(x: np.ndarray) -> np.ndarray:
-    """Rows (k, K) at every STEP-th station, low-passed, of `x` (k, (K - 1 + 2 EDGE) STEP + 1)."""
+    """Return rows (k, K) at every DECIMATION-th station of `x` (k, (K - 1 + 2 EDGE_STATIONS)
+    DECIMATION + 1), low-passed.
+    """
     K = (x.shape[1] - 1) // DECIMATION + 1 - 2 * EDGE_STATIONS
     return signal.upfirdn(LOWPASS, x, 1, DECIMATION, axis=1)[
         :, 2 * EDGE_STATIONS : 2 * EDGE_STATIONS + K
@@ -115,15 +118,16 @@ def decimate(x: np.ndarray) -> np.ndarray:
 
 
 def upsample(x: np.ndarray, size: int) -> np.ndarray:
-    """Heights (k, size) on the grid from those at the stations (k, M)."""
+    """Return heights (k, size) on the grid from those at the stations (k, M)."""
     fine = signal.upfirdn(DECIMATION * LOWPASS, x, DECIMATION, 1, axis=1)
     return fine[:, 2 * EDGE_STATIONS * DECIMATION : 2 * EDGE_STATIONS * DECIMATION + size]
 
 
 def target_profile(truth: Profile, length: float) -> np.ndarray:
-    """Mean and half difference (2, M) [m] of the wheel paths at the stations that are estimated,
-    low-passed as what was sensed and without waves longer than 20 m; beyond its ends the road goes
-    on by odd reflection.
+    """Return mean and half difference (2, M) [m] of the true wheel paths at the estimated stations.
+
+    Low-passed as the signals are and without waves longer than 20 m; continued beyond the ends of
+    the road by odd reflection.
     """
     left, right = sample_profile(truth, profile_stations(length))
     z = np.array([0.5 * (left + right), 0.5 * (left - right)])
@@ -137,7 +141,7 @@ def target_profile(truth: Profile, length: float) -> np.ndarray:
 
 
 def wheel_paths(x: np.ndarray) -> np.ndarray:
-    """Left and right (2, M) from mean and half difference (2, M)."""
+    """Return left and right (2, M) from mean and half difference (2, M)."""
     return np.array([x[0] + x[1], x[0] - x[1]])
 
 

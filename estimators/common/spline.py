@@ -1,9 +1,9 @@
-"""Both wheel paths as cubic B-splines, seen by the wheels of a moving car.
+"""Both wheel paths as cubic B-splines, and their heights under the wheels of a moving vehicle.
 
     z(s) = sum_k c_k B((s - s_0) / ds - k)          B: the uniform cubic B-spline, of width 4
 
-Coefficients `c` (2, K) stand on even nodes; the curve has continuous slope and curvature. Stations
-are given as node numbers x = (s - s_0) / ds, and must lie between the second and the last but two.
+The coefficients `c` (2, K) belong to even nodes; slope and curvature are continuous. Stations are
+given as node numbers x = (s - s_0) / ds, from the second node to the last but two.
 """
 
 import numpy as np
@@ -13,7 +13,9 @@ from road_envs._numba import kernel
 
 @kernel
 def locate_node(x, size):
-    """Node before `x` and the fraction of the way to the next; never where no four nodes stand."""
+    """Return the node before `x` and the fraction of the way to the next, clipped to the valid
+    range.
+    """
     x = min(max(x, 1.0), size - 2.001)
     i = int(x)
     return i, x - i
@@ -21,7 +23,7 @@ def locate_node(x, size):
 
 @kernel
 def height_weights(t):
-    """Share of the four nodes about the fraction `t` in the height."""
+    """Return the weights of the four nodes about the fraction `t` in the height."""
     r = 1.0 - t
     inner, outer = (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0, t * t * t / 6.0
     return r * r * r / 6.0, inner, 1.0 - inner - outer - r * r * r / 6.0, outer
@@ -29,17 +31,17 @@ def height_weights(t):
 
 @kernel
 def slope_weights(t):
-    """Share of the four nodes about the fraction `t` in the slope, for nodes one apart."""
+    """Return the weights of the four nodes about the fraction `t` in the slope per node."""
     r = 1.0 - t
     return -0.5 * r * r, t * (1.5 * t - 2.0), r * (2.0 - 1.5 * r), 0.5 * t * t
 
 
 @kernel
 def sample_under_wheels(c, x, node_rate, wheelbase_nodes, out):
-    """Heights and their rates under FL, FR, RL, RR at every instant, to `out` (M, 2, 4).
+    """Write heights and their rates under FL, FR, RL, RR at each of M instants to `out` (M, 2, 4).
 
-    `x` (M,): node number of the front axle, `wheelbase_nodes` nodes ahead of the rear; `node_rate`
-    (M,): nodes passed in a second.
+    `x` (M,): node number of the front axle, `wheelbase_nodes` ahead of the rear one; `node_rate`
+    (M,) [nodes/s].
     """
     for m in range(x.size):
         for axle in range(2):
@@ -53,7 +55,9 @@ def sample_under_wheels(c, x, node_rate, wheelbase_nodes, out):
 
 
 def evaluate_spline(c: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Heights (2, M) [m] of the curves with coefficients `c` (2, K) at node numbers `x` (M,)."""
+    """Return the heights (2, M) [m] of the curves with coefficients `c` (2, K) at node numbers `x`
+    (M,).
+    """
     road = np.empty((x.size, 2, 4))
     sample_under_wheels(c, np.ascontiguousarray(x, dtype=float), np.zeros(x.size), 0.0, road)
     return road[:, 0, :2].T.copy()

@@ -1,30 +1,28 @@
-"""Kalman filter of the car and of the road that it stands on: heights told while driving.
+"""Extended Kalman filter of vehicle and road, with a fixed-lag and a whole-drive smoother.
 
-The filter holds the seven coordinates of the car, their rates, the zeros of the sensors, and the
+The state holds the seven coordinates of the vehicle and their rates, the sensor biases, and the
 road as nodes of a spline fixed in space, of both wheel paths, from the front axle back to behind
-the rear one. Nodes come in ahead as the isotropic prior foretells them (`road.py`), and as both
-axles stand on the same nodes, what the rear one feels is the delayed front one's road without any
-approximation, and each station is known better until it has left (fixed-lag smoothing for nothing).
-The car is driven by the simulator's own step through every switch of its struts, and linearised by
-its exact tangent (`block.py`); the struts' forces are linearised over what is uncertain of their
-rate, and what is left over is noise (`struts.py`), without which the filter soon believes in a
-wrong road. Roughness and excess noise are learnt on the way. Heights are told about their long
-waves (`telling.py`); `smooth_backward.py` is the smoother for the whole drive.
+the rear one. New nodes come from the isotropic prior (`road_process.py`). Both axles roll over the
+same nodes, so the wheelbase delay is exact, and a node keeps being updated until it is retired:
+fixed-lag smoothing at no extra cost. The vehicle is propagated by the simulator's own step through
+every switch of its struts, and linearized by the exact tangent of the steps (`linearization.py`).
+The strut forces are linearized over the uncertainty of their rate (`friction_linearization.py`) and
+the residual is noise, without which the filter soon becomes overconfident. Roughness and noise
+scale are estimated online. Heights are emitted relative to their long waves (`profile_output.py`).
 
-    kalman       told when the front axle stands on the station
-    kalman_lag   told 4.79 m later, at most 2 m after the rear axle
-    kalman_rts   told when all has been heard (Rauch, Tung & Striebel's smoother in de Jong's form)
+    kalman       emitted when the front axle is at the station
+    kalman_lag   emitted 4.79 m later, at most 2 m after the rear axle
+    kalman_rts   emitted after the whole drive (`rts_smoother.py`)
 
-What is heard are means of 3 ms of the raw samples. Samples lost or clipped cost what they would
-have told.
+The measurements are means over 3 ms of the raw samples; lost and clipped samples are left out.
 
-Known to fail: on a car that is not the one given (on the field car S2 it errs by more than a flat
-road and says so in its notes), for it believes in the car and doubts the road alone; where the
-front struts are softer than the rear ones, the difference of the wheel paths is told by the rear
-axle, wheelbases later (`docs/observability.md`), so that the early variants have twice the error of
-equal states; on smooth roads (class A), where friction holds the struts most of the time; where
-wheels leave the ground. `kalman_rts` linearises once, about what was known by then; `map_smoother`
-does so again and again and is better.
+Known to fail: on a vehicle other than the one described (on the field vehicle S2 the error is
+greater than that of a flat road; a note says so), as the filter corrects the road and not the
+vehicle; where the front struts are softer than the rear ones, as only the rear axle then resolves
+the difference of the wheel paths, wheelbases later (`docs/observability.md`): the early variants
+have twice the error of equal states; on smooth roads (class A), where friction holds the struts
+most of the time; where wheels lift off. `kalman_rts` linearizes once, about the filter's estimate;
+`map_smoother` iterates and is more accurate.
 """
 
 from dataclasses import dataclass
@@ -52,10 +50,10 @@ from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters
 
 LAG = 4.79
-"""Way [m] that the front axle has gone on when a station is told: the wheelbase and 2 m."""
+"""Distance [m] of the front axle beyond the station when it is emitted: the wheelbase and 2 m."""
 
 NOISE_SCALE_WARNING = 2.0
-"""Times the noise believed in from which a note says so."""
+"""Noise scale above which a note says that the vehicle may differ from the one described."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,10 +61,10 @@ class _KalmanSettings:
     """Settings of all variants.
 
     `instruments`: name or path; `noise_density` [(m/s²)/sqrt(Hz)] if it is not theirs. `G_d0` [m³]
-    and `w`: the road's prior before anything is heard; its level is learnt. `data_rate` [Hz]: means
-    of readings in a second. `step` [s]: longest step of the model. `level_ends`: the road is level
-    before station 0 and behind its length, where the drive begins at rest. `std_factor`: on what
-    the filter holds for its deviation in the judged band, found on training drives.
+    and `w`: the road's prior; its level adapts. `data_rate` [Hz] of the block means. `step` [s]:
+    longest step of the model. `level_ends`: the road is level before station 0 and behind its
+    length, where the drive begins at rest. `std_factor` on the filter's standard deviation in the
+    scored band, fitted to training drives.
     """
 
     __pydantic_config__ = STRICT
@@ -90,7 +88,7 @@ class _KalmanSettings:
     def _estimate(
         self, record: Record, car: VehicleParameters, lag: float, smooth: bool
     ) -> Estimate:
-        """Both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""
+        """Return both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""
         validate_record(record)
         record, notes = to_uniform_clock(record)
         instruments = load_instruments(self.instruments)
@@ -126,7 +124,9 @@ class _KalmanSettings:
 def _output_std(
     run: FilterRun, output: ProfileOutput, record: Record, prior: RoadPrior
 ) -> np.ndarray:
-    """Standard deviations (2, M) [m] in the judged band; of the prior where no wheel has been."""
+    """Return standard deviations (2, M) [m] in the scored band; the prior's where no wheel has
+    been.
+    """
     n = np.linspace(*scored_band(float(np.clip(record.v.mean(), 0.1, 100.0))), 400)
     s, variance = profile_stations(record.length), np.maximum(output.variance.T, 0.0)
     level = np.where(
@@ -139,7 +139,7 @@ def _output_std(
 
 @dataclass(frozen=True, kw_only=True)
 class Kalman(_KalmanSettings):
-    """The filter: a station is told when the front axle stands `lag` [m] past it."""
+    """Filter that emits a station when the front axle is `lag` [m] past it."""
 
     causal: ClassVar[bool] = True
 
@@ -152,13 +152,13 @@ class Kalman(_KalmanSettings):
             raise ValueError(f"lag must be 0 to 100 m, got {self.lag}")
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""
+        """Return both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""
         return self._estimate(record, car, self.lag, smooth=False)
 
 
 @dataclass(frozen=True, kw_only=True)
 class KalmanLag(Kalman):
-    """The fixed-lag smoother."""
+    """Fixed-lag smoother."""
 
     lag: float = LAG
     std_factor: float = 0.74
@@ -166,12 +166,12 @@ class KalmanLag(Kalman):
 
 @dataclass(frozen=True, kw_only=True)
 class KalmanRts(_KalmanSettings):
-    """The smoother of the whole drive."""
+    """Smoother of the whole drive."""
 
     causal: ClassVar[bool] = False
 
     std_factor: float = 0.74
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""
+        """Return both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""
         return self._estimate(record, car, car.wheelbase, smooth=True)

@@ -1,9 +1,10 @@
-"""The extended Kalman filter, block after block: foretell, hear, go on.
+"""Extended Kalman filter over blocks of measurements: linearize, update, predict.
 
-The readings of a block hang on where the car was at its beginning, on the nodes that it passed
-and on what forces its struts held; all are corrected by what was heard, and then the car goes on by
-the same steps. As nothing but the car moves, the covariance changes in the car's rows alone, and
-what a rear wheel tells of a node that the front wheel passed long ago is told of the same number.
+The means of a block depend on the vehicle state at the block's start, the road nodes passed in it
+and the strut force residuals. The update corrects all of them; the prediction then propagates the
+vehicle state to the block's end by the linearization of the same steps. Nothing but the vehicle
+moves, so a prediction changes the vehicle's rows and columns of P alone. Both axles measure the
+same road nodes: what a rear wheel measures corrects the node that the front wheel passed before.
 (Kailath, Sayed & Hassibi, "Linear Estimation", 2000, chapter 9; Jazwinski, "Stochastic Processes
 and Filtering Theory", 1970, section 8.3.)
 """
@@ -26,7 +27,8 @@ from estimators.kalman.state import (
 from road_envs._numba import kernel
 
 MAX_NIS = 16.0
-"""Square of the news of a block, per reading, from which they count as only so much."""
+"""Greatest normalized innovation squared per measurement; greater innovations are scaled down to
+it."""
 
 
 @kernel(inline=False)
@@ -39,9 +41,10 @@ def filter_forward(
     output,
     blocks: LinearizedBlock,
 ):
-    """Filter the blocks from `first` to before `last`, telling each station when its time comes.
+    """Filter the blocks `first` to `last` (excluded) and emit each station before its block.
 
-    `blocks` holds one, used again and again, or one for each. `output`: as `emit` wants them.
+    `blocks` holds one entry, which every block overwrites, or one entry per block for the smoother.
+    `output`: the stations, as in `emit`.
     """
     keeps = blocks.n_columns.shape[0] > 1
     for j in range(first, last):
@@ -70,7 +73,7 @@ def filter_forward(
 
 @kernel(inline=False)
 def add_weighted_rows(weights, P, at, size, out):
-    """Add the rows `at` (size,) of `P` (n, n), with their `weights`, to `out` (n,)."""
+    """Add the rows `columns` (size,) of `P` (n, n), times `weights`, to `out` (n,)."""
     for d in range(size):
         weight, row = weights[d], P[at[d]]
         if weight != 0.0:
@@ -80,7 +83,7 @@ def add_weighted_rows(weights, P, at, size, out):
 
 @kernel
 def gather_dot(weights, row, at, size):
-    """The sum over the entries `at` (size,) of a `row` (n,), with their `weights`."""
+    """Return the sum of the entries `columns` (size,) of `row` (n,), times `weights`."""
     z = 0.0
     for d in range(size):
         z += weights[d] * row[at[d]]
@@ -89,10 +92,12 @@ def gather_dot(weights, row, at, size):
 
 @kernel(inline=False)
 def update(model: FilterModel, state: FilterState, y, count, block: LinearizedBlock):
-    """Correct mean and covariance by the means `y` (3,) of `count` (3,) samples; 0 is no reading.
+    """Update mean and covariance by the means `y` (3,) of `count` (3,) samples; a count of 0 is
+    skipped.
 
-    One reading after the other, each in units of its deviation once the ones before it are known,
-    which is what remains of the covariance's Cholesky factor.
+    The measurements are processed one after the other. Each is decorrelated from those before it
+    and scaled to unit variance: a Cholesky factorization of the innovation covariance, row by row.
+    `block.H` is whitened alike.
     """
     x, P, n, size = state.x, state.P, state.x.size, block.n_columns[0]
     V, H, innovation, at = block.V, block.H, block.innovation, block.columns
@@ -136,8 +141,8 @@ def update(model: FilterModel, state: FilterState, y, count, block: LinearizedBl
 
 @kernel(inline=False)
 def predict(state: FilterState, block: LinearizedBlock):
-    """Bring the car to the block's end: by the full equations from where it was believed to be, by
-    their slope for what was heard.
+    """Propagate the vehicle to the block's end: by simulation from the mean before the update, by
+    the transition matrix for the correction of the update.
     """
     x, P, n, size = state.x, state.P, state.x.size, block.n_columns[0]
     A, V, innovation, at = block.A, block.V, block.innovation, block.columns

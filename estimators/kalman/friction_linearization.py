@@ -1,13 +1,14 @@
-"""Force over the rate of extension, as far as the rate is known (statistical linearisation).
+"""Statistical linearization of the strut force over an uncertain strut rate.
 
-Friction turns within 0.02 m/s, and the filter knows the rate of a strut to 0.01 to 0.1 m/s. So the
-force that it expects is the mean over what the rate may be, its slope the mean slope (the best
-line, for a normal rate), and what is left over is noise of a known variance,
+Friction changes sign within 0.02 m/s, whereas the filter knows the rate of a strut to 0.01 to 0.1
+m/s. The filter therefore uses the expected force and the expected slope (the best line for a
+Gaussian rate), and treats the rest as noise of known variance,
 
-    E[F] = E F(w + s x)     slope = E F'(w + s x)     left = E F² - E[F]² - E[F x]²
+    E[F] = E F(w + s x)     slope = E F'(w + s x)     residual = E F² - E[F]² - E[F x]²
 
-with x standard normal (Roberts & Spanos, "Random Vibration and Statistical Linearization", 1990,
-section 5.2; for filters Gelb, "Applied Optimal Estimation", 1974, section 6.2).
+with w and s the mean and standard deviation of the rate and x standard normal (Roberts & Spanos,
+"Random Vibration and Statistical Linearization", 1990, section 5.2; for filters Gelb, "Applied
+Optimal Estimation", 1974, section 6.2).
 """
 
 import numpy as np
@@ -19,16 +20,16 @@ from road_envs.vehicle.force_curves import gaussian_smoothed, interpolate_tables
 from road_envs.vehicle.suspension import DAMPING_HIGH, V_0, V_STEP
 
 RATE_STDS = np.array([0.0, 0.01, 0.02, 0.03, 0.05, 0.08, 0.12, 0.2, 0.3])
-"""Uncertainties of a rate [m/s] for which tables stand ready."""
+"""Standard deviations of a rate [m/s] for which tables are computed in advance."""
 
 STD_INFLATION = 1.2
-"""Times its deviation that a rate counts as uncertain: what the filter has made of other kinks is
-not in its covariance. Tuned on training drives."""
+"""Factor on the standard deviation of a rate: the covariance P lacks the errors of the filter's
+other linearizations. Tuned on training drives."""
 
 
 def smoothed_tables(velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Tables (W K, cells, 4) of the mean force over the rate for each of the WIDTHS of its
-    uncertainty, from `velocity` (K, cells, 4), and the variance (W, K, cells + 1) [N²] left over.
+    """Return tables (W K, cells, 4) of the expected force, from the tables `velocity` (K, cells,
+    4), for each standard deviation of RATE_STDS, and the residual variances (W, K, cells + 1) [N²].
     """
     tables = [
         gaussian_smoothed(velocity, V_0, V_STEP, s) if s > 0.0 else velocity for s in RATE_STDS
@@ -37,7 +38,9 @@ def smoothed_tables(velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def residual_variance(velocity: np.ndarray, width: float) -> np.ndarray:
-    """Variance (K, cells + 1) [N²] of the force about its best line, over the rate's grid."""
+    """Return the variance (K, cells + 1) [N²] of the force about its best line, over the grid of
+    rates, for a rate of standard deviation `std` [m/s].
+    """
     rate = V_0 + V_STEP * np.arange(velocity.shape[1] + 1)
     x = np.linspace(-4.0, 4.0, 161)
     weight = np.exp(-0.5 * x**2) / np.exp(-0.5 * x**2).sum()
@@ -50,7 +53,7 @@ def residual_variance(velocity: np.ndarray, width: float) -> np.ndarray:
 
 @kernel(inline=False)
 def choose_linearization(model: FilterModel, state: FilterState):
-    """Choose each strut's tables by how uncertain its rate is, and begin its force anew."""
+    """Select each strut's table by the uncertainty of its rate, and reset its force residual."""
     x, P, p = state.x, state.P, model.constants[0]
     kinds = model.force_variance.shape[1]
     for w in range(4):

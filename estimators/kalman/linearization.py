@@ -1,8 +1,9 @@
-"""One block of readings as the full equations foretell it, and its slope by all that it hangs on.
+"""Prediction of one block of measurements by the nonlinear vehicle, and its exact derivative.
 
-The car is driven through the block by the simulator's own step, over the nodes as they are
-believed to be, and every column of the slope is the exact tangent of these steps
-(`road_envs.simulation.sensitivity`). A force beside a strut's law pushes all through the block.
+The vehicle is simulated through the block by the simulator's own step over the mean of the road
+nodes. Every column of `A` and `H` is the exact tangent of these steps
+(`road_envs.simulation.sensitivity`). A strut force residual acts as a constant force all through
+the block.
 """
 
 import numpy as np
@@ -24,11 +25,11 @@ from road_envs.simulation.sensitivity import TAPE_ROW_SIZE, step_with_derivative
 from road_envs.vehicle.equations import N_DOF
 
 N_COMMON_COLUMNS = BIAS + 3
-"""Columns that every block has: car, forces, zeros."""
+"""Columns of every block: vehicle, strut force residuals, biases."""
 
 
 def max_columns(nodes_in_block: float) -> int:
-    """Columns at most, of blocks in which a wheel passes so many nodes."""
+    """Return the greatest number of columns of a block in which a wheel passes so many nodes."""
     return N_COMMON_COLUMNS + 4 * (int(np.ceil(nodes_in_block)) + 5)
 
 
@@ -36,9 +37,11 @@ def max_columns(nodes_in_block: float) -> int:
 def axle_spline_weights(
     inputs: FilterInputs, wheelbase_nodes, first, steps_per_block, node, heights, slopes
 ):
-    """For both half steps of `steps_per_block` steps from `first` and both axles: the first `node`
-    (per, 2, 2) of the four that carry the wheels, and their shares (per, 2, 2, 4) in height and its
-    rate.
+    """Write the spline weights of both axles at both half steps of `steps_per_block` steps from
+    `first`.
+
+    `node` (steps, 2, 2) becomes the first of the four nodes that carry an axle; `heights` and
+    `slopes` [1/s] (steps, 2, 2, 4) their weights in its height and in the rate of its height.
     """
     for k in range(steps_per_block):
         for half in range(2):
@@ -57,8 +60,8 @@ def axle_spline_weights(
 def linearize_block(
     model: FilterModel, inputs: FilterInputs, state: FilterState, j, block: LinearizedBlock
 ):
-    """Fill the block `j`: its columns, its slopes and what it foretells. The struts' memory goes on
-    to its end, the car in `state` does not.
+    """Fill the block `j`: columns, `A`, `H` and prediction. `state.strut_state` is advanced to the
+    block's end; the vehicle part of `state.x` is not.
     """
     steps_per_block = model.steps_per_block
     first = j * steps_per_block
@@ -106,7 +109,7 @@ def simulate_block(
     rows,
     block: LinearizedBlock,
 ):
-    """Drive through the block on tape: its `rows`, where it ends and what the sensors hear."""
+    """Simulate the block: fill the tape `rows`, `block.end_state` and `block.predicted`."""
     p, work, out = model.constants[0], workspace(), np.empty(N_SIGNALS)
     q, v = state.x[:N_DOF].copy(), state.x[N_DOF:N_VEHICLE].copy()
     road, still = np.empty(16), np.zeros(4)
@@ -153,8 +156,9 @@ def tangent_column(
     component,
     block: LinearizedBlock,
 ):
-    """Write the tangent along one direction to the columns `to` of A and H: the car's own, or with
-    `to` behind them that of the node `k` under an `axle`, its mean or its half difference.
+    """Write the tangent along one unit direction to the column `to` of `A` and `H`: for `to` below
+    N_VEHICLE that entry of the vehicle state, else the `component` (0 mean, 1 half difference) of
+    the node `k` under `axle`.
     """
     p, work, a = model.constants[0], workspace(), np.empty(N_DOF)
     q, v, road = np.zeros(N_DOF), np.zeros(N_DOF), np.zeros(16)

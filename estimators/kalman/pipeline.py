@@ -1,4 +1,4 @@
-"""A record set out for the filter, filtered to its end, and smoothed in parts of bounded memory."""
+"""Setup of a filter run from a record, filtering, and smoothing in chunks of bounded memory."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -40,36 +40,35 @@ NODE_SPACING = 0.05
 """Distance of the road's nodes [m]."""
 
 INCREMENT_LENGTH = 0.5
-"""Length [m] of the rises that tell how rough the road is."""
+"""Length [m] of the increments from which roughness is estimated."""
 
 ROUGHNESS_LENGTH = 15.0
-"""Length of road [m] over which roughness is taken together."""
+"""Length of road [m] over which roughness is averaged."""
 
 NOISE_TIME = 1.2
-"""Seconds over which the noise is found greater than believed."""
+"""Time constant [s] of the noise scale."""
 
 FORCE_CORRELATION_TIME = 0.005
-"""Seconds for which what is left of a strut's force stays the same."""
+"""Correlation time [s] of a strut force residual."""
 
 BIAS_STD = 0.05
-"""Prior deviation [m/s²] of the sensors' zeros."""
+"""Prior standard deviation [m/s²] of the sensor biases."""
 
 N_MAX_OUTPUT = 5.0
-"""Waves [cycles/m] up to which heights are told, if the speed lets 25 Hz through there."""
+"""Highest spatial frequency [cycles/m] of the output, unless the speed puts 25 Hz below it."""
 
 MAX_WHEELBASES_PER_BLOCK = 0.5
-"""Wheelbases that the car may go in one block of readings."""
+"""Greatest advance of the vehicle in one block, in wheelbases."""
 
 CHUNK_BLOCKS = 10_000
-"""Blocks in one part of a drive that is smoothed. What comes after the next one is not waited for,
-and long waves, which are known last, would show at the joints of shorter parts."""
+"""Blocks in one chunk of a smoothed drive. A chunk is smoothed by itself and the next chunk only;
+long waves, which later measurements still change, would show at the joints of shorter chunks."""
 
 
 @dataclass(frozen=True, eq=False)
 class FilterRun:
-    """A drive as the filter takes it: what does not change (`model`), the `inputs`, the `state` it
-    is in, and the node number of a station s, (s - `origin`) / DS; `max_columns` of a block at
-    most.
+    """A drive prepared for the filter: `model`, `inputs` and the current `state`. A station s has
+    the node number (s - `origin`) / NODE_SPACING; a block has at most `max_columns` columns.
     """
 
     model: FilterModel
@@ -80,12 +79,12 @@ class FilterRun:
 
     @property
     def n_states(self) -> int:
-        """Entries of the filter's vector."""
+        """Size n of the state vector."""
         return int(self.state.x.size)
 
     @property
     def n_blocks(self) -> int:
-        """Blocks of readings."""
+        """Blocks of measurements."""
         return int(self.inputs.y.shape[1])
 
 
@@ -100,9 +99,11 @@ def setup_run(
     level_ends: bool,
     lag: float,
 ) -> FilterRun:
-    """Before the first block. `noise_variance` [(m/s²)²] of a sample; stations are told up to `lag`
-    [m] behind the front axle; with `level_ends` the road is level before station 0 and after its
-    end. Raises ValueError if the odometer jumps.
+    """Return the run of a record before its first block.
+
+    `noise_variance` [(m/s²)²] of a sample; stations are emitted up to `lag` [m] behind the front
+    axle; with `level_ends` the road is level before station 0 and after its end. Raises ValueError
+    if the odometer jumps.
     """
     steps_per_block = measurements.sample_weight.shape[2] * model_inputs.decimation
     moved = float(
@@ -204,8 +205,8 @@ def _initial_state(
 def setup_output(
     run: FilterRun, record: Record, lag: float, sensor_latency: float, detrended: bool
 ) -> ProfileOutput:
-    """The stations of a record, to be told once the front axle is `lag` [m] past them and
-    `sensor_latency` [s] more have been sensed.
+    """Return the stations of a record, with the block before which each is emitted: once the front
+    axle is `lag` [m] past the station and another `sensor_latency` [s] has been recorded.
     """
     s, h = profile_stations(record.length), run.model.h
     node = (s - run.origin) / NODE_SPACING
@@ -234,22 +235,22 @@ def setup_output(
 
 
 MAX_SPEED = 110.0
-"""Speed [m/s] above which no band is left to be judged."""
+"""Speed [m/s] above which the scored band is empty."""
 
 
 def run_filter(run: FilterRun, output: ProfileOutput) -> None:
-    """Filter a drive to its end, and tell all stations."""
+    """Filter a drive to its end and emit all stations."""
     one = empty_blocks(run.n_states, run.max_columns, 1)
     filter_forward(run.model, run.inputs, run.state, 0, run.n_blocks, output, one)
     emit(run.model, run.state, output, END)
 
 
 END = 2**62
-"""A block before which everything is told."""
+"""Block number before which every station is due."""
 
 
 def run_smoother(run: FilterRun, output: ProfileOutput, chunk_blocks: int = CHUNK_BLOCKS) -> None:
-    """Filter a drive, part by part, and tell each part again with what the next one heard."""
+    """Filter and smooth a drive chunk by chunk, each with the measurements of the next one."""
     edges = [*range(0, run.n_blocks, chunk_blocks), run.n_blocks]
     if len(edges) > 2 and edges[-1] - edges[-2] < chunk_blocks // 2:
         del edges[-2]
@@ -268,8 +269,8 @@ def run_smoother(run: FilterRun, output: ProfileOutput, chunk_blocks: int = CHUN
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """The blocks from `first` to before `last`, the stations told in them from the one
-    `first_station` on, and the last node after them.
+    """Blocks `first` to `last` (excluded), the stations emitted in them, from `first_station` on,
+    and the number of the newest node after them.
     """
 
     first: int
@@ -281,7 +282,7 @@ class Chunk:
 
 
 def _filter_chunk(run: FilterRun, output: ProfileOutput, first: int, last: int) -> Chunk:
-    """Filter one part."""
+    """Filter one chunk and store what the smoother needs."""
     n, first_station = run.n_states, int(output.next_station[0])
     end = int(np.searchsorted(output.emit_block, last)) if last < run.n_blocks else output.node.size
     here, many = slice(first_station, end), end - first_station
@@ -306,8 +307,8 @@ def _filter_chunk(run: FilterRun, output: ProfileOutput, first: int, last: int) 
 
 
 def _smooth_chunks(run: FilterRun, chunks: list[Chunk], at_end: bool) -> None:
-    """Bring back what the last of the `chunks` heard, and tell the first of them again; the last as
-    well where the drive is `at_end`.
+    """Run the smoother back over `chunks` and correct the stations of the first one; those of the
+    last one too where the drive is `at_end`.
     """
     n, last = run.n_states, chunks[-1]
     adjoint = BackwardState(

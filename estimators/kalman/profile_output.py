@@ -1,18 +1,17 @@
-"""Heights told while the drive goes on.
+"""Output of road heights at stations while the filter runs.
 
-The filter knows heights about a datum that drifts, by centimetres over some ten metres, and from
-telling to telling it learns where the datum was: each correction would stand as a step in a road
-put together from such heights. So a station is told as what the road is there about its long waves,
-and these are taken from what is held for true of the whole road at that moment,
+The filter's height datum drifts, by centimetres over some ten metres, and each update moves it.
+Heights that are read out one by one would have a step at every update. Each station is therefore
+emitted relative to the long waves of the road about it, as estimated at the same moment:
 
-    told(s) = E[(low * z)(s) - (long * z)(s)]
+    output(s) = E[(low * z)(s) - (long * z)(s)]
 
-`low` is a windowed sinc (Hann) that ends at a frequency `cutoff`; `long` the zero-phase low-pass
-with the response 1 / (1 + (n / N_LONG)^4), whose kernel, with u = fade |s|,
+`low` is a windowed sinc (Hann) that ends at the frequency `cutoff`. `long` is the zero-phase
+low-pass with the response 1 / (1 + (n / N_DETREND)^4). Its kernel, with u = decay |s|,
 
-    fade / 2 e^-u (cos u + sin u)           fade = sqrt 2 pi N_LONG
+    decay / 2 e^-u (cos u + sin u)           decay = sqrt 2 pi N_DETREND
 
-goes back over all the road by a sum of two numbers that fade (`state.py`).
+extends over all the road behind; two decaying sums carry the retired part of it (`state.py`).
 """
 
 from typing import NamedTuple
@@ -23,25 +22,29 @@ from estimators.kalman.state import NODES, RETIRED, FilterModel, FilterState
 from road_envs._numba import kernel
 
 N_DETREND = 0.1
-"""Waves [cycles/m] at which half the height is told; the judged band begins at 0.2."""
+"""Spatial frequency [cycles/m] at which half the height is emitted; the scored band begins at 0.2.
+"""
 
 HALF_WINDOW = 1.0
-"""Half length [m] of `low`."""
+"""Half length [m] of the kernel `low`."""
 
 
 VARIANCE_STRIDE = 8
-"""Stations from one whose deviation is computed to the next."""
+"""Stations from one whose variance is computed to the next."""
 
 
 class ProfileOutput(NamedTuple):
-    """What is told of M stations, in order.
+    """Emission schedule and emitted heights of M stations, in order.
 
-    Node numbers `at` (M,); the block `emit_block` (M,) before which each is told; `cutoff` (M, 2)
-    [cycles/node], where height and deviation end; `half_window` [nodes] the window; `detrended`:
-    whether long waves are taken off the height. Told are heights `z` and the `variance` (M, 2) in
-    the judged band, left and right; the `next_station` (1,) is the first not yet told. What hearing
-    more will change: the covariance with all that is held of the heights, `rows` (M, 2, n), and of
-    the band's part, `band` (M / EVERY, 2, n); both are of no length if nobody asks.
+    Schedule: node numbers `node` (M,); the block `emit_block` (M,) before which each is emitted;
+    `cutoff` (M, 2) [cycles/node] of the kernel `low`, for height and for variance; its half length
+    `half_window` [nodes]; `detrended`: whether long waves are subtracted from the height (from the
+    variance they always are). Results: heights `z` [m] and their in-band `variance` [m²] (M, 2),
+    left and right; `next_station` (1,), the first not yet emitted.
+
+    For the smoother, else of length 0: the covariance of the emitted heights with the state,
+    `height_covariance` (M, 2, n), and of their in-band part, `band_covariance` (M /
+    VARIANCE_STRIDE, 2, n).
     """
 
     node: np.ndarray
@@ -57,20 +60,20 @@ class ProfileOutput(NamedTuple):
 
 
 def decay_per_node(ds: float) -> float:
-    """Decay of the fading sums per node, with nodes `ds` [m] apart."""
+    """Return the decay of the retired-node sums per node, for nodes `ds` [m] apart."""
     return float(np.sqrt(2.0) * np.pi * N_DETREND * ds)
 
 
 @kernel
 def sinc(x):
-    """sin(pi x) / (pi x)."""
+    """Return sin(pi x) / (pi x)."""
     return 1.0 if abs(x) < 1e-9 else np.sin(np.pi * x) / (np.pi * x)
 
 
 @kernel
 def windowed_sinc(d, cutoff, half_window):
-    """The low-pass at `d` nodes from its middle; it ends at `cutoff` cycles/node and `half_window`
-    nodes.
+    """Return the low-pass at `d` nodes from its centre, of `cutoff` [cycles/node] and
+    `half_window`.
     """
     if abs(d) >= half_window:
         return 0.0
@@ -79,7 +82,7 @@ def windowed_sinc(d, cutoff, half_window):
 
 @kernel
 def spline_low_pass(d, cutoff, half_window):
-    """The same of the curve that the coefficients carry, whose value at a node is (1, 4, 1) / 6."""
+    """Return the low-pass of the curve, whose value at a node is (1, 4, 1) / 6 of the coefficients."""
     sides = windowed_sinc(d - 1.0, cutoff, half_window) + windowed_sinc(
         d + 1.0, cutoff, half_window
     )
@@ -88,10 +91,11 @@ def spline_low_pass(d, cutoff, half_window):
 
 @kernel(inline=False)
 def output_weights(u, at, newest_node, decay, cutoff, half_window):
-    """Shares `u` (2 + K,) of fading sums and nodes in what is told at the node number `at`.
+    """Write the weights `u` (2 + K,) of retired-node sums and nodes in the output at a node number
+    `at`.
 
-    What lies beyond the nodes counts as level with the nearest. Without `decay` nothing is taken
-    off.
+    The road beyond the nodes counts as level with the nearest one. With a `decay` of 0 no long
+    waves are subtracted.
     """
     u[:] = 0.0
     K = u.size - 2
@@ -116,7 +120,9 @@ def output_weights(u, at, newest_node, decay, cutoff, half_window):
 
 @kernel(inline=False)
 def covariance_row(P, u, component, out):
-    """Rows of `P` (n, n) of mean or half difference, with the weights `u`, to `out` (n,)."""
+    """Write the weighted sum of rows of `P` (n, n) of a component (0 mean, 1 half difference) to
+    `out`.
+    """
     out[:] = u[0] * P[RETIRED + 2 * component] + u[1] * P[RETIRED + 2 * component + 1]
     for k in range(u.size - 2):
         if u[2 + k] != 0.0:
@@ -125,7 +131,9 @@ def covariance_row(P, u, component, out):
 
 @kernel(inline=False)
 def read_out(x, u, component):
-    """The sum of the vector `x` (n,) with the weights `u` of mean or half difference."""
+    """Return the weighted sum of the entries of `x` (n,) of a component (0 mean, 1 half
+    difference).
+    """
     z = u[0] * x[RETIRED + 2 * component] + u[1] * x[RETIRED + 2 * component + 1]
     for k in range(u.size - 2):
         z += u[2 + k] * x[NODES + 2 * k + component]
@@ -134,7 +142,9 @@ def read_out(x, u, component):
 
 @kernel(inline=False)
 def covariance_rows(P, u, out):
-    """Rows (2, n) of `P` (n, n) of the left and the right wheel path, with the weights `u`."""
+    """Write the weighted sums of rows of `P` (n, n) for the left and right wheel path to `out` (2,
+    n).
+    """
     mean, difference = np.empty(P.shape[0]), np.empty(P.shape[0])
     covariance_row(P, u, 0, mean)
     covariance_row(P, u, 1, difference)
@@ -144,7 +154,7 @@ def covariance_rows(P, u, out):
 
 @kernel(inline=False)
 def emit(model: FilterModel, state: FilterState, output: ProfileOutput, j):
-    """Tell the stations whose time has come before the block `j`."""
+    """Emit all stations that are due before the block `j`."""
     n = state.x.size
     u, rows = np.empty(2 + (n - NODES) // 2), np.empty((2, n))
     while (

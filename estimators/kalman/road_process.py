@@ -1,9 +1,10 @@
-"""The road ahead of the last node, as the prior foretells it, and what it may do besides.
+"""Prior of the road ahead of the newest node, and online estimation of its roughness.
 
-The next coefficient of the mean and of the half difference of the wheel paths, each from its last
-ones, by the equations of Yule and Walker for the covariance that the prior's spectrum makes
-(`estimators.common.road_prior`). The mean wanders, and its rises are foretold; the half difference
-of an isotropic surface is level for waves longer than the track, and is foretold itself.
+Each new coefficient of the mean and of the half difference of the wheel paths follows an
+autoregressive model, by the Yule-Walker equations for the covariance of the prior's spectrum
+(`estimators.common.road_prior`). The mean is not stationary, so its increments are predicted. The
+half difference of an isotropic surface is level for waves longer than the track, so it is predicted
+itself.
 """
 
 from typing import NamedTuple
@@ -27,19 +28,19 @@ from road_envs._numba import kernel
 from road_envs.analysis.information_bound import RoadPrior
 
 AR_LENGTH = 2.0
-"""Length [m] of road behind from which the next node is foretold."""
+"""Length [m] of road from which the next node is predicted."""
 
 CIRCULANT_LENGTH = 400.0
-"""Least length [m] of the circle on which covariances are computed."""
+"""Least length [m] of the circle on which covariances are computed by FFT."""
 
 MIN_ROUGHNESS_SCALE, MAX_ROUGHNESS_SCALE = 1e-4, 1e3
-"""Bounds of the level that is learnt, over that of the prior: far beyond classes A to H."""
+"""Bounds of the roughness scale relative to the prior: far beyond classes A to H."""
 
 
 class ARModel(NamedTuple):
-    """`weights` (2, order) of the last nodes, newest first, and `prediction_variance` (2,) [m²],
-    the variance of what they do not tell, of mean and half difference; `covariance` (2, M) [m²] of
-    a coefficient with those up to M nodes behind.
+    """Autoregressive models of mean and half difference: `weights` (2, order) of the last nodes,
+    newest first; `prediction_variance` (2,) [m²]; `covariance` (2, M) [m²] at lags of 0 to M - 1
+    nodes.
     """
 
     weights: np.ndarray
@@ -47,12 +48,12 @@ class ARModel(NamedTuple):
     covariance: np.ndarray
 
     def increment_variance(self, reach: int) -> np.ndarray:
-        """Variances (2,) [m²] of the rise over `reach` nodes."""
+        """Return the variances (2,) [m²] of the increment over `span` nodes."""
         return 2.0 * (self.covariance[:, 0] - self.covariance[:, reach])
 
 
 def fit_ar_model(prior: RoadPrior, ds: float) -> ARModel:
-    """How a road like `prior` goes on from node to node, `ds` [m] apart."""
+    """Fit autoregressive models to `prior`, for nodes `ds` [m] apart."""
     size = 2 ** int(np.ceil(np.log2(CIRCULANT_LENGTH / ds)))
     rises = increment_amplitude(prior, size, ds) ** 2
     n = np.maximum(rfftfreq(size, ds), N_MIN)
@@ -66,14 +67,14 @@ def fit_ar_model(prior: RoadPrior, ds: float) -> ARModel:
 
 
 def yule_walker(covariance: np.ndarray, order: int) -> tuple[np.ndarray, float]:
-    """Weights (order,) of the last values in the next, and the variance that they leave."""
+    """Return the weights (order,) of the last values in the next one, and the prediction variance."""
     weights = solve_toeplitz(covariance[:order], covariance[1 : order + 1])
     return weights, float(covariance[0] - weights @ covariance[1 : order + 1])
 
 
 def prior_covariance(ar_model: ARModel, n: int, oldest: int) -> np.ndarray:
-    """Covariance (n - NODES, n - NODES) [m²] of the nodes from `oldest` on, as they stand in a
-    vector of `n`, on a road of which nothing is known but the prior.
+    """Return the prior covariance (n - NODES, n - NODES) [m²] of the nodes from `oldest` on, in the
+    ring-buffer order of a state of size `n`.
     """
     size = (n - NODES) // 2
     place = (oldest + np.arange(size)) % size
@@ -87,9 +88,8 @@ def prior_covariance(ar_model: ARModel, n: int, oldest: int) -> np.ndarray:
 
 @kernel(inline=False)
 def add_node(model: FilterModel, state: FilterState, free):
-    """Put a new node ahead of the newest; the oldest goes into the fading sums.
-
-    Where the road is not `free` to rise it goes on level.
+    """Add a node ahead of the newest one and retire the oldest. Unless `free`, the road goes on
+    level.
     """
     x, P, n = state.x, state.P, state.x.size
     newest_node = state.newest_node[0]
@@ -120,7 +120,9 @@ def add_node(model: FilterModel, state: FilterState, free):
 
 @kernel(inline=False)
 def retire_node(x, P, M, old, decay):
-    """Take the node in the entry `old` into the fading sum at `M`, a node further behind."""
+    """Add the node with the index `old` to the decaying sum at `M`, which moves one node further
+    back.
+    """
     c, s = np.exp(-decay) * np.cos(decay), np.exp(-decay) * np.sin(decay)
     real, imaginary = x[M] + x[old], x[M + 1]
     x[M], x[M + 1] = c * real - s * imaginary, s * real + c * imaginary
@@ -134,9 +136,10 @@ def retire_node(x, P, M, old, decay):
 
 @kernel(inline=False)
 def update_roughness(model: FilterModel, state: FilterState, rear, free):
-    """Learn the roughness from the last rise that the rear axle, at node `rear`, has passed.
+    """Update the roughness scale by the last increment that the rear axle, at node `rear`, has
+    passed.
 
-    With what is still uncertain of it: a step of expectation and maximisation.
+    One step of expectation maximization: the expected square is the squared mean plus the variance.
     """
     x, P, n, adaptive = state.x, state.P, state.x.size, state.adaptive
     low = rear - model.increment_span

@@ -1,17 +1,18 @@
-"""What was heard later, brought back: the smoother of de Jong and of Bryson and Frazier.
+"""Smoother over the whole drive, in the backward form of de Jong and of Bryson and Frazier.
 
-With r (n,) and N (n, n) gathered from the news of all blocks that follow, the road as the whole
-drive tells it is, at any moment,
+With r (n,) and N (n, n) accumulated from the innovations of all later blocks, the smoothed mean and
+covariance at any moment are
 
     x + P r,     P - P N P
 
-so that no covariance but those of what is told with what is held must be kept, and nothing is
-inverted. Through a step x' = F x both go back as r = F' r', N = F' N' F; through a correction
+Only the covariances of the emitted heights with the state must be stored, and no matrix is
+inverted. Through a prediction x' = F x both go back as r = F' r', N = F' N' F; through an update
 
-    r = r' + H' (news - V r'),     N = N' + H' H - H' (V N') - (N' V') H + H' (V N' V') H
+    r = r' + H' (innovation - V r'),
+    N = N' + H' H - H' (V N') - (N' V') H + H' (V N' V') H
 
-with V and H in units of the readings' deviation (de Jong 1989, J. Am. Stat. Assoc. 84, 1085;
-Durbin & Koopman, "Time Series Analysis by State Space Methods", 2012, section 4.4).
+with V and H whitened (de Jong 1989, J. Am. Stat. Assoc. 84, 1085; Durbin & Koopman, "Time Series
+Analysis by State Space Methods", 2012, section 4.4).
 """
 
 from typing import NamedTuple
@@ -34,8 +35,8 @@ from road_envs._numba import kernel
 
 
 class BackwardState(NamedTuple):
-    """What later blocks tell: `r` (n,) and `N` (n, n), at a moment when the last node was the
-    `newest_node` (1,) and the `next_station` (1,) station was to be told.
+    """State of the backward recursion: `r` (n,) and `N` (n, n), the newest node `newest_node` (1,)
+    at its moment, and `next_station` (1,), before which all stations are still to be smoothed.
     """
 
     r: np.ndarray
@@ -54,10 +55,10 @@ def smooth_backward(
     output: ProfileOutput,
     blocks: LinearizedBlock,
 ):
-    """Bring `adjoint` from the block `last` back to `first`, to which `blocks` belong in order.
+    """Run `adjoint` back from the block `last` to `first`, to which `blocks` belong in order.
 
-    What of the stations was told in between is told again. Heights and variances are changed in
-    place; without `output.height_covariance` (0, 2, n) they stay.
+    Stations emitted in between are smoothed: their heights and variances change in place, unless
+    `output.height_covariance` has length 0.
     """
     r, N = adjoint.r, adjoint.N
     for j in range(last - 1, first - 1, -1):
@@ -88,7 +89,7 @@ def smooth_backward(
 
 @kernel(inline=False)
 def symmetrize(N):
-    """Take off what rounding has made unsymmetrical, which else grows from block to block."""
+    """Make `N` symmetric; the asymmetry of rounding would grow from block to block."""
     for i in range(N.shape[0]):
         for k in range(i):
             z = 0.5 * (N[i, k] + N[k, i])
@@ -98,7 +99,7 @@ def symmetrize(N):
 
 @kernel(inline=False)
 def smooth_output(r, N, output: ProfileOutput, m):
-    """Tell the station `m` again, now with what came later."""
+    """Correct the height and variance of the station `m` by all later measurements."""
     if output.height_covariance.shape[0] == 0:
         return
     n = r.size
@@ -121,7 +122,7 @@ def smooth_output(r, N, output: ProfileOutput, m):
 
 @kernel(inline=False)
 def adjoint_predict(r, N, block: LinearizedBlock):
-    """The transpose of `filter.go_on`."""
+    """Apply the transpose of `filter.predict`."""
     n, size, A, at = r.size, block.n_columns[0], block.A, block.columns
     car, rows = r[:N_VEHICLE].copy(), N[:N_VEHICLE].copy()
     r[:N_VEHICLE] = 0.0
@@ -143,7 +144,7 @@ def adjoint_predict(r, N, block: LinearizedBlock):
 
 @kernel(inline=False)
 def mirror_rows(N, at, size):
-    """Make the columns `at` (size,) of `N` what its rows are."""
+    """Copy the rows `columns` (size,) of `N` to its columns."""
     for d in range(size):
         i = at[d]
         for k in range(N.shape[0]):
@@ -152,7 +153,7 @@ def mirror_rows(N, at, size):
 
 @kernel(inline=False)
 def adjoint_update(r, N, block: LinearizedBlock):
-    """Bring a correction back."""
+    """Apply the transpose of `filter.update`."""
     n, size, H, V, at, innovation = (
         r.size,
         block.n_columns[0],
@@ -190,7 +191,7 @@ def adjoint_update(r, N, block: LinearizedBlock):
 
 @kernel(inline=False)
 def adjoint_add_node(model: FilterModel, r, N, newest_node, free):
-    """The transpose of `road.add_node`, which made a node ahead of the `newest_node`."""
+    """Apply the transpose of `road_process.add_node`, which added a node ahead of `newest_node`."""
     n = r.size
     c, s = np.exp(-model.decay) * np.cos(model.decay), np.exp(-model.decay) * np.sin(model.decay)
     order = model.ar_weights.shape[1] if free else 1

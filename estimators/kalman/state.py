@@ -1,16 +1,18 @@
-"""What the filter holds for true, and where in its vector each part of it stands.
+"""State vector of the filter, constants of a run, and the record of one filtered block.
 
-    x = [car (14), forces (4), zeros (3), fading sums (4), nodes (2 K)]
+    x = [vehicle (14), strut force residuals (4), biases (3), retired-node sums (4), nodes (2 K)]
 
-The car is its coordinates and rates. Forces [N] are what the struts hold beside their linearised
-laws in the block of readings at hand. Zeros [m/s²] are the sensors' offsets. The road is K nodes of
-a spline, fixed in space: mean and half difference of the wheel paths side by side, node k at
-NODES + 2 (k mod K), so that a new node takes the place of the oldest and nothing is moved. What
-leaves goes on in fading sums, real and imaginary part for the mean, then for the half difference,
+The vehicle part holds the coordinates and rates of the 7-DOF model. The strut force residuals [N]
+are the parts of the strut forces that the linearized force laws leave out; each is constant over a
+block and independent from block to block. The biases [m/s²] are the offsets of the sensors. The
+road is K nodes of a cubic B-spline, fixed in space, as mean and half difference of the wheel paths.
+Node k has the index NODES + 2 (k mod K): a ring buffer, in which a new node overwrites the oldest
+one and no entry moves. Retired nodes remain in decaying sums, real and imaginary part for the mean,
+then for the half difference,
 
-    sum over k < oldest of c_k exp(-(1 + i) fade (oldest - k))
+    sum over k < oldest of c_k exp(-(1 + i) decay (oldest - k))
 
-which is all that long waves need to know of the road behind (`telling.py`).
+which is all that the detrending needs of the road behind (`profile_output.py`).
 """
 
 from typing import NamedTuple
@@ -23,24 +25,26 @@ from road_envs.vehicle.equations import N_DOF
 N_VEHICLE = 2 * N_DOF
 FORCE, BIAS, RETIRED, NODES = N_VEHICLE, N_VEHICLE + 4, N_VEHICLE + 7, N_VEHICLE + 11
 ROUGHNESS_SCALE, ROUGHNESS_SUM, ROUGHNESS_WEIGHT, NOISE_SCALE = 0, 1, 2, 3
-"""What is learnt on the way: roughness over the prior's, the sums it comes from, and how many times
-the noise that the model expects the readings seem to hold."""
+"""Entries of `FilterState.adaptive`: road PSD relative to the prior, the weighted sum and the
+weight whose ratio it is, and the factor on the measurement noise variance."""
 
 
 class FilterModel(NamedTuple):
-    """What does not change on the way. Lengths along the road are in nodes.
+    """Constants of a run. Lengths along the road are in nodes.
 
-    A plant's `constants`, `velocity` (one set of tables after the other for each of the `rate_stds`
-    (W,) [m/s]), `displacement`; `first_table` (4,) the number of each strut's table;
-    `force_variance` (W, K, V) [N²] what is not linear in the force over a rate that is `rate_stds`
-    uncertain. Levers over the coordinates: `struts` (4, 7), `sensor_rows` (3, 7). `force_to_accel`
-    (4, 7): accelerations by a strut's force; `force_to_sensor` (3, 4): the sensors' share of it.
-    `ar_weights` (2, order), `prediction_variance` (2,) [m²]: the next node from the last ones;
-    `increment_variance` (2,) [m²]: variance of the rise over `increment_span` nodes;
-    `roughness_memory`: nodes over which roughness is taken together. `h` [s], `steps_per_block`
-    steps a block, a sample `decimation` so many; `valve_lag` [s] of the valves; `wheelbase_nodes`:
-    wheelbase; `decay`, per node; `noise_variance` [(m/s²)²] of a sample, found greater over
-    `noise_time` blocks.
+    Vehicle: `constants`, `velocity` and `displacement` of the plant; `velocity` holds the tables
+    once for each rate standard deviation in `rate_stds` (W,) [m/s], and `first_table` (4,) is each
+    strut's number among the tables of one. `force_variance` (W, K, V) [N²]: variance of the strut
+    force about its linearization. `strut_rows` (4, 7), `sensor_rows` (3, 7): strut extension and
+    sensor acceleration per unit of each coordinate. `force_to_accel` (4, 7), `force_to_sensor` (3,
+    4): acceleration of the coordinates and of the sensors per unit strut force. `valve_lag` [s].
+
+    Road: `ar_weights` (2, order) and `prediction_variance` (2,) [m²] of the model of the next node;
+    prior `increment_variance` (2,) [m²] over `increment_span` nodes; `roughness_memory`, over which
+    roughness is averaged; `wheelbase_nodes`; `decay` of the retired-node sums per node.
+
+    Measurements: step `h` [s], `steps_per_block`, one sample in `decimation` steps,
+    `noise_variance` [(m/s²)²] of a sample, whose factor adapts over `noise_time` blocks.
     """
 
     constants: np.ndarray
@@ -69,10 +73,12 @@ class FilterModel(NamedTuple):
 
 
 class FilterInputs(NamedTuple):
-    """The drive: at every half step `front_node` (2 N,), the node number of the front axle, and
-    `node_rate` (2 N,) nodes passed in a second; `commands` (N,); block means `y` (3, J) [m/s²] of
-    so many `sample_count` (3, J); between the node numbers `free_range` (2,) the road may rise or
-    fall.
+    """Inputs and measurements of a drive of N steps and J blocks.
+
+    Each half step: `front_node` (2 N,), the (fractional) node number of the front axle, and its
+    `node_rate` (2 N,) [nodes/s]. Each step: the command byte `commands` (N,). Each block: means `y`
+    (3, J) [m/s²] of `sample_count` (3, J) samples. The road is level outside the node numbers
+    `free_range` (2,).
     """
 
     front_node: np.ndarray
@@ -84,8 +90,8 @@ class FilterInputs(NamedTuple):
 
 
 class FilterState(NamedTuple):
-    """Mean `x` (n,) and covariance `P` (n, n); `strut_state` (4, 3), the struts' memory;
-    `newest_node` (1,), the number of the last node; `adaptive` (4,).
+    """Mean `x` (n,) and covariance `P` (n, n), valve states of the struts `strut_state` (4, 3),
+    number of the newest node `newest_node` (1,) and the parameters `adaptive` (4,).
     """
 
     x: np.ndarray
@@ -96,13 +102,13 @@ class FilterState(NamedTuple):
 
 
 class LinearizedBlock(NamedTuple):
-    """One block of readings, linearised, and what was learnt from it.
+    """Linearization of one block of measurements and the result of its update.
 
-    On the `size` (1,) entries `at` (D,) of the vector: `A` (14, D), what the car will be; `H` (3,
-    D), what the sensors hear, in units of the readings' own deviation once `heard` has seen them;
-    `V` (3, n) and `innovation` (3,): x' = x + V' news, P' = P - V' V. `end` (14,): the car by the
-    full equations; `mean` (3,): the readings they foretell. `nodes_added` (1,): nodes new in the
-    block.
+    The measurements and the vehicle state at the block's end depend on the `n_columns` (1,) entries
+    `columns` (D,) of the state vector: `A` (14, D) is the transition of the vehicle, `H` (3, D) the
+    measurement matrix, which the update whitens in place. Whitened gain `V` (3, n) and `innovation`
+    (3,): x' = x + V' innovation, P' = P - V' V. By nonlinear simulation: vehicle state `end_state`
+    (14,) and block means `predicted` (3,). `nodes_added` (1,): new nodes.
     """
 
     n_columns: np.ndarray
@@ -117,7 +123,7 @@ class LinearizedBlock(NamedTuple):
 
 
 def empty_blocks(n: int, max_columns: int, blocks: int) -> LinearizedBlock:
-    """Blocks, one behind the other along the first axis."""
+    """Return `blocks` blocks of zeros, stacked along the first axis of each field."""
     return LinearizedBlock(
         n_columns=np.zeros((blocks, 1), dtype=np.int64),
         columns=np.zeros((blocks, max_columns), dtype=np.int64),
@@ -133,13 +139,13 @@ def empty_blocks(n: int, max_columns: int, blocks: int) -> LinearizedBlock:
 
 @kernel
 def node_index(k, n):
-    """Where in a vector of `n` the mean of node `k` stands; the half difference stands behind."""
+    """Return the index of the mean of node `k` in a state of size `n`; the half difference is next."""
     return NODES + 2 * (k % ((n - NODES) // 2))
 
 
 @kernel
 def get_block(blocks, j):
-    """The block `j` of many, as views."""
+    """Return the block `j` of `blocks` as views."""
     return LinearizedBlock(
         blocks.n_columns[j],
         blocks.columns[j],

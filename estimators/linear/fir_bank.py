@@ -1,16 +1,17 @@
-"""One linear window over distance for all speeds and modes: taps that change with both.
+"""FIR bank over distance for all speeds and modes: taps depend on speed and strut states.
 
     m(s_i) = sum_j  f_j front(s_i+j) + r_j rear(s_i+j)          -behind <= j <= ahead
     q(s_i) = sum_j  c_j roll(s_i+j)
 
-Between KNOTS, even in the logarithm of the speed, taps are interpolated linearly; every combination
-of the four states (front and rear, spring and damper) has its own. All knots of a combination are
-fitted together, to drives at whatever speeds, each drive at unit level: least squares plus
+Taps are interpolated linearly between KNOTS, evenly spaced in the logarithm of the speed; each
+combination of the four states (front and rear, spring and damper) has its own taps. All knots of a
+combination are fitted jointly to drives at any speed, each drive scaled to unit level, by least
+squares with the penalty
 
-    mean square of the regressors x (ridge x sum(taps²) + tie x sum(difference of knots²))
+    mean square of the regressors x (ridge x sum(taps²) + smoothness x sum(difference of knots²))
 
-where the tie lets knots with few drives lean on their neighbours. Misfit below 0.15 cycles/m counts
-for little: it is most of a road's height and nothing of its judged band. A combination without a
+The smoothness term regularises knots with few drives. Errors below 0.15 cycles/m are suppressed by a
+high-pass: they dominate a road's height but lie outside the scored band. A combination without a
 drive takes the taps of the one that differs in the fewest states.
 """
 
@@ -25,25 +26,25 @@ from estimators.common.blas import single_blas_thread
 from estimators.common.spatial_signals import N_MOTIONS, SPACING, SpatialSignals
 
 KNOTS = np.geomspace(1.35, 20.5, 9)
-"""Speeds [m/s] of the taps; slower and faster drives take those at the end."""
+"""Speeds [m/s] of the taps; outside, the taps of the first or last knot hold."""
 
 N_STATE_COMBINATIONS = 16
-"""Of front spring, front damper, rear spring, rear damper, the first counting 8."""
+"""Of front spring, front damper, rear spring, rear damper; the first is bit 3."""
 
 RIDGE, SMOOTHNESS = 1e-4, 1e-4
 N_SHORT = 0.15
-"""Slower misfits count for little [cycles/m]."""
+"""Spatial frequency [cycles/m] of the high-pass on the errors."""
 
 LEVEL_MIN = 3e-4
-"""Added to the level of a drive [m], so that the noise of a smooth road does not rule."""
+"""Added to a drive's level [m], so that noise on a smooth road does not dominate."""
 
 MM = 1e-3
-"""Taps are stored as float16, of heights in mm."""
+"""Unit of the heights [m]: taps are stored as float16 for heights in mm."""
 
 
 class FirBank(NamedTuple):
-    """`taps` (16, knots, 3, behind + 1 + ahead) [mm s²/m] of front, rear and roll; the latest
-    station that is used stands `ahead` of the estimated one.
+    """`taps` (16, knots, 3, behind + 1 + ahead) [mm s²/m] of front, rear and roll; the last station used
+    is `ahead` of the estimated one.
     """
 
     taps: np.ndarray
@@ -55,7 +56,7 @@ class FirBank(NamedTuple):
         return self.taps.shape[-1] - 1 - self.ahead
 
     def __call__(self, signals: SpatialSignals, extra: int = 0) -> np.ndarray:
-        """Heights m and q (2, size + 2 extra) [m], `extra` stations beyond either end included."""
+        """Return m and q (2, size + 2 extra) [m], including `extra` stations beyond either end."""
         first = signals.margin - extra
         size = signals.size + 2 * extra
         inside = slice(first, first + size)
@@ -71,15 +72,15 @@ class FirBank(NamedTuple):
 
 
 def taps_shape(behind: int, ahead: int) -> tuple[int, ...]:
-    """The shape of a bank's taps."""
+    """Return the shape of a bank's taps."""
     return N_STATE_COMBINATIONS, KNOTS.size, N_MOTIONS, behind + 1 + ahead
 
 
 def fit_bank(
     all_signals: Sequence[SpatialSignals], targets: Sequence[np.ndarray], behind: int, ahead: int
 ) -> FirBank:
-    """The taps of drives with their heights m and q (2, M) [m]. Each counts for the combination of
-    states and the speed that it has on the mean.
+    """Fit the taps to drives with targets m and q (2, M) [m]. A drive counts for its mean speed and for
+    the state combination that prevails in it.
     """
     drives: dict[int, list[int]] = {}
     for i, signals in enumerate(all_signals):
@@ -101,8 +102,8 @@ def fit_bank(
 
 
 class KnotNormalEquations(NamedTuple):
-    """Normal equations of all knots: blocks X'X (knots, p, p) of each knot with itself, then with
-    the next, and X'Z (knots, p).
+    """Normal equations of all knots: blocks X'X (knots, p, p) of each knot with itself and with the
+    next, and X'Z (knots, p).
     """
 
     diagonal: np.ndarray
@@ -111,11 +112,11 @@ class KnotNormalEquations(NamedTuple):
 
     @classmethod
     def zeros(cls, p: int) -> "KnotNormalEquations":
-        """The sums of no samples, for `p` regressors."""
+        """Return empty sums for `p` regressors."""
         return cls(*(np.zeros((KNOTS.size, *shape)) for shape in ((p, p), (p, p), (p,))))
 
     def add(self, X: np.ndarray, z: np.ndarray, v: float) -> None:
-        """Add regressors X (N, p) and their targets z (N,) of a drive at speed v."""
+        """Add regressors X (N, p) and targets z (N,) of a drive at speed v [m/s]."""
         XX, Xz = X.T @ X, X.T @ z
         (k,), (share,) = _locate_knots(np.array([v]))
         self.diagonal[k] += (1.0 - share) ** 2 * XX
@@ -126,7 +127,7 @@ class KnotNormalEquations(NamedTuple):
 
     @single_blas_thread()
     def solve(self) -> np.ndarray:
-        """The taps (knots, p)."""
+        """Return the taps (knots, p)."""
         knots, p = self.XZ.shape
         A = np.zeros((knots, p, knots, p))
         level = np.einsum("kii->", self.diagonal) / (knots * p) or 1.0
@@ -142,7 +143,7 @@ class KnotNormalEquations(NamedTuple):
 
 
 def keep_short_waves(x: np.ndarray, causal: bool = False) -> np.ndarray:
-    """Rows at the stations without the waves that count for little."""
+    """Return rows at the stations, high-passed at N_SHORT; without phase unless `causal`."""
     sos = signal.butter(2, N_SHORT, "high", fs=1.0 / SPACING, output="sos")
     if causal:
         return signal.sosfilt(sos, x)
@@ -156,6 +157,7 @@ def _add_drive(
     behind: int,
     ahead: int,
 ) -> None:
+    """Add a drive to the `sums` of (front, rear) and of roll."""
     motions, z = (
         keep_short_waves(signals.motions[:N_MOTIONS].astype(float)),
         keep_short_waves(target),
@@ -169,19 +171,20 @@ def _add_drive(
 
 
 def _state_combination(signals: SpatialSignals) -> int:
+    """Return the index of the state combination that prevails in a drive."""
     share = signals.states[signals.margin : signals.margin + signals.size].mean(axis=0)
     return int(sum(8 >> i for i in range(4) if share[i] > 0.5))
 
 
 def _locate_knots(v: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-    """The knots below speeds of any shape, and the shares of those above."""
+    """Return the indices of the knots below speeds of any shape, and the weights of those above."""
     x = np.interp(np.log(np.maximum(v, KNOTS[0])), np.log(KNOTS), np.arange(KNOTS.size))
     k = np.minimum(x.astype(int), KNOTS.size - 2)
     return k, x - k
 
 
 def _knot_shares(v: np.ndarray, states: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
-    """Combination, knot and its share (M,) of the estimate, for all that have one."""
+    """Yield combination, knot and weight (M,) of each set of taps in use."""
     k, above = _locate_knots(v)
     for combination in range(N_STATE_COMBINATIONS):
         on = (combination >> np.arange(3, -1, -1)) & 1

@@ -1,28 +1,28 @@
-"""Linear window over distance: a height is a weighted sum of the accelerations around its station.
+"""FIR filter over distance: a height is a weighted sum of the accelerations around its station.
 
-Taught once for all speeds and modes (`bank.py`): taps that follow the speed and the states of the
-struts, of the motions of the body. So it comes with the package.
+Shipped for all speeds and modes as a bank (`fir_bank.py`), with taps that depend on speed and strut
+states and act on the motions of the body.
 
-Fitted to the drives of one speed and one mode, as the paper trains its network:
+`fit` instead fits the drives of one speed and one mode, as the paper trains its network:
 
     z_k(s) = sum_j sum_i taps[k, j, i] a_j(s + i d)        |i d| <= reach
 
-a_j are the three processed accelerations (RF, LR, RR) over the front axle's station. They hold
-nothing above 25 Hz, hence nothing above 25 Hz / v over distance, so taps need stand no closer than
-d = v / 50 Hz, rounded down to the grid. Beyond the record the car is taken to be at rest.
+a_j are the three processed accelerations (RF, LR, RR) over the station of the front axle. They are
+band-limited to 25 Hz, over distance to 25 Hz / v, so the tap spacing is d = v / 50 Hz, rounded down
+to profile stations. Beyond the record the vehicle is assumed to be at rest.
 
-Those taps minimise the squared error on the training roads plus ridge x mean(a²) x sum(taps²).
-Drives enter as normal equations, whatever their number, summed apart for the five fifths of every
-drive; the ridge is the one whose taps from four fifths do best on the fifth (cross-validation).
+The taps minimise the squared error on the training roads plus ridge x mean(a²) x sum(taps²). The
+normal equations are summed over all drives, separately for the five fifths of every drive; the ridge
+is chosen by cross-validation over these folds.
 
-Accelerometers do not see slow heights (acceleration falls with n² v²), and a window cannot hold
-them: the target is the truth high-passed at 0.05 cycles/m (second-order Butterworth, both ways),
-so of longer waves nothing is claimed. No constant is added: a mirrored drive gives the mirrored
-road.
+Accelerometers do not observe long waves (acceleration falls with n² v²), and the window is too
+short for them: the target is the truth high-passed at 0.05 cycles/m (second-order Butterworth,
+forward and backward), so longer waves are not estimated. There is no intercept: a mirrored drive
+gives the mirrored road.
 
-Known to fail: on large strokes, where the struts are far from linear; and what was fitted to one
-speed and mode, at another. A window of 3 m instead of 12 m makes the error 1.3 to 2 times as large,
-since it holds too little of the body's motion and of the rear axle's passage.
+Limitations: large strokes, where the struts are far from linear; after `fit`, other speeds and modes.
+A window of 3 m instead of 12 m increases the error by a factor of 1.3 to 2, since it contains too
+little of the body's motion and of the rear axle's passage.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -60,7 +60,7 @@ from road_envs.data.record import (
 from road_envs.vehicle.parameters import VehicleParameters
 
 DEFAULT_REACH = 12.0
-"""Of the window that comes with the package, about, and of others unless they say so [m]."""
+"""Default reach [m], approximately that of the shipped bank."""
 
 FOLDS = 5
 RIDGES = 10.0 ** np.arange(-6, 1)
@@ -68,8 +68,8 @@ RIDGES = 10.0 ** np.arange(-6, 1)
 
 
 class Taps(NamedTuple):
-    """`taps` (2, 3, T) [s²] for wheel path, sensor and offset, `stride` grid steps apart; `speed`
-    [m/s] of the training drives and the chosen `ridge`.
+    """`taps` (2, 3, T) [s²] by wheel path, sensor and offset, `stride` profile stations apart; mean
+    `speed` [m/s] of the training drives and the selected `ridge`.
     """
 
     taps: np.ndarray
@@ -79,7 +79,7 @@ class Taps(NamedTuple):
 
 
 class LeastSquaresSums(NamedTuple):
-    """Sums over samples of X'X (p, p), X'Z (p, 2) and Z'Z (); they add, part by part."""
+    """Sums over samples: X'X (p, p), X'Z (p, 2) and Z'Z ()."""
 
     XX: np.ndarray
     XZ: np.ndarray
@@ -87,36 +87,36 @@ class LeastSquaresSums(NamedTuple):
 
     @classmethod
     def zeros(cls, size: int) -> "LeastSquaresSums":
-        """The sums of no samples, for `size` regressors."""
+        """Return empty sums for `size` regressors."""
         return cls(np.zeros((size, size)), np.zeros((size, 2)), np.zeros(()))
 
     @classmethod
     def from_samples(cls, X: np.ndarray, Z: np.ndarray) -> "LeastSquaresSums":
-        """The sums of regressors `X` (N, p) and targets `Z` (N, 2)."""
+        """Return the sums of regressors `X` (N, p) and targets `Z` (N, 2)."""
         return cls(X.T @ X, X.T @ Z, np.vdot(Z, Z))
 
     def plus(self, other: "LeastSquaresSums", sign: float = 1.0) -> "LeastSquaresSums":
-        """These sums with another's added, or taken away with `sign` -1."""
+        """Return these sums plus `sign` times those of `other`."""
         return LeastSquaresSums(*(x + sign * y for x, y in zip(self, other, strict=True)))
 
     def solve(self, ridge: float) -> np.ndarray:
-        """Coefficients (p, 2) with a `ridge` relative to the mean of the diagonal of XX."""
+        """Return coefficients (p, 2); `ridge` is relative to the mean diagonal of XX."""
         size = len(self.XX)
-        level = np.trace(self.XX) / size or 1.0  # a drive may have been level
-        # NumPy's factor: SciPy's BLAS has threads of its own, which fight for the processor
+        level = np.trace(self.XX) / size or 1.0  # a level drive has no signal
+        # NumPy's factor: SciPy's BLAS has a thread pool of its own, which competes with NumPy's
         factor = np.linalg.cholesky(self.XX + ridge * level * np.eye(size))
         return cho_solve((factor, True), self.XZ)
 
     def squared_error(self, coefficients: np.ndarray) -> float:
-        """Sum of squared errors that `coefficients` (p, 2) make on these samples."""
+        """Return the sum of squared errors of `coefficients` (p, 2) on these samples."""
         fit = 2.0 * self.XZ - self.XX @ coefficients
         return float(self.ZZ - np.vdot(coefficients, fit))
 
 
 @dataclass(frozen=True, kw_only=True)
 class FirRidge:
-    """The window that comes with the package; or one of `reach` [m] to either side of the station,
-    once it is fitted. With `shipped` false it has to be.
+    """The shipped bank; or, once fitted, a window of `reach` [m] to either side of the station. With
+    `shipped=False` it must be fitted.
     """
 
     __pydantic_config__ = STRICT
@@ -140,7 +140,7 @@ class FirRidge:
         car: VehicleParameters,
         seed: int,
     ) -> Self:
-        """Taps for the speed and mode of these drives; nothing is drawn, `seed` plays no part."""
+        """Fit taps to the speed and mode of these drives; deterministic, `seed` is unused. Raises RecordError."""
         speed = float(np.mean([record.v.mean() for record in records]))
         stride = max(1, int(speed / (2.0 * F_C) / PROFILE_SPACING))
         half = self._half_taps(stride)
@@ -158,7 +158,7 @@ class FirRidge:
         return copy_with(self, fitted_state=Taps(taps, stride, speed, ridge))
 
     def training_example(self, record: Record, truth: Profile) -> TrainingExample:
-        """What is kept of a drive to be taught by. Raises RecordError."""
+        """Return what is kept of a drive for training. Raises RecordError."""
         return training_example(record, truth, self.causal)
 
     def pretrain(
@@ -169,7 +169,7 @@ class FirRidge:
         progress: Callable[[str, float], None] = lambda text, share: None,
         checkpoint: object = None,
     ) -> Self:
-        """Taps for all speeds and modes; nothing is drawn, and it takes less than a minute."""
+        """Fit a bank for all speeds and modes; deterministic, takes less than a minute."""
         progress("fitting linear windows", 0.0)
         all_signals, targets = zip(*drives, strict=True)
         return copy_with(
@@ -177,7 +177,7 @@ class FirRidge:
         )
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """The weighted sums. Raises RecordError."""
+        """Return the weighted sums. Raises RecordError, NotFittedError."""
         record, notes = clean_record(record)
         model, stations = self._fitted_or_pretrained(), profile_stations(record.length)
         if isinstance(model, FirBank):
@@ -193,7 +193,7 @@ class FirRidge:
         return Estimate(stations, z, notes=(*notes, LONG_WAVE_NOTE, *_speed_note(speed, record)))
 
     def weights(self) -> dict[str, np.ndarray]:
-        """`bank` (16, knots, 3, T); or fitted to one speed, `taps` (2, 3, T), and as scalars
+        """Return `bank` (16, knots, 3, T); or, if fitted to one speed, `taps` (2, 3, T) and the scalars
         `stride`, `speed`, `ridge`. Raises NotFittedError.
         """
         model = self._fitted_or_pretrained()
@@ -202,7 +202,7 @@ class FirRidge:
         return {name: np.asarray(x) for name, x in model._asdict().items()}
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
-        """A copy with these weights. Raises ValueError."""
+        """Return a copy with these weights. Raises ValueError."""
         if "bank" in weights:
             (taps,) = validate_weights(
                 weights, {"bank": taps_shape(STATIONS_BEHIND, STATIONS_BEHIND)}
@@ -211,11 +211,11 @@ class FirRidge:
         shapes = {"taps": (2, len(SENSORS), None), "stride": (), "speed": (), "ridge": ()}
         taps, stride, speed, ridge = validate_weights(weights, shapes)
         if stride < 1 or taps.shape[2] != 2 * self._half_taps(int(stride)) + 1:
-            raise ValueError(f"{taps.shape[2]} taps do not make a window of {self.reach} m")
+            raise ValueError(f"{taps.shape[2]} taps do not fit a window of {self.reach} m")
         return copy_with(self, fitted_state=Taps(taps, int(stride), float(speed), float(ridge)))
 
     def _fitted_or_pretrained(self) -> Taps | FirBank:
-        """What was learnt, or what comes with the package. Raises NotFittedError."""
+        """Return the fitted taps, or the shipped bank. Raises NotFittedError."""
         if self.fitted_state is not None:
             return self.fitted_state
         weights = (
@@ -224,26 +224,26 @@ class FirRidge:
         return self.with_weights(require_fitted(weights, self))._fitted_or_pretrained()
 
     def _half_taps(self, stride: int) -> int:
-        """Taps on one side of the station."""
+        """Return the number of taps on one side of the station."""
         return int(self.reach / (stride * PROFILE_SPACING))
 
 
 def sliding_windows(record: Record, stride: int, half: int) -> np.ndarray:
-    """What the taps see (N, 3 (2 half + 1)) [m/s²], at every `stride`-th station."""
+    """Return the regressors (N, 3 (2 half + 1)) [m/s²] at every `stride`-th station."""
     a = spatial_accelerations(record, half * stride)
     windows = np.lib.stride_tricks.sliding_window_view(a, 2 * half * stride + 1, axis=1)
     return np.concatenate(list(windows[:, ::stride, ::stride]), axis=1)
 
 
 def highpass_profile(truth: Profile, stations: np.ndarray) -> np.ndarray:
-    """Heights (2, M) [m] at `stations`, without waves longer than 20 m."""
+    """Return heights (2, M) [m] at `stations`, without waves longer than 20 m."""
     sos = signal.butter(2, N_HIGH_PASS, "high", fs=1.0 / PROFILE_SPACING, output="sos")
     padding = min(int(1.0 / (N_HIGH_PASS * PROFILE_SPACING)), stations.size - 1)
     return signal.sosfiltfilt(sos, sample_profile(truth, stations), axis=1, padlen=padding)
 
 
 def cross_validate(folds: Sequence[LeastSquaresSums]) -> tuple[float, np.ndarray]:
-    """The ridge with the least error on folds left out, and the coefficients (p, 2) of all."""
+    """Return the ridge of the smallest cross-validation error, and coefficients (p, 2) of all folds."""
     total = reduce(LeastSquaresSums.plus, folds)
     errors = np.zeros(RIDGES.size)
     for fold in folds:
@@ -254,6 +254,7 @@ def cross_validate(folds: Sequence[LeastSquaresSums]) -> tuple[float, np.ndarray
 
 
 def _speed_note(speed: float, record: Record) -> tuple[str, ...]:
+    """Return a note if the record's mean speed is more than 10 % off that of the training."""
     driven = float(record.v.mean())
     if abs(driven - speed) <= 0.1 * speed:
         return ()

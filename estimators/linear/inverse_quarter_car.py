@@ -1,31 +1,31 @@
-"""Four quarter cars turned round: from the body's acceleration over each wheel to the road there.
+"""Inverse of four quarter cars: from the body acceleration above each strut to the road under its wheel.
 
-The accelerometers tell heave, roll and pitch of a rigid body, and so the acceleration a above each
-strut. With the corner a quarter car of its own, the forward problem is solved backwards, equation
-by equation (after Ngwangwa 2020, who reverses the solution of the vertical ride dynamics):
+Three accelerometers give heave, roll and pitch of a rigid body, hence the acceleration a above each
+strut. Each corner is treated as an independent quarter car and the forward problem is inverted
+(after Ngwangwa 2020, who inverts the solution of the vertical ride dynamics):
 
-    body      m_s a = -(k_s + c_s p) e                       the strut's extension e
-    strut     z_u   = a / p² - e                             the height of the wheel
-    wheel     (k_t + c_t p) (z_r - z_u) = m_u p² z_u + m_s a  the road's height z_r
+    body      m_s a = -(k_s + c_s p) e                       e: extension of the strut
+    strut     z_u   = a / p² - e                             z_u: height of the wheel
+    wheel     (k_t + c_t p) (z_r - z_u) = m_u p² z_u + m_s a  z_r: height of the road
 
-with p = 2 pi j f. So z_r = R(p) a, exactly. Spring and tyre are linear about rest, and c_s is the
-damper that errs least for the rate of extension that this inversion itself finds in the record.
-Each wheel path is met twice, by the front and by the rear wheel: the mean of both is told.
+with p = 2 pi j f. So z_r = R(p) a, exactly. Spring and tyre are linear about rest; c_s is the
+equivalent damper for the extension rate that this inversion finds in the record. The estimate is
+the mean of the heights under the front and rear wheel of a path.
 
-R has a double pole at f = 0, where no acceleration tells a height: R / (1 + |R|² H_0²) is used,
-which is R above `f_low` (H_0 is |1 / R| there) and goes to zero below it. From 25 to 30 Hz the
-answer fades out. So its band is f_low / v to 25 Hz / v: 0.07 to 6.2 cycles/m at 14.5 km/h, 0.02 to
-1.7 cycles/m at 54 km/h.
+R has a double pole at f = 0, where height is not observable: R / (1 + |R|² H_0²) is used instead,
+which is R above `f_low` (H_0 is |1 / R| there) and tends to zero below it. From 25 to 30 Hz the
+response fades to zero. The band is therefore f_low / v to 25 Hz / v: 0.07 to 6.2 cycles/m at
+14.5 km/h, 0.02 to 1.7 cycles/m at 54 km/h.
 
-Inside it, where equal corners are free of each other (the body as four point masses over its
-struts, axles as two under them), the mean of the wheel paths is exact. Their difference is not: a
-rigid body lets no corner go its own way, so that its roll hears the mean of front and rear, and of
-the difference at the spatial frequency n the share cos²(pi n wheelbase) is told.
+Within the band the mean of the wheel paths is exact if equal corners are uncoupled (body as four
+point masses over its struts, axles as two under them). Their difference is not: the rigid body's
+roll responds to the mean of front and rear, so the fraction cos²(pi n wheelbase) of the difference
+is recovered at the spatial frequency n.
 
-Known to fail: by half a road and more on any car, for that reason and others. The Defender's body
-has 0.72 of the pitch inertia and 1.31 of the roll inertia that would make its corners free, and its
-struts stand further in than its wheels. A linear Defender is off by 0.52 to 0.66 of the road in the
-judged band, the Defender with its friction by about as much.
+Limitations: errors of half the road's level and more on any vehicle, for that reason and others.
+The Defender's body has 0.72 of the pitch inertia and 1.31 of the roll inertia of uncoupled corners,
+and its struts stand further in than its wheels. The error in the scored band is 0.52 to 0.66 of the
+road's level for a linear Defender, and about the same with friction.
 """
 
 from collections.abc import Mapping
@@ -45,19 +45,18 @@ from road_envs.vehicle.linear_model import gaussian_damping, strut_forces
 from road_envs.vehicle.parameters import VehicleParameters
 
 PADDING_TIME = 8.0
-"""Silence [s] behind a record, before it begins again in the circle of a Fourier transform."""
+"""Zeros [s] appended to a record before it repeats in the DFT circle."""
 
 FADE_RATIO = 1.2
-"""Above 25 Hz the answer fades out, until this many times as much."""
+"""The response fades to zero from F_C to this multiple of it."""
 
 INITIAL_RATE_STD, DAMPING_ITERATIONS = 0.1, 4
-"""Standard deviation [m/s] of the struts' rates with which their dampers are begun, and how often
-dampers and rates are made to agree."""
+"""Initial standard deviation [m/s] of the struts' rates, and number of updates of dampers and rates."""
 
 
 class QuarterCars(NamedTuple):
-    """The four corners, arrays (4,) in the order of the wheels: masses of body and wheel [kg],
-    rates [N/m] and damping [N s/m] of strut and tyre.
+    """The four corners, arrays (4,) in wheel order: sprung and unsprung mass [kg], rate [N/m] and damping
+    [N s/m] of strut and tyre.
     """
 
     m_s: np.ndarray
@@ -68,12 +67,12 @@ class QuarterCars(NamedTuple):
     c_t: np.ndarray
 
     def extension(self, f: np.ndarray) -> np.ndarray:
-        """Extension of the struts per acceleration above them (4, F) [s²] at `f` (F,) [Hz]."""
+        """Return strut extension per acceleration above it (4, F) [s²] at `f` (F,) [Hz]."""
         m_s, k_s, c_s = (x[:, None] for x in (self.m_s, self.k_s, self.c_s))
         return -m_s / (k_s + 2j * np.pi * f * c_s)
 
     def inverse(self, f: np.ndarray) -> np.ndarray:
-        """R (4, F): height of the road per acceleration of the body [s²] at `f` (F,) > 0 [Hz]."""
+        """Return R (4, F): road height per body acceleration [s²] at `f` (F,) > 0 [Hz]."""
         p = 2j * np.pi * f
         m_s, m_u, k_t, c_t = (x[:, None] for x in (self.m_s, self.m_u, self.k_t, self.c_t))
         z_u = 1.0 / p**2 - self.extension(f)
@@ -82,7 +81,7 @@ class QuarterCars(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class InverseQuarterCar:
-    """For a car with these `instruments`; slower than `f_low` [Hz] nothing is claimed."""
+    """For a vehicle with these `instruments`; below `f_low` [Hz] nothing is estimated."""
 
     __pydantic_config__ = STRICT
     causal: ClassVar[bool] = False
@@ -95,7 +94,7 @@ class InverseQuarterCar:
             raise ValueError(f"f_low must be within (0, {F_C:g}) Hz, got {self.f_low}")
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Both wheel paths. Raises ConfigError, RecordError."""
+        """Estimate both wheel paths. Raises ConfigError, RecordError."""
         record, notes = clean_record(record)
         sensors = load_instruments(self.instruments)
         size = next_fast_len(record.t.size + round(PADDING_TIME * record.fs), real=True)
@@ -124,8 +123,8 @@ class InverseQuarterCar:
 def accelerations_at_struts(
     a: np.ndarray, locations: Mapping[str, tuple[float, float]], car: VehicleParameters
 ) -> np.ndarray:
-    """Accelerations (4, N) of a rigid body above its struts, from those (3, N) at the `locations`,
-    name -> (x, y) [m], of the sensors.
+    """Return accelerations (4, N) of a rigid body above its struts from those (3, N) of the sensors at
+    `locations`, name -> (x, y) [m].
     """
     sensed = np.array([(1.0, *locations[name]) for name in SENSORS])
     struts = np.array([(1.0, axle.x, y) for axle in car.axles for y in (axle.y_s, -axle.y_s)])
@@ -135,7 +134,9 @@ def accelerations_at_struts(
 def quarter_cars(
     plant: Plant, car: VehicleParameters, mode: Mapping[str, str], rate: np.ndarray
 ) -> QuarterCars:
-    """The corners of a car whose struts extend at `rate` (4,) [m/s], standard deviations."""
+    """Return the corners of a vehicle whose struts extend with rates of standard deviation `rate` (4,)
+    [m/s].
+    """
     near = np.array([-1e-4, 1e-4]) * np.ones((4, 1))
     F = strut_forces(plant, mode, near, np.zeros_like(near))
     share = np.array([-car.rear.x, car.front.x]) / (2.0 * car.wheelbase)
@@ -158,8 +159,10 @@ def fit_corners(
     lines: np.ndarray,
     samples: int,
 ) -> QuarterCars:
-    """The corners whose dampers go with the motion: `lines` (4, F) are the Fourier transform of the
-    accelerations above the struts at `f` (F,) [Hz], of which the first `samples` were measured.
+    """Return the corners with dampers equivalent for the recorded motion.
+
+    `lines` (4, F): Fourier transform of the accelerations above the struts at `f` (F,) [Hz], of which
+    the first `samples` were recorded.
     """
     rate = np.full(4, INITIAL_RATE_STD)
     for _ in range(DAMPING_ITERATIONS):
@@ -170,8 +173,8 @@ def fit_corners(
 
 
 def merge_axles(record: Record, z: np.ndarray, wheelbase: float) -> np.ndarray:
-    """Both wheel paths (2, M) [m] on the grid, from the heights (4, N) [m] under the wheels over
-    time: the mean of what front and rear wheel met, or of the one that met it while recording.
+    """Return both wheel paths (2, M) [m] at the profile stations from heights (4, N) [m] under the wheels
+    over time: the mean of front and rear, or the one of them that passed the station while recording.
     """
     stations = profile_stations(record.length)
     heights, recorded = [], []
@@ -184,7 +187,8 @@ def merge_axles(record: Record, z: np.ndarray, wheelbase: float) -> np.ndarray:
 
 
 def _mode_change_note(record: Record) -> tuple[str, ...]:
+    """Return a note if a strut changed its state during the record."""
     flags = np.hstack([record.spring_stiff, record.damper_high])
     if (flags == flags[0]).all():
         return ()
-    return ("taken as driven in the states that lasted longest",)
+    return ("treated as driven in the dominant strut states",)

@@ -1,14 +1,14 @@
-"""The tangent of a drive as matrices, one for each short part of it.
+"""Tangent of a drive as one matrix for each short chunk of blocks.
 
 Conjugate gradients apply tangent and adjoint dozens of times about one motion. Most of that work is
-the same each time, so it is done once: in a part of some hundredths of a second the change of the
-state y and the sensed block means m are
+the same each time and is done once. Over a chunk of some hundredths of a second, the change of the
+vehicle state y and of the block means m is
 
-    (y after, m) = P (y before, c)        c: the spline's coefficients under its four wheels
+    (y after, m) = P (y before, c)        c: the spline's coefficients under the four wheels
 
-The columns of P are unit changes, carried through the part by `tangent_step`, LANES at a time. Then
-a tangent is one product with each P from the first part to the last, and its transpose one with
-each P' backwards. Both are ten times and more as quick as the steps themselves.
+The columns of P are unit changes, propagated through the chunk by `tangent_step`, LANES at a time.
+A tangent is then one product with each P from the first chunk to the last, an adjoint one with each
+P' from the last to the first. Both are more than ten times as fast as the steps themselves.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ from road_envs.vehicle.equations import N_DOF
 
 N_STATES = 2 * N_DOF
 N_ROWS = 32
-"""Numbers that a part gives at most: state and block means."""
+"""Rows of P at most: vehicle state and block means."""
 
 _SIZES = dict(zip(StepWorkspace._fields, [N_DOF] * 6 + [4] * 8 + [12, 6], strict=True))
 _WORK = np.dtype([(name, "f8", (size, LANES)) for name, size in _SIZES.items()])
@@ -35,10 +35,11 @@ _WORK = np.dtype([(name, "f8", (size, LANES)) for name, size in _SIZES.items()])
 
 @kernel
 def road_derivatives(front_node, node_rate, first, width, size, wheelbase_nodes, road):
-    """Rows 0 ... 7 of `road` (G, 16, LANES), or 8 ... 15: what a unit of each coefficient does.
+    """Write the derivative of heights and rates under the wheels to `road` (G, 16, LANES).
 
-    `front_node`, `node_rate` (2,): node number of the front axle and nodes passed in a second at
-    both half steps; `first` (2,): the first of `width` nodes that the axles see in this part.
+    Rows 0 to 7 are the first half step's heights, then rates, rows 8 to 15 the second's; lanes are
+    columns of P. `front_node`, `node_rate` (2,): front axle and its rate [nodes/s] at both half
+    steps; `first` (2,): the first of `width` nodes that each axle passes in this chunk.
     """
     road[:] = 0.0
     for half in range(2):
@@ -71,11 +72,11 @@ def fill_chunk_matrices(
     work,
     P,
 ):
-    """Write the matrices of all parts to `P` (M, C, ROWS), a column of the matrix in each row.
+    """Write the matrices of all chunks to `P` (M, C, N_ROWS), transposed: a column in each row.
 
-    `rows` (N, ROW) of the tape, `front_node`, `node_rate` (2 N,) as `road_derivatives` has them,
-    `first` (M, 2); `sample_weight` (S, J, b) of the samples, one in `decimation` steps, in their
-    block means; `sensor_rows` (S, 7).
+    `rows` of the tape; `front_node`, `node_rate` (2 N,) and `first` (M, 2) as in
+    `road_derivatives`; `sample_weight` (S, J, b) of the samples, one in `decimation` steps, in
+    their block means; `sensor_rows` (S, 7).
     """
     p, groups = constants[0], P.shape[1] // LANES
     sensors, blocks, block = sample_weight.shape
@@ -120,9 +121,10 @@ def fill_chunk_matrices(
 
 @kernel
 def apply_chunks(P, first, width, c, y, means):
-    """From a change `y` (14,) of the first state and of coefficients `c` (2, K) to `means` (S, J).
+    """Propagate a change `y` (14,) of the first state and `c` (2, K) of the coefficients to `means`
+    (S, J).
 
-    `P` (M, C, ROWS // LANES, LANES); `y` ends as that of the last state.
+    `P` (M, C, N_ROWS // LANES, LANES); `y` ends as the change of the last state.
     """
     x, out = np.zeros(P.shape[1]), np.empty((P.shape[2], LANES))
     flat, blocks_per_chunk = out.ravel(), (N_ROWS - 2 * N_DOF) // means.shape[0]
@@ -145,8 +147,8 @@ def apply_chunks(P, first, width, c, y, means):
 
 @kernel
 def apply_chunks_transpose(P, first, width, means, y, c):
-    """The transpose of `apply_chunks`: from `means` (S, J) to `y` (14,), which begins as the end's
-    adjoint, and the coefficients `c` (2, K).
+    """Apply the transpose of `apply_chunks`: from `means` (S, J) and the adjoint `y` (14,) of the
+    last state to that of the first and to coefficients `c` (2, K).
     """
     inside, out = np.zeros((P.shape[2], LANES)), np.empty(P.shape[1])
     flat, blocks_per_chunk = inside.ravel(), (N_ROWS - 2 * N_DOF) // means.shape[0]
@@ -174,9 +176,9 @@ def apply_chunks_transpose(P, first, width, means, y, c):
 
 @dataclass(frozen=True, eq=False)
 class BlockTangent:
-    """The tangent of one motion: matrices `P` (M, C, ROWS // LANES, LANES), each seeing `width`
-    nodes from `first` (M, 2) on under front and rear axle, of `n_nodes` in all; `shape` (S, J) of
-    the block means.
+    """Tangent of one motion: matrices `P` (M, C, N_ROWS // LANES, LANES), each for `width` nodes
+    from `first` (M, 2) on under front and rear axle, of `n_nodes` in all; `shape` (S, J) of block
+    means.
     """
 
     P: np.ndarray
@@ -186,13 +188,15 @@ class BlockTangent:
     shape: tuple[int, int]
 
     def apply(self, start: np.ndarray, c: np.ndarray) -> np.ndarray:
-        """Change (S, J) of the block means by one of the first state (14,) and of `c` (2, K)."""
+        """Return the change (S, J) of the block means by one of the first state (14,) and of `c`
+        (2, K).
+        """
         means, y = np.empty(self.shape), start.copy()
         apply_chunks(self.P, self.first, self.width, c, y, means)
         return means
 
     def apply_transpose(self, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The transpose: from block means (S, J) to the first state (14,) and `c` (2, K)."""
+        """Apply the transpose: from block means (S, J) to the first state (14,) and `c` (2, K)."""
         y, c = np.zeros(N_STATES), np.empty((2, self.n_nodes))
         apply_chunks_transpose(self.P, self.first, self.width, means, y, c)
         return y, c
@@ -206,7 +210,7 @@ def build_block_tangent(
     sensor_rows: np.ndarray,
     wheelbase: float,
 ) -> BlockTangent:
-    """The tangent of the motion on a `tape`, heard by sensors of `sensor_rows` (S, 7)."""
+    """Return the tangent of a taped motion, measured by sensors of `sensor_rows` (S, 7)."""
     sensors, blocks, block = measurements.sample_weight.shape
     blocks_per_chunk = (N_ROWS - N_STATES) // sensors
     steps_per_block = block * inputs.decimation

@@ -1,24 +1,25 @@
-"""The most probable road under the whole nonlinear car (4D-Var).
+"""Maximum a posteriori road under the full nonlinear vehicle (4D-Var).
 
-    minimise  1/2 sum over readings ((y - a(road)) / sigma)² + 1/2 |u|²
+    minimize  1/2 sum over block means ((y - a(road)) / sigma)² + 1/2 |u|²
 
-a is what three accelerometers would have sensed if the car, with its gas springs, dampers,
-friction, stops and tyres that lift off, had been driven over the road; u is the white noise that
-makes the road (`road.py`), equally rough in all directions, its density taken octave by octave from
-the drive itself. The rear wheels roll where the front ones did: both axles see one unknown road.
+a(road) is what three accelerometers measure when the vehicle, with its gas springs, dampers,
+friction, stops and tyres that lift off, is driven over the road. u is white noise that the prior
+shapes into an equally rough surface in all directions (`road_prior.py`); its density is
+re-estimated from the drive, octave by octave. Both axles roll over the same unknown road.
 Gauss-Newton steps with the exact tangent and adjoint of the simulator's step (`objective.py`) are
-found by conjugate gradients, preconditioned by the stationary linear car (`stationary.py`), on a
-way from a car with blurred friction and readings that count as noisy to the true (`search.py`); at
-its end the road is let down where a wheel flew over it (`flight.py`).
-(Talagrand & Courtier 1987, doi:10.1002/qj.49711347812, for the adjoint method.)
+solved by conjugate gradients, preconditioned by the stationary linear vehicle
+(`preconditioner.py`). Friction is smoothed and the noise inflated at first and less so in later
+steps (`gauss_newton.py`). At last the road is lowered where a wheel has lifted off
+(`wheel_liftoff.py`). (Talagrand & Courtier 1987, doi:10.1002/qj.49711347812, for the adjoint
+method.)
 
-The car believed in is the one given, driven in steps of 1 ms. What is heard are the raw samples in
-means of 5 ms, so up to about 90 Hz: where friction turns, frequencies mix, and what shakes above
-the judged 25 Hz tells of the road below.
+The model is the vehicle as given, in steps of 1 ms. The measurements are means over 5 ms of the raw
+samples, so up to about 90 Hz: friction mixes frequencies, and accelerations above the scored 25 Hz
+carry information about the road below.
 
-Known to fail: on a car that is far from the one given; where a wheel flies, no more is known of the
-road than that it lies below: a bump that throws the car is as long as its leap; of waves longer
-than about 50 m little is heard at a walking pace, and they are left out.
+Known to fail: on a vehicle that is far from the one given; under a lifted wheel, where the road is
+only known to lie below it: a bump that throws the wheel is as long as its jump; for waves longer
+than about 50 m, which are hardly observable at a walking pace and left out.
 """
 
 from dataclasses import dataclass
@@ -47,19 +48,20 @@ NODE_SPACING_RANGE = (0.025, 0.05)
 """Least and greatest distance of the road's nodes [m]."""
 
 F_RESOLVED = 70.0
-"""Frequency [Hz] up to which nodes stand close enough at any speed, if SPACING lets them."""
+"""Frequency [Hz] that the nodes resolve at any speed, within NODE_SPACING_RANGE."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapSmoother:
-    """Settings of the search for the most probable road.
+    """Estimator of the maximum a posteriori road.
 
     `instruments`: name or path; `noise_density` [(m/s²)/sqrt(Hz)] if it is not theirs. `G_d0` [m³]
-    and `w`: the road's prior before the drive is heard; `adapt_prior`: take its density from the
-    drive. `data_rate` [Hz]: means of readings in a second. `step` [s]: longest step of the model.
-    `level_ends`: the road is level before station 0 and behind its length, where the drive begins
-    at rest. `huber`: standard deviations from which a reading counts less. `window`, `overlap` [s]:
-    longer drives are taken in parts. `draws`: roads drawn for the standard deviation, 0 for none.
+    and `w`: the road's prior; `adapt_prior`: re-estimate its density from the drive. `data_rate`
+    [Hz] of the block means. `step` [s]: longest step of the model. `level_ends`: the road is level
+    before station 0 and behind its length, where the drive begins at rest. `huber`: standard
+    deviations beyond which a measurement is down-weighted. `window`, `overlap` [s]: longer drives
+    are estimated window by window. `draws`: posterior samples for the standard deviation, 0 for
+    none.
     """
 
     __pydantic_config__ = STRICT
@@ -90,7 +92,7 @@ class MapSmoother:
             raise ValueError(f"draws must not be negative, got {self.draws}")
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """The most probable road of a drive. Raises ValueError if it cannot be explained at all."""
+        """Return the maximum a posteriori road. Raises ConfigError, ValueError, ArithmeticError."""
         validate_record(record)
         instruments = load_instruments(self.instruments)
         model, drive = (

@@ -1,11 +1,10 @@
-"""From no road to the most probable one: Gauss-Newton steps by conjugate gradients, from an easy
-problem to the true one.
+"""Gauss-Newton minimization of the objective, with graduated friction and adaptive noise.
 
-Friction turns its sign in 0.02 m/s, and a linearisation there holds for no useful step. So the
-first roads are sought for a car whose dampers and friction are blurred over the rate of the strut,
-as if it trembled, and less and less so; and the readings count as noisy as their misfit is large,
-so that no road is made to explain what the model cannot yet. If much is left over in the end, the
-car is not the one believed in: then each frequency counts as noisy as it was badly explained.
+Friction changes sign within 0.02 m/s, so a linearization holds for very small steps only. The first
+steps therefore use dampers and friction smoothed over the strut rate, by less and less (graduated
+optimization), and the noise is inflated to the size of the residual, so that the road does not fit
+what the model cannot explain yet. If the residual remains large, the vehicle differs from the
+model: then the noise is inflated frequency by frequency.
 """
 
 from collections.abc import Callable
@@ -26,26 +25,26 @@ Vector = np.ndarray
 Operator = Callable[[Vector], Vector]
 
 FRICTION_STAGES = ((0.3, 2), (0.1, 2), (0.03, 3), (0.0, 12))
-"""Widths [m/s] of the blur, and Gauss-Newton steps at most with each."""
+"""Standard deviation [m/s] of the smoothing, and the most Gauss-Newton steps with it."""
 
 MAX_HALVINGS = 6
 
 NOISE_SCALE_WARNING = 2.0
-"""Times the instruments' noise power from which the car is not the one believed in."""
+"""Noise scale above which the vehicle counts as different from the model."""
 
 REWEIGHTING_STEPS, WELCH_SEGMENT = 3, 128
-"""Steps under noise of the leftovers' colour, and blocks of the stretches it is taken from."""
+"""Steps under frequency-dependent noise, and blocks in a segment of the residual's periodogram."""
 
 MAX_LIFTOFF_RETRIES, LIFTOFF_STEPS = 2, 5
-"""How often the road below wheels that fly is let down at most, and steps after each time."""
+"""How often the road under lifted wheels is lowered at most, and the steps after each time."""
 
 
 def conjugate_gradients(
     A: Operator, b: Vector, M: Operator, most: int, tolerance: float
 ) -> tuple[Vector, int]:
-    """An approximate solution of A x = b, preconditioned by M, and the iterations it took.
+    """Solve A x = b approximately, preconditioned by M; return x and the number of iterations.
 
-    It ends after `most` iterations, or once sqrt(r' M r) has fallen to `tolerance` of the first.
+    Ends after `max_iterations`, or when sqrt(r' M r) has fallen to `tolerance` of its first value.
     """
     x, r = np.zeros_like(b), b.copy()
     z = M(r)
@@ -66,8 +65,9 @@ def conjugate_gradients(
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where the search ended: the `linearization`, how many times the instruments' noise the misfit
-    makes of it (`noise_scale`), and the `steps` and `cg_iterations` it took.
+    """Result of the minimization: the final `linearization`, the preconditioner's `stationary`
+    Hessian, the `noise_scale` on the instruments' noise variance, and the `steps` and
+    `cg_iterations` taken.
     """
 
     linearization: Linearization
@@ -88,10 +88,10 @@ def minimize(
     adapt_prior: bool = True,
     report: Callable[[str, Linearization], None] = lambda text, lin: None,
 ) -> Solution:
-    """The most probable road, sought from none.
+    """Minimize the objective, from a level road on.
 
-    `huber`: standard deviations from which a block of readings counts less. It ends when a step
-    with the true car lowers the cost by less than the share `cost_tolerance`.
+    `huber`: standard deviations beyond which a block mean is down-weighted. Ends when a step with
+    the true vehicle lowers the cost by less than the share `cost_tolerance`.
     """
     solver = GaussNewton(stationary, huber, cg_iterations, cg_tolerance)
     steps, total, x = 0, 0, np.zeros(objective.size)
@@ -135,7 +135,7 @@ def minimize(
 
 @dataclass(frozen=True)
 class GaussNewton:
-    """How a Gauss-Newton step is found; settings as `minimize` has them."""
+    """Gauss-Newton steps; settings as in `minimize`."""
 
     stationary: StationaryHessian
     huber: float
@@ -145,7 +145,7 @@ class GaussNewton:
     def step(
         self, lin: Linearization, plant: Plant, noise_scale: float
     ) -> tuple[Linearization, int]:
-        """The next point under `noise_scale` times the noise, and the iterations it took."""
+        """Return the next point, under `noise_scale` times the noise, and the iterations it took."""
         objective = lin.objective
         lin = lin.with_inverse_variance(
             huber_weights(lin.residual, objective.information / noise_scale, self.huber)
@@ -160,8 +160,8 @@ class GaussNewton:
 def retry_after_liftoff(
     lin: Linearization, solver: GaussNewton, noise_scale: float
 ) -> Linearization:
-    """Where the search ends from the road of `lin` let down where no wheel pressed on it, unless
-    that explains the readings worse.
+    """Return the optimum from the road of `lin` lowered where no wheel pressed on it, if it costs
+    less.
     """
     x, plant = relax_unloaded(lin), lin.objective.model.plant
     if x is None:
@@ -178,7 +178,7 @@ def retry_after_liftoff(
 def update_prior(
     objective: Objective, stationary: StationaryHessian, x: Vector, noise_scale: float
 ) -> tuple[Objective, Vector]:
-    """The problem under the prior that its own road suggests, and `x` there, the road unchanged."""
+    """Return the objective under the prior that its own road suggests, and `x` there; same road."""
     u, _, _ = objective.split(x)
     level = stationary.density_scale(
         objective.road, objective.model.noise_variance * noise_scale, u
@@ -189,7 +189,7 @@ def update_prior(
 
 
 def line_search(lin: Linearization, dx: Vector, plant: Plant) -> Linearization:
-    """A point towards `dx`, half-way again and again until the cost has fallen."""
+    """Return a point along `dx` by backtracking: the step is halved until the cost has fallen."""
     slope, length = float(lin.gradient() @ dx), 1.0
     for _ in range(MAX_HALVINGS):
         try:
@@ -206,7 +206,7 @@ def line_search(lin: Linearization, dx: Vector, plant: Plant) -> Linearization:
 def estimate_noise_scale(
     lin: Linearization, stationary: StationaryHessian, noise_scale: float
 ) -> float:
-    """How many times the instruments' noise is left over, for what the road could not take up."""
+    """Return the residual's power over the instruments' noise, for the degrees of freedom left."""
     objective = lin.objective
     squares, used = objective.information * lin.residual**2, objective.measurements.sample_count > 0
     taken = (
@@ -220,8 +220,8 @@ def estimate_noise_scale(
 def estimate_frequency_weights(
     lin: Linearization, stationary: StationaryHessian, noise_scale: float
 ) -> np.ndarray:
-    """Gain (J // 2 + 1,) of each frequency: as little as is left over there, but never less noise
-    than the instruments'.
+    """Return the weight (J // 2 + 1,) of each frequency: noise as large as the residual is there,
+    but never less than that of the instruments.
     """
     objective = lin.objective
     r, used = np.sqrt(objective.information) * lin.residual, objective.measurements.sample_count > 0
@@ -237,13 +237,15 @@ def estimate_frequency_weights(
 
 
 def huber_weights(residual: np.ndarray, inverse_variance: np.ndarray, huber: float) -> np.ndarray:
-    """The inverse of the noise, less for readings further off than `huber` standard deviations."""
+    """Return `inverse_variance`, reduced where residuals exceed `huber` standard deviations."""
     far = np.sqrt(inverse_variance) * np.abs(residual)
     return inverse_variance * np.minimum(1.0, huber / np.maximum(far, 1e-12))
 
 
 def smooth_friction(plant: Plant, width: float) -> Plant:
-    """The car with dampers and friction as they are on average if the rate trembles by `width`."""
+    """Return the plant with damper and friction averaged over a Gaussian rate of deviation `std`
+    [m/s].
+    """
     return Plant(
         plant.constants, gaussian_smoothed(plant.velocity, V_0, V_STEP, width), plant.displacement
     )

@@ -1,11 +1,12 @@
-"""The cost of a road: how badly the car would have shaken, and how unlikely the road is.
+"""Cost function of a road: misfit of the measurements and improbability of the road.
 
     cost(x) = 1/2 sum_j (y_j - a_j(x))² / R_j + 1/2 |x|²
 
-x holds the white noise u of the road (2 K), the start's deviation from rest (14) and the sensors'
-offsets (S), each in units of its prior standard deviation; a_j are block means of the accelerations
-of the nonlinear car; R_j is their noise. The gradient is that of the computed steps
-(`road_envs.simulation.sensitivity`), and the Hessian that of Gauss and Newton, I + J' R^-1 J.
+x holds the white noise u of the road (2 K), the deviation of the initial vehicle state (14) and the
+sensor biases (S), each in units of its prior standard deviation. a_j are block means of the
+accelerations of the nonlinear vehicle, R_j the variances of their noise. The gradient is that of
+the computed steps (`road_envs.simulation.sensitivity`), the Hessian that of Gauss and Newton, I +
+J' R^-1 J.
 """
 
 from collections.abc import Mapping
@@ -26,10 +27,10 @@ from road_envs.vehicle.equations import N_DOF, Plant
 
 @dataclass(frozen=True, eq=False)
 class MeasurementModel:
-    """What is held of car and instruments: the `plant`, the time constant `valve_lag` [s] of its
-    valves, its `wheelbase` [m], the sensors' `locations` (x, y) [m] and their `sensor_rows` (S, 7)
-    over the car's coordinates, the variance `noise_variance` [(m/s²)²] of a sample, and the
-    deviation `bias_std` [m/s²] that the sensors' zeros may have.
+    """Model of vehicle and instruments: `plant`, time constant `valve_lag` [s] of its valves and
+    `wheelbase` [m]; sensor `locations` (x, y) [m] and `sensor_rows` (S, 7), their acceleration per
+    unit of each coordinate's; `noise_variance` [(m/s²)²] of a sample; prior standard deviation
+    `bias_std` [m/s²] of the sensor biases.
     """
 
     plant: Plant
@@ -43,8 +44,8 @@ class MeasurementModel:
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """One stretch of a drive, which begins in the state `initial_state` (14,), with the prior
-    deviations `initial_std` (14,), and with the struts' `strut_state` (4, 3).
+    """Cost function of one window of a drive, which begins about the vehicle state `initial_state`
+    (14,), with the prior standard deviation `initial_std` (14,), and with `strut_state` (4, 3).
     """
 
     model: MeasurementModel
@@ -57,16 +58,18 @@ class Objective:
 
     @property
     def size(self) -> int:
-        """Unknowns."""
+        """Number of unknowns."""
         return 2 * self.road.size + 2 * N_DOF + self.model.sensor_rows.shape[0]
 
     def split(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """`u` (2, K), the start's deviation (14,) and the offsets (S,), all in their units."""
+        """Return `u` (2, K), the deviation of the initial state (14,) and the biases (S,), all
+        scaled.
+        """
         u, start, bias = np.split(x, [2 * self.road.size, 2 * self.road.size + 2 * N_DOF])
         return u.reshape(2, -1), self.initial_std * start, self.model.bias_std * bias
 
     def road_under_wheels(self, c: np.ndarray) -> np.ndarray:
-        """Heights and rates (2 N, 2, 4) under the wheels on the coefficients `c` (2, K)."""
+        """Return heights and rates (2 N, 2, 4) under the wheels for coefficients `c` (2, K)."""
         out = np.empty((self.inputs.s.size, 2, 4))
         sample_under_wheels(c, *self._along, out)
         return out
@@ -78,7 +81,7 @@ class Objective:
         return x, self.inputs.v / ds, self.model.wheelbase / ds
 
     def simulate(self, x: np.ndarray, plant: Plant | None = None) -> Tape:
-        """The car's motion on the road of `x`. Raises ArithmeticError if it is not finite."""
+        """Return the taped motion on the road of `x`. Raises ArithmeticError if it is not finite."""
         u, start, _ = self.split(x)
         return linearize_drive(
             plant or self.model.plant,
@@ -91,27 +94,27 @@ class Objective:
         )
 
     def state_after(self, x: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
-        """State (14,) of the car and memory (4, 3) of its struts after `steps` on this road."""
+        """Return the vehicle state (14,) and strut state (4, 3) after `steps` on the road of `x`."""
         part = replace(self, inputs=self.inputs.slice_steps(0, steps))
         tape = part.simulate(x)
         return tape.end, tape.strut_state
 
     @property
     def information(self) -> np.ndarray:
-        """The inverse (S, J) of the variance of each block mean, as far as the instruments go."""
+        """Inverse variance (S, J) of each block mean, by the noise of the instruments alone."""
         return self.measurements.sample_count / self.model.noise_variance
 
     def observe(self, acceleration: np.ndarray, bias: np.ndarray) -> np.ndarray:
-        """Block means (S, J) of the sensors for accelerations (N, 7) of the coordinates."""
+        """Return the block means (S, J) of the sensors for accelerations (N, 7) of the coordinates."""
         samples = acceleration[:: self.inputs.decimation][: self.measurements.n_samples]
         return self.measurements.average(self.model.sensor_rows @ samples.T) + bias[:, None]
 
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """A problem at `x`: the `tape` of the motion, what is left `residual` (S, J) [m/s²] of the
-    readings, and the `inverse_variance` (S, J) of the noise variance that they are thought to have;
-    `frequency_weights` (J // 2 + 1,), if given, by which what is heard at each frequency counts.
+    """An objective linearized at `x`: the `tape` of the motion, the `residual` (S, J) [m/s²] of the
+    measurements, the `inverse_variance` (S, J) of their noise and, if given, the
+    `frequency_weights` (J // 2 + 1,) on it.
     """
 
     objective: Objective
@@ -122,7 +125,7 @@ class Linearization:
     frequency_weights: np.ndarray | None = None
 
     def apply_inverse_covariance(self, means: np.ndarray) -> np.ndarray:
-        """R^-1 times block means (S, J)."""
+        """Return R^-1 times block means (S, J)."""
         if self.frequency_weights is None:
             return self.inverse_variance * means
         root = np.sqrt(self.inverse_variance)
@@ -130,25 +133,25 @@ class Linearization:
 
     @property
     def misfit(self) -> float:
-        """The readings' share of the cost."""
+        """The measurements' share of the cost."""
         return 0.5 * float(np.sum(self.residual * self.apply_inverse_covariance(self.residual)))
 
     @property
     def cost(self) -> float:
-        """What is to be made small."""
+        """The cost at `x`."""
         return self.misfit + 0.5 * float(self.x @ self.x)
 
     def gradient(self) -> np.ndarray:
-        """Of the cost by `x`."""
+        """Return the gradient of the cost with respect to `x`."""
         return self.x - self.adjoint(self.apply_inverse_covariance(self.residual))
 
     def hessian_product(self, dx: np.ndarray) -> np.ndarray:
-        """Gauss and Newton's, times `dx`."""
+        """Return the Gauss-Newton Hessian times `dx`."""
         return dx + self.adjoint(self.apply_inverse_covariance(self.tangent(dx)))
 
     @cached_property
     def block_tangent(self) -> BlockTangent:
-        """The tangent at this point."""
+        """The tangent at this point, as matrices."""
         one = self.objective
         return build_block_tangent(
             *(self.tape, one.road, one.inputs, one.measurements),
@@ -156,12 +159,12 @@ class Linearization:
         )
 
     def tangent(self, dx: np.ndarray) -> np.ndarray:
-        """Change (S, J) of the model's block means by a small `dx`."""
+        """Return the change (S, J) of the predicted block means by a small `dx`."""
         u, start, bias = self.objective.split(dx)
         return self.block_tangent.apply(start, self.objective.road.apply(u)) + bias[:, None]
 
     def adjoint(self, means: np.ndarray) -> np.ndarray:
-        """The transpose of `tangent`: from block means (S, J) to `x`."""
+        """Apply the transpose of `tangent`: from block means (S, J) to `x`."""
         one = self.objective
         start, c = self.block_tangent.apply_transpose(means)
         parts = [
@@ -172,16 +175,16 @@ class Linearization:
         return np.concatenate(parts)
 
     def with_inverse_variance(self, inverse_variance: np.ndarray) -> "Linearization":
-        """The same point under another inverse (S, J) of the noise."""
+        """Return the same point under another inverse variance (S, J) of the noise."""
         return replace(self, inverse_variance=inverse_variance)
 
     def relinearize(self, x: np.ndarray, plant: Plant | None = None) -> "Linearization":
-        """The same problem under the same noise at another `x`. Raises ArithmeticError."""
+        """Return the same objective and noise at another `x`. Raises ArithmeticError."""
         return linearize(self.objective, x, self.inverse_variance, plant, self.frequency_weights)
 
 
 def apply_frequency_weights(frequency_weights: np.ndarray, means: np.ndarray) -> np.ndarray:
-    """Block means (S, J) with each frequency taken times `frequency_weights` (J // 2 + 1,)."""
+    """Return block means (S, J) with each frequency multiplied by its weight (J // 2 + 1,)."""
     return irfft(frequency_weights * rfft(means, axis=1), means.shape[1], axis=1)
 
 
@@ -192,7 +195,7 @@ def linearize(
     plant: Plant | None = None,
     frequency_weights: np.ndarray | None = None,
 ) -> Linearization:
-    """The problem at `x`, for its own plant or another. Raises ArithmeticError."""
+    """Linearize `objective` at `x`, for its own plant or another. Raises ArithmeticError."""
     tape = objective.simulate(x, plant)
     _, _, bias = objective.split(x)
     residual = objective.measurements.y - objective.observe(tape.acceleration, bias)

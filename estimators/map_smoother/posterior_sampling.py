@@ -1,8 +1,9 @@
-"""How far the most probable road may be off: roads drawn from the posterior.
+"""Standard deviation of the estimate, from samples of the linearized posterior.
 
-With e_1, e_2 standard normal, the solution of (I + J' R^-1 J) x = J' R^-1/2 e_1 + e_2 is a draw
-from the posterior of the linearised problem (Papandreou & Yuille 2010, "Gaussian sampling by local
-perturbations"); what such roads do inside a band is what the estimate's error does there.
+With e_1, e_2 standard normal, the solution of (I + J' R^-1 J) x = J' R^-1/2 e_1 + e_2 is a sample
+of the posterior's deviation from its mean (Papandreou & Yuille 2010, "Gaussian sampling by local
+perturbations"). The road of such a sample within a band has the distribution of the estimate's
+error there.
 """
 
 import numpy as np
@@ -15,15 +16,16 @@ from estimators.map_smoother.road_prior import RoadTransform
 
 CG_ITERATIONS = 40
 MIN_STATE_LENGTH = 10.0
-"""Metres of road in one state of the struts from which it has a spread of its own."""
+"""Least length [m] of road in one strut state that has a standard deviation of its own."""
 
 STD_INFLATION = 1.1
-"""What the curvature left out and the last digits of the search add, on training roads."""
+"""Factor for the curvature and for the unfinished minimization, from training drives."""
 
 
 def posterior_std(found: Solution, band: tuple[float, float], draws: int, seed: int) -> np.ndarray:
-    """Standard deviation (K,) [m] of the error inside `band` [cycles/m] at each node of the road,
-    one for both wheel paths and for each state of the struts.
+    """Return the standard deviation (K,) [m] of the error inside `band` [cycles/m] at each node.
+
+    The same for both wheel paths and for all nodes that were passed in the same strut state.
     """
     lin, rng = found.linearization, np.random.default_rng(seed)
     objective, road = lin.objective, lin.objective.road
@@ -44,7 +46,7 @@ def posterior_std(found: Solution, band: tuple[float, float], draws: int, seed: 
 
 
 def draw_weighted_noise(lin: Linearization, rng: np.random.Generator) -> np.ndarray:
-    """R^-1/2 times white noise (S, J)."""
+    """Return R^-1/2 times white noise (S, J)."""
     white = rng.standard_normal(lin.residual.shape)
     return np.sqrt(lin.inverse_variance) * (
         white
@@ -54,7 +56,7 @@ def draw_weighted_noise(lin: Linearization, rng: np.random.Generator) -> np.ndar
 
 
 def _interior(free: np.ndarray, most: int) -> np.ndarray:
-    """Which nodes (K,) are free, at most `most` of them at either end left out."""
+    """Return which nodes (K,) are free, less at most `margin` of them at either end."""
     where = np.flatnonzero(free)
     off = min(most, where.size // 4)
     inner = np.zeros(free.size, dtype=bool)
@@ -65,7 +67,7 @@ def _interior(free: np.ndarray, most: int) -> np.ndarray:
 def _average_by_strut_state(
     square: np.ndarray, free: np.ndarray, road: RoadTransform, inputs: ModelInputs
 ) -> np.ndarray:
-    """The mean of `square` (K,) over the `free` nodes (K,) passed in the same state."""
+    """Return the mean of `square` (K,) over the `free` nodes (K,) passed in the same strut state."""
     station = road.origin + road.ds * np.arange(road.size)
     passed = np.clip(np.searchsorted(inputs.s[::2], station), 0, inputs.n_steps - 1)
     state = inputs.commands[passed]

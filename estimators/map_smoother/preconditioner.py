@@ -1,15 +1,15 @@
-"""The same drive as if speed, struts and dampers never changed: what each wave of the road would be
-worth by itself.
+"""Stationary approximation of the Gauss-Newton Hessian, as preconditioner and for noise and prior.
 
-Then Gauss and Newton's Hessian is a matrix P(n) (2, 2) for each line n of mean and half difference,
+At constant speed, strut states and damping, the Hessian is a matrix P(n) (2, 2) for mean and half
+difference at each spatial frequency n,
 
     P(n) = I + (H T)* (H T) fs ds / (v R)
 
-with H the response of the linear car, T that of the heights to the noise u, fs / R the readings'
-information in a second and ds / v the time between two nodes. Friction makes the true one vary
-along the drive by more than a factor of ten either way, from strut to strut and from moment to
-moment. The preconditioner is therefore P^-1/2: on class-D roads it needs a quarter of the
-iterations of P^-1, and of none at all.
+with H the response of the linear vehicle, T that of the heights to the noise u, fs / R the
+measurements' information per second and ds / v the time from node to node. Friction makes the true
+information vary along the drive, from strut to strut and from moment to moment, by more than a
+factor of ten either way. The preconditioner is therefore P^-1/2: on class-D roads it needs a
+quarter of the iterations of P^-1 or of no preconditioner.
 """
 
 from collections.abc import Callable
@@ -24,20 +24,20 @@ from road_envs.vehicle.linear_model import frequency_response, gaussian_damping,
 from road_envs.vehicle.suspension import MODES, WHEELS, decode_commands
 
 DAMPING_RATE = 0.3
-"""Typical rate of the struts [m/s] for which their dampers stand."""
+"""Typical strut rate [m/s] at which the dampers are linearized."""
 
 RESOLVED_THRESHOLD = 10.0
-"""A line counts as decided by the readings from this many times the prior's information on."""
+"""A frequency counts as resolved if the posterior precision is this many times the prior's."""
 
 
 MIN_DENSITY_RATIO = 1e-4
-"""Share of the prior's density below which a level is not taken in one go: a road may be flat."""
+"""Least density, relative to the prior's, that one update takes: a road may be level."""
 
 
 @dataclass(frozen=True, eq=False)
 class StationaryHessian:
-    """`information` (F, 2, 2): information of readings of unit variance on the heights of mean and
-    half difference at each line of the road.
+    """Stationary Hessian: `information` (F, 2, 2) of measurements of unit variance on the heights
+    of mean and half difference, at each spatial frequency of the road.
     """
 
     information: np.ndarray
@@ -45,9 +45,7 @@ class StationaryHessian:
     def reweighted(
         self, objective: Objective, frequency_weights: np.ndarray
     ) -> "StationaryHessian":
-        """The same if each frequency of the readings (J // 2 + 1,) counts times
-        `frequency_weights`.
-        """
+        """Return the Hessian for measurements with weights (J // 2 + 1,) on their frequencies."""
         inputs = objective.inputs
         block = inputs.h * inputs.decimation * objective.measurements.sample_weight.shape[2]
         f = rfftfreq(objective.measurements.y.shape[1], block)
@@ -55,14 +53,14 @@ class StationaryHessian:
         return StationaryHessian(self.information * response[:, None, None])
 
     def precision(self, road: RoadTransform, noise: float) -> np.ndarray:
-        """P(n) (F, 2, 2) under a `noise` [(m/s²)²] of each sample."""
+        """Return P(n) (F, 2, 2) under a `noise_variance` [(m/s²)²] of each sample."""
         T = road.transfer_function().T
         return np.eye(2) + self.information / noise * T.conj()[:, :, None] * T[:, None, :]
 
     def preconditioner(
         self, objective: Objective, noise: float
     ) -> Callable[[np.ndarray], np.ndarray]:
-        """A function that takes a gradient to a step."""
+        """Return a function that maps a gradient to a step."""
         road = objective.road
         root = _inverse(_root(self.precision(road, noise)))
         count = objective.measurements.sample_count.sum(axis=1)
@@ -79,13 +77,15 @@ class StationaryHessian:
         return apply
 
     def effective_dof(self, road: RoadTransform, noise: float) -> float:
-        """How many of the road's unknowns the readings decide in all."""
+        """Return the number of the road's unknowns that the measurements determine."""
         left = np.real(np.trace(_inverse(self.precision(road, noise)), axis1=1, axis2=2))
         return float(road.free.sum() * np.mean(2.0 - left))
 
     def density_scale(self, road: RoadTransform, noise: float, u: np.ndarray) -> np.ndarray:
-        """Density (F,) of `u` (2, K) over its expectation at each line: what the prior should have
-        been, an octave at a time, from the lines that the readings decide (empirical Bayes).
+        """Return the density (F,) of `u` (2, K) over its expectation: by how much the prior's is
+        wrong.
+
+        Averaged over octaves, from resolved frequencies only (empirical Bayes).
         """
         U = np.abs(rfft(road.free * u, axis=1)) ** 2 / max(road.free.sum(), 1.0)
         P = self.precision(road, noise)
@@ -104,7 +104,7 @@ class StationaryHessian:
 
 
 def stationary_hessian(objective: Objective) -> StationaryHessian:
-    """The stationary picture of a problem at its mean speed; states count by the time they last."""
+    """Return the Hessian of `objective` at its mean speed; strut states count by their duration."""
     road, inputs = objective.road, objective.inputs
     n, v = np.maximum(road.n, 1e-6), float(inputs.v.mean())
     information = np.zeros((n.size, 2, 2), dtype=complex)
@@ -120,25 +120,25 @@ def stationary_hessian(objective: Objective) -> StationaryHessian:
 
 
 def _decode_mode(byte: int) -> dict[str, str]:
-    """The command of each wheel in a byte."""
+    """Return the command of each wheel in a byte."""
     stiff, high = decode_commands(np.array([byte]))
     names = {flags: name for name, flags in MODES.items()}
     return {w: names[bool(stiff[0, i]), bool(high[0, i])] for i, w in enumerate(WHEELS)}
 
 
 def _root(M: np.ndarray) -> np.ndarray:
-    """Square roots of positive matrices (F, 2, 2): (M + det^1/2) / (tr + 2 det^1/2)^1/2."""
+    """Return the square roots of positive matrices (F, 2, 2): (M + det^1/2) / (tr + 2 det^1/2)^1/2."""
     det = np.sqrt(_determinant(M))[:, None, None]
     trace = np.real(np.trace(M, axis1=1, axis2=2))[:, None, None]
     return (M + det * np.eye(2)) / np.sqrt(trace + 2.0 * det)
 
 
 def _inverse(M: np.ndarray) -> np.ndarray:
-    """Inverses of Hermitian matrices (F, 2, 2)."""
+    """Return the inverses of Hermitian matrices (F, 2, 2)."""
     turned = np.stack([M[:, 1, 1], -M[:, 0, 1], -M[:, 1, 0], M[:, 0, 0]], axis=1)
     return turned.reshape(-1, 2, 2) / _determinant(M)[:, None, None]
 
 
 def _determinant(M: np.ndarray) -> np.ndarray:
-    """Determinants (F,) of Hermitian matrices (F, 2, 2)."""
+    """Return the determinants (F,) of Hermitian matrices (F, 2, 2)."""
     return np.real(M[:, 0, 0] * M[:, 1, 1] - M[:, 0, 1] * M[:, 1, 0])

@@ -1,9 +1,9 @@
-"""The unknown road: white noise u, shaped into two wheel paths as likely as the prior says.
+"""Map from white noise u to both wheel paths, such that they have the prior's spectrum.
 
     e = irfft(A(n) rfft(u))          increments of the mean path and of half the difference
     c = c_0 + cumsum(free e)         spline coefficients of left = mean + half, right = mean - half
 
-u (2, K) is standard normal, so that |u|² / 2 is the road's share of the cost; A(n) is that of
+u (2, K) is standard normal, so |u|² / 2 is the road's share of the cost; A(n) is that of
 `estimators.common.road_prior`. Where `free` is 0 the road is level.
 """
 
@@ -17,8 +17,9 @@ from estimators.common.spline import evaluate_spline
 from road_envs.analysis.information_bound import RoadPrior
 
 N_FLAT = 0.02
-"""Waves longer than 1 / N_LEVEL [m] are no higher than this one [cycles/m]. At a walking pace such
-waves are hardly heard, and the paper's paving has few: what is not heard should be small."""
+"""Spatial frequency [cycles/m] below which the prior is no higher than there. Longer waves are
+hardly observable at a walking pace, and the paper's paving has few of them, so they should stay
+small."""
 
 TO_WHEEL_PATHS = np.array([[1.0, 1.0], [1.0, -1.0]])
 """From mean and half difference to left and right."""
@@ -26,11 +27,11 @@ TO_WHEEL_PATHS = np.array([[1.0, 1.0], [1.0, -1.0]])
 
 @dataclass(frozen=True, eq=False)
 class RoadTransform:
-    """The map from `u` to the coefficients of both wheel paths, and its transpose.
+    """Linear map from `u` to the coefficients of both wheel paths.
 
-    Nodes stand `ds` [m] apart from the station `origin` [m]. `background` (2, K) [m] is what the
-    unknown part adds to; `free` (K,) 1 where it may rise or fall; `amplitude` (2, K // 2 + 1) A(n)
-    [m].
+    Nodes are `ds` [m] apart from the station `origin` [m] on. `background` (2, K) [m] are the
+    coefficients for u = 0; `free` (K,) is 1 where the road may rise or fall, else 0; `amplitude`
+    (2, K // 2 + 1) is A(n) [m].
     """
 
     origin: float
@@ -46,48 +47,50 @@ class RoadTransform:
 
     @property
     def n(self) -> np.ndarray:
-        """Spatial frequencies (K // 2 + 1,) [cycles/m] of the lines of `u`."""
+        """Spatial frequencies (K // 2 + 1,) [cycles/m] of the spectrum of `u`."""
         return rfftfreq(self.size, self.ds)
 
     def apply(self, u: np.ndarray) -> np.ndarray:
-        """Change (2, K) [m] of the coefficients by `u` (2, K)."""
+        """Return the change (2, K) [m] of the coefficients by `u` (2, K)."""
         e = irfft(self.amplitude * rfft(u, axis=1), self.size, axis=1)
         return np.cumsum(self.free * (TO_WHEEL_PATHS @ e), axis=1)
 
     def apply_transpose(self, c: np.ndarray) -> np.ndarray:
-        """The transpose of `apply`, from coefficients (2, K) to `u` (2, K)."""
+        """Apply the transpose of `apply`: from coefficients (2, K) to `u` (2, K)."""
         rest = np.cumsum(c[:, ::-1], axis=1)[:, ::-1]  # a rise lifts all that comes behind it
         e = TO_WHEEL_PATHS @ (self.free * rest)
         return irfft(self.amplitude * rfft(e, axis=1), self.size, axis=1)
 
     def coefficients(self, u: np.ndarray) -> np.ndarray:
-        """Coefficients (2, K) [m] of both wheel paths."""
+        """Return the coefficients (2, K) [m] of both wheel paths."""
         return self.background + self.apply(u)
 
     def heights_at(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Heights (2, M) [m] of both wheel paths at the stations `s` (M,) [m]."""
+        """Return the heights (2, M) [m] of both wheel paths at the stations `s` (M,) [m]."""
         return evaluate_spline(self.coefficients(u), (s - self.origin) / self.ds)
 
     def scale_density(self, level: np.ndarray) -> "RoadTransform":
-        """The same nodes under another prior, of `level` (K // 2 + 1,) times this density."""
+        """Return the map of a prior with `scale` (K // 2 + 1,) times this density."""
         return replace(self, amplitude=self.amplitude * np.sqrt(level))
 
     def convert_noise(self, u: np.ndarray, other: "RoadTransform") -> np.ndarray:
-        """The noise (2, K) that gives this road the heights which `u` (2, K) gave the `other`."""
+        """Return the noise (2, K) that gives this map the road which `u` (2, K) gives the `other`."""
         return irfft(other.amplitude / self.amplitude * rfft(u, axis=1), self.size, axis=1)
 
     def transfer_function(self) -> np.ndarray:
-        """Complex response (2, K // 2 + 1) [m] of the height of mean and half difference to `u`."""
+        """Return the response (2, K // 2 + 1) [m] of the heights of mean and half difference to
+        `u`.
+        """
         turn = np.exp(-2j * np.pi * self.n[1:] * self.ds)
         summed = np.concatenate([[0.0], 1.0 / (1.0 - turn)])  # no line stands for the datum
         return self.amplitude * summed * np.sinc(self.n * self.ds) ** 4
 
 
 def padded_size(least: int) -> int:
-    """A number of nodes that transforms quickly, with some to spare for waves that run around."""
+    """Return a number of nodes that transforms quickly, with 64 or more to spare for wrap-around."""
     return int(next_fast_len(least + 64, real=True))
 
 
 def prior_amplitude(prior: RoadPrior, size: int, ds: float) -> np.ndarray:
-    """A(n) (2, size // 2 + 1) [m] of `size` nodes `ds` [m] apart."""
+    """Return A(n) (2, size // 2 + 1) [m] of `size` nodes `ds` [m] apart."""
     return increment_amplitude(prior, size, ds, flat_below=N_FLAT)

@@ -1,9 +1,9 @@
-"""The road below a wheel that flies.
+"""Road under a wheel that has lifted off.
 
-Where no wheel presses on the road, any road below it explains the readings as well, and the prior
-alone should decide. But the search comes from a road that carries the wheel: there the tangent
-takes a lower road to pull the wheel down, and no step leads on. So the search tries again from a
-road that is straight wherever neither axle has pressed on it.
+Where no wheel presses on the road, any lower road explains the measurements as well, and the prior
+alone should decide. But the minimization comes from a road that carries the wheel, where the
+tangent predicts that a lower road pulls the wheel down, so no step leads on. The minimization is
+therefore repeated from a road that is straight wherever neither axle has pressed on it.
 """
 
 import numpy as np
@@ -14,16 +14,16 @@ from estimators.map_smoother.road_prior import TO_WHEEL_PATHS, RoadTransform
 from road_envs.simulation.rosenbrock import LOAD
 
 LIFTOFF_LOAD_SHARE = 0.1
-"""Share of a wheel's mean load below which it hardly touches the road."""
+"""Share of the mean wheel load below which a wheel counts as lifted off."""
 
 MIN_DROP = 0.01
-"""Metres by which the road must come down for another search."""
+"""Least lowering of the road [m] for another minimization."""
 
 FROM_WHEEL_PATHS = np.linalg.inv(TO_WHEEL_PATHS)
 
 
 def unloaded_nodes(lin: Linearization) -> np.ndarray:
-    """Which free nodes (2, K) were passed and never pressed on."""
+    """Return which free nodes (2, K) were passed but never pressed on."""
     objective, road = lin.objective, lin.objective.road
     loads = lin.tape.signals[:, LOAD : LOAD + 4]
     s, most = objective.inputs.s[::2], np.zeros((2, road.size))
@@ -38,9 +38,10 @@ def unloaded_nodes(lin: Linearization) -> np.ndarray:
 
 
 def relax_unloaded(lin: Linearization) -> np.ndarray | None:
-    """`lin.x` with the road no higher than straight where it was flown over; None if it is not.
+    """Return `lin.x` with the road no higher than straight where it was unloaded; None if it is
+    not.
 
-    Across a gap in a road whose steps are random the straight line is the most probable.
+    The straight line is the most probable road across a gap in a random walk.
     """
     off, road = unloaded_nodes(lin), lin.objective.road
     u, _, _ = lin.objective.split(lin.x)
@@ -54,6 +55,6 @@ def relax_unloaded(lin: Linearization) -> np.ndarray | None:
 
 
 def noise_from_coefficients(road: RoadTransform, c: np.ndarray) -> np.ndarray:
-    """The noise (2, K) of the road with coefficients `c` (2, K), level where it is not free."""
+    """Return the noise (2, K) of the road with coefficients `c` (2, K), level where it is not free."""
     rises = road.free * np.diff(c - road.background, axis=1, prepend=0.0)
     return irfft(rfft(FROM_WHEEL_PATHS @ rises, axis=1) / road.amplitude, road.size, axis=1)

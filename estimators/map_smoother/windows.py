@@ -1,8 +1,9 @@
-"""A drive of any length, window by window.
+"""Estimation of a drive of any length, window by window.
 
-A window begins in the state and on the road that the one before found an `overlap` before its own
-end, where all that follows has long been heard; both are kept as they are. So the windows' roads
-join in height and slope, the car moves on without a jolt, and memory is that of one window.
+A window begins in the vehicle state and on the road that the previous window found an `overlap`
+before its own end, where later measurements hardly change them any more; both are kept fixed. The
+roads of the windows therefore join in height and slope, the vehicle's motion is continuous, and
+memory is that of one window.
 """
 
 from collections.abc import Callable
@@ -25,11 +26,10 @@ MARGIN = 4
 
 @dataclass(frozen=True, eq=False)
 class PreparedDrive:
-    """A whole drive as it is to be explained: samples `a` (S, T) [m/s²], which of them are `valid`
-    (S, T), in blocks of `block_size`; the `inputs` of the car, its state at `rest_state` (14,) and
-    its prior deviation `initial_std` (14,) from it at the beginning; and the nodes of the road: the
-    station of the first (`origin` [m]), `ds` [m] apart, and which may rise or fall (`free` (K,), 0
-    or 1).
+    """A drive prepared for estimation. Samples `a` (S, T) [m/s²], of which `valid` (S, T) are used,
+    in blocks of `block_size`; model `inputs`; vehicle at rest `rest_state` (14,) and the prior
+    standard deviation `initial_std` (14,) about it; nodes of the road from the station `origin` [m]
+    on, `ds` [m] apart, and which of them may rise or fall, `free` (K,) 0 or 1.
     """
 
     a: np.ndarray
@@ -44,21 +44,20 @@ class PreparedDrive:
 
     @property
     def steps_per_block(self) -> int:
-        """Steps of a block."""
+        """Steps in a block."""
         return self.block_size * self.inputs.decimation
 
     def node_at(self, s: float) -> int:
-        """The node at the station `s` [m] or just before."""
+        """Return the node at the station `s` [m] or just before it."""
         return int((s - self.origin) / self.ds)
 
 
 @dataclass(frozen=True, eq=False)
 class WindowState:
-    """What the windows so far have settled: coefficients `c` (2, K) [m] of the road before the node
-    `first_free_node`, level from there on, and the `std` (K,) [m] of their error; `vehicle_state`
-    (14,) of the car and `strut_state` (4, 3) of its struts where the next window begins, the state
-    known to within `initial_std` (14,); the `density_scale` [-] of the road's prior at `n`
-    [cycles/m].
+    """Result of the windows so far. Coefficients `c` (2, K) [m] of the road, final before the node
+    `first_free_node` and level from there on, and the `std` (K,) [m] of their error;
+    `vehicle_state` (14,), its standard deviation `initial_std` (14,) and `strut_state` (4, 3) where
+    the next window begins; `density_scale` of the road's prior at the frequencies `n` [cycles/m].
     """
 
     c: np.ndarray
@@ -72,7 +71,7 @@ class WindowState:
 
 
 def initial_window_state(drive: PreparedDrive) -> WindowState:
-    """Before the first window."""
+    """Return the state before the first window."""
     size = drive.free.size
     rest = drive.rest_state + 1e-7  # at rest to the bit friction has a kink
     strut_state = settled_strut_state(int(drive.inputs.commands[0]))
@@ -83,7 +82,7 @@ def initial_window_state(drive: PreparedDrive) -> WindowState:
 
 
 def split_windows(blocks: int, window: int, overlap: int) -> list[tuple[int, int, int]]:
-    """Windows over `blocks`: where each begins, where the next one does, and where it ends."""
+    """Split `blocks` into windows: begin, begin of the next one, and end of each."""
     found, begin = [], 0
     while blocks - begin > window + overlap:
         found.append((begin, begin + window - overlap, begin + window))
@@ -98,8 +97,10 @@ def reconstruct(
     windows: list[tuple[int, int, int]],
     solve: Callable[[Objective], tuple[Solution, np.ndarray]],
 ) -> tuple[WindowState, list[float]]:
-    """What is known after all windows, and how many times the instruments' noise was left over in
-    each; `solve` finds the road of one window and its spread (K,).
+    """Estimate all windows by `solve`, which returns the solution of one and its standard deviation
+    (K,).
+
+    Returns the final state and the noise scale of each window.
     """
     window_state, noise_scale = initial_window_state(drive), []
     for begin, after, end in windows:
@@ -151,7 +152,7 @@ def _advance(
     window_std: np.ndarray,
     steps: int | None,
 ) -> WindowState:
-    """What is known with a window more, of which the first `steps` are settled; None: all."""
+    """Return the state after another window, of which the first `steps` are final; None: all."""
     objective, x = found.linearization.objective, found.linearization.x
     road, size = objective.road, window_state.std.size
     low = round((road.origin - drive.origin) / drive.ds)

@@ -1,12 +1,11 @@
-"""A gated recurrent network over distance, offline (both ways) and causal (forward).
+"""Gated recurrent network over distance, offline (bidirectional) and causal (forward).
 
-One for all speeds and modes; what it reads and how it learns is as for `tcn`. In teaching it warms
-up on 9 m before the stations that it answers for, and offline on as much after them; on a drive
-it runs through.
+One network for all speeds and modes, with inputs and training as for `tcn`. In training it warms up
+on the 9 m before a crop, offline also on the 9 m after it; in use it runs over the whole drive.
 
-Known to fail: as `tcn`, than which it errs more by a tenth (median NRMSE over 42 drives of the main
-board 0.30 for 0.27, causal 0.34 for 0.32), with fewer numbers; in teaching it takes several times
-as long a step, since it goes station by station.
+Limitations: as `tcn`, with errors larger by a tenth (median NRMSE over 42 drives of the main board
+0.30 against 0.27, causal 0.34 against 0.32) and fewer parameters; a training step takes several
+times as long, since the stations are processed sequentially.
 """
 
 import abc
@@ -17,7 +16,7 @@ from estimators.networks.inputs import LAG, N_CONDITIONS, N_INPUTS
 from estimators.networks.sequence_estimator import SequenceEstimator
 
 WARM_UP_STATIONS = 60
-"""Stations of warming up."""
+"""Stations of warm-up."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +31,7 @@ class _Recurrent(SequenceEstimator, abc.ABC):
             raise ValueError(f"kernel must be odd and at least 3, got {self.kernel}")
 
     def network(self) -> Any:
-        """The torch network before it has learnt anything."""
+        """Return the torch network with its initial weights."""
         from estimators.networks.modules import GatedRecurrentNet
 
         size = self.channels, self.kernel, WARM_UP_STATIONS
@@ -41,7 +40,7 @@ class _Recurrent(SequenceEstimator, abc.ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Gru(_Recurrent):
-    """Sees the whole drive."""
+    """Offline variant: uses the whole drive."""
 
     name: ClassVar[str] = "gru"
     causal: ClassVar[bool] = False
@@ -49,7 +48,7 @@ class Gru(_Recurrent):
 
 @dataclass(frozen=True, kw_only=True)
 class GruCausal(_Recurrent):
-    """Sees no further than the front axle is when it is LAG past the station."""
+    """Causal variant: uses the drive until the front axle is LAG beyond the station."""
 
     name: ClassVar[str] = "gru_causal"
     causal: ClassVar[bool] = True

@@ -1,18 +1,18 @@
-"""What the sequence networks read: how a drive becomes their input.
+"""Inputs of the sequence networks, computed from a drive over distance.
 
-A bank of linear windows (`bank.py`) makes a first estimate; the network sees it beside the motions,
-all over the level l of the drive, and adds what it believes is missing:
+An FIR bank (`fir_bank.py`) gives a first estimate. The network receives it together with the
+motions, both divided by the drive's level l, and adds a correction:
 
     m, q  =  bank  +  l network(motions / l, bank / l; speed, states, l)
 
-Friction breaks the equivariance of scale, so the logarithm of the level is a condition, beside the
-speed and the states of the struts. A mirrored drive gives the mirrored road by construction: the
-network is asked twice, and the second time roll and q have the other sign.
+Friction breaks the scale equivariance, so log l is a condition, beside speed and strut states. A
+mirrored drive gives the mirrored road by construction: the network also processes the mirrored
+inputs, and both outputs are averaged.
 
-The level is the RMS of the first estimate above 0.15 cycles/m; that is also the band in which the
-network corrects and to which its standard deviation belongs. A causal network may use what was
-sensed until the front axle is LAG ahead of the estimated station; its level is that of the last
-LEVEL_REACH metres.
+The level is the RMS of the first estimate above 0.15 cycles/m, the band in which the network
+corrects and for which its standard deviation holds. A causal network uses samples up to the moment
+when the front axle is LAG ahead of the estimated station; its level is an exponentially weighted
+mean with length LEVEL_DECAY_LENGTH.
 """
 
 from typing import NamedTuple, Protocol
@@ -31,24 +31,23 @@ from estimators.linear.fir_bank import FirBank, keep_short_waves
 from estimators.networks.training_data import STATIONS_BEHIND
 
 LAG = 4.79
-"""How far the front axle of the Defender is past a station when a causal network tells its height
-[m]: a wheelbase and 2 m."""
+"""Lag [m] of the causal networks: a wheelbase of the Defender and 2 m."""
 
 STATIONS_AHEAD = int((LAG - 2.0 * FILTER_REACH) / SPACING)
-"""Stations after the estimated one that a causal estimator may read; the filters take the rest."""
+"""Stations ahead of the estimated one in a causal window; the filters use the rest of LAG."""
 
 LEVEL_DECAY_LENGTH = 30.0
-"""Distance [m] over which the level of a causal network fades."""
+"""Decay length [m] of the causal level."""
 
 LEVEL_MIN = 3e-4
-"""Added to the level [m]: a drive over a level road is not amplified."""
+"""Added to the level [m], so that noise on a level road is not amplified."""
 
 N_INPUTS, N_CONDITIONS = 10, 8
 
 
 class NetworkInputs(NamedTuple):
-    """What a network reads: `x` (INPUTS, behind + M + ahead), `conditions` (CONDITIONS, 1 or as
-    many); and what makes heights of its answer: the `level` (M,) [m] and `first` estimate (2, M)
+    """Inputs of a network: `x` (N_INPUTS, behind + M + ahead) and `conditions` (N_CONDITIONS, 1 or as
+    many); and what scales its output to heights: the `level` (M,) [m] and the `first` estimate (2, M)
     [m] of m and q.
     """
 
@@ -59,30 +58,29 @@ class NetworkInputs(NamedTuple):
 
 
 class ReceptiveField(Protocol):
-    """What a network reads before and after the stations for which it answers."""
+    """Number of stations that a network reads before and after its output."""
 
     behind: int
     ahead: int
 
 
 MIRROR_SIGNS = np.array([1, 1, -1, 1, 1, -1, 1, -1, 1, -1], dtype=np.float32)[:, None]
-"""Signs of the inputs in the mirror."""
+"""Signs of the inputs of the mirrored drive."""
 
 
 def window_span(causal: bool) -> tuple[int, int]:
-    """Stations before and after the estimated one that the linear window reads."""
+    """Return the number of stations in the FIR window before and after the estimated one."""
     return STATIONS_BEHIND, STATIONS_AHEAD if causal else STATIONS_BEHIND
 
 
 def network_inputs(
     signals: SpatialSignals, bank: FirBank, wheelbase: float, field: ReceptiveField, causal: bool
 ) -> NetworkInputs:
-    """What a network reads of a drive.
+    """Return the network inputs of a drive.
 
-    Rows of x: accelerations and velocities of front, rear and roll; m and q of the first estimate,
-    and the same as the rear axle meets it. A causal network answers when the front axle is `STATIONS_AHEAD`
-    stations further on, so its rows stand at the moment of sensing, and the first estimate comes
-    lookahead by as much.
+    Rows of x: accelerations and velocities of front, rear and roll; m and q of the first estimate, and
+    the same a wheelbase behind. For a causal network the motions are those sensed STATIONS_AHEAD beyond
+    the estimated station; the first estimate is that of the station itself.
     """
     lookahead = STATIONS_AHEAD if causal else 0
     behind, ahead = field.behind, field.ahead
@@ -119,7 +117,7 @@ def network_inputs(
 
 
 def _level(short_waves: np.ndarray, extra: int, causal: bool) -> np.ndarray:
-    """The level (M + 2 extra,) [m] of a first estimate (2, M + 2 extra)."""
+    """Return the level (M + 2 extra,) [m] of a first estimate (2, M + 2 extra)."""
     square = np.mean(short_waves**2, axis=0)
     if not causal:
         inside = square[extra : square.size - extra]

@@ -5,15 +5,15 @@ One tan-sigmoid hidden layer (`tansig` is tanh), linear outputs, samples in colu
     y = W2 tanh(W1 x + b1) + b2              x (R, N), y (K, N)
     (J'J + mu I) step = J'e                  e = t - y,  J = dy / d(weights)
 
-J'J and J'e are means over all K N errors, so that the gradient of the mean squared error is
--2 J'e. A step that lowers the training error is kept and mu falls; otherwise mu rises and the
-step is tried again. Training ends at the epoch limit, the error goal, a small gradient, a large
-mu, or after `max_fail` epochs without a better validation error; the weights of the best
-validation error are returned. Errors are those of the mapped targets (`mapminmax`), so both
-outputs weigh the same: `trainlm` with its `mse` normalisation set to 'standard'.
+J'J and J'e are means over all K N errors, so the gradient of the mean squared error is -2 J'e. A
+step that lowers the training error is accepted and mu decreases; otherwise mu increases and the
+step is repeated. Training stops at the epoch limit, the error goal, a small gradient, a large mu,
+or after `max_fail` epochs without a smaller validation error; the weights of the smallest
+validation error are returned. Errors refer to the mapped targets (`mapminmax`), so both outputs
+have equal weight: `trainlm` with its `mse` normalisation set to 'standard'.
 
-J is never formed. Every output sees the same hidden derivatives: with d = 1 - tanh^2 and the
-outer products D = x d, output k has the rows D w_k, hence J'J of the hidden layer is
+J is never formed. All outputs share the hidden derivatives: with d = 1 - tanh^2 and the outer
+products D = x d, output k has the rows D w_k, hence J'J of the hidden layer is
 (D D') * (W2' W2), one product for all outputs.
 
 Sources: K. Levenberg, Quart. Appl. Math. 2 (1944) 164; D. W. Marquardt, J. SIAM 11 (1963) 431;
@@ -32,19 +32,19 @@ from scipy.linalg import cho_solve
 from estimators.common.blas import single_blas_thread
 
 CHUNK = 512
-"""Samples whose derivatives are held at a time: 1 MB for the 3-50-2 network stays in the cache."""
+"""Samples per block of derivatives: 1 MB for the 3-50-2 network, which fits the cache."""
 
 MU_FLOOR = 1e-20
-"""mu falls no further, so that a failing step is not a hundred failures away from help."""
+"""Lower limit of mu, so that a failing step needs few increases to succeed."""
 
 ACTIVE_RANGE = 2.0
-"""tanh counts as active between net inputs of -2 and 2, as MATLAB's tansig('active') says."""
+"""Active range of tanh, net inputs of -2 to 2, as MATLAB's tansig('active')."""
 
 StopReason = Literal["epochs", "goal", "gradient", "mu", "validation"]
 STOP_REASONS: tuple[StopReason, ...] = ("epochs", "goal", "gradient", "mu", "validation")
 CURVES = ("train", "validation", "test", "mu", "gradient")
 HISTORY_SHAPES: dict[str, tuple[int | None, ...]] = {"curves": (len(CURVES), None), "stop": (2,)}
-"""Shapes of what `LmResult.to_arrays` gives."""
+"""Shapes of the arrays of `LmResult.to_arrays`."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +55,11 @@ class TwoLayerNetwork:
     output: np.ndarray
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Outputs (K, N) for inputs `x` (R, N)."""
+        """Return outputs (K, N) for inputs `x` (R, N)."""
         return self.output @ _append_ones(np.tanh(self.hidden.T @ _append_ones(x)))
 
     def add_step(self, step: np.ndarray) -> "TwoLayerNetwork":
-        """The network after a `step` (P,) in all its weights, hidden layer first."""
+        """Return the network with a `step` (P,) added to its weights, hidden layer first."""
         hidden, output = np.split(step, [self.hidden.size])
         return TwoLayerNetwork(
             self.hidden + hidden.reshape(self.hidden.shape),
@@ -69,23 +69,23 @@ class TwoLayerNetwork:
 
 @dataclass(frozen=True)
 class Scaling:
-    """Rows mapped onto [-1, 1] (`mapminmax`); a constant row is left as it is."""
+    """Mapping of rows onto [-1, 1] (`mapminmax`); a constant row is left as it is."""
 
     low: np.ndarray
     high: np.ndarray
 
     @classmethod
     def fit(cls, x: np.ndarray) -> "Scaling":
-        """The scaling that just fills [-1, 1] with the rows of `x` (k, N)."""
+        """Return the scaling that maps the range of each row of `x` (k, N) onto [-1, 1]."""
         return cls(x.min(axis=1), x.max(axis=1))
 
     def apply(self, x: np.ndarray) -> np.ndarray:
-        """`x` (k, N) in mapped units; values outside the range go beyond 1."""
+        """Return `x` (k, N) in mapped units; values outside the range exceed 1."""
         centre, half = self._centre_and_half()
         return (x - centre) / half
 
     def reverse(self, y: np.ndarray) -> np.ndarray:
-        """`y` (k, N) back in the original units."""
+        """Return `y` (k, N) in the original units."""
         centre, half = self._centre_and_half()
         return y * half + centre
 
@@ -106,7 +106,7 @@ class Split(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class TrainlmOptions:
-    """The parameters of `trainlm`, with its defaults."""
+    """Parameters of `trainlm`, with its defaults."""
 
     max_epochs: int = 1000
     goal: float = 0.0
@@ -120,10 +120,10 @@ class TrainlmOptions:
 
 @dataclass(frozen=True)
 class LmResult:
-    """A trained `network`, why training ended, and its course: one value per epoch from 0 on.
+    """A trained `network`, the stop reason, and the history: one value per epoch from 0.
 
-    `train`, `validation`, `test` are mean squared errors in mapped units, NaN for an empty set;
-    `mu` is the value an epoch began with, `gradient` the norm of the training error's gradient.
+    `train`, `validation`, `test` are mean squared errors in mapped units, NaN for an empty set; `mu` is
+    the value at the start of the epoch, `gradient` the norm of the training error's gradient.
     """
 
     network: TwoLayerNetwork
@@ -141,8 +141,8 @@ class LmResult:
         return self.train.size - 1
 
     def to_arrays(self) -> dict[str, np.ndarray]:
-        """All but the network as arrays: `curves` (5, epochs + 1) with -1 for NaN, and `stop`, the
-        place of the reason in STOPS, beside the best epoch.
+        """Return all but the network: `curves` (5, epochs + 1) with -1 for NaN, and `stop`, the index of
+        the reason in STOP_REASONS and the best epoch.
         """
         curves = np.array([getattr(self, name) for name in CURVES])
         curves[np.isnan(curves)] = -1.0
@@ -155,10 +155,10 @@ class LmResult:
     def from_arrays(
         cls, network: TwoLayerNetwork, curves: np.ndarray, stop: np.ndarray
     ) -> "LmResult":
-        """A `network` and its course, as `to_arrays` gave it. Raises ValueError."""
+        """Return the result with this `network` and the arrays of `to_arrays`. Raises ValueError."""
         reason, best_epoch = (int(x) for x in stop)
         if not 0 <= reason < len(STOP_REASONS):
-            raise ValueError(f"stop: no reason has the number {reason}")
+            raise ValueError(f"stop: the reason must be an index from 0 to {len(STOP_REASONS) - 1}, got {reason}")
         return cls(
             network, STOP_REASONS[reason], best_epoch, *np.where(curves < 0.0, np.nan, curves)
         )
@@ -180,11 +180,11 @@ class NormalEquations(NamedTuple):
 def nguyen_widrow(
     inputs: int, hidden: int, outputs: int, rng: np.random.Generator
 ) -> TwoLayerNetwork:
-    """Random weights whose active regions spread over inputs in [-1, 1], as `initnw` draws them.
+    """Draw initial weights whose active regions cover inputs in [-1, 1], as `initnw`.
 
-    Every hidden neuron's weights point anywhere, with the length 2 x 0.7 S^(1/R), where the 2
-    stretches Nguyen and Widrow's unit range to tanh's active one; the biases are spread evenly.
-    The output layer is uniform in [-1, 1], as a linear layer has no active region.
+    Each hidden neuron's weight vector has a random direction and the length 2 x 0.7 S^(1/R), where
+    the 2 extends Nguyen and Widrow's unit range to the active range of tanh; the biases are evenly
+    spaced. The output layer is uniform in [-1, 1], as a linear layer has no active region.
     """
     magnitude = ACTIVE_RANGE * 0.7 * hidden ** (1.0 / inputs)
     W1 = rng.uniform(-1.0, 1.0, (inputs, hidden))
@@ -195,8 +195,8 @@ def nguyen_widrow(
 
 
 def divide(size: int, method: Literal["random", "block"], rng: np.random.Generator) -> Split:
-    """70, 15 and 15 % of `size` samples, drawn at random (`dividerand`) or in blocks in this
-    order (`divideblock`). Along a time series a random division leaks: neighbours are alike.
+    """Split `size` samples into 70, 15 and 15 %, at random (`dividerand`) or in consecutive blocks
+    (`divideblock`). On a time series a random division leaks, since neighbours are alike.
     """
     held_out = round(0.15 * size)
     train = size - 2 * held_out
@@ -214,8 +214,8 @@ def train(
 ) -> LmResult:
     """Train from `network` on mapped inputs `x` (R, N) and targets `t` (K, N).
 
-    On one thread: products this small gain nothing from more, lose tenfold where another job has
-    the other core, and add up in the same order on every machine.
+    Uses one thread: products of this size do not gain from more, slow down tenfold when another job
+    occupies the other core, and are summed in the same order on every machine.
     """
     options = options or TrainlmOptions()
     training, validation, test = ((x[:, part], t[:, part]) for part in split)
@@ -238,6 +238,7 @@ def train(
 def _stop_reason(
     options: TrainlmOptions, epoch: int, normal: NormalEquations, mu: float, failures: int
 ) -> StopReason | None:
+    """Return the first stop criterion that holds, or None."""
     reasons: dict[StopReason, bool] = {
         "goal": normal.mse <= options.goal,
         "epochs": epoch >= options.max_epochs,
@@ -256,8 +257,8 @@ def _take_step(
     mu: float,
     options: TrainlmOptions,
 ) -> tuple[TwoLayerNetwork, float]:
-    """The network after the first step that lowers the error and the next mu; the same network
-    if mu passes its limit before.
+    """Return the network after the first step that lowers the error, and the next mu; the same network
+    if mu exceeds its limit first.
     """
     while mu <= options.mu_max:
         step = _damped_step(normal, mu)
@@ -270,11 +271,11 @@ def _take_step(
 
 
 def _damped_step(normal: NormalEquations, mu: float) -> np.ndarray | None:
-    """Solution (P,) of the damped normal equations, or None if they are numerically singular."""
+    """Return the solution (P,) of the damped normal equations, or None if they are singular."""
     damped = normal.JJ.copy()
     damped.flat[:: damped.shape[0] + 1] += mu
     try:
-        # not SciPy's: its BLAS has threads of its own, which fight NumPy's for the processor
+        # not SciPy's: its BLAS has a thread pool of its own, which competes with NumPy's
         factor = np.linalg.cholesky(damped)
     except np.linalg.LinAlgError:
         return None
@@ -282,7 +283,7 @@ def _damped_step(normal: NormalEquations, mu: float) -> np.ndarray | None:
 
 
 def normal_equations(network: TwoLayerNetwork, x: np.ndarray, t: np.ndarray) -> NormalEquations:
-    """J'J, J'e and the mean squared error at `network`, from samples `x` (R, N), `t` (K, N)."""
+    """Return J'J, J'e and the mean squared error for samples `x` (R, N), `t` (K, N)."""
     P, (K, width) = network.hidden.size, network.output.shape
     rows = np.empty((P + width, min(CHUNK, t.shape[1])))
     products = np.zeros((P + width, P + width))
@@ -306,7 +307,7 @@ def normal_equations(network: TwoLayerNetwork, x: np.ndarray, t: np.ndarray) -> 
 
 
 def _assemble_JJ(products: np.ndarray, network: TwoLayerNetwork) -> np.ndarray:
-    """J'J (P, P) of all outputs from the `products` of hidden derivatives and activations."""
+    """Return J'J (P, P) of all outputs from `products` of hidden derivatives and activations."""
     W2 = network.output[:, :-1]
     R1, P, width = network.hidden.shape[0], network.hidden.size, network.output.shape[1]
     JJ = np.zeros((P + network.output.size,) * 2)
@@ -320,13 +321,14 @@ def _assemble_JJ(products: np.ndarray, network: TwoLayerNetwork) -> np.ndarray:
 
 
 def mean_squared_error(network: TwoLayerNetwork, x: np.ndarray, t: np.ndarray) -> float:
-    """Mean squared error over all outputs and samples; NaN without samples."""
+    """Return the mean squared error over all outputs and samples; NaN without samples."""
     if not t.size:
         return float("nan")
     return sum(float(np.sum((b - network(a)) ** 2)) for a, b in _chunks(x, t)) / t.size
 
 
 def _chunks(x: np.ndarray, t: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield blocks of at most CHUNK samples."""
     for start in range(0, t.shape[1], CHUNK):
         part = slice(start, start + CHUNK)
         yield x[:, part], t[:, part]

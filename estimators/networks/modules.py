@@ -1,14 +1,15 @@
-"""The sequence networks, in torch; imported only when one is asked or taught.
+"""Sequence networks in torch; imported only when a network is evaluated or trained.
 
-Inputs (B, INPUTS, behind + T + ahead) and conditions (B, CONDITIONS, 1 or as long) go in; (B, 4, T)
-comes out: what is to be added to m and q, then the logarithms of their standard deviations, which
-learn from the errors of the first two and do not bend them.
+Inputs (B, N_INPUTS, behind + T + ahead) and conditions (B, N_CONDITIONS, 1 or as long) give outputs
+(B, 4, T): corrections of m and q, then the logarithms of their standard deviations. The latter do
+not influence the training of the corrections.
 
 Conditions act by FiLM: a layer's channels are scaled and shifted by a function of the conditions
 (Perez, Strub, de Vries, Dumoulin & Courville, AAAI 2018, arXiv:1709.07871). The convolutions are
-dilated and residual (Bai, Kolter & Koltun 2018, arXiv:1803.01271), of inputs that are there: no
-padding. The recurrent network is gated (Cho et al., EMNLP 2014, arXiv:1406.1078), run both ways
-where it may see the future.
+dilated and residual (Bai, Kolter & Koltun 2018, arXiv:1803.01271), without padding. The recurrent
+network is gated (Cho et al., EMNLP 2014, arXiv:1406.1078), bidirectional unless causal.
+
+Attribute names are keys of the shipped weight files.
 """
 
 from collections.abc import Sequence
@@ -21,11 +22,11 @@ with optional_import("a neural network"):
 
 
 EMBEDDING_SIZE = 32
-"""Numbers that stand for the conditions inside a network."""
+"""Size of the embedding of the conditions."""
 
 
 class Head(nn.Module):
-    """From channels (B, C, T) to (B, 4, T)."""
+    """Output layer from channels (B, C, T) to (B, 4, T), initially zero."""
 
     def __init__(self, channels: int):
         super().__init__()
@@ -35,11 +36,12 @@ class Head(nn.Module):
             nn.init.zeros_(weight)
 
     def forward(self, h: Tensor) -> Tensor:
+        # detached: the likelihood of the errors must not bend the means
         return torch.cat([self.mean(h), self.log_std(h.detach())], dim=1)
 
 
 class Film(nn.Module):
-    """Channels scaled and shifted by the embedded conditions; at first not at all."""
+    """Scale and shift of channels by the embedded conditions, initially the identity."""
 
     def __init__(self, channels: int):
         super().__init__()
@@ -53,7 +55,7 @@ class Film(nn.Module):
 
 
 class ResidualBlock(nn.Module):
-    """A dilated convolution between residuals; `early` of its span is cut from the front."""
+    """A dilated convolution with a skip connection; `early` of its span is cut from the front."""
 
     def __init__(self, channels: int, kernel: int, dilation: int, causal: bool):
         super().__init__()
@@ -100,7 +102,7 @@ class TemporalConvNet(nn.Module):
 
 
 class GatedRecurrentNet(nn.Module):
-    """A gated recurrent network over distance; its context is what it warms up on."""
+    """A gated recurrent network over distance; its context is a warm-up."""
 
     def __init__(
         self, inputs: int, conditions: int, channels: int, kernel: int, context: int, causal: bool
@@ -129,11 +131,11 @@ class GatedRecurrentNet(nn.Module):
 
 
 def embed_conditions(conditions: int) -> nn.Sequential:
-    """From conditions (B, n, T) to what the layers read of them (B, EMBEDDED, T)."""
+    """Return the layers from conditions (B, n, T) to their embedding (B, EMBEDDING_SIZE, T)."""
     layers = nn.Conv1d(conditions, EMBEDDING_SIZE, 1), nn.Conv1d(EMBEDDING_SIZE, EMBEDDING_SIZE, 1)
     return nn.Sequential(layers[0], nn.GELU(), layers[1], nn.GELU())
 
 
 def trim(x: Tensor, early: int, late: int) -> Tensor:
-    """`x` (B, C, T) without its ends; what is constant along the road has none."""
+    """Return `x` (B, C, T) without its ends; conditions constant along the road (T = 1) have none."""
     return x if x.shape[2] == 1 else x[:, :, early : x.shape[2] - late]

@@ -1,19 +1,18 @@
-"""The authors' recurrent network of 2010: a height from accelerations and the heights before it.
+"""Recurrent network (NARX) of the same authors, 2010: height from accelerations and past heights.
 
     z_k = W2 tanh(W1 [a_k ... a_k-delays, z_k-1 ... z_k-delays] + b1) + b2
 
-on the grid, 20 hidden units, one output per wheel path (Ngwangwa, Heyns, Labuschagne & Kululanga,
-J. Terramechanics 47, 2010). Trained series-parallel: the heights fed back are the true ones, so
-that training is that of a static network (`levenberg_marquardt.py`). At test there is no truth, and
-it runs in parallel: its own answers are fed back, from the level apron on. The number of delays is
-assumed, and so is the rest as in `static_lm`.
+at the profile stations, 20 hidden units, one output per wheel path (Ngwangwa, Heyns, Labuschagne &
+Kululanga, J. Terramechanics 47, 2010). Trained series-parallel: the fed-back heights are the true
+ones, so training is that of a static network (`levenberg_marquardt.py`). In use it runs in parallel:
+its own outputs are fed back, starting on the level apron. The number of delays and all else is
+assumed as in `static_lm`.
 
-Fed with the truth it looks excellent, because a profile hardly changes from one station to the
-next; that figure cannot be had at test. It is measured on the part of the training roads that was
-held out, beside that of the closed loop on the same stations; both are stored with the weights and
-said in the notes of each estimate.
+With true heights fed back the error is small, because a profile changes little between stations;
+this figure is not attainable in use. Open-loop and closed-loop errors are measured on the held-out
+part of the training roads, stored with the weights and reported in the notes of each estimate.
 
-Known to fail: errors fed back add up, so that on a new road it is no better than a level one.
+Limitations: fed-back errors accumulate; on a new road the estimate is no better than a level one.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,12 +31,12 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 PATHS = 2
 HELD_OUT_SHARE = 0.15
-"""Share of each training drive, at its end, on which both loops are measured."""
+"""Fraction of each training drive, at its end, on which both loops are evaluated."""
 
 
 class FittedNarx(NamedTuple):
-    """How the network was trained, the ranges that accelerations [m/s²] and heights [m] were mapped
-    from, and its error over the level of the held-out heights, open and closed loop.
+    """Training result, the mapped ranges of accelerations [m/s²] and heights [m], and the error relative
+    to the level of the held-out heights in open and closed loop.
     """
 
     training: lm.LmResult
@@ -49,7 +48,7 @@ class FittedNarx(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Narx:
-    """A network with `delays` heights fed back; once it has learnt, `training` tells how."""
+    """A network with `delays` heights fed back; after fitting, `training` holds the history."""
 
     __pydantic_config__ = STRICT
     causal: ClassVar[bool] = False  # the processed accelerations are not
@@ -68,7 +67,7 @@ class Narx:
 
     @property
     def training(self) -> lm.LmResult:
-        """The course of the training, one value per epoch. Raises NotFittedError."""
+        """Result of the training with one value per epoch. Raises NotFittedError."""
         return require_fitted(self.fitted_state, self).training
 
     def fit(
@@ -78,7 +77,7 @@ class Narx:
         car: VehicleParameters,
         seed: int,
     ) -> Self:
-        """Train series-parallel; `seed` draws the division and the initial weights."""
+        """Train series-parallel; `seed` draws the division and the initial weights. Raises RecordError."""
         a = [spatial_accelerations(clean_record(record)[0]) for record in records]
         pairs = zip(records, truths, strict=True)
         z = [sample_profile(truth, profile_stations(record.length)) for record, truth in pairs]
@@ -99,20 +98,22 @@ class Narx:
         return copy_with(self, fitted_state=FittedNarx(training, inputs, outputs, *loops))
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """The network in parallel, fed with its own answers. Raises RecordError."""
+        """Run the network in parallel on its own outputs. Raises RecordError, NotFittedError."""
         training, inputs, outputs, open_loop, closed_loop = require_fitted(self.fitted_state, self)
         record, notes = clean_record(record)
         x = inputs.apply(spatial_accelerations(record))
         before = np.repeat(outputs.apply(np.zeros((PATHS, 1))), self.delays, axis=1)
         z = outputs.reverse(self._run_closed_loop(training.network, x, before))
         loop_note = (
-            f"on held-out training road {closed_loop:.2f} of the level, closed loop as here; "
-            f"{open_loop:.2f} if it were fed with the truth, which cannot be had"
+            f"relative error on held-out training roads {closed_loop:.2f} in closed loop, as here; "
+            f"{open_loop:.2f} with the true heights fed back, which is not attainable in use"
         )
         return Estimate(profile_stations(record.length), z, notes=(*notes, loop_note))
 
     def weights(self) -> dict[str, np.ndarray]:
-        """Both layers, mapped ranges, `open_loop`, `closed_loop` and the training's course."""
+        """Return both layers, mapped ranges, the errors of both loops and the training history. Raises
+        NotFittedError.
+        """
         training, inputs, outputs, open_loop, closed_loop = require_fitted(self.fitted_state, self)
         return {
             "hidden": training.network.hidden,
@@ -124,7 +125,7 @@ class Narx:
         }
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
-        """A copy with these weights. Raises ValueError."""
+        """Return a copy with these weights. Raises ValueError."""
         rows = len(SENSORS) * (self.delays + 1) + PATHS * self.delays + 1
         shapes = {
             "hidden": (rows, self.hidden),
@@ -149,7 +150,7 @@ class Narx:
     def _loop_errors(
         self, network: lm.TwoLayerNetwork, outputs: lm.Scaling, drives: Sequence
     ) -> list[float]:
-        """Error over level of the held-out heights, fed with the truth and with its own answers."""
+        """Return the relative errors of the held-out heights in open and closed loop."""
         wrong, level = np.zeros(2), 0.0
         for x, y in drives:
             first = _n_training(y)
@@ -164,8 +165,8 @@ class Narx:
 
 
 def series_parallel(x: np.ndarray, z: np.ndarray, delays: int) -> tuple[np.ndarray, np.ndarray]:
-    """Regressors (3 (delays + 1) + 2 delays, M - delays) and targets (2, M - delays) of mapped
-    accelerations `x` (3, M) and true heights `z` (2, M): newest accelerations first.
+    """Return regressors (3 (delays + 1) + 2 delays, M - delays) and targets (2, M - delays) of mapped
+    accelerations `x` (3, M) and true heights `z` (2, M), newest accelerations first.
     """
     M = x.shape[1]
     sensed = [x[:, delays - k : M - k] for k in range(delays + 1)]
@@ -175,9 +176,9 @@ def series_parallel(x: np.ndarray, z: np.ndarray, delays: int) -> tuple[np.ndarr
 
 @kernel
 def run_parallel(hidden, output, x, before, z):
-    """Answers to mapped accelerations `x` (3, M) into `z` (2, M), the network's own fed back.
+    """Write the outputs for mapped accelerations `x` (3, M) to `z` (2, M), feeding back outputs.
 
-    `before` (2, delays) are the heights before the first; accelerations before it are the first.
+    `before` (2, delays): the initial heights; accelerations before the first equal the first.
     """
     delays, sensors, paths = before.shape[1], x.shape[0], z.shape[0]
     units = hidden.shape[1]
@@ -202,7 +203,7 @@ def run_parallel(hidden, output, x, before, z):
 
 
 def _n_training(z: np.ndarray) -> int:
-    """Stations of a drive that are trained on."""
+    """Return the number of stations of a drive used for training."""
     return z.shape[1] - int(HELD_OUT_SHARE * z.shape[1])
 
 

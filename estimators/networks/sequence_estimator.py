@@ -1,8 +1,8 @@
-"""What an estimator is that answers by a sequence network: `tcn`, `gru` and their causal twins.
+"""Base class of the estimators built on a sequence network: `tcn`, `gru` and their causal variants.
 
-It comes with weights that `road-recon train NAME` makes from a corpus of simulated drives; `fit`
-makes others from the drives it is given, without those. An estimator with other settings than the
-shipped weights have, or with `shipped` false, has to be fitted before it can answer.
+`roadrecon train NAME` produced the shipped weights from a corpus of simulated drives. `fit` trains
+from scratch on the given drives alone. An estimator with other settings than those of the shipped
+weights, or with `shipped=False`, must be fitted before use.
 """
 
 import abc
@@ -57,15 +57,15 @@ from road_envs.data.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 NETWORK_PREFIX = "network."
-"""Stands before the name of a network's weight."""
+"""Prefix of the names of the network's weights."""
 
 WHEELBASE_TOLERANCE = 0.02
-"""A wheelbase that differs by more than this share from the taught one is told."""
+"""Relative deviation from the trained wheelbase above which a note is added."""
 
 
 class FittedSequence(NamedTuple):
-    """Linear windows, weights of the network (float16), the coefficients `std_coefficients` (N_TERMS,) of the
-    factor on its standard deviations, and the `wheelbase` [m] of the car.
+    """FIR bank, network weights (float16), coefficients `std_coefficients` (N_TERMS,) of the factor on
+    the network's standard deviations, and the vehicle's `wheelbase` [m].
     """
 
     bank: FirBank
@@ -76,13 +76,13 @@ class FittedSequence(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceEstimator(abc.ABC):
-    """A sequence network behind a bank of linear windows."""
+    """A sequence network behind an FIR bank."""
 
     __pydantic_config__ = STRICT
     name: ClassVar[str]
     causal: ClassVar[bool]
     lag: ClassVar[float | None] = None
-    """How far past a station the front axle is when its height is told [m]; None: at the end."""
+    """Distance [m] of the front axle beyond a station when its height is estimated; None if offline."""
 
     shipped: bool = True
     steps: int = 2500
@@ -95,10 +95,10 @@ class SequenceEstimator(abc.ABC):
 
     @abc.abstractmethod
     def network(self) -> Any:
-        """The torch network before it has learnt anything."""
+        """Return the torch network with its initial weights."""
 
     def training_example(self, record: Record, truth: Profile) -> TrainingExample:
-        """What this estimator keeps of a drive to learn from. Raises RecordError."""
+        """Return what is kept of a drive for training. Raises RecordError."""
         return training_example(record, truth, self.causal)
 
     def fit(
@@ -108,7 +108,7 @@ class SequenceEstimator(abc.ABC):
         car: VehicleParameters,
         seed: int,
     ) -> Self:
-        """A copy that has learnt from these drives and nothing else."""
+        """Return a copy trained from scratch on these drives. Raises RecordError."""
         pairs = zip(records, truths, strict=True)
         return self.pretrain([self.training_example(*pair) for pair in pairs], car, seed)
 
@@ -120,7 +120,7 @@ class SequenceEstimator(abc.ABC):
         progress: Callable[[str, float], None] = lambda text, share: None,
         checkpoint: Checkpoint | None = None,
     ) -> Self:
-        """A copy that has learnt from these drives; `seed` draws first weights and batches."""
+        """Return a copy trained on these drives; `seed` draws initial weights and batches."""
         with optional_import("a neural network"):
             import torch
 
@@ -147,7 +147,7 @@ class SequenceEstimator(abc.ABC):
         )
 
     def calibrate(self, drives: Sequence[TrainingExample]) -> Self:
-        """A copy whose standard deviations are honest on these drives, which it was not taught."""
+        """Return a copy with standard deviations calibrated on these drives, which are not training data."""
         fitted_state = self._fitted_or_pretrained()
         network = self.network()
         set_weights(network, fitted_state.network)
@@ -172,7 +172,9 @@ class SequenceEstimator(abc.ABC):
         )
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Heights with their standard deviation above 0.15 cycles/m. Raises RecordError."""
+        """Estimate both wheel paths, with standard deviations above 0.15 cycles/m. Raises RecordError,
+        NotFittedError.
+        """
         record, notes = clean_record(record)
         bank, weights, coefficients, wheelbase = self._fitted_or_pretrained()
         network = self.network()
@@ -187,11 +189,13 @@ class SequenceEstimator(abc.ABC):
         z_std = np.interp(stations, SPACING * (np.arange(std_m.size) - EDGE_STATIONS), std_m)
         notes = (*notes, LONG_WAVE_NOTE, *validity_notes(signals))
         if abs(car.wheelbase - wheelbase) > WHEELBASE_TOLERANCE * wheelbase:
-            notes += (f"taught with a wheelbase of {wheelbase:.2f} m, not {car.wheelbase:.2f} m",)
+            notes += (f"trained with a wheelbase of {wheelbase:.2f} m, not {car.wheelbase:.2f} m",)
         return Estimate(stations, z, np.array([z_std, z_std]), notes)
 
     def weights(self) -> dict[str, np.ndarray]:
-        """`taps`, `widths`, `wheelbase`, and each weight of the network. Raises NotFittedError."""
+        """Return `taps`, `widths` (the coefficients of the standard deviations), `wheelbase` and the
+        network's weights. Raises NotFittedError.
+        """
         bank, network, coefficients, wheelbase = self._fitted_or_pretrained()
         return {
             "taps": bank.taps,
@@ -201,7 +205,7 @@ class SequenceEstimator(abc.ABC):
         }
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
-        """A copy with these weights. Raises ValueError."""
+        """Return a copy with these weights. Raises ValueError."""
         behind, ahead = window_span(self.causal)
         shapes: dict[str, tuple[int | None, ...]] = {
             "taps": taps_shape(behind, ahead),
@@ -218,7 +222,7 @@ class SequenceEstimator(abc.ABC):
         )
 
     def _fitted_or_pretrained(self) -> FittedSequence:
-        """What was learnt, or what came with the package. Raises NotFittedError."""
+        """Return the fitted state, or the one shipped with the package. Raises NotFittedError."""
         if self.fitted_state is not None:
             return self.fitted_state
         weights = load_pretrained(self.name) if self == type(self)() else None
@@ -234,7 +238,7 @@ class SequenceEstimator(abc.ABC):
     def _normalised_errors(
         self, sequence: TrainingSequence, network: Any, start: int, stop: int
     ) -> np.ndarray:
-        """Errors of both wheel paths over their standard deviations."""
+        """Return errors of both wheel paths over their standard deviations."""
         residual, std = predict_residual(network, sequence.inputs.x, sequence.inputs.conditions)
         error = wheel_paths(sequence.residual - residual) / np.hypot(*std)
         return error[:, start:stop].ravel()
@@ -243,8 +247,9 @@ class SequenceEstimator(abc.ABC):
 def predict_residual(
     network: Any, x: np.ndarray, conditions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What is missing of m and q, and its standard deviation, both (2, M) in levels: the mean of
-    what the network says of the drive and, mirrored back, of the mirrored drive.
+    """Return the residual of m and q and its standard deviation, both (2, M) in levels.
+
+    Mean of the network's outputs for the drive and for the mirrored drive, mirrored back.
     """
     with optional_import("a neural network"):
         import torch
@@ -259,7 +264,7 @@ def predict_residual(
 
 
 def _station_conditions(inputs: NetworkInputs, network: Any) -> np.ndarray:
-    """The conditions (8, 1 or M) under which the network answers for each station."""
+    """Return the conditions (8, 1 or M) at the estimated stations."""
     conditions = inputs.conditions.astype(float)
     if conditions.shape[1] > 1:
         conditions = conditions[:, network.behind : network.behind + inputs.level.size]

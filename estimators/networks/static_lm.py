@@ -1,15 +1,15 @@
-"""The paper's static network, 3-50-2, trained by Levenberg-Marquardt: the historical baseline.
+"""Static 3-50-2 network of the paper, trained by Levenberg-Marquardt: the historical baseline.
 
-Inputs at a station are the three vertical body accelerations (RF, LR, RR; constant trend removed,
-25 Hz low-pass) at the moment when the front axle passed it [assumed]; outputs are the heights of
-the left and right wheel path there. Tan-sigmoid hidden layer, linear outputs, no memory
-(Ngwangwa, Heyns, Breytenbach & Els, sections 4 and 5). Training samples stand on `grid`, drives one
-after the other, divided 70/15/15; of more than `max_samples` as many are taken, evenly spread. The
-default is the 3964 of the paper: behind a 25 Hz filter neighbours are alike.
+Inputs at a station: the three vertical body accelerations (RF, LR, RR; linear trend removed, 25 Hz
+low-pass) at the moment when the front axle passed it [assumed]. Outputs: the heights of the left and
+right wheel path there. Tan-sigmoid hidden layer, linear outputs, no memory (Ngwangwa, Heyns,
+Breytenbach & Els, sections 4 and 5). The samples of all drives at the profile stations are divided
+70/15/15; above `max_samples` an evenly spaced subset is used. The default is the paper's 3964:
+behind a 25 Hz filter neighbouring samples are redundant.
 
-Known to fail: a height cannot be told from the accelerations of one moment, so on a new road the
-correlation with the truth is about zero. Trained on an altered version of the test road it matches
-the level of the profile, which is all that the paper's equation 12 asks.
+Limitations: a height is not a function of the accelerations at one moment, so on a new road the
+correlation with the truth is about zero. Trained on a modified version of the test road it matches
+the level of the profile, which is all that the paper's equation 12 measures.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,9 +27,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 
 class FittedStaticLm(NamedTuple):
-    """How a network was trained, and the ranges that its inputs [m/s²] and outputs [m] were mapped
-    from.
-    """
+    """Training result, and the mapped ranges of inputs [m/s²] and outputs [m]."""
 
     training: lm.LmResult
     inputs: lm.Scaling
@@ -38,7 +36,7 @@ class FittedStaticLm(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class StaticLm:
-    """A static network; once it has learnt, `training` tells how, and why it stopped."""
+    """A static network; after fitting, `training` holds history and stop reason."""
 
     __pydantic_config__ = STRICT
     causal: ClassVar[bool] = False
@@ -57,7 +55,7 @@ class StaticLm:
 
     @property
     def training(self) -> lm.LmResult:
-        """The course of the training, one value per epoch. Raises NotFittedError."""
+        """Result of the training with one value per epoch. Raises NotFittedError."""
         return require_fitted(self.fitted_state, self).training
 
     def fit(
@@ -67,7 +65,7 @@ class StaticLm:
         car: VehicleParameters,
         seed: int,
     ) -> Self:
-        """Train on all drives; `seed` draws the division and the initial weights."""
+        """Train on all drives; `seed` draws the division and the initial weights. Raises RecordError."""
         x = np.hstack([spatial_accelerations(clean_record(record)[0]) for record in records])
         pairs = zip(records, truths, strict=True)
         t = np.hstack(
@@ -86,15 +84,15 @@ class StaticLm:
         return copy_with(self, fitted_state=FittedStaticLm(training, inputs, outputs))
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """The network's answer at every station. Raises RecordError."""
+        """Return the network's output at every station. Raises RecordError, NotFittedError."""
         training, inputs, outputs = require_fitted(self.fitted_state, self)
         record, notes = clean_record(record)
         z = outputs.reverse(training.network(inputs.apply(spatial_accelerations(record))))
         return Estimate(profile_stations(record.length), z, notes=notes)
 
     def weights(self) -> dict[str, np.ndarray]:
-        """Weights of both layers, the mapped ranges (low, high) of inputs and outputs, and the
-        course of the training.
+        """Return the weights of both layers, the mapped ranges (low, high) of inputs and outputs, and the
+        training history. Raises NotFittedError.
         """
         training, inputs, outputs = require_fitted(self.fitted_state, self)
         return {
@@ -106,7 +104,7 @@ class StaticLm:
         }
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
-        """A copy with these weights. Raises ValueError."""
+        """Return a copy with these weights. Raises ValueError."""
         size = len(SENSORS)
         shapes = {
             "hidden": (size + 1, self.hidden),

@@ -1,20 +1,19 @@
-"""How wide the standard deviations of a network have to be: a factor that follows speed and states.
+"""Calibration of a network's standard deviations by a factor depending on speed, states and level.
 
-A network learns its errors together with its heights: on cars that differ from the described one,
-over all waves that it reads. On the very car, in the judged band, it errs less, by a share that
-depends on how much the car's numbers matter to it, hence on states, speed and roughness. So what it
-says is multiplied by
+A network is trained on vehicles that deviate from the nominal one, over all wavelengths that it
+reads. On the nominal vehicle, within the scored band, its errors are smaller, by a factor that
+depends on strut states, speed and roughness. Its standard deviations are therefore multiplied by
 
     exp(w . x)     x: (1, u, l, u l) times each of 1, the four states, their six products; u², l²
 
-with u the speed, l the level and the states -1 or 1 as the network is drive_conditions (`sequence.py`). w is
-fitted to drives by the car as described over roads that were not taught: quantile regression
-(Koenker & Bassett, Econometrica 46, 1978) of the logarithm of |error| / standard deviation, for the
-median and the ninth decile at once, so that about half and nine tenths of the errors lie where
-those of a Gaussian would, at every speed and in every state.
+with u the speed, l the level and the states -1 or 1, all as in the network's conditions
+(`inputs.py`). w is fitted to drives of the nominal vehicle over roads not used for training, by
+quantile regression (Koenker & Bassett, Econometrica 46, 1978) of log(|error| / standard deviation)
+for the median and the ninth decile jointly. Thus about half and nine tenths of the errors lie within
+the Gaussian bounds, at every speed and in every state.
 
-Where wheels leave the ground errors are not Gaussian, however wide: on such drives too few lie
-inside, and where many of the roads have obstacles, at speed, fewer than claimed do on average.
+Limitations: where wheels leave the ground the errors are not Gaussian for any scale; on such
+drives, and on average over boards with many obstacles at speed, the coverage is too low.
 """
 
 from collections.abc import Sequence
@@ -30,33 +29,33 @@ from estimators.common.spatial_signals import SPACING
 from road_envs.data.record import scored_band
 
 COVERAGE_LEVELS = ((0.5, 0.6745), (0.9, 1.6449))
-"""Shares of errors, and the standard deviations within which they lie if they are Gaussian."""
+"""Coverage probabilities, and the Gaussian bounds in standard deviations."""
 
 N_TERMS = 46
 RIDGE = 0.1
-"""Weight of w = 0 in drives, for a unit of each term."""
+"""Penalty on w for a unit of each term, in equivalent drives."""
 
 N_QUANTILES, RATIO_MIN, SMOOTHING = 50, 1e-9, 0.1
-"""By which the errors of a drive are drive_conditions, the least of them that counts, and the width of the
-logarithm over which being inside turns into being outside."""
+"""Quantiles that represent a drive's errors, the smallest error ratio, and the width, in the logarithm,
+over which the check function is smoothed.
+"""
 
 PAD_LENGTH, EDGE_LENGTH = 20.0, 5.0
-"""Length [m] by which a drive is continued before it is filtered; ends [m] that count for
-nothing."""
+"""Length [m] by which a drive is extended before filtering, and length of the ignored ends [m]."""
 
 
 def constant_scale(factor: float) -> np.ndarray:
-    """The coefficients (N_TERMS,) of one factor for all speeds and states."""
+    """Return the coefficients (N_TERMS,) of a constant factor."""
     return np.log(factor) * np.eye(N_TERMS)[0]
 
 
 def std_scale(coefficients: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-    """Factors (M,) on the standard deviations under `conditions` (8, M) of a network."""
+    """Return factors (M,) on the standard deviations under `conditions` (8, M) of a network."""
     return np.exp(coefficients @ design_matrix(conditions))
 
 
 def design_matrix(conditions: np.ndarray) -> np.ndarray:
-    """What the logarithm of the factor is linear in (N_TERMS, M)."""
+    """Return the regressors (N_TERMS, M) of the logarithm of the factor."""
     u, states, level = conditions[0], conditions[2:6], conditions[6]
     pairs = [states[i] * states[j] for i, j in combinations(range(4), 2)]
     each = np.array([np.ones_like(u), *states, *pairs])
@@ -64,8 +63,8 @@ def design_matrix(conditions: np.ndarray) -> np.ndarray:
 
 
 def fit_std_scale(ratios: Sequence[np.ndarray], conditions: Sequence[np.ndarray]) -> np.ndarray:
-    """Coefficients (N_TERMS,) with which errors over standard deviations, (2, M) for each drive, are
-    as n_std out as those of a Gaussian; `conditions` (8, M or 1) likewise.
+    """Fit the coefficients (N_TERMS,) to `ratios`, errors over standard deviations (2, M) of each drive,
+    and its `conditions` (8, M or 1).
     """
     x = np.array([design_matrix(drive_conditions).mean(axis=1) for drive_conditions in conditions])
     levels = (np.arange(N_QUANTILES) + 0.5) / N_QUANTILES
@@ -79,7 +78,7 @@ def fit_std_scale(ratios: Sequence[np.ndarray], conditions: Sequence[np.ndarray]
     ridge = RIDGE * np.append(0.0, np.ones(N_TERMS - 1)) / len(x)
 
     def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
-        """Mean of both check functions, rounded at SMOOTHING, and its slope."""
+        """Return the mean of both check functions, smoothed over SMOOTHING, and its gradient."""
         excess = over - (x @ w)[:, None]
         value = share * excess + SMOOTHING * np.logaddexp(0.0, -excess / SMOOTHING)
         slope = expit(-excess / SMOOTHING) - share
@@ -90,14 +89,14 @@ def fit_std_scale(ratios: Sequence[np.ndarray], conditions: Sequence[np.ndarray]
 
 
 def calibration_factor(ratios: np.ndarray) -> float:
-    """The factor on standard deviations with which half and nine tenths of the errors are about
-    as n_std out as those of a Gaussian; `ratios` (any shape) are errors over standard deviations.
+    """Return the constant factor on standard deviations that best gives both coverages; `ratios` (any
+    shape) are errors over standard deviations.
     """
     return float(np.mean([np.quantile(np.abs(ratios), p) / n_std for p, n_std in COVERAGE_LEVELS]))
 
 
 def in_scored_band(x: np.ndarray, v: float) -> np.ndarray:
-    """The part of rows (k, M) at the stations that lies in the judged band at `v` [m/s]."""
+    """Return the part of rows (k, M) at the stations in the scored band at `v` [m/s]."""
     pad = min(round(PAD_LENGTH / SPACING), x.shape[1] - 1)
     low, high = scored_band(v)
     padded = np.pad(x, ((0, 0), (pad, pad)), mode="reflect", reflect_type="odd")
@@ -108,6 +107,6 @@ def in_scored_band(x: np.ndarray, v: float) -> np.ndarray:
 
 
 def interior(size: int) -> slice:
-    """Those of a drive's stations that count."""
+    """Return the range of a drive's stations without its ends."""
     cut = min(round(EDGE_LENGTH / SPACING), size // 10)
     return slice(cut, size - cut)

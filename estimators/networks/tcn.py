@@ -1,11 +1,10 @@
-"""A temporal convolutional network over distance, offline and causal; one for all speeds and modes.
+"""Temporal convolutional network over distance, offline and causal; one for all speeds and modes.
 
-The network, what it reads and how it learns stand in `networks.py`, `sequence.py` and
-`teaching.py`. Five dilated layers see 9.7 m to either side offline, 19 m back causally, beyond what
-the linear windows before them have gathered.
+Network, inputs and training: `modules.py`, `inputs.py` and `trainer.py`. Five dilated layers span
+9.7 m to either side offline and 19 m backwards in the causal variant, beyond the FIR windows.
 
-Known to fail: on cars that differ much from those it was taught with; below 0.15 cycles/m, where it
-adds nothing to the linear windows.
+Limitations: vehicles far from those of the training corpus; below 0.15 cycles/m the network adds
+nothing to the FIR bank.
 """
 
 import abc
@@ -30,7 +29,7 @@ class _Convolutional(SequenceEstimator, abc.ABC):
             raise ValueError(f"dilations must be at least 1, got {self.dilations}")
 
     def network(self) -> Any:
-        """The torch network before it has learnt anything."""
+        """Return the torch network with its initial weights."""
         from estimators.networks.modules import TemporalConvNet
 
         size = self.channels, self.kernel, self.dilations
@@ -39,7 +38,7 @@ class _Convolutional(SequenceEstimator, abc.ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Tcn(_Convolutional):
-    """Sees the whole drive."""
+    """Offline variant: uses the whole drive."""
 
     name: ClassVar[str] = "tcn"
     causal: ClassVar[bool] = False
@@ -47,7 +46,7 @@ class Tcn(_Convolutional):
 
 @dataclass(frozen=True, kw_only=True)
 class TcnCausal(_Convolutional):
-    """Sees no further than the front axle is when it is LAG past the station."""
+    """Causal variant: uses the drive until the front axle is LAG beyond the station."""
 
     name: ClassVar[str] = "tcn_causal"
     causal: ClassVar[bool] = True

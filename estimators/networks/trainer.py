@@ -1,13 +1,13 @@
-"""How a sequence network learns: stretches of drives, AdamW, early stopping on roads held out.
+"""Training of a sequence network: random crops of drives, AdamW, early stopping on validation roads.
 
-Per stretch the loss is the mean squared_error of what is missing to the truth, in units of the drive's
-level and limited to LOSS_MAX, so that a drive of which nothing can be made rules no step; the
-standard deviations learn by the Gaussian likelihood of those errors, beside it. The rate rises over
-100 steps and falls as a cosine. Every tenth drive is held out (of fewer than ten drives the last
-fifth of each); the weights of the least error there are arrays.
+The loss of a crop is the mean squared residual in units of the drive's level, clamped at LOSS_MAX
+so that a hopeless drive cannot dominate a step. The standard deviations are trained by the Gaussian
+likelihood of these residuals. The learning rate rises over 100 steps and falls as a cosine. Every
+tenth drive is used for validation (with fewer than ten drives, the last fifth of each); the weights
+of the smallest validation error are kept.
 
-One thread and one seed make one network, to the bit, whether or not the teaching was interrupted:
-each step draws from a generator of its own.
+With one thread and one seed the result is reproducible to the bit, interrupted or not: each step
+has its own random generator.
 """
 
 import contextlib
@@ -22,43 +22,43 @@ from road_envs._extras import optional_import
 LOSS_MAX = 4.0
 WARM_UP_STEPS = 100
 FINAL_RATE_SHARE = 0.02
-"""Rate at the end, over the highest."""
+"""Final learning rate over the highest."""
 
 N_VALIDATIONS = 20
-"""How often the error on the held-out drives is taken."""
+"""Number of evaluations of the validation error."""
 
 PATIENCE = 6
-"""Checks without a better one after which teaching ends."""
+"""Evaluations without improvement after which training stops."""
 
 VALIDATION_INTERVAL = 10
-"""Every so many drives one is held out."""
+"""One drive in so many is used for validation."""
 
 LIKELIHOOD_WEIGHT = 0.1
-"""Of the likelihood in the loss; it moves nothing but the standard deviations."""
+"""Weight of the likelihood in the loss; it affects only the standard deviations."""
 
 LOG_STD_RANGE = (-6.0, 3.0)
-"""Logarithms of standard deviations, in levels, stay inside."""
+"""Range of the logarithms of standard deviations, in levels."""
 
 
 class TrainingSequence(NamedTuple):
-    """What is read of a drive, and what is missing (2, M) to the truth, in levels."""
+    """Network inputs of a drive, and the residual (2, M) to be predicted, in levels."""
 
     inputs: NetworkInputs
     residual: np.ndarray
 
 
 class TrainerConfig(NamedTuple):
-    """How long, and by how much at a time."""
+    """Hyperparameters of the training."""
 
     steps: int
     batch: int = 32
-    crop_length: int = 160  # stations of a stretch
+    crop_length: int = 160  # [stations]
     learning_rate: float = 3e-3
     weight_decay: float = 1e-3
 
 
 class Checkpoint(Protocol):
-    """Where an unfinished teaching is arrays."""
+    """Storage of an unfinished training."""
 
     def load(self) -> Mapping[str, np.ndarray] | None: ...
 
@@ -66,14 +66,16 @@ class Checkpoint(Protocol):
 
 
 class SequencePart(NamedTuple):
-    """The stations from `start` up to `stop` of a lesson."""
+    """The stations from `start` up to `stop` of a sequence."""
 
     sequence: TrainingSequence
     start: int
     stop: int
 
     def crop(self, at: int, size: int, context: Any, flip: bool) -> tuple[np.ndarray, ...]:
-        """Inputs, conditions and what is missing of `size` stations from `at` on."""
+        """Return inputs, conditions and residual of `size` stations from `at`; of the mirrored drive if
+        `flip`.
+        """
         x, conditions = self.sequence.inputs.x, self.sequence.inputs.conditions
         read = slice(at, at + context.behind + size + context.ahead)
         x = x[:, read]
@@ -94,7 +96,7 @@ def train_network(
     progress: Callable[[str, float], None] = lambda text, share: None,
     checkpoint: Checkpoint | None = None,
 ) -> float:
-    """Teach a torch `network` in place; returns its error on the held-out stretches."""
+    """Train a torch `network` in place and return its validation error."""
     with optional_import("a neural network"):
         import torch
 
@@ -112,7 +114,7 @@ def train_network(
                 state.update_best(validation_error(network, validation, size), step)
                 if checkpoint:
                     checkpoint.save(state.to_arrays(step))
-                progress(f"error on held-out roads {state.best_error:.4f}", step / config.steps)
+                progress(f"validation error {state.best_error:.4f}", step / config.steps)
                 if step - state.best_step > PATIENCE * every:
                     break
             if step < config.steps:
@@ -125,7 +127,7 @@ def train_network(
 def split_validation(
     sequences: Sequence[TrainingSequence],
 ) -> tuple[list[SequencePart], list[SequencePart]]:
-    """What is taught and what is held out."""
+    """Return the training parts and the validation parts."""
     training: list[SequencePart] = []
     validation: list[SequencePart] = []
     for k, sequence in enumerate(sequences):
@@ -140,7 +142,7 @@ def split_validation(
 
 
 def validation_error(network: Any, parts: Sequence[SequencePart], size: int) -> float:
-    """Mean of the limited loss over every held-out stretch, cut into pieces of `size`."""
+    """Return the mean clamped loss over crops of `size` that cover the validation parts."""
     with optional_import("a neural network"):
         import torch
 
@@ -159,7 +161,7 @@ def validation_error(network: Any, parts: Sequence[SequencePart], size: int) -> 
 
 
 class TrainerState:
-    """Network, optimiser and the best weights so far, as plain arrays and back."""
+    """Network, optimiser and best weights so far, convertible to and from arrays."""
 
     def __init__(self, network: Any, optimiser: Any):
         self.network, self.optimiser = network, optimiser
@@ -167,16 +169,16 @@ class TrainerState:
         self.best_error, self.best_step = float("inf"), 0
 
     def update_best(self, error: float, step: int) -> None:
-        """Keep the weights if they are the best so far."""
+        """Store the weights if their error is the smallest so far."""
         if error < self.best_error:
             self.best, self.best_error, self.best_step = get_weights(self.network), error, step
 
     def restore_best(self) -> None:
-        """Put the best weights into the network."""
+        """Load the best weights into the network."""
         set_weights(self.network, self.best)
 
     def to_arrays(self, step: int) -> dict[str, np.ndarray]:
-        """All that it takes to go on at `step`."""
+        """Return everything needed to continue at `step`."""
         arrays = {f"now.{k}": x for k, x in get_weights(self.network).items()}
         arrays |= {f"best.{k}": x for k, x in self.best.items()}
         for k, moments in self.optimiser.state_dict()["state"].items():
@@ -185,7 +187,7 @@ class TrainerState:
         return arrays | {"about": progress}
 
     def restore(self, arrays: Mapping[str, np.ndarray] | None) -> int:
-        """Go back to what `to_arrays` gave; returns the step to go on with."""
+        """Load the result of `to_arrays`; return the step to continue with."""
         with optional_import("a neural network"):
             import torch
 
@@ -206,12 +208,12 @@ class TrainerState:
 
 
 def get_weights(network: Any) -> dict[str, np.ndarray]:
-    """The weights of a torch network by name, copied."""
+    """Return copies of the weights of a torch network by name."""
     return {name: x.detach().numpy().copy() for name, x in network.state_dict().items()}
 
 
 def set_weights(network: Any, weights: Mapping[str, np.ndarray]) -> None:
-    """Put weights by name into a torch network."""
+    """Load weights by name into a torch network."""
     with optional_import("a neural network"):
         import torch
 
@@ -222,7 +224,7 @@ def set_weights(network: Any, weights: Mapping[str, np.ndarray]) -> None:
 
 @contextlib.contextmanager
 def single_thread() -> Iterator[None]:
-    """Let torch compute on one thread, so that sums are added in one order everywhere."""
+    """Run torch on one thread, so that sums have the same order on every machine."""
     with optional_import("a neural network"):
         import torch
 
@@ -243,7 +245,7 @@ def _train_step(
     rng: np.random.Generator,
     step: int,
 ) -> None:
-    """One step of the optimiser on a batch of stretches drawn by `rng`."""
+    """Take one optimiser step on a batch of crops drawn by `rng`."""
     with optional_import("a neural network"):
         import torch
 
@@ -267,7 +269,7 @@ def _train_step(
 
 
 def learning_rate_factor(step: int, steps: int) -> float:
-    """The rate at a step, over the highest."""
+    """Return the learning rate at a step over the highest."""
     falling = FINAL_RATE_SHARE + (1.0 - FINAL_RATE_SHARE) * 0.5 * (
         1.0 + np.cos(np.pi * step / steps)
     )

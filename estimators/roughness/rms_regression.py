@@ -1,25 +1,25 @@
-"""Roughness of a road from the RMS of the accelerations, freed of the speed by a Gaussian process.
+"""Roughness from the RMS of the accelerations: a Gaussian-process regression over speed and RMS.
 
-How hard a car shakes tells how rough a road is, once it is known how hard it shakes at this speed
-in these states. That is learnt from drives over known roads and nothing else, no model of the car
-(after Heyns, de Villiers & Heyns, "Consistent haul road condition monitoring by means of vehicle
-response normalisation with Gaussian processes", Eng. Appl. Artif. Intell. 25, 2012):
+The RMS acceleration grows with roughness and speed. The relation is learned from drives over known
+roads, without a vehicle model (after Heyns, de Villiers & Heyns, "Consistent haul road condition
+monitoring by means of vehicle response normalisation with Gaussian processes", Eng. Appl. Artif.
+Intell. 25, 2012):
 
     y = b . x + g(x) + e       x: 1 and the logarithms of the speed and of the RMS of the
                                accelerations of front, rear and roll; y: the logarithm of G_d(n0)
 
-with a wide normal prior on b, g a Gaussian process of squared exponential covariance with a length
-for each input, e noise (Rasmussen & Williams, "Gaussian Processes for Machine Learning", 2006,
-sections 2.2, 2.7 and 5.4.1). Amplitudes and lengths are those of the greatest marginal likelihood.
-The posterior of y is normal, so classes have probabilities as in `spectral_class.py`.
+b has a wide normal prior, g is a Gaussian process with squared-exponential covariance and a length
+scale per input, e is noise (Rasmussen & Williams, "Gaussian Processes for Machine Learning", 2006,
+sections 2.2, 2.7 and 5.4.1). Amplitudes and length scales maximise the marginal likelihood. The
+posterior of y is normal, so classes have probabilities as in `spectral.py`.
 
-Measured on 60 roads of 200 m as the corpus has them, at 14.5 to 54 km/h, a regression on 60 others
-for each of ride, handling, and ride in front with handling behind: the median error is 0.5 dB, its
-RMS 2.1 to 2.5 dB, the class right in 83 %. `spectral_class` on the same: 0.4, 0.9 to 1.1 dB, 92 %.
-The RMS errors come from roads with single obstacles; on stationary roads both are as good.
+Measured on 60 roads of 200 m from the corpus at 14.5 to 54 km/h, with a regression trained on 60
+others for each of ride, handling, and ride in front with handling behind: median error 0.5 dB, RMS
+error 2.1 to 2.5 dB, class correct in 83 %. `spectral` on the same: 0.4 dB, 0.9 to 1.1 dB, 92 %.
+The large RMS error comes from roads with single obstacles; on stationary roads both are equal.
 
-Known to fail: in states and at speeds that it was not taught; on roads whose waviness differs, for
-one number per sensor does not tell at which frequency the road is rough.
+Limitations: strut states and speeds outside the training data; roads of another waviness, since
+one RMS per sensor does not resolve frequency.
 """
 
 from collections.abc import Sequence
@@ -38,16 +38,17 @@ from road_envs.data.record import Profile, Record
 
 N_INPUTS = 1 + N_MOTIONS
 SLOPE_STD = 3.0
-"""Standard deviation of b, of standardised inputs and output: wide."""
+"""Standard deviation of b for standardised inputs and output: a wide prior."""
 
 THETA_BOUNDS = ((-4.0, 1.5), *((-1.5, 4.0),) * N_INPUTS, (-5.0, 0.0))
-"""Logarithms of the process's amplitude, of its lengths and of the noise's amplitude stay inside;
-inputs and output have a standard deviation of 1."""
+"""Bounds of the hyperparameters theta: logarithms of the process amplitude, of its length scales and
+of the noise amplitude, for inputs and output of standard deviation 1.
+"""
 
 
 class RoughnessEstimate(NamedTuple):
-    """`G_d0` [m³] of a road in the judged octaves, the standard deviation `log_std` of its natural
-    logarithm, and the `probability` of each class by its letter.
+    """`G_d0` [m³] of a road over the scored octaves, the standard deviation `log_std` of its natural
+    logarithm, and the `probability` of each class by letter.
     """
 
     G_d0: float
@@ -56,31 +57,31 @@ class RoughnessEstimate(NamedTuple):
 
     @property
     def letter(self) -> str:
-        """The likeliest class."""
+        """The most probable class."""
         return max(self.probability, key=lambda name: self.probability[name])
 
 
 class Standardizer(NamedTuple):
-    """Means and standard deviations of columns."""
+    """Mean and standard deviation of each column."""
 
     mean: np.ndarray
     std: np.ndarray
 
     @classmethod
     def fit(cls, x: np.ndarray) -> "Standardizer":
-        """Those of `x` (N, k); a column that does not vary has none."""
+        """Return those of `x` (N, k); a constant column has standard deviation 1."""
         std = x.std(axis=0)
         return cls(x.mean(axis=0), np.where(std > 1e-9, std, 1.0))
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Columns (N, k) standardised."""
+        """Return the columns (N, k) standardised."""
         return (x - self.mean) / self.std
 
 
 @dataclass(frozen=True, eq=False)
 class RmsRoughness:
-    """A fitted regression: standardised inputs `x` (N, INPUTS) and outputs `y` (N,) with their
-    scales, and `theta`, logarithms as in LIMITS.
+    """A fitted regression: standardised inputs `x` (N, N_INPUTS) and outputs `y` (N,), their
+    standardizers, and `theta`, logarithms as in THETA_BOUNDS.
     """
 
     x: np.ndarray
@@ -91,7 +92,7 @@ class RmsRoughness:
 
     @classmethod
     def fit(cls, records: Sequence[Record], truths: Sequence[Profile]) -> Self:
-        """From drives over known roads. Raises RecordError."""
+        """Fit to drives over known roads. Raises RecordError."""
         X = np.array([features(record) for record in records])
         pairs = zip(records, truths, strict=True)
         Y = np.log([roughness_level(truth, float(np.median(record.v))) for record, truth in pairs])[
@@ -110,7 +111,7 @@ class RmsRoughness:
         return cls(x, y, *scales, optimum.x)
 
     def predict(self, record: Record) -> RoughnessEstimate:
-        """What a `record` tells of its road. Raises RecordError."""
+        """Return the roughness of the road of a `record`. Raises RecordError."""
         at = self.x_scale(features(record)[None])
         mean, std = predict_gp(self.x, self.y, self.theta, at)
         log_level = float(self.y_scale.mean[0] + self.y_scale.std[0] * mean[0])
@@ -121,7 +122,9 @@ class RmsRoughness:
 
 
 def features(record: Record) -> np.ndarray:
-    """Logarithms (INPUTS,) of the speed and of the RMS of front, rear and roll on the road."""
+    """Return the logarithms (N_INPUTS,) of speed and RMS of front, rear and roll on the road. Raises
+    RecordError.
+    """
     record, _ = clean_record(record)
     on_road = (record.s >= 0.0) & (record.s <= record.length)
     on_road = on_road if on_road.any() else np.ones(record.s.size, dtype=bool)
@@ -131,8 +134,8 @@ def features(record: Record) -> np.ndarray:
 
 
 def roughness_level(truth: Profile, v: float) -> float:
-    """G_d(n0) [m³] of a road: the geometric mean over the octaves judged at `v` [m/s], both paths
-    together.
+    """Return G_d(n0) [m³] of a road: geometric mean over the octaves scored at `v` [m/s], of the mean
+    of both paths.
     """
     centres = scored_octaves(v)
     _, levels = octave_levels(*displacement_psd(truth.z, truth.ds), (centres[0], centres[-1]))
@@ -142,7 +145,7 @@ def roughness_level(truth: Profile, v: float) -> float:
 def covariance(
     x: np.ndarray, other: np.ndarray, theta: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Covariances (N, M) of the line and of the process between inputs (N, k) and (M, k)."""
+    """Return the covariances (N, M) of the linear part and of the process between inputs (N, k), (M, k)."""
     scaled_difference = (x[:, None] - other[None]) * np.exp(-theta[1:-1])
     line = SLOPE_STD**2 * (1.0 + x @ other.T)
     return line, np.exp(2.0 * theta[0] - 0.5 * np.sum(scaled_difference**2, axis=2))
@@ -151,7 +154,7 @@ def covariance(
 def neg_log_marginal_likelihood(
     x: np.ndarray, y: np.ndarray, theta: np.ndarray
 ) -> tuple[float, np.ndarray]:
-    """Negative logarithm of the marginal likelihood of `y` (N,) at `x` (N, k), and its slope."""
+    """Return the negative log marginal likelihood of `y` (N,) at `x` (N, k), and its gradient by theta."""
     line, process = covariance(x, x, theta)
     noise = np.exp(2.0 * theta[-1]) * np.eye(y.size)
     factor = cho_factor(line + process + noise, lower=True)
@@ -171,8 +174,8 @@ def neg_log_marginal_likelihood(
 def predict_gp(
     x: np.ndarray, y: np.ndarray, theta: np.ndarray, at: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation (M,), noise included, of outputs at inputs `at` (M, k), given
-    `y` (N,) at `x` (N, k).
+    """Return mean and standard deviation (M,), noise included, of the outputs at inputs `at` (M, k),
+    given `y` (N,) at `x` (N, k).
     """
     noise = np.exp(2.0 * theta[-1])
     K = np.add(*covariance(x, x, theta)) + noise * np.eye(y.size)

@@ -1,14 +1,14 @@
-"""Roughness and ISO class of a road straight from the spectra of the accelerations.
+"""Roughness level and ISO 8608 class of a road from the spectra of the accelerations.
 
-    classify(record, car) -> ClassPosterior
+    classify_record(record, car) -> ClassPosterior
 
-No height is reconstructed: the wheel paths' level in every octave is the one that makes the
-accelerations' spectra likely through the linearised car (empirical Bayes, `build_model.py`), stretch by
-stretch. An octave of M independent lines tells a level to within a factor whose logarithm has the
-standard deviation sqrt(1 / M) at best, and so does the class: its posterior over A to H follows
-from a normal density of log G_d(n0), limits at twice the geometric means (ISO 8608, table C.1).
+No profile is reconstructed. The level of each octave is the maximum-likelihood level of the
+accelerations' spectra under the linearised vehicle (empirical Bayes, `wiener/spectral_model.py`),
+per segment. With M independent lines the logarithm of a level has a standard deviation of at least
+sqrt(1 / M). The posterior over classes A to H follows from a normal density of log G_d(n0) with
+class limits at twice the geometric means (ISO 8608, table C.1).
 
-Known to fail: where wheels leave the ground; on a road too short to have a level.
+Limitations: wheels leaving the ground; roads too short to have a level.
 """
 
 from typing import NamedTuple
@@ -32,18 +32,18 @@ from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import VehicleParameters
 
 MODEL_ERROR = 0.10
-"""Standard deviation of log level that a car not quite as supposed adds [assumed]."""
+"""Standard deviation of the log level due to deviations of the vehicle [assumed]."""
 
 EM_ITERATIONS = 8
-"""Steps of expectation and maximisation of an octave's level."""
+"""Expectation-maximisation iterations of an octave's level."""
 
 
 class ClassPosterior(NamedTuple):
-    """What is known of a road's roughness.
+    """Posterior of a road's roughness.
 
-    `G_d0` [m³] and the standard deviation `log_std` of its natural logarithm, over the judged band;
-    `octaves` (K,) [cycles/m] and `levels` (K,) [m³] likewise, each octave for itself, with
-    `level_stds` (K,); `probability` of each class by its letter, `octave_classes` the likeliest.
+    `G_d0` [m³] and the standard deviation `log_std` of its natural logarithm, over the scored band;
+    `octaves` (K,) [cycles/m] with their own `levels` (K,) [m³], `level_stds` (K,) and most probable
+    `octave_classes`; `probability` of each class by letter.
     """
 
     G_d0: float
@@ -56,12 +56,12 @@ class ClassPosterior(NamedTuple):
 
     @property
     def letter(self) -> str:
-        """The likeliest class."""
+        """The most probable class."""
         return max(self.probability, key=lambda name: self.probability[name])
 
 
 class _OctaveLevels(NamedTuple):
-    """Sums over a stretch: mean power over the prior's, and lines that it rests on, by octave."""
+    """Results of a segment by octave: `levels` (K,) [m³] and the equivalent number of `lines` (K,)."""
 
     levels: np.ndarray
     lines: np.ndarray
@@ -70,7 +70,7 @@ class _OctaveLevels(NamedTuple):
 def classify_record(
     record: Record, car: VehicleParameters, instruments: str = "paper"
 ) -> ClassPosterior:
-    """The roughness of the road of a `record`. Raises ConfigError, ValueError."""
+    """Return the roughness of the road of a `record`. Raises ConfigError, ValueError."""
     sensors, plant = load_instruments(instruments), build_plant(car)
     locations, track = sensors.locations(car), car.front.y_t + car.rear.y_t
     octaves = scored_octaves(float(np.median(record.v)))
@@ -98,30 +98,31 @@ def classify_record(
 
 
 def class_probabilities(log_level: float, log_std: float) -> dict[str, float]:
-    """Probability of each class of a level whose natural logarithm is normal."""
+    """Return the probability of each class for a normally distributed log level."""
     limits = np.log([2.0 * mean for mean in CLASSES.values()][:-1])
     below = np.concatenate([[0.0], ndtr((limits - log_level) / log_std), [1.0]])
     return dict(zip(CLASSES, (float(p) for p in np.diff(below)), strict=True))
 
 
 def _likeliest(log_level: float, log_std: float) -> str:
+    """Return the letter of the most probable class."""
     of = class_probabilities(log_level, log_std)
     return max(of, key=lambda name: of[name])
 
 
 def scored_octaves(v: float) -> np.ndarray:
-    """Centres (K,) [cycles/m] of the octaves that are judged at `v` [m/s]: 0.25, 0.5, 1 and 2, as
-    far as the 25 Hz low-pass leaves them whole.
+    """Return the centres (K,) [cycles/m] of the octaves scored at `v` [m/s]: of 0.25, 0.5, 1 and 2 those
+    that the 25 Hz low-pass passes completely. Raises ValueError if there is none.
     """
     low, _ = scored_band(v)
     high = min(2.0, SCORED_F_MAX / v / np.sqrt(2.0))
     if high < low:
-        raise ValueError(f"at {v:.1f} m/s no octave of the judged band passes the low-pass whole")
+        raise ValueError(f"at {v:.1f} m/s the low-pass leaves no octave of the scored band; drive slower")
     return 2.0 ** np.arange(np.ceil(np.log2(low)), np.floor(np.log2(high)) + 1.0)
 
 
 def _levels(model: SpectralModel, segment: Segment, octaves: np.ndarray) -> _OctaveLevels:
-    """Levels (K,) [m³] of a stretch's octaves, and the independent lines (K,) they rest on."""
+    """Return the level and the number of independent lines of each octave of a segment."""
     lines, sensors = windowed_spectrum(model, segment), active_sensors(segment)
     noise = model.noise_psd()
     levels = np.full(octaves.size, model.prior.G_d0)
@@ -146,6 +147,6 @@ def _levels(model: SpectralModel, segment: Segment, octaves: np.ndarray) -> _Oct
                 / levels[k]
             )
             known = float(np.mean(1.0 - 0.5 * left))
-        # a Hann window leaves two thirds as many independent lines; two wheel paths
+        # two wheel paths; a Hann window leaves two thirds of the independent lines
         counts[k] = 2.0 * span * (n[-1] - n[0]) * max(known, 0.01) * 2.0 / 3.0
     return _OctaveLevels(levels, counts)

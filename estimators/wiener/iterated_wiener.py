@@ -1,13 +1,13 @@
-"""Wiener smoother, again and again with the struts' nonlinear forces taken out of the signals.
+"""Wiener smoother, iterated: the struts' nonlinear force residuals are subtracted from the signals.
 
-Friction and the dampers' curves are what keeps a linear estimator from the bound. They are laws of
-the struts' motion, which the estimate itself tells: so their deviation from the equivalent dampers
-is computed, with its expected value where the motion is uncertain, taken out of the accelerations,
-and the smoother runs again (`smoothing.py`). A dozen passes come near to what the maximum a
-posteriori road through the nonlinear car has, at the price of Fourier transforms.
+Friction and damper curves keep a linear estimator above the error bound. Both are functions of the
+strut motion, which the estimate provides. Each pass computes their deviation from the equivalent
+dampers (its expectation where the motion is uncertain), subtracts it from the accelerations and
+smooths again (`smoother.py`). A dozen passes come close to the accuracy of the maximum a posteriori
+estimate with the nonlinear vehicle, at the cost of Fourier transforms.
 
-Known to fail: as `wiener`; where wheels leave the ground the passes do not converge, and it is no
-better than that one.
+Limitations: as `wiener`; where wheels leave the ground the passes diverge and the result is no
+better than that of `wiener`.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 @dataclass(frozen=True, kw_only=True)
 class IteratedWiener:
-    """At most `passes` of the smoother for a car with these `instruments`."""
+    """Up to `passes` passes of the smoother for a vehicle with these `instruments`."""
 
     __pydantic_config__ = STRICT
     causal: ClassVar[bool] = False
@@ -35,5 +35,5 @@ class IteratedWiener:
             raise ValueError(f"passes must be at least 1, got {self.passes}")
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Both wheel paths. Raises ConfigError, ValueError."""
+        """Estimate both wheel paths. Raises ConfigError, ValueError."""
         return smooth_record(record, car, self.instruments, self.passes, self.std_factor)

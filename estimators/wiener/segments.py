@@ -1,8 +1,8 @@
-"""A record cut into stretches of even distance, as the model-based estimators in the frequency
-domain want it: low-passed, on even stations, with what cannot be trusted marked.
+"""Division of a record into segments of evenly spaced stations for frequency-domain estimators.
 
-A sample is not trusted if it is not finite, or at the limit of the sensor's range, or so near to
-such a one that the filter carries it over. Within a stretch speed and mode count as constant.
+Signals are low-passed and interpolated to even stations. A sample is invalid if it is not finite,
+at the limit of the sensor's range, or within the filter's reach of such a sample. Speed and strut
+modes count as constant within a segment.
 """
 
 from collections.abc import Iterator
@@ -17,18 +17,19 @@ from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.suspension import MODES
 
 STATION_RATE = 100.0
-"""Samples per second that are kept, at least; signals above 40 Hz are filtered off [Hz]."""
+"""Lowest rate [Hz] at which a segment's stations are passed; signals end at 40 Hz."""
 
 PASS_ORDER, F_PASS = 8, 40.0
 FILTER_TIME = 0.08
-"""Time [s] over which the filter carries a bad sample."""
+"""Time [s] over which the low-pass spreads an invalid sample to either side."""
 
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Signals `a` (3, M) [m/s²] on stations `first + i` (i < M) in steps `spacing` [m] of `stride` grid
-    spacings, with `valid` (3, M): which of them are measured. Driven at `v` [m/s] in `mode`, wheel
-    by wheel; `core` (2,) [m] is the part of the road that it is to answer for.
+    """Signals `a` (3, M) [m/s²] at the stations `spacing * (first + i)` [m], i < M.
+
+    `stride` is the spacing in profile stations; `valid` (3, M) marks measured samples. `v` [m/s] is the
+    speed, `mode` the strut mode by wheel, `core` (2,) [m] the part of the road to be estimated.
     """
 
     a: np.ndarray
@@ -42,16 +43,16 @@ class Segment:
 
     @property
     def spacing(self) -> float:
-        """Distance of the stations [m]."""
+        """Distance [m] between stations."""
         return self.stride * PROFILE_SPACING
 
 
 def split_segments(
     record: Record, instruments: Instruments, length: float, margin: float
 ) -> Iterator[Segment]:
-    """Stretches of about `length` [m] of road, and up to `margin` [m] of record around them.
+    """Yield segments of about `length` [m] of road, each with up to `margin` [m] of record around it.
 
-    Raises ValueError on a record from which nothing can be made out.
+    Raises ValueError if the record is unusable.
     """
     validate_record(record)
     good = valid_samples(record, instruments)
@@ -66,28 +67,30 @@ def split_segments(
 
 
 def validate_record(record: Record) -> None:
-    """ValueError in one sentence if a model of motion can make nothing of `record`."""
+    """Raise ValueError unless a motion model can be applied to `record`."""
     if record.t.size < 16 or not (np.diff(record.t) > 0).all():
-        raise ValueError("a record needs 16 samples or more, at increasing times")
+        raise ValueError("a record needs at least 16 samples at increasing times")
     if not np.isfinite(record.s).all() or not np.isfinite(record.v).all():
         raise ValueError("odometer and speed of a record must be finite throughout")
     if record.fs < 60.0:
         raise ValueError(
-            f"sampled at {record.fs:g} Hz; below 60 Hz the band up to 25 Hz is not to be had"
+            f"the record is sampled at {record.fs:g} Hz; at least 60 Hz are needed for a band of 25 Hz"
         )
     if not (record.s[-1] - record.s[0] > 1.0 and record.length > 0):
-        raise ValueError("the car has moved less than a metre: no road to be reconstructed")
+        raise ValueError("the vehicle has moved less than 1 m: there is no road to estimate")
     if not np.isfinite(record.a).any():
-        raise ValueError("not one acceleration of the record is finite")
+        raise ValueError("no acceleration of the record is finite")
 
 
 def valid_samples(record: Record, instruments: Instruments) -> np.ndarray:
-    """Which samples (3, N) of the record are finite and off the limits of the range."""
+    """Return which samples (3, N) of the record are finite and within the sensors' range."""
     return np.isfinite(record.a) & (np.abs(np.nan_to_num(record.a)) < 0.995 * instruments.range)
 
 
 def bridge_and_lowpass(a: np.ndarray, good: np.ndarray, fs: float) -> np.ndarray:
-    """Signals (3, N) without their mean, bridged where they are not `good`, low-passed at 40 Hz."""
+    """Return signals (3, N) without their mean over `good` samples, interpolated where not `good`,
+    and low-passed at 40 Hz without phase.
+    """
     t = np.arange(a.shape[1])
     whole = np.zeros(a.shape)
     for out, x, g in zip(whole, a, good, strict=True):
@@ -98,6 +101,7 @@ def bridge_and_lowpass(a: np.ndarray, good: np.ndarray, fs: float) -> np.ndarray
 
 
 def _segment(record: Record, a: np.ndarray, bad: np.ndarray, core, margin: float) -> Segment:
+    """Return the segment whose `core` [m] is to be estimated."""
     low = max(core[0] - margin, record.s[0])
     high = min(core[1] + margin, record.s[-1])
     inside = (record.s >= core[0] - margin) & (record.s <= core[1] + margin)
@@ -106,6 +110,7 @@ def _segment(record: Record, a: np.ndarray, bad: np.ndarray, core, margin: float
     part = np.flatnonzero(inside)
     t, s = record.t[part], record.s[part]
     moving = record.v[part] > 0.1 * max(record.v[part].max(), 1e-9)
+    # a stop must not lower the speed that links frequency and wavelength
     v = float(np.median(record.v[part][moving])) if moving.any() else 0.0
     if not v > 0.1:
         v = max((s[-1] - s[0]) / (t[-1] - t[0]), 0.1)
@@ -130,7 +135,7 @@ def _segment(record: Record, a: np.ndarray, bad: np.ndarray, core, margin: float
 
 
 def dominant_modes(record: Record, part: np.ndarray) -> dict[str, str]:
-    """The state in which each strut is for most of the samples `part`."""
+    """Return, by wheel, the mode of each strut in most of the samples `part`."""
     names = {state: name for name, state in MODES.items()}
     stiff = record.spring_stiff[part].mean(axis=0) > 0.5
     high = record.damper_high[part].mean(axis=0) > 0.5
@@ -139,14 +144,15 @@ def dominant_modes(record: Record, part: np.ndarray) -> dict[str, str]:
 
 
 def _notes(record: Record, part, v: float, core, hidden: np.ndarray) -> tuple[str, ...]:
+    """Return notes on varying speed, mode changes and invalid samples."""
     where = f"{core[0]:.0f} to {core[1]:.0f} m"
     notes = []
     slow, fast = np.percentile(record.v[part], [5, 95])
     if fast - slow > 0.1 * v:
-        notes.append(f"{where}: taken as driven at {v:.1f} m/s, {slow:.1f} to {fast:.1f} in truth")
+        notes.append(f"{where}: treated as driven at {v:.1f} m/s, actually {slow:.1f} to {fast:.1f} m/s")
     flags = np.hstack([record.spring_stiff[part], record.damper_high[part]])
     if (flags != flags[0]).any():
-        notes.append(f"{where}: taken as driven in the mode that lasted longest")
+        notes.append(f"{where}: treated as driven in the dominant mode")
     if hidden.size and (share := hidden.mean()) > 0.01:
         notes.append(f"{where}: {100 * share:.0f} % of the samples are missing or at the limit")
     return tuple(notes)

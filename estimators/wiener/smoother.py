@@ -1,20 +1,16 @@
-"""The Wiener smoother of a whole record: stretch by stretch, with gaps, and again with what of the
-struts' forces is not linear taken out.
+"""Wiener smoother of a record, segment by segment, with gaps and iterated statistical linearisation.
 
-On a stretch the signals are a Gaussian process of known spectrum, measured where they can be
-trusted. With C the covariance that this spectrum makes on a circle and M the selection of what is
-measured, the estimate is
+On a segment the signals a are a Gaussian process of known spectrum, observed at the valid samples.
+With C the covariance that the spectrum defines on a circle and M the selection of valid samples,
 
     z^ = C_za M' (M C_aa M')^-1 a
 
-so ends and gaps are nothing in particular (`build_model.solve`).
+handles ends and gaps exactly (`spectral_model.solve_circulant`).
 
-A `pass` beyond the first is statistical linearisation about the estimate itself: from z^ follow the
-struts' motion and its uncertainty, from these the expected remainder q of their forces and what is
-left unknown of it; q is taken out of the signals, what is left stays as noise, and the level of all
-noise is fitted again. Where wheels leave the ground the passes may not converge: one that makes the
-signals less likely than the first did, after a remainder that was still another one than before, is
-refused, and the one before it stands.
+Each further pass linearises about the estimate: z^ gives the motion of the struts and its
+uncertainty, hence the expected nonlinear force residual q and its variance. q is subtracted from
+the signals, part of its variance remains as noise, and the noise scale is fitted again. The passes
+may diverge where wheels leave the ground; a diverging pass is discarded (`smooth_segment`).
 """
 
 from collections.abc import Iterator
@@ -44,25 +40,26 @@ from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import VehicleParameters
 
 SEGMENT_LENGTH, SEGMENT_MARGIN = 150.0, 40.0
-"""Stretches [m], and the record around them that they also see."""
+"""Length [m] of a segment, and of the record used on either side of it."""
 
 F_DATUM = 0.1
-"""Slower than this [Hz] nothing is claimed."""
+"""Lowest frequency [Hz] that is estimated."""
 
 RELAXATION = 0.7
-"""Share of the way to a new remainder that a pass goes."""
+"""Relaxation factor of the update of the force residual."""
 
 RESIDUAL_NOISE_SHARE = 0.5
-"""Of the power that a pass cannot know of the remainder, the share that counts as noise in the
-next. Less than all, since errors of neighbouring moments cancel; tuned on training drives."""
+"""Fraction of the residual's unresolved power that counts as noise in the next pass. Less than 1,
+since errors of neighbouring samples cancel; tuned on training drives.
+"""
 
 DIVERGENCE_THRESHOLD = 0.8
-"""Change of the remainder from pass to pass, relative to itself."""
+"""Relative change of the residual between passes that may indicate divergence."""
 
 
 class Iterate(NamedTuple):
-    """Lines of wheel paths `z` (2, F) and of struts' rates `w` (4, F) on a circle, and the
-    densities `error` (F, 2, 2) [m³] of the paths' errors.
+    """Result of a pass: spectral lines of the wheel paths `z` (2, F) and of the struts' extension rates
+    `w` (4, F), and the spectral density `error` (F, 2, 2) [m³] of the paths' errors.
     """
 
     z: np.ndarray
@@ -73,9 +70,9 @@ class Iterate(NamedTuple):
 def smooth_record(
     record: Record, car: VehicleParameters, instruments: str, passes: int, std_factor: float
 ) -> Estimate:
-    """Both wheel paths, with standard deviations in the judged band times `std_factor`.
+    """Estimate both wheel paths; `std_factor` scales the standard deviations in the scored band.
 
-    Raises ConfigError on unknown instruments, ValueError on a record that says nothing.
+    Raises ConfigError on unknown instruments, ValueError if the record is unusable.
     """
     sensors, plant = load_instruments(instruments), build_plant(car)
     locations, track = sensors.locations(car), car.front.y_t + car.rear.y_t
@@ -99,10 +96,10 @@ def smooth_record(
 
 
 def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Iterator[Iterate]:
-    """The estimate after each pass that counts."""
+    """Yield the result of each pass until `passes` are done or the iteration diverges."""
     M, size, measured = segment.a.shape[1], model.size, max(int(segment.valid.sum()), 1)
     q, share = np.zeros((4, size)), np.ones(4)
-    start: np.ndarray | None = None
+    start: np.ndarray | None = None  # the previous solution warm-starts the next solve
     first: float | None = None
     change = 1.0
     for _ in range(passes):
@@ -118,6 +115,7 @@ def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Itera
             float(np.vdot(y, start)) / measured + np.mean(np.linalg.slogdet(spectrum)[1]) / 3
         )
         first = neg_log_likelihood if first is None else first
+        # less likely than the first pass while q still changed much: the last pass stands
         if change > DIVERGENCE_THRESHOLD and not neg_log_likelihood <= first:
             return
         SH = model.S @ hermitian(model.H)
@@ -136,7 +134,7 @@ def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Itera
 def to_grid(
     model: SpectralModel, segment: Segment, iterate: Iterate
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Heights and their standard deviations (2, N) [m], in steps of GRID from the first station."""
+    """Return heights and standard deviations (2, N) [m] at profile stations from the segment's first."""
     size = model.size * segment.stride
     lines = np.zeros((2, size // 2 + 1), dtype=complex)
     lines[:, : model.n.size] = iterate.z * (model.f < F_C)
@@ -153,7 +151,7 @@ def to_grid(
 
 
 def _coverage(segment: Segment, size: int) -> np.ndarray:
-    """Share (size,) of the samples about each station that were measured, 1.5 m to either side."""
+    """Return the fraction (size,) of valid samples within 1.5 m of each profile station."""
     measured = np.repeat(segment.valid.mean(axis=0), segment.stride)
     window = np.ones(2 * round(1.5 / PROFILE_SPACING) + 1)
     share = np.zeros(size)
@@ -162,8 +160,8 @@ def _coverage(segment: Segment, size: int) -> np.ndarray:
 
 
 def _blend_weights(stations: np.ndarray, core: tuple[float, float], length: float) -> np.ndarray:
-    """How much a stretch says at each station: all in its core, fading over half the margin into
-    its neighbours.
+    """Return a segment's weight at each station: 1 in its core, with a linear transition of half the
+    margin to its neighbours.
     """
     fade = 0.5 * SEGMENT_MARGIN
     up = np.clip((stations - core[0]) / fade + 0.5, 0.0, 1.0) if core[0] > 0.0 else 1.0
@@ -172,7 +170,7 @@ def _blend_weights(stations: np.ndarray, core: tuple[float, float], length: floa
 
 
 def _residual_forces(model: SpectralModel, iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
-    """Expected remainders (4, size) [N] of the struts' forces, and the power (4,) [N²] unknown."""
+    """Return the expected force residuals (4, size) [N] of the struts and their mean variances (4,) [N²]."""
     slow = model.f > F_DATUM
     per_rate = np.where(slow, 1.0 / (2j * np.pi * model.f), 0.0)
     w, e = irfft(iterate.w, model.size), irfft(iterate.w * per_rate, model.size)
@@ -186,8 +184,8 @@ def _residual_forces(model: SpectralModel, iterate: Iterate) -> tuple[np.ndarray
 def gaussian_expectation(
     law: NonlinearResidual, e: np.ndarray, w: np.ndarray, std_e: np.ndarray, std_w: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean force (4, N) [N] at extensions `e` and rates `w` (4, N) that are known but for normal
-    errors of `std_e` [m], `std_w` [m/s] (4,), and its mean variance (4,) [N²].
+    """Return the mean force (4, N) [N] and its variance (4,) [N²], averaged over N, at extensions
+    `e` [m] and rates `w` [m/s] (4, N) with Gaussian errors of standard deviation `std_e`, `std_w` (4,).
     """
     mean, variance = np.zeros(e.shape), np.zeros(4)
     for i in range(4):
@@ -206,7 +204,7 @@ def gaussian_expectation(
 
 
 def _gaussian_average(at: np.ndarray, table: np.ndarray, std: float) -> np.ndarray:
-    """E[table(at + std x)] for a normal x, by 13 points."""
+    """Return E[table(at + std x)] for a standard normal x, by a 13-point sum."""
     x = np.linspace(-3.0, 3.0, 13)
     weight = np.exp(-0.5 * x**2)
     weight /= weight.sum()

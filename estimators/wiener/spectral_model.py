@@ -1,14 +1,13 @@
-"""How the linearised car hears a road: responses, prior and noise on a stretch's frequencies, and
-the roughness and the noise that the stretch itself speaks for.
+"""Frequency-domain measurement model of the linearised vehicle on a segment.
 
-    a = H z + H_F q + e     z: wheel paths, q: what of the struts' forces is not linear, e: noise
+    a = H z + H_F q + e     z wheel paths, q nonlinear residuals of the strut forces, e sensor noise
 
-The level G_d(n0) of the prior, its shape (how far each octave is from a waviness of 2) and a factor
-kappa(f) on the noise, octave by octave, are those that make the stretch likely: empirical Bayes by
-expectation and maximisation (Dempster, Laird & Rubin, J. R. Stat. Soc. B 39, 1977), in turns with
-the equivalent dampers that go with the road. Noise can be told from road since three sensors hear
-two wheel paths: plant combination of them hears noise alone. A car that is not quite the plant supposed
-shows there, too, and raises kappa.
+Estimated per segment: the level G_d(n0) of the road prior, its shape (the deviation of each octave
+from a waviness of 2) and a noise scale per octave, by empirical Bayes with expectation
+maximisation (Dempster, Laird & Rubin, J. R. Stat. Soc. B 39, 1977), alternating with the equivalent
+dampers, which depend on the road. Noise and road are separable because three sensors observe two
+wheel paths: one combination of the sensors contains noise alone. A vehicle that differs from the
+model appears in this combination too and raises the noise scale.
 """
 
 from dataclasses import dataclass, replace
@@ -40,49 +39,48 @@ from road_envs.vehicle.linear_model import (
 )
 
 CIRCLE_PADDING = 40.0
-"""Road [m] that nobody measured, behind a stretch, before it begins again in the circle of a
-discrete Fourier transform."""
+"""Unobserved road [m] appended to a segment before it repeats in the DFT circle."""
 
 F_LOW = 0.4
-"""Below it [Hz] the sensors' offsets and drifts are at home."""
+"""Lowest frequency [Hz] of the fit; below it sensor offset and drift dominate."""
 
 NOISE_OCTAVES = np.array([0.7, 1.4, 2.8, 5.6, 11.0, 20.0])
-"""Centres [Hz] of the bands of kappa, between which it is interpolated over log f."""
+"""Band centres [Hz] of the noise scale, interpolated over log f."""
 
 ROAD_OCTAVES = 0.125 * 2.0 ** np.arange(6)
-"""Centres [cycles/m] of the bands of the road's shape, likewise."""
+"""Band centres [cycles/m] of the road's shape, interpolated over log n."""
 
 PSEUDO_COUNT = 12.0
-"""Weight of kappa = 1, and of a shape of 1, in each band, in lines of the spectrum."""
+"""Spectral lines that the prior value 1 of a band's noise scale or shape counts for."""
 
 CG_TOLERANCE, CG_STEPS_MAX = 1e-3, 80
-"""Of the conjugate gradients: relative size of the rest, and most steps."""
+"""Conjugate gradients: relative size of the final residual, and maximum steps."""
 
 DAMPING_ITERATIONS, EM_ITERATIONS = 4, 6
-"""Times that the dampers follow the level, and steps of expectation and maximisation in each."""
+"""Updates of the equivalent dampers, and EM iterations in each."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShapedRoadPrior(RoadPrior):
-    """A road as it was felt: `shape` at N_OCTAVES times what its level and waviness say."""
+    """Road prior with a factor `shape` at ROAD_OCTAVES on its power law."""
 
     shape: tuple[float, ...] = (1.0,) * ROAD_OCTAVES.size
 
     def density(self, n: np.ndarray) -> np.ndarray:
-        """One-sided density [m³] of either wheel path at `n` [cycles/m], any shape but 0."""
+        """Return the one-sided displacement PSD [m³] of a wheel path at `n` [cycles/m], n > 0, any array shape."""
         more = np.interp(np.log(n), np.log(ROAD_OCTAVES), np.log(self.shape))
         return super().density(n) * np.exp(more)
 
 
 @dataclass(frozen=True, eq=False)
 class SpectralModel:
-    """On the frequencies `n` (F,) [cycles/m], `f` [Hz], of a circle of `size` stations.
+    """Model on the frequencies `n` [cycles/m], `f` [Hz] (F,) of a circle of `size` stations.
 
-    `H` (F, 3, 2) [m/s² per m] and `X` (F, 4, 2) [m/s per m]: responses of the sensors and of the
-    struts' rates of extension to the wheel paths; `H_force` (F, 3, 4), `X_force` (F, 4, 4): to
-    forces beside the struts'. `residual_law`: the law of those forces, `residual_power` (4,) [N²] and spectrum over
-    n `residual_psd` (F, 4, 4) [N² m] of them; `sensor_psd` [(m/s²)² m] that of a sensor's own noise; `prior` of the
-    road and its spectrum `S` (F, 2, 2) [m³].
+    `H` (F, 3, 2) [m/s² per m], `X` (F, 4, 2) [m/s per m]: responses of sensors and of strut extension
+    rates to the wheel paths; `H_force` (F, 3, 4), `X_force` (F, 4, 4): to additional strut forces.
+    `residual_law`: nonlinear part of the strut forces; `residual_power` (4,) [N²]: its power;
+    `residual_psd` (F, 4, 4) [N² m]: its spectrum over n. `sensor_psd` [(m/s²)² m]: a sensor's noise.
+    `prior`: road prior; `S` (F, 2, 2) [m³]: its spectrum. `noise_scale` (F,): factor on all noise.
     """
 
     size: int
@@ -101,7 +99,7 @@ class SpectralModel:
     noise_scale: np.ndarray
 
     def noise_psd(self, share: np.ndarray | None = None) -> np.ndarray:
-        """Spectrum (F, 3, 3) over n of all noise, with a `share` (4,) of the forces' power left."""
+        """Return the spectrum (F, 3, 3) over n of all noise; `share` (4,) scales the residuals' power."""
         left = (
             self.residual_psd
             if share is None
@@ -111,7 +109,7 @@ class SpectralModel:
         return self.noise_scale[:, None, None] * (forces + self.sensor_psd * np.eye(3))
 
     def posterior(self, share: np.ndarray | None = None) -> Posterior:
-        """What can be known of the road at each frequency, with a `share` of the forces unknown."""
+        """Return the posterior of the road at each frequency; `share` (4,) scales the residuals' power."""
         return posterior(self.n, self.H, self.S, self.noise_psd(share))
 
 
@@ -122,7 +120,7 @@ def fit_hyperparameters(
     segment: Segment,
     track: float,
 ) -> SpectralModel:
-    """How a car hears a `segment`; level and noise are fitted to it. `track` [m] of the wheels."""
+    """Return the model of a `segment` with fitted road prior and noise scale. `track` [m] of the wheels."""
     size = next_fast_len(segment.a.shape[1] + round(CIRCLE_PADDING / segment.spacing), real=True)
     prior = ShapedRoadPrior(track=track)
     noise_scale = np.ones(size // 2 + 1)
@@ -143,10 +141,10 @@ def build_model(
     size: int,
     noise_scale: np.ndarray,
 ) -> SpectralModel:
-    """How a car hears a road like `prior` on a circle of `size` stations."""
+    """Return the model of a `segment` for this road `prior` on a circle of `size` stations."""
     v = segment.v
     n = rfftfreq(size, segment.spacing)
-    n[0] = 0.5 * n[1]  # at 0 nothing is heard, and the prior has no end
+    n[0] = 0.5 * n[1]  # at 0 the responses vanish and the prior is infinite
     f = n * v
     damping = equivalent_damping(plant, segment.mode, v, prior)
     linear = linearise(plant, segment.mode, locations, damping=damping)
@@ -173,9 +171,7 @@ def build_model(
 
 
 def windowed_spectrum(model: SpectralModel, segment: Segment) -> np.ndarray:
-    """Lines (F, 3, 1) [m/s² sqrt(m)] of the spectrum of a stretch, its gaps filled with what the
-    rest of it makes likely there.
-    """
+    """Return spectral lines (F, 3, 1) [m/s² sqrt(m)] of a segment; gaps hold their conditional mean."""
     measured = np.flatnonzero(segment.valid[active_sensors(segment)].any(axis=0))
     whole = np.zeros(segment.a.shape[1], dtype=bool)
     if measured.size:
@@ -187,8 +183,7 @@ def windowed_spectrum(model: SpectralModel, segment: Segment) -> np.ndarray:
             C, solve_circulant(C, a, segment.valid, model.size), model.size
         )
         a = np.where(segment.valid, a, expected_signals)
-    # a Hann window: an abrupt end would spread the body's resonances over frequencies at which
-    # there is little else
+    # Hann window: without it the body's resonances leak to frequencies of low power
     window = np.zeros(whole.size)
     window[whole] = np.sin(np.pi * (np.arange(whole.sum()) + 0.5) / max(whole.sum(), 1)) ** 2
     power = max(float(window @ window), 1e-9)
@@ -196,7 +191,7 @@ def windowed_spectrum(model: SpectralModel, segment: Segment) -> np.ndarray:
 
 
 def active_sensors(segment: Segment) -> np.ndarray:
-    """Indices of the sensors that report in most of the stretch."""
+    """Return the indices of the sensors with at least half as many valid samples as the best one."""
     share = segment.valid.mean(axis=1)
     return np.flatnonzero(share > 0.5 * share.max())
 
@@ -207,9 +202,9 @@ def run_em(
     sensors: np.ndarray,
     share: np.ndarray | None = None,
 ) -> tuple[ShapedRoadPrior, np.ndarray]:
-    """A likelier road and kappa (F,), given the spectrum's `lines` (F, 3, 1) of `sensors`.
+    """Return updated road prior and noise scale (F,), given spectral `lines` (F, 3, 1) of `sensors`.
 
-    With fewer than three sensors noise cannot be told from road, and kappa stays.
+    The noise scale stays as it is with fewer than three sensors: noise and road are not separable.
     """
     in_band = (model.f > F_LOW) & (model.f < F_C)
     n, y, H = model.n[in_band], lines[in_band][:, sensors], model.H[in_band][:, sensors]
@@ -243,42 +238,43 @@ def run_em(
 
 
 def _shrunk_band_means(each: np.ndarray, band: np.ndarray, bands: int) -> np.ndarray:
-    """Means (bands,) of what each line says in its `band`, drawn to 1 where lines are few."""
+    """Return means (bands,) of the lines' values by `band`, shrunk to 1 by PSEUDO_COUNT."""
     return (np.bincount(band, each, bands) + PSEUDO_COUNT) / (
         np.bincount(band, minlength=bands) + PSEUDO_COUNT
     )
 
 
 def _trace(matrices: np.ndarray) -> np.ndarray:
+    """Return the real traces (F,) of matrices (F, k, k)."""
     return np.real(np.einsum("fii->f", matrices))
 
 
 def hermitian(matrices: np.ndarray) -> np.ndarray:
-    """Conjugate transposes of the last two axes."""
+    """Return the conjugate transposes of the last two axes."""
     return np.conj(np.swapaxes(matrices, -1, -2))
 
 
 def signal_psd(model: SpectralModel, noise: np.ndarray) -> np.ndarray:
-    """Spectrum (F, 3, 3) over n of the signals, given that of the noise."""
+    """Return the spectrum (F, 3, 3) over n of the signals, given that of the noise."""
     return model.H @ model.S @ hermitian(model.H) + noise
 
 
 def apply_response(responses: np.ndarray, lines: np.ndarray) -> np.ndarray:
-    """Responses (F, a, b) to lines (b, F), as lines (a, F)."""
+    """Return the lines (a, F) of responses (F, a, b) to lines (b, F)."""
     return np.einsum("fab,bf->af", responses, lines)
 
 
 def circulant_product(spectrum: np.ndarray, x: np.ndarray, size: int) -> np.ndarray:
-    """Signals `x` (a, M) times the circulant matrix of a spectrum (F, a, a)."""
+    """Return the product (a, M) of a spectrum's (F, a, a) circulant matrix with signals `x` (a, M)."""
     return irfft(apply_response(spectrum, rfft(x, size)), size)[:, : x.shape[1]]
 
 
 def solve_circulant(
     C: np.ndarray, y: np.ndarray, valid: np.ndarray, size: int, start: np.ndarray | None = None
 ) -> np.ndarray:
-    """The x (3, M), 0 where nothing is `valid`, with C x = y (3, M) where it is.
+    """Return x (3, M), zero where not `valid`, with C x = y (3, M) where `valid`.
 
-    By conjugate gradients in Fourier transforms; C^-1 of the whole circle is the preconditioner.
+    Preconditioned conjugate gradients with FFT products; the preconditioner is C^-1 of the circle.
     """
     inverse = np.linalg.inv(C)
     y = valid * y

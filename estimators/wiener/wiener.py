@@ -1,13 +1,12 @@
-"""Wiener smoother: the best linear estimate from the whole record, with the car known.
+"""Wiener smoother: the best linear estimate from the whole record for a known vehicle.
 
-The car is linearised about rest, with the dampers that err least for the motion at hand; what its
-struts do besides is noise of known spectrum (`road_envs.analysis.statistical_linearization`). The roughness, and with it
-the dampers and that noise, is estimated from the record itself (`build_model.py`), stretch by stretch,
-so that nothing is learnt beforehand. Missing, clipped or cut signals cost only what they would have
-told (`smoothing.py`).
+The vehicle is linearised about rest with equivalent dampers; the nonlinear residual of the strut
+forces is noise of known spectrum (`road_envs.analysis.statistical_linearization`). The roughness,
+and with it dampers and noise, is estimated per segment from the record (`spectral_model.py`), so no
+training is needed. Missing, clipped or truncated signals only remove information (`smoother.py`).
 
-Known to fail: on rough roads at speed, where wheels leave the ground; when speed or mode change
-within a stretch. Friction sets its limit: the same car with linear struts would be at the bound.
+Limitations: rough roads at speed, where wheels leave the ground; speed or mode changes within a
+segment. Friction limits the accuracy: with linear struts the error would reach the bound.
 """
 
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 @dataclass(frozen=True, kw_only=True)
 class Wiener:
-    """The smoother for a car with these `instruments`."""
+    """One pass of the smoother for a vehicle with these `instruments`."""
 
     __pydantic_config__ = STRICT
     causal: ClassVar[bool] = False
@@ -30,5 +29,5 @@ class Wiener:
     std_factor: float = 0.93
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Both wheel paths. Raises ConfigError, ValueError."""
+        """Estimate both wheel paths. Raises ConfigError, ValueError."""
         return smooth_record(record, car, self.instruments, 1, self.std_factor)

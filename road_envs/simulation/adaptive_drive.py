@@ -1,13 +1,13 @@
-"""The vehicle driven by the adaptive Rosenbrock pair, compiled.
+"""Simulation of the vehicle with error control: the pair of `ode23s`, compiled.
 
-A step is `integrator.step`, the same machine code as at a constant step; the third stage of
-`rosenbrock` then tells its error. With k = (k_q, k_v) and R the third stage's right-hand side, it
-reduces to the seven rates as the other two do, with the same elimination of the matrix:
+A step is `rosenbrock.step`, the same code as at a constant step; the third stage of `ode23s` then
+estimates its error. With k = (k_q, k_v) and R the right-hand side of the third stage, it reduces to
+the seven rates like the other two, with the same factorization:
 
     (M + h d C + (h d)² K) k_3v = M R_v - h d K R_q,    k_3q = R_q + h d k_3v
 
-df/dt is the road's second derivative, taken as a difference over half the step. Constant speed,
-straight ahead, one mode: what changes during a drive is left to `simulate`.
+df/dt needs the road's second derivative, a finite difference over half the step. Only drives
+straight ahead, at constant speed and in one mode are supported; use `drive` for all others.
 """
 
 from collections.abc import Mapping
@@ -44,7 +44,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import DAMPING_HIGH, VALVE_OPEN, tyre_force
 
 MAX_STEP = 0.01
-"""Longest step [s] unless another is asked for: 150 mm of road at 54 km/h, seen three times."""
+"""Default longest step [s]: 150 mm of road at 54 km/h, sampled at three points."""
 
 
 @kernel
@@ -74,7 +74,7 @@ def step_error(
         R_v[j] = p.M[j] * (R_v[j] - 2.0 * (work.g[j] - start_signals[ACCELERATION + j]))
     for w in range(4):
         work.F[w] = -hd * work.k[w] * extension(p, R_q, w)
-        # what `step` kept of the tyre's change is by the road and the wheel; df/dt is the road's
+        # dT of `step` is due to the road and the wheel; df/dt has the road's part only
         work.T[w] = work.dT[w] + hd * work.k_t[w] * wheel_height(p, start_signals[N_DOF:], w)
         work.T[w] -= hd * work.k_t[w] * wheel_height(p, R_q, w)
     add_struts(p, work.F, hd * relative_roll(R_q, 0), hd * relative_roll(R_q, 1), R_v)
@@ -88,7 +88,7 @@ def step_error(
 
 @kernel
 def dense_output(start_signals, work, h, x, y):
-    """The state (14,) at the share `x` of the step just taken, written to `y`."""
+    """Write the state (14,) at the fraction `x` of the step just taken to `y`."""
     b_1, b_2 = dense_output_weights(x)
     for j in range(N_DOF):
         k_2q, k_2v = work.k_q[j] + work.r[j] + h * D * work.f[j], work.g[j] + work.f[j]
@@ -115,12 +115,12 @@ def adaptive_kernel(
     constants, velocity, displacement, strut_state, y,
     padded, start, ds, s_0, v, t, tolerance, out,
 ):  # fmt: skip
-    """Drive from time 0 and station `s_0` [m] at `v` [m/s] to the last of the times `t` (N,) [s].
+    """Integrate from t = 0 at station `s_0` [m] and speed `v` [m/s] to the last of `t` (N,) [s].
 
-    `y` (14,) ends as the state at the end of the last step; `padded`, `start`, `ds`: a Surface.
-    `tolerance` holds rtol, atol and the longest step [s]. `out` (N, 29): the signals at the times.
-    Returns the steps taken, those tried in vain, and the time reached: short of the end if no step
-    met the tolerance.
+    `y` (14,) is advanced in place; `padded`, `start`, `ds` describe a Surface. `tolerance` holds
+    rtol, atol and the longest step [s]. The signals at the times `t` go to `out` (N, 29). Returns
+    the numbers of accepted and of rejected steps, and the time reached, which is before the end if
+    no step meets the tolerance.
     """
     p, work, road, no_manoeuvre = constants[0], workspace(), np.empty(24), np.zeros(4)
     start_signals, error, y_dense = np.empty(N_SIGNALS), np.empty(2 * N_DOF), np.empty(2 * N_DOF)
@@ -149,7 +149,7 @@ def adaptive_kernel(
         max_ratio = 0.0
         for j in range(2 * N_DOF):
             ratio = abs(error[j]) / (atol + rtol * max(abs(start_signals[j]), abs(y[j])))
-            if ratio > max_ratio or ratio != ratio:  # a NaN stays
+            if ratio > max_ratio or ratio != ratio:  # a NaN must reject the step
                 max_ratio = ratio
         if not max_ratio <= 1.0:
             y[:] = start_signals[: 2 * N_DOF]
@@ -169,7 +169,7 @@ def adaptive_kernel(
 
 @dataclass(frozen=True)
 class AdaptiveResult:
-    """A drive at the wanted times, and the steps it took: those accepted, those tried in vain."""
+    """A drive at the requested times, with the numbers of accepted and of rejected steps."""
 
     trajectory: Trajectory
     steps: int
@@ -183,20 +183,27 @@ def integrate_adaptive(
     atol: float = 1e-6,
     max_step: float = MAX_STEP,
 ) -> AdaptiveResult:
-    """Where a drive at constant speed, not yet begun, is at the times `t` (N,) [s], ascending.
+    """Simulate a drive at constant speed up to the ascending times `t` (N,) [s].
 
-    The drive itself does not move on. Raises ValueError on bad input, SimulationError if no step
-    meets the tolerance.
+    `simulator` must not have been advanced and is left unchanged. Raises ValueError on bad input,
+    SimulationError if no step meets the tolerance.
     """
     if simulator.steps > 0 or simulator.manoeuvre is not None or len(simulator.speed_profile.v) > 1:
-        raise ValueError("an adaptive drive starts at its beginning, straight on at one speed")
+        raise ValueError(
+            "the simulator must be at its start, without a manoeuvre and at one speed; use "
+            "DriveSimulator.advance for other drives"
+        )
     if simulator.plant.flexible:
-        raise ValueError("a car with a flexible frame is driven in fixed steps, not adaptive ones")
+        raise ValueError(
+            "adaptive steps do not support a flexible frame; use DriveSimulator.advance"
+        )
     if not (rtol > 0 and atol > 0 and max_step > 0):
-        raise ValueError("tolerances and the longest step must be positive")
+        raise ValueError(
+            f"rtol, atol and max_step must be positive, got {rtol}, {atol} and {max_step}"
+        )
     t = np.array(t, dtype=float)
     if not ((t >= 0.0).all() and (np.diff(t) > 0).all()):
-        raise ValueError("times must ascend from 0")
+        raise ValueError("times t must be ascending and not negative")
     signals, tolerance = np.empty((t.size, N_SIGNALS)), np.array([rtol, atol, max_step])
     surface, start, speed = simulator.surface, simulator.start, simulator.speed
     road = (surface.padded, surface.start, surface.ds, start, speed)
@@ -204,7 +211,9 @@ def integrate_adaptive(
     laws = (*simulator.plant.arrays, strut_state)
     n_accepted, n_rejected, t_end = adaptive_kernel(*laws, state, *road, t, tolerance, signals)
     if t.size and t_end < t[-1]:
-        raise SimulationError(f"{surface.name}: no step meets the tolerance at {t_end:.6f} s")
+        raise SimulationError(
+            f"{surface.name}: no step meets the tolerance at {t_end:.6f} s; loosen rtol and atol"
+        )
     s, v = start + speed * t, np.full(t.size, speed)
     stiff_wheels = strut_state[:, VALVE_OPEN] == 0.0
     wheels = zip(stiff_wheels, strut_state[:, DAMPING_HIGH] == 1.0, strict=True)
@@ -223,10 +232,10 @@ def simulate_adaptive(
     step: float = 0.001,
     max_step: float = MAX_STEP,
 ) -> AdaptiveResult:
-    """Drive `car` over the whole `surface` at `speed` [m/s] in one 4S4 mode, with error control.
+    """Simulate `car` over the whole `surface` at `speed` [m/s] in one 4S4 mode, with error control.
 
-    `step` [s] separates the instants of the trajectory, not the integrator's steps, none of which
-    is longer than `max_step` [s]: a long step can miss a bump. Raises ConfigError on bad input,
+    `step` [s] is the sample time of the trajectory. The integrator chooses its own steps, none
+    longer than `max_step` [s], since a long step can miss a bump. Raises ConfigError on bad input,
     SimulationError if no step meets the tolerance.
     """
     simulator = DriveSimulator(build_plant(car), car, surface, speed, mode, step)

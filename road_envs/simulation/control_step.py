@@ -1,8 +1,9 @@
-"""One control interval of a block of instrumented cars, in one compiled pass.
+"""One control interval of blocks of instrumented vehicles, in one compiled pass.
 
-The drive (`lanes`), noise, clipping and anti-alias filter of the accelerometers as in `sensors`,
-the W_k filter of `comfort` and the sums of the costs; only what an environment reports comes out.
-Arrays have the blocks as first axis and the LANES as last one, which the shapes below leave out.
+It integrates the motion (`fleet`), applies noise, clipping and anti-alias filter of the
+accelerometers (as `data_logger`) and the W_k filter (`comfort`), and sums the costs; only the
+output of an environment is stored. Arrays have the blocks as first axis and LANES as last axis,
+which the shapes below omit.
 """
 
 from typing import NamedTuple
@@ -27,7 +28,7 @@ from road_envs.vehicle.parameters import GRAVITY
 
 ANGLES = tuple(DOF.index(name) for name in ("phi", "theta", "phi_af", "phi_ar"))
 MAX_ANGLE = float(np.radians(45.0))
-"""Beyond it [rad] a small angle is none, whichever of ANGLES it is."""
+"""Limit [rad] of each of ANGLES, beyond which the small-angle model is invalid."""
 
 OUTPUT_COLUMNS = (
     "t", "station", "speed_kmh", "comfort", "rattle", "tyre_load", "reward", "unresolved_variance",
@@ -39,10 +40,9 @@ OUT_RATTLE, OUT_TYRE_LOAD, OUT_REWARD, OUT_UNRESOLVED = range(4, 8)
 the strut states leave unresolved. The last one is a fourth cost that `InstrumentedFleet` adds."""
 
 N_PLANAR, N_STRUT_SIGNALS = 2, 8
-"""Numbers that an observation holds more where it has the group: horizontal accelerations; strut
-extensions and their rates."""
+"""Sizes of the optional observation groups: horizontal accelerations; strut extensions and rates."""
 MAX_PLANAR, MAX_EXTENSION, MAX_EXTENSION_RATE = 20.0, 0.5, 10.0
-"""Largest values observed of them [m/s², m, m/s]."""
+"""Limits of the observed values of these groups [m/s², m, m/s]."""
 
 STEPS_DELAYED, STEPS_DONE, NOISE_ROWS_USED, STEPS_TOTAL = range(4)
 DRIVE_START, SPEED, SPEED_KMH, SPEED_GAIN = range(4)
@@ -74,7 +74,13 @@ class FleetState(NamedTuple):
 
 
 class FleetParameters(NamedTuple):
-    """What all cars share: parameters, tables, filters, clipping level, step, steps per sample."""
+    """Parameters common to all vehicles.
+
+    Vehicle constants per lane (`p`) and as an array, force tables, command `delay` in steps,
+    valve factor `alpha`, `static_load` (4,) [N], cost `weights` (3,), filters, indices `columns` of
+    the stored signals, accelerometer noise and range [m/s²], `top_speed` [m/s], step `h` [s], steps
+    per sample (`decimation`), and flags of the optional observation groups.
+    """
 
     p: LaneConstants
     constants: np.ndarray
@@ -97,7 +103,7 @@ class FleetParameters(NamedTuple):
 
 
 class ControlStepWorkspace(NamedTuple):
-    """Scratch of one thread for a block and its n steps."""
+    """Scratch of one thread for the n steps of a block."""
 
     work: StepWorkspace
     road: np.ndarray  # (16,)
@@ -131,7 +137,7 @@ class StepOutput(NamedTuple):
 
 
 def workspace_buffer(steps: int) -> np.ndarray:
-    """Room (rows, LANES) for the Desk of intervals of so many steps."""
+    """Allocate the buffer (rows, LANES) of a ControlStepWorkspace for intervals of `steps` steps."""
     return aligned_zeros(_WORK + 17 + N_SIGNALS + (N_SIGNALS + 8) * steps + 2)
 
 
@@ -140,7 +146,7 @@ _WORK = 6 * N_DOF + 8 * 4 + 12 + 6
 
 @kernel
 def workspace_views(buffer, n):
-    """The Desk of intervals of `n` steps in a `workspace_buffer`."""
+    """Return the ControlStepWorkspace for `n` steps as views into a `workspace_buffer`."""
     q, w, at = N_DOF, 6 * N_DOF, _WORK
     work = StepWorkspace(
         buffer[:q],
@@ -172,7 +178,7 @@ def workspace_views(buffer, n):
 
 @kernel(inline=False)
 def _first_nonfinite(out, k):
-    """The first step before which a signal of lane `k` is not finite."""
+    """Return the first step of lane `k` with a non-finite signal at its beginning, or n."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             if not np.isfinite(out[i, j, k]):
@@ -182,7 +188,7 @@ def _first_nonfinite(out, k):
 
 @kernel(inline=False)
 def _first_rollover(out, k):
-    """4 i + column of the first step i at which one of ANGLES of lane `k` is too large."""
+    """Return 4 i + column of ANGLES for the first step i of lane `k` beyond MAX_ANGLE, or -1."""
     for i in range(out.shape[0]):
         for column in range(len(ANGLES)):
             if abs(out[i, ANGLES[column], k]) > MAX_ANGLE:
@@ -192,7 +198,7 @@ def _first_rollover(out, k):
 
 @kernel(inline=False)
 def _find_failures(out, q, v, largest, nonfinite_step, rollover):
-    """Write where the lanes' motion fails (LANES,); one that broke down is reported as still."""
+    """Write the first failures of the lanes (LANES,); zero the signals of diverged lanes."""
     for k in range(LANES):
         total = 0.0
         for j in range(N_DOF):
@@ -200,7 +206,7 @@ def _find_failures(out, q, v, largest, nonfinite_step, rollover):
         nonfinite_step[k] = -1
         if not np.isfinite(total):
             nonfinite_step[k] = _first_nonfinite(out, k)
-            out[:, :, k] = 0.0
+            out[:, :, k] = 0.0  # keeps the output and the filter states finite
     put(largest, 0, 0.0)
     for i in range(out.shape[0]):
         for angle in ANGLES:
@@ -212,7 +218,7 @@ def _find_failures(out, q, v, largest, nonfinite_step, rollover):
 
 @kernel(inline=False)
 def _sample_accelerometers(parameters, sensor_rows, antialias_state, noise, used, out, a):
-    """What the accelerometers give in an interval, to `a` (3, n, LANES), every step of it."""
+    """Write the filtered accelerometer signals of an interval to `a` (3, n, LANES)."""
     n = out.shape[0]
     if parameters.noise_std > 0.0:
         for k in range(LANES):
@@ -234,7 +240,7 @@ def _sample_accelerometers(parameters, sensor_rows, antialias_state, noise, used
 
 @kernel(inline=False)
 def _sum_costs(parameters, wk_state, out, heave, scalar, values):
-    """The costs and the reward of an interval, to their columns of `values` (LANES, 8)."""
+    """Write the costs and the reward of an interval to their columns of `values` (LANES, 8)."""
     n = out.shape[0]
     put(scalar, 0, 0.0)
     for i in range(n):
@@ -262,7 +268,7 @@ def _sum_costs(parameters, wk_state, out, heave, scalar, values):
 
 @kernel(inline=False)
 def _write_observation(parameters, kinematics, a, commands, observation):
-    """The observations (LANES, 3 k + 5) of a block."""
+    """Write the observations (LANES, 3 k + 5) of a block."""
     high = parameters.range
     for k in range(LANES):
         at, byte = 0, commands[k]
@@ -279,10 +285,10 @@ def _write_observation(parameters, kinematics, a, commands, observation):
 
 @kernel(inline=False)
 def _write_optional_groups(parameters, a_xy, out, k_0, observation):
-    """Horizontal accelerations and struts (LANES, ...), from column `k_0` of the observations on.
+    """Write the optional groups to the observations (LANES, ...), from column `k_0` on.
 
-    An accelerometer on a leaning body feels its share of the weight too: the means over the
-    interval of a_x - g theta and a_y + g phi. Extensions and rates are those of the last step.
+    Horizontal specific forces on the inclined body are a_x - g theta and a_y + g phi, averaged over
+    the interval. Strut extensions and rates are those of the last step.
     """
     n, at = out.shape[0], k_0
     if parameters.planar > 0:
@@ -307,7 +313,7 @@ def _write_optional_groups(parameters, a_xy, out, k_0, observation):
 
 @kernel(inline=False)
 def _write_truth(parameters, roads, workspace, s, profile, loads):
-    """Stations (LANES, k), heights under the front wheels and tyre loads at the samples."""
+    """Write stations, heights under the front wheels and tyre loads at the samples."""
     for i in range(0, workspace.out.shape[0], parameters.decimation):
         at = i // parameters.decimation
         station, speed = workspace.s[2 * i], workspace.v[2 * i]

@@ -20,19 +20,20 @@ from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 APRON_LENGTH = 5.0
-"""Level apron [m] before and after the surface."""
+"""Length [m] of the level apron before and after the surface."""
 
 
 class SimulationError(ArithmeticError):
-    """The motion left the numbers' range; the sentence says when."""
+    """The motion diverged, or no step of the adaptive integrator meets its tolerance."""
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Motion of the vehicle at N instants.
+    """Motion of the vehicle at N times.
 
-    `t` [s], `s` station of the front axle [m], `v` speed [m/s], `commands` bytes as given, all
-    (N,); `signals` (N, 29), or (N, 32) of a flexible car, as `integrator` lays them out.
+    `t` [s], `s` station of the front axle [m], `v` speed [m/s], `commands` bytes before their
+    delay, all (N,); `signals` (N, 29), or (N, 32) of a flexible vehicle, laid out as in
+    `rosenbrock`.
     """
 
     t: np.ndarray
@@ -43,7 +44,7 @@ class Trajectory:
 
     @property
     def state(self) -> np.ndarray:
-        """Coordinates and rates (N, 14), as in `dynamics`."""
+        """Coordinates and rates (N, 14), as in `equations`."""
         return self.signals[:, : 2 * N_DOF]
 
     @property
@@ -53,7 +54,7 @@ class Trajectory:
 
     @property
     def extension(self) -> np.ndarray:
-        """Strut extensions (N, 4) [m] from the static length: rattle space in use."""
+        """Strut extensions (N, 4) [m] from the static length, i.e. the rattle space used."""
         return self.signals[:, rosenbrock.EXTENSION : rosenbrock.EXTENSION + 4]
 
     @property
@@ -63,13 +64,13 @@ class Trajectory:
 
     @property
     def twist(self) -> np.ndarray:
-        """Twist of the frame (N, 3): angle [rad], rate and acceleration; nothing of a stiff one."""
+        """Twist of the frame (N, 3): angle [rad], rate and acceleration; (N, 0) if it is rigid."""
         return self.signals[:, rosenbrock.TWIST :]
 
     def body_acceleration(self, x: float, y: float) -> np.ndarray:
-        """Vertical acceleration (N,) [m/s²] of the body's point at (x, y) [m].
+        """Return the vertical acceleration (N,) [m/s²] of the body's point at (x, y) [m].
 
-        The halves of a flexible frame meet at the centre of mass.
+        The two halves of a flexible frame meet at the centre of mass, x = 0.
         """
         a = self.acceleration
         a_point = a[:, Z_B] - x * a[:, THETA] + y * a[:, PHI]
@@ -79,12 +80,11 @@ class Trajectory:
 
 
 class DriveSimulator:
-    """One vehicle on its way over a surface; plain NumPy state, so copies and pickles work.
+    """Simulator of one drive over a surface; its state is plain NumPy, so copies and pickles work.
 
-    `speed` is a number [m/s] or a SpeedProfile; `step` [s] is the integrator's. A `manoeuvre`, and
-    the acceleration of a speed profile, lean the body if `plant` was made for manoeuvres. Raises
-    ConfigError on a speed or step that is not positive, and on a surface shorter than the
-    wheelbase.
+    `speed` is a number [m/s] or a SpeedProfile; `step` [s] is the integrator's. A `manoeuvre` and
+    the acceleration of a speed profile act on the body if `plant` was built for manoeuvres. Raises
+    ConfigError on a speed or step out of range, and on a surface shorter than the wheelbase.
     """
 
     def __init__(
@@ -99,10 +99,10 @@ class DriveSimulator:
     ):
         if not isinstance(speed, SpeedProfile):
             if not (np.isfinite(speed) and speed > 0):
-                raise ConfigError(f"the speed must be positive, got {speed} m/s")
+                raise ConfigError(f"speed must be positive and finite, got {speed} m/s")
             speed = constant_speed(speed)
         if not 0 < step <= 0.01:
-            raise ConfigError(f"the integrator's step must be within (0, 0.01] s, got {step} s")
+            raise ConfigError(f"the integrator step must be within (0, 0.01] s, got {step} s")
         if surface.length < car.wheelbase:
             raise ConfigError(
                 f"{surface.name}: {surface.length:.2f} m of road is shorter than the wheelbase "
@@ -121,7 +121,7 @@ class DriveSimulator:
 
     def _at_rest(self) -> np.ndarray:
         if self.car.tyre_static_deflection != "equilibrium":
-            # the paper's start, some millimetres off equilibrium
+            # the paper starts there, some millimetres off equilibrium
             return np.zeros(2 * self.plant.inertias.size)
         s = self.start - np.array([0.0, 0.0, self.car.wheelbase, self.car.wheelbase])
         heights = self.surface.height(s)[[0, 1, 0, 1], range(4)]
@@ -129,22 +129,22 @@ class DriveSimulator:
 
     @property
     def t(self) -> float:
-        """Time since the start [s]."""
+        """Time [s] since the start."""
         return self.steps * self.step
 
     @property
     def speed(self) -> float:
-        """Speed now [m/s]."""
+        """Current speed [m/s]."""
         return float(self.speed_profile.at(np.array([self.t]))[1][0])
 
     @property
     def station(self) -> float:
-        """Station of the front axle [m]."""
+        """Current station [m] of the front axle."""
         return self.start + float(self.speed_profile.at(np.array([self.t]))[0][0])
 
     @property
     def steps_left(self) -> int:
-        """Steps until the drive is over."""
+        """Number of steps until the drive is finished."""
         return max(self._total - self.steps, 0)
 
     @property
@@ -153,14 +153,15 @@ class DriveSimulator:
         return self.steps_left == 0
 
     def delayed_commands(self, commands: np.ndarray) -> np.ndarray:
-        """The command bytes (n,) that reach the valves while `commands` (n,) are given."""
+        """Return the bytes (n,) that reach the valves in n steps; queue `commands` (n,)."""
         sent = np.concatenate([self.delay_line, commands])
         self.delay_line = sent[commands.size :]
         return sent[: commands.size]
 
     def half_step_inputs(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Stations [m], speeds [m/s] (2 n + 1,) and a_x, a_y [m/s²] (2 n + 1, 2) of the next `n`
-        steps, at every half step.
+        """Return stations [m] and speeds [m/s] (2 n + 1,), and a_x, a_y [m/s²] (2 n + 1, 2).
+
+        They are those of the next `n` steps, at every half step.
         """
         instants = half_step_times(self.step, self.steps, n)
         distance, v, a_x = self.speed_profile.at(instants)
@@ -169,9 +170,9 @@ class DriveSimulator:
         return self.start + distance, v, a_xy
 
     def advance(self, commands: np.ndarray) -> Trajectory:
-        """Take one step per command byte (n,); returns the signals at the steps' beginnings.
+        """Take one step per command byte (n,) and return the motion at the steps' beginnings.
 
-        Raises SimulationError if the motion is no longer finite.
+        Raises SimulationError if the motion diverges.
         """
         commands = np.asarray(commands, dtype=np.uint8)
         n = commands.size
@@ -179,7 +180,7 @@ class DriveSimulator:
         signals = np.empty((n, rosenbrock.n_signals(self.plant)))
         road = (self.surface.padded, self.surface.start, self.surface.ds, s, v, a_xy)
         valve = (self.delayed_commands(commands), self.car.valve.lag, self.step, signals)
-        # without the argument a rigid car's kernel compiles without the frame's branch
+        # no argument for a rigid frame: its kernel then compiles without flexible_step
         flexible = (True,) if self.plant.flexible else ()
         rosenbrock.integrate(
             *self.plant.arrays, self.strut_state, self.state, *road, *valve, *flexible
@@ -190,13 +191,13 @@ class DriveSimulator:
             n_finite = int(np.isfinite(signals).all(axis=1).sum())
             raise SimulationError(
                 f"{self.surface.name}: the motion is no longer finite at t = "
-                f"{self.step * (self.steps - n + n_finite):.3f} s"
+                f"{self.step * (self.steps - n + n_finite):.3f} s; check the vehicle and the step"
             )
         return Trajectory(t, s[:-1:2], v[:-1:2], commands, signals)
 
 
 def half_step_times(step: float, done: int, n: int) -> np.ndarray:
-    """The instants (2 n + 1,) [s] of `n` steps after `done` ones, with those half-way between."""
+    """Return the times (2 n + 1,) [s] of `n` steps after `done` steps, at every half step."""
     return 0.5 * step * (2 * done + np.arange(2 * n + 1))
 
 
@@ -208,10 +209,11 @@ def simulate(
     step: float = 0.001,
     manoeuvre: Manoeuvre | None = None,
 ) -> Trajectory:
-    """Drive `car` over the whole `surface` in one 4S4 mode, at a `speed` [m/s] or speed profile.
+    """Simulate `car` over the whole `surface` in one 4S4 mode, at a `speed` [m/s] or profile.
 
-    Without a `manoeuvre` nothing leans the body, not even a change of speed, as in the paper.
-    Raises ConfigError on bad input, SimulationError if the motion is no longer finite.
+    Without a `manoeuvre` no horizontal acceleration acts on the body, not even that of the speed
+    profile, as in the paper. Raises ConfigError on bad input, SimulationError if the motion
+    diverges.
     """
     plant = build_plant(car, manoeuvres=manoeuvre is not None)
     drive = DriveSimulator(plant, car, surface, speed, mode, step, manoeuvre)

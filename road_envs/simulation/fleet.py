@@ -1,9 +1,8 @@
-"""Many vehicles at once: LANES of them in a vector register, blocks of lanes over threads.
+"""Simulation of many vehicles at once: LANES of them per SIMD vector, blocks of lanes over threads.
 
-The step is `integrator.step` itself, compiled for vectors (`vector.py`); only reading the road,
-where each lane is on a surface of its own, and switching valves go lane by lane. Every vehicle has
-its own parameters, surface, speed and commands. What a lane computes depends on nothing but its
-own vehicle, so it is the same whatever the number of vehicles and threads.
+Every vehicle has its own parameters, surface, speed and commands. The step is `rosenbrock.step`,
+compiled for vectors (`simd`); only the valves are advanced lane by lane. The result of a lane
+depends on its own vehicle only, so it is the same for any number of vehicles and threads.
 """
 
 from collections.abc import Sequence
@@ -23,8 +22,8 @@ from road_envs.vehicle.equations import N_DOF, PLANT_DTYPE, extension, twist_ext
 from road_envs.vehicle.suspension import advance_valve, valves_settled
 
 LaneConstants = np.void
-"""`dynamics.PLANT_DTYPE` with lanes as the last axis of every field: a record, which compiled code
-finds by one address (30 arrays have 30, more than there are registers)."""
+"""Record like `equations.PLANT_DTYPE` with lanes as the last axis of every field. Compiled code
+needs one address for a record; 30 arrays would need 30, more than there are registers."""
 
 _LANE_CONSTANTS = np.dtype(
     [(name, "f8", (*PLANT_DTYPE[name].shape, LANES)) for name in PLANT_DTYPE.names or ()]
@@ -35,12 +34,13 @@ _WORK = np.dtype([(name, "f8", (size, LANES)) for name, size in _SIZES.items()])
 
 @cache
 def thread_pool(threads: int) -> ThreadPoolExecutor:
-    """Threads that stay: new ones begin on the core of their maker and are not moved in time."""
+    """Return a persistent pool of `threads` threads."""
+    # a new thread starts on its creator's core, and an interval ends before it is migrated
     return ThreadPoolExecutor(threads)
 
 
 class RoadBuffers(NamedTuple):
-    """Where each lane drives: its samples in `heights`, from `first` (2,) of left and right on."""
+    """Roads of LANES vehicles: lane k reads `heights` from `first` (2, LANES), left and right."""
 
     heights: np.ndarray
     first: np.ndarray
@@ -50,7 +50,7 @@ class RoadBuffers(NamedTuple):
 
 
 def aligned_zeros(*shape: int) -> np.ndarray:
-    """Zeros (..., LANES) whose rows begin where a vector register's loads cross no cache line."""
+    """Return zeros (..., LANES) with rows at multiples of 64 bytes: no load crosses a cache line."""
     size = int(np.prod(shape)) * LANES
     store = np.zeros(size + LANES)
     skip = -(store.ctypes.data // 8) % LANES
@@ -58,19 +58,19 @@ def aligned_zeros(*shape: int) -> np.ndarray:
 
 
 def aligned_copy(array: np.ndarray) -> np.ndarray:
-    """An aligned copy of an array (..., LANES)."""
+    """Return an aligned copy of an array (..., LANES)."""
     copy = aligned_zeros(*array.shape[:-1])
     copy[...] = array
     return copy
 
 
 def _aligned_record(kind: np.dtype) -> np.void:
-    """An aligned record of a kind whose fields have lanes as their last axis."""
+    """Return an aligned zero record of a dtype whose fields have lanes as their last axis."""
     return aligned_zeros(kind.itemsize // (8 * LANES)).reshape(-1).view(kind)[0]
 
 
 def lane_constants(constants: np.ndarray) -> LaneConstants:
-    """The Numbers of LANES vehicles from those of `dynamics` (LANES,)."""
+    """Return LaneConstants from the constants (LANES,) of LANES vehicles."""
     p = _aligned_record(_LANE_CONSTANTS)
     for name in PLANT_DTYPE.names or ():
         p[name][...] = np.moveaxis(constants[name], 0, -1)
@@ -78,15 +78,15 @@ def lane_constants(constants: np.ndarray) -> LaneConstants:
 
 
 def lane_workspace() -> np.void:
-    """Scratch of LANES vehicles for `integrator.step`: a record with the fields of Work."""
+    """Allocate the scratch of `rosenbrock.step` for LANES vehicles, a record like StepWorkspace."""
     return _aligned_record(_WORK)
 
 
 @kernel
 def sample_roads(p, roads, s, speed, road, at):
-    """Heights and rates under the wheels to rows `at` ... `at` + 7 of `road` (16, LANES).
+    """Write heights [m] and rates [m/s] under the wheels to rows `at` ... `at` + 7 of `road`.
 
-    `s`, `speed` (LANES,): stations of the front axles [m] and speeds [m/s].
+    `s`, `speed` (LANES,): stations [m] and speeds [m/s] of the front axles; `road` (16, LANES).
     """
     ds, v = get(roads.ds), get(speed)
     front = (get(s) - get(roads.start)) / ds + PAD
@@ -148,7 +148,10 @@ def delay_commands(delay_line, delay, steps_delayed, commands, delayed_commands)
 
 @kernel(inline=False)
 def front_axle_stations(start, v, done, h, s, speed):
-    """Stations and speeds (M, LANES) at half steps from `done` (LANES,) steps on, at speeds `v`."""
+    """Write stations `s` [m] and speeds `speed` [m/s] (M, LANES) at M half steps.
+
+    The vehicles have driven `done` (LANES,) steps from station `start` [m] at speed `v` [m/s].
+    """
     for i in range(s.shape[0]):
         for k in range(LANES):
             s[i, k] = start[k] + 0.5 * h * (2.0 * done[k] + i) * v[k]
@@ -180,11 +183,10 @@ def integrate_lanes(
 ):
     """Integrate LANES vehicles; `q`, `v` (7, LANES), `strut_state` (4, 3, LANES) change in place.
 
-    `s`, `speed` (2 N + 1, LANES), `a_xy` (4 N + 2, LANES) and `commands` (N, LANES) as in
-    `integrator.drive`; `alpha` (LANES,) is the share of the way to its target that a valve goes in
-    a step. Of the 29 signals those of `columns` (C,) go to `out` (N, C, LANES): more of them than
-    the caches hold cost as much time as the motion. `work`, `road` (16, LANES) and `row`
-    (29, LANES) are scratch. Of `flexible` cars `q`, `v` are (8, LANES) and there are 32 signals.
+    `s`, `speed` (2 N + 1, LANES), `a_xy` (4 N + 2, LANES) and `commands` (N, LANES) are as in
+    `rosenbrock.integrate`; `alpha` (LANES,): see `suspension.advance_valve`. The signals in
+    `columns` (C,) go to `out` (N, C, LANES). `work`, `road` (16, LANES) and `row` (29, LANES) are
+    scratch. Of `flexible` vehicles `q`, `v` are (8, LANES) and there are 32 signals.
     """
     last = np.zeros(LANES, dtype=np.uint8)
     at_target = np.zeros(LANES, dtype=np.bool_)
@@ -204,12 +206,13 @@ def integrate_lanes(
             flexible_step(
                 p, velocity, displacement, strut_state, q, v, road, a_xy_step, h, work, row
             )
+        # writing more columns than the caches hold takes as long as the step itself
         for c in range(columns.size):
             put(out[n], c, get(row, columns[c]))
 
 
 class _Block:
-    """LANES vehicles as the kernel reads them; a block that is not full repeats its last one."""
+    """LANES vehicles in the layout of the kernel; a partial block repeats its last vehicle."""
 
     def __init__(self, drives: Sequence[DriveSimulator]):
         lane_drives = [*drives, *[drives[-1]] * (LANES - len(drives))]
@@ -243,7 +246,7 @@ class _Block:
         self.steps_delayed = np.zeros(LANES, dtype=np.int64)
 
     def advance(self, commands: np.ndarray, columns: np.ndarray, out: np.ndarray) -> None:
-        """Write the signals (n, C, LANES) under commands (n, vehicles)."""
+        """Take n steps under `commands` (n, vehicles); write the signals to `out` (n, C, LANES)."""
         n, own = len(commands), len(self.drives)
         sent, delayed = np.empty((2, n, LANES), dtype=np.uint8)
         sent[:, :own], sent[:, own:] = commands, commands[:, -1:]
@@ -256,7 +259,7 @@ class _Block:
             drive.steps += n
 
     def _half_step_inputs(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Stations and speeds (2 n + 1, LANES); a_x, a_y one below the other (4 n + 2, LANES)."""
+        """Return stations, speeds (2 n + 1, LANES) and alternating a_x, a_y (4 n + 2, LANES)."""
         s, speed = aligned_zeros(2 * n + 1), aligned_zeros(2 * n + 1)
         a_xy = aligned_zeros(2 * n + 1, 2)
         if self.constant_speed_inputs is not None:
@@ -268,7 +271,7 @@ class _Block:
         return s, speed, a_xy.reshape(4 * n + 2, LANES)
 
     def write_back(self) -> None:
-        """Put the drives where their vehicles are."""
+        """Copy the motion of the vehicles into their simulators."""
         for k, drive in enumerate(self.drives):
             drive.state[:] = np.concatenate([self.q[:, k], self.v[:, k]])
             drive.strut_state[:] = self.strut_state[:, :, k]
@@ -280,7 +283,7 @@ class _Block:
 def _constant_speed_inputs(
     drives: Sequence[DriveSimulator],
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Starts [m] and speeds [m/s] of drives that are all alike in time and keep their speed."""
+    """Return starts [m] and speeds [m/s] if all drives are in step at constant speed, else None."""
     if not all(
         len(d.speed_profile.v) == 1 and d.manoeuvre is None and d.steps == drives[0].steps
         for d in drives
@@ -302,13 +305,13 @@ def _road_buffers(surfaces: Sequence[Surface]) -> RoadBuffers:
 
 
 class Fleet:
-    """Drives that go on side by side, each its own vehicle, surface, speed and commands.
+    """Simulators advanced together, each with its own vehicle, surface, speed and commands.
 
     All take the same integrator step. The fleet holds their motion until `write_back` copies it
-    into the drives. Blocks of LANES vehicles are spread over `threads`. `columns`
-    chooses signals, all 29 (of flexible cars 32) by default; what is not needed is better left out,
-    since writing costs time. Raises ConfigError on drives of different steps, on cars of which some
-    have a flexible frame and some have none, on an empty fleet and on unknown columns.
+    into the simulators. Blocks of LANES vehicles are spread over `threads`. `columns` selects
+    signals, by default all 29 (32 of flexible vehicles); fewer columns save time. Raises
+    ConfigError on an empty fleet, on different integrator steps, on a mixture of flexible and rigid
+    frames, and on unknown columns.
     """
 
     def __init__(
@@ -320,7 +323,8 @@ class Fleet:
         if not drives:
             raise ConfigError("a fleet needs at least one drive")
         if len({drive.step for drive in drives}) > 1:
-            raise ConfigError("the drives of a fleet must have one integrator step")
+            steps = sorted({drive.step for drive in drives})
+            raise ConfigError(f"the drives of a fleet must have one integrator step, got {steps} s")
         if len({drive.plant.flexible for drive in drives}) > 1:
             raise ConfigError("the cars of a fleet must all have a flexible frame, or none of them")
         rows = n_signals(drives[0].plant)
@@ -331,11 +335,11 @@ class Fleet:
         self.blocks = [_Block(drives[i : i + LANES]) for i in range(0, len(drives), LANES)]
 
     def allocate_signals(self, n: int) -> np.ndarray:
-        """Room (blocks, n, C, LANES) for the signals of n steps, to be used again and again."""
+        """Return an array (blocks, n, C, LANES) for the signals of n steps; it can be reused."""
         return aligned_zeros(len(self.blocks), n, self.columns.size)
 
     def advance(self, commands: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
-        """Signals (blocks, n, C, LANES) at the beginnings of n steps, in `out` if it is given.
+        """Take n steps and return the signals (blocks, n, C, LANES) at their beginnings, or in `out`.
 
         `commands` (vehicles, n) are bytes. Vehicle k is lane k % LANES of block k // LANES, see
         `select_vehicle`. A vehicle whose motion diverges has NaN in its signals and does not affect
@@ -354,12 +358,12 @@ class Fleet:
         return out
 
     def write_back(self) -> list[DriveSimulator]:
-        """The drives, each where its vehicle is."""
+        """Copy the motion into the simulators and return them."""
         for block in self.blocks:
             block.write_back()
         return self.drives
 
 
 def select_vehicle(signals: np.ndarray, k: int) -> np.ndarray:
-    """Signals (n, C) of vehicle `k` out of those of a fleet (blocks, n, C, LANES); a view."""
+    """Return a view (n, C) of the signals of vehicle `k` in those of a fleet."""
     return signals[k // LANES, :, :, k % LANES]

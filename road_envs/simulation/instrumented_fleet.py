@@ -1,7 +1,7 @@
-"""Equal instrumented cars, each on its own road, driven side by side, interval by interval.
+"""Fleet of equal instrumented vehicles, each on its own road, advanced by control intervals.
 
-This is what an environment advances. A car's numbers do not depend on its company, so that an
-environment of one car and one of thousands agree to the bit.
+It is the simulator behind the environments. The result of a vehicle does not depend on the other
+vehicles, so single and vector environments agree to the bit.
 """
 
 from collections.abc import Callable
@@ -48,11 +48,11 @@ from road_envs.vehicle.equations import N_DOF, Plant
 from road_envs.vehicle.parameters import VehicleParameters
 
 NOISE_INTERVALS = 20
-"""Intervals for which noise is drawn at once, in the order in which it would be drawn singly."""
+"""Intervals for which noise is drawn at once, in the same order as one interval at a time."""
 
 
 def sensor_rows(logger: DataLogger) -> np.ndarray:
-    """Rows (3, 3) that take heave, roll and pitch acceleration to the sensors."""
+    """Return the rows (3, 3) that map heave, roll and pitch acceleration to the sensors."""
     return np.array([[1.0, y, -x] for x, y in logger.locations])
 
 
@@ -120,9 +120,9 @@ class InstrumentedFleet:
         self._no_manoeuvre = np.zeros((1, 4 * steps + 2, LANES))
 
     def start(self, i: int, drive: DriveSimulator, logger: DataLogger, speed_kmh: float) -> None:
-        """Put car `i` at the beginning of a `drive`, at one speed, seen through a `logger`.
+        """Start vehicle `i` on a `drive` at constant speed, measured by `logger`.
 
-        `speed_kmh` is that speed as it will be told.
+        `speed_kmh` is the speed reported in the output.
         """
         b, k = divmod(i, LANES)
         self._set_road(b, k, drive)
@@ -145,9 +145,9 @@ class InstrumentedFleet:
             self.unresolved[i] = self.unresolved_variance(drive.speed)
 
     def advance(self, commands: np.ndarray, mask: np.ndarray | None = None) -> StepOutput:
-        """Drive one interval under `commands` (N,) uint8; the cars outside `mask` (N,) stand still.
+        """Advance by one interval under `commands` (N,) uint8, only the vehicles in `mask` (N,).
 
-        Rows of cars outside the mask say nothing.
+        Output rows outside the mask are undefined.
         """
         blocks, size = len(self.road_heights), len(self.road_heights) * LANES
         lane_commands = np.zeros(size, dtype=np.uint8)
@@ -178,7 +178,7 @@ class InstrumentedFleet:
         return StepOutput(*(field[: self.n_vehicles] for field in output))
 
     def _subtract_information_cost(self, commands: np.ndarray, values: np.ndarray) -> None:
-        """Charge the rewards with what the commanded states leave unknown of the road."""
+        """Subtract the cost of the road variance that the commanded states leave unresolved."""
         n, interval = self.n_vehicles, self.steps * self.step
         unresolved = self.unresolved[np.arange(n), commands]
         values[:n, OUT_UNRESOLVED] = unresolved
@@ -186,17 +186,17 @@ class InstrumentedFleet:
 
     @property
     def done(self) -> np.ndarray:
-        """Steps taken (N,)."""
+        """Number of steps taken (N,)."""
         return self.state.counts[:, STEPS_DONE].ravel()[: self.n_vehicles]
 
     @property
     def steps_left(self) -> np.ndarray:
-        """Steps until the cars' drives are over (N,)."""
+        """Number of steps until the drives are finished (N,)."""
         left = self.state.counts[:, STEPS_TOTAL] - self.state.counts[:, STEPS_DONE]
         return left.ravel()[: self.n_vehicles]
 
     def write_back(self, i: int, drive: DriveSimulator) -> None:
-        """Put `drive` where car `i` is."""
+        """Copy the motion of vehicle `i` into `drive`."""
         b, k = divmod(i, LANES)
         drive.state[:N_DOF], drive.state[N_DOF:] = self.state.q[b, :, k], self.state.v[b, :, k]
         drive.strut_state[:] = self.state.strut_state[b, :, :, k]
@@ -206,7 +206,7 @@ class InstrumentedFleet:
             drive.delay_line = np.roll(ring, -(self.state.counts[b, STEPS_DELAYED, k] % ring.size))
 
     def last_interval(self, i: int, byte: int) -> Trajectory:
-        """The motion of car `i` in the last interval, under `byte`; of the first block only."""
+        """Return the last interval's motion of vehicle `i`, first block only, commanded by `byte`."""
         last = workspace_views(self._workspaces[0][1], self.steps)
         first = int(self.state.counts[0, STEPS_DONE, i]) - self.steps
         t = self.step * (first + np.arange(self.steps))
@@ -215,7 +215,7 @@ class InstrumentedFleet:
         return Trajectory(t, s, v, commands, last.out[:, :, i].copy())
 
     def _set_road(self, b: int, k: int, drive: DriveSimulator) -> None:
-        """Lay the surface of `drive` under lane `k` of block `b`."""
+        """Set the road of lane `k` in block `b` to the surface of `drive`."""
         z = drive.surface.z
         size = z.shape[1] + 2 * PAD
         if size > self.road_heights.shape[1] // (2 * LANES):
@@ -233,7 +233,7 @@ class InstrumentedFleet:
         )
 
     def _resize_roads(self, capacity: int) -> None:
-        """Make room for `capacity` samples of each wheel path of every lane."""
+        """Reallocate the roads with `capacity` samples per wheel path of every lane."""
         blocks, old = len(self.road_heights), self.road_heights.shape[1] // (2 * LANES)
         heights = np.zeros((blocks, 2 * LANES, capacity))
         common = min(old, capacity)
@@ -254,7 +254,7 @@ class InstrumentedFleet:
                 used[b, k] = 0
 
     def _manoeuvre_inputs(self) -> np.ndarray:
-        """a_x, a_y one below the other (B or 1, 4 n + 2, LANES) for the coming interval."""
+        """Return alternating a_x, a_y (B or 1, 4 n + 2, LANES) for the next interval."""
         if self.manoeuvre is None:
             return self._no_manoeuvre
         done = self.state.counts[:, STEPS_DONE]
@@ -263,7 +263,7 @@ class InstrumentedFleet:
         return np.moveaxis(a_xy, -1, 2).reshape(len(done), 4 * self.steps + 2, LANES)
 
     def _allocate_output(self, size: int) -> StepOutput:
-        """Fresh arrays for what `size` lanes will have seen."""
+        """Allocate the output of `size` lanes."""
         truth = self.samples if self.truth else 0
         return StepOutput(
             np.empty((size, self.observation_size), dtype=np.float32),
@@ -279,7 +279,7 @@ class InstrumentedFleet:
     def _restore_unmasked(
         self, moving: np.ndarray, mask: np.ndarray, saved: list[np.ndarray]
     ) -> None:
-        """Undo what the last interval did to cars outside the `mask`."""
+        """Restore the state of the vehicles outside the `mask` after an interval."""
         unmasked = np.ones(len(self.road_heights) * LANES, dtype=bool)
         unmasked[: self.n_vehicles] = ~mask
         for field, before in zip(self.state, saved, strict=True):
@@ -320,7 +320,7 @@ def _fleet_parameters(
 def _initial_state(
     blocks: int, delay: int, antialias_sections: int, wk_sections: int
 ) -> FleetState:
-    """Cars that stand still on level ground, all lanes of every block."""
+    """Return the state of vehicles at rest on level ground, in all lanes of every block."""
     state = FleetState(
         q=aligned_zeros(blocks, N_DOF),
         v=aligned_zeros(blocks, N_DOF),

@@ -1,7 +1,7 @@
-"""What the driver does beside driving on: accelerations of the centre of mass over time.
+"""Driving manoeuvres: horizontal accelerations of the centre of mass over time.
 
-Lateral a_y, to the left positive, and longitudinal a_x, ahead positive [m/s²]. Each manoeuvre is
-smooth enough for the car that it would take: a step in a_y would need a step in steering.
+Lateral a_y is positive to the left, longitudinal a_x positive ahead [m/s²]. All manoeuvres are
+continuous, because a step in a_y would need a step in the steering angle.
 """
 
 from dataclasses import dataclass
@@ -13,15 +13,15 @@ from road_envs.config import STRICT, ConfigError, build, validate_choice
 
 
 class Manoeuvre(Protocol):
-    """Accelerations of the centre of mass as functions of time."""
+    """Horizontal accelerations of the centre of mass as functions of time."""
 
     def at(self, t: np.ndarray) -> np.ndarray:
-        """a_x and a_y (N, 2) [m/s²] at the instants `t` (N,) [s]."""
+        """Return a_x and a_y (N, 2) [m/s²] at the times `t` (N,) [s]."""
         ...
 
 
 def _smooth_step(x: np.ndarray) -> np.ndarray:
-    """0 below 0, 1 above 1, a raised cosine between."""
+    """Return 0 for x < 0, 1 for x > 1 and a raised cosine in between."""
     return 0.5 - 0.5 * np.cos(np.pi * np.clip(x, 0.0, 1.0))
 
 
@@ -31,17 +31,17 @@ def _lateral(a_y: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class SteadyTurn:
-    """A turn to the left (a_y > 0) that is built up, held, and let go."""
+    """Turn to the left (a_y > 0): build-up, constant lateral acceleration, release."""
 
     __pydantic_config__ = STRICT
 
-    a_y: Annotated[float, "m/s²", "lateral acceleration that is held"] = 3.924
-    begin: Annotated[float, "s", "when the turn is begun"] = 1.0
-    build_up: Annotated[float, "s", "time to build it up, and to let it go"] = 1.0
-    hold: Annotated[float, "s", "time for which it is held"] = np.inf
+    a_y: Annotated[float, "m/s²", "lateral acceleration of the constant phase"] = 3.924
+    begin: Annotated[float, "s", "time at which the turn begins"] = 1.0
+    build_up: Annotated[float, "s", "duration of the build-up, and of the release"] = 1.0
+    hold: Annotated[float, "s", "duration of the constant phase"] = np.inf
 
     def at(self, t: np.ndarray) -> np.ndarray:
-        """a_x and a_y (N, 2) [m/s²]."""
+        """Return a_x and a_y (N, 2) [m/s²] at the times `t` (N,) [s]."""
         rise = _smooth_step((t - self.begin) / self.build_up)
         fall = _smooth_step((t - self.begin - self.build_up - self.hold) / self.build_up)
         return _lateral(self.a_y * (rise - fall))
@@ -49,24 +49,24 @@ class SteadyTurn:
 
 @dataclass(frozen=True, kw_only=True)
 class LaneChange:
-    """A double lane change: there and back, as the lateral-acceleration history of ISO 3888-1.
+    """Double lane change over the track of ISO 3888-1, as a lateral acceleration history.
 
-    The standard's track asks for 3.5 m sideways within 30 m, 25 m straight, and 3.5 m back within
-    25 m. A full sine of amplitude A and duration T displaces by A T² / (2 pi), so each change of
-    lane is one sine of the length of its section, at speed `v`.
+    The track leads 3.5 m sideways within 30 m, 25 m straight, and 3.5 m back within 25 m. A full
+    sine of amplitude A and duration T displaces by A T² / (2 pi), so each lane change is one sine
+    over the length of its section at speed `v`.
     """
 
     __pydantic_config__ = STRICT
 
     v: Annotated[float, "m/s", "speed through the track"] = 15.0
-    begin: Annotated[float, "s", "when the first section is entered"] = 1.0
-    offset: Annotated[float, "m", "sideways displacement of the lane"] = 3.5
+    begin: Annotated[float, "s", "time at which the first section is entered"] = 1.0
+    offset: Annotated[float, "m", "lateral offset of the lane"] = 3.5
     sections: Annotated[
         tuple[float, float, float], "m", "lengths: out, straight, back (ISO 3888-1:2018, table 1)"
     ] = (30.0, 25.0, 25.0)
 
     def at(self, t: np.ndarray) -> np.ndarray:
-        """a_x and a_y (N, 2) [m/s²]."""
+        """Return a_x and a_y (N, 2) [m/s²] at the times `t` (N,) [s]."""
         out, straight, back = (length / self.v for length in self.sections)
         a_y = self._sine(t - self.begin, out) - self._sine(t - self.begin - out - straight, back)
         return _lateral(a_y)
@@ -78,33 +78,33 @@ class LaneChange:
 
 @dataclass(frozen=True, kw_only=True)
 class Slalom:
-    """A sine of lateral acceleration, faded in over its first period."""
+    """Sinusoidal lateral acceleration, with a smooth start over the first period."""
 
     __pydantic_config__ = STRICT
 
     a_y: Annotated[float, "m/s²", "amplitude"] = 3.0
-    period: Annotated[float, "s", "time from left to left"] = 3.0
-    begin: Annotated[float, "s", "when it starts"] = 1.0
+    period: Annotated[float, "s", "period of the sine"] = 3.0
+    begin: Annotated[float, "s", "time at which it begins"] = 1.0
 
     def at(self, t: np.ndarray) -> np.ndarray:
-        """a_x and a_y (N, 2) [m/s²]."""
+        """Return a_x and a_y (N, 2) [m/s²] at the times `t` (N,) [s]."""
         x = (t - self.begin) / self.period
         return _lateral(self.a_y * _smooth_step(x) * np.sin(2.0 * np.pi * x))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Braking:
-    """Braking on the body alone; a SpeedProfile brakes the drive, and brings its own a_x."""
+    """Braking as it acts on the body only; a SpeedProfile changes the speed and has its own a_x."""
 
     __pydantic_config__ = STRICT
 
-    a_x: Annotated[float, "m/s²", "deceleration, given positive"] = 4.0
-    begin: Annotated[float, "s", "when the brake is applied"] = 1.0
-    build_up: Annotated[float, "s", "time to build it up, and to let it go"] = 0.3
-    hold: Annotated[float, "s", "time for which it is held"] = 2.0
+    a_x: Annotated[float, "m/s²", "deceleration, as a positive number"] = 4.0
+    begin: Annotated[float, "s", "time at which the brake is applied"] = 1.0
+    build_up: Annotated[float, "s", "duration of the build-up, and of the release"] = 0.3
+    hold: Annotated[float, "s", "duration of the constant phase"] = 2.0
 
     def at(self, t: np.ndarray) -> np.ndarray:
-        """a_x and a_y (N, 2) [m/s²]."""
+        """Return a_x and a_y (N, 2) [m/s²] at the times `t` (N,) [s]."""
         turn = SteadyTurn(a_y=self.a_x, begin=self.begin, build_up=self.build_up, hold=self.hold)
         return np.stack([-turn.at(t)[..., 1], np.zeros_like(t)], axis=-1)
 
@@ -118,9 +118,11 @@ KINDS: dict[str, type] = {
 
 
 def load_manoeuvre(source: str | dict[str, Any]) -> Manoeuvre:
-    """A manoeuvre by kind, or from a mapping with `kind` and settings. Raises ConfigError."""
+    """Return a manoeuvre by kind, or from a mapping of `kind` and settings. Raises ConfigError."""
     settings = {"kind": source} if isinstance(source, str) else dict(source)
     if "kind" not in settings:
-        raise ConfigError(f"a manoeuvre needs its kind; known: {', '.join(KINDS)}")
+        raise ConfigError(
+            f"a manoeuvre needs a key 'kind', one of {', '.join(KINDS)}; got {settings}"
+        )
     kind = validate_choice("manoeuvre", settings.pop("kind"), KINDS)
     return build(KINDS[kind], settings, kind)

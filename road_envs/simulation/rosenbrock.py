@@ -1,7 +1,7 @@
-"""Fixed-step integration of the vehicle over a surface: a two-stage Rosenbrock method.
+"""Fixed-step integrator of the vehicle: a two-stage Rosenbrock method.
 
-The method is the second-order formula of Shampine & Reichelt's `ode23s` (1997, "The MATLAB ODE
-suite", SIAM J. Sci. Comput. 18, eq. 3.1), the paper's integrator, at a constant step:
+The method is the second-order formula of `ode23s`, the paper's integrator (Shampine & Reichelt
+1997, "The MATLAB ODE suite", SIAM J. Sci. Comput. 18, eq. 3.1), at a constant step:
 
     W = I - h d J,   d = 1 / (2 + sqrt 2),   T = df/dt
     W k_1 = F(t, y) + h d T
@@ -13,9 +13,9 @@ and each stage reduces to the seven rates: k_q = r_q + h d k_v, with
 
     (M + h d C + (h d)² K) k_v = f + h d df/dt - h d K r_q
 
-where K = -df/dq, C = -df/dv. K and C are sums over struts and tyres, so the products with them are
-taken force by force, and the matrix is never assembled: each axle is eliminated as a 2 x 2 block,
-which leaves a 3 x 3 system in the body (Schur complement).
+where K = -df/dq, C = -df/dv. K and C are sums over struts and tyres, so products with them are
+computed force by force. The matrix is never assembled: each axle is eliminated as a 2 x 2 block,
+which leaves a 3 x 3 system for the body (Schur complement).
 """
 
 from typing import NamedTuple
@@ -53,22 +53,22 @@ N_SIGNALS = 29
 """Columns of the output: state (14), accelerations (7), strut extensions (4), tyre loads (4)."""
 
 TWIST, N_FLEXIBLE_SIGNALS = 29, 32
-"""Behind them, of a flexible car: the frame's twist [rad], its rate and its acceleration."""
+"""Further columns of a flexible vehicle: frame twist [rad], its rate and its acceleration."""
 
 
 def n_signals(plant: Plant) -> int:
-    """How many signals a car has."""
+    """Return the number of signals of a vehicle."""
     return N_FLEXIBLE_SIGNALS if plant.flexible else N_SIGNALS
 
 
 @kernel
 def factorize(p, s, t, hd, blocks, body):
-    """Factor M + h d C + (h d)² K: axles to `blocks` (12,), the body's LDL' to `body` (6,).
+    """Factorize M + h d C + (h d)² K: axles to `blocks` (12,), the body's LDL' to `body` (6,).
 
-    `s`, `t` (4,) are h d c + (h d)² k of each strut and tyre. Half of `blocks` holds N, the
-    inverse of the axle's own block (n00, n01, n11), and S (s0, s1, s2), where -S P is its coupling
-    with the body and P takes the body's coordinates to heave and roll at the axle. The body is left
-    with M_b + sum P' (S - S N S) P.
+    `s`, `t` (4,) are h d c + (h d)² k of each strut and tyre. For each axle `blocks` holds N, the
+    inverse of the axle's own block (n00, n01, n11), and S (s0, s1, s2); -S P is the coupling of
+    axle and body, where P maps the body's coordinates to heave and roll at the axle. The Schur
+    complement of the body is M_b + sum P' (S - S N S) P.
     """
     a00 = get(p.M, Z_B)
     a01 = a02 = a12 = 0.0 * a00
@@ -113,7 +113,7 @@ def factorize(p, s, t, hd, blocks, body):
 
 @kernel
 def solve_factored(p, blocks, body, g):
-    """Solve for the rates (7,) in place of the right-hand side `g` (7,)."""
+    """Replace the right-hand side `g` (7,) by the solution, with the factors of `factorize`."""
     z, phi, theta = get(g, Z_B), get(g, PHI), get(g, THETA)
     for i in range(2):
         a, k = AXLE + 2 * i, 6 * i
@@ -145,7 +145,7 @@ def solve_factored(p, blocks, body, g):
 
 
 class StepWorkspace(NamedTuple):
-    """Scratch of one vehicle: right-hand sides (7,), stage values (7,), wheels (4,), factors."""
+    """Scratch of `step`: right-hand sides and stage values (7,), wheel values (4,), factors."""
 
     f: np.ndarray
     g: np.ndarray
@@ -167,7 +167,7 @@ class StepWorkspace(NamedTuple):
 
 @kernel
 def workspace():
-    """Scratch for `step`."""
+    """Allocate the scratch of `step` for one vehicle."""
     a, b = np.empty((6, N_DOF)), np.empty((8, 4))
     return StepWorkspace(
         *(a[0], a[1], a[2], a[3], a[4], a[5]),
@@ -178,14 +178,15 @@ def workspace():
 
 @kernel
 def step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out, twist=None):
-    """Advance the coordinates `q` and rates `v` (7,) by `h` [s], one vehicle or LANES of them.
+    """Advance the coordinates `q` and rates `v` (7,) of one or LANES vehicles by `h` [s], in place.
 
-    The signals at the beginning go to `out` (29,). `road` (16,): heights [m] of the road under the
-    four wheels at t, their rates [m/s], and both again at t + h/2. `a_xy` (4,): accelerations a_x,
-    a_y [m/s²] of a manoeuvre at t and at t + h/2. `twist`, if given, is four numbers: the frame's
-    twist [rad] and its rate at t and at t + h/2. With lanes, every array has them as a last axis.
+    The signals at t go to `out` (29,). `road` (16,): heights [m] of the road under the four wheels
+    at t, their rates [m/s], and both again at t + h/2. `a_xy` (4,): accelerations a_x, a_y [m/s²]
+    of a manoeuvre at t and at t + h/2. `twist`, if given: the frame's twist [rad] and its rate at
+    t and at t + h/2 (4 numbers). With LANES vehicles every array has the lanes as its last axis.
     """
     hd = h * D
+    # stage 1: F, T are the forces at t; dF, dT their part of h d (df/dt - K v)
     f, g, r, k_q = work.f, work.g, work.r, work.k_q
     F, T, dF, dT = work.F, work.T, work.dF, work.dT
     for w in range(4):
@@ -233,6 +234,7 @@ def step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out,
 
     factorize(p, work.s, work.t, hd, work.blocks, work.body)
     solve_factored(p, work.blocks, work.body, g)
+    # stage 2 at (work.q, work.v): r = r_q of k_2 - k_1, f collects its right-hand side
     for j in range(N_DOF):
         rate, kv = get(v, j), get(g, j)
         kq = rate + hd * kv
@@ -272,11 +274,11 @@ def step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out,
 
 @kernel
 def flexible_step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out):
-    """`step` of a car whose frame twists: `q`, `v` (8,) with the twist last, `out` (32,).
+    """`step` of a vehicle with a flexible frame: `q`, `v` (8,) with the twist last, `out` (32,).
 
-    The same two stages with the matrix of the seven and that of the twist side by side, and
-    nothing where they couple. The formula is of order 2 with any matrix in place of the Jacobian,
-    as k_2 = F(t + h/2, y + h k_1 / 2) + O(h²) then as well; and the coupling is not stiff.
+    The matrix W is block diagonal here: it omits the coupling of the seven rigid coordinates and
+    the twist. The formula keeps order 2 with any matrix in place of the Jacobian, since
+    k_2 = F(t + h/2, y + h k_1 / 2) + O(h²) still holds, and the omitted coupling is not stiff.
     """
     hd = h * D
     inertia, rate, damping = get(p.frame_inertia), get(p.frame_rate), get(p.frame_damping)
@@ -318,7 +320,7 @@ def flexible_step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, w
 
 @kernel
 def sample_road(p, padded, start, ds, s, v, road):
-    """Heights and their rates (8,) under the wheels with the front axle at `s` [m]."""
+    """Write heights [m] and rates [m/s] under the wheels to `road` (8,), front axle at `s` [m]."""
     for w in range(4):
         behind = p.x[0] - p.x[w // 2]
         z, slope = height_and_slope(padded, w % 2, s - behind, start, ds)
@@ -329,8 +331,8 @@ def sample_road(p, padded, start, ds, s, v, road):
 def state_rate(constants, velocity, displacement, strut_state, padded, start, ds, s, v, y, out):
     """Write the rate (14,) of the state `y` with the front axle at station `s` [m] to `out`.
 
-    This is the right-hand side for other integrators; `strut_state` (4, 3) is held. Of a flexible
-    car `y` and `out` are (16,).
+    This is the right-hand side for other integrators; `strut_state` (4, 3) stays constant. Of a
+    flexible vehicle `y` and `out` are (16,).
     """
     road, n = np.empty(8), y.size // 2
     sample_road(constants[0], padded, start, ds, s, v, road)
@@ -343,7 +345,7 @@ def state_rate(constants, velocity, displacement, strut_state, padded, start, ds
 def update_valves(p, strut_state, q, command, alpha, h, flexible=None):
     """Advance the `strut_state` (4, 3) of all struts by one step `h` [s] under a `command` byte.
 
-    `alpha` as in `suspension.advance_valve`; `q` (7,), or (8,) of a `flexible` car.
+    `alpha`: see `suspension.advance_valve`; `q` is (7,), or (8,) of a `flexible` vehicle.
     """
     for w in range(4):
         stiff, high = (command >> w) & 1, (command >> (4 + w)) & 1
@@ -361,11 +363,11 @@ def integrate(
 ):  # fmt: skip
     """Integrate len(commands) steps of `h` [s]; `y` (14,), `strut_state` (4, 3) change in place.
 
-    `padded`, `start`, `ds`: a Surface. At every half step: `s`, `v` (2 N + 1,), station of the
-    front axle [m] and speed [m/s]; `a_xy` (2 N + 1, 2), a_x and a_y [m/s²] of a manoeuvre.
+    `padded`, `start`, `ds` describe a Surface. At every half step: `s`, `v` (2 N + 1,), station
+    [m] and speed [m/s] of the front axle; `a_xy` (2 N + 1, 2), a_x and a_y [m/s²] of a manoeuvre.
     `commands` (N,): bytes as they reach the valves, whose time constant is `lag` [s]. `out`
-    (N, 29): the signals at the beginning of each step. Of a `flexible` car `y` is (16,) and `out`
-    (N, 32).
+    (N, 29): the signals at the beginning of each step. Of a `flexible` vehicle `y` is (16,) and
+    `out` (N, 32).
     """
     p, work, road = constants[0], workspace(), np.empty(16)
     q, rates = y[: y.size // 2], y[y.size // 2 :]

@@ -1,33 +1,32 @@
-"""Tangent and adjoint of the fixed step: what a small change of road and start does to a drive.
+"""Tangent and adjoint of the fixed step: sensitivity of a drive to its road and initial state.
 
-`integrator.step` is a map of the state y = (q, v) and of the road's heights and rates at both stage
-times. Its derivative is taken exactly, as the step is computed and not as the motion would be. With
-W = M + h d C + (h d)² K symmetric, k and m the two solutions W k = g(y), W m = f(y, k), and ' a
-derivative along a direction,
+`rosenbrock.step` maps the state y = (q, v) and the road's heights and rates at both stage times to
+the next state. Its derivative is that of the discrete step, exact up to rounding. With W = M + h d C
++ (h d)² K symmetric, k and m the solutions of W k = g(y) and W m = f(y, k), and ' a directional
+derivative,
 
     W k' = g' - W' k,        W m' = f' - W' m,        W' = sum over struts and tyres of s' b b'
 
-b takes coordinates to the strut's extension and s = h d c + (h d)² k, so s' needs the change of the
-strut's stiffness k with its extension (gas spring, bushing, stop) and of its damping c with the
-rate (damper, friction). For a tyre b takes them to the height of the wheel, and its stiffness
-changes with its compression, on which the road acts as well. The adjoint is the same chain
-backwards; as W is symmetric it needs no solver of its own (Giles & Pierce 2000,
+For a strut, b maps coordinates to its extension and s = h d c + (h d)² k. So s' contains the change
+of the stiffness k with the extension (gas spring, bushing, stop) and of the damping c with its rate
+(damper, friction). For a tyre, b maps coordinates to the height of the wheel; its stiffness changes
+with its compression, which depends on the road as well. The adjoint is the transposed chain in
+reverse order; since W is symmetric, it uses the same solver (Giles & Pierce 2000,
 doi:10.1023/A:1011430410075, section 2).
 
-At a kink (a wheel that lifts off, a tyre whose damper gives all it may, a grid point or an end of a
-table, the shortest gas column) the derivative is that of the branch the step took; the small jump
-of W where a tyre lifts off has no derivative and is left out. A car exactly at rest stands on such
-a kink: friction bends one way for a strut that opens and the other way for one that closes. The
-struts' memory goes on with the drive as its commands ask, and its derivative is left out: a switch
-freezes an extension in, and that this one depends on the road before the switch is neglected. Nor
-does the frame twist: a flexible car is refused.
+Limits. At a kink (wheel lift-off, limit of the tyre's damper, grid point or end of a table, shortest
+gas column) the derivative is that of the branch taken by the step; the small jump of W at lift-off
+is neglected. A vehicle exactly at rest is at such a kink, because the friction law has different
+slopes for opening and closing struts. The strut state follows the commands, but its derivative is
+neglected: the dependence of a held extension on the road before the switch is missing. A flexible
+frame is not supported.
 
-One row of the tape (ROW,) is all that both need of one step. Per strut (4 each): K_1, C_1 and K_2,
-C_2, its stiffness and damping at the first and the second stage; G_K, G_C and F_K, F_C, what the
-first and the second right-hand side lose by a change of e and of e_dot at the step's beginning
-(of F_K, F_C without K_2, C_2). Per tyre: TK_1, TC_1 and TK_2, TC_2, the same; G_U, what the first
-gains by a change of the compression u, and F_U, what the second loses by it without TK_2. Then the
-factors of W.
+One row of the tape (TAPE_ROW_SIZE,) holds the derivative of one step. Per strut (4 each): K_1, C_1
+and K_2, C_2, stiffness and damping at stages 1 and 2; G_K, G_C and F_K, F_C, minus the derivatives
+of the right-hand sides of stages 1 and 2 by e and e_dot at the step's beginning (F_K, F_C without
+the contributions of K_2, C_2). Per tyre: TK_1, TC_1, TK_2, TC_2 likewise; G_U, the derivative of the
+first right-hand side by the compression u, and F_U, minus that of the second without TK_2. Last come
+the factors of W.
 """
 
 from dataclasses import dataclass
@@ -69,12 +68,12 @@ TAPE_ROW_SIZE = 74
 def step_with_derivative(
     p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out, row
 ):
-    """Take `integrator.step`, with its arguments, and write its derivative to `row` (ROW,)."""
+    """Take `rosenbrock.step`, same arguments; write its derivative to `row` (TAPE_ROW_SIZE,)."""
     step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out)
     hd, before = h * D, out[N_DOF : 2 * N_DOF]
     for w in range(4):
         e, e_dot = out[EXTENSION + w], extension(p, before, w)
-        k, c = work.k[w], work.s[w] / hd - hd * work.k[w]  # as the step has left them
+        k, c = work.k[w], work.s[w] / hd - hd * work.k[w]  # from the step's scratch
         k_slope, c_slope = strut_curvature(p, velocity, displacement, strut_state, w, e, e_dot)
         first, second = extension(p, work.g, w), extension(p, work.f, w)
         row[K_1 + w], row[C_1 + w] = k, c
@@ -104,11 +103,11 @@ def step_with_derivative(
 
 @kernel
 def tangent_step(p, row, q, v, road, h, work, a):
-    """Carry changes `q`, `v` (7,) of coordinates and rates through one step, in place.
+    """Propagate changes `q`, `v` (7,) of coordinates and rates through one step, in place.
 
-    `road` (16,): changes of the heights [m] and rates [m/s] as `integrator.step` has them. Writes
-    the change of the accelerations (7,) at the step's beginning to `a`. LANES changes at once have
-    lanes as the last axis of all but `p` and `row`.
+    `road` (16,): changes of the road's heights [m] and rates [m/s], in the layout of
+    `rosenbrock.step`. Writes the change of the accelerations (7,) at the step's beginning to `a`.
+    For LANES directions at once, all arrays but `p` and `row` have the lanes as their last axis.
     """
     hd = h * D
     f, g, r, k_q, F, T, dF, dT = work.f, work.g, work.r, work.k_q, work.F, work.T, work.dF, work.dT
@@ -167,12 +166,13 @@ def tangent_step(p, row, q, v, road, h, work, a):
 
 @kernel
 def reverse_second_stage(p, row, h, work, road):
-    """The second stage backwards, from the adjoint `work.f` (7,) of m'.
+    """Reverse the second stage, from the adjoint `work.f` (7,) of m'.
 
-    Completes the adjoints `work.g`, `work.k_q` of the first stage, which hold the end's share, as
-    does `work.r`; writes those of the stage's coordinates and rates to `work.q` and `work.v`, of
-    extensions and their rates at the beginning to `work.dF` and `work.dT`, and of `road` the second
-    stage's half, with the heights' share in it before that.
+    On entry `work.g`, `work.k_q` and `work.r` hold the contributions of the end state to the
+    adjoints of the first stage; they are completed here. Writes the adjoints of the stage's
+    coordinates and rates to `work.q` and `work.v`, those of extensions and their rates at the
+    beginning to `work.dF` and `work.dT`, and the contributions to the adjoint of the road to
+    `road`, except `road[4:8]`.
     """
     hd = h * D
     f, r, F, T, q, v = work.f, work.r, work.F, work.T, work.q, work.v
@@ -203,10 +203,10 @@ def reverse_second_stage(p, row, h, work, road):
 
 @kernel
 def adjoint_step(p, row, a, h, work, q, v, road):
-    """The transpose of `tangent_step`: adjoints `q`, `v` (7,) of the state, a step back in place.
+    """Apply the transpose of `tangent_step`: take the adjoints `q`, `v` (7,) one step back.
 
-    `a` (7,): the adjoint of the accelerations at the step's beginning. Writes the adjoint of the
-    road's heights and rates, laid out as there, to `road` (16,).
+    `a` (7,) is the adjoint of the accelerations at the step's beginning. Writes the adjoint of the
+    road's heights and rates to `road` (16,), in the same layout.
     """
     hd = h * D
     f, g, F, T = work.f, work.g, work.F, work.T
@@ -247,8 +247,8 @@ def integrate_with_derivative(
 ):
     """Take one step per row of `rows` (N, TAPE_ROW_SIZE); `y` (14,), `strut_state` change in place.
 
-    `road` (N, 16), `a_xy` (N, 4): what `integrator.step` reads in each step; `commands` (N,), or
-    (0,) for none, and `lag` as `integrator.drive` has them.
+    `road` (N, 16), `a_xy` (N, 4): the inputs of `rosenbrock.step` in each step; `commands` (N,), or
+    (0,) for a constant strut state, and `lag` as in `rosenbrock.integrate`.
     """
     p, work, q, v = constants[0], workspace(), y[:N_DOF], y[N_DOF:]
     alpha = 1.0 - np.exp(-h / lag)
@@ -263,7 +263,7 @@ def integrate_with_derivative(
 
 @kernel
 def propagate_tangent(constants, rows, y, road, h, a):
-    """`tangent_step` from the first row to the last; changes of accelerations to `a` (N, 7)."""
+    """Apply `tangent_step` row by row; write changes of accelerations to `a` (N, 7)."""
     p, work, q, v = constants[0], workspace(), y[:N_DOF], y[N_DOF:]
     for n in range(rows.shape[0]):
         tangent_step(p, rows[n], q, v, road[n], h, work, a[n])
@@ -271,23 +271,24 @@ def propagate_tangent(constants, rows, y, road, h, a):
 
 @kernel
 def propagate_adjoint(constants, rows, a, h, y, road):
-    """`adjoint_step` from the last row to the first; adjoint of the road to `road` (N, 16)."""
+    """Apply `adjoint_step` from the last row to the first; adjoint of the road to `road` (N, 16)."""
     p, work, q, v = constants[0], workspace(), y[:N_DOF], y[N_DOF:]
     for n in range(rows.shape[0] - 1, -1, -1):
         adjoint_step(p, rows[n], a[n], h, work, q, v, road[n])
 
 
 def _checked_copy(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """A fresh copy of `value`; kernels believe in shapes, so a wrong one ends here."""
+    """Return a copy of `value` as float. Raises ValueError unless it has the `shape`."""
     copy = np.array(value, dtype=float)
     if copy.shape != shape:
+        # kernels do not check bounds
         raise ValueError(f"{name} must be of shape {shape}, got {copy.shape}")
     return copy
 
 
 @dataclass(frozen=True, eq=False)
 class Tape:
-    """A drive of N steps and its derivative: 592 bytes a step, however often it is applied.
+    """A drive of N steps and its derivative, 592 bytes per step; it can be applied repeatedly.
 
     `signals` (N, 29) at the beginning of each step, laid out as in `rosenbrock`; `end` (14,) and
     `strut_state` (4, 3) after the last step; `rows` (N, TAPE_ROW_SIZE), the derivative of each
@@ -307,10 +308,11 @@ class Tape:
         return self.signals[:, ACCELERATION : ACCELERATION + N_DOF]
 
     def tangent(self, start: np.ndarray, road: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Changes of the accelerations (N, 7) and of the end (14,) to first order.
+        """Return first-order changes of the accelerations (N, 7) and of the final state (14,).
 
-        `start` (14,): change of the first state; `road` (2 N, 2, 4): change of the heights [m] and
-        of their rates [m/s] under the wheels at the beginning and the middle of each step.
+        `start` (14,): change of the initial state; `road` (2 N, 2, 4): change of the heights [m]
+        and rates [m/s] under the wheels at the beginning and the middle of each step. Raises
+        ValueError on a wrong shape.
         """
         y, steps = _checked_copy("start", start, (2 * N_DOF,)), self.rows.shape[0]
         z = _checked_copy("road", road, (2 * steps, 2, 4)).reshape(steps, 16)
@@ -319,9 +321,10 @@ class Tape:
         return a, y
 
     def adjoint(self, acceleration: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """A cost's gradients by the start (14,) and by the road (2 N, 2, 4): the transpose.
+        """Return a cost's gradients by the initial state (14,) and by the road (2 N, 2, 4).
 
-        `acceleration` (N, 7), `end` (14,): its gradients by what `tangent` returns.
+        This is the transpose of `tangent`: `acceleration` (N, 7) and `end` (14,) are the cost's
+        gradients by the outputs of `tangent`. Raises ValueError on a wrong shape.
         """
         y, steps = _checked_copy("end", end, (2 * N_DOF,)), self.rows.shape[0]
         a, road = _checked_copy("acceleration", acceleration, (steps, N_DOF)), np.empty((steps, 16))
@@ -339,18 +342,17 @@ def linearize_drive(
     commands: np.ndarray | None = None,
     lag: float = 0.01,
 ) -> Tape:
-    """Drive from the state `start` (14,) in steps of `h` [s] and tape the derivative.
+    """Simulate N steps of `h` [s] from the state `start` (14,) and record the derivative.
 
-    `strut_state` (4, 3) of the struts at the start; `road` (2 N, 2, 4): heights [m] and their rates
-    [m/s] under the wheels at the beginning and the middle of each step; `a_xy` (2 N, 2), if given,
-    a_x and a_y [m/s²] of a manoeuvre at the same instants; `commands` (N,), if given, the bytes
-    that reach the valves, of time constant `lag` [s]: without them the memory stands still. Raises
-    ValueError on a wrong shape and on a flexible car, ArithmeticError if the motion is no longer
-    finite.
+    `strut_state` (4, 3) at the start; `road` (2 N, 2, 4): heights [m] and rates [m/s] under the
+    wheels at the beginning and the middle of each step; `a_xy` (2 N, 2), if given, a_x and a_y
+    [m/s²] of a manoeuvre at the same times; `commands` (N,), if given, the bytes that reach the
+    valves, of time constant `lag` [s]. Without commands the strut state stays constant. Raises
+    ValueError on a wrong shape and on a flexible vehicle, ArithmeticError if the motion diverges.
     """
     if plant.flexible:
         raise ValueError(
-            "a car with a flexible frame has no tape: its twist has no derivative here"
+            "linearize_drive does not support a flexible frame; use a vehicle variation without one"
         )
     road = np.asarray(road, dtype=float)
     steps = len(road) // 2
@@ -370,5 +372,5 @@ def linearize_drive(
         *plant.arrays, strut_state_end, y, *course, *valves, float(h), signals, rows
     )
     if not np.isfinite(y).all():
-        raise ArithmeticError("the motion is no longer finite, so it has no derivative")
+        raise ArithmeticError("the motion diverged (no longer finite); check the road and start")
     return Tape(plant, float(h), signals, y, strut_state_end, rows)

@@ -1,16 +1,16 @@
-"""A Numba type of 8 doubles, so that one source of a law runs one vehicle or eight at once.
+"""SIMD vector type of 8 doubles for Numba: one source of a kernel runs one vehicle or eight.
 
-LLVM turns it into whichever vector registers the machine has: one of AVX-512, two of AVX2, four of
-SSE2. Kernels that are to run on it read and write through `get`, `put` and `add`, and choose
-through `maximum`, `minimum` and `if_positive`. On arrays of one vehicle these are plain indexing
-and plain choices; on arrays with a last axis of LANES they work on all lanes, since an index short
-of one dimension names a row of lanes:
+LLVM maps it to the vector registers of the machine: one of AVX-512, two of AVX2, four of SSE2.
+Kernels that support it read and write through `get`, `put` and `add`, and branch through
+`maximum`, `minimum` and `if_positive`. On the arrays of one vehicle these are plain indexing and
+conditional expressions. On arrays with a last axis of LANES they operate on all lanes: an index
+with one dimension less selects a row of lanes.
 
     get(q, j)      q (7,)     a float         q (7, LANES)     a vector
     get(p.x_1)     a float    a float         (LANES,)         a vector
 
-Without compilation (`py_func`) only the first column exists. Arithmetic allows the same rewriting
-as every kernel's: a*b + c may be contracted, x / c may become x * (1 / c).
+Without compilation (`py_func`) only the scalar column exists. As in every kernel, a*b + c may be
+contracted to a fused operation and x / c may become x * (1 / c).
 """
 
 import operator
@@ -30,7 +30,7 @@ _int32 = ir.IntType(32)
 
 
 class Vector(types.Type):
-    """The type of LANES doubles in one register."""
+    """Numba type of LANES doubles."""
 
     def __init__(self):
         super().__init__(name=f"vector of {LANES} doubles")
@@ -50,7 +50,7 @@ def _any_vector(*kinds) -> bool:
 
 
 def _broadcast(context, builder, value, kind):
-    """`value` as a vector: a number goes into every lane."""
+    """Return `value` as a vector; a number is broadcast to all lanes."""
     if isinstance(kind, Vector):
         return value
     number = context.cast(builder, value, kind, types.float64)
@@ -106,7 +106,7 @@ def _negate_vector(a):
 
 @intrinsic
 def _where_greater(context, a, b, x, y):
-    """Lane by lane `x` where a > b, else `y`."""
+    """Select lane by lane `x` where a > b, else `y`."""
 
     def generate(context, builder, signature, values):
         a, b, x, y = _broadcast_all(context, builder, signature, values)
@@ -116,17 +116,17 @@ def _where_greater(context, a, b, x, y):
 
 
 def maximum(a, b):
-    """The greater of both."""
+    """Return the greater of `a` and `b`."""
     return a if a > b else b
 
 
 def minimum(a, b):
-    """The lesser of both."""
+    """Return the lesser of `a` and `b`."""
     return b if a > b else a
 
 
 def if_positive(c, a, b):
-    """`a` where `c` > 0, else `b`."""
+    """Return `a` where `c` > 0, else `b`."""
     return a if c > 0.0 else b
 
 
@@ -153,7 +153,7 @@ def _if_positive(c, a, b):
 
 @intrinsic
 def extract_lane(context, x, k):
-    """Lane `k` of a vector as a number."""
+    """Return lane `k` of a vector as a number."""
 
     def generate(context, builder, signature, values):
         k = context.cast(builder, values[1], signature.args[1], types.int32)
@@ -164,7 +164,7 @@ def extract_lane(context, x, k):
 
 @intrinsic
 def insert_lane(context, x, k, value):
-    """A vector with the number `value` in lane `k`."""
+    """Return a copy of the vector `x` with the number `value` in lane `k`."""
 
     def generate(context, builder, signature, values):
         k = context.cast(builder, values[1], signature.args[1], types.int32)
@@ -176,7 +176,7 @@ def insert_lane(context, x, k, value):
 
 @intrinsic
 def broadcast(context, value):
-    """A vector with the number `value` in every lane."""
+    """Return a vector with the number `value` in every lane."""
 
     def generate(context, builder, signature, values):
         return _broadcast(context, builder, values[0], signature.args[0])
@@ -219,7 +219,7 @@ def _store(context, array, indices, x):
 
 
 def get(a, *i):
-    """The element of `a` at the indices `i`, or the row of lanes there."""
+    """Return the element, or the row of lanes, of `a` at the indices `i`."""
     return a[i] if i else a
 
 
@@ -256,7 +256,7 @@ def _add(a, i, x):
 
 @intrinsic
 def _all_equal(context, x, a, b):
-    """Whether every lane of `x` equals the number `a` or the number `b`."""
+    """Return whether every lane of `x` equals the number `a` or the number `b`."""
 
     def generate(context, builder, signature, values):
         x, a, b = _broadcast_all(context, builder, signature, values)
@@ -268,12 +268,12 @@ def _all_equal(context, x, a, b):
 
 
 def equals_one(x):
-    """Whether `x`, or every lane of it, is 1."""
+    """Return whether `x`, or every lane of it, is 1."""
     return x == 1.0
 
 
 def is_zero_or_one(x):
-    """Whether `x`, or every lane of it, is 0 or 1."""
+    """Return whether `x`, or every lane of it, is 0 or 1."""
     return x == 0.0 or x == 1.0
 
 
@@ -288,7 +288,7 @@ def _is_flag(x):
 
 
 def power(x, n):
-    """`x` to the power `n`."""
+    """Return `x` to the power `n`."""
     return x**n
 
 
@@ -316,7 +316,7 @@ def _integer_part_of_vector(context, x):
 
 
 def integer_part(x):
-    """The whole part of `x` >= 0, as a float."""
+    """Return the integer part of `x` >= 0 as a float."""
     return float(int(x))
 
 
@@ -327,7 +327,7 @@ def _overload_integer_part(x):
 
 @intrinsic
 def _load_four_lanes(context, array, first):
-    """Per lane four neighbours, loaded as one row each and transposed: no gather is as fast."""
+    """Load four neighbours per lane as one row and transpose; this is faster than a gather."""
     four, row = ir.VectorType(ir.DoubleType(), 4), types.UniTuple(vector, 4)
 
     def generate(context, builder, signature, values):
@@ -346,7 +346,7 @@ def _load_four_lanes(context, array, first):
 
 
 def _transpose(builder, rows):
-    """Four vectors of LANES from LANES rows of four, by joining rows two and two."""
+    """Return four vectors of LANES from LANES rows of four, by pairwise shuffles."""
 
     def shuffled(a, b, mask):
         return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_int32, len(mask)), mask))
@@ -362,7 +362,7 @@ def _transpose(builder, rows):
 
 
 def load_four(array, first):
-    """Four neighbours in memory of a contiguous array, from element number `first` on."""
+    """Return four consecutive elements of a contiguous array, from flat index `first` on."""
     flat = array.ravel()
     i = int(first)
     return flat[i], flat[i + 1], flat[i + 2], flat[i + 3]

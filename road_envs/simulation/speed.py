@@ -1,6 +1,6 @@
-"""How fast the vehicle goes: a speed over time, its integral and its rate.
+"""Speed profiles: speed over time, its integral and its derivative.
 
-s(t) = integral of v,   v(t) piecewise linear,   a_x(t) = dv/dt piecewise constant
+    s(t) = integral of v,   v(t) piecewise linear,   a_x(t) = dv/dt piecewise constant
 """
 
 from dataclasses import dataclass
@@ -13,28 +13,33 @@ from road_envs.config import STRICT
 
 @dataclass(frozen=True, kw_only=True)
 class SpeedProfile:
-    """Speed [m/s] at instants [s] from 0 on, linear between them and constant after the last.
+    """Speed [m/s] at times [s] from 0 on, linear between them and constant after the last.
 
-    Raises ValueError unless the instants start at 0 and increase, no speed is negative, and the
-    last one is positive, so that every drive comes to its end.
+    Raises ValueError unless the times start at 0 and increase, no speed is negative and the last
+    one is positive, without which a drive would never reach the end of its road.
     """
 
     __pydantic_config__ = STRICT
 
-    t: Annotated[tuple[float, ...], "s", "instants, the first 0"]
-    v: Annotated[tuple[float, ...], "m/s", "speed at each"]
+    t: Annotated[tuple[float, ...], "s", "times, the first 0"]
+    v: Annotated[tuple[float, ...], "m/s", "speed at each time"]
 
     def __post_init__(self):
         t, v = np.array(self.t), np.array(self.v)
         if t.size != v.size or t.size < 1 or not np.isfinite([*t, *v]).all():
-            raise ValueError("t and v of a speed profile must be finite and of one length")
+            raise ValueError(
+                f"t and v of a speed profile must be finite and of one length, got {self.t} and "
+                f"{self.v}"
+            )
         if t[0] != 0.0 or not (np.diff(t) > 0).all():
-            raise ValueError(f"instants must start at 0 and increase, got {self.t}")
+            raise ValueError(f"the times t must start at 0 and increase, got {self.t}")
         if not (v >= 0).all() or not v[-1] > 0:
-            raise ValueError(f"speeds must be positive at the end and never negative, got {self.v}")
+            raise ValueError(
+                f"the speeds v must not be negative, and positive at the end, got {self.v}"
+            )
 
     def at(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Distance [m], speed [m/s] and acceleration [m/s²] (N,) at the instants `t` (N,) [s]."""
+        """Return distance [m], speed [m/s] and acceleration [m/s²] (N,) at times `t` (N,) [s]."""
         knots, v = np.array(self.t), np.array(self.v)
         a = np.append(np.diff(v) / np.diff(knots), 0.0)
         s = np.append(0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(knots)))
@@ -43,32 +48,35 @@ class SpeedProfile:
         return s[i] + dt * (v[i] + 0.5 * a[i] * dt), v[i] + a[i] * dt, a[i]
 
     def arrival_time(self, distance: float) -> float:
-        """The instant [s] at which `distance` [m] has been covered."""
+        """Return the time [s] at which `distance` [m] has been covered."""
         knots = np.array(self.t)
         distances = self.at(knots)[0]
         i = int(np.searchsorted(distances, distance, side="right")) - 1
         _, (v,), (a,) = self.at(knots[i : i + 1])
         remaining = distance - distances[i]
-        # the stable root of v dt + a dt² / 2 = left
+        # this form of the root of v dt + a dt² / 2 = remaining has no cancellation for small a
         return float(
             knots[i] + 2.0 * remaining / (v + np.sqrt(max(v * v + 2.0 * a * remaining, 0.0)))
         )
 
 
 def constant_speed(v: float) -> SpeedProfile:
-    """One speed [m/s] throughout."""
+    """Return the profile of a constant speed `v` [m/s]."""
     return SpeedProfile(t=(0.0,), v=(float(v),))
 
 
 def speed_ramp(v_0: float, v_1: float, duration: float, after: float = 0.0) -> SpeedProfile:
-    """From `v_0` to `v_1` [m/s] within `duration`, beginning `after` [s] the start."""
+    """Return a linear change from `v_0` to `v_1` [m/s] within `duration` [s], `after` [s] from 0."""
     if after > 0.0:
         return SpeedProfile(t=(0.0, after, after + duration), v=(v_0, v_0, v_1))
     return SpeedProfile(t=(0.0, duration), v=(v_0, v_1))
 
 
 def stop_and_go(v: float, a: float, cruise: float, halt: float, stops: int) -> SpeedProfile:
-    """Cruise at `v` [m/s], brake at `a` [m/s²] to a stand, halt, pull away; `stops` times."""
+    """Return a profile of `stops` stops: cruise at `v` [m/s], brake at `a` [m/s²], halt, accelerate.
+
+    `cruise` and `halt` [s] are the durations of these phases.
+    """
     change = v / a
     parts = [(cruise, v), (change, 0.0), (halt, 0.0), (change, v)] * stops
     durations, speeds = zip(*parts, strict=True)

@@ -89,25 +89,25 @@ def copied(holder: Record | Profile) -> dict:
     return {key: np.copy(value) for key, value in vars(holder).items()}
 
 
-def test_an_estimate_can_be_judged(estimator):
+def test_an_estimate_is_valid(estimator):
     record, _ = drive(100)
     check_estimate(estimator.estimate(record, CAR), record)
 
 
-def test_a_road_of_another_length_than_in_training_is_estimated_too(estimator):
+def test_roads_of_other_lengths_than_in_training_are_estimated(estimator):
     for length in (7.0, 33.0):
         record, _ = drive(101, length)
         check_estimate(estimator.estimate(record, CAR), record)
 
 
-def test_the_same_drive_gets_the_same_answer(estimator):
+def test_equal_records_give_equal_estimates(estimator):
     record, _ = drive(102)
     once, again = estimator.estimate(record, CAR), estimator.estimate(record, CAR)
     np.testing.assert_array_equal(once.z, again.z)
     assert once.notes == again.notes
 
 
-def test_the_record_is_left_untouched_bit_for_bit(estimator):
+def test_the_record_is_not_modified(estimator):
     record, _ = drive(103)
     before = copied(record)
     estimator.estimate(record, CAR)
@@ -115,7 +115,7 @@ def test_the_record_is_left_untouched_bit_for_bit(estimator):
         np.testing.assert_array_equal(getattr(record, key), value)
 
 
-def test_a_record_that_ends_with_the_road_leaves_no_gap_in_the_estimate(estimator):
+def test_a_record_shorter_than_the_road_gives_a_complete_estimate(estimator):
     record, _ = drive(104)
     on_road = (record.s >= 0.3) & (record.s <= record.length - 0.3)
     cut = {
@@ -126,7 +126,7 @@ def test_a_record_that_ends_with_the_road_leaves_no_gap_in_the_estimate(estimato
 
 
 @pytest.mark.parametrize("name", [name for name, cls in REGISTRY.items() if cls.causal])
-def test_a_causal_estimator_does_not_see_the_future(name):
+def test_a_causal_estimator_does_not_use_the_future(name):
     estimator = fit(name)
     record, _ = drive(105)
     later = record.s > 10.0
@@ -139,7 +139,7 @@ def test_a_causal_estimator_does_not_see_the_future(name):
         np.testing.assert_array_equal(before.z_std[:, past], after.z_std[:, past])
 
 
-def test_a_stored_estimator_answers_as_before(estimator, tmp_path):
+def test_a_stored_estimator_gives_the_same_estimate(estimator, tmp_path):
     record, _ = drive(106)
     save(estimator, tmp_path / "kept.npz")
     kept = load(tmp_path / "kept.npz")
@@ -149,7 +149,7 @@ def test_a_stored_estimator_answers_as_before(estimator, tmp_path):
     assert before.notes == after.notes
 
 
-def test_what_was_learnt_takes_no_part_in_equality_hash_or_printing(estimator):
+def test_the_fitted_state_is_excluded_from_equality_hash_and_repr(estimator):
     fresh = replace(estimator)
     assert fresh == estimator
     assert hash(fresh) == hash(estimator)
@@ -165,7 +165,7 @@ def test_fitting_twice_with_one_seed_gives_the_same(name):
 
 
 @pytest.mark.parametrize("name", LEARNING)
-def test_fitting_leaves_the_estimator_and_the_training_drives_untouched(name):
+def test_fitting_does_not_modify_the_estimator_or_the_drives(name):
     fresh = create(name, **SMALL.get(name, {}))
     record, truth = drive(1)
     before = copied(record), copied(truth)
@@ -178,7 +178,7 @@ def test_fitting_leaves_the_estimator_and_the_training_drives_untouched(name):
 
 
 @pytest.mark.parametrize("name", LEARNING)
-def test_an_unfitted_estimator_says_so(name):
+def test_an_unfitted_estimator_raises_not_fitted_error(name):
     record, _ = drive(107)
     fresh = create(name, **({"shipped": False} if name in READY else {}))
     assert isinstance(fresh, Trainable)
@@ -187,7 +187,7 @@ def test_an_unfitted_estimator_says_so(name):
 
 
 @pytest.mark.parametrize("name", LEARNING)
-def test_impossible_weights_are_refused(name):
+def test_invalid_weights_are_rejected(name):
     estimator = fit(name)
     weights = estimator.weights()
     first = next(iter(weights))
@@ -199,7 +199,7 @@ def test_impossible_weights_are_refused(name):
         estimator.with_weights({**weights, first: np.full(weights[first].shape, np.nan)})
 
 
-def test_weights_of_the_wrong_kind_are_refused():
+def test_weights_of_the_wrong_type_are_rejected():
     with pytest.raises(ValueError, match="w: an array of real numbers is wanted, got <U4"):
         validate_weights({"w": np.array("text")}, {"w": ()})
     with pytest.raises(ValueError, match="w: an array of real numbers is wanted, got list"):
@@ -238,7 +238,7 @@ def with_value(z: np.ndarray, value: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("sentence", FAULTS)
-def test_an_estimate_that_cannot_be_judged_is_refused_with_the_reason(sentence):
+def test_an_invalid_estimate_is_rejected_with_the_reason(sentence):
     record, truth = drive(108)
     good = Estimate(truth.s, truth.z, z_std=np.ones_like(truth.z))
     check_estimate(good, record)
@@ -265,7 +265,7 @@ def test_the_mean_is_taken_over_the_roads_that_reach_a_station():
     )
 
 
-def test_the_mean_remembers_nothing_beyond_the_longest_training_road():
+def test_the_mean_is_zero_beyond_the_longest_training_road():
     record, _ = drive(110, length=25.0)
     z = fit("mean").estimate(record, CAR).z
     assert z[:, profile_stations(20.0).size - 100 : profile_stations(20.0).size].any()
@@ -289,7 +289,7 @@ def class_d(seed: int, w: float = 2.0, length: float = 300.0) -> Profile:
 
 
 @pytest.mark.parametrize("w", [1.6, 2.0, 2.4])
-def test_the_unrelated_road_takes_level_and_waviness_from_the_training_roads(w):
+def test_the_unrelated_road_has_level_and_waviness_of_the_training_roads(w):
     truths = [class_d(seed, w) for seed in range(4)]
     G_d0, fitted_w = fit_spectrum(truths)
     assert fitted_w == pytest.approx(w, abs=0.1)
@@ -306,7 +306,7 @@ def test_the_unrelated_road_has_the_density_it_was_given():
         assert level / 1024e-6 == pytest.approx(1.0, abs=4.0 / np.sqrt(lines))
 
 
-def test_the_unrelated_road_is_as_rough_as_the_truth_and_knows_nothing_of_it():
+def test_the_unrelated_road_is_as_rough_as_the_truth_and_uncorrelated():
     truths = [class_d(seed) for seed in range(3)]
     record, _ = drive(111, length=300.0)
     errors, correlations = [], []
@@ -328,14 +328,14 @@ def test_unrelated_roads_of_two_seeds_differ():
     assert abs(np.corrcoef(one[0], other[0])[0, 1]) < 0.9
 
 
-def test_the_network_tells_how_its_training_went():
+def test_the_network_keeps_its_training_history():
     training = fit("static_lm").training
     assert training.stop in ("epochs", "validation")
     assert training.train.size == training.epochs + 1 == training.mu.size
     assert training.train[-1] < training.train[0]
 
 
-def test_the_network_learns_a_height_that_one_moment_tells():
+def test_the_network_learns_heights_that_depend_on_one_sample():
     """Heights that are a function of the accelerations there and then."""
 
     def told(seed):
@@ -351,20 +351,20 @@ def test_the_network_learns_a_height_that_one_moment_tells():
     assert error(network.estimate(record, CAR), truth) < 0.1
 
 
-def test_the_network_s_answers_stay_near_the_heights_it_was_shown():
+def test_the_network_output_stays_in_the_range_of_the_training_heights():
     network = fit("static_lm")
     record, truth = drive(1)
     z = network.estimate(record, CAR).z
     assert np.abs(z).max() < 2.0 * np.abs(truth.z).max()
 
 
-def test_the_network_s_limits_are_settings():
+def test_the_training_limits_are_settings():
     assert fit("static_lm", max_epochs=2).training.epochs == 2
     patient, hasty = (fit("static_lm", max_epochs=300, max_fail=n).training for n in (20, 1))
     assert hasty.epochs < patient.epochs == patient.best_epoch + 20
 
 
-def test_two_seeds_train_two_networks():
+def test_different_seeds_give_different_networks():
     one, other = (fit("static_lm", seed=s).weights()["hidden"] for s in (0, 1))
     assert not np.allclose(one, other)
 
@@ -374,7 +374,7 @@ def test_the_division_of_the_samples_can_be_chosen():
     assert not np.allclose(drawn["hidden"], blocks["hidden"])
 
 
-def test_the_window_reconstructs_a_new_road_that_the_network_cannot():
+def test_the_fir_filter_estimates_a_new_road_and_the_static_network_does_not():
     record, truth = drive(114)
     assert error(fit("fir_ridge", seeds=tuple(range(6))).estimate(record, CAR), truth) < 0.3
     assert error(fit("static_lm", seeds=tuple(range(6))).estimate(record, CAR), truth) > 0.8
@@ -389,7 +389,7 @@ def test_a_mirrored_drive_gives_the_mirrored_road():
     )
 
 
-def test_accelerations_twice_as_large_mean_a_road_twice_as_high():
+def test_doubled_accelerations_give_a_doubled_road():
     window = fit("fir_ridge")
     record, _ = drive(116)
     np.testing.assert_allclose(
@@ -409,7 +409,7 @@ def test_left_and_right_swapped_at_the_rear_change_the_estimate(name):
 
 
 @pytest.mark.parametrize("name", ["static_lm", "fir_ridge"])
-def test_shuffled_time_spoils_the_estimate(name):
+def test_shuffled_samples_destroy_the_estimate(name):
     estimator = fit(name)
     record, _ = drive(118)
     order = np.random.default_rng(0).permutation(record.t.size)
@@ -418,7 +418,7 @@ def test_shuffled_time_spoils_the_estimate(name):
     assert abs(np.corrcoef(before.ravel(), after.ravel())[0, 1]) < 0.3
 
 
-def test_a_window_fitted_at_one_speed_says_so_at_another():
+def test_a_window_fitted_at_another_speed_adds_a_note():
     window = fit("fir_ridge")
     record, _ = drive(119)
     assert window.estimate(record, CAR).notes == ("waves longer than 20 m are not estimated",)
@@ -426,14 +426,14 @@ def test_a_window_fitted_at_one_speed_says_so_at_another():
     assert "fitted at 4.0 m/s, driven at 8.0 m/s" in window.estimate(faster, CAR).notes
 
 
-def test_taps_stand_as_far_apart_as_the_band_limit_allows():
+def test_the_tap_spacing_is_that_of_the_band_limit():
     """At 4 m/s nothing above 6.25 cycles/m is left: 80 mm apart, three steps of the grid."""
     fitted_state = fit("fir_ridge").fitted_state
     assert fitted_state.stride == 3
     assert fitted_state.taps.shape == (2, 3, 2 * int(3.0 / (3 * PROFILE_SPACING)) + 1)
 
 
-def test_the_window_s_taps_are_found_again():
+def test_known_taps_are_recovered():
     """Heights made by known taps from the accelerations come back when there is enough to see."""
     rng = np.random.default_rng(0)
     stride, half = 3, int(0.5 / (3 * PROFILE_SPACING))
@@ -469,7 +469,7 @@ def test_the_ridge_is_the_least_squares_problem_with_a_penalty_row_for_each_tap(
     assert sums.squared_error(found) == pytest.approx(np.sum((Z - X @ found) ** 2), rel=1e-10)
 
 
-def test_cross_validation_takes_a_strong_ridge_for_noise_and_a_weak_one_for_a_clear_relation():
+def test_cross_validation_selects_a_strong_ridge_for_noise_only():
     rng = np.random.default_rng(2)
     X = rng.standard_normal((100, 40))
     noise, clear = rng.standard_normal((100, 2)), X @ rng.standard_normal((40, 2))
@@ -484,7 +484,7 @@ def test_cross_validation_takes_a_strong_ridge_for_noise_and_a_weak_one_for_a_cl
     assert chosen(clear) == fir_ridge.RIDGES[0]
 
 
-def test_the_target_keeps_waves_of_the_band_and_leaves_out_slow_ones():
+def test_the_target_keeps_the_band_and_removes_long_waves():
     stations = profile_stations(200.0)
     middle = slice(stations.size // 4, -stations.size // 4)
 
@@ -498,14 +498,14 @@ def test_the_target_keeps_waves_of_the_band_and_leaves_out_slow_ones():
     assert passed(0.01) < 0.01
 
 
-def test_a_level_drive_over_a_level_road_trains_a_window_that_answers_level():
+def test_training_on_level_roads_gives_a_level_estimate():
     record, truth = drive(121)
     still = replace(record, a=np.zeros_like(record.a))
     window = create("fir_ridge", reach=1.0).fit([still], [Profile(truth.s, 0.0 * truth.z)], CAR, 0)
     assert not window.estimate(record, CAR).z.any()
 
 
-def test_what_the_paper_filters_out_is_not_seen():
+def test_offset_and_high_frequency_noise_are_filtered_out():
     record, _ = drive(123)
     offset_and_hum = 3.0 + np.sin(2.0 * np.pi * 70.0 * record.t)
     dirty = replace(record, a=record.a + offset_and_hum)
@@ -516,7 +516,7 @@ def test_what_the_paper_filters_out_is_not_seen():
     )
 
 
-def test_accelerations_beyond_the_record_are_those_of_a_car_at_rest():
+def test_accelerations_beyond_the_record_are_zero():
     record, _ = drive(122)
     a = spatial_accelerations(record, margin=1000)
     s = PROFILE_SPACING * np.arange(-1000, profile_stations(record.length).size + 1000)

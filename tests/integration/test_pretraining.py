@@ -47,7 +47,7 @@ def _covered(truth, estimate, band):
     return [np.mean(error < far * std) for far in (0.6745, 1.6449)]
 
 
-def test_a_drive_of_the_corpus_is_the_same_at_every_call_and_another_for_another_number():
+def test_corpus_drives_are_reproducible_and_differ_by_number():
     one, same, other = (CORPUS.simulate_drive(k) for k in (3, 3, 4))
     np.testing.assert_array_equal(one[0].a, same[0].a)
     np.testing.assert_array_equal(one[1].z, same[1].z)
@@ -64,7 +64,7 @@ def test_the_corpus_covers_speeds_modes_and_levels():
     assert level.max() > 10.0 * level.min()
 
 
-def test_cars_differ_by_as_much_as_they_are_said_to():
+def test_vehicles_vary_by_the_stated_amounts():
     car = Corpus().vehicle
     rng = np.random.default_rng(0)
     others = [perturb_parameters(car, rng, 1.0) for _ in range(200)]
@@ -74,14 +74,14 @@ def test_cars_differ_by_as_much_as_they_are_said_to():
     assert perturb_parameters(car, rng, 0.0) == car
 
 
-def test_corpora_are_told_apart():
+def test_different_corpora_have_different_digests():
     assert Corpus().digest == Corpus().digest
     changes = ({"number": 7}, {"seed": 2}, {"instruments": "ideal"}, {"fastest_kmh": 60.0})
     digests = {dataclasses.replace(Corpus(), **change).digest for change in changes}
     assert len(digests | {Corpus().digest}) == 5
 
 
-def test_a_short_teaching_reproduces_itself_to_the_bit_interrupted_or_not(tmp_path, monkeypatch):
+def test_a_short_training_is_reproducible_to_the_bit_interrupted_or_not(tmp_path, monkeypatch):
     """The command of the shipped weights, on fewer drives and in fewer steps."""
 
     def teach(folder):
@@ -118,7 +118,7 @@ def test_a_short_teaching_reproduces_itself_to_the_bit_interrupted_or_not(tmp_pa
     assert json.loads(about["header"])["settings"]["channels"] == 4
 
 
-def test_an_unfinished_state_of_another_purpose_is_not_taken_up(tmp_path):
+def test_an_unfinished_state_of_another_purpose_is_ignored(tmp_path):
     path = tmp_path / "state"
     pretraining.FileCheckpoint(path, "this").save({"about": np.zeros(3)})
     assert pretraining.FileCheckpoint(path, "this").load() is not None
@@ -127,7 +127,7 @@ def test_an_unfinished_state_of_another_purpose_is_not_taken_up(tmp_path):
     assert pretraining.FileCheckpoint(path, "this").load() is None
 
 
-def test_the_command_teaches_from_the_corpus_and_its_file_estimates(road_recon, tmp_path):  # noqa: F811
+def test_the_command_trains_from_the_corpus_and_its_file_estimates(road_recon, tmp_path):  # noqa: F811
     code, out, _ = road_recon(
         "train", "fir_ridge", "--drives", 4, "--out", "bank.safetensors", "--json"
     )
@@ -138,7 +138,7 @@ def test_the_command_teaches_from_the_corpus_and_its_file_estimates(road_recon, 
     assert kept.weights().keys() == {"bank"} and not needs_training(kept)
 
 
-def test_what_learns_one_speed_alone_asks_for_its_road(road_recon):  # noqa: F811
+def test_an_estimator_for_one_speed_requires_training_roads(road_recon):  # noqa: F811
     code, _, err = road_recon("train", "static_lm", "--out", "s.npz")
     assert code == 2 and "static_lm learns one speed and mode: give its training roads" in err
     code, _, err = road_recon("train", "fir_ridge", "--out", "s.npz")
@@ -146,7 +146,7 @@ def test_what_learns_one_speed_alone_asks_for_its_road(road_recon):  # noqa: F81
 
 
 @pytest.mark.parametrize("name", READY)
-def test_shipped_weights_are_small_ready_and_of_the_corpus_as_it_is(name):
+def test_shipped_weights_are_small_and_match_the_current_corpus(name):
     path = pretrained_weights.FOLDER / f"{name}.safetensors"
     assert path.stat().st_size < 500_000
     _, about = pretrained_weights.read_weights(path)
@@ -161,7 +161,7 @@ def test_shipped_weights_are_small_ready_and_of_the_corpus_as_it_is(name):
     assert not needs_training(estimator) and needs_training(create(name, shipped=False))
 
 
-def test_all_that_can_be_taught_comes_with_weights_of_less_than_two_megabytes():
+def test_every_pretrained_estimator_ships_weights_below_two_megabytes_in_all():
     assert set(READY) == {name for name, cls in REGISTRY.items() if hasattr(cls, "pretrain")}
     total = sum(path.stat().st_size for path in pretrained_weights.FOLDER.glob("*.safetensors"))
     assert total < 2_000_000

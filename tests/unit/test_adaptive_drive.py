@@ -54,7 +54,7 @@ def equations(simulator):
 @pytest.mark.parametrize("name", [*CARS, "varied"])
 @every_mode
 @pytest.mark.parametrize("h", [0.0005, 0.004])
-def test_the_compiled_step_and_its_error_are_those_of_the_published_pair(name, mode, h):
+def test_the_compiled_step_and_its_error_equal_the_published_pair(name, mode, h):
     simulator, t = make_simulator(name, mode), 1.1
     rate, J, road = equations(simulator)
     rng = np.random.default_rng(2)
@@ -93,7 +93,7 @@ def test_the_compiled_step_and_its_error_are_those_of_the_published_pair(name, m
 
 @every_car
 @every_mode
-def test_without_error_control_it_is_the_drive_at_a_constant_step(name, mode):
+def test_without_error_control_the_drive_equals_the_fixed_step_drive(name, mode):
     simulator = make_simulator(name, mode, ROUGH, 0.0005)
     t = 0.0005 * np.arange(4000)
     found = integrate_adaptive(simulator, t, rtol=1e6, atol=1e6, max_step=0.0005)
@@ -120,7 +120,7 @@ def relative_error(states, truth):
 
 
 @pytest.mark.parametrize(("name", "mode"), [("unequal_axles", "ride"), ("defender", "handling")])
-def test_the_drive_is_scipys_radau_and_closer_to_it_the_tighter_the_tolerance(name, mode):
+def test_the_drive_converges_to_scipys_radau_with_the_tolerance(name, mode):
     t, truth = reference(name, mode)
     rtol = 10.0 ** -np.arange(4.0, 9.0)
     error = [
@@ -136,7 +136,7 @@ def test_the_drive_is_scipys_radau_and_closer_to_it_the_tighter_the_tolerance(na
 
 @every_car
 @pytest.mark.parametrize("mode", ["ride", MIXED], ids=str)
-def test_its_trajectory_is_that_of_small_constant_steps_in_every_signal(name, mode):
+def test_every_signal_matches_the_drive_in_small_fixed_steps(name, mode):
     car = CARS[name]
     found = simulate_adaptive(car, ROUGH, SPEED, mode, rtol=1e-7, atol=1e-9, step=0.01)
     expected = simulate(car, ROUGH, SPEED, mode, step=0.0001)
@@ -151,7 +151,7 @@ def test_its_trajectory_is_that_of_small_constant_steps_in_every_signal(name, mo
         assert np.sqrt(np.mean((a - b) ** 2)) < 2e-3 * np.sqrt(np.mean(b**2)), name
 
 
-def test_on_level_ground_steps_are_as_long_as_allowed_and_a_bump_makes_them_short():
+def test_steps_have_the_maximum_length_on_level_ground_and_shorten_at_a_bump():
     car, bump = CARS["defender"], load_road("bump_small").realise(np.random.default_rng(0))
     simulator = DriveSimulator(PLANTS["defender"], car, bump, SPEED, "ride")
     before = integrate_adaptive(simulator, np.array([0.0, 1.2]), 1e-3, 1e-6)
@@ -160,7 +160,7 @@ def test_on_level_ground_steps_are_as_long_as_allowed_and_a_bump_makes_them_shor
     assert whole.steps > 300 and whole.rejections > 10
 
 
-def test_an_isolated_bump_can_be_jumped_over_by_one_long_step():
+def test_an_isolated_bump_is_missed_by_one_long_step():
     car, bump = CARS["defender"], load_road("bump_small").realise(np.random.default_rng(0))
     t = np.linspace(0.0, 1.7, 200)
     simulator = DriveSimulator(PLANTS["defender"], car, bump, SPEED, "ride")
@@ -170,7 +170,7 @@ def test_an_isolated_bump_can_be_jumped_over_by_one_long_step():
     assert np.abs(seen.acceleration[:, 0]).max() > 2.0
 
 
-def test_the_drive_it_follows_does_not_move():
+def test_the_given_simulator_is_left_unchanged():
     simulator, t = make_simulator("defender", "ride"), np.linspace(0.0, 1.0, 5)
     first = integrate_adaptive(simulator, t).trajectory.signals
     assert simulator.steps == 0
@@ -191,12 +191,12 @@ def test_the_drive_it_follows_does_not_move():
         ([0.0, np.nan], {}, "ascend"),
     ],
 )
-def test_input_without_sense_is_refused(t, options, message):
+def test_invalid_input_is_rejected(t, options, message):
     with pytest.raises(ValueError, match=message):
         integrate_adaptive(make_simulator("defender", "ride"), np.array(t), **options)
 
 
-def test_only_a_straight_drive_at_one_speed_from_its_beginning_is_taken():
+def test_a_started_simulator_or_a_changing_speed_is_rejected():
     started = make_simulator("defender", "ride")
     started.advance(np.zeros(3, dtype=np.uint8))
     faster = DriveSimulator(
@@ -207,7 +207,7 @@ def test_only_a_straight_drive_at_one_speed_from_its_beginning_is_taken():
             integrate_adaptive(simulator, np.array([0.0, 1.0]))
 
 
-def test_a_state_that_is_no_number_ends_with_one_sentence():
+def test_a_nan_state_raises_a_simulation_error():
     simulator = make_simulator("defender", "ride")
     simulator.state[3] = np.nan
     with pytest.raises(SimulationError, match=r"no step meets the tolerance at 0\.000000 s"):

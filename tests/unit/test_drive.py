@@ -55,7 +55,7 @@ def concatenate(parts) -> Trajectory:
 
 @settings(max_examples=20)
 @given(st.lists(st.integers(0, MIXED.size), max_size=8))
-def test_a_drive_in_chunks_is_the_drive_as_a_whole_to_the_bit(cuts):
+def test_a_drive_in_chunks_equals_the_whole_drive_bitwise(cuts):
     whole, chunked = make_simulator(), make_simulator()
     parts = [chunked.advance(part) for part in np.split(MIXED, sorted(cuts))]
     assert_same(concatenate(parts), whole.advance(MIXED))
@@ -64,7 +64,7 @@ def test_a_drive_in_chunks_is_the_drive_as_a_whole_to_the_bit(cuts):
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda d: pickle.loads(pickle.dumps(d))])
-def test_a_copy_taken_mid_way_goes_on_to_the_bit_and_leaves_the_original_alone(duplicate):
+def test_a_copy_of_a_running_simulator_continues_bitwise_and_independently(duplicate):
     original = make_simulator()
     original.advance(MIXED[:310])  # commands are still on their way to the valves
     twin = duplicate(original)
@@ -72,7 +72,7 @@ def test_a_copy_taken_mid_way_goes_on_to_the_bit_and_leaves_the_original_alone(d
     assert twin.steps == original.steps and twin.state is not original.state
 
 
-def test_copies_do_not_make_the_kernels_compile_again():
+def test_copies_cause_no_recompilation():
     from road_envs.simulation.rosenbrock import integrate as kernel
 
     make_simulator().advance(MIXED[:3])
@@ -82,7 +82,7 @@ def test_copies_do_not_make_the_kernels_compile_again():
     assert len(kernel.signatures) == before
 
 
-def test_half_the_step_is_the_same_drive():
+def test_halving_the_step_hardly_changes_the_drive():
     coarse = make_simulator().advance(MIXED)
     fine = make_simulator(step=0.0005).advance(np.repeat(MIXED, 2))
     for signal, tolerance in (("state", 0.02), ("acceleration", 0.05), ("tyre_load", 0.02)):
@@ -113,7 +113,7 @@ def test_a_drive_starts_at_rest_on_an_apron_of_any_height_and_cross_fall():
     assert (trajectory.tyre_load > 0.0).all()
 
 
-def test_a_drive_begins_before_the_road_and_ends_behind_it():
+def test_a_drive_begins_one_apron_before_the_road_and_ends_one_after_it():
     simulator = make_simulator()
     assert simulator.station == -APRON_LENGTH and not simulator.is_finished
     steps = simulator.steps_left
@@ -127,7 +127,7 @@ def test_a_drive_begins_before_the_road_and_ends_behind_it():
 
 
 @every_car
-def test_each_wheel_meets_the_road_where_and_when_it_stands_on_it(name):
+def test_each_tyre_load_follows_from_the_road_at_its_own_station(name):
     car, trajectory = CARS[name], make_simulator(name).advance(MIXED)
     oracle, road = oracles.NonlinearCar(car), oracles.SplineRoad(ROAD.z, ROAD.ds)
     q, v = trajectory.state[:, :7], trajectory.state[:, 7:]
@@ -143,7 +143,7 @@ def test_each_wheel_meets_the_road_where_and_when_it_stands_on_it(name):
 
 
 @every_car
-def test_signals_say_what_the_states_say(name):
+def test_the_signals_are_consistent_with_the_states(name):
     trajectory = make_simulator(name).advance(MIXED)
     car, q, h = CARS[name], trajectory.state, 0.001
     assert trajectory.signals.shape == (MIXED.size, N_SIGNALS)
@@ -163,14 +163,14 @@ def test_signals_say_what_the_states_say(name):
 
 
 @given(st.floats(-3.0, 3.0), st.floats(-1.0, 1.0))
-def test_a_point_of_the_body_moves_with_the_rigid_body(x, y):
+def test_the_acceleration_of_a_body_point_is_that_of_the_rigid_body(x, y):
     signals = np.zeros((1, N_SIGNALS))
     signals[0, 14:17] = 1.3, -0.4, 0.7
     found = Trajectory(*np.zeros((4, 1)), signals).body_acceleration(x, y)
     assert found[0] == pytest.approx(oracles.point_acceleration(1.3, -0.4, 0.7, x, y))
 
 
-def test_the_ten_millimetre_option_starts_as_the_paper_does():
+def test_the_ten_millimetre_option_starts_as_in_the_paper():
     """Level, with 10 mm in each tyre: too little to carry the car, which then sinks by the rest."""
     car = replace(DEFENDER, tyre_static_deflection=0.010)
     flat = Surface(np.zeros((2, 2000)), 0.1)
@@ -186,7 +186,7 @@ def test_the_ten_millimetre_option_starts_as_the_paper_does():
 
 @every_car
 @pytest.mark.parametrize("step", [0.001, 0.0005])
-def test_nothing_at_all_happens_before_the_delay_of_the_valve(name, step):
+def test_a_command_has_no_effect_before_the_delay_of_the_valve(name, step):
     before, delay = round(0.3 / step), round(CARS[name].valve.delay / step)
     kept, switched = make_simulator(name, step=step), make_simulator(name, step=step)
     a = kept.advance(np.full(before + delay + 5, RIDE)).signals
@@ -196,7 +196,7 @@ def test_nothing_at_all_happens_before_the_delay_of_the_valve(name, step):
 
 
 @pytest.mark.parametrize(("mode", "target"), [("handling", [0.0, 1.0]), ("ride", [1.0, 0.0])])
-def test_95_percent_of_a_switch_is_done_after_50_milliseconds(mode, target):
+def test_a_switch_is_95_percent_complete_after_50_milliseconds(mode, target):
     simulator = make_simulator(mode="ride" if mode == "handling" else "handling")
     simulator.advance(np.full(50, encode_command(mode)))
     np.testing.assert_allclose(
@@ -208,7 +208,7 @@ def test_95_percent_of_a_switch_is_done_after_50_milliseconds(mode, target):
     )
 
 
-def test_a_strut_switches_alone():
+def test_struts_switch_independently():
     simulator = make_simulator()
     single = {"FL": "ride", "FR": "handling", "RL": "stiff_low", "RR": "soft_high"}
     simulator.advance(np.full(500, encode_command(single)))
@@ -216,7 +216,7 @@ def test_a_strut_switches_alone():
     assert simulator.strut_state[:, DAMPING_HIGH].tolist() == [0.0, 1.0, 0.0, 1.0]
 
 
-def test_struts_on_an_axle_share_their_force_without_a_jump_when_switched():
+def test_axle_forces_are_continuous_when_the_struts_switch():
     """Halving the step halves every change from step to step, at the switches too."""
     largest = []
     for n in (1, 2, 4):
@@ -229,7 +229,7 @@ def test_struts_on_an_axle_share_their_force_without_a_jump_when_switched():
 
 
 @every_car
-def test_a_switch_under_deflection_shifts_the_ride_height_and_switching_back_undoes_it(name):
+def test_switching_under_deflection_shifts_the_ride_height_reversibly(name):
     """Over a step up, the springs are caught compressed or extended and stay so when closed."""
     car = CARS[name]
     step_up = Surface(np.tile(np.clip(np.arange(6000) * 0.05 - 9.0, 0.0, 0.08), (2, 1)), 0.05)
@@ -265,13 +265,13 @@ def test_a_switch_under_deflection_shifts_the_ride_height_and_switching_back_und
         ({"road": Surface(np.zeros((2, 10)), 0.1, name="stub")}, "stub: 0.90 m of road is shorter"),
     ],
 )
-def test_a_drive_that_cannot_be_is_refused_in_one_sentence(options, reason):
+def test_an_impossible_drive_is_rejected_with_the_reason(options, reason):
     with pytest.raises(ConfigError, match=reason):
         make_simulator(**options)
 
 
 @pytest.mark.parametrize("after", [0, 40])
-def test_a_motion_that_is_no_longer_finite_is_said_with_its_time(after):
+def test_a_diverged_motion_raises_an_error_that_names_the_time(after):
     simulator = make_simulator()
     simulator.advance(np.full(after + 10, RIDE))
     simulator.state[3] = np.nan
@@ -279,7 +279,7 @@ def test_a_motion_that_is_no_longer_finite_is_said_with_its_time(after):
         simulator.advance(np.full(20, RIDE))
 
 
-def test_a_plant_can_serve_many_drives():
+def test_a_plant_can_be_shared_by_several_drives():
     shared = build_plant(DEFENDER)
     before = [a.copy() for a in shared.arrays]
     for mode in ("ride", "handling"):

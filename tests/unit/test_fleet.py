@@ -69,7 +69,7 @@ def switching(size, n, seed=5):
 @pytest.mark.parametrize(
     "frame", [None, TorsionalFrame(f=11.0, zeta=0.05)], ids=["stiff", "flexible"]
 )
-def test_every_lane_is_its_vehicle_driven_alone_to_rounding(frame):
+def test_every_lane_matches_its_vehicle_simulated_alone(frame):
     size, n = LANES + 3, 1500
     commands = switching(size, n)
     fleet = Fleet(drives(size, frame))
@@ -85,7 +85,7 @@ def test_every_lane_is_its_vehicle_driven_alone_to_rounding(frame):
         np.testing.assert_allclose(landed, drive.state, rtol=1e-6, atol=1e-9)
 
 
-def test_a_lane_depends_neither_on_its_company_nor_on_threads_to_the_bit():
+def test_a_lane_is_bitwise_independent_of_the_other_lanes_and_of_threads():
     size, n = 2 * LANES + 1, 400
     commands = switching(size, n)
     one_thread = Fleet(drives(size)).advance(commands)
@@ -96,7 +96,7 @@ def test_a_lane_depends_neither_on_its_company_nor_on_threads_to_the_bit():
         np.testing.assert_array_equal(select_vehicle(lonely, 0), select_vehicle(one_thread, k))
 
 
-def test_parts_of_a_drive_are_the_whole_drive_to_the_bit():
+def test_a_fleet_in_chunks_equals_the_whole_drive_bitwise():
     size, n = 5, 600
     commands = switching(size, n)
     whole = Fleet(drives(size)).advance(commands)
@@ -112,7 +112,7 @@ def test_parts_of_a_drive_are_the_whole_drive_to_the_bit():
         begin += part
 
 
-def test_a_landed_drive_goes_on_alone_where_the_fleet_left_it():
+def test_a_simulator_continues_alone_after_write_back():
     size, n = 4, 300
     commands = switching(size, 2 * n)
     fleet = Fleet(drives(size))
@@ -129,7 +129,7 @@ def test_a_landed_drive_goes_on_alone_where_the_fleet_left_it():
         np.testing.assert_allclose(on, alone, rtol=1e-6, atol=1e-6)
 
 
-def test_a_vehicle_that_breaks_down_leaves_its_neighbours_alone():
+def test_a_diverged_vehicle_does_not_affect_the_other_lanes():
     size, n = 3, 200
     commands = switching(size, n)
     healthy = Fleet(drives(size)).advance(commands)
@@ -141,13 +141,13 @@ def test_a_vehicle_that_breaks_down_leaves_its_neighbours_alone():
         np.testing.assert_array_equal(select_vehicle(signals, k), select_vehicle(healthy, k))
 
 
-def test_rows_of_lanes_begin_at_the_boundaries_of_cache_lines():
+def test_aligned_rows_begin_at_cache_line_boundaries():
     for shape in ((7,), (4, 3), (1,), (50, 29)):
         array = aligned_zeros(*shape)
         assert array.shape == (*shape, LANES) and array.ctypes.data % (8 * LANES) == 0
 
 
-def test_a_fleet_of_none_or_of_several_steps_or_of_some_flexible_cars_is_refused():
+def test_an_empty_or_mixed_fleet_is_rejected():
     with pytest.raises(ConfigError, match="at least one drive"):
         Fleet([])
     slow = drives(1)[0]

@@ -71,7 +71,7 @@ def test_it_is_the_inverse_of_the_quarter_car_in_state_space(k):
     np.testing.assert_allclose(CORNERS.inverse(f)[k] * H, 1.0, rtol=1e-9)
 
 
-def test_the_struts_feel_the_rigid_body_whichever_the_motion():
+def test_accelerations_at_the_struts_are_those_of_the_rigid_body():
     car, rng = CARS["defender"], np.random.default_rng(0)
     heave, roll, pitch = rng.standard_normal((3, 5))
     locations = IDEAL.locations(car)
@@ -82,7 +82,7 @@ def test_the_struts_feel_the_rigid_body_whichever_the_motion():
 
 
 @pytest.mark.parametrize(("mode", "k_s"), [("ride", 16682.0), ("handling", 83574.0)])
-def test_the_corners_of_the_defender_are_those_of_its_description(mode, k_s):
+def test_the_corners_of_the_defender_match_its_parameters(mode, k_s):
     car = CARS["defender"]
     found = quarter_cars(
         build_plant(car), car, dict.fromkeys(("front", "rear"), mode), np.full(4, 0.1)
@@ -94,13 +94,13 @@ def test_the_corners_of_the_defender_are_those_of_its_description(mode, k_s):
 
 @pytest.mark.parametrize("speed_kmh", [14.5, 54.0])
 @pytest.mark.parametrize("mode", ["ride", "handling", SPLIT], ids=str)
-def test_where_both_wheel_paths_are_equal_free_corners_are_inverted_exactly(mode, speed_kmh):
+def test_for_equal_wheel_paths_uncoupled_corners_are_inverted_exactly(mode, speed_kmh):
     record, truth = drive.__wrapped__(mode, speed_kmh, mirrored=True)
     error = nrmse(truth.z, ask(record).z, PROFILE_SPACING, scored_band(speed_kmh / 3.6)).pooled
     assert error < (0.01 if speed_kmh < 20.0 else 0.03)
 
 
-def test_of_the_difference_it_tells_the_mean_over_three_wheelbases():
+def test_of_the_difference_a_comb_over_three_wheelbases_is_recovered():
     """cos²(pi n L) is the comb (q(s - L) + 2 q(s) + q(s + L)) / 4."""
     record, truth = drive()
     found, L = ask(record), free_car().wheelbase
@@ -115,7 +115,7 @@ def test_of_the_difference_it_tells_the_mean_over_three_wheelbases():
     assert 0.35 < nrmse(truth.z, found.z, PROFILE_SPACING, scored_band(15.0)).pooled < 0.5
 
 
-def test_slower_than_its_band_nothing_is_claimed():
+def test_below_its_band_the_estimate_tends_to_zero():
     """What stands below f_low / v is less than half, and less yet for a higher f_low."""
     record, truth = drive(mirrored=True)
     slow = (0.05, 0.1)
@@ -128,7 +128,7 @@ def test_slower_than_its_band_nothing_is_claimed():
     assert any("waves from 0.02 to 1.7 cycles/m" in note for note in ask(record).notes)
 
 
-def test_a_switch_is_told_and_impossible_settings_are_refused():
+def test_a_mode_change_is_noted_and_invalid_settings_are_rejected():
     record, _ = drive()
     stiff = record.spring_stiff.copy()
     stiff[: record.t.size // 3] = True

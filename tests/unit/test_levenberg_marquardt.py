@@ -100,7 +100,7 @@ def test_the_defaults_are_those_of_trainlm():
     )
 
 
-def test_samples_may_come_in_chunks_of_any_size(monkeypatch):
+def test_the_chunk_size_does_not_change_the_sums(monkeypatch):
     network, x, t = problem(2)
     whole = lm.normal_equations(network, x, t), lm.mean_squared_error(network, x, t)
     monkeypatch.setattr(lm, "CHUNK", 37)
@@ -126,7 +126,7 @@ def test_the_paper_s_network_has_302_weights():
     assert parameters(network).size == 302
 
 
-def test_without_validation_it_reaches_the_optimum_that_scipy_reaches():
+def test_without_validation_it_reaches_scipys_optimum():
     start, x, t = near_an_optimum(5)
     training = lm.train(start, x, t, everything(80), replace(DEFAULTS, min_grad=1e-10))
 
@@ -166,7 +166,7 @@ def test_training_ends_when_no_mu_lowers_the_error():
     assert optimum.mu[-2] <= 1e10
 
 
-def test_six_epochs_without_a_better_validation_error_end_training_at_the_best_weights():
+def test_six_validation_failures_stop_training_at_the_best_weights():
     network, x, t = problem(8)
     split = lm.Split(np.arange(200), np.arange(200, 300), np.arange(0))
     t[:, 200:] = network(x[:, 200:])  # every step leads away from what validates perfectly
@@ -176,7 +176,7 @@ def test_six_epochs_without_a_better_validation_error_end_training_at_the_best_w
     np.testing.assert_array_equal(training.network.output, network.output)
 
 
-def test_a_better_validation_error_starts_the_count_afresh():
+def test_a_smaller_validation_error_resets_the_failure_count():
     network, x, t = problem(9, size=600, hidden=12)
     split = lm.divide(600, "random", np.random.default_rng(0))
     training = lm.train(network, x, t, split)
@@ -196,7 +196,7 @@ def test_the_training_error_falls_at_every_epoch():
     assert np.isnan(training.test).all()
 
 
-def test_mu_falls_tenfold_with_every_step_that_succeeds_at_once():
+def test_mu_falls_tenfold_with_every_step_accepted_at_once():
     """Without a varying input the problem is nearly linear, and no step fails."""
     rng = np.random.default_rng(11)
     x = rng.uniform(-1.0, 1.0, (1, 50))
@@ -231,7 +231,7 @@ def first_that_helps(network, x, t, training, epoch):
     assert training.mu[epoch + 1] == pytest.approx(0.1 * mu, rel=1e-9)
 
 
-def test_normal_equations_that_are_singular_count_as_a_failed_step():
+def test_singular_normal_equations_count_as_a_failed_step():
     """Neurons that are all the same cannot be told apart without mu."""
     rng = np.random.default_rng(0)
     network = lm.TwoLayerNetwork(np.full((2, 5), 0.3), np.full((1, 6), 0.7))
@@ -244,7 +244,7 @@ def test_normal_equations_that_are_singular_count_as_a_failed_step():
     assert training.train[1] < training.train[0]
 
 
-def test_one_seed_gives_one_training_and_another_seed_another():
+def test_equal_seeds_give_equal_trainings_and_others_differ():
     def run(seed):
         _, x, t = problem(13)
         rng = np.random.default_rng(seed)
@@ -258,7 +258,7 @@ def test_one_seed_gives_one_training_and_another_seed_another():
 
 
 @pytest.mark.parametrize(("inputs", "hidden"), [(3, 50), (1, 8), (5, 20)])
-def test_first_weights_have_the_length_of_nguyen_and_widrow_on_tanh_s_active_range(inputs, hidden):
+def test_initial_weights_have_the_nguyen_widrow_length(inputs, hidden):
     network = lm.nguyen_widrow(inputs, hidden, 2, np.random.default_rng(0))
     magnitude = 2.0 * 0.7 * hidden ** (1.0 / inputs)
     np.testing.assert_allclose(np.linalg.norm(network.hidden[:-1], axis=0), magnitude, rtol=1e-12)
@@ -269,18 +269,18 @@ def test_first_weights_have_the_length_of_nguyen_and_widrow_on_tanh_s_active_ran
     assert (np.abs(network.output) <= 1.0).all()
 
 
-def test_first_weights_of_one_input_are_active_all_over_its_range():
+def test_initial_weights_of_one_input_cover_its_range():
     network = lm.nguyen_widrow(1, 9, 1, np.random.default_rng(3))
     w, b = network.hidden
     np.testing.assert_allclose(np.sort(-b / w), np.linspace(-1.0, 1.0, 9), atol=1e-12)
 
 
-def test_a_single_hidden_neuron_starts_in_the_middle():
+def test_a_single_hidden_neuron_starts_at_the_centre():
     network = lm.nguyen_widrow(2, 1, 1, np.random.default_rng(4))
     assert network.hidden[-1, 0] == 0.0
 
 
-def test_mapping_fills_the_range_and_leaves_a_constant_row_as_it_is():
+def test_scaling_fills_the_range_and_leaves_a_constant_row():
     x = np.array([[1.0, 2.0, 4.0], [7.0, 7.0, 7.0], [0.0, 0.0, 0.0]])
     scaling = lm.Scaling.fit(x)
     y = scaling.apply(x)
@@ -306,7 +306,7 @@ def test_blocks_are_contiguous_and_random_divisions_are_not():
     assert not np.array_equal(drawn.validation, other.validation)
 
 
-def test_the_jacobian_handed_to_the_peers_is_the_slope_of_the_outputs():
+def test_the_jacobian_for_the_peers_is_the_derivative_of_the_outputs():
     rng = np.random.default_rng(5)
     network = lm.nguyen_widrow(3, 4, 2, rng)
     x = rng.uniform(-1.0, 1.0, (3, 7))
@@ -321,7 +321,7 @@ def test_the_jacobian_handed_to_the_peers_is_the_slope_of_the_outputs():
 
 
 @pytest.mark.parametrize("peer", [lm_peers.time_scipy, lm_peers.time_torch])
-def test_a_peer_gets_to_the_same_error_from_the_same_start(peer):
+def test_a_peer_reaches_the_same_error_from_the_same_start(peer):
     rng = np.random.default_rng(6)
     x = rng.uniform(-1.0, 1.0, (3, 200))
     t = np.tanh(rng.standard_normal((2, 3)) @ x)
@@ -333,7 +333,7 @@ def test_a_peer_gets_to_the_same_error_from_the_same_start(peer):
         pytest.skip(str(missing))
 
 
-def test_the_course_of_a_training_survives_its_arrays():
+def test_a_result_survives_conversion_to_arrays():
     rng = np.random.default_rng(7)
     x = rng.uniform(-1.0, 1.0, (3, 40))
     start = lm.nguyen_widrow(3, 3, 2, rng)

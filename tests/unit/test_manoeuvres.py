@@ -46,7 +46,7 @@ def test_a_gentle_steady_turn_rolls_the_body_by_moment_over_stiffness(mode, rate
     assert motion.state[-1, PHI] == pytest.approx(expected, rel=0.01)
 
 
-def test_at_four_tenths_of_g_the_stops_hold_what_ride_cannot():
+def test_at_a_lateral_acceleration_of_0_4_g_the_bump_stops_limit_the_roll():
     # a linear car would lean 24 degrees in ride; the gas spring softens as it extends, so that
     # without stops there is no such equilibrium, and the car falls over
     lean = {
@@ -59,14 +59,14 @@ def test_at_four_tenths_of_g_the_stops_hold_what_ride_cannot():
     assert np.degrees(free.state[-1, PHI]) > 90.0
 
 
-def test_a_turn_to_the_left_lifts_the_left_and_loads_the_right():
+def test_a_turn_to_the_left_lifts_the_left_side_and_loads_the_right_tyres():
     motion = simulate(CAR, FLAT, 10.0, manoeuvre=SteadyTurn(a_y=2.0))
     left, right = motion.tyre_load[-1, [0, 2]], motion.tyre_load[-1, [1, 3]]
     assert motion.state[-1, PHI] > 0.0
     assert (left < right).all()
 
 
-def test_braking_dives_and_pulling_away_squats():
+def test_braking_pitches_nose_down_and_accelerating_nose_up():
     braking = simulate(CAR, FLAT, 15.0, manoeuvre=Braking(a_x=3.0, hold=5.0))
     assert braking.state[3000, THETA] > 0.005
     still = SteadyTurn(a_y=0.0)
@@ -74,12 +74,12 @@ def test_braking_dives_and_pulling_away_squats():
     assert away.state[3000, THETA] < -0.005
 
 
-def test_a_change_of_speed_alone_leans_nothing_as_in_the_paper():
+def test_a_speed_profile_without_a_manoeuvre_causes_no_body_motion():
     motion = simulate(CAR, FLAT, speed_ramp(2.0, 14.0, 4.0))
     assert np.abs(motion.acceleration).max() < 1e-6
 
 
-def test_the_jacobian_knows_the_moments_of_displaced_weight():
+def test_the_jacobian_contains_the_moments_of_the_displaced_weight():
     strut_state = settled_strut_state(encode_command("ride"))
     state = np.zeros(14)
     leaning, upright = (
@@ -92,7 +92,7 @@ def test_the_jacobian_knows_the_moments_of_displaced_weight():
     np.testing.assert_allclose(leaning - upright, difference, atol=1e-9)
 
 
-def test_a_lane_change_ends_one_lane_over_and_back_again():
+def test_a_lane_change_moves_one_lane_over_and_back():
     manoeuvre = LaneChange(v=15.0)
     t = np.linspace(0.0, 10.0, 200_001)
     a_y = manoeuvre.at(t)[:, 1]
@@ -103,7 +103,7 @@ def test_a_lane_change_ends_one_lane_over_and_back_again():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_manoeuvre_begins_at_rest_and_is_continuous(kind):
+def test_every_manoeuvre_begins_at_zero_and_is_continuous(kind):
     t = np.linspace(0.0, 20.0, 200_001)
     a = load_manoeuvre(kind).at(t)
     assert a.shape == (t.size, 2)
@@ -118,7 +118,7 @@ def test_mirrored_slaloms_mirror_the_motion():
     np.testing.assert_allclose(left.state[:, PHI], -right.state[:, PHI], atol=1e-12)
 
 
-def test_an_unknown_manoeuvre_or_setting_is_named_with_the_choices():
+def test_an_unknown_manoeuvre_or_setting_is_rejected_with_the_choices():
     with pytest.raises(ConfigError, match="did you mean 'slalom'"):
         load_manoeuvre("slalon")
     with pytest.raises(ConfigError, match="unknown key, did you mean 'a_y'"):

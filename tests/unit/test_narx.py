@@ -17,7 +17,7 @@ def trained() -> Narx:
     return Narx(hidden=6, max_epochs=30).fit(records, truths, CAR, 0)
 
 
-def test_regressors_are_the_accelerations_now_and_before_and_the_true_heights_before():
+def test_regressors_are_current_and_past_accelerations_and_past_true_heights():
     x, z = np.arange(30.0).reshape(3, 10), 100.0 + np.arange(20.0).reshape(2, 10)
     regressors, targets = series_parallel(x, z, 2)
     np.testing.assert_array_equal(targets, z[:, 2:])
@@ -26,7 +26,7 @@ def test_regressors_are_the_accelerations_now_and_before_and_the_true_heights_be
     np.testing.assert_array_equal(regressors[:, k - 2], wanted)
 
 
-def test_in_parallel_the_network_is_fed_its_own_answers_station_by_station():
+def test_in_parallel_the_network_feeds_back_its_own_outputs():
     rng = np.random.default_rng(0)
     network = lm.nguyen_widrow(13, 4, 2, rng)
     x, before = rng.uniform(-1, 1, (3, 12)), rng.uniform(-1, 1, (2, 2))
@@ -40,7 +40,7 @@ def test_in_parallel_the_network_is_fed_its_own_answers_station_by_station():
         past, sensed = [answer, past[0]], [x[:, k], sensed[0]]
 
 
-def test_fed_with_its_own_answers_where_they_are_the_truth_both_loops_agree():
+def test_both_loops_agree_where_the_outputs_are_the_truth():
     rng = np.random.default_rng(1)
     network = lm.nguyen_widrow(13, 4, 2, rng)
     x, before = rng.uniform(-1, 1, (3, 40)), np.zeros((2, 2))
@@ -50,7 +50,7 @@ def test_fed_with_its_own_answers_where_they_are_the_truth_both_loops_agree():
     np.testing.assert_allclose(network(regressors), targets, atol=1e-12)
 
 
-def test_the_open_loop_looks_excellent_and_the_closed_loop_is_what_comes_out(trained):
+def test_the_open_loop_error_is_small_and_the_closed_loop_error_is_not(trained):
     _, _, _, open_loop, closed_loop = trained.fitted_state
     assert open_loop < 0.1 < 0.5 < closed_loop
     record, truth = drive(300)
@@ -60,7 +60,7 @@ def test_the_open_loop_looks_excellent_and_the_closed_loop_is_what_comes_out(tra
     assert f"{closed_loop:.2f} of the level, closed loop as here; {open_loop:.2f} if it" in note
 
 
-def test_the_course_of_the_training_is_stored_with_the_weights(trained):
+def test_the_training_history_is_stored_with_the_weights(trained):
     again = Narx(hidden=6).with_weights(trained.weights()).training
     assert again.stop == trained.training.stop
     assert again.best_epoch == trained.training.best_epoch

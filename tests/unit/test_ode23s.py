@@ -48,7 +48,7 @@ def truth(f, span, y_0, t):
     return found.y.T
 
 
-def test_the_stiff_van_der_pol_oscillator_ends_where_it_should():
+def test_the_stiff_van_der_pol_oscillator_matches_octave_and_scipy():
     """Where Octave's ode23s (rtol 1e-6) and SciPy's Radau (1e-10) end."""
     f, J, T = van_der_pol(1000.0)
     for rtol, steps in ((1e-3, 40), (1e-6, 250)):
@@ -57,7 +57,7 @@ def test_the_stiff_van_der_pol_oscillator_ends_where_it_should():
         assert found.steps < steps  # an explicit method needs hundreds
 
 
-def test_the_jumps_of_the_stiff_oscillator_are_followed():
+def test_the_fast_transitions_of_the_stiff_oscillator_match_scipy():
     f, J, T = van_der_pol(100.0)
     found = ode23s(f, J, (0.0, 200.0), [2.0, 0.0], 1e-6, 1e-9, dfdt=T)
     t = np.linspace(0.0, 200.0, 41)
@@ -69,7 +69,7 @@ def test_the_jumps_of_the_stiff_oscillator_are_followed():
 
 
 @pytest.mark.parametrize("given", [True, False], ids=["df/dt given", "df/dt by differences"])
-def test_at_a_constant_step_the_method_is_of_order_two_even_where_time_enters(given):
+def test_at_a_constant_step_the_method_has_order_two_on_a_time_dependent_rate(given):
     f, J, T = time_dependent_problem()
     h, t = 0.1 / 2.0 ** np.arange(6), np.linspace(0.0, 2.0, 21)
     expected, error = truth(f, (0.0, 2.0), START, t), []
@@ -86,7 +86,7 @@ def one_step(h, t=0.3):
     return step(f, t, START, F, J(t, START), T(t, START), h), exact
 
 
-def test_a_step_and_its_error_make_a_formula_of_order_three():
+def test_a_step_plus_its_error_estimate_has_order_three():
     h, second, third = 0.2 / 2.0 ** np.arange(6), [], []
     for each in h:
         found, exact = one_step(each)
@@ -96,7 +96,7 @@ def test_a_step_and_its_error_make_a_formula_of_order_three():
     assert slope(h, third) == pytest.approx(4.0, abs=0.1)
 
 
-def test_between_its_ends_a_step_is_as_accurate_as_at_them():
+def test_dense_output_is_as_accurate_as_the_steps():
     f, J, T = time_dependent_problem()
     h, error = 0.2 / 2.0 ** np.arange(6), []
     for each in h:
@@ -107,7 +107,7 @@ def test_between_its_ends_a_step_is_as_accurate_as_at_them():
     assert slope(h, error) == pytest.approx(3.0, abs=0.1)
 
 
-def test_the_dense_solution_meets_every_step_and_any_shape_of_times():
+def test_dense_output_passes_through_the_steps_and_takes_times_of_any_shape():
     f, J, T = time_dependent_problem()
     found = ode23s(f, J, (0.0, 2.0), START, dfdt=T)
     np.testing.assert_allclose(found(found.t), found.y, rtol=1e-14)
@@ -119,7 +119,7 @@ def test_the_dense_solution_meets_every_step_and_any_shape_of_times():
 
 
 @pytest.mark.parametrize("problem", ["time dependent", "van der Pol"])
-def test_the_error_follows_the_tolerance_with_the_power_of_two_thirds(problem):
+def test_the_global_error_scales_with_the_tolerance_to_the_power_two_thirds(problem):
     """A step's error is of order h³, that of the whole of order h²."""
     f, J, T = time_dependent_problem() if problem == "time dependent" else van_der_pol(3.0)
     rtol, t = 10.0 ** -np.arange(4.0, 9.0), np.linspace(0.0, 4.0, 33)
@@ -130,7 +130,7 @@ def test_the_error_follows_the_tolerance_with_the_power_of_two_thirds(problem):
     assert slope(rtol, error) == pytest.approx(2.0 / 3.0, abs=0.06)
 
 
-def test_the_last_stage_of_a_step_is_the_first_of_the_next():
+def test_the_last_stage_of_a_step_is_reused_as_the_first_of_the_next():
     f, J, T = van_der_pol(100.0)
     found = ode23s(f, J, (0.0, 200.0), [2.0, 0.0], dfdt=T)
     assert found.rejections > 0
@@ -139,7 +139,7 @@ def test_the_last_stage_of_a_step_is_the_first_of_the_next():
 
 
 @pytest.mark.parametrize("stiffness", [1e3, 1e6, 1e12])
-def test_however_stiff_the_equation_one_long_step_forgets_its_start(stiffness):
+def test_one_long_step_damps_a_stiff_mode_almost_completely(stiffness):
     """L-stability: the factor of a step goes to 0, not to -1 as with the trapezoidal rule."""
     J, y = np.array([[-stiffness]]), np.array([1.0])
     found = step(lambda t, y: J @ y, 0.0, y, J @ y, J, np.zeros(1), 1.0)
@@ -147,7 +147,7 @@ def test_however_stiff_the_equation_one_long_step_forgets_its_start(stiffness):
     assert abs(found.y[0]) < 6.0 / stiffness
 
 
-def test_a_stiff_equation_that_follows_a_slow_one_takes_few_steps():
+def test_a_stiff_equation_with_a_slow_solution_takes_few_steps():
     """Prothero & Robinson: y = sin t whatever the stiffness."""
 
     def f(t, y):
@@ -159,7 +159,7 @@ def test_a_stiff_equation_that_follows_a_slow_one_takes_few_steps():
     assert found.steps < 600  # what is stable explicitly needs 500 million
 
 
-def test_a_jump_in_the_rate_is_met_by_shorter_steps():
+def test_a_discontinuity_in_the_rate_shortens_the_steps():
     found = ode23s(
         lambda t, y: [-y[0] + (100.0 if t > 0.5 else 0.0)], lambda t, y: [[-1.0]], (0.0, 2.0), [1.0]
     )
@@ -169,7 +169,7 @@ def test_a_jump_in_the_rate_is_met_by_shorter_steps():
     assert np.diff(found.t).min() < 1e-3 * np.diff(found.t).max()
 
 
-def test_a_pulse_may_be_jumped_over_unless_steps_are_kept_short():
+def test_a_short_pulse_is_missed_unless_max_step_limits_the_steps():
     def run(longest):
         def rate(t, y):
             return np.array([-y[0] + np.exp(-(((t - 50.0) / 0.02) ** 2))])
@@ -182,7 +182,7 @@ def test_a_pulse_may_be_jumped_over_unless_steps_are_kept_short():
     assert np.diff(found.t).max() <= 0.05 * (1.0 + 1e-9)
 
 
-def test_the_next_step_grows_with_the_cube_root_of_the_error_within_limits():
+def test_the_step_size_factor_is_a_limited_cube_root_of_the_error():
     assert step_size_factor(1.0) == pytest.approx(0.8)
     assert step_size_factor(0.125) == pytest.approx(1.6)
     assert step_size_factor(8.0) == pytest.approx(0.4)
@@ -190,7 +190,7 @@ def test_the_next_step_grows_with_the_cube_root_of_the_error_within_limits():
     assert step_size_factor(1e9) == step_size_factor(np.nan) == step_size_factor(np.inf) == 0.2
 
 
-def test_a_rate_that_is_no_number_ends_with_the_time_it_happened():
+def test_a_nan_rate_raises_an_error_that_names_the_time():
     with pytest.raises(StepSizeError, match=r"at t = 0\.5"):
         ode23s(lambda t, y: [np.nan if t > 0.5 else 1.0], lambda t, y: [[0.0]], (0.0, 1.0), [0.0],
                dfdt=lambda t, y: [0.0])  # fmt: skip
@@ -207,7 +207,7 @@ def test_a_rate_that_is_no_number_ends_with_the_time_it_happened():
     ],
     ids=str,
 )
-def test_input_without_sense_is_refused(wrong):
+def test_invalid_input_is_rejected(wrong):
     f, J, _ = time_dependent_problem()
     given = {"span": (0.0, 1.0), "y_0": START} | wrong
     with pytest.raises(ValueError, match="must"):

@@ -31,13 +31,13 @@ def with_gap(record: Record, share: float, row: int = 1) -> Record:
     return replace(record, a=a)
 
 
-def test_a_sound_record_is_handed_back_itself():
+def test_a_clean_record_is_returned_itself():
     record, _ = drive(200)
     found, notes = clean_record(record)
     assert found is record and notes == ()
 
 
-def test_missing_samples_are_bridged_by_straight_lines_and_said():
+def test_missing_samples_are_interpolated_linearly_and_noted():
     record, _ = drive(201)
     found, notes = clean_record(with_gap(record, 0.01))
     assert notes == ("LR: 1.0% of the samples were missing and are bridged",)
@@ -48,7 +48,7 @@ def test_missing_samples_are_bridged_by_straight_lines_and_said():
     np.testing.assert_array_equal(found.a[1, :begin], record.a[1, :begin])
 
 
-def test_samples_that_were_dropped_come_back_at_their_times():
+def test_dropped_samples_are_restored_at_their_times():
     record, _ = drive(202)
     kept = np.ones(record.t.size, dtype=bool)
     kept[100:103] = kept[500:520:2] = False
@@ -59,7 +59,7 @@ def test_samples_that_were_dropped_come_back_at_their_times():
     np.testing.assert_allclose(found.a[:, kept], record.a[:, kept], atol=1e-9)
 
 
-def test_a_sensor_at_its_limit_is_said_and_a_smooth_peak_is_not():
+def test_a_clipped_sensor_is_noted_and_a_smooth_peak_is_not():
     record, _ = drive(203)
     limit = np.quantile(np.abs(record.a[0]), 0.9)
     clipped = replace(record, a=np.clip(record.a, -limit, limit))
@@ -69,7 +69,7 @@ def test_a_sensor_at_its_limit_is_said_and_a_smooth_peak_is_not():
     assert clean_record(replace(record, a=np.array([hum, hum, hum])))[1] == ()
 
 
-def test_a_stop_and_a_record_that_begins_late_are_said():
+def test_a_stop_and_a_late_start_are_noted():
     record, _ = drive(204)
     s = np.where(record.s < 5.0, record.s, np.maximum(record.s - 4.0, 5.0))
     _, notes = clean_record(replace(record, s=s))
@@ -104,14 +104,14 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("sentence", REFUSED)
-def test_a_record_that_cannot_be_used_is_refused_with_the_reason(sentence):
+def test_an_unusable_record_is_rejected_with_the_reason(sentence):
     record, _ = drive(205)
     with pytest.raises(RecordError, match=sentence):
         clean_record(REFUSED[sentence](record))
 
 
 @pytest.mark.parametrize("name", MENDING)
-def test_each_learner_says_what_it_mended_and_refuses_what_it_cannot(name):
+def test_each_trainable_estimator_notes_repairs_and_rejects_unusable_records(name):
     estimator = fit(name)
     record, _ = drive(206)
     whole = estimator.estimate(record, CAR)

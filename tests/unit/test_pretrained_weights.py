@@ -51,13 +51,13 @@ def rare_taps(causal: bool) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("name", "array"), WINDOWS.items())
-def test_shipped_linear_windows_are_those_of_the_corpus_as_it_is_driven_now(name, array):
+def test_shipped_fir_taps_match_the_corpus_as_simulated_now(name, array):
     """Whatever changes in the simulator, in a road or in the corpus, the weights are to follow."""
     arrays, _ = kept(name)
     assert near(rare_taps(create(name).causal), arrays[array][STIFF_LOW_AND_RIDE])
 
 
-def test_all_that_was_taught_begins_with_the_same_windows():
+def test_all_pretrained_estimators_share_the_same_fir_taps():
     for causal in (False, True):
         banks = [
             kept(name)[0][array] for name, array in WINDOWS.items() if create(name).causal == causal
@@ -67,7 +67,7 @@ def test_all_that_was_taught_begins_with_the_same_windows():
 
 
 @pytest.mark.parametrize("name", NETWORKS)
-def test_a_file_of_weights_holds_half_precision_and_little_else(name):
+def test_weight_files_hold_half_precision_and_little_else(name):
     arrays, _ = kept(name)
     precise = {key for key, x in arrays.items() if x.dtype != np.float16}
     assert precise == {"widths", "wheelbase"}
@@ -95,7 +95,7 @@ def mean_error(estimator) -> float:
 
 @pytest.mark.slow
 @pytest.mark.skipif("ROADRECON_SLOW" not in os.environ, reason="minutes; set ROADRECON_SLOW")
-def test_the_shipped_windows_are_what_their_command_gives(tmp_path):
+def test_the_shipped_fir_taps_are_reproduced_by_their_command(tmp_path):
     fresh = taught("fir_ridge", tmp_path / "bank.safetensors").weights()
     assert near(fresh["bank"], kept("fir_ridge")[0]["bank"])
 
@@ -103,6 +103,6 @@ def test_the_shipped_windows_are_what_their_command_gives(tmp_path):
 @pytest.mark.slow
 @pytest.mark.skipif("ROADRECON_SLOW" not in os.environ, reason="minutes; set ROADRECON_SLOW")
 @pytest.mark.parametrize("name", NETWORKS)
-def test_shipped_networks_are_what_their_command_gives_within_the_spread_of_seeds(name, tmp_path):
+def test_shipped_networks_are_reproduced_within_the_spread_of_seeds(name, tmp_path):
     fresh = mean_error(taught(name, tmp_path / "network.safetensors"))
     assert fresh == pytest.approx(mean_error(create(name)), rel=SEED_SPREAD)

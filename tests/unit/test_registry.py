@@ -80,7 +80,7 @@ def test_the_registry_holds_the_estimators_of_this_package():
 
 
 @pytest.mark.parametrize("name", REGISTRY)
-def test_every_name_makes_its_estimator(name):
+def test_every_name_creates_its_estimator(name):
     assert type(create(name)) is REGISTRY[name]
 
 
@@ -102,12 +102,12 @@ def test_settings_reach_the_estimator():
         ("fir_ridge", {"reach": -1.0}, r"reach must be within \(0, 100\] m, got -1"),
     ],
 )
-def test_a_wrong_name_or_setting_is_named_with_the_choices(name, settings, sentence):
+def test_a_wrong_name_or_setting_is_reported_with_the_choices(name, settings, sentence):
     with pytest.raises(ConfigError, match=sentence):
         create(name, **settings)
 
 
-def test_an_estimator_of_another_package_appears_by_its_name(monkeypatch):
+def test_an_estimator_of_another_package_is_available_by_name(monkeypatch):
     offer(monkeypatch, plateau=f"{__name__}:Plateau")
     assert available()["plateau"] is Plateau
     assert create("plateau", height=2.0) == Plateau(height=2.0)
@@ -145,7 +145,7 @@ def test_an_installed_package_is_found_by_its_metadata(tmp_path, monkeypatch):
         (f"{__name__}:trained_mean", "it must be a dataclass of settings"),
     ],
 )
-def test_a_broken_plug_in_is_reported_by_name_and_takes_no_other_down(monkeypatch, value, reason):
+def test_a_broken_plug_in_is_reported_and_disables_no_other(monkeypatch, value, reason):
     offer(monkeypatch, broken=value, plateau=f"{__name__}:Plateau")
     with pytest.warns(EstimatorPluginWarning, match=f"'broken' of {value} is left out: .*{reason}"):
         found = available()
@@ -160,7 +160,7 @@ def test_a_plug_in_may_not_take_the_name_of_another_estimator(monkeypatch):
         available()
 
 
-def test_a_stored_file_tells_format_name_settings_and_version(tmp_path):
+def test_a_stored_file_holds_format_name_settings_and_version(tmp_path):
     save(create("fir_ridge", reach=2.5).with_weights(window()), tmp_path / "window.npz")
     with np.load(tmp_path / "window.npz", allow_pickle=False) as file:
         header = json.loads(str(file["header"]))
@@ -179,12 +179,12 @@ def window() -> dict[str, np.ndarray]:
     return {"taps": np.ones((2, 3, 67)), **numbers}
 
 
-def test_taps_that_do_not_fill_the_window_are_refused():
+def test_taps_that_do_not_fill_the_window_are_rejected():
     with pytest.raises(ValueError, match=r"67 taps do not make a window of 3\.0 m"):
         create("fir_ridge", reach=3.0).with_weights(window())
 
 
-def test_settings_come_back_with_the_estimator(tmp_path):
+def test_settings_are_restored_with_the_estimator(tmp_path):
     save(create("fir_ridge", reach=2.5).with_weights(window()), tmp_path / "window.npz")
     assert load(tmp_path / "window.npz") == create("fir_ridge", reach=2.5)
 
@@ -225,13 +225,13 @@ def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(
     assert os.listdir(tmp_path) == ["kept.npz"]
 
 
-def test_a_missing_file_is_named(tmp_path):
+def test_a_missing_file_is_reported(tmp_path):
     with pytest.raises(StorageError, match=r"nowhere.npz: cannot be read: No such file"):
         load(tmp_path / "nowhere.npz")
 
 
 @pytest.mark.parametrize("size", [0, 10, 300, -10])
-def test_a_file_cut_short_is_refused(tmp_path, size):
+def test_a_truncated_file_is_rejected(tmp_path, size):
     path = tmp_path / "mean.npz"
     save(trained_mean(), path)
     path.write_bytes(path.read_bytes()[:size])
@@ -239,7 +239,7 @@ def test_a_file_cut_short_is_refused(tmp_path, size):
         load(path)
 
 
-def test_a_flipped_byte_is_noticed(tmp_path):
+def test_a_flipped_byte_is_detected(tmp_path):
     path = tmp_path / "mean.npz"
     save(trained_mean(), path)
     data = bytearray(path.read_bytes())
@@ -281,14 +281,14 @@ HEADER = {"format": "roadrecon estimator 1", "version": "0", "name": "flat", "se
         ),
     ],
 )
-def test_a_foreign_file_is_refused_with_the_reason(tmp_path, arrays, sentence):
+def test_a_foreign_file_is_rejected_with_the_reason(tmp_path, arrays, sentence):
     path = tmp_path / "foreign.npz"
     stored(path, **arrays)
     with pytest.raises(StorageError, match=rf"foreign.npz: .*{sentence}"):
         load(path)
 
 
-def test_pickled_objects_are_never_opened(tmp_path):
+def test_pickled_objects_are_never_loaded(tmp_path):
     path = tmp_path / "pickle.npz"
     with path.open("wb") as file:
         np.savez(file, header=np.array([{"a": 1}], dtype=object), allow_pickle=True)
@@ -296,7 +296,7 @@ def test_pickled_objects_are_never_opened(tmp_path):
         load(path)
 
 
-def test_a_text_file_is_no_estimator(tmp_path):
+def test_a_text_file_is_rejected(tmp_path):
     path = tmp_path / "notes.npz"
     path.write_text("no archive")
     with pytest.raises(StorageError, match=r"not an \.npz file"):

@@ -280,7 +280,7 @@ def test_pillow_is_imported_only_to_draw_and_missed_with_a_hint():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     lines = done.stdout.splitlines()
-    assert lines == ["False False", "pillow is not installed, run `pip install pillow`"], (
+    assert lines == ["False False", "run `pip install 'road-envs[render]'`"], (
         done.stderr
     )
 

@@ -43,7 +43,7 @@ def drawn(size: int):
     return x, rng.multivariate_normal(np.zeros(size), dense(x, THETA))
 
 
-def test_the_evidence_is_the_density_of_the_outputs_and_its_slope_that_of_differences():
+def test_the_marginal_likelihood_is_the_outputs_density_and_its_gradient_matches():
     x, y = drawn(15)
     value, slope = neg_log_marginal_likelihood(x, y, THETA)
     assert value == pytest.approx(-stats.multivariate_normal(cov=dense(x, THETA)).logpdf(y))
@@ -65,7 +65,7 @@ def test_a_prediction_is_the_conditional_of_the_joint_density():
     np.testing.assert_allclose(std, wished, rtol=1e-6)
 
 
-def test_the_level_of_a_road_is_that_of_its_judged_octaves():
+def test_the_road_level_is_the_geometric_mean_of_its_scored_octaves():
     """A cosine of the density of one line in each octave; the level is their geometric mean."""
     stations = profile_stations(400.0)
     z = np.zeros(stations.size)
@@ -83,7 +83,7 @@ def regression(mode: str):
 
 
 @pytest.mark.parametrize("road", ["iso_b", "iso_c", "iso_d"])
-def test_roads_of_the_classes_are_told(road):
+def test_roads_are_classified_correctly(road):
     record, truth = drive("defender", road, "handling", 54.0, length=150.0)
     found, true = regression("handling").predict(record), roughness_level(truth, 15.0)
     off = np.log(found.G_d0 / true)
@@ -93,7 +93,7 @@ def test_roads_of_the_classes_are_told(road):
     assert found.letter == roughness_class(true)
 
 
-def test_the_speed_is_taken_out():
+def test_the_estimate_does_not_depend_on_the_speed():
     """Driven faster the same road shakes the car more, and is told to be as rough."""
     slow, fast = (drive("defender", "iso_c", "handling", v, length=150.0) for v in (33.0, 60.0))
     apart = features(fast[0])[1:] - features(slow[0])[1:]
@@ -103,7 +103,7 @@ def test_the_speed_is_taken_out():
         assert abs(np.log(regression("handling").predict(record).G_d0 / true)) < 0.46
 
 
-def test_the_command_tells_the_class_by_either_method(road_recon):
+def test_the_command_reports_the_class_by_either_method(road_recon):
     drive_it = ("simulate", "--road", "iso_c", "--length", "100", "--speed-kmh", "36")
     assert road_recon(*drive_it, "--out", "d.parquet")[0] == 0
     code, out, _ = road_recon("classify", "d.parquet", "--method", "rms", "--json")

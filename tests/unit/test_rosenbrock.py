@@ -51,7 +51,7 @@ def road_under(surface, name, s, speed=SPEED):
     st.floats(5.0, 30.0),
     st.floats(-0.01, 0.01),
 )
-def test_one_step_is_the_published_formula(name, mode, y, h, s, psi):
+def test_one_step_equals_the_published_formula(name, mode, y, h, s, psi):
     """With dw/dt, the road's second derivative, taken over the half step as a difference.
 
     The matrix of a car whose frame twists knows the twist's own spring and damper and no coupling.
@@ -144,7 +144,7 @@ def relative_error(states, truth):
 
 @every_car
 @every_mode
-def test_the_method_is_of_order_two_on_the_nonlinear_car_over_a_road(name, mode):
+def test_the_method_has_order_two_on_the_nonlinear_vehicle_over_a_road(name, mode):
     t, truth = reference(name, mode, GENTLE, 1.0)
     h = 0.001 / 2.0 ** np.arange(5)
     error = []
@@ -158,7 +158,7 @@ def test_the_method_is_of_order_two_on_the_nonlinear_car_over_a_road(name, mode)
 
 
 @pytest.mark.parametrize(("name", "mode"), [("unequal_axles", "ride"), ("defender", "handling")])
-def test_wheels_that_leave_the_ground_are_followed(name, mode):
+def test_a_drive_with_wheel_lift_off_matches_the_reference(name, mode):
     t, truth = reference(name, mode, ROUGH, 1.0, rtol=1e-8)
     states, least = simulate_states(name, mode, ROUGH, t, 0.00025)
     assert least == 0.0
@@ -166,7 +166,7 @@ def test_wheels_that_leave_the_ground_are_followed(name, mode):
 
 
 @pytest.mark.parametrize(("name", "mode"), [("unequal_axles", "handling"), ("defender", "ride")])
-def test_a_drive_is_what_scipy_makes_of_the_papers_equations(name, mode):
+def test_a_drive_matches_scipy_on_the_papers_equations(name, mode):
     """Nothing shared: the paper's letters, SciPy's curves, splines and implicit Radau method."""
     plant, strut_state = PLANTS[name], settled_strut_state(encode_command(mode))
     y_0, t = equilibrium(plant, strut_state, ZEROS), np.linspace(0.0, 0.4, 21)
@@ -211,7 +211,7 @@ def test_small_motions_have_the_frequency_response_of_the_energy_matrices(name, 
 
 @every_car
 @every_mode
-def test_damped_motion_on_a_still_road_never_gains_energy(name, mode):
+def test_damped_motion_on_level_ground_never_gains_energy(name, mode):
     oracle, strut_state = (
         oracles.NonlinearCar(CARS[name]),
         settled_strut_state(encode_command(mode)),
@@ -230,7 +230,7 @@ def test_damped_motion_on_a_still_road_never_gains_energy(name, mode):
 
 @every_car
 @every_mode
-def test_without_losses_energy_is_kept_to_the_order_of_the_method(name, mode):
+def test_without_damping_energy_is_conserved_to_the_order_of_the_method(name, mode):
     car, free = lossless(CARS[name]), build_plant(lossless(CARS[name]))
     oracle, strut_state = oracles.NonlinearCar(car), settled_strut_state(encode_command(mode))
     start = equilibrium(free, strut_state, ZEROS)
@@ -259,7 +259,7 @@ def decay_towards_rest(name, mode, size, h, steps):
 @every_car
 @every_mode
 @pytest.mark.parametrize("h", [0.05, 0.5, 5.0, 50.0])
-def test_small_motions_die_out_however_long_the_step(name, mode, h):
+def test_small_motions_decay_for_any_step_size(name, mode, h):
     """L-stability: friction takes a millisecond and the axles roll at 15 Hz."""
     away = decay_towards_rest(name, mode, 1e-8, h, 400)
     assert away.max() < 100.0  # at 16 Hz a heave of 1 mm is a rate of 100 mm/s
@@ -271,14 +271,14 @@ def test_small_motions_die_out_however_long_the_step(name, mode, h):
 @every_car
 @every_mode
 @pytest.mark.parametrize("h", [0.01, 0.02])
-def test_motions_of_centimetres_come_to_rest_in_steps_longer_than_the_fastest_motion(name, mode, h):
+def test_large_motions_decay_in_steps_longer_than_the_fastest_mode(name, mode, h):
     away = decay_towards_rest(name, mode, 0.01, h, 1000)
     assert away.max() < 100.0 and away[-1] < 1e-3
 
 
 @every_car
 @every_mode
-def test_a_symmetric_road_never_rolls_the_car_to_the_bit(name, mode):
+def test_a_symmetric_road_causes_exactly_no_roll(name, mode):
     z = np.stack([ROUGH.z[0], ROUGH.z[0]])
     plant, strut_state = PLANTS[name], settled_strut_state(encode_command(mode))
     y = equilibrium(plant, strut_state, ZEROS)
@@ -299,7 +299,7 @@ def test_a_symmetric_road_never_rolls_the_car_to_the_bit(name, mode):
 
 @every_car
 @every_mode
-def test_a_car_at_rest_on_level_ground_stays_at_rest(name, mode):
+def test_a_vehicle_at_rest_on_level_ground_stays_at_rest(name, mode):
     plant, strut_state = PLANTS[name], settled_strut_state(encode_command(mode))
     rest = equilibrium(plant, strut_state, ZEROS)
     y = rest.copy()

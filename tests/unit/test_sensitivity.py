@@ -86,7 +86,7 @@ def tapes():
     return cases, [linearize_drive(TEST_PLANTS["varied"], *case[:5]) for case in cases]
 
 
-def test_the_tangent_is_the_derivative_that_dual_numbers_find(tmp_path):
+def test_the_tangent_equals_the_derivative_by_dual_numbers(tmp_path):
     """To rounding: on soft and stiff struts, between the two, and with wheels in the air."""
     plant, (cases, case_tapes) = TEST_PLANTS["varied"], tapes()
     given = {"n_cases": len(cases)}
@@ -116,7 +116,7 @@ def test_the_tangent_is_the_derivative_that_dual_numbers_find(tmp_path):
             np.testing.assert_allclose(end[half], expected, atol=1e-11 * np.abs(expected).max())
 
 
-def test_the_tangent_is_the_slope_of_the_step():
+def test_the_tangent_equals_the_finite_difference_of_the_step():
     for (strut_state, y, road, h, a_xy, dy, droad), tape in zip(*tapes(), strict=True):
         eps, ends, starts = 1e-6, [], []
         for sign in (1.0, -1.0):
@@ -131,7 +131,7 @@ def test_the_tangent_is_the_slope_of_the_step():
 
 
 @given(st.integers(0, 1), st.floats(-0.5, 4.5))
-def test_the_curvature_of_a_table_is_the_slope_of_its_slope(k, x):
+def test_the_second_derivative_of_a_table_is_the_slope_of_its_slope(k, x):
     """Also of curves that are bent to the very end of their table, and straight only beyond it."""
     assume(abs(2.0 * x - round(2.0 * x)) > 1e-4)
     tables = np.random.default_rng(3).standard_normal((2, 8, 4))
@@ -141,7 +141,7 @@ def test_the_curvature_of_a_table_is_the_slope_of_its_slope(k, x):
     assert (found == 0.0) == (not 0.0 < x < 4.0)
 
 
-def test_a_wheel_in_the_air_does_not_feel_its_road():
+def test_the_road_under_an_airborne_wheel_has_no_adjoint():
     strut_state, y = settled_strut_state(encode_command("ride")), np.zeros(14)
     road = np.zeros((2, 2, 4))
     road[:, 0, 2] = -0.2
@@ -175,7 +175,7 @@ def linearized_drive(name, mode):
 
 @every_car
 @every_mode
-def test_a_taped_drive_is_the_drive_itself(name, mode):
+def test_a_linearized_drive_has_the_signals_of_the_plain_drive(name, mode):
     start, _, tape = linearized_drive(name, mode)
     y = start.copy()
     out = run_integrator(
@@ -199,7 +199,7 @@ def test_the_adjoint_of_a_drive_is_the_transpose_of_its_tangent(name, mode):
 
 
 @pytest.mark.parametrize(("name", "mode"), [("unequal_axles", "ride"), ("defender", "handling")])
-def test_the_adjoint_of_a_misfit_is_its_slope_along_the_road(name, mode):
+def test_the_adjoint_gives_the_gradient_of_a_least_squares_misfit(name, mode):
     """On a road on which every tyre keeps touching: no jump of the step lies in the way."""
     strut_state, target = settled_strut_state(encode_command(mode)), smooth_road(height=0.006)
     rest, road = equilibrium(PLANTS[name], strut_state, ZEROS), under_wheels(name, target)
@@ -223,7 +223,7 @@ def test_the_adjoint_of_a_misfit_is_its_slope_along_the_road(name, mode):
 
 @every_car
 @every_mode
-def test_about_rest_the_tangent_is_the_linear_motion_to_order_two(name, mode):
+def test_near_rest_the_tangent_converges_to_the_linear_motion_with_order_two(name, mode):
     """The matrix exponential of the equations' Jacobian is the referee."""
     strut_state, change = settled_strut_state(encode_command(mode)), np.linspace(-1.0, 1.0, 14)
     start, seconds = equilibrium(PLANTS[name], strut_state, ZEROS), 0.1
@@ -237,7 +237,7 @@ def test_about_rest_the_tangent_is_the_linear_motion_to_order_two(name, mode):
     assert np.polyfit(np.log(h), np.log(error), 1)[0] == pytest.approx(2.0, abs=0.1)
 
 
-def test_applied_twice_a_tape_gives_the_same_and_leaves_its_arguments_alone():
+def test_applying_a_tape_twice_gives_equal_results_and_keeps_the_arguments():
     _, road, tape = linearized_drive("unequal_axles", "ride")
     start, dual, end = np.ones(14), np.ones((STEPS, 7)), np.ones(14)
     first, second = (tape.tangent(start, road) + tape.adjoint(dual, end) for _ in range(2))
@@ -246,7 +246,7 @@ def test_applied_twice_a_tape_gives_the_same_and_leaves_its_arguments_alone():
     assert (start == 1.0).all() and (dual == 1.0).all() and (end == 1.0).all()
 
 
-def test_arrays_of_a_wrong_shape_are_refused_by_name():
+def test_an_array_of_the_wrong_shape_is_rejected_by_name():
     plant, strut_state, start = PLANTS["unequal_axles"], np.zeros((4, 3)), np.zeros(14)
     _, road, tape = linearized_drive("unequal_axles", "ride")
     wrong = [
@@ -264,7 +264,7 @@ def test_arrays_of_a_wrong_shape_are_refused_by_name():
             call()
 
 
-def test_a_motion_that_leaves_the_numbers_has_no_derivative():
+def test_a_diverged_motion_raises_instead_of_returning_a_derivative():
     road = np.zeros((4, 2, 4))
     road[2, 0, 1] = np.inf
     with pytest.raises(ArithmeticError, match="no longer finite"):

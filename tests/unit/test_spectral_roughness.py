@@ -26,7 +26,7 @@ def test_octaves_have_the_levels_and_classes_of_the_road(road, mode):
     assert found.letter == road[-1].upper()
 
 
-def test_probabilities_are_those_of_a_normal_logarithm():
+def test_class_probabilities_are_those_of_a_normal_log_level():
     found = class_probabilities(np.log(600e-6), 0.3)
     assert sum(found.values()) == pytest.approx(1.0)
     upper, lower = (np.log(limit / 600e-6) / 0.3 for limit in (512e-6, 128e-6))
@@ -36,7 +36,7 @@ def test_probabilities_are_those_of_a_normal_logarithm():
         assert class_probabilities(np.log(mean), 0.01)[name] == pytest.approx(1.0)
 
 
-def test_the_command_tells_the_class(road_recon):
+def test_the_command_reports_the_class(road_recon):
     drive_it = ("simulate", "--road", "iso_c", "--length", "60", "--speed-kmh", "36")
     assert road_recon(*drive_it, "--out", "d.parquet")[0] == 0
     code, out, _ = road_recon("classify", "d.parquet", "--json")

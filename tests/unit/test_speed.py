@@ -40,7 +40,7 @@ def test_distance_is_the_integral_of_speed(profile, t):
 
 
 @given(profiles(), st.floats(0.1, 500.0))
-def test_arrival_is_when_the_distance_has_been_covered(profile, distance):
+def test_the_arrival_time_is_when_the_distance_is_covered(profile, distance):
     arrival_time = profile.arrival_time(distance)
     late = profile.t[-1] + distance / profile.v[-1] + 1.0
     found = brentq(lambda t: profile.at(np.array([t]))[0][0] - distance, 0.0, late, xtol=1e-12)
@@ -48,7 +48,7 @@ def test_arrival_is_when_the_distance_has_been_covered(profile, distance):
     np.testing.assert_allclose(covered, distance, rtol=1e-9, atol=1e-6)
 
 
-def test_a_stop_and_go_stands_still_for_as_long_as_it_halts():
+def test_a_stop_and_go_profile_is_at_zero_speed_during_its_halts():
     profile = stop_and_go(10.0, 2.0, cruise=1.0, halt=1.5, stops=2)
     t = np.linspace(0.0, profile.t[-1], 100_001)
     _, v, a = profile.at(t)
@@ -56,13 +56,13 @@ def test_a_stop_and_go_stands_still_for_as_long_as_it_halts():
     assert set(np.round(a, 12)) == {-2.0, 0.0, 2.0}
 
 
-def test_a_constant_profile_drives_as_its_number_does():
+def test_a_constant_profile_equals_a_speed_given_as_a_number():
     by_number = simulate(CAR, BELGIAN, 15.0)
     by_profile = simulate(CAR, BELGIAN, constant_speed(15.0))
     np.testing.assert_array_equal(by_number.signals, by_profile.signals)
 
 
-def test_the_car_comes_to_rest_where_it_halts():
+def test_the_body_comes_to_rest_during_a_halt():
     profile = stop_and_go(8.0, 2.0, cruise=1.0, halt=6.0, stops=1)
     motion = simulate(CAR, BELGIAN, profile)
     halting = (motion.t > profile.t[2] + 5.5) & (motion.t < profile.t[3])
@@ -71,7 +71,7 @@ def test_the_car_comes_to_rest_where_it_halts():
     assert motion.s[-1] == pytest.approx(BELGIAN.end + CAR.wheelbase + APRON_LENGTH, abs=0.01)
 
 
-def test_parts_of_a_drive_under_a_profile_are_the_whole_drive():
+def test_a_drive_with_a_speed_profile_in_chunks_equals_the_whole_drive():
     whole = simulate(CAR, BELGIAN, speed_ramp(4.0, 15.0, 3.0, after=0.5))
     drive = DriveSimulator(build_plant(CAR), CAR, BELGIAN, speed_ramp(4.0, 15.0, 3.0, after=0.5))
     parts = []
@@ -93,11 +93,11 @@ def test_parts_of_a_drive_under_a_profile_are_the_whole_drive():
         ((0.0,), (np.inf,), "finite"),
     ],
 )
-def test_an_impossible_profile_is_refused(t, v, words):
+def test_an_impossible_profile_is_rejected(t, v, words):
     with pytest.raises(ValueError, match=words):
         SpeedProfile(t=t, v=v)
 
 
-def test_a_speed_that_is_not_positive_is_refused():
+def test_a_speed_that_is_not_positive_is_rejected():
     with pytest.raises(ConfigError, match="must be positive"):
         simulate(CAR, BELGIAN, 0.0)

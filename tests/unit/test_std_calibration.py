@@ -41,7 +41,7 @@ def normal(rng, shape):
     return rng.standard_normal(shape)
 
 
-def test_widths_that_follow_speed_states_and_level_are_found():
+def test_factors_depending_on_speed_states_and_level_are_recovered():
     true = 0.15 * np.random.default_rng(0).standard_normal(N_TERMS)
     ratios, told = drives(true, normal)
     found = fit_std_scale(ratios, told)
@@ -50,7 +50,7 @@ def test_widths_that_follow_speed_states_and_level_are_found():
     np.testing.assert_allclose(off, 1.0, atol=0.06)
 
 
-def test_of_errors_with_heavy_tails_half_and_nine_tenths_are_covered_as_well_as_one_factor_can():
+def test_heavy_tailed_errors_get_a_compromise_between_both_coverages():
     """A Student's t of three degrees of freedom: 50 and 90 % would take 1.13 and 1.43."""
     ratios, told = drives(constant_scale(2.0), lambda rng, shape: rng.standard_t(3, shape))
     found = fit_std_scale(ratios, told)
@@ -71,13 +71,13 @@ def test_a_constant_factor_is_the_same_under_all_conditions():
     assert design_matrix(told).shape == (N_TERMS, 5)
 
 
-def test_the_factor_makes_gaussian_errors_as_wide_as_they_are():
+def test_the_calibration_factor_of_gaussian_errors_is_their_scale():
     errors = np.random.default_rng(0).standard_normal(200_000)
     assert calibration_factor(3.0 * errors) == pytest.approx(3.0, rel=0.01)
 
 
 @pytest.mark.parametrize("v", [4.0, 15.0])
-def test_the_judged_band_at_the_stations_is_that_of_the_judge(v):
+def test_the_scored_band_at_the_stations_equals_that_of_the_metrics(v):
     """Up to 1.5 cycles/m stations every 0.15 m tell what the judge's grid of 25 mm does."""
     rng = np.random.default_rng(2)
     sos = signal.butter(4, [0.1, 1.7], "band", fs=1.0 / PROFILE_SPACING, output="sos")
@@ -87,7 +87,7 @@ def test_the_judged_band_at_the_stations_is_that_of_the_judge(v):
     assert found == pytest.approx(band_pass(fine, PROFILE_SPACING, scored_band(v)).std(), rel=0.02)
 
 
-def test_what_is_written_is_taught_and_then_calibrated_by_the_car_as_described(tmp_path):
+def test_the_command_trains_and_then_calibrates_on_the_nominal_vehicle(tmp_path):
     """By the command's own way, and once more from its parts."""
     corpus = Corpus(number=4, shortest=20, longest=30)
     estimator, path = create("tcn", channels=4, steps=4), tmp_path / "t.safetensors"
@@ -103,7 +103,7 @@ def test_what_is_written_is_taught_and_then_calibrated_by_the_car_as_described(t
     assert (again["widths"] != before["widths"]).any()
 
 
-def test_a_drive_as_described_is_the_same_road_driven_the_same_way_by_the_very_car():
+def test_a_nominal_drive_differs_from_its_twin_by_the_vehicle_only():
     corpus = Corpus(number=4, shortest=20, longest=30)
     (record, truth), (plain, same) = (
         corpus.simulate_drive(2),
@@ -116,7 +116,7 @@ def test_a_drive_as_described_is_the_same_road_driven_the_same_way_by_the_very_c
 
 
 @pytest.mark.parametrize("name", ["tcn", "tcn_causal", "gru", "gru_causal"])
-def test_shipped_intervals_cover_what_they_promise_on_the_cars_own_roads(name):
+def test_shipped_intervals_have_the_stated_coverage_on_the_main_board(name):
     """All conditions of the main board together, and each within what its first two roads allow."""
     rows = on_the_board(name, 2).values()
     found = np.array([np.mean([inside for _, inside in row], axis=0) for row in rows])

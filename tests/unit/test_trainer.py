@@ -51,7 +51,7 @@ def sequence(seed: int, noise: float, size: int = 400) -> TrainingSequence:
 CONFIG = TrainerConfig(steps=300, batch=8, crop_length=40, learning_rate=3e-2, weight_decay=0.0)
 
 
-def test_what_a_window_tells_is_learnt_and_what_is_left_is_its_spread():
+def test_a_linear_relation_is_learned_and_its_noise_is_the_standard_deviation():
     network = Shallow()
     error = train_network(network, [sequence(k, noise=0.2) for k in range(20)], CONFIG, 0)
     assert error == pytest.approx(0.04, rel=0.1)
@@ -80,7 +80,7 @@ class Memory:
 
 
 @pytest.mark.parametrize("visits", [1, 7, 20])
-def test_an_interrupted_teaching_ends_where_a_whole_one_does_to_the_bit(visits):
+def test_an_interrupted_training_gives_the_same_weights_to_the_bit(visits):
     sequences = [sequence(k, noise=0.1, size=120) for k in range(12)]
     config = CONFIG._replace(steps=60)
     whole, parts = Shallow(), Shallow()
@@ -95,7 +95,7 @@ def test_an_interrupted_teaching_ends_where_a_whole_one_does_to_the_bit(visits):
         np.testing.assert_array_equal(get_weights(resumed)[name], x)
 
 
-def test_the_weights_of_the_least_error_on_held_out_roads_are_kept():
+def test_the_weights_of_the_smallest_validation_error_are_kept():
     """Held-out drives follow the opposite law: the best is the beginning, and teaching stops."""
     sequences = [sequence(k, noise=0.0) for k in range(20)]
     for k in (9, 19):
@@ -109,7 +109,7 @@ def test_the_weights_of_the_least_error_on_held_out_roads_are_kept():
     assert len(said) == 8 and said[-1] < 0.5  # six checks without a better one, and it ends
 
 
-def test_roads_are_held_out_whole_where_there_are_many_and_in_part_where_there_are_few():
+def test_validation_takes_whole_drives_of_many_and_ends_of_few():
     many, few = ([sequence(k, 0.0, 100) for k in range(n)] for n in (25, 3))
     training, validation = split_validation(many)
     assert [part.sequence for part in validation] == [many[9], many[19]]
@@ -119,7 +119,7 @@ def test_roads_are_held_out_whole_where_there_are_many_and_in_part_where_there_a
     assert [(p.start, p.stop) for p in validation] == 3 * [(80, 100)]
 
 
-def test_a_stretch_in_the_mirror_has_roll_and_half_difference_turned_over():
+def test_a_mirrored_crop_has_roll_and_half_difference_negated():
     part = sequence(0, 0.1)
     stretch = SequencePart(part, 0, 400)
     x, _, residual = stretch.crop(10, 5, Shallow, False)
@@ -131,7 +131,7 @@ def test_a_stretch_in_the_mirror_has_roll_and_half_difference_turned_over():
     np.testing.assert_array_equal(np.delete(turned_x, roll, 0), np.delete(x, roll, 0))
 
 
-def test_the_rate_rises_and_falls():
+def test_the_learning_rate_rises_and_falls():
     rates = [learning_rate_factor(step, 1000) for step in range(1001)]
     assert rates[0] < 0.02 and max(rates) > 0.95
     assert np.argmax(rates) == pytest.approx(100, abs=2)
@@ -139,7 +139,7 @@ def test_the_rate_rises_and_falls():
 
 
 @pytest.mark.parametrize("name", ["tcn_causal", "gru_causal"])
-def test_a_causal_network_uses_what_its_lag_allows_and_nothing_after(name):
+def test_a_causal_network_uses_samples_up_to_its_lag_and_none_after(name):
     """The last sample that moves the estimate stands within half a metre before the limit."""
     estimator, (record, _) = fit(name), drive(500)
     before = estimator.estimate(record, CAR)
@@ -150,7 +150,7 @@ def test_a_causal_network_uses_what_its_lag_allows_and_nothing_after(name):
     assert STATIONS_AHEAD > 0
 
 
-def test_settings_that_the_shipped_weights_do_not_have_need_a_fit():
+def test_settings_other_than_those_of_the_shipped_weights_need_a_fit():
     record, _ = drive(501)
     with pytest.raises(NotFittedError, match="Tcn must be fitted"):
         create("tcn", channels=7).estimate(record, CAR)
@@ -164,12 +164,12 @@ def test_settings_that_the_shipped_weights_do_not_have_need_a_fit():
         ({"dilations": ()}, "dilations must be at least 1"),
     ],
 )
-def test_impossible_settings_are_refused(settings, sentence):
+def test_invalid_settings_are_rejected(settings, sentence):
     with pytest.raises(ValueError, match=sentence):
         Tcn(**settings)
 
 
-def test_weights_survive_a_file_and_a_damaged_file_is_named(tmp_path):
+def test_weights_survive_a_file_and_a_damaged_file_is_reported(tmp_path):
     path = tmp_path / "w.safetensors"
     arrays = {"x": np.arange(3.0).astype(np.float16)[::-1], "y": np.array(2.0)}
     pretrained_weights.write_weights(path, arrays, {"seed": "1"})
@@ -185,7 +185,7 @@ def test_weights_survive_a_file_and_a_damaged_file_is_named(tmp_path):
         pretrained_weights.read_weights(tmp_path / "no.safetensors")
 
 
-def test_a_network_takes_the_numbers_it_gave():
+def test_a_network_accepts_the_weights_it_returned():
     one, other = Shallow(0), Shallow(1)
     set_weights(other, get_weights(one))
     x = torch.randn(1, 10, 20)

@@ -71,7 +71,7 @@ def in_band(estimate, truth, speed_kmh):
 
 
 @pytest.mark.parametrize("mode", ["ride", "split"])
-def test_on_a_linear_car_the_smoother_is_at_the_bound(mode):
+def test_on_a_linear_vehicle_the_error_is_at_the_bound(mode):
     """Class B, so that gas and stops stay linear, too."""
     errors = []
     for seed in (1, 2):
@@ -84,7 +84,7 @@ def test_on_a_linear_car_the_smoother_is_at_the_bound(mode):
 
 
 @pytest.mark.parametrize(("mode", "speed_kmh"), [("ride", 54.0), ("handling", 30.0)])
-def test_on_the_defender_it_errs_as_the_closure_of_its_struts_says(mode, speed_kmh):
+def test_on_the_defender_the_error_is_the_bound_with_residuals_as_noise(mode, speed_kmh):
     errors = []
     for seed in (1, 2):
         record, truth = drive("defender", "iso_c", mode, speed_kmh, seed)
@@ -96,7 +96,7 @@ def test_on_the_defender_it_errs_as_the_closure_of_its_struts_says(mode, speed_k
 
 
 @pytest.mark.parametrize("mode", ["ride", "split"])
-def test_taking_the_remainder_out_comes_much_nearer_to_the_bound(mode):
+def test_subtracting_the_force_residuals_reduces_the_error(mode):
     record, truth = drive("defender", "iso_d", mode)
     once, often = (
         in_band(create(name).estimate(record, DEFENDER), truth, 54.0)
@@ -106,7 +106,7 @@ def test_taking_the_remainder_out_comes_much_nearer_to_the_bound(mode):
 
 
 @pytest.mark.parametrize("name", ["wiener", "iterated_wiener"])
-def test_intervals_cover_what_they_promise(name):
+def test_intervals_have_the_stated_coverage(name):
     """In the judged band; on two drives, so the tolerance is twice that of the board."""
     inside = []
     for mode in ("ride", "split"):
@@ -152,7 +152,7 @@ def drawn(
 
 
 @pytest.mark.parametrize("level", [64e-6, 1024e-6])
-def test_the_level_of_the_road_is_found_in_the_record(level):
+def test_the_road_level_is_estimated_from_the_record(level):
     found = []
     for seed in (1, 2, 3):
         segment, _ = drawn(level, 1.0, seed)
@@ -164,7 +164,7 @@ def test_the_level_of_the_road_is_found_in_the_record(level):
 
 
 @pytest.mark.parametrize("w", [1.5, 2.5])
-def test_a_road_that_falls_otherwise_than_supposed_is_found_to(w):
+def test_a_waviness_other_than_the_prior_is_estimated(w):
     """By octave, within 1.5 dB of what it was drawn from; supposed were up to 4 dB off."""
     segment, model = drawn(1024e-6, 1.0, 7, w=w)
     heard = fit_hyperparameters(
@@ -175,7 +175,7 @@ def test_a_road_that_falls_otherwise_than_supposed_is_found_to(w):
     assert np.abs(found).max() < 1.5
 
 
-def test_noise_that_is_stronger_than_supposed_is_told_from_road():
+def test_the_noise_scale_is_separated_from_the_road_level():
     for noise in (0.5, 1.0, 4.0):
         segment, model = drawn(256e-6, noise, 4)
         supposed = replace(model, noise_scale=np.ones(model.n.size))
@@ -190,7 +190,7 @@ def test_noise_that_is_stronger_than_supposed_is_told_from_road():
         assert prior.G_d0 == pytest.approx(256e-6, rel=0.2)
 
 
-def test_the_expected_remainder_is_that_of_drawn_motion():
+def test_the_expected_force_residual_equals_a_monte_carlo_mean():
     x = np.linspace(-3.0, 3.0, 4001)
     law = np.array([k * np.tanh(8.0 * x) for k in (50.0, 80.0, 10.0, 20.0)])
     bend = np.array([k * x**2 for k in (30.0, 20.0, 10.0, 5.0)])
@@ -210,7 +210,7 @@ def test_the_expected_remainder_is_that_of_drawn_motion():
 
 
 @pytest.mark.parametrize("name", ["wiener", "iterated_wiener"])
-def test_left_and_right_are_not_confused(name):
+def test_left_and_right_paths_are_not_swapped(name):
     record, truth = drive("defender", "iso_d", "handling", 30.0)
     band = scored_band(30.0 / 3.6)
     z, y = (
@@ -222,7 +222,7 @@ def test_left_and_right_are_not_confused(name):
         assert own > 0.9 and other < 0.5
 
 
-def test_a_sign_flip_of_the_record_flips_the_linear_estimate_and_its_scale_is_kept():
+def test_a_sign_flip_flips_the_linear_estimate_and_an_offset_does_not_change_it():
     record, _ = drive(length=60.0)
     once = create("wiener").estimate(record, DEFENDER)
     flipped = create("wiener").estimate(replace(record, a=-record.a), DEFENDER)
@@ -231,7 +231,7 @@ def test_a_sign_flip_of_the_record_flips_the_linear_estimate_and_its_scale_is_ke
     np.testing.assert_allclose(offset.z, once.z, atol=1e-6)
 
 
-def test_where_the_road_gets_rougher_the_stretches_know_it():
+def test_standard_deviations_follow_a_change_of_roughness():
     smooth, _ = drive("defender", "iso_b", "ride", length=150.0)
     rough, _ = drive("defender", "iso_d", "ride", length=150.0)
     both = replace(
@@ -250,7 +250,7 @@ def test_where_the_road_gets_rougher_the_stretches_know_it():
     assert std[0, std.shape[1] * 5 // 6] > 2.0 * std[0, std.shape[1] // 6]
 
 
-def test_a_long_record_is_put_together_without_seams():
+def test_segments_are_joined_without_steps():
     """Two stretches say what one says, in the judged band."""
     record, truth = drive("defender", "iso_c", "ride", length=210.0)
     whole = create("wiener").estimate(record, DEFENDER)
@@ -282,7 +282,7 @@ def faulty(record, where, value, sensors=slice(None)):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 39.24], ids=["nan", "inf", "limit"])
-def test_a_gap_costs_the_road_in_it_and_nothing_far_from_it(value):
+def test_a_gap_degrades_the_estimate_only_near_the_gap(value):
     record, truth = drive()
     whole = create("wiener").estimate(record, DEFENDER)
     gap = (record.s > 70.0) & (record.s < 75.0)
@@ -300,7 +300,7 @@ def test_a_gap_costs_the_road_in_it_and_nothing_far_from_it(value):
     assert np.abs(found.z[:, inside]).max() < 3.0 * np.abs(truth.z).max()
 
 
-def test_with_one_sensor_dead_the_other_two_still_tell_the_mean_of_the_wheel_paths():
+def test_with_one_dead_sensor_the_mean_of_the_wheel_paths_is_estimated():
     record, truth = drive("defender", "iso_d", "split")
     found = create("wiener").estimate(faulty(record, slice(None), np.nan, [2]), DEFENDER)
     band = scored_band(15.0)
@@ -310,7 +310,7 @@ def test_with_one_sensor_dead_the_other_two_still_tell_the_mean_of_the_wheel_pat
     assert np.corrcoef(mean[0][0], mean[1][0])[0, 1] > 0.8
 
 
-def test_a_varying_speed_and_a_switch_are_said_in_the_notes():
+def test_varying_speed_and_mode_changes_are_noted():
     record, _ = drive(length=60.0)
     swaying = replace(record, v=record.v * (1.0 + 0.2 * np.sin(record.t)))
     notes = create("wiener").estimate(swaying, DEFENDER).notes
@@ -331,13 +331,13 @@ def test_a_varying_speed_and_a_switch_are_said_in_the_notes():
         (lambda r: {"a": np.full_like(r.a, np.nan)}, "not one acceleration"),
     ],
 )
-def test_a_record_from_which_nothing_can_be_made_out_is_refused(change, sentence):
+def test_an_unusable_record_is_rejected(change, sentence):
     record, _ = drive(length=60.0)
     with pytest.raises(ValueError, match=sentence):
         create("wiener").estimate(replace(record, **change(record)), DEFENDER)
 
 
-def test_settings_are_checked():
+def test_settings_are_validated():
     record, _ = drive(length=60.0)
     with pytest.raises(ConfigError, match="unknown sensor 'papre'"):
         create("wiener", instruments="papre").estimate(record, DEFENDER)
@@ -345,7 +345,7 @@ def test_settings_are_checked():
         create("iterated_wiener", passes=0)
 
 
-def test_a_stretch_holds_the_record_on_the_stations_of_the_grid():
+def test_a_segment_holds_the_record_on_profile_stations():
     record, _ = drive(length=60.0)
     (segment,) = split_segments(record, PAPER, 100.0, 40.0)
     at = segment.spacing * (segment.first + np.arange(segment.a.shape[1]))
