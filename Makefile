@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 READY := $(VENV)/.ready
 
-.PHONY: leaderboard policies test lint bench mutants clean
+.PHONY: leaderboard policies test lint bench mutants docs clean
 
 leaderboard: $(READY)
 	$(VENV)/bin/road-recon leaderboard --board paper --board new_road --roads 2 --seeds 2 \
@@ -28,6 +28,10 @@ bench: $(READY)
 
 mutants: $(READY)
 	$(VENV)/bin/python tests/mutants.py
+
+docs: $(READY)
+	$(VENV)/bin/pip install --quiet --constraint constraints.txt --editable '.[docs]'
+	$(VENV)/bin/mkdocs build --strict
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed")'

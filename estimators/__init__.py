@@ -3,6 +3,7 @@
 An estimator imports neither another estimator nor the simulator.
 """
 
+from estimators.estimation import estimate, make_estimator
 from estimators.registry import (
     ENTRY_POINT_GROUP,
     REGISTRY,
@@ -20,7 +21,9 @@ __all__ = [
     "EstimatorPluginWarning",
     "available",
     "create",
+    "estimate",
     "find",
+    "make_estimator",
     "names",
     "without_weights",
 ]

@@ -19,6 +19,9 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 T = TypeVar("T")
 
+LAG = 4.79
+"""Lag [m] of the fixed-lag estimators: the Defender's wheelbase and 2 m."""
+
 
 class EstimateError(ValueError):
     """An estimate that violates the interface; the message says how."""
@@ -33,12 +36,19 @@ class Estimator(Protocol):
 
     causal: ClassVar[bool]
     """Whether the estimate at a station uses only samples up to the moment when the front axle has
-    passed it; with a `lag` [m], when the front axle is that far beyond it.
+    passed it; with a lag (`HasLag`), when the front axle is that far beyond it.
     """
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Return both wheel paths on `profile_stations(record.length)`; must not modify the record."""
+        """Return both wheel paths on `profile_stations(record.length)`; the record is unchanged."""
         ...
+
+
+@runtime_checkable
+class HasLag(Protocol):
+    """An estimator that declares its `lag` [m] behind the front axle, None if offline."""
+
+    lag: float | None
 
 
 @runtime_checkable
@@ -73,8 +83,16 @@ class Pretrained(Trainable, Protocol):
     `shipped=False` and fitted; other classes keep their shipped weights.
     """
 
+    name: ClassVar[str]
+    """Name of the file of weights, and of the estimator in the registry."""
+
+    refit_per_case: ClassVar[bool]
+
+    fitted_state: Any
+    """What a fit has learned; None if the shipped weights are used."""
+
     def training_example(self, record: Record, truth: Profile) -> Any:
-        """Return what is kept of a drive for training; a corpus of raw records does not fit in memory."""
+        """Return the part of a drive needed for training; raw records would not fit in memory."""
         ...
 
     def pretrain(
@@ -98,10 +116,20 @@ class Calibratable(Pretrained, Protocol):
     """A pretrained estimator whose standard deviations are calibrated after training."""
 
     def calibrate(self, drives: Sequence[Any]) -> Self:
-        """Return a copy calibrated on these examples: drives of the nominal vehicle on roads that were
-        not used for training.
+        """Return a copy calibrated on these examples: drives of the nominal vehicle on roads that
+        were not used for training.
         """
         ...
+
+
+def declared_lag(estimator: object) -> float:
+    """Return the lag [m] that an estimator declares, 0 if it declares none."""
+    return float(estimator.lag or 0.0) if isinstance(estimator, HasLag) else 0.0
+
+
+def refits_per_case(estimator: object) -> bool:
+    """Return whether a pretrained estimator can be fitted to one speed and mode in seconds."""
+    return isinstance(estimator, Pretrained) and estimator.refit_per_case
 
 
 def copy_with(estimator: T, **fields: Any) -> T:
@@ -116,7 +144,10 @@ def require_fitted(value: T | None, estimator: object) -> T:
     """Return `value`, a learned field of `estimator`. Raises NotFittedError if it is None."""
     if value is None:
         name = type(estimator).__name__
-        raise NotFittedError(f"{name} must be fitted before it can estimate: call fit() first")
+        raise NotFittedError(
+            f"{name} must be fitted before it can estimate: call fit(), or give the file that "
+            "`road-recon train` has written"
+        )
     return value
 
 
@@ -146,7 +177,9 @@ def check_class(cls: Any) -> Any:
         raise TypeError("its settings are mutable: use @dataclass(frozen=True)")
     lag = getattr(cls, "lag", None)
     if lag is not None and not (isinstance(lag, int | float) and 0.0 <= lag < math.inf):
-        raise TypeError(f"its lag must be a distance >= 0 in metres behind the front axle, got {lag!r}")
+        raise TypeError(
+            f"its lag must be a distance >= 0 in metres behind the front axle, got {lag!r}"
+        )
     for method, arguments in {"estimate": 3, "fit": 5, "weights": 1, "with_weights": 2}.items():
         if (function := getattr(cls, method, None)) is not None:
             _check_call(function, method, arguments)
@@ -179,7 +212,7 @@ def check_estimate(estimate: object, record: Record) -> None:
     if (np.diff(estimate.s) <= 0).any():
         raise EstimateError("stations s must increase strictly")
     if not np.allclose(estimate.s, stations, rtol=0.0, atol=1e-6):
-        raise EstimateError(f"stations s must be grid({record.length:g}), the record's own")
+        raise EstimateError(f"stations s must be profile_stations({record.length:g})")
     if estimate.z_std is not None:
         _validate_array("standard deviations z_std", estimate.z_std, (2, size), EstimateError)
         if (estimate.z_std < 0).any():

@@ -1,52 +1,126 @@
-"""Cleaning of records, and their signals over distance instead of time."""
+"""The contract of records: which are taken, which samples are valid, and what is noted.
+
+Two views follow the same rules. An estimator that can leave samples out takes the first, one that
+needs every sample the second, which also limits how much of a channel may be missing:
+
+    mask_record(record, instruments)   an even clock, and which samples are valid
+    clean_record(record)               the same, with missing samples interpolated
+
+A sample is valid if it is finite, below the instruments' range, and not within the reach of the
+anti-alias filter from one that is not. Samples at standstill are valid, as the vehicle model
+explains them; a note says how long the vehicle stood.
+"""
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
-from road_envs.data.record import PROFILE_SPACING, SENSORS, Profile, Record, profile_stations
+from road_envs.data.record import (
+    F_C,
+    PROFILE_SPACING,
+    SENSORS,
+    Profile,
+    Record,
+    profile_stations,
+)
 from road_envs.sensing.filters import preprocess_accelerations
-
-F_C = 25.0
-"""Low-pass cut-off [Hz] of the processed accelerations."""
+from road_envs.sensing.instruments import Instruments
 
 FS_MIN = 2.4 * F_C
-"""Lowest sample rate [Hz] for a bandwidth of F_C."""
+"""Lowest sample rate [Hz]: twice the bandwidth, and a fifth for the flank of the low-pass."""
 
-SAMPLES_MIN = 32
+DURATION_MIN = 1.0
+"""Shortest duration [s]: one period of the body's bounce."""
+
 TRAVEL_MIN = 1.0
-"""Smallest number of samples, and shortest distance travelled [m], of a usable record."""
+"""Shortest distance travelled [m]: less than two of the shortest scored waves, of 0.56 m."""
+
+SPEED_MIN = 0.1
+"""Mean speed [m/s] below which the vehicle stands, and backward speed that counts as noise."""
+
+BACKWARD_MAX, JUMP_MAX = 0.1, 1.0
+"""Largest decrease of the odometer [m], as of a vehicle that settles at a stop, and largest step
+from one sample to the next: 60 m/s at the lowest sample rate.
+"""
 
 MISSING_SHARE_MAX = 0.2
-"""Largest fraction of a channel's samples that is interpolated."""
+"""Largest fraction of a channel's samples that is interpolated: ten times what loggers are assumed
+to lose, and few enough for the measured samples to decide the estimate.
+"""
 
 CLOCK_JITTER_MAX = 0.01
-"""Relative deviation of a time step above which the clock is resampled."""
+"""Relative deviation of a time step from the median above which the clock is resampled: a sample
+is then taken at most a tenth of a millimetre off at 36 km/h and 1 kHz.
+"""
 
+RANGE_SHARE = 0.98
+"""Share of the instruments' range from which on a sample is clipped: the sensors' gain errors are
+below 2 %.
+"""
 
 CLIPPING_TOLERANCE, CLIPPING_SAMPLES = 1e-5, 5
-"""A sensor within this relative distance of its maximum for so many consecutive samples is clipped:
+"""A sensor within this relative distance of its peak for so many consecutive samples is clipped:
 at 1 kHz no motion above 0.4 Hz has such a flat peak.
 """
+
+ANTIALIAS_SPREAD = 3
+"""Samples to either side of an invalid one that the anti-alias filter mixes with it."""
 
 
 class RecordError(ValueError):
     """A record that cannot be used; the message says why."""
 
 
-def clean_record(record: Record) -> tuple[Record, tuple[str, ...]]:
-    """Return `record` on a uniform clock without gaps, and notes on what was changed or tolerated.
+class MaskedRecord(NamedTuple):
+    """A `record` on an even clock with finite `v` and `s`, the `valid` (3, N) samples of its
+    accelerations, which are NaN where missing, and `notes` on what was changed or tolerated.
+    """
 
-    Missing samples (NaN, or steps skipped by the clock) are interpolated linearly. A record that
-    needs no change is returned itself. Raises RecordError if a channel's shape differs from the
-    clock's, if more than a fifth of its samples are missing, or if clock, sample rate, strut states
-    or odometer cannot belong to a drive over the road.
+    record: Record
+    valid: np.ndarray
+    notes: tuple[str, ...]
+
+
+def mask_record(record: Record, instruments: Instruments | None = None) -> MaskedRecord:
+    """Return `record` on an even clock, its valid samples, and notes.
+
+    A record that needs no change is returned itself. Without `instruments` no sample counts as out
+    of range. Raises RecordError if a channel's shape differs from the clock's, if clock, strut
+    states or odometer cannot belong to a drive over the road, or if all accelerations are missing.
     """
     _check_shapes(record)
-    record, gap_notes = _fill_gaps(record)
+    record, gap_notes = _fill_odometer(record)
     record, clock_notes = _resample_evenly(record)
-    record, odometer_notes = _check_odometer(record)
-    return record, (*gap_notes, *clock_notes, *odometer_notes, *_clipping_notes(record))
+    record, drive_notes = _check_drive(record)
+    finite = np.isfinite(record.a)
+    if not finite.any():
+        raise RecordError("the record has no finite acceleration: check the sensors' channels")
+    gap_notes += [
+        f"{name}: {share:.1%} of the samples are missing"
+        for name, share in zip(SENSORS, np.mean(~finite, axis=1), strict=True)
+        if share > 0.0
+    ]
+    size = np.abs(np.where(finite, record.a, 0.0))
+    out_of_range = size >= RANGE_SHARE * (instruments.range if instruments else np.inf)
+    spread = np.ones((1, 2 * ANTIALIAS_SPREAD + 1))
+    valid = ~binary_dilation(~finite | out_of_range, spread)
+    clipping_notes = _clipping_notes(size, out_of_range)
+    return MaskedRecord(record, valid, (*gap_notes, *clock_notes, *drive_notes, *clipping_notes))
+
+
+def clean_record(record: Record) -> tuple[Record, tuple[str, ...]]:
+    """Return `record` on an even clock with missing samples interpolated linearly, and notes.
+
+    Raises RecordError as `mask_record` does, and if too many samples of a sensor are missing.
+    """
+    record, _, notes = mask_record(record)
+    if np.isfinite(record.a).all():
+        return record, notes
+    channels = zip(SENSORS, record.a, strict=True)
+    a = np.array([_fill_gaps(name, record.t, x) for name, x in channels])
+    return dataclasses.replace(record, a=a), notes
 
 
 def spatial_accelerations(record: Record, margin: int = 0) -> np.ndarray:
@@ -75,91 +149,122 @@ def _check_shapes(record: Record) -> None:
         actual = np.shape(getattr(record, name))
         if actual != shape:
             raise RecordError(f"{name} of the record must have the shape {shape}, got {actual}")
-    if size < SAMPLES_MIN:
-        raise RecordError(f"the record has {size} samples; at least {SAMPLES_MIN} are needed")
     if not np.isfinite(record.length) or profile_stations(max(record.length, 0.0)).size < 2:
         raise RecordError(
             f"the road must be longer than {2 * PROFILE_SPACING:.2f} m, got {record.length} m"
         )
-    late = np.flatnonzero(~(np.diff(record.t) > 0.0))
+    steps = np.diff(record.t)
+    late = np.flatnonzero(~((steps > 0.0) & (steps < np.inf)))
     if late.size:
-        raise RecordError(f"the times t must increase; they do not after sample {late[0]}")
-    if not np.isfinite(record.t).all():
-        raise RecordError("the times t must be finite")
+        raise RecordError(
+            f"the times t must be finite and increase; they do not after sample {late[0]}"
+        )
+    duration = float(record.t[-1] - record.t[0]) if size else 0.0
+    if not duration >= DURATION_MIN:
+        raise RecordError(
+            f"the record lasts {duration:.2f} s; at least {DURATION_MIN:g} s are needed"
+        )
+    if (fs := 1.0 / float(np.median(steps))) < FS_MIN:
+        raise RecordError(
+            f"the record is sampled at {fs:.4g} Hz; "
+            f"at least {FS_MIN:g} Hz are needed for a bandwidth of {F_C:g} Hz"
+        )
     for name in ("spring_stiff", "damper_high"):
         states = np.asarray(getattr(record, name))
         if states.dtype != bool and not np.isin(states, (0, 1)).all():
             raise RecordError(f"the strut states '{name}' must be true or false throughout")
 
 
-def _fill_gaps(record: Record) -> tuple[Record, list[str]]:
-    """Return the record with non-finite samples interpolated, and notes."""
-    channels = {**dict(zip(SENSORS, record.a, strict=True)), "v": record.v, "s": record.s}
-    filled, notes = {}, []
-    for name, x in channels.items():
-        bad = ~np.isfinite(x)
-        share = bad.mean()
-        if share > MISSING_SHARE_MAX:
-            raise RecordError(
-                f"{name} is not finite in {share:.0%} of its samples; "
-                f"at most {MISSING_SHARE_MAX:.0%} can be interpolated"
-            )
-        filled[name] = np.interp(record.t, record.t[~bad], x[~bad]) if bad.any() else x
-        if bad.any():
-            notes.append(f"{name}: {share:.1%} of the samples were missing and are interpolated")
-    if not notes:
-        return record, notes
-    a = np.array([filled[name] for name in SENSORS])
-    return dataclasses.replace(record, a=a, v=filled["v"], s=filled["s"]), notes
+def _fill_gaps(name: str, t: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return `x` (N,) with non-finite samples interpolated. Raises RecordError if too many are."""
+    good = np.isfinite(x)
+    if (share := np.mean(~good)) > MISSING_SHARE_MAX:
+        raise RecordError(
+            f"{name} is missing in {share:.0%} of its samples; "
+            f"at most {MISSING_SHARE_MAX:.0%} can be interpolated"
+        )
+    return np.interp(t, t[good], x[good])
+
+
+def _fill_odometer(record: Record) -> tuple[Record, list[str]]:
+    """Return the record with missing speeds and odometer readings interpolated, and notes."""
+    notes, filled = [], {}
+    for name, x in (("v", record.v), ("s", record.s)):
+        filled[name] = x
+        if lost := float(np.mean(~np.isfinite(x))):
+            filled[name] = _fill_gaps(name, record.t, x)
+            notes.append(f"{name}: {lost:.1%} of the samples are missing")
+    return dataclasses.replace(record, v=filled["v"], s=filled["s"]) if notes else record, notes
 
 
 def _resample_evenly(record: Record) -> tuple[Record, list[str]]:
-    """Return the record on a uniform clock at its median time step, and notes."""
+    """Return the record on an even clock at its median time step, and notes.
+
+    Accelerations are NaN where no recorded sample lies within half a step.
+    """
     steps = np.diff(record.t)
     dt = float(np.median(steps))
-    if 1.0 / dt < FS_MIN:
-        raise RecordError(
-            f"the record is sampled at {1.0 / dt:.4g} Hz; "
-            f"at least {FS_MIN:g} Hz are needed for a bandwidth of {F_C:g} Hz"
-        )
     if np.abs(steps - dt).max() <= CLOCK_JITTER_MAX * dt:
         return record, []
     t = record.t[0] + dt * np.arange(int((record.t[-1] - record.t[0]) / dt + 1e-6) + 1)
-    lost = 1.0 - record.t.size / t.size
-    if lost > MISSING_SHARE_MAX:
-        raise RecordError(
-            f"{lost:.0%} of the samples were dropped; "
-            f"at most {MISSING_SHARE_MAX:.0%} can be interpolated"
-        )
     # strut states are switches: the last known value holds, it is not interpolated
-    before = np.clip(np.searchsorted(record.t, t, side="right") - 1, 0, record.t.size - 1)
+    before = np.searchsorted(record.t, t + 0.5 * dt) - 1
     resampled = dataclasses.replace(
         record,
         t=t,
-        a=np.array([np.interp(t, record.t, x) for x in record.a]),
+        a=np.array([_resample(t, record.t, x, dt) for x in record.a]),
         v=np.interp(t, record.t, record.v),
         s=np.interp(t, record.t, record.s),
         spring_stiff=record.spring_stiff[before],
         damper_high=record.damper_high[before],
     )
-    longest = steps.max()
-    what = f"{lost:.1%} of the samples were dropped" if lost > 0 else "the clock is not uniform"
-    return resampled, [f"{what} (longest step {longest:.3f} s); the record is resampled"]
+    return resampled, [
+        f"the clock is uneven (longest step {steps.max():.3f} s); the record is resampled"
+    ]
 
 
-def _check_odometer(record: Record) -> tuple[Record, list[str]]:
-    """Return the record with a non-decreasing odometer, and notes."""
+def _resample(t: np.ndarray, t_old: np.ndarray, x: np.ndarray, dt: float) -> np.ndarray:
+    """Return `x` (N,) interpolated to the times `t`, NaN farther than `dt` / 2 from a sample."""
+    good = np.isfinite(x)
+    if not good.any():
+        return np.full(t.size, np.nan)
+    t_old = t_old[good]
+    after = np.clip(np.searchsorted(t_old, t), 1, t_old.size - 1)
+    distance = np.minimum(np.abs(t - t_old[after - 1]), np.abs(t - t_old[after]))
+    return np.where(distance <= 0.501 * dt, np.interp(t, t_old, x[good]), np.nan)
+
+
+def _check_drive(record: Record) -> tuple[Record, list[str]]:
+    """Return the record with non-negative speed and non-decreasing odometer, and notes."""
     notes = []
     forward = np.maximum.accumulate(record.s)
-    if (back := float((forward - record.s).max())) > 0.1:
+    back, slowest = float((forward - record.s).max()), float(record.v.min())
+    if back > BACKWARD_MAX:
         raise RecordError(f"the odometer decreases by {back:.2f} m; a drive must go forward")
+    if slowest < -SPEED_MIN:
+        raise RecordError(f"the speed falls to {slowest:.2g} m/s; a drive must go forward")
     if (moved := float(forward[-1] - forward[0])) < TRAVEL_MIN:
-        raise RecordError(f"the vehicle moved by {moved:.2f} m; at least {TRAVEL_MIN:g} m are needed")
-    if back > 0.0:
-        record = dataclasses.replace(record, s=forward)
-    still = float(np.sum(np.diff(forward) <= 0.0) / record.fs)
+        raise RecordError(
+            f"the vehicle moved by {moved:.2f} m; at least {TRAVEL_MIN:g} m are needed"
+        )
+    if (mean := float(record.v.mean())) < SPEED_MIN:
+        raise RecordError(
+            f"the vehicle stands: its mean speed is {mean:.2g} m/s; "
+            f"at least {SPEED_MIN:g} m/s are needed"
+        )
+    steps = np.diff(forward)
+    if (jump := float(steps.max())) > JUMP_MAX:
+        raise RecordError(
+            f"the odometer jumps by {jump:.2f} m from one sample to the next; at most "
+            f"{JUMP_MAX:g} m are allowed: cut the record at the jump or correct s"
+        )
+    if back > 0.0 or slowest < 0.0:
+        record = dataclasses.replace(record, s=forward, v=np.maximum(record.v, 0.0))
+    still = float(np.sum(steps <= 0.0) / record.fs)
     if still > 0.1:
-        notes.append(f"the vehicle stood still for {still:.1f} s; these samples carry no road information")
+        notes.append(
+            f"the vehicle stood still for {still:.1f} s; these samples carry no road information"
+        )
     for missed, where in (
         (forward[0], f"the first {forward[0]:.2f} m"),
         (record.length - forward[-1], f"the last {record.length - forward[-1]:.2f} m"),
@@ -169,16 +274,18 @@ def _check_odometer(record: Record) -> tuple[Record, list[str]]:
     return record, notes
 
 
-def _clipping_notes(record: Record) -> list[str]:
-    """Return a note for each sensor that stays at its limit."""
+def _clipping_notes(size: np.ndarray, out_of_range: np.ndarray) -> list[str]:
+    """Return a note for each sensor with samples `out_of_range` (3, N), or whose magnitude `size`
+    (3, N) [m/s²] stays at its peak. The peak of a whole drive makes no sample invalid, since that
+    would let a causal estimate depend on later samples.
+    """
     notes = []
-    for name, a in zip(SENSORS, record.a, strict=True):
-        limit = np.abs(a).max()
-        at_limit = np.abs(a) >= (1.0 - CLIPPING_TOLERANCE) * limit
-        in_a_row = np.lib.stride_tricks.sliding_window_view(at_limit, CLIPPING_SAMPLES).all(axis=1)
-        if limit > 0.0 and in_a_row.any():
+    for name, x, clipped in zip(SENSORS, size, out_of_range, strict=True):
+        at_peak = x >= (1.0 - CLIPPING_TOLERANCE) * x.max()
+        in_a_row = np.lib.stride_tricks.sliding_window_view(at_peak, CLIPPING_SAMPLES).all(axis=1)
+        if x.any() and (clipped.any() or in_a_row.any()):
             notes.append(
-                f"{name} is clipped at {limit:.1f} m/s² in {at_limit.mean():.1%} "
-                "of the samples; the road is underestimated there"
+                f"{name} is clipped at {x.max():.1f} m/s² in {(clipped | at_peak).mean():.1%} "
+                "of the samples; the road is uncertain there"
             )
     return notes

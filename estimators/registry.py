@@ -4,7 +4,7 @@ To add an estimator to this package: write its module, import the class below, a
 REGISTRY, run `pytest`. To add one from another package, declare an entry point there; the
 estimator is then available as `my_estimator`:
 
-    [project.entry-points."roadrecon.estimators"]
+    [project.entry-points."road_envs.estimators"]
     my_estimator = "my_package.my_module:MyEstimator"
 """
 
@@ -13,7 +13,7 @@ import warnings
 from importlib import metadata
 from typing import Any
 
-from estimators.api import Estimator, check_class
+from estimators.api import Estimator, Pretrained, check_class
 from estimators.baselines.flat import Flat
 from estimators.baselines.mean import Mean
 from estimators.baselines.random_road import UnrelatedRoad
@@ -99,21 +99,22 @@ def find(name: str) -> type[Estimator]:
         raise ConfigError(f"the estimator {name!r} of {source} cannot be used: {reason}") from error
 
 
+def pretrainable() -> list[str]:
+    """Return the names of the estimators of this package that can be trained on the corpus."""
+    return [name for name, cls in REGISTRY.items() if isinstance(cls(), Pretrained)]
+
+
 def without_weights() -> list[str]:
     """Return the names of pretrained estimators whose weights are not part of the package.
 
-    They need `roadrecon train` (about half an hour each) before they can be evaluated.
+    They need `road-recon train` (about half an hour each) before they can be evaluated.
     """
-    return [
-        name
-        for name, cls in REGISTRY.items()
-        if hasattr(cls, "pretrain") and not load_pretrained(name)
-    ]
+    return [name for name in pretrainable() if not load_pretrained(name)]
 
 
 def create(name: str, **settings: Any) -> Estimator:
-    """Return an unfitted estimator with these settings. Raises ConfigError, which lists the choices,
-    if the name, a setting or a value is wrong.
+    """Return an unfitted estimator with these settings. Raises ConfigError, which lists the
+    choices, if the name, a setting or a value is wrong.
     """
     cls: Any = find(name)
     known = [field.name for field in dataclasses.fields(cls) if field.init]
@@ -123,9 +124,7 @@ def create(name: str, **settings: Any) -> Estimator:
 
 
 def _plugins() -> dict[str, metadata.EntryPoint]:
-    """Return the entry points of other packages by name, not loaded. Raises ConfigError if a name
-    is already taken.
-    """
+    """Return the entry points of other packages by name. Raises ConfigError on a duplicate."""
     plugins: dict[str, metadata.EntryPoint] = {}
     for entry in metadata.entry_points(group=ENTRY_POINT_GROUP):
         if entry.name in REGISTRY or entry.name in plugins:

@@ -1,6 +1,7 @@
-"""The command `road-recon`: its subcommands, and how an error is said.
+"""The command `road-recon`: registration of subcommands, and error messages.
 
-Bad input ends with one sentence on standard error and exit code 2; `--debug` adds the traceback.
+Invalid input ends with one sentence on standard error and exit code 2; `--debug` shows the
+traceback.
 """
 
 import sys
@@ -13,6 +14,7 @@ from leaderboard.commands import (
     bench,
     board,
     check,
+    estimate,
     hidden_seeds,
     jobs,
     observability,
@@ -21,29 +23,26 @@ from leaderboard.commands import (
     precision,
     roads,
     scaffold,
+    simulate,
 )
-from leaderboard.commands import (
-    estimate as reconstruct,
-)
-from leaderboard.commands import (
-    simulate as drives,
-)
+from road_envs import __version__
 from road_envs.config import ConfigError
 from road_envs.simulation.drive import SimulationError
 
 INPUT_ERRORS = (ConfigError, EstimateError, NotFittedError, SimulationError, ValueError, OSError)
-"""Errors that are about the input, not about the program."""
+"""Errors caused by invalid input, which are reported without traceback."""
 
 app = typer.Typer(
-    help="Road profile reconstruction from vehicle responses: simulate, train, estimate, judge.",
+    help="Road profile reconstruction from vehicle responses: simulate, train, estimate, evaluate.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
+    rich_markup_mode=None,  # help texts have brackets: units [m], extras road-envs[dask]
 )
-app.command("simulate")(drives.simulate)
-app.command("train")(drives.train)
-app.command("estimate")(reconstruct.estimate)
-app.command("classify")(reconstruct.classify)
+app.command("simulate")(simulate.simulate)
+app.command("train")(simulate.train)
+app.command("estimate")(estimate.estimate)
+app.command("classify")(estimate.classify)
 app.command("leaderboard")(board.leaderboard)
 app.command("paper")(paper.paper)
 app.command("season")(hidden_seeds.season)
@@ -60,11 +59,20 @@ app.command("new-estimator")(scaffold.new_estimator)
 app.command("check-estimator")(check.check_estimator)
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"road-recon {__version__}")
+        raise typer.Exit
+
+
 @app.callback()
 def _options(
     debug: bool = typer.Option(False, "--debug", help="Show the traceback of an error."),
+    version: bool = typer.Option(
+        False, "--version", callback=_print_version, is_eager=True, help="Print the version."
+    ),
 ) -> None:
-    """Road profile reconstruction from vehicle responses: simulate, train, estimate, judge."""
+    """Road profile reconstruction from vehicle responses: simulate, train, estimate, evaluate."""
 
 
 def main() -> None:

@@ -1,15 +1,35 @@
-"""The world: roads, vehicle, instruments, and their Gymnasium face `RoadRecon-v0`.
+"""Simulator of a vehicle on rough roads, and the Gymnasium environment `RoadRecon-v0`.
 
-Read the files in the order in which data flows: `config`, `record`, `roads`, `vehicle`, `curves`,
-`suspension`, `dynamics`, `integrator`, `simulate`, `sensors`, `dataset`, `lanes`, `interval`,
-`fleet`, `episode`, `env`, `vector_env`.
+Reading order, which is the order of the data flow: `config`, `data.record`, `roads`, `vehicle`,
+`simulation`, `sensing`, `data.recording`, `analysis`, `envs`, `policies`, `rendering`.
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 import gymnasium
+
+if TYPE_CHECKING:
+    from road_envs.data.record import Estimate, Profile, Record
+    from road_envs.data.recording import simulate_record
+    from road_envs.roads import load_road
+    from road_envs.vehicle.parameters import load_vehicle
 
 __version__ = "0.2.0"
 
 ID = "RoadRecon-v0"
+
+_PUBLIC = {
+    "Estimate": "road_envs.data.record",
+    "Profile": "road_envs.data.record",
+    "Record": "road_envs.data.record",
+    "load_road": "road_envs.roads",
+    "load_vehicle": "road_envs.vehicle.parameters",
+    "simulate_record": "road_envs.data.recording",
+}
+"""Names of the Python interface, by the module that is imported when one is first used."""
+
+__all__ = ["ID", "Estimate", "Profile", "Record", "load_road", "load_vehicle", "simulate_record"]
 
 if ID not in gymnasium.registry:
     gymnasium.register(
@@ -18,3 +38,10 @@ if ID not in gymnasium.registry:
         vector_entry_point="road_envs.envs.vector:RoadReconVectorEnv",
         max_episode_steps=100_000,
     )
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name of the Python interface: compiled kernels would slow `import road_envs`."""
+    if name not in _PUBLIC:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_PUBLIC[name]), name)

@@ -1,4 +1,4 @@
-"""Files written whole or not at all: a reader finds the old content or the new, never a half."""
+"""Atomic file writes: a reader sees the old content or the new one, never a partial file."""
 
 import fcntl
 import itertools
@@ -12,20 +12,20 @@ from contextlib import contextmanager
 from pathlib import Path
 
 PARTIAL_SUFFIX = ".partial"
-"""Ends the name of a file that is still being written."""
+"""Suffix of a file that is still being written."""
 
 TEMP_PREFIX = "roadrecon-scratch-"
-"""Begins the name of a temporary folder."""
+"""Prefix of the name of a temporary folder."""
 
 _counter = itertools.count()
 
 
 @contextmanager
 def atomic_write(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
-    """A name beside `path` to write to, which takes the place of `path` once all is written.
+    """Yield a temporary path beside `path`, which replaces `path` when the block ends.
 
-    If anything goes wrong, nothing is left of it and `path` stays as it was. A `durable` file has
-    reached the disk before it takes its place, so that it outlives a loss of power.
+    If the block raises, the temporary file is removed and `path` is unchanged. A `durable` file is
+    flushed to disk before the replacement, so that it survives a power failure.
     """
     path = Path(path)
     partial = path.with_name(f".{path.name}.{_writer_id()}-{next(_counter)}{PARTIAL_SUFFIX}")
@@ -41,7 +41,7 @@ def atomic_write(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
 
 
 def write_text(path: str | Path, text: str, *, durable: bool = False) -> None:
-    """Write a text file whole or not at all; folders that are missing are made."""
+    """Write a text file atomically, and create missing folders."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path, durable=durable) as partial:
@@ -49,7 +49,7 @@ def write_text(path: str | Path, text: str, *, durable: bool = False) -> None:
 
 
 def remove_stale_partials(folder: Path) -> None:
-    """Remove what writers of this machine left behind in `folder` when they were killed."""
+    """Remove partial files in `folder` that killed writers on this machine have left behind."""
     mine, _, _ = _writer_id().partition("-")
     for partial in folder.rglob(f".*{PARTIAL_SUFFIX}"):
         host, _, rest = partial.name.removesuffix(PARTIAL_SUFFIX).rpartition(".")[2].partition("-")
@@ -59,17 +59,17 @@ def remove_stale_partials(folder: Path) -> None:
 
 
 def _writer_id() -> str:
-    """Machine, process and thread, none of which two writers share at one time."""
+    """Return an id of host, process and thread, which no two concurrent writers share."""
     host = "".join(c for c in platform.node() if c.isalnum()) or "localhost"
     return f"{host}-{os.getpid()}-{threading.get_ident()}"
 
 
 def _is_alive(pid: int) -> bool:
     try:
-        os.kill(pid, 0)
+        os.kill(pid, 0)  # signal 0 only checks that the process exists
     except ProcessLookupError:
         return False
-    except PermissionError:
+    except PermissionError:  # a process of another user
         pass
     return True
 
@@ -83,14 +83,14 @@ def _fsync(path: Path) -> None:
 
 
 LOCK_FILE = ".owner"
-"""Lies in a temporary folder; who made the folder holds a lock on it for as long as it lives."""
+"""File in a temporary folder that its owner keeps locked while it runs."""
 
 
 class TempFolder:
-    """A temporary folder of one process, removed by `close` or a `with` statement.
+    """Temporary folder of one process, removed by `close` or by the `with` statement.
 
-    If the process is killed, the next `remove_stale_temp` removes it: the lock that it held is then
-    free, whoever may have its number meanwhile.
+    The folder of a killed process is removed by the next `remove_stale_temp`. Its lock is free by
+    then, whereas its process id may have been reused.
     """
 
     def __init__(self):
@@ -107,7 +107,7 @@ class TempFolder:
         self.close()
 
     def close(self) -> None:
-        """Remove the folder with all that is in it."""
+        """Remove the folder and its content."""
         shutil.rmtree(self.path, ignore_errors=True)
         if self._lock_handle is not None:
             os.close(self._lock_handle)
@@ -115,7 +115,7 @@ class TempFolder:
 
 
 def remove_stale_temp() -> list[Path]:
-    """Remove the temporary folders of this user whose owners are dead; returns which."""
+    """Remove this user's temporary folders whose owners have died, and return their paths."""
     return [
         folder
         for folder in Path(tempfile.gettempdir()).glob(f"{TEMP_PREFIX}*")
@@ -124,7 +124,7 @@ def remove_stale_temp() -> list[Path]:
 
 
 def _remove_if_orphaned(folder: Path) -> bool:
-    """Remove a temporary folder if nobody holds its lock. One without a lock is left alone."""
+    """Remove a temporary folder if its lock is free; a folder without a lock file is kept."""
     try:
         owner = os.open(folder / LOCK_FILE, os.O_RDWR | os.O_NOFOLLOW)
     except OSError:
@@ -139,7 +139,7 @@ def _remove_if_orphaned(folder: Path) -> bool:
 
 
 def _try_lock(handle: int) -> bool:
-    """Take the lock of an open file; False if another process has it."""
+    """Lock an open file. Returns False if another process holds the lock."""
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:

@@ -1,5 +1,7 @@
-"""YAML onto frozen dataclasses, strictly: an unknown key, a missing key, a wrong type or an
-impossible value is one sentence that says where and what would fit.
+"""Strict loading of YAML files into frozen dataclasses.
+
+An unknown key, a missing key, a wrong type or an invalid value raises a ConfigError of one
+sentence, which names the place, the value and what is allowed.
 
 Configurations are looked up by name in the packaged folder, or read from a path:
 `load(VehicleParameters, "vehicles", "land_rover_defender_110")`, `load(..., "my_car.yaml")`.
@@ -19,27 +21,30 @@ from pydantic import TypeAdapter, ValidationError
 T = TypeVar("T")
 
 STRICT = {"extra": "forbid", "arbitrary_types_allowed": True}
-"""Goes into every configuration dataclass as `__pydantic_config__`."""
+"""Value of `__pydantic_config__` in every configuration dataclass."""
 
 
 class ConfigError(ValueError):
-    """Bad input, said in one sentence that names the culprit and the valid choices."""
+    """Invalid input. The message is one sentence that names the value and the valid choices."""
 
 
 def folder() -> Path:
-    """The folder with the shipped configurations, in a checkout as in an installed wheel."""
+    """Return the folder of the shipped configurations, in a checkout or in an installed wheel."""
     here = Path(__file__).parent
     packaged = here / "configs"
     return packaged if packaged.is_dir() else here.parent / "configs"
 
 
 def names(kind: str) -> list[str]:
-    """Names of the shipped configurations of one kind: vehicles, roads, sensors or tasks."""
+    """Return the names of the shipped configurations of a kind, such as "vehicles" or "roads"."""
     return sorted(f.stem for f in (folder() / kind).glob("*.yaml"))
 
 
 def validate_choice(what: str, given: object, known: Mapping[str, Any] | list[str]) -> str:
-    """`given` if it is among `known`; else a ConfigError that names the choices."""
+    """Return `given` if it is among `known`; otherwise raise a ConfigError with the choices.
+
+    `what` is the name of the kind of thing in the message.
+    """
     if isinstance(given, str) and given in known:
         return given
     close = difflib.get_close_matches(str(given), list(known), n=1)
@@ -48,7 +53,7 @@ def validate_choice(what: str, given: object, known: Mapping[str, Any] | list[st
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
-    """Refuses a key that stands twice in one mapping, of which YAML would keep the last."""
+    """YAML loader that rejects duplicate keys; plain YAML would silently keep the last one."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: dict[Any, int] = {}
@@ -57,14 +62,14 @@ class _UniqueKeyLoader(yaml.SafeLoader):
             name, line = (key.tag, key.value), key.start_mark.line + 1
             if name in seen:
                 raise ConfigError(
-                    f"the key {key.value!r} stands twice, line {seen[name]} and {line}"
+                    f"the key {key.value!r} is duplicated, in lines {seen[name]} and {line}"
                 )
             seen[name] = line
         return super().construct_mapping(node, deep)
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """The mapping in a YAML file. Raises ConfigError if it is unreadable or not a mapping."""
+    """Return the mapping in a YAML file. Raises ConfigError if unreadable or not a mapping."""
     try:
         data = yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeyLoader)
     except ConfigError as error:
@@ -74,32 +79,31 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
     if not isinstance(data, dict):
-        raise ConfigError(f"{path}: a mapping of keys to values is wanted, got {_type_name(data)}")
+        raise ConfigError(f"{path}: expected a mapping of keys to values, got {_type_name(data)}")
     return data
 
 
 def find(kind: str, name: str | Path) -> Path:
-    """The file of a shipped configuration by name, or the path itself if it names a YAML file."""
+    """Return the file of a shipped configuration, or `name` itself if it is a YAML path."""
     path = Path(name)
     if path.suffix in (".yaml", ".yml"):
         return path
-    return (
-        folder() / kind / f"{validate_choice(kind.removesuffix('s'), str(name), names(kind))}.yaml"
-    )
+    stem = validate_choice(kind.removesuffix("s"), str(name), names(kind))
+    return folder() / kind / f"{stem}.yaml"
 
 
 def load(cls: type[T], kind: str, name: str | Path) -> T:
-    """A configuration by shipped name or by path. Raises ConfigError."""
+    """Load a configuration by shipped name or by path. Raises ConfigError."""
     path = find(kind, name)
     return build(cls, read_yaml(path), str(path))
 
 
 def build(cls: type[T], data: Mapping[str, Any], where: str) -> T:
-    """A frozen dataclass from a mapping. Raises ConfigError with `where` in front."""
+    """Build a frozen dataclass from a mapping. Raises ConfigError prefixed by `where`."""
     try:
-        # JSON mode: lists may become tuples, while "16e-6" stays the string that YAML made of it
+        # JSON mode converts lists to tuples but keeps "16e-6", which YAML reads as a string
         text = json.dumps(data, default=str)
-    except (TypeError, ValueError) as error:  # a date as a key, a mapping inside itself
+    except (TypeError, ValueError) as error:  # a date as a key, or a mapping that contains itself
         raise ConfigError(f"{where}: {error}") from None
     try:
         return _adapter(cast(Any, cls)).validate_json(text, strict=True)
@@ -115,6 +119,8 @@ def _adapter(cls: Any) -> TypeAdapter:
 
 
 def _format_error(error: ValidationError, where: str, cls: type) -> str:
+    """Return one sentence for the first error; the other errors are only counted."""
+    # unknown keys first: a misspelt key also causes a "missing" error
     unknown_first = sorted(error.errors(), key=lambda e: e["type"] != "unexpected_keyword_argument")
     first = unknown_first[0]
     path = [str(p) for p in first["loc"]]
@@ -132,13 +138,13 @@ def _format_error(error: ValidationError, where: str, cls: type) -> str:
         case "value_error":
             text = str(first["ctx"]["error"])
         case _:
-            wanted = first["msg"][0].lower() + first["msg"][1:]
-            text = f"{wanted}, got {first['input']!r} ({_type_name(first['input'])})"
+            expected = first["msg"][0].lower() + first["msg"][1:]
+            text = f"{expected}, got {first['input']!r} ({_type_name(first['input'])})"
     return f"{at}: {text}{more}"
 
 
 def _dataclass_at(cls: Any, path: list[str]) -> type | None:
-    """The dataclass that stands at `path` inside `cls`, if it can be told from the types."""
+    """Return the dataclass at `path` inside `cls`, or None if the types do not determine it."""
     for name in path:
         if not dataclasses.is_dataclass(cls):
             return None
@@ -150,6 +156,7 @@ def _dataclass_at(cls: Any, path: list[str]) -> type | None:
 
 
 def _type_name(value: object) -> str:
+    """Return the type of a YAML value in plain words."""
     return {
         "str": "text",
         "int": "a whole number",

@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from estimators.preprocessing import mask_record
 from road_envs.config import STRICT
 from road_envs.data.record import Estimate, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
@@ -18,6 +19,7 @@ class Flat:
     causal: ClassVar[bool] = True
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Return zero heights (2, M) [m]."""
+        """Return zero heights (2, M) [m]. Raises RecordError."""
+        notes = mask_record(record).notes
         stations = profile_stations(record.length)
-        return Estimate(stations, np.zeros((2, stations.size)))
+        return Estimate(stations, np.zeros((2, stations.size)), notes=notes)

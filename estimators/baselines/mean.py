@@ -13,7 +13,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from estimators.api import copy_with, require_fitted, validate_weights
-from estimators.preprocessing import sample_profile
+from estimators.preprocessing import mask_record, sample_profile
 from road_envs.config import STRICT
 from road_envs.data.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
@@ -40,13 +40,13 @@ class Mean:
         return copy_with(self, z=mean_profile(truths))
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Return the mean road, truncated or extended by zeros. Raises NotFittedError."""
-        mean = require_fitted(self.z, self)
+        """Return the mean road, cut or extended by zeros. Raises RecordError, NotFittedError."""
+        mean, notes = require_fitted(self.z, self), mask_record(record).notes
         stations = profile_stations(record.length)
         z = np.zeros((2, stations.size))
         shared = min(stations.size, mean.shape[1])
         z[:, :shared] = mean[:, :shared]
-        return Estimate(stations, z)
+        return Estimate(stations, z, notes=notes)
 
     def weights(self) -> dict[str, np.ndarray]:
         """Return `z` (2, M). Raises NotFittedError."""

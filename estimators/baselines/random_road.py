@@ -6,8 +6,9 @@ The straight line of ISO 8608 is fitted to the displacement spectral density of 
 
 and a road with this density and random phases is synthesised from cosines. Its level is right in
 expectation, everything else is unrelated to the truth: correlation 0 and sqrt(2) times the error of
-`flat`. The wheel paths are independent, and a fitted estimator returns the same road for every drive.
-It is synthetic and not a training road, since on the paper's board those are modified test roads.
+`flat`. The wheel paths are independent, and a fitted estimator returns the same road for every
+drive. It is synthetic and not a training road, since on the paper's board those are modified test
+roads.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,6 +19,7 @@ import numpy as np
 from scipy.fft import irfft, rfftfreq
 
 from estimators.api import copy_with, require_fitted, validate_weights
+from estimators.preprocessing import mask_record
 from road_envs.analysis.roughness import FIT_BAND, N_0, displacement_psd, fit_line, smooth_psd
 from road_envs.config import STRICT
 from road_envs.data.record import PROFILE_SPACING, Estimate, Profile, Record, profile_stations
@@ -53,9 +55,10 @@ class UnrelatedRoad:
         return copy_with(self, fitted_state=FittedRoad(*fit_spectrum(truths), phases))
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Return the random road. Raises NotFittedError."""
+        """Return the random road. Raises RecordError, NotFittedError."""
+        road, notes = require_fitted(self.fitted_state, self), mask_record(record).notes
         stations = profile_stations(record.length)
-        return Estimate(stations, draw_road(require_fitted(self.fitted_state, self), stations.size))
+        return Estimate(stations, draw_road(road, stations.size), notes=notes)
 
     def weights(self) -> dict[str, np.ndarray]:
         """Return the scalars `G_d0`, `w` and `seed`. Raises NotFittedError."""
@@ -71,10 +74,11 @@ class UnrelatedRoad:
 
 
 def fit_spectrum(truths: Sequence[Profile]) -> tuple[float, float]:
-    """Return G_d(n0) [m³] and waviness of all wheel paths together. Raises ValueError on level roads.
+    """Return G_d(n0) [m³] and waviness of all wheel paths together. Raises ValueError on level
+    roads.
 
-    The waviness is the slope of log G. The level is the mean of G over the line, not of log G, which is
-    low by up to 2.5 dB where a band contains a single spectral line.
+    The waviness is the slope of log G. The level is the mean of G over the line, not of log G,
+    which is low by up to 2.5 dB where a band contains a single spectral line.
     """
     spectra = [smooth_psd(*displacement_psd(truth.z, truth.ds)) for truth in truths]
     n = np.concatenate([n for n, _ in spectra])
@@ -85,7 +89,7 @@ def fit_spectrum(truths: Sequence[Profile]) -> tuple[float, float]:
 
 
 def draw_road(road: FittedRoad, size: int) -> np.ndarray:
-    """Return heights (2, size) [m] at the profile stations, from 0; the period is twice the length."""
+    """Return heights (2, size) [m] at the profile stations, from 0; the period is 2 `size`."""
     n = rfftfreq(2 * size, PROFILE_SPACING)
     inside = n >= FIT_BAND[0]
     G = road.G_d0 * (n[inside] / N_0) ** -road.w

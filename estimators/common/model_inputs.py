@@ -37,10 +37,9 @@ class ModelInputs:
 
     def slice_steps(self, first: int, last: int) -> "ModelInputs":
         """Return the steps `first` to `last` (excluded)."""
-        half, whole = slice(2 * first, 2 * last), slice(first, last)
-        return ModelInputs(
-            self.h, self.decimation, self.s[half], self.v[half], self.commands[whole]
-        )
+        half = slice(2 * first, 2 * last)
+        commands = self.commands[first:last]
+        return ModelInputs(self.h, self.decimation, self.s[half], self.v[half], commands)
 
 
 def build_model_inputs(
@@ -52,20 +51,17 @@ def build_model_inputs(
     """
     decimation = max(1, int(np.ceil(1.0 / (record.fs * max_step) - 1e-6)))
     h = 1.0 / (record.fs * decimation)
-    half_steps = (
-        record.t[0]
-        - antialias_delay(instruments)
-        + 0.5 * h * np.arange(2 * decimation * record.t.size)
-    )
-    s, v = (np.interp(half_steps, record.t, x) for x in (record.s, record.v))
-    s += v[0] * np.minimum(half_steps - record.t[0], 0.0) + v[-1] * np.maximum(
-        half_steps - record.t[-1], 0.0
-    )
+    half_steps = np.arange(2 * decimation * record.t.size)
+    t = record.t[0] - antialias_delay(instruments) + 0.5 * h * half_steps
+    s, v = (np.interp(t, record.t, x) for x in (record.s, record.v))
+    # beyond the record the vehicle goes on at the speed of its first and last sample
+    s += v[0] * np.minimum(t - record.t[0], 0.0) + v[-1] * np.maximum(t - record.t[-1], 0.0)
     flags = np.concatenate([record.spring_stiff, record.damper_high], axis=1).astype(np.uint8)
     bits = flags << np.arange(8)
-    given = bits.sum(axis=1).astype(np.uint8)
-    told = np.floor((half_steps[::2] - car.valve.delay - record.t[0]) * record.fs + 1e-6)
-    return ModelInputs(h, decimation, s, v, given[np.clip(told, 0, given.size - 1).astype(int)])
+    commands = bits.sum(axis=1).astype(np.uint8)
+    sample = np.floor((t[::2] - car.valve.delay - record.t[0]) * record.fs + 1e-6)
+    sample = np.clip(sample, 0, commands.size - 1).astype(int)
+    return ModelInputs(h, decimation, s, v, commands[sample])
 
 
 def antialias_delay(instruments: Instruments) -> float:

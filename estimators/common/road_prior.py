@@ -25,7 +25,7 @@ def increment_amplitude(
     waves longer than 1 / `flat_below` are no higher than that one.
     """
     line = rfftfreq(size, ds)
-    line[0] = 0.5 * line[1]  # a slope all along is half a wave
+    line[0] = 0.5 * line[1]  # a constant slope counts as half a wave
     n = np.maximum(line, flat_below or N_MIN)
     g, k = root_coherence(n, prior.w, prior.track), line if flat_below else n
     rise = 2.0 * np.sin(np.pi * k * ds) / np.sinc(k * ds) ** 4

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import signal
 
-from estimators.preprocessing import F_C, sample_profile
-from road_envs.data.record import PROFILE_SPACING, Profile, Record, profile_stations
+from estimators.preprocessing import sample_profile
+from road_envs.data.record import F_C, PROFILE_SPACING, Profile, Record, profile_stations
 from road_envs.sensing.filters import preprocess_accelerations
 
 DECIMATION = 6
@@ -31,8 +31,10 @@ EDGE_STATIONS = 4
 """Stations estimated beyond either end of the road, for the filter back to the grid."""
 
 FILTER_REACH = EDGE_STATIONS * SPACING
+"""Reach of the low-pass [m] to either side."""
+
 N_CUT = 3.0
-"""Cut-off of the filter [cycles/m]: 50 dB down from 4.5 on, flat to 0.4 % up to 1.8."""
+"""Cut-off of the low-pass [cycles/m]: 50 dB down from 4.5 on, flat to 0.4 % up to 1.8."""
 
 LOWPASS = signal.firwin(
     2 * EDGE_STATIONS * DECIMATION + 1, N_CUT, window=("kaiser", 5.0), fs=1.0 / PROFILE_SPACING
@@ -81,20 +83,15 @@ def to_spatial(record: Record, margin: int, causal: bool = False) -> SpatialSign
     """
     K = n_stations(record.length) + 2 * margin
     first = -(EDGE_STATIONS + margin) * DECIMATION
-    fine = PROFILE_SPACING * np.arange(
-        first - EDGE_STATIONS * DECIMATION, first + (K - 1 + EDGE_STATIONS) * DECIMATION + 1
-    )
-    seen = record.interpolate(fine, body_motions(record, causal))
-    seen[:, (fine < record.s[0]) | (fine > record.s[-1])] = 0.0
-    s = fine[EDGE_STATIONS * DECIMATION : -EDGE_STATIONS * DECIMATION : DECIMATION]
-    axles = (
-        record.spring_stiff[:, :2],
-        record.damper_high[:, :2],
-        record.spring_stiff[:, 2:],
-        record.damper_high[:, 2:],
-    )
+    edge = EDGE_STATIONS * DECIMATION
+    fine = PROFILE_SPACING * np.arange(first - edge, first + (K - 1) * DECIMATION + edge + 1)
+    motions = record.interpolate(fine, body_motions(record, causal))
+    motions[:, (fine < record.s[0]) | (fine > record.s[-1])] = 0.0
+    s = fine[edge:-edge:DECIMATION]
+    stiff, high = record.spring_stiff, record.damper_high
+    axles = (stiff[:, :2], high[:, :2], stiff[:, 2:], high[:, 2:])
     states = record.interpolate(s, np.array([pair.mean(axis=1) for pair in axles]))
-    return SpatialSignals(decimate(seen), np.interp(s, record.s, record.v), states.T, margin)
+    return SpatialSignals(decimate(motions), np.interp(s, record.s, record.v), states.T, margin)
 
 
 def body_motions(record: Record, causal: bool) -> np.ndarray:
@@ -103,24 +100,24 @@ def body_motions(record: Record, causal: bool) -> np.ndarray:
     roll = 0.5 * (lr - rr)
     a = np.array([rf + roll, 0.5 * (lr + rr), roll])
     sos = signal.butter(2, F_VELOCITY, "high", fs=record.fs, output="sos")
-    summed = np.cumsum(a, axis=1) / record.fs
-    return np.concatenate([a, (signal.sosfilt if causal else _both_ways)(sos, summed)])
+    velocity = np.cumsum(a, axis=1) / record.fs
+    return np.concatenate([a, (signal.sosfilt if causal else _zero_phase)(sos, velocity)])
 
 
 def decimate(x: np.ndarray) -> np.ndarray:
-    """Return rows (k, K) at every DECIMATION-th station of `x` (k, (K - 1 + 2 EDGE_STATIONS)
-    DECIMATION + 1), low-passed.
+    """Return the rows of `x` (k, (K - 1 + 2 EDGE_STATIONS) DECIMATION + 1), low-passed, at K
+    stations.
     """
-    K = (x.shape[1] - 1) // DECIMATION + 1 - 2 * EDGE_STATIONS
-    return signal.upfirdn(LOWPASS, x, 1, DECIMATION, axis=1)[
-        :, 2 * EDGE_STATIONS : 2 * EDGE_STATIONS + K
-    ]
+    edges = 2 * EDGE_STATIONS
+    K = (x.shape[1] - 1) // DECIMATION + 1 - edges
+    return signal.upfirdn(LOWPASS, x, 1, DECIMATION, axis=1)[:, edges : edges + K]
 
 
 def upsample(x: np.ndarray, size: int) -> np.ndarray:
     """Return heights (k, size) on the grid from those at the stations (k, M)."""
     fine = signal.upfirdn(DECIMATION * LOWPASS, x, DECIMATION, 1, axis=1)
-    return fine[:, 2 * EDGE_STATIONS * DECIMATION : 2 * EDGE_STATIONS * DECIMATION + size]
+    edges = 2 * EDGE_STATIONS * DECIMATION
+    return fine[:, edges : edges + size]
 
 
 def target_profile(truth: Profile, length: float) -> np.ndarray:
@@ -133,9 +130,8 @@ def target_profile(truth: Profile, length: float) -> np.ndarray:
     z = np.array([0.5 * (left + right), 0.5 * (left - right)])
     sos = signal.butter(2, N_HIGH_PASS, "high", fs=1.0 / PROFILE_SPACING, output="sos")
     size = z.shape[1]
-    z = signal.sosfiltfilt(
-        sos, z, axis=1, padlen=min(int(1.0 / (N_HIGH_PASS * PROFILE_SPACING)), size - 1)
-    )
+    padding = min(int(1.0 / (N_HIGH_PASS * PROFILE_SPACING)), size - 1)
+    z = signal.sosfiltfilt(sos, z, axis=1, padlen=padding)
     ends = (2 * EDGE_STATIONS * DECIMATION, (n_stations(length) - 1) * DECIMATION + 1 - size)
     return decimate(np.pad(z, ((0, 0), ends), mode="reflect", reflect_type="odd"))
 
@@ -145,5 +141,5 @@ def wheel_paths(x: np.ndarray) -> np.ndarray:
     return np.array([x[0] + x[1], x[0] - x[1]])
 
 
-def _both_ways(sos: np.ndarray, x: np.ndarray) -> np.ndarray:
+def _zero_phase(sos: np.ndarray, x: np.ndarray) -> np.ndarray:
     return signal.sosfiltfilt(sos, x, padlen=min(x.shape[-1] - 1, 2000))

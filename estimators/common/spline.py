@@ -13,10 +13,8 @@ from road_envs._numba import kernel
 
 @kernel
 def locate_node(x, size):
-    """Return the node before `x` and the fraction of the way to the next, clipped to the valid
-    range.
-    """
-    x = min(max(x, 1.0), size - 2.001)
+    """Return the node before `x` and the fraction of the way to the next node."""
+    x = min(max(x, 1.0), size - 2.001)  # a height needs one node before and two behind
     i = int(x)
     return i, x - i
 
@@ -55,9 +53,7 @@ def sample_under_wheels(c, x, node_rate, wheelbase_nodes, out):
 
 
 def evaluate_spline(c: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return the heights (2, M) [m] of the curves with coefficients `c` (2, K) at node numbers `x`
-    (M,).
-    """
+    """Return the heights (2, M) [m] of coefficients `c` (2, K) at node numbers `x` (M,)."""
     road = np.empty((x.size, 2, 4))
     sample_under_wheels(c, np.ascontiguousarray(x, dtype=float), np.zeros(x.size), 0.0, road)
     return road[:, 0, :2].T.copy()

@@ -30,27 +30,19 @@ from typing import ClassVar
 
 import numpy as np
 
-from estimators.common.block_means import (
-    ANTIALIAS_SPREAD,
-    MIN_NOISE_DENSITY,
-    block_means,
-    to_uniform_clock,
-    valid_samples,
-    validate_record,
-)
+from estimators.api import LAG
+from estimators.common.block_means import MIN_NOISE_DENSITY, block_means
 from estimators.common.model_inputs import antialias_delay, build_model_inputs
 from estimators.kalman.pipeline import FilterRun, run_filter, run_smoother, setup_output, setup_run
 from estimators.kalman.profile_output import ProfileOutput
 from estimators.kalman.state import NOISE_SCALE, ROUGHNESS_SCALE
+from estimators.preprocessing import ANTIALIAS_SPREAD, SPEED_MIN, mask_record
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.analysis.roughness import CLASSES
 from road_envs.config import STRICT
 from road_envs.data.record import Estimate, Record, profile_stations, scored_band
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters
-
-LAG = 4.79
-"""Distance [m] of the front axle beyond the station when it is emitted: the wheelbase and 2 m."""
 
 NOISE_SCALE_WARNING = 2.0
 """Noise scale above which a note says that the vehicle may differ from the one described."""
@@ -88,16 +80,12 @@ class _KalmanSettings:
     def _estimate(
         self, record: Record, car: VehicleParameters, lag: float, smooth: bool
     ) -> Estimate:
-        """Return both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""
-        validate_record(record)
-        record, notes = to_uniform_clock(record)
+        """Return both wheel paths. Raises ConfigError, RecordError, ValueError, ArithmeticError."""
         instruments = load_instruments(self.instruments)
+        record, valid, notes = mask_record(record, instruments)
         model_inputs = build_model_inputs(record, instruments, car, self.step)
-        used = valid_samples(record, instruments)
-        if lost := int((~used).sum()):
-            notes.append(f"{lost} of {used.size} samples lost or clipped, left out")
-        a = np.where(used, record.a, 0.0)
-        measurements = block_means(a, used, max(1, round(record.fs / self.data_rate)))
+        a = np.where(valid, record.a, 0.0)
+        measurements = block_means(a, valid, max(1, round(record.fs / self.data_rate)))
         density = self.noise_density or max(instruments.noise_density, MIN_NOISE_DENSITY)
         noise = density**2 * 0.5 * record.fs
         prior = RoadPrior(G_d0=self.G_d0, w=self.w, track=2.0 * car.front.y_t)
@@ -111,30 +99,30 @@ class _KalmanSettings:
         else:
             run_filter(run, output)
         if not np.isfinite(output.z).all():
-            raise ArithmeticError("the filter lost the car: this record is none of such a drive")
-        if (excess := float(run.state.adaptive[NOISE_SCALE])) > NOISE_SCALE_WARNING:
-            notes.append(
-                f"at last {excess:.1f} times the noise believed in was heard: the car may not be "
-                "the one believed in"
+            raise ArithmeticError(
+                "the filter diverged (heights are not finite): check the vehicle, the commanded "
+                "states and the signs of the sensors"
+            )
+        if (scale := float(run.state.adaptive[NOISE_SCALE])) > NOISE_SCALE_WARNING:
+            notes += (
+                f"at the end the noise power is {scale:.1f} times the expected one: the vehicle "
+                "may differ from the one described",
             )
         z_std = self.std_factor * _output_std(run, output, record, prior)
-        return Estimate(profile_stations(record.length), output.z.T.copy(), z_std, tuple(notes))
+        return Estimate(profile_stations(record.length), output.z.T.copy(), z_std, notes)
 
 
 def _output_std(
     run: FilterRun, output: ProfileOutput, record: Record, prior: RoadPrior
 ) -> np.ndarray:
-    """Return standard deviations (2, M) [m] in the scored band; the prior's where no wheel has
-    been.
-    """
-    n = np.linspace(*scored_band(float(np.clip(record.v.mean(), 0.1, 100.0))), 400)
+    """Return in-band standard deviations (2, M) [m]; the prior's where no wheel has been."""
+    n = np.linspace(*scored_band(float(np.clip(record.v.mean(), SPEED_MIN, 100.0))), 400)
     s, variance = profile_stations(record.length), np.maximum(output.variance.T, 0.0)
-    level = np.where(
-        s < record.s[0], 1.0, run.state.adaptive[ROUGHNESS_SCALE]
-    )  # once none was learnt yet
-    all_of_it = level * np.trapezoid(prior.density(n), n)
+    # before the record nothing was known of the roughness but the prior
+    scale = np.where(s < record.s[0], 1.0, run.state.adaptive[ROUGHNESS_SCALE])
+    prior_variance = scale * np.trapezoid(prior.density(n), n)
     unseen = (s < record.s[0]) | (s > record.s[-1])
-    return np.sqrt(np.where(unseen, np.maximum(variance, all_of_it), variance))
+    return np.sqrt(np.where(unseen, np.maximum(variance, prior_variance), variance))
 
 
 @dataclass(frozen=True, kw_only=True)

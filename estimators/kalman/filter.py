@@ -46,24 +46,18 @@ def filter_forward(
     `blocks` holds one entry, which every block overwrites, or one entry per block for the smoother.
     `output`: the stations, as in `emit`.
     """
-    keeps = blocks.n_columns.shape[0] > 1
+    keep_all = blocks.n_columns.shape[0] > 1
     for j in range(first, last):
-        block = get_block(blocks, j - first if keeps else 0)
+        block = get_block(blocks, j - first if keep_all else 0)
         front = inputs.front_node[2 * (j + 1) * model.steps_per_block - 1]
-        emit(model, state, output, j)
+        emit(model, state, output, j)  # before new nodes overwrite the oldest ones
         block.nodes_added[0] = 0
+        # the spline under the front axle needs two nodes beyond it
         while np.floor(front) + 2 > state.newest_node[0]:
             middle = state.newest_node[0] + 0.5
             add_node(model, state, inputs.free_range[0] < middle < inputs.free_range[1])
-            rear = (
-                int(
-                    np.floor(
-                        inputs.front_node[2 * j * model.steps_per_block] - model.wheelbase_nodes
-                    )
-                )
-                - 1
-            )
-            update_roughness(model, state, rear, inputs.free_range)
+            rear = inputs.front_node[2 * j * model.steps_per_block] - model.wheelbase_nodes
+            update_roughness(model, state, int(np.floor(rear)) - 1, inputs.free_range)
             block.nodes_added[0] += 1
         choose_linearization(model, state)
         linearize_block(model, inputs, state, j, block)
@@ -72,21 +66,21 @@ def filter_forward(
 
 
 @kernel(inline=False)
-def add_weighted_rows(weights, P, at, size, out):
+def add_weighted_rows(weights, P, columns, size, out):
     """Add the rows `columns` (size,) of `P` (n, n), times `weights`, to `out` (n,)."""
     for d in range(size):
-        weight, row = weights[d], P[at[d]]
+        weight, row = weights[d], P[columns[d]]
         if weight != 0.0:
             for k in range(out.size):
                 out[k] += weight * row[k]
 
 
 @kernel
-def gather_dot(weights, row, at, size):
+def gather_dot(weights, row, columns, size):
     """Return the sum of the entries `columns` (size,) of `row` (n,), times `weights`."""
     z = 0.0
     for d in range(size):
-        z += weights[d] * row[at[d]]
+        z += weights[d] * row[columns[d]]
     return z
 
 
@@ -100,37 +94,40 @@ def update(model: FilterModel, state: FilterState, y, count, block: LinearizedBl
     `block.H` is whitened alike.
     """
     x, P, n, size = state.x, state.P, state.x.size, block.n_columns[0]
-    V, H, innovation, at = block.V, block.H, block.innovation, block.columns
-    excess, seen = state.adaptive[NOISE_SCALE], 0
+    V, H, innovation, columns = block.V, block.H, block.innovation, block.columns
+    noise_scale, n_measured = state.adaptive[NOISE_SCALE], 0
     V[:] = 0.0
-    both = np.empty(3)
+    cross = np.empty(3)
     for s in range(3):
         innovation[s] = 0.0
         if count[s] == 0.0:
             H[s] = 0.0
             continue
-        seen += 1
-        add_weighted_rows(H[s], P, at, size, V[s])
-        least = excess * model.noise_variance / count[s]
-        variance = least + gather_dot(H[s], V[s], at, size)
+        n_measured += 1
+        add_weighted_rows(H[s], P, columns, size, V[s])
+        noise_variance = noise_scale * model.noise_variance / count[s]
+        variance = noise_variance + gather_dot(H[s], V[s], columns, size)
         for r in range(s):
-            both[r] = gather_dot(H[s], V[r], at, size)
-            variance -= both[r] ** 2
+            cross[r] = gather_dot(H[s], V[r], columns, size)
+            variance -= cross[r] ** 2
         innovation[s] = y[s] - block.predicted[s]
         for r in range(s):
-            V[s] -= both[r] * V[r]
-            H[s] -= both[r] * H[r]
-            innovation[s] -= both[r] * innovation[r]
-        unit = 1.0 / np.sqrt(max(variance, least))
-        V[s] *= unit
-        H[s] *= unit
-        innovation[s] *= unit
-    square = innovation[0] ** 2 + innovation[1] ** 2 + innovation[2] ** 2
-    if seen > 0:
-        mean = min(square / seen, MAX_NIS)
-        state.adaptive[NOISE_SCALE] = max(1.0, excess * (1.0 + (mean - 1.0) / model.noise_time))
-    if square > MAX_NIS * seen:
-        innovation *= np.sqrt(MAX_NIS * seen / square)
+            V[s] -= cross[r] * V[r]
+            H[s] -= cross[r] * H[r]
+            innovation[s] -= cross[r] * innovation[r]
+        # rounding must not make the variance less than that of the noise
+        inverse_std = 1.0 / np.sqrt(max(variance, noise_variance))
+        V[s] *= inverse_std
+        H[s] *= inverse_std  # for the smoother
+        innovation[s] *= inverse_std
+    nis = innovation[0] ** 2 + innovation[1] ** 2 + innovation[2] ** 2
+    if n_measured > 0:
+        mean = min(nis / n_measured, MAX_NIS)  # one outlier must not raise the noise much
+        state.adaptive[NOISE_SCALE] = max(
+            1.0, noise_scale * (1.0 + (mean - 1.0) / model.noise_time)
+        )
+    if nis > MAX_NIS * n_measured:
+        innovation *= np.sqrt(MAX_NIS * n_measured / nis)
     for s in range(3):
         x += innovation[s] * V[s]
     for i in range(n):
@@ -145,21 +142,21 @@ def predict(state: FilterState, block: LinearizedBlock):
     the transition matrix for the correction of the update.
     """
     x, P, n, size = state.x, state.P, state.x.size, block.n_columns[0]
-    A, V, innovation, at = block.A, block.V, block.innovation, block.columns
+    A, V, innovation, columns = block.A, block.V, block.innovation, block.columns
     rows = np.zeros((N_VEHICLE, n))
     for i in range(N_VEHICLE):
         z = block.end_state[i]
         for d in range(size):
-            k = at[d]
+            k = columns[d]
             z += A[i, d] * (
                 innovation[0] * V[0, k] + innovation[1] * V[1, k] + innovation[2] * V[2, k]
             )
-        add_weighted_rows(A[i], P, at, size, rows[i])
+        add_weighted_rows(A[i], P, columns, size, rows[i])
         x[i] = z
     for i in range(N_VEHICLE):
         P[i, N_VEHICLE:] = rows[i, N_VEHICLE:]
         P[N_VEHICLE:, i] = rows[i, N_VEHICLE:]
         for k in range(i + 1):
-            z = gather_dot(A[k], rows[i], at, size)
+            z = gather_dot(A[k], rows[i], columns, size)
             P[i, k] = z
             P[k, i] = z

@@ -1,6 +1,6 @@
 """Statistical linearization of the strut force over an uncertain strut rate.
 
-Friction changes sign within 0.02 m/s, whereas the filter knows the rate of a strut to 0.01 to 0.1
+Friction changes sign within 0.02 m/s, whereas the rate of a strut is uncertain by 0.01 to 0.1
 m/s. The filter therefore uses the expected force and the expected slope (the best line for a
 Gaussian rate), and treats the rest as noise of known variance,
 
@@ -37,44 +37,44 @@ def smoothed_tables(velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(tables), np.stack([residual_variance(velocity, s) for s in RATE_STDS])
 
 
-def residual_variance(velocity: np.ndarray, width: float) -> np.ndarray:
+def residual_variance(velocity: np.ndarray, std: float) -> np.ndarray:
     """Return the variance (K, cells + 1) [N²] of the force about its best line, over the grid of
     rates, for a rate of standard deviation `std` [m/s].
     """
     rate = V_0 + V_STEP * np.arange(velocity.shape[1] + 1)
     x = np.linspace(-4.0, 4.0, 161)
     weight = np.exp(-0.5 * x**2) / np.exp(-0.5 * x**2).sum()
-    found = np.empty((velocity.shape[0], rate.size, x.size, 2))
-    interpolate_tables(velocity, V_0, V_STEP, rate[:, None] + width * x, found)
-    F = found[..., 0]
-    spread, both = (F**2) @ weight - (F @ weight) ** 2, (F * x) @ weight
-    return np.maximum(spread - both**2 / (x**2 @ weight), 0.0)
+    table_values = np.empty((velocity.shape[0], rate.size, x.size, 2))
+    interpolate_tables(velocity, V_0, V_STEP, rate[:, None] + std * x, table_values)
+    F = table_values[..., 0]
+    variance, cross = (F**2) @ weight - (F @ weight) ** 2, (F * x) @ weight
+    return np.maximum(variance - cross**2 / (x**2 @ weight), 0.0)
 
 
 @kernel(inline=False)
 def choose_linearization(model: FilterModel, state: FilterState):
     """Select each strut's table by the uncertainty of its rate, and reset its force residual."""
     x, P, p = state.x, state.P, model.constants[0]
-    kinds = model.force_variance.shape[1]
+    n_tables = model.force_variance.shape[1]
     for w in range(4):
         rate, variance = 0.0, 0.0
         for i in range(N_DOF):
             rate += model.strut_rows[w, i] * x[N_DOF + i]
             for k in range(N_DOF):
-                both = model.strut_rows[w, i] * model.strut_rows[w, k]
-                variance += both * P[N_DOF + i, N_DOF + k]
-        std, best = np.sqrt(max(variance, 0.0)), 0
-        while best < model.rate_stds.size - 1 and (
-            std > 0.5 * (model.rate_stds[best] + model.rate_stds[best + 1])
+                cross = model.strut_rows[w, i] * model.strut_rows[w, k]
+                variance += cross * P[N_DOF + i, N_DOF + k]
+        std, index = np.sqrt(max(variance, 0.0)), 0
+        while index < model.rate_stds.size - 1 and (
+            std > 0.5 * (model.rate_stds[index] + model.rate_stds[index + 1])
         ):
-            best += 1
-        p.velocity_table[w] = model.first_table[w] + kinds * best
+            index += 1
+        p.velocity_table[w] = model.first_table[w] + n_tables * index
         u = min(max((rate - V_0) / V_STEP, 0.0), model.force_variance.shape[2] - 1.001)
         i, low, high = int(u), int(model.first_table[w]), state.strut_state[w, DAMPING_HIGH]
         t = u - i
-        left = model.force_variance[best]
-        soft = (1.0 - t) * left[low, i] + t * left[low, i + 1]
-        hard = (1.0 - t) * left[low + 1, i] + t * left[low + 1, i + 1]
+        table = model.force_variance[index]  # high damping is next to low damping
+        soft = (1.0 - t) * table[low, i] + t * table[low, i + 1]
+        hard = (1.0 - t) * table[low + 1, i] + t * table[low + 1, i + 1]
         x[FORCE + w] = 0.0
         P[FORCE + w, :] = 0.0
         P[:, FORCE + w] = 0.0

@@ -6,6 +6,8 @@ nodes. Every column of `A` and `H` is the exact tangent of these steps
 the block.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from estimators.common.spline import height_weights, slope_weights
@@ -28,32 +30,37 @@ N_COMMON_COLUMNS = BIAS + 3
 """Columns of every block: vehicle, strut force residuals, biases."""
 
 
+class AxleWeights(NamedTuple):
+    """Spline weights of both axles at both half steps of the steps of a block.
+
+    `node` (steps, 2, 2): the first of the four nodes that carry an axle; `height` and `slope` [1/s]
+    (steps, 2, 2, 4): their weights in the height under the axle and in the rate of that height.
+    """
+
+    node: np.ndarray
+    height: np.ndarray
+    slope: np.ndarray
+
+
 def max_columns(nodes_in_block: float) -> int:
     """Return the greatest number of columns of a block in which a wheel passes so many nodes."""
     return N_COMMON_COLUMNS + 4 * (int(np.ceil(nodes_in_block)) + 5)
 
 
 @kernel(inline=False)
-def axle_spline_weights(
-    inputs: FilterInputs, wheelbase_nodes, first, steps_per_block, node, heights, slopes
-):
-    """Write the spline weights of both axles at both half steps of `steps_per_block` steps from
-    `first`.
-
-    `node` (steps, 2, 2) becomes the first of the four nodes that carry an axle; `heights` and
-    `slopes` [1/s] (steps, 2, 2, 4) their weights in its height and in the rate of its height.
-    """
-    for k in range(steps_per_block):
+def axle_spline_weights(inputs: FilterInputs, wheelbase_nodes, first, weights: AxleWeights):
+    """Fill the spline weights of a block's steps, from the step `first` on."""
+    for k in range(weights.node.shape[0]):
         for half in range(2):
             for axle in range(2):
                 now = 2 * (first + k) + half
                 x = inputs.front_node[now] - axle * wheelbase_nodes
                 i = int(np.floor(x))
-                node[k, half, axle] = i - 1
+                weights.node[k, half, axle] = i - 1
                 a, b = height_weights(x - i), slope_weights(x - i)
                 for m in range(4):
-                    heights[k, half, axle, m] = a[m]
-                    slopes[k, half, axle, m] = b[m] * inputs.node_rate[now]
+                    weights.height[k, half, axle, m] = a[m]
+                    weights.slope[k, half, axle, m] = b[m] * inputs.node_rate[now]
 
 
 @kernel(inline=False)
@@ -66,18 +73,20 @@ def linearize_block(
     steps_per_block = model.steps_per_block
     first = j * steps_per_block
     node = np.empty((steps_per_block, 2, 2), dtype=np.int64)
-    shares, slopes = np.empty((steps_per_block, 2, 2, 4)), np.empty((steps_per_block, 2, 2, 4))
-    axle_spline_weights(inputs, model.wheelbase_nodes, first, steps_per_block, node, shares, slopes)
+    heights, slopes = np.empty((steps_per_block, 2, 2, 4)), np.empty((steps_per_block, 2, 2, 4))
+    weights = AxleWeights(node, heights, slopes)
+    axle_spline_weights(inputs, model.wheelbase_nodes, first, weights)
     rows = np.empty((steps_per_block, TAPE_ROW_SIZE))
-    simulate_block(model, inputs, state, first, node, shares, slopes, rows, block)
+    simulate_block(model, inputs, state, first, weights, rows, block)
     n, size = state.x.size, N_COMMON_COLUMNS
     block.A[:] = 0.0
     block.H[:] = 0.0
     for i in range(N_COMMON_COLUMNS):
         block.columns[i] = i
     for i in range(N_VEHICLE):
-        tangent_column(model, first, rows, node, shares, slopes, i, 0, 0, 0, block)
+        tangent_column(model, first, rows, weights, i, 0, 0, 0, block)
     time = steps_per_block * model.h
+    # a constant force over so short a time moves the vehicle like free masses
     for w in range(4):
         for i in range(N_DOF):
             block.A[i, FORCE + w] = 0.5 * time * time * model.force_to_accel[w, i]
@@ -90,24 +99,14 @@ def linearize_block(
         for k in range(node[0, 0, axle], node[steps_per_block - 1, 1, axle] + 4):
             for component in range(2):
                 block.columns[size] = node_index(k, n) + component
-                tangent_column(
-                    model, first, rows, node, shares, slopes, size, axle, k, component, block
-                )
+                tangent_column(model, first, rows, weights, size, axle, k, component, block)
                 size += 1
     block.n_columns[0] = size
 
 
 @kernel(inline=False)
 def simulate_block(
-    model: FilterModel,
-    inputs: FilterInputs,
-    state: FilterState,
-    first,
-    node,
-    shares,
-    slopes,
-    rows,
-    block: LinearizedBlock,
+    model: FilterModel, inputs: FilterInputs, state: FilterState, first, weights, rows, block
 ):
     """Simulate the block: fill the tape `rows`, `block.end_state` and `block.predicted`."""
     p, work, out = model.constants[0], workspace(), np.empty(N_SIGNALS)
@@ -122,10 +121,10 @@ def simulate_block(
                 for side in range(2):
                     z, rate = 0.0, 0.0
                     for m in range(4):
-                        i = node_index(node[k, half, axle] + m, n)
+                        i = node_index(weights.node[k, half, axle] + m, n)
                         c = state.x[i] + (1.0 - 2.0 * side) * state.x[i + 1]
-                        z += shares[k, half, axle, m] * c
-                        rate += slopes[k, half, axle, m] * c
+                        z += weights.height[k, half, axle, m] * c
+                        rate += weights.slope[k, half, axle, m] * c
                     road[8 * half + 2 * axle + side] = z
                     road[8 * half + 4 + 2 * axle + side] = rate
         update_valves(p, state.strut_state, q, inputs.commands[first + k], alpha, model.h)
@@ -144,46 +143,36 @@ def simulate_block(
 
 @kernel(inline=False)
 def tangent_column(
-    model: FilterModel,
-    first,
-    rows,
-    node,
-    shares,
-    slopes,
-    to,
-    axle,
-    k,
-    component,
-    block: LinearizedBlock,
+    model: FilterModel, first, rows, weights: AxleWeights, column, axle, k, component, block
 ):
-    """Write the tangent along one unit direction to the column `to` of `A` and `H`: for `to` below
-    N_VEHICLE that entry of the vehicle state, else the `component` (0 mean, 1 half difference) of
-    the node `k` under `axle`.
+    """Write the tangent along one unit direction to a `column` of `A` and `H`. Below N_VEHICLE the
+    direction is that entry of the vehicle state, else the `component` (0 mean, 1 half difference)
+    of the node `k` under `axle`.
     """
     p, work, a = model.constants[0], workspace(), np.empty(N_DOF)
     q, v, road = np.zeros(N_DOF), np.zeros(N_DOF), np.zeros(16)
-    if to < N_DOF:
-        q[to] = 1.0
-    elif to < N_VEHICLE:
-        v[to - N_DOF] = 1.0
+    if column < N_DOF:
+        q[column] = 1.0
+    elif column < N_VEHICLE:
+        v[column - N_DOF] = 1.0
     samples = 0
     for i in range(rows.shape[0]):
-        if to >= N_VEHICLE:
+        if column >= N_VEHICLE:
             for half in range(2):
-                m = k - node[i, half, axle]
+                m = k - weights.node[i, half, axle]
                 inside = 0 <= m < 4
                 for side in range(2):
                     sign = -1.0 if component == 1 and side == 1 else 1.0
                     wheel = 8 * half + 2 * axle + side
-                    road[wheel] = sign * shares[i, half, axle, m] if inside else 0.0
-                    road[4 + wheel] = sign * slopes[i, half, axle, m] if inside else 0.0
+                    road[wheel] = sign * weights.height[i, half, axle, m] if inside else 0.0
+                    road[4 + wheel] = sign * weights.slope[i, half, axle, m] if inside else 0.0
         tangent_step(p, rows[i], q, v, road, model.h, work, a)
         if (first + i) % model.decimation == 0:
             samples += 1
             for s in range(3):
                 for d in range(N_DOF):
-                    block.H[s, to] += model.sensor_rows[s, d] * a[d]
+                    block.H[s, column] += model.sensor_rows[s, d] * a[d]
     for s in range(3):
-        block.H[s, to] /= samples
-    block.A[:N_DOF, to] = q
-    block.A[N_DOF:, to] = v
+        block.H[s, column] /= samples
+    block.A[:N_DOF, column] = q
+    block.A[N_DOF:, column] = v

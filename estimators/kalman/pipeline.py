@@ -28,8 +28,8 @@ from estimators.kalman.state import (
     LinearizedBlock,
     empty_blocks,
 )
-from road_envs.analysis.information_bound import F_C, RoadPrior
-from road_envs.data.record import Record, profile_stations, scored_band
+from road_envs.analysis.information_bound import RoadPrior
+from road_envs.data.record import F_C, Record, profile_stations, scored_band
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.linear_model import linearise
@@ -59,6 +59,12 @@ N_MAX_OUTPUT = 5.0
 
 MAX_WHEELBASES_PER_BLOCK = 0.5
 """Greatest advance of the vehicle in one block, in wheelbases."""
+
+MAX_SPEED = 110.0
+"""Speed [m/s] above which the scored band is empty."""
+
+END = 2**62
+"""Block number before which every station is due."""
 
 CHUNK_BLOCKS = 10_000
 """Blocks in one chunk of a smoothed drive. A chunk is smoothed by itself and the next chunk only;
@@ -106,21 +112,20 @@ def setup_run(
     if the odometer jumps.
     """
     steps_per_block = measurements.sample_weight.shape[2] * model_inputs.decimation
-    moved = float(
-        np.max(model_inputs.s[2 * steps_per_block :] - model_inputs.s[: -2 * steps_per_block])
-    )
-    if moved > MAX_WHEELBASES_PER_BLOCK * car.wheelbase:
+    s, half_steps = model_inputs.s, 2 * steps_per_block
+    moved = float(np.max(s[half_steps:] - s[:-half_steps]))
+    if moved > (most := MAX_WHEELBASES_PER_BLOCK * car.wheelbase):
         raise ValueError(
-            f"the odometer jumps by {moved:.2f} m within {steps_per_block * model_inputs.h:.3g} s: "
-            "no drive goes so"
+            f"the odometer jumps by {moved:.2f} m within {steps_per_block * model_inputs.h:.3g} s; "
+            f"at most {most:.2f} m are allowed: cut the record at the jump or correct s"
         )
     in_block = moved / NODE_SPACING
     reach = max(lag, car.wheelbase) + HALF_WINDOW
     K = int(np.ceil(reach / NODE_SPACING) + np.ceil(in_block)) + 8
-    origin = float(model_inputs.s[0]) - K * NODE_SPACING
+    origin = float(s[0]) - K * NODE_SPACING
     ends = np.array([0.0, record.length]) if level_ends else np.array([-np.inf, np.inf])
     inputs = FilterInputs(
-        (model_inputs.s - origin) / NODE_SPACING,
+        (s - origin) / NODE_SPACING,
         model_inputs.v / NODE_SPACING,
         model_inputs.commands,
         measurements.y,
@@ -129,10 +134,9 @@ def setup_run(
     )
     road = fit_ar_model(prior, NODE_SPACING)
     model = _build_model(car, instruments, model_inputs, steps_per_block, noise_variance, road)
-    known = level_ends and record.s[0] <= 0.0
-    state = _initial_state(
-        car, model_inputs, road, NODES + 2 * K, int(inputs.front_node[0]) + 2, known
-    )
+    level = level_ends and record.s[0] <= 0.0
+    newest_node = int(inputs.front_node[0]) + 2
+    state = _initial_state(car, model_inputs, road, NODES + 2 * K, newest_node, level)
     return FilterRun(model, inputs, state, origin, max_columns(in_block))
 
 
@@ -185,21 +189,17 @@ def _initial_state(
     level: bool,
 ) -> FilterState:
     x, P = np.zeros(n), np.zeros((n, n))
-    x[: REST_STD.size] = (
-        rest_state(car, model_inputs) + 1e-7
-    )  # at rest to the bit friction has a kink
-    zeros = np.full(3, BIAS_STD)
-    known = np.concatenate(
-        [REST_STD if level else MOVING_STD, np.zeros(BIAS - REST_STD.size), zeros]
-    )
-    P[: known.size, : known.size] = np.diag(known**2)
+    # exactly at rest the friction law has a kink and no tangent
+    x[: REST_STD.size] = rest_state(car, model_inputs) + 1e-7
+    vehicle_std = REST_STD if level else MOVING_STD
+    std = np.concatenate([vehicle_std, np.zeros(BIAS - vehicle_std.size), np.full(3, BIAS_STD)])
+    P[: std.size, : std.size] = np.diag(std**2)
     if not level:
         P[NODES:, NODES:] = prior_covariance(road, n, newest_node + 1 - (n - NODES) // 2)
-    memory = settled_strut_state(int(model_inputs.commands[0]))
-    adaptive = np.array(
-        [1.0, ROUGHNESS_LENGTH / NODE_SPACING, ROUGHNESS_LENGTH / NODE_SPACING, 1.0]
-    )
-    return FilterState(x, P, memory, np.array([newest_node]), adaptive)
+    strut_state = settled_strut_state(int(model_inputs.commands[0]))
+    weight = ROUGHNESS_LENGTH / NODE_SPACING  # that of a stationary average
+    adaptive = np.array([1.0, weight, weight, 1.0])
+    return FilterState(x, P, strut_state, np.array([newest_node]), adaptive)
 
 
 def setup_output(
@@ -210,20 +210,21 @@ def setup_output(
     """
     s, h = profile_stations(record.length), run.model.h
     node = (s - run.origin) / NODE_SPACING
-    heard = sensor_latency + h * run.model.steps_per_block * np.arange(1, run.n_blocks + 1)
-    passed = np.interp(
-        heard, 0.5 * h * np.arange(run.inputs.front_node.size), run.inputs.front_node
-    )
+    front_node = run.inputs.front_node
+    t = sensor_latency + h * run.model.steps_per_block * np.arange(1, run.n_blocks + 1)
+    passed = np.interp(t, 0.5 * h * np.arange(front_node.size), front_node)
     v = np.interp(s, record.s, record.v)
-    high = np.array([scored_band(x)[1] for x in np.clip(v, 0.1, MAX_SPEED)])
-    fine = np.minimum(N_MAX_OUTPUT, F_C / np.maximum(v, 0.1))
+    if lag > HALF_WINDOW:
+        high = np.array([scored_band(x)[1] for x in np.clip(v, 0.1, MAX_SPEED)])
+        fine = np.minimum(N_MAX_OUTPUT, F_C / np.maximum(v, 0.1))
+        cutoff = NODE_SPACING * np.stack([fine, high], axis=1)
+    else:  # the kernel would need road ahead that no wheel has passed: no low-pass
+        cutoff = np.full((s.size, 2), 0.5)
     none = np.zeros((0, 2, run.n_states))
     return ProfileOutput(
         node=node,
         emit_block=np.searchsorted(passed, node + lag / NODE_SPACING),
-        cutoff=NODE_SPACING * np.stack([fine, high], axis=1)
-        if lag > HALF_WINDOW
-        else np.full((s.size, 2), 0.5),
+        cutoff=cutoff,
         half_window=HALF_WINDOW / NODE_SPACING,
         detrended=detrended,
         z=np.zeros((s.size, 2)),
@@ -234,10 +235,6 @@ def setup_output(
     )
 
 
-MAX_SPEED = 110.0
-"""Speed [m/s] above which the scored band is empty."""
-
-
 def run_filter(run: FilterRun, output: ProfileOutput) -> None:
     """Filter a drive to its end and emit all stations."""
     one = empty_blocks(run.n_states, run.max_columns, 1)
@@ -245,15 +242,11 @@ def run_filter(run: FilterRun, output: ProfileOutput) -> None:
     emit(run.model, run.state, output, END)
 
 
-END = 2**62
-"""Block number before which every station is due."""
-
-
 def run_smoother(run: FilterRun, output: ProfileOutput, chunk_blocks: int = CHUNK_BLOCKS) -> None:
     """Filter and smooth a drive chunk by chunk, each with the measurements of the next one."""
     edges = [*range(0, run.n_blocks, chunk_blocks), run.n_blocks]
     if len(edges) > 2 and edges[-1] - edges[-2] < chunk_blocks // 2:
-        del edges[-2]
+        del edges[-2]  # a short last chunk joins the one before it
     before: Chunk | None = None
     for first, last in pairwise(edges):
         chunk = _filter_chunk(run, output, first, last)
@@ -285,18 +278,18 @@ def _filter_chunk(run: FilterRun, output: ProfileOutput, first: int, last: int) 
     """Filter one chunk and store what the smoother needs."""
     n, first_station = run.n_states, int(output.next_station[0])
     end = int(np.searchsorted(output.emit_block, last)) if last < run.n_blocks else output.node.size
-    here, many = slice(first_station, end), end - first_station
+    here, count = slice(first_station, end), end - first_station
     own = ProfileOutput(
         node=output.node[here],
         emit_block=np.minimum(output.emit_block[here], last),
         cutoff=output.cutoff[here],
         half_window=output.half_window,
         detrended=output.detrended,
-        z=np.zeros((many, 2)),
-        variance=np.zeros((many, 2)),
+        z=np.zeros((count, 2)),
+        variance=np.zeros((count, 2)),
         next_station=np.zeros(1, dtype=np.int64),
-        height_covariance=np.zeros((many, 2, n)),
-        band_covariance=np.zeros((many // VARIANCE_STRIDE + 1, 2, n)),
+        height_covariance=np.zeros((count, 2, n)),
+        band_covariance=np.zeros((count // VARIANCE_STRIDE + 1, 2, n)),
     )
     blocks = empty_blocks(n, run.max_columns, last - first)
     filter_forward(run.model, run.inputs, run.state, first, last, own, blocks)
@@ -315,13 +308,10 @@ def _smooth_chunks(run: FilterRun, chunks: list[Chunk], at_end: bool) -> None:
         np.zeros(n), np.zeros((n, n)), np.array([last.newest_node]), np.zeros(1, dtype=np.int64)
     )
     for chunk in reversed(chunks):
-        again = at_end or chunk is not last
-        adjoint.next_station[0] = (
-            int(np.searchsorted(chunk.output.emit_block, chunk.last)) if again else 0
-        )
-        smooth_backward(
-            run.model, run.inputs, adjoint, chunk.first, chunk.last, chunk.output, chunk.blocks
-        )
+        output, (first, end) = chunk.output, (chunk.first, chunk.last)
+        correct = at_end or chunk is not last
+        adjoint.next_station[0] = int(np.searchsorted(output.emit_block, end)) if correct else 0
+        smooth_backward(run.model, run.inputs, adjoint, first, end, output, chunk.blocks)
 
 
 def _store_chunk(output: ProfileOutput, chunk: Chunk) -> None:

@@ -82,11 +82,10 @@ def windowed_sinc(d, cutoff, half_window):
 
 @kernel
 def spline_low_pass(d, cutoff, half_window):
-    """Return the low-pass of the curve, whose value at a node is (1, 4, 1) / 6 of the coefficients."""
-    sides = windowed_sinc(d - 1.0, cutoff, half_window) + windowed_sinc(
-        d + 1.0, cutoff, half_window
-    )
-    return (4.0 * windowed_sinc(d, cutoff, half_window) + sides) / 6.0
+    """Return the low-pass of the curve, which at a node is (1, 4, 1) / 6 of its coefficients."""
+    left = windowed_sinc(d - 1.0, cutoff, half_window)
+    right = windowed_sinc(d + 1.0, cutoff, half_window)
+    return (4.0 * windowed_sinc(d, cutoff, half_window) + (left + right)) / 6.0
 
 
 @kernel(inline=False)
@@ -102,15 +101,16 @@ def output_weights(u, at, newest_node, decay, cutoff, half_window):
     oldest, sum_low = newest_node - K + 1, 0.0
     low, high = int(np.floor(at - half_window)) - 1, int(np.ceil(at + half_window)) + 1
     for k in range(low, high + 1):
-        share = spline_low_pass(k - at, cutoff, half_window)
-        u[2 + min(max(k, oldest), newest_node) % K] += share
-        sum_low += share
-    u /= sum_low
+        weight = spline_low_pass(k - at, cutoff, half_window)
+        u[2 + min(max(k, oldest), newest_node) % K] += weight
+        sum_low += weight
+    u /= sum_low  # a level road keeps its height
     if decay == 0.0:
         return
     for k in range(oldest, newest_node + 1):
         x = decay * abs(k - at)
         u[2 + k % K] -= 0.5 * decay * np.exp(-x) * (np.cos(x) + np.sin(x))
+    # the integrals of `long` over the level road ahead and over the retired nodes
     x = decay * (newest_node + 0.5 - at)
     u[2 + newest_node % K] -= 0.5 * np.exp(-x) * np.cos(x)
     x = decay * (at - oldest)
@@ -155,21 +155,14 @@ def covariance_rows(P, u, out):
 @kernel(inline=False)
 def emit(model: FilterModel, state: FilterState, output: ProfileOutput, j):
     """Emit all stations that are due before the block `j`."""
-    n = state.x.size
+    n, newest_node, next_station = state.x.size, state.newest_node[0], output.next_station
     u, rows = np.empty(2 + (n - NODES) // 2), np.empty((2, n))
-    while (
-        output.next_station[0] < output.node.size and output.emit_block[output.next_station[0]] <= j
-    ):
-        m, newest_node = output.next_station[0], state.newest_node[0]
+    decay = model.decay if output.detrended else 0.0
+    while next_station[0] < output.node.size and output.emit_block[next_station[0]] <= j:
+        m = next_station[0]
+        # a station that no wheel has passed is given the height of the nearest node
         at = min(max(output.node[m], float(newest_node - u.size + 3)), float(newest_node))
-        output_weights(
-            u,
-            at,
-            newest_node,
-            model.decay if output.detrended else 0.0,
-            output.cutoff[m, 0],
-            output.half_window,
-        )
+        output_weights(u, at, newest_node, decay, output.cutoff[m, 0], output.half_window)
         z, d = read_out(state.x, u, 0), read_out(state.x, u, 1)
         output.z[m, 0], output.z[m, 1] = z + d, z - d
         if output.height_covariance.shape[0] > 0:
@@ -178,12 +171,10 @@ def emit(model: FilterModel, state: FilterState, output: ProfileOutput, j):
             output_weights(u, at, newest_node, model.decay, output.cutoff[m, 1], output.half_window)
             covariance_rows(state.P, u, rows)
             for side in range(2):
-                sign = 1.0 - 2.0 * side
-                output.variance[m, side] = read_out(rows[side], u, 0) + sign * read_out(
-                    rows[side], u, 1
-                )
+                z, d = read_out(rows[side], u, 0), read_out(rows[side], u, 1)
+                output.variance[m, side] = z + (1.0 - 2.0 * side) * d
             if output.band_covariance.shape[0] > 0:
                 output.band_covariance[m // VARIANCE_STRIDE] = rows
         else:
             output.variance[m] = output.variance[m - 1]
-        output.next_station[0] += 1
+        next_station[0] += 1

@@ -47,27 +47,29 @@ class ARModel(NamedTuple):
     prediction_variance: np.ndarray
     covariance: np.ndarray
 
-    def increment_variance(self, reach: int) -> np.ndarray:
+    def increment_variance(self, span: int) -> np.ndarray:
         """Return the variances (2,) [m²] of the increment over `span` nodes."""
-        return 2.0 * (self.covariance[:, 0] - self.covariance[:, reach])
+        return 2.0 * (self.covariance[:, 0] - self.covariance[:, span])
 
 
 def fit_ar_model(prior: RoadPrior, ds: float) -> ARModel:
     """Fit autoregressive models to `prior`, for nodes `ds` [m] apart."""
     size = 2 ** int(np.ceil(np.log2(CIRCULANT_LENGTH / ds)))
-    rises = increment_amplitude(prior, size, ds) ** 2
+    increment_psd = increment_amplitude(prior, size, ds) ** 2
     n = np.maximum(rfftfreq(size, ds), N_MIN)
-    levels = irfft(rises / (2.0 * np.sin(np.pi * n * ds)) ** 2, size, axis=1)
+    covariance = irfft(increment_psd / (2.0 * np.sin(np.pi * n * ds)) ** 2, size, axis=1)
     order = round(AR_LENGTH / ds)
-    phi, mean = yule_walker(irfft(rises[0], size), order - 1)
-    half, difference = yule_walker(levels[1], order)
-    wander = np.append(phi, 0.0) - np.append(0.0, phi)
-    wander[0] += 1.0
-    return ARModel(np.array([wander, half]), np.array([mean, difference]), levels[:, : size // 2])
+    phi, mean_variance = yule_walker(irfft(increment_psd[0], size), order - 1)
+    half, half_variance = yule_walker(covariance[1], order)
+    # the last increments, times phi, and the last value give the next value of the mean
+    mean = np.append(phi, 0.0) - np.append(0.0, phi)
+    mean[0] += 1.0
+    variance = np.array([mean_variance, half_variance])
+    return ARModel(np.array([mean, half]), variance, covariance[:, : size // 2])
 
 
 def yule_walker(covariance: np.ndarray, order: int) -> tuple[np.ndarray, float]:
-    """Return the weights (order,) of the last values in the next one, and the prediction variance."""
+    """Return the weights (order,) of the last values in the next, and the prediction variance."""
     weights = solve_toeplitz(covariance[:order], covariance[1 : order + 1])
     return weights, float(covariance[0] - weights @ covariance[1 : order + 1])
 
@@ -77,12 +79,11 @@ def prior_covariance(ar_model: ARModel, n: int, oldest: int) -> np.ndarray:
     ring-buffer order of a state of size `n`.
     """
     size = (n - NODES) // 2
-    place = (oldest + np.arange(size)) % size
+    slot = (oldest + np.arange(size)) % size
     P = np.zeros((2 * size, 2 * size))
     for component in range(2):
-        P[np.ix_(2 * place + component, 2 * place + component)] = toeplitz(
-            ar_model.covariance[component, :size]
-        )
+        i = 2 * slot + component
+        P[np.ix_(i, i)] = toeplitz(ar_model.covariance[component, :size])
     return P
 
 
@@ -105,9 +106,8 @@ def add_node(model: FilterModel, state: FilterState, free):
             weight = model.ar_weights[component, k] if free else 1.0
             z += weight * x[old]
             row += weight * P[old]
-        variance = (
-            model.prediction_variance[component] * state.adaptive[ROUGHNESS_SCALE] if free else 0.0
-        )
+        scale = state.adaptive[ROUGHNESS_SCALE]
+        variance = model.prediction_variance[component] * scale if free else 0.0
         for k in range(order):
             weight = model.ar_weights[component, k] if free else 1.0
             variance += weight * row[node_index(newest_node - k, n) + component]
@@ -147,13 +147,11 @@ def update_roughness(model: FilterModel, state: FilterState, rear, free):
         return
     for component in range(2):
         a, b = node_index(low, n) + component, node_index(rear, n) + component
-        rise, variance = x[b] - x[a], P[a, a] + P[b, b] - 2.0 * P[a, b]
-        forgotten = 1.0 - 0.5 / model.roughness_memory
-        adaptive[ROUGHNESS_SUM] = (
-            forgotten * adaptive[ROUGHNESS_SUM]
-            + 0.5 * (rise * rise + variance) / model.increment_variance[component]
-        )
-        adaptive[ROUGHNESS_WEIGHT] = forgotten * adaptive[ROUGHNESS_WEIGHT] + 0.5
+        increment, variance = x[b] - x[a], P[a, a] + P[b, b] - 2.0 * P[a, b]
+        kept = 1.0 - 0.5 / model.roughness_memory  # half a node: there are two components
+        ratio = 0.5 * (increment * increment + variance) / model.increment_variance[component]
+        adaptive[ROUGHNESS_SUM] = kept * adaptive[ROUGHNESS_SUM] + ratio
+        adaptive[ROUGHNESS_WEIGHT] = kept * adaptive[ROUGHNESS_WEIGHT] + 0.5
     adaptive[ROUGHNESS_SCALE] = min(
         max(adaptive[ROUGHNESS_SUM] / adaptive[ROUGHNESS_WEIGHT], MIN_ROUGHNESS_SCALE),
         MAX_ROUGHNESS_SCALE,

@@ -65,26 +65,20 @@ def smooth_backward(
         block = get_block(blocks, j - first)
         adjoint_predict(r, N, block)
         adjoint_update(r, N, block)
-        for w in range(FORCE, BIAS):
+        for w in range(FORCE, BIAS):  # force residuals begin anew in each block
             r[w] = 0.0
             N[w] = 0.0
             N[:, w] = 0.0
         for _ in range(block.nodes_added[0]):
             adjoint.newest_node[0] -= 1
             middle = adjoint.newest_node[0] + 0.5
-            adjoint_add_node(
-                model,
-                r,
-                N,
-                adjoint.newest_node[0],
-                inputs.free_range[0] < middle < inputs.free_range[1],
-            )
+            free = inputs.free_range[0] < middle < inputs.free_range[1]
+            adjoint_add_node(model, r, N, adjoint.newest_node[0], free)
             symmetrize(N)
-        while adjoint.next_station[0] > 0 and (
-            output.emit_block[adjoint.next_station[0] - 1] >= j or j == 0
-        ):
-            adjoint.next_station[0] -= 1
-            smooth_output(r, N, output, adjoint.next_station[0])
+        m = adjoint.next_station
+        while m[0] > 0 and (output.emit_block[m[0] - 1] >= j or j == 0):
+            m[0] -= 1
+            smooth_output(r, N, output, m[0])
 
 
 @kernel(inline=False)
@@ -108,13 +102,13 @@ def smooth_output(r, N, output: ProfileOutput, m):
         for k in range(n):
             output.z[m, side] += row[k] * r[k]
         if m % VARIANCE_STRIDE == 0:
-            band, taken = output.band_covariance[m // VARIANCE_STRIDE, side], 0.0
+            band, reduction = output.band_covariance[m // VARIANCE_STRIDE, side], 0.0
             for i in range(n):
                 z = 0.0
                 for k in range(n):
                     z += N[i, k] * band[k]
-                taken += band[i] * z
-            output.variance[m, side] -= taken
+                reduction += band[i] * z
+            output.variance[m, side] -= reduction
     if m % VARIANCE_STRIDE == 0:
         for k in range(m + 1, min(m + VARIANCE_STRIDE, output.node.size)):
             output.variance[k] = output.variance[m]
@@ -123,30 +117,30 @@ def smooth_output(r, N, output: ProfileOutput, m):
 @kernel(inline=False)
 def adjoint_predict(r, N, block: LinearizedBlock):
     """Apply the transpose of `filter.predict`."""
-    n, size, A, at = r.size, block.n_columns[0], block.A, block.columns
-    car, rows = r[:N_VEHICLE].copy(), N[:N_VEHICLE].copy()
+    n, size, A, columns = r.size, block.n_columns[0], block.A, block.columns
+    vehicle, rows = r[:N_VEHICLE].copy(), N[:N_VEHICLE].copy()
     r[:N_VEHICLE] = 0.0
     N[:N_VEHICLE] = 0.0
     for d in range(size):
         for i in range(N_VEHICLE):
-            r[at[d]] += A[i, d] * car[i]
+            r[columns[d]] += A[i, d] * vehicle[i]
             for k in range(n):
-                N[at[d], k] += A[i, d] * rows[i, k]
+                N[columns[d], k] += A[i, d] * rows[i, k]
     for d in range(size):
-        row = N[at[d]]
-        cars = row[:N_VEHICLE].copy()
+        row = N[columns[d]]
+        vehicle = row[:N_VEHICLE].copy()
         row[:N_VEHICLE] = 0.0
         for e in range(size):
             for i in range(N_VEHICLE):
-                row[at[e]] += cars[i] * A[i, e]
-    mirror_rows(N, at, size)
+                row[columns[e]] += vehicle[i] * A[i, e]
+    mirror_rows(N, columns, size)
 
 
 @kernel(inline=False)
-def mirror_rows(N, at, size):
+def mirror_rows(N, columns, size):
     """Copy the rows `columns` (size,) of `N` to its columns."""
     for d in range(size):
-        i = at[d]
+        i = columns[d]
         for k in range(N.shape[0]):
             N[k, i] = N[i, k]
 
@@ -154,14 +148,8 @@ def mirror_rows(N, at, size):
 @kernel(inline=False)
 def adjoint_update(r, N, block: LinearizedBlock):
     """Apply the transpose of `filter.update`."""
-    n, size, H, V, at, innovation = (
-        r.size,
-        block.n_columns[0],
-        block.H,
-        block.V,
-        block.columns,
-        block.innovation,
-    )
+    n, size, columns = r.size, block.n_columns[0], block.columns
+    H, V, innovation = block.H, block.V, block.innovation
     smoothing_error, VN, VNV = np.empty(3), np.zeros((3, n)), np.zeros((3, 3))
     for s in range(3):
         smoothing_error[s] = innovation[s]
@@ -176,17 +164,17 @@ def adjoint_update(r, N, block: LinearizedBlock):
                 VNV[s, t] += VN[s, k] * V[t, k]
         VNV[s, s] += 1.0
     for d in range(size):
-        row = N[at[d]]
+        row = N[columns[d]]
         for s in range(3):
-            r[at[d]] += H[s, d] * smoothing_error[s]
+            r[columns[d]] += H[s, d] * smoothing_error[s]
             for k in range(n):
                 row[k] -= H[s, d] * VN[s, k]
         for e in range(size):
             for s in range(3):
-                row[at[e]] -= VN[s, at[d]] * H[s, e]
+                row[columns[e]] -= VN[s, columns[d]] * H[s, e]
                 for t in range(3):
-                    row[at[e]] += H[s, d] * VNV[s, t] * H[t, e]
-    mirror_rows(N, at, size)
+                    row[columns[e]] += H[s, d] * VNV[s, t] * H[t, e]
+    mirror_rows(N, columns, size)
 
 
 @kernel(inline=False)
@@ -198,18 +186,14 @@ def adjoint_add_node(model: FilterModel, r, N, newest_node, free):
     for component in (1, 0):
         new, M = node_index(newest_node + 1, n) + component, RETIRED + 2 * component
         for k in range(order):
-            weight, old = (
-                model.ar_weights[component, k] if free else 1.0,
-                node_index(newest_node - k, n) + component,
-            )
+            weight = model.ar_weights[component, k] if free else 1.0
+            old = node_index(newest_node - k, n) + component
             r[old] += weight * r[new]
             for i in range(n):
                 N[old, i] += weight * N[new, i]
         for k in range(order):
-            weight, old = (
-                model.ar_weights[component, k] if free else 1.0,
-                node_index(newest_node - k, n) + component,
-            )
+            weight = model.ar_weights[component, k] if free else 1.0
+            old = node_index(newest_node - k, n) + component
             for i in range(n):
                 N[i, old] += weight * N[i, new]
         r[M], r[M + 1] = c * r[M] + s * r[M + 1], c * r[M + 1] - s * r[M]

@@ -139,7 +139,7 @@ def empty_blocks(n: int, max_columns: int, blocks: int) -> LinearizedBlock:
 
 @kernel
 def node_index(k, n):
-    """Return the index of the mean of node `k` in a state of size `n`; the half difference is next."""
+    """Return the index of the mean of node `k`, in a state of size `n`; half difference next."""
     return NODES + 2 * (k % ((n - NODES) // 2))
 
 

@@ -10,9 +10,9 @@ squares with the penalty
 
     mean square of the regressors x (ridge x sum(taps²) + smoothness x sum(difference of knots²))
 
-The smoothness term regularises knots with few drives. Errors below 0.15 cycles/m are suppressed by a
-high-pass: they dominate a road's height but lie outside the scored band. A combination without a
-drive takes the taps of the one that differs in the fewest states.
+The smoothness term regularises knots with few drives. A high-pass suppresses errors below
+0.15 cycles/m: such waves are most of a road's height but lie outside the scored band. A combination
+without a drive takes the taps of the one that differs in the fewest states.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,8 +24,9 @@ from scipy.linalg import cho_solve
 
 from estimators.common.blas import single_blas_thread
 from estimators.common.spatial_signals import N_MOTIONS, SPACING, SpatialSignals
+from estimators.common.training_data import SPEED_RANGE
 
-KNOTS = np.geomspace(1.35, 20.5, 9)
+KNOTS = np.geomspace(*SPEED_RANGE, 9)
 """Speeds [m/s] of the taps; outside, the taps of the first or last knot hold."""
 
 N_STATE_COMBINATIONS = 16
@@ -43,8 +44,8 @@ MM = 1e-3
 
 
 class FirBank(NamedTuple):
-    """`taps` (16, knots, 3, behind + 1 + ahead) [mm s²/m] of front, rear and roll; the last station used
-    is `ahead` of the estimated one.
+    """`taps` (16, knots, 3, behind + 1 + ahead) [mm s²/m] of front, rear and roll; the last station
+    used is `ahead` of the estimated one.
     """
 
     taps: np.ndarray
@@ -79,8 +80,8 @@ def taps_shape(behind: int, ahead: int) -> tuple[int, ...]:
 def fit_bank(
     all_signals: Sequence[SpatialSignals], targets: Sequence[np.ndarray], behind: int, ahead: int
 ) -> FirBank:
-    """Fit the taps to drives with targets m and q (2, M) [m]. A drive counts for its mean speed and for
-    the state combination that prevails in it.
+    """Fit the taps to drives with targets m and q (2, M) [m]. A drive counts for its mean speed and
+    for the state combination that prevails in it.
     """
     drives: dict[int, list[int]] = {}
     for i, signals in enumerate(all_signals):
@@ -158,10 +159,8 @@ def _add_drive(
     ahead: int,
 ) -> None:
     """Add a drive to the `sums` of (front, rear) and of roll."""
-    motions, z = (
-        keep_short_waves(signals.motions[:N_MOTIONS].astype(float)),
-        keep_short_waves(target),
-    )
+    motions = keep_short_waves(signals.motions[:N_MOTIONS].astype(float))
+    z = keep_short_waves(target)
     scale = 1.0 / (LEVEL_MIN + np.sqrt(np.mean(z**2)))
     inside = motions[:, signals.margin - behind : signals.margin + signals.size + ahead]
     windows = np.lib.stride_tricks.sliding_window_view(inside, behind + 1 + ahead, axis=1)

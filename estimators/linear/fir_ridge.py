@@ -12,17 +12,17 @@ band-limited to 25 Hz, over distance to 25 Hz / v, so the tap spacing is d = v /
 to profile stations. Beyond the record the vehicle is assumed to be at rest.
 
 The taps minimise the squared error on the training roads plus ridge x mean(a²) x sum(taps²). The
-normal equations are summed over all drives, separately for the five fifths of every drive; the ridge
-is chosen by cross-validation over these folds.
+normal equations are summed over all drives, separately for the five fifths of every drive; the
+ridge is chosen by cross-validation over these folds.
 
 Accelerometers do not observe long waves (acceleration falls with n² v²), and the window is too
 short for them: the target is the truth high-passed at 0.05 cycles/m (second-order Butterworth,
 forward and backward), so longer waves are not estimated. There is no intercept: a mirrored drive
 gives the mirrored road.
 
-Limitations: large strokes, where the struts are far from linear; after `fit`, other speeds and modes.
-A window of 3 m instead of 12 m increases the error by a factor of 1.3 to 2, since it contains too
-little of the body's motion and of the rear axle's passage.
+Limitations: large strokes, where the struts are far from linear; after `fit`, other speeds and
+modes. A window of 3 m instead of 12 m increases the error by a factor of 1.3 to 2, since it
+contains too little of the body's motion and of the rear axle's passage.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -37,8 +37,7 @@ from scipy.linalg import cho_solve
 from estimators.api import copy_with, require_fitted, validate_weights
 from estimators.common.blas import single_blas_thread
 from estimators.common.spatial_signals import N_HIGH_PASS, to_spatial, upsample, wheel_paths
-from estimators.linear.fir_bank import FirBank, fit_bank, taps_shape
-from estimators.networks.training_data import (
+from estimators.common.training_data import (
     LONG_WAVE_NOTE,
     STATION_MARGIN,
     STATIONS_BEHIND,
@@ -46,10 +45,12 @@ from estimators.networks.training_data import (
     training_example,
     validity_notes,
 )
-from estimators.preprocessing import F_C, clean_record, sample_profile, spatial_accelerations
+from estimators.linear.fir_bank import FirBank, fit_bank, taps_shape
+from estimators.preprocessing import clean_record, sample_profile, spatial_accelerations
 from estimators.pretrained_weights import load_pretrained
 from road_envs.config import STRICT
 from road_envs.data.record import (
+    F_C,
     PROFILE_SPACING,
     SENSORS,
     Estimate,
@@ -115,8 +116,8 @@ class LeastSquaresSums(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class FirRidge:
-    """The shipped bank; or, once fitted, a window of `reach` [m] to either side of the station. With
-    `shipped=False` it must be fitted.
+    """The shipped bank; or, once fitted, a window of `reach` [m] to either side of the station.
+    With `shipped=False` it must be fitted.
     """
 
     __pydantic_config__ = STRICT
@@ -140,13 +141,14 @@ class FirRidge:
         car: VehicleParameters,
         seed: int,
     ) -> Self:
-        """Fit taps to the speed and mode of these drives; deterministic, `seed` is unused. Raises RecordError."""
+        """Fit taps to the speed and mode of these drives; `seed` is unused. Raises RecordError."""
+        records = [clean_record(record)[0] for record in records]
         speed = float(np.mean([record.v.mean() for record in records]))
         stride = max(1, int(speed / (2.0 * F_C) / PROFILE_SPACING))
         half = self._half_taps(stride)
         folds = [LeastSquaresSums.zeros(len(SENSORS) * (2 * half + 1))] * FOLDS
         for record, truth in zip(records, truths, strict=True):
-            X = sliding_windows(clean_record(record)[0], stride, half)
+            X = sliding_windows(record, stride, half)
             Z = highpass_profile(truth, profile_stations(record.length))[:, ::stride].T
             parts = zip(np.array_split(X, FOLDS), np.array_split(Z, FOLDS), strict=True)
             folds = [
@@ -170,7 +172,7 @@ class FirRidge:
         checkpoint: object = None,
     ) -> Self:
         """Fit a bank for all speeds and modes; deterministic, takes less than a minute."""
-        progress("fitting linear windows", 0.0)
+        progress("fitting the FIR bank", 0.0)
         all_signals, targets = zip(*drives, strict=True)
         return copy_with(
             self, fitted_state=fit_bank(all_signals, targets, STATIONS_BEHIND, STATIONS_BEHIND)
@@ -193,8 +195,8 @@ class FirRidge:
         return Estimate(stations, z, notes=(*notes, LONG_WAVE_NOTE, *_speed_note(speed, record)))
 
     def weights(self) -> dict[str, np.ndarray]:
-        """Return `bank` (16, knots, 3, T); or, if fitted to one speed, `taps` (2, 3, T) and the scalars
-        `stride`, `speed`, `ridge`. Raises NotFittedError.
+        """Return `bank` (16, knots, 3, T); or, if fitted to one speed, `taps` (2, 3, T) and the
+        scalars `stride`, `speed`, `ridge`. Raises NotFittedError.
         """
         model = self._fitted_or_pretrained()
         if isinstance(model, FirBank):
@@ -243,7 +245,7 @@ def highpass_profile(truth: Profile, stations: np.ndarray) -> np.ndarray:
 
 
 def cross_validate(folds: Sequence[LeastSquaresSums]) -> tuple[float, np.ndarray]:
-    """Return the ridge of the smallest cross-validation error, and coefficients (p, 2) of all folds."""
+    """Return the ridge of least cross-validation error, and coefficients (p, 2) on all folds."""
     total = reduce(LeastSquaresSums.plus, folds)
     errors = np.zeros(RIDGES.size)
     for fold in folds:

@@ -1,4 +1,5 @@
-"""Inverse of four quarter cars: from the body acceleration above each strut to the road under its wheel.
+"""Inverse of four quarter cars: from the body acceleration above each strut to the road under its
+wheel.
 
 Three accelerometers give heave, roll and pitch of a rigid body, hence the acceleration a above each
 strut. Each corner is treated as an independent quarter car and the forward problem is inverted
@@ -35,10 +36,10 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-from estimators.preprocessing import F_C, clean_record
+from estimators.preprocessing import clean_record
 from estimators.wiener.segments import dominant_modes
 from road_envs.config import STRICT
-from road_envs.data.record import SENSORS, Estimate, Record, profile_stations
+from road_envs.data.record import F_C, SENSORS, Estimate, Record, profile_stations
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.linear_model import gaussian_damping, strut_forces
@@ -51,12 +52,12 @@ FADE_RATIO = 1.2
 """The response fades to zero from F_C to this multiple of it."""
 
 INITIAL_RATE_STD, DAMPING_ITERATIONS = 0.1, 4
-"""Initial standard deviation [m/s] of the struts' rates, and number of updates of dampers and rates."""
+"""Initial standard deviation [m/s] of the struts' rates, and number of damper updates."""
 
 
 class QuarterCars(NamedTuple):
-    """The four corners, arrays (4,) in wheel order: sprung and unsprung mass [kg], rate [N/m] and damping
-    [N s/m] of strut and tyre.
+    """The four corners, arrays (4,) in wheel order: sprung and unsprung mass [kg], rate [N/m] and
+    damping [N s/m] of strut and tyre.
     """
 
     m_s: np.ndarray
@@ -123,8 +124,8 @@ class InverseQuarterCar:
 def accelerations_at_struts(
     a: np.ndarray, locations: Mapping[str, tuple[float, float]], car: VehicleParameters
 ) -> np.ndarray:
-    """Return accelerations (4, N) of a rigid body above its struts from those (3, N) of the sensors at
-    `locations`, name -> (x, y) [m].
+    """Return accelerations (4, N) of a rigid body above its struts from those (3, N) of the sensors
+    at `locations`, name -> (x, y) [m].
     """
     sensed = np.array([(1.0, *locations[name]) for name in SENSORS])
     struts = np.array([(1.0, axle.x, y) for axle in car.axles for y in (axle.y_s, -axle.y_s)])
@@ -134,9 +135,7 @@ def accelerations_at_struts(
 def quarter_cars(
     plant: Plant, car: VehicleParameters, mode: Mapping[str, str], rate: np.ndarray
 ) -> QuarterCars:
-    """Return the corners of a vehicle whose struts extend with rates of standard deviation `rate` (4,)
-    [m/s].
-    """
+    """Return the corners of a vehicle for strut rates of standard deviation `rate` (4,) [m/s]."""
     near = np.array([-1e-4, 1e-4]) * np.ones((4, 1))
     F = strut_forces(plant, mode, near, np.zeros_like(near))
     share = np.array([-car.rear.x, car.front.x]) / (2.0 * car.wheelbase)
@@ -161,8 +160,8 @@ def fit_corners(
 ) -> QuarterCars:
     """Return the corners with dampers equivalent for the recorded motion.
 
-    `lines` (4, F): Fourier transform of the accelerations above the struts at `f` (F,) [Hz], of which
-    the first `samples` were recorded.
+    `lines` (4, F): Fourier transform of the accelerations above the struts at `f` (F,) [Hz], of
+    which the first `samples` were recorded.
     """
     rate = np.full(4, INITIAL_RATE_STD)
     for _ in range(DAMPING_ITERATIONS):
@@ -173,8 +172,9 @@ def fit_corners(
 
 
 def merge_axles(record: Record, z: np.ndarray, wheelbase: float) -> np.ndarray:
-    """Return both wheel paths (2, M) [m] at the profile stations from heights (4, N) [m] under the wheels
-    over time: the mean of front and rear, or the one of them that passed the station while recording.
+    """Return both wheel paths (2, M) [m] at the profile stations from heights (4, N) [m] under the
+    wheels over time: the mean of front and rear, or the one that passed the station within the
+    record.
     """
     stations = profile_stations(record.length)
     heights, recorded = [], []

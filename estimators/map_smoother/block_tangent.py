@@ -12,6 +12,7 @@ P' from the last to the first. Both are more than ten times as fast as the steps
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,69 +34,65 @@ _SIZES = dict(zip(StepWorkspace._fields, [N_DOF] * 6 + [4] * 8 + [12, 6], strict
 _WORK = np.dtype([(name, "f8", (size, LANES)) for name, size in _SIZES.items()])
 
 
+class NodeTrack(NamedTuple):
+    """Nodes under the axles in N steps and M chunks.
+
+    At each half step (2 N,): node number `front_node` of the front axle and `node_rate` [nodes/s].
+    `first` (M, 2): the first of `width` nodes that each axle passes in a chunk, of `size` in all.
+    """
+
+    front_node: np.ndarray
+    node_rate: np.ndarray
+    wheelbase_nodes: float
+    first: np.ndarray
+    width: int
+    size: int
+
+
 @kernel
-def road_derivatives(front_node, node_rate, first, width, size, wheelbase_nodes, road):
+def road_derivatives(track: NodeTrack, n, m, road):
     """Write the derivative of heights and rates under the wheels to `road` (G, 16, LANES).
 
-    Rows 0 to 7 are the first half step's heights, then rates, rows 8 to 15 the second's; lanes are
-    columns of P. `front_node`, `node_rate` (2,): front axle and its rate [nodes/s] at both half
-    steps; `first` (2,): the first of `width` nodes that each axle passes in this chunk.
+    For the step `n` of the chunk `m`. Rows 0 to 7 are heights and rates at the first half step,
+    rows 8 to 15 at the second; lanes are columns of P.
     """
     road[:] = 0.0
     for half in range(2):
+        now = 2 * n + half
         for axle in range(2):
-            i, t = locate_node(front_node[half] - axle * wheelbase_nodes, size)
+            i, t = locate_node(track.front_node[now] - axle * track.wheelbase_nodes, track.size)
             z, w = height_weights(t), slope_weights(t)
             for side in range(2):
                 wheel = 2 * axle + side
-                column = 2 * N_DOF + wheel * width + i - 1 - first[axle]
+                column = N_STATES + wheel * track.width + i - 1 - track.first[m, axle]
                 for k in range(4):
                     group, at = (column + k) // LANES, (column + k) % LANES
                     road[group, 8 * half + wheel, at] = z[k]
-                    road[group, 8 * half + 4 + wheel, at] = w[k] * node_rate[half]
+                    road[group, 8 * half + 4 + wheel, at] = w[k] * track.node_rate[now]
 
 
 @kernel
 def fill_chunk_matrices(
-    constants,
-    rows,
-    h,
-    front_node,
-    node_rate,
-    wheelbase_nodes,
-    size,
-    first,
-    width,
-    decimation,
-    sample_weight,
-    sensor_rows,
-    work,
-    P,
+    constants, rows, h, track: NodeTrack, decimation, sample_weight, sensor_rows, work, P
 ):
     """Write the matrices of all chunks to `P` (M, C, N_ROWS), transposed: a column in each row.
 
-    `rows` of the tape; `front_node`, `node_rate` (2 N,) and `first` (M, 2) as in
-    `road_derivatives`; `sample_weight` (S, J, b) of the samples, one in `decimation` steps, in
+    `rows` of the tape; `sample_weight` (S, J, b) of the samples, one in `decimation` steps, in
     their block means; `sensor_rows` (S, 7).
     """
     p, groups = constants[0], P.shape[1] // LANES
     sensors, blocks, block = sample_weight.shape
-    blocks_per_chunk = (N_ROWS - 2 * N_DOF) // sensors
-    y, a = np.empty((groups, 2 * N_DOF, LANES)), np.empty((N_DOF, LANES))
-    means, road = (
-        np.empty((groups, sensors * blocks_per_chunk, LANES)),
-        np.empty((groups, 16, LANES)),
-    )
+    blocks_per_chunk = (N_ROWS - N_STATES) // sensors
+    y, a = np.empty((groups, N_STATES, LANES)), np.empty((N_DOF, LANES))
+    means = np.empty((groups, sensors * blocks_per_chunk, LANES))
+    road = np.empty((groups, 16, LANES))
     for m in range(P.shape[0]):
         y[:], means[:] = 0.0, 0.0
-        for j in range(2 * N_DOF):
+        for j in range(N_STATES):
             y[j // LANES, j, j % LANES] = 1.0
         last = min((m + 1) * blocks_per_chunk, blocks)
         for n in range(m * blocks_per_chunk * block * decimation, last * block * decimation):
-            two = slice(2 * n, 2 * n + 2)
-            road_derivatives(
-                front_node[two], node_rate[two], first[m], width, size, wheelbase_nodes, road
-            )
+            road_derivatives(track, n, m, road)
             sample = n // decimation
             at = sample // block
             for group in range(groups):
@@ -107,42 +104,41 @@ def fill_chunk_matrices(
                         for j in range(N_DOF):
                             sensed = sensed + sensor_rows[i, j] * get(a, j)
                         k = i * blocks_per_chunk + at - m * blocks_per_chunk
-                        part = sample_weight[i, at, sample % block]
-                        put(means[group], k, get(means, group, k) + part * sensed)
+                        weight = sample_weight[i, at, sample % block]
+                        put(means[group], k, get(means, group, k) + weight * sensed)
         for column in range(P.shape[1]):
             group, at = column // LANES, column % LANES
-            for j in range(2 * N_DOF):
+            for j in range(N_STATES):
                 P[m, column, j] = y[group, j, at]
             for k in range(sensors * blocks_per_chunk):
-                P[m, column, 2 * N_DOF + k] = means[group, k, at]
-            for k in range(2 * N_DOF + sensors * blocks_per_chunk, N_ROWS):
+                P[m, column, N_STATES + k] = means[group, k, at]
+            for k in range(N_STATES + sensors * blocks_per_chunk, N_ROWS):
                 P[m, column, k] = 0.0
 
 
 @kernel
 def apply_chunks(P, first, width, c, y, means):
-    """Propagate a change `y` (14,) of the first state and `c` (2, K) of the coefficients to `means`
-    (S, J).
+    """Propagate a change `y` (14,) of the first state and `c` (2, K) of the road to `means` (S, J).
 
     `P` (M, C, N_ROWS // LANES, LANES); `y` ends as the change of the last state.
     """
     x, out = np.zeros(P.shape[1]), np.empty((P.shape[2], LANES))
-    flat, blocks_per_chunk = out.ravel(), (N_ROWS - 2 * N_DOF) // means.shape[0]
-    used = 2 * N_DOF + 4 * width
+    flat, blocks_per_chunk = out.ravel(), (N_ROWS - N_STATES) // means.shape[0]
+    used = N_STATES + 4 * width
     for m in range(P.shape[0]):
-        x[: 2 * N_DOF] = y
+        x[:N_STATES] = y
         for wheel in range(4):
             for k in range(width):
-                x[2 * N_DOF + wheel * width + k] = c[wheel % 2, first[m, wheel // 2] + k]
+                x[N_STATES + wheel * width + k] = c[wheel % 2, first[m, wheel // 2] + k]
         for group in range(P.shape[2]):
             total = broadcast(0.0)
             for column in range(used):
                 total = total + x[column] * get(P, m, column, group)
             put(out, group, total)
-        y[:] = flat[: 2 * N_DOF]
+        y[:] = flat[:N_STATES]
         for i in range(means.shape[0]):
             for j in range(m * blocks_per_chunk, min((m + 1) * blocks_per_chunk, means.shape[1])):
-                means[i, j] = flat[2 * N_DOF + i * blocks_per_chunk + j - m * blocks_per_chunk]
+                means[i, j] = flat[N_STATES + i * blocks_per_chunk + j - m * blocks_per_chunk]
 
 
 @kernel
@@ -151,15 +147,15 @@ def apply_chunks_transpose(P, first, width, means, y, c):
     last state to that of the first and to coefficients `c` (2, K).
     """
     inside, out = np.zeros((P.shape[2], LANES)), np.empty(P.shape[1])
-    flat, blocks_per_chunk = inside.ravel(), (N_ROWS - 2 * N_DOF) // means.shape[0]
-    used = 2 * N_DOF + 4 * width
+    flat, blocks_per_chunk = inside.ravel(), (N_ROWS - N_STATES) // means.shape[0]
+    used = N_STATES + 4 * width
     c[:] = 0.0
     for m in range(P.shape[0] - 1, -1, -1):
         flat[:] = 0.0
-        flat[: 2 * N_DOF] = y
+        flat[:N_STATES] = y
         for i in range(means.shape[0]):
             for j in range(m * blocks_per_chunk, min((m + 1) * blocks_per_chunk, means.shape[1])):
-                flat[2 * N_DOF + i * blocks_per_chunk + j - m * blocks_per_chunk] = means[i, j]
+                flat[N_STATES + i * blocks_per_chunk + j - m * blocks_per_chunk] = means[i, j]
         for column in range(used):
             total = broadcast(0.0)
             for group in range(P.shape[2]):
@@ -168,10 +164,10 @@ def apply_chunks_transpose(P, first, width, means, y, c):
             for k in range(1, LANES):
                 x += extract_lane(total, k)
             out[column] = x
-        y[:] = out[: 2 * N_DOF]
+        y[:] = out[:N_STATES]
         for wheel in range(4):
             for k in range(width):
-                c[wheel % 2, first[m, wheel // 2] + k] += out[2 * N_DOF + wheel * width + k]
+                c[wheel % 2, first[m, wheel // 2] + k] += out[N_STATES + wheel * width + k]
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,44 +210,19 @@ def build_block_tangent(
     sensors, blocks, block = measurements.sample_weight.shape
     blocks_per_chunk = (N_ROWS - N_STATES) // sensors
     steps_per_block = block * inputs.decimation
-    x, node_rate, wheelbase_nodes = (
-        (inputs.s - road.origin) / road.ds,
-        inputs.v / road.ds,
-        wheelbase / road.ds,
-    )
-    begin = 2 * steps_per_block * blocks_per_chunk * np.arange(-(-blocks // blocks_per_chunk))
-    end = (
-        np.minimum(begin + 2 * steps_per_block * blocks_per_chunk, 2 * steps_per_block * blocks) - 1
-    )
-    low, high = (
-        np.clip(np.stack([x[at], x[at] - wheelbase_nodes], axis=1), 1.0, road.size - 2.001).astype(
-            int
-        )
-        for at in (begin, end)
-    )
+    x, wheelbase_nodes = (inputs.s - road.origin) / road.ds, wheelbase / road.ds
+    half_steps = 2 * steps_per_block * blocks_per_chunk
+    begin = half_steps * np.arange(-(-blocks // blocks_per_chunk))
+    end = np.minimum(begin + half_steps, 2 * steps_per_block * blocks) - 1
+    axles = (np.stack([x[at], x[at] - wheelbase_nodes], axis=1) for at in (begin, end))
+    low, high = (np.clip(node, 1.0, road.size - 2.001).astype(int) for node in axles)
     width = int((high - low).max()) + 4
     first = np.minimum(low - 1, road.size - width)
     columns = -(-(N_STATES + 4 * width) // LANES) * LANES
     P = np.empty((begin.size, columns, N_ROWS))
-    fill_chunk_matrices(
-        *(
-            tape.plant.constants,
-            tape.rows,
-            tape.h,
-            x,
-            node_rate,
-            wheelbase_nodes,
-            road.size,
-            first,
-            width,
-        ),
-        *(
-            inputs.decimation,
-            measurements.sample_weight,
-            sensor_rows,
-            np.zeros(1, dtype=_WORK)[0],
-            P,
-        ),
-    )
+    track = NodeTrack(x, inputs.v / road.ds, wheelbase_nodes, first, width, road.size)
+    motion = tape.plant.constants, tape.rows, tape.h, track
+    sampling = inputs.decimation, measurements.sample_weight, sensor_rows
+    fill_chunk_matrices(*motion, *sampling, np.zeros(1, dtype=_WORK)[0], P)
     P = P.reshape(begin.size, columns, N_ROWS // LANES, LANES)
     return BlockTangent(P, first, width, road.size, (sensors, blocks))

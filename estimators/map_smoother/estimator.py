@@ -27,7 +27,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from estimators.common.block_means import MIN_NOISE_DENSITY, valid_samples, validate_record
+from estimators.common.block_means import MIN_NOISE_DENSITY
 from estimators.common.model_inputs import MOVING_STD, REST_STD, build_model_inputs, rest_state
 from estimators.common.spline import evaluate_spline
 from estimators.map_smoother.gauss_newton import NOISE_SCALE_WARNING, Solution, minimize
@@ -35,6 +35,7 @@ from estimators.map_smoother.objective import MeasurementModel, Objective
 from estimators.map_smoother.posterior_sampling import posterior_std
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.windows import MARGIN, PreparedDrive, reconstruct, split_windows
+from estimators.preprocessing import mask_record
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.analysis.roughness import CLASSES
 from road_envs.config import STRICT
@@ -87,39 +88,41 @@ class MapSmoother:
         if self.noise_density is not None and not self.noise_density > 0:
             raise ValueError(f"noise_density must be positive, got {self.noise_density}")
         if not self.window >= 2.0 * self.overlap:
-            raise ValueError(f"window {self.window} s must be at least twice the overlap")
+            raise ValueError(
+                f"window must be at least twice the overlap of {self.overlap} s, got {self.window}"
+            )
         if self.draws < 0:
             raise ValueError(f"draws must not be negative, got {self.draws}")
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Return the maximum a posteriori road. Raises ConfigError, ValueError, ArithmeticError."""
-        validate_record(record)
+        """Estimate both wheel paths. Raises ConfigError, RecordError, ArithmeticError."""
         instruments = load_instruments(self.instruments)
-        model, drive = (
-            self._measurement_model(record, car, instruments),
-            self._prepare_drive(record, car, instruments),
-        )
+        record, valid, notes = mask_record(record, instruments)
+        model = self._measurement_model(record, car, instruments)
+        drive = self._prepare_drive(record, valid, car, instruments)
         prior, band = RoadPrior(G_d0=self.G_d0, w=self.w), scored_band(float(drive.inputs.v.mean()))
-        rate = 1.0 / (drive.steps_per_block * drive.inputs.h)
-        windows = split_windows(
-            drive.a.shape[1] // drive.block_size,
-            round(self.window * rate),
-            round(self.overlap * rate),
-        )
+        rate, blocks = 1.0 / (drive.steps_per_block * drive.inputs.h), drive.a.shape[1]
+        blocks //= drive.block_size
+        windows = split_windows(blocks, round(self.window * rate), round(self.overlap * rate))
 
         def solve(objective: Objective) -> tuple[Solution, np.ndarray]:
             stationary = stationary_hessian(objective)
-            found = minimize(objective, stationary, huber=self.huber, adapt_prior=self.adapt_prior)
-            return found, posterior_std(found, band, self.draws, seed=0)
+            solution = minimize(
+                objective, stationary, huber=self.huber, adapt_prior=self.adapt_prior
+            )
+            return solution, posterior_std(solution, band, self.draws, seed=0)
 
-        found, noise_scale = reconstruct(model, drive, prior, windows, solve)
+        result, noise_scale = reconstruct(model, drive, prior, windows, solve)
         s = profile_stations(record.length)
         x = np.clip((s - drive.origin) / drive.ds, 1.0, drive.free.size - 3.0)
-        std = np.interp(x, np.arange(drive.free.size), found.std)
+        std = np.interp(x, np.arange(drive.free.size), result.std)
         z_std = np.stack([std, std]) if self.draws else None
-        return Estimate(
-            s, evaluate_spline(found.c, x), z_std, tuple(self._notes(drive, noise_scale))
-        )
+        if max(noise_scale) > NOISE_SCALE_WARNING:
+            notes += (
+                f"{max(noise_scale):.1f} times the instruments' noise power is left unexplained: "
+                "the vehicle may differ from the one described",
+            )
+        return Estimate(s, evaluate_spline(result.c, x), z_std, notes)
 
     def _measurement_model(
         self, record: Record, car: VehicleParameters, instruments: Instruments
@@ -131,11 +134,11 @@ class MapSmoother:
         return MeasurementModel(one, car.valve.lag, car.wheelbase, locations, sensor_rows, noise)
 
     def _prepare_drive(
-        self, record: Record, car: VehicleParameters, instruments: Instruments
+        self, record: Record, valid: np.ndarray, car: VehicleParameters, instruments: Instruments
     ) -> PreparedDrive:
         inputs = build_model_inputs(record, instruments, car, self.step)
-        valid = valid_samples(record, instruments)
         a = np.where(valid, record.a, 0.0)
+        # the mean over the drive is mostly sensor bias
         a -= a.sum(axis=1, keepdims=True) / np.maximum(valid.sum(axis=1, keepdims=True), 1)
         block = max(1, round(record.fs / self.data_rate))
         ds = float(np.clip(0.5 * inputs.v.mean() / F_RESOLVED, *NODE_SPACING_RANGE))
@@ -143,28 +146,6 @@ class MapSmoother:
         middle = origin + ds * (np.arange(int((inputs.s[-1] - origin) / ds) + 2 * MARGIN) - 0.5)
         level = self.level_ends and record.s[0] <= 0.0
         end = record.length if self.level_ends else np.inf
-        free = (middle > (0.0 if level else -np.inf)) & (middle < end)
-        initial_std = REST_STD if level else MOVING_STD
-        return PreparedDrive(
-            a,
-            valid,
-            block,
-            inputs,
-            rest_state(car, inputs),
-            initial_std,
-            origin,
-            ds,
-            free.astype(float),
-        )
-
-    def _notes(self, drive: PreparedDrive, noise_scale: list[float]) -> list[str]:
-        notes = []
-        lost = int((~drive.valid).sum())
-        if lost:
-            notes.append(f"{lost} of {drive.valid.size} samples lost or clipped, left out")
-        if max(noise_scale) > NOISE_SCALE_WARNING:
-            notes.append(
-                f"{max(noise_scale):.1f} times the instruments' noise power is left unexplained: "
-                "the car may not be the one believed in"
-            )
-        return notes
+        free = ((middle > (0.0 if level else -np.inf)) & (middle < end)).astype(float)
+        rest, initial_std = rest_state(car, inputs), REST_STD if level else MOVING_STD
+        return PreparedDrive(a, valid, block, inputs, rest, initial_std, origin, ds, free)

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.fft import rfftfreq
 from scipy.signal import welch
 
+from estimators.common.conjugate_gradients import conjugate_gradients
 from estimators.map_smoother.objective import Linearization, Objective, linearize
 from estimators.map_smoother.preconditioner import StationaryHessian
 from estimators.map_smoother.wheel_liftoff import relax_unloaded
@@ -22,12 +23,12 @@ from road_envs.vehicle.force_curves import gaussian_smoothed
 from road_envs.vehicle.suspension import V_0, V_STEP
 
 Vector = np.ndarray
-Operator = Callable[[Vector], Vector]
 
 FRICTION_STAGES = ((0.3, 2), (0.1, 2), (0.03, 3), (0.0, 12))
 """Standard deviation [m/s] of the smoothing, and the most Gauss-Newton steps with it."""
 
 MAX_HALVINGS = 6
+"""Halvings of a step in the line search, at most."""
 
 NOISE_SCALE_WARNING = 2.0
 """Noise scale above which the vehicle counts as different from the model."""
@@ -37,30 +38,6 @@ REWEIGHTING_STEPS, WELCH_SEGMENT = 3, 128
 
 MAX_LIFTOFF_RETRIES, LIFTOFF_STEPS = 2, 5
 """How often the road under lifted wheels is lowered at most, and the steps after each time."""
-
-
-def conjugate_gradients(
-    A: Operator, b: Vector, M: Operator, most: int, tolerance: float
-) -> tuple[Vector, int]:
-    """Solve A x = b approximately, preconditioned by M; return x and the number of iterations.
-
-    Ends after `max_iterations`, or when sqrt(r' M r) has fallen to `tolerance` of its first value.
-    """
-    x, r = np.zeros_like(b), b.copy()
-    z = M(r)
-    p, rz = z.copy(), float(r @ z)
-    enough = tolerance**2 * rz
-    for k in range(most):
-        if rz <= enough:
-            return x, k
-        Ap = A(p)
-        alpha = rz / float(p @ Ap)
-        x += alpha * p
-        r -= alpha * Ap
-        z = M(r)
-        rz, before = float(r @ z), rz
-        p = z + (rz / before) * p
-    return x, most
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,23 +74,21 @@ def minimize(
     steps, total, x = 0, 0, np.zeros(objective.size)
     information = objective.information
     noise_scale = np.inf
-    for width, most in FRICTION_STAGES:
+    for std, max_steps in FRICTION_STAGES:
         if steps > 0 and adapt_prior:
             objective, x = update_prior(objective, stationary, x, noise_scale)
-        plant = (
-            objective.model.plant if width == 0.0 else smooth_friction(objective.model.plant, width)
-        )
+        plant = objective.model.plant
+        plant = plant if std == 0.0 else smooth_friction(plant, std)
         lin = linearize(objective, x, information, plant)
-        for _ in range(most):
-            noise_scale = max(
-                1.0, min(noise_scale, estimate_noise_scale(lin, stationary, noise_scale))
-            )
+        for _ in range(max_steps):
+            estimate = estimate_noise_scale(lin, stationary, noise_scale)
+            noise_scale = max(1.0, min(noise_scale, estimate))  # never rises again
             new, k = solver.step(lin, plant, noise_scale)
             steps, total = steps + 1, total + k
-            gained = 1.0 - new.cost / lin.with_inverse_variance(new.inverse_variance).cost
-            report(f"{width} {noise_scale:.1f} {k} {new.cost:.1f}", new)
+            decrease = 1.0 - new.cost / lin.with_inverse_variance(new.inverse_variance).cost
+            report(f"{std} {noise_scale:.1f} {k} {new.cost:.1f}", new)
             lin = new
-            if gained < cost_tolerance:
+            if decrease < cost_tolerance:
                 break
         x = lin.x
     if noise_scale > NOISE_SCALE_WARNING:
@@ -123,12 +98,12 @@ def minimize(
             solver = replace(solver, stationary=stationary.reweighted(objective, frequency_weights))
             lin, k = solver.step(lin, plant, noise_scale)
             steps, total = steps + 1, total + k
-            report("coloured", lin)
+            report("reweighted", lin)
     for _ in range(MAX_LIFTOFF_RETRIES):
         better = retry_after_liftoff(lin, solver, noise_scale)
         if better is lin:
             break
-        report("released", better)
+        report("lowered", better)
         lin = better
     return Solution(lin, solver.stationary, noise_scale, steps, total)
 
@@ -145,24 +120,20 @@ class GaussNewton:
     def step(
         self, lin: Linearization, plant: Plant, noise_scale: float
     ) -> tuple[Linearization, int]:
-        """Return the next point, under `noise_scale` times the noise, and the iterations it took."""
+        """Return the next point, under `noise_scale` times the noise, and its CG iterations."""
         objective = lin.objective
-        lin = lin.with_inverse_variance(
-            huber_weights(lin.residual, objective.information / noise_scale, self.huber)
-        )
+        inverse_variance = objective.information / noise_scale
+        lin = lin.with_inverse_variance(huber_weights(lin.residual, inverse_variance, self.huber))
         M = self.stationary.preconditioner(objective, objective.model.noise_variance * noise_scale)
-        dx, k = conjugate_gradients(
-            lin.hessian_product, -lin.gradient(), M, self.cg_iterations, self.cg_tolerance
-        )
+        limits = self.cg_iterations, self.cg_tolerance
+        dx, k = conjugate_gradients(lin.hessian_product, -lin.gradient(), M, *limits)
         return line_search(lin, dx, plant), k
 
 
 def retry_after_liftoff(
     lin: Linearization, solver: GaussNewton, noise_scale: float
 ) -> Linearization:
-    """Return the optimum from the road of `lin` lowered where no wheel pressed on it, if it costs
-    less.
-    """
+    """Return the optimum from the road lowered where no wheel pressed on it, if it costs less."""
     x, plant = relax_unloaded(lin), lin.objective.model.plant
     if x is None:
         return lin
@@ -180,10 +151,9 @@ def update_prior(
 ) -> tuple[Objective, Vector]:
     """Return the objective under the prior that its own road suggests, and `x` there; same road."""
     u, _, _ = objective.split(x)
-    level = stationary.density_scale(
-        objective.road, objective.model.noise_variance * noise_scale, u
-    )
-    road = objective.road.scale_density(level)
+    noise_variance = objective.model.noise_variance * noise_scale
+    scale = stationary.density_scale(objective.road, noise_variance, u)
+    road = objective.road.scale_density(scale)
     u = road.convert_noise(u, objective.road)
     return replace(objective, road=road), np.concatenate([u.ravel(), x[u.size :]])
 
@@ -195,7 +165,7 @@ def line_search(lin: Linearization, dx: Vector, plant: Plant) -> Linearization:
         try:
             new = lin.relinearize(lin.x + length * dx, plant)
         except ArithmeticError:
-            length *= 0.25
+            length *= 0.25  # the motion was not finite
             continue
         if new.cost <= lin.cost + 1e-4 * length * slope:
             return new
@@ -209,12 +179,11 @@ def estimate_noise_scale(
     """Return the residual's power over the instruments' noise, for the degrees of freedom left."""
     objective = lin.objective
     squares, used = objective.information * lin.residual**2, objective.measurements.sample_count > 0
-    taken = (
-        stationary.effective_dof(objective.road, objective.model.noise_variance * noise_scale)
-        if np.isfinite(noise_scale)
-        else 0.0
-    )
-    return float(squares[used].mean() / max(1.0 - taken / used.sum(), 0.1))
+    dof = 0.0
+    if np.isfinite(noise_scale):
+        noise_variance = objective.model.noise_variance * noise_scale
+        dof = stationary.effective_dof(objective.road, noise_variance)
+    return float(squares[used].mean() / max(1.0 - dof / used.sum(), 0.1))
 
 
 def estimate_frequency_weights(
@@ -225,11 +194,8 @@ def estimate_frequency_weights(
     """
     objective = lin.objective
     r, used = np.sqrt(objective.information) * lin.residual, objective.measurements.sample_count > 0
-    left = (
-        1.0
-        - stationary.effective_dof(objective.road, objective.model.noise_variance * noise_scale)
-        / used.sum()
-    )
+    dof = stationary.effective_dof(objective.road, objective.model.noise_variance * noise_scale)
+    left = 1.0 - dof / used.sum()
     size = min(WELCH_SEGMENT, r.shape[1])
     f, S = welch(r, fs=1.0, nperseg=size)
     level = np.maximum(0.5 * S.mean(axis=0) / max(left, 0.1), 1.0)
@@ -238,14 +204,11 @@ def estimate_frequency_weights(
 
 def huber_weights(residual: np.ndarray, inverse_variance: np.ndarray, huber: float) -> np.ndarray:
     """Return `inverse_variance`, reduced where residuals exceed `huber` standard deviations."""
-    far = np.sqrt(inverse_variance) * np.abs(residual)
-    return inverse_variance * np.minimum(1.0, huber / np.maximum(far, 1e-12))
+    deviation = np.sqrt(inverse_variance) * np.abs(residual)
+    return inverse_variance * np.minimum(1.0, huber / np.maximum(deviation, 1e-12))
 
 
-def smooth_friction(plant: Plant, width: float) -> Plant:
-    """Return the plant with damper and friction averaged over a Gaussian rate of deviation `std`
-    [m/s].
-    """
-    return Plant(
-        plant.constants, gaussian_smoothed(plant.velocity, V_0, V_STEP, width), plant.displacement
-    )
+def smooth_friction(plant: Plant, std: float) -> Plant:
+    """Return the plant with its rate laws averaged over a Gaussian of deviation `std` [m/s]."""
+    velocity = gaussian_smoothed(plant.velocity, V_0, V_STEP, std)
+    return Plant(plant.constants, velocity, plant.displacement)

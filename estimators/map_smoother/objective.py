@@ -62,9 +62,7 @@ class Objective:
         return 2 * self.road.size + 2 * N_DOF + self.model.sensor_rows.shape[0]
 
     def split(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return `u` (2, K), the deviation of the initial state (14,) and the biases (S,), all
-        scaled.
-        """
+        """Return `u` (2, K) and, in SI units, the initial deviation (14,) and biases (S,)."""
         u, start, bias = np.split(x, [2 * self.road.size, 2 * self.road.size + 2 * N_DOF])
         return u.reshape(2, -1), self.initial_std * start, self.model.bias_std * bias
 
@@ -81,7 +79,7 @@ class Objective:
         return x, self.inputs.v / ds, self.model.wheelbase / ds
 
     def simulate(self, x: np.ndarray, plant: Plant | None = None) -> Tape:
-        """Return the taped motion on the road of `x`. Raises ArithmeticError if it is not finite."""
+        """Return the taped motion on the road of `x`. Raises ArithmeticError if not finite."""
         u, start, _ = self.split(x)
         return linearize_drive(
             plant or self.model.plant,
@@ -94,7 +92,7 @@ class Objective:
         )
 
     def state_after(self, x: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the vehicle state (14,) and strut state (4, 3) after `steps` on the road of `x`."""
+        """Return vehicle state (14,) and strut state (4, 3) after `steps` on the road of `x`."""
         part = replace(self, inputs=self.inputs.slice_steps(0, steps))
         tape = part.simulate(x)
         return tape.end, tape.strut_state
@@ -105,7 +103,7 @@ class Objective:
         return self.measurements.sample_count / self.model.noise_variance
 
     def observe(self, acceleration: np.ndarray, bias: np.ndarray) -> np.ndarray:
-        """Return the block means (S, J) of the sensors for accelerations (N, 7) of the coordinates."""
+        """Return the sensors' block means (S, J) for accelerations (N, 7) of the coordinates."""
         samples = acceleration[:: self.inputs.decimation][: self.measurements.n_samples]
         return self.measurements.average(self.model.sensor_rows @ samples.T) + bias[:, None]
 
@@ -152,11 +150,9 @@ class Linearization:
     @cached_property
     def block_tangent(self) -> BlockTangent:
         """The tangent at this point, as matrices."""
-        one = self.objective
-        return build_block_tangent(
-            *(self.tape, one.road, one.inputs, one.measurements),
-            *(one.model.sensor_rows, one.model.wheelbase),
-        )
+        o = self.objective
+        sensors = o.model.sensor_rows, o.model.wheelbase
+        return build_block_tangent(self.tape, o.road, o.inputs, o.measurements, *sensors)
 
     def tangent(self, dx: np.ndarray) -> np.ndarray:
         """Return the change (S, J) of the predicted block means by a small `dx`."""
@@ -165,14 +161,10 @@ class Linearization:
 
     def adjoint(self, means: np.ndarray) -> np.ndarray:
         """Apply the transpose of `tangent`: from block means (S, J) to `x`."""
-        one = self.objective
+        o = self.objective
         start, c = self.block_tangent.apply_transpose(means)
-        parts = [
-            one.road.apply_transpose(c).ravel(),
-            one.initial_std * start,
-            one.model.bias_std * means.sum(axis=1),
-        ]
-        return np.concatenate(parts)
+        bias = o.model.bias_std * means.sum(axis=1)
+        return np.concatenate([o.road.apply_transpose(c).ravel(), o.initial_std * start, bias])
 
     def with_inverse_variance(self, inverse_variance: np.ndarray) -> "Linearization":
         """Return the same point under another inverse variance (S, J) of the noise."""

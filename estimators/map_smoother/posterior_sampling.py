@@ -9,12 +9,15 @@ error there.
 import numpy as np
 from scipy.fft import irfft, rfft
 
+from estimators.common.conjugate_gradients import conjugate_gradients
 from estimators.common.model_inputs import ModelInputs
-from estimators.map_smoother.gauss_newton import Solution, conjugate_gradients
+from estimators.map_smoother.gauss_newton import Solution
 from estimators.map_smoother.objective import Linearization, apply_frequency_weights
 from estimators.map_smoother.road_prior import RoadTransform
 
 CG_ITERATIONS = 40
+"""Iterations of conjugate gradients for one sample, at most."""
+
 MIN_STATE_LENGTH = 10.0
 """Least length [m] of road in one strut state that has a standard deviation of its own."""
 
@@ -22,18 +25,20 @@ STD_INFLATION = 1.1
 """Factor for the curvature and for the unfinished minimization, from training drives."""
 
 
-def posterior_std(found: Solution, band: tuple[float, float], draws: int, seed: int) -> np.ndarray:
+def posterior_std(
+    solution: Solution, band: tuple[float, float], draws: int, seed: int
+) -> np.ndarray:
     """Return the standard deviation (K,) [m] of the error inside `band` [cycles/m] at each node.
 
     The same for both wheel paths and for all nodes that were passed in the same strut state.
     """
-    lin, rng = found.linearization, np.random.default_rng(seed)
+    lin, rng = solution.linearization, np.random.default_rng(seed)
     objective, road = lin.objective, lin.objective.road
-    precondition = found.stationary.preconditioner(
-        objective, objective.model.noise_variance * found.noise_scale
-    )
+    noise_variance = objective.model.noise_variance * solution.noise_scale
+    precondition = solution.stationary.preconditioner(objective, noise_variance)
     inside = (road.n >= band[0]) & (road.n <= band[1])
-    middle = _interior(road.free, round(1.0 / (band[0] * road.ds)))  # waves cut off there leak
+    # at the ends of the road the band-pass leaks
+    middle = _interior(road.free, round(1.0 / (band[0] * road.ds)))
     square = np.zeros(road.size)
     for _ in range(draws):
         b = lin.adjoint(draw_weighted_noise(lin, rng)) + rng.standard_normal(objective.size)
@@ -48,32 +53,30 @@ def posterior_std(found: Solution, band: tuple[float, float], draws: int, seed: 
 def draw_weighted_noise(lin: Linearization, rng: np.random.Generator) -> np.ndarray:
     """Return R^-1/2 times white noise (S, J)."""
     white = rng.standard_normal(lin.residual.shape)
-    return np.sqrt(lin.inverse_variance) * (
-        white
-        if lin.frequency_weights is None
-        else apply_frequency_weights(np.sqrt(lin.frequency_weights), white)
-    )
+    if lin.frequency_weights is not None:
+        white = apply_frequency_weights(np.sqrt(lin.frequency_weights), white)
+    return np.sqrt(lin.inverse_variance) * white
 
 
-def _interior(free: np.ndarray, most: int) -> np.ndarray:
+def _interior(free: np.ndarray, margin: int) -> np.ndarray:
     """Return which nodes (K,) are free, less at most `margin` of them at either end."""
-    where = np.flatnonzero(free)
-    off = min(most, where.size // 4)
+    nodes = np.flatnonzero(free)
+    margin = min(margin, nodes.size // 4)
     inner = np.zeros(free.size, dtype=bool)
-    inner[where[off : where.size - off]] = True
+    inner[nodes[margin : nodes.size - margin]] = True
     return inner
 
 
 def _average_by_strut_state(
     square: np.ndarray, free: np.ndarray, road: RoadTransform, inputs: ModelInputs
 ) -> np.ndarray:
-    """Return the mean of `square` (K,) over the `free` nodes (K,) passed in the same strut state."""
+    """Return the mean of `square` (K,) over `free` nodes (K,) passed in the same strut state."""
     station = road.origin + road.ds * np.arange(road.size)
     passed = np.clip(np.searchsorted(inputs.s[::2], station), 0, inputs.n_steps - 1)
     state = inputs.commands[passed]
-    found = np.full(road.size, square[free].mean() if free.any() else 0.0)
+    average = np.full(road.size, square[free].mean() if free.any() else 0.0)
     for byte in np.unique(state):
         here = state == byte
         if (here & free).sum() * road.ds >= MIN_STATE_LENGTH:
-            found[here] = square[here & free].mean()
-    return found
+            average[here] = square[here & free].mean()
+    return average

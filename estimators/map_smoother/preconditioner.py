@@ -52,55 +52,55 @@ class StationaryHessian:
         response = np.interp(objective.road.n * inputs.v.mean(), f, frequency_weights)
         return StationaryHessian(self.information * response[:, None, None])
 
-    def precision(self, road: RoadTransform, noise: float) -> np.ndarray:
+    def precision(self, road: RoadTransform, noise_variance: float) -> np.ndarray:
         """Return P(n) (F, 2, 2) under a `noise_variance` [(m/s²)²] of each sample."""
         T = road.transfer_function().T
-        return np.eye(2) + self.information / noise * T.conj()[:, :, None] * T[:, None, :]
+        return np.eye(2) + self.information / noise_variance * T.conj()[:, :, None] * T[:, None, :]
 
     def preconditioner(
-        self, objective: Objective, noise: float
+        self, objective: Objective, noise_variance: float
     ) -> Callable[[np.ndarray], np.ndarray]:
         """Return a function that maps a gradient to a step."""
         road = objective.road
-        root = _inverse(_root(self.precision(road, noise)))
+        root = _inverse(_root(self.precision(road, noise_variance)))
         count = objective.measurements.sample_count.sum(axis=1)
-        offsets = np.sqrt(1.0 + objective.model.bias_std**2 * count / noise)
-        others = np.concatenate([np.ones(objective.initial_std.size), offsets])
+        bias = np.sqrt(1.0 + objective.model.bias_std**2 * count / noise_variance)
+        scale = np.concatenate([np.ones(objective.initial_std.size), bias])
 
         def apply(g: np.ndarray) -> np.ndarray:
             u, rest = np.split(g, [2 * road.size])
             u = u.reshape(2, -1)
             U = np.einsum("fij,jf->if", root, rfft(road.free * u, axis=1))
             step = road.free * irfft(U, road.size, axis=1) + (1.0 - road.free) * u
-            return np.concatenate([step.ravel(), rest / others])
+            return np.concatenate([step.ravel(), rest / scale])
 
         return apply
 
-    def effective_dof(self, road: RoadTransform, noise: float) -> float:
+    def effective_dof(self, road: RoadTransform, noise_variance: float) -> float:
         """Return the number of the road's unknowns that the measurements determine."""
-        left = np.real(np.trace(_inverse(self.precision(road, noise)), axis1=1, axis2=2))
+        left = np.real(np.trace(_inverse(self.precision(road, noise_variance)), axis1=1, axis2=2))
         return float(road.free.sum() * np.mean(2.0 - left))
 
-    def density_scale(self, road: RoadTransform, noise: float, u: np.ndarray) -> np.ndarray:
-        """Return the density (F,) of `u` (2, K) over its expectation: by how much the prior's is
-        wrong.
+    def density_scale(
+        self, road: RoadTransform, noise_variance: float, u: np.ndarray
+    ) -> np.ndarray:
+        """Return the density (F,) of `u` (2, K) over its expectation, averaged over octaves.
 
-        Averaged over octaves, from resolved frequencies only (empirical Bayes).
+        Resolved frequencies alone count: an empirical Bayes estimate of the prior's scale.
         """
         U = np.abs(rfft(road.free * u, axis=1)) ** 2 / max(road.free.sum(), 1.0)
-        P = self.precision(road, noise)
+        P = self.precision(road, noise_variance)
         resolved = np.real(P[:, [0, 1], [0, 1]].T) > RESOLVED_THRESHOLD
         octave = np.round(np.log2(np.maximum(road.n, road.n[1])))
-        centres, of = np.unique(octave, return_inverse=True)
-        power = np.array(
-            [np.sum(U[:, of == k], where=resolved[:, of == k]) for k in range(of.max() + 1)]
-        )
-        lines = np.array([np.sum(resolved[:, of == k]) for k in range(of.max() + 1)])
-        known = lines >= 8
-        if not known.any():
+        centre, group = np.unique(octave, return_inverse=True)
+        members = [group == k for k in range(group.max() + 1)]
+        power = np.array([np.sum(U[:, k], where=resolved[:, k]) for k in members])
+        lines = np.array([np.sum(resolved[:, k]) for k in members])
+        enough = lines >= 8
+        if not enough.any():
             return np.ones_like(road.n)
-        level = np.log(np.maximum(power[known] / lines[known], MIN_DENSITY_RATIO))
-        return np.exp(np.interp(np.log2(np.maximum(road.n, 1e-9)), centres[known], level))
+        level = np.log(np.maximum(power[enough] / lines[enough], MIN_DENSITY_RATIO))
+        return np.exp(np.interp(np.log2(np.maximum(road.n, 1e-9)), centre[enough], level))
 
 
 def stationary_hessian(objective: Objective) -> StationaryHessian:
@@ -108,12 +108,12 @@ def stationary_hessian(objective: Objective) -> StationaryHessian:
     road, inputs = objective.road, objective.inputs
     n, v = np.maximum(road.n, 1e-6), float(inputs.v.mean())
     information = np.zeros((n.size, 2, 2), dtype=complex)
-    for byte, times in zip(*np.unique(inputs.commands, return_counts=True), strict=True):
+    for byte, count in zip(*np.unique(inputs.commands, return_counts=True), strict=True):
         mode = _decode_mode(int(byte))
         damping = gaussian_damping(objective.model.plant, mode, DAMPING_RATE)
         model = linearise(objective.model.plant, mode, objective.model.locations, damping=damping)
         H = frequency_response(model, v, n=n) @ TO_WHEEL_PATHS
-        information += times / inputs.n_steps * np.einsum("fsi,fsj->fij", H.conj(), H)
+        information += count / inputs.n_steps * np.einsum("fsi,fsj->fij", H.conj(), H)
     fs = 1.0 / (inputs.h * inputs.decimation)
     response = np.sinc(n * v * objective.measurements.sample_weight.shape[2] / fs) ** 2
     return StationaryHessian(information * (response * fs * road.ds / v)[:, None, None])
@@ -127,7 +127,8 @@ def _decode_mode(byte: int) -> dict[str, str]:
 
 
 def _root(M: np.ndarray) -> np.ndarray:
-    """Return the square roots of positive matrices (F, 2, 2): (M + det^1/2) / (tr + 2 det^1/2)^1/2."""
+    """Return the square roots of positive matrices (F, 2, 2)."""
+    # Cayley and Hamilton: (M + det^1/2) / (tr + 2 det^1/2)^1/2
     det = np.sqrt(_determinant(M))[:, None, None]
     trace = np.real(np.trace(M, axis1=1, axis2=2))[:, None, None]
     return (M + det * np.eye(2)) / np.sqrt(trace + 2.0 * det)
@@ -135,8 +136,8 @@ def _root(M: np.ndarray) -> np.ndarray:
 
 def _inverse(M: np.ndarray) -> np.ndarray:
     """Return the inverses of Hermitian matrices (F, 2, 2)."""
-    turned = np.stack([M[:, 1, 1], -M[:, 0, 1], -M[:, 1, 0], M[:, 0, 0]], axis=1)
-    return turned.reshape(-1, 2, 2) / _determinant(M)[:, None, None]
+    adjugate = np.stack([M[:, 1, 1], -M[:, 0, 1], -M[:, 1, 0], M[:, 0, 0]], axis=1)
+    return adjugate.reshape(-1, 2, 2) / _determinant(M)[:, None, None]
 
 
 def _determinant(M: np.ndarray) -> np.ndarray:

@@ -57,7 +57,7 @@ class RoadTransform:
 
     def apply_transpose(self, c: np.ndarray) -> np.ndarray:
         """Apply the transpose of `apply`: from coefficients (2, K) to `u` (2, K)."""
-        rest = np.cumsum(c[:, ::-1], axis=1)[:, ::-1]  # a rise lifts all that comes behind it
+        rest = np.cumsum(c[:, ::-1], axis=1)[:, ::-1]  # an increment lifts all nodes behind it
         e = TO_WHEEL_PATHS @ (self.free * rest)
         return irfft(self.amplitude * rfft(e, axis=1), self.size, axis=1)
 
@@ -69,25 +69,24 @@ class RoadTransform:
         """Return the heights (2, M) [m] of both wheel paths at the stations `s` (M,) [m]."""
         return evaluate_spline(self.coefficients(u), (s - self.origin) / self.ds)
 
-    def scale_density(self, level: np.ndarray) -> "RoadTransform":
+    def scale_density(self, scale: np.ndarray) -> "RoadTransform":
         """Return the map of a prior with `scale` (K // 2 + 1,) times this density."""
-        return replace(self, amplitude=self.amplitude * np.sqrt(level))
+        return replace(self, amplitude=self.amplitude * np.sqrt(scale))
 
     def convert_noise(self, u: np.ndarray, other: "RoadTransform") -> np.ndarray:
-        """Return the noise (2, K) that gives this map the road which `u` (2, K) gives the `other`."""
+        """Return the noise (2, K) by which this map gives the road that `other` gives by `u`."""
         return irfft(other.amplitude / self.amplitude * rfft(u, axis=1), self.size, axis=1)
 
     def transfer_function(self) -> np.ndarray:
-        """Return the response (2, K // 2 + 1) [m] of the heights of mean and half difference to
-        `u`.
-        """
-        turn = np.exp(-2j * np.pi * self.n[1:] * self.ds)
-        summed = np.concatenate([[0.0], 1.0 / (1.0 - turn)])  # no line stands for the datum
-        return self.amplitude * summed * np.sinc(self.n * self.ds) ** 4
+        """Return the response (2, K // 2 + 1) [m] of mean and half difference to `u`."""
+        delay = np.exp(-2j * np.pi * self.n[1:] * self.ds)
+        integral = np.concatenate([[0.0], 1.0 / (1.0 - delay)])  # the datum is not estimated
+        return self.amplitude * integral * np.sinc(self.n * self.ds) ** 4
 
 
 def padded_size(least: int) -> int:
-    """Return a number of nodes that transforms quickly, with 64 or more to spare for wrap-around."""
+    """Return a number of nodes that transforms quickly, 64 or more above `least`."""
+    # spare nodes, as the spectrum of the increments is periodic
     return int(next_fast_len(least + 64, real=True))
 
 

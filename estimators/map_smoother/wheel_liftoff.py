@@ -20,41 +20,41 @@ MIN_DROP = 0.01
 """Least lowering of the road [m] for another minimization."""
 
 FROM_WHEEL_PATHS = np.linalg.inv(TO_WHEEL_PATHS)
+"""From left and right to mean and half difference."""
 
 
 def unloaded_nodes(lin: Linearization) -> np.ndarray:
     """Return which free nodes (2, K) were passed but never pressed on."""
     objective, road = lin.objective, lin.objective.road
     loads = lin.tape.signals[:, LOAD : LOAD + 4]
-    s, most = objective.inputs.s[::2], np.zeros((2, road.size))
+    s, max_load = objective.inputs.s[::2], np.zeros((2, road.size))
     passed = np.zeros(road.size, dtype=bool)
     for wheel in range(4):
         station = s - (wheel // 2) * objective.model.wheelbase
         node = ((station - road.origin) / road.ds).astype(int)
         passed[node.min() : node.max()] = True
         for k in (0, 1):  # the nodes to either side carry the wheel
-            np.maximum.at(most[wheel % 2], node + k, loads[:, wheel])
-    return (most < LIFTOFF_LOAD_SHARE * loads.mean()) & passed & (road.free > 0)
+            np.maximum.at(max_load[wheel % 2], node + k, loads[:, wheel])
+    return (max_load < LIFTOFF_LOAD_SHARE * loads.mean()) & passed & (road.free > 0)
 
 
 def relax_unloaded(lin: Linearization) -> np.ndarray | None:
-    """Return `lin.x` with the road no higher than straight where it was unloaded; None if it is
-    not.
+    """Return `lin.x` with the road no higher than straight where unloaded; None if it is lower.
 
     The straight line is the most probable road across a gap in a random walk.
     """
-    off, road = unloaded_nodes(lin), lin.objective.road
+    unloaded, road = unloaded_nodes(lin), lin.objective.road
     u, _, _ = lin.objective.split(lin.x)
     before, node = road.coefficients(u), np.arange(road.size)
     c = before.copy()
-    for path, away in zip(c, off, strict=True):
-        path[away] = np.minimum(path, np.interp(node, node[~away], path[~away]))[away]
+    for path, mask in zip(c, unloaded, strict=True):
+        path[mask] = np.minimum(path, np.interp(node, node[~mask], path[~mask]))[mask]
     if not (before - c).max() > MIN_DROP:
         return None
     return np.concatenate([noise_from_coefficients(road, c).ravel(), lin.x[u.size :]])
 
 
 def noise_from_coefficients(road: RoadTransform, c: np.ndarray) -> np.ndarray:
-    """Return the noise (2, K) of the road with coefficients `c` (2, K), level where it is not free."""
-    rises = road.free * np.diff(c - road.background, axis=1, prepend=0.0)
-    return irfft(rfft(FROM_WHEEL_PATHS @ rises, axis=1) / road.amplitude, road.size, axis=1)
+    """Return the noise (2, K) of the road with coefficients `c` (2, K), level where not free."""
+    increments = road.free * np.diff(c - road.background, axis=1, prepend=0.0)
+    return irfft(rfft(FROM_WHEEL_PATHS @ increments, axis=1) / road.amplitude, road.size, axis=1)

@@ -73,21 +73,20 @@ class WindowState:
 def initial_window_state(drive: PreparedDrive) -> WindowState:
     """Return the state before the first window."""
     size = drive.free.size
-    rest = drive.rest_state + 1e-7  # at rest to the bit friction has a kink
+    # exactly at rest the friction law has a kink and no tangent
+    vehicle = drive.rest_state + 1e-7, drive.initial_std
     strut_state = settled_strut_state(int(drive.inputs.commands[0]))
-    flat = np.array([0.0, 1.0]), np.ones(2)
-    return WindowState(
-        np.zeros((2, size)), np.zeros(size), 0, rest, drive.initial_std, strut_state, *flat
-    )
+    prior = np.array([0.0, 1.0]), np.ones(2)
+    return WindowState(np.zeros((2, size)), np.zeros(size), 0, *vehicle, strut_state, *prior)
 
 
 def split_windows(blocks: int, window: int, overlap: int) -> list[tuple[int, int, int]]:
     """Split `blocks` into windows: begin, begin of the next one, and end of each."""
-    found, begin = [], 0
+    windows, begin = [], 0
     while blocks - begin > window + overlap:
-        found.append((begin, begin + window - overlap, begin + window))
+        windows.append((begin, begin + window - overlap, begin + window))
         begin += window - overlap
-    return [*found, (begin, blocks, blocks)]
+    return [*windows, (begin, blocks, blocks)]
 
 
 def reconstruct(
@@ -97,18 +96,17 @@ def reconstruct(
     windows: list[tuple[int, int, int]],
     solve: Callable[[Objective], tuple[Solution, np.ndarray]],
 ) -> tuple[WindowState, list[float]]:
-    """Estimate all windows by `solve`, which returns the solution of one and its standard deviation
-    (K,).
+    """Estimate all windows; return the final state and the noise scale of each window.
 
-    Returns the final state and the noise scale of each window.
+    `solve` returns the solution of one window and its standard deviation (K,).
     """
     window_state, noise_scale = initial_window_state(drive), []
     for begin, after, end in windows:
         objective = window_objective(model, drive, prior, window_state, begin, end)
-        found, window_std = solve(objective)
-        noise_scale.append(found.noise_scale)
+        solution, window_std = solve(objective)
+        noise_scale.append(solution.noise_scale)
         steps = (after - begin) * drive.steps_per_block if after < end else None
-        window_state = _advance(drive, prior, window_state, found, window_std, steps)
+        window_state = _advance(drive, prior, window_state, solution, window_std, steps)
     return window_state, noise_scale
 
 
@@ -133,41 +131,31 @@ def window_objective(
     origin = drive.origin + drive.ds * low
     road = RoadTransform(origin, drive.ds, c, free, prior_amplitude(prior, size, drive.ds))
     road = road.scale_density(np.interp(road.n, window_state.n, window_state.density_scale))
-    return Objective(
-        model,
-        window_state.strut_state,
-        window_state.vehicle_state,
-        window_state.initial_std,
-        road,
-        inputs,
-        measurements,
-    )
+    vehicle = window_state.vehicle_state, window_state.initial_std
+    return Objective(model, window_state.strut_state, *vehicle, road, inputs, measurements)
 
 
 def _advance(
     drive: PreparedDrive,
     prior: RoadPrior,
     window_state: WindowState,
-    found: Solution,
+    solution: Solution,
     window_std: np.ndarray,
     steps: int | None,
 ) -> WindowState:
     """Return the state after another window, of which the first `steps` are final; None: all."""
-    objective, x = found.linearization.objective, found.linearization.x
+    objective, x = solution.linearization.objective, solution.linearization.x
     road, size = objective.road, window_state.std.size
     low = round((road.origin - drive.origin) / drive.ds)
     first, last = max(window_state.first_free_node, low), min(low + road.size, size)
     state, strut_state = window_state.vehicle_state, window_state.strut_state
     if steps is not None:
         state, strut_state = objective.state_after(x, steps)
-        last = (
-            drive.node_at(objective.inputs.s[2 * steps]) + 3
-        )  # those that carry the front axle now
+        # up to the nodes that carry the front axle now
+        last = drive.node_at(objective.inputs.s[2 * steps]) + 3
     c, std, here = window_state.c.copy(), window_state.std.copy(), slice(first - low, last - low)
-    c[:, first:last], std[first:last] = (
-        road.coefficients(objective.split(x)[0])[:, here],
-        window_std[here],
-    )
+    c[:, first:last] = road.coefficients(objective.split(x)[0])[:, here]
+    std[first:last] = window_std[here]
     c[:, last:], std[last:] = c[:, last - 1 : last], std[last - 1]
-    level = (road.amplitude[0] / prior_amplitude(prior, road.size, road.ds)[0]) ** 2
-    return WindowState(c, std, last, state, np.zeros(2 * N_DOF), strut_state, road.n, level)
+    scale = (road.amplitude[0] / prior_amplitude(prior, road.size, road.ds)[0]) ** 2
+    return WindowState(c, std, last, state, np.zeros(2 * N_DOF), strut_state, road.n, scale)

@@ -20,6 +20,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from scipy import signal
 
+from estimators.api import LAG
 from estimators.common.spatial_signals import (
     EDGE_STATIONS,
     FILTER_REACH,
@@ -27,11 +28,8 @@ from estimators.common.spatial_signals import (
     SPACING,
     SpatialSignals,
 )
+from estimators.common.training_data import STATIONS_BEHIND
 from estimators.linear.fir_bank import FirBank, keep_short_waves
-from estimators.networks.training_data import STATIONS_BEHIND
-
-LAG = 4.79
-"""Lag [m] of the causal networks: a wheelbase of the Defender and 2 m."""
 
 STATIONS_AHEAD = int((LAG - 2.0 * FILTER_REACH) / SPACING)
 """Stations ahead of the estimated one in a causal window; the filters use the rest of LAG."""
@@ -46,9 +44,9 @@ N_INPUTS, N_CONDITIONS = 10, 8
 
 
 class NetworkInputs(NamedTuple):
-    """Inputs of a network: `x` (N_INPUTS, behind + M + ahead) and `conditions` (N_CONDITIONS, 1 or as
-    many); and what scales its output to heights: the `level` (M,) [m] and the `first` estimate (2, M)
-    [m] of m and q.
+    """Inputs of a network: `x` (N_INPUTS, behind + M + ahead) and `conditions` (N_CONDITIONS, 1 or
+    as many); and what scales its output to heights: the `level` (M,) [m] and the `first` estimate
+    (2, M) [m] of m and q.
     """
 
     x: np.ndarray
@@ -78,9 +76,9 @@ def network_inputs(
 ) -> NetworkInputs:
     """Return the network inputs of a drive.
 
-    Rows of x: accelerations and velocities of front, rear and roll; m and q of the first estimate, and
-    the same a wheelbase behind. For a causal network the motions are those sensed STATIONS_AHEAD beyond
-    the estimated station; the first estimate is that of the station itself.
+    Rows of x: accelerations and velocities of front, rear and roll; m and q of the first estimate,
+    and the same a wheelbase behind. For a causal network the motions are those sensed
+    STATIONS_AHEAD beyond the estimated station; the first estimate is that of the station itself.
     """
     lookahead = STATIONS_AHEAD if causal else 0
     behind, ahead = field.behind, field.ahead
@@ -94,6 +92,7 @@ def network_inputs(
     sensed = signals.margin + at + lookahead
     u = np.log(np.maximum(signals.v[sensed], 0.1))
     l = level[extra + at]
+    # inputs of about unit scale at every speed and level
     scale = np.exp(0.7 * (u - np.log(5.0))) * 100.0 * l
     x = np.concatenate(
         [

@@ -122,8 +122,8 @@ class TrainlmOptions:
 class LmResult:
     """A trained `network`, the stop reason, and the history: one value per epoch from 0.
 
-    `train`, `validation`, `test` are mean squared errors in mapped units, NaN for an empty set; `mu` is
-    the value at the start of the epoch, `gradient` the norm of the training error's gradient.
+    `train`, `validation`, `test` are mean squared errors in mapped units, NaN for an empty set. An
+    epoch starts with `mu`; `gradient` is the norm of the training error's gradient.
     """
 
     network: TwoLayerNetwork
@@ -141,8 +141,8 @@ class LmResult:
         return self.train.size - 1
 
     def to_arrays(self) -> dict[str, np.ndarray]:
-        """Return all but the network: `curves` (5, epochs + 1) with -1 for NaN, and `stop`, the index of
-        the reason in STOP_REASONS and the best epoch.
+        """Return all but the network: `curves` (5, epochs + 1) with -1 for NaN, and `stop`, the
+        index of the reason in STOP_REASONS and the best epoch.
         """
         curves = np.array([getattr(self, name) for name in CURVES])
         curves[np.isnan(curves)] = -1.0
@@ -155,10 +155,12 @@ class LmResult:
     def from_arrays(
         cls, network: TwoLayerNetwork, curves: np.ndarray, stop: np.ndarray
     ) -> "LmResult":
-        """Return the result with this `network` and the arrays of `to_arrays`. Raises ValueError."""
+        """Return the result of this `network` and the arrays of `to_arrays`. Raises ValueError."""
         reason, best_epoch = (int(x) for x in stop)
         if not 0 <= reason < len(STOP_REASONS):
-            raise ValueError(f"stop: the reason must be an index from 0 to {len(STOP_REASONS) - 1}, got {reason}")
+            raise ValueError(
+                f"stop: the reason must be an index from 0 to {len(STOP_REASONS) - 1}, got {reason}"
+            )
         return cls(
             network, STOP_REASONS[reason], best_epoch, *np.where(curves < 0.0, np.nan, curves)
         )
@@ -257,8 +259,8 @@ def _take_step(
     mu: float,
     options: TrainlmOptions,
 ) -> tuple[TwoLayerNetwork, float]:
-    """Return the network after the first step that lowers the error, and the next mu; the same network
-    if mu exceeds its limit first.
+    """Return the network after the first step that lowers the error, and the next mu; the same
+    network if mu exceeds its limit first.
     """
     while mu <= options.mu_max:
         step = _damped_step(normal, mu)

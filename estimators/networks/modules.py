@@ -137,5 +137,5 @@ def embed_conditions(conditions: int) -> nn.Sequential:
 
 
 def trim(x: Tensor, early: int, late: int) -> Tensor:
-    """Return `x` (B, C, T) without its ends; conditions constant along the road (T = 1) have none."""
+    """Return `x` (B, C, T) without its ends; constant conditions (T = 1) have none."""
     return x if x.shape[2] == 1 else x[:, :, early : x.shape[2] - late]

@@ -4,9 +4,9 @@
 
 at the profile stations, 20 hidden units, one output per wheel path (Ngwangwa, Heyns, Labuschagne &
 Kululanga, J. Terramechanics 47, 2010). Trained series-parallel: the fed-back heights are the true
-ones, so training is that of a static network (`levenberg_marquardt.py`). In use it runs in parallel:
-its own outputs are fed back, starting on the level apron. The number of delays and all else is
-assumed as in `static_lm`.
+ones, so training is that of a static network (`levenberg_marquardt.py`). In use it runs in
+parallel: its own outputs are fed back, starting on the level apron. The number of delays and all
+else is assumed as in `static_lm`.
 
 With true heights fed back the error is small, because a profile changes little between stations;
 this figure is not attainable in use. Open-loop and closed-loop errors are measured on the held-out
@@ -35,8 +35,8 @@ HELD_OUT_SHARE = 0.15
 
 
 class FittedNarx(NamedTuple):
-    """Training result, the mapped ranges of accelerations [m/s²] and heights [m], and the error relative
-    to the level of the held-out heights in open and closed loop.
+    """Training result, the mapped ranges of accelerations [m/s²] and heights [m], and the error
+    relative to the level of the held-out heights in open and closed loop.
     """
 
     training: lm.LmResult
@@ -77,7 +77,7 @@ class Narx:
         car: VehicleParameters,
         seed: int,
     ) -> Self:
-        """Train series-parallel; `seed` draws the division and the initial weights. Raises RecordError."""
+        """Train series-parallel; `seed` draws division and initial weights. Raises RecordError."""
         a = [spatial_accelerations(clean_record(record)[0]) for record in records]
         pairs = zip(records, truths, strict=True)
         z = [sample_profile(truth, profile_stations(record.length)) for record, truth in pairs]
@@ -111,9 +111,7 @@ class Narx:
         return Estimate(profile_stations(record.length), z, notes=(*notes, loop_note))
 
     def weights(self) -> dict[str, np.ndarray]:
-        """Return both layers, mapped ranges, the errors of both loops and the training history. Raises
-        NotFittedError.
-        """
+        """Return both layers, mapped ranges, loop errors and history. Raises NotFittedError."""
         training, inputs, outputs, open_loop, closed_loop = require_fitted(self.fitted_state, self)
         return {
             "hidden": training.network.hidden,
@@ -135,8 +133,8 @@ class Narx:
             "loops": (2,),
             **lm.HISTORY_SHAPES,
         }
-        hidden, output, inputs, outputs, loops, *course = validate_weights(weights, shapes)
-        training = lm.LmResult.from_arrays(lm.TwoLayerNetwork(hidden, output), *course)
+        hidden, output, inputs, outputs, loops, *history = validate_weights(weights, shapes)
+        training = lm.LmResult.from_arrays(lm.TwoLayerNetwork(hidden, output), *history)
         scalings = lm.Scaling(*inputs), lm.Scaling(*outputs)
         return copy_with(self, fitted_state=FittedNarx(training, *scalings, *loops.tolist()))
 
@@ -158,15 +156,15 @@ class Narx:
             regressors, t = series_parallel(*parts, self.delays)
             closed = self._run_closed_loop(network, x[:, first:], y[:, first - self.delays : first])
             truth = outputs.reverse(t)
-            for k, answer in enumerate((network(regressors), closed)):
-                wrong[k] += np.sum((outputs.reverse(answer) - truth) ** 2)
+            for k, output in enumerate((network(regressors), closed)):
+                wrong[k] += np.sum((outputs.reverse(output) - truth) ** 2)
             level += np.sum((truth - truth.mean(axis=1, keepdims=True)) ** 2)
         return np.sqrt(wrong / level).tolist() if level > 0.0 else [0.0, 0.0]
 
 
 def series_parallel(x: np.ndarray, z: np.ndarray, delays: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return regressors (3 (delays + 1) + 2 delays, M - delays) and targets (2, M - delays) of mapped
-    accelerations `x` (3, M) and true heights `z` (2, M), newest accelerations first.
+    """Return regressors (3 (delays + 1) + 2 delays, M - delays) and targets (2, M - delays) of
+    mapped accelerations `x` (3, M) and true heights `z` (2, M), newest accelerations first.
     """
     M = x.shape[1]
     sensed = [x[:, delays - k : M - k] for k in range(delays + 1)]

@@ -1,6 +1,6 @@
 """Base class of the estimators built on a sequence network: `tcn`, `gru` and their causal variants.
 
-`roadrecon train NAME` produced the shipped weights from a corpus of simulated drives. `fit` trains
+`road-recon train NAME` produced the shipped weights from a corpus of simulated drives. `fit` trains
 from scratch on the given drives alone. An estimator with other settings than those of the shipped
 weights, or with `shipped=False`, must be fitted before use.
 """
@@ -19,6 +19,13 @@ from estimators.common.spatial_signals import (
     to_spatial,
     upsample,
     wheel_paths,
+)
+from estimators.common.training_data import (
+    LONG_WAVE_NOTE,
+    STATION_MARGIN,
+    TrainingExample,
+    training_example,
+    validity_notes,
 )
 from estimators.linear.fir_bank import FirBank, fit_bank, keep_short_waves, taps_shape
 from estimators.networks.inputs import MIRROR_SIGNS, NetworkInputs, network_inputs, window_span
@@ -42,13 +49,6 @@ from estimators.networks.trainer import (
     split_validation,
     train_network,
 )
-from estimators.networks.training_data import (
-    LONG_WAVE_NOTE,
-    STATION_MARGIN,
-    TrainingExample,
-    training_example,
-    validity_notes,
-)
 from estimators.preprocessing import clean_record
 from estimators.pretrained_weights import load_pretrained
 from road_envs._extras import optional_import
@@ -64,8 +64,8 @@ WHEELBASE_TOLERANCE = 0.02
 
 
 class FittedSequence(NamedTuple):
-    """FIR bank, network weights (float16), coefficients `std_coefficients` (N_TERMS,) of the factor on
-    the network's standard deviations, and the vehicle's `wheelbase` [m].
+    """FIR bank, network weights (float16), coefficients `std_coefficients` (N_TERMS,) of the factor
+    on the network's standard deviations, and the vehicle's `wheelbase` [m].
     """
 
     bank: FirBank
@@ -80,9 +80,10 @@ class SequenceEstimator(abc.ABC):
 
     __pydantic_config__ = STRICT
     name: ClassVar[str]
+    refit_per_case: ClassVar[bool] = False
     causal: ClassVar[bool]
     lag: ClassVar[float | None] = None
-    """Distance [m] of the front axle beyond a station when its height is estimated; None if offline."""
+    """Distance [m] from a station to the front axle when its height is known; None if offline."""
 
     shipped: bool = True
     steps: int = 2500
@@ -124,7 +125,7 @@ class SequenceEstimator(abc.ABC):
         with optional_import("a neural network"):
             import torch
 
-        progress("fitting linear windows", 0.0)
+        progress("fitting the FIR bank", 0.0)
         all_signals, targets = zip(*drives, strict=True)
         bank = fit_bank(all_signals, targets, *window_span(self.causal))
         with torch.random.fork_rng():
@@ -134,6 +135,7 @@ class SequenceEstimator(abc.ABC):
             self._training_sequence(drive, bank, car.wheelbase, network) for drive in drives
         ]
         train_network(network, sequences, TrainerConfig(self.steps), seed, progress, checkpoint)
+        # calibrated as stored, in half precision
         rounded = {name: x.astype(np.float16) for name, x in get_weights(network).items()}
         set_weights(network, rounded)
         _, validation = split_validation(sequences)
@@ -147,7 +149,7 @@ class SequenceEstimator(abc.ABC):
         )
 
     def calibrate(self, drives: Sequence[TrainingExample]) -> Self:
-        """Return a copy with standard deviations calibrated on these drives, which are not training data."""
+        """Return a copy with standard deviations calibrated on these drives, unseen in training."""
         fitted_state = self._fitted_or_pretrained()
         network = self.network()
         set_weights(network, fitted_state.network)
@@ -172,8 +174,8 @@ class SequenceEstimator(abc.ABC):
         )
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Estimate both wheel paths, with standard deviations above 0.15 cycles/m. Raises RecordError,
-        NotFittedError.
+        """Estimate both wheel paths, with standard deviations above 0.15 cycles/m. Raises
+        RecordError, NotFittedError.
         """
         record, notes = clean_record(record)
         bank, weights, coefficients, wheelbase = self._fitted_or_pretrained()
@@ -193,8 +195,8 @@ class SequenceEstimator(abc.ABC):
         return Estimate(stations, z, np.array([z_std, z_std]), notes)
 
     def weights(self) -> dict[str, np.ndarray]:
-        """Return `taps`, `widths` (the coefficients of the standard deviations), `wheelbase` and the
-        network's weights. Raises NotFittedError.
+        """Return `taps`, `widths` (the coefficients of the standard deviations), `wheelbase` and
+        the network's weights. Raises NotFittedError.
         """
         bank, network, coefficients, wheelbase = self._fitted_or_pretrained()
         return {

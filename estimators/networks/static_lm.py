@@ -1,8 +1,8 @@
 """Static 3-50-2 network of the paper, trained by Levenberg-Marquardt: the historical baseline.
 
 Inputs at a station: the three vertical body accelerations (RF, LR, RR; linear trend removed, 25 Hz
-low-pass) at the moment when the front axle passed it [assumed]. Outputs: the heights of the left and
-right wheel path there. Tan-sigmoid hidden layer, linear outputs, no memory (Ngwangwa, Heyns,
+low-pass) at the moment when the front axle passed it [assumed]. Outputs: the heights of the left
+and right wheel path there. Tan-sigmoid hidden layer, linear outputs, no memory (Ngwangwa, Heyns,
 Breytenbach & Els, sections 4 and 5). The samples of all drives at the profile stations are divided
 70/15/15; above `max_samples` an evenly spaced subset is used. The default is the paper's 3964:
 behind a 25 Hz filter neighbouring samples are redundant.
@@ -65,7 +65,7 @@ class StaticLm:
         car: VehicleParameters,
         seed: int,
     ) -> Self:
-        """Train on all drives; `seed` draws the division and the initial weights. Raises RecordError."""
+        """Train on all drives; `seed` draws division and initial weights. Raises RecordError."""
         x = np.hstack([spatial_accelerations(clean_record(record)[0]) for record in records])
         pairs = zip(records, truths, strict=True)
         t = np.hstack(
@@ -91,8 +91,8 @@ class StaticLm:
         return Estimate(profile_stations(record.length), z, notes=notes)
 
     def weights(self) -> dict[str, np.ndarray]:
-        """Return the weights of both layers, the mapped ranges (low, high) of inputs and outputs, and the
-        training history. Raises NotFittedError.
+        """Return the weights of both layers, the mapped ranges (low, high) of inputs and outputs,
+        and the training history. Raises NotFittedError.
         """
         training, inputs, outputs = require_fitted(self.fitted_state, self)
         return {
@@ -113,7 +113,7 @@ class StaticLm:
             "outputs": (2, 2),
             **lm.HISTORY_SHAPES,
         }
-        hidden, output, inputs, outputs, *course = validate_weights(weights, shapes)
-        training = lm.LmResult.from_arrays(lm.TwoLayerNetwork(hidden, output), *course)
+        hidden, output, inputs, outputs, *history = validate_weights(weights, shapes)
+        training = lm.LmResult.from_arrays(lm.TwoLayerNetwork(hidden, output), *history)
         fitted_state = FittedStaticLm(training, lm.Scaling(*inputs), lm.Scaling(*outputs))
         return copy_with(self, fitted_state=fitted_state)

@@ -9,8 +9,8 @@ depends on strut states, speed and roughness. Its standard deviations are theref
 with u the speed, l the level and the states -1 or 1, all as in the network's conditions
 (`inputs.py`). w is fitted to drives of the nominal vehicle over roads not used for training, by
 quantile regression (Koenker & Bassett, Econometrica 46, 1978) of log(|error| / standard deviation)
-for the median and the ninth decile jointly. Thus about half and nine tenths of the errors lie within
-the Gaussian bounds, at every speed and in every state.
+for the median and the ninth decile jointly. Thus about half and nine tenths of the errors lie
+within the Gaussian bounds, at every speed and in every state.
 
 Limitations: where wheels leave the ground the errors are not Gaussian for any scale; on such
 drives, and on average over boards with many obstacles at speed, the coverage is too low.
@@ -36,8 +36,8 @@ RIDGE = 0.1
 """Penalty on w for a unit of each term, in equivalent drives."""
 
 N_QUANTILES, RATIO_MIN, SMOOTHING = 50, 1e-9, 0.1
-"""Quantiles that represent a drive's errors, the smallest error ratio, and the width, in the logarithm,
-over which the check function is smoothed.
+"""Quantiles that represent a drive's errors, the smallest error ratio, and the width, in the
+logarithm, over which the check function is smoothed.
 """
 
 PAD_LENGTH, EDGE_LENGTH = 20.0, 5.0
@@ -63,17 +63,16 @@ def design_matrix(conditions: np.ndarray) -> np.ndarray:
 
 
 def fit_std_scale(ratios: Sequence[np.ndarray], conditions: Sequence[np.ndarray]) -> np.ndarray:
-    """Fit the coefficients (N_TERMS,) to `ratios`, errors over standard deviations (2, M) of each drive,
-    and its `conditions` (8, M or 1).
+    """Fit the coefficients (N_TERMS,) to `ratios`, errors over standard deviations (2, M) of each
+    drive, and its `conditions` (8, M or 1).
     """
     x = np.array([design_matrix(drive_conditions).mean(axis=1) for drive_conditions in conditions])
     levels = (np.arange(N_QUANTILES) + 0.5) / N_QUANTILES
     log_ratios = np.log(
         [np.maximum(np.quantile(np.abs(each), levels), RATIO_MIN) for each in ratios]
     )
-    over = np.array(
-        [log_ratios - np.log(n_std) for _, n_std in COVERAGE_LEVELS]
-    )  # (2, drives, quantiles)
+    # (2, drives, quantiles)
+    over = np.array([log_ratios - np.log(n_std) for _, n_std in COVERAGE_LEVELS])
     share = np.array([covered for covered, _ in COVERAGE_LEVELS])[:, None, None]
     ridge = RIDGE * np.append(0.0, np.ones(N_TERMS - 1)) / len(x)
 
@@ -89,8 +88,8 @@ def fit_std_scale(ratios: Sequence[np.ndarray], conditions: Sequence[np.ndarray]
 
 
 def calibration_factor(ratios: np.ndarray) -> float:
-    """Return the constant factor on standard deviations that best gives both coverages; `ratios` (any
-    shape) are errors over standard deviations.
+    """Return the constant factor on standard deviations that best gives both coverages; `ratios`
+    (any shape) are errors over standard deviations.
     """
     return float(np.mean([np.quantile(np.abs(ratios), p) / n_std for p, n_std in COVERAGE_LEVELS]))
 

@@ -11,7 +11,8 @@ import abc
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from estimators.networks.inputs import LAG, N_CONDITIONS, N_INPUTS
+from estimators.api import LAG
+from estimators.networks.inputs import N_CONDITIONS, N_INPUTS
 from estimators.networks.sequence_estimator import SequenceEstimator
 
 

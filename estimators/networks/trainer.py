@@ -1,4 +1,4 @@
-"""Training of a sequence network: random crops of drives, AdamW, early stopping on validation roads.
+"""Training of a sequence network: random crops of drives, AdamW, early stopping on validation data.
 
 The loss of a crop is the mean squared residual in units of the drive's level, clamped at LOSS_MAX
 so that a hopeless drive cannot dominate a step. The standard deviations are trained by the Gaussian
@@ -6,8 +6,7 @@ likelihood of these residuals. The learning rate rises over 100 steps and falls 
 tenth drive is used for validation (with fewer than ten drives, the last fifth of each); the weights
 of the smallest validation error are kept.
 
-With one thread and one seed the result is reproducible to the bit, interrupted or not: each step
-has its own random generator.
+With one thread and one seed the result is reproducible to the bit, interrupted or not.
 """
 
 import contextlib
@@ -73,9 +72,7 @@ class SequencePart(NamedTuple):
     stop: int
 
     def crop(self, at: int, size: int, context: Any, flip: bool) -> tuple[np.ndarray, ...]:
-        """Return inputs, conditions and residual of `size` stations from `at`; of the mirrored drive if
-        `flip`.
-        """
+        """Return inputs, conditions and residual of `size` stations, mirrored if `flip`."""
         x, conditions = self.sequence.inputs.x, self.sequence.inputs.conditions
         read = slice(at, at + context.behind + size + context.ahead)
         x = x[:, read]
@@ -118,6 +115,7 @@ def train_network(
                 if step - state.best_step > PATIENCE * every:
                     break
             if step < config.steps:
+                # a generator per step: a resumed training draws the same batches
                 rng = np.random.default_rng([seed, step])
                 _train_step(network, optimiser, training, config, size, rng, step)
     state.restore_best()

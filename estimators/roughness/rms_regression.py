@@ -41,14 +41,14 @@ SLOPE_STD = 3.0
 """Standard deviation of b for standardised inputs and output: a wide prior."""
 
 THETA_BOUNDS = ((-4.0, 1.5), *((-1.5, 4.0),) * N_INPUTS, (-5.0, 0.0))
-"""Bounds of the hyperparameters theta: logarithms of the process amplitude, of its length scales and
-of the noise amplitude, for inputs and output of standard deviation 1.
+"""Bounds of the hyperparameters theta: logarithms of the process amplitude, of its length scales
+and of the noise amplitude, for inputs and output of standard deviation 1.
 """
 
 
 class RoughnessEstimate(NamedTuple):
-    """`G_d0` [m³] of a road over the scored octaves, the standard deviation `log_std` of its natural
-    logarithm, and the `probability` of each class by letter.
+    """`G_d0` [m³] of a road over the scored octaves, the standard deviation `log_std` of its
+    natural logarithm, and the `probability` of each class by letter.
     """
 
     G_d0: float
@@ -94,10 +94,11 @@ class RmsRoughness:
     def fit(cls, records: Sequence[Record], truths: Sequence[Profile]) -> Self:
         """Fit to drives over known roads. Raises RecordError."""
         X = np.array([features(record) for record in records])
-        pairs = zip(records, truths, strict=True)
-        Y = np.log([roughness_level(truth, float(np.median(record.v))) for record, truth in pairs])[
-            :, None
+        levels = [
+            roughness_level(truth, float(np.nanmedian(record.v)))
+            for record, truth in zip(records, truths, strict=True)
         ]
+        Y = np.log(levels)[:, None]
         scales = Standardizer.fit(X), Standardizer.fit(Y)
         x, y = scales[0](X), scales[1](Y)[:, 0]
         start = np.array([-1.0, *np.full(N_INPUTS, 1.0), -1.5])
@@ -122,9 +123,7 @@ class RmsRoughness:
 
 
 def features(record: Record) -> np.ndarray:
-    """Return the logarithms (N_INPUTS,) of speed and RMS of front, rear and roll on the road. Raises
-    RecordError.
-    """
+    """Return log speed and log RMS of front, rear and roll (N_INPUTS,). Raises RecordError."""
     record, _ = clean_record(record)
     on_road = (record.s >= 0.0) & (record.s <= record.length)
     on_road = on_road if on_road.any() else np.ones(record.s.size, dtype=bool)
@@ -134,9 +133,7 @@ def features(record: Record) -> np.ndarray:
 
 
 def roughness_level(truth: Profile, v: float) -> float:
-    """Return G_d(n0) [m³] of a road: geometric mean over the octaves scored at `v` [m/s], of the mean
-    of both paths.
-    """
+    """Return G_d(n0) [m³] of both paths: geometric mean over the octaves scored at `v` [m/s]."""
     centres = scored_octaves(v)
     _, levels = octave_levels(*displacement_psd(truth.z, truth.ds), (centres[0], centres[-1]))
     return float(np.exp(np.mean(np.log(np.maximum(levels.mean(axis=0), 1e-12)))))
@@ -145,7 +142,7 @@ def roughness_level(truth: Profile, v: float) -> float:
 def covariance(
     x: np.ndarray, other: np.ndarray, theta: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the covariances (N, M) of the linear part and of the process between inputs (N, k), (M, k)."""
+    """Return the covariances (N, M) of linear part and process for inputs (N, k), (M, k)."""
     scaled_difference = (x[:, None] - other[None]) * np.exp(-theta[1:-1])
     line = SLOPE_STD**2 * (1.0 + x @ other.T)
     return line, np.exp(2.0 * theta[0] - 0.5 * np.sum(scaled_difference**2, axis=2))
@@ -154,7 +151,7 @@ def covariance(
 def neg_log_marginal_likelihood(
     x: np.ndarray, y: np.ndarray, theta: np.ndarray
 ) -> tuple[float, np.ndarray]:
-    """Return the negative log marginal likelihood of `y` (N,) at `x` (N, k), and its gradient by theta."""
+    """Return the negative log marginal likelihood of `y` (N,) at `x` (N, k), and its gradient."""
     line, process = covariance(x, x, theta)
     noise = np.exp(2.0 * theta[-1]) * np.eye(y.size)
     factor = cho_factor(line + process + noise, lower=True)
@@ -174,8 +171,10 @@ def neg_log_marginal_likelihood(
 def predict_gp(
     x: np.ndarray, y: np.ndarray, theta: np.ndarray, at: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and standard deviation (M,), noise included, of the outputs at inputs `at` (M, k),
-    given `y` (N,) at `x` (N, k).
+    """Return mean and standard deviation (M,), noise included, of the outputs at inputs `at` (M,
+    k).
+
+    `y` (N,): the known outputs at `x` (N, k).
     """
     noise = np.exp(2.0 * theta[-1])
     K = np.add(*covariance(x, x, theta)) + noise * np.eye(y.size)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
+from estimators.preprocessing import mask_record
 from estimators.wiener.segments import Segment, split_segments
 from estimators.wiener.smoother import SEGMENT_LENGTH, SEGMENT_MARGIN
 from estimators.wiener.spectral_model import (
@@ -61,7 +62,7 @@ class ClassPosterior(NamedTuple):
 
 
 class _OctaveLevels(NamedTuple):
-    """Results of a segment by octave: `levels` (K,) [m³] and the equivalent number of `lines` (K,)."""
+    """Results of a segment: `levels` (K,) [m³] of the octaves, and the number of `lines` (K,)."""
 
     levels: np.ndarray
     lines: np.ndarray
@@ -70,12 +71,13 @@ class _OctaveLevels(NamedTuple):
 def classify_record(
     record: Record, car: VehicleParameters, instruments: str = "paper"
 ) -> ClassPosterior:
-    """Return the roughness of the road of a `record`. Raises ConfigError, ValueError."""
+    """Return the roughness of a record's road. Raises ConfigError, RecordError, ValueError."""
     sensors, plant = load_instruments(instruments), build_plant(car)
+    masked = mask_record(record, sensors)
     locations, track = sensors.locations(car), car.front.y_t + car.rear.y_t
-    octaves = scored_octaves(float(np.median(record.v)))
+    octaves = scored_octaves(float(np.median(masked.record.v)))
     parts = []
-    for segment in split_segments(record, sensors, SEGMENT_LENGTH, SEGMENT_MARGIN):
+    for segment in split_segments(masked, SEGMENT_LENGTH, SEGMENT_MARGIN):
         model = fit_hyperparameters(plant, locations, sensors, segment, track)
         parts.append(_levels(model, segment, octaves))
     weights = np.array([part.lines for part in parts])
@@ -106,18 +108,20 @@ def class_probabilities(log_level: float, log_std: float) -> dict[str, float]:
 
 def _likeliest(log_level: float, log_std: float) -> str:
     """Return the letter of the most probable class."""
-    of = class_probabilities(log_level, log_std)
-    return max(of, key=lambda name: of[name])
+    probability = class_probabilities(log_level, log_std)
+    return max(probability, key=lambda name: probability[name])
 
 
 def scored_octaves(v: float) -> np.ndarray:
-    """Return the centres (K,) [cycles/m] of the octaves scored at `v` [m/s]: of 0.25, 0.5, 1 and 2 those
-    that the 25 Hz low-pass passes completely. Raises ValueError if there is none.
+    """Return the centres (K,) [cycles/m] of the octaves scored at `v` [m/s]: of 0.25, 0.5, 1 and 2
+    those that the 25 Hz low-pass passes completely. Raises ValueError if there is none.
     """
     low, _ = scored_band(v)
     high = min(2.0, SCORED_F_MAX / v / np.sqrt(2.0))
     if high < low:
-        raise ValueError(f"at {v:.1f} m/s the low-pass leaves no octave of the scored band; drive slower")
+        raise ValueError(
+            f"at {v:.1f} m/s the low-pass leaves no octave of the scored band; drive slower"
+        )
     return 2.0 ** np.arange(np.ceil(np.log2(low)), np.floor(np.log2(high)) + 1.0)
 
 
@@ -142,11 +146,9 @@ def _levels(model: SpectralModel, segment: Segment, octaves: np.ndarray) -> _Oct
             second = z @ np.conj(z.swapaxes(1, 2)) + road_posterior.error
             levels[k] = float(np.mean(np.real(np.einsum("fii->f", np.linalg.solve(unit, second)))))
             levels[k] /= 2.0
-            left = (
-                np.real(np.einsum("fii->f", np.linalg.solve(unit, road_posterior.error)))
-                / levels[k]
-            )
-            known = float(np.mean(1.0 - 0.5 * left))
+            unresolved = np.linalg.solve(unit, road_posterior.error)
+            unresolved = np.real(np.einsum("fii->f", unresolved)) / levels[k]
+            known = float(np.mean(1.0 - 0.5 * unresolved))
         # two wheel paths; a Hann window leaves two thirds of the independent lines
         counts[k] = 2.0 * span * (n[-1] - n[0]) * max(known, 0.01) * 2.0 / 3.0
     return _OctaveLevels(levels, counts)

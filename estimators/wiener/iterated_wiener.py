@@ -35,5 +35,5 @@ class IteratedWiener:
             raise ValueError(f"passes must be at least 1, got {self.passes}")
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Estimate both wheel paths. Raises ConfigError, ValueError."""
+        """Estimate both wheel paths. Raises ConfigError, RecordError."""
         return smooth_record(record, car, self.instruments, self.passes, self.std_factor)

@@ -1,8 +1,7 @@
 """Division of a record into segments of evenly spaced stations for frequency-domain estimators.
 
-Signals are low-passed and interpolated to even stations. A sample is invalid if it is not finite,
-at the limit of the sensor's range, or within the filter's reach of such a sample. Speed and strut
-modes count as constant within a segment.
+Signals are low-passed and interpolated to even stations. A station is invalid within the low-pass's
+reach of an invalid sample. Speed and strut modes count as constant within a segment.
 """
 
 from collections.abc import Iterator
@@ -12,8 +11,8 @@ from itertools import pairwise
 import numpy as np
 from scipy import signal
 
+from estimators.preprocessing import SPEED_MIN, MaskedRecord
 from road_envs.data.record import PROFILE_SPACING, Record
-from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.suspension import MODES
 
 STATION_RATE = 100.0
@@ -28,8 +27,8 @@ FILTER_TIME = 0.08
 class Segment:
     """Signals `a` (3, M) [m/s²] at the stations `spacing * (first + i)` [m], i < M.
 
-    `stride` is the spacing in profile stations; `valid` (3, M) marks measured samples. `v` [m/s] is the
-    speed, `mode` the strut mode by wheel, `core` (2,) [m] the part of the road to be estimated.
+    `stride` is the spacing in profile stations; `valid` (3, M) marks measured samples. `v` [m/s] is
+    the speed, `mode` the strut mode by wheel, `core` (2,) [m] the part of the road to be estimated.
     """
 
     a: np.ndarray
@@ -47,15 +46,11 @@ class Segment:
         return self.stride * PROFILE_SPACING
 
 
-def split_segments(
-    record: Record, instruments: Instruments, length: float, margin: float
-) -> Iterator[Segment]:
-    """Yield segments of about `length` [m] of road, each with up to `margin` [m] of record around it.
-
-    Raises ValueError if the record is unusable.
+def split_segments(masked: MaskedRecord, length: float, margin: float) -> Iterator[Segment]:
+    """Yield segments of about `length` [m] of road with up to `margin` [m] of record on either
+    side.
     """
-    validate_record(record)
-    good = valid_samples(record, instruments)
+    record, good, _ = masked
     fs = record.fs
     a = bridge_and_lowpass(record.a, good, fs)
     reach = np.ones(2 * round(FILTER_TIME * fs) + 1)
@@ -66,38 +61,17 @@ def split_segments(
         yield _segment(record, a, bad, (float(low), float(high)), margin)
 
 
-def validate_record(record: Record) -> None:
-    """Raise ValueError unless a motion model can be applied to `record`."""
-    if record.t.size < 16 or not (np.diff(record.t) > 0).all():
-        raise ValueError("a record needs at least 16 samples at increasing times")
-    if not np.isfinite(record.s).all() or not np.isfinite(record.v).all():
-        raise ValueError("odometer and speed of a record must be finite throughout")
-    if record.fs < 60.0:
-        raise ValueError(
-            f"the record is sampled at {record.fs:g} Hz; at least 60 Hz are needed for a band of 25 Hz"
-        )
-    if not (record.s[-1] - record.s[0] > 1.0 and record.length > 0):
-        raise ValueError("the vehicle has moved less than 1 m: there is no road to estimate")
-    if not np.isfinite(record.a).any():
-        raise ValueError("no acceleration of the record is finite")
-
-
-def valid_samples(record: Record, instruments: Instruments) -> np.ndarray:
-    """Return which samples (3, N) of the record are finite and within the sensors' range."""
-    return np.isfinite(record.a) & (np.abs(np.nan_to_num(record.a)) < 0.995 * instruments.range)
-
-
 def bridge_and_lowpass(a: np.ndarray, good: np.ndarray, fs: float) -> np.ndarray:
     """Return signals (3, N) without their mean over `good` samples, interpolated where not `good`,
     and low-passed at 40 Hz without phase.
     """
     t = np.arange(a.shape[1])
-    whole = np.zeros(a.shape)
-    for out, x, g in zip(whole, a, good, strict=True):
+    filled = np.zeros(a.shape)
+    for out, x, g in zip(filled, a, good, strict=True):
         if g.any():
             out[:] = np.interp(t, t[g], x[g] - x[g].mean())
     sos = signal.butter(PASS_ORDER, min(F_PASS, 0.4 * fs), fs=fs, output="sos")
-    return signal.sosfiltfilt(sos, whole, axis=1, padlen=min(50, a.shape[1] - 1))
+    return signal.sosfiltfilt(sos, filled, axis=1, padlen=min(50, a.shape[1] - 1))
 
 
 def _segment(record: Record, a: np.ndarray, bad: np.ndarray, core, margin: float) -> Segment:
@@ -112,8 +86,8 @@ def _segment(record: Record, a: np.ndarray, bad: np.ndarray, core, margin: float
     moving = record.v[part] > 0.1 * max(record.v[part].max(), 1e-9)
     # a stop must not lower the speed that links frequency and wavelength
     v = float(np.median(record.v[part][moving])) if moving.any() else 0.0
-    if not v > 0.1:
-        v = max((s[-1] - s[0]) / (t[-1] - t[0]), 0.1)
+    if not v > SPEED_MIN:
+        v = max((s[-1] - s[0]) / (t[-1] - t[0]), SPEED_MIN)
     stride = max(1, int(v / STATION_RATE / PROFILE_SPACING))
     spacing = stride * PROFILE_SPACING
     first = int(np.ceil((min(core[0], low) - 1e-9) / spacing))
@@ -144,15 +118,17 @@ def dominant_modes(record: Record, part: np.ndarray) -> dict[str, str]:
 
 
 def _notes(record: Record, part, v: float, core, hidden: np.ndarray) -> tuple[str, ...]:
-    """Return notes on varying speed, mode changes and invalid samples."""
+    """Return notes on varying speed, mode changes and invalid stations."""
     where = f"{core[0]:.0f} to {core[1]:.0f} m"
     notes = []
     slow, fast = np.percentile(record.v[part], [5, 95])
     if fast - slow > 0.1 * v:
-        notes.append(f"{where}: treated as driven at {v:.1f} m/s, actually {slow:.1f} to {fast:.1f} m/s")
+        notes.append(
+            f"{where}: treated as driven at {v:.1f} m/s, actually {slow:.1f} to {fast:.1f} m/s"
+        )
     flags = np.hstack([record.spring_stiff[part], record.damper_high[part]])
     if (flags != flags[0]).any():
         notes.append(f"{where}: treated as driven in the dominant mode")
     if hidden.size and (share := hidden.mean()) > 0.01:
-        notes.append(f"{where}: {100 * share:.0f} % of the samples are missing or at the limit")
+        notes.append(f"{where}: {share:.0%} of the signals are left out, near invalid samples")
     return tuple(notes)

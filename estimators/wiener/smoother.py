@@ -1,4 +1,4 @@
-"""Wiener smoother of a record, segment by segment, with gaps and iterated statistical linearisation.
+"""Wiener smoother of a record by segments, with gaps and iterated statistical linearisation.
 
 On a segment the signals a are a Gaussian process of known spectrum, observed at the valid samples.
 With C the covariance that the spectrum defines on a circle and M the selection of valid samples,
@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.fft import irfft, rfft
 
+from estimators.preprocessing import mask_record
 from estimators.wiener.segments import Segment, split_segments
 from estimators.wiener.spectral_model import (
     SpectralModel,
@@ -32,9 +33,15 @@ from estimators.wiener.spectral_model import (
     solve_circulant,
     windowed_spectrum,
 )
-from road_envs.analysis.information_bound import F_C
 from road_envs.analysis.statistical_linearization import NonlinearResidual
-from road_envs.data.record import PROFILE_SPACING, Estimate, Record, profile_stations, scored_band
+from road_envs.data.record import (
+    F_C,
+    PROFILE_SPACING,
+    Estimate,
+    Record,
+    profile_stations,
+    scored_band,
+)
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import VehicleParameters
@@ -58,8 +65,8 @@ DIVERGENCE_THRESHOLD = 0.8
 
 
 class Iterate(NamedTuple):
-    """Result of a pass: spectral lines of the wheel paths `z` (2, F) and of the struts' extension rates
-    `w` (4, F), and the spectral density `error` (F, 2, 2) [m³] of the paths' errors.
+    """Result of a pass: spectral lines of the wheel paths `z` (2, F) and of the struts' extension
+    rates `w` (4, F), and the spectral density `error` (F, 2, 2) [m³] of the paths' errors.
     """
 
     z: np.ndarray
@@ -72,15 +79,15 @@ def smooth_record(
 ) -> Estimate:
     """Estimate both wheel paths; `std_factor` scales the standard deviations in the scored band.
 
-    Raises ConfigError on unknown instruments, ValueError if the record is unusable.
+    Raises ConfigError on unknown instruments, RecordError.
     """
     sensors, plant = load_instruments(instruments), build_plant(car)
     locations, track = sensors.locations(car), car.front.y_t + car.rear.y_t
     stations = profile_stations(record.length)
-    total, square, weights = (np.zeros((2, stations.size)) for _ in range(3))
-    notes: list[str] = []
-    segments = list(split_segments(record, sensors, SEGMENT_LENGTH, SEGMENT_MARGIN))
-    for segment in segments:
+    total, total_std, weights = (np.zeros((2, stations.size)) for _ in range(3))
+    masked = mask_record(record, sensors)
+    notes = [*masked.notes]
+    for segment in split_segments(masked, SEGMENT_LENGTH, SEGMENT_MARGIN):
         model = fit_hyperparameters(plant, locations, sensors, segment, track)
         last = list(smooth_segment(model, segment, passes))[-1]
         z, std = to_grid(model, segment, last)
@@ -88,11 +95,11 @@ def smooth_record(
         weight = _blend_weights(stations, segment.core, record.length)
         inside = (at >= 0) & (at < z.shape[1]) & (weight > 0.0)
         total[:, inside] += weight[inside] * z[:, at[inside]]
-        square[:, inside] += weight[inside] * std[:, at[inside]]
+        total_std[:, inside] += weight[inside] * std[:, at[inside]]
         weights[:, inside] += weight[inside]
         notes += segment.notes
     weights = np.maximum(weights, 1e-12)
-    return Estimate(stations, total / weights, std_factor * square / weights, tuple(notes))
+    return Estimate(stations, total / weights, std_factor * total_std / weights, tuple(notes))
 
 
 def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Iterator[Iterate]:
@@ -115,7 +122,7 @@ def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Itera
             float(np.vdot(y, start)) / measured + np.mean(np.linalg.slogdet(spectrum)[1]) / 3
         )
         first = neg_log_likelihood if first is None else first
-        # less likely than the first pass while q still changed much: the last pass stands
+        # less likely than the first pass while q still changes much: keep the previous pass
         if change > DIVERGENCE_THRESHOLD and not neg_log_likelihood <= first:
             return
         SH = model.S @ hermitian(model.H)
@@ -134,7 +141,7 @@ def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Itera
 def to_grid(
     model: SpectralModel, segment: Segment, iterate: Iterate
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return heights and standard deviations (2, N) [m] at profile stations from the segment's first."""
+    """Return heights and standard deviations (2, N) [m] at profile stations of the segment."""
     size = model.size * segment.stride
     lines = np.zeros((2, size // 2 + 1), dtype=complex)
     lines[:, : model.n.size] = iterate.z * (model.f < F_C)
@@ -160,8 +167,8 @@ def _coverage(segment: Segment, size: int) -> np.ndarray:
 
 
 def _blend_weights(stations: np.ndarray, core: tuple[float, float], length: float) -> np.ndarray:
-    """Return a segment's weight at each station: 1 in its core, with a linear transition of half the
-    margin to its neighbours.
+    """Return a segment's weight at each station: 1 in its core, with a linear transition of half
+    the margin to its neighbours.
     """
     fade = 0.5 * SEGMENT_MARGIN
     up = np.clip((stations - core[0]) / fade + 0.5, 0.0, 1.0) if core[0] > 0.0 else 1.0
@@ -170,7 +177,7 @@ def _blend_weights(stations: np.ndarray, core: tuple[float, float], length: floa
 
 
 def _residual_forces(model: SpectralModel, iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
-    """Return the expected force residuals (4, size) [N] of the struts and their mean variances (4,) [N²]."""
+    """Return expected force residuals (4, size) [N] and their mean variances (4,) [N²]."""
     slow = model.f > F_DATUM
     per_rate = np.where(slow, 1.0 / (2j * np.pi * model.f), 0.0)
     w, e = irfft(iterate.w, model.size), irfft(iterate.w * per_rate, model.size)
@@ -184,8 +191,10 @@ def _residual_forces(model: SpectralModel, iterate: Iterate) -> tuple[np.ndarray
 def gaussian_expectation(
     law: NonlinearResidual, e: np.ndarray, w: np.ndarray, std_e: np.ndarray, std_w: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean force (4, N) [N] and its variance (4,) [N²], averaged over N, at extensions
-    `e` [m] and rates `w` [m/s] (4, N) with Gaussian errors of standard deviation `std_e`, `std_w` (4,).
+    """Return the expected force (4, N) [N] and its variance (4,) [N²], averaged over N.
+
+    The extensions `e` [m] and rates `w` [m/s] (4, N) have Gaussian errors of standard deviation
+    `std_e` and `std_w` (4,).
     """
     mean, variance = np.zeros(e.shape), np.zeros(4)
     for i in range(4):
@@ -194,10 +203,8 @@ def gaussian_expectation(
             (law.e_dot, law.over_rate[i], w[i], std_w[i]),
         )
         for grid_, table, at, std in tables:
-            first, second = (
-                _gaussian_average(grid_, table, std),
-                _gaussian_average(grid_, table**2, std),
-            )
+            first = _gaussian_average(grid_, table, std)
+            second = _gaussian_average(grid_, table**2, std)
             mean[i] += np.interp(at, grid_, first)
             variance[i] += float(np.mean(np.interp(at, grid_, second - first**2)))
     return mean, variance

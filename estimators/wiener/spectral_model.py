@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
+from estimators.common.conjugate_gradients import conjugate_gradients
 from estimators.wiener.segments import Segment
 from road_envs.analysis.information_bound import (
     F_C,
@@ -67,20 +68,22 @@ class ShapedRoadPrior(RoadPrior):
     shape: tuple[float, ...] = (1.0,) * ROAD_OCTAVES.size
 
     def density(self, n: np.ndarray) -> np.ndarray:
-        """Return the one-sided displacement PSD [m³] of a wheel path at `n` [cycles/m], n > 0, any array shape."""
-        more = np.interp(np.log(n), np.log(ROAD_OCTAVES), np.log(self.shape))
-        return super().density(n) * np.exp(more)
+        """Return the one-sided displacement PSD [m³] of a wheel path at `n` [cycles/m] > 0."""
+        log_shape = np.interp(np.log(n), np.log(ROAD_OCTAVES), np.log(self.shape))
+        return super().density(n) * np.exp(log_shape)
 
 
 @dataclass(frozen=True, eq=False)
 class SpectralModel:
     """Model on the frequencies `n` [cycles/m], `f` [Hz] (F,) of a circle of `size` stations.
 
-    `H` (F, 3, 2) [m/s² per m], `X` (F, 4, 2) [m/s per m]: responses of sensors and of strut extension
-    rates to the wheel paths; `H_force` (F, 3, 4), `X_force` (F, 4, 4): to additional strut forces.
-    `residual_law`: nonlinear part of the strut forces; `residual_power` (4,) [N²]: its power;
-    `residual_psd` (F, 4, 4) [N² m]: its spectrum over n. `sensor_psd` [(m/s²)² m]: a sensor's noise.
-    `prior`: road prior; `S` (F, 2, 2) [m³]: its spectrum. `noise_scale` (F,): factor on all noise.
+    - `H` (F, 3, 2) [m/s² per m], `X` (F, 4, 2) [m/s per m]: responses of the sensors and of the
+    strut
+      extension rates to the wheel paths; `H_force` (F, 3, 4), `X_force` (F, 4, 4): to strut forces
+    - `residual_law`: nonlinear part of the strut forces; `residual_power` (4,) [N²]: its power;
+      `residual_psd` (F, 4, 4) [N² m]: its spectrum over n
+    - `sensor_psd` [(m/s²)² m]: noise of a sensor; `noise_scale` (F,): factor on all noise
+    - `prior`: road prior; `S` (F, 2, 2) [m³]: its spectrum
     """
 
     size: int
@@ -99,17 +102,15 @@ class SpectralModel:
     noise_scale: np.ndarray
 
     def noise_psd(self, share: np.ndarray | None = None) -> np.ndarray:
-        """Return the spectrum (F, 3, 3) over n of all noise; `share` (4,) scales the residuals' power."""
-        left = (
-            self.residual_psd
-            if share is None
-            else self.residual_psd * np.sqrt(np.outer(share, share))
-        )
-        forces = self.H_force @ left @ hermitian(self.H_force)
+        """Return the spectrum (F, 3, 3) of all noise; `share` (4,) scales the residuals' power."""
+        residual = self.residual_psd
+        if share is not None:
+            residual = residual * np.sqrt(np.outer(share, share))
+        forces = self.H_force @ residual @ hermitian(self.H_force)
         return self.noise_scale[:, None, None] * (forces + self.sensor_psd * np.eye(3))
 
     def posterior(self, share: np.ndarray | None = None) -> Posterior:
-        """Return the posterior of the road at each frequency; `share` (4,) scales the residuals' power."""
+        """Return the road's posterior; `share` (4,) scales the residuals' power."""
         return posterior(self.n, self.H, self.S, self.noise_psd(share))
 
 
@@ -120,7 +121,7 @@ def fit_hyperparameters(
     segment: Segment,
     track: float,
 ) -> SpectralModel:
-    """Return the model of a `segment` with fitted road prior and noise scale. `track` [m] of the wheels."""
+    """Return the model of a `segment` with fitted road prior and noise scale; `track` [m]."""
     size = next_fast_len(segment.a.shape[1] + round(CIRCLE_PADDING / segment.spacing), real=True)
     prior = ShapedRoadPrior(track=track)
     noise_scale = np.ones(size // 2 + 1)
@@ -171,27 +172,27 @@ def build_model(
 
 
 def windowed_spectrum(model: SpectralModel, segment: Segment) -> np.ndarray:
-    """Return spectral lines (F, 3, 1) [m/s² sqrt(m)] of a segment; gaps hold their conditional mean."""
+    """Return a segment's lines (F, 3, 1) [m/s² sqrt(m)]; gaps hold their conditional mean."""
     measured = np.flatnonzero(segment.valid[active_sensors(segment)].any(axis=0))
-    whole = np.zeros(segment.a.shape[1], dtype=bool)
+    span = np.zeros(segment.a.shape[1], dtype=bool)
     if measured.size:
-        whole[measured[0] : measured[-1] + 1] = True
+        span[measured[0] : measured[-1] + 1] = True
     a = segment.a
-    if (whole & ~segment.valid[active_sensors(segment)]).any():
+    if (span & ~segment.valid[active_sensors(segment)]).any():
         C = signal_psd(model, model.noise_psd()) / (2.0 * segment.spacing)
         expected_signals = circulant_product(
             C, solve_circulant(C, a, segment.valid, model.size), model.size
         )
         a = np.where(segment.valid, a, expected_signals)
     # Hann window: without it the body's resonances leak to frequencies of low power
-    window = np.zeros(whole.size)
-    window[whole] = np.sin(np.pi * (np.arange(whole.sum()) + 0.5) / max(whole.sum(), 1)) ** 2
+    window = np.zeros(span.size)
+    window[span] = np.sin(np.pi * (np.arange(span.sum()) + 0.5) / max(span.sum(), 1)) ** 2
     power = max(float(window @ window), 1e-9)
     return rfft(a * window * np.sqrt(2.0 * segment.spacing / power), model.size).T[:, :, None]
 
 
 def active_sensors(segment: Segment) -> np.ndarray:
-    """Return the indices of the sensors with at least half as many valid samples as the best one."""
+    """Return the sensors with at least half as many valid samples as the best one."""
     share = segment.valid.mean(axis=1)
     return np.flatnonzero(share > 0.5 * share.max())
 
@@ -202,9 +203,9 @@ def run_em(
     sensors: np.ndarray,
     share: np.ndarray | None = None,
 ) -> tuple[ShapedRoadPrior, np.ndarray]:
-    """Return updated road prior and noise scale (F,), given spectral `lines` (F, 3, 1) of `sensors`.
+    """Return updated road prior and noise scale (F,), given `lines` (F, 3, 1) of the `sensors`.
 
-    The noise scale stays as it is with fewer than three sensors: noise and road are not separable.
+    With fewer than three sensors the noise scale is kept: noise and road are not separable.
     """
     in_band = (model.f > F_LOW) & (model.f < F_C)
     n, y, H = model.n[in_band], lines[in_band][:, sensors], model.H[in_band][:, sensors]
@@ -214,10 +215,8 @@ def run_em(
     band = np.argmin(np.abs(np.log(model.f[in_band, None] / NOISE_OCTAVES)), axis=1)
     factor = np.interp(np.log(NOISE_OCTAVES), np.log(model.f), model.noise_scale)
     octave = np.argmin(np.abs(np.log(n[:, None] / ROAD_OCTAVES)), axis=1)
-    level, unit = (
-        model.prior.G_d0,
-        replace(model.prior, G_d0=1.0, shape=ShapedRoadPrior.shape).spectrum(n),
-    )
+    level = model.prior.G_d0
+    unit = replace(model.prior, G_d0=1.0, shape=ShapedRoadPrior.shape).spectrum(n)
     shape = np.array(model.prior.shape)
     for _ in range(EM_ITERATIONS):
         road_posterior = posterior(
@@ -231,15 +230,15 @@ def run_em(
         level = float(np.mean(level_per_line / shape[octave]))
         shape = _shrunk_band_means(level_per_line / level, octave, ROAD_OCTAVES.size)
         if sensors.size == 3:
-            each = _trace(np.linalg.solve(base, noise)) / 3.0
-            factor = _shrunk_band_means(each, band, NOISE_OCTAVES.size)
+            scale_per_line = _trace(np.linalg.solve(base, noise)) / 3.0
+            factor = _shrunk_band_means(scale_per_line, band, NOISE_OCTAVES.size)
     prior = replace(model.prior, G_d0=level, shape=tuple(shape.tolist()))
     return prior, np.exp(np.interp(np.log(model.f), np.log(NOISE_OCTAVES), np.log(factor)))
 
 
-def _shrunk_band_means(each: np.ndarray, band: np.ndarray, bands: int) -> np.ndarray:
+def _shrunk_band_means(values: np.ndarray, band: np.ndarray, bands: int) -> np.ndarray:
     """Return means (bands,) of the lines' values by `band`, shrunk to 1 by PSEUDO_COUNT."""
-    return (np.bincount(band, each, bands) + PSEUDO_COUNT) / (
+    return (np.bincount(band, values, bands) + PSEUDO_COUNT) / (
         np.bincount(band, minlength=bands) + PSEUDO_COUNT
     )
 
@@ -265,7 +264,7 @@ def apply_response(responses: np.ndarray, lines: np.ndarray) -> np.ndarray:
 
 
 def circulant_product(spectrum: np.ndarray, x: np.ndarray, size: int) -> np.ndarray:
-    """Return the product (a, M) of a spectrum's (F, a, a) circulant matrix with signals `x` (a, M)."""
+    """Return the circulant matrix of a spectrum (F, a, a) times signals `x` (a, M)."""
     return irfft(apply_response(spectrum, rfft(x, size)), size)[:, : x.shape[1]]
 
 
@@ -274,23 +273,15 @@ def solve_circulant(
 ) -> np.ndarray:
     """Return x (3, M), zero where not `valid`, with C x = y (3, M) where `valid`.
 
-    Preconditioned conjugate gradients with FFT products; the preconditioner is C^-1 of the circle.
+    Conjugate gradients with FFT products; the preconditioner is C^-1 of the circle.
     """
     inverse = np.linalg.inv(C)
-    y = valid * y
-    x = np.zeros_like(y) if start is None else start
-    r = y - valid * circulant_product(C, x, size)
-    aim = CG_TOLERANCE**2 * np.vdot(y, circulant_product(inverse, y, size))
-    p, before = np.zeros_like(y), np.inf
-    for _ in range(CG_STEPS_MAX):
-        z = valid * circulant_product(inverse, r, size)
-        square = np.vdot(r, z)
-        if not square > aim:
-            break
-        p = z + square / before * p
-        before = square
-        Cp = valid * circulant_product(C, p, size)
-        step = square / np.vdot(p, Cp)
-        x = x + step * p
-        r = r - step * Cp
+    x, _ = conjugate_gradients(
+        lambda x: valid * circulant_product(C, x, size),
+        valid * y,
+        lambda r: valid * circulant_product(inverse, r, size),
+        CG_STEPS_MAX,
+        CG_TOLERANCE,
+        start,
+    )
     return x

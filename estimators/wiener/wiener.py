@@ -29,5 +29,5 @@ class Wiener:
     std_factor: float = 0.93
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Estimate both wheel paths. Raises ConfigError, ValueError."""
+        """Estimate both wheel paths. Raises ConfigError, RecordError."""
         return smooth_record(record, car, self.instruments, 1, self.std_factor)

@@ -1,9 +1,10 @@
-"""One drive, integrated by this project and by every peer: what `bench` and `precision` measure.
+"""Test problem of `bench` and `precision`: one drive, for this project and peer integrators.
 
-A class-D road, or another, at 15 m/s in ride mode; wanted are the body's accelerations every
-millisecond. All peers but Octave's call the compiled right-hand side of this project, and the
-implicit ones of SciPy and SUNDIALS its analytic Jacobian, so what differs is the method and the
-language of its loop. Octave's right-hand side is written in its own language, vectorised.
+The drive is on a class-D road, or another one, at 15 m/s in ride mode; the output is the
+acceleration of the body every millisecond. All peers except Octave call the compiled right-hand
+side of this project, and the implicit ones of SciPy and SUNDIALS its analytic Jacobian, so they
+differ in the method and in the language of the loop. The right-hand side for Octave is vectorised
+Octave code.
 """
 
 import math
@@ -29,28 +30,27 @@ from road_envs.vehicle.suspension import E_0, E_STEP, V_0, V_STEP, VALVE_OPEN, e
 
 CAR, SPEED, MODE = "land_rover_defender_110", 15.0, "ride"
 OUTPUT_STEP = 0.001
-"""Step [s] between the wanted accelerations."""
+"""Step [s] between the output accelerations."""
 
 EXPLICIT_METHODS = ("RK45", "DOP853")
 SCRIPT = Path(__file__).parent / "octave" / "drive.m"
 OCTAVE_TIMEOUT = 600.0
-"""Longest run of Octave [s]."""
+"""Time limit [s] of a run of Octave."""
 
 
 class PeerError(RuntimeError):
-    """A peer is not installed or did not finish; the sentence says which and why."""
+    """A peer integrator is not installed, or it failed; the message names it and the cause."""
 
 
 def atol_of(rtol: float) -> float:
-    """The absolute tolerance that goes with a relative one, the same for every method."""
+    """Return the absolute tolerance for a relative one, the same for every method."""
     return 1e-3 * rtol
 
 
 class IntegrationProblem:
-    """`duration` [s] of the drive; every solver answers with accelerations (N, 3) at times `t`.
+    """A drive of `duration` [s]; every solver returns accelerations (N, 3) [m/s²] at times `t`.
 
-    `surface` is another road than that of class D; no solver that chooses its steps takes one
-    longer than `max_step` [s].
+    `surface` replaces the class-D road. `max_step` [s] limits the steps of adaptive solvers.
     """
 
     def __init__(self, duration: float, surface: Surface | None = None, max_step: float = math.inf):
@@ -63,26 +63,26 @@ class IntegrationProblem:
         self.t = OUTPUT_STEP * np.arange(round(duration / OUTPUT_STEP))
 
     def new_drive(self, step: float = OUTPUT_STEP) -> DriveSimulator:
-        """The drive at its beginning, to be integrated in steps of `step` [s]."""
+        """Return the drive at its start, for integration in steps of `step` [s]."""
         return DriveSimulator(self.plant, self.car, self.surface, SPEED, MODE, step)
 
     def fixed_step(self, step: float) -> np.ndarray:
-        """By this project at a constant step [s], a divisor of the grid's."""
-        drive, every = self.new_drive(step), round(OUTPUT_STEP / step)
-        motion = drive.advance(np.full(self.t.size * every, encode_command(MODE), dtype=np.uint8))
-        return motion.acceleration[::every, :3]
+        """Integrate with this project's fixed step [s], a divisor of OUTPUT_STEP."""
+        drive, ratio = self.new_drive(step), round(OUTPUT_STEP / step)
+        motion = drive.advance(np.full(self.t.size * ratio, encode_command(MODE), dtype=np.uint8))
+        return motion.acceleration[::ratio, :3]
 
     def adaptive(self, rtol: float) -> np.ndarray:
-        """By this project's adaptive Rosenbrock pair."""
-        found = integrate_adaptive(
+        """Integrate with this project's adaptive Rosenbrock pair."""
+        solution = integrate_adaptive(
             self.new_drive(), self.t, rtol, atol_of(rtol), min(self.max_step, MAX_STEP)
         )
-        return found.trajectory.acceleration[:, :3]
+        return solution.trajectory.acceleration[:, :3]
 
     def scipy(self, method: str, rtol: float) -> np.ndarray:
-        """By a method of `scipy.integrate.solve_ivp`."""
-        rate, slope = self._rate_and_jacobian()
-        given = {} if method in EXPLICIT_METHODS else {"jac": slope}
+        """Integrate with a method of `scipy.integrate.solve_ivp`."""
+        rate, jac = self._rate_and_jacobian()
+        options = {} if method in EXPLICIT_METHODS else {"jac": jac}
         solution = solve_ivp(
             lambda t, y: rate(t, y, np.empty(2 * N_DOF)),
             (0.0, float(self.t[-1])),
@@ -92,50 +92,55 @@ class IntegrationProblem:
             rtol=rtol,
             atol=atol_of(rtol),
             max_step=self.max_step,
-            **given,
+            **options,
         )
         return self._accelerations(solution.y.T)
 
     def cvode(self, rtol: float) -> np.ndarray:
-        """By the BDF of SUNDIALS CVODE. Raises PeerError without scikit-sundae."""
+        """Integrate with BDF of SUNDIALS CVODE. Raises PeerError without scikit-sundae."""
         try:
             from sksundae.cvode import CVODE
         except ImportError:
             raise PeerError(
                 "scikit-sundae is not installed (pip install road-envs[peers])"
             ) from None
-        rate, slope = self._rate_and_jacobian()
+        rate, jac = self._rate_and_jacobian()
 
         def fill(t: float, y: np.ndarray, rates: np.ndarray, J: np.ndarray) -> None:
-            J[:] = slope(t, y)
+            J[:] = jac(t, y)
 
-        longest = self.max_step if math.isfinite(self.max_step) else 0.0  # 0 is without end
-        options = {"rtol": rtol, "atol": atol_of(rtol), "max_step": longest}
+        max_step = self.max_step if math.isfinite(self.max_step) else 0.0  # 0: unlimited
+        options = {"rtol": rtol, "atol": atol_of(rtol), "max_step": max_step}
         solver = CVODE(rate, jacfn=fill, max_num_steps=10**6, **options)
         return self._accelerations(solver.solve(self.t, self.new_drive().state).y)
 
     def octave(self, rtol: float) -> tuple[np.ndarray, float]:
-        """By Octave's ode23s; also the seconds it took without starting up. Raises PeerError."""
+        """Integrate with ode23s of Octave; also return the time [s] without start-up.
+
+        Raises PeerError if Octave is missing, fails or exceeds OCTAVE_TIMEOUT.
+        """
         program = shutil.which("octave-cli") or shutil.which("octave")
         if program is None:
             raise PeerError("Octave is not installed")
         with tempfile.TemporaryDirectory() as folder:
-            question, answer = Path(folder, "problem.mat"), Path(folder, "answer.mat")
-            savemat(question, self._octave_inputs() | {"rtol": rtol, "atol": atol_of(rtol)})
+            problem, answer = Path(folder, "problem.mat"), Path(folder, "answer.mat")
+            savemat(problem, self._octave_inputs() | {"rtol": rtol, "atol": atol_of(rtol)})
             try:
                 subprocess.run(
-                    [program, "--norc", "--quiet", SCRIPT, question, answer],
+                    [program, "--norc", "--quiet", SCRIPT, problem, answer],
                     check=True, capture_output=True, text=True, timeout=OCTAVE_TIMEOUT,
                 )  # fmt: skip
             except subprocess.TimeoutExpired:
-                raise PeerError(f"Octave was stopped after {OCTAVE_TIMEOUT:.0f} s") from None
+                raise PeerError(
+                    f"Octave exceeded the time limit of {OCTAVE_TIMEOUT:.0f} s"
+                ) from None
             except subprocess.CalledProcessError as error:
                 raise PeerError(f"Octave failed: {' '.join(error.stderr.split())}") from None
-            found = loadmat(answer)
-        return self._accelerations(found["y"]), float(found["seconds"].item())
+            solution = loadmat(answer)
+        return self._accelerations(solution["y"]), float(solution["seconds"].item())
 
     def _rate_and_jacobian(self) -> tuple[Callable[..., np.ndarray], Callable[..., np.ndarray]]:
-        """Right-hand side, which fills and returns its third argument, and Jacobian (14, 14)."""
+        """Return the right-hand side, which fills its third argument, and the Jacobian (14, 14)."""
         drive, surface, road = self.new_drive(), self.surface, np.empty(8)
         ground = (surface.padded, surface.start, surface.ds)
 
@@ -144,11 +149,11 @@ class IntegrationProblem:
             state_rate(*self.plant.arrays, drive.strut_state, *ground, s, SPEED, y, out)
             return out
 
-        def slope(t: float, y: np.ndarray) -> np.ndarray:
+        def jac(t: float, y: np.ndarray) -> np.ndarray:
             sample_road(self.plant.constants[0], *ground, drive.start + SPEED * t, SPEED, road)
             return jacobian(self.plant, drive.strut_state, y, road[:4], road[4:])
 
-        return rate, slope
+        return rate, jac
 
     def _accelerations(self, states: np.ndarray) -> np.ndarray:
         if len(states) != self.t.size:
@@ -160,16 +165,20 @@ class IntegrationProblem:
         return rates[:, N_DOF : N_DOF + 3]
 
     def _octave_inputs(self) -> dict[str, Any]:
-        """Everything the script reads: forces act along `B` (struts) and `G` (tyres), (4, 7)."""
+        """Return the inputs of drive.m.
+
+        Strut forces act along the rows of `B` (4, 7), tyre forces along those of `G` (4, 7).
+        """
         drive, p = self.new_drive(), self.plant.constants[0]
         unit, wheels, axle = np.eye(N_DOF), range(4), np.repeat([0, 1], 2)
         names = ("n_p", "x_1", "column_min")
-        weight = np.where(np.isin(np.arange(N_DOF), (0, 3, 5)), GRAVITY, 0.0)
+        # gravity acts on the heights of body and axles
+        gravity = np.where(np.isin(np.arange(N_DOF), (0, 3, 5)), GRAVITY, 0.0)
         columns = {
             "share": 1.0 - drive.strut_state[:, VALVE_OPEN] * p["r_2"],
             "side": np.array([1.0, 2.0, 1.0, 2.0]),
             "behind": (p["x"][0] - p["x"])[axle],
-            "y_0": drive.state, "M": p["M"], "g": weight,
+            "y_0": drive.state, "M": p["M"], "g": gravity,
             **{name: p[name] for name in ("p_A", "k_t", "c_t")},
             "delta": p["delta"][axle],
         }  # fmt: skip
@@ -188,5 +197,5 @@ class IntegrationProblem:
 
 
 def relative_error(a: np.ndarray, truth: np.ndarray) -> float:
-    """RMS difference over the RMS of the truth [-]."""
+    """Return the RMS difference over the RMS of the truth [-]."""
     return math.sqrt(float(np.mean((a - truth) ** 2) / np.mean(truth**2)))

@@ -1,9 +1,9 @@
-"""Levenberg-Marquardt against its peers: one network, one start, one set of samples, one error.
+"""Levenberg-Marquardt training against peer implementations, on one network and one data set.
 
-The paper's 3-50-2 network on the 3964 samples of a scenario, without validation. Each trains from
-the same weights until its training error is that of ours after EPOCHS; what is compared is the time
-that takes. SciPy's MINPACK routine is given the analytic Jacobian; torch-levenberg-marquardt makes
-its own by `torch.func`. One that does not get there within PATIENCE is counted with that time.
+The paper's 3-50-2 network is trained on the 3964 samples of a scenario, without validation and from
+the same initial weights. The benchmark is the time until the training error is that of this project
+after EPOCHS; a peer that needs more than TIME_LIMIT counts with that time. The MINPACK routine of
+SciPy gets the analytic Jacobian; torch-levenberg-marquardt computes its own with `torch.func`.
 """
 
 import time
@@ -29,23 +29,23 @@ TIME_LIMIT = 60.0  # [s]
 
 
 class Samples(NamedTuple):
-    """Mapped inputs (3, N) and targets (2, N), and the weights that all begin with."""
+    """Scaled inputs (3, N) and targets (2, N), and the initial weights."""
 
     x: np.ndarray
     t: np.ndarray
     start: lm.TwoLayerNetwork
 
 
-class StopTraining(Exception):  # noqa: N818 - no error: how a routine without a callback is stopped
-    """The wanted error is reached, or patience is at its end."""
+class StopTraining(Exception):  # noqa: N818 - control flow: SciPy has no callback
+    """Raised to stop SciPy at the target error or at TIME_LIMIT."""
 
 
 def samples(seed: int = 1) -> Samples:
-    """One training scenario of the paper: an altered Belgian paving in ride mode at 14.5 km/h."""
+    """Return a training scenario of the paper: altered Belgian paving, ride mode, 14.5 km/h."""
     surface = load_road("belgian_training").realise(np.random.default_rng(seed))
     record, truth = simulate_record(
-        load_vehicle(CAR),
         surface,
+        vehicle=load_vehicle(CAR),
         speed_kmh=14.5,
         mode="ride",
         instruments=load_instruments("ideal"),
@@ -57,21 +57,21 @@ def samples(seed: int = 1) -> Samples:
 
 
 def train_ours(given: Samples, epochs: int) -> lm.LmResult:
-    """Our training, on all samples."""
-    nothing = np.array([], dtype=int)
-    split = lm.Split(np.arange(given.t.shape[1]), nothing, nothing)
+    """Train with this project, on all samples."""
+    empty = np.array([], dtype=int)
+    split = lm.Split(np.arange(given.t.shape[1]), empty, empty)
     return lm.train(given.start, given.x, given.t, split, lm.TrainlmOptions(max_epochs=epochs))
 
 
 def time_scipy(given: Samples, error: float) -> float:
-    """Time [s] in which `least_squares` gets to the mean squared `error`."""
+    """Return the time [s] of `least_squares` until the mean squared `error` is reached."""
     begin = time.perf_counter()
 
     def residuals(p: np.ndarray) -> np.ndarray:
-        found = (_network(given, p)(given.x) - given.t).ravel()
-        if np.mean(found**2) <= error or time.perf_counter() - begin > TIME_LIMIT:
+        residual = (_network(given, p)(given.x) - given.t).ravel()
+        if np.mean(residual**2) <= error or time.perf_counter() - begin > TIME_LIMIT:
             raise StopTraining
-        return found
+        return residual
 
     start = np.concatenate([given.start.hidden.ravel(), given.start.output.ravel()])
     try:
@@ -84,7 +84,7 @@ def time_scipy(given: Samples, error: float) -> float:
 
 
 def time_torch(given: Samples, error: float) -> float:
-    """Time [s] in which torch-levenberg-marquardt gets there. Raises PeerError without it."""
+    """Return the time [s] of torch-levenberg-marquardt. Raises PeerError if it is missing."""
     try:
         with optional_import("a neural network"):
             import torch
@@ -102,13 +102,13 @@ def time_torch(given: Samples, error: float) -> float:
     x, t = (torch.from_numpy(part.T.copy()) for part in (given.x, given.t))
     peer = LevenbergMarquardtModule(model)
     begin = time.perf_counter()
-    while (spent := time.perf_counter() - begin) < TIME_LIMIT:
+    while (elapsed := time.perf_counter() - begin) < TIME_LIMIT:
         _, loss, stopped, _ = peer.training_step(x, t)
         if float(loss) <= error:
             return time.perf_counter() - begin
         if stopped:
             break
-    return max(spent, TIME_LIMIT)
+    return max(elapsed, TIME_LIMIT)
 
 
 PEERS: dict[str, Callable[[Samples, float], float]] = {
@@ -118,7 +118,7 @@ PEERS: dict[str, Callable[[Samples, float], float]] = {
 
 
 def jacobian(network: lm.TwoLayerNetwork, x: np.ndarray) -> np.ndarray:
-    """Derivatives (2 N, P) of the outputs, all of the first before all of the second."""
+    """Return the derivatives (2 N, P) of the outputs by the weights, the first output first."""
     ones = np.ones((1, x.shape[1]))
     inputs = np.vstack([x, ones])
     active = np.tanh(network.hidden.T @ inputs)

@@ -1,7 +1,7 @@
-"""What `bench` measures of the simulator: against its peers, in lanes, behind the environments.
+"""Speed and memory of the simulator, as measured by `bench`: integrators, fleet, environments.
 
-Absolute times of a shared machine prove little: what can be a ratio of two medians of one run is
-one. A row that misses its aim says why.
+Absolute times on a shared machine are unreliable, so results are ratios of medians of one run where
+possible. A row that misses its target states why.
 """
 
 import os
@@ -21,10 +21,10 @@ from road_envs.simulation.rosenbrock import ACCELERATION
 from road_envs.vehicle.suspension import encode_command
 
 COMPARISON_DURATION = 3.0
-"""Drive [s] on which integrators are compared; the reference makes it dear."""
+"""Drive [s] for the comparison of integrators; the reference solution makes longer ones slow."""
 
 FLEET_SIZE = 64
-"""Vehicles in the lanes' measurement."""
+"""Vehicles of the fleet benchmark."""
 
 N_ENVIRONMENTS = 1024
 
@@ -44,13 +44,13 @@ def benchmark_row(
     why: str = "",
     **numbers: float,
 ) -> dict[str, Any]:
-    """One line of the table; `why` tells what keeps it from its aim."""
-    told = {"why": why} if why and met is False else {}
-    return {"what": what, "measured": measured, "aim": aim, "met": met, **told, **numbers}
+    """Return one row of the table; `why` explains a missed target."""
+    reason = {"why": why} if why and met is False else {}
+    return {"what": what, "measured": measured, "aim": aim, "met": met, **reason, **numbers}
 
 
 def median_time(run: Callable[[], object], times: int = 5) -> float:
-    """Median seconds of `run`, once it has run."""
+    """Return the median time [s] of `run`, after one warm-up run."""
     run()
     spans = []
     for _ in range(times):
@@ -61,7 +61,7 @@ def median_time(run: Callable[[], object], times: int = 5) -> float:
 
 
 def run_in_new_process(code: str, **variables: str) -> str:
-    """What a new interpreter prints."""
+    """Return the output of Python code in a new interpreter."""
     return subprocess.run(
         [sys.executable, "-c", code],
         check=True,
@@ -72,7 +72,7 @@ def run_in_new_process(code: str, **variables: str) -> str:
 
 
 def integrator_speed() -> list[dict[str, Any]]:
-    """The fixed-step drive against each peer at the loosest tolerance that is as accurate."""
+    """Compare the fixed-step integrator with peers of at least its accuracy."""
     problem = IntegrationProblem(COMPARISON_DURATION)
     reference = problem.scipy("DOP853", 1e-9)
     seconds = median_time(lambda: problem.fixed_step(0.001), 21)
@@ -85,7 +85,7 @@ def integrator_speed() -> list[dict[str, Any]]:
             ">= 3000 x",
             factor >= 3000,
             "a step is about 900 floating-point operations in chains that depend on each other; a "
-            "single vehicle cannot fill the vector registers, which lanes do",
+            "single vehicle cannot fill the vector registers, a fleet does",
             factor=factor,
         ),
         benchmark_row(
@@ -100,8 +100,8 @@ def integrator_speed() -> list[dict[str, Any]]:
     for name, (solve, aim) in peers.items():
         rows.append(_compare_with(name, solve, aim, reference, accuracy, seconds))
     try:
-        _, spent = problem.octave(1e-3)
-        ratio = spent / seconds
+        _, octave_seconds = problem.octave(1e-3)
+        ratio = octave_seconds / seconds
         rows.append(
             benchmark_row(
                 "against Octave ode23s (rtol 1e-3)",
@@ -113,7 +113,7 @@ def integrator_speed() -> list[dict[str, Any]]:
             )
         )
     except PeerError as error:
-        rows.append(benchmark_row("against Octave ode23s", f"left out: {error}"))
+        rows.append(benchmark_row("against Octave ode23s", f"skipped: {error}"))
     return rows
 
 
@@ -121,7 +121,7 @@ def _compare_with(name, solve, aim, reference, accuracy, seconds) -> dict[str, A
     try:
         rtol = next(r for r in TOLERANCES if relative_error(solve(r), reference) < accuracy)
     except PeerError as error:
-        return benchmark_row(f"against {name}", f"left out: {error}")
+        return benchmark_row(f"against {name}", f"skipped: {error}")
     ratio = median_time(lambda: solve(rtol), 3) / seconds
     what = f"against {name} (rtol {rtol:g})"
     return benchmark_row(
@@ -130,46 +130,46 @@ def _compare_with(name, solve, aim, reference, accuracy, seconds) -> dict[str, A
 
 
 def fleet_throughput() -> list[dict[str, Any]]:
-    """A fleet of vehicles whose accelerations are kept, second by second; then environments."""
+    """Measure vehicle-seconds per second of a fleet and of the vector environment."""
     problem, byte, steps = IntegrationProblem(10.0), encode_command("ride"), 1000
     commands = np.full((FLEET_SIZE, steps), byte, dtype=np.uint8)
-    kept = range(ACCELERATION, ACCELERATION + 7)
+    accelerations = range(ACCELERATION, ACCELERATION + 7)
 
     def rate(threads: int, columns) -> float:
         fleet = Fleet([problem.new_drive(0.001) for _ in range(FLEET_SIZE)], threads, columns)
         signals = fleet.allocate_signals(steps)
         return FLEET_SIZE * steps * 0.001 / median_time(lambda: fleet.advance(commands, signals), 9)
 
-    one, two, whole = rate(1, kept), rate(2, kept), rate(1, range(29))
+    one, two, whole = rate(1, accelerations), rate(2, accelerations), rate(1, range(29))
     alone = problem.new_drive(0.001)
     single = steps * 0.001 / median_time(lambda: alone.advance(commands[0]), 9)
     unit = "vehicle-seconds per second"
-    traffic = "the compiled step itself takes about 80 ns per vehicle and millisecond"
+    step_cost = "the compiled step itself takes about 80 ns per vehicle and millisecond"
     return [
-        benchmark_row(f"{FLEET_SIZE} vehicles in lanes, one core", f"{one:.0f} {unit}",
-            ">= 10000", one >= 1e4, traffic, rate=one),
-        benchmark_row(f"{FLEET_SIZE} vehicles in lanes, two threads", f"{two:.0f} {unit}",
-            ">= 20000", two >= 2e4, f"{traffic}; the two cores share caches and memory", rate=two),
+        benchmark_row(f"{FLEET_SIZE} vehicles in a fleet, one core", f"{one:.0f} {unit}",
+            ">= 10000", one >= 1e4, step_cost, rate=one),
+        benchmark_row(f"{FLEET_SIZE} vehicles in a fleet, two threads", f"{two:.0f} {unit}",
+            ">= 20000", two >= 2e4, f"{step_cost}; the cores share caches and memory", rate=two),
         benchmark_row("the same, one core, all 29 signals written", f"{whole:.0f} {unit}",
             rate=whole),
-        benchmark_row("lanes against one vehicle at a time, one core", f"{one / single:.1f} x",
+        benchmark_row("fleet against one vehicle at a time, one core", f"{one / single:.1f} x",
             ">= 2.5 x", one >= 2.5 * single, ratio=one / single),
         *_vector_environment(one),
     ]  # fmt: skip
 
 
-def _vector_environment(of_lanes: float) -> list[dict[str, Any]]:
+def _vector_environment(fleet_rate: float) -> list[dict[str, Any]]:
     from road_envs.envs.vector import RoadReconVectorEnv
 
     envs = RoadReconVectorEnv(N_ENVIRONMENTS, road="iso_d", truth=False)
     envs.reset(seed=0)
     actions = np.zeros(N_ENVIRONMENTS, dtype=int)
     rate = N_ENVIRONMENTS * envs.setup.interval / median_time(lambda: envs.step(actions), 21)
-    share = rate / of_lanes
+    share = rate / fleet_rate
     return [
         benchmark_row(
             f"vector environment, {N_ENVIRONMENTS} vehicles, observations included",
-            f"{rate:.0f} vehicle-seconds per second: {100 * share:.0f} % of the lanes",
+            f"{rate:.0f} vehicle-seconds per second: {100 * share:.0f} % of the fleet",
             ">= 60 %",
             share >= 0.6,
             rate=rate,
@@ -179,7 +179,7 @@ def _vector_environment(of_lanes: float) -> list[dict[str, Any]]:
 
 
 def environment_overhead() -> list[dict[str, Any]]:
-    """A step of the scalar environment, and how much of it is not motion."""
+    """Measure a step of the scalar environment, and its overhead over the drive alone."""
     from road_envs.envs.road_recon import RoadReconEnv
     from road_envs.simulation.drive import DriveSimulator
 
@@ -198,9 +198,9 @@ def environment_overhead() -> list[dict[str, Any]]:
             f"{rest:.0f} µs",
             "<= 25 µs",
             rest <= 25.0,
-            "to equal the vector environment to the bit, one car takes a whole block of eight "
-            "lanes (twice the drive alone); handing 50 arrays to the kernel takes 8 µs; noise and "
-            "filters of three sensors take as much",
+            "for results equal to the vector environment, one vehicle is simulated in a block of "
+            "eight SIMD lanes (twice the drive alone); passing 50 arrays to the kernel takes "
+            "8 µs; noise and filters of three sensors take as much",
             microseconds=rest,
         ),
     ]
@@ -230,7 +230,7 @@ print((drive(60_000) - begin) / 1024)
 
 
 def start_up_cost() -> list[dict[str, Any]]:
-    """Import, first call and an hour of driving, each in an interpreter of its own."""
+    """Measure import, first step and an hour of driving, each in a new interpreter."""
     code = (
         "import time; t = time.perf_counter(); import sys, gymnasium, road_envs;"
         "gymnasium.make('RoadRecon-v0'); print(time.perf_counter() - t, 'torch' in sys.modules)"
@@ -243,13 +243,13 @@ def start_up_cost() -> list[dict[str, Any]]:
             float(run_in_new_process(FIRST_STEP_SCRIPT, XDG_CACHE_HOME=folder)) for _ in range(2)
         )
     grown = float(run_in_new_process(HOUR_SCRIPT))
-    said = f"{seconds:.2f} s{', with torch' if torch else ', without torch'}"
+    measured = f"{seconds:.2f} s{', with torch' if torch else ', without torch'}"
     return [
-        benchmark_row("import road_envs and gym.make", said, "< 1.5 s, without torch",
+        benchmark_row("import road_envs and gym.make", measured, "< 1.5 s, without torch",
             seconds < 1.5 and not torch, seconds=seconds),
-        benchmark_row("first step, nothing compiled yet", f"{cold:.1f} s", "<= 25 s", cold <= 25.0,
-            "one compiled pass holds the drive, the sensors and the costs", seconds=cold),
-        benchmark_row("first step, compiled before", f"{warm:.2f} s", "<= 1 s", warm <= 1.0,
+        benchmark_row("first step, without compiled code", f"{cold:.1f} s", "<= 25 s", cold <= 25.0,
+            "drive, sensors and costs are compiled as one function", seconds=cold),
+        benchmark_row("first step, with compiled code", f"{warm:.2f} s", "<= 1 s", warm <= 1.0,
             "imports of gymnasium, numba, scipy and pydantic", seconds=warm),
         benchmark_row("memory gained in the last 50 minutes of an hour's driving",
             f"{grown:.1f} MiB", "<= 5 MiB", grown <= 5.0, mib=grown),

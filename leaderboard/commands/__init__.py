@@ -1,4 +1,4 @@
-"""The subcommands of `road-recon`, and what they share: option parsing, progress, output."""
+"""Subcommands of `road-recon`, and their common option parsing, progress bar and output."""
 
 import contextlib
 import json
@@ -13,12 +13,12 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from road_envs.config import ConfigError
 
-console = Console()
-notices = Console(stderr=True)
+console = Console(markup=False)
+notices = Console(stderr=True, markup=False)
 
 
 def parse_mode(text: str) -> str | dict[str, str]:
-    """A 4S4 mode from "ride", or from "front=ride,rear=handling"."""
+    """Parse a 4S4 mode, "ride" or "front=ride,rear=handling"."""
     if "=" not in text:
         return text
     parts = [part.partition("=") for part in text.split(",")]
@@ -26,18 +26,18 @@ def parse_mode(text: str) -> str | dict[str, str]:
 
 
 def parse_settings(pairs: list[str]) -> dict[str, Any]:
-    """Settings from "key=value" pairs, each value read as YAML. Raises ConfigError."""
+    """Parse settings from "key=value" pairs with YAML values. Raises ConfigError."""
     settings = {}
     for pair in pairs:
         key, equals, value = pair.partition("=")
         if not (key and equals):
-            raise ConfigError(f"a setting is given as key=value, got {pair!r}")
+            raise ConfigError(f"a setting must have the form key=value, got {pair!r}")
         settings[key] = yaml.safe_load(value)
     return settings
 
 
 def check_output_path(path: Path | None, *suffixes: str) -> Path | None:
-    """`path` if a file of one of these kinds can be written there. Raises ConfigError."""
+    """Return `path` if its suffix is allowed and its folder exists. Raises ConfigError."""
     if path is not None:
         if path.suffix.lower() not in suffixes:
             raise ConfigError(f"{path}: the name must end in {' or '.join(suffixes)}")
@@ -47,7 +47,7 @@ def check_output_path(path: Path | None, *suffixes: str) -> Path | None:
 
 
 def to_json(data: object) -> str:
-    """`data` as JSON; what is not a number becomes null."""
+    """Return `data` as JSON; NaN and infinity become null."""
     return json.dumps(_nan_to_none(data), indent=2, allow_nan=False) + "\n"
 
 
@@ -66,7 +66,7 @@ def _nan_to_none(value: Any) -> Any:
 
 @contextlib.contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """A bar on standard error that is fed with what is being done and the share done, 0 to 1."""
+    """Show a progress bar on standard error; yield its update(description, share of 0 to 1)."""
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(
         *columns, console=notices, transient=True, disable=not notices.is_terminal

@@ -1,4 +1,4 @@
-"""`animate`: the vehicle on its road, as a moving picture."""
+"""Command `animate`: animation of the vehicle on its road."""
 
 from pathlib import Path
 from typing import Annotated
@@ -18,7 +18,7 @@ def animate(
     speed_kmh: Annotated[float, typer.Option(help="Speed in km/h.")] = 54.0,
     length: Length = None,
     seconds: Annotated[float, typer.Option(help="Length of the animation.", min=0.1)] = 6.5,
-    enlarged: Annotated[float, typer.Option(help="Vertical motion enlarged so many times.")] = 2.0,
+    enlarged: Annotated[float, typer.Option(help="Factor on vertical motion.")] = 2.0,
 ) -> None:
     """Draw the vehicle on its road: ride for the first half, handling for the second."""
     check_output_path(out, ".gif", ".webp")

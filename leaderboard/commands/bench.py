@@ -1,6 +1,6 @@
-"""`bench`: speed and memory against peers on the same problem in the same run.
+"""Command `bench`: speed and memory compared with other packages on the same problems.
 
-Absolute times of a shared machine prove little, so every comparison is a ratio of medians.
+Absolute times on a shared machine are unreliable, so comparisons are ratios of medians of one run.
 """
 
 from collections.abc import Callable
@@ -23,7 +23,7 @@ from road_envs.vehicle.parameters import load_vehicle
 
 
 def bench(json: Json = False) -> None:
-    """Measure speed and memory against peers, and print what was found."""
+    """Measure speed and memory, compare with other packages, and print a table."""
     parts: dict[str, Callable[[], list[dict[str, Any]]]] = {
         "integrators": speed.integrator_speed,
         "lanes": speed.fleet_throughput,
@@ -42,29 +42,32 @@ def bench(json: Json = False) -> None:
         print_json(rows)
         return
     table = Table("what", "measured", "aim", "", title="road-recon bench", box=None)
-    for found in rows:
-        verdict = {True: "met", False: "MISSED", None: ""}[found["met"]]
-        table.add_row(found["what"], found["measured"], found["aim"], verdict)
+    for row in rows:
+        verdict = {True: "met", False: "MISSED", None: ""}[row["met"]]
+        table.add_row(row["what"], row["measured"], row["aim"], verdict)
     console.print(table)
-    for found in rows:
-        if "why" in found:
-            notices.print(f"{found['what']}: {found['why']}")
+    for row in rows:
+        if "why" in row:
+            notices.print(f"{row['what']}: {row['why']}")
 
 
 def _training() -> list[dict[str, Any]]:
-    given = levenberg_marquardt.samples()
-    seconds = median_time(lambda: levenberg_marquardt.train_ours(given, 100), 3)
-    error = float(levenberg_marquardt.train_ours(given, levenberg_marquardt.EPOCHS).train[-1])
-    own = median_time(lambda: levenberg_marquardt.train_ours(given, levenberg_marquardt.EPOCHS), 3)
-    what = f"static_lm, 100 epochs on {given.t.shape[1]} samples"
+    samples = levenberg_marquardt.samples()
+    seconds = median_time(lambda: levenberg_marquardt.train_ours(samples, 100), 3)
+    error = float(levenberg_marquardt.train_ours(samples, levenberg_marquardt.EPOCHS).train[-1])
+    own = median_time(
+        lambda: levenberg_marquardt.train_ours(samples, levenberg_marquardt.EPOCHS), 3
+    )
+    what = f"static_lm, 100 epochs on {samples.t.shape[1]} samples"
     rows = [benchmark_row(what, f"{seconds:.2f} s", "< 3 s", seconds < 3.0, seconds=seconds)]
     for name, peer in levenberg_marquardt.PEERS.items():
         try:
-            spent = peer(given, error)
+            peer_seconds = peer(samples, error)
         except PeerError as missing:
             rows.append(benchmark_row(f"static_lm against {name}", str(missing)))
             continue
-        ratio, least = spent / own, "more than " if spent >= levenberg_marquardt.TIME_LIMIT else ""
+        ratio = peer_seconds / own
+        least = "more than " if peer_seconds >= levenberg_marquardt.TIME_LIMIT else ""
         rows.append(
             benchmark_row(
                 f"static_lm against {name}, to one training error",
@@ -78,7 +81,7 @@ def _training() -> list[dict[str, Any]]:
 
 
 TIMED_ESTIMATORS = (("map_smoother", 100.0, 5.0), ("kalman_lag", 100.0, 5.0), ("tcn", 1000.0, 1.0))
-"""Estimators that are timed, metres of road at 14.5 km/h, and the seconds aimed at."""
+"""Timed estimators, length [m] of the road at 14.5 km/h, and target time [s]."""
 
 
 def _estimators() -> list[dict[str, Any]]:
@@ -87,10 +90,10 @@ def _estimators() -> list[dict[str, Any]]:
     for name, metres, aim in TIMED_ESTIMATORS:
         road = with_length(load_road("iso_d"), metres).realise(np.random.default_rng(1))
         record, _ = simulate_record(
-            car, road, speed_kmh=14.5, mode="ride", instruments=paper, seed=1
+            road, vehicle=car, speed_kmh=14.5, mode="ride", instruments=paper, seed=1
         )
-        asked = estimators.create(name)
-        seconds = median_time(partial(asked.estimate, record, car), 3)
+        estimator = estimators.create(name)
+        seconds = median_time(partial(estimator.estimate, record, car), 3)
         what = f"{name}, {metres:.0f} m at 14.5 km/h"
         text = f"{seconds:.2f} s"
         rows.append(benchmark_row(what, text, f"< {aim:g} s", seconds < aim, seconds=seconds))
@@ -109,7 +112,9 @@ car, paper = load_vehicle("land_rover_defender_110"), load_instruments("paper")
 road, begin = load_road("iso_d"), time.perf_counter()
 for seed in range(1000):
     surface = road.realise(np.random.default_rng(seed))
-    simulate_record(car, surface, speed_kmh=54.0, mode="ride", instruments=paper, seed=seed)
+    simulate_record(
+        surface, vehicle=car, speed_kmh=54.0, mode="ride", instruments=paper, seed=seed
+    )
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 print(peak, time.perf_counter() - begin)
 """

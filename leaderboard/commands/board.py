@@ -1,4 +1,4 @@
-"""`leaderboard`: judge estimators on tasks, print the tables, write the page."""
+"""Command `leaderboard`: evaluate estimators on tasks, print the tables, write the site."""
 
 import os
 from collections.abc import Sequence
@@ -48,91 +48,94 @@ def leaderboard(
         typer.Option(help="Estimator, or a file from `train`; may be given again. Default: all."),
     ] = None,
     without: Annotated[
-        list[str] | None, typer.Option(help="Estimator that is left out; may be given again.")
+        list[str] | None, typer.Option(help="Estimator to exclude; may be given again.")
     ] = None,
     roads: Annotated[
-        int | None, typer.Option(help="Test drives per condition where roads are drawn.", min=2)
+        int | None, typer.Option(help="Test drives per condition on random roads.", min=2)
     ] = None,
     full: Annotated[
         bool, typer.Option("--full", help="All test drives of every task: 50 and more roads.")
     ] = False,
-    seeds: Annotated[int, typer.Option(help="Trainings of each learner.", min=1)] = len(SEEDS),
+    seeds: Annotated[int, typer.Option(help="Training seeds of each estimator.", min=1)] = len(
+        SEEDS
+    ),
     again: Annotated[
-        bool, typer.Option("--again", help="Run everything, also what is stored and still valid.")
+        bool, typer.Option("--again", help="Run everything again, including valid stored results.")
     ] = False,
     probes: Annotated[
-        bool, typer.Option("--probes", help="Probe entries that have no card yet, on this machine.")
+        bool, typer.Option("--probes", help="Probe entries without a card, on this machine.")
     ] = False,
     workers: Annotated[int, typer.Option(help="Jobs at a time on this machine.", min=1)] = CORES,
     dask: Annotated[
-        str | None, typer.Option(help="Run on the Dask cluster of this scheduler instead.")
+        str | None, typer.Option(help="Address of a Dask scheduler: run on its cluster instead.")
     ] = None,
     plan: Annotated[
-        Path | None, typer.Option(help="Write jobs for `run-job` into this folder, run nothing.")
+        Path | None,
+        typer.Option(help="Write job files for `run-job` into this folder, run nothing."),
     ] = None,
     time_limit: Annotated[
-        float, typer.Option(help="Seconds an entry may take under one condition.")
+        float, typer.Option(help="Time limit of an entry per condition in seconds.")
     ] = Limits.seconds,
-    memory_limit: Annotated[float, typer.Option(help="GiB an entry may hold.")] = Limits.memory,
-    out: Annotated[Path, typer.Option(help="Folder for results and page.")] = Path(
+    memory_limit: Annotated[float, typer.Option(help="Memory limit in GiB.")] = Limits.memory,
+    out: Annotated[Path, typer.Option(help="Folder for results and site.")] = Path(
         "out/leaderboard"
     ),
     json: Json = False,
 ) -> None:
-    """Judge estimators: one result file per task and estimator, tables, and a page.
+    """Evaluate estimators: a result file per task and estimator, tables, and a site.
 
-    Every entry runs in a process of its own. What is stored and still valid is kept.
+    Every entry runs in a separate process. Valid stored results are not computed again.
     """
     if full and roads:
         raise ConfigError("give either --roads or --full, not both")
     chosen = _tasks(task, board, road)
     if full:
         chosen = [
-            one.with_test_drives(None) if one.has_several_test_drives else one for one in chosen
+            task.with_test_drives(None) if task.has_several_test_drives else task for task in chosen
         ]
     limits = parse_limits(time_limit, memory_limit)
     if out.exists() and not out.is_dir():
-        raise ConfigError(f"{out} is a file; a folder for results and page is wanted")
+        raise ConfigError(f"--out must be a folder, {out} is a file")
     entries = _entries(estimator, without or [], limits)
     request = RunRequest(chosen, entries, range(1, seeds + 1), roads, not again, limits, probes)
     if plan:
-        notices.print(f"jobs planned in {plan}: {write_jobs(request, out, plan)}")
+        notices.print(f"job files written to {plan}: {write_jobs(request, out, plan)}")
         return
     executor: Executor = DaskExecutor(dask) if dask else ProcessExecutor(workers)
     with progress_bar() as progress:
-        judged = run_board(
+        evaluated = run_board(
             request,
             out,
             executor,
             progress=lambda done, total, text: progress(text, done / max(total, 1)),
         )
-        progress("writing the page", 1.0)
-        found, page = render_with_retry(judged, request, out, lambda board: _write(board, out))
+        progress("writing the site", 1.0)
+        report, page = render_with_retry(evaluated, request, out, lambda board: _write(board, out))
     if json:
-        print_json(as_json(found))
+        print_json(as_json(report))
     else:
-        print_tables(found, console)
+        print_tables(report, console)
         notices.print(f"page: {page}")
 
 
 def _write(board: Board, out: Path) -> tuple[Report, Path]:
-    """Write the page of a board; returns what it shows and where it stands."""
-    found = build_report(board, out)
-    return found, write_site(board, found, out)
+    """Write the site of a board; return its report and its index page."""
+    report = build_report(board, out)
+    return report, write_site(board, report, out)
 
 
 def _tasks(
     names: list[str] | None, boards: list[str] | None, roads: list[Path] | None
 ) -> list[Task]:
     if sum(map(bool, (names, boards, roads))) > 1:
-        raise ConfigError("give one of --task, --board and --road")
+        raise ConfigError("give only one of --task, --board and --road")
     if roads:
         return [task for road in roads for task in surface_tasks(road)]
     boards = [name.replace("-", "_") for name in boards or []]
     for name in boards:
         validate_choice("board", name, list(BOARDS))
     if "measured" in boards:
-        raise ConfigError("the board of measured surfaces needs files: use --road")
+        raise ConfigError("the board of measured surfaces needs files: give them with --road")
     if names:
         return [load_task(name) for name in names]
     return [task for task in shipped_tasks() if not boards or task.board in boards]
@@ -143,11 +146,11 @@ def _entries(names: Sequence[str] | None, without: Sequence[str], limits: Limits
         raise ConfigError("give either --estimator or --without, not both")
     for name in without:
         validate_choice("estimator", name, estimators.names())
-    untaught = estimators.without_weights()
-    left_out = {*BASELINES, *untaught, *without}
-    chosen = names or [name for name in estimators.names() if name not in left_out]
-    if untaught and not names:
-        notices.print(f"left out, since their weights do not ship: {', '.join(untaught)}")
+    unavailable = estimators.without_weights()
+    excluded = {*BASELINES, *unavailable, *without}
+    chosen = names or [name for name in estimators.names() if name not in excluded]
+    if unavailable and not names:
+        notices.print(f"excluded, no weights in this package: {', '.join(unavailable)}")
     if all(name in estimators.REGISTRY for name in chosen):
         return resolve_entries(chosen, None)
     with SandboxClient(limits) as sandbox:
@@ -155,7 +158,7 @@ def _entries(names: Sequence[str] | None, without: Sequence[str], limits: Limits
 
 
 def parse_limits(seconds: float, memory: float) -> Limits:
-    """Limits as given on the command line. Raises ConfigError."""
+    """Return the limits of the command line. Raises ConfigError."""
     try:
         return Limits(seconds=seconds, memory=memory)
     except ValueError as error:

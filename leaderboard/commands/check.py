@@ -1,4 +1,4 @@
-"""`check_entry-estimator`: what the judge will say of an estimator, before it stands on a board."""
+"""Command `check-estimator`: conformance checks of an estimator before submission."""
 
 import dataclasses
 import os
@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from leaderboard.commands import console, print_json
 from leaderboard.commands.board import parse_limits
@@ -19,7 +19,11 @@ from leaderboard.evaluation.entries import resolve_entries
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 
-MARKS = {True: "[green]passed[/green]", False: "[red]FAILED[/red]", None: "[dim]noted[/dim]"}
+MARKS = {
+    True: Text("passed", style="green"),
+    False: Text("FAILED", style="red"),
+    None: Text("noted", style="dim"),
+}
 
 
 def check_estimator(
@@ -27,51 +31,49 @@ def check_estimator(
         str, typer.Argument(help="Installed name, module:Class, or a file from `train`.")
     ],
     time_limit: Annotated[
-        float, typer.Option(help="Seconds an entry may take under one condition.")
+        float, typer.Option(help="Time limit of an entry per condition in seconds.")
     ] = Limits.seconds,
-    memory_limit: Annotated[float, typer.Option(help="GiB an entry may hold.")] = Limits.memory,
+    memory_limit: Annotated[float, typer.Option(help="Memory limit in GiB.")] = Limits.memory,
     json: Json = False,
 ) -> None:
-    """Say beforehand whether an estimator can stand on a board; exit status 1 if it cannot.
+    """Check whether an estimator is ready for a board; exit status 1 if a check fails.
 
-    It runs in processes of its own on a few short drives: contract, damaged records, probes, cost.
+    It runs in separate processes on a few short drives: contract, damaged records, probes, cost.
     """
     if ":" in estimator and os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())  # as `python -m` has it, so that a file here is found
+        sys.path.insert(0, os.getcwd())  # as `python -m` does, to import from this folder
     limits = parse_limits(time_limit, memory_limit)
     with SandboxClient(
         dataclasses.replace(limits, seconds=min(RUN_TIME_LIMIT, limits.seconds))
     ) as sandbox:
         (entry,) = resolve_entries([estimator], sandbox)
-        found = check_entry(entry, sandbox, limits)
-    failed = [one.name for one in found if one.passed is False]
+        results = check_entry(entry, sandbox, limits)
+    failed = [result.name for result in results if result.passed is False]
     if json:
         print_json(
             {
                 "estimator": entry.name,
                 "passed": not failed,
-                "checks": [dataclasses.asdict(one) for one in found],
+                "checks": [dataclasses.asdict(result) for result in results],
             }
         )
     else:
         table = Table.grid(padding=(0, 1))
-        for one in found:
-            table.add_row(MARKS[one.passed], one.name, escape(one.message))
+        for result in results:
+            table.add_row(MARKS[result.passed], result.name, result.message)
         console.print(table)
-        console.print(f"{escape(entry.name)}: {summarize(found)}", highlight=False)
+        console.print(f"{entry.name}: {summarize(results)}", highlight=False)
     if failed:
         raise typer.Exit(1)
 
 
-def summarize(found: Sequence[CheckResult]) -> str:
-    """The verdict in words."""
-    failed = [one.name for one in found if one.passed is False]
+def summarize(results: Sequence[CheckResult]) -> str:
+    """Return one sentence on all check results."""
+    failed = [result.name for result in results if result.passed is False]
     if not failed:
         return "ready for a board"
-    if set(failed) <= set(PROBES):
-        return (
-            f"it can stand on a board, where its mark will say that it failed {_join_words(failed)}"
-        )
+    if set(failed) <= set(PROBES):  # they do not exclude an entry, but are shown beside its name
+        return f"ready for a board, which will show the failed probes {_join_words(failed)}"
     return f"not ready for a board: {_join_words(failed)}"
 
 

@@ -1,4 +1,4 @@
-"""`estimate` and `classify`: what a record says of the road, be it simulated or measured."""
+"""Commands `estimate` and `classify`: road profile and ISO 8608 class of a record."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -8,8 +8,7 @@ import typer
 from rich.table import Table
 
 import estimators
-from estimators import weights_io
-from estimators.api import Estimator, check_estimate
+from estimators.api import check_estimate
 from estimators.roughness import spectral
 from estimators.roughness.rms_regression import RmsRoughness, RoughnessEstimate
 from estimators.wiener.segments import dominant_modes
@@ -41,11 +40,14 @@ PRINTED_SCORES = (
     "class_exact", "fitted_class", "dsd_distance_db", "iri_error", "bump_recall",
     "bump_precision", "coverage_50", "coverage_90",
 )  # fmt: skip
-"""Scores that are printed; `--json` has them all."""
+"""Scores in the printed table; `--json` prints all."""
 
 METHODS = ["spectral", "rms"]
+DB_PER_LOG = 4.34
+"""10 / ln 10: decibels per unit of the natural logarithm of a PSD."""
+
 N_DRIVES, SPEED_MARGIN = 60, 1.5
-"""Drives that the regression learns from, and how far their speeds reach around the record's."""
+"""Number of training drives of the regression, and factor around the speeds of the record."""
 
 
 def estimate(
@@ -62,38 +64,42 @@ def estimate(
     plot: Annotated[Path | None, typer.Option(help="Draw the estimate (.png).")] = None,
     json: Json = False,
 ) -> None:
-    """Reconstruct both wheel paths of a record; with the truth at hand, score it.
+    """Reconstruct both wheel paths of a record; score them if the truth is given.
 
     A measured drive is a table with the columns t [s], a_rf, a_lr, a_rr [m/s²] (or a_rf_g ... [g]),
-    v [m/s] or v_kmh, and mode; speed and mode may be options instead.
+    v [m/s] or v_kmh, and mode; speed and mode can be given as options instead.
     """
     check_output_path(out, ".csv"), check_output_path(plot, ".png", ".svg", ".pdf")
-    chosen, car = _estimator(estimator, parse_settings(settings or [])), load_vehicle(vehicle)
-    seen, notes = _record(record, car, mode, speed_kmh)
-    found = chosen.estimate(seen, car)
-    check_estimate(found, seen)
+    chosen, car = (
+        estimators.make_estimator(estimator, **parse_settings(settings or [])),
+        load_vehicle(vehicle),
+    )
+    measured, notes = _record(record, car, mode, speed_kmh)
+    result = chosen.estimate(measured, car)
+    check_estimate(result, measured)
     facts: dict[str, Any] = {
         "estimator": estimator,
         "record": str(record),
-        "length_m": seen.length,
-        "rms_m": [float(z.std()) for z in found.z],
-        "notes": [*notes, *found.notes],
+        "length_m": measured.length,
+        "rms_m": [float(z.std()) for z in result.z],
+        "notes": [*notes, *result.notes],
         "written": [str(p) for p in (out, plot) if p],
     }
-    known, v, scored = None, float(np.median(seen.v)), {}
+    profile, v, scores = None, float(np.median(measured.v)), {}
     if truth:
-        known = Profile(found.s, load_road(truth).realise(np.random.default_rng(0)).height(found.s))
-        scored = compute_scores(known, found, v, bumps=True)
+        surface = load_road(truth).realise(np.random.default_rng(0))
+        profile = Profile(result.s, surface.height(result.s))
+        scores = compute_scores(profile, result, v, bumps=True)
     if out:
-        write_csv(Surface(found.z, found.ds, name=f"estimate of {record.name}"), out)
+        write_csv(Surface(result.z, result.ds, name=f"estimate of {record.name}"), out)
     if plot:
-        plots.draw_estimate(known, found, v, plot)
+        plots.draw_estimate(profile, result, v, plot)
     if json:
-        print_json({**facts, "scores": scored} if truth else facts)
+        print_json({**facts, "scores": scores} if truth else facts)
         return
     print_facts(facts)
-    if scored:
-        _print_scores(scored)
+    if scores:
+        _print_scores(scores)
 
 
 def classify(
@@ -103,80 +109,76 @@ def classify(
     mode: Mode = None,
     speed_kmh: Speed = None,
     method: Annotated[
-        str, typer.Option(help="spectral: by the car's model; rms: learnt from simulated drives.")
+        str, typer.Option(help="spectral: by a vehicle model; rms: regression on simulated drives.")
     ] = "spectral",
     json: Json = False,
 ) -> None:
-    """Tell the ISO 8608 class of the road of a record, with its probability.
+    """Estimate the ISO 8608 class of the road of a record, with its probability.
 
-    From the spectra of its accelerations, octave by octave; or from their RMS, by a regression on
-    drives simulated for it, in its states and at speeds about its own.
+    Method spectral uses the acceleration spectra by octaves; method rms uses a regression on the
+    RMS of drives that are simulated in the modes and at the speeds of the record.
     """
     validate_choice("method", method, METHODS)
     car = load_vehicle(vehicle)
-    seen, notes = _record(record, car, mode, speed_kmh)
-    found: Any = (
-        spectral.classify_record(seen, car, sensors)
+    measured, notes = _record(record, car, mode, speed_kmh)
+    result: Any = (
+        spectral.classify_record(measured, car, sensors)
         if method == "spectral"
-        else _by_rms(seen, Corpus(car=vehicle, instruments=sensors))
+        else _by_rms(measured, Corpus(car=vehicle, instruments=sensors))
     )
     if json:
         facts = {
             key: value.tolist() if isinstance(value, np.ndarray) else value
-            for key, value in found._asdict().items()
+            for key, value in result._asdict().items()
         }
-        print_json({"class": found.letter, **facts, "notes": list(notes)})
+        print_json({"class": result.letter, **facts, "notes": list(notes)})
         return
-    share = 100.0 * found.probability[found.letter]
+    percent = 100.0 * result.probability[result.letter]
     console.print(
-        f"class {found.letter} ({share:.0f} %), Gd(n0) = {1e6 * found.G_d0:.0f}e-6 m³ "
-        f"± {4.34 * found.log_std:.1f} dB"
+        f"class {result.letter} ({percent:.0f} %), Gd(n0) = {1e6 * result.G_d0:.0f}e-6 m³ "
+        f"± {DB_PER_LOG * result.log_std:.1f} dB"
     )
     if method == "spectral":
-        _print_octaves(found)
+        _print_octaves(result)
     print_notes(notes)
 
 
-def _by_rms(seen: Record, corpus: Corpus) -> RoughnessEstimate:
-    """What the regression says, fitted to drives like the one that was `seen`."""
-    mode = dominant_modes(seen, np.arange(seen.t.size))
-    slow, fast = 3.6 * np.percentile(seen.v, [5.0, 95.0])
+def _by_rms(record: Record, corpus: Corpus) -> RoughnessEstimate:
+    """Fit the regression to simulated drives similar to `record` and apply it."""
+    mode = dominant_modes(record, np.arange(record.t.size))
+    slow, fast = 3.6 * np.percentile(record.v, [5.0, 95.0])
     drives = drives_in_mode(corpus, mode, (slow / SPEED_MARGIN, fast * SPEED_MARGIN), N_DRIVES)
-    return RmsRoughness.fit(*zip(*drives, strict=True)).predict(seen)
+    return RmsRoughness.fit(*zip(*drives, strict=True)).predict(record)
 
 
-def _print_octaves(found: spectral.ClassPosterior) -> None:
+def _print_octaves(posterior: spectral.ClassPosterior) -> None:
     table = Table("octave [cycles/m]", "Gd(n0) [1e-6 m³]", "± [dB]", "class")
-    columns = (found.octaves, found.levels, found.level_stds, found.octave_classes)
+    columns = (
+        posterior.octaves, posterior.levels, posterior.level_stds, posterior.octave_classes
+    )  # fmt: skip
     for centre, level, std, letter in zip(*columns, strict=True):
-        table.add_row(f"{centre:g}", f"{1e6 * level:.0f}", f"{4.34 * std:.1f}", letter)
+        table.add_row(f"{centre:g}", f"{1e6 * level:.0f}", f"{DB_PER_LOG * std:.1f}", letter)
     console.print(table)
-
-
-def _estimator(name: str, settings: dict[str, Any]) -> Estimator:
-    if Path(name).suffix not in (".npz", ".safetensors"):
-        return estimators.create(name, **settings)
-    if settings:
-        raise ConfigError(f"{name} was trained with its settings: --set is for an estimator's name")
-    return weights_io.load(name)
 
 
 def _record(
     path: Path, car: VehicleParameters, mode: str | None, speed_kmh: float | None
 ) -> MeasuredRecord:
-    """A record of this package, or a measured drive. Raises ConfigError."""
+    """Read a record of this package, or a measured drive. Raises ConfigError."""
     if not is_record(path):
         struts = parse_mode(mode) if mode is not None else None
         return read_measured_record(path, car.wheelbase, speed_kmh=speed_kmh, mode=struts)
     if mode is not None or speed_kmh is not None:
-        raise ConfigError(f"{path} tells its own mode and speed: leave out --mode and --speed-kmh")
+        raise ConfigError(
+            f"{path} contains mode and speed of the drive: leave out --mode and --speed-kmh"
+        )
     return MeasuredRecord(read_record(path)[0], ())
 
 
-def _print_scores(scored: dict[str, float]) -> None:
-    """The scores that are most asked for, each with its unit."""
+def _print_scores(scores: dict[str, float]) -> None:
+    """Print PRINTED_SCORES with their units."""
     table = Table(box=None, pad_edge=False, show_header=False)
     for key in PRINTED_SCORES:
-        if key in scored and (text := SCORES[key].format_value(scored[key])) != UNDEFINED:
+        if key in scores and (text := SCORES[key].format_value(scores[key])) != UNDEFINED:
             table.add_row(SCORES[key].label, text, SCORES[key].unit)
     console.print(table)

@@ -1,4 +1,4 @@
-"""`season`: a hidden test set, its hash before its seeds."""
+"""Command `season`: a hidden test set, published first as a hash and later with its seeds."""
 
 import secrets
 from pathlib import Path
@@ -13,37 +13,38 @@ from leaderboard.evaluation.tasks import load_task, shipped_tasks
 from road_envs.config import ConfigError
 
 RANDOM_ROAD_BOARDS = ("new_road", "field", "class")
-"""Boards whose roads are drawn."""
+"""Boards with random roads."""
 
 
 def season(
-    out: Annotated[Path, typer.Option(help="Folder of the season.")],
+    out: Annotated[Path, typer.Option(help="Folder of the hidden test set.")],
     salt: Annotated[
-        str | None, typer.Option(help="The secret; without one it is drawn and printed once.")
+        str | None, typer.Option(help="Secret salt; if missing, one is drawn and printed once.")
     ] = None,
     task: Annotated[
-        list[str] | None, typer.Option(help="Shipped task; may be given again. Default: all drawn.")
+        list[str] | None,
+        typer.Option(help="Shipped task; may be given again. Default: all with random roads."),
     ] = None,
     reveal: Annotated[
-        bool, typer.Option("--reveal", help="Check the salt and write the tasks with their seeds.")
+        bool, typer.Option("--reveal", help="Verify the salt and write the tasks with their seeds.")
     ] = False,
     json: Json = False,
 ) -> None:
     """Publish the hash of a hidden test set, and later, with --reveal, its seeds."""
     if reveal:
         if salt is None:
-            raise ConfigError("--reveal needs the season's --salt")
+            raise ConfigError("--reveal needs the --salt of the hidden test set")
         if task:
-            raise ConfigError("--reveal takes the tasks of the season; leave --task away")
+            raise ConfigError("--reveal uses the tasks of the hidden test set; leave out --task")
         paths = [str(path) for path in hidden_seeds.reveal(salt, out)]
         facts = {"commitment": hidden_seeds.load(out).commitment, "salt": salt, "tasks": paths}
     else:
         chosen = [load_task(name) for name in task] if task else _random_road_tasks()
-        drawn, salt = salt is None, salt or secrets.token_urlsafe(24)
-        made = hidden_seeds.commit(salt, chosen)
-        path = hidden_seeds.save(made, out)
-        facts = {"commitment": made.commitment, "publish": str(path)}
-        if drawn:
+        is_drawn, salt = salt is None, salt or secrets.token_urlsafe(24)
+        hidden = hidden_seeds.commit(salt, chosen)
+        path = hidden_seeds.save(hidden, out)
+        facts = {"commitment": hidden.commitment, "publish": str(path)}
+        if is_drawn:
             facts["salt, to be kept secret"] = salt
     if json:
         print_json(facts)
@@ -53,4 +54,4 @@ def season(
 
 
 def _random_road_tasks():
-    return [one for one in shipped_tasks() if one.board in RANDOM_ROAD_BOARDS]
+    return [task for task in shipped_tasks() if task.board in RANDOM_ROAD_BOARDS]

@@ -1,4 +1,4 @@
-"""`run-job`: one job from its file, for clusters that start processes themselves."""
+"""Command `run-job`: one job from its file, for clusters with their own scheduler."""
 
 import dataclasses
 from pathlib import Path
@@ -13,18 +13,18 @@ from road_envs.config import ConfigError
 
 
 def run_job(
-    spec: Annotated[Path, typer.Argument(help="A job from `leaderboard --plan`.")],
+    spec: Annotated[Path, typer.Argument(help="Job file from `leaderboard --plan`.")],
     out: Annotated[Path, typer.Option(help="Folder of results, as for `leaderboard`.")] = Path(
         "out/leaderboard"
     ),
     json: Json = False,
 ) -> None:
-    """Run one job; what comes of it is stored for the next `leaderboard --out`.
+    """Run one job and store its results for the next `leaderboard --out`.
 
-    It can be run any number of times, beside any number of others.
+    Jobs can be run any number of times and in parallel.
     """
     if out.exists() and not out.is_dir():
-        raise ConfigError(f"{out} is a file; a folder for results is wanted")
+        raise ConfigError(f"--out must be a folder, {out} is a file")
     for done in jobs.run_job_file(spec, out):
         if json:
             print_json(dataclasses.asdict(done))

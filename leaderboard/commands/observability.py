@@ -1,4 +1,4 @@
-"""`observability`: what the accelerometers can know of the road at all, by state, speed and n."""
+"""Command `observability`: least possible error of the road estimate by mode and speed."""
 
 import dataclasses
 from pathlib import Path
@@ -12,7 +12,6 @@ from leaderboard.commands import check_output_path, console, parse_mode, print_j
 from leaderboard.commands.simulate import Json, Sensors, Vehicle
 from leaderboard.report import plots
 from road_envs.analysis.information_bound import (
-    F_C,
     Posterior,
     RoadPrior,
     bound,
@@ -20,7 +19,7 @@ from road_envs.analysis.information_bound import (
 )
 from road_envs.analysis.roughness import CLASSES
 from road_envs.config import ConfigError, validate_choice
-from road_envs.data.record import scored_band
+from road_envs.data.record import F_C, scored_band
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.suspension import MODES, decode_commands, encode_command
@@ -32,7 +31,7 @@ DEFAULT_MODES = (
     "front=handling,rear=ride",
 )
 PLOTTED_BAND = (0.05, 2.5)
-"""Band [cycles/m] of the picture, as far as the low-pass lets it be seen."""
+"""Band [cycles/m] of the plot, cut at the low-pass of the sensors."""
 
 
 def observability(
@@ -46,10 +45,10 @@ def observability(
     road_class: Annotated[str, typer.Option(help="ISO 8608 class of the road, A to H.")] = "D",
     noise: Annotated[
         float | None,
-        typer.Option(help="Noise density in (m/s²)/sqrt(Hz), instead of the instruments' own."),
+        typer.Option(help="Noise density in (m/s²)/sqrt(Hz); default: that of the instruments."),
     ] = None,
     mismatch: Annotated[
-        float, typer.Option(help="Error of the model, a share of each sensor's signal.", min=0.0)
+        float, typer.Option(help="Model error relative to the signal of each sensor.", min=0.0)
     ] = 0.0,
     damping: Annotated[
         str | None,
@@ -57,10 +56,10 @@ def observability(
     ] = None,
     vehicle: Vehicle = "land_rover_defender_110",
     sensors: Sensors = "paper",
-    out: Annotated[Path | None, typer.Option(help="Draw it over spatial frequency.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Plot over spatial frequency to write.")] = None,
     json: Json = False,
 ) -> None:
-    """Show the least error that any linear estimator can have, and draw it over n."""
+    """Compute the least error of any linear estimator, and plot it over spatial frequency."""
     check_output_path(out, ".png", ".svg", ".pdf")
     car, instruments = load_vehicle(vehicle), load_instruments(sensors)
     if noise is not None:
@@ -75,8 +74,8 @@ def observability(
     for speed in speeds:
         if not (np.isfinite(speed) and speed > 0):
             raise ConfigError(f"the speed must be positive, got {speed} km/h")
-    given = None if damping is None else _dampers(damping)
-    chosen = [_damping_by_strut(given, m) for m in modes]  # refused before anything is computed
+    dampers = None if damping is None else _dampers(damping)
+    chosen = [_damping_by_strut(dampers, m) for m in modes]  # fails before anything is computed
     rows: list[dict[str, Any]] = []
     curves: list[tuple[str, float, Posterior, float]] = []
     jobs = [(*pair, speed) for pair in zip(modes, chosen, strict=True) for speed in speeds]
@@ -85,13 +84,13 @@ def observability(
             name, v = front_rear(state), speed / 3.6
             progress(f"{name}, {speed:g} km/h", k / len(jobs))
             c = equivalent_damping(car, state, v, prior) if c is None else c
-            settings: dict[str, Any] = {"damping": c, "mismatch": mismatch}
-            found = bound(car, state, v, instruments, prior, **settings)
-            rows.append(_row(name, speed, c, found))
+            settings: dict[str, Any] = {"damping": c, "model_error": mismatch}
+            posterior = bound(car, state, v, instruments, prior, **settings)
+            rows.append(_row(name, speed, c, posterior))
             if out is not None:
                 n = np.geomspace(PLOTTED_BAND[0], min(PLOTTED_BAND[1], F_C / v), 3000)
                 drawn = bound(car, state, v, instruments, prior, n=n, **settings)
-                curves.append((name, speed, drawn, found.pooled))
+                curves.append((name, speed, drawn, posterior.pooled))
     facts = {
         "vehicle": vehicle,
         "sensors": sensors,
@@ -108,7 +107,7 @@ def observability(
 
 
 def front_rear(mode: str | dict[str, str]) -> str:
-    """A mode in few words: "ride / handling" where it is set by axle."""
+    """Return a short name of a mode, "ride / handling" for front and rear."""
     if isinstance(mode, str):
         return f"{mode} / {mode}"
     if set(mode) == {"front", "rear"}:
@@ -117,42 +116,42 @@ def front_rear(mode: str | dict[str, str]) -> str:
 
 
 def _dampers(text: str) -> dict[str, float]:
-    """Dampers [N s/m] by mode from "ride=2000,handling=5000"."""
-    found = {}
+    """Parse damping [N s/m] by mode from "ride=2000,handling=5000". Raises ConfigError."""
+    dampers = {}
     for part in text.split(","):
         name, equals, value = part.partition("=")
         try:
-            found[validate_choice("suspension mode", name.strip(), MODES)] = float(value)
+            dampers[validate_choice("suspension mode", name.strip(), MODES)] = float(value)
         except ValueError as error:
             if isinstance(error, ConfigError):
                 raise
             equals = ""
-        if not (equals and found[name.strip()] >= 0):
-            raise ConfigError(f"a damper is given as mode=number in N s/m, got {part!r}")
-    return found
+        if not (equals and dampers[name.strip()] >= 0):
+            raise ConfigError(f"a damper must have the form mode=number in N s/m, got {part!r}")
+    return dampers
 
 
 def _damping_by_strut(
     dampers: dict[str, float] | None, mode: str | dict[str, str]
 ) -> np.ndarray | None:
-    """The damper (4,) [N s/m] that goes with each strut's mode, where they are given."""
+    """Return the damping (4,) [N s/m] of each strut in its mode; None without `dampers`."""
     stiff, high = (flags[0] for flags in decode_commands(np.array([encode_command(mode)])))
     if dampers is None:
         return None
     names = {state: name for name, state in MODES.items()}
     modes = [names[bool(s), bool(h)] for s, h in zip(stiff, high, strict=True)]
     if missing := sorted(set(modes) - set(dampers)):
-        raise ConfigError(f"dampers are given for {sorted(dampers)}, and are missing for {missing}")
+        raise ConfigError(f"--damping has {sorted(dampers)}, but no value for {missing}")
     return np.array([dampers[name] for name in modes])
 
 
-def _row(mode: str, speed: float, damping: np.ndarray, found: Posterior) -> dict[str, Any]:
-    left, right = found.nrmse()
+def _row(mode: str, speed: float, damping: np.ndarray, posterior: Posterior) -> dict[str, Any]:
+    left, right = posterior.nrmse()
     return {
         "mode": mode,
         "speed_kmh": speed,
         "band": scored_band(speed / 3.6),
-        "nrmse": found.pooled,
+        "nrmse": posterior.pooled,
         "nrmse_left": float(left),
         "nrmse_right": float(right),
         "damping": damping.tolist(),

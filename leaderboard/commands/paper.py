@@ -1,4 +1,4 @@
-"""`paper`: the paper's eight scenarios run again, its figures and claims beside what came out."""
+"""Command `paper`: reproduction of the paper's eight scenarios, figures and claims."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,22 +11,22 @@ from road_envs.config import ConfigError
 
 
 def paper(
-    trainings: Annotated[int, typer.Option(help="Trainings of each scenario.", min=2)] = 20,
+    trainings: Annotated[int, typer.Option(help="Training runs of each scenario.", min=2)] = 20,
     out: Annotated[Path, typer.Option(help="Folder for the report.")] = Path("out/paper"),
     json: Json = False,
 ) -> None:
-    """Reproduce the paper: HTML and PDF report with its figures, and every number as JSON."""
+    """Reproduce the paper: HTML and PDF report with its figures, and all numbers as JSON."""
     from leaderboard.paper import published_figures, report, study
 
     if out.exists() and not out.is_dir():
-        raise ConfigError(f"{out} is a file; a folder for the report is wanted")
+        raise ConfigError(f"--out must be a folder, {out} is a file")
     with progress_bar() as progress:
-        made = study.run_study(trainings, progress=progress)
+        result = study.run_study(trainings, progress=progress)
         progress("writing the report", 1.0)
-        written = report.write_report(made, out, f"road-recon paper --trainings {trainings}")
+        written = report.write_report(result, out, f"road-recon paper --trainings {trainings}")
     if json:
-        print_json(report.numbers(made, f"road-recon paper --trainings {trainings}"))
+        print_json(report.numbers(result, f"road-recon paper --trainings {trainings}"))
         return
-    for sentence in published_figures.key_findings(made):
+    for sentence in published_figures.key_findings(result):
         console.print(f"- {sentence}")
     console.print(f"written: {', '.join(map(str, written))}")

@@ -1,4 +1,4 @@
-"""`policies`: the league of suspension-switching policies; `tune-policy`, `train-policy`."""
+"""Commands `policies`, `tune-policy`, `train-policy`: suspension-switching policies."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 import estimators
-from estimators.api import Estimator
+from estimators.api import Estimator, refits_per_case
 from leaderboard.commands import (
     check_output_path,
     console,
@@ -43,10 +43,10 @@ WIDE_COLUMNS = {
     "dwell": "dwell\ns",
     "bound": "bound\n",
 }
-"""Columns of the table, by default and with --wide; the page has all."""
+"""Columns of the table by default and with --wide; the page has all."""
 SWEPT_WEIGHTS = (15.0, 30.0, 300.0, 2000.0)
-"""Weights of information of the sensing policies in the Pareto plot, beside `greedy_information` at
-its own and none, which is ride: each makes another choice at some speed of the league.
+"""Information weights of the sensing policies in the Pareto plot. Each gives a different policy at
+some speed of the league scenarios; weight 0 is the policy `ride`.
 """
 
 
@@ -59,27 +59,27 @@ def policies(
     ] = "quick",
     estimator: Annotated[
         list[str] | None,
-        typer.Option(help="Estimator fed with the drives' records; may be given again."),
+        typer.Option(help="Estimator applied to the records; may be given again."),
     ] = None,
     roads: Annotated[int | None, typer.Option(help="Test roads of each case.", min=2)] = None,
-    reference: Annotated[
-        str, typer.Option(help="Policy from which differences are taken.")
-    ] = REFERENCE,
+    reference: Annotated[str, typer.Option(help="Policy that differences refer to.")] = REFERENCE,
     quick: Annotated[
         bool, typer.Option("--quick", help="The quick scenarios, without sweep: half a minute.")
     ] = False,
     sweep: Annotated[
-        bool, typer.Option("--sweep", help="Sensing policies with other weights of information.")
+        bool, typer.Option("--sweep", help="Add sensing policies with other information weights.")
     ] = False,
     wide: Annotated[
-        bool, typer.Option("--wide", help="More columns than 80 characters hold.")
+        bool, typer.Option("--wide", help="More columns, wider than 80 characters.")
     ] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for results, picture and page.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for results, plot and page.")] = None,
     json: Json = False,
 ) -> None:
-    """Compare policies on comfort, handling and what their drives tell of held-out roads."""
+    """Compare policies by comfort, handling and estimation error on held-out roads."""
     if quick and (scenarios != "quick" or sweep):
-        raise ConfigError("--quick stands for the quick scenarios and no sweep: leave the others")
+        raise ConfigError(
+            "--quick means the quick scenarios without sweep: leave out --scenarios and --sweep"
+        )
     chosen = load_scenarios(scenarios)
     seeds = chosen.test_seeds(roads)
     known = [*available(), comparison.ORACLE]
@@ -90,30 +90,30 @@ def policies(
         entries |= {
             f"{policy_page.SWEEP_PREFIX}{w:g}": GreedyInformation(weight=w) for w in SWEPT_WEIGHTS
         }
-    readers = {name: _make_estimator(name) for name in estimator or ["fir_ridge"]}
+    applied = {name: _make_estimator(name) for name in estimator or ["fir_ridge"]}
     if out is not None and out.exists() and not out.is_dir():
-        raise ConfigError(f"{out} is a file; a folder is wanted")
+        raise ConfigError(f"--out must be a folder, {out} is a file")
     with progress_bar() as progress:
-        found = comparison.compare(chosen, entries, readers, roads=roads, progress=progress)
-        data = summarize_results(chosen, found, seeds, reference)
+        results = comparison.compare(chosen, entries, applied, roads=roads, progress=progress)
+        data = summarize_results(chosen, results, seeds, reference)
         if out:
             write_text(out / "policies.json", to_json(data))
-            shown = {s.policy: s.timeline for s in found if s.timeline is not None}
-            page = policy_page.write_policy_page(data, shown, out)
+            timelines = {r.policy: r.timeline for r in results if r.timeline is not None}
+            page = policy_page.write_policy_page(data, timelines, out)
             notices.print(f"page: {page}")
     print_json(data) if json else _print(data, WIDE_COLUMNS if wide else COLUMNS)
-    if failed := [s.policy for s in found if s.failure]:
-        raise ConfigError(f"{', '.join(failed)} failed; the others stand")
+    if failed := [r.policy for r in results if r.failure]:
+        raise ConfigError(f"failed policies: {', '.join(failed)}; the other results are valid")
 
 
 def tune_policy(
     name: Annotated[str, typer.Argument(help="Policy to tune.")],
     scenarios: Annotated[
-        str, typer.Option(help="Scenarios whose training roads are driven.")
+        str, typer.Option(help="Scenarios whose training roads are used.")
     ] = "training",
     out: Annotated[Path | None, typer.Option(help="YAML file for the settings.")] = None,
 ) -> None:
-    """Search a policy's settings on training roads alone."""
+    """Search the settings of a policy on training roads only."""
     validate_choice("policy", name, grid_search.GRIDS)
     check_output_path(out, ".yaml", ".yml")
     with progress_bar() as progress:
@@ -130,17 +130,17 @@ def train_policy(
     name: Annotated[
         str, typer.Argument(help="ppo, dqn, ppo_sensing, ppo_preview, or a YAML file.")
     ],
-    out: Annotated[Path, typer.Option(help="File for the best network, .npz.")],
-    scenarios: Annotated[str, typer.Option(help="Scenarios to learn on.")] = "training",
-    seed: Annotated[int, typer.Option(help="First seed of the trainings.", min=0)] = 1,
-    seeds: Annotated[int, typer.Option(help="How many trainings.", min=1)] = 1,
-    steps: Annotated[int | None, typer.Option(help="Choices of an action in all.", min=1)] = None,
+    out: Annotated[Path, typer.Option(help="File for the best network (.npz).")],
+    scenarios: Annotated[str, typer.Option(help="Scenarios for training.")] = "training",
+    seed: Annotated[int, typer.Option(help="First training seed.", min=0)] = 1,
+    seeds: Annotated[int, typer.Option(help="Number of training seeds.", min=1)] = 1,
+    steps: Annotated[int | None, typer.Option(help="Total number of actions.", min=1)] = None,
     checkpoint: Annotated[
-        Path | None, typer.Option(help="Taken up if it is there, kept while learning.")
+        Path | None, typer.Option(help="Checkpoint file, loaded if it exists.")
     ] = None,
-    log: Annotated[Path | None, typer.Option(help="Folder for TensorBoard.")] = None,
+    log: Annotated[Path | None, typer.Option(help="Folder for TensorBoard logs.")] = None,
 ) -> None:
-    """Train a network with Stable-Baselines3 on training roads alone; judge it on held-out ones."""
+    """Train a policy with Stable-Baselines3 on training roads, evaluate it on held-out ones."""
     training_config = grid_search.load_training_config(name, steps)
     check_output_path(out, ".npz")
     chosen = load_scenarios(scenarios)
@@ -153,28 +153,29 @@ def train_policy(
             log=log,
             progress=progress,
         )
-        told = evaluate_study(learning, chosen, training_config.unresolved_variance)
+        evaluation = evaluate_study(learning, chosen, training_config.unresolved_variance)
     grid_search.write_bytes(out, learning.best.to_bytes())
-    write_text(out.with_suffix(".json"), to_json(told))
+    write_text(out.with_suffix(".json"), to_json(evaluation))
     for network, curve in zip(learning.networks, learning.curves, strict=True):
         for done, value in curve:
             console.print(
                 f"seed {network.metadata['seed']}: {done:8d} steps  return {value:.4f} per second"
             )
-    for line in study_lines(Path(name).stem, told):
+    for line in study_lines(Path(name).stem, evaluation):
         console.print(line)
 
 
 def _make_estimator(name: str) -> Estimator:
-    """An estimator. One that can be fitted to a case in seconds leaves its weights at home: they
-    know no manoeuvre and not every pair of states, and here it is fitted to each policy's drives.
+    """Create an estimator, without pretrained weights if it can be fitted to a case in seconds.
+
+    The weights were trained without manoeuvres and not in every pair of modes, so the estimator is
+    fitted to the drives of each policy instead.
     """
-    one = estimators.create(name)
-    fits = getattr(type(one), "refit_per_case", False)
-    return estimators.create(name, shipped=False) if fits else one
+    estimator = estimators.create(name)
+    return estimators.create(name, shipped=False) if refits_per_case(estimator) else estimator
 
 
-def _print(data: dict[str, Any], shown: dict[str, str]) -> None:
+def _print(data: dict[str, Any], columns: dict[str, str]) -> None:
     console.print(
         f"Switching policies on {len(data['seeds'])} held-out roads: {data['title']}",
         soft_wrap=True,
@@ -182,23 +183,25 @@ def _print(data: dict[str, Any], shown: dict[str, str]) -> None:
     table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
     names = next((list(row["errors"]) for row in data["rows"] if not row["failure"]), [])
     table.add_column("policy", no_wrap=True)
-    for heading in (*shown.values(), *(name.replace("_", "\n", 1) for name in names)):
+    for heading in (*columns.values(), *(name.replace("_", "\n", 1) for name in names)):
         table.add_column(heading, justify="right", no_wrap=True)
     failed = [row for row in data["rows"] if row["failure"]]
     for row in data["rows"]:
         if row["failure"]:
             continue
-        cells = [format_metric(name, row["metrics"][name]["mean"]) for name in shown]
+        cells = [format_metric(name, row["metrics"][name]["mean"]) for name in columns]
         cells += [_span(row["errors"][name]) for name in names]
         table.add_row(row["policy"] + ("" if row["attainable"] else " *"), *cells)
     needed = console.measure(table, options=console.options.update(width=500)).maximum
-    Console(file=console.file, width=max(needed, console.width)).print(table)  # never cut
+    Console(file=console.file, width=max(needed, console.width), markup=False).print(
+        table
+    )  # not truncated
     for row in failed:
         console.print(f"{row['policy']} failed: {row['failure']}", style="red")
     console.print(
         "Means over cases of interquartile means over roads; an estimator's column is its\n"
         "in-band NRMSE with half the 95 % bootstrap interval over roads. Lower is better,\n"
-        "for the return higher. * knows the road: not attainable."
+        "for the return higher. * uses the true road: not attainable."
     )
     for note in dict.fromkeys(note for row in data["rows"] for note in row["notes"]):
         console.print(note)

@@ -1,4 +1,4 @@
-"""`precision`: error against cost of this project's integrators and of their peers, in one run."""
+"""Command `precision`: work-precision diagram of the integrators and of other packages."""
 
 import functools
 import math
@@ -35,20 +35,22 @@ Timed = Callable[[float], tuple[np.ndarray, float]]
 
 
 def precision(
-    out: Annotated[Path | None, typer.Option(help="Draw error against cost (.png).")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Plot of error over cost to write (.png).")
+    ] = None,
     duration: Annotated[
-        float, typer.Option(help="Drive in seconds; the road begins at 0.33 s.", min=0.5)
+        float, typer.Option(help="Duration in seconds; the road begins at 0.33 s.", min=0.5)
     ] = 3.0,
     road: Annotated[
         str | None,
-        typer.Option(help="Road: shipped name, YAML path or surface file; else class D."),
+        typer.Option(help="Road: shipped name, YAML path or surface file; default: class D."),
     ] = None,
     max_step: Annotated[
-        float, typer.Option(help="Longest step in seconds of solvers that choose theirs.")
+        float, typer.Option(help="Longest step in seconds of adaptive solvers.")
     ] = math.inf,
     json: Json = False,
 ) -> None:
-    """Measure error against cost of the integrators and their peers on one drive."""
+    """Measure error over cost of the integrators and of other packages on one drive."""
     check_output_path(out, ".png", ".svg", ".pdf")
     if not max_step > 0:
         raise ConfigError(f"the longest step must be positive, got {max_step} s")
@@ -74,11 +76,11 @@ def precision(
         return
     console.print(_table(rows))
     for row in skipped:
-        notices.print(f"{row['method']} is left out: {row['skipped']}")
+        notices.print(f"{row['method']} is skipped: {row['skipped']}")
 
 
 def _methods(problem: IntegrationProblem) -> Iterator[tuple[str, str, tuple[float, ...], Timed]]:
-    """Name, the setting's name, settings, and what runs one of them and says how long it took."""
+    """Yield name, name of the setting, values of the setting, and a timed run for one value."""
     steps = (1e-3, 5e-4, 2.5e-4, 1.25e-4)
     yield OURS[0], "step", steps, lambda h: _timed(problem.fixed_step, h)
     yield OURS[1], "rtol", (1e-1, *TOLERANCES), lambda r: _timed(problem.adaptive, r)
@@ -90,14 +92,14 @@ def _methods(problem: IntegrationProblem) -> Iterator[tuple[str, str, tuple[floa
 
 
 def _timed(run: Callable[[float], np.ndarray], setting: float) -> tuple[np.ndarray, float]:
-    """The answer and its median time [s], of three runs or of what half a second holds."""
+    """Return the solution and the median time [s] of at least three runs and half a second."""
     a = run(setting)  # the first run may have to compile
-    spans: list[float] = []
-    while len(spans) < 3 or sum(spans) < 0.5:
+    times: list[float] = []
+    while len(times) < 3 or sum(times) < 0.5:
         begin = time.perf_counter()
         run(setting)
-        spans.append(time.perf_counter() - begin)
-    return a, statistics.median(spans)
+        times.append(time.perf_counter() - begin)
+    return a, statistics.median(times)
 
 
 def _table(rows: list[dict[str, Any]]) -> Table:

@@ -1,4 +1,4 @@
-"""`roads`: what there is to drive on, how it looks, and a file of it for others."""
+"""Command `roads`: list, plot and export roads."""
 
 from pathlib import Path
 from typing import Annotated
@@ -8,7 +8,7 @@ import typer
 from rich.table import Table
 
 from leaderboard.commands import check_output_path, console, print_json
-from leaderboard.commands.simulate import Json, Length, Seed, realise_road
+from leaderboard.commands.simulate import Json, Length, Seed
 from leaderboard.report import plots
 from road_envs import config
 from road_envs.analysis.roughness import (
@@ -19,17 +19,17 @@ from road_envs.analysis.roughness import (
     smooth_psd,
 )
 from road_envs.config import ConfigError
-from road_envs.roads import Surface, load_road
+from road_envs.roads import Surface, load_road, realise_road
 from road_envs.roads.formats.write import WRITERS, write, write_crg
 
-app = typer.Typer(help="List, plot and export roads.", no_args_is_help=True)
+app = typer.Typer(help="List, plot and export roads.", no_args_is_help=True, rich_markup_mode=None)
 
 Which = Annotated[str, typer.Argument(help="Shipped name, YAML path or surface file.")]
 
 
 @app.command("list")
 def list_roads(json: Json = False) -> None:
-    """The shipped roads, each as drawn from seed 1."""
+    """List the shipped roads, each realised with seed 1."""
     rows = [_facts(name, load_road(name).realise(np.random.default_rng(1))) for name in _names()]
     if json:
         print_json(rows)
@@ -53,9 +53,9 @@ def plot_road(
     length: Length = None,
     seed: Seed = 1,
 ) -> None:
-    """Draw both wheel paths of a road, and their spectrum over the ISO 8608 classes."""
+    """Plot both wheel paths of a road, and their PSD over the ISO 8608 classes."""
     check_output_path(out, ".png", ".svg", ".pdf")
-    plots.draw_road(realise_road(road, length, seed), out)
+    plots.draw_road(realise_road(road, seed, length), out)
     console.print(f"written: {out}")
 
 
@@ -72,8 +72,8 @@ def export(
     """Write both wheel paths of a road to a file that can be read back as a road."""
     check_output_path(out, *WRITERS)
     if form and out.suffix.lower() != ".crg":
-        raise ConfigError(f"{out}: only a .crg file has a --form")
-    surface = realise_road(road, length, seed)
+        raise ConfigError(f"{out}: --form is for .crg files only; leave it out")
+    surface = realise_road(road, seed, length)
     if form:
         write_crg(surface, out, form)
     else:

@@ -1,4 +1,4 @@
-"""`simulate` and `train`: one drive, one estimator."""
+"""Commands `simulate` and `train`: simulate a drive, train an estimator."""
 
 import shlex
 import sys
@@ -12,8 +12,10 @@ import typer
 from rich.table import Table
 
 import estimators
-from estimators import weights_io
+from estimators import registry, weights_io
 from estimators.api import Pretrained, Trainable
+from estimators.networks.narx import Narx
+from estimators.networks.static_lm import StaticLm
 from leaderboard.commands import (
     check_output_path,
     console,
@@ -29,7 +31,7 @@ from road_envs.config import ConfigError
 from road_envs.data.record import Profile, Record
 from road_envs.data.recording import simulate_record, write_record
 from road_envs.data.training_corpus import Corpus
-from road_envs.roads import Surface, load_road, with_length, write_csv
+from road_envs.roads import realise_road, write_csv
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 
@@ -62,23 +64,23 @@ def simulate(
     plot: Annotated[Path | None, typer.Option(help="Draw profile and record (.png).")] = None,
     json: Json = False,
 ) -> None:
-    """Drive the vehicle over a road and record what its instruments see."""
+    """Simulate a drive over a road and record the signals of the instruments."""
     (
         check_output_path(out, ".parquet"),
         check_output_path(truth, ".csv"),
         check_output_path(plot, ".png", ".svg", ".pdf"),
     )
-    surface, struts = realise_road(road, length, seed), parse_mode(mode)
+    surface, struts = realise_road(road, seed, length), parse_mode(mode)
     record, profile = simulate_record(
-        load_vehicle(vehicle),
         surface,
+        vehicle=load_vehicle(vehicle),
         speed_kmh=speed_kmh,
         mode=struts,
         instruments=load_instruments(sensors),
         seed=seed,
         grade=grade,
     )
-    said: dict[str, Any] = {
+    settings: dict[str, Any] = {
         "road": road,
         "speed_kmh": speed_kmh,
         "mode": struts,
@@ -88,14 +90,14 @@ def simulate(
         "seed": seed,
     }
     if out:
-        write_record(out, record, said)
+        write_record(out, record, settings)
     if truth:
         write_csv(surface, truth)
     if plot:
         plots.draw_drive(record, profile, plot)
     rms = dict(zip(("RF", "LR", "RR"), np.sqrt(np.nanmean(record.a**2, axis=1)), strict=True))
     facts = {
-        **said,
+        **settings,
         "length_m": surface.length,
         "duration_s": float(record.t[-1]),
         "samples": record.t.size,
@@ -111,18 +113,18 @@ def simulate(
 def train(
     estimator: Annotated[str, typer.Argument(help="Name of a trainable estimator.")],
     out: Annotated[
-        Path, typer.Option(help="Where to write the fitted estimator (.npz or .safetensors).")
+        Path, typer.Option(help="File for the fitted estimator (.npz or .safetensors).")
     ],
     road: Annotated[
         list[str] | None,
-        typer.Option(help="Training road; may be given again. Without one: the shipped corpus."),
+        typer.Option(help="Training road; may be given again. Default: the shipped corpus."),
     ] = None,
     speed_kmh: Speed = 14.5,
     mode: Mode = "ride",
     length: Length = None,
     drives: Annotated[
         int | None,
-        typer.Option(help="Drives on each road, each its own seed; or of the corpus.", min=1),
+        typer.Option(help="Drives on each road with different seeds, or of the corpus.", min=1),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the training.", min=0)] = 1,
     vehicle: Vehicle = "land_rover_defender_110",
@@ -134,14 +136,14 @@ def train(
 ) -> None:
     """Train an estimator on simulated drives and store it.
 
-    On roads that are given, at one speed and in one mode; or, without any, once for all speeds and
-    modes, as the weights that come with the package were made. That takes some minutes, and goes
-    on where it was if it is interrupted and called again.
+    With --road, it is trained at one speed and in one mode. Without, it is pretrained on the corpus
+    for all speeds and modes, like the weights in this package. Pretraining takes some minutes and
+    continues from a checkpoint if it is interrupted and called again.
     """
     check_output_path(out, ".npz", ".safetensors")
     chosen = estimators.create(estimator, **parse_settings(settings or []))
     if not isinstance(chosen, Trainable):
-        raise ConfigError(f"{estimator} has nothing to learn; use it in `estimate` by its name")
+        raise ConfigError(f"{estimator} is not trainable; use it in `estimate` by its name")
     if road is None:
         facts = _pretrain(chosen, estimator, out, drives, seed)
         print_json(facts) if json else print_facts(facts)
@@ -150,10 +152,11 @@ def train(
     pairs: list[tuple[Record, Profile]] = []
     with progress_bar() as progress:
         for k, (name, i) in enumerate((name, i) for name in road for i in range(drives)):
-            progress(f"driving {name}", 0.5 * k / (len(road) * drives))
+            progress(f"simulating {name}", 0.5 * k / (len(road) * drives))
             pair = simulate_record(
-                car,
-                realise_road(name, length, seed + i),
+                name,
+                length=length,
+                vehicle=car,
                 speed_kmh=speed_kmh,
                 mode=parse_mode(mode),
                 instruments=instruments,
@@ -169,21 +172,19 @@ def train(
         "metres": float(sum(r.length for r, _ in pairs)),
         "written": [str(out)],
     }
-    course = getattr(fitted, "training", None)
-    if course is not None:
-        facts |= {"epochs": course.epochs, "stopped_by": course.stop}
+    if isinstance(fitted, StaticLm | Narx):
+        facts |= {"epochs": fitted.training.epochs, "stopped_by": fitted.training.stop}
     print_json(facts) if json else print_facts(facts)
 
 
 def _pretrain(
     estimator: Trainable, name: str, out: Path, number: int | None, seed: int
 ) -> dict[str, Any]:
-    """Teach an estimator from the corpus; what there is to say about it."""
+    """Pretrain an estimator on the corpus and return the facts to print. Raises ConfigError."""
     if not isinstance(estimator, Pretrained):
-        able = [key for key, cls in estimators.available().items() if hasattr(cls, "pretrain")]
         raise ConfigError(
-            f"{name} learns one speed and mode: give its training roads with --road; "
-            f"taught once for all are {', '.join(able)}"
+            f"{name} is trained for one speed and mode: give training roads with --road; "
+            f"pretraining on the corpus is possible for {', '.join(registry.pretrainable())}"
         )
     if out.suffix != ".safetensors":
         raise ConfigError(f"{out}: the name must end in .safetensors for weights from the corpus")
@@ -201,20 +202,12 @@ def _pretrain(
 
 
 def command_line() -> str:
-    """The command as it was typed, without the folder of the program."""
+    """Return the command line without the folder of the program."""
     return shlex.join(["road-recon", *sys.argv[1:]])
 
 
-def realise_road(road: str, length: float | None, seed: int) -> Surface:
-    """The surface that `seed` draws of a road, with another length if one is given."""
-    chosen = load_road(road)
-    if length is not None:
-        chosen = with_length(chosen, length)
-    return chosen.realise(np.random.default_rng(seed))
-
-
 def print_facts(facts: dict[str, Any]) -> None:
-    """One line for each fact, and then its notes."""
+    """Print a table of facts and then the notes."""
     table = Table(show_header=False, box=None, pad_edge=False)
     for key, value in facts.items():
         if key != "notes" and value not in ([], {}, None):
@@ -224,7 +217,7 @@ def print_facts(facts: dict[str, Any]) -> None:
 
 
 def print_notes(notes: Iterable[str]) -> None:
-    """What was assumed or mended, a line each."""
+    """Print notes, one per line."""
     for note in notes:
         console.print(f"- {note}", highlight=False, markup=False)
 

@@ -1,17 +1,17 @@
-"""The verdict on an estimator before it stands on a board: one sentence for each thing that counts.
+"""Conformance checks of an estimator before submission, one sentence for each check.
 
-    contract   a frozen dataclass that says whether it is causal, with methods that can be called
-    runs       trained and asked in a process of its own, it gives an estimate that can be judged
-    gaps       a fiftieth of the samples lost, in bursts: the field boards have such records
-    clipped    instruments whose range ends at half of what there was to see
-    field      a drive of car S3: another car, faulty instruments
-    short      5 m of road, and
-    mode       states of the struts that it was not trained in: it may refuse, in one sentence
-    sign ... repeat   the questions of `probes.py`, `repeat` over two processes
-    time, memory      what a board allows
+    contract   a frozen dataclass with the attribute `causal` and the required methods
+    runs       trained and run in a separate process, it returns a valid estimate
+    gaps       2 % of the samples lost in bursts, as in records of the field board
+    clipped    accelerometers clipped at half of the peak value
+    field      a drive of car S3: perturbed vehicle, faulty instruments
+    short      5 m of road; the estimator may refuse it with an error message
+    mode       strut modes that were not in its training; the estimator may refuse them too
+    sign ... repeat   the probes of `probes.py`, `repeat` in two processes
+    time, memory      the limits of a board
 
-A check that does not apply, or is answered by a refusal that is allowed, has neither passed nor
-failed. The judge's own process never loads the estimator.
+The result of a check that does not apply or that is refused is neither passed nor failed. This
+process never loads the estimator.
 """
 
 import dataclasses
@@ -39,20 +39,20 @@ ROAD = {"kind": "iso8608", "road_class": "D", "length": 60.0, "coherence": "none
 SPEED_KMH, MODE = 30.0, "handling"
 TRAINING_SEEDS, TEST_SEED = (101, 102), 1
 SEED = 1
-"""Of the training."""
+"""Training seed."""
 
-SHORT = 5.0
-"""Length [m] of a road that an estimator may find too short."""
+SHORT_LENGTH = 5.0
+"""Length [m] of a road that an estimator may refuse."""
 
 UNTRAINED_MODES = {"front": "soft_high", "rear": "stiff_low"}
-"""States of the struts in which the sample's training drives were not driven."""
+"""Strut modes that do not occur in the training drives."""
 
 DROPOUT_RATE, DROPOUT_LENGTH = 0.02, 20
-"""Share of the samples that is lost, and how many of them in a row."""
+"""Share of lost samples, and number of consecutive lost samples."""
 
 RUN_TIME_LIMIT = 300.0
-"""Seconds that a run on the sample may take: its drives are an eighth of a condition's training and
-less of its test, so that what takes longer would not come to an end on a board.
+"""Time limit [s] of one run on these drives. They are an eighth of a condition's training drives
+and less of its test drives, so a slower estimator would exceed the limit of a board.
 """
 
 REFUSAL_ALLOWED = ("short", "mode")
@@ -61,127 +61,124 @@ UNINTENDED_ERRORS = (
     "IndexError", "KeyError", "LinAlgError", "MemoryError", "NameError", "OverflowError",
     "RecursionError", "TypeError", "UnboundLocalError", "ZeroDivisionError",
 )  # fmt: skip
-"""Errors that nobody raises to refuse a record."""
+"""Errors that are bugs of an estimator, not deliberate refusals of a record."""
 
 COST_TASK = "new_road"
-"""The task whose drives a time is reckoned for."""
+"""Task for which the run time is predicted."""
 
 
 @dataclass(frozen=True)
 class CheckDrives:
-    """What an estimator is asked: drives to learn from, one with its truth, and damaged ones."""
+    """Drives of the checks: training drives, one test drive with its truth, and damaged records."""
 
     car: VehicleParameters
     training: tuple[tuple[Record, Profile], ...]
     record: Record
     truth: Profile
     damaged: Mapping[str, Record]
-    message: str
+    description: str
 
 
 @cache
 def check_drives() -> CheckDrives:
-    """The same drives in every run."""
+    """Simulate the drives of the checks, always the same."""
     training = tuple(_drive(seed) for seed in TRAINING_SEEDS)
     record, truth = _drive(TEST_SEED)
     damaged = {
         "gaps": dataclasses.replace(record, a=_with_dropouts(record.a)),
         "clipped": dataclasses.replace(record, a=_clipped(record.a)),
         "field": _drive(TEST_SEED, grade="S3")[0],
-        "short": _drive(TEST_SEED, length=SHORT)[0],
+        "short": _drive(TEST_SEED, length=SHORT_LENGTH)[0],
         "mode": _drive(TEST_SEED, mode=UNTRAINED_MODES)[0],
     }
-    message = f"{record.length:g} m of class {ROAD['road_class']}, {MODE}, {SPEED_KMH:g} km/h"
-    return CheckDrives(load_vehicle(CAR), training, record, truth, damaged, message)
+    description = f"{record.length:g} m of class {ROAD['road_class']}, {MODE}, {SPEED_KMH:g} km/h"
+    return CheckDrives(load_vehicle(CAR), training, record, truth, damaged, description)
 
 
 def check_entry(entry: Entry, sandbox: SandboxClient, limits: Limits) -> list[CheckResult]:
-    """Put everything to an entry, in processes of the `sandbox`; `limits` are those of the board.
+    """Run all checks of an entry in the `sandbox`; `limits` are those of the board.
 
-    It stops where nothing more can be asked: at an estimator that cannot be made, or that does not
-    run.
+    Stops after the first check of an estimator that cannot be constructed or does not run.
     """
     if entry.failure is not None:
         return [CheckResult(name="contract", passed=False, message=entry.failure)]
-    how = "causal" if entry.causal else "offline"
+    kind = "causal" if entry.causal else "offline"
     behind = f", {entry.lag:g} m behind the front axle" if entry.lag else ""
     contract = CheckResult(
-        name="contract", passed=True, message=f"a frozen dataclass, {how}{behind}"
+        name="contract", passed=True, message=f"a frozen dataclass, {kind}{behind}"
     )
-    given = check_drives()
+    drives = check_drives()
     try:
-        alone = _run(sandbox, entry, [given.record])
+        single = _run(sandbox, entry, [drives.record])
     except EntryError as error:
-        return [
-            contract,
-            CheckResult(name="runs", passed=False, message=f"on {given.message}: {error}"),
-        ]
-    found = [contract, _check_run(given, alone), *_check_damaged_records(sandbox, entry, given)]
+        message = f"on {drives.description}: {error}"
+        return [contract, CheckResult(name="runs", passed=False, message=message)]
+    results = [
+        contract,
+        _check_run(drives, single),
+        *_check_damaged_records(sandbox, entry, drives),
+    ]
     try:
-        asked = _run_probes(sandbox, entry, given)
+        probed = _run_probes(sandbox, entry, drives)
     except EntryError as error:
-        return [*found, CheckResult(name="probes", passed=False, message=str(error))]
+        return [*results, CheckResult(name="probes", passed=False, message=str(error))]
     return [
-        *found,
-        *_evaluate_probes(entry, given, alone, asked),
-        *_check_costs(limits, given, asked),
+        *results,
+        *_evaluate_probes(entry, drives, single, probed),
+        *_check_costs(limits, drives, probed),
     ]
 
 
 def probe_entry(entry: Entry, sandbox: SandboxClient) -> list[CheckResult]:
-    """The probes alone. Raises EntryError."""
-    given = check_drives()
-    alone = _run(sandbox, entry, [given.record])
-    return _evaluate_probes(entry, given, alone, _run_probes(sandbox, entry, given))
+    """Run only the probes of an entry. Raises EntryError."""
+    drives = check_drives()
+    single = _run(sandbox, entry, [drives.record])
+    return _evaluate_probes(entry, drives, single, _run_probes(sandbox, entry, drives))
 
 
 def _run(sandbox: SandboxClient, entry: Entry, records: Sequence[Record]) -> TrainingRun:
-    given = check_drives()
+    drives = check_drives()
     (training_run,) = sandbox.reconstruct(
-        entry.reference, entry.settings, given.training, records, given.car, [SEED], entry.name
+        entry.reference, entry.settings, drives.training, records, drives.car, [SEED], entry.name
     )
     return training_run
 
 
-def _check_run(given: CheckDrives, training_run: TrainingRun) -> CheckResult:
-    found = compute_scores(given.truth, training_run.estimates[0], SPEED_KMH / 3.6, False)
-    held = (
-        f"isolated by {training_run.isolation}"
-        if training_run.isolation == "namespaces"
-        else "isolated"
-    )
+def _check_run(drives: CheckDrives, training_run: TrainingRun) -> CheckResult:
+    values = compute_scores(drives.truth, training_run.estimates[0], SPEED_KMH / 3.6, False)
     message = (
-        f"{given.message}, in a process of its own ({held}): in-band error {found['nrmse']:.2f}, "
-        "where a flat road has 1"
+        f"{drives.description}, in a separate process (isolation: {training_run.isolation}): "
+        f"in-band error {values['nrmse']:.2f}, a flat estimate has 1"
     )
     return CheckResult(name="runs", passed=True, message=message)
 
 
 def _check_damaged_records(
-    sandbox: SandboxClient, entry: Entry, given: CheckDrives
+    sandbox: SandboxClient, entry: Entry, drives: CheckDrives
 ) -> list[CheckResult]:
-    """All at once, and only where that fails one by one."""
-    what = {
+    """Run all damaged records at once, and one by one only if that fails."""
+    descriptions = {
         "gaps": f"{DROPOUT_RATE:.0%} of the samples lost, in bursts",
-        "clipped": "clipped at half of what there was to see",
+        "clipped": "accelerations clipped at half of their peak",
         "field": "car S3 with faulty instruments",
-        "short": f"{SHORT:g} m of road",
-        "mode": "states of the struts unlike the training's",
+        "short": f"{SHORT_LENGTH:g} m of road",
+        "mode": "strut modes that were not in the training",
     }
     try:
-        _run(sandbox, entry, list(given.damaged.values()))
+        _run(sandbox, entry, list(drives.damaged.values()))
     except EntryError:
         return [
-            _check_damaged_record(sandbox, entry, name, record, what)
-            for name, record in given.damaged.items()
+            _check_damaged_record(sandbox, entry, name, record, descriptions[name])
+            for name, record in drives.damaged.items()
         ]
     return [
-        CheckResult(name=name, passed=True, message=f"{what[name]}: estimated") for name in what
+        CheckResult(name=name, passed=True, message=f"{description}: estimated")
+        for name, description in descriptions.items()
     ]
 
 
 def _check_damaged_record(
-    sandbox: SandboxClient, entry: Entry, name: str, record: Record, what: Mapping[str, str]
+    sandbox: SandboxClient, entry: Entry, name: str, record: Record, description: str
 ) -> CheckResult:
     try:
         _run(sandbox, entry, [record])
@@ -190,69 +187,77 @@ def _check_damaged_record(
         message = re.sub(r"^estimating test drive [^:]*: ", "", str(error))
         verb = "refused" if refused else "failed"
         return CheckResult(
-            name=name, passed=None if refused else False, message=f"{what[name]}: {verb}: {message}"
+            name=name,
+            passed=None if refused else False,
+            message=f"{description}: {verb}: {message}",
         )
-    return CheckResult(name=name, passed=True, message=f"{what[name]}: estimated")
+    return CheckResult(name=name, passed=True, message=f"{description}: estimated")
 
 
-def _is_refusal(message: str) -> bool:
-    """Whether an entry's failure is an error that its author wrote for the reader."""
-    found = re.match(r"estimating test drive [^:]*: (\w+): (.+)", message)
+def _is_refusal(failure: str) -> bool:
+    """Return whether a failure is an error that the estimator raised on purpose."""
+    found = re.match(r"estimating test drive [^:]*: (\w+): (.+)", failure)
     return found is not None and found[1] not in UNINTENDED_ERRORS and found[2] != "no message"
 
 
-def _run_probes(sandbox: SandboxClient, entry: Entry, given: CheckDrives) -> TrainingRun:
-    return _run(sandbox, entry, list(_perturbed_records(given).values()))
+def _run_probes(sandbox: SandboxClient, entry: Entry, drives: CheckDrives) -> TrainingRun:
+    return _run(sandbox, entry, list(_perturbed_records(drives).values()))
 
 
-def _perturbed_records(given: CheckDrives) -> dict[str, Record]:
-    return perturbed_records(given.record, load_instruments(INSTRUMENTS))
+def _perturbed_records(drives: CheckDrives) -> dict[str, Record]:
+    return perturbed_records(drives.record, load_instruments(INSTRUMENTS))
 
 
 def _evaluate_probes(
-    entry: Entry, given: CheckDrives, alone: TrainingRun, asked: TrainingRun
+    entry: Entry, drives: CheckDrives, single: TrainingRun, probed: TrainingRun
 ) -> list[CheckResult]:
-    """`alone` has the estimate of the sample from another process, after a training of its own."""
-    answers: dict[str, Estimate] = dict(
-        zip(_perturbed_records(given), asked.estimates, strict=True)
+    """Evaluate the probes; `single` is a run on the test record alone, with its own training."""
+    estimates: dict[str, Estimate] = dict(
+        zip(_perturbed_records(drives), probed.estimates, strict=True)
     )
-    answers["retrained"] = alone.estimates[0]
-    return evaluate_probes(answers, given.record, bool(entry.causal), entry.lag)
+    estimates["retrained"] = single.estimates[0]
+    return evaluate_probes(estimates, drives.record, bool(entry.causal), entry.lag)
 
 
 def _check_costs(
-    limits: Limits, given: CheckDrives, training_run: TrainingRun
+    limits: Limits, drives: CheckDrives, training_run: TrainingRun
 ) -> list[CheckResult]:
-    """Reckoned for one condition of the board, one training, all test drives, from a run of some
-    estimates, of which the first may have compiled something.
+    """Check time and memory against the limits.
+
+    The time is extrapolated to one training and all test drives of a condition of COST_TASK; it
+    is an upper bound, since the first estimate may include compilation.
     """
     task = load_task(COST_TASK).with_test_drives(None)
-    seen = sum(record.length for record, _ in given.training)
-    learning, asked = (
-        sum(r.length for r, _ in d.roads_and_seeds) for d in (task.training, task.test)
+    measured_training = sum(record.length for record, _ in drives.training)
+    training_length, test_length = (
+        sum(road.length for road, _ in part.roads_and_seeds) for part in (task.training, task.test)
     )
-    train, metres = training_run.train_seconds, len(training_run.estimates) * given.record.length
-    reckoned = train * learning / seen + training_run.estimate_seconds * asked / metres
+    train_seconds = training_run.train_seconds
+    metres = len(training_run.estimates) * drives.record.length
+    predicted = (
+        train_seconds * training_length / measured_training
+        + training_run.estimate_seconds * test_length / metres
+    )
     per_100m = 1e5 * training_run.estimate_seconds / metres
     memory = training_run.peak_memory or 0.0
     return [
         CheckResult(
             name="time",
-            passed=reckoned < limits.seconds,
-            message=f"{train:.2f} s to train, {_format_number(per_100m)} ms per 100 m: about "
-            f"{_format_number(reckoned)} s for a condition of {COST_TASK}, "
-            f"of {limits.seconds:g} s allowed",
+            passed=predicted < limits.seconds,
+            message=f"{train_seconds:.2f} s to train, {_format_number(per_100m)} ms per 100 m: "
+            f"about {_format_number(predicted)} s for a condition of {COST_TASK}, "
+            f"the limit is {limits.seconds:g} s",
         ),
         CheckResult(
             name="memory",
             passed=memory < limits.memory,
-            message=f"{memory:.2f} GiB at its peak, of {limits.memory:g} GiB allowed",
+            message=f"peak {memory:.2f} GiB, the limit is {limits.memory:g} GiB",
         ),
     ]
 
 
 def _format_number(x: float) -> str:
-    """A positive number in two or more digits, never as a power of ten."""
+    """Return a positive number with two or more digits, never in exponential notation."""
     return f"{x:.0f}" if x >= 10.0 else f"{x:.2g}"
 
 
@@ -261,8 +266,8 @@ def _drive(
 ) -> tuple[Record, Profile]:
     road = load_road({**ROAD, "length": length})
     return simulate_record(
-        load_vehicle(CAR),
         road.realise(np.random.default_rng(seed)),
+        vehicle=load_vehicle(CAR),
         speed_kmh=SPEED_KMH,
         mode=mode,  # type: ignore[arg-type]
         instruments=load_instruments(INSTRUMENTS),
@@ -272,14 +277,14 @@ def _drive(
 
 
 def _with_dropouts(a: np.ndarray) -> np.ndarray:
-    rng, found = np.random.default_rng(0), a.copy()
-    for channel in found:
+    rng, damaged = np.random.default_rng(0), a.copy()
+    for channel in damaged:
         for first in rng.integers(
             channel.size - DROPOUT_LENGTH,
             size=int(DROPOUT_RATE * channel.size / DROPOUT_LENGTH) + 1,
         ):
             channel[first : first + DROPOUT_LENGTH] = np.nan
-    return found
+    return damaged
 
 
 def _clipped(a: np.ndarray) -> np.ndarray:

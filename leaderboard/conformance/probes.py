@@ -1,22 +1,22 @@
-"""Does an estimator follow what was sensed? Questions put to it beside a short drive, and verdicts.
+"""Probes of an estimator: perturbed copies of a short record, and checks of the estimates.
 
-    sign      a mirrored up and down: the road must be mirrored
-    scale     half the accelerations: a road of less height, of the same shape
-    shuffle   accelerations in another order: another road
-    swap      a mirrored left and right: the wheel paths must change places
-    future    noise from the middle on: a causal estimate must not change before it
-    repeat    asked twice, run and trained twice with one seed: one answer
+    sign      accelerations negated: the estimate must be negated
+    scale     accelerations halved: the estimate must be lower, with the same shape
+    shuffle   samples in random order: the estimate must be uncorrelated
+    swap      left and right exchanged: the wheel paths must be exchanged
+    future    noise added from the middle on: a causal estimate must not change before it
+    repeat    estimated twice, and trained twice with one seed: the estimates must be equal
 
 `perturbed_records` makes the records and `evaluate_probes` compares the estimates made from them,
-so the caller need not hold the estimator in its own process. `probe_estimator` does both here.
+so the estimator may run in another process. `probe_estimator` does both in this process.
 
-The body is rigid, so where there is no left front accelerometer, with sensors at y,
+There is no left front accelerometer. Since the body is rigid, with sensors at lateral positions y,
 
     a_LF = a_RF - 2 y_RF (a_LR - a_RR) / (y_LR - y_RR)
 
-is what RF would feel of the mirrored road. Shapes are compared by Pearson's r inside the scored
-band. A model of a nonlinear car need not be odd or proportional to the last digit, so r has to
-pass 0.5 only; an estimate that does not look at the record has 1 where it should not, or 0.
+is what sensor RF would measure on the mirrored road. Shapes are compared by Pearson's r in the
+scored band. The threshold is only 0.5, since the model of a nonlinear vehicle is neither odd nor
+proportional; an estimate that ignores the record has r = 1 with itself where it must differ, or 0.
 """
 
 import dataclasses
@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.api import Estimator, Trainable
+from estimators.api import Estimator, Trainable, declared_lag
 from leaderboard.metrics.heights import band_pass, correlation
 from road_envs.config import STRICT
 from road_envs.data.record import Estimate, Profile, Record, scored_band
@@ -35,27 +35,26 @@ from road_envs.vehicle.suspension import WHEELS
 
 PROBES = ("sign", "scale", "shuffle", "swap", "future", "repeat")
 MIN_CORRELATION = 0.5
-"""Least r at which one shape is taken for the other."""
+"""Least r between shapes that count as equal."""
 
 SCALE_FACTOR = 0.5
 """Factor on the accelerations in `scale`."""
 
 LOOKAHEAD_THRESHOLD = 0.1
-"""Change, over the estimate's own deviation, that counts as having looked ahead."""
+"""Least change that counts as use of later samples, relative to the estimate's deviation."""
 
 EQUALITY_TOLERANCE = 1e-9
-"""Change [m] below which an estimate has not changed: rounding."""
+"""Largest difference [m] of estimates that count as equal, for rounding."""
 
 MIRRORED_WHEELS = [WHEELS.index(wheel) for wheel in ("FR", "FL", "RR", "RL")]
 
-
 EstimateFunction = Callable[[Sequence[Record]], Sequence[Estimate]]
-"""Estimates of some records, one each, after a training with a seed that is always the same."""
+"""Function that trains an estimator with a fixed seed and estimates some records."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckResult:
-    """What came of one probe; `passed` is None where it does not apply to the estimator."""
+    """Result of one check or probe; `passed` is None if it does not apply to the estimator."""
 
     __pydantic_config__ = STRICT
 
@@ -65,124 +64,127 @@ class CheckResult:
 
 
 def perturbed_records(record: Record, instruments: Instruments, seed: int = 0) -> dict[str, Record]:
-    """The records to be estimated by name of the probe; "asked" is `record` itself, "again" too."""
+    """Return the records to estimate by name; "original" and "again" are unperturbed."""
     rng = np.random.default_rng(seed)
     RF, LR, RR = record.a
     y = [place.y for place in vars(instruments.accelerometers).values()]
     LF = RF - 2.0 * y[0] * (LR - RR) / (y[1] - y[2])
     late = record.s >= 0.5 * record.length
     noise = np.nanstd(record.a) * rng.standard_normal(record.a.shape)
-    changed = {
-        "asked": record.a,
+    accelerations = {
+        "original": record.a,
         "again": record.a,
         "sign": -record.a,
         "scale": SCALE_FACTOR * record.a,
         "shuffle": record.a[:, rng.permutation(record.t.size)],
         "future": record.a + np.where(late, noise, 0.0),
     }
-    asked = {name: dataclasses.replace(record, a=a) for name, a in changed.items()}
-    asked["swap"] = dataclasses.replace(
+    records = {name: dataclasses.replace(record, a=a) for name, a in accelerations.items()}
+    records["swap"] = dataclasses.replace(
         record,
         a=np.stack([LF, RR, LR]),
         spring_stiff=record.spring_stiff[:, MIRRORED_WHEELS],
         damper_high=record.damper_high[:, MIRRORED_WHEELS],
     )
-    return asked
+    return records
 
 
 def evaluate_probes(
-    answers: Mapping[str, Estimate], record: Record, causal: bool, lag: float = 0.0
+    estimates: Mapping[str, Estimate], record: Record, causal: bool, lag: float = 0.0
 ) -> list[CheckResult]:
-    """Compare the estimates of `perturbed_records`; "retrained" is one of "asked" by a second run.
+    """Compare the estimates of `perturbed_records` and return one result for each probe.
 
-    `lag` [m] is how far behind the front axle a causal estimate stands.
+    `estimates` has one more key: "retrained" is the estimate of "original" after another training.
+    `lag` [m] is the distance of a causal estimate behind the front axle.
     """
     band = scored_band(float(np.median(record.v)))
-    shape = {name: band_pass(x.z, x.ds, band) for name, x in answers.items()}
-    asked, ds = shape["asked"], answers["asked"].ds
+    shapes = {name: band_pass(x.z, x.ds, band) for name, x in estimates.items()}
+    original, ds = shapes["original"], estimates["original"].ds
 
-    def likeness(name: str, wanted: np.ndarray) -> float:
-        return float(np.nan_to_num(correlation(wanted, shape[name], ds).r)) + 0.0
+    def similarity(name: str, expected: np.ndarray) -> float:
+        return float(np.nan_to_num(correlation(expected, shapes[name], ds).r)) + 0.0
 
     r = {
-        "sign": likeness("sign", -asked),
-        "scale": likeness("scale", asked),
-        "shuffle": likeness("shuffle", asked),
-        "swap": likeness("swap", asked[::-1]),
+        "sign": similarity("sign", -original),
+        "scale": similarity("scale", original),
+        "shuffle": similarity("shuffle", original),
+        "swap": similarity("swap", original[::-1]),
     }
-    level = float(np.sqrt(np.mean(shape["scale"] ** 2) / max(np.mean(asked**2), 1e-30)))
-    looks = bool(asked.any())
+    level = float(np.sqrt(np.mean(shapes["scale"] ** 2) / max(np.mean(original**2), 1e-30)))
+    is_nonzero = bool(original.any())
     return [
         CheckResult(
             name="sign",
             passed=r["sign"] > MIN_CORRELATION,
-            message=f"upside down, r = {r['sign']:.2f} to the mirrored estimate",
+            message=f"accelerations negated: r = {r['sign']:.2f} with the negated estimate",
         ),
         CheckResult(
             name="scale",
             passed=r["scale"] > MIN_CORRELATION and SCALE_FACTOR**2 < level < SCALE_FACTOR**0.5,
-            message=f"at half the accelerations {level:.2f} of the height, r = {r['scale']:.2f}",
+            message=f"accelerations halved: {level:.2f} of the height, r = {r['scale']:.2f}",
         ),
         CheckResult(
             name="shuffle",
-            passed=looks and abs(r["shuffle"]) < MIN_CORRELATION,
-            message=f"out of order, r = {r['shuffle']:.2f} to the estimate in order",
+            passed=is_nonzero and abs(r["shuffle"]) < MIN_CORRELATION,
+            message=f"samples shuffled: r = {r['shuffle']:.2f} with the estimate",
         ),
         CheckResult(
             name="swap",
             passed=r["swap"] > MIN_CORRELATION,
-            message=f"left for right, r = {r['swap']:.2f} to the exchanged wheel paths",
+            message=f"left and right exchanged: r = {r['swap']:.2f} with exchanged wheel paths",
         ),
-        _evaluate_future(answers, record, causal, lag),
-        _evaluate_repeat(answers),
+        _evaluate_future(estimates, record, causal, lag),
+        _evaluate_repeat(estimates),
     ]
 
 
 def _evaluate_future(
-    answers: Mapping[str, Estimate], record: Record, causal: bool, lag: float
+    estimates: Mapping[str, Estimate], record: Record, causal: bool, lag: float
 ) -> CheckResult:
-    stations = answers["asked"].s
-    change = np.abs(answers["future"].z - answers["asked"].z).max(axis=0)
+    original = estimates["original"]
+    change = np.abs(estimates["future"].z - original.z).max(axis=0)
     sample = float(np.diff(record.s).max())  # between two samples one may interpolate
     first = 0.5 * record.length - lag - sample
     if causal:
-        early = change[stations < first]
-        known = f", {lag:g} m behind the front axle" if lag else ""
+        early = float(change[original.s < first].max(initial=0.0))
+        behind = f", {lag:g} m behind the front axle" if lag else ""
         return CheckResult(
             name="future",
-            passed=bool(early.max(initial=0.0) <= EQUALITY_TOLERANCE),
-            message=f"what comes later changes {1e3 * early.max(initial=0.0):.3g} mm of it{known}",
+            passed=early <= EQUALITY_TOLERANCE,
+            message=f"later samples change the estimate by {1e3 * early:.3g} mm{behind}",
         )
-    felt = stations[change > LOOKAHEAD_THRESHOLD * answers["asked"].z.std()]
-    reach = max(0.0, first - felt.min(initial=first))
-    return CheckResult(name="future", passed=None, message=f"offline: looks {reach:.1f} m ahead")
+    changed = original.s[change > LOOKAHEAD_THRESHOLD * original.z.std()]
+    reach = max(0.0, first - changed.min(initial=first))
+    return CheckResult(
+        name="future", passed=None, message=f"offline: uses samples up to {reach:.1f} m ahead"
+    )
 
 
-def _evaluate_repeat(answers: Mapping[str, Estimate]) -> CheckResult:
-    how = {"again": "asked twice", "retrained": "run twice with one seed"}
-    gap = {name: float(np.abs(answers[name].z - answers["asked"].z).max()) for name in how}
-    message = ", ".join(f"{how[name]}: {1e3 * x:.3g} mm apart" for name, x in gap.items())
+def _evaluate_repeat(estimates: Mapping[str, Estimate]) -> CheckResult:
+    words = {"again": "estimated twice", "retrained": "trained twice with one seed"}
+    original = estimates["original"].z
+    gap = {name: float(np.abs(estimates[name].z - original).max()) for name in words}
+    message = ", ".join(f"{words[name]}: {1e3 * x:.3g} mm apart" for name, x in gap.items())
     return CheckResult(
         name="repeat", passed=max(gap.values()) <= EQUALITY_TOLERANCE, message=message
     )
 
 
 def run_probes(
-    answer: EstimateFunction,
+    estimate: EstimateFunction,
     record: Record,
     instruments: Instruments,
     causal: bool,
     lag: float = 0.0,
 ) -> list[CheckResult]:
-    """Probe whoever stands behind `answer`, on a `record` of 50 m or more.
+    """Probe the estimator behind `estimate` on a `record` of 50 m or more.
 
-    `answer` trains, if there is something to train, and estimates some records; it is called twice
-    and has to use one training seed. Raises what it raises.
+    `estimate` is called twice and must train with the same seed each time. Raises what it raises.
     """
-    asked = perturbed_records(record, instruments)
-    answers = dict(zip(asked, answer(list(asked.values())), strict=True))
-    (answers["retrained"],) = answer([record])
-    return evaluate_probes(answers, record, causal, lag)
+    records = perturbed_records(record, instruments)
+    estimates = dict(zip(records, estimate(list(records.values())), strict=True))
+    (estimates["retrained"],) = estimate([record])
+    return evaluate_probes(estimates, record, causal, lag)
 
 
 def probe_estimator(
@@ -194,22 +196,20 @@ def probe_estimator(
     seed: int = 1,
     instruments: Instruments | None = None,
 ) -> list[CheckResult]:
-    """As `run_probes`, of an estimator in this process; one that learns does so on `training`."""
+    """Probe an estimator in this process; a trainable one is fitted to `training` first."""
 
-    def answer(records: Sequence[Record]) -> list[Estimate]:
+    def estimate(records: Sequence[Record]) -> list[Estimate]:
         fitted = estimator
         if isinstance(estimator, Trainable) and training:
-            seen, truths = [list(part) for part in zip(*training, strict=True)]
-            fitted = estimator.fit(seen, truths, car, seed)
+            training_records, truths = [list(part) for part in zip(*training, strict=True)]
+            fitted = estimator.fit(training_records, truths, car, seed)
         return [fitted.estimate(one, car) for one in records]
 
-    lag = getattr(estimator, "lag", None) or 0.0
-    return run_probes(
-        answer, record, instruments or load_instruments("paper"), estimator.causal, lag
-    )
+    sensors, lag = instruments or load_instruments("paper"), declared_lag(estimator)
+    return run_probes(estimate, record, sensors, estimator.causal, lag)
 
 
 def count_passed(probes: Sequence[CheckResult]) -> str:
-    """How a board shows them: "5/5", those passed of those that apply."""
-    told = [p.passed for p in probes if p.passed is not None]
-    return f"{sum(told)}/{len(told)}" if told else ""
+    """Return the number of passed and of applicable probes, such as "5/5"; "" for none."""
+    applicable = [probe.passed for probe in probes if probe.passed is not None]
+    return f"{sum(applicable)}/{len(applicable)}" if applicable else ""

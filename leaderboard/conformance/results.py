@@ -1,10 +1,9 @@
-"""Cards of estimators: what the probes say of each, kept like results.
+"""Estimator cards: the probe results of each estimator, stored like evaluation results.
 
     <out>/cards/<identity>.json
 
-The identity is the digest of the estimator, by name, settings and code with its weights, and of the
-code that drives the sample and puts the questions. So a card never has to be changed; one that is
-damaged is as good as none.
+The identity is the digest of the estimator (name, settings, code and weights) and of the code of
+the probes, so a card is never modified. A damaged card is ignored. The name follows "model cards".
 """
 
 import dataclasses
@@ -27,12 +26,12 @@ from road_envs.config import STRICT, ConfigError, build
 
 FORMAT = 1
 CHECKS_MODULE = "leaderboard.conformance.checks"
-"""Everything that decides what is asked, and what is said, is imported from here on."""
+"""Module that imports, directly or not, all code that determines a card."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EstimatorCard:
-    """What the probes said of an estimator, on a drive in words; or, in a sentence, why nothing."""
+    """Probe results of an estimator on the described `drive`, or the `failure` of the probes."""
 
     __pydantic_config__ = STRICT
 
@@ -47,27 +46,27 @@ class EstimatorCard:
 
     @property
     def passed_count(self) -> str:
-        """Those passed of those that apply, such as "5/5"."""
+        """Number of passed and of applicable probes, such as "5/5"."""
         return count_passed(self.probes)
 
 
 def card_identity(estimator: str, settings: Mapping[str, Any], code: str) -> str:
-    """Digest of all that a card depends on."""
-    known = [FORMAT, package_version(), _checks_version(), estimator, dict(settings), code]
-    return hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()[:32]
+    """Return the digest of all inputs of a card."""
+    inputs = [FORMAT, package_version(), _checks_version(), estimator, dict(settings), code]
+    return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()[:32]
 
 
 def find_card(
     out: Path, estimator: str, settings: Mapping[str, Any], code: str
 ) -> EstimatorCard | None:
-    """The card of an estimator as it is now, if it was examined and the card can be read."""
-    known = card_identity(estimator, settings, code)
+    """Return the card of this version of an estimator; None if it is missing or damaged."""
+    identity = card_identity(estimator, settings, code)
     try:
-        data, _ = store.read_checked_json(_path(out, known), FORMAT)
+        data, _ = store.read_checked_json(_path(out, identity), FORMAT)
         card = build(EstimatorCard, data, "card")
     except ConfigError:
         return None
-    return card if card.identity == known else None
+    return card if card.identity == identity else None
 
 
 def probe_entries(
@@ -76,48 +75,49 @@ def probe_entries(
     limits: Limits,
     report: Callable[[str], None] = lambda text: None,
 ) -> int:
-    """Examine every entry that has no card yet, in processes of its own; how many there were."""
-    wanted = {
+    """Probe every entry without a card, in separate processes; return the number of new cards."""
+    missing = {
         card_identity(e.name, e.settings, e.code): e
         for e in entries
         if e.reference != BUILTIN
         and e.failure is None
         and find_card(out, e.name, e.settings, e.code) is None
     }
-    if not wanted:
+    if not missing:
         return 0
     hidden = [out / "results", out / "jobs", out / "cards"]
     for folder in hidden:
         folder.mkdir(parents=True, exist_ok=True)
     with SandboxClient(limits, hidden) as sandbox:
-        for known, entry in wanted.items():
+        for identity, entry in missing.items():
             report(f"probing {entry.name}")
-            store.write_durable(_path(out, known), _text(_probe_entry(known, entry, sandbox)))
-    return len(wanted)
+            card = _probe_entry(identity, entry, sandbox)
+            store.write_durable(_path(out, identity), _text(card))
+    return len(missing)
 
 
-def _probe_entry(known: str, entry: Entry, sandbox: SandboxClient) -> EstimatorCard:
+def _probe_entry(identity: str, entry: Entry, sandbox: SandboxClient) -> EstimatorCard:
     from leaderboard.conformance.checks import check_drives, probe_entry
 
-    nothing = EstimatorCard(
-        identity=known,
+    empty = EstimatorCard(
+        identity=identity,
         estimator=entry.name,
         settings=entry.settings,
         code=entry.code,
-        drive=check_drives().message,
+        drive=check_drives().description,
     )
     try:
-        return dataclasses.replace(nothing, probes=tuple(probe_entry(entry, sandbox)))
+        return dataclasses.replace(empty, probes=tuple(probe_entry(entry, sandbox)))
     except EntryError as error:
-        return dataclasses.replace(nothing, failure=str(error))
+        return dataclasses.replace(empty, failure=str(error))
 
 
 def _text(card: EstimatorCard) -> str:
     return store.with_checksum(dataclasses.asdict(card))
 
 
-def _path(out: Path, known: str) -> Path:
-    return out / "cards" / f"{known}.json"
+def _path(out: Path, identity: str) -> Path:
+    return out / "cards" / f"{identity}.json"
 
 
 @cache

@@ -1,7 +1,6 @@
-"""A package to begin with: an estimator of one's own that installs, is tested, and is judged.
+"""Template of a package with an own estimator, installable and tested.
 
-Every file is written whole into a folder that must be new or empty. The estimator is a working one,
-the accelerations of the body integrated twice, to be replaced by something better.
+The example estimator integrates body accelerations twice. It works and is meant to be replaced.
 """
 
 import keyword
@@ -40,13 +39,14 @@ INIT = '''\
 '''
 
 ESTIMATOR = '''\
-"""Heights from body accelerations integrated twice: a place to begin.
+"""Double integration of body accelerations, as a starting point.
 
-Left and right wheel path take the mean of what the sensors over the axles say, and their difference
-across the car. Each signal is low-passed, integrated twice over time and high-passed, for drift is
-what double integration makes of noise.
+The mean height of both wheel paths is computed from the sensor over the front axle, their
+difference from the roll acceleration. Each signal is low-passed, integrated twice over time and
+high-passed, since double integration turns noise into drift.
 
-Known to fail: above the body's own frequency (about 1 Hz), where the suspension hides the road.
+Known to fail above the body's natural frequency (about 1 Hz), where the suspension isolates the
+body from the road.
 """
 
 from dataclasses import dataclass
@@ -62,7 +62,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 @dataclass(frozen=True, kw_only=True)
 class {cls}:
-    """`n_low` [cycles/m]: slower waves are left out."""
+    """`n_low` [cycles/m]: lower cut-off spatial frequency."""
 
     causal: ClassVar[bool] = False
 
@@ -73,31 +73,33 @@ class {cls}:
             raise ValueError(f"n_low must be positive, got {{self.n_low}}")
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Both wheel paths on the grid of the record."""
+        """Return the heights of both wheel paths at the profile stations."""
         stations = profile_stations(record.length)
         rf, lr, rr = preprocess_accelerations(fill_gaps(record.a), record.fs)
         roll = 0.5 * (lr - rr)
-        middle = np.array([rf + roll, roll])  # over the front axle, and half the difference
+        signals = np.array([rf + roll, roll])  # mean over the front axle, half the difference
         f_low = max(self.n_low * float(np.median(record.v)), 0.05)
-        z = record.interpolate(stations, integrate_twice(middle, record.fs, f_low))
-        return Estimate(stations, np.array([z[0] + z[1], z[0] - z[1]]))
+        mean, half_difference = record.interpolate(
+            stations, integrate_twice(signals, record.fs, f_low)
+        )
+        return Estimate(stations, np.array([mean + half_difference, mean - half_difference]))
 
 
 def fill_gaps(a: np.ndarray) -> np.ndarray:
-    """Accelerations (k, N) [m/s²] with straight lines where samples were lost, which are NaN."""
+    """Return accelerations (k, N) [m/s²] with lost samples, which are NaN, interpolated."""
     k = np.arange(a.shape[1])
-    return np.array([np.interp(k, k[known], x[known]) for x in a for known in [np.isfinite(x)]])
+    return np.array([np.interp(k, k[valid], x[valid]) for x in a for valid in [np.isfinite(x)]])
 
 
 def integrate_twice(a: np.ndarray, fs: float, f_low: float) -> np.ndarray:
-    """Displacements (k, N) [m] of accelerations (k, N) [m/s²], above `f_low` [Hz]."""
+    """Return displacements (k, N) [m] above `f_low` [Hz] of accelerations (k, N) [m/s²]."""
     sos = signal.butter(2, f_low, "high", fs=fs, output="sos")
     v = signal.sosfiltfilt(sos, np.cumsum(a, axis=1) / fs, axis=1)
     return signal.sosfiltfilt(sos, np.cumsum(v, axis=1) / fs, axis=1)
 '''
 
 TEST = '''\
-"""What the estimator keeps, tested without a simulator."""
+"""Tests of the estimator, without a simulator."""
 
 import numpy as np
 from {module}.estimator import {cls}, fill_gaps, integrate_twice
@@ -114,12 +116,12 @@ def test_a_sine_is_integrated_twice():
     np.testing.assert_allclose(z[8000:-8000], np.sin(w * t[8000:-8000]), atol=0.05)
 
 
-def test_lost_samples_are_fill_gaps():
+def test_lost_samples_are_interpolated():
     a = np.array([[0.0, np.nan, 2.0, np.nan, np.nan, 5.0]])
     np.testing.assert_array_equal(fill_gaps(a), [[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]])
 
 
-def test_the_estimate_can_be_judged():
+def test_the_estimate_is_valid():
     t = np.arange(4000) / 400.0
     a = np.random.default_rng(0).standard_normal((3, t.size))
     off = np.zeros((t.size, 4), dtype=bool)
@@ -130,38 +132,37 @@ def test_the_estimate_can_be_judged():
 README = """\
 # {distribution}
 
-An estimator of road profiles for RoadRecon, called `{name}`.
+The estimator `{name}` of road profiles, for RoadRecon.
 
     pip install --editable ".[test]"
     python -m pytest
     road-recon check-estimator {name}
     road-recon leaderboard --task new_road --estimator {name} --roads 2
 
-The estimator stands in `{module}/estimator.py`: a frozen dataclass of settings with a method
-`estimate(record, car)` that returns heights of both wheel paths at the stations
-`profile_stations(record.length)`. One that is trained has `fit`, `weights` and
-`with_weights` too; `estimators/api.py` documents them.
-`pyproject.toml` registers it under the entry-point group `road_envs.estimators`.
+The estimator is defined in `{module}/estimator.py`: a frozen dataclass of settings with a method
+`estimate(record, car)` that returns the heights of both wheel paths at the stations
+`profile_stations(record.length)`. A trainable estimator also has `fit`, `weights` and
+`with_weights`; `estimators/api.py` documents them. `pyproject.toml` registers it under the
+entry-point group `road_envs.estimators`.
 """
 
 
 def write_package(name: str, folder: Path) -> list[Path]:
-    """Write a package with the estimator `name` into an empty `folder`; returns its files.
+    """Write a package with the estimator `name` into a new or empty `folder`; return its files.
 
-    Raises ConfigError, before anything is written, if the name cannot be used or the folder is in
-    use.
+    Raises ConfigError, before anything is written, for an invalid name or a folder with files.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
         raise ConfigError(
-            f"{name!r} cannot be the name of an estimator: small letters, digits and '_' are "
-            "wanted, a letter first"
+            f"{name!r} cannot be the name of an estimator: use lower-case letters, digits and "
+            "'_', and begin with a letter"
         )
     if name in available():
-        raise ConfigError(f"the name {name!r} is taken by an estimator that is installed")
+        raise ConfigError(f"the name {name!r} is taken by an installed estimator; choose another")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ConfigError(f"{folder} is in use; a new or empty folder is wanted")
+        raise ConfigError(f"{folder} is not empty; choose a new or empty folder")
     module = f"road_recon_{name}"
-    words = {
+    fields = {
         "name": name,
         "module": module,
         "distribution": module.replace("_", "-"),
@@ -175,5 +176,5 @@ def write_package(name: str, folder: Path) -> list[Path]:
         "tests/test_estimator.py": TEST,
     }
     for path, text in files.items():
-        write_text(folder / path, text.format(**words))
+        write_text(folder / path, text.format(**fields))
     return [folder / path for path in files]

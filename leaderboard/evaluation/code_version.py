@@ -1,8 +1,8 @@
-"""Versions of the code that makes drives and scores, and of each estimator.
+"""Versions of the evaluation code and of each estimator's code, as digests of source files.
 
-Inside this project the files are found by following import statements, so that an edit voids the
-results that it may have changed and no others. Of another package every file counts, weights
-included. Docstrings, comments and layout do not count.
+Inside this project the files are found by following import statements, so an edit invalidates only
+the results that it may have changed. Every file of another package counts, weights included.
+Docstrings, comments and layout do not count.
 """
 
 import importlib.util
@@ -12,23 +12,23 @@ from pathlib import Path
 from road_envs._code_digest import PACKAGES, closure, digest
 
 EVALUATION_MODULE = "leaderboard.evaluation.evaluate"
-"""Everything that decides drives and scores is imported from here on."""
+"""Module that imports, directly or not, all code that determines drives and scores."""
 
 
 @cache
 def evaluation_version() -> str:
-    """Return the version of what makes drives and scores."""
+    """Return the version of the code that determines drives and scores."""
     return digest(closure(EVALUATION_MODULE))
 
 
 def module_version(module: str) -> str:
-    """Return the version of the code in a module and of what it imports."""
+    """Return the version of a module and of everything it imports."""
     top = module.partition(".")[0]
     return digest(closure(module) if top in PACKAGES else _package_files(top))
 
 
 def _package_files(top: str) -> list[Path]:
-    """All files of another package, or the one file of a module."""
+    """Return all files of another package, or the single file of a module."""
     spec = importlib.util.find_spec(top)
     folders = [Path(folder) for folder in (spec.submodule_search_locations or ())] if spec else []
     if folders:

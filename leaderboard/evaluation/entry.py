@@ -1,6 +1,6 @@
-"""The seam between judge and entry: records and training truths go in, estimates come out.
+"""Entries and how they are run: training records and truths and test records in, estimates out.
 
-An entry's code runs here and nowhere else, and the truth of a test drive never gets here.
+All code of an entry runs in `reconstruct`, which never receives the truth of a test drive.
 """
 
 import dataclasses
@@ -17,16 +17,16 @@ from road_envs.data.record import Estimate, Profile, Record
 from road_envs.vehicle.parameters import VehicleParameters
 
 BUILTIN = "judge"
-"""Reference of an entry that the judge itself answers for."""
+"""Reference of an entry whose estimates the evaluation computes itself, from the truth."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """Who is judged: an estimator by name, with what it takes to make it anywhere.
+    """An estimator on the leaderboard, described so that any process can construct it.
 
     `reference` is a registered name, "module:Class", or the path of an .npz from `train`; `lag` [m]
-    is how far behind the front axle a causal estimate stands; `code` is the version of its sources
-    and weights; a `failure` says why it cannot be made.
+    is the distance of a causal estimate behind the front axle; `code` is the version of its sources
+    and weights; `failure` is the reason why it cannot be constructed.
     """
 
     __pydantic_config__ = STRICT
@@ -41,24 +41,24 @@ class Entry:
 
 
 class EntryError(Exception):
-    """An estimator that cannot be judged, said in one sentence."""
+    """An estimator that cannot be evaluated; the message is one sentence."""
 
 
 @dataclass(frozen=True)
 class TrainingRun:
-    """What came of one training and its test records."""
+    """Estimates of all test records after one training, with their cost."""
 
     estimates: list[Estimate]
     train_seconds: float
     estimate_seconds: float
-    parameters: int  # numbers learnt
+    parameters: int  # number of fitted parameters
     seed: int = 0  # of the training
     peak_memory: float | None = None  # [GiB] of the process that ran all trainings
     isolation: str = "none"
 
 
 def needs_training(estimator: Estimator) -> bool:
-    """Whether the judge trains an estimator: it can learn, and brings no weights of its own."""
+    """Return whether an estimator is trainable and has no weights yet."""
     if not isinstance(estimator, Trainable):
         return False
     try:
@@ -75,8 +75,10 @@ def reconstruct_all(
     car: VehicleParameters,
     seeds: Sequence[int],
 ) -> Iterator[TrainingRun]:
-    """One outcome for each training seed; the first alone where nothing is drawn from the seed,
-    which is seen when the second gives the same answers. Raises EntryError.
+    """Yield one run for each training seed. Raises EntryError.
+
+    Yields the first run only if the training does not depend on the seed, that is, if the second
+    run gives the same estimates.
     """
     first: list[Estimate] = []
     for seed in seeds if needs_training(estimator) else seeds[:1]:
@@ -94,36 +96,36 @@ def reconstruct(
     car: VehicleParameters,
     seed: int,
 ) -> TrainingRun:
-    """Train the estimator if it learns, then estimate every record. Raises EntryError."""
-    doing = f"training with seed {seed}"
+    """Train the estimator if it needs training, then estimate every record. Raises EntryError."""
+    step = f"training with seed {seed}"
     try:
         start = time.perf_counter()
         if needs_training(estimator):
-            seen, truths = [list(part) for part in zip(*training, strict=True)]
-            estimator = estimator.fit(seen, truths, car, seed)  # type: ignore[attr-defined]
-        trained = time.perf_counter()
+            training_records, truths = [list(part) for part in zip(*training, strict=True)]
+            estimator = estimator.fit(training_records, truths, car, seed)  # type: ignore[attr-defined]
+        end_of_training = time.perf_counter()
         parameters = sum(np.size(array) for array in _weights(estimator))
         estimates = []
         for k, record in enumerate(records, start=1):
-            doing = f"estimating test drive {k} of {len(records)}, seed {seed}"
+            step = f"estimating test drive {k} of {len(records)}, seed {seed}"
             estimate = estimator.estimate(record, car)
             check_estimate(estimate, record)
             estimates.append(estimate)
     except (Exception, SystemExit) as error:
-        raise EntryError(f"{doing}: {describe_error(error)}") from error
-    spent = time.perf_counter() - trained
-    return TrainingRun(estimates, trained - start, spent, parameters, seed)
+        raise EntryError(f"{step}: {describe_error(error)}") from error
+    estimate_seconds = time.perf_counter() - end_of_training
+    return TrainingRun(estimates, end_of_training - start, estimate_seconds, parameters, seed)
 
 
 def get_settings(estimator: Estimator | None) -> dict[str, Any]:
-    """What an estimator was constructed with."""
+    """Return the constructor arguments of an estimator, {} if it is no dataclass."""
     if estimator is None or not dataclasses.is_dataclass(estimator):
         return {}
     return {f.name: getattr(estimator, f.name) for f in dataclasses.fields(estimator) if f.init}
 
 
 def describe_error(error: BaseException) -> str:
-    """An error in one line."""
+    """Return class and message of an error in one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
 
 
@@ -131,7 +133,7 @@ def _weights(estimator: Estimator) -> list[np.ndarray]:
     return list(estimator.weights().values()) if isinstance(estimator, Trainable) else []
 
 
-def _equal_estimates(some: Sequence[Estimate], others: Sequence[Estimate]) -> bool:
-    return len(some) == len(others) and all(
-        np.array_equal(a.z, b.z) for a, b in zip(some, others, strict=True)
+def _equal_estimates(first: Sequence[Estimate], second: Sequence[Estimate]) -> bool:
+    return len(first) == len(second) and all(
+        np.array_equal(a.z, b.z) for a, b in zip(first, second, strict=True)
     )

@@ -1,7 +1,7 @@
-"""The judge at work: what an entry makes of the drives of one condition, as a `Result`.
+"""Evaluation of entries on the drives of a condition, with a `Result` for each entry.
 
-The drives are simulated once and shared by all entries; only one condition's drives are held at a
-time. Training seeds are kept apart, drive by drive. A failure is a result too.
+The drives are simulated once and shared by all entries; only one condition's drives are in memory
+at a time. Scores of each training seed are stored separately. A failure is a result too.
 """
 
 import dataclasses
@@ -36,17 +36,16 @@ from road_envs.data.record import Estimate
 from road_envs.simulation.drive import SimulationError
 
 SEEDS = (1, 2, 3)
-"""Training seeds of an estimator that learns."""
+"""Default training seeds of a trainable estimator."""
 
 TRACE_LENGTH = 100.0
-"""Length [m] of the first test road that is kept for the figures."""
-
+"""Length [m] of the part of the first test road that is stored for plots."""
 
 StatusCallback = Callable[[str], None]
 
 
 class ConditionData(NamedTuple):
-    """One condition of a task, and all that was driven under it."""
+    """One condition of a task with its training and test drives."""
 
     task: Task
     condition: Condition
@@ -60,9 +59,7 @@ class ConditionData(NamedTuple):
 
 
 EntryRunner = Callable[[Entry, ConditionData, Sequence[int]], Iterable[TrainingRun]]
-"""How an entry is run on a session's records: one outcome for each training seed that tells
-something new. Raises EntryError; `in_process` is the plain one.
-"""
+"""Function that trains and runs an entry: one run per training seed, see `reconstruct_all`."""
 
 
 def run_task(
@@ -70,83 +67,77 @@ def run_task(
     estimators: Mapping[str, Estimator | None],
     seeds: Sequence[int] = SEEDS,
     *,
-    drive: DriveSimulation = simulate_drives,
+    simulate: DriveSimulation = simulate_drives,
     report: StatusCallback = lambda text: None,
 ) -> list[Result]:
-    """Results of `estimators` on a task, run in this process; None is the judge's noisy truth.
+    """Evaluate `estimators` on a task in this process; None is the truth plus noise.
 
-    `report` hears of each of `steps(task, estimators)` steps as it begins. Raises ConfigError where
-    the task is bad input.
+    `report` is called at the start of each of `steps(task, estimators)` steps. Raises ConfigError
+    for an invalid task.
     """
     entries = [_local_entry(name, estimator) for name, estimator in estimators.items()]
     parts: dict[str, list[Result]] = {entry.name: [] for entry in entries}
     for condition in task.conditions:
-        report(f"{task.name}: driving, {condition.label}")
-        condition_data = simulate_condition(task, condition, drive)
+        report(f"{task.name}: simulating, {condition.label}")
+        data = simulate_condition(task, condition, simulate)
         for entry in entries:
             report(f"{task.name}: {entry.name}, {condition.label}")
             if not any(part.failure for part in parts[entry.name]):
                 run = in_process(estimators[entry.name])
-                parts[entry.name].append(
-                    evaluate_entry(task, condition, condition_data, entry, seeds, run)
-                )
-    return [merge_parts(found, "") for found in parts.values()]
+                parts[entry.name].append(evaluate_entry(task, condition, data, entry, seeds, run))
+    return [merge_parts(results, "") for results in parts.values()]
 
 
 def steps(task: Task, estimators: Mapping[str, Estimator | None]) -> int:
-    """How often `run_task` reports."""
+    """Return how often `run_task` calls `report`."""
     return len(task.conditions) * (len(estimators) + 1)
 
 
 def _local_entry(name: str, estimator: Estimator | None) -> Entry:
-    """An entry that is run here and need not be found again."""
+    """Return an entry for this process only: its reference cannot be resolved elsewhere."""
     reference = BUILTIN if estimator is None else type(estimator).__name__
-    causal = getattr(estimator, "causal", None)
+    causal = None if estimator is None else estimator.causal
     return Entry(name=name, reference=reference, settings=get_settings(estimator), causal=causal)
 
 
 def in_process(estimator: Estimator | None) -> EntryRunner:
-    """Run an estimator in this process."""
+    """Return a runner of an estimator in this process."""
 
-    def run(
-        entry: Entry, condition_data: ConditionData, seeds: Sequence[int]
-    ) -> Iterable[TrainingRun]:
+    def run(entry: Entry, data: ConditionData, seeds: Sequence[int]) -> Iterable[TrainingRun]:
         assert estimator is not None
-        records = [test.record for test in condition_data.tests]
-        return reconstruct_all(
-            estimator, training_pairs(condition_data), records, condition_data.task.vehicle, seeds
-        )
+        records = [test.record for test in data.tests]
+        return reconstruct_all(estimator, training_pairs(data), records, data.task.vehicle, seeds)
 
     return run
 
 
-def training_pairs(condition_data: ConditionData) -> list[tuple]:
-    """Training records with their truths."""
-    return [(drive.record, drive.truth) for drive in condition_data.training]
+def training_pairs(data: ConditionData) -> list[tuple]:
+    """Return training records with their true profiles."""
+    return [(drive.record, drive.truth) for drive in data.training]
 
 
 def simulate_condition(
-    task: Task, condition: Condition, drive: DriveSimulation = simulate_drives
+    task: Task, condition: Condition, simulate: DriveSimulation = simulate_drives
 ) -> ConditionData | str:
-    """The drives of a condition, or in one sentence why there are none. Raises ConfigError."""
+    """Simulate the drives of a condition, or return why that failed. Raises ConfigError."""
     try:
-        training = [lock_arrays(d) for d in drive(task, task.training, condition)]
-        tests = [lock_arrays(d) for d in drive(task, task.test, condition)]
+        training = [lock_arrays(drive) for drive in simulate(task, task.training, condition)]
+        tests = [lock_arrays(drive) for drive in simulate(task, task.test, condition)]
     except SimulationError as error:
-        return f"{condition.label}: the drive itself failed: {error}"
+        return f"{condition.label}: the simulation of a drive failed: {error}"
     return ConditionData(task, condition, training, tests)
 
 
 def evaluate_entry(
     task: Task,
     condition: Condition,
-    condition_data: ConditionData | str,
+    data: ConditionData | str,
     entry: Entry,
     seeds: Sequence[int],
     run: EntryRunner,
 ) -> Result:
-    """What an entry did under a condition, trained with every seed."""
-    nothing = Result(
+    """Run an entry under a condition with every training seed and score its estimates."""
+    empty = Result(
         task=task.name,
         task_digest=task.digest,
         estimator=entry.name,
@@ -161,45 +152,45 @@ def evaluate_entry(
         causal=entry.causal,
         environment=describe_environment(),
     )
-    why = entry.failure or (condition_data if isinstance(condition_data, str) else None)
-    if why is not None or isinstance(condition_data, str):
-        return dataclasses.replace(nothing, failure=why)
-    notes = tuple(dict.fromkeys(note for test in condition_data.tests for note in test.notes))
+    failure = entry.failure or (data if isinstance(data, str) else None)
+    if failure is not None or isinstance(data, str):
+        return dataclasses.replace(empty, failure=failure)
+    notes = tuple(dict.fromkeys(note for test in data.tests for note in test.notes))
     try:
-        found = _score_fields(condition_data, _training_runs(condition_data, entry, seeds, run))
+        fields = _score_fields(data, _training_runs(data, entry, seeds, run))
     except EntryError as error:
         failure = f"{condition.label}, {error}"
-        return dataclasses.replace(nothing, failure=failure, notes=notes)
-    return dataclasses.replace(nothing, notes=notes, **found)
+        return dataclasses.replace(empty, failure=failure, notes=notes)
+    return dataclasses.replace(empty, notes=notes, **fields)
 
 
 def _training_runs(
-    condition_data: ConditionData, entry: Entry, seeds: Sequence[int], run: EntryRunner
+    data: ConditionData, entry: Entry, seeds: Sequence[int], run: EntryRunner
 ) -> Iterable[TrainingRun]:
     if entry.reference != BUILTIN:
-        return run(entry, condition_data, seeds)
-    band = heights.scored_band(condition_data.v)
-    noisy = [truth_plus_noise(test.truth, band, test.seed) for test in condition_data.tests]
+        return run(entry, data, seeds)
+    band = heights.scored_band(data.v)
+    noisy = [truth_plus_noise(test.truth, band, test.seed) for test in data.tests]
     return [TrainingRun(noisy, 0.0, 0.0, 0, seeds[0])]
 
 
-def _score_fields(condition_data: ConditionData, training_runs: Iterable[TrainingRun]) -> dict:
-    """Fields of a result: scores of every outcome, the middle trace, and the costs."""
+def _score_fields(data: ConditionData, training_runs: Iterable[TrainingRun]) -> dict:
+    """Return fields of a result: scores of all runs, the trace of the median run, and costs."""
     drives: list[DriveScores] = []
     traces: list[Trace] = []
     train: list[float] = []
     seconds, last = 0.0, TrainingRun([], 0.0, 0.0, 0)
     for training_run in training_runs:
-        judged = [
-            _score_drive(condition_data, k, z, training_run.seed)
+        scored = [
+            _score_drive(data, k, z, training_run.seed)
             for k, z in enumerate(training_run.estimates)
         ]
-        traces.append(_trace(condition_data, training_run.estimates[0], judged[0]))
-        drives += judged
+        traces.append(_trace(data, training_run.estimates[0], scored[0]))
+        drives += scored
         train.append(training_run.train_seconds)
         seconds += training_run.estimate_seconds
         last = training_run
-    metres = len(train) * sum(test.record.length for test in condition_data.tests)
+    metres = len(train) * sum(test.record.length for test in data.tests)
     return {
         "drives": tuple(drives),
         "traces": (_median_trace(traces),),
@@ -211,33 +202,31 @@ def _score_fields(condition_data: ConditionData, training_runs: Iterable[Trainin
     }
 
 
-def _score_drive(
-    condition_data: ConditionData, drive: int, estimate: Estimate, seed: int
-) -> DriveScores:
-    test = condition_data.tests[drive]
-    bound = nrmse_bound(condition_data.task, condition_data.condition, test.truth)
-    found = compute_scores(test.truth, estimate, condition_data.v, condition_data.task.bumps, bound)
+def _score_drive(data: ConditionData, drive: int, estimate: Estimate, seed: int) -> DriveScores:
+    test = data.tests[drive]
+    bound = nrmse_bound(data.task, data.condition, test.truth)
+    values = compute_scores(test.truth, estimate, data.v, data.task.bumps, bound)
     return DriveScores(
-        condition=condition_data.condition.label,
-        drive=drive,
+        condition=data.condition.label,
+        drive=test.index,
         road=test.road,
         road_seed=test.seed,
         seed=seed,
-        scores={name: value for name, value in found.items() if math.isfinite(value)},
+        scores={name: value for name, value in values.items() if math.isfinite(value)},
     )
 
 
-def _trace(condition_data: ConditionData, estimate: Estimate, judged: DriveScores) -> Trace:
-    """The first 100 m of the first test drive."""
-    truth = condition_data.tests[0].truth
+def _trace(data: ConditionData, estimate: Estimate, scored: DriveScores) -> Trace:
+    """Return the first TRACE_LENGTH metres of the first test drive."""
+    truth = data.tests[0].truth
     kept = truth.s < TRACE_LENGTH
     return Trace(
-        condition=judged.condition,
-        speed_kmh=condition_data.condition.speed_kmh,
-        road=judged.road,
-        road_seed=judged.road_seed,
-        seed=judged.seed,
-        scores=judged.scores,
+        condition=scored.condition,
+        speed_kmh=data.condition.speed_kmh,
+        road=scored.road,
+        road_seed=scored.road_seed,
+        seed=scored.seed,
+        scores=scored.scores,
         ds=truth.ds,
         truth=quantize_heights(truth.z[:, kept]),
         estimate=quantize_heights(estimate.z[:, kept]),
@@ -246,6 +235,6 @@ def _trace(condition_data: ConditionData, estimate: Estimate, judged: DriveScore
 
 
 def _median_trace(traces: list[Trace]) -> Trace:
-    """The trace of the training in the middle by in-band error: never the best one."""
+    """Return the trace with the median in-band error over training seeds, the lower of two."""
     ordered = sorted(traces, key=lambda t: t.scores.get("nrmse", math.inf))
     return ordered[(len(ordered) - 1) // 2]

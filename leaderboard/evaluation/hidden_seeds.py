@@ -1,10 +1,10 @@
-"""Hidden test sets: bound to a hash before anyone has driven them, shown when all have entered.
+"""Hidden test sets by commitment: a hash is published first, the seeds after all submissions.
 
     seeds       the first 6 bytes of sha256(salt, task, digest of the public task, k), k = 0, 1, ...
-    commitment  scrypt(salt; all that stands in the season's file)
+    commitment  scrypt(salt; all other fields of the published file)
 
-The commitment is published first. It fixes the seeds, the tasks and how many roads are drawn, and
-says nothing about them; whoever is told the salt afterwards can draw the same seeds and compare.
+The commitment fixes seeds, tasks and number of roads without disclosing the seeds. Once the salt
+is published, anyone can draw the same seeds and compare.
 """
 
 import dataclasses
@@ -24,12 +24,12 @@ from road_envs.config import STRICT, ConfigError, build, find, read_yaml
 
 COMMITMENT = "commitment.json"
 MIN_SALT_LENGTH = 12
-"""Characters of a salt: a shorter one could be found by trying."""
+"""Least number of characters of a salt; a shorter one could be found by brute force."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HiddenSeeds:
-    """What is published beforehand: digests of the public tasks by name, and the commitment."""
+    """The published part of a hidden test set: digests of the public tasks, and the commitment."""
 
     __pydantic_config__ = STRICT
 
@@ -37,14 +37,16 @@ class HiddenSeeds:
     package_version: str
     tasks: dict[str, str]
     roads: dict[str, int]
-    """How many seeds each task draws."""
+    """Number of seeds by task."""
     commitment: str = ""
 
 
 def commit(salt: str, tasks: Sequence[Task]) -> HiddenSeeds:
-    """The season of a secret `salt`. Raises ConfigError if it is too short to stay secret."""
+    """Return the hidden test set of a secret `salt`. Raises ConfigError for a short salt."""
     if len(salt) < MIN_SALT_LENGTH:
-        raise ConfigError(f"a salt has at least {MIN_SALT_LENGTH} characters, got {len(salt)}")
+        raise ConfigError(
+            f"the salt must have at least {MIN_SALT_LENGTH} characters, got {len(salt)}"
+        )
     hidden = HiddenSeeds(
         package_version=package_version(),
         tasks={task.name: task.digest for task in tasks},
@@ -54,16 +56,16 @@ def commit(salt: str, tasks: Sequence[Task]) -> HiddenSeeds:
 
 
 def save(hidden: HiddenSeeds, folder: Path) -> Path:
-    """Write what is to be published. Raises ConfigError if another season stands there."""
+    """Write the file to publish. Raises ConfigError if the folder holds another hidden test set."""
     path = folder / COMMITMENT
     if path.exists() and load(folder) != hidden:
-        raise ConfigError(f"{path}: another season stands here; choose an empty folder")
+        raise ConfigError(f"{path} is of another hidden test set; choose an empty folder")
     write_text(path, json.dumps(dataclasses.asdict(hidden), indent=1) + "\n")
     return path
 
 
 def load(folder: Path) -> HiddenSeeds:
-    """The season that was published. Raises ConfigError."""
+    """Return the published hidden test set of a folder. Raises ConfigError."""
     path = folder / COMMITMENT
     try:
         return build(HiddenSeeds, json.loads(path.read_text(encoding="utf-8")), str(path))
@@ -74,18 +76,18 @@ def load(folder: Path) -> HiddenSeeds:
 
 
 def reveal(salt: str, folder: Path) -> list[Path]:
-    """Check `salt` against the season in `folder`, and write its tasks there as YAML.
+    """Verify `salt` against the commitment in `folder` and write the tasks there as YAML.
 
-    Raises ConfigError if the salt is another one, or the public tasks are no longer those.
+    Raises ConfigError if the salt does not match or the public tasks have changed.
     """
     hidden = load(folder)
     if _commitment(salt, hidden) != hidden.commitment:
-        raise ConfigError(f"{folder / COMMITMENT}: this salt does not give the commitment")
+        raise ConfigError(f"{folder / COMMITMENT}: the salt does not match the commitment")
     written = []
     for name, digest in hidden.tasks.items():
         task = load_task(name)
         if task.digest != digest:
-            raise ConfigError(f"{name}: the public task has changed since the season was drawn")
+            raise ConfigError(f"{name}: the public task has changed since the commitment was made")
         data: dict[str, Any] = read_yaml(find("tasks", name))
         data["name"] = f"{name}_{hidden.commitment[:8]}"
         data["title"] = f"{task.title}; season {hidden.commitment[:8]}"
@@ -99,22 +101,22 @@ def reveal(salt: str, folder: Path) -> list[Path]:
 
 
 def seeds(salt: str, task: Task, count: int) -> list[int]:
-    """The `count` hidden seeds of a task, none of them a public one."""
+    """Return `count` hidden seeds of a task; no road of theirs has a public seed."""
     public = task.training.all_seeds | task.test.all_seeds
-    found: list[int] = []
+    drawn: list[int] = []
     k = 0
-    while len(found) < count:
+    while len(drawn) < count:
         text = "\0".join([salt, task.name, task.digest, str(k)])
         seed = int.from_bytes(hashlib.sha256(text.encode()).digest()[:6], "big")
         roads = {seed + i * SEED_STRIDE for i in range(len(task.test.roads))}
         if not roads & public:
-            found.append(seed)
+            drawn.append(seed)
         k += 1
-    return found
+    return drawn
 
 
 def _commitment(salt: str, hidden: HiddenSeeds) -> str:
-    """A slow hash, so that a guessed salt takes a while to try."""
-    said = {**dataclasses.asdict(hidden), "commitment": ""}
-    text = json.dumps(said, sort_keys=True)
+    """Return the commitment to a salt, by a slow hash so that guessing the salt is expensive."""
+    fields = {**dataclasses.asdict(hidden), "commitment": ""}
+    text = json.dumps(fields, sort_keys=True)
     return hashlib.scrypt(salt.encode(), salt=text.encode(), n=2**14, r=8, p=1, dklen=32).hex()

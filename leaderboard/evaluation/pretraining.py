@@ -1,8 +1,7 @@
-"""Teaching an estimator from a corpus: simulation, learning, and what is said about the weights.
+"""Pretraining of an estimator on a simulated corpus, with checkpoints and metadata of the weights.
 
-An interrupted teaching goes on where it was: the drives are simulated again, which is the smaller
-part, and the state that was kept beside the output is taken up if it belongs to the same corpus,
-settings, seed and version.
+An interrupted run continues from the checkpoint beside the output file if corpus, settings, seed
+and version are the same. The drives are simulated again, which is the smaller part of the time.
 """
 
 import hashlib
@@ -21,41 +20,41 @@ from road_envs.data.training_corpus import Corpus
 
 Progress = Callable[[str, float], None]
 SIMULATION_SHARE = 0.15
-"""Share of the time that the drives take."""
+"""Share of the run time that simulating the drives takes, for the progress bar."""
 
 CALIBRATION_SHARE = 0.5
-"""Drives by the car as described that standard deviations are made honest on, per drive taught."""
+"""Drives of the nominal vehicle for calibrating standard deviations, per training drive."""
 
 
 class FileCheckpoint:
-    """An unfinished state in a file; one of another `purpose` is as good as none."""
+    """State of an unfinished training run in a file; the file of another run is ignored."""
 
-    def __init__(self, path: Path, purpose: str):
-        self.path, self.purpose = path, purpose
+    def __init__(self, path: Path, digest: str):
+        self.path, self.digest = path, digest
 
     def load(self) -> dict[str, np.ndarray] | None:
-        """The state, if there is one that fits."""
+        """Return the stored state, or None if there is none of this run."""
         if not self.path.exists():
             return None
         try:
-            arrays, about = pretrained_weights.read_weights(self.path)
+            arrays, metadata = pretrained_weights.read_weights(self.path)
         except pretrained_weights.WeightsError:
             return None
-        return arrays if about.get("purpose") == self.purpose else None
+        return arrays if metadata.get("run") == self.digest else None
 
     def save(self, state: Mapping[str, np.ndarray]) -> None:
-        """Keep a state, whole or not at all."""
-        pretrained_weights.write_weights(self.path, state, {"purpose": self.purpose})
+        """Store a state atomically."""
+        pretrained_weights.write_weights(self.path, state, {"run": self.digest})
 
     def done(self) -> None:
-        """Nothing is left to be kept."""
+        """Delete the checkpoint."""
         self.path.unlink(missing_ok=True)
 
 
 def run_digest(estimator: Pretrained, name: str, corpus: Corpus, seed: int) -> str:
-    """Digest of all that decides what is learnt."""
-    what = [name, get_settings(estimator), corpus.digest, seed, package_version()]
-    return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:12]
+    """Return a digest of everything that determines the trained weights."""
+    inputs = [name, get_settings(estimator), corpus.digest, seed, package_version()]
+    return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()[:12]
 
 
 def train(
@@ -67,27 +66,27 @@ def train(
     command: str,
     progress: Progress = lambda text, share: None,
 ) -> Pretrained:
-    """Teach `estimator` and write it to `out` (.safetensors). Raises ConfigError, StorageError."""
-    purpose = run_digest(estimator, name, corpus, seed)
-    checkpoint = FileCheckpoint(out.with_name(f".{out.name}.unfinished"), purpose)
+    """Pretrain `estimator`, write it to `out` (.safetensors). Raises ConfigError, StorageError."""
+    digest = run_digest(estimator, name, corpus, seed)
+    checkpoint = FileCheckpoint(out.with_name(f".{out.name}.unfinished"), digest)
     drives = []
     for k in range(corpus.number):
         if k % 10 == 0:
-            progress(f"driving, {k} of {corpus.number}", SIMULATION_SHARE * k / corpus.number)
+            progress(f"simulating, {k} of {corpus.number}", SIMULATION_SHARE * k / corpus.number)
         drives.append(estimator.training_example(*corpus.simulate_drive(k)))
-    learnt = estimator.pretrain(
+    trained = estimator.pretrain(
         drives,
         corpus.vehicle,
         seed,
         lambda text, share: progress(text, SIMULATION_SHARE + (1.0 - SIMULATION_SHARE) * share),
         checkpoint,
     )
-    if isinstance(learnt, Calibratable):
-        progress("making standard deviations honest", 1.0)
+    if isinstance(trained, Calibratable):
+        progress("calibrating standard deviations", 1.0)
         more = range(corpus.number, corpus.number + math.ceil(CALIBRATION_SHARE * corpus.number))
-        drives = [learnt.training_example(*corpus.simulate_drive(k, True)) for k in more]
-        learnt = learnt.calibrate(drives)
-    about = {"command": command, "seed": str(seed), "corpus": corpus.digest, "digest": purpose}
-    weights_io.save(learnt, out, about)
+        drives = [trained.training_example(*corpus.simulate_drive(k, True)) for k in more]
+        trained = trained.calibrate(drives)
+    metadata = {"command": command, "seed": str(seed), "corpus": corpus.digest, "digest": digest}
+    weights_io.save(trained, out, metadata)
     checkpoint.done()
-    return learnt
+    return trained

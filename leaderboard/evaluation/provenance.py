@@ -1,4 +1,4 @@
-"""Where numbers were made: versions, commit and machine, stored beside every result."""
+"""Provenance of a result: versions, commit and machine, stored with every result."""
 
 import hashlib
 import os
@@ -21,7 +21,7 @@ def package_version() -> str:
 
 @cache
 def source_digest() -> str:
-    """Digest of the sources of this project: any edit makes another one."""
+    """Return a digest of all source files of this project; any edit changes it."""
     folder = Path(__file__).parents[2]
     sources = sorted(path for name in PACKAGES for path in (folder / name).rglob("*.py"))
     return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:12]
@@ -29,8 +29,8 @@ def source_digest() -> str:
 
 @cache
 def describe_environment() -> dict[str, str]:
-    """Python, libraries, sources, commit (in a checkout), processor and operating system."""
-    libraries = {name: found for name in LIBRARIES if (found := _library(name))}
+    """Return Python, libraries, source digest, commit (in a checkout), processor and system."""
+    libraries = {name: release for name in LIBRARIES if (release := _library(name))}
     commit = _commit(Path(__file__).parents[2])
     return {
         "python": platform.python_version(),
@@ -50,7 +50,7 @@ def _library(name: str) -> str | None:
 
 
 def _commit(folder: Path) -> str | None:
-    """The commit of a checkout, with a + if files have changed since; None outside of one."""
+    """Return the commit of a checkout, with "+" if files have changed; None outside a checkout."""
     if not (folder / ".git").exists():
         return None
     try:
@@ -60,10 +60,10 @@ def _commit(folder: Path) -> str | None:
         return None
 
 
-def _git(folder: Path, *words: str) -> str:
-    command = ["git", "-C", str(folder), *words]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=True)
-    return done.stdout.strip()
+def _git(folder: Path, *arguments: str) -> str:
+    command = ["git", "-C", str(folder), *arguments]
+    process = subprocess.run(command, capture_output=True, text=True, timeout=10, check=True)
+    return process.stdout.strip()
 
 
 def _processor() -> str:

@@ -1,14 +1,14 @@
-"""Results: what one estimator did on one task, and how the parts of it are put together.
+"""Results: all scores of one estimator on one task, and merging the parts of several conditions.
 
-Every score of every drive and training seed is kept, never only a mean. A result says which task
-(by digest), code, package and metrics it belongs to; one that belongs to others is stale, and shown
-as such, never mixed with the rest.
+Every score of every drive and training seed is stored, not only a mean. A result names the versions
+of the task (by digest), code, package and metrics that it was made with. A result of other versions
+is stale: it is reported as such and not compared with the rest.
 """
 
 import dataclasses
 import hashlib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -23,13 +23,14 @@ from road_envs.config import STRICT
 FORMAT = 3
 Role = Literal["entry", "sentinel"]
 Z_UNIT = 1e-5
-"""Heights of a trace are stored as whole numbers of 0.01 mm."""
+"""Unit [m] of the heights of a trace, which are stored as integers."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriveScores:
-    """Scores of one estimate: test drive `drive` of the condition, on the road of `road_seed`, by
-    an estimator trained with `seed`. A score that is not defined is left out, in memory as on disk.
+    """Scores of one estimate: test drive `drive` of the condition, on the road of `road_seed`.
+
+    The estimator was trained with `seed`. An undefined score is omitted, in memory and on disk.
     """
 
     __pydantic_config__ = STRICT
@@ -44,7 +45,7 @@ class DriveScores:
 
 @dataclass(frozen=True, kw_only=True)
 class Trace:
-    """A stretch of truth and estimate to be drawn: heights (2, M) in units of 0.01 mm.
+    """True and estimated heights (2, M) of the start of a drive, in units of 0.01 mm, for plots.
 
     `scores` are those of the whole drive.
     """
@@ -60,11 +61,11 @@ class Trace:
     ds: float  # [m]
     truth: tuple[tuple[int, ...], tuple[int, ...]]
     estimate: tuple[tuple[int, ...], tuple[int, ...]]
-    deviation: tuple[tuple[int, ...], tuple[int, ...]] | None = None  # where the estimate has one
+    deviation: tuple[tuple[int, ...], tuple[int, ...]] | None = None  # if the estimate has one
 
     @property
     def z_std(self) -> np.ndarray | None:
-        """Standard deviation (2, M) [m] of the estimate, where it has one."""
+        """Standard deviation (2, M) [m] of the estimate; None if it has none."""
         return None if self.deviation is None else Z_UNIT * np.array(self.deviation)
 
     @property
@@ -85,8 +86,9 @@ class Trace:
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """What one estimator did on one task, or under one of its conditions; with a `failure` in one
-    sentence, nothing is scored.
+    """Scores of one estimator on one task, or under one of its conditions.
+
+    With a `failure`, one sentence, there are no scores.
     """
 
     __pydantic_config__ = STRICT
@@ -98,37 +100,61 @@ class Result:
     settings: dict[str, Any]
     package_version: str
     metric_version: int
-    seeds: tuple[int, ...]  # of the training, as asked; one that draws nothing used the first
-    code: str = ""  # version of the estimator's sources
+    seeds: tuple[int, ...]  # requested training seeds; a deterministic training used the first
+    code: str = ""  # version of the estimator's sources and weights
     judge: str = ""  # version of the sources that make drives and scores
-    identity: str = ""  # of all that it depends on: task, estimator, versions, seeds
+    identity: str = ""  # digest of all inputs: task, estimator, versions, seeds
     conditions: tuple[str, ...] = ()
     drives: Sequence[DriveScores] = ()
     train_seconds: tuple[float, ...] = ()  # one per condition and seed
     estimate_ms_per_100m: float | None = None
-    parameters: int | None = None  # numbers learnt
+    parameters: int | None = None  # number of fitted parameters
     causal: bool | None = None
     failure: str | None = None
     notes: tuple[str, ...] = ()
     traces: Sequence[Trace] = ()
     peak_memory: float | None = None  # [GiB] of the entry's processes, libraries included
-    isolation: str = "none"  # of the entry from the judge: none, process, namespaces
+    isolation: str = "none"  # of the entry: none, process, namespaces
     environment: dict[str, str] = dataclasses.field(default_factory=dict)
     format: int = FORMAT
 
+    def arrays(self, names: Iterable[str]) -> dict[str, np.ndarray]:
+        """Return scores by name as (R, C, S): roads, conditions, training seeds.
+
+        NaN where a road was not driven under a condition and where a score is undefined; `driven`
+        tells them apart. Roads are in the order of the task.
+        """
+        axes = self._axes()
+        arrays = {name: np.full(tuple(map(len, axes)), np.nan) for name in names}
+        for drive, at in zip(self.drives, self._places(axes), strict=True):
+            for name, value in drive.scores.items():
+                if name in arrays:
+                    arrays[name][at] = value
+        return arrays
+
     def values(self, score: str) -> np.ndarray:
-        """One score as (R, C, S): roads, conditions, seeds; NaN where it is not defined."""
-        roads = list(dict.fromkeys(d.drive for d in self.drives))
-        conditions = list(dict.fromkeys(d.condition for d in self.drives))
-        seeds = list(dict.fromkeys(d.seed for d in self.drives))
-        values = np.full((len(roads), len(conditions), len(seeds)), np.nan)
+        """Return one score as in `arrays`."""
+        return self.arrays([score])[score]
+
+    def driven(self) -> np.ndarray:
+        """Return which runs (R, C, S) there are."""
+        axes = self._axes()
+        driven = np.zeros(tuple(map(len, axes)), dtype=bool)
+        for at in self._places(axes):
+            driven[at] = True
+        return driven
+
+    def _axes(self) -> tuple[dict[int | str, int], ...]:
+        drives = sorted({d.drive for d in self.drives})
+        axes = drives, [d.condition for d in self.drives], [d.seed for d in self.drives]
+        return tuple({name: k for k, name in enumerate(dict.fromkeys(axis))} for axis in axes)
+
+    def _places(self, axes: tuple[dict[int | str, int], ...]) -> Iterator[tuple[int, ...]]:
         for d in self.drives:
-            at = roads.index(d.drive), conditions.index(d.condition), seeds.index(d.seed)
-            values[at] = d.scores.get(score, np.nan)
-        return values
+            yield axes[0][d.drive], axes[1][d.condition], axes[2][d.seed]
 
     def stale_reason(self, task: Task) -> str | None:
-        """Why this result does not belong beside results of `task` made now; None if it does."""
+        """Return why this result cannot be compared with current results of `task`, else None."""
         if self.task_digest != task.digest:
             return "the task has changed"
         if self.package_version != package_version():
@@ -143,11 +169,11 @@ class Result:
 RUN_DEPENDENT = frozenset(
     {"train_seconds", "estimate_ms_per_100m", "peak_memory", "isolation", "environment"}
 )
-"""Fields that differ from run to run."""
+"""Fields that differ from run to run and machine to machine."""
 
 
 def content_digest(result: Result) -> str:
-    """Digest of all that is the same whenever and wherever a result is made."""
+    """Return a digest of the reproducible fields of a result."""
     names = sorted(f.name for f in dataclasses.fields(result) if f.name not in RUN_DEPENDENT)
     values = [getattr(result, name) for name in names]
     plain = [[vars(x) for x in v] if _is_dataclass_sequence(v) else v for v in values]
@@ -155,7 +181,7 @@ def content_digest(result: Result) -> str:
 
 
 def merge_parts(parts: Sequence[Result], identity: str) -> Result:
-    """One result of those under each condition, in their order; a failure in one fails it all."""
+    """Merge the results of each condition, in order; a failure in one part fails the whole."""
     first = parts[0]
     failure = next((part.failure for part in parts if part.failure is not None), None)
     scored = () if failure else parts
@@ -166,7 +192,7 @@ def merge_parts(parts: Sequence[Result], identity: str) -> Result:
         identity=identity,
         conditions=tuple(label for part in parts for label in part.conditions),
         drives=tuple(drive for part in scored for drive in part.drives),
-        train_seconds=tuple(spent for part in scored for spent in part.train_seconds),
+        train_seconds=tuple(seconds for part in scored for seconds in part.train_seconds),
         estimate_ms_per_100m=float(np.mean(costs)) if costs else None,
         parameters=_maximum(part.parameters for part in parts),
         peak_memory=_maximum(part.peak_memory for part in parts),
@@ -182,7 +208,7 @@ def merge_parts(parts: Sequence[Result], identity: str) -> Result:
 
 
 def quantize_heights(z: np.ndarray) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Heights (2, M) [m] as a trace keeps them; beyond 1 km they are cut."""
+    """Return heights (2, M) [m] as integers of Z_UNIT, clipped to 1 km."""
     left, right = np.rint(np.clip(z, -1e3, 1e3) / Z_UNIT).astype(int).tolist()
     return tuple(left), tuple(right)
 

@@ -1,11 +1,11 @@
-"""Results as files: written whole or not at all, read strictly, known by what they depend on.
+"""Storage of results as JSON files: atomic writes, strict reading, content-addressed parts.
 
     <out>/results/<task>/<estimator>.json   a row of the board
-    <out>/jobs/<identity>.json              a part of one: the same under one condition
+    <out>/jobs/<identity>.json              a part of a row: the result under one condition
 
-The name of a part is the digest of all that it depends on, so it never has to be changed, only
-written; two runs that write one folder write the same. A row is put together from its parts, and
-can be again. Each file begins with a checksum of the rest.
+The file name of a part is the digest of all its inputs, so parts are written but never modified,
+and two runs in one folder write the same files. A row is assembled from its parts and can be
+assembled again. Each file begins with a checksum of the rest.
 """
 
 import dataclasses
@@ -33,20 +33,20 @@ CHECKSUM_SUFFIX = '",\n'
 ROW_REPLACED = "another run has replaced it by a different result; read the board again"
 
 CACHED_ROWS = 8
-"""How many results are held in memory whole; of the others only what stands above their drives."""
+"""Number of results whose drives and traces are cached in memory."""
 
 
 class RowChangedError(ConfigError):
-    """A row that another run has replaced by a different one since it was listed."""
+    """A row that another run has replaced by a different one since it was read."""
 
 
 class NewerFormatError(ConfigError):
-    """A file that a newer version wrote: not to be read here, nor to be written over."""
+    """A file in a newer format: this version can neither read nor overwrite it."""
 
 
 @dataclass(frozen=True)
 class _DriveColumns:
-    """All scores of a result, column by column."""
+    """All scores of a result by columns, one value per drive."""
 
     __pydantic_config__ = STRICT
 
@@ -56,41 +56,41 @@ class _DriveColumns:
     road_seed: tuple[int, ...]
     seed: tuple[int, ...]
     scores: dict[str, tuple[float | None, ...]]
-    """A score that is not defined for a drive is None in its column."""
+    """None where a score is undefined."""
 
 
 @dataclass(frozen=True)
 class _LargeFields:
-    """The large part of a result."""
+    """The fields of a result that are read from disk on demand."""
 
     drives: tuple[DriveScores, ...]
     traces: tuple[Trace, ...]
 
 
 def row_path(out: Path, task: str, estimator: str) -> Path:
-    """Where the result of an estimator on a task is kept."""
+    """Return the file of the result of an estimator on a task."""
     return out / "results" / task / f"{estimator}.json"
 
 
 def part_path(out: Path, identity: str) -> Path:
-    """Where the part of a result is kept."""
+    """Return the file of a part of a result."""
     return out / "jobs" / f"{identity}.json"
 
 
 def save(result: Result, out: Path) -> Path:
-    """Write a result to its place on the board, whole or not at all."""
+    """Write a result atomically to its row file and return the path."""
     path = row_path(out, result.task, result.estimator)
     write_durable(path, to_text(result))
     return path
 
 
 def write_durable(path: Path, text: str) -> None:
-    """Write the text of a result, whole or not at all, and to the disk before anyone sees it."""
+    """Write the text of a result atomically, flushed to disk before it becomes visible."""
     write_text(path, text, durable=True)
 
 
 def to_text(result: Result) -> str:
-    """A result as JSON, the checksum of the rest first."""
+    """Return a result as JSON text that begins with its checksum."""
     large: dict[str, Any] = {
         "drives": _columns(result.drives),
         "traces": [vars(trace) for trace in result.traces],
@@ -102,55 +102,59 @@ def to_text(result: Result) -> str:
 
 
 def with_checksum(data: Mapping[str, Any]) -> str:
-    """`data`, of which `format` is a part, as JSON with the checksum of the rest first."""
+    """Return `data`, which has a key `format`, as JSON text that begins with its checksum."""
     rest = _dump_by_lines(dict(data))[2:] + "\n"
     blank = f"{CHECKSUM_PREFIX}{'0' * 64}{CHECKSUM_SUFFIX}{rest}"
     return blank.replace("0" * 64, text_checksum(blank), 1)
 
 
 def load(path: Path) -> Result:
-    """A row of the board from its file. Raises ConfigError that names file and fault."""
+    """Read a row from its file. Raises ConfigError that names file and fault."""
     return load_with_checksum(path)[0]
 
 
 def load_with_checksum(path: Path) -> tuple[Result, str]:
-    """A row of the board, and the checksum of its file. Raises ConfigError as `load`."""
-    result, told = read_with_checksum(path)
+    """Read a row and the checksum of its file. Raises ConfigError as `load`."""
+    result, checksum = read_with_checksum(path)
     if (result.task, result.estimator) != (path.parent.name, path.stem):
         raise ConfigError(
-            f"{path}: holds the result of {result.estimator} on {result.task}, not what it says"
+            f"{path}: contains the result of {result.estimator} on {result.task}, "
+            "which its path does not name; evaluate again"
         )
-    return result, told
+    return result, checksum
 
 
 def load_part(path: Path) -> Result:
-    """A part from its file. Raises ConfigError that names the file and what is wrong with it."""
+    """Read a part from its file. Raises ConfigError that names file and fault."""
     result = read(path)
     if result.identity != path.stem:
-        raise ConfigError(f"{path}: holds the result {result.identity}, not what its name says")
+        raise ConfigError(
+            f"{path}: contains the part {result.identity}, which its name does not say; "
+            "evaluate again"
+        )
     return result
 
 
 def read(path: Path) -> Result:
-    """A row or a part, whatever the name of its file says. Raises ConfigError."""
+    """Read a row or a part without checking the file name. Raises ConfigError."""
     return read_with_checksum(path)[0]
 
 
 def load_all(out: Path, task: str) -> list[Result]:
-    """All rows of a task, by name of the estimator. Raises ConfigError for a damaged one."""
+    """Read all rows of a task, sorted by estimator. Raises ConfigError for a damaged one."""
     return [load(path) for path in _row_files(out, task)]
 
 
 def load_rows(out: Path, task: Task) -> list[Result]:
-    """All rows of a task, whose drives and traces are read from their files when they are needed.
+    """Return all rows of a task; drives and traces are read from disk on demand.
 
-    A file that cannot be read is a failed row that says so.
+    An unreadable file becomes a row with a failure.
     """
     return [_row_or_failure(path, task) for path in _row_files(out, task.name)]
 
 
 def row_checksum(result: Result) -> str:
-    """Of the file that a result from `load_rows` stands in; of any other, of what it would be."""
+    """Return the checksum of the file of a result, or of the file it would be written to."""
     drives = result.drives
     return (
         drives.checksum if isinstance(drives, _StoredSequence) else text_checksum(to_text(result))
@@ -158,7 +162,7 @@ def row_checksum(result: Result) -> str:
 
 
 def text_checksum(text: str) -> str:
-    """The checksum of the text of a result, whatever it says itself."""
+    """Return the checksum of the text of a result, ignoring the one written in it."""
     return hashlib.sha256(
         text[len(CHECKSUM_PREFIX) + 64 + len(CHECKSUM_SUFFIX) :].encode()
     ).hexdigest()
@@ -188,14 +192,14 @@ def _row_or_failure(path: Path, task: Task) -> Result:
 
 
 class _StoredSequence(Sequence[Any]):
-    """Drives or traces that stay on the disk until they are asked for.
+    """Drives or traces of a result, read from disk on demand.
 
-    Another run may write the same row meanwhile. A file with the same identity holds the same
-    drives, whatever its times of computing, so it serves; any other raises RowChangedError.
+    Another run may replace the row file meanwhile. A file with the same identity has the same
+    drives and is accepted, although its timings differ; any other raises RowChangedError.
     """
 
     def __init__(self, path: Path, result: Result, checksum: str, name: str):
-        self.checksum = checksum  # of the file as it was found
+        self.checksum = checksum  # of the file when it was listed
         self._path, self._name = path, name
         self._size = len(getattr(result, name))
         self._identity = result.identity
@@ -225,8 +229,8 @@ class _StoredSequence(Sequence[Any]):
 
 @lru_cache(maxsize=CACHED_ROWS)
 def _large_fields(path: Path, checksum: str, identity: str) -> _LargeFields:
-    result, found = read_with_checksum(path)
-    if found != checksum and (not identity or result.identity != identity):
+    result, current = read_with_checksum(path)
+    if current != checksum and (not identity or result.identity != identity):
         raise RowChangedError(f"{path}: {ROW_REPLACED}")
     return _LargeFields(tuple(result.drives), tuple(result.traces))
 
@@ -236,19 +240,19 @@ def _row_files(out: Path, task: str) -> list[Path]:
 
 
 def read_with_checksum(path: Path) -> tuple[Result, str]:
-    """As `read`, with the checksum of the file."""
-    data, told = read_checked_json(path, FORMAT)
+    """Read a row or a part, and the checksum of its file. Raises ConfigError as `read`."""
+    data, checksum = read_checked_json(path, FORMAT)
     drives = build(_DriveColumns, data.pop("drives", {}), f"{path}: drives")
     result = build(Result, data, str(path))
     return dataclasses.replace(
         result, drives=_drive_scores(drives, path), traces=tuple(result.traces)
-    ), told
+    ), checksum
 
 
-def read_checked_json(path: Path, known: int) -> tuple[dict[str, Any], str]:
-    """What stands in a file made by `with_checksum` in the format `known`, and its checksum.
+def read_checked_json(path: Path, version: int) -> tuple[dict[str, Any], str]:
+    """Return content and checksum of a file written by `with_checksum` in format `version`.
 
-    Raises NewerFormatError, and ConfigError that says what is wrong with it.
+    Raises NewerFormatError for a newer format, ConfigError for any other fault.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -259,25 +263,24 @@ def read_checked_json(path: Path, known: int) -> tuple[dict[str, Any], str]:
         raise ConfigError(f"{path}: damaged, not valid JSON: {error}") from None
     if not isinstance(data, dict) or not isinstance(data.get("format"), int):
         raise ConfigError(f"{path}: not a result (it has no format)")
-    if data["format"] > known:
+    if data["format"] > version:
         raise NewerFormatError(
-            f"{path}: written in format {data['format']} by a newer version, this one reads "
-            f"{known}; use that version, or another folder"
+            f"{path}: written in format {data['format']} by a newer version, this version reads "
+            f"{version}; use the newer version, or another folder"
         )
-    if data["format"] < known:
+    if data["format"] < version:
         raise ConfigError(
-            f"{path}: written in format {data['format']}, this version reads {known}; "
+            f"{path}: written in format {data['format']}, this version reads {version}; "
             "evaluate again"
         )
-    told = data.pop("sha256", None)
-    if not text.startswith(f"{CHECKSUM_PREFIX}{told}{CHECKSUM_SUFFIX}"):
+    checksum = data.pop("sha256", None)
+    if not text.startswith(f"{CHECKSUM_PREFIX}{checksum}{CHECKSUM_SUFFIX}"):
         raise ConfigError(f"{path}: not a result (it does not begin with its checksum)")
-    if text_checksum(text) != told:
+    if text_checksum(text) != checksum:
         raise ConfigError(
-            f"{path}: changed since it was written, by hand or by a fault of the disk; "
-            "evaluate again"
+            f"{path}: modified since it was written, by hand or by a disk fault; evaluate again"
         )
-    return data, str(told)
+    return data, str(checksum)
 
 
 def _columns(drives: Sequence[DriveScores]) -> dict[str, Any]:
@@ -291,7 +294,7 @@ def _drive_scores(table: _DriveColumns, path: Path) -> tuple[DriveScores, ...]:
     columns = [table.condition, table.drive, table.road, table.road_seed, table.seed]
     size = len(table.drive)
     if any(len(column) != size for column in [*columns, *table.scores.values()]):
-        raise ConfigError(f"{path}: drives: columns of different lengths")
+        raise ConfigError(f"{path}: drives: columns have different lengths; evaluate again")
     return tuple(
         DriveScores(
             condition=table.condition[k],
@@ -310,7 +313,7 @@ def _drive_scores(table: _DriveColumns, path: Path) -> tuple[DriveScores, ...]:
 
 
 def _dump_by_lines(value: Any, depth: int = 2) -> str:
-    """JSON with a line for each key down to `depth`, and all that lies deeper on that line."""
+    """Return JSON with one line for each key down to `depth`; deeper levels are not split."""
     if depth and isinstance(value, dict) and value:
         indent = " " * (3 - depth)
         lines = [
@@ -321,7 +324,7 @@ def _dump_by_lines(value: Any, depth: int = 2) -> str:
 
 
 def _nan_to_none(value: Any) -> Any:
-    """`value` with None for what JSON has no number for."""
+    """Return `value` with None instead of NaN and infinity, which JSON does not have."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""Tasks for a surface file: the same measured road under the paper's protocol and as a new road."""
+"""Tasks for a surface file: the measured road under the paper's protocol and as a new road."""
 
 import re
 from pathlib import Path
@@ -14,10 +14,10 @@ from road_envs.data.record import PROFILE_SPACING, profile_stations
 from road_envs.roads import Surface, load_road
 
 MIN_LENGTH = 100.0
-"""A shorter surface [m] is laid end to end, mirrored, up to this length."""
+"""A shorter surface is repeated, mirrored, up to this length [m]."""
 
 MAX_LENGTH = 300.0
-"""Of a longer surface this much [m] is driven, from its start."""
+"""Only this length [m] from the start of a longer surface is driven."""
 
 CONDITIONS = (
     {"mode": "ride", "speed_kmh": 14.5},
@@ -28,10 +28,10 @@ SEEDS = (1, 2, 3, 4, 5)
 
 
 def surface_tasks(path: Path, conditions: tuple[dict[str, Any], ...] = CONDITIONS) -> list[Task]:
-    """Two tasks on one file: trained on altered copies of it, and on other roads of its class.
+    """Return two tasks on one file: trained on altered copies of it, and on roads of its class.
 
-    The class is read from the file, which is more than an estimator on the road would know; the
-    title says so. Raises ConfigError if the file cannot be used.
+    The class is computed from the file, which is information that no estimator would have on the
+    road; title and note of the task say so. Raises ConfigError if the file cannot be used.
     """
     native = load_road(path).length
     length = min(max(native, MIN_LENGTH), MAX_LENGTH)
@@ -62,13 +62,14 @@ def surface_tasks(path: Path, conditions: tuple[dict[str, Any], ...] = CONDITION
         "title": f"{path.stem}: trained on random roads of class {letter}, the class of this file",
         "board": "measured",
         "training": {"roads": [f"iso_{letter.lower()}"], "seeds": list(SEEDS), "length": 100.0},
-        "note": "The class of the training roads was read from the file; on a drive it is a guess.",
+        "note": "The class of the training roads was computed from the file; on a drive it would "
+        "have to be estimated.",
     }
     return [build(Task, {**common, **special}, str(path)) for special in (copies, others)]
 
 
 def surface_class(surface: Surface) -> str:
-    """ISO class of the louder wheel path in the band that is judged at low speed (w = 2)."""
+    """Return the ISO 8608 class of the rougher wheel path in the scored band of 1 m/s, w = 2."""
     s = profile_stations(surface.length)
     n, G = smooth_psd(*displacement_psd(surface.height(s), PROFILE_SPACING))
     band = scored_band(1.0)

@@ -1,10 +1,10 @@
-"""A task: a car on training roads and on test roads, under stated conditions, with all its seeds.
+"""Tasks: a vehicle on training and test roads, the conditions of the drives, and all seeds.
 
-Tasks come from `configs/tasks/*.yaml`, or are made for a surface file. An estimator is trained
-once per condition (mode and speed), on that condition's drives, as the paper trains one network
-for each case scenario. Training and test never share a seed or a surface; where the paper itself
-trains on altered copies of the road it tests on, the task has to say so (`trains_on_test_road`)
-and the board prints it.
+Tasks come from `configs/tasks/*.yaml` or are generated for a surface file. An estimator is trained
+once per condition (mode and speed) on the drives of that condition, as the paper trains one network
+for each scenario. Training and test share neither a seed nor a surface. A task that follows the
+paper and trains on altered copies of the test road sets `trains_on_test_road`, which the board
+prints.
 """
 
 import dataclasses
@@ -33,17 +33,17 @@ Grade = Literal["S0", "S1", "S2", "S3"]
 StrutMode = Literal["ride", "handling", "soft_high", "stiff_low"]
 
 SEED_STRIDE = 10_000
-"""Between the seeds of one road of a list and those of the next."""
+"""Offset between the seeds of one road of a list and those of the next."""
 
 DESCRIPTIVE_FIELDS = frozenset(
     {"title", "source", "sources", "note", "claimed_level_error", "families"}
 )
-"""Fields for the reader, in which an edit voids no result."""
+"""Fields that only describe a task: editing them does not invalidate results."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AxleModes:
-    """Another state of the struts in front than at the rear."""
+    """Different strut modes in front and at the rear."""
 
     __pydantic_config__ = STRICT
 
@@ -53,7 +53,7 @@ class AxleModes:
 
 @dataclass(frozen=True, kw_only=True)
 class Condition:
-    """How the roads are driven."""
+    """Strut mode, speed and plant-mismatch grade of a drive."""
 
     __pydantic_config__ = STRICT
 
@@ -67,7 +67,7 @@ class Condition:
 
     @property
     def label(self) -> str:
-        """Such as "ride, 14.5 km/h", with the car if it is not that of the training."""
+        """Name such as "ride, 14.5 km/h", with the grade if it is not S0."""
         mode = self.mode
         name = mode if isinstance(mode, str) else f"{mode.front} front, {mode.rear} rear"
         car = "" if self.grade == "S0" else f", car {self.grade}"
@@ -75,13 +75,13 @@ class Condition:
 
     @property
     def simulator_mode(self) -> str | dict[str, str]:
-        """The mode as the simulator takes it."""
+        """Mode in the form that the simulator accepts."""
         return self.mode if isinstance(self.mode, str) else dataclasses.asdict(self.mode)
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriveSet:
-    """Every road at every seed; the first `number` of them, seed by seed, where it is given."""
+    """Every road at every seed, seed by seed; only the first `number` if it is given."""
 
     __pydantic_config__ = STRICT
 
@@ -91,27 +91,35 @@ class DriveSet:
     length: float | None = None  # [m]; else each road's own
     step: float = 0.001  # [s] of the integrator
     noise: bool = True  # of the instruments
-    families: tuple[str, ...] = ()  # to which each of the roads belongs, for a closer look
+    families: tuple[str, ...] = ()  # one for each road, to report scores by family
+    design: tuple[tuple[int, ...], ...] = ()  # drives of each condition; empty: all in each
 
     def __post_init__(self):
         if not self.roads or not self.seeds:
-            raise ValueError("at least one road and one seed are wanted")
+            raise ValueError("at least one road and one seed are required")
         if self.families and len(self.families) != len(self.roads):
-            raise ValueError(f"{len(self.roads)} families are wanted, got {len(self.families)}")
+            raise ValueError(
+                f"families must name one family for each of the {len(self.roads)} roads, "
+                f"got {len(self.families)}"
+            )
         if len(set(self.seeds)) < len(self.seeds) or min(self.seeds) < 0:
             raise ValueError(f"seeds must differ and not be negative, got {list(self.seeds)}")
-        most = len(self.roads) * len(self.seeds)
-        if self.number is not None and not 1 <= self.number <= most:
-            raise ValueError(f"number of drives must be 1 to {most}, got {self.number}")
+        total = len(self.roads) * len(self.seeds)
+        if self.number is not None and not 1 <= self.number <= total:
+            raise ValueError(f"number of drives must be 1 to {total}, got {self.number}")
         if not self.step > 0:
             raise ValueError(f"step must be positive, got {self.step}")
+        drives = set(range(total if self.number is None else self.number))
+        if self.design and set().union(*self.design) != drives:
+            raise ValueError(
+                f"design must use each of the drives 0 to {max(drives)} under some condition, "
+                f"got {[list(indices) for indices in self.design]}"
+            )
 
     @property
     def roads_and_seeds(self) -> list[tuple[Road, int]]:
-        """The roads to drive, each with the seed that realises it.
-
-        Equal seeds would give related roads, so the k-th road of the list adds k x SEEDS_APART.
-        """
+        """Roads to drive, each with the seed of its realisation."""
+        # equal seeds would give correlated roads, so the k-th road of the list adds k * SEED_STRIDE
         pairs = [
             (self._with_length(road), seed + k * SEED_STRIDE)
             for seed in self.seeds
@@ -121,11 +129,23 @@ class DriveSet:
 
     @property
     def all_seeds(self) -> set[int]:
-        """Every seed that `pairs` could hold."""
+        """Every seed that `roads_and_seeds` could contain, for any `number`."""
         return {seed + k * SEED_STRIDE for seed in self.seeds for k in range(len(self.roads))}
 
+    def indices_of_condition(self, condition: int) -> tuple[int, ...]:
+        """Return the indices in `roads_and_seeds` of the drives under a condition, by its index."""
+        return self.design[condition] if self.design else tuple(range(len(self.roads_and_seeds)))
+
+    @property
+    def strata(self) -> list[list[int]]:
+        """Indices in `roads_and_seeds` by family, in which a bootstrap resamples them."""
+        if not self.families:
+            return [list(range(len(self.roads_and_seeds)))]
+        by_family = [self.indices_of_family(name) for name in dict.fromkeys(self.families)]
+        return [indices for indices in by_family if indices]
+
     def indices_of_family(self, family: str) -> list[int]:
-        """Which of `pairs` belong to a family."""
+        """Return the indices in `roads_and_seeds` of the roads of a family."""
         kinds = [self.families[k % len(self.roads)] for k in range(len(self.roads_and_seeds))]
         return [k for k, kind in enumerate(kinds) if kind == family]
 
@@ -135,7 +155,7 @@ class DriveSet:
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """What is driven, learnt from and judged; a changed task voids its results."""
+    """Training and test drives under some conditions; changing a task invalidates its results."""
 
     __pydantic_config__ = STRICT
 
@@ -149,37 +169,42 @@ class Task:
     training: DriveSet
     test: DriveSet
     trains_on_test_road: bool = False
-    bumps: bool = False  # score obstacles too
-    claimed_level_error: float | None = None  # [-] eq. 12 as the paper prints it
+    bumps: bool = False  # also score obstacles
+    claimed_level_error: float | None = None  # [-] eq. 12, value printed in the paper
     source: str = ""
-    note: str = ""  # what a reader of the board has to know
+    note: str = ""  # remark printed on the board
 
     def __post_init__(self):
         if not re.fullmatch(r"[A-Za-z0-9_.-]+", self.name):
             raise ValueError(f"name {self.name!r} may have letters, digits, '_', '-' and '.' only")
         if not self.conditions:
-            raise ValueError("at least one condition is wanted")
+            raise ValueError("at least one condition is required")
+        if self.training.design or len(self.test.design) not in (0, len(self.conditions)):
+            raise ValueError(
+                "a design lists the test drives of every condition: "
+                f"{len(self.conditions)} lists, none for training"
+            )
         if shared := sorted(self.training.all_seeds & self.test.all_seeds):
             raise ValueError(f"training and test share the seeds {shared}")
         if not self.trains_on_test_road and self._shared_surfaces():
             raise ValueError(
-                "training has a surface of the test; choose other roads, or say so with "
+                "training and test share a surface; choose other roads, or set "
                 "trains_on_test_road: true"
             )
 
     @cached_property
     def vehicle(self) -> VehicleParameters:
-        """The car that is driven. Raises ConfigError."""
+        """Nominal parameters of the vehicle. Raises ConfigError."""
         return load_vehicle(self.car)
 
     @cached_property
     def sensors(self) -> Instruments:
-        """The instruments of the drives. Raises ConfigError."""
+        """Instruments of the vehicle. Raises ConfigError."""
         return load_instruments(self.instruments)
 
     @cached_property
     def digest(self) -> str:
-        """sha256 of all that decides drives and scores: task, roads, car, instruments, files."""
+        """SHA-256 of all inputs of drives and scores: task, roads, vehicle, instruments, files."""
         parts: list[Any] = [self, self.vehicle, self.sensors]
         if any(condition.grade != "S0" for condition in self.conditions):
             parts.append(load_plant_mismatch())
@@ -187,28 +212,38 @@ class Task:
         return hashlib.sha256(text.encode()).hexdigest()
 
     def grade(self, drives: DriveSet, condition: Condition) -> Grade:
-        """The car that is driven: trainings are always on the nominal one."""
+        """Return the grade of the vehicle that is driven; training drives always use S0."""
         return condition.grade if drives is self.test else "S0"
 
     def seed_stream(self, condition: Condition) -> int:
-        """A number that conditions share which differ in the car alone: on each road they are then
-        driven by one individual, whose departures from the drawing grow with its grade.
+        """Return the random stream of a condition, the same for conditions that differ in grade.
+
+        On each road the grades are then driven by one perturbed vehicle whose deviations grow with
+        the grade.
         """
         driven = [(c.mode, c.speed_kmh) for c in self.conditions]
         return driven.index((condition.mode, condition.speed_kmh))
 
+    def drives_of(self, drives: DriveSet, condition: Condition) -> list[tuple[int, Road, int]]:
+        """Return index, road and seed of the training or test drives under a condition."""
+        pairs = drives.roads_and_seeds
+        if drives is not self.test:
+            return [(k, road, seed) for k, (road, seed) in enumerate(pairs)]
+        indices = drives.indices_of_condition(self.conditions.index(condition))
+        return [(k, *pairs[k]) for k in indices]
+
     @property
     def has_several_test_drives(self) -> bool:
-        """Whether it has test drives to choose from."""
+        """Whether the number of test drives can be reduced."""
         return len(self.test.roads) * len(self.test.seeds) > 1
 
     def with_test_drives(self, number: int | None) -> "Task":
-        """The same task with another number of test drives per condition, all of them for None.
+        """Return the task with this number of test drives under every condition; None takes all.
 
-        Raises ConfigError.
+        Raises ConfigError if there are fewer.
         """
         try:
-            test = dataclasses.replace(self.test, number=number)
+            test = dataclasses.replace(self.test, number=number, design=())
         except ValueError as error:
             raise ConfigError(f"{self.name}: {error}") from None
         return dataclasses.replace(self, test=test)
@@ -219,33 +254,33 @@ class Task:
 
 
 def load_task(name: str | Path) -> Task:
-    """A task by shipped name or YAML path. Raises ConfigError."""
+    """Load a task by shipped name or YAML path. Raises ConfigError."""
     task = config.load(Task, "tasks", name)
     stem = Path(name).stem
     if task.name != stem:
-        raise ConfigError(f"{name}: the task is called {task.name!r}, its file {stem!r}")
+        raise ConfigError(f"{name}: the task is named {task.name!r} but its file {stem!r}")
     return task
 
 
 def shipped_tasks(board: BoardName | None = None) -> list[Task]:
-    """All shipped tasks, or those of one board; the paper's cases in their order."""
+    """Return all shipped tasks, or those of one board, ordered by name."""
     tasks = [load_task(name) for name in config.names("tasks")]
     return [task for task in tasks if board in (None, task.board)]
 
 
 def _is_random(road: Road) -> bool:
-    """Whether a road is another surface at every seed, and not one surface for ever."""
-    one, other = (road.realise(np.random.default_rng(seed)).z for seed in (0, 1))
-    return not np.array_equal(one, other)
+    """Return whether a road's surface depends on the seed."""
+    first, second = (road.realise(np.random.default_rng(seed)).z for seed in (0, 1))
+    return not np.array_equal(first, second)
 
 
 def _base_road(road: Road) -> Road:
-    """The road from which an altered one is made."""
+    """Return the road from which a noisy copy is made, of copies too."""
     return _base_road(road.road) if isinstance(road, NoisyCopy) else road
 
 
 def _canonical(value: Any) -> Any:
-    """`value` as JSON types: dataclasses with the name of their class, surface files by content."""
+    """Return `value` as JSON types: dataclasses with their class name, surface files by content."""
     if dataclasses.is_dataclass(value):
         names = [f.name for f in dataclasses.fields(value) if f.name not in DESCRIPTIVE_FIELDS]
         fields = {name: _canonical(getattr(value, name)) for name in names}

@@ -1,4 +1,4 @@
-"""The judge's drives: a task's roads under one condition, with the truth beside the record."""
+"""Simulated drives over a task's roads under one condition, each record with its true profile."""
 
 import dataclasses
 from collections.abc import Callable, Iterator
@@ -13,8 +13,9 @@ from road_envs.data.recording import simulate_record
 
 @dataclass(frozen=True)
 class RecordedDrive:
-    """One drive over the `road` realised by `seed`."""
+    """One drive over the `road` realised by `seed`; `index` counts the roads of the drive set."""
 
+    index: int
     road: str
     seed: int
     record: Record
@@ -23,23 +24,23 @@ class RecordedDrive:
 
 
 DriveSimulation = Callable[[Task, DriveSet, Condition], Iterator[RecordedDrive]]
-"""What makes drives; `simulate_drives` is the one that counts, tests bring a faster one."""
+"""Function that simulates drives: `simulate_drives`, or a faster substitute in tests."""
 
 
 def simulate_drives(task: Task, drives: DriveSet, condition: Condition) -> Iterator[RecordedDrive]:
-    """Drive the task's car. Raises ConfigError, SimulationError.
+    """Yield a drive of the task's vehicle for each road and seed.
 
-    A road seed realises its road, the same one under every condition; the noise of the
-    instruments has a stream of its own for each seed and condition.
+    A seed realises the same road under every condition. Sensor noise has a separate random stream
+    for each seed and condition. Raises ConfigError, SimulationError.
     """
     car, instruments = task.vehicle, task.sensors
     if not drives.noise:
         instruments = dataclasses.replace(instruments, noise_density=0.0, speed_error=0.0)
-    for road, seed in drives.roads_and_seeds:
+    for index, road, seed in task.drives_of(drives, condition):
         surface = road.realise(np.random.default_rng(seed))
         record, truth = simulate_record(
-            car,
             surface,
+            vehicle=car,
             speed_kmh=condition.speed_kmh,
             mode=condition.simulator_mode,
             instruments=instruments,
@@ -47,11 +48,12 @@ def simulate_drives(task: Task, drives: DriveSet, condition: Condition) -> Itera
             step=drives.step,
             grade=task.grade(drives, condition),
         )
-        yield RecordedDrive(surface.name, seed, record, truth, surface.notes)
+        yield RecordedDrive(index, surface.name, seed, record, truth, surface.notes)
 
 
 def lock_arrays(drive: RecordedDrive) -> RecordedDrive:
-    """Lock the arrays of a drive, which all entries share: one that writes into them fails."""
+    """Make the arrays of a drive read-only and return the drive."""
+    # all entries share the arrays: an entry that writes into them fails instead of changing them
     for holder in (drive.record, drive.truth):
         for value in vars(holder).values():
             if isinstance(value, np.ndarray):

@@ -1,11 +1,11 @@
-"""Marks that stand on every board, so that a reader sees what a score is worth.
+"""Baselines shown on every board, which put the score of an entry into proportion.
 
-    flat, mean, unrelated_road   estimators that measure nothing
-    truth_plus_noise             the judge's own: the truth with 2 % noise added inside the band
+    flat, mean, unrelated_road   estimators that use no measurement
+    truth_plus_noise             the truth plus 2 % noise inside the band, made by the evaluation
 
-2 % is below 3.2 %, the least error that any linear method can reach with the paper's three noisy
-accelerometers on the judge's car. An entry that scores better has seen the truth, or the judge is
-broken; either way its row is flagged.
+The least error of any linear estimator with the paper's three noisy accelerometers is 3.2 %. An
+entry that scores better than 2 % has used the truth, or the evaluation is faulty; its row is
+flagged (`report.tables.sanity_warnings`).
 """
 
 import numpy as np
@@ -16,11 +16,13 @@ from road_envs.data.record import Estimate, Profile
 TRUTH_PLUS_NOISE = "truth_plus_noise"
 BASELINES = ("flat", "mean", "unrelated_road", TRUTH_PLUS_NOISE)
 NOISE_LEVEL = 0.02
+"""Ratio of the noise of `truth_plus_noise` to the truth, both as in-band RMS."""
 
 
 def truth_plus_noise(truth: Profile, band: Band, seed: int) -> Estimate:
-    """The truth with Gaussian noise whose level inside `band` is 2 % of the truth's."""
+    """Return the truth plus Gaussian noise of NOISE_LEVEL times its RMS inside `band`."""
     noise = np.random.default_rng(seed).standard_normal(truth.z.shape)
+    # match the RMS inside the band, the part that is scored
     level = _rms(band_pass(truth.z, truth.ds, band)) / _rms(band_pass(noise, truth.ds, band))
     return Estimate(truth.s, truth.z + NOISE_LEVEL * level * noise)
 

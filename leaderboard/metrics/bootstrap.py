@@ -1,10 +1,11 @@
-"""From many scores to one line of a table, without reading more into them than they hold.
+"""Statistics of a board: interquartile means, bootstrap intervals, ranks.
 
-Scores of an entry are (R, C, S): roads, conditions, training seeds. The unit of replication is the
-road, then the seed, so the bootstrap draws roads, then seeds, and never samples along one road
-(Agarwal et al., NeurIPS 2021, for the interquartile mean and stratified intervals). One training
-is tested on every road, so a draw of seeds holds for all roads of a replicate. Entries are paired:
-each replicate puts all of them on the same roads.
+Scores of an entry are (R, C, S): roads, conditions, training seeds. The bootstrap is hierarchical:
+it resamples roads, then seeds, and never parts of one road (Agarwal et al., NeurIPS 2021, for the
+interquartile mean and stratified intervals). One trained estimator is tested on every road, so a
+resample of seeds holds for all roads of a replicate. Entries are paired: each replicate uses the
+same roads for all of them. Roads are resampled within their family, so that the differences
+between families do not widen the intervals.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,12 +15,19 @@ import numpy as np
 
 REPLICATES = 2000
 CONFIDENCE = 0.95
+"""Level of every interval."""
+MIN_ROADS = 5
+"""Least number of roads for an interval or a rank: with two, the interval is their two scores."""
+
 MAX_BATCH_SCORES = 2_000_000
-"""Scores held at a time while replicates are drawn: 16 MB."""
+"""Scores held in memory at once while resampling: 16 MB."""
+
+Strata = Sequence[Sequence[int]]
+"""Indices of the roads of each stratum (family of roads)."""
 
 
 class Interval(NamedTuple):
-    """An interquartile mean and its bootstrap interval."""
+    """An interquartile mean with its bootstrap interval."""
 
     mean: float
     low: float
@@ -35,100 +43,130 @@ class PerformanceProfile(NamedTuple):
 
 
 class Rank(NamedTuple):
-    """Where an entry stands: `rank` is 1 + how many entries are better beyond doubt."""
+    """Rank of an entry, 1 + the number of entries that are significantly better, and its score."""
 
     rank: int
     score: Interval
 
 
 def interquartile_mean(x: np.ndarray, axis: int = -1) -> np.ndarray:
-    """Mean of the middle half of `x`, the values at its edges with their share."""
-    x = np.sort(x, axis=axis)
-    size = x.shape[axis]
-    rank = np.arange(size)
-    weight = np.clip(np.minimum(rank + 1, 0.75 * size) - np.maximum(rank, 0.25 * size), 0.0, 1.0)
-    return np.tensordot(x, weight / weight.sum(), axes=(axis, 0))
+    """Return the mean of the middle half of `x`; values at the quartiles count in part.
 
-
-def bootstrap(scores: np.ndarray, seed: int, replicates: int = REPLICATES) -> np.ndarray:
-    """Interquartile means (B,) of `scores` (R, C, S) with roads, then seeds, drawn again.
-
-    The draw of roads depends on `seed`, R and B alone: entries with one `seed` are paired.
+    NaNs are ignored; the mean of no values is NaN.
     """
-    return np.concatenate(
-        [interquartile_mean(x) for x in _replicate_scores(scores, seed, replicates)]
-    )
+    x = np.moveaxis(np.sort(x, axis=axis), axis, -1)  # NaNs are sorted to the end
+    count = np.sum(~np.isnan(x), axis=-1, keepdims=True)
+    rank = np.arange(x.shape[-1])
+    weight = np.clip(np.minimum(rank + 1, 0.75 * count) - np.maximum(rank, 0.25 * count), 0.0, 1.0)
+    total = weight.sum(axis=-1)
+    with np.errstate(invalid="ignore"):
+        return np.sum(np.where(weight > 0.0, weight * x, 0.0), axis=-1) / total
 
 
-def iqm_slope(parts: Sequence[np.ndarray], seed: int = 0) -> Interval:
-    """Growth of the interquartile mean from one of `parts` (R, C, S) to the next, by least squares.
+def bootstrap(
+    scores: np.ndarray, seed: int, replicates: int = REPLICATES, strata: Strata | None = None
+) -> np.ndarray:
+    """Return the interquartile means (B,) of resamples of `scores` (R, C, S): roads, then seeds.
 
-    With its 95 % interval; the parts are paired, road by road and seed by seed.
+    Roads are resampled within each of `strata`, lists of their indices; by default there is one.
+    The resampled roads depend on `seed`, `strata`, R and B alone, so entries with one `seed` are
+    paired. NaNs mark missing runs and are ignored.
+    """
+    batches = _replicate_scores(scores, seed, replicates, strata)
+    return np.concatenate([interquartile_mean(x) for x in batches])
+
+
+def iqm_slope(parts: Sequence[np.ndarray], seed: int = 0, strata: Strata | None = None) -> Interval:
+    """Return the least-squares slope of the interquartile mean over `parts`, each (R, C, S).
+
+    With its 95 % interval; the parts are paired road by road and seed by seed.
     """
     x = np.arange(len(parts)) - 0.5 * (len(parts) - 1)
     weight = x / np.sum(x * x)
-    drawn = weight @ np.stack([bootstrap(part, seed) for part in parts])
-    low, high = np.quantile(drawn, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
+    resampled = weight @ np.stack([bootstrap(part, seed, strata=strata) for part in parts])
+    low, high = np.quantile(resampled, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
     mean = weight @ np.array([float(interquartile_mean(part.ravel())) for part in parts])
     return Interval(float(mean), float(low), float(high))
 
 
 def performance_profile(
-    scores: np.ndarray, thresholds: np.ndarray, seed: int = 0, replicates: int = REPLICATES
+    scores: np.ndarray,
+    thresholds: np.ndarray,
+    seed: int = 0,
+    replicates: int = REPLICATES,
+    strata: Strata | None = None,
 ) -> PerformanceProfile:
-    """Performance profile of `scores` (R, C, S), the lower the better, at `thresholds` (T,).
+    """Return the share of `scores` (R, C, S) at or below each of `thresholds` (T,).
 
-    The share of runs that are at least as good as each threshold; a score that is NaN never is.
+    Lower scores are better. NaN marks a missing run, infinity a run above every threshold.
     """
-    with np.errstate(invalid="ignore"):
-        reached = [np.mean(scores <= x) for x in thresholds]
-        parts = [
-            np.stack([np.mean(x <= limit, axis=1) for limit in thresholds], axis=1)
-            for x in _replicate_scores(scores, seed, replicates)
-        ]
+
+    def shares(x: np.ndarray) -> np.ndarray:
+        count = np.sum(~np.isnan(x), axis=-1)
+        with np.errstate(invalid="ignore"):
+            return np.stack([np.sum(x <= limit, axis=-1) / count for limit in thresholds], axis=-1)
+
+    reached = shares(scores.ravel())
+    parts = [shares(x) for x in _replicate_scores(scores, seed, replicates, strata)]
     low, high = np.quantile(
         np.concatenate(parts), [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2], axis=0
     )
-    return PerformanceProfile(np.array(reached), low, high)
+    return PerformanceProfile(reached, low, high)
 
 
-def _replicate_scores(scores: np.ndarray, seed: int, replicates: int) -> Iterator[np.ndarray]:
-    """The replicates' scores (b, R C S), some replicates at a time."""
+def _replicate_scores(
+    scores: np.ndarray, seed: int, replicates: int, strata: Strata | None
+) -> Iterator[np.ndarray]:
+    """Yield the resampled scores (b, R C S) in batches of replicates."""
     R, _, S = scores.shape
     road_rng, seed_rng = np.random.default_rng(seed).spawn(2)
-    roads = road_rng.integers(R, size=(replicates, R))
+    drawn = [
+        np.asarray(roads)[road_rng.integers(len(roads), size=(replicates, len(roads)))]
+        for roads in strata or [range(R)]
+    ]
+    roads = np.concatenate(drawn, axis=1)
     seeds = seed_rng.integers(S, size=(replicates, S))
     size = max(1, MAX_BATCH_SCORES // scores.size)
     for k in range(0, replicates, size):
         part = slice(k, k + size)
-        drawn = scores[roads[part, :, None], :, seeds[part, None, :]]
-        yield drawn.reshape(len(drawn), -1)
+        resampled = scores[roads[part, :, None], :, seeds[part, None, :]]
+        yield resampled.reshape(len(resampled), -1)
 
 
-def iqm_interval(scores: np.ndarray, seed: int = 0) -> Interval:
-    """Interquartile mean of `scores` (R, C, S) with its 95 % interval; NaN if any score is."""
-    return _as_interval(scores, bootstrap(scores, seed))
+def iqm_interval(scores: np.ndarray, seed: int = 0, strata: Strata | None = None) -> Interval:
+    """Return the interquartile mean of `scores` (R, C, S) with its 95 % interval, or NaNs."""
+    return _as_interval(scores, bootstrap(scores, seed, strata=strata))
+
+
+def count_roads(scores: np.ndarray) -> int:
+    """Return the number of roads with runs in `scores` (R, C, S)."""
+    return int(np.sum(~np.isnan(scores).all(axis=(1, 2))))
 
 
 def rank_entries(
-    scores: Mapping[str, np.ndarray], seed: int = 0, replicates: int = REPLICATES
+    scores: Mapping[str, np.ndarray],
+    seed: int = 0,
+    replicates: int = REPLICATES,
+    strata: Strata | None = None,
 ) -> dict[str, Rank]:
-    """Rank of each entry by `scores` (R, C, S), the lower the better, best first.
+    """Rank the entries by their `scores` (R, C, S), lower is better; best first.
 
-    An entry is better beyond doubt if the 95 % interval of the paired difference is below 0: if
-    it is ahead in 97.5 % of the replicates. So entries that cannot be told apart share a rank. A
-    score that is NaN comes last.
+    An entry is significantly better if the 95 % interval of the paired difference lies below 0,
+    that is, if it is ahead in 97.5 % of the replicates. Entries without a significant difference
+    share a rank. A score that is NaN comes last.
     """
     if not scores:
         return {}
-    drawn = np.stack([bootstrap(x, seed, replicates) for x in scores.values()])  # (N, B)
-    drawn[np.isnan(drawn).any(axis=1)] = np.inf
+    resampled = np.stack(
+        [bootstrap(x, seed, replicates, strata) for x in scores.values()]
+    )  # (N, B)
+    resampled[np.isnan(resampled).any(axis=1)] = np.inf  # an undefined score loses every comparison
     rows = {
         name: Rank(
-            1 + int(np.sum(np.mean(drawn < mine, axis=1) > 0.5 + CONFIDENCE / 2)),
+            1 + int(np.sum(np.mean(resampled < mine, axis=1) > 0.5 + CONFIDENCE / 2)),
             _as_interval(scores[name], mine),
         )
-        for name, mine in zip(scores, drawn, strict=True)
+        for name, mine in zip(scores, resampled, strict=True)
     }
     last = np.inf
     by_mean = sorted(rows.items(), key=lambda row: np.nan_to_num(row[1].score.mean, nan=last))

@@ -20,14 +20,14 @@ from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 
 N_FREQUENCIES = 1001
-"""Frequencies over the scored band: the bound to three digits."""
+"""Frequencies over the scored band: enough for three digits of the bound."""
 
 WAVINESS_LIMITS = (1.0, 4.0)
-"""The line through a density is kept between these."""
+"""Limits of the waviness fitted to a density."""
 
 
 def nrmse_bound(task: Task, condition: Condition, truth: Profile) -> float:
-    """Least in-band NRMSE [-] on a road like `truth`; NaN on a level one."""
+    """Return the least in-band NRMSE [-] on a road like `truth`; NaN on a level road."""
     v = condition.speed_kmh / 3.6
     road = fit_spectrum(truth, scored_band(v))
     if road is None:
@@ -37,21 +37,26 @@ def nrmse_bound(task: Task, condition: Condition, truth: Profile) -> float:
 
 def third_octave_bound(task: Task, condition: Condition, G_d0: float = CLASSES["D"]) -> list[float]:
     """Return the least NRMSE [-] in each of THIRD_OCTAVES on an ISO road (w = 2) of `G_d0` [m³]."""
-    v, edge = condition.speed_kmh / 3.6, 2.0 ** (1 / 6)
+    v, edge = condition.speed_kmh / 3.6, 2.0 ** (1 / 6)  # half a third octave
     car, instruments = load_vehicle(task.car), load_instruments(task.instruments)
     n = np.geomspace(THIRD_OCTAVES[0] / edge, THIRD_OCTAVES[-1] * edge, 15 * 60)
-    found = bound(car, condition.simulator_mode, v, instruments, RoadPrior(G_d0=G_d0), n=n)
-    shares = []
+    posterior = bound(car, condition.simulator_mode, v, instruments, RoadPrior(G_d0=G_d0), n=n)
+    errors = []
     for centre in THIRD_OCTAVES:
         inside = (n >= centre / edge) & (n < centre * edge)
-        wrong = np.trapezoid(found.paths[inside].sum(axis=1), n[inside])
-        prior = np.trapezoid(np.real(np.trace(found.prior[inside], axis1=1, axis2=2)), n[inside])
-        shares.append(float(np.sqrt(wrong / prior)))
-    return shares
+        wrong = np.trapezoid(posterior.path_psd[inside].sum(axis=1), n[inside])
+        prior = np.trapezoid(
+            np.real(np.trace(posterior.prior[inside], axis1=1, axis2=2)), n[inside]
+        )
+        errors.append(float(np.sqrt(wrong / prior)))
+    return errors
 
 
 def fit_spectrum(truth: Profile, band: tuple[float, float]) -> tuple[float, float] | None:
-    """Level [dB over 1 m³ at n0] and waviness of a road inside `band`, rounded; None if level."""
+    """Fit level [dB re 1 m³ at n0] and waviness of a road inside `band`; None on a level road.
+
+    Both are rounded, to 1 dB and to 0.1.
+    """
     n, G = smooth_psd(*displacement_psd(truth.z, truth.ds))
     G = G.mean(axis=0)
     inside = (n >= band[0]) & (n <= band[1]) & (G > 0.0)
@@ -59,7 +64,7 @@ def fit_spectrum(truth: Profile, band: tuple[float, float]) -> tuple[float, floa
         return None
     _, w = fit_line(n, G, band=band)
     w = round(float(np.clip(w, *WAVINESS_LIMITS)), 1)
-    level, _ = fit_line(n, G, w=w, band=band)
+    level, _ = fit_line(n, G, w=w, band=band)  # refit the level to the rounded waviness
     return round(10.0 * np.log10(level)), w
 
 
@@ -70,6 +75,7 @@ def pooled_bound(
 
     `level` and `w` are rounded as `fit_spectrum` returns them, so that results can be cached.
     """
+    # the mode may be a dict, which a cache cannot hash
     return _pooled_bound(car, instruments, json.dumps(mode), v, level, w)
 
 

@@ -1,10 +1,10 @@
-"""Are the obstacles where they stand, as high as they are, and on the right wheel path?
+"""Detection scores of single obstacles: location, height and wheel path.
 
-Obstacles stand on a road that is level between them, so the profile's median is the level. A bump
-is a stretch of one wheel path that rises above half the height of the lowest true obstacle; a hole,
-a bump of negative height, falls as far below. Stretches less than 0.5 m apart are one. It stands
-at the middle of its stretch. An estimated bump is found if it is the nearest within 0.3 m of a
-true one of its kind on the same wheel path; one bump answers for one.
+Obstacles rise from a road that is level between them, so the median of the profile is its level. A
+bump is a section of one wheel path that rises above half the height of the lowest true obstacle; a
+hole, of negative height, falls as far below. Sections less than MERGE_GAP apart are one obstacle,
+located at its middle. An estimated obstacle matches the nearest true one within MATCH_DISTANCE, of
+the same sign and on the same wheel path; each is matched at most once.
 """
 
 from typing import NamedTuple
@@ -13,19 +13,19 @@ import numpy as np
 
 MATCH_DISTANCE = 0.3  # [m]
 MERGE_GAP = 0.5  # [m]
-MIN_HEIGHT = 0.02  # [m] true heights below this are no obstacles
+MIN_HEIGHT = 0.02  # [m] lower true heights are no obstacles
 LEVEL_TOLERANCE = 0.005  # [m] about the median, where at least half of each wheel path lies
 
 
 class Obstacle(NamedTuple):
-    """An obstacle: the station of its middle and its height, both [m]; a hole's is negative."""
+    """Station of the middle and height, both [m]; a hole has a negative height."""
 
     s: float
     height: float
 
 
 class ObstacleMatches(NamedTuple):
-    """Bumps of one wheel path: `pairs` (true, found), true ones missed, found ones not there."""
+    """Obstacles of one wheel path: matched `pairs` (true, estimated), misses, false alarms."""
 
     pairs: list[tuple[Obstacle, Obstacle]]
     missed: list[Obstacle]
@@ -33,7 +33,7 @@ class ObstacleMatches(NamedTuple):
 
 
 class ObstacleScores(NamedTuple):
-    """Shares [-]; mean absolute errors of the bumps found, NaN if none was; ghosts counted."""
+    """Shares [-], mean absolute errors of the matched obstacles (NaN if none) and ghosts."""
 
     precision: float
     recall: float
@@ -41,26 +41,26 @@ class ObstacleScores(NamedTuple):
     location_error: float  # [m]
     height_error: float  # [m]
     height_error_relative: float  # of the true height
-    ghosts: int  # estimated where only the other wheel path has a bump
+    ghosts: int  # estimated on the wrong side: only the other wheel path has one there
 
 
 def detect_obstacles(z: np.ndarray, ds: float, threshold: float) -> list[Obstacle]:
-    """Where one wheel path `z` (M,) rises or falls by more than `threshold` [m] from its median."""
+    """Detect the sections of `z` (M,) that leave the median by more than `threshold` [m]."""
     z = z - np.median(z)
-    found = []
+    detected = []
     for sign in (1.0, -1.0):
         beyond = np.flatnonzero(sign * z > threshold)
-        stretches = np.split(beyond, np.flatnonzero(np.diff(beyond) * ds > MERGE_GAP) + 1)
-        found += [
+        sections = np.split(beyond, np.flatnonzero(np.diff(beyond) * ds > MERGE_GAP) + 1)
+        detected += [
             Obstacle(ds * (i[0] + i[-1]) / 2, sign * float((sign * z[i]).max()))
-            for i in stretches
+            for i in sections
             if i.size
         ]
-    return sorted(found)
+    return sorted(detected)
 
 
 def true_obstacles(y: np.ndarray, ds: float) -> tuple[list[Obstacle], list[Obstacle]]:
-    """The obstacles of both wheel paths of a true road `y` (2, M) [m]; none on an uneven road."""
+    """Return the obstacles of each wheel path of a true road `y` (2, M) [m]; none if uneven."""
     about_level = np.abs(y - np.median(y, axis=1, keepdims=True)) < LEVEL_TOLERANCE
     if (about_level.mean(axis=1) < 0.5).any():
         return [], []
@@ -71,8 +71,11 @@ def true_obstacles(y: np.ndarray, ds: float) -> tuple[list[Obstacle], list[Obsta
 def match_obstacles(
     y: np.ndarray, a: np.ndarray, ds: float
 ) -> tuple[ObstacleMatches, ObstacleMatches] | None:
-    """Which bumps of the truth `y` an estimate `a` has, both (2, M) [m]; None if there are none."""
-    heights = [abs(bump.height) for path in true_obstacles(y, ds) for bump in path]
+    """Match the obstacles of estimate `a` with those of truth `y`, both (2, M), by wheel path.
+
+    Returns None if the truth has no obstacle.
+    """
+    heights = [abs(obstacle.height) for path in true_obstacles(y, ds) for obstacle in path]
     if not heights:
         return None
     threshold = min(heights) / 2
@@ -81,24 +84,24 @@ def match_obstacles(
 
 
 def obstacle_scores(y: np.ndarray, a: np.ndarray, ds: float) -> ObstacleScores | None:
-    """Scores of estimate `a` against truth `y`, both (2, M) [m]; None if the truth has no bump."""
+    """Return the scores of `a` against `y`, both (2, M) [m]; None without a true obstacle."""
     paths = match_obstacles(y, a, ds)
     if paths is None:
         return None
     pairs = [pair for path in paths for pair in path.pairs]
     true = [[*path.missed, *(t for t, _ in path.pairs)] for path in paths]
-    found = [[*path.false, *(f for _, f in path.pairs)] for path in paths]
+    detected = [[*path.false, *(f for _, f in path.pairs)] for path in paths]
     ghosts = sum(
-        _has_match(bump, true[1 - side]) and not _has_match(bump, true[side])
+        _has_match(obstacle, true[1 - side]) and not _has_match(obstacle, true[side])
         for side in range(2)
-        for bump in found[side]
+        for obstacle in detected[side]
     )
-    n_true, n_found = sum(map(len, true)), sum(map(len, found))
+    n_true, n_detected = sum(map(len, true)), sum(map(len, detected))
     s, height, relative = np.mean(_errors(pairs), axis=0) if pairs else (np.nan,) * 3
     return ObstacleScores(
-        precision=len(pairs) / n_found if n_found else 0.0,
+        precision=len(pairs) / n_detected if n_detected else 0.0,
         recall=len(pairs) / n_true,
-        f1=2 * len(pairs) / (n_true + n_found),
+        f1=2 * len(pairs) / (n_true + n_detected),
         location_error=float(s),
         height_error=float(height),
         height_error_relative=float(relative),
@@ -107,31 +110,35 @@ def obstacle_scores(y: np.ndarray, a: np.ndarray, ds: float) -> ObstacleScores |
 
 
 def _match_path(y: np.ndarray, a: np.ndarray, ds: float, threshold: float) -> ObstacleMatches:
-    true, found = detect_obstacles(y, ds, threshold), detect_obstacles(a, ds, threshold)
-    pairs = _pair_nearest(true, found)
+    true, detected = detect_obstacles(y, ds, threshold), detect_obstacles(a, ds, threshold)
+    pairs = _pair_nearest(true, detected)
     return ObstacleMatches(
         pairs,
-        [bump for bump in true if not any(bump is t for t, _ in pairs)],
-        [bump for bump in found if not any(bump is f for _, f in pairs)],
+        [obstacle for obstacle in true if not any(obstacle is t for t, _ in pairs)],
+        [obstacle for obstacle in detected if not any(obstacle is f for _, f in pairs)],
     )
 
 
-def _pair_nearest(true: list[Obstacle], found: list[Obstacle]) -> list[tuple[Obstacle, Obstacle]]:
-    """Pairs (true, found) at most TOLERANCE apart, nearest first, each bump in one pair."""
+def _pair_nearest(
+    true: list[Obstacle], detected: list[Obstacle]
+) -> list[tuple[Obstacle, Obstacle]]:
+    """Return pairs (true, estimated) that match, nearest first, each obstacle in one pair."""
     pairs: list[tuple[Obstacle, Obstacle]] = []
-    for t, f in sorted(((t, f) for t in true for f in found), key=lambda p: abs(p[0].s - p[1].s)):
+    for t, f in sorted(
+        ((t, f) for t in true for f in detected), key=lambda p: abs(p[0].s - p[1].s)
+    ):
         taken = any(t is t_ or f is f_ for t_, f_ in pairs)
         if _is_match(t, f) and not taken:
             pairs.append((t, f))
     return pairs
 
 
-def _has_match(bump: Obstacle, others: list[Obstacle]) -> bool:
-    return any(_is_match(bump, other) for other in others)
+def _has_match(obstacle: Obstacle, others: list[Obstacle]) -> bool:
+    return any(_is_match(obstacle, other) for other in others)
 
 
 def _is_match(a: Obstacle, b: Obstacle) -> bool:
-    """Whether two obstacles are of one kind and stand at one place."""
+    """Return whether two obstacles have the same sign and lie within MATCH_DISTANCE."""
     return abs(a.s - b.s) <= MATCH_DISTANCE and (a.height > 0.0) == (b.height > 0.0)
 
 

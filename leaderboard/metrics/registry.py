@@ -1,4 +1,4 @@
-"""The scores of one estimate, and how each is printed: the judge's table of contents."""
+"""The table of all scores, the format of each, and the function that computes them."""
 
 from typing import Literal, NamedTuple
 
@@ -9,16 +9,16 @@ from leaderboard.metrics.obstacles import obstacle_scores
 from road_envs.data.record import Estimate, Profile
 
 UNDEFINED = "–"
-"""Stands for a score that is not defined."""
+"""Text of a score that is not defined."""
 
 HEIGHT_LIMIT = 1e6
-"""Heights beyond this [m] count as this much."""
+"""Estimated heights are clipped to +- this [m], so that an absurd estimate still has a score."""
 
 Better = Literal["low", "high", "zero", ""]
 
 
 class Score(NamedTuple):
-    """How a score is printed: its value times `factor`, in `unit`, with `digits` decimals."""
+    """Format of a score: its value times `factor`, in `unit`, with `digits` decimals."""
 
     label: str
     unit: str
@@ -27,12 +27,18 @@ class Score(NamedTuple):
     better: Better
 
     def format_value(self, value: float) -> str:
-        """The value as printed; a dash for one that is not defined."""
+        """Return the value as text; a dash if it is not finite."""
         if not np.isfinite(value):
             return UNDEFINED
         rounded = round(self.factor * value, self.digits) + 0.0  # no minus before a zero
         return f"{rounded:{'+' if self.better == 'zero' else ''}.{self.digits}f}"
 
+
+EQ_12_RAW = "level_error_raw"
+"""Score key of the paper's equation 12 as printed: raw heights."""
+
+STATE_LIMITS = (0.15, 0.25)
+"""Equation 12 up to which a training is near-optimal, and sub-optimal (Appendix A of the paper)."""
 
 SCORES = {
     "nrmse": Score("in-band NRMSE", "", 1.0, 3, "low"),
@@ -45,18 +51,18 @@ SCORES = {
     "lag": Score("best lag", "m", 1.0, 2, "zero"),
     "r_at_lag": Score("r at best lag", "", 1.0, 2, "high"),
     "coherence": Score("coherence", "", 1.0, 2, "high"),
-    "level_error_raw": Score("level error, paper eq. 12 as printed", "%", 100.0, 1, "low"),
+    EQ_12_RAW: Score("level error, paper eq. 12 as printed", "%", 100.0, 1, "low"),
     "level_error": Score("level error about the mean", "%", 100.0, 1, "low"),
     "level_error_left": Score("level error about the mean, left", "%", 100.0, 1, "low"),
     "level_error_right": Score("level error about the mean, right", "%", 100.0, 1, "low"),
-    "level_bias": Score("level error about the mean with its sign", "%", 100.0, 1, "zero"),
+    "level_bias": Score("signed level error about the mean", "%", 100.0, 1, "zero"),
     "dsd_distance_db": Score("DSD distance", "dB", 1.0, 1, "low"),
     "dsd_bias_db": Score("DSD bias", "dB", 1.0, 1, "zero"),
     "class_exact": Score("octaves in the true class", "%", 100.0, 0, "high"),
     "class_within_one": Score("octaves within one class", "%", 100.0, 0, "high"),
-    "fitted_class": Score("fitted class right", "%", 100.0, 0, "high"),
+    "fitted_class": Score("fitted class correct", "%", 100.0, 0, "high"),
     "G_d0_error_db": Score("error of Gd(n0)", "dB", 1.0, 1, "low"),
-    "G_d0_bias_db": Score("error of Gd(n0) with its sign", "dB", 1.0, 1, "zero"),
+    "G_d0_bias_db": Score("signed error of Gd(n0)", "dB", 1.0, 1, "zero"),
     "iri_error": Score("IRI error", "mm/m", 1.0, 2, "low"),
     "iri_error_relative": Score("IRI error", "%", 100.0, 0, "low"),
     "bump_precision": Score("bump precision", "%", 100.0, 0, "high"),
@@ -65,10 +71,10 @@ SCORES = {
     "bump_location_error": Score("bump location error", "m", 1.0, 2, "low"),
     "bump_height_error": Score("bump height error", "mm", 1000.0, 0, "low"),
     "bump_height_error_relative": Score("bump height error", "%", 100.0, 0, "low"),
-    "bump_ghosts": Score("ghost bumps", "", 1.0, 1, "low"),
+    "bump_ghosts": Score("bumps on the wrong side", "", 1.0, 1, "low"),
     "crps": Score("CRPS in band", "mm", 1000.0, 2, "low"),
-    "coverage_50": Score("inside the 50 % interval", "%", 100.0, 0, ""),
-    "coverage_90": Score("inside the 90 % interval", "%", 100.0, 0, ""),
+    "coverage_50": Score("errors in the 50 % interval", "%", 100.0, 0, ""),
+    "coverage_90": Score("errors in the 90 % interval", "%", 100.0, 0, ""),
     **{
         f"class_exact_{n:g}": Score(f"class at {n:g} cycles/m", "%", 100.0, 0, "high")
         for n in roughness.OCTAVE_CENTRES
@@ -83,23 +89,21 @@ SCORES = {
 def compute_scores(
     truth: Profile, estimate: Estimate, v: float, bumps: bool, bound: float | None = None
 ) -> dict[str, float]:
-    """All scores of an estimate of a drive at `v` [m/s]; those of obstacles where `bumps` says so
-    and the truth has some, those of uncertainty where the estimate has a standard deviation.
+    """Return all scores of an `estimate` of a drive at `v` [m/s], by their keys in SCORES.
 
-    `bound` is the least NRMSE that the drive allows: its efficiency is the mean square error of the
-    bound over that of the estimate. Heights beyond 1000 km count as that: an absurd estimate has an
-    absurd score, not none.
+    Obstacle scores are included if `bumps` is set and the truth has obstacles, uncertainty scores
+    if the estimate has a standard deviation. With `bound`, the least NRMSE of the drive, the
+    efficiency is the ratio of the mean square errors of the bound and of the estimate.
 
-    Equation 12 is told twice. `level_error_raw` is as printed, of raw heights: a surface starts at
-    height 0 by convention, and a level that counts from there measures mostly the convention.
-    `level_error` is of heights about their mean.
-    A score that is not defined, such as the error relative to a flat truth, is NaN.
+    Equation 12 appears twice: `level_error_raw` of raw heights, as printed, which mostly measures
+    the arbitrary datum, and `level_error` of heights about their mean. Scores that are not defined,
+    such as an error relative to a flat truth, are NaN.
     """
     y, a, ds = truth.z, np.clip(estimate.z, -HEIGHT_LIMIT, HEIGHT_LIMIT), truth.ds
     inside = heights.band_pass(np.stack([y, a]), ds, heights.scored_band(v))
     result = _profile_scores(y, a, inside, ds, v) | roughness.roughness_scores(y, a, ds, v)
-    if bumps and (found := obstacle_scores(y, a, ds)) is not None:
-        result |= {f"bump_{name}": float(value) for name, value in found._asdict().items()}
+    if bumps and (obstacle := obstacle_scores(y, a, ds)) is not None:
+        result |= {f"bump_{name}": float(value) for name, value in obstacle._asdict().items()}
     if estimate.z_std is not None:
         sigma = np.minimum(estimate.z_std, HEIGHT_LIMIT)
         result |= heights.uncertainty(inside[0], inside[1], sigma)._asdict()
@@ -113,7 +117,7 @@ def compute_scores(
 def _profile_scores(
     y: np.ndarray, a: np.ndarray, inside: np.ndarray, ds: float, v: float
 ) -> dict[str, float]:
-    """Scores of heights; `inside` (2, 2, K) [m] is truth and estimate in the scored band."""
+    """Return the scores of heights; `inside` (2, 2, K) [m]: truth and estimate in the band."""
     y_inside, a_inside = inside
     error = heights.error_over_truth(y_inside, a_inside)
     level = heights.level_error(heights.remove_mean(y), heights.remove_mean(a))

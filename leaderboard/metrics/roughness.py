@@ -1,10 +1,9 @@
-"""How near the roughness of an estimate is to that of the truth: spectral density, class, IRI.
+"""Roughness scores: spectral density, ISO 8608 class, IRI.
 
 Truth `y` and estimate `a` are heights (2, M) [m], `ds` [m] apart; their densities `G_y` and `G_a`
-(2, K) [m³] at `n` (K,) [cycles/m] are made under the same settings (ISO 8608: Welch, Hann, 50 %
-overlap, segments of at most 100 m). The truth is the road as realised, not the class it was drawn
-from. Ratios of densities are 10 log10(estimate / truth) [dB]; one beyond 60 dB, such as that of a
-flat estimate, counts as 60 dB.
+(2, K) [m³] at `n` (K,) [cycles/m] use the same settings (ISO 8608: Welch, Hann, 50 % overlap,
+segments of at most 100 m). The reference is the road as realised, not the class that it was drawn
+from. Ratios of densities are 10 log10(estimate / truth) [dB], clipped to +-60 dB (a flat estimate).
 """
 
 import numpy as np
@@ -23,13 +22,13 @@ from road_envs.analysis.roughness import (
 
 MAX_RATIO_DB = 60.0  # [dB]
 IRI_SEGMENT_LENGTH = 100.0  # [m]
-OCTAVE_CENTRES = (0.25, 0.5, 1.0, 2.0)  # [cycles/m] in which classes are compared
+OCTAVE_CENTRES = (0.25, 0.5, 1.0, 2.0)  # [cycles/m] octaves in which classes are compared
 THIRD_OCTAVES = 2.0 ** (np.arange(-9, 6) / 3.0)
-"""Centres [cycles/m] of the third octaves over which the error is told: 0.125 to 3.17."""
+"""Centres [cycles/m] of the third octaves of the error spectrum: 0.125 to 3.17."""
 
 
 def roughness_scores(y: np.ndarray, a: np.ndarray, ds: float, v: float) -> dict[str, float]:
-    """All scores of roughness for a drive at `v` [m/s]."""
+    """Return all roughness scores of a drive at `v` [m/s], by key."""
     band = scored_band(v)
     n, (G_y, G_a, G_e) = displacement_psd(np.stack([y, a, a - y]), ds)
     distance, bias = dsd_distance(n, G_y, G_a, band)
@@ -58,7 +57,7 @@ def roughness_scores(y: np.ndarray, a: np.ndarray, ds: float, v: float) -> dict[
 
 
 def third_octave_errors(n: np.ndarray, G_y: np.ndarray, G_e: np.ndarray) -> list[float]:
-    """NRMSE [-] in each of THIRDS: root of the error's power over the truth's, both paths."""
+    """Return the NRMSE [-] in each of THIRD_OCTAVES, of both wheel paths together."""
     true, wrong = (
         band_means(
             n, G.sum(axis=0), THIRD_OCTAVES * 2.0 ** (-1 / 6), THIRD_OCTAVES * 2.0 ** (1 / 6)
@@ -72,26 +71,26 @@ def third_octave_errors(n: np.ndarray, G_y: np.ndarray, G_e: np.ndarray) -> list
 def dsd_distance(
     n: np.ndarray, G_y: np.ndarray, G_a: np.ndarray, band: Band
 ) -> tuple[float, float]:
-    """RMS and mean [dB] of the density ratios over the third octaves that lie inside `band`."""
+    """Return RMS and mean [dB] of the density ratios over the third octaves inside `band`."""
     k = np.arange(np.ceil(3 * np.log2(band[0])), np.floor(3 * np.log2(band[1])) + 1)
     low, high = 2.0 ** ((k - 0.5) / 3), 2.0 ** ((k + 0.5) / 3)
     inside = (low >= band[0]) & (high <= band[1])
-    true, found = (band_means(n, G, low[inside], high[inside]) for G in (G_y, G_a))
-    ratio = _decibels(found, true)
+    true, estimated = (band_means(n, G, low[inside], high[inside]) for G in (G_y, G_a))
+    ratio = _decibels(estimated, true)
     return float(np.sqrt(np.mean(ratio**2))), float(np.mean(ratio))
 
 
 def class_differences(n: np.ndarray, G_y: np.ndarray, G_a: np.ndarray, v: float) -> np.ndarray:
-    """By how many ISO classes an octave is taken for too rough: (2, octaves), 0 where it is right.
+    """Return estimated minus true ISO class (2, octaves), in classes; 0 where it is right.
 
-    OCTAVES as far as the 25 Hz low-pass at `v` [m/s] leaves them whole; perhaps none.
+    Covers those of OCTAVE_CENTRES that the 25 Hz low-pass at `v` [m/s] leaves whole; perhaps none.
     """
     whole = [n_c for n_c in OCTAVE_CENTRES if n_c * np.sqrt(2.0) <= SCORED_F_MAX / v]
     if not whole:
         return np.zeros((2, 0), dtype=int)
     octaves = (whole[0], whole[-1])
-    true, found = (octave_levels(n, G, octaves)[1] for G in (G_y, G_a))
-    return np.vectorize(_class_index, otypes=[int])(found) - np.vectorize(
+    true, estimated = (octave_levels(n, G, octaves)[1] for G in (G_y, G_a))
+    return np.vectorize(_class_index, otypes=[int])(estimated) - np.vectorize(
         _class_index, otypes=[int]
     )(true)
 
@@ -99,32 +98,33 @@ def class_differences(n: np.ndarray, G_y: np.ndarray, G_a: np.ndarray, v: float)
 def fitted_class(
     n: np.ndarray, G_y: np.ndarray, G_a: np.ndarray, band: Band
 ) -> tuple[float, float, float]:
-    """Share [-] of wheel paths whose class is right, and the error of Gd(n0) [dB]: mean size, mean.
+    """Return the share [-] of wheel paths in the right class, and the error of Gd(n0) [dB].
 
-    Class and Gd(n0) are those of the line with w = 2 through the smoothed density inside `band`.
+    The error is given as mean magnitude and as signed mean. Class and Gd(n0) are those of the line
+    with w = 2 fitted to the smoothed density inside `band`.
     """
-    true, found = (np.array([_fitted_G_d0(n, path, band) for path in G]) for G in (G_y, G_a))
-    right = [roughness_class(a) == roughness_class(y) for a, y in zip(found, true, strict=True)]
-    error = _decibels(found, true)
+    true, estimated = (np.array([_fitted_G_d0(n, path, band) for path in G]) for G in (G_y, G_a))
+    right = [roughness_class(a) == roughness_class(y) for a, y in zip(estimated, true, strict=True)]
+    error = _decibels(estimated, true)
     return float(np.mean(right)), float(np.mean(np.abs(error))), float(np.mean(error))
 
 
 def iri_error(y: np.ndarray, a: np.ndarray, ds: float) -> tuple[float, float]:
-    """Mean absolute error of the IRI per 100 m [mm/m], and relative to the true mean [-]."""
-    true, found = _iri(y, ds), _iri(a, ds)
-    error = float(np.mean(np.abs(found - true)))
+    """Return the mean absolute IRI error per 100 m, in mm/m and relative to the true mean."""
+    true, estimated = _iri(y, ds), _iri(a, ds)
+    error = float(np.mean(np.abs(estimated - true)))
     return error, error / float(true.mean()) if true.any() else np.nan
 
 
 def _iri(z: np.ndarray, ds: float) -> np.ndarray:
-    """IRI (2, segments) [mm/m]; the road is cut into whole segments of about 100 m."""
-    motion = 1e3 * np.abs(golden_car(z, ds))
+    """Return the IRI (2, segments) [mm/m] of whole segments of about 100 m."""
+    motion = 1e3 * np.abs(golden_car(z, ds))  # m/m to mm/m
     segments = max(1, round(z.shape[-1] * ds / IRI_SEGMENT_LENGTH))
     return np.array([part.mean(axis=-1) for part in np.array_split(motion, segments, axis=-1)]).T
 
 
 def _fitted_G_d0(n: np.ndarray, G: np.ndarray, band: Band) -> float:
-    """Gd(n0) [m³] of one wheel path by a line with w = 2 inside `band`; 0 if it is flat."""
+    """Fit Gd(n0) [m³] of one wheel path by a line with w = 2 inside `band`; 0 if it is flat."""
     n, G = smooth_psd(n, G)
     inside = (n >= band[0]) & (n <= band[1]) & (G > 0.0)
     return fit_line(n, G, w=2.0, band=band)[0] if inside.sum() >= 2 else 0.0
@@ -139,6 +139,6 @@ def _class_index(G_d0: float) -> int:
 
 
 def _decibels(a: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """10 log10(a / y), cut at +-60 dB; NaN where both are 0."""
+    """Return 10 log10(a / y), clipped to +-MAX_RATIO_DB; NaN where both are 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.clip(10.0 * np.log10(a / y), -MAX_RATIO_DB, MAX_RATIO_DB)

@@ -1,7 +1,7 @@
-"""The paper reproduced: its eight case scenarios, many trainings of each, its figures, its claims.
+"""Reproduction of the paper: its eight case scenarios, figures and statements.
 
-study.py      drives, trainings, scores
-claims.py     what the paper says, what came out, whether they agree and why
-figures.py    Figures 1, 2, 3(b), 6-11 and A.1-A.6 in their form, and the spread of trainings
-report.py     all of it as HTML and PDF
+study.py              drives, trainings, scores
+published_figures.py  statements of the paper, compared with the results
+figures.py            Figures 1, 2, 3(b), 6-11 and A.1-A.6, and the spread of the trainings
+report.py             HTML and PDF report
 """

@@ -1,10 +1,10 @@
-"""The paper's figures in their form: what is solid there is solid here, what is dashed is dashed.
+"""The figures of the paper, with the same line styles.
 
 Figures 10, 11 and A.1 to A.6 each show the four networks of one training session. Sessions are
-chosen by the largest of their four errors (equation 12 as printed): the least of all for Figures 10
-and 11, as the paper shows its near-optimal one; then the middle one (A.1, A.2), the upper quartile
-(A.3, A.4) and the worst (A.5, A.6). Figures 10 and 11 stand there once more as the car of the
-training has driven the same road, of the session that is best on it.
+selected by the largest of their four errors (equation 12 as printed): the smallest for Figures 10
+and 11, as the paper shows its near-optimal session; then the median (A.1, A.2), the upper quartile
+(A.3, A.4) and the worst (A.5, A.6). Figures 10 and 11 are repeated for the car of the training on
+the same road, with the session that is best there.
 """
 
 from collections.abc import Callable
@@ -13,13 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.paper.study import EQ_12_RAW, STATE_LIMITS, PaperScenario, Study, training_state
+from leaderboard.metrics.registry import EQ_12_RAW, STATE_LIMITS
+from leaderboard.paper.study import PaperScenario, Study, training_state
 from leaderboard.report.plots import COLOURS, draw_classes
 from road_envs.analysis.roughness import displacement_psd, smooth_psd
 from road_envs.roads.trapezoids import LAYOUTS, SIDES, Bumps
 
 OVERLAY_LENGTH = 20.0
-"""Length [m] of the paving that an overlay shows."""
+"""Length [m] of paving shown in an overlay of profiles."""
 
 PANEL_LETTERS = "abcdefgh"
 WHEEL_PATHS = ("left", "right")
@@ -37,7 +38,7 @@ class PaperFigure:
 
 
 def paper_figures(study: Study) -> list[PaperFigure]:
-    """All figures, in the paper's order, then the spread of the trainings."""
+    """Return all figures in the order of the paper, then the spread of the trainings."""
     sessions = dict(zip(("10", "A.1", "A.3", "A.5"), select_sessions(study), strict=True))
     bumps = [
         _bumps(scenario, f"{number}") for number, scenario in zip("6789", study.bumps, strict=True)
@@ -50,12 +51,21 @@ def paper_figures(study: Study) -> list[PaperFigure]:
         for figure in (_profiles(study, name, session), _densities(study, second, session))
     ]
     own = select_sessions(study, nominal=True)[0]
-    at_home = [_profiles(study, "10", own, True), _densities(study, "11", own, True)]
-    return [_struts(study), _layouts(), _paving(study), *bumps, *paving, *at_home, _spread(study)]
+    on_nominal = [_profiles(study, "10", own, True), _densities(study, "11", own, True)]
+    return [
+        _struts(study),
+        _layouts(),
+        _paving(study),
+        *bumps,
+        *paving,
+        *on_nominal,
+        _spread(study),
+    ]
 
 
 def select_sessions(study: Study, nominal: bool = False) -> list[int]:
-    """Which training of each scenario: the best, the middle, the upper quartile, the worst."""
+    """Return the numbers of the best, median, upper-quartile and worst session."""
+    # a session is as good as the worst of its four networks
     worst = np.max([scenario.score_values(EQ_12_RAW, nominal) for scenario in study.paving], axis=0)
     order, last = np.argsort(worst, kind="stable"), len(worst) - 1
     return [int(order[k]) for k in (0, last // 2, (3 * last) // 4, last)]
@@ -85,7 +95,7 @@ def _struts(study: Study) -> PaperFigure:
     caption = (
         "The strut's forces over the rate of extension and the extension: (a) damping, ride "
         "dashed and handling solid; (b) friction of both; (c) bushing; (d) bump stop, front solid "
-        "and rear dashed. Assumed: the paper prints its curves in a figure only."
+        "and rear dashed. The values are assumed: the paper only plots its curves."
     )
     return PaperFigure("Figure 1", caption, paint)
 
@@ -101,6 +111,7 @@ def _layouts() -> PaperFigure:
                     s = middle + np.array([-1, -1, 1, 1]) * (
                         0.5 * block.top + np.array([block.ramp, 0, 0, block.ramp])
                     )
+                    # the left path is drawn above the right one
                     z = 1000 * block.height * np.array([0, 1, 1, 0])
                     axes.fill(
                         s,
@@ -151,8 +162,8 @@ def _paving(study: Study) -> PaperFigure:
 
     caption = (
         "(b) Displacement spectral density of the Belgian paving over the ISO 8608 classes; its "
-        "cobbles make the peak near 6 cycles/m. Made after the measured cobbles of the OpenCRG "
-        "sample, since the paper's own profile is not published."
+        "cobbles cause the peak near 6 cycles/m. Modelled on the measured cobbles of the OpenCRG "
+        "sample, since the profile of the paper is not published."
     )
     return PaperFigure("Figure 3", caption, paint, (6.0, 4.2))
 
@@ -238,7 +249,7 @@ def _caption(study: Study, session: int, what: str, nominal: bool) -> str:
     ]
     return (
         f"{what}, actual solid and reconstructed dashed, of session {session + 1} of "
-        f"{len(study.paving[0].trainings)}; equation 12 as printed stands on top of each. By it "
+        f"{len(study.paving[0].trainings)}; equation 12 as printed is in each title. By it "
         f"the trainings are {', '.join(states)}."
     )
 
@@ -258,6 +269,7 @@ def _spread(study: Study) -> PaperFigure:
                     x = np.clip(
                         factor * scenario.score_values(score, nominal), *axes_of(axes is level)
                     )
+                    # the axis of scenarios is inverted: the field car is above
                     y = _jittered(k + up, x.size)
                     axes.plot(x, y, "o", color=colour, ms=3.5, alpha=0.7)
             if scenario.task.claimed_level_error is not None:
@@ -286,13 +298,13 @@ def _spread(study: Study) -> PaperFigure:
 
     caption = (
         "The spread of the trainings, on the field car (above) and on the car of the training "
-        "(below, grey). Left: equation 12 as printed; diamonds: what the paper reports; dotted: 15 "
+        "(below, grey). Left: equation 12 as printed; diamonds: values of the paper; dotted: 15 "
         "and 25 %. Right: in-band error; squares: the network on new roads; dotted: a flat road. "
-        "What lies beyond the axes stands at their ends."
+        "Values beyond the axes are drawn at their ends."
     )
     return PaperFigure("Spread", caption, paint, (9.0, 4.8))
 
 
 def _jittered(k: float, size: int) -> np.ndarray:
-    """Places near `k`, so that points do not hide each other."""
+    """Return positions spread around `k`, so that points do not hide each other."""
     return k + 0.1 * np.linspace(-1.0, 1.0, size)

@@ -7,9 +7,8 @@ import numpy as np
 
 from leaderboard.metrics.bound import nrmse_bound
 from leaderboard.metrics.heights import scored_band
+from leaderboard.metrics.registry import EQ_12_RAW, STATE_LIMITS
 from leaderboard.paper.study import (
-    EQ_12_RAW,
-    STATE_LIMITS,
     TRAINING_STATES,
     PaperScenario,
     Study,
@@ -18,17 +17,17 @@ from leaderboard.paper.study import (
 )
 
 NAIVE_BASELINES = ("constant", "unrelated_road", "mean")
-"""Those that measure nothing."""
+"""Baselines that use no measurement."""
 
 Verdict = Literal["agrees", "agrees in part", "does not agree"]
 FLAT_ERROR = 0.9
 """In-band error above which an estimate is hardly better than a flat road, which has 1."""
 
 CLOSE_DB = 3.0
-"""Distance [dB] of two densities within which a class, 6 dB wide, is likely the same."""
+"""Distance [dB] of two densities within which their class, 6 dB wide, is likely the same."""
 
 PAPER_SECONDS = (65.0, 2.0)
-"""For training and simulating the network, and for simulating it (section 7.2)."""
+"""The paper's time for training and simulating the network, and for simulating it (7.2)."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class Claim:
 
 
 def claims(study: Study) -> list[Claim]:
-    """All of them, in the paper's order."""
+    """Return the compared statements, in the order of the paper."""
     return [
         _bumps_found(study),
         _bump_heights(study),
@@ -59,26 +58,24 @@ def claims(study: Study) -> list[Claim]:
 
 
 def key_findings(study: Study) -> list[str]:
-    """The few sentences that a reader should take away."""
-    made = claims(study)
-    counts = {v: sum(c.verdict == v for c in made) for v in ("agrees", "agrees in part")}
+    """Return the summary of the report as a few sentences."""
+    compared = claims(study)
+    counts = {v: sum(c.verdict == v for c in compared) for v in ("agrees", "agrees in part")}
     paving = study.paving
-    constant, stranger = (
-        _percents(
-            sorted({scenario.baseline_median(name, EQ_12_RAW) for scenario in paving})
-        )  # of one road, mostly
+    constant, unrelated = (
+        _percents(sorted({each.baseline_median(name, EQ_12_RAW) for each in paving}))
         for name in ("constant", "unrelated_road")
     )
     return [
-        f"Of {len(made)} statements of the paper {counts['agrees']} agree with what was found here "
-        f"and {counts['agrees in part']} in part.",
+        f"Of {len(compared)} statements of the paper {counts['agrees']} agree with the results "
+        f"and {counts['agrees in part']} agree in part.",
         f"On the paving, equation 12 as it is printed gives {_listed(study, EQ_12_RAW)} where the "
         f"paper has {_claimed(study)} (handling and ride at 14.5 km/h, ride and handling at "
-        f"54 km/h). On the car that they were trained on the same networks have "
+        f"54 km/h). On the car of their training the same networks have "
         f"{_percents([scenario.nominal_iq_mean(EQ_12_RAW) for scenario in paving])}.",
-        "The equation compares levels, and of raw heights it compares mostly the datum: a "
-        f"constant height, which has no road in it, is given {constant}, an unrelated road of the "
-        f"same roughness {stranger}. Of heights about their mean the networks have "
+        "The equation compares levels, and of raw heights mostly the datum: a constant height, "
+        f"without any road, has {constant}, an unrelated road of the same roughness {unrelated}. "
+        "With heights about their mean the networks have "
         f"{_listed(study, 'level_error')}.",
         _point_by_point(study),
         _new_roads(study),
@@ -91,24 +88,24 @@ def _point_by_point(study: Study) -> str:
         for find in (PaperScenario.iq_mean, PaperScenario.nominal_iq_mean)
     )
     low, high = scored_band(min(scenario.speed for scenario in study.paving))
-    told = (
+    sentence = (
         f"Point by point, between {low:g} and {high:g} cycles/m, the error is {_numbers(field, 2)} "
         f"of the road, and {_numbers(own, 2)} on the car of the training, where a flat road has 1"
     )
     if min(own) > FLAT_ERROR:
         return (
-            f"{told}: the networks know little of this paving, though they were trained on an "
-            "altered copy of it."
+            f"{sentence}: the networks reproduce little of this paving, though they were trained "
+            "on an altered copy of it."
         )
-    return f"{told}."
+    return f"{sentence}."
 
 
 def _new_roads(study: Study) -> str:
     new = [study.new_road_score(scenario, "nrmse") for scenario in study.paving]
     level = [study.new_road_score(scenario, EQ_12_RAW) for scenario in study.paving]
-    worse = ": a flat road would have been the better answer" if min(new) > 1.0 else ""
+    worse = ", worse than a flat road" if min(new) > 1.0 else ""
     return (
-        f"On roads that they have not seen, the networks' error is {_numbers(new, 2)}{worse}; by "
+        f"On unseen roads, the networks' error is {_numbers(new, 2)}{worse}; by "
         f"equation 12 it is {_percents(level)}."
     )
 
@@ -125,9 +122,8 @@ def _bumps_found(study: Study) -> Claim:
     return Claim(
         "section 7.1, conclusions",
         "The methodology locates the bumps where they occur.",
-        f"Within 0.3 m {_percents(recall, 0)} of the bumps were found in scenarios 1 to 4, and "
-        f"{_percents(own, 0)} on the car of the training; of what was taken for a bump "
-        f"{_percents(precision, 0)} was one.",
+        f"Recall within 0.3 m is {_percents(recall, 0)} in scenarios 1 to 4, and "
+        f"{_percents(own, 0)} on the car of the training; precision is {_percents(precision, 0)}.",
         _verdict(sum(min(pair) > 0.9 for pair in zip(recall, precision, strict=True)), 4)
         if min(recall) <= 0.9 or min(precision) > 0.9
         else "agrees in part",
@@ -140,12 +136,12 @@ def _false_bumps(study: Study) -> str:
     if not behind:
         return "There are no false bumps."
     wheelbase = study.bumps[0].task.vehicle.wheelbase
-    told = f"The false bumps stand {_numbers(behind)} m behind a true one in the median"
+    sentence = f"The false bumps lie {_numbers(behind)} m behind a true one in the median"
     if max(abs(x - wheelbase) for x in behind) > 0.3 * wheelbase:
-        return f"{told}."
+        return f"{sentence}."
     return (
-        f"{told}: when the rear axle, {wheelbase:.2f} m behind the front one, passes the bump, the "
-        "body is shaken again, and a network without memory sees another bump."
+        f"{sentence}: when the rear axle, {wheelbase:.2f} m behind the front one, passes the bump, "
+        "the body is excited again, and a network without memory detects another bump."
     )
 
 
@@ -156,8 +152,7 @@ def _bump_heights(study: Study) -> Claim:
         "section 7.1, Figures 6 to 9",
         "Small bumps are reconstructed up to 0.08 m of their 0.1 m, large ones closely: within "
         "20 %.",
-        f"The heights of the bumps that were found are wrong by {_percents(wrong, 0)} in scenarios "
-        "1 to 4.",
+        f"Height errors of the detected bumps are {_percents(wrong, 0)} in scenarios 1 to 4.",
         _verdict(good, len(wrong)),
     )
 
@@ -172,10 +167,10 @@ def _ride_on_bumps(study: Study) -> Claim:
         f"{least[1]:.3f} in handling"
     )
     reason = (
-        f"A stiff suspension hands on more of the road: {bound}. The paper blames its model of "
-        "the car in handling."
+        f"A stiff suspension transmits more of the road: {bound}. The paper attributes it to its "
+        "model of the car in handling."
         if (least[1] < least[0]) and handling <= ride
-        else f"The sensors are no reason: {bound}."
+        else f"The sensors do not explain it: {bound}."
     )
     return Claim(
         "section 7.1, highlights",
@@ -197,7 +192,7 @@ def _left_and_right(study: Study) -> Claim:
         for scenario in study.bumps
     ]
     better = [left < right for left, right in pairs]
-    at_home = sum(left < right for left, right in own)
+    better_own = sum(left < right for left, right in own)
     return Claim(
         "section 7.1",
         "The left wheel path is reconstructed better than the right one, most of all on the "
@@ -205,18 +200,18 @@ def _left_and_right(study: Study) -> Claim:
         f"In-band errors left and right in scenarios 1 to 4: {_pairs(pairs)}; on the car of the "
         f"training {_pairs(own)}.",
         _verdict(sum(better), len(better)),
-        f"On the car of the training the left one is better in {at_home} of {len(own)}. On the "
+        f"On the car of the training the left one is better in {better_own} of {len(own)}. On the "
         "asymmetric layout (3 and 4) the large bump is on the left and the small one on the right, "
         "so the same error in metres is a larger share on the right. On symmetric layouts (1 and "
-        "2) nothing tells left from right but the places of three accelerometers, the car's own "
-        "lopsidedness and the training's chance.",
+        "2) left and right differ only by the locations of the three accelerometers, the asymmetry "
+        "of the car and the random start of the training.",
     )
 
 
 def _levels(study: Study) -> Claim:
     below = [scenario.iq_mean(EQ_12_RAW) < STATE_LIMITS[0] for scenario in study.paving]
     scenario = study.paving[0]
-    nothing = [_percent(scenario.baseline_median(name, EQ_12_RAW)) for name in NAIVE_BASELINES]
+    naive = [_percent(scenario.baseline_median(name, EQ_12_RAW)) for name in NAIVE_BASELINES]
     own = _percents([scenario.nominal_iq_mean(EQ_12_RAW) for scenario in study.paving])
     return Claim(
         "section 7.2, Figure 10",
@@ -226,12 +221,11 @@ def _levels(study: Study) -> Claim:
         f"heights, {_listed(study, 'level_error')} about their means; on the car of the training "
         f"{own} of raw heights.",
         _verdict(sum(below), len(below)),
-        "Of raw heights the equation counts the datum, which the network's bias learns: the mean "
-        f"height of the training road alone is given {nothing[0]}, an unrelated road of the same "
-        f"roughness {nothing[1]}, and the mean of the training roads {nothing[2]}. A network that "
-        "fits a share r of the road in the least squares has the level r, hence an error of "
-        "1 - r about the mean. The datum of the measured paving is not published; another one "
-        "gives other figures.",
+        "With raw heights the equation includes the datum, which the network's bias learns: the "
+        f"mean height of the training road alone has {naive[0]}, an unrelated road of the same "
+        f"roughness {naive[1]}, and the mean of the training roads {naive[2]}. A least-squares fit "
+        "that explains a share r of the road has the level r, hence an error of 1 - r about the "
+        "mean. The datum of the measured paving is not published; another gives other values.",
     )
 
 
@@ -241,10 +235,10 @@ def _order(study: Study) -> Claim:
         for find in (PaperScenario.iq_mean, PaperScenario.nominal_iq_mean)
     )
     low, high = float(np.mean(mine[:2])), float(np.mean(mine[2:]))
-    agrees = int(np.argmin(mine)) == 1, int(np.argmax(mine)) == 2
+    agrees = int(np.argmin(mine)) == 1, int(np.argmax(mine)) == 2  # ride at 14.5, at 54 km/h
     faster = (
-        ": there the faster drives are the better ones, for at 54 km/h the waves that move the "
-        "body are longer and carry more of the road's height"
+        ": there the faster drives are better, since at 54 km/h the wavelengths that excite the "
+        "body are longer and have more of the road's height"
         if np.mean(own[2:]) < np.mean(own[:2])
         else ""
     )
@@ -262,19 +256,19 @@ def _order(study: Study) -> Claim:
 def _densities(study: Study) -> Claim:
     mine = [scenario.iq_mean("dsd_distance_db") for scenario in study.paving]
     own = [scenario.nominal_iq_mean("dsd_distance_db") for scenario in study.paving]
-    stranger = [
+    unrelated = [
         scenario.baseline_median("unrelated_road", "dsd_distance_db") for scenario in study.paving
     ]
     easy = (
-        ": without having measured anything it has nearly the right one"
-        if max(stranger) < 1.5 * CLOSE_DB
+        ": without any measurement it has nearly the right one"
+        if max(unrelated) < 1.5 * CLOSE_DB
         else ""
     )
     return Claim(
         "section 7.2, Figure 11, conclusions",
         "Densities are very well correlated between 0.2 and 1.8 cycles/m, whatever the training.",
         f"They are {_numbers(mine)} dB apart in that band, and {_numbers(own)} dB on the car of "
-        f"the training; those of an unrelated road {_numbers(stranger)} dB.",
+        f"the training; those of an unrelated road {_numbers(unrelated)} dB.",
         _verdict(sum(x < CLOSE_DB for x in mine), len(mine)),
         f"A density has no phase, so an unrelated road of the same roughness can match it{easy}. "
         f"{_bias(study)}",
@@ -284,40 +278,40 @@ def _densities(study: Study) -> Claim:
 def _classes(study: Study) -> Claim:
     mine = [scenario.iq_mean("class_exact") for scenario in study.paving]
     own = [scenario.nominal_iq_mean("class_exact") for scenario in study.paving]
-    stranger = [
+    unrelated = [
         scenario.baseline_median("unrelated_road", "class_exact") for scenario in study.paving
     ]
     return Claim(
         "section 7.2",
         "The roads are consistently classified as D between 0.2 and 3 cycles/m.",
         f"{_percents(mine, 0)} of the octaves are in the true class, {_percents(own, 0)} on the "
-        f"car of the training; of an unrelated road {_percents(stranger, 0)}.",
+        f"car of the training; of an unrelated road {_percents(unrelated, 0)}.",
         _verdict(sum(x > 0.75 for x in mine), len(mine)),
         f"A class is 6 dB wide. {_bias(study)}",
     )
 
 
 def _bias(study: Study) -> str:
-    """Which way the densities are off, and what that comes from."""
+    """Return sentences on the sign of the density errors and its cause."""
     field, own = (
         [find(scenario, "dsd_bias_db") for scenario in study.paving]
         for find in (PaperScenario.iq_mean, PaperScenario.nominal_iq_mean)
     )
-    told = (
+    sentences = (
         f"The networks' densities are {_numbers(field)} dB off in the mean over the band, and "
         f"{_numbers(own)} dB on the car of the training."
     )
     if max(own) < 0.0:
-        told += (
-            " There they are too low, for a fit in the least squares that explains a small share "
-            "of the road has no more than that share of its height."
+        sentences += (
+            " There they are too low, since a least-squares fit that explains a small share of the "
+            "road has no more than that share of its height."
         )
     if max(field) > CLOSE_DB:
-        told += (
-            " Where they are too high, the field car's accelerations lie outside of what the "
-            "network was trained on."
+        sentences += (
+            " Where they are too high, the field car's accelerations lie outside the range of the "
+            "training."
         )
-    return told
+    return sentences
 
 
 def _states(study: Study) -> Claim:
@@ -331,9 +325,9 @@ def _states(study: Study) -> Claim:
     seen = sum(kind in paving for kind in TRAINING_STATES)
     lost = (paving.count("unstable") - own.count("unstable")) / len(paving)
     reason = (
-        "what makes networks unstable here is that they meet another car than that of the "
-        "training, and a network of 302 weights is free to go anywhere between and beyond its "
-        "training samples. The paper's were tested on a measured car."
+        "the networks are unstable because they are tested on another car than that of the "
+        "training: a network of 302 weights is not constrained between and beyond its training "
+        "samples. Those of the paper were tested on a measured car."
         if lost > 0.1
         else "the other car makes little difference."
     )
@@ -368,7 +362,7 @@ def _times(study: Study) -> Claim:
         f"{train:.2f} s for a training, {1e3 * run:.0f} ms for an estimate; the drives of a "
         f"scenario, training and test, are simulated in {drives:.2f} s.",
         "agrees" if train + run <= total else "does not agree",
-        "Fast enough for a car on the road, as the paper says." if train + run <= total else "",
+        "Fast enough for use on the road, as the paper states." if train + run <= total else "",
     )
 
 

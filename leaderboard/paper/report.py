@@ -1,4 +1,4 @@
-"""The study as a report: an HTML file that needs nothing else, the same as PDF, and the numbers."""
+"""Report of the study: a self-contained HTML page, the same as PDF, and all numbers as JSON."""
 
 import io
 import json
@@ -12,33 +12,33 @@ import numpy as np
 
 from leaderboard.evaluation.provenance import describe_environment, package_version
 from leaderboard.metrics.bound import nrmse_bound
-from leaderboard.metrics.registry import UNDEFINED
+from leaderboard.metrics.registry import EQ_12_RAW, UNDEFINED
 from leaderboard.paper.figures import PaperFigure, paper_figures
 from leaderboard.paper.published_figures import claims, key_findings
-from leaderboard.paper.study import EQ_12_RAW, PaperScenario, Study
+from leaderboard.paper.study import PaperScenario, Study
 from leaderboard.report.svg import STYLE, inline_svg
 from road_envs._atomic_io import write_text
 from road_envs._extras import optional_import
 
-TITLE = "The paper reproduced"
+TITLE = "Reproduction of the paper"
 ABOUT = (
     "Ngwangwa, Heyns, Breytenbach and Els trained a static network, 3-50-2, on simulated drives "
-    "over altered copies of the road that they tested it on. Here are its eight case scenarios, "
-    "{trainings} trainings of each, beside what the paper reports. Its measured drives are not "
-    "published: the field car {grade}, which differs from the car of the training and has faulty "
-    "instruments, drives in their place, and once more the car of the training itself (S0)."
+    "over altered copies of the test road. This report compares its eight case scenarios, with "
+    "{trainings} trainings of each, with the values of the paper. The measured drives are not "
+    "published. They are replaced by drives of the field car {grade}, which differs from the car "
+    "of the training and has sensor faults, and repeated with the car of the training (S0)."
 )
 PAGE = (8.27, 11.69)
 """A4 [inch]."""
 
 
 DrawnFigure = tuple[PaperFigure, Any]
-"""A figure of the paper, and the matplotlib figure of it."""
+"""A figure of the paper, and its matplotlib figure."""
 
 
 @dataclass(frozen=True)
 class ReportTable:
-    """Numbers in words: a heading for each column, and rows that begin with what they are of."""
+    """A table of texts: a head for each column, and rows that begin with their label."""
 
     title: str
     heads: Sequence[str]
@@ -47,7 +47,7 @@ class ReportTable:
 
 
 def write_report(study: Study, out: Path, command: str) -> list[Path]:
-    """Write index.html, report.pdf and numbers.json into `out`, each whole or not at all."""
+    """Write index.html, report.pdf and numbers.json into `out`, each atomically; return them."""
     drawn = [(paper_figure, _figure(paper_figure)) for paper_figure in paper_figures(study)]
     write_text(out / "index.html", render_html(study, drawn, command))
     write_text(out / "numbers.json", json.dumps(numbers(study, command), indent=1) + "\n")
@@ -56,12 +56,12 @@ def write_report(study: Study, out: Path, command: str) -> list[Path]:
 
 
 def tables(study: Study) -> list[ReportTable]:
-    """The tables of the report: paving, bumps, modes and cars, cost."""
+    """Return the tables of the report: paving, bumps, modes and cars, cost."""
     return [_paving(study), _bumps(study), _modes(study), _cost(study)]
 
 
 def numbers(study: Study, command: str) -> dict[str, Any]:
-    """Every score of every training, and where it was made."""
+    """Return every score of every training, with the provenance, as plain data."""
     return {
         "command": command,
         "package_version": package_version(),
@@ -94,7 +94,7 @@ def numbers(study: Study, command: str) -> dict[str, Any]:
 
 
 def render_html(study: Study, drawn: Sequence[DrawnFigure], command: str) -> str:
-    """The report as a page."""
+    """Render the report as a page."""
     with optional_import("a page"):
         from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -120,12 +120,15 @@ def render_html(study: Study, drawn: Sequence[DrawnFigure], command: str) -> str
 
 
 def _write_pdf(study: Study, drawn: Sequence[DrawnFigure], path: Path, command: str) -> None:
-
     with optional_import("a figure"):
         from matplotlib.backends.backend_pdf import PdfPages
 
     buffer = io.BytesIO()
-    about = {"Title": TITLE, "Creator": f"road-envs {package_version()}", "CreationDate": None}
+    about = {
+        "Title": TITLE,
+        "Creator": f"road-envs {package_version()}",
+        "CreationDate": None,
+    }  # reproducible
     with PdfPages(buffer, metadata=about) as pages:
         for page in _text_pages(study, command):
             pages.savefig(page)
@@ -160,7 +163,7 @@ def _figure(paper_figure: PaperFigure) -> Any:
 
 
 def _text_pages(study: Study, command: str) -> list[Any]:
-    """Summary, tables and claims as pages of text."""
+    """Return summary, tables and statements as pages of text."""
     with optional_import("a figure"):
         from matplotlib.figure import Figure
 
@@ -169,19 +172,19 @@ def _text_pages(study: Study, command: str) -> list[Any]:
         lines += _lines(f"- {sentence}")
     for table in tables(study):
         lines += ["", table.title, *_aligned(table), *_lines(table.note)]
-    lines += ["", "What the paper says, and what was found"]
+    lines += ["", "Statements of the paper and results"]
     for claim in claims(study):
         lines += [
             "",
             *_lines(f"[{claim.verdict}] {claim.statement} ({claim.section})"),
-            *_lines(f"Found: {claim.result}", 4),
-            *_lines(f"Why: {claim.reason}" if claim.reason else "", 4),
+            *_lines(f"Result: {claim.result}", 4),
+            *_lines(f"Reason: {claim.reason}" if claim.reason else "", 4),
         ]
     lines += [
         "",
         *(line for name, text in _provenance(study, command) for line in _lines(f"{name}: {text}")),
     ]
-    size = 78
+    size = 78  # lines of a page at this font size
     pages = []
     for k in range(0, len(lines), size):
         figure = Figure(PAGE)
@@ -193,7 +196,7 @@ def _text_pages(study: Study, command: str) -> list[Any]:
 
 
 def _aligned(table: ReportTable) -> list[str]:
-    """The rows of a table as lines, long heads on several."""
+    """Return a table as lines of aligned text, with long heads wrapped."""
     columns = range(len(table.heads))
     widths = [
         max(map(len, [*table.heads[k].split(" "), *(row[k] for row in table.rows)]), default=0)
@@ -254,16 +257,15 @@ def _paving(study: Study) -> ReportTable:
         "of the trainings, and of heights about their means; states: percent of the trainings that "
         "are near-optimal (below 15 %), sub-optimal (15 to 25 %) and unstable; in-band NRMSE (a "
         "flat road has 1) and correlation r; eq. 12 of a constant height and of an unrelated road "
-        "of the same roughness, and the latter's NRMSE; NRMSE of the network on roads that it has "
-        "not seen."
+        "of the same roughness, and the latter's NRMSE; NRMSE of the network on unseen roads."
     )
     return ReportTable("Belgian paving, scenarios 5 to 8", heads, rows, note)
 
 
 def _bumps(study: Study) -> ReportTable:
     heads = (
-        "Bumps", "eq.\u00a012", "states", "NRMSE left", "right", "r", "found", "of found",
-        "height error", "place", "unrelated", "new road",
+        "Bumps", "eq.\u00a012", "states", "NRMSE left", "right", "r", "recall", "precision",
+        "height error", "location error", "unrelated", "new road",
     )  # fmt: skip
     rows = [
         [
@@ -284,8 +286,8 @@ def _bumps(study: Study) -> ReportTable:
     ]
     note = (
         "eq. 12 as printed [%]; percent of the trainings that are near-optimal, sub-optimal and "
-        "unstable; in-band NRMSE left and right; percent of the true bumps found "
-        "within 0.3 m, and percent true of those found; errors of height and place of the found; "
+        "unstable; in-band NRMSE left and right; recall and precision of the bumps within "
+        "0.3 m [%]; errors of height and location of the detected bumps; "
         "NRMSE of an unrelated road and of the network on new roads."
     )
     return ReportTable("Bumps, scenarios 1 to 4", heads, rows, note)
@@ -315,13 +317,11 @@ def _modes(study: Study) -> ReportTable:
     ]
     note = (
         "eq. 12 as printed [%] and in-band NRMSE of both wheel paths and of each, on the field car "
-        "and, S0, on the car of the training; the least NRMSE of a linear estimator that knows the "
-        "car and has its three accelerometers. Scenarios 3 and 4, 5 and 6, 7 and 8 differ in the "
-        "mode alone."
+        "and, S0, on the car of the training; bound: least NRMSE of a linear estimator that knows "
+        "the car and has its three accelerometers. Scenarios 3 and 4, 5 and 6, 7 and 8 differ only "
+        "in the mode."
     )
-    return ReportTable(
-        "Ride against handling, left against right, car against car", heads, rows, note
-    )
+    return ReportTable("Modes, wheel paths and cars", heads, rows, note)
 
 
 def _cost(study: Study) -> ReportTable:
@@ -338,14 +338,14 @@ def _cost(study: Study) -> ReportTable:
         for scenario in study.scenarios
     ]
     rows.append(["the paper (Core i7, 2.2 GHz)", "63 s", "2 s", UNDEFINED])
-    heads = ("Scenario", "one training", "one estimate", "all its drives")
-    return ReportTable("Time of training and of simulating the network", heads, rows)
+    heads = ("Scenario", "one training", "one estimate", "all drives")
+    return ReportTable("Computing time of the network", heads, rows)
 
 
 def _provenance(study: Study, command: str) -> list[tuple[str, str]]:
     return [
-        ("Made by", command),
-        ("In", f"{study.seconds:.0f} s"),
+        ("Command", command),
+        ("Duration", f"{study.seconds:.0f} s"),
         (
             "Versions",
             ", ".join(
@@ -359,7 +359,7 @@ def _provenance(study: Study, command: str) -> list[tuple[str, str]]:
                 f"{scenario.task.name} {scenario.task.digest[:12]}" for scenario in study.scenarios
             ),
         ),
-        ("Numbers", "every score of every training: numbers.json beside this file"),
+        ("Numbers", "numbers.json beside this file has every score of every training"),
     ]
 
 
@@ -371,5 +371,5 @@ def _percent(share: float | None, digits: int = 1) -> str:
     return UNDEFINED if share is None or not np.isfinite(share) else f"{100 * share:.{digits}f}"
 
 
-def _rounded(found: dict[str, float]) -> dict[str, float | None]:
-    return {k: float(f"{x:.5g}") if np.isfinite(x) else None for k, x in found.items()}
+def _rounded(scores: dict[str, float]) -> dict[str, float | None]:
+    return {k: float(f"{x:.5g}") if np.isfinite(x) else None for k, x in scores.items()}

@@ -1,12 +1,11 @@
 """The eight case scenarios of Ngwangwa et al., each with many trainings of the paper's network.
 
-Training k of every scenario makes up session k, for the paper shows the four networks of the paving
-as they came out of one training session. Beside the network stand three that measure nothing: an
-`unrelated_road` of the training road's roughness, the `mean` of the training roads, and a
-`constant`: their mean height. The test is driven twice: by the field car, which stands for the
-paper's measurements, and by the nominal car of the training, which tells what the other car costs.
-On the new road the network is trained on other roads of the same kinds and tested on roads that it
-has not seen.
+Training k of every scenario forms session k, since the paper shows the four networks of the paving
+as they came out of one training session. Three naive baselines use no measurement: an
+`unrelated_road` of the training road's roughness, the `mean` of the training roads, and the
+`constant` mean height of these. The test road is driven by the field car, in place of the paper's
+measurements, and by the nominal car of the training, which shows the effect of the other car. For
+the new roads, the network is trained on other roads of the same kinds and tested on unseen ones.
 """
 
 import time
@@ -23,31 +22,26 @@ from leaderboard.evaluation.tasks import Condition, Task, load_task, shipped_tas
 from leaderboard.evaluation.test_data import DriveSimulation, RecordedDrive, simulate_drives
 from leaderboard.metrics.bootstrap import interquartile_mean
 from leaderboard.metrics.obstacles import MATCH_DISTANCE, detect_obstacles, true_obstacles
-from leaderboard.metrics.registry import compute_scores
+from leaderboard.metrics.registry import EQ_12_RAW, STATE_LIMITS, compute_scores
 from road_envs.data.record import Estimate, Profile, Record
 
 PAPER_NETWORK = "static_lm"
 NAIVE_ESTIMATORS = ("unrelated_road", "mean")
-EQ_12_RAW = "level_error_raw"
-"""Equation 12 as it is printed: raw heights."""
-
 NEW_ROAD_SEEDS = (1, 2, 3, 4, 5)
 NEW_ROADS = 6
-"""Held-out roads of each condition, of the families that the network was trained on."""
+"""Number of unseen roads of each condition, of the families that the network was trained on."""
 
 TrainingState = Literal["near-optimal", "sub-optimal", "unstable"]
 TRAINING_STATES: tuple[TrainingState, ...] = ("near-optimal", "sub-optimal", "unstable")
-STATE_LIMITS = (0.15, 0.25)
-"""Equation 12 at which a training stops being near-optimal, and sub-optimal (Appendix A)."""
 
 Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingRun:
-    """One training and what it makes of the test road: heights `z` (2, M) [m].
+    """One training and its estimate of the test road: scores, and heights `z` (2, M) [m].
 
-    `nominal` and `nominal_z` are the same where the car of the training has driven the road.
+    `nominal` and `nominal_z` are those on the drive of the car of the training.
     """
 
     seed: int
@@ -66,7 +60,7 @@ class TrainingRun:
 
 @dataclass(frozen=True, eq=False)
 class PaperScenario:
-    """A scenario: its truth, its trainings, and the scores of those that measure nothing."""
+    """A scenario: its truth, its trainings, and the scores of the naive baselines."""
 
     task: Task
     truth: Profile
@@ -76,17 +70,17 @@ class PaperScenario:
 
     @property
     def number(self) -> int:
-        """Of the scenario, 1 to 8."""
+        """Number of the scenario, 1 to 8."""
         return int(self.task.name.rpartition("_")[2])
 
     @property
     def condition(self) -> str:
-        """Such as "ride, 14.5 km/h"."""
+        """Mode, speed and car, such as "ride, 14.5 km/h, car S3"."""
         return self.task.conditions[0].label
 
     @property
     def drive_label(self) -> str:
-        """The condition without the car."""
+        """Mode and speed, without the car."""
         return ", ".join(self.condition.split(", ")[:2])
 
     @property
@@ -96,28 +90,28 @@ class PaperScenario:
 
     @property
     def is_paving(self) -> bool:
-        """Belgian paving, and not bumps."""
+        """Whether the road is Belgian paving rather than bumps."""
         return not self.task.bumps
 
     def score_values(self, score: str, nominal: bool = False) -> np.ndarray:
-        """A score (N,) of every training, on the field car or on that of the training."""
-        told = [t.nominal if nominal else t.scores for t in self.trainings]
-        return np.array([scores.get(score, np.nan) for scores in told])
+        """Return a score (N,) of every training, on the field car or the car of the training."""
+        by_run = [t.nominal if nominal else t.scores for t in self.trainings]
+        return np.array([scores.get(score, np.nan) for scores in by_run])
 
     def iq_mean(self, score: str) -> float:
-        """Interquartile mean of a score over the trainings; NaN where none has it."""
+        """Return the interquartile mean of a score over the trainings; NaN if none has it."""
         return _iq_mean(self.score_values(score))
 
     def nominal_iq_mean(self, score: str) -> float:
-        """As `iq_mean`, on the car of the training."""
+        """Return `iq_mean` on the car of the training."""
         return _iq_mean(self.score_values(score, nominal=True))
 
     def baseline_median(self, name: str, score: str) -> float:
-        """Median of a score of one that measures nothing."""
-        return float(np.median([found[score] for found in self.baselines[name]]))
+        """Return the median of a score of a naive baseline."""
+        return float(np.median([scores[score] for scores in self.baselines[name]]))
 
     def false_bump_offset(self) -> float:
-        """Median of how far [m] a false bump stands behind the nearest true one; NaN for none."""
+        """Return the median offset [m] of false bumps from the nearest true one; NaN for none."""
         y, ds = self.truth.z, self.truth.ds
         true = [bump for path in true_obstacles(y, ds) for bump in path]
         threshold = min(abs(bump.height) for bump in true) / 2
@@ -126,18 +120,18 @@ class PaperScenario:
         return float(np.median([gap for gap in gaps if abs(gap) > MATCH_DISTANCE] or [np.nan]))
 
     def state_shares(self) -> dict[TrainingState, float]:
-        """How many of the trainings are near-optimal, sub-optimal, unstable."""
+        """Return the share of trainings in each state."""
         states = [training.state for training in self.trainings]
         return {kind: states.count(kind) / len(states) for kind in TRAINING_STATES}
 
     def median_run(self, score: str = "nrmse") -> TrainingRun:
-        """The training in the middle by a score."""
+        """Return the training with the median of a score."""
         return sorted(self.trainings, key=lambda t: t.scores[score])[(len(self.trainings) - 1) // 2]
 
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """All of it; `new_road` has the network's scores on unseen roads, by condition."""
+    """All scenarios; `new_road` has the network's scores on unseen roads, by condition."""
 
     scenarios: tuple[PaperScenario, ...]
     new_road: dict[str, dict[str, float]]
@@ -158,7 +152,7 @@ class Study:
         return [scenario for scenario in self.scenarios if not scenario.is_paving]
 
     def new_road_score(self, scenario: PaperScenario, score: str) -> float:
-        """A score on new roads, driven as in a scenario."""
+        """Return a score on new roads, in the mode and at the speed of a scenario."""
         return self.new_road[scenario.drive_label][score]
 
 
@@ -169,7 +163,7 @@ def run_study(
     drive: DriveSimulation = simulate_drives,
     progress: Progress = lambda text, share: None,
 ) -> Study:
-    """Drive and train everything; the `network` is the paper's if it is not another one.
+    """Simulate, train and score everything, with the network of the paper by default.
 
     Raises ConfigError, SimulationError, EntryError.
     """
@@ -186,7 +180,7 @@ def run_study(
 
 
 def training_state(level_error: float) -> TrainingState:
-    """The state of a training by its level error [-]."""
+    """Return the state of a training by its level error [-]."""
     near, sub = STATE_LIMITS
     return (
         "near-optimal" if level_error < near else "sub-optimal" if level_error < sub else "unstable"
@@ -200,24 +194,26 @@ def _run_scenario(
     start = time.perf_counter()
     training = [(d.record, d.truth) for d in drive(task, task.training, condition)]
     (test,) = drive(task, task.test, condition)
-    spent = time.perf_counter() - start
-    (nominal,) = drive(task, task.test, replace(condition, grade="S0"))
+    drive_seconds = time.perf_counter() - start
+    own = replace(task, conditions=(replace(condition, grade="S0"),))
+    (nominal,) = drive(own, task.test, own.conditions[0])
 
     def trained(estimator: Estimator, seed: int) -> TrainingRun:
         return _train_and_score(estimator, task, training, [test, nominal], seed)
 
-    level = np.mean([truth.z.mean(axis=1) for _, truth in training], axis=0)
-    constant = Estimate(test.truth.s, np.broadcast_to(level[:, None], test.truth.z.shape))
+    mean_height = np.mean([truth.z.mean(axis=1) for _, truth in training], axis=0)
+    constant = Estimate(test.truth.s, np.broadcast_to(mean_height[:, None], test.truth.z.shape))
     baselines = {
         name: tuple(
             trained(estimators.create(name), seed).scores
+            # only the unrelated road depends on the seed
             for seed in (seeds if name == "unrelated_road" else seeds[:1])
         )
         for name in NAIVE_ESTIMATORS
     }
     baselines["constant"] = (_scores(task, test, constant),)
-    found = tuple(trained(network, seed) for seed in seeds)
-    return PaperScenario(task, test.truth, found, baselines, spent)
+    trainings = tuple(trained(network, seed) for seed in seeds)
+    return PaperScenario(task, test.truth, trainings, baselines, drive_seconds)
 
 
 def _train_and_score(
@@ -248,15 +244,16 @@ def _scores(task: Task, test: RecordedDrive, estimate: Estimate) -> dict[str, fl
 def _score_new_roads(
     scenarios: Sequence[PaperScenario], network: Estimator, drive: DriveSimulation
 ) -> dict[str, dict[str, float]]:
-    """Interquartile means of the network's scores on new roads, by condition."""
+    """Return interquartile means of the network's scores on new roads, by condition."""
     task = load_task("new_road")
-    known = len(task.training.roads)  # the first test roads are of the kinds that it trains on
+    families = len(task.training.roads)  # the first test roads are of the families of the training
     test = replace(
         task.test,
-        roads=task.test.roads[:known],
+        roads=task.test.roads[:families],
         families=(),
-        seeds=task.test.seeds[: NEW_ROADS // known],
+        seeds=task.test.seeds[: NEW_ROADS // families],
         number=None,
+        design=(),  # every road under every condition
     )
     task = replace(task, test=test)
     found: dict[str, dict[str, float]] = {}
@@ -268,9 +265,9 @@ def _score_new_roads(
     return found
 
 
-def _iq_mean(found: np.ndarray) -> float:
-    found = found[np.isfinite(found)]
-    return float(interquartile_mean(found)) if found.size else np.nan
+def _iq_mean(x: np.ndarray) -> float:
+    x = x[np.isfinite(x)]
+    return float(interquartile_mean(x)) if x.size else np.nan
 
 
 def _new_road_scores(
@@ -280,13 +277,15 @@ def _new_road_scores(
     training: Sequence[tuple[Record, Profile]],
     tests: Sequence[RecordedDrive],
 ) -> dict[str, float]:
-    judged = []
+    run_scores = []
     for seed in NEW_ROAD_SEEDS:
         records = [test.record for test in tests]
         outcome = reconstruct(network, training, records, task.vehicle, seed)
         for test, estimate in zip(tests, outcome.estimates, strict=True):
-            judged.append(compute_scores(test.truth, estimate, condition.speed_kmh / 3.6, False))
+            run_scores.append(
+                compute_scores(test.truth, estimate, condition.speed_kmh / 3.6, False)
+            )
     return {
-        name: float(interquartile_mean(np.array([one[name] for one in judged])))
+        name: float(interquartile_mean(np.array([scores[name] for scores in run_scores])))
         for name in ("nrmse", "r", "level_error", EQ_12_RAW)
     }

@@ -27,11 +27,14 @@ MODE_PAIRS = (
     ("handling", "handling"),
 )
 CONSTANT_BRANCHES = np.arange(len(MODE_PAIRS)) * (len(MODE_PAIRS) + 1)
-"""Where the cars that never switch stand: child k of place k."""
+"""Indices of the vehicles that never switch: child k of parent k."""
 
 
 def search_actions(setup: EnvSetup, starts: Sequence[EpisodeStart]) -> np.ndarray:
-    """Actions (T, N) for N drives that begin as `starts` and take equally long."""
+    """Return actions (T, N) for N drives of equal length that begin as `starts`.
+
+    Raises ConfigError if the lengths differ or if `setup` cannot command the pairs.
+    """
     size = BEAM_WIDTH * len(MODE_PAIRS)
     fleet = setup.make_fleet(size * len(starts))
     for i, start in enumerate(starts):
@@ -40,47 +43,48 @@ def search_actions(setup: EnvSetup, starts: Sequence[EpisodeStart]) -> np.ndarra
             fleet.start(i * size + k, start.drive, logger, start.speed_kmh)
     first = fleet.advance(np.full(fleet.n_vehicles, starts[0].command_byte, dtype=np.uint8))
     if len({start.drive.steps_left for start in starts}) > 1:
-        raise ConfigError("the search needs drives of one length")
+        raise ConfigError("the oracle needs drives of equal length on all roads of a case")
     actions = [action_index(setup, pair) for pair in MODE_PAIRS]
     bytes_ = setup.command_bytes[actions]
     branch = np.tile(np.arange(size) % len(MODE_PAIRS), len(starts))
-    held, returns = max(1, round(HOLD_TIME / setup.interval)), np.zeros(fleet.n_vehicles)
-    chosen: list[np.ndarray] = []  # branch of every car at every macro step
+    n_hold, returns = max(1, round(HOLD_TIME / setup.interval)), np.zeros(fleet.n_vehicles)
+    chosen: list[np.ndarray] = []  # branch of every vehicle at every macro step
     parents: list[np.ndarray] = []
-    alive, intervals = not first.end_of_road.all(), 0
+    running, intervals = not first.end_of_road.all(), 0
     best = np.arange(len(starts)) * size
-    while alive:
-        for _ in range(held):
-            seen = fleet.advance(bytes_[branch])
-            failed = (seen.rollover >= 0) | (seen.nonfinite_step >= 0)
-            returns += np.where(failed, -np.inf, seen.values[:, OUTPUT_COLUMNS.index("reward")])
+    while running:
+        for _ in range(n_hold):
+            output = fleet.advance(bytes_[branch])
+            failed = (output.rollover >= 0) | (output.nonfinite_step >= 0)
+            returns += np.where(failed, -np.inf, output.values[:, OUTPUT_COLUMNS.index("reward")])
             intervals += 1
-            alive = not seen.end_of_road.all()
-            if not alive:
+            running = not output.end_of_road.all()
+            if not running:
                 break
         chosen.append(branch.copy())
         order = np.argsort(-returns.reshape(len(starts), size), axis=1, kind="stable")
-        first_car = size * np.arange(len(starts))[:, None]
-        best = (order + first_car)[:, 0]
+        first_vehicle = size * np.arange(len(starts))[:, None]
+        best = (order + first_vehicle)[:, 0]
+        # the beam is the first BEAM_WIDTH of `order`: drives without a switch always survive
         order = np.concatenate([np.tile(CONSTANT_BRANCHES, (len(starts), 1)), order], axis=1)
-        keep = np.repeat((order + first_car)[:, :BEAM_WIDTH], len(MODE_PAIRS), axis=1).ravel()
+        keep = np.repeat((order + first_vehicle)[:, :BEAM_WIDTH], len(MODE_PAIRS), axis=1).ravel()
         parents.append(keep)
-        if alive:
+        if running:
             copy_vehicles(fleet, keep)
             returns = returns[keep]
-    return np.array(actions)[_backtrack(chosen, parents, best, held, intervals)]
+    return np.array(actions)[_backtrack(chosen, parents, best, n_hold, intervals)]
 
 
 def action_index(setup: EnvSetup, pair: tuple[str, str]) -> int:
-    """The action that commands this pair. Raises ConfigError."""
+    """Return the action that commands this pair. Raises ConfigError."""
     byte = encode_command({"front": pair[0], "rear": pair[1]})
     if byte not in setup.command_bytes:
-        raise ConfigError("the search needs control 'axle' or 'states'")
+        raise ConfigError("the oracle needs control 'axle' or 'states', got 'vehicle'")
     return int(np.flatnonzero(setup.command_bytes == byte)[0])
 
 
 def copy_vehicles(fleet: InstrumentedFleet, source: np.ndarray) -> None:
-    """Put car k where car source[k] is, both on the same road."""
+    """Overwrite the state of vehicle k by that of vehicle source[k] on the same road."""
     lanes = fleet.state.q.shape[-1]
     for name, array in zip(fleet.state._fields, fleet.state, strict=True):
         if name != "road_layout":
@@ -88,15 +92,16 @@ def copy_vehicles(fleet: InstrumentedFleet, source: np.ndarray) -> None:
             rows[np.divmod(np.arange(fleet.n_vehicles), lanes)] = rows[np.divmod(source, lanes)]
 
 
-def _backtrack(chosen, parents, best, held, intervals) -> np.ndarray:
-    """Branches (T, N) that led to the `best` cars (N,)."""
+def _backtrack(chosen, parents, best, n_hold, intervals) -> np.ndarray:
+    """Return the branches (T, N) that led to the `best` vehicles (N,)."""
     car, branches = best, []
     for t in range(len(chosen) - 1, -1, -1):
         branches.append(chosen[t][car])
         if t > 0:
             car = parents[t - 1][car]
-    return np.repeat(np.array(branches[::-1]), held, axis=0)[:intervals]
+    return np.repeat(np.array(branches[::-1]), n_hold, axis=0)[:intervals]
 
 
 def _unused_rng() -> np.random.Generator:
+    """Return a generator for sensor noise, which the search does not read."""
     return np.random.default_rng(0)

@@ -1,9 +1,9 @@
-"""The league of switching policies: comfort, handling, and what the drives tell of the road.
+"""Comparison of switching policies: ride comfort, handling and road reconstruction.
 
-Every policy drives the same roads, side by side, without the truth in sight. Its commands are then
-driven again to look at the whole motion, and the record of its own drive is given to estimators:
-one that learns and comes without weights is trained on records of the same policy's drives over
-training roads.
+All policies drive the same roads and receive no truth. Each drive is simulated a second time with
+the same commands, to record the whole motion for the ride metrics. The policy's own observations
+form the record given to the estimators. An estimator that needs training and has no pretrained
+weights is trained on records of the same policy's drives over the training roads.
 """
 
 import signal
@@ -36,20 +36,21 @@ from road_envs.simulation.simd import LANES
 from road_envs.vehicle.suspension import MODES, decode_commands
 
 ORACLE = "oracle"
-"""Not a policy: a search on the known road, as the upper bound."""
+"""Name of the beam search on the known road, an upper bound rather than a policy."""
 
 TIME_LIMIT = 120.0
-"""Seconds that a policy may take over the drives of one case."""
+"""Seconds that a policy may take for the drives of one case."""
 
 Progress = Callable[[str, float], None]
-"""Hears what is being done and the share of all work that is done."""
+"""Callback with a description of the current work and the share of the work done."""
 
 
 @dataclass(frozen=True)
 class PolicyResult:
-    """One policy's metrics, each (R, C): roads and cases; `errors` (R, C) in-band NRMSE [-] for
-    each estimator. `failure` says why there are none; `notes`, what an estimator did not do.
-    `timeline`: its first drive of the case that the scenarios want shown.
+    """Metrics of a policy, each (R, C) (roads, cases), and in-band NRMSE (R, C) [-] by estimator.
+
+    `failure` explains missing metrics, `notes` missing errors. `timeline` is the first drive of the
+    case `Scenarios.shown`.
     """
 
     policy: str
@@ -61,7 +62,7 @@ class PolicyResult:
 
 
 class PreparedCase(NamedTuple):
-    """One case made ready: how its drives begin and what lies under them, road by road."""
+    """A case with its environment, and for each road seed the start of the drive and the truth."""
 
     case: Case
     options: dict[str, Any]
@@ -79,109 +80,116 @@ def compare(
     roads: int | None = None,
     progress: Progress = lambda text, share: None,
 ) -> list[PolicyResult]:
-    """Drive every policy over every case; a failure is a row. None stands for the oracle.
+    """Simulate every policy on every case; a policy that fails is a row with its failure.
 
-    Raises ConfigError where the scenarios are bad input.
+    A policy of None is replaced by the oracle. `roads` limits the number of test roads per case.
+    Raises ConfigError on invalid scenarios.
     """
     tests = [
         prepare_case(scenarios, c, scenarios.test_seeds(roads)) for c in range(len(scenarios.cases))
     ]
-    lessons = (
+    training_seeds = (
         scenarios.training.seeds if any(map(needs_training, estimators.values())) else range(0)
     )
-    training = [prepare_case(scenarios, c, lessons) for c in range(len(scenarios.cases))]
+    training = [prepare_case(scenarios, c, training_seeds) for c in range(len(scenarios.cases))]
     results = []
     for i, (name, policy) in enumerate(policies.items()):
         columns: list[dict[str, np.ndarray]] = []
         notes: dict[str, None] = {}
-        failure, shown = None, None
-        for c, (test, known) in enumerate(zip(tests, training, strict=True)):
+        failure, timeline = None, None
+        for c, (test, train) in enumerate(zip(tests, training, strict=True)):
             progress(f"{name}: {test.case.label}", (i + c / len(tests)) / len(policies))
             try:
                 with time_limit(TIME_LIMIT) if policy is not None else nullcontext():
-                    driven = _rollout(policy, test)
-                    seen = _rollout(policy, known) if known.seeds else None
-                column, said = _evaluate(test, driven, known, seen, estimators)
+                    rollout = _rollout(policy, test)
+                    train_rollout = _rollout(policy, train) if train.seeds else None
+                column, case_notes = _evaluate(test, rollout, train, train_rollout, estimators)
                 if c == scenarios.shown:
-                    shown = Timeline.from_trajectory(
-                        next(trajectories(test, driven)), test.starts[0].surface
+                    timeline = Timeline.from_trajectory(
+                        next(trajectories(test, rollout)), test.starts[0].surface
                     )
-            except Exception as error:  # whatever a policy does wrong is its own row's news
-                said_by = " ".join(str(error).split()) or "no message"
-                failure = f"{test.case.label}: {type(error).__name__}: {said_by}"
+            except Exception as error:  # a failing policy must not stop the comparison
+                message = " ".join(str(error).split()) or "no message"
+                failure = f"{test.case.label}: {type(error).__name__}: {message}"
                 break
             columns.append(column)
-            notes |= dict.fromkeys(said)
-        results.append(_result(name, columns, tuple(estimators), failure, tuple(notes), shown))
+            notes |= dict.fromkeys(case_notes)
+        results.append(_result(name, columns, tuple(estimators), failure, tuple(notes), timeline))
     progress("done", 1.0)
     return results
 
 
 def prepare_case(scenarios: Scenarios, c: int, seeds: Sequence[int]) -> PreparedCase:
-    """Case number `c` on the roads of `seeds`, as the environment would begin it."""
+    """Build case number `c` on the roads of `seeds`, started as the environment starts it."""
     case, setup = scenarios.cases[c], scenarios.setups[c]
-    parking = setup.make_fleet()
+    spare_fleet = setup.make_fleet()
     starts = tuple(
-        setup.start_episode(parking, 0, seeding.np_random(seed)[0], setup.options) for seed in seeds
+        setup.start_episode(spare_fleet, 0, seeding.np_random(seed)[0], setup.options)
+        for seed in seeds
     )
     truths = tuple(true_profile(start.surface) for start in starts)
     return PreparedCase(case, scenarios.options(case), setup, tuple(seeds), starts, truths)
 
 
-def trajectories(prepared: PreparedCase, driven: Rollout) -> Iterator[Trajectory]:
-    """The whole motion of every drive, under the commands that were given."""
+def trajectories(prepared: PreparedCase, rollout: Rollout) -> Iterator[Trajectory]:
+    """Yield the full trajectory of every drive, simulated again with the same commands."""
     setup = prepared.setup
-    steps, parking = round(setup.interval / setup.options.step), setup.make_fleet()
+    steps, spare_fleet = round(setup.interval / setup.options.step), setup.make_fleet()
     for first in range(0, len(prepared.starts), LANES):
-        some = range(first, min(first + LANES, len(prepared.starts)))
-        fleet = Fleet([_restarted_drive(prepared, k, parking) for k in some])
-        given = np.stack([command_bytes(prepared, driven, k, steps) for k in some])
-        signals = fleet.advance(given)
-        for lane, k in enumerate(some):
-            n = steps * (1 + int(driven.intervals[k]))
+        batch = range(first, min(first + LANES, len(prepared.starts)))
+        fleet = Fleet([_restarted_drive(prepared, k, spare_fleet) for k in batch])
+        commands = np.stack([command_bytes(prepared, rollout, k, steps) for k in batch])
+        signals = fleet.advance(commands)
+        for lane, k in enumerate(batch):
+            n = steps * (1 + int(rollout.intervals[k]))
             t, start = setup.options.step * np.arange(n), prepared.starts[k].drive
             v = np.full(n, start.speed)
             own = select_vehicle(signals, lane)[:n].copy()
-            yield Trajectory(t, start.start + v * t, v, given[lane, :n], own)
+            yield Trajectory(t, start.start + v * t, v, commands[lane, :n], own)
 
 
-def record_of(prepared: PreparedCase, driven: Rollout, k: int) -> Record:
-    """What the instruments recorded on drive `k`: the policy's own observations, end to end."""
-    setup, rows = prepared.setup, 1 + int(driven.intervals[k])
+def record_of(prepared: PreparedCase, rollout: Rollout, k: int) -> Record:
+    """Return the record of drive `k`, made of the policy's own observations."""
+    setup, rows = prepared.setup, 1 + int(rollout.intervals[k])
     context = PolicyContext.from_setup(setup, 1, 0)
-    seen = driven.observations[:rows, k]
-    a = np.moveaxis(context.accelerations(seen), 0, 1).reshape(3, -1)
-    v = np.repeat(context.signal("speed", seen)[:, 0], setup.samples_per_interval).astype(float)
+    observations = rollout.observations[:rows, k]
+    a = np.moveaxis(context.accelerations(observations), 0, 1).reshape(3, -1)
+    # an observation has one speed for all samples of its interval
+    v = np.repeat(context.signal("speed", observations)[:, 0], setup.samples_per_interval).astype(
+        float
+    )
     t = np.arange(v.size) / setup.instruments.fs
     stiff, high = decode_commands(
-        command_bytes(prepared, driven, k, setup.samples_per_interval)[: v.size]
+        command_bytes(prepared, rollout, k, setup.samples_per_interval)[: v.size]
     )
     start = prepared.starts[k]
     s = start.drive.start + v * t
     return Record(t, a.astype(float), v, s, stiff, high, start.surface.length)
 
 
-def command_bytes(prepared: PreparedCase, driven: Rollout, k: int, repeated: int) -> np.ndarray:
-    """The command bytes of drive `k`, each interval's `repeated` times."""
-    given = np.concatenate(
-        [[prepared.starts[k].command_byte], prepared.setup.command_bytes[driven.actions[:, k]]]
+def command_bytes(prepared: PreparedCase, rollout: Rollout, k: int, repeated: int) -> np.ndarray:
+    """Return the command bytes of drive `k`, each repeated `repeated` times per interval."""
+    commands = np.concatenate(
+        [[prepared.starts[k].command_byte], prepared.setup.command_bytes[rollout.actions[:, k]]]
     )
-    return np.repeat(given.astype(np.uint8), repeated)
+    return np.repeat(commands.astype(np.uint8), repeated)
 
 
 @contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """Raise TimeoutError in the block after so long. In the main thread only, where alarms ring;
-    elsewhere nothing is watched.
+    """Raise TimeoutError if the block takes longer than `seconds`.
+
+    Works in the main thread only, since alarm signals are delivered there; elsewhere there is no
+    limit.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
-    def ring(number: int, frame: object) -> None:
-        raise TimeoutError(f"no end after {seconds:g} s")
+    def stop(number: int, frame: object) -> None:
+        raise TimeoutError(f"not finished after {seconds:g} s")
 
-    before = signal.signal(signal.SIGALRM, ring)
+    before = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
@@ -190,26 +198,26 @@ def time_limit(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def _restarted_drive(prepared: PreparedCase, k: int, parking: InstrumentedFleet):
-    """The drive number `k` at its beginning, drawn again from its seed: drives go on in place."""
+def _restarted_drive(prepared: PreparedCase, k: int, spare_fleet: InstrumentedFleet):
+    """Return drive `k` at its start, made again from its seed (simulation changes it in place)."""
     random = seeding.np_random(prepared.seeds[k])[0]
-    drive = prepared.setup.start_episode(parking, 0, random, prepared.setup.options).drive
-    drive.manoeuvre = prepared.setup.manoeuvre  # the environment's convoy has its own
+    drive = prepared.setup.start_episode(spare_fleet, 0, random, prepared.setup.options).drive
+    drive.manoeuvre = prepared.setup.manoeuvre  # `start_episode` gives it to the fleet instead
     return drive
 
 
 class _FixedActions:
-    """Actions that stand fixed beforehand."""
+    """Policy that replays actions (T, N)."""
 
     def __init__(self, actions: np.ndarray):
         self.actions = actions
 
     def reset(self, context: PolicyContext) -> None:
-        self.at = 0
+        self.step = 0
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        self.at += 1
-        return self.actions[self.at - 1]
+        self.step += 1
+        return self.actions[self.step - 1]
 
 
 def _rollout(policy: Policy | None, prepared: PreparedCase) -> Rollout:
@@ -218,28 +226,33 @@ def _rollout(policy: Policy | None, prepared: PreparedCase) -> Rollout:
     return roll_out(policy, prepared.options, prepared.seeds)
 
 
-def _evaluate(test, driven, known, seen, estimators) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Metrics and errors, each (R,), of one case, and what is to be noted."""
+def _evaluate(
+    test, rollout, train, train_rollout, estimators
+) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Return the metrics and errors of one case, each (R,), and notes on failed estimators."""
     car, v = test.setup.car, test.case.speed_kmh / 3.6
+    # the first interval keeps the initial command: the policy has not acted yet
     first_step = round(test.setup.interval / test.setup.options.step)
     rows, road = [], fit_spectrum(test.truths[0], scored_band(v))
-    for k, motion in enumerate(trajectories(test, driven)):
+    for k, motion in enumerate(trajectories(test, rollout)):
         row = ride_metrics(motion, car, first_step)
-        row["turned_over"] = float(driven.reasons[k] != "")
-        row["reward"] = driven.returns[k] / (driven.intervals[k] * test.setup.interval)
+        row["turned_over"] = float(rollout.reasons[k] != "")
+        row["reward"] = rollout.returns[k] / (rollout.intervals[k] * test.setup.interval)
         row["bound"] = np.nan if road is None else _bound(test, motion.commands, v, road)
         rows.append(row)
     column = {name: np.array([row[name] for row in rows]) for name in METRICS}
-    records = [record_of(test, driven, k) for k in range(len(test.starts))]
-    lessons = []
-    if seen is not None:
-        lessons = [(record_of(known, seen, k), known.truths[k]) for k in range(len(known.starts))]
+    records = [record_of(test, rollout, k) for k in range(len(test.starts))]
+    training_pairs = []
+    if train_rollout is not None:
+        training_pairs = [
+            (record_of(train, train_rollout, k), truth) for k, truth in enumerate(train.truths)
+        ]
     notes = []
     for name, estimator in estimators.items():
         try:
-            found = reconstruct(estimator, lessons, records, car, seed=1).estimates
+            estimates = reconstruct(estimator, training_pairs, records, car, seed=1).estimates
             column[name] = np.array(
-                [_nrmse(y, x, v) for y, x in zip(test.truths, found, strict=True)]
+                [_nrmse(y, x, v) for y, x in zip(test.truths, estimates, strict=True)]
             )
         except EntryError as error:
             notes.append(f"{name}: {test.case.label}: {error}")
@@ -252,15 +265,15 @@ def _nrmse(y: Profile, estimate: Profile, v: float) -> float:
     return heights.error_over_truth(*inside).pooled
 
 
-def _bound(test: PreparedCase, given: np.ndarray, v: float, road: tuple[float, float]) -> float:
-    """Least NRMSE of a car that keeps each of its states as long as it did, one after the other."""
+def _bound(test: PreparedCase, commands: np.ndarray, v: float, road: tuple[float, float]) -> float:
+    """Return the least NRMSE [-]: root of the time-weighted mean of the squared bounds by state."""
     names = {flags: mode for mode, flags in MODES.items()}
-    left = 0.0
-    for (a, b, c, d), share in state_time_shares(given).items():
+    mean_square = 0.0
+    for (a, b, c, d), share in state_time_shares(commands).items():
         pair = {"front": names[a, b], "rear": names[c, d]}
         options = test.setup.options
-        left += share * pooled_bound(options.vehicle, options.sensors, pair, v, *road) ** 2
-    return float(np.sqrt(left))
+        mean_square += share * pooled_bound(options.vehicle, options.sensors, pair, v, *road) ** 2
+    return float(np.sqrt(mean_square))
 
 
 def _result(name, columns, estimators, failure, notes, timeline) -> PolicyResult:

@@ -1,4 +1,4 @@
-"""How policies get their settings: a full grid on training roads, and recipes for learned ones.
+"""Tuning of policies by grid search, and the training settings of learned policies.
 
 The cost is minus the return per second, averaged over all cases and training roads of the
 scenarios. Test roads are never driven here.
@@ -39,7 +39,7 @@ GRIDS: dict[str, Mapping[str, tuple[Any, ...]]] = {
     "add": TWO_STATE,
     "sh_add": {**TWO_STATE, "crossover": (1.9, 3.0)},
 }
-"""What is tried of every policy that has something to tune."""
+"""Grid of settings for every policy that can be tuned."""
 
 
 class Trial(NamedTuple):
@@ -50,7 +50,7 @@ class Trial(NamedTuple):
 
 
 class SearchResult(NamedTuple):
-    """The settings of least cost, the cost before, and all that was tried."""
+    """The settings of least cost, that cost per second, and all trials."""
 
     settings: dict[str, Any]
     cost: float
@@ -60,7 +60,7 @@ class SearchResult(NamedTuple):
 def tune(
     name: str, scenarios: Scenarios, progress: Callable[[str, float], None] = lambda text, x: None
 ) -> SearchResult:
-    """Try all of a policy's grid."""
+    """Evaluate the whole grid of a policy on the training roads."""
     grid = GRIDS[name]
     trials: list[Trial] = []
     choices = list(itertools.product(*grid.values()))
@@ -68,43 +68,47 @@ def tune(
         settings = dict(zip(grid, values, strict=True))
         progress(f"{name}: {settings}", k / len(choices))
         trials.append(Trial(settings, cost(create(name, **settings), scenarios)))
-    best = min(trials, key=lambda one: one.cost)
+    best = min(trials, key=lambda trial: trial.cost)
     return SearchResult(best.settings, best.cost, trials)
 
 
 def cost(policy: Any, scenarios: Scenarios) -> float:
-    """Minus the mean return per second over all cases and training roads."""
+    """Return minus the mean return per second over all cases and training roads."""
     return -float(np.mean(return_rates(policy, scenarios, scenarios.training.seeds)))
 
 
 def return_rates(policy: Any, scenarios: Scenarios, seeds: Sequence[int]) -> np.ndarray:
-    """Returns per second (R, C) on the roads of `seeds`, in every case."""
-    driven = [
+    """Return the returns per second (R, C) on the roads of `seeds` (R,), for every case (C)."""
+    rollouts = [
         roll_out(policy, scenarios.options(case), seeds, store_observations=False)
         for case in scenarios.cases
     ]
-    return np.stack([d.returns * scenarios.control_rate / d.intervals for d in driven], axis=1)
+    # an interval lasts 1 / control_rate seconds
+    return np.stack([d.returns * scenarios.control_rate / d.intervals for d in rollouts], axis=1)
 
 
 def as_yaml(best: SearchResult, command: str) -> str:
-    """The file for `configs/policies`."""
+    """Return the text of a settings file for `configs/policies`."""
     source = f"{command}: cost {best.cost:.4f} per second, best of {len(best.trials)}"
     return yaml.safe_dump({"settings": best.settings, "source": source}, sort_keys=False)
 
 
 def load_training_config(name: str, steps: int | None = None) -> Any:
-    """How a learned policy is trained, by name or YAML path. Raises ConfigError."""
+    """Load the training settings of a learned policy by name or YAML path.
+
+    Raises ConfigError.
+    """
     from road_envs.policies.training import TrainingConfig
 
     shipped = config.load(PolicySettings, "policies", name)
     if not shipped.training:
-        raise ConfigError(f"{name} is not learned: its settings have no training section")
-    found = config.build(TrainingConfig, shipped.training, f"{name}: training")
-    return found if steps is None else replace(found, steps=steps)
+        raise ConfigError(f"{name} has no training section; only learned policies can be trained")
+    training = config.build(TrainingConfig, shipped.training, f"{name}: training")
+    return training if steps is None else replace(training, steps=steps)
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file whole or not at all."""
+    """Write a file atomically."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as partial:
         partial.write_bytes(data)

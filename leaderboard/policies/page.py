@@ -1,4 +1,4 @@
-"""The league of policies as one self-contained page, with the Pareto plot beside it."""
+"""Self-contained HTML page of the policy comparison, and the Pareto plot beside it."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -25,11 +25,11 @@ PARETO_COLOUR, DOMINATED_COLOUR, ORACLE_COLOUR, SWEEP_COLOUR = (
 )
 
 SWEEP_PREFIX = "information "
-"""How the sensing policies of a sweep are named, before their price of information."""
+"""Names of the greedy information policies of a sweep: this prefix, then the weight."""
 
 
 def write_policy_page(data: dict[str, Any], timelines: Mapping[str, Timeline], out: Path) -> Path:
-    """Write policies.html and pareto.png under `out`; the path of the page."""
+    """Write policies.html and pareto.png under `out`; return the path of the page."""
     draw_pareto(data, out / "pareto.png")
     page = out / "policies.html"
     write_text(page, render_page(data, timelines, board=(out / "index.html").exists()))
@@ -41,8 +41,9 @@ def render_page(
     timelines: Mapping[str, Timeline] = MappingProxyType({}),
     board: bool = False,
 ) -> str:
-    """The page from a summary of standings and a drive of every policy over time; with a link to
-    the `board` where that stands beside it.
+    """Render the page from the data of `summarize_results` and one drive of each policy.
+
+    With `board`, the page links to the leaderboard of estimators beside it.
     """
     env = Environment(
         loader=PackageLoader("leaderboard.report"), autoescape=True, undefined=StrictUndefined
@@ -63,8 +64,9 @@ def render_page(
 
 
 def draw_pareto(data: dict[str, Any], path: Path) -> None:
-    """Comfort and handling, each against the first estimator's error. Policies that nobody beats
-    in all three are named and filled; the sweep over the price of information is a line.
+    """Draw comfort and handling, each against the error of the first estimator.
+
+    Markers of Pareto-optimal policies are filled; a line joins the greedy information policies.
     """
     from leaderboard.report.plots import write_figure
 
@@ -86,7 +88,7 @@ def draw_pareto(data: dict[str, Any], path: Path) -> None:
         figure.legend(
             handles=_legend_entries(rows), loc="outside right center", frameon=False, fontsize=8
         )
-        figure.suptitle("Comfort and handling against what the drive tells of the road")
+        figure.suptitle("Comfort and handling against the reconstruction error")
         for k, row in enumerate(rows, start=1):
             for axes, name in zip(figure.axes, PARETO_METRICS, strict=True):
                 at = (row["metrics"][name]["mean"], _first_error(row)["mean"])
@@ -96,7 +98,8 @@ def draw_pareto(data: dict[str, Any], path: Path) -> None:
 
 
 def _sensing_weight(name: str) -> float | None:
-    """The price of information of a policy that is the best one at it; without one it is ride."""
+    """Return the weight of the unresolved variance of a greedy policy; None for other policies."""
+    # without a weight on the variance, the greedy policy stays in ride mode
     known = {"fixed_ride": 0.0, "greedy_information": GreedyInformation().weight}
     return (
         float(name.removeprefix(SWEEP_PREFIX)) if name.startswith(SWEEP_PREFIX) else known.get(name)
@@ -104,22 +107,26 @@ def _sensing_weight(name: str) -> float | None:
 
 
 def _legend_entries(rows: Sequence[dict[str, Any]]) -> list[Any]:
-    """The key: numbers and names of the policies, and the colours."""
+    """Return the legend: numbers and names of the policies, and the colours."""
     with optional_import("a figure"):
         from matplotlib.lines import Line2D
 
     colours = {
-        "beaten by nobody": PARETO_COLOUR,
-        "beaten": DOMINATED_COLOUR,
-        "knows the road": ORACLE_COLOUR,
+        "Pareto-optimal": PARETO_COLOUR,
+        "dominated": DOMINATED_COLOUR,
+        "oracle (knows the road)": ORACLE_COLOUR,
     }
     names = [Line2D([], [], ls="", label=f"{k}  {row['policy']}") for k, row in enumerate(rows, 1)]
     dots = [Line2D([], [], ls="", marker="o", color=c, label=n) for n, c in colours.items()]
-    return [*dots, Line2D([], [], color=SWEEP_COLOUR, label="price of information"), *names]
+    return [
+        *dots,
+        Line2D([], [], color=SWEEP_COLOUR, label="greedy information, weight swept"),
+        *names,
+    ]
 
 
 def _draw_policy(axes: Any, x: dict[str, float], y: dict[str, float], row: dict[str, Any]) -> None:
-    """A policy with its intervals; a ring if another one beats it."""
+    """Draw a policy with its intervals; an empty circle if another one dominates it."""
     colour = (
         PARETO_COLOUR if row["pareto"] else DOMINATED_COLOUR if row["attainable"] else ORACLE_COLOUR
     )
@@ -134,4 +141,5 @@ def _draw_policy(axes: Any, x: dict[str, float], y: dict[str, float], row: dict[
 
 
 def _first_error(row: dict[str, Any]) -> dict[str, float]:
+    """Return the error of the first estimator, or the bound without estimators."""
     return next(iter(row["errors"].values()), row["metrics"]["bound"])

@@ -1,7 +1,7 @@
-"""What a drive did to the passengers, the suspension and the tyres: one number each.
+"""Ride metrics of a drive: comfort, suspension travel, tyre load, roll, switching.
 
-Comfort is that of heave, at the centre of mass (a seat elsewhere also feels pitch and roll). Stops
-are counted strut by strut, each time one goes beyond the part of its curve that gives no force.
+Comfort is that of heave at the centre of mass (a seat elsewhere is also exposed to pitch and roll).
+Bump-stop hits are counted for each strut, whenever it leaves the range without bump-stop force.
 """
 
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from road_envs.vehicle.suspension import decode_commands
 
 
 class Metric(NamedTuple):
-    """How a metric is printed: its value times `factor`, in `unit`, with `digits` decimals."""
+    """Format of a metric: its value times `factor`, in `unit`, with `digits` decimals."""
 
     label: str
     unit: str
@@ -37,23 +37,25 @@ METRICS = {
     "roll_peak": Metric("largest roll angle", "deg", np.degrees(1.0), 1),
     "switches_per_km": Metric("changes of the command", "1/km", 1.0, 0),
     "dwell": Metric("mean time between changes", "s", 1.0, 2),
-    "turned_over": Metric("drives that ended on the side", "-", 1.0, 2),
+    "turned_over": Metric("drives that ended in a rollover", "-", 1.0, 2),
     "reward": Metric("return of the reward, per second", "-", 1.0, 3),
-    "bound": Metric("in-band error that the states leave at least", "-", 1.0, 3),
+    "bound": Metric("bound on the in-band error for the states used", "-", 1.0, 3),
 }
 
 
 def ride_metrics(
     motion: Trajectory, car: VehicleParameters, first_step: int = 0
 ) -> dict[str, float]:
-    """Those of METRICS that follow from a motion with even steps, in SI units.
+    """Return those of METRICS that follow from a uniformly sampled motion, in SI units.
 
-    What was commanded before step `first_step` was nobody's choice, and leaving it is no switch.
+    Commands before `first_step` precede the first action of the policy and do not count as
+    switches.
     """
     h = float(motion.t[1] - motion.t[0])
+    # the last sample lasts one step as well
     km = (float(motion.s[-1] - motion.s[0]) + h * float(motion.v[-1])) / 1000.0
     heave, roll = motion.acceleration[:, Z_B], motion.state[:, PHI]
-    static = np.repeat(car.tyre_loads, 2)
+    static = np.repeat(car.tyre_loads, 2)  # per axle to per wheel
     changes = int(np.count_nonzero(np.diff(motion.commands[first_step:])))
     return {
         "comfort": float(comfort.weighted_rms(heave, 1.0 / h)),
@@ -71,19 +73,23 @@ def ride_metrics(
 
 
 def count_bump_stop_hits(extension: np.ndarray, car: VehicleParameters) -> int:
-    """How often a strut reaches a bump stop, from extensions (N, 4) [m]."""
+    """Count how often a strut reaches a bump stop, from extensions (N, 4) [m]."""
     curves = car.strut.bump_stop
     limits = np.array([_zero_force_range(curves.front)] * 2 + [_zero_force_range(curves.rear)] * 2)
     hits = 0
     for beyond in (extension < limits[:, 0], extension > limits[:, 1]):
+        # an excursion counts at its first sample only
         hits += int(beyond[0].sum() + np.count_nonzero(beyond[1:] & ~beyond[:-1]))
     return hits
 
 
 def state_time_shares(commands: np.ndarray) -> dict[tuple[bool, ...], float]:
-    """Share of time in each state of front and rear: (stiff, high, stiff, high), left wheels."""
-    found, counts = np.unique(commands, return_counts=True)
-    stiff, high = decode_commands(found)
+    """Return the share of time in each state of front and rear.
+
+    Keys are (stiff, high) of the front left and of the rear left strut.
+    """
+    distinct, counts = np.unique(commands, return_counts=True)
+    stiff, high = decode_commands(distinct)
     states = np.stack([stiff[:, 0], high[:, 0], stiff[:, 2], high[:, 2]], axis=1)
     total: dict[tuple[bool, ...], float] = {}
     for state, count in zip(states.tolist(), counts.tolist(), strict=True):
@@ -92,7 +98,7 @@ def state_time_shares(commands: np.ndarray) -> dict[tuple[bool, ...], float]:
 
 
 def _zero_force_range(curve: Curve) -> tuple[float, float]:
-    """Extensions [m] between which a bump stop gives no force."""
+    """Return the extensions [m] between which a bump stop exerts no force."""
     free = [x for x, F in zip(curve.x, curve.F, strict=True) if F == 0.0]
     return min(free), max(free)
 

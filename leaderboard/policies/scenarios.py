@@ -1,6 +1,6 @@
-"""Scenarios: how switching policies are driven, on which roads they are tuned and on which judged.
+"""Scenarios: drives, tuning roads and test roads of the policy comparison.
 
-They come from `configs/scenarios/*.yaml`. A case is a road family at a speed, with or without a
+They are read from `configs/scenarios/*.yaml`. A case is a road family at a speed, with or without a
 manoeuvre; every seed realises another road of the family. Test and training never share a seed.
 """
 
@@ -16,7 +16,7 @@ from road_envs.envs.options import EnvSetup, Weights
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One way to drive; `manoeuvre` as the environment takes it."""
+    """A kind of drive; `manoeuvre` as the environment takes it."""
 
     __pydantic_config__ = STRICT
 
@@ -26,14 +26,14 @@ class Case:
 
     @property
     def label(self) -> str:
-        """Such as "iso_d, 54 km/h, lane_change"."""
+        """Description such as "iso_d, 54 km/h, lane_change"."""
         kind = self.manoeuvre if isinstance(self.manoeuvre, str | None) else self.manoeuvre["kind"]
         return f"{self.road}, {self.speed_kmh:g} km/h, {kind or 'straight on'}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class SeedRange:
-    """`number` seeds from `first` on."""
+    """`number` consecutive seeds, beginning with `first`."""
 
     __pydantic_config__ = STRICT
 
@@ -43,7 +43,7 @@ class SeedRange:
     def __post_init__(self):
         if self.first < 0 or self.number < 2:
             raise ValueError(
-                f"first must not be negative and number at least 2, got {self.first}, {self.number}"
+                f"first must be >= 0 and number at least 2, got {self.first} and {self.number}"
             )
 
     @property
@@ -54,8 +54,9 @@ class SeedRange:
 
 @dataclass(frozen=True, kw_only=True)
 class Scenarios:
-    """Cases, and what they have in common; `length` [m] of every road, `control_rate` [Hz]. Of the
-    case number `shown` the page shows a drive over time.
+    """Cases and their common settings: `length` [m] of every road, `control_rate` [Hz].
+
+    `shown` is the number of the case whose drives the page shows over time.
     """
 
     __pydantic_config__ = STRICT
@@ -77,19 +78,18 @@ class Scenarios:
 
     def __post_init__(self):
         if not self.cases:
-            raise ValueError("at least one case is wanted")
+            raise ValueError("cases is empty: at least one case is needed")
         if not 0 <= self.shown < len(self.cases):
             raise ValueError(
-                f"shown must number one of {len(self.cases)} cases, 0 to {len(self.cases) - 1}, "
-                f"got {self.shown}"
+                f"shown must be the index of a case, 0 to {len(self.cases) - 1}, got {self.shown}"
             )
         if len(set(map(repr, self.cases))) < len(self.cases):
-            raise ValueError("every case must stand once")
+            raise ValueError("cases must be distinct: one is given twice")
         if shared := sorted(set(self.test.seeds) & set(self.training.seeds)):
-            raise ValueError(f"training and test share the seeds {shared}")
+            raise ValueError(f"training and test must be disjoint but share the seeds {shared}")
 
     def options(self, case: Case) -> dict[str, Any]:
-        """Keyword arguments of the environment; `info` never holds the truth."""
+        """Return the keyword arguments of the environment; `info` never holds the truth."""
         common = ("length", "control", "control_rate", "mode", "vehicle", "sensors")
         return {
             **{name: getattr(self, name) for name in common},
@@ -97,13 +97,13 @@ class Scenarios:
             "speed_kmh": case.speed_kmh,
             "manoeuvre": case.manoeuvre,
             "weights": asdict(self.weights),
-            "observe": ["accelerations", "planar", "struts"],
+            "observe": ["accelerations", "planar", "struts"],  # all that a policy may use
             "truth": False,
         }
 
     @cached_property
     def setups(self) -> tuple[EnvSetup, ...]:
-        """What the options of each case come to. Raises ConfigError for the first bad one."""
+        """Environment of each case. Raises ConfigError for the first invalid one."""
         setups = []
         for case in self.cases:
             try:
@@ -113,14 +113,14 @@ class Scenarios:
         return tuple(setups)
 
     def test_seeds(self, roads: int | None) -> range:
-        """The first `roads` test seeds, all of them for None. Raises ConfigError."""
+        """Return the first `roads` test seeds, all of them for None. Raises ConfigError."""
         if roads is not None and not 2 <= roads <= self.test.number:
             raise ConfigError(
-                f"{self.name} has 2 to {self.test.number} test roads to choose from, got {roads}"
+                f"{self.name}: the number of roads must be 2 to {self.test.number}, got {roads}"
             )
         return self.test.seeds[:roads]
 
 
 def load_scenarios(name: str | Path) -> Scenarios:
-    """Scenarios by shipped name or YAML path. Raises ConfigError."""
+    """Load scenarios by shipped name or YAML path. Raises ConfigError."""
     return config.load(Scenarios, "scenarios", name)

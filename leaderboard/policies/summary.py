@@ -1,4 +1,4 @@
-"""Standings of policies in numbers that can be printed: means, intervals, differences, fronts."""
+"""Summary of policy results: means, bootstrap intervals, paired differences, Pareto front."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -11,19 +11,19 @@ from leaderboard.policies.ride_metrics import METRICS
 from leaderboard.policies.scenarios import Scenarios
 
 REFERENCE = "fixed_ride"
-"""The policy from which differences are taken."""
+"""Default policy for paired differences."""
 
 TUNED_POLICIES = ("rrms", "sh_add")
-"""Tuned policies of the literature, whose returns others have to beat."""
+"""Tuned policies of the literature, whose returns are compared with those of all others."""
 
 PARETO_METRICS = ("comfort", "tyre_load")
-"""Axes of the Pareto front beside the estimation error: comfort and handling."""
+"""Metrics of the Pareto front beside the reconstruction error: comfort and handling."""
 
 
 def summarize_results(
     scenarios: Scenarios, results: Sequence[PolicyResult], seeds: Sequence[int], reference: str
 ) -> dict[str, Any]:
-    """All that was found, as plain data: a row for each policy."""
+    """Return all results as plain data, with a row for each policy."""
     by_name = {s.policy: s for s in results if s.failure is None}
     base = _reference_statistics(by_name.get(reference))
     rows = [_row(s, base) for s in results]
@@ -35,8 +35,8 @@ def summarize_results(
             for name in dict.fromkeys((reference, *TUNED_POLICIES))
             if name in by_name and (mine := by_name.get(row["policy"]))
         }
-    for row, on in zip(rows, pareto(by_name, [s.policy for s in results]), strict=True):
-        row["pareto"] = on
+    for row, optimal in zip(rows, pareto(by_name, [s.policy for s in results]), strict=True):
+        row["pareto"] = optimal
     return {
         "scenarios": scenarios.name,
         "title": scenarios.title,
@@ -49,17 +49,18 @@ def summarize_results(
 
 
 def case_mean(x: np.ndarray) -> Interval:
-    """Mean over cases of the interquartile means over roads of `x` (R, C) or (R, C, S), with its
-    95 % bootstrap interval over roads, then seeds. A case is a kind of drive and counts as much as
-    any other; roads are draws of one kind, of which the odd ones should not rule.
+    """Return the mean over cases of the interquartile means over roads, with a 95 % interval.
+
+    `x` is (R, C) or (R, C, S); the bootstrap resamples roads, then seeds. Cases are kinds of drives
+    and count equally; roads are samples of one kind, so outliers among them are trimmed.
     """
     return _as_interval(_mean(_with_seed_axis(x)), _replicates(x))
 
 
 def paired_difference(one: np.ndarray, other: np.ndarray) -> Interval:
-    """`case_mean` of `one` less that of `other`, (R, C) or (R, C, S), and its paired interval.
+    """Return `case_mean` of `one` minus that of `other`, (R, C) or (R, C, S), with its interval.
 
-    Both are drawn on the same roads again and again, so what makes a road hard falls out.
+    Both are resampled on the same roads, so the common effect of a road cancels.
     """
     mean = _mean(_with_seed_axis(one)) - _mean(_with_seed_axis(other))
     return _as_interval(mean, _replicates(one) - _replicates(other))
@@ -75,22 +76,22 @@ def _mean(x: np.ndarray) -> float:
 
 
 def _replicates(x: np.ndarray) -> np.ndarray:
-    """Replicates (B,): with one seed every case is on the same draw of roads."""
+    """Return replicates (B,); one seed gives all cases the same resample of roads."""
     x = _with_seed_axis(x)
     return np.mean([bootstrap(x[:, [c]], seed=0) for c in range(x.shape[1])], axis=0)
 
 
-def _as_interval(mean: float, drawn: np.ndarray) -> Interval:
-    if not np.isfinite(drawn).all():
+def _as_interval(mean: float, replicates: np.ndarray) -> Interval:
+    if not np.isfinite(replicates).all():
         return Interval(np.nan, np.nan, np.nan)
-    low, high = np.quantile(drawn, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
+    low, high = np.quantile(replicates, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
     return Interval(mean, float(low), float(high))
 
 
 def pareto(by_name: Mapping[str, PolicyResult], names: Sequence[str]) -> list[bool]:
-    """Who is beaten by nobody in comfort, handling and the error of the first estimator at once.
+    """Return whether each policy is Pareto-optimal in comfort, handling and the first error.
 
-    The oracle, which is none of them, beats nobody. Without estimators the bound stands for them.
+    The oracle is never optimal and dominates no policy. Without estimators the bound is the error.
     """
     points = {name: _point(s) for name, s in by_name.items() if name != ORACLE}
     return [
@@ -110,7 +111,7 @@ def _point(result: PolicyResult) -> np.ndarray:
 
 
 ReferenceStatistics = dict[tuple[str, str], tuple[float, np.ndarray]]
-"""Of the reference: mean and replicates (B,), by kind and name of what is told."""
+"""Mean and replicates (B,) of the reference policy, by kind ("metrics", "errors") and name."""
 
 
 def _reference_statistics(result: PolicyResult | None) -> ReferenceStatistics:
@@ -142,13 +143,13 @@ def _row(result: PolicyResult, base: ReferenceStatistics) -> dict[str, Any]:
 
 
 def _cell(x: np.ndarray, base: tuple[float, np.ndarray] | None) -> dict[str, Any]:
-    mean, drawn = _mean(_with_seed_axis(x)), _replicates(x)
+    mean, replicates = _mean(_with_seed_axis(x)), _replicates(x)
     cell: dict[str, Any] = {
-        **_interval_dict(_as_interval(mean, drawn)),
+        **_interval_dict(_as_interval(mean, replicates)),
         "cases": [_round(v) for v in interquartile_mean(x, axis=0)],
     }
     if base is not None:
-        cell["difference"] = _interval_dict(_as_interval(mean - base[0], drawn - base[1]))
+        cell["difference"] = _interval_dict(_as_interval(mean - base[0], replicates - base[1]))
     return cell
 
 
@@ -157,11 +158,11 @@ def _interval_dict(x: Interval) -> dict[str, float]:
 
 
 def _round(x: float) -> float:
-    """Five of them: more is noise, and the file is read by people too."""
+    """Return `x` with five digits: more is noise, and people read the file."""
     return float(f"{x:.5g}")
 
 
 def format_metric(name: str, value: float) -> str:
-    """A metric as printed."""
+    """Return the text of a metric."""
     metric = METRICS[name]
     return f"{metric.factor * value:.{metric.digits}f}" if np.isfinite(value) else "–"

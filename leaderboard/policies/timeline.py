@@ -1,4 +1,4 @@
-"""One drive of a policy over time: the road, what was commanded, what the car did; as an SVG."""
+"""Time history of one drive of a policy as SVG: road, commanded states, heave, roll."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from road_envs.vehicle.equations import PHI, Z_B
 from road_envs.vehicle.suspension import MODES, decode_commands
 
 POINTS_PER_SECOND = 50.0
-"""Points each second."""
+"""Sample rate [Hz] of the drawn curves."""
 
 WIDTH, LEFT, GAP = 720.0, 74.0, 12.0
 PANEL_HEIGHTS = {"road": 52.0, "states": 64.0, "acceleration": 70.0, "roll": 44.0}
@@ -19,8 +19,10 @@ MODE_NAMES = tuple(MODES)
 
 
 class Timeline(NamedTuple):
-    """At times `t` (T,) [s]: heights (2, T) [m] of the `road` under the front axle, number of the
-    commanded state (2, T) of front and rear, heave acceleration (T,) [m/s²], roll (T,) [rad].
+    """Signals of a drive at times `t` (T,) [s].
+
+    `road` (2, T) [m]: heights under the front axle; `states` (2, T): index into MODE_NAMES of the
+    commanded state of front and rear; heave `acceleration` (T,) [m/s²]; `roll` (T,) [rad].
     """
 
     t: np.ndarray
@@ -31,25 +33,25 @@ class Timeline(NamedTuple):
 
     @classmethod
     def from_trajectory(cls, motion: Trajectory, surface: Surface) -> "Timeline":
-        """The time line of a motion over a surface; what lasts less than a point is left out."""
-        every = max(1, round(1.0 / (POINTS_PER_SECOND * float(motion.t[1] - motion.t[0]))))
-        some = slice(None, None, every)
-        stiff, high = decode_commands(motion.commands[some])
+        """Return the timeline of a motion over a surface, sampled at POINTS_PER_SECOND."""
+        stride = max(1, round(1.0 / (POINTS_PER_SECOND * float(motion.t[1] - motion.t[0]))))
+        sampled = slice(None, None, stride)
+        stiff, high = decode_commands(motion.commands[sampled])
         flags = list(MODES.values())
         states = [
             [flags.index((bool(s[w]), bool(h[w]))) for s, h in zip(stiff, high, strict=True)]
-            for w in (0, 2)
+            for w in (0, 2)  # left wheels: an axle is commanded as a whole
         ]
         return cls(
-            motion.t[some],
-            surface.height(motion.s[some]),
+            motion.t[sampled],
+            surface.height(motion.s[sampled]),
             np.array(states),
-            motion.acceleration[some, Z_B],
-            motion.state[some, PHI],
+            motion.acceleration[sampled, Z_B],
+            motion.state[sampled, PHI],
         )
 
     def svg(self) -> Markup:
-        """The picture, without sizes, colours or fonts of its own."""
+        """Return the drawing as SVG, without size, colours or fonts of its own."""
         panels, top = [], 4.0
         lines = {
             "road": (1000.0 * self.road, "road", "mm"),
@@ -73,8 +75,8 @@ def _x_pixels(t: np.ndarray) -> np.ndarray:
 
 
 def _draw_curves(t, values, top: float, height: float, label: str, unit: str) -> str:
-    """Lines over one another, with their largest size as the scale."""
-    most = max(float(np.abs(values).max()), 1e-9)
+    """Draw curves over each other, scaled by their largest magnitude."""
+    most = max(float(np.abs(values).max()), 1e-9)  # a flat curve has no scale
     middle = top + 0.5 * height
     parts = [
         f'<path class="axis" d="M{LEFT:g} {middle:g}H{WIDTH - 4:g}"/>',
@@ -89,7 +91,7 @@ def _draw_curves(t, values, top: float, height: float, label: str, unit: str) ->
 
 
 def _draw_mode_strips(t, states, top: float, height: float, label: str, unit: str) -> str:
-    """A strip for each axle, filled from below: the higher the state's place, the fuller."""
+    """Draw a strip for each axle, filled while the state is not ride."""
     parts, x, tall = [], _x_pixels(t), 0.5 * height - 6.0
     for k, (axle, state) in enumerate(zip(("front", "rear"), states, strict=True)):
         bottom = top + (k + 1) * 0.5 * height - 2.0

@@ -1,7 +1,8 @@
-"""Learned policies: one recipe trained from several seeds, and what the seeds make of it.
+"""Training study of a learned policy: one configuration trained from several seeds.
 
 Training roads decide which network is kept. Held-out roads are driven once, at the end, by the
-network of every seed, so that luck of a seed is seen: intervals are over roads, then seeds.
+network of every seed, so that the spread over seeds is visible: intervals are over roads, then
+seeds.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,19 +21,19 @@ from road_envs.policies.network_policy import NetworkPolicy, PolicyNetwork
 
 
 class TrainingStudy(NamedTuple):
-    """Networks, and the curves of their trainings on training roads, seed by seed."""
+    """Networks and their learning curves on the training roads, by seed."""
 
     networks: list[PolicyNetwork]
     curves: list[tuple[tuple[int, float], ...]]
 
     @property
     def scores(self) -> list[float]:
-        """The best return per second of each training, on training roads."""
+        """Best return per second of each training, on training roads."""
         return [max(value for _, value in curve) for curve in self.curves]
 
     @property
     def best(self) -> PolicyNetwork:
-        """The network that did best on training roads."""
+        """The network with the best return on training roads."""
         return self.networks[int(np.argmax(self.scores))]
 
 
@@ -45,52 +46,55 @@ def train_seeds(
     log: Path | None = None,
     progress: Progress = lambda text, share: None,
 ) -> TrainingStudy:
-    """Train from each of `seeds`; with several, each has a checkpoint of its own. Raises
-    ConfigError.
+    """Train from each of `seeds`; with several, each has a checkpoint of its own.
+
+    Raises ConfigError.
     """
     from road_envs.policies.training import train
 
     cases = [scenarios.options(case) for case in scenarios.cases]
-    found = []
+    trained = []
     for i, seed in enumerate(seeds):
-
-        def told(text: str, share: float, i: int = i, seed: int = seed) -> None:
+        # the defaults bind the loop variables
+        def seed_progress(text: str, share: float, i: int = i, seed: int = seed) -> None:
             progress(f"seed {seed}: {text}", (i + share) / len(seeds))
 
-        kept = checkpoint
+        seed_checkpoint = checkpoint
         if checkpoint is not None and len(seeds) > 1:
-            kept = checkpoint.with_stem(f"{checkpoint.stem}_{seed}")
-        found.append(
+            seed_checkpoint = checkpoint.with_stem(f"{checkpoint.stem}_{seed}")
+        trained.append(
             train(
                 training_config,
                 cases,
                 scenarios.training.seeds,
                 seed,
-                checkpoint=kept,
+                checkpoint=seed_checkpoint,
                 log=log,
-                progress=told,
+                progress=seed_progress,
             )
         )
-    return TrainingStudy([one.network for one in found], [one.curve for one in found])
+    return TrainingStudy([one.network for one in trained], [one.curve for one in trained])
 
 
 def evaluate_study(
     study: TrainingStudy, scenarios: Scenarios, weight: float = 0.0
 ) -> dict[str, Any]:
-    """Return per second on held-out roads, each with its interval: of all seeds together, of each,
-    of fixed ride and RIVALS, and how much more all seeds get than these; `weight` of information.
+    """Return the returns per second on held-out roads, with intervals, as plain data.
+
+    Holds all seeds together, each seed, fixed ride and TUNED_POLICIES, and the paired differences
+    to these. `weight` is the weight of the unresolved variance in the reward.
     """
-    priced = replace(scenarios, weights=replace(scenarios.weights, unresolved_variance=weight))
+    weighted = replace(scenarios, weights=replace(scenarios.weights, unresolved_variance=weight))
     roads = scenarios.test.seeds
     seeds = [network.metadata["seed"] for network in study.networks]
     each = [
-        grid_search.return_rates(NetworkPolicy.from_network(n), priced, roads)
+        grid_search.return_rates(NetworkPolicy.from_network(n), weighted, roads)
         for n in study.networks
     ]
     mine = np.stack(each, axis=2)
     others = (REFERENCE, *TUNED_POLICIES)
     rivals = {
-        name: grid_search.return_rates(create(name), priced, roads)[:, :, None] for name in others
+        name: grid_search.return_rates(create(name), weighted, roads)[:, :, None] for name in others
     }
     return {
         "scenarios": scenarios.name,
@@ -105,21 +109,22 @@ def evaluate_study(
     }
 
 
-def study_lines(name: str, told: Mapping[str, Any]) -> list[str]:
-    """What `evaluate_study` found, for a terminal."""
+def study_lines(name: str, evaluation: Mapping[str, Any]) -> list[str]:
+    """Return the lines of a terminal report on the result of `evaluate_study`."""
 
     def span(x: Mapping[str, float], sign: str = "") -> str:
         return f"{x['mean']:{sign}.4f} ({x['low']:{sign}.4f} to {x['high']:{sign}.4f})"
 
     seeds = ", ".join(
-        f"{seed}: {value:.4f}" for seed, value in zip(told["seeds"], told["by_seed"], strict=True)
+        f"{seed}: {value:.4f}"
+        for seed, value in zip(evaluation["seeds"], evaluation["by_seed"], strict=True)
     )
     return [
-        f"return per second on {told['roads']} held-out roads, 95 % over roads and seeds",
-        f"{name}: {span(told['held_out'])}, spread over seeds {told['spread']:.4f}",
+        f"return per second on {evaluation['roads']} held-out roads, 95 % over roads and seeds",
+        f"{name}: {span(evaluation['held_out'])}, spread over seeds {evaluation['spread']:.4f}",
         f"by seed: {seeds}",
         *(
-            f"{rival}: {span(value)}; {name} gets {span(told['more_than'][rival], '+')} more"
-            for rival, value in told["rivals"].items()
+            f"{rival}: {span(value)}; {name} gets {span(evaluation['more_than'][rival], '+')} more"
+            for rival, value in evaluation["rivals"].items()
         ),
     ]

@@ -1,7 +1,7 @@
-"""A drive as a moving picture: what the README shows, and anyone's own.
+"""Animation of a drive for the README and for users.
 
-The suspension rides softly for the first half and is switched to handling for the second, so that
-the difference can be seen. The picture runs in real time, one frame a control interval.
+The suspension is in ride mode for the first half and in handling mode for the second, so that the
+difference is visible. The animation runs in real time, one frame per control interval.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 ANIMATION_FORMATS = {".gif": "GIF", ".webp": "WEBP"}
-"""Files that hold moving pictures, by the ending of their names."""
+"""Pillow formats by file suffix."""
 
 EDGE_TOLERANCE = 40
-"""By how much a mixed pixel at an edge may be out of date in a GIF, of 255: less to store."""
+"""Largest error, of 255, of an edge pixel kept from the last frame of a GIF, to save space."""
 
 SEED = 0
 
 Progress = Callable[[str, float], None]
-"""Hears what is being done and the share of all work that is done."""
+"""Callback with a description of the current work and the share of the work done."""
 
 
 def animate(
@@ -39,24 +39,23 @@ def animate(
 ) -> None:
     """Drive up to `seconds` of `RoadRecon-v0` and write the frames to `path` as an endless loop.
 
-    `env_options` are the environment's. The file appears whole or not at all. Raises ConfigError
-    on an ending that is not in FORMATS, on less than two frames, and on what the environment
-    refuses.
+    `env_options` are options of the environment. The file is written atomically. Raises ConfigError
+    if the suffix is not in ANIMATION_FORMATS, for less than two frames, and for invalid options.
     """
     path = Path(path)
     if path.suffix.lower() not in ANIMATION_FORMATS:
-        raise ConfigError(f"{path}: the name must end in {' or '.join(ANIMATION_FORMATS)}")
+        raise ConfigError(f"{path}: the suffix must be {' or '.join(ANIMATION_FORMATS)}")
     env = gymnasium.make(road_envs.ID, **{**env_options, "render_mode": "rgb_array"})
     rate = env.metadata["render_fps"]
     total = round(seconds * rate)
     if total < 2:
-        raise ConfigError(f"a moving picture needs at least {2 / rate:g} s, got {seconds:g} s")
+        raise ConfigError(f"an animation needs at least {2 / rate:g} s, got {seconds:g} s")
     _save(_drive(env, total, progress), path, rate)
     progress("done", 1.0)
 
 
 def _drive(env: gymnasium.Env, total: int, progress: Progress) -> Iterator[np.ndarray]:
-    """Up to `total` frames of an episode: ride, and from the middle on handling."""
+    """Yield up to `total` frames of an episode: ride mode, then from the middle handling mode."""
     env.reset(seed=SEED)
     handling = int(env.action_space.n) - 1  # type: ignore[attr-defined]
     over = False
@@ -83,7 +82,7 @@ def _save(frames: Iterator[np.ndarray], path: Path, rate: float) -> None:
 
 
 def _quantized(frames: Iterator[np.ndarray]) -> Iterator["Image"]:
-    """Frames in the renderer's own colours; at edges, pixels of the last one that still will do."""
+    """Yield frames in the renderer's palette; edge pixels keep the last value if it is close."""
     with optional_import("a picture"):
         from PIL import Image
 
@@ -92,16 +91,16 @@ def _quantized(frames: Iterator[np.ndarray]) -> Iterator["Image"]:
     colours = Image.new("P", (1, 1))
     colours.putpalette(palette())
     values = np.array(palette(), dtype=np.int16).reshape(-1, 3)
-    shown = None
+    last = None
     for frame in frames:
         nearest = np.asarray(
             Image.fromarray(frame).quantize(palette=colours, dither=Image.Dither.NONE)
         )
-        if shown is None:
-            shown = nearest
+        if last is None:
+            last = nearest
         at_edge = (frame != values[nearest]).any(axis=2)
-        off = np.abs(frame - values[shown]).max(axis=2)
-        shown = np.where(at_edge & (off <= EDGE_TOLERANCE), shown, nearest)
-        image = Image.fromarray(shown)
+        off = np.abs(frame - values[last]).max(axis=2)
+        last = np.where(at_edge & (off <= EDGE_TOLERANCE), last, nearest)
+        image = Image.fromarray(last)
         image.putpalette(palette())
         yield image

@@ -1,4 +1,4 @@
-"""The kinds of board: what each asks, the score that ranks on it, and the columns it shows."""
+"""Definition of every board: its title, the score that ranks entries, and its columns."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from road_envs.vehicle.perturbed_vehicle import GRADES
 
 @dataclass(frozen=True)
 class Column:
-    """One column; a `wide` one is left out where room is short."""
+    """A column of a table; `wide` ones are shown on request only."""
 
     key: str
     label: str
@@ -19,15 +19,24 @@ class Column:
 
 @dataclass(frozen=True)
 class BoardDefinition:
-    """A kind of board: its title, the score that ranks, and its columns."""
+    """Title, ranking score and columns of a board."""
 
     title: str
     ranks_by: str
     columns: tuple[Column, ...]
     description: str
-    scale: float = 2.0  # of the ranking score, at the right end of bars and profiles
+    scale: float = 2.0  # value of the ranking score at the right end of bars and profiles
 
 
+WORST = "worst"
+TAIL = {"above_0.3": 0.3, "above_1": 1.0}
+"""Thresholds of the ranking score by column; the column shows the share of drives above it."""
+
+TAIL_COLUMNS = (
+    Column(WORST, "worst"),
+    Column("above_0.3", "> 0.3", "%"),
+    Column("above_1", "> 1", "%"),
+)
 RANK_COLUMNS = (Column("rank", "rank"), Column("rank_causal", "among causal", wide=True))
 COST_COLUMNS = (
     Column("train_seconds", "train", "s", wide=True),
@@ -38,12 +47,13 @@ NEW_ROAD_COLUMNS = (
     *RANK_COLUMNS,
     Column("nrmse", "NRMSE"),
     Column("interval", "95 %"),
+    *TAIL_COLUMNS,
     Column("bound_efficiency", "of bound", "%", wide=True),
     Column("r", "r"),
-    Column("level_error", "level", "%"),
+    Column("level_error", "level", "%", wide=True),
     Column("class_exact", "class", "%"),
     Column("class_within_one", "within one", "%", wide=True),
-    Column("iri_error", "IRI", "mm/m"),
+    Column("iri_error", "IRI", "mm/m", wide=True),
     Column("dsd_distance_db", "DSD", "dB", wide=True),
     Column("bump_f1", "bump F1", wide=True),
     Column("coverage_90", "in 90 %", "%", wide=True),
@@ -55,6 +65,7 @@ FIELD_COLUMNS = (
     Column("slope", "slope", "per grade"),
     Column("slope_interval", "95 %", wide=True),
     Column("nrmse", "NRMSE"),
+    *TAIL_COLUMNS,
     Column("interval", "95 %", wide=True),
     Column("r", "r"),
     Column("class_exact", "class", "%"),
@@ -90,49 +101,52 @@ PAPER_COLUMNS = (
     Column("r", "r"),
     Column("bump_f1", "bump F1"),
     Column("bump_height_error", "height error", "mm", wide=True),
-    Column("bump_location_error", "place", "m", wide=True),
-    Column("bump_ghosts", "ghosts", wide=True),
+    Column("bump_location_error", "location error", "m", wide=True),
+    Column("bump_ghosts", "wrong side", wide=True),
     Column("dsd_distance_db", "DSD", "dB", wide=True),
     Column("train_seconds", "train", "s", wide=True),
 )
 COLUMN_FORMATS: dict[str, Score] = {
     **SCORES,
+    WORST: SCORES["nrmse"]._replace(label="worst drive", digits=2),
+    "above_0.3": Score("drives above 0.3", "%", 100.0, 0, "low"),
+    "above_1": Score("drives above 1", "%", 100.0, 0, "low"),
     **{f"grade_{grade}": SCORES["nrmse"] for grade in GRADES},
     "slope": Score("growth of the NRMSE per grade", "", 1.0, 3, "zero"),
 }
-"""How numbers are printed that are scores, or made of scores."""
+"""Formats of the columns that are scores or derived from scores."""
 
 BOARDS: dict[BoardName, BoardDefinition] = {
     "new_road": BoardDefinition(
         "New road",
         "nrmse",
         NEW_ROAD_COLUMNS,
-        "The main board: roads that no estimator has seen, on the car that it was trained on.",
+        "The main board: roads that the estimator was not trained on, on the car of its training.",
     ),
     "field": BoardDefinition(
         "Field car",
         "nrmse",
         FIELD_COLUMNS,
-        "On cars that differ from the one that it was trained on, more from S1 to S3: NRMSE on "
-        "each, and how fast it grows.",
+        "Cars that differ from the car of the training, increasingly from S1 to S3: NRMSE on "
+        "each, and its slope over the grades.",
     ),
     "class": BoardDefinition(
         "Roughness class",
         "dsd_distance_db",
         CLASS_COLUMNS,
-        "How rough is the road, whatever its heights: ranked by the distance of the densities.",
+        "Roughness of the road instead of its heights: ranked by the distance of the densities.",
         scale=20.0,
     ),
     "measured": BoardDefinition(
         "Measured surfaces",
         "nrmse",
         NEW_ROAD_COLUMNS,
-        "Surfaces from files, after the paper's protocol and as new roads.",
+        "Measured road surfaces, with the paper's protocol and as new roads.",
     ),
     "paper": BoardDefinition(
         "The paper's protocol",
         "nrmse",
         PAPER_COLUMNS,
-        "The eight case scenarios of Ngwangwa et al., trained on altered copies of the test road.",
+        "The eight case scenarios of Ngwangwa et al.: training on altered copies of the test road.",
     ),
 }

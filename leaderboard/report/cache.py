@@ -1,12 +1,11 @@
-"""What a board shows, made once: its rows, what they say in sentences, and a key to both.
+"""The report of a board (rows and findings), built once and cached under its key.
 
-The key is the digest of all that decides them: tasks, stored results by their checksums, cards, and
-the code and templates of the pages. Under a folder the rows are kept beside it,
+The key is the digest of everything that determines the report: tasks, stored results by their
+checksums, conformance cards, and the code and templates of the pages. The rows are cached in
 
     <out>/.shown.json
 
-so that a run to which nothing is new need not draw the bootstrap again; `page.py` goes by the same
-key.
+so that a run without new results need not repeat the bootstrap; `site.py` uses the same key.
 """
 
 import dataclasses
@@ -31,7 +30,7 @@ from road_envs.config import ConfigError, build
 CACHE_FILE = ".shown.json"
 FORMAT = 1
 MAX_CACHED_ROWS = 2000
-"""Rows of a board that is kept; what is larger would take long to write and to read."""
+"""Largest number of rows that is cached; a larger cache takes long to write and to read."""
 
 SITE_MODULE = "leaderboard.report.site"
 TEMPLATES = Path(__file__).parent / "templates"
@@ -39,7 +38,7 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 @dataclass(frozen=True)
 class Report:
-    """Boards, the main one first; what their numbers say; and the key."""
+    """Boards, the main one first; findings in sentences; and the key."""
 
     views: tuple[BoardView, ...]
     findings: tuple[str, ...]
@@ -61,19 +60,19 @@ class _CachedReport:
 
 
 def build_report(board: Board, out: Path | None = None) -> Report:
-    """What a board shows; kept under `out`, and taken from there if nothing has changed."""
+    """Return the report of a board, from the cache under `out` if nothing has changed."""
     key = report_key(board)
-    if out is not None and (kept := _load_cached(out / CACHE_FILE, key)) is not None:
-        return kept
-    made = tuple(board_views(board))
-    found = Report(made, tuple(findings(made)), key)
+    if out is not None and (cached := _load_cached(out / CACHE_FILE, key)) is not None:
+        return cached
+    views = tuple(board_views(board))
+    report = Report(views, tuple(findings(views)), key)
     if out is not None and sum(map(len, board.results.values())) <= MAX_CACHED_ROWS:
-        store.write_text(out / CACHE_FILE, store.with_checksum(_as_dict(found)))
-    return found
+        store.write_text(out / CACHE_FILE, store.with_checksum(_as_dict(report)))
+    return report
 
 
 def report_key(board: Board) -> str:
-    """Digest of all that decides what is shown of a board."""
+    """Return the digest of everything that determines the report of a board."""
     total = hashlib.sha256()
     for part in _key_parts(board):
         total.update(f"{part}\n".encode())
@@ -103,12 +102,12 @@ def _page_code_digest() -> str:
     return digest([*closure(SITE_MODULE), *templates])
 
 
-def _as_dict(made: Report) -> dict[str, Any]:
-    rows = [
+def _as_dict(report: Report) -> dict[str, Any]:
+    views = [
         {"board": view.board, "sections": [dataclasses.asdict(s) for s in view.sections]}
-        for view in made.views
+        for view in report.views
     ]
-    return {"format": FORMAT, "key": made.key, "views": rows, "findings": list(made.findings)}
+    return {"format": FORMAT, "key": report.key, "views": views, "findings": list(report.findings)}
 
 
 def _load_cached(path: Path, key: str) -> Report | None:
@@ -116,8 +115,8 @@ def _load_cached(path: Path, key: str) -> Report | None:
         data, _ = store.read_checked_json(path, FORMAT)
         if data.get("key") != key:
             return None
-        kept = build(_CachedReport, data, str(path))
-    except ConfigError:  # none there, or a damaged one
+        cached = build(_CachedReport, data, str(path))
+    except ConfigError:  # missing or damaged: the report is built again
         return None
-    found = tuple(BoardView(view.board, BOARDS[view.board], view.sections) for view in kept.views)
-    return Report(found, kept.findings, key)
+    views = tuple(BoardView(view.board, BOARDS[view.board], view.sections) for view in cached.views)
+    return Report(views, cached.findings, key)

@@ -1,7 +1,7 @@
-"""What the pages' scripts draw, as plain JSON: tables by group, and the traces of a task.
+"""Data for the scripts of the pages, as plain JSON: scores by group, and the charts of a task.
 
-Heights are whole numbers of 0.1 mm, coded as differences; densities are logarithms. So a task of
-seven conditions and eight entries takes about a megabyte.
+Heights are integers of 0.1 mm, encoded as differences; densities are logarithms. A task of seven
+conditions and eight entries takes about a megabyte.
 """
 
 import math
@@ -12,7 +12,7 @@ import numpy as np
 
 from leaderboard.evaluation.results import Result, Trace
 from leaderboard.evaluation.tasks import Task
-from leaderboard.metrics.bootstrap import performance_profile
+from leaderboard.metrics.bootstrap import MIN_ROADS, Strata, count_roads, performance_profile
 from leaderboard.metrics.bound import third_octave_bound
 from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.metrics.obstacles import Obstacle, match_obstacles, true_obstacles
@@ -21,36 +21,34 @@ from leaderboard.metrics.roughness import THIRD_OCTAVES
 from leaderboard.report.board_definitions import COLUMN_FORMATS, BoardDefinition, Column
 from leaderboard.report.tables import (
     ALL_RUNS,
-    ALL_SCORES,
     BOUND_ROW,
     SPECTRUM_SCORES,
     BoardView,
     Row,
     Section,
-    score_arrays,
 )
 from road_envs.analysis.roughness import CLASSES, N_0, displacement_psd, smooth_psd
 
 HEIGHT_UNIT = 1e-4
-"""Heights are told in this [m]."""
+"""Unit [m] of encoded heights."""
 
 RAW_SPACING, IN_BAND_SPACING = 0.05, 0.1
-"""Spacing [m] at which raw and band-passed heights are drawn, at least."""
+"""Least spacing [m] at which raw and band-passed heights are drawn."""
 
 DRAWN_HEIGHT_LIMIT = 3.0
-"""Heights [m] beyond this are drawn there."""
+"""Drawn heights are clipped to +- this [m]."""
 
 TEXT_COLUMNS = ("interval", "states", "slope_interval")
-"""Columns that are not one number."""
+"""Columns that are not a single number."""
 
 CLASS_FREQUENCIES = (0.05, 10.0)
 THRESHOLDS = 41
 REPLICATES = 300
-"""Of the bootstrap behind a performance profile: enough for a line."""
+"""Bootstrap replicates of a performance profile: enough for a drawn line."""
 
 
 def table_data(view: BoardView, section: Section, columns: Sequence[Column]) -> dict[str, Any]:
-    """The rows of a task with their numbers over all runs and over each group."""
+    """Return the rows of a task, with their numbers over all runs and over each group."""
     keys = [
         *(column.key for column in columns),
         view.definition.ranks_by,
@@ -58,14 +56,14 @@ def table_data(view: BoardView, section: Section, columns: Sequence[Column]) -> 
         "low",
         "high",
     ]
-    wanted = dict.fromkeys(key for key in keys if key not in TEXT_COLUMNS)
+    numeric = dict.fromkeys(key for key in keys if key not in TEXT_COLUMNS)
     return {
         "ranks_by": view.definition.ranks_by,
         "scale": view.definition.scale,
         "flat": 1.0 if view.definition.ranks_by == "nrmse" else None,
         "groups": {kind: list(names) for kind, names in section.groups.items()},
         "columns": {key: _column_format(key) for key in dict.fromkeys(keys)},
-        "rows": [_row_data(row, list(wanted)) for row in section.rows],
+        "rows": [_row_data(row, list(numeric)) for row in section.rows],
     }
 
 
@@ -76,21 +74,22 @@ def _row_data(row: Row, keys: Sequence[str]) -> dict[str, Any]:
         "state": row.state,
         "causal": bool(row.causal),
         "message": row.message,
+        # rows with few scores have empty cells instead of dashes
         "sparse": row.state == "claim" or row.name == BOUND_ROW,
         "cells": {key: row.cells[key] for key in TEXT_COLUMNS if row.cells.get(key)},
         "groups": {
-            name: {key: rounded(x) for key in keys if (x := found.get(key)) is not None}
-            for name, found in groups.items()
+            name: {key: rounded(x) for key in keys if (x := values.get(key)) is not None}
+            for name, values in groups.items()
         },
     }
 
 
 def _column_format(key: str) -> dict[str, Any]:
-    """How a script prints a column: as `Score.format_value` does."""
+    """Return how a script formats a column, equal to `Score.format_value`."""
     if key in COLUMN_FORMATS:
         score = COLUMN_FORMATS[key]
-        told = {"factor": score.factor, "digits": score.digits, "blank": UNDEFINED}
-        return {"better": score.better, "format": {**told, "sign": score.better == "zero"}}
+        form = {"factor": score.factor, "digits": score.digits, "blank": UNDEFINED}
+        return {"better": score.better, "format": {**form, "sign": score.better == "zero"}}
     plain = {"rank": 0, "rank_causal": 0, "parameters": 0}
     plain |= {"train_seconds": 1, "estimate_ms_per_100m": 1}
     if key in plain:
@@ -102,8 +101,10 @@ def _column_format(key: str) -> dict[str, Any]:
 def chart_data(
     task: Task, definition: BoardDefinition, results: Mapping[str, Result], rows: Mapping[str, Row]
 ) -> dict[str, Any]:
-    """All that is drawn of a task, of the results by name in their order."""
-    told = {name: score_arrays(result) for name, result in results.items()}
+    """Return everything drawn of a task, for the given results by name in their order."""
+    scores = {
+        name: _profile_scores(result, definition.ranks_by) for name, result in results.items()
+    }
     thresholds = np.linspace(0.0, definition.scale, THRESHOLDS)
     return {
         "entries": list(results),
@@ -119,9 +120,9 @@ def chart_data(
         "spectrum": {name: _spectrum_data(rows[name]) for name in results},
         "thresholds": [rounded(x) for x in thresholds],
         "performance": {
-            name: _profile_data(scores[definition.ranks_by][ALL_SCORES], thresholds)
-            for name, scores in told.items()
-            if len(scores[definition.ranks_by]) > 1
+            name: _profile_data(values, thresholds, task.test.strata)
+            for name, values in scores.items()
+            if count_roads(values) >= MIN_ROADS
         },
         "class_n": CLASS_FREQUENCIES,
         "classes": [
@@ -132,28 +133,29 @@ def chart_data(
 
 
 def _condition_data(task: Task, place: int, traces: Mapping[str, Trace]) -> dict[str, Any]:
-    """One condition: the truth, and what each entry made of it."""
+    """Return the truth and every estimate of one condition."""
     condition = task.conditions[place]
     band = scored_band(condition.speed_kmh / 3.6)
     if not traces:
         return {"caption": "", "band": band, "bound": None, "entries": {}, "bumps": [[], []]}
     first = next(iter(traces.values()))
     n, density = _log_density(first.z_true, first.ds)
+    # the band-pass cuts both ends of a profile
     trim = (first.s.size - band_pass(first.z_true, first.ds, band).shape[1]) // 2
     steps = {"raw": _stride(RAW_SPACING, first.ds), "inside": _stride(IN_BAND_SPACING, first.ds)}
-    place_of = {"raw": 0.0, "inside": trim * first.ds}
+    first_station = {"raw": 0.0, "inside": trim * first.ds}
     truth = {
         "raw": _raw_heights(first.z_true, first.ds),
         "inside": _in_band_heights(first.z_true, first.ds, band),
     }
     return {
         "caption": f"{first.road}, seed {first.road_seed}: the first test road, "
-        f"{first.s[-1] + first.ds:.0f} m of it; of each learner the training that is in the middle "
-        "by error",
+        f"first {first.s[-1] + first.ds:.0f} m; of a trained entry, the training with the median "
+        "error",
         "band": band,
         "bound": [rounded(x) for x in third_octave_bound(task, condition)],
         **{
-            kind: {"ds": steps[kind] * first.ds, "first": place_of[kind], "truth": truth[kind]}
+            kind: {"ds": steps[kind] * first.ds, "first": first_station[kind], "truth": truth[kind]}
             for kind in truth
         },
         "bumps": [_obstacle_marks(path) for path in true_obstacles(first.z_true, first.ds)],
@@ -164,7 +166,7 @@ def _condition_data(task: Task, place: int, traces: Mapping[str, Trace]) -> dict
 
 
 def _entry_data(trace: Trace, band: tuple[float, float]) -> dict[str, Any]:
-    found = match_obstacles(trace.z_true, trace.z_estimated, trace.ds)
+    matches = match_obstacles(trace.z_true, trace.z_estimated, trace.ds)
     std = trace.z_std
     return {
         "raw": _raw_heights(trace.z_estimated, trace.ds),
@@ -172,20 +174,20 @@ def _entry_data(trace: Trace, band: tuple[float, float]) -> dict[str, Any]:
         "std": None if std is None else _encoded_std(std, trace, band),
         "density": _log_density(trace.z_estimated, trace.ds)[1],
         "bumps": None
-        if found is None
+        if matches is None
         else [
             {
                 "found": _obstacle_marks([f for _, f in path.pairs]),
                 "missed": _obstacle_marks(path.missed),
                 "false": _obstacle_marks(path.false),
             }
-            for path in found
+            for path in matches
         ],
     }
 
 
 def _raw_heights(z: np.ndarray, ds: float) -> list[list[int]]:
-    """Heights about their median, for no accelerometer sees the datum."""
+    """Return heights about their median, since accelerometers do not observe the datum."""
     about = z - np.median(z, axis=1, keepdims=True)
     return [_encoded(path[:: _stride(RAW_SPACING, ds)]) for path in about]
 
@@ -197,12 +199,12 @@ def _in_band_heights(z: np.ndarray, ds: float, band: tuple[float, float]) -> lis
 def _encoded_std(std: np.ndarray, trace: Trace, band: tuple[float, float]) -> list[list[int]]:
     size = band_pass(trace.z_true, trace.ds, band).shape[1]
     trim = (trace.s.size - size) // 2
-    kept = std[:, trim : trim + size : _stride(IN_BAND_SPACING, trace.ds)]
-    return np.rint(np.minimum(kept, DRAWN_HEIGHT_LIMIT) / HEIGHT_UNIT).astype(int).tolist()
+    inside = std[:, trim : trim + size : _stride(IN_BAND_SPACING, trace.ds)]
+    return np.rint(np.minimum(inside, DRAWN_HEIGHT_LIMIT) / HEIGHT_UNIT).astype(int).tolist()
 
 
 def _encoded(z: np.ndarray) -> list[int]:
-    """Differences of heights [m] in units."""
+    """Return the differences of heights [m], in units of HEIGHT_UNIT."""
     whole = np.rint(np.clip(z, -DRAWN_HEIGHT_LIMIT, DRAWN_HEIGHT_LIMIT) / HEIGHT_UNIT).astype(int)
     return np.diff(whole, prepend=0).tolist()
 
@@ -216,29 +218,39 @@ def _obstacle_marks(bumps: Sequence[Obstacle]) -> list[tuple[float, int]]:
 
 
 def _log_density(z: np.ndarray, ds: float) -> tuple[np.ndarray, list[float | None]]:
-    """Where, and the logarithm of, the density of both wheel paths; None where there is none."""
+    """Return frequencies and log10 of the density of both paths, None where it is 0."""
     n, G = smooth_psd(*displacement_psd(z, ds))
     return n, [round(math.log10(x), 2) if x > 0.0 else None for x in G.mean(axis=0)]
 
 
 def _class_line(level: float) -> list[float]:
+    # ISO 8608 classes have waviness 2
     return [level * (n / N_0) ** -2.0 for n in CLASS_FREQUENCIES]
 
 
 def _spectrum_data(row: Row) -> dict[str, list[float | None]]:
-    """Error over spatial frequency, of all runs and of each group."""
+    """Return the third-octave errors of all runs and of each group."""
     groups = {ALL_RUNS: row.values, **row.groups}
     return {
-        group: [None if (x := found.get(name)) is None else rounded(x) for name in SPECTRUM_SCORES]
-        for group, found in groups.items()
+        group: [None if (x := values.get(name)) is None else rounded(x) for name in SPECTRUM_SCORES]
+        for group, values in groups.items()
     }
 
 
-def _profile_data(scores: np.ndarray, thresholds: np.ndarray) -> dict[str, list[float]]:
-    found = performance_profile(scores, thresholds, replicates=REPLICATES)
-    return {name: np.round(100.0 * x, 1).tolist() for name, x in found._asdict().items()}
+def _profile_scores(result: Result, name: str) -> np.ndarray:
+    """Return a score (R, C, S) of which a run without a value counts as infinite."""
+    values = result.values(name)
+    values[result.driven() & np.isnan(values)] = np.inf
+    return values
+
+
+def _profile_data(
+    scores: np.ndarray, thresholds: np.ndarray, strata: Strata
+) -> dict[str, list[float]]:
+    profile = performance_profile(scores, thresholds, replicates=REPLICATES, strata=strata)
+    return {name: np.round(100.0 * x, 1).tolist() for name, x in profile._asdict().items()}
 
 
 def rounded(x: float) -> float:
-    """Four digits, which is more than is printed."""
-    return float(f"{x:.4g}")
+    """Return `x` with eight digits: the page rounds it once more, to what is printed."""
+    return float(f"{x:.8g}")

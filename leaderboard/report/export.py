@@ -1,9 +1,9 @@
-"""The boards for other programs and for papers: CSV, JSON, LaTeX and BibTeX.
+"""Export of the boards for other programs and for papers: CSV, JSON, LaTeX and BibTeX.
 
-<out>/export/<board>.csv    every score of every line, over all runs and over each group
+<out>/export/<board>.csv    every score of every row, over all runs and over each group
 <out>/export/<board>.json   the same, with notes
 <out>/export/<board>.tex    the table of the page, for the package booktabs
-<out>/export/road_recon.bib  how to cite this project and the paper
+<out>/export/roadrecon.bib  citation of this project and of the paper
 """
 
 import csv
@@ -24,7 +24,7 @@ SCORE_FIELDS = ("rank", "rank_causal", "low", "high", *SCORES)
 GRADE_FIELDS = ("grade_S0", "grade_S1", "grade_S2", "grade_S3", "slope", "slope_low", "slope_high")
 COST_FIELDS = ("train_seconds", "estimate_ms_per_100m", "parameters")
 BIBLIOGRAPHY = """@software{{road_recon,
-  title = {{RoadRecon: road profile reconstruction from vehicle responses, an honest benchmark}},
+  title = {{RoadRecon: road profile reconstruction from vehicle responses}},
   version = {{{version}}},
   note = {{results of board {boards}}},
 }}
@@ -43,7 +43,7 @@ LATEX_ESCAPES = str.maketrans(
 
 
 def write_exports(views: Sequence[BoardView], out: Path) -> list[Path]:
-    """Write all of them, each whole or not at all."""
+    """Write all exports, each atomically; return their paths."""
     texts = {"road_recon.bib": as_bibtex(views)}
     for view in views:
         texts[f"{view.board}.csv"] = as_csv(view)
@@ -56,7 +56,7 @@ def write_exports(views: Sequence[BoardView], out: Path) -> list[Path]:
 
 
 def as_json(views: Sequence[BoardView]) -> list[dict[str, Any]]:
-    """The rows for a program: boards, their tasks, and the numbers of each entry."""
+    """Return the rows as plain data: boards, their tasks, and the numbers of each entry."""
     return [
         {
             "task": section.task,
@@ -81,7 +81,7 @@ def as_json(views: Sequence[BoardView]) -> list[dict[str, Any]]:
 
 
 def as_csv(view: BoardView) -> str:
-    """One row for each line and group; a score that is not defined is empty."""
+    """Return one line for each row and group; undefined scores are empty."""
     text = io.StringIO()
     writer = csv.DictWriter(
         text, [*ROW_FIELDS, *SCORE_FIELDS, *GRADE_FIELDS, *COST_FIELDS], lineterminator="\n"
@@ -109,12 +109,12 @@ def as_csv(view: BoardView) -> str:
 
 
 def as_latex(view: BoardView) -> str:
-    """A table of each task with the columns of the page."""
+    """Return a LaTeX table of each task, with the columns of the page."""
     return "\n".join(_tabular(view, section) for section in view.sections)
 
 
 def as_bibtex(views: Sequence[BoardView]) -> str:
-    """How to cite this project and the paper that it follows."""
+    """Return the BibTeX entries of this project and of the paper that it follows."""
     boards = ", ".join(view.board.replace("_", " ") for view in views)
     return BIBLIOGRAPHY.format(version=package_version(), boards=boards)
 
@@ -146,4 +146,5 @@ def _latex_row(row: Row, keys: Sequence[str]) -> str:
 
 
 def _latex_cells(cells: Sequence[str]) -> str:
+    # a backslash would start a LaTeX command
     return " & ".join(cell.replace("\\", "/").translate(LATEX_ESCAPES) for cell in cells) + " \\\\"

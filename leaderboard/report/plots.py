@@ -1,6 +1,6 @@
-"""Pictures of a road, a drive and an estimate for the command line; matplotlib is loaded on use.
+"""Plots of roads, drives and estimates for the command line; matplotlib is imported on use.
 
-Colours are those of Okabe & Ito (2008), which colour-blind readers tell apart.
+The colours are those of Okabe & Ito (2008), which colour-blind readers can distinguish.
 """
 
 from collections.abc import Callable
@@ -22,13 +22,13 @@ SIDES = ("left", "right")
 
 
 def draw_road(surface: Surface, path: Path) -> None:
-    """Both wheel paths over distance, and their densities over the ISO 8608 classes."""
+    """Plot both wheel paths over distance, and their densities over the ISO 8608 classes."""
 
     def paint(figure: Any) -> None:
         heights, density = figure.subplots(1, 2, width_ratios=(2, 1))
         for side, z in zip(SIDES, surface.z, strict=True):
             heights.plot(surface.s, 1000 * z, color=COLOURS[side], lw=0.9, label=side)
-            if z.any():
+            if z.any():  # a level road has no density on log axes
                 n, G = smooth_psd(*displacement_psd(z, surface.ds))
                 density.plot(n, G, color=COLOURS[side], lw=1.4)
         heights.set(xlabel="distance [m]", ylabel="height [mm]", title=surface.name)
@@ -40,8 +40,9 @@ def draw_road(surface: Surface, path: Path) -> None:
 
 
 def draw_classes(axes: Any) -> None:
-    """Axes of a density plot, with the ISO 8608 classes as bands and letters behind whatever is
-    drawn there; also where nothing else is, such as the density of a level road.
+    """Set up the axes of a density plot with the ISO 8608 classes as bands and letters.
+
+    The axes are set even if nothing else is drawn, as for the density of a level road.
     """
     n = np.array([0.02, 10.0])
     for k, (letter, mean) in enumerate(CLASSES.items()):
@@ -68,7 +69,7 @@ def draw_classes(axes: Any) -> None:
 
 
 def draw_drive(record: Record, truth: Profile, path: Path) -> None:
-    """The road and what the three accelerometers made of it, over the front axle's station."""
+    """Plot the road and the three accelerometer signals over the front axle's station."""
 
     def paint(figure: Any) -> None:
         panels = figure.subplots(4, 1, sharex=True)
@@ -85,9 +86,11 @@ def draw_drive(record: Record, truth: Profile, path: Path) -> None:
     write_figure(paint, (11.0, 7.0), path)
 
 
-def draw_estimate(truth: Profile | None, estimate: Estimate, v: float, path: Path) -> None:
-    """Both wheel paths as estimated (dashed) over the truth (solid) where it is known: all of them,
-    and what lies in the band that is judged at `v` [m/s], with the interval that is claimed there.
+def estimate_figure(truth: Profile | None, estimate: Estimate, v: float) -> Any:
+    """Plot both estimated wheel paths (dashed) over the truth (solid), if known.
+
+    Each path is shown whole and inside the scored band at `v` [m/s], there with its 90 % interval
+    if the estimate has a standard deviation.
     """
     band = scored_band(v)
     titles = ("left", "left, in band", "right", "right, in band")
@@ -96,14 +99,15 @@ def draw_estimate(truth: Profile | None, estimate: Estimate, v: float, path: Pat
         panels = figure.subplots(4, 1, sharex=True)
         for axes, title, side in zip(panels, titles, (0, 0, 1, 1), strict=True):
             inside = title.endswith("in band")
-            shown = _path_part(band, inside)
+            select = _path_part(band, inside)
             colour = COLOURS[SIDES[side]]
             if truth is not None:
-                s, z = shown(truth, truth.z[side])
+                s, z = select(truth, truth.z[side])
                 axes.plot(s, 1000 * z, color=COLOURS["truth"], lw=1.0, label="truth")
-            s, z = shown(estimate, estimate.z[side])
+            s, z = select(estimate, estimate.z[side])
             axes.plot(s, 1000 * z, "--", color=colour, lw=1.1, label="estimate")
             if inside and estimate.z_std is not None:
+                # 1.645 standard deviations: 90 % of a normal distribution
                 std = 1.645 * np.interp(s, estimate.s, estimate.z_std[side])
                 low, high = 1000 * (z - std), 1000 * (z + std)
                 axes.fill_between(s, low, high, color=colour, alpha=0.2, lw=0, label="90 %")
@@ -112,30 +116,35 @@ def draw_estimate(truth: Profile | None, estimate: Estimate, v: float, path: Pat
             axes.legend(frameon=False, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 0.98))
         panels[-1].set(xlabel="distance [m]")
         low, high = band
-        panels[0].set_title(f"judged band: {low:g} to {high:.2g} cycles/m", loc="left", fontsize=10)
+        panels[0].set_title(f"scored band: {low:g} to {high:.2g} cycles/m", loc="left", fontsize=10)
 
-    write_figure(paint, (11.0, 8.5), path)
+    return make_figure(paint, (11.0, 8.5))
+
+
+def draw_estimate(truth: Profile | None, estimate: Estimate, v: float, path: Path) -> None:
+    """Write `estimate_figure` to a file."""
+    save_figure(estimate_figure(truth, estimate, v), path)
 
 
 def _path_part(
     band: tuple[float, float], inside: bool
 ) -> Callable[[Profile, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """How a path is drawn: as it is, or its part inside `band` [cycles/m]."""
+    """Return a function that selects a whole path, or its part inside `band` [cycles/m]."""
 
-    def shown(profile: Profile, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def select(profile: Profile, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if not inside:
             return profile.s, z
-        kept = band_pass(z, profile.ds, band)
-        trim = (profile.s.size - kept.size) // 2
-        return profile.s[trim : trim + kept.size], kept
+        part = band_pass(z, profile.ds, band)
+        trim = (profile.s.size - part.size) // 2
+        return profile.s[trim : trim + part.size], part
 
-    return shown
+    return select
 
 
 def draw_precision(
     rows: list[dict[str, Any]], ours: tuple[str, ...], drive: str, path: Path
 ) -> None:
-    """Error over cost of every method, one line each; `ours` stand out."""
+    """Plot error over cost of every method, one line each; `ours` are emphasised."""
 
     def paint(figure: Any) -> None:
         axes = figure.subplots()
@@ -143,8 +152,8 @@ def draw_precision(
             chosen = [row for row in rows if row["method"] == name]
             cost = [1.0 / row["times_real_time"] for row in chosen]
             error = [100.0 * row["error"] for row in chosen]
-            look = {"lw": 2.4, "ms": 7} if name in ours else {"lw": 1.1, "ms": 5}
-            axes.loglog(cost, error, "os^Dv<>Pp"[k % 9] + "-", label=name, color=f"C{k}", **look)
+            style = {"lw": 2.4, "ms": 7} if name in ours else {"lw": 1.1, "ms": 5}
+            axes.loglog(cost, error, "os^Dv<>Pp"[k % 9] + "-", label=name, color=f"C{k}", **style)
         axes.set(
             xlabel="seconds of computing for one second of driving",
             ylabel="error of the body's accelerations [%]",
@@ -162,37 +171,38 @@ LINE_STYLES = (("#D55E00", "-"), ("#0072B2", "--"), ("#009E73", "-."), ("#CC79A7
 def draw_observability(
     curves: list[tuple[str, float, Posterior, float]], title: str, path: Path
 ) -> None:
-    """Share of the amplitude left unknown over n, for the mean and the difference of the wheel
-    paths: one column for each speed, one line for each (mode, km/h, posterior, in-band NRMSE).
+    """Plot the relative error of the amplitude over n, for mean and difference of the wheel paths.
+
+    One column for each speed, one line for each (mode, km/h, posterior, in-band NRMSE).
     """
     speeds = list(dict.fromkeys(speed for _, speed, _, _ in curves))
 
     def paint(figure: Any) -> None:
         panels = figure.subplots(2, len(speeds), sharex=True, sharey=True, squeeze=False)
         for column, speed in zip(panels.T, speeds, strict=True):
-            here = [(mode, found, e) for mode, at, found, e in curves if at == speed]
+            lines = [(mode, x, error) for mode, v, x, error in curves if v == speed]
             for axes, which in zip(column, ("mean", "difference"), strict=True):
                 axes.axvspan(*scored_band(speed / 3.6), color="0.94", lw=0)
-                for k, (mode, found, nrmse) in enumerate(here):
+                for k, (mode, posterior, nrmse) in enumerate(lines):
                     colour, style = LINE_STYLES[k % len(LINE_STYLES)]
                     label = f"{mode}: {nrmse:.3f}"
-                    share = found.relative_error(which)
-                    axes.loglog(found.n, share, style, color=colour, lw=1.4, label=label)
+                    error = posterior.relative_error(which)
+                    axes.loglog(posterior.n, error, style, color=colour, lw=1.4, label=label)
                 axes.grid(which="major", color="0.85", lw=0.6)
                 axes.set_title(f"{which} of the wheel paths, {speed:g} km/h", fontsize=10)
             column[0].legend(
                 frameon=False, fontsize=8, loc="upper right", title="front / rear: in-band NRMSE"
             )
-            column[1].set_xlabel("spatial frequency [cycles/m]; judged band in grey")
+            column[1].set_xlabel("spatial frequency [cycles/m]; scored band in grey")
         for axes in panels[:, 0]:
-            axes.set(ylabel="unknown share of amplitude [-]", ylim=(3e-3, 1.3))
-        figure.suptitle(f"What the accelerometers leave unknown: {title}", fontsize=11)
+            axes.set(ylabel="relative error of amplitude [-]", ylim=(3e-3, 1.3))
+        figure.suptitle(f"Least error with the accelerometers: {title}", fontsize=11)
 
     write_figure(paint, (5.5 * len(speeds) + 0.5, 7.0), path)
 
 
-def write_figure(paint: Callable[[Any], None], size: tuple[float, float], path: Path) -> None:
-    """Let `paint` fill a figure of `size` [inch] and write it, whole or not at all."""
+def make_figure(paint: Callable[[Any], None], size: tuple[float, float]) -> Any:
+    """Return a matplotlib figure of `size` [inch] that `paint` has filled."""
     with optional_import("a figure"):
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -202,5 +212,15 @@ def write_figure(paint: Callable[[Any], None], size: tuple[float, float], path: 
     paint(figure)
     for axes in figure.axes:
         axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def write_figure(paint: Callable[[Any], None], size: tuple[float, float], path: Path) -> None:
+    """Call `paint` on a figure of `size` [inch] and write it atomically."""
+    save_figure(make_figure(paint, size), path)
+
+
+def save_figure(figure: Any, path: Path) -> None:
+    """Write a figure in the format of the path's suffix, whole or not at all."""
     with atomic_write(path) as partial:
         figure.savefig(partial, format=path.suffix.removeprefix("."))

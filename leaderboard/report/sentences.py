@@ -1,4 +1,4 @@
-"""What the numbers say, in plain sentences made from them."""
+"""Findings: sentences about the boards, made from their numbers."""
 
 from collections.abc import Iterator, Sequence
 from functools import cache
@@ -6,21 +6,22 @@ from functools import cache
 import numpy as np
 
 from leaderboard.metrics import heights
-from leaderboard.report.tables import EQ_12_RAW, TRAINING_STATES, BoardView, Row
+from leaderboard.metrics.registry import EQ_12_RAW, STATE_LIMITS
+from leaderboard.report.tables import TRAINING_STATES, BoardView, Row
 from road_envs.data.record import PROFILE_SPACING, profile_stations
 from road_envs.roads import load_road
 
 PAPER_NETWORK = "static_lm"
-"""The estimator that stands for the paper's network."""
+"""The estimator that implements the paper's network."""
 
 N_PAIRS = 200
 UNRELATED_ROAD = {"kind": "iso8608", "road_class": "D", "n_min": 0.05, "length": 100.0}
-"""Roads without waves longer than 20 m, which no 100 m hold enough of."""
+"""Roads without wavelengths above 20 m, of which 100 m hold too few."""
 
 
 def findings(views: Sequence[BoardView]) -> list[str]:
-    """Sentences about the boards; those for which nothing was measured are left out."""
-    said = [
+    """Return the sentences about the boards, without those for which results are missing."""
+    sentences = [
         unrelated_sentence(),
         _paper_sentence(views),
         _memory_sentence(views),
@@ -28,14 +29,15 @@ def findings(views: Sequence[BoardView]) -> list[str]:
         _best_sentence(views),
         _causal_sentence(views),
     ]
-    return [sentence for sentence in said if sentence]
+    return [sentence for sentence in sentences if sentence]
 
 
 @cache
 def unrelated_level_errors(pairs: int = N_PAIRS, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Level errors (2 pairs,) of unrelated class-D roads, path by path, and correlations (pairs,).
+    """Return level errors (2 pairs,) and correlations (pairs,) of unrelated class-D roads.
 
-    Both roads of a pair are 100 m of class D, of equal roughness and nothing else in common.
+    Level errors are those of single wheel paths. The two roads of a pair are 100 m of the same
+    class and independent.
     """
     road, s = load_road(UNRELATED_ROAD), profile_stations(100.0)
     levels: list[float] = []
@@ -46,22 +48,23 @@ def unrelated_level_errors(pairs: int = N_PAIRS, seed: int = 0) -> tuple[np.ndar
             for j in range(2)
         )
         levels += heights.level_error(y, a)[:2]
+        # at 1 m/s the low-pass does not shorten the scored band
         y, a = heights.band_pass(np.stack([y, a]), PROFILE_SPACING, heights.scored_band(1.0))
         r.append(heights.correlation(y, a, PROFILE_SPACING).r)
     return np.abs(levels), np.array(r)
 
 
 def unrelated_sentence() -> str:
-    """What equation 12 says of a road that has nothing to do with the truth."""
+    """Return the sentence about equation 12 for a road that is unrelated to the truth."""
     levels, r = unrelated_level_errors()
     low, median, high = 100.0 * np.quantile(levels, [0.1, 0.5, 0.9])
-    fine = _percent(float(np.mean(levels < 0.15)), 0)
+    low_share = _percent(float(np.mean(levels < STATE_LIMITS[0])), 0)
     return (
         f"An unrelated road of the same class D has a level error (the paper's eq. 12) of "
         f"{median:.0f}\u00a0% in the median, {low:.0f} to {high:.0f}\u00a0% from the 10th to the "
-        f"90th percentile, and below 15\u00a0% in {fine} of cases, at correlation "
+        f"90th percentile, and below 15\u00a0% in {low_share} of cases, at correlation "
         f"{abs(np.mean(r)):.2f} ({r.size} pairs of 100 m). The paper reports 10.2 to 14.8\u00a0% "
-        "for its network: eq. 12 alone cannot tell a reconstruction from a stranger."
+        "for its network: eq. 12 alone cannot distinguish a reconstruction from an unrelated road."
     )
 
 
@@ -69,20 +72,20 @@ def _paper_sentence(views: Sequence[BoardView]) -> str:
     found = list(_rows(views, "paper", PAPER_NETWORK, claimed=True))
     if not found:
         return ""
-    near, every = (
+    near, total = (
         sum(int(row.values.get(name) or 0) for row in found for name in names)
         for names in (TRAINING_STATES[:1], TRAINING_STATES)
     )
-    counted = f" ({near} of {every} trainings below 15\u00a0%)" if every else ""
+    counted = f" ({near} of {total} trainings below 15\u00a0%)" if total else ""
     cars = sorted(_other_cars(views, "paper"))
-    asked = f" and asked on another car ({', '.join(cars)})" if cars else ""
+    tested = f" and tested on another car ({', '.join(cars)})" if cars else ""
     return (
-        f"Trained as the paper trains it, on an altered copy of the paving{asked}, the "
+        f"Trained as the paper trains it, on an altered copy of the paving{tested}, the "
         f"{PAPER_NETWORK} network has a level error of {_percent(_mean(found, EQ_12_RAW))} by "
         f"eq. 12 as printed{counted}, which counts the datum, and "
-        f"{_percent(_mean(found, 'level_error'))} of heights about their mean, at an in-band error of {_mean(found, 'nrmse'):.2f}, where a "
-        "flat road has 1, "
-        f"and correlation {_mean(found, 'r'):.2f}."
+        f"{_percent(_mean(found, 'level_error'))} of heights about their mean, at an in-band error "
+        f"of {_mean(found, 'nrmse'):.2f}, where a flat road has 1, and correlation "
+        f"{_mean(found, 'r'):.2f}."
     )
 
 
@@ -91,8 +94,8 @@ def _memory_sentence(views: Sequence[BoardView]) -> str:
     if not found:
         return ""
     return (
-        "There the mean of the training roads, which measures nothing, has a level error of "
-        f"{_percent(_mean(found, EQ_12_RAW))}: the protocol rewards memory."
+        "There the mean of the training roads, which uses no measurement, has a level error of "
+        f"{_percent(_mean(found, EQ_12_RAW))}: the protocol rewards memorising the road."
     )
 
 
@@ -117,9 +120,9 @@ def _best_sentence(views: Sequence[BoardView]) -> str:
     best = min(names, key=lambda name: (_mean(by_name[name], "nrmse"), name))
     found = by_name[best]
     bound = list(_rows(views, "new_road", "bound"))
-    allowed = f" (bound of linear estimators: {_mean(bound, 'nrmse'):.2f})" if bound else ""
+    limit = f" (bound of linear estimators: {_mean(bound, 'nrmse'):.2f})" if bound else ""
     return (
-        f"The best there is {best}: in-band error {_mean(found, 'nrmse'):.2f}{allowed}, "
+        f"The best entry there is {best}: in-band error {_mean(found, 'nrmse'):.2f}{limit}, "
         f"correlation {_mean(found, 'r'):.2f}, {_percent(_mean(found, 'class_exact'), 0)} of "
         "octaves in the true ISO class."
     )
@@ -130,14 +133,15 @@ def _causal_sentence(views: Sequence[BoardView]) -> str:
     if not found:
         return ""
     errors = {
-        row.name: _mean([one for one in found if one.name == row.name], "nrmse") for row in found
+        row.name: _mean([other for other in found if other.name == row.name], "nrmse")
+        for row in found
     }
     best = min(errors, key=lambda name: (errors[name], name))
-    return f"The best that tells heights while driving is {best}: in-band error {errors[best]:.2f}."
+    return f"The best causal entry is {best}: in-band error {errors[best]:.2f}."
 
 
 def _other_cars(views: Sequence[BoardView], board: str) -> set[str]:
-    """Grades of the cars that a board's claimed tasks are driven by, if not that of training."""
+    """Return the grades of the cars of a board's tasks with a claim, except that of training."""
     labels = (
         label
         for view in views
@@ -151,7 +155,7 @@ def _other_cars(views: Sequence[BoardView], board: str) -> set[str]:
 def _rows(
     views: Sequence[BoardView], board: str, name: str | None = None, claimed: bool = False
 ) -> Iterator[Row]:
-    """Scored lines of a board, of one entry or of all; of tasks that the paper has a figure for."""
+    """Yield scored rows of a board, of one entry or all; if `claimed`, of tasks with a claim."""
     for view in views:
         for section in view.sections if view.board == board else ():
             rows = section.rows

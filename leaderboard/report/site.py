@@ -1,13 +1,13 @@
 """The boards as a static site that is opened from disk: no server, no network, one folder.
 
-    index.html               all boards, with filters, sorting and what the numbers say
-    tasks/<task>.html        one task: every score, and its drawings
-    estimators/<name>.html   one entry: its card, all its results, where they come from
+    index.html               all boards, with filters, sorting and findings
+    tasks/<task>.html        one task: every score, and its charts
+    estimators/<name>.html   one entry: its conformance card, all its results, their provenance
     export/                  the same for programs and papers
 
-Each page stands alone: style, scripts and numbers are inside. Without scripts the tables are still
-there; filters and drawings need them. The index is written last, so an interrupted build leaves the
-old one; what no longer belongs is swept away.
+Each page contains its style, scripts and data. Without scripts the tables are still there; filters
+and charts need them. The index is written last, so an interrupted build leaves the old one; pages
+of removed tasks and entries are deleted.
 """
 
 import json
@@ -28,22 +28,22 @@ from road_envs._atomic_io import write_text
 from road_envs._extras import optional_import
 
 MAX_DRAWN = 8
-"""How many entries of a task are drawn, best first; each has a colour and a dash of its own."""
+"""Number of entries of a task that are drawn, best first, each with its colour and dash."""
 
 PAGE_FOLDERS = ("tasks", "estimators")
 STAMP_FILE = ".page.json"
-"""What the site in a folder shows, by key, and how large its files are."""
+"""File with the key of the report that the site shows, and the size of every page."""
 
 
 def write_site(board: Board, report: Report, out: Path) -> Path:
-    """Write the site into `out` and return its index; each file whole or not at all.
+    """Write the site into `out`, each file atomically, and return its index.
 
-    Nothing is written if the site that stands there shows the same.
+    Nothing is written if the site in `out` already shows this report.
     """
     index = out / "index.html"
     if _is_current(out, report.key):
         return index
-    (out / STAMP_FILE).unlink(missing_ok=True)
+    (out / STAMP_FILE).unlink(missing_ok=True)  # an interrupted build is repeated
     written = []
     for name, text in render_pages(board, report):  # the index comes last
         if name == index.name:
@@ -60,7 +60,7 @@ def write_site(board: Board, report: Report, out: Path) -> Path:
 
 
 def _is_current(out: Path, key: str) -> bool:
-    """Whether the whole site of a board stands in `out`."""
+    """Return whether `out` holds the complete site of the report with this key."""
     try:
         stamp = json.loads((out / STAMP_FILE).read_text(encoding="utf-8"))
         sizes = {name: (out / name).stat().st_size for name in stamp["sizes"]}
@@ -70,7 +70,7 @@ def _is_current(out: Path, key: str) -> bool:
 
 
 def render_pages(board: Board, report: Report) -> Iterator[tuple[str, str]]:
-    """Every page, the index last: its place and its text."""
+    """Yield path and text of every page, the index last."""
     render = _renderer()
     results: dict[str, list[tuple[Task, Result]]] = {}
     for view in report.views:
@@ -79,16 +79,16 @@ def render_pages(board: Board, report: Report) -> Iterator[tuple[str, str]]:
             for result in board.results[task.name]:
                 results.setdefault(result.estimator, []).append((task, result))
             yield f"tasks/{task.name}.html", render("task.html", _task(board, view, section, task))
-    for name, found in results.items():
+    for name, own in results.items():
         yield (
             f"estimators/{file_name(name)}",
-            render("estimator.html", _estimator(board, report.views, name, found)),
+            render("estimator.html", _estimator(board, report.views, name, own)),
         )
     yield "index.html", render("index.html", _index(board, report))
 
 
 def file_name(estimator: str) -> str:
-    """The page of an estimator, whatever it is called."""
+    """Return the file name of the page of an estimator, for any name."""
     return re.sub(r"[^A-Za-z0-9_.-]", "_", estimator) + ".html"
 
 
@@ -104,7 +104,7 @@ def _renderer() -> Any:
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    # inside a script only "<" could end it
+    # JSON stands inside <script>, which only "<" could end
     environment.filters["data"] = lambda x: Markup(
         json.dumps(x, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     )
@@ -134,7 +134,7 @@ def _index(board: Board, report: Report) -> dict[str, Any]:
 
 
 def _table(view: BoardView, section: Section) -> dict[str, Any]:
-    """One table: its columns, and the numbers behind it."""
+    """Return one table: its columns, and the numbers for the scripts."""
     columns = nonempty_columns(view, section)
     groups = dict.fromkeys(section.conditions)
     groups |= dict.fromkeys(name for names in section.groups.values() for name in names)
@@ -149,6 +149,7 @@ def _table(view: BoardView, section: Section) -> dict[str, Any]:
 def _task(board: Board, view: BoardView, section: Section, task: Task) -> dict[str, Any]:
     rows = {row.name: row for row in section.rows}
     by_name = {result.estimator: result for result in board.scored(task)}
+    # without entries, the baselines are drawn
     order = [name for name, row in rows.items() if row.state == "scored"] or [
         name for name, row in rows.items() if row.state == "baseline" and name != BOUND_ROW
     ]
@@ -169,7 +170,7 @@ def _task(board: Board, view: BoardView, section: Section, task: Task) -> dict[s
 
 
 def _estimator(
-    board: Board, views: Sequence[BoardView], name: str, found: Sequence[tuple[Task, Result]]
+    board: Board, views: Sequence[BoardView], name: str, results: Sequence[tuple[Task, Result]]
 ) -> dict[str, Any]:
     rows = [
         (view, section, row)
@@ -178,7 +179,7 @@ def _estimator(
         for row in section.rows
         if row.name == name
     ]
-    first = found[0][1]
+    first = results[0][1]
     return {
         "root": "../",
         "name": name,
@@ -186,29 +187,29 @@ def _estimator(
         "causal": first.causal,
         "settings": first.settings,
         "cards": list(
-            {card.identity: card for _, result in found if (card := board.card(result))}.values()
+            {card.identity: card for _, result in results if (card := board.card(result))}.values()
         ),
         "rows": rows,
         "results": [
-            (task, result, result_provenance(board, task, result)) for task, result in found
+            (task, result, result_provenance(board, task, result)) for task, result in results
         ],
     }
 
 
 def board_provenance(board: Board) -> list[tuple[str, str]]:
-    """Where the numbers come from: machines and versions, and the tasks with their digests."""
-    made: dict[str, None] = {}
+    """Return the provenance of a board: machines, versions, and tasks with their digests."""
+    machines: dict[str, None] = {}
     rows = []
     for task in board.tasks:
         scored = board.scored(task)
-        made |= dict.fromkeys(_machine(result) for result in scored)
+        machines |= dict.fromkeys(_machine(result) for result in scored)
         rows.append((task.name, f"{_drive_counts(task, scored)}; digest {task.digest[:12]}"))
-    return [*(("Made by", text) for text in made), *rows]
+    return [*(("Made by", text) for text in machines), *rows]
 
 
 def result_provenance(board: Board, task: Task, result: Result) -> list[tuple[str, str]]:
-    """Where the numbers of one result come from."""
-    told = {
+    """Return the provenance of one result, by label."""
+    facts = {
         "file": f"results/{result.task}/{result.estimator}.json",
         "task": f"version {task.version}, digest {result.task_digest}",
         "state": board.stale_reason(task, result) or "fresh",
@@ -216,7 +217,7 @@ def result_provenance(board: Board, task: Task, result: Result) -> list[tuple[st
         "training seeds": ", ".join(map(str, result.seeds)),
         "settings": json.dumps(result.settings) if result.settings else "none",
     }
-    return [*told.items(), *result.environment.items()]
+    return [*facts.items(), *result.environment.items()]
 
 
 def _machine(result: Result) -> str:

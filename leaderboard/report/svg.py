@@ -1,4 +1,4 @@
-"""A matplotlib figure as an SVG element that stands inside a page and takes the page's font."""
+"""Matplotlib figures as inline SVG elements that use the font of the page."""
 
 import hashlib
 import io
@@ -18,11 +18,11 @@ STYLE: Any = {
     "axes.titlelocation": "left",
     "path.simplify_threshold": 0.5,
 }
-"""How figures of a report look, on paper as in a page."""
+"""Matplotlib style of the figures of a report, in the PDF and in the page."""
 
 
 def inline_svg(figure: Any) -> str:
-    """The SVG of a figure: the same figure, the same text, with no size or fonts of its own."""
+    """Return the SVG of a figure, without size and fonts; equal figures give equal text."""
     with optional_import("a figure"):
         import matplotlib
 
@@ -34,8 +34,7 @@ def inline_svg(figure: Any) -> str:
     svg = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", svg)
     svg = re.sub(r'width="[\d.]+pt" height="[\d.]+pt" ', "", svg, count=1)
     svg = re.sub(r"font-family: [^;\"]*;? ?|(?<=<g) id=\"[^\"]*\"", "", svg)
-    svg = re.sub(r"(\d\.\d\d)\d+", r"\1", svg)
-    unique = hashlib.sha256(svg.encode()).hexdigest()[
-        :8
-    ]  # names of parts, of which a page has many
+    svg = re.sub(r"(\d\.\d\d)\d+", r"\1", svg)  # two decimals are enough for a screen
+    # ids must be unique in a page with several figures
+    unique = hashlib.sha256(svg.encode()).hexdigest()[:8]
     return re.sub(r'((?:id="|#)[mph])([0-9a-f]{10})', rf"\g<1>{unique}\g<2>", svg)

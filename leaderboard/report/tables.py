@@ -1,9 +1,9 @@
-"""What a board shows, as plain rows: the terminal, the page and JSON print the same ones.
+"""Rows of the boards, as plain data for the terminal, the pages and the exports.
 
 Scores are interquartile means over roads, conditions and training seeds, and again over each
-condition and each family of roads alone. Every line carries its numbers and their printed form; a
-failed or stale result is a line without scores and a sentence. An entry stands in the causal
-division or in the offline one; ranks are given among all entries and among the causal ones.
+condition and each family of roads alone. Every row has its numbers and their text; a failed or
+stale result is a row with a message and without scores. Ranks are given among all entries (offline
+division) and among the causal ones.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,34 +17,41 @@ from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.tasks import BoardName, Task
 from leaderboard.metrics.baselines import NOISE_LEVEL, TRUTH_PLUS_NOISE
 from leaderboard.metrics.bootstrap import (
+    MIN_ROADS,
     Interval,
+    Strata,
+    count_roads,
     interquartile_mean,
     iqm_interval,
     iqm_slope,
     rank_entries,
 )
-from leaderboard.metrics.registry import SCORES, UNDEFINED
-from leaderboard.report.board_definitions import BOARDS, COLUMN_FORMATS, BoardDefinition, Column
+from leaderboard.metrics.registry import EQ_12_RAW, SCORES, STATE_LIMITS, UNDEFINED
+from leaderboard.report.board_definitions import (
+    BOARDS,
+    COLUMN_FORMATS,
+    TAIL,
+    WORST,
+    BoardDefinition,
+    Column,
+)
 from leaderboard.running.board import Board
 from road_envs.vehicle.perturbed_vehicle import GRADES
 
 RowState = Literal["scored", "baseline", "claim", "failed", "stale"]
 CLAIM_ROW = "paper's claim"
-EQ_12_RAW = "level_error_raw"
-"""The score that is the paper's equation 12 as printed."""
-
 TRAINING_STATES = ("near_optimal", "sub_optimal", "unstable")
 BOUND_ROW = "bound"
-"""Name of the line that says what the sensors allow."""
+"""Name of the row with the information bound of the sensors."""
 
 ALL_RUNS = ""
-"""Name of the group that holds every run."""
+"""Name of the group of all runs."""
 
 SPECTRUM_SCORES = tuple(name for name in SCORES if name.startswith("error_at_"))
-"""The scores that tell the error over spatial frequency."""
+"""Score keys of the third-octave errors."""
 
 ScoreSlice = tuple[list[int] | slice, list[int] | slice]
-"""Which roads and which conditions of scores (R, C, S)."""
+"""Index of roads and of conditions into scores (R, C, S)."""
 
 ALL_SCORES: ScoreSlice = (slice(None), slice(None))
 GroupValues = dict[str, dict[str, float | None]]
@@ -53,9 +60,9 @@ GroupValues = dict[str, dict[str, float | None]]
 
 @dataclass(frozen=True)
 class Row:
-    """One entry: printed `cells` and the `values` behind them, by column; or a `text` instead.
+    """One entry: `cells` (text) and `values` by column, or a `message` instead.
 
-    `groups` has the values again over each condition and each family of roads, by its name.
+    `groups` has the values again over each condition and each family of roads, by name.
     """
 
     name: str
@@ -69,10 +76,10 @@ class Row:
 
 @dataclass(frozen=True)
 class Section:
-    """One task: its lines, best first, and what a reader has to know about it.
+    """The rows of one task, best first, with notes for the reader.
 
-    On a single road there is no spread over roads, so neither an interval nor a rank. `groups`
-    names conditions and families, as far as there is more than one of a kind.
+    Intervals and ranks need MIN_ROADS roads. `groups` names conditions and families if there is
+    more than one of a kind.
     """
 
     task: str
@@ -85,7 +92,7 @@ class Section:
 
 @dataclass(frozen=True)
 class BoardView:
-    """One board."""
+    """The tables of one board, a section for each of its tasks."""
 
     board: BoardName
     definition: BoardDefinition
@@ -93,7 +100,7 @@ class BoardView:
 
 
 def board_views(board: Board) -> list[BoardView]:
-    """The boards that have a task, the main one first."""
+    """Return the boards that have a task, the main one first."""
     return [
         BoardView(name, definition, tuple(_section(board, task, definition) for task in tasks))
         for name, definition in BOARDS.items()
@@ -102,7 +109,7 @@ def board_views(board: Board) -> list[BoardView]:
 
 
 def nonempty_columns(view: BoardView, *sections: Section) -> list[Column]:
-    """The columns in which at least one line of some sections has something to say."""
+    """Return the columns in which at least one row of the sections has a value."""
     rows = [row for section in sections for row in section.rows]
     return [
         column
@@ -112,9 +119,9 @@ def nonempty_columns(view: BoardView, *sections: Section) -> list[Column]:
 
 
 def run_groups(task: Task) -> dict[str, dict[str, ScoreSlice]]:
-    """Conditions and families of a task, each with its part of the scores: roads, conditions.
+    """Return the groups of runs of a task by kind and name, as slices of roads and conditions.
 
-    A kind of which there is one only is left out.
+    Kinds with a single group are left out.
     """
     every = slice(None)
     conditions: dict[str, ScoreSlice] = {
@@ -136,9 +143,9 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
     groups = run_groups(task)
     parts = {name: part for parts in groups.values() for name, part in parts.items()}
     scored = board.scored(task)
-    tables = [_aggregate(result, definition, parts) for result in scored]
+    tables = [_aggregate(result, task, definition, parts) for result in scored]
     values = {table.name: table.values for table in tables}
-    _rank(tables, parts, values)
+    _rank(tables, parts, values, task.test.strata)
     rows = [
         _scored_row(r, x, definition, board.card(r)) for r, x in zip(scored, tables, strict=True)
     ] + _bound_rows(values, definition)
@@ -163,7 +170,7 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
 
 
 class AggregatedScores(NamedTuple):
-    """The numbers of a result: `values` by group and score; `ranked` (R, C, S) is what ranks."""
+    """Means of a result by group and score; `ranked` (R, C, S) holds the ranking score."""
 
     name: str
     values: GroupValues
@@ -172,10 +179,10 @@ class AggregatedScores(NamedTuple):
 
 
 def _aggregate(
-    result: Result, definition: BoardDefinition, parts: Mapping[str, ScoreSlice]
+    result: Result, task: Task, definition: BoardDefinition, parts: Mapping[str, ScoreSlice]
 ) -> AggregatedScores:
-    """The numbers of a result over every run and over each group of runs; its drives read once."""
-    scores = score_arrays(result)
+    """Average the scores of a result over all runs and over each group."""
+    scores, strata = result.arrays(SCORES), task.test.strata
     shown = (
         {c.key for c in definition.columns}
         | {definition.ranks_by, "bound_nrmse"}
@@ -185,10 +192,15 @@ def _aggregate(
     for group, part in parts.items():
         values[group] = {name: _mean(x[part]) for name, x in scores.items() if name in shown}
     ranked = scores[definition.ranks_by]
+    if np.isnan(ranked[result.driven()]).any():  # undefined on a road: the entry ranks last
+        ranked[:] = np.nan
     for group, part in {ALL_RUNS: ALL_SCORES, **parts}.items():
         mine = ranked[part]
-        score = iqm_interval(mine) if len(mine) > 1 else Interval(np.nan, np.nan, np.nan)
+        score = Interval(np.nan, np.nan, np.nan)
+        if count_roads(mine) >= MIN_ROADS:
+            score = iqm_interval(mine, strata=strata if group == ALL_RUNS else None)
         values[group] |= {"low": _finite_or_none(score.low), "high": _finite_or_none(score.high)}
+        values[group] |= _tail(mine)
     values[ALL_RUNS] |= {
         "train_seconds": _finite_or_none(float(np.mean(result.train_seconds)))
         if result.parameters
@@ -196,56 +208,54 @@ def _aggregate(
         "estimate_ms_per_100m": result.estimate_ms_per_100m,
         "parameters": result.parameters or None,
         **_training_states(scores),
-        **_grade_scores(ranked, parts),
+        **_grade_scores(ranked, parts, strata),
     }
     entry = result.role == "entry"
     division = entry, entry and bool(result.causal)
     return AggregatedScores(result.estimator, values, ranked, division)
 
 
-def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice]) -> dict[str, float | None]:
-    """The ranking score on each car, and how fast it grows from one to the next."""
-    found = {grade: ranked[parts[f"car {grade}"]] for grade in GRADES if f"car {grade}" in parts}
-    if len(found) < 2:
+def _tail(ranked: np.ndarray) -> dict[str, float | None]:
+    """Return the worst drive and the shares of drives above the thresholds of TAIL."""
+    runs = ranked[~np.isnan(ranked)]
+    if not runs.size:
+        return dict.fromkeys([WORST, *TAIL])
+    shares = {name: float(np.mean(runs > limit)) for name, limit in TAIL.items()}
+    return {WORST: float(runs.max()), **shares}
+
+
+def _grade_scores(
+    ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: Strata
+) -> dict[str, float | None]:
+    """Return the ranking score on each grade of car, and its slope over the grades."""
+    by_grade = {grade: ranked[parts[f"car {grade}"]] for grade in GRADES if f"car {grade}" in parts}
+    if len(by_grade) < 2:
         return {}
-    values = {f"grade_{grade}": _mean(x) for grade, x in found.items()}
-    if len(ranked) < 2:
+    values = {f"grade_{grade}": _mean(x) for grade, x in by_grade.items()}
+    if count_roads(ranked) < MIN_ROADS:
         return values
-    growth = iqm_slope(list(found.values()))
-    told = {"slope": growth.mean, "slope_low": growth.low, "slope_high": growth.high}
-    return values | {name: _finite_or_none(x) for name, x in told.items()}
-
-
-def score_arrays(result: Result) -> dict[str, np.ndarray]:
-    """Return every score of a result as (R, C, S) (roads, conditions, seeds), NaN if undefined."""
-    places = [(d.drive, d.condition, d.seed) for d in result.drives]
-    axes = [
-        {name: k for k, name in enumerate(dict.fromkeys(axis))}
-        for axis in zip(*places, strict=True)
-    ]
-    shape = tuple(map(len, axes))
-    found = {name: np.full(shape, np.nan) for name in SCORES}
-    for place, drive in zip(places, result.drives, strict=True):
-        at = tuple(axis[name] for axis, name in zip(axes, place, strict=True))
-        for name, value in drive.scores.items():
-            found[name][at] = value
-    return found
+    growth = iqm_slope(list(by_grade.values()), strata=strata)
+    slope = {"slope": growth.mean, "slope_low": growth.low, "slope_high": growth.high}
+    return values | {name: _finite_or_none(x) for name, x in slope.items()}
 
 
 def _rank(
     tables: Sequence[AggregatedScores],
     parts: Mapping[str, ScoreSlice],
     values: Mapping[str, GroupValues],
+    strata: Strata,
 ) -> None:
-    """Write into `values` where each entry stands in every group, among all and among the causal.
+    """Write the ranks of the entries in every group into `values`, among all and among the causal.
 
-    There is no rank on a single road.
+    Ranks need at least MIN_ROADS roads.
     """
     for group, part in {ALL_RUNS: ALL_SCORES, **parts}.items():
         for k, key in enumerate(("rank", "rank_causal")):
             scores = {x.name: x.ranked[part] for x in tables if x.division[k]}
-            spread = {name: x for name, x in scores.items() if len(x) > 1}
-            for name, rank in rank_entries(spread).items():
+            if not any(count_roads(x) >= MIN_ROADS for x in scores.values()):
+                continue
+            within = strata if group == ALL_RUNS else None
+            for name, rank in rank_entries(scores, strata=within).items():
                 values[name][group][key] = rank.rank
 
 
@@ -275,11 +285,11 @@ def _scored_row(
 
 
 def _bound_rows(values: Mapping[str, GroupValues], definition: BoardDefinition) -> list[Row]:
-    """The bound as a line of its own, where it was computed and NRMSE ranks."""
-    told = [v for v in values.values() if v[ALL_RUNS].get("bound_nrmse") is not None]
-    if not told or definition.ranks_by != "nrmse":
+    """Return the row of the bound, if it was computed and NRMSE is the ranking score."""
+    bounded = [v for v in values.values() if v[ALL_RUNS].get("bound_nrmse") is not None]
+    if not bounded or definition.ranks_by != "nrmse":
         return []
-    groups = {group: {"nrmse": x.get("bound_nrmse")} for group, x in told[0].items()}
+    groups = {group: {"nrmse": x.get("bound_nrmse")} for group, x in bounded[0].items()}
     mine = groups.pop(ALL_RUNS)
     cells = {"nrmse": SCORES["bound_nrmse"].format_value(_nan_if_none(mine["nrmse"]))}
     return [Row(BOUND_ROW, "baseline", cells, mine, groups=groups)]
@@ -291,40 +301,49 @@ def _claim_row(level_error: float) -> Row:
 
 
 def sanity_warnings(rows: Sequence[Row]) -> list[str]:
-    """What is suspicious about scores: entries too good to be true, or a judge out of order."""
+    """Return warnings on implausible scores: entries better than possible, baselines off target."""
     error = {row.name: row.values.get("nrmse") for row in rows}
-    said = []
-    best = error.get(TRUTH_PLUS_NOISE)
+    warnings = []
+    best, bound = error.get(TRUTH_PLUS_NOISE), error.get(BOUND_ROW)
     for row in rows:
         mine = error[row.name]
-        if row.state == "scored" and mine is not None and best is not None and mine < best:
-            said.append(
+        if row.state != "scored" or mine is None:
+            continue
+        if best is not None and mine < best:
+            warnings.append(
                 f"{row.name} scores better than the truth with {100 * NOISE_LEVEL:g} % noise: "
-                "it has seen the truth, or the judge is broken"
+                "it has used the truth, or the evaluation is faulty"
             )
-    for name, wanted in (("flat", 1.0), (TRUTH_PLUS_NOISE, NOISE_LEVEL)):
+        elif bound is not None and mine < bound:
+            warnings.append(
+                f"{row.name} scores better than the bound, which is that of a linear car without "
+                "friction and of data below 25 Hz"
+            )
+    for name, expected in (("flat", 1.0), (TRUTH_PLUS_NOISE, NOISE_LEVEL)):
         mine = error.get(name)
-        if mine is not None and abs(mine - wanted) > 0.1 * wanted:
-            said.append(f"the judge is broken: {name} scores {mine:.3f} and not {wanted:g}")
-    return said
+        if mine is not None and abs(mine - expected) > 0.1 * expected:
+            warnings.append(
+                f"the evaluation is faulty: {name} scores {mine:.3f} instead of {expected:g}"
+            )
+    return warnings
 
 
 def _protocol_notes(task: Task, results: Sequence[Result]) -> list[str]:
-    trained, brought = "", [r.estimator for r in results if r.settings.get("shipped")]
+    trained, pretrained = "", [r.estimator for r in results if r.settings.get("shipped")]
     if task.trains_on_test_road:
         trained = "Trained on altered copies of the test road"
-        trained += f"; {', '.join(brought)} with the weights brought along." if brought else "."
+        trained += f"; {', '.join(pretrained)} with pretrained weights." if pretrained else "."
     return [text for text in (trained, task.note) if text]
 
 
 def _surface_notes(task: Task, results: list[Result]) -> list[str]:
-    """What was done to a surface from a file."""
+    """Return what was changed on a road surface that was read from a file."""
     notes = dict.fromkeys(note for r in results for note in r.notes)
     return [f"Surface: {'; '.join(notes)}."] if notes and task.board == "measured" else []
 
 
 def _mean(scores: np.ndarray | None) -> float | None:
-    """Interquartile mean; None where no run has the score."""
+    """Return the interquartile mean; None if no run has the score."""
     if scores is None:
         return None
     values = scores[np.isfinite(scores)]
@@ -332,11 +351,11 @@ def _mean(scores: np.ndarray | None) -> float | None:
 
 
 def _training_states(scores: Mapping[str, np.ndarray]) -> dict[str, float | None]:
-    """How many runs were near-optimal, sub-optimal, unstable: Appendix A of the paper."""
+    """Count near-optimal, sub-optimal and unstable runs (Appendix A of the paper)."""
     error = scores[EQ_12_RAW]
     if error.shape[-1] < 2:
         return {}
-    near, unstable = int(np.sum(error < 0.15)), int(np.sum(error > 0.25))
+    near, unstable = np.sum(error < STATE_LIMITS[0]), np.sum(error >= STATE_LIMITS[1])
     counts = (near, error.size - near - unstable, unstable)
     return dict(zip(TRAINING_STATES, map(float, counts), strict=True))
 
@@ -346,7 +365,7 @@ def _states_text(values: Mapping[str, float | None]) -> str:
 
 
 def interval_text(low: float | None, high: float | None, score: str) -> str:
-    """An interval of a score as printed."""
+    """Return the text of an interval of a score."""
     if low is None or high is None:
         return UNDEFINED
     return "–".join(COLUMN_FORMATS[score].format_value(x) for x in (low, high))

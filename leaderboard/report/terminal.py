@@ -1,14 +1,17 @@
-"""The boards in a terminal, and for a program."""
+"""The boards as tables in a terminal, and as JSON."""
 
 import textwrap
+from collections.abc import Mapping
 from itertools import zip_longest
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
+from leaderboard.metrics.registry import UNDEFINED
 from leaderboard.report import export
+from leaderboard.report.board_definitions import WORST
 from leaderboard.report.cache import Report
 from leaderboard.report.tables import BoardView, Row, Section, nonempty_columns
 
@@ -22,32 +25,35 @@ STYLES = {
 }
 LEGEND = (
     "NRMSE: error over truth, RMS, in 0.2 to min(1.8, 22.5 Hz / v) cycles/m; a flat road has 1, "
-    "the bound is what the sensors allow. level, eq. 12: error of the level alone, about the mean "
-    "and as printed. class: octaves in the true ISO 8608 class. Interquartile means over roads and "
-    "trainings; entries that cannot be told apart share a rank. Dim rows: sentinels. 5/5 beside a "
-    "name: the probes passed, of those that apply (--probes)."
+    "the bound is the least with these sensors. level, eq. 12: error of the level alone, about the "
+    "mean and as printed. class: octaves in the true ISO 8608 class. Interquartile means over "
+    "roads and trainings; entries without a significant difference share a rank. Dim rows: "
+    "baselines. 5/5 beside a name: probes passed, of those that apply (--probes)."
 )
 
 
 def print_tables(report: Report, console: Console) -> None:
-    """Print every board, what failed or is stale, and what the numbers say."""
+    """Print every board, with failed and stale results, and the findings."""
     for view in report.views:
-        together = view.board == "paper" and len(view.sections) > 1
-        for sections in [view.sections] if together else [(s,) for s in view.sections]:
+        one_table = view.board == "paper" and len(view.sections) > 1
+        for sections in [view.sections] if one_table else [(s,) for s in view.sections]:
             console.print(_table(view, sections))
+            for section in sections:
+                if (families := _family_table(view, section)) is not None:
+                    console.print(families)
         _remarks(view, console)
-    console.print(f"[dim]{escape(LEGEND)}[/dim]")
+    console.print(Text(LEGEND, style="dim"))
     for sentence in report.findings:
-        console.print(f"- {escape(sentence)}")
+        console.print(Text(f"- {sentence}"))
 
 
 def as_json(report: Report) -> list[dict[str, Any]]:
-    """The same rows for a program."""
+    """Return the same rows as plain data."""
     return export.as_json(report.views)
 
 
 def _table(view: BoardView, sections: tuple[Section, ...]) -> Table:
-    """One section with its title, or several that share columns and stand behind each other."""
+    """Return the table of one section with its title, or of several that share columns."""
     columns = [column for column in nonempty_columns(view, *sections) if not column.wide]
     grouped = len(sections) > 1
     title = view.definition.title if grouped else f"{view.definition.title}: {sections[0].title}"
@@ -69,24 +75,52 @@ def _table(view: BoardView, sections: tuple[Section, ...]) -> Table:
     return table
 
 
-def _cells(row: Row, keys: list[str]) -> list[str]:
+def _family_table(view: BoardView, section: Section) -> Table | None:
+    """Return the ranking score by family of roads: mean and worst drive; None if there is one."""
+    names = section.groups.get("family", ())
+    if not names or view.definition.ranks_by != "nrmse":
+        return None
+    table = Table(
+        title="NRMSE by family of roads: interquartile mean (worst drive)",
+        title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False,
+    )  # fmt: skip
+    table.add_column("estimator", no_wrap=True)
+    for name in names:
+        table.add_column(Text(name), justify="right")
+    for row in section.rows:
+        if row.groups:
+            style = STYLES[row.state]
+            cells = [_mean_and_worst(row.groups.get(name, {})) for name in names]
+            table.add_row(*(Text(text, style=style) for text in [row.name, *cells]))
+    return table
+
+
+def _mean_and_worst(values: Mapping[str, float | None]) -> str:
+    """Return the mean of a group with its worst drive in brackets, where it has them."""
+    mean, worst = values.get("nrmse"), values.get(WORST)
+    if mean is None:
+        return UNDEFINED
+    return f"{mean:.2f}" if worst is None else f"{mean:.2f} ({worst:.2f})"
+
+
+def _cells(row: Row, keys: list[str]) -> list[Text]:
     style = STYLES[row.state]
-    mark = f" [dim]{row.cells['probes']}[/dim]" if row.cells.get("probes") else ""
-    name = f"[{style}]{escape(row.name)}[/{style}]{mark}"
+    mark = (f" {row.cells['probes']}", "dim") if row.cells.get("probes") else ""
+    name = Text.assemble((row.name, style), mark)
     if row.state in ("failed", "stale"):
-        return [name, *[f"[{style}]{row.state}[/{style}]", *[""] * len(keys)][: len(keys)]]
-    return [name, *(f"[{style}]{row.cells.get(key, '')}[/{style}]" for key in keys)]
+        return [name, Text(row.state, style=style), *[Text("")] * (len(keys) - 1)]
+    return [name, *(Text(row.cells.get(key, ""), style=style) for key in keys)]
 
 
 def _remarks(view: BoardView, console: Console) -> None:
-    """Notes of each task, each said once, and the sentence of each failed or stale result."""
-    said: dict[str, list[str]] = {}
+    """Print each note of the tasks once, and the message of each failed or stale result."""
+    notes: dict[str, list[str]] = {}
     for section in view.sections:
         for note in section.notes:
-            said.setdefault(note, []).append(section.task)
+            notes.setdefault(note, []).append(section.task)
         for row in section.rows:
             if row.message:
-                said.setdefault(f"{row.name} {row.state}: {row.message}", []).append(section.task)
-    for note, tasks in said.items():
-        console.print(f"[dim]{escape(', '.join(tasks))}:[/dim] {escape(note)}")
+                notes.setdefault(f"{row.name} {row.state}: {row.message}", []).append(section.task)
+    for note, tasks in notes.items():
+        console.print(Text.assemble((f"{', '.join(tasks)}:", "dim"), f" {note}"))
     console.print()

@@ -1,4 +1,4 @@
-"""A board: tasks, and what is stored about them. Runs what is missing, reads what is there."""
+"""Boards: tasks with their stored results; runs missing results and loads stored ones."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,10 +26,10 @@ from road_envs.config import ConfigError
 
 @dataclass(frozen=True)
 class RunRequest:
-    """What a run is to leave on the board: `entries` and the sentinels on every one of `tasks`.
+    """Request to evaluate `entries` and the baselines on each of `tasks`.
 
     `roads` is the number of test drives per condition on tasks that draw their roads; `resume`
-    keeps stored results that depend on nothing that has changed; `probes` wants a card of each.
+    keeps stored results whose inputs have not changed; `probes` requests a card of each entry.
     """
 
     tasks: Sequence[Task]
@@ -41,7 +41,7 @@ class RunRequest:
     probes: bool = False
 
     def sized_tasks(self) -> list[Task]:
-        """The tasks with as many roads as are wanted. Raises ConfigError."""
+        """Return the tasks with the requested number of roads. Raises ConfigError."""
         n = self.roads
         return [
             task.with_test_drives(n) if n and task.has_several_test_drives else task
@@ -49,33 +49,33 @@ class RunRequest:
         ]
 
     def rows(self) -> list[PlannedRow]:
-        """Every entry on every task. Raises ConfigError."""
+        """Return the rows of every entry on every task. Raises ConfigError."""
         baselines = [make_entry(name, baseline) for name, baseline in create_baselines().items()]
-        everyone = [*self.entries, *baselines]
+        entries = [*self.entries, *baselines]
         return [
             PlannedRow(
                 task, entry_refit_per_case(entry) if task.trains_on_test_road else entry, seeds
             )
             for seeds in [tuple(self.seeds)]
             for task in self.sized_tasks()
-            for entry in everyone
+            for entry in entries
         ]
 
 
 JobProgress = Callable[[int, int, str], None]
-"""Hears of each result as it is stored: how many there are, how many in all, and what was run."""
+"""Callback after each stored result: number of results, total number, description of the last."""
 
 ATTEMPTS = 3
-"""How often a result that another process has changed is made, or read, again."""
+"""Number of attempts to make or read results while another process changes them."""
 
 Rendered = TypeVar("Rendered")
 
 
 @dataclass(frozen=True)
 class Board:
-    """Tasks in order, and all stored results of each, fresh, failed and stale.
+    """Tasks in order with all their stored results: scored, failed and stale.
 
-    `entries` are those that would be judged now, by task and name; `cards` are by identity.
+    `entries` are the current versions of the entries by task and name; `cards` are by identity.
     """
 
     tasks: tuple[Task, ...]
@@ -84,22 +84,22 @@ class Board:
     cards: Mapping[str, EstimatorCard] = field(default_factory=dict)
 
     def scored(self, task: Task) -> list[Result]:
-        """The results that count: they belong to the task as it is, and did not fail."""
+        """Return the current results of a task that have scores."""
         return [r for r in self._fresh(task) if r.failure is None]
 
     def failed(self, task: Task) -> list[Result]:
-        """Fresh results of estimators that failed."""
+        """Return the current results of a task that failed."""
         return [r for r in self._fresh(task) if r.failure is not None]
 
     def stale(self, task: Task) -> list[tuple[Result, str]]:
-        """Results of another task, package, code or metric version, each with the reason."""
-        stale = [(r, self.stale_reason(task, r)) for r in self.results[task.name]]
-        return [(r, why) for r, why in stale if why is not None]
+        """Return results of another task, package, code or metric version, with the reasons."""
+        reasons = [(r, self.stale_reason(task, r)) for r in self.results[task.name]]
+        return [(r, reason) for r, reason in reasons if reason is not None]
 
     def stale_reason(self, task: Task, result: Result) -> str | None:
-        """Why a result does not count; None if it does."""
-        if (why := result.stale_reason(task)) is not None:
-            return why
+        """Return why a result cannot be compared with current ones; None if it can."""
+        if (reason := result.stale_reason(task)) is not None:
+            return reason
         entry = self.entries.get((task.name, result.estimator))
         if entry is None or not result.code:
             return None
@@ -108,7 +108,7 @@ class Board:
         return None if result.settings == entry.settings else "made with other settings"
 
     def card(self, result: Result) -> EstimatorCard | None:
-        """What the probes said of the estimator that made a result."""
+        """Return the card of the estimator of a result, if it was probed."""
         return self.cards.get(
             conformance_results.card_identity(result.estimator, result.settings, result.code)
         )
@@ -118,9 +118,9 @@ class Board:
 
 
 def load_board(tasks: Sequence[Task], out: Path, rows: Sequence[PlannedRow] = ()) -> Board:
-    """The board of what is stored under `out`; a file that cannot be read is a failed row.
+    """Load the board stored under `out`; an unreadable file becomes a failed row.
 
-    An estimator is known as it is now from `rows`, or if it is one of this package.
+    Results are compared with the current entries in `rows` and with those of this package.
     """
     results = {task.name: load_rows(out, task) for task in tasks}
     entries = {(row.task.name, row.entry.name): row.entry for row in rows}
@@ -131,20 +131,21 @@ def load_board(tasks: Sequence[Task], out: Path, rows: Sequence[PlannedRow] = ()
             )
             if entry is not None:
                 entries[task.name, name] = entry
-    made = {(r.estimator, str(r.settings), r.code): r for rs in results.values() for r in rs}
-    found = [
-        conformance_results.find_card(out, r.estimator, r.settings, r.code) for r in made.values()
+    versions = {(r.estimator, str(r.settings), r.code): r for rs in results.values() for r in rs}
+    cards = [
+        conformance_results.find_card(out, r.estimator, r.settings, r.code)
+        for r in versions.values()
     ]
-    told = {card.identity: card for card in found if card is not None}
-    return Board(tuple(tasks), results, entries, told)
+    by_identity = {card.identity: card for card in cards if card is not None}
+    return Board(tuple(tasks), results, entries, by_identity)
 
 
 def render_with_retry(
     board: Board, request: RunRequest, out: Path, render: Callable[[Board], Rendered]
 ) -> Rendered:
-    """Return `render(board)`, read again where another run replaces its rows meanwhile.
+    """Return `render(board)`; reload the board if another run replaces its rows meanwhile.
 
-    Raises RowChangedError if its rows are still being replaced at the last of ATTEMPTS.
+    Raises RowChangedError if rows were replaced in each of ATTEMPTS attempts.
     """
     for _ in range(ATTEMPTS - 1):
         try:
@@ -160,10 +161,10 @@ def run_board(
     executor: Executor,
     progress: JobProgress = lambda done, total, text: None,
 ) -> Board:
-    """Judge what is wanted, store it under `out`, and return the board of everything stored there.
+    """Run the missing results of a request, store them under `out` and return the whole board.
 
-    Failures are tried again. Raises ConfigError, before anything is run, if a file of a newer
-    version would have to be replaced; and what the executor raises.
+    Failed results are run again. Raises ConfigError if a file of a newer version would have to be
+    replaced, before anything is run, and the exceptions of the executor.
     """
     remove_stale_partials(out)
     remove_stale_temp()
@@ -178,16 +179,19 @@ def run_board(
             progress(k, total, f"{done.task}: {done.entry}, {done.condition}")
         if plan.assemble_rows():
             if request.probes:
-                everyone = [row.entry for row in rows]
+                entries = [row.entry for row in rows]
                 conformance_results.probe_entries(
-                    everyone, out, request.limits, lambda text: progress(1, 1, text)
+                    entries, out, request.limits, lambda text: progress(1, 1, text)
                 )
             return load_board(request.sized_tasks(), out, rows)
-    raise ConfigError(f"{out}: somebody else changes the files of this run while it is under way")
+    raise ConfigError(
+        f"{out}: another process changed the files of this run in {ATTEMPTS} attempts; "
+        "use a folder of its own"
+    )
 
 
 def write_jobs(request: RunRequest, out: Path, folder: Path) -> int:
-    """Write a file for each job that is left to be run, an entry each; how many there are."""
+    """Write a job file for each missing result and return their number."""
     plan = Plan(request.rows(), out, request.resume)
     missing = plan.missing()
     for k, job in enumerate(make_jobs(missing, len(missing) ** 2, request.limits)):
@@ -196,5 +200,5 @@ def write_jobs(request: RunRequest, out: Path, folder: Path) -> int:
 
 
 def create_baselines() -> dict[str, Estimator | None]:
-    """The marks that stand on every board."""
+    """Return the baselines of every board by name; None is the truth plus noise."""
     return {name: None if name == TRUTH_PLUS_NOISE else create(name) for name in BASELINES}

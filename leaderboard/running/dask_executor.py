@@ -1,8 +1,7 @@
-"""Jobs on the workers of a Dask cluster: what is known goes out as text, and results come back.
+"""Execution of jobs on a Dask cluster: job files are sent as text, results are returned as text.
 
-Workers need this package in the same version, and the surface files of tasks that have some; they
-need not see the folder of results. A job whose worker dies is given to another one by the
-scheduler.
+Workers need the same version of this package and the surface files of the tasks, but no access to
+the folder of results. The scheduler reassigns a job whose worker dies.
 """
 
 import dataclasses
@@ -19,7 +18,7 @@ from road_envs._extras import optional_import
 from road_envs.config import ConfigError
 
 SCHEDULER_TIMEOUT = 20.0
-"""Seconds in which the scheduler must answer, and then have a worker."""
+"""Timeout [s] for connecting to the scheduler, and for its first worker."""
 
 
 class DaskExecutor:
@@ -37,26 +36,28 @@ class DaskExecutor:
         try:
             self._client = Client(address, timeout=SCHEDULER_TIMEOUT, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
-            said = " ".join(str(error).split())
-            raise ConfigError(f"no Dask scheduler answers at {address!r}: {said}") from None
+            reason = " ".join(str(error).split())
+            raise ConfigError(f"no Dask scheduler answers at {address!r}: {reason}") from None
         try:
             self._client.wait_for_workers(1, timeout=SCHEDULER_TIMEOUT)
         except TimeoutError:
-            raise ConfigError(f"the Dask scheduler at {address!r} has no worker yet") from None
+            raise ConfigError(
+                f"the Dask scheduler at {address!r} has no worker; start one with `dask worker`"
+            ) from None
         self.workers = sum(self._client.nthreads().values())
 
     def run(self, jobs_: Sequence[Job], out: Path) -> Iterator[JobDone]:
-        """Run all, and store what comes back. Raises ConfigError or JudgeError as a job does."""
+        """Run all jobs and store their results. Raises ConfigError, EvaluatorError of a job."""
         with optional_import("running on a cluster"):
             from distributed import KilledWorker, as_completed
 
-        asked = {self._submit(job): job for job in jobs_}
-        waiting = as_completed(asked, loop=self._client.loop)
-        for future in waiting:
-            job = asked.pop(future)
+        submitted = {self._submit(job): job for job in jobs_}
+        futures = as_completed(submitted, loop=self._client.loop)
+        for future in futures:
+            job = submitted.pop(future)
             try:
-                found = future.result()
-            except KilledWorker:  # several workers died of it: an entry at a time, then
+                results = future.result()
+            except KilledWorker:  # the job killed several workers: run its entries one at a time
                 if len(job.entries) == 1:
                     yield executors.record_crash(
                         job, job.entries[0], "the death of its worker", out
@@ -64,10 +65,10 @@ class DaskExecutor:
                 for entry in job.entries if len(job.entries) > 1 else ():
                     alone = dataclasses.replace(job, entries=(entry,))
                     again = self._submit(alone)
-                    asked[again] = alone
-                    waiting.add(again)
+                    submitted[again] = alone
+                    futures.add(again)
                 continue
-            for done, text in found:
+            for done, text in results:
                 store.write_durable(store.part_path(out, done.identity), text)
                 yield done
 
@@ -76,7 +77,7 @@ class DaskExecutor:
 
 
 def run_remote_job(spec: str) -> list[tuple[JobDone, str]]:
-    """On a worker: run a job, and return what it has done with the text of each result."""
+    """Run a job on a Dask worker and return the summary and text of each result."""
     job = jobs.from_text(spec, "a job")
     remove_stale_temp()
     with TempFolder() as out:

@@ -1,6 +1,6 @@
-"""Where jobs are run: in this process, or each in a process of this machine, several at a time.
+"""Executors of jobs: in this process, or in several processes of this machine.
 
-`cluster.py` has the third: on the workers of a Dask cluster.
+`dask_executor.py` runs jobs on a Dask cluster.
 """
 
 import dataclasses
@@ -14,9 +14,9 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Protocol
 
+from estimators import make_estimator
 from estimators.api import Estimator
 from leaderboard.evaluation import evaluate
-from leaderboard.evaluation.entries import make_estimator
 from leaderboard.evaluation.entry import Entry, TrainingRun
 from leaderboard.evaluation.evaluate import ConditionData
 from leaderboard.evaluation.test_data import DriveSimulation, simulate_drives
@@ -30,37 +30,39 @@ from road_envs.config import ConfigError, build
 
 
 class Executor(Protocol):
-    """Runs jobs and stores their results under `out`; hears of each as it is done, in any order."""
+    """Executor of jobs."""
 
     @property
     def workers(self) -> int:
-        """How many jobs it runs at a time."""
+        """Number of jobs that run at a time."""
         ...
 
-    def run(self, jobs: Sequence[Job], out: Path) -> Iterator[JobDone]: ...
+    def run(self, jobs: Sequence[Job], out: Path) -> Iterator[JobDone]:
+        """Run jobs, store results under `out` and yield each summary in completion order."""
+        ...
 
 
 class EvaluatorError(Exception):
-    """The judge itself has failed, which is no entry's fault."""
+    """The evaluation code has failed, independently of the entry."""
 
 
 class InProcessExecutor:
-    """In this process, without any isolation: for tests, and for looking for one's own mistakes.
+    """Runs jobs in this process without isolation, for tests and debugging.
 
-    `made` estimators are taken as they are, by name; others are made from their entry.
+    `estimators` are used by name of the entry; others are constructed from their entry.
     """
 
     workers = 1
 
     def __init__(
         self,
-        drive: DriveSimulation = simulate_drives,
-        made: Mapping[str, Estimator | None] | None = None,
+        simulate: DriveSimulation = simulate_drives,
+        estimators: Mapping[str, Estimator | None] | None = None,
     ):
-        self._simulate, self._estimators = drive, made or {}
+        self._simulate, self._estimators = simulate, estimators or {}
 
     def run(self, jobs_: Sequence[Job], out: Path) -> Iterator[JobDone]:
-        """Run one after the other; what is left of an entry that failed is not run."""
+        """Run jobs one after the other; skip further conditions of an entry that failed."""
         failed: set[tuple[str, str]] = set()
         for job in jobs_:
             for done in jobs.run_job(
@@ -71,27 +73,28 @@ class InProcessExecutor:
                 yield done
 
     def _run_entry(
-        self, entry: Entry, condition_data: ConditionData, seeds: Sequence[int]
+        self, entry: Entry, data: ConditionData, seeds: Sequence[int]
     ) -> Iterator[TrainingRun]:
-        made = self._estimators.get(entry.name) or make_estimator(entry.reference, entry.settings)
-        yield from evaluate.in_process(made)(entry, condition_data, seeds)
+        estimator = self._estimators.get(entry.name)
+        estimator = estimator or make_estimator(entry.reference, **entry.settings)
+        yield from evaluate.in_process(estimator)(entry, data, seeds)
 
 
 class ProcessExecutor:
-    """Each job in a process of this machine, up to `workers` at a time, fed by threads.
+    """Runs each job in a process of this machine, up to `workers` at a time.
 
-    The entry that ran when the process of a job died is tried again alone; if that process dies
-    too, it has failed. Where an entry has failed, what is left of it on that task is not run.
+    If the process of a job dies, the entry that was running is run again alone, and fails if that
+    process dies too. Further conditions of an entry that failed on a task are skipped.
     """
 
     def __init__(self, workers: int):
         if workers < 1:
-            raise ConfigError(f"at least one worker is wanted, got {workers}")
+            raise ConfigError(f"the number of workers must be at least 1, got {workers}")
         self.workers = workers
         self._running: set[subprocess.Popen[str]] = set()
 
     def run(self, jobs_: Sequence[Job], out: Path) -> Iterator[JobDone]:
-        """Run all. Raises ConfigError, OSError or JudgeError as soon as a job meets one."""
+        """Run all jobs. Raises the first ConfigError, OSError or EvaluatorError of a job."""
         queue: SimpleQueue[JobDone | BaseException | None] = SimpleQueue()
         failed: set[tuple[str, str]] = set()
         pool = ThreadPoolExecutor(self.workers)
@@ -100,13 +103,13 @@ class ProcessExecutor:
                 pool.submit(self._run_job, job, out, failed, queue.put)
             left = len(jobs_)
             while left:
-                found = queue.get()
-                if isinstance(found, BaseException):
-                    raise found
-                if found is None:
+                item = queue.get()
+                if isinstance(item, BaseException):
+                    raise item
+                if item is None:  # the end of a job
                     left -= 1
                 else:
-                    yield found
+                    yield item
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
             for process in list(self._running):
@@ -120,7 +123,7 @@ class ProcessExecutor:
             left = {entry.name: entry for entry in _without_failed(job, failed).entries}
             while left:
                 self._run_process(_with_entries(job, left.values()), out, failed, put, left)
-                if left:  # the process died, while it ran the first that is left
+                if left:  # the process died while running the first entry of `left`
                     suspect = next(iter(left.values()))
                     status = self._run_process(
                         _with_entries(job, [suspect]), out, failed, put, left
@@ -140,7 +143,10 @@ class ProcessExecutor:
         put: Callable[..., None],
         left: dict[str, Entry],
     ) -> int:
-        """Run a process on a job, pass on what it has done, and take that out of `left`."""
+        """Run a job in a process, put its results and remove their entries from `left`.
+
+        Return the exit status, negative for a signal. Raises EvaluatorError for a positive one.
+        """
         with (
             TempFolder() as folder,
             start_job(job, folder, out) as process,
@@ -162,16 +168,16 @@ class ProcessExecutor:
                 self._running.discard(process)
                 processes.kill_group(process.pid)
             if status > 0:
-                raise EvaluatorError((folder / "said.txt").read_text(encoding="utf-8")[-4000:])
+                raise EvaluatorError((folder / "stderr.txt").read_text(encoding="utf-8")[-4000:])
         return status
 
 
 def start_job(job: Job, folder: Path, out: Path) -> subprocess.Popen[str]:
-    """A process that runs a job; `folder` gets its file, and what it says on standard error."""
+    """Start a process that runs a job; `folder` receives the job file and standard error."""
     spec = folder / "spec.json"
     spec.write_text(jobs.to_text(job), encoding="utf-8")
     path = os.pathsep.join(os.path.abspath(place) for place in sys.path)
-    with (folder / "said.txt").open("wb") as stderr:
+    with (folder / "stderr.txt").open("wb") as stderr:
         return subprocess.Popen(
             [sys.executable, "-P", "-m", "leaderboard.running.jobs", str(spec), str(out)],
             stdin=subprocess.DEVNULL,
@@ -188,15 +194,15 @@ def _with_entries(job: Job, entries: Iterable[Entry]) -> Job:
 
 
 def _without_failed(job: Job, failed: set[tuple[str, str]]) -> Job:
-    """A job without the entries that have failed on its task."""
+    """Return a job without the entries that have failed on its task."""
     return _with_entries(job, (e for e in job.entries if (job.task.name, e.name) not in failed))
 
 
 def record_crash(job: Job, entry: Entry, by: str, out: Path) -> JobDone:
-    """Store that the judge's own process did not outlive an entry, and what ended it."""
+    """Store a failure of an entry during which the process of the job was ended twice."""
     condition = job.task.conditions[job.condition]
-    why = f"{condition.label}, the judge's process was ended twice by {by} while it ran"
+    failure = f"{condition.label}, the evaluation process was ended twice by {by} while it ran"
     result = evaluate.evaluate_entry(
-        job.task, condition, why, entry, job.seeds, evaluate.in_process(None)
+        job.task, condition, failure, entry, job.seeds, evaluate.in_process(None)
     )
     return jobs.store_result(result, job, entry, out)

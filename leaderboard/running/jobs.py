@@ -1,11 +1,11 @@
-"""A job: some entries on one condition of one task; from a file with all that it depends on to
-results in the store. It can be run anywhere, any number of times, in any order.
+"""Jobs: some entries on one condition of one task, run from a self-contained file.
+
+Jobs can be run on any machine, any number of times, in any order.
 
     road-recon run-job spec.json --out FOLDER
 
-The process that runs it is the judge: it drives, keeps the truth, has every entry run in a process
-of its own, scores, and writes what came of it. On standard output it says what it has done, one
-JSON a line.
+The process that runs a job simulates the drives, holds the truth, runs every entry in a separate
+process, scores the estimates and stores the results. It prints one JSON line for each result.
 """
 
 import dataclasses
@@ -40,12 +40,12 @@ from road_envs.config import STRICT, ConfigError, build
 from road_envs.roads import KINDS
 
 BUILTIN_CACHE = "ours"
-"""Cache of kernels that the estimators of this package share; every guest has one of its own."""
+"""Name of the kernel cache shared by this package's estimators; any other entry has its own."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """Entries that are judged on the same drives."""
+    """Entries that are evaluated on the same drives."""
 
     __pydantic_config__ = STRICT
 
@@ -55,12 +55,12 @@ class Job:
     seeds: tuple[int, ...]
     limits: Limits = field(default_factory=Limits)
     task_digest: str = ""
-    judge: str = ""  # version of the code that planned it
+    judge: str = ""  # version of the evaluation code that planned the job
 
 
 @dataclass(frozen=True, kw_only=True)
 class JobDone:
-    """A result that now stands in the store."""
+    """Summary of a stored result."""
 
     __pydantic_config__ = STRICT
 
@@ -68,14 +68,14 @@ class JobDone:
     task: str
     entry: str
     condition: str
-    content_digest: str  # a digest of it
+    content_digest: str
     isolation: str
     failure: str | None = None
 
 
 def result_identity(task: Task, condition: int | None, entry: Entry, seeds: Sequence[int]) -> str:
-    """Digest of all that a result depends on; of a whole row where `condition` is None."""
-    known = {
+    """Return the digest of all inputs of a result; of a whole row if `condition` is None."""
+    inputs = {
         "format": FORMAT,
         "task": task.digest,
         "condition": None if condition is None else task.conditions[condition].label,
@@ -85,17 +85,17 @@ def result_identity(task: Task, condition: int | None, entry: Entry, seeds: Sequ
         "metrics": heights.VERSION,
         "judge": evaluation_version(),
     }
-    return hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()[:32]
+    return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()[:32]
 
 
 def to_text(job: Job) -> str:
-    """The file of a job."""
-    known = dataclasses.replace(job, task_digest=job.task.digest, judge=evaluation_version())
-    return json.dumps(_to_json_types(known), indent=1) + "\n"
+    """Return the content of a job file."""
+    job = dataclasses.replace(job, task_digest=job.task.digest, judge=evaluation_version())
+    return json.dumps(_to_json_types(job), indent=1) + "\n"
 
 
 def from_text(text: str, where: str) -> Job:
-    """A job from its file. Raises ConfigError, also if it was planned for another version."""
+    """Parse a job file. Raises ConfigError, also if the job was planned by another version."""
     try:
         data = json.loads(text)
     except ValueError as error:
@@ -106,34 +106,32 @@ def from_text(text: str, where: str) -> Job:
     if not 0 <= job.condition < len(job.task.conditions):
         raise ConfigError(f"{where}: {job.task.name} has no condition {job.condition}")
     if job.judge != evaluation_version():
-        raise ConfigError(f"{where}: planned by other code than this; plan it again")
+        raise ConfigError(f"{where}: planned by another version of the code; plan it again")
     if job.task_digest != job.task.digest:
-        raise ConfigError(f"{where}: {job.task.name} is another task here, or lacks its files")
+        raise ConfigError(
+            f"{where}: the task {job.task.name} or one of its files differs here; plan it again"
+        )
     return job
 
 
 def run_job(
-    job: Job, out: Path, run: EntryRunner, drive: DriveSimulation = simulate_drives
+    job: Job, out: Path, run: EntryRunner, simulate: DriveSimulation = simulate_drives
 ) -> Iterator[JobDone]:
-    """Judge the entries of a job one by one, and store what comes of each. Raises ConfigError."""
+    """Evaluate the entries of a job one by one and store each result. Raises ConfigError."""
     condition = job.task.conditions[job.condition]
-    condition_data = simulate_condition(job.task, condition, drive)
+    data = simulate_condition(job.task, condition, simulate)
     for entry in job.entries:
-        yield store_result(
-            evaluate_entry(job.task, condition, condition_data, entry, job.seeds, run),
-            job,
-            entry,
-            out,
-        )
+        result = evaluate_entry(job.task, condition, data, entry, job.seeds, run)
+        yield store_result(result, job, entry, out)
 
 
 def store_result(result: Result, job: Job, entry: Entry, out: Path) -> JobDone:
     """Store the result of an entry of a job."""
-    known = result_identity(job.task, job.condition, entry, job.seeds)
-    result = dataclasses.replace(result, identity=known)
-    store.write_durable(store.part_path(out, known), store.to_text(result))
+    identity = result_identity(job.task, job.condition, entry, job.seeds)
+    result = dataclasses.replace(result, identity=identity)
+    store.write_durable(store.part_path(out, identity), store.to_text(result))
     return JobDone(
-        identity=known,
+        identity=identity,
         task=job.task.name,
         entry=entry.name,
         condition=job.task.conditions[job.condition].label,
@@ -144,28 +142,25 @@ def store_result(result: Result, job: Job, entry: Entry, out: Path) -> JobDone:
 
 
 def in_sandbox(sandbox: SandboxClient) -> EntryRunner:
-    """Run an entry in a process of its own."""
+    """Return a runner that trains and runs each entry in a separate process."""
 
-    def run(
-        entry: Entry, condition_data: ConditionData, seeds: Sequence[int]
-    ) -> Iterable[TrainingRun]:
+    def run(entry: Entry, data: ConditionData, seeds: Sequence[int]) -> Iterable[TrainingRun]:
+        is_builtin = entry.reference in estimators.REGISTRY
         return sandbox.reconstruct(
             entry.reference,
             entry.settings,
-            evaluate.training_pairs(condition_data),
-            [test.record for test in condition_data.tests],
-            condition_data.task.vehicle,
+            evaluate.training_pairs(data),
+            [test.record for test in data.tests],
+            data.task.vehicle,
             seeds,
-            cache=BUILTIN_CACHE
-            if entry.reference in estimators.REGISTRY
-            else f"guest-{entry.name}",
+            cache=BUILTIN_CACHE if is_builtin else f"entry-{entry.name}",
         )
 
     return run
 
 
 def run_job_file(spec: Path, out: Path) -> Iterator[JobDone]:
-    """Run the job in a file in this process, and every entry in one of its own.
+    """Run the job of a file in this process, each entry in a separate one.
 
     Raises ConfigError, OSError.
     """
@@ -174,12 +169,12 @@ def run_job_file(spec: Path, out: Path) -> Iterator[JobDone]:
     hidden = [out / "results", out / "jobs"]
     for folder in hidden:
         folder.mkdir(parents=True, exist_ok=True)
-    with SandboxClient(job.limits, hidden, alone=True) as sandbox:
+    with SandboxClient(job.limits, hidden, owns_all_children=True) as sandbox:
         yield from run_job(job, out, in_sandbox(sandbox))
 
 
 def main() -> None:
-    """Run a job for the process that started this one, which reads what is done, or an error."""
+    """Run a job and print a JSON line for each result, or one with the error."""
     processes.die_with_parent()
     try:
         for done in run_job_file(*map(Path, sys.argv[1:3])):
@@ -194,15 +189,15 @@ def _print_json_line(data: dict[str, Any]) -> None:
 
 
 def _to_json_types(value: Any) -> Any:
-    """`value` as JSON types from which `build` makes it again; a road carries its kind."""
+    """Return `value` as JSON types that `build` can parse; roads get a key `kind`."""
     if dataclasses.is_dataclass(value):
-        named = {
+        fields = {
             f.name: _to_json_types(getattr(value, f.name))
             for f in dataclasses.fields(value)
             if f.init
         }
         kind = next((name for name, cls in KINDS.items() if type(value) is cls), None)
-        return named if kind is None else {"kind": kind, **named}
+        return fields if kind is None else {"kind": kind, **fields}
     if isinstance(value, list | tuple):
         return [_to_json_types(item) for item in value]
     if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""From what is wanted to jobs, and from stored parts to the rows of a board."""
+"""Planning of a run: the jobs of missing results, and assembling rows from stored parts."""
 
 import dataclasses
 import math
@@ -19,7 +19,7 @@ from road_envs.config import ConfigError
 
 @dataclass(frozen=True, eq=False)
 class PlannedRow:
-    """A row that a run is to leave on the board."""
+    """A row of the board that a run has to produce."""
 
     task: Task
     entry: Entry
@@ -27,27 +27,27 @@ class PlannedRow:
 
     @cached_property
     def identity(self) -> str:
-        """Of the whole row."""
+        """Identity of the whole row."""
         return result_identity(self.task, None, self.entry, self.seeds)
 
     @cached_property
     def parts(self) -> tuple[str, ...]:
-        """Identities of its parts, one for each condition."""
+        """Identities of the parts, one for each condition."""
         conditions = range(len(self.task.conditions))
         return tuple(result_identity(self.task, k, self.entry, self.seeds) for k in conditions)
 
 
 class Plan:
-    """Which rows stand, which parts are there, and what is left to be run.
+    """State of a run: current rows, stored parts, and missing results.
 
-    Entries that are not kept in by namespaces could change what is stored while they run. So the
-    plan remembers what it has seen or been told, and looks again before it relies on it.
+    An entry that runs without namespaces could change stored files. The plan therefore records a
+    digest of each file that it has read or that a job has reported, and verifies it before use.
     """
 
     def __init__(self, rows: Sequence[PlannedRow], out: Path, resume: bool):
-        """Raises NewerFormatError if a row would take the place of one that cannot be read here."""
+        """Raises NewerFormatError if a row would replace a file in a newer format."""
         self.rows, self.out = rows, out
-        self._known: dict[Path, str] = {}  # rows and parts: content, or checksum of the file
+        self._known: dict[Path, str] = {}  # digest of content or file, by path
         self._failed: set[str] = set()  # parts that hold a failure
         self._may_be_altered = False
         self._pending = [row for row in rows if not self._is_current(row, resume)]
@@ -56,7 +56,7 @@ class Plan:
                 self._find_part(part)
 
     def missing(self) -> list[tuple[PlannedRow, int]]:
-        """Conditions of rows that have to be run."""
+        """Return the rows and conditions that have to be run."""
         return [
             (row, k)
             for row in self._pending
@@ -65,20 +65,20 @@ class Plan:
         ]
 
     def record_part(self, done: JobDone) -> None:
-        """Remember a part that was run."""
+        """Record a part that was run."""
         self._known[self._part_path(done.identity)] = done.content_digest
         self._may_be_altered |= done.isolation != "namespaces"
         if done.failure is not None:
             self._failed.add(done.identity)
 
     def assemble_rows(self) -> bool:
-        """Put rows together and write them; False if there is more to be run.
+        """Assemble and write rows; return False if results are missing.
 
-        What is no longer what it was is forgotten, and has to be run again.
+        Files that have changed since they were recorded are dropped and have to be run again.
         """
         if self._may_be_altered:
             for path in [
-                path for path, told in self._known.items() if not _is_unchanged(path, told)
+                path for path, digest in self._known.items() if not _is_unchanged(path, digest)
             ]:
                 del self._known[path]
         left = [
@@ -92,14 +92,14 @@ class Plan:
     def _is_current(self, row: PlannedRow, resume: bool) -> bool:
         path = self._row_path(row)
         try:
-            result, told = store.load_with_checksum(path)
+            result, checksum = store.load_with_checksum(path)
         except NewerFormatError:
             raise
-        except ConfigError:  # none there, or none that is worth keeping
+        except ConfigError:  # missing or damaged
             return False
         if not resume or result.identity != row.identity or result.failure is not None:
             return False
-        self._known[path] = told
+        self._known[path] = checksum
         return True
 
     def _find_part(self, part: str) -> None:
@@ -112,13 +112,14 @@ class Plan:
             self._known[path] = content_digest(result)
 
     def _assemble(self, row: PlannedRow) -> bool:
-        """Put a row together if all parts are there, or one with a failure: then no more is run."""
-        here = [part for part in row.parts if self._part_path(part) in self._known]
-        if len(here) < len(row.parts) and not self._failed.intersection(here):
+        """Write a row if all parts are stored; return whether it was written."""
+        stored = [part for part in row.parts if self._part_path(part) in self._known]
+        # one failed part fails the row: the other conditions are not run then
+        if len(stored) < len(row.parts) and not self._failed.intersection(stored):
             return False
-        parts = [store.load_part(self._part_path(part)) for part in here]
-        whole = merge_parts(parts, row.identity)
-        self._known[store.save(whole, self.out)] = content_digest(whole)
+        parts = [store.load_part(self._part_path(part)) for part in stored]
+        merged = merge_parts(parts, row.identity)
+        self._known[store.save(merged, self.out)] = content_digest(merged)
         return True
 
     def _row_path(self, row: PlannedRow) -> Path:
@@ -128,51 +129,47 @@ class Plan:
         return store.part_path(self.out, identity)
 
 
-def _is_unchanged(path: Path, known: str) -> bool:
-    """Whether a file has the content, or the checksum, that it was known by."""
+def _is_unchanged(path: Path, digest: str) -> bool:
+    """Return whether `digest` is the checksum of a file or of its reproducible content."""
     try:
-        result, told = store.read_with_checksum(path)
+        result, checksum = store.read_with_checksum(path)
     except ConfigError:
         return False
-    return known in (told, content_digest(result))
+    return digest in (checksum, content_digest(result))
 
 
 def make_jobs(missing: Iterable[tuple[PlannedRow, int]], workers: int, limits: Limits) -> list[Job]:
-    """Jobs for what has to be run: a condition each, the longest first, every second one with its
-    entries from the last to the first.
+    """Return jobs for missing results, one condition each, the most expensive first.
 
-    Entries of one condition share its drives; they are spread over several jobs only where there
-    would be fewer jobs than workers.
+    Entries of one condition share its drives; they are split into several jobs only if there would
+    be fewer jobs than workers. Every second job has its entries in reverse order.
     """
     groups: dict[tuple[str, int, tuple[int, ...]], list[PlannedRow]] = {}
     for row, condition in missing:
         groups.setdefault((row.task.digest, condition, row.seeds), []).append(row)
     spread = math.ceil(workers / max(1, len(groups)))
-    found = []
-    for (_, condition, seeds), rows in groups.items():
-        for k in range(min(spread, len(rows))):
-            chosen = tuple(row.entry for row in rows[k::spread])
-            found.append(
-                Job(
-                    task=rows[0].task,
-                    condition=condition,
-                    entries=chosen,
-                    seeds=seeds,
-                    limits=limits,
-                )
-            )
-    found.sort(key=_estimated_cost, reverse=True)
-    return [_reversed(job) if k % 2 else job for k, job in enumerate(found)]
+    jobs = [
+        Job(
+            task=rows[0].task,
+            condition=condition,
+            entries=tuple(row.entry for row in rows[k::spread]),
+            seeds=seeds,
+            limits=limits,
+        )
+        for (_, condition, seeds), rows in groups.items()
+        for k in range(min(spread, len(rows)))
+    ]
+    jobs.sort(key=_estimated_cost, reverse=True)
+    # two jobs side by side seldom compile the same kernels at once if their orders are opposite
+    return [_reversed(job) if k % 2 else job for k, job in enumerate(jobs)]
 
 
 def _reversed(job: Job) -> Job:
-    """The job with its entries in the other order: side by side with one that has them in this
-    order it seldom compiles the same kernels at the same time.
-    """
     return dataclasses.replace(job, entries=job.entries[::-1])
 
 
 def _estimated_cost(job: Job) -> float:
-    """Seconds of driving to be explained, which is about what a job costs."""
-    metres = sum(road.length for road, _ in job.task.test.roads_and_seeds)
+    """Return the duration of the test drives times the entries [s/3.6], a proxy of run time."""
+    condition = job.task.conditions[job.condition]
+    metres = sum(road.length for _, road, _ in job.task.drives_of(job.task.test, condition))
     return len(job.entries) * metres / job.task.conditions[job.condition].speed_kmh

@@ -1,4 +1,4 @@
-"""The judge's side of the border: records go out to an entry, what can be trusted comes back."""
+"""Client of the sandbox: sends records to an entry's process and returns checked estimates."""
 
 import dataclasses
 import json
@@ -28,44 +28,49 @@ from road_envs.vehicle.parameters import VehicleParameters
 T = TypeVar("T")
 
 GRACE_PERIOD = 60.0
-"""Seconds after a time limit in which the guard must have given its verdict."""
+"""Time [s] after the limit of a run within which the supervisor must report its status."""
 
 STARTUP_TIMEOUT = 300.0
-"""Seconds in which the server must have loaded its libraries."""
+"""Time [s] within which the server must have loaded its libraries."""
 
 
 class SandboxClient:
-    """Runs entries in processes of their own, one run at a time; closed by a `with` statement.
+    """Runs entries in separate processes, one run at a time; a context manager.
 
-    `hidden` folders are kept from the entries where the platform can. `alone` says that this
-    process has no children but those of the host, so that all that are left may be ended.
+    `hidden` folders look empty to the entries where the platform has namespaces.
+    `owns_all_children` states that this process has no children but those of the client, so that
+    all remaining ones can be killed.
     """
 
     def __init__(
-        self, limits: Limits | None = None, hidden: Sequence[Path] = (), *, alone: bool = False
+        self,
+        limits: Limits | None = None,
+        hidden: Sequence[Path] = (),
+        *,
+        owns_all_children: bool = False,
     ):
         self.limits = limits or Limits()
-        self.run_status: RunStatus | None = None  # on the last run
+        self.run_status: RunStatus | None = None  # of the last run
         self.hidden = tuple(str(path.resolve()) for path in hidden)
-        self._alone = alone
-        self._scratch = TempFolder()
-        self._home = self._scratch.path
+        self._owns_all_children = owns_all_children
+        self._temp = TempFolder()
+        self._home = self._temp.path
         self._runs = 0
         self._namespaces: bool | None = None
-        if alone:
+        if owns_all_children:
             processes.become_subreaper()
-        self._server = self._start()  # it loads its libraries while the judge drives
+        self._server = self._start()  # loads its libraries while this process simulates drives
 
     def __enter__(self) -> "SandboxClient":
         return self
 
     def __exit__(self, *_: object) -> None:
         self._stop()
-        self._scratch.close()
+        self._temp.close()
 
     @property
     def isolation(self) -> str:
-        """What keeps entries in: "namespaces", or "process" where those are not to be had."""
+        """Isolation of the entries: "namespaces", or "process" where those are not available."""
         return "namespaces" if self._may_use_namespaces() and self.limits.namespaces else "process"
 
     def reconstruct(
@@ -78,9 +83,9 @@ class SandboxClient:
         seeds: Sequence[int],
         cache: str = "",
     ) -> list[TrainingRun]:
-        """As `entry.reconstruct_all`, of an estimator made from `reference`. Raises EntryError.
+        """Run `entry.reconstruct_all` in a worker. Raises EntryError.
 
-        Entries of one `cache` share their compiled kernels.
+        Entries with the same `cache` share their compiled kernels.
         """
         request = Request(
             reference=reference,
@@ -92,21 +97,22 @@ class SandboxClient:
         )
 
         def training_runs(folder: Path, response: Response) -> list[TrainingRun]:
-            ran = [told.seed for told in response.trainings]
-            if ran not in ([*seeds], [*seeds[:1]]):
-                raise EntryError(f"it ran the training seeds {ran} and not {list(seeds)}")
+            reported = [training.seed for training in response.trainings]
+            if reported not in ([*seeds], [*seeds[:1]]):
+                raise EntryError(
+                    f"its response has the training seeds {reported}, requested were {list(seeds)}"
+                )
             assert self.run_status is not None
             memory, isolation = self.run_status.memory, self.isolation
-            found = (_read_checked_run(folder, told, records) for told in response.trainings)
+            runs = (_read_checked_run(folder, report, records) for report in response.trainings)
             return [
-                dataclasses.replace(outcome, peak_memory=memory, isolation=isolation)
-                for outcome in found
+                dataclasses.replace(run, peak_memory=memory, isolation=isolation) for run in runs
             ]
 
         return self._run(request, training, records, cache, training_runs)
 
     def describe(self, reference: str, settings: Mapping[str, Any]) -> dict[str, Any]:
-        """As `entries.describe`, of an estimator that the judge never loads. Raises EntryError."""
+        """Run `entries.describe` in a worker, without loading the code here. Raises EntryError."""
         request = Request(reference=reference, settings=dict(settings))
         return self._run(request, [], [], "", lambda folder, response: response.description or {})
 
@@ -116,21 +122,21 @@ class SandboxClient:
         training: Sequence[tuple[Record, Profile]],
         records: Sequence[Record],
         cache: str,
-        take: Callable[[Path, Response], T],
+        read: Callable[[Path, Response], T],
     ) -> T:
         self._runs += 1
         folder = self._home / str(self._runs)
         try:
             messages.write_request(folder, request, training, records)
             run_status = self.run_status = self._start_run(folder, cache)
-            if (why := _describe_violation(run_status, self.limits)) is not None:
-                raise EntryError(why)
+            if (failure := _describe_violation(run_status, self.limits)) is not None:
+                raise EntryError(failure)
             response = messages.read_response(folder)
             if response is None:
                 raise EntryError(_describe_missing_response(run_status))
             if response.failure is not None:
                 raise EntryError(response.failure)
-            return take(folder, response)
+            return read(folder, response)
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
@@ -140,7 +146,7 @@ class SandboxClient:
             folder=str(folder.resolve()),
             limits=self.limits,
             isolation=isolation,
-            private=_private_cache(cache) if isolation == "namespaces" else (),
+            bind_mounts=_private_cache(cache) if isolation == "namespaces" else (),
             hidden=self.hidden,
         )
         begin = time.monotonic()
@@ -151,46 +157,45 @@ class SandboxClient:
         except (OSError, ValueError):
             status = self._stop()
             self._server = self._start()
-            spent = time.monotonic() - begin
-            return RunStatus(outcome="supervisor", status=status, seconds=spent)
+            return RunStatus(outcome="supervisor", status=status, seconds=time.monotonic() - begin)
 
     def _start(self) -> subprocess.Popen[bytes]:
         self._namespaces = None
-        with (self._home / "said.txt").open("ab") as said:
+        with (self._home / "stderr.txt").open("ab") as stderr:
             return subprocess.Popen(
                 [sys.executable, "-P", "-m", "leaderboard.sandbox.server"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=said,
+                stderr=stderr,
                 env=worker_environment(self._home),
                 cwd=self._home,
                 start_new_session=True,
             )
 
     def _may_use_namespaces(self) -> bool:
-        """Whether the server may have namespaces, which is the first thing that it says."""
+        """Return whether the kernel grants namespaces, which the first line of the server says."""
         if self._namespaces is None:
             try:
                 self._namespaces = bool(json.loads(self._read_line(STARTUP_TIMEOUT))["namespaces"])
             except (OSError, ValueError, KeyError, TypeError) as error:
-                said = (self._home / "said.txt").read_text(encoding="utf-8", errors="replace")
-                raise RuntimeError(f"the server of entries does not start: {said}") from error
+                log = (self._home / "stderr.txt").read_text(encoding="utf-8", errors="replace")
+                raise RuntimeError(f"the sandbox server does not start: {log}") from error
         return self._namespaces
 
     def _read_line(self, seconds: float) -> bytes:
-        """The next line that the server says. Raises OSError if it says none in time."""
-        handle, said = self._server.stdout.fileno(), b""  # type: ignore[union-attr]
+        """Read the next line from the server. Raises OSError on a timeout or at its end."""
+        handle, line = self._server.stdout.fileno(), b""  # type: ignore[union-attr]
         end = time.monotonic() + seconds
-        while not said.endswith(b"\n"):
+        while not line.endswith(b"\n"):
             ready, _, _ = select.select([handle], [], [], max(0.0, end - time.monotonic()))
             text = os.read(handle, 1 << 16) if ready else b""
             if not text:
-                raise OSError("silence")
-            said += text
-        return said
+                raise OSError("no response of the sandbox server")
+            line += text
+        return line
 
     def _stop(self) -> int:
-        """End the server and its guards, which end their guests; its exit status."""
+        """Stop the server, its supervisors and their workers; return the server's exit status."""
         server = self._server
         for stream in (server.stdin, server.stdout):
             if stream is not None:
@@ -200,71 +205,71 @@ class SandboxClient:
         except subprocess.TimeoutExpired:
             processes.kill_group(server.pid)
             status = server.wait()
-        if self._alone:
+        if self._owns_all_children:
             processes.kill_descendants()
         return status
 
 
-def _read_checked_run(folder: Path, told: TrainingReport, records: Sequence[Record]) -> TrainingRun:
-    outcome = messages.read_training_run(folder, told, records)
-    for k, (estimate, record) in enumerate(zip(outcome.estimates, records, strict=True), start=1):
+def _read_checked_run(
+    folder: Path, report: TrainingReport, records: Sequence[Record]
+) -> TrainingRun:
+    run = messages.read_training_run(folder, report, records)
+    for k, (estimate, record) in enumerate(zip(run.estimates, records, strict=True), start=1):
         try:
             check_estimate(estimate, record)
         except EstimateError as error:
             raise EntryError(
-                f"test drive {k} of {len(records)}, seed {told.seed}: {error}"
+                f"test drive {k} of {len(records)}, seed {report.seed}: {error}"
             ) from None
-    return outcome
+    return run
 
 
 def _describe_violation(run_status: RunStatus, limits: Limits) -> str | None:
-    """In one sentence, what ended a run other than the entry itself."""
+    """Return why a run was stopped from outside, in one sentence; None if it was not."""
     match run_status.outcome:
         case "time":
-            return f"it was ended after {limits.seconds:g} s, the time limit"
+            return f"stopped after {limits.seconds:g} s, the time limit"
         case "memory":
-            return f"it was ended when it held more than {limits.memory:g} GiB, the memory limit"
+            return f"stopped for using more than {limits.memory:g} GiB, the memory limit"
         case "processes":
-            return f"it was ended when it had more than {limits.processes} processes"
+            return f"stopped for having more than {limits.processes} processes, the limit"
         case "supervisor":
-            return (
-                f"the process that watched over it was ended by {describe_exit(run_status.status)}"
-            )
+            return f"its supervisor was ended by {describe_exit(run_status.status)}"
     return None
 
 
 def _describe_missing_response(run_status: RunStatus) -> str:
-    words = run_status.output_tail.strip().splitlines()
-    said = f"; its last words: {words[-1].strip()[:200]}" if words else ""
-    return f"its process ended without an answer, by {describe_exit(run_status.status)}{said}"
+    lines = run_status.output_tail.strip().splitlines()
+    last = f"; its last output: {lines[-1].strip()[:200]}" if lines else ""
+    return f"its process ended without a response, by {describe_exit(run_status.status)}{last}"
 
 
 def describe_exit(status: int) -> str:
-    """An exit status, or the name of the signal, that ended a process."""
+    """Return the exit status, or the name of the signal, that ended a process."""
     if status >= 0:
         return f"exit status {status}"
     return Signals(-status).name if -status in set(Signals) else f"signal {-status}"
 
 
 def _private_cache(name: str) -> tuple[tuple[str, str], ...]:
-    """The kernels that an entry compiles, put in the place of the judge's.
+    """Return the bind mount that replaces the kernel cache by one of the entry, () without a name.
 
-    An entry may write there what it likes; the judge, and other entries, never load it. It starts
-    as a copy of what the judge has compiled.
+    The cache of an entry starts as a copy of the shared one. Neither this process nor other entries
+    ever load from it, so an entry cannot inject code through it.
     """
-    judges = _numba.CACHE
-    if not name or not judges.is_dir():
+    shared = _numba.CACHE
+    if not name or not shared.is_dir():
         return ()
-    own = judges.parent / "entries" / judges.name / name
-    if not own.is_dir():
-        fresh = own.with_name(f".{own.name}.{os.getpid()}")
-        fresh.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copytree(judges, fresh, dirs_exist_ok=True)
+    private = shared.parent / "entries" / shared.name / name
+    if not private.is_dir():
+        copy = private.with_name(f".{private.name}.{os.getpid()}")
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copytree(shared, copy, dirs_exist_ok=True)
         try:
-            os.rename(fresh, own)
+            os.rename(copy, private)
         except OSError:  # another job was faster
-            shutil.rmtree(fresh, ignore_errors=True)
-    return ((str(own), str(judges)),)
+            shutil.rmtree(copy, ignore_errors=True)
+    return ((str(private), str(shared)),)
 
 
 def _json_line(data: Mapping[str, Any]) -> bytes:

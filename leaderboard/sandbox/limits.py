@@ -1,4 +1,4 @@
-"""What an entry may use, and the environment that it gets."""
+"""Resource limits and environment variables of an entry's process."""
 
 import os
 import site
@@ -19,23 +19,23 @@ THREAD_VARIABLES = (
     "VECLIB_MAXIMUM_THREADS",
     "NUMBA_NUM_THREADS",
 )
-"""Set to 1: sums are taken in one order whatever the machine, and times can be compared."""
+"""Set to 1, so that sums have the same order on every machine and times can be compared."""
 
 INHERITED_VARIABLES = ("PATH", "LANG", "LC_ALL", "TZ", "VIRTUAL_ENV", "LD_LIBRARY_PATH")
-"""All that an entry gets of the judge's environment."""
+"""Environment variables that an entry inherits."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What one run of an entry, with all its trainings under one condition, may use."""
+    """Resource limits of one run of an entry, which has all its trainings under one condition."""
 
     __pydantic_config__ = STRICT
 
     seconds: float = 1800.0
     memory: float = 4.0  # [GiB] of all its processes together
     processes: int = 64
-    file: float = 1.0  # [GiB] of any file it writes
-    namespaces: bool = True  # where the platform grants them
+    file: float = 1.0  # [GiB] of each file that it writes
+    namespaces: bool = True  # use them where the platform grants them
 
     def __post_init__(self):
         for name in ("seconds", "memory", "processes", "file"):
@@ -44,15 +44,15 @@ class Limits:
 
 
 def cache_home() -> Path:
-    """Where compiled kernels are kept, as `road_envs._numba` finds it."""
+    """Return the parent folder of the kernel cache, as in `road_envs._numba`."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
 def worker_environment(folder: Path) -> dict[str, str]:
-    """The environment of an entry that works in `folder`."""
-    kept = {name: os.environ[name] for name in INHERITED_VARIABLES if name in os.environ}
+    """Return the environment of an entry with the working directory `folder`."""
+    inherited = {name: os.environ[name] for name in INHERITED_VARIABLES if name in os.environ}
     return {
-        **kept,
+        **inherited,
         **dict.fromkeys(THREAD_VARIABLES, "1"),
         "HOME": str(folder),
         "TMPDIR": str(folder),
@@ -60,6 +60,6 @@ def worker_environment(folder: Path) -> dict[str, str]:
         "PYTHONUSERBASE": site.getuserbase(),
         "PYTHONHASHSEED": "0",
         "PYTHONPATH": os.pathsep.join(os.path.abspath(path) for path in sys.path),
-        # the server forks, so a library must not start threads when it is loaded
+        # the server forks, so no library may start threads when it is imported
         "JE_ARROW_MALLOC_CONF": "background_thread:false",
     }

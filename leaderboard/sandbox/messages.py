@@ -1,13 +1,13 @@
-"""What crosses the border between judge and entry, as files in one folder.
+"""Messages between client and worker, as files in one folder.
 
-    in/request.json            which estimator, its settings, the car, the training seeds
-    in/training-0.parquet  a training record; its truth stands beside it as training-0.npz
-    in/test-0.parquet      a test record; its truth stays with the judge
-    out/response.json        what came of it, written last
-    out/seed-1.npz         estimates of one training: z0, z1, ... and z_std0, ... where given
+    in/request.json        estimator, its settings, vehicle, training seeds
+    in/training-0.parquet  a training record; its truth is in training-0.npz
+    in/test-0.parquet      a test record; its truth is never written
+    out/response.json      the outcome, written last
+    out/seed-1.npz         estimates of one training: z0, z1, ... and z_std0, ... if there are any
 
-The judge believes nothing that comes out: files are opened without following links, of limited
-size, without pickle, and every array is checked against the shape that it must have.
+The output is untrusted: files are opened without following links, limited in size and read without
+pickle, and every array is checked against its expected shape.
 """
 
 import dataclasses
@@ -33,26 +33,29 @@ from road_envs.data.recording import read_record, write_record
 from road_envs.vehicle.parameters import VehicleParameters
 
 MAX_RESPONSE_SIZE = 1_000_000
-"""Most bytes of an answer; estimates may have what their arrays need and half as much again."""
+"""Largest size [bytes] of a response."""
+
+ESTIMATES_MARGIN = 1.5
+"""Largest size of a file of estimates, relative to that of its arrays."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """What the judge wants of an entry: an estimate of every test record after every training."""
+    """Request for an estimate of every test record after every training."""
 
     __pydantic_config__ = STRICT
 
     reference: str
     settings: dict[str, Any]
     seeds: tuple[int, ...] = ()
-    training: int = 0  # records
+    training: int = 0  # number of records
     tests: int = 0
-    car: dict[str, Any] | None = None  # None: only a description of the estimator is wanted
+    car: dict[str, Any] | None = None  # None requests only a description of the estimator
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingReport:
-    """The cost of one training, told by the entry's process."""
+    """Cost of one training, as reported by the worker."""
 
     __pydantic_config__ = STRICT
 
@@ -64,7 +67,7 @@ class TrainingReport:
 
 @dataclass(frozen=True, kw_only=True)
 class Response:
-    """What an entry's process says: what it did, or in one sentence why not."""
+    """Response of a worker: its trainings, the description of the estimator, or a failure."""
 
     __pydantic_config__ = STRICT
 
@@ -79,20 +82,20 @@ def write_request(
     training: Sequence[tuple[Record, Profile]],
     tests: Sequence[Record],
 ) -> None:
-    """The judge's side: fill `folder`/in, and make an empty `folder`/out."""
-    inside = folder / "in"
-    inside.mkdir(parents=True)
+    """Write a request and its drives to `folder`/in and create `folder`/out, in the client."""
+    inputs = folder / "in"
+    inputs.mkdir(parents=True)
     (folder / "out").mkdir()
     for k, (record, truth) in enumerate(training):
-        write_record(inside / f"training-{k}.parquet", record, {})
-        np.savez(inside / f"training-{k}.npz", s=truth.s, z=truth.z)
+        write_record(inputs / f"training-{k}.parquet", record, {})
+        np.savez(inputs / f"training-{k}.npz", s=truth.s, z=truth.z)
     for k, record in enumerate(tests):
-        write_record(inside / f"test-{k}.parquet", record, {})
-    (inside / "request.json").write_text(json.dumps(dataclasses.asdict(request)), encoding="utf-8")
+        write_record(inputs / f"test-{k}.parquet", record, {})
+    (inputs / "request.json").write_text(json.dumps(dataclasses.asdict(request)), encoding="utf-8")
 
 
 def read_request(folder: Path) -> Request:
-    """The entry's side: what is wanted."""
+    """Read a request, in the worker."""
     text = (folder / "in" / "request.json").read_text(encoding="utf-8")
     return build(Request, json.loads(text), "request.json")
 
@@ -100,14 +103,14 @@ def read_request(folder: Path) -> Request:
 def read_drives(
     folder: Path, request: Request
 ) -> tuple[list[tuple[Record, Profile]], list[Record], VehicleParameters]:
-    """The entry's side: training drives with their truth, test records, and the car."""
-    inside = folder / "in"
+    """Read training drives with their truth, test records and vehicle, in the worker."""
+    inputs = folder / "in"
     training = []
     for k in range(request.training):
-        with np.load(inside / f"training-{k}.npz") as truth:
-            pair = _record(inside / f"training-{k}.parquet"), Profile(truth["s"], truth["z"])
+        with np.load(inputs / f"training-{k}.npz") as truth:
+            pair = _record(inputs / f"training-{k}.parquet"), Profile(truth["s"], truth["z"])
         training.append(pair)
-    tests = [_record(inside / f"test-{k}.parquet") for k in range(request.tests)]
+    tests = [_record(inputs / f"test-{k}.parquet") for k in range(request.tests)]
     return training, tests, build(VehicleParameters, request.car or {}, "car")
 
 
@@ -117,7 +120,7 @@ def _record(path: Path) -> Record:
 
 
 def write_estimates(folder: Path, seed: int, estimates: Sequence[Estimate]) -> None:
-    """The entry's side: all that one training estimated."""
+    """Write the estimates of one training, in the worker."""
     arrays: dict[str, np.ndarray] = {}
     for k, estimate in enumerate(estimates):
         arrays[f"z{k}"] = np.ascontiguousarray(estimate.z, dtype=float)
@@ -128,38 +131,39 @@ def write_estimates(folder: Path, seed: int, estimates: Sequence[Estimate]) -> N
 
 
 def write_response(folder: Path, response: Response) -> None:
-    """The entry's side: the last thing that it does."""
+    """Write the response, the last step of the worker."""
     with atomic_write(folder / "out" / "response.json") as partial:
         partial.write_text(json.dumps(dataclasses.asdict(response)), encoding="utf-8")
 
 
 def read_response(folder: Path) -> Response | None:
-    """The judge's side: what the entry's process said; None if it said nothing.
+    """Read the response, in the client; None if there is none.
 
-    Raises EntryError for what is no answer.
+    Raises EntryError for an invalid one.
     """
     data = _read_regular_file(folder / "out", "response.json", MAX_RESPONSE_SIZE)
     if data is None:
         return None
     try:
-        return build(Response, json.loads(data), "its answer")
+        return build(Response, json.loads(data), "its response")
     except (ConfigError, ValueError, RecursionError) as error:
-        raise EntryError(f"its answer cannot be read: {' '.join(str(error).split())}") from None
+        raise EntryError(f"its response is invalid: {' '.join(str(error).split())}") from None
 
 
 def read_training_run(
     folder: Path, training: TrainingReport, tests: Sequence[Record]
 ) -> TrainingRun:
-    """The judge's side: the estimates of one training. Raises EntryError.
+    """Read the estimates of one training, in the client. Raises EntryError.
 
-    Stations are the judge's own; whether heights are finite is for `check_estimate` to say.
+    Stations are not read but those of the scoring grid; `check_estimate` checks the values.
     """
     stations = [profile_stations(record.length) for record in tests]
-    most = int(1.5 * sum(2 * 2 * 8 * s.size for s in stations)) + 10_000 * (len(tests) + 1)
+    arrays_size = sum(2 * 2 * 8 * s.size for s in stations)  # heights and standard deviations
+    limit = int(ESTIMATES_MARGIN * arrays_size) + 10_000 * (len(tests) + 1)
     name = f"seed-{training.seed}.npz"
-    data = _read_regular_file(folder / "out", name, most)
+    data = _read_regular_file(folder / "out", name, limit)
     if data is None:
-        raise EntryError(f"there are no estimates of the training with seed {training.seed}")
+        raise EntryError(f"its estimates of the training with seed {training.seed} are missing")
     try:
         arrays = _arrays(data, {f"{kind}{k}": (2, s.size) for k, s in enumerate(stations)
                                 for kind in ("z", "z_std")})  # fmt: skip
@@ -167,7 +171,7 @@ def read_training_run(
             Estimate(s, arrays[f"z{k}"], arrays.get(f"z_std{k}")) for k, s in enumerate(stations)
         ]
     except KeyError as error:
-        raise EntryError(f"{name}: no estimate {error.args[0]}") from None
+        raise EntryError(f"{name}: the array {error.args[0]} is missing") from None
     except (ValueError, EOFError, OSError, zipfile.BadZipFile, zlib.error) as error:
         raise EntryError(f"{name}: {error}") from None
     return TrainingRun(
@@ -180,49 +184,51 @@ def read_training_run(
 
 
 def _arrays(data: bytes, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
-    """Arrays of floats in an .npz, by name. Raises ValueError for a name or a shape not in `shapes`
-    before anything of that size is made.
+    """Return the float arrays of an .npz by name.
+
+    Raises ValueError for a name or a shape not in `shapes` before allocating memory of that size.
     """
     arrays = {}
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         for member in archive.namelist():
             name = member.removesuffix(".npy")
             if name not in shapes:
-                raise ValueError(f"nobody asked for {name!r}")
+                raise ValueError(f"unexpected array {name!r}")
             with archive.open(member) as file:
                 version = npy.read_magic(file)
                 if version != (1, 0):
-                    raise ValueError(f"{name} is of version {version}")
+                    raise ValueError(f"{name}: .npy format {version}, must be (1, 0)")
                 shape, by_columns, dtype = npy.read_array_header_1_0(file)
                 if shape != shapes[name] or dtype != np.dtype(float) or by_columns:
-                    raise ValueError(
-                        f"{name}: {shapes[name]} floats are wanted, got {dtype} {shape}"
-                    )
+                    raise ValueError(f"{name}: must be float64 {shapes[name]}, got {dtype} {shape}")
                 size = 8 * int(np.prod(shape))
                 content = file.read(size)
                 if len(content) != size:
-                    raise ValueError(f"{name} is cut short")
+                    raise ValueError(f"{name}: truncated")
                 arrays[name] = np.frombuffer(content).reshape(shape)
     return arrays
 
 
-def _read_regular_file(folder: Path, name: str, most: int) -> bytes | None:
-    """A regular file that is no link, of at most so many bytes. Raises EntryError."""
+def _read_regular_file(folder: Path, name: str, limit: int) -> bytes | None:
+    """Read a regular file of at most `limit` bytes, not following links; None if it is missing.
+
+    Raises EntryError.
+    """
     try:
-        place = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        parent = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
         try:
-            flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
-            handle = os.open(name, flags, dir_fd=place)
+            flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK  # a pipe must not block the client
+            handle = os.open(name, flags, dir_fd=parent)
         finally:
-            os.close(place)
+            os.close(parent)
     except FileNotFoundError:
         return None
     except OSError as error:
         raise EntryError(f"{name} cannot be read: {error.strerror}") from None
     with open(handle, "rb") as file:
-        about = os.fstat(handle)
-        if not stat.S_ISREG(about.st_mode):
-            raise EntryError(f"{name} is no file")
-        if about.st_size > most:
-            raise EntryError(f"{name} has {about.st_size} bytes, more than the {most} it may have")
-        return file.read(most)
+        status = os.fstat(handle)
+        if not stat.S_ISREG(status.st_mode):
+            raise EntryError(f"{name} is not a regular file")
+        if status.st_size > limit:
+            raise EntryError(f"{name} has {status.st_size} bytes, the limit is {limit}")
+        return file.read(limit)

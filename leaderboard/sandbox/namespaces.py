@@ -1,9 +1,8 @@
-"""Linux namespaces for an entry: no network, no other process, nothing to write but its folder.
+"""Linux namespaces of an entry: no network, no other processes, write access to its folder only.
 
-The supervisor leaves the evaluator's users, processes, network and System V objects
-(`enter_namespaces`); the worker, its child, leaves the evaluator's mounts and drops every privilege
-(`confine`). See namespaces(7),
-mount_setattr(2) and capabilities(7). No step needs a program or a library beyond libc.
+The supervisor enters new user, process, network and IPC namespaces (`enter_namespaces`); the
+worker, its child, enters a new mount namespace and drops all privileges (`confine`). See
+namespaces(7), mount_setattr(2) and capabilities(7). Only libc is needed.
 """
 
 import ctypes
@@ -31,7 +30,7 @@ class _MountAttributes(ctypes.Structure):
 
 
 def available() -> bool:
-    """Whether this process may have namespaces, found by trying in a child."""
+    """Return whether the kernel grants namespaces to this process, by trying in a child."""
     if sys.platform != "linux":
         return False
     pid = os.fork()
@@ -39,11 +38,11 @@ def available() -> bool:
         status = 1
         try:
             enter_namespaces()
-            guest = os.fork()
-            if guest == 0:
+            worker = os.fork()
+            if worker == 0:
                 confine(None, [], [])
                 os._exit(0)
-            status = os.waitstatus_to_exitcode(os.waitpid(guest, 0)[1])
+            status = os.waitstatus_to_exitcode(os.waitpid(worker, 0)[1])
         except OSError:
             pass
         finally:
@@ -52,7 +51,7 @@ def available() -> bool:
 
 
 def enter_namespaces() -> None:
-    """New users, and for children new process numbers, network and IPC. Raises OSError."""
+    """Enter new user, network, IPC and (for children) PID namespaces. Raises OSError."""
     user, group = os.geteuid(), os.getegid()
     flags = NEW_USERS | NEW_PIDS | NEW_NETWORK | NEW_IPC
     _raise_on_error(libc.unshare(ctypes.c_int(flags)), "unshare")
@@ -62,60 +61,61 @@ def enter_namespaces() -> None:
 
 
 def confine(
-    folder: Path | None, private: Sequence[tuple[Path, Path]], hidden: Sequence[Path]
+    folder: Path | None, bind_mounts: Sequence[tuple[Path, Path]], hidden: Sequence[Path]
 ) -> None:
-    """Nothing can be written any more but in `folder` and in what stands in for other folders.
+    """Make all files read-only but those in `folder` and `bind_mounts`, and drop all privileges.
 
-    Of each pair in `private` the first folder is put in the place of the second; `hidden` folders
-    look empty. Raises OSError.
+    Each pair in `bind_mounts` mounts the first folder over the second; `hidden` folders look
+    empty. Raises OSError.
     """
     _raise_on_error(libc.unshare(ctypes.c_int(NEW_MOUNTS)), "unshare")
     _mount("none", "/", "", RECURSIVE | PRIVATE)
-    open_to = [Path("/dev/shm"), *(place for _, place in private)]
+    shared_memory = Path("/dev/shm")
+    writable = [shared_memory, *(target for _, target in bind_mounts)]
     if folder is not None:
         _mount(folder, folder, "", BIND)
-        open_to.append(folder)
-    for source, place in private:
-        _mount(source, place, "", BIND)
-    for place in hidden:
-        _mount("tmpfs", place, "tmpfs", NO_SUID | NO_DEV | NO_EXEC, "size=4k")
-    if open_to[0].is_dir():
-        _mount("tmpfs", open_to[0], "tmpfs", NO_SUID | NO_DEV, "size=256m")
+        writable.append(folder)
+    for source, target in bind_mounts:
+        _mount(source, target, "", BIND)
+    for target in hidden:
+        _mount("tmpfs", target, "tmpfs", NO_SUID | NO_DEV | NO_EXEC, "size=4k")
+    if shared_memory.is_dir():
+        _mount("tmpfs", shared_memory, "tmpfs", NO_SUID | NO_DEV, "size=256m")
     _set_mount_attributes(Path("/"), AT_RECURSIVE, set_=ATTR_RDONLY)
-    for place in filter(Path.is_dir, open_to):
-        _set_mount_attributes(place, 0, clear=ATTR_RDONLY)
+    for target in filter(Path.is_dir, writable):
+        _set_mount_attributes(target, 0, clear=ATTR_RDONLY)
     try:
         _mount("proc", "/proc", "proc", NO_SUID | NO_DEV | NO_EXEC)
-    except OSError:  # refused where the judge's own /proc is masked; its numbers lead nowhere then
+    except OSError:  # refused where /proc is masked; its process numbers are of no use here then
         pass
     _drop_privileges()
 
 
 def _drop_privileges() -> None:
     for capability in range(LAST_CAPABILITY + 1):
-        libc.prctl(PR_CAPBSET_DROP, capability, 0, 0, 0)  # beyond the kernel's last one: an error
+        libc.prctl(PR_CAPBSET_DROP, capability, 0, 0, 0)  # an error above the kernel's last
     _raise_on_error(libc.prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0), "prctl")
     header = (ctypes.c_uint32 * 2)(CAPABILITY_VERSION_3, 0)
     _raise_on_error(libc.capset(header, (ctypes.c_uint32 * 6)()), "capset")
 
 
-def _mount(source: object, place: object, kind: str, flags: int, data: str = "") -> None:
-    words = [os.fsencode(str(word)) for word in (source, place, kind, data)]
-    done = libc.mount(words[0], words[1], words[2], ctypes.c_ulong(flags), words[3])
-    _raise_on_error(done, f"mount {place}")
+def _mount(source: object, target: object, kind: str, flags: int, data: str = "") -> None:
+    words = [os.fsencode(str(word)) for word in (source, target, kind, data)]
+    status = libc.mount(words[0], words[1], words[2], ctypes.c_ulong(flags), words[3])
+    _raise_on_error(status, f"mount {target}")
 
 
-def _set_mount_attributes(place: Path, flags: int, set_: int = 0, clear: int = 0) -> None:
+def _set_mount_attributes(target: Path, flags: int, set_: int = 0, clear: int = 0) -> None:
     attributes = _MountAttributes(set_, clear, 0, 0)
-    done = libc.syscall(
+    status = libc.syscall(
         ctypes.c_long(SYS_MOUNT_SETATTR),
         ctypes.c_int(AT_FDCWD),
-        os.fsencode(place),
+        os.fsencode(target),
         ctypes.c_uint(flags),
         ctypes.byref(attributes),
         ctypes.c_size_t(ctypes.sizeof(attributes)),
     )
-    _raise_on_error(done, f"mount_setattr {place}")
+    _raise_on_error(status, f"mount_setattr {target}")
 
 
 def _raise_on_error(status: int, what: str) -> None:

@@ -1,6 +1,6 @@
-"""Processes of this machine: who descends from whom, what they use, and how to end them all.
+"""Process trees of this machine: descendants of a process, their memory, and killing them.
 
-Linux tells by /proc. Elsewhere a process knows only the group that it started.
+Descendants are read from /proc, so only on Linux. Elsewhere only process groups can be killed.
 """
 
 import ctypes
@@ -20,7 +20,7 @@ libc = ctypes.CDLL(None, use_errno=True)
 
 
 class Process(NamedTuple):
-    """A process and the memory [bytes] that it holds."""
+    """A process with its parent and its resident memory [bytes]."""
 
     pid: int
     parent: int
@@ -28,42 +28,42 @@ class Process(NamedTuple):
 
 
 def die_with_parent(number: signal.Signals = signal.SIGKILL) -> None:
-    """Have this process sent a signal when the one that started it ends (Linux)."""
+    """Let the kernel send this process a signal when its parent ends (Linux only)."""
     if LINUX:
         libc.prctl(PR_SET_PDEATHSIG, int(number), 0, 0, 0)
 
 
 def become_subreaper() -> None:
-    """Become the parent of every descendant whose own parent ends (Linux)."""
+    """Become the parent of every descendant whose own parent ends (Linux only)."""
     if LINUX:
         libc.prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
 def descendants(root: int) -> list[Process]:
-    """Children of `root`, their children and so on; none where /proc does not tell."""
+    """Return all descendants of `root`, level by level; [] where there is no /proc."""
     if not LINUX:
         return []
     children: dict[int, list[Process]] = {}
     for entry in os.scandir(PROC):
         if entry.name.isdigit() and (process := _read_process(int(entry.name))) is not None:
             children.setdefault(process.parent, []).append(process)
-    found, front = [], [root]
-    while front:
-        born = [child for pid in front for child in children.get(pid, ())]
-        found += born
-        front = [child.pid for child in born]
-    return found
+    result, level = [], [root]
+    while level:
+        below = [child for pid in level for child in children.get(pid, ())]
+        result += below
+        level = [child.pid for child in below]
+    return result
 
 
 def proportional_memory(processes: list[Process]) -> int:
-    """Memory [bytes] of some processes, a page that several of them share counted once."""
+    """Return the memory [bytes] of some processes, counting shared pages once."""
     return sum(_proportional_memory(process) for process in processes)
 
 
 def kill_descendants(timeout: float = 10.0) -> dict[int, int]:
-    """Kill every descendant of this process and wait for them; their exit statuses by number.
+    """Kill all descendants of this process, which must have called `become_subreaper`.
 
-    It has to `become_subreaper`. What still runs after `timeout` [s] cannot be killed by anyone.
+    Wait for them for up to `timeout` [s] and return their wait statuses by process number.
     """
     statuses: dict[int, int] = {}
     end = time.monotonic() + timeout
@@ -71,8 +71,8 @@ def kill_descendants(timeout: float = 10.0) -> dict[int, int]:
         for process in descendants(os.getpid()):
             kill(process.pid)
         try:
-            while (found := os.waitpid(-1, os.WNOHANG))[0]:
-                statuses[found[0]] = found[1]
+            while (ended := os.waitpid(-1, os.WNOHANG))[0]:
+                statuses[ended[0]] = ended[1]
         except ChildProcessError:
             return statuses
         time.sleep(0.002)
@@ -80,7 +80,7 @@ def kill_descendants(timeout: float = 10.0) -> dict[int, int]:
 
 
 def kill(pid: int) -> None:
-    """Kill a process if it is there."""
+    """Kill a process if it exists."""
     try:
         os.kill(pid, signal.SIGKILL)
     except (ProcessLookupError, PermissionError):
@@ -88,7 +88,7 @@ def kill(pid: int) -> None:
 
 
 def kill_group(pid: int) -> None:
-    """Kill the process group that `pid` leads, if it is there."""
+    """Kill the process group of the leader `pid` if it exists."""
     try:
         os.killpg(pid, signal.SIGKILL)
     except (ProcessLookupError, PermissionError):
@@ -96,12 +96,12 @@ def kill_group(pid: int) -> None:
 
 
 def _read_process(pid: int) -> Process | None:
-    """A process as /proc knows it; None if it has gone or is a zombie."""
+    """Read a process from /proc; None if it no longer exists."""
     try:
         text = (PROC / str(pid) / "stat").read_text()
     except OSError:
         return None
-    fields = text.rpartition(")")[2].split()  # its name, before, may hold anything
+    fields = text.rpartition(")")[2].split()  # the name in brackets may contain anything
     return Process(pid, int(fields[1]), PAGE * int(fields[21]))
 
 

@@ -1,9 +1,9 @@
-"""A clean process from which entries are forked: it loads the libraries once, and knows no truth.
+"""Fork server of entries: imports the libraries once, before any truth exists.
 
     python -P -m leaderboard.sandbox.server
 
-reads orders from standard input, one JSON a line, and answers each with a verdict on standard
-output. It ends when its input does, or when the judge does.
+reads launch requests from standard input, one JSON line each, and writes the status of each run to
+standard output. It ends at the end of its input, or with its parent.
 """
 
 import dataclasses
@@ -18,7 +18,7 @@ from road_envs.config import build
 
 
 def main() -> None:
-    """Serve until there are no more orders."""
+    """Serve launch requests until the end of input."""
     processes.die_with_parent()
     processes.become_subreaper()
     _preload()
@@ -30,7 +30,7 @@ def main() -> None:
 
 
 def _preload() -> None:
-    """What every entry of this package needs; a plug-in is loaded by its guest alone."""
+    """Import what every entry of this package needs; only its worker imports a plug-in."""
     import pyarrow.parquet  # noqa: F401
 
     import estimators
@@ -43,7 +43,7 @@ def _preload() -> None:
 
 
 def _supervise(launch: LaunchRequest) -> RunStatus | None:
-    """Let a guard see to it; a verdict if the guard could not give its own."""
+    """Fork a supervisor for a run; return a status if the supervisor failed to send its own."""
     pid = os.fork()
     if pid == 0:
         status = 1

@@ -1,7 +1,7 @@
-"""Watches one run of an entry: time, memory, processes, output; ends all of it when it is over.
+"""Supervisor of one run of an entry: enforces limits, captures output, kills leftover processes.
 
-The guard is forked from the server for each run and forks the guest. It becomes the parent of
-whatever the guest leaves behind, so nothing outlives it.
+The server forks a supervisor for each run, which forks the worker. The supervisor becomes the
+parent of all orphaned descendants of the worker, so none outlives the run.
 """
 
 import os
@@ -22,73 +22,73 @@ from road_envs.config import STRICT
 RunOutcome = Literal["exited", "time", "memory", "processes", "supervisor"]
 
 POLL_INTERVAL = 0.1
-"""Seconds between two looks at memory and processes."""
+"""Interval [s] of the checks of memory and number of processes."""
 
 OUTPUT_TAIL_SIZE = 4000
-"""Bytes of output that are kept, the last ones; the rest is counted and thrown away."""
+"""Number of last bytes of the output that are kept; the rest is only counted."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LaunchRequest:
-    """One run: where, how limited, and what it must not see."""
+    """Request to run an entry: its folder, limits, isolation and visible files."""
 
     __pydantic_config__ = STRICT
 
     folder: str
     limits: Limits = field(default_factory=Limits)
     isolation: Literal["namespaces", "process"] = "process"
-    private: tuple[tuple[str, str], ...] = ()  # folders that stand in for others
+    bind_mounts: tuple[tuple[str, str], ...] = ()  # folder and the folder that it replaces
     hidden: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunStatus:
-    """How a run went; `status` as of `subprocess`: below 0 the signal that ended it."""
+    """Outcome and resource use of a run; `status` is negative for a signal, as in `subprocess`."""
 
     __pydantic_config__ = STRICT
 
     outcome: RunOutcome
     status: int = 0
     seconds: float = 0.0
-    memory: float = 0.0  # [GiB] at its peak
-    output_size: int = 0  # bytes
+    memory: float = 0.0  # [GiB], peak
+    output_size: int = 0  # [bytes]
     output_tail: str = ""
 
 
 def run(launch: LaunchRequest) -> RunStatus:
-    """Fork the guest, watch it to its end, and end what it leaves behind."""
+    """Fork the worker, wait for its end, and kill the processes that it leaves behind."""
     processes.become_subreaper()
     if launch.isolation == "namespaces":
         namespaces.enter_namespaces()
-    output, written = os.pipe()
+    output, write_end = os.pipe()
     start = time.monotonic()
     pid = os.fork()
     if pid == 0:
-        _run_worker(launch, written)
-    os.close(written)
-    for number in (signal.SIGTERM, signal.SIGINT):  # when the server ends, or is told to
+        _run_worker(launch, write_end)
+    os.close(write_end)
+    for number in (signal.SIGTERM, signal.SIGINT):  # when the server ends or is interrupted
         signal.signal(number, lambda *_: (processes.kill_descendants(), os._exit(1)))
     processes.die_with_parent(signal.SIGTERM)
-    watch = _Monitor(launch.limits, pid, output, start)
-    outcome = watch.wait()
+    monitor = _Monitor(launch.limits, pid, output, start)
+    outcome = monitor.wait()
     processes.kill(pid)
     processes.kill_group(pid)
     statuses = processes.kill_descendants()
     if pid not in statuses:
-        statuses[pid] = watch.status or 0
-    watch.drain()
+        statuses[pid] = monitor.status or 0
+    monitor.drain()
     return RunStatus(
         outcome=outcome,
         status=os.waitstatus_to_exitcode(statuses[pid]),
         seconds=time.monotonic() - start,
-        memory=max(watch.memory, _largest_child()) / GIB,
-        output_size=watch.output_size,
-        output_tail=watch.output_tail.decode(errors="replace"),
+        memory=max(monitor.memory, _largest_child()) / GIB,
+        output_size=monitor.output_size,
+        output_tail=monitor.output_tail.decode(errors="replace"),
     )
 
 
 class _Monitor:
-    """What is seen of a guest while it runs."""
+    """Monitor of a running worker: time, memory, processes and output."""
 
     def __init__(self, limits: Limits, pid: int, output: int, start: float):
         self.limits, self.pid = limits, pid
@@ -97,23 +97,23 @@ class _Monitor:
         self.status: int | None = None
         self.output: int | None = output
         os.set_blocking(output, False)
-        self._life = os.pidfd_open(pid) if hasattr(os, "pidfd_open") else None
-        self._next_look = start
+        self._pidfd = os.pidfd_open(pid) if hasattr(os, "pidfd_open") else None
+        self._next_check = start
 
     def wait(self) -> RunOutcome:
-        """Wait for the guest; a limit that it passes ends the wait."""
+        """Wait for the worker to exit or to exceed a limit, and return which."""
         while not self._has_ended():
             if (now := time.monotonic()) > self.end:
                 return "time"
-            if now >= self._next_look:
-                self._next_look = now + POLL_INTERVAL
+            if now >= self._next_check:
+                self._next_check = now + POLL_INTERVAL
                 if (outcome := self._check_limits()) is not None:
                     return outcome
-            self._wait_for_output(min(self._next_look, self.end) - now)
+            self._wait_for_output(min(self._next_check, self.end) - now)
         return "exited"
 
     def drain(self) -> None:
-        """Read what is left of the output, for as long as nobody keeps it coming."""
+        """Read the rest of the output."""
         while self._read_output():
             pass
 
@@ -124,25 +124,26 @@ class _Monitor:
         return self.status is not None
 
     def _check_limits(self) -> RunOutcome | None:
-        found = processes.descendants(os.getpid())
-        held = sum(process.resident for process in found)
-        if held > self.limits.memory * GIB and len(found) > 1:
-            held = processes.proportional_memory(found)
-        self.memory = max(self.memory, held)
-        if held > self.limits.memory * GIB:
+        running = processes.descendants(os.getpid())
+        used = sum(process.resident for process in running)
+        if used > self.limits.memory * GIB and len(running) > 1:
+            # the sum counts shared pages several times; the exact value is slow to read
+            used = processes.proportional_memory(running)
+        self.memory = max(self.memory, used)
+        if used > self.limits.memory * GIB:
             return "memory"
-        return "processes" if len(found) > self.limits.processes else None
+        return "processes" if len(running) > self.limits.processes else None
 
     def _wait_for_output(self, seconds: float) -> None:
-        waited = [handle for handle in (self.output, self._life) if handle is not None]
-        if self._life is None:
+        handles = [handle for handle in (self.output, self._pidfd) if handle is not None]
+        if self._pidfd is None:  # the end of the worker does not wake `select`: poll it
             seconds = min(seconds, 0.02)
-        ready, _, _ = select.select(waited, [], [], max(0.0, seconds))
+        ready, _, _ = select.select(handles, [], [], max(0.0, seconds))
         if self.output in ready:
             self._read_output()
 
     def _read_output(self) -> bool:
-        """Take what was printed; False if there is nothing at the moment, or will be no more."""
+        """Read printed output; return False if there is none at the moment or no more."""
         if self.output is None:
             return False
         try:
@@ -157,13 +158,13 @@ class _Monitor:
 
 
 def _largest_child() -> int:
-    """Peak memory [bytes] of the largest process that was waited for."""
+    """Return the peak memory [bytes] of the largest child process that has ended."""
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
     return peak if sys.platform == "darwin" else 1024 * peak
 
 
 def _run_worker(launch: LaunchRequest, output: int) -> None:
-    """From here on this process is the entry's. Never returns."""
+    """Turn this process into the worker and run the entry. Never returns."""
     status = 1
     try:
         os.setsid()
@@ -175,16 +176,16 @@ def _run_worker(launch: LaunchRequest, output: int) -> None:
             signal.signal(number, signal.SIG_DFL)
         folder = Path(launch.folder)
         if launch.isolation == "namespaces":
-            private = [(Path(a), Path(b)) for a, b in launch.private]
-            namespaces.confine(folder, private, [Path(place) for place in launch.hidden])
+            bind_mounts = [(Path(source), Path(target)) for source, target in launch.bind_mounts]
+            namespaces.confine(folder, bind_mounts, [Path(path) for path in launch.hidden])
         processes.die_with_parent()
         _set_resource_limits(launch.limits)
         work = folder / "work"
         work.mkdir()
         os.chdir(work)
-        given = worker_environment(work)
+        environment = worker_environment(work)
         os.environ.clear()
-        os.environ.update(given)
+        os.environ.update(environment)
         worker.run(folder)
         sys.stdout.flush()
         sys.stderr.flush()
@@ -196,22 +197,22 @@ def _run_worker(launch: LaunchRequest, output: int) -> None:
 
 
 def _set_resource_limits(limits: Limits) -> None:
-    """What the kernel itself refuses. Memory that is only reserved does not count."""
-    wanted: Mapping[str, int] = {
+    """Set the limits that the kernel enforces. Reserved but unused memory does not count."""
+    values: Mapping[str, int] = {
         "RLIMIT_CORE": 0,
         "RLIMIT_FSIZE": int(limits.file * GIB),
         "RLIMIT_DATA": int(limits.memory * GIB) + _mapped_memory(),
         "RLIMIT_CPU": int(limits.seconds * max(1, os.cpu_count() or 1)) + 60,
     }
-    for name, value in wanted.items():
+    for name, value in values.items():
         kind = getattr(resource, name)
-        _, most = resource.getrlimit(kind)
-        value = value if most == resource.RLIM_INFINITY else min(value, most)
+        _, hard = resource.getrlimit(kind)
+        value = value if hard == resource.RLIM_INFINITY else min(value, hard)
         resource.setrlimit(kind, (value, value))
 
 
 def _mapped_memory() -> int:
-    """Writable memory [bytes] that this process had already mapped when it was forked."""
+    """Return the writable memory [bytes] that this process had mapped when it was forked."""
     try:
         lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     except OSError:

@@ -1,4 +1,4 @@
-"""The entry's own process: reads what is asked, runs the estimator, writes what it found."""
+"""Worker process of an entry: reads the request, runs the estimator, writes the response."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from leaderboard.sandbox.messages import Request, Response, TrainingReport
 
 
 def run(folder: Path) -> None:
-    """Do what `folder` asks and leave an answer there, whatever the estimator does."""
+    """Serve the request in `folder` and write a response there, also if the estimator fails."""
     try:
         response = _make_response(folder, messages.read_request(folder))
     except EntryError as error:
@@ -19,23 +19,24 @@ def run(folder: Path) -> None:
 
 
 def _make_response(folder: Path, request: Request) -> Response:
-    from leaderboard.evaluation.entries import describe, make_estimator
+    from estimators import make_estimator
+    from leaderboard.evaluation.entries import describe
 
     try:
-        estimator = make_estimator(request.reference, request.settings)
+        estimator = make_estimator(request.reference, **request.settings)
         if request.car is None:
             return Response(description=describe(request.reference, estimator))
     except Exception as error:
-        raise EntryError(f"it cannot be made: {describe_error(error)}") from error
+        raise EntryError(f"cannot be constructed: {describe_error(error)}") from error
     training, tests, car = messages.read_drives(folder, request)
     trainings = []
     for training_run in reconstruct_all(estimator, training, tests, car, request.seeds):
         messages.write_estimates(folder, training_run.seed, training_run.estimates)
-        told = TrainingReport(
+        report = TrainingReport(
             seed=training_run.seed,
             train_seconds=training_run.train_seconds,
             estimate_seconds=training_run.estimate_seconds,
             parameters=training_run.parameters,
         )
-        trainings.append(told)
+        trainings.append(report)
     return Response(trainings=tuple(trainings))

@@ -19,19 +19,19 @@ WK_SECTIONS = (
     (np.array([W_4**2 / W_3, W_4**2]), np.array([1.0, W_4 / Q_4, W_4**2]), 12.5),
     (np.array([1.0, W_5 / Q_5, W_5**2]), np.array([1.0, W_6 / Q_6, W_6**2]), 3.35),
 )
-"""Numerator and denominator in s, and corner [Hz], of each section."""
+"""Numerator and denominator in s, and corner [Hz], of each section of Wk."""
 
 
 def wk(f: np.ndarray) -> np.ndarray:
-    """Weight Wk [-] at the frequencies `f` [Hz], any shape: the standard's own, analogue."""
+    """Return the magnitude [-] of the analogue weighting Wk at `f` [Hz], any shape."""
     return np.abs(np.prod([_response(b, a, np.asarray(f)) for b, a, _ in WK_SECTIONS], axis=0))
 
 
 def wk_sos(fs: float) -> np.ndarray:
-    """Second-order sections (4, 6) of Wk for samples at `fs` [Hz], for `scipy.signal.sosfilt`.
+    """Return second-order sections (4, 6) of Wk for `scipy.signal.sosfilt` at the rate `fs` [Hz].
 
-    Keep `zi` between calls to filter a running signal. From 0.5 to 31.5 Hz it is within 0.1 % of
-    `wk` at fs = 1 kHz, 0.3 % at 500 Hz and 1.6 % at 200 Hz; at 100 Hz within 2.2 % up to 20 Hz.
+    From 0.5 to 31.5 Hz the magnitude is within 0.1 % of `wk` at fs = 1 kHz, 0.3 % at 500 Hz and
+    1.6 % at 200 Hz; at 100 Hz it is within 2.2 % up to 20 Hz. Raises ValueError if `fs` is invalid.
     """
     if not 0.0 < fs < np.inf:
         raise ValueError(f"the sampling rate fs must be positive, got {fs}")
@@ -39,26 +39,26 @@ def wk_sos(fs: float) -> np.ndarray:
 
 
 def weighted_rms(a: np.ndarray, fs: float) -> np.ndarray:
-    """Root mean square (...,) [m/s²] of vertical accelerations `a` (..., N) [m/s²] after Wk."""
+    """Return the Wk-weighted RMS (...,) [m/s²] of vertical accelerations `a` (..., N) [m/s²]."""
     return np.sqrt(np.mean(apply_wk(a, fs) ** 2, axis=-1))
 
 
 def vdv(a: np.ndarray, fs: float) -> np.ndarray:
-    """Vibration dose value (...,) [m/s^1.75]: fourth root of the time integral of (Wk a)^4."""
+    """Return the vibration dose value (...,) [m/s^1.75], (integral of (Wk a)^4 dt)^(1/4)."""
     return (np.sum(apply_wk(a, fs) ** 4, axis=-1) / fs) ** 0.25
 
 
 def apply_wk(a: np.ndarray, fs: float) -> np.ndarray:
-    """Accelerations `a` (..., N) [m/s²] sampled at `fs` [Hz], weighted by Wk, from rest."""
+    """Filter accelerations `a` (..., N) [m/s²], sampled at `fs` [Hz], by Wk from rest."""
     return sosfilt(wk_sos(fs), a, axis=-1)
 
 
 def _match_section(b: np.ndarray, a: np.ndarray, corner: float, fs: float) -> np.ndarray:
-    """Digital section (6,) at `fs` [Hz] of the analogue one b(s) / a(s) with a `corner` [Hz].
+    """Return the digital section (6,) at `fs` [Hz] of an analogue section b(s) / a(s).
 
-    The poles are mapped exactly; the zeros give the analogue magnitude at 0, at the corner and at
-    half the sampling rate (Vicanek, Matched second order digital filters, 2016). The bilinear
-    transform would have a zero at half the sampling rate instead.
+    The poles are mapped exactly; the zeros match the analogue magnitude at 0, at the `corner` [Hz]
+    and at half the sampling rate (Vicanek, Matched second order digital filters, 2016). The
+    bilinear transform would have a zero at half the sampling rate instead.
     """
     f = np.array([0.0, min(corner, 0.25 * fs), 0.5 * fs])
     z = np.exp(2j * np.pi * f / fs)
@@ -66,10 +66,10 @@ def _match_section(b: np.ndarray, a: np.ndarray, corner: float, fs: float) -> np
     gain = _response(b, a, f)
     start, middle, end = np.abs(gain * np.polyval(den, z)) ** 2
     x = np.sin(np.pi * f[1] / fs) ** 2
-    twist = (middle - start * (1.0 - x) - end * x) / (4.0 * x * (1.0 - x))
+    curvature = (middle - start * (1.0 - x) - end * x) / (4.0 * x * (1.0 - x))
     even, odd = 0.5 * (np.sqrt(start) + np.sqrt(end)), 0.5 * (np.sqrt(start) - np.sqrt(end))
-    first = 0.5 * (even + np.sqrt(max(even**2 + twist, 0.0)))
-    return np.r_[first, odd, -0.25 * twist / first, den]
+    b_0 = 0.5 * (even + np.sqrt(max(even**2 + curvature, 0.0)))
+    return np.r_[b_0, odd, -0.25 * curvature / b_0, den]
 
 
 def _response(b: np.ndarray, a: np.ndarray, f: np.ndarray) -> np.ndarray:

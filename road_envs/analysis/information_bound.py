@@ -1,33 +1,34 @@
-"""What accelerometers on the body can know of the road: the linear minimum mean square error.
+"""Lower bound on the error of linear road reconstruction from accelerometers on the body.
 
-Over spatial frequency n, at the speed v, the sensors of the linear car report
+At spatial frequency n and speed v the sensors of the linear vehicle measure
 
-    a(n) = H(n) z(n) + e(n)            z: left and right wheel path, H: `linear.frequency_response`
+    a(n) = H(n) z(n) + e(n)     z: left and right wheel path, H: `linear_model.frequency_response`
 
-z is Gaussian with the prior spectrum S(n) (2, 2), e is noise of the density R(n) (S, S). Whoever
-hears the whole drive, before and after, can do no better by linear means than
+z is Gaussian with the prior spectrum S(n) (2, 2), and e is noise of density R(n) (S, S). The linear
+minimum mean square error estimate from the whole drive (non-causal) is
 
     z^ = K a,     K = S H* (H S H* + R)^-1,     P = S - K H S
 
-P(n) is the spectrum of what remains unknown (Wiener 1949; Kailath, Sayed & Hassibi, "Linear
-Estimation", 2000, chapter 7). Three accelerometers hear heave, pitch and roll; heave and pitch are
-made by the mean of the wheel paths, and only roll by their difference. With equal suspension in
-front and behind roll is blind at n = (2 k + 1) / (2 wheelbase); with unequal it is not.
+and P(n) is the spectrum of its error (Wiener 1949; Kailath, Sayed & Hassibi, "Linear Estimation",
+2000, chapter 7). Three accelerometers measure heave, pitch and roll. The mean of the wheel paths
+excites heave and pitch, their difference excites only roll. With equal suspension in front and at
+the rear, roll does not respond at n = (2 k + 1) / (2 wheelbase); with unequal suspension it does.
 
-R = N² v, N the sensors' noise density; with a `model_error` m each sensor reports besides that m
-times its own road-made signal as noise of its own, R_ii = N² v + m² (H S H*)_ii: a model that is
-wrong by that share, in every sensor in another way. Above the low-pass `f_c` nothing is heard.
+R = N² v with the noise density N of the sensors. A `model_error` m adds independent noise of m
+times the road-induced signal to each sensor, R_ii = N² v + m² (H S H*)_ii: the model is wrong by
+that share, independently in each sensor. Above the low-pass `f_c` the response is zero.
 
-Dampers and friction enter as the damper that errs least in the mean square for a normal rate of
-extension, whose standard deviation follows from the road, the speed and the damper itself
-(`equivalent_damping`). What of their force is not linear is left out: it is no noise to an
-estimator that knows the law. To one that is linear it is (`residual_force_psd.py`), and then
-belongs to R.
+Dampers and friction are replaced by the linear damping of least mean square error for a Gaussian
+rate of extension, whose standard deviation depends on road, speed and the damping itself
+(`equivalent_damping`). The nonlinear residual of their force is not noise for an estimator that
+knows the force laws, and is neglected by default. For a linear estimator it is noise and adds to R
+(`statistical_linearization.py`).
 """
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +38,7 @@ from road_envs.analysis.statistical_linearization import (
     residual_force_psd,
     sensor_psd,
 )
-from road_envs.data.record import scored_band
+from road_envs.data.record import F_C, scored_band
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.linear_model import (
@@ -50,19 +51,18 @@ from road_envs.vehicle.linear_model import (
 )
 from road_envs.vehicle.parameters import VehicleParameters
 
-F_C = 25.0
-"""Low-pass of the processed accelerations [Hz]."""
-
 N_FREQUENCIES = 4001
-"""Frequencies in a band: enough for the narrowest notch, that of stiff struts."""
+"""Number of frequencies in a band, enough to resolve the narrowest notch, that of stiff struts."""
 
 Mode = str | Mapping[str, str]
+"""State of all struts, or states by axle or wheel."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RoadPrior:
-    """What is known of the road before it is driven on: an ISO 8608 road, equally rough in all
-    directions. `G_d0` [m³] at n0, waviness `w`, distance `track` [m] of the wheel paths.
+    """Prior of an isotropic ISO 8608 road.
+
+    `G_d0` [m³] is the density at n0, `w` the waviness, `track` [m] the distance of the wheel paths.
     """
 
     G_d0: float = CLASSES["D"]
@@ -75,11 +75,11 @@ class RoadPrior:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
     def density(self, n: np.ndarray) -> np.ndarray:
-        """One-sided density [m³] of either wheel path at `n` [cycles/m], any shape but 0."""
+        """Return the one-sided density [m³] of a wheel path at `n` [cycles/m], any shape, n > 0."""
         return self.G_d0 * (np.asarray(n, dtype=float) / N_0) ** -self.w
 
     def spectrum(self, n: np.ndarray) -> np.ndarray:
-        """Densities and cross-densities (F, 2, 2) [m³] of both wheel paths at `n` (F,)."""
+        """Return densities and cross-densities (F, 2, 2) [m³] of both wheel paths at `n` (F,)."""
         g = root_coherence(n, self.w, self.track)
         one = np.ones_like(g)
         rows = np.array([[one, g], [g, one]]) * self.density(n)
@@ -88,8 +88,10 @@ class RoadPrior:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Spectra (F, 2, 2) [m³] at `n` (F,) [cycles/m] of both wheel paths: `prior` before the drive,
-    `error` of the best linear estimate after it; `gain` (F, 2, S) [m per m/s²] of that estimate.
+    """Posterior of both wheel paths at the frequencies `n` (F,) [cycles/m].
+
+    `prior` (F, 2, 2) [m³] is the spectrum of the road, `error` (F, 2, 2) [m³] that of the error of
+    the best linear estimate, `gain` (F, 2, S) [m per m/s²] the gain of that estimate.
     """
 
     n: np.ndarray
@@ -98,45 +100,46 @@ class Posterior:
     gain: np.ndarray
 
     @property
-    def paths(self) -> np.ndarray:
-        """Densities (F, 2) [m³] of the error of the left and the right wheel path."""
+    def path_psd(self) -> np.ndarray:
+        """Error densities (F, 2) [m³] of the left and the right wheel path."""
         return np.real(self.error[:, [0, 1], [0, 1]])
 
     @property
-    def mean(self) -> np.ndarray:
-        """Density (F,) [m³] of the error of the mean of the wheel paths."""
+    def mean_psd(self) -> np.ndarray:
+        """Error density (F,) [m³] of the mean of the wheel paths."""
         return _project_psd(self.error, 0.5, 0.5)
 
     @property
-    def difference(self) -> np.ndarray:
-        """Density (F,) [m³] of the error of left less right."""
+    def difference_psd(self) -> np.ndarray:
+        """Error density (F,) [m³] of the difference of left and right wheel path."""
         return _project_psd(self.error, 1.0, -1.0)
 
     def relative_error(self, which: str) -> np.ndarray:
-        """Share (F,) [-] of the amplitude that stays unknown of "left", "right", "mean" or
-        "difference".
+        """Return the amplitude of the error relative to the prior (F,) [-].
+
+        `which` is "left", "right", "mean" or "difference".
         """
-        weights = {"left": (1.0, 0.0), "right": (0.0, 1.0), "mean": (0.5, 0.5)}
-        at = weights.get(which, (1.0, -1.0))
-        return np.sqrt(_project_psd(self.error, *at) / _project_psd(self.prior, *at))
+        known = {"left": (1.0, 0.0), "right": (0.0, 1.0), "mean": (0.5, 0.5)}
+        weights = known.get(which, (1.0, -1.0))
+        return np.sqrt(_project_psd(self.error, *weights) / _project_psd(self.prior, *weights))
 
     def variance(self) -> np.ndarray:
-        """Variance (2,) [m²] of the error of each wheel path over the frequencies held."""
-        return np.trapezoid(self.paths, self.n, axis=0)
+        """Return the error variance (2,) [m²] of each wheel path within the frequencies `n`."""
+        return np.trapezoid(self.path_psd, self.n, axis=0)
 
     def nrmse(self) -> np.ndarray:
-        """RMS of the error over RMS of the road (2,) [-], each wheel path, over the same."""
+        """Return the RMS error relative to the RMS of the road (2,) [-], for each wheel path."""
         prior = np.real(self.prior[:, [0, 1], [0, 1]])
         return np.sqrt(self.variance() / np.trapezoid(prior, self.n, axis=0))
 
     @cached_property
     def pooled(self) -> float:
-        """`nrmse` of both wheel paths together [-], as the judge pools them."""
+        """`nrmse` of both wheel paths together [-], pooled as in the scores."""
         return float(np.sqrt(np.mean(self.nrmse() ** 2)))
 
 
 def _project_psd(spectrum: np.ndarray, left: float, right: float) -> np.ndarray:
-    """Density (F,) of left x the left path + right x the right path."""
+    """Return the density (F,) of the weighted sum `left` z_left + `right` z_right."""
     a = np.array([left, right])
     return np.maximum(np.real(a @ spectrum @ a), 0.0)  # rounding may leave -1e-30
 
@@ -144,8 +147,9 @@ def _project_psd(spectrum: np.ndarray, left: float, right: float) -> np.ndarray:
 def posterior(
     n: np.ndarray, H: np.ndarray, S: np.ndarray, R: np.ndarray, model_error: float = 0.0
 ) -> Posterior:
-    """The best linear estimate of wheel paths with the spectrum `S` (F, 2, 2) from sensors with the
-    responses `H` (F, S, 2) and the noise spectrum `R` (F, S, S), over `n` (F,).
+    """Return the best linear estimate of wheel paths with the prior spectrum `S` (F, 2, 2).
+
+    The sensors have the responses `H` (F, S, 2) and the noise spectrum `R` (F, S, S) over `n` (F,).
     """
     HS = H @ S
     signal = HS @ _adjoint(H)
@@ -170,13 +174,13 @@ def bound(
     n: np.ndarray | None = None,
     f_c: float = F_C,
 ) -> Posterior:
-    """What `instruments` on a car in `mode` at `v` [m/s] leave unknown of a road like `prior`.
+    """Return the least error of linear reconstruction of a road with the given `prior`.
 
-    Over `n` [cycles/m], by default the judged band. Sensors sit where the instruments say, or at
-    `locations`, name -> (x, y) [m]. `damping` (4,) [N s/m] of the struts is `equivalent_damping` if
-    it is not given. With `residual_as_noise`, what the struts' forces are not linear in counts as
-    noise: the least error of an estimator that is linear. Raises ValueError on values that make no
-    sense.
+    The vehicle drives in `mode` at `v` [m/s]. `n` [cycles/m] is the scored band by default.
+    `locations`, name -> (x, y) [m], replace those of the `instruments`. `damping` (4,) [N s/m] of
+    the struts is `equivalent_damping` by default. With `residual_as_noise` the nonlinear residual
+    of the strut forces adds to the noise, which gives the bound of purely linear estimators. Raises
+    ValueError on invalid arguments.
     """
     if not 0 <= model_error < np.inf:
         raise ValueError(f"model_error must not be negative, got {model_error}")
@@ -185,17 +189,17 @@ def bound(
         damping = equivalent_damping(car, mode, v, prior)
     if locations is None:
         if isinstance(car, Plant):
-            raise ValueError("a plant does not know the axles of its sensors: give their places")
+            raise ValueError("a plant has no sensor locations: give locations")
         locations = instruments.locations(car)
     model = linearise(car, mode, locations, damping=damping)
     H = frequency_response(model, v, n=n)
     H[n * v > f_c] = 0.0
-    noise = np.maximum(instruments.noise_density, 1e-9) ** 2 * v  # over n; never singular
+    # density over n; the lower limit keeps R regular for noise-free instruments
+    noise = np.maximum(instruments.noise_density, 1e-9) ** 2 * v
     R = np.broadcast_to(noise * np.eye(H.shape[1]), (n.size, H.shape[1], H.shape[1]))
     if residual_as_noise:
-        forces = residual_force_psd(
-            model, nonlinear_residual(car, mode, damping), v, prior.spectrum, n * v
-        )
+        residual = nonlinear_residual(car, mode, damping)
+        forces = residual_force_psd(model, residual, v, prior.spectrum, n * v)
         R = R + v * sensor_psd(model, n * v, forces)
     return posterior(n, H, prior.spectrum(n), R, model_error)
 
@@ -207,28 +211,34 @@ def _adjoint(matrices: np.ndarray) -> np.ndarray:
 def equivalent_damping(
     car: Plant | VehicleParameters, mode: Mode, v: float, prior: RoadPrior
 ) -> np.ndarray:
-    """The struts' equivalent dampers (4,) [N s/m] on a road like `prior` at `v` [m/s].
+    """Return the equivalent damping (4,) [N s/m] of the struts on a road with `prior` at `v` [m/s].
 
-    Fixed point of statistical linearisation: the dampers decide how fast the struts move, and the
-    motion decides the dampers. Raises ValueError, and ArithmeticError if it is not found.
+    It is the fixed point of statistical linearisation: the damping determines the strut rates, and
+    their standard deviation determines the damping. Raises ValueError, and ArithmeticError if the
+    iteration does not converge.
     """
-    one = car if isinstance(car, Plant) else build_plant(car)
+    model_plant = car if isinstance(car, Plant) else build_plant(car)
     f = np.geomspace(0.05, 50.0, 300)
     S = prior.spectrum(f / v) / v
-    damping = gaussian_damping(one, mode, 0.1)
+    damping = gaussian_damping(model_plant, mode, 0.1)
     for _ in range(60):
-        model = linearise(one, mode, {}, damping=damping)
-        new = gaussian_damping(one, mode, np.maximum(strut_rate_std(model, v, f, S), 1e-6))
+        model = linearise(model_plant, mode, {}, damping=damping)
+        std = np.maximum(strut_rate_std(model, v, f, S), 1e-6)
+        new = gaussian_damping(model_plant, mode, std)
         change = np.abs(np.log(new / damping)).max()
-        damping = damping**0.3 * new**0.7  # quickest where a damper falls with the root of its rate
+        # this relaxation converges fastest where the damping falls with the root of the rate
+        damping = damping**0.3 * new**0.7
         if change < 1e-3:
             return damping
-    raise ArithmeticError(f"no equivalent damping was found at {v:g} m/s, G_d0 {prior.G_d0:g} m³")
+    raise ArithmeticError(
+        f"the equivalent damping did not converge at {v:g} m/s, G_d0 {prior.G_d0:g} m³"
+    )
 
 
 def strut_rate_std(model: LinearModel, v: float, f: np.ndarray, S: np.ndarray) -> np.ndarray:
-    """Standard deviations (4,) [m/s] of the struts' rates of extension on wheel paths with the
-    spectrum `S` (F, 2, 2) [m²/Hz] at `f` (F,) [Hz].
+    """Return the standard deviations (4,) [m/s] of the strut rates.
+
+    The wheel paths have the spectrum `S` (F, 2, 2) [m²/Hz] at `f` (F,) [Hz].
     """
     H = combine_wheel_paths(model, v, f, strut_rate_response(model, f))
     density = np.real(np.einsum("fwa,fab,fwb->fw", H, S, H.conj()))
@@ -237,11 +247,10 @@ def strut_rate_std(model: LinearModel, v: float, f: np.ndarray, S: np.ndarray) -
 
 @dataclass(frozen=True, eq=False)
 class BoundTable:
-    """The bound as a table that a switching policy can look up at every step.
+    """Table of the bound for each pair of strut states, which switching policies can look up.
 
-    `nrmse` (front state, rear state, speed) [-], both wheel paths pooled, for `modes` and `speeds`
-    (V,) [m/s]: what is left unknown in the judged band, whatever will have been measured, for in
-    the linear model it does not depend on the measurements.
+    `nrmse` (front state, rear state, speed) [-] in the scored band, pooled over both wheel paths,
+    for `modes` and `speeds` (V,) [m/s]. In the linear model it does not depend on the measurements.
     """
 
     modes: tuple[str, ...]
@@ -260,27 +269,18 @@ class BoundTable:
     ) -> "BoundTable":
         """Evaluate the bound for every pair of states and every speed."""
         v = np.unique(np.array(list(speeds), dtype=float))
-        one, locations = build_plant(car), instruments.locations(car)
+        plant, locations = build_plant(car), instruments.locations(car)
+        shared: dict[str, Any] = {"locations": locations, "model_error": model_error}
 
-        def relative_error(front: str, rear: str, speed: float) -> float:
+        def pooled_nrmse(front: str, rear: str, speed: float) -> float:
             mode = {"front": front, "rear": rear}
             n = np.linspace(*scored_band(speed), N_FREQUENCIES // 4)
-            found = bound(
-                one,
-                mode,
-                speed,
-                instruments,
-                prior,
-                locations=locations,
-                model_error=model_error,
-                n=n,
-            )
-            return found.pooled
+            return bound(plant, mode, speed, instruments, prior, n=n, **shared).pooled
 
-        table = [[[relative_error(f, r, speed) for speed in v] for r in modes] for f in modes]
+        table = [[[pooled_nrmse(f, r, speed) for speed in v] for r in modes] for f in modes]
         return cls(modes, v, np.array(table))
 
     def interpolate(self, front: str, rear: str, v: float) -> float:
-        """The bound [-] in a pair of states at `v` [m/s], between the speeds by interpolation."""
+        """Return the bound [-] for a pair of states at `v` [m/s], interpolated over speed."""
         pair = self.nrmse[self.modes.index(front), self.modes.index(rear)]
         return float(np.interp(v, self.speeds, pair))

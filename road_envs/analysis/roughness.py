@@ -1,9 +1,9 @@
 """Roughness of a profile: displacement spectral density and class (ISO 8608), and IRI.
 
-Profiles `z` (..., N) [m] stand on even stations `ds` [m] apart, along the last axis. Densities are
-one-sided, `G` (..., K) [m³] at the spatial frequencies `n` (K,) [cycles/m]. Levels are given as
-the density G_d(n0) [m³] at n0 = 0.1 cycles/m of the road with G_d = G_d(n0) (n / n0)^-2 that has
-the same density.
+Profiles `z` (..., N) [m] are sampled at equidistant stations `ds` [m] apart, along the last axis.
+Densities are one-sided, `G` (..., K) [m³] at the spatial frequencies `n` (K,) [cycles/m]. A level
+is the density G_d(n0) [m³] at n0 = 0.1 cycles/m of the road G_d = G_d(n0) (n / n0)^-2 that has the
+same density at the given frequency.
 """
 
 from functools import cache
@@ -17,19 +17,19 @@ N_0 = 0.1
 """Reference spatial frequency of ISO 8608 [cycles/m]."""
 
 CLASSES = {name: 16e-6 * 4.0**k for k, name in enumerate("ABCDEFGH")}
-"""Geometric mean of G_d(n0) [m³] of each class (ISO 8608, table C.1); a class ends at twice it."""
+"""Geometric mean of G_d(n0) [m³] of each class (ISO 8608, table C.1); its limit is twice that."""
 
 FIT_BAND = (0.011, 2.83)
-"""Band [cycles/m] in which ISO 8608 fits a straight line."""
+"""Band [cycles/m] of the straight-line fit of ISO 8608."""
 
 
 def displacement_psd(
     z: np.ndarray, ds: float, segment: float = 100.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement spectral density: `n` (K,) [cycles/m] without 0, and `G` (..., K) [m³].
+    """Return the displacement PSD: `n` (K,) [cycles/m] without 0, and `G` (..., K) [m³].
 
-    Welch's method over the track: Hann windows, half overlapping, segments of at most `segment`
-    [m], each freed of its straight line.
+    Welch's method with Hann windows, half overlapping, and linearly detrended segments of at most
+    `segment` [m].
     """
     z = np.asarray(z, dtype=float)
     size = min(z.shape[-1], round(segment / ds))
@@ -38,32 +38,33 @@ def displacement_psd(
 
 
 def root_coherence(n: np.ndarray, w: float, track: float) -> np.ndarray:
-    """Root of the coherence of two paths `track` [m] apart at `n` [cycles/m], any shape.
+    """Return the square root of the coherence of two paths of an isotropic surface.
 
-    Of a surface that is equally rough in all directions and of waviness `w`. With x = 2 pi n track
-    and v = w / 2 it is 2^(1-v) / Gamma(v) x^v K_v(x), which is x K_1(x) for w = 2 (Kamash & Robson,
-    J. Sound Vib. 57, 1978, for w = 2; Matérn's integral for any w). At n = 0 it is 1.
+    The paths are `track` [m] apart; `n` [cycles/m] has any shape, `w` is the waviness. With
+    x = 2 pi n track and v = w / 2 the result is 2^(1-v) / Gamma(v) x^v K_v(x), which is x K_1(x)
+    for w = 2 (Kamash & Robson, J. Sound Vib. 57, 1978, for w = 2; Matérn's integral for any w). At
+    n = 0 it is 1.
     """
     x, v = 2.0 * np.pi * np.asarray(n, dtype=float) * track, 0.5 * w
-    at = np.maximum(x, 1e-12)  # K is infinite at 0, its product with x^v is not
-    # K underflows to 0 for large x, as it should
-    return np.clip(2.0 ** (1.0 - v) / gamma(v) * at**v * kv(v, at), 0.0, 1.0)
+    x = np.maximum(x, 1e-12)  # K_v is infinite at 0, but x^v K_v(x) is finite
+    # K_v underflows to 0 for large x, which is the limit
+    return np.clip(2.0 ** (1.0 - v) / gamma(v) * x**v * kv(v, x), 0.0, 1.0)
 
 
 def detrend_linear(z: np.ndarray) -> np.ndarray:
-    """`z` (..., N) without the straight line of least squares along the last axis."""
+    """Return `z` (..., N) without its least-squares straight line along the last axis."""
     x = np.arange(z.shape[-1]) - 0.5 * (z.shape[-1] - 1)
-    slope = np.einsum("...i,i->...", z, x) / np.sum(x * x)  # not BLAS, which starts threads for it
+    slope = np.einsum("...i,i->...", z, x) / np.sum(x * x)  # avoids BLAS, which starts threads
     return z - z.mean(axis=-1, keepdims=True) - slope[..., None] * x
 
 
 def smooth_psd(n: np.ndarray, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Density averaged over the bands of ISO 8608: their centres (M,) and means (..., M).
+    """Return the density averaged over the bands of ISO 8608: centres (M,) and means (..., M).
 
-    Octaves up to 0.0312 cycles/m, third octaves up to 0.25, twelfths above; `n` evenly spaced
-    from its spacing up. Bands that reach beyond `n` are left out.
+    The bands are octaves up to 0.0312 cycles/m, third octaves up to 0.25, and twelfth octaves
+    above. `n` is equidistant and starts at its spacing. Bands that exceed `n` are omitted.
     """
-    octave, third = 2.0**-4.5, 2.0 ** (-2 + 1 / 6)  # where the bands of 2^-5 and 2^-2 end
+    octave, third = 2.0**-4.5, 2.0 ** (-2 + 1 / 6)  # upper limits of the bands of 2^-5 and 2^-2
     edges = np.r_[
         octave * 2.0 ** np.arange(-8, 0),
         octave * 2.0 ** (np.arange(8) / 3.0),
@@ -75,9 +76,9 @@ def smooth_psd(n: np.ndarray, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def band_means(n: np.ndarray, G: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Mean density (..., M) [m³] over the bands from `low` to `high` (M,) [cycles/m].
+    """Return the mean density (..., M) [m³] over the bands from `low` to `high` (M,) [cycles/m].
 
-    Each line of `n` (evenly spaced) stands for the cell about it (ISO 8608, clause on smoothing).
+    Each of the equidistant `n` represents the cell around it (ISO 8608, clause on smoothing).
     """
     half = 0.5 * (n[1] - n[0])
     inside = np.minimum(high[:, None], n + half) - np.maximum(low[:, None], n - half)
@@ -87,15 +88,17 @@ def band_means(n: np.ndarray, G: np.ndarray, low: np.ndarray, high: np.ndarray) 
 def fit_line(
     n: np.ndarray, G: np.ndarray, w: float | None = None, band: tuple[float, float] = FIT_BAND
 ) -> tuple[float, float]:
-    """`G_d0` [m³] and waviness of the straight line through log G (K,) over log n.
+    """Return `G_d0` [m³] and the waviness of the least-squares line of log G (K,) over log n.
 
-    Least squares over the points inside `band`, which should be smoothed ones, for they are
-    even over log n. A given `w` is kept, and only the level is fitted. Raises ValueError if too
-    few points of positive density are inside.
+    Only points inside `band` are used. They should be smoothed, so that they are equidistant over
+    log n. With a given `w` only the level is fitted. Raises ValueError if fewer than two points of
+    positive density are inside.
     """
     use = (n >= band[0]) & (n <= band[1]) & (G > 0.0)
     if use.sum() < 2:
-        raise ValueError(f"fewer than 2 points of the density lie in {band[0]} to {band[1]}")
+        raise ValueError(
+            f"fewer than 2 points of the density are in {band[0]} to {band[1]} cycles/m"
+        )
     x, y = np.log(n[use] / N_0), np.log(G[use])
     if w is None:
         slope, level = np.polyfit(x, y, 1)
@@ -104,7 +107,7 @@ def fit_line(
 
 
 def roughness_class(G_d0: float) -> str:
-    """Class "A" to "H" of a road with the density `G_d0` [m³] at n0."""
+    """Return the class "A" to "H" of a road with the density `G_d0` [m³] at n0."""
     for name, mean in CLASSES.items():
         if G_d0 < 2.0 * mean:
             return name
@@ -114,10 +117,11 @@ def roughness_class(G_d0: float) -> str:
 def octave_levels(
     n: np.ndarray, G: np.ndarray, band: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Centres (M,) of the octaves centred inside `band` [cycles/m], and levels (..., M) [m³].
+    """Return centres (M,) of the octaves inside `band` [cycles/m], and their levels (..., M) [m³].
 
-    Centres are powers of two. The mean of n^-2 over an octave is that at its centre, so the level
-    of an ISO road is its G_d(n0), and `roughness_class` gives the class of the octave.
+    The centres are the powers of two inside `band`. The mean of n^-2 over an octave equals its
+    value at the centre. The level of an ISO road is therefore its G_d(n0), and `roughness_class`
+    gives the class.
     """
     low, high = np.ceil(np.log2(band[0])), np.floor(np.log2(band[1]))
     centre = 2.0 ** np.arange(low, high + 1.0)
@@ -128,9 +132,10 @@ def octave_levels(
 def iri(
     z: np.ndarray, ds: float, average: float = 0.25, segment: float | None = None
 ) -> np.ndarray:
-    """International roughness index [mm/m], (...,) or (..., segments) of `segment` [m] each.
+    """Return the International Roughness Index [mm/m], (...,) or (..., segments).
 
-    The mean of `golden_car`; a rest shorter than `segment` is left out.
+    It is the mean magnitude of `golden_car`, over the whole profile or over each `segment` [m]; a
+    remainder shorter than `segment` is omitted.
     """
     motion = 1e3 * np.abs(golden_car(z, ds, average))
     if segment is None:
@@ -141,15 +146,15 @@ def iri(
 
 
 def golden_car(z: np.ndarray, ds: float, average: float = 0.25) -> np.ndarray:
-    """Suspension slope (..., N - base) [-] of the golden car at 80 km/h after each step.
+    """Return the suspension slope (..., N - base) [-] of the golden car at 80 km/h.
 
         z_s'' = K2 (z_u - z_s) + C (z_u' - z_s')
         mu z_u'' = -z_s'' + K1 (y - z_u)          K1 = 653, K2 = 63.3, C = 6, mu = 0.15
 
-    (Sayers, Transp. Res. Rec. 1501, 1995; ASTM E1926). The profile y is averaged over `average`
-    [m] to the nearest `base` of whole steps (0: not at all) and is straight between samples, for
-    which the state transition is exact, mode by mode. At the start the car moves along the mean
-    slope of the first 11 m.
+    (Sayers, Transp. Res. Rec. 1501, 1995; ASTM E1926). The profile y is a moving average over
+    `average` [m], rounded to `base` whole steps (0: no average). It is linear between samples, for
+    which the state transition is exact, mode by mode. The initial motion follows the mean slope of
+    the first 11 m. Raises ValueError if the profile is shorter than `average`.
     """
     z = np.asarray(z, dtype=float)
     base = max(1, round(average / ds))
@@ -160,18 +165,18 @@ def golden_car(z: np.ndarray, ds: float, average: float = 0.25) -> np.ndarray:
     start = (z[..., first] - z[..., 0]) / (first * ds)
 
     poles, modes, inputs = _golden_modes(ds)
-    before = np.linalg.solve(modes, np.array([1.0, 0.0, 1.0, 0.0]))
+    initial = np.linalg.solve(modes, np.array([1.0, 0.0, 1.0, 0.0]))
     rattle = modes[0] - modes[2]
     out = np.zeros(slope.shape, dtype=complex)
-    for pole, gain, x, seen in zip(poles, inputs, before, rattle, strict=True):
+    for pole, gain, x, output in zip(poles, inputs, initial, rattle, strict=True):
         zi = pole * x * start[..., None]
-        out += seen * lfilter([gain], [1.0, -pole], slope, zi=zi)[0]
+        out += output * lfilter([gain], [1.0, -pole], slope, zi=zi)[0]
     return out.real
 
 
 @cache
 def _golden_modes(ds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Poles (4,), modes (4, 4) and modal inputs (4,) of the golden car over one step `ds` [m]."""
+    """Return poles (4,), modes (4, 4) and modal inputs (4,) for one step `ds` [m]."""
     K1, K2, C, mu = 653.0, 63.3, 6.0, 0.15
     A = np.array(
         [

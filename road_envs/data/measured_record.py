@@ -1,18 +1,18 @@
-"""A drive that was measured, from a table: what another logger wrote, as a record.
+"""Records of measured drives, from the tables of other data loggers.
 
-The table has one line of names and then one row for each sample. It is Parquet or plain text, with
-columns apart by comma, semicolon (then a decimal comma may be used) or tab, after lines that begin
-with "#":
+The table is Parquet or text, with a header of column names and one row for each sample. In text,
+columns are separated by comma, semicolon or tab (with the latter two a decimal comma is allowed),
+and leading lines that begin with "#" are skipped:
 
 | column | meaning |
 |---|---|
 | `t` | time [s] |
 | `a_rf`, `a_lr`, `a_rr` | vertical accelerations, upwards, at right front, left and right rear [m/s²]; or `a_rf_g` ... in units of g |
 | `v` [m/s] or `v_kmh` [km/h] | speed; may be given once for the whole drive instead |
-| `s` | odometer [m]; without it the speed is summed up |
+| `s` | odometer [m]; without it the speed is integrated |
 | `mode`, or `mode_front` and `mode_rear` | state of the struts (`ride`, `handling`, ...); may be given once for the whole drive instead |
 
-Other columns are not read. Where nothing stands in a row the sample counts as lost.
+Other columns are ignored. An empty cell is a lost sample.
 """  # noqa: E501
 
 import io
@@ -29,33 +29,35 @@ from road_envs.data.record import SENSORS, Record
 from road_envs.vehicle.suspension import decode_commands, encode_command
 
 STANDARD_GRAVITY = 9.80665
-"""Standard acceleration of free fall [m/s²]."""
+"""Standard gravity [m/s²], the unit g of acceleration columns."""
 
 GRAVITY_THRESHOLD = 0.5 * STANDARD_GRAVITY
-"""A channel whose mean is farther from zero than this [m/s²] holds gravity."""
+"""A channel includes gravity if the magnitude of its mean exceeds this value [m/s²]."""
 
 CLOCK_TOLERANCE = 0.01
-"""Share of the sampling interval by which the clock may be uneven without being resampled."""
+"""Deviation of the clock, relative to the sampling interval, up to which it is not resampled."""
 
 GAP_INTERVALS = 1.5
-"""Sampling intervals between two rows from which samples are missing between them."""
+"""Distance of two rows, in sampling intervals, above which samples between them are lost."""
 
 MIN_SAMPLES = 32
+"""Smallest number of samples of a drive."""
+
 MAX_LOST_SHARE = 0.2
-"""Fewest samples of a drive, and the largest share of them that may be lost."""
+"""Largest share of samples that may be lost."""
 
 UNITS = {"m/s²": "", "g": "_g"}
 ACCELERATIONS = tuple(f"a_{name.lower()}" for name in SENSORS)
 
 SNIFFED_CHARACTERS = 10_000
-"""Characters of the rows among which a decimal comma is looked for."""
+"""Number of characters that are searched for a decimal comma."""
 
 Columns = Mapping[str, Any]
-"""Columns of a table by name, as pyarrow has them."""
+"""Columns of a table by name, as pyarrow arrays."""
 
 
 class MeasuredRecord(NamedTuple):
-    """The record, and what had to be assumed or mended to get it."""
+    """Record, and notes on assumptions and corrections."""
 
     record: Record
     notes: tuple[str, ...]
@@ -68,12 +70,12 @@ def read_measured_record(
     speed_kmh: float | None = None,
     mode: str | Mapping[str, str] | None = None,
 ) -> MeasuredRecord:
-    """A measured drive of a car of this `wheelbase` [m].
+    """Read the record of a measured drive of a vehicle of this `wheelbase` [m].
 
-    `speed_kmh` and `mode` hold for the whole drive; each must be given just where the table has no
-    such column. The road begins where the rear axle stood at the first sample and ends where the
-    front axle stood at the last. Raises ConfigError that names the column, and the row where there
-    is one.
+    `speed_kmh` and `mode` apply to the whole drive; each is required if the table has no such
+    column, and invalid otherwise. The road extends from the position of the rear axle at the first
+    sample to that of the front axle at the last. Raises ConfigError that names the column, and the
+    row if there is one.
     """
     table = read_table(path)
     try:
@@ -83,7 +85,7 @@ def read_measured_record(
 
 
 def read_table(path: Path) -> Columns:
-    """The columns of a table by name, in small letters. Raises ConfigError."""
+    """Read the columns of a table by lower-case name. Raises ConfigError."""
     with optional_import("a table as CSV or Parquet"):
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -94,8 +96,8 @@ def read_table(path: Path) -> Columns:
         reason = str(getattr(error, "strerror", None) or error).splitlines()[0]
         raise ConfigError(f"{path}: no readable table: {reason}") from None
     names = [name.strip().lower() for name in table.column_names]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise ConfigError(f"{path}: the column {twice[0]} stands there twice")
+    if duplicates := sorted({name for name in names if names.count(name) > 1}):
+        raise ConfigError(f"{path}: the column {duplicates[0]} is duplicated")
     return dict(zip(names, table.columns, strict=True))
 
 
@@ -107,11 +109,11 @@ def _read_text(path: Path) -> Any:
     while text.startswith("#"):
         text = text.partition("\n")[2]
     head, _, rest = text.partition("\n")
-    mark = next((mark for mark in ";\t," if mark in head), ",")
-    comma = mark != "," and re.search(r"\d,\d", rest[:SNIFFED_CHARACTERS]) is not None
+    delimiter = next((mark for mark in ";\t," if mark in head), ",")
+    comma = delimiter != "," and re.search(r"\d,\d", rest[:SNIFFED_CHARACTERS]) is not None
     return csv.read_csv(
         io.BytesIO(text.encode()),
-        parse_options=csv.ParseOptions(delimiter=mark),
+        parse_options=csv.ParseOptions(delimiter=delimiter),
         convert_options=csv.ConvertOptions(
             decimal_point="," if comma else ".", strings_can_be_null=True
         ),
@@ -131,9 +133,9 @@ def _to_record(
     s = _numeric_column(table, "s") if "s" in table else _integrate_speed(t, v)
     bytes_ = _commands(table, t.size, mode)
     if not (np.isfinite(v).all() and np.isfinite(s).all()):
-        raise ConfigError("speed and odometer must hold a number in every row")
+        raise ConfigError("v and s must hold a number in every row")
     if (v < 0.0).any() or (np.diff(s) < 0.0).any():
-        raise ConfigError("the car drives backwards: v must not be negative, nor s decrease")
+        raise ConfigError("the vehicle moves backwards: v must not be negative, nor s decrease")
     t, (*a_even, v, s), bytes_ = _resample_uniformly(t, [*a, v, s], bytes_, notes)
     a = np.array(a_even)
     if (share := float(np.isnan(a).any(axis=0).mean())) > MAX_LOST_SHARE:
@@ -148,34 +150,35 @@ def _to_record(
 def _time_column(table: Columns) -> np.ndarray:
     t = _numeric_column(table, "t")
     if t.size < MIN_SAMPLES:
-        raise ConfigError(f"{t.size} samples; at least {MIN_SAMPLES} are wanted")
+        raise ConfigError(f"the table has {t.size} samples; at least {MIN_SAMPLES} are needed")
     if not np.isfinite(t).all():
         raise ConfigError("t must hold a number in every row")
-    if (late := np.flatnonzero(np.diff(t) <= 0.0)).size:
-        raise ConfigError(f"the clock t must go on; it does not after row {late[0] + 1}")
+    if (backwards := np.flatnonzero(np.diff(t) <= 0.0)).size:
+        raise ConfigError(f"t must increase; it does not after row {backwards[0] + 1}")
     return t - t[0]
 
 
 def _acceleration_column(table: Columns, name: str, notes: list[str]) -> np.ndarray:
-    """One channel [m/s²] without gravity; what was done to it is added to `notes`."""
-    given = [unit for unit, ending in UNITS.items() if name + ending in table]
+    """Return one channel [m/s²] without gravity; a correction is added to `notes`."""
+    given = [unit for unit, suffix in UNITS.items() if name + suffix in table]
     if len(given) != 1:
-        said = "is given twice" if given else "is missing"
-        wanted = " or ".join(f"{name}{ending} [{unit}]" for unit, ending in UNITS.items())
-        raise ConfigError(f"the column {name} {said}; wanted {wanted}, {_list_columns(table)}")
-    a = _numeric_column(table, name + UNITS[given[0]]) * (
-        STANDARD_GRAVITY if given[0] == "g" else 1.0
-    )
-    known = a[np.isfinite(a)]
-    if not known.size:
+        problem = "is given twice" if given else "is missing"
+        allowed = " or ".join(f"{name}{suffix} [{unit}]" for unit, suffix in UNITS.items())
+        raise ConfigError(
+            f"the column {name} {problem}; give {allowed} once; {_list_columns(table)}"
+        )
+    unit = STANDARD_GRAVITY if given[0] == "g" else 1.0
+    a = _numeric_column(table, name + UNITS[given[0]]) * unit
+    finite = a[np.isfinite(a)]
+    if not finite.size:
         raise ConfigError(f"the column {name} holds no number")
-    mean = float(known.mean())
+    mean = float(finite.mean())
     if mean < -GRAVITY_THRESHOLD:
         raise ConfigError(
-            f"{name} has a mean of {mean:.1f} m/s²: its axis points down; turn its sign"
+            f"{name} has a mean of {mean:.1f} m/s²: its axis points down; invert its sign"
         )
     if mean > GRAVITY_THRESHOLD:
-        notes.append(f"{name}: its mean of {mean:.2f} m/s² is taken for gravity and left out")
+        notes.append(f"{name}: its mean of {mean:.2f} m/s² is taken as gravity and subtracted")
         return a - mean
     return a
 
@@ -183,9 +186,9 @@ def _acceleration_column(table: Columns, name: str, notes: list[str]) -> np.ndar
 def _speed_column(table: Columns, t: np.ndarray, speed_kmh: float | None) -> np.ndarray:
     given = [name for name in ("v", "v_kmh") if name in table]
     if len(given) + (speed_kmh is not None) != 1:
-        said = "given twice" if given else "missing"
+        problem = "given twice" if given else "missing"
         raise ConfigError(
-            f"the speed is {said}: wanted one of the columns v [m/s] and v_kmh [km/h], "
+            f"the speed is {problem}: give one of the columns v [m/s] and v_kmh [km/h], "
             f"or one speed for the whole drive; {_list_columns(table)}"
         )
     if speed_kmh is not None:
@@ -194,21 +197,21 @@ def _speed_column(table: Columns, t: np.ndarray, speed_kmh: float | None) -> np.
 
 
 def _integrate_speed(t: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Distance [m] by the trapezoidal rule."""
+    """Return the distance [m] by the trapezoidal rule."""
     return np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))])
 
 
 def _commands(table: Columns, size: int, mode: str | Mapping[str, str] | None) -> np.ndarray:
-    """Command bytes (N,) of the struts' states."""
+    """Return the command bytes (N,) of the strut states."""
     axles = [name for name in ("mode_front", "mode_rear") if name in table]
     columns = [name for name in ("mode", *axles) if name in table]
     if columns not in ([], ["mode"], ["mode_front", "mode_rear"]) or bool(columns) == (
         mode is not None
     ):
-        said = f"given as {', '.join(columns)}" if columns else "missing"
+        problem = f"given as {', '.join(columns)}" if columns else "missing"
         also = " and for the whole drive" if columns and mode is not None else ""
         raise ConfigError(
-            f"the state of the struts is {said}{also}: wanted the column mode, or mode_front and "
+            f"the state of the struts is {problem}{also}: give the column mode, or mode_front and "
             f"mode_rear, or one mode for the whole drive; {_list_columns(table)}"
         )
     if mode is not None:
@@ -223,17 +226,17 @@ def _text_column(table: Columns, name: str) -> list[str]:
 
 
 def _encode_pairs(pairs: list[tuple[str, str]]) -> np.ndarray:
-    """Command bytes (N,) of states in front and at the rear. Raises ConfigError."""
-    found = {
+    """Return the command bytes (N,) of states in front and at the rear. Raises ConfigError."""
+    encoded = {
         (front, rear): encode_command({"front": front, "rear": rear}) for front, rear in set(pairs)
     }
-    return np.array([found[pair] for pair in pairs], dtype=np.uint8)
+    return np.array([encoded[pair] for pair in pairs], dtype=np.uint8)
 
 
 def _resample_uniformly(
     t: np.ndarray, channels: list[np.ndarray], commands: np.ndarray, notes: list[str]
 ) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
-    """All that was sampled, on an even clock; NaN where the samples on both sides are far apart."""
+    """Resample all channels to a constant rate; NaN where adjacent rows are too far apart."""
     steps = np.diff(t)
     dt = float(np.median(steps))
     if np.abs(steps - dt).max() <= CLOCK_TOLERANCE * dt:
@@ -241,22 +244,23 @@ def _resample_uniformly(
     even = dt * np.arange(int(t[-1] / dt + 1e-6) + 1)
     after = np.clip(np.searchsorted(t, even), 1, t.size - 1)
     nearest = after - (even - t[after - 1] < t[after] - even)
-    met = np.abs(even - t[nearest]) <= CLOCK_TOLERANCE * dt
-    lost = ~met & (steps[after - 1] > GAP_INTERVALS * dt)
+    matched = np.abs(even - t[nearest]) <= CLOCK_TOLERANCE * dt
+    lost = ~matched & (steps[after - 1] > GAP_INTERVALS * dt)
     *sensed, v, s = (np.interp(even, t, x) for x in channels)
     for a, sampled in zip(sensed, channels, strict=False):
-        np.copyto(a, sampled[nearest], where=met & np.isnan(a))  # its neighbour was lost, not it
+        # interpolation loses a sample whose neighbour is lost: restore it
+        np.copyto(a, sampled[nearest], where=matched & np.isnan(a))
         a[lost] = np.nan
-    before = np.where(met, nearest, after - 1)
-    said = (
+    before = np.where(matched, nearest, after - 1)
+    notes.append(
         f"the clock is uneven (intervals of {1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms)"
+        f"; resampled to {1.0 / dt:.4g} Hz, {lost.mean():.1%} of the samples lost"
     )
-    notes.append(f"{said}; resampled to {1.0 / dt:.4g} Hz, {lost.mean():.1%} of the samples lost")
     return even, [*sensed, v, s], commands[before]
 
 
 def _numeric_column(table: Columns, name: str) -> np.ndarray:
-    """A column as numbers, NaN where nothing stands. Raises ConfigError that names the row."""
+    """Return a column as numbers, NaN for empty cells. Raises ConfigError that names the row."""
     with optional_import("a table as CSV or Parquet"):
         import pyarrow as pa
 
@@ -270,7 +274,7 @@ def _numeric_column(table: Columns, name: str) -> np.ndarray:
             for k, cell in enumerate(table[name].to_pylist(), start=1)
             if cell is not None and not _is_number(cell)
         )
-        raise ConfigError(f"row {k} of {name}: {cell!r} is no number") from None
+        raise ConfigError(f"row {k} of {name}: {cell!r} is not a number") from None
     return np.asarray(column.to_numpy(zero_copy_only=False), dtype=float)
 
 

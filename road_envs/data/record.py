@@ -1,8 +1,8 @@
-"""The benchmark's nouns as plain frozen data: record (what the instruments saw), profile (heights
-of both wheel paths; the truth when it comes from the road) and estimate.
+"""Data classes of the benchmark: record, profile and estimate.
 
-Wheel paths stand in the order left, right; wheels in the order FL, FR, RL, RR; sensors in the
-order RF, LR, RR. SI units.
+A record holds the measured signals of a drive, a profile the heights of both wheel paths (the truth
+if it is that of the road). The order of wheel paths is left, right; that of wheels FL, FR, RL, RR;
+that of sensors RF, LR, RR. SI units.
 """
 
 from dataclasses import dataclass
@@ -11,18 +11,22 @@ import numpy as np
 
 SENSORS = ("RF", "LR", "RR")
 PROFILE_SPACING = 100.0 / 3964
-"""The paper's spacing of profile samples [m]: 3964 points over 100 m (section 5)."""
+"""Spacing of the stations of a profile [m], as in the paper: 3964 over 100 m (section 5)."""
 
 SCORED_N_MIN, SCORED_N_MAX = 0.2, 1.8
-"""Band [cycles/m] in which heights are judged, as far as the speed lets them through."""
-SCORED_F_MAX = 0.9 * 25.0
-"""Nine tenths of the accelerometers' low-pass [Hz]."""
+"""Limits of the band [cycles/m] in which heights are scored."""
+
+F_C = 25.0
+"""Cut-off of the low-pass of the processed accelerations [Hz]."""
+
+SCORED_F_MAX = 0.9 * F_C
+"""Highest scored frequency [Hz]: nine tenths of the cut-off of the accelerometers' low-pass."""
 
 
 def scored_band(v: float) -> tuple[float, float]:
-    """Band [cycles/m] in which a drive at `v` [m/s] is judged: 0.2 to min(1.8, 0.9 x 25 Hz / v).
+    """Return the band [cycles/m] in which a drive at `v` [m/s] is scored.
 
-    Raises ValueError if nothing is left of it.
+    It is 0.2 to min(1.8, 0.9 x 25 Hz / v). Raises ValueError if it is empty.
     """
     n_hi = min(SCORED_N_MAX, SCORED_F_MAX / v)
     if not n_hi > SCORED_N_MIN:
@@ -33,13 +37,13 @@ def scored_band(v: float) -> tuple[float, float]:
 
 
 def profile_stations(length: float, ds: float = PROFILE_SPACING) -> np.ndarray:
-    """Stations (M,) [m] from 0, `ds` apart, on which a road of `length` [m] is judged."""
+    """Return the stations (M,) [m], `ds` apart, at which a road of `length` [m] is scored."""
     return ds * np.arange(int(np.floor(length / ds + 1e-9)))
 
 
 @dataclass(frozen=True)
 class Profile:
-    """Heights `z` (2, M) [m] of the left and right wheel path at even stations `s` (M,) [m]."""
+    """Heights `z` (2, M) [m] of left and right wheel path at equidistant stations `s` (M,) [m]."""
 
     s: np.ndarray
     z: np.ndarray
@@ -52,23 +56,26 @@ class Profile:
 
 @dataclass(frozen=True)
 class Estimate(Profile):
-    """An estimated profile, and where a method has it `z_std` (2, M) [m]: the standard deviation of
-    its error in the judged band, for the datum and the drift are nobody's claim.
+    """Estimated profile, with notes of the estimator.
+
+    `z_std` (2, M) [m], where a method provides it, is the standard deviation of the error in the
+    scored band; datum and drift are excluded.
     """
 
     z_std: np.ndarray | None = None
     notes: tuple[str, ...] = ()
+    speed: float | None = None  # [m/s] of the drive, where it is known
 
 
 @dataclass(frozen=True)
 class Record:
-    """What the instruments of one drive saw, sampled evenly in time.
+    """Measured signals of one drive, sampled at a constant rate.
 
-    `t` (N,) time [s]; `a` (3, N) vertical body accelerations at RF, LR, RR [m/s²], raw, and NaN
-    where a sample was lost;
-    `v` (N,) measured speed [m/s]; `s` (N,) odometer [m]: station of the front axle, 0 at the
-    start of the road of `length` [m] whose profile is wanted; `spring_stiff`, `damper_high` (N, 4)
-    bool: the commanded spring and damper state of each strut (ride = neither, handling = both).
+    `t` (N,) time [s]; `a` (3, N) unprocessed vertical body accelerations at RF, LR, RR [m/s²], NaN
+    where a sample was lost; `v` (N,) measured speed [m/s]; `s` (N,) odometer [m]: station of the
+    front axle, 0 at the start of the road of `length` [m] whose profile is to be estimated;
+    `spring_stiff`, `damper_high` (N, 4) bool: commanded spring and damper state of each strut
+    (ride = neither, handling = both).
     """
 
     t: np.ndarray
@@ -85,5 +92,5 @@ class Record:
         return float((self.t.size - 1) / (self.t[-1] - self.t[0]))
 
     def interpolate(self, stations: np.ndarray, signals: np.ndarray) -> np.ndarray:
-        """`signals` (k, N) of this record, at the times when the front axle passed `stations`."""
+        """Return `signals` (k, N) of this record interpolated to `stations` of the front axle."""
         return np.array([np.interp(stations, self.s, x) for x in signals])

@@ -1,8 +1,9 @@
-"""Drives as records with their truth: made by the simulator, written to and read from Parquet."""
+"""Simulation of records with their true profiles, and records as Parquet files."""
 
 import json
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,49 +11,62 @@ from road_envs._atomic_io import atomic_write
 from road_envs._extras import optional_import
 from road_envs.config import ConfigError
 from road_envs.data.record import Profile, Record, profile_stations
+from road_envs.roads import Road, realise_road
 from road_envs.roads.surface import Surface
-from road_envs.sensing.data_logger import DataLogger, Instruments
+from road_envs.sensing.data_logger import DataLogger
+from road_envs.sensing.instruments import Instruments, load_instruments
 from road_envs.simulation.drive import DriveSimulator
-from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.perturbed_vehicle import PlantMismatch, perturb_vehicle
 from road_envs.vehicle.suspension import decode_commands, encode_command
 
 COLUMNS = ("t", "a_rf", "a_lr", "a_rr", "v", "s", "commands")
 FORMAT = "roadrecon record 1"
+
 CHUNK = 20_000
-"""Integrator steps between which samples are taken out of the motion."""
+"""Integrator steps that are simulated before their motion is sampled and discarded."""
 
 
 def true_profile(surface: Surface) -> Profile:
-    """The profile of both wheel paths on the grid on which estimates are judged."""
+    """Return the profile of both wheel paths at the stations at which estimates are scored."""
     s = profile_stations(surface.length)
     return Profile(s, surface.height(s))
 
 
 def simulate_record(
-    car: VehicleParameters,
-    surface: Surface,
+    road: str | Path | Mapping[str, Any] | Road | Surface,
     *,
     speed_kmh: float,
-    mode: str | Mapping[str, str],
-    instruments: Instruments,
-    seed: int | np.random.SeedSequence,
-    step: float = 0.001,
+    mode: str | Mapping[str, str] = "ride",
+    seed: int | np.random.SeedSequence = 1,
+    vehicle: str | Path | VehicleParameters = "land_rover_defender_110",
+    instruments: str | Path | Instruments = "paper",
     grade: str = "S0",
+    length: float | None = None,
+    step: float = 0.001,
     plant_mismatch: PlantMismatch | None = None,
 ) -> tuple[Record, Profile]:
-    """Drive over a surface and return what the instruments recorded, and the truth.
+    """Drive a vehicle over a road; return what its instruments record, and the true profile.
 
-    `grade` is the field car's (`road_envs.vehicle.perturbed_vehicle`), S0 the `car` itself;
-    `plant_mismatch` are those shipped unless others are given. `seed` draws the sensor noise and,
-    apart from it, the individual that is driven. Raises ConfigError, SimulationError.
+    `road` is a shipped name, a file, a description or a realised Surface; `length` [m] changes
+    that of a road that has no fixed one. `mode` is "ride", "handling", ..., or one of these for
+    "front" and "rear". `grade` "S1" to "S3" drives a vehicle that departs from its description
+    (`road_envs.vehicle.perturbed_vehicle`), by the shipped `plant_mismatch` unless another is
+    given. `seed` draws the road, the sensor noise and the individual vehicle. `step` [s] is the
+    integrator's. Raises ConfigError, SimulationError.
     """
+    if not 0.0 < speed_kmh < np.inf:
+        raise ConfigError(f"the speed must be positive, got {speed_kmh:g} km/h")
+    surface = road if isinstance(road, Surface) else realise_road(road, seed, length)
+    car = vehicle if isinstance(vehicle, VehicleParameters) else load_vehicle(vehicle)
+    if not isinstance(instruments, Instruments):
+        instruments = load_instruments(instruments)
     one = perturb_vehicle(car, grade, seed, plant_mismatch)
     step, enveloped_surface = min(step, one.step), one.enveloped(surface)
     drive = DriveSimulator(one.plant, one.car, enveloped_surface, speed_kmh / 3.6, mode, step)
     logger = DataLogger(instruments, one.car, step, np.random.default_rng(seed), one.faults)
     byte, parts = encode_command(mode), []
-    while not drive.is_finished:  # in parts, so that a long drive never holds its whole motion
+    while not drive.is_finished:  # in chunks, which bounds the memory of a long drive
         commands = np.full(min(CHUNK, drive.steps_left), byte, dtype=np.uint8)
         parts.append(logger.sample(drive.advance(commands)))
     a = np.concatenate([*parts, logger.flush()], axis=1)
@@ -64,7 +78,7 @@ def simulate_record(
 
 
 def write_record(path: Path, record: Record, provenance: Mapping[str, object]) -> None:
-    """Write a record as Parquet, whole or not at all; `provenance` goes into its metadata."""
+    """Write a record as Parquet atomically; `provenance` goes into the metadata."""
     with optional_import("a table as CSV or Parquet"):
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -79,7 +93,7 @@ def write_record(path: Path, record: Record, provenance: Mapping[str, object]) -
 
 
 def is_record(path: Path) -> bool:
-    """Whether a file claims to be a record of this package, readable or not."""
+    """Return whether a file is a record of this package, or a Parquet file that is damaged."""
     with optional_import("a table as CSV or Parquet"):
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -93,7 +107,7 @@ def is_record(path: Path) -> bool:
 
 
 def read_record(path: Path) -> tuple[Record, dict[str, object]]:
-    """A record and its provenance from Parquet. Raises ConfigError that says what is wrong."""
+    """Read a record and its provenance from Parquet. Raises ConfigError if invalid."""
     with optional_import("a table as CSV or Parquet"):
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -111,10 +125,10 @@ def read_record(path: Path) -> tuple[Record, dict[str, object]]:
     if not (isinstance(about, dict) and about.get("format") == FORMAT and "length" in about):
         raise ConfigError(f"{path}: not a RoadRecon record (its metadata lacks {FORMAT!r})")
     if missing := [c for c in COLUMNS if c not in table.column_names]:
-        raise ConfigError(f"{path}: columns {missing} are missing; wanted: {', '.join(COLUMNS)}")
+        raise ConfigError(f"{path}: columns {missing} are missing; needed: {', '.join(COLUMNS)}")
     column = {c: table[c].to_numpy() for c in COLUMNS}
-    if strange := [c for c in COLUMNS if column[c].dtype.kind not in "fu"]:
-        raise ConfigError(f"{path}: columns {strange} must hold numbers")
+    if invalid := [c for c in COLUMNS if column[c].dtype.kind not in "fu"]:
+        raise ConfigError(f"{path}: columns {invalid} must hold numbers")
     a = np.stack([column["a_rf"], column["a_lr"], column["a_rr"]])
     stiff, high = decode_commands(column["commands"])
     record = Record(column["t"], a, column["v"], column["s"], stiff, high, about["length"])

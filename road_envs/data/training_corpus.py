@@ -1,19 +1,19 @@
-"""What is driven to teach the estimators that are taught once: many roads, speeds, modes and cars.
+"""Corpus of simulated drives for pretraining, with domain randomisation.
 
-Domain randomisation: drive k of a corpus is drawn from a generator of its own, so that a corpus can
-be made in any order, in parts, and again. Nothing of the judge's tasks is in it; roads are drawn
-from seeds that the judge's roads cannot have.
+Drive k of a corpus has its own random generator, so that drives can be simulated in any order and
+reproduced individually. The corpus is disjoint from the tasks of the benchmark: its roads have
+seeds that no task can have.
 
-    roads   ISO 8608 of any waviness from 1.6 to 2.4, some of them of varying roughness; pavings of
-            the Belgian kind, more or less rough; bumps, humps and potholes on smoother roads
-    speed   even in its logarithm
-    modes   half of the drives in ride or handling mode, a fifth mixed front to rear, the rest any
-            of the sixteen combinations
-    cars    masses, stiffness, damping and friction off by up to 10-20 %; how far off a car is, is
-            drawn too, so that cars close to the described one are in the majority
-    sensors noise from a third to twice the instruments' own; gains off by about 1 %
+    roads    ISO 8608 with a waviness of 1.6 to 2.4, some with varying roughness; Belgian pavings
+             of varying height; bumps, humps and potholes on smoother roads
+    speed    log-uniform
+    modes    half of the drives in ride or handling, a fifth mixed front to rear, the rest any of
+             the sixteen combinations
+    vehicles masses, stiffness, damping and friction deviate by up to 10-20 %; the scale of the
+             deviation is random too, so that most vehicles are close to the nominal one
+    sensors  noise from a third to twice the nominal one; gains deviate by about 1 %
 
-The odometer is true: one that is 1 % off ends a drive of 150 m a whole wave away from its truth.
+The odometer is exact: an error of 1 % would shift the end of a road of 150 m by a wavelength.
 """
 
 import dataclasses
@@ -41,17 +41,17 @@ from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.suspension import MODES
 
 SEED_STREAM = 0x7EAC4
-"""Comes first in the seed of every drive: no task has it."""
+"""First entry of the seed of every drive; no task uses it."""
 
 MIXED_MODES = (("ride", "handling"), ("handling", "ride"))
 WHEEL_PATHS: tuple[Literal["left", "right", "both"], ...] = ("left", "right", "both", "both")
 ATTEMPTS = 10
-"""A car that is thrown off its road is given another drive, so many times."""
+"""Number of drives that are tried if the simulation fails."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Corpus:
-    """Drives to teach with; `number` of them, of the `car` and `instruments` more or less."""
+    """Corpus of `number` drives of randomised variants of the `car` and the `instruments`."""
 
     number: int = 1200
     seed: int = 1
@@ -64,27 +64,33 @@ class Corpus:
 
     def __post_init__(self):
         if self.number < 1:
-            raise ConfigError(f"a corpus has at least one drive, got {self.number}")
+            raise ConfigError(f"number of drives must be at least 1, got {self.number}")
 
     @property
     def vehicle(self) -> VehicleParameters:
-        """The car that the drives are about."""
+        """The nominal vehicle."""
         return load_vehicle(self.car)
 
     @property
     def digest(self) -> str:
-        """Tells this corpus from others: settings, car and instruments."""
+        """Digest of the settings, the vehicle and the instruments.
+
+        Shipped weights name the corpus they were trained on by it.
+        """
+        # field names enter the digest: a renamed field detaches the shipped weights
         parts = [dataclasses.asdict(x) for x in (self, self.vehicle, self.sensors)]
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:12]
 
     @property
     def sensors(self) -> Any:
-        """The instruments before their noise is drawn."""
+        """The nominal instruments."""
         return load_instruments(self.instruments)
 
     def simulate_drive(self, k: int, nominal: bool = False) -> tuple[Record, Profile]:
-        """Drive `k` and its truth; the same at every call. With `nominal` it is that of the
-        very car and instruments, over the same road in the same way.
+        """Simulate drive `k`, and return its record and true profile; every call gives the same.
+
+        With `nominal` the nominal vehicle and instruments drive over the same road in the same
+        mode. Raises SimulationError if all attempts fail.
         """
         for attempt in range(ATTEMPTS):
             rng = np.random.default_rng([SEED_STREAM, self.seed, k, attempt])
@@ -108,8 +114,8 @@ class Corpus:
             speed_error=0.0,
         )
         record, truth = simulate_record(
-            perturb_parameters(self.vehicle, rng, deviation_scale),
             surface,
+            vehicle=perturb_parameters(self.vehicle, rng, deviation_scale),
             speed_kmh=float(np.exp(rng.uniform(*np.log([self.slowest_kmh, self.fastest_kmh])))),
             mode={"front": front, "rear": rear},
             instruments=instruments,
@@ -122,19 +128,22 @@ class Corpus:
 def drives_in_mode(
     corpus: Corpus, mode: Mapping[str, str], speeds_kmh: tuple[float, float], number: int
 ) -> list[tuple[Record, Profile]]:
-    """Drives of the car as described, its struts in one `mode`, over roads of 100 m as a corpus has
-    them; speeds even in their logarithm.
+    """Simulate `number` drives of the nominal vehicle in one `mode` over roads of 100 m.
+
+    The roads are those of a corpus, the speeds are log-uniform. Raises SimulationError if too many
+    drives fail.
     """
-    found: list[tuple[Record, Profile]] = []
+    drives: list[tuple[Record, Profile]] = []
     for k in itertools.count():
+        # the attempt number ATTEMPTS keeps this stream apart from that of `simulate_drive`
         rng = np.random.default_rng([SEED_STREAM, corpus.seed, k, ATTEMPTS])
         speed = float(np.exp(rng.uniform(*np.log(speeds_kmh))))
         road = draw_road(rng, 100.0).realise(rng)
         try:
-            found.append(
+            drives.append(
                 simulate_record(
-                    corpus.vehicle,
                     road,
+                    vehicle=corpus.vehicle,
                     speed_kmh=speed,
                     mode=mode,
                     instruments=corpus.sensors,
@@ -144,13 +153,13 @@ def drives_in_mode(
         except SimulationError:
             if k >= ATTEMPTS * number:
                 raise
-        if len(found) == number:
+        if len(drives) == number:
             break
-    return found
+    return drives
 
 
 def draw_road(rng: np.random.Generator, length: float) -> Road:
-    """One of the roads described above, of about that length [m]."""
+    """Draw one of the roads of the module docstring, of about that length [m]."""
     kind = rng.uniform()
     low, high = np.log([0.7 * CLASSES["A"], 2.0 * CLASSES["E"]])
     plain = Iso8608(
@@ -170,7 +179,7 @@ def draw_road(rng: np.random.Generator, length: float) -> Road:
 
 
 def draw_obstacles(rng: np.random.Generator, length: float) -> Road:
-    """Potholes, humps or the paper's bumps, of drawn sizes, on a level road."""
+    """Draw potholes, humps or the paper's bumps, of random sizes, on a level road."""
     kind = rng.uniform()
     if kind < 0.35:
         return Potholes(length=length, rate=rng.uniform(0.02, 0.1))
@@ -198,7 +207,7 @@ def _hump(rng: np.random.Generator, length: float) -> Defect:
 
 
 def draw_modes(rng: np.random.Generator) -> tuple[str, str]:
-    """States of the struts in front and at the rear."""
+    """Draw the states of the struts in front and at the rear."""
     kind = rng.uniform()
     if kind < 0.5:
         same = "ride" if kind < 0.25 else "handling"
@@ -212,50 +221,50 @@ def draw_modes(rng: np.random.Generator) -> tuple[str, str]:
 def perturb_parameters(
     car: VehicleParameters, rng: np.random.Generator, deviation_scale: float
 ) -> VehicleParameters:
-    """A car like `car`: at `deviation_scale` 1 its numbers have standard deviations of 6 to 15 %
-    [assumed].
+    """Return a randomly perturbed vehicle.
+
+    With `deviation_scale` 1 the standard deviations are 6 to 15 % [assumed].
     """
 
-    def by(std: float) -> float:
+    def factor(std: float) -> float:
         return float(np.clip(1.0 + deviation_scale * std * rng.standard_normal(), 0.6, 1.4))
 
-    load, damping, friction = by(0.06), by(0.10), by(0.15)
+    load, damping, friction = factor(0.06), factor(0.10), factor(0.15)
     strut = dataclasses.replace(
         car.strut,
-        p_stat=car.strut.p_stat * load,  # the gas carries the body at the same height
-        x_1=car.strut.x_1 * by(0.07),
-        x_2=car.strut.x_2 * by(0.07),
-        damper=_scale_curves(car.strut.damper, lambda: damping * by(0.05)),
-        friction=_scale_curves(car.strut.friction, lambda: friction * by(0.05)),
+        p_stat=car.strut.p_stat * load,  # the gas pressure keeps the height of a heavier body
+        x_1=car.strut.x_1 * factor(0.07),
+        x_2=car.strut.x_2 * factor(0.07),
+        damper=_scale_curves(car.strut.damper, lambda: damping * factor(0.05)),
+        friction=_scale_curves(car.strut.friction, lambda: friction * factor(0.05)),
     )
-    tyre = by(0.08)
+    tyre = factor(0.08)
     axles = [
         dataclasses.replace(
             axle,
-            m=axle.m * by(0.07),
-            I_xx=axle.I_xx * by(0.08),
-            k_t=axle.k_t * tyre * by(0.03),
-            c_t=axle.c_t * by(0.15),
+            m=axle.m * factor(0.07),
+            I_xx=axle.I_xx * factor(0.08),
+            k_t=axle.k_t * tyre * factor(0.03),
+            c_t=axle.c_t * factor(0.15),
         )
         for axle in car.axles
     ]
     return dataclasses.replace(
         car,
         m_b=car.m_b * load,
-        I_xx=car.I_xx * by(0.08),
-        I_yy=car.I_yy * by(0.08),
+        I_xx=car.I_xx * factor(0.08),
+        I_yy=car.I_yy * factor(0.08),
         front=axles[0],
         rear=axles[1],
         strut=strut,
     )
 
 
-def _scale_curves(curves: Any, by: Callable[[], float]) -> Any:
-    """Curves whose forces are multiplied by what `by` draws."""
+def _scale_curves(curves: Any, draw_factor: Callable[[], float]) -> Any:
+    """Return the curves of both modes with their forces multiplied by random factors."""
 
-    def scaled(curve: Curve, factor: float) -> Curve:
+    def scaled(curve: Curve) -> Curve:
+        factor = draw_factor()
         return dataclasses.replace(curve, F=tuple(factor * F for F in curve.F))
 
-    return dataclasses.replace(
-        curves, ride=scaled(curves.ride, by()), handling=scaled(curves.handling, by())
-    )
+    return dataclasses.replace(curves, ride=scaled(curves.ride), handling=scaled(curves.handling))

@@ -1,9 +1,9 @@
-"""A checker for vector environments, which Gymnasium has none of.
+"""Checker of vector environments; Gymnasium provides one for scalar environments only.
 
-It compares a vector environment with single ones, step by step and in every autoreset mode: number
-i, seeded with seed + i, must be the single environment seeded so, to the bit, in observations,
-rewards, ends and infos. It also looks for what misleads learners: shared buffers, wrong spaces,
-final observations that are not final, masks that say too much.
+It compares a vector environment with scalar ones, step by step and in every autoreset mode:
+environment i must equal a scalar environment with seed + i to the bit, in observations, rewards,
+terminations, truncations and infos. It also detects faults that corrupt training data: shared
+buffers, wrong spaces, wrong final observations and wrong masks.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,11 +15,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 MakeVector = Callable[..., VectorEnv]
-"""From `num_envs` and `autoreset_mode` to the vector environment."""
+"""Function of `num_envs` and `autoreset_mode` that returns the vector environment."""
 
 
 class VectorCheckError(AssertionError):
-    """What a vector environment does that its single environment does not, in one sentence."""
+    """Difference between a vector environment and its scalar one, in one sentence."""
 
 
 def check_vector_env(
@@ -31,9 +31,10 @@ def check_vector_env(
     seed: int = 0,
     modes: tuple[AutoresetMode, ...] = tuple(AutoresetMode),
 ) -> int:
-    """Compare `steps` steps under random actions; returns how many episodes have ended in them.
+    """Compare `steps` steps under random actions, and return the number of ended episodes.
 
-    Choose `steps` so that some do, else autoreset is not seen at work. Raises VectorCheckError.
+    Autoreset is tested only if episodes end: choose `steps` large enough. Raises
+    VectorCheckError.
     """
     ended = 0
     for mode in modes:
@@ -55,18 +56,17 @@ def _require(holds: bool, sentence: str) -> None:
 
 
 def _check_spaces(vector: VectorEnv, single: gymnasium.Env, n: int, mode: AutoresetMode) -> None:
-    _require(vector.num_envs == n, f"num_envs is {vector.num_envs}, {n} were asked for")
-    told = vector.metadata.get("autoreset_mode")
-    _require(isinstance(told, AutoresetMode), f"metadata['autoreset_mode'] is {told!r}, no mode")
-    _require(told == mode, f"metadata['autoreset_mode'] is {told}, {mode} was asked for")
+    _require(vector.num_envs == n, f"num_envs is {vector.num_envs}, must be {n}")
+    own_mode = vector.metadata.get("autoreset_mode")
+    _require(own_mode == mode, f"metadata['autoreset_mode'] is {own_mode!r}, must be {mode}")
     for name in ("observation_space", "action_space"):
-        own, batched = getattr(single, name), getattr(vector, name)
-        _require(getattr(vector, f"single_{name}") == own, f"single_{name} is not {own}")
-        _require(batched == batch_space(own, n), f"{name} is not {n} times {own}")
+        scalar, batched = getattr(single, name), getattr(vector, name)
+        _require(getattr(vector, f"single_{name}") == scalar, f"single_{name} must be {scalar}")
+        _require(batched == batch_space(scalar, n), f"{name} must be a batch of {n} {scalar}")
 
 
 class _Comparison:
-    """One vector environment beside its single ones, in one autoreset mode."""
+    """Comparison of a vector environment with scalar ones in one autoreset mode."""
 
     def __init__(self, vector: VectorEnv, singles: list[gymnasium.Env], mode: AutoresetMode):
         self.vector, self.singles, self.mode = vector, singles, mode
@@ -75,6 +75,7 @@ class _Comparison:
         self.returned: tuple[Any, Any] | None = None
 
     def run(self, steps: int, seed: int) -> int:
+        """Compare a reset and `steps` steps, and return the number of ended episodes."""
         observations, infos = self.vector.reset(seed=seed)
         for i, single in enumerate(self.singles):
             self._compare("reset", i, observations, infos, single.reset(seed=seed + i))
@@ -97,25 +98,24 @@ class _Comparison:
                 expected: tuple[Any, ...] = (0.0, False, False)
                 self._compare(when, i, observations, infos, single.reset())
             else:
-                observation, *said, info = single.step(action)
-                expected = tuple(said)
+                observation, *rest, info = single.step(action)
+                expected = tuple(rest)
                 self.ended[i] = expected[1] or expected[2]
                 if self.ended[i] and self.mode == AutoresetMode.SAME_STEP:
                     self._check_final(when, i, infos, observation, info)
                     observation, info = single.reset()
                 self._compare(when, i, observations, infos, (observation, info))
-            told = (rewards[i], terminated[i], truncated[i])
+            actual = (rewards[i], terminated[i], truncated[i])
             _require(
-                told == expected,
-                f"{when}, environment {i}: reward, terminated, truncated are {told}, of the single "
-                f"environment {expected}",
+                actual == expected,
+                f"{when}, environment {i}: reward, terminated, truncated are {actual}, must be "
+                f"{expected} as in the scalar environment",
             )
         self.count += int(self.ended.sum())
         if self.mode == AutoresetMode.SAME_STEP:
             masks = np.asarray(infos.get("_final_obs", np.zeros_like(self.ended)))
-            _require(
-                bool((masks == self.ended).all()), f"{when}: _final_obs is not the ended episodes"
-            )
+            same = bool((masks == self.ended).all())
+            _require(same, f"{when}: _final_obs does not mark the ended episodes")
             self.ended = np.zeros_like(self.ended)
         self._remember(observations)
 
@@ -127,9 +127,9 @@ class _Comparison:
                 self._compare(when, i, observations, infos, single.reset())
             else:
                 same = np.array_equal(observations[i], self.last[i])
-                _require(same, f"{when}: the observation of environment {i} was not to be reset")
-                told = [k for k, v in infos.items() if k.startswith("_") and np.asarray(v)[i]]
-                _require(not told, f"{when}: {told} speak of environment {i}, which was not reset")
+                _require(same, f"{when}: environment {i} changed although it was not reset")
+                set_ = [k for k, v in infos.items() if k.startswith("_") and np.asarray(v)[i]]
+                _require(not set_, f"{when}: {set_} mark environment {i}, which was not reset")
         self.ended = np.zeros_like(self.ended)
         self._remember(observations)
 
@@ -146,7 +146,7 @@ class _Comparison:
             _require(fits and array.dtype.kind == kind, f"{when}: {name} are {array!r}")
 
     def _check_final(self, when: str, i: int, infos: dict, observation: Any, info: Mapping) -> None:
-        _require("final_obs" in infos, f"{when}: an episode has ended, and infos lack final_obs")
+        _require("final_obs" in infos, f"{when}: an episode ended but infos lack final_obs")
         same = np.array_equal(infos["final_obs"][i], observation)
         _require(same, f"{when}, environment {i}: final_obs is not the last observation")
         self._compare_info(f"{when}, final_info", i, infos["final_info"], info)
@@ -154,7 +154,7 @@ class _Comparison:
     def _compare(self, when: str, i: int, observations, infos: dict, single: tuple) -> None:
         observation, info = single
         same = np.array_equal(observations[i], observation)
-        _require(same, f"{when}, environment {i}: another observation than the single environment")
+        _require(same, f"{when}, environment {i}: the observation differs from the scalar one")
         self._compare_info(when, i, infos, info)
 
     def _compare_info(self, when: str, i: int, infos: dict, info: Mapping) -> None:
@@ -162,12 +162,14 @@ class _Comparison:
             where = f"{when}, environment {i}: info {name!r}"
             _require(name in infos, f"{where} is missing")
             _require(bool(np.asarray(infos[f"_{name}"])[i]), f"{where} is masked")
-            _require(np.array_equal(infos[name][i], value), f"{where} is {infos[name][i]}")
+            same = np.array_equal(infos[name][i], value)
+            _require(same, f"{where} is {infos[name][i]}, must be {value}")
 
     def _remember(self, observations: np.ndarray) -> None:
+        """Keep the returned array and a copy, to detect that a later step overwrites it."""
         self.returned, self.last = (observations, observations.copy()), observations.copy()
 
     def _check_buffers(self, when: str) -> None:
         if self.returned is not None:
             same = np.array_equal(*self.returned)
-            _require(same, f"{when}: the observations of the step before have changed")
+            _require(same, f"{when}: the observations of the previous step have changed")

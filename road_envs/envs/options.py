@@ -1,7 +1,4 @@
-"""What both environments share: options, spaces, how an episode begins, what is told of it.
-
-No physics lives here.
-"""
+"""Options, spaces and episode starts that the scalar and the vector environment share."""
 
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -42,28 +39,25 @@ ACTIONS: dict[str, tuple[Any, ...]] = {
     ),
     "states": tuple({"front": front, "rear": rear} for rear in MODES for front in MODES),
 }
-"""What the actions 0, 1, ... command, for each choice of `control`."""
+"""Strut states commanded by the actions 0, 1, ..., for each choice of `control`."""
 
 MAX_SPEED_KMH = 200.0
-"""Highest speed that is accepted [km/h]."""
-
+"""Highest speed that `speed_kmh` may have [km/h]."""
 
 MAX_OBSERVED_SPEED = 100.0
-"""Highest speed that is observed [m/s]."""
+"""Upper limit of the observed speed [m/s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Weights:
-    """Weights of the reward's three costs, each per second."""
+    """Weights of the four costs in the reward, each per second."""
 
     __pydantic_config__ = STRICT
 
     comfort: Annotated[float, "per m/s²", "of the W_k-weighted RMS heave acceleration"] = 1.0
     rattle: Annotated[float, "per m", "of the RMS strut extension"] = 10.0
     tyre_load: Annotated[float, "", "of the RMS relative tyre load variation"] = 1.0
-    unresolved_variance: Annotated[float, "", "of the variance left unknown of the road, of 1"] = (
-        0.0
-    )
+    unresolved_variance: Annotated[float, "", "of the road's unresolved share of variance"] = 0.0
 
     def __post_init__(self):
         if not 0.0 <= self.unresolved_variance < np.inf:
@@ -74,7 +68,7 @@ class Weights:
 
 @dataclass(frozen=True, kw_only=True)
 class EnvOptions:
-    """The keyword arguments of the environment; see `RoadReconEnv`."""
+    """Keyword arguments of the environment; `RoadReconEnv` documents them."""
 
     __pydantic_config__ = STRICT
 
@@ -100,20 +94,20 @@ class EnvOptions:
             load_manoeuvre(self.manoeuvre)
         if "accelerations" not in self.observe or len(set(self.observe)) < len(self.observe):
             raise ValueError(
-                f"observe needs 'accelerations', and no group twice, got {list(self.observe)}"
+                f"observe needs 'accelerations' and no duplicates, got {list(self.observe)}"
             )
         if not self.exaggeration > 0:
             raise ValueError(f"exaggeration must be above 0, got {self.exaggeration}")
         per_interval = 1.0 / (self.control_rate * self.step) if self.control_rate > 0 else 0.0
         if per_interval < 1.0 or abs(per_interval - round(per_interval)) > 1e-6:
             raise ValueError(
-                f"control_rate must make a whole number of integrator steps of {self.step} s, "
+                f"control_rate must give a whole number of integrator steps of {self.step} s, "
                 f"got {self.control_rate} Hz"
             )
 
 
 def validate_speed(speed_kmh: float | tuple[float, float]) -> None:
-    """Raise ValueError unless `speed_kmh` is a speed or a range of speeds that can be driven."""
+    """Raise ValueError unless `speed_kmh` is a valid speed or a valid range of speeds."""
     speeds = np.atleast_1d(np.asarray(speed_kmh, dtype=float))
     if not ((speeds > 0) & (speeds <= MAX_SPEED_KMH)).all() or speeds[0] > speeds[-1]:
         raise ValueError(
@@ -123,12 +117,12 @@ def validate_speed(speed_kmh: float | tuple[float, float]) -> None:
 
 
 def _axle_modes(action: str | dict[str, str]) -> dict[str, str]:
-    """The states of both axles under an action."""
+    """Return the strut states of both axles under an action."""
     return action if isinstance(action, dict) else {"front": action, "rear": action}
 
 
 class EpisodeStart(NamedTuple):
-    """How one episode begins: speed [km/h], command byte, surface, and the drive over it."""
+    """Start of one episode: speed [km/h], command byte, surface, and the drive over it."""
 
     speed_kmh: float
     command_byte: int
@@ -137,7 +131,7 @@ class EpisodeStart(NamedTuple):
 
 
 class EnvSetup:
-    """What the keyword arguments of the environments come to. Raises ConfigError."""
+    """Objects built from the keyword arguments of the environments. Raises ConfigError."""
 
     def __init__(self, options: dict[str, Any]):
         if isinstance(options.get("weights"), Weights):
@@ -157,31 +151,32 @@ class EnvSetup:
         self.samples_per_interval = round(samples)
         if self.samples_per_interval < 1 or abs(self.samples_per_interval - samples) > 1e-6:
             raise ConfigError(
-                f"control_rate must make a whole number of samples at {self.instruments.fs} Hz, "
+                f"control_rate must give a whole number of samples at {self.instruments.fs} Hz, "
                 f"got {o.control_rate} Hz"
             )
         self.observation_space = gymnasium.spaces.Box(*self._limits(), dtype=np.float32)
         self.action_space = gymnasium.spaces.Discrete(len(self.command_bytes))
 
     def _limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest observation."""
-        reach = np.full(3 * self.samples_per_interval, self.instruments.range)
-        more = [
-            np.full(size, most)
-            for group, size, most in (
+        """Return the lower and the upper limit of the observations."""
+        accelerations = np.full(3 * self.samples_per_interval, self.instruments.range)
+        groups = [
+            np.full(size, limit)
+            for group, size, limit in (
                 ("planar", N_PLANAR, MAX_PLANAR),
                 ("struts", N_STRUT_SIGNALS // 2, MAX_EXTENSION),
                 ("struts", N_STRUT_SIGNALS // 2, MAX_EXTENSION_RATE),
             )
             if group in self.options.observe
         ]
-        beyond = np.concatenate([np.zeros(0), *more])
-        low = np.r_[-reach, np.zeros(5), -beyond].astype(np.float32)
-        return low, np.r_[reach, MAX_OBSERVED_SPEED, np.ones(4), beyond].astype(np.float32)
+        optional = np.concatenate([np.zeros(0), *groups])
+        low = np.r_[-accelerations, np.zeros(5), -optional]
+        high = np.r_[accelerations, MAX_OBSERVED_SPEED, np.ones(4), optional]
+        return low.astype(np.float32), high.astype(np.float32)
 
     @cached_property
     def observation_slices(self) -> dict[str, slice]:
-        """Where in an observation its parts stand, by name."""
+        """Slice of each named part within an observation."""
         k = self.samples_per_interval
         sizes = dict.fromkeys(SENSORS, k) | {"speed": 1, "front": 2, "rear": 2}
         if "planar" in self.options.observe:
@@ -196,30 +191,30 @@ class EnvSetup:
 
     @cached_property
     def bound_table(self) -> BoundTable:
-        """What each pair of states leaves unknown of a road of class D."""
+        """Table of the reconstruction bound on a class-D road, for each pair of strut states."""
         speeds = np.atleast_1d(np.asarray(self.options.speed_kmh, dtype=float)) / 3.6
         if speeds[0] < speeds[-1]:
-            speeds = np.linspace(speeds[0], speeds[-1], 5)
+            speeds = np.linspace(speeds[0], speeds[-1], 5)  # the table interpolates in between
         used = {f[axle] for f in map(_axle_modes, ACTIONS[self.options.control]) for axle in f}
         modes = tuple(mode for mode in MODES if mode in used)
         return BoundTable.tabulate(self.car, self.instruments, RoadPrior(), speeds, modes)
 
     def unresolved_variance_by_command(self, v: float) -> np.ndarray:
-        """Share (256,) [-] of the road's variance that command bytes leave unknown at `v` [m/s].
+        """Return the unresolved share (256,) [-] of the road's variance at `v` [m/s].
 
-        Of bytes that no action commands it is that of nothing known, 1.
+        It is indexed by the command byte, and 1 for bytes that no action commands.
         """
-        left = np.ones(256)
+        share = np.ones(256)
         for action in ACTIONS[self.options.control]:
             pair = _axle_modes(action)
-            left[encode_command(action)] = (
-                self.bound_table.interpolate(pair["front"], pair["rear"], v) ** 2
-            )
-        return left
+            error = self.bound_table.interpolate(pair["front"], pair["rear"], v)
+            share[encode_command(action)] = error**2
+        return share
 
     def make_fleet(self, n_vehicles: int = 1, threads: int = 1) -> InstrumentedFleet:
-        """Cars that stand still, one for each environment."""
+        """Return a fleet of vehicles at rest, one for each environment."""
         o = self.options
+        by_command = self.unresolved_variance_by_command
         return InstrumentedFleet(
             self.plant,
             self.car,
@@ -232,16 +227,14 @@ class EnvSetup:
             top_speed=MAX_OBSERVED_SPEED,
             planar="planar" in o.observe,
             struts="struts" in o.observe,
-            unresolved_variance=self.unresolved_variance_by_command
-            if o.weights.unresolved_variance > 0.0
-            else None,
+            unresolved_variance=by_command if o.weights.unresolved_variance > 0.0 else None,
             unresolved_variance_weight=o.weights.unresolved_variance,
             truth=o.truth,
             threads=threads,
         )
 
     def episode_options(self, options: dict[str, Any]) -> EnvOptions:
-        """These options with those of one episode. Raises ConfigError on unknown ones."""
+        """Return the options with those of one episode. Raises ConfigError on unknown ones."""
         known = {"speed_kmh": self.options.speed_kmh, "mode": self.options.mode}
         if extra := options.keys() - known.keys():
             raise ConfigError(f"unknown reset options {sorted(extra)}; known: {', '.join(known)}")
@@ -250,8 +243,8 @@ class EnvSetup:
     def start_episode(
         self, fleet: InstrumentedFleet, i: int, random: np.random.Generator, o: EnvOptions
     ) -> EpisodeStart:
-        """Put car `i` at the beginning of an episode drawn from `random`."""
-        # one stream per cause: new ones go to the end, so that old seeds keep their roads
+        """Put vehicle `i` at the start of an episode drawn from `random`."""
+        # one stream per cause; new streams go to the end, so that old seeds keep their roads
         road_rng, speed_rng, sensor_rng = random.spawn(3)
         v = o.speed_kmh
         speed_kmh = float(v if isinstance(v, int | float) else speed_rng.uniform(*v))
@@ -262,7 +255,7 @@ class EnvSetup:
         return EpisodeStart(speed_kmh, encode_command(o.mode), surface, drive)
 
     def failure_reason(self, output: StepOutput, i: int, road: str) -> str:
-        """Why the episode of environment `i` on `road` has failed; empty if it has not."""
+        """Return why the episode of environment `i` on `road` has failed; empty if it has not."""
         begin = round((output.values[i, 0] - self.interval) / self.options.step)
         if output.nonfinite_step[i] >= 0:
             t = self.options.step * (begin + output.nonfinite_step[i])

@@ -1,4 +1,4 @@
-"""`RoadRecon-v0`: the vehicle on a road as a Gymnasium environment. No physics lives here."""
+"""Gymnasium environment `RoadRecon-v0`: the vehicle on a road."""
 
 from collections import deque
 from math import ceil
@@ -13,19 +13,19 @@ from road_envs.simulation.control_step import OUTPUT_COLUMNS, StepOutput
 from road_envs.simulation.drive import DriveSimulator
 
 RENDERED_HISTORY = 4.0
-"""How much of the accelerations a picture shows [s]."""
+"""Length of the acceleration traces in a rendered frame [s]."""
 
 
 class RoadReconEnv(gymnasium.Env):
-    """A stiff 7-DOF Land Rover on a road, whose 4S4 suspension the agent switches.
+    """Environment of a 7-DOF Land Rover on a road, whose 4S4 suspension the agent switches.
 
     ## Description
     A vehicle with solid axles drives over a road at constant speed. Its four struts can be soft
     with low damping (*ride*) or stiff with high damping (*handling*); a command takes effect after
-    a delay of 20 ms and a lag of 10 ms. The agent sees what the car's own instruments see: three
+    a delay of 20 ms and a lag of 10 ms. The agent observes the vehicle's own instruments: three
     vertical body accelerations at the right front (RF), left rear (LR) and right rear (RR), the
-    speed, and the commanded states. It never sees the road. The model is that of Ngwangwa, Heyns,
-    Breytenbach & Els; see `road_envs.vehicle.equations` and `road_envs.vehicle.suspension`.
+    speed, and the commanded states. It does not observe the road. The model is that of Ngwangwa,
+    Heyns, Breytenbach & Els; see `road_envs.vehicle.equations` and `road_envs.vehicle.suspension`.
 
     ## Action Space
     `control="vehicle"`: `Discrete(2)`, 0 ride, 1 handling, for all struts.
@@ -36,26 +36,26 @@ class RoadReconEnv(gymnasium.Env):
 
     ## Observation Space
     `Box`, float32, (3 k + 5,), where k is the number of samples in a control interval (50 at 1 kHz
-    and 20 Hz). `unwrapped.split(observation)` names the parts.
+    and 20 Hz). `unwrapped.split(observation)` returns the parts by name.
 
     | index | quantity | unit | low | high |
     |---|---|---|---|---|
     | 0 ... k-1 | RF acceleration, oldest first | m/s² | -range | range |
     | k ... 2k-1 | LR acceleration | m/s² | -range | range |
     | 2k ... 3k-1 | RR acceleration | m/s² | -range | range |
-    | 3k | speed as measured | m/s | 0 | 100 |
+    | 3k | measured speed | m/s | 0 | 100 |
     | 3k+1, 3k+2 | front: stiff spring, high damping (commanded) | - | 0 | 1 |
     | 3k+3, 3k+4 | rear: stiff spring, high damping (commanded) | - | 0 | 1 |
 
-    `observe` adds groups of other instruments, here without noise [assumed], at the end:
+    `observe` appends groups of further instruments, which have no noise [assumed]:
 
     | group | numbers | unit | low, high |
     |---|---|---|---|
-    | `"planar"` | felt longitudinal and lateral acceleration, means | m/s² | ±20 |
-    | `"struts"` | extensions of the struts FL, FR, RL, RR, at the end | m | ±0.5 |
-    | | rates of extension, likewise | m/s | ±10 |
+    | `"planar"` | longitudinal and lateral specific force, means over the interval | m/s² | ±20 |
+    | `"struts"` | extensions of the struts FL, FR, RL, RR, at the end of it | m | ±0.5 |
+    | | their rates of extension, likewise | m/s | ±10 |
 
-    What is felt on a leaning body is a_x - g theta and a_y + g phi.
+    The specific force in the axes of the body is a_x - g theta and a_y + g phi.
 
     ## Rewards
     Minus the weighted sum of the costs, times the control interval in seconds, so that a return
@@ -66,23 +66,23 @@ class RoadReconEnv(gymnasium.Env):
     | `comfort` | RMS heave acceleration, W_k-weighted after ISO 2631-1 | m/s² | 1 |
     | `rattle` | RMS extension of the four struts | m | 10 |
     | `tyre_load` | RMS of tyre load over static load, less 1 | - | 1 |
-    | `unresolved_variance` | share of the road's variance that the states leave unknown | - | 0 |
+    | `unresolved_variance` | share of the road's variance that stays unresolved | - | 0 |
 
-    The last one, whose weight is called `information`, is told where that weight is not 0. It is
-    what the best linear estimate in the commanded states does not know of a class-D road in the
-    judged band (`observability.BoundTable`), for a car that stays in them; one that keeps
-    switching is charged as if it stayed.
+    `info` holds the last one only where its weight is not 0. It is the error variance of the best
+    linear estimate of a class-D road within the scored band (`information_bound.BoundTable`), for
+    a vehicle that stays in the commanded states; a vehicle that keeps switching is charged the
+    same.
 
     ## Starting State
-    At rest on a level apron, front axle 5 m before the road, in the mode `mode`; one control
-    interval has been driven, so that the first observation holds samples. Each reset draws a road
-    (unless it is a fixed one), a speed (if a range is given) and the sensors' noise, each from a
-    stream of its own.
+    The vehicle starts in equilibrium on a level apron, front axle 5 m before the road, in the mode
+    `mode`. Reset drives one control interval, so that the first observation holds samples. Each
+    reset draws a road (unless it is a fixed one), a speed (if a range is given) and the sensor
+    noise, each from its own random stream.
 
     ## Episode End
-    Truncated when the rear axle has left the road and the apron after it. Terminated when body or
-    axle has rolled or pitched by more than 45 degrees, where the model's small angles end, or when
-    the motion leaves the range of numbers; `info["reason"]` then says which.
+    The episode is truncated when the rear axle has left the road and the apron after it. It is
+    terminated when the body or an axle has rolled or pitched by more than 45 degrees, beyond the
+    model's small angles, or when the motion is no longer finite; `info["reason"]` says which.
 
     ## Arguments
     ```python
@@ -98,20 +98,21 @@ class RoadReconEnv(gymnasium.Env):
     | `mode` | `"ride"` | 4S4 mode at the start; also `{"front": ..., "rear": ...}` |
     | `control` | `"vehicle"` | what an action switches: `"vehicle"`, `"axle"` or `"states"` |
     | `control_rate` | `20.0` | actions per second [Hz] |
-    | `length` | `None` | another length of the road [m] |
+    | `length` | `None` | length of the road [m]; `None`: its own |
     | `sensors` | `"paper"` | instruments by name or YAML path |
     | `vehicle` | `"land_rover_defender_110"` | vehicle by name or YAML path |
     | `step` | `0.001` | integrator step [s] |
     | `manoeuvre` | `None` | `"steady_turn"`, `"lane_change"`, `"slalom"`, `"braking"`, or mapping |
-    | `truth` | `True` | whether `info` has `profile` and `loads`, for scoring |
-    | `observe` | `["accelerations"]` | what is observed; `"planar"`, `"struts"` may follow |
-    | `weights` | see above | mapping with `comfort`, `rattle`, `tyre_load`, `information` |
-    | `exaggeration` | `1.0` | factor by which pictures enlarge vertical motion |
+    | `truth` | `True` | whether `info` has `s`, `profile` and `loads`, for scoring |
+    | `observe` | `["accelerations"]` | observed groups; `"planar"`, `"struts"` may be added |
+    | `weights` | see above | mapping of the cost names above to their weights |
+    | `exaggeration` | `1.0` | factor by which rendered frames enlarge vertical motion |
 
     `reset(options={"speed_kmh": ..., "mode": ...})` overrides these two for one episode.
-    `info` has, at reset as at each step: `t` [s], `station` [m] of the front axle, `speed_kmh`,
-    `comfort`, `rattle`, `tyre_load` (the reward's terms), `reason`, and with `truth`: `s` (k,) [m],
-    `profile` (2, k) [m] under the front axle and `loads` (4, k) [N] of the tyres at the samples.
+    At reset and at each step `info` holds `t` [s], `station` [m] of the front axle, `speed_kmh`,
+    `comfort`, `rattle`, `tyre_load` (the terms of the reward), `reason`, and with `truth`: `s` (k,)
+    [m], `profile` (2, k) [m] under the front axle and `loads` (4, k) [N] of the tyres at the
+    samples.
 
     ## Vectorized environment
     `gym.make_vec("RoadRecon-v0", num_envs=4, vectorization_mode="sync")`; in spawned workers use
@@ -141,7 +142,7 @@ class RoadReconEnv(gymnasium.Env):
         self._history: deque[np.ndarray] = deque(maxlen=ceil(RENDERED_HISTORY * rate))
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        """Start an episode; see the class for `options`. Raises ConfigError on unknown ones."""
+        """Start an episode; the class documents `options`. Raises ConfigError on unknown ones."""
         super().reset(seed=seed)
         episode_options = self.setup.episode_options(options or {})
         self._start = self.setup.start_episode(self.fleet, 0, self.np_random, episode_options)
@@ -163,7 +164,7 @@ class RoadReconEnv(gymnasium.Env):
         return output.observation[0], reward, terminated, truncated, info
 
     def render(self) -> np.ndarray | None:
-        """A picture (540, 960, 3), uint8, of the car on its road; None without a render mode."""
+        """Return a frame (540, 960, 3), uint8, of the vehicle; None without a render mode."""
         if self.render_mode is None:
             gymnasium.logger.warn("nothing is rendered unless render_mode is 'rgb_array'")
             return None
@@ -172,23 +173,24 @@ class RoadReconEnv(gymnasium.Env):
         from road_envs.rendering import Scene, render_frame
 
         samples = np.concatenate(self._history, axis=1)
-        fs, enlarged = self.setup.instruments.fs, self.setup.options.exaggeration
-        shown = self.fleet.last_interval(0, self._command_byte)
-        return render_frame(
-            Scene.from_drive(self.drive, shown, samples, fs, RENDERED_HISTORY, enlarged)
-        )
+        fs, scale = self.setup.instruments.fs, self.setup.options.exaggeration
+        motion = self.fleet.last_interval(0, self._command_byte)
+        scene = Scene.from_drive(self.drive, motion, samples, fs, RENDERED_HISTORY, scale)
+        return render_frame(scene)
 
     @property
     def drive(self) -> DriveSimulator:
-        """The drive of this episode, where it is now; a copy of what the environment holds."""
+        """Copy of the drive of this episode in its current state."""
         if self._start is None:
-            raise gymnasium.error.ResetNeeded("call reset before looking at the drive")
+            raise gymnasium.error.ResetNeeded("call reset before reading the drive")
         self.fleet.write_back(0, self._start.drive)
         return self._start.drive
 
     def split(self, observation: np.ndarray) -> dict[str, np.ndarray]:
-        """The parts of an observation: RF, LR, RR (k,), speed (1,), front (2,), rear (2,); where
-        they are observed planar (2,), extension (4,), extension_rate (4,).
+        """Return the parts of an observation by name.
+
+        They are RF, LR, RR (k,), speed (1,), front (2,), rear (2,) and, where they are observed,
+        planar (2,), extension (4,), extension_rate (4,).
         """
         return {name: observation[part] for name, part in self.setup.observation_slices.items()}
 
@@ -201,7 +203,7 @@ class RoadReconEnv(gymnasium.Env):
         return output
 
     def _info(self, output: StepOutput, start: EpisodeStart) -> tuple[float, dict[str, Any]]:
-        """The reward and what is told beside it."""
+        """Return the reward and `info`."""
         info: dict[str, Any] = dict(zip(OUTPUT_COLUMNS, output.values[0].tolist(), strict=True))
         reward = info.pop("reward")
         if self.setup.options.weights.unresolved_variance == 0.0:

@@ -1,4 +1,4 @@
-"""`RoadReconVectorEnv` for Stable-Baselines3, which takes vector environments of its own kind only.
+"""Adapter of `RoadReconVectorEnv` to the vector environments of Stable-Baselines3.
 
 ```python
 from stable_baselines3 import PPO
@@ -25,24 +25,24 @@ with optional_import("Stable-Baselines3 environments"):
 
 
 class RoadReconVecEnv(VecEnv):
-    """`num_envs` environments as a Stable-Baselines3 VecEnv; `options` as in RoadReconVectorEnv.
+    """Stable-Baselines3 VecEnv of `num_envs` environments; `options` as in RoadReconVectorEnv.
 
-    An environment that has ended starts anew within the same step; its last observation is
-    `info["terminal_observation"]`, and `info["TimeLimit.truncated"]` says whether the road was
-    merely over. `info_keys` names entries of `info` to hand over in every step; none by default,
-    since a dictionary for each environment is what costs most. Raises ConfigError.
+    An environment that has ended restarts within the same step; its last observation is
+    `info["terminal_observation"]`, and `info["TimeLimit.truncated"]` is true if only the road
+    ended. `info_keys` are the entries of `info` returned in every step; none by default, because
+    building a dictionary for each environment dominates the cost of a step. Raises ConfigError.
     """
 
     def __init__(self, num_envs: int = 1, *, info_keys: Sequence[str] = (), **options: Any):
         if "autoreset_mode" in options:
-            raise ConfigError("autoreset_mode is not to be chosen: Stable-Baselines3 has its own")
+            raise ConfigError("autoreset_mode must be omitted: Stable-Baselines3 resets in step")
         self.env = RoadReconVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **options)
         self.info_keys = tuple(info_keys)
         self._actions = np.zeros(num_envs, dtype=np.int64)
         super().__init__(num_envs, self.env.single_observation_space, self.env.single_action_space)
 
     def reset(self) -> np.ndarray:
-        """First observations (num_envs, 3 k + 5), with the seeds that `seed` has set."""
+        """Return the first observations (num_envs, 3 k + 5), with the seeds set by `seed`."""
         seeds = None if self._seeds[0] is None else list(self._seeds)
         options = self._options[0] if any(self._options) else None
         observations, infos = self.env.reset(seed=seeds, options=options)
@@ -52,11 +52,11 @@ class RoadReconVecEnv(VecEnv):
         return observations
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Note the actions (num_envs,)."""
+        """Store the actions (num_envs,) for `step_wait`."""
         self._actions = np.asarray(actions)
 
     def step_wait(self):
-        """Observations, rewards, dones (num_envs, ...) and a list of infos."""
+        """Return observations, rewards, dones (num_envs, ...) and a list of infos."""
         observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
         dones = terminated | truncated
         rows = self._rows(infos)
@@ -70,23 +70,23 @@ class RoadReconVecEnv(VecEnv):
         return observations, rewards.astype(np.float32), dones, rows
 
     def close(self) -> None:
-        """Nothing is held that needs closing."""
+        """Close the vector environment."""
         self.env.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute, once for each environment: all share it."""
+        """Return an attribute once for each environment; all environments share it."""
         return [getattr(self.env, attr_name)] * len(self._selected(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refused: the environments have no attributes of their own."""
+        """Raise ConfigError: the environments have no attributes of their own."""
         raise ConfigError(f"{attr_name} cannot be set: all environments share their options")
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any):
-        """Refused: the environments are rows of arrays and have no methods of their own."""
+        """Raise ConfigError: the environments are rows of arrays and have no methods."""
         raise ConfigError(f"{method_name} cannot be called: the environments are rows of arrays")
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """No environment is wrapped by itself."""
+        """Return False for each environment: none can be wrapped individually."""
         return [False] * len(self._selected(indices))
 
     def _selected(self, indices: Any) -> Sequence[int]:

@@ -1,4 +1,4 @@
-"""`RoadRecon-v0` many times over: all cars are driven side by side in the lanes of one convoy."""
+"""Vector environment of `RoadRecon-v0`, which advances all vehicles in the lanes of one fleet."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,7 +15,7 @@ from road_envs.simulation.control_step import OUTPUT_COLUMNS, StepOutput
 
 
 class RoadReconVectorEnv(VectorEnv):
-    """`num_envs` environments in one; number i is a `RoadReconEnv` seeded with seed + i, exactly.
+    """Batch of `num_envs` environments; number i equals a `RoadReconEnv` with seed + i exactly.
 
     ```python
     import gymnasium as gym
@@ -27,17 +27,17 @@ class RoadReconVectorEnv(VectorEnv):
     ```
     | keyword | default | meaning |
     |---|---|---|
-    | `num_envs` | `1` | how many |
+    | `num_envs` | `1` | number of environments |
     | `autoreset_mode` | `NEXT_STEP` | or `SAME_STEP`, `DISABLED`, of Gymnasium's AutoresetMode |
-    | `threads` | `1` | over which the cars are spread; results do not depend on it |
+    | `threads` | `1` | number of threads; results do not depend on it |
     | `max_episode_steps` | `None` | steps after which an episode is truncated |
     | all others | | as in `RoadReconEnv` |
 
-    `reset(seed=..., options=...)` takes a seed or one for each environment, and the options of
-    `RoadReconEnv.reset`; with `DISABLED` also `reset_mask` (num_envs,) bool: which to reset.
-    `info` holds the same names as the scalar environment's, a row for each environment, and with
-    each name `_name` (num_envs,): whose rows say something. `SAME_STEP` adds `final_obs` and
-    `final_info` for those that ended. Pictures come from the scalar environment.
+    `reset(seed=..., options=...)` takes one seed or a seed for each environment, and the options
+    of `RoadReconEnv.reset`; with `DISABLED` also `reset_mask` (num_envs,) bool, the environments to
+    reset. `info` has the keys of the scalar environment, with a row for each environment, and for
+    each key a mask `_key` (num_envs,) of the valid rows. `SAME_STEP` adds `final_obs` and
+    `final_info` of the ended episodes. Only the scalar environment renders.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as the base class has it; each instance copies it
@@ -57,7 +57,7 @@ class RoadReconVectorEnv(VectorEnv):
     ):
         if render_mode is not None:
             raise ConfigError(
-                f"render_mode {render_mode!r} is not for a vector environment; make pictures with "
+                f"a vector environment has no render_mode {render_mode!r}; render with "
                 f"gym.make('RoadRecon-v0', render_mode='rgb_array')"
             )
         for name, value in (("num_envs", num_envs), ("threads", threads)):
@@ -87,12 +87,12 @@ class RoadReconVectorEnv(VectorEnv):
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
-        """The environments' generators."""
+        """Random generator of each environment."""
         return tuple(self._generators)
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
-        """What they were seeded with."""
+        """Seed of each environment."""
         return tuple(self._seeds)
 
     def reset(
@@ -125,7 +125,7 @@ class RoadReconVectorEnv(VectorEnv):
                     f"environments {np.flatnonzero(self._done).tolist()} have ended: reset them "
                     f"with options={{'reset_mask': ...}} before the next step"
                 )
-            restarted = self._done  # their new episodes begin within this step
+            restarted = self._done  # NEXT_STEP: this step is their reset, whatever the action
             commands[restarted] = self._start_episodes(restarted, self.setup.options)[restarted]
         output = self.fleet.advance(commands)
         self._elapsed += ~restarted
@@ -147,7 +147,10 @@ class RoadReconVectorEnv(VectorEnv):
     def _autoreset(
         self, ended: np.ndarray, output: StepOutput, infos: dict[str, Any]
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start new episodes where one `ended`; what they show takes the place of its end."""
+        """Start new episodes where one has `ended`, and return their observations and infos.
+
+        The last observations and infos of the ended episodes go to `final_obs`, `final_info`.
+        """
         final_obs = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(ended):
             final_obs[i] = output.observation[i].copy()
@@ -162,12 +165,12 @@ class RoadReconVectorEnv(VectorEnv):
         return observations, infos | final | masks
 
     def _start_and_advance(self, mask: np.ndarray, episode_options: EnvOptions) -> StepOutput:
-        """Start episodes and drive their first interval."""
+        """Start episodes in `mask` and drive their first control interval."""
         commands = self._start_episodes(mask, episode_options)
         return self.fleet.advance(commands, None if mask.all() else mask)
 
     def _start_episodes(self, mask: np.ndarray, episode_options: EnvOptions) -> np.ndarray:
-        """Put cars at the beginning of new episodes; their command bytes, in rows of `mask`."""
+        """Start episodes in `mask`, and return their command bytes (num_envs,)."""
         commands = np.zeros(self.num_envs, dtype=np.uint8)
         for i in np.flatnonzero(mask):
             start = self.setup.start_episode(
@@ -178,12 +181,10 @@ class RoadReconVectorEnv(VectorEnv):
         return commands
 
     def _infos(self, output: StepOutput, mask: np.ndarray) -> dict[str, Any]:
-        """What is told of the environments in `mask`; other rows are zero."""
-        omitted = (
-            {"reward"}
-            if self.setup.options.weights.unresolved_variance
-            else {"reward", "unresolved_variance"}
-        )
+        """Return the infos of the environments in `mask`; other rows are zero."""
+        omitted = {"reward"}
+        if not self.setup.options.weights.unresolved_variance:
+            omitted.add("unresolved_variance")
         infos: dict[str, Any] = {
             name: np.where(mask, output.values[:, j], 0.0)
             for j, name in enumerate(OUTPUT_COLUMNS)
@@ -201,12 +202,13 @@ class RoadReconVectorEnv(VectorEnv):
         return infos | {f"_{name}": mask.copy() for name in infos}
 
     def _validate_mask(self, mask: Any) -> np.ndarray:
+        """Return `mask` as (num_envs,) bool; None stands for all. Raises ConfigError."""
         if mask is None:
             return np.ones(self.num_envs, dtype=bool)
         fits = isinstance(mask, np.ndarray) and mask.dtype == bool
         if not fits or mask.shape != (self.num_envs,) or not mask.any():
             raise ConfigError(
-                f"reset_mask must be an array of {self.num_envs} bools, one of them true at least, "
+                f"reset_mask must be an array of {self.num_envs} bools with at least one true, "
                 f"got {mask!r}"
             )
         if not self._generators and not mask.all():
@@ -214,13 +216,15 @@ class RoadReconVectorEnv(VectorEnv):
         return mask
 
     def _seed_generators(self, seed: int | Sequence[int | None] | None, mask: np.ndarray) -> None:
-        """Seed the environments in `mask`; without seeds those that have a generator keep it."""
+        """Seed the environments in `mask`; without a seed an existing generator is kept."""
         if isinstance(seed, int | np.integer):
             seeds: list[int | None] = [int(seed) + i for i in range(self.num_envs)]
         else:
             seeds = [None] * self.num_envs if seed is None else list(seed)
         if len(seeds) != self.num_envs:
-            raise ConfigError(f"{self.num_envs} seeds are wanted, one each, got {len(seeds)}")
+            raise ConfigError(
+                f"seed must be one number or {self.num_envs} numbers, got {len(seeds)}"
+            )
         if not self._generators:
             drawn = [seeding.np_random(s) for s in seeds]
             self._generators, self._seeds = [r for r, _ in drawn], [s for _, s in drawn]
@@ -230,7 +234,7 @@ class RoadReconVectorEnv(VectorEnv):
                 self._generators[i], self._seeds[i] = seeding.np_random(seeds[i])
 
     def _validate_actions(self, actions: Any) -> np.ndarray:
-        """`actions` as indices (num_envs,). Raises ConfigError."""
+        """Return `actions` as indices (num_envs,). Raises ConfigError."""
         indices = np.asarray(actions)
         last = len(self.setup.command_bytes) - 1
         if indices.shape != (self.num_envs,) or indices.dtype.kind not in "iu":

@@ -1,8 +1,8 @@
-"""Policies that switch the suspension: one file each; observations in, actions out.
+"""Policies that switch the suspension, one file each: observations in, actions out.
 
-To add one here: write a file beside this one and put its line into REGISTRY; settings that were
-tuned go into configs/policies/<name>.yaml. To add one from another package, declare it there as an
-entry point, and it appears as `my_policy`:
+To add a policy to this package, write a file beside this one and add a line to REGISTRY; tuned
+settings go into configs/policies/<name>.yaml. To add a policy of another package, declare it there
+as an entry point, and it is available as `my_policy`:
 
     [project.entry-points."road_envs.policies"]
     my_policy = "my_package.my_module:MyPolicy"
@@ -57,12 +57,14 @@ REGISTRY: dict[str, type[Policy]] = {
 
 
 class PolicyPluginWarning(UserWarning):
-    """A policy of another package that cannot be used, and why."""
+    """Warning that a policy of another package cannot be used, with the reason."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicySettings:
-    """Settings of a shipped policy, where they come from, and how a learned one was trained
+    """Settings of a shipped policy and their source.
+
+    `training` holds the settings with which a learned policy was trained
     (`training.TrainingConfig`).
     """
 
@@ -74,24 +76,24 @@ class PolicySettings:
 
 
 def available() -> dict[str, type[Policy]]:
-    """All policies by name, those of other packages included.
+    """Return all policies by name, those of other packages included.
 
-    One that cannot be loaded is left out with a PluginWarning. Raises ConfigError if a package
-    claims a name that is taken.
+    A policy that cannot be loaded is omitted with a PolicyPluginWarning. Raises ConfigError if a
+    package declares a name that is taken.
     """
     classes = dict(REGISTRY)
     for entry in metadata.entry_points(group=ENTRY_POINT_GROUP):
         if entry.name in classes:
             raise ConfigError(
                 f"the policy {entry.name!r} of {entry.value} needs another name: "
-                f"{classes[entry.name].__module__} has this one"
+                f"{classes[entry.name].__module__} already has this one"
             )
         try:
             classes[entry.name] = _validate_policy_class(entry.load())
-        except Exception as error:  # whatever another package does, the rest stays usable
-            said = f"{type(error).__name__}: {error}"
+        except Exception as error:  # a faulty package must not disable the other policies
+            reason = f"{type(error).__name__}: {error}"
             warnings.warn(
-                f"the policy {entry.name!r} of {entry.value} is left out: {said}",
+                f"the policy {entry.name!r} of {entry.value} is omitted: {reason}",
                 PolicyPluginWarning,
                 stacklevel=2,
             )
@@ -99,7 +101,7 @@ def available() -> dict[str, type[Policy]]:
 
 
 def create(name: str, **settings: Any) -> Policy:
-    """A fresh policy with its tuned settings, some of them replaced. Raises ConfigError."""
+    """Create a policy with its tuned settings, overridden by `settings`. Raises ConfigError."""
     classes = available()
     cls: Any = classes[validate_choice("policy", name, classes)]
     known = [f.name for f in dataclasses.fields(cls) if f.init]
@@ -109,14 +111,14 @@ def create(name: str, **settings: Any) -> Policy:
 
 
 def tuned_settings(name: str) -> dict[str, Any]:
-    """The shipped settings of a policy; empty if there are none."""
+    """Return the shipped settings of a policy; empty if there are none."""
     if name not in config.names("policies"):
         return {}
     return dict(config.load(PolicySettings, "policies", name).settings)
 
 
 def _validate_policy_class(cls: Any) -> Any:
-    """`cls` if it has the shape of a policy. Raises TypeError."""
+    """Return `cls` if it has the interface of a policy. Raises TypeError."""
     if not (isinstance(cls, type) and dataclasses.is_dataclass(cls)):
         raise TypeError("it must be a dataclass of settings")
     for method in ("reset", "act"):

@@ -1,5 +1,6 @@
-"""Acceleration-driven damping (Savaresi, Silani & Bittanti, J. Dyn. Syst. Meas. Control 127, 2005):
-firm while the damper's force is against the body's acceleration.
+"""Acceleration-driven damping (Savaresi, Silani & Bittanti, J. Dyn. Syst. Meas. Control 127, 2005).
+
+The damping is high while the damper force opposes the acceleration of the body.
 """
 
 from dataclasses import dataclass
@@ -11,8 +12,8 @@ from road_envs.policies.two_state import TwoStateDamper
 
 @dataclass(kw_only=True)
 class AccelerationDriven(TwoStateDamper):
-    """Firm where a e' > 0."""
+    """Policy with high damping where a e' > 0."""
 
     def law(self, v: np.ndarray, a: np.ndarray, e_dot: np.ndarray) -> np.ndarray:
-        """The product a e'."""
+        """Return the product a e'."""
         return a * e_dot

@@ -1,7 +1,7 @@
-"""What a switching policy is: it is told what it sits in, then turns observations into actions.
+"""Interface of switching policies, which map observations to actions.
 
-A policy is a dataclass of settings. What it remembers of a drive it makes anew in `reset`. It is
-given no `info`, and nothing that was drawn with the road.
+A policy is a dataclass of settings; `reset` initialises its state for an episode. It receives a
+PolicyContext and observations, but no `info` and nothing drawn with the road.
 """
 
 from collections.abc import Mapping
@@ -18,16 +18,16 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 
 class PolicyError(ValueError):
-    """A policy that cannot be judged, said in one sentence."""
+    """Invalid output of a policy, described in one sentence."""
 
 
 @dataclass(frozen=True)
 class PolicyContext:
-    """What a policy may know before it drives `n_vehicles` cars side by side.
+    """Description of the task given to a policy before it controls `n_vehicles` vehicles.
 
-    `actions`: front and rear state of each action. `observation_slices`: where in an observation
-    its parts stand. `interval` [s] of control. `car` and `instruments` as their makers know them.
-    `seed` is for the policy's own draws and says nothing of the roads.
+    `actions`: front and rear state of each action. `observation_slices`: slice of each named part
+    of an observation. `interval`: control interval [s]. `car` and `instruments`: nominal values.
+    `seed`: for random policies; it is unrelated to the seeds of the roads.
     """
 
     n_vehicles: int
@@ -40,20 +40,16 @@ class PolicyContext:
 
     @classmethod
     def from_setup(cls, setup: EnvSetup, n_vehicles: int, seed: int) -> "PolicyContext":
-        """The context of `n_vehicles` environments with this `setup`."""
+        """Return the context of `n_vehicles` environments with this `setup`."""
         actions = tuple(
             (a, a) if isinstance(a, str) else (a["front"], a["rear"])
             for a in ACTIONS[setup.options.control]
         )
-        observation_slices, car, instruments = (
-            setup.observation_slices,
-            setup.car,
-            setup.instruments,
-        )
-        return cls(n_vehicles, actions, observation_slices, setup.interval, car, instruments, seed)
+        slices, car, instruments = setup.observation_slices, setup.car, setup.instruments
+        return cls(n_vehicles, actions, slices, setup.interval, car, instruments, seed)
 
     def action_index(self, front: str, rear: str) -> int:
-        """The action that commands these states. Raises ConfigError if there is none."""
+        """Return the action that commands these states. Raises ConfigError if there is none."""
         if (front, rear) not in self.actions:
             raise ConfigError(
                 f"no action commands {front} in front and {rear} at the rear; choose another "
@@ -62,13 +58,16 @@ class PolicyContext:
         return self.actions.index((front, rear))
 
     def switch_axles(self, firm: np.ndarray, low: str, high: str) -> np.ndarray:
-        """Actions (N,) that put the axles into `high` where `firm` (N, 2) says so, else `low`."""
+        """Return actions (N,) that put axles into `high` where `firm` (N, 2), else into `low`."""
         states = (low, high)
         table = np.array([[self.action_index(front, rear) for rear in states] for front in states])
         return table[firm[:, 0].astype(int), firm[:, 1].astype(int)]
 
     def signal(self, name: str, observations: np.ndarray) -> np.ndarray:
-        """A part (N, ...) of `observations` (N, d). Raises ConfigError if it is not observed."""
+        """Return a named part (N, ...) of `observations` (N, d).
+
+        Raises ConfigError if it is not observed.
+        """
         if name not in self.observation_slices:
             raise ConfigError(
                 f"{name!r} is not observed; the environment's option observe adds 'planar' and "
@@ -77,24 +76,24 @@ class PolicyContext:
         return observations[:, self.observation_slices[name]]
 
     def accelerations(self, observations: np.ndarray) -> np.ndarray:
-        """The samples (N, 3, k) [m/s²] of RF, LR, RR in the last interval."""
+        """Return the samples (N, 3, k) [m/s²] of RF, LR, RR in the last interval."""
         return np.stack([self.signal(name, observations) for name in SENSORS], axis=1)
 
 
 class Policy(Protocol):
-    """Chooses actions of `RoadRecon-v0` from observations; never sees the road."""
+    """Protocol of a policy, which chooses actions of `RoadRecon-v0` from observations alone."""
 
     def reset(self, context: PolicyContext) -> None:
-        """Begin an episode in all cars of the `context`."""
+        """Start an episode of all vehicles of the `context`."""
         ...
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """Actions (N,) for the next control interval, from observations (N, d)."""
+        """Return actions (N,) for the next control interval, from observations (N, d)."""
         ...
 
 
 def validate_actions(actions: object, context: PolicyContext) -> np.ndarray:
-    """`actions` as (N,) indices of the action space. Raises PolicyError that says what they are."""
+    """Return `actions` as (N,) indices of the action space. Raises PolicyError."""
     given, last = np.asarray(actions), len(context.actions) - 1
     if given.shape != (context.n_vehicles,) or given.dtype.kind not in "iu":
         raise PolicyError(

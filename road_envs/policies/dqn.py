@@ -1,6 +1,6 @@
-"""Deep Q-learning (Mnih et al., Nature 518, 2015): a network trained before.
+"""Policy trained by deep Q-learning (Mnih et al., Nature 518, 2015).
 
-`road-recon train-policy` makes such files; `training.py` says how.
+`road-recon train-policy` writes such networks; `training.py` implements the training.
 """
 
 from dataclasses import dataclass
@@ -10,6 +10,6 @@ from road_envs.policies.network_policy import NetworkPolicy
 
 @dataclass(kw_only=True)
 class Dqn(NetworkPolicy):
-    """The most valued action of the shipped network, or of another `file`."""
+    """Policy that takes the action of highest value; shipped network, or another `file`."""
 
     file: str = "dqn.npz"

@@ -1,11 +1,13 @@
-"""What learned policies see: the instruments of one interval as FEATURES numbers of order one.
+"""Features of learned policies: the instruments of one interval, scaled to order one.
 
-Heave, roll and pitch acceleration and rates, felt horizontal accelerations, struts, running RMS of
-vertical and lateral acceleration over a second, speed, commanded states. Those that need a past
-have a memory for every car, which is forgotten when its episode ends.
+The N_FEATURES features are heave, roll and pitch acceleration and rates, planar specific force,
+strut extensions and their rates, running RMS of vertical and lateral acceleration over a second,
+speed, and commanded states. Filtered features have a state per vehicle, which is reset when its
+episode ends.
 
-Those who look ahead also see AHEAD more: how much higher than under the rear axle the road is
-before it, half the sum and half the difference of the wheel paths, as felt by the front axle.
+With preview there are N_PREVIEW_FEATURES more: the heights of the road ahead of the rear axle
+relative to the height under it, as half the sum and half the difference of the wheel paths, from
+`WheelbasePreview`.
 """
 
 import numpy as np
@@ -18,7 +20,7 @@ FEATURE_SCALES = np.concatenate(
     [
         np.full(3, 0.5),  # accelerations [m/s², rad/s²]
         np.full(3, 3.0),  # rates [m/s, rad/s]
-        np.full(2, 0.3),  # felt [m/s²]
+        np.full(2, 0.3),  # planar specific force [m/s²]
         np.full(4, 20.0),  # extensions [m]
         np.full(4, 3.0),  # their rates [m/s]
         np.full(2, 0.5),  # running RMS [m/s²]
@@ -27,19 +29,21 @@ FEATURE_SCALES = np.concatenate(
     ]
 )
 N_FEATURES = FEATURE_SCALES.size
+
 PREVIEW_DISTANCES = np.linspace(0.0, 2.4, 7)
-"""From the rear axle [m]; heights are told from that at the first."""
+"""Distances ahead of the rear axle [m]; heights are relative to the one at the first distance."""
 
 N_PREVIEW_FEATURES, HEIGHT_SCALE = 2 * (PREVIEW_DISTANCES.size - 1), 20.0
-"""Features of the road ahead, and their scale [1/m]."""
+"""Number of preview features, and their scale [1/m]."""
 
 MAX_FEATURE = 5.0
-"""Largest size of a feature."""
+"""Features are clipped to this magnitude."""
 
 
 class FeatureExtractor:
-    """Turns observations (N, d) into features (N, K): K = FEATURES, and AHEAD more for those who
-    look `preview`. Needs "planar" and "struts".
+    """Map from observations (N, d) to features (N, K), K = `n_features(preview)`.
+
+    Needs the observation groups "planar" and "struts".
     """
 
     def __init__(self, context: PolicyContext, preview: bool = False):
@@ -48,22 +52,21 @@ class FeatureExtractor:
         self.preview = WheelbasePreview(context) if preview else None
 
     def reset(self, mask: np.ndarray) -> None:
-        """Forget the cars in `mask` (N,)."""
-        for memory in (self.body, self.vertical, self.lateral, self.preview):
-            if memory is not None:
-                memory.reset(mask)
+        """Reset the vehicles in `mask` (N,)."""
+        for part in (self.body, self.vertical, self.lateral, self.preview):
+            if part is not None:
+                part.reset(mask)
 
     def update(self, observations: np.ndarray) -> np.ndarray:
-        """Features (N, K) float32, going on by one interval."""
+        """Advance by one interval, and return the features (N, K), float32."""
         self.body.update(observations)
         planar = self.context.signal("planar", observations)
-        others = ("extension", "extension_rate")
         running = (self.vertical.add(self.body.a[:, 0]), self.lateral.add(planar[:, 1]))
         columns = [
             self.body.a,
             self.body.v,
             planar,
-            *(self.context.signal(name, observations) for name in others),
+            *(self.context.signal(name, observations) for name in ("extension", "extension_rate")),
             np.stack(running, axis=1),
             *(self.context.signal(name, observations) for name in ("speed", "front", "rear")),
         ]
@@ -73,7 +76,7 @@ class FeatureExtractor:
         return np.clip(features, -MAX_FEATURE, MAX_FEATURE).astype(np.float32)
 
     def _preview_features(self, observations: np.ndarray) -> np.ndarray:
-        """Features (N, AHEAD) of the road ahead of the rear axle."""
+        """Return the features (N, N_PREVIEW_FEATURES) of the road ahead of the rear axle."""
         assert self.preview is not None
         self.preview.update(observations)
         z = self.preview.heights_at(PREVIEW_DISTANCES)
@@ -82,5 +85,5 @@ class FeatureExtractor:
 
 
 def n_features(preview: bool) -> int:
-    """How many features there are."""
+    """Return the number of features."""
     return N_FEATURES + N_PREVIEW_FEATURES * preview

@@ -1,4 +1,4 @@
-"""One setting for the whole drive: what the paper's test runs did, and the two mixed pairs."""
+"""Policies with constant states: the two of the paper's test runs, and the two mixed pairs."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -11,7 +11,7 @@ from road_envs.policies.api import PolicyContext
 
 @dataclass(kw_only=True)
 class FixedRide:
-    """All struts soft with low damping."""
+    """Policy with all struts soft and low damping."""
 
     __pydantic_config__ = STRICT
     states: ClassVar[tuple[str, str]] = ("ride", "ride")
@@ -19,30 +19,33 @@ class FixedRide:
     actions: np.ndarray = field(init=False, repr=False, compare=False)
 
     def reset(self, context: PolicyContext) -> None:
-        """Note the action."""
+        """Look up the action of the constant states."""
         self.actions = np.full(context.n_vehicles, context.action_index(*self.states))
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """Always the same."""
+        """Return the same actions at every call."""
         return self.actions
 
 
 @dataclass(kw_only=True)
 class FixedHandling(FixedRide):
-    """All struts stiff with high damping."""
+    """Policy with all struts stiff and high damping."""
 
     states = ("handling", "handling")
 
 
 @dataclass(kw_only=True)
 class FixedRideHandling(FixedRide):
-    """Ride in front, handling at the rear: different states make roll see all of the road."""
+    """Policy with ride in front and handling at the rear.
+
+    With different states in front and at the rear the roll motion responds to all frequencies.
+    """
 
     states = ("ride", "handling")
 
 
 @dataclass(kw_only=True)
 class FixedHandlingRide(FixedRide):
-    """Handling in front, ride at the rear."""
+    """Policy with handling in front and ride at the rear."""
 
     states = ("handling", "ride")

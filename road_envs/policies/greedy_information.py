@@ -1,9 +1,8 @@
-"""Sensing: the pair of states that will have told most of the road, at a price in comfort.
+"""Sensing policy: the constant pair of states with the best trade-off of comfort and information.
 
-In the linear model neither what is left unknown of the road nor the expected comfort depends on
-what is measured, so both are closed forms of the states and the speed, and the best pair is found
-before anything has happened: a greedy policy is an optimal one as long as the speed stays. This is
-why it does not switch.
+In the linear model the unresolved variance of the road and the expected comfort do not depend on
+the measurements. Both are closed forms of states and speed, and the best pair can be computed in
+advance. At constant speed the greedy policy is therefore optimal, and it does not switch.
 """
 
 from dataclasses import dataclass, field
@@ -18,13 +17,14 @@ from road_envs.vehicle.linear_model import frequency_response, linearise
 from road_envs.vehicle.parameters import VehicleParameters
 
 FREQUENCIES = np.geomspace(0.2, 50.0, 400)
-"""Frequencies [Hz] over which the comfort is added up."""
+"""Frequencies [Hz] over which the weighted acceleration is integrated."""
 
 
 @dataclass(kw_only=True)
 class GreedyInformation:
-    """Minimises expected comfort [m/s²] + `weight` x the variance left unknown, of 1, for a road of
-    class D and the speed as it is first measured.
+    """Policy that minimises expected comfort [m/s²] + `weight` x unresolved share of variance.
+
+    The costs are those of a class-D road at the first measured speed.
     """
 
     __pydantic_config__ = STRICT
@@ -40,12 +40,12 @@ class GreedyInformation:
             raise ValueError(f"weight must not be negative, got {self.weight}")
 
     def reset(self, context: PolicyContext) -> None:
-        """Choose anew at the next observation."""
+        """Discard the choice; the next observation determines a new one."""
         self.context = context
         self.actions = np.zeros(0, dtype=int)
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """The pair chosen at the first observation."""
+        """Return the actions chosen at the first observation."""
         if self.actions.size == 0:
             measured = self.context.signal("speed", observations)[:, 0]
             speeds, which = np.unique(np.round(measured), return_inverse=True)
@@ -53,14 +53,14 @@ class GreedyInformation:
         return self.actions
 
     def best_action(self, v: float) -> int:
-        """The action of least cost at `v` [m/s]; kept, for it takes a second to find."""
+        """Return the action of least cost at `v` [m/s], cached because it takes a second."""
         key = (v, self.context.actions, repr(self.context.car), repr(self.context.instruments))
         if key not in self.best_actions:
             self.best_actions[key] = int(np.argmin(self.action_costs(v)))
         return self.best_actions[key]
 
     def action_costs(self, v: float) -> np.ndarray:
-        """The cost of every action at `v` [m/s]."""
+        """Return the cost of every action at `v` [m/s]."""
         car, prior, context = self.context.car, RoadPrior(), self.context
         modes = tuple(dict.fromkeys(mode for pair in context.actions for mode in pair))
         table = BoundTable.tabulate(car, context.instruments, prior, [v], modes)
@@ -76,11 +76,10 @@ class GreedyInformation:
 def expected_comfort(
     car: VehicleParameters, front: str, rear: str, v: float, prior: RoadPrior
 ) -> float:
-    """W_k-weighted RMS heave acceleration [m/s²] of the linear car at `v` [m/s] on such a road."""
+    """Return the W_k-weighted RMS heave acceleration [m/s²] of the linear vehicle at `v` [m/s]."""
     mode = {"front": front, "rear": rear}
-    model = linearise(
-        car, mode, {"heave": (0.0, 0.0)}, damping=equivalent_damping(car, mode, v, prior)
-    )
+    damping = equivalent_damping(car, mode, v, prior)
+    model = linearise(car, mode, {"heave": (0.0, 0.0)}, damping=damping)
     H = frequency_response(model, v, f=FREQUENCIES)
     density = np.real(np.einsum("fsa,fab,fsb->f", H, prior.spectrum(FREQUENCIES / v) / v, H.conj()))
     return float(np.sqrt(np.trapezoid(wk(FREQUENCIES) ** 2 * density, FREQUENCIES)))

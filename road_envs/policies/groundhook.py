@@ -1,5 +1,6 @@
-"""Groundhook, on and off (Valasek, Novak, Sika & Vaculin, Vehicle Syst. Dyn. 28, 1997): firm while
-the damper slows the wheel down.
+"""On-off groundhook damping (Valasek, Novak, Sika & Vaculin, Vehicle Syst. Dyn. 28, 1997).
+
+The damping is high while the damper decelerates the wheel.
 """
 
 from dataclasses import dataclass
@@ -11,8 +12,8 @@ from road_envs.policies.two_state import TwoStateDamper
 
 @dataclass(kw_only=True)
 class Groundhook(TwoStateDamper):
-    """Firm where (v - e') e' < 0: a strut that extends pushes up a wheel that falls."""
+    """Policy with high damping where (v - e') e' < 0: an extending strut lifts a falling wheel."""
 
     def law(self, v: np.ndarray, a: np.ndarray, e_dot: np.ndarray) -> np.ndarray:
-        """-(v - e') e', v - e' being the axle's velocity under the strut."""
+        """Return -(v - e') e', where v - e' is the velocity of the axle under the strut."""
         return (e_dot - v) * e_dot

@@ -1,10 +1,11 @@
-"""A learned policy as plain numbers: layers of a small network, stored without pickle.
+"""Policies of small fully connected networks, stored as plain arrays.
 
-    h_0 = features,   h_i = f(W_i h_{i-1} + b_i),   action = argmax of the last, which has no f
+    h_0 = features,   h_i = f(W_i h_{i-1} + b_i),   action = argmax of the last layer, without f
 
-A file is a .npz of arrays `W_i`, `b_i` and one text, `metadata`, in JSON: format, activation,
-control, how many intervals an action is held, whether it looks ahead, and how it was trained.
-Nothing in it is run, so a file of a stranger can do no worse than drive badly.
+A file is a .npz of arrays `W_i`, `b_i` and a JSON text `about` with the metadata: format,
+activation, control, `held` (control intervals per action), `ahead` (whether there are preview
+features), and how it was trained. Files are read without pickle, so an untrusted file cannot
+execute code.
 """
 
 import io
@@ -31,13 +32,13 @@ ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 
 @dataclass(frozen=True)
 class PolicyNetwork:
-    """Weights (out, in) and biases (out,) of each layer; `metadata` says how they were made."""
+    """Weights (out, in) and biases (out,) of each layer, and the metadata of the file."""
 
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]
     metadata: dict[str, Any]
 
     def forward(self, features: np.ndarray) -> np.ndarray:
-        """What the last layer makes (N, actions) of features (N, K)."""
+        """Return the output (N, actions) of the last layer for features (N, K)."""
         activation, h = ACTIVATIONS[self.metadata["activation"]], features
         for i, (W, b) in enumerate(self.layers):
             h = h @ W.T + b
@@ -45,7 +46,7 @@ class PolicyNetwork:
         return h
 
     def to_bytes(self) -> bytes:
-        """The file."""
+        """Return the content of the file."""
         arrays = {f"W_{i}": W for i, (W, _) in enumerate(self.layers)}
         arrays |= {f"b_{i}": b for i, (_, b) in enumerate(self.layers)}
         text = json.dumps({"format": FORMAT, **self.metadata}, sort_keys=True)
@@ -55,7 +56,7 @@ class PolicyNetwork:
 
 
 def read_policy_network(path: Path) -> PolicyNetwork:
-    """A network from its file. Raises ConfigError that says what is wrong with it."""
+    """Read a network from its file. Raises ConfigError if the file is damaged or foreign."""
     try:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
@@ -66,14 +67,14 @@ def read_policy_network(path: Path) -> PolicyNetwork:
     try:
         metadata = json.loads(str(arrays.pop("about")))
         if metadata["format"] != FORMAT:
-            raise ValueError(f"format {metadata['format']!r} is not {FORMAT!r}")
+            raise ValueError(f"format must be {FORMAT!r}, got {metadata['format']!r}")
         if metadata["activation"] not in ACTIVATIONS or metadata["control"] not in ACTIONS:
             raise ValueError("activation or control is unknown")
         if not (isinstance(metadata["held"], int) and metadata["held"] >= 1):
-            raise ValueError("an action is held for a whole number of intervals")
+            raise ValueError(f"held must be a positive whole number, got {metadata['held']!r}")
         layers = tuple((arrays[f"W_{i}"], arrays[f"b_{i}"]) for i in range(len(arrays) // 2))
         if not isinstance(metadata["ahead"], bool):
-            raise ValueError("a policy looks ahead or it does not")
+            raise ValueError(f"ahead must be true or false, got {metadata['ahead']!r}")
         _validate_layers(layers, n_features(metadata["ahead"]), len(ACTIONS[metadata["control"]]))
     except (KeyError, TypeError, ValueError) as error:
         raise ConfigError(f"{path}: not a stored policy: {error}") from None
@@ -83,22 +84,23 @@ def read_policy_network(path: Path) -> PolicyNetwork:
 def _validate_layers(
     layers: tuple[tuple[np.ndarray, np.ndarray], ...], features: int, actions: int
 ) -> None:
-    """Raise ValueError unless the layers lead from features to actions."""
-    size, lead = features, f"layers must lead from {features} features to {actions} actions"
+    """Raise ValueError unless the layers map features to actions and are finite."""
+    size, message = features, f"layers must map {features} features to {actions} actions"
     for W, b in layers:
         if W.dtype.kind != "f" or W.ndim != 2 or W.shape[1] != size or b.shape != W.shape[:1]:
-            raise ValueError(lead)
+            raise ValueError(message)
         if not (np.isfinite(W).all() and np.isfinite(b).all()):
             raise ValueError("every weight must be finite")
         size = len(b)
     if size != actions or not layers:
-        raise ValueError(lead)
+        raise ValueError(message)
 
 
 @dataclass(kw_only=True)
 class NetworkPolicy:
-    """The likeliest (or most valued) action of the network in `file`, a name in the shipped folder
-    of policies or a path.
+    """Policy that takes the action with the largest output of a network.
+
+    `file` is a path, or a name in the shipped folder of policies.
     """
 
     __pydantic_config__ = STRICT
@@ -107,29 +109,28 @@ class NetworkPolicy:
     network: PolicyNetwork = field(init=False, repr=False, compare=False)
 
     def __post_init__(self):
-        path = Path(self.file)
-        self.network = read_policy_network(
-            path if path.exists() else folder() / "policies" / self.file
-        )
+        path, shipped = Path(self.file), folder() / "policies" / self.file
+        self.network = read_policy_network(path if path.exists() else shipped)
 
     @classmethod
     def from_network(cls, network: PolicyNetwork) -> "NetworkPolicy":
-        """A policy of a network that is in no file yet."""
+        """Return a policy of a network in memory."""
         policy = cls.__new__(cls)
         policy.file, policy.network = "a network in memory", network
         return policy
 
     def reset(self, context: PolicyContext) -> None:
-        """Forget the past."""
+        """Reset the features. Raises ConfigError if the action space is another one."""
         if len(context.actions) != len(self.network.layers[-1][1]):
             control = self.network.metadata["control"]
-            raise ConfigError(f"{self.file} was trained with control {control!r}: drive it so")
-        self.features, self.done = FeatureExtractor(context, self.network.metadata["ahead"]), 0
+            raise ConfigError(f"{self.file} needs the control {control!r} it was trained with")
+        self.features = FeatureExtractor(context, self.network.metadata["ahead"])
+        self.n_intervals = 0
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """One pass through the network, now and then."""
+        """Return actions (N,), new ones after every `held` intervals."""
         features = self.features.update(observations)
-        if self.done % self.network.metadata["held"] == 0:
+        if self.n_intervals % self.network.metadata["held"] == 0:
             self.actions = np.argmax(self.network.forward(features), axis=1)
-        self.done += 1
+        self.n_intervals += 1
         return self.actions

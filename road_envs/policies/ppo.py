@@ -1,6 +1,6 @@
-"""Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347): a network trained before.
+"""Policy trained by proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347).
 
-`road-recon train-policy` makes such files; `training.py` says how.
+`road-recon train-policy` writes such networks; `training.py` implements the training.
 """
 
 from dataclasses import dataclass
@@ -10,6 +10,6 @@ from road_envs.policies.network_policy import NetworkPolicy
 
 @dataclass(kw_only=True)
 class Ppo(NetworkPolicy):
-    """The shipped network, or another `file`."""
+    """Policy of the shipped network, or of another `file`."""
 
     file: str = "ppo.npz"

@@ -1,6 +1,6 @@
-"""Learned sensing: as `ppo`, but taught with a price on the variance left unknown of the road.
+"""Policy trained as `ppo`, with an additional cost on the unresolved variance of the road.
 
-`road-recon train-policy` makes such files; `training.py` says how.
+`road-recon train-policy` writes such networks; `training.py` implements the training.
 """
 
 from dataclasses import dataclass
@@ -10,6 +10,6 @@ from road_envs.policies.network_policy import NetworkPolicy
 
 @dataclass(kw_only=True)
 class PpoSensing(NetworkPolicy):
-    """The shipped network, or another `file`."""
+    """Policy of the shipped network, or of another `file`."""
 
     file: str = "ppo_sensing.npz"

@@ -1,8 +1,8 @@
-"""Running RMS with wheelbase preview: in a turn the rear axle lets a bump that comes pass softly.
+"""Running RMS with wheelbase preview: the rear axle is soft while a bump approaches.
 
-The front axle tells of the road what the rear axle will meet a wheelbase later (`ahead.py`: a
-causal estimate in the loop; the delay is that of Moran & Nagai, JSME Int. J. C 37, 1994, and of
-other wheelbase preview).
+The road under the front axle is what the rear axle meets a wheelbase later; it is estimated
+causally in the loop (`wheelbase_preview.py`). Wheelbase preview with this delay: Moran & Nagai,
+JSME Int. J. C 37, 1994.
 """
 
 from dataclasses import dataclass, field
@@ -16,9 +16,10 @@ from road_envs.policies.wheelbase_preview import WheelbasePreview
 
 @dataclass(kw_only=True)
 class Preview(RunningRmsPolicy):
-    """As `RunningRmsPolicy`, but the rear axle is in ride while within the next `reach` [m] the
-    road's heights, on either wheel path, differ by more than `bump` [m]. Needs "planar" and
-    "struts".
+    """Policy as `RunningRmsPolicy`, with the rear axle in ride ahead of bumps.
+
+    A bump is a height range of more than `bump` [m] on either wheel path within the next `reach`
+    [m]. Needs the observation groups "planar" and "struts".
     """
 
     bump: float = 0.04
@@ -32,13 +33,13 @@ class Preview(RunningRmsPolicy):
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
     def reset(self, context: PolicyContext) -> None:
-        """Forget the past."""
+        """Reset the running RMS and the preview."""
         super().reset(context)
         self.preview = WheelbasePreview(context)
         self.distances = np.linspace(0.0, min(self.reach, self.preview.wheelbase), 9)
 
     def firm_axles(self, observations: np.ndarray) -> np.ndarray:
-        """The rear axle is firm where the front one is and nothing is coming."""
+        """Return which axles (N, 2) are in handling: the rear one only without a bump ahead."""
         self.preview.update(observations)
         road_heights = self.preview.heights_at(self.distances)
         obstacle_ahead = np.ptp(road_heights, axis=1).max(axis=1) > self.bump

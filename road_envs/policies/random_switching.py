@@ -1,4 +1,4 @@
-"""States drawn anew now and then: the floor for anything that claims to choose."""
+"""Random switching, the baseline that every policy should exceed."""
 
 from dataclasses import dataclass, field
 
@@ -10,7 +10,7 @@ from road_envs.policies.api import PolicyContext
 
 @dataclass(kw_only=True)
 class RandomSwitching:
-    """Each action with equal chance, held for `hold` [s]."""
+    """Policy that draws each action with equal probability and holds it for `hold` [s]."""
 
     __pydantic_config__ = STRICT
 
@@ -22,14 +22,14 @@ class RandomSwitching:
             raise ValueError(f"hold must be positive, got {self.hold}")
 
     def reset(self, context: PolicyContext) -> None:
-        """Seed the draws."""
-        self.context, self.rng, self.done = context, np.random.default_rng(context.seed), 0
+        """Seed the random generator."""
+        self.context, self.rng = context, np.random.default_rng(context.seed)
+        self.n_intervals = 0
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """The last draw, or a new one."""
-        if self.done % max(1, round(self.hold / self.context.interval)) == 0:
-            self.actions = self.rng.integers(
-                len(self.context.actions), size=self.context.n_vehicles
-            )
-        self.done += 1
+        """Return actions (N,), new ones after every `hold` seconds."""
+        context = self.context
+        if self.n_intervals % max(1, round(self.hold / context.interval)) == 0:
+            self.actions = self.rng.integers(len(context.actions), size=context.n_vehicles)
+        self.n_intervals += 1
         return self.actions

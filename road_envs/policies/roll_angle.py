@@ -1,4 +1,4 @@
-"""Handling while the body leans over its axles by more than a threshold, and a while longer."""
+"""Roll threshold: handling while the body rolls relative to its axles, and for a time after."""
 
 from dataclasses import dataclass, field
 
@@ -11,9 +11,9 @@ from road_envs.policies.body_motion import roll_from_extensions
 
 @dataclass(kw_only=True)
 class RollAngle:
-    """Handling once roll exceeds `threshold` [rad], until it has stayed below for `hold` [s].
+    """Policy with handling while the roll exceeds `threshold` [rad], and for `hold` [s] after.
 
-    Needs the instruments "struts".
+    Needs the observation group "struts".
     """
 
     __pydantic_config__ = STRICT
@@ -24,15 +24,18 @@ class RollAngle:
 
     def __post_init__(self):
         if not (self.threshold > 0 and self.hold >= 0):
-            raise ValueError("threshold must be positive and hold must not be negative")
+            raise ValueError(
+                f"threshold must be positive and hold must not be negative, got {self.threshold} "
+                f"and {self.hold}"
+            )
 
     def reset(self, context: PolicyContext) -> None:
-        """Stand upright."""
-        self.context, self.calm = context, np.full(context.n_vehicles, np.inf)
+        """Start without roll."""
+        self.context, self.time_below = context, np.full(context.n_vehicles, np.inf)
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """Ride or handling."""
-        leaning = np.abs(roll_from_extensions(self.context, observations)) > self.threshold
-        self.calm = np.where(leaning, 0.0, self.calm + self.context.interval)
-        firm = np.repeat((self.calm <= self.hold)[:, None], 2, axis=1)
+        """Return actions (N,) of ride or handling on both axles."""
+        exceeded = np.abs(roll_from_extensions(self.context, observations)) > self.threshold
+        self.time_below = np.where(exceeded, 0.0, self.time_below + self.context.interval)
+        firm = np.repeat((self.time_below <= self.hold)[:, None], 2, axis=1)
         return self.context.switch_axles(firm, "ride", "handling")

@@ -1,4 +1,4 @@
-"""A policy driven over roads: one car for each seed, side by side, without the truth."""
+"""Rollouts of a policy: one vehicle for each seed, all at once, without access to the truth."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,15 +10,16 @@ from road_envs.envs.vector import RoadReconVectorEnv
 from road_envs.policies.api import Policy, PolicyContext, validate_actions
 
 POLICY_SEED = 0
-"""For the policies' own draws."""
+"""Seed of random policies."""
 
 
 @dataclass(frozen=True)
 class Rollout:
-    """What N cars did and saw in at most T intervals after the first one, which no action decided.
+    """Actions, observations and returns of N vehicles over at most T control intervals.
 
-    `actions` (T, N); `observations` (T + 1, N, d); `intervals` (N,), how many of the T were driven;
-    `returns` (N,) of the reward; `reasons` (N,), why a drive failed, else empty.
+    `actions` (T, N); `observations` (T + 1, N, d), the first one of the interval that reset drives;
+    `intervals` (N,), the number of intervals until the end; `returns` (N,), the sum of rewards;
+    `reasons` (N,), why a drive failed, else empty.
     """
 
     actions: np.ndarray
@@ -36,29 +37,30 @@ def roll_out(
     store_observations: bool = True,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Rollout:
-    """Drive the roads of `seeds` in environments with `options`, to their ends.
+    """Run a policy on the roads of `seeds`, in environments with `options`, to their ends.
 
-    Observations are kept only if `store_observations`. Raises PolicyError for actions that are
-    none, ConfigError, and whatever the policy raises.
+    With `store_observations` False only the first observations are stored. `progress` is called
+    with the share done. Raises PolicyError for invalid actions, ConfigError, and what the policy
+    raises.
     """
     envs = RoadReconVectorEnv(len(seeds), **{**options, "truth": False})
     observations, _ = envs.reset(seed=list(seeds))
     context = PolicyContext.from_setup(envs.setup, len(seeds), POLICY_SEED)
     policy.reset(context)
-    alive = np.ones(len(seeds), dtype=bool)
+    running = np.ones(len(seeds), dtype=bool)
     returns, intervals = np.zeros(len(seeds)), np.zeros(len(seeds), dtype=int)
-    reasons, actions, seen = [""] * len(seeds), [], [observations.copy()]
+    reasons, actions, stored = [""] * len(seeds), [], [observations.copy()]
     total = envs.fleet.steps_left.max() / envs.fleet.steps
-    while alive.any():
+    while running.any():
         selected_actions = validate_actions(policy.act(observations), context)
         observations, rewards, terminated, truncated, infos = envs.step(selected_actions)
-        returns += np.where(alive, rewards, 0.0)
-        intervals += alive
-        for i in np.flatnonzero(alive & terminated):
+        returns += np.where(running, rewards, 0.0)
+        intervals += running
+        for i in np.flatnonzero(running & terminated):
             reasons[i] = infos["reason"][i]
-        alive &= ~(terminated | truncated)
+        running &= ~(terminated | truncated)
         actions.append(selected_actions.copy())
         if store_observations:
-            seen.append(observations.copy())
+            stored.append(observations.copy())
         progress(min(len(actions) / total, 1.0))
-    return Rollout(np.array(actions), np.array(seen), intervals, returns, tuple(reasons))
+    return Rollout(np.array(actions), np.array(stored), intervals, returns, tuple(reasons))

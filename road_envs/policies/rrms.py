@@ -1,5 +1,6 @@
-"""Running RMS (Els, "The ride comfort vs. handling compromise for off-road vehicles", thesis,
-Pretoria 2006): handling when the lateral acceleration, over about a second, exceeds the vertical.
+"""Running-RMS strategy: handling while lateral acceleration exceeds vertical acceleration.
+
+Els, "The ride comfort vs. handling compromise for off-road vehicles", thesis, Pretoria 2006.
 """
 
 from dataclasses import dataclass, field
@@ -13,8 +14,9 @@ from road_envs.policies.body_motion import BodyMotionEstimator, RunningRms
 
 @dataclass(kw_only=True)
 class RunningRmsPolicy:
-    """Handling on all struts if the RMS of the lateral over `window` [s] exceeds `ratio` times that
-    of the heave acceleration, else ride. Needs the instruments "planar".
+    """Policy with handling while the lateral RMS exceeds `ratio` times the RMS of heave.
+
+    Both are RMS accelerations over `window` [s]. Needs the observation group "planar".
     """
 
     __pydantic_config__ = STRICT
@@ -29,23 +31,18 @@ class RunningRmsPolicy:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
     def reset(self, context: PolicyContext) -> None:
-        """Forget the past."""
+        """Reset the running RMS."""
         self.context, self.body = context, BodyMotionEstimator(context, leak=1.0)
-        self.lateral, self.vertical = (
-            RunningRms(context, self.window),
-            RunningRms(context, self.window),
-        )
+        self.lateral = RunningRms(context, self.window)
+        self.vertical = RunningRms(context, self.window)
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """Ride or handling."""
+        """Return actions (N,) of ride or handling on each axle."""
         return self.context.switch_axles(self.firm_axles(observations), "ride", "handling")
 
     def firm_axles(self, observations: np.ndarray) -> np.ndarray:
-        """Which axles (N, 2) are to be in handling."""
-        heave = (
-            self.context.accelerations(observations).transpose(0, 2, 1)
-            @ self.body.sensors_to_motion[0]
-        )
-        vertical = self.vertical.add(heave)
+        """Return which axles (N, 2) are in handling."""
+        samples = self.context.accelerations(observations).transpose(0, 2, 1)
+        vertical = self.vertical.add(samples @ self.body.sensors_to_motion[0])
         lateral = self.lateral.add(self.context.signal("planar", observations)[:, 1])
         return np.repeat((lateral > self.ratio * vertical)[:, None], 2, axis=1)

@@ -1,5 +1,7 @@
-"""SH-ADD (Savaresi & Spelta, J. Dyn. Syst. Meas. Control 129, 2007): skyhook at low frequencies,
-acceleration-driven damping at high ones; a² - alpha² v² tells which it is.
+"""SH-ADD damping (Savaresi & Spelta, J. Dyn. Syst. Meas. Control 129, 2007).
+
+Skyhook at low frequencies and acceleration-driven damping at high ones; the sign of
+a² - alpha² v² selects between them.
 """
 
 from dataclasses import dataclass
@@ -11,11 +13,11 @@ from road_envs.policies.two_state import TwoStateDamper
 
 @dataclass(kw_only=True)
 class SkyhookAdd(TwoStateDamper):
-    """Crosses over at `crossover` [Hz], alpha = 2 pi crossover."""
+    """Policy with the crossover frequency `crossover` [Hz], alpha = 2 pi crossover."""
 
     crossover: float = 1.9
 
     def law(self, v: np.ndarray, a: np.ndarray, e_dot: np.ndarray) -> np.ndarray:
-        """Here v e' where a² <= alpha² v², else a e' / alpha, as velocities both."""
+        """Return v e' where a² <= alpha² v², else a e' / alpha, both in (m/s)²."""
         alpha = 2.0 * np.pi * self.crossover
         return np.where(np.abs(a) <= alpha * np.abs(v), v, a / alpha) * e_dot

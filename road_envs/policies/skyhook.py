@@ -1,5 +1,6 @@
-"""Skyhook, on and off (Karnopp, Crosby & Harwood, J. Eng. Ind. 96, 1974): firm while the damper
-slows the body down.
+"""On-off skyhook damping (Karnopp, Crosby & Harwood, J. Eng. Ind. 96, 1974).
+
+The damping is high while the damper decelerates the body.
 """
 
 from dataclasses import dataclass
@@ -11,8 +12,8 @@ from road_envs.policies.two_state import TwoStateDamper
 
 @dataclass(kw_only=True)
 class Skyhook(TwoStateDamper):
-    """Firm where v e' > 0: a strut that extends pulls down a body that rises."""
+    """Policy with high damping where v e' > 0: an extending strut pulls down a rising body."""
 
     def law(self, v: np.ndarray, a: np.ndarray, e_dot: np.ndarray) -> np.ndarray:
-        """The product v e'."""
+        """Return the product v e'."""
         return v * e_dot

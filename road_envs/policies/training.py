@@ -1,10 +1,9 @@
-"""Training with Stable-Baselines3 on the native vector environment; the result is a
-`PolicyNetwork`.
+"""Training of a `PolicyNetwork` with Stable-Baselines3 on the native vector environment.
 
-Every case of the scenarios has its own vector environment, all are stepped as one, and their roads
-are drawn from training seeds without end. What the learner holds is kept as tensors and numbers
-(`torch.load` with `weights_only`), never as pickled objects, so a run can be taken up again from a
-file that somebody else made. The replay buffer of DQN is not kept: it is filled anew.
+Every case has its own vector environment; all are stepped as one, and every episode draws a new
+training road. Checkpoints hold tensors and numbers only (`torch.load` with `weights_only`), never
+pickled objects, so that an untrusted checkpoint cannot execute code. The replay buffer of DQN is
+not stored; it is filled again.
 """
 
 import json
@@ -29,38 +28,38 @@ with optional_import("training a policy"):
     from stable_baselines3.common.vec_env import VecEnv
 
 RIDE = ("ride", "ride")
-"""What the twins do."""
+"""States of the paired baseline."""
+
+SEEDS_APART = 1_000_000
+"""Between the seeds of one case's environments and those of the next."""
 
 Progress = Callable[[str, float], None]
+"""Called with a description and the share done."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingConfig:
-    """How a policy is learnt: `algorithm` with its `hyperparameters` as Stable-Baselines3 names
-    them, choices `steps` in all, cars side by side for each case, layers of the network,
-    evaluation every `eval_interval` steps on roads of the training seeds, weight of
-    `unresolved_variance`. An action is held for `action_repeat` intervals: what is tried at random
-    must last to make a difference. A step of the learner is one choice of an action. With
-    `paired_baseline` the reward is what is gained over a car in ride on the same road: the road's
-    share of it falls out, the best policy stays. With `preview` the features tell of the road ahead
-    of the rear axle. PPO begins with ride more likely by exp(`ride_logit_bias`) than any other
-    pair: whether another pair pays is seen only when it is an exception, not amid random ones.
-    """
+    """Settings of a training; a step is one choice of an action in one environment."""
 
     __pydantic_config__ = STRICT
 
     algorithm: Literal["ppo", "dqn"] = "ppo"
     steps: int = 300_000
-    n_envs: int = 16
+    n_envs: int = 16  # per case
     layers: tuple[int, ...] = (64, 64)
-    eval_interval: int = 50_000
-    unresolved_variance: float = 0.0
+    eval_interval: int = 50_000  # steps between evaluations on the roads of the training seeds
+    unresolved_variance: float = 0.0  # weight of this cost in the reward
+    # an exploratory action has to last for several control intervals to have an effect
     action_repeat: int = 5
+    # the reward relative to a vehicle in ride on the same road: removes the road's contribution
+    # to its variance and keeps the optimal policy
     paired_baseline: bool = False
-    preview: bool = False
+    preview: bool = False  # adds features of the road ahead of the rear axle
+    # makes ride exp(bias) times likelier at the start of PPO: the gain of another pair shows
+    # only against constant ride, not against random switching
     ride_logit_bias: float = 0.0
     reward_scale: float = 10.0
-    hyperparameters: dict[str, Any] = field(default_factory=dict)
+    hyperparameters: dict[str, Any] = field(default_factory=dict)  # of Stable-Baselines3
 
     def __post_init__(self):
         if min(self.steps, self.n_envs, self.eval_interval, self.action_repeat, *self.layers) < 1:
@@ -71,17 +70,18 @@ class TrainingConfig:
 
 @dataclass(frozen=True)
 class TrainingResult:
-    """The best network by its own evaluations, and the evaluations: steps, return per second."""
+    """Network of the best evaluation, and all evaluations as (steps, return per second)."""
 
     network: PolicyNetwork
     curve: tuple[tuple[int, float], ...]
 
 
 class MultiScenarioVecEnv(VecEnv):
-    """`n_envs` environments of each case as one, observed through Features; an action is held for
-    `action_repeat` intervals, and their rewards are added and scaled. With `paired_baseline`, less
-    the rewards of cars that stay in ride on the same roads (once one of a pair turns over, on
-    others of the kind).
+    """Vector environment of `n_envs` environments of each case, observed as features.
+
+    An action is repeated for `action_repeat` intervals, whose rewards are summed and scaled. With
+    `paired_baseline` the rewards of vehicles that stay in ride on the same roads are subtracted;
+    after one vehicle of a pair has rolled over, the two drive different roads of the same kind.
     """
 
     def __init__(
@@ -94,48 +94,42 @@ class MultiScenarioVecEnv(VecEnv):
         paired_baseline: bool = False,
         preview: bool = False,
     ):
-        self.envs, self.baselines = (
-            [RoadReconVecEnv(n_envs, **options) for options in some]
-            for some in (cases, cases if paired_baseline else [])
-        )
+        baseline_cases = cases if paired_baseline else []
+        self.envs = [RoadReconVecEnv(n_envs, **options) for options in cases]
+        self.baselines = [RoadReconVecEnv(n_envs, **options) for options in baseline_cases]
         self.n_envs, self.reward_scale, self.action_repeat = n_envs, reward_scale, action_repeat
         for envs in (self.envs, self.baselines):
             for i, env in enumerate(envs):
-                env.seed(seed + 1_000_000 * (i + 1))
+                env.seed(seed + SEEDS_APART * (i + 1))
         setups = [env.env.setup for env in self.envs]
         if len({setup.action_space.n for setup in setups}) > 1:
-            raise ConfigError("all cases must have one control")
-        self.features = [
-            FeatureExtractor(PolicyContext.from_setup(setup, n_envs, seed), preview)
-            for setup in setups
-        ]
-        space = gymnasium.spaces.Box(
-            -MAX_FEATURE, MAX_FEATURE, (n_features(preview),), dtype=np.float32
-        )
+            raise ConfigError("all cases must have the same control")
+        contexts = [PolicyContext.from_setup(setup, n_envs, seed) for setup in setups]
+        self.features = [FeatureExtractor(context, preview) for context in contexts]
+        shape = (n_features(preview),)
+        space = gymnasium.spaces.Box(-MAX_FEATURE, MAX_FEATURE, shape, dtype=np.float32)
         super().__init__(n_envs * len(self.envs), space, setups[0].action_space)
 
     def reset(self) -> np.ndarray:
-        """Features (N, K) at the beginning."""
-        everyone = np.ones(self.n_envs, dtype=bool)
+        """Start episodes in all environments, and return the features (N, K)."""
         for features in self.features:
-            features.reset(everyone)
+            features.reset(np.ones(self.n_envs, dtype=bool))
         observations = [env.reset() for env in self.envs]
         for baseline in self.baselines:
             baseline.reset()
-        return np.concatenate(
-            [f.update(o) for f, o in zip(self.features, observations, strict=True)]
-        )
+        pairs = zip(self.features, observations, strict=True)
+        return np.concatenate([features.update(x) for features, x in pairs])
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Note the actions (N,)."""
-        self.chosen = np.split(np.asarray(actions), len(self.envs))
+        """Store the actions (N,) for `step_wait`."""
+        self.case_actions = np.split(np.asarray(actions), len(self.envs))
 
     def step_wait(self):
-        """Features, rewards, dones (N, ...) and infos."""
+        """Return features, rewards, dones (N, ...) and infos."""
         baselines: list[RoadReconVecEnv | None] = [*self.baselines] or [None] * len(self.envs)
         parts = [
             self._repeat_action(*each)
-            for each in zip(self.envs, baselines, self.features, self.chosen, strict=True)
+            for each in zip(self.envs, baselines, self.features, self.case_actions, strict=True)
         ]
         observations, rewards, dones, part_infos = zip(*parts, strict=True)
         infos = [info for part in part_infos for info in part]
@@ -148,7 +142,7 @@ class MultiScenarioVecEnv(VecEnv):
         features: FeatureExtractor,
         actions: np.ndarray,
     ):
-        """One case: what comes after an episode's end within the hold counts for nobody."""
+        """Repeat the actions of one case; rewards after the end of an episode are discarded."""
         total, ended = np.zeros(self.n_envs, dtype=np.float32), np.zeros(self.n_envs, dtype=bool)
         infos: list[dict[str, Any]] = [{} for _ in range(self.n_envs)]
         for _ in range(self.action_repeat):
@@ -158,46 +152,47 @@ class MultiScenarioVecEnv(VecEnv):
                 ride = np.full(self.n_envs, features.context.action_index(*RIDE))
                 rewards = rewards - baseline.step(ride)[1]
             total += np.where(ended, 0.0, self.reward_scale * rewards).astype(np.float32)
-            fresh = np.flatnonzero(dones & ~ended)
-            if fresh.size:  # an end is only cut off, so the last view matters
-                for i, view in zip(
-                    fresh, self._terminal_features(features, part_infos, fresh), strict=True
-                ):
-                    infos[i] = {**part_infos[i], "terminal_observation": view}
+            newly_ended = np.flatnonzero(dones & ~ended)
+            if newly_ended.size:  # the learner bootstraps from the last features if truncated
+                last = self._terminal_features(features, part_infos, newly_ended)
+                for i, terminal in zip(newly_ended, last, strict=True):
+                    infos[i] = {**part_infos[i], "terminal_observation": terminal}
             features.reset(dones)
             observations = features.update(observations)
             ended |= dones
         return observations, total, ended, infos
 
     def close(self) -> None:
-        """Nothing is held that needs closing."""
+        """Do nothing; there are no resources to release."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of the first case, once for each environment."""
+        """Return an attribute of the first case, once for each environment."""
         return self.envs[0].get_attr(attr_name) * len(self.envs)
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refused, as by the cases themselves."""
+        """Raise ConfigError, as the environments of the cases do."""
         self.envs[0].set_attr(attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any):
-        """Refused, as by the cases themselves."""
+        """Raise ConfigError, as the environments of the cases do."""
         self.envs[0].env_method(method_name)
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """No environment is wrapped by itself."""
+        """Return False for each environment: none can be wrapped individually."""
         return [False] * self.num_envs
 
     def _terminal_features(
         self, features: FeatureExtractor, part_infos: list[dict[str, Any]], ended: np.ndarray
     ):
-        """Features (E, K) of the last observations of cars `ended` (E,), as if they had no past."""
-        views = np.stack([part_infos[i]["terminal_observation"] for i in ended])
-        observations = np.zeros((self.n_envs, views.shape[1]), dtype=views.dtype)
-        observations[ended] = views
-        return FeatureExtractor(features.context, features.preview is not None).update(
-            observations
-        )[ended]
+        """Return features (E, K) of the last observations of the environments `ended` (E,).
+
+        The states of filtered features are taken as zero.
+        """
+        last = np.stack([part_infos[i]["terminal_observation"] for i in ended])
+        observations = np.zeros((self.n_envs, last.shape[1]), dtype=last.dtype)
+        observations[ended] = last
+        extractor = FeatureExtractor(features.context, features.preview is not None)
+        return extractor.update(observations)[ended]
 
 
 def train(
@@ -210,16 +205,16 @@ def train(
     log: Path | None = None,
     progress: Progress = lambda text, share: None,
 ) -> TrainingResult:
-    """Learn on `cases` (options of the environment), judged on the roads of `seeds`.
+    """Train on `cases` (options of the environment), with evaluations on the roads of `seeds`.
 
-    A `checkpoint` is taken up if it is there, and written after every evaluation; `log` is a folder
-    for TensorBoard, where that is installed. Raises ConfigError.
+    An existing `checkpoint` is resumed; it is written after every evaluation. `log` is a folder for
+    TensorBoard, if that is installed. Raises ConfigError.
     """
     with optional_import("a neural network"):
         import torch
 
     threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # layers this small only lose by being split
+    torch.set_num_threads(1)  # several threads are slower for layers this small
     try:
         return _train(config, cases, seeds, seed, checkpoint, log, progress)
     finally:
@@ -241,7 +236,7 @@ def _train(config, cases, seeds, seed, checkpoint, log, progress) -> TrainingRes
     state: dict[str, Any] = {"steps": 0, "best": -np.inf, "curve": [], "network": None}
     if checkpoint is not None and checkpoint.exists():
         _resume(model, state, checkpoint, config)
-    metadata = {
+    metadata = {  # the keys are those of the file format of `network_policy`
         "activation": "tanh" if config.algorithm == "ppo" else "relu",
         "control": cases[0]["control"],
         "held": config.action_repeat,
@@ -252,13 +247,9 @@ def _train(config, cases, seeds, seed, checkpoint, log, progress) -> TrainingRes
         "information": config.unresolved_variance,
     }
     while state["steps"] < config.steps:
-        part = min(config.eval_interval, config.steps - state["steps"])
-        done = state["steps"]
-        model.learn(
-            part,
-            callback=_progress_callback(progress, done, config.steps),
-            reset_num_timesteps=False,
-        )
+        steps = min(config.eval_interval, config.steps - state["steps"])
+        callback = _progress_callback(progress, config.steps)
+        model.learn(steps, callback=callback, reset_num_timesteps=False)
         state["steps"] = int(model.num_timesteps)
         network = PolicyNetwork(_actor_layers(model, config.algorithm), metadata)
         score = evaluate(network, cases, seeds)
@@ -273,12 +264,12 @@ def _train(config, cases, seeds, seed, checkpoint, log, progress) -> TrainingRes
 def evaluate(
     network: PolicyNetwork, cases: Sequence[dict[str, Any]], seeds: Sequence[int]
 ) -> float:
-    """Mean return per second over `cases` and roads of `seeds`."""
+    """Return the mean return per second over `cases` and roads of `seeds`."""
     policy = NetworkPolicy.from_network(network)
     rates = []
     for options in cases:
-        driven = roll_out(policy, options, seeds, store_observations=False)
-        rates.append(driven.returns / (driven.intervals / options["control_rate"]))
+        rollout = roll_out(policy, options, seeds, store_observations=False)
+        rates.append(rollout.returns / (rollout.intervals / options["control_rate"]))
     return float(np.mean(rates))
 
 
@@ -306,11 +297,10 @@ def _model(config: TrainingConfig, envs: MultiScenarioVecEnv, seed: int, log: Pa
             **config.hyperparameters,
         )
     except (TypeError, ValueError) as error:
-        raise ConfigError(f"hyper parameters of {config.algorithm}: {error}") from None
+        raise ConfigError(f"hyperparameters of {config.algorithm}: {error}") from None
     if config.algorithm == "ppo":
-        model.policy.action_net.bias.data[envs.features[0].context.action_index(*RIDE)] += (
-            config.ride_logit_bias
-        )
+        ride = envs.features[0].context.action_index(*RIDE)
+        model.policy.action_net.bias.data[ride] += config.ride_logit_bias
     return model
 
 
@@ -320,21 +310,21 @@ def _has_tensorboard() -> bool:
     return find_spec("tensorboard") is not None
 
 
-def _progress_callback(progress: Progress, done: int, total: int):
+def _progress_callback(progress: Progress, total: int):
     with optional_import("training a policy"):
         from stable_baselines3.common.callbacks import BaseCallback
 
-    class Bar(BaseCallback):
+    class ProgressCallback(BaseCallback):
         def _on_step(self) -> bool:
             if self.n_calls % 32 == 0:
                 progress(f"{self.num_timesteps} of {total} steps", self.num_timesteps / total)
             return True
 
-    return Bar()
+    return ProgressCallback()
 
 
 def _actor_layers(model: Any, algorithm: str) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """The acting network of a model as plain arrays."""
+    """Return the network of a model that selects actions, as plain arrays."""
     with optional_import("a neural network"):
         import torch
 
@@ -350,7 +340,7 @@ def _actor_layers(model: Any, algorithm: str) -> tuple[tuple[np.ndarray, np.ndar
 
 
 def _save_checkpoint(model: Any, state: dict[str, Any], path: Path, config: TrainingConfig) -> None:
-    """Write what is needed to go on; the old file stays until the new one is whole."""
+    """Write a checkpoint atomically."""
     with optional_import("a neural network"):
         import torch
 
@@ -375,7 +365,7 @@ def _save_checkpoint(model: Any, state: dict[str, Any], path: Path, config: Trai
 
 
 def _resume(model: Any, state: dict[str, Any], path: Path, config: TrainingConfig) -> None:
-    """Go on from a checkpoint. Raises ConfigError if it is damaged or of another recipe."""
+    """Restore a checkpoint. Raises ConfigError if it is damaged or of other settings."""
     import pickle
 
     with optional_import("a neural network"):
@@ -384,23 +374,16 @@ def _resume(model: Any, state: dict[str, Any], path: Path, config: TrainingConfi
     try:
         stored = torch.load(path, weights_only=True)
         if stored["config"] != repr(config):
-            raise ConfigError(f"{path}: belongs to another recipe; train into another file")
+            raise ConfigError(f"{path}: belongs to other settings; choose another checkpoint file")
         model.policy.load_state_dict(stored["policy"])
         model.policy.optimizer.load_state_dict(stored["optimizer"])
         state |= json.loads(stored["state"])
         arrays, metadata = stored["network"], json.loads(stored["about"])
-    except (
-        pickle.UnpicklingError,
-        RuntimeError,
-        LookupError,
-        ValueError,
-        OSError,
-        EOFError,
-    ) as error:
-        if isinstance(error, ConfigError):
-            raise
-        said = str(error).splitlines()[0]
-        raise ConfigError(f"{path}: not a checkpoint that can be taken up: {said}") from None
+    except ConfigError:
+        raise
+    except (pickle.UnpicklingError, RuntimeError, LookupError, ValueError, OSError, EOFError) as e:
+        reason = str(e).splitlines()[0]
+        raise ConfigError(f"{path}: not a checkpoint that can be resumed: {reason}") from None
     layers = [(arrays[f"W_{i}"], arrays[f"b_{i}"]) for i in range(len(arrays) // 2)]
     state["network"] = PolicyNetwork(tuple((W.numpy(), b.numpy()) for W, b in layers), metadata)
     model.num_timesteps = state["steps"]

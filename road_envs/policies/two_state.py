@@ -1,8 +1,9 @@
-"""What two-state dampers have in common: an axle is firm while its dampers do the wanted work.
+"""Base class of policies with two damper states, chosen axle by axle from a control law.
 
-Of every strut a law makes a number from the body's velocity v and acceleration a above it and from
-its rate of extension e' (all up positive, extension positive); an axle is firm while the sum of its
-two numbers is positive. v comes from the accelerometers, e' from the struts' own instruments.
+The law gives a value for each strut from the velocity v and the acceleration a of the body above
+it and from its rate of extension e' (v and a positive upwards, extension positive). An axle is in
+the high state while the sum over its two struts is positive. v is integrated from the
+accelerometers, e' is measured at the struts.
 """
 
 from dataclasses import dataclass, field
@@ -17,10 +18,11 @@ from road_envs.policies.body_motion import BodyMotionEstimator
 
 @dataclass(kw_only=True)
 class TwoStateDamper:
-    """`high` where the law asks for damping, else ride; rates leak below `leak` [Hz].
+    """Policy with state `high` where the law is positive, else ride.
 
-    A positive `bias` makes the axle firm while the sum is somewhat below 0 as well: it is the share
-    of the running size of the sum. Needs the instruments "struts".
+    `leak` [Hz] is the corner of the integration of body rates. `bias` shifts the threshold by a
+    share of the running mean magnitude of the sum; a positive one makes `high` more frequent.
+    Needs the observation group "struts".
     """
 
     __pydantic_config__ = STRICT
@@ -35,24 +37,21 @@ class TwoStateDamper:
             raise ValueError(f"leak must be positive, got {self.leak}")
 
     def reset(self, context: PolicyContext) -> None:
-        """Stand still."""
+        """Set the body motion and the mean magnitude to zero."""
         self.context, self.body = context, BodyMotionEstimator(context, self.leak)
-        self.mean_magnitude, self.decay = (
-            np.zeros((context.n_vehicles, 2)),
-            np.exp(-context.interval),
-        )
+        self.mean_magnitude = np.zeros((context.n_vehicles, 2))
+        self.decay = np.exp(-context.interval)  # time constant of 1 s
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """Firm or soft, axle by axle."""
+        """Return actions (N,) for the next control interval, from observations (N, d)."""
         self.body.update(observations)
         v, a = self.body.at_strut_mounts(self.body.v), self.body.at_strut_mounts(self.body.a)
         work = self.law(v, a, self.context.signal("extension_rate", observations).astype(float))
         axles = work.reshape(-1, 2, 2).sum(axis=2)
         self.mean_magnitude = self.decay * self.mean_magnitude + (1.0 - self.decay) * np.abs(axles)
-        return self.context.switch_axles(
-            axles + self.bias * self.mean_magnitude > 0, "ride", self.high
-        )
+        firm = axles + self.bias * self.mean_magnitude > 0
+        return self.context.switch_axles(firm, "ride", self.high)
 
     def law(self, v: np.ndarray, a: np.ndarray, e_dot: np.ndarray) -> np.ndarray:
-        """The number of each strut (N, 4) from v [m/s], a [m/s²] and e' [m/s], each (N, 4)."""
+        """Return a value for each strut (N, 4) from v [m/s], a [m/s²] and e' [m/s], all (N, 4)."""
         raise NotImplementedError

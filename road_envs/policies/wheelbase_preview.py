@@ -1,19 +1,18 @@
-"""The road ahead of the rear axle, as the front axle has felt it: a causal estimate, interval by
-interval, for policies that look ahead by a wheelbase.
+"""Causal estimate of the road ahead of the rear axle, from the motion of the front axle.
 
-Accelerometers on the body and the struts' instruments together tell where the axles are and what
-presses on them, whatever the springs and dampers do, so the estimate holds in every state of the
-suspension and through every switch. With q_b heave, roll, pitch of the body, q_a heave and roll of
-both axles, e the struts' extensions:
+Body accelerations and strut extensions determine the positions of the axles and the forces on them
+without a model of springs and dampers. The estimate therefore holds in every state of the
+suspension and while it switches. With q_b heave, roll and pitch of the body, q_a heave and roll of
+both axles, and e the strut extensions:
 
     q_b'' from the accelerometers, q_b' and q_b by leaky integration
-    e = S_b q_b + S_a q_a                    the axles' places, and their accelerations from e'
-    M_b q_b'' = S_b^T f                      the struts' forces f, the least that do it
-    M_a q_a'' = S_a^T f + R^T k_t (z - R q_a)    the heights z under the wheels
+    e = S_b q_b + S_a q_a                    gives q_a, and q_a'' from e'
+    M_b q_b'' = S_b^T f                      gives the strut forces f of least norm
+    M_a q_a'' = S_a^T f + R^T k_t (z - R q_a)    gives the heights z under the wheels
 
-Levers and masses are those of `linear.linearise`. What is left out: the tyres' damping, wheels in
-the air, and in a turn the load that the body's inertia shifts, which is slow. Below the leak
-nothing is known: heights are told from one another, not from a datum.
+Lever arms and masses are those of `linear_model.linearise`. Neglected are the tyre damping, wheels
+off the ground, and the slow load transfer in turns. Heights below the corner of the integrators
+are not determined: only differences of heights are meaningful.
 """
 
 import numpy as np
@@ -23,77 +22,69 @@ from road_envs.policies.body_motion import BodyMotionEstimator
 from road_envs.vehicle.linear_model import linearise
 
 LEAK = 0.2
-"""Of both integrations [Hz]."""
+"""Corner of both leaky integrators [Hz]."""
 
 MIN_SPEED = 1.0
-"""At lower speeds than this [m/s] only a part of the wheelbase is remembered."""
+"""The history covers the wheelbase at this speed [m/s] and above, and less of it below."""
 
 
 class WheelbasePreview:
-    """What N cars know of the road between their axles. Needs the instruments "struts".
+    """Estimator of the road between the axles of N vehicles.
 
-    `wheel_heights` (N, 4) [m]: heights under the wheels FL, FR, RL, RR at the end of the last
-    interval.
+    `wheel_heights` (N, 4) [m] are the heights under the wheels FL, FR, RL, RR at the end of the
+    last interval. Needs the observation group "struts".
     """
 
     def __init__(self, context: PolicyContext):
-        car = context.car
-        model = linearise(car, "ride", {})
+        car, size = context.car, context.n_vehicles
+        model = linearise(car, "ride", {})  # levers and masses do not depend on the mode
         n, body = model.M.size, 3
-        self.context, self.body, self.wheelbase = (
-            context,
-            BodyMotionEstimator(context, LEAK),
-            model.wheelbase,
-        )
+        self.context, self.body = context, BodyMotionEstimator(context, LEAK)
+        self.wheelbase = model.wheelbase
         self.inertias = model.M[:body], model.M[body:]
-        self.struts = model.strut_rows[:, :body], model.strut_rows[:, body:]
-        self.tyres = model.M[body:, None] * model.B[n + body :, :4]  # R^T k_t
+        self.strut_rows = model.strut_rows[:, :body], model.strut_rows[:, body:]  # S_b, S_a
+        self.tyre_stiffness = model.M[body:, None] * model.B[n + body :, :4]  # R^T k_t
         self.k_t = np.repeat([axle.k_t for axle in car.axles], 2)
-        self.forces = np.linalg.pinv(self.struts[0].T)
-        self.axles, self.loads = np.linalg.inv(self.struts[1]), np.linalg.inv(self.tyres)
-        self.body_position, self.extension_rates = (
-            np.zeros((context.n_vehicles, body)),
-            np.zeros((context.n_vehicles, 4)),
-        )
-        self.wheel_heights, self.speed = (
-            np.zeros((context.n_vehicles, 4)),
-            np.full(context.n_vehicles, MIN_SPEED),
-        )
+        self.body_to_struts = np.linalg.pinv(self.strut_rows[0].T)
+        self.struts_to_axles = np.linalg.inv(self.strut_rows[1])
+        self.axles_to_tyres = np.linalg.inv(self.tyre_stiffness)
+        self.body_position, self.extension_rates = np.zeros((size, body)), np.zeros((size, 4))
+        self.wheel_heights, self.speed = np.zeros((size, 4)), np.full(size, MIN_SPEED)
         steps = int(np.ceil(self.wheelbase / (MIN_SPEED * context.interval))) + 2
-        self.history, self.newest = np.zeros((steps, context.n_vehicles, 2)), 0
+        self.history, self.newest = np.zeros((steps, size, 2)), 0
 
     def reset(self, mask: np.ndarray) -> None:
-        """Forget the cars in `mask` (N,): they stand on a level road."""
+        """Reset the vehicles in `mask` (N,) to rest on a level road."""
         self.body.reset(mask)
-        for memory in (self.body_position, self.extension_rates, self.wheel_heights):
-            memory[mask] = 0.0
+        for state in (self.body_position, self.extension_rates, self.wheel_heights):
+            state[mask] = 0.0
         self.history[:, mask] = 0.0
 
     def update(self, observations: np.ndarray) -> None:
-        """Go on by one interval, from observations (N, d)."""
-        context, before = self.context, self.body.v
+        """Advance by one interval, from observations (N, d)."""
+        context, dt, before = self.context, self.context.interval, self.body.v
         self.body.update(observations)
         mean_rate = 0.5 * (before + self.body.v)
-        self.body_position = self.body.decay * (self.body_position + context.interval * mean_rate)
+        self.body_position = self.body.decay * (self.body_position + dt * mean_rate)
+        S_b, S_a = self.strut_rows
         axles, rates = (
-            (context.signal(name, observations) - motion @ self.struts[0].T) @ self.axles.T
+            (context.signal(name, observations) - motion @ S_b.T) @ self.struts_to_axles.T
             for name, motion in (("extension", self.body_position), ("extension_rate", self.body.v))
         )
-        accelerations, self.extension_rates = (
-            (rates - self.extension_rates) / context.interval,
-            rates,
-        )
+        accelerations, self.extension_rates = (rates - self.extension_rates) / dt, rates
         body_inertia, axle_inertia = self.inertias
-        f = (body_inertia * self.body.a) @ self.forces.T
-        tyre_compression = (axle_inertia * accelerations - f @ self.struts[1]) @ self.loads.T
-        self.wheel_heights = axles @ self.tyres / self.k_t + tyre_compression
+        f = (body_inertia * self.body.a) @ self.body_to_struts.T
+        tyre_compression = (axle_inertia * accelerations - f @ S_a) @ self.axles_to_tyres.T
+        self.wheel_heights = axles @ self.tyre_stiffness / self.k_t + tyre_compression
         self.speed = context.signal("speed", observations)[:, 0].astype(float)
         self.newest = (self.newest + 1) % len(self.history)
         self.history[self.newest] = self.wheel_heights[:, :2]
 
     def heights_at(self, distances: np.ndarray) -> np.ndarray:
-        """Heights (N, K, 2) [m] of the left and the right wheel path at `distances` (K,) [m] ahead
-        of the rear axle, up to the wheelbase; of a car that has kept its speed.
+        """Return heights (N, K, 2) [m] of the left and the right wheel path.
+
+        They are at `distances` (K,) [m] ahead of the rear axle, up to the wheelbase, for vehicles
+        at constant speed.
         """
         step = np.maximum(self.speed, 1e-3)[:, None] * self.context.interval
         ago = np.clip((self.wheelbase - distances) / step, 0.0, len(self.history) - 2.0)

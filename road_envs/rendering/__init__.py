@@ -1,7 +1,7 @@
-"""Pictures of the vehicle on its road; Pillow is needed and is imported only here.
+"""Rendering of the vehicle on its road: `render_frame(scene)` draws one frame.
 
-`render_frame(scene)` draws one. Each panel has a canvas of its own, so that none spills into
-another.
+Only this package imports Pillow. Each panel has its own canvas, so that nothing is drawn across
+panels.
 """
 
 import numpy as np
@@ -24,14 +24,14 @@ PANELS = (
     (panels.accelerations, (0, 434), (639, 106), style.PAPER),
     (panels.corners, (640, 345), (320, 195), style.PAPER),
 )
-"""What draws each panel, its top left corner, its width and height [pixels], its ground."""
+"""Draw function, top left corner, width and height [pixels], and background of each panel."""
 
 
 def render_frame(scene: Scene) -> np.ndarray:
-    """A picture (540, 960, 3) of `scene`, uint8."""
+    """Return a frame (540, 960, 3), uint8, of `scene`."""
     image = np.full((HEIGHT, WIDTH, 3), 201, dtype=np.uint8)  # grey seams between the panels
-    for draw, (x, y), (width, height), ground in PANELS:
-        canvas = Canvas(width, height, ground)
+    for draw, (x, y), (width, height), background in PANELS:
+        canvas = Canvas(width, height, background)
         draw(canvas, scene)
         image[y : y + height, x : x + width] = canvas.pixels()
     return image

@@ -1,4 +1,4 @@
-"""A drawing surface over Pillow: coordinates in pixels of the frame, smooth edges, crisp text."""
+"""Drawing canvas over Pillow with anti-aliased shapes; coordinates are pixels of the frame."""
 
 import functools
 from pathlib import Path
@@ -12,12 +12,12 @@ except ImportError as error:
     raise DependencyNotInstalled("run `pip install 'road-envs[render]'`") from error
 
 SMOOTHING = 3
-"""Everything but text is drawn this many times too large, then averaged."""
+"""Supersampling factor of shapes; text is drawn at the final resolution."""
 
 
 @functools.cache
 def font(size: int, bold: bool) -> ImageFont.FreeTypeFont:
-    """DejaVu Sans as matplotlib brings it along: equally wide digits, every sign we need."""
+    """Return DejaVu Sans as shipped with matplotlib; its digits have equal widths."""
     import matplotlib
 
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
@@ -25,7 +25,7 @@ def font(size: int, bold: bool) -> ImageFont.FreeTypeFont:
 
 
 class Canvas:
-    """One panel of a frame, `width` x `height` pixels; y counts downward from the top."""
+    """Canvas of one panel, `width` x `height` pixels; y increases downwards from the top."""
 
     def __init__(self, width: int, height: int, fill: str):
         self.width, self.height = width, height
@@ -43,7 +43,7 @@ class Canvas:
         self._draw.line(_large(points), fill=fill, width=round(SMOOTHING * width))
 
     def box(self, x_0: float, y_0: float, x_1: float, y_1: float, fill: str) -> None:
-        """Fill an upright rectangle."""
+        """Fill an axis-aligned rectangle."""
         self.polygon(np.array([[x_0, y_0], [x_1, y_0], [x_1, y_1], [x_0, y_1]]), fill)
 
     def disc(self, x: float, y: float, radius: float, fill: str) -> None:
@@ -61,12 +61,12 @@ class Canvas:
         anchor: str = "ls",
         bold: bool = False,
     ) -> None:
-        """Write `words` over everything else; `anchor` as in Pillow (ls: left end of baseline)."""
+        """Write `words` on top of all shapes; `anchor` as in Pillow (ls: left end of baseline)."""
         style = {"fill": fill, "font": font(size, bold), "anchor": anchor}
         self._words.append(((x, y), words, style))
 
     def pixels(self) -> np.ndarray:
-        """The finished picture (height, width, 3), uint8."""
+        """Return the finished image (height, width, 3), uint8."""
         image = self._image.reduce(SMOOTHING)
         draw = ImageDraw.Draw(image)
         for place, words, style in self._words:

@@ -1,4 +1,4 @@
-"""The panels around the two views: heading, wheel paths, accelerations, struts and tyres."""
+"""Panels of a frame: heading, wheel paths, accelerations, struts and tyres."""
 
 from dataclasses import dataclass
 
@@ -11,26 +11,26 @@ from road_envs.rendering.scene import Scene, free_travel
 from road_envs.vehicle.suspension import WHEELS, decode_commands
 
 ROAD_BEHIND, ROAD_AHEAD = 10.0, 20.0
-"""How much road [m] is shown behind and ahead of the front axle."""
+"""Length of road [m] shown behind and ahead of the front axle."""
 
 GAUGE_TRAVEL = 0.16
-"""Strut extension [m] at the ends of its gauge."""
+"""Strut extension [m] at the ends of the gauge."""
 
 GAUGE_LOAD = 3.0
-"""Tyre load at the end of its bar, in static loads."""
+"""Tyre load at the end of the bar, in static loads."""
 
 PATH_STYLES = ((style.LEFT_PATH, 1.5), (style.PALE, 2.5))
 """Colour and thickness of the left and the right wheel path."""
 
 MAX_NAME_LENGTH = 24
-"""Letters of a road's name for which the heading has room."""
+"""Longest name of a road that fits into the heading [characters]."""
 
 MARGIN = 62
-"""Columns left of a curve, for its labels."""
+"""Width of the labels left of a curve [pixels]."""
 
 
 def heading(canvas: Canvas, scene: Scene) -> None:
-    """Road, speed, command, station and time."""
+    """Draw road, speed, command, station and time."""
     y = 0.5 * canvas.height
     name = scene.surface.name
     shown = name if len(name) <= MAX_NAME_LENGTH else name[: MAX_NAME_LENGTH - 1] + "…"
@@ -42,19 +42,19 @@ def heading(canvas: Canvas, scene: Scene) -> None:
 
 
 def describe_command(byte: int) -> str:
-    """A command byte in words."""
+    """Return a command byte in words."""
     stiff, high = (flags[0] for flags in decode_commands(np.array([byte])))
     words = [style.describe_state(bool(s), bool(d)) for s, d in zip(stiff, high, strict=True)]
     if len(set(words)) == 1:
         return words[0]
     if words[0] == words[1] and words[2] == words[3]:
         return f"front {words[0]}, rear {words[2]}"
-    return "each wheel its own"
+    return "individual wheels"
 
 
 @dataclass(frozen=True)
 class AxisScale:
-    """A straight line of pixels: `start` stands for the value `low`, `end` for `high`."""
+    """Linear map from values to pixels: `low` maps to `start`, `high` to `end`."""
 
     low: float
     high: float
@@ -62,16 +62,16 @@ class AxisScale:
     end: float
 
     def __call__(self, value):
-        """The pixel for a value, or for each of an array."""
+        """Return the pixel of a value, or of each value of an array."""
         return self.start + (self.end - self.start) * (value - self.low) / (self.high - self.low)
 
     def ticks(self, step: float) -> np.ndarray:
-        """The multiples of `step` from `low` to `high`."""
+        """Return the multiples of `step` from `low` to `high`."""
         return step * np.arange(np.ceil(self.low / step), np.floor(self.high / step) + 1)
 
 
 def wheel_paths(canvas: Canvas, scene: Scene) -> None:
-    """Heights of both wheel paths behind and ahead of the car, and where its wheels stand."""
+    """Draw the heights of both wheel paths around the vehicle, and the positions of its wheels."""
     z = scene.surface.z
     columns = AxisScale(
         scene.station - ROAD_BEHIND, scene.station + ROAD_AHEAD, MARGIN, canvas.width - 10.0
@@ -93,7 +93,7 @@ def wheel_paths(canvas: Canvas, scene: Scene) -> None:
 
 
 def _grid_lines(canvas: Canvas, columns: AxisScale, rows: AxisScale) -> None:
-    """Heights with a line across the panel, stations with a tick under it."""
+    """Draw a line across the panel for heights, and ticks under it for stations."""
     for z in rows.ticks(round_up((rows.high - rows.low) / 4.0)):
         canvas.line(np.array([[columns.start, rows(z)], [columns.end, rows(z)]]), style.GRID)
         height = f"{1000 * z + 0.0:g}"  # never -0
@@ -105,13 +105,13 @@ def _grid_lines(canvas: Canvas, columns: AxisScale, rows: AxisScale) -> None:
 
 
 def round_up(value: float, leading: tuple[int, ...] = (1, 2, 5)) -> float:
-    """The smallest of the `leading` digits times a power of ten that is not below `value`."""
+    """Return the smallest product of a `leading` digit and a power of ten that is >= `value`."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(next(m * power for m in (*leading, 10) if m * power >= value * (1 - 1e-9)))
 
 
 def accelerations(canvas: Canvas, scene: Scene) -> None:
-    """What the three accelerometers have reported of late, newest at the right."""
+    """Draw the recent samples of the three accelerometers, newest at the right."""
     left, right, top = MARGIN, canvas.width - 70.0, 20.0
     height = (canvas.height - top - 4.0) / len(SENSORS)
     recent = scene.samples[:, -round(scene.window * scene.fs) :]
@@ -130,7 +130,10 @@ def accelerations(canvas: Canvas, scene: Scene) -> None:
 
 
 def envelope(a: np.ndarray, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Ages [s] and values of the lowest and highest of every few samples of `a` (N,)."""
+    """Return ages [s] and values of the minimum and the maximum of each group of samples.
+
+    `a` (N,) are the samples; the groups have the width of about one pixel.
+    """
     size = max(round(scene.window * scene.fs / 500.0), 1)
     cells = a[a.size % size :].reshape(-1, size)
     age = np.arange(cells.shape[0])[::-1] * size / scene.fs
@@ -138,7 +141,7 @@ def envelope(a: np.ndarray, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def corners(canvas: Canvas, scene: Scene) -> None:
-    """State, extension and stops of each strut, and the load of each tyre."""
+    """Draw the state, extension and stops of each strut, and the load of each tyre."""
     width, height = 0.5 * canvas.width, 0.5 * canvas.height
     for wheel in range(4):
         _corner(canvas, scene, wheel, (wheel % 2) * width + 10, (wheel // 2) * height, width - 20)

@@ -1,4 +1,4 @@
-"""Parts of the car that both views show."""
+"""Parts of the vehicle that both views draw."""
 
 import numpy as np
 
@@ -7,19 +7,20 @@ from road_envs.rendering.canvas import Canvas
 from road_envs.rendering.scene import Scene
 
 MOUNT = 1.02
-"""Height [m] at which the struts are fixed to the body."""
+"""Height [m] of the upper strut mounts on the body."""
 
 TUBE, COLLAR = 0.34, 0.06
-"""Lengths [m] of a strut's lower tube and of its stops."""
+"""Lengths [m] of the lower tube of a strut and of its stops."""
 
 
 def strut(
     canvas: Canvas, scene: Scene, wheel: int, lower: np.ndarray, upper: np.ndarray, scale: float
 ) -> None:
-    """Draw the strut of `wheel` as a telescope from `lower` to `upper` (2,) on the canvas.
+    """Draw the telescopic strut of `wheel` from `lower` to `upper` (2,) on the canvas.
 
-    The tube has the damper's colour, the rod the spring's. A stop that is reached lights up: the
-    bump stop under the body, the rebound stop on the tube.
+    The tube has the colour of the damper state, the rod that of the spring state. A stop is
+    highlighted when the strut reaches it: the bump stop under the body, the rebound stop on the
+    tube.
     """
     along = upper - lower
     length = float(np.hypot(*along))

@@ -1,6 +1,6 @@
-"""The car from behind: solid axle, struts, roll, and the road under the rear wheels.
+"""Rear view of the vehicle: solid axle, struts, roll, and the road under the rear wheels.
 
-Left is left. The picture is a section: the body is cut open around wheels and struts.
+The left side is on the left. The view is a section: the body is open around wheels and struts.
 """
 
 import numpy as np
@@ -12,21 +12,21 @@ from road_envs.rendering.scene import REAR_LEFT, REAR_RIGHT, Scene
 from road_envs.vehicle.equations import AXLE, PHI
 
 SCALE = 104.0
-"""Pixels to a metre."""
+"""Pixels per metre."""
 
 GROUND = 254.0
-"""Row of the canvas on which level ground lies."""
+"""Row of the canvas of level ground."""
 
 TYRE = 0.22
 """Width of a tyre [m]."""
 
-# Right halves of outlines that their mirror images complete: metres to the side, metres of height
+# Left halves of outlines, completed by their mirror images: lateral position and height [m]
 SHELL = ((0.86, 0.62), (0.895, 1.20), (0.895, 1.30), (0.80, 1.88))
 ROOF = ((0.81, 1.84), (0.77, 1.95), (0.68, 2.00))
 DOOR = ((0.46, 0.70), (0.46, 1.82))
 WINDOW = ((0.38, 1.36), (0.37, 1.76))
 CROSSMEMBER = ((0.74, 0.50), (0.74, 0.64))
-# Parts that stand on both sides
+# Parts drawn on both sides
 CORNER_WINDOW = ((0.52, 1.38), (0.78, 1.38), (0.72, 1.76), (0.52, 1.76))
 WELL = ((0.57, 0.62), (0.875, 0.62), (0.885, 0.98), (0.57, 0.98))
 LAMPS = ((0.80, 1.13, style.INDICATOR), (0.80, 1.03, style.LAMP))
@@ -36,14 +36,14 @@ SIDES = ("left up", "right up")
 
 
 class RearView:
-    """Draws one scene on one canvas."""
+    """Drawing of one scene on one canvas."""
 
     def __init__(self, canvas: Canvas, scene: Scene):
         self.canvas, self.scene = canvas, scene
         self.axle = scene.car.rear
 
     def draw(self) -> None:
-        """Everything, from the back to the front."""
+        """Draw everything, from the back to the front."""
         self._draw_body()
         self._draw_axle()
         for wheel in (REAR_LEFT, REAR_RIGHT):
@@ -53,11 +53,11 @@ class RearView:
         self._draw_captions()
 
     def project(self, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Points (N, 2) of the canvas for places `y` left, `z` up [m]."""
+        """Return points (N, 2) of the canvas for positions `y` left, `z` up [m]."""
         return np.stack([0.5 * self.canvas.width - SCALE * y, GROUND - SCALE * z], axis=-1)
 
     def project_body(self, outline: tuple, side: int = 1) -> np.ndarray:
-        """Points (N, 2) of the canvas for an outline of the body; `side` -1 mirrors it."""
+        """Return points (N, 2) of the canvas for an outline of the body; `side` -1 mirrors it."""
         y, z = np.array(outline, dtype=float).T
         _, y, z = self.scene.body_points(np.full(y.shape, self.axle.x), side * y, z)
         return self.project(y, z)
@@ -114,7 +114,7 @@ class RearView:
         strut(self.canvas, self.scene, wheel, foot, head, SCALE)
 
     def _draw_ground(self) -> None:
-        """The road under the rear axle: both wheel paths, a plane between them."""
+        """Draw the road under the rear axle: both wheel paths and a plane between them."""
         scene, y = self.scene, self.axle.y_t
         left, right = scene.road_heights(np.array([scene.station - scene.car.wheelbase]))[:, 0]
         reach = 0.5 * self.canvas.width / SCALE

@@ -1,8 +1,8 @@
-"""What one frame shows, in numbers: no picture yet, and nothing that a copy or a pickle minds.
+"""Content of one frame as plain data, which can be copied and pickled.
 
-Heights in a picture are measured from a datum that follows the road's long waves, as a camera
-beside the car would, and are drawn `exaggeration` times as large: of road, wheels, body and tyre
-deflection alike, so that a wheel that leaves the ground leaves it in the picture too.
+Displayed heights are relative to a datum that follows the long waves of the road, like a camera
+that moves with the vehicle, and are scaled by `exaggeration`. The scale applies to road, wheels,
+body and tyre deflection alike, so that an airborne wheel is also airborne in the frame.
 """
 
 from dataclasses import dataclass
@@ -18,22 +18,22 @@ from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import DAMPING_HIGH, VALVE_OPEN
 
 WHEEL_RADIUS = 0.4
-"""Of an unloaded tyre [m]: 7.50 R 16. The ride model itself needs no radius."""
+"""Radius of an unloaded tyre [m], 7.50 R 16; the ride model itself does not need it."""
 
 CAMERA_WINDOW = 20.0
-"""Length of road [m] over whose mean height the camera stands."""
+"""Length of road [m] over which the datum is averaged."""
 
 FRONT_LEFT, FRONT_RIGHT, REAR_LEFT, REAR_RIGHT = range(4)
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The vehicle on its road at the instant `t` [s], front axle at `station` [m].
+    """Vehicle on its road at the instant `t` [s], front axle at `station` [m].
 
-    `q` (7,) coordinates as in `dynamics`; `extension` (4,) [m] of the struts; `load` (4,) [N] of
-    the tyres; `spring_stiff`, `damper_high` (4,) where the struts' valves stand; `command` the byte
-    last given; `samples` (3, N) [m/s²] of the accelerometers at `fs` [Hz], newest last, of which
-    the last `window` seconds are shown.
+    `q` (7,) are the coordinates of `vehicle.equations`, `extension` (4,) [m] and `load` (4,) [N]
+    those of struts and tyres, `spring_stiff` and `damper_high` (4,) the valve states, `command` the
+    last command byte. `samples` (3, N) [m/s²] are those of the accelerometers at `fs` [Hz], newest
+    last; the last `window` seconds are shown.
     """
 
     car: VehicleParameters
@@ -62,7 +62,7 @@ class Scene:
         window: float,
         exaggeration: float,
     ) -> "Scene":
-        """The scene at the end of `trajectory`, the last that `drive` made."""
+        """Return the scene at the end of `trajectory`, the latest one of `drive`."""
         return cls(
             car=drive.car,
             surface=drive.surface,
@@ -83,28 +83,28 @@ class Scene:
 
     @cached_property
     def datum(self) -> float:
-        """Height [m] of the camera: a weighted mean of both wheel paths around the car."""
+        """Height [m] of the camera: a weighted mean of both wheel paths around the vehicle."""
         middle = self.station - 0.5 * self.car.wheelbase
         weights = np.hanning(82)[1:-1]
         s = middle + CAMERA_WINDOW * np.linspace(-0.5, 0.5, weights.size)
         return float(self.surface.height(s).mean(axis=0) @ weights / weights.sum())
 
     def to_display(self, z: np.ndarray | float) -> np.ndarray:
-        """Heights `z` [m], of any shape, as they are drawn: from the datum, exaggerated."""
+        """Return heights `z` [m], of any shape, relative to the datum and exaggerated."""
         return self.exaggeration * (np.asarray(z) - self.datum)
 
     def road_heights(self, s: np.ndarray) -> np.ndarray:
-        """Heights (2, M) [m] of left and right wheel path at stations `s` (M,), as drawn."""
+        """Return displayed heights (2, M) [m] of left and right wheel path at stations `s` (M,)."""
         return self.to_display(self.surface.height(s))
 
     def body_points(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Where points of the body that rest at `x`, `y`, `z` (N,) [m] are drawn."""
+        """Return displayed positions of body points which are at `x`, `y`, `z` (N,) [m] at rest."""
         k, lever = self.exaggeration, z - self.car.h_cg
         heave = self.to_display(self.q[Z_B] - x * self.q[THETA] + y * self.q[PHI])
         return x + k * self.q[THETA] * lever, y - k * self.q[PHI] * lever, z + heave
 
     def hub_height(self, wheel: int, y: float | None = None) -> float:
-        """Height [m] of an axle at its `wheel`, or at `y` [m] left of its middle, as drawn."""
+        """Return the displayed height [m] of an axle at its `wheel`, or at `y` [m] left."""
         axle = wheel // 2
         if y is None:
             y = self.wheel_y(wheel)
@@ -113,29 +113,29 @@ class Scene:
         return float(rest + self.to_display(height))
 
     def tyre_radius(self, wheel: int) -> float:
-        """Radius [m] of the tyre as drawn, unloaded: its deflection is exaggerated as well."""
+        """Return the displayed radius [m] of an unloaded tyre; its deflection is exaggerated."""
         return WHEEL_RADIUS + (self.exaggeration - 1.0) * self.car.tyre_deflections[wheel // 2]
 
     def wheel_y(self, wheel: int) -> float:
-        """How far left of the centre line the `wheel` stands [m]."""
+        """Return the lateral position of the `wheel` [m], positive to the left."""
         y = self.car.axles[wheel // 2].y_t
         return y if wheel % 2 == 0 else -y
 
     @property
     def scale_caption(self) -> str:
-        """How the picture's vertical motion compares with the car's size."""
+        """Caption on the scale of the vertical motion."""
         k = self.exaggeration
         return "to scale" if k == 1.0 else f"vertical motion ×{k:g}"
 
     def stop_state(self, wheel: int) -> int:
-        """-1 where the strut is on its bump stop, 1 on its rebound stop, 0 between."""
+        """Return -1 if the strut is on its bump stop, 1 on its rebound stop, 0 between."""
         low, high = free_travel(self.car, wheel)
         e = self.extension[wheel]
         return int(e >= high) - int(e <= low)
 
 
 def free_travel(car: VehicleParameters, wheel: int) -> tuple[float, float]:
-    """Extensions [m] of a strut between which neither of its stops pushes."""
+    """Return the limits [m] of the strut extension at which neither stop gives a force."""
     stops = car.strut.bump_stop
     curve: Curve = stops.front if wheel < REAR_LEFT else stops.rear
     free = [x for x, F in zip(curve.x, curve.F, strict=True) if F == 0.0]

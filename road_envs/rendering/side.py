@@ -1,8 +1,8 @@
-"""The car from its right side, driving to the right over both wheel paths.
+"""Side view of the vehicle, from its right, driving to the right over both wheel paths.
 
-An oblique picture: the right wheel path is in front, the left one behind it, a little higher and
-further to the right. Along the car lengths are to scale; the body's outline is a Defender 110's,
-fixed to the axles of whatever vehicle is driven.
+The projection is oblique: the left wheel path is behind the right one, shifted upwards and to the
+right. Lengths along the vehicle are to scale. The outline is that of a Defender 110, attached to
+the axles of the given vehicle.
 """
 
 import numpy as np
@@ -21,21 +21,21 @@ from road_envs.rendering.scene import (
 from road_envs.vehicle.equations import THETA, Z_B
 
 SCALE = 92.0
-"""Pixels to a metre."""
+"""Pixels per metre."""
 
 SHEAR = np.array([0.07, 0.13])
-"""How far a metre to the left is drawn to the right and upward [m]."""
+"""Displacement to the right and upwards of a point one metre to the left [m]."""
 
 GROUND = 254.0
-"""Row of the canvas on which a level right wheel path lies."""
+"""Row of the canvas of a level right wheel path."""
 
 SHOULDER = 0.3
 """Width of the road outside the wheel paths [m]."""
 
 STONE, COURSES = 0.25, 4
-"""Length of a paving stone [m], and how many lie side by side between the wheel paths."""
+"""Length of a paving stone [m], and number of courses between the wheel paths."""
 
-# Outlines: share of the wheelbase ahead of the rear axle, metres ahead of that, metres of height
+# Outlines: share of the wheelbase ahead of the rear axle, distance ahead of that [m], height [m]
 CHASSIS = ((1, 0.52, 0.50), (1, 0.52, 0.64), (0, -0.98, 0.64), (0, -0.98, 0.50))
 BUMPER = ((1, 0.52, 0.50), (1, 0.68, 0.50), (1, 0.68, 0.66), (1, 0.52, 0.66))
 SHELL = (
@@ -91,11 +91,11 @@ LEGEND = (
     (210, style.STIFF, "stiff spring, high damping"),
     (420, style.STOP_REACHED, "stop reached"),
 )
-"""Column, colour and meaning of what the struts show."""
+"""Column, colour and text of the legend of strut colours."""
 
 
 class SideView:
-    """Draws one scene on one canvas."""
+    """Drawing of one scene on one canvas."""
 
     def __init__(self, canvas: Canvas, scene: Scene):
         self.canvas, self.scene = canvas, scene
@@ -107,7 +107,7 @@ class SideView:
         self.left, self.right = scene.road_heights(self.s)
 
     def draw(self) -> None:
-        """Everything, from the back to the front."""
+        """Draw everything, from the back to the front."""
         self._draw_hills()
         self._draw_far_side()
         self._draw_road()
@@ -119,14 +119,14 @@ class SideView:
         self._draw_captions()
 
     def project(self, x: np.ndarray, y: np.ndarray | float, z: np.ndarray) -> np.ndarray:
-        """Points (N, 2) of the canvas for places `x` ahead, `y` left, `z` up [m]."""
+        """Return points (N, 2) of the canvas for positions `x` ahead, `y` left, `z` up [m]."""
         depth = np.asarray(y) - self.near
         columns = self.origin + SCALE * (x + SHEAR[0] * depth)
         rows = GROUND - SCALE * (z + SHEAR[1] * depth)
         return np.stack(np.broadcast_arrays(columns, rows), axis=-1)
 
     def project_body(self, outline: tuple) -> np.ndarray:
-        """Points (N, 2) of the canvas for an outline of the body, in the right struts' plane."""
+        """Return points (N, 2) of the canvas for a body outline in the plane of the struts."""
         car = self.scene.car
         share, ahead, z = np.array(outline, dtype=float).T
         x = car.rear.x + share * car.wheelbase + ahead
@@ -135,7 +135,7 @@ class SideView:
         return self.project(x, self.near, z)
 
     def _draw_hills(self) -> None:
-        """A far ridge that passes more slowly than the road."""
+        """Draw a distant ridge that moves more slowly than the road."""
         u = 0.12 * self.x + 0.015 * self.scene.station
         ridge = 0.75 + 0.22 * np.sin(4.1 * u) + 0.12 * np.sin(9.7 * u + 1.0)
         foot = self.project(self.x, 0.0, np.zeros(self.x.size))
@@ -160,7 +160,7 @@ class SideView:
             self.canvas.line(beam, style.DARK, 7.0)
 
     def _draw_stones(self) -> None:
-        """Courses of stones without a period, which would seem to run backwards."""
+        """Draw courses of stones; a periodic pattern would seem to run backwards."""
         car, scene = self.scene.car, self.scene
         for course in range(COURSES):
             shift = 0.5 * (course % 2)
@@ -216,7 +216,7 @@ class SideView:
         strut(self.canvas, self.scene, wheel, foot, head, SCALE)
 
     def _draw_foreground(self) -> None:
-        """The road in front of the right wheels, and the earth under it with its stations."""
+        """Draw the road in front of the right wheels, and the earth under it with stations."""
         path = self.project(self.x, self.near, self.right)
         edge = self.project(self.x, self.near - SHOULDER, self.right)
         self._fill_strip(path, edge, style.ROAD)
@@ -247,5 +247,5 @@ class SideView:
 
 
 def _scatter_hash(i: int, row: int) -> int:
-    """A number without pattern for stone `i` of a row: multiplicative hashing."""
+    """Return a pseudo-random number for stone `i` of a row, by multiplicative hashing."""
     return ((i * 2654435761 + row * 40503) & 0xFFFFFFFF) >> 13

@@ -1,6 +1,6 @@
-"""Colours and words of the picture.
+"""Colours and captions of a frame.
 
-What has a meaning has a colour of Okabe & Ito's palette, which colour-blind readers tell apart.
+Colours with a meaning are of Okabe & Ito's palette, which is safe for colour-blind readers.
 """
 
 import numpy as np
@@ -45,7 +45,7 @@ BLENDED_EDGES = (
     (SKY, INK, 1),
     (BODY, BODY_EDGE, 1),
 )
-"""Colours that often meet, and how many shades between them a smooth edge wants."""
+"""Pairs of adjacent colours, and the number of intermediate shades of their smooth edges."""
 
 STATE_NAMES = {
     "ride": "ride",
@@ -56,7 +56,7 @@ STATE_NAMES = {
 
 
 def palette() -> list[int]:
-    """Red, green, blue of every colour and of the shades at edges, one after the other."""
+    """Return red, green and blue of all colours and of the shades at edges, as a flat list."""
     named = [value for value in globals().values() if isinstance(value, str) and value[:1] == "#"]
     colours = [_rgb(value) for value in (*named, *STONES)]
     for one, other, shades in BLENDED_EDGES:
@@ -70,16 +70,16 @@ def _rgb(colour: str) -> np.ndarray:
 
 
 def describe_tilt(angle: float, positive: str, negative: str) -> str:
-    """An angle [degrees] with the word for its direction."""
+    """Return an angle [degrees] with the word for its direction."""
     size = f"{abs(angle):.2f}°"
     return size if size == "0.00°" else f"{size} {positive if angle > 0 else negative}"
 
 
 def describe_state(stiff: bool, high: bool) -> str:
-    """The state of a strut in words."""
+    """Return the state of a strut in words."""
     return STATE_NAMES[next(mode for mode, state in MODES.items() if state == (stiff, high))]
 
 
 def state_colour(firm: bool) -> str:
-    """The colour of a soft spring and low damping, or of a stiff one and high damping."""
+    """Return the colour of a stiff spring or high damping, else that of a soft or low one."""
     return STIFF if firm else SOFT

@@ -4,7 +4,7 @@ To add a kind of road, write a module with a frozen dataclass that has `length` 
 put the class into KINDS below, add a YAML file to `configs/roads` and run `pytest`.
 """
 
-from road_envs.roads.api import KINDS, Road, load_road, with_length
+from road_envs.roads.api import KINDS, Road, load_road, realise_road, with_length
 from road_envs.roads.belgian import Belgian
 from road_envs.roads.composite import (
     Concatenated,
@@ -25,7 +25,16 @@ from road_envs.roads.sine_sweep import SineSweep
 from road_envs.roads.surface import Surface
 from road_envs.roads.trapezoids import Bumps
 
-__all__ = ["KINDS", "Road", "Surface", "load_road", "with_length", "write", "write_csv"]
+__all__ = [
+    "KINDS",
+    "Road",
+    "Surface",
+    "load_road",
+    "realise_road",
+    "with_length",
+    "write",
+    "write_csv",
+]
 
 KINDS.update(
     {

@@ -1,8 +1,4 @@
-"""What a road is, and how one is loaded from a name, a path or a mapping.
-
-The table KINDS is empty here and filled by `road_envs.roads`: composite roads hold other roads of
-any kind, so their module needs the loader, while the table needs their classes.
-"""
+"""The road interface, and loading of roads by name, path or mapping."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -17,48 +13,69 @@ from road_envs.roads.measured import SURFACE_SUFFIXES, Measured
 from road_envs.roads.surface import Surface
 
 KINDS: dict[str, type] = {}
-"""Classes of roads by the `kind` of their configuration."""
+"""Road classes by the `kind` of their configuration, filled in by `road_envs.roads`.
+
+It is empty here because composite roads load other roads: their module imports this one.
+"""
 
 
 @runtime_checkable
 class Road(Protocol):
-    """A frozen description of a road, from station 0 to `length` [m], that can be realised."""
+    """Frozen description of a road from station 0 to `length` [m]."""
 
     @property
     def length(self) -> float: ...
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Draw one surface; same road and same generator state, same surface."""
+        """Draw one surface, which is determined by the road and the state of `rng`."""
         ...
 
 
 @runtime_checkable
 class Resizable(Protocol):
-    """A road whose length follows from that of another road, and that can be given another one."""
+    """A road whose length is that of an inner road plus or times a constant."""
 
     def with_length(self, length: float) -> Road:
-        """The same road with another length [m]."""
+        """Return the road with another length [m]."""
         ...
 
 
 def load_road(source: str | Path | Mapping[str, Any]) -> Road:
-    """A road from a shipped name ("iso_d"), a YAML path, a surface file or a mapping.
+    """Load a road from a shipped name ("iso_d"), a YAML path, a surface file or a mapping.
 
-    A mapping has `kind` and the settings of that kind, or `name` of a shipped road and perhaps
-    another `length`. Raises ConfigError.
+    A mapping has the key `kind` and the settings of that kind, or `name`, a shipped road, and
+    optionally `length`. Raises ConfigError.
     """
     if isinstance(source, Mapping):
         return _from_mapping(source, "")
     if not isinstance(source, str | Path):
-        raise ConfigError(f"a road is a name, a path or a mapping, got {source!r}")
+        raise ConfigError(f"a road must be given as a name, a path or a mapping, got {source!r}")
     if Path(source).suffix.lower() in SURFACE_SUFFIXES:
         return Measured(path=str(source))
     path = find("roads", source)
     return _from_mapping(_resolve_paths(read_yaml(path), path.parent), str(path))
 
 
+def realise_road(
+    road: str | Path | Mapping[str, Any] | Road,
+    seed: int | np.random.SeedSequence,
+    length: float | None = None,
+) -> Surface:
+    """Return the surface drawn from `seed`, with another `length` [m] if given.
+
+    Raises ConfigError.
+    """
+    described = load_road(road) if isinstance(road, str | Path | Mapping) else road
+    if length is not None:
+        described = with_length(described, length)
+    return described.realise(np.random.default_rng(seed))
+
+
 def with_length(road: Road, length: float) -> Road:
-    """The same road with another length [m]; reaches into a road that is made of one other."""
+    """Return the road with another length [m]; a road made of one other passes it on.
+
+    Raises ConfigError if the length follows from other settings.
+    """
     if isinstance(length, bool) or not isinstance(length, int | float):
         raise ConfigError(f"length must be a number, got {length!r}")
     if isinstance(road, Resizable):
@@ -85,7 +102,7 @@ def _from_mapping(data: Mapping[str, Any], where: str) -> Road:
 
 
 def _resolve_paths(data: Any, folder: Path) -> Any:
-    """Settings in which the paths of surface files are relative to `folder` no longer."""
+    """Return settings in which relative paths of surface files are joined to `folder`."""
     if isinstance(data, list):
         return [_resolve_paths(value, folder) for value in data]
     if not isinstance(data, dict):
@@ -98,7 +115,7 @@ def _resolve_paths(data: Any, folder: Path) -> Any:
 
 def _load_named(settings: dict[str, Any], where: str) -> Road:
     if extra := settings.keys() - {"name", "length"}:
-        raise ConfigError(f"{where or 'road'}: unknown {sorted(extra)} beside name; known: length")
+        raise ConfigError(f"{where or 'road'}: unknown {sorted(extra)} next to name; known: length")
     road = load_road(settings["name"])
     return with_length(road, settings["length"]) if "length" in settings else road
 

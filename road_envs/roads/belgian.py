@@ -1,13 +1,13 @@
-"""Belgian paving: an ISO 8608 road with the peak of its cobbles.
+"""Belgian paving: a random road whose PSD has a peak at the spacing of its cobbles.
 
     base   G_d0 (n / n0)^-w, steeper (w_above) beyond n_above
-    peak   a Gaussian of width n_sigma at n_cobble, `peak` times the base there in all
+    peak   a Gaussian of width n_sigma at n_cobble; base and peak together are `peak` times the base
 
-The measured cobbles of the OpenCRG sample `belgian_block.crg` give the shape of the base
-(w = 2.15), the place, width and height of the peak and the coherence of the wheel paths (0.22 at
-the peak, nearly none at 2.3 to 4 cycles/m). The paving of Ngwangwa et al., section 3.2, is of
-class D from 0.2 to 3 cycles/m and of classes C to A above, with its peak at 6 cycles/m; the
-defaults follow it. Below the peak the two paths cohere as on an isotropic surface.
+The shape of the base (w = 2.15), the position, width and height of the peak and the coherence of
+the wheel paths (0.22 at the peak, nearly 0 from 2.3 to 4 cycles/m) are those of the measured
+cobbles in the OpenCRG sample `belgian_block.crg`. The level follows the paving of Ngwangwa et al.,
+section 3.2: class D from 0.2 to 3 cycles/m, classes C to A above, and a peak at 6 cycles/m. Below
+the peak the coherence of the paths is that of an isotropic surface.
 """
 
 from dataclasses import dataclass
@@ -25,36 +25,36 @@ from road_envs.roads.validation import check_positive
 
 @dataclass(frozen=True, kw_only=True)
 class Belgian:
-    """A paving like the paper's; every realisation is another one."""
+    """A random paving similar to the paper's."""
 
     __pydantic_config__ = STRICT
 
     length: Annotated[float, "m", "length of the road"] = 100.0
-    G_d0: Annotated[float, "m³", "base at n0; in the middle of class D at 0.77 cycles/m"] = 0.00139
+    G_d0: Annotated[float, "m³", "base at n0; centre of class D at 0.77 cycles/m"] = 0.00139
     w: Annotated[float, "", "waviness of the base"] = 2.15
-    n_above: Annotated[float, "cycles/m", "where the base turns steeper"] = 3.0
+    n_above: Annotated[float, "cycles/m", "frequency beyond which the base is steeper"] = 3.0
     w_above: Annotated[float, "", "waviness of the base beyond n_above"] = 5.0
-    n_cobble: Annotated[float, "cycles/m", "cobbles a metre"] = 5.9
+    n_cobble: Annotated[float, "cycles/m", "cobbles per metre"] = 5.9
     n_sigma: Annotated[float, "cycles/m", "standard deviation of the peak"] = 0.29
-    peak: Annotated[float, "", "density at n_cobble over the base there"] = 6.0
+    peak: Annotated[float, "", "density at n_cobble relative to the base"] = 6.0
     coherence: Annotated[float, "", "coherence (squared) of the wheel paths at n_cobble"] = 0.22
-    n_min: Annotated[float, "cycles/m", "longest wave [assumed]: it is laid level"] = 0.05
-    n_max: Annotated[float, "cycles/m", "shortest wave"] = 10.0
-    track: Annotated[float, "m", "distance of the wheel paths"] = 1.5
+    n_min: Annotated[float, "cycles/m", "lower end of the band [assumed]"] = 0.05
+    n_max: Annotated[float, "cycles/m", "upper end of the band"] = 10.0
+    track: Annotated[float, "m", "distance between the wheel paths"] = 1.5
     ds: Annotated[float, "m", "spacing of the samples"] = 0.01
 
     def __post_init__(self):
         check_positive(self, "G_d0", "w", "w_above", "n_above", "n_cobble", "n_sigma", "track")
         check_band(self)
         if not self.peak > 1.0:
-            raise ValueError(f"peak must be more than 1, got {self.peak}")
+            raise ValueError(f"peak must be greater than 1, got {self.peak}")
         if not 0.0 <= self._cobble_coherence <= 1.0:
             limit = (1.0 - 1.0 / self.peak) ** 2
-            raise ValueError(f"coherence must lie in 0 to {limit:.3g}, got {self.coherence}")
+            raise ValueError(f"coherence must be within 0 and {limit:.3g}, got {self.coherence}")
 
     @property
     def _cobble_coherence(self) -> float:
-        """Root coherence of the cobbles alone; the base beneath them has none."""
+        """Root coherence of the peak alone, taking the base at n_cobble as incoherent."""
         return np.sqrt(self.coherence) / (1.0 - 1.0 / self.peak)
 
     def realise(self, rng: np.random.Generator) -> Surface:
@@ -63,17 +63,17 @@ class Belgian:
         n, base, cobbles = cell_centres(edges), self._base(edges), self._cobbles(edges)
         power = base + cobbles
         shared = root_coherence(n, self.w, self.track) * base + self._cobble_coherence * cobbles
-        g = shared / np.where(power > 0.0, power, 1.0)  # the last cell may be empty
+        g = shared / np.where(power > 0.0, power, 1.0)  # the last cell can have no width
         return synthesise(rng, self, edges, power, g, "belgian")
 
     def _base(self, edges: np.ndarray) -> np.ndarray:
-        """Power [m²] of the base in each cell between `edges`."""
+        """Return the power [m²] of the base in each cell between `edges`."""
         low, high = np.minimum(edges, self.n_above), np.maximum(edges, self.n_above)
         above = self.G_d0 * (self.n_above / N_0) ** (self.w_above - self.w)
         return power_law(low, self.G_d0, self.w) + power_law(high, above, self.w_above)
 
     def _cobbles(self, edges: np.ndarray) -> np.ndarray:
-        """Power [m²] of the cobbles in each cell between `edges`."""
+        """Return the power [m²] of the peak in each cell between `edges`."""
         tiny = self.n_cobble * np.array([1.0 - 1e-6, 1.0 + 1e-6])
         top = (self.peak - 1.0) * self._base(tiny) / np.diff(tiny)
         x = (edges - self.n_cobble) / self.n_sigma

@@ -1,8 +1,7 @@
-"""The level road, and roads made of other roads.
+"""The flat road, and roads composed of other roads.
 
-Every surface starts at height 0 and is level before its start and after its end. So each of these
-roads but the repeated and the scaled one is a sum of delayed surfaces: where one road follows
-another, it starts at the height at which the other ended.
+Every surface starts at height 0 and is level before its start and after its end. Most compositions
+are therefore sums of delayed surfaces: a road that follows another one starts at its final height.
 """
 
 from collections.abc import Sequence
@@ -26,7 +25,7 @@ from road_envs.roads.validation import (
 
 @dataclass(frozen=True, kw_only=True)
 class Flat:
-    """A level road."""
+    """A flat road."""
 
     __pydantic_config__ = STRICT
 
@@ -37,14 +36,14 @@ class Flat:
         check_size(self.length, PROFILE_SPACING)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """The level surface."""
+        """Return the flat surface; nothing is drawn."""
         steps = max(3, round(self.length / PROFILE_SPACING))
         return Surface(np.zeros((2, steps + 1)), self.length / steps, name="flat")
 
 
 @dataclass(frozen=True, kw_only=True)
 class FixedSeed:
-    """One surface for ever: what `road` draws from `seed`, whoever asks."""
+    """A deterministic road: the surface that `road` draws from `seed`."""
 
     __pydantic_config__ = STRICT
 
@@ -61,44 +60,43 @@ class FixedSeed:
         return self.road.length
 
     def with_length(self, length: float) -> Road:
-        """The same road with another length [m]."""
+        """Return the road with another length [m]."""
         return _resize_inner(self, length)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """The surface of `seed`; `rng` is not touched."""
+        """Return the surface of `seed`; `rng` is not used."""
         return self.road.realise(np.random.default_rng(self.seed))
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoisyCopy:
-    """A road with noise and a delay: how the paper makes training roads of its Belgian paving.
+    """A road with added noise and a delay: the paper's training version of its Belgian paving.
 
-    Gaussian noise of `noise` times the RMS of each wheel path (about its mean) is added on the
-    paper's grid of 25.2 mm and carried to the samples by the surface's own cubic: white noise on
-    a finer grid would be steps that no wheel could follow. Then the road starts `delay` later,
-    level until there, and loses as much at its end (Ngwangwa et al., section 4).
+    Gaussian noise with `noise` times the standard deviation of each wheel path is added on the
+    paper's grid of 25.2 mm and interpolated to the samples. The road is then shifted by `delay`,
+    with a level section before it, and cut to its former length (Ngwangwa et al., section 4).
     """
 
     __pydantic_config__ = STRICT
 
     road: AnyRoad
-    noise: Annotated[float, "", "RMS of the noise over RMS of the wheel path"] = 0.1
-    delay: Annotated[float, "m", "level stretch put before the road"] = 1.0
+    noise: Annotated[float, "", "standard deviation of the noise over that of the wheel path"] = 0.1
+    delay: Annotated[float, "m", "length of the level section before the road"] = 1.0
 
     def __post_init__(self):
         check_not_negative(self, "noise", "delay")
 
     @property
     def length(self) -> float:
-        """Length [m] of the road, as before the change."""
+        """Length [m] of the road, the same as that of the inner road."""
         return self.road.length
 
     def with_length(self, length: float) -> Road:
-        """The same road with another length [m]."""
+        """Return the road with another length [m]."""
         return _resize_inner(self, length)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Draw the road, then the noise, each from a stream of its own."""
+        """Draw the road and the noise, each from its own random stream."""
         road_rng, noise_rng = spawn_streams(rng, 2)
         surface = self.road.realise(road_rng)
         s = surface.s
@@ -113,6 +111,7 @@ class NoisyCopy:
         )
 
     def _noise(self, surface: Surface, rng: np.random.Generator) -> Surface:
+        # on a finer grid white noise would be steps too short for a wheel to follow
         nodes = int(np.ceil(surface.length / PROFILE_SPACING)) + 4
         rms = surface.z.std(axis=1, keepdims=True)
         return Surface(
@@ -122,40 +121,40 @@ class NoisyCopy:
 
 @dataclass(frozen=True, kw_only=True)
 class WithAprons:
-    """A road between two level stretches."""
+    """A road between two level sections."""
 
     __pydantic_config__ = STRICT
 
     road: AnyRoad
-    before: Annotated[float, "m", "level stretch before the road"] = 10.0
-    after: Annotated[float, "m", "level stretch after it, at the height of its end"] = 10.0
+    before: Annotated[float, "m", "level section before the road"] = 10.0
+    after: Annotated[float, "m", "level section after it, at its final height"] = 10.0
 
     def __post_init__(self):
         check_not_negative(self, "before", "after")
 
     @property
     def length(self) -> float:
-        """Length [m] of the road, with both stretches."""
+        """Length [m] of the road including both level sections."""
         return self.before + self.road.length + self.after
 
     def with_length(self, length: float) -> Road:
-        """The same road with another length [m]."""
+        """Return the road with another length [m]."""
         return _resize_inner(self, length)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Draw the road."""
+        """Draw the inner road."""
         return superpose([self.road.realise(rng)], [(self.before, self.before)], self.length)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Offset:
-    """A road of which one wheel path comes later than the other, as on an oblique obstacle."""
+    """A road whose wheel paths are shifted against each other, as on an oblique obstacle."""
 
     __pydantic_config__ = STRICT
 
     road: AnyRoad
-    left: Annotated[float, "m", "level stretch before the left wheel path"] = 0.0
-    right: Annotated[float, "m", "level stretch before the right wheel path"] = 0.0
+    left: Annotated[float, "m", "level section before the left wheel path"] = 0.0
+    right: Annotated[float, "m", "level section before the right wheel path"] = 0.0
 
     def __post_init__(self):
         check_not_negative(self, "left", "right")
@@ -166,17 +165,17 @@ class Offset:
         return self.road.length + max(self.left, self.right)
 
     def with_length(self, length: float) -> Road:
-        """The same road with another length [m]."""
+        """Return the road with another length [m]."""
         return _resize_inner(self, length)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Draw the road."""
+        """Draw the inner road."""
         return superpose([self.road.realise(rng)], [(self.left, self.right)], self.length)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scaled:
-    """A road with other heights and another length; a negative `height_factor` turns it over."""
+    """A road with scaled heights and lengths; a negative `height_factor` inverts it."""
 
     __pydantic_config__ = STRICT
 
@@ -187,7 +186,9 @@ class Scaled:
     def __post_init__(self):
         check_positive(self, "length_factor")
         if not 0.0 < abs(self.height_factor) < np.inf:
-            raise ValueError(f"height_factor must not be 0, got {self.height_factor}")
+            raise ValueError(
+                f"height_factor must not be 0 and must be finite, got {self.height_factor}"
+            )
 
     @property
     def length(self) -> float:
@@ -195,11 +196,11 @@ class Scaled:
         return self.length_factor * self.road.length
 
     def with_length(self, length: float) -> Road:
-        """The same road with another length [m]."""
+        """Return the road with another length [m]."""
         return replace(self, road=with_length(self.road, length / self.length_factor))
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Draw the road."""
+        """Draw the inner road."""
         surface = self.road.realise(rng)
         note = f"heights x {self.height_factor:g}, lengths x {self.length_factor:g}"
         return Surface(
@@ -212,19 +213,19 @@ class Scaled:
 
 @dataclass(frozen=True, kw_only=True)
 class Tiled:
-    """One draw of a road laid end to end, as a tile that is too short is (see `Measured`)."""
+    """One draw of a road repeated end to end, like a short tile of `Measured`."""
 
     __pydantic_config__ = STRICT
 
     road: AnyRoad
     length: Annotated[float, "m", "length of the road"]
-    repeat: Annotated[Literal["repeat", "mirror"], "", "how the tile is laid"] = "repeat"
+    repeat: Annotated[Literal["repeat", "mirror"], "", "how the tile is continued"] = "repeat"
 
     def __post_init__(self):
         check_positive(self, "length")
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Draw the tile and lay it."""
+        """Draw the tile and repeat it."""
         tile = self.road.realise(rng)
         check_size(self.length, tile.ds)
         z, note = tile_heights(tile.z, tile.ds, round(self.length / tile.ds) + 1, self.repeat)
@@ -233,7 +234,7 @@ class Tiled:
 
 @dataclass(frozen=True, kw_only=True)
 class Concatenated:
-    """Roads one after another; each starts at the height where the one before it ends."""
+    """Consecutive roads; each starts at the final height of the one before it."""
 
     __pydantic_config__ = STRICT
 
@@ -248,14 +249,14 @@ class Concatenated:
         return sum(road.length for road in self.roads)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Draw the roads, each from a stream of its own."""
+        """Draw the roads, each from its own random stream."""
         starts = np.cumsum([0.0, *(road.length for road in self.roads)])[:-1]
         return superpose(realise_all(self.roads, rng), [(s, s) for s in starts], self.length)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Superposed:
-    """Roads on top of one another: their heights add up; a shorter one stays as high as it ends."""
+    """Sum of the heights of several roads; a shorter one is continued at its final height."""
 
     __pydantic_config__ = STRICT
 
@@ -270,7 +271,7 @@ class Superposed:
         return max(road.length for road in self.roads)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Draw the roads, each from a stream of its own."""
+        """Draw the roads, each from its own random stream."""
         surfaces = realise_all(self.roads, rng)
         return superpose(surfaces, [(0.0, 0.0)] * len(surfaces), self.length)
 
@@ -278,7 +279,10 @@ class Superposed:
 def superpose(
     surfaces: Sequence[Surface], delays: Sequence[tuple[float, float]], length: float
 ) -> Surface:
-    """The sum of `surfaces`, each with its left and right path delayed [m], on the finest grid."""
+    """Return the sum of `surfaces` on the finest of their grids, `length` [m] long.
+
+    `delays` [m] shift the left and the right wheel path of each surface.
+    """
     ds = min(surface.ds for surface in surfaces)
     check_size(length, ds)
     s = ds * np.arange(round(length / ds) + 1)
@@ -292,18 +296,18 @@ def superpose(
 
 
 def realise_all(roads: Sequence[AnyRoad], rng: np.random.Generator) -> list[Surface]:
-    """One surface of each road; a road more at the end changes none before it."""
+    """Draw one surface of each road; appending a road does not change the draws before it."""
     return [
         road.realise(own) for road, own in zip(roads, spawn_streams(rng, len(roads)), strict=True)
     ]
 
 
 def spawn_streams(rng: np.random.Generator, count: int) -> list[np.random.Generator]:
-    """A generator for each of `count` causes; they follow from the state of `rng` alone."""
+    """Return `count` independent generators, determined by the state of `rng`."""
     return [np.random.default_rng(k) for k in rng.integers(2**63, size=count)]
 
 
 def _resize_inner(road: Any, length: float) -> Road:
-    """A road `length` [m] long whose inner road takes up the change."""
+    """Return the road with the length of its inner road changed such that the total is `length`."""
     added = road.length - road.road.length
     return replace(road, road=with_length(road.road, length - added))

@@ -1,17 +1,17 @@
-"""Random road of a given roughness (ISO 8608:2016): one-sided displacement spectral density
+"""Random road with the one-sided displacement PSD of ISO 8608:2016
 
     G_d(n) = G_d(n0) (n / n0)^-w      n0 = 0.1 cycles/m
 
-as a sum of cosines with random phases; a line that stands for the cell [n - dn/2, n + dn/2]
-carries the integral of G_d over it, so that the expected variance is the integral over the band
-whatever the spacing. The lines are denser than 1/length, so that a road does not repeat.
+It is a sum of cosines with random phases. The spectral line of a cell [n - dn/2, n + dn/2] has the
+integral of G_d over the cell, so that the expected variance is the integral over the band for any
+spacing dn. The lines are closer than 1/length, so that the road is not periodic in its length.
 
-The two wheel paths, a `track` B apart, are the sum and the difference of two independent roads of
-densities (1 ± g) G_d / 2: each path has density G_d, their cross-spectrum is g G_d, and g² is
-their coherence; `roughness.isotropic` is that of a surface equally rough in all directions.
+The two wheel paths, `track` apart, are the sum and the difference of two independent roads with the
+densities (1 ± g) G_d / 2. Each path then has the density G_d, their cross-spectrum is g G_d and
+their coherence g²; `roughness.root_coherence` gives g of an isotropic surface.
 
-With a `variation` the lines are not independent: they are those of white noise whose variance
-follows the roughness along the road.
+With a `variation` the lines are correlated: they are the Fourier transform of white noise whose
+variance follows the roughness along the road.
 """
 
 from dataclasses import dataclass
@@ -30,29 +30,31 @@ from road_envs.roads.validation import check_positive, check_size
 RoadClass = Literal["A", "B", "C", "D", "E", "F", "G", "H"]
 Coherence = Literal["isotropic", "full", "none"]
 MIN_PERIODS = 8
-"""Lines between 0 and n_min: the synthesised period is at least this many longest waves."""
+"""Least period of the synthesis in units of the longest wavelength 1 / n_min."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Iso8608:
-    """A Gaussian road, stationary without a `variation`; give `road_class` or `G_d0`, not both."""
+    """A Gaussian road, stationary without a `variation`; give either `road_class` or `G_d0`."""
 
     __pydantic_config__ = STRICT
 
-    road_class: Annotated[RoadClass | None, "", "stands for its geometric mean"] = None
-    G_d0: Annotated[float | None, "m³", "displacement spectral density at n0"] = None
+    road_class: Annotated[RoadClass | None, "", "ISO class, taken at its geometric mean"] = None
+    G_d0: Annotated[float | None, "m³", "displacement PSD at n0"] = None
     w: Annotated[float, "", "waviness"] = 2.0
     length: Annotated[float, "m", "length of the road"] = 100.0
-    n_min: Annotated[float, "cycles/m", "longest wave"] = 0.01
-    n_max: Annotated[float, "cycles/m", "shortest wave"] = 10.0
+    n_min: Annotated[float, "cycles/m", "lower end of the band"] = 0.01
+    n_max: Annotated[float, "cycles/m", "upper end of the band"] = 10.0
     coherence: Annotated[Coherence, "", "between the wheel paths"] = "isotropic"
-    track: Annotated[float, "m", "distance of the wheel paths"] = 1.5
+    track: Annotated[float, "m", "distance between the wheel paths"] = 1.5
     ds: Annotated[float, "m", "spacing of the samples"] = 0.01
     variation: Annotated[RoughnessVariation | None, "", "of the roughness along the road"] = None
 
     def __post_init__(self):
         if (self.road_class is None) == (self.G_d0 is None):
-            raise ValueError("give exactly one of road_class and G_d0")
+            raise ValueError(
+                f"give exactly one of road_class and G_d0, got {self.road_class} and {self.G_d0}"
+            )
         if self.G_d0 is not None:
             check_positive(self, "G_d0")
         check_positive(self, "w", "track")
@@ -60,7 +62,7 @@ class Iso8608:
 
     @property
     def density(self) -> float:
-        """G_d(n0) [m³], given or that of the class."""
+        """G_d(n0) [m³] as given, or of the class."""
         return CLASSES[self.road_class] if self.road_class else float(self.G_d0 or 0.0)
 
     def realise(self, rng: np.random.Generator) -> Surface:
@@ -72,7 +74,7 @@ class Iso8608:
 
 @lru_cache(maxsize=16)
 def _cell_spectra(road: Iso8608) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cells, their power and root coherence, which all realisations of a road share."""
+    """Return cell edges, power and root coherence, which all realisations of a road share."""
     edges = cell_edges(road)
     power = power_law(edges, road.density, road.w)
     g = np.full(power.size, 1.0 if road.coherence == "full" else 0.0)
@@ -84,19 +86,19 @@ def _cell_spectra(road: Iso8608) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def power_law(edges: np.ndarray, G_d0: float, w: float) -> np.ndarray:
-    """Integral [m²] of G_d0 (n / n0)^-w over each cell between `edges` (K + 1,) [cycles/m]."""
+    """Return the integrals (K,) [m²] of G_d0 (n / n0)^-w between `edges` (K + 1,) [cycles/m]."""
     if w == 1.0:
         return G_d0 * N_0 * np.diff(np.log(edges))
     return G_d0 * N_0 * np.diff((edges / N_0) ** (1.0 - w)) / (1.0 - w)
 
 
 def cell_centres(edges: np.ndarray) -> np.ndarray:
-    """Middles (K,) of the cells between `edges` (K + 1,)."""
+    """Return the centres (K,) of the cells between `edges` (K + 1,)."""
     return 0.5 * (edges[1:] + edges[:-1])
 
 
 def cell_edges(road) -> np.ndarray:
-    """Edges (K + 1,) [cycles/m] of the cells of the lines inside [n_min, n_max] of a road."""
+    """Return the edges (K + 1,) [cycles/m] of a road's spectral cells within [n_min, n_max]."""
     size, first, last = _spectral_lines(road)
     edges = (np.arange(first, last + 2) - 0.5) / (size * road.ds)
     edges[0], edges[-1] = road.n_min, road.n_max
@@ -106,9 +108,9 @@ def cell_edges(road) -> np.ndarray:
 def synthesise(
     rng, road, edges, power, g, name: str, variation: RoughnessVariation | None = None
 ) -> Surface:
-    """Both wheel paths from the `power` (K,) [m²] of each line and the root coherence `g` (K,).
+    """Draw both wheel paths from the `power` (K,) [m²] and root coherence `g` (K,) of the lines.
 
-    Each path starts at height 0, for nothing that rides on a road can feel its datum.
+    Each path starts at height 0: the datum of a road has no effect on the vehicle.
     """
     size, first, last = _spectral_lines(road)
     if variation is None:
@@ -125,20 +127,23 @@ def synthesise(
 
 
 def check_band(road) -> None:
-    """ValueError if length, spacing and band of a random road do not fit together."""
+    """Raise ValueError or ConfigError if length, spacing and band of a road are inconsistent."""
     check_positive(road, "length", "ds", "n_min")
     check_size(max(2.0 * road.length, MIN_PERIODS / road.n_min), road.ds)
     if road.length < 4.0 * road.ds:
-        raise ValueError(f"length {road.length} m must hold at least 4 steps of ds = {road.ds} m")
+        raise ValueError(f"length must be at least 4 ds = {4.0 * road.ds:g} m, got {road.length} m")
     if not road.n_min < road.n_max <= 0.5 / road.ds:
         raise ValueError(
-            f"wanted n_min < n_max <= 1 / (2 ds) = {0.5 / road.ds:g} cycles/m, "
+            f"the band must satisfy n_min < n_max <= 1 / (2 ds) = {0.5 / road.ds:g} cycles/m, "
             f"got n_min = {road.n_min}, n_max = {road.n_max}"
         )
 
 
 def _spectral_lines(road) -> tuple[int, int, int]:
-    """Samples in the period, at least two roads and PERIODS longest waves; first and last line."""
+    """Return the samples per period and the indices of the first and last spectral line.
+
+    The period has at least two road lengths and MIN_PERIODS of the longest waves.
+    """
     period = max(2.0 * road.length, MIN_PERIODS / road.n_min)
     size = next_fast_len(int(np.ceil(period / road.ds)), True)
     last = min(round(road.n_max * size * road.ds), (size - 1) // 2)

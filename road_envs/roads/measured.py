@@ -1,11 +1,11 @@
-"""A measured surface as a road: OpenCRG and ERD files, or tables of distance and height.
+"""Roads from measured surfaces: OpenCRG and ERD files, or tables of distance and height.
 
-From a grid the wheel paths are taken `track` apart about the line `centre`, between the sections
-by linear interpolation; a path that would touch a missing height is refused, or bridged along the
-track when asked. Station 0 is the first sample, and both paths start at 0.
+The wheel paths of a grid are `track` apart and symmetric about the line `centre`, with linear
+interpolation between the long sections. A path with missing heights is an error unless gaps are to
+be interpolated along it. Station 0 is the first sample, and both paths start at height 0.
 
-A surface shorter than the road wanted is a tile, laid end to end: mirrored, or repeated after the
-line from its first to its last height has been taken away, so that the ends meet.
+A surface that is shorter than the road is used as a tile: mirrored, or repeated after subtraction
+of the line from its first to its last height, so that the ends meet.
 """
 
 from dataclasses import dataclass
@@ -23,24 +23,24 @@ from road_envs.roads.surface import Surface
 from road_envs.roads.validation import check_positive, check_size
 
 DEFAULT_MIN_LENGTH = 2.794
-"""The default of `min_length` [m]."""
+"""Default of `Measured.min_length` [m]: the wheelbase of a Defender 110."""
 SURFACE_SUFFIXES = (".crg", ".erd", ".parquet", ".csv", ".txt", ".dat")
 SIDE_NAMES = ("left", "right")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """A file as a road. Raises SurfaceFileError at once if the file cannot be used."""
+    """A surface file as a road. The file is read on construction; raises SurfaceFileError."""
 
     __pydantic_config__ = STRICT
 
-    path: Annotated[str, "", "the file; in a YAML file relative to that file"]
-    length: Annotated[float, "m", "length of the road; 0: that of the surface"] = 0.0
-    repeat: Annotated[Literal["none", "repeat", "mirror"], "", "how a short tile is laid"] = "none"
-    centre: Annotated[float | None, "m", "v midway between the paths; none: of the grid"] = None
-    track: Annotated[float, "m", "distance of the wheel paths"] = 1.5
-    bridge_gaps: Annotated[bool, "", "interpolate along the track where heights miss"] = False
-    min_length: Annotated[float, "m", "a shorter surface is refused"] = DEFAULT_MIN_LENGTH
+    path: Annotated[str, "", "the file; relative to the YAML file that names it"]
+    length: Annotated[float, "m", "length of the road; 0: length of the surface"] = 0.0
+    repeat: Annotated[Literal["none", "repeat", "mirror"], "", "use of a short surface"] = "none"
+    centre: Annotated[float | None, "m", "v midway between the paths; default: of the grid"] = None
+    track: Annotated[float, "m", "distance between the wheel paths"] = 1.5
+    bridge_gaps: Annotated[bool, "", "interpolate missing heights along the path"] = False
+    min_length: Annotated[float, "m", "least length of the surface"] = DEFAULT_MIN_LENGTH
 
     def __post_init__(self):
         check_positive(self, "track", "min_length")
@@ -48,20 +48,20 @@ class Measured:
             natural = self._tile.length
             if natural < self.min_length:
                 raise SurfaceFileError(
-                    f"the surface is {natural:.2f} m long, shorter than the {self.min_length:g} m "
-                    "that a vehicle stands on (min_length)"
+                    f"the surface is {natural:.2f} m long, shorter than min_length = "
+                    f"{self.min_length:g} m"
                 )
             object.__setattr__(self, "length", self.length or natural)
             if self.repeat == "none" and self.length > natural * (1.0 + 1e-9):
                 raise SurfaceFileError(
-                    f"the surface is {natural:.2f} m long, shorter than the {self.length:g} m "
-                    "wanted; set repeat to mirror or repeat"
+                    f"the surface is {natural:.2f} m long, shorter than length = "
+                    f"{self.length:g} m; set repeat to mirror or repeat"
                 )
         check_positive(self, "length")
         check_size(self.length, self._tile.ds)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """The surface; there is nothing to draw."""
+        """Return the surface; nothing is drawn."""
         tile = self._tile
         size = round(self.length / tile.ds) + 1
         z, notes = tile.z[:, :size], tile.notes
@@ -72,10 +72,10 @@ class Measured:
 
     @cached_property
     def _tile(self) -> Surface:
-        """The file as it is."""
+        """The surface in the file, with gaps interpolated if allowed."""
         z, ds, notes = self._read()
         if z.shape[1] < 4:
-            raise SurfaceFileError(f"at least 4 stations are wanted, got {z.shape[1]}")
+            raise SurfaceFileError(f"at least 4 stations are required, got {z.shape[1]}")
         z, gap_notes = fill_gaps(z, ds, self.bridge_gaps)
         if np.allclose(z[0], z[1], rtol=0.0, atol=1e-9):
             notes = (*notes, "left and right wheel path are the same")
@@ -92,22 +92,28 @@ class Measured:
                 return table.parse_parquet(read_bytes(self.path))
             case ".csv" | ".txt" | ".dat":
                 return table.parse_text(read_bytes(self.path))
-        raise SurfaceFileError(f"a surface file ends in {', '.join(SURFACE_SUFFIXES)}")
+        raise SurfaceFileError(
+            f"the name of a surface file must end in {', '.join(SURFACE_SUFFIXES)}"
+        )
 
 
 def wheel_paths(grid: CurvedGrid, centre: float | None, track: float) -> WheelPaths:
-    """Both wheel paths, half a `track` [m] to either side of v = `centre` [m]."""
+    """Return both wheel paths of a grid, half a `track` [m] to either side of v = `centre` [m].
+
+    Raises SurfaceFileError if a path is off the grid.
+    """
     v = grid.v
     middle = 0.5 * (v[0] + v[-1]) if centre is None else centre
     z = np.empty((2, len(grid.z)))
-    for side, at in enumerate((middle + 0.5 * track, middle - 0.5 * track)):
-        if not v[0] - 1e-9 <= at <= v[-1] + 1e-9:
+    for side, v_path in enumerate((middle + 0.5 * track, middle - 0.5 * track)):
+        if not v[0] - 1e-9 <= v_path <= v[-1] + 1e-9:
             raise SurfaceFileError(
-                f"the {SIDE_NAMES[side]} wheel path at v = {at:.3g} m is off the grid, "
-                f"which spans {v[0]:.3g} to {v[-1]:.3g} m"
+                f"the {SIDE_NAMES[side]} wheel path at v = {v_path:.3g} m is off the grid, "
+                f"which spans {v[0]:.3g} to {v[-1]:.3g} m; choose another centre or track"
             )
-        k = int(np.clip(np.searchsorted(v, at) - 1, 0, v.size - 2))
-        share = round((at - v[k]) / (v[k + 1] - v[k]), 9)
+        k = int(np.clip(np.searchsorted(v, v_path) - 1, 0, v.size - 2))
+        share = round((v_path - v[k]) / (v[k + 1] - v[k]), 9)
+        # a section of weight 0 is skipped, as its heights may be missing (NaN)
         parts = [w * grid.z[:, k + j] for j, w in enumerate((1.0 - share, share)) if w]
         z[side] = sum(parts)
     start = (f"station 0 is u = {grid.u_start:g} m",) if grid.u_start else ()
@@ -115,7 +121,10 @@ def wheel_paths(grid: CurvedGrid, centre: float | None, track: float) -> WheelPa
 
 
 def fill_gaps(z: np.ndarray, ds: float, allowed: bool) -> tuple[np.ndarray, list[str]]:
-    """Wheel paths `z` (2, N) with missing heights interpolated, if `allowed`; and notes."""
+    """Return wheel paths `z` (2, N) with missing heights interpolated, and notes.
+
+    Raises SurfaceFileError if heights are missing and this is not `allowed`, or all are missing.
+    """
     z, notes = z.copy(), []
     k = np.arange(z.shape[1])
     for side, path in zip(SIDE_NAMES, z, strict=True):
@@ -133,22 +142,23 @@ def fill_gaps(z: np.ndarray, ds: float, allowed: bool) -> tuple[np.ndarray, list
         edges = np.flatnonzero(np.diff(np.r_[False, missing, False]))
         longest = ds * int((edges[1::2] - edges[::2]).max())
         notes.append(
-            f"bridged {count} heights of the {side} wheel path, at most {longest:.2f} m at once"
+            f"interpolated {count} missing heights of the {side} wheel path, longest gap "
+            f"{longest:.2f} m"
         )
     return z, notes
 
 
 def tile_heights(z: np.ndarray, ds: float, size: int, repeat: str) -> tuple[np.ndarray, str]:
-    """A tile `z` (2, N) laid end to end to `size` samples, and a note of how."""
+    """Return a tile `z` (2, N) repeated or mirrored to `size` samples, and a note."""
     steps = z.shape[1] - 1
     times = -(-(size - 1) // steps)
     k = np.arange(size)
-    what = f"{steps * ds:.2f} m tile {{}} {times} times to {(size - 1) * ds:g} m"
+    note = f"{steps * ds:.2f} m tile {{}} {times} times to {(size - 1) * ds:g} m"
     if repeat == "mirror":
         k %= 2 * steps
-        return z[:, np.minimum(k, 2 * steps - k)], what.format("mirrored")
+        return z[:, np.minimum(k, 2 * steps - k)], note.format("mirrored")
     rise = z[:, -1:] - z[:, :1]
     closed = z - rise * np.linspace(0.0, 1.0, steps + 1)
     left, right = 1e3 * rise[:, 0]
-    note = f"{what.format('repeated')}, its rise of {left:.1f} and {right:.1f} mm taken away"
-    return closed[:, k % steps], note
+    removed = f", its rise of {left:.1f} and {right:.1f} mm removed"
+    return closed[:, k % steps], note.format("repeated") + removed

@@ -1,14 +1,15 @@
-"""How the roughness of a road varies along it: real roads are not stationary.
+"""Random variation of the roughness along a road, for nonstationary roads.
 
-The roughness coefficient is constant over patches and random from patch to patch; both wheel paths
-share it, and over all patches its mean is that of the road. Gamma-distributed, this is the Laplace
-road of Bogsjö, Podgórski & Rychlik (Veh. Syst. Dyn. 50, 2012) with the ISO spectrum and two paths
-(Johannesson, Podgórski & Rychlik, Chalmers preprint 2014:4), where the square of `spread` is
-called nu; a log-normal one has the same mean and variance, but more of the very rough patches.
+The roughness coefficient is constant within a patch and random from patch to patch. Both wheel
+paths share it, and its mean is the roughness coefficient of the road. With a gamma distribution
+this is the Laplace road of Bogsjö, Podgórski & Rychlik (Veh. Syst. Dyn. 50, 2012) with the ISO
+spectrum and two paths (Johannesson, Podgórski & Rychlik, Chalmers preprint 2014:4), where the
+square of `spread` is called nu. A log-normal distribution has the same mean and variance, but more
+very rough patches.
 
-What varies is the white noise that is filtered into the road, and so the road has no steps where
-patches meet: waves much shorter than a patch have the density of the patch, longer ones an average
-over those about. Seen over all patches, short waves have the kurtosis 3 (1 + spread²).
+The variation applies to the white noise that is filtered into the road, so the road has no steps
+between patches: waves much shorter than a patch have the density of the patch, longer ones an
+average over neighbouring patches. Over all patches, short waves have the kurtosis 3 (1 + spread²).
 """
 
 from dataclasses import dataclass
@@ -22,23 +23,23 @@ from road_envs.roads.validation import check_positive
 
 @dataclass(frozen=True, kw_only=True)
 class RoughnessVariation:
-    """The law of the roughness coefficient of a patch over that of the road."""
+    """Distribution of a patch's roughness coefficient relative to that of the road."""
 
     __pydantic_config__ = STRICT
 
-    law: Annotated[Literal["gamma", "lognormal"], "", "of the roughness of a patch"] = "gamma"
-    spread: Annotated[float, "", "standard deviation over mean [assumed]"] = 0.7
+    law: Annotated[Literal["gamma", "lognormal"], "", "distribution"] = "gamma"
+    spread: Annotated[float, "", "coefficient of variation [assumed]"] = 0.7
     patch: Annotated[float, "m", "length of a patch; the first may start before the road"] = 100.0
 
     def __post_init__(self):
         check_positive(self, "spread", "patch")
         if self.patch < 1.0:
-            raise ValueError(f"a patch must be at least 1 m long, got {self.patch}")
+            raise ValueError(f"patch must be at least 1 m, got {self.patch}")
         if self.spread > 10.0:
             raise ValueError(f"spread must be at most 10, got {self.spread}")
 
     def draw(self, rng: np.random.Generator, size: int, ds: float) -> np.ndarray:
-        """The factor (size,) on the density at samples `ds` [m] apart."""
+        """Draw the factor (size,) on the density at samples with the spacing `ds` [m]."""
         start = rng.uniform(0.0, self.patch)
         k = ((start + ds * np.arange(size)) // self.patch).astype(int)
         variance = self.spread**2

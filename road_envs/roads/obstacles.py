@@ -1,15 +1,15 @@
-"""Defects on a level road: half sines as in the authors' earlier study, and potholes.
+"""Defects of a level road: half-sine bumps and dips, and potholes.
 
     half_sine   height sin(pi x / length), x from the start of the bump; a negative height is a dip
-    pothole     down one edge, along the floor at `height` < 0, up the other edge
+    pothole     trapezoidal hole: edge, floor at `height` < 0, edge
 
-Half sines stood for the bumps of Ngwangwa, Heyns, Labuschagne & Kululanga (J. Terramechanics 47,
-2010), where defects also grew. How they grew is not known here [assumed]: a `count` of more than
-1 makes a row of one defect at successive ages, each `growth` times as high as the one before it.
+Half sines represent the bumps of Ngwangwa, Heyns, Labuschagne & Kululanga (J. Terramechanics 47,
+2010), whose defects also grew with time. Their growth law is assumed here: a `count` above 1 makes
+a row of one defect at successive ages, each `growth` times as high as the one before it.
 
-The random potholes have the depths and sizes that the distress manual of the LTPP programme calls
-a pothole (Miller & Bellinger, FHWA-RD-03-031, 2003): at least 150 mm wide; less than 25 mm deep is
-low, more than 50 mm high severity. Its upper bounds and their number are assumed.
+Depths and sizes of random potholes follow the distress manual of the LTPP programme (Miller &
+Bellinger, FHWA-RD-03-031, 2003): at least 150 mm wide; low severity below 25 mm of depth, high
+severity above 50 mm. The upper bounds and the number of potholes per metre are assumed.
 """
 
 from dataclasses import dataclass
@@ -23,27 +23,27 @@ from road_envs.roads.trapezoids import SIDES, Trapezoid
 from road_envs.roads.validation import check_not_negative, check_positive, check_range, check_size
 
 SAMPLE_SPACING = 0.005
-"""Of the samples [m]."""
+"""Spacing of the samples [m]."""
 
 MAX_DEFECT_HEIGHT = 10.0
-"""No defect is higher or deeper [m]."""
+"""Largest height or depth of a defect [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Defect:
-    """One bump or hole, or a row of them that grow."""
+    """One bump or hole, or a row of growing ones."""
 
     __pydantic_config__ = STRICT
 
     shape: Literal["half_sine", "pothole"]
     at: Annotated[float, "m", "station of the middle of the first"]
     length: Annotated[float, "m", "along the road"]
-    height: Annotated[float, "m", "of the crest, or of the floor of a hole: negative"]
+    height: Annotated[float, "m", "of the crest, or of the floor of a hole (negative)"]
     edge: Annotated[float, "m", "length of either edge of a pothole"] = 0.0
     side: Annotated[Literal["left", "right", "both"], "", "wheel path"] = "both"
-    count: Annotated[int, "", "how many in a row"] = 1
-    spacing: Annotated[float, "m", "between the middles in a row"] = 0.0
-    growth: Annotated[float, "", "height over that of the one before"] = 1.0
+    count: Annotated[int, "", "number of defects in the row"] = 1
+    spacing: Annotated[float, "m", "between the middles of the row"] = 0.0
+    growth: Annotated[float, "", "height relative to the previous one"] = 1.0
 
     def __post_init__(self):
         check_positive(self, "length", "growth")
@@ -51,29 +51,38 @@ class Defect:
         if self.length < 4.0 * SAMPLE_SPACING:
             raise ValueError(f"length must be at least {4.0 * SAMPLE_SPACING} m, got {self.length}")
         if self.shape == "pothole" and not (self.height < 0.0 < self.edge < 0.5 * self.length):
-            raise ValueError("a pothole has a height below 0, and an edge shorter than half of it")
+            raise ValueError(
+                "a pothole needs a height below 0 and 0 < edge < length / 2, "
+                f"got height = {self.height}, edge = {self.edge}, length = {self.length}"
+            )
         if self.shape == "half_sine" and (self.edge or not self.height):
-            raise ValueError("a half sine has a height that is not 0, and no edge")
+            raise ValueError(
+                "a half sine needs a height that is not 0 and no edge, "
+                f"got height = {self.height}, edge = {self.edge}"
+            )
         if self.count < 1:
             raise ValueError(f"count must be at least 1, got {self.count}")
         if self.count > 1 and self.spacing < self.length:
-            raise ValueError(f"defects of {self.length} m overlap at {self.spacing} m")
+            raise ValueError(f"defects of {self.length} m overlap at a spacing of {self.spacing} m")
         last = np.log(abs(self.height)) + (self.count - 1) * max(0.0, np.log(self.growth))
         if not last <= np.log(MAX_DEFECT_HEIGHT):
-            raise ValueError(f"a defect is higher than {MAX_DEFECT_HEIGHT:g} m")
+            raise ValueError(
+                f"a defect must not be higher than {MAX_DEFECT_HEIGHT:g} m, got a height of "
+                f"{self.height} m and a growth of {self.growth} over {self.count} defects"
+            )
 
     @property
     def middles(self) -> np.ndarray:
-        """Stations (count,) [m] of the middles."""
+        """Stations (count,) [m] of the middles of the row."""
         return self.at + self.spacing * np.arange(self.count)
 
     @property
     def heights(self) -> np.ndarray:
-        """Heights (count,) [m]."""
+        """Heights (count,) [m] of the row."""
         return self.height * self.growth ** np.arange(self.count)
 
     def unit_height(self, distance: np.ndarray) -> np.ndarray:
-        """Height over that of the crest or floor at `distance` [m] from the middle, any shape."""
+        """Return the height relative to crest or floor at `distance` [m] from the middle."""
         if self.shape == "pothole":
             hole = Trapezoid(height=1.0, ramp=self.edge, top=self.length - 2.0 * self.edge)
             return hole.height_at(distance)
@@ -83,7 +92,7 @@ class Defect:
 
 @dataclass(frozen=True, kw_only=True)
 class Defects:
-    """Defects where the settings put them; where two overlap their heights add up."""
+    """Defects at given stations; the heights of overlapping defects add up."""
 
     __pydantic_config__ = STRICT
 
@@ -98,11 +107,11 @@ class Defects:
             last = defect.at + defect.spacing * (defect.count - 1) + 0.5 * defect.length
             if not (first >= 0.0 and last <= self.length):
                 raise ValueError(
-                    f"a defect from {first:g} to {last:g} m is not on a road of {self.length:g} m"
+                    f"defects from {first:g} to {last:g} m are not on a road of {self.length:g} m"
                 )
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """The defects; there is nothing to draw."""
+        """Return the defects; nothing is drawn."""
         s, z = flat_road_grid(self.length)
         for defect in self.defects:
             for middle, height in zip(defect.middles, defect.heights, strict=True):
@@ -113,14 +122,14 @@ class Defects:
 
 @dataclass(frozen=True, kw_only=True)
 class Potholes:
-    """Potholes anywhere on either wheel path, others at every draw; where two meet, the deeper."""
+    """Random potholes on either wheel path; where two overlap, the deeper one counts."""
 
     __pydantic_config__ = STRICT
 
     length: Annotated[float, "m", "length of the road"] = 100.0
-    rate: Annotated[float, "1/m", "mean number a metre on each wheel path [assumed]"] = 0.05
-    depth: Annotated[tuple[float, float], "m", "least and greatest"] = (0.025, 0.075)
-    size: Annotated[tuple[float, float], "m", "least and greatest length"] = (0.15, 0.8)
+    rate: Annotated[float, "1/m", "mean number per metre and wheel path [assumed]"] = 0.05
+    depth: Annotated[tuple[float, float], "m", "smallest and largest"] = (0.025, 0.075)
+    size: Annotated[tuple[float, float], "m", "smallest and largest length"] = (0.15, 0.8)
     edge: Annotated[float, "m", "length of either edge [assumed]"] = 0.05
 
     def __post_init__(self):
@@ -130,10 +139,13 @@ class Potholes:
         check_range(self, "depth")
         check_range(self, "size")
         if not 2.0 * self.edge < self.size[0] <= self.size[1] <= self.length:
-            raise ValueError(f"size must be more than two edges, and not longer than {self.length}")
+            raise ValueError(
+                f"size must be more than two edges and at most the length {self.length} m, "
+                f"got {self.size} with edge = {self.edge}"
+            )
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Draw number, places, sizes and depths of the holes of each wheel path."""
+        """Draw number, positions, sizes and depths of the potholes of each wheel path."""
         s, z = flat_road_grid(self.length)
         for path in z:
             for middle, size, depth in self._holes(rng):
@@ -143,7 +155,7 @@ class Potholes:
         return Surface(z, SAMPLE_SPACING, name="potholes")
 
     def _holes(self, rng: np.random.Generator) -> np.ndarray:
-        """Middle, size and depth [m] of each hole of a wheel path (count, 3)."""
+        """Draw middle, size and depth [m] of each pothole of a wheel path (count, 3)."""
         count = rng.poisson(self.rate * self.length)
         size = rng.uniform(*self.size, count)
         middle = 0.5 * size + rng.uniform(0.0, 1.0, count) * (self.length - size)
@@ -151,11 +163,11 @@ class Potholes:
 
 
 def flat_road_grid(length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Stations (N,) [m] of a road of `length` [m], and heights (2, N) of 0."""
+    """Return the stations (N,) [m] of a road of `length` [m], and heights (2, N) of 0."""
     s = SAMPLE_SPACING * np.arange(round(length / SAMPLE_SPACING) + 1)
     return s, np.zeros((2, s.size))
 
 
 def footprint(s: np.ndarray, middle: float, length: float) -> slice:
-    """The part of the stations `s` (N,) [m] that lies under a defect."""
+    """Return the slice of the stations `s` (N,) [m] that a defect covers."""
     return slice(*np.searchsorted(s, [middle - 0.5 * length, middle + 0.5 * length]))

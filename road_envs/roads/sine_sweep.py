@@ -1,17 +1,17 @@
-"""A sine whose waves grow shorter or longer along the road: how the vehicle answers each of them.
+"""Sine sweep: a road with a sine of changing wavelength, for the response of the vehicle.
 
     z(s) = A(s) sin(phi(s))      phi' = 2 pi n(s)
 
-over the length L of the road. The spatial frequency n goes from n_start to n_end evenly in s
-("linear") or in its logarithm ("logarithmic", as many octaves a metre everywhere):
+Over the length L of the road, the spatial frequency n goes from n_start to n_end linearly in s
+("linear") or with a constant number of octaves per metre ("logarithmic"):
 
     linear        phi = 2 pi (n_start s + (n_end - n_start) s² / (2 L))
     logarithmic   phi = 2 pi n_start L / b (e^(b s / L) - 1),     b = ln(n_end / n_start)
 
-and the amplitude goes geometrically from `amplitude` to `amplitude_end`: a logarithmic sweep with
-amplitude_end = amplitude n_start / n_end has the same greatest slope everywhere. Over a `taper`
-at both ends the sine rises out of, and returns to, the level road in half a cosine. With
-n_start = n_end it is a plain sine: a washboard, or with the wheel paths in antiphase a twist.
+The amplitude changes geometrically from `amplitude` to `amplitude_end`; a logarithmic sweep with
+amplitude_end = amplitude n_start / n_end has a constant maximum slope. A raised-cosine `taper` at
+both ends joins the sine to the level road. With n_start = n_end the road is a plain sine: a
+washboard, or a twist course if the wheel paths are in antiphase.
 """
 
 from dataclasses import dataclass
@@ -30,28 +30,26 @@ SIGNS: dict[PathSigns, tuple[float, float]] = {
     "left": (1.0, 0.0),
     "right": (0.0, 1.0),
 }
-"""What the left and the right wheel path have of the sine."""
+"""Factors of the sine on the left and the right wheel path."""
 
 MIN_SAMPLES_PER_WAVE = 8
-"""A wave has at least this many samples."""
+"""Least number of samples per wavelength."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SineSweep:
-    """A sine of changing frequency and amplitude."""
+    """A sine with a changing spatial frequency and amplitude."""
 
     __pydantic_config__ = STRICT
 
     length: Annotated[float, "m", "length of the road"] = 100.0
     n_start: Annotated[float, "cycles/m", "spatial frequency at the start"]
     n_end: Annotated[float, "cycles/m", "spatial frequency at the end"]
-    progress: Annotated[Literal["linear", "logarithmic"], "", "from one to the other"] = (
-        "logarithmic"
-    )
+    progress: Annotated[Literal["linear", "logarithmic"], "", "of the frequency"] = "logarithmic"
     amplitude: Annotated[float, "m", "at the start"]
     amplitude_end: Annotated[float, "m", "at the end"]
-    paths: Annotated[PathSigns, "", "which wheel paths, and how"] = "in_phase"
-    taper: Annotated[float, "m", "from level to the full amplitude, and back"] = 2.0
+    paths: Annotated[PathSigns, "", "wheel paths and their phase"] = "in_phase"
+    taper: Annotated[float, "m", "length of the taper at either end"] = 2.0
     ds: Annotated[float, "m", "spacing of the samples"] = 0.01
 
     def __post_init__(self):
@@ -59,7 +57,9 @@ class SineSweep:
         check_not_negative(self, "taper")
         check_size(self.length, self.ds)
         if not 2.0 * self.taper <= self.length:
-            raise ValueError(f"tapers of {self.taper} m do not fit into {self.length} m")
+            raise ValueError(
+                f"two tapers of {self.taper} m do not fit into a length of {self.length} m"
+            )
         if not max(self.n_start, self.n_end) * MIN_SAMPLES_PER_WAVE * self.ds <= 1.0:
             raise ValueError(
                 f"n_start and n_end must be at most 1 / ({MIN_SAMPLES_PER_WAVE} ds) = "
@@ -68,13 +68,13 @@ class SineSweep:
             )
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """The sweep; there is nothing to draw."""
+        """Return the sweep; nothing is drawn."""
         s = self.ds * np.arange(round(self.length / self.ds) + 1)
         z = self.height(s)
         return Surface(np.outer(SIGNS[self.paths], z), self.ds, name="sine sweep")
 
     def height(self, s: np.ndarray) -> np.ndarray:
-        """Height [m] of the sine at the stations `s` [m] from 0 to the length, any shape."""
+        """Return the height [m] of the sine at stations `s` [m] in [0, length], of any shape."""
         envelope = self.amplitude * (self.amplitude_end / self.amplitude) ** (s / self.length)
         return envelope * self._taper(s) * np.sin(self._phase(s))
 

@@ -1,8 +1,8 @@
-"""A surface that can be driven on: the heights of both wheel paths on one even grid.
+"""Road surface: heights of both wheel paths on one uniform grid.
 
 Between grid points the height is the Catmull-Rom cubic, which passes through the samples and has
-a continuous slope; before the first and after the last sample the road is level. The same two
-kernels answer Python callers and the simulator, so there is one law.
+a continuous slope; before the first and after the last sample the road is level. The simulator and
+the methods of `Surface` use the same kernels.
 """
 
 from dataclasses import dataclass, field, replace
@@ -13,12 +13,12 @@ import numpy as np
 from road_envs._numba import kernel
 
 PAD = 3
-"""Samples repeated at each end of `Surface.padded`, so that the kernel needs no special case."""
+"""Number of repeated samples at each end of `Surface.padded`; spares the kernel a special case."""
 
 
 @kernel
 def catmull_rom(a, b, c, d, x, ds):
-    """Value and slope at the fraction `x` of the way from `b` to `c`, samples `ds` [m] apart."""
+    """Return value and slope at the fraction `x` between `b` and `c`, for the spacing `ds` [m]."""
     p = 0.5 * (c - a)
     q = a - 2.5 * b + 2.0 * c - 0.5 * d
     r = 0.5 * (d - a) + 1.5 * (b - c)
@@ -27,17 +27,20 @@ def catmull_rom(a, b, c, d, x, ds):
 
 @kernel
 def height_and_slope(padded, side, s, start, ds):
-    """Height [m] and slope [-] of wheel path `side` at station `s` [m] (padded: (2, N + 2 PAD))."""
+    """Return height [m] and slope [-] of wheel path `side` at station `s` [m].
+
+    `padded` (2, N + 2 PAD): see `Surface.padded`.
+    """
     u = (s - start) / ds + PAD
     u = min(max(u, 1.0), padded.shape[1] - 3.0)
-    i = int(max(1.0, u))  # 1 for a NaN, whose height is NaN
+    i = int(max(1.0, u))  # index 1 for NaN: the result is NaN
     a, b, c, d = padded[side, i - 1], padded[side, i], padded[side, i + 1], padded[side, i + 2]
     return catmull_rom(a, b, c, d, u - i, ds)
 
 
 @kernel
 def sample_surface(padded, start, ds, s, z, slope):
-    """Fill `z` and `slope`, both (2, M), at the stations `s` (M,)."""
+    """Write heights `z` and slopes `slope`, both (2, M), at the stations `s` (M,)."""
     for side in range(2):
         for k in range(s.size):
             z[side, k], slope[side, k] = height_and_slope(padded, side, s[k], start, ds)
@@ -45,10 +48,11 @@ def sample_surface(padded, start, ds, s, z, slope):
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Heights `z` (2, N) [m] (left, right), `ds` [m] apart, the first at station `start` [m].
+    """Heights `z` (2, N) [m] of the left and right wheel path with the spacing `ds` [m].
 
-    `notes` says what was done to make it ("10 m tile mirrored 10 times"). Raises ValueError on
-    heights that are not finite, fewer than 4 samples or a spacing that is not positive.
+    The first sample is at station `start` [m]. `notes` record how the surface was made ("10 m tile
+    mirrored 10 times"). Raises ValueError on heights that are not finite, fewer than 4 samples or a
+    spacing that is not positive.
     """
 
     z: np.ndarray
@@ -62,9 +66,11 @@ class Surface:
         if z.ndim != 2 or z.shape[0] != 2 or z.shape[1] < 4:
             raise ValueError(f"{self.name}: heights must be (2, N) with N >= 4, got {z.shape}")
         if not np.isfinite(z).all():
-            raise ValueError(f"{self.name}: heights are not finite (NaN or infinity)")
+            raise ValueError(f"{self.name}: heights must be finite, got NaN or infinity")
         if not (np.isfinite(self.ds) and self.ds > 0):
-            raise ValueError(f"{self.name}: the spacing ds must be positive, got {self.ds}")
+            raise ValueError(
+                f"{self.name}: the spacing ds must be positive and finite, got {self.ds}"
+            )
         if not np.isfinite(self.start):
             raise ValueError(f"{self.name}: the first station must be finite, got {self.start}")
         z.flags.writeable = False
@@ -87,16 +93,16 @@ class Surface:
 
     @cached_property
     def padded(self) -> np.ndarray:
-        """Heights with PAD repeated samples at both ends: what the kernels read."""
-        # stays writeable: copies and pickles would be, and kernels compile anew for the other kind
+        """Heights (2, N + 2 PAD) with PAD repeated samples at both ends, as kernels read them."""
+        # left writeable like its copies and pickles: numba compiles again for read-only arrays
         return np.pad(self.z, ((0, 0), (PAD, PAD)), mode="edge")
 
     def height(self, s: np.ndarray) -> np.ndarray:
-        """Heights (2, ...) [m] at stations `s` [m] of any shape."""
+        """Return the heights (2, ...) [m] at stations `s` [m] of any shape."""
         return self._sample(s)[0]
 
     def slope(self, s: np.ndarray) -> np.ndarray:
-        """Slopes dz/ds (2, ...) [-] at stations `s` [m] of any shape."""
+        """Return the slopes dz/ds (2, ...) [-] at stations `s` [m] of any shape."""
         return self._sample(s)[1]
 
     def _sample(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -107,23 +113,23 @@ class Surface:
 
 
 GAUSS_POINTS = 0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)
-"""Where the two points of Gauss stand in a cell: their mean is a cubic's, exactly."""
+"""Nodes of two-point Gauss-Legendre quadrature on [0, 1], exact for cubics."""
 
 
 def enveloped(surface: Surface, contact_length: float) -> Surface:
-    """What a tyre with a contact patch follows: the mean height over so many metres [m].
+    """Return the surface enveloped by a tyre: moving average over the contact length L [m].
 
-    The fixed footprint of Captain, Boghani & Wormley (1979, "Analytical tire models for dynamic
-    vehicle simulation", Vehicle System Dynamics 8), rigid in itself: a sine of n [cycles/m] passes
-    with the gain sin(pi n L) / (pi n L). Samples stand where those of `surface` do, and beyond
-    them by half a patch. Raises ValueError on a length that is not positive.
+    This is the fixed-footprint model of Captain, Boghani & Wormley (1979, "Analytical tire models
+    for dynamic vehicle simulation", Vehicle System Dynamics 8) with a rigid footprint: a sine of
+    n [cycles/m] is scaled by sin(pi n L) / (pi n L). The grid is that of `surface`, extended by
+    half a contact length at both ends. Raises ValueError on a length that is not positive.
     """
     if not 0 < contact_length < np.inf:
-        raise ValueError(f"the contact length must be positive, got {contact_length} m")
+        raise ValueError(f"the contact length must be positive and finite, got {contact_length} m")
     ds, half = surface.ds, 0.5 * contact_length
-    beyond = int(np.ceil(half / ds)) + 1  # the cubic bends in the cell before the first sample
+    beyond = int(np.ceil(half / ds)) + 1  # + 1: the cubic is curved up to one cell before the end
     ends = surface.start + ds * np.arange(-2 * beyond, surface.z.shape[1] + 2 * beyond + 1)
-    level = surface.z[:, :1]
+    level = surface.z[:, :1]  # subtracted, so that cumulative areas stay small at any altitude
 
     def mean_between(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
         points = [begin + x * (end - begin) for x in GAUSS_POINTS]
@@ -138,6 +144,6 @@ def enveloped(surface: Surface, contact_length: float) -> Surface:
 
     s = surface.start + ds * np.arange(-beyond, surface.z.shape[1] + beyond)
     z = level + (area_before(s + half) - area_before(s - half)) / contact_length
-    note = f"as felt over {1000.0 * contact_length:.0f} mm of contact"
+    note = f"enveloped over a contact length of {1000.0 * contact_length:.0f} mm"
     notes = (*surface.notes, note)
     return replace(surface, z=z, start=float(s[0]), notes=notes)

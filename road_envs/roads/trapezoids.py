@@ -1,12 +1,12 @@
 """Trapezoidal bumps in the three layouts of the paper's Figure 2 (Ngwangwa et al., section 3.1).
 
-    small         (b) one small bump on each wheel path, at the same station
+    small         (b) one small bump on both wheel paths, at the same station
     large_small   (c) large, then small, on both wheel paths
     asymmetric    (d) large on the left, then small on the right
 
-The heights (100 and 150 mm) and the spacing (10.4 m; 8 m in training) are the paper's. Lengths of
-ramp and top appear only in its figures and are assumed here, as is that the spacing is measured
-between the middles. In training the lengths and heights are scaled by 1 ± 0.1 (section 4).
+Heights (100 and 150 mm) and spacing (10.4 m; 8 m in training) are the paper's. The lengths of ramp
+and top, which it shows in figures only, are assumed, as is that the spacing is between the middles
+of the bumps. For training, lengths and heights are scaled by 1 ± 0.1 (section 4).
 """
 
 from dataclasses import dataclass, field
@@ -24,14 +24,15 @@ LAYOUTS: dict[Layout, tuple[tuple[str, str], ...]] = {
     "large_small": (("large", "both"), ("small", "both")),
     "asymmetric": (("large", "left"), ("small", "right")),
 }
-"""Bumps in the order of driving: size and wheel path."""
+"""Size and wheel path of the bumps, in driving order."""
 
 SIDES = {"left": [0], "right": [1], "both": [0, 1]}
+"""Row indices of the heights (2, N) of a surface."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trapezoid:
-    """One block: up a ramp, along the top, down a ramp of the same length."""
+    """Trapezoidal bump: ramp, flat top, and a ramp of the same length."""
 
     __pydantic_config__ = STRICT
 
@@ -43,19 +44,19 @@ class Trapezoid:
         check_positive(self, "height", "ramp", "top")
 
     def height_at(self, distance: np.ndarray) -> np.ndarray:
-        """Height [m] at `distance` [m] from the middle, any shape."""
+        """Return the height [m] at `distance` [m] from the middle, of any shape."""
         edge = 0.5 * self.top + self.ramp - np.abs(distance)
         return self.height * np.clip(edge / self.ramp, 0.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bumps:
-    """Bumps on a level road; `run_in` and `run_out` are level, before and after."""
+    """Bumps on a level road, with level sections `run_in` and `run_out`."""
 
     __pydantic_config__ = STRICT
 
-    layout: Annotated[Layout, "", "which bumps on which wheel path"]
-    spacing: Annotated[float, "m", "between the middles of two bumps"] = 10.4
+    layout: Annotated[Layout, "", "sizes and wheel paths of the bumps"]
+    spacing: Annotated[float, "m", "between the middles of successive bumps"] = 10.4
     small: Trapezoid = field(default_factory=lambda: Trapezoid(height=0.1, ramp=0.2, top=0.4))
     large: Trapezoid = field(default_factory=lambda: Trapezoid(height=0.15, ramp=0.3, top=0.6))
     length_factor: Annotated[float, "", "scales ramps and tops"] = 1.0
@@ -70,11 +71,13 @@ class Bumps:
         check_size(self.length, self.ds)
         for a, b in zip(self.blocks, self.blocks[1:], strict=False):
             if 0.5 * (a.top + b.top) + a.ramp + b.ramp > self.spacing:
-                raise ValueError(f"bumps overlap at a spacing of {self.spacing} m")
+                raise ValueError(
+                    f"bumps overlap at a spacing of {self.spacing} m; choose a larger spacing"
+                )
 
     @property
     def blocks(self) -> list[Trapezoid]:
-        """The bumps in the order of driving, scaled."""
+        """The scaled bumps in driving order."""
         x, z = self.length_factor, self.height_factor
         sizes = [getattr(self, size) for size, _ in LAYOUTS[self.layout]]
         return [Trapezoid(height=z * b.height, ramp=x * b.ramp, top=x * b.top) for b in sizes]
@@ -94,7 +97,7 @@ class Bumps:
         return float(self.middles[-1] + 0.5 * last.top + last.ramp + self.run_out)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """The bumps; there is nothing to draw."""
+        """Return the bumps; nothing is drawn."""
         s = self.ds * np.arange(int(np.ceil(self.length / self.ds)) + 1)
         z = np.zeros((2, s.size))
         for block, middle, (_, side) in zip(

@@ -1,4 +1,4 @@
-"""What settings of a road are checked for, each in one sentence that names the culprit."""
+"""Checks of the settings of roads; each error message is one sentence that names the setting."""
 
 from collections.abc import Sequence
 
@@ -7,38 +7,44 @@ import numpy as np
 from road_envs.config import ConfigError
 
 MAX_SAMPLES = 50_000_000
+"""Largest number of samples per wheel path: 400 MB."""
 
 
 def check_positive(road, *names: str) -> None:
-    """ValueError naming the first of the settings that is not positive and finite."""
+    """Raise ValueError for the first setting that is not positive and finite."""
     for name in names:
         if not 0.0 < getattr(road, name) < np.inf:
-            raise ValueError(f"{name} must be positive, got {getattr(road, name)}")
+            raise ValueError(f"{name} must be positive and finite, got {getattr(road, name)}")
 
 
 def check_not_negative(road, *names: str) -> None:
-    """ValueError naming the first of the settings that is negative or not finite."""
+    """Raise ValueError for the first setting that is negative or not finite."""
     for name in names:
         if not 0.0 <= getattr(road, name) < np.inf:
-            raise ValueError(f"{name} must not be negative, got {getattr(road, name)}")
+            raise ValueError(
+                f"{name} must not be negative and must be finite, got {getattr(road, name)}"
+            )
 
 
 def check_range(road, name: str) -> None:
-    """ValueError if a setting is not a positive least and a greatest value."""
+    """Raise ValueError unless a setting is a pair 0 < smallest <= largest."""
     low, high = getattr(road, name)
     if not 0.0 < low <= high < np.inf:
-        raise ValueError(f"{name} must be a positive least and greatest, got {low} and {high}")
+        raise ValueError(
+            f"{name} must be a positive smallest and largest value, got {low} and {high}"
+        )
 
 
 def check_size(length: float, ds: float) -> None:
-    """ConfigError if `length` [m] holds more steps of `ds` [m] than a computer should be asked."""
+    """Raise ConfigError if `length` [m] has more than MAX_SAMPLES steps of `ds` [m]."""
     if not length / ds < MAX_SAMPLES:
         raise ConfigError(
-            f"{length:g} m in steps of {ds:g} m are more than {MAX_SAMPLES:,} samples"
+            f"a length of {length:g} m in steps of {ds:g} m has more than {MAX_SAMPLES:,} samples; "
+            "choose a shorter road or a larger step"
         )
 
 
 def check_not_empty(roads: Sequence) -> None:
-    """ValueError if there are no roads."""
+    """Raise ValueError if there are no roads."""
     if not roads:
-        raise ValueError("roads must name at least one road")
+        raise ValueError("roads must contain at least one road")

@@ -1,7 +1,7 @@
-"""What the instruments report of a drive, and the paper's processing of it (section 6).
+"""Data logger: measured samples from the true motion (section 6 of the paper).
 
 body acceleration at the sensor -> faults -> noise -> clipping at the range -> anti-alias -> samples
-samples -> constant trend removed -> 25 Hz low-pass                         (`process`)
+samples -> constant trend removed -> 25 Hz low-pass        (`filters.preprocess_accelerations`)
 """
 
 import numpy as np
@@ -16,10 +16,10 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 
 class DataLogger:
-    """The instruments at work on one drive: holds the filter's memory and the noise's generator.
+    """Instruments and logger of one drive, with the filter state and the noise generator.
 
-    `faults` are what is wrong with them. `step` [s] is the integrator's; a sample is taken every
-    1 / (fs step) steps. Raises ConfigError if that is not a whole number.
+    `step` [s] is the integrator step; a sample is taken every `decimation` = 1 / (fs step) steps.
+    Raises ConfigError if that is not a whole number.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class DataLogger:
         if decimation < 0.999 or abs(decimation - round(decimation)) > 1e-6:
             raise config.ConfigError(
                 f"sampling at {instruments.fs} Hz needs a whole number of integrator steps between "
-                f"samples; a step of {step} s makes {decimation:.3f}"
+                f"samples; a step of {step} s gives {decimation:.3f}"
             )
         self.decimation = round(decimation)
         self.range = instruments.range
@@ -52,14 +52,14 @@ class DataLogger:
         self.speed_gain *= 1.0 + faults.speed
 
     def sample(self, trajectory: Trajectory) -> np.ndarray:
-        """Samples (3, n) [m/s²] of RF, LR, RR that fall into `trajectory`, in order; NaN if lost.
+        """Return the samples (3, n) [m/s²] of RF, LR, RR within `trajectory`; NaN if lost.
 
-        Those of a clock that jitters come a little later; `flush` has the last of them.
+        With jitter the samples near the end are returned by the next call, or by `flush`.
         """
         a = np.array([trajectory.body_acceleration(x, y) for x, y in self.locations])
         if self.faults is not NO_FAULTS:
             a = self.faults.apply(a)
-        if self.noise_std > 0.0:  # drawn instant by instant, so that chunks draw what a whole does
+        if self.noise_std > 0.0:  # drawn time step by time step, so that chunks equal the whole
             a += self.noise_std * self.rng.standard_normal(a.shape[::-1]).T
         a = np.clip(a, -self.range, self.range)
         sosfilt_kernel(self.sos, self.filter_state, a, a)
@@ -70,13 +70,13 @@ class DataLogger:
         return samples
 
     def odometer(self, distance: np.ndarray) -> np.ndarray:
-        """What the odometer shows after a true `distance` (N,) [m], which grows from 0."""
-        fix = self.faults.position_fix_length
-        if np.isinf(fix):
+        """Return the odometer reading after a true `distance` (N,) [m], which grows from 0."""
+        length = self.faults.position_fix_length
+        if np.isinf(length):
             return self.speed_gain * distance
-        return distance - (self.speed_gain - 1.0) * fix * np.expm1(-distance / fix)
+        return distance - (self.speed_gain - 1.0) * length * np.expm1(-distance / length)
 
     def flush(self) -> np.ndarray:
-        """The samples (3, n) [m/s²] that waited for more of the drive when it was over."""
-        nothing = np.zeros((3, 0))
-        return nothing if self.sampler is None else self.sampler.sample(nothing, last=True)
+        """Return the samples (3, n) [m/s²] that are still buffered at the end of the drive."""
+        empty = np.zeros((3, 0))
+        return empty if self.sampler is None else self.sampler.sample(empty, last=True)

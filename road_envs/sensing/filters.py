@@ -1,4 +1,4 @@
-"""Filters, and the paper's processing of sampled accelerations (section 6)."""
+"""Digital filters, and the paper's processing of sampled accelerations (section 6)."""
 
 from functools import cache
 
@@ -6,18 +6,20 @@ import numpy as np
 from scipy import signal
 
 from road_envs._numba import kernel
+from road_envs.data.record import F_C
 from road_envs.simulation.simd import get, put
 
 LOW_PASS_ORDER = 4
+"""Order of the Butterworth low-pass of the processing."""
 
 
 @kernel
 def sosfilt_kernel(sos, filter_state, x, out):
     """Filter the rows of `x` (k, N) by second-order sections (n, 6) into `out` (k, N).
 
-    `filter_state` (n, k, 2) carries on from call to call, as `zi` of `scipy.signal.sosfilt` does
-    with the same layout; that one costs ten times as much on the 50 samples of a control interval.
-    With lanes, `x`, `out` and `filter_state` have them as a last axis.
+    `filter_state` (n, k, 2) is updated in place; it is the `zi` of `scipy.signal.sosfilt` in the
+    same layout. SciPy's filter takes ten times as long on the 50 samples of a control interval.
+    With SIMD lanes, `x`, `out` and `filter_state` have them as the last axis.
     """
     for row in range(x.shape[0]):
         for i in range(sos.shape[0]):
@@ -40,22 +42,25 @@ def _sections(order: int, f_c: float, fs: float, kind: str) -> np.ndarray:
 
 
 def butterworth_sos(order: int, f_c: float, fs: float, kind: str = "low") -> np.ndarray:
-    """Second-order sections (n, 6) of a Butterworth filter with cut-off `f_c` at rate `fs` [Hz]."""
+    """Return second-order sections (n, 6) of a Butterworth filter of cut-off `f_c`, rate `fs` [Hz].
+
+    `kind` is "low" or "high".
+    """
     return _sections(order, f_c, fs, kind).copy()
 
 
 def preprocess_accelerations(
-    a: np.ndarray, fs: float, f_c: float = 25.0, causal: bool = False
+    a: np.ndarray, fs: float, f_c: float = F_C, causal: bool = False
 ) -> np.ndarray:
-    """Accelerations (k, N) [m/s²] without their constant trend, low-passed at `f_c` [Hz].
+    """Return accelerations (k, N) [m/s²] without their mean, low-passed at `f_c` [Hz].
 
-    Offline the mean is subtracted and the filter runs both ways, so that nothing is delayed; the
-    two passes together are 6 dB down at `f_c`. Causal, the trend is removed by a first-order
-    high-pass at 0.05 Hz and the filter runs once, forward. Raises ValueError on samples that are
-    not finite or fewer than the filter's length.
+    Offline the mean is subtracted, and the filter runs forwards and backwards without delay; the
+    two passes together attenuate by 6 dB at `f_c`. If `causal`, a first-order high-pass at 0.05 Hz
+    replaces the subtraction, and the filter runs forwards only. Raises ValueError if samples are
+    not finite or fewer than the filter length.
     """
     if not np.isfinite(a).all():
-        raise ValueError("accelerations to be processed must be finite")
+        raise ValueError("accelerations must be finite: bridge lost samples first")
     sos = butterworth_sos(LOW_PASS_ORDER, f_c, fs)
     if not causal:
         return signal.sosfiltfilt(sos, a - a.mean(axis=1, keepdims=True), axis=1)

@@ -1,6 +1,6 @@
-"""The instruments as their user describes them: places, sampling, range and noise.
+"""Data sheet of the instruments: locations, sampling, range and noise.
 
-What they make of a drive is in `sensors.py`; this is what an estimator may know of them.
+Estimators may use it; `data_logger.py` simulates the instruments.
 """
 
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from road_envs.data.record import SENSORS
 from road_envs.vehicle.parameters import VehicleParameters
 
 ANTIALIAS_ORDER = 4
-"""Of the Butterworth filter before the sampler [assumed]."""
+"""Order of the Butterworth filter before the sampler [assumed]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SensorLocation:
-    """Where on the body an accelerometer sits."""
+    """Location of an accelerometer on the body."""
 
     __pydantic_config__ = config.STRICT
 
@@ -29,16 +29,16 @@ class SensorLocation:
 
     def __post_init__(self):
         if not np.isfinite([self.ahead, self.y]).all():
-            raise ValueError(f"a place must be finite, got ahead {self.ahead}, y {self.y}")
+            raise ValueError(f"ahead and y must be finite, got {self.ahead} and {self.y}")
 
     def x(self, car: VehicleParameters) -> float:
-        """Ahead of the body's centre of mass [m]."""
+        """Return the position ahead of the body's centre of mass [m]."""
         return (car.front if self.axle == "front" else car.rear).x + self.ahead
 
 
 @dataclass(frozen=True, kw_only=True)
 class SensorLocations:
-    """The paper's three accelerometers."""
+    """Locations of the paper's three accelerometers."""
 
     __pydantic_config__ = config.STRICT
 
@@ -49,7 +49,7 @@ class SensorLocations:
 
 @dataclass(frozen=True, kw_only=True)
 class Instruments:
-    """Accelerometers, their logger and the speed signal of one car."""
+    """Accelerometers, logger and speed signal of one vehicle."""
 
     __pydantic_config__ = config.STRICT
 
@@ -73,14 +73,15 @@ class Instruments:
             raise ValueError(f"f_alias {self.f_alias} must be below fs / 2 = {0.5 * self.fs}")
 
     def locations(self, car: VehicleParameters) -> dict[str, tuple[float, float]]:
-        """Each sensor's (x, y) [m], ahead and to the left of the body's centre of mass."""
-        found = {name: getattr(self.accelerometers, name) for name in SENSORS}
-        return {name: (place.x(car), place.y) for name, place in found.items()}
+        """Return (x, y) [m] of each sensor, ahead and left of the body's centre of mass."""
+        locations = {name: getattr(self.accelerometers, name) for name in SENSORS}
+        return {name: (location.x(car), location.y) for name, location in locations.items()}
 
     def response(self, f: np.ndarray) -> np.ndarray:
-        """Complex response [-] of the anti-alias filter at `f` [Hz], any shape.
+        """Return the complex response [-] of the anti-alias filter at `f` [Hz], any shape.
 
-        Of the analogue Butterworth filter; it delays slow signals by 2.613 / (2 pi f_alias).
+        It is that of the analogue Butterworth filter, which delays slow signals by
+        2.613 / (2 pi f_alias).
         """
         s = 1j * np.asarray(f, dtype=float) / self.f_alias
         k = np.arange(1, ANTIALIAS_ORDER + 1)
@@ -89,5 +90,5 @@ class Instruments:
 
 
 def load_instruments(name: str | Path) -> Instruments:
-    """Instruments by shipped name or YAML path. Raises ConfigError."""
+    """Load instruments by shipped name or YAML path. Raises ConfigError."""
     return config.load(Instruments, "sensors", name)

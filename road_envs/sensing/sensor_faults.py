@@ -1,15 +1,14 @@
-"""What is wrong with one set of instruments: mounting, gain, offset, a clock that jitters, losses.
+"""Faults of one set of instruments: mounting, gain, offset, clock jitter, dropouts, speed error.
 
-An accelerometer whose axis stands off the vertical by an angle reads, less the gravity g that its
-maker took away,
+An accelerometer with a tilted axis, whose reading is corrected for the gravity g, measures
 
     gain ((a + g) cos(tilt) - g) + offset
 
-of the vertical acceleration a at the place where it really sits. Its samples are taken a little
-before or after their instant, while the record tells the nominal one, and some are lost, all
-sensors' at once, in bursts: they are NaN in the record. The odometer adds up the speed signal with
-its error; where the position is fixed from outside now and then, the odometer's error e goes with
-the way d as de/dd = speed - e / fix.
+of the vertical acceleration a at its true location. Samples are taken slightly before or after
+their nominal time, which the record states. Dropouts affect all sensors at once, in bursts; lost
+samples are NaN in the record. The odometer integrates the speed signal with its error. Position
+fixes pull the odometer back, so that its error e changes with the distance d as
+de/dd = speed - e / position_fix_length.
 """
 
 from dataclasses import dataclass
@@ -20,29 +19,29 @@ import numpy as np
 from road_envs.vehicle.parameters import GRAVITY
 
 PerSensor = tuple[float, float, float]
+"""Values of RF, LR, RR."""
+
 ZEROS: PerSensor = (0.0, 0.0, 0.0)
 
 MAX_JITTER_STDS = 3.0
-"""No sample is further from its instant than so many standard deviations of the jitter."""
+"""Limit of the time error of a sample, in standard deviations of the jitter."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SensorFaults:
-    """One set of instruments as it is; by default nothing is wrong. Three values: RF, LR, RR."""
+    """Faults of one set of instruments; the defaults are instruments without faults."""
 
-    dx: Annotated[PerSensor, "m", "how far ahead of its place each accelerometer sits"] = ZEROS
-    dy: Annotated[PerSensor, "m", "how far to the left of it"] = ZEROS
-    tilt: Annotated[PerSensor, "rad", "angle between its axis and the vertical"] = ZEROS
-    gain: Annotated[PerSensor, "", "factor of its sensitivity"] = (1.0, 1.0, 1.0)
-    offset: Annotated[PerSensor, "m/s²", "what it adds to every reading"] = ZEROS
+    dx: Annotated[PerSensor, "m", "error of the location, positive ahead"] = ZEROS
+    dy: Annotated[PerSensor, "m", "error of the location, positive to the left"] = ZEROS
+    tilt: Annotated[PerSensor, "rad", "angle between the axis and the vertical"] = ZEROS
+    gain: Annotated[PerSensor, "", "factor of the sensitivity"] = (1.0, 1.0, 1.0)
+    offset: Annotated[PerSensor, "m/s²", "added to every reading"] = ZEROS
     speed: Annotated[float, "", "relative error of the speed signal"] = 0.0
-    position_fix_length: Annotated[
-        float, "m", "way in which position fixes bring the odometer back by 63 %"
-    ] = np.inf
-    jitter: Annotated[float, "s", "standard deviation of the instants of the samples"] = 0.0
+    position_fix_length: Annotated[float, "m", "distance over which fixes correct 63 %"] = np.inf
+    jitter: Annotated[float, "s", "standard deviation of the sampling times"] = 0.0
     dropout_rate: Annotated[float, "", "share of the samples that are lost"] = 0.0
-    dropout_length: Annotated[int, "samples", "mean length of a loss; none is twice as long"] = 1
-    seed: Annotated[tuple[int, ...], "", "of jitter and losses"] = (0,)
+    dropout_length: Annotated[int, "samples", "mean length of a burst; the maximum is 2 n - 1"] = 1
+    seed: Annotated[tuple[int, ...], "", "of jitter and dropouts"] = (0,)
 
     def __post_init__(self):
         for name in ("jitter", "dropout_rate"):
@@ -62,22 +61,22 @@ class SensorFaults:
             )
 
     def apply(self, a: np.ndarray) -> np.ndarray:
-        """What accelerometers report of true accelerations (3, N) [m/s²] where they sit."""
+        """Return the readings of true accelerations (3, N) [m/s²] at the true locations."""
         gain, axis_cosine = np.array(self.gain), np.cos(self.tilt)
         constant = gain * GRAVITY * (axis_cosine - 1.0) + np.array(self.offset)
         return (gain * axis_cosine)[:, None] * a + constant[:, None]
 
 
 NO_FAULTS = SensorFaults()
-"""Instruments in order."""
+"""Instruments without faults."""
 
 
 class JitteredSampler:
-    """Takes samples out of a stream of instants, each at its own time, or loses it.
+    """Sampler with clock jitter and dropouts, of a signal that arrives in chunks.
 
-    `decimation` instants, `step` [s] apart, make a sample; between instants the signal is a
-    straight line. Jitter and losses draw sample by sample, so that parts of a stream give what the
-    whole does.
+    A sample is taken every `decimation` steps of `step` [s]; the signal is interpolated linearly
+    between steps. Jitter and dropouts are drawn sample by sample, so that chunks give the same
+    samples as the whole.
     """
 
     def __init__(self, decimation: int, step: float, faults: SensorFaults):
@@ -88,14 +87,15 @@ class JitteredSampler:
         self.dropout_probability = rate / (length * (1.0 - rate))
         streams = np.random.SeedSequence(faults.seed).spawn(2)
         self.jitter_rng, self.dropout_rng = map(np.random.default_rng, streams)
-        self.dropout_left = -1  # samples that the present loss will still take; 0 right behind one
+        # remaining samples of the current dropout; 0 directly after one, -1 otherwise
+        self.dropout_left = -1
         self.buffer = np.zeros((3, 0))
         self.buffer_start = self.n_samples = 0
 
     def sample(self, a: np.ndarray, last: bool = False) -> np.ndarray:
-        """The samples (3, n) that the stream's next part `a` (3, N) completes.
+        """Add a chunk `a` (3, N), and return the samples (3, n) that it completes.
 
-        One near the end has to wait for what follows, unless this is the `last` part.
+        Samples near the end need the next chunk, because of jitter, unless this is the `last` one.
         """
         self.buffer = np.concatenate([self.buffer, a], axis=1)
         end = self.buffer_start + self.buffer.shape[1]
@@ -103,23 +103,19 @@ class JitteredSampler:
         n = max(ready // self.decimation + 1 - self.n_samples, 0) if ready >= 0 else 0
         samples = self._draw_samples(n) if n else np.zeros((3, 0))
         self.n_samples += n
-        spare = max(self.n_samples * self.decimation - self.margin - self.buffer_start, 0)
-        self.buffer, self.buffer_start = (
-            self.buffer[:, spare:],
-            self.buffer_start + min(spare, self.buffer.shape[1]),
-        )
+        obsolete = max(self.n_samples * self.decimation - self.margin - self.buffer_start, 0)
+        self.buffer_start += min(obsolete, self.buffer.shape[1])
+        self.buffer = self.buffer[:, obsolete:]
         return samples
 
     def _draw_samples(self, n: int) -> np.ndarray:
+        """Return the next n samples (3, n) from the buffer."""
         limit = MAX_JITTER_STDS * self.jitter
         error = np.zeros(n)
         if self.jitter > 0.0:
             error = np.clip(self.jitter * self.jitter_rng.standard_normal(n), -limit, limit)
-        before = (
-            self.decimation * (self.n_samples + np.arange(n))
-            + np.floor(error).astype(int)
-            - self.buffer_start
-        )
+        nominal = self.decimation * (self.n_samples + np.arange(n))
+        before = nominal + np.floor(error).astype(int) - self.buffer_start
         last = self.buffer.shape[1] - 1
         x, y = (self.buffer[:, np.clip(i, 0, last)] for i in (before, before + 1))
         samples = x + (error - np.floor(error)) * (y - x)
@@ -127,9 +123,10 @@ class JitteredSampler:
         return samples
 
     def _draw_dropouts(self, n: int) -> np.ndarray:
-        """Whether each of the next n samples (n,) is lost.
+        """Return whether each of the next n samples (n,) is lost.
 
-        All lengths from 1 to 2 burst - 1 are equally likely, and no loss follows upon another.
+        All dropout lengths from 1 to 2 dropout_length - 1 are equally likely, and at least one
+        sample is between two dropouts.
         """
         drawn, lost = self.dropout_rng.random(n), np.zeros(n, dtype=bool)
         for i in range(n if self.dropout_probability > 0.0 else 0):

@@ -48,12 +48,10 @@ MAX_STEP = 0.01
 
 
 @kernel
-def step_error(
-    constants, velocity, displacement, strut_state, start_signals, y, road, h, work, k_3
-):
+def step_error(constants, velocity, displacement, strut_state, signals_0, y, road, h, work, k_3):
     """Write the local error (14,) of the step just taken to `k_3`.
 
-    `start_signals` (29,) are the signals at the step's beginning; `work` holds its stages, as left
+    `signals_0` (29,) are the signals at the step's beginning; `work` holds its stages, as left
     by `step`; `y` (14,) is the state at its end; `road` (24,) are the heights [m] and rates [m/s]
     under the wheels at t, t + h/2 and t + h.
     """
@@ -66,16 +64,14 @@ def step_error(
     for j in range(N_DOF):
         k_2q, k_2v = work.k_q[j] + work.r[j] + hd * work.f[j], work.g[j] + work.f[j]
         R_q[j] = (
-            y[N_DOF + j]
-            - E_32 * (k_2q - work.v[j])
-            - 2.0 * (work.k_q[j] - start_signals[N_DOF + j])
+            y[N_DOF + j] - E_32 * (k_2q - work.v[j]) - 2.0 * (work.k_q[j] - signals_0[N_DOF + j])
         )
         R_v[j] = at_end[j] - E_32 * (k_2v - at_middle[j])
-        R_v[j] = p.M[j] * (R_v[j] - 2.0 * (work.g[j] - start_signals[ACCELERATION + j]))
+        R_v[j] = p.M[j] * (R_v[j] - 2.0 * (work.g[j] - signals_0[ACCELERATION + j]))
     for w in range(4):
         work.F[w] = -hd * work.k[w] * extension(p, R_q, w)
         # dT of `step` is due to the road and the wheel; df/dt has the road's part only
-        work.T[w] = work.dT[w] + hd * work.k_t[w] * wheel_height(p, start_signals[N_DOF:], w)
+        work.T[w] = work.dT[w] + hd * work.k_t[w] * wheel_height(p, signals_0[N_DOF:], w)
         work.T[w] -= hd * work.k_t[w] * wheel_height(p, R_q, w)
     add_struts(p, work.F, hd * relative_roll(R_q, 0), hd * relative_roll(R_q, 1), R_v)
     add_tyres(p, work.T, R_v)
@@ -87,13 +83,13 @@ def step_error(
 
 
 @kernel
-def dense_output(start_signals, work, h, x, y):
+def dense_output(signals_0, work, h, x, y):
     """Write the state (14,) at the fraction `x` of the step just taken to `y`."""
     b_1, b_2 = dense_output_weights(x)
     for j in range(N_DOF):
         k_2q, k_2v = work.k_q[j] + work.r[j] + h * D * work.f[j], work.g[j] + work.f[j]
-        y[j] = start_signals[j] + h * (b_1 * work.k_q[j] + b_2 * k_2q)
-        y[N_DOF + j] = start_signals[N_DOF + j] + h * (b_1 * work.g[j] + b_2 * k_2v)
+        y[j] = signals_0[j] + h * (b_1 * work.k_q[j] + b_2 * k_2q)
+        y[N_DOF + j] = signals_0[N_DOF + j] + h * (b_1 * work.g[j] + b_2 * k_2v)
 
 
 @kernel
@@ -122,8 +118,8 @@ def adaptive_kernel(
     the numbers of accepted and of rejected steps, and the time reached, which is before the end if
     no step meets the tolerance.
     """
-    p, work, road, no_manoeuvre = constants[0], workspace(), np.empty(24), np.zeros(4)
-    start_signals, error, y_dense = np.empty(N_SIGNALS), np.empty(2 * N_DOF), np.empty(2 * N_DOF)
+    p, work, road, a_xy = constants[0], workspace(), np.empty(24), np.zeros(4)
+    signals_0, error, y_dense = np.empty(N_SIGNALS), np.empty(2 * N_DOF), np.empty(2 * N_DOF)
     laws = (constants, velocity, displacement, strut_state)
     q, rates = y[:N_DOF], y[N_DOF:]
     rtol, atol, max_step = tolerance
@@ -132,32 +128,20 @@ def adaptive_kernel(
         for k in range(3):
             s = s_0 + v * (now + 0.5 * k * h)
             sample_road(p, padded, start, ds, s, v, road[8 * k : 8 * k + 8])
-        step(
-            p,
-            velocity,
-            displacement,
-            strut_state,
-            q,
-            rates,
-            road[:16],
-            no_manoeuvre,
-            h,
-            work,
-            start_signals,
-        )
-        step_error(*laws, start_signals, y, road, h, work, error)
+        step(p, velocity, displacement, strut_state, q, rates, road[:16], a_xy, h, work, signals_0)
+        step_error(*laws, signals_0, y, road, h, work, error)
         max_ratio = 0.0
         for j in range(2 * N_DOF):
-            ratio = abs(error[j]) / (atol + rtol * max(abs(start_signals[j]), abs(y[j])))
+            ratio = abs(error[j]) / (atol + rtol * max(abs(signals_0[j]), abs(y[j])))
             if ratio > max_ratio or ratio != ratio:  # a NaN must reject the step
                 max_ratio = ratio
         if not max_ratio <= 1.0:
-            y[:] = start_signals[: 2 * N_DOF]
+            y[:] = signals_0[: 2 * N_DOF]
             n_rejected += 1
             h *= step_size_factor(max_ratio)
             continue
         while i < t.size and t[i] <= now + h:
-            dense_output(start_signals, work, h, (t[i] - now) / h, y_dense)
+            dense_output(signals_0, work, h, (t[i] - now) / h, y_dense)
             sample_road(p, padded, start, ds, s_0 + v * t[i], v, road[:8])
             write_signals(*laws, y_dense, road[:8], out[i])
             i += 1

@@ -40,7 +40,7 @@ OUT_RATTLE, OUT_TYRE_LOAD, OUT_REWARD, OUT_UNRESOLVED = range(4, 8)
 the strut states leave unresolved. The last one is a fourth cost that `InstrumentedFleet` adds."""
 
 N_PLANAR, N_STRUT_SIGNALS = 2, 8
-"""Sizes of the optional observation groups: horizontal accelerations; strut extensions and rates."""
+"""Sizes of the optional observation groups: horizontal accelerations; extensions and rates."""
 MAX_PLANAR, MAX_EXTENSION, MAX_EXTENSION_RATE = 20.0, 0.5, 10.0
 """Limits of the observed values of these groups [m/s², m, m/s]."""
 
@@ -137,7 +137,7 @@ class StepOutput(NamedTuple):
 
 
 def workspace_buffer(steps: int) -> np.ndarray:
-    """Allocate the buffer (rows, LANES) of a ControlStepWorkspace for intervals of `steps` steps."""
+    """Allocate the buffer (rows, LANES) of a ControlStepWorkspace for intervals of n = `steps`."""
     return aligned_zeros(_WORK + 17 + N_SIGNALS + (N_SIGNALS + 8) * steps + 2)
 
 
@@ -149,23 +149,12 @@ def workspace_views(buffer, n):
     """Return the ControlStepWorkspace for `n` steps as views into a `workspace_buffer`."""
     q, w, at = N_DOF, 6 * N_DOF, _WORK
     work = StepWorkspace(
-        buffer[:q],
-        buffer[q : 2 * q],
-        buffer[2 * q : 3 * q],
-        buffer[3 * q : 4 * q],
-        buffer[4 * q : 5 * q],
-        buffer[5 * q : w],
-        buffer[w : w + 4],
-        buffer[w + 4 : w + 8],
-        buffer[w + 8 : w + 12],
-        buffer[w + 12 : w + 16],
-        buffer[w + 16 : w + 20],
-        buffer[w + 20 : w + 24],
-        buffer[w + 24 : w + 28],
-        buffer[w + 28 : w + 32],
-        buffer[w + 32 : w + 44],
-        buffer[w + 44 : at],
-    )
+        buffer[:q], buffer[q : 2 * q], buffer[2 * q : 3 * q],
+        buffer[3 * q : 4 * q], buffer[4 * q : 5 * q], buffer[5 * q : w],
+        buffer[w : w + 4], buffer[w + 4 : w + 8], buffer[w + 8 : w + 12], buffer[w + 12 : w + 16],
+        buffer[w + 16 : w + 20], buffer[w + 20 : w + 24], buffer[w + 24 : w + 28],
+        buffer[w + 28 : w + 32], buffer[w + 32 : w + 44], buffer[w + 44 : at],
+    )  # fmt: skip
     road, scalar, at = buffer[at : at + 16], buffer[at + 16 : at + 17], at + 17
     row, at = buffer[at : at + N_SIGNALS], at + N_SIGNALS
     out, at = buffer[at : at + N_SIGNALS * n].reshape(n, N_SIGNALS, LANES), at + N_SIGNALS * n
@@ -207,6 +196,7 @@ def _find_failures(out, q, v, largest, nonfinite_step, rollover):
         if not np.isfinite(total):
             nonfinite_step[k] = _first_nonfinite(out, k)
             out[:, :, k] = 0.0  # keeps the output and the filter states finite
+    # a vector maximum over the block first: the search lane by lane is then rarely needed
     put(largest, 0, 0.0)
     for i in range(out.shape[0]):
         for angle in ANGLES:
@@ -341,12 +331,8 @@ def advance_blocks(
     workspace = workspace_views(buffer, n)
     for b in blocks:
         rows = slice(b * LANES, (b + 1) * LANES)
-        q, v, strut_state, layout = (
-            state.q[b],
-            state.v[b],
-            state.strut_state[b],
-            state.road_layout[b],
-        )
+        q, v, strut_state = state.q[b], state.v[b], state.strut_state[b]
+        layout = state.road_layout[b]
         kinematics, counts, values = state.kinematics[b], state.counts[b], output.values[rows]
         offset, size = layout[ROAD_OFFSET:ROAD_SIZE], layout[ROAD_SIZE]
         roads = RoadBuffers(road_heights[b], offset, size, layout[ROAD_START], layout[ROAD_DS])

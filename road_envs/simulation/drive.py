@@ -117,12 +117,14 @@ class DriveSimulator:
         self._total = int(np.ceil(speed.arrival_time(self.end - self.start) / step))
         self.strut_state = settled_strut_state(byte)
         self.state = self._at_rest()
+        # commands that have not reached the valves yet, one per step of delay
         self.delay_line = np.full(round(car.valve.delay / step), byte, dtype=np.uint8)
 
     def _at_rest(self) -> np.ndarray:
         if self.car.tyre_static_deflection != "equilibrium":
             # the paper starts there, some millimetres off equilibrium
             return np.zeros(2 * self.plant.inertias.size)
+        # stations and heights in the order of wheels FL, FR, RL, RR
         s = self.start - np.array([0.0, 0.0, self.car.wheelbase, self.car.wheelbase])
         heights = self.surface.height(s)[[0, 1, 0, 1], range(4)]
         return equilibrium(self.plant, self.strut_state, heights)

@@ -50,7 +50,7 @@ class RoadBuffers(NamedTuple):
 
 
 def aligned_zeros(*shape: int) -> np.ndarray:
-    """Return zeros (..., LANES) with rows at multiples of 64 bytes: no load crosses a cache line."""
+    """Return zeros (..., LANES) with rows on cache line boundaries, which no load then crosses."""
     size = int(np.prod(shape)) * LANES
     store = np.zeros(size + LANES)
     skip = -(store.ctypes.data // 8) % LANES
@@ -105,6 +105,7 @@ def sample_roads(p, roads, s, speed, road, at):
 def update_lane_valves(constants, strut_state, q, k, byte, alpha, h):
     """Advance the valves of lane `k`, vehicle `constants` (1,); return whether all are settled."""
     p = constants[0]
+    # the valve law is written for the arrays of one vehicle: copy the lane out and back
     own, own_q = np.empty(strut_state.shape[:2]), np.empty(q.shape[0])
     for w in range(own.shape[0]):
         for j in range(own.shape[1]):
@@ -195,6 +196,7 @@ def integrate_lanes(
         sample_roads(p, roads, s[2 * n + 1], speed[2 * n + 1], road, 8)
         for k in range(LANES):
             byte = commands[n, k]
+            # valves rarely move: skip lanes that have settled under an unchanged command
             if not at_target[k] or byte != last[k]:
                 own = constants[k : k + 1]
                 at_target[k] = update_lane_valves(own, strut_state, q, k, byte, alpha[k], h)
@@ -220,6 +222,7 @@ class _Block:
         self.constants = np.concatenate([drive.plant.constants for drive in lane_drives])
         plants = list({id(drive.plant): drive.plant for drive in lane_drives}.values())
         of_lane = [next(i for i, p in enumerate(plants) if p is d.plant) for d in lane_drives]
+        # the tables of all plants are concatenated, those of shared plants once
         tables = (("velocity_table", "velocity"), ("displacement_table", "displacement"))
         for field, table in tables:
             first = np.cumsum([0, *(len(getattr(plant, table)) for plant in plants)])
@@ -339,11 +342,11 @@ class Fleet:
         return aligned_zeros(len(self.blocks), n, self.columns.size)
 
     def advance(self, commands: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
-        """Take n steps and return the signals (blocks, n, C, LANES) at their beginnings, or in `out`.
+        """Take n steps; return the signals (blocks, n, C, LANES) at their beginnings.
 
-        `commands` (vehicles, n) are bytes. Vehicle k is lane k % LANES of block k // LANES, see
-        `select_vehicle`. A vehicle whose motion diverges has NaN in its signals and does not affect
-        the others.
+        `commands` (vehicles, n) are bytes; `out`, if given, is filled and returned. Vehicle k is
+        lane k % LANES of block k // LANES, see `select_vehicle`. A vehicle whose motion diverges
+        has NaN in its signals and does not affect the others.
         """
         commands = np.asarray(commands, dtype=np.uint8)
         parts = [commands[i * LANES : (i + 1) * LANES].T for i in range(len(self.blocks))]

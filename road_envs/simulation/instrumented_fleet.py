@@ -140,6 +140,7 @@ class InstrumentedFleet:
         )
         kinematics[SPEED_KMH] = speed_kmh
         counts[STEPS_DELAYED], counts[STEPS_DONE], counts[STEPS_TOTAL] = 0, 0, drive.steps_left
+        # marks all noise rows as used, so that the next interval draws from the new generator
         counts[NOISE_ROWS_USED], self.rngs[i] = self.noise.shape[2], logger.rng
         if self.unresolved_variance is not None:
             self.unresolved[i] = self.unresolved_variance(drive.speed)
@@ -155,6 +156,7 @@ class InstrumentedFleet:
         moving = self._moving if mask is None else np.unique(np.flatnonzero(mask) // LANES)
         if self.parameters.noise_std > 0.0:
             self._draw_noise(moving)
+        # blocks advance as a whole: lanes outside the mask are restored afterwards
         saved = None if mask is None else [field[moving] for field in self.state]
         output, a_xy = self._allocate_output(size), self._manoeuvre_inputs()
         block_commands = lane_commands.reshape(blocks, LANES)
@@ -206,7 +208,10 @@ class InstrumentedFleet:
             drive.delay_line = np.roll(ring, -(self.state.counts[b, STEPS_DELAYED, k] % ring.size))
 
     def last_interval(self, i: int, byte: int) -> Trajectory:
-        """Return the last interval's motion of vehicle `i`, first block only, commanded by `byte`."""
+        """Return the motion of vehicle `i` in the last interval, under the command `byte`.
+
+        Only for vehicles of the first block.
+        """
         last = workspace_views(self._workspaces[0][1], self.steps)
         first = int(self.state.counts[0, STEPS_DONE, i]) - self.steps
         t = self.step * (first + np.arange(self.steps))

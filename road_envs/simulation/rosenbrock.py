@@ -186,9 +186,9 @@ def step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out,
     t and at t + h/2 (4 numbers). With LANES vehicles every array has the lanes as its last axis.
     """
     hd = h * D
-    # stage 1: F, T are the forces at t; dF, dT their part of h d (df/dt - K v)
     f, g, r, k_q = work.f, work.g, work.r, work.k_q
     F, T, dF, dT = work.F, work.T, work.dF, work.dT
+    # stage 1: F, T are the forces at t; dF, dT their part of h d (df/dt - K v)
     for w in range(4):
         e, rate = extension(p, q, w), extension(p, v, w)
         e_dot = rate
@@ -198,6 +198,7 @@ def step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out,
         u = get(road, w) - wheel_height(p, q, w)
         u_dot = get(road, 4 + w) - wheel_height(p, v, w)
         load, k_t, c_t = tyre_force(p, w, u, u_dot)
+        # the road is known at t and t + h/2 only: its second derivative is a difference
         w_dot = (get(road, 12 + w) - get(road, 4 + w)) * (2.0 / h)
         put(F, w, force)
         put(T, w, load)
@@ -211,6 +212,7 @@ def step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out,
         put(out, LOAD + w, load)
     for j in range(N_DOF):
         put(f, j, 0.0)
+    # bushings act on the roll of the body relative to each axle, which the frame's twist changes
     front, rear = relative_roll(q, 0), relative_roll(q, 1)
     if twist is not None:
         front, rear = (

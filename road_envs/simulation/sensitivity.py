@@ -1,32 +1,32 @@
 """Tangent and adjoint of the fixed step: sensitivity of a drive to its road and initial state.
 
 `rosenbrock.step` maps the state y = (q, v) and the road's heights and rates at both stage times to
-the next state. Its derivative is that of the discrete step, exact up to rounding. With W = M + h d C
-+ (h d)² K symmetric, k and m the solutions of W k = g(y) and W m = f(y, k), and ' a directional
-derivative,
+the next state. The derivative is that of the discrete step, exact up to rounding. With symmetric
+W = M + h d C + (h d)² K, k and m the solutions of W k = g(y) and W m = f(y, k), and ' a
+directional derivative,
 
     W k' = g' - W' k,        W m' = f' - W' m,        W' = sum over struts and tyres of s' b b'
 
-For a strut, b maps coordinates to its extension and s = h d c + (h d)² k. So s' contains the change
-of the stiffness k with the extension (gas spring, bushing, stop) and of the damping c with its rate
-(damper, friction). For a tyre, b maps coordinates to the height of the wheel; its stiffness changes
-with its compression, which depends on the road as well. The adjoint is the transposed chain in
-reverse order; since W is symmetric, it uses the same solver (Giles & Pierce 2000,
-doi:10.1023/A:1011430410075, section 2).
+For a strut, b maps coordinates to its extension and s = h d c + (h d)² k. So s' contains the
+change of the stiffness k with the extension (gas spring, bushing, stop) and of the damping c with
+its rate (damper, friction). For a tyre, b maps coordinates to the height of the wheel; its
+stiffness changes with its compression, which depends on the road as well. The adjoint is the
+transposed chain in reverse order; since W is symmetric, it uses the same solver (Giles & Pierce
+2000, doi:10.1023/A:1011430410075, section 2).
 
-Limits. At a kink (wheel lift-off, limit of the tyre's damper, grid point or end of a table, shortest
-gas column) the derivative is that of the branch taken by the step; the small jump of W at lift-off
-is neglected. A vehicle exactly at rest is at such a kink, because the friction law has different
-slopes for opening and closing struts. The strut state follows the commands, but its derivative is
-neglected: the dependence of a held extension on the road before the switch is missing. A flexible
-frame is not supported.
+Limits. At a kink (wheel lift-off, limit of the tyre's damper, grid point or end of a table,
+shortest gas column) the derivative is that of the branch taken by the step; the small jump of W at
+lift-off is neglected. A vehicle exactly at rest is at such a kink, because the friction law has
+opposite curvature for opening and closing struts. The strut state follows the commands, but its
+derivative is neglected: the dependence of a held extension on the road before the switch is
+missing. A flexible frame is not supported.
 
 One row of the tape (TAPE_ROW_SIZE,) holds the derivative of one step. Per strut (4 each): K_1, C_1
 and K_2, C_2, stiffness and damping at stages 1 and 2; G_K, G_C and F_K, F_C, minus the derivatives
 of the right-hand sides of stages 1 and 2 by e and e_dot at the step's beginning (F_K, F_C without
-the contributions of K_2, C_2). Per tyre: TK_1, TC_1, TK_2, TC_2 likewise; G_U, the derivative of the
-first right-hand side by the compression u, and F_U, minus that of the second without TK_2. Last come
-the factors of W.
+the contributions of K_2, C_2). Per tyre: TK_1, TC_1, TK_2, TC_2 likewise; G_U, the derivative of
+the first right-hand side by the compression u, and F_U, minus that of the second without TK_2.
+Last come the factors of W.
 """
 
 from dataclasses import dataclass
@@ -73,7 +73,8 @@ def step_with_derivative(
     hd, before = h * D, out[N_DOF : 2 * N_DOF]
     for w in range(4):
         e, e_dot = out[EXTENSION + w], extension(p, before, w)
-        k, c = work.k[w], work.s[w] / hd - hd * work.k[w]  # from the step's scratch
+        # `step` leaves k and s = h d c + (h d)² k in its scratch: no second call of strut_force
+        k, c = work.k[w], work.s[w] / hd - hd * work.k[w]
         k_slope, c_slope = strut_curvature(p, velocity, displacement, strut_state, w, e, e_dot)
         first, second = extension(p, work.g, w), extension(p, work.f, w)
         row[K_1 + w], row[C_1 + w] = k, c
@@ -112,6 +113,7 @@ def tangent_step(p, row, q, v, road, h, work, a):
     hd = h * D
     f, g, r, k_q, F, T, dF, dT = work.f, work.g, work.r, work.k_q, work.F, work.T, work.dF, work.dT
     blocks, body = row[BLOCKS:BODY], row[BODY:TAPE_ROW_SIZE]
+    # stage 1: F, T give f'; dF, dT give g' - W' k; s, t keep what stage 2 needs of the state at t
     for w in range(4):
         e, e_dot = extension(p, q, w), extension(p, v, w)
         put(F, w, -row[K_1 + w] * e - row[C_1 + w] * e_dot)
@@ -210,6 +212,7 @@ def adjoint_step(p, row, a, h, work, q, v, road):
     """
     hd = h * D
     f, g, F, T = work.f, work.g, work.F, work.T
+    # the update of q and v in `step`, transposed
     for j in range(N_DOF):
         work.k_q[j] = work.r[j] = h * q[j]
         g[j] = h * v[j]
@@ -224,12 +227,12 @@ def adjoint_step(p, row, a, h, work, q, v, road):
     add_manoeuvre_moments(p, hd * g[PHI], hd * g[THETA], 0.0, 0.0, v)
     for w in range(4):
         k_t, c_t = row[TK_1 + w], row[TC_1 + w]
-        first, at_once = extension(p, g, w), extension(p, f, w)
-        work.dF[w] -= row[G_K + w] * first + row[K_1 + w] * at_once
-        work.dT[w] -= row[G_C + w] * first + row[C_1 + w] * at_once
-        first, at_once = wheel_height(p, g, w), wheel_height(p, f, w)
-        z = row[G_U + w] * first + k_t * at_once + road[w]
-        z_dot = c_t * (first + at_once) + hd * k_t * first
+        first, direct = extension(p, g, w), extension(p, f, w)
+        work.dF[w] -= row[G_K + w] * first + row[K_1 + w] * direct
+        work.dT[w] -= row[G_C + w] * first + row[C_1 + w] * direct
+        first, direct = wheel_height(p, g, w), wheel_height(p, f, w)
+        z = row[G_U + w] * first + k_t * direct + road[w]
+        z_dot = c_t * (first + direct) + hd * k_t * first
         difference = 2.0 * D * c_t * first
         road[w], road[4 + w] = z, z_dot - difference
         road[12 + w] += difference
@@ -271,7 +274,7 @@ def propagate_tangent(constants, rows, y, road, h, a):
 
 @kernel
 def propagate_adjoint(constants, rows, a, h, y, road):
-    """Apply `adjoint_step` from the last row to the first; adjoint of the road to `road` (N, 16)."""
+    """Apply `adjoint_step` in reverse order; write the adjoint of the road to `road` (N, 16)."""
     p, work, q, v = constants[0], workspace(), y[:N_DOF], y[N_DOF:]
     for n in range(rows.shape[0] - 1, -1, -1):
         adjoint_step(p, rows[n], a[n], h, work, q, v, road[n])

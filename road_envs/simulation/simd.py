@@ -24,7 +24,7 @@ from numba.extending import models, overload, register_model
 intrinsic: Any = extending.intrinsic  # its annotations count the typing context as an argument
 
 LANES = 8
-FLAGS = ("contract", "arcp")
+FLAGS = ("contract", "arcp")  # as `_numba.kernel` sets for scalars
 _llvm = ir.VectorType(ir.DoubleType(), LANES)
 _int32 = ir.IntType(32)
 
@@ -189,7 +189,7 @@ def _address(context, builder, kind, array, index_kinds, indices):
     wide = [
         context.cast(builder, i, k, types.intp) for i, k in zip(indices, index_kinds, strict=True)
     ]
-    wide.append(context.get_constant(types.intp, 0))
+    wide.append(context.get_constant(types.intp, 0))  # lane 0: the start of the row
     at = cgutils.get_item_pointer(context, builder, kind, struct, wide, wraparound=False)
     return builder.bitcast(at, _llvm.as_pointer())
 
@@ -200,7 +200,7 @@ def _load(context, array, indices):
         kind, index_kinds = signature.args
         unpacked = cgutils.unpack_tuple(builder, values[1])
         value = builder.load(_address(context, builder, kind, values[0], index_kinds, unpacked))
-        value.align = 8
+        value.align = 8  # NumPy guarantees no more; vectors would default to 64
         return value
 
     return vector(array, indices), generate
@@ -260,6 +260,7 @@ def _all_equal(context, x, a, b):
 
     def generate(context, builder, signature, values):
         x, a, b = _broadcast_all(context, builder, signature, values)
+        # one bit per lane, read as an integer: all ones if every lane is equal
         equal = (builder.fcmp_ordered("==", x, y) for y in (a, b))
         bits = builder.bitcast(builder.or_(*equal), ir.IntType(LANES))
         return builder.icmp_unsigned("==", bits, ir.Constant(ir.IntType(LANES), -1))
@@ -293,10 +294,11 @@ def power(x, n):
 
 
 @overload(power)
-def _raised(x, n):
+def _overload_power(x, n):
     if not _any_vector(x, n):
         return power
 
+    # vector units have no instruction for a power
     def lane_by_lane(x, n):
         y = x
         for k in range(LANES):

@@ -1,6 +1,6 @@
 """Speed profiles: speed over time, its integral and its derivative.
 
-    s(t) = integral of v,   v(t) piecewise linear,   a_x(t) = dv/dt piecewise constant
+s(t) = integral of v,   v(t) piecewise linear,   a_x(t) = dv/dt piecewise constant
 """
 
 from dataclasses import dataclass
@@ -66,16 +66,17 @@ def constant_speed(v: float) -> SpeedProfile:
 
 
 def speed_ramp(v_0: float, v_1: float, duration: float, after: float = 0.0) -> SpeedProfile:
-    """Return a linear change from `v_0` to `v_1` [m/s] within `duration` [s], `after` [s] from 0."""
+    """Return a linear change from `v_0` to `v_1` [m/s] in `duration` [s], beginning at `after`."""
     if after > 0.0:
         return SpeedProfile(t=(0.0, after, after + duration), v=(v_0, v_0, v_1))
     return SpeedProfile(t=(0.0, duration), v=(v_0, v_1))
 
 
 def stop_and_go(v: float, a: float, cruise: float, halt: float, stops: int) -> SpeedProfile:
-    """Return a profile of `stops` stops: cruise at `v` [m/s], brake at `a` [m/s²], halt, accelerate.
+    """Return a profile of `stops` cycles: cruise, brake, halt, accelerate.
 
-    `cruise` and `halt` [s] are the durations of these phases.
+    `v` [m/s] is the cruising speed, `a` [m/s²] both the deceleration and the acceleration, `cruise`
+    and `halt` [s] are durations.
     """
     change = v / a
     parts = [(cruise, v), (change, 0.0), (halt, 0.0), (change, v)] * stops

@@ -1,7 +1,7 @@
 """Equations of motion of a 7-DOF ride model with solid axles and a 4S4 suspension.
 
-Axle a stands at x_a; its struts at y = ±y_s, its tyres at ±y_t; + is left. With F the force of a
-strut on the body and T >= 0 the load of a tyre, both upward,
+Axle a is at x = x_a, its struts at y = ±y_s and its tyres at y = ±y_t, with + for the left side. F
+is the force of a strut on the body and T >= 0 the load of a tyre, both positive upwards:
 
     extension of a strut    e = (z_b - x_a theta ± y_s phi) - (z_a ± y_s phi_a)
     compression of a tyre   u = z_r - (z_a ± y_t phi_a)
@@ -10,15 +10,15 @@ strut on the body and T >= 0 the load of a tyre, both upward,
     I_xx phi''   =  sum ± y_s F               I_a phi_a'' =  sum ± y_t T - sum ± y_s F
     I_yy theta'' = -sum x_a F
 
-In a manoeuvre, accelerations a_x, a_y [m/s²] of the body's centre of mass, which lies l above the
-axis it rolls or pitches about, add the moments of inertia force and displaced weight,
+In a manoeuvre the centre of mass, at a height l above the roll or pitch axis, has accelerations
+a_x, a_y [m/s²]. Inertia force and displaced weight then add the moments
 
-    m_b l_roll (a_y + g phi)  to roll,      m_b l_pitch (g theta - a_x)  to pitch;
+    m_b l_roll (a_y + g phi)  to roll,      m_b l_pitch (g theta - a_x)  to pitch.
 
-on a straight drive at constant speed these are left out, as in the paper.
+They are left out on a straight drive at constant speed, as in the paper.
 
-State (14,): z_b [m], phi, theta [rad], z_af [m], phi_af [rad], z_ar, phi_ar, then their rates. The
-origin has every strut at its static length and every tyre at its static deflection. Small angles.
+State (14,): z_b [m], phi, theta [rad], z_af [m], phi_af [rad], z_ar, phi_ar, then their rates. At
+the origin every strut has its static length and every tyre its static deflection. Small angles.
 
 A `parameters.VehicleVariation` can add two elements. Bushings with a roll stiffness k_r exert the
 moment k_r (phi - phi_a) between body and axle. A body with a flexible frame consists of two halves
@@ -32,8 +32,8 @@ These are equations 2 to 8 of Ngwangwa, Heyns, Breytenbach & Els with z up inste
 positive nose down: paper alpha, beta -> phi, -theta; z_uf, theta -> -z_af, phi_af; z_ur, phi ->
 -z_ar, phi_ar; b, a -> x of the front and -x of the rear axle; d, c -> y_s, y_t. Corrections: in
 eq. 7 the left tyre's heave stiffness must be negative, as in eq. 8 (a symmetric road must not roll
-an axle); c_trf and c_tlf in eq. 3 are damping constants; the 10 mm of tyre deflection is not the
-equilibrium, which is 21.5 mm, and stays available as `tyre_static_deflection: 0.010`.
+an axle); c_trf and c_tlf in eq. 3 are damping constants; the tyre deflection in equilibrium is
+21.5 mm and not the paper's 10 mm, which `tyre_static_deflection: 0.010` restores.
 """
 
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ from road_envs.vehicle.suspension import (
 DOF = ("z_b", "phi", "theta", "z_af", "phi_af", "z_ar", "phi_ar")
 N_DOF = len(DOF)
 Z_B, PHI, THETA, AXLE = 0, 1, 2, 3
-"""Indices of the state; axle i has its heave at AXLE + 2 i and its roll behind that."""
+"""Indices of the state; axle i has its heave at AXLE + 2 i and its roll at AXLE + 2 i + 1."""
 
 PLANT_DTYPE = np.dtype(
     [
@@ -75,7 +75,11 @@ with an offset where several vehicles share one array of tables."""
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """What the kernels need of one vehicle: its numbers (1,) and its tables."""
+    """One vehicle as kernels read it: `constants` (1,) of PLANT_DTYPE and tables of its force laws.
+
+    `velocity` (K, V_CELLS, 4): damper and friction; `displacement` (K, E_CELLS, 4): bushing and
+    bump stop; see `suspension.velocity_tables` and `displacement_tables`.
+    """
 
     constants: np.ndarray
     velocity: np.ndarray
@@ -83,33 +87,33 @@ class Plant:
 
     @property
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The three arrays in the order of every kernel's arguments."""
+        """The three arrays in the order in which every kernel takes them."""
         return self.constants, self.velocity, self.displacement
 
     @property
     def flexible(self) -> bool:
-        """Whether the body's frame twists, and the state has 16 numbers instead of 14."""
+        """Whether the frame is flexible, so that the state is (16,) instead of (14,)."""
         return bool(self.constants["frame_inertia"][0] > 0.0)
 
     @property
     def inertias(self) -> np.ndarray:
-        """Masses [kg] and inertias [kg m²] of the coordinates: (7,), (8,) of a flexible car."""
-        M, twist = self.constants["M"][0], self.constants["frame_inertia"]
-        return np.concatenate([M, twist]) if self.flexible else M
+        """Masses [kg] and inertias [kg m²] of the coordinates: (7,), or (8,) if flexible."""
+        M, torsion = self.constants["M"][0], self.constants["frame_inertia"]
+        return np.concatenate([M, torsion]) if self.flexible else M
 
 
 def build_plant(
     car: VehicleParameters, manoeuvres: bool = False, variation: VehicleVariation = NOMINAL
 ) -> Plant:
-    """The kernel's view of a vehicle; with `manoeuvres` its body leans in turns and on brakes.
+    """Build the plant of a vehicle, varied by `variation`.
 
-    An `variation` is a manufactured car of that description. Raises ValueError if its tyres'
-    progression leaves them no stiffness when they are first touched.
+    With `manoeuvres` the body rolls in turns and pitches when braking. Raises ValueError if the
+    progression of the tyres would make their stiffness negative at first contact.
     """
     axles, strut = car.axles, car.strut
     sides = (1.0, -1.0)
-    velocity, velocity_table = velocity_tables(car, variation)
-    displacement, displacement_table = displacement_tables(car, variation)
+    velocity, velocity_indices = velocity_tables(car, variation)
+    displacement, displacement_indices = displacement_tables(car, variation)
     values = {
         "M": [car.m_b, car.I_xx, car.I_yy, *(v for a in axles for v in (a.m, a.I_xx))],
         "p_A": [factor * strut.p_stat * strut.A for factor in variation.gas],
@@ -126,8 +130,8 @@ def build_plant(
         "y_s": [side * a.y_s for a in axles for side in sides],
         "y_t": [side * a.y_t for a in axles for side in sides],
         "c_t": [a.c_t for a in axles for _ in sides],
-        "velocity_table": velocity_table,
-        "displacement_table": displacement_table,
+        "velocity_table": velocity_indices,
+        "displacement_table": displacement_indices,
         **_tyre_constants(car, variation),
         **_frame_constants(car, variation),
     }
@@ -138,13 +142,13 @@ def build_plant(
 
 
 def _tyre_constants(car: VehicleParameters, variation: VehicleVariation) -> dict[str, list[float]]:
-    """k_t and k_t2 of each tyre: at the deflection of the origin it is as stiff as described."""
+    """Return k_t and k_t2 of each tyre; at the origin its secant stiffness is the nominal one."""
     rise, deltas = variation.tyre_progression, car.tyre_deflections
     k = [factor * car.axles[w // 2].k_t for w, factor in enumerate(variation.tyre)]
     if not rise * max(deltas) < 1.0:
         raise ValueError(
-            f"tyre_progression must be below {1.0 / max(deltas):.1f} 1/m, got {rise}: the tyres "
-            "would pull when first touched"
+            f"tyre_progression must be below {1.0 / max(deltas):.1f} 1/m, got {rise}: beyond it "
+            "tyres would pull at first contact"
         )
     return {
         "k_t": [k[w] * (1.0 - rise * deltas[w // 2]) for w in range(4)],
@@ -167,7 +171,7 @@ def _frame_constants(car: VehicleParameters, variation: VehicleVariation) -> dic
 
 @kernel
 def extension(p, q, w):
-    """Extension [m] of strut `w` for coordinates `q`; for their rates, its rate."""
+    """Return the extension [m] of strut `w` for coordinates `q`, or its rate for their rates."""
     a = AXLE + 2 * (w // 2)
     heave = get(q, Z_B) - get(p.x, w // 2) * get(q, THETA) - get(q, a)
     return heave + get(p.y_s, w) * (get(q, PHI) - get(q, a + 1))
@@ -175,37 +179,38 @@ def extension(p, q, w):
 
 @kernel
 def wheel_height(p, q, w):
-    """Height [m] of the wheel above tyre `w` for coordinates `q`; for their rates, its rate."""
+    """Return the height [m] of wheel `w` for coordinates `q`, or its rate for their rates."""
     a = AXLE + 2 * (w // 2)
     return get(q, a) + get(p.y_t, w) * get(q, a + 1)
 
 
 @kernel
 def relative_roll(q, i):
-    """Roll [rad] of the body less that of axle `i` for coordinates `q`, or its rate for rates."""
+    """Return body roll minus roll of axle `i` [rad] for coordinates `q`, or its rate for rates."""
     return get(q, PHI) - get(q, AXLE + 2 * i + 1)
 
 
 @kernel
 def twist_extension(p, psi, w):
-    """What a twist `psi` [rad] of the frame adds to the extension of strut `w` [m]."""
+    """Return the contribution of a frame twist `psi` [rad] to the extension of strut `w` [m]."""
     return get(p.y_s, w) * (get(p.twist_share, w // 2) * psi)
 
 
 @kernel
 def axle_roll_moment(p, F, i, roll):
-    """Roll moment [N m] on the body over axle `i`: struts `F` (4,), bushings turned by `roll`.
+    """Return the roll moment [N m] of strut forces `F` (4,) and bushings on the body over axle `i`.
 
-    Left and right are subtracted before they meet a lever: equal forces roll nothing, to the bit.
+    `roll` [rad] is the body's roll relative to the axle.
     """
+    # left minus right first: equal forces give a moment of exactly 0
     return get(p.y_s, 2 * i) * (get(F, 2 * i) - get(F, 2 * i + 1)) - get(p.k_roll, i) * roll
 
 
 @kernel
 def add_struts(p, F, front, rear, out):
-    """Add the generalised forces (7,) of the struts' forces `F` (4,) and the bushings to `out`.
+    """Add the generalised forces (7,) of strut forces `F` (4,) and bushings to `out`.
 
-    `front`, `rear` [rad]: roll of the body less that of the axle.
+    `front`, `rear` [rad]: roll of the body relative to each axle.
     """
     for i in range(2):
         push = get(F, 2 * i) + get(F, 2 * i + 1)
@@ -219,7 +224,7 @@ def add_struts(p, F, front, rear, out):
 
 @kernel
 def add_tyres(p, T, out):
-    """Add the generalised forces (7,) of the tyres' loads `T` (4,) to `out`."""
+    """Add the generalised forces (7,) of tyre loads `T` (4,) to `out`."""
     for i in range(2):
         left, right = get(T, 2 * i), get(T, 2 * i + 1)
         add(out, AXLE + 2 * i, left + right)
@@ -228,9 +233,12 @@ def add_tyres(p, T, out):
 
 @kernel
 def twist_moment(p, F, front, rear):
-    """Generalised force [N m] on the frame's twist of struts and bushings, as above."""
-    over = get(p.twist_share, 0) * axle_roll_moment(p, F, 0, front)
-    return over + get(p.twist_share, 1) * axle_roll_moment(p, F, 1, rear)
+    """Return the generalised force [N m] of struts and bushings on the twist of the frame.
+
+    Arguments as for `add_struts`.
+    """
+    moment = get(p.twist_share, 0) * axle_roll_moment(p, F, 0, front)
+    return moment + get(p.twist_share, 1) * axle_roll_moment(p, F, 1, rear)
 
 
 @kernel
@@ -242,7 +250,7 @@ def add_weight(p, out):
 
 @kernel
 def add_manoeuvre_moments(p, phi, theta, a_x, a_y, out):
-    """Add the moments of a manoeuvre with accelerations `a_x`, `a_y` [m/s²] to `out` (7,)."""
+    """Add the roll and pitch moments of accelerations `a_x`, `a_y` [m/s²] to `out` (7,)."""
     add(out, PHI, get(p.roll_moment) * (a_y + GRAVITY * phi))
     add(out, THETA, get(p.pitch_moment) * (GRAVITY * theta - a_x))
 
@@ -251,10 +259,10 @@ def add_manoeuvre_moments(p, phi, theta, a_x, a_y, out):
 def accelerations(
     constants, velocity, displacement, strut_state, q, v, z_r, w_r, out, a_x=0.0, a_y=0.0
 ):
-    """Write the accelerations (7,) for coordinates `q` (7,), rates `v` (7,) to `out`.
+    """Write the accelerations (7,) for coordinates `q` (7,) and rates `v` (7,) to `out`.
 
-    `z_r`, `w_r` (4,) are the road's height [m] and its rate [m/s] under each wheel; `a_x`, `a_y`
-    [m/s²] those of a manoeuvre. With the frame's twist all three are (8,).
+    `z_r`, `w_r` (4,): road height [m] and its rate [m/s] under each wheel; `a_x`, `a_y` [m/s²]:
+    accelerations of a manoeuvre. With a flexible frame `q`, `v` and `out` are (8,).
     """
     p, F, T = constants[0], np.empty(4), np.empty(4)
     flexible = q.size > N_DOF
@@ -285,9 +293,9 @@ def accelerations(
 
 @kernel
 def stiffness_and_damping(constants, velocity, displacement, strut_state, q, v, z_r, w_r, K, C):
-    """Write -df/dq to `K` and -df/dv to `C` (7, 7), f being the generalised forces.
+    """Write -df/dq to `K` and -df/dv to `C` (7, 7), with f the generalised forces.
 
-    With the frame's twist, `q` and `v` are (8,) and both matrices (8, 8).
+    With a flexible frame `q` and `v` are (8,) and both matrices (8, 8).
     """
     p, k, c, k_t, c_t = constants[0], np.empty(4), np.empty(4), np.empty(4), np.empty(4)
     flexible = q.size > N_DOF
@@ -303,7 +311,7 @@ def stiffness_and_damping(constants, velocity, displacement, strut_state, q, v, 
     K[:] = 0.0
     C[:] = 0.0
     e, height = np.empty(4), np.empty(4)
-    for j in range(q.size):
+    for j in range(q.size):  # column j: forces of the linear elements under a unit coordinate
         unit = np.zeros(N_DOF + 1)
         unit[j] = 1.0
         for w in range(4):
@@ -325,7 +333,7 @@ def stiffness_and_damping(constants, velocity, displacement, strut_state, q, v, 
 def jacobian(
     plant: Plant, strut_state: np.ndarray, state: np.ndarray, z_r: np.ndarray, w_r: np.ndarray
 ):
-    """Jacobian (14, 14) of the rate of the state (14,) by the state; (16, 16) of a flexible car."""
+    """Return the Jacobian (14, 14) of the state's rate by the state; (16, 16) if flexible."""
     M, n = plant.inertias[:, None], plant.inertias.size
     K, C = np.empty((n, n)), np.empty((n, n))
     stiffness_and_damping(*plant.arrays, strut_state, state[:n], state[n:], z_r, w_r, K, C)
@@ -333,7 +341,7 @@ def jacobian(
 
 
 def _pose_on_ground(plant: Plant, z_r: np.ndarray) -> np.ndarray:
-    """Coordinates of a car lifted onto wheel heights (4,): no tyre changes its deflection."""
+    """Return the coordinates with every wheel at its road height `z_r` (4,) [m]."""
     x, y_t = plant.constants[0]["x"], plant.constants[0]["y_t"]
     left, right = z_r[0::2], z_r[1::2]
     heave, roll = 0.5 * (left + right), (left - right) / (y_t[0::2] - y_t[1::2])
@@ -344,21 +352,21 @@ def _pose_on_ground(plant: Plant, z_r: np.ndarray) -> np.ndarray:
 
 
 def equilibrium(plant: Plant, strut_state: np.ndarray, z_r: np.ndarray) -> np.ndarray:
-    """State (14,) at rest on wheels at heights `z_r` (4,) [m], found by Newton's method.
+    """Return the static equilibrium (14,) on road heights `z_r` (4,) [m], by Newton's method.
 
-    That of a flexible car is (16,). Raises ArithmeticError if there is none within reach (a wheel
-    off the ground, say).
+    With a flexible frame it is (16,). Raises ArithmeticError if the iteration does not converge,
+    for example because a wheel is off the ground.
     """
     M, n = plant.inertias, plant.inertias.size
-    q, rest, flat = _pose_on_ground(plant, z_r), np.zeros(n), np.zeros(4)
+    q, rest, no_rates = _pose_on_ground(plant, z_r), np.zeros(n), np.zeros(4)
     K, C, a = np.empty((n, n)), np.empty((n, n)), np.empty(n)
     for _ in range(50):
-        accelerations(*plant.arrays, strut_state, q, rest, z_r, flat, a)
+        accelerations(*plant.arrays, strut_state, q, rest, z_r, no_rates, a)
         if np.abs(a).max() < 1e-10 * (1.0 + np.abs(z_r).max()):
             return np.concatenate([q, rest])
-        stiffness_and_damping(*plant.arrays, strut_state, q, rest, z_r, flat, K, C)
+        stiffness_and_damping(*plant.arrays, strut_state, q, rest, z_r, no_rates, K, C)
         try:
             q = q + np.linalg.solve(K, M * a)
         except np.linalg.LinAlgError:  # all wheels off the ground
             break
-    raise ArithmeticError(f"no static equilibrium on wheel heights {z_r.tolist()}")
+    raise ArithmeticError(f"no static equilibrium found on the road heights {z_r.tolist()} m")

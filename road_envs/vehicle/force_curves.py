@@ -1,10 +1,10 @@
 """Force curves: breakpoints from YAML, piecewise cubics through them, uniform tables for kernels.
 
 The paper evaluates its measured strut curves with MATLAB's `ppval`, that is as piecewise cubics
-(section 2.3). Here the cubics are PCHIP (Fritsch & Carlson 1980), which neither overshoot nor ring
-between breakpoints. For kernels each curve is tabulated on a uniform grid as the Hermite cubic of
-its values and slopes: exact wherever the breakpoints lie on that grid, and a look-up without a
-search everywhere. Beyond its last breakpoint a curve goes on as a straight line.
+(section 2.3). The cubics here are PCHIP (Fritsch & Carlson 1980), which does not overshoot between
+breakpoints. For kernels each curve is tabulated on a uniform grid as the Hermite cubic of its
+values and slopes: the table is exact where the breakpoints are grid points, and needs no search.
+Beyond its last breakpoint a curve is extrapolated linearly.
 """
 
 from collections.abc import Sequence
@@ -30,51 +30,60 @@ class Curve:
 
     def __post_init__(self):
         if len(self.x) != len(self.F) or len(self.x) < 2:
-            raise ValueError(f"x and F need one length of at least 2: {len(self.x)}, {len(self.F)}")
+            raise ValueError(
+                f"x and F must have the same length, at least 2, "
+                f"got {len(self.x)} and {len(self.F)}"
+            )
         if not np.isfinite([*self.x, *self.F]).all():
-            raise ValueError("breakpoints must be finite numbers")
+            raise ValueError(f"breakpoints must be finite, got x = {self.x}, F = {self.F}")
         if not (np.diff(self.x) > 0).all():
-            raise ValueError(f"x must increase from each breakpoint to the next: {self.x}")
+            raise ValueError(f"x must increase from each breakpoint to the next, got {self.x}")
 
     def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Force [N] and its derivative at `x` of any shape."""
+        """Return the force [N] and its derivative at `x` of any shape."""
         cubic = PchipInterpolator(self.x, self.F)
         slope = cubic.derivative()
         inside = np.clip(x, self.x[0], self.x[-1])
         return cubic(inside) + slope(inside) * (x - inside), slope(inside)
 
     def scaled(self, factor: float) -> "Curve":
-        """The same curve with `factor` times the force everywhere."""
+        """Return the curve with its forces multiplied by `factor`."""
         return self if factor == 1.0 else Curve(x=self.x, F=tuple(factor * F for F in self.F))
 
 
 def tabulate(curves: Sequence[Curve], x_0: float, dx: float, cells: int) -> np.ndarray:
-    """The sum of `curves` as cubic coefficients (cells, 4) in powers of the cell fraction."""
+    """Tabulate the sum of `curves`: cubic coefficients (cells, 4) in powers of the cell fraction.
+
+    The grid starts at `x_0` and has the spacing `dx`.
+    """
     x = x_0 + dx * np.arange(cells + 1)
     values, slopes = np.sum([curve(x) for curve in curves], axis=0)
     return _hermite(values, slopes * dx)
 
 
 def _hermite(values: np.ndarray, rises: np.ndarray) -> np.ndarray:
-    """Coefficients (..., cells, 4) from values and slopes times the spacing (..., cells + 1)."""
+    """Return coefficients (..., cells, 4) from values and slopes times spacing (..., cells + 1)."""
     a, b, end, rise = values[..., :-1], rises[..., :-1], rises[..., 1:], np.diff(values)
     return np.stack([a, b, 3.0 * rise - 2.0 * b - end, b + end - 2.0 * rise], axis=-1)
 
 
 def gaussian_smoothed(tables: np.ndarray, x_0: float, dx: float, width: float) -> np.ndarray:
-    """Tables (K, cells, 4) of the mean value when the argument is normal, `width` wide, about x."""
+    """Smooth `tables` (K, cells, 4) with a Gaussian kernel of standard deviation `width`."""
     x = x_0 + dx * np.arange(tables.shape[1] + 1)
     u = np.linspace(-4.0, 4.0, 161)
     weight = np.exp(-0.5 * u**2) / np.exp(-0.5 * u**2).sum()
-    found = np.empty((tables.shape[0], x.size, u.size, 2))
-    interpolate_tables(tables, x_0, dx, x[:, None] + width * u, found)
-    mean = np.einsum("kxui,u->ikx", found, weight)
+    values = np.empty((tables.shape[0], x.size, u.size, 2))
+    interpolate_tables(tables, x_0, dx, x[:, None] + width * u, values)
+    mean = np.einsum("kxui,u->ikx", values, weight)
     return _hermite(mean[0], dx * mean[1])
 
 
 @kernel
 def interpolate_table(tables, k, x_0, dx, x):
-    """Value and derivative at `x` of curve `k` of `tables` (K, cells, 4), straight beyond ends."""
+    """Return value and derivative of table `k` of `tables` (K, cells, 4) at `x`.
+
+    Extrapolates linearly beyond the ends of the grid.
+    """
     cells = float(tables.shape[1])
     u = (x - x_0) / dx
     inside = minimum(maximum(u, 0.0), cells)
@@ -87,7 +96,7 @@ def interpolate_table(tables, k, x_0, dx, x):
 
 @kernel
 def interpolate_tables(tables, x_0, dx, x, out):
-    """Values and derivatives (K, M, N, 2) of all curves at `x` (M, N), to `out`."""
+    """Write values and derivatives (K, M, N, 2) of all tables at `x` (M, N) to `out`."""
     for k in range(tables.shape[0]):
         for i in range(x.shape[0]):
             for j in range(x.shape[1]):
@@ -98,7 +107,7 @@ def interpolate_tables(tables, x_0, dx, x, out):
 
 @kernel
 def second_derivative(tables, k, x_0, dx, x):
-    """Second derivative at `x` of curve `k`; at a grid point that to its right, 0 from the ends."""
+    """Return the second derivative of table `k` at `x`: right-sided, and 0 beyond the ends."""
     cells = float(tables.shape[1])
     u = (x - x_0) / dx
     inside = minimum(maximum(u, 0.0), cells)

@@ -1,7 +1,7 @@
-"""The vehicle as its user describes it: frozen dataclasses, each quantity with unit and meaning.
+"""Vehicle parameters as frozen dataclasses; each field carries its unit and meaning.
 
-Axes after ISO 8855: x ahead, y left, z up. Symbols as in the literature; the paper's letters are
-mapped in `dynamics.py`.
+Axes after ISO 8855: x ahead, y left, z up. Symbols as in the literature; `equations.py` maps them
+to the letters of the paper (Ngwangwa, Heyns, Breytenbach & Els).
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from road_envs import config
 from road_envs.vehicle.force_curves import Curve
 
 GRAVITY = 9.81
-"""Standard gravity as used throughout [m/s²]."""
+"""Gravitational acceleration used throughout [m/s²]."""
 
 
 def _check_positive(owner: object, *names: str) -> None:
@@ -34,7 +34,7 @@ class Axle:
 
     __pydantic_config__ = config.STRICT
 
-    x: Annotated[float, "m", "ahead of the body's centre of mass; the rear is negative"]
+    x: Annotated[float, "m", "ahead of the body's centre of mass; negative at the rear"]
     m: Annotated[float, "kg", "unsprung mass, wheels included"]
     I_xx: Annotated[float, "kg m²", "roll inertia"]
     y_s: Annotated[float, "m", "half the distance between the struts"]
@@ -69,16 +69,16 @@ class AxleCurves:
 
 @dataclass(frozen=True, kw_only=True)
 class Strut:
-    """The 4S4 strut: gas spring with two accumulators, damper, friction, bushing, bump stop."""
+    """A 4S4 strut: gas spring with two accumulators, damper, friction, bushing, bump stop."""
 
     __pydantic_config__ = config.STRICT
 
     p_stat: Annotated[float, "Pa", "static gas pressure"]
     A: Annotated[float, "m²", "bore area"]
     n_p: Annotated[float, "", "polytropic exponent"]
-    x_1: Annotated[float, "m", "static column of the first accumulator"]
-    x_2: Annotated[float, "m", "static column of the second accumulator, behind the valve"]
-    column_min: Annotated[float, "m", "shortest gas column; below it the tangent goes on"]
+    x_1: Annotated[float, "m", "static gas column of the first accumulator"]
+    x_2: Annotated[float, "m", "static gas column of the second accumulator, behind the valve"]
+    column_min: Annotated[float, "m", "shortest gas column; the force is linear below it"]
     damper: ModeCurves
     friction: ModeCurves
     bushing: Curve
@@ -92,13 +92,13 @@ class Strut:
 
 @dataclass(frozen=True, kw_only=True)
 class Valve:
-    """How a switching command reaches the strut: pure delay, then first-order lag."""
+    """Dynamics between a switching command and the strut: pure delay, then first-order lag."""
 
     __pydantic_config__ = config.STRICT
 
     delay: Annotated[float, "s", "pure delay"]
     lag: Annotated[float, "s", "time constant of the valve"]
-    equalisation: Annotated[float, "s", "time constant of the flow through the open valve"]
+    equalisation: Annotated[float, "s", "time constant of pressure equalisation, valve open"]
 
     def __post_init__(self):
         _check_positive(self, "lag", "equalisation")
@@ -116,8 +116,8 @@ class VehicleParameters:
     I_xx: Annotated[float, "kg m²", "roll inertia of the body"]
     I_yy: Annotated[float, "kg m²", "pitch inertia of the body"]
     h_cg: Annotated[float, "m", "height of the centre of mass"]
-    roll_centre: Annotated[float, "m", "height of the axis about which the body rolls in turns"]
-    pitch_centre: Annotated[float, "m", "height of the axis about which it pitches when braking"]
+    roll_centre: Annotated[float, "m", "height of the body's roll axis in turns"]
+    pitch_centre: Annotated[float, "m", "height of its pitch axis when braking"]
     front: Axle
     rear: Axle
     strut: Strut
@@ -131,15 +131,15 @@ class VehicleParameters:
         _check_positive(self, "m_b", "I_xx", "I_yy", "h_cg")
         if not inf > self.front.x > 0 > self.rear.x > -inf:
             raise ValueError(
-                "the front axle must stand ahead of the centre of mass and the rear axle behind "
-                f"it, got front.x = {self.front.x}, rear.x = {self.rear.x}"
+                "the front axle must be ahead of the centre of mass and the rear axle behind it, "
+                f"got front.x = {self.front.x}, rear.x = {self.rear.x}"
             )
         if self.tyre_static_deflection != "equilibrium":
             _check_not_negative(self, "tyre_static_deflection")
 
     @property
     def axles(self) -> tuple[Axle, Axle]:
-        """Front, rear."""
+        """The axles (front, rear)."""
         return self.front, self.rear
 
     @property
@@ -149,13 +149,13 @@ class VehicleParameters:
 
     @property
     def strut_loads(self) -> tuple[float, float]:
-        """Static load of one front and of one rear strut [N]: the body's weight by lever arms."""
+        """Static load [N] of one front and of one rear strut, by the lever arms of the body."""
         weight = self.m_b * GRAVITY / self.wheelbase
         return -0.5 * weight * self.rear.x, 0.5 * weight * self.front.x
 
     @property
     def tyre_loads(self) -> tuple[float, float]:
-        """Static load of one front and of one rear tyre [N]."""
+        """Static load [N] of one front and of one rear tyre."""
         front, rear = self.strut_loads
         return (
             front + 0.5 * self.front.m * GRAVITY,
@@ -164,7 +164,7 @@ class VehicleParameters:
 
     @property
     def tyre_deflections(self) -> tuple[float, float]:
-        """Tyre deflection at the origin of the coordinates, front and rear [m]."""
+        """Deflection [m] of a front and of a rear tyre at the origin of the coordinates."""
         if self.tyre_static_deflection != "equilibrium":
             return self.tyre_static_deflection, self.tyre_static_deflection
         front, rear = self.tyre_loads
@@ -177,14 +177,14 @@ UNIT_FACTORS: PerWheel = (1.0, 1.0, 1.0, 1.0)
 
 @dataclass(frozen=True, kw_only=True)
 class TorsionalFrame:
-    """A body of two halves of equal roll inertia, joined by a torsion spring with little damping.
+    """A torsionally flexible body: two halves of equal roll inertia, joined by spring and damper.
 
-    The front half carries what is ahead of the centre of mass, the rear half the rest.
+    Points ahead of the centre of mass belong to the front half, all others to the rear half.
     """
 
     __pydantic_config__ = config.STRICT
 
-    f: Annotated[float, "Hz", "frequency of the halves' twist against each other, body alone"]
+    f: Annotated[float, "Hz", "frequency of the free body's torsion mode"]
     zeta: Annotated[float, "", "its damping ratio"]
 
     def __post_init__(self):
@@ -194,9 +194,9 @@ class TorsionalFrame:
 
 @dataclass(frozen=True, kw_only=True)
 class VehicleVariation:
-    """How one manufactured car departs from its description; nothing departs by default.
+    """Deviation of one manufactured vehicle from its parameters; by default there is none.
 
-    Tuples of four are factors, wheel by wheel (FL, FR, RL, RR).
+    Tuples of four are factors per wheel (FL, FR, RL, RR).
     """
 
     gas: Annotated[PerWheel, "", "of the struts' gas pressure"] = UNIT_FACTORS
@@ -205,11 +205,11 @@ class VehicleVariation:
     bushing: Annotated[PerWheel, "", "of the bushings' forces"] = UNIT_FACTORS
     tyre: Annotated[PerWheel, "", "of the tyres' stiffness"] = UNIT_FACTORS
     tyre_progression: Annotated[
-        float, "1/m", "a tyre compressed by x has (1 + this (x - delta)) of its stiffness, as a "
-        "secant; delta is its deflection at the origin"
+        float, "1/m", "a, of a tyre whose secant stiffness at the compression x is "
+        "k_t (1 + a (x - delta)), with delta its deflection at the origin"
     ] = 0.0  # fmt: skip
     roll_stiffness: Annotated[
-        tuple[float, float], "N m/rad", "of the bushings between body and front, rear axle"
+        tuple[float, float], "N m/rad", "of the bushings between the body and each axle"
     ] = (0.0, 0.0)
     frame: TorsionalFrame | None = None
 
@@ -223,9 +223,9 @@ class VehicleVariation:
 
 
 NOMINAL = VehicleVariation()
-"""The car as described."""
+"""No deviation from the parameters."""
 
 
 def load_vehicle(name: str | Path) -> VehicleParameters:
-    """A vehicle by shipped name or YAML path. Raises ConfigError."""
+    """Load a vehicle by shipped name or YAML path. Raises ConfigError."""
     return config.load(VehicleParameters, "vehicles", name)

@@ -1,19 +1,19 @@
-"""The field car: a second, richer plant, on which estimators are tested and never train.
+"""Perturbed test vehicle with plant-model mismatch; estimators are tested on it, not trained.
 
-It takes the place of the paper's unpublished measurements: one manufactured individual at a time,
-driven with the same force laws, that departs from the training car where the paper says its own
-model was wrong. Every grade has all of the grade before it, in the same individual:
+It substitutes for the paper's unpublished measurements. A seed draws one manufactured vehicle with
+the force laws of the nominal one and deviations where the paper found its own model wrong. The
+grades are cumulative for the same seed:
 
-| grade | what it adds |
+| grade | adds |
 |---|---|
-| S0 | nothing: the training car, to the bit |
-| S1 | manufacture: masses, inertias, friction; each strut's gas, damper, friction and bushing |
-| S2 | structure: tyres envelop the road, stiffen as they deflect, differ in pressure; bushings |
-|    | have a roll stiffness; the frame twists |
-| S3 | instruments: place, tilt, gain, offset, speed error, clock jitter, lost samples |
+| S0 | nothing: the nominal vehicle, bit for bit |
+| S1 | manufacture: masses, inertias, friction; gas, damper, friction and bushing of each strut |
+| S2 | structure: tyres that envelop the road, are progressive and differ in pressure; roll |
+|    | stiffness of the bushings; a torsionally flexible frame |
+| S3 | instruments: position, tilt, gain, offset, speed error, clock jitter, lost samples |
 
-By how much stands in `configs/field/*.yaml`, where it is labelled as assumed. From S1 on the
-integrator's step is finer than the training car's, so that no estimator meets its own errors.
+The magnitudes are in `configs/field/*.yaml` and assumed. From S1 on the integrator takes finer
+steps than on the nominal vehicle, so that its error differs from that of an estimator's model.
 """
 
 from collections.abc import Callable
@@ -40,10 +40,12 @@ from road_envs.vehicle.parameters import (
 GRADES = ("S0", "S1", "S2", "S3")
 
 Range = tuple[float, float]
-MANUFACTURE_STREAM, STRUCTURE_STREAM, INSTRUMENT_STREAM = 1, 2, 3
+MANUFACTURE_LEVEL, STRUCTURE_LEVEL, INSTRUMENT_LEVEL = 1, 2, 3
+"""Index of the grade that adds each group of deviations, and second key of its random stream."""
+
 PERTURBATION_STREAM = 9
-"""First key of the streams of random numbers that draw an individual; the second is one of the
-three above. Instruments draw their noise from the seed itself, whatever the grade."""
+"""First key of the random streams of a perturbed vehicle. Sensor noise is drawn from the seed
+itself, so that it is the same under every grade."""
 
 
 def _check_relative(owner: object, *names: str) -> None:
@@ -51,21 +53,24 @@ def _check_relative(owner: object, *names: str) -> None:
         value = getattr(owner, name)
         low, high = value if isinstance(value, tuple) else (0.0, value)
         if not 0 <= low <= high < 1:
-            raise ValueError(f"{name} must be within [0, 1), the least first, got {value}")
+            raise ValueError(f"{name} must be within [0, 1), smallest first, got {value}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ManufacturingTolerances:
-    """Relative departures of one car from the drawing."""
+    """Relative deviations of one vehicle from its parameters.
+
+    A pair is the smallest and the largest magnitude, of either sign; a number is the largest.
+    """
 
     __pydantic_config__ = config.STRICT
 
     mass: Annotated[Range, "", "of the body and of each axle"]
     inertia: Annotated[Range, "", "of the same"]
-    friction: Annotated[Range, "", "of all struts alike"]
+    friction: Annotated[Range, "", "common to all struts"]
     strut_gas: Annotated[float, "", "of each strut's gas pressure"]
     strut_damper: Annotated[float, "", "of each damper's force"]
-    strut_friction: Annotated[float, "", "of each strut's friction, beside that of all"]
+    strut_friction: Annotated[float, "", "of each strut's friction, in addition"]
     strut_bushing: Annotated[float, "", "of each bushing's force"]
 
     def __post_init__(self):
@@ -74,14 +79,16 @@ class ManufacturingTolerances:
 
 @dataclass(frozen=True, kw_only=True)
 class UnmodelledStructure:
-    """What the training car's equations leave out."""
+    """Structural effects that the nominal equations of motion leave out."""
 
     __pydantic_config__ = config.STRICT
 
-    contact_length: Annotated[float, "m", "of the tyres on the road"]
-    tyre_progression: Annotated[float, "1/m", "as in `vehicle.VehicleVariation`"]
-    tyre_pressure: Annotated[float, "", "relative departure of each tyre's pressure"]
-    tyre_pressure_effect: Annotated[float, "", "relative stiffness by relative pressure"]
+    contact_length: Annotated[float, "m", "contact length of the tyres"]
+    tyre_progression: Annotated[float, "1/m", "as in `parameters.VehicleVariation`"]
+    tyre_pressure: Annotated[float, "", "largest relative deviation of each tyre's pressure"]
+    tyre_pressure_effect: Annotated[
+        float, "", "relative change of stiffness per relative change of pressure"
+    ]
     roll_stiffness: Annotated[tuple[float, float], "N m/rad", "of the bushings, front and rear"]
     frame: TorsionalFrame | None
 
@@ -91,33 +98,36 @@ class UnmodelledStructure:
             if not 0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
         if not self.tyre_pressure * self.tyre_pressure_effect < 1:
-            raise ValueError("tyre_pressure times tyre_pressure_effect must be below 1")
+            raise ValueError(
+                "tyre_pressure times tyre_pressure_effect must be below 1, "
+                f"got {self.tyre_pressure} x {self.tyre_pressure_effect}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
 class SensorFaultLimits:
-    """Greatest departures of the instruments; the last four are as they stand."""
+    """Largest magnitudes of the sensor faults; the last four are the values themselves."""
 
     __pydantic_config__ = config.STRICT
 
-    place: Annotated[float, "m", "of each accelerometer, ahead and to the left"]
+    place: Annotated[float, "m", "position of each accelerometer, in x and in y"]
     tilt: Annotated[float, "rad", "of its axis from the vertical"]
-    gain: Annotated[float, "", "relative, of its sensitivity"]
+    gain: Annotated[float, "", "relative error of its sensitivity"]
     offset: Annotated[float, "m/s²", "of its reading"]
-    speed: Annotated[float, "", "relative, of the speed signal, constant over a drive"]
+    speed: Annotated[float, "", "relative error of the speed signal, constant over a drive"]
     position_fix_length: Annotated[
-        float, "m", "way in which position fixes bring the odometer back by 63 %"
+        float, "m", "distance over which position fixes remove 63 % of an odometer error"
     ]
-    jitter: Annotated[float, "s", "standard deviation of the instants of the samples"]
-    dropout_rate: Annotated[float, "", "share of the samples that are lost"]
-    dropout_length: Annotated[int, "samples", "mean length of a loss"]
+    jitter: Annotated[float, "s", "standard deviation of the sampling instants"]
+    dropout_rate: Annotated[float, "", "fraction of the samples that are lost"]
+    dropout_length: Annotated[int, "samples", "mean length of a dropout"]
 
     def __post_init__(self):
         _check_relative(self, "gain", "speed")
         for name in ("place", "tilt", "offset"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
-        SensorFaults(
+        SensorFaults(  # for its validation only
             jitter=self.jitter,
             dropout_rate=self.dropout_rate,
             dropout_length=self.dropout_length,
@@ -127,12 +137,12 @@ class SensorFaultLimits:
 
 @dataclass(frozen=True, kw_only=True)
 class PlantMismatch:
-    """By how much field cars depart from the training car."""
+    """Magnitudes of the deviations of perturbed vehicles from the nominal one."""
 
     __pydantic_config__ = config.STRICT
 
     name: str
-    step: Annotated[float, "s", "of the integrator"]
+    step: Annotated[float, "s", "longest step of the integrator"]
     manufacture: ManufacturingTolerances
     structure: UnmodelledStructure
     instruments: SensorFaultLimits
@@ -145,10 +155,9 @@ class PlantMismatch:
 
 @dataclass(frozen=True)
 class PerturbedVehicle:
-    """One individual: its description, what is beyond it, its instruments' faults and its step.
+    """One perturbed vehicle: parameters, variation, tyre contact length and sensor faults.
 
-    `step` [s] is the longest that the integrator may take. A `contact_length` [m] of 0 is a point
-    follower.
+    `step` [s]: longest step of the integrator. A `contact_length` [m] of 0 is a point follower.
     """
 
     grade: str
@@ -160,16 +169,16 @@ class PerturbedVehicle:
 
     @cached_property
     def plant(self) -> Plant:
-        """What the kernels need of it."""
+        """The vehicle as kernels read it."""
         return build_plant(self.car, variation=self.variation)
 
     def enveloped(self, surface: Surface) -> Surface:
-        """The surface as its tyres follow it; the truth stays what it is."""
+        """Return the surface after enveloping by the tyres; the true profile is not affected."""
         return enveloped(surface, self.contact_length) if self.contact_length > 0.0 else surface
 
 
 def load_plant_mismatch(name: str | Path = "assumed") -> PlantMismatch:
-    """Deviations by shipped name or YAML path. Raises ConfigError."""
+    """Load the magnitudes by shipped name or YAML path. Raises ConfigError."""
     return config.load(PlantMismatch, "field", name)
 
 
@@ -179,31 +188,34 @@ def perturb_vehicle(
     seed: int | np.random.SeedSequence,
     plant_mismatch: PlantMismatch | None = None,
 ) -> PerturbedVehicle:
-    """The individual of a `grade` that `seed` draws; the same one under every grade.
+    """Draw the perturbed vehicle of a `seed`, with the deviations up to `grade`.
 
-    `plant_mismatch` are those shipped as "assumed" unless others are given. Raises ConfigError.
+    All grades of one seed share their random draws. `plant_mismatch`: magnitudes, by default the
+    shipped "assumed" ones. Raises ConfigError.
     """
     level = GRADES.index(config.validate_choice("grade", grade, list(GRADES)))
     if level == 0:
         return PerturbedVehicle(grade, car)
-    by = load_plant_mismatch() if plant_mismatch is None else plant_mismatch
-    one = _with_tolerances(PerturbedVehicle(grade, car, step=by.step), by.manufacture, seed)
-    if level >= STRUCTURE_STREAM:
-        one = _with_structure(one, by.structure, seed)
-    if level >= INSTRUMENT_STREAM:
-        one = replace(one, faults=_draw_sensor_faults(by.instruments, seed))
-    return one
+    mismatch = load_plant_mismatch() if plant_mismatch is None else plant_mismatch
+    vehicle = _with_tolerances(
+        PerturbedVehicle(grade, car, step=mismatch.step), mismatch.manufacture, seed
+    )
+    if level >= STRUCTURE_LEVEL:
+        vehicle = _with_structure(vehicle, mismatch.structure, seed)
+    if level >= INSTRUMENT_LEVEL:
+        vehicle = replace(vehicle, faults=_draw_sensor_faults(mismatch.instruments, seed))
+    return vehicle
 
 
 def _seed_sequence(seed: int | np.random.SeedSequence, group: int) -> np.random.SeedSequence:
-    given = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+    root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
     return np.random.SeedSequence(
-        given.entropy, spawn_key=(*given.spawn_key, PERTURBATION_STREAM, group)
+        root.entropy, spawn_key=(*root.spawn_key, PERTURBATION_STREAM, group)
     )
 
 
 def _two_sided_factor(rng: np.random.Generator) -> Callable[..., float]:
-    """Draws a factor that departs from 1 by `least` to `most`, up or down."""
+    """Return a function that draws a factor 1 ± x, with x between `least` and `most`."""
 
     def factor(least: float, most: float) -> float:
         return 1.0 + float(rng.choice((-1.0, 1.0)) * rng.uniform(least, most))
@@ -212,71 +224,75 @@ def _two_sided_factor(rng: np.random.Generator) -> Callable[..., float]:
 
 
 def _four_factors(rng: np.random.Generator, most: float) -> PerWheel:
-    """Factors that depart from 1 by up to `most`."""
+    """Draw factors between 1 - `most` and 1 + `most`."""
     a, b, c, d = (1.0 + rng.uniform(-most, most, 4)).tolist()
     return a, b, c, d
 
 
-def _three_values(rng: np.random.Generator, most: float, middle: float = 0.0) -> PerSensor:
-    """Values within `most` of `middle`."""
-    a, b, c = (middle + rng.uniform(-most, most, 3)).tolist()
+def _three_values(rng: np.random.Generator, most: float, centre: float = 0.0) -> PerSensor:
+    """Draw values between `centre` - `most` and `centre` + `most`."""
+    a, b, c = (centre + rng.uniform(-most, most, 3)).tolist()
     return a, b, c
 
 
 def _with_tolerances(
-    one: PerturbedVehicle, by: ManufacturingTolerances, seed: int | np.random.SeedSequence
+    vehicle: PerturbedVehicle, limits: ManufacturingTolerances, seed: int | np.random.SeedSequence
 ) -> PerturbedVehicle:
-    rng = np.random.default_rng(_seed_sequence(seed, MANUFACTURE_STREAM))
+    rng = np.random.default_rng(_seed_sequence(seed, MANUFACTURE_LEVEL))
     factor = _two_sided_factor(rng)
 
-    def made(axle: Axle) -> Axle:
-        return replace(axle, m=axle.m * factor(*by.mass), I_xx=axle.I_xx * factor(*by.inertia))
+    def perturbed_axle(axle: Axle) -> Axle:
+        return replace(
+            axle, m=axle.m * factor(*limits.mass), I_xx=axle.I_xx * factor(*limits.inertia)
+        )
 
     car = replace(
-        one.car,
-        m_b=one.car.m_b * factor(*by.mass),
-        I_xx=one.car.I_xx * factor(*by.inertia),
-        I_yy=one.car.I_yy * factor(*by.inertia),
-        front=made(one.car.front),
-        rear=made(one.car.rear),
+        vehicle.car,
+        m_b=vehicle.car.m_b * factor(*limits.mass),
+        I_xx=vehicle.car.I_xx * factor(*limits.inertia),
+        I_yy=vehicle.car.I_yy * factor(*limits.inertia),
+        front=perturbed_axle(vehicle.car.front),
+        rear=perturbed_axle(vehicle.car.rear),
     )
-    rubs, (a, b, c, d) = factor(*by.friction), _four_factors(rng, by.strut_friction)
+    common, (a, b, c, d) = factor(*limits.friction), _four_factors(rng, limits.strut_friction)
     struts = VehicleVariation(
-        gas=_four_factors(rng, by.strut_gas),
-        damper=_four_factors(rng, by.strut_damper),
-        friction=(rubs * a, rubs * b, rubs * c, rubs * d),
-        bushing=_four_factors(rng, by.strut_bushing),
+        gas=_four_factors(rng, limits.strut_gas),
+        damper=_four_factors(rng, limits.strut_damper),
+        friction=(common * a, common * b, common * c, common * d),
+        bushing=_four_factors(rng, limits.strut_bushing),
     )
-    return replace(one, car=car, variation=struts)
+    return replace(vehicle, car=car, variation=struts)
 
 
 def _with_structure(
-    one: PerturbedVehicle, by: UnmodelledStructure, seed: int | np.random.SeedSequence
+    vehicle: PerturbedVehicle, limits: UnmodelledStructure, seed: int | np.random.SeedSequence
 ) -> PerturbedVehicle:
-    rng = np.random.default_rng(_seed_sequence(seed, STRUCTURE_STREAM))
+    rng = np.random.default_rng(_seed_sequence(seed, STRUCTURE_LEVEL))
     variation = replace(
-        one.variation,
-        tyre=_four_factors(rng, by.tyre_pressure * by.tyre_pressure_effect),
-        tyre_progression=by.tyre_progression,
-        roll_stiffness=by.roll_stiffness,
-        frame=by.frame,
+        vehicle.variation,
+        tyre=_four_factors(rng, limits.tyre_pressure * limits.tyre_pressure_effect),
+        tyre_progression=limits.tyre_progression,
+        roll_stiffness=limits.roll_stiffness,
+        frame=limits.frame,
     )
-    return replace(one, variation=variation, contact_length=by.contact_length)
+    return replace(vehicle, variation=variation, contact_length=limits.contact_length)
 
 
-def _draw_sensor_faults(by: SensorFaultLimits, seed: int | np.random.SeedSequence) -> SensorFaults:
-    stream = _seed_sequence(seed, INSTRUMENT_STREAM)
+def _draw_sensor_faults(
+    limits: SensorFaultLimits, seed: int | np.random.SeedSequence
+) -> SensorFaults:
+    stream = _seed_sequence(seed, INSTRUMENT_LEVEL)
     rng = np.random.default_rng(stream)
     return SensorFaults(
-        dx=_three_values(rng, by.place),
-        dy=_three_values(rng, by.place),
-        tilt=_three_values(rng, by.tilt),
-        gain=_three_values(rng, by.gain, 1.0),
-        offset=_three_values(rng, by.offset),
-        speed=float(rng.uniform(-by.speed, by.speed)),
-        position_fix_length=by.position_fix_length,
-        jitter=by.jitter,
-        dropout_rate=by.dropout_rate,
-        dropout_length=by.dropout_length,
+        dx=_three_values(rng, limits.place),
+        dy=_three_values(rng, limits.place),
+        tilt=_three_values(rng, limits.tilt),
+        gain=_three_values(rng, limits.gain, 1.0),
+        offset=_three_values(rng, limits.offset),
+        speed=float(rng.uniform(-limits.speed, limits.speed)),
+        position_fix_length=limits.position_fix_length,
+        jitter=limits.jitter,
+        dropout_rate=limits.dropout_rate,
+        dropout_length=limits.dropout_length,
         seed=tuple(int(x) for x in stream.generate_state(4)),
     )

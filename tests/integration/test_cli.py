@@ -1,4 +1,4 @@
-"""The command line does what its help says, and says what is wrong in one sentence."""
+"""Subcommands of `road-recon` and their error messages."""
 
 import json
 import sys
@@ -29,7 +29,7 @@ def road_recon(monkeypatch, capsys, tmp_path):
 DRIVE = ("--road", "iso_c", "--length", "30", "--speed-kmh", "36")
 
 
-def test_every_command_explains_itself(road_recon):
+def test_every_command_has_a_help_text(road_recon):
     for command in (
         "simulate",
         "train",
@@ -51,8 +51,8 @@ def test_every_command_explains_itself(road_recon):
         assert "Usage: road-recon" in out and command in out
 
 
-def test_a_field_car_is_recorded_lost_samples_and_all(road_recon, tmp_path):
-    """The seed draws the individual; what was lost is told, drawn around and read back."""
+def test_a_drive_of_a_perturbed_vehicle_is_recorded_with_its_lost_samples(road_recon, tmp_path):
+    """Lost samples are counted, stored as NaN and do not break the plot."""
     road, files = ("--road", "iso_c", "--length", "60"), ("--out", "d.parquet", "--plot", "d.png")
     code, out, _ = road_recon("simulate", *road, "--grade", "S3", *files, "--json")
     facts = json.loads(out)
@@ -98,7 +98,7 @@ def test_a_drive_is_recorded_reconstructed_and_scored(road_recon, tmp_path):
     }  # fmt: skip
 
 
-def test_a_measured_drive_is_read_where_a_record_is(road_recon, tmp_path):
+def test_a_measured_drive_is_accepted_in_place_of_a_record(road_recon, tmp_path):
     road_recon("simulate", *DRIVE, "--out", "d.parquet")
     record, _ = read_record(tmp_path / "d.parquet")
     rows = np.column_stack([record.t, *record.a, record.v])
@@ -120,10 +120,10 @@ def test_scores_of_an_estimate_are_printed_with_their_units(road_recon):
     assert code == 0 and lines["IRI error"][1] == "mm/m"
     assert float(lines["DSD distance"][0]) >= 0.0 and lines["DSD distance"][1] == "dB"
     code, _, err = road_recon("estimate", "m.npz", "d.parquet", "--set", "passes=2")
-    assert code == 2 and "--set is for an estimator's name" in err
+    assert code == 2 and "takes no others" in err
 
 
-def test_the_network_says_why_its_training_ended(road_recon):
+def test_training_a_network_reports_why_it_stopped(road_recon):
     code, out, _ = road_recon(
         "train", "static_lm", *DRIVE, "--set", "max_epochs=3", "--out", "m.npz", "--json"
     )
@@ -131,7 +131,7 @@ def test_the_network_says_why_its_training_ended(road_recon):
     assert code == 0 and facts["epochs"] <= 3 and facts["stopped_by"]
 
 
-def test_roads_are_listed_with_what_can_be_measured_of_them(road_recon):
+def test_roads_are_listed_with_class_and_rms(road_recon):
     code, out, _ = road_recon("roads", "list", "--json")
     rows = {row["road"]: row for row in json.loads(out)}
     assert code == 0
@@ -150,7 +150,7 @@ def test_a_road_is_plotted_and_exported(road_recon, tmp_path):
 @pytest.mark.parametrize(
     "out", [("t.csv",), ("t.parquet",), ("t.erd",), ("t.crg",), ("t.crg", "--form", "LRFI")]
 )
-def test_an_exported_road_can_be_read_back_from_any_kind_of_file(road_recon, tmp_path, out):
+def test_an_exported_road_can_be_read_back_from_every_format(road_recon, tmp_path, out):
     assert road_recon("roads", "export", "twist", "--out", *out)[0] == 0
     again = load_road(tmp_path / out[0]).realise(np.random.default_rng(0))
     drawn = load_road("twist").realise(np.random.default_rng(1))
@@ -158,7 +158,7 @@ def test_an_exported_road_can_be_read_back_from_any_kind_of_file(road_recon, tmp
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("simulate", "--road", "belgiun"), ["belgiun", "did you mean 'belgian'"]),
         (("simulate", "--road", "nowhere.crg"), ["nowhere.crg"]),
@@ -173,10 +173,10 @@ def test_an_exported_road_can_be_read_back_from_any_kind_of_file(road_recon, tmp
         (("simulate", "--out", "record.csv"), [".parquet"]),
         (("roads", "export", "flat", "--out", "f.xlsx"), [".csv or .parquet or .crg or .erd"]),
         (("roads", "export", "flat", "--out", "f.crg", "--form", "ABC"), ["ABC", "KDBI"]),
-        (("roads", "export", "flat", "--out", "f.csv", "--form", "KDBI"), ["only a .crg file"]),
+        (("roads", "export", "flat", "--out", "f.csv", "--form", "KDBI"), ["for .crg files only"]),
         (("estimate", "flat", "missing.parquet"), ["missing.parquet"]),
         (("estimate", "flot", "missing.parquet"), ["flot", "did you mean 'flat'"]),
-        (("train", "flat", "--road", "iso_a", "--out", "m.npz"), ["nothing to learn"]),
+        (("train", "flat", "--road", "iso_a", "--out", "m.npz"), ["flat is not trainable"]),
         (
             ("train", "static_lm", "--road", "iso_a", "--out", "m.npz", "--set", "hiden=3"),
             ["hiden", "did you mean 'hidden'"],
@@ -187,9 +187,9 @@ def test_an_exported_road_can_be_read_back_from_any_kind_of_file(road_recon, tmp
         ),
         (("policies", "--policy", "randum"), ["randum", "did you mean 'random'"]),
         (("policies", "--scenarios", "quik"), ["quik", "did you mean 'quick'"]),
-        (("policies", "--quick", "--sweep"), ["--quick stands for the quick scenarios"]),
+        (("policies", "--quick", "--sweep"), ["--quick means the quick scenarios"]),
         (("tune-policy", "skihook"), ["skihook", "did you mean 'skyhook'"]),
-        (("train-policy", "rrms", "--out", "n.npz"), ["rrms is not learned"]),
+        (("train-policy", "rrms", "--out", "n.npz"), ["only learned policies can be trained"]),
         (("leaderboard", "--task", "paper_9"), ["paper_9", "paper_1"]),
         (("leaderboard", "--estimator", "flot"), ["flot", "did you mean 'flat'"]),
         (("leaderboard", "--board", "new-roads"), ["new_roads", "did you mean 'new_road'"]),
@@ -197,11 +197,11 @@ def test_an_exported_road_can_be_read_back_from_any_kind_of_file(road_recon, tmp
         (("leaderboard", "--estimator", "flat", "--without", "tcn"), ["not both"]),
     ],
 )  # fmt: skip
-def test_bad_input_is_one_sentence_and_leaves_nothing_behind(road_recon, tmp_path, words, said):
+def test_invalid_input_gives_one_sentence_and_writes_no_file(road_recon, tmp_path, words, message):
     code, out, err = road_recon(*words)
     assert code == 2
     assert err.startswith("error: ") and err.count("\n") == 1 and "Traceback" not in err
-    for word in said:
+    for word in message:
         assert word in err
     assert out == "" and list(tmp_path.iterdir()) == []
 

@@ -1,4 +1,4 @@
-"""Cards are kept by what they depend on, and shown wherever they exist and fit."""
+"""Estimator cards: identity, storage and display; stale rows after a change of an estimator."""
 
 import dataclasses
 import io
@@ -36,40 +36,40 @@ ENTRIES = {"Valid": 5, "NonDeterministic": 4, "Broken": None}
 
 
 @pytest.fixture(scope="module")
-def examined(tmp_path_factory):
-    """A folder with the cards of an honest estimator, of one with a vice, of one that fails."""
+def probed(tmp_path_factory):
+    """A folder with the cards of a valid, a non-deterministic and a failing estimator."""
     out = tmp_path_factory.mktemp("cards")
     with SandboxClient(LIMITS) as sandbox:
         entries = {
             name: resolve_entries([f"bad_estimators:{name}"], sandbox)[0] for name in ENTRIES
         }
-    lost = Entry(name="lost", reference="nowhere:Lost", failure="it cannot be made")
-    heard = []
-    asked = [*entries.values(), make_entry("truth_plus_noise", None), lost]
-    assert probe_entries(asked, out, LIMITS, heard.append) == 3
-    assert heard == [f"probing {name}" for name in ENTRIES]
+    lost = Entry(name="lost", reference="nowhere:Lost", failure="cannot be constructed")
+    messages = []
+    requested = [*entries.values(), make_entry("truth_plus_noise", None), lost]
+    assert probe_entries(requested, out, LIMITS, messages.append) == 3
+    assert messages == [f"probing {name}" for name in ENTRIES]
     return out, entries
 
 
-def card_of(examined, name):
-    out, entries = examined
+def card_of(probed, name):
+    out, entries = probed
     return find_card(out, name, entries[name].settings, entries[name].code)
 
 
-def test_every_entry_has_a_card_and_is_not_asked_twice(examined):
-    out, entries = examined
-    honest, dice, broken = (card_of(examined, name) for name in ENTRIES)
-    assert [p.name for p in honest.probes] == list(PROBES)
-    assert (honest.passed_count, dice.passed_count, broken.passed_count) == ("5/5", "4/5", "")
-    assert [p.name for p in dice.probes if p.passed is False] == ["repeat"]
+def test_every_entry_gets_one_card(probed):
+    out, entries = probed
+    valid, random, broken = (card_of(probed, name) for name in ENTRIES)
+    assert [p.name for p in valid.probes] == list(PROBES)
+    assert (valid.passed_count, random.passed_count, broken.passed_count) == ("5/5", "4/5", "")
+    assert [p.name for p in random.probes if p.passed is False] == ["repeat"]
     assert broken.failure.endswith("RuntimeError: out of order") and not broken.probes
-    assert "60 m of class D" in honest.drive
+    assert "60 m of class D" in valid.drive
     assert probe_entries(entries.values(), out, LIMITS) == 0
     assert len(list((out / "cards").iterdir())) == 3
 
 
-def test_another_code_other_settings_or_another_examiner_have_no_card(examined, monkeypatch):
-    out, entries = examined
+def test_a_card_is_valid_only_for_its_code_settings_and_probe_version(probed, monkeypatch):
+    out, entries = probed
     code = entries["Valid"].code
     assert find_card(out, "Valid", {}, code + "x") is None
     assert find_card(out, "Valid", {"gain": 2}, code) is None
@@ -78,62 +78,64 @@ def test_another_code_other_settings_or_another_examiner_have_no_card(examined, 
     assert find_card(out, "Valid", {}, code) is None
 
 
-def test_a_damaged_card_is_none_and_is_made_again(examined):
-    out, entries = examined
-    honest = entries["Valid"]
-    path = out / "cards" / f"{conformance_results.card_identity('Valid', {}, honest.code)}.json"
-    whole = path.read_text()
-    for damaged in (whole.replace('"passed": true', '"passed": null', 1), whole[:200], "{}", ""):
+def test_a_damaged_card_is_ignored_and_made_again(probed):
+    out, entries = probed
+    valid = entries["Valid"]
+    path = out / "cards" / f"{conformance_results.card_identity('Valid', {}, valid.code)}.json"
+    text = path.read_text()
+    for damaged in (text.replace('"passed": true', '"passed": null', 1), text[:200], "{}", ""):
         path.write_text(damaged)
-        assert find_card(out, "Valid", {}, honest.code) is None
-    assert probe_entries([honest], out, LIMITS) == 1 and path.read_text() == whole
-    path.write_text(whole.replace('"format": 1', '"format": 2'))
+        assert find_card(out, "Valid", {}, valid.code) is None
+    assert probe_entries([valid], out, LIMITS) == 1 and path.read_text() == text
+    path.write_text(text.replace('"format": 1', '"format": 2'))
     with pytest.raises(NewerFormatError):
         read_checked_json(path, conformance_results.FORMAT)
-    assert find_card(out, "Valid", {}, honest.code) is None
-    path.write_text(whole)
+    assert find_card(out, "Valid", {}, valid.code) is None
+    path.write_text(text)
 
 
 # on the board
 
 
 def board_of(tmp_path, **options):
-    made = {"reader": Reader()}
-    entries = [make_entry(name, estimator) for name, estimator in made.items()]
-    wanted = RunRequest([task()], entries, seeds=(1,), **options)
-    return run_board(wanted, tmp_path, InProcessExecutor(fake_drives, made)), entries[0]
+    estimators_by_name = {"reader": Reader()}
+    entries = [make_entry(name, estimator) for name, estimator in estimators_by_name.items()]
+    request = RunRequest([task()], entries, seeds=(1,), **options)
+    return run_board(
+        request, tmp_path, InProcessExecutor(fake_drives, estimators_by_name)
+    ), entries[0]
 
 
 def with_card(board, probes, name="reader"):
     (result,) = [r for r in board.results["small"] if r.estimator == name]
-    known = conformance_results.card_identity(result.estimator, result.settings, result.code)
+    identity = conformance_results.card_identity(result.estimator, result.settings, result.code)
     card = EstimatorCard(
-        identity=known, estimator=name, settings={}, code="", drive="a road", probes=probes
+        identity=identity, estimator=name, settings={}, code="", drive="a road", probes=probes
     )
-    return dataclasses.replace(board, cards={known: card})
+    return dataclasses.replace(board, cards={identity: card})
 
 
-def test_the_mark_stands_in_table_and_page_and_the_card_on_the_estimators_page(tmp_path, examined):
+def test_table_and_pages_show_the_number_of_passed_probes(tmp_path, probed):
     board, _ = board_of(tmp_path)
-    marked = with_card(board, card_of(examined, "NonDeterministic").probes)
+    marked = with_card(board, card_of(probed, "NonDeterministic").probes)
     for one, mark in ((board, ""), (marked, "4/5")):
         found = build_report(one)
         lines = {line.name: line for line in found.views[0].sections[0].rows}
         assert lines["reader"].cells["probes"] == mark
-        assert not lines["flat"].cells["probes"]  # nobody has asked it
-        said = io.StringIO()
-        print_tables(found, Console(file=said, width=80))
-        assert ("reader 4/5" in said.getvalue()) == bool(mark)
+        assert not lines["flat"].cells["probes"]  # not probed
+        stream = io.StringIO()
+        print_tables(found, Console(file=stream, width=80))
+        assert ("reader 4/5" in stream.getvalue()) == bool(mark)
         texts = dict(render_pages(one, found))
         assert ("4/5</span>" in texts["index.html"]) == bool(mark)
-        assert ("<strong>failed</strong>: asked twice" in texts["estimators/reader.html"]) == bool(
-            mark
-        )
+        assert (
+            "<strong>failed</strong>: estimated twice" in texts["estimators/reader.html"]
+        ) == bool(mark)
 
 
 @pytest.mark.parametrize("kind", ["new_road", "field", "class", "paper", "measured"])
-def test_every_board_fits_a_terminal_of_80_columns_with_its_marks(kind, examined):
-    """The longest name there is, with a mark, and numbers of many digits."""
+def test_every_board_fits_a_terminal_of_80_columns(kind, probed):
+    """With the longest name, a probe count, and numbers of many digits."""
     grades = ("S0", "S1", "S2", "S3") if kind == "field" else ("S0",)
     one = task(
         board=kind,
@@ -142,7 +144,7 @@ def test_every_board_fits_a_terminal_of_80_columns_with_its_marks(kind, examined
         bumps=True,
     )
     name = max(estimators.names(), key=len)
-    found = run_task(one, {name: Reader(gain=-1.0)}, (1,), drive=fake_drives)
+    found = run_task(one, {name: Reader(gain=-1.0)}, (1,), simulate=fake_drives)
     drives = tuple(
         dataclasses.replace(
             drive, scores={k: x and 1.4 * x for k, x in drive.scores.items()} | {"bump_f1": 1.0}
@@ -151,37 +153,41 @@ def test_every_board_fits_a_terminal_of_80_columns_with_its_marks(kind, examined
     )
     slow = dataclasses.replace(found[0], drives=drives, estimate_ms_per_100m=12345.6)
     board = with_card(
-        Board((one,), {"small": (slow,)}), card_of(examined, "NonDeterministic").probes, name
+        Board((one,), {"small": (slow,)}), card_of(probed, "NonDeterministic").probes, name
     )
-    said = io.StringIO()
-    print_tables(build_report(board), Console(file=said, width=80))
-    text = said.getvalue()
+    stream = io.StringIO()
+    print_tables(build_report(board), Console(file=stream, width=80))
+    text = stream.getvalue()
     assert "…" not in text and max(map(len, text.splitlines())) <= 80
     assert f"{name} 4/5" in text
 
 
-def test_a_run_with_probes_leaves_cards_and_one_without_shows_them(tmp_path, monkeypatch):
-    asked = []
+def test_cards_are_made_only_on_request_and_loaded_if_they_exist(tmp_path, monkeypatch):
+    requested = []
 
     def examine(entries, out, limits, report):
-        asked.extend(entry.name for entry in entries)
+        requested.extend(entry.name for entry in entries)
 
     monkeypatch.setattr(conformance_results, "probe_entries", examine)
     board_of(tmp_path)
-    assert not asked
+    assert not requested
     board, entry = board_of(tmp_path, probes=True)
-    assert "reader" in asked and not board.cards
-    known = conformance_results.card_identity("reader", entry.settings, entry.code)
+    assert "reader" in requested and not board.cards
+    identity = conformance_results.card_identity("reader", entry.settings, entry.code)
     card = EstimatorCard(
-        identity=known, estimator="reader", settings=entry.settings, code=entry.code, drive="a road"
+        identity=identity,
+        estimator="reader",
+        settings=entry.settings,
+        code=entry.code,
+        drive="a road",
     )
     conformance_results.store.write_durable(
-        conformance_results._path(tmp_path, known), conformance_results._text(card)
+        conformance_results._path(tmp_path, identity), conformance_results._text(card)
     )
-    assert load_board([task()], tmp_path).cards == {known: card}
+    assert load_board([task()], tmp_path).cards == {identity: card}
 
 
-# who stands on the board as it is now
+# stale rows
 
 
 def test_a_row_of_other_code_weights_or_settings_is_stale(tmp_path):
@@ -191,21 +197,24 @@ def test_a_row_of_other_code_weights_or_settings_is_stale(tmp_path):
     at = "small", "reader"
     for now, why in (
         (dataclasses.replace(entry, code="other"), "its code or its weights have changed"),
-        (dataclasses.replace(entry, settings={"gain": 0.1}), "made with other settings"),
+        (
+            dataclasses.replace(entry, settings={"gain": 0.1}),
+            "made with other settings",
+        ),
     ):
         changed = dataclasses.replace(board, entries={**board.entries, at: now})
-        assert [(r.estimator, said) for r, said in changed.stale(t)] == [("reader", why)]
+        assert [(r.estimator, reason) for r, reason in changed.stale(t)] == [("reader", why)]
         assert "reader" not in [r.estimator for r in changed.scored(t)]
         state = dict(render_pages(changed, build_report(changed)))["estimators/reader.html"]
         assert why in state
-    assert not Board(board.tasks, board.results).stale(t)  # a stranger, of whom nothing is known
+    assert not Board(board.tasks, board.results).stale(t)  # no current entries to compare with
 
 
-def test_estimators_of_this_package_are_known_by_code_and_weights(tmp_path, monkeypatch):
-    """A row of a shipped estimator is stale once one of its weights is another number."""
+def test_a_row_is_stale_after_a_change_of_shipped_weights(tmp_path, monkeypatch):
+    """Changing one weight of a shipped estimator makes its row stale."""
     row = registered_entry("fir_ridge", each_case=False)
-    wanted = RunRequest([task()], [row], seeds=(1,))
-    board = run_board(wanted, tmp_path, InProcessExecutor(fake_drives))
+    request = RunRequest([task()], [row], seeds=(1,))
+    board = run_board(request, tmp_path, InProcessExecutor(fake_drives))
     assert "fir_ridge" in [r.estimator for r in board.scored(board.tasks[0])]
     (bank,) = pretrained_weights.load_pretrained("fir_ridge").values()
     changed = np.array(bank)
@@ -218,7 +227,7 @@ def test_estimators_of_this_package_are_known_by_code_and_weights(tmp_path, monk
     assert registered_entry("no_such", each_case=False) is None
 
 
-def test_where_each_case_is_learnt_for_itself_a_quick_learner_leaves_its_weights_at_home():
+def test_on_tasks_trained_per_case_a_quickly_fitted_estimator_drops_its_weights():
     fir, tcn, wiener = (
         registered_entry(name, each_case=True) for name in ("fir_ridge", "tcn", "wiener")
     )
@@ -233,5 +242,5 @@ def test_where_each_case_is_learnt_for_itself_a_quick_learner_leaves_its_weights
     found = {row.task.name: row.entry for row in RunRequest([paper, new], [plain]).rows()[:]
              if row.entry.name == "fir_ridge"}  # fmt: skip
     assert found == {"paper_5": fir, "new_road": plain}
-    failed = dataclasses.replace(plain, failure="it cannot be made")
+    failed = dataclasses.replace(plain, failure="cannot be constructed")
     assert entry_refit_per_case(failed) == failed

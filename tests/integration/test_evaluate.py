@@ -1,4 +1,4 @@
-"""The judge: every entry is a row, whatever it does, and nobody sees the truth of a test drive."""
+"""Evaluation: scores, failures, isolation of the test truth, baselines, stale results."""
 
 import dataclasses
 
@@ -20,37 +20,37 @@ from road_envs.simulation.drive import SimulationError
 
 
 def run(entries, seeds=(1, 2, 3), t=None, **options):
-    results = run_task(t or task(), entries, seeds, drive=fake_drives, **options)
+    results = run_task(t or task(), entries, seeds, simulate=fake_drives, **options)
     return {result.estimator: result for result in results}
 
 
-def board(tmp_path, made, t=None, drive=fake_drives, progress=lambda *step: None, **options):
-    entries = [make_entry(name, estimator) for name, estimator in made.items()]
-    wanted = RunRequest([t or task()], entries, **options)
-    return run_board(wanted, tmp_path, InProcessExecutor(drive, made), progress)
+def board(tmp_path, estimators, t=None, simulate=fake_drives, progress=lambda *_: None, **options):
+    entries = [make_entry(name, estimator) for name, estimator in estimators.items()]
+    request = RunRequest([t or task()], entries, **options)
+    return run_board(request, tmp_path, InProcessExecutor(simulate, estimators), progress)
 
 
 def test_a_scaled_truth_has_the_error_of_its_scale_on_every_drive():
     result = run({"reader": Reader(gain=0.9)})["reader"]
-    np.testing.assert_allclose(result.values("nrmse"), np.full((3, 2, 1), 0.1), atol=0.01)
-    np.testing.assert_allclose(result.values("level_error"), np.full((3, 2, 1), 0.1), atol=0.01)
+    np.testing.assert_allclose(result.values("nrmse"), np.full((5, 2, 1), 0.1), atol=0.01)
+    np.testing.assert_allclose(result.values("level_error"), np.full((5, 2, 1), 0.1), atol=0.01)
     assert result.failure is None and result.settings == {"gain": 0.9}
     assert [d.road_seed for d in result.drives] == [11, 12, 13] * 2
 
 
-def test_every_training_seed_is_kept_and_the_traces_show_the_middle_one():
+def test_all_training_seeds_are_stored_and_traces_are_of_the_median_one():
     result = run({"learner": Learner()})["learner"]
     error = result.values("nrmse")
-    assert error.shape == (3, 2, 3) and len(result.train_seconds) == 6
+    assert error.shape == (5, 2, 3) and len(result.train_seconds) == 6
     assert result.parameters == 1
     for condition, trace in enumerate(result.traces):
         first_road = error[0, condition]
         assert trace.scores["nrmse"] == np.median(first_road) != first_road.min()
 
 
-def test_an_entry_that_draws_nothing_is_trained_once():
+def test_an_entry_with_deterministic_training_is_trained_once():
     result = run({"learner": Learner(spread=0.0)})["learner"]
-    assert result.values("nrmse").shape == (3, 2, 1)
+    assert result.values("nrmse").shape == (5, 2, 1)
     assert result.seeds == (1, 2, 3)
 
 
@@ -62,34 +62,34 @@ def test_the_same_seeds_give_the_same_scores():
 
 
 @pytest.mark.parametrize(
-    ("how", "said"),
+    ("how", "message"),
     [
         ("raises", "RuntimeError: no idea"),
         ("exits", "SystemExit: 3"),
         ("nan", "must be finite"),
         ("short", "shape"),
         ("one path", "shape"),
-        ("text", "an Estimate is wanted, got str"),
+        ("text", "expected an Estimate, got str"),
         ("scribbles", "read-only"),
     ],
 )
-def test_a_failure_is_a_row_that_says_why_and_the_others_are_still_there(how, said):
+def test_a_failure_is_a_row_with_the_reason_and_other_rows_are_unaffected(how, message):
     results = run({"broken": Broken(how=how), "reader": Reader()})
     failed = results["broken"]
-    assert said in failed.failure and "\n" not in failed.failure
-    assert failed.failure.startswith("ride, 14.5 km/h, estimating test drive 1 of 3, seed 1: ")
+    assert message in failed.failure and "\n" not in failed.failure
+    assert failed.failure.startswith("ride, 14.5 km/h, estimating test drive 1 of 5, seed 1: ")
     assert failed.drives == failed.traces == ()
     assert results["reader"].failure is None
     np.testing.assert_allclose(results["reader"].values("nrmse"), 0.1, atol=0.01)
 
 
-def test_an_absurd_estimate_has_an_absurd_score_and_not_none():
+def test_an_absurd_estimate_has_finite_large_scores():
     result = run({"absurd": Broken(how="absurd")})["absurd"]
     assert result.failure is None
     assert (result.values("nrmse") > 1e6).all() and np.isfinite(result.values("iri_error")).all()
 
 
-def test_training_that_fails_names_the_seed():
+def test_a_failed_training_names_the_seed():
     class Stubborn(Learner):
         def fit(self, records, truths, car, seed):
             raise ValueError("singular\nmatrix")
@@ -98,14 +98,15 @@ def test_training_that_fails_names_the_seed():
     assert failed.failure == "ride, 14.5 km/h, training with seed 1: ValueError: singular matrix"
 
 
-def test_a_drive_that_fails_fails_every_row_of_its_task():
+def test_a_failed_simulation_fails_every_row_of_the_task():
     def breaks_down(t, drives, condition):
         if condition.speed_kmh > 50.0:
             raise SimulationError("the car left the road")
         return fake_drives(t, drives, condition)
 
-    for result in run_task(task(), {"reader": Reader()}, drive=breaks_down):
-        assert "54 km/h: the drive itself failed: the car left the road" in result.failure
+    for result in run_task(task(), {"reader": Reader()}, simulate=breaks_down):
+        failure = "54 km/h: the simulation of a drive failed: the car left the road"
+        assert failure in result.failure
 
 
 def test_an_entry_gets_training_truths_and_test_records_only():
@@ -126,26 +127,26 @@ def test_an_entry_gets_training_truths_and_test_records_only():
     assert [what for what in seen if what[0] != "truth"] == [fields] * 6
 
 
-def test_the_seam_hands_back_what_the_entry_says():
+def test_reconstruct_returns_the_estimates_and_names_the_failing_step():
     t = task()
     drives = list(fake_drives(t, t.test, t.conditions[0]))
     records = [drive.record for drive in drives]
     training_run = reconstruct(Reader(gain=1.0), [], records, t.vehicle, seed=1)
     assert len(training_run.estimates) == 3 and training_run.estimate_seconds > 0.0
-    with pytest.raises(EntryError, match="estimating test drive 1 of 3, seed 7: RuntimeError"):
+    with pytest.raises(EntryError, match="estimating test drive 1 of 5, seed 7: RuntimeError"):
         reconstruct(Broken(how="raises"), [], records, t.vehicle, seed=7)
 
 
-def test_an_estimator_that_brings_its_weights_is_judged_with_them():
+def test_an_estimator_with_weights_is_evaluated_without_training():
     (first, *_), t = fake_drives(task(), task().training, task().conditions[0]), task()
     fitted = Learner().fit([first.record], [first.truth], t.vehicle, seed=5)
     assert needs_training(Learner()) and not needs_training(fitted) and not needs_training(Reader())
     result = run({"fitted": fitted})["fitted"]
-    assert result.values("nrmse").shape == (3, 2, 1) and result.parameters == 1
+    assert result.values("nrmse").shape == (5, 2, 1) and result.parameters == 1
     np.testing.assert_allclose(result.values("nrmse"), abs(1.0 - fitted.gain), atol=0.01)
 
 
-def test_the_truth_plus_noise_has_the_error_that_it_says():
+def test_truth_plus_noise_has_exactly_its_noise_level():
     t = task()
     (drive, *_) = fake_drives(t, t.test, t.conditions[0])
     band = scored_band(14.5 / 3.6)
@@ -155,19 +156,19 @@ def test_the_truth_plus_noise_has_the_error_that_it_says():
 
 
 def test_progress_is_reported_step_by_step():
-    said = []
+    message = []
     entries = {"reader": Reader(), "broken": Broken(how="raises")}
-    run(entries, report=said.append)
-    assert len(said) == steps(task(), entries) == 6
-    assert said[0] == "small: driving, ride, 14.5 km/h"
-    assert said[-1] == "small: broken, ride front, handling rear, 54 km/h"
+    run(entries, report=message.append)
+    assert len(message) == steps(task(), entries) == 6
+    assert message[0] == "small: simulating, ride, 14.5 km/h"
+    assert message[-1] == "small: broken, ride front, handling rear, 54 km/h"
 
 
-def test_sentinels_stand_on_every_board(tmp_path):
-    made = board(tmp_path, {"reader": Reader()}, seeds=(1,))
-    (t,) = made.tasks
-    assert {r.estimator for r in made.scored(t)} == {"reader", *BASELINES}
-    roles = {r.estimator: r.role for r in made.scored(t)}
+def test_every_board_has_the_baselines(tmp_path):
+    result = board(tmp_path, {"reader": Reader()}, seeds=(1,))
+    (t,) = result.tasks
+    assert {r.estimator for r in result.scored(t)} == {"reader", *BASELINES}
+    roles = {r.estimator: r.role for r in result.scored(t)}
     assert roles["reader"] == "entry" and roles["flat"] == "sentinel"
 
 
@@ -178,20 +179,20 @@ def test_progress_of_a_board_counts_up_to_its_end(tmp_path):
     assert steps_seen[1][2].startswith("small: ") and steps_seen[1][2].endswith("km/h")
 
 
-def test_fewer_roads_are_driven_on_request(tmp_path):
-    made = board(tmp_path, {"reader": Reader()}, seeds=(1,), roads=2)
-    assert made.scored(made.tasks[0])[0].values("r").shape[0] == 2
+def test_the_number_of_test_roads_can_be_reduced(tmp_path):
+    result = board(tmp_path, {"reader": Reader()}, seeds=(1,), roads=2)
+    assert result.scored(result.tasks[0])[0].values("r").shape[0] == 2
     with pytest.raises(ConfigError, match="small: number of drives must be 1 to 3, got 9"):
         board(tmp_path, {"reader": Reader()}, roads=9)
 
 
-def test_roads_of_one_name_and_seed_are_two_roads():
+def test_two_roads_with_one_name_and_seed_are_scored_separately():
     waviness = {"kind": "iso8608", "road_class": "D", "w": 3.0, "length": 40.0}
     t = task(test={"roads": ["iso_d", waviness], "seeds": [11], "length": 40.0})
     assert run({"reader": Reader()}, t=t)["reader"].values("r").shape == (2, 2, 1)
 
 
-def test_results_of_a_changed_task_are_stale_and_not_mixed(tmp_path):
+def test_results_of_a_changed_task_are_stale(tmp_path):
     board(tmp_path, {"reader": Reader()}, seeds=(1,))
     changed = dataclasses.replace(task(), version=2)
     stored = load_board([changed], tmp_path)
@@ -199,21 +200,21 @@ def test_results_of_a_changed_task_are_stale_and_not_mixed(tmp_path):
     assert {why for _, why in stored.stale(changed)} == {"the task has changed"}
 
 
-def test_a_real_drive_is_judged_like_any_other(tmp_path):
+def test_a_simulated_drive_is_evaluated(tmp_path):
     t = task(
         conditions=[{"mode": "ride", "speed_kmh": 54.0}],
         training={"roads": ["iso_d"], "seeds": [1], "length": 20.0},
         test={"roads": ["iso_d"], "seeds": [11, 12], "length": 20.0, "step": 0.0005},
     )
-    made = board(tmp_path, {"learner": Learner()}, t, simulate_drives, seeds=(1,))
-    results = {r.estimator: r for r in made.scored(t)}
+    result = board(tmp_path, {"learner": Learner()}, t, simulate_drives, seeds=(1,))
+    results = {r.estimator: r for r in result.scored(t)}
     assert row_path(tmp_path, "small", "learner").exists()
     np.testing.assert_allclose(results["flat"].values("nrmse"), 1.0)
     np.testing.assert_allclose(results["truth_plus_noise"].values("nrmse"), NOISE_LEVEL)
     assert np.isfinite(results["learner"].values("nrmse")).all()
 
 
-def test_roads_with_and_without_obstacles_stand_side_by_side_in_a_part(tmp_path):
+def test_roads_with_and_without_obstacles_are_stored_in_one_part(tmp_path):
     roads = [
         "iso_d",
         "belgian_like",
@@ -232,8 +233,8 @@ def test_roads_with_and_without_obstacles_stand_side_by_side_in_a_part(tmp_path)
         conditions=[{"mode": "ride", "speed_kmh": 14.5}],
         bumps=True,
     )
-    wanted = RunRequest([families], [make_entry("reader", Reader())], seeds=(1,))
-    found = run_board(wanted, tmp_path, InProcessExecutor(fake_drives, {"reader": Reader()}))
+    request = RunRequest([families], [make_entry("reader", Reader())], seeds=(1,))
+    found = run_board(request, tmp_path, InProcessExecutor(fake_drives, {"reader": Reader()}))
     (row,) = [r for r in found.results["small"] if r.estimator == "reader"]
     scored = [drive.road for drive in row.drives if "bump_f1" in drive.scores]
     assert len(row.drives) == 6 and 0 < len(scored) < 6

@@ -1,4 +1,4 @@
-"""The whole machine: jobs in processes, entries in processes of theirs, honest and hostile."""
+"""Executors: jobs in processes and on a Dask cluster, with hostile entries and killed runs."""
 
 import dataclasses
 import itertools
@@ -28,12 +28,12 @@ from road_envs.config import ConfigError
 
 MODES = ["namespaces", "process"] if namespaces.available() else ["process"]
 LIMITS = Limits(seconds=60.0, memory=0.7, processes=40)
-HONEST = {"reader": Reader(), "half_as_bad": Reader(gain=0.45)}
+VALID = {"reader": Reader(), "half_as_bad": Reader(gain=0.45)}
 
 
 def small():
-    """12 m of road, driven by the real car."""
-    short = {"roads": ["iso_d"], "length": 12.0}
+    """A task with 16 m of road and the simulated vehicle."""
+    short = {"roads": ["iso_d"], "length": 16.0}
     return task(
         conditions=[{"mode": "ride", "speed_kmh": 36.0}, {"mode": "handling", "speed_kmh": 54.0}],
         training={**short, "seeds": [1]},
@@ -41,13 +41,13 @@ def small():
     )
 
 
-def wanted(made=HONEST, limits=LIMITS):
-    entries = [make_entry(name, estimator) for name, estimator in made.items()]
+def make_request(estimators=VALID, limits=LIMITS):
+    entries = [make_entry(name, estimator) for name, estimator in estimators.items()]
     return RunRequest([small()], entries, seeds=(1, 2), limits=limits)
 
 
 def rows(board):
-    """Everything but times, of the rows that did not fail."""
+    """Return the scored results without timings and environment."""
     return {
         r.estimator: dataclasses.replace(
             r,
@@ -64,45 +64,50 @@ def rows(board):
 
 
 @pytest.fixture(scope="module")
-def honest(tmp_path_factory):
-    """The board of the honest, run in this very process."""
-    board = run_board(wanted(), tmp_path_factory.mktemp("honest"), InProcessExecutor(made=HONEST))
-    assert set(rows(board)) == {*HONEST, *BASELINES} and not board.failed(small())
+def expected(tmp_path_factory):
+    """Rows of the valid entries, run in this process."""
+    board = run_board(
+        make_request(), tmp_path_factory.mktemp("expected"), InProcessExecutor(estimators=VALID)
+    )
+    assert set(rows(board)) == {*VALID, *BASELINES} and not board.failed(small())
     return rows(board)
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_among_hostile_entries_every_honest_row_is_unchanged_to_the_bit(tmp_path, honest, mode):
-    said = {
-        "exit_softly": "its process ended without an answer, by exit status 0",
+def test_hostile_entries_do_not_change_a_bit_of_the_other_rows(tmp_path, expected, mode):
+    failures = {
+        "exit_softly": "its process ended without a response, by exit status 0",
         "leave_children": None,
-        "patch_judge": "heights z: every value must be finite",
+        "patch_evaluation": "heights z: every value must be finite",
         "tamper": None,
         "grasp": "",
         "print": None,
         "kill_parent": "",
-        "kill_judge": "",
+        "kill_evaluation": "",
     }
-    first, second = HONEST
-    made = {how: Hostile(how=how, where=str(tmp_path)) for how in said}
+    first, second = VALID
+    hostile = {how: Hostile(how=how, where=str(tmp_path)) for how in failures}
     limits = dataclasses.replace(LIMITS, namespaces=mode == "namespaces")
-    everyone = {first: HONEST[first], **made, second: HONEST[second]}
-    board = run_board(wanted(everyone, limits), tmp_path, ProcessExecutor(2))
-    found = {**{r.estimator: None for r in board.scored(small())}}
-    found |= {r.estimator: r.failure for r in board.failed(small())}
-    assert set(found) == {*said, *honest}
-    for how, words in said.items():
-        assert (found[how] is None) == (words is None), (how, found[how])
-        assert words is None or (words in found[how] and "\n" not in found[how])
-    assert {name: row for name, row in rows(board).items() if name in honest} == honest
+    estimators = {first: VALID[first], **hostile, second: VALID[second]}
+    board = run_board(make_request(estimators, limits), tmp_path, ProcessExecutor(2))
+    results = {**{r.estimator: None for r in board.scored(small())}}
+    results |= {r.estimator: r.failure for r in board.failed(small())}
+    assert set(results) == {*failures, *expected}
+    for how, failure in failures.items():
+        assert (results[how] is None) == (failure is None), (how, results[how])
+        assert failure is None or (failure in results[how] and "\n" not in results[how])
+    assert {name: row for name, row in rows(board).items() if name in expected} == expected
     if mode == "process":
-        assert "the judge's process was ended twice by SIGKILL while it ran" in found["kill_judge"]
+        assert (
+            "the evaluation process was ended twice by SIGKILL while it ran"
+            in results["kill_evaluation"]
+        )
     assert not list(tmp_path.rglob("hostile.json")) or mode == "process"
-    assert not _left_over(tmp_path)
+    assert not running_jobs(tmp_path)
 
 
-def _left_over(out):
-    """Processes that still work on a job that writes to `out`."""
+def running_jobs(out):
+    """Return the processes that still run a job of `out`."""
     found = []
     for folder in Path("/proc").iterdir():
         try:
@@ -117,9 +122,9 @@ DRIVER = """
 import sys
 from pathlib import Path
 sys.path[:0] = {folders!r}
-from test_executors import run_board, wanted
+from test_executors import make_request, run_board
 from leaderboard.running.executors import ProcessExecutor
-run_board(wanted(), Path(sys.argv[1]), ProcessExecutor(2))
+run_board(make_request(), Path(sys.argv[1]), ProcessExecutor(2))
 """
 
 
@@ -130,8 +135,11 @@ def driver(out):
     return subprocess.Popen([sys.executable, "-c", code, str(out)], cwd=Path(__file__).parents[2])
 
 
-def killed_and_resumed(out, honest, delays):
-    """Kill the run again and again; what it started has to end with it. How often that was."""
+def killed_and_resumed(out, expected, delays):
+    """Kill and resume a run after each delay; return how often it was killed.
+
+    Its processes must end with it, and the last run must give the expected rows.
+    """
     kills = 0
     for delay in delays:
         process = driver(out)
@@ -141,47 +149,47 @@ def killed_and_resumed(out, honest, delays):
             break
         kills += 1
         end = time.monotonic() + 10.0
-        while (left := _left_over(out)) and time.monotonic() < end:
+        while (left := running_jobs(out)) and time.monotonic() < end:
             time.sleep(0.05)
         assert not left
-    assert rows(run_board(wanted(), out, ProcessExecutor(2))) == honest
+    assert rows(run_board(make_request(), out, ProcessExecutor(2))) == expected
     return kills
 
 
-def test_a_run_that_is_killed_takes_its_processes_with_it_and_can_be_resumed(tmp_path, honest):
-    assert killed_and_resumed(tmp_path, honest, (2.0, 3.5)) >= 1
+def test_killing_a_run_ends_its_processes_and_it_can_be_resumed(tmp_path, expected):
+    assert killed_and_resumed(tmp_path, expected, (2.0, 3.5)) >= 1
 
 
 @pytest.mark.slow
 @pytest.mark.skipif("ROADRECON_SLOW" not in os.environ, reason="minutes; set ROADRECON_SLOW")
-def test_20_kills_of_the_real_thing_leave_the_same_board(tmp_path, honest):
+def test_a_run_killed_20_times_gives_the_same_board(tmp_path, expected):
     kills = 0
     for round_ in itertools.count():
         delays = [1.0 + (0.37 * (k + 3 * round_)) % 6.0 for k in range(8)]
-        now = killed_and_resumed(tmp_path / str(round_), honest, delays)
+        now = killed_and_resumed(tmp_path / str(round_), expected, delays)
         print(f"round {round_}: killed {now} times, resumed, the same board")
         kills += now
         if kills >= 20:
             break
 
 
-def test_the_judges_own_failure_is_no_entrys_fault(tmp_path, monkeypatch):
+def test_a_failure_of_the_evaluation_is_not_attributed_to_an_entry(tmp_path, monkeypatch):
     monkeypatch.setattr(executors.jobs, "to_text", lambda job: "{")
     with pytest.raises(ConfigError, match="damaged, not valid JSON"):
-        run_board(wanted({}), tmp_path, ProcessExecutor(1))
+        run_board(make_request({}), tmp_path, ProcessExecutor(1))
     monkeypatch.setattr(executors.sys, "executable", "/bin/false")
     with pytest.raises(EvaluatorError):
-        run_board(wanted({}), tmp_path, ProcessExecutor(1))
-    with pytest.raises(ConfigError, match="at least one worker is wanted, got 0"):
+        run_board(make_request({}), tmp_path, ProcessExecutor(1))
+    with pytest.raises(ConfigError, match="the number of workers must be at least 1, got 0"):
         ProcessExecutor(0)
 
 
-def test_an_entry_that_cannot_be_made_is_a_row_on_every_task(tmp_path):
-    lost = Entry(name="lost", reference="nowhere:Lost", failure="it cannot be made: no module")
-    asked = dataclasses.replace(wanted({}), entries=[lost])
-    board = run_board(asked, tmp_path, InProcessExecutor())
+def test_an_entry_that_cannot_be_constructed_is_a_failed_row(tmp_path):
+    lost = Entry(name="lost", reference="nowhere:Lost", failure="cannot be constructed: no module")
+    request = dataclasses.replace(make_request({}), entries=[lost])
+    board = run_board(request, tmp_path, InProcessExecutor())
     (failed,) = board.failed(small())
-    assert (failed.estimator, failed.failure) == ("lost", "it cannot be made: no module")
+    assert (failed.estimator, failed.failure) == ("lost", "cannot be constructed: no module")
 
 
 # on a cluster
@@ -189,7 +197,7 @@ def test_an_entry_that_cannot_be_made_is_a_row_on_every_task(tmp_path):
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory):
-    """A scheduler and two workers, each a process: the address, and the workers."""
+    """A scheduler and two workers in separate processes: scheduler file, and the workers."""
     pytest.importorskip("distributed", reason="the extra `dask` is not installed")
     folder = tmp_path_factory.mktemp("dask")
     path = os.pathsep.join(
@@ -198,9 +206,9 @@ def cluster(tmp_path_factory):
     environment = os.environ | {"PYTHONPATH": path, "DASK_DISTRIBUTED__WORKER__DAEMON": "False"}
 
     def start(*words):
-        with (folder / "said.txt").open("ab") as said:
+        with (folder / "log.txt").open("ab") as log:
             command = [sys.executable, "-m", "distributed.cli." + words[0], *words[1:]]
-            return subprocess.Popen(command, cwd=folder, env=environment, stderr=said, stdout=said)
+            return subprocess.Popen(command, cwd=folder, env=environment, stderr=log, stdout=log)
 
     file = folder / "scheduler.json"
     options = ("--scheduler-file", str(file), "--no-dashboard")
@@ -216,7 +224,7 @@ def cluster(tmp_path_factory):
         process.wait()
 
 
-def test_a_cluster_that_loses_a_worker_makes_the_same_board(tmp_path, honest, cluster):
+def test_a_cluster_that_loses_a_worker_gives_the_same_board(tmp_path, expected, cluster):
     import json
 
     file, workers = cluster
@@ -230,14 +238,14 @@ def test_a_cluster_that_loses_a_worker_makes_the_same_board(tmp_path, honest, cl
         if len(done) == 2:
             workers[0].kill()
 
-    board = run_board(wanted(), tmp_path, executor, lose_a_worker)
-    assert rows(board) == honest and not board.failed(small())
+    board = run_board(make_request(), tmp_path, executor, lose_a_worker)
+    assert rows(board) == expected and not board.failed(small())
     assert workers[0].wait() == -signal.SIGKILL
-    assert done[-1] == 2 * len(honest)
+    assert done[-1] == 2 * len(expected)
     executor._client.close()
 
 
-def test_a_scheduler_that_is_not_there_is_said(monkeypatch):
+def test_a_missing_dask_scheduler_is_reported(monkeypatch):
     pytest.importorskip("distributed", reason="the extra `dask` is not installed")
     monkeypatch.setattr(cluster_module, "SCHEDULER_TIMEOUT", 1.0)
     for address in ("tcp://127.0.0.1:9", "no address"):
@@ -245,19 +253,19 @@ def test_a_scheduler_that_is_not_there_is_said(monkeypatch):
             DaskExecutor(address)
 
 
-def test_without_dask_the_extra_is_named(monkeypatch):
+def test_without_dask_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ConfigError, match=r"pip install 'road-envs\[dask\]'"):
         DaskExecutor("tcp://127.0.0.1:9")
 
 
-def test_a_job_from_its_file_stores_what_the_run_would(tmp_path, honest):
+def test_run_job_stores_the_result_of_a_run(tmp_path, expected):
     from typer.testing import CliRunner
 
     from leaderboard.cli import app
     from leaderboard.running.board import write_jobs
 
-    count = write_jobs(wanted({"reader": Reader()}), tmp_path / "out", tmp_path / "jobs")
+    count = write_jobs(make_request({"reader": Reader()}), tmp_path / "out", tmp_path / "jobs")
     assert count == 2 * (1 + len(BASELINES))
     specs = sorted((tmp_path / "jobs").glob("*.json"))
     spec = next(path for path in specs if '"name": "reader"' in path.read_text())
@@ -266,7 +274,7 @@ def test_a_job_from_its_file_stores_what_the_run_would(tmp_path, honest):
     called = CliRunner().invoke(app, ["run-job", str(spec), "--out", str(tmp_path / "out")])
     assert called.exit_code == 0, called.output
     assert f"small: reader, {label}: done" in " ".join(called.output.split())
-    known = jobs.identity(small(), job.condition, job.entries[0], job.seeds)
+    known = jobs.result_identity(small(), job.condition, job.entries[0], job.seeds)
     part = store.load_part(store.part_path(tmp_path / "out", known))
-    expected = [d for d in honest["reader"].drives if d.condition == label]
+    expected = [d for d in expected["reader"].drives if d.condition == label]
     assert list(part.drives) == expected

@@ -1,4 +1,4 @@
-"""A season is fixed before it is seen, and anyone can check it afterwards."""
+"""Hidden test sets: the commitment fixes them, and the salt reveals and verifies them."""
 
 import json
 
@@ -19,7 +19,7 @@ def published(tmp_path):
     return tmp_path
 
 
-def test_what_is_published_holds_neither_salt_nor_seeds(published):
+def test_the_published_file_contains_neither_salt_nor_seeds(published):
     text = (published / hidden_seeds.COMMITMENT).read_text()
     assert [path.name for path in published.iterdir()] == [hidden_seeds.COMMITMENT]
     assert SALT not in text and load_task("class").digest in text
@@ -27,7 +27,7 @@ def test_what_is_published_holds_neither_salt_nor_seeds(published):
         assert str(seed) not in text
 
 
-def test_the_revealed_tasks_are_the_public_ones_with_other_roads(published):
+def test_revealed_tasks_differ_from_the_public_ones_only_in_their_seeds(published):
     (path,) = hidden_seeds.reveal(SALT, published)
     public, hidden = load_task("class").with_test_drives(None), load_task(path)
     assert hidden.name == f"class_{hidden_seeds.load(published).commitment[:8]}"
@@ -47,30 +47,30 @@ def test_another_salt_gives_other_seeds_and_another_commitment():
     assert not set(hidden_seeds.seeds(SALT, t, 50)) & set(hidden_seeds.seeds(SALT + "!", t, 50))
 
 
-def test_one_salt_draws_other_seeds_for_every_task():
+def test_one_salt_gives_different_seeds_for_each_task():
     found = [set(hidden_seeds.seeds(SALT, load_task(name), 20)) for name in ("class", "new_road")]
     assert not found[0] & found[1]
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
-        ({"commitment": "0" * 64}, "this salt does not give the commitment"),
-        ({"roads": {"class": 3}}, "this salt does not give the commitment"),
-        ({"tasks": {"class": "0" * 64}}, "this salt does not give the commitment"),
+        ({"commitment": "0" * 64}, "the salt does not match the commitment"),
+        ({"roads": {"class": 3}}, "the salt does not match the commitment"),
+        ({"tasks": {"class": "0" * 64}}, "the salt does not match the commitment"),
         ({"seeds": [1]}, "seeds: unknown key"),
     ],
 )
-def test_a_season_that_was_edited_is_refused(published, change, said):
+def test_an_edited_commitment_file_is_refused(published, change, message):
     path = published / hidden_seeds.COMMITMENT
     path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=message):
         hidden_seeds.reveal(SALT, published)
     assert list(published.glob("*.yaml")) == []
 
 
-def test_a_wrong_salt_a_short_one_and_an_empty_folder_are_one_sentence(published, tmp_path):
-    with pytest.raises(ConfigError, match="this salt does not give the commitment"):
+def test_a_wrong_salt_a_short_salt_and_a_missing_file_are_refused(published, tmp_path):
+    with pytest.raises(ConfigError, match="the salt does not match the commitment"):
         hidden_seeds.reveal(SALT + "?", published)
     with pytest.raises(ConfigError, match="at least 12 characters, got 6"):
         hidden_seeds.commit("winter", [load_task("class")])
@@ -78,15 +78,15 @@ def test_a_wrong_salt_a_short_one_and_an_empty_folder_are_one_sentence(published
         hidden_seeds.reveal(SALT, tmp_path / "nothing")
 
 
-def test_a_task_that_has_changed_since_is_refused(published, monkeypatch):
+def test_a_task_changed_after_the_commitment_is_refused(published, monkeypatch):
     older = load_task("class").with_test_drives(20)
     monkeypatch.setattr(hidden_seeds, "load_task", lambda name: older)
     with pytest.raises(ConfigError, match="class: the public task has changed"):
         hidden_seeds.reveal(SALT, published)
 
 
-def test_a_folder_holds_one_season(published):
-    with pytest.raises(ConfigError, match="another season stands here"):
+def test_a_folder_can_hold_only_one_hidden_test_set(published):
+    with pytest.raises(ConfigError, match="is of another hidden test set"):
         hidden_seeds.save(hidden_seeds.commit(SALT + "!", [load_task("class")]), published)
 
 
@@ -94,9 +94,9 @@ def run(*words):
     return CliRunner().invoke(app, ["season", *map(str, words)])
 
 
-def test_the_command_draws_a_salt_and_reveals_with_it(tmp_path):
-    made = run("--out", tmp_path, "--task", "class", "--json")
-    facts = json.loads(made.stdout)
+def test_the_command_draws_a_salt_and_reveals_the_tasks_with_it(tmp_path):
+    result = run("--out", tmp_path, "--task", "class", "--json")
+    facts = json.loads(result.stdout)
     salt = facts["salt, to be kept secret"]
     assert len(salt) >= 24 and facts["commitment"] == hidden_seeds.load(tmp_path).commitment
     shown = run("--out", tmp_path, "--salt", salt, "--reveal", "--json")

@@ -1,4 +1,4 @@
-"""A built wheel, installed where nothing else of the project is, does the main job."""
+"""The built wheel, installed in an environment without the checkout, runs a leaderboard task."""
 
 import json
 import os
@@ -28,7 +28,7 @@ def run(*command, cwd, **environment):
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory):
-    """The `bin` folder of an environment that has the wheel, and our dependencies by path only."""
+    """`bin` and package folder of an environment with the wheel; dependencies by a path file."""
     folder = tmp_path_factory.mktemp("wheel")
     pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet")
     run(*pip, "wheel", ROOT, "--no-deps", "--no-build-isolation", "-w", folder, cwd=folder)
@@ -38,18 +38,18 @@ def installed(tmp_path_factory):
     ask = "import sysconfig; print(sysconfig.get_path('purelib'))"
     inside = Path(run(home / "bin/python", "-c", ask, cwd=folder).strip())
     run(*pip, "--python", home / "bin/python", "install", "--no-deps", wheel, cwd=folder)
-    # a path file is not read for further path files, so the editable checkout stays out
+    # path files in that folder are not read, so the editable checkout is not importable
     (inside / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
     return home / "bin", inside
 
 
-def test_the_wheel_has_its_configurations_and_no_tests(installed):
+def test_the_wheel_contains_the_configurations_and_no_tests(installed):
     _, inside = installed
     assert (inside / "road_envs/configs/vehicles/land_rover_defender_110.yaml").is_file()
     assert not (inside / "tests").exists() and not (inside / "configs").exists()
 
 
-def test_the_installed_wheel_runs_the_main_job_from_another_folder(installed, tmp_path):
+def test_the_installed_wheel_runs_a_leaderboard_task_in_another_folder(installed, tmp_path):
     bin_folder, inside = installed
     where = run(
         bin_folder / "python", "-c", "import road_envs; print(road_envs.__file__)", cwd=tmp_path

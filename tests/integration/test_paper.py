@@ -1,4 +1,4 @@
-"""The paper run again: its scenarios, its figures in their form, its claims judged by numbers."""
+"""Reproduction of the paper: scenarios, figures, and the verdicts on its statements."""
 
 import dataclasses
 import json
@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from fakes import fake_drives
-from test_site import Nesting
+from html_checker import HtmlChecker
 from typer.testing import CliRunner
 
 from estimators.networks.static_lm import StaticLm
@@ -19,23 +19,23 @@ from leaderboard.paper.figures import paper_figures, select_sessions
 
 TRAININGS = 3
 driven = []
-"""Task, drives and condition of all that was driven."""
+"""Task, drives and condition of every simulated drive."""
 
 
 @cache
 def made():
-    """A small network, quickly trained, on drives whose sensors see the road."""
+    """Return the study of a small, quickly trained network with sensors that measure the road."""
     network = StaticLm(hidden=4, max_epochs=8, max_samples=800)
 
-    def drive(*asked):
-        driven.append(asked)
-        return fake_drives(*asked)
+    def drive(*arguments):
+        driven.append(arguments)
+        return fake_drives(*arguments)
 
     return study.run_study(TRAININGS, network=network, drive=drive)
 
 
 def with_scores(case, where="scores", **scores):
-    """A case all of whose trainings have these scores; a list gives one to each."""
+    """Return a scenario whose trainings have these scores; a list gives one to each."""
     trainings = tuple(
         dataclasses.replace(
             training,
@@ -50,7 +50,7 @@ def with_scores(case, where="scores", **scores):
 
 
 def changed(change):
-    """The study with every case passed through `change`."""
+    """Return the study with every scenario passed through `change`."""
     return dataclasses.replace(made(), scenarios=tuple(change(case) for case in made().scenarios))
 
 
@@ -70,7 +70,7 @@ def test_there_are_the_papers_eight_scenarios_in_its_order():
         assert all(t.z.shape == case.truth.z.shape for t in case.trainings)
 
 
-def test_what_measures_nothing_stands_beside_the_network():
+def test_naive_baselines_are_scored_with_the_network():
     case = made().paving[0]
     assert set(case.baselines) == {"unrelated_road", "mean", "constant"}
     # a constant at the mean height of the truth has the level |mean| / rms, by equation 12 raw
@@ -81,7 +81,7 @@ def test_what_measures_nothing_stands_beside_the_network():
     assert 1.2 < case.baseline_median("unrelated_road", "nrmse") < 1.6
 
 
-def test_new_roads_are_driven_as_the_scenarios_are():
+def test_new_roads_are_driven_under_the_conditions_of_the_scenarios():
     assert set(made().new_road) == {case.drive_label for case in made().scenarios}
     for case in made().scenarios:
         assert np.isfinite(made().new_road_score(case, "nrmse"))
@@ -95,7 +95,7 @@ def test_the_states_of_appendix_a(error, state):
     assert study.training_state(error) == state
 
 
-def test_shares_and_the_typical_training():
+def test_shares_of_the_states_and_the_median_training():
     case = with_scores(
         made().scenarios[0], **{study.EQ_12_RAW: [0.1, 0.2, 0.9], "nrmse": [0.9, 0.1, 0.5]}
     )
@@ -113,11 +113,11 @@ def test_sessions_are_chosen_by_their_largest_error():
     assert select_sessions(found) == [1, 2, 2, 0]
 
 
-def test_every_figure_is_there_in_its_form():
+def test_every_figure_of_the_paper_is_drawn_with_its_line_styles():
     figures = {figure.name: figure for figure in paper_figures(made())}
-    wanted = ["1", "2", "3", *"6789", "10", "11", *(f"A.{k}" for k in range(1, 7))]
+    numbers = ["1", "2", "3", *"6789", "10", "11", *(f"A.{k}" for k in range(1, 7))]
     again = [f"Figure {name}, on the car of the training" for name in ("10", "11")]
-    assert list(figures) == [*(f"Figure {name}" for name in wanted), *again, "Spread"]
+    assert list(figures) == [*(f"Figure {name}" for name in numbers), *again, "Spread"]
     for name in ("Figure 1", "Figure 2", "Figure 3"):
         assert all(axes.has_data() for axes in report._figure(figures[name]).axes)
     for name, panels in (("6", 2), ("8", 2), ("10", 4), ("11", 4), ("A.3", 4), ("A.6", 4)):
@@ -132,7 +132,7 @@ def test_every_figure_is_there_in_its_form():
         assert case.condition in title and f"{error:.1f} %" in title
 
 
-def test_densities_are_drawn_over_all_classes_on_log_axes_also_of_a_flat_estimate():
+def test_densities_of_a_flat_estimate_are_drawn_over_all_classes_on_log_axes():
     flat = changed(
         lambda case: dataclasses.replace(
             case,
@@ -160,14 +160,14 @@ def test_densities_are_drawn_over_all_classes_on_log_axes_also_of_a_flat_estimat
         ("classified as D", {"class_exact": 1.0}, {"class_exact": 0.3}),
     ],
 )
-def test_a_claim_agrees_where_the_numbers_do_and_not_where_they_do_not(says, good, bad):
+def test_the_verdict_of_a_statement_follows_the_scores(says, good, bad):
     assert claim(changed(lambda case: with_scores(case, **good)), says).verdict == "agrees"
     assert claim(changed(lambda case: with_scores(case, **bad)), says).verdict == "does not agree"
     half = changed(lambda case: with_scores(case, **(good if case.number in (1, 6) else bad)))
     assert claim(half, says).verdict == "agrees in part"
 
 
-def test_ride_and_handling_order_states_and_time_are_judged_too():
+def test_verdicts_on_modes_order_states_and_time_follow_the_numbers():
     def ride_is_better(case):
         ride = case.number in (2, 3, 5, 7)
         return with_scores(case, nrmse=0.2 if ride else 0.6)
@@ -187,36 +187,36 @@ def test_ride_and_handling_order_states_and_time_are_judged_too():
     assert claim(made(), "65 s").verdict == "agrees"
 
 
-def test_the_summary_is_made_from_the_numbers():
+def test_the_key_findings_quote_the_numbers():
     found = changed(lambda case: with_scores(case, **{study.EQ_12_RAW: 0.171, "nrmse": 0.777}))
-    said = " ".join(published_figures.key_findings(found))
-    assert "17.1, 17.1, 17.1 and 17.1 % where the paper has 12.8, 10.2, 14.8 and 14.2 %" in said
-    assert "the error is 0.78, 0.78, 0.78 and 0.78 of the road" in said
+    text = " ".join(published_figures.key_findings(found))
+    assert "17.1, 17.1, 17.1 and 17.1 % where the paper has 12.8, 10.2, 14.8 and 14.2 %" in text
+    assert "the error is 0.78, 0.78, 0.78 and 0.78 of the road" in text
 
 
 def both(case, field, own, score=study.EQ_12_RAW):
     return with_scores(with_scores(case, **{score: field}), "nominal", **{score: own})
 
 
-def test_the_reasons_follow_the_numbers_too():
-    """No sentence about the other car, the axles or the sensors stands where it is not true."""
+def test_the_reasons_follow_the_numbers():
+    """Sentences on the other car, the axles and the sensors appear only where they are true."""
     lost, kept = (changed(lambda c, own=own: both(c, 0.9, own)) for own in (0.1, 0.9))
-    assert "they meet another car" in claim(lost, "Trainings end").reason
+    assert "they are tested on another car" in claim(lost, "Trainings end").reason
     assert "the other car makes little difference" in claim(kept, "Trainings end").reason
     assert "100 % near-optimal, 0 % sub-optimal" in claim(lost, "Trainings end").reason
     faster = changed(lambda c: both(c, 0.2, 0.1 if c.speed > 10.0 else 0.2))
     slower = changed(lambda c: both(c, 0.2, 0.2 if c.speed > 10.0 else 0.1))
-    assert "the faster drives are the better ones" in claim(faster, "Best in ride").reason
+    assert "the faster drives are better" in claim(faster, "Best in ride").reason
     assert "the faster drives" not in claim(slower, "Best in ride").reason
     loud, quiet = (changed(lambda c, x=x: both(c, x, -x, "dsd_bias_db")) for x in (9.0, 1.0))
     assert "accelerations lie outside" in claim(loud, "Densities").reason
     assert "accelerations lie outside" not in claim(quiet, "Densities").reason
     good, bad = (changed(lambda c, x=x: both(c, 0.5, x, "nrmse")) for x in (0.3, 1.0))
-    assert "know little of this paving" in " ".join(published_figures.key_findings(bad))
-    assert "know little of this paving" not in " ".join(published_figures.key_findings(good))
+    assert "reproduce little of this paving" in " ".join(published_figures.key_findings(bad))
+    assert "reproduce little of this paving" not in " ".join(published_figures.key_findings(good))
 
 
-def test_a_false_bump_is_the_rear_axles_only_where_it_stands_a_wheelbase_behind(monkeypatch):
+def test_false_bumps_are_attributed_to_the_rear_axle_only_at_a_wheelbase(monkeypatch):
     wheelbase = made().bumps[0].task.vehicle.wheelbase
     for gap, sentence in (
         (0.9 * wheelbase, "when the rear axle"),
@@ -228,8 +228,8 @@ def test_a_false_bump_is_the_rear_axles_only_where_it_stands_a_wheelbase_behind(
         assert sentence in why and ("rear axle" in why) == ("rear axle" in sentence)
 
 
-def test_the_test_road_is_driven_by_the_car_of_the_training_too():
-    """Here the sensors see the road itself, so that both cars tell the same."""
+def test_the_test_road_is_also_driven_by_the_car_of_the_training():
+    """The fake sensors measure the road itself, so both cars give the same scores."""
     for case in made().scenarios:
         grades = [c.grade for task, drives, c in driven if drives is case.task.test]
         assert grades == ["S3", "S0"]
@@ -241,7 +241,7 @@ def test_the_test_road_is_driven_by_the_car_of_the_training_too():
     assert found == pytest.approx((0.4, 0.2))
 
 
-def test_the_report_is_written_as_page_pdf_and_numbers(tmp_path, monkeypatch):
+def test_the_report_is_written_as_page_pdf_and_json(tmp_path, monkeypatch):
     few = [
         figure
         for figure in paper_figures(made())
@@ -249,10 +249,10 @@ def test_the_report_is_written_as_page_pdf_and_numbers(tmp_path, monkeypatch):
     ]
     monkeypatch.setattr(
         report, "paper_figures", lambda found: few
-    )  # that all can be drawn is seen above
+    )  # the tests above draw all of them
     page, pdf, numbers = report.write_report(made(), tmp_path, "road-recon paper --trainings 3")
     text = page.read_text()
-    parser = Nesting()
+    parser = HtmlChecker()
     parser.feed(text)
     assert parser.open == [] and "<script" not in text
     assert all(a.startswith(("#", "data:")) for a in parser.addresses)
@@ -271,16 +271,16 @@ def test_the_report_is_written_as_page_pdf_and_numbers(tmp_path, monkeypatch):
     assert not list(tmp_path.glob(".*"))
 
 
-def test_the_command_says_what_it_found_and_where_it_stands(tmp_path, monkeypatch):
-    asked = []
+def test_the_command_prints_the_findings_and_the_paths_of_the_report(tmp_path, monkeypatch):
+    requested = []
     monkeypatch.setattr(
-        study, "run_study", lambda trainings, progress: asked.append(trainings) or made()
+        study, "run_study", lambda trainings, progress: requested.append(trainings) or made()
     )
     monkeypatch.setattr(report, "write_report", lambda found, out, command: [out / command])
     done = CliRunner().invoke(app, ["paper", "--trainings", "3", "--out", str(tmp_path)])
-    said = " ".join(done.stdout.split())
-    assert asked == [3] and "equation 12 as it is printed" in said
-    assert "road-recon paper --trainings 3" in said
+    output = " ".join(done.stdout.split())
+    assert requested == [3] and "equation 12 as it is printed" in output
+    assert "road-recon paper --trainings 3" in output
     (tmp_path / "file").write_text("")
     refused = CliRunner().invoke(app, ["paper", "--out", str(tmp_path / "file")])
     assert "is a file" in str(refused.exception)

@@ -1,4 +1,4 @@
-"""Policies are compared on the same roads; what one does wrong is its own row."""
+"""Comparison of switching policies: metrics, drives, oracle, statistics, configuration, tuning."""
 
 import io
 import json
@@ -43,7 +43,7 @@ CAR = load_vehicle("land_rover_defender_110")
 
 
 def scenarios(**changes) -> Scenarios:
-    """Two cases of 25 m."""
+    """Return scenarios with two cases of 25 m."""
     settings = {
         "name": "small",
         "title": "Two short cases",
@@ -60,7 +60,7 @@ def scenarios(**changes) -> Scenarios:
 
 @dataclass
 class Wrong:
-    """Goes wrong in the manner asked for."""
+    """Policy that fails in the given way."""
 
     how: str
 
@@ -76,7 +76,7 @@ class Wrong:
             case "hangs":
                 while True:
                     time.sleep(0.01)
-            case "asks for the truth":
+            case "reads the truth":
                 return self.context.info["profile"]
 
 
@@ -84,7 +84,7 @@ class Wrong:
 
 
 def motion(n: int = 4000, **parts) -> Trajectory:
-    """Still at 10 m/s on its static loads, but for `parts` of the signals (n, ...)."""
+    """Return a motion at 10 m/s on static loads, except for `parts` of the signals (n, ...)."""
     signals = np.zeros((n, 29))
     signals[:, 25:29] = np.repeat(CAR.tyre_loads, 2)
     t = 0.001 * np.arange(n)
@@ -127,7 +127,7 @@ def test_metrics_of_a_motion_known_in_closed_form():
     assert (still["tyre_load"], still["roll"], still["switches_per_km"]) == (0.0, 0.0, 0.0)
 
 
-def test_a_stop_is_hit_once_each_time_a_strut_goes_beyond_its_free_travel():
+def test_a_bump_stop_hit_is_counted_once_per_excursion_beyond_free_travel():
     e = np.zeros((100, 4))
     e[10:20, 0] = e[30:31, 0] = -0.086  # front: free from -85 to 95 mm
     e[50:, 1] = 0.096
@@ -136,7 +136,7 @@ def test_a_stop_is_hit_once_each_time_a_strut_goes_beyond_its_free_travel():
     assert count_bump_stop_hits(e, CAR) == 4
 
 
-def test_shares_of_time_in_states():
+def test_time_shares_of_the_states():
     commands = np.array([0] * 30 + [0b11001100] * 60 + [255] * 10, dtype=np.uint8)
     ride_handling = (False, False, True, True)
     assert state_time_shares(commands) == {
@@ -149,30 +149,35 @@ def test_shares_of_time_in_states():
 # --- drives ---------------------------------------------------------------------------------------
 
 
-def test_the_motion_that_is_judged_is_the_one_that_was_driven():
-    """Replayed commands give the environment's own costs, in a manoeuvre too."""
+def test_the_repeated_simulation_reproduces_the_costs_of_the_environment():
+    """Simulated again with the same commands, also in a manoeuvre."""
     prepared = comparison.prepare_case(scenarios(), 1, [101, 102])
-    driven = roll_out(create("random"), prepared.options, prepared.seeds)
+    rollout = roll_out(create("random"), prepared.options, prepared.seeds)
     envs = RoadReconVectorEnv(2, **prepared.options)
     envs.reset(seed=list(prepared.seeds))
-    rattle, lasted = [], int(driven.intervals[0])
-    for actions in driven.actions:
+    rattle, lasted = [], int(rollout.intervals[0])
+    for actions in rollout.actions:
         rattle.append(envs.step(actions)[4]["rattle"])
-    for k, moved in enumerate(comparison.trajectories(prepared, driven)):
+    for k, moved in enumerate(comparison.trajectories(prepared, rollout)):
         e = moved.extension[20:].reshape(lasted, 20, 4)
         np.testing.assert_allclose(
             np.sqrt(np.mean(e**2, axis=(1, 2))), np.array(rattle)[:, k], rtol=1e-9
         )
 
 
-def test_the_record_of_a_policy_is_that_of_a_car_in_the_same_mode():
-    some = scenarios(cases=[{"road": "iso_d", "speed_kmh": 54.0}], sensors="ideal")
-    prepared = comparison.prepare_case(some, 0, [101])
-    driven = roll_out(create("fixed_ride"), prepared.options, prepared.seeds)
-    record = comparison.record_of(prepared, driven, 0)
+def test_the_record_of_a_policy_equals_a_simulated_record_in_the_same_mode():
+    straight = scenarios(cases=[{"road": "iso_d", "speed_kmh": 54.0}], sensors="ideal")
+    prepared = comparison.prepare_case(straight, 0, [101])
+    rollout = roll_out(create("fixed_ride"), prepared.options, prepared.seeds)
+    record = comparison.record_of(prepared, rollout, 0)
     surface = prepared.starts[0].surface
     expected, truth = simulate_record(
-        CAR, surface, speed_kmh=54.0, mode="ride", instruments=prepared.setup.instruments, seed=0
+        surface,
+        vehicle=CAR,
+        speed_kmh=54.0,
+        mode="ride",
+        instruments=prepared.setup.instruments,
+        seed=0,
     )
     n = expected.t.size
     np.testing.assert_allclose(record.a[:, :n], expected.a, rtol=1e-5, atol=1e-5)
@@ -181,15 +186,15 @@ def test_the_record_of_a_policy_is_that_of_a_car_in_the_same_mode():
     np.testing.assert_array_equal(prepared.truths[0].z, truth.z)
 
 
-def test_a_record_tells_the_states_that_were_commanded():
+def test_a_record_has_the_commanded_states():
     prepared = comparison.prepare_case(scenarios(), 0, [101])
-    driven = roll_out(create("fixed_ride_handling"), prepared.options, prepared.seeds)
-    record = comparison.record_of(prepared, driven, 0)
+    rollout = roll_out(create("fixed_ride_handling"), prepared.options, prepared.seeds)
+    record = comparison.record_of(prepared, rollout, 0)
     assert not record.spring_stiff[:20].any() and not record.spring_stiff[:, :2].any()
     assert record.spring_stiff[20:, 2:].all() and record.damper_high[20:, 2:].all()
 
 
-def test_no_policy_is_told_the_truth():
+def test_no_policy_receives_the_truth():
     for c, case in enumerate(scenarios().cases):
         options = scenarios().options(case)
         assert options["truth"] is False
@@ -199,13 +204,13 @@ def test_no_policy_is_told_the_truth():
             assert not {"profile", "loads", "s"} & info.keys()
 
 
-def test_failures_are_rows_and_the_others_stand(monkeypatch):
+def test_a_failing_policy_is_a_row_and_does_not_affect_the_others(monkeypatch):
     monkeypatch.setattr(comparison, "TIME_LIMIT", 3.0)
     wrong = {
         "raises": "RuntimeError: no idea",
         "outside": "PolicyError: actions must be 0 to 15, got 99",
-        "hangs": "TimeoutError: no end after 3 s",
-        "asks for the truth": "AttributeError: 'Cabin' object has no attribute 'info'",
+        "hangs": "TimeoutError: not finished after 3 s",
+        "reads the truth": "AttributeError: 'PolicyContext' object has no attribute 'info'",
     }
     alone = comparison.compare(scenarios(), {"fixed_ride": create("fixed_ride")}, {})[0]
     entries = {how: Wrong(how) for how in wrong} | {"fixed_ride": create("fixed_ride")}
@@ -219,7 +224,7 @@ def test_failures_are_rows_and_the_others_stand(monkeypatch):
     assert "no idea" in policy_page.render_page(data)
 
 
-def test_handling_is_harsher_and_uses_less_rattle_space_and_mixed_states_tell_more():
+def test_handling_is_harsher_uses_less_travel_and_mixed_states_lower_the_bound():
     chosen = ("fixed_ride", "fixed_handling", "fixed_ride_handling")
     rows = comparison.compare(scenarios(), {n: create(n) for n in chosen}, {})
     ride, handling, mixed = (row.metrics for row in rows)
@@ -228,7 +233,7 @@ def test_handling_is_harsher_and_uses_less_rattle_space_and_mixed_states_tell_mo
     assert (mixed["bound"] < np.minimum(ride["bound"], handling["bound"])).all()
 
 
-def test_estimators_are_fed_with_the_drives_and_one_that_fails_is_noted(monkeypatch):
+def test_estimators_receive_the_records_and_a_failing_one_is_noted(monkeypatch):
     class Blind:
         def estimate(self, record, car):
             raise RuntimeError("too dark")
@@ -242,7 +247,7 @@ def test_estimators_are_fed_with_the_drives_and_one_that_fails_is_noted(monkeypa
     assert "too dark" in json.dumps(data["rows"])
 
 
-def test_the_table_fits_eighty_columns_and_wide_tells_more(monkeypatch):
+def test_the_table_fits_80_columns_and_the_wide_one_has_more_metrics(monkeypatch):
     rng, names = np.random.default_rng(0), ("fir_ridge", "iterated_wiener")
     rows = [
         comparison.PolicyResult(
@@ -254,17 +259,19 @@ def test_the_table_fits_eighty_columns_and_wide_tells_more(monkeypatch):
     ]
     rows.append(comparison.PolicyResult("mine", failure="iso_d: RuntimeError: " + 30 * "no idea "))
     data = summarize_results(scenarios(), rows, [101, 102, 103], "greedy_information")
-    told = data["rows"][0]["metrics"]["comfort"]
+    cell = data["rows"][0]["metrics"]["comfort"]
     expected = paired_difference(rows[0].metrics["comfort"], rows[1].metrics["comfort"])
-    assert list(told["difference"].values()) == pytest.approx(expected, rel=1e-4)
+    assert list(cell["difference"].values()) == pytest.approx(expected, rel=1e-4)
     more = paired_difference(rows[0].metrics["reward"], rows[1].metrics["reward"])
-    assert list(data["rows"][0]["more_than"]) == ["greedy_information"]  # no rival is there
+    assert list(data["rows"][0]["more_than"]) == [
+        "greedy_information"
+    ]  # no tuned policy is compared
     assert list(data["rows"][0]["more_than"]["greedy_information"].values()) == pytest.approx(
         more, rel=1e-4
     )
-    assert "how much more" in policy_page.render_page(data)
+    assert "paired differences" in policy_page.render_page(data)
     printed = []
-    for columns in (policies_command.NARROW, policies_command.WIDE):
+    for columns in (policies_command.COLUMNS, policies_command.WIDE_COLUMNS):
         page = io.StringIO()
         monkeypatch.setattr(policies_command, "console", Console(width=80, file=page))
         policies_command._print(data, columns)
@@ -281,7 +288,7 @@ def test_the_table_fits_eighty_columns_and_wide_tells_more(monkeypatch):
 # --- the oracle -----------------------------------------------------------------------------------
 
 
-def test_the_oracle_is_no_worse_than_any_pair_it_knows_and_its_plan_holds_what_it_says():
+def test_the_oracle_is_no_worse_than_any_fixed_pair_and_holds_its_commands():
     prepared = comparison.prepare_case(scenarios(), 1, [101, 102])
     actions = beam_search.search_actions(prepared.setup, prepared.starts)
     planned = roll_out(comparison._FixedActions(actions), prepared.options, prepared.seeds)
@@ -294,7 +301,7 @@ def test_the_oracle_is_no_worse_than_any_pair_it_knows_and_its_plan_holds_what_i
     assert (changes % held_for == 0).all()
 
 
-def test_cars_change_places_with_all_they_carry():
+def test_copying_vehicles_copies_their_whole_state():
     prepared = comparison.prepare_case(scenarios(), 0, [101])
     fleet = prepared.setup.make_fleet(9)
     start = prepared.starts[0]
@@ -306,15 +313,15 @@ def test_cars_change_places_with_all_they_carry():
         fleet.advance(bytes_)
     source = np.array([8, 8, 0, 3, 4, 5, 6, 7, 1])
     beam_search.copy_vehicles(fleet, source)
-    seen = fleet.advance(np.zeros(9, dtype=np.uint8))
-    np.testing.assert_array_equal(seen.numbers[0], seen.numbers[1])
-    assert seen.numbers[2, 6] != seen.numbers[0, 6]
+    output = fleet.advance(np.zeros(9, dtype=np.uint8))
+    np.testing.assert_array_equal(output.values[0], output.values[1])
+    assert output.values[2, 6] != output.values[0, 6]
 
 
 # --- statistics -----------------------------------------------------------------------------------
 
 
-def test_a_paired_difference_does_not_feel_what_makes_a_road_hard():
+def test_a_paired_difference_cancels_the_effect_of_the_roads():
     rng = np.random.default_rng(0)
     road = 10.0 * rng.random((40, 1))
     better = road + 0.1 * rng.standard_normal((40, 2))
@@ -327,7 +334,7 @@ def test_a_paired_difference_does_not_feel_what_makes_a_road_hard():
     assert found.mean == pytest.approx(by_hand[0] - by_hand[1])
 
 
-def test_every_kind_of_drive_counts_and_odd_roads_do_not_rule():
+def test_cases_count_equally_and_outlier_roads_are_trimmed():
     easy = np.random.default_rng(0).random(40)
     hard = 10.0 + easy
     odd = np.where(np.arange(40) == 3, 1e6, hard)
@@ -340,10 +347,10 @@ def test_every_kind_of_drive_counts_and_odd_roads_do_not_rule():
     assert seeds.mean == pytest.approx(found.mean)
 
 
-def test_a_time_line_tells_road_states_and_motion_of_the_drive():
+def test_a_timeline_has_the_road_states_and_motion_of_the_drive():
     prepared = comparison.prepare_case(scenarios(), 1, [101])
-    driven = roll_out(create("fixed_ride_handling"), prepared.options, prepared.seeds)
-    moved = next(comparison.trajectories(prepared, driven))
+    rollout = roll_out(create("fixed_ride_handling"), prepared.options, prepared.seeds)
+    moved = next(comparison.trajectories(prepared, rollout))
     line = Timeline.from_trajectory(moved, prepared.starts[0].surface)
     assert np.diff(line.t) == pytest.approx(0.02)
     np.testing.assert_array_equal(line.acceleration, moved.acceleration[::20, Z_B])
@@ -360,7 +367,7 @@ def test_a_time_line_tells_road_states_and_motion_of_the_drive():
 
 
 @given(st.lists(st.tuples(*[st.integers(0, 3)] * 3), min_size=1, max_size=8))
-def test_the_pareto_front_is_what_no_other_beats(points):
+def test_the_pareto_front_is_the_set_of_policies_that_none_dominates(points):
     rows = {
         f"p{i}": comparison.PolicyResult(
             f"p{i}",
@@ -379,7 +386,7 @@ def test_the_pareto_front_is_what_no_other_beats(points):
 
 
 @pytest.mark.parametrize("name", names("scenarios"))
-def test_shipped_scenarios_can_be_driven_and_keep_training_apart(name):
+def test_shipped_scenarios_are_valid_and_separate_training_from_test(name):
     shipped = load_scenarios(name)
     assert shipped.name == name
     assert all(isinstance(setup, EnvSetup) for setup in shipped.setups)
@@ -387,51 +394,51 @@ def test_shipped_scenarios_can_be_driven_and_keep_training_apart(name):
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"training": {"first": 99, "number": 5}}, r"share the seeds \[101, 102, 103\]"),
         ({"cases": []}, "at least one case"),
-        ({"cases": [{"road": "iso_d", "speed_kmh": 54.0}] * 2}, "every case must stand once"),
+        ({"cases": [{"road": "iso_d", "speed_kmh": 54.0}] * 2}, "cases must be distinct"),
         ({"test": {"first": 101, "number": 1}}, "number at least 2"),
-        ({"shown": 2}, "one of 2 cases, 0 to 1, got 2"),
+        ({"shown": 2}, "index of a case, 0 to 1, got 2"),
         ({"kases": []}, "unknown key, did you mean 'cases'"),
         ({"control": "wheel"}, "'vehicle', 'axle' or 'states'"),
     ],
 )
-def test_bad_scenarios_are_named(changes, said):
-    with pytest.raises(ConfigError, match=said):
+def test_errors_of_invalid_scenarios_name_the_cause(changes, message):
+    with pytest.raises(ConfigError, match=message):
         scenarios(**changes)
 
 
-def test_a_case_that_cannot_be_driven_is_named():
+def test_the_error_of_an_invalid_case_names_the_case():
     bad = scenarios(cases=[{"road": "iso_d", "speed_kmh": 54.0, "manoeuvre": "loop"}])
     with pytest.raises(ConfigError, match=r"small: iso_d, 54 km/h, loop: .*'loop'"):
         _ = bad.setups
-    with pytest.raises(ConfigError, match="2 to 3 test roads"):
+    with pytest.raises(ConfigError, match="number of roads must be 2 to 3"):
         scenarios().test_seeds(4)
 
 
 # --- tuning ---------------------------------------------------------------------------------------
 
 
-def test_tuning_takes_the_best_of_its_grid_and_drives_training_roads_alone(monkeypatch):
-    driven = []
+def test_tuning_returns_the_best_of_its_grid_and_uses_training_roads_only(monkeypatch):
+    driven_seeds = []
 
     def spy(policy, options, seeds, **kwargs):
-        driven.extend(seeds)
+        driven_seeds.extend(seeds)
         return roll_out(policy, options, seeds, **kwargs)
 
-    monkeypatch.setattr(grid_search, "drive", spy)
+    monkeypatch.setattr(grid_search, "roll_out", spy)
     monkeypatch.setitem(grid_search.GRIDS, "rrms", {"window": (0.2, 1.0), "ratio": (1.0, 9.0)})
     best = grid_search.tune("rrms", scenarios())
-    assert set(driven) == set(scenarios().training.seeds)
+    assert set(driven_seeds) == set(scenarios().training.seeds)
     assert len(best.trials) == 4
-    assert best.cost == min(one.cost for one in best.trials)
+    assert best.cost == min(trial.cost for trial in best.trials)
     again = grid_search.cost(create("rrms", **best.settings), scenarios())
     assert again == pytest.approx(best.cost)
 
 
-def test_metrics_and_their_names_are_the_same():
+def test_results_have_exactly_the_listed_metrics():
     (row,) = comparison.compare(scenarios(), {"fixed_ride": create("fixed_ride")}, {})
     assert row.metrics.keys() == METRICS.keys()
     assert row.metrics["comfort"].shape == (3, 2)

@@ -1,4 +1,4 @@
-"""Learning on the native environments: cases side by side, resumed runs, stored networks."""
+"""Training of policies: cases as one vector environment, resumed runs, stored networks."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ SMALL = TrainingConfig(
 
 
 def scenarios(**changes) -> Scenarios:
-    """Two cases of 8 m."""
+    """Return scenarios of two cases of 8 m."""
     settings = {
         "name": "small",
         "title": "Two short cases",
@@ -57,29 +57,29 @@ def scenarios(**changes) -> Scenarios:
     return build(Scenarios, {**settings, **changes}, "small")
 
 
-def test_cases_are_their_environments_with_held_actions_and_scaled_rewards():
+def test_actions_are_repeated_and_rewards_are_summed_and_scaled():
     cases = MultiScenarioVecEnv([CASE, TURN], n_envs=2, seed=7, reward_scale=3.0, action_repeat=4)
     first = cases.reset()
-    twins = [RoadReconVectorEnv(2, **options) for options in (CASE, TURN)]
-    seen = [twin.reset(seed=7 + 1_000_000 * (i + 1))[0] for i, twin in enumerate(twins)]
-    features = [FeatureExtractor(PolicyContext.from_setup(twin.setup, 2, 0)) for twin in twins]
-    expected = [f.update(o) for f, o in zip(features, seen, strict=True)]
+    envs = [RoadReconVectorEnv(2, **options) for options in (CASE, TURN)]
+    observations = [env.reset(seed=7 + 1_000_000 * (i + 1))[0] for i, env in enumerate(envs)]
+    features = [FeatureExtractor(PolicyContext.from_setup(env.setup, 2, 0)) for env in envs]
+    expected = [f.update(o) for f, o in zip(features, observations, strict=True)]
     np.testing.assert_array_equal(first, np.concatenate(expected))
     assert first.shape == (4, N_FEATURES) and FEATURE_SCALES.shape == (N_FEATURES,)
     actions = np.array([0, 3, 1, 2])
     after, rewards, dones, _ = cases.step(actions)
-    for i, (twin, one) in enumerate(zip(twins, features, strict=True)):
+    for i, (env, one) in enumerate(zip(envs, features, strict=True)):
         total = np.zeros(2)
         for _ in range(4):
-            observations, reward, *_ = twin.step(actions[2 * i : 2 * i + 2])
+            observations, reward, *_ = env.step(actions[2 * i : 2 * i + 2])
             last, total = one.update(observations), total + reward
         np.testing.assert_array_equal(after[2 * i : 2 * i + 2], last)
         np.testing.assert_allclose(rewards[2 * i : 2 * i + 2], 3.0 * total, rtol=1e-5)
     assert not dones.any()
 
 
-def test_twins_take_the_road_out_of_the_reward():
-    """Who stays in ride gains nothing, to the bit, over many roads; the others what they gain."""
+def test_the_paired_baseline_removes_the_road_from_the_reward():
+    """Vehicles in ride get a reward of exactly 0; the others get the difference to ride."""
     cases = MultiScenarioVecEnv(
         [CASE, TURN], n_envs=2, seed=5, reward_scale=10.0, action_repeat=3, paired_baseline=True
     )
@@ -98,17 +98,17 @@ def test_twins_take_the_road_out_of_the_reward():
     assert over
 
 
-def test_a_network_that_looks_ahead_sees_what_lies_before_the_rear_axle():
+def test_preview_features_are_the_heights_ahead_of_the_rear_axle():
     cases = MultiScenarioVecEnv([CASE], n_envs=2, seed=7, reward_scale=1.0, preview=True)
     cases.reset()
-    twin = RoadReconVectorEnv(2, **CASE)
-    seen = twin.reset(seed=1_000_007)[0]
-    context = PolicyContext.from_setup(twin.setup, 2, 0)
+    env = RoadReconVectorEnv(2, **CASE)
+    observations = env.reset(seed=1_000_007)[0]
+    context = PolicyContext.from_setup(env.setup, 2, 0)
     road = WheelbasePreview(context)
-    road.update(seen)
+    road.update(observations)
     for _ in range(25):
         features = cases.step(np.zeros(2, dtype=int))[0]
-        road.update(twin.step(np.zeros(2, dtype=int))[0])
+        road.update(env.step(np.zeros(2, dtype=int))[0])
     z = road.heights_at(PREVIEW_DISTANCES)
     rise = 20.0 * (z[:, 1:] - z[:, :1])
     assert features.shape == (2, n_features(True)) and np.abs(rise).max() > 0.1
@@ -120,27 +120,27 @@ def test_a_network_that_looks_ahead_sees_what_lies_before_the_rear_axle():
     )
 
 
-def test_seeds_are_judged_together_on_held_out_roads_and_the_best_is_kept(monkeypatch):
+def test_a_study_evaluates_all_seeds_and_keeps_the_best_network(monkeypatch):
     some = scenarios(test={"first": 101, "number": 4})
     learning = train_seeds(SMALL, some, [3, 4])
     assert learning.scores == [max(v for _, v in curve) for curve in learning.curves]
-    kept = learning.networks[int(np.argmax(learning.scores))]
-    assert learning.best is kept
-    told = evaluate_study(learning, some)
+    best = learning.networks[int(np.argmax(learning.scores))]
+    assert learning.best is best
+    study = evaluate_study(learning, some)
     each = [
         return_rates(NetworkPolicy.from_network(n), some, some.test.seeds)
         for n in learning.networks
     ]
-    assert told["seeds"] == [3, 4] and told["roads"] == 4
-    assert told["spread"] == pytest.approx(np.std([x.mean() for x in each], ddof=1))
+    assert study["seeds"] == [3, 4] and study["roads"] == 4
+    assert study["spread"] == pytest.approx(np.std([x.mean() for x in each], ddof=1))
     middle = [trim_mean(np.stack(each, axis=2)[:, c].ravel(), 0.25) for c in range(2)]
-    assert told["held_out"]["mean"] == pytest.approx(np.mean(middle))
-    more = told["more_than"]["fixed_ride"]
+    assert study["held_out"]["mean"] == pytest.approx(np.mean(middle))
+    more = study["more_than"]["fixed_ride"]
     assert more["low"] <= more["mean"] <= more["high"]
-    assert any("rrms" in line for line in study_lines("ppo", told))
+    assert any("rrms" in line for line in study_lines("ppo", study))
 
 
-def test_an_episode_that_ends_within_a_hold_ends_for_the_learner():
+def test_an_episode_that_ends_during_a_repeat_is_reported_as_ended():
     cases = MultiScenarioVecEnv([CASE], n_envs=2, seed=1, reward_scale=1.0, action_repeat=7)
     cases.reset()
     for _ in range(40):
@@ -152,7 +152,7 @@ def test_an_episode_that_ends_within_a_hold_ends_for_the_learner():
         assert info["TimeLimit.truncated"] and info["terminal_observation"].shape == (N_FEATURES,)
 
 
-def test_a_training_by_one_seed_gives_one_network_that_can_drive(tmp_path):
+def test_training_is_reproducible_and_its_network_can_drive(tmp_path):
     result = [train(SMALL, [CASE, TURN], [1, 2], seed=3) for _ in range(2)]
     for (W, b), (W_2, b_2) in zip(*(x.network.layers for x in result), strict=True):
         np.testing.assert_array_equal(W, W_2)
@@ -166,8 +166,8 @@ def test_a_training_by_one_seed_gives_one_network_that_can_drive(tmp_path):
     assert NetworkPolicy(file=str(path)).network.metadata["held"] == 5
 
 
-def test_an_interrupted_training_is_taken_up_again(tmp_path):
-    kept = tmp_path / "run.pt"
+def test_an_interrupted_training_resumes_from_its_checkpoint(tmp_path):
+    checkpoint = tmp_path / "run.pt"
     calls = []
 
     def stop(text, share):
@@ -177,19 +177,19 @@ def test_an_interrupted_training_is_taken_up_again(tmp_path):
 
     config = TrainingConfig(**{**vars(SMALL), "steps": 1024, "eval_interval": 256})
     with pytest.raises(KeyboardInterrupt):
-        train(config, [CASE], [1], 3, checkpoint=kept, progress=stop)
-    before = kept.read_bytes()
-    resumed = train(config, [CASE], [1], 3, checkpoint=kept)
+        train(config, [CASE], [1], 3, checkpoint=checkpoint, progress=stop)
+    before = checkpoint.read_bytes()
+    resumed = train(config, [CASE], [1], 3, checkpoint=checkpoint)
     assert [steps for steps, _ in resumed.curve] == [256, 512, 768, 1024]
     other = TrainingConfig(**{**vars(config), "steps": 2048})
-    with pytest.raises(ConfigError, match=r"run\.pt: belongs to another recipe"):
-        train(other, [CASE], [1], 3, checkpoint=kept)
-    kept.write_bytes(before[: len(before) // 2])
+    with pytest.raises(ConfigError, match=r"run\.pt: belongs to other settings"):
+        train(other, [CASE], [1], 3, checkpoint=checkpoint)
+    checkpoint.write_bytes(before[: len(before) // 2])
     with pytest.raises(ConfigError, match=r"run\.pt: not a checkpoint"):
-        train(config, [CASE], [1], 3, checkpoint=kept)
+        train(config, [CASE], [1], 3, checkpoint=checkpoint)
 
 
-def test_deep_q_learning_learns_too():
+def test_deep_q_learning_trains_a_network():
     hyper = {"learning_starts": 32, "batch_size": 16, "train_freq": 4, "buffer_size": 500}
     config = TrainingConfig(
         algorithm="dqn", steps=128, n_envs=2, layers=(8,), eval_interval=128, hyperparameters=hyper
@@ -200,14 +200,14 @@ def test_deep_q_learning_learns_too():
 
 
 @pytest.mark.parametrize("name", ["ppo", "ppo_preview", "ppo_sensing", "dqn"])
-def test_shipped_recipes_are_complete(name):
+def test_shipped_training_settings_are_complete(name):
     assert grid_search.load_training_config(name, steps=5).steps == 5
 
 
-def test_a_wrong_recipe_is_named():
-    with pytest.raises(ConfigError, match=r"hyper parameters of ppo: .*learning_rat"):
+def test_invalid_training_settings_are_named():
+    with pytest.raises(ConfigError, match=r"hyperparameters of ppo: .*learning_rat"):
         train(TrainingConfig(hyperparameters={"learning_rat": 1.0}), [CASE], [1], seed=1)
-    with pytest.raises(ConfigError, match="rrms is not learned"):
+    with pytest.raises(ConfigError, match="rrms has no training section"):
         grid_search.load_training_config("rrms")
     with pytest.raises(ValueError, match="must be at least 1"):
         TrainingConfig(steps=0)

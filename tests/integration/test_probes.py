@@ -1,4 +1,4 @@
-"""Probes see what an estimator does with what was sensed, and let honest ones pass."""
+"""Probes: a valid estimator passes, each defect fails its own probe."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -31,22 +31,22 @@ def road(seed):
 @cache
 def drive(seed=1):
     return simulate_record(
-        CAR, road(seed), speed_kmh=30.0, mode="handling", instruments=PAPER, seed=seed
+        road(seed), vehicle=CAR, speed_kmh=30.0, mode="handling", instruments=PAPER, seed=seed
     )
 
 
-def verdicts(estimator, **options):
+def probe_results(estimator, **options):
     return {p.name: p for p in probe_estimator(estimator, drive()[0], CAR, **options)}
 
 
-def refused(estimator, **options):
-    """The probes that an estimator does not pass."""
-    return {name for name, p in verdicts(estimator, **options).items() if p.passed is False}
+def failed(estimator, **options):
+    """Return the probes that an estimator fails."""
+    return {name for name, p in probe_results(estimator, **options).items() if p.passed is False}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sums:
-    """Left is made of one rear accelerometer, right of the other: odd, proportional, symmetric."""
+    """Each wheel path is proportional to its rear acceleration; `how` adds a defect."""
 
     causal: ClassVar[bool] = False
 
@@ -70,7 +70,7 @@ class Sums:
 
 @dataclass(frozen=True, kw_only=True)
 class Online(Sums):
-    """Says that it is causal; `filtered` says whether it is."""
+    """Claims to be causal, which is true only if `filtered`."""
 
     causal: ClassVar[bool] = True
 
@@ -83,16 +83,19 @@ class Online(Sums):
         return Estimate(profile_stations(record.length), -0.01 * record.interpolate(ahead, a[1:]))
 
 
-def test_every_probe_is_answered_and_an_honest_estimator_passes():
-    found = verdicts(Sums())
-    assert tuple(found) == PROBES
-    assert {name for name, p in found.items() if p.passed} == set(PROBES) - {"future"}
-    assert found["future"].passed is None and "offline: looks " in found["future"].message
-    assert count_passed(list(found.values())) == "5/5" and count_passed([]) == ""
+def test_a_valid_estimator_passes_all_applicable_probes():
+    results = probe_results(Sums())
+    assert tuple(results) == PROBES
+    assert {name for name, p in results.items() if p.passed} == set(PROBES) - {"future"}
+    assert (
+        results["future"].passed is None
+        and "offline: uses samples up to " in results["future"].message
+    )
+    assert count_passed(list(results.values())) == "5/5" and count_passed([]) == ""
 
 
 @pytest.mark.parametrize(
-    ("how", "wanted"),
+    ("how", "expected"),
     [
         ("even", {"sign"}),
         ("normalised", {"scale"}),
@@ -101,51 +104,51 @@ def test_every_probe_is_answered_and_an_honest_estimator_passes():
         ("moody", {"repeat"}),
     ],
 )
-def test_each_vice_fails_its_probe_and_no_other(how, wanted):
-    assert refused(Sums(how=how)) == wanted
+def test_each_defect_fails_only_its_own_probe(how, expected):
+    assert failed(Sums(how=how)) == expected
 
 
 @pytest.mark.parametrize("name", ["flat", "mean", "unrelated_road"])
-def test_what_measures_nothing_fails_the_probes_of_measuring(name):
-    found = refused(estimators.create(name), training=[drive(2), drive(3)])
-    assert {"sign", "scale", "shuffle", "swap"} == found
+def test_estimators_that_ignore_the_record_fail_four_probes(name):
+    results = failed(estimators.create(name), training=[drive(2), drive(3)])
+    assert {"sign", "scale", "shuffle", "swap"} == results
 
 
-def test_a_window_passes_and_is_trained_twice():
-    found = verdicts(estimators.create("fir_ridge"), training=[drive(2), drive(3)])
-    assert all(p.passed is not False for p in found.values())
-    assert "run twice with one seed: 0 mm apart" in found["repeat"].message
+def test_fir_ridge_passes_all_probes_and_is_trained_twice():
+    results = probe_results(estimators.create("fir_ridge"), training=[drive(2), drive(3)])
+    assert all(p.passed is not False for p in results.values())
+    assert "trained twice with one seed: 0 mm apart" in results["repeat"].message
 
 
-def test_a_training_that_the_seed_does_not_decide_is_seen():
+def test_a_training_that_ignores_the_seed_fails_the_repeat_probe():
     class Moody(Learner):
         def fit(self, records, truths, car, seed):
             return super().fit(records, truths, car, np.random.SeedSequence())
 
-    found = verdicts(Moody(), training=[drive(2)])["repeat"]
-    assert found.passed is False and found.message.startswith("asked twice: 0 mm apart")
+    results = probe_results(Moody(), training=[drive(2)])["repeat"]
+    assert results.passed is False and results.message.startswith("estimated twice: 0 mm apart")
 
 
-def test_who_looks_ahead_is_not_causal():
-    assert "future" not in refused(Online())
-    cheat = verdicts(Online(filtered=False))["future"]
-    assert cheat.passed is False and "what comes later changes" in cheat.message
+def test_a_non_causal_estimator_that_claims_causality_fails():
+    assert "future" not in failed(Online())
+    cheat = probe_results(Online(filtered=False))["future"]
+    assert cheat.passed is False and "later samples change the estimate" in cheat.message
 
 
-def test_a_fixed_lag_is_allowed_what_it_says_and_no_more():
-    assert verdicts(Online(lag=2.0))["future"].passed
-    assert "2 m behind the front axle" in verdicts(Online(lag=2.0))["future"].message
+def test_an_estimator_may_use_its_declared_lag_and_not_more():
+    assert probe_results(Online(lag=2.0))["future"].passed
+    assert "2 m behind the front axle" in probe_results(Online(lag=2.0))["future"].message
 
     class Hasty(Online):
         def estimate(self, record, car):
             return Online(lag=3.0).estimate(record, car)
 
-    assert verdicts(Hasty(lag=2.0))["future"].passed is False
+    assert probe_results(Hasty(lag=2.0))["future"].passed is False
 
 
 @pytest.mark.parametrize("mode", ["handling", {"front": "ride", "rear": "handling"}])
-def test_the_swapped_record_is_the_one_of_the_mirrored_road(mode):
-    """Driven on the mirrored road itself, without noise."""
+def test_the_swapped_record_is_that_of_the_mirrored_road(mode):
+    """Compared with a drive on the mirrored road, without noise."""
     record, mirrored = (record_on(mirror, mode) for mirror in (False, True))
     swapped = perturbed_records(record, SILENT)["swap"]
     np.testing.assert_allclose(swapped.a, mirrored.a, atol=0.02 * mirrored.a.std())
@@ -157,19 +160,21 @@ def record_on(mirror, mode):
     surface = road(5)
     z = np.ascontiguousarray(surface.z[::-1] if mirror else surface.z)
     one = Surface(z, surface.ds, surface.start)
-    return simulate_record(CAR, one, speed_kmh=30.0, mode=mode, instruments=SILENT, seed=1)[0]
+    return simulate_record(one, vehicle=CAR, speed_kmh=30.0, mode=mode, instruments=SILENT, seed=1)[
+        0
+    ]
 
 
-def test_struts_change_sides_with_the_accelerometers():
+def test_strut_states_are_swapped_with_the_accelerometers():
     record, _ = drive()
     stiff = record.spring_stiff.copy()
-    stiff[:, [0, 3]] = False  # front left and rear right soft, the others as they were
+    stiff[:, [0, 3]] = False  # front left and rear right soft, the others stiff
     stiff[:, [1, 2]] = True
     swapped = perturbed_records(dataclasses.replace(record, spring_stiff=stiff), PAPER)["swap"]
     np.testing.assert_array_equal(swapped.spring_stiff, ~stiff)
 
 
-def test_the_future_begins_in_the_middle():
+def test_the_future_probe_changes_only_the_second_half():
     record, _ = drive()
     changed = perturbed_records(record, PAPER)["future"].a != record.a
     assert not changed[:, record.s < 0.5 * record.length].any()

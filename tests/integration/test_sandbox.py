@@ -1,4 +1,4 @@
-"""An entry runs in a process of its own: whatever it does is one sentence, and nothing is left."""
+"""Sandbox: results, limits, isolation and cleanup of entries that misbehave."""
 
 import dataclasses
 import os
@@ -35,7 +35,7 @@ def any_sandbox(request):
 
 @pytest.fixture
 def sandbox(any_sandbox):
-    """A host with its usual limits, which a test may change."""
+    """A client of the sandbox; limits and hidden folders are reset after each test."""
     limits = any_sandbox.limits
     yield any_sandbox
     any_sandbox.limits, any_sandbox.hidden = limits, ()
@@ -64,8 +64,8 @@ def run(sandbox, estimator=None, how="", where="", seeds=(1,), number=1, **setti
     return sandbox.reconstruct(reference, settings, training, records, car, seeds, cache="hostile")
 
 
-def family_of(sandbox):
-    """Every process that was started with the environment of this host's server."""
+def process_family(sandbox):
+    """Return all processes with the environment of the client's server."""
     marked = f"HOME={sandbox._home}".encode()
     found = []
     for pid in filter(str.isdigit, os.listdir("/proc")):
@@ -77,16 +77,16 @@ def family_of(sandbox):
     return found
 
 
-def alone(sandbox, patience=5.0):
-    """Whether nothing is left of the entries, after a moment that the kernel may need."""
+def only_server_left(sandbox, patience=5.0):
+    """Return whether only the server is left, after waiting for the kernel for `patience` [s]."""
     end = time.monotonic() + patience
-    while (found := family_of(sandbox)) != [sandbox._server.pid] and time.monotonic() < end:
+    while (found := process_family(sandbox)) != [sandbox._server.pid] and time.monotonic() < end:
         time.sleep(0.02)
     return found == [sandbox._server.pid]
 
 
 @pytest.mark.parametrize("estimator", [Reader(gain=0.7), Learner(), Learner(spread=0.0)])
-def test_an_entry_estimates_to_the_bit_what_it_does_in_the_judges_process(sandbox, estimator):
+def test_estimates_in_the_sandbox_are_bitwise_those_of_this_process(sandbox, estimator):
     known = entries.make_entry("x", estimator)
     training, records, car = drives(2)
     expected = list(reconstruct_all(estimator, training, records, car, (1, 2, 3)))
@@ -101,76 +101,74 @@ def test_an_entry_estimates_to_the_bit_what_it_does_in_the_judges_process(sandbo
             np.testing.assert_array_equal(a.s, b.s)
             assert a.z_std is None
     assert found[0].isolation == sandbox.isolation and 0.01 < found[0].peak_memory < 2.0
-    assert found[0].estimate_seconds > 0.0 and alone(sandbox)
+    assert found[0].estimate_seconds > 0.0 and only_server_left(sandbox)
 
 
-def test_standard_deviations_cross_the_border(sandbox):
+def test_standard_deviations_are_returned_from_the_sandbox(sandbox):
     (training_run,) = run(sandbox, "fakes:Doubtful", std=0.003)
     np.testing.assert_array_equal(training_run.estimates[0].z_std, 0.003)
 
 
 @pytest.mark.parametrize(
-    ("how", "said"),
+    ("how", "message"),
     [
-        ("exit_softly", "its process ended without an answer, by exit status 0"),
-        ("exit_hard", "its process ended without an answer, by "),
-        ("crash", "by SIGSEGV; its last words: "),
+        ("exit_softly", "its process ended without a response, by exit status 0"),
+        ("exit_hard", "its process ended without a response, by "),
+        ("crash", "by SIGSEGV; its last output: "),
         ("grasp", "estimating test drive 1 of 1, seed 1: "),
         ("hoard", "memory limit"),
-        ("hoard_in_children", "held more than 0.5 GiB, the memory limit"),
+        ("hoard_in_children", "using more than 0.5 GiB, the memory limit"),
         ("multiply", "more than 40 processes"),
-        ("patch_judge", "test drive 1 of 1, seed 1: heights z: every value must be finite"),
+        ("patch_evaluation", "test drive 1 of 1, seed 1: heights z: every value must be finite"),
         ("fill", "File too large"),
     ],
 )
-def test_whatever_goes_wrong_is_one_sentence_and_nothing_is_left(sandbox, how, said):
+def test_every_failure_is_one_sentence_and_leaves_no_process(sandbox, how, message):
     with pytest.raises(EntryError) as error:
         run(sandbox, how=how)
     text = str(error.value)
-    assert said in text or (how in ("hoard", "grasp") and "MemoryError" in text), text
+    assert message in text or (how in ("hoard", "grasp") and "MemoryError" in text), text
     assert "\n" not in text and len(text) < 500
-    assert alone(sandbox)
-    assert (
-        len(run(sandbox, how="nothing")) == 1
-    )  # and the next entry is judged as if nothing had been
+    assert only_server_left(sandbox)
+    assert len(run(sandbox, how="nothing")) == 1  # the next entry is not affected
 
 
 @pytest.mark.parametrize(
-    ("how", "said"),
+    ("how", "message"),
     [
-        ("forge_answer", "its answer cannot be read: "),
+        ("forge_answer", "its response is invalid: "),
         ("link_answer", "response.json cannot be read: "),
-        ("answer_with_a_pipe", "response.json is no file"),
-        ("answer_at_length", "response.json has 2000015 bytes, more than the 1000000 it may have"),
-        ("answer_without_estimates", "there are no estimates of the training with seed 1"),
-        ("send_a_pickle", "(2, 1585) floats are wanted, got object (1,)"),
-        ("send_a_bomb", "(2, 1585) floats are wanted, got float64 (2, 4194304)"),
-        ("send_another_name", "nobody asked for 'truth'"),
+        ("answer_with_a_pipe", "response.json is not a regular file"),
+        ("answer_at_length", "response.json has 2000015 bytes, the limit is 1000000"),
+        ("answer_without_estimates", "its estimates of the training with seed 1 are missing"),
+        ("send_a_pickle", "must be float64 (2, 1585), got object (1,)"),
+        ("send_a_bomb", "must be float64 (2, 1585), got float64 (2, 4194304)"),
+        ("send_another_name", "unexpected array 'truth'"),
         ("send_half", "seed-1.npz: File is not a zip file"),
     ],
 )
-def test_what_an_entry_forges_is_not_believed(sandbox, how, said):
+def test_a_forged_response_is_rejected(sandbox, how, message):
     only_once(sandbox)
     with pytest.raises(EntryError) as error:
         run(sandbox, how=how)
-    assert said in str(error.value) and "\n" not in str(error.value)
+    assert message in str(error.value) and "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("how", ["hang", "spin"])
-def test_an_entry_that_does_not_come_back_is_ended_in_time(sandbox, how):
+def test_an_entry_that_does_not_return_is_stopped_at_the_time_limit(sandbox, how):
     limit(sandbox, seconds=0.5)
     begin = time.monotonic()
-    with pytest.raises(EntryError, match=r"it was ended after 0\.5 s, the time limit"):
+    with pytest.raises(EntryError, match=r"stopped after 0\.5 s, the time limit"):
         run(sandbox, how=how)
-    assert time.monotonic() - begin < 10.0 and alone(sandbox)
+    assert time.monotonic() - begin < 10.0 and only_server_left(sandbox)
 
 
-def test_children_do_not_outlive_their_entry(sandbox):
+def test_child_processes_do_not_outlive_their_entry(sandbox):
     assert len(run(sandbox, how="leave_children")) == 1
-    assert alone(sandbox)
+    assert only_server_left(sandbox)
 
 
-def test_100_megabytes_of_output_are_counted_and_thrown_away(sandbox):
+def test_100_megabytes_of_output_are_counted_and_discarded(sandbox):
     assert len(run(sandbox, how="print")) == 1
     assert sandbox.run_status.output_size == 100_000_000 + len("that was 100 MB\n")
     assert sandbox.run_status.output_tail.endswith("that was 100 MB\n")
@@ -178,20 +176,20 @@ def test_100_megabytes_of_output_are_counted_and_thrown_away(sandbox):
 
 
 @pytest.mark.parametrize("how", ["kill_parent", "kill_grandparent", "stop_parent"])
-def test_an_entry_that_turns_on_those_who_watch_it_harms_itself_alone(sandbox, how, monkeypatch):
+def test_an_entry_that_attacks_its_supervisor_harms_only_itself(sandbox, how, monkeypatch):
     monkeypatch.setattr(client_module, "GRACE_PERIOD", 1.0)
     limit(sandbox, seconds=1.5)
     with pytest.raises(EntryError) as error:
         run(sandbox, how=how)
-    if sandbox.isolation == "namespaces":  # it sees nobody to turn on
-        assert "ProcessLookupError: it sees nobody above" in str(error.value)
+    if sandbox.isolation == "namespaces":  # it sees no other process
+        assert "ProcessLookupError: no process above" in str(error.value)
     else:
-        assert "the process that watched over it was ended by" in str(error.value)
+        assert "its supervisor was ended by" in str(error.value)
     limit(sandbox, seconds=20.0)
-    assert len(run(sandbox, how="nothing")) == 1 and alone(sandbox)
+    assert len(run(sandbox, how="nothing")) == 1 and only_server_left(sandbox)
 
 
-def test_the_judges_secrets_are_not_in_the_environment(sandbox, monkeypatch):
+def test_environment_variables_are_not_passed_to_an_entry(sandbox, monkeypatch):
     only_once(sandbox)
     monkeypatch.setenv("ROADRECON_SECRET", "a token")
     sandbox._stop()
@@ -204,22 +202,22 @@ def test_the_judges_secrets_are_not_in_the_environment(sandbox, monkeypatch):
 def test_test_records_come_without_truth_road_and_seed(sandbox, tmp_path):
     with pytest.raises(EntryError) as error:
         run(sandbox, how="look_for_truth", where=tmp_path)
-    given = ["request.json", "test-0.parquet"]
-    given += [f"training-{k}.{kind}" for k in range(2) for kind in ("npz", "parquet")]
-    assert f"found [], given {given} and" in str(error.value)
-    known = ["car", "reference", "seeds", "settings", "tests", "training"]
-    assert str(error.value).endswith(f"and {known}")
+    files = ["request.json", "test-0.parquet"]
+    files += [f"training-{k}.{kind}" for k in range(2) for kind in ("npz", "parquet")]
+    assert f"found [], input files {files} and" in str(error.value)
+    keys = ["car", "reference", "seeds", "settings", "tests", "training"]
+    assert str(error.value).endswith(f"and {keys}")
 
 
-def test_no_message_leaves_the_machine_where_the_platform_can_help_it(sandbox):
-    heard = []
+def test_an_entry_has_no_network_in_namespaces(sandbox):
+    received = []
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(0.5)
 
         def listen():
             try:
                 line, _ = server.accept()
-                heard.append(line.recv(100))
+                received.append(line.recv(100))
                 line.close()
             except TimeoutError:
                 pass
@@ -233,10 +231,10 @@ def test_no_message_leaves_the_machine_where_the_platform_can_help_it(sandbox):
         else:
             call()
         thread.join()
-    assert heard == ([] if sandbox.isolation == "namespaces" else [b"the record is mine"])
+    assert received == ([] if sandbox.isolation == "namespaces" else [b"the record is mine"])
 
 
-def test_in_namespaces_nothing_can_be_written_elsewhere_and_results_are_not_seen(sandbox, tmp_path):
+def test_in_namespaces_other_folders_are_read_only_and_results_are_hidden(sandbox, tmp_path):
     if sandbox.isolation != "namespaces":
         pytest.skip("no namespaces: an entry may write where its user may")
     results, other = tmp_path / "results", tmp_path / "other"
@@ -263,9 +261,11 @@ def test_the_server_has_one_thread_when_it_forks(sandbox):
     assert len(os.listdir(f"/proc/{sandbox._server.pid}/task")) == 1
 
 
-def test_a_plug_in_describes_itself_without_being_loaded_here(sandbox, tmp_path, monkeypatch):
+def test_a_plug_in_is_described_without_being_loaded_in_this_process(
+    sandbox, tmp_path, monkeypatch
+):
     only_once(sandbox)
-    (tmp_path / "somebodys_slope.py").write_text(
+    (tmp_path / "external_slope.py").write_text(
         "import sys\n"
         "from dataclasses import dataclass\n"
         "from typing import ClassVar\n"
@@ -275,29 +275,29 @@ def test_a_plug_in_describes_itself_without_being_loaded_here(sandbox, tmp_path,
         "    steep: float = 0.5\n"
         "    def estimate(self, record, car): ...\n"
     )
-    about = tmp_path / "somebodys_slope-1.0.dist-info"
+    about = tmp_path / "external_slope-1.0.dist-info"
     about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: somebodys-slope\nVersion: 1.0\n")
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: external-slope\nVersion: 1.0\n")
     (about / "entry_points.txt").write_text(
-        "[road_envs.estimators]\nslope = somebodys_slope:Slope\nsunken = no_such_module:Hole\n"
+        "[road_envs.estimators]\nslope = external_slope:Slope\nsunken = no_such_module:Hole\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     with SandboxClient(sandbox.limits) as fresh:
         slope, sunken, flat = entries.resolve_entries(["slope", "sunken", "flat"], fresh)
     assert (slope.settings, slope.causal, slope.failure) == ({"steep": 0.5}, True, None)
-    assert len(slope.code) == 16 and "somebodys_slope" not in sys.modules
-    assert "it cannot be made: ConfigError: the estimator 'sunken'" in sunken.failure
+    assert len(slope.code) == 16 and "external_slope" not in sys.modules
+    assert "cannot be constructed: ConfigError: the estimator 'sunken'" in sunken.failure
     assert flat.reference == "flat" and flat.failure is None
     before = slope.code
-    (tmp_path / "somebodys_slope.py").write_text(
-        (tmp_path / "somebodys_slope.py").read_text().replace("0.5", "0.6")
+    (tmp_path / "external_slope.py").write_text(
+        (tmp_path / "external_slope.py").read_text().replace("0.5", "0.6")
     )
     with SandboxClient(sandbox.limits) as fresh:
         (slope,) = entries.resolve_entries(["slope"], fresh)
     assert slope.code != before and slope.settings == {"steep": 0.6}
 
 
-def test_limits_must_be_possible():
+def test_limits_must_be_positive():
     for name in ("seconds", "memory", "processes", "file"):
         with pytest.raises(ValueError, match=f"{name} must be positive, got 0"):
             Limits(**{name: 0})

@@ -1,4 +1,4 @@
-"""Stable-Baselines3 learns through the vector environment, and is told how episodes end."""
+"""The Stable-Baselines3 adapter against the vector environment, and a training with PPO."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from road_envs.envs.vector import RoadReconVectorEnv
 SHORT = {"road": "iso_d", "length": 6.0, "speed_kmh": [40.0, 70.0], "truth": False}
 
 
-def test_it_is_the_vector_environment_that_resets_within_the_step():
+def test_it_equals_the_vector_environment_with_same_step_autoreset():
     ours, theirs = (
         RoadReconVecEnv(3, **SHORT),
         RoadReconVectorEnv(3, autoreset_mode="SameStep", **SHORT),
@@ -20,21 +20,21 @@ def test_it_is_the_vector_environment_that_resets_within_the_step():
     ended = 0
     for _ in range(60):
         observation, reward, done, infos = ours.step(np.array([0, 1, 1]))
-        seen, expected, terminated, truncated, info_keys = theirs.step(np.array([0, 1, 1]))
-        np.testing.assert_array_equal(observation, seen)
-        np.testing.assert_array_equal(reward, expected.astype(np.float32))
+        expected = theirs.step(np.array([0, 1, 1]))
+        _, _, terminated, truncated, expected_infos = expected
+        np.testing.assert_array_equal(observation, expected[0])
+        np.testing.assert_array_equal(reward, expected[1].astype(np.float32))
         np.testing.assert_array_equal(done, terminated | truncated)
         for i in np.flatnonzero(done):
-            np.testing.assert_array_equal(
-                infos[i]["terminal_observation"], info_keys["final_obs"][i]
-            )
+            final_obs = expected_infos["final_obs"][i]
+            np.testing.assert_array_equal(infos[i]["terminal_observation"], final_obs)
             assert infos[i]["TimeLimit.truncated"] is bool(truncated[i] and not terminated[i])
             ended += 1
         assert all("terminal_observation" not in infos[i] for i in np.flatnonzero(~done))
     assert ended >= 6
 
 
-def test_a_car_that_fails_is_not_called_out_of_time():
+def test_a_failed_vehicle_is_not_reported_as_truncated():
     envs = RoadReconVecEnv(2, info_keys=["comfort"], **SHORT)
     envs.seed(0)
     envs.reset()
@@ -46,8 +46,8 @@ def test_a_car_that_fails_is_not_called_out_of_time():
 
 
 @pytest.mark.slow
-def test_ppo_learns_through_it_that_a_smooth_ride_pays():
-    """On a rough straight road ride is the better mode: PPO must find it and keep to it."""
+def test_ppo_learns_to_prefer_ride_on_a_rough_road():
+    """On a rough straight road ride is the better mode, which PPO must learn."""
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
@@ -68,7 +68,7 @@ def test_ppo_learns_through_it_that_a_smooth_ride_pays():
     assert np.mean(actions) < 0.15 < before
 
 
-def test_what_cannot_be_is_refused():
+def test_unsupported_operations_are_rejected():
     envs = RoadReconVecEnv(2, **SHORT)
     assert envs.env_is_wrapped(object) == [False, False]
     assert envs.get_attr("num_envs", indices=[0]) == [2]
@@ -76,5 +76,5 @@ def test_what_cannot_be_is_refused():
         envs.set_attr("road", "iso_a")
     with pytest.raises(ConfigError, match="cannot be called"):
         envs.env_method("reset")
-    with pytest.raises(ConfigError, match="has its own"):
+    with pytest.raises(ConfigError, match="must be omitted"):
         RoadReconVecEnv(2, autoreset_mode="NextStep", **SHORT)

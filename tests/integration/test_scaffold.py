@@ -1,4 +1,4 @@
-"""A newcomer's package: written, tested, built, installed, and on the board by its own name."""
+"""Template package of an estimator: written, tested, built, installed, evaluated."""
 
 import os
 import subprocess
@@ -29,7 +29,7 @@ def run(*command, cwd, path):
     return done.stdout
 
 
-def test_the_package_of_a_newcomer_gets_from_an_empty_folder_to_a_row_of_the_board(tmp_path):
+def test_the_template_package_installs_and_gets_a_row_on_the_board(tmp_path):
     folder = tmp_path / "mine"
     write_package("double_twice", folder)
     code = (folder / "road_recon_double_twice/estimator.py").read_text()
@@ -43,8 +43,10 @@ def test_the_package_of_a_newcomer_gets_from_an_empty_folder_to_a_row_of_the_boa
     target = tmp_path / "target"
     run(*pip, "install", "--no-deps", "--target", target, wheel, cwd=tmp_path, path=[])
     path = [target, ROOT]
-    said = run("-m", "leaderboard.cli", "check-estimator", "double_twice", cwd=tmp_path, path=path)
-    assert "double_twice: ready for a board" in said
+    output = run(
+        "-m", "leaderboard.cli", "check-estimator", "double_twice", cwd=tmp_path, path=path
+    )
+    assert "double_twice: ready for a board" in output
     run(
         "-m", "leaderboard.cli", "leaderboard", "--task", "paper_5", "--estimator", "double_twice",
         "--seeds", "1", "--out", "board", cwd=tmp_path, path=path,
@@ -58,29 +60,29 @@ def test_the_package_of_a_newcomer_gets_from_an_empty_folder_to_a_row_of_the_boa
 @pytest.mark.parametrize(
     ("name", "sentence"),
     [
-        ("My-Road", "'My-Road' cannot be the name of an estimator: small letters, digits"),
+        ("My-Road", "'My-Road' cannot be the name of an estimator: use lower-case letters"),
         ("class", "'class' cannot be the name of an estimator"),
-        ("flat", "the name 'flat' is taken by an estimator that is installed"),
+        ("flat", "the name 'flat' is taken by an installed estimator"),
     ],
 )
-def test_a_name_that_cannot_be_used_is_refused_and_nothing_is_written(tmp_path, name, sentence):
+def test_an_invalid_name_is_refused_and_nothing_is_written(tmp_path, name, sentence):
     with pytest.raises(ConfigError, match=sentence):
         write_package(name, tmp_path / "new")
     assert not (tmp_path / "new").exists()
 
 
-def test_a_folder_in_use_is_left_alone(tmp_path):
+def test_a_folder_with_files_is_refused_and_unchanged(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(ConfigError, match="is in use; a new or empty folder is wanted"):
+    with pytest.raises(ConfigError, match="is not empty; choose a new or empty folder"):
         write_package("my_road", tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
-def test_the_command_says_what_to_do_next_in_words_that_can_be_pasted(tmp_path, monkeypatch):
+def test_new_estimator_prints_the_next_commands(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    told = CliRunner().invoke(app, ["new-estimator", "my_road"]).stdout
-    assert 'pip install --editable "./road-recon-my-road[test]"\n' in told
-    assert "python -m pytest ./road-recon-my-road\n" in told
-    assert "road-recon check-estimator my_road\n" in told
+    output = CliRunner().invoke(app, ["new-estimator", "my_road"]).stdout
+    assert 'pip install --editable "./road-recon-my-road[test]"\n' in output
+    assert "python -m pytest ./road-recon-my-road\n" in output
+    assert "road-recon check-estimator my_road\n" in output
     readme = (tmp_path / "road-recon-my-road" / "README.md").read_text()
     assert "road-recon check-estimator my_road" in readme and "{" not in readme

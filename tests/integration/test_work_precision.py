@@ -1,4 +1,4 @@
-"""The comparison of integrators: all of them solve the same drive, and the table says so."""
+"""Work-precision comparison: all integrators reproduce one reference solution."""
 
 import json
 import shutil
@@ -31,44 +31,44 @@ def truth(problem):
     return problem.scipy("Radau", 1e-6)
 
 
-def test_the_drive_that_is_compared_is_on_its_road_and_moves(truth):
+def test_the_body_moves_in_the_compared_drive(truth):
     assert truth.shape == (600, 3)
     assert abs(truth[-100:, 0]).max() > 0.1
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_every_method_of_scipy_solves_the_same_drive(problem, truth, method):
+def test_every_scipy_method_reproduces_the_reference(problem, truth, method):
     assert relative_error(problem.scipy(method, 1e-5), truth) < 0.003
 
 
-def test_both_of_ours_solve_the_same_drive(problem, truth):
+def test_both_of_our_integrators_reproduce_the_reference(problem, truth):
     assert relative_error(problem.fixed_step(0.000125), truth) < 0.003
     assert relative_error(problem.adaptive(1e-6), truth) < 0.003
 
 
-def test_steps_that_are_kept_short_see_a_bump_that_free_ones_may_jump_over():
+def test_a_step_limit_prevents_adaptive_solvers_from_skipping_a_bump():
     bump = load_road("bump_small").realise(np.random.default_rng(0))
-    blind, seeing = IntegrationProblem(2.0, bump), IntegrationProblem(2.0, bump, max_step=0.01)
-    assert np.abs(blind.scipy("BDF", 1e-3)).max() < 1e-9
-    truth = seeing.scipy("DOP853", 1e-6)
+    unlimited, limited = IntegrationProblem(2.0, bump), IntegrationProblem(2.0, bump, max_step=0.01)
+    assert np.abs(unlimited.scipy("BDF", 1e-3)).max() < 1e-9
+    truth = limited.scipy("DOP853", 1e-6)
     assert np.abs(truth[:, 0]).max() > 5.0
-    assert relative_error(seeing.scipy("BDF", 1e-4), truth) < 0.02
-    assert relative_error(seeing.adaptive(1e-5), truth) < 0.02
+    assert relative_error(limited.scipy("BDF", 1e-4), truth) < 0.02
+    assert relative_error(limited.adaptive(1e-5), truth) < 0.02
 
 
-def test_sundials_solves_the_same_drive(problem, truth):
+def test_sundials_reproduces_the_reference(problem, truth):
     pytest.importorskip("sksundae", reason="scikit-sundae is not installed")
     assert relative_error(problem.cvode(1e-6), truth) < 0.003
 
 
 @pytest.mark.skipif(shutil.which("octave-cli") is None, reason="Octave is not installed")
-def test_octaves_own_ode23s_on_equations_in_its_own_language_solves_the_same_drive(problem, truth):
+def test_octaves_ode23s_reproduces_the_reference(problem, truth):
     a, seconds = problem.octave(1e-3)
     assert relative_error(a, truth) < 0.01
     assert seconds > 0.0
 
 
-def test_a_peer_that_is_not_there_or_fails_says_so_in_a_sentence(problem, monkeypatch, tmp_path):
+def test_a_missing_or_failing_peer_raises_an_error_that_names_it(problem, monkeypatch, tmp_path):
     monkeypatch.setattr(shutil, "which", lambda name: None)
     with pytest.raises(PeerError, match="Octave is not installed"):
         problem.octave(1e-3)
@@ -80,7 +80,7 @@ def test_a_peer_that_is_not_there_or_fails_says_so_in_a_sentence(problem, monkey
         problem.octave(1e-3)
 
 
-def test_the_command_measures_draws_and_names_who_is_left_out(monkeypatch, tmp_path, capsys):
+def test_the_command_measures_plots_and_names_skipped_peers(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(precision, "_timed", lambda run, setting: (run(setting), 0.05))
     monkeypatch.setattr(precision, "SCIPY", {"RK45": (1e-3, 1e-5)})
     monkeypatch.setitem(sys.modules, "sksundae.cvode", None)
@@ -107,4 +107,4 @@ def test_the_command_measures_draws_and_names_who_is_left_out(monkeypatch, tmp_p
         cli.main()
     out, err = capsys.readouterr()
     assert "rtol 0.001" in out and "h = 0.125 ms" in out
-    assert "Octave ode23s is left out: Octave is not installed" in " ".join(err.split())
+    assert "Octave ode23s is skipped: Octave is not installed" in " ".join(err.split())

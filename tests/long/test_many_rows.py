@@ -1,4 +1,4 @@
-"""A board of ten thousand rows: what the driver holds while it reads, prints and draws it.
+"""Memory of reading, printing and drawing a board of ten thousand rows.
 
 ROADRECON_SLOW=1 pytest -s tests/test_many_rows.py
 """
@@ -17,8 +17,8 @@ from leaderboard.evaluation.evaluate import run_task
 from road_envs._atomic_io import write_text
 
 TASKS = 10
-AIM = 1.0
-"""GiB."""
+MEMORY_LIMIT = 1.0
+"""Largest allowed peak memory [GiB]."""
 
 SHORT = {
     "training": {"roads": ["iso_d"], "seeds": [1], "length": 20.0},
@@ -37,9 +37,9 @@ from leaderboard.report.terminal import print_tables
 
 out, begin = Path(sys.argv[1]), time.process_time()
 board = load_board(tasks(), out)
-found = build_report(board, out)
-print_tables(found, Console(file=(out / "said.txt").open("w"), width=80))
-page = write_site(board, found, out)
+report = build_report(board, out)
+print_tables(report, Console(file=(out / "tables.txt").open("w"), width=80))
+page = write_site(board, report, out)
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 print(peak, time.process_time() - begin, page.stat().st_size / 1e6)
 """
@@ -50,17 +50,17 @@ def tasks():
 
 
 def many_rows(out, rows):
-    """Store results of made-up entries, alike on every task."""
+    """Store `rows` results of entries with made-up names, the same on every task."""
     for one in tasks():
         entries = {"a": Reader(), "b": Reader(gain=0.5), "c": Learner()}
-        made = run_task(one, entries, (1, 2), drive=fake_drives)
+        results = run_task(one, entries, (1, 2), simulate=fake_drives)
         for n in range(rows // TASKS):
-            row = dataclasses.replace(made[n % len(made)], estimator=f"entry_{n:05d}")
+            row = dataclasses.replace(results[n % len(results)], estimator=f"entry_{n:05d}")
             write_text(store.row_path(out, one.name, row.estimator), store.to_text(row))
 
 
 def driver(out):
-    """Peak memory [GiB], processor time [s] and size of the index [MB] of the driver."""
+    """Run DRIVER; return its peak memory [GiB], processor time [s] and size of the index [MB]."""
     path = os.pathsep.join(
         [str(Path(__file__).parents[1] / "support"), *map(os.path.abspath, sys.path)]
     )
@@ -77,8 +77,8 @@ def driver(out):
 @pytest.mark.slow
 @pytest.mark.skipif("ROADRECON_SLOW" not in os.environ, reason="minutes; set ROADRECON_SLOW")
 @pytest.mark.parametrize("rows", [1_000, 10_000])
-def test_the_driver_stays_below_a_gibibyte_whatever_the_number_of_rows(tmp_path, rows):
+def test_memory_stays_below_1_gib_for_any_number_of_rows(tmp_path, rows):
     many_rows(tmp_path, rows)
     peak, seconds, index = driver(tmp_path)
     print(f"{rows} rows: {peak:.2f} GiB, {seconds:.0f} s, index of {index:.1f} MB")
-    assert peak < AIM
+    assert peak < MEMORY_LIMIT

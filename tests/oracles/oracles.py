@@ -1,9 +1,9 @@
-"""Independent answers for vehicle, suspension, motion and instruments.
+"""Independent reference solutions for vehicle, suspension, motion and instruments.
 
-Nothing of the packages under test is imported; the paper's constants are typed here again, so that
-a wrong one in the code cannot hide. A `car` is anything with the attributes of a vehicle
-description; `strut_state` (4, 3) holds each strut's (held extension, open fraction, share of high
-damping). "Paper" is Ngwangwa, Heyns, Breytenbach & Els.
+No package under test is imported, and the paper's constants are repeated here, so that a wrong
+constant in the code is detected. `car`: any object with the attributes of `VehicleParameters`;
+`strut_state` (4, 3): held extension, open fraction and share of high damping of each strut. "Paper"
+is Ngwangwa, Heyns, Breytenbach & Els.
 """
 
 from types import SimpleNamespace
@@ -24,31 +24,30 @@ PAPER_CAR = SimpleNamespace(  # Table 1, section 2.2, eq. 1; wheelbase of 110 in
 )
 P_STAT, BORE, N_P = 2.167e6, 1.963e-3, 1.0
 X_STAT = {"ride": 0.255, "handling": 0.0509}
-MODES_HZ = {  # roll, bounce, pitch, hops, axle rolls: as computed apart from this project's code
+MODES_HZ = {  # roll, bounce, pitch, axle hops, axle rolls: computed independently of this project
     "ride": (0.847, 0.955, 1.125, 7.685, 7.687, 14.932, 14.933),
     "handling": (1.774, 1.897, 2.226, 8.665, 8.696, 15.935, 15.953),
 }
-SIDES = ("left", "right")
 
 
-# --- the linear car, from energy ------------------------------------------------------------------
+# --- linear vehicle, from energy ------------------------------------------------------------------
 
 
 def gas_force(x_stat, extension):
-    """Eq. 1 as printed [N]."""
+    """Return the force [N] by eq. 1 as printed."""
     return P_STAT * BORE * (x_stat / (x_stat + extension)) ** N_P
 
 
 def static_rate(mode):
-    """Rate of eq. 1 at its static length [N/m]."""
+    """Return the spring rate [N/m] of eq. 1 at static length."""
     return N_P * P_STAT * BORE / X_STAT[mode]
 
 
 def linear_matrices(car, k_s, c_s=(0.0, 0.0)):
-    """(M, C, K, K_r, C_r) of the car with linear struts `k_s`, `c_s` (front, rear).
+    """Return (M, C, K, K_r, C_r) of the car with linear struts `k_s`, `c_s` (front, rear).
 
-    A spring whose stretch is b.q stores k (b.q)^2 / 2 and so adds k b b' to K; no force is summed
-    and no sign is chosen. K_r, C_r (7, 4) belong to the road's heights and their rates.
+    A spring with the elongation b.q stores k (b.q)^2 / 2 and adds k b b' to K, so that no signs of
+    forces have to be chosen. K_r, C_r (7, 4) multiply the road heights and their rates.
     """
     M, C, K = np.zeros((7, 7)), np.zeros((7, 7)), np.zeros((7, 7))
     K_r, C_r = np.zeros((7, 4)), np.zeros((7, 4))
@@ -67,29 +66,29 @@ def linear_matrices(car, k_s, c_s=(0.0, 0.0)):
 
 
 def natural_frequencies(M, K):
-    """Undamped natural frequencies [Hz], ascending."""
+    """Return the undamped natural frequencies [Hz] in ascending order."""
     return np.sqrt(eigh(K, M, eigvals_only=True)) / (2.0 * np.pi)
 
 
 def response(matrices, f, road):
-    """Complex accelerations (7,) at `f` [Hz] to complex road amplitudes (4,) [m]."""
+    """Return complex accelerations (7,) at `f` [Hz] for complex road amplitudes (4,) [m]."""
     M, C, K, K_r, C_r = matrices
     jw = 2j * np.pi * f
     return jw**2 * np.linalg.solve(jw**2 * M + jw * C + K, (K_r + jw * C_r) @ road)
 
 
 def static_loads(car):
-    """Loads (strut, tyre) [N] of one front and one rear wheel, from force and moment balance."""
+    """Return the loads (strut, tyre) [N] of a front and a rear wheel, by statics."""
     levers = [[2.0, 2.0], [2.0 * car.front.x, 2.0 * car.rear.x]]
     struts = np.linalg.solve(levers, [car.m_b * G, 0.0])
     return struts, struts + 0.5 * G * np.array([car.front.m, car.rear.m])
 
 
-# --- the nonlinear car ----------------------------------------------------------------------------
+# --- nonlinear vehicle ----------------------------------------------------------------------------
 
 
 class CubicCurve:
-    """A force curve: PCHIP through its breakpoints, straight on beyond them; and its integral."""
+    """A force curve, PCHIP with linear extrapolation, and its integral."""
 
     def __init__(self, curve):
         self.inside = PchipInterpolator(curve.x, curve.F)
@@ -101,7 +100,7 @@ class CubicCurve:
         return self.inside(c) + self.slope(c) * (x - c)
 
     def integral(self, x):
-        """From 0 to `x`."""
+        """Return the integral from 0 to `x`."""
         c = np.clip(x, *self.ends)
         beyond = x - c
         return (
@@ -121,14 +120,13 @@ NOMINAL = SimpleNamespace(
 
 
 class NonlinearCar:
-    """The paper's equations 2 to 8, corrected, in its own letters and axes; and the energies.
+    """The paper's equations 2 to 8, corrected, in its own notation and axes, and the energies.
 
-    z points down, pitch beta is positive nose up, roll alpha, theta, phi lift the left side. In
-    eq. 7 the left tyre's heave terms are negative; a tyre that would pull has no force at all, and
-    one whose damper would do more than its spring has twice the spring's. Wheels stand in the order
-    lf, rf, lr, rr. `variation` has factors of the parts of one manufactured car, tyres of rising
-    secant stiffness, bushings between body and axles, and a body of two halves that twist. With a
-    frame an eighth coordinate, the twist, is the last.
+    z is positive downwards, pitch beta nose up; positive roll alpha, theta, phi lifts the left
+    side. In eq. 7 the left tyre's heave terms are negative. A tyre that would pull has no force,
+    and a damper force is limited to the spring force. The order of wheels is lf, rf, lr, rr.
+    `variation` has factors of the parts of one manufactured car, tyres of rising secant stiffness,
+    bushings between body and axles, and a flexible frame, whose twist is the eighth coordinate.
     """
 
     def __init__(self, car, variation=NOMINAL):
@@ -147,7 +145,7 @@ class NonlinearCar:
             self.delta[:] = car.tyre_static_deflection
 
     def gas(self, strut_state, e):
-        """Force [N] of the gas springs at extensions `e` (4,); a tangent below the least column."""
+        """Return the gas forces [N] at extensions `e` (4,), linear below the shortest column."""
         s = self.strut
         held, opened = strut_state[:, 0], strut_state[:, 1]
         e_2 = held + opened * e * s.x_2 / (s.x_1 + s.x_2)
@@ -157,7 +155,7 @@ class NonlinearCar:
         return F * (1.0 - s.n_p * (x - least) / least)
 
     def strut_forces(self, strut_state, e, e_dot):
-        """Forces (4,) [N] that extend the struts."""
+        """Return the forces (4,) [N] of the struts, positive in extension."""
         share = strut_state[:, 2]
         d_w, f_w = np.array(self.variation.damper), np.array(self.variation.friction)
         losses = [
@@ -173,7 +171,7 @@ class NonlinearCar:
         )
 
     def extensions(self, z_b, alpha, beta, z_uf, theta, z_ur, phi, twist=0.0):
-        """Extensions (4,) of the struts, or their rates, in the paper's coordinates."""
+        """Return the extensions (4,) of the struts, or their rates, in the paper's coordinates."""
         car = self.car
         fore, aft = alpha + 0.5 * twist, alpha - 0.5 * twist
         b, a, d_f, d_r = car.front.x, -car.rear.x, car.front.y_s, car.rear.y_s
@@ -187,7 +185,7 @@ class NonlinearCar:
         )
 
     def accelerations(self, strut_state, q, v, z_r, w_r, manoeuvre=None):
-        """Accelerations (7,) in the project's axes, of the corrected equations 2 to 8.
+        """Return accelerations (7,) in the project's axes, by the corrected equations 2 to 8.
 
         `manoeuvre`, if given, is (l_roll, l_pitch, a_x, a_y): the body is then an inverted pendulum
         of these lengths [m] in the field of gravity less the accelerations [m/s2].
@@ -237,7 +235,7 @@ class NonlinearCar:
         return to_paper * np.array([z_b2, alpha2, beta2, *axles])
 
     def tyre_coefficients(self, wheel, u, u_1):
-        """Secant stiffness and damping of a tyre compressed by `u` beyond its deflection."""
+        """Return secant stiffness and damping of a tyre at `u` beyond its static deflection."""
         x = u + self.delta[wheel]
         k = self.k_t[wheel] * (1.0 + self.variation.tyre_progression * u)
         if x <= 0.0 or k * x + self.c_t[wheel] * u_1 <= 0.0:
@@ -245,7 +243,7 @@ class NonlinearCar:
         return (2.0 * k, 0.0) if self.c_t[wheel] * u_1 > k * x else (k, self.c_t[wheel])
 
     def energy(self, strut_state, q, v, z_r):
-        """Mechanical energy [J]: kinetic, of position, gas, bushings and stops, tyres."""
+        """Return the mechanical energy [J]: kinetic, potential, gas, bushings, stops, tyres."""
         car, s = self.car, self.strut
         masses = np.array([car.m_b, car.I_xx, car.I_yy, car.front.m, car.front.I_xx, car.rear.m,
                            car.rear.I_xx, 0.25 * car.I_xx])[: len(q)]  # fmt: skip
@@ -282,7 +280,7 @@ class NonlinearCar:
 
 
 class SplineRoad:
-    """Heights and slopes under the four wheels: Catmull-Rom through the samples, level outside."""
+    """A road as a Catmull-Rom spline through the samples, level outside."""
 
     def __init__(self, z, ds, start=0.0):
         z = np.pad(np.asarray(z, float), ((0, 0), (3, 3)), mode="edge")
@@ -294,13 +292,13 @@ class SplineRoad:
         self.dz = self.z.derivative()
 
     def wheel_inputs(self, s, wheelbase, v):
-        """Heights and rates (4,) with the front axle at `s` and the speed `v`."""
+        """Return heights and rates (4,) with the front axle at `s` and the speed `v`."""
         at = np.clip([s, s - wheelbase], *self.ends)
         return self.z(at).T.ravel(), v * self.dz(at).T.ravel()
 
 
 def trajectory(car, strut_state, road, v, s_0, y_0, times, variation=NOMINAL, **options):
-    """States (14, N) at `times` by an adaptive method of SciPy; the struts' memory stands still."""
+    """Return states (14, N) at `times` by SciPy's `solve_ivp`, with constant strut states."""
     oracle, wheelbase, n = NonlinearCar(car, variation), car.front.x - car.rear.x, len(y_0) // 2
 
     def rate(t, y):
@@ -313,7 +311,7 @@ def trajectory(car, strut_state, road, v, s_0, y_0, times, variation=NOMINAL, **
 
 
 def second_accumulator(e, e_dot, stiff, times, *, u_0, e_2_0, ratio, lag, equalisation):
-    """The extension e_2(t) of the second accumulator for a strut moved as e(t), commanded at 0."""
+    """Return the extension e_2(t) of the second accumulator for e(t), commanded at t = 0."""
 
     def rate(t, y):
         u = y[0]
@@ -325,7 +323,7 @@ def second_accumulator(e, e_dot, stiff, times, *, u_0, e_2_0, ratio, lag, equali
 
 
 def ode23s_step(f, jacobian, f_t, t, y, h):
-    """One step of Shampine & Reichelt's formula (1997), matrices and all."""
+    """Return one step of the formula of Shampine & Reichelt (1997), with full matrices."""
     d = 1.0 / (2.0 + np.sqrt(2.0))
     W = np.eye(y.size) - h * d * jacobian(t, y)
     k_1 = np.linalg.solve(W, f(t, y) + h * d * f_t(t, y))
@@ -334,11 +332,11 @@ def ode23s_step(f, jacobian, f_t, t, y, h):
 
 
 def point_acceleration(heave, roll, pitch, x, y):
-    """Vertical acceleration of a body's point: a + (angular acceleration x lever), third part."""
+    """Return the vertical part of a + (angular acceleration x lever) at a body point."""
     return heave + np.cross([roll, pitch, 0.0], [x, y, 0.0])[2]
 
 
 def butterworth_gain(f, f_c, order, fs):
-    """Gain of a digital Butterworth low-pass made by the bilinear transform."""
+    """Return the gain of a digital Butterworth low-pass (bilinear transform)."""
     warped = np.tan(np.pi * np.asarray(f) / fs) / np.tan(np.pi * f_c / fs)
     return 1.0 / np.sqrt(1.0 + warped ** (2 * order))

@@ -1,6 +1,6 @@
-"""Independent answers for roads, roughness and comfort; imports none of the packages under test.
+"""Independent reference solutions for roads, roughness and comfort, without the code under test.
 
-Constants are typed here again from their sources, so that a wrong one in the code cannot hide.
+Constants are repeated here from their sources, so that a wrong one in the code is detected.
 """
 
 import numpy as np
@@ -30,7 +30,7 @@ SAYERS_PR = np.array([0.005476107, 1.388776, 0.2275968, 35.79262])
 
 
 def trapezoid(s, middle, height, ramp, top):
-    """Heights of one block from its four corners."""
+    """Return the heights of a trapezoid from its four corners."""
     corners = middle + np.array([-0.5 * top - ramp, -0.5 * top, 0.5 * top, 0.5 * top + ramp])
     return np.interp(s, corners, [0.0, height, height, 0.0])
 
@@ -40,7 +40,7 @@ def iso_density(n, G_d0, w=2.0):
 
 
 def isotropic_root_coherence(n, w, track):
-    """Cross over auto-spectrum of two cuts through a surface with spectrum k^-(w+1), integrated."""
+    """Return cross over auto-spectrum of two cuts through a surface of spectrum k^-(w+1)."""
 
     def surface(m):  # wavenumber across the track in units of that along it
         return (1.0 + m * m) ** (-0.5 * (w + 1.0))
@@ -51,7 +51,7 @@ def isotropic_root_coherence(n, w, track):
 
 
 def sayers_iri(z):
-    """Cumulative IRI [mm/m] after each step of 0.25 m, by the printed coefficients."""
+    """Return the cumulative IRI [mm/m] after each step of 0.25 m, by the printed coefficients."""
     x = np.array([1.0, 0.0, 1.0, 0.0]) * (z[min(44, len(z) - 1)] - z[0]) / 11.0
     total, out = 0.0, []
     for slope in np.diff(z) / 0.25:
@@ -62,7 +62,7 @@ def sayers_iri(z):
 
 
 def golden_car_gain(n):
-    """Suspension slope over profile slope of the golden car at 80 km/h."""
+    """Return suspension slope over profile slope of the golden car at 80 km/h."""
     s = 2j * np.pi * n * 80.0 / 3.6
     k1, k2, c, mu = 653.0, 63.3, 6.0, 0.15
     link = k2 + c * s
@@ -72,7 +72,7 @@ def golden_car_gain(n):
 
 
 def wk_weight(f):
-    """Wk by the magnitudes of its four factors, as ISO 2631-1, annex A, prints them."""
+    """Return Wk from the magnitudes of its four factors as printed in ISO 2631-1, annex A."""
     f1, f2, f3, f4, Q4, f5, Q5, f6, Q6 = 0.4, 100.0, 12.5, 12.5, 0.63, 2.37, 0.91, 3.35, 0.91
     high = np.sqrt(f**4 / (f**4 + f1**4))
     low = np.sqrt(f2**4 / (f**4 + f2**4))
@@ -87,7 +87,7 @@ def wk_weight(f):
 
 
 def segment_spectrum(z, ds, size):
-    """One-sided density by hand: Hann segments of `size`, half overlapping, straight lines off."""
+    """Return n and the one-sided density: Hann segments, 50 % overlap, linearly detrended."""
     window = np.sin(np.pi * np.arange(size) / size) ** 2
     k = np.arange(size)
     total, count = np.zeros(size // 2), 0
@@ -98,12 +98,12 @@ def segment_spectrum(z, ds, size):
         count += 1
     scale = 2.0 * ds / (window**2).sum() / count
     G = total * scale
-    G[-1] /= 2.0  # the line at the Nyquist frequency stands for itself alone
+    G[-1] /= 2.0  # the Nyquist line has no negative counterpart
     return np.arange(1, size // 2 + 1) / (size * ds), G
 
 
 def crg_file(z, form="KRBI", du=0.1, dv=0.5, places=None, road=(), extra=(), eol="\n", start=0.0):
-    """Bytes of an OpenCRG file with the grid `z` (nu, nv); `places` puts v into the channels."""
+    """Return an OpenCRG file with the grid `z` (nu, nv); `places` are explicit v of sections."""
     nu, nv = z.shape
     lines = ["$CT", "written for a test", "$", "$ROAD_CRG  ! parameters"]
     lines += [
@@ -147,7 +147,7 @@ def half_sine(s, middle, height, length):
 
 
 def sweep_height(s, length, n_start, n_end, progress, amplitude, amplitude_end):
-    """A sine whose phase is the frequency, integrated numerically from the start."""
+    """Return a sine whose phase is the numerical integral of the frequency."""
     share = s / length
     if progress == "linear":
         n = lambda u: n_start + (n_end - n_start) * u / length  # noqa: E731
@@ -159,7 +159,7 @@ def sweep_height(s, length, n_start, n_end, progress, amplitude, amplitude_end):
 
 
 def erd_file(z, form="text", unit="mm", step=0.025, x_unit="m", names=("LElev.", "RElev."), **how):
-    """Header and numbers of an ERD file with the channels `z` (K, N) in `unit`."""
+    """Return header and numbers of an ERD file with the channels `z` (K, N) in `unit`."""
     eol, samples = how.get("eol", "\n"), how.get("samples", z.shape[1])
     units = unit if isinstance(unit, tuple) else (unit,) * len(z)
     kind = 5 if form == "text" else 1

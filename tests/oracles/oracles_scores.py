@@ -1,7 +1,7 @@
-"""Independent answers for the scores and their statistics: the textbook's formula, step by step.
+"""Independent implementations of the scores and their statistics, from the definitions.
 
-Nothing of the packages under test is imported. Slow, and written from the definitions: loops over
-samples, SciPy's own estimators, quadrature in place of closed forms.
+Nothing of the packages under test is imported. The code is slow and literal: loops over samples,
+SciPy's own estimators, quadrature in place of closed forms.
 """
 
 import numpy as np
@@ -11,9 +11,10 @@ CLASS_LIMITS = [32e-6 * 4.0**k for k in range(7)]  # ISO 8608: A ends at 32e-6 m
 
 
 def case(seed, length=120.0, ds=100.0 / 3964, share=0.8, noise=0.004):
-    """Truth (2, M), estimate (2, M) and its standard deviation (2, M), drawn from a seed.
+    """Return truth, estimate and its standard deviation, each (2, M), and ds, drawn from a seed.
 
-    A sum of 300 cosines of falling amplitude; the estimate is damped, late and noisy.
+    The truth is a sum of 300 cosines of decreasing amplitude; the estimate is damped, late and
+    noisy.
     """
     rng = np.random.default_rng(seed)
     s = ds * np.arange(int(length / ds))
@@ -32,7 +33,7 @@ def case(seed, length=120.0, ds=100.0 / 3964, share=0.8, noise=0.004):
 
 
 def in_band(z, ds, low, high):
-    """One wheel path (M,) inside a band: line off, odd ends of 20 m faded out, other lines to 0."""
+    """Band-pass a wheel path (M,): subtract the line, taper odd ends of 20 m, cut the spectrum."""
     M = z.size
     k = np.arange(M)
     z = z - np.polyval(np.polyfit(k, z, 1), k)
@@ -52,7 +53,7 @@ def in_band(z, ds, low, high):
 
 
 def next_size(size):
-    """The least number >= size with no prime factor above 5 (as a real FFT of SciPy takes)."""
+    """Return the least number >= size without a prime factor above 5, as for a real SciPy FFT."""
     while True:
         rest = size
         for p in (2, 3, 5):
@@ -68,14 +69,14 @@ def rms(x):
 
 
 def error_over_truth(y, a, ds, low, high):
-    """RMS of the error over that of the truth, both wheel paths together."""
+    """Return RMS error over RMS truth, of both wheel paths together."""
     e = np.concatenate([in_band(a[i] - y[i], ds, low, high) for i in range(2)])
     t = np.concatenate([in_band(y[i], ds, low, high) for i in range(2)])
     return rms(e) / rms(t)
 
 
 def pearson(y, a, ds, low, high):
-    """r at equal stations, the lag [m] of the best r within 0.5 m, and that r."""
+    """Return r at equal stations, the lag [m] of the largest r within 0.5 m, and that r."""
     y = [in_band(z, ds, low, high) for z in y]
     a = [in_band(z, ds, low, high) for z in a]
     reach = int(0.5 / ds)
@@ -93,7 +94,7 @@ def pearson(y, a, ds, low, high):
 
 
 def coherence(y, a, ds, low, high):
-    """Mean of SciPy's magnitude-squared coherence inside the band, 10 m segments."""
+    """Return the mean of SciPy's magnitude-squared coherence inside the band, 10 m segments."""
     size = round(10.0 / ds)
     found = []
     for i in range(2):
@@ -103,21 +104,21 @@ def coherence(y, a, ds, low, high):
 
 
 def level_error(y, a):
-    """Equation 12 [-] with its sign: both wheel paths, heights about their means."""
+    """Return equation 12 [-] with its sign, of both wheel paths about their means."""
     y = np.concatenate([z - np.mean(z) for z in y])
     a = np.concatenate([z - np.mean(z) for z in a])
     return (rms(a) - rms(y)) / rms(y)
 
 
 def density(z, ds):
-    """n and G (2, K) by SciPy's Welch estimate, 100 m segments, each freed of its line."""
+    """Return n and G (2, K) by SciPy's Welch estimate, 100 m segments with linear detrending."""
     size = min(z.shape[1], round(100.0 / ds))
     n, G = signal.welch(z, 1.0 / ds, "hann", size, size // 2, detrend="linear")
     return n[1:], G[:, 1:]
 
 
 def mean_density(n, G, low, high):
-    """Mean of G (K,) over a band: the integral of its steps, cell by cell, over the width."""
+    """Return the mean of G (K,) over a band: integral of the step function over its width."""
     dn, total = n[1] - n[0], 0.0
     for k in range(n.size):
         total += G[k] * max(0.0, min(high, n[k] + dn / 2) - max(low, n[k] - dn / 2))
@@ -125,7 +126,7 @@ def mean_density(n, G, low, high):
 
 
 def dsd_distance(y, a, ds, low, high):
-    """RMS and mean [dB] of the ratios of third octaves that lie whole inside the band."""
+    """Return RMS and mean [dB] of the ratios of the third octaves inside the band."""
     n, G_y = density(y, ds)
     _, G_a = density(a, ds)
     ratios = []
@@ -139,19 +140,19 @@ def dsd_distance(y, a, ds, low, high):
 
 
 def class_of(G_d0):
-    """0 for A to 7 for H."""
+    """Return the index of the class: 0 for A to 7 for H."""
     return sum(G_d0 >= limit for limit in CLASS_LIMITS)
 
 
 def octave_classes(z, ds, n_c):
-    """Classes of both wheel paths in the octave at `n_c`: the level of the w = 2 road there."""
+    """Return the classes of both wheel paths in the octave at `n_c`, from the w = 2 level."""
     n, G = density(z, ds)
     means = [mean_density(n, path, n_c / np.sqrt(2.0), n_c * np.sqrt(2.0)) for path in G]
     return [class_of(mean * (n_c / 0.1) ** 2) for mean in means]
 
 
 def error_at(y, a, ds, n_c):
-    """Root of the error's power over the truth's in the third octave at `n_c`."""
+    """Return the NRMSE in the third octave at `n_c`."""
     n, G_y = density(y, ds)
     _, G_e = density(a - y, ds)
     edges = n_c * 2.0 ** (-1 / 6), n_c * 2.0 ** (1 / 6)
@@ -161,7 +162,7 @@ def error_at(y, a, ds, n_c):
 
 
 def crps(e, sigma):
-    """Continuous ranked probability score of a normal forecast that errs by `e`, by quadrature."""
+    """Return the continuous ranked probability score of a normal forecast, by quadrature."""
 
     def gap(x):
         return (stats.norm.cdf(x, scale=sigma) - (x >= e)) ** 2
@@ -174,7 +175,7 @@ def crps(e, sigma):
 
 
 def coverage(e, sigma, share):
-    """How many errors lie inside the central interval that should hold `share` of them."""
+    """Return the share of errors inside the central interval of probability `share`."""
     low, high = stats.norm.interval(share, scale=sigma)
     return float(np.mean((low <= e) & (e <= high)))
 
@@ -183,7 +184,7 @@ def coverage(e, sigma, share):
 
 
 def interquartile_mean(x):
-    """25 % trimmed mean with fractional weights: the integral of the quantile function's middle."""
+    """Return the 25 % trimmed mean as the integral of the quantile function."""
     x = np.sort(np.asarray(x, dtype=float))
     N = x.size
     total = 0.0
@@ -193,7 +194,7 @@ def interquartile_mean(x):
 
 
 def hierarchical(scores, draws, rng):
-    """Interquartile means of `draws` replicates of scores (R, C, S): roads first, then seeds."""
+    """Return interquartile means of resamples of scores (R, C, S): roads first, then seeds."""
     R, C, S = scores.shape
     found = []
     for _ in range(draws):

@@ -1,5 +1,6 @@
-"""Estimators for `check-estimator`: an honest one, and one for each vice. Loaded by name, in the
-process of an entry.
+"""Estimators for `check-estimator`: a valid one, and one for each defect.
+
+They are loaded by name in the process of an entry.
 """
 
 import dataclasses
@@ -15,26 +16,26 @@ from road_envs.sensing.filters import preprocess_accelerations
 
 @dataclass(frozen=True, kw_only=True)
 class Valid:
-    """Left is made of one rear accelerometer, right of the other, whatever was lost bridged."""
+    """Each wheel path is proportional to its rear acceleration; lost samples are interpolated."""
 
     causal: ClassVar[bool] = False
 
     def estimate(self, record, car):
         stations = profile_stations(record.length)
-        a = np.array([_bridged(record.t, x) for x in record.a[1:]])
+        a = np.array([_interpolated(record.t, x) for x in record.a[1:]])
         return Estimate(
             stations, -0.01 * record.interpolate(stations, preprocess_accelerations(a, record.fs))
         )
 
 
-def _bridged(t, x):
-    here = np.isfinite(x)
-    return np.interp(t, t[here], x[here])
+def _interpolated(t, x):
+    valid = np.isfinite(x)
+    return np.interp(t, t[valid], x[valid])
 
 
 @dataclass(frozen=True, kw_only=True)
 class PassesMissingSamples(Valid):
-    """Lets lost samples through."""
+    """Returns NaN where samples were lost."""
 
     def estimate(self, record, car):
         z = -0.01 * record.interpolate(profile_stations(record.length), record.a[1:])
@@ -43,7 +44,7 @@ class PassesMissingSamples(Valid):
 
 @dataclass(frozen=True, kw_only=True)
 class RefusesSome(Valid):
-    """Says what it will not have; of a road that is short it only stumbles."""
+    """Refuses untrained strut modes on purpose, and short roads by an unintended error."""
 
     def estimate(self, record, car):
         if record.damper_high[0, 0] != record.spring_stiff[0, 0]:
@@ -55,24 +56,24 @@ class RefusesSome(Valid):
 
 @dataclass(frozen=True, kw_only=True)
 class NotCausal(Valid):
-    """Says that it is causal, and filters both ways."""
+    """Claims to be causal but filters forward and backward."""
 
     causal: ClassVar[bool] = True
 
 
 @dataclass(frozen=True, kw_only=True)
 class NonDeterministic(Valid):
-    """Another answer each time."""
+    """Adds random noise without a seed."""
 
     def estimate(self, record, car):
-        told = super().estimate(record, car)
-        noise = 1e-6 * np.random.default_rng().standard_normal(told.z.shape)
-        return dataclasses.replace(told, z=told.z + noise)
+        estimate = super().estimate(record, car)
+        noise = 1e-6 * np.random.default_rng().standard_normal(estimate.z.shape)
+        return dataclasses.replace(estimate, z=estimate.z + noise)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Slow(Valid):
-    """Takes 0.1 s for any record."""
+    """Takes 0.1 s for each record."""
 
     def estimate(self, record, car):
         time.sleep(0.1)

@@ -1,7 +1,7 @@
-"""A headless Chromium to look at pages with: opens them from disk, types, measures, takes pictures.
+"""Headless Chromium for tests of pages: opens files, presses keys, evaluates scripts, screenshots.
 
-It is spoken to through two pipes (Chrome DevTools Protocol, messages ended by a zero byte), so no
-port is opened and no further package is needed.
+Commands are sent through two pipes (Chrome DevTools Protocol, messages end with a zero byte), so
+no port is opened and no further package is needed.
 """
 
 import base64
@@ -21,8 +21,8 @@ READY = """location.pathname.endsWith(%s) && document.readyState === "complete" 
 """
 ON_THREE_AND_FOUR = """
 import fcntl, os, sys
-heard, said = (fcntl.fcntl(int(word), fcntl.F_DUPFD, 10) for word in sys.argv[1:3])
-os.dup2(heard, 3), os.dup2(said, 4)
+incoming, outgoing = (fcntl.fcntl(int(word), fcntl.F_DUPFD, 10) for word in sys.argv[1:3])
+os.dup2(incoming, 3), os.dup2(outgoing, 4)
 os.execv(sys.argv[3], sys.argv[3:])
 """
 KEYS = {
@@ -36,7 +36,7 @@ KEYS = {
 
 
 class Browser:
-    """One tab; `errors` are errors of scripts and console, `asked` all addresses requested."""
+    """One tab; `errors` are those of scripts and console, `requests` all requested addresses."""
 
     def __init__(self, patience: float = 60.0):
         self.patience, self.count, self.rest = patience, 0, b""
@@ -81,7 +81,7 @@ class Browser:
         self.home.cleanup()
 
     def open(self, path: Path, width: int = 1280, height: int = 1000, after: str = ""):
-        """Open a file, with `after` behind its name, and wait until its scripts have run."""
+        """Open a file, with `after` appended to its URL, and wait until its scripts have run."""
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
         self.call("Emulation.setDeviceMetricsOverride", **size)
         self.call("Page.navigate", url="about:blank")
@@ -92,10 +92,10 @@ class Browser:
             time.sleep(0.05)
 
     def value(self, script: str):
-        """The value of an expression in the page."""
-        found = self.call("Runtime.evaluate", expression=script, returnByValue=True)
-        assert "exceptionDetails" not in found, found["exceptionDetails"]
-        return found["result"].get("value")
+        """Return the value of an expression in the page."""
+        reply = self.call("Runtime.evaluate", expression=script, returnByValue=True)
+        assert "exceptionDetails" not in reply, reply["exceptionDetails"]
+        return reply["result"].get("value")
 
     def press(self, *names: str):
         """Press keys, one after the other."""
@@ -107,26 +107,26 @@ class Browser:
             self.call("Input.dispatchKeyEvent", **key, type="keyUp")
 
     def picture(self, path: Path):
-        """What is seen, as PNG."""
+        """Write a screenshot as PNG."""
         path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot")["data"]))
 
     def call(self, method: str, **params) -> dict:
-        """Send a command and return its answer; what happens meanwhile is noted."""
+        """Send a command and return its result; record the events received meanwhile."""
         self.count += 1
         message = {"id": self.count, "method": method, "params": params}
         if self.session:
             message["sessionId"] = self.session
         os.write(self.write, json.dumps(message).encode() + b"\0")
         while True:
-            heard = self._next()
-            if heard.get("id") == self.count:
-                assert "error" not in heard, heard["error"]
-                return heard["result"]
-            self._note(heard)
+            reply = self._next()
+            if reply.get("id") == self.count:
+                assert "error" not in reply, reply["error"]
+                return reply["result"]
+            self._record_event(reply)
 
-    def _note(self, heard: dict):
-        params = heard.get("params", {})
-        match heard.get("method"):
+    def _record_event(self, reply: dict):
+        params = reply.get("params", {})
+        match reply.get("method"):
             case "Runtime.exceptionThrown":
                 self.errors.append(json.dumps(params["exceptionDetails"]))
             case "Log.entryAdded":

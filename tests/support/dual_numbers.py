@@ -1,4 +1,4 @@
-"""The derivative of the step by dual numbers: the plain Python of the kernels, uncompiled.
+"""Derivative of the step by dual numbers, computed with the uncompiled Python of the kernels.
 
     NUMBA_DISABLE_JIT=1 python dual_numbers.py cases.npz derivatives.npz
 
@@ -16,7 +16,7 @@ from road_envs.vehicle.equations import PLANT_DTYPE
 
 
 class Dual:
-    """x + d eps with eps² = 0. It has no way to become a float: a derivative cannot be lost."""
+    """Dual number x + d eps, eps² = 0; not convertible to float, so no derivative gets lost."""
 
     __array_ufunc__ = None
 
@@ -62,17 +62,17 @@ class Dual:
 
 
 def dual(x):
-    """`x`, or a number that does not change."""
+    """Return `x` as a Dual; a plain number has the derivative 0."""
     return x if isinstance(x, Dual) else Dual(float(x))
 
 
 def duals(x, d):
-    """An array of objects."""
+    """Return an object array of dual numbers."""
     return np.array([Dual(a, b) for a, b in zip(x.tolist(), d.tolist(), strict=True)], dtype=object)
 
 
 def main(cases, derivatives):
-    """Each case's derivative."""
+    """Read the cases, write their derivatives."""
     given = np.load(cases)
     end, signals = [], []
     for i in range(int(given["n_cases"])):

@@ -1,7 +1,7 @@
-"""Drives without a car, and entries that know it: what the judge is tested with.
+"""Fake drives and estimators for tests of the evaluation.
 
-The first two "accelerometers" report the heights of the wheel paths themselves, so that an entry is
-as good or as bad as a test wants, and a drive costs a millisecond.
+The first two "accelerometers" measure the heights of the wheel paths, so that the error of an
+estimator can be chosen and a drive takes a millisecond.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,14 +33,14 @@ def task(name: str = "small", **changes) -> Task:
             {"mode": {"front": "ride", "rear": "handling"}, "speed_kmh": 54.0},
         ],
         "training": {"roads": ["iso_d"], "seeds": [1, 2], "length": 40.0},
-        "test": {"roads": ["iso_d"], "seeds": [11, 12, 13], "length": 40.0},
+        "test": {"roads": ["iso_d"], "seeds": [11, 12, 13, 14, 15], "length": 40.0},
     }
     return build(Task, {**settings, **changes}, name)
 
 
 def fake_drives(task: Task, drives: DriveSet, condition: Condition):
     """As `test_data.simulate_drives`, with sensors that measure the road itself."""
-    for road, seed in drives.roads_and_seeds:
+    for index, road, seed in task.drives_of(drives, condition):
         surface = road.realise(np.random.default_rng(seed))
         v = condition.speed_kmh / 3.6
         t = np.arange(int(surface.length / v * RATE) + 2) / RATE
@@ -51,12 +51,12 @@ def fake_drives(task: Task, drives: DriveSet, condition: Condition):
         record = Record(t, a, np.full(t.size, v), s, state, state, surface.length)
         stations = profile_stations(surface.length)
         truth = Profile(stations, surface.height(stations))
-        yield RecordedDrive(surface.name, seed, record, truth, surface.notes)
+        yield RecordedDrive(index, surface.name, seed, record, truth, surface.notes)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reader:
-    """Reports the truth times `gain`."""
+    """Estimates the truth times `gain`."""
 
     causal: ClassVar[bool] = False
 
@@ -69,7 +69,7 @@ class Reader:
 
 @dataclass(frozen=True, kw_only=True)
 class Learner:
-    """Its gain is drawn when it is trained; `spread` 0 draws nothing."""
+    """Its gain is drawn in training with standard deviation `spread`."""
 
     causal: ClassVar[bool] = False
 
@@ -96,7 +96,7 @@ class Learner:
 
 @dataclass(frozen=True, kw_only=True)
 class Doubtful:
-    """Says how far it may be off."""
+    """Estimates zero heights with the standard deviation `std`."""
 
     causal: ClassVar[bool] = False
 
@@ -104,13 +104,13 @@ class Doubtful:
 
     def estimate(self, record, car) -> Estimate:
         stations = profile_stations(record.length)
-        z = np.zeros((stations.size, 2)).T  # by columns, as some numpy code leaves it
+        z = np.zeros((stations.size, 2)).T  # Fortran order, as some numpy code returns
         return Estimate(stations, z, np.full_like(z, self.std))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Broken:
-    """Goes wrong in the manner asked for."""
+    """Fails in the way given by `how`."""
 
     causal: ClassVar[bool] = True
 

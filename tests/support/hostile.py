@@ -1,6 +1,4 @@
-"""Entries that do what no entry should. Loaded by name in the process of an entry, never by a test
-of the judge itself.
-"""
+"""Hostile entries. They are loaded by name in a worker process, never in that of a test."""
 
 import json
 import os
@@ -20,7 +18,7 @@ from road_envs.data.record import Estimate, profile_stations
 
 @dataclass(frozen=True, kw_only=True)
 class Hostile:
-    """Does `how`, then answers like `flat`; `where` is a folder or a port that `how` is about."""
+    """Performs the attack `how` on `where`, a folder or a port, then estimates a flat road."""
 
     causal: ClassVar[bool] = True
 
@@ -52,12 +50,12 @@ def does_exit_softly(where, record):
 
 
 def does_exit_hard(where, record):
-    os.kill(os.getpid(), signal.SIGKILL)  # which the first process of a namespace survives
+    os.kill(os.getpid(), signal.SIGKILL)  # the first process of a namespace survives it
     os.abort()
 
 
 def does_crash(where, record):
-    print("I am about to read where there is nothing", flush=True)
+    print("about to read address 0", flush=True)
     import ctypes
 
     ctypes.string_at(0)
@@ -84,7 +82,7 @@ def does_hoard_in_children(where, record):
 
 
 def does_leave_children(where, record):
-    """Two generations, sessions of their own, deaf to polite signals."""
+    """Leave two generations of processes in own sessions that ignore SIGTERM and SIGHUP."""
     for _ in range(3):
         if os.fork() == 0:
             os.setsid()
@@ -124,8 +122,8 @@ def does_kill_grandparent(where, record):
     time.sleep(1000.0)
 
 
-def does_kill_judge(where, record):
-    """The third in line: after guard and server the process that drives and scores."""
+def does_kill_evaluation(where, record):
+    """Kill the third ancestor: after supervisor and server, the evaluation process."""
     os.kill(_ancestor(3), signal.SIGKILL)
     time.sleep(1000.0)
 
@@ -135,7 +133,7 @@ def does_stop_parent(where, record):
     time.sleep(1000.0)
 
 
-def does_patch_judge(where, record):
+def does_patch_evaluation(where, record):
     import leaderboard.evaluation.entry
     from leaderboard.metrics import heights
 
@@ -146,7 +144,7 @@ def does_patch_judge(where, record):
 
 
 def does_look_for_truth(where, record):
-    """Fails with all the true profiles that it can find."""
+    """Raise an error that lists all true profiles that can be found."""
     found = []
     for folder in (Path.cwd().parent, Path(where)):
         for path in folder.rglob("*"):
@@ -155,20 +153,20 @@ def does_look_for_truth(where, record):
             if path.suffix == ".json" and path.name != "request.json":
                 found.append(path.name)
     names = sorted(f.name for f in Path.cwd().parent.joinpath("in").iterdir())
-    known = json.loads(Path.cwd().parent.joinpath("in", "request.json").read_text())
-    raise RuntimeError(f"found {found}, given {names} and {sorted(known)}")
+    request = json.loads(Path.cwd().parent.joinpath("in", "request.json").read_text())
+    raise RuntimeError(f"found {found}, input files {names} and {sorted(request)}")
 
 
 def does_tamper(where, record):
-    """Makes every stored result its own, with a checksum that fits."""
+    """Alter every stored result, with a valid checksum."""
     import hashlib
 
     for path in Path(where).rglob("*.json"):
         try:
             text = path.read_text()
             rest = text[text.index("\n", 3) + 1 :].replace('"flat"', '"tlaf"')
-            told = hashlib.sha256(rest.encode()).hexdigest()
-            path.write_text(f'{{\n "sha256": "{told}",\n{rest}')
+            checksum = hashlib.sha256(rest.encode()).hexdigest()
+            path.write_text(f'{{\n "sha256": "{checksum}",\n{rest}')
         except OSError:
             continue
     for path in Path(where).glob("*/*"):
@@ -222,8 +220,8 @@ def does_answer_at_length(where, record):
 
 
 def does_answer_without_estimates(where, record):
-    told = {"seed": 1, "train_seconds": 0.0, "estimate_seconds": 0.0, "parameters": 0}
-    _out("response.json").write_text(json.dumps({"trainings": [told]}))
+    report = {"seed": 1, "train_seconds": 0.0, "estimate_seconds": 0.0, "parameters": 0}
+    _out("response.json").write_text(json.dumps({"trainings": [report]}))
     os._exit(0)
 
 
@@ -257,11 +255,11 @@ def _out(name):
 
 
 def _ancestor(generations):
-    """The number of the process so far up; fails where none is to be seen."""
+    """Return the process number of an ancestor. Raises ProcessLookupError if it is not visible."""
     pid = os.getpid()
     for _ in range(generations):
         text = Path(f"/proc/{pid}/stat").read_text()
         pid = int(text.rpartition(")")[2].split()[1])
         if pid == 0:
-            raise ProcessLookupError("it sees nobody above")
+            raise ProcessLookupError("no process above")
     return pid

@@ -1,4 +1,4 @@
-"""Cars, states and drives that the tests of the physics have in common."""
+"""Vehicles, Hypothesis strategies and drives shared by the tests of the physics."""
 
 from dataclasses import replace
 
@@ -11,6 +11,7 @@ from road_envs.vehicle.equations import accelerations, build_plant
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.parameters import (
     Axle,
+    AxleCurves,
     ModeCurves,
     TorsionalFrame,
     VehicleParameters,
@@ -23,7 +24,7 @@ DEFENDER = load_vehicle("land_rover_defender_110")
 
 
 def unequal_axles_car() -> VehicleParameters:
-    """A car on which nothing in front is as behind, with a polytropic gas and a slow valve."""
+    """Return a car with unequal axles, a polytropic gas spring and a slow valve."""
     front = Axle(x=1.2, m=190.0, I_xx=27.0, y_s=0.5, y_t=0.72, k_t=230000.0, c_t=900.0)
     rear = Axle(x=-1.6, m=260.0, I_xx=41.0, y_s=0.6, y_t=0.78, k_t=310000.0, c_t=1500.0)
     strut = replace(DEFENDER.strut, n_p=1.3, p_stat=1.9e6, x_1=0.06, x_2=0.17)
@@ -45,7 +46,7 @@ def unequal_axles_car() -> VehicleParameters:
 
 
 def lossless(car: VehicleParameters) -> VehicleParameters:
-    """The same car without dampers, friction and tyre damping."""
+    """Return the car without dampers, friction and tyre damping."""
     nothing = Curve(x=(-3.0, 3.0), F=(0.0, 0.0))
     none = ModeCurves(ride=nothing, handling=nothing)
     return replace(
@@ -68,9 +69,19 @@ VARIED = VehicleVariation(
     tyre_progression=4.0,
     roll_stiffness=(5000.0, 2000.0),
 )
-"""No two struts or tyres alike; and the same with a frame that twists."""
+"""A variation with unequal struts and tyres; VARIED_FLEXIBLE adds a flexible frame."""
 VARIED_FLEXIBLE = replace(VARIED, frame=TorsionalFrame(f=11.0, zeta=0.05))
 VARIATIONS = {"varied": VARIED, "flexible": VARIED_FLEXIBLE}
+_NO_FORCE = Curve(x=(-1.0, 1.0), F=(0.0, 0.0))
+WITHOUT_STOPS = replace(
+    CARS["unequal_axles"],
+    strut=replace(
+        CARS["unequal_axles"].strut,
+        bushing=_NO_FORCE,
+        bump_stop=AxleCurves(front=_NO_FORCE, rear=_NO_FORCE),
+    ),
+)
+"""The car with unequal axles without bushings and bump stops."""
 VARIED_PLANTS = {
     name: build_plant(CARS["unequal_axles"], variation=one) for name, one in VARIATIONS.items()
 }
@@ -82,7 +93,7 @@ ZEROS = np.zeros(4)
 
 
 def vectors(size: int, *bounds: float):
-    """Arrays (size,) within ±bounds, which repeat."""
+    """Return a strategy of arrays (size,) within ± `bounds`, which are cycled."""
     limits = [bounds[i % len(bounds)] for i in range(size)]
     return st.tuples(*(st.floats(-b, b) for b in limits)).map(np.array)
 
@@ -93,13 +104,18 @@ shares = st.sampled_from([0.0, 1.0]) | st.floats(0.0, 1.0)
 strut_states = st.tuples(
     *(st.tuples(st.floats(-0.03, 0.03), shares, shares) for _ in range(4)),
 ).map(np.array)
-"""Each strut with a memory of its own: no car of these is symmetric."""
+"""Strategy of strut states (4, 3), different for each strut."""
+
+
+def with_twist(name, q, v, psi, psi_dot):
+    """Return coordinates and rates of a varied car, with the twist if its frame is flexible."""
+    return (q, v) if name == "varied" else (np.append(q, psi), np.append(v, psi_dot))
 
 
 def compute_accelerations(
     plant, strut_state, q, v, z_r=ZEROS, w_r=ZEROS, a_xy=(0.0, 0.0), kernel=accelerations
 ) -> np.ndarray:
-    """Accelerations (7,) by the kernel; with the frame's twist, eight of everything."""
+    """Return the accelerations (7,), or (8,) with a flexible frame, by the kernel."""
     out = np.empty(len(q))
     kernel(*plant.arrays, strut_state, q, v, z_r, w_r, out, *a_xy)
     return out
@@ -118,10 +134,10 @@ def run_integrator(
     mode="ride",
     a_xy=None,
 ):
-    """Signals (steps, 29) from the state `y`, which is driven on in place, as is `strut_state`.
+    """Integrate `steps` steps and return the signals (steps, 29), or (steps, 32) if flexible.
 
-    A flexible car has 32. `a_xy`, if given, is the manoeuvre's a_x and a_y (2 steps + 1, 2) at
-    every half step.
+    The state `y` and `strut_state` are advanced in place. `a_xy` (2 steps + 1, 2): accelerations
+    of a manoeuvre at every half step.
     """
     if strut_state is None:
         strut_state = settled_strut_state(encode_command(mode))
@@ -138,7 +154,7 @@ def run_integrator(
 
 
 def smooth_road(length=40.0, height=0.03, ds=0.02, seed=3) -> Surface:
-    """Rounded hills, other ones left and right, over level ends."""
+    """Return smooth random hills, different on both wheel paths, between level ends."""
     s = ds * np.arange(round(length / ds) + 1)
     rng = np.random.default_rng(seed)
     z = np.zeros((2, s.size))

@@ -1,4 +1,4 @@
-"""The vehicle driven with error control: the pair it claims to be, and SciPy as the referee."""
+"""Tests of drives with error control, against the published pair and SciPy."""
 
 from functools import cache
 
@@ -28,7 +28,7 @@ def make_simulator(name, mode, surface=GENTLE, step=0.001):
 
 
 def equations(simulator):
-    """Rate (14,), Jacobian (14, 14) and the road (8,) under the wheels over time of a drive."""
+    """Return functions of time for a drive: rate (14,), Jacobian (14, 14) and road (8,)."""
     ground = (simulator.surface.padded, simulator.surface.start, simulator.surface.ds)
 
     def road(t):
@@ -61,7 +61,7 @@ def test_the_compiled_step_and_its_error_equal_the_published_pair(name, mode, h)
     y = equilibrium(simulator.plant, simulator.strut_state, road(t)[:4])
     y += np.concatenate([0.004 * rng.standard_normal(7), 0.2 * rng.standard_normal(7)])
     p = simulator.plant.constants[0]
-    # df/dt: the road's rate and half a step's change of it, through the tyres
+    # df/dt through the tyres: the road's rate and its change over half a step
     now, later = road(t), road(t + 0.5 * h)
     height, rise = (x[[3, 3, 5, 5]] + p["y_t"] * x[[4, 4, 6, 6]] for x in (y[:7], y[7:]))
     u, u_dot = now[:4] - height, now[4:] - rise
@@ -77,11 +77,11 @@ def test_the_compiled_step_and_its_error_equal_the_published_pair(name, mode, h)
         rosenbrock.workspace(),
         np.empty(29),
     )
-    found, error, under = y.copy(), np.empty(14), np.concatenate([now, later, road(t + h)])
-    rosenbrock.step(p, *laws[1:], found[:7], found[7:], under[:16], np.zeros(4), h, work, before)
+    result, error, under = y.copy(), np.empty(14), np.concatenate([now, later, road(t + h)])
+    rosenbrock.step(p, *laws[1:], result[:7], result[7:], under[:16], np.zeros(4), h, work, before)
     assert before[25:].min() > 0.0
-    adaptive_drive.step_error(*laws, before, found, under, h, work, error)
-    np.testing.assert_allclose(found, expected.y, rtol=1e-9, atol=1e-12)
+    adaptive_drive.step_error(*laws, before, result, under, h, work, error)
+    np.testing.assert_allclose(result, expected.y, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(error, expected.error, rtol=1e-6, atol=1e-11)
     assert np.abs(error).max() > 1e-8
     for x in (0.0, 0.3, 1.0):
@@ -96,26 +96,26 @@ def test_the_compiled_step_and_its_error_equal_the_published_pair(name, mode, h)
 def test_without_error_control_the_drive_equals_the_fixed_step_drive(name, mode):
     simulator = make_simulator(name, mode, ROUGH, 0.0005)
     t = 0.0005 * np.arange(4000)
-    found = integrate_adaptive(simulator, t, rtol=1e6, atol=1e6, max_step=0.0005)
-    assert found.steps in (3999, 4000) and found.rejections == 0
+    result = integrate_adaptive(simulator, t, rtol=1e6, atol=1e6, max_step=0.0005)
+    assert result.steps in (3999, 4000) and result.rejections == 0
     expected = simulator.advance(np.full(t.size, encode_command(mode), dtype=np.uint8))
-    np.testing.assert_allclose(found.trajectory.state, expected.state, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(result.trajectory.state, expected.state, rtol=1e-7, atol=1e-9)
 
 
 @cache
 def reference(name, mode):
-    """Times (N,) and states (N, 14) of a drive over the gentle road, by SciPy's Radau."""
+    """Return times (N,) and states (N, 14) of a drive over GENTLE, by SciPy's Radau."""
     simulator, t = make_simulator(name, mode), np.linspace(0.0, 1.0, 51)
     rate, J, _ = equations(simulator)
-    found = solve_ivp(
+    result = solve_ivp(
         rate, (0.0, 1.0), simulator.state, method="Radau", t_eval=t, jac=J, rtol=1e-8, atol=1e-11
     )
-    assert found.success
-    return t, found.y.T
+    assert result.success
+    return t, result.y.T
 
 
 def relative_error(states, truth):
-    """RMS error of the rates, relative to their RMS."""
+    """Return the RMS error of the rates, relative to their RMS."""
     return np.sqrt(np.mean((states - truth)[:, 7:] ** 2) / np.mean(truth[:, 7:] ** 2))
 
 
@@ -138,9 +138,9 @@ def test_the_drive_converges_to_scipys_radau_with_the_tolerance(name, mode):
 @pytest.mark.parametrize("mode", ["ride", MIXED], ids=str)
 def test_every_signal_matches_the_drive_in_small_fixed_steps(name, mode):
     car = CARS[name]
-    found = simulate_adaptive(car, ROUGH, SPEED, mode, rtol=1e-7, atol=1e-9, step=0.01)
+    result = simulate_adaptive(car, ROUGH, SPEED, mode, rtol=1e-7, atol=1e-9, step=0.01)
     expected = simulate(car, ROUGH, SPEED, mode, step=0.0001)
-    few = found.trajectory
+    few = result.trajectory
     every = slice(0, 100 * few.t.size, 100)
     np.testing.assert_allclose(few.t, expected.t[every], atol=1e-9)
     np.testing.assert_allclose(few.s, expected.s[every], atol=1e-9)
@@ -164,10 +164,10 @@ def test_an_isolated_bump_is_missed_by_one_long_step():
     car, bump = CARS["defender"], load_road("bump_small").realise(np.random.default_rng(0))
     t = np.linspace(0.0, 1.7, 200)
     simulator = DriveSimulator(PLANTS["defender"], car, bump, SPEED, "ride")
-    blind = integrate_adaptive(simulator, t, max_step=10.0).trajectory
-    seen = integrate_adaptive(simulator, t).trajectory
-    assert np.abs(blind.acceleration[:, 0]).max() < 1e-6
-    assert np.abs(seen.acceleration[:, 0]).max() > 2.0
+    coarse = integrate_adaptive(simulator, t, max_step=10.0).trajectory
+    fine = integrate_adaptive(simulator, t).trajectory
+    assert np.abs(coarse.acceleration[:, 0]).max() < 1e-6
+    assert np.abs(fine.acceleration[:, 0]).max() > 2.0
 
 
 def test_the_given_simulator_is_left_unchanged():
@@ -183,9 +183,9 @@ def test_the_given_simulator_is_left_unchanged():
 @pytest.mark.parametrize(
     ("t", "options", "message"),
     [
-        ([0.0, 1.0], {"rtol": 0.0}, "tolerances"),
-        ([0.0, 1.0], {"atol": np.nan}, "tolerances"),
-        ([0.0, 1.0], {"max_step": -1.0}, "longest step"),
+        ([0.0, 1.0], {"rtol": 0.0}, "rtol, atol and max_step must be positive"),
+        ([0.0, 1.0], {"atol": np.nan}, "rtol, atol and max_step must be positive"),
+        ([0.0, 1.0], {"max_step": -1.0}, "rtol, atol and max_step must be positive"),
         ([1.0, 0.5], {}, "ascend"),
         ([-1.0, 0.5], {}, "ascend"),
         ([0.0, np.nan], {}, "ascend"),

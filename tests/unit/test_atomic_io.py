@@ -1,4 +1,4 @@
-"""Files are written whole or not at all, and what a killed writer leaves is swept away."""
+"""Atomic writes, and removal of the files of killed processes."""
 
 import os
 import subprocess
@@ -18,7 +18,7 @@ from road_envs._atomic_io import (
 )
 
 
-def test_a_file_takes_its_place_only_when_it_is_complete(tmp_path):
+def test_a_file_is_replaced_only_when_it_is_complete(tmp_path):
     path = tmp_path / "name.txt"
     write_text(path, "old")
     with atomic_write(path) as partial:
@@ -30,7 +30,7 @@ def test_a_file_takes_its_place_only_when_it_is_complete(tmp_path):
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 @pytest.mark.parametrize("durable", [False, True])
-def test_what_goes_wrong_leaves_the_old_file_and_nothing_else(tmp_path, error, durable):
+def test_a_failed_write_leaves_only_the_old_file(tmp_path, error, durable):
     path = tmp_path / "name.txt"
     write_text(path, "old")
     with pytest.raises(type(error)), atomic_write(path, durable=durable) as partial:
@@ -39,17 +39,17 @@ def test_what_goes_wrong_leaves_the_old_file_and_nothing_else(tmp_path, error, d
     assert path.read_text() == "old" and os.listdir(tmp_path) == ["name.txt"]
 
 
-def test_a_durable_file_has_reached_the_disk_before_it_takes_its_place(tmp_path, monkeypatch):
+def test_a_durable_file_is_flushed_before_the_replacement(tmp_path, monkeypatch):
     done = []
     fsync, replace = os.fsync, os.replace
     monkeypatch.setattr(_atomic_io.os, "fsync", lambda handle: (done.append("disk"), fsync(handle)))
     monkeypatch.setattr(_atomic_io.os, "replace", lambda *a: (done.append("place"), replace(*a)))
     write_text(tmp_path / "a" / "name.txt", "text", durable=True)
-    assert done == ["disk", "place", "disk"]  # the file, then the folder that names it
+    assert done == ["disk", "place", "disk"]  # the file, then its folder
     assert (tmp_path / "a" / "name.txt").read_text() == "text"
 
 
-def test_writers_of_one_file_do_not_write_into_each_other(tmp_path):
+def test_concurrent_writers_of_one_file_do_not_mix(tmp_path):
     path, together = tmp_path / "name.txt", threading.Barrier(4)
 
     def write(letter):
@@ -76,7 +76,7 @@ with atomic_write(sys.argv[1]) as partial:
 """
 
 
-def test_what_a_killed_writer_left_is_swept_and_what_a_living_one_writes_is_not(tmp_path):
+def test_only_partial_files_of_dead_writers_are_removed(tmp_path):
     folder = tmp_path / "deep"
     folder.mkdir()
     done = subprocess.run([sys.executable, "-c", KILLED, str(folder / "name.txt")])
@@ -102,23 +102,21 @@ with TempFolder() as folder:
 
 
 def holder(tmp_path):
-    """A process with a temporary folder, and the folder."""
+    """Start a process with a temporary folder; return both."""
     process = subprocess.Popen(
         [sys.executable, "-c", HOLDS],
         stdout=subprocess.PIPE,
         text=True,
         env={**os.environ, "TMPDIR": str(tmp_path)},
     )
-    with process.stdout as said:
-        return process, Path(said.readline().strip())
+    with process.stdout as stdout:
+        return process, Path(stdout.readline().strip())
 
 
-def test_a_temporary_folder_goes_with_its_owner_and_of_the_dead_at_the_next_start(
-    tmp_path, monkeypatch
-):
+def test_temporary_folders_of_dead_owners_are_removed(tmp_path, monkeypatch):
     monkeypatch.setattr(_atomic_io.tempfile, "tempdir", str(tmp_path))
-    (tmp_path / "road-recon-my-road").mkdir()  # such as a newcomer's package
-    (tmp_path / f"{_atomic_io.TEMP_PREFIX}of-somebody").mkdir()  # without a lock
+    (tmp_path / "road-recon-my-road").mkdir()  # such as a user's package
+    (tmp_path / f"{_atomic_io.TEMP_PREFIX}of-somebody").mkdir()  # without a lock file
     others = sorted(tmp_path.iterdir())
     living, his = holder(tmp_path)
     dead, left = holder(tmp_path)

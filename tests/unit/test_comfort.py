@@ -1,4 +1,4 @@
-"""The Wk weighting against the values and the signal tests of the standards."""
+"""The Wk weighting against the tabulated values and the signal tests of the standards."""
 
 import numpy as np
 import pytest
@@ -14,13 +14,13 @@ BURSTS = {1: 0.0299, 2: 0.0411, 4: 0.0577, 8: 0.0814, 16: 0.115, None: 0.362}
 
 
 def digital(fs, f):
-    """Gain of the digital filter, section by section from its coefficients."""
+    """Return the gain of the digital filter from the coefficients of its sections."""
     gains = [np.abs(freqz(s[:3], s[3:], worN=f, fs=fs)[1]) for s in comfort.wk_sos(fs)]
     return np.prod(gains, axis=0)
 
 
 def saw_tooth(periods, fs=1000.0):
-    """Bursts of `periods` (None: no end) of 100 rad/s and 1 m/s², at 1, 11, ... 51 s of 60 s."""
+    """Return bursts of `periods` (None: unlimited) of 100 rad/s and 1 m/s² at 1, 11, ... 51 s."""
     t = np.arange(60 * round(fs)) / fs
     turns = (t - 1.0) * 100.0 / (2.0 * np.pi)
     if periods is not None:
@@ -47,13 +47,13 @@ def test_the_analogue_weight_is_the_product_of_the_printed_magnitudes():
     [(2000.0, 31.5, 3e-4), (1000.0, 31.5, 1e-3), (500.0, 31.5, 3e-3), (200.0, 31.5, 0.016),
      (100.0, 20.0, 0.022)],
 )  # fmt: skip
-def test_the_digital_weights_are_as_close_as_they_claim(fs, up_to, within):
+def test_the_digital_weights_are_within_the_documented_error(fs, up_to, within):
     f = np.geomspace(0.5, up_to, 100)
     np.testing.assert_allclose(digital(fs, f), wk_weight(f), rtol=within)
 
 
 @pytest.mark.parametrize("periods", BURSTS)
-def test_saw_tooth_bursts_have_the_rms_of_the_standard(periods):
+def test_saw_tooth_bursts_have_the_weighted_rms_of_the_standard(periods):
     rms = comfort.weighted_rms(saw_tooth(periods), 1000.0)
     assert rms == pytest.approx(BURSTS[periods], rel=0.02)  # the standard allows 10 %
 
@@ -73,12 +73,12 @@ def test_a_steady_sine_has_the_rms_of_its_weight():
     assert rms == pytest.approx(WEIGHTS[4] / np.sqrt(2.0), rel=2e-3)
 
 
-def test_gravity_is_not_felt_in_the_long_run():
+def test_a_constant_acceleration_is_filtered_out():
     a = comfort.apply_wk(np.full(60000, 9.81), 1000.0)
     assert np.abs(a[-1000:]).max() < 1e-6
 
 
-def test_the_dose_of_a_steady_sine_grows_with_the_fourth_root_of_time():
+def test_the_vdv_of_a_steady_sine_grows_with_the_fourth_root_of_time():
     t = np.arange(0.0, 160.0, 2e-3)
     a = np.sin(2.0 * np.pi * 8.0 * t)
     expected = WEIGHTS[8] * (3.0 / 8.0 * 160.0) ** 0.25  # mean of sin^4 is 3/8
@@ -89,7 +89,7 @@ def test_the_dose_of_a_steady_sine_grows_with_the_fourth_root_of_time():
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32), st.integers(1, 999))
-def test_a_signal_may_be_weighted_piece_by_piece(seed, cut):
+def test_weighting_in_pieces_equals_weighting_at_once(seed, cut):
     a = np.random.default_rng(seed).standard_normal(1000)
     sos = comfort.wk_sos(400.0)
     zi = np.zeros_like(sosfilt_zi(sos))
@@ -98,7 +98,7 @@ def test_a_signal_may_be_weighted_piece_by_piece(seed, cut):
     np.testing.assert_allclose(np.r_[head, tail], comfort.apply_wk(a, 400.0), atol=1e-12)
 
 
-def test_channels_are_weighted_each_for_itself():
+def test_channels_are_weighted_independently():
     a = np.random.default_rng(3).standard_normal((3, 5000))
     each = [comfort.weighted_rms(row, 250.0) for row in a]
     np.testing.assert_allclose(comfort.weighted_rms(a, 250.0), each)
@@ -106,6 +106,6 @@ def test_channels_are_weighted_each_for_itself():
 
 
 @pytest.mark.parametrize("fs", [0.0, -1.0, np.nan, np.inf])
-def test_an_impossible_sampling_rate_is_refused(fs):
+def test_an_invalid_sampling_rate_is_rejected(fs):
     with pytest.raises(ValueError, match="fs"):
         comfort.wk_sos(fs)

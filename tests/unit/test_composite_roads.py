@@ -1,4 +1,4 @@
-"""Roads made of other roads: what they are made of can be found again in them."""
+"""Composite roads: the surfaces of their parts, lengths, and errors."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def rng(seed=0):
     return np.random.default_rng(seed)
 
 
-def test_a_run_in_is_level_and_the_road_follows_it():
+def test_aprons_are_level_before_and_after_the_road():
     alone = ISO.realise(rng())
     surface = WithAprons(road=ISO, before=5.0, after=7.0).realise(rng())
     assert surface.end == pytest.approx(32.0)
@@ -38,7 +38,7 @@ def test_a_run_in_is_level_and_the_road_follows_it():
     np.testing.assert_allclose(end, alone.z[:, -1:] * np.ones(40), atol=1e-12)
 
 
-def test_an_offset_road_meets_the_left_and_the_right_wheel_at_other_places():
+def test_an_offset_road_shifts_each_wheel_path():
     alone = BUMP.realise(rng())
     road = Offset(road=BUMP, left=0.25, right=1.5)
     surface, s = road.realise(rng()), np.linspace(-1.0, BUMP.length + 1.0, 999)
@@ -49,7 +49,7 @@ def test_an_offset_road_meets_the_left_and_the_right_wheel_at_other_places():
 
 @settings(max_examples=40)
 @given(st.floats(-3.0, 3.0).filter(lambda x: abs(x) > 0.01), st.floats(0.1, 5.0))
-def test_a_scaled_road_is_as_high_and_as_long_as_its_factors_say(height, length):
+def test_a_scaled_road_has_scaled_heights_and_lengths(height, length):
     alone = ISO.realise(rng())
     road = Scaled(road=ISO, height_factor=height, length_factor=length)
     surface, s = road.realise(rng()), np.linspace(0.0, 20.0, 100)
@@ -61,7 +61,7 @@ def test_a_scaled_road_is_as_high_and_as_long_as_its_factors_say(height, length)
 
 
 @pytest.mark.parametrize(("repeat", "sign"), [("repeat", 1.0), ("mirror", -1.0)])
-def test_a_repeated_road_is_one_draw_again_and_again(repeat, sign):
+def test_a_tiled_road_repeats_one_draw(repeat, sign):
     surface = Tiled(road=ISO, length=90.0, repeat=repeat).realise(rng(4))
     s = np.linspace(0.0, 20.0, 200)
     for start in (40.0, 80.0) if repeat == "mirror" else (20.0, 40.0, 60.0):
@@ -74,21 +74,21 @@ def test_a_repeated_road_is_one_draw_again_and_again(repeat, sign):
     np.testing.assert_allclose(surface.height(s), alone.height(s) - rise, atol=1e-5)
 
 
-def test_joined_roads_follow_one_another_without_a_step():
+def test_concatenated_roads_follow_without_a_step():
     parts = (FixedSeed(road=ISO, seed=1), BUMP, FixedSeed(road=Iso8608(G_d0=1e-3, ds=0.04), seed=2))
     surface = Concatenated(roads=parts).realise(rng())
     assert surface.end == pytest.approx(20.0 + BUMP.length + 100.0)
     assert surface.ds == 0.005
     start = 0.0
     for part in parts:
-        # a surface is level from one sample beyond its ends
+        # the cubic of a surface alone is curved within one sample beyond its ends
         alone, s = part.realise(rng()), np.arange(0.05, part.length - 0.05, 0.005)
         moved = surface.height(start + s) - surface.height(start)[:, None]
         np.testing.assert_allclose(moved, alone.height(s), atol=1e-9)
         start += part.length
 
 
-def test_a_road_more_at_the_end_changes_none_before_it():
+def test_an_appended_road_does_not_change_earlier_ones():
     two = Concatenated(roads=(ISO, ISO)).realise(rng(7))
     three = Concatenated(roads=(ISO, ISO, ISO)).realise(rng(7))
     np.testing.assert_array_equal(three.z[:, : two.z.shape[1]], two.z)
@@ -96,7 +96,7 @@ def test_a_road_more_at_the_end_changes_none_before_it():
     assert np.abs(first - second).max() > 0.01
 
 
-def test_summed_roads_lie_on_top_of_one_another():
+def test_superposed_heights_add_up():
     parts = (FixedSeed(road=ISO, seed=1), BUMP, Flat(length=30.0))
     surface = Superposed(roads=parts).realise(rng())
     s = np.arange(0.0, 30.0, 0.005)
@@ -105,7 +105,7 @@ def test_summed_roads_lie_on_top_of_one_another():
     assert surface.end == pytest.approx(30.0)
 
 
-# any road
+# nested roads
 
 
 leaves = st.one_of(
@@ -139,12 +139,12 @@ def wrapped(road):
 
 @settings(max_examples=150)
 @given(st.recursive(leaves, wrapped, max_leaves=6), st.integers(0, 2**32))
-def test_roads_of_roads_of_roads_keep_the_contract(mapping, seed):
+def test_nested_roads_fulfil_the_road_contract(mapping, seed):
     road = load_road(mapping)
     assert isinstance(road, Road) and hash(road) == hash(load_road(mapping))
     surface, again = road.realise(rng(seed)), road.realise(rng(seed))
     np.testing.assert_array_equal(surface.z, again.z)
-    # an offset of a part of a step lies where the cubic leaves the level before the first sample
+    # an offset that is not a multiple of ds samples the curved cell before the first sample
     np.testing.assert_allclose(surface.z[:, 0], 0.0, atol=1e-12 + 0.1 * np.ptp(surface.z))
     assert surface.start == 0.0
     assert surface.end == pytest.approx(road.length, abs=surface.ds)
@@ -152,7 +152,7 @@ def test_roads_of_roads_of_roads_keep_the_contract(mapping, seed):
 
 @settings(max_examples=15)
 @given(st.integers(0, 2**32))
-def test_a_road_that_is_wrapped_is_drawn_as_it_is_alone(seed):
+def test_a_wrapped_road_is_drawn_like_the_road_alone(seed):
     alone = ISO.realise(rng(seed)).z
     for road in (WithAprons(road=ISO, before=0.0, after=0.0), Offset(road=ISO), Scaled(road=ISO)):
         np.testing.assert_allclose(road.realise(rng(seed)).z, alone, atol=1e-12)
@@ -168,7 +168,7 @@ def test_a_road_that_is_wrapped_is_drawn_as_it_is_alone(seed):
      Scaled(road=WithAprons(road=ISO), length_factor=0.3), load_road("iso_c_varying")],
     ids=lambda road: type(road).__name__,
 )  # fmt: skip
-def test_a_road_made_of_one_other_can_be_asked_for_at_another_length(road):
+def test_a_road_made_of_one_other_can_be_resized(road):
     longer = with_length(road, 70.0)
     assert type(longer) is type(road)
     assert longer.length == pytest.approx(70.0)
@@ -176,7 +176,7 @@ def test_a_road_made_of_one_other_can_be_asked_for_at_another_length(road):
 
 
 @pytest.mark.parametrize(
-    ("source", "says"),
+    ("source", "reason"),
     [
         ({"name": "iso_changing", "length": 30.0}, "follows from its other settings"),
         ({"name": "iso_b_potholes", "length": 30.0}, "follows from its other settings"),
@@ -194,10 +194,10 @@ def test_a_road_made_of_one_other_can_be_asked_for_at_another_length(road):
         ({"kind": "repeated", "road": "flat", "length": 0.0}, "length must be positive"),
     ],
 )
-def test_a_wrong_layout_is_one_sentence_about_the_culprit(source, says):
+def test_an_invalid_composition_is_named_in_one_sentence(source, reason):
     with pytest.raises(ConfigError) as error:
         load_road(source)
-    assert says in str(error.value)
+    assert reason in str(error.value)
     assert "\n" not in str(error.value)
 
 
@@ -207,12 +207,12 @@ def test_a_wrong_layout_is_one_sentence_about_the_culprit(source, says):
      Concatenated(roads=(BUMP, WithAprons(road=Flat(), after=1e9)))],
     ids=lambda road: type(road).__name__,
 )  # fmt: skip
-def test_a_road_too_long_for_a_computer_is_refused_when_it_is_drawn(road):
+def test_a_road_with_too_many_samples_is_rejected_when_drawn(road):
     with pytest.raises(ConfigError, match="more than 50,000,000 samples"):
         road.realise(rng())
 
 
-def test_paths_of_files_among_the_roads_of_a_yaml_file_are_relative_to_it(tmp_path):
+def test_nested_file_paths_are_relative_to_their_yaml_file(tmp_path):
     (tmp_path / "short.csv").write_text("".join(f"{k},{k % 3}\n" for k in range(9)))
     text = "kind: joined\nroads: [flat, {kind: scaled, road: {kind: measured, path: short.csv}}]\n"
     (tmp_path / "road.yaml").write_text(text)

@@ -1,4 +1,4 @@
-"""Configuration: what is wrong is said in one sentence, what is shipped loads and has sources."""
+"""Errors in configurations are one sentence; shipped configurations load and have sources."""
 
 import copy
 import datetime
@@ -18,7 +18,7 @@ GONE = object()
 
 
 def changed(data, path, value):
-    """A copy of `data` with `value` at the dotted `path`; GONE takes the key away."""
+    """Return a copy of `data` with `value` at the dotted `path`; GONE removes the key."""
     data = copy.deepcopy(data)
     *parents, last = path.split(".") if isinstance(path, str) else (path,)
     owner = data
@@ -32,7 +32,7 @@ def changed(data, path, value):
 
 
 def sentence(caught) -> str:
-    """The one sentence of a refusal, which no other error must precede."""
+    """Return the message of an error, which must be one sentence without a cause."""
     error = caught.value
     assert error.__cause__ is None and (error.__context__ is None or error.__suppress_context__)
     assert "\n" not in str(error)
@@ -63,29 +63,33 @@ VEHICLE_FAULTS = [
     ("valve.delay", -0.01, "car.yaml: valve: delay must not be negative, got -0.01"),
     ("valve.lag", 0.0, "car.yaml: valve: lag must be positive and finite, got 0.0"),
     ("strut.column_min", 0.06, "car.yaml: strut: column_min 0.06 must be below x_1 0.0509"),
-    ("rear.x", 1.4, "the front axle must stand ahead of the centre of mass"),
-    ("front.x", float("inf"), "the front axle must stand ahead of the centre of mass"),
+    ("rear.x", 1.4, "the front axle must be ahead of the centre of mass"),
+    ("front.x", float("inf"), "the front axle must be ahead of the centre of mass"),
     ("tyre_static_deflection", -0.01, "tyre_static_deflection must not be negative, got -0.01"),
     ("tyre_static_deflection", "static", "input should be 'equilibrium', got 'static'"),
-    ("strut.bushing.x", [0.0, 1.0], "strut.bushing: x and F need one length of at least 2: 2, 12"),
+    (
+        "strut.bushing.x",
+        [0.0, 1.0],
+        "strut.bushing: x and F must have the same length, at least 2, got 2 and 12",
+    ),
     ("strut.damper.ride.F", [float("nan")] * 11, "breakpoints must be finite"),
 ]
 
 
-@pytest.mark.parametrize(("path", "value", "said"), VEHICLE_FAULTS)
-def test_a_fault_in_a_vehicle_is_one_sentence_that_names_it(path, value, said):
+@pytest.mark.parametrize(("path", "value", "message"), VEHICLE_FAULTS)
+def test_an_invalid_vehicle_value_is_named_in_one_sentence(path, value, message):
     with pytest.raises(ConfigError) as caught:
         build(VehicleParameters, changed(DEFENDER, path, value), "car.yaml")
     assert sentence(caught).startswith("car.yaml: ")
-    assert said in sentence(caught)
+    assert message in sentence(caught)
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "said"),
+    ("path", "value", "message"),
     [
         ("accelerometers.LF", {"axle": "front", "ahead": 0.0, "y": 0.5}, "known: LR, RF, RR"),
         ("accelerometers.RF.axle", "middle", "input should be 'front' or 'rear', got 'middle'"),
-        ("accelerometers.RF.y", float("nan"), "a place must be finite"),
+        ("accelerometers.RF.y", float("nan"), "ahead and y must be finite, got -0.12 and nan"),
         ("fs", 600.0, "f_alias 333.0 must be below fs / 2 = 300.0"),
         ("fs", -1.0, "fs must be positive, got -1.0"),
         ("range", 0.0, "range must be positive, got 0.0"),
@@ -93,19 +97,19 @@ def test_a_fault_in_a_vehicle_is_one_sentence_that_names_it(path, value, said):
         ("speed_error", float("inf"), "speed_error must not be negative, got inf"),
     ],
 )
-def test_a_fault_in_instruments_is_one_sentence_that_names_it(path, value, said):
+def test_an_invalid_instrument_value_is_named_in_one_sentence(path, value, message):
     with pytest.raises(ConfigError) as caught:
         build(Instruments, changed(PAPER, path, value), "set.yaml")
-    assert said in sentence(caught)
+    assert message in sentence(caught)
 
 
-def test_of_several_faults_the_unknown_key_comes_first_and_the_others_are_counted():
+def test_of_several_errors_the_unknown_key_comes_first():
     data = changed(changed(DEFENDER, "m_b", GONE), "mb", 1734.0)
     with pytest.raises(ConfigError, match=r"car.yaml: mb: unknown key.*\(and 1 more\)"):
         build(VehicleParameters, data, "car.yaml")
 
 
-def test_a_mapping_inside_itself_is_refused():
+def test_a_mapping_that_contains_itself_is_rejected():
     data = copy.deepcopy(DEFENDER)
     data["sources"]["all"] = data["sources"]
     with pytest.raises(ConfigError, match=r"car.yaml: Circular reference"):
@@ -113,45 +117,45 @@ def test_a_mapping_inside_itself_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("a: [1, 2", "not valid YAML"),
         ("a: b: c", "not valid YAML"),
-        ("- 1\n- 2", "a mapping of keys to values is wanted, got a list"),
-        ("just words", "a mapping of keys to values is wanted, got text"),
-        ("", "a mapping of keys to values is wanted, got nothing"),
+        ("- 1\n- 2", "expected a mapping of keys to values, got a list"),
+        ("just words", "expected a mapping of keys to values, got text"),
+        ("", "expected a mapping of keys to values, got nothing"),
         ("a: !!map x", "not valid YAML"),
-        ("m_b: 1.0\nname: x\nm_b: 2.0", "the key 'm_b' stands twice, line 1 and 3"),
-        ("front: {x: 1.0, m: 2.0,\n  x: 1.0}", "the key 'x' stands twice, line 1 and 2"),
-        ("- a: 1\n  a: 2", "the key 'a' stands twice, line 1 and 2"),
+        ("m_b: 1.0\nname: x\nm_b: 2.0", "the key 'm_b' is duplicated, in lines 1 and 3"),
+        ("front: {x: 1.0, m: 2.0,\n  x: 1.0}", "the key 'x' is duplicated, in lines 1 and 2"),
+        ("- a: 1\n  a: 2", "the key 'a' is duplicated, in lines 1 and 2"),
         ("!!python/object:os.system {}", "not valid YAML"),
         (b"\xff\xfe\x00", "not valid YAML"),
     ],
 )
-def test_a_file_that_is_no_configuration_is_refused_with_its_path(tmp_path, text, said):
+def test_an_invalid_configuration_file_is_rejected_with_its_path(tmp_path, text, message):
     path = tmp_path / "car.yaml"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(ConfigError) as caught:
         load(VehicleParameters, "vehicles", path)
-    assert sentence(caught).startswith(str(path)) and said in sentence(caught)
+    assert sentence(caught).startswith(str(path)) and message in sentence(caught)
 
 
-def test_a_key_may_stand_in_several_mappings(tmp_path):
+def test_a_key_may_occur_in_several_mappings(tmp_path):
     path = tmp_path / "sides.yaml"
     path.write_text("left: {x: 1.0}\nright: {x: 2.0, '1': 0, 1: 0}\nx: 3.0\nboth: &b {y: 1}\nc: *b")
     expected = {"left": {"x": 1.0}, "right": {"x": 2.0, "1": 0, 1: 0}, "x": 3.0}
     assert read_yaml(path) == expected | {"both": {"y": 1}, "c": {"y": 1}}
 
 
-def test_a_file_that_is_not_there_or_a_folder_is_refused(tmp_path):
+def test_a_missing_file_or_a_folder_is_rejected(tmp_path):
     (tmp_path / "folder.yaml").mkdir()
-    for name, said in (("none.yaml", "No such file"), ("folder.yaml", "Is a directory")):
-        with pytest.raises(ConfigError, match=said) as caught:
+    for name, message in (("none.yaml", "No such file"), ("folder.yaml", "Is a directory")):
+        with pytest.raises(ConfigError, match=message) as caught:
             load(VehicleParameters, "vehicles", tmp_path / name)
         assert sentence(caught).startswith(str(tmp_path / name))
 
 
-def test_an_unknown_name_is_refused_with_the_names_that_exist():
+def test_an_unknown_name_is_rejected_with_the_existing_names():
     with pytest.raises(ConfigError) as caught:
         load(VehicleParameters, "vehicles", "land_rover_defender_11")
     assert sentence(caught) == (
@@ -162,7 +166,7 @@ def test_an_unknown_name_is_refused_with_the_names_that_exist():
         validate_choice("colour", 7, ["red", "blue"])
 
 
-def test_numbers_are_numbers_and_lists_become_tuples():
+def test_numbers_are_checked_strictly_and_lists_become_tuples():
     @dataclass(frozen=True)
     class Thing:
         __pydantic_config__ = config.STRICT
@@ -176,14 +180,14 @@ def test_numbers_are_numbers_and_lists_become_tuples():
         build(Thing, {"x": 2, "y": [], "n": 2.0}, "here")
 
 
-# --- what is shipped ------------------------------------------------------------------------------
+# --- shipped configurations -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("cls", "kind"),
     [(VehicleParameters, "vehicles"), (Instruments, "sensors"), (PlantMismatch, "field")],
 )
-def test_everything_shipped_loads_by_name_and_by_path(cls, kind):
+def test_all_shipped_configurations_load_by_name_and_by_path(cls, kind):
     assert names(kind)
     for name in names(kind):
         by_name = load(cls, kind, name)
@@ -192,7 +196,7 @@ def test_everything_shipped_loads_by_name_and_by_path(cls, kind):
 
 
 def leaves(data, where=""):
-    """Dotted paths of everything that is not a mapping."""
+    """Yield the dotted paths of all values that are not mappings."""
     for key, value in data.items():
         path = f"{where}{key}"
         yield from leaves(value, f"{path}.") if isinstance(value, dict) else [path]
@@ -211,7 +215,7 @@ def test_every_shipped_number_has_a_source_and_every_source_a_number(kind):
             assert text.strip()
 
 
-def test_what_the_paper_shows_only_in_a_figure_is_called_assumed():
+def test_curves_given_only_as_figures_are_marked_as_assumed():
     for path in ("damper.ride", "damper.handling", "friction.ride", "friction.handling", "bushing",
                  "bump_stop.front", "bump_stop.rear"):  # fmt: skip
         assert DEFENDER["sources"][f"strut.{path}"].startswith("assumed")

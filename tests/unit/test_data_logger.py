@@ -1,4 +1,4 @@
-"""Instruments against rigid-body kinematics, Welch spectra and filter formulas."""
+"""The data logger against rigid-body kinematics, Welch spectra and filter formulas."""
 
 import math
 from dataclasses import replace
@@ -25,7 +25,7 @@ STEP = 0.001
 
 
 def motion(acceleration) -> Trajectory:
-    """A trajectory of body accelerations (N, 3): heave, roll, pitch."""
+    """Return a trajectory of body accelerations (N, 3): heave, roll, pitch."""
     signals = np.zeros((len(acceleration), N_SIGNALS))
     signals[:, ACCELERATION : ACCELERATION + 3] = acceleration
     t = STEP * np.arange(len(acceleration))
@@ -45,23 +45,23 @@ def noise(size=4000, seed=1, scale=2.0):
     return scale * np.random.default_rng(seed).standard_normal((size, 3))
 
 
-# --- where they sit -------------------------------------------------------------------------------
+# --- sensor locations -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", CARS)
-def test_sensors_feel_the_rigid_body_where_the_paper_put_them(name):
-    """A constant acceleration passes the filter; 120 mm behind the front axle, 620 mm the rear."""
+def test_accelerometers_measure_the_rigid_body_at_the_papers_locations(name):
+    """Locations 120 mm behind the front axle and 620 mm behind the rear one."""
     car = CARS[name]
     locations = [(car.front.x - 0.12, -0.55), (car.rear.x - 0.62, 0.55), (car.rear.x - 0.62, -0.55)]
     for heave, roll, pitch in np.vstack([np.eye(3), [1.0, -2.0, 0.5]]):
-        found = logger(car=car).sample(motion(np.tile([heave, roll, pitch], (3000, 1))))[:, -1]
+        actual = logger(car=car).sample(motion(np.tile([heave, roll, pitch], (3000, 1))))[:, -1]
         expected = [oracles.point_acceleration(heave, roll, pitch, x, y) for x, y in locations]
-        np.testing.assert_allclose(found, expected, atol=1e-9)
+        np.testing.assert_allclose(actual, expected, atol=1e-9)
     assert SENSORS == ("RF", "LR", "RR")
 
 
 @pytest.mark.parametrize("name", CARS)
-def test_the_places_an_estimator_is_told_are_those_of_the_sensors(name):
+def test_instruments_report_the_papers_sensor_locations(name):
     car = CARS[name]
     assert PAPER.locations(car) == {
         "RF": (car.front.x - 0.12, -0.55),
@@ -70,8 +70,8 @@ def test_the_places_an_estimator_is_told_are_those_of_the_sensors(name):
     }
 
 
-def test_the_response_an_estimator_is_told_is_that_of_the_filter():
-    """SciPy's analogue filter; the logger's sampled one, where signals are, but for 0.12 ms."""
+def test_the_reported_response_is_that_of_the_antialias_filter():
+    """Against SciPy's analogue filter, and below 30 Hz against the digital one within 0.12 ms."""
     f = np.geomspace(0.01, 1000.0, 60)
     b, a = signal.butter(4, 2.0 * np.pi * PAPER.f_alias, analog=True)
     expected = signal.freqs(b, a, 2.0 * np.pi * f)[1]
@@ -85,47 +85,47 @@ def test_the_response_an_estimator_is_told_is_that_of_the_filter():
 
 
 @pytest.mark.parametrize("step", [0.001, 0.0005])
-def test_noise_has_its_density_at_every_step(step):
-    """Welch averages of K half-overlapping Hann segments err by about 1.1 / sqrt(K) each."""
+def test_noise_has_its_density_at_every_integrator_step(step):
+    """The relative error of Welch averages of K half-overlapping segments is 1.1 / sqrt(K)."""
     density, size, segment = 0.03, 2**17, 1024
     instruments = replace(IDEAL, noise_density=density)
     samples = logger(instruments, step=step).sample(motion(np.zeros((size, 3))))
     f, G = signal.welch(samples, fs=1000.0, nperseg=segment, axis=1)
     band = (f > 5.0) & (f < 100.0)
-    found = G[:, band].mean(axis=1)
+    actual = G[:, band].mean(axis=1)
     averages = 2 * samples.shape[1] / segment * band.sum() / 2.0
-    np.testing.assert_allclose(found, density**2, rtol=5.0 * 1.1 / np.sqrt(averages))
+    np.testing.assert_allclose(actual, density**2, rtol=5.0 * 1.1 / np.sqrt(averages))
     apart = np.corrcoef(samples)
     assert np.abs(apart - np.eye(3)).max() < 5.0 / np.sqrt(samples.shape[1] / 2)
 
 
-def test_the_papers_noise_is_a_tenth_of_a_metre_per_second_squared_in_100_hertz():
+def test_the_papers_noise_has_an_rms_of_a_tenth_below_100_hertz():
     samples = logger(PAPER).sample(motion(np.zeros((2**16, 3))))
     below = signal.sosfiltfilt(signal.butter(8, 100.0, fs=1000.0, output="sos"), samples, axis=1)
     np.testing.assert_allclose(below.std(axis=1), 0.1, rtol=0.03)
 
 
-def test_an_instrument_clips_at_its_range_before_the_filter():
+def test_clipping_happens_before_the_antialias_filter():
     assert PAPER.range == pytest.approx(4.0 * oracles.G)
     blows = np.repeat([100.0, -100.0, 100.0], 1000)
     trajectory = motion(np.outer(blows, [1.0, 0.0, 0.0]))
     clipped = logger(replace(PAPER, noise_density=0.0)).sample(trajectory)
     for end, sign in ((999, 1.0), (1999, -1.0), (2999, 1.0)):
         np.testing.assert_allclose(clipped[:, end], sign * PAPER.range, rtol=1e-6)
-    assert clipped.max() > 1.05 * PAPER.range  # the filter overshoots what was clipped
+    assert clipped.max() > 1.05 * PAPER.range  # the filter overshoots after clipping
     assert logger(IDEAL).sample(trajectory)[0, 999] == pytest.approx(100.0)
 
 
 @pytest.mark.parametrize(("step", "f"), [(0.001, 100.0), (0.001, 333.0), (0.00025, 500.0),
                                          (0.00025, 900.0), (0.00025, 1500.0)])  # fmt: skip
-def test_the_anti_alias_filter_attenuates_as_a_fourth_order_butterworth(step, f):
+def test_the_antialias_filter_is_a_fourth_order_butterworth(step, f):
     t = step * np.arange(round(1.0 / step))
     tone = motion(np.outer(np.sin(2.0 * np.pi * f * t), [1.0, 0.0, 0.0]))
     instruments = replace(IDEAL, fs=1.0 / step, f_alias=333.0)
     samples = logger(instruments, step=step).sample(tone)[0]
-    found = 2.0 * np.abs(np.mean((samples * np.exp(-2j * np.pi * f * t))[t >= 0.5]))
+    actual = 2.0 * np.abs(np.mean((samples * np.exp(-2j * np.pi * f * t))[t >= 0.5]))
     expected = oracles.butterworth_gain(f, 333.0, 4, 1.0 / step)
-    assert found == pytest.approx(expected, rel=1e-3)
+    assert actual == pytest.approx(expected, rel=1e-3)
     if f == 333.0:
         assert expected == pytest.approx(np.sqrt(0.5))
 
@@ -137,7 +137,7 @@ def test_a_sample_is_the_filtered_acceleration_at_its_instant(step, every):
     np.testing.assert_array_equal(logger(step=step).sample(trajectory), all_of_them[:, ::every])
 
 
-def test_the_filter_is_scipys():
+def test_the_filter_kernel_agrees_with_scipy():
     a = noise(500).T
     sos, memory, out = butterworth_sos(4, 80.0, 1000.0), np.zeros((2, 3, 2)), np.empty((3, 500))
     sosfilt_kernel(sos, memory, a, out)
@@ -148,7 +148,7 @@ def test_the_filter_is_scipys():
 
 @settings(max_examples=25)
 @given(st.lists(st.integers(0, 700), max_size=8), st.sampled_from([0.001, 0.00025]))
-def test_chunks_are_sensed_as_the_whole_to_the_bit(cuts, step):
+def test_sampling_in_chunks_equals_sampling_at_once_to_the_bit(cuts, step):
     trajectory, edges = motion(noise(700)), [0, *sorted(cuts), 700]
     whole = logger(PAPER, step=step).sample(trajectory)
     piecewise = logger(PAPER, step=step)
@@ -156,14 +156,14 @@ def test_chunks_are_sensed_as_the_whole_to_the_bit(cuts, step):
     np.testing.assert_array_equal(np.concatenate(parts, axis=1), whole)
 
 
-def test_speed_has_one_relative_error_a_drive():
+def test_speed_has_one_relative_error_per_drive():
     gains = [logger(replace(PAPER, speed_error=0.02), seed=i).speed_gain for i in range(2000)]
     assert np.mean(gains) == pytest.approx(1.0, abs=5.0 * 0.02 / np.sqrt(2000))
     assert np.std(gains) == pytest.approx(0.02, rel=5.0 / np.sqrt(2 * 2000))
     assert logger(PAPER).speed_gain == 1.0
 
 
-def test_a_speed_error_draws_no_other_noise():
+def test_a_speed_error_does_not_change_the_noise():
     trajectory = motion(np.zeros((50, 3)))
     np.testing.assert_array_equal(
         logger(PAPER).sample(trajectory),
@@ -172,7 +172,7 @@ def test_a_speed_error_draws_no_other_noise():
 
 
 @pytest.mark.parametrize(("fs", "step"), [(1000.0, 0.0003), (1000.0, 0.002), (300.0, 0.001)])
-def test_a_sampling_rate_between_steps_is_refused(fs, step):
+def test_a_sampling_rate_that_does_not_divide_the_steps_is_rejected(fs, step):
     with pytest.raises(ConfigError, match="whole number of integrator steps"):
         logger(replace(IDEAL, fs=fs, f_alias=100.0), step=step)
 
@@ -193,27 +193,27 @@ def tone(f, fs=1000.0, seconds=20.0):
 
 
 def gain(processed, f, fs=1000.0):
-    """Complex gain of a sine in the middle of the record."""
+    """Return the complex gain of a sine in the middle of the record."""
     middle = slice(processed.shape[1] // 4, 3 * processed.shape[1] // 4)
     wave = np.exp(-2j * np.pi * f * np.arange(processed.shape[1]) / fs)
     return 2j * np.mean((processed[0] * wave)[middle])
 
 
 @pytest.mark.parametrize("f", [1.0, 10.0, 25.0, 50.0])
-def test_offline_processing_is_6_db_down_at_25_hertz_and_delays_nothing(f):
-    found = gain(preprocess_accelerations(tone(f), 1000.0), f)
-    assert found == pytest.approx(oracles.butterworth_gain(f, 25.0, 4, 1000.0) ** 2, abs=1e-4)
+def test_offline_processing_is_6_db_down_at_25_hertz_without_delay(f):
+    actual = gain(preprocess_accelerations(tone(f), 1000.0), f)
+    assert actual == pytest.approx(oracles.butterworth_gain(f, 25.0, 4, 1000.0) ** 2, abs=1e-4)
     if f == 25.0:
-        assert 20.0 * np.log10(abs(found)) == pytest.approx(-6.02, abs=0.01)
+        assert 20.0 * np.log10(abs(actual)) == pytest.approx(-6.02, abs=0.01)
 
 
 @pytest.mark.parametrize("f", [1.0, 10.0, 25.0, 50.0])
 def test_causal_processing_is_3_db_down_at_25_hertz(f):
-    found = abs(gain(preprocess_accelerations(tone(f), 1000.0, causal=True), f))
-    assert found == pytest.approx(oracles.butterworth_gain(f, 25.0, 4, 1000.0), abs=2e-3)
+    actual = abs(gain(preprocess_accelerations(tone(f), 1000.0, causal=True), f))
+    assert actual == pytest.approx(oracles.butterworth_gain(f, 25.0, 4, 1000.0), abs=2e-3)
 
 
-def test_causal_processing_does_not_see_the_future_and_forgets_the_mean():
+def test_causal_processing_ignores_the_future_and_removes_the_mean():
     a = noise(4000).T
     whole, cut = (
         preprocess_accelerations(a, 1000.0, causal=True),
@@ -227,23 +227,23 @@ def test_causal_processing_does_not_see_the_future_and_forgets_the_mean():
     assert abs(constant[0, -1]) < 2.0 * np.exp(-2.0 * np.pi * 0.05 * 39.0) + 1e-3
 
 
-def test_processing_refuses_what_is_not_finite_or_too_short():
+def test_processing_rejects_nonfinite_or_too_few_samples():
     with pytest.raises(ValueError, match="finite"):
         preprocess_accelerations(np.array([[0.0, np.nan, 1.0]]), 1000.0)
     with pytest.raises(ValueError, match="length"):
         preprocess_accelerations(np.zeros((3, 5)), 1000.0)
 
 
-# --- what is shipped ------------------------------------------------------------------------------
+# --- shipped instruments --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", config.names("sensors"))
-def test_every_shipped_set_of_instruments_can_log(name):
+def test_every_shipped_set_of_instruments_produces_finite_samples(name):
     instruments = load_instruments(name)
     assert instruments.name == name
     assert np.isfinite(logger(instruments).sample(motion(noise(50)))).all()
 
 
-def test_the_papers_logger_samples_at_1_kilohertz_behind_333_hertz():
+def test_the_papers_logger_samples_at_1_khz_with_a_333_hz_filter():
     assert (PAPER.fs, PAPER.f_alias) == (1000.0, 333.0)
     assert math.isinf(IDEAL.range) and IDEAL.noise_density == 0.0

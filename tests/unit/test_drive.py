@@ -1,4 +1,4 @@
-"""Drives: chunks, copies and steps agree; commands take their time; a switch moves the car."""
+"""Tests of drives: chunks, copies and step size; delay of commands; effects of a switch."""
 
 import copy
 import pickle
@@ -36,7 +36,7 @@ def make_simulator(
 
 
 def commands(*pairs) -> np.ndarray:
-    """Bytes (N,) from (byte, count) pairs."""
+    """Return bytes (N,) from (byte, count) pairs."""
     return np.concatenate([np.full(count, byte, dtype=np.uint8) for byte, count in pairs])
 
 
@@ -67,9 +67,9 @@ def test_a_drive_in_chunks_equals_the_whole_drive_bitwise(cuts):
 def test_a_copy_of_a_running_simulator_continues_bitwise_and_independently(duplicate):
     original = make_simulator()
     original.advance(MIXED[:310])  # commands are still on their way to the valves
-    twin = duplicate(original)
-    assert_same(twin.advance(MIXED[310:]), original.advance(MIXED[310:]))
-    assert twin.steps == original.steps and twin.state is not original.state
+    duplicated = duplicate(original)
+    assert_same(duplicated.advance(MIXED[310:]), original.advance(MIXED[310:]))
+    assert duplicated.steps == original.steps and duplicated.state is not original.state
 
 
 def test_copies_cause_no_recompilation():
@@ -92,7 +92,7 @@ def test_halving_the_step_hardly_changes_the_drive():
     np.testing.assert_allclose(coarse.t, fine.t[::2], rtol=1e-12)
 
 
-# --- from start to end ----------------------------------------------------------------------------
+# --- whole drives ---------------------------------------------------------------------------------
 
 
 @every_car
@@ -166,12 +166,12 @@ def test_the_signals_are_consistent_with_the_states(name):
 def test_the_acceleration_of_a_body_point_is_that_of_the_rigid_body(x, y):
     signals = np.zeros((1, N_SIGNALS))
     signals[0, 14:17] = 1.3, -0.4, 0.7
-    found = Trajectory(*np.zeros((4, 1)), signals).body_acceleration(x, y)
-    assert found[0] == pytest.approx(oracles.point_acceleration(1.3, -0.4, 0.7, x, y))
+    result = Trajectory(*np.zeros((4, 1)), signals).body_acceleration(x, y)
+    assert result[0] == pytest.approx(oracles.point_acceleration(1.3, -0.4, 0.7, x, y))
 
 
 def test_the_ten_millimetre_option_starts_as_in_the_paper():
-    """Level, with 10 mm in each tyre: too little to carry the car, which then sinks by the rest."""
+    """10 mm of tyre deflection carry too little load: the vehicle sinks to its equilibrium."""
     car = replace(DEFENDER, tyre_static_deflection=0.010)
     flat = Surface(np.zeros((2, 2000)), 0.1)
     trajectory = simulate(car, flat, 20.0)
@@ -181,15 +181,15 @@ def test_the_ten_millimetre_option_starts_as_in_the_paper():
     np.testing.assert_allclose(trajectory.state[-1, [3, 5]], -static, atol=1e-5)
 
 
-# --- commands on their way ------------------------------------------------------------------------
+# --- command delay --------------------------------------------------------------------------------
 
 
 @every_car
 @pytest.mark.parametrize("step", [0.001, 0.0005])
 def test_a_command_has_no_effect_before_the_delay_of_the_valve(name, step):
     before, delay = round(0.3 / step), round(CARS[name].valve.delay / step)
-    kept, switched = make_simulator(name, step=step), make_simulator(name, step=step)
-    a = kept.advance(np.full(before + delay + 5, RIDE)).signals
+    unswitched, switched = make_simulator(name, step=step), make_simulator(name, step=step)
+    a = unswitched.advance(np.full(before + delay + 5, RIDE)).signals
     b = switched.advance(commands((RIDE, before), (HANDLING, delay + 5))).signals
     np.testing.assert_array_equal(a[: before + delay], b[: before + delay])
     assert (a[before + delay + 1] != b[before + delay + 1]).any()
@@ -217,7 +217,7 @@ def test_struts_switch_independently():
 
 
 def test_axle_forces_are_continuous_when_the_struts_switch():
-    """Halving the step halves every change from step to step, at the switches too."""
+    """Halving the step halves every change from step to step, also during a switch."""
     largest = []
     for n in (1, 2, 4):
         trajectory = make_simulator(step=0.001 / n).advance(np.repeat(MIXED, n))
@@ -230,7 +230,7 @@ def test_axle_forces_are_continuous_when_the_struts_switch():
 
 @every_car
 def test_switching_under_deflection_shifts_the_ride_height_reversibly(name):
-    """Over a step up, the springs are caught compressed or extended and stay so when closed."""
+    """On a step up, closing the valves traps the struts in a compressed or extended state."""
     car = CARS[name]
     step_up = Surface(np.tile(np.clip(np.arange(6000) * 0.05 - 9.0, 0.0, 0.08), (2, 1)), 0.05)
     simulator = make_simulator(name, step_up, speed=10.0)
@@ -248,13 +248,13 @@ def test_switching_under_deflection_shifts_the_ride_height_reversibly(name):
     assert (simulator.strut_state[:, HELD_EXTENSION] == 0.0).all()
 
 
-# --- refusals -------------------------------------------------------------------------------------
+# --- rejected input -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        ({"speed": 0.0}, "speed must be positive, got 0.0"),
+        ({"speed": 0.0}, "speed must be positive and finite, got 0.0"),
         ({"speed": -3.0}, "speed must be positive"),
         ({"speed": float("nan")}, "speed must be positive"),
         ({"speed": float("inf")}, "speed must be positive"),

@@ -1,4 +1,4 @@
-"""The equations of motion against the paper's own letters, energy matrices and virtual work."""
+"""Equations of motion against the paper's own notation, energy matrices and virtual work."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ from road_envs.vehicle.equations import Plant, accelerations, build_plant, equil
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 ORACLES = {name: oracles.NonlinearCar(car) for name, car in CARS.items()}
-FREE = {name: build_plant(lossless(car)) for name, car in CARS.items()}
+LOSSLESS = {name: build_plant(lossless(car)) for name, car in CARS.items()}
 MODES = ("ride", "handling")
 every_car = pytest.mark.parametrize("name", CARS)
 every_mode = pytest.mark.parametrize("mode", MODES)
@@ -33,32 +33,32 @@ every_mode = pytest.mark.parametrize("mode", MODES)
 
 @every_car
 @given(coordinates, rates, strut_states, vectors(4, 0.15), vectors(4, 2.0))
-def test_the_car_moves_as_the_papers_equations_say(name, q, v, strut_state, z_r, w_r):
+def test_accelerations_match_the_papers_corrected_equations(name, q, v, strut_state, z_r, w_r):
     expected = ORACLES[name].accelerations(strut_state, q, v, z_r, w_r)
-    found = compute_accelerations(PLANTS[name], strut_state, q, v, z_r, w_r)
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-7)
+    actual = compute_accelerations(PLANTS[name], strut_state, q, v, z_r, w_r)
+    np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-7)
 
 
 @every_car
 @given(coordinates, rates, strut_states, vectors(2, 5.0))
-def test_in_a_manoeuvre_the_body_leans_as_an_inverted_pendulum(name, q, v, strut_state, a_xy):
+def test_in_a_manoeuvre_the_body_is_an_inverted_pendulum(name, q, v, strut_state, a_xy):
     car = CARS[name]
-    lean = car.h_cg - car.roll_centre, car.h_cg - car.pitch_centre, *a_xy
-    expected = ORACLES[name].accelerations(strut_state, q, v, ZEROS, ZEROS, lean)
-    found = compute_accelerations(MANOEUVRE_PLANTS[name], strut_state, q, v, a_xy=a_xy)
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-7)
-    upright = compute_accelerations(PLANTS[name], strut_state, q, v)
+    manoeuvre = car.h_cg - car.roll_centre, car.h_cg - car.pitch_centre, *a_xy
+    expected = ORACLES[name].accelerations(strut_state, q, v, ZEROS, ZEROS, manoeuvre)
+    actual = compute_accelerations(MANOEUVRE_PLANTS[name], strut_state, q, v, a_xy=a_xy)
+    np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-7)
+    nominal = compute_accelerations(PLANTS[name], strut_state, q, v)
     np.testing.assert_array_equal(
-        compute_accelerations(PLANTS[name], strut_state, q, v, a_xy=a_xy), upright
+        compute_accelerations(PLANTS[name], strut_state, q, v, a_xy=a_xy), nominal
     )
 
 
 @given(coordinates, rates, strut_states, vectors(4, 0.15))
-def test_the_ten_millimetre_option_moves_as_the_papers_equations_say(q, v, strut_state, z_r):
+def test_accelerations_match_the_paper_with_its_tyre_deflection_of_10_mm(q, v, strut_state, z_r):
     car = replace(CARS["unequal_axles"], tyre_static_deflection=0.010)
     expected = oracles.NonlinearCar(car).accelerations(strut_state, q, v, z_r, ZEROS)
-    found = compute_accelerations(build_plant(car), strut_state, q, v, z_r)
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-7)
+    actual = compute_accelerations(build_plant(car), strut_state, q, v, z_r)
+    np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-7)
 
 
 FAR = vectors(7, 0.05, 0.05, 0.03, 0.05, 0.05, 0.05, 0.05)
@@ -70,7 +70,7 @@ near = st.tuples(
 
 @every_car
 @given(far | near, vectors(4, 0.1))
-def test_forces_are_the_slope_of_the_energy(name, q_and_memory, z_r):
+def test_conservative_forces_are_minus_the_gradient_of_the_energy(name, q_and_memory, z_r):
     oracle, rest, d = ORACLES[name], np.zeros(7), 1e-6
     q, strut_state = q_and_memory
     slope = np.array(
@@ -81,14 +81,14 @@ def test_forces_are_the_slope_of_the_energy(name, q_and_memory, z_r):
         ]
     ) / (2.0 * d)
     M = PLANTS[name].constants[0]["M"]
-    found = M * compute_accelerations(PLANTS[name], strut_state, q, rest, z_r)
-    np.testing.assert_allclose(found, -slope, rtol=1e-5, atol=1.0)
+    actual = M * compute_accelerations(PLANTS[name], strut_state, q, rest, z_r)
+    np.testing.assert_allclose(actual, -slope, rtol=1e-5, atol=1.0)
 
 
 @every_car
 @given(coordinates, rates, strut_states)
-def test_nothing_in_the_car_adds_energy_on_a_still_road(name, q, v, strut_state):
-    losing, free = PLANTS[name], FREE[name]
+def test_losses_never_add_energy_on_a_stationary_road(name, q, v, strut_state):
+    losing, free = PLANTS[name], LOSSLESS[name]
     M = losing.constants[0]["M"]
     power = (
         M
@@ -103,7 +103,7 @@ def test_nothing_in_the_car_adds_energy_on_a_still_road(name, q, v, strut_state)
 
 @every_car
 @every_mode
-def test_small_motions_follow_the_energy_matrices(name, mode):
+def test_small_motions_match_stiffness_and_damping_from_energy(name, mode):
     car = CARS[name]
     free, strut_state = build_plant(lossless(car)), settled_strut_state(encode_command(mode))
     column = car.strut.x_1 + (car.strut.x_2 if mode == "ride" else 0.0)
@@ -114,12 +114,12 @@ def test_small_motions_follow_the_energy_matrices(name, mode):
     for _ in range(20):
         q, v, z_r = (1e-7 * rng.standard_normal(n) for n in (7, 7, 4))
         expected = np.linalg.solve(M, K_r @ z_r - K @ q - C @ v)
-        found = compute_accelerations(free, strut_state, q, v, z_r) - at_rest
-        np.testing.assert_allclose(found, expected, atol=3e-5 * np.abs(expected).max())
+        actual = compute_accelerations(free, strut_state, q, v, z_r) - at_rest
+        np.testing.assert_allclose(actual, expected, atol=3e-5 * np.abs(expected).max())
 
 
 @every_mode
-def test_the_energy_matrices_have_the_printed_frequencies(mode):
+def test_oracle_matrices_have_the_published_natural_frequencies(mode):
     rate = oracles.static_rate(mode)
     M, _, K, _, _ = oracles.linear_matrices(oracles.PAPER_CAR, (rate, rate))
     np.testing.assert_allclose(
@@ -128,18 +128,18 @@ def test_the_energy_matrices_have_the_printed_frequencies(mode):
 
 
 def frequencies(free, strut_state, state):
-    """Undamped frequencies [Hz] of a plant without losses, from its Jacobian."""
+    """Return the undamped frequencies [Hz] of a plant without losses, from its Jacobian."""
     lower = jacobian(free, strut_state, state, ZEROS, ZEROS)[7:, :7]
     return np.sort(np.sqrt(np.linalg.eigvals(-lower).real)) / (2.0 * np.pi)
 
 
 @every_mode
-def test_the_car_has_the_printed_frequencies(mode):
-    """At the origin, where the gas has its nominal pressure, to the digits printed.
+def test_the_equations_have_the_published_natural_frequencies(mode):
+    """At the origin the gas has its nominal pressure and the published digits must be reproduced.
 
-    At rest the body's weight and not the nominal pressure decides the force in a strut, which is
-    0.1 % more in front and 0.2 % less behind. The rate goes with the square of the force (the gas
-    column shortens as well), the frequency with its root: so 0.2 % here.
+    At equilibrium the strut force follows from the weight: it is 0.1 % larger at the front and
+    0.2 % smaller at the rear. The spring rate is proportional to the square of the force (the gas
+    column shortens as well), the frequency to the root of the rate: hence the tolerance of 0.2 %.
     """
     free, strut_state = build_plant(lossless(DEFENDER)), settled_strut_state(encode_command(mode))
     at_origin = frequencies(free, strut_state, np.zeros(14))
@@ -149,74 +149,74 @@ def test_the_car_has_the_printed_frequencies(mode):
 
 
 @every_car
-@pytest.mark.parametrize("plants", [PLANTS, MANOEUVRE_PLANTS], ids=["straight", "leaning"])
+@pytest.mark.parametrize("plants", [PLANTS, MANOEUVRE_PLANTS], ids=["straight", "manoeuvre"])
 @given(coordinates, rates, strut_states, vectors(4, 0.15), vectors(4, 2.0))
-def test_the_jacobian_is_the_slope_of_the_rates(name, plants, q, v, strut_state, z_r, w_r):
-    """By central differences of 1e-6, whose error is that times the curvature of the bump stops
-    (6e7 N/m² where they begin) over twice the rate that they then have: some 1e-4 of the row."""
-    one, d = plants[name], 1e-6
+def test_the_jacobian_matches_central_differences(name, plants, q, v, strut_state, z_r, w_r):
+    """The error of the differences of 1e-6 is about 1e-4 of a row: 1e-6 times the curvature of the
+    bump stops (6e7 N/m² where they begin) over twice the spring rate there."""
+    plant, d = plants[name], 1e-6
     car = ORACLES[name]
     y_t = np.array([a.y_t * side for a in (car.car.front, car.car.rear) for side in (1, -1)])
     height, rate = (x[[3, 3, 5, 5]] + y_t * x[[4, 4, 6, 6]] for x in (q, v))
     spring, damper = car.k_t * (car.delta + z_r - height), car.c_t * (w_r - rate)
-    # no derivative where a tyre just touches, just lifts off, or its damper just gives its most
+    # there is no derivative at contact, at lift-off and where the damper force becomes limited
     assume((np.abs([spring, spring + damper, spring - damper]) > 5.0).all())
     slope = np.empty((7, 14))
     for j, unit in enumerate(d * np.eye(14)):
-        ahead = compute_accelerations(one, strut_state, q + unit[:7], v + unit[7:], z_r, w_r)
-        behind = compute_accelerations(one, strut_state, q - unit[:7], v - unit[7:], z_r, w_r)
+        ahead = compute_accelerations(plant, strut_state, q + unit[:7], v + unit[7:], z_r, w_r)
+        behind = compute_accelerations(plant, strut_state, q - unit[:7], v - unit[7:], z_r, w_r)
         slope[:, j] = (ahead - behind) / (2.0 * d)
-    found = jacobian(one, strut_state, np.concatenate([q, v]), z_r, w_r)
-    np.testing.assert_array_equal(found[:7], np.eye(7, 14, 7))
+    actual = jacobian(plant, strut_state, np.concatenate([q, v]), z_r, w_r)
+    np.testing.assert_array_equal(actual[:7], np.eye(7, 14, 7))
     for part in (slice(0, 7), slice(7, 14)):
         size = np.abs(slope[:, part]).max(axis=1, keepdims=True)
-        np.testing.assert_allclose(found[7:, part] / size, slope[:, part] / size, atol=2e-4)
+        np.testing.assert_allclose(actual[7:, part] / size, slope[:, part] / size, atol=2e-4)
 
 
 @every_car
 @given(coordinates, rates, strut_states, vectors(4, 0.15), vectors(4, 2.0))
-def test_the_mirror_image_of_a_car_rolls_the_other_way(name, q, v, strut_state, z_r, w_r):
+def test_mirroring_left_and_right_inverts_all_roll_accelerations(name, q, v, strut_state, z_r, w_r):
     signs, swap = np.array([1, -1, 1, 1, -1, 1, -1]), [1, 0, 3, 2]
-    found = compute_accelerations(
+    actual = compute_accelerations(
         PLANTS[name], strut_state[swap], signs * q, signs * v, z_r[swap], w_r[swap]
     )
     expected = signs * compute_accelerations(PLANTS[name], strut_state, q, v, z_r, w_r)
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-9)
 
 
 @every_car
 @given(coordinates, rates, st.sampled_from(MODES), vectors(2, 0.1), vectors(2, 1.0))
-def test_a_symmetric_motion_stays_symmetric_to_the_bit(name, q, v, mode, z_r, w_r):
+def test_symmetric_motion_gives_exactly_zero_roll_acceleration(name, q, v, mode, z_r, w_r):
     roll = [1, 4, 6]
     q[roll] = v[roll] = 0.0
     strut_state = settled_strut_state(encode_command(mode))
-    found = compute_accelerations(
+    actual = compute_accelerations(
         PLANTS[name], strut_state, q, v, np.repeat(z_r, 2), np.repeat(w_r, 2)
     )
-    assert (found[roll] == 0.0).all()
+    assert (actual[roll] == 0.0).all()
 
 
 @every_car
-def test_an_axle_in_the_air_falls_with_gravity_and_the_struts_push(name):
-    car, one = CARS[name], PLANTS[name]
+def test_an_airborne_axle_is_accelerated_by_gravity_and_strut_forces(name):
+    car, plant = CARS[name], PLANTS[name]
     strut_state, q = settled_strut_state(encode_command("ride")), np.zeros(7)
-    found = compute_accelerations(one, strut_state, q, np.zeros(7), z_r=np.full(4, -1.0))
+    actual = compute_accelerations(plant, strut_state, q, np.zeros(7), z_r=np.full(4, -1.0))
     struts = 2.0 * car.strut.p_stat * car.strut.A
     for i, axle in enumerate((car.front, car.rear)):
-        assert found[3 + 2 * i] == pytest.approx(-oracles.G - struts / axle.m)
-    everything = car.m_b * found[0] + car.front.m * found[3] + car.rear.m * found[5]
+        assert actual[3 + 2 * i] == pytest.approx(-oracles.G - struts / axle.m)
+    everything = car.m_b * actual[0] + car.front.m * actual[3] + car.rear.m * actual[5]
     assert everything == pytest.approx(-oracles.G * (car.m_b + car.front.m + car.rear.m))
 
 
 @every_car
 @every_mode
-def test_at_rest_the_tyres_carry_the_whole_weight_where_statics_puts_it(name, mode):
-    car, one = CARS[name], PLANTS[name]
-    state = equilibrium(one, settled_strut_state(encode_command(mode)), ZEROS)
-    found = compute_accelerations(
-        one, settled_strut_state(encode_command(mode)), state[:7], state[7:]
+def test_in_equilibrium_tyre_loads_match_statics(name, mode):
+    car, plant = CARS[name], PLANTS[name]
+    state = equilibrium(plant, settled_strut_state(encode_command(mode)), ZEROS)
+    actual = compute_accelerations(
+        plant, settled_strut_state(encode_command(mode)), state[:7], state[7:]
     )
-    np.testing.assert_allclose(found, 0.0, atol=1e-9)
+    np.testing.assert_allclose(actual, 0.0, atol=1e-9)
     assert (state[[1, 4, 6]] == 0.0).all() and (state[7:] == 0.0).all()
     assert state[[3, 5]] == pytest.approx([0.0, 0.0], abs=1e-12)
     tyres = [a.k_t * d for a, d in zip(car.axles, car.tyre_deflections, strict=True)]
@@ -225,7 +225,7 @@ def test_at_rest_the_tyres_carry_the_whole_weight_where_statics_puts_it(name, mo
     assert 2.0 * sum(tyres) == pytest.approx(total, rel=1e-12)
 
 
-def test_the_defenders_tyres_stand_compressed_by_21_and_a_half_millimetres():
+def test_static_tyre_deflection_of_the_defender_is_21_5_mm():
     np.testing.assert_allclose(DEFENDER.tyre_deflections, 0.0215, atol=5e-5)
 
 
@@ -241,21 +241,21 @@ GROUNDS = {
 @every_car
 @every_mode
 @pytest.mark.parametrize("ground", GROUNDS.values(), ids=GROUNDS.keys())
-def test_the_car_finds_its_rest_on_any_plausible_ground(name, mode, ground):
-    strut_state, one, ground = (
+def test_an_equilibrium_is_found_on_any_plausible_ground(name, mode, ground):
+    strut_state, plant, ground = (
         settled_strut_state(encode_command(mode)),
         PLANTS[name],
         np.array(ground),
     )
-    state = equilibrium(one, strut_state, ground)
-    found = compute_accelerations(one, strut_state, state[:7], state[7:], ground)
-    np.testing.assert_allclose(found, 0.0, atol=1e-9 * (1.0 + np.abs(ground).max()))
+    state = equilibrium(plant, strut_state, ground)
+    actual = compute_accelerations(plant, strut_state, state[:7], state[7:], ground)
+    np.testing.assert_allclose(actual, 0.0, atol=1e-9 * (1.0 + np.abs(ground).max()))
     heaves, rolls = 0.5 * (ground[::2] + ground[1::2]), ground[::2] - ground[1::2]
     np.testing.assert_allclose(state[[3, 5]], heaves, atol=0.01)
     assert (np.sign(state[[4, 6]]) == np.sign(rolls)).all()
 
 
-def test_where_no_rest_is_to_be_found_the_reason_is_said():
+def test_a_missing_equilibrium_raises_arithmetic_error():
     strut_state = settled_strut_state(encode_command("ride"))
     with pytest.raises(ArithmeticError, match="no static equilibrium"):
         equilibrium(PLANTS["unequal_axles"], strut_state, np.array([np.nan, 0.0, 0.0, 0.0]))
@@ -263,8 +263,8 @@ def test_where_no_rest_is_to_be_found_the_reason_is_said():
 
 @every_car
 @given(coordinates, rates, strut_states)
-def test_the_compiled_equations_are_the_plain_ones(name, q, v, strut_state):
-    found = compute_accelerations(PLANTS[name], strut_state, q, v)
+def test_compiled_and_interpreted_equations_agree(name, q, v, strut_state):
+    actual = compute_accelerations(PLANTS[name], strut_state, q, v)
     plain = Plant(PLANTS[name].constants.view(np.recarray), *PLANTS[name].arrays[1:])
     plain = compute_accelerations(plain, strut_state, q, v, kernel=accelerations.py_func)
-    np.testing.assert_allclose(found, plain, rtol=1e-12, atol=1e-9)
+    np.testing.assert_allclose(actual, plain, rtol=1e-12, atol=1e-9)

@@ -1,4 +1,4 @@
-"""ERD files: read in any unit and byte order, or refused with the reason."""
+"""ERD files: read in any unit and byte order, or rejected with the reason."""
 
 import re
 import tracemalloc
@@ -43,28 +43,28 @@ def read_floats(header, body):
     st.sampled_from(sorted(METRES)), st.sampled_from(sorted(METRES)), st.floats(0.01, 10.0),
     st.sampled_from(["\n", "\r\n", "\r"]),
 )  # fmt: skip
-def test_heights_and_step_come_out_in_metres(z, unit, x_unit, step, eol):
-    found, ds, notes = read(*erd_file(z, unit=unit, x_unit=x_unit, step=step, eol=eol))
-    np.testing.assert_allclose(found, z * METRES[unit], rtol=1e-7, atol=1e-7 * METRES[unit])
+def test_heights_and_step_are_converted_to_metres(z, unit, x_unit, step, eol):
+    actual, ds, notes = read(*erd_file(z, unit=unit, x_unit=x_unit, step=step, eol=eol))
+    np.testing.assert_allclose(actual, z * METRES[unit], rtol=1e-7, atol=1e-7 * METRES[unit])
     assert ds == pytest.approx(step * METRES[x_unit]) and notes == ()
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("offset", [0.0, 583.0, 1e-6])
-def test_binary_numbers_are_read_in_the_byte_order_they_were_written_in(order, offset):
+def test_the_byte_order_of_binary_numbers_is_detected(order, offset):
     z = wavy() + offset
-    found, _, _ = read_floats(*erd_file(z, order))
-    np.testing.assert_allclose(found, z * 1e-3, rtol=1e-6)
+    actual, _, _ = read_floats(*erd_file(z, order))
+    np.testing.assert_allclose(actual, z * 1e-3, rtol=1e-6)
     level, _, _ = read_floats(*erd_file(0.0 * z, order))
     assert not level.any()
 
 
-def test_the_paths_are_found_by_name_among_other_channels():
+def test_wheel_paths_are_found_by_channel_name():
     z = wavy(5)
     names = ("Speed", "RElev.", "CElev.", "LElev.", "Temp.")
     units = ("km/h", "in", "mm", "ft", "deg C")
-    found, _, _ = read(*erd_file(z, names=names, unit=units))
-    np.testing.assert_allclose(found, [z[3] * 0.3048, z[1] * 0.0254], rtol=1e-6)
+    actual, _, _ = read(*erd_file(z, names=names, unit=units))
+    np.testing.assert_allclose(actual, [z[3] * 0.3048, z[1] * 0.0254], rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -72,31 +72,31 @@ def test_the_paths_are_found_by_name_among_other_channels():
     ["LONGNAME" + "Left elevation".ljust(32) + "Right elevation",
      "LONGNAME" + "Elevation, left wheel path".ljust(32) + "Elevation, right wheel path"],
 )  # fmt: skip
-def test_the_paths_may_have_long_names_alone(extra):
-    found, _, _ = read(*erd_file(wavy(), names=(), extra=(extra,)))
-    np.testing.assert_allclose(found, 1e-3 * wavy(), rtol=1e-6)
+def test_wheel_paths_may_have_long_names_only(extra):
+    actual, _, _ = read(*erd_file(wavy(), names=(), extra=(extra,)))
+    np.testing.assert_allclose(actual, 1e-3 * wavy(), rtol=1e-6)
 
 
-def test_one_channel_stands_for_both_paths():
-    found, _, _ = read(*erd_file(wavy(1), names=("Elev.",)))
-    np.testing.assert_array_equal(found[0], found[1])
+def test_a_single_channel_is_used_for_both_paths():
+    actual, _, _ = read(*erd_file(wavy(1), names=("Elev.",)))
+    np.testing.assert_array_equal(actual[0], actual[1])
 
 
 @pytest.mark.parametrize("samples", [-1, 0])
-def test_samples_are_counted_where_the_header_does_not_say(samples):
-    found, _, _ = read(*erd_file(wavy(), samples=samples))
-    assert found.shape == (2, 40)
+def test_samples_are_counted_if_the_header_states_no_number(samples):
+    actual, _, _ = read(*erd_file(wavy(), samples=samples))
+    assert actual.shape == (2, 40)
 
 
-def test_numbers_may_stand_on_lines_of_any_length():
+def test_lines_may_have_any_number_of_values():
     header, body = erd_file(wavy())
     words = body.decode().split()
     rows = [", ".join(words[k : k + 7]) for k in range(0, len(words), 7)]
-    found, _, _ = read(header, "\n".join(rows).encode())
-    np.testing.assert_allclose(found, 1e-3 * wavy(), rtol=1e-6)
+    actual, _, _ = read(header, "\n".join(rows).encode())
+    np.testing.assert_allclose(actual, 1e-3 * wavy(), rtol=1e-6)
 
 
-def test_a_file_of_the_ltpp_programme_is_understood():
+def test_a_file_of_the_ltpp_programme_can_be_read():
     text = (
         "ERDFILEV2.00\n"
         "      3,      5,     -1,      1,      5,       0.0250,     -1,\n"
@@ -115,7 +115,7 @@ def test_a_file_of_the_ltpp_programme_is_understood():
 
 
 @pytest.mark.parametrize("form", ["text", "<", ">"])
-def test_an_erd_file_is_a_road(tmp_path, form):
+def test_an_erd_file_can_be_loaded_as_a_road(tmp_path, form):
     z = wavy(size=300)
     header, body = erd_file(z, form)
     if form == "text":
@@ -128,59 +128,78 @@ def test_an_erd_file_is_a_road(tmp_path, form):
     assert (surface.ds, surface.length) == (0.025, pytest.approx(299 * 0.025))
 
 
-def test_a_missing_file_of_numbers_is_named(tmp_path):
+def test_a_missing_binary_file_is_named(tmp_path):
     (tmp_path / "section.erd").write_bytes(erd_file(wavy(), "<")[0])
     with pytest.raises(ConfigError, match=r"section\.bin, which is missing"):
         load_road(tmp_path / "section.erd")
 
 
-def test_missing_heights_are_refused_or_bridged_when_asked(tmp_path):
+def test_missing_heights_are_rejected_or_interpolated(tmp_path):
     z = wavy(size=300)
     z[0, 7:9] = np.nan
     path = tmp_path / "section.erd"
     path.write_bytes(b"".join(erd_file(z)))
     with pytest.raises(SurfaceFileError, match="2 of 300 heights of the left wheel path"):
         load_road(path)
-    assert "bridged 2 heights" in Measured(path=str(path), bridge_gaps=True).realise(rng()).notes[0]
+    assert (
+        "interpolated 2 missing"
+        in Measured(path=str(path), bridge_gaps=True).realise(rng()).notes[0]
+    )
 
 
 # damage
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("old", "new", "reason"),
     [
         (b"ERDFILE", b"PROFILE", "not an ERD file"),
         (b"\nEND\n", b"\nDONE\n", "the line END of the header is missing"),
-        (b"SHORTNAM", b"GENNAME ", "0 of its channels are the left wheel path:  [mm],  [mm]"),
-        (b"RElev.", b"LElev.", "2 of its channels are the left wheel path: LElev. [mm]"),
-        (b"RElev.", b"CElev.", "0 of its channels are the right wheel path"),
-        (b"UNITSNAMmm ", b"UNITSNAMV  ", "0 of its channels are the left wheel path: LElev. [V]"),
-        (b"UNITSNAM", b"NOTHING ", "0 of its channels are the left wheel path: LElev. []"),
+        (
+            b"SHORTNAM",
+            b"GENNAME ",
+            "0 channels match the left wheel path, expected 1 among:  [mm],  [mm]",
+        ),
+        (
+            b"RElev.",
+            b"LElev.",
+            "2 channels match the left wheel path, expected 1 among: LElev. [mm]",
+        ),
+        (b"RElev.", b"CElev.", "0 channels match the right wheel path"),
+        (
+            b"UNITSNAMmm ",
+            b"UNITSNAMV  ",
+            "0 channels match the left wheel path, expected 1 among: LElev. [V]",
+        ),
+        (
+            b"UNITSNAM",
+            b"NOTHING ",
+            "0 channels match the left wheel path, expected 1 among: LElev. []",
+        ),
         (b"XUNITS  m", b"XUNITS  s", "the step is in 's'"),
         (b"XUNITS", b"YUNITS", "the step is in 'no unit'"),
-        (b"0.025", b"-0.02", "a step of -0.02 m"),
-        (b"0.025", b" nan ", "is no number"),
-        (b"0.025", b"1e999", "is no number"),
-        (b"      5,", b"      0,", "numbers of type 0; known: 1 (4-byte float) and 5 (text)"),
-        (b"      2,", b"      3,", "80 numbers where the header says 40 samples of 3 channels"),
+        (b"0.025", b"-0.02", "the step must be positive and below 1e+07 m, got -0.02 m"),
+        (b"0.025", b" nan ", "is not a number"),
+        (b"0.025", b"1e999", "is not a number"),
+        (b"      5,", b"      0,", "unknown number type 0; known: 1 (4-byte float) and 5 (text)"),
+        (b"      2,", b"      3,", "80 numbers, but the header states 40 samples of 3 channels"),
         (b"      2,", b"      0,", "damaged: 0 channels"),
         (b"      2,", b"9999999,", "damaged: 9999999 channels"),
-        (b"      2,", b"    2.5,", "'2.5' in its second line is no whole number"),
-        (b"     40,", b"     41,", "80 numbers where the header says 41 samples"),
-        (b",       0.025,  -1,", b"", "its second line has 5 numbers, wanted 6"),
-        (b"     40,", b"100e100,", "is no number"),
+        (b"      2,", b"    2.5,", "'2.5' in its second line is not an integer"),
+        (b"     40,", b"     41,", "80 numbers, but the header states 41 samples"),
+        (b",       0.025,  -1,", b"", "its second line has 5 numbers instead of 6"),
+        (b"     40,", b"100e100,", "is not a number"),
     ],
 )
-def test_an_inconsistent_header_is_refused_with_the_reason(old, new, says):
+def test_an_inconsistent_header_is_rejected_with_the_reason(old, new, reason):
     header, body = erd_file(wavy())
     assert header.count(old) >= 1
-    with pytest.raises(SurfaceFileError, match=re.escape(says)):
+    with pytest.raises(SurfaceFileError, match=re.escape(reason)):
         read(header.replace(old, new, 1), body)
 
 
 @pytest.mark.parametrize(
-    ("body", "says"),
+    ("body", "reason"),
     [
         (b"", "damaged: 0 numbers"),
         (b"1.0 2.0 3.0", "damaged: 3 numbers"),
@@ -192,32 +211,32 @@ def test_an_inconsistent_header_is_refused_with_the_reason(old, new, says):
         (b"1.0 \xff\x00", "not a table of numbers"),
     ],
 )
-def test_numbers_that_are_none_are_refused(body, says):
+def test_invalid_numbers_are_rejected(body, reason):
     header, _ = erd_file(wavy(), samples=-1)
-    with pytest.raises(SurfaceFileError, match=re.escape(says)):
+    with pytest.raises(SurfaceFileError, match=re.escape(reason)):
         read(header, body)
 
 
 @pytest.mark.parametrize("cut", [1, 2, 3, 4, 8, 160, 319])
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_a_file_of_numbers_cut_off_is_refused(cut, order):
+def test_a_truncated_binary_file_is_rejected(cut, order):
     header, body = erd_file(wavy(), order)
     with pytest.raises(SurfaceFileError, match="damaged"):
         read_floats(header, body[:-cut])
 
 
-def test_numbers_that_are_no_floats_are_refused():
+def test_implausible_binary_numbers_are_rejected():
     header, _ = erd_file(wavy(), "<", samples=-1)
     integers = (1e3 * abs(wavy())).astype("<i4").tobytes()
     for body in (bytes(range(1, 9)) * 100, integers, b"\xfe" * 8):
-        with pytest.raises(SurfaceFileError, match="not sensible in either byte order"):
+        with pytest.raises(SurfaceFileError, match="implausible in either byte order"):
             read_floats(header, body)
 
 
-def test_a_promise_of_gigabytes_costs_no_memory():
+def test_a_header_that_states_gigabytes_allocates_no_memory():
     header, body = erd_file(wavy(), samples=10**9)
     tracemalloc.start()
-    with pytest.raises(SurfaceFileError, match="says 1000000000 samples"):
+    with pytest.raises(SurfaceFileError, match="states 1000000000 samples"):
         read(header, body)
     assert tracemalloc.get_traced_memory()[1] < 40 * len(header + body)
     tracemalloc.stop()

@@ -1,4 +1,4 @@
-"""A lane is the vehicle driven alone: any car, road, speed, manoeuvre, switching, company."""
+"""Tests that every lane of a fleet equals its vehicle simulated alone."""
 
 import dataclasses
 
@@ -42,10 +42,10 @@ VARIED = VehicleVariation(
 )
 
 
-def drives(size, frame=None):
-    """Vehicles no two of which are alike; the same ones at every call.
+def make_simulators(size, frame=None):
+    """Return simulators that differ from each other, equal ones at every call.
 
-    With a `frame` they all have it.
+    With a `frame`, all vehicles have it.
     """
     simulators = []
     for k in range(size):
@@ -60,8 +60,8 @@ def drives(size, frame=None):
     return simulators
 
 
-def switching(size, n, seed=5):
-    """Commands (size, n) that change now and then, strut by strut."""
+def random_commands(size, n, seed=5):
+    """Return random commands (size, n), each constant for 90 steps."""
     rng = np.random.default_rng(seed)
     return np.repeat(rng.integers(0, 256, (size, -(-n // 90)), dtype=np.uint8), 90, axis=1)[:, :n]
 
@@ -71,40 +71,40 @@ def switching(size, n, seed=5):
 )
 def test_every_lane_matches_its_vehicle_simulated_alone(frame):
     size, n = LANES + 3, 1500
-    commands = switching(size, n)
-    fleet = Fleet(drives(size, frame))
+    commands = random_commands(size, n)
+    fleet = Fleet(make_simulators(size, frame))
     signals = fleet.advance(commands)
-    for k, drive in enumerate(drives(size, frame)):
-        alone = drive.advance(commands[k]).signals
+    for k, simulator in enumerate(make_simulators(size, frame)):
+        alone = simulator.advance(commands[k]).signals
         scale = np.abs(alone).max(axis=0)
         assert select_vehicle(signals, k).shape == (n, 29 if frame is None else 32)
         assert (
             np.abs(select_vehicle(signals, k) - alone).max(axis=0) <= 1e-9 * scale + 1e-12
         ).all(), k
-        landed = fleet.write_back()[k].state
-        np.testing.assert_allclose(landed, drive.state, rtol=1e-6, atol=1e-9)
+        written_back = fleet.write_back()[k].state
+        np.testing.assert_allclose(written_back, simulator.state, rtol=1e-6, atol=1e-9)
 
 
 def test_a_lane_is_bitwise_independent_of_the_other_lanes_and_of_threads():
     size, n = 2 * LANES + 1, 400
-    commands = switching(size, n)
-    one_thread = Fleet(drives(size)).advance(commands)
-    two_threads = Fleet(drives(size), threads=2).advance(commands)
+    commands = random_commands(size, n)
+    one_thread = Fleet(make_simulators(size)).advance(commands)
+    two_threads = Fleet(make_simulators(size), threads=2).advance(commands)
     np.testing.assert_array_equal(one_thread, two_threads)
     for k in (0, 5, LANES + 2, size - 1):
-        lonely = Fleet([drives(size)[k]]).advance(commands[k : k + 1])
-        np.testing.assert_array_equal(select_vehicle(lonely, 0), select_vehicle(one_thread, k))
+        single = Fleet([make_simulators(size)[k]]).advance(commands[k : k + 1])
+        np.testing.assert_array_equal(select_vehicle(single, 0), select_vehicle(one_thread, k))
 
 
 def test_a_fleet_in_chunks_equals_the_whole_drive_bitwise():
     size, n = 5, 600
-    commands = switching(size, n)
-    whole = Fleet(drives(size)).advance(commands)
-    fleet, begin = Fleet(drives(size)), 0
+    commands = random_commands(size, n)
+    whole = Fleet(make_simulators(size)).advance(commands)
+    fleet, begin = Fleet(make_simulators(size)), 0
     for part in (1, 50, 249, 300):
-        room = fleet.allocate_signals(part)
-        signals = fleet.advance(commands[:, begin : begin + part], room)
-        assert signals is room
+        buffer = fleet.allocate_signals(part)
+        signals = fleet.advance(commands[:, begin : begin + part], buffer)
+        assert signals is buffer
         for k in range(size):
             np.testing.assert_array_equal(
                 select_vehicle(signals, k), select_vehicle(whole, k)[begin : begin + part]
@@ -114,31 +114,33 @@ def test_a_fleet_in_chunks_equals_the_whole_drive_bitwise():
 
 def test_a_simulator_continues_alone_after_write_back():
     size, n = 4, 300
-    commands = switching(size, 2 * n)
-    fleet = Fleet(drives(size))
+    commands = random_commands(size, 2 * n)
+    fleet = Fleet(make_simulators(size))
     fleet.advance(commands[:, :n])
-    landed = fleet.write_back()
-    for k, drive in enumerate(drives(size)):
-        drive.advance(commands[k, :n])
-        np.testing.assert_allclose(landed[k].state, drive.state, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(landed[k].strut_state, drive.strut_state, rtol=1e-9, atol=1e-15)
+    written_back = fleet.write_back()
+    for k, simulator in enumerate(make_simulators(size)):
+        simulator.advance(commands[k, :n])
+        np.testing.assert_allclose(written_back[k].state, simulator.state, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(
+            written_back[k].strut_state, simulator.strut_state, rtol=1e-9, atol=1e-15
+        )
         alone, on = (
-            drive.advance(commands[k, n:]).signals,
-            landed[k].advance(commands[k, n:]).signals,
+            simulator.advance(commands[k, n:]).signals,
+            written_back[k].advance(commands[k, n:]).signals,
         )
         np.testing.assert_allclose(on, alone, rtol=1e-6, atol=1e-6)
 
 
 def test_a_diverged_vehicle_does_not_affect_the_other_lanes():
     size, n = 3, 200
-    commands = switching(size, n)
-    healthy = Fleet(drives(size)).advance(commands)
-    wrecks = drives(size)
-    wrecks[1].state[0] = np.nan
-    signals = Fleet(wrecks).advance(commands)
+    commands = random_commands(size, n)
+    reference = Fleet(make_simulators(size)).advance(commands)
+    diverging = make_simulators(size)
+    diverging[1].state[0] = np.nan
+    signals = Fleet(diverging).advance(commands)
     assert np.isnan(select_vehicle(signals, 1)[-1]).any()
     for k in (0, 2):
-        np.testing.assert_array_equal(select_vehicle(signals, k), select_vehicle(healthy, k))
+        np.testing.assert_array_equal(select_vehicle(signals, k), select_vehicle(reference, k))
 
 
 def test_aligned_rows_begin_at_cache_line_boundaries():
@@ -150,7 +152,7 @@ def test_aligned_rows_begin_at_cache_line_boundaries():
 def test_an_empty_or_mixed_fleet_is_rejected():
     with pytest.raises(ConfigError, match="at least one drive"):
         Fleet([])
-    slow = drives(1)[0]
+    slow = make_simulators(1)[0]
     fast = DriveSimulator(slow.plant, CAR, slow.surface, 5.0, step=0.0005)
     with pytest.raises(ConfigError, match="one integrator step"):
         Fleet([slow, fast])

@@ -1,4 +1,4 @@
-"""The bound against the table of the benchmark, the information form, and drawn roads."""
+"""The bound against the benchmark table, the information form, and drawn roads."""
 
 import json
 from dataclasses import replace
@@ -32,7 +32,7 @@ from road_envs.vehicle.linear_model import frequency_response, linearise, strut_
 PAPER = load_instruments("paper")
 PAIRS = (("ride",) * 2, ("handling",) * 2, ("ride", "handling"), ("handling", "ride"))
 SLOW, FAST = 14.5 / 3.6, 15.0
-TABLE = {  # speed, mismatch -> NRMSE of the left wheel path for PAIRS
+TABLE = {  # speed, model error -> NRMSE of the left wheel path for PAIRS
     (SLOW, 0.0): (0.136, 0.085, 0.032, 0.041),
     (SLOW, 0.05): (0.161, 0.127, 0.065, 0.067),
     (FAST, 0.0): (0.111, 0.075, 0.032, 0.044),
@@ -46,7 +46,7 @@ def modes(pair):
 
 
 def ahead():
-    """The instruments with the rear accelerometers 620 mm ahead of the rear axle."""
+    """Return the instruments with the rear accelerometers 620 mm ahead of the rear axle."""
     locations = PAPER.accelerometers
     rear = {name: replace(getattr(locations, name), ahead=0.62) for name in ("LR", "RR")}
     return replace(PAPER, accelerometers=replace(locations, **rear))
@@ -54,51 +54,51 @@ def ahead():
 
 def tabled(pair, v, model_error, n, car=DEFENDER):
     damping = np.repeat([DAMPERS[state] for state in pair], 2)
-    given = (car, modes(pair), v, ahead(), RoadPrior())
-    return bound(*given, damping=damping, model_error=model_error, n=n)
+    arguments = (car, modes(pair), v, ahead(), RoadPrior())
+    return bound(*arguments, damping=damping, model_error=model_error, n=n)
 
 
-# --- the table of the benchmark -------------------------------------------------------------------
+# --- the benchmark table --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("v", "model_error"), TABLE)
-def test_the_bound_is_that_of_the_benchmarks_table(v, model_error):
-    """To all digits on 400 frequencies evenly spaced over log n; the integral is within 0.0013."""
+def test_the_bound_reproduces_the_benchmark_table(v, model_error):
+    """To all digits on 400 frequencies equidistant over log n; the integral within 0.0013."""
     top = min(1.8, 0.98 * 25.0 / v)
     coarse, fine = np.geomspace(0.05, 4.0, 400), np.linspace(0.2, top, 4001)
     width = np.gradient(coarse)
     inside = (coarse >= 0.2) & (coarse <= top)
     for pair, printed in zip(PAIRS, TABLE[v, model_error], strict=True):
-        found = tabled(pair, v, model_error, coarse[inside])
-        powers = (width[inside] @ found.paths[:, 0], width[inside] @ found.prior[:, 0, 0])
+        result = tabled(pair, v, model_error, coarse[inside])
+        powers = (width[inside] @ result.path_psd[:, 0], width[inside] @ result.prior[:, 0, 0])
         assert round(float(np.sqrt(powers[0] / powers[1])), 3) == printed
         assert abs(tabled(pair, v, model_error, fine).nrmse()[0] - printed) < 0.0013
 
 
-def test_with_equal_states_the_difference_is_unknown_at_odd_halves_of_the_inverse_wheelbase():
-    blind = (2.0 * np.arange(5) + 1.0) / (2.0 * DEFENDER.wheelbase)
+def test_equal_states_leave_the_difference_unobservable_at_wheelbase_notches():
+    notches = (2.0 * np.arange(5) + 1.0) / (2.0 * DEFENDER.wheelbase)
     between = np.arange(1, 5) / DEFENDER.wheelbase
     for pair in PAIRS[:2]:
         for v in (SLOW, FAST):
-            heard = between[between < 24.0 / v]
-            assert (tabled(pair, v, 0.0, blind).relative_error("difference") > 0.97).all()
-            assert (tabled(pair, v, 0.0, heard).relative_error("difference") < 0.1).all()
+            observable = between[between < 24.0 / v]
+            assert (tabled(pair, v, 0.0, notches).relative_error("difference") > 0.97).all()
+            assert (tabled(pair, v, 0.0, observable).relative_error("difference") < 0.1).all()
             assert (
-                tabled(pair, v, 0.0, blind[blind < 20.0 / v]).relative_error("mean") < 0.2
+                tabled(pair, v, 0.0, notches[notches < 20.0 / v]).relative_error("mean") < 0.2
             ).all()
 
 
-def test_unequal_states_know_the_difference_everywhere_and_halve_the_bound():
-    blind = (2.0 * np.arange(5) + 1.0) / (2.0 * DEFENDER.wheelbase)
+def test_unequal_states_observe_the_difference_and_halve_the_bound():
+    notches = (2.0 * np.arange(5) + 1.0) / (2.0 * DEFENDER.wheelbase)
     for v in (SLOW, FAST):
-        n = blind[blind < 22.5 / v]
+        n = notches[notches < 22.5 / v]
         for pair in PAIRS[2:]:
             assert (tabled(pair, v, 0.0, n).relative_error("difference") < 0.2).all()
         of = {p: bound(DEFENDER, modes(p), v, PAPER, RoadPrior()).pooled for p in PAIRS}
         assert max(of[p] for p in PAIRS[2:]) < 0.5 * min(of[p] for p in PAIRS[:2])
 
 
-# --- the law --------------------------------------------------------------------------------------
+# --- the estimate ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("v", [SLOW, FAST])
@@ -108,7 +108,7 @@ def test_the_bound_is_the_inverse_of_prior_and_measured_information(v, pair):
     n = np.array([0.21, 0.4, 0.9, 1.3])
     matrices = energy_matrices("defender", modes(pair), [DAMPERS[s] for s in pair])
     locations = [(1.395 - 0.12, -0.55), (-1.399 + 0.62, 0.55), (-1.399 + 0.62, -0.55)]
-    found = tabled(pair, v, 0.0, n)
+    result = tabled(pair, v, 0.0, n)
     for k, each in enumerate(n):
         H = np.empty((3, 2), dtype=complex)
         for side in range(2):
@@ -120,12 +120,12 @@ def test_the_bound_is_the_inverse_of_prior_and_measured_information(v, pair):
         S = 1024e-6 * (each / 0.1) ** -2 * np.array([[1.0, g], [g, 1.0]])
         information = np.linalg.inv(S) + H.conj().T @ H / (0.01**2 * v)
         expected = np.linalg.inv(information)
-        np.testing.assert_allclose(found.error[k], expected, rtol=1e-4)
+        np.testing.assert_allclose(result.error[k], expected, rtol=1e-4)
 
 
-def test_the_estimate_of_drawn_roads_errs_as_the_bound_says():
+def test_the_error_on_drawn_roads_agrees_with_the_bound():
     rng, n = np.random.default_rng(3), np.array([0.25, 0.55, 1.1])
-    found = tabled(PAIRS[0], SLOW, 0.0, n)
+    result = tabled(PAIRS[0], SLOW, 0.0, n)
     locations, damping = ahead().locations(DEFENDER), np.full(4, DAMPERS["ride"])
     model = linearise(DEFENDER, modes(PAIRS[0]), locations, damping=damping)
     H, size = frequency_response(model, SLOW, n=n), 20_000
@@ -133,22 +133,26 @@ def test_the_estimate_of_drawn_roads_errs_as_the_bound_says():
     def normal(*shape):
         return np.sqrt(0.5) * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
 
-    z = np.linalg.cholesky(found.prior) @ normal(3, 2, size)
+    z = np.linalg.cholesky(result.prior) @ normal(3, 2, size)
     a = H @ z + 0.01 * np.sqrt(SLOW) * normal(3, 3, size)
-    error = found.gain @ a - z
+    error = result.gain @ a - z
     spectrum = error @ error.conj().swapaxes(1, 2) / size
-    level = np.sqrt(found.paths[:, :, None] * found.paths[:, None, :])
-    assert (np.abs(spectrum - found.error) < 5.0 / np.sqrt(size) * level).all()
+    level = np.sqrt(result.path_psd[:, :, None] * result.path_psd[:, None, :])
+    assert (np.abs(spectrum - result.error) < 5.0 / np.sqrt(size) * level).all()
 
 
-def test_mean_and_difference_are_those_of_the_wheel_paths():
-    found = tabled(PAIRS[2], SLOW, 0.0, np.linspace(0.2, 1.8, 50))
-    P = found.error
-    np.testing.assert_allclose(found.mean, (P[:, 0, 0] + P[:, 1, 1] + 2 * P[:, 0, 1]).real / 4.0)
-    np.testing.assert_allclose(found.difference, (P[:, 0, 0] + P[:, 1, 1] - 2 * P[:, 0, 1]).real)
+def test_mean_and_difference_follow_from_the_wheel_paths():
+    result = tabled(PAIRS[2], SLOW, 0.0, np.linspace(0.2, 1.8, 50))
+    P = result.error
+    np.testing.assert_allclose(
+        result.mean_psd, (P[:, 0, 0] + P[:, 1, 1] + 2 * P[:, 0, 1]).real / 4.0
+    )
+    np.testing.assert_allclose(
+        result.difference_psd, (P[:, 0, 0] + P[:, 1, 1] - 2 * P[:, 0, 1]).real
+    )
     for side, name in enumerate(("left", "right")):
-        share = np.sqrt(P[:, side, side].real / found.prior[:, side, side])
-        np.testing.assert_allclose(found.relative_error(name), share)
+        share = np.sqrt(P[:, side, side].real / result.prior[:, side, side])
+        np.testing.assert_allclose(result.relative_error(name), share)
 
 
 positive = st.floats(1e-4, 1.0)
@@ -156,55 +160,53 @@ positive = st.floats(1e-4, 1.0)
 
 @settings(max_examples=30)
 @given(st.sampled_from(PAIRS), st.floats(3.0, 30.0), positive, positive, st.floats(0.0, 0.3))
-def test_more_noise_or_a_worse_model_never_help_and_a_drive_never_hurts(
-    pair, v, noise, more, model_error
-):
+def test_the_bound_grows_with_noise_and_model_error(pair, v, noise, more, model_error):
     n, prior = np.linspace(*scored_band(v), 15), RoadPrior()
     damping = np.full(4, 3000.0)
 
     def error(density, share):
         instruments = replace(PAPER, noise_density=density)
         place = instruments.locations(DEFENDER)
-        given = (PLANTS["defender"], modes(pair), v, instruments, prior)
-        return bound(*given, locations=place, damping=damping, model_error=share, n=n)
+        arguments = (PLANTS["defender"], modes(pair), v, instruments, prior)
+        return bound(*arguments, locations=place, damping=damping, model_error=share, n=n)
 
     good, noisy, wrong = error(noise, 0.0), error(noise + more, 0.0), error(noise, model_error)
     slack = 1e-9 * good.prior[:, :1, 0]
-    assert (good.paths <= good.prior[:, [0, 1], [0, 1]] + slack).all()
-    assert (noisy.paths >= good.paths - slack).all()
-    assert (wrong.paths >= good.paths - slack).all()
+    assert (good.path_psd <= good.prior[:, [0, 1], [0, 1]] + slack).all()
+    assert (noisy.path_psd >= good.path_psd - slack).all()
+    assert (wrong.path_psd >= good.path_psd - slack).all()
 
 
-def test_nothing_is_heard_above_the_low_pass():
+def test_no_information_is_gained_above_the_low_pass():
     n = np.array([1.6, 1.7, 3.0])
-    found = tabled(PAIRS[0], FAST, 0.0, n)
-    assert found.relative_error("left")[0] < 0.9
-    np.testing.assert_allclose(found.relative_error("left")[1:], 1.0)
-    assert not found.gain[1:].any()
+    result = tabled(PAIRS[0], FAST, 0.0, n)
+    assert result.relative_error("left")[0] < 0.9
+    np.testing.assert_allclose(result.relative_error("left")[1:], 1.0)
+    assert not result.gain[1:].any()
 
 
-def test_a_sensor_that_hears_nothing_leaves_the_prior():
+def test_a_sensor_without_response_leaves_the_prior():
     S = RoadPrior().spectrum(np.array([0.3, 0.6]))
     R = np.tile(np.eye(3), (2, 1, 1))
-    found = posterior(np.array([0.3, 0.6]), np.zeros((2, 3, 2)), S, R)
-    np.testing.assert_array_equal(found.error, S)
+    result = posterior(np.array([0.3, 0.6]), np.zeros((2, 3, 2)), S, R)
+    np.testing.assert_array_equal(result.error, S)
 
 
-# --- dampers on a road ----------------------------------------------------------------------------
+# --- equivalent damping ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("mode", ["ride", "handling"])
 @pytest.mark.parametrize("name", CARS)
-def test_the_equivalent_dampers_are_the_best_for_the_motion_that_they_allow(name, mode):
+def test_the_equivalent_damping_is_a_fixed_point_of_linearization(name, mode):
     car, v, prior = CARS[name], 12.0, RoadPrior()
-    found = equivalent_damping(car, mode, v, prior)
-    model = linearise(car, mode, {}, damping=found)
+    result = equivalent_damping(car, mode, v, prior)
+    model = linearise(car, mode, {}, damping=result)
     f = np.geomspace(0.05, 50.0, 600)
     rates = strut_rate_std(model, v, f, prior.spectrum(f / v) / v)
     curves = [
         oracles.CubicCurve(getattr(law, mode)) for law in (car.strut.damper, car.strut.friction)
     ]
-    for rate, c in zip(rates, found, strict=True):
+    for rate, c in zip(rates, result, strict=True):
         mean, _ = integrate.quad(
             lambda x, s=rate: sum(float(k(s * x)) for k in curves) * x * stats.norm.pdf(x),
             -8.0, 8.0, points=[-0.02 / rate, 0.0, 0.02 / rate], limit=200,
@@ -213,7 +215,7 @@ def test_the_equivalent_dampers_are_the_best_for_the_motion_that_they_allow(name
 
 
 @pytest.mark.parametrize("mode", ["ride", "handling"])
-def test_the_struts_of_the_nonlinear_car_move_as_fast_as_the_dampers_suppose(mode):
+def test_strut_rates_of_the_nonlinear_car_agree_with_the_linearization(mode):
     road = with_length(load_road("iso_c"), 150.0)
     measured = []
     for seed in range(3):
@@ -228,12 +230,12 @@ def test_the_struts_of_the_nonlinear_car_move_as_fast_as_the_dampers_suppose(mod
 
 
 @pytest.mark.parametrize("name", CARS)
-def test_a_strut_moves_at_the_rate_of_its_ends(name):
-    """Rate of extension = body's rate at the strut less the axle's, by the energy matrices."""
+def test_the_strut_rate_is_the_difference_of_its_ends(name):
+    """The rate of extension is the body's rate at the strut minus the axle's."""
     car, f = CARS[name], 3.0
     c = np.array([900.0, 900.0, 1500.0, 1500.0])
     model = linearise(PLANTS[name], "ride", {"any": (0.0, 0.0)}, damping=c)
-    found = strut_rate_response(model, np.array([f]))[0]
+    result = strut_rate_response(model, np.array([f]))[0]
     A = model.A
     K, C = (-np.diag(model.M) @ A[7:, part] for part in (slice(7), slice(7, None)))
     B = np.diag(model.M) @ model.B[7:]
@@ -243,10 +245,10 @@ def test_a_strut_moves_at_the_rate_of_its_ends(name):
         for w, axle in enumerate((car.front, car.front, car.rear, car.rear)):
             y = axle.y_s * (1.0, -1.0)[w % 2]
             ends = v[0] - axle.x * v[2] + y * v[1], v[3 + 2 * (w // 2)] + y * v[4 + 2 * (w // 2)]
-            assert found[w, wheel] == pytest.approx(ends[0] - ends[1], rel=1e-6)
+            assert result[w, wheel] == pytest.approx(ends[0] - ends[1], rel=1e-6)
 
 
-# --- for policies ---------------------------------------------------------------------------------
+# --- table for policies ---------------------------------------------------------------------------
 
 
 @cache
@@ -254,7 +256,7 @@ def information():
     return BoundTable.tabulate(DEFENDER, PAPER, RoadPrior(), (6.0, 15.0))
 
 
-def test_the_table_for_policies_holds_the_bound():
+def test_the_bound_table_interpolates_the_bound():
     table = information()
     for front, rear in PAIRS:
         for v in table.speeds:
@@ -267,15 +269,15 @@ def test_the_table_for_policies_holds_the_bound():
     )
 
 
-# --- refusals and the command ---------------------------------------------------------------------
+# --- invalid input and the command ----------------------------------------------------------------
 
 
-def test_what_makes_no_sense_is_refused():
+def test_invalid_arguments_are_rejected():
     with pytest.raises(ValueError, match="model_error must not be negative"):
         bound(DEFENDER, "ride", 10.0, PAPER, RoadPrior(), model_error=-0.1)
     with pytest.raises(ValueError, match="G_d0 must be positive, got 0"):
         RoadPrior(G_d0=0.0)
-    with pytest.raises(ValueError, match="give their places"):
+    with pytest.raises(ValueError, match="give locations"):
         bound(PLANTS["defender"], "ride", 10.0, PAPER, RoadPrior())
     with pytest.raises(ValueError, match=r"nothing above 0\.2 cycles/m"):
         bound(DEFENDER, "ride", 200.0, PAPER, RoadPrior())
@@ -287,9 +289,9 @@ def test_the_command_prints_and_draws_the_bound(road_recon, tmp_path):
     facts = json.loads(out)
     (row,) = facts["bounds"]
     instruments = replace(PAPER, noise_density=0.02)
-    given = (DEFENDER, modes(PAIRS[2]), FAST, instruments, RoadPrior())
+    arguments = (DEFENDER, modes(PAIRS[2]), FAST, instruments, RoadPrior())
     assert code == 0
-    assert row["nrmse"] == pytest.approx(bound(*given, model_error=0.05).pooled, rel=1e-6)
+    assert row["nrmse"] == pytest.approx(bound(*arguments, model_error=0.05).pooled, rel=1e-6)
     code, out, _ = road_recon(*words, "--out", "bound.png")
     assert code == 0
     assert "handling / ride" in out and "5 % mismatch" in out
@@ -303,12 +305,12 @@ def test_the_command_prints_and_draws_the_bound(road_recon, tmp_path):
         (("--speed-kmh", "-3"), "the speed must be positive, got -3.0 km/h"),
         (("--noise", "-1"), "noise_density must not be negative, got -1.0"),
         (("--road-class", "K"), "unknown road class 'K'; known: A, B"),
-        (("--damping", "ride=x"), "a damper is given as mode=number in N s/m, got 'ride=x'"),
-        (("--damping", "ride=1"), "are missing for ['handling']"),
+        (("--damping", "ride=x"), "a damper must have the form mode=number in N s/m, got 'ride=x'"),
+        (("--damping", "ride=1"), "--damping has ['ride'], but no value for ['handling']"),
         (("--out", "x.txt"), "the name must end in .png"),
     ],
 )
-def test_the_command_refuses_in_one_sentence(road_recon, words, sentence):
+def test_the_command_rejects_invalid_options_in_one_sentence(road_recon, words, sentence):
     code, _, err = road_recon("observability", *words)
     assert code == 2
     assert sentence in err and err.count("\n") == 1

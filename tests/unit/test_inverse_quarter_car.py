@@ -1,5 +1,6 @@
-"""The inverse quarter car: against the forward one in state space, and on a car of which it is the
-exact inverse as far as three accelerometers allow."""
+"""Inverse quarter car: against the forward one in state space, and on a vehicle of which it is the
+exact inverse, as far as three accelerometers allow.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -28,8 +29,8 @@ CORNERS = QuarterCars(
 
 
 @cache
-def free_car():
-    """A linear car whose body and axles are point masses over and under its struts, its wheels."""
+def uncoupled_car():
+    """A linear vehicle with uncoupled corners: point masses over the struts and at the wheels."""
     car = linear_car()
     y, x = car.front.y_t, 0.5 * car.wheelbase
     axle = replace(car.front, y_s=y, I_xx=car.front.m * y**2, x=x)
@@ -40,25 +41,31 @@ def free_car():
 
 @cache
 def drive(mode="ride", speed_kmh=54.0, mirrored=False):
-    """The free car on a very smooth road, or on one whose wheel paths are equal."""
+    """The uncoupled vehicle on a very smooth road, optionally with equal wheel paths."""
     surface = with_length(load_road("iso_b"), 150.0).realise(np.random.default_rng(3))
     surface = replace(surface, z=0.1 * surface.z)  # the gas spring is linear for small motions
     if mirrored:
         surface = replace(surface, z=surface.z[[0, 0]])
     return simulate_record(
-        free_car(), surface, speed_kmh=speed_kmh, mode=mode, instruments=IDEAL, seed=3, step=0.00025
+        surface,
+        vehicle=uncoupled_car(),
+        speed_kmh=speed_kmh,
+        mode=mode,
+        instruments=IDEAL,
+        seed=3,
+        step=0.00025,
     )
 
 
-def ask(record, **settings):
+def estimate(record, **settings):
     return create("inverse_quarter_car", instruments="ideal", **settings).estimate(
-        record, free_car()
+        record, uncoupled_car()
     )
 
 
 @pytest.mark.parametrize("k", range(4))
 def test_it_is_the_inverse_of_the_quarter_car_in_state_space(k):
-    """State: heights of body and wheel and their rates; inputs: the road's height and rate."""
+    """State: heights of body and wheel, their rates; inputs: road height and rate."""
     m_s, m_u, k_s, c_s, k_t, c_t = (x[k] for x in CORNERS)
     body = np.array([-k_s, k_s, -c_s, c_s]) / m_s
     wheel = np.array([k_s, -k_s - k_t, c_s, -c_s - c_t]) / m_u
@@ -77,8 +84,8 @@ def test_accelerations_at_the_struts_are_those_of_the_rigid_body():
     locations = IDEAL.locations(car)
     a = np.array([heave - x * pitch + y * roll for x, y in locations.values()])
     corners = [(a.x, side * a.y_s) for a in car.axles for side in (1.0, -1.0)]
-    wished = [heave - x * pitch + y * roll for x, y in corners]
-    np.testing.assert_allclose(accelerations_at_struts(a, locations, car), wished, atol=1e-12)
+    expected = [heave - x * pitch + y * roll for x, y in corners]
+    np.testing.assert_allclose(accelerations_at_struts(a, locations, car), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(("mode", "k_s"), [("ride", 16682.0), ("handling", 83574.0)])
@@ -96,43 +103,43 @@ def test_the_corners_of_the_defender_match_its_parameters(mode, k_s):
 @pytest.mark.parametrize("mode", ["ride", "handling", SPLIT], ids=str)
 def test_for_equal_wheel_paths_uncoupled_corners_are_inverted_exactly(mode, speed_kmh):
     record, truth = drive.__wrapped__(mode, speed_kmh, mirrored=True)
-    error = nrmse(truth.z, ask(record).z, PROFILE_SPACING, scored_band(speed_kmh / 3.6)).pooled
+    error = nrmse(truth.z, estimate(record).z, PROFILE_SPACING, scored_band(speed_kmh / 3.6)).pooled
     assert error < (0.01 if speed_kmh < 20.0 else 0.03)
 
 
 def test_of_the_difference_a_comb_over_three_wheelbases_is_recovered():
     """cos²(pi n L) is the comb (q(s - L) + 2 q(s) + q(s + L)) / 4."""
     record, truth = drive()
-    found, L = ask(record), free_car().wheelbase
+    found, L = estimate(record), uncoupled_car().wheelbase
     mean, half = 0.5 * (truth.z[0] + truth.z[1]), 0.5 * (truth.z[0] - truth.z[1])
-    combed = sum(
+    comb = sum(
         share * np.interp(truth.s + shift, truth.s, half)
         for shift, share in ((-L, 0.25), (0.0, 0.5), (L, 0.25))
     )
     inside = (truth.s > 10.0) & (truth.s < truth.s[-1] - 10.0)
-    wished = np.array([mean + combed, mean - combed])[:, inside]
-    assert nrmse(wished, found.z[:, inside], PROFILE_SPACING, scored_band(15.0)).pooled < 0.04
+    expected = np.array([mean + comb, mean - comb])[:, inside]
+    assert nrmse(expected, found.z[:, inside], PROFILE_SPACING, scored_band(15.0)).pooled < 0.04
     assert 0.35 < nrmse(truth.z, found.z, PROFILE_SPACING, scored_band(15.0)).pooled < 0.5
 
 
 def test_below_its_band_the_estimate_tends_to_zero():
-    """What stands below f_low / v is less than half, and less yet for a higher f_low."""
+    """Below f_low / v the estimate is under half, and smaller for a higher f_low."""
     record, truth = drive(mirrored=True)
     slow = (0.05, 0.1)
     levels = [
-        band_pass(ask(record, f_low=f).z, PROFILE_SPACING, slow).std() for f in (0.3, 2.5, 5.0)
+        band_pass(estimate(record, f_low=f).z, PROFILE_SPACING, slow).std() for f in (0.3, 2.5, 5.0)
     ]
     true = band_pass(truth.z, PROFILE_SPACING, slow).std()
     assert levels[0] == pytest.approx(true, rel=0.15)
     assert levels[1] < 0.5 * true and levels[2] < 0.2 * true
-    assert any("waves from 0.02 to 1.7 cycles/m" in note for note in ask(record).notes)
+    assert any("waves from 0.02 to 1.7 cycles/m" in note for note in estimate(record).notes)
 
 
 def test_a_mode_change_is_noted_and_invalid_settings_are_rejected():
     record, _ = drive()
     stiff = record.spring_stiff.copy()
     stiff[: record.t.size // 3] = True
-    notes = ask(replace(record, spring_stiff=stiff)).notes
-    assert "taken as driven in the states that lasted longest" in notes
+    notes = estimate(replace(record, spring_stiff=stiff)).notes
+    assert "treated as driven in the dominant strut states" in notes
     with pytest.raises(ConfigError, match=r"f_low must be within \(0, 25\) Hz, got 0"):
         create("inverse_quarter_car", f_low=0.0)

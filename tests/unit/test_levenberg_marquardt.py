@@ -22,14 +22,14 @@ def problem(seed: int, size: int = 300, hidden: int = 7):
     return lm.nguyen_widrow(3, hidden, 2, rng), x, t
 
 
-def everything(size: int) -> lm.Split:
-    """All samples for training, none held out."""
+def all_training(size: int) -> lm.Split:
+    """All samples for training."""
     none = np.arange(0)
     return lm.Split(np.arange(size), none, none)
 
 
 def near_an_optimum(seed: int):
-    """A network beside the one that made the samples (1, N), (1, N), noise apart."""
+    """A network close to the one that generated the samples (1, N), (1, N), apart from noise."""
     rng = np.random.default_rng(seed)
     teacher = lm.TwoLayerNetwork(np.array([[2.0, -3.0], [0.5, 1.0]]), np.array([[0.7, 0.4, -0.2]]))
     x = rng.uniform(-1.0, 1.0, (1, 80))
@@ -128,7 +128,7 @@ def test_the_paper_s_network_has_302_weights():
 
 def test_without_validation_it_reaches_scipys_optimum():
     start, x, t = near_an_optimum(5)
-    training = lm.train(start, x, t, everything(80), replace(DEFAULTS, min_grad=1e-10))
+    training = lm.train(start, x, t, all_training(80), replace(DEFAULTS, min_grad=1e-10))
 
     def residuals(weights):
         return (t - start.add_step(weights - parameters(start))(x)).ravel()
@@ -139,28 +139,28 @@ def test_without_validation_it_reaches_scipys_optimum():
 
 def test_training_ends_at_the_epoch_limit():
     network, x, t = problem(6)
-    training = lm.train(network, x, t, everything(300), replace(DEFAULTS, max_epochs=3))
+    training = lm.train(network, x, t, all_training(300), replace(DEFAULTS, max_epochs=3))
     assert (training.stop, training.epochs) == ("epochs", 3)
 
 
 def test_training_ends_at_the_goal():
     network, x, t = problem(6)
     goal = 0.5 * lm.mean_squared_error(network, x, t)
-    training = lm.train(network, x, t, everything(300), replace(DEFAULTS, goal=goal))
+    training = lm.train(network, x, t, all_training(300), replace(DEFAULTS, goal=goal))
     assert training.stop == "goal"
     assert training.train[-1] <= goal < training.train[-2]
 
 
 def test_training_ends_where_the_gradient_vanishes():
     network, x, t = near_an_optimum(7)
-    training = lm.train(network, x, t, everything(80))
+    training = lm.train(network, x, t, all_training(80))
     assert training.stop == "gradient"
     assert training.gradient[-1] <= 1e-7 < training.gradient[-2]
 
 
 def test_training_ends_when_no_mu_lowers_the_error():
     network, x, t = near_an_optimum(7)
-    optimum = lm.train(network, x, t, everything(80), replace(DEFAULTS, min_grad=0.0))
+    optimum = lm.train(network, x, t, all_training(80), replace(DEFAULTS, min_grad=0.0))
     assert optimum.stop == "mu"
     assert optimum.mu[-1] > 1e10
     assert optimum.mu[-2] <= 1e10
@@ -190,37 +190,37 @@ def test_a_smaller_validation_error_resets_the_failure_count():
 
 def test_the_training_error_falls_at_every_epoch():
     network, x, t = problem(10)
-    training = lm.train(network, x, t, everything(300), replace(DEFAULTS, max_epochs=40))
+    training = lm.train(network, x, t, all_training(300), replace(DEFAULTS, max_epochs=40))
     assert (np.diff(training.train) < 0).all()
     assert np.isnan(training.validation).all()
     assert np.isnan(training.test).all()
 
 
 def test_mu_falls_tenfold_with_every_step_accepted_at_once():
-    """Without a varying input the problem is nearly linear, and no step fails."""
+    """With constant input the problem is nearly linear, and every step succeeds."""
     rng = np.random.default_rng(11)
     x = rng.uniform(-1.0, 1.0, (1, 50))
     network = lm.TwoLayerNetwork(np.array([[0.0, 0.0], [1.0, -2.0]]), np.array([[0.5, 0.1, 3.0]]))
     options = replace(DEFAULTS, max_epochs=3, min_grad=0.0)
-    training = lm.train(network, 0.0 * x, x, everything(50), options)
+    training = lm.train(network, 0.0 * x, x, all_training(50), options)
     np.testing.assert_allclose(training.mu, [1e-3, 1e-4, 1e-5, 1e-6], rtol=1e-12)
 
 
 def test_mu_rises_tenfold_with_every_step_that_fails():
     network, x, t = problem(12, hidden=20)
     options = replace(DEFAULTS, max_epochs=60, mu=1e-9)
-    training = lm.train(network, x, t, everything(300), options)
+    training = lm.train(network, x, t, all_training(300), options)
     exponents = np.diff(np.log10(training.mu))
     np.testing.assert_allclose(exponents, np.round(exponents), atol=1e-9)
     assert (exponents >= -1.0 - 1e-9).all()
     assert (exponents > 0.5).any()
     for epoch in range(3):
-        first_that_helps(network, x, t, training, epoch)
+        assert_first_successful_mu(network, x, t, training, epoch)
 
 
-def first_that_helps(network, x, t, training, epoch):
-    """Assert that mu at the end of `epoch` is that of the first step that lowers the error."""
-    at = lm.train(network, x, t, everything(300), replace(DEFAULTS, max_epochs=epoch, mu=1e-9))
+def assert_first_successful_mu(network, x, t, training, epoch):
+    """Assert that mu after `epoch` is that of the first step that lowers the error."""
+    at = lm.train(network, x, t, all_training(300), replace(DEFAULTS, max_epochs=epoch, mu=1e-9))
     JJ, Je, mse = lm.normal_equations(at.network, x, t)
     mu = training.mu[epoch]
     while True:
@@ -232,14 +232,14 @@ def first_that_helps(network, x, t, training, epoch):
 
 
 def test_singular_normal_equations_count_as_a_failed_step():
-    """Neurons that are all the same cannot be told apart without mu."""
+    """Identical neurons make the equations singular without mu."""
     rng = np.random.default_rng(0)
     network = lm.TwoLayerNetwork(np.full((2, 5), 0.3), np.full((1, 6), 0.7))
     x = rng.uniform(-1.0, 1.0, (1, 30))
     with pytest.raises(np.linalg.LinAlgError):
         np.linalg.cholesky(lm.normal_equations(network, x, x).JJ)
     options = replace(DEFAULTS, mu=1e-30, max_epochs=1)
-    training = lm.train(network, x, x, everything(30), options)
+    training = lm.train(network, x, x, all_training(30), options)
     assert training.mu[1] > 1e-20
     assert training.train[1] < training.train[0]
 
@@ -325,10 +325,10 @@ def test_a_peer_reaches_the_same_error_from_the_same_start(peer):
     rng = np.random.default_rng(6)
     x = rng.uniform(-1.0, 1.0, (3, 200))
     t = np.tanh(rng.standard_normal((2, 3)) @ x)
-    given = lm_peers.Samples(x, t, lm.nguyen_widrow(3, lm_peers.HIDDEN, 2, rng))
-    error = float(lm_peers.train_ours(given, 2).train[-1])
+    samples = lm_peers.Samples(x, t, lm.nguyen_widrow(3, lm_peers.HIDDEN, 2, rng))
+    error = float(lm_peers.train_ours(samples, 2).train[-1])
     try:
-        assert 0.0 < peer(given, error) < lm_peers.TIME_LIMIT
+        assert 0.0 < peer(samples, error) < lm_peers.TIME_LIMIT
     except PeerError as missing:
         pytest.skip(str(missing))
 
@@ -343,5 +343,5 @@ def test_a_result_survives_conversion_to_arrays():
     assert (again.stop, again.best_epoch) == (training.stop, training.best_epoch) == ("epochs", 4)
     for name in lm.CURVES:
         np.testing.assert_array_equal(getattr(again, name), getattr(training, name))
-    with pytest.raises(ValueError, match="stop: no reason has the number 9"):
+    with pytest.raises(ValueError, match="stop: the reason must be an index from 0 to 4, got 9"):
         lm.LmResult.from_arrays(training.network, training.to_arrays()["curves"], np.array([9, 0]))

@@ -1,4 +1,4 @@
-"""The linear car: energy matrices, SciPy's transfer functions, tabled modes, wheelbase notches."""
+"""Linear model against energy matrices, SciPy, tabulated modes and wheelbase notches."""
 
 from dataclasses import replace
 from functools import cache
@@ -43,7 +43,7 @@ every_mode = pytest.mark.parametrize("mode", MODES)
 
 
 def strut_at_rest(strut, stop, mode, load):
-    """Rate [N/m] where gas spring, bushing and stop carry `load` [N], and damping [N s/m]."""
+    """Return the spring rate [N/m] of a strut that carries `load` [N], and its damping [N s/m]."""
     column = strut.x_1 + strut.x_2 * (mode == "ride")
     stops = oracles.CubicCurve(strut.bushing), oracles.CubicCurve(stop)
 
@@ -57,7 +57,7 @@ def strut_at_rest(strut, stop, mode, load):
 
 
 def energy_matrices(name, mode, c_s=None):
-    """The oracle's matrices about rest; `c_s` (front, rear) in place of the curves' slopes."""
+    """Return the oracle's matrices at equilibrium; `c_s` (front, rear) replaces the slopes."""
     car, loads = CARS[name], oracles.static_loads(CARS[name])[0]
     both = (mode["front"], mode["rear"]) if isinstance(mode, dict) else (mode, mode)
     stops = car.strut.bump_stop.front, car.strut.bump_stop.rear
@@ -68,7 +68,7 @@ def energy_matrices(name, mode, c_s=None):
 
 @every_car
 @pytest.mark.parametrize("mode", ["ride", "handling", SPLIT], ids=["ride", "handling", "split"])
-def test_at_rest_the_model_is_that_of_the_energy_matrices(name, mode):
+def test_at_equilibrium_the_model_matches_the_energy_matrices(name, mode):
     model = linearise(PLANTS[name], mode, PLACES)
     M, C, K, K_r, C_r = energy_matrices(name, mode)
     np.testing.assert_array_equal(model.A[:7], np.eye(7, 14, 7))
@@ -83,32 +83,32 @@ def test_at_rest_the_model_is_that_of_the_energy_matrices(name, mode):
 
 @every_car
 @given(vectors(7, 0.03, 0.03, 0.02, 0.06, 0.02, 0.06, 0.02), vectors(7, 0.7), strut_states)
-def test_about_any_state_the_model_is_the_slope_of_motion_and_sensors(name, q, v, strut_state):
-    """By state and by road, on a lifted wheel too, with a body that leans."""
-    one, state, z_r = (
+def test_about_any_state_the_model_matches_differences(name, q, v, strut_state):
+    """Derivatives by state and by road, including a lifted wheel and manoeuvre moments."""
+    plant, state, z_r = (
         MANOEUVRE_PLANTS[name],
         np.concatenate([q, v]),
         np.array([0.0, 0.01, -0.15, 0.0]),
     )
-    model = linearise(one, strut_state, PLACES, state, z_r, 0.1 * z_r)
+    model = linearise(plant, strut_state, PLACES, state, z_r, 0.1 * z_r)
 
-    def sensed(x, u):
-        a = compute_accelerations(one, strut_state, x[:7], x[7:], z_r + u[:4], 0.1 * z_r + u[4:])
+    def motion_and_sensors(x, u):
+        a = compute_accelerations(plant, strut_state, x[:7], x[7:], z_r + u[:4], 0.1 * z_r + u[4:])
         return np.append(a, [oracles.point_acceleration(*a[:3], *at) for at in PLACES.values()])
 
     rng, eps = np.random.default_rng(0), 1e-7
     for _ in range(2):
         dx, du = rng.standard_normal(14), rng.standard_normal(8)
-        there, back = (sensed(state + s * dx, s * du) for s in (eps, -eps))
+        there, back = (motion_and_sensors(state + s * dx, s * du) for s in (eps, -eps))
         slope = (there - back) / (2.0 * eps)
-        found = np.append(model.A[7:] @ dx + model.B[7:] @ du, model.C @ dx + model.D @ du)
-        np.testing.assert_allclose(found, slope, atol=1e-3 * np.abs(slope).max())
+        actual = np.append(model.A[7:] @ dx + model.B[7:] @ du, model.C @ dx + model.D @ du)
+        np.testing.assert_allclose(actual, slope, atol=1e-3 * np.abs(slope).max())
 
 
 @every_car
 @every_mode
 @pytest.mark.parametrize("f", [0.4, 1.0, 8.0, 16.0])
-def test_on_a_sine_scipys_simulation_swings_in_to_the_frequency_response(name, mode, f):
+def test_the_frequency_response_matches_a_scipy_simulation(name, mode, f):
     damping = gaussian_damping(CARS[name], mode, 0.2)
     model, omega = linearise(PLANTS[name], mode, PLACES, damping=damping), 2.0 * np.pi * f
     response, t = wheel_response(model, np.array([f]))[0], 0.0005 * np.arange(round(25.0 / 0.0005))
@@ -117,19 +117,19 @@ def test_on_a_sine_scipys_simulation_swings_in_to_the_frequency_response(name, m
         u = np.zeros((t.size, 8))
         u[:, wheel], u[:, 4 + wheel] = np.cos(omega * t), -omega * np.sin(omega * t)
         _, a, _ = signal.lsim((model.A, model.B, model.C, model.D), u, t)
-        found = 2.0 * np.mean(a[last] * np.exp(-1j * omega * t[last, None]), axis=0)
+        actual = 2.0 * np.mean(a[last] * np.exp(-1j * omega * t[last, None]), axis=0)
         expected = response[:, wheel]
-        np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
+        np.testing.assert_allclose(actual, expected, atol=1e-3 * np.abs(expected).max())
 
 
 @every_car
 @every_mode
-def test_both_wheel_paths_reach_the_rear_a_wheelbase_later(name, mode):
+def test_rear_wheels_respond_with_the_wheelbase_delay(name, mode):
     car, v, f = CARS[name], 11.0, np.array([0.3, 1.0, 2.7, 8.0, 15.0, 40.0])
     c_s = gaussian_damping(car, mode, 0.2)
     model = linearise(car, mode, PLACES, damping=c_s)
-    found = frequency_response(model, v, f=f)
-    np.testing.assert_array_equal(found, frequency_response(model, v, n=f / v))
+    actual = frequency_response(model, v, f=f)
+    np.testing.assert_array_equal(actual, frequency_response(model, v, n=f / v))
     matrices = energy_matrices(name, mode, c_s[[0, 2]])
     for k, each in enumerate(f):
         behind = np.exp(-2j * np.pi * each * car.wheelbase / v)
@@ -138,12 +138,12 @@ def test_both_wheel_paths_reach_the_rear_a_wheelbase_later(name, mode):
             road[[side, 2 + side]] = 1.0, behind
             a = oracles.response(matrices, each, road)
             expected = [a[0] - x * a[2] + y * a[1] for x, y in PLACES.values()]
-            np.testing.assert_allclose(found[k, :, side], expected, rtol=1e-6)
+            np.testing.assert_allclose(actual[k, :, side], expected, rtol=1e-6)
 
 
 @cache
-def even_car():
-    """The Defender with its centre of mass in the middle: front and rear are the same."""
+def equal_axles_car():
+    """Return the Defender with equal axles: its centre of mass is midway between them."""
     half = 0.5 * DEFENDER.wheelbase
     return replace(
         DEFENDER,
@@ -153,62 +153,62 @@ def even_car():
 
 
 def roll_by_difference(car, mode, n):
-    """Gain [rad/s² per m] of the body's roll on wheel paths of opposite heights."""
+    """Return the gain [rad/s² per m] of body roll for wheel paths in antiphase."""
     model = linearise(car, mode, {"left": (0.0, 0.5), "right": (0.0, -0.5)})
     H = frequency_response(model, 6.0, n=n)
     return np.abs((H[:, 0] - H[:, 1]) @ [0.5, -0.5])
 
 
 @every_mode
-def test_equal_axles_make_roll_blind_at_odd_halves_of_the_inverse_wheelbase(mode):
-    car = even_car()
-    blind = (2.0 * np.arange(5) + 1.0) / (2.0 * car.wheelbase)
-    np.testing.assert_allclose(blind, [0.179, 0.537, 0.895, 1.253, 1.611], atol=6e-4)
+def test_equal_axles_cancel_roll_at_odd_multiples_of_1_over_2l(mode):
+    car = equal_axles_car()
+    notches = (2.0 * np.arange(5) + 1.0) / (2.0 * car.wheelbase)
+    np.testing.assert_allclose(notches, [0.179, 0.537, 0.895, 1.253, 1.611], atol=6e-4)
     between = np.arange(1, 6) / car.wheelbase
-    seen, unseen = (roll_by_difference(car, mode, n) for n in (between, blind))
+    seen, unseen = (roll_by_difference(car, mode, n) for n in (between, notches))
     assert (unseen < 1e-9 * seen).all()
-    near = roll_by_difference(DEFENDER, mode, blind)  # 2 mm of unequal load share
+    near = roll_by_difference(DEFENDER, mode, notches)  # the axles' lever arms differ by 4 mm
     assert (near < 3e-3 * roll_by_difference(DEFENDER, mode, between)).all()
 
 
-def test_unequal_states_in_front_and_behind_lift_the_blindness():
-    blind = (2.0 * np.arange(5) + 1.0) / (2.0 * even_car().wheelbase)
-    between = np.arange(1, 6) / even_car().wheelbase
-    seen = roll_by_difference(even_car(), SPLIT, blind)
-    assert (seen > 0.05 * roll_by_difference(even_car(), SPLIT, between)).all()
+def test_unequal_modes_of_the_axles_remove_the_roll_cancellation():
+    notches = (2.0 * np.arange(5) + 1.0) / (2.0 * equal_axles_car().wheelbase)
+    between = np.arange(1, 6) / equal_axles_car().wheelbase
+    seen = roll_by_difference(equal_axles_car(), SPLIT, notches)
+    assert (seen > 0.05 * roll_by_difference(equal_axles_car(), SPLIT, between)).all()
 
 
-# --- modes ----------------------------------------------------------------------------------------
+# --- natural modes --------------------------------------------------------------------------------
 
 
 @every_mode
-def test_the_defender_has_the_tabled_modes(mode):
-    found = natural_modes(linearise(DEFENDER, mode, BODY))
-    np.testing.assert_allclose(found.f, oracles.MODES_HZ[mode], atol=1.5e-3)
+def test_the_defender_has_the_tabulated_natural_modes(mode):
+    actual = natural_modes(linearise(DEFENDER, mode, BODY))
+    np.testing.assert_allclose(actual.f, oracles.MODES_HZ[mode], atol=1.5e-3)
     kinds = ("roll", "bounce", "pitch", *("axle hop",) * 2, *("axle roll",) * 2)
-    assert all(kind in name for kind, name in zip(kinds, found.names, strict=True))
-    assert sorted(found.names) == sorted(NATURAL_MODE_NAMES)
+    assert all(kind in name for kind, name in zip(kinds, actual.names, strict=True))
+    assert sorted(actual.names) == sorted(NATURAL_MODE_NAMES)
 
 
 @every_car
 @every_mode
-def test_modes_are_those_of_the_energy_matrices_and_carry_their_names(name, mode):
-    found = natural_modes(linearise(PLANTS[name], mode, BODY))
+def test_natural_modes_match_the_energy_matrices_and_their_names(name, mode):
+    actual = natural_modes(linearise(PLANTS[name], mode, BODY))
     M, C, K, _, _ = energy_matrices(name, mode)
-    np.testing.assert_allclose(found.f, oracles.natural_frequencies(M, K), rtol=1e-6)
-    omega, phi = 2.0 * np.pi * found.f, found.shapes
+    np.testing.assert_allclose(actual.f, oracles.natural_frequencies(M, K), rtol=1e-6)
+    omega, phi = 2.0 * np.pi * actual.f, actual.shapes
     np.testing.assert_allclose(phi.T @ M @ phi, np.eye(7), atol=1e-12)
     np.testing.assert_allclose(phi.T @ K @ phi, np.diag(omega**2), atol=1e-4 * omega[-1] ** 2)
-    np.testing.assert_allclose(2.0 * found.zeta * omega, np.diag(phi.T @ C @ phi), rtol=1e-5)
+    np.testing.assert_allclose(2.0 * actual.zeta * omega, np.diag(phi.T @ C @ phi), rtol=1e-5)
     carrier = {"bounce": "z_b", "roll": "phi", "pitch": "theta"}
     carrier |= {"front axle hop": "z_af", "front axle roll": "phi_af"}
     carrier |= {"rear axle hop": "z_ar", "rear axle roll": "phi_ar"}
-    for column, mode_name in enumerate(found.names):
+    for column, mode_name in enumerate(actual.names):
         at = DOF.index(carrier[mode_name])
         assert phi[at, column] > 0.0 and M[at, at] * phi[at, column] ** 2 > 0.45
 
 
-def test_a_lightly_damped_car_decays_with_its_modes_damping_ratios():
+def test_poles_of_a_lightly_damped_car_match_modal_damping_ratios():
     tyres = {"c_t": 60.0}
     car = replace(
         CARS["unequal_axles"],
@@ -216,27 +216,27 @@ def test_a_lightly_damped_car_decays_with_its_modes_damping_ratios():
         rear=replace(CARS["unequal_axles"].rear, **tyres),
     )
     model = linearise(car, "ride", BODY, damping=np.full(4, 40.0))
-    found, poles = natural_modes(model), model.poles
+    actual, poles = natural_modes(model), model.poles
     poles = poles[poles.imag > 0.0]
     poles = poles[np.argsort(np.abs(poles))]
-    np.testing.assert_allclose(np.abs(poles) / (2.0 * np.pi), found.f, rtol=1e-4)
-    np.testing.assert_allclose(-poles.real / np.abs(poles), found.zeta, rtol=5e-3)
+    np.testing.assert_allclose(np.abs(poles) / (2.0 * np.pi), actual.f, rtol=1e-4)
+    np.testing.assert_allclose(-poles.real / np.abs(poles), actual.zeta, rtol=5e-3)
 
 
-def test_a_leaning_body_rolls_more_slowly():
-    upright, leaning = (
-        natural_modes(linearise(one["defender"], "ride", BODY))
-        for one in (PLANTS, MANOEUVRE_PLANTS)
+def test_a_high_centre_of_mass_lowers_the_roll_frequency():
+    straight, manoeuvre = (
+        natural_modes(linearise(plant["defender"], "ride", BODY))
+        for plant in (PLANTS, MANOEUVRE_PLANTS)
     )
-    square = [m.f[m.names.index("roll")] ** 2 for m in (upright, leaning)]
+    square = [m.f[m.names.index("roll")] ** 2 for m in (straight, manoeuvre)]
     lever = DEFENDER.m_b * oracles.G * (DEFENDER.h_cg - DEFENDER.roll_centre)
     less = (square[0] - square[1]) * (2.0 * np.pi) ** 2 * DEFENDER.I_xx
-    assert less == pytest.approx(lever, rel=0.05)  # the axles roll a little, too
+    assert less == pytest.approx(lever, rel=0.05)  # tolerance: the axles roll as well
 
 
-def test_a_car_in_the_air_has_no_modes():
+def test_an_airborne_vehicle_has_no_natural_modes():
     model = linearise(PLANTS["unequal_axles"], "ride", BODY, np.zeros(14), np.full(4, -1.0))
-    with pytest.raises(ArithmeticError, match="does not stand"):
+    with pytest.raises(ArithmeticError, match="not positive definite"):
         natural_modes(model)
 
 
@@ -246,7 +246,7 @@ def test_a_car_in_the_air_has_no_modes():
 @every_car
 @every_mode
 @pytest.mark.parametrize("rate", [0.005, 0.05, 0.3])
-def test_gaussian_damping_is_the_best_damper_for_a_normal_rate(name, mode, rate):
+def test_gaussian_damping_is_the_least_squares_damper_for_a_normal_rate(name, mode, rate):
     car = CARS[name]
     curves = [
         oracles.CubicCurve(getattr(law, mode)) for law in (car.strut.damper, car.strut.friction)
@@ -260,20 +260,20 @@ def test_gaussian_damping_is_the_best_damper_for_a_normal_rate(name, mode, rate)
     np.testing.assert_allclose(gaussian_damping(car, mode, rate), mean / rate, rtol=1e-4)
 
 
-def test_the_gaussian_damper_of_a_linear_damper_is_itself_wheel_by_wheel():
+def test_gaussian_damping_of_a_linear_damper_is_its_constant():
     nothing, line = Curve(x=(-3.0, 3.0), F=(0.0, 0.0)), Curve(x=(-3.0, 3.0), F=(-6000.0, 6000.0))
     strut = replace(
         DEFENDER.strut,
         damper=ModeCurves(ride=nothing, handling=line),
         friction=ModeCurves(ride=nothing, handling=nothing),
     )
-    found = gaussian_damping(replace(DEFENDER, strut=strut), SPLIT, np.array([0.1, 0.2, 0.3, 0.4]))
-    np.testing.assert_allclose(found, [0.0, 0.0, 2000.0, 2000.0], rtol=1e-6, atol=1e-9)
+    actual = gaussian_damping(replace(DEFENDER, strut=strut), SPLIT, np.array([0.1, 0.2, 0.3, 0.4]))
+    np.testing.assert_allclose(actual, [0.0, 0.0, 2000.0, 2000.0], rtol=1e-6, atol=1e-9)
 
 
-def test_damping_in_place_of_the_slopes_is_where_it_belongs():
-    wanted = np.array([1000.0, 2000.0, 3000.0, 4000.0])
-    with_it = linearise(PLANTS["unequal_axles"], "ride", BODY, damping=wanted)
+def test_given_damping_replaces_the_strut_slopes_in_the_model():
+    target = np.array([1000.0, 2000.0, 3000.0, 4000.0])
+    with_it = linearise(PLANTS["unequal_axles"], "ride", BODY, damping=target)
     without = linearise(PLANTS["unequal_axles"], "ride", BODY, damping=np.zeros(4))
     difference = -with_it.M[:, None] * (with_it.A - without.A)[7:, 7:]
     car, signs = CARS["unequal_axles"], np.array([1.0, -1.0, 1.0, -1.0])
@@ -282,14 +282,14 @@ def test_damping_in_place_of_the_slopes_is_where_it_belongs():
         strut = np.zeros(7)
         strut[:3] = 1.0, signs[w] * axle.y_s, -axle.x
         strut[3 + 2 * (w // 2) : 5 + 2 * (w // 2)] = -1.0, -signs[w] * axle.y_s
-        expected += wanted[w] * np.outer(strut, strut)
+        expected += target[w] * np.outer(strut, strut)
     np.testing.assert_allclose(difference, expected, atol=1e-6)
 
 
-# --- names and refusals ---------------------------------------------------------------------------
+# --- names and errors -----------------------------------------------------------------------------
 
 
-def test_all_that_goes_in_and_out_has_a_name_and_a_unit():
+def test_states_inputs_and_sensors_have_names_and_units():
     instruments, car = load_instruments("paper"), DEFENDER
     locations = instruments.accelerometers
     sensors = {
@@ -303,7 +303,7 @@ def test_all_that_goes_in_and_out_has_a_name_and_a_unit():
     assert dict(zip(model.inputs, model.input_units, strict=True))["w_RL"] == "m/s"
 
 
-def test_a_car_and_its_plant_have_one_model_with_its_rest_found_on_any_ground():
+def test_parameters_and_plant_give_the_same_model():
     ground = np.array([0.02, -0.01, -0.015, 0.01])
     by_car = linearise(CARS["unequal_axles"], "ride", BODY, z_r=ground)
     strut_state = settled_strut_state(encode_command("ride"))
@@ -313,11 +313,11 @@ def test_a_car_and_its_plant_have_one_model_with_its_rest_found_on_any_ground():
     np.testing.assert_array_equal(by_car.D, by_plant.D)
 
 
-def test_what_makes_no_sense_is_refused():
+def test_invalid_arguments_raise_errors():
     model = linearise(DEFENDER, "ride", BODY)
-    with pytest.raises(ValueError, match="one of them"):
+    with pytest.raises(ValueError, match="not both or neither"):
         frequency_response(model, 10.0)
-    with pytest.raises(ValueError, match="one of them"):
+    with pytest.raises(ValueError, match="not both or neither"):
         frequency_response(model, 10.0, f=np.ones(2), n=np.ones(2))
     with pytest.raises(ValueError, match="speed must be positive"):
         frequency_response(model, 0.0, f=np.ones(2))

@@ -1,4 +1,4 @@
-"""Turns and brakes lean the body as moments say; switched off, nothing leans."""
+"""Tests of manoeuvres: roll and pitch of the body follow from the moments of inertia forces."""
 
 import dataclasses
 
@@ -47,8 +47,8 @@ def test_a_gentle_steady_turn_rolls_the_body_by_moment_over_stiffness(mode, rate
 
 
 def test_at_a_lateral_acceleration_of_0_4_g_the_bump_stops_limit_the_roll():
-    # a linear car would lean 24 degrees in ride; the gas spring softens as it extends, so that
-    # without stops there is no such equilibrium, and the car falls over
+    # a linear vehicle would roll by 24 degrees in ride mode. The gas spring softens as it extends,
+    # so without bump stops there is no equilibrium and the vehicle overturns
     lean = {
         mode: np.degrees(simulate(CAR, FLAT, 10.0, mode, manoeuvre=SteadyTurn()).state[-1, PHI])
         for mode in ("ride", "handling")
@@ -123,5 +123,5 @@ def test_an_unknown_manoeuvre_or_setting_is_rejected_with_the_choices():
         load_manoeuvre("slalon")
     with pytest.raises(ConfigError, match="unknown key, did you mean 'a_y'"):
         load_manoeuvre({"kind": "slalom", "a_z": 1.0})
-    with pytest.raises(ConfigError, match="needs its kind"):
+    with pytest.raises(ConfigError, match="needs a key 'kind'"):
         load_manoeuvre({"a_y": 1.0})

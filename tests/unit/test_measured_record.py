@@ -1,4 +1,4 @@
-"""Measured drives: tables of other loggers become records, or are refused in one sentence."""
+"""Tables of other data loggers are read as records or rejected in one sentence."""
 
 from dataclasses import replace
 
@@ -42,15 +42,15 @@ def table(path, columns, mark=",", point="."):
 
 
 def changed(**changes):
-    """CHANNELS with columns changed, added, or left out where None is given."""
-    found = {**CHANNELS, **changes}
-    return {name: x for name, x in found.items() if x is not None}
+    """Return CHANNELS with columns changed, added, or omitted where None is given."""
+    columns = {**CHANNELS, **changes}
+    return {name: x for name, x in columns.items() if x is not None}
 
 
 @pytest.mark.parametrize(
     ("mark", "point"), [(",", "."), (";", ","), (";", "."), ("\t", ","), ("\t", ".")]
 )
-def test_a_table_is_read_as_it_stands_whatever_its_marks(tmp_path, mark, point):
+def test_a_table_is_read_with_any_delimiter_and_decimal_mark(tmp_path, mark, point):
     path = table(tmp_path / "d.csv", CHANNELS, mark, point)
     path.write_text("# a logger\n# of 2014\n" + path.read_text(), encoding="utf-8")
     record, notes = read_measured_record(path, BASE)
@@ -63,7 +63,7 @@ def test_a_table_is_read_as_it_stands_whatever_its_marks(tmp_path, mark, point):
     assert not record.spring_stiff.any() and not record.damper_high.any()
 
 
-def test_units_and_gravity_are_told_by_names_and_means(tmp_path):
+def test_units_follow_from_column_names_and_gravity_from_the_mean(tmp_path):
     columns = changed(
         a_rf=None,
         v=None,
@@ -76,13 +76,13 @@ def test_units_and_gravity_are_told_by_names_and_means(tmp_path):
     assert len(notes) == 1 and notes[0].startswith("a_rf: its mean of 9.") and "gravity" in notes[0]
 
 
-def test_an_odometer_that_is_given_is_believed(tmp_path):
+def test_a_given_odometer_is_used(tmp_path):
     columns = changed(s=1000.0 + 6.0 * T)
     record, _ = read_measured_record(table(tmp_path / "d.csv", columns), BASE)
     np.testing.assert_allclose(record.s, BASE + 6.0 * T, atol=1e-9)
 
 
-def test_struts_are_told_row_by_row_or_once(tmp_path):
+def test_strut_states_are_given_per_row_or_once(tmp_path):
     switched = ["ride"] * 120 + ["handling"] * 80
     columns = changed(mode=None, mode_front=switched, mode_rear=["soft_high"] * T.size)
     record, _ = read_measured_record(table(tmp_path / "a.csv", columns), BASE)
@@ -96,7 +96,7 @@ def test_struts_are_told_row_by_row_or_once(tmp_path):
     assert (record.spring_stiff == [False, False, True, True]).all() and (record.v == 10.0).all()
 
 
-def test_parquet_of_others_is_read_by_the_names_of_its_columns(tmp_path):
+def test_foreign_parquet_is_read_by_column_names(tmp_path):
     path = tmp_path / "d.parquet"
     pq.write_table(pa.table({name.upper(): x for name, x in CHANNELS.items()}), path)
     assert not is_record(path)
@@ -106,7 +106,7 @@ def test_parquet_of_others_is_read_by_the_names_of_its_columns(tmp_path):
     assert is_record(path)
 
 
-def test_where_nothing_stands_and_where_rows_are_missing_samples_are_lost(tmp_path):
+def test_empty_cells_and_missing_rows_become_lost_samples(tmp_path):
     a = CHANNELS["a_rf"].copy()
     a[50:53] = np.nan
     columns = changed(a_rf=a)
@@ -122,7 +122,7 @@ def test_where_nothing_stands_and_where_rows_are_missing_samples_are_lost(tmp_pa
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1))
-def test_a_trembling_clock_is_straightened(tmp_path_factory, seed):
+def test_an_uneven_clock_is_resampled(tmp_path_factory, seed):
     t = T + 0.002 * np.random.default_rng(seed).uniform(-1.0, 1.0, T.size)
     columns = changed(t=t, a_rf=3.0 * t, v=5.0 + t)
     record, notes = read_measured_record(
@@ -134,11 +134,11 @@ def test_a_trembling_clock_is_straightened(tmp_path_factory, seed):
     assert not np.isnan(record.a).any() and "uneven" in notes[0]
 
 
-def test_the_road_of_a_measured_drive_is_the_road_under_its_wheels(tmp_path):
-    """A simulated drive, cut out of its middle and written by another logger."""
+def test_the_estimated_road_of_a_measured_record_is_the_driven_road(tmp_path):
+    """The middle of a simulated drive, written in the format of another logger."""
     surface = load_road("iso_d").realise(np.random.default_rng(3))
     record, truth = simulate_record(
-        DEFENDER, surface, speed_kmh=54.0, mode="handling",
+        surface, vehicle=DEFENDER, speed_kmh=54.0, mode="handling",
         instruments=load_instruments("paper"), seed=3,
     )  # fmt: skip
     cut = slice(1200, 6200)
@@ -151,11 +151,11 @@ def test_the_road_of_a_measured_drive_is_the_road_under_its_wheels(tmp_path):
         },
     }
     path = table(tmp_path / "d.csv", columns)
-    seen, _ = read_measured_record(path, BASE, speed_kmh=54.0, mode="handling")
-    found = estimators.create("iterated_wiener").estimate(seen, DEFENDER)
-    begin = record.s[1200] - BASE  # where the rear axle stood
-    wanted = np.stack([np.interp(begin + found.s, truth.s, z) for z in truth.z])
-    inside = [band_pass(z, found.ds, scored_band(15.0)) for z in (wanted, found.z)]
+    measured, _ = read_measured_record(path, BASE, speed_kmh=54.0, mode="handling")
+    estimate = estimators.create("iterated_wiener").estimate(measured, DEFENDER)
+    begin = record.s[1200] - BASE  # position of the rear axle
+    expected = np.stack([np.interp(begin + estimate.s, truth.s, z) for z in truth.z])
+    inside = [band_pass(z, estimate.ds, scored_band(15.0)) for z in (expected, estimate.z)]
     assert np.std(inside[1] - inside[0]) < 0.25 * np.std(inside[0])
 
 
@@ -166,38 +166,38 @@ def spoilt(column, k, value):
 
 
 @pytest.mark.parametrize(
-    ("columns", "options", "said"),
+    ("columns", "options", "message"),
     [
         ({"t": None}, {}, "the column t is missing; the table has a_rf"),
-        ({"a_lr": None}, {}, "column a_lr is missing; wanted a_lr [m/s²] or a_lr_g [g]"),
+        ({"a_lr": None}, {}, "column a_lr is missing; give a_lr [m/s²] or a_lr_g [g] once"),
         ({"a_lr_g": T}, {}, "column a_lr is given twice"),
-        ({"v": None}, {}, "the speed is missing: wanted one of the columns v [m/s]"),
+        ({"v": None}, {}, "the speed is missing: give one of the columns v [m/s]"),
         ({}, {"speed_kmh": 50.0}, "the speed is given twice"),
-        ({"mode": None}, {}, "the state of the struts is missing: wanted the column mode"),
+        ({"mode": None}, {}, "the state of the struts is missing: give the column mode"),
         ({}, {"mode": "ride"}, "given as mode and for the whole drive"),
         ({"mode": None, "mode_rear": CHANNELS["mode"]}, {}, "given as mode_rear"),
         (spoilt("mode", 7, "sport"), {}, "unknown suspension mode 'sport'"),
-        (spoilt("a_rr", 4, "over"), {}, "row 5 of a_rr: 'over' is no number"),
+        (spoilt("a_rr", 4, "over"), {}, "row 5 of a_rr: 'over' is not a number"),
         (spoilt("t", 9, ""), {}, "t must hold a number in every row"),
-        ({"t": T[::-1]}, {}, "the clock t must go on; it does not after row 1"),
-        ({"v": T - 0.5}, {}, "the car drives backwards"),
-        ({"v": np.where(T == 1.0, np.nan, 5.0)}, {}, "speed and odometer must hold a number"),
+        ({"t": T[::-1]}, {}, "t must increase; it does not after row 1"),
+        ({"v": T - 0.5}, {}, "the vehicle moves backwards"),
+        ({"v": np.where(T == 1.0, np.nan, 5.0)}, {}, "v and s must hold a number in every row"),
         ({"a_rf": np.full(200, np.nan)}, {}, "the column a_rf holds no number"),
         ({"a_rf": np.where(T < 1.0, np.nan, 1.0)}, {}, "50% of the samples are lost"),
-        ({"a_rf": -9.8 + T}, {}, "its axis points down; turn its sign"),
-        ({" V ": T}, {}, "the column v stands there twice"),
+        ({"a_rf": -9.8 + T}, {}, "its axis points down; invert its sign"),
+        ({" V ": T}, {}, "the column v is duplicated"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_a_drive_is_refused_in_one_sentence(tmp_path, columns, options, said):
+def test_an_invalid_record_is_rejected_in_one_sentence(tmp_path, columns, options, message):
     path = table(tmp_path / "d.csv", changed(**columns))
     with pytest.raises(ConfigError) as error:
         read_measured_record(path, BASE, **options)
     sentence = str(error.value)
-    assert said in sentence and str(path) in sentence and "\n" not in sentence
+    assert message in sentence and str(path) in sentence and "\n" not in sentence
 
 
 @pytest.mark.parametrize("data", [b"", b"t\n", b"\xff\xfe\x00", b"t,a_rf\n1,2,3\n", b"t\n1\n2\n"])
-def test_what_is_no_table_is_refused_in_one_sentence(tmp_path, data):
+def test_an_invalid_table_is_rejected_in_one_sentence(tmp_path, data):
     for name in ("d.csv", "d.parquet"):
         (tmp_path / name).write_bytes(data)
         with pytest.raises(ConfigError, match=name):
@@ -206,7 +206,7 @@ def test_what_is_no_table_is_refused_in_one_sentence(tmp_path, data):
         read_measured_record(tmp_path / "missing.csv", BASE)
 
 
-def test_a_record_is_known_by_its_metadata_damaged_or_not(tmp_path):
+def test_a_record_is_recognised_by_its_metadata_even_if_damaged(tmp_path):
     record, _ = read_measured_record(table(tmp_path / "d.csv", CHANNELS), BASE)
     path = tmp_path / "d.parquet"
     write_record(path, replace(record, length=5.0), {})

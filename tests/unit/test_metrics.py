@@ -1,4 +1,4 @@
-"""Scores against closed forms. Roads are drawn here, from a random spectrum of this file's own."""
+"""Scores of profiles and obstacles against closed forms, on roads drawn in this file."""
 
 from functools import cache
 
@@ -22,14 +22,14 @@ CLASS_D = 1024e-6
 
 @cache
 def road(seed, length=100.0, n_lo=0.01, n_hi=10.0):
-    """Two unrelated wheel paths of density CLASS_D (n / 0.1)^-2 from n_lo to n_hi; mean 0."""
+    """Return two independent wheel paths of density CLASS_D (n / 0.1)^-2, n_lo to n_hi, mean 0."""
     rng = np.random.default_rng(seed)
     size = next_fast_len(round(1000.0 / DS), real=True)
     n = np.fft.rfftfreq(size, DS)[1:]
     a = np.sqrt(2.0 * CLASS_D * (n / 0.1) ** -2.0 * n[0]) * ((n >= n_lo) & (n <= n_hi))
     phase = np.exp(2j * np.pi * rng.uniform(size=(2, n.size)))
-    lines = np.concatenate([np.zeros((2, 1)), 0.5 * size * a * phase], axis=1)
-    z = np.fft.irfft(lines, size)[:, : profile_stations(length).size]
+    spectrum = np.concatenate([np.zeros((2, 1)), 0.5 * size * a * phase], axis=1)
+    z = np.fft.irfft(spectrum, size)[:, : profile_stations(length).size]
     return z - z.mean(axis=1, keepdims=True)
 
 
@@ -46,7 +46,7 @@ def rms(z):
 
 
 def plate(*bumps):
-    """A level wheel path with blocks (start, end, height)."""
+    """Return a level wheel path with blocks (start, end, height)."""
     z = np.zeros(S.size)
     for start, end, height in bumps:
         z[(start <= S) & (end >= S)] = height
@@ -59,18 +59,18 @@ def test_a_sine_inside_the_band_keeps_its_level(n):
 
 
 @pytest.mark.parametrize("n", [0.02, 0.05, 0.1, 2.2, 4.0])
-def test_a_sine_outside_the_band_is_gone(n):
+def test_a_sine_outside_the_band_is_removed(n):
     assert rms(heights.band_pass(sine(n), DS, BAND)) < 0.03 * 0.5**0.5
 
 
-def test_the_band_pass_does_not_shift():
+def test_the_band_pass_has_no_phase_shift():
     z = sine(0.6)
     out = heights.band_pass(z, DS, BAND)
     trim = (z.size - out.size) // 2
     assert np.allclose(out, z[trim : trim + out.size], atol=0.05)
 
 
-def test_slow_heights_of_a_road_do_not_leak_into_the_band():
+def test_long_waves_do_not_leak_into_the_band():
     slow = [rms(heights.band_pass(road(k, n_hi=0.15), DS, BAND)) for k in range(20)]
     whole = [rms(heights.band_pass(road(k), DS, BAND)) for k in range(20)]
     assert rms(np.array(slow)) < 0.03 * rms(np.array(whole))
@@ -84,13 +84,13 @@ def test_the_level_inside_the_band_is_the_integral_of_the_density():
 
 @given(drift=st.floats(-10.0, 10.0), slope=st.floats(-0.1, 0.1))
 @settings(max_examples=20)
-def test_datum_and_slope_do_not_matter(drift, slope):
+def test_the_band_pass_ignores_datum_and_slope(drift, slope):
     z = road(1)
     moved = heights.band_pass(z + drift + slope * S, DS, BAND)
     np.testing.assert_allclose(moved, heights.band_pass(z, DS, BAND), atol=1e-9)
 
 
-def test_the_band_ends_where_the_low_pass_does():
+def test_the_scored_band_ends_at_the_low_pass():
     assert heights.scored_band(14.5 / 3.6) == (0.2, 1.8)
     assert heights.scored_band(15.0) == pytest.approx((0.2, 1.5))
     with pytest.raises(ValueError, match="25 Hz"):
@@ -111,7 +111,7 @@ def test_an_unrelated_road_has_an_error_of_root_two():
 
 @given(share=st.floats(0.0, 3.0), sign=st.sampled_from([-1.0, 1.0]))
 @settings(max_examples=20)
-def test_a_scaled_truth_has_the_error_of_its_scale(share, sign):
+def test_the_error_of_a_scaled_truth_is_the_deviation_of_the_scale_from_one(share, sign):
     y = road(2)
     assert heights.nrmse(y, sign * share * y, DS, BAND).pooled == pytest.approx(
         abs(sign * share - 1.0), abs=1e-9
@@ -121,7 +121,7 @@ def test_a_scaled_truth_has_the_error_of_its_scale(share, sign):
     )
 
 
-def test_wheel_paths_are_judged_apart_and_pooled_by_energy():
+def test_wheel_paths_are_scored_separately_and_pooled_by_energy():
     y = np.stack([road(1)[0], 0.1 * road(2)[0]])
     error = heights.nrmse(y, np.stack([y[0], 0.0 * y[1]]), DS, BAND)
     assert (error.left, error.right) == (0.0, pytest.approx(1.0))
@@ -136,21 +136,21 @@ def test_a_flat_truth_leaves_the_error_undefined():
     assert np.isnan(heights.coherence(0.0 * y, y, DS, BAND))
 
 
-def test_a_sign_flip_is_perfect_by_equation_12_and_wrong_by_every_other_score():
+def test_a_sign_flip_is_perfect_by_equation_12_and_wrong_by_other_scores():
     y = road(3)
     assert heights.level_error(y, -y) == (0.0, 0.0, 0.0)
     assert heights.nrmse(y, -y, DS, BAND).pooled == pytest.approx(2.0)
     assert correlation(y, -y).r == pytest.approx(-1.0)
 
 
-def test_equation_12_compares_levels_with_their_sign():
+def test_equation_12_is_the_signed_relative_level_difference():
     y = road(3)
     assert heights.level_error(y, 0.8 * y) == pytest.approx((-0.2, -0.2, -0.2))
     assert heights.level_error(y, np.stack([2.0 * y[0], y[1]])).left == pytest.approx(1.0)
 
 
-def test_equation_12_gives_an_unrelated_road_of_its_class_nine_percent():
-    """Found twice before: median 9 %, 10th to 90th percentile 2 to 22, 72 % below 15 %."""
+def test_equation_12_of_unrelated_roads_of_one_class_has_a_median_of_9_percent():
+    """Reference values: median 9 %, 10th to 90th percentile 2 to 22 %, 72 % below 15 %."""
     high_pass = signal.butter(2, 0.05, "high", fs=1.0 / DS, output="sos")
     roads = [signal.sosfiltfilt(high_pass, road(k)) for k in range(400)]
     pairs = zip(roads[::2], roads[1::2], strict=True)
@@ -161,29 +161,29 @@ def test_equation_12_gives_an_unrelated_road_of_its_class_nine_percent():
     assert np.mean(error < 0.15) == pytest.approx(0.72, abs=0.06)
 
 
-def test_the_lag_of_a_late_estimate_is_positive_and_found():
+def test_the_lag_of_a_delayed_estimate_is_positive():
     y = road(4)
-    late = np.stack([np.interp(S - 0.3, S, z) for z in y])
-    found = correlation(y, late)
+    delayed = np.stack([np.interp(S - 0.3, S, z) for z in y])
+    found = correlation(y, delayed)
     assert found.lag == pytest.approx(0.3, abs=DS)
     assert found.r < 0.9 < 0.99 < found.r_at_lag
     assert correlation(y, y) == pytest.approx((1.0, 0.0, 1.0))
 
 
-def test_unrelated_roads_neither_correlate_nor_cohere():
+def test_unrelated_roads_have_no_correlation_and_no_coherence():
     r = [correlation(road(k), road(k + 1)).r for k in range(0, 40, 2)]
     assert abs(np.mean(r)) < 3.0 * np.std(r) / np.sqrt(len(r))
     assert heights.coherence(road(1, 300.0), road(2, 300.0), DS, BAND) < 0.06
 
 
-def test_coherence_is_blind_to_a_filter_and_sees_noise():
+def test_coherence_is_invariant_to_scaling_and_reduced_by_noise():
     y, noise = road(5, 300.0), road(6, 300.0)
     assert heights.coherence(y, -3.0 * y, DS, BAND) == pytest.approx(1.0)
     # gamma2 = S / (S + N) for noise of the truth's own density
     assert heights.coherence(y, y + noise, DS, BAND) == pytest.approx(0.5, abs=0.05)
 
 
-def test_an_estimate_without_content_correlates_with_nothing():
+def test_a_flat_estimate_has_zero_correlation_and_coherence():
     y = road(7)
     assert correlation(y, 0.0 * y) == (0.0, 0.0, 0.0)
     assert heights.coherence(y, 0.0 * y, DS, BAND) == 0.0
@@ -191,7 +191,7 @@ def test_an_estimate_without_content_correlates_with_nothing():
 
 @given(decibels=st.floats(-20.0, 20.0))
 @settings(max_examples=10)
-def test_a_scaled_road_is_so_many_decibels_away(decibels):
+def test_the_dsd_distance_of_a_scaled_road_is_its_scale_in_decibels(decibels):
     y = road(8)
     found = roughness.roughness_scores(y, 10.0 ** (decibels / 20.0) * y, DS, 4.0)
     assert found["dsd_bias_db"] == pytest.approx(decibels, abs=1e-6)
@@ -199,7 +199,7 @@ def test_a_scaled_road_is_so_many_decibels_away(decibels):
     assert found["G_d0_error_db"] == pytest.approx(abs(decibels), abs=1e-6)
 
 
-def test_classes_agree_within_their_width():
+def test_doubled_heights_are_the_next_class():
     y = road(9, 300.0)
     found = {
         k: roughness.roughness_scores(y, 10.0 ** (k / 20.0) * y, DS, 4.0)
@@ -211,7 +211,7 @@ def test_classes_agree_within_their_width():
     assert found[12.04]["class_within_one"] == 0.0 and found[12.04]["fitted_class"] == 0.0
 
 
-def test_octaves_that_the_low_pass_cuts_are_not_judged():
+def test_octaves_above_the_low_pass_are_not_scored():
     y = road(10, 300.0)
     n, G = roughness.displacement_psd(y, DS)
     wrong = G * np.where(n > 1.5, 100.0, 1.0)
@@ -223,7 +223,7 @@ def test_octaves_that_the_low_pass_cuts_are_not_judged():
     assert roughness.class_differences(n, G, G, v=80.0).shape == (2, 0)
 
 
-def test_the_iri_error_is_counted_per_100_m():
+def test_the_iri_error_is_averaged_over_segments_of_100_m():
     y = road(11, 300.0)
     part = S.size
     a = y * np.repeat([2.0, 0.0, 1.0], part)[: y.shape[1]]  # too rough and too smooth do not cancel
@@ -233,7 +233,7 @@ def test_the_iri_error_is_counted_per_100_m():
     assert error == pytest.approx(truth * 2.0 / 3.0, rel=0.2)
 
 
-def test_a_bump_is_found_at_its_middle_with_its_height():
+def test_a_bump_is_detected_at_its_middle_with_its_height():
     (bump,) = detect_obstacles(plate((20.0, 20.8, 0.15)), DS, 0.05)
     assert bump.s == pytest.approx(20.4, abs=DS) and bump.height == 0.15
 
@@ -249,37 +249,37 @@ def test_bumps_are_matched_on_their_own_wheel_path():
     assert found.ghosts == 1  # right, where only the left wheel path has a bump
 
 
-def test_a_bump_beyond_the_tolerance_is_a_miss_and_a_false_alarm():
+def test_a_bump_beyond_the_match_distance_is_a_miss_and_a_false_alarm():
     y = np.stack([plate((20.0, 20.8, 0.1))] * 2)
     a = np.stack([plate((20.35, 21.15, 0.1)), plate((20.0, 20.8, 0.1))])
     found = obstacle_scores(y, a, DS)
     assert (found.precision, found.recall, found.ghosts) == (0.5, 0.5, 0)
 
 
-def test_one_estimated_bump_answers_for_one_true_bump():
+def test_an_estimated_bump_matches_at_most_one_true_bump():
     y = np.stack([plate((20.0, 20.05, 0.1), (20.57, 20.62, 0.1))] * 2)
     a = np.stack([plate((20.28, 20.34, 0.1))] * 2)
     assert obstacle_scores(y, a, DS).recall == 0.5
 
 
-def test_a_flat_estimate_finds_no_bump_and_a_flat_truth_has_none():
+def test_a_flat_estimate_has_no_detections_and_a_flat_truth_no_obstacle_scores():
     y = np.stack([plate((20.0, 20.8, 0.1))] * 2)
     found = obstacle_scores(y, 0.0 * y, DS)
     assert found.f1 == 0.0 and np.isnan(found.location_error)
     assert obstacle_scores(0.0 * y, y, DS) is None
 
 
-def test_every_score_of_the_truth_is_perfect_and_described():
+def test_every_score_of_the_truth_is_perfect_and_in_the_table_of_scores():
     y = np.stack([plate((20.0, 20.8, 0.15)), plate((30.4, 31.2, 0.10))]) + 0.1 * road(12)
     y[:, 1000:2000] = 0.0  # level enough for obstacles
     found = compute_scores(Profile(S, y), Estimate(S, y, np.zeros_like(y)), 4.0, bumps=True)
     assert found.keys() == SCORES.keys() - {"bound_nrmse", "bound_efficiency"}
     for name, value in found.items():
-        wanted = 1.0 if SCORES[name].better == "high" or "coverage" in name else 0.0
-        assert value == pytest.approx(wanted, abs=1e-12), name
+        expected = 1.0 if SCORES[name].better == "high" or "coverage" in name else 0.0
+        assert value == pytest.approx(expected, abs=1e-12), name
 
 
-def test_equation_12_on_the_board_does_not_see_the_datum():
+def test_the_level_error_of_the_board_ignores_the_datum():
     y = road(13)
     found = compute_scores(Profile(S, y + 5.0), Estimate(S, y), 4.0, bumps=False)
     assert found["level_error"] == pytest.approx(0.0, abs=1e-9)

@@ -1,4 +1,4 @@
-"""The network of 2010: series-parallel in training, its own answers fed back at test."""
+"""NARX network: series-parallel in training, its own outputs fed back in use."""
 
 import numpy as np
 import pytest
@@ -22,8 +22,8 @@ def test_regressors_are_current_and_past_accelerations_and_past_true_heights():
     regressors, targets = series_parallel(x, z, 2)
     np.testing.assert_array_equal(targets, z[:, 2:])
     k = 5
-    wanted = [*x[:, k], *x[:, k - 1], *x[:, k - 2], *z[:, k - 1], *z[:, k - 2]]
-    np.testing.assert_array_equal(regressors[:, k - 2], wanted)
+    expected = [*x[:, k], *x[:, k - 1], *x[:, k - 2], *z[:, k - 1], *z[:, k - 2]]
+    np.testing.assert_array_equal(regressors[:, k - 2], expected)
 
 
 def test_in_parallel_the_network_feeds_back_its_own_outputs():
@@ -57,7 +57,7 @@ def test_the_open_loop_error_is_small_and_the_closed_loop_error_is_not(trained):
     estimate = trained.estimate(record, CAR)
     assert error(estimate, truth) > 0.5
     (note,) = estimate.notes
-    assert f"{closed_loop:.2f} of the level, closed loop as here; {open_loop:.2f} if it" in note
+    assert f"{closed_loop:.2f} in closed loop, as here; {open_loop:.2f} with the true" in note
 
 
 def test_the_training_history_is_stored_with_the_weights(trained):

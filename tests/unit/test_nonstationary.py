@@ -1,4 +1,4 @@
-"""Roads whose roughness varies: the mean spectrum stays, the peaks and the patches are new."""
+"""Nonstationary roads: mean spectrum, kurtosis and patches."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def varying(law="gamma", spread=0.7, patch=50.0, length=4000.0, **settings):
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("spread", [0.3, 0.7, 1.5])
-def test_the_level_of_a_patch_follows_its_law(law, spread):
+def test_patch_levels_follow_their_distribution(law, spread):
     level = RoughnessVariation(law=law, spread=spread, patch=2.0).draw(rng(), 40_000, 1.0)
     patches = level[1:][np.diff(level) != 0.0]
     assert patches.size == pytest.approx(20_000, abs=1)
@@ -38,7 +38,7 @@ def test_the_level_of_a_patch_follows_its_law(law, spread):
     assert LAWS[law](spread).std() == pytest.approx(spread)
 
 
-def test_patches_are_as_long_as_they_should_be_and_start_anywhere():
+def test_patches_have_their_length_and_a_uniform_offset():
     firsts = []
     for seed in range(200):
         level = RoughnessVariation(patch=10.0).draw(rng(seed), 1000, 0.1)
@@ -54,7 +54,7 @@ def test_the_mean_spectrum_is_that_of_the_stationary_road(law):
     each = np.array([segment_spectrum(z, 0.05, 800)[1] for z in paths])
     n = segment_spectrum(paths[0], 0.05, 800)[0]
     ratio = each[:, (n > 0.25) & (n < 4.5)] / iso_density(n[(n > 0.25) & (n < 4.5)], 256e-6)
-    level = ratio.mean(axis=1)  # of each path; both paths of a road have one level
+    level = ratio.mean(axis=1)  # of each path; both paths of a road share the level
     assert abs(level.mean() - 1.0) < 4.0 * level.std() / np.sqrt(12)
     assert level.std() / np.sqrt(12) < 0.04
     octaves = [part.mean() for part in np.array_split(ratio, 4, axis=1)]
@@ -62,37 +62,37 @@ def test_the_mean_spectrum_is_that_of_the_stationary_road(law):
 
 
 def short_waves(z, ds=0.05, low=1.0):
-    """What of the paths (2, N) is shorter than 1 / low, without their ends."""
+    """Return the waves of the paths (2, N) that are shorter than 1 / `low`, without the ends."""
     sos = butter(4, low, "highpass", fs=1.0 / ds, output="sos")
     return sosfiltfilt(sos, z)[:, 200:-200]
 
 
 @pytest.mark.parametrize(("law", "spread"), [("gamma", 0.7), ("lognormal", 0.5)])
-def test_short_waves_have_the_kurtosis_of_their_law(law, spread):
+def test_short_waves_have_the_kurtosis_of_their_distribution(law, spread):
     parts = [short_waves(varying(law, spread).realise(rng(k)).z) for k in range(40)]
     m2, m4 = (np.array([np.mean(x**p) for x in parts]) for p in (2, 4))
     kurtosis = m4.mean() / m2.mean() ** 2
     drop_one = [np.delete(m4, k).mean() / np.delete(m2, k).mean() ** 2 for k in range(40)]
     error = np.sqrt(39.0) * np.std(drop_one)  # jackknife
-    # 0.1: where two patches meet, short waves have a mean of both levels
+    # 0.1: bias, because short waves average the levels of both patches at a boundary
     assert abs(kurtosis - 3.0 * (1.0 + spread**2)) < 4.0 * error + 0.1
     assert error < 0.2
 
 
-def test_a_stationary_road_has_the_kurtosis_of_a_gaussian_one():
+def test_a_stationary_road_has_gaussian_kurtosis():
     road = Iso8608(G_d0=256e-6, length=4000.0, n_min=0.05, n_max=5.0, ds=0.05)
     parts = np.array([short_waves(road.realise(rng(k)).z) for k in range(10)])
     assert np.mean(parts**4) / np.mean(parts**2) ** 2 == pytest.approx(3.0, abs=0.05)
 
 
-def test_both_wheel_paths_are_rough_at_the_same_places():
+def test_both_wheel_paths_share_the_roughness_level():
     z = short_waves(varying(length=8000.0, coherence="none").realise(rng(1)).z)
     power = np.log((z[:, : z.shape[1] // 500 * 500] ** 2).reshape(2, -1, 500).mean(axis=-1))
     assert np.corrcoef(power)[0, 1] > 0.9
     assert abs(np.corrcoef(z)[0, 1]) < 0.05
 
 
-def test_patches_meet_without_a_step():
+def test_there_are_no_steps_between_patches():
     z = varying("lognormal", spread=3.0, patch=20.0).realise(rng(2)).z
     n, G = segment_spectrum(z[0], 0.05, 800)
     assert G[n > 6.0].max() < 1e-3 * G[(n > 3.0) & (n < 5.0)].mean()
@@ -107,16 +107,16 @@ def test_the_variation_scales_with_the_class(road_class):
 
 
 @pytest.mark.parametrize(
-    ("variation", "says"),
+    ("variation", "reason"),
     [
         ({"law": "normal"}, "law"),
         ({"spread": 0.0}, "spread must be positive"),
         ({"spread": 11.0}, "spread must be at most 10"),
-        ({"patch": 1e-9}, "at least 1 m"),
+        ({"patch": 1e-9}, "patch must be at least 1 m"),
         ({"patches": 3.0}, "patches: unknown key"),
     ],
 )
-def test_a_wrong_variation_is_one_sentence_about_the_culprit(variation, says):
+def test_an_invalid_variation_is_named_in_one_sentence(variation, reason):
     with pytest.raises(ConfigError) as error:
         load_road({"kind": "iso8608", "road_class": "C", "variation": variation})
-    assert says in str(error.value)
+    assert reason in str(error.value)

@@ -1,4 +1,4 @@
-"""More instruments in the observation, all states as actions, a price on what stays unknown."""
+"""Optional observation groups, the sixteen actions, and the cost of unresolved variance."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ EVERYTHING = {
 MODES = ("ride", "handling", "soft_high", "stiff_low")
 
 
-def test_planar_and_struts_are_those_of_the_motion():
+def test_planar_and_strut_observations_follow_from_the_motion():
     env = RoadReconEnv(**EVERYTHING)
     observation, _ = env.reset(seed=4)
     setup = env.setup
@@ -33,11 +33,11 @@ def test_planar_and_struts_are_those_of_the_motion():
         motion = drive.advance(np.full(50, byte, dtype=np.uint8))
         a = setup.manoeuvre.at(motion.t)
         parts = env.split(observation)
-        felt = [
+        specific_force = [
             np.mean(a[:, 0] - GRAVITY * motion.state[:, THETA]),
             np.mean(a[:, 1] + GRAVITY * motion.state[:, PHI]),
         ]
-        np.testing.assert_allclose(parts["planar"], felt, rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(parts["planar"], specific_force, rtol=1e-4, atol=1e-5)
         np.testing.assert_allclose(parts["extension"], motion.extension[-1], atol=1e-6)
         q_dot = motion.state[-1, 7:]
         rates = [
@@ -50,7 +50,7 @@ def test_planar_and_struts_are_those_of_the_motion():
         observation, *_ = env.step(action)
 
 
-def test_more_instruments_leave_the_others_as_they_are():
+def test_extra_observation_groups_do_not_change_the_others():
     plain = RoadReconEnv(**{**EVERYTHING, "observe": ["accelerations"]})
     full = RoadReconEnv(**EVERYTHING)
     for one, other in ((plain.reset(seed=1), full.reset(seed=1)), (plain.step(3), full.step(3))):
@@ -59,7 +59,7 @@ def test_more_instruments_leave_the_others_as_they_are():
     assert full.observation_space.contains(other[0])
 
 
-def test_sixteen_actions_command_every_pair_of_states():
+def test_sixteen_actions_command_every_pair_of_strut_states():
     env = RoadReconEnv(**EVERYTHING)
     assert env.action_space.n == 16
     for action in range(16):
@@ -68,36 +68,32 @@ def test_sixteen_actions_command_every_pair_of_states():
 
 
 @pytest.mark.parametrize(("action", "pair"), [(0, ("ride", "ride")), (4, ("ride", "handling"))])
-def test_the_reward_is_charged_with_the_variance_that_the_bound_leaves(action, pair):
+def test_the_reward_is_reduced_by_the_unresolved_variance_of_the_bound(action, pair):
     weight = 30.0
     free = RoadReconEnv(**EVERYTHING)
     charged = RoadReconEnv(**EVERYTHING, weights={"unresolved_variance": weight})
     free.reset(seed=2), charged.reset(seed=2)
-    (_, r_0, _, _, told_0), (_, r_1, _, _, told_1) = free.step(action), charged.step(action)
+    (_, r_0, _, _, info_0), (_, r_1, _, _, info_1) = free.step(action), charged.step(action)
     setup = charged.setup
-    mode = {"front": pair[0], "rear": pair[1]}
+    plant, mode = build_plant(setup.car), {"front": pair[0], "rear": pair[1]}
     locations = setup.instruments.locations(setup.car)
-    left = (
-        bound(
-            build_plant(setup.car), mode, 15.0, setup.instruments, RoadPrior(), locations=locations
-        ).pooled
-        ** 2
-    )
-    assert told_1["unresolved_variance"] == pytest.approx(left, rel=1e-2)
-    assert r_0 - r_1 == pytest.approx(0.05 * weight * told_1["unresolved_variance"], rel=1e-9)
-    assert "unresolved_variance" not in told_0
+    posterior = bound(plant, mode, 15.0, setup.instruments, RoadPrior(), locations=locations)
+    unresolved = info_1["unresolved_variance"]
+    assert unresolved == pytest.approx(posterior.pooled**2, rel=1e-2)
+    assert r_0 - r_1 == pytest.approx(0.05 * weight * unresolved, rel=1e-9)
+    assert "unresolved_variance" not in info_0
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         ({"observe": ["struts"]}, "observe needs 'accelerations'"),
-        ({"observe": ["accelerations", "planar", "planar"]}, "no group twice"),
+        ({"observe": ["accelerations", "planar", "planar"]}, "no duplicates"),
         ({"observe": ["accelerations", "lidar"]}, "'accelerations', 'planar' or 'struts'"),
         ({"weights": {"unresolved_variance": -1.0}}, "unresolved_variance must not be negative"),
         ({"control": "wheel"}, "'vehicle', 'axle' or 'states'"),
     ],
 )
-def test_a_wrong_option_is_named(options, said):
-    with pytest.raises(ConfigError, match=said):
+def test_an_invalid_observation_option_is_named(options, message):
+    with pytest.raises(ConfigError, match=message):
         RoadReconEnv(**{**EVERYTHING, **options})

@@ -1,4 +1,4 @@
-"""OpenCRG files: read whole, or refused with the reason."""
+"""OpenCRG files: intact ones are read, damaged ones rejected with the reason."""
 
 import re
 import tracemalloc
@@ -36,7 +36,7 @@ def wavy(nu=201, nv=7, seed=3):
 
 @settings(deadline=None, max_examples=60)
 @given(grids, st.sampled_from(FORMS), st.sampled_from(["\n", "\r\n"]))
-def test_every_format_gives_back_the_grid_that_was_written(z, form, eol):
+def test_every_data_format_returns_the_written_grid(z, form, eol):
     grid = parse(crg_file(z, form, du=0.1, dv=0.5, eol=eol))
     np.testing.assert_allclose(grid.z, z, atol=PRECISION[form])
     np.testing.assert_allclose(grid.v, 0.5 * (np.arange(z.shape[1]) - 0.5 * (z.shape[1] - 1)))
@@ -44,14 +44,14 @@ def test_every_format_gives_back_the_grid_that_was_written(z, form, eol):
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_sections_placed_by_v_are_sorted_from_right_to_left(form):
+def test_sections_with_explicit_v_are_sorted_from_right_to_left(form):
     z, places = wavy(nv=4), [1.0, -1.5, 0.25, -0.75]
     grid = parse(crg_file(z, form, places=places))
     np.testing.assert_array_equal(grid.v, [-1.5, -0.75, 0.25, 1.0])
     np.testing.assert_allclose(grid.z, z[:, [1, 3, 2, 0]], atol=PRECISION[form])
 
 
-def test_keys_comments_and_case_are_free():
+def test_case_spacing_and_comments_of_keys_are_ignored():
     data = crg_file(wavy(), "KDBI", start=730.0)
     text, _, payload = data.partition(b"$" * 72 + b"\n")
     for change in (bytes.upper, bytes.lower, bytes.swapcase):
@@ -61,7 +61,7 @@ def test_keys_comments_and_case_are_free():
         assert grid.u_start == 730.0
 
 
-def test_what_stands_beyond_column_72_of_the_header_is_ignored():
+def test_header_text_beyond_column_72_is_ignored():
     data = crg_file(wavy(), "KDBI")
     for line in (
         b"reference_line_increment = 0.1  ! step",
@@ -73,7 +73,7 @@ def test_what_stands_beyond_column_72_of_the_header_is_ignored():
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_rows_are_counted_where_the_header_does_not_say(form):
+def test_rows_are_counted_if_the_header_states_no_number(form):
     data = crg_file(wavy(nu=23), form)
     data = re.sub(rb"reference_line_end_u.*\n", b"", data)
     np.testing.assert_allclose(parse(data).z, wavy(nu=23), atol=PRECISION[form])
@@ -87,7 +87,7 @@ def test_modifiers_scale_the_grid():
     assert grid.v[-1] == pytest.approx(3.0 * 1.5)
 
 
-def test_the_reference_line_is_left_out_and_the_note_says_so():
+def test_the_reference_line_is_ignored_with_a_note():
     z = wavy(nv=5)
     data = crg_file(z, "KDBI").replace(b"D:long section 1,m", b"D:reference line slope,m/m", 1)
     for k in range(2, 6):
@@ -95,14 +95,14 @@ def test_the_reference_line_is_left_out_and_the_note_says_so():
     data = data.replace(b"_v_left = 1.0", b"_v_left = 0.5")
     grid = parse(data)
     np.testing.assert_array_equal(grid.z, z[:, 1:])
-    assert grid.notes == ("slope of the reference line left out",)
+    assert grid.notes == ("slope of the reference line ignored",)
 
 
 # damage
 
 
 @pytest.mark.parametrize("form", ["KRBI", "KDBI"])
-def test_a_binary_file_sent_as_text_is_refused(form):
+def test_a_binary_file_transferred_as_text_is_rejected(form):
     data = crg_file(np.tile(wavy(), (4, 1)), form)
     text, mark, payload = data.partition(b"$" * 72 + b"\n")
     assert b"\r\n" not in payload
@@ -114,7 +114,7 @@ def test_a_binary_file_sent_as_text_is_refused(form):
 
 @settings(deadline=None, max_examples=60)
 @given(st.sampled_from(FORMS), st.floats(0.0, 0.999))
-def test_a_file_cut_off_anywhere_is_refused(form, share):
+def test_a_truncated_file_is_rejected(form, share):
     data = crg_file(wavy(nu=40, nv=9), form)
     cut = data[: int(share * (len(data) - 80))]
     with pytest.raises(SurfaceFileError):
@@ -122,7 +122,7 @@ def test_a_file_cut_off_anywhere_is_refused(form, share):
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_a_file_with_rows_too_many_is_refused(form):
+def test_a_file_with_extra_rows_is_rejected(form):
     more = crg_file(wavy(nu=60), form).partition(b"$" * 72 + b"\n")[2]
     header = b"".join(crg_file(wavy(nu=40), form).partition(b"$" * 72 + b"\n")[:2])
     with pytest.raises(SurfaceFileError, match="damaged"):
@@ -130,7 +130,7 @@ def test_a_file_with_rows_too_many_is_refused(form):
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_a_promise_of_gigabytes_costs_no_memory(form):
+def test_a_header_that_states_gigabytes_allocates_no_memory(form):
     data = re.sub(rb"(reference_line_end_u) = .*\n", rb"\1 = 1e9\n", crg_file(wavy(), form))
     tracemalloc.start()
     with pytest.raises(SurfaceFileError, match="damaged"):
@@ -140,7 +140,7 @@ def test_a_promise_of_gigabytes_costs_no_memory(form):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("old", "new", "reason"),
     [
         (b"$KD_Definition", b"$KD_Nothing", "no $KD_DEFINITION"),
         (b"#:KDBI", b"#:KXBI", "unknown data format 'KXBI'"),
@@ -162,14 +162,14 @@ def test_a_promise_of_gigabytes_costs_no_memory(form):
         (b"D:long", b"D:short", "at least 2 long sections"),
     ],
 )
-def test_an_inconsistent_header_is_refused_with_the_reason(old, new, says):
+def test_an_inconsistent_header_is_rejected_with_the_reason(old, new, reason):
     data = crg_file(wavy(), "KDBI")
     assert old in data
-    with pytest.raises(SurfaceFileError, match=re.escape(says)):
+    with pytest.raises(SurfaceFileError, match=re.escape(reason)):
         parse(data.replace(old, new))
 
 
-def test_heights_that_no_road_has_are_refused():
+def test_implausible_heights_are_rejected():
     z = wavy()
     z[5, 2] = 1e38
     with pytest.raises(SurfaceFileError, match=r"a height of 1e\+38 m"):
@@ -179,7 +179,7 @@ def test_heights_that_no_road_has_are_refused():
 @pytest.mark.parametrize(
     "field", [b"          ", b"  0.1 0.2 ", b"   abc    ", b"  \xff\xfe  0.1 "]
 )
-def test_a_text_field_that_is_no_number_is_refused(field):
+def test_a_non_numeric_text_field_is_rejected(field):
     data = crg_file(np.full((9, 7), 0.123456), "LRFI")
     with pytest.raises(SurfaceFileError, match="damaged"):
         parse(data[:-200] + data[-200:].replace(b"  0.123456", field, 1))
@@ -187,7 +187,7 @@ def test_a_text_field_that_is_no_number_is_refused(field):
 
 @settings(deadline=None, max_examples=150)
 @given(st.binary(max_size=400))
-def test_arbitrary_bytes_are_refused(data):
+def test_arbitrary_bytes_are_rejected(data):
     with pytest.raises(SurfaceFileError):
         parse(data)
     with pytest.raises(SurfaceFileError):
@@ -196,7 +196,7 @@ def test_arbitrary_bytes_are_refused(data):
 
 @settings(deadline=None, max_examples=250)
 @given(st.sampled_from(FORMS), st.data())
-def test_a_spoilt_file_is_read_or_refused_but_never_crashes(form, data):
+def test_a_corrupted_file_is_read_or_rejected(form, data):
     content = bytearray(crg_file(wavy(nu=6, nv=3), form))
     for _ in range(data.draw(st.integers(1, 6))):
         at = data.draw(st.integers(0, len(content) - 1))
@@ -211,11 +211,11 @@ def test_a_spoilt_file_is_read_or_refused_but_never_crashes(form, data):
         assert (np.diff(grid.v) > 0).all()
 
 
-# the files
+# sample files
 
 
 @needs_files
-def test_the_measured_cobbles_are_what_their_owner_says():
+def test_the_measured_cobbles_match_their_description():
     grid = read_crg(MEASURED / "opencrg" / "belgian_block.crg")
     assert grid.z.shape == (1001, 341)
     assert (grid.u_start, grid.du) == (730.0, 0.01)
@@ -227,7 +227,7 @@ def test_the_measured_cobbles_are_what_their_owner_says():
 
 
 @needs_files
-def test_the_handmade_files_are_read_to_the_letter():
+def test_the_handmade_sample_files_are_read_exactly():
     straight = read_crg(MEASURED / "opencrg" / "handmade_straight.crg")
     assert straight.z.shape == (23, 7)
     np.testing.assert_array_equal(np.argwhere(np.isnan(straight.z)), [[7, 0], [7, 6], [8, 0]])

@@ -1,4 +1,4 @@
-"""Switching policies do what their laws say, car by car, and are stored without pickle."""
+"""Switching policies against their laws, for each vehicle, and networks stored without pickle."""
 
 import itertools
 import pickle
@@ -42,7 +42,7 @@ def context(number: int = 1) -> PolicyContext:
 
 
 def observed(number: int = 1, **parts) -> np.ndarray:
-    """Observations (number, d) that are zero but for `parts`."""
+    """Return observations (number, d) that are zero except for `parts`."""
     x = np.zeros((number, SETUP.observation_space.shape[0]), dtype=np.float32)
     for name, value in parts.items():
         x[:, SETUP.observation_slices[name]] = value
@@ -54,10 +54,10 @@ def pair_of(action) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize("name", REGISTRY)
-def test_every_policy_drives_and_no_car_notices_another(name):
+def test_every_policy_runs_and_vehicles_do_not_affect_each_other(name):
     policy = create(name)
     three = roll_out(policy, OPTIONS, [5, 6, 7])
-    if name == "random":  # its draws are for all cars together
+    if name == "random":  # one generator draws for all vehicles
         return
     alone = roll_out(policy, OPTIONS, [6])
     np.testing.assert_array_equal(three.actions[:, 1], alone.actions[:, 0])
@@ -74,11 +74,11 @@ def test_every_policy_drives_and_no_car_notices_another(name):
         ("fixed_handling_ride", ("handling", "ride")),
     ],
 )
-def test_fixed_policies_hold_their_pair(name, pair):
+def test_fixed_policies_keep_their_pair_of_states(name, pair):
     assert {pair_of(a) for a in roll_out(create(name), OPTIONS, [1, 2]).actions.ravel()} == {pair}
 
 
-def test_random_policies_hold_a_draw_and_draw_all_actions():
+def test_random_switching_holds_each_draw_and_draws_all_actions():
     policy = create("random", hold=0.04)
     policy.reset(context(500))
     actions = np.array([policy.act(observed(500)) for _ in range(4)])
@@ -88,14 +88,14 @@ def test_random_policies_hold_a_draw_and_draw_all_actions():
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_the_laws_are_the_published_ones(seed):
-    """v and a up, e' of extension: the damper's force on the body is against e'."""
+def test_the_control_laws_are_the_published_ones(seed):
+    """v and a are positive upwards, e' in extension; the damper force on the body is along -e'."""
     v, a, e_dot = np.random.default_rng(seed).standard_normal((3, 4))
     alpha = 2.0 * np.pi * 1.9
     wheel = v - e_dot
     expected = {
-        "skyhook": v * -e_dot < 0,  # the force slows the body down
-        "groundhook": wheel * e_dot < 0,  # the force e' on the wheel slows it down
+        "skyhook": v * -e_dot < 0,  # the force decelerates the body
+        "groundhook": wheel * e_dot < 0,  # the force along e' decelerates the wheel
         "add": a * -e_dot < 0,
         "sh_add": np.where(a**2 - alpha**2 * v**2 <= 0, v * e_dot > 0, a * e_dot > 0),
     }
@@ -104,31 +104,31 @@ def test_the_laws_are_the_published_ones(seed):
         np.testing.assert_array_equal(law, expected[name], err_msg=name)
 
 
-def test_a_two_state_policy_firms_the_axle_whose_dampers_should_work():
+def test_a_two_state_damper_switches_the_axle_with_positive_work():
     policy = create("add", high="soft_high", bias=0.0)
     policy.reset(context())
-    up = dict.fromkeys(("RF", "LR", "RR"), 1.0)  # the whole body is pushed up
-    rates = np.array([0.1, 0.1, -0.1, -0.1])  # in front the struts extend
+    up = dict.fromkeys(("RF", "LR", "RR"), 1.0)  # the body accelerates upwards
+    rates = np.array([0.1, 0.1, -0.1, -0.1])  # the front struts extend
     assert pair_of(policy.act(observed(**up, extension_rate=rates))[0]) == ("soft_high", "ride")
 
 
-def test_rates_of_the_body_come_back_from_its_accelerations():
-    """A sine of heave far above the leak: its rate is the integral, a quarter period late."""
+def test_body_rates_are_recovered_from_accelerations():
+    """For a sine of heave far above the leak the rate is the integral, a quarter period late."""
     one, w, dt = context(), 2.0 * np.pi * 2.0, SETUP.interval
-    body, found = BodyMotionEstimator(one, leak=0.05), []
+    body, rates = BodyMotionEstimator(one, leak=0.05), []
     t = dt * np.arange(500)
     for k in t:
         heave = np.cos(w * (k + 0.001 * np.arange(SETUP.samples_per_interval)))
         body.update(observed(RF=heave, LR=heave, RR=heave))
-        found.append(body.v[0].copy())
-    found = np.array(found)
+        rates.append(body.v[0].copy())
+    rates = np.array(rates)
     inside = t > 6.0
     expected = np.sin(w * (t + dt)) / w
-    assert np.abs(found[inside, 0] - expected[inside]).max() < 0.06 / w
-    assert np.abs(found[:, 1:]).max() < 1e-9
+    assert np.abs(rates[inside, 0] - expected[inside]).max() < 0.06 / w
+    assert np.abs(rates[:, 1:]).max() < 1e-9
 
 
-def test_heave_roll_and_pitch_are_told_apart():
+def test_heave_roll_and_pitch_are_separated():
     one = context()
     body = BodyMotionEstimator(one, leak=0.1)
     motion = np.array([0.7, -0.4, 0.3])
@@ -143,7 +143,7 @@ def test_heave_roll_and_pitch_are_told_apart():
 
 
 @given(st.lists(st.floats(-5, 5), min_size=1, max_size=40))
-def test_the_running_rms_is_that_of_the_window(values):
+def test_the_running_rms_equals_the_rms_of_the_window(values):
     running = RunningRms(context(), 0.2)
     x = np.concatenate([np.zeros(10), values])
     for k, value in enumerate(values):
@@ -151,7 +151,7 @@ def test_the_running_rms_is_that_of_the_window(values):
         assert running.add(np.array([value]))[0] == pytest.approx(expected, abs=1e-12)
 
 
-def test_rrms_weighs_lateral_against_vertical():
+def test_rrms_compares_lateral_with_vertical_acceleration():
     policy = create("rrms", window=0.1, ratio=2.0)
     policy.reset(context(3))
     up = dict.fromkeys(("RF", "LR", "RR"), 1.0)
@@ -161,7 +161,7 @@ def test_rrms_weighs_lateral_against_vertical():
     assert [pair_of(a)[0] for a in actions] == ["ride", "handling", "ride"]
 
 
-def test_a_lean_is_answered_until_it_has_been_gone_for_a_while():
+def test_roll_angle_holds_handling_after_the_roll_has_ceased():
     policy = create("roll_angle", threshold=0.05, hold=0.06)
     policy.reset(context())
     y = SETUP.car.front.y_s
@@ -174,7 +174,7 @@ def test_a_lean_is_answered_until_it_has_been_gone_for_a_while():
     assert [lean(0.0) for _ in range(4)] == ["handling", "handling", "handling", "ride"]
 
 
-def test_sensing_is_the_pair_of_least_cost_and_turns_from_comfort_to_knowledge():
+def test_greedy_information_takes_the_pair_of_least_cost():
     slow = observed(speed=15.0)
     chosen = []
     for weight in (0.0, 1e6):
@@ -187,8 +187,8 @@ def test_sensing_is_the_pair_of_least_cost_and_turns_from_comfort_to_knowledge()
     assert chosen[1][0] != chosen[1][1]
 
 
-def test_expected_comfort_is_that_of_the_drives():
-    """Closed form against simulation: the linear car on class D, within what friction makes."""
+def test_expected_comfort_agrees_with_simulated_drives():
+    """The closed form of the linear vehicle against simulation on class D; friction causes 15 %."""
     straight = {**OPTIONS, "manoeuvre": None, "length": 300.0}
     for name, pair in (("fixed_ride", ("ride", "ride")), ("fixed_handling", ("handling",) * 2)):
         envs = RoadReconVectorEnv(4, **straight, truth=False)
@@ -197,14 +197,14 @@ def test_expected_comfort_is_that_of_the_drives():
         policy.reset(PolicyContext.from_setup(envs.setup, 4, 0))
         squares = []
         for _ in range(900):
-            seen = envs.step(policy.act(np.zeros((4, 1))))
-            squares.append(seen[4]["comfort"] ** 2)
+            step = envs.step(policy.act(np.zeros((4, 1))))
+            squares.append(step[4]["comfort"] ** 2)
         measured = np.sqrt(np.mean(squares[50:]))
         expected = expected_comfort(SETUP.car, *pair, 15.0, RoadPrior())
         assert expected == pytest.approx(measured, rel=0.15)
 
 
-def test_a_policy_of_another_package_appears_by_its_name(monkeypatch):
+def test_a_policy_of_another_package_is_available_by_its_name(monkeypatch):
     class Entry:
         name, value = "mine", "somewhere:Mine"
 
@@ -222,7 +222,7 @@ def test_a_policy_of_another_package_appears_by_its_name(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("name", "settings", "said"),
+    ("name", "settings", "message"),
     [
         ("skihook", {}, "did you mean 'skyhook'"),
         ("skyhook", {"lek": 1.0}, "did you mean 'leak'"),
@@ -233,13 +233,13 @@ def test_a_policy_of_another_package_appears_by_its_name(monkeypatch):
         ("preview", {"bump": 0.0}, "bump must be positive"),
     ],
 )
-def test_a_wrong_policy_or_setting_is_named(name, settings, said):
-    with pytest.raises(ConfigError, match=said):
+def test_an_unknown_policy_or_invalid_setting_is_named(name, settings, message):
+    with pytest.raises(ConfigError, match=message):
         create(name, **settings)
 
 
 @pytest.mark.parametrize(
-    ("actions", "said"),
+    ("actions", "message"),
     [
         (np.array([0, 16]), "0 to 15, got 16"),
         (np.array([-1, 0]), "0 to 15, got -1"),
@@ -248,12 +248,12 @@ def test_a_wrong_policy_or_setting_is_named(name, settings, said):
         (None, "2 whole numbers, got object"),
     ],
 )
-def test_actions_that_are_none_are_named(actions, said):
-    with pytest.raises(PolicyError, match=said):
+def test_invalid_actions_are_named(actions, message):
+    with pytest.raises(PolicyError, match=message):
         validate_actions(actions, context(2))
 
 
-def test_what_is_not_observed_or_commanded_is_named():
+def test_a_missing_observation_or_action_is_named():
     plain = EnvSetup({**OPTIONS, "observe": ["accelerations"], "control": "vehicle"})
     policy = create("roll_angle")
     policy.reset(PolicyContext.from_setup(plain, 1, 0))
@@ -263,71 +263,68 @@ def test_what_is_not_observed_or_commanded_is_named():
         create("fixed_ride_handling").reset(PolicyContext.from_setup(plain, 1, 0))
 
 
-# --- the road ahead -------------------------------------------------------------------------------
+# --- wheelbase preview ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["fixed_ride", "random"])
-def test_the_road_felt_at_the_front_is_the_road(name):
-    """In band and without any delay, in one state as through random switches of both axles."""
+def test_estimated_heights_under_the_front_axle_follow_the_road(name):
+    """In the scored band and without delay, in one state and with random switching."""
     options = {**OPTIONS, "length": 60.0, "speed_kmh": 30.0, "manoeuvre": None}
-    driven = roll_out(create(name), options, [21, 22])
+    rollout = roll_out(create(name), options, [21, 22])
     setup = EnvSetup(dict(options))
-    road = WheelbasePreview(PolicyContext.from_setup(setup, 2, 0))
-    felt = []
-    for observations in driven.observations:
-        road.update(observations)
-        felt.append(road.wheel_heights[:, :2].copy())
+    preview = WheelbasePreview(PolicyContext.from_setup(setup, 2, 0))
+    heights = []
+    for observations in rollout.observations:
+        preview.update(observations)
+        heights.append(preview.wheel_heights[:, :2].copy())
     v = 30.0 / 3.6
-    station = -5.0 + v * setup.interval * np.arange(1, len(felt) + 1)
+    station = -5.0 + v * setup.interval * np.arange(1, len(heights) + 1)
     sos = butter(2, [0.2, 1.8], "bandpass", fs=1.0 / (v * setup.interval), output="sos")
     for k, seed in enumerate((21, 22)):
-        begun = setup.start_episode(
-            setup.make_fleet(), 0, seeding.np_random(seed)[0], setup.options
-        )
+        rng = seeding.np_random(seed)[0]
+        surface = setup.start_episode(setup.make_fleet(), 0, rng, setup.options).surface
         inside = (station > 0.0) & (station < 60.0)
-        truth = sosfiltfilt(sos, begun.surface.height(station[inside]), axis=1)
-        estimate = sosfiltfilt(sos, np.array(felt)[inside, k].T, axis=1)
+        truth = sosfiltfilt(sos, surface.height(station[inside]), axis=1)
+        estimate = sosfiltfilt(sos, np.array(heights)[inside, k].T, axis=1)
         assert np.sqrt(np.mean((estimate - truth) ** 2) / np.mean(truth**2)) < 0.4
 
 
-def test_what_the_front_felt_lies_ahead_of_the_rear_axle():
-    """A step under the front wheels moves towards the rear axle as fast as the car drives."""
-    road, seen = WheelbasePreview(context(2)), observed(2, speed=15.0)
-    step = 15.0 * SETUP.interval  # 0.3 m an interval
+def test_front_axle_heights_move_towards_the_rear_axle():
+    """A step under the front wheels moves towards the rear axle at the speed of the vehicle."""
+    preview, observations = WheelbasePreview(context(2)), observed(2, speed=15.0)
+    step = 15.0 * SETUP.interval  # 0.3 m per interval
     for _ in range(20):
-        road.update(seen)
-    road.history[road.newest, 1] = [0.02, -0.01]
-    L = road.wheelbase
-    for driven in range(9):
-        at = L - step * driven
-        heights = road.heights_at(np.array([at - step, at, at - 0.5 * step]))[1]
+        preview.update(observations)
+    preview.history[preview.newest, 1] = [0.02, -0.01]
+    for k in range(9):
+        at = preview.wheelbase - step * k
+        heights = preview.heights_at(np.array([at - step, at, at - 0.5 * step]))[1]
         np.testing.assert_allclose(heights[1], [0.02, -0.01], atol=1e-12)
-        if driven:
+        if k:
             np.testing.assert_allclose(heights[2], [0.01, -0.005], atol=1e-12)
             assert np.abs(heights[0]).max() < 1e-12
-        assert not road.heights_at(np.array([at]))[0].any()
-        road.update(seen)
-    road.reset(np.array([False, True]))
-    assert not road.history[:, 1].any() and not road.wheel_heights[1].any()
+        assert not preview.heights_at(np.array([at]))[0].any()
+        preview.update(observations)
+    preview.reset(np.array([False, True]))
+    assert not preview.history[:, 1].any() and not preview.wheel_heights[1].any()
 
 
-def test_preview_is_rrms_but_for_the_rear_axle_before_a_bump():
+def test_preview_equals_rrms_except_for_the_rear_axle_before_a_bump():
     settings = {"window": 0.1, "ratio": 2.0}
     policy, plain = create("preview", **settings, bump=0.05, reach=2.0), create("rrms", **settings)
     for one in (policy, plain):
         one.reset(context(2))
     up = dict.fromkeys(("RF", "LR", "RR"), 1.0)
-    seen = observed(2, **up, planar=[0.0, 3.0], speed=15.0)
-    policy.preview.update = lambda observations: None
-    policy.preview.speed[:] = 15.0
+    observations = observed(2, **up, planar=[0.0, 3.0], speed=15.0)
+    preview = policy.preview
+    preview.update = lambda observations: None
+    preview.speed[:] = 15.0
     for height, rear in ((0.04, "handling"), (0.06, "ride")):
-        policy.preview.history[:] = 0.0
-        policy.preview.history[policy.preview.newest - 5, 1, 0] = (
-            height  # 1.3 m before the rear axle
-        )
+        preview.history[:] = 0.0
+        preview.history[preview.newest - 5, 1, 0] = height  # 1.3 m ahead of the rear axle
         for _ in range(6):
-            actions, rule = policy.act(seen), plain.act(seen)
-        assert actions[0] == rule[0]
+            actions, expected = policy.act(observations), plain.act(observations)
+        assert actions[0] == expected[0]
         assert pair_of(actions[1]) == ("handling", rear)
 
 
@@ -346,7 +343,7 @@ def network(rng=None) -> PolicyNetwork:
     )
 
 
-def test_a_stored_network_comes_back_and_is_the_formula(tmp_path):
+def test_a_stored_network_round_trips_and_computes_the_formula(tmp_path):
     path = tmp_path / "n.npz"
     path.write_bytes(network().to_bytes())
     again = read_policy_network(path)
@@ -358,7 +355,7 @@ def test_a_stored_network_comes_back_and_is_the_formula(tmp_path):
     assert driven.actions.shape[1] == 1
 
 
-def test_a_file_of_a_stranger_is_never_unpickled(tmp_path):
+def test_an_untrusted_file_is_never_unpickled(tmp_path):
     ran = tmp_path / "ran"
 
     class Trap:
@@ -376,7 +373,7 @@ def test_a_file_of_a_stranger_is_never_unpickled(tmp_path):
 
 
 @pytest.mark.parametrize("fault", ["shape", "nan", "format", "missing", "cut"])
-def test_a_damaged_network_is_refused(tmp_path, fault):
+def test_a_damaged_network_is_rejected(tmp_path, fault):
     good, path = network(), tmp_path / "n.npz"
     (W, b), last = good.layers
     if fault == "shape":

@@ -1,4 +1,4 @@
-"""A damaged record is mended where it can be, and refused in one sentence where it cannot."""
+"""Damaged records are repaired where possible and rejected with a reason otherwise."""
 
 from dataclasses import replace
 
@@ -12,11 +12,11 @@ from road_envs.data.record import Record
 from road_envs.vehicle.parameters import load_vehicle
 
 CAR = load_vehicle("land_rover_defender_110")
-MENDING = ["static_lm", "narx", "fir_ridge", "tcn", "tcn_causal", "gru", "gru_causal"]
+TRAINABLE = ["static_lm", "narx", "fir_ridge", "tcn", "tcn_causal", "gru", "gru_causal"]
 
 
-def part(record: Record, kept: np.ndarray) -> Record:
-    """The record with these samples alone."""
+def select_samples(record: Record, kept: np.ndarray) -> Record:
+    """The record reduced to the samples `kept`."""
     fields = {
         name: getattr(record, name)[kept] for name in ("t", "v", "s", "spring_stiff", "damper_high")
     }
@@ -24,7 +24,7 @@ def part(record: Record, kept: np.ndarray) -> Record:
 
 
 def with_gap(record: Record, share: float, row: int = 1) -> Record:
-    """The record with NaN in one sensor over a share of its samples, in the middle."""
+    """The record with NaN in the middle of one sensor, over a fraction of its samples."""
     a = record.a.copy()
     begin = record.t.size // 3
     a[row, begin : begin + round(share * record.t.size)] = np.nan
@@ -40,7 +40,7 @@ def test_a_clean_record_is_returned_itself():
 def test_missing_samples_are_interpolated_linearly_and_noted():
     record, _ = drive(201)
     found, notes = clean_record(with_gap(record, 0.01))
-    assert notes == ("LR: 1.0% of the samples were missing and are bridged",)
+    assert notes == ("LR: 1.0% of the samples are missing",)
     begin, size = record.t.size // 3, round(0.01 * record.t.size)
     bridge = found.a[1, begin - 1 : begin + size + 1]
     np.testing.assert_allclose(np.diff(bridge, 2), 0.0, atol=1e-12)
@@ -52,8 +52,9 @@ def test_dropped_samples_are_restored_at_their_times():
     record, _ = drive(202)
     kept = np.ones(record.t.size, dtype=bool)
     kept[100:103] = kept[500:520:2] = False
-    found, (note,) = clean_record(part(record, kept))
-    assert "of the samples were dropped (longest step 0.020 s)" in note
+    found, notes = clean_record(select_samples(record, kept))
+    assert notes[-1] == "the clock is uneven (longest step 0.020 s); the record is resampled"
+    assert [note.partition(":")[0] for note in notes[:-1]] == ["RF", "LR", "RR"]
     np.testing.assert_allclose(found.t, record.t, atol=1e-9)
     np.testing.assert_allclose(found.s, record.s, atol=1e-9)
     np.testing.assert_allclose(found.a[:, kept], record.a[:, kept], atol=1e-9)
@@ -64,7 +65,7 @@ def test_a_clipped_sensor_is_noted_and_a_smooth_peak_is_not():
     limit = np.quantile(np.abs(record.a[0]), 0.9)
     clipped = replace(record, a=np.clip(record.a, -limit, limit))
     _, notes = clean_record(clipped)
-    assert any(note.startswith(f"RF stands at its limit of {limit:.1f} m/s²") for note in notes)
+    assert any(note.startswith(f"RF is clipped at {limit:.1f} m/s²") for note in notes)
     hum = np.sin(2.0 * np.pi * 1.0 * record.t)
     assert clean_record(replace(record, a=np.array([hum, hum, hum])))[1] == ()
 
@@ -73,25 +74,25 @@ def test_a_stop_and_a_late_start_are_noted():
     record, _ = drive(204)
     s = np.where(record.s < 5.0, record.s, np.maximum(record.s - 4.0, 5.0))
     _, notes = clean_record(replace(record, s=s))
-    assert "the car stood still for 1.0 s; nothing is learnt of the road there" in notes
-    late = part(record, record.s > 3.0)
+    assert "the vehicle stood still for 1.0 s; these samples carry no road information" in notes
+    late = select_samples(record, record.s > 3.0)
     assert clean_record(late)[1] == ("the record does not reach the first 3.02 m of the road",)
 
 
-REFUSED = {
-    "LR holds no number in 30% of its samples; at most 20% can be bridged": lambda r: with_gap(
+REJECTED = {
+    "LR is missing in 30% of its samples; at most 20% can be interpolated": lambda r: with_gap(
         r, 0.3
     ),
-    "sampled at 40 Hz; at least 60 Hz are wanted for a band of 25 Hz": lambda r: part(
-        r, np.arange(r.t.size) % 5 == 0
+    "sampled at 40 Hz; at least 60 Hz are needed for a bandwidth of 25 Hz": lambda r: (
+        select_samples(r, np.arange(r.t.size) % 5 == 0)
     ),
-    "49% of the samples were dropped; at most 20%": lambda r: part(
+    "RF is missing in 49% of its samples; at most 20% can be interpolated": lambda r: select_samples(
         r, (np.arange(r.t.size) < 0.5 * r.t.size) | (np.arange(r.t.size) > 0.99 * r.t.size)
     ),
-    "the record has 20 samples; at least 32 are wanted": lambda r: part(r, np.arange(20)),
-    r"the car moved by 0\.00 m; at least 1 m are wanted": lambda r: replace(r, s=0.0 * r.s),
-    r"the odometer runs .* m backwards": lambda r: replace(r, s=r.s[::-1]),
-    "the clock must go on; it does not after sample 0": lambda r: replace(r, t=r.t[::-1]),
+    r"the record lasts 0\.10 s; at least 1 s are needed": lambda r: select_samples(r, np.arange(20)),
+    r"the vehicle moved by 0\.00 m; at least 1 m are needed": lambda r: replace(r, s=0.0 * r.s),
+    r"the odometer decreases by .* m": lambda r: replace(r, s=r.s[::-1]),
+    "the times t must be finite and increase; they do not after sample 0": lambda r: replace(r, t=r.t[::-1]),
     "the strut states 'spring_stiff' must be true or false": lambda r: replace(
         r, spring_stiff=np.full((r.t.size, 4), 3)
     ),
@@ -103,22 +104,22 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("sentence", REFUSED)
+@pytest.mark.parametrize("sentence", REJECTED)
 def test_an_unusable_record_is_rejected_with_the_reason(sentence):
     record, _ = drive(205)
     with pytest.raises(RecordError, match=sentence):
-        clean_record(REFUSED[sentence](record))
+        clean_record(REJECTED[sentence](record))
 
 
-@pytest.mark.parametrize("name", MENDING)
+@pytest.mark.parametrize("name", TRAINABLE)
 def test_each_trainable_estimator_notes_repairs_and_rejects_unusable_records(name):
     estimator = fit(name)
     record, _ = drive(206)
     whole = estimator.estimate(record, CAR)
     gap = estimator.estimate(with_gap(record, 0.005), CAR)
     check_estimate(gap, record)
-    assert "LR: 0.5% of the samples were missing and are bridged" in gap.notes
+    assert "LR: 0.5% of the samples are missing" in gap.notes
     change = np.sqrt(np.mean((gap.z - whole.z) ** 2) / np.mean(whole.z**2))
-    assert change < (1.0 if name == "narx" else 0.3)  # errors that are fed back go on for ever
-    with pytest.raises(RecordError, match="LR holds no number"):
+    assert change < (1.0 if name == "narx" else 0.3)  # fed-back errors persist
+    with pytest.raises(RecordError, match="LR is missing in 50%"):
         estimator.estimate(with_gap(record, 0.5), CAR)

@@ -1,4 +1,4 @@
-"""The weights that come with the package are those that their command gives."""
+"""The shipped weights are those that their command produces."""
 
 import os
 from functools import cache
@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from estimators import create, pretrained_weights
+from estimators.common.training_data import training_example
 from estimators.linear.fir_bank import fit_bank
 from estimators.networks.inputs import window_span
-from estimators.networks.training_data import training_example
 from leaderboard.evaluation import pretraining
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.evaluation.test_data import simulate_drives
@@ -17,32 +17,33 @@ from leaderboard.metrics.heights import nrmse, scored_band
 from road_envs.data.training_corpus import Corpus
 
 RARE = (79, 264, 344, 578, 648, 674, 835, 858, 1033, 1040, 1050, 1103, 1195)
-"""The drives of the corpus with stiff springs and low damping in front, in ride mode behind: no
-other pair of states has so few."""
+"""The drives of the corpus with stiff springs and low damping in front and ride mode at the rear:
+the rarest combination of states.
+"""
 
 STIFF_LOW_AND_RIDE = 0b1000
 SEED_SPREAD = 0.05
-"""Relative difference of the mean NRMSE that another seed, or another order of sums, may make."""
+"""Relative change of the mean NRMSE that another seed or order of summation may cause."""
 
 NETWORKS = ("tcn", "tcn_causal", "gru", "gru_causal")
 WINDOWS = {"fir_ridge": "bank"} | dict.fromkeys(NETWORKS, "taps")
-"""Under what name they stand in whose file."""
+"""Names of the FIR taps in the weight files."""
 
 
-def kept(name: str):
-    """Arrays and what is said about them."""
+def read_shipped(name: str):
+    """Arrays and metadata of a shipped file."""
     return pretrained_weights.read_weights(pretrained_weights.FOLDER / f"{name}.safetensors")
 
 
-def near(fresh: np.ndarray, stored: np.ndarray) -> bool:
-    """Equal but for the rounding of what was summed in another order."""
+def nearly_equal(fresh: np.ndarray, stored: np.ndarray) -> bool:
+    """Whether arrays are equal up to rounding of sums in another order."""
     apart = np.abs(fresh.astype(float) - stored.astype(float))
     return bool(apart.max() < 2e-3 * np.abs(stored).max())
 
 
 @cache
 def rare_taps(causal: bool) -> np.ndarray:
-    """Taps of the rarest states, for they follow from their own drives alone."""
+    """Taps of the rarest combination; they depend on its own drives only."""
     pairs = [Corpus().simulate_drive(k) for k in RARE]
     drives = [training_example(record, truth, causal) for record, truth in pairs]
     assert all((drive.signals.states == [1.0, 0.0, 0.0, 0.0]).all() for drive in drives)
@@ -52,15 +53,17 @@ def rare_taps(causal: bool) -> np.ndarray:
 
 @pytest.mark.parametrize(("name", "array"), WINDOWS.items())
 def test_shipped_fir_taps_match_the_corpus_as_simulated_now(name, array):
-    """Whatever changes in the simulator, in a road or in the corpus, the weights are to follow."""
-    arrays, _ = kept(name)
-    assert near(rare_taps(create(name).causal), arrays[array][STIFF_LOW_AND_RIDE])
+    """A change of simulator, road or corpus requires new weights."""
+    arrays, _ = read_shipped(name)
+    assert nearly_equal(rare_taps(create(name).causal), arrays[array][STIFF_LOW_AND_RIDE])
 
 
 def test_all_pretrained_estimators_share_the_same_fir_taps():
     for causal in (False, True):
         banks = [
-            kept(name)[0][array] for name, array in WINDOWS.items() if create(name).causal == causal
+            read_shipped(name)[0][array]
+            for name, array in WINDOWS.items()
+            if create(name).causal == causal
         ]
         for bank in banks[1:]:
             np.testing.assert_array_equal(bank, banks[0])
@@ -68,22 +71,22 @@ def test_all_pretrained_estimators_share_the_same_fir_taps():
 
 @pytest.mark.parametrize("name", NETWORKS)
 def test_weight_files_hold_half_precision_and_little_else(name):
-    arrays, _ = kept(name)
+    arrays, _ = read_shipped(name)
     precise = {key for key, x in arrays.items() if x.dtype != np.float16}
     assert precise == {"widths", "wheelbase"}
     assert all(np.isfinite(x).all() for x in arrays.values())
 
 
-def taught(name: str, path):
-    """What `road-recon train NAME` makes, with the seed that the shipped file tells."""
-    about = kept(name)[1]
+def train_again(name: str, path):
+    """The result of `road-recon train NAME` with the seed of the shipped file."""
+    about = read_shipped(name)[1]
     return pretraining.train(
         create(name), name, Corpus(), int(about["seed"]), path, about["command"]
     )
 
 
 def mean_error(estimator) -> float:
-    """In-band NRMSE over every condition of the main board, a road of each of two families."""
+    """In-band NRMSE over all conditions of the main board, one road of each of two families."""
     task, found = load_task("new_road"), []
     for condition in task.conditions:
         for drive in simulate_drives(task, task.with_test_drives(2).test, condition):
@@ -96,13 +99,13 @@ def mean_error(estimator) -> float:
 @pytest.mark.slow
 @pytest.mark.skipif("ROADRECON_SLOW" not in os.environ, reason="minutes; set ROADRECON_SLOW")
 def test_the_shipped_fir_taps_are_reproduced_by_their_command(tmp_path):
-    fresh = taught("fir_ridge", tmp_path / "bank.safetensors").weights()
-    assert near(fresh["bank"], kept("fir_ridge")[0]["bank"])
+    fresh = train_again("fir_ridge", tmp_path / "bank.safetensors").weights()
+    assert nearly_equal(fresh["bank"], read_shipped("fir_ridge")[0]["bank"])
 
 
 @pytest.mark.slow
 @pytest.mark.skipif("ROADRECON_SLOW" not in os.environ, reason="minutes; set ROADRECON_SLOW")
 @pytest.mark.parametrize("name", NETWORKS)
 def test_shipped_networks_are_reproduced_within_the_spread_of_seeds(name, tmp_path):
-    fresh = mean_error(taught(name, tmp_path / "network.safetensors"))
+    fresh = mean_error(train_again(name, tmp_path / "network.safetensors"))
     assert fresh == pytest.approx(mean_error(create(name)), rel=SEED_SPREAD)

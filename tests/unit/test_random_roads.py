@@ -1,4 +1,4 @@
-"""Random roads against the spectra, coherences and variances they are asked for."""
+"""Random roads against their specified spectra, coherences and variances."""
 
 from functools import cache
 
@@ -27,27 +27,27 @@ def draws(name, count=60, length=100.0):
 
 
 def spectra(z, ds=0.01, size=2000):
-    """Mean density of both paths over all roads, its standard error, and n."""
+    """Return n, the mean density of both paths over all roads, and its standard error."""
     each = np.array([segment_spectrum(path, ds, size)[1] for path in z.reshape(-1, z.shape[-1])])
     n = segment_spectrum(z[0, 0], ds, size)[0]
     return n, each.mean(axis=0), each.std(axis=0) / np.sqrt(len(each))
 
 
-def test_the_spectrum_of_an_iso_road_is_the_one_asked_for():
+def test_an_iso_road_has_the_specified_spectrum():
     n, G, error = spectra(draws("iso_d"))
-    use = (n >= 0.25) & (n <= 9.5)  # below, the 20 m segments leak
+    use = (n >= 0.25) & (n <= 9.5)  # spectral leakage of the 20 m segments below
     score = (G[use] / iso_density(n[use], 1024e-6) - 1.0) / (error[use] / G[use])
     assert np.abs(score).max() < 4.5
     assert np.abs(score.mean()) < 4.0 / np.sqrt(score.size)
 
 
-def test_nothing_is_rough_beyond_the_shortest_wave():
+def test_there_is_no_roughness_beyond_n_max():
     n, G, _ = spectra(draws("iso_d"))
     assert G[n > 11.0].max() < 1e-3 * iso_density(10.0, 1024e-6)
 
 
 @pytest.mark.parametrize("w", [1.0, 2.0, 2.6])
-def test_the_variance_over_the_period_is_the_integral_of_the_density(w):
+def test_the_variance_is_the_integral_of_the_density(w):
     road = Iso8608(G_d0=256e-6, w=w, length=2000.0, ds=0.04, n_min=0.05, coherence="none")
     variance = np.array([road.realise(rng(k)).z.var(axis=1) for k in range(30)]).ravel()
     n = np.geomspace(0.05, 10.0, 20001)
@@ -56,8 +56,8 @@ def test_the_variance_over_the_period_is_the_integral_of_the_density(w):
     assert variance.std() < 0.2 * expected
 
 
-def test_a_road_does_not_close_on_itself():
-    z = draws("iso_d", 100)[:, :, -1]  # the start is at 0
+def test_the_synthesis_is_not_periodic_in_the_road_length():
+    z = draws("iso_d", 100)[:, :, -1]  # relative to the start, which is at 0
     n = np.linspace(0.01, 10.0, 100001)
     expected = 2.0 * np.trapezoid(
         iso_density(n, 1024e-6) * (1.0 - np.cos(2 * np.pi * n * 100.0)), n
@@ -69,7 +69,7 @@ def test_a_road_does_not_close_on_itself():
 
 @settings(deadline=None, max_examples=25)
 @given(st.floats(4.0, 60.0), st.floats(0.02, 0.2), st.floats(0.02, 1.0), st.floats(0.05, 1.0))
-def test_any_band_that_the_samples_can_hold_can_be_drawn(length, ds, n_min, share):
+def test_every_valid_band_can_be_realised(length, ds, n_min, share):
     n_max = n_min + share * (0.5 / ds - n_min)
     road = Iso8608(G_d0=1e-4, length=length, ds=ds, n_min=n_min, n_max=n_max)
     surface = road.realise(rng())
@@ -92,14 +92,14 @@ def test_height_scales_with_the_root_of_the_density(G_d0, factor, seed):
 
 @pytest.mark.parametrize("w", [1.5, 2.0, 3.0])
 @pytest.mark.parametrize("n", [0.01, 0.05, 0.2, 0.5])
-def test_the_isotropic_coherence_is_the_cut_through_a_surface(n, w):
+def test_the_isotropic_coherence_matches_an_isotropic_surface(n, w):
     assert root_coherence(np.array(n), w, 1.5) == pytest.approx(
         isotropic_root_coherence(n, w, 1.5), abs=2e-6
     )
 
 
 def coherence(z, low, high, size=2000):
-    """Root coherence of the paths between `low` and `high` cycles/m, and its standard error."""
+    """Return the root coherence of the paths in [`low`, `high`] cycles/m, and its error."""
     window = np.hanning(size)
     parts = z[:, :, : z.shape[-1] // size * size].reshape(len(z), 2, -1, size)
     lines = np.fft.rfft((parts - parts.mean(axis=-1, keepdims=True)) * window)
@@ -110,28 +110,30 @@ def coherence(z, low, high, size=2000):
     return cross / auto, 1.0 / np.sqrt(left.size / 2.0)
 
 
-def test_the_wheel_paths_of_an_iso_road_cohere_as_on_an_isotropic_surface():
+def test_wheel_paths_of_an_iso_road_have_the_isotropic_coherence():
     z = draws("iso_d", 60)
     for n in (0.1, 0.2, 0.3, 0.5):
-        found, error = coherence(z, n - 1e-9, n + 1e-9)
-        # 0.02: the window smears the coherence over 0.1 cycles/m, and long waves leak in
-        assert abs(found - isotropic_root_coherence(n, 2.0, 1.5)) < 4.0 * error + 0.02 + 0.1 * found
-    found, error = coherence(z, 2.0, 8.0)
-    assert abs(found) < 4.0 * error
+        actual, error = coherence(z, n - 1e-9, n + 1e-9)
+        # 0.02: bias by the window, which averages over 0.1 cycles/m, and by leakage of long waves
+        assert (
+            abs(actual - isotropic_root_coherence(n, 2.0, 1.5)) < 4.0 * error + 0.02 + 0.1 * actual
+        )
+    actual, error = coherence(z, 2.0, 8.0)
+    assert abs(actual) < 4.0 * error
 
 
-def test_wheel_paths_can_be_one_or_strangers():
+def test_wheel_paths_can_be_identical_or_independent():
     same = Iso8608(road_class="C", coherence="full").realise(rng()).z
     np.testing.assert_array_equal(same[0], same[1])
     strangers = Iso8608(road_class="C", coherence="none", length=1000.0).realise(rng()).z[None]
-    found, error = coherence(strangers, 0.2, 2.0)
-    assert abs(found) < 4.0 * error
+    actual, error = coherence(strangers, 0.2, 2.0)
+    assert abs(actual) < 4.0 * error
 
 
 # Belgian paving
 
 
-def test_belgian_paving_is_of_class_d_and_smoother_above_its_band():
+def test_belgian_paving_is_class_d_and_smoother_at_short_waves():
     n, G, _ = spectra(draws("belgian_like"))
     level = G * (n / 0.1) ** 2
 
@@ -145,15 +147,15 @@ def test_belgian_paving_is_of_class_d_and_smoother_above_its_band():
     assert octave(9.3, 9.9) < 32e-6  # A
 
 
-def test_the_base_of_belgian_paving_falls_with_its_exponent():
+def test_the_base_of_belgian_paving_has_its_waviness():
     n, G, _ = spectra(draws("belgian_like"))
     use = (n > 0.3) & (n < 2.8)
     assert -np.polyfit(np.log(n[use]), np.log(G[use]), 1)[0] == pytest.approx(2.15, abs=0.05)
 
 
-def test_the_cobbles_stand_six_times_above_the_base():
+def test_the_cobble_peak_is_six_times_the_base():
     n, G, _ = spectra(draws("belgian_like"))
-    below, above = (np.argmin(np.abs(n - x)) for x in (4.7, 7.1))  # 4 sigma away
+    below, above = (np.argmin(np.abs(n - x)) for x in (4.7, 7.1))  # 4 sigma off the peak
     slope = np.log(G[above] / G[below]) / np.log(n[above] / n[below])
     base = G[below] * (n / n[below]) ** slope
     top = np.abs(n - 5.9) < 0.06
@@ -166,15 +168,15 @@ def test_the_cobbles_stand_six_times_above_the_base():
     )
 
 
-def test_the_cobbles_cohere_and_what_lies_below_does_not():
+def test_coherence_is_specified_at_the_peak_and_zero_below():
     z = draws("belgian_like")
-    found, error = coherence(z, 5.85, 5.95)
-    assert abs(found - np.sqrt(0.22)) < 4.0 * error
-    found, error = coherence(z, 2.3, 4.0)
-    assert abs(found) < 4.0 * error
+    actual, error = coherence(z, 5.85, 5.95)
+    assert abs(actual - np.sqrt(0.22)) < 4.0 * error
+    actual, error = coherence(z, 2.3, 4.0)
+    assert abs(actual) < 4.0 * error
 
 
 @pytest.mark.parametrize("length", [83.38983050847457, 124.40677966101694])
-def test_paving_whose_last_cell_of_lines_is_empty_is_still_a_road(length):
+def test_paving_with_an_empty_last_spectral_cell_is_finite(length):
     surface = load_road({"kind": "belgian", "length": length}).realise(np.random.default_rng(0))
     assert np.isfinite(surface.z).all()

@@ -1,4 +1,4 @@
-"""Records: made from a seed, written whole or not at all, read back to the bit or refused."""
+"""Records are reproducible, written atomically, and read back to the bit or rejected."""
 
 import json
 from dataclasses import fields, replace
@@ -30,7 +30,7 @@ MIXED = {"FL": "ride", "FR": "handling", "RL": "soft_high", "RR": "stiff_low"}
 def drive(seed=0, speed_kmh=54.0, mode="ride", **changes):
     options = {"step": changes.pop("step")} if "step" in changes else {}
     return simulate_record(
-        DEFENDER, ROAD, speed_kmh=speed_kmh, mode=mode,
+        ROAD, vehicle=DEFENDER, speed_kmh=speed_kmh, mode=mode,
         instruments=replace(PAPER, **changes), seed=seed, **options,
     )  # fmt: skip
 
@@ -42,21 +42,21 @@ def same(one: Record, other: Record) -> bool:
     )
 
 
-# --- making records -------------------------------------------------------------------------------
+# --- simulation -----------------------------------------------------------------------------------
 
 
-def test_the_same_seed_makes_the_same_record_and_another_seed_other_noise_on_the_same_road():
+def test_a_seed_determines_the_record_and_only_the_noise_varies():
     (once, road), (again, _), (other, same_road) = drive(7), drive(7), drive(8)
     assert same(once, again) and not same(once, other)
     np.testing.assert_array_equal(road.z, same_road.z)
     quiet, _ = drive(noise_density=0.0)
     for record in (once, other):
         noise = record.a - quiet.a
-        expected = PAPER.noise_density * np.sqrt(500.0 * 0.7)  # behind a filter at 333 of 500 Hz
+        expected = PAPER.noise_density * np.sqrt(500.0 * 0.7)  # after a filter at 333 of 500 Hz
         np.testing.assert_allclose(noise.std(axis=1), expected, rtol=0.15)
 
 
-def test_a_record_says_what_was_driven():
+def test_a_record_describes_the_drive():
     record, _ = drive(mode=MIXED)
     speed = 54.0 / 3.6
     assert record.fs == pytest.approx(1000.0)
@@ -71,7 +71,7 @@ def test_a_record_says_what_was_driven():
     assert (record.damper_high == [False, True, True, False]).all()
 
 
-def test_the_odometer_adds_up_the_measured_speed_error_and_all():
+def test_the_odometer_integrates_the_measured_speed():
     record, _ = drive(speed_error=0.02)
     assert record.v[0] != 15.0 and (record.v == record.v[0]).all()
     np.testing.assert_allclose(np.diff(record.s), record.v[:-1] / 1000.0, rtol=1e-9)
@@ -79,21 +79,21 @@ def test_the_odometer_adds_up_the_measured_speed_error_and_all():
 
 
 @pytest.mark.parametrize("chunk", [17, 1000])
-def test_a_drive_recorded_in_parts_is_the_drive_recorded_whole(chunk, monkeypatch):
+def test_recording_in_chunks_equals_recording_at_once(chunk, monkeypatch):
     whole, _ = drive(step=0.0005)
     monkeypatch.setattr(recording, "CHUNK", chunk)
     assert same(drive(step=0.0005)[0], whole)
 
 
-def test_a_finer_step_makes_the_same_record():
+def test_a_finer_integrator_step_changes_the_record_little():
     coarse, fine = drive(noise_density=0.0)[0], drive(noise_density=0.0, step=0.0005)[0]
     assert coarse.t.size == pytest.approx(fine.t.size, abs=1)
     n = min(coarse.t.size, fine.t.size)
     error = np.std(coarse.a[:, :n] - fine.a[:, :n], axis=1)
-    assert (error < 0.1 * fine.a.std(axis=1)).all()  # the finer filter delays a little less
+    assert (error < 0.1 * fine.a.std(axis=1)).all()  # the finer filter has slightly less delay
 
 
-def test_the_truth_is_the_road_on_the_grid_of_the_paper():
+def test_the_true_profile_is_the_road_on_the_papers_stations():
     _, road = drive()
     assert (
         PROFILE_SPACING == pytest.approx(0.0252, abs=5e-5) and profile_stations(100.0).size == 3964
@@ -106,12 +106,12 @@ def test_the_truth_is_the_road_on_the_grid_of_the_paper():
     np.testing.assert_array_equal(true_profile(ROAD).z, road.z)
 
 
-def test_signals_are_found_at_the_times_of_the_stations():
+def test_signals_are_interpolated_at_stations():
     record, _ = drive()
     stations = np.array([0.0, 5.004, 12.3])
-    found = record.interpolate(stations, np.stack([record.s, record.t]))
-    np.testing.assert_allclose(found[0], stations, atol=1e-9)
-    np.testing.assert_allclose(found[1], (stations + APRON_LENGTH) / 15.0, atol=1e-9)
+    actual = record.interpolate(stations, np.stack([record.s, record.t]))
+    np.testing.assert_allclose(actual[0], stations, atol=1e-9)
+    np.testing.assert_allclose(actual[1], (stations + APRON_LENGTH) / 15.0, atol=1e-9)
 
 
 # --- writing and reading --------------------------------------------------------------------------
@@ -125,15 +125,15 @@ def written(tmp_path):
     return path, record
 
 
-def test_parquet_keeps_every_bit_of_a_record_and_its_provenance(written):
+def test_parquet_round_trips_a_record_and_its_provenance_to_the_bit(written):
     path, record = written
-    found, provenance = read_record(path)
-    assert same(found, record)
+    actual, provenance = read_record(path)
+    assert same(actual, record)
     assert provenance == {"road": "smooth", "seed": 0}
-    assert found.length == record.length
+    assert actual.length == record.length
 
 
-def test_writing_leaves_nothing_but_the_file_even_when_it_fails(written, monkeypatch):
+def test_a_failed_write_keeps_the_old_file_and_leaves_no_other(written, monkeypatch):
     path, record = written
     assert [f.name for f in path.parent.iterdir()] == ["drive.parquet"]
     before = path.read_bytes()
@@ -150,7 +150,7 @@ def test_writing_leaves_nothing_but_the_file_even_when_it_fails(written, monkeyp
 
 
 def rewrite(path, change):
-    """The file at `path` again, with its table changed."""
+    """Rewrite the file at `path` with its table changed."""
     table = change(pq.read_table(path))
     pq.write_table(table, path)
 
@@ -188,7 +188,7 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize(("harm", "reason"), DAMAGE.values(), ids=DAMAGE.keys())
-def test_a_damaged_or_foreign_file_is_refused_in_one_sentence(written, harm, reason):
+def test_a_damaged_or_foreign_file_is_rejected_in_one_sentence(written, harm, reason):
     path, _ = written
     harm(path)
     with pytest.raises(ConfigError, match=reason) as caught:
@@ -200,5 +200,5 @@ def test_a_damaged_or_foreign_file_is_refused_in_one_sentence(written, harm, rea
     )
 
 
-def test_columns_stand_in_their_documented_order(written):
+def test_columns_have_their_documented_order(written):
     assert tuple(pq.read_table(written[0]).column_names) == COLUMNS

@@ -1,4 +1,4 @@
-"""Estimators by name, those of other packages, and estimators on disk."""
+"""Registry of estimators, plug-ins of other packages, and storage of estimators."""
 
 import json
 import os
@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+import road_envs
 from estimators import (
     ENTRY_POINT_GROUP,
     REGISTRY,
@@ -29,7 +30,7 @@ from road_envs.data.record import Estimate, Profile, profile_stations
 
 @dataclass(frozen=True, kw_only=True)
 class Plateau:
-    """Somebody else's estimator: the same height everywhere."""
+    """An estimator of another package: constant height."""
 
     causal: ClassVar[bool] = True
 
@@ -52,12 +53,12 @@ class NoEstimate:
 
 
 @dataclass(frozen=True)
-class NoWordOnCausality:
+class NoCausality:
     def estimate(self, record, car): ...
 
 
 def offer(monkeypatch, **values: str) -> None:
-    """Pretend that other packages offer these entry points, name by name."""
+    """Declare these entry points in the place of installed packages."""
     entries = [
         metadata.EntryPoint(name, value, ENTRY_POINT_GROUP) for name, value in values.items()
     ]
@@ -116,7 +117,7 @@ def test_an_estimator_of_another_package_is_available_by_name(monkeypatch):
 
 
 def test_an_installed_package_is_found_by_its_metadata(tmp_path, monkeypatch):
-    """A package as pip leaves it: a module and a dist-info with an entry point."""
+    """A package as installed by pip: a module, and a dist-info with an entry point."""
     (tmp_path / "somebodys_hill.py").write_text(
         "from dataclasses import dataclass\n"
         "from typing import ClassVar\n"
@@ -141,13 +142,13 @@ def test_an_installed_package_is_found_by_its_metadata(tmp_path, monkeypatch):
         (f"{__name__}:NoSuchClass", "AttributeError: .*NoSuchClass"),
         (f"{__name__}:NoDataclass", "it must be a dataclass of settings"),
         (f"{__name__}:NoEstimate", "it has no method estimate"),
-        (f"{__name__}:NoWordOnCausality", "it must say whether it is causal"),
+        (f"{__name__}:NoCausality", "it does not declare causality"),
         (f"{__name__}:trained_mean", "it must be a dataclass of settings"),
     ],
 )
 def test_a_broken_plug_in_is_reported_and_disables_no_other(monkeypatch, value, reason):
     offer(monkeypatch, broken=value, plateau=f"{__name__}:Plateau")
-    with pytest.warns(EstimatorPluginWarning, match=f"'broken' of {value} is left out: .*{reason}"):
+    with pytest.warns(EstimatorPluginWarning, match=f"'broken' of {value} is skipped: .*{reason}"):
         found = available()
     assert set(found) == {*REGISTRY, "plateau"}
 
@@ -155,7 +156,7 @@ def test_a_broken_plug_in_is_reported_and_disables_no_other(monkeypatch, value, 
 def test_a_plug_in_may_not_take_the_name_of_another_estimator(monkeypatch):
     offer(monkeypatch, flat=f"{__name__}:Plateau")
     with pytest.raises(
-        ConfigError, match=r"'flat' of .*Plateau needs another name: estimators.baselines.flat"
+        ConfigError, match=r"'flat' of .*Plateau is already taken by estimators.baselines.flat"
     ):
         available()
 
@@ -180,7 +181,7 @@ def window() -> dict[str, np.ndarray]:
 
 
 def test_taps_that_do_not_fill_the_window_are_rejected():
-    with pytest.raises(ValueError, match=r"67 taps do not make a window of 3\.0 m"):
+    with pytest.raises(ValueError, match=r"67 taps do not fit a window of 3\.0 m"):
         create("fir_ridge", reach=3.0).with_weights(window())
 
 
@@ -191,7 +192,7 @@ def test_settings_are_restored_with_the_estimator(tmp_path):
 
 def test_a_plug_in_can_be_stored_while_it_is_installed(tmp_path, monkeypatch):
     path = tmp_path / "plateau.npz"
-    with pytest.raises(StorageError, match="Plateau is no registered estimator"):
+    with pytest.raises(StorageError, match="Plateau is not a registered estimator"):
         save(Plateau(), path)
     offer(monkeypatch, plateau=f"{__name__}:Plateau")
     save(Plateau(height=3.0), path)
@@ -235,7 +236,7 @@ def test_a_truncated_file_is_rejected(tmp_path, size):
     path = tmp_path / "mean.npz"
     save(trained_mean(), path)
     path.write_bytes(path.read_bytes()[:size])
-    with pytest.raises(StorageError, match=r"mean\.npz: not an .npz file, or cut short"):
+    with pytest.raises(StorageError, match=r"mean\.npz: truncated or not an .npz file"):
         load(path)
 
 
@@ -263,17 +264,17 @@ HEADER = {"format": "roadrecon estimator 1", "version": "0", "name": "flat", "se
 @pytest.mark.parametrize(
     ("arrays", "sentence"),
     [
-        ({"x": np.ones(3)}, "holds no RoadRecon estimator: 'header' is missing"),
-        ({"header": np.array("no JSON")}, "holds no usable estimator"),
-        ({"header": np.array("[1, 2]")}, "holds no usable estimator"),
-        ({"header": np.array('{"name": "flat"}')}, "holds no RoadRecon estimator: 'format'"),
+        ({"x": np.ones(3)}, "not a RoadRecon estimator: 'header' is missing"),
+        ({"header": np.array("no JSON")}, "not a usable estimator"),
+        ({"header": np.array("[1, 2]")}, "not a usable estimator"),
+        ({"header": np.array('{"name": "flat"}')}, "not a RoadRecon estimator: 'format'"),
         (
             {"header": np.array(json.dumps({**HEADER, "format": "roadrecon estimator 9"}))},
-            "format 'roadrecon estimator 9' is not 'roadrecon estimator 1'",
+            "format 'roadrecon estimator 9' is not supported, expected 'roadrecon estimator 1'",
         ),
         (
             {"header": np.array(json.dumps({**HEADER, "name": "mean"}))},
-            r"weights \['z'\] are wanted, got \[\]",
+            r"expected weights \['z'\], got \[\]",
         ),
         (
             {"header": np.array(json.dumps({**HEADER, "settings": {"height": 1.0}}))},
@@ -292,12 +293,12 @@ def test_pickled_objects_are_never_loaded(tmp_path):
     path = tmp_path / "pickle.npz"
     with path.open("wb") as file:
         np.savez(file, header=np.array([{"a": 1}], dtype=object), allow_pickle=True)
-    with pytest.raises(StorageError, match="damaged, or not written by RoadRecon"):
+    with pytest.raises(StorageError, match="damaged or not written by RoadRecon"):
         load(path)
 
 
 def test_a_text_file_is_rejected(tmp_path):
     path = tmp_path / "notes.npz"
     path.write_text("no archive")
-    with pytest.raises(StorageError, match=r"not an \.npz file"):
+    with pytest.raises(StorageError, match=r"truncated or not an \.npz file"):
         load(path)

@@ -1,4 +1,4 @@
-"""The pictures show what the numbers say, at no cost to those who do not look."""
+"""Rendered frames against the numbers they show, and rendering on demand only."""
 
 import copy
 import dataclasses
@@ -36,12 +36,12 @@ def make(**options):
 
 
 def scene(road="flat", seconds=0.05, mode="ride", **changes):
-    """A scene after a drive at 10 m/s, with some of its fields changed."""
+    """Return the scene after a drive at 10 m/s, with some fields replaced."""
     surface = load_road(road).realise(np.random.default_rng(0))
     drive = DriveSimulator(build_plant(CAR), CAR, surface, 10.0, mode)
     trajectory = drive.advance(np.full(round(1000 * seconds), encode_command(mode), dtype=np.uint8))
-    found = Scene.from_drive(drive, trajectory, np.zeros((3, 50)), 1000.0, 4.0, 1.0)
-    return dataclasses.replace(found, **changes)
+    default = Scene.from_drive(drive, trajectory, np.zeros((3, 50)), 1000.0, 4.0, 1.0)
+    return dataclasses.replace(default, **changes)
 
 
 def moved(coordinate, amount):
@@ -51,17 +51,17 @@ def moved(coordinate, amount):
 
 
 def where(picture, colour, part=(slice(None), slice(None))):
-    """Which pixels of a part of the picture have exactly this colour."""
+    """Return which pixels of a part of the frame have exactly this colour."""
     value = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
     return (picture[part] == value).all(axis=2)
 
 
 def top(mask):
-    """The highest row of a mask, counted from the top."""
+    """Return the topmost row of a mask."""
     return int(np.flatnonzero(mask.any(axis=1))[0])
 
 
-def test_a_frame_is_an_image_and_the_same_episode_gives_the_same_frames():
+def test_equal_episodes_render_equal_frames():
     one, other = make(), make()
     one.reset(seed=1)
     other.reset(seed=1)
@@ -75,7 +75,7 @@ def test_a_frame_is_an_image_and_the_same_episode_gives_the_same_frames():
     assert (one.render() != before).any(axis=2).mean() > 0.02
 
 
-def test_a_second_episode_shows_nothing_of_the_first():
+def test_a_second_episode_shows_no_data_of_the_first():
     used, fresh = make(), make()
     used.reset(seed=1)
     for _ in range(20):
@@ -85,7 +85,7 @@ def test_a_second_episode_shows_nothing_of_the_first():
     np.testing.assert_array_equal(used.render(), fresh.render())
 
 
-def test_looking_changes_nothing_in_the_episode():
+def test_rendering_does_not_change_the_episode():
     watched, alone = make(), make()
     watched.reset(seed=2)
     alone.reset(seed=2)
@@ -124,7 +124,7 @@ def test_positive_pitch_lowers_the_nose():
     assert top(dipped[:, tail]) < top(level[:, tail]) - 3
 
 
-def test_heave_is_to_scale_or_exaggerated_as_stated():
+def test_heave_is_drawn_to_scale_or_with_the_stated_exaggeration():
     rest = top(where(render_frame(scene()), style.ROOF, SIDE))
     raised = top(where(render_frame(moved(Z_B, 0.1)), style.ROOF, SIDE))
     large = dataclasses.replace(moved(Z_B, 0.1), exaggeration=3.0)
@@ -147,7 +147,7 @@ def test_a_wheel_leaves_the_drawn_road_when_its_tyre_is_unloaded(exaggeration):
     assert sky_under_the_left_tyre(rest + 0.03)
 
 
-def test_the_load_of_a_tyre_is_a_bar_that_vanishes_in_the_air():
+def test_the_tyre_load_bar_vanishes_when_the_wheel_is_airborne():
     def bars(load):
         picture = render_frame(scene(load=np.full(4, load)))
         return where(picture, style.STEEL, CORNERS).sum(), where(
@@ -160,7 +160,7 @@ def test_the_load_of_a_tyre_is_a_bar_that_vanishes_in_the_air():
     assert no_words == 0 < words
 
 
-def test_struts_have_the_colour_of_their_state():
+def test_strut_colours_show_their_state():
     soft, stiff = (
         where(render_frame(scene(mode=mode)), style.STIFF) for mode in ("ride", "handling")
     )
@@ -169,31 +169,30 @@ def test_struts_have_the_colour_of_their_state():
 
 
 @pytest.mark.parametrize("end", [0, 1])
-def test_a_stop_lights_up_once_the_strut_has_reached_it(end):
+def test_a_stop_changes_colour_when_the_strut_reaches_it(end):
     limit = free_travel(CAR, 2)[end]
     for share, lit in ((0.98, False), (1.02, True)):
         picture = render_frame(scene(extension=np.array([0.0, 0.0, share * limit, 0.0])))
         assert (where(picture, style.STOP_REACHED, REAR).sum() > 50) == lit
-        gauge = where(picture, style.STOP_REACHED, CORNERS)[
-            :, 10:150
-        ]  # of RL, shortest at the left
+        # the gauge of RL: shortest on the left
+        gauge = where(picture, style.STOP_REACHED, CORNERS)[:, 10:150]
         assert (gauge[:, 70 * end : 70 * end + 70].sum() > 50) == lit
         assert gauge[:, 70 * (1 - end) : 70 * (1 - end) + 70].sum() == 0
 
 
-def test_the_road_comes_towards_the_car_from_the_right():
+def test_the_road_moves_from_right_to_left():
     def column_of_the_bump(seconds):
         earth = where(render_frame(scene("bump_large_small", seconds)), style.EARTH, SIDE)
         return float(np.flatnonzero(earth[: top(earth) + 3].any(axis=0)).mean())
 
-    # the bump is 10 m ahead of the front axle's 5 m of run-up: 92 pixels are a metre
+    # the bump is 10 m behind the end of the apron of 5 m: 92 pixels are a metre
     shift = column_of_the_bump(1.5) - column_of_the_bump(1.6)
     assert shift == pytest.approx(92.0, abs=3)
 
 
-def test_the_wheels_turn_with_the_way_driven():
+def test_wheel_rotation_matches_the_distance_travelled():
     def angle(seconds):
-        """Of the mark on the right front rim, clockwise [rad]."""
+        """Return the angle of the mark on the right front rim, clockwise [rad]."""
         rows, columns = np.nonzero(
             where(render_frame(scene("flat", seconds)), style.DARK, under_the_body)
         )
@@ -203,7 +202,7 @@ def test_the_wheels_turn_with_the_way_driven():
     assert angle(1.16) - angle(1.08) == pytest.approx(0.08 * 10.0 / 0.4, abs=0.1)
 
 
-def test_the_traces_show_the_last_seconds_with_the_newest_at_the_right():
+def test_traces_show_the_last_seconds_with_the_newest_at_the_right():
     a = np.zeros((3, 1000))
     a[:, -100:] = 8.0
     picture = render_frame(scene(samples=a))
@@ -211,12 +210,12 @@ def test_the_traces_show_the_last_seconds_with_the_newest_at_the_right():
     assert trace[:8, -12:].any() and not trace[:8, :-20].any()
 
 
-def test_a_command_is_said_in_words():
+def test_a_command_is_described_in_words():
     assert panels.describe_command(encode_command("handling")) == "handling"
     front_rear = encode_command({"front": "ride", "rear": "stiff_low"})
     assert panels.describe_command(front_rear) == "front ride, rear stiff spring, low damping"
     each = encode_command({"FL": "ride", "FR": "handling", "RL": "ride", "RR": "ride"})
-    assert panels.describe_command(each) == "each wheel its own"
+    assert panels.describe_command(each) == "individual wheels"
 
 
 @pytest.mark.parametrize(
@@ -227,7 +226,7 @@ def test_scales_end_at_round_numbers(value, expected):
 
 
 @pytest.mark.parametrize("options", [{}, {"exaggeration": 2.0, "control_rate": 50.0}])
-def test_both_checkers_find_nothing_where_pictures_are_made(options):
+def test_both_env_checkers_pass_with_rendering(options):
     from stable_baselines3.common.env_checker import check_env as check_for_sb3
 
     check_env(make(**options).unwrapped)
@@ -244,7 +243,7 @@ def test_a_copy_made_in_mid_episode_shows_the_same_picture(clone):
     np.testing.assert_array_equal(env.render(), twin.render())
 
 
-def test_an_episode_that_broke_down_can_still_be_looked_at():
+def test_a_nonfinite_episode_can_still_be_rendered():
     env = make().unwrapped
     env.reset(seed=0)
     env.fleet.state.q[0, 0, 0] = np.inf
@@ -252,12 +251,12 @@ def test_an_episode_that_broke_down_can_still_be_looked_at():
     assert env.render().shape == (HEIGHT, WIDTH, 3)
 
 
-def test_pictures_come_at_the_rate_of_control_and_the_class_keeps_its_own():
+def test_render_fps_is_the_control_rate_of_the_instance():
     assert make(control_rate=50.0).metadata["render_fps"] == 50
     assert RoadReconEnv.metadata["render_fps"] == 20
 
 
-def test_without_a_mode_or_an_episode_there_is_no_picture():
+def test_rendering_needs_a_render_mode_and_a_reset():
     env = RoadReconEnv(**SHORT)
     env.reset(seed=0)
     with pytest.warns(UserWarning, match="unless render_mode is 'rgb_array'"):
@@ -268,7 +267,7 @@ def test_without_a_mode_or_an_episode_there_is_no_picture():
         make(exaggeration=0.0)
 
 
-def test_pillow_is_imported_only_to_draw_and_missed_with_a_hint():
+def test_pillow_is_imported_lazily_and_named_when_missing():
     code = (
         "import sys, gymnasium, road_envs\n"
         "env = gymnasium.make('RoadRecon-v0', road='flat', length=20.0, render_mode='rgb_array')\n"
@@ -280,12 +279,10 @@ def test_pillow_is_imported_only_to_draw_and_missed_with_a_hint():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     lines = done.stdout.splitlines()
-    assert lines == ["False False", "run `pip install 'road-envs[render]'`"], (
-        done.stderr
-    )
+    assert lines == ["False False", "run `pip install 'road-envs[render]'`"], done.stderr
 
 
-def test_a_window_shows_the_frames_through_gymnasium_s_wrapper(monkeypatch):
+def test_gymnasiums_human_rendering_wrapper_shows_the_frames(monkeypatch):
     pytest.importorskip("pygame")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     env = gym.wrappers.HumanRendering(make())
@@ -296,20 +293,20 @@ def test_a_window_shows_the_frames_through_gymnasium_s_wrapper(monkeypatch):
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".webp"])
-def test_a_drive_becomes_a_moving_picture_in_real_time(tmp_path, suffix):
-    path, said = tmp_path / f"drive{suffix}", []
-    animate(SHORT, 0.2, path, lambda text, share: said.append(share))
+def test_an_animation_runs_in_real_time(tmp_path, suffix):
+    path, shares = tmp_path / f"drive{suffix}", []
+    animate(SHORT, 0.2, path, lambda text, share: shares.append(share))
     with Image.open(path) as image:
         assert (image.size, image.n_frames) == ((WIDTH, HEIGHT), 4)
         image.seek(1)
         image.load()
         assert image.info["duration"] == 50
         assert image.info["loop"] == 0
-    assert said == sorted(said) and said[-1] == 1.0
+    assert shares == sorted(shares) and shares[-1] == 1.0
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_gif_keeps_the_colours_and_shows_what_the_frames_show(tmp_path):
+def test_a_gif_reproduces_the_colours_of_the_frames(tmp_path):
     animate(SHORT, 0.4, tmp_path / "drive.gif")
     env = make()
     env.reset(seed=0)
@@ -323,8 +320,8 @@ def test_a_gif_keeps_the_colours_and_shows_what_the_frames_show(tmp_path):
     assert (off.max(axis=2) > 0).mean() < 0.1
 
 
-def test_an_animation_that_cannot_be_written_leaves_nothing_behind(tmp_path, monkeypatch):
-    with pytest.raises(ConfigError, match=r"must end in \.gif or \.webp"):
+def test_a_failed_animation_leaves_the_old_file_unchanged(tmp_path, monkeypatch):
+    with pytest.raises(ConfigError, match=r"the suffix must be \.gif or \.webp"):
         animate(SHORT, 0.2, tmp_path / "drive.mp4")
     with pytest.raises(ConfigError, match=r"at least 0\.1 s, got 0\.05 s"):
         animate(SHORT, 0.05, tmp_path / "drive.gif")

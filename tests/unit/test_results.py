@@ -1,4 +1,4 @@
-"""Results are written whole, read strictly, and summed up with honest intervals."""
+"""Results: storage, staleness, statistics and tables."""
 
 import dataclasses
 import hashlib
@@ -27,8 +27,9 @@ from leaderboard.evaluation.store import (
     text_checksum,
 )
 from leaderboard.metrics.bootstrap import bootstrap, interquartile_mean, iqm_interval, rank_entries
+from leaderboard.metrics.registry import SCORES
 from leaderboard.report.cache import build_report
-from leaderboard.report.tables import board_views, score_arrays
+from leaderboard.report.tables import board_views
 from leaderboard.report.terminal import as_json, print_tables
 from leaderboard.running.board import ATTEMPTS, Board, RunRequest, load_board, render_with_retry
 from road_envs import _atomic_io
@@ -44,27 +45,27 @@ ENTRIES = {
 
 
 @cache
-def made():
-    return tuple(run_task(task(), ENTRIES, (1, 2, 3), drive=fake_drives))
+def results_by_fakes():
+    return tuple(run_task(task(), ENTRIES, (1, 2, 3), simulate=fake_drives))
 
 
-def named(name):
-    return next(r for r in made() if r.estimator == name)
+def result_of(name):
+    return next(r for r in results_by_fakes() if r.estimator == name)
 
 
 def board():
-    return Board((task(),), {"small": made()})
+    return Board((task(),), {"small": results_by_fakes()})
 
 
 def edited(tmp_path, change):
-    """The file of the reader's result with its text changed."""
-    path = save(named("reader"), tmp_path)
+    """Return the file of the reader's result after changing its text."""
+    path = save(result_of("reader"), tmp_path)
     path.write_text(change(path.read_text()))
     return path
 
 
-def resealed(change):
-    """A change by somebody who writes the checksum anew."""
+def with_valid_checksum(change):
+    """Return a change of a text that also updates the checksum."""
 
     def apply(text):
         text = change(text)
@@ -81,31 +82,31 @@ def replaced(old, new):
     return apply
 
 
-def test_a_result_comes_back_as_it_was_written(tmp_path):
-    for result in made():
+def test_a_result_is_equal_after_writing_and_reading(tmp_path):
+    for result in results_by_fakes():
         path = save(result, tmp_path)
         assert path == row_path(tmp_path, "small", result.estimator)
         assert load(path) == result
     assert [r.estimator for r in load_all(tmp_path, "small")] == sorted(ENTRIES)
 
 
-def test_scores_that_are_not_defined_stay_undefined(tmp_path):
+def test_undefined_scores_stay_undefined(tmp_path):
     drives = tuple(
-        dataclasses.replace(d, scores={**d.scores, "r": None}) for d in named("reader").drives
+        dataclasses.replace(d, scores={**d.scores, "r": None}) for d in result_of("reader").drives
     )
-    back = load(save(dataclasses.replace(named("reader"), drives=drives), tmp_path))
+    back = load(save(dataclasses.replace(result_of("reader"), drives=drives), tmp_path))
     assert np.isnan(back.values("r")).all() and np.isfinite(back.values("nrmse")).all()
     assert np.isnan(back.values("no such score")).all()
 
 
-def test_heights_of_a_trace_are_kept_to_a_hundredth_of_a_millimetre():
+def test_heights_of_a_trace_are_stored_to_a_hundredth_of_a_millimetre():
     z = np.random.default_rng(0).standard_normal((2, 50))
-    kept = dataclasses.replace(named("reader").traces[0], truth=results.quantize_heights(z))
-    np.testing.assert_allclose(kept.z_true, z, atol=0.51e-5)
-    assert kept.s.shape == (50,) and kept.s[1] == kept.ds
+    trace = dataclasses.replace(result_of("reader").traces[0], truth=results.quantize_heights(z))
+    np.testing.assert_allclose(trace.z_true, z, atol=0.51e-5)
+    assert trace.s.shape == (50,) and trace.s[1] == trace.ds
 
 
-WRONG = [
+INVALID = [
     (lambda text: text[:1000], "damaged, not valid JSON"),
     (lambda text: "", "damaged, not valid JSON"),
     (lambda text: "[" * 100_000, "damaged, not valid JSON"),
@@ -115,109 +116,115 @@ WRONG = [
     (lambda text: json.dumps(json.loads(text)), "does not begin with its checksum"),
     (replaced('"format": 3', '"format": 1'), "written in format 1, this version reads 3"),
     (replaced('"format": 3', '"format": 9'), "written in format 9 by a newer version"),
-    (replaced('"role": "entry"', '"role": "king"'), "changed since it was written, by hand or"),
-    (resealed(replaced('"role": "entry"', '"role": "king"')), "role: "),
-    (resealed(replaced('"format": 3', '"format": 3, "score": 1')), "score: unknown key"),
-    (resealed(replaced('"seeds": [1, 2, 3]', '"seeds": ["1"]')), "seeds"),
-    (resealed(replaced('"drive": [0, 1, 2, 0, 1, 2]', '"drive": [0]')), "different lengths"),
-    (resealed(replaced('"estimator": "reader"', '"estimator": "x"')), "holds the result of x on"),
+    (replaced('"role": "entry"', '"role": "king"'), "modified since it was written, by hand or"),
+    (with_valid_checksum(replaced('"role": "entry"', '"role": "king"')), "role: "),
+    (with_valid_checksum(replaced('"format": 3', '"format": 3, "score": 1')), "score: unknown key"),
+    (with_valid_checksum(replaced('"seeds": [1, 2, 3]', '"seeds": ["1"]')), "seeds"),
+    (
+        with_valid_checksum(replaced('"drive": [0, 1, 2, 3, 4, 0, 1, 2, 3, 4]', '"drive": [0]')),
+        "different lengths",
+    ),
+    (
+        with_valid_checksum(replaced('"estimator": "reader"', '"estimator": "x"')),
+        "contains the result of x on",
+    ),
 ]
 
 
-@pytest.mark.parametrize(("change", "said"), WRONG)
-def test_a_file_that_is_wrong_is_named_and_never_skipped(tmp_path, change, said):
+@pytest.mark.parametrize(("change", "message"), INVALID)
+def test_an_invalid_file_raises_an_error_that_names_it(tmp_path, change, message):
     path = edited(tmp_path, change)
     with pytest.raises(ConfigError) as error:
         load_all(tmp_path, "small")
-    assert str(path) in str(error.value) and said in str(error.value)
+    assert str(path) in str(error.value) and message in str(error.value)
 
 
-@pytest.mark.parametrize(("change", "said"), WRONG)
-def test_on_the_board_it_is_a_row_that_says_so_and_the_others_stand(tmp_path, change, said):
+@pytest.mark.parametrize(("change", "message"), INVALID)
+def test_an_invalid_file_is_a_failed_row_and_other_rows_are_unaffected(tmp_path, change, message):
     path = edited(tmp_path, change)
-    save(named("learner"), tmp_path)
+    save(result_of("learner"), tmp_path)
     rows = {r.estimator: r for r in load_rows(tmp_path, task())}
     assert set(rows) == {"reader", "learner"} and rows["learner"].failure is None
-    assert said in rows["reader"].failure and str(path) in rows["reader"].failure
+    assert message in rows["reader"].failure and str(path) in rows["reader"].failure
     assert rows["reader"].stale_reason(task()) is None
 
 
 def test_the_checksum_covers_every_byte_below_it(tmp_path):
-    path = save(named("reader"), tmp_path)
+    path = save(result_of("reader"), tmp_path)
     text = path.read_text()
-    told = hashlib.sha256(text.split("\n", 2)[2].encode()).hexdigest()
-    assert text.startswith(CHECKSUM_PREFIX + told) and text_checksum(text) == told
+    checksum = hashlib.sha256(text.split("\n", 2)[2].encode()).hexdigest()
+    assert text.startswith(CHECKSUM_PREFIX + checksum) and text_checksum(text) == checksum
     for at in np.linspace(100, len(text) - 2, 50, dtype=int):
         path.write_text(text[:at] + chr(ord(text[at]) ^ 1) + text[at + 1 :])
         with pytest.raises(ConfigError):
             load(path)
 
 
-def test_the_content_of_a_result_is_all_of_it_but_what_was_measured_on_the_way():
-    result = named("learner")
-    known = content_digest(result)
-    again = {"train_seconds": (9.0,), "environment": {}, "peak_memory": 9.0, "isolation": "x"}
-    assert content_digest(dataclasses.replace(result, **again)) == known
+def test_the_content_digest_ignores_only_timings_and_environment():
+    result = result_of("learner")
+    digest = content_digest(result)
+    rerun = {"train_seconds": (9.0,), "environment": {}, "peak_memory": 9.0, "isolation": "x"}
+    assert content_digest(dataclasses.replace(result, **rerun)) == digest
     first, *others = result.drives
     worse = dataclasses.replace(first, scores={**first.scores, "nrmse": 0.0})
     for change in ({"drives": (worse, *others)}, {"parameters": 2}, {"failure": "it failed"}):
-        assert content_digest(dataclasses.replace(result, **change)) != known
+        assert content_digest(dataclasses.replace(result, **change)) != digest
 
 
-def test_rows_of_a_board_leave_their_drives_on_the_disk_until_they_are_asked_for(tmp_path):
-    for result in made():
+def test_drives_of_board_rows_are_read_on_demand(tmp_path):
+    for result in results_by_fakes():
         save(result, tmp_path)
     rows = load_rows(tmp_path, task())
     for row in rows:
-        whole = named(row.estimator)
-        assert not isinstance(row.drives, tuple) and len(row.drives) == len(whole.drives)
-        assert row == whole
-        np.testing.assert_array_equal(row.values("nrmse"), whole.values("nrmse"))
-        assert [trace.seed for trace in row.traces] == [trace.seed for trace in whole.traces]
+        expected = result_of(row.estimator)
+        assert not isinstance(row.drives, tuple) and len(row.drives) == len(expected.drives)
+        assert row == expected
+        np.testing.assert_array_equal(row.values("nrmse"), expected.values("nrmse"))
+        assert [trace.seed for trace in row.traces] == [trace.seed for trace in expected.traces]
 
 
-def test_a_row_that_is_replaced_while_it_is_read_is_not_mixed_with_the_new_one(tmp_path):
-    path = save(named("reader"), tmp_path)
+def test_reading_a_row_replaced_by_a_different_one_raises_an_error(tmp_path):
+    path = save(result_of("reader"), tmp_path)
     (row,) = load_rows(tmp_path, task())
-    save(dataclasses.replace(named("reader"), seeds=(4, 5)), tmp_path)
+    save(dataclasses.replace(result_of("reader"), seeds=(4, 5)), tmp_path)
     with pytest.raises(ConfigError, match="another run has replaced it by a different result"):
         row.values("nrmse")
     assert path.exists()
 
 
-def test_a_row_written_again_with_other_times_serves_as_well(tmp_path):
-    row_ = dataclasses.replace(named("learner"), identity="of all that it depends on")
+def test_a_row_rewritten_with_other_timings_can_still_be_read(tmp_path):
+    row_ = dataclasses.replace(result_of("learner"), identity="of all that it depends on")
     save(row_, tmp_path)
     (row,) = load_rows(tmp_path, task())
     save(dataclasses.replace(row_, train_seconds=(9.0, 9.0)), tmp_path)
-    np.testing.assert_array_equal(row.values("nrmse"), named("learner").values("nrmse"))
+    np.testing.assert_array_equal(row.values("nrmse"), result_of("learner").values("nrmse"))
 
 
-def test_a_board_whose_rows_are_replaced_while_it_is_shown_is_read_again(tmp_path):
-    save(named("reader"), tmp_path)
-    others = [dataclasses.replace(named("reader"), seeds=(k,)) for k in range(9)]
-    wanted = RunRequest([task()], [])
+def test_a_board_is_reloaded_if_its_rows_are_replaced_while_rendering(tmp_path):
+    save(result_of("reader"), tmp_path)
+    others = [dataclasses.replace(result_of("reader"), seeds=(k,)) for k in range(9)]
+    request = RunRequest([task()], [])
 
-    def show_while(replacements):
-        """Show the board while another run stores `replacements`, one at each reading."""
+    def render_while(replacements):
+        """Render the board while another run stores one of `replacements` in each attempt."""
 
-        def show(board):
+        def render(board):
             if replacements:
                 save(replacements.pop(), tmp_path)
             return board.results["small"][0].values("nrmse")
 
-        return render_with_retry(load_board([task()], tmp_path), wanted, tmp_path, show)
+        return render_with_retry(load_board([task()], tmp_path), request, tmp_path, render)
 
     np.testing.assert_array_equal(
-        show_while(others[: ATTEMPTS - 1]), named("reader").values("nrmse")
+        render_while(others[: ATTEMPTS - 1]), result_of("reader").values("nrmse")
     )
-    save(others[4], tmp_path)  # one whose drives nobody has read yet
+    save(others[4], tmp_path)  # one whose drives are not cached
     with pytest.raises(RowChangedError):
-        show_while(others[-ATTEMPTS:])
+        render_while(others[-ATTEMPTS:])
 
 
-def test_a_write_that_is_interrupted_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
-    path = save(named("reader"), tmp_path)
+def test_an_interrupted_write_leaves_only_the_old_file(tmp_path, monkeypatch):
+    path = save(result_of("reader"), tmp_path)
     before = path.read_text()
 
     def interrupted(*names):
@@ -225,7 +232,7 @@ def test_a_write_that_is_interrupted_leaves_the_old_file_and_nothing_else(tmp_pa
 
     monkeypatch.setattr(_atomic_io.os, "replace", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        save(named("reader"), tmp_path)
+        save(result_of("reader"), tmp_path)
     assert path.read_text() == before and list(path.parent.iterdir()) == [path]
 
 
@@ -239,8 +246,8 @@ def test_a_write_that_is_interrupted_leaves_the_old_file_and_nothing_else(tmp_pa
     ],
 )
 def test_a_result_of_another_task_version_or_metric_is_stale(change, why):
-    assert named("reader").stale_reason(task()) is None
-    old = dataclasses.replace(named("reader"), **change)
+    assert result_of("reader").stale_reason(task()) is None
+    old = dataclasses.replace(result_of("reader"), **change)
     assert why in old.stale_reason(task())
     (section,) = board_views(Board((task(),), {"small": (old,)}))[0].sections
     (line,) = section.rows
@@ -253,42 +260,42 @@ def test_a_result_of_another_task_version_or_metric_is_stale(change, why):
 def test_the_interquartile_mean_is_the_mean_of_the_middle_half():
     assert interquartile_mean(np.array([100.0, 1.0, 2.0, -50.0])) == 1.5
     assert interquartile_mean(np.array([7.0])) == 7.0
-    # of five values the middle three count, the outer two of them with 3/4 of their weight
+    # of five values the central three count, the outer two of them with weight 3/4
     assert interquartile_mean(np.array([0.0, 1.0, 2.0, 4.0, 9.0])) == pytest.approx(5.75 / 2.5)
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=40), st.floats(-10.0, 10.0))
 @settings(max_examples=50)
-def test_the_interquartile_mean_moves_with_the_scores_and_lies_among_them(x, shift):
+def test_the_interquartile_mean_is_shift_equivariant_and_within_the_range(x, shift):
     x = np.array(x)
-    middle = interquartile_mean(x)
-    assert x.min() - 1e-9 <= middle <= x.max() + 1e-9
-    assert interquartile_mean(x + shift) == pytest.approx(middle + shift, abs=1e-6)
+    mean = interquartile_mean(x)
+    assert x.min() - 1e-9 <= mean <= x.max() + 1e-9
+    assert interquartile_mean(x + shift) == pytest.approx(mean + shift, abs=1e-6)
 
 
-def test_intervals_hold_the_truth_as_often_as_they_say():
+def test_bootstrap_intervals_have_their_nominal_coverage():
     rng = np.random.default_rng(0)
     inside = 0
     for k in range(200):
-        roads = rng.standard_normal((30, 1, 1))  # seeds repeat the road: no information in them
+        roads = rng.standard_normal((30, 1, 1))  # equal for all seeds, which add no information
         _, low, high = iqm_interval(roads + np.zeros((1, 1, 3)), seed=k)
         inside += low <= 0.0 <= high
     # 95 % of 200, three standard errors; a bootstrap of 30 roads is a little narrow
     assert 0.87 <= inside / 200 <= 0.99
 
 
-def test_more_seeds_of_one_road_are_no_more_roads():
+def test_more_seeds_do_not_replace_more_roads():
     road = np.random.default_rng(1).standard_normal((10, 1, 1))
     few, many = (np.std(bootstrap(road + np.zeros((1, 1, S)), 0)) for S in (1, 50))
     assert many == pytest.approx(few, rel=0.05)
 
 
-def test_the_spread_over_seeds_counts():
+def test_intervals_include_the_spread_over_seeds():
     seeds = np.random.default_rng(2).standard_normal((1, 1, 8))
     assert np.std(bootstrap(seeds + np.zeros((10, 4, 1)), 0)) > 0.15
 
 
-def test_entries_that_cannot_be_told_apart_share_a_rank():
+def test_entries_without_a_significant_difference_share_a_rank():
     rng = np.random.default_rng(3)
     road = rng.standard_normal((20, 2, 1))
     scores = {
@@ -307,39 +314,39 @@ def test_entries_that_cannot_be_told_apart_share_a_rank():
     assert list(found)[-1] == "undefined"
 
 
-def test_a_small_difference_on_every_road_is_seen_because_roads_are_paired():
+def test_a_small_difference_on_every_road_is_significant_since_roads_are_paired():
     road = np.random.default_rng(4).standard_normal((20, 1, 1))
     found = rank_entries({"better": road, "worse": road + 0.1})
     assert [row.rank for row in found.values()] == [1, 2]
     assert found["worse"].score.low < found["better"].score.high
 
 
-def test_the_scores_of_a_result_are_read_in_one_pass():
-    for result in made()[:3]:
-        for name, found in score_arrays(result).items():
+def test_score_arrays_equal_the_values_of_each_score():
+    for result in results_by_fakes()[:3]:
+        for name, found in result.arrays(SCORES).items():
             np.testing.assert_array_equal(found, result.values(name))
 
 
 # tables
 
 
-def test_every_condition_has_its_own_numbers_interval_and_rank():
+def test_every_condition_has_its_own_score_interval_and_rank():
     (view,) = board_views(board())
     (section,) = view.sections
     assert section.groups == {"condition": tuple(c.label for c in task().conditions)}
     line = next(line for line in section.rows if line.name == "learner")
     for k, label in enumerate(section.groups["condition"]):
-        mine = named("learner").values("nrmse")[:, k : k + 1]
+        values = result_of("learner").values("nrmse")[:, k : k + 1]
         group = line.groups[label]
-        assert group["nrmse"] == pytest.approx(interquartile_mean(mine.ravel()))
-        assert (group["low"], group["high"]) == pytest.approx(iqm_interval(mine)[1:])
+        assert group["nrmse"] == pytest.approx(interquartile_mean(values.ravel()))
+        assert (group["low"], group["high"]) == pytest.approx(iqm_interval(values)[1:])
         assert group["rank"] in (1, 2)
 
 
-def test_a_family_of_roads_is_looked_at_alone():
+def test_each_road_family_has_its_own_scores():
     test = {**FAMILIES, "families": ["level", "rough"]}
     t = task(test=test)
-    (result,) = run_task(t, {"reader": Reader()}, (1,), drive=fake_drives)
+    (result,) = run_task(t, {"reader": Reader()}, (1,), simulate=fake_drives)
     (view,) = board_views(Board((t,), {"small": [result]}))
     line, _ = view.sections[0].rows
     rough = result.values("level_error")[[1, 3]]
@@ -350,10 +357,10 @@ def test_a_family_of_roads_is_looked_at_alone():
 FAMILIES = {"roads": ["iso_b", "iso_e"], "seeds": [11, 12], "length": 40.0}
 
 
-def test_on_cars_of_several_grades_the_growth_of_the_error_is_told():
+def test_the_slope_of_the_error_over_grades_is_shown():
     cars = [{"mode": "ride", "speed_kmh": 30.0, "grade": grade} for grade in ("S0", "S1", "S2")]
     t = task(board="field", conditions=cars)
-    (result,) = run_task(t, {"reader": Reader()}, (1,), drive=fake_drives)
+    (result,) = run_task(t, {"reader": Reader()}, (1,), simulate=fake_drives)
     error = {c.label: 0.1 * (1 + k) for k, c in enumerate(t.conditions)}
     drives = [
         dataclasses.replace(d, scores={**d.scores, "nrmse": error[d.condition] + 0.01 * d.drive})
@@ -363,17 +370,17 @@ def test_on_cars_of_several_grades_the_growth_of_the_error_is_told():
         Board((t,), {"small": [dataclasses.replace(result, drives=tuple(drives))]})
     )
     line, _ = view.sections[0].rows
-    assert [line.values[f"grade_S{k}"] for k in range(3)] == pytest.approx([0.11, 0.21, 0.31])
+    assert [line.values[f"grade_S{k}"] for k in range(3)] == pytest.approx([0.12, 0.22, 0.32])
     assert line.values["slope"] == pytest.approx(0.1)
-    # every road grows alike, and roads are paired: nothing is left to doubt
+    # the slope is the same on every road and roads are paired, so the interval has zero width
     assert (line.values["slope_low"], line.values["slope_high"]) == pytest.approx((0.1, 0.1))
-    assert line.cells["slope"] == "+0.100" and line.cells["grade_S1"] == "0.210"
+    assert line.cells["slope"] == "+0.100" and line.cells["grade_S1"] == "0.220"
     assert view.sections[0].groups["car"] == ("car S0", "car S1", "car S2")
 
 
-def test_causal_entries_are_ranked_among_themselves_too():
-    online = dataclasses.replace(named("learner"), causal=True)
-    (view,) = board_views(Board((task(),), {"small": [named("reader"), online]}))
+def test_causal_entries_also_have_a_rank_among_causal_entries():
+    online = dataclasses.replace(result_of("learner"), causal=True)
+    (view,) = board_views(Board((task(),), {"small": [result_of("reader"), online]}))
     ranks = {
         x.name: (x.values.get("rank"), x.values.get("rank_causal")) for x in view.sections[0].rows
     }
@@ -394,33 +401,33 @@ def test_the_table_is_readable_on_a_narrow_terminal(width):
     for name in ENTRIES:
         assert any(line.startswith(name) for line in text.splitlines())
     assert "…" not in text
-    assert "broken failed: ride, 14.5 km/h, estimating test drive 1 of 3" in " ".join(text.split())
+    assert "broken failed: ride, 14.5 km/h, estimating test drive 1 of 5" in " ".join(text.split())
 
 
-def test_ranks_are_given_to_entries_and_not_to_sentinels():
+def test_baselines_have_no_rank():
     (view,) = board_views(board())
     ranks = {line.name: line.values.get("rank") for line in view.sections[0].rows}
     assert {name for name, rank in ranks.items() if rank} == {"learner", "reader"}
 
 
-def test_the_claim_of_the_paper_stands_beside_what_was_measured():
+def test_the_claimed_score_of_the_paper_is_a_row_of_its_own():
     t = task(board="paper", claimed_level_error=0.128)
-    mine = [dataclasses.replace(r, task_digest=t.digest) for r in made()]
-    (view,) = board_views(Board((t,), {"small": mine}))
+    values = [dataclasses.replace(r, task_digest=t.digest) for r in results_by_fakes()]
+    (view,) = board_views(Board((t,), {"small": values}))
     claim, *others = view.sections[0].rows
     assert (claim.state, claim.cells) == ("claim", {"level_error_raw": "12.8"})
     reader = next(line for line in others if line.name == "reader")
     assert float(reader.cells["level_error"]) == pytest.approx(10.0, abs=0.5)
 
 
-def test_an_entry_that_beats_the_noisy_truth_is_flagged_and_so_is_a_broken_judge():
+def test_entries_better_than_truth_plus_noise_and_inconsistent_baselines_are_flagged():
     (view,) = board_views(board())
     assert view.sections[0].notes == ()
-    (perfect,) = run_task(task(), {"perfect": Reader(gain=1.0)}, (1,), drive=fake_drives)
-    (said,) = flagged(perfect, named("truth_plus_noise"))
-    assert said.startswith("perfect scores better than the truth with 2 % noise")
-    (said,) = flagged(dataclasses.replace(named("reader"), estimator="flat", role="sentinel"))
-    assert said.startswith("the judge is broken: flat scores 0.1")
+    (perfect,) = run_task(task(), {"perfect": Reader(gain=1.0)}, (1,), simulate=fake_drives)
+    (note,) = flagged(perfect, result_of("truth_plus_noise"))
+    assert note.startswith("perfect scores better than the truth with 2 % noise")
+    (note,) = flagged(dataclasses.replace(result_of("reader"), estimator="flat", role="sentinel"))
+    assert note.startswith("the evaluation is faulty: flat scores 0.1")
 
 
 def flagged(*results):
@@ -428,7 +435,7 @@ def flagged(*results):
     return view.sections[0].notes
 
 
-def test_a_program_reads_the_same_rows():
+def test_the_json_output_has_the_rows_of_the_table():
     (section,) = json.loads(json.dumps(as_json(build_report(board())), allow_nan=False))
     entries = {entry["name"]: entry for entry in section["entries"]}
     assert section["task"] == "small" and set(entries) == {*ENTRIES, "bound"}
@@ -437,11 +444,11 @@ def test_a_program_reads_the_same_rows():
     assert entries["broken"]["state"] == "failed" and "finite" in entries["broken"]["text"]
 
 
-def test_what_was_done_to_a_surface_is_said():
+def test_notes_of_a_surface_are_printed():
     t = task(board="measured")
     noted = [
         dataclasses.replace(r, task_digest=t.digest, notes=("10 m tile mirrored 10 times",))
-        for r in made()
+        for r in results_by_fakes()
     ]
     (view,) = board_views(Board((t,), {"small": noted}))
     assert "Surface: 10 m tile mirrored 10 times." in view.sections[0].notes

@@ -1,4 +1,4 @@
-"""The Gaussian process against dense formulae, and what it tells of roads against the roads."""
+"""Gaussian process against dense formulae, and its roughness estimates against the roads."""
 
 import json
 from functools import cache
@@ -27,7 +27,7 @@ THETA = np.array([-0.3, 0.5, 0.2, 1.0, -0.1, -1.2])
 
 
 def dense(x: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """Covariance of outputs at `x`, entry by entry."""
+    """Covariance of the outputs at `x`, entry by entry."""
     amplitude, lengths, noise = np.exp(theta[0]), np.exp(theta[1:-1]), np.exp(theta[-1])
     K = np.empty((len(x), len(x)))
     for i, a in enumerate(x):
@@ -37,14 +37,14 @@ def dense(x: np.ndarray, theta: np.ndarray) -> np.ndarray:
     return K + noise**2 * np.eye(len(x))
 
 
-def drawn(size: int):
+def synthetic_data(size: int):
     rng = np.random.default_rng(0)
     x = rng.standard_normal((size, N_INPUTS))
     return x, rng.multivariate_normal(np.zeros(size), dense(x, THETA))
 
 
 def test_the_marginal_likelihood_is_the_outputs_density_and_its_gradient_matches():
-    x, y = drawn(15)
+    x, y = synthetic_data(15)
     value, slope = neg_log_marginal_likelihood(x, y, THETA)
     assert value == pytest.approx(-stats.multivariate_normal(cov=dense(x, THETA)).logpdf(y))
     differences = approx_fprime(
@@ -54,19 +54,19 @@ def test_the_marginal_likelihood_is_the_outputs_density_and_its_gradient_matches
 
 
 def test_a_prediction_is_the_conditional_of_the_joint_density():
-    x, y = drawn(15)
+    x, y = synthetic_data(15)
     K = dense(x, THETA)
     rest = slice(0, 12), slice(12, 15)
     known, across, own = K[rest[0], rest[0]], K[rest[1], rest[0]], K[rest[1], rest[1]]
     mean, std = predict_gp(x[:12], y[:12], THETA, x[12:])
     solved = np.linalg.inv(known)
     np.testing.assert_allclose(mean, across @ solved @ y[:12], rtol=1e-6)
-    wished = np.sqrt(np.diag(own - across @ solved @ across.T))
-    np.testing.assert_allclose(std, wished, rtol=1e-6)
+    expected = np.sqrt(np.diag(own - across @ solved @ across.T))
+    np.testing.assert_allclose(std, expected, rtol=1e-6)
 
 
 def test_the_road_level_is_the_geometric_mean_of_its_scored_octaves():
-    """A cosine of the density of one line in each octave; the level is their geometric mean."""
+    """One cosine per octave; the level is the geometric mean of their densities."""
     stations = profile_stations(400.0)
     z = np.zeros(stations.size)
     for n, G_d0 in ((0.25, 4e-4), (0.5, 1e-4), (1.0, 4e-4)):
@@ -94,18 +94,18 @@ def test_roads_are_classified_correctly(road):
 
 
 def test_the_estimate_does_not_depend_on_the_speed():
-    """Driven faster the same road shakes the car more, and is told to be as rough."""
+    """The same road driven faster shakes the vehicle more; the estimates agree."""
     slow, fast = (drive("defender", "iso_c", "handling", v, length=150.0) for v in (33.0, 60.0))
-    apart = features(fast[0])[1:] - features(slow[0])[1:]
-    assert apart.mean() > 0.3  # as if its density were almost twice as high
+    difference = features(fast[0])[1:] - features(slow[0])[1:]
+    assert difference.mean() > 0.3  # as if its density were almost twice as high
     for record, truth in (slow, fast):
         true = roughness_level(truth, float(np.median(record.v)))
         assert abs(np.log(regression("handling").predict(record).G_d0 / true)) < 0.46
 
 
 def test_the_command_reports_the_class_by_either_method(road_recon):
-    drive_it = ("simulate", "--road", "iso_c", "--length", "100", "--speed-kmh", "36")
-    assert road_recon(*drive_it, "--out", "d.parquet")[0] == 0
+    simulate = ("simulate", "--road", "iso_c", "--length", "100", "--speed-kmh", "36")
+    assert road_recon(*simulate, "--out", "d.parquet")[0] == 0
     code, out, _ = road_recon("classify", "d.parquet", "--method", "rms", "--json")
     facts = json.loads(out)
     assert code == 0 and facts["class"] == "C" and facts["probability"]["C"] > 0.5

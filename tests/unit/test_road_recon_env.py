@@ -1,4 +1,4 @@
-"""The environment keeps every promise of its docstring and of Gymnasium and Stable-Baselines3."""
+"""The environment against its docstring and the checkers of Gymnasium and Stable-Baselines3."""
 
 import copy
 import json
@@ -43,15 +43,15 @@ def make(**options) -> RoadReconEnv:
 
 
 def rollout(env, actions, seed=None, options=None):
-    """Observations, rewards and infos of an episode under `actions`."""
+    """Return observations, rewards and infos of an episode under `actions`."""
     observation, info = env.reset(seed=seed, options=options)
-    seen = [(observation, 0.0, info)]
+    steps = [(observation, 0.0, info)]
     for action in actions:
         observation, reward, terminated, truncated, info = env.step(action)
-        seen.append((observation, reward, info))
+        steps.append((observation, reward, info))
         if terminated or truncated:
             break
-    return seen
+    return steps
 
 
 def assert_same(one, other):
@@ -65,46 +65,46 @@ def assert_same(one, other):
 
 
 @pytest.mark.parametrize("options", VARIANTS.values(), ids=VARIANTS.keys())
-def test_gymnasium_checker_finds_nothing(options):
+def test_the_gymnasium_env_checker_passes(options):
     check_env(make(**options), skip_render_check=True)
 
 
 @pytest.mark.parametrize("options", VARIANTS.values(), ids=VARIANTS.keys())
-def test_stable_baselines_checker_finds_nothing(options):
+def test_the_stable_baselines_env_checker_passes(options):
     from stable_baselines3.common.env_checker import check_env as check_for_sb3
 
     check_for_sb3(make(**options))
 
 
-def test_the_specification_survives_json():
+def test_the_env_spec_round_trips_through_json():
     spec = gym.spec("RoadRecon-v0")
     again = gym.envs.registration.EnvSpec.from_json(spec.to_json())
     assert again.id == road_envs.ID
     assert json.loads(spec.to_json())["entry_point"] == "road_envs.envs.road_recon:RoadReconEnv"
 
 
-def test_one_seed_gives_one_episode_and_another_seed_another():
+def test_equal_seeds_give_equal_episodes_and_different_seeds_different_ones():
     actions = [0, 1, 1, 0] * 5
     first, again, other = (rollout(make(**SHORT), actions, seed) for seed in (3, 3, 4))
     assert_same(first, again)
     assert not np.array_equal(first[-1][0], other[-1][0])
 
 
-def test_a_second_episode_without_a_seed_drives_another_road():
+def test_a_second_reset_without_a_seed_draws_another_road():
     env = make(**SHORT)
     first = rollout(env, [0] * 20, seed=3)[-1][2]["profile"]
     second = rollout(env, [0] * 20)[-1][2]["profile"]
     assert not np.array_equal(first, second)
 
 
-def test_other_sensors_leave_the_road_of_a_seed_as_it_is():
+def test_the_road_of_a_seed_does_not_depend_on_the_sensors():
     noisy = rollout(make(**SHORT), [0] * 30, seed=5)
     ideal = rollout(make(**SHORT, sensors="ideal"), [0] * 30, seed=5)
     for (_, _, a), (_, _, b) in zip(noisy, ideal, strict=True):
         np.testing.assert_array_equal(a["profile"], b["profile"])
 
 
-def test_the_past_of_an_environment_does_not_change_its_next_episode():
+def test_an_episode_does_not_depend_on_earlier_episodes():
     env = make(**SHORT)
     fresh = rollout(env, [1] * 10, seed=9)
     rollout(env, [0, 1] * 10, seed=1)
@@ -112,7 +112,7 @@ def test_the_past_of_an_environment_does_not_change_its_next_episode():
 
 
 @pytest.mark.parametrize("clone", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
-def test_a_copy_made_in_mid_episode_goes_on_alike(clone):
+def test_a_copy_made_in_mid_episode_continues_identically(clone):
     env = make(**SHORT)
     rollout(env, [0, 1] * 4, seed=2)
     twin = clone(env)
@@ -144,7 +144,7 @@ def test_a_return_does_not_depend_on_the_control_rate():
         -sum(r for _, r, _ in rollout(make(**SHORT, control_rate=rate), [0] * 400, seed=1))
         for rate in (5.0, 50.0)
     )
-    assert fast == pytest.approx(slow, rel=0.15)  # means of short RMS values are a little lower
+    assert fast == pytest.approx(slow, rel=0.15)  # means of short-term RMS values are lower
 
 
 def test_an_observation_has_the_samples_the_speed_and_the_commanded_states():
@@ -158,7 +158,7 @@ def test_an_observation_has_the_samples_the_speed_and_the_commanded_states():
             np.testing.assert_array_equal(parts[axle], [states[axle] == "handling"] * 2)
 
 
-def test_a_command_reaches_the_struts_only_after_the_valve_s_delay():
+def test_a_command_takes_effect_after_the_valve_delay():
     rides = rollout(make(**SHORT, sensors="ideal"), [0] * 6, seed=1)
     switched = rollout(make(**SHORT, sensors="ideal"), [0] * 5 + [1], seed=1)
     loads_1, loads_2 = rides[-1][2]["loads"], switched[-1][2]["loads"]
@@ -166,7 +166,7 @@ def test_a_command_reaches_the_struts_only_after_the_valve_s_delay():
     assert not np.allclose(loads_1[:, 25:], loads_2[:, 25:], rtol=1e-6)
 
 
-def test_an_episode_ends_truncated_behind_the_road_and_not_before():
+def test_an_episode_is_truncated_only_after_the_road_ends():
     env = make(**SHORT)
     env.reset(seed=0)
     ends = []
@@ -200,7 +200,7 @@ def test_speeds_are_drawn_from_the_range_and_may_be_set_at_reset():
         ({"vehicle": "beetle"}, ["beetle", "land_rover_defender_110"]),
     ],
 )
-def test_a_bad_option_is_named_with_the_choices(options, words):
+def test_an_invalid_option_is_named_with_the_choices(options, words):
     with pytest.raises(ConfigError) as caught:
         gym.make("RoadRecon-v0", **options)
     for word in words:
@@ -208,7 +208,7 @@ def test_a_bad_option_is_named_with_the_choices(options, words):
     assert "\n" not in str(caught.value)
 
 
-def test_an_unknown_reset_option_and_a_bad_action_are_refused():
+def test_an_unknown_reset_option_and_an_invalid_action_are_rejected():
     env = make(**SHORT)
     with pytest.raises(ConfigError, match=r"unknown reset options \['sped'\]; known: speed_kmh"):
         env.reset(options={"sped": 3.0})
@@ -217,7 +217,7 @@ def test_an_unknown_reset_option_and_a_bad_action_are_refused():
         env.step(2)
 
 
-def test_motion_beyond_all_numbers_terminates_with_a_reason():
+def test_nonfinite_motion_terminates_with_a_reason():
     env = make(**SHORT)
     env.reset(seed=0)
     env.fleet.state.q[0, 0, 0] = np.inf
@@ -227,7 +227,7 @@ def test_motion_beyond_all_numbers_terminates_with_a_reason():
     assert env.observation_space.contains(observation)
 
 
-def test_a_car_that_overturns_terminates_with_a_reason():
+def test_a_rollover_terminates_with_a_reason():
     env = make(**SHORT)
     env.reset(seed=0)
     env.fleet.state.q[0, 1, 0] = 0.9
@@ -267,8 +267,8 @@ def test_making_the_environment_does_not_import_torch():
     assert done.stdout.strip() == "False", done.stderr
 
 
-def test_what_is_seen_is_what_the_instruments_would_log_of_the_drive():
-    """The compiled interval against the drive and its logger, each of which stands for itself."""
+def test_observations_equal_the_data_logger_applied_to_the_drive():
+    """The compiled control step against the drive and the data logger."""
     options = {"road": "iso_e", "length": 40.0, "speed_kmh": 36.0, "mode": "handling"}
     env = make(**options)
     observation, _ = env.reset(seed=11)
@@ -282,8 +282,8 @@ def test_what_is_seen_is_what_the_instruments_would_log_of_the_drive():
         trajectory = drive.advance(np.full(50, encode_command("handling"), dtype=np.uint8))
         parts = env.split(observation)
         logged = np.clip(logger.sample(trajectory), -setup.instruments.range, np.inf)
-        seen = np.array([parts[name] for name in ("RF", "LR", "RR")])
-        np.testing.assert_allclose(seen, np.minimum(logged, setup.instruments.range), atol=1e-5)
+        observed = np.array([parts[name] for name in ("RF", "LR", "RR")])
+        np.testing.assert_allclose(observed, np.minimum(logged, setup.instruments.range), atol=1e-5)
         assert parts["speed"][0] == pytest.approx(10.0 * logger.speed_gain, rel=1e-6)
         weighted, memory = sosfilt(wk, trajectory.acceleration[:, Z_B], zi=memory)
         observation, reward, _, _, info = env.step(1)

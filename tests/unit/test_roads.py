@@ -1,4 +1,4 @@
-"""Roads: the contract that every road keeps, configuration, bumps, and roads made of roads."""
+"""Roads: contract of every road, configuration, bumps, and roads made of other roads."""
 
 import dataclasses
 
@@ -28,7 +28,7 @@ def rng(seed=0):
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_every_shipped_road_keeps_the_contract(name):
+def test_every_shipped_road_fulfils_the_road_contract(name):
     road = load_road(name)
     assert isinstance(road, Road)
     surface, again = road.realise(rng(7)), road.realise(rng(7))
@@ -41,7 +41,7 @@ def test_every_shipped_road_keeps_the_contract(name):
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_a_road_does_not_depend_on_what_was_drawn_before(name):
+def test_a_surface_depends_on_the_generator_state_only(name):
     road, used = load_road(name), rng(7)
     state = used.bit_generator.state
     first = road.realise(used)
@@ -50,12 +50,12 @@ def test_a_road_does_not_depend_on_what_was_drawn_before(name):
 
 
 @pytest.mark.parametrize("name", RANDOM)
-def test_another_seed_is_another_road(name):
+def test_different_seeds_give_different_surfaces(name):
     road = load_road(name)
     assert np.abs(road.realise(rng(1)).z - road.realise(rng(2)).z).max() > 1e-3
 
 
-def test_every_kind_is_shipped_or_a_file():
+def test_every_kind_of_road_is_shipped_or_read_from_a_file():
     shipped = {read_yaml(find("roads", name))["kind"] for name in SHIPPED}
     assert shipped == KINDS.keys() - {"measured"}
 
@@ -64,7 +64,7 @@ def test_every_kind_is_shipped_or_a_file():
 
 
 @pytest.mark.parametrize(
-    ("source", "says"),
+    ("source", "reason"),
     [
         ("iso_z", "unknown road 'iso_z'"),
         ("nowhere.yaml", "nowhere.yaml"),
@@ -79,7 +79,7 @@ def test_every_kind_is_shipped_or_a_file():
         ({"kind": "iso8608", "road_class": "A", "n_max": 60.0}, "n_max"),
         ({"kind": "iso8608", "road_class": "A", "n_min": 20.0}, "n_min"),
         ({"kind": "iso8608", "road_class": "A", "length": 0.02}, "length"),
-        ({"kind": "belgian", "coherence": 0.9}, "coherence must lie in 0 to 0.694"),
+        ({"kind": "belgian", "coherence": 0.9}, "coherence must be within 0 and 0.694"),
         ({"kind": "belgian", "peak": 1.0}, "peak"),
         ({"kind": "bumps", "layout": "large"}, "layout"),
         ({"kind": "bumps", "layout": "small", "ramp": 0.1}, "ramp: unknown key"),
@@ -102,10 +102,10 @@ def test_every_kind_is_shipped_or_a_file():
         ({"name": "belgian", "length": "300"}, "length must be a number"),
     ],
 )  # fmt: skip
-def test_a_wrong_road_is_one_sentence_about_the_culprit(source, says):
+def test_an_invalid_road_is_named_in_one_sentence(source, reason):
     with pytest.raises(ConfigError) as error:
         load_road(source)
-    assert says in str(error.value)
+    assert reason in str(error.value)
     assert "\n" not in str(error.value)
 
 
@@ -115,18 +115,18 @@ def test_a_nested_road_may_be_a_name_or_a_mapping():
     assert by_name == load_road({"kind": "fixed", "seed": 3, "road": mapping})
 
 
-def test_a_shipped_road_can_be_asked_for_at_another_length():
+def test_a_shipped_road_can_be_loaded_with_another_length():
     assert load_road({"name": "iso_d", "length": 300.0}) == Iso8608(road_class="D", length=300.0)
 
 
 @pytest.mark.parametrize("name", ["flat", "iso_d", "belgian", "belgian_like", "belgian_training"])
-def test_the_length_of_a_road_can_be_changed_however_deep_it_is_set(name):
+def test_the_length_of_nested_roads_can_be_changed(name):
     road = with_length(load_road(name), 250.0)
     assert road.length == 250.0
     assert road.realise(rng()).end == pytest.approx(250.0, abs=0.02)
 
 
-def test_the_length_of_a_bump_course_cannot_be_changed():
+def test_the_length_of_bumps_cannot_be_changed():
     with pytest.raises(ConfigError, match="follows from its other settings"):
         with_length(load_road("bump_small"), 100.0)
 
@@ -141,7 +141,7 @@ LAYOUTS = {
 
 
 def bump_heights(road, s):
-    """Heights (2, M) by the paper's words: first bump after the run-in, then the spacing."""
+    """Return heights (2, M) by the paper's description: run-in, first bump, then the spacing."""
     out = np.zeros((2, s.size))
     first = {"small": road.small, "large": road.large}[
         "small" if road.layout == "small" else "large"
@@ -158,11 +158,11 @@ def bump_heights(road, s):
 
 
 @pytest.mark.parametrize("name", [n for n in SHIPPED if n.startswith("bump")])
-def test_shipped_bumps_are_trapezoids_to_a_tenth_of_a_millimetre_off_the_corners(name):
+def test_shipped_bumps_match_trapezoids_except_at_corners(name):
     road = load_road(name)
     s = np.arange(-2.0, road.length + 2.0, 0.0013)
     error = np.abs(road.realise(rng()).height(s) - bump_heights(road, s))
-    assert error.max() < 0.3e-3  # at a corner the cubic rounds off less than this
+    assert error.max() < 0.3e-3  # limit of the rounding by the cubic at a corner
     assert (error > 1e-4).mean() < 0.005
 
 
@@ -174,11 +174,11 @@ def test_the_three_layouts_are_those_of_the_paper():
     assert cross.realise(rng()).z.max(axis=1) == pytest.approx([0.15, 0.1])
     for road in (both, cross):
         left, right = (np.flatnonzero(z > 0.05) * 0.005 for z in road.realise(rng()).z)
-        # from half up the small bump, where the large one reaches 0.5 m from its middle
+        # 0.5 m, 0.3 m: half widths of the large and the small bump at the height of 0.05 m
         assert right[-1] - left[0] == pytest.approx(10.4 + 0.5 + 0.3, abs=0.02)
 
 
-def test_the_training_bumps_are_ten_per_cent_off_and_eight_metres_apart():
+def test_training_bumps_are_scaled_by_10_percent_and_8_m_apart():
     for layout in ("small", "large_small", "asymmetric"):
         true = load_road(f"bump_{layout}")
         factors = {"p": 1.1, "m": 0.9}
@@ -195,7 +195,7 @@ def test_the_training_bumps_are_ten_per_cent_off_and_eight_metres_apart():
     st.floats(0.05, 0.5), st.floats(0.05, 1.0), st.floats(0.7, 1.3), st.floats(0.7, 1.3),
     st.floats(4.0, 20.0),
 )  # fmt: skip
-def test_bumps_of_any_size_are_trapezoids_at_their_samples(layout, ramp, top, x, h, spacing):
+def test_samples_of_bumps_of_any_size_match_trapezoids(layout, ramp, top, x, h, spacing):
     road = Bumps(
         layout=layout, spacing=spacing, length_factor=x, height_factor=h,
         small=Trapezoid(height=0.1, ramp=ramp, top=top),
@@ -214,21 +214,21 @@ PAVING = [
 ]
 
 
-def test_the_belgian_paving_is_one_surface_for_ever():
+def test_the_belgian_paving_is_a_fixed_surface():
     paving = load_road("belgian")
     z = paving.realise(rng(1)).z
     np.testing.assert_array_equal(z, paving.realise(rng(2)).z)
-    # pinned, so that a change that repaves the road is seen: left and right at 25, 50, 75, 100 m
+    # reference values detect any change of the surface: left and right at 25, 50, 75, 100 m
     np.testing.assert_allclose(z[:, [2500, 5000, 7500, 10000]], PAVING, atol=1e-9)
 
 
-def test_a_fixed_road_does_not_touch_the_generator():
+def test_a_fixed_road_does_not_use_the_generator():
     used = rng(5)
     load_road("belgian").realise(used)
     assert used.random() == rng(5).random()
 
 
-def test_the_training_paving_is_the_paving_a_metre_late_with_a_tenth_of_noise():
+def test_the_training_paving_is_the_paving_delayed_1_m_with_10_percent_noise():
     true = load_road("belgian").realise(rng())
     s = profile_stations(99.0)[1:]
     noise = []
@@ -244,30 +244,32 @@ def test_the_training_paving_is_the_paving_a_metre_late_with_a_tenth_of_noise():
     flat = noise.reshape(10, -1)
     close = 5.0 / np.sqrt(s.size)
     np.testing.assert_allclose(np.corrcoef(flat), np.eye(10), atol=close)
-    assert np.abs([np.corrcoef(x[1:], x[:-1])[0, 1] for x in flat]).max() < close  # white on GRID
+    assert (
+        np.abs([np.corrcoef(x[1:], x[:-1])[0, 1] for x in flat]).max() < close
+    )  # white noise on the grid
 
 
-CUBIC = 0.902  # between white nodes the Catmull-Rom cubic is smaller (RMS)
+CUBIC = 0.902  # RMS of the Catmull-Rom cubic through white noise, relative to its nodes
 
 
-def test_noise_and_road_of_an_altered_road_are_drawn_apart():
+def test_noise_and_road_of_a_noisy_copy_are_drawn_independently():
     quiet, noisy = (
         NoisyCopy(road=Iso8608(road_class="C"), noise=x, delay=0.0).realise(rng(4))
         for x in (0.0, 0.1)
     )
     error = noisy.z - quiet.z
     ratio = error.std(axis=1) / quiet.z.std(axis=1)
-    assert ratio == pytest.approx(0.1 * CUBIC, rel=0.05)  # 3964 nodes: 1.1 % standard error
+    assert ratio == pytest.approx(0.1 * CUBIC, rel=0.05)  # 3964 nodes: standard error of 1.1 %
     assert np.corrcoef(error[0], quiet.z[0])[0, 1] == pytest.approx(0.0, abs=0.05)
 
 
-def test_an_altered_road_without_noise_or_delay_is_the_road():
+def test_a_noisy_copy_without_noise_and_delay_equals_the_road():
     road = FixedSeed(road=Belgian(length=30.0), seed=1)
     same = NoisyCopy(road=road, noise=0.0, delay=0.0).realise(rng())
     np.testing.assert_allclose(same.z, road.realise(rng()).z, atol=1e-15)
 
 
-def test_a_flat_road_is_flat_everywhere():
+def test_a_flat_road_has_no_height_and_slope():
     surface = Flat(length=12.3).realise(rng())
     s = np.linspace(-5.0, 20.0, 100)
     assert not surface.height(s).any()

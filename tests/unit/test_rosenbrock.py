@@ -1,4 +1,4 @@
-"""The integrator's claims: its formula, order 2, L-stability, energy; and SciPy as the referee."""
+"""Tests of the integrator: formula, order 2, L-stability, energy, and comparison with SciPy."""
 
 from functools import cache
 
@@ -37,7 +37,7 @@ every_mode = pytest.mark.parametrize("mode", MODES)
 
 
 def road_under(surface, name, s, speed=SPEED):
-    """Heights and rates (4,) under the wheels by the oracle of the road."""
+    """Return heights and rates (4,) under the wheels, by the road oracle."""
     car = CARS.get(name, CARS["unequal_axles"])
     return oracles.SplineRoad(surface.z, surface.ds).wheel_inputs(s, car.wheelbase, speed)
 
@@ -52,9 +52,9 @@ def road_under(surface, name, s, speed=SPEED):
     st.floats(-0.01, 0.01),
 )
 def test_one_step_equals_the_published_formula(name, mode, y, h, s, psi):
-    """With dw/dt, the road's second derivative, taken over the half step as a difference.
+    """dw/dt, the road's second derivative, is a difference over the half step.
 
-    The matrix of a car whose frame twists knows the twist's own spring and damper and no coupling.
+    The matrix of a flexible vehicle contains the twist's own spring and damper but no coupling.
     """
     plant, strut_state = (
         {**MANOEUVRE_PLANTS, **VARIED_MANOEUVRE_PLANTS}[name],
@@ -85,10 +85,12 @@ def test_one_step_equals_the_published_formula(name, mode, y, h, s, psi):
     start, middle = world(0.0), world(0.5 * h)
     change = np.concatenate([start[4:8], (middle - start)[4:] / (0.5 * h)])
     options = {"h": h, "steps": 1, "surface": ROUGH, "speed": SPEED, "s_0": s, "a_xy": a_xy}
-    found = y.copy()
-    out = run_integrator(plant, found, mode=mode, **options)
+    result = y.copy()
+    out = run_integrator(plant, result, mode=mode, **options)
     load = out[0, LOAD : LOAD + 4]
-    assume(((load == 0.0) | (load > 10.0)).all())  # the slope below needs no kink in its way
+    assume(
+        ((load == 0.0) | (load > 10.0)).all()
+    )  # the finite difference below must not cross a kink
     d = 1e-5
     expected = oracles.ode23s_step(
         lambda t, y: rate(y, world(t)),
@@ -102,12 +104,12 @@ def test_one_step_equals_the_published_formula(name, mode, y, h, s, psi):
     accelerations = out[0, [*range(ACCELERATION, ACCELERATION + 7), TWIST + 2][:n]]
     np.testing.assert_allclose(accelerations, rate(y, start)[n:], rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(out[0, TWIST : TWIST + 2], y[[7, 15]] if plant.flexible else [])
-    np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(result, expected, rtol=1e-7, atol=1e-9)
 
 
 @cache
 def reference(name, mode, surface, seconds, rtol=1e-9):
-    """Times (N,) and states (14, N) of a drive, by LSODA on the compiled equations."""
+    """Return times (N,) and states (14, N) of a drive, by LSODA on the compiled equations."""
     plant, strut_state = PLANTS[name], settled_strut_state(encode_command(mode))
     road, wheelbase = oracles.SplineRoad(surface.z, surface.ds), CARS[name].wheelbase
 
@@ -118,15 +120,15 @@ def reference(name, mode, surface, seconds, rtol=1e-9):
         )
 
     t, y_0 = np.linspace(0.0, seconds, 51), equilibrium(plant, strut_state, ZEROS)
-    found = solve_ivp(
+    result = solve_ivp(
         rate, (0.0, seconds), y_0, t_eval=t, method="LSODA", rtol=rtol, atol=rtol * 1e-2
     )
-    assert found.success
-    return t, found.y
+    assert result.success
+    return t, result.y
 
 
 def simulate_states(name, mode, surface, t, h):
-    """States (14, N) of the same drive at the times `t`, in steps of `h`; least tyre load."""
+    """Return states (14, N) of the same drive at `t` in steps of `h`, and the least tyre load."""
     plant, strut_state = PLANTS[name], settled_strut_state(encode_command(mode))
     y, every = equilibrium(plant, strut_state, ZEROS), round((t[1] - t[0]) / h)
     steps = every * (t.size - 1) + 1
@@ -137,7 +139,7 @@ def simulate_states(name, mode, surface, t, h):
 
 
 def relative_error(states, truth):
-    """RMS error of the rates, relative to their RMS, the worst degree of freedom."""
+    """Return the RMS error of the rates relative to their RMS, of the worst degree of freedom."""
     error = np.sqrt(np.mean((states[7:] - truth[7:]) ** 2, axis=1))
     return (error / np.sqrt(np.mean(truth[7:] ** 2, axis=1))).max()
 
@@ -150,7 +152,7 @@ def test_the_method_has_order_two_on_the_nonlinear_vehicle_over_a_road(name, mod
     error = []
     for step in h:
         states, least = simulate_states(name, mode, GENTLE, t, step)
-        assert least > 0.0  # order is a claim about smooth right-hand sides
+        assert least > 0.0  # the order holds for smooth right-hand sides only
         error.append(relative_error(states, truth))
     slope = np.polyfit(np.log(h), np.log(error), 1)[0]
     assert slope == pytest.approx(2.0, abs=0.05)
@@ -167,7 +169,7 @@ def test_a_drive_with_wheel_lift_off_matches_the_reference(name, mode):
 
 @pytest.mark.parametrize(("name", "mode"), [("unequal_axles", "handling"), ("defender", "ride")])
 def test_a_drive_matches_scipy_on_the_papers_equations(name, mode):
-    """Nothing shared: the paper's letters, SciPy's curves, splines and implicit Radau method."""
+    """The oracle shares no code: the paper's equations, SciPy's curves, splines and Radau."""
     plant, strut_state = PLANTS[name], settled_strut_state(encode_command(mode))
     y_0, t = equilibrium(plant, strut_state, ZEROS), np.linspace(0.0, 0.4, 21)
     road = oracles.SplineRoad(GENTLE.z, GENTLE.ds)
@@ -181,11 +183,11 @@ def test_a_drive_matches_scipy_on_the_papers_equations(name, mode):
 @pytest.mark.parametrize("f", [0.5, 1.5, 4.0, 9.0, 16.0, 30.0])
 @pytest.mark.parametrize(("name", "mode"), [("unequal_axles", "ride"), ("defender", "handling")])
 def test_small_motions_have_the_frequency_response_of_the_energy_matrices(name, mode, f):
-    """On a sine of 0.1 micrometre under the left wheels, where friction is a linear damper."""
+    """Sine of 0.1 micrometre under the left wheels, so small that friction is linear damping."""
     car, plant, strut_state = CARS[name], PLANTS[name], settled_strut_state(encode_command(mode))
     start = equilibrium(plant, strut_state, ZEROS)
     column = car.strut.x_1 + (car.strut.x_2 if mode == "ride" else 0.0)
-    # the equilibrium fixes each strut's force, so its column and its rate
+    # the static force determines the gas column and so the spring rate
     ratio = oracles.static_loads(car)[0] / (car.strut.p_stat * car.strut.A)
     k_s = car.strut.n_p / column * car.strut.p_stat * car.strut.A * ratio ** (1 + 1 / car.strut.n_p)
     curves = getattr(car.strut.damper, mode), getattr(car.strut.friction, mode)
@@ -202,11 +204,11 @@ def test_small_motions_have_the_frequency_response_of_the_energy_matrices(name, 
     last = slice(-round(round(2.0 * f) / f / 0.0005), None)
     phase = 2.0 * np.pi * f * 0.0005 * np.arange(19000)[last]
     wave = np.exp(-1j * phase)
-    found = 2.0 * np.mean(out[last, ACCELERATION : ACCELERATION + 7] * wave[:, None], axis=0)
+    result = 2.0 * np.mean(out[last, ACCELERATION : ACCELERATION + 7] * wave[:, None], axis=0)
     behind = np.exp(-2j * np.pi * f * car.wheelbase / speed)
     lead = np.exp(2j * np.pi * f * car.wheelbase / speed)
     expected = oracles.response(matrices, f, -1j * amplitude * lead * np.array([1, 0, behind, 0]))
-    np.testing.assert_allclose(found, expected, atol=0.01 * np.abs(expected).max())
+    np.testing.assert_allclose(result, expected, atol=0.01 * np.abs(expected).max())
 
 
 @every_car
@@ -247,33 +249,33 @@ def test_without_damping_energy_is_conserved_to_the_order_of_the_method(name, mo
 
 
 def decay_towards_rest(name, mode, size, h, steps):
-    """Distances from rest, relative to the first: at each step the greatest of the state."""
+    """Return the largest deviation of the state from rest in each step, relative to the first."""
     plant, strut_state = PLANTS[name], settled_strut_state(encode_command(mode))
     rest = equilibrium(plant, strut_state, ZEROS)
     y = rest + size * np.random.default_rng(1).standard_normal(14)
     out = run_integrator(plant, y, h=h, steps=steps, strut_state=strut_state)
-    away = np.abs(out[:, :14] - rest).max(axis=1)
-    return away / away[0]
+    deviation = np.abs(out[:, :14] - rest).max(axis=1)
+    return deviation / deviation[0]
 
 
 @every_car
 @every_mode
 @pytest.mark.parametrize("h", [0.05, 0.5, 5.0, 50.0])
 def test_small_motions_decay_for_any_step_size(name, mode, h):
-    """L-stability: friction takes a millisecond and the axles roll at 15 Hz."""
-    away = decay_towards_rest(name, mode, 1e-8, h, 400)
-    assert away.max() < 100.0  # at 16 Hz a heave of 1 mm is a rate of 100 mm/s
-    assert away[-1] < 1e-3
+    """L-stability: friction has a time constant of 1 ms, and axle roll a frequency of 15 Hz."""
+    deviation = decay_towards_rest(name, mode, 1e-8, h, 400)
+    assert deviation.max() < 100.0  # at 16 Hz a heave of 1 mm is a rate of 100 mm/s
+    assert deviation[-1] < 1e-3
     if h >= 5.0:
-        assert away[10] < 1e-3
+        assert deviation[10] < 1e-3
 
 
 @every_car
 @every_mode
 @pytest.mark.parametrize("h", [0.01, 0.02])
 def test_large_motions_decay_in_steps_longer_than_the_fastest_mode(name, mode, h):
-    away = decay_towards_rest(name, mode, 0.01, h, 1000)
-    assert away.max() < 100.0 and away[-1] < 1e-3
+    deviation = decay_towards_rest(name, mode, 0.01, h, 1000)
+    assert deviation.max() < 100.0 and deviation[-1] < 1e-3
 
 
 @every_car

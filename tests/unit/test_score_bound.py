@@ -1,4 +1,4 @@
-"""The bound of a score is the information bound of the road that was driven."""
+"""The bound of a score against the information bound of the road that was driven."""
 
 import dataclasses
 
@@ -18,25 +18,25 @@ from road_envs.vehicle.parameters import load_vehicle
 
 
 def realised(length=300.0, seed=3, **road):
-    drawn = load_road({"kind": "iso8608", "length": length, **road})
+    description = load_road({"kind": "iso8608", "length": length, **road})
     s = profile_stations(length)
-    return Profile(s, drawn.realise(np.random.default_rng(seed)).height(s))
+    return Profile(s, description.realise(np.random.default_rng(seed)).height(s))
 
 
 @pytest.mark.parametrize("place", [0, 1])
-def test_it_is_the_bound_of_a_road_of_that_class(place):
+def test_the_bound_of_a_realised_road_is_that_of_its_class(place):
     t = task()
     condition = t.conditions[place]  # ride at 14.5, front ride and rear handling at 54 km/h
     found = nrmse_bound(t, condition, realised(road_class="D"))
     car, instruments = load_vehicle(t.car), load_instruments(t.instruments)
-    wanted = bound(
+    expected = bound(
         car, condition.simulator_mode, condition.speed_kmh / 3.6, instruments, RoadPrior()
     )
-    assert found == pytest.approx(wanted.pooled, rel=0.1)
+    assert found == pytest.approx(expected.pooled, rel=0.1)
     assert found == pytest.approx((0.117, 0.0266)[place], rel=0.1)
 
 
-def test_the_road_is_told_by_its_own_spectrum_inside_the_band():
+def test_level_and_waviness_are_fitted_inside_the_band():
     band = (0.2, 1.8)
     level, w = fit_spectrum(realised(road_class="D"), band)
     assert level == pytest.approx(10.0 * np.log10(1024e-6), abs=1.0) and w == pytest.approx(
@@ -50,8 +50,8 @@ def test_the_road_is_told_by_its_own_spectrum_inside_the_band():
     assert np.isnan(nrmse_bound(t, t.conditions[0], dataclasses.replace(truth, z=0.0 * truth.z)))
 
 
-def test_over_frequency_the_shares_add_up_to_the_bound_in_the_band():
-    """Weighted with the road's n^-2, the thirds that tile 0.2 to 1.6 make up the whole."""
+def test_the_third_octave_bounds_add_up_to_the_bound_of_the_band():
+    """Weighted with the road's n^-2, the third octaves that tile 0.2 to 1.6 give the whole band."""
     t = load_task("new_road")
     for condition in (t.conditions[0], t.conditions[2]):
         shares = np.array(third_octave_bound(t, condition))
@@ -67,7 +67,7 @@ def test_over_frequency_the_shares_add_up_to_the_bound_in_the_band():
         assert over == pytest.approx(whole, rel=0.02)
 
 
-def test_efficiency_is_the_bounds_mean_square_error_over_that_of_the_estimate():
+def test_efficiency_is_the_ratio_of_mean_square_errors_of_bound_and_estimate():
     truth = realised(100.0, road_class="D")
     half = compute_scores(truth, Estimate(truth.s, 0.8 * truth.z), 4.0, False, bound=0.1)
     assert half["bound_nrmse"] == 0.1

@@ -1,4 +1,4 @@
-"""The scores and their statistics against independent answers, on stored cases."""
+"""Scores and their statistics against independent implementations, on stored cases."""
 
 import json
 from functools import cache
@@ -15,6 +15,7 @@ from leaderboard.metrics import bootstrap as statistics
 from leaderboard.metrics import heights, roughness
 from leaderboard.metrics.bootstrap import (
     bootstrap,
+    count_roads,
     interquartile_mean,
     iqm_interval,
     iqm_slope,
@@ -44,14 +45,14 @@ def found(name):
 
 
 def expected(name):
-    """The same scores by the definitions alone."""
+    """Return the same scores by independent implementations of their definitions."""
     y, a, sigma, ds = case(name)
     v = SPEEDS[name]
     band = (0.2, min(1.8, 0.9 * 25.0 / v))
     e = np.array([oracle.in_band(a[i] - y[i], ds, *band) for i in range(2)])
     trim = (y.shape[1] - e.shape[1]) // 2
     sigma = sigma[:, trim : trim + e.shape[1]]
-    thin = (slice(None), slice(0, None, 400))  # quadrature is slow: a sample of the errors
+    thin = (slice(None), slice(0, None, 400))  # quadrature is slow: use a sample of the errors
     r, lag, r_at_lag = oracle.pearson(y, a, ds, *band)
     distance, bias = oracle.dsd_distance(y, a, ds, *band)
     octaves = [n for n in (0.25, 0.5, 1.0, 2.0) if n * np.sqrt(2.0) <= 22.5 / v]
@@ -59,7 +60,7 @@ def expected(name):
         n: np.subtract(oracle.octave_classes(a, ds, n), oracle.octave_classes(y, ds, n))
         for n in octaves
     }
-    every = np.concatenate(list(steps.values()))
+    all_steps = np.concatenate(list(steps.values()))
     return {
         "nrmse": oracle.error_over_truth(y, a, ds, *band),
         "nrmse_full": oracle.error_over_truth(y, a, ds, 0.05, 3.0),
@@ -70,8 +71,8 @@ def expected(name):
         "level_bias": oracle.level_error(y, a),
         "dsd_distance_db": distance,
         "dsd_bias_db": bias,
-        "class_exact": np.mean(every == 0),
-        "class_within_one": np.mean(np.abs(every) <= 1),
+        "class_exact": np.mean(all_steps == 0),
+        "class_within_one": np.mean(np.abs(all_steps) <= 1),
         **{
             f"class_exact_{n:g}": np.mean(steps[n] == 0) if n in steps else np.nan
             for n in (0.25, 0.5, 1.0, 2.0)
@@ -80,26 +81,26 @@ def expected(name):
         "error_at_1.26": oracle.error_at(y, a, ds, 2.0 ** (1 / 3)),
         "coverage_50": oracle.coverage(e, sigma, 0.5),
         "coverage_90": oracle.coverage(e, sigma, 0.9),
-        "crps of some": np.mean(np.vectorize(oracle.crps)(e[thin], sigma[thin])),
+        "crps of a sample": np.mean(np.vectorize(oracle.crps)(e[thin], sigma[thin])),
     }
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_scores_are_those_of_an_independent_implementation(name):
+def test_scores_equal_an_independent_implementation(name):
     y, a, sigma, ds = case(name)
     mine = dict(found(name))
     band = heights.scored_band(SPEEDS[name])
     e = heights.band_pass(a - y, ds, band)
     trim = (y.shape[1] - e.shape[1]) // 2
     sigma = sigma[:, trim : trim + e.shape[1]]
-    mine["crps of some"] = heights.crps(e[:, ::400], sigma[:, ::400])
+    mine["crps of a sample"] = heights.crps(e[:, ::400], sigma[:, ::400])
     for score, value in expected(name).items():
         assert mine[score] == pytest.approx(value, rel=1e-6, abs=1e-9, nan_ok=True), score
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_scores_of_the_stored_cases_have_not_moved(name):
-    """Where one moves on purpose, `metrics.VERSION` goes up and the file is written anew."""
+def test_scores_of_the_stored_cases_are_unchanged(name):
+    """After an intended change, raise `heights.VERSION` and write the file anew."""
     stored = json.loads(STORED.read_text())
     assert stored["metrics"] == heights.VERSION
     assert stored[name].keys() == {k for k, x in found(name).items() if np.isfinite(x)}
@@ -107,7 +108,7 @@ def test_the_scores_of_the_stored_cases_have_not_moved(name):
         assert found(name)[score] == pytest.approx(value, rel=1e-6, abs=1e-9), score
 
 
-def test_every_score_has_a_form_in_which_it_is_printed():
+def test_every_score_has_a_format():
     assert set(found("late")) <= SCORES.keys()
     assert (
         SCORES["crps"].format_value(0.00123) == "1.23"
@@ -119,7 +120,7 @@ def test_every_score_has_a_form_in_which_it_is_printed():
 
 
 def noise(seed, level, length=300.0):
-    """White noise (2, M) of RMS `level` inside the band."""
+    """Return white noise (2, M) with RMS `level` inside the band."""
     e = np.random.default_rng(seed).standard_normal((2, profile_stations(length).size))
     inside = heights.band_pass(e, PROFILE_SPACING, (0.2, 1.8))
     return level * e / np.sqrt(np.mean(inside**2))
@@ -130,25 +131,27 @@ def uncertainty(e, sigma):
     return heights.uncertainty(*inside, sigma)
 
 
-@pytest.mark.parametrize(("claimed", "half", "most"), [(1.0, 0.5, 0.9), (0.5, 0.264, 0.589)])
-def test_an_honest_deviation_covers_what_it_says_and_half_of_it_less(claimed, half, most):
+@pytest.mark.parametrize(("factor", "share_50", "share_90"), [(1.0, 0.5, 0.9), (0.5, 0.264, 0.589)])
+def test_intervals_cover_their_nominal_share_only_with_the_true_deviation(
+    factor, share_50, share_90
+):
     # P(|x| < k z) of a normal x with k = 0.5: 2 Phi(0.5 x 0.674) - 1 and 2 Phi(0.5 x 1.645) - 1
     e = noise(1, 0.01)
-    sigma = np.full_like(e, 0.01 * claimed)
+    sigma = np.full_like(e, 0.01 * factor)
     found = uncertainty(e, sigma)
-    assert found.coverage_50 == pytest.approx(half, abs=0.05)
-    assert found.coverage_90 == pytest.approx(most, abs=0.05)
+    assert found.coverage_50 == pytest.approx(share_50, abs=0.05)
+    assert found.coverage_90 == pytest.approx(share_90, abs=0.05)
 
 
 @given(factor=st.floats(0.2, 5.0))
 @settings(max_examples=10)
-def test_no_other_deviation_scores_a_better_crps_than_the_honest_one(factor):
+def test_the_true_deviation_minimises_the_crps(factor):
     e = noise(2, 0.01)
-    honest, other = (uncertainty(e, np.full_like(e, x)).crps for x in (0.01, 0.01 * factor))
-    assert honest <= other * (1.0 + 1e-3)
+    true, other = (uncertainty(e, np.full_like(e, x)).crps for x in (0.01, 0.01 * factor))
+    assert true <= other * (1.0 + 1e-3)
 
 
-def test_a_deviation_of_zero_is_scored_by_its_mean_absolute_error():
+def test_the_crps_of_a_zero_deviation_is_the_mean_absolute_error():
     e = noise(3, 0.01)
     found = uncertainty(e, np.zeros_like(e))
     assert found.crps == pytest.approx(
@@ -157,7 +160,7 @@ def test_a_deviation_of_zero_is_scored_by_its_mean_absolute_error():
     assert found.coverage_50 == found.coverage_90 == 0.0
 
 
-def test_an_estimate_without_a_deviation_has_no_such_score():
+def test_an_estimate_without_a_deviation_has_no_uncertainty_scores():
     y, a, _, ds = case("late")
     s = ds * np.arange(y.shape[1])
     assert (
@@ -169,7 +172,7 @@ def test_an_estimate_without_a_deviation_has_no_such_score():
 # --- over spatial frequency, and obstacles --------------------------------------------------------
 
 
-def test_the_error_over_frequency_tells_where_it_is_wrong():
+def test_the_third_octave_error_is_largest_at_the_frequency_of_an_added_sine():
     y, _, _, ds = case("late")
     s = ds * np.arange(y.shape[1])
     a = y + 0.002 * np.sin(2.0 * np.pi * 1.26 * s)
@@ -189,7 +192,7 @@ def level_road(*blocks):
     return z
 
 
-def test_a_hole_is_no_bump():
+def test_a_hole_does_not_match_a_bump():
     y = level_road((0, 20.0, 20.8, -0.06), (1, 30.0, 30.8, 0.1))
     (hole,), (bump,) = true_obstacles(y, PROFILE_SPACING)
     assert hole.height == -0.06 and bump.height == 0.1
@@ -214,11 +217,11 @@ def test_an_uneven_road_has_no_obstacles():
 
 @given(st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=30))
 @settings(max_examples=50)
-def test_the_interquartile_mean_is_the_mean_of_the_middle_of_the_quantiles(x):
+def test_the_interquartile_mean_is_the_mean_of_the_middle_quantiles(x):
     assert interquartile_mean(np.array(x)) == pytest.approx(oracle.interquartile_mean(x), abs=1e-9)
 
 
-def test_on_one_seed_the_interval_is_that_of_scipys_bootstrap():
+def test_with_one_seed_the_interval_equals_that_of_scipys_bootstrap():
     roads = np.random.default_rng(1).gamma(2.0, size=25)
     mine = iqm_interval(roads[:, None, None])
     theirs = stats.bootstrap(
@@ -234,7 +237,7 @@ def test_on_one_seed_the_interval_is_that_of_scipys_bootstrap():
     assert mine.high == pytest.approx(theirs.high, abs=0.1 * width)
 
 
-def test_replicates_are_those_of_roads_then_seeds_drawn_by_hand():
+def test_replicates_are_distributed_as_in_a_loop_over_roads_and_seeds():
     rng = np.random.default_rng(3)
     road, seed = rng.standard_normal((8, 1, 1)), rng.standard_normal((1, 1, 4))
     scores = road + 0.5 * seed + 0.2 * rng.standard_normal((8, 3, 4))
@@ -246,14 +249,14 @@ def test_replicates_are_those_of_roads_then_seeds_drawn_by_hand():
     assert np.std(mine) == pytest.approx(np.std(brute), rel=0.06)
 
 
-def test_replicates_do_not_depend_on_how_many_are_held_at_a_time(monkeypatch):
+def test_replicates_do_not_depend_on_the_batch_size(monkeypatch):
     scores = np.random.default_rng(4).standard_normal((6, 2, 3))
     whole = bootstrap(scores, 0)
     monkeypatch.setattr(statistics, "MAX_BATCH_SCORES", 100)
     np.testing.assert_allclose(bootstrap(scores, 0), whole, rtol=0.0, atol=1e-12)
 
 
-def test_a_rank_is_one_more_than_the_entries_whose_paired_difference_lies_below_zero():
+def test_a_rank_is_one_plus_the_number_of_significantly_better_entries():
     rng = np.random.default_rng(5)
     road = rng.standard_normal((12, 2, 1))
     scores = {
@@ -269,7 +272,7 @@ def test_a_rank_is_one_more_than_the_entries_whose_paired_difference_lies_below_
     assert len(set(ranks.values())) > 2
 
 
-def test_a_slope_is_that_of_numpys_polynomial_and_its_interval_is_paired():
+def test_the_slope_equals_that_of_polyfit_and_its_interval_is_paired():
     rng = np.random.default_rng(7)
     road = rng.standard_normal((20, 1, 1))
     parts = [1.0 + 0.3 * k + road + 0.05 * rng.standard_normal((20, 2, 3)) for k in range(4)]
@@ -280,9 +283,39 @@ def test_a_slope_is_that_of_numpys_polynomial_and_its_interval_is_paired():
     assert 0.0 < found.high - found.low < 0.05 and found.low < 0.3 < found.high
 
 
+def test_runs_that_were_not_driven_count_nowhere():
+    rng = np.random.default_rng(8)
+    scores = rng.uniform(size=(12, 7, 2))
+    scores[rng.uniform(size=(12, 7)) < 0.7] = np.nan
+    scores[:, 0] = rng.uniform(size=(12, 2))  # every road has some run
+    driven = scores[~np.isnan(scores)]
+    assert interquartile_mean(scores.ravel()) == pytest.approx(interquartile_mean(driven))
+    assert np.isnan(interquartile_mean(np.full(3, np.nan)))
+    assert count_roads(scores) == 12 and count_roads(np.full((3, 2, 1), np.nan)) == 0
+    profile = performance_profile(scores, np.array([0.25, 0.5]))
+    assert profile.share == pytest.approx([np.mean(driven <= 0.25), np.mean(driven <= 0.5)])
+    assert np.isfinite(bootstrap(scores, 0)).all()
+
+
+def test_a_stratified_bootstrap_keeps_the_share_of_every_family():
+    rng = np.random.default_rng(9)
+    easy, hard = 0.1 + 0.01 * rng.uniform(size=6), 0.9 + 0.01 * rng.uniform(size=6)
+    scores = np.concatenate([easy, hard])[:, None, None]
+    strata = [list(range(6)), list(range(6, 12))]
+    spread = {name: np.std(bootstrap(scores, 0, strata=x)) for name, x in
+              {"roads": None, "families": strata}.items()}  # fmt: skip
+    # half of the roads of each replicate are easy, so its interquartile mean stays between both
+    assert 20 * spread["families"] < spread["roads"]
+    # the same by hand: means of three of each family at least
+    means = bootstrap(scores, 0, strata=strata)
+    assert means.min() > 0.45 and means.max() < 0.56
+    pairs = rank_entries({"a": scores, "b": scores + 0.05}, strata=strata)
+    assert [rank.rank for rank in pairs.values()] == [1, 2]
+
+
 def test_a_performance_profile_is_the_share_of_runs_below_each_threshold():
     scores = np.random.default_rng(6).uniform(size=(30, 2, 2))
-    scores[0] = np.nan
+    scores[0] = np.inf  # undefined: above every threshold
     thresholds = np.array([-1.0, 0.25, 0.5, 2.0])
     found = performance_profile(scores, thresholds)
     by_hand = [sum(x <= limit for x in scores.ravel()) / scores.size for limit in thresholds]

@@ -1,4 +1,4 @@
-"""Tangent and adjoint of the step: dual numbers, differences, duality, the linear car."""
+"""Tests of tangent and adjoint: dual numbers, differences, duality, the linear vehicle."""
 
 import os
 import subprocess
@@ -31,7 +31,7 @@ from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 MODES = ("ride", "handling")
 REACH = np.repeat([0.05, 0.5], 7)
-"""Coordinates and rates of a hard drive; a road of centimetres and metres a second with it."""
+"""Magnitudes of coordinates and rates on a rough road; UNEVEN: of road heights and rates."""
 UNEVEN = np.array([0.02, 0.5])[:, None]
 TEST_PLANTS = {**MANOEUVRE_PLANTS, "varied": VARIED_MANOEUVRE_PLANTS["varied"]}
 every_car = pytest.mark.parametrize("name", CARS)
@@ -43,7 +43,7 @@ directions = vectors(14, 1.0), vectors(16, 1.0), vectors(7, 1.0), vectors(14, 1.
 
 
 def duality_products(tape, start, road, a, end):
-    """Both sides of <dual, tangent> = <adjoint, direction>, and the size of their parts."""
+    """Return both sides of <dual, tangent> = <adjoint, direction>, and the sum of magnitudes."""
     da, dend = tape.tangent(start, road)
     back, road_back = tape.adjoint(a, end)
     parts = np.concatenate([(a * da).ravel(), end * dend])
@@ -62,7 +62,7 @@ def test_the_adjoint_of_a_step_is_the_transpose_of_its_tangent(
 
 
 def random_cases(size):
-    """Steps of the odd car: every fourth a wild one, every third with a wheel in the air."""
+    """Return random steps: every fourth one large, every third one with an airborne wheel."""
     rng, cases = np.random.default_rng(11), []
     for i in range(size):
         strut_state = settled_strut_state(encode_command(MODES[i % 2]))
@@ -81,13 +81,13 @@ def random_cases(size):
 
 @cache
 def tapes():
-    """The random steps and their tapes."""
+    """Return the random steps and their tapes."""
     cases = random_cases(120)
     return cases, [linearize_drive(TEST_PLANTS["varied"], *case[:5]) for case in cases]
 
 
 def test_the_tangent_equals_the_derivative_by_dual_numbers(tmp_path):
-    """To rounding: on soft and stiff struts, between the two, and with wheels in the air."""
+    """To rounding: soft, stiff and intermediate struts, and airborne wheels."""
     plant, (cases, case_tapes) = TEST_PLANTS["varied"], tapes()
     given = {"n_cases": len(cases)}
     for i, (strut_state, y, road, h, a_xy, dy, droad) in enumerate(cases):
@@ -132,13 +132,13 @@ def test_the_tangent_equals_the_finite_difference_of_the_step():
 
 @given(st.integers(0, 1), st.floats(-0.5, 4.5))
 def test_the_second_derivative_of_a_table_is_the_slope_of_its_slope(k, x):
-    """Also of curves that are bent to the very end of their table, and straight only beyond it."""
+    """Also at the ends of a table, beyond which the curve is continued linearly."""
     assume(abs(2.0 * x - round(2.0 * x)) > 1e-4)
     tables = np.random.default_rng(3).standard_normal((2, 8, 4))
     slopes = [interpolate_table(tables, float(k), 0.0, 0.5, x + eps)[1] for eps in (1e-5, -1e-5)]
-    found = second_derivative(tables, float(k), 0.0, 0.5, x)
-    assert found == pytest.approx((slopes[0] - slopes[1]) / 2e-5, rel=1e-6, abs=1e-6)
-    assert (found == 0.0) == (not 0.0 < x < 4.0)
+    result = second_derivative(tables, float(k), 0.0, 0.5, x)
+    assert result == pytest.approx((slopes[0] - slopes[1]) / 2e-5, rel=1e-6, abs=1e-6)
+    assert (result == 0.0) == (not 0.0 < x < 4.0)
 
 
 def test_the_road_under_an_airborne_wheel_has_no_adjoint():
@@ -158,7 +158,7 @@ ROUGH = smooth_road(height=0.03)
 
 
 def under_wheels(name, surface):
-    """Heights and rates (2 STEPS, 2, 4) of a surface under the wheels at every half step."""
+    """Return heights and rates (2 STEPS, 2, 4) under the wheels at every half step."""
     s = S_0 + SPEED * 0.5 * H * np.arange(2 * STEPS)
     stations = np.stack([s, s - CARS[name].wheelbase])
     z, slope = surface.height(stations), SPEED * surface.slope(stations)
@@ -167,7 +167,7 @@ def under_wheels(name, surface):
 
 @cache
 def linearized_drive(name, mode):
-    """Start, road and tape of a drive on which wheels leave the ground."""
+    """Return start, road and tape of a drive with wheel lift-off."""
     strut_state = settled_strut_state(encode_command(mode))
     start, road = equilibrium(PLANTS[name], strut_state, ZEROS), under_wheels(name, ROUGH)
     return start, road, linearize_drive(PLANTS[name], strut_state, start, road, H)
@@ -200,10 +200,10 @@ def test_the_adjoint_of_a_drive_is_the_transpose_of_its_tangent(name, mode):
 
 @pytest.mark.parametrize(("name", "mode"), [("unequal_axles", "ride"), ("defender", "handling")])
 def test_the_adjoint_gives_the_gradient_of_a_least_squares_misfit(name, mode):
-    """On a road on which every tyre keeps touching: no jump of the step lies in the way."""
+    """On a road without wheel lift-off, at which the step is not differentiable."""
     strut_state, target = settled_strut_state(encode_command(mode)), smooth_road(height=0.006)
     rest, road = equilibrium(PLANTS[name], strut_state, ZEROS), under_wheels(name, target)
-    start = rest + 1e-4 * np.linspace(-1.0, 1.0, 14)  # at rest friction stands on a kink
+    start = rest + 1e-4 * np.linspace(-1.0, 1.0, 14)  # friction has a kink at rest
     target_acceleration = linearize_drive(PLANTS[name], strut_state, start, road, H).acceleration
     rng = np.random.default_rng(4)
     guess = road + 0.1 * under_wheels(name, smooth_road(height=0.006, seed=8))
@@ -224,7 +224,7 @@ def test_the_adjoint_gives_the_gradient_of_a_least_squares_misfit(name, mode):
 @every_car
 @every_mode
 def test_near_rest_the_tangent_converges_to_the_linear_motion_with_order_two(name, mode):
-    """The matrix exponential of the equations' Jacobian is the referee."""
+    """Reference: the matrix exponential of the Jacobian of the equations."""
     strut_state, change = settled_strut_state(encode_command(mode)), np.linspace(-1.0, 1.0, 14)
     start, seconds = equilibrium(PLANTS[name], strut_state, ZEROS), 0.1
     truth = expm(seconds * jacobian(PLANTS[name], strut_state, start, ZEROS, ZEROS)) @ change

@@ -1,4 +1,4 @@
-"""Faults of the instruments against closed forms; lost samples found, bridged or refused."""
+"""Sensor faults against closed forms; dropouts are detected, bridged or rejected."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -23,7 +23,7 @@ STEP = 0.0005
 
 
 def motion(acceleration) -> Trajectory:
-    """A trajectory of body accelerations (N, 3): heave, roll, pitch."""
+    """Return a trajectory of body accelerations (N, 3): heave, roll, pitch."""
     signals = np.zeros((len(acceleration), N_SIGNALS))
     signals[:, ACCELERATION : ACCELERATION + 3] = acceleration
     t = STEP * np.arange(len(acceleration))
@@ -37,7 +37,7 @@ def logger(faults=NO_FAULTS, instruments=IDEAL, seed=0) -> DataLogger:
 # --- mounting, gain, offset -----------------------------------------------------------------------
 
 
-def test_an_accelerometer_reads_what_its_axis_gain_and_offset_make_of_its_place():
+def test_readings_follow_location_tilt_gain_and_offset():
     faults = SensorFaults(
         dx=(0.02, -0.01, 0.03), dy=(0.01, 0.04, -0.02), tilt=(0.05, -0.1, 0.2),
         gain=(1.02, 0.97, 1.0), offset=(0.1, -0.3, 0.0),
@@ -45,22 +45,22 @@ def test_an_accelerometer_reads_what_its_axis_gain_and_offset_make_of_its_place(
     locations = [(1.395 - 0.12 + 0.02, -0.55 + 0.01), (-1.399 - 0.62 - 0.01, 0.55 + 0.04),
               (-1.399 - 0.62 + 0.03, -0.55 - 0.02)]  # fmt: skip
     for body in ([1.5, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, -3.0], [1.0, -2.0, 0.5]):
-        found = logger(faults).sample(motion(np.tile(body, (4000, 1))))[:, -1]
+        actual = logger(faults).sample(motion(np.tile(body, (4000, 1))))[:, -1]
         for k, place in enumerate(locations):
             a = oracles.point_acceleration(*body, *place)
-            felt = (a + oracles.G) * np.cos(faults.tilt[k]) - oracles.G
-            expected = faults.gain[k] * felt + faults.offset[k]
-            assert found[k] == pytest.approx(expected, abs=1e-9)
+            projected = (a + oracles.G) * np.cos(faults.tilt[k]) - oracles.G
+            expected = faults.gain[k] * projected + faults.offset[k]
+            assert actual[k] == pytest.approx(expected, abs=1e-9)
 
 
-def test_a_sound_set_of_instruments_senses_as_ever_to_the_bit():
+def test_instruments_without_faults_sample_as_before_to_the_bit():
     trajectory = motion(2.0 * np.random.default_rng(1).standard_normal((801, 3)))
     plain, sound = logger(instruments=PAPER), logger(SensorFaults(), PAPER)
     np.testing.assert_array_equal(plain.sample(trajectory), sound.sample(trajectory))
     assert plain.flush().shape == (3, 0) and plain.speed_gain == sound.speed_gain == 1.0
 
 
-def test_noise_is_that_of_the_seed_whatever_the_faults():
+def test_faults_do_not_change_the_noise_of_a_seed():
     still = motion(np.zeros((2000, 3)))
     quiet, noisy = (
         logger(SensorFaults(offset=(0.5, 0.5, 0.5)), replace(PAPER, noise_density=d)).sample(still)
@@ -72,7 +72,7 @@ def test_noise_is_that_of_the_seed_whatever_the_faults():
 # --- speed and odometer ---------------------------------------------------------------------------
 
 
-def test_the_speed_error_comes_on_top_of_the_instruments_own():
+def test_the_speed_fault_multiplies_the_instruments_own_error():
     one = logger(SensorFaults(speed=0.02), replace(PAPER, speed_error=0.01), seed=4)
     own = logger(instruments=replace(PAPER, speed_error=0.01), seed=4)
     assert one.speed_gain == pytest.approx(1.02 * own.speed_gain) and own.speed_gain != 1.0
@@ -80,42 +80,43 @@ def test_the_speed_error_comes_on_top_of_the_instruments_own():
 
 @pytest.mark.parametrize("fix", [4.0, 10.0, 50.0])
 @pytest.mark.parametrize("speed", [-0.02, 0.015])
-def test_position_fixes_hold_the_odometers_error_at_their_way_times_the_speeds(fix, speed):
+def test_position_fixes_bound_the_odometer_error(fix, speed):
     distance = np.linspace(0.0, 120.0, 200)
-    found = logger(SensorFaults(speed=speed, position_fix_length=fix)).odometer(distance)
+    actual = logger(SensorFaults(speed=speed, position_fix_length=fix)).odometer(distance)
     error = solve_ivp(lambda d, e: speed - e / fix, (0.0, 120.0), [0.0], t_eval=distance,
                       rtol=1e-10, atol=1e-13).y[0]  # fmt: skip
-    np.testing.assert_allclose(found - distance, error, atol=1e-9)
-    assert (np.diff(found) > 0.0).all()
+    np.testing.assert_allclose(actual - distance, error, atol=1e-9)
+    assert (np.diff(actual) > 0.0).all()
     np.testing.assert_array_equal(
         logger(SensorFaults(speed=speed)).odometer(distance), (1.0 + speed) * distance
     )
 
 
-# --- the clock ------------------------------------------------------------------------------------
+# --- clock jitter ---------------------------------------------------------------------------------
 
 
 def sampled(a, every=2, parts=(), **faults):
-    """What a sampler takes from a stream (3, N), in parts if cuts are given."""
+    """Return the samples of a signal (3, N), in chunks if cuts are given."""
     one = JitteredSampler(every, STEP, SensorFaults(**faults))
     edges = [0, *sorted(parts), a.shape[1]]
-    found = [one.sample(a[:, begin:end]) for begin, end in pairwise(edges)]
-    return np.concatenate([*found, one.sample(np.zeros((3, 0)), last=True)], axis=1)
+    actual = [one.sample(a[:, begin:end]) for begin, end in pairwise(edges)]
+    return np.concatenate([*actual, one.sample(np.zeros((3, 0)), last=True)], axis=1)
 
 
-def test_a_jittering_clock_errs_on_a_ramp_by_slope_times_its_error():
+def test_jitter_on_a_ramp_causes_an_error_of_slope_times_time_error():
     jitter, slope = 2e-4, 7.0
     t = STEP * np.arange(40_001)
     ramp = slope * np.outer([1.0, -2.0, 0.5], t)
-    found = sampled(ramp, jitter=jitter)
-    error = (found / ramp[:, 1:2] * STEP - 2.0 * STEP * np.arange(found.shape[1]))[:, 10:-10]
-    np.testing.assert_allclose(error[1:], error[:1].repeat(2, 0), atol=1e-12)  # one clock for all
+    actual = sampled(ramp, jitter=jitter)
+    error = (actual / ramp[:, 1:2] * STEP - 2.0 * STEP * np.arange(actual.shape[1]))[:, 10:-10]
+    # all sensors share a clock
+    np.testing.assert_allclose(error[1:], error[:1].repeat(2, 0), atol=1e-12)
     assert error.std() == pytest.approx(jitter, rel=0.02)
     assert abs(error.mean()) < 5.0 * jitter / np.sqrt(error.shape[1])
     assert np.abs(error).max() <= 3.0 * jitter * (1.0 + 1e-9)
 
 
-def test_on_a_tone_the_error_of_jitter_grows_with_the_frequency():
+def test_the_jitter_error_on_a_tone_grows_with_its_frequency():
     t, jitter = STEP * np.arange(40_001), 1e-4
     for f in (5.0, 20.0):
         tone = np.tile(np.sin(2.0 * np.pi * f * t), (3, 1))
@@ -126,9 +127,7 @@ def test_on_a_tone_the_error_of_jitter_grows_with_the_frequency():
 @settings(max_examples=30)
 @given(st.lists(st.integers(0, 700), max_size=8), st.sampled_from([1, 2, 5]),
        st.sampled_from([0.0, 1e-4, 2e-3]), st.sampled_from([0.0, 0.05]))  # fmt: skip
-def test_a_stream_in_parts_gives_the_samples_of_the_whole_and_all_of_them(
-    cuts, every, jitter, lost
-):
+def test_a_stream_in_chunks_yields_the_samples_of_the_whole(cuts, every, jitter, lost):
     a = np.random.default_rng(3).standard_normal((3, 700))
     faults = {"jitter": jitter, "dropout_rate": lost, "dropout_length": 4, "seed": (7,)}
     whole = sampled(a, every, **faults)
@@ -138,14 +137,14 @@ def test_a_stream_in_parts_gives_the_samples_of_the_whole_and_all_of_them(
         np.testing.assert_array_equal(whole, a[:, ::every])
 
 
-# --- losses ---------------------------------------------------------------------------------------
+# --- dropouts -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("share", "burst"), [(0.02, 5), (0.1, 1), (0.3, 8)])
-def test_samples_are_lost_in_bursts_of_the_stated_length_and_share(share, burst):
-    found = sampled(np.ones((3, 400_000)), 1, dropout_rate=share, dropout_length=burst)
-    lost = np.isnan(found)
-    assert (lost == lost[0]).all()  # of all sensors at once
+def test_dropouts_have_the_stated_rate_and_length(share, burst):
+    actual = sampled(np.ones((3, 400_000)), 1, dropout_rate=share, dropout_length=burst)
+    lost = np.isnan(actual)
+    assert (lost == lost[0]).all()  # all sensors at once
     edges = np.flatnonzero(np.diff(lost[0].astype(int), prepend=0, append=0))
     sizes = np.diff(edges)[::2]
     spread = np.sqrt(2.0 * burst / (share * 400_000))
@@ -155,7 +154,7 @@ def test_samples_are_lost_in_bursts_of_the_stated_length_and_share(share, burst)
 
 
 def record(lost=()):
-    """A record of smooth accelerations, NaN at `lost`."""
+    """Return a record of smooth accelerations, NaN at `lost`."""
     t = 0.001 * np.arange(6000)
     tones = [np.sin(2.0 * np.pi * f * t + f) for f in (1.3, 4.1, 9.7)]
     a = np.array([sum(tones), tones[0] - tones[2], tones[1] + tones[2]])
@@ -164,14 +163,16 @@ def record(lost=()):
     return Record(t, a, np.full(t.size, 10.0), 10.0 * t - 5.0, states, states, 40.0)
 
 
-def test_what_an_estimator_makes_of_a_record_with_gaps_is_nearly_that_without_and_is_said():
+def test_dropouts_are_bridged_with_a_small_error_and_reported():
     whole, holed = record(), record([1000, *range(2000, 2009), *range(3500, 3505)])
     error = spatial_accelerations(clean_record(holed)[0]) - spatial_accelerations(whole)
     assert 0.0 < np.abs(error).max() < 0.05
-    assert clean_record(whole)[1] == () and "missing and are bridged" in clean_record(holed)[1][0]
+    assert (
+        clean_record(whole)[1] == () and "of the samples are missing" in clean_record(holed)[1][0]
+    )
 
 
-# --- refusals -------------------------------------------------------------------------------------
+# --- invalid input --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -184,6 +185,6 @@ def test_what_an_estimator_makes_of_a_record_with_gaps_is_nearly_that_without_an
         ({"position_fix_length": 0.0}, "position_fix_length must be positive"),
     ],
 )
-def test_faults_that_cannot_be_are_refused_in_one_sentence(options, says):
+def test_invalid_faults_are_rejected_in_one_sentence(options, says):
     with pytest.raises(ValueError, match=says):
         SensorFaults(**options)

@@ -1,4 +1,4 @@
-"""Class and level from accelerations, against the roads that were driven on."""
+"""Roughness class and level from accelerations, against the simulated roads."""
 
 import json
 
@@ -37,8 +37,8 @@ def test_class_probabilities_are_those_of_a_normal_log_level():
 
 
 def test_the_command_reports_the_class(road_recon):
-    drive_it = ("simulate", "--road", "iso_c", "--length", "60", "--speed-kmh", "36")
-    assert road_recon(*drive_it, "--out", "d.parquet")[0] == 0
+    simulate = ("simulate", "--road", "iso_c", "--length", "60", "--speed-kmh", "36")
+    assert road_recon(*simulate, "--out", "d.parquet")[0] == 0
     code, out, _ = road_recon("classify", "d.parquet", "--json")
     facts = json.loads(out)
     assert code == 0 and facts["class"] == "C"

@@ -1,4 +1,4 @@
-"""Speed profiles agree with their integrals, and drives follow them."""
+"""Tests of speed profiles: distance, arrival time, and drives that follow them."""
 
 import numpy as np
 import pytest
@@ -43,8 +43,8 @@ def test_distance_is_the_integral_of_speed(profile, t):
 def test_the_arrival_time_is_when_the_distance_is_covered(profile, distance):
     arrival_time = profile.arrival_time(distance)
     late = profile.t[-1] + distance / profile.v[-1] + 1.0
-    found = brentq(lambda t: profile.at(np.array([t]))[0][0] - distance, 0.0, late, xtol=1e-12)
-    covered = profile.at(np.array([arrival_time, found]))[0]
+    result = brentq(lambda t: profile.at(np.array([t]))[0][0] - distance, 0.0, late, xtol=1e-12)
+    covered = profile.at(np.array([arrival_time, result]))[0]
     np.testing.assert_allclose(covered, distance, rtol=1e-9, atol=1e-6)
 
 
@@ -83,18 +83,18 @@ def test_a_drive_with_a_speed_profile_in_chunks_equals_the_whole_drive():
 
 
 @pytest.mark.parametrize(
-    ("t", "v", "words"),
+    ("t", "v", "message"),
     [
         ((0.0, 1.0), (5.0,), "one length"),
         ((1.0, 2.0), (5.0, 5.0), "start at 0"),
         ((0.0, 2.0, 2.0), (5.0, 5.0, 5.0), "increase"),
         ((0.0, 2.0), (5.0, 0.0), "positive at the end"),
-        ((0.0, 2.0), (-5.0, 1.0), "never negative"),
+        ((0.0, 2.0), (-5.0, 1.0), "must not be negative"),
         ((0.0,), (np.inf,), "finite"),
     ],
 )
-def test_an_impossible_profile_is_rejected(t, v, words):
-    with pytest.raises(ValueError, match=words):
+def test_an_impossible_profile_is_rejected(t, v, message):
+    with pytest.raises(ValueError, match=message):
         SpeedProfile(t=t, v=v)
 
 

@@ -1,4 +1,4 @@
-"""What of the struts is not linear: closed forms of cubes and signs, drawn signals, the oracle."""
+"""Statistical linearisation against closed forms of cube and sign, drawn signals and the oracle."""
 
 import numpy as np
 import oracles
@@ -30,7 +30,7 @@ F = DF * np.arange(1, 401)
 
 
 def spectrum(correlation=0.6):
-    """One-sided spectrum (400, 4, 4) of four signals, the second late against the first."""
+    """Return the one-sided spectrum (400, 4, 4) of four signals; the second lags the first."""
     shape = np.exp(-(((F - 3.0) / 1.5) ** 2))
     S = np.zeros((F.size, 4, 4), dtype=complex)
     for i in range(4):
@@ -40,27 +40,27 @@ def spectrum(correlation=0.6):
     return S
 
 
-def test_of_a_cube_the_triple_convolution_of_the_spectrum_remains():
-    """x³ = 3 sigma² x + rest, and the rest has the autocorrelation 6 R(tau)³."""
+def test_the_residual_of_a_cube_is_the_triple_convolution():
+    """x³ = 3 sigma² x + residual, and the residual has the autocorrelation 6 R(tau)³."""
     x = np.linspace(-60.0, 60.0, 20001)
-    found = _hermite(x, np.tile(x**3, (4, 1)), spectrum(), DF)
+    actual = _hermite(x, np.tile(x**3, (4, 1)), spectrum(), DF)
     tau = np.linspace(-12.0, 12.0, 4801)
     waves = np.exp(2j * np.pi * np.outer(tau, F))
     R = np.real(waves @ spectrum().reshape(F.size, -1)).reshape(tau.size, 4, 4) * DF
     for f in (1.0, 3.0, 9.0):
         kernel = np.exp(-2j * np.pi * f * tau)[:, None, None]
         expected = 2.0 * np.sum(6.0 * R**3 * kernel, axis=0) * (tau[1] - tau[0])
-        at = found[round(f / DF)]
+        at = actual[round(f / DF)]
         level = np.sqrt(np.outer(np.diag(expected), np.diag(expected)).real)
         assert (np.abs(at - expected) < 0.01 * level)[:2, :2].all()
         assert np.diag(at).real == pytest.approx(np.diag(expected).real, rel=0.01)
 
 
-def test_of_a_sign_the_arcsine_law_remains():
+def test_the_residual_of_a_sign_follows_the_arcsine_law():
     """R = (2 / pi) (arcsin(rho) - rho), of power 1 - 2 / pi (Van Vleck & Middleton 1966)."""
     x = np.linspace(-60.0, 60.0, 40001)
     S = spectrum(0.0)
-    found = np.real(_hermite(x, np.tile(np.sign(x), (4, 1)), S, DF)[:, 0, 0])
+    actual = np.real(_hermite(x, np.tile(np.sign(x), (4, 1)), S, DF)[:, 0, 0])
     tau = np.linspace(-15.0, 15.0, 12001)
     rho = np.real(np.exp(2j * np.pi * np.outer(tau, F)) @ S[:, 0, 0]) / S[:, 0, 0].real.sum()
     R = 2.0 / np.pi * (np.arcsin(np.clip(rho, -1.0, 1.0)) - rho)
@@ -69,10 +69,10 @@ def test_of_a_sign_the_arcsine_law_remains():
     )
     for low, high in ((0.5, 2.0), (2.0, 4.0), (7.0, 11.0), (14.0, 19.0)):
         inside = (F > low) & (F < high)
-        assert found[1:][inside].mean() == pytest.approx(expected[inside].mean(), rel=0.1)
+        assert actual[1:][inside].mean() == pytest.approx(expected[inside].mean(), rel=0.1)
 
 
-def test_drawn_signals_have_the_spectra_and_the_cross_spectra():
+def test_drawn_signals_have_the_residual_spectra_and_cross_spectra():
     rng, size = np.random.default_rng(5), 2**19
     fs = 2.0 * F[-1]
     lines = rng.standard_normal((2, 4, size // 2 + 1)) * np.array([1.0, 1j])[:, None, None]
@@ -88,28 +88,28 @@ def test_drawn_signals_have_the_spectra_and_the_cross_spectra():
     y = np.interp(x, table, law)
     rest = y - np.mean(y, axis=1, keepdims=True)
     rest -= np.mean(rest * x, axis=1, keepdims=True) / np.mean(x**2, axis=1, keepdims=True) * x
-    # the estimate knows x only as well as the spectrum on its own grid is drawn
-    found = _hermite(table, np.tile(law, (4, 1)), S_on(S, grid), DF)
+    # uses the spectrum that was drawn, interpolated to the grid of F
+    actual = _hermite(table, np.tile(law, (4, 1)), S_on(S, grid), DF)
     for i, j in ((0, 0), (1, 1), (2, 2), (1, 0)):
         f, P = signal.csd(rest[j], rest[i], fs, nperseg=2048)
         for band in ((0.5, 2.0), (2.0, 5.0), (7.0, 10.0)):
             inside = (f > band[0]) & (f < band[1])
             k = np.arange(round(band[0] / DF), round(band[1] / DF))
-            level = np.sqrt(found[k, i, i].real.mean() * found[k, j, j].real.mean())
-            gap = abs(P[inside].mean() - found[k, i, j].mean())
+            level = np.sqrt(actual[k, i, i].real.mean() * actual[k, j, j].real.mean())
+            gap = abs(P[inside].mean() - actual[k, i, j].mean())
             assert gap < 0.05 * level, (i, j, band)
 
 
 def S_on(S, grid):
-    """A spectrum drawn on `grid` as means over the cells of F."""
+    """Return a spectrum on `grid` interpolated to F."""
     flat = S.reshape(grid.size, -1)
     return np.array([np.interp(F, grid, s) for s in flat.T], dtype=complex).T.reshape(F.size, 4, 4)
 
 
 @pytest.mark.parametrize("name", CARS)
 @pytest.mark.parametrize("mode", ["ride", "handling"])
-def test_linear_force_and_remainder_are_the_struts_force(name, mode):
-    """The curves of the oracle at any motion, with the slopes of the linear model."""
+def test_linear_force_plus_residual_equals_the_strut_force(name, mode):
+    """Force curves of the oracle, with the slopes of the linear model."""
     car, one = CARS[name], PLANTS[name]
     c = np.array([1500.0, 1500.0, 2500.0, 2500.0])
     rest = nonlinear_residual(one, mode, c)
@@ -124,7 +124,7 @@ def test_linear_force_and_remainder_are_the_struts_force(name, mode):
         oracles.CubicCurve(getattr(curve, mode)) for curve in (car.strut.damper, car.strut.friction)
     ]
     column = car.strut.x_1 + (car.strut.x_2 if mode == "ride" else 0.0)
-    found = rest.force(e, w)
+    actual = rest.force(e, w)
     for i in range(4):
         stop = car.strut.bump_stop.front if i < 2 else car.strut.bump_stop.rear
 
@@ -132,22 +132,22 @@ def test_linear_force_and_remainder_are_the_struts_force(name, mode):
             gas = car.strut.p_stat * car.strut.A * (column / (column + x)) ** car.strut.n_p
             return gas - sum(float(oracles.CubicCurve(s)(x)) for s in (car.strut.bushing, stop))
 
-        for x, rate, value in zip(e[i], w[i], found[i], strict=True):
+        for x, rate, value in zip(e[i], w[i], actual[i], strict=True):
             force = static(e_0[i] + x) - sum(float(law(rate)) for law in losses)
             linear = static(e_0[i]) - k[i] * x - c[i] * rate
-            # straight lines between table points 0.25 mm and 1 mm/s apart
+            # tolerance of linear interpolation, table steps 0.25 mm and 1 mm/s
             assert value == pytest.approx(force - linear, abs=3.0)
 
 
 def K_of_strut(K, car, i):
-    """The rate of strut `i` from the stiffness matrix: its heave and pitch terms of the body."""
+    """Return the rate of strut `i` from the heave and pitch terms of the stiffness matrix."""
     sums = K[0, 0] / 2.0, K[0, 2] / 2.0  # k_f + k_r, and -(k_f x_f + k_r x_r)
     x_f, x_r = car.front.x, car.rear.x
     rear = (-sums[1] - x_f * sums[0]) / (x_r - x_f)
     return sums[0] - rear if i < 2 else rear
 
 
-def test_the_remainder_is_not_correlated_with_the_motion_that_chose_the_damper():
+def test_the_residual_is_uncorrelated_with_the_motion():
     v, prior = 8.0, RoadPrior(G_d0=256e-6)
     c = equivalent_damping(DEFENDER, "ride", v, prior)
     rest, model = (
@@ -166,7 +166,7 @@ def test_the_remainder_is_not_correlated_with_the_motion_that_chose_the_damper()
 
 
 @pytest.mark.parametrize("name", CARS)
-def test_a_force_beside_a_strut_moves_the_car_as_the_energy_matrices_say(name):
+def test_the_force_response_agrees_with_the_energy_matrices(name):
     c, f = np.array([900.0, 900.0, 1500.0, 1500.0]), 4.0
     model = linearise(PLANTS[name], "ride", PLACES, damping=c)
     K, C = (-np.diag(model.M) @ model.A[7:, part] for part in (slice(7), slice(7, None)))
@@ -184,7 +184,7 @@ def test_a_force_beside_a_strut_moves_the_car_as_the_energy_matrices_say(name):
         assert rates[w, w] == pytest.approx(jw * (push @ q), rel=1e-8)
 
 
-def test_forces_of_many_struts_are_those_of_each():
+def test_strut_forces_are_computed_independently():
     e, w = np.array([[0.01], [-0.02], [0.0], [0.03]]), np.array([[0.1], [0.0], [-0.3], [0.2]])
     together = strut_forces(DEFENDER, "ride", e, w)
     for i in range(4):
@@ -192,13 +192,13 @@ def test_forces_of_many_struts_are_those_of_each():
         assert alone[i, 0] == together[i, 0]
 
 
-def test_what_is_not_linear_is_noise_to_a_linear_estimator():
+def test_the_residual_as_noise_raises_the_bound():
     for mode in ("ride", "handling", {"front": "ride", "rear": "handling"}):
-        given = (DEFENDER, mode, 15.0, load_instruments("paper"), RoadPrior())
-        assert bound(*given, residual_as_noise=True).pooled > 1.5 * bound(*given).pooled
+        arguments = (DEFENDER, mode, 15.0, load_instruments("paper"), RoadPrior())
+        assert bound(*arguments, residual_as_noise=True).pooled > 1.5 * bound(*arguments).pooled
 
 
-def test_a_linear_strut_leaves_nothing():
+def test_a_linear_strut_has_no_residual():
     x = np.linspace(-1.0, 1.0, 11)
     rest = NonlinearResidual(x, np.zeros((4, 11)), x, np.zeros((4, 11)))
     model = linearise(DEFENDER, "ride", PLACES, damping=np.full(4, 2000.0))

@@ -1,9 +1,11 @@
-"""Factors on standard deviations: found where they are known, and honest on the judge's roads."""
+"""Calibration factors of standard deviations: recovered where known, and coverage on the main
+board.
+"""
 
 import numpy as np
 import pytest
 from scipy import signal
-from test_pretraining import errors_and_coverage as on_the_board
+from test_pretraining import errors_and_coverage
 
 from estimators import create
 from estimators.common.spatial_signals import SPACING
@@ -23,7 +25,7 @@ from road_envs.data.training_corpus import Corpus
 
 
 def conditions(rng: np.random.Generator, size: int = 1) -> np.ndarray:
-    """As a network is told them: speed, its square, four states, level, scale."""
+    """Conditions as of a network: speed, its square, four states, level, scale."""
     states = np.repeat(rng.choice([-1.0, 1.0], (4, 1)), size, axis=1)
     u, level = rng.uniform(-2.0, 1.4), rng.uniform(-1.0, 1.0)
     rest = np.array([[u], [u**2 - 1.0]]), np.array([[level], [level]])
@@ -31,10 +33,12 @@ def conditions(rng: np.random.Generator, size: int = 1) -> np.ndarray:
 
 
 def drives(true: np.ndarray, draw, number: int = 400):
-    """Errors over claims `draw`n at unit width and made as wide as `true` says."""
+    """Error ratios drawn by `draw` at unit scale, times the factor of `true`, with conditions."""
     rng = np.random.default_rng(1)
-    told = [conditions(rng) for _ in range(number)]
-    return [draw(rng, (2, 500)) * std_scale(true, each) for each in told], told
+    drive_conditions = [conditions(rng) for _ in range(number)]
+    return [
+        draw(rng, (2, 500)) * std_scale(true, each) for each in drive_conditions
+    ], drive_conditions
 
 
 def normal(rng, shape):
@@ -43,21 +47,23 @@ def normal(rng, shape):
 
 def test_factors_depending_on_speed_states_and_level_are_recovered():
     true = 0.15 * np.random.default_rng(0).standard_normal(N_TERMS)
-    ratios, told = drives(true, normal)
-    found = fit_std_scale(ratios, told)
+    ratios, drive_conditions = drives(true, normal)
+    found = fit_std_scale(ratios, drive_conditions)
     new = [conditions(np.random.default_rng(k)) for k in range(1000, 1200)]
     off = [std_scale(found, each)[0] / std_scale(true, each)[0] for each in new]
     np.testing.assert_allclose(off, 1.0, atol=0.06)
 
 
 def test_heavy_tailed_errors_get_a_compromise_between_both_coverages():
-    """A Student's t of three degrees of freedom: 50 and 90 % would take 1.13 and 1.43."""
-    ratios, told = drives(constant_scale(2.0), lambda rng, shape: rng.standard_t(3, shape))
-    found = fit_std_scale(ratios, told)
+    """Student's t with three degrees of freedom: 50 % and 90 % need 1.13 and 1.43."""
+    ratios, drive_conditions = drives(
+        constant_scale(2.0), lambda rng, shape: rng.standard_t(3, shape)
+    )
+    found = fit_std_scale(ratios, drive_conditions)
     inside = np.mean(
         [
             [np.mean(np.abs(r) < far * std_scale(found, c)) for far in (0.6745, 1.6449)]
-            for r, c in zip(ratios, told, strict=True)
+            for r, c in zip(ratios, drive_conditions, strict=True)
         ],
         axis=0,
     )
@@ -66,9 +72,9 @@ def test_heavy_tailed_errors_get_a_compromise_between_both_coverages():
 
 
 def test_a_constant_factor_is_the_same_under_all_conditions():
-    told = conditions(np.random.default_rng(3), 5)
-    np.testing.assert_allclose(std_scale(constant_scale(0.7), told), 0.7)
-    assert design_matrix(told).shape == (N_TERMS, 5)
+    drive_conditions = conditions(np.random.default_rng(3), 5)
+    np.testing.assert_allclose(std_scale(constant_scale(0.7), drive_conditions), 0.7)
+    assert design_matrix(drive_conditions).shape == (N_TERMS, 5)
 
 
 def test_the_calibration_factor_of_gaussian_errors_is_their_scale():
@@ -78,7 +84,7 @@ def test_the_calibration_factor_of_gaussian_errors_is_their_scale():
 
 @pytest.mark.parametrize("v", [4.0, 15.0])
 def test_the_scored_band_at_the_stations_equals_that_of_the_metrics(v):
-    """Up to 1.5 cycles/m stations every 0.15 m tell what the judge's grid of 25 mm does."""
+    """Up to 1.5 cycles/m stations every 0.15 m represent the profile at 25 mm."""
     rng = np.random.default_rng(2)
     sos = signal.butter(4, [0.1, 1.7], "band", fs=1.0 / PROFILE_SPACING, output="sos")
     fine = signal.sosfiltfilt(sos, rng.standard_normal((2, 8000)), axis=1)
@@ -88,14 +94,16 @@ def test_the_scored_band_at_the_stations_equals_that_of_the_metrics(v):
 
 
 def test_the_command_trains_and_then_calibrates_on_the_nominal_vehicle(tmp_path):
-    """By the command's own way, and once more from its parts."""
+    """By the command, and again step by step."""
     corpus = Corpus(number=4, shortest=20, longest=30)
     estimator, path = create("tcn", channels=4, steps=4), tmp_path / "t.safetensors"
     written = pretraining.train(estimator, "tcn", corpus, 1, path, "road-recon train tcn")
-    taught = [estimator.training_example(*corpus.simulate_drive(k)) for k in range(4)]
-    plain = estimator.pretrain(taught, corpus.vehicle, 1)
-    others = [estimator.training_example(*corpus.simulate_drive(k, nominal=True)) for k in (4, 5)]
-    again, before = plain.calibrate(others).weights(), plain.weights()
+    examples = [estimator.training_example(*corpus.simulate_drive(k)) for k in range(4)]
+    plain = estimator.pretrain(examples, corpus.vehicle, 1)
+    calibration_drives = [
+        estimator.training_example(*corpus.simulate_drive(k, nominal=True)) for k in (4, 5)
+    ]
+    again, before = plain.calibrate(calibration_drives).weights(), plain.weights()
     for name, x in written.weights().items():
         np.testing.assert_array_equal(x, again[name])
         if name != "widths":
@@ -117,8 +125,8 @@ def test_a_nominal_drive_differs_from_its_twin_by_the_vehicle_only():
 
 @pytest.mark.parametrize("name", ["tcn", "tcn_causal", "gru", "gru_causal"])
 def test_shipped_intervals_have_the_stated_coverage_on_the_main_board(name):
-    """All conditions of the main board together, and each within what its first two roads allow."""
-    rows = on_the_board(name, 2).values()
+    """Over all conditions, and in each within the scatter of two roads."""
+    rows = errors_and_coverage(name, 2).values()
     found = np.array([np.mean([inside for _, inside in row], axis=0) for row in rows])
     np.testing.assert_allclose(found.mean(axis=0), [0.5, 0.9], atol=0.04)
     assert (np.abs(found - [0.5, 0.9]) < [0.13, 0.07]).all()

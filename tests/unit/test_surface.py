@@ -39,7 +39,7 @@ def test_the_surface_passes_through_its_samples(z, ds, start):
 
 
 @given(heights, spacings, starts)
-def test_outside_the_road_is_level_after_one_spacing(z, ds, start):
+def test_the_surface_is_level_one_spacing_beyond_its_ends(z, ds, start):
     surface = Surface(np.array(z), ds, start)
     for s, end in ((start - ds * np.array([1.0, 2.5, 1e6]), 0),
                    (surface.end + ds * np.array([1.0, 2.5, 1e6]), -1)):  # fmt: skip
@@ -50,36 +50,36 @@ def test_outside_the_road_is_level_after_one_spacing(z, ds, start):
 
 
 @given(heights)
-def test_height_and_slope_have_no_jump_anywhere_the_ends_included(z):
+def test_height_and_slope_are_continuous_everywhere(z):
     surface, d = Surface(np.array(z), 0.1), 1e-7
     knots = 0.1 * np.arange(-3, len(z[0]) + 3)
     np.testing.assert_allclose(surface.height(knots + d), surface.height(knots - d), atol=1e-5)
     np.testing.assert_allclose(surface.slope(knots + d), surface.slope(knots - d), atol=1e-3)
 
 
-def test_the_left_path_comes_first_and_any_shape_of_stations_is_answered():
+def test_heights_are_left_then_right_for_any_shape_of_stations():
     surface = Surface(np.array([[1.0] * 5, [2.0] * 5]), 0.5)
     for s in (0.3, np.array([0.1, 0.7]), np.zeros((3, 4))):
-        found = surface.height(s)
-        assert found.shape == (2, *np.shape(s))
-        assert (found[0] == 1.0).all() and (found[1] == 2.0).all()
+        actual = surface.height(s)
+        assert actual.shape == (2, *np.shape(s))
+        assert (actual[0] == 1.0).all() and (actual[1] == 2.0).all()
 
 
-def test_an_unknown_station_has_an_unknown_height():
+def test_the_height_at_nan_is_nan():
     surface = Surface(np.ones((2, 5)), 0.5)
     assert np.isnan(surface.height(np.array([np.nan]))).all()
 
 
-def test_the_compiled_interpolation_is_the_plain_one():
+def test_compiled_and_interpreted_interpolation_agree():
     surface = Surface(np.random.default_rng(0).standard_normal((2, 9)), 0.3, -1.0)
     for s in np.linspace(-3.0, 4.0, 41):
         for side in (0, 1):
             plain = height_and_slope.py_func(surface.padded, side, s, -1.0, 0.3)
-            found = height_and_slope(surface.padded, side, s, -1.0, 0.3)
-            np.testing.assert_allclose(found, plain, rtol=1e-12, atol=1e-13)
+            actual = height_and_slope(surface.padded, side, s, -1.0, 0.3)
+            np.testing.assert_allclose(actual, plain, rtol=1e-12, atol=1e-13)
 
 
-def test_a_surface_keeps_its_own_heights():
+def test_a_surface_copies_its_heights_and_makes_them_read_only():
     z = np.zeros((2, 6))
     surface = Surface(z, 0.1)
     z[:] = 7.0
@@ -90,7 +90,7 @@ def test_a_surface_keeps_its_own_heights():
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
-def test_a_copied_surface_is_the_same_road(duplicate):
+def test_copies_of_a_surface_are_equal(duplicate):
     surface = Surface(np.random.default_rng(0).standard_normal((2, 9)), 0.3, notes=("drawn",))
     s = np.linspace(-1.0, 4.0, 50)
     before = surface.height(s)
@@ -104,14 +104,14 @@ def test_a_copied_surface_is_the_same_road(duplicate):
         (np.zeros((2, 3)), {}, r"heights must be \(2, N\) with N >= 4, got \(2, 3\)"),
         (np.zeros((3, 9)), {}, "heights must be"),
         (np.zeros(9), {}, "heights must be"),
-        (np.array([[0, 0, np.nan, 0]] * 2), {}, "not finite"),
-        (np.array([[0, 0, np.inf, 0]] * 2), {}, "not finite"),
-        (np.zeros((2, 9)), {"ds": 0.0}, "spacing ds must be positive, got 0.0"),
+        (np.array([[0, 0, np.nan, 0]] * 2), {}, "heights must be finite"),
+        (np.array([[0, 0, np.inf, 0]] * 2), {}, "heights must be finite"),
+        (np.zeros((2, 9)), {"ds": 0.0}, "spacing ds must be positive and finite, got 0.0"),
         (np.zeros((2, 9)), {"ds": -0.1}, "spacing ds must be positive"),
         (np.zeros((2, 9)), {"ds": np.nan}, "spacing ds must be positive"),
         (np.zeros((2, 9)), {"start": np.nan}, "first station must be finite"),
     ],
 )
-def test_heights_that_make_no_road_are_refused_with_the_name_of_the_surface(z, options, reason):
+def test_invalid_heights_raise_an_error_with_the_surface_name(z, options, reason):
     with pytest.raises(ValueError, match=f"lane: .*{reason}"):
         Surface(z, **{"ds": 0.1, "name": "lane", **options})

@@ -1,4 +1,4 @@
-"""Readers of surface files on bytes that nobody wrote: an answer or a refusal, soon, in no room."""
+"""Fuzz tests of the surface file readers: a result or an error, in bounded time and memory."""
 
 import re
 import time
@@ -53,33 +53,33 @@ READERS = {
 
 
 def answer(read, data):
-    """What the reader makes of `data`, in a time and a room that its size justifies."""
+    """Return the reader's result for `data`, or None; time and memory scale with its size."""
     tracemalloc.start()
     began, before = time.process_time(), pa.default_memory_pool().bytes_allocated()
     try:
-        found = read(data)
+        actual = read(data)
     except SurfaceFileError as error:
         assert str(error) and "\n" not in str(error)
-        found = None
+        actual = None
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 300_000 + 64 * len(data)
     assert time.process_time() - began < 1.0 + 1e-5 * len(data)
     assert pa.default_memory_pool().bytes_allocated() <= before + len(data)
-    return found
+    return actual
 
 
 def warmed(reader):
     read, samples = READERS[reader]
     for data in samples:
-        read(data)  # imports
+        read(data)  # imports happen here, outside the measurement
     return read, samples
 
 
 @pytest.mark.parametrize("reader", READERS)
 @settings(max_examples=60)
 @given(st.binary(max_size=600))
-def test_arbitrary_bytes_are_refused(reader, data):
+def test_arbitrary_bytes_are_rejected(reader, data):
     read, _ = warmed(reader)
     assert reader.endswith("numbers") or answer(read, b"\xfe" + data) is None
 
@@ -87,7 +87,7 @@ def test_arbitrary_bytes_are_refused(reader, data):
 @pytest.mark.parametrize("reader", READERS)
 @settings(max_examples=200)
 @given(st.data())
-def test_a_spoilt_file_is_read_or_refused(reader, data):
+def test_a_corrupted_file_is_read_or_rejected(reader, data):
     read, samples = warmed(reader)
     content = bytearray(data.draw(st.sampled_from(samples)))
     for _ in range(data.draw(st.integers(1, 6))):
@@ -96,9 +96,9 @@ def test_a_spoilt_file_is_read_or_refused(reader, data):
             content[at] = data.draw(st.integers(0, 255))
         else:
             content[at : at + data.draw(st.integers(0, 5))] = data.draw(st.binary(max_size=6))
-    found = answer(read, bytes(content))
-    if found is not None and reader != "crg":
-        z, ds, _ = found
+    actual = answer(read, bytes(content))
+    if actual is not None and reader != "crg":
+        z, ds, _ = actual
         assert z.ndim == 2 and z.shape[0] == 2 and z.size <= 8 * len(content)
         assert 0.0 < ds < 1e7
 
@@ -106,17 +106,17 @@ def test_a_spoilt_file_is_read_or_refused(reader, data):
 @pytest.mark.parametrize("reader", READERS)
 @settings(max_examples=40)
 @given(st.data())
-def test_numbers_that_are_spoilt_are_read_or_refused(reader, data):
+def test_corrupted_numbers_are_read_or_rejected(reader, data):
     read, samples = warmed(reader)
     content = data.draw(st.sampled_from(samples))
-    found = [m.span() for m in re.finditer(rb"[0-9][-+0-9.eE]*", content)]
-    start, end = data.draw(st.sampled_from(found or [(0, 1)]))
+    actual = [m.span() for m in re.finditer(rb"[0-9][-+0-9.eE]*", content)]
+    start, end = data.draw(st.sampled_from(actual or [(0, 1)]))
     huge = [b"9" * 400, b"-1", b"0", b"1e308", b"-1e-320", b"nan", b"inf", b"9" * 18, b"4294967296"]
     answer(read, content[:start] + data.draw(st.sampled_from(huge)) + content[end:])
 
 
 @pytest.mark.parametrize("reader", READERS)
-def test_a_file_cut_off_anywhere_is_read_or_refused(reader):
+def test_a_truncated_file_is_read_or_rejected(reader):
     read, samples = warmed(reader)
     for content in samples:
         for end in range(0, len(content), 1 + len(content) // 120):
@@ -145,11 +145,11 @@ def test_a_file_cut_off_anywhere_is_read_or_refused(reader):
     ],
     ids=lambda x: x if isinstance(x, str) else x[:12].decode(),
 )
-def test_a_long_file_of_one_kind_of_thing_takes_no_more_than_its_share(reader, data):
+def test_time_and_memory_scale_with_the_size_of_repetitive_files(reader, data):
     answer(warmed(reader)[0], data)
 
 
-def test_a_packed_table_of_many_equal_rows_is_refused_before_it_is_unpacked():
+def test_a_decompression_bomb_is_rejected_before_decompression():
     table = pa.table({name: np.zeros(2_000_000) for name in ("distance", "left", "right")})
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd")
@@ -162,7 +162,7 @@ def test_a_packed_table_of_many_equal_rows_is_refused_before_it_is_unpacked():
 @settings(max_examples=25)
 @example(b"")
 @given(st.binary(max_size=200))
-def test_as_a_road_a_file_is_refused_with_its_name(tmp_path_factory, suffix, data):
+def test_an_invalid_file_is_rejected_with_its_path(tmp_path_factory, suffix, data):
     path = tmp_path_factory.getbasetemp() / f"fuzzed{suffix}"
     path.write_bytes(data)
     try:

@@ -1,4 +1,4 @@
-"""Surfaces written to files, and Parquet tables as roads."""
+"""Writers of surface files, and Parquet tables as roads."""
 
 import re
 
@@ -38,13 +38,13 @@ surfaces = st.builds(
 )
 
 
-# every kind of file
+# all formats
 
 
 @pytest.mark.parametrize("suffix", WRITERS)
 @settings(max_examples=25)
 @given(surface=surfaces)
-def test_a_surface_comes_back_as_a_road(tmp_path_factory, suffix, surface):
+def test_a_written_surface_can_be_read_as_a_road(tmp_path_factory, suffix, surface):
     path = tmp_path_factory.getbasetemp() / f"surface{suffix}"
     write(surface, path)
     again = load_road(path).realise(rng())
@@ -53,7 +53,7 @@ def test_a_surface_comes_back_as_a_road(tmp_path_factory, suffix, surface):
 
 
 @pytest.mark.parametrize("suffix", WRITERS)
-def test_names_and_notes_of_any_kind_spoil_no_file(tmp_path, suffix):
+def test_arbitrary_names_and_notes_do_not_corrupt_a_file(tmp_path, suffix):
     notes = (
         "$ROAD_CRG",
         "* x",
@@ -69,7 +69,7 @@ def test_names_and_notes_of_any_kind_spoil_no_file(tmp_path, suffix):
 
 
 @pytest.mark.parametrize("suffix", WRITERS)
-def test_a_surface_that_starts_anywhere_is_written_with_its_stations(tmp_path, suffix):
+def test_a_surface_is_written_with_its_first_station(tmp_path, suffix):
     surface = Surface(wavy().z, 0.1, start=730.0)
     write(surface, tmp_path / f"late{suffix}")
     again = load_road(tmp_path / f"late{suffix}").realise(rng())
@@ -80,7 +80,7 @@ def test_a_surface_that_starts_anywhere_is_written_with_its_stations(tmp_path, s
 
 
 @pytest.mark.parametrize("suffix", WRITERS)
-def test_what_cannot_be_written_whole_is_not_written_at_all(tmp_path, monkeypatch, suffix):
+def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch, suffix):
     def full(source, target):
         raise OSError("no space left")
 
@@ -93,7 +93,7 @@ def test_what_cannot_be_written_whole_is_not_written_at_all(tmp_path, monkeypatc
     assert [f.name for f in tmp_path.iterdir()] == [path.name]
 
 
-def test_a_kind_of_file_that_is_not_known_is_refused(tmp_path):
+def test_an_unknown_file_format_raises_config_error(tmp_path):
     with pytest.raises(ConfigError, match=r"must end in \.csv or \.parquet or \.crg or \.erd"):
         write(wavy(), tmp_path / "road.xlsx")
     with pytest.raises(ConfigError, match="unknown data format 'TEXT'"):
@@ -105,7 +105,7 @@ def test_a_kind_of_file_that_is_not_known_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(("form", "precision"), FORMS.items())
-def test_an_opencrg_file_has_level_wheel_paths_wide_enough_for_a_tyre(tmp_path, form, precision):
+def test_wheel_paths_of_an_opencrg_file_are_laterally_level(tmp_path, form, precision):
     surface = wavy()
     write_crg(surface, tmp_path / "road.crg", form)
     for shift in (-0.3, 0.0, 0.3):
@@ -118,7 +118,7 @@ def test_an_opencrg_file_has_level_wheel_paths_wide_enough_for_a_tyre(tmp_path, 
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("height", [0.0, 9.9999999, 99.5, 1234.5678])
-def test_heights_of_any_size_fit_their_fields(tmp_path, form, height):
+def test_heights_of_any_magnitude_fit_their_fields(tmp_path, form, height):
     z = np.zeros((2, 40))
     z[0, 5], z[1, 9] = height, -height
     write_crg(Surface(z, 0.1), tmp_path / "high.crg", form)
@@ -128,7 +128,7 @@ def test_heights_of_any_size_fit_their_fields(tmp_path, form, height):
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_the_header_of_an_opencrg_file_is_plain_text_up_to_column_72(tmp_path, form):
+def test_an_opencrg_header_is_ascii_up_to_column_72(tmp_path, form):
     write_crg(wavy(size=61, notes=("a long note " * 20,)), tmp_path / "road.crg", form)
     header, mark, payload = (tmp_path / "road.crg").read_bytes().partition(b"$" * 72 + b"\n")
     assert mark and header.isascii()
@@ -157,12 +157,12 @@ Z = wavy().z
         {"distance": S.astype("f4"), "left": Z[0].astype("f4"), "right": Z[1].astype("f4")},
     ],
 )
-def test_columns_of_a_parquet_table_go_by_their_names(tmp_path, columns):
+def test_parquet_columns_are_found_by_name(tmp_path, columns):
     surface = load_road(parquet(tmp_path / "t.parquet", **columns)).realise(rng())
     np.testing.assert_allclose(surface.z, Z, atol=1e-7)
 
 
-def test_one_height_stands_for_both_paths(tmp_path):
+def test_one_height_column_is_used_for_both_paths(tmp_path):
     path = parquet(tmp_path / "t.parquet", distance=np.arange(9), height=np.arange(9) % 3)
     surface = load_road(path).realise(rng())
     np.testing.assert_array_equal(surface.z, [np.arange(9) % 3] * 2)
@@ -179,40 +179,40 @@ def test_nulls_are_missing_heights(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("columns", "says"),
+    ("columns", "reason"),
     [
         ({"s": S, "left": Z[0], "right": Z[1]}, "got s, left, right"),
         ({"distance": S, "left": Z[0]}, "got distance, left"),
         ({"distance": S, "left": Z[0], "LEFT": Z[0], "right": Z[1]}, "got distance, left, LEFT"),
-        ({"distance": S, "height": ["x"] * 60}, "no readable Parquet file"),
-        ({"distance": S, "height": [[1.0]] * 60}, "no readable Parquet file"),
+        ({"distance": S, "height": ["x"] * 60}, "not a readable Parquet file"),
+        ({"distance": S, "height": [[1.0]] * 60}, "not a readable Parquet file"),
         ({"distance": S[::-1], "height": Z[0]}, "does not increase at row 2"),
         ({"distance": S, "height": 1e9 * Z[0]}, "a height of"),
-        ({"distance": [None, *S[1:]], "height": Z[0]}, "a distance of nan m"),
+        ({"distance": [None, *S[1:]], "height": Z[0]}, "got nan m"),
         ({"distance": [0.0] * 0, "height": [0.0] * 0}, "damaged: 0 rows"),
         ({"distance": [0.0], "height": [0.0]}, "at least 4 stations"),
         ({"distance": [0.0] * 500_000, "height": [0.0] * 500_000}, "damaged: 500000 rows in"),
     ],
 )
-def test_a_parquet_table_that_is_no_profile_is_refused(tmp_path, columns, says):
-    with pytest.raises(SurfaceFileError, match=re.escape(says)) as error:
+def test_a_parquet_table_without_a_profile_is_rejected(tmp_path, columns, reason):
+    with pytest.raises(SurfaceFileError, match=re.escape(reason)) as error:
         load_road(parquet(tmp_path / "t.parquet", **columns))
     assert "\n" not in str(error.value)
 
 
-def test_a_record_of_a_drive_is_no_road(tmp_path):
+def test_a_drive_record_is_rejected_as_a_road(tmp_path):
     path = parquet(tmp_path / "t.parquet", t=S, a_rf=S, v=S, s=S)
     with pytest.raises(SurfaceFileError, match="got t, a_rf, v, s"):
         load_road(path)
 
 
-def test_a_level_road_is_not_too_well_packed_to_be_read(tmp_path):
+def test_a_well_compressed_level_road_can_be_read(tmp_path):
     surface = Surface(np.zeros((2, 200_001)), 0.005)
     write(surface, tmp_path / "level.parquet")
     assert load_road(tmp_path / "level.parquet").length == pytest.approx(1000.0)
 
 
-def test_no_changed_byte_of_the_numbers_goes_unseen(tmp_path):
+def test_changed_bytes_of_the_numbers_are_detected(tmp_path):
     write(wavy(), tmp_path / "t.parquet")
     data = (tmp_path / "t.parquet").read_bytes()
     for at in range(4, len(data) - 8, 7):

@@ -1,4 +1,4 @@
-"""The force laws, the two accumulators and the valves of a strut; the tyre; the shipped curves."""
+"""Force laws, accumulators and valves of a strut; the tyre; properties of the shipped curves."""
 
 import numpy as np
 import oracles
@@ -43,14 +43,14 @@ def force(strut_state, e, e_dot=0.0, w=0, name="defender"):
 
 @every_mode
 @given(e=st.floats(-0.03, 0.02))
-def test_between_bushing_and_stop_the_one_gas_law_is_equation_1(mode, e):
+def test_with_bushing_and_stop_inactive_the_strut_force_is_equation_1(mode, e):
     expected = oracles.gas_force(oracles.X_STAT[mode], e)
     assert force(settled_strut_state(encode_command(mode)), e)[0] == pytest.approx(
         expected, rel=1e-14
     )
 
 
-def test_the_static_rates_are_16_7_and_83_6_kilonewtons_per_metre():
+def test_static_spring_rates_are_16_7_and_83_6_kn_per_m():
     for mode, printed in (("ride", 16.7e3), ("handling", 83.6e3)):
         rate = force(settled_strut_state(encode_command(mode)), 0.0)[1]
         assert rate == pytest.approx(oracles.static_rate(mode), rel=1e-12)
@@ -60,7 +60,7 @@ def test_the_static_rates_are_16_7_and_83_6_kilonewtons_per_metre():
 @every_car
 @both_axles
 @given(strut_states, st.floats(-0.3, 0.3), st.floats(-4.0, 4.0))
-def test_a_strut_pushes_as_the_sum_of_its_five_parts(name, w, strut_state, e, e_dot):
+def test_a_strut_force_is_the_sum_of_its_five_components(name, w, strut_state, e, e_dot):
     oracle = oracles.NonlinearCar(CARS[name])
     moved = np.full(4, e), np.full(4, e_dot)
     F, k, _ = force(strut_state, e, e_dot, w, name)
@@ -70,15 +70,15 @@ def test_a_strut_pushes_as_the_sum_of_its_five_parts(name, w, strut_state, e, e_
 
 
 @given(strut_states, st.floats(-0.2, 0.2), st.floats(-3.0, 3.0))
-def test_the_compiled_strut_is_the_plain_one(strut_state, e, e_dot):
+def test_compiled_and_interpreted_strut_forces_agree(strut_state, e, e_dot):
     plant = PLANTS["unequal_axles"]
     plain = plant.constants.view(np.recarray)[0], plant.velocity, plant.displacement
     expected = strut_force.py_func(*plain, strut_state, 2, e, e_dot)
-    found = force(strut_state, e, e_dot, 2, "unequal_axles")
-    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-9)
+    actual = force(strut_state, e, e_dot, 2, "unequal_axles")
+    np.testing.assert_allclose(actual, expected, rtol=1e-12, atol=1e-9)
 
 
-def test_a_bottomed_gas_column_goes_on_as_its_tangent():
+def test_below_its_shortest_column_the_gas_force_is_linear():
     strut_state = settled_strut_state(encode_command("handling"))
     least = STRUT.column_min - STRUT.x_1
     assert force(strut_state, least - 1e-9)[0] == pytest.approx(
@@ -95,7 +95,7 @@ def test_a_bottomed_gas_column_goes_on_as_its_tangent():
 
 
 def taken_up(strut_state, w, e, car):
-    """The part of the extension that the second accumulator has taken up [m]."""
+    """Return e_2, the part of the extension in the second accumulator [m]."""
     return (
         strut_state[w, HELD_EXTENSION]
         + strut_state[w, VALVE_OPEN] * car.strut.x_2 / (car.strut.x_1 + car.strut.x_2) * e
@@ -103,18 +103,18 @@ def taken_up(strut_state, w, e, car):
 
 
 def operate(strut_state, path, stiff, high, car=DEFENDER, name="defender", h=0.001):
-    """Put strut 0 through `path` (N,) of extensions, one step each; returns e_2 after each."""
+    """Move strut 0 through extensions `path` (N,), one per step; return e_2 after each step."""
     alpha = 1.0 - np.exp(-h / car.valve.lag)
-    found = np.empty(path.size)
+    actual = np.empty(path.size)
     for n, e in enumerate(path):
         advance_valve(PLANTS[name].constants[0], strut_state, 0, e, stiff, high, alpha, h)
-        found[n] = taken_up(strut_state, 0, e, car)
-    return found
+        actual[n] = taken_up(strut_state, 0, e, car)
+    return actual
 
 
 @every_car
 @pytest.mark.parametrize("stiff", [False, True])
-def test_the_second_accumulator_follows_its_equation_through_a_switch(name, stiff):
+def test_the_second_accumulator_follows_its_ode_through_a_switch(name, stiff):
     car, h = CARS[name], 2e-5
     t = h * np.arange(round(0.25 / h))
     ratio = car.strut.x_2 / (car.strut.x_1 + car.strut.x_2)
@@ -122,15 +122,15 @@ def test_the_second_accumulator_follows_its_equation_through_a_switch(name, stif
     e_dot = lambda t: 0.6 * np.cos(20.0 * t + 0.7)  # noqa: E731
     strut_state = settled_strut_state(encode_command("ride" if stiff else "handling"))
     e_2_0 = taken_up(strut_state, 0, e(0.0), car)
-    found = operate(strut_state, e(t), stiff, False, car, name, h)
+    actual = operate(strut_state, e(t), stiff, False, car, name, h)
     expected = oracles.second_accumulator(
         e, e_dot, stiff, t, u_0=float(stiff), e_2_0=e_2_0, ratio=ratio,
         lag=car.valve.lag, equalisation=car.valve.equalisation,
     )  # fmt: skip
-    np.testing.assert_allclose(found, expected, atol=0.004 * np.abs(expected).max())
+    np.testing.assert_allclose(actual, expected, atol=0.004 * np.abs(expected).max())
 
 
-def test_a_closed_valve_keeps_the_gas_behind_it():
+def test_a_closed_valve_traps_the_gas_behind_it():
     strut_state = settled_strut_state(encode_command("ride"))
     operate(strut_state, np.full(300, 0.02), True, True)
     assert strut_state[0, VALVE_OPEN] == 0.0 and valves_settled(strut_state, 0, True, True)
@@ -141,8 +141,8 @@ def test_a_closed_valve_keeps_the_gas_behind_it():
 
 
 @every_car
-def test_an_opened_valve_makes_the_pressures_equal_however_fast_it_is(name):
-    """The lopsided car's valve is open long before the pressures are equal."""
+def test_pressures_equalise_behind_an_open_valve_of_any_speed(name):
+    """The valve of the car with unequal axles opens much faster than the pressures equalise."""
     car, e = CARS[name], 0.025
     strut_state = settled_strut_state(encode_command("handling"))
     while not valves_settled(strut_state, 0, False, False):
@@ -154,15 +154,17 @@ def test_an_opened_valve_makes_the_pressures_equal_however_fast_it_is(name):
 
 
 @given(strut_states, st.floats(-0.03, 0.03), st.booleans(), st.booleans(), st.floats(1e-5, 0.1))
-def test_turning_the_valve_alone_moves_no_gas_force(strut_state, e, stiff, high, h):
-    """With equal pressures on both sides nothing flows, wherever the valve stands or goes to."""
+def test_valve_motion_at_equal_pressures_leaves_the_gas_force_unchanged(
+    strut_state, e, stiff, high, h
+):
+    """At equal pressures there is no flow at any position and motion of the valve."""
     strut_state[0, HELD_EXTENSION] = (1.0 - strut_state[0, VALVE_OPEN]) * e * STRUT.x_2 / 0.255
     before = force(strut_state, e)[0]
     operate(strut_state, np.full(3, e), stiff, high, h=h)
     assert force(strut_state, e)[0] == pytest.approx(before, rel=1e-12)
 
 
-def test_damping_goes_from_low_to_high_with_the_lag_of_the_valve():
+def test_damping_follows_the_first_order_lag_of_the_valve():
     strut_state = settled_strut_state(encode_command("ride"))
     low, high = (
         force(strut_state, 0.0, 0.5)[0],
@@ -175,7 +177,7 @@ def test_damping_goes_from_low_to_high_with_the_lag_of_the_valve():
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_every_state_is_reached_from_every_other_and_then_is_settled(mode):
+def test_valves_settle_from_every_mode_to_every_other(mode):
     stiff, high = MODES[mode]
     for other in MODES:
         strut_state = settled_strut_state(encode_command(other))
@@ -187,7 +189,7 @@ def test_every_state_is_reached_from_every_other_and_then_is_settled(mode):
 # --- commands -------------------------------------------------------------------------------------
 
 
-def test_a_command_reaches_the_vehicle_an_axle_or_a_strut():
+def test_a_command_can_address_vehicle_axle_or_strut():
     stiff, high = decode_commands(np.array([encode_command("stiff_low")]))
     assert stiff.all() and not high.any()
     stiff, high = decode_commands(np.array([encode_command({"front": "ride", "rear": "handling"})]))
@@ -199,7 +201,7 @@ def test_a_command_reaches_the_vehicle_an_axle_or_a_strut():
 
 
 @given(st.lists(st.integers(0, 255), min_size=1, max_size=9))
-def test_command_bytes_and_strut_states_are_one_language(bytes_):
+def test_command_bytes_decode_to_valve_flags_and_settled_states(bytes_):
     stiff, high = decode_commands(np.array(bytes_))
     for byte, s, d in zip(bytes_, stiff, high, strict=True):
         assert byte == sum((int(s[w]) << w) | (int(d[w]) << (4 + w)) for w in range(4))
@@ -219,7 +221,7 @@ def test_command_bytes_and_strut_states_are_one_language(bytes_):
         (3, "unknown suspension mode 3"),
     ],
 )
-def test_a_command_that_means_nothing_is_refused(mode, reason):
+def test_an_unknown_mode_raises_config_error(mode, reason):
     with pytest.raises(ConfigError, match=reason):
         encode_command(mode)
 
@@ -234,17 +236,17 @@ compressions, rates = st.floats(-0.4, 0.2), st.floats(-5.0, 5.0)
 
 
 def tyre(name, w, u, u_dot):
-    """Load, stiffness and damping; the spring's own load."""
+    """Return load, stiffness and damping of a tyre, and the load of its spring alone."""
     p = TYRES[name].constants[0]
     return *tyre_force(p, w, u, u_dot), tyre_force(p, w, u, 0.0)[0]
 
 
 @every_tyre
 @given(wheels, compressions, rates)
-def test_a_tyre_pushes_as_spring_and_damper_and_never_pulls(name, w, u, u_dot):
-    """And its damper, which opposes every change, never does more than its spring."""
-    one = {"varied": VARIED}.get(name, oracles.NOMINAL)
-    oracle = oracles.NonlinearCar(CARS.get(name, CARS["unequal_axles"]), one)
+def test_a_tyre_load_is_spring_plus_limited_damper_and_never_negative(name, w, u, u_dot):
+    """The damper opposes the motion and its force never exceeds that of the spring."""
+    variation = {"varied": VARIED}.get(name, oracles.NOMINAL)
+    oracle = oracles.NonlinearCar(CARS.get(name, CARS["unequal_axles"]), variation)
     k, c = oracle.tyre_coefficients(w, u, u_dot)
     T, _, damping, spring = tyre(name, w, u, u_dot)
     assert T == pytest.approx(k * (u + oracle.delta[w]) + c * u_dot, rel=1e-9, abs=1e-6)
@@ -255,18 +257,16 @@ def test_a_tyre_pushes_as_spring_and_damper_and_never_pulls(name, w, u, u_dot):
 
 @every_tyre
 @given(wheels, st.floats(1e-9, 0.3), rates)
-def test_a_wheel_in_the_air_feels_nothing_however_fast_it_closes_on_the_ground(
-    name, w, above, u_dot
-):
-    touch = -TYRES[name].constants[0]["delta"][w // 2]
-    assert tyre(name, w, touch - above, u_dot) == (0.0, 0.0, 0.0, 0.0)
-    just = tyre(name, w, touch + 1e-9, u_dot)[0]
-    assert 0.0 <= just < 1e-3  # no jump of the load, as a damper without a limit would make
+def test_an_airborne_tyre_has_no_load_and_contact_starts_without_a_jump(name, w, above, u_dot):
+    contact = -TYRES[name].constants[0]["delta"][w // 2]
+    assert tyre(name, w, contact - above, u_dot) == (0.0, 0.0, 0.0, 0.0)
+    load = tyre(name, w, contact + 1e-9, u_dot)[0]
+    assert 0.0 <= load < 1e-3  # a damper without a limit would cause a jump of the load
 
 
 @every_tyre
 @given(wheels, compressions, rates)
-def test_the_slopes_of_a_tyre_are_those_of_its_load(name, w, u, u_dot):
+def test_tyre_stiffness_damping_and_curvature_match_differences(name, w, u, u_dot):
     delta, c_t = (TYRES[name].constants[0][key] for key in ("delta", "c_t"))
     _, k, c, spring = tyre(name, w, u, u_dot)
     kinks = np.array([delta[w // 2] + u, spring + c_t[w] * u_dot, spring - c_t[w] * u_dot])
@@ -276,25 +276,25 @@ def test_the_slopes_of_a_tyre_are_those_of_its_load(name, w, u, u_dot):
     by_rate = (tyre(name, w, u, u_dot + d)[0] - tyre(name, w, u, u_dot - d)[0]) / (2.0 * d)
     assert (k, c) == (pytest.approx(by_u, rel=1e-6), pytest.approx(by_rate, rel=1e-6, abs=1e-6))
     bend = (tyre(name, w, u + d, u_dot)[1] - tyre(name, w, u - d, u_dot)[1]) / (2.0 * d)
-    found = tyre_curvature(TYRES[name].constants[0], w, u, u_dot)
-    assert found == pytest.approx(bend, rel=1e-4, abs=1e-3)
+    actual = tyre_curvature(TYRES[name].constants[0], w, u, u_dot)
+    assert actual == pytest.approx(bend, rel=1e-4, abs=1e-3)
 
 
-def test_a_tyre_on_a_road_of_no_number_has_no_number_for_a_load():
+def test_a_tyre_load_on_a_nan_height_is_not_finite():
     for u in (np.nan, np.inf):
         assert not np.isfinite(tyre_force(PLANTS["defender"].constants[0], 0, u, 0.0)[0])
 
 
-# --- what the shipped curves must look like -------------------------------------------------------
+# --- properties of the shipped curves -------------------------------------------------------------
 
 
-def test_handling_damps_more_than_ride_at_every_velocity():
+def test_handling_damping_exceeds_ride_damping_at_every_velocity():
     for v in (V, -V):
         low, high = STRUT.damper.ride(v)[0], STRUT.damper.handling(v)[0]
         assert (np.sign(v) * low > 0.0).all() and (np.abs(high) > 1.5 * np.abs(low)).all()
 
 
-def test_dampers_are_digressive_and_rebound_is_the_stronger_side():
+def test_dampers_are_digressive_and_stronger_in_rebound():
     for curve, bump, rebound in (
         (STRUT.damper.ride, 1200.0, 2600.0),
         (STRUT.damper.handling, 3500.0, 6500.0),
@@ -306,7 +306,7 @@ def test_dampers_are_digressive_and_rebound_is_the_stronger_side():
 
 
 @every_mode
-def test_friction_breaks_away_at_two_centimetres_a_second_and_then_falls(mode):
+def test_friction_peaks_at_2_cm_per_s_and_falls_beyond(mode):
     friction, damper = getattr(STRUT.friction, mode), getattr(STRUT.damper, mode)
     v = np.linspace(0.0, 1.0, 10001)
     for sign in (1.0, -1.0):
@@ -324,7 +324,7 @@ def test_friction_is_greater_in_handling():
     assert levels == pytest.approx([150.0, 250.0])
 
 
-def test_the_bushing_is_soft_inside_its_range_and_nearly_exponential_outside():
+def test_the_bushing_is_soft_within_its_range_and_exponential_beyond():
     F = STRUT.bushing(np.linspace(-0.1, 0.05, 301))[0]
     assert np.abs(F).max() <= 60.0
     for beyond in (np.linspace(0.065, 0.11, 4), np.linspace(-0.115, -0.16, 4)):
@@ -343,14 +343,14 @@ def test_the_rear_struts_have_more_working_space_than_the_front():
     assert free[1].min() < free[0].min() - 0.01 and free[1].max() > free[0].max() + 0.01
 
 
-def test_a_strut_force_opposes_what_extends_it():
+def test_bushing_and_stop_forces_oppose_the_extension():
     for curve in (STRUT.bushing, STRUT.bump_stop.front, STRUT.bump_stop.rear):
         x = np.array(curve.x)
         assert (np.sign(x) * curve.F >= 0.0).all()
 
 
 @pytest.mark.parametrize("name", config.names("vehicles"))
-def test_the_shipped_valve_is_95_percent_there_within_50_milliseconds(name):
+def test_the_shipped_valve_reaches_95_percent_within_50_ms(name):
     valve = config.load(VehicleParameters, "vehicles", name).valve
     assert 1.0 - np.exp(-(0.050 - valve.delay) / valve.lag) >= 0.95
     assert 0.040 <= valve.delay + 3.0 * valve.lag <= 0.100

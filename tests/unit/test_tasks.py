@@ -1,4 +1,4 @@
-"""Tasks are read strictly, never mix training with test, and know when they have changed."""
+"""Tasks: validation, separation of training and test, digests, and simulated drives."""
 
 import dataclasses
 
@@ -20,7 +20,7 @@ from road_envs.vehicle.perturbed_vehicle import load_plant_mismatch
 DRIVES = {"roads": ["iso_d"], "seeds": [1, 2]}
 
 
-def test_every_shipped_task_loads_and_can_be_driven():
+def test_every_shipped_task_loads_and_can_be_simulated():
     shipped = shipped_tasks()
     assert [t.name for t in shipped] == names("tasks")
     for t in shipped:
@@ -36,14 +36,14 @@ def test_the_papers_eight_scenarios_are_those_of_its_tables():
     modes = ["handling", "ride", "ride", "handling", "ride", "handling", "ride", "handling"]
     assert [c.mode for c in driven] == modes
     assert [c.speed_kmh for c in driven] == [14.5] * 6 + [54.0] * 2
-    assert {c.grade for c in driven} == {"S3"}  # the field car, in place of the measurements
+    assert {c.grade for c in driven} == {"S3"}  # the perturbed vehicle replaces the measurements
     claims = [paper[f"paper_{k}"].claimed_level_error for k in range(1, 9)]
     assert claims == [None] * 4 + [0.102, 0.128, 0.148, 0.142]
     assert all(t.trains_on_test_road and len(t.test.roads_and_seeds) == 1 for t in paper.values())
     assert [paper[f"paper_{k}"].bumps for k in range(1, 9)] == [True] * 4 + [False] * 4
 
 
-def test_the_new_road_board_holds_seeds_and_roads_apart():
+def test_the_new_road_board_separates_training_and_test_seeds():
     t = load_task("new_road")
     assert not t.training.all_seeds & t.test.all_seeds and not t.trains_on_test_road
     assert (
@@ -57,8 +57,34 @@ def test_the_new_road_board_holds_seeds_and_roads_apart():
     assert t.test.step < t.training.step
 
 
-def test_no_two_test_roads_are_drawn_from_one_seed():
-    """One seed gives related roads, so a board of them would count one road twice."""
+def test_the_default_design_drives_every_family_road_and_condition_in_fourteen_drives():
+    t = load_task("new_road")
+    driven = [t.drives_of(t.test, condition) for condition in t.conditions]
+    assert sum(map(len, driven)) == 14 and all(driven)
+    assert {k for part in driven for k, _, _ in part} == set(range(12))
+    families = [t.test.families[k % 6] for part in driven for k, _, _ in part]
+    assert all(families.count(name) >= 2 for name in t.test.families)
+    assert sorted(k for part in t.test.strata for k in part) == list(range(12))
+    dense = t.with_test_drives(12)
+    assert all(len(dense.drives_of(dense.test, c)) == 12 for c in dense.conditions)
+    assert [k for k, _, _ in t.drives_of(t.training, t.conditions[0])] == list(range(10))
+
+
+@pytest.mark.parametrize(
+    ("design", "reason"),
+    [
+        ([[0, 1], [1]], "each of the drives 0 to 2"),
+        ([[0, 1, 2], [3]], "each of the drives 0 to 2"),
+        ([[0, 1, 2]], "2 lists, none for training"),
+    ],
+)
+def test_a_design_that_does_not_fit_is_rejected(design, reason):
+    with pytest.raises(ConfigError, match=reason):
+        task(test={"roads": ["iso_d"], "seeds": [11, 12, 13], "design": design})
+
+
+def test_no_two_test_roads_share_a_seed():
+    """Roads of one seed are correlated, so a board would count one road twice."""
     for t in shipped_tasks():
         pairs = (
             t.with_test_drives(None).test.roads_and_seeds
@@ -68,21 +94,21 @@ def test_no_two_test_roads_are_drawn_from_one_seed():
         assert len({seed for _, seed in pairs}) == len(pairs)
 
 
-def test_families_part_the_test_drives():
+def test_families_partition_the_test_drives():
     drives = load_task("new_road").with_test_drives(None).test
     families = {name: drives.indices_of_family(name) for name in drives.families}
     assert sorted(k for part in families.values() for k in part) == list(range(60))
     assert [len(part) for part in families.values()] == [10, 10, 20, 20]
     roads = [drives.roads_and_seeds[k][0] for k in families["ISO w = 2"]]
     assert {(type(road).__name__, road.w) for road in roads} == {("Iso8608", 2.0)}
-    with pytest.raises(ConfigError, match="2 families are wanted, got 1"):
+    with pytest.raises(ConfigError, match="one family for each of the 2 roads, got 1"):
         task(test={"roads": ["iso_d", "iso_e"], "seeds": [7], "families": ["one"]})
 
 
 CARS = [{"mode": "ride", "speed_kmh": 30.0, "grade": grade} for grade in ("S0", "S1", "S3")]
 
 
-def test_the_field_board_has_every_car_on_the_same_roads():
+def test_the_field_board_has_all_grades_on_the_same_roads():
     t = load_task("field")
     grades = [c.grade for c in t.conditions]
     assert grades == ["S0", "S1", "S2", "S3"] * 2
@@ -90,12 +116,12 @@ def test_the_field_board_has_every_car_on_the_same_roads():
     assert t.conditions[3].label == "ride, 14.5 km/h, car S3"
 
 
-def test_training_is_driven_by_the_nominal_car_and_the_test_by_one_individual(monkeypatch):
+def test_training_uses_the_nominal_vehicle_and_test_one_perturbed_vehicle(monkeypatch):
     seen = []
 
-    def recorded(car, surface, *, grade, seed, **options):
+    def recorded(surface, *, grade, seed, **options):
         seen.append((grade, seed.entropy))
-        return simulate_record(car, surface, grade=grade, seed=seed, **options)
+        return simulate_record(surface, grade=grade, seed=seed, **options)
 
     monkeypatch.setattr(test_data, "simulate_record", recorded)
     t = task(conditions=CARS, test={"roads": ["iso_b"], "seeds": [11], "length": 12.0},
@@ -107,15 +133,15 @@ def test_training_is_driven_by_the_nominal_car_and_the_test_by_one_individual(mo
     assert tested == [(grade, [11, 0]) for grade in ("S0", "S1", "S3")]
 
 
-def test_the_digest_follows_the_deviations_of_the_field_car(monkeypatch):
+def test_the_digest_depends_on_the_plant_mismatch(monkeypatch):
     field, plain = task(conditions=CARS), task()
     digests = field.digest, plain.digest
     other = dataclasses.replace(load_plant_mismatch(), step=0.0001)
-    monkeypatch.setattr(tasks, "load_deviations", lambda: other)
+    monkeypatch.setattr(tasks, "load_plant_mismatch", lambda: other)
     assert task(conditions=CARS).digest != digests[0] and task().digest == digests[1]
 
 
-def test_more_roads_than_a_task_has_are_refused():
+def test_more_test_drives_than_a_task_has_are_refused():
     with pytest.raises(ConfigError, match="new_road: number of drives must be 1 to 60, got 61"):
         load_task("new_road").with_test_drives(61)
 
@@ -126,7 +152,7 @@ def test_a_shared_seed_is_refused():
 
 
 @pytest.mark.parametrize("training", ["belgian", "belgian_training"])
-def test_training_on_the_test_road_has_to_be_said(training):
+def test_training_on_the_test_road_must_be_declared(training):
     roads = {"training": {"roads": [training], "seeds": [1]}}
     test = {"roads": ["belgian"], "seeds": [2]}
     with pytest.raises(ConfigError, match="trains_on_test_road"):
@@ -135,7 +161,7 @@ def test_training_on_the_test_road_has_to_be_said(training):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"boards": "paper"}, "unknown key, did you mean 'board'"),
         ({"board": "papers"}, "'new_road', 'field', 'class', 'measured' or 'paper'"),
@@ -149,16 +175,16 @@ def test_training_on_the_test_road_has_to_be_said(training):
         ({"name": "../up"}, "letters, digits"),
     ],
 )
-def test_bad_input_is_one_sentence_that_names_it(change, said):
+def test_invalid_task_settings_give_one_sentence_that_names_them(change, message):
     with pytest.raises(ConfigError) as error:
         task(**{"name": "small", **change})
-    assert said in str(error.value) and "\n" not in str(error.value)
+    assert message in str(error.value) and "\n" not in str(error.value)
 
 
-def test_a_task_is_called_as_its_file(tmp_path):
+def test_the_name_of_a_task_must_be_that_of_its_file(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text(yaml.safe_dump({**as_settings(), "name": "other"}))
-    with pytest.raises(ConfigError, match="called 'other', its file 'mine'"):
+    with pytest.raises(ConfigError, match="named 'other' but its file 'mine'"):
         load_task(path)
 
 
@@ -176,10 +202,10 @@ def as_settings():
     }
 
 
-def test_the_digest_changes_with_all_that_decides_the_drives_and_with_nothing_else(tmp_path):
+def test_the_digest_depends_on_all_inputs_of_the_drives_and_on_nothing_else(tmp_path):
     base = task()
     assert base.digest == task().digest and len(base.digest) == 64
-    # the same roads, said in another way
+    # the same roads in another notation
     same = {"roads": [{"kind": "iso8608", "road_class": "D"}], "seeds": [1, 2], "length": 40.0}
     assert task(training=same).digest == base.digest
     assert task(title="Another title", note="Read this.").digest == base.digest
@@ -202,7 +228,7 @@ def test_the_digest_changes_with_all_that_decides_the_drives_and_with_nothing_el
         ("instruments", "sensors", "paper", "f_alias"),
     ],
 )
-def test_the_digest_follows_the_content_of_car_and_instruments(
+def test_the_digest_depends_on_the_content_of_vehicle_and_instrument_files(
     tmp_path, field, kind, shipped, number
 ):
     settings = yaml.safe_load((folder() / kind / f"{shipped}.yaml").read_text())
@@ -214,7 +240,7 @@ def test_the_digest_follows_the_content_of_car_and_instruments(
     assert len(digests) == 2
 
 
-def test_the_digest_follows_the_content_of_a_surface_file(tmp_path):
+def test_the_digest_depends_on_the_content_of_a_surface_file(tmp_path):
     path = surface_file(tmp_path, "a.csv", seed=1)
     before = surface_tasks(path)[0].digest
     moved = surface_tasks(surface_file(tmp_path / "elsewhere", "a.csv", seed=1))[0].digest
@@ -230,7 +256,7 @@ def surface_file(folder, name, seed, length=120.0):
     return folder / name
 
 
-def test_a_surface_file_is_judged_both_ways(tmp_path):
+def test_a_surface_file_gives_a_paper_task_and_a_new_road_task(tmp_path):
     paper, new = surface_tasks(surface_file(tmp_path, "course.csv", seed=3))
     assert (paper.name, new.name) == ("course_paper", "course_new_road")
     assert paper.trains_on_test_road and not new.trains_on_test_road
@@ -238,7 +264,7 @@ def test_a_surface_file_is_judged_both_ways(tmp_path):
     assert paper.test.roads_and_seeds[0][0].length == pytest.approx(120.0, abs=0.1)
 
 
-def test_a_short_surface_is_mirrored_and_it_is_said(tmp_path):
+def test_a_short_surface_is_mirrored_with_a_note(tmp_path):
     for t in surface_tasks(surface_file(tmp_path, "tile.csv", seed=4, length=10.0)):
         surface = t.test.roads_and_seeds[0][0].realise(np.random.default_rng(0))
         assert surface.length == pytest.approx(100.0)
@@ -252,7 +278,7 @@ def test_the_class_of_a_surface_is_that_of_its_rougher_path():
     assert surface_class(dataclasses.replace(surface, z=surface.z * [[1.0], [4.0]])) == "E"
 
 
-def test_a_file_that_is_no_surface_is_one_sentence(tmp_path):
+def test_a_file_that_is_no_surface_is_refused(tmp_path):
     path = tmp_path / "bad.csv"
     path.write_text("0 zero\n")
     with pytest.raises(ConfigError, match=r"bad\.csv"):
@@ -268,14 +294,14 @@ def test_drives_are_repeatable_and_one_road_is_the_same_in_every_condition():
     assert first.record.a.shape[1] > fast.record.a.shape[1]
 
 
-def test_the_judge_drives_with_the_step_of_the_task():
+def test_drives_are_simulated_with_the_step_of_the_task():
     t = task(test={"roads": ["iso_d"], "seeds": [11], "length": 20.0, "noise": False})
     finer = dataclasses.replace(t.test, step=0.0005)
     a, b = (next(simulate_drives(t, d, t.conditions[0])).record.a for d in (t.test, finer))
     assert a.shape == b.shape and 0.0 < np.abs(a - b).max() < 0.1 * np.abs(a).max()
 
 
-def test_noise_is_only_where_the_task_wants_it():
+def test_noise_is_simulated_only_if_the_task_has_it():
     t = task(test={"roads": ["flat"], "seeds": [11], "length": 20.0, "noise": False})
     quiet = next(simulate_drives(t, t.test, t.conditions[0])).record
     assert np.abs(quiet.a).max() < 1e-6

@@ -1,4 +1,4 @@
-"""Networks learn the same to the bit with one seed, interrupted or not, and know what they know."""
+"""Training of networks: reproducible, interruptible, validated, causal within the lag."""
 
 from dataclasses import replace
 
@@ -7,8 +7,8 @@ import pytest
 from test_estimator_contract import CAR, drive, fit
 
 from estimators import create, pretrained_weights
-from estimators.api import NotFittedError
-from estimators.networks.inputs import LAG, STATIONS_AHEAD, NetworkInputs
+from estimators.api import LAG, NotFittedError
+from estimators.networks.inputs import STATIONS_AHEAD, NetworkInputs
 from estimators.networks.tcn import Tcn
 from estimators.networks.trainer import (
     SequencePart,
@@ -25,7 +25,7 @@ torch = pytest.importorskip("torch")
 
 
 class Shallow(torch.nn.Module):
-    """The least network that can be taught: a window of three, its errors' spread beside it."""
+    """The smallest trainable network: a window of three stations."""
 
     behind = ahead = 1
 
@@ -39,7 +39,7 @@ class Shallow(torch.nn.Module):
 
 
 def sequence(seed: int, noise: float, size: int = 400) -> TrainingSequence:
-    """What is missing is a window of the inputs, and noise."""
+    """The residual is a linear window of the inputs plus noise."""
     rng = np.random.default_rng(seed)
     x = rng.standard_normal((10, size + 2)).astype(np.float32)
     residual = np.array([0.7 * x[0, 2:] - 0.3 * x[1, :-2], 0.5 * x[2, 1:-1]])
@@ -59,12 +59,12 @@ def test_a_linear_relation_is_learned_and_its_noise_is_the_standard_deviation():
     np.testing.assert_allclose(np.exp(bias[2:]), 0.2, rtol=0.2)
 
 
-class PowerError(Exception):
+class InterruptionError(Exception):
     pass
 
 
-class Memory:
-    """Keeps a state; `last` visits after which the power fails."""
+class MemoryCheckpoint:
+    """Checkpoint in memory; interrupts the training after `last` saves."""
 
     def __init__(self, last: int | None = None):
         self.last, self.state = last, None
@@ -76,17 +76,17 @@ class Memory:
         self.state = {name: np.array(x) for name, x in state.items()}
         self.last = None if self.last is None else self.last - 1
         if self.last == 0:
-            raise PowerError
+            raise InterruptionError
 
 
-@pytest.mark.parametrize("visits", [1, 7, 20])
-def test_an_interrupted_training_gives_the_same_weights_to_the_bit(visits):
+@pytest.mark.parametrize("saves", [1, 7, 20])
+def test_an_interrupted_training_gives_the_same_weights_to_the_bit(saves):
     sequences = [sequence(k, noise=0.1, size=120) for k in range(12)]
     config = CONFIG._replace(steps=60)
     whole, parts = Shallow(), Shallow()
     train_network(whole, sequences, config, 3)
-    memory = Memory(visits)
-    with pytest.raises(PowerError):
+    memory = MemoryCheckpoint(saves)
+    with pytest.raises(InterruptionError):
         train_network(parts, sequences, config, 3, checkpoint=memory)
     memory.last = None
     resumed = Shallow(seed=99)
@@ -96,17 +96,17 @@ def test_an_interrupted_training_gives_the_same_weights_to_the_bit(visits):
 
 
 def test_the_weights_of_the_smallest_validation_error_are_kept():
-    """Held-out drives follow the opposite law: the best is the beginning, and teaching stops."""
+    """The validation drives follow the opposite law: the initial weights are best."""
     sequences = [sequence(k, noise=0.0) for k in range(20)]
     for k in (9, 19):
         sequences[k] = sequences[k]._replace(residual=-sequences[k].residual)
     network = Shallow()
     for weight in network.parameters():
         torch.nn.init.zeros_(weight)
-    said = []
-    train_network(network, sequences, CONFIG, 0, lambda text, share: said.append(share))
+    shares = []
+    train_network(network, sequences, CONFIG, 0, lambda text, share: shares.append(share))
     assert not any(x.any() for name, x in get_weights(network).items() if name == "window.weight")
-    assert len(said) == 8 and said[-1] < 0.5  # six checks without a better one, and it ends
+    assert len(shares) == 8 and shares[-1] < 0.5  # stops after six evaluations without improvement
 
 
 def test_validation_takes_whole_drives_of_many_and_ends_of_few():
@@ -121,9 +121,9 @@ def test_validation_takes_whole_drives_of_many_and_ends_of_few():
 
 def test_a_mirrored_crop_has_roll_and_half_difference_negated():
     part = sequence(0, 0.1)
-    stretch = SequencePart(part, 0, 400)
-    x, _, residual = stretch.crop(10, 5, Shallow, False)
-    turned_x, _, turned = stretch.crop(10, 5, Shallow, True)
+    piece = SequencePart(part, 0, 400)
+    x, _, residual = piece.crop(10, 5, Shallow, False)
+    turned_x, _, turned = piece.crop(10, 5, Shallow, True)
     np.testing.assert_array_equal(residual, part.residual[:, 10:15])
     np.testing.assert_array_equal(turned, [residual[0], -residual[1]])
     roll = [2, 5, 7, 9]
@@ -140,7 +140,7 @@ def test_the_learning_rate_rises_and_falls():
 
 @pytest.mark.parametrize("name", ["tcn_causal", "gru_causal"])
 def test_a_causal_network_uses_samples_up_to_its_lag_and_none_after(name):
-    """The last sample that moves the estimate stands within half a metre before the limit."""
+    """The first station that changes lies within half a metre of the limit."""
     estimator, (record, _) = fit(name), drive(500)
     before = estimator.estimate(record, CAR)
     changed = replace(record, a=np.where(record.s > 12.0, record.a + 5.0, record.a))

@@ -1,4 +1,4 @@
-"""Many environments at once are the single ones, to the bit."""
+"""The vector environment against scalar environments, to the bit."""
 
 import copy
 import pickle
@@ -51,8 +51,8 @@ def vector(options=SHORT, **kwargs):
 
 
 @pytest.mark.parametrize("options", VARIANTS.values(), ids=VARIANTS.keys())
-def test_environment_i_is_the_single_one_seeded_seed_plus_i_in_every_mode(options):
-    number = 10  # more than one block of lanes, the second one not full
+def test_environment_i_equals_the_single_one_with_seed_plus_i_in_every_mode(options):
+    number = 10  # more than one block of lanes, the second one partly filled
     ended = check_vector_env(
         lambda **kwargs: vector(options, **kwargs),
         lambda: RoadReconEnv(**options),
@@ -63,15 +63,15 @@ def test_environment_i_is_the_single_one_seeded_seed_plus_i_in_every_mode(option
     assert ended >= 3 * number / 2
 
 
-def test_neither_company_nor_threads_change_an_environment():
+def test_results_do_not_depend_on_num_envs_or_threads():
     def run(**kwargs):
         envs = vector(**kwargs)
         actions = np.random.default_rng(1).integers(0, 4, (30, 20))
-        seen = [envs.reset(seed=5)[0][:2]]
+        outputs = [envs.reset(seed=5)[0][:2]]
         for row in actions:
             observation, reward, *_ = envs.step(row[: envs.num_envs])
-            seen += [observation[:2], reward[:2]]
-        return seen
+            outputs += [observation[:2], reward[:2]]
+        return outputs
 
     alone = run(num_envs=2)
     for other in (run(num_envs=20), run(num_envs=20, threads=3)):
@@ -79,7 +79,7 @@ def test_neither_company_nor_threads_change_an_environment():
             np.testing.assert_array_equal(one, two)
 
 
-def test_gymnasium_makes_it_and_truncates_through_it():
+def test_make_vec_creates_it_and_max_episode_steps_truncates():
     envs = gym.make_vec(
         "RoadRecon-v0", num_envs=2, vectorization_mode="vector_entry_point", **SHORT
     )
@@ -93,7 +93,7 @@ def test_gymnasium_makes_it_and_truncates_through_it():
 
 
 @pytest.mark.parametrize("clone", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
-def test_a_copy_goes_on_alike(clone):
+def test_a_copy_continues_identically(clone):
     envs = vector()
     envs.reset(seed=2)
     for _ in range(5):
@@ -105,7 +105,7 @@ def test_a_copy_goes_on_alike(clone):
             np.testing.assert_array_equal(a, b)
 
 
-def test_a_car_that_fails_says_why_and_its_neighbours_do_not_notice():
+def test_a_failed_vehicle_reports_a_reason_and_does_not_affect_others():
     healthy, envs = vector(), vector()
     healthy.reset(seed=1)
     envs.reset(seed=1)
@@ -118,11 +118,11 @@ def test_a_car_that_fails_says_why_and_its_neighbours_do_not_notice():
     assert "phi passed 45 degrees at t = 0.050 s" in infos["reason"][2]
     assert np.isfinite(observation).all() and np.isfinite(reward).all()
     np.testing.assert_array_equal(observation[0], expected[0][0])
-    observation, *_ = envs.step(np.zeros(3, dtype=int))  # NEXT_STEP: both begin anew
+    observation, *_ = envs.step(np.zeros(3, dtype=int))  # NEXT_STEP: both restart
     assert np.isfinite(observation).all() and envs.observation_space.contains(observation)
 
 
-def test_reset_options_reach_the_masked_environments_only():
+def test_reset_options_apply_to_the_masked_environments_only():
     envs = vector(autoreset_mode=AutoresetMode.DISABLED)
     envs.reset(seed=0)
     mask = np.array([False, True, False])
@@ -131,27 +131,27 @@ def test_reset_options_reach_the_masked_environments_only():
     assert infos["_speed_kmh"].tolist() == mask.tolist()
 
 
-def test_bad_input_is_refused_in_one_sentence():
+def test_invalid_input_is_rejected_in_one_sentence():
     envs = vector(autoreset_mode="Disabled")
     with pytest.raises(gym.error.ResetNeeded, match="call reset before step"):
         envs.step(np.zeros(3, dtype=int))
     envs.reset(seed=0)
-    for bad, said in (
+    for bad, message in (
         (np.array([0, 4, 0]), "actions must be 0 to 3, got 4 for environment 1"),
         (np.zeros(2, dtype=int), "actions must be 3 whole numbers"),
         (np.zeros(3), "whole numbers, got float64"),
     ):
-        with pytest.raises(ConfigError, match=said):
+        with pytest.raises(ConfigError, match=message):
             envs.step(bad)
     with pytest.raises(ConfigError, match="reset_mask must be an array of 3 bools"):
         envs.reset(options={"reset_mask": np.zeros(3, dtype=bool)})
-    with pytest.raises(ConfigError, match="3 seeds are wanted"):
+    with pytest.raises(ConfigError, match="seed must be one number or 3 numbers, got 2"):
         envs.reset(seed=[1, 2])
     with pytest.raises(ConfigError, match="num_envs must be a whole number"):
         vector(num_envs=0)
     with pytest.raises(ConfigError, match="unknown autoreset mode"):
         vector(autoreset_mode="never")
-    with pytest.raises(ConfigError, match="make pictures with"):
+    with pytest.raises(ConfigError, match="render with"):
         vector(render_mode="rgb_array")
     with pytest.raises(gym.error.ResetNeeded, match="have ended"):
         for _ in range(40):
@@ -159,7 +159,7 @@ def test_bad_input_is_refused_in_one_sentence():
 
 
 class Faulty(RoadReconVectorEnv):
-    """Makes one of the mistakes that the checker is there to find."""
+    """Vector environment with one of the faults that the checker has to detect."""
 
     def __init__(self, fault, **options):
         super().__init__(**options)
@@ -193,9 +193,9 @@ class Faulty(RoadReconVectorEnv):
 
 
 FAULTS = {
-    "mode": "no mode",
-    "space": "is not 3 times",
-    "seed": "another observation",
+    "mode": "must be AutoresetMode",
+    "space": "must be a batch of 3",
+    "seed": "the observation differs",
     "buffer": "have changed",
     "reward": "reward, terminated, truncated are",
     "final": "final_obs is not the last observation",
@@ -204,9 +204,9 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("fault, said", FAULTS.items())
-def test_the_checker_finds(fault, said):
-    with pytest.raises(VectorCheckError, match=said):
+@pytest.mark.parametrize("fault, message", FAULTS.items())
+def test_the_checker_detects(fault, message):
+    with pytest.raises(VectorCheckError, match=message):
         check_vector_env(
             lambda **kwargs: Faulty(fault, **kwargs, **SHORT),
             lambda: RoadReconEnv(**SHORT),
@@ -222,12 +222,12 @@ CRUEL = {
     ),
     "twist": ({"road": "twist", "speed_kmh": [30.0, 90.0]}, 5000),
 }
-"""10 000 episodes: options and how many of them."""
+"""Options and number of episodes, 10 000 in total."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("options, episodes", CRUEL.values(), ids=CRUEL.keys())
-def test_hostile_episodes_end_in_numbers_or_with_a_reason(options, episodes):
+def test_extreme_episodes_stay_finite_or_end_with_a_reason(options, episodes):
     number, ended = 500, 0
     envs = RoadReconVectorEnv(
         num_envs=number,

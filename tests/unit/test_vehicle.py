@@ -1,4 +1,4 @@
-"""The vehicle's description: the paper's numbers, and the loads that follow from them."""
+"""Vehicle parameters: the values of the paper and the static loads that follow from them."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ PAPER = oracles.PAPER_CAR
 every_car = pytest.mark.parametrize("name", CARS)
 
 
-def test_the_shipped_defender_has_the_papers_numbers():
+def test_the_shipped_defender_has_the_papers_parameters():
     for name in ("m_b", "I_xx", "I_yy"):
         assert getattr(DEFENDER, name) == getattr(PAPER, name)
     for ours, theirs in zip(DEFENDER.axles, (PAPER.front, PAPER.rear), strict=True):
@@ -26,7 +26,7 @@ def test_the_shipped_defender_has_the_papers_numbers():
     assert DEFENDER.wheelbase == pytest.approx(2.794)
 
 
-def test_the_nominal_pressure_carries_the_defender():
+def test_the_static_gas_pressure_carries_the_defender():
     struts = 4.0 * oracles.P_STAT * oracles.BORE
     assert struts == pytest.approx(DEFENDER.m_b * oracles.G, rel=5e-4)
 
@@ -43,12 +43,12 @@ def test_loads_add_up_to_the_weight_and_balance_about_the_centre_of_mass(name):
     assert front * car.front.x + rear * car.rear.x == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_heavier_end_is_the_one_nearer_the_centre_of_mass():
+def test_the_axle_nearer_the_centre_of_mass_has_the_larger_load():
     front, rear = CARS["unequal_axles"].strut_loads
     assert front / rear == pytest.approx(1.6 / 1.2)
 
 
-def test_the_defenders_axles_share_the_load_as_printed():
+def test_the_load_share_of_the_defenders_axles_is_as_published():
     front, rear = DEFENDER.strut_loads
     assert front / (front + rear) == pytest.approx(0.5007, abs=5e-5)
 
@@ -63,7 +63,7 @@ def test_tyre_deflections_come_from_the_loads_unless_one_is_given(name):
     assert replace(car, tyre_static_deflection=0.010).tyre_deflections == (0.010, 0.010)
 
 
-def test_a_replaced_value_is_checked_as_a_loaded_one():
+def test_replaced_values_are_validated():
     with pytest.raises(ValueError, match="m_b must be positive"):
         replace(DEFENDER, m_b=0.0)
 

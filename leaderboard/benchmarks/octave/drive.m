@@ -1,8 +1,9 @@
-% Drive the vehicle by Octave's own ode23s: `octave drive.m problem.mat answer.mat`.
+% Integrate the drive with ode23s of Octave: `octave drive.m problem.mat answer.mat`.
 %
-% problem.mat holds the vehicle's numbers and tables, the road, and where and how to integrate;
-% answer.mat gets the states (N, 14) at the wanted times and the seconds that the solver took.
-% Struts push along the rows of B, tyres along those of G: q' F is work, so forces enter as B' F.
+% problem.mat holds the vehicle constants and force tables, the road, and the solver options;
+% answer.mat receives the states (N, 14) at the output times and the solver time [s].
+% Strut forces act along the rows of B, tyre forces along those of G (principle of virtual work),
+% so generalised forces are B' F.
 1;
 
 function F = curve(c, x_0, dx, x)

@@ -1,21 +1,20 @@
-"""Reader of ERD files, the format of UMTRI's Engineering Research Division in which profilers and
-road-profile software hand on what they measured (M.W. Sayers, S.M. Karamihas, "ERD file format
-for storage and analysis of road profiles", UMTRI; M. Sayers, UMTRI-87-2, 1987).
+"""Reader of ERD files, the exchange format of profilers and road-profile software by UMTRI's
+Engineering Research Division (M.W. Sayers, S.M. Karamihas, "ERD file format for storage and
+analysis of road profiles", UMTRI; M. Sayers, UMTRI-87-2, 1987).
 
     ERDFILEV2.00
-    channels, samples, records, bytes, type, step, ...      how the numbers are stored
-    SHORTNAMLElev.  RElev.                                  a keyword of 8 characters, then its text
-    UNITSNAMmm      mm                                      8 characters for each channel
+    channels, samples, records, bytes, type, step, ...      storage of the numbers
+    SHORTNAMLElev.  RElev.                                  keyword of 8 characters, then its text
+    UNITSNAMmm      mm                                      8 characters per channel
     XUNITS  m                                               unit of the step
     END
 
-Then come the numbers, sample after sample with one of each channel: as text (type 5), or as 4-byte
-floats (type 1) in a second file of the same name that ends in ".bin". Those are in the byte order
-of the machine that wrote them, which the header does not tell: it is the one in which most of them
-are sensible numbers.
+The numbers follow sample by sample, one number per channel: as text (type 5), or as 4-byte floats
+(type 1) in a second file with the suffix ".bin". The header does not state the byte order of these
+floats; the reader takes the order in which most of them have a plausible magnitude.
 
-The wheel paths are the channels of a length that are called left and right; a channel that is
-alone stands for both. What has no unit, or is of another type, is refused.
+The wheel paths are the channels with a unit of length that are called left and right; a single
+channel is used for both paths. Channels without a unit and other number types are errors.
 """
 
 import re
@@ -33,7 +32,7 @@ from road_envs.roads.formats.opencrg import (
 from road_envs.roads.formats.table import WheelPaths, parse_number_rows
 
 FLOAT, TEXT = 1, 5
-"""Types of the numbers that are read."""
+"""Number types that can be read."""
 
 UNITS = {
     "m": 1.0,
@@ -50,17 +49,17 @@ UNITS = {
 """Metres in each unit of length."""
 
 PLAUSIBLE_RANGE = (1e-9, 1e9)
-"""Between these lies the size of nearly every number that was read in the right byte order."""
+"""Range of the magnitude of plausible numbers other than 0."""
 
 MIN_PLAUSIBLE_SHARE = 0.9
-"""A file with a smaller share of sensible numbers in either byte order is refused."""
+"""Least fraction of plausible numbers that the better byte order must reach."""
 
 MAX_CHANNELS = 1000
 
 
 @dataclass(frozen=True)
 class Header:
-    """What a header says; `samples` is 0 where it leaves them to be counted."""
+    """Contents of a header; `samples` is 0 if it does not state their number. `step` [m]."""
 
     channels: int
     samples: int
@@ -70,18 +69,21 @@ class Header:
 
 
 def read(path: str | Path) -> WheelPaths:
-    """Both wheel paths in the file `path`, the numbers perhaps in the ".bin" beside it."""
+    """Read both wheel paths from `path` and, for binary numbers, from the ".bin" file next to it.
+
+    Raises SurfaceFileError.
+    """
     header, body = parse_header(read_bytes(path))
     if header.number_type == FLOAT:
-        beside = Path(path).with_suffix(".bin")
-        if not beside.is_file():
-            raise SurfaceFileError(f"its numbers should be in {beside.name}, which is missing")
-        body = read_bytes(beside)
+        binary = Path(path).with_suffix(".bin")
+        if not binary.is_file():
+            raise SurfaceFileError(f"its numbers should be in {binary.name}, which is missing")
+        body = read_bytes(binary)
     return parse_numbers(header, body)
 
 
 def parse_header(data: bytes) -> tuple[Header, bytes]:
-    """The header in the bytes of a file, and the bytes that follow it."""
+    """Return the header in the bytes of a file, and the bytes after it. Raises SurfaceFileError."""
     if data[:9].upper() != b"ERDFILEV2":
         raise SurfaceFileError("not an ERD file: it does not begin with ERDFILEV2")
     data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
@@ -91,28 +93,32 @@ def parse_header(data: bytes) -> tuple[Header, bytes]:
     lines = data[: end.start()].decode("latin-1").split("\n")
     fields = lines[1].split(",")
     if len(fields) < 6:
-        raise SurfaceFileError(f"damaged: its second line has {len(fields)} numbers, wanted 6")
+        raise SurfaceFileError(f"damaged: its second line has {len(fields)} numbers instead of 6")
     channels, samples, number_type = (_whole_number(fields[k]) for k in (0, 1, 4))
     if not 0 < channels <= MAX_CHANNELS:
-        raise SurfaceFileError(f"damaged: {channels} channels")
+        raise SurfaceFileError(
+            f"damaged: {channels} channels, the number must be 1 to {MAX_CHANNELS}"
+        )
     if number_type not in (FLOAT, TEXT):
         raise SurfaceFileError(
-            f"numbers of type {number_type}; known: 1 (4-byte float) and 5 (text)"
+            f"unknown number type {number_type}; known: 1 (4-byte float) and 5 (text)"
         )
     keywords = _keywords(lines[2:])
     step = _number(fields[5]) * _metres(keywords.get("XUNITS", ""), "the step")
     if not 0.0 < step < MAX_LENGTH:
-        raise SurfaceFileError(f"a step of {step:g} m")
+        raise SurfaceFileError(
+            f"the step must be positive and below {MAX_LENGTH:g} m, got {step:g} m"
+        )
     return Header(channels, max(0, samples), number_type, step, keywords), data[end.end() :]
 
 
 def parse_numbers(header: Header, body: bytes) -> WheelPaths:
-    """Both wheel paths from the bytes that hold the numbers."""
+    """Return both wheel paths from the bytes with the numbers. Raises SurfaceFileError."""
     values = _text(body) if header.number_type == TEXT else _floats(body)
     samples, rest = divmod(values.size, header.channels)
     if rest or not samples or samples != (header.samples or samples):
         raise SurfaceFileError(
-            f"damaged: {values.size} numbers where the header says {header.samples or 'whole'} "
+            f"damaged: {values.size} numbers, but the header states {header.samples or 'complete'} "
             f"samples of {header.channels} channels"
         )
     table = values.reshape(samples, header.channels)
@@ -129,23 +135,23 @@ def _text(body: bytes) -> np.ndarray:
 
 def _floats(body: bytes) -> np.ndarray:
     if len(body) % 4:
-        raise SurfaceFileError(f"damaged: {len(body)} bytes are no whole number of 4-byte floats")
+        raise SurfaceFileError(f"damaged: {len(body)} bytes are not a multiple of 4-byte floats")
     both = [np.frombuffer(body, f"{order}f4") for order in "<>"]
     shares = [_plausible_share(values) for values in both]
     if max(shares) < MIN_PLAUSIBLE_SHARE:
-        raise SurfaceFileError("damaged: its numbers are not sensible in either byte order")
+        raise SurfaceFileError("damaged: its numbers are implausible in either byte order")
     return both[int(np.argmax(shares))].astype(float)
 
 
 def _plausible_share(values: np.ndarray) -> float:
-    """Share of `values` (N,) that are 0, missing or of a sensible size."""
+    """Return the fraction of `values` (N,) that are 0, NaN or of a plausible magnitude."""
     size = np.abs(values[(values != 0.0) & ~np.isnan(values)])
-    strange = (size < PLAUSIBLE_RANGE[0]) | (size > PLAUSIBLE_RANGE[1])
-    return 1.0 - strange.sum() / max(1, values.size)
+    implausible = (size < PLAUSIBLE_RANGE[0]) | (size > PLAUSIBLE_RANGE[1])
+    return 1.0 - implausible.sum() / max(1, values.size)
 
 
 def _left_and_right(header: Header) -> list[tuple[int, float]]:
-    """Channel, and metres in its unit, of the left and of the right wheel path."""
+    """Return the channel index and its unit in metres, for the left and right wheel path."""
     short, long, unit = (
         _fields(header, key, width)
         for key, width in (("SHORTNAM", 8), ("LONGNAME", 32), ("UNITSNAM", 8))
@@ -156,25 +162,26 @@ def _left_and_right(header: Header) -> list[tuple[int, float]]:
     else:
         pair = []
         for letter, word in (("l", "left"), ("r", "right")):
-            called = re.compile(rf"{letter}\W*elev|.*\b{word}\b", re.IGNORECASE)
-            found = [k for k in lengths if called.match(short[k]) or called.match(long[k])]
-            if len(found) != 1:
+            pattern = re.compile(rf"{letter}\W*elev|.*\b{word}\b", re.IGNORECASE)
+            matches = [k for k in lengths if pattern.match(short[k]) or pattern.match(long[k])]
+            if len(matches) != 1:
                 channels = ", ".join(f"{name} [{u}]" for name, u in zip(short, unit, strict=True))
                 raise SurfaceFileError(
-                    f"{len(found)} of its channels are the {word} wheel path: {channels:.200}"
+                    f"{len(matches)} channels match the {word} wheel path, expected 1 among: "
+                    f"{channels:.200}"
                 )
-            pair += found
+            pair += matches
     return [(k, _metres(unit[k], f"channel {k + 1}")) for k in pair]
 
 
 def _fields(header: Header, keyword: str, width: int) -> list[str]:
-    """What stands for each channel under a keyword, each `width` characters wide."""
+    """Return the text of each channel under a keyword, `width` characters per channel."""
     text = header.keywords.get(keyword, "")
     return [text[k * width : (k + 1) * width].strip() for k in range(header.channels)]
 
 
 def _keywords(lines: list[str]) -> dict[str, str]:
-    """Text by keyword; of a keyword that comes again the first text counts."""
+    """Return the texts by keyword; the first of repeated keywords counts."""
     return {line[:8].strip().upper(): line[8:] for line in reversed(lines)}
 
 
@@ -188,7 +195,7 @@ def _metres(unit: str, what: str) -> float:
 def _whole_number(text: str) -> int:
     value = _number(text)
     if value != round(value):
-        raise SurfaceFileError(f"damaged: {text.strip()!r} in its second line is no whole number")
+        raise SurfaceFileError(f"damaged: {text.strip()!r} in its second line is not an integer")
     return int(value)
 
 
@@ -198,5 +205,5 @@ def _number(text: str) -> float:
     except ValueError:
         value = np.inf
     if not abs(value) < 1e12:
-        raise SurfaceFileError(f"damaged: {text.strip()!r:.40} in its second line is no number")
+        raise SurfaceFileError(f"damaged: {text.strip()!r:.40} in its second line is not a number")
     return value

@@ -1,17 +1,17 @@
 """Reader of OpenCRG files (curved regular grids; ASAM OpenCRG 1.2, sections 6.1 to 6.4.7).
 
-A file is a header of named blocks ("$ROAD_CRG" ... "$"), a line that starts with "$$", and the
-data: one row of channels per station u, in one of four formats,
+A file has a header of named blocks ("$ROAD_CRG" ... "$"), a line that starts with "$$", and the
+payload: one row of channels per station u, in one of four data formats,
 
-    LRFI, LDFI   text: 10 or 20 characters a number, 80 a record, a row begins a new record
-    KRBI, KDBI   big-endian float32 or float64, filled up with NaN to a multiple of 80 bytes
+    LRFI, LDFI   text: 10 or 20 characters per number, 80 per record, each row on a new record
+    KRBI, KDBI   big-endian float32 or float64, padded with NaN to a multiple of 80 bytes
 
-Only heights over (u, v) are read, scaled as the file's modifiers say; a missing height stays NaN.
-Heading, slope and banking of the reference line are the lay of the land rather than its
-roughness: they are left out, and a note says so where they matter.
+Only the heights over (u, v) are read and scaled by the modifiers of the file; missing heights are
+NaN. Heading, slope and banking of the reference line are topography rather than roughness: they are
+ignored, with a note if they are not 0.
 
-Whatever is inconsistent raises SurfaceFileError. Nothing is allocated before the payload has been
-found to be as long as the header demands.
+Any inconsistency raises SurfaceFileError. The length of the payload is checked against the header
+before anything is allocated, so that a damaged header cannot exhaust memory.
 """
 
 import math
@@ -26,24 +26,26 @@ import numpy as np
 from road_envs.config import ConfigError
 
 RECORD = 80
+"""Characters or bytes of one record."""
 WIDTHS = {"LRFI": 10, "LDFI": 20, "KRBI": 4, "KDBI": 8}
 """Characters or bytes of one number."""
 MAX_HEIGHT = 1e4
-"""Heights [m] beyond this are no road of this planet but a damaged file."""
+"""Largest height [m] of an intact file; it exceeds any on Earth."""
 MAX_LENGTH = 1e7
-"""Likewise lengths [m]."""
+"""Largest length [m] of an intact file."""
 DEFAULT_INCREMENT = 0.01
+"""Increment of u and v [m] if the header states none."""
 
 
 class SurfaceFileError(ConfigError):
-    """A surface file that cannot be used, and why."""
+    """A surface file cannot be used."""
 
 
 @dataclass(frozen=True, eq=False)
 class CurvedGrid:
-    """Heights `z` (nu, nv) [m], NaN where unknown, at u = `u_start` + k `du` [m] and `v` (nv,) [m].
+    """Heights `z` (nu, nv) [m] at u = `u_start` + k `du` [m] and `v` (nv,) [m]; NaN if missing.
 
-    u runs along the reference line, v is positive to the left and increases.
+    u runs along the reference line; v is positive to the left and increasing.
     """
 
     z: np.ndarray
@@ -54,13 +56,13 @@ class CurvedGrid:
 
 
 def read_crg(path: str | Path) -> CurvedGrid:
-    """The grid in a file. Raises SurfaceFileError naming file and reason."""
+    """Read the grid in a file. Raises SurfaceFileError with file name and reason."""
     with error_context(path):
         return parse(read_bytes(path))
 
 
 def read_bytes(path: str | Path) -> bytes:
-    """The bytes of a regular file."""
+    """Return the bytes of a regular file. Raises SurfaceFileError if there is none."""
     if not Path(path).is_file():
         raise SurfaceFileError("no such file")
     return Path(path).read_bytes()
@@ -68,7 +70,7 @@ def read_bytes(path: str | Path) -> bytes:
 
 @contextmanager
 def error_context(path: str | Path) -> Iterator[None]:
-    """Puts the name of the file before what goes wrong with it."""
+    """Prefix errors about a file with its path."""
     try:
         yield
     except OSError as error:
@@ -78,10 +80,10 @@ def error_context(path: str | Path) -> Iterator[None]:
 
 
 def parse(data: bytes) -> CurvedGrid:
-    """The grid in the bytes of a file."""
+    """Return the grid in the bytes of a file. Raises SurfaceFileError."""
     blocks, payload = _split(data)
     if "ROAD_CRG_FILE" in blocks:
-        raise SurfaceFileError("it only refers to another file ($ROAD_CRG_FILE): give that one")
+        raise SurfaceFileError("it only refers to another file ($ROAD_CRG_FILE); use that file")
     for name in ("ROAD_CRG", "KD_DEFINITION"):
         if name not in blocks:
             raise SurfaceFileError(f"not an OpenCRG file: no ${name} block")
@@ -101,17 +103,17 @@ def parse(data: bytes) -> CurvedGrid:
 
 
 def _split(data: bytes) -> tuple[dict[str, list[str]], bytes]:
-    """Blocks of the header, by upper-case name, and the payload."""
+    """Return the lines of the header's blocks by upper-case name, and the payload."""
     blocks: dict[str, list[str]] = {}
-    block, at = None, 0
-    while at < len(data):
-        end = data.find(b"\n", at)
+    block, position = None, 0
+    while position < len(data):
+        end = data.find(b"\n", position)
         if end < 0:
             break
-        line = data[at:end].rstrip(b"\r")[:72].decode("latin-1")
-        at = end + 1
+        line = data[position:end].rstrip(b"\r")[:72].decode("latin-1")
+        position = end + 1
         if line.startswith("$$") and block != "CT":
-            return blocks, data[at:]
+            return blocks, data[position:]
         if line.startswith("$"):
             block = re.split(r"[\s!]", line[1:], maxsplit=1)[0].upper() or None
             if block in blocks and block != "CT":
@@ -124,15 +126,15 @@ def _split(data: bytes) -> tuple[dict[str, list[str]], bytes]:
 
 
 def _numbers(lines: list[str], block: str) -> dict[str, float]:
-    """The settings of a block that are read here, by lower-case key."""
-    wanted = re.compile(
+    """Return the settings of a block that this reader uses, by lower-case key."""
+    used = re.compile(
         r"reference_line_(start_[usb]|end_[usb]|increment)|long_section_v_\w+|scale_.*"
     )
     values: dict[str, float] = {}
     for line in lines:
         key, _, text = line.partition("=")
         key = key.strip().lower()
-        if not wanted.fullmatch(key):
+        if not used.fullmatch(key):
             continue
         if key in values:
             raise SurfaceFileError(f"{key} appears twice in ${block}")
@@ -141,7 +143,7 @@ def _numbers(lines: list[str], block: str) -> dict[str, float]:
 
 
 def _virtual_u(lines: list[str]) -> dict[str, float]:
-    """Start and increment of u as the data definition has them, rounded for viewing."""
+    """Return start and increment of u from the data definition, where they are rounded."""
     for line in lines:
         name, *rest = (part.strip() for part in line.split(","))
         if name.lower() == "u:reference line u" and len(rest) == 3:
@@ -161,7 +163,7 @@ def _number(text: str, what: str) -> float:
 
 
 def _channels(lines: list[str]) -> tuple[str, list[tuple[str, str]]]:
-    """Format of the payload, and (name, unit) of each of its channels."""
+    """Return the data format of the payload and the (name, unit) of its channels."""
     data_format, channels = "KRBI", []
     for line in lines:
         if line.startswith("#:"):
@@ -179,35 +181,37 @@ def _channels(lines: list[str]) -> tuple[str, list[tuple[str, str]]]:
 def _sections(
     channels: list[tuple[str, str]], road: dict[str, float]
 ) -> tuple[list[int], np.ndarray]:
-    """Columns of the long sections, from right to left, and their v [m]."""
-    found = [(k, name, unit) for k, (name, unit) in enumerate(channels) if "long section" in name]
-    if len(found) < 2:
-        raise SurfaceFileError(f"at least 2 long sections are wanted, got {len(found)}")
-    for _, name, unit in found:
+    """Return the columns of the long sections from right to left, and their v [m]."""
+    named = [(k, name, unit) for k, (name, unit) in enumerate(channels) if "long section" in name]
+    if len(named) < 2:
+        raise SurfaceFileError(f"at least 2 long sections are required, got {len(named)}")
+    for _, name, unit in named:
         if unit != "m":
-            raise SurfaceFileError(f"{name!r} is in {unit!r}, not in m")
-    by_place = [re.fullmatch(r"long section at v ?= ?(\S+)", name) for _, name, _ in found]
-    by_number = [re.fullmatch(r"long section (\d+)", name) for _, name, _ in found]
-    if all(by_place):
-        v = np.array([_number(m[1], m[0]) for m in by_place if m])
+            raise SurfaceFileError(f"{name!r} is in {unit!r}, the unit must be m")
+    by_position = [re.fullmatch(r"long section at v ?= ?(\S+)", name) for _, name, _ in named]
+    by_number = [re.fullmatch(r"long section (\d+)", name) for _, name, _ in named]
+    if all(by_position):
+        v = np.array([_number(m[1], m[0]) for m in by_position if m])
     elif all(by_number):
         numbers = np.array([float(m[1]) for m in by_number if m])
-        if sorted(numbers) != list(range(1, len(found) + 1)):
-            raise SurfaceFileError(f"long sections are not numbered 1 to {len(found)}")
-        first, increment = _lateral_grid(road, len(found))
+        if sorted(numbers) != list(range(1, len(named) + 1)):
+            raise SurfaceFileError(f"long sections are not numbered 1 to {len(named)}")
+        first, increment = _lateral_grid(road, len(named))
         v = first + increment * (numbers - 1.0)
     else:
-        raise SurfaceFileError("long sections are neither all numbered nor all placed 'at v = '")
+        raise SurfaceFileError("long sections are neither all numbered nor all given 'at v = '")
     order = np.argsort(v)
     if not (np.abs(v) < MAX_LENGTH).all():
-        raise SurfaceFileError(f"a long section stands at v = {np.abs(v).max():g} m")
+        raise SurfaceFileError(
+            f"v of long sections must be below {MAX_LENGTH:g} m, got {np.abs(v).max():g} m"
+        )
     if not (np.diff(v[order]) > 0.0).all():
-        raise SurfaceFileError("two long sections stand at the same v")
-    return [found[k][0] for k in order], v[order]
+        raise SurfaceFileError("two long sections have the same v")
+    return [named[k][0] for k in order], v[order]
 
 
 def _lateral_grid(road: dict[str, float], sections: int) -> tuple[float, float]:
-    """Place v of the rightmost numbered section and distance of two sections [m]."""
+    """Return v of the rightmost numbered section and the spacing of the sections [m]."""
     right, left, step = (road.get(f"long_section_v_{k}") for k in ("right", "left", "increment"))
     if step is None and right is not None and left is not None:
         step = (left - right) / (sections - 1)
@@ -230,42 +234,45 @@ def _increment(road: dict[str, float]) -> float:
 
 def _positive(values: dict[str, float], key: str, default: float) -> float:
     if not 0.0 < values.get(key, default) < MAX_LENGTH:
-        raise SurfaceFileError(f"{key} must be positive and sensible, got {values[key]:g}")
+        raise SurfaceFileError(
+            f"{key} must be positive and below {MAX_LENGTH:g}, got {values[key]:g}"
+        )
     return values.get(key, default)
 
 
 def _rows(road: dict[str, float]) -> int | None:
-    """Rows that the header announces, if it says where the reference line ends."""
+    """Return the number of rows stated by the header, or None if it states no end of u."""
     if "reference_line_end_u" not in road:
         return None
     length = road["reference_line_end_u"] - road.get("reference_line_start_u", 0.0)
     steps = length / _increment(road)
     if not (0.5 < steps < 1e12 and abs(steps - round(steps)) < 0.1):
         raise SurfaceFileError(
-            f"a reference line of {length:g} m has no whole number of steps of {_increment(road)} m"
+            f"a reference line of {length:g} m is not a whole number of steps of "
+            f"{_increment(road)} m"
         )
     return round(steps) + 1
 
 
 def _table(payload: bytes, data_format: str, columns: int, rows: int | None) -> np.ndarray:
-    """All channels (nu, columns)."""
+    """Return all channels (nu, columns)."""
     read = _binary if data_format.startswith("K") else _text
     table = read(payload, WIDTHS[data_format], columns, rows)
     if len(table) < 2:
-        raise SurfaceFileError(f"at least 2 rows of data are wanted, got {len(table)}")
+        raise SurfaceFileError(f"at least 2 rows of data are required, got {len(table)}")
     return table
 
 
 def _binary(payload: bytes, width: int, columns: int, rows: int | None) -> np.ndarray:
     whole = len(payload) % RECORD == 0
     if rows is None and not whole:
-        raise SurfaceFileError(f"damaged: {len(payload)} bytes of data, no multiple of {RECORD}")
-    wanted = (rows or 0) * columns * width
-    if len(payload) < wanted or not (whole or len(payload) == wanted):
-        padded = -(-wanted // RECORD) * RECORD
+        raise SurfaceFileError(f"damaged: {len(payload)} bytes of data, not a multiple of {RECORD}")
+    expected = (rows or 0) * columns * width
+    if len(payload) < expected or not (whole or len(payload) == expected):
+        padded = -(-expected // RECORD) * RECORD
         raise SurfaceFileError(
-            f"damaged: {len(payload)} bytes of data where the header asks for {padded} "
-            f"({rows} rows of {columns} channels); was it transferred as text, or cut off?"
+            f"damaged: {len(payload)} bytes of data where the header requires {padded} "
+            f"({rows} rows of {columns} channels); was it transferred as text, or truncated?"
         )
     values = np.frombuffer(payload, f">f{width}", len(payload) // width)
     if rows is None:
@@ -274,7 +281,7 @@ def _binary(payload: bytes, width: int, columns: int, rows: int | None) -> np.nd
         rows = min(rows, values.size // columns)
     if not np.isnan(values[rows * columns :]).all():
         raise SurfaceFileError(f"damaged: more data than {rows} rows of {columns} channels")
-    with np.errstate(invalid="ignore"):  # signalling NaN
+    with np.errstate(invalid="ignore"):  # a signalling NaN would warn
         return values[: rows * columns].reshape(rows, columns).astype(float)
 
 
@@ -282,20 +289,20 @@ def _text(payload: bytes, width: int, columns: int, rows: int | None) -> np.ndar
     payload = payload.rstrip()
     per_line = RECORD // width
     counts = [min(per_line, columns - k) for k in range(0, columns, per_line)]
-    given, rest = divmod(payload.count(b"\n") + 1, len(counts))
-    if rest or given != (rows or given):
-        wanted = f"{rows * len(counts)}" if rows else f"a multiple of {len(counts)}"
+    n_rows, rest = divmod(payload.count(b"\n") + 1, len(counts))
+    if rest or n_rows != (rows or n_rows):
+        expected = f"{rows * len(counts)}" if rows else f"a multiple of {len(counts)}"
         raise SurfaceFileError(
-            f"damaged: {given * len(counts) + rest} lines of data, the header asks for {wanted}"
+            f"damaged: {n_rows * len(counts) + rest} lines of data, the header requires {expected}"
         )
-    if len(payload) < given * width * (columns - len(counts)):
-        raise SurfaceFileError(f"damaged: too short for {given} rows of {columns} values")
+    if len(payload) < n_rows * width * (columns - len(counts)):
+        raise SurfaceFileError(f"damaged: too short for {n_rows} rows of {columns} values")
     lines = payload.split(b"\n")
     return np.hstack([_fields(lines[k :: len(counts)], n, width) for k, n in enumerate(counts)])
 
 
 def _fields(lines: list[bytes], count: int, width: int) -> np.ndarray:
-    """The `count` numbers that stand on each line; those with a leading asterisk are NaN."""
+    """Return the `count` numbers on each line; a leading asterisk means NaN."""
     for row, line in enumerate(lines, start=1):
         if len(line.rstrip()) <= (count - 1) * width:
             raise SurfaceFileError(f"damaged: row {row} of the data is too short: {line!r}")
@@ -310,24 +317,27 @@ def _fields(lines: list[bytes], count: int, width: int) -> np.ndarray:
 
 
 def checked_heights(z: np.ndarray, scale: float = 1.0) -> np.ndarray:
-    """`scale` times `z` (any shape) [m], if those are heights of a road; NaN may be among them."""
+    """Return `scale` times `z` (any shape) [m]; NaN is allowed.
+
+    Raises SurfaceFileError if a height is not below MAX_HEIGHT.
+    """
     with np.errstate(all="ignore"):
-        worst = np.nan_to_num(np.abs(scale * z), posinf=np.inf).max()
-    if not worst < MAX_HEIGHT:
-        raise SurfaceFileError(f"damaged: a height of {worst:g} m")
+        largest = np.nan_to_num(np.abs(scale * z), posinf=np.inf).max()
+    if not largest < MAX_HEIGHT:
+        raise SurfaceFileError(f"damaged: a height of {largest:g} m")
     return scale * z
 
 
 def _notes(
     table: np.ndarray, channels: list[tuple[str, str]], road: dict[str, float]
 ) -> tuple[str, ...]:
-    """What of the reference line is left out."""
+    """Return a note on ignored properties of the reference line, if any is not 0."""
     column = {name: np.nan_to_num(table[1:, k]) for k, (name, _) in enumerate(channels)}
     none = np.zeros(1)
-    left = {
+    ignored = {
         "heading": np.ptp(column.get("reference line phi", none)),
         "slope": column.get("reference line slope", road.get("reference_line_start_s", none)),
         "banking": column.get("reference line banking", road.get("reference_line_start_b", none)),
     }
-    names = [name for name, values in left.items() if np.any(values)]
-    return (f"{', '.join(names)} of the reference line left out",) if names else ()
+    names = [name for name, values in ignored.items() if np.any(values)]
+    return (f"{', '.join(names)} of the reference line ignored",) if names else ()

@@ -1,8 +1,8 @@
-"""Tables of distance and height as wheel paths: plain text, and Parquet.
+"""Reader of tables of distance and height: plain text and Parquet.
 
-A table has the columns distance, left, right [m], or distance and one height for both paths. In
-a text file they stand apart by white space, comma, semicolon or tab; lines that begin with "#"
-and one line of names are skipped. In a Parquet file the columns go by their names.
+A table has the columns distance, left, right [m], or distance and one height for both wheel paths.
+Columns of a text file are separated by white space, comma, semicolon or tab; lines that begin with
+"#" and one line of column names are skipped. Columns of a Parquet file are found by name.
 """
 
 import re
@@ -13,17 +13,17 @@ from road_envs._extras import optional_import
 from road_envs.roads.formats.opencrg import MAX_LENGTH, SurfaceFileError, checked_heights
 
 EVEN_TOLERANCE = 1e-3
-"""Spacings that differ from their median by less than this share of it count as even."""
+"""Stations are uniform if no spacing differs from the median by more than this fraction of it."""
 
 MAX_COMPRESSION = 100
-"""A Parquet file that claims more bytes of numbers than this many times its own is refused."""
+"""Largest ratio of uncompressed numbers to file size; guards against decompression bombs."""
 
 WheelPaths = tuple[np.ndarray, float, tuple[str, ...]]
 """Heights (2, N) [m] of the left and right wheel path, their spacing [m], and notes."""
 
 
 def parse_text(data: bytes) -> WheelPaths:
-    """Both wheel paths from the bytes of a text file."""
+    """Return both wheel paths from the bytes of a text file. Raises SurfaceFileError."""
     try:
         text = re.sub("[,;\t]", " ", data.decode("utf-8-sig"))
     except UnicodeDecodeError:
@@ -35,7 +35,7 @@ def parse_text(data: bytes) -> WheelPaths:
     table = parse_number_rows(lines)
     if table.shape[1] not in (2, 3):
         raise SurfaceFileError(
-            f"wanted the columns distance, left, right, or distance, height, "
+            f"the columns must be distance, left, right, or distance, height, "
             f"got {table.shape[1]} columns"
         )
     order = [1, -1]
@@ -45,7 +45,7 @@ def parse_text(data: bytes) -> WheelPaths:
 
 
 def parse_parquet(data: bytes) -> WheelPaths:
-    """Both wheel paths from the bytes of a Parquet file."""
+    """Return both wheel paths from the bytes of a Parquet file. Raises SurfaceFileError."""
     with optional_import("a table as CSV or Parquet"):
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -67,12 +67,15 @@ def parse_parquet(data: bytes) -> WheelPaths:
         raise
     except (pa.ArrowException, OSError, ValueError, TypeError, OverflowError) as error:
         reason = " ".join(str(error).split())
-        raise SurfaceFileError(f"no readable Parquet file: {reason}") from None
+        raise SurfaceFileError(f"not a readable Parquet file: {reason}") from None
     return resample_evenly(columns[0], checked_heights(np.array([columns[1], columns[-1]])))
 
 
 def parse_number_rows(lines: list[str], comments: str | None = "#") -> np.ndarray:
-    """The numbers (M, K) on `lines` that have equally many each, up to a mark of `comments`."""
+    """Return the numbers (M, K) of `lines` with K numbers each; `comments` starts a comment.
+
+    Raises SurfaceFileError.
+    """
     try:
         return np.loadtxt(lines, ndmin=2, comments=comments)
     except ValueError as error:
@@ -80,32 +83,42 @@ def parse_number_rows(lines: list[str], comments: str | None = "#") -> np.ndarra
 
 
 def resample_evenly(s: np.ndarray, z: np.ndarray) -> WheelPaths:
-    """Wheel paths `z` (2, N) at the stations `s` (N,) [m] on an even grid."""
+    """Return wheel paths `z` (2, N) at stations `s` (N,) [m] on a uniform grid.
+
+    Stations that are not uniform are resampled to the median spacing. Raises SurfaceFileError.
+    """
     if not (np.abs(s) < MAX_LENGTH).all():
-        raise SurfaceFileError(f"a distance of {s[~(np.abs(s) < MAX_LENGTH)][0]:g} m")
+        raise SurfaceFileError(
+            f"distances must be below {MAX_LENGTH:g} m, got {s[~(np.abs(s) < MAX_LENGTH)][0]:g} m"
+        )
     steps = np.diff(s)
     if not (steps > 0.0).all():
-        raise SurfaceFileError(f"distance does not increase at row {np.argmin(steps > 0.0) + 2}")
+        raise SurfaceFileError(
+            f"the distance does not increase at row {np.argmin(steps > 0.0) + 2}; sort the rows"
+        )
     if s.size < 2:
-        raise SurfaceFileError("at least 4 stations are wanted, got 1")
+        raise SurfaceFileError("at least 4 stations are required, got 1")
     ds = float(np.median(steps))
     if (np.abs(steps - ds) < EVEN_TOLERANCE * ds).all():
         return z, float((s[-1] - s[0]) / steps.size), ()
     size = float(s[-1] - s[0]) / ds + 1.0
     if size > 4.0 * s.size:
-        raise SurfaceFileError("the stations are too uneven to be interpolated")
+        raise SurfaceFileError(
+            f"the stations are too uneven to be interpolated: {s.size} stations would become "
+            f"{size:.0f}"
+        )
     grid = s[0] + ds * np.arange(int(size + 1e-9))
     return np.array([np.interp(grid, s, path) for path in z]), ds, (f"resampled to {ds:.4g} m",)
 
 
 def _columns(names: list[str]) -> list[str]:
-    """The columns to read among `names`: distance, left, right, or distance, height."""
-    for wanted in (("distance", "left", "right"), ("distance", "height")):
-        found = [[name for name in names if name.strip().lower() == want] for want in wanted]
-        if all(len(same) == 1 for same in found):
-            return [name for (name,) in found]
+    """Return the columns to read among `names`: distance, left, right, or distance, height."""
+    for layout in (("distance", "left", "right"), ("distance", "height")):
+        matches = [[name for name in names if name.strip().lower() == key] for key in layout]
+        if all(len(same) == 1 for same in matches):
+            return [name for (name,) in matches]
     raise SurfaceFileError(
-        "wanted the columns distance, left, right, or distance, height, "
+        "the columns must be distance, left, right, or distance, height, "
         f"got {', '.join(names) or 'none'}"
     )
 

@@ -1,9 +1,8 @@
-"""Surfaces written to files that `Measured` and other programs read: text tables, Parquet, OpenCRG
-and ERD; each whole or not at all.
+"""Writers of surface files: text tables, Parquet, OpenCRG and ERD. All writes are atomic.
 
-In an OpenCRG file a wheel path is level across, half a `track` wide about its middle, so that a
-tyre of any width stands on it: the four long sections stand at v = -3, -1, 1, 3 quarters of the
-track, and what lies between the paths is interpolated.
+In an OpenCRG file each wheel path is laterally level over half a track width, so that a tyre of
+any width is on it: the four long sections are at v = -3, -1, 1 and 3 quarters of the track, and
+readers interpolate between the paths.
 """
 
 import json
@@ -20,19 +19,19 @@ from road_envs.roads.formats.opencrg import RECORD, WIDTHS
 from road_envs.roads.surface import Surface
 
 TRACK = 1.5
-"""Distance of the wheel paths [m]."""
+"""Distance between the wheel paths in OpenCRG files [m]."""
 
 
 def write(surface: Surface, path: str | Path) -> None:
-    """A surface as a file of the kind that the name ends in. Raises ConfigError."""
+    """Write a surface in the format given by the suffix of `path`. Raises ConfigError."""
     suffix = Path(path).suffix.lower()
     if suffix not in WRITERS:
-        raise ConfigError(f"{path}: the name must end in {' or '.join(WRITERS)}")
+        raise ConfigError(f"{path}: the file name must end in {' or '.join(WRITERS)}")
     WRITERS[suffix](surface, path)
 
 
 def write_csv(surface: Surface, path: str | Path) -> None:
-    """Distance, left, right [m] to 1 nm, as text."""
+    """Write distance, left and right height [m] as CSV with a resolution of 1 nm."""
     rows = [
         f"{s:.9f},{left:.9f},{right:.9f}"
         for s, left, right in zip(surface.s, *surface.z, strict=True)
@@ -44,7 +43,7 @@ def write_csv(surface: Surface, path: str | Path) -> None:
 
 
 def write_parquet(surface: Surface, path: str | Path) -> None:
-    """Distance, left, right [m] to the last bit; name and notes go into the metadata."""
+    """Write distance, left and right height [m] as Parquet; name and notes go into the metadata."""
     with optional_import("a table as CSV or Parquet"):
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -57,7 +56,10 @@ def write_parquet(surface: Surface, path: str | Path) -> None:
 
 
 def write_crg(surface: Surface, path: str | Path, data_format: str = "KDBI") -> None:
-    """An OpenCRG file in one of its four formats: KDBI keeps every bit, KRBI 7 digits."""
+    """Write an OpenCRG file in one of its four data formats: KDBI is exact, KRBI has 7 digits.
+
+    Raises ConfigError.
+    """
     if data_format not in WIDTHS:
         raise ConfigError(f"unknown data format {data_format!r}; known: {', '.join(WIDTHS)}")
     left, right = surface.z
@@ -72,7 +74,7 @@ def write_crg(surface: Surface, path: str | Path, data_format: str = "KDBI") -> 
 
 
 def write_erd(surface: Surface, path: str | Path) -> None:
-    """Left and right elevation [mm] to 1 nm, as an ERD file with text numbers."""
+    """Write left and right elevation [mm] as an ERD text file with a resolution of 1 nm."""
     lines = [
         "ERDFILEV2.00",
         f"2, {surface.z.shape[1]}, -1, 1, 5, {surface.ds!r}, -1,",
@@ -100,7 +102,7 @@ WRITERS: dict[str, Callable[[Surface, str | Path], None]] = {
 
 
 def _remarks(surface: Surface) -> list[str]:
-    """Name and notes, each on one line."""
+    """Return name and notes, each on one line."""
     return [" ".join(line.split()) for line in (surface.name, *surface.notes)]
 
 
@@ -128,14 +130,14 @@ def _crg_header(surface: Surface, data_format: str) -> list[str]:
 
 
 def _binary(grid: np.ndarray, data_format: str) -> bytes:
-    """Big-endian floats, filled up with NaN to whole records."""
+    """Return the grid as big-endian floats, padded with NaN to whole records."""
     values = grid.astype(f">f{WIDTHS[data_format]}")
     missing = -values.nbytes % RECORD // WIDTHS[data_format]
     return values.tobytes() + np.full(missing, np.nan, values.dtype).tobytes()
 
 
 def _text(grid: np.ndarray, data_format: str) -> bytes:
-    """One record for each row, its numbers with as many decimals as their width has room for."""
+    """Return one record per row, with as many decimals as the width of a number allows."""
     width = WIDTHS[data_format]
     decimals = min(15, width - 3 - len(f"{np.abs(grid).max():.0f}"))
     record = "".join([f"{{:{width}.{decimals}f}}"] * grid.shape[1])

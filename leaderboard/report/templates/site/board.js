@@ -1,23 +1,23 @@
-// Filters, groups and sorting of the tables. The numbers stand in the page; nothing is fetched.
+// Filters, groups and sorting of the tables. The numbers are part of the page; nothing is fetched.
 "use strict";
 
 const DASH = "–";
 
-/** A number as the judge prints it; see Score.text. */
+/** Format a number as Score.format_value does. */
 function printed(value, form) {
   if (value === null || value === undefined) return form.blank;
   const text = (form.factor * value).toFixed(form.digits).replace(/^-(0(\.0*)?)$/, "$1");
   return (form.sign && !text.startsWith("-") ? "+" : "") + text;
 }
 
-/** What the address says after its #: the state of the filters, so that a view can be passed on. */
+/** Filter settings in the fragment of the address, so that a view can be shared as a link. */
 function readState() {
   return Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
 }
 
 function writeState(state) {
-  const said = Object.entries(state).filter(([, value]) => value);
-  const hash = new URLSearchParams(said).toString();
+  const set = Object.entries(state).filter(([, value]) => value);
+  const hash = new URLSearchParams(set).toString();
   history.replaceState(null, "", hash ? "#" + hash : location.pathname);
 }
 
@@ -37,12 +37,12 @@ class BoardTable {
     return this.data.groups;
   }
 
-  /** The value that a cell stands for, in the chosen group and division. */
+  /** Return the value of a cell in the selected group and division. */
   value(line, key) {
     const numbers = line.groups[this.group];
     if (!numbers) return null;
-    const told = key === "rank" && this.division === "causal" ? "rank_causal" : key;
-    return numbers[told] ?? null;
+    const name = key === "rank" && this.division === "causal" ? "rank_causal" : key;
+    return numbers[name] ?? null;
   }
 
   show(state) {
@@ -51,12 +51,12 @@ class BoardTable {
     this.division = state.division || "";
     for (const row of this.rows) {
       const line = this.rowData.get(row.dataset.name);
-      const wanted = (state.find || "").toLowerCase();
-      const out =
+      const search = (state.find || "").toLowerCase();
+      const hidden =
         (this.division === "causal" && line.state === "scored" && !line.causal) ||
-        (state.find && !line.name.toLowerCase().includes(wanted)) ||
+        (state.find && !line.name.toLowerCase().includes(search)) ||
         (state.baselines === "off" && line.state === "baseline");
-      row.hidden = Boolean(out);
+      row.hidden = Boolean(hidden);
       if (!line.message) this.fill(row, line);
     }
     this.table.classList.toggle("all", state.columns === "all");
@@ -71,7 +71,7 @@ class BoardTable {
         const value = this.value(line, cell.dataset.key);
         cell.textContent = value === null && line.sparse ? "" : printed(value, column.format);
       }
-      else if (this.group) cell.textContent = ""; // told of all runs together only
+      else if (this.group) cell.textContent = ""; // known for all runs together only
       else cell.textContent = line.cells[cell.dataset.key] ?? "";
     }
   }
@@ -157,8 +157,8 @@ function startBoards() {
     const count = document.getElementById("count");
     if (count) {
       const rows = [...document.querySelectorAll("table[data-source] tbody tr")];
-      const seen = rows.filter((row) => !row.closest("[hidden]") && !row.hidden).length;
-      count.textContent = `${seen} of ${rows.length} rows`;
+      const visible = rows.filter((row) => !row.closest("[hidden]") && !row.hidden).length;
+      count.textContent = `${visible} of ${rows.length} rows`;
     }
   }
   show();

@@ -1,5 +1,5 @@
-// Line charts on SVG: linear or logarithmic axes, bands, marks, a legend that switches lines on and
-// off, a reading under the pointer, and for long lines zoom and pan by mouse, wheel and keyboard.
+// Line charts in SVG: linear or logarithmic axes, bands, marks, a legend that toggles lines, values
+// at the pointer, and zoom and pan by mouse, wheel and keyboard.
 "use strict";
 
 const SVG = "http://www.w3.org/2000/svg";
@@ -7,13 +7,13 @@ const DASHES = ["", "7 3", "2 3", "9 3 2 3", "4 2", "1 2", "12 4", "6 2 2 2"];
 const MARGIN = { left: 52, right: 16, top: 8, bottom: 38 };
 
 function element(name, attributes, parent) {
-  const made = document.createElementNS(SVG, name);
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-  if (parent) parent.append(made);
-  return made;
+  const node = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
+  if (parent) parent.append(node);
+  return node;
 }
 
-/** A scale from values to pixels, and back. */
+/** Return the map from values to pixels, with its inverse. */
 function scale(low, high, from, to, log) {
   const f = log ? Math.log10 : (x) => x;
   const back = log ? (x) => 10 ** x : (x) => x;
@@ -23,17 +23,17 @@ function scale(low, high, from, to, log) {
   return at;
 }
 
-function ticks(low, high, log, wanted) {
+function ticks(low, high, log, count) {
   if (log) {
     const from = Math.floor(Math.log10(low));
     const to = Math.ceil(Math.log10(high));
-    const every = Math.max(1, Math.ceil((to - from) / wanted));
-    const steps = to - from < wanted / 2 ? [1, 2, 5] : [1];
+    const every = Math.max(1, Math.ceil((to - from) / count));
+    const steps = to - from < count / 2 ? [1, 2, 5] : [1];
     const found = [];
     for (let k = from; k <= to; k += every) found.push(...steps.map((m) => m * 10 ** k));
     return found.filter((x) => x >= low * (1 - 1e-9) && x <= high * (1 + 1e-9));
   }
-  const rough = (high - low) / wanted;
+  const rough = (high - low) / count;
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].find((m) => m * power >= rough) * power;
   const found = [];
@@ -49,7 +49,7 @@ function shortNumber(x) {
 }
 
 class Chart {
-  /** `host` is an empty figure part; `options` says axes {label, log, low, high}, height, zoom. */
+  /** `host` is an empty element; `options` are title, axes x and y {label, log, low, high}, height, zoom. */
   constructor(host, options) {
     this.host = host;
     this.options = { height: 260, zoom: false, ...options };
@@ -61,15 +61,15 @@ class Chart {
     this.legend = document.createElement("ul");
     this.legend.className = "legend";
     host.append(this.svg, this.reading, this.legend);
-    if (this.options.zoom) this.listen();
+    if (this.options.zoom) this.addZoom();
     this.svg.addEventListener("pointermove", (event) => this.read(event));
     new ResizeObserver(() => this.draw()).observe(host);
   }
 
-  /** Lines {name, x, y, colour, dash, band?: {low, high}}, marks {x, y, kind, name, text}. */
+  /** Draw lines {name, x, y, colour, dash, band?: {low, high}} and marks {x, y, kind, name, text}. */
   set(lines, { marks = [], areas = [], uprights = [] } = {}) {
     Object.assign(this, { lines, marks, areas, uprights });
-    this.listLines();
+    this.drawLegend();
     this.draw();
   }
 
@@ -77,8 +77,8 @@ class Chart {
     return this.lines.filter((line) => !this.off.has(line.name));
   }
 
-  /** From where to where the lines go. */
-  whole() {
+  /** Return the full range of x. */
+  fullRange() {
     const { x } = this.options;
     const lows = this.lines.map((line) => line.x[0]);
     const highs = this.lines.map((line) => line.x[line.x.length - 1]);
@@ -86,7 +86,7 @@ class Chart {
   }
 
   span() {
-    return this.view ?? this.whole();
+    return this.view ?? this.fullRange();
   }
 
   heights([from, to]) {
@@ -169,7 +169,7 @@ class Chart {
   mark(mark, x, y) {
     const [a, b] = [x(mark.x), y(mark.y)];
     const shapes = {
-      true: `M${a - 6} ${b - 12}h12l-6 10z`, // a bump of the road: triangle that points at it
+      true: `M${a - 6} ${b - 12}h12l-6 10z`, // true obstacle: triangle that points at it
       found: `M${a - 5} ${b}a5 5 0 1 0 10 0a5 5 0 1 0 -10 0`,
       missed: `M${a - 5} ${b - 5}l10 10M${a + 5} ${b - 5}l-10 10`,
       false: `M${a} ${b - 6}l6 6l-6 6l-6 -6z`,
@@ -195,7 +195,7 @@ class Chart {
     element("text", { transform: turned, "text-anchor": "middle" }, frame).textContent = this.options.y.label;
   }
 
-  listLines() {
+  drawLegend() {
     this.legend.replaceChildren(
       ...this.lines.map((line) => {
         const button = document.createElement("button");
@@ -220,17 +220,17 @@ class Chart {
     if (!this.x || event.buttons) return;
     const box = this.svg.getBoundingClientRect();
     const at = this.x.inverse(event.clientX - box.left);
-    const told = this.shown().map((line) => {
+    const values = this.shown().map((line) => {
       const k = line.x.findIndex((x) => x >= at);
       const value = k < 0 ? null : line.y[k];
       return value === null ? null : `${line.label ?? line.name} ${shortNumber(Number(value.toPrecision(3)))}`;
     });
-    this.reading.textContent = `${shortNumber(Number(at.toPrecision(4)))}: ${told.filter(Boolean).join(", ")}`;
+    this.reading.textContent = `${shortNumber(Number(at.toPrecision(4)))}: ${values.filter(Boolean).join(", ")}`;
   }
 
-  /** Zoom by `factor` about the share `at` of the width, and move by the share `by`. */
+  /** Zoom by `factor` about the fraction `at` of the width, and move by the fraction `by`. */
   move(factor, by, at = 0.5) {
-    const [first, last] = this.whole();
+    const [first, last] = this.fullRange();
     const [low, high] = this.span();
     const size = Math.min(last - first, Math.max((high - low) * factor, (last - first) / 200));
     const from = low + at * (high - low) - at * size + by * size;
@@ -239,7 +239,7 @@ class Chart {
     this.draw();
   }
 
-  listen() {
+  addZoom() {
     const keys = {
       ArrowLeft: [1, -0.2], ArrowRight: [1, 0.2], "+": [0.5, 0], "=": [0.5, 0], "-": [2, 0], Home: [1e6, 0],
     };

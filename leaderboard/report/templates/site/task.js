@@ -3,7 +3,7 @@
 
 const COLOURS = 7;
 
-/** Heights [mm] from their coded differences, whole numbers of 0.1 mm. */
+/** Decode heights [mm] from their differences, integers of 0.1 mm. */
 function decoded(steps) {
   let sum = 0;
   return steps.map((step) => (sum += step) / 10);
@@ -67,23 +67,23 @@ function startTask() {
     const at = (name, kind, colour, text) => ([s, h]) => ({
       x: s, y: h / 10, name, kind, colour, text: `${name}: ${text}, ${s.toFixed(1)} m, ${(h / 10).toFixed(0)} mm`,
     });
-    const found = scene.bumps[side].map(at("truth", "true", "currentColor", "a bump of the road"));
+    const marked = scene.bumps[side].map(at("truth", "true", "currentColor", "true obstacle"));
     for (const name of task.entries) {
       const entry = scene.entries[name];
       if (!entry || !entry.bumps) continue;
       const { colour } = style[name];
-      found.push(...entry.bumps[side].found.map(at(name, "found", colour, "found")));
-      found.push(...entry.bumps[side].missed.map(at(name, "missed", colour, "missed")));
-      found.push(...entry.bumps[side].false.map(at(name, "false", colour, "not there")));
+      marked.push(...entry.bumps[side].found.map(at(name, "found", colour, "detected")));
+      marked.push(...entry.bumps[side].missed.map(at(name, "missed", colour, "missed")));
+      marked.push(...entry.bumps[side].false.map(at(name, "false", colour, "false alarm")));
     }
-    return found;
+    return marked;
   }
 
   function drawDensity(scene) {
     const lines = [["truth", truth, scene.density], ...task.entries.map((name) => [name, style[name], scene.entries[name]?.density])];
-    const told = lines.filter(([, , density]) => density);
+    const drawn = lines.filter(([, , density]) => density);
     density.set(
-      told.map(([name, look, logs]) => ({ name, ...look, x: scene.density_n, y: logs.map((x) => (x === null ? null : 10 ** x)) })),
+      drawn.map(([name, look, logs]) => ({ name, ...look, x: scene.density_n, y: logs.map((x) => (x === null ? null : 10 ** x)) })),
       { areas: classes, uprights: scene.band }
     );
   }

@@ -10,9 +10,11 @@ from estimators.common.spatial_signals import (
     target_profile,
     to_spatial,
 )
-from estimators.linear.fir_bank import KNOTS
 from estimators.preprocessing import clean_record
 from road_envs.data.record import Profile, Record
+
+SPEED_RANGE = 1.35, 20.5
+"""Lowest and highest speed [m/s] of the training drives."""
 
 STATIONS_BEHIND = 80
 """Stations of the FIR window before the estimated one, offline also after it: 12 m."""
@@ -45,11 +47,14 @@ def validity_notes(signals: SpatialSignals) -> list[str]:
     notes = []
     inside = slice(signals.margin, signals.margin + signals.size)
     v, states = signals.v[inside], signals.states[inside]
-    if v.min() < KNOTS[0] or v.max() > KNOTS[-1]:
+    slowest, fastest = SPEED_RANGE
+    if v.min() < slowest or v.max() > fastest:
         notes.append(
             f"driven at {3.6 * v.min():.0f} to {3.6 * v.max():.0f} km/h, "
-            f"trained at {3.6 * KNOTS[0]:.0f} to {3.6 * KNOTS[-1]:.0f} km/h"
+            f"trained at {3.6 * slowest:.0f} to {3.6 * fastest:.0f} km/h"
         )
     if np.any((states > 0.0) & (states < 1.0)):
-        notes.append("left and right struts in different states, or a mode change: both states are blended")
+        notes.append(
+            "left and right struts in different states, or a mode change: both states are blended"
+        )
     return notes

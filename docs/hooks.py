@@ -1,0 +1,45 @@
+"""Hooks of the documentation build, which write the reference from the code.
+
+`<!-- commands -->` on a page becomes the help of every command, `<!-- modules: road_envs.roads -->`
+the documentation of every module of that package.
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import typer
+from typer.cli import get_docs_for_click
+
+from leaderboard.cli import app
+
+ROOT = Path(__file__).parents[1]
+
+
+def on_page_markdown(markdown: str, **kwargs: Any) -> str:
+    """Replace the markers of a page."""
+    if "<!-- commands -->" in markdown:
+        markdown = markdown.replace("<!-- commands -->", _commands())
+    return re.sub(r"<!-- modules: ([\w.]+) -->", lambda found: _modules(found[1]), markdown)
+
+
+def _commands() -> str:
+    """Return the help of every command, each under a heading of level 2."""
+    command = typer.main.get_command(app)
+    context = typer.Context(command, info_name="road-recon")
+    text = get_docs_for_click(obj=command, ctx=context, name="road-recon")
+    return "## " + text.partition("\n## ")[2]
+
+
+def _modules(package: str) -> str:
+    """Return the directives that document the public modules of a package, and itself first."""
+    folder = ROOT / package.replace(".", "/")
+    names = [package] if (folder / "__init__.py").read_text() else []
+    for path in sorted(folder.rglob("*.py")):
+        name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        if not path.name.startswith("_"):
+            names.append(name)
+    return "\n\n".join(
+        f"::: {name}\n    options:\n      toc_label: {name.removeprefix(package + '.')}"
+        for name in names
+    )

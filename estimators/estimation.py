@@ -1,0 +1,58 @@
+"""Estimators by name, file or class, and the estimate of a record in one call."""
+
+import dataclasses
+import importlib
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimators import pretrained_weights, registry, weights_io
+from estimators.api import Estimator, check_class, check_estimate
+from road_envs.config import ConfigError, build
+from road_envs.data.record import Estimate, Record
+from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
+
+FILE_SUFFIXES = (".npz", pretrained_weights.SUFFIX)
+
+
+def make_estimator(reference: str | Path, **settings: Any) -> Estimator:
+    """Return an estimator by registered name, by "module:Class" or from a file of `train`.
+
+    A name or a class takes `settings`; a file has its own. Raises ConfigError, StorageError, and
+    whatever the code of another package raises.
+    """
+    if Path(reference).suffix in FILE_SUFFIXES:
+        if settings:
+            raise ConfigError(f"{reference} was trained with its settings and takes no others")
+        return weights_io.load(reference)
+    name = str(reference)
+    if ":" not in name:
+        return registry.create(name, **settings)
+    module, _, qualified_name = name.partition(":")
+    cls: Any = attrgetter(qualified_name)(importlib.import_module(module))
+    return build(check_class(cls), settings, qualified_name)
+
+
+def estimate(
+    estimator: str | Path | Estimator,
+    record: Record,
+    vehicle: str | Path | VehicleParameters = "land_rover_defender_110",
+    **settings: Any,
+) -> Estimate:
+    """Reconstruct both wheel paths from a record.
+
+    `estimator` is an object, or what `make_estimator` takes with its `settings`; `vehicle` is the
+    described car, by name, YAML file or parameters. The estimate keeps the median speed of the
+    record, which decides the band in which it can be scored. Raises ConfigError, EstimateError,
+    and NotFittedError for an estimator that must be trained first.
+    """
+    if isinstance(estimator, str | Path):
+        estimator = make_estimator(estimator, **settings)
+    elif settings:
+        raise ConfigError(f"settings {sorted(settings)} need an estimator by name, not an object")
+    car = vehicle if isinstance(vehicle, VehicleParameters) else load_vehicle(vehicle)
+    found = estimator.estimate(record, car)
+    check_estimate(found, record)
+    return dataclasses.replace(found, speed=float(np.nanmedian(record.v)))

@@ -1,0 +1,137 @@
+"""The leaderboard from Python: score an estimate, plot it, run a task.
+
+    record, truth = simulate_record("iso_d", speed_kmh=36, mode="handling", seed=1)
+    result = estimate("wiener", record)
+    print(score(result, truth))
+    plot(result, truth).savefig("estimate.png")
+    table = run_task("new_road", ["wiener", "my_package:Mine"], roads=1)
+
+`simulate_record` is in `road_envs`, `estimate` in `estimators`.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import estimators
+from leaderboard.evaluation import evaluate
+from leaderboard.evaluation.tasks import Task, load_task
+from leaderboard.metrics.registry import SCORES, compute_scores
+from road_envs._extras import optional_import
+from road_envs.config import ConfigError
+from road_envs.data.record import Estimate, Profile
+
+
+@dataclass(frozen=True)
+class ScoreTable:
+    """Scores of one estimate by key, as in `leaderboard.metrics.registry.SCORES`; NaN if undefined."""
+
+    values: dict[str, float]
+
+    def __getitem__(self, key: str) -> float:
+        """Return the score of a key in SI units, not as printed."""
+        return self.values[key]
+
+    def rows(self) -> list[tuple[str, str, str]]:
+        """Return key, text with unit and label of each defined score."""
+        rows = [(key, SCORES[key], value) for key, value in self.values.items()]
+        return [
+            (key, f"{form.format_value(value)} {form.unit}".strip(), form.label)
+            for key, form, value in rows
+            if value == value  # not NaN
+        ]
+
+    def __str__(self) -> str:
+        """Return the table as text, a score on each line."""
+        return "\n".join(f"{label:<42}{text:>12}   {key}" for key, text, label in self.rows())
+
+    def to_pandas(self) -> Any:
+        """Return a pandas DataFrame with columns label, value and unit, indexed by key.
+
+        Values are in the printed unit. Raises MissingExtraError without pandas.
+        """
+        with optional_import("a DataFrame"):
+            import pandas
+
+        table = {
+            key: (SCORES[key].label, SCORES[key].factor * value, SCORES[key].unit)
+            for key, value in self.values.items()
+        }
+        return pandas.DataFrame.from_dict(table, orient="index", columns=["label", "value", "unit"])
+
+
+def score(estimate: Estimate, truth: Profile, *, speed_kmh: float | None = None) -> ScoreTable:
+    """Score an estimate of both wheel paths against the true ones.
+
+    The scored band depends on the speed of the drive, which an estimate of
+    `estimators.estimate` carries; give `speed_kmh` for any other. Raises ConfigError.
+    """
+    _check_stations(estimate, truth)
+    return ScoreTable(compute_scores(truth, estimate, _speed(estimate, speed_kmh), bumps=True))
+
+
+def plot(
+    estimate: Estimate, truth: Profile | None = None, *, speed_kmh: float | None = None
+) -> Any:
+    """Return a matplotlib figure of both wheel paths, raw and in the scored band, over the truth.
+
+    Raises ConfigError, and MissingExtraError without matplotlib.
+    """
+    from leaderboard.report.plots import estimate_figure
+
+    if truth is not None:
+        _check_stations(estimate, truth)
+    return estimate_figure(truth, estimate, _speed(estimate, speed_kmh))
+
+
+def run_task(
+    task: str | Path | Task,
+    names: Sequence[str],
+    *,
+    roads: int | None = None,
+    seeds: Sequence[int] = (1,),
+    report: Callable[[str], None] = lambda text: None,
+) -> Any:
+    """Evaluate estimators on a task in this process; return a DataFrame, a row per estimated drive.
+
+    `names` are registered names, files of `train` or "module:Class"; `roads` is the number of test
+    drives per condition, `seeds` are those of trainings. `report` is called with each step as it
+    begins. An estimator that fails has one row with the reason under `failure`. Scores are in SI
+    units, with the labels of SCORES as `table.attrs["labels"]`. For estimators of other people use
+    `road-recon leaderboard`, which runs each in a process of its own. Raises ConfigError, and
+    MissingExtraError without pandas.
+    """
+    with optional_import("a DataFrame"):
+        import pandas
+
+    chosen = task if isinstance(task, Task) else load_task(task)
+    if roads is not None:
+        chosen = chosen.with_test_drives(roads)
+    made = {name: estimators.make_estimator(name) for name in names}
+    rows: list[dict[str, Any]] = []
+    for result in evaluate.run_task(chosen, made, seeds, report=report):
+        if result.failure is not None:
+            rows.append({"estimator": result.estimator, "failure": result.failure})
+        for drive in result.drives:
+            place = {"condition": drive.condition, "road": drive.road, "road_seed": drive.road_seed}
+            rows.append({"estimator": result.estimator, **place, "seed": drive.seed, **drive.scores})
+    table = pandas.DataFrame(rows)
+    table.attrs["labels"] = {key: form.label for key, form in SCORES.items()}
+    return table
+
+
+def _speed(estimate: Estimate, speed_kmh: float | None) -> float:
+    if speed_kmh is not None:
+        return speed_kmh / 3.6
+    if estimate.speed is None:
+        raise ConfigError("this estimate has no speed: give the speed of its drive as speed_kmh")
+    return estimate.speed
+
+
+def _check_stations(estimate: Estimate, truth: Profile) -> None:
+    if estimate.s.shape != truth.s.shape or abs(estimate.s - truth.s).max() > 1e-6:
+        raise ConfigError(
+            f"the estimate has {estimate.s.size} stations up to {estimate.s[-1]:.2f} m, the truth "
+            f"{truth.s.size} up to {truth.s[-1]:.2f} m: both must be on the same ones"
+        )

@@ -1,0 +1,263 @@
+"""The Kalman filter and smoother of a linear vehicle against the dense Gaussian posterior.
+
+The posterior comes from the energy matrices and the exact solution of their equations of motion.
+"""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from oracles import linear_matrices
+from scipy.linalg import expm
+from vehicle_fixtures import DEFENDER
+
+from estimators.common.block_means import block_means
+from estimators.common.model_inputs import REST_STD, build_model_inputs
+from estimators.kalman.filter import filter_forward
+from estimators.kalman.pipeline import (
+    BIAS_STD,
+    NODE_SPACING,
+    run_filter,
+    run_smoother,
+    setup_output,
+    setup_run,
+)
+from estimators.kalman.profile_output import HALF_WINDOW, VARIANCE_STRIDE, decay_per_node
+from estimators.kalman.road_process import fit_ar_model
+from estimators.kalman.state import N_VEHICLE, ROUGHNESS_SUM, ROUGHNESS_WEIGHT, empty_blocks
+from road_envs.analysis.information_bound import RoadPrior
+from road_envs.data.record import Record
+from road_envs.sensing.instruments import load_instruments
+from road_envs.vehicle.force_curves import Curve
+from road_envs.vehicle.parameters import ModeCurves, VehicleParameters
+
+PAPER = load_instruments("paper")
+C_S, K_S = 3000.0, 16682.0
+SPEED, TIME, STEP = 5.0, 1.9, 0.00025
+LEAD = 0.4
+"""Distance [m] before station 0 from which the vehicle starts."""
+SMOOTH = RoadPrior(G_d0=1e-9)
+START = 0.01
+"""Factor on the prior standard deviations of the initial state."""
+NOISE = (1e-5) ** 2 * 500.0
+CUTOFF = 0.09
+
+
+def linear_car() -> VehicleParameters:
+    """Linear dampers and no friction; on a smooth road the gas springs are linear, too."""
+    line, none = Curve(x=(-3.0, 3.0), F=(-3.0 * C_S, 3.0 * C_S)), Curve(x=(-3.0, 3.0), F=(0.0, 0.0))
+    damper, friction = ModeCurves(ride=line, handling=line), ModeCurves(ride=none, handling=none)
+    return replace(DEFENDER, strut=replace(DEFENDER.strut, damper=damper, friction=friction))
+
+
+def record_of(a: np.ndarray) -> Record:
+    """A record of a short drive with the accelerations `a` (3, T)."""
+    t = np.arange(a.shape[1]) / 1000.0
+    state = np.zeros((t.size, 4), dtype=bool)
+    s = SPEED * t - LEAD
+    return Record(t, a, np.full(t.size, SPEED), s, state, state, SPEED * TIME - LEAD - 1.0)
+
+
+def run_of(a: np.ndarray, lag: float):
+    """The short drive before its first block, without adaptation, and from a narrow initial state,
+    in which the gas springs are linear.
+    """
+    record, car = record_of(a), linear_car()
+    inputs = build_model_inputs(record, PAPER, car, STEP)
+    measurements = block_means(record.a, np.isfinite(record.a), 3)
+    run = setup_run(record, car, PAPER, inputs, measurements, NOISE, SMOOTH, True, lag)
+    model = run.model._replace(roughness_memory=np.inf, noise_time=np.inf)
+    run.state.adaptive[[ROUGHNESS_SUM, ROUGHNESS_WEIGHT]] = 1e15
+    run.state.P[:N_VEHICLE, :N_VEHICLE] *= START**2
+    return replace(run, model=model), record, inputs
+
+
+@cache
+def dense():
+    """Prior covariance of all unknowns (coefficients, initial state, biases), block means per unit
+    of each (3, J, unknowns), and the first node number of the front axle.
+    """
+    run, _, inputs = run_of(np.zeros((3, round(1000 * TIME))), 4.79)
+    road, newest_node = fit_ar_model(SMOOTH, NODE_SPACING), int(run.inputs.front_node[0]) + 2
+    last = int(run.inputs.front_node[-1]) + 3
+    number = np.arange(last + 1)
+    free = (
+        (number - 0.5 > run.inputs.free_range[0])
+        & (number - 0.5 < run.inputs.free_range[1])
+        & (number > newest_node)
+    )
+    root = np.zeros((2, last + 1, last + 1))
+    for component in range(2):
+        for k in number[newest_node + 1 :]:
+            order = road.weights.shape[1] if free[k] else 1
+            weights = road.weights[component] if free[k] else np.ones(1)
+            root[component, k] = weights @ root[component, k - 1 - np.arange(order)]
+            root[component, k, k] = free[k] * np.sqrt(road.prediction_variance[component])
+    M, C, K, K_r, C_r = linear_matrices(DEFENDER, (K_S, K_S), (C_S, C_S))
+    h, size = inputs.h, 2 * number.size
+    A = np.block([[np.zeros((7, 7)), np.eye(7)], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])
+    B = np.vstack([np.zeros((7, 8)), np.linalg.solve(M, np.hstack([K_r, C_r]))])
+    big = np.zeros((30, 30))
+    big[:14, :14], big[:14, 14:22], big[14:22, 22:] = A * h, B * h, np.eye(8)
+    step = expm(big)[:14]
+    unknowns = size + 17
+    state, road_now = np.zeros((14, unknowns)), []
+    state[:, size : size + 14] = np.eye(14)
+    for x in run.inputs.front_node[::2]:
+        under = np.zeros((8, unknowns))
+        for axle in range(2):
+            at = x - axle * DEFENDER.wheelbase / NODE_SPACING
+            i, t = int(at), at - int(at)
+            r = 1.0 - t
+            z = np.array([r**3, 4 - 6 * t**2 + 3 * t**3, 4 - 6 * r**2 + 3 * r**3, t**3]) / 6.0
+            w = np.array([-(r**2), 3 * t**2 - 4 * t, 4 * r - 3 * r**2, t**2]) / 2.0
+            nodes = i + np.arange(-1, 3)
+            for side, sign in enumerate((1.0, -1.0)):
+                for rows, shares in (
+                    (2 * axle + side, z),
+                    (4 + 2 * axle + side, w * SPEED / NODE_SPACING),
+                ):
+                    under[rows, nodes] = shares
+                    under[rows, number.size + nodes] = sign * shares
+        road_now.append(under)
+    levers = np.array([[1.0, y, -forward_] for forward_, y in PAPER.locations(DEFENDER).values()])
+    sensed = np.zeros((len(road_now), 3, unknowns))
+    for n, now in enumerate(road_now):
+        sensed[n] = levers @ (A @ state + B @ now)[[7, 8, 9]]
+        drift = (road_now[n + 1] if n + 1 < len(road_now) else now) - now
+        state = step[:, :14] @ state + step[:, 14:22] @ now + step[:, 22:] @ drift
+    J = run.n_blocks  # blocks of 3 samples
+    means = sensed[:: inputs.decimation][: 3 * J].reshape(J, 3, 3, unknowns).mean(axis=1)
+    means = means.transpose(1, 0, 2)
+    means[np.arange(3), :, size + 14 + np.arange(3)] = 1.0
+    half = number.size
+    P = np.zeros((unknowns, unknowns))
+    P[:half, :half], P[half:size, half:size] = root[0] @ root[0].T, root[1] @ root[1].T
+    std = np.concatenate([START * REST_STD, np.full(3, BIAS_STD)])
+    P[size:, size:] = np.diag(std**2)
+    return P, means, run.inputs.front_node[0]
+
+
+@cache
+def drawn_samples() -> np.ndarray:
+    """Samples (3, T) whose block means are drawn from the dense model."""
+    P, means, _ = dense()
+    rng = np.random.default_rng(7)
+    root = np.linalg.cholesky(P + 1e-18 * np.eye(P.shape[0]))
+    y = means @ (root @ rng.standard_normal(P.shape[0]))
+    y += np.sqrt(NOISE / 3.0) * rng.standard_normal(y.shape)
+    a = np.repeat(y, 3, axis=1)
+    return np.pad(a, ((0, 0), (0, round(1000 * TIME) - a.shape[1])), mode="edge")
+
+
+def dense_weights(at: float, detrended: bool) -> np.ndarray:
+    """Weights of the coefficients in the output at a node number, as a sum over all nodes."""
+    half = dense()[0].shape[0] // 2 - 8  # 17 unknowns follow the coefficients
+    number, window = np.arange(half), HALF_WINDOW / NODE_SPACING
+
+    def low(d):
+        shape = np.where(np.abs(d) < window, np.cos(0.5 * np.pi * d / window) ** 2, 0.0)
+        return 2.0 * CUTOFF * np.sinc(2.0 * CUTOFF * d) * shape
+
+    far = np.arange(-100, half + 100)
+    d = far - at
+    weights = np.zeros(half)
+    kernel = low(d - 1) / 6.0 + 4.0 * low(d) / 6.0 + low(d + 1) / 6.0
+    np.add.at(weights, np.clip(far, 0, half - 1), kernel)
+    weights /= weights.sum()
+    if detrended:
+        u = decay_per_node(NODE_SPACING) * np.abs(number - at)
+        weights -= 0.5 * decay_per_node(NODE_SPACING) * np.exp(-u) * (np.cos(u) + np.sin(u))
+    return weights
+
+
+def posterior(blocks: int, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Posterior mean and variance (2,) of left and right, given the first `blocks` block means."""
+    P, means, _ = dense()
+    half = weights.size
+    f = np.zeros((2, P.shape[0]))
+    f[:, :half], f[0, half : 2 * half], f[1, half : 2 * half] = weights, weights, -weights
+    H = means[:, :blocks].reshape(-1, P.shape[0])
+    y = block_means(drawn_samples(), np.isfinite(drawn_samples()), 3).y[:, :blocks].ravel()
+    S = H @ P @ H.T + NOISE / 3.0 * np.eye(y.size)
+    gain = np.linalg.solve(S, H @ P @ f.T)
+    return gain.T @ y, np.diag(f @ P @ f.T - (f @ P @ H.T) @ gain)
+
+
+def shift_of(run) -> int:
+    """From the run's node numbers to the dense model's; they differ with the window length."""
+    return round(dense()[2] - run.inputs.front_node[0])
+
+
+def detrended_weights(run, output, m) -> np.ndarray:
+    """Weights in the detrended output of the station `m`, for a road that is level beyond the
+    newest node at the time of emission.
+    """
+    shift, blocks = shift_of(run), min(output.emit_block[m], run.n_blocks)
+    front = int(np.floor(run.inputs.front_node[2 * blocks * run.model.steps_per_block - 1])) + 2
+    weights = dense_weights(output.node[m] + shift, True)
+    low = dense_weights(output.node[m] + shift, False)[front + shift + 1 :].sum()
+    u = decay_per_node(NODE_SPACING) * (front + 0.5 - output.node[m])
+    weights[front + shift + 1 :] = 0.0
+    weights[front + shift] += low - 0.5 * np.exp(-u) * np.cos(u)
+    return weights
+
+
+@pytest.mark.parametrize("lag", [0.0, 4.79])
+def test_an_emitted_station_is_the_dense_posterior_of_the_blocks_until_then(lag):
+    """Heights within a tenth of their standard deviation, standard deviations to a hundredth."""
+    run, record, _ = run_of(drawn_samples(), lag)
+    output = setup_output(run, record, lag, 0.004, detrended=True)
+    output = output._replace(cutoff=np.full_like(output.cutoff, CUTOFF))
+    assert np.searchsorted(output.emit_block, run.n_blocks) > 100
+    run_filter(run, output)
+    compared = range(VARIANCE_STRIDE * 8, output.node.size, VARIANCE_STRIDE * 4)  # after the apron
+    for m in compared:
+        blocks = min(output.emit_block[m], run.n_blocks)
+        z, variance = posterior(blocks, detrended_weights(run, output, m))
+        assert np.abs(output.z[m] - z).max() < 0.1 * np.sqrt(variance.min())
+        np.testing.assert_allclose(np.sqrt(output.variance[m]), np.sqrt(variance), rtol=0.01)
+    assert len(compared) >= 7
+
+
+def test_the_smoothed_profile_is_the_dense_posterior_of_all_blocks():
+    run, record, _ = run_of(drawn_samples(), DEFENDER.wheelbase)
+    output = setup_output(run, record, DEFENDER.wheelbase, 0.004, detrended=False)
+    output = output._replace(cutoff=np.full_like(output.cutoff, CUTOFF))
+    run_smoother(run, output)
+    shift, passed = shift_of(run), int(np.searchsorted(output.emit_block, run.n_blocks))
+    assert passed > 20 * VARIANCE_STRIDE
+
+    for m in range(VARIANCE_STRIDE * 8, passed, VARIANCE_STRIDE * 2):
+        at = output.node[m] + shift
+        z, variance = posterior(run.n_blocks, dense_weights(at, False))
+        assert np.abs(output.z[m] - z).max() < 0.1 * np.sqrt(variance.min())
+        _, variance = posterior(run.n_blocks, detrended_weights(run, output, m))
+        np.testing.assert_allclose(np.sqrt(output.variance[m]), np.sqrt(variance), rtol=0.01)
+
+
+def test_smoothing_in_chunks_is_nearly_smoothing_at_once():
+    once, chunks = [], []
+    for result, size in ((once, 10**6), (chunks, 200)):
+        run, record, _ = run_of(drawn_samples(), DEFENDER.wheelbase)
+        output = setup_output(run, record, DEFENDER.wheelbase, 0.004, detrended=False)
+        run_smoother(run, output, size)
+        result += [output.z, np.sqrt(output.variance)]
+    assert np.abs(once[0] - chunks[0]).max() < 0.3 * once[1].max()
+    np.testing.assert_allclose(chunks[1], once[1], rtol=0.1, atol=1e-3 * once[1].max())
+    assert (once[1] <= 1.001 * chunks[1]).all()
+
+
+def test_innovations_on_the_filters_own_model_are_white_with_unit_variance():
+    run, record, _ = run_of(drawn_samples(), 4.79)
+    output = setup_output(run, record, 4.79, 0.004, detrended=True)
+    blocks = empty_blocks(run.n_states, run.max_columns, run.n_blocks)
+    filter_forward(run.model, run.inputs, run.state, 0, run.n_blocks, output, blocks)
+    innovation, count = blocks.innovation, 3 * run.n_blocks
+    assert np.mean(innovation**2) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / count))
+    for gap in (1, 2, 5):
+        for s in range(3):
+            covariance = np.mean(innovation[gap:, s] * innovation[:-gap, s])
+            assert abs(covariance) < 4.0 / np.sqrt(run.n_blocks)
+    assert abs(np.mean(innovation[:, 0] * innovation[:, 2])) < 4.0 / np.sqrt(run.n_blocks)
