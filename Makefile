@@ -3,10 +3,10 @@ PYTHON ?= python3
 VENV := .venv
 READY := $(VENV)/.ready
 
-.PHONY: leaderboard policies test lint bench mutants docs clean
+.PHONY: leaderboard policies test test-long test-lowest lint bench mutants docs clean
 
 leaderboard: $(READY)
-	$(VENV)/bin/road-recon leaderboard --board paper --board new_road --roads 2 --seeds 2 \
+	$(VENV)/bin/road-recon leaderboard --board paper --board new_road --seeds 2 \
 		--without kalman --without kalman_rts --without gru --without gru_causal \
 		--out out/leaderboard
 	$(VENV)/bin/road-recon policies --quick --out out/leaderboard
@@ -15,7 +15,15 @@ policies: $(READY)
 	$(VENV)/bin/road-recon policies --scenarios league --sweep --out out/policies
 
 test: lint
-	$(VENV)/bin/pytest
+	$(VENV)/bin/pytest -n auto --dist loadscope
+
+test-long: $(READY)
+	$(VENV)/bin/pytest -m slow -s
+
+test-lowest:
+	$(PYTHON) -m venv .venv-lowest
+	.venv-lowest/bin/pip install --quiet --constraint constraints-lowest.txt --editable '.[test]'
+	.venv-lowest/bin/pytest -n auto --dist loadscope tests/unit
 
 lint: $(READY)
 	$(VENV)/bin/ruff check .

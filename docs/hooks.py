@@ -1,7 +1,7 @@
 """Hooks of the documentation build, which write the reference from the code.
 
-`<!-- commands -->` on a page becomes the help of every command, `<!-- modules: road_envs.roads -->`
-the documentation of every module of that package.
+`<!-- commands -->` on a page becomes the help of every command, `<!-- scores -->` the table of scores,
+`<!-- modules: road_envs.roads -->` the documentation of every module of that package.
 """
 
 import re
@@ -12,14 +12,16 @@ import typer
 from typer.cli import get_docs_for_click
 
 from leaderboard.cli import app
+from leaderboard.metrics.registry import SCORES
 
 ROOT = Path(__file__).parents[1]
 
 
 def on_page_markdown(markdown: str, **kwargs: Any) -> str:
     """Replace the markers of a page."""
-    if "<!-- commands -->" in markdown:
-        markdown = markdown.replace("<!-- commands -->", _commands())
+    for marker, content in (("<!-- commands -->", _commands), ("<!-- scores -->", _scores)):
+        if marker in markdown:
+            markdown = markdown.replace(marker, content())
     return re.sub(r"<!-- modules: ([\w.]+) -->", lambda found: _modules(found[1]), markdown)
 
 
@@ -29,6 +31,16 @@ def _commands() -> str:
     context = typer.Context(command, info_name="road-recon")
     text = get_docs_for_click(obj=command, ctx=context, name="road-recon")
     return "## " + text.partition("\n## ")[2]
+
+
+def _scores() -> str:
+    """Return the table of scores."""
+    better = {"low": "lower", "high": "higher", "zero": "towards 0", "": ""}
+    rows = [
+        f"| `{key}` | {score.label} | {score.unit} | {better[score.better]} |"
+        for key, score in SCORES.items()
+    ]
+    return "\n".join(["| key | score | unit as printed | better |", "|---|---|---|---|", *rows])
 
 
 def _modules(package: str) -> str:

@@ -200,7 +200,7 @@ def _fill_odometer(record: Record) -> tuple[Record, list[str]]:
 def _resample_evenly(record: Record) -> tuple[Record, list[str]]:
     """Return the record on an even clock at its median time step, and notes.
 
-    Accelerations are NaN where no recorded sample lies within half a step.
+    Accelerations are NaN where samples were lost or dropped.
     """
     steps = np.diff(record.t)
     dt = float(np.median(steps))
@@ -224,14 +224,16 @@ def _resample_evenly(record: Record) -> tuple[Record, list[str]]:
 
 
 def _resample(t: np.ndarray, t_old: np.ndarray, x: np.ndarray, dt: float) -> np.ndarray:
-    """Return `x` (N,) interpolated to the times `t`, NaN farther than `dt` / 2 from a sample."""
+    """Return `x` (N,) interpolated to the times `t`, NaN in gaps of more than a step `dt`."""
     good = np.isfinite(x)
     if not good.any():
         return np.full(t.size, np.nan)
     t_old = t_old[good]
     after = np.clip(np.searchsorted(t_old, t), 1, t_old.size - 1)
-    distance = np.minimum(np.abs(t - t_old[after - 1]), np.abs(t - t_old[after]))
-    return np.where(distance <= 0.501 * dt, np.interp(t, t_old, x[good]), np.nan)
+    before, beyond = np.abs(t - t_old[after - 1]), np.abs(t_old[after] - t)
+    # jitter alone does not open a gap; the samples at the ends of one are measured
+    missing = (before + beyond > 1.5 * dt) & (np.minimum(before, beyond) > 0.5 * dt)
+    return np.where(missing, np.nan, np.interp(t, t_old, x[good]))
 
 
 def _check_drive(record: Record) -> tuple[Record, list[str]]:

@@ -1,7 +1,10 @@
 """Strict loading of YAML files into frozen dataclasses.
 
 An unknown key, a missing key, a wrong type or an invalid value raises a ConfigError of one
-sentence, which names the place, the value and what is allowed.
+sentence, which names the place, the value and what is allowed. The range of a field is part of its
+annotation, beside its unit and its meaning:
+
+    m_b: Annotated[Positive, "kg", "sprung mass"]
 
 Configurations are looked up by name in the packaged folder, or read from a path:
 `load(VehicleParameters, "vehicles", "land_rover_defender_110")`, `load(..., "my_car.yaml")`.
@@ -10,22 +13,61 @@ Configurations are looked up by name in the packaged folder, or read from a path
 import dataclasses
 import difflib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, cast, get_args, get_origin
+from types import NoneType, UnionType
+from typing import Annotated, Any, TypeVar, Union, cast, get_args, get_origin
 
 import yaml
-from pydantic import TypeAdapter, ValidationError
+from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
 T = TypeVar("T")
 
 STRICT = {"extra": "forbid", "arbitrary_types_allowed": True}
 """Value of `__pydantic_config__` in every configuration dataclass."""
 
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=0, lt=1)]
+Count = Annotated[int, Field(ge=1)]
+
+UNKNOWN_KEY = "unexpected_keyword_argument"
+"""Pydantic's type of this error."""
+
 
 class ConfigError(ValueError):
     """Invalid input. The message is one sentence that names the value and the valid choices."""
+
+
+class Settings:
+    """Base class of dataclasses of settings.
+
+    `build` and direct construction check the ranges of the annotations, with the same messages. A
+    subclass adds rules between its fields in `__post_init__`, after `super().__post_init__()`.
+    """
+
+    __pydantic_config__ = STRICT
+
+    def __post_init__(self) -> None:
+        # pydantic checks in `build` only, not in calls of the class nor in dataclasses.replace
+        for name, adapter in _range_adapters(cast(Any, type(self))).items():
+            try:
+                adapter.validate_python(getattr(self, name), strict=True)
+            except ValidationError as error:
+                errors = [{**e, "loc": (name, *e["loc"])} for e in error.errors()]
+                raise ConfigError(_describe(errors, type(self))) from None
+
+
+def _check_order(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair[0] > pair[1]:
+        raise ValueError(f"must be the smallest and the largest value, got {pair}")
+    return pair
+
+
+SmallestFirst = AfterValidator(_check_order)
+"""Constraint on a pair of numbers."""
 
 
 def folder() -> Path:
@@ -108,7 +150,7 @@ def build(cls: type[T], data: Mapping[str, Any], where: str) -> T:
     try:
         return _adapter(cast(Any, cls)).validate_json(text, strict=True)
     except ValidationError as error:
-        raise ConfigError(_format_error(error, where, cls)) from None
+        raise ConfigError(f"{where}: {_describe(error.errors(), cls)}") from None
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from None
 
@@ -118,41 +160,102 @@ def _adapter(cls: Any) -> TypeAdapter:
     return TypeAdapter(cls)
 
 
-def _format_error(error: ValidationError, where: str, cls: type) -> str:
+@cache
+def _range_adapters(cls: Any) -> dict[str, TypeAdapter]:
+    """Return a validator of each field whose annotation has constraints."""
+    hints: dict[str, Any] = {f.name: f.type for f in dataclasses.fields(cls)}
+    return {name: TypeAdapter(hint) for name, hint in hints.items() if _is_constrained(hint)}
+
+
+def _is_constrained(hint: Any) -> bool:
+    notes = getattr(hint, "__metadata__", ())
+    return any(not isinstance(note, str) for note in notes) or any(
+        map(_is_constrained, get_args(hint))
+    )
+
+
+def _describe(errors: Sequence[Mapping[str, Any]], cls: type) -> str:
     """Return one sentence for the first error; the other errors are only counted."""
-    # unknown keys first: a misspelt key also causes a "missing" error
-    unknown_first = sorted(error.errors(), key=lambda e: e["type"] != "unexpected_keyword_argument")
-    first = unknown_first[0]
-    path = [str(p) for p in first["loc"]]
-    at = f"{where}: {'.'.join(path)}" if path else where
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    # unknown keys first: a misspelt key also causes a "missing" error; then values out of range,
+    # because a union also reports that they do not fit its other types
+    first = min(
+        errors,
+        key=lambda e: (e["type"] != UNKNOWN_KEY, not _range_of(e)),
+    )
+    loc, value = first["loc"], first["input"]
     match first["type"]:
         case "unexpected_keyword_argument":
-            owner = _dataclass_at(cls, path[:-1])
-            known = sorted(f.name for f in dataclasses.fields(owner) if f.init) if owner else []
-            close = difflib.get_close_matches(path[-1], known, n=1)
+            owner = _bare(_field_at(cls, loc[:-1])[0])
+            fields = dataclasses.fields(owner) if dataclasses.is_dataclass(owner) else ()
+            known = sorted(f.name for f in fields if f.init)
+            close = difflib.get_close_matches(loc[-1], known, n=1)
             hint = f", did you mean {close[0]!r}" if close else ""
             text = f"unknown key{hint}; known: {', '.join(known)}"
         case "missing":
             text = "missing"
         case "value_error":
             text = str(first["ctx"]["error"])
+        case _ if allowed := _range_of(first):
+            loc, notes = _place(first, cls), _field_at(cls, loc)[2]
+            unit, meaning, *_ = *notes, "", ""
+            text = f"must {allowed}, got {value}"
+            text += (f" {unit}" if unit else "") + (f" ({meaning})" if meaning else "")
         case _:
             expected = first["msg"][0].lower() + first["msg"][1:]
-            text = f"{expected}, got {first['input']!r} ({_type_name(first['input'])})"
-    return f"{at}: {text}{more}"
+            text = f"{expected}, got {value!r} ({_type_name(value)})"
+    at = ".".join(map(str, loc))
+    places = {_place(e, cls) for e in errors}
+    more = f" (and {len(places) - 1} more)" if len(places) > 1 else ""
+    return (f"{at}: {text}" if at else text) + more
 
 
-def _dataclass_at(cls: Any, path: list[str]) -> type | None:
-    """Return the dataclass at `path` inside `cls`, or None if the types do not determine it."""
-    for name in path:
-        if not dataclasses.is_dataclass(cls):
-            return None
-        hints = {f.name: f.type for f in dataclasses.fields(cls)}
-        cls = hints.get(name)
-        if get_origin(cls) is Annotated:
-            cls = get_args(cls)[0]
-    return cls if isinstance(cls, type) and dataclasses.is_dataclass(cls) else None
+def _place(error: Mapping[str, Any], cls: type) -> tuple[str | int, ...]:
+    """Return the location of an error, without the branch of a union."""
+    loc = error["loc"]
+    return loc if error["type"] == UNKNOWN_KEY else loc[: _field_at(cls, loc)[1]]
+
+
+def _range_of(error: Mapping[str, Any]) -> str:
+    """Return the range that a value is outside of; empty if the error is another one."""
+    match error["type"], error.get("ctx"):
+        case "finite_number", _:
+            return "be finite"
+        case "greater_than", {"gt": limit}:
+            return f"be above {limit:g}" if limit else "be positive"
+        case "greater_than_equal", {"ge": limit}:
+            return f"be at least {limit:g}" if limit else "not be negative"
+        case "less_than", {"lt": limit}:
+            return f"be below {limit:g}"
+        case "less_than_equal", {"le": limit}:
+            return f"be at most {limit:g}"
+        case "too_short", {"min_length": limit}:
+            return f"have at least {limit} element" + "s" * (limit > 1)
+    return ""
+
+
+def _field_at(cls: Any, loc: Sequence[str | int]) -> tuple[Any, int, list[str]]:
+    """Return the annotation at `loc`, its depth in `loc`, and the unit and meaning of its field.
+
+    Parts of `loc` that are no field and no index, such as the branches of a union, are skipped.
+    """
+    hint, depth, notes = cls, 0, []
+    for i, part in enumerate(loc, 1):
+        owner = _bare(hint)
+        if isinstance(part, int):
+            hint, depth = (*get_args(owner), None)[0], i
+        elif dataclasses.is_dataclass(owner):
+            types = {f.name: f.type for f in dataclasses.fields(owner)}
+            if part in types:
+                hint, depth = types[part], i
+                notes = [n for n in getattr(hint, "__metadata__", ()) if isinstance(n, str)]
+    return hint, depth, notes
+
+
+def _bare(hint: Any) -> Any:
+    """Return a type without annotations; of a union its first type that is not None."""
+    while get_origin(hint) in (Annotated, Union, UnionType):
+        hint = next(arg for arg in get_args(hint) if arg is not NoneType)
+    return hint
 
 
 def _type_name(value: object) -> str:

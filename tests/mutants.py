@@ -44,6 +44,7 @@ FELT = "perturbed_vehicle::test_enveloping_is_the_mean_of_the_cubic_over_the_con
 MOUNTED = (
     "sensor_faults::test_readings_follow_location_tilt_gain_and_offset"
 )
+CONTRACT = "record_contract::test_every_estimator_"
 LOST = "sensor_faults::test_dropouts_have_the_stated_rate_and_length"
 PAIR = "adaptive_drive::test_the_compiled_step_and_its_error_equal_the_published_pair"
 
@@ -183,8 +184,7 @@ FAULTS = [
     Fault("road_envs/simulation/instrumented_fleet.py", "field[b][..., lanes] = before[j][..., lanes]", "pass", SINGLE),
     Fault("road_envs/envs/sb3.py", "truncated[i] and not terminated[i]", "truncated[i] or terminated[i]",
           "sb3::test_a_failed_vehicle_is_not_reported_as_truncated"),
-    Fault("road_envs/simulation/fleet.py", "self.constants[field] += first", "self.constants[field] += 0 * first", LANE),
-    Fault("road_envs/simulation/fleet.py", "if own_q.size > N_DOF:", "if False:", SHUT),
+    Fault("road_envs/simulation/fleet.py", "constants[field] += first", "constants[field] += 0 * first", LANE),
     Fault("road_envs/simulation/fleet.py", "        if flexible is None:", "        if True:", LANE),
     Fault("road_envs/simulation/fleet.py", "byte != last[k]", "False",
           "fleet::test_every_lane_matches_its_vehicle_simulated_alone"),
@@ -227,7 +227,7 @@ FAULTS = [
     Fault(SUSPENSION, "2 * distinct.index(pair)", "distinct.index(pair)", ODD_SAYS),
     Fault(SUSPENSION, "stribeck.scaled(f)", "stribeck", ODD_SAYS),
     Fault(SUSPENSION, "+ c * u_dot", "- c * u_dot", PAPER_SAYS),
-    Fault(SUSPENSION, "stop, k = interpolate_table(displacement, get(p.displacement_table, w)", "stop, k = interpolate_table(displacement, get(p.displacement_table, 0)", PAPER_SAYS),
+    Fault(SUSPENSION, "stop, k = interpolate_table(vehicle.displacement, get(p.displacement_table, w)", "stop, k = interpolate_table(vehicle.displacement, get(p.displacement_table, 0)", PAPER_SAYS),
     Fault(SUSPENSION, "low * F_0 + high * F_1", "F_0 + high * F_1", PAPER_SAYS),
     Fault(SUSPENSION, "strut_state[:, VALVE_OPEN] = ~stiff[0]", "strut_state[:, VALVE_OPEN] = stiff[0]",
           "suspension::test_with_bushing_and_stop_inactive_the_strut_force_is_equation_1"),
@@ -427,7 +427,18 @@ FAULTS = [
     Fault("estimators/networks/narx.py", "if k >= d else", "if k > d else",
           "narx::test_in_parallel_the_network_feeds_back_its_own_outputs"),
     Fault("estimators/preprocessing.py", "np.maximum.accumulate(record.s)", "record.s",
-          "preprocessing::test_an_unusable_record_is_rejected_with_the_reason"),
+          f"{CONTRACT}refuses_the_same_records_with_the_same_sentence"),
+    Fault("estimators/preprocessing.py", "FS_MIN = 2.4 * F_C", "FS_MIN = 1.9 * F_C",
+          f"{CONTRACT}refuses_the_same_records_with_the_same_sentence"),
+    Fault("estimators/preprocessing.py", "2 * ANTIALIAS_SPREAD + 1", "2 * ANTIALIAS_SPREAD - 1",
+          "model_inputs::test_samples_near_a_clipped_or_missing_one_are_invalid"),
+    Fault("estimators/preprocessing.py", "t + 0.5 * dt) - 1", "t + 1.5 * dt) - 1",
+          "preprocessing::test_dropped_samples_are_restored_at_their_times"),
+    Fault("estimators/map_smoother/estimator.py", "record, valid, notes = mask_record(record, instruments)",
+          "valid, notes = mask_record(record, instruments)[1:]",
+          f"{CONTRACT}takes_the_same_damaged_records_with_the_same_note"),
+    Fault("estimators/baselines/flat.py", "mask_record(record).notes", "()",
+          f"{CONTRACT}refuses_the_same_records_with_the_same_sentence"),
     Fault("leaderboard/evaluation/pretraining.py", "== self.digest", "!= \"\"",
           "pretraining::test_an_unfinished_state_of_another_purpose_is_ignored"),
     Fault("leaderboard/running/plan.py", "if self._may_be_altered:", "if False:",
@@ -518,7 +529,7 @@ FAULTS = [
           "conformance_results::test_a_card_is_valid_only_for_its_code_settings_and_probe_version"),
     Fault("leaderboard/running/board.py", "if result.code != entry.code:", "if False:",
           "conformance_results::test_a_row_of_other_code_weights_or_settings_is_stale"),
-    Fault("leaderboard/evaluation/entries.py", "return pretrained_weights.load_pretrained(name)", "return {}",
+    Fault("leaderboard/evaluation/entries.py", "return pretrained_weights.load_pretrained(estimator.name)", "return {}",
           "conformance_results::test_a_row_is_stale_after_a_change_of_shipped_weights"),
     Fault("leaderboard/evaluation/entries.py", '{**entry.settings, "shipped": False}', "entry.settings",
           "conformance_results::test_on_tasks_trained_per_case_a_quickly_fitted_estimator_drops_its_weights"),

@@ -90,7 +90,15 @@ class _KalmanSettings:
         noise = density**2 * 0.5 * record.fs
         prior = RoadPrior(G_d0=self.G_d0, w=self.w, track=2.0 * car.front.y_t)
         run = setup_run(
-            record, car, instruments, model_inputs, measurements, noise, prior, self.level_ends, lag
+            record,
+            car,
+            instruments,
+            model_inputs,
+            measurements,
+            noise_variance=noise,
+            prior=prior,
+            level_ends=self.level_ends,
+            lag=lag,
         )
         sensor_latency = (ANTIALIAS_SPREAD + 1) / record.fs + antialias_delay(instruments)
         output = setup_output(run, record, lag, sensor_latency, detrended=not smooth)

@@ -22,9 +22,16 @@ from estimators.kalman.state import (
     node_index,
 )
 from road_envs._numba import kernel
-from road_envs.simulation.rosenbrock import ACCELERATION, N_SIGNALS, update_valves, workspace
+from road_envs.simulation.rosenbrock import (
+    ACCELERATION,
+    N_SIGNALS,
+    StepInputs,
+    update_valves,
+    workspace,
+)
 from road_envs.simulation.sensitivity import TAPE_ROW_SIZE, step_with_derivative, tangent_step
-from road_envs.vehicle.equations import N_DOF
+from road_envs.vehicle.equations import N_DOF, Motion
+from road_envs.vehicle.suspension import VehicleBuffers
 
 N_COMMON_COLUMNS = BIAS + 3
 """Columns of every block: vehicle, strut force residuals, biases."""
@@ -84,7 +91,7 @@ def linearize_block(
     for i in range(N_COMMON_COLUMNS):
         block.columns[i] = i
     for i in range(N_VEHICLE):
-        tangent_column(model, first, rows, weights, i, 0, 0, 0, block)
+        tangent_column(model, first, rows, weights, i, (0, 0, 0), block)
     time = steps_per_block * model.h
     # a constant force over so short a time moves the vehicle like free masses
     for w in range(4):
@@ -99,7 +106,7 @@ def linearize_block(
         for k in range(node[0, 0, axle], node[steps_per_block - 1, 1, axle] + 4):
             for component in range(2):
                 block.columns[size] = node_index(k, n) + component
-                tangent_column(model, first, rows, weights, size, axle, k, component, block)
+                tangent_column(model, first, rows, weights, size, (axle, k, component), block)
                 size += 1
     block.n_columns[0] = size
 
@@ -110,8 +117,10 @@ def simulate_block(
 ):
     """Simulate the block: fill the tape `rows`, `block.end_state` and `block.predicted`."""
     p, work, out = model.constants[0], workspace(), np.empty(N_SIGNALS)
-    q, v = state.x[:N_DOF].copy(), state.x[N_DOF:N_VEHICLE].copy()
-    road, still = np.empty(16), np.zeros(4)
+    vehicle = VehicleBuffers(p, model.velocity, model.displacement, state.strut_state)
+    motion = Motion(state.x[:N_DOF].copy(), state.x[N_DOF:N_VEHICLE].copy())
+    road = np.empty(16)
+    step_inputs = StepInputs(road, np.zeros(4))
     alpha = 1.0 - np.exp(-model.h / model.valve_lag)
     n, samples = state.x.size, 0
     block.predicted[:] = 0.0
@@ -127,9 +136,8 @@ def simulate_block(
                         rate += weights.slope[k, half, axle, m] * c
                     road[8 * half + 2 * axle + side] = z
                     road[8 * half + 4 + 2 * axle + side] = rate
-        update_valves(p, state.strut_state, q, inputs.commands[first + k], alpha, model.h)
-        laws = (p, model.velocity, model.displacement, state.strut_state)
-        step_with_derivative(*laws, q, v, road, still, model.h, work, out, rows[k])
+        update_valves(p, state.strut_state, motion.q, inputs.commands[first + k], alpha, model.h)
+        step_with_derivative(vehicle, motion, step_inputs, model.h, work, out, rows[k])
         if (first + k) % model.decimation == 0:
             samples += 1
             for s in range(3):
@@ -137,20 +145,20 @@ def simulate_block(
                     block.predicted[s] += model.sensor_rows[s, i] * out[ACCELERATION + i]
     for s in range(3):
         block.predicted[s] = block.predicted[s] / samples + state.x[BIAS + s]
-    block.end_state[:N_DOF] = q
-    block.end_state[N_DOF:] = v
+    block.end_state[:N_DOF] = motion.q
+    block.end_state[N_DOF:] = motion.v
 
 
 @kernel(inline=False)
-def tangent_column(
-    model: FilterModel, first, rows, weights: AxleWeights, column, axle, k, component, block
-):
+def tangent_column(model: FilterModel, first, rows, weights: AxleWeights, column, node, block):
     """Write the tangent along one unit direction to a `column` of `A` and `H`. Below N_VEHICLE the
-    direction is that entry of the vehicle state, else the `component` (0 mean, 1 half difference)
-    of the node `k` under `axle`.
+    direction is that entry of the vehicle state, else of a `node`: (axle, number, component), where
+    the component is 0 for the mean and 1 for the half difference.
     """
+    axle, k, component = node
     p, work, a = model.constants[0], workspace(), np.empty(N_DOF)
     q, v, road = np.zeros(N_DOF), np.zeros(N_DOF), np.zeros(16)
+    motion = Motion(q, v)
     if column < N_DOF:
         q[column] = 1.0
     elif column < N_VEHICLE:
@@ -166,7 +174,7 @@ def tangent_column(
                     wheel = 8 * half + 2 * axle + side
                     road[wheel] = sign * weights.height[i, half, axle, m] if inside else 0.0
                     road[4 + wheel] = sign * weights.slope[i, half, axle, m] if inside else 0.0
-        tangent_step(p, rows[i], q, v, road, model.h, work, a)
+        tangent_step(p, rows[i], motion, road, model.h, work, a)
         if (first + i) % model.decimation == 0:
             samples += 1
             for s in range(3):

@@ -100,6 +100,7 @@ def setup_run(
     instruments: Instruments,
     model_inputs: ModelInputs,
     measurements: BlockMeans,
+    *,
     noise_variance: float,
     prior: RoadPrior,
     level_ends: bool,

@@ -21,17 +21,14 @@ from estimators.common.model_inputs import ModelInputs
 from estimators.common.spline import height_weights, locate_node, slope_weights
 from estimators.map_smoother.road_prior import RoadTransform
 from road_envs._numba import kernel
-from road_envs.simulation.rosenbrock import StepWorkspace
+from road_envs.simulation.rosenbrock import WORKSPACE_ROWS, step_workspace
 from road_envs.simulation.sensitivity import Tape, tangent_step
 from road_envs.simulation.simd import LANES, broadcast, extract_lane, get, put
-from road_envs.vehicle.equations import N_DOF
+from road_envs.vehicle.equations import N_DOF, Motion
 
 N_STATES = 2 * N_DOF
 N_ROWS = 32
 """Rows of P at most: vehicle state and block means."""
-
-_SIZES = dict(zip(StepWorkspace._fields, [N_DOF] * 6 + [4] * 8 + [12, 6], strict=True))
-_WORK = np.dtype([(name, "f8", (size, LANES)) for name, size in _SIZES.items()])
 
 
 class NodeTrack(NamedTuple):
@@ -71,16 +68,25 @@ def road_derivatives(track: NodeTrack, n, m, road):
                     road[group, 8 * half + 4 + wheel, at] = w[k] * track.node_rate[now]
 
 
+class Sampling(NamedTuple):
+    """`sample_weight` (S, J, b) of the samples, one in `decimation` steps, in their block means;
+    `sensor_rows` (S, 7).
+    """
+
+    decimation: int
+    sample_weight: np.ndarray
+    sensor_rows: np.ndarray
+
+
 @kernel
-def fill_chunk_matrices(
-    constants, rows, h, track: NodeTrack, decimation, sample_weight, sensor_rows, work, P
-):
+def fill_chunk_matrices(constants, rows, h, track: NodeTrack, sampling: Sampling, P):
     """Write the matrices of all chunks to `P` (M, C, N_ROWS), transposed: a column in each row.
 
-    `rows` of the tape; `sample_weight` (S, J, b) of the samples, one in `decimation` steps, in
-    their block means; `sensor_rows` (S, 7).
+    `rows` of the tape.
     """
+    decimation, sample_weight, sensor_rows = sampling
     p, groups = constants[0], P.shape[1] // LANES
+    work = step_workspace(np.empty((WORKSPACE_ROWS, LANES)))
     sensors, blocks, block = sample_weight.shape
     blocks_per_chunk = (N_ROWS - N_STATES) // sensors
     y, a = np.empty((groups, N_STATES, LANES)), np.empty((N_DOF, LANES))
@@ -96,8 +102,8 @@ def fill_chunk_matrices(
             sample = n // decimation
             at = sample // block
             for group in range(groups):
-                q, v = y[group, :N_DOF], y[group, N_DOF:]
-                tangent_step(p, rows[n], q, v, road[group], h, work, a)
+                motion = Motion(y[group, :N_DOF], y[group, N_DOF:])
+                tangent_step(p, rows[n], motion, road[group], h, work, a)
                 if n % decimation == 0:
                     for i in range(sensors):
                         sensed = broadcast(0.0)
@@ -221,8 +227,7 @@ def build_block_tangent(
     columns = -(-(N_STATES + 4 * width) // LANES) * LANES
     P = np.empty((begin.size, columns, N_ROWS))
     track = NodeTrack(x, inputs.v / road.ds, wheelbase_nodes, first, width, road.size)
-    motion = tape.plant.constants, tape.rows, tape.h, track
-    sampling = inputs.decimation, measurements.sample_weight, sensor_rows
-    fill_chunk_matrices(*motion, *sampling, np.zeros(1, dtype=_WORK)[0], P)
+    sampling = Sampling(inputs.decimation, measurements.sample_weight, sensor_rows)
+    fill_chunk_matrices(tape.plant.constants, tape.rows, tape.h, track, sampling, P)
     P = P.reshape(begin.size, columns, N_ROWS // LANES, LANES)
     return BlockTangent(P, first, width, road.size, (sensors, blocks))

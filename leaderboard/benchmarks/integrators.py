@@ -141,16 +141,16 @@ class IntegrationProblem:
 
     def _rate_and_jacobian(self) -> tuple[Callable[..., np.ndarray], Callable[..., np.ndarray]]:
         """Return the right-hand side, which fills its third argument, and the Jacobian (14, 14)."""
-        drive, surface, road = self.new_drive(), self.surface, np.empty(8)
-        ground = (surface.padded, surface.start, surface.ds)
+        drive, surface, road = self.new_drive(), self.surface.buffers, np.empty(8)
+        vehicle = self.plant.buffers(drive.strut_state)
 
         def rate(t: float, y: np.ndarray, out: np.ndarray) -> np.ndarray:
             s = drive.start + SPEED * t
-            state_rate(*self.plant.arrays, drive.strut_state, *ground, s, SPEED, y, out)
+            state_rate(vehicle, surface, s, SPEED, y, out)
             return out
 
         def jac(t: float, y: np.ndarray) -> np.ndarray:
-            sample_road(self.plant.constants[0], *ground, drive.start + SPEED * t, SPEED, road)
+            sample_road(vehicle.p, surface, drive.start + SPEED * t, SPEED, road)
             return jacobian(self.plant, drive.strut_state, y, road[:4], road[4:])
 
         return rate, jac

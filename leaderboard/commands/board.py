@@ -31,6 +31,7 @@ CORES = os.cpu_count() or 1
 
 
 def leaderboard(
+    *,
     task: Annotated[
         list[str] | None,
         typer.Option(help="Task: shipped name or YAML path; may be given again."),

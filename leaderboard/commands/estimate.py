@@ -51,6 +51,7 @@ N_DRIVES, SPEED_MARGIN = 60, 1.5
 
 
 def estimate(
+    *,
     estimator: Annotated[str, typer.Argument(help="A file from `train`, or a name.")],
     record: RecordFile,
     truth: Annotated[Path | None, typer.Option(help="True profile (.csv), to score.")] = None,

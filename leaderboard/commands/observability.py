@@ -35,6 +35,7 @@ PLOTTED_BAND = (0.05, 2.5)
 
 
 def observability(
+    *,
     speed_kmh: Annotated[
         list[float] | None, typer.Option(help="Speed in km/h; may be given again.")
     ] = None,

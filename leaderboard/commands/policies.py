@@ -51,6 +51,7 @@ some speed of the league scenarios; weight 0 is the policy `ride`.
 
 
 def policies(
+    *,
     policy: Annotated[
         list[str] | None, typer.Option(help="Policy, may be given again. Default: all.")
     ] = None,
@@ -127,6 +128,7 @@ def tune_policy(
 
 
 def train_policy(
+    *,
     name: Annotated[
         str, typer.Argument(help="ppo, dqn, ppo_sensing, ppo_preview, or a YAML file.")
     ],

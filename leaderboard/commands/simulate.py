@@ -51,6 +51,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a tabl
 
 
 def simulate(
+    *,
     road: Road = "belgian",
     speed_kmh: Speed = 14.5,
     mode: Mode = "ride",
@@ -111,6 +112,7 @@ def simulate(
 
 
 def train(
+    *,
     estimator: Annotated[str, typer.Argument(help="Name of a trainable estimator.")],
     out: Annotated[
         Path, typer.Option(help="File for the fitted estimator (.npz or .safetensors).")

@@ -145,8 +145,11 @@ class Result:
         return driven
 
     def _axes(self) -> tuple[dict[int | str, int], ...]:
-        drives = sorted({d.drive for d in self.drives})
-        axes = drives, [d.condition for d in self.drives], [d.seed for d in self.drives]
+        axes: tuple[list[int | str], ...] = (
+            sorted({d.drive for d in self.drives}),
+            [d.condition for d in self.drives],
+            [d.seed for d in self.drives],
+        )
         return tuple({name: k for k, name in enumerate(dict.fromkeys(axis))} for axis in axes)
 
     def _places(self, axes: tuple[dict[int | str, int], ...]) -> Iterator[tuple[int, ...]]:

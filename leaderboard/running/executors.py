@@ -120,15 +120,17 @@ class ProcessExecutor:
         self, job: Job, out: Path, failed: set[tuple[str, str]], put: Callable[..., None]
     ) -> None:
         try:
-            left = {entry.name: entry for entry in _without_failed(job, failed).entries}
-            while left:
-                self._run_process(_with_entries(job, left.values()), out, failed, put, left)
-                if left:  # the process died while running the first entry of `left`
-                    suspect = next(iter(left.values()))
+            remaining = {entry.name: entry for entry in _without_failed(job, failed).entries}
+            while remaining:
+                self._run_process(
+                    _with_entries(job, remaining.values()), out, failed, put, remaining
+                )
+                if remaining:  # the process died while running the first entry of `remaining`
+                    suspect = next(iter(remaining.values()))
                     status = self._run_process(
-                        _with_entries(job, [suspect]), out, failed, put, left
+                        _with_entries(job, [suspect]), out, failed, put, remaining
                     )
-                    if left.pop(suspect.name, None) is not None:
+                    if remaining.pop(suspect.name, None) is not None:
                         put(record_crash(job, suspect, describe_exit(status), out))
         except BaseException as error:
             put(error)
@@ -141,9 +143,9 @@ class ProcessExecutor:
         out: Path,
         failed: set[tuple[str, str]],
         put: Callable[..., None],
-        left: dict[str, Entry],
+        remaining: dict[str, Entry],
     ) -> int:
-        """Run a job in a process, put its results and remove their entries from `left`.
+        """Run a job in a process, put its results and remove their entries from `remaining`.
 
         Return the exit status, negative for a signal. Raises EvaluatorError for a positive one.
         """
@@ -159,7 +161,7 @@ class ProcessExecutor:
                     if "error" in data:
                         raise ConfigError(data["error"])
                     done = build(JobDone, data, "a job")
-                    left.pop(done.entry, None)
+                    remaining.pop(done.entry, None)
                     if done.failure is not None:
                         failed.add((done.task, done.entry))
                     put(done)
@@ -176,7 +178,7 @@ def start_job(job: Job, folder: Path, out: Path) -> subprocess.Popen[str]:
     """Start a process that runs a job; `folder` receives the job file and standard error."""
     spec = folder / "spec.json"
     spec.write_text(jobs.to_text(job), encoding="utf-8")
-    path = os.pathsep.join(os.path.abspath(place) for place in sys.path)
+    path = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)
     with (folder / "stderr.txt").open("wb") as stderr:
         return subprocess.Popen(
             [sys.executable, "-P", "-m", "leaderboard.running.jobs", str(spec), str(out)],

@@ -47,7 +47,7 @@ class Plan:
     def __init__(self, rows: Sequence[PlannedRow], out: Path, resume: bool):
         """Raises NewerFormatError if a row would replace a file in a newer format."""
         self.rows, self.out = rows, out
-        self._known: dict[Path, str] = {}  # digest of content or file, by path
+        self._digests: dict[Path, str] = {}  # digest of content or file, by path
         self._failed: set[str] = set()  # parts that hold a failure
         self._may_be_altered = False
         self._pending = [row for row in rows if not self._is_current(row, resume)]
@@ -61,12 +61,12 @@ class Plan:
             (row, k)
             for row in self._pending
             for k, part in enumerate(row.parts)
-            if self._part_path(part) not in self._known
+            if self._part_path(part) not in self._digests
         ]
 
     def record_part(self, done: JobDone) -> None:
         """Record a part that was run."""
-        self._known[self._part_path(done.identity)] = done.content_digest
+        self._digests[self._part_path(done.identity)] = done.content_digest
         self._may_be_altered |= done.isolation != "namespaces"
         if done.failure is not None:
             self._failed.add(done.identity)
@@ -78,13 +78,13 @@ class Plan:
         """
         if self._may_be_altered:
             for path in [
-                path for path, digest in self._known.items() if not _is_unchanged(path, digest)
+                path for path, digest in self._digests.items() if not _is_unchanged(path, digest)
             ]:
-                del self._known[path]
+                del self._digests[path]
         left = [
             row
             for row in self.rows
-            if row in self._pending or self._row_path(row) not in self._known
+            if row in self._pending or self._row_path(row) not in self._digests
         ]
         self._pending = [row for row in left if not self._assemble(row)]
         return not self._pending
@@ -99,7 +99,7 @@ class Plan:
             return False
         if not resume or result.identity != row.identity or result.failure is not None:
             return False
-        self._known[path] = checksum
+        self._digests[path] = checksum
         return True
 
     def _find_part(self, part: str) -> None:
@@ -109,17 +109,17 @@ class Plan:
         except ConfigError:
             return
         if result.failure is None:
-            self._known[path] = content_digest(result)
+            self._digests[path] = content_digest(result)
 
     def _assemble(self, row: PlannedRow) -> bool:
         """Write a row if all parts are stored; return whether it was written."""
-        stored = [part for part in row.parts if self._part_path(part) in self._known]
+        stored = [part for part in row.parts if self._part_path(part) in self._digests]
         # one failed part fails the row: the other conditions are not run then
         if len(stored) < len(row.parts) and not self._failed.intersection(stored):
             return False
         parts = [store.load_part(self._part_path(part)) for part in stored]
         merged = merge_parts(parts, row.identity)
-        self._known[store.save(merged, self.out)] = content_digest(merged)
+        self._digests[store.save(merged, self.out)] = content_digest(merged)
         return True
 
     def _row_path(self, row: PlannedRow) -> Path:

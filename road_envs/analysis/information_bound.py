@@ -28,16 +28,17 @@ knows the force laws, and is neglected by default. For a linear estimator it is 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from road_envs.analysis.roughness import CLASSES, N_0, root_coherence
+from road_envs.analysis.roughness import CLASSES, N_0, TRACK, root_coherence
 from road_envs.analysis.statistical_linearization import (
     nonlinear_residual,
     residual_force_psd,
     sensor_psd,
 )
+from road_envs.config import Positive, Settings
 from road_envs.data.record import F_C, scored_band
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.equations import Plant, build_plant
@@ -59,20 +60,12 @@ Mode = str | Mapping[str, str]
 
 
 @dataclass(frozen=True, kw_only=True)
-class RoadPrior:
-    """Prior of an isotropic ISO 8608 road.
+class RoadPrior(Settings):
+    """Prior of an isotropic ISO 8608 road."""
 
-    `G_d0` [m³] is the density at n0, `w` the waviness, `track` [m] the distance of the wheel paths.
-    """
-
-    G_d0: float = CLASSES["D"]
-    w: float = 2.0
-    track: float = 1.5
-
-    def __post_init__(self):
-        for name in ("G_d0", "w", "track"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+    G_d0: Annotated[Positive, "m³", "density at n0"] = CLASSES["D"]
+    w: Annotated[Positive, "", "waviness"] = 2.0
+    track: Annotated[Positive, "m", "distance between the wheel paths"] = TRACK
 
     def density(self, n: np.ndarray) -> np.ndarray:
         """Return the one-sided density [m³] of a wheel path at `n` [cycles/m], any shape, n > 0."""

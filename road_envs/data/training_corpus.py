@@ -22,12 +22,12 @@ import itertools
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from road_envs.analysis.roughness import CLASSES
-from road_envs.config import ConfigError
+from road_envs.config import Count, Settings
 from road_envs.data.record import Profile, Record
 from road_envs.data.recording import simulate_record
 from road_envs.roads import Belgian, Bumps, Defects, Iso8608, Potholes, Road, Scaled, Superposed
@@ -50,10 +50,10 @@ ATTEMPTS = 10
 
 
 @dataclass(frozen=True, kw_only=True)
-class Corpus:
+class Corpus(Settings):
     """Corpus of `number` drives of randomised variants of the `car` and the `instruments`."""
 
-    number: int = 1200
+    number: Annotated[Count, "", "number of drives"] = 1200
     seed: int = 1
     car: str = "land_rover_defender_110"
     instruments: str = "paper"
@@ -61,10 +61,6 @@ class Corpus:
     fastest_kmh: float = 72.0
     shortest: int = 100  # [m]
     longest: int = 200
-
-    def __post_init__(self):
-        if self.number < 1:
-            raise ConfigError(f"number of drives must be at least 1, got {self.number}")
 
     @property
     def vehicle(self) -> VehicleParameters:

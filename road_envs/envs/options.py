@@ -6,9 +6,10 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
+from pydantic import Field
 
 from road_envs.analysis.information_bound import BoundTable, RoadPrior
-from road_envs.config import STRICT, ConfigError, build
+from road_envs.config import ConfigError, NonNegative, Positive, Settings, SmallestFirst, build
 from road_envs.data.record import SENSORS
 from road_envs.roads import load_road, with_length
 from road_envs.roads.surface import Surface
@@ -41,54 +42,47 @@ ACTIONS: dict[str, tuple[Any, ...]] = {
 }
 """Strut states commanded by the actions 0, 1, ..., for each choice of `control`."""
 
-MAX_SPEED_KMH = 200.0
-"""Highest speed that `speed_kmh` may have [km/h]."""
+Speed = Annotated[float, Field(gt=0, le=200)]
 
 MAX_OBSERVED_SPEED = 100.0
 """Upper limit of the observed speed [m/s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Weights:
+class Weights(Settings):
     """Weights of the four costs in the reward, each per second."""
-
-    __pydantic_config__ = STRICT
 
     comfort: Annotated[float, "per m/s²", "of the W_k-weighted RMS heave acceleration"] = 1.0
     rattle: Annotated[float, "per m", "of the RMS strut extension"] = 10.0
     tyre_load: Annotated[float, "", "of the RMS relative tyre load variation"] = 1.0
-    unresolved_variance: Annotated[float, "", "of the road's unresolved share of variance"] = 0.0
-
-    def __post_init__(self):
-        if not 0.0 <= self.unresolved_variance < np.inf:
-            raise ValueError(
-                f"unresolved_variance must not be negative, got {self.unresolved_variance}"
-            )
+    unresolved_variance: Annotated[
+        NonNegative, "", "of the road's unresolved share of variance"
+    ] = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class EnvOptions:
+class EnvOptions(Settings):
     """Keyword arguments of the environment; `RoadReconEnv` documents them."""
 
-    __pydantic_config__ = STRICT
-
     road: str | dict[str, Any] = "belgian"
-    speed_kmh: float | tuple[float, float] = 14.5
+    speed_kmh: Annotated[
+        Speed | Annotated[tuple[Speed, Speed], SmallestFirst], "km/h", "speed, or its range"
+    ] = 14.5
     mode: str | dict[str, str] = "ride"
     control: Literal["vehicle", "axle", "states"] = "vehicle"
-    control_rate: float = 20.0
+    control_rate: Annotated[Positive, "Hz", "rate of the actions"] = 20.0
     length: float | None = None
     sensors: str = "paper"
     vehicle: str = "land_rover_defender_110"
-    step: float = 0.001
+    step: Annotated[Positive, "s", "step of the integrator"] = 0.001
     manoeuvre: str | dict[str, Any] | None = None
     truth: bool = True
     observe: tuple[Literal["accelerations", "planar", "struts"], ...] = ("accelerations",)
     weights: Weights = field(default_factory=Weights)
-    exaggeration: float = 1.0
+    exaggeration: Annotated[Positive, "", "factor on drawn vertical motion"] = 1.0
 
     def __post_init__(self):
-        validate_speed(self.speed_kmh)
+        super().__post_init__()
         encode_command(self.mode)
         if self.manoeuvre is not None:
             load_manoeuvre(self.manoeuvre)
@@ -96,24 +90,12 @@ class EnvOptions:
             raise ValueError(
                 f"observe needs 'accelerations' and no duplicates, got {list(self.observe)}"
             )
-        if not self.exaggeration > 0:
-            raise ValueError(f"exaggeration must be above 0, got {self.exaggeration}")
-        per_interval = 1.0 / (self.control_rate * self.step) if self.control_rate > 0 else 0.0
+        per_interval = 1.0 / (self.control_rate * self.step)
         if per_interval < 1.0 or abs(per_interval - round(per_interval)) > 1e-6:
             raise ValueError(
                 f"control_rate must give a whole number of integrator steps of {self.step} s, "
                 f"got {self.control_rate} Hz"
             )
-
-
-def validate_speed(speed_kmh: float | tuple[float, float]) -> None:
-    """Raise ValueError unless `speed_kmh` is a valid speed or a valid range of speeds."""
-    speeds = np.atleast_1d(np.asarray(speed_kmh, dtype=float))
-    if not ((speeds > 0) & (speeds <= MAX_SPEED_KMH)).all() or speeds[0] > speeds[-1]:
-        raise ValueError(
-            f"speed_kmh must be a number or a range [low, high] within 0 to {MAX_SPEED_KMH:g} km/h "
-            f"and above 0, got {speed_kmh}"
-        )
 
 
 def _axle_modes(action: str | dict[str, str]) -> dict[str, str]:

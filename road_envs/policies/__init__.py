@@ -15,7 +15,7 @@ from importlib import metadata
 from typing import Any
 
 from road_envs import config
-from road_envs.config import STRICT, ConfigError, build, validate_choice
+from road_envs.config import ConfigError, Settings, build, validate_choice
 from road_envs.policies.add import AccelerationDriven
 from road_envs.policies.api import Policy, PolicyContext, PolicyError
 from road_envs.policies.dqn import Dqn
@@ -61,14 +61,12 @@ class PolicyPluginWarning(UserWarning):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PolicySettings:
+class PolicySettings(Settings):
     """Settings of a shipped policy and their source.
 
     `training` holds the settings with which a learned policy was trained
     (`training.TrainingConfig`).
     """
-
-    __pydantic_config__ = STRICT
 
     settings: dict[str, Any] = field(default_factory=dict)
     source: str = ""

@@ -5,15 +5,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from road_envs.config import STRICT
+from road_envs.config import Settings
 from road_envs.policies.api import PolicyContext
 
 
 @dataclass(kw_only=True)
-class FixedRide:
+class FixedRide(Settings):
     """Policy with all struts soft and low damping."""
 
-    __pydantic_config__ = STRICT
     states: ClassVar[tuple[str, str]] = ("ride", "ride")
 
     actions: np.ndarray = field(init=False, repr=False, compare=False)

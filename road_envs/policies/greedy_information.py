@@ -6,12 +6,13 @@ advance. At constant speed the greedy policy is therefore optimal, and it does n
 """
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
 from road_envs.analysis.comfort import wk
 from road_envs.analysis.information_bound import BoundTable, RoadPrior, equivalent_damping
-from road_envs.config import STRICT
+from road_envs.config import NonNegative, Settings
 from road_envs.policies.api import PolicyContext
 from road_envs.vehicle.linear_model import frequency_response, linearise
 from road_envs.vehicle.parameters import VehicleParameters
@@ -21,23 +22,17 @@ FREQUENCIES = np.geomspace(0.2, 50.0, 400)
 
 
 @dataclass(kw_only=True)
-class GreedyInformation:
+class GreedyInformation(Settings):
     """Policy that minimises expected comfort [m/s²] + `weight` x unresolved share of variance.
 
     The costs are those of a class-D road at the first measured speed.
     """
 
-    __pydantic_config__ = STRICT
-
-    weight: float = 100.0
+    weight: Annotated[NonNegative, "m/s²", "of the unresolved share of variance"] = 100.0
     context: PolicyContext = field(init=False, repr=False, compare=False)
     best_actions: dict[tuple, int] = field(
         init=False, repr=False, compare=False, default_factory=dict
     )
-
-    def __post_init__(self):
-        if not self.weight >= 0:
-            raise ValueError(f"weight must not be negative, got {self.weight}")
 
     def reset(self, context: PolicyContext) -> None:
         """Discard the choice; the next observation determines a new one."""

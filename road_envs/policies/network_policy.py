@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from road_envs.config import STRICT, ConfigError, folder
+from road_envs.config import ConfigError, Settings, folder
 from road_envs.envs.options import ACTIONS
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.features import FeatureExtractor, n_features
@@ -97,18 +97,17 @@ def _validate_layers(
 
 
 @dataclass(kw_only=True)
-class NetworkPolicy:
+class NetworkPolicy(Settings):
     """Policy that takes the action with the largest output of a network.
 
     `file` is a path, or a name in the shipped folder of policies.
     """
 
-    __pydantic_config__ = STRICT
-
     file: str
     network: PolicyNetwork = field(init=False, repr=False, compare=False)
 
     def __post_init__(self):
+        super().__post_init__()
         path, shipped = Path(self.file), folder() / "policies" / self.file
         self.network = read_policy_network(path if path.exists() else shipped)
 

@@ -6,9 +6,11 @@ JSME Int. J. C 37, 1994.
 """
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
+from road_envs.config import Positive
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.rrms import RunningRmsPolicy
 from road_envs.policies.wheelbase_preview import WheelbasePreview
@@ -18,19 +20,13 @@ from road_envs.policies.wheelbase_preview import WheelbasePreview
 class Preview(RunningRmsPolicy):
     """Policy as `RunningRmsPolicy`, with the rear axle in ride ahead of bumps.
 
-    A bump is a height range of more than `bump` [m] on either wheel path within the next `reach`
-    [m]. Needs the observation groups "planar" and "struts".
+    A bump is a height range of more than `bump` on either wheel path within the next `reach`. Needs
+    the observation groups "planar" and "struts".
     """
 
-    bump: float = 0.04
-    reach: float = 2.0
+    bump: Annotated[Positive, "m", "least height range of a bump"] = 0.04
+    reach: Annotated[Positive, "m", "distance ahead of the rear axle"] = 2.0
     preview: WheelbasePreview = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self):
-        super().__post_init__()
-        for name in ("bump", "reach"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
     def reset(self, context: PolicyContext) -> None:
         """Reset the running RMS and the preview."""

@@ -1,25 +1,20 @@
 """Random switching, the baseline that every policy should exceed."""
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
-from road_envs.config import STRICT
+from road_envs.config import Positive, Settings
 from road_envs.policies.api import PolicyContext
 
 
 @dataclass(kw_only=True)
-class RandomSwitching:
-    """Policy that draws each action with equal probability and holds it for `hold` [s]."""
+class RandomSwitching(Settings):
+    """Policy that draws each action with equal probability and holds it for `hold`."""
 
-    __pydantic_config__ = STRICT
-
-    hold: float = 0.1
+    hold: Annotated[Positive, "s", "duration of an action"] = 0.1
     context: PolicyContext = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self):
-        if not self.hold > 0:
-            raise ValueError(f"hold must be positive, got {self.hold}")
 
     def reset(self, context: PolicyContext) -> None:
         """Seed the random generator."""

@@ -1,33 +1,25 @@
 """Roll threshold: handling while the body rolls relative to its axles, and for a time after."""
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
-from road_envs.config import STRICT
+from road_envs.config import NonNegative, Positive, Settings
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.body_motion import roll_from_extensions
 
 
 @dataclass(kw_only=True)
-class RollAngle:
-    """Policy with handling while the roll exceeds `threshold` [rad], and for `hold` [s] after.
+class RollAngle(Settings):
+    """Policy with handling while the roll exceeds `threshold`, and for `hold` after.
 
     Needs the observation group "struts".
     """
 
-    __pydantic_config__ = STRICT
-
-    threshold: float = 0.03
-    hold: float = 0.5
+    threshold: Annotated[Positive, "rad", "roll beyond which handling is chosen"] = 0.03
+    hold: Annotated[NonNegative, "s", "time for which handling is kept"] = 0.5
     context: PolicyContext = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self):
-        if not (self.threshold > 0 and self.hold >= 0):
-            raise ValueError(
-                f"threshold must be positive and hold must not be negative, got {self.threshold} "
-                f"and {self.hold}"
-            )
 
     def reset(self, context: PolicyContext) -> None:
         """Start without roll."""

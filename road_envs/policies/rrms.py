@@ -4,31 +4,25 @@ Els, "The ride comfort vs. handling compromise for off-road vehicles", thesis, P
 """
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
-from road_envs.config import STRICT
+from road_envs.config import Positive, Settings
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.body_motion import BodyMotionEstimator, RunningRms
 
 
 @dataclass(kw_only=True)
-class RunningRmsPolicy:
+class RunningRmsPolicy(Settings):
     """Policy with handling while the lateral RMS exceeds `ratio` times the RMS of heave.
 
-    Both are RMS accelerations over `window` [s]. Needs the observation group "planar".
+    Both are RMS accelerations over `window`. Needs the observation group "planar".
     """
 
-    __pydantic_config__ = STRICT
-
-    window: float = 1.0
-    ratio: float = 1.0
+    window: Annotated[Positive, "s", "window of both RMS"] = 1.0
+    ratio: Annotated[Positive, "", "lateral RMS over the RMS of heave"] = 1.0
     context: PolicyContext = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self):
-        for name in ("window", "ratio"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
     def reset(self, context: PolicyContext) -> None:
         """Reset the running RMS."""

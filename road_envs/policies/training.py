@@ -17,7 +17,7 @@ import numpy as np
 
 from road_envs._atomic_io import atomic_write
 from road_envs._extras import optional_import
-from road_envs.config import STRICT, ConfigError
+from road_envs.config import ConfigError, Count, Settings
 from road_envs.envs.sb3 import RoadReconVecEnv
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.features import MAX_FEATURE, FeatureExtractor, n_features
@@ -38,19 +38,17 @@ Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainingConfig:
+class TrainingConfig(Settings):
     """Settings of a training; a step is one choice of an action in one environment."""
 
-    __pydantic_config__ = STRICT
-
     algorithm: Literal["ppo", "dqn"] = "ppo"
-    steps: int = 300_000
-    n_envs: int = 16  # per case
-    layers: tuple[int, ...] = (64, 64)
-    eval_interval: int = 50_000  # steps between evaluations on the roads of the training seeds
+    steps: Count = 300_000
+    n_envs: Count = 16  # per case
+    layers: tuple[Count, ...] = (64, 64)
+    eval_interval: Count = 50_000  # steps between evaluations on the roads of the training seeds
     unresolved_variance: float = 0.0  # weight of this cost in the reward
     # an exploratory action has to last for several control intervals to have an effect
-    action_repeat: int = 5
+    action_repeat: Count = 5
     # the reward relative to a vehicle in ride on the same road: removes the road's contribution
     # to its variance and keeps the optimal policy
     paired_baseline: bool = False
@@ -60,12 +58,6 @@ class TrainingConfig:
     ride_logit_bias: float = 0.0
     reward_scale: float = 10.0
     hyperparameters: dict[str, Any] = field(default_factory=dict)  # of Stable-Baselines3
-
-    def __post_init__(self):
-        if min(self.steps, self.n_envs, self.eval_interval, self.action_repeat, *self.layers) < 1:
-            raise ValueError(
-                "steps, n_envs, eval_interval, action_repeat and layers must be at least 1"
-            )
 
 
 @dataclass(frozen=True)

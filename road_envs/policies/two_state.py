@@ -7,34 +7,27 @@ accelerometers, e' is measured at the struts.
 """
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
-from road_envs.config import STRICT
+from road_envs.config import Positive, Settings
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.body_motion import BodyMotionEstimator
 
 
 @dataclass(kw_only=True)
-class TwoStateDamper:
+class TwoStateDamper(Settings):
     """Policy with state `high` where the law is positive, else ride.
 
-    `leak` [Hz] is the corner of the integration of body rates. `bias` shifts the threshold by a
-    share of the running mean magnitude of the sum; a positive one makes `high` more frequent.
-    Needs the observation group "struts".
+    `bias` shifts the threshold by a share of the running mean magnitude of the sum; a positive one
+    makes `high` more frequent. Needs the observation group "struts".
     """
 
-    __pydantic_config__ = STRICT
-
     high: Literal["handling", "soft_high"] = "soft_high"
-    leak: float = 0.2
+    leak: Annotated[Positive, "Hz", "corner of the integration of body rates"] = 0.2
     bias: float = 0.0
     context: PolicyContext = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self):
-        if not self.leak > 0:
-            raise ValueError(f"leak must be positive, got {self.leak}")
 
     def reset(self, context: PolicyContext) -> None:
         """Set the body motion and the mean magnitude to zero."""

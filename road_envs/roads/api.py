@@ -40,14 +40,16 @@ class Resizable(Protocol):
         ...
 
 
-def load_road(source: str | Path | Mapping[str, Any]) -> Road:
+def load_road(source: str | Path | Mapping[str, Any] | Road) -> Road:
     """Load a road from a shipped name ("iso_d"), a YAML path, a surface file or a mapping.
 
     A mapping has the key `kind` and the settings of that kind, or `name`, a shipped road, and
-    optionally `length`. Raises ConfigError.
+    optionally `length`. A road is returned as it is. Raises ConfigError.
     """
     if isinstance(source, Mapping):
         return _from_mapping(source, "")
+    if isinstance(source, Road):
+        return source
     if not isinstance(source, str | Path):
         raise ConfigError(f"a road must be given as a name, a path or a mapping, got {source!r}")
     if Path(source).suffix.lower() in SURFACE_SUFFIXES:
@@ -65,7 +67,7 @@ def realise_road(
 
     Raises ConfigError.
     """
-    described = load_road(road) if isinstance(road, str | Path | Mapping) else road
+    described = load_road(road)
     if length is not None:
         described = with_length(described, length)
     return described.realise(np.random.default_rng(seed))

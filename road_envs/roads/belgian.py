@@ -14,41 +14,37 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 from scipy.special import ndtr
 
-from road_envs.analysis.roughness import N_0, root_coherence
-from road_envs.config import STRICT
+from road_envs.analysis.roughness import N_0, TRACK, root_coherence
+from road_envs.config import Finite, NonNegative, Positive, Settings
 from road_envs.roads.iso8608 import cell_centres, cell_edges, check_band, power_law, synthesise
 from road_envs.roads.surface import Surface
-from road_envs.roads.validation import check_positive
 
 
 @dataclass(frozen=True, kw_only=True)
-class Belgian:
+class Belgian(Settings):
     """A random paving similar to the paper's."""
 
-    __pydantic_config__ = STRICT
-
-    length: Annotated[float, "m", "length of the road"] = 100.0
-    G_d0: Annotated[float, "m³", "base at n0; centre of class D at 0.77 cycles/m"] = 0.00139
-    w: Annotated[float, "", "waviness of the base"] = 2.15
-    n_above: Annotated[float, "cycles/m", "frequency beyond which the base is steeper"] = 3.0
-    w_above: Annotated[float, "", "waviness of the base beyond n_above"] = 5.0
-    n_cobble: Annotated[float, "cycles/m", "cobbles per metre"] = 5.9
-    n_sigma: Annotated[float, "cycles/m", "standard deviation of the peak"] = 0.29
-    peak: Annotated[float, "", "density at n_cobble relative to the base"] = 6.0
-    coherence: Annotated[float, "", "coherence (squared) of the wheel paths at n_cobble"] = 0.22
-    n_min: Annotated[float, "cycles/m", "lower end of the band [assumed]"] = 0.05
-    n_max: Annotated[float, "cycles/m", "upper end of the band"] = 10.0
-    track: Annotated[float, "m", "distance between the wheel paths"] = 1.5
-    ds: Annotated[float, "m", "spacing of the samples"] = 0.01
+    length: Annotated[Positive, "m", "length of the road"] = 100.0
+    G_d0: Annotated[Positive, "m³", "base at n0; centre of class D at 0.77 cycles/m"] = 0.00139
+    w: Annotated[Positive, "", "waviness of the base"] = 2.15
+    n_above: Annotated[Positive, "cycles/m", "frequency beyond which the base is steeper"] = 3.0
+    w_above: Annotated[Positive, "", "waviness of the base beyond n_above"] = 5.0
+    n_cobble: Annotated[Positive, "cycles/m", "cobbles per metre"] = 5.9
+    n_sigma: Annotated[Positive, "cycles/m", "standard deviation of the peak"] = 0.29
+    peak: Annotated[Finite, Field(gt=1), "", "density at n_cobble over that of the base"] = 6.0
+    coherence: Annotated[NonNegative, "", "coherence (squared) of the paths at n_cobble"] = 0.22
+    n_min: Annotated[Positive, "cycles/m", "lower end of the band [assumed]"] = 0.05
+    n_max: Annotated[Positive, "cycles/m", "upper end of the band"] = 10.0
+    track: Annotated[Positive, "m", "distance between the wheel paths"] = TRACK
+    ds: Annotated[Positive, "m", "spacing of the samples"] = 0.01
 
     def __post_init__(self):
-        check_positive(self, "G_d0", "w", "w_above", "n_above", "n_cobble", "n_sigma", "track")
+        super().__post_init__()
         check_band(self)
-        if not self.peak > 1.0:
-            raise ValueError(f"peak must be greater than 1, got {self.peak}")
-        if not 0.0 <= self._cobble_coherence <= 1.0:
+        if self._cobble_coherence > 1.0:
             limit = (1.0 - 1.0 / self.peak) ** 2
             raise ValueError(f"coherence must be within 0 and {limit:.3g}, got {self.coherence}")
 

@@ -6,33 +6,26 @@ are therefore sums of delayed surfaces: a road that follows another one starts a
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
+from pydantic import Field
 
-from road_envs.config import STRICT
+from road_envs.config import Finite, NonNegative, Positive, Settings
 from road_envs.data.record import PROFILE_SPACING
 from road_envs.roads.api import AnyRoad, Road, with_length
 from road_envs.roads.measured import tile_heights
-from road_envs.roads.surface import Surface
-from road_envs.roads.validation import (
-    check_not_empty,
-    check_not_negative,
-    check_positive,
-    check_size,
-)
+from road_envs.roads.surface import Surface, check_size
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flat:
+class Flat(Settings):
     """A flat road."""
 
-    __pydantic_config__ = STRICT
-
-    length: Annotated[float, "m", "length of the road"] = 100.0
+    length: Annotated[Positive, "m", "length of the road"] = 100.0
 
     def __post_init__(self):
-        check_positive(self, "length")
+        super().__post_init__()
         check_size(self.length, PROFILE_SPACING)
 
     def realise(self, rng: np.random.Generator) -> Surface:
@@ -42,26 +35,27 @@ class Flat:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FixedSeed:
-    """A deterministic road: the surface that `road` draws from `seed`."""
-
-    __pydantic_config__ = STRICT
+class _Modified(Settings):
+    """A road made of one other road, whose length it has, plus or times a constant."""
 
     road: AnyRoad
-    seed: int
-
-    def __post_init__(self):
-        if self.seed < 0:
-            raise ValueError(f"seed must not be negative, got {self.seed}")
 
     @property
     def length(self) -> float:
         """Length [m] of the road."""
         return self.road.length
 
-    def with_length(self, length: float) -> Road:
+    def with_length(self, length: float) -> Self:
         """Return the road with another length [m]."""
-        return _resize_inner(self, length)
+        added = self.length - self.road.length
+        return replace(self, road=with_length(self.road, length - added))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FixedSeed(_Modified):
+    """A deterministic road: the surface that `road` draws from `seed`."""
+
+    seed: Annotated[int, Field(ge=0), "", "of the random generator"]
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """Return the surface of `seed`; `rng` is not used."""
@@ -69,7 +63,7 @@ class FixedSeed:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NoisyCopy:
+class NoisyCopy(_Modified):
     """A road with added noise and a delay: the paper's training version of its Belgian paving.
 
     Gaussian noise with `noise` times the standard deviation of each wheel path is added on the
@@ -77,23 +71,8 @@ class NoisyCopy:
     with a level section before it, and cut to its former length (Ngwangwa et al., section 4).
     """
 
-    __pydantic_config__ = STRICT
-
-    road: AnyRoad
-    noise: Annotated[float, "", "standard deviation of the noise over that of the wheel path"] = 0.1
-    delay: Annotated[float, "m", "length of the level section before the road"] = 1.0
-
-    def __post_init__(self):
-        check_not_negative(self, "noise", "delay")
-
-    @property
-    def length(self) -> float:
-        """Length [m] of the road, the same as that of the inner road."""
-        return self.road.length
-
-    def with_length(self, length: float) -> Road:
-        """Return the road with another length [m]."""
-        return _resize_inner(self, length)
+    noise: Annotated[NonNegative, "", "standard deviation over that of the wheel path"] = 0.1
+    delay: Annotated[NonNegative, "m", "length of the level section before the road"] = 1.0
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """Draw the road and the noise, each from its own random stream."""
@@ -120,26 +99,16 @@ class NoisyCopy:
 
 
 @dataclass(frozen=True, kw_only=True)
-class WithAprons:
+class WithAprons(_Modified):
     """A road between two level sections."""
 
-    __pydantic_config__ = STRICT
-
-    road: AnyRoad
-    before: Annotated[float, "m", "level section before the road"] = 10.0
-    after: Annotated[float, "m", "level section after it, at its final height"] = 10.0
-
-    def __post_init__(self):
-        check_not_negative(self, "before", "after")
+    before: Annotated[NonNegative, "m", "level section before the road"] = 10.0
+    after: Annotated[NonNegative, "m", "level section after it, at its final height"] = 10.0
 
     @property
     def length(self) -> float:
         """Length [m] of the road including both level sections."""
         return self.before + self.road.length + self.after
-
-    def with_length(self, length: float) -> Road:
-        """Return the road with another length [m]."""
-        return _resize_inner(self, length)
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """Draw the inner road."""
@@ -147,26 +116,16 @@ class WithAprons:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Offset:
+class Offset(_Modified):
     """A road whose wheel paths are shifted against each other, as on an oblique obstacle."""
 
-    __pydantic_config__ = STRICT
-
-    road: AnyRoad
-    left: Annotated[float, "m", "level section before the left wheel path"] = 0.0
-    right: Annotated[float, "m", "level section before the right wheel path"] = 0.0
-
-    def __post_init__(self):
-        check_not_negative(self, "left", "right")
+    left: Annotated[NonNegative, "m", "level section before the left wheel path"] = 0.0
+    right: Annotated[NonNegative, "m", "level section before the right wheel path"] = 0.0
 
     @property
     def length(self) -> float:
         """Length [m] to the end of the later wheel path."""
         return self.road.length + max(self.left, self.right)
-
-    def with_length(self, length: float) -> Road:
-        """Return the road with another length [m]."""
-        return _resize_inner(self, length)
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """Draw the inner road."""
@@ -174,28 +133,23 @@ class Offset:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scaled:
+class Scaled(_Modified):
     """A road with scaled heights and lengths; a negative `height_factor` inverts it."""
 
-    __pydantic_config__ = STRICT
-
-    road: AnyRoad
-    height_factor: Annotated[float, "", "scales heights"] = 1.0
-    length_factor: Annotated[float, "", "scales lengths along the road"] = 1.0
+    height_factor: Annotated[Finite, "", "scales heights"] = 1.0
+    length_factor: Annotated[Positive, "", "scales lengths along the road"] = 1.0
 
     def __post_init__(self):
-        check_positive(self, "length_factor")
-        if not 0.0 < abs(self.height_factor) < np.inf:
-            raise ValueError(
-                f"height_factor must not be 0 and must be finite, got {self.height_factor}"
-            )
+        super().__post_init__()
+        if self.height_factor == 0.0:
+            raise ValueError("height_factor must not be 0")
 
     @property
     def length(self) -> float:
         """Length [m] of the scaled road."""
         return self.length_factor * self.road.length
 
-    def with_length(self, length: float) -> Road:
+    def with_length(self, length: float) -> Self:
         """Return the road with another length [m]."""
         return replace(self, road=with_length(self.road, length / self.length_factor))
 
@@ -212,17 +166,12 @@ class Scaled:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tiled:
+class Tiled(Settings):
     """One draw of a road repeated end to end, like a short tile of `Measured`."""
 
-    __pydantic_config__ = STRICT
-
     road: AnyRoad
-    length: Annotated[float, "m", "length of the road"]
+    length: Annotated[Positive, "m", "length of the road"]
     repeat: Annotated[Literal["repeat", "mirror"], "", "how the tile is continued"] = "repeat"
-
-    def __post_init__(self):
-        check_positive(self, "length")
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """Draw the tile and repeat it."""
@@ -233,15 +182,10 @@ class Tiled:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Concatenated:
+class Concatenated(Settings):
     """Consecutive roads; each starts at the final height of the one before it."""
 
-    __pydantic_config__ = STRICT
-
-    roads: tuple[AnyRoad, ...]
-
-    def __post_init__(self):
-        check_not_empty(self.roads)
+    roads: Annotated[tuple[AnyRoad, ...], Field(min_length=1)]
 
     @property
     def length(self) -> float:
@@ -255,15 +199,10 @@ class Concatenated:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Superposed:
+class Superposed(Settings):
     """Sum of the heights of several roads; a shorter one is continued at its final height."""
 
-    __pydantic_config__ = STRICT
-
-    roads: tuple[AnyRoad, ...]
-
-    def __post_init__(self):
-        check_not_empty(self.roads)
+    roads: Annotated[tuple[AnyRoad, ...], Field(min_length=1)]
 
     @property
     def length(self) -> float:
@@ -305,9 +244,3 @@ def realise_all(roads: Sequence[AnyRoad], rng: np.random.Generator) -> list[Surf
 def spawn_streams(rng: np.random.Generator, count: int) -> list[np.random.Generator]:
     """Return `count` independent generators, determined by the state of `rng`."""
     return [np.random.default_rng(k) for k in rng.integers(2**63, size=count)]
-
-
-def _resize_inner(road: Any, length: float) -> Road:
-    """Return the road with the length of its inner road changed such that the total is `length`."""
-    added = road.length - road.road.length
-    return replace(road, road=with_length(road.road, length - added))

@@ -21,11 +21,10 @@ from typing import Annotated, Literal
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
-from road_envs.analysis.roughness import CLASSES, N_0, root_coherence
-from road_envs.config import STRICT
+from road_envs.analysis.roughness import CLASSES, N_0, TRACK, root_coherence
+from road_envs.config import Positive, Settings
 from road_envs.roads.nonstationary import RoughnessVariation
-from road_envs.roads.surface import Surface
-from road_envs.roads.validation import check_positive, check_size
+from road_envs.roads.surface import Surface, check_size
 
 RoadClass = Literal["A", "B", "C", "D", "E", "F", "G", "H"]
 Coherence = Literal["isotropic", "full", "none"]
@@ -34,30 +33,26 @@ MIN_PERIODS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
-class Iso8608:
+class Iso8608(Settings):
     """A Gaussian road, stationary without a `variation`; give either `road_class` or `G_d0`."""
 
-    __pydantic_config__ = STRICT
-
     road_class: Annotated[RoadClass | None, "", "ISO class, taken at its geometric mean"] = None
-    G_d0: Annotated[float | None, "m³", "displacement PSD at n0"] = None
-    w: Annotated[float, "", "waviness"] = 2.0
-    length: Annotated[float, "m", "length of the road"] = 100.0
-    n_min: Annotated[float, "cycles/m", "lower end of the band"] = 0.01
-    n_max: Annotated[float, "cycles/m", "upper end of the band"] = 10.0
+    G_d0: Annotated[Positive | None, "m³", "displacement PSD at n0"] = None
+    w: Annotated[Positive, "", "waviness"] = 2.0
+    length: Annotated[Positive, "m", "length of the road"] = 100.0
+    n_min: Annotated[Positive, "cycles/m", "lower end of the band"] = 0.01
+    n_max: Annotated[Positive, "cycles/m", "upper end of the band"] = 10.0
     coherence: Annotated[Coherence, "", "between the wheel paths"] = "isotropic"
-    track: Annotated[float, "m", "distance between the wheel paths"] = 1.5
-    ds: Annotated[float, "m", "spacing of the samples"] = 0.01
+    track: Annotated[Positive, "m", "distance between the wheel paths"] = TRACK
+    ds: Annotated[Positive, "m", "spacing of the samples"] = 0.01
     variation: Annotated[RoughnessVariation | None, "", "of the roughness along the road"] = None
 
     def __post_init__(self):
+        super().__post_init__()
         if (self.road_class is None) == (self.G_d0 is None):
             raise ValueError(
                 f"give exactly one of road_class and G_d0, got {self.road_class} and {self.G_d0}"
             )
-        if self.G_d0 is not None:
-            check_positive(self, "G_d0")
-        check_positive(self, "w", "track")
         check_band(self)
 
     @property
@@ -128,7 +123,6 @@ def synthesise(
 
 def check_band(road) -> None:
     """Raise ValueError or ConfigError if length, spacing and band of a road are inconsistent."""
-    check_positive(road, "length", "ds", "n_min")
     check_size(max(2.0 * road.length, MIN_PERIODS / road.n_min), road.ds)
     if road.length < 4.0 * road.ds:
         raise ValueError(f"length must be at least 4 ds = {4.0 * road.ds:g} m, got {road.length} m")

@@ -15,12 +15,12 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from road_envs.config import STRICT
+from road_envs.analysis.roughness import TRACK
+from road_envs.config import Finite, NonNegative, Positive, Settings
 from road_envs.roads.formats import erd, opencrg, table
 from road_envs.roads.formats.opencrg import CurvedGrid, SurfaceFileError, error_context, read_bytes
 from road_envs.roads.formats.table import WheelPaths
-from road_envs.roads.surface import Surface
-from road_envs.roads.validation import check_positive, check_size
+from road_envs.roads.surface import Surface, check_size
 
 DEFAULT_MIN_LENGTH = 2.794
 """Default of `Measured.min_length` [m]: the wheelbase of a Defender 110."""
@@ -29,21 +29,19 @@ SIDE_NAMES = ("left", "right")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measured:
+class Measured(Settings):
     """A surface file as a road. The file is read on construction; raises SurfaceFileError."""
 
-    __pydantic_config__ = STRICT
-
     path: Annotated[str, "", "the file; relative to the YAML file that names it"]
-    length: Annotated[float, "m", "length of the road; 0: length of the surface"] = 0.0
+    length: Annotated[NonNegative, "m", "length of the road; 0: length of the surface"] = 0.0
     repeat: Annotated[Literal["none", "repeat", "mirror"], "", "use of a short surface"] = "none"
-    centre: Annotated[float | None, "m", "v midway between the paths; default: of the grid"] = None
-    track: Annotated[float, "m", "distance between the wheel paths"] = 1.5
+    centre: Annotated[Finite | None, "m", "v midway between the paths; default: of the grid"] = None
+    track: Annotated[Positive, "m", "distance between the wheel paths"] = TRACK
     bridge_gaps: Annotated[bool, "", "interpolate missing heights along the path"] = False
-    min_length: Annotated[float, "m", "least length of the surface"] = DEFAULT_MIN_LENGTH
+    min_length: Annotated[Positive, "m", "least length of the surface"] = DEFAULT_MIN_LENGTH
 
     def __post_init__(self):
-        check_positive(self, "track", "min_length")
+        super().__post_init__()
         with error_context(self.path):
             natural = self._tile.length
             if natural < self.min_length:
@@ -57,7 +55,6 @@ class Measured:
                     f"the surface is {natural:.2f} m long, shorter than length = "
                     f"{self.length:g} m; set repeat to mirror or repeat"
                 )
-        check_positive(self, "length")
         check_size(self.length, self._tile.ds)
 
     def realise(self, rng: np.random.Generator) -> Surface:

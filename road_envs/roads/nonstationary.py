@@ -16,27 +16,20 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
-from road_envs.config import STRICT
-from road_envs.roads.validation import check_positive
+from road_envs.config import Finite, Settings
 
 
 @dataclass(frozen=True, kw_only=True)
-class RoughnessVariation:
+class RoughnessVariation(Settings):
     """Distribution of a patch's roughness coefficient relative to that of the road."""
 
-    __pydantic_config__ = STRICT
-
     law: Annotated[Literal["gamma", "lognormal"], "", "distribution"] = "gamma"
-    spread: Annotated[float, "", "coefficient of variation [assumed]"] = 0.7
-    patch: Annotated[float, "m", "length of a patch; the first may start before the road"] = 100.0
-
-    def __post_init__(self):
-        check_positive(self, "spread", "patch")
-        if self.patch < 1.0:
-            raise ValueError(f"patch must be at least 1 m, got {self.patch}")
-        if self.spread > 10.0:
-            raise ValueError(f"spread must be at most 10, got {self.spread}")
+    spread: Annotated[float, Field(gt=0, le=10), "", "coefficient of variation [assumed]"] = 0.7
+    patch: Annotated[
+        Finite, Field(ge=1), "m", "length of a patch; the first may start before the road"
+    ] = 100.0
 
     def draw(self, rng: np.random.Generator, size: int, ds: float) -> np.ndarray:
         """Draw the factor (size,) on the density at samples with the spacing `ds` [m]."""

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
-from road_envs.config import STRICT
-from road_envs.roads.surface import Surface
+from road_envs.config import Count, Finite, NonNegative, Positive, Settings, SmallestFirst
+from road_envs.roads.surface import Surface, check_size
 from road_envs.roads.trapezoids import SIDES, Trapezoid
-from road_envs.roads.validation import check_not_negative, check_positive, check_range, check_size
 
 SAMPLE_SPACING = 0.005
 """Spacing of the samples [m]."""
@@ -28,28 +28,25 @@ SAMPLE_SPACING = 0.005
 MAX_DEFECT_HEIGHT = 10.0
 """Largest height or depth of a defect [m]."""
 
+PositiveRange = Annotated[tuple[Positive, Positive], SmallestFirst]
+
 
 @dataclass(frozen=True, kw_only=True)
-class Defect:
+class Defect(Settings):
     """One bump or hole, or a row of growing ones."""
 
-    __pydantic_config__ = STRICT
-
     shape: Literal["half_sine", "pothole"]
-    at: Annotated[float, "m", "station of the middle of the first"]
-    length: Annotated[float, "m", "along the road"]
-    height: Annotated[float, "m", "of the crest, or of the floor of a hole (negative)"]
-    edge: Annotated[float, "m", "length of either edge of a pothole"] = 0.0
+    at: Annotated[Finite, "m", "station of the middle of the first"]
+    length: Annotated[Finite, Field(ge=4.0 * SAMPLE_SPACING), "m", "along the road"]
+    height: Annotated[Finite, "m", "of the crest, or of the floor of a hole (negative)"]
+    edge: Annotated[NonNegative, "m", "length of either edge of a pothole"] = 0.0
     side: Annotated[Literal["left", "right", "both"], "", "wheel path"] = "both"
-    count: Annotated[int, "", "number of defects in the row"] = 1
-    spacing: Annotated[float, "m", "between the middles of the row"] = 0.0
-    growth: Annotated[float, "", "height relative to the previous one"] = 1.0
+    count: Annotated[Count, "", "number of defects in the row"] = 1
+    spacing: Annotated[NonNegative, "m", "between the middles of the row"] = 0.0
+    growth: Annotated[Positive, "", "height relative to the previous one"] = 1.0
 
     def __post_init__(self):
-        check_positive(self, "length", "growth")
-        check_not_negative(self, "edge", "spacing")
-        if self.length < 4.0 * SAMPLE_SPACING:
-            raise ValueError(f"length must be at least {4.0 * SAMPLE_SPACING} m, got {self.length}")
+        super().__post_init__()
         if self.shape == "pothole" and not (self.height < 0.0 < self.edge < 0.5 * self.length):
             raise ValueError(
                 "a pothole needs a height below 0 and 0 < edge < length / 2, "
@@ -60,8 +57,6 @@ class Defect:
                 "a half sine needs a height that is not 0 and no edge, "
                 f"got height = {self.height}, edge = {self.edge}"
             )
-        if self.count < 1:
-            raise ValueError(f"count must be at least 1, got {self.count}")
         if self.count > 1 and self.spacing < self.length:
             raise ValueError(f"defects of {self.length} m overlap at a spacing of {self.spacing} m")
         last = np.log(abs(self.height)) + (self.count - 1) * max(0.0, np.log(self.growth))
@@ -91,16 +86,14 @@ class Defect:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Defects:
+class Defects(Settings):
     """Defects at given stations; the heights of overlapping defects add up."""
 
-    __pydantic_config__ = STRICT
-
     defects: tuple[Defect, ...]
-    length: Annotated[float, "m", "length of the road"] = 100.0
+    length: Annotated[Positive, "m", "length of the road"] = 100.0
 
     def __post_init__(self):
-        check_positive(self, "length")
+        super().__post_init__()
         check_size(self.length, SAMPLE_SPACING)
         for defect in self.defects:
             first = defect.at - 0.5 * defect.length
@@ -121,24 +114,20 @@ class Defects:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Potholes:
+class Potholes(Settings):
     """Random potholes on either wheel path; where two overlap, the deeper one counts."""
 
-    __pydantic_config__ = STRICT
-
-    length: Annotated[float, "m", "length of the road"] = 100.0
-    rate: Annotated[float, "1/m", "mean number per metre and wheel path [assumed]"] = 0.05
-    depth: Annotated[tuple[float, float], "m", "smallest and largest"] = (0.025, 0.075)
-    size: Annotated[tuple[float, float], "m", "smallest and largest length"] = (0.15, 0.8)
-    edge: Annotated[float, "m", "length of either edge [assumed]"] = 0.05
+    length: Annotated[Positive, "m", "length of the road"] = 100.0
+    rate: Annotated[Positive, "1/m", "mean number per metre and wheel path [assumed]"] = 0.05
+    depth: Annotated[PositiveRange, "m", "smallest and largest"] = (0.025, 0.075)
+    size: Annotated[PositiveRange, "m", "smallest and largest length"] = (0.15, 0.8)
+    edge: Annotated[Positive, "m", "length of either edge [assumed]"] = 0.05
 
     def __post_init__(self):
-        check_positive(self, "length", "rate", "edge")
+        super().__post_init__()
         check_size(self.length, SAMPLE_SPACING)
         check_size(self.rate, SAMPLE_SPACING / self.length)
-        check_range(self, "depth")
-        check_range(self, "size")
-        if not 2.0 * self.edge < self.size[0] <= self.size[1] <= self.length:
+        if not 2.0 * self.edge < self.size[0] or self.size[1] > self.length:
             raise ValueError(
                 f"size must be more than two edges and at most the length {self.length} m, "
                 f"got {self.size} with edge = {self.edge}"

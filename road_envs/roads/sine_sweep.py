@@ -19,9 +19,8 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from road_envs.config import STRICT
-from road_envs.roads.surface import Surface
-from road_envs.roads.validation import check_not_negative, check_positive, check_size
+from road_envs.config import NonNegative, Positive, Settings
+from road_envs.roads.surface import Surface, check_size
 
 PathSigns = Literal["in_phase", "antiphase", "left", "right"]
 SIGNS: dict[PathSigns, tuple[float, float]] = {
@@ -37,24 +36,21 @@ MIN_SAMPLES_PER_WAVE = 8
 
 
 @dataclass(frozen=True, kw_only=True)
-class SineSweep:
+class SineSweep(Settings):
     """A sine with a changing spatial frequency and amplitude."""
 
-    __pydantic_config__ = STRICT
-
-    length: Annotated[float, "m", "length of the road"] = 100.0
-    n_start: Annotated[float, "cycles/m", "spatial frequency at the start"]
-    n_end: Annotated[float, "cycles/m", "spatial frequency at the end"]
+    length: Annotated[Positive, "m", "length of the road"] = 100.0
+    n_start: Annotated[Positive, "cycles/m", "spatial frequency at the start"]
+    n_end: Annotated[Positive, "cycles/m", "spatial frequency at the end"]
     progress: Annotated[Literal["linear", "logarithmic"], "", "of the frequency"] = "logarithmic"
-    amplitude: Annotated[float, "m", "at the start"]
-    amplitude_end: Annotated[float, "m", "at the end"]
+    amplitude: Annotated[Positive, "m", "at the start"]
+    amplitude_end: Annotated[Positive, "m", "at the end"]
     paths: Annotated[PathSigns, "", "wheel paths and their phase"] = "in_phase"
-    taper: Annotated[float, "m", "length of the taper at either end"] = 2.0
-    ds: Annotated[float, "m", "spacing of the samples"] = 0.01
+    taper: Annotated[NonNegative, "m", "length of the taper at either end"] = 2.0
+    ds: Annotated[Positive, "m", "spacing of the samples"] = 0.01
 
     def __post_init__(self):
-        check_positive(self, "length", "n_start", "n_end", "amplitude", "amplitude_end", "ds")
-        check_not_negative(self, "taper")
+        super().__post_init__()
         check_size(self.length, self.ds)
         if not 2.0 * self.taper <= self.length:
             raise ValueError(

@@ -7,13 +7,26 @@ the methods of `Surface` use the same kernels.
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from road_envs._numba import kernel
+from road_envs.config import ConfigError
 
 PAD = 3
 """Number of repeated samples at each end of `Surface.padded`; spares the kernel a special case."""
+
+MAX_SAMPLES = 50_000_000
+"""Largest number of samples per wheel path: 400 MB."""
+
+
+class SurfaceBuffers(NamedTuple):
+    """A `Surface` as kernels read it: `padded` heights (2, N + 2 PAD), `start` and `ds` [m]."""
+
+    padded: np.ndarray
+    start: float
+    ds: float
 
 
 @kernel
@@ -26,12 +39,10 @@ def catmull_rom(a, b, c, d, x, ds):
 
 
 @kernel
-def height_and_slope(padded, side, s, start, ds):
-    """Return height [m] and slope [-] of wheel path `side` at station `s` [m].
-
-    `padded` (2, N + 2 PAD): see `Surface.padded`.
-    """
-    u = (s - start) / ds + PAD
+def height_and_slope(surface, side, s):
+    """Return height [m] and slope [-] of wheel path `side` of SurfaceBuffers at station `s` [m]."""
+    padded, ds = surface.padded, surface.ds
+    u = (s - surface.start) / ds + PAD
     u = min(max(u, 1.0), padded.shape[1] - 3.0)
     i = int(max(1.0, u))  # index 1 for NaN: the result is NaN
     a, b, c, d = padded[side, i - 1], padded[side, i], padded[side, i + 1], padded[side, i + 2]
@@ -39,11 +50,11 @@ def height_and_slope(padded, side, s, start, ds):
 
 
 @kernel
-def sample_surface(padded, start, ds, s, z, slope):
+def sample_surface(surface, s, z, slope):
     """Write heights `z` and slopes `slope`, both (2, M), at the stations `s` (M,)."""
     for side in range(2):
         for k in range(s.size):
-            z[side, k], slope[side, k] = height_and_slope(padded, side, s[k], start, ds)
+            z[side, k], slope[side, k] = height_and_slope(surface, side, s[k])
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +108,11 @@ class Surface:
         # left writeable like its copies and pickles: numba compiles again for read-only arrays
         return np.pad(self.z, ((0, 0), (PAD, PAD)), mode="edge")
 
+    @property
+    def buffers(self) -> SurfaceBuffers:
+        """The surface as kernels take it."""
+        return SurfaceBuffers(self.padded, float(self.start), float(self.ds))
+
     def height(self, s: np.ndarray) -> np.ndarray:
         """Return the heights (2, ...) [m] at stations `s` [m] of any shape."""
         return self._sample(s)[0]
@@ -108,7 +124,7 @@ class Surface:
     def _sample(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         s = np.asarray(s, dtype=float)
         z, slope = np.empty((2, s.size)), np.empty((2, s.size))
-        sample_surface(self.padded, self.start, self.ds, s.ravel(), z, slope)
+        sample_surface(self.buffers, s.ravel(), z, slope)
         return z.reshape(2, *s.shape), slope.reshape(2, *s.shape)
 
 
@@ -147,3 +163,12 @@ def enveloped(surface: Surface, contact_length: float) -> Surface:
     note = f"enveloped over a contact length of {1000.0 * contact_length:.0f} mm"
     notes = (*surface.notes, note)
     return replace(surface, z=z, start=float(s[0]), notes=notes)
+
+
+def check_size(length: float, ds: float) -> None:
+    """Raise ConfigError if `length` [m] has more than MAX_SAMPLES steps of `ds` [m]."""
+    if not length / ds < MAX_SAMPLES:
+        raise ConfigError(
+            f"a length of {length:g} m in steps of {ds:g} m has more than {MAX_SAMPLES:,} samples; "
+            "choose a shorter road or a larger step"
+        )

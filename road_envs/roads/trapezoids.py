@@ -14,9 +14,8 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from road_envs.config import STRICT
-from road_envs.roads.surface import Surface
-from road_envs.roads.validation import check_positive, check_size
+from road_envs.config import Positive, Settings
+from road_envs.roads.surface import Surface, check_size
 
 Layout = Literal["small", "large_small", "asymmetric"]
 LAYOUTS: dict[Layout, tuple[tuple[str, str], ...]] = {
@@ -31,17 +30,12 @@ SIDES = {"left": [0], "right": [1], "both": [0, 1]}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trapezoid:
+class Trapezoid(Settings):
     """Trapezoidal bump: ramp, flat top, and a ramp of the same length."""
 
-    __pydantic_config__ = STRICT
-
-    height: Annotated[float, "m", "of the top"]
-    ramp: Annotated[float, "m", "length of each ramp along the road"]
-    top: Annotated[float, "m", "length of the top"]
-
-    def __post_init__(self):
-        check_positive(self, "height", "ramp", "top")
+    height: Annotated[Positive, "m", "of the top"]
+    ramp: Annotated[Positive, "m", "length of each ramp along the road"]
+    top: Annotated[Positive, "m", "length of the top"]
 
     def height_at(self, distance: np.ndarray) -> np.ndarray:
         """Return the height [m] at `distance` [m] from the middle, of any shape."""
@@ -50,24 +44,21 @@ class Trapezoid:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bumps:
+class Bumps(Settings):
     """Bumps on a level road, with level sections `run_in` and `run_out`."""
 
-    __pydantic_config__ = STRICT
-
     layout: Annotated[Layout, "", "sizes and wheel paths of the bumps"]
-    spacing: Annotated[float, "m", "between the middles of successive bumps"] = 10.4
+    spacing: Annotated[Positive, "m", "between the middles of successive bumps"] = 10.4
     small: Trapezoid = field(default_factory=lambda: Trapezoid(height=0.1, ramp=0.2, top=0.4))
     large: Trapezoid = field(default_factory=lambda: Trapezoid(height=0.15, ramp=0.3, top=0.6))
-    length_factor: Annotated[float, "", "scales ramps and tops"] = 1.0
-    height_factor: Annotated[float, "", "scales heights"] = 1.0
-    run_in: Annotated[float, "m", "before the first ramp"] = 10.0
-    run_out: Annotated[float, "m", "after the last ramp"] = 10.0
-    ds: Annotated[float, "m", "spacing of the samples"] = 0.005
+    length_factor: Annotated[Positive, "", "scales ramps and tops"] = 1.0
+    height_factor: Annotated[Positive, "", "scales heights"] = 1.0
+    run_in: Annotated[Positive, "m", "before the first ramp"] = 10.0
+    run_out: Annotated[Positive, "m", "after the last ramp"] = 10.0
+    ds: Annotated[Positive, "m", "spacing of the samples"] = 0.005
 
     def __post_init__(self):
-        check_positive(self, "spacing", "length_factor", "height_factor", "ds")
-        check_positive(self, "run_in", "run_out")
+        super().__post_init__()
         check_size(self.length, self.ds)
         for a, b in zip(self.blocks, self.blocks[1:], strict=False):
             if 0.5 * (a.top + b.top) + a.ramp + b.ramp > self.spacing:

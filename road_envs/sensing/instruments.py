@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from road_envs import config
+from road_envs.config import Finite, NonNegative, Positive, Settings
 from road_envs.data.record import SENSORS
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -18,18 +20,12 @@ ANTIALIAS_ORDER = 4
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorLocation:
+class SensorLocation(Settings):
     """Location of an accelerometer on the body."""
 
-    __pydantic_config__ = config.STRICT
-
     axle: Annotated[Literal["front", "rear"], "", "axle from which `ahead` is measured"]
-    ahead: Annotated[float, "m", "ahead of that axle; negative behind it"]
-    y: Annotated[float, "m", "left of the centre line"]
-
-    def __post_init__(self):
-        if not np.isfinite([self.ahead, self.y]).all():
-            raise ValueError(f"ahead and y must be finite, got {self.ahead} and {self.y}")
+    ahead: Annotated[Finite, "m", "ahead of that axle; negative behind it"]
+    y: Annotated[Finite, "m", "left of the centre line"]
 
     def x(self, car: VehicleParameters) -> float:
         """Return the position ahead of the body's centre of mass [m]."""
@@ -37,10 +33,8 @@ class SensorLocation:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorLocations:
+class SensorLocations(Settings):
     """Locations of the paper's three accelerometers."""
-
-    __pydantic_config__ = config.STRICT
 
     RF: SensorLocation
     LR: SensorLocation
@@ -48,27 +42,22 @@ class SensorLocations:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Instruments:
+class Instruments(Settings):
     """Accelerometers, logger and speed signal of one vehicle."""
-
-    __pydantic_config__ = config.STRICT
 
     name: str
     accelerometers: SensorLocations
-    fs: Annotated[float, "Hz", "sampling rate"]
-    f_alias: Annotated[float, "Hz", "cut-off of the anti-alias filter"]
-    range: Annotated[float, "m/s²", "clipping level, either way"]
-    noise_density: Annotated[float, "(m/s²)/sqrt(Hz)", "one-sided; std = density sqrt(rate / 2)"]
-    speed_error: Annotated[float, "", "standard deviation of the relative error of speed"]
+    fs: Annotated[Positive, "Hz", "sampling rate"]
+    f_alias: Annotated[Positive, "Hz", "cut-off of the anti-alias filter"]
+    range: Annotated[float, Field(gt=0), "m/s²", "clipping level, either way"]
+    noise_density: Annotated[
+        NonNegative, "(m/s²)/sqrt(Hz)", "one-sided; std = density sqrt(rate / 2)"
+    ]
+    speed_error: Annotated[NonNegative, "", "standard deviation of the relative error of speed"]
     sources: dict[str, str]
 
     def __post_init__(self):
-        for name in ("fs", "f_alias", "range"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
-        for name in ("noise_density", "speed_error"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+        super().__post_init__()
         if self.f_alias >= 0.5 * self.fs:
             raise ValueError(f"f_alias {self.f_alias} must be below fs / 2 = {0.5 * self.fs}")
 

@@ -15,10 +15,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
+from road_envs.config import Count, Finite, NonNegative, Settings
 from road_envs.vehicle.parameters import GRAVITY
 
-PerSensor = tuple[float, float, float]
+PerSensor = tuple[Finite, Finite, Finite]
 """Values of RF, LR, RR."""
 
 ZEROS: PerSensor = (0.0, 0.0, 0.0)
@@ -26,9 +28,16 @@ ZEROS: PerSensor = (0.0, 0.0, 0.0)
 MAX_JITTER_STDS = 3.0
 """Limit of the time error of a sample, in standard deviations of the jitter."""
 
+PositionFixLength = Annotated[
+    float, Field(gt=0), "m", "distance over which position fixes remove 63 % of an odometer error"
+]
+Jitter = Annotated[NonNegative, "s", "standard deviation of the sampling instants"]
+DropoutRate = Annotated[float, Field(ge=0, lt=0.5), "", "share of the samples that are lost"]
+DropoutLength = Annotated[Count, "samples", "mean length n of a burst; the maximum is 2 n - 1"]
+
 
 @dataclass(frozen=True, kw_only=True)
-class SensorFaults:
+class SensorFaults(Settings):
     """Faults of one set of instruments; the defaults are instruments without faults."""
 
     dx: Annotated[PerSensor, "m", "error of the location, positive ahead"] = ZEROS
@@ -36,29 +45,12 @@ class SensorFaults:
     tilt: Annotated[PerSensor, "rad", "angle between the axis and the vertical"] = ZEROS
     gain: Annotated[PerSensor, "", "factor of the sensitivity"] = (1.0, 1.0, 1.0)
     offset: Annotated[PerSensor, "m/s²", "added to every reading"] = ZEROS
-    speed: Annotated[float, "", "relative error of the speed signal"] = 0.0
-    position_fix_length: Annotated[float, "m", "distance over which fixes correct 63 %"] = np.inf
-    jitter: Annotated[float, "s", "standard deviation of the sampling times"] = 0.0
-    dropout_rate: Annotated[float, "", "share of the samples that are lost"] = 0.0
-    dropout_length: Annotated[int, "samples", "mean length of a burst; the maximum is 2 n - 1"] = 1
+    speed: Annotated[Finite, "", "relative error of the speed signal"] = 0.0
+    position_fix_length: PositionFixLength = np.inf
+    jitter: Jitter = 0.0
+    dropout_rate: DropoutRate = 0.0
+    dropout_length: DropoutLength = 1
     seed: Annotated[tuple[int, ...], "", "of jitter and dropouts"] = (0,)
-
-    def __post_init__(self):
-        for name in ("jitter", "dropout_rate"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
-        if not self.dropout_rate < 0.5:
-            raise ValueError(
-                f"dropout_rate must be below half of the samples, got {self.dropout_rate}"
-            )
-        if not self.position_fix_length > 0:
-            raise ValueError(
-                f"position_fix_length must be positive, got {self.position_fix_length}"
-            )
-        if not self.dropout_length >= 1:
-            raise ValueError(
-                f"dropout_length must be at least one sample, got {self.dropout_length}"
-            )
 
     def apply(self, a: np.ndarray) -> np.ndarray:
         """Return the readings of true accelerations (3, N) [m/s²] at the true locations."""

@@ -12,6 +12,7 @@ straight ahead, at constant speed and in one mode are supported; use `drive` for
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from road_envs.simulation.rosenbrock import (
     LOAD,
     N_SIGNALS,
     D,
+    StepInputs,
     sample_road,
     solve_factored,
     step,
@@ -32,6 +34,7 @@ from road_envs.simulation.rosenbrock import (
 )
 from road_envs.vehicle.equations import (
     N_DOF,
+    Motion,
     accelerations,
     add_struts,
     add_tyres,
@@ -48,19 +51,18 @@ MAX_STEP = 0.01
 
 
 @kernel
-def step_error(constants, velocity, displacement, strut_state, signals_0, y, road, h, work, k_3):
+def step_error(vehicle, signals_0, y, road, h, work, k_3):
     """Write the local error (14,) of the step just taken to `k_3`.
 
     `signals_0` (29,) are the signals at the step's beginning; `work` holds its stages, as left
     by `step`; `y` (14,) is the state at its end; `road` (24,) are the heights [m] and rates [m/s]
     under the wheels at t, t + h/2 and t + h.
     """
-    p, hd = constants[0], h * D
+    p, hd = vehicle.p, h * D
     R_q, R_v = k_3[:N_DOF], k_3[N_DOF:]
     at_middle, at_end = np.empty(N_DOF), np.empty(N_DOF)
-    laws = (constants, velocity, displacement, strut_state)
-    accelerations(*laws, work.q, work.v, road[8:12], road[12:16], at_middle)
-    accelerations(*laws, y[:N_DOF], y[N_DOF:], road[16:20], road[20:24], at_end)
+    accelerations(vehicle, Motion(work.q, work.v), road[8:12], road[12:16], at_middle)
+    accelerations(vehicle, Motion(y[:N_DOF], y[N_DOF:]), road[16:20], road[20:24], at_end)
     for j in range(N_DOF):
         k_2q, k_2v = work.k_q[j] + work.r[j] + hd * work.f[j], work.g[j] + work.f[j]
         R_q[j] = (
@@ -93,11 +95,11 @@ def dense_output(signals_0, work, h, x, y):
 
 
 @kernel
-def write_signals(constants, velocity, displacement, strut_state, y, road, out):
+def write_signals(vehicle, y, road, out):
     """Write the signals (29,) of the state `y` (14,) over the road (8,) to `out`."""
-    p, q, v = constants[0], y[:N_DOF], y[N_DOF:]
-    motion = out[ACCELERATION : ACCELERATION + N_DOF]
-    accelerations(constants, velocity, displacement, strut_state, q, v, road[:4], road[4:8], motion)
+    p, q, v = vehicle.p, y[:N_DOF], y[N_DOF:]
+    a = out[ACCELERATION : ACCELERATION + N_DOF]
+    accelerations(vehicle, Motion(q, v), road[:4], road[4:8], a)
     for j in range(2 * N_DOF):
         out[j] = y[j]
     for w in range(4):
@@ -106,30 +108,38 @@ def write_signals(constants, velocity, displacement, strut_state, y, road, out):
         out[LOAD + w] = tyre_force(p, w, u, u_dot)[0]
 
 
-@kernel
-def adaptive_kernel(
-    constants, velocity, displacement, strut_state, y,
-    padded, start, ds, s_0, v, t, tolerance, out,
-):  # fmt: skip
-    """Integrate from t = 0 at station `s_0` [m] and speed `v` [m/s] to the last of `t` (N,) [s].
+class AdaptiveInputs(NamedTuple):
+    """A drive from t = 0 at station `s_0` [m] and speed `v` [m/s] to the last of `t` (N,) [s].
 
-    `y` (14,) is advanced in place; `padded`, `start`, `ds` describe a Surface. `tolerance` holds
-    rtol, atol and the longest step [s]. The signals at the times `t` go to `out` (N, 29). Returns
-    the numbers of accepted and of rejected steps, and the time reached, which is before the end if
-    no step meets the tolerance.
+    The tolerance is `rtol`, `atol` and the longest step `max_step` [s].
     """
-    p, work, road, a_xy = constants[0], workspace(), np.empty(24), np.zeros(4)
+
+    s_0: float
+    v: float
+    t: np.ndarray
+    rtol: float
+    atol: float
+    max_step: float
+
+
+@kernel
+def adaptive_kernel(vehicle, y, surface, inputs, out):
+    """Integrate the drive of AdaptiveInputs over SurfaceBuffers; `y` (14,) is advanced in place.
+
+    The signals at the times `t` go to `out` (N, 29). Returns the numbers of accepted and of
+    rejected steps, and the time reached, which is before the end if no step meets the tolerance.
+    """
+    p, work, road, a_xy = vehicle.p, workspace(), np.empty(24), np.zeros(4)
     signals_0, error, y_dense = np.empty(N_SIGNALS), np.empty(2 * N_DOF), np.empty(2 * N_DOF)
-    laws = (constants, velocity, displacement, strut_state)
-    q, rates = y[:N_DOF], y[N_DOF:]
-    rtol, atol, max_step = tolerance
+    motion, step_inputs = Motion(y[:N_DOF], y[N_DOF:]), StepInputs(road[:16], a_xy)
+    s_0, v, t, rtol, atol, max_step = inputs
     now, h, n_accepted, n_rejected, i = 0.0, max_step, 0, 0, 0
     while i < t.size and h > 1e-12:
         for k in range(3):
             s = s_0 + v * (now + 0.5 * k * h)
-            sample_road(p, padded, start, ds, s, v, road[8 * k : 8 * k + 8])
-        step(p, velocity, displacement, strut_state, q, rates, road[:16], a_xy, h, work, signals_0)
-        step_error(*laws, signals_0, y, road, h, work, error)
+            sample_road(p, surface, s, v, road[8 * k : 8 * k + 8])
+        step(vehicle, motion, step_inputs, h, work, signals_0)
+        step_error(vehicle, signals_0, y, road, h, work, error)
         max_ratio = 0.0
         for j in range(2 * N_DOF):
             ratio = abs(error[j]) / (atol + rtol * max(abs(signals_0[j]), abs(y[j])))
@@ -142,8 +152,8 @@ def adaptive_kernel(
             continue
         while i < t.size and t[i] <= now + h:
             dense_output(signals_0, work, h, (t[i] - now) / h, y_dense)
-            sample_road(p, padded, start, ds, s_0 + v * t[i], v, road[:8])
-            write_signals(*laws, y_dense, road[:8], out[i])
+            sample_road(p, surface, s_0 + v * t[i], v, road[:8])
+            write_signals(vehicle, y_dense, road[:8], out[i])
             i += 1
         n_accepted += 1
         now += h
@@ -188,12 +198,13 @@ def integrate_adaptive(
     t = np.array(t, dtype=float)
     if not ((t >= 0.0).all() and (np.diff(t) > 0).all()):
         raise ValueError("times t must be ascending and not negative")
-    signals, tolerance = np.empty((t.size, N_SIGNALS)), np.array([rtol, atol, max_step])
     surface, start, speed = simulator.surface, simulator.start, simulator.speed
-    road = (surface.padded, surface.start, surface.ds, start, speed)
-    strut_state, state = simulator.strut_state.copy(), simulator.state.copy()
-    laws = (*simulator.plant.arrays, strut_state)
-    n_accepted, n_rejected, t_end = adaptive_kernel(*laws, state, *road, t, tolerance, signals)
+    inputs = AdaptiveInputs(start, speed, t, float(rtol), float(atol), float(max_step))
+    strut_state, signals = simulator.strut_state.copy(), np.empty((t.size, N_SIGNALS))
+    vehicle, state = simulator.plant.buffers(strut_state), simulator.state.copy()
+    n_accepted, n_rejected, t_end = adaptive_kernel(
+        vehicle, state, surface.buffers, inputs, signals
+    )
     if t.size and t_end < t[-1]:
         raise SimulationError(
             f"{surface.name}: no step meets the tolerance at {t_end:.6f} s; loosen rtol and atol"
@@ -211,6 +222,7 @@ def simulate_adaptive(
     surface: Surface,
     speed: float,
     mode: str | Mapping[str, str] = "ride",
+    *,
     rtol: float = 1e-3,
     atol: float = 1e-6,
     step: float = 0.001,

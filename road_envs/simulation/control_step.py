@@ -12,7 +12,10 @@ import numpy as np
 
 from road_envs._numba import kernel
 from road_envs.sensing.filters import sosfilt_kernel
+from road_envs.simulation.drive import DriveInputs
 from road_envs.simulation.fleet import (
+    SCRATCH_ROWS,
+    LaneBuffers,
     LaneConstants,
     RoadBuffers,
     aligned_zeros,
@@ -21,7 +24,7 @@ from road_envs.simulation.fleet import (
     integrate_lanes,
     sample_roads,
 )
-from road_envs.simulation.rosenbrock import ACCELERATION, EXTENSION, LOAD, N_SIGNALS, StepWorkspace
+from road_envs.simulation.rosenbrock import ACCELERATION, EXTENSION, LOAD, N_SIGNALS
 from road_envs.simulation.simd import LANES, extract_lane, get, maximum, minimum, put
 from road_envs.vehicle.equations import DOF, N_DOF, PHI, THETA, Z_B, extension
 from road_envs.vehicle.parameters import GRAVITY
@@ -102,12 +105,23 @@ class FleetParameters(NamedTuple):
     struts: int
 
 
+class IntervalInputs(NamedTuple):
+    """Inputs of B blocks in one control interval.
+
+    `road_heights` (B, ...); `noise` (B, LANES, rows, 3), standard normal; `commands` (B, LANES);
+    `a_xy` (B or 1, 4 n + 2), a_x and a_y [m/s²] of a manoeuvre in turn at every half step.
+    """
+
+    road_heights: np.ndarray
+    noise: np.ndarray
+    commands: np.ndarray
+    a_xy: np.ndarray
+
+
 class ControlStepWorkspace(NamedTuple):
     """Scratch of one thread for the n steps of a block."""
 
-    work: StepWorkspace
-    road: np.ndarray  # (16,)
-    row: np.ndarray  # (29,)
+    scratch: np.ndarray  # of `integrate_lanes`
     scalar: np.ndarray  # (1,)
     out: np.ndarray  # (n, 29)
     s: np.ndarray  # (2 n + 1,)
@@ -138,31 +152,23 @@ class StepOutput(NamedTuple):
 
 def workspace_buffer(steps: int) -> np.ndarray:
     """Allocate the buffer (rows, LANES) of a ControlStepWorkspace for intervals of n = `steps`."""
-    return aligned_zeros(_WORK + 17 + N_SIGNALS + (N_SIGNALS + 8) * steps + 2)
-
-
-_WORK = 6 * N_DOF + 8 * 4 + 12 + 6
+    return aligned_zeros(SCRATCH_ROWS + 1 + (N_SIGNALS + 8) * steps + 2)
 
 
 @kernel
 def workspace_views(buffer, n):
     """Return the ControlStepWorkspace for `n` steps as views into a `workspace_buffer`."""
-    q, w, at = N_DOF, 6 * N_DOF, _WORK
-    work = StepWorkspace(
-        buffer[:q], buffer[q : 2 * q], buffer[2 * q : 3 * q],
-        buffer[3 * q : 4 * q], buffer[4 * q : 5 * q], buffer[5 * q : w],
-        buffer[w : w + 4], buffer[w + 4 : w + 8], buffer[w + 8 : w + 12], buffer[w + 12 : w + 16],
-        buffer[w + 16 : w + 20], buffer[w + 20 : w + 24], buffer[w + 24 : w + 28],
-        buffer[w + 28 : w + 32], buffer[w + 32 : w + 44], buffer[w + 44 : at],
-    )  # fmt: skip
-    road, scalar, at = buffer[at : at + 16], buffer[at + 16 : at + 17], at + 17
-    row, at = buffer[at : at + N_SIGNALS], at + N_SIGNALS
+    scratch, scalar, at = (
+        buffer[:SCRATCH_ROWS],
+        buffer[SCRATCH_ROWS : SCRATCH_ROWS + 1],
+        SCRATCH_ROWS + 1,
+    )
     out, at = buffer[at : at + N_SIGNALS * n].reshape(n, N_SIGNALS, LANES), at + N_SIGNALS * n
     s, at = buffer[at : at + 2 * n + 1], at + 2 * n + 1
     v, at = buffer[at : at + 2 * n + 1], at + 2 * n + 1
     a, at = buffer[at : at + 3 * n].reshape(3, n, LANES), at + 3 * n
     heave = buffer[at : at + n].reshape(1, n, LANES)
-    return ControlStepWorkspace(work, road, row, scalar, out, s, v, a, heave)
+    return ControlStepWorkspace(scratch, scalar, out, s, v, a, heave)
 
 
 @kernel(inline=False)
@@ -307,73 +313,56 @@ def _write_truth(parameters, roads, workspace, s, profile, loads):
     for i in range(0, workspace.out.shape[0], parameters.decimation):
         at = i // parameters.decimation
         station, speed = workspace.s[2 * i], workspace.v[2 * i]
-        sample_roads(parameters.p, roads, station, speed, workspace.road, 0)
+        sample_roads(parameters.p, roads, station, speed, workspace.scratch, 0)
         for k in range(LANES):
             s[k, at] = station[k]
             for side in range(2):
-                profile[k, side, at] = workspace.road[side, k]
+                profile[k, side, at] = workspace.scratch[side, k]
             for w in range(4):
                 loads[k, w, at] = workspace.out[i, LOAD + w, k]
 
 
 @kernel(inline=False)
-def advance_blocks(
-    blocks, state, parameters, road_heights, noise, commands, delayed, a_xy_blocks, buffer, output
-):
-    """Advance the `blocks` (indices) by one control interval under `commands` (B, LANES).
+def advance_blocks(blocks, state, parameters, inputs, delayed, buffer, output):
+    """Advance the `blocks` (indices) by one control interval under IntervalInputs.
 
-    `road_heights` (B, ...): the roads; `noise` (B, LANES, rows, 3): standard normal; `delayed`
-    (2, n, LANES): scratch for command bytes; `a_xy_blocks` (B or 1, 4 n + 2): a_x, a_y [m/s²] of a
-    manoeuvre; `buffer`: a `workspace_buffer`. The rows of `output` are the lanes of all blocks.
+    `delayed` (2, n, LANES): scratch for command bytes; `buffer`: a `workspace_buffer`. The rows of
+    `output` are the lanes of all blocks.
     """
     n = delayed.shape[1]
     n_samples = (n + parameters.decimation - 1) // parameters.decimation
     workspace = workspace_views(buffer, n)
     for b in blocks:
         rows = slice(b * LANES, (b + 1) * LANES)
-        q, v, strut_state = state.q[b], state.v[b], state.strut_state[b]
-        layout = state.road_layout[b]
+        q, v, layout, commands = state.q[b], state.v[b], state.road_layout[b], inputs.commands[b]
         kinematics, counts, values = state.kinematics[b], state.counts[b], output.values[rows]
         offset, size = layout[ROAD_OFFSET:ROAD_SIZE], layout[ROAD_SIZE]
-        roads = RoadBuffers(road_heights[b], offset, size, layout[ROAD_START], layout[ROAD_DS])
+        roads = RoadBuffers(
+            inputs.road_heights[b], offset, size, layout[ROAD_START], layout[ROAD_DS]
+        )
         start, speed, h = kinematics[DRIVE_START], kinematics[SPEED], parameters.h
         front_axle_stations(start, speed, counts[STEPS_DONE], h, workspace.s, workspace.v)
-        a_xy, out = a_xy_blocks[b % a_xy_blocks.shape[0]], workspace.out
+        a_xy, out = inputs.a_xy[b % inputs.a_xy.shape[0]], workspace.out
         for i in range(n):
             for k in range(LANES):
-                delayed[0, i, k] = commands[b, k]
+                delayed[0, i, k] = commands[k]
         delay_commands(
             state.delay_line[b], parameters.delay, counts[STEPS_DELAYED], delayed[0], delayed[1]
         )
-        integrate_lanes(
-            parameters.p,
-            parameters.constants,
-            parameters.velocity,
-            parameters.displacement,
-            strut_state,
-            q,
-            v,
-            roads,
-            workspace.s,
-            workspace.v,
-            a_xy,
-            delayed[1],
-            parameters.alpha,
-            h,
-            workspace.work,
-            workspace.road,
-            workspace.row,
-            parameters.columns,
-            out,
-        )
+        lanes = LaneBuffers(
+            parameters.p, parameters.constants, parameters.alpha, parameters.velocity,
+            parameters.displacement, state.strut_state[b], q, v,
+        )  # fmt: skip
+        drive_inputs = DriveInputs(workspace.s, workspace.v, a_xy, delayed[1], h)
+        integrate_lanes(lanes, roads, drive_inputs, workspace.scratch, parameters.columns, out)
         nonfinite_step, rollover = output.nonfinite_step[rows], output.rollover[rows]
         _find_failures(out, q, v, workspace.scalar, nonfinite_step, rollover)
         filters, used = state.antialias_state[b], counts[NOISE_ROWS_USED]
         sensor_rows, a = state.sensor_rows[b], workspace.a
-        _sample_accelerometers(parameters, sensor_rows, filters, noise[b], used, out, a)
+        _sample_accelerometers(parameters, sensor_rows, filters, inputs.noise[b], used, out, a)
         _sum_costs(parameters, state.wk_state[b], out, workspace.heave, workspace.scalar, values)
         observation = output.observation[rows]
-        _write_observation(parameters, kinematics, a, commands[b], observation)
+        _write_observation(parameters, kinematics, a, commands, observation)
         _write_optional_groups(parameters, a_xy, out, 3 * n_samples + 5, observation)
         if output.s.shape[1] > 0:
             truth = (output.s[rows], output.profile[rows], output.loads[rows])

@@ -7,6 +7,7 @@ is finished when the rear axle has passed the end of the surface by the same dis
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -77,6 +78,21 @@ class Trajectory:
         if self.twist.shape[1] > 0:
             a_point += 0.5 * np.sign(x) * y * self.twist[:, 2]
         return a_point
+
+
+class DriveInputs(NamedTuple):
+    """Inputs of N steps of `h` [s], of one vehicle or with LANES vehicles on the last axis.
+
+    At every half step: `s`, `v` (2 N + 1,), station [m] and speed [m/s] of the front axle; `a_xy`
+    (4 N + 2,), a_x and a_y [m/s²] of a manoeuvre in turn. `commands` (N,): bytes as they reach the
+    valves.
+    """
+
+    s: np.ndarray
+    v: np.ndarray
+    a_xy: np.ndarray
+    commands: np.ndarray
+    h: float
 
 
 class DriveSimulator:
@@ -180,13 +196,13 @@ class DriveSimulator:
         n = commands.size
         s, v, a_xy = self.half_step_inputs(n)
         signals = np.empty((n, rosenbrock.n_signals(self.plant)))
-        road = (self.surface.padded, self.surface.start, self.surface.ds, s, v, a_xy)
-        valve = (self.delayed_commands(commands), self.car.valve.lag, self.step, signals)
+        delayed = self.delayed_commands(commands)
+        inputs = DriveInputs(s, v, a_xy.ravel(), delayed, self.step)
+        vehicle, surface = self.plant.buffers(self.strut_state), self.surface.buffers
         # no argument for a rigid frame: its kernel then compiles without flexible_step
         flexible = (True,) if self.plant.flexible else ()
-        rosenbrock.integrate(
-            *self.plant.arrays, self.strut_state, self.state, *road, *valve, *flexible
-        )
+        lag = self.car.valve.lag
+        rosenbrock.integrate(vehicle, self.state, surface, inputs, lag, signals, *flexible)
         t = self.step * (self.steps + np.arange(n))
         self.steps += n
         if not np.isfinite(self.state).all():

@@ -15,11 +15,20 @@ import numpy as np
 from road_envs._numba import kernel
 from road_envs.config import ConfigError
 from road_envs.roads.surface import PAD, Surface, catmull_rom
-from road_envs.simulation.drive import DriveSimulator
-from road_envs.simulation.rosenbrock import StepWorkspace, flexible_step, n_signals, step
+from road_envs.simulation.drive import DriveInputs, DriveSimulator
+from road_envs.simulation.rosenbrock import (
+    N_FLEXIBLE_SIGNALS,
+    WORKSPACE_ROWS,
+    StepInputs,
+    flexible_step,
+    n_signals,
+    step,
+    step_workspace,
+    update_valves,
+)
 from road_envs.simulation.simd import LANES, get, integer_part, load_four, maximum, minimum, put
-from road_envs.vehicle.equations import N_DOF, PLANT_DTYPE, extension, twist_extension
-from road_envs.vehicle.suspension import advance_valve, valves_settled
+from road_envs.vehicle.equations import PLANT_DTYPE, Motion
+from road_envs.vehicle.suspension import VehicleBuffers
 
 LaneConstants = np.void
 """Record like `equations.PLANT_DTYPE` with lanes as the last axis of every field. Compiled code
@@ -28,8 +37,9 @@ needs one address for a record; 30 arrays would need 30, more than there are reg
 _LANE_CONSTANTS = np.dtype(
     [(name, "f8", (*PLANT_DTYPE[name].shape, LANES)) for name in PLANT_DTYPE.names or ()]
 )
-_SIZES = dict(zip(StepWorkspace._fields, [N_DOF] * 6 + [4] * 8 + [12, 6], strict=True))
-_WORK = np.dtype([(name, "f8", (size, LANES)) for name, size in _SIZES.items()])
+_ROW = WORKSPACE_ROWS + 16
+SCRATCH_ROWS = _ROW + N_FLEXIBLE_SIGNALS
+"""Rows of the scratch of `integrate_lanes`: workspace, road and signals of one step."""
 
 
 @cache
@@ -77,11 +87,6 @@ def lane_constants(constants: np.ndarray) -> LaneConstants:
     return p
 
 
-def lane_workspace() -> np.void:
-    """Allocate the scratch of `rosenbrock.step` for LANES vehicles, a record like StepWorkspace."""
-    return _aligned_record(_WORK)
-
-
 @kernel
 def sample_roads(p, roads, s, speed, road, at):
     """Write heights [m] and rates [m/s] under the wheels to rows `at` ... `at` + 7 of `road`.
@@ -104,7 +109,6 @@ def sample_roads(p, roads, s, speed, road, at):
 @kernel(inline=False)
 def update_lane_valves(constants, strut_state, q, k, byte, alpha, h):
     """Advance the valves of lane `k`, vehicle `constants` (1,); return whether all are settled."""
-    p = constants[0]
     # the valve law is written for the arrays of one vehicle: copy the lane out and back
     own, own_q = np.empty(strut_state.shape[:2]), np.empty(q.shape[0])
     for w in range(own.shape[0]):
@@ -112,15 +116,7 @@ def update_lane_valves(constants, strut_state, q, k, byte, alpha, h):
             own[w, j] = strut_state[w, j, k]
     for j in range(own_q.size):
         own_q[j] = q[j, k]
-    at_target = True
-    for w in range(4):
-        stiff, high = (byte >> w) & 1, (byte >> (4 + w)) & 1
-        if not valves_settled(own, w, stiff, high):
-            e = extension(p, own_q, w)
-            if own_q.size > N_DOF:
-                e += twist_extension(p, own_q[N_DOF], w)
-            advance_valve(p, own, w, e, stiff, high, alpha, h)
-            at_target = False
+    at_target = update_valves(constants[0], own, own_q, byte, alpha, h)
     for w in range(own.shape[0]):
         for j in range(own.shape[1]):
             strut_state[w, j, k] = own[w, j]
@@ -159,55 +155,52 @@ def front_axle_stations(start, v, done, h, s, speed):
             speed[i, k] = v[k]
 
 
-@kernel(inline=False)
-def integrate_lanes(
-    p,
-    constants,
-    velocity,
-    displacement,
-    strut_state,
-    q,
-    v,
-    roads,
-    s,
-    speed,
-    a_xy,
-    commands,
-    alpha,
-    h,
-    work,
-    road,
-    row,
-    columns,
-    out,
-    flexible=None,
-):
-    """Integrate LANES vehicles; `q`, `v` (7, LANES), `strut_state` (4, 3, LANES) change in place.
+class LaneBuffers(NamedTuple):
+    """LANES vehicles as kernels read them; `strut_state`, `q` and `v` are advanced in place.
 
-    `s`, `speed` (2 N + 1, LANES), `a_xy` (4 N + 2, LANES) and `commands` (N, LANES) are as in
-    `rosenbrock.integrate`; `alpha` (LANES,): see `suspension.advance_valve`. The signals in
-    `columns` (C,) go to `out` (N, C, LANES). `work`, `road` (16, LANES) and `row` (29, LANES) are
-    scratch. Of `flexible` vehicles `q`, `v` are (8, LANES) and there are 32 signals.
+    `p`: LaneConstants; the same as an array `constants` (LANES,) and the factors `alpha` (LANES,)
+    of `suspension.advance_valve` for the valves, which move lane by lane; tables `velocity` and
+    `displacement`; `strut_state` (4, 3, LANES); `q`, `v` (7, LANES), (8, LANES) if flexible.
     """
+
+    p: LaneConstants
+    constants: np.ndarray
+    alpha: np.ndarray
+    velocity: np.ndarray
+    displacement: np.ndarray
+    strut_state: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+
+
+@kernel(inline=False)
+def integrate_lanes(lanes, roads, inputs, scratch, columns, out, flexible=None):
+    """Integrate the DriveInputs of LaneBuffers over RoadBuffers.
+
+    The signals in `columns` (C,) go to `out` (N, C, LANES); `scratch` (SCRATCH_ROWS, LANES).
+    `flexible`, if given: the vehicles have flexible frames, so there are 32 signals.
+    """
+    p, q, strut_state, alpha, h = lanes.p, lanes.q, lanes.strut_state, lanes.alpha, inputs.h
+    vehicle = VehicleBuffers(p, lanes.velocity, lanes.displacement, strut_state)
+    motion, s, speed = Motion(q, lanes.v), inputs.s, inputs.v
+    work, road, row = step_workspace(scratch), scratch[WORKSPACE_ROWS:_ROW], scratch[_ROW:]
     last = np.zeros(LANES, dtype=np.uint8)
     at_target = np.zeros(LANES, dtype=np.bool_)
-    for n in range(commands.shape[0]):
+    for n in range(inputs.commands.shape[0]):
         sample_roads(p, roads, s[2 * n], speed[2 * n], road, 0)
         sample_roads(p, roads, s[2 * n + 1], speed[2 * n + 1], road, 8)
         for k in range(LANES):
-            byte = commands[n, k]
+            byte = inputs.commands[n, k]
             # valves rarely move: skip lanes that have settled under an unchanged command
             if not at_target[k] or byte != last[k]:
-                own = constants[k : k + 1]
+                own = lanes.constants[k : k + 1]
                 at_target[k] = update_lane_valves(own, strut_state, q, k, byte, alpha[k], h)
                 last[k] = byte
-        a_xy_step = a_xy[4 * n : 4 * n + 4]
+        step_inputs = StepInputs(road, inputs.a_xy[4 * n : 4 * n + 4])
         if flexible is None:
-            step(p, velocity, displacement, strut_state, q, v, road, a_xy_step, h, work, row)
+            step(vehicle, motion, step_inputs, h, work, row)
         else:
-            flexible_step(
-                p, velocity, displacement, strut_state, q, v, road, a_xy_step, h, work, row
-            )
+            flexible_step(vehicle, motion, step_inputs, h, work, row)
         # writing more columns than the caches hold takes as long as the step itself
         for c in range(columns.size):
             put(out[n], c, get(row, columns[c]))
@@ -219,28 +212,30 @@ class _Block:
     def __init__(self, drives: Sequence[DriveSimulator]):
         lane_drives = [*drives, *[drives[-1]] * (LANES - len(drives))]
         self.drives, self.lane_drives = list(drives), lane_drives
-        self.constants = np.concatenate([drive.plant.constants for drive in lane_drives])
+        constants = np.concatenate([drive.plant.constants for drive in lane_drives])
         plants = list({id(drive.plant): drive.plant for drive in lane_drives}.values())
         of_lane = [next(i for i, p in enumerate(plants) if p is d.plant) for d in lane_drives]
         # the tables of all plants are concatenated, those of shared plants once
         tables = (("velocity_table", "velocity"), ("displacement_table", "displacement"))
         for field, table in tables:
             first = np.cumsum([0, *(len(getattr(plant, table)) for plant in plants)])
-            self.constants[field] += first[of_lane][:, None]
-        self.p = lane_constants(self.constants)
-        self.velocity = np.concatenate([plant.velocity for plant in plants])
-        self.displacement = np.concatenate([plant.displacement for plant in plants])
-        strut_states = [drive.strut_state for drive in lane_drives]
-        self.strut_state = aligned_copy(np.stack(strut_states, axis=-1))
-        state = np.stack([drive.state for drive in lane_drives], axis=-1)
-        self.q, self.v = map(aligned_copy, np.split(state, 2))
-        self.flexible = (True,) if lane_drives[0].plant.flexible else ()
-        self.roads = _road_buffers([drive.surface for drive in lane_drives])
+            constants[field] += first[of_lane][:, None]
         self.h = lane_drives[0].step
         lags = np.array([drive.car.valve.lag for drive in lane_drives])
-        self.alpha = aligned_copy(1.0 - np.exp(-self.h / lags))
-        rows = n_signals(lane_drives[0].plant)
-        self.work, self.road, self.row = lane_workspace(), aligned_zeros(16), aligned_zeros(rows)
+        q, v = np.split(np.stack([drive.state for drive in lane_drives], axis=-1), 2)
+        self.lanes = LaneBuffers(
+            p=lane_constants(constants),
+            constants=constants,
+            alpha=aligned_copy(1.0 - np.exp(-self.h / lags)),
+            velocity=np.concatenate([plant.velocity for plant in plants]),
+            displacement=np.concatenate([plant.displacement for plant in plants]),
+            strut_state=aligned_copy(np.stack([d.strut_state for d in lane_drives], axis=-1)),
+            q=aligned_copy(q),
+            v=aligned_copy(v),
+        )
+        self.flexible = (True,) if lane_drives[0].plant.flexible else ()
+        self.roads = _road_buffers([drive.surface for drive in lane_drives])
+        self.scratch = aligned_zeros(SCRATCH_ROWS)
         self.constant_speed_inputs = _constant_speed_inputs(lane_drives)
         self.delay = np.array([drive.delay_line.size for drive in lane_drives])
         self.delay_line = np.zeros((self.delay.max(), LANES), dtype=np.uint8)
@@ -254,10 +249,8 @@ class _Block:
         sent, delayed = np.empty((2, n, LANES), dtype=np.uint8)
         sent[:, :own], sent[:, own:] = commands, commands[:, -1:]
         delay_commands(self.delay_line, self.delay, self.steps_delayed, sent, delayed)
-        laws = (self.constants, self.velocity, self.displacement, self.strut_state)
-        inputs = (*self._half_step_inputs(n), delayed, self.alpha, self.h)
-        scratch = (self.work, self.road, self.row, columns, out, *self.flexible)
-        integrate_lanes(self.p, *laws, self.q, self.v, self.roads, *inputs, *scratch)
+        inputs = DriveInputs(*self._half_step_inputs(n), delayed, self.h)
+        integrate_lanes(self.lanes, self.roads, inputs, self.scratch, columns, out, *self.flexible)
         for drive in self.drives:
             drive.steps += n
 
@@ -276,8 +269,8 @@ class _Block:
     def write_back(self) -> None:
         """Copy the motion of the vehicles into their simulators."""
         for k, drive in enumerate(self.drives):
-            drive.state[:] = np.concatenate([self.q[:, k], self.v[:, k]])
-            drive.strut_state[:] = self.strut_state[:, :, k]
+            drive.state[:] = np.concatenate([self.lanes.q[:, k], self.lanes.v[:, k]])
+            drive.strut_state[:] = self.lanes.strut_state[:, :, k]
             if self.delay[k]:
                 ring = self.delay_line[: self.delay[k], k]
                 drive.delay_line = np.roll(ring, -(self.steps_delayed[k] % self.delay[k]))

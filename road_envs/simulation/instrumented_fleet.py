@@ -34,6 +34,7 @@ from road_envs.simulation.control_step import (
     STEPS_TOTAL,
     FleetParameters,
     FleetState,
+    IntervalInputs,
     StepOutput,
     advance_blocks,
     workspace_buffer,
@@ -62,7 +63,7 @@ class InstrumentedFleet:
     A control interval has `steps` steps of `step` [s], a whole number of samples of the
     `instruments`. With `truth`, `StepOutput` holds the road and the tyre loads. Blocks are spread
     over `threads`. The state is plain NumPy, so copies and pickles work. Raises ConfigError if
-    the instruments cannot sample at these steps.
+    the instruments cannot sample at these steps, and on a flexible frame.
 
     `weights` are those of the three costs in the reward; `top_speed` [m/s] is the highest speed
     observed; `planar` and `struts` add these groups to the observation. `unresolved_variance`
@@ -89,6 +90,11 @@ class InstrumentedFleet:
         truth: bool = True,
         threads: int = 1,
     ):
+        if plant.flexible:
+            raise ConfigError(
+                "an instrumented fleet does not support a flexible frame; use a vehicle variation "
+                "without one"
+            )
         logger = DataLogger(instruments, car, step, np.random.default_rng(0))
         if steps % logger.decimation:
             raise ConfigError(
@@ -100,10 +106,26 @@ class InstrumentedFleet:
         self.threads, self.samples = threads, steps // logger.decimation
         blocks = ceil(n_vehicles / LANES)
         self.rngs: list[np.random.Generator | None] = [None] * (blocks * LANES)
-        delay = round(car.valve.delay / step)
-        groups = (int(planar), int(struts))
-        self.parameters = _fleet_parameters(
-            plant, car, logger, step, delay, weights, top_speed, groups
+        delay, constants = round(car.valve.delay / step), np.repeat(plant.constants, LANES)
+        self.parameters = FleetParameters(
+            p=lane_constants(constants),
+            constants=constants,
+            velocity=plant.velocity,
+            displacement=plant.displacement,
+            delay=np.full(LANES, delay),
+            alpha=aligned_copy(np.full(LANES, 1.0 - np.exp(-step / car.valve.lag))),
+            static_load=np.repeat(car.tyre_loads, 2),
+            weights=np.array(weights, dtype=float),
+            antialias_sos=logger.sos,
+            wk_sos=wk_sos(1.0 / step),
+            columns=np.arange(N_SIGNALS),
+            noise_std=float(logger.noise_std),
+            range=float(logger.range),
+            top_speed=float(top_speed),
+            h=step,
+            decimation=logger.decimation,
+            planar=int(planar),
+            struts=int(struts),
         )
         self.observation_size = len(SENSORS) * self.samples + 5
         self.observation_size += planar * N_PLANAR + struts * N_STRUT_SIGNALS
@@ -160,10 +182,10 @@ class InstrumentedFleet:
         saved = None if mask is None else [field[moving] for field in self.state]
         output, a_xy = self._allocate_output(size), self._manoeuvre_inputs()
         block_commands = lane_commands.reshape(blocks, LANES)
-        inputs = (self.state, self.parameters, self.road_heights, self.noise, block_commands)
+        inputs = IntervalInputs(self.road_heights, self.noise, block_commands, a_xy)
 
         def run(job: np.ndarray, delayed: np.ndarray, buffer: np.ndarray) -> None:
-            advance_blocks(job, *inputs, delayed, a_xy, buffer, output)
+            advance_blocks(job, self.state, self.parameters, inputs, delayed, buffer, output)
 
         if len(self._workspaces) == 1:
             run(moving, *self._workspaces[0])
@@ -187,11 +209,6 @@ class InstrumentedFleet:
         values[:n, OUT_REWARD] -= interval * self.unresolved_variance_weight * unresolved
 
     @property
-    def done(self) -> np.ndarray:
-        """Number of steps taken (N,)."""
-        return self.state.counts[:, STEPS_DONE].ravel()[: self.n_vehicles]
-
-    @property
     def steps_left(self) -> np.ndarray:
         """Number of steps until the drives are finished (N,)."""
         left = self.state.counts[:, STEPS_TOTAL] - self.state.counts[:, STEPS_DONE]
@@ -210,8 +227,13 @@ class InstrumentedFleet:
     def last_interval(self, i: int, byte: int) -> Trajectory:
         """Return the motion of vehicle `i` in the last interval, under the command `byte`.
 
-        Only for vehicles of the first block.
+        The fleet must be of one block, since a thread keeps only its last block. Raises ValueError.
         """
+        if len(self.road_heights) > 1:
+            raise ValueError(
+                f"the last interval is kept in fleets of at most {LANES} vehicles, got "
+                f"{self.n_vehicles}; use a smaller fleet"
+            )
         last = workspace_views(self._workspaces[0][1], self.steps)
         first = int(self.state.counts[0, STEPS_DONE, i]) - self.steps
         t = self.step * (first + np.arange(self.steps))
@@ -295,31 +317,6 @@ class InstrumentedFleet:
 
 def _thread_workspace(steps: int) -> tuple[np.ndarray, np.ndarray]:
     return np.zeros((2, steps, LANES), dtype=np.uint8), workspace_buffer(steps)
-
-
-def _fleet_parameters(
-    plant, car, logger, step, delay, weights, top_speed, groups
-) -> FleetParameters:
-    constants = np.repeat(plant.constants, LANES)
-    return FleetParameters(
-        lane_constants(constants),
-        constants,
-        plant.velocity,
-        plant.displacement,
-        np.full(LANES, delay),
-        aligned_copy(np.full(LANES, 1.0 - np.exp(-step / car.valve.lag))),
-        np.repeat(car.tyre_loads, 2),
-        np.array(weights, dtype=float),
-        logger.sos,
-        wk_sos(1.0 / step),
-        np.arange(N_SIGNALS),
-        float(logger.noise_std),
-        float(logger.range),
-        float(top_speed),
-        step,
-        logger.decimation,
-        *groups,
-    )
 
 
 def _initial_state(

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Protocol
 
 import numpy as np
 
-from road_envs.config import STRICT, ConfigError, build, validate_choice
+from road_envs.config import ConfigError, Settings, build, validate_choice
 
 
 class Manoeuvre(Protocol):
@@ -30,10 +30,8 @@ def _lateral(a_y: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SteadyTurn:
+class SteadyTurn(Settings):
     """Turn to the left (a_y > 0): build-up, constant lateral acceleration, release."""
-
-    __pydantic_config__ = STRICT
 
     a_y: Annotated[float, "m/s²", "lateral acceleration of the constant phase"] = 3.924
     begin: Annotated[float, "s", "time at which the turn begins"] = 1.0
@@ -48,15 +46,13 @@ class SteadyTurn:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LaneChange:
+class LaneChange(Settings):
     """Double lane change over the track of ISO 3888-1, as a lateral acceleration history.
 
     The track leads 3.5 m sideways within 30 m, 25 m straight, and 3.5 m back within 25 m. A full
     sine of amplitude A and duration T displaces by A T² / (2 pi), so each lane change is one sine
     over the length of its section at speed `v`.
     """
-
-    __pydantic_config__ = STRICT
 
     v: Annotated[float, "m/s", "speed through the track"] = 15.0
     begin: Annotated[float, "s", "time at which the first section is entered"] = 1.0
@@ -77,10 +73,8 @@ class LaneChange:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Slalom:
+class Slalom(Settings):
     """Sinusoidal lateral acceleration, with a smooth start over the first period."""
-
-    __pydantic_config__ = STRICT
 
     a_y: Annotated[float, "m/s²", "amplitude"] = 3.0
     period: Annotated[float, "s", "period of the sine"] = 3.0
@@ -93,10 +87,8 @@ class Slalom:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Braking:
+class Braking(Settings):
     """Braking as it acts on the body only; a SpeedProfile changes the speed and has its own a_x."""
-
-    __pydantic_config__ = STRICT
 
     a_x: Annotated[float, "m/s²", "deceleration, as a positive number"] = 4.0
     begin: Annotated[float, "s", "time at which the brake is applied"] = 1.0

@@ -145,6 +145,7 @@ def ode23s(
     y_0: np.ndarray,
     rtol: float = 1e-3,
     atol: float = 1e-6,
+    *,
     dfdt: Rate | None = None,
     max_step: float = np.inf,
 ) -> Solution:

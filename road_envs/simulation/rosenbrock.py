@@ -31,6 +31,7 @@ from road_envs.vehicle.equations import (
     PHI,
     THETA,
     Z_B,
+    Motion,
     Plant,
     accelerations,
     add_manoeuvre_moments,
@@ -165,27 +166,49 @@ class StepWorkspace(NamedTuple):
     body: np.ndarray
 
 
+WORKSPACE_ROWS = 6 * N_DOF + 8 * 4 + 12 + 6
+"""Rows of the buffer behind a StepWorkspace."""
+
+
+@kernel
+def step_workspace(buffer):
+    """Return the StepWorkspace as views of a `buffer` (WORKSPACE_ROWS,) or (..., LANES)."""
+    n, w = N_DOF, 6 * N_DOF
+    return StepWorkspace(
+        buffer[:n], buffer[n : 2 * n], buffer[2 * n : 3 * n],
+        buffer[3 * n : 4 * n], buffer[4 * n : 5 * n], buffer[5 * n : w],
+        buffer[w : w + 4], buffer[w + 4 : w + 8], buffer[w + 8 : w + 12], buffer[w + 12 : w + 16],
+        buffer[w + 16 : w + 20], buffer[w + 20 : w + 24], buffer[w + 24 : w + 28],
+        buffer[w + 28 : w + 32], buffer[w + 32 : w + 44], buffer[w + 44 : WORKSPACE_ROWS],
+    )  # fmt: skip
+
+
 @kernel
 def workspace():
     """Allocate the scratch of `step` for one vehicle."""
-    a, b = np.empty((6, N_DOF)), np.empty((8, 4))
-    return StepWorkspace(
-        *(a[0], a[1], a[2], a[3], a[4], a[5]),
-        *(b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]),
-        *(np.empty(12), np.empty(6)),
-    )
+    return step_workspace(np.empty(WORKSPACE_ROWS))
+
+
+class StepInputs(NamedTuple):
+    """Inputs of one step.
+
+    `road` (16,): heights [m] of the road under the four wheels at t, their rates [m/s], and both
+    again at t + h/2. `a_xy` (4,): accelerations a_x, a_y [m/s²] of a manoeuvre at t and t + h/2.
+    """
+
+    road: np.ndarray
+    a_xy: np.ndarray
 
 
 @kernel
-def step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out, twist=None):
-    """Advance the coordinates `q` and rates `v` (7,) of one or LANES vehicles by `h` [s], in place.
+def step(vehicle, motion, inputs, h, work, out, twist=None):
+    """Advance the `motion` of one or LANES vehicles by `h` [s], in place.
 
-    The signals at t go to `out` (29,). `road` (16,): heights [m] of the road under the four wheels
-    at t, their rates [m/s], and both again at t + h/2. `a_xy` (4,): accelerations a_x, a_y [m/s²]
-    of a manoeuvre at t and at t + h/2. `twist`, if given: the frame's twist [rad] and its rate at
+    The signals at t go to `out` (29,). `twist`, if given: the frame's twist [rad] and its rate at
     t and at t + h/2 (4 numbers). With LANES vehicles every array has the lanes as its last axis.
     """
-    hd = h * D
+    hd, p = h * D, vehicle.p
+    (q, v), (road, a_xy) = motion, inputs
     f, g, r, k_q = work.f, work.g, work.r, work.k_q
     F, T, dF, dT = work.F, work.T, work.dF, work.dT
     # stage 1: F, T are the forces at t; dF, dT their part of h d (df/dt - K v)
@@ -194,7 +217,7 @@ def step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out,
         e_dot = rate
         if twist is not None:
             e, e_dot = e + twist_extension(p, twist[0], w), e_dot + twist_extension(p, twist[1], w)
-        force, k, c = strut_force(p, velocity, displacement, strut_state, w, e, e_dot)
+        force, k, c = strut_force(vehicle, w, e, e_dot)
         u = get(road, w) - wheel_height(p, q, w)
         u_dot = get(road, 4 + w) - wheel_height(p, v, w)
         load, k_t, c_t = tyre_force(p, w, u, u_dot)
@@ -215,10 +238,8 @@ def step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out,
     # bushings act on the roll of the body relative to each axle, which the frame's twist changes
     front, rear = relative_roll(q, 0), relative_roll(q, 1)
     if twist is not None:
-        front, rear = (
-            front + get(p.twist_share, 0) * twist[0],
-            rear + get(p.twist_share, 1) * twist[0],
-        )
+        front += get(p.twist_share, 0) * twist[0]
+        rear += get(p.twist_share, 1) * twist[0]
     add_weight(p, f)
     add_struts(p, F, front, rear, f)
     add_tyres(p, T, f)
@@ -250,7 +271,7 @@ def step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out,
         e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
         if twist is not None:
             e, e_dot = e + twist_extension(p, twist[2], w), e_dot + twist_extension(p, twist[3], w)
-        force, _, _ = strut_force(p, velocity, displacement, strut_state, w, e, e_dot)
+        force, _, _ = strut_force(vehicle, w, e, e_dot)
         put(F, w, force - hd * get(work.k, w) * extension(p, r, w))
         u = get(road, 8 + w) - wheel_height(p, work.q, w)
         u_dot = get(road, 12 + w) - wheel_height(p, work.v, w)
@@ -259,10 +280,8 @@ def step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out,
     front = relative_roll(work.q, 0) + hd * relative_roll(r, 0)
     rear = relative_roll(work.q, 1) + hd * relative_roll(r, 1)
     if twist is not None:
-        front, rear = (
-            front + get(p.twist_share, 0) * twist[2],
-            rear + get(p.twist_share, 1) * twist[2],
-        )
+        front += get(p.twist_share, 0) * twist[2]
+        rear += get(p.twist_share, 1) * twist[2]
     add_weight(p, f)
     add_struts(p, F, front, rear, f)
     add_tyres(p, T, f)
@@ -275,27 +294,24 @@ def step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out,
 
 
 @kernel
-def flexible_step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out):
-    """`step` of a vehicle with a flexible frame: `q`, `v` (8,) with the twist last, `out` (32,).
+def flexible_step(vehicle, motion, inputs, h, work, out):
+    """`step` of a vehicle with a flexible frame: `motion` (8,) with the twist last, `out` (32,).
 
     The matrix W is block diagonal here: it omits the coupling of the seven rigid coordinates and
     the twist. The formula keeps order 2 with any matrix in place of the Jacobian, since
     k_2 = F(t + h/2, y + h k_1 / 2) + O(h²) still holds, and the omitted coupling is not stiff.
     """
-    hd = h * D
+    hd, p = h * D, vehicle.p
+    q, v = motion
     inertia, rate, damping = get(p.frame_inertia), get(p.frame_rate), get(p.frame_damping)
     inverse = 1.0 / (inertia + hd * (damping + hd * rate))
     psi, psi_dot = get(q, N_DOF), get(v, N_DOF)
     for w in range(4):
-        e, e_dot = (
-            extension(p, q, w) + twist_extension(p, psi, w),
-            extension(p, v, w) + twist_extension(p, psi_dot, w),
-        )
-        put(work.F, w, strut_force(p, velocity, displacement, strut_state, w, e, e_dot)[0])
-    front, rear = (
-        relative_roll(q, 0) + get(p.twist_share, 0) * psi,
-        relative_roll(q, 1) + get(p.twist_share, 1) * psi,
-    )
+        e = extension(p, q, w) + twist_extension(p, psi, w)
+        e_dot = extension(p, v, w) + twist_extension(p, psi_dot, w)
+        put(work.F, w, strut_force(vehicle, w, e, e_dot)[0])
+    front = relative_roll(q, 0) + get(p.twist_share, 0) * psi
+    rear = relative_roll(q, 1) + get(p.twist_share, 1) * psi
     moment = twist_moment(p, work.F, front, rear) - rate * psi - damping * psi_dot
     put(out, TWIST, psi)
     put(out, TWIST + 1, psi_dot)
@@ -303,12 +319,11 @@ def flexible_step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, w
     k_v = (moment - hd * rate * psi_dot) * inverse
     k_q = psi_dot + hd * k_v
     psi_mid, psi_mid_dot = psi + 0.5 * h * k_q, psi_dot + 0.5 * h * k_v
-    twist = (psi, psi_dot, psi_mid, psi_mid_dot)
-    step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out, twist)
+    step(vehicle, motion, inputs, h, work, out, (psi, psi_dot, psi_mid, psi_mid_dot))
     for w in range(4):
         e = extension(p, work.q, w) + twist_extension(p, psi_mid, w)
         e_dot = extension(p, work.v, w) + twist_extension(p, psi_mid_dot, w)
-        put(work.F, w, strut_force(p, velocity, displacement, strut_state, w, e, e_dot)[0])
+        put(work.F, w, strut_force(vehicle, w, e, e_dot)[0])
     front = relative_roll(work.q, 0) + get(p.twist_share, 0) * psi_mid
     rear = relative_roll(work.q, 1) + get(p.twist_share, 1) * psi_mid
     r = psi_mid_dot - k_q
@@ -321,66 +336,63 @@ def flexible_step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, w
 
 
 @kernel
-def sample_road(p, padded, start, ds, s, v, road):
+def sample_road(p, surface, s, v, road):
     """Write heights [m] and rates [m/s] under the wheels to `road` (8,), front axle at `s` [m]."""
     for w in range(4):
         behind = p.x[0] - p.x[w // 2]
-        z, slope = height_and_slope(padded, w % 2, s - behind, start, ds)
+        z, slope = height_and_slope(surface, w % 2, s - behind)
         road[w], road[4 + w] = z, slope * v
 
 
 @kernel
-def state_rate(constants, velocity, displacement, strut_state, padded, start, ds, s, v, y, out):
+def state_rate(vehicle, surface, s, v, y, out):
     """Write the rate (14,) of the state `y` with the front axle at station `s` [m] to `out`.
 
-    This is the right-hand side for other integrators; `strut_state` (4, 3) stays constant. Of a
+    This is the right-hand side for other integrators; the strut state stays constant. Of a
     flexible vehicle `y` and `out` are (16,).
     """
     road, n = np.empty(8), y.size // 2
-    sample_road(constants[0], padded, start, ds, s, v, road)
+    sample_road(vehicle.p, surface, s, v, road)
     out[:n] = y[n:]
-    laws = (constants, velocity, displacement, strut_state)
-    accelerations(*laws, y[:n], y[n:], road[:4], road[4:], out[n:])
+    accelerations(vehicle, Motion(y[:n], y[n:]), road[:4], road[4:], out[n:])
 
 
 @kernel
-def update_valves(p, strut_state, q, command, alpha, h, flexible=None):
+def update_valves(p, strut_state, q, command, alpha, h):
     """Advance the `strut_state` (4, 3) of all struts by one step `h` [s] under a `command` byte.
 
-    `alpha`: see `suspension.advance_valve`; `q` is (7,), or (8,) of a `flexible` vehicle.
+    `alpha`: see `suspension.advance_valve`; `q` is (7,), or (8,) of a flexible vehicle. Returns
+    whether all valves had settled before.
     """
+    settled = True
     for w in range(4):
-        stiff, high = (command >> w) & 1, (command >> (4 + w)) & 1
-        if not valves_settled(strut_state, w, stiff, high):
+        setting = (command >> w) & 1, (command >> (4 + w)) & 1
+        if not valves_settled(strut_state, w, setting):
             e = extension(p, q, w)
-            if flexible is not None:
+            if q.size > N_DOF:
                 e += twist_extension(p, q[N_DOF], w)
-            advance_valve(p, strut_state, w, e, stiff, high, alpha, h)
+            advance_valve(p, strut_state, w, e, setting, alpha, h)
+            settled = False
+    return settled
 
 
 @kernel
-def integrate(
-    constants, velocity, displacement, strut_state, y,
-    padded, start, ds, s, v, a_xy, commands, lag, h, out, flexible=None,
-):  # fmt: skip
-    """Integrate len(commands) steps of `h` [s]; `y` (14,), `strut_state` (4, 3) change in place.
+def integrate(vehicle, y, surface, inputs, lag, out, flexible=None):
+    """Integrate `drive.DriveInputs`; the state `y` (14,) and the strut state change in place.
 
-    `padded`, `start`, `ds` describe a Surface. At every half step: `s`, `v` (2 N + 1,), station
-    [m] and speed [m/s] of the front axle; `a_xy` (2 N + 1, 2), a_x and a_y [m/s²] of a manoeuvre.
-    `commands` (N,): bytes as they reach the valves, whose time constant is `lag` [s]. `out`
-    (N, 29): the signals at the beginning of each step. Of a `flexible` vehicle `y` is (16,) and
-    `out` (N, 32).
+    `surface`: SurfaceBuffers; `lag` [s]: time constant of the valves. `out` (N, 29): the signals at
+    the beginning of each step. Of a `flexible` vehicle `y` is (16,) and `out` (N, 32).
     """
-    p, work, road = constants[0], workspace(), np.empty(16)
-    q, rates = y[: y.size // 2], y[y.size // 2 :]
+    p, work, road = vehicle.p, workspace(), np.empty(16)
+    s, v, a_xy, commands, h = inputs
+    motion = Motion(y[: y.size // 2], y[y.size // 2 :])
     alpha = 1.0 - np.exp(-h / lag)
     for n in range(commands.size):
-        sample_road(p, padded, start, ds, s[2 * n], v[2 * n], road[:8])
-        sample_road(p, padded, start, ds, s[2 * n + 1], v[2 * n + 1], road[8:])
-        update_valves(p, strut_state, q, commands[n], alpha, h, flexible)
-        a_xy_step = a_xy[2 * n : 2 * n + 2].ravel()
-        laws = (p, velocity, displacement, strut_state)
+        sample_road(p, surface, s[2 * n], v[2 * n], road[:8])
+        sample_road(p, surface, s[2 * n + 1], v[2 * n + 1], road[8:])
+        update_valves(p, vehicle.strut_state, motion.q, commands[n], alpha, h)
+        step_inputs = StepInputs(road, a_xy[4 * n : 4 * n + 4])
         if flexible is None:
-            step(*laws, q, rates, road, a_xy_step, h, work, out[n])
+            step(vehicle, motion, step_inputs, h, work, out[n])
         else:
-            flexible_step(*laws, q, rates, road, a_xy_step, h, work, out[n])
+            flexible_step(vehicle, motion, step_inputs, h, work, out[n])

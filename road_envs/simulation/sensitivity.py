@@ -30,6 +30,7 @@ Last come the factors of W.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,6 +40,7 @@ from road_envs.simulation.rosenbrock import (
     EXTENSION,
     N_SIGNALS,
     D,
+    StepInputs,
     solve_factored,
     step,
     update_valves,
@@ -49,6 +51,7 @@ from road_envs.vehicle.equations import (
     N_DOF,
     PHI,
     THETA,
+    Motion,
     Plant,
     add_manoeuvre_moments,
     add_struts,
@@ -65,17 +68,15 @@ TAPE_ROW_SIZE = 74
 
 
 @kernel
-def step_with_derivative(
-    p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out, row
-):
+def step_with_derivative(vehicle, motion, inputs, h, work, out, row):
     """Take `rosenbrock.step`, same arguments; write its derivative to `row` (TAPE_ROW_SIZE,)."""
-    step(p, velocity, displacement, strut_state, q, v, road, a_xy, h, work, out)
-    hd, before = h * D, out[N_DOF : 2 * N_DOF]
+    step(vehicle, motion, inputs, h, work, out)
+    p, road, hd, before = vehicle.p, inputs.road, h * D, out[N_DOF : 2 * N_DOF]
     for w in range(4):
         e, e_dot = out[EXTENSION + w], extension(p, before, w)
         # `step` leaves k and s = h d c + (h d)² k in its scratch: no second call of strut_force
         k, c = work.k[w], work.s[w] / hd - hd * work.k[w]
-        k_slope, c_slope = strut_curvature(p, velocity, displacement, strut_state, w, e, e_dot)
+        k_slope, c_slope = strut_curvature(vehicle, w, e, e_dot)
         first, second = extension(p, work.g, w), extension(p, work.f, w)
         row[K_1 + w], row[C_1 + w] = k, c
         row[G_K + w] = k + hd * k_slope * (e_dot + hd * first)
@@ -83,9 +84,7 @@ def step_with_derivative(
         row[F_K + w] = hd * k_slope * (extension(p, work.r, w) + hd * second)
         row[F_C + w] = hd * c_slope * second
         e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
-        _, row[K_2 + w], row[C_2 + w] = strut_force(
-            p, velocity, displacement, strut_state, w, e, e_dot
-        )
+        _, row[K_2 + w], row[C_2 + w] = strut_force(vehicle, w, e, e_dot)
         u, u_dot = road[w] - wheel_height(p, out, w), road[4 + w] - wheel_height(p, before, w)
         _, k, c = tyre_force(p, w, u, u_dot)
         k_slope = tyre_curvature(p, w, u, u_dot)
@@ -103,14 +102,14 @@ def step_with_derivative(
 
 
 @kernel
-def tangent_step(p, row, q, v, road, h, work, a):
-    """Propagate changes `q`, `v` (7,) of coordinates and rates through one step, in place.
+def tangent_step(p, row, motion, road, h, work, a):
+    """Propagate changes `motion` of coordinates and rates through one step, in place.
 
     `road` (16,): changes of the road's heights [m] and rates [m/s], in the layout of
     `rosenbrock.step`. Writes the change of the accelerations (7,) at the step's beginning to `a`.
     For LANES directions at once, all arrays but `p` and `row` have the lanes as their last axis.
     """
-    hd = h * D
+    hd, (q, v) = h * D, motion
     f, g, r, k_q, F, T, dF, dT = work.f, work.g, work.r, work.k_q, work.F, work.T, work.dF, work.dT
     blocks, body = row[BLOCKS:BODY], row[BODY:TAPE_ROW_SIZE]
     # stage 1: F, T give f'; dF, dT give g' - W' k; s, t keep what stage 2 needs of the state at t
@@ -204,13 +203,13 @@ def reverse_second_stage(p, row, h, work, road):
 
 
 @kernel
-def adjoint_step(p, row, a, h, work, q, v, road):
-    """Apply the transpose of `tangent_step`: take the adjoints `q`, `v` (7,) one step back.
+def adjoint_step(p, row, a, h, work, motion, road):
+    """Apply the transpose of `tangent_step`: take the adjoints `motion` one step back.
 
     `a` (7,) is the adjoint of the accelerations at the step's beginning. Writes the adjoint of the
     road's heights and rates to `road` (16,), in the same layout.
     """
-    hd = h * D
+    hd, (q, v) = h * D, motion
     f, g, F, T = work.f, work.g, work.F, work.T
     # the update of q and v in `step`, transposed
     for j in range(N_DOF):
@@ -244,40 +243,48 @@ def adjoint_step(p, row, a, h, work, q, v, road):
     add_tyres(p, T, v)
 
 
-@kernel
-def integrate_with_derivative(
-    constants, velocity, displacement, strut_state, y, road, a_xy, commands, lag, h, out, rows
-):
-    """Take one step per row of `rows` (N, TAPE_ROW_SIZE); `y` (14,), `strut_state` change in place.
+class TapeInputs(NamedTuple):
+    """Inputs of N steps of `h` [s]: `road` (N, 16) and `a_xy` (N, 4) as in `rosenbrock.StepInputs`.
 
-    `road` (N, 16), `a_xy` (N, 4): the inputs of `rosenbrock.step` in each step; `commands` (N,), or
-    (0,) for a constant strut state, and `lag` as in `rosenbrock.integrate`.
+    `commands` (N,), or (0,) for a constant strut state, and `lag` as in `rosenbrock.integrate`.
     """
-    p, work, q, v = constants[0], workspace(), y[:N_DOF], y[N_DOF:]
-    alpha = 1.0 - np.exp(-h / lag)
+
+    road: np.ndarray
+    a_xy: np.ndarray
+    commands: np.ndarray
+    lag: float
+    h: float
+
+
+@kernel
+def integrate_with_derivative(vehicle, y, inputs, out, rows):
+    """Take the steps of TapeInputs; the state `y` (14,) and the strut state change in place.
+
+    Signals go to `out` (N, 29), the derivative to `rows` (N, TAPE_ROW_SIZE).
+    """
+    work, motion, h = workspace(), Motion(y[:N_DOF], y[N_DOF:]), inputs.h
+    alpha = 1.0 - np.exp(-h / inputs.lag)
     for n in range(rows.shape[0]):
-        if commands.size > 0:
-            update_valves(p, strut_state, q, commands[n], alpha, h)
-        step_with_derivative(
-            *(p, velocity, displacement, strut_state, q, v),
-            *(road[n], a_xy[n], h, work, out[n], rows[n]),
-        )
+        if inputs.commands.size > 0:
+            update_valves(vehicle.p, vehicle.strut_state, motion.q, inputs.commands[n], alpha, h)
+        step_inputs = StepInputs(inputs.road[n], inputs.a_xy[n])
+        step_with_derivative(vehicle, motion, step_inputs, h, work, out[n], rows[n])
 
 
 @kernel
 def propagate_tangent(constants, rows, y, road, h, a):
     """Apply `tangent_step` row by row; write changes of accelerations to `a` (N, 7)."""
-    p, work, q, v = constants[0], workspace(), y[:N_DOF], y[N_DOF:]
+    p, work, motion = constants[0], workspace(), Motion(y[:N_DOF], y[N_DOF:])
     for n in range(rows.shape[0]):
-        tangent_step(p, rows[n], q, v, road[n], h, work, a[n])
+        tangent_step(p, rows[n], motion, road[n], h, work, a[n])
 
 
 @kernel
 def propagate_adjoint(constants, rows, a, h, y, road):
     """Apply `adjoint_step` in reverse order; write the adjoint of the road to `road` (N, 16)."""
-    p, work, q, v = constants[0], workspace(), y[:N_DOF], y[N_DOF:]
+    p, work, motion = constants[0], workspace(), Motion(y[:N_DOF], y[N_DOF:])
     for n in range(rows.shape[0] - 1, -1, -1):
-        adjoint_step(p, rows[n], a[n], h, work, q, v, road[n])
+        adjoint_step(p, rows[n], a[n], h, work, motion, road[n])
 
 
 def _checked_copy(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -342,6 +349,7 @@ def linearize_drive(
     road: np.ndarray,
     h: float,
     a_xy: np.ndarray | None = None,
+    *,
     commands: np.ndarray | None = None,
     lag: float = 0.01,
 ) -> Tape:
@@ -369,11 +377,9 @@ def linearize_drive(
     strut_state_end = _checked_copy("strut_state", strut_state, (4, 3))
     signals, rows = np.empty((steps, N_SIGNALS)), np.empty((steps, TAPE_ROW_SIZE))
     bytes_ = np.zeros(0) if commands is None else _checked_copy("commands", commands, (steps,))
-    valves = bytes_.astype(np.uint8), float(lag)
     course = z.reshape(steps, 16), a_xy_steps.reshape(steps, 4)
-    integrate_with_derivative(
-        *plant.arrays, strut_state_end, y, *course, *valves, float(h), signals, rows
-    )
+    inputs = TapeInputs(*course, bytes_.astype(np.uint8), float(lag), float(h))
+    integrate_with_derivative(plant.buffers(strut_state_end), y, inputs, signals, rows)
     if not np.isfinite(y).all():
         raise ArithmeticError("the motion diverged (no longer finite); check the road and start")
     return Tape(plant, float(h), signals, y, strut_state_end, rows)

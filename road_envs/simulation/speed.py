@@ -8,35 +8,28 @@ from typing import Annotated
 
 import numpy as np
 
-from road_envs.config import STRICT
+from road_envs.config import Finite, NonNegative, Settings
 
 
 @dataclass(frozen=True, kw_only=True)
-class SpeedProfile:
+class SpeedProfile(Settings):
     """Speed [m/s] at times [s] from 0 on, linear between them and constant after the last.
 
     Raises ValueError unless the times start at 0 and increase, no speed is negative and the last
     one is positive, without which a drive would never reach the end of its road.
     """
 
-    __pydantic_config__ = STRICT
-
-    t: Annotated[tuple[float, ...], "s", "times, the first 0"]
-    v: Annotated[tuple[float, ...], "m/s", "speed at each time"]
+    t: Annotated[tuple[Finite, ...], "s", "times, the first 0"]
+    v: Annotated[tuple[NonNegative, ...], "m/s", "speed at each time"]
 
     def __post_init__(self):
-        t, v = np.array(self.t), np.array(self.v)
-        if t.size != v.size or t.size < 1 or not np.isfinite([*t, *v]).all():
-            raise ValueError(
-                f"t and v of a speed profile must be finite and of one length, got {self.t} and "
-                f"{self.v}"
-            )
-        if t[0] != 0.0 or not (np.diff(t) > 0).all():
+        super().__post_init__()
+        if len(self.t) != len(self.v):
+            raise ValueError(f"t and v must be of one length, got {self.t} and {self.v}")
+        if not self.t or self.t[0] != 0.0 or not (np.diff(self.t) > 0).all():
             raise ValueError(f"the times t must start at 0 and increase, got {self.t}")
-        if not (v >= 0).all() or not v[-1] > 0:
-            raise ValueError(
-                f"the speeds v must not be negative, and positive at the end, got {self.v}"
-            )
+        if self.v[-1] == 0.0:
+            raise ValueError(f"the speeds v must be positive at the end, got {self.v}")
 
     def at(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return distance [m], speed [m/s] and acceleration [m/s²] (N,) at times `t` (N,) [s]."""

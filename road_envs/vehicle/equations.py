@@ -37,6 +37,7 @@ an axle); c_trf and c_tlf in eq. 3 are damping constants; the tyre deflection in
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,6 +45,7 @@ from road_envs._numba import kernel
 from road_envs.simulation.simd import add, get
 from road_envs.vehicle.parameters import GRAVITY, NOMINAL, VehicleParameters, VehicleVariation
 from road_envs.vehicle.suspension import (
+    VehicleBuffers,
     displacement_tables,
     strut_force,
     tyre_force,
@@ -85,10 +87,9 @@ class Plant:
     velocity: np.ndarray
     displacement: np.ndarray
 
-    @property
-    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The three arrays in the order in which every kernel takes them."""
-        return self.constants, self.velocity, self.displacement
+    def buffers(self, strut_state: np.ndarray) -> VehicleBuffers:
+        """Return what kernels take, with the strut state (4, 3), which they may advance."""
+        return VehicleBuffers(self.constants[0], self.velocity, self.displacement, strut_state)
 
     @property
     def flexible(self) -> bool:
@@ -100,6 +101,16 @@ class Plant:
         """Masses [kg] and inertias [kg m²] of the coordinates: (7,), or (8,) if flexible."""
         M, torsion = self.constants["M"][0], self.constants["frame_inertia"]
         return np.concatenate([M, torsion]) if self.flexible else M
+
+
+class Motion(NamedTuple):
+    """Coordinates `q` (7,) and rates `v` (7,) of a vehicle; (8,) with a flexible frame.
+
+    With LANES vehicles the lanes are the last axis.
+    """
+
+    q: np.ndarray
+    v: np.ndarray
 
 
 def build_plant(
@@ -256,29 +267,24 @@ def add_manoeuvre_moments(p, phi, theta, a_x, a_y, out):
 
 
 @kernel
-def accelerations(
-    constants, velocity, displacement, strut_state, q, v, z_r, w_r, out, a_x=0.0, a_y=0.0
-):
-    """Write the accelerations (7,) for coordinates `q` (7,) and rates `v` (7,) to `out`.
+def accelerations(vehicle, motion, z_r, w_r, out, a_x=0.0, a_y=0.0):
+    """Write the accelerations (7,) of a `motion` to `out`; (8,) with a flexible frame.
 
     `z_r`, `w_r` (4,): road height [m] and its rate [m/s] under each wheel; `a_x`, `a_y` [m/s²]:
-    accelerations of a manoeuvre. With a flexible frame `q`, `v` and `out` are (8,).
+    accelerations of a manoeuvre.
     """
-    p, F, T = constants[0], np.empty(4), np.empty(4)
+    p, F, T = vehicle.p, np.empty(4), np.empty(4)
+    q, v = motion
     flexible = q.size > N_DOF
     psi, psi_dot = (q[N_DOF], v[N_DOF]) if flexible else (0.0, 0.0)
     for w in range(4):
-        e, e_dot = (
-            extension(p, q, w) + twist_extension(p, psi, w),
-            extension(p, v, w) + twist_extension(p, psi_dot, w),
-        )
-        F[w] = strut_force(p, velocity, displacement, strut_state, w, e, e_dot)[0]
+        e = extension(p, q, w) + twist_extension(p, psi, w)
+        e_dot = extension(p, v, w) + twist_extension(p, psi_dot, w)
+        F[w] = strut_force(vehicle, w, e, e_dot)[0]
         u, u_dot = z_r[w] - wheel_height(p, q, w), w_r[w] - wheel_height(p, v, w)
         T[w] = tyre_force(p, w, u, u_dot)[0]
-    front, rear = (
-        relative_roll(q, 0) + p.twist_share[0] * psi,
-        relative_roll(q, 1) + p.twist_share[1] * psi,
-    )
+    front = relative_roll(q, 0) + p.twist_share[0] * psi
+    rear = relative_roll(q, 1) + p.twist_share[1] * psi
     out[:] = 0.0
     add_weight(p, out)
     add_struts(p, F, front, rear, out)
@@ -292,20 +298,19 @@ def accelerations(
 
 
 @kernel
-def stiffness_and_damping(constants, velocity, displacement, strut_state, q, v, z_r, w_r, K, C):
+def stiffness_and_damping(vehicle, motion, z_r, w_r, K, C):
     """Write -df/dq to `K` and -df/dv to `C` (7, 7), with f the generalised forces.
 
-    With a flexible frame `q` and `v` are (8,) and both matrices (8, 8).
+    With a flexible frame both matrices are (8, 8). Arguments as for `accelerations`.
     """
-    p, k, c, k_t, c_t = constants[0], np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    p, k, c, k_t, c_t = vehicle.p, np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    q, v = motion
     flexible = q.size > N_DOF
     psi, psi_dot = (q[N_DOF], v[N_DOF]) if flexible else (0.0, 0.0)
     for w in range(4):
-        e, e_dot = (
-            extension(p, q, w) + twist_extension(p, psi, w),
-            extension(p, v, w) + twist_extension(p, psi_dot, w),
-        )
-        _, k[w], c[w] = strut_force(p, velocity, displacement, strut_state, w, e, e_dot)
+        e = extension(p, q, w) + twist_extension(p, psi, w)
+        e_dot = extension(p, v, w) + twist_extension(p, psi_dot, w)
+        _, k[w], c[w] = strut_force(vehicle, w, e, e_dot)
         u, u_dot = z_r[w] - wheel_height(p, q, w), w_r[w] - wheel_height(p, v, w)
         _, k_t[w], c_t[w] = tyre_force(p, w, u, u_dot)
     K[:] = 0.0
@@ -336,7 +341,8 @@ def jacobian(
     """Return the Jacobian (14, 14) of the state's rate by the state; (16, 16) if flexible."""
     M, n = plant.inertias[:, None], plant.inertias.size
     K, C = np.empty((n, n)), np.empty((n, n))
-    stiffness_and_damping(*plant.arrays, strut_state, state[:n], state[n:], z_r, w_r, K, C)
+    motion = Motion(state[:n], state[n:])
+    stiffness_and_damping(plant.buffers(strut_state), motion, z_r, w_r, K, C)
     return np.block([[np.zeros((n, n)), np.eye(n)], [-K / M, -C / M]])
 
 
@@ -359,12 +365,13 @@ def equilibrium(plant: Plant, strut_state: np.ndarray, z_r: np.ndarray) -> np.nd
     """
     M, n = plant.inertias, plant.inertias.size
     q, rest, no_rates = _pose_on_ground(plant, z_r), np.zeros(n), np.zeros(4)
+    vehicle = plant.buffers(strut_state)
     K, C, a = np.empty((n, n)), np.empty((n, n)), np.empty(n)
     for _ in range(50):
-        accelerations(*plant.arrays, strut_state, q, rest, z_r, no_rates, a)
+        accelerations(vehicle, Motion(q, rest), z_r, no_rates, a)
         if np.abs(a).max() < 1e-10 * (1.0 + np.abs(z_r).max()):
             return np.concatenate([q, rest])
-        stiffness_and_damping(*plant.arrays, strut_state, q, rest, z_r, no_rates, K, C)
+        stiffness_and_damping(vehicle, Motion(q, rest), z_r, no_rates, K, C)
         try:
             q = q + np.linalg.solve(K, M * a)
         except np.linalg.LinAlgError:  # all wheels off the ground

@@ -15,27 +15,24 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from road_envs._numba import kernel
-from road_envs.config import STRICT
+from road_envs.config import Finite, Settings
 from road_envs.simulation.simd import if_positive, integer_part, load_four, maximum, minimum
 
 
 @dataclass(frozen=True, kw_only=True)
-class Curve:
+class Curve(Settings):
     """A force over velocity or displacement, given at breakpoints."""
 
-    __pydantic_config__ = STRICT
-
-    x: Annotated[tuple[float, ...], "m or m/s", "breakpoints, increasing"]
-    F: Annotated[tuple[float, ...], "N", "force at each breakpoint"]
+    x: Annotated[tuple[Finite, ...], "m or m/s", "breakpoints, increasing"]
+    F: Annotated[tuple[Finite, ...], "N", "force at each breakpoint"]
 
     def __post_init__(self):
+        super().__post_init__()
         if len(self.x) != len(self.F) or len(self.x) < 2:
             raise ValueError(
                 f"x and F must have the same length, at least 2, "
                 f"got {len(self.x)} and {len(self.F)}"
             )
-        if not np.isfinite([*self.x, *self.F]).all():
-            raise ValueError(f"breakpoints must be finite, got x = {self.x}, F = {self.F}")
         if not (np.diff(self.x) > 0).all():
             raise ValueError(f"x must increase from each breakpoint to the next, got {self.x}")
 

@@ -190,10 +190,8 @@ def _damping_correction(plant: Plant, strut_state, y: np.ndarray, target: np.nda
     """Return the change of the rate block (n, n) of A if strut damping becomes `target` (4,)."""
     rows = _as_matrix(extension, plant)
     e, e_dot = rows @ y[: rows.shape[1]], rows @ y[rows.shape[1] :]
-    current = [
-        strut_force(plant.constants[0], *plant.arrays[1:], strut_state, w, e[w], e_dot[w])[2]
-        for w in range(4)
-    ]
+    vehicle = plant.buffers(strut_state)
+    current = [strut_force(vehicle, w, e[w], e_dot[w])[2] for w in range(4)]
     return rows.T @ ((np.array(current) - target)[:, None] * rows) / plant.inertias[:, None]
 
 
@@ -230,17 +228,15 @@ def strut_forces(
     """
     plant = car if isinstance(car, Plant) else build_plant(car)
     forces = np.empty(e.shape)
-    tables = (plant.velocity, plant.displacement, settled_strut_state(encode_command(mode)))
-    _strut_forces(plant.constants[0], *tables, e, e_dot, forces)
+    _strut_forces(plant.buffers(settled_strut_state(encode_command(mode))), e, e_dot, forces)
     return forces
 
 
 @kernel
-def _strut_forces(p, velocity, displacement, strut_state, e, e_dot, out):
+def _strut_forces(vehicle, e, e_dot, out):
     for w in range(4):
         for k in range(e.shape[1]):
-            force = strut_force(p, velocity, displacement, strut_state, w, e[w, k], e_dot[w, k])
-            out[w, k] = force[0]
+            out[w, k] = strut_force(vehicle, w, e[w, k], e_dot[w, k])[0]
 
 
 def natural_modes(model: LinearModel) -> NaturalModes:

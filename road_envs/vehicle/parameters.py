@@ -5,137 +5,103 @@ to the letters of the paper (Ngwangwa, Heyns, Breytenbach & Els).
 """
 
 from dataclasses import dataclass
-from math import inf
 from pathlib import Path
 from typing import Annotated, Literal
 
 from road_envs import config
+from road_envs.config import Finite, NonNegative, Positive, Settings
 from road_envs.vehicle.force_curves import Curve
 
 GRAVITY = 9.81
 """Gravitational acceleration used throughout [m/s²]."""
 
 
-def _check_positive(owner: object, *names: str) -> None:
-    for name in names:
-        if not 0 < getattr(owner, name) < inf:
-            raise ValueError(f"{name} must be positive and finite, got {getattr(owner, name)}")
-
-
-def _check_not_negative(owner: object, *names: str) -> None:
-    for name in names:
-        if not 0 <= getattr(owner, name) < inf:
-            raise ValueError(f"{name} must not be negative, got {getattr(owner, name)}")
-
-
 @dataclass(frozen=True, kw_only=True)
-class Axle:
+class Axle(Settings):
     """A solid axle with its two struts and two tyres."""
 
-    __pydantic_config__ = config.STRICT
-
-    x: Annotated[float, "m", "ahead of the body's centre of mass; negative at the rear"]
-    m: Annotated[float, "kg", "unsprung mass, wheels included"]
-    I_xx: Annotated[float, "kg m²", "roll inertia"]
-    y_s: Annotated[float, "m", "half the distance between the struts"]
-    y_t: Annotated[float, "m", "half the distance between the tyres"]
-    k_t: Annotated[float, "N/m", "vertical stiffness of one tyre"]
-    c_t: Annotated[float, "N s/m", "damping of one tyre"]
-
-    def __post_init__(self):
-        _check_positive(self, "m", "I_xx", "y_s", "y_t", "k_t")
-        _check_not_negative(self, "c_t")
+    x: Annotated[Finite, "m", "ahead of the body's centre of mass; negative at the rear"]
+    m: Annotated[Positive, "kg", "unsprung mass, wheels included"]
+    I_xx: Annotated[Positive, "kg m²", "roll inertia"]
+    y_s: Annotated[Positive, "m", "half the distance between the struts"]
+    y_t: Annotated[Positive, "m", "half the distance between the tyres"]
+    k_t: Annotated[Positive, "N/m", "vertical stiffness of one tyre"]
+    c_t: Annotated[NonNegative, "N s/m", "damping of one tyre"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModeCurves:
+class ModeCurves(Settings):
     """One curve for each setting of the strut's damper valve."""
-
-    __pydantic_config__ = config.STRICT
 
     ride: Annotated[Curve, "N over m/s", "low damping"]
     handling: Annotated[Curve, "N over m/s", "high damping"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class AxleCurves:
+class AxleCurves(Settings):
     """One curve for the struts of each axle."""
-
-    __pydantic_config__ = config.STRICT
 
     front: Annotated[Curve, "N over m", "both front struts"]
     rear: Annotated[Curve, "N over m", "both rear struts"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Strut:
+class Strut(Settings):
     """A 4S4 strut: gas spring with two accumulators, damper, friction, bushing, bump stop."""
 
-    __pydantic_config__ = config.STRICT
-
-    p_stat: Annotated[float, "Pa", "static gas pressure"]
-    A: Annotated[float, "m²", "bore area"]
-    n_p: Annotated[float, "", "polytropic exponent"]
-    x_1: Annotated[float, "m", "static gas column of the first accumulator"]
-    x_2: Annotated[float, "m", "static gas column of the second accumulator, behind the valve"]
-    column_min: Annotated[float, "m", "shortest gas column; the force is linear below it"]
+    p_stat: Annotated[Positive, "Pa", "static gas pressure"]
+    A: Annotated[Positive, "m²", "bore area"]
+    n_p: Annotated[Positive, "", "polytropic exponent"]
+    x_1: Annotated[Positive, "m", "static gas column of the first accumulator"]
+    x_2: Annotated[Positive, "m", "static gas column of the second accumulator, behind the valve"]
+    column_min: Annotated[Positive, "m", "shortest gas column; the force is linear below it"]
     damper: ModeCurves
     friction: ModeCurves
     bushing: Curve
     bump_stop: AxleCurves
 
     def __post_init__(self):
-        _check_positive(self, "p_stat", "A", "n_p", "x_1", "x_2", "column_min")
+        super().__post_init__()
         if self.column_min >= self.x_1:
             raise ValueError(f"column_min {self.column_min} must be below x_1 {self.x_1}")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Valve:
+class Valve(Settings):
     """Dynamics between a switching command and the strut: pure delay, then first-order lag."""
 
-    __pydantic_config__ = config.STRICT
-
-    delay: Annotated[float, "s", "pure delay"]
-    lag: Annotated[float, "s", "time constant of the valve"]
-    equalisation: Annotated[float, "s", "time constant of pressure equalisation, valve open"]
-
-    def __post_init__(self):
-        _check_positive(self, "lag", "equalisation")
-        _check_not_negative(self, "delay")
+    delay: Annotated[NonNegative, "s", "pure delay"]
+    lag: Annotated[Positive, "s", "time constant of the valve"]
+    equalisation: Annotated[Positive, "s", "time constant of pressure equalisation, valve open"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class VehicleParameters:
+class VehicleParameters(Settings):
     """A two-axle vehicle with solid axles and a four-state semi-active (4S4) suspension."""
 
-    __pydantic_config__ = config.STRICT
-
     name: str
-    m_b: Annotated[float, "kg", "sprung (body) mass"]
-    I_xx: Annotated[float, "kg m²", "roll inertia of the body"]
-    I_yy: Annotated[float, "kg m²", "pitch inertia of the body"]
-    h_cg: Annotated[float, "m", "height of the centre of mass"]
-    roll_centre: Annotated[float, "m", "height of the body's roll axis in turns"]
-    pitch_centre: Annotated[float, "m", "height of its pitch axis when braking"]
+    m_b: Annotated[Positive, "kg", "sprung mass"]
+    I_xx: Annotated[Positive, "kg m²", "roll inertia of the body"]
+    I_yy: Annotated[Positive, "kg m²", "pitch inertia of the body"]
+    h_cg: Annotated[Positive, "m", "height of the centre of mass"]
+    roll_centre: Annotated[Finite, "m", "height of the body's roll axis in turns"]
+    pitch_centre: Annotated[Finite, "m", "height of its pitch axis when braking"]
     front: Axle
     rear: Axle
     strut: Strut
     valve: Valve
     tyre_static_deflection: Annotated[
-        Literal["equilibrium"] | float, "m", "tyre deflection at the origin of the coordinates"
+        Literal["equilibrium"] | NonNegative, "m", "deflection at the origin of the coordinates"
     ]
     sources: dict[str, str]
 
     def __post_init__(self):
-        _check_positive(self, "m_b", "I_xx", "I_yy", "h_cg")
-        if not inf > self.front.x > 0 > self.rear.x > -inf:
+        super().__post_init__()
+        if not self.front.x > 0 > self.rear.x:
             raise ValueError(
                 "the front axle must be ahead of the centre of mass and the rear axle behind it, "
                 f"got front.x = {self.front.x}, rear.x = {self.rear.x}"
             )
-        if self.tyre_static_deflection != "equilibrium":
-            _check_not_negative(self, "tyre_static_deflection")
 
     @property
     def axles(self) -> tuple[Axle, Axle]:
@@ -171,29 +137,23 @@ class VehicleParameters:
         return front / self.front.k_t, rear / self.rear.k_t
 
 
-PerWheel = tuple[float, float, float, float]
+PerWheel = tuple[Positive, Positive, Positive, Positive]
 UNIT_FACTORS: PerWheel = (1.0, 1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class TorsionalFrame:
+class TorsionalFrame(Settings):
     """A torsionally flexible body: two halves of equal roll inertia, joined by spring and damper.
 
     Points ahead of the centre of mass belong to the front half, all others to the rear half.
     """
 
-    __pydantic_config__ = config.STRICT
-
-    f: Annotated[float, "Hz", "frequency of the free body's torsion mode"]
-    zeta: Annotated[float, "", "its damping ratio"]
-
-    def __post_init__(self):
-        _check_positive(self, "f")
-        _check_not_negative(self, "zeta")
+    f: Annotated[Positive, "Hz", "frequency of the free body's torsion mode"]
+    zeta: Annotated[NonNegative, "", "its damping ratio"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class VehicleVariation:
+class VehicleVariation(Settings):
     """Deviation of one manufactured vehicle from its parameters; by default there is none.
 
     Tuples of four are factors per wheel (FL, FR, RL, RR).
@@ -205,21 +165,13 @@ class VehicleVariation:
     bushing: Annotated[PerWheel, "", "of the bushings' forces"] = UNIT_FACTORS
     tyre: Annotated[PerWheel, "", "of the tyres' stiffness"] = UNIT_FACTORS
     tyre_progression: Annotated[
-        float, "1/m", "a, of a tyre whose secant stiffness at the compression x is "
+        NonNegative, "1/m", "a, of a tyre whose secant stiffness at the compression x is "
         "k_t (1 + a (x - delta)), with delta its deflection at the origin"
     ] = 0.0  # fmt: skip
     roll_stiffness: Annotated[
-        tuple[float, float], "N m/rad", "of the bushings between the body and each axle"
+        tuple[NonNegative, NonNegative], "N m/rad", "of the bushings between body and each axle"
     ] = (0.0, 0.0)
     frame: TorsionalFrame | None = None
-
-    def __post_init__(self):
-        for name in ("gas", "damper", "friction", "bushing", "tyre"):
-            if not all(0 < factor < inf for factor in getattr(self, name)):
-                raise ValueError(f"{name} must be four positive factors, got {getattr(self, name)}")
-        _check_not_negative(self, "tyre_progression")
-        if not all(0 <= k < inf for k in self.roll_stiffness):
-            raise ValueError(f"roll_stiffness must not be negative, got {self.roll_stiffness}")
 
 
 NOMINAL = VehicleVariation()

@@ -23,10 +23,20 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from road_envs import config
+from road_envs.config import Fraction, NonNegative, Settings, SmallestFirst
 from road_envs.roads.surface import Surface, enveloped
-from road_envs.sensing.sensor_faults import NO_FAULTS, PerSensor, SensorFaults
+from road_envs.sensing.sensor_faults import (
+    NO_FAULTS,
+    DropoutLength,
+    DropoutRate,
+    Jitter,
+    PerSensor,
+    PositionFixLength,
+    SensorFaults,
+)
 from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.parameters import (
     NOMINAL,
@@ -39,7 +49,7 @@ from road_envs.vehicle.parameters import (
 
 GRADES = ("S0", "S1", "S2", "S3")
 
-Range = tuple[float, float]
+Range = Annotated[tuple[Fraction, Fraction], SmallestFirst]
 MANUFACTURE_LEVEL, STRUCTURE_LEVEL, INSTRUMENT_LEVEL = 1, 2, 3
 """Index of the grade that adds each group of deviations, and second key of its random stream."""
 
@@ -48,55 +58,39 @@ PERTURBATION_STREAM = 9
 itself, so that it is the same under every grade."""
 
 
-def _check_relative(owner: object, *names: str) -> None:
-    for name in names:
-        value = getattr(owner, name)
-        low, high = value if isinstance(value, tuple) else (0.0, value)
-        if not 0 <= low <= high < 1:
-            raise ValueError(f"{name} must be within [0, 1), smallest first, got {value}")
-
-
 @dataclass(frozen=True, kw_only=True)
-class ManufacturingTolerances:
+class ManufacturingTolerances(Settings):
     """Relative deviations of one vehicle from its parameters.
 
     A pair is the smallest and the largest magnitude, of either sign; a number is the largest.
     """
 
-    __pydantic_config__ = config.STRICT
-
     mass: Annotated[Range, "", "of the body and of each axle"]
     inertia: Annotated[Range, "", "of the same"]
     friction: Annotated[Range, "", "common to all struts"]
-    strut_gas: Annotated[float, "", "of each strut's gas pressure"]
-    strut_damper: Annotated[float, "", "of each damper's force"]
-    strut_friction: Annotated[float, "", "of each strut's friction, in addition"]
-    strut_bushing: Annotated[float, "", "of each bushing's force"]
-
-    def __post_init__(self):
-        _check_relative(self, *self.__dataclass_fields__)
+    strut_gas: Annotated[Fraction, "", "of each strut's gas pressure"]
+    strut_damper: Annotated[Fraction, "", "of each damper's force"]
+    strut_friction: Annotated[Fraction, "", "of each strut's friction, in addition"]
+    strut_bushing: Annotated[Fraction, "", "of each bushing's force"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class UnmodelledStructure:
+class UnmodelledStructure(Settings):
     """Structural effects that the nominal equations of motion leave out."""
 
-    __pydantic_config__ = config.STRICT
-
-    contact_length: Annotated[float, "m", "contact length of the tyres"]
-    tyre_progression: Annotated[float, "1/m", "as in `parameters.VehicleVariation`"]
-    tyre_pressure: Annotated[float, "", "largest relative deviation of each tyre's pressure"]
+    contact_length: Annotated[NonNegative, "m", "contact length of the tyres"]
+    tyre_progression: Annotated[NonNegative, "1/m", "as in `parameters.VehicleVariation`"]
+    tyre_pressure: Annotated[Fraction, "", "largest relative deviation of each tyre's pressure"]
     tyre_pressure_effect: Annotated[
-        float, "", "relative change of stiffness per relative change of pressure"
+        NonNegative, "", "relative change of stiffness per relative change of pressure"
     ]
-    roll_stiffness: Annotated[tuple[float, float], "N m/rad", "of the bushings, front and rear"]
+    roll_stiffness: Annotated[
+        tuple[NonNegative, NonNegative], "N m/rad", "of the bushings, front and rear"
+    ]
     frame: TorsionalFrame | None
 
     def __post_init__(self):
-        _check_relative(self, "tyre_pressure")
-        for name in ("contact_length", "tyre_progression", "tyre_pressure_effect"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+        super().__post_init__()
         if not self.tyre_pressure * self.tyre_pressure_effect < 1:
             raise ValueError(
                 "tyre_pressure times tyre_pressure_effect must be below 1, "
@@ -105,52 +99,30 @@ class UnmodelledStructure:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorFaultLimits:
+class SensorFaultLimits(Settings):
     """Largest magnitudes of the sensor faults; the last four are the values themselves."""
 
-    __pydantic_config__ = config.STRICT
-
-    place: Annotated[float, "m", "position of each accelerometer, in x and in y"]
-    tilt: Annotated[float, "rad", "of its axis from the vertical"]
-    gain: Annotated[float, "", "relative error of its sensitivity"]
-    offset: Annotated[float, "m/s²", "of its reading"]
-    speed: Annotated[float, "", "relative error of the speed signal, constant over a drive"]
-    position_fix_length: Annotated[
-        float, "m", "distance over which position fixes remove 63 % of an odometer error"
-    ]
-    jitter: Annotated[float, "s", "standard deviation of the sampling instants"]
-    dropout_rate: Annotated[float, "", "fraction of the samples that are lost"]
-    dropout_length: Annotated[int, "samples", "mean length of a dropout"]
-
-    def __post_init__(self):
-        _check_relative(self, "gain", "speed")
-        for name in ("place", "tilt", "offset"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
-        SensorFaults(  # for its validation only
-            jitter=self.jitter,
-            dropout_rate=self.dropout_rate,
-            dropout_length=self.dropout_length,
-            position_fix_length=self.position_fix_length,
-        )
+    place: Annotated[NonNegative, "m", "position of each accelerometer, in x and in y"]
+    tilt: Annotated[NonNegative, "rad", "of its axis from the vertical"]
+    gain: Annotated[Fraction, "", "relative error of its sensitivity"]
+    offset: Annotated[NonNegative, "m/s²", "of its reading"]
+    speed: Annotated[Fraction, "", "relative error of the speed signal, constant over a drive"]
+    position_fix_length: PositionFixLength
+    jitter: Jitter
+    dropout_rate: DropoutRate
+    dropout_length: DropoutLength
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlantMismatch:
+class PlantMismatch(Settings):
     """Magnitudes of the deviations of perturbed vehicles from the nominal one."""
 
-    __pydantic_config__ = config.STRICT
-
     name: str
-    step: Annotated[float, "s", "longest step of the integrator"]
+    step: Annotated[float, Field(gt=0, le=0.01), "s", "longest step of the integrator"]
     manufacture: ManufacturingTolerances
     structure: UnmodelledStructure
     instruments: SensorFaultLimits
     sources: dict[str, str]
-
-    def __post_init__(self):
-        if not 0 < self.step <= 0.01:
-            raise ValueError(f"step must be within (0, 0.01] s, got {self.step}")
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ ride height.
 """
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,6 +50,19 @@ HELD_EXTENSION, VALVE_OPEN, DAMPING_HIGH = 0, 1, 2
 """Columns of the strut state (4, 3): the held extension o [m] of the second accumulator, defined by
 e_2 = o + u r e; the open fraction u of its valve; the share of high damping. o is 0 while the valve
 is open and equals e_2 once it is closed."""
+
+
+class VehicleBuffers(NamedTuple):
+    """One vehicle, or LANES of them, as kernels read it: its constants and laws of the struts.
+
+    `p` is a record of `equations.PLANT_DTYPE`; `velocity` and `displacement` are the tables of an
+    `equations.Plant`; `strut_state` (4, 3) selects among them and may be advanced in place.
+    """
+
+    p: np.void
+    velocity: np.ndarray
+    displacement: np.ndarray
+    strut_state: np.ndarray
 
 
 def encode_command(mode: str | Mapping[str, str]) -> int:
@@ -137,18 +151,20 @@ def gas_spring(p, w, column):
 
 
 @kernel
-def gas_column(p, strut_state, w, e):
+def gas_column(vehicle, w, e):
     """Return the gas column [m] of strut `w`'s first accumulator and its derivative by `e`."""
-    share = 1.0 - get(strut_state, w, VALVE_OPEN) * get(p.r_2)
-    return get(p.x_1) + share * e - get(strut_state, w, HELD_EXTENSION), share
+    share = 1.0 - get(vehicle.strut_state, w, VALVE_OPEN) * get(vehicle.p.r_2)
+    return get(vehicle.p.x_1) + share * e - get(vehicle.strut_state, w, HELD_EXTENSION), share
 
 
 @kernel
-def advance_valve(p, strut_state, w, e, stiff, high, alpha, h):
+def advance_valve(p, strut_state, w, e, setting, alpha, h):
     """Advance the state of strut `w` by one step `h` [s] of its valves at extension `e`.
 
-    `alpha` is the fraction of the way to its target that a valve moves in one step.
+    `setting` is the commanded pair (stiff spring, high damping); `alpha` is the fraction of the way
+    to its target that a valve moves in one step.
     """
+    stiff, high = setting
     u = strut_state[w, VALVE_OPEN]
     target = 0.0 if stiff else 1.0
     u_next = u + alpha * (target - u)
@@ -165,8 +181,9 @@ def advance_valve(p, strut_state, w, e, stiff, high, alpha, h):
 
 
 @kernel
-def valves_settled(strut_state, w, stiff, high):
-    """Return whether the valves of strut `w` have reached their commanded state exactly."""
+def valves_settled(strut_state, w, setting):
+    """Return whether the valves of strut `w` have reached the commanded `setting` exactly."""
+    stiff, high = setting
     if strut_state[w, DAMPING_HIGH] != high:
         return False
     if stiff:
@@ -175,38 +192,40 @@ def valves_settled(strut_state, w, stiff, high):
 
 
 @kernel
-def damping_force(p, velocity, strut_state, w, e_dot):
+def damping_force(vehicle, w, e_dot):
     """Return damper plus friction force [N] and its derivative by the rate of extension [N s/m]."""
-    high = get(strut_state, w, DAMPING_HIGH)
+    high, ride = get(vehicle.strut_state, w, DAMPING_HIGH), get(vehicle.p.velocity_table, w)
     if is_zero_or_one(high):
-        return interpolate_table(velocity, get(p.velocity_table, w) + high, V_0, V_STEP, e_dot)
-    F_0, c_0 = interpolate_table(velocity, get(p.velocity_table, w), V_0, V_STEP, e_dot)
-    F_1, c_1 = interpolate_table(velocity, get(p.velocity_table, w) + 1.0, V_0, V_STEP, e_dot)
+        return interpolate_table(vehicle.velocity, ride + high, V_0, V_STEP, e_dot)
+    F_0, c_0 = interpolate_table(vehicle.velocity, ride, V_0, V_STEP, e_dot)
+    F_1, c_1 = interpolate_table(vehicle.velocity, ride + 1.0, V_0, V_STEP, e_dot)
     low = 1.0 - high  # exact at 0 and 1: a SIMD lane is independent of the other lanes' switching
     return low * F_0 + high * F_1, low * c_0 + high * c_1
 
 
 @kernel
-def strut_force(p, velocity, displacement, strut_state, w, e, e_dot):
+def strut_force(vehicle, w, e, e_dot):
     """Return force [N], stiffness -dF/de [N/m] and damping -dF/de_dot [N s/m] of strut `w`."""
-    column, share = gas_column(p, strut_state, w, e)
+    p = vehicle.p
+    column, share = gas_column(vehicle, w, e)
     gas, slope = gas_spring(p, w, column)
-    damper, c = damping_force(p, velocity, strut_state, w, e_dot)
-    stop, k = interpolate_table(displacement, get(p.displacement_table, w), E_0, E_STEP, e)
+    damper, c = damping_force(vehicle, w, e_dot)
+    stop, k = interpolate_table(vehicle.displacement, get(p.displacement_table, w), E_0, E_STEP, e)
     return gas - damper - stop, k - slope * share, c
 
 
 @kernel
-def strut_curvature(p, velocity, displacement, strut_state, w, e, e_dot):
+def strut_curvature(vehicle, w, e, e_dot):
     """Return d stiffness/de [N/m²] and d damping/de_dot [N s²/m²] of a strut."""
-    column, share = gas_column(p, strut_state, w, e)
+    p, ride = vehicle.p, get(vehicle.p.velocity_table, w)
+    column, share = gas_column(vehicle, w, e)
     _, slope = gas_spring(p, w, column)
     bend = -(get(p.n_p) + 1.0) * slope / maximum(column, get(p.column_min))
     gas = if_positive(column - get(p.column_min), bend, 0.0)
-    stop = second_derivative(displacement, get(p.displacement_table, w), E_0, E_STEP, e)
-    high = get(strut_state, w, DAMPING_HIGH)
-    c_0 = second_derivative(velocity, get(p.velocity_table, w), V_0, V_STEP, e_dot)
-    c_1 = second_derivative(velocity, get(p.velocity_table, w) + 1.0, V_0, V_STEP, e_dot)
+    stop = second_derivative(vehicle.displacement, get(p.displacement_table, w), E_0, E_STEP, e)
+    high = get(vehicle.strut_state, w, DAMPING_HIGH)
+    c_0 = second_derivative(vehicle.velocity, ride, V_0, V_STEP, e_dot)
+    c_1 = second_derivative(vehicle.velocity, ride + 1.0, V_0, V_STEP, e_dot)
     return stop - share * share * gas, (1.0 - high) * c_0 + high * c_1
 
 

@@ -35,7 +35,7 @@ def test_a_scaled_truth_has_the_error_of_its_scale_on_every_drive():
     np.testing.assert_allclose(result.values("nrmse"), np.full((5, 2, 1), 0.1), atol=0.01)
     np.testing.assert_allclose(result.values("level_error"), np.full((5, 2, 1), 0.1), atol=0.01)
     assert result.failure is None and result.settings == {"gain": 0.9}
-    assert [d.road_seed for d in result.drives] == [11, 12, 13] * 2
+    assert [d.road_seed for d in result.drives] == [11, 12, 13, 14, 15] * 2
 
 
 def test_all_training_seeds_are_stored_and_traces_are_of_the_median_one():
@@ -124,7 +124,7 @@ def test_an_entry_gets_training_truths_and_test_records_only():
     run({"curious": Curious()}, seeds=(1,))
     assert [what for what in seen if what[0] == "truth"] == [("truth", (2, 1585))] * 4
     fields = ("a", "damper_high", "length", "s", "spring_stiff", "t", "v")
-    assert [what for what in seen if what[0] != "truth"] == [fields] * 6
+    assert [what for what in seen if what[0] != "truth"] == [fields] * 10
 
 
 def test_reconstruct_returns_the_estimates_and_names_the_failing_step():
@@ -132,7 +132,7 @@ def test_reconstruct_returns_the_estimates_and_names_the_failing_step():
     drives = list(fake_drives(t, t.test, t.conditions[0]))
     records = [drive.record for drive in drives]
     training_run = reconstruct(Reader(gain=1.0), [], records, t.vehicle, seed=1)
-    assert len(training_run.estimates) == 3 and training_run.estimate_seconds > 0.0
+    assert len(training_run.estimates) == 5 and training_run.estimate_seconds > 0.0
     with pytest.raises(EntryError, match="estimating test drive 1 of 5, seed 7: RuntimeError"):
         reconstruct(Broken(how="raises"), [], records, t.vehicle, seed=7)
 
@@ -182,7 +182,7 @@ def test_progress_of_a_board_counts_up_to_its_end(tmp_path):
 def test_the_number_of_test_roads_can_be_reduced(tmp_path):
     result = board(tmp_path, {"reader": Reader()}, seeds=(1,), roads=2)
     assert result.scored(result.tasks[0])[0].values("r").shape[0] == 2
-    with pytest.raises(ConfigError, match="small: number of drives must be 1 to 3, got 9"):
+    with pytest.raises(ConfigError, match="small: number of drives must be 1 to 5, got 9"):
         board(tmp_path, {"reader": Reader()}, roads=9)
 
 

@@ -1,7 +1,6 @@
 """Executors: jobs in processes and on a Dask cluster, with hostile entries and killed runs."""
 
 import dataclasses
-import itertools
 import os
 import signal
 import subprocess
@@ -158,19 +157,6 @@ def killed_and_resumed(out, expected, delays):
 
 def test_killing_a_run_ends_its_processes_and_it_can_be_resumed(tmp_path, expected):
     assert killed_and_resumed(tmp_path, expected, (2.0, 3.5)) >= 1
-
-
-@pytest.mark.slow
-@pytest.mark.skipif("ROADRECON_SLOW" not in os.environ, reason="minutes; set ROADRECON_SLOW")
-def test_a_run_killed_20_times_gives_the_same_board(tmp_path, expected):
-    kills = 0
-    for round_ in itertools.count():
-        delays = [1.0 + (0.37 * (k + 3 * round_)) % 6.0 for k in range(8)]
-        now = killed_and_resumed(tmp_path / str(round_), expected, delays)
-        print(f"round {round_}: killed {now} times, resumed, the same board")
-        kills += now
-        if kills >= 20:
-            break
 
 
 def test_a_failure_of_the_evaluation_is_not_attributed_to_an_entry(tmp_path, monkeypatch):

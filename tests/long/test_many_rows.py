@@ -1,6 +1,6 @@
 """Memory of reading, printing and drawing a board of ten thousand rows.
 
-ROADRECON_SLOW=1 pytest -s tests/test_many_rows.py
+pytest -m slow -s tests/long/test_many_rows.py
 """
 
 import dataclasses
@@ -75,7 +75,6 @@ def driver(out):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif("ROADRECON_SLOW" not in os.environ, reason="minutes; set ROADRECON_SLOW")
 @pytest.mark.parametrize("rows", [1_000, 10_000])
 def test_memory_stays_below_1_gib_for_any_number_of_rows(tmp_path, rows):
     many_rows(tmp_path, rows)

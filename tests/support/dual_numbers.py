@@ -12,7 +12,8 @@ import sys
 import numpy as np
 
 from road_envs.simulation import rosenbrock
-from road_envs.vehicle.equations import PLANT_DTYPE
+from road_envs.vehicle.equations import PLANT_DTYPE, Motion
+from road_envs.vehicle.suspension import VehicleBuffers
 
 
 class Dual:
@@ -78,13 +79,11 @@ def main(cases, derivatives):
     for i in range(int(given["n_cases"])):
         case = {key.split("/")[1]: given[key] for key in given if key.startswith(f"{i}/")}
         p = np.frombuffer(case["constants"].tobytes(), dtype=PLANT_DTYPE).view(np.recarray)[0]
-        work = rosenbrock.StepWorkspace(
-            *(np.empty(a.shape, dtype=object) for a in rosenbrock.workspace())
-        )
+        work = rosenbrock.step_workspace(np.empty(rosenbrock.WORKSPACE_ROWS, dtype=object))
         y, out = duals(case["y"], case["dy"]), np.empty(rosenbrock.N_SIGNALS, dtype=object)
-        world = (duals(case["road"], case["droad"]), case["a_xy"], float(case["h"]))
-        tables = case["velocity"], case["displacement"], case["strut_state"]
-        rosenbrock.step(p, *tables, y[:7], y[7:], *world, work, out)
+        inputs = rosenbrock.StepInputs(duals(case["road"], case["droad"]), case["a_xy"])
+        vehicle = VehicleBuffers(p, case["velocity"], case["displacement"], case["strut_state"])
+        rosenbrock.step(vehicle, Motion(y[:7], y[7:]), inputs, float(case["h"]), work, out)
         end.append([dual(a).d for a in y])
         signals.append([dual(a).d for a in out])
     np.savez(derivatives, end=end, signals=signals)

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from road_envs.roads.surface import Surface
 from road_envs.simulation import rosenbrock
-from road_envs.vehicle.equations import accelerations, build_plant
+from road_envs.simulation.drive import DriveInputs
+from road_envs.vehicle.equations import Motion, accelerations, build_plant
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.parameters import (
     Axle,
@@ -117,7 +118,7 @@ def compute_accelerations(
 ) -> np.ndarray:
     """Return the accelerations (7,), or (8,) with a flexible frame, by the kernel."""
     out = np.empty(len(q))
-    kernel(*plant.arrays, strut_state, q, v, z_r, w_r, out, *a_xy)
+    kernel(plant.buffers(strut_state), Motion(q, v), z_r, w_r, out, *a_xy)
     return out
 
 
@@ -145,11 +146,12 @@ def run_integrator(
     byte = sum((int(stiff[w]) << w) | (int(high[w]) << (4 + w)) for w in range(4))
     s = s_0 + speed * 0.5 * h * np.arange(2 * steps + 1)
     a_xy = np.zeros((s.size, 2)) if a_xy is None else a_xy
-    road = (surface.padded, surface.start, surface.ds, s, np.full(s.size, speed), a_xy)
-    valve = (np.full(steps, byte, dtype=np.uint8), 0.01, h)
+    commands = np.full(steps, byte, dtype=np.uint8)
+    inputs = DriveInputs(s, np.full(s.size, speed), a_xy.ravel(), commands, h)
     more = (True,) if plant.flexible else ()
     out = np.empty((steps, rosenbrock.n_signals(plant)))
-    rosenbrock.integrate(*plant.arrays, strut_state, y, *road, *valve, out, *more)
+    vehicle = plant.buffers(strut_state)
+    rosenbrock.integrate(vehicle, y, surface.buffers, inputs, 0.01, out, *more)
     return out
 
 

@@ -12,7 +12,7 @@ from road_envs.simulation import adaptive_drive, ode23s, rosenbrock
 from road_envs.simulation.adaptive_drive import integrate_adaptive, simulate_adaptive
 from road_envs.simulation.drive import DriveSimulator, SimulationError, simulate
 from road_envs.simulation.speed import speed_ramp
-from road_envs.vehicle.equations import equilibrium, jacobian
+from road_envs.vehicle.equations import Motion, equilibrium, jacobian
 from road_envs.vehicle.suspension import encode_command, settled_strut_state, tyre_force
 
 GENTLE, ROUGH = smooth_road(height=0.007), smooth_road(height=0.03)
@@ -29,19 +29,17 @@ def make_simulator(name, mode, surface=GENTLE, step=0.001):
 
 def equations(simulator):
     """Return functions of time for a drive: rate (14,), Jacobian (14, 14) and road (8,)."""
-    ground = (simulator.surface.padded, simulator.surface.start, simulator.surface.ds)
+    vehicle = simulator.plant.buffers(simulator.strut_state)
+    surface = simulator.surface.buffers
 
     def road(t):
         under = np.empty(8)
-        constants = simulator.plant.constants[0]
-        rosenbrock.sample_road(constants, *ground, simulator.start + SPEED * t, SPEED, under)
+        rosenbrock.sample_road(vehicle.p, surface, simulator.start + SPEED * t, SPEED, under)
         return under
 
     def rate(t, y):
         out, s = np.empty(14), simulator.start + SPEED * t
-        rosenbrock.state_rate(
-            *simulator.plant.arrays, simulator.strut_state, *ground, s, SPEED, y, out
-        )
+        rosenbrock.state_rate(vehicle, surface, s, SPEED, y, out)
         return out
 
     def J(t, y):
@@ -72,15 +70,13 @@ def test_the_compiled_step_and_its_error_equal_the_published_pair(name, mode, h)
     T[7:] /= p["M"]
     expected = ode23s.step(rate, t, y, rate(t, y), J(t, y), T, h)
 
-    laws, work, before = (
-        (*simulator.plant.arrays, simulator.strut_state),
-        rosenbrock.workspace(),
-        np.empty(29),
-    )
+    vehicle = simulator.plant.buffers(simulator.strut_state)
+    work, before = rosenbrock.workspace(), np.empty(29)
     result, error, under = y.copy(), np.empty(14), np.concatenate([now, later, road(t + h)])
-    rosenbrock.step(p, *laws[1:], result[:7], result[7:], under[:16], np.zeros(4), h, work, before)
+    inputs = rosenbrock.StepInputs(under[:16], np.zeros(4))
+    rosenbrock.step(vehicle, Motion(result[:7], result[7:]), inputs, h, work, before)
     assert before[25:].min() > 0.0
-    adaptive_drive.step_error(*laws, before, result, under, h, work, error)
+    adaptive_drive.step_error(vehicle, before, result, under, h, work, error)
     np.testing.assert_allclose(result, expected.y, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(error, expected.error, rtol=1e-6, atol=1e-11)
     assert np.abs(error).max() > 1e-8

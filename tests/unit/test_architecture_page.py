@@ -1,4 +1,4 @@
-"""The architecture page: it names existing paths, every package, and the layers of the contracts."""
+"""The architecture page names existing paths, every package, and the layers of the contracts."""
 
 import re
 import tomllib

@@ -281,8 +281,8 @@ def test_a_diverged_motion_raises_an_error_that_names_the_time(after):
 
 def test_a_plant_can_be_shared_by_several_drives():
     shared = build_plant(DEFENDER)
-    before = [a.copy() for a in shared.arrays]
+    before = [a.copy() for a in vars(shared).values()]
     for mode in ("ride", "handling"):
         DriveSimulator(shared, DEFENDER, ROAD, 15.0, mode).advance(MIXED)
-    for a, b in zip(before, shared.arrays, strict=True):
+    for a, b in zip(before, vars(shared).values(), strict=True):
         np.testing.assert_array_equal(a, b)

@@ -21,7 +21,7 @@ from vehicle_fixtures import (
     vectors,
 )
 
-from road_envs.vehicle.equations import Plant, accelerations, build_plant, equilibrium, jacobian
+from road_envs.vehicle.equations import accelerations, build_plant, equilibrium, jacobian
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 ORACLES = {name: oracles.NonlinearCar(car) for name, car in CARS.items()}
@@ -265,6 +265,6 @@ def test_a_missing_equilibrium_raises_arithmetic_error():
 @given(coordinates, rates, strut_states)
 def test_compiled_and_interpreted_equations_agree(name, q, v, strut_state):
     actual = compute_accelerations(PLANTS[name], strut_state, q, v)
-    plain = Plant(PLANTS[name].constants.view(np.recarray), *PLANTS[name].arrays[1:])
+    plain = replace(PLANTS[name], constants=PLANTS[name].constants.view(np.recarray))
     plain = compute_accelerations(plain, strut_state, q, v, kernel=accelerations.py_func)
     np.testing.assert_allclose(actual, plain, rtol=1e-12, atol=1e-9)

@@ -242,7 +242,8 @@ def test_the_roughness_scale_is_estimated_within_a_factor_of_two():
         record, _ = drive("handling", 54.0, 2, 60.0, name)
         inputs = build_model_inputs(record, PAPER, DEFENDER, 0.001)
         measurements = block_means(record.a, np.isfinite(record.a), 3)
-        run = setup_run(record, DEFENDER, PAPER, inputs, measurements, 0.05, PRIOR, True, 4.79)
+        options = {"noise_variance": 0.05, "prior": PRIOR, "level_ends": True, "lag": 4.79}
+        run = setup_run(record, DEFENDER, PAPER, inputs, measurements, **options)
         run_filter(run, setup_output(run, record, 4.79, 0.004, detrended=True))
         assert abs(np.log2(run.state.adaptive[ROUGHNESS_SCALE] / scale)) < 1.0
 

@@ -66,7 +66,8 @@ def run_of(a: np.ndarray, lag: float):
     record, car = record_of(a), linear_car()
     inputs = build_model_inputs(record, PAPER, car, STEP)
     measurements = block_means(record.a, np.isfinite(record.a), 3)
-    run = setup_run(record, car, PAPER, inputs, measurements, NOISE, SMOOTH, True, lag)
+    options = {"noise_variance": NOISE, "prior": SMOOTH, "level_ends": True, "lag": lag}
+    run = setup_run(record, car, PAPER, inputs, measurements, **options)
     model = run.model._replace(roughness_memory=np.inf, noise_time=np.inf)
     run.state.adaptive[[ROUGHNESS_SUM, ROUGHNESS_WEIGHT]] = 1e15
     run.state.P[:N_VEHICLE, :N_VEHICLE] *= START**2

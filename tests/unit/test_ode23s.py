@@ -74,7 +74,9 @@ def test_at_a_constant_step_the_method_has_order_two_on_a_time_dependent_rate(gi
     h, t = 0.1 / 2.0 ** np.arange(6), np.linspace(0.0, 2.0, 21)
     expected, error = truth(f, (0.0, 2.0), START, t), []
     for max_step in h:
-        result = ode23s(f, J, (0.0, 2.0), START, 1e6, 1e6, T if given else None, max_step)
+        result = ode23s(
+            f, J, (0.0, 2.0), START, 1e6, 1e6, dfdt=T if given else None, max_step=max_step
+        )
         assert result.steps == round(2.0 / max_step)
         error.append(np.abs(result(t) - expected).max())
     assert slope(h, error) == pytest.approx(2.0, abs=0.05)
@@ -100,7 +102,7 @@ def test_dense_output_is_as_accurate_as_the_steps():
     f, J, T = time_dependent_problem()
     h, error = 0.2 / 2.0 ** np.arange(6), []
     for each in h:
-        result = ode23s(f, J, (0.3, 0.3 + each), START, 1e6, 1e6, T)
+        result = ode23s(f, J, (0.3, 0.3 + each), START, 1e6, 1e6, dfdt=T)
         assert result.steps == 1
         t = 0.3 + each * np.array([0.2, 0.5, 0.8])
         error.append(np.abs(result(t) - truth(f, (0.3, 0.3 + each), START, t)).max())

@@ -67,8 +67,8 @@ def test_grade_s0_is_the_nominal_vehicle():
     vehicle = perturb_vehicle(DEFENDER, "S0", 3)
     assert vehicle.car is DEFENDER and vehicle.variation is NOMINAL and vehicle.faults is NO_FAULTS
     assert vehicle.enveloped(ROAD) is ROAD and vehicle.step == np.inf
-    for a, b in zip(vehicle.plant.arrays, build_plant(DEFENDER).arrays, strict=True):
-        np.testing.assert_array_equal(a, b)
+    for name, array in vars(build_plant(DEFENDER)).items():
+        np.testing.assert_array_equal(getattr(vehicle.plant, name), array)
 
 
 @given(seeds)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from test_estimator_contract import drive, fit
 
-from estimators.api import check_estimate
-from estimators.preprocessing import RecordError, clean_record
+from estimators.preprocessing import RecordError, clean_record, mask_record
 from road_envs.data.record import Record
 from road_envs.vehicle.parameters import load_vehicle
 
@@ -52,12 +51,28 @@ def test_dropped_samples_are_restored_at_their_times():
     record, _ = drive(202)
     kept = np.ones(record.t.size, dtype=bool)
     kept[100:103] = kept[500:520:2] = False
+    switching = (np.arange(record.t.size) // 7 % 2 > 0)[:, None].repeat(4, axis=1)
+    record = replace(record, damper_high=switching)
     found, notes = clean_record(select_samples(record, kept))
     assert notes[-1] == "the clock is uneven (longest step 0.020 s); the record is resampled"
     assert [note.partition(":")[0] for note in notes[:-1]] == ["RF", "LR", "RR"]
     np.testing.assert_allclose(found.t, record.t, atol=1e-9)
     np.testing.assert_allclose(found.s, record.s, atol=1e-9)
     np.testing.assert_allclose(found.a[:, kept], record.a[:, kept], atol=1e-9)
+    np.testing.assert_array_equal(found.damper_high[kept], switching[kept])
+
+
+def test_samples_of_an_uneven_clock_are_interpolated_to_an_even_one():
+    record, _ = drive(202)
+    jitter = np.random.default_rng(0).uniform(-0.2, 0.2, record.t.size) / record.fs
+    t = record.t + jitter
+    hum = np.tile(np.sin(2.0 * np.pi * 2.0 * t), (3, 1))
+    found, valid, _ = mask_record(replace(record, t=t, a=hum, s=np.interp(t, record.t, record.s)))
+    assert valid.all() and np.ptp(np.diff(found.t)) < 1e-9
+    np.testing.assert_allclose(found.a[0], np.sin(2.0 * np.pi * 2.0 * found.t), atol=2e-3)
+    hum[1, -20:] = np.nan
+    lost = np.isnan(mask_record(replace(record, t=t, a=hum)).record.a)
+    assert 18 <= lost[1, -21:].sum() == lost.sum() <= 21
 
 
 def test_a_clipped_sensor_is_noted_and_a_smooth_peak_is_not():
@@ -79,22 +94,14 @@ def test_a_stop_and_a_late_start_are_noted():
     assert clean_record(late)[1] == ("the record does not reach the first 3.02 m of the road",)
 
 
-REJECTED = {
+REFUSED = {
     "LR is missing in 30% of its samples; at most 20% can be interpolated": lambda r: with_gap(
         r, 0.3
     ),
-    "sampled at 40 Hz; at least 60 Hz are needed for a bandwidth of 25 Hz": lambda r: (
-        select_samples(r, np.arange(r.t.size) % 5 == 0)
-    ),
-    "RF is missing in 49% of its samples; at most 20% can be interpolated": lambda r: select_samples(
-        r, (np.arange(r.t.size) < 0.5 * r.t.size) | (np.arange(r.t.size) > 0.99 * r.t.size)
-    ),
-    r"the record lasts 0\.10 s; at least 1 s are needed": lambda r: select_samples(r, np.arange(20)),
-    r"the vehicle moved by 0\.00 m; at least 1 m are needed": lambda r: replace(r, s=0.0 * r.s),
-    r"the odometer decreases by .* m": lambda r: replace(r, s=r.s[::-1]),
-    "the times t must be finite and increase; they do not after sample 0": lambda r: replace(r, t=r.t[::-1]),
-    "the strut states 'spring_stiff' must be true or false": lambda r: replace(
-        r, spring_stiff=np.full((r.t.size, 4), 3)
+    "RF is missing in 49% of its samples; at most 20% can be interpolated": lambda r: (
+        select_samples(
+            r, (np.arange(r.t.size) < 0.5 * r.t.size) | (np.arange(r.t.size) > 0.99 * r.t.size)
+        )
     ),
     r"damper_high of the record must have the shape \(\d+, 4\), got \(\d+, 3\)": lambda r: replace(
         r, damper_high=r.damper_high[:, :3]
@@ -104,22 +111,18 @@ REJECTED = {
 }
 
 
-@pytest.mark.parametrize("sentence", REJECTED)
-def test_an_unusable_record_is_rejected_with_the_reason(sentence):
+@pytest.mark.parametrize("sentence", REFUSED)
+def test_an_unusable_record_is_refused_with_the_reason(sentence):
     record, _ = drive(205)
     with pytest.raises(RecordError, match=sentence):
-        clean_record(REJECTED[sentence](record))
+        clean_record(REFUSED[sentence](record))
 
 
 @pytest.mark.parametrize("name", TRAINABLE)
-def test_each_trainable_estimator_notes_repairs_and_rejects_unusable_records(name):
+def test_a_short_gap_changes_the_estimate_of_a_trainable_estimator_little(name):
     estimator = fit(name)
     record, _ = drive(206)
     whole = estimator.estimate(record, CAR)
     gap = estimator.estimate(with_gap(record, 0.005), CAR)
-    check_estimate(gap, record)
-    assert "LR: 0.5% of the samples are missing" in gap.notes
     change = np.sqrt(np.mean((gap.z - whole.z) ** 2) / np.mean(whole.z**2))
     assert change < (1.0 if name == "narx" else 0.3)  # fed-back errors persist
-    with pytest.raises(RecordError, match="LR is missing in 50%"):
-        estimator.estimate(with_gap(record, 0.5), CAR)

@@ -1,6 +1,5 @@
 """The shipped weights are those that their command produces."""
 
-import os
 from functools import cache
 
 import numpy as np
@@ -10,10 +9,6 @@ from estimators import create, pretrained_weights
 from estimators.common.training_data import training_example
 from estimators.linear.fir_bank import fit_bank
 from estimators.networks.inputs import window_span
-from leaderboard.evaluation import pretraining
-from leaderboard.evaluation.tasks import load_task
-from leaderboard.evaluation.test_data import simulate_drives
-from leaderboard.metrics.heights import nrmse, scored_band
 from road_envs.data.training_corpus import Corpus
 
 RARE = (79, 264, 344, 578, 648, 674, 835, 858, 1033, 1040, 1050, 1103, 1195)
@@ -22,9 +17,6 @@ the rarest combination of states.
 """
 
 STIFF_LOW_AND_RIDE = 0b1000
-SEED_SPREAD = 0.05
-"""Relative change of the mean NRMSE that another seed or order of summation may cause."""
-
 NETWORKS = ("tcn", "tcn_causal", "gru", "gru_causal")
 WINDOWS = {"fir_ridge": "bank"} | dict.fromkeys(NETWORKS, "taps")
 """Names of the FIR taps in the weight files."""
@@ -75,37 +67,3 @@ def test_weight_files_hold_half_precision_and_little_else(name):
     precise = {key for key, x in arrays.items() if x.dtype != np.float16}
     assert precise == {"widths", "wheelbase"}
     assert all(np.isfinite(x).all() for x in arrays.values())
-
-
-def train_again(name: str, path):
-    """The result of `road-recon train NAME` with the seed of the shipped file."""
-    about = read_shipped(name)[1]
-    return pretraining.train(
-        create(name), name, Corpus(), int(about["seed"]), path, about["command"]
-    )
-
-
-def mean_error(estimator) -> float:
-    """In-band NRMSE over all conditions of the main board, one road of each of two families."""
-    task, found = load_task("new_road"), []
-    for condition in task.conditions:
-        for drive in simulate_drives(task, task.with_test_drives(2).test, condition):
-            z = estimator.estimate(drive.record, task.vehicle).z
-            band = scored_band(condition.speed_kmh / 3.6)
-            found.append(nrmse(drive.truth.z, z, drive.truth.ds, band).pooled)
-    return float(np.mean(found))
-
-
-@pytest.mark.slow
-@pytest.mark.skipif("ROADRECON_SLOW" not in os.environ, reason="minutes; set ROADRECON_SLOW")
-def test_the_shipped_fir_taps_are_reproduced_by_their_command(tmp_path):
-    fresh = train_again("fir_ridge", tmp_path / "bank.safetensors").weights()
-    assert nearly_equal(fresh["bank"], read_shipped("fir_ridge")[0]["bank"])
-
-
-@pytest.mark.slow
-@pytest.mark.skipif("ROADRECON_SLOW" not in os.environ, reason="minutes; set ROADRECON_SLOW")
-@pytest.mark.parametrize("name", NETWORKS)
-def test_shipped_networks_are_reproduced_within_the_spread_of_seeds(name, tmp_path):
-    fresh = mean_error(train_again(name, tmp_path / "network.safetensors"))
-    assert fresh == pytest.approx(mean_error(create(name)), rel=SEED_SPREAD)

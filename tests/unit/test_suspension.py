@@ -33,9 +33,7 @@ both_axles = pytest.mark.parametrize("w", [0, 1, 2, 3])
 
 
 def force(strut_state, e, e_dot=0.0, w=0, name="defender"):
-    plant = PLANTS[name]
-    arrays = plant.constants[0], plant.velocity, plant.displacement
-    return strut_force(*arrays, strut_state, w, e, e_dot)
+    return strut_force(PLANTS[name].buffers(strut_state), w, e, e_dot)
 
 
 # --- the gas spring -------------------------------------------------------------------------------
@@ -72,8 +70,8 @@ def test_a_strut_force_is_the_sum_of_its_five_components(name, w, strut_state, e
 @given(strut_states, st.floats(-0.2, 0.2), st.floats(-3.0, 3.0))
 def test_compiled_and_interpreted_strut_forces_agree(strut_state, e, e_dot):
     plant = PLANTS["unequal_axles"]
-    plain = plant.constants.view(np.recarray)[0], plant.velocity, plant.displacement
-    expected = strut_force.py_func(*plain, strut_state, 2, e, e_dot)
+    plain = plant.buffers(strut_state)._replace(p=plant.constants.view(np.recarray)[0])
+    expected = strut_force.py_func(plain, 2, e, e_dot)
     actual = force(strut_state, e, e_dot, 2, "unequal_axles")
     np.testing.assert_allclose(actual, expected, rtol=1e-12, atol=1e-9)
 
@@ -107,7 +105,7 @@ def operate(strut_state, path, stiff, high, car=DEFENDER, name="defender", h=0.0
     alpha = 1.0 - np.exp(-h / car.valve.lag)
     actual = np.empty(path.size)
     for n, e in enumerate(path):
-        advance_valve(PLANTS[name].constants[0], strut_state, 0, e, stiff, high, alpha, h)
+        advance_valve(PLANTS[name].constants[0], strut_state, 0, e, (stiff, high), alpha, h)
         actual[n] = taken_up(strut_state, 0, e, car)
     return actual
 
@@ -133,7 +131,7 @@ def test_the_second_accumulator_follows_its_ode_through_a_switch(name, stiff):
 def test_a_closed_valve_traps_the_gas_behind_it():
     strut_state = settled_strut_state(encode_command("ride"))
     operate(strut_state, np.full(300, 0.02), True, True)
-    assert strut_state[0, VALVE_OPEN] == 0.0 and valves_settled(strut_state, 0, True, True)
+    assert strut_state[0, VALVE_OPEN] == 0.0 and valves_settled(strut_state, 0, (True, True))
     before = taken_up(strut_state, 0, 0.02, DEFENDER)
     after = operate(strut_state, 0.03 * np.sin(np.arange(200.0)), True, True)
     assert (after == before).all()
@@ -145,7 +143,7 @@ def test_pressures_equalise_behind_an_open_valve_of_any_speed(name):
     """The valve of the car with unequal axles opens much faster than the pressures equalise."""
     car, e = CARS[name], 0.025
     strut_state = settled_strut_state(encode_command("handling"))
-    while not valves_settled(strut_state, 0, False, False):
+    while not valves_settled(strut_state, 0, (False, False)):
         operate(strut_state, np.full(1, e), False, False, car, name)
     first = car.strut.x_1 / (car.strut.x_1 + e - taken_up(strut_state, 0, e, car))
     second = car.strut.x_2 / (car.strut.x_2 + taken_up(strut_state, 0, e, car))
@@ -181,7 +179,7 @@ def test_valves_settle_from_every_mode_to_every_other(mode):
     stiff, high = MODES[mode]
     for other in MODES:
         strut_state = settled_strut_state(encode_command(other))
-        assert valves_settled(strut_state, 0, *MODES[other])
+        assert valves_settled(strut_state, 0, MODES[other])
         operate(strut_state, np.zeros(400), stiff, high)
         np.testing.assert_array_equal(strut_state[0], settled_strut_state(encode_command(mode))[0])
 

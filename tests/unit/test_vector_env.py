@@ -13,6 +13,10 @@ from road_envs.config import ConfigError
 from road_envs.envs.checker import VectorCheckError, check_vector_env
 from road_envs.envs.road_recon import RoadReconEnv
 from road_envs.envs.vector import RoadReconVectorEnv
+from road_envs.simulation.instrumented_fleet import InstrumentedFleet
+from road_envs.simulation.simd import LANES
+from road_envs.vehicle.equations import build_plant
+from road_envs.vehicle.parameters import TorsionalFrame, VehicleVariation
 
 SHORT = {"road": "iso_d", "length": 6.0, "speed_kmh": [40.0, 70.0], "control": "axle"}
 VARIANTS = {
@@ -245,3 +249,13 @@ def test_extreme_episodes_stay_finite_or_end_with_a_reason(options, episodes):
         for i in np.flatnonzero(terminated | truncated):
             assert bool(infos["final_info"]["reason"][i]) == bool(terminated[i])
         ended += int((terminated | truncated).sum())
+
+
+def test_a_fleet_of_several_blocks_has_no_last_interval_and_a_flexible_frame_is_refused():
+    setup = RoadReconVectorEnv(1).setup
+    with pytest.raises(ValueError, match=f"at most {LANES} vehicles, got {LANES + 1}"):
+        setup.make_fleet(LANES + 1).last_interval(LANES, 0)
+    frame = VehicleVariation(frame=TorsionalFrame(f=11.0, zeta=0.05))
+    plant = build_plant(setup.car, variation=frame)
+    with pytest.raises(ConfigError, match="does not support a flexible frame"):
+        InstrumentedFleet(plant, setup.car, setup.instruments, step=0.001, steps=50)

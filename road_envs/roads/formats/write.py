@@ -14,12 +14,10 @@ import numpy as np
 
 from road_envs._atomic_io import atomic_write
 from road_envs._extras import optional_import
+from road_envs.analysis.roughness import TRACK
 from road_envs.config import ConfigError
 from road_envs.roads.formats.opencrg import RECORD, WIDTHS
 from road_envs.roads.surface import Surface
-
-TRACK = 1.5
-"""Distance between the wheel paths in OpenCRG files [m]."""
 
 
 def write(surface: Surface, path: str | Path) -> None:

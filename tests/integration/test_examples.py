@@ -1,0 +1,169 @@
+"""Every example runs and keeps its promises, as does the code in README.md and in the tutorials."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs/tutorials").glob("*.md"))]
+
+EXAMPLES = {
+    "simulate_and_reconstruct": ([], ["drive.png", "estimate.png"]),
+    "own_estimator": (["--roads", "1"], ["own_estimator.png"]),
+    "board_from_python": (
+        ["--roads", "1", "--estimators", "fir_ridge", "inverse_quarter_car"],
+        ["board.png"],
+    ),
+    "switch_the_suspension": (["--drives", "8"], ["switch_the_suspension.png"]),
+    "train_a_policy": (["--steps", "8000"], ["train_a_policy.png", "policy.zip"]),
+}
+"""Options that make an example short, and the files that it writes."""
+
+PNG_SIGNATURE = b"\x89PNG"
+
+CHECKS = {
+    "README.md": """
+        own = run_task("new_road", ["__main__:LinearInverse"], roads=1)
+        values = {"fir_ridge": table[table.estimator == "fir_ridge"].nrmse.max(),
+                  "own": own.nrmse.max(), "steps": float(reward), "environments": envs.num_envs}
+    """,
+    "first_drive.md": """
+        values = {"nrmse": scores["nrmse"]}
+    """,
+    "own_estimator.md": """
+        means = table.groupby("estimator")["nrmse"].mean()
+        values = {"one drive": own["nrmse"], "task": means["__main__:WindowRidge"],
+                  "probes": count_passed(probes)}
+    """,
+    "own_policy.md": """
+        values = {name: float(value) for name, value in returns.items()}
+    """,
+    "own_vehicle.md": """
+        values = {"mass": car.m_b, "right": right, "wrong": wrong}
+    """,
+    "measured_drive.md": """
+        values = {"length": measured.length, "class": type(estimated).__name__}
+    """,
+}
+"""Code that collects the values to test at the end of a page, in its own process."""
+
+
+def run(*command, cwd, path=()):
+    """Return what a command prints, with one thread for each numerical library."""
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+    done = subprocess.run(
+        [sys.executable, *map(str, command)],
+        cwd=cwd,
+        env={
+            **os.environ,
+            **threads,
+            "PYTHONPATH": os.pathsep.join(map(str, [*path, ROOT])),
+            "MPLBACKEND": "agg",
+        },
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+    return done.stdout
+
+
+def python_blocks(page: Path) -> list[str]:
+    return re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.S | re.M)
+
+
+@pytest.fixture(scope="module")
+def page_values(tmp_path_factory):
+    """Folder and values of each page, whose blocks run one after the other in one process."""
+    results = {}
+
+    def values_of(name):
+        if name not in results:
+            (page,) = (page for page in PAGES if page.name == name)
+            folder = tmp_path_factory.mktemp("page")
+            check = re.sub(r"^ {8}", "", CHECKS[name], flags=re.M)
+            code = "\n".join(
+                [*python_blocks(page), check, "import json", "print(json.dumps(values))"]
+            )
+            (folder / "page.py").write_text(code, encoding="utf-8")
+            results[name] = folder, json.loads(run("page.py", cwd=folder).splitlines()[-1])
+        return results[name]
+
+    return values_of
+
+
+def test_every_example_and_every_page_with_code_is_tested():
+    assert {path.stem for path in (ROOT / "examples").glob("*.py")} == set(EXAMPLES)
+    assert {page.name for page in PAGES if python_blocks(page)} == set(CHECKS)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_an_example_runs_from_another_folder_and_writes_its_files(name, tmp_path):
+    options, files = EXAMPLES[name]
+    printed = run(ROOT / f"examples/{name}.py", "--out", tmp_path / "out", *options, cwd=tmp_path)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(files)
+    for file in files:
+        content = (tmp_path / "out" / file).read_bytes()
+        assert len(content) > 10_000
+        assert file.endswith(".zip") or content.startswith(PNG_SIGNATURE)
+    if name == "own_estimator":
+        errors = [float(line.split()[-3]) for line in printed.splitlines() if "km/h" in line]
+        assert len(errors) == 7 and max(errors) < 0.6
+        assert "FAILED" not in printed
+    if name == "switch_the_suspension":
+        returns = dict(re.findall(r"^(.+?) +return (-[\d.]+) on", printed, re.M))
+        assert float(returns["lateral threshold"]) > float(returns["always handling"])
+
+
+def test_an_own_estimator_needs_at_most_80_lines():
+    code = (ROOT / "examples/own_estimator.py").read_text(encoding="utf-8")
+    cls = code[code.index("@dataclass") : code.index("# %% [markdown]\n# ## The probes")]
+    assert len(cls.splitlines()) <= 80
+
+
+def test_the_readme_runs_and_its_estimator_beats_a_flat_road(page_values):
+    folder, values = page_values("README.md")
+    assert (folder / "estimate.png").read_bytes().startswith(PNG_SIGNATURE)
+    assert values["own"] < 0.6 and values["fir_ridge"] < 0.6
+    assert values["environments"] == 1024 and values["steps"] < 0.0
+
+
+def test_the_estimator_of_the_readme_passes_the_checks_of_a_board(tmp_path):
+    (block,) = (code for code in python_blocks(ROOT / "README.md") if "class LinearInverse" in code)
+    (tmp_path / "readme_estimator.py").write_text(block, encoding="utf-8")
+    command = ("-m", "leaderboard.cli", "check-estimator", "readme_estimator:LinearInverse")
+    run(*command, cwd=tmp_path, path=[tmp_path])
+
+
+def test_the_first_drive_is_reconstructed_with_the_error_that_it_states(page_values):
+    folder, values = page_values("first_drive.md")
+    assert values["nrmse"] == pytest.approx(0.19, abs=0.01)
+    assert (folder / "estimate.png").read_bytes().startswith(PNG_SIGNATURE)
+
+
+def test_the_estimator_of_the_tutorial_learns_and_passes_the_probes(page_values):
+    _, values = page_values("own_estimator.md")
+    assert values["one drive"] < 0.7 and values["task"] == pytest.approx(0.4, abs=0.05)
+    assert values["probes"] == "5/5"
+
+
+def test_the_policy_of_the_tutorial_beats_constant_states(page_values):
+    _, values = page_values("own_policy.md")
+    assert values["own"] > max(values["ride"], values["handling"])
+
+
+def test_the_vehicle_of_the_tutorial_is_estimated_best_with_its_own_parameters(page_values):
+    _, values = page_values("own_vehicle.md")
+    assert values["mass"] == 2100.0
+    assert values["right"] < values["wrong"]
+
+
+def test_the_table_of_the_tutorial_is_read_as_a_measured_drive(page_values):
+    folder, values = page_values("measured_drive.md")
+    assert values["length"] > 100.0 and values["class"] == "Estimate"
+    assert (folder / "road.png").read_bytes().startswith(PNG_SIGNATURE)

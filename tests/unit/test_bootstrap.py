@@ -1,0 +1,72 @@
+"""Statistics of scores: interquartile mean, bootstrap intervals, ranks."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from leaderboard.metrics.bootstrap import bootstrap, interquartile_mean, iqm_interval, rank_entries
+
+
+def test_the_interquartile_mean_is_the_mean_of_the_middle_half():
+    assert interquartile_mean(np.array([100.0, 1.0, 2.0, -50.0])) == 1.5
+    assert interquartile_mean(np.array([7.0])) == 7.0
+    # of five values the central three count, the outer two of them with weight 3/4
+    assert interquartile_mean(np.array([0.0, 1.0, 2.0, 4.0, 9.0])) == pytest.approx(5.75 / 2.5)
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=40), st.floats(-10.0, 10.0))
+@settings(max_examples=50)
+def test_the_interquartile_mean_is_shift_equivariant_and_within_the_range(x, shift):
+    x = np.array(x)
+    mean = interquartile_mean(x)
+    assert x.min() - 1e-9 <= mean <= x.max() + 1e-9
+    assert interquartile_mean(x + shift) == pytest.approx(mean + shift, abs=1e-6)
+
+
+def test_bootstrap_intervals_have_their_nominal_coverage():
+    rng = np.random.default_rng(0)
+    inside = 0
+    for k in range(200):
+        roads = rng.standard_normal((30, 1, 1))  # equal for all seeds, which add no information
+        _, low, high = iqm_interval(roads + np.zeros((1, 1, 3)), seed=k)
+        inside += low <= 0.0 <= high
+    # 95 % of 200, three standard errors; a bootstrap of 30 roads is a little narrow
+    assert 0.87 <= inside / 200 <= 0.99
+
+
+def test_more_seeds_do_not_replace_more_roads():
+    road = np.random.default_rng(1).standard_normal((10, 1, 1))
+    few, many = (np.std(bootstrap(road + np.zeros((1, 1, S)), 0)) for S in (1, 50))
+    assert many == pytest.approx(few, rel=0.05)
+
+
+def test_intervals_include_the_spread_over_seeds():
+    seeds = np.random.default_rng(2).standard_normal((1, 1, 8))
+    assert np.std(bootstrap(seeds + np.zeros((10, 4, 1)), 0)) > 0.15
+
+
+def test_entries_without_a_significant_difference_share_a_rank():
+    rng = np.random.default_rng(3)
+    road = rng.standard_normal((20, 2, 1))
+    scores = {
+        "worst": 3.0 + road + 0.01 * rng.standard_normal((20, 2, 3)),
+        "equal": road + 0.01 * rng.standard_normal((20, 2, 3)),
+        "same": road + 0.01 * rng.standard_normal((20, 2, 3)),
+        "undefined": np.full((20, 2, 3), np.nan),
+    }
+    found = rank_entries(scores)
+    assert {name: row.rank for name, row in found.items()} == {
+        "equal": 1,
+        "same": 1,
+        "worst": 3,
+        "undefined": 4,
+    }
+    assert list(found)[-1] == "undefined"
+
+
+def test_a_small_difference_on_every_road_is_significant_since_roads_are_paired():
+    road = np.random.default_rng(4).standard_normal((20, 1, 1))
+    found = rank_entries({"better": road, "worse": road + 0.1})
+    assert [row.rank for row in found.values()] == [1, 2]
+    assert found["worse"].score.low < found["better"].score.high
