@@ -1,7 +1,8 @@
 """Hooks of the documentation build, which write the reference from the code.
 
-`<!-- commands -->` on a page becomes the help of every command, `<!-- scores -->` the table of scores,
-`<!-- modules: road_envs.roads -->` the documentation of every module of that package.
+These markers on a page are replaced: `<!-- commands -->` by the help of every command,
+`<!-- scores -->` by the table of scores, `<!-- modules: road_envs.roads -->` by the documentation
+of every module of that package.
 """
 
 import re

@@ -7,7 +7,7 @@ from estimators.estimation import estimate, make_estimator
 from estimators.registry import (
     ENTRY_POINT_GROUP,
     REGISTRY,
-    EstimatorPluginWarning,
+    PluginWarning,
     available,
     create,
     find,
@@ -18,7 +18,7 @@ from estimators.registry import (
 __all__ = [
     "ENTRY_POINT_GROUP",
     "REGISTRY",
-    "EstimatorPluginWarning",
+    "PluginWarning",
     "available",
     "create",
     "estimate",

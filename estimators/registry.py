@@ -8,9 +8,6 @@ estimator is then available as `my_estimator`:
     my_estimator = "my_package.my_module:MyEstimator"
 """
 
-import dataclasses
-import warnings
-from importlib import metadata
 from typing import Any
 
 from estimators.api import Estimator, Pretrained, check_class
@@ -28,7 +25,19 @@ from estimators.networks.tcn import Tcn, TcnCausal
 from estimators.pretrained_weights import load_pretrained
 from estimators.wiener.iterated_wiener import IteratedWiener
 from estimators.wiener.wiener import Wiener
-from road_envs.config import ConfigError, build, validate_choice
+from road_envs._registry import PluginWarning, Registry
+
+__all__ = [
+    "ENTRY_POINT_GROUP",
+    "REGISTRY",
+    "PluginWarning",
+    "available",
+    "create",
+    "find",
+    "names",
+    "pretrainable",
+    "without_weights",
+]
 
 ENTRY_POINT_GROUP = "road_envs.estimators"
 """Entry-point group in which other packages declare estimators."""
@@ -54,49 +63,8 @@ REGISTRY: dict[str, type[Estimator]] = {
 }
 
 
-class EstimatorPluginWarning(UserWarning):
-    """Warning that an estimator of another package cannot be loaded."""
-
-
-def available() -> dict[str, type[Estimator]]:
-    """Return all estimator classes by name, including those of other packages.
-
-    An estimator that cannot be loaded is skipped with an EstimatorPluginWarning. Raises
-    ConfigError if two packages use the same name.
-    """
-    classes = dict(REGISTRY)
-    for name, entry in _plugins().items():
-        try:
-            classes[name] = check_class(entry.load())
-        except Exception as error:  # a broken plug-in must not disable the other estimators
-            reason = f"{type(error).__name__}: {error}"
-            warnings.warn(
-                f"the estimator {name!r} of {entry.value} is skipped: {reason}",
-                EstimatorPluginWarning,
-                stacklevel=2,
-            )
-    return classes
-
-
-def names() -> list[str]:
-    """Return the names of all estimators without loading other packages. Raises ConfigError."""
-    return [*REGISTRY, *_plugins()]
-
-
-def find(name: str) -> type[Estimator]:
-    """Return the estimator class `name`, loading its package only. Raises ConfigError if the name
-    is unknown or its class cannot be used.
-    """
-    plugins = _plugins()
-    validate_choice("estimator", name, [*REGISTRY, *plugins])
-    if name in REGISTRY:
-        return REGISTRY[name]
-    try:
-        return check_class(plugins[name].load())
-    except Exception as error:
-        reason = f"{type(error).__name__}: {error}"
-        source = plugins[name].value
-        raise ConfigError(f"the estimator {name!r} of {source} cannot be used: {reason}") from error
+_ESTIMATORS = Registry("estimator", ENTRY_POINT_GROUP, REGISTRY, check_class)
+available, names, find = _ESTIMATORS.available, _ESTIMATORS.names, _ESTIMATORS.find
 
 
 def pretrainable() -> list[str]:
@@ -116,23 +84,4 @@ def create(name: str, **settings: Any) -> Estimator:
     """Return an unfitted estimator with these settings. Raises ConfigError, which lists the
     choices, if the name, a setting or a value is wrong.
     """
-    cls: Any = find(name)
-    known = [field.name for field in dataclasses.fields(cls) if field.init]
-    for setting in settings:
-        validate_choice(f"setting of {name}", setting, known)
-    return build(cls, settings, name)
-
-
-def _plugins() -> dict[str, metadata.EntryPoint]:
-    """Return the entry points of other packages by name. Raises ConfigError on a duplicate."""
-    plugins: dict[str, metadata.EntryPoint] = {}
-    for entry in metadata.entry_points(group=ENTRY_POINT_GROUP):
-        if entry.name in REGISTRY or entry.name in plugins:
-            other = plugins.get(entry.name)
-            owner = other.value if other else REGISTRY[entry.name].__module__
-            raise ConfigError(
-                f"the estimator name {entry.name!r} of {entry.value} is already taken by {owner}: "
-                "rename the entry point"
-            )
-        plugins[entry.name] = entry
-    return plugins
+    return _ESTIMATORS.create(name, settings, {})

@@ -20,7 +20,7 @@ from road_envs.envs.sb3 import RoadReconVecEnv
 
 parser = argparse.ArgumentParser(description="Train a switching policy by PPO for some seconds.")
 parser.add_argument("--out", type=Path, default=Path("out/examples"), help="folder of the picture")
-parser.add_argument("--steps", type=int, default=80_000, help="environment steps of the training")
+parser.add_argument("--steps", type=int, default=80_000, help="environment steps, at least 8000")
 options = parser.parse_known_args()[0]  # a notebook kernel has arguments of its own
 options.out.mkdir(parents=True, exist_ok=True)
 torch.set_num_threads(1)  # the network is too small for more

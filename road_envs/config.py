@@ -16,7 +16,7 @@ import json
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from types import NoneType, UnionType
+from types import UnionType
 from typing import Annotated, Any, TypeVar, Union, cast, get_args, get_origin
 
 import yaml
@@ -176,41 +176,39 @@ def _is_constrained(hint: Any) -> bool:
 
 def _describe(errors: Sequence[Mapping[str, Any]], cls: type) -> str:
     """Return one sentence for the first error; the other errors are only counted."""
-    # unknown keys first: a misspelt key also causes a "missing" error; then values out of range,
-    # because a union also reports that they do not fit its other types
+    # unknown keys first: a misspelt key also causes a "missing" error; then values of the right
+    # type, because a union also reports that they are not of its other types
     first = min(
         errors,
-        key=lambda e: (e["type"] != UNKNOWN_KEY, not _range_of(e)),
+        key=lambda e: (e["type"] != UNKNOWN_KEY, e["type"] != "value_error" and not _range_of(e)),
     )
-    loc, value = first["loc"], first["input"]
-    match first["type"]:
-        case "unexpected_keyword_argument":
-            owner = _bare(_field_at(cls, loc[:-1])[0])
-            fields = dataclasses.fields(owner) if dataclasses.is_dataclass(owner) else ()
-            known = sorted(f.name for f in fields if f.init)
-            close = difflib.get_close_matches(loc[-1], known, n=1)
-            hint = f", did you mean {close[0]!r}" if close else ""
-            text = f"unknown key{hint}; known: {', '.join(known)}"
-        case "missing":
-            text = "missing"
-        case "value_error":
-            text = str(first["ctx"]["error"])
-        case _ if allowed := _range_of(first):
-            loc, notes = _place(first, cls), _field_at(cls, loc)[2]
-            unit, meaning, *_ = *notes, "", ""
-            text = f"must {allowed}, got {value}"
-            text += (f" {unit}" if unit else "") + (f" ({meaning})" if meaning else "")
-        case _:
-            expected = first["msg"][0].lower() + first["msg"][1:]
-            text = f"{expected}, got {value!r} ({_type_name(value)})"
-    at = ".".join(map(str, loc))
     places = {_place(e, cls) for e in errors}
+    loc, value = _place(first, cls), first["input"]
+    hint, _, notes = _field_at(cls, loc)
+    if first["type"] == UNKNOWN_KEY:
+        owner = _bare(hint)
+        fields = dataclasses.fields(owner) if dataclasses.is_dataclass(owner) else ()
+        known = sorted(f.name for f in fields if f.init)
+        close = difflib.get_close_matches(loc[-1], known, n=1)
+        text = f"unknown key{f', did you mean {close[0]!r}' if close else ''}"
+        text += f"; known: {', '.join(known)}"
+    elif first["type"] == "missing":
+        text = "missing"
+    elif first["type"] == "value_error":
+        text = str(first["ctx"]["error"])
+    elif allowed := _range_of(first):
+        unit, meaning, *_ = *notes, "", ""
+        text = f"must {allowed}, got {value}{unit and f' {unit}'}{meaning and f' ({meaning})'}"
+    else:
+        expected = first["msg"][0].lower() + first["msg"][1:]
+        text = f"{expected}, got {value!r} ({_type_name(value)})"
+    at = ".".join(map(str, loc))
     more = f" (and {len(places) - 1} more)" if len(places) > 1 else ""
     return (f"{at}: {text}" if at else text) + more
 
 
-def _place(error: Mapping[str, Any], cls: type) -> tuple[str | int, ...]:
-    """Return the location of an error, without the branch of a union."""
+def _place(error: Mapping[str, Any], cls: type) -> tuple[Any, ...]:
+    """Return the location of an error, without the last branch of a union."""
     loc = error["loc"]
     return loc if error["type"] == UNKNOWN_KEY else loc[: _field_at(cls, loc)[1]]
 
@@ -236,25 +234,31 @@ def _range_of(error: Mapping[str, Any]) -> str:
 def _field_at(cls: Any, loc: Sequence[str | int]) -> tuple[Any, int, list[str]]:
     """Return the annotation at `loc`, its depth in `loc`, and the unit and meaning of its field.
 
-    Parts of `loc` that are no field and no index, such as the branches of a union, are skipped.
+    Parts of `loc` that are neither field nor index, such as branches of unions, are skipped.
     """
-    hint, depth, notes = cls, 0, []
+    hint, depth = cls, 0
+    notes: list[str] = []
     for i, part in enumerate(loc, 1):
         owner = _bare(hint)
-        if isinstance(part, int):
-            hint, depth = (*get_args(owner), None)[0], i
-        elif dataclasses.is_dataclass(owner):
+        types: dict[Any, Any] = {}
+        if dataclasses.is_dataclass(owner):
             types = {f.name: f.type for f in dataclasses.fields(owner)}
-            if part in types:
-                hint, depth = types[part], i
-                notes = [n for n in getattr(hint, "__metadata__", ()) if isinstance(n, str)]
+        elif get_origin(owner) is dict or isinstance(part, int):
+            types = {part: (*get_args(owner), None)[0 if isinstance(part, int) else 1]}
+        if part in types:
+            hint, depth = types[part], i
+            own = [n for n in getattr(hint, "__metadata__", ()) if isinstance(n, str)]
+            notes = own or notes
     return hint, depth, notes
 
 
 def _bare(hint: Any) -> Any:
-    """Return a type without annotations; of a union its first type that is not None."""
-    while get_origin(hint) in (Annotated, Union, UnionType):
-        hint = next(arg for arg in get_args(hint) if arg is not NoneType)
+    """Return a type without annotations; of a union its dataclass, or else its first type."""
+    if get_origin(hint) is Annotated:
+        return _bare(get_args(hint)[0])
+    if get_origin(hint) in (Union, UnionType):
+        types = [_bare(arg) for arg in get_args(hint)]
+        return next(filter(dataclasses.is_dataclass, types), types[0])
     return hint
 
 

@@ -24,10 +24,11 @@ STYLES = {
     "stale": "yellow",
 }
 LEGEND = (
-    "NRMSE: error over truth, RMS, in 0.2 to min(1.8, 22.5 Hz / v) cycles/m; a flat road has 1, "
-    "the bound is the least with these sensors. level, eq. 12: error of the level alone, about the "
-    "mean and as printed. class: octaves in the true ISO 8608 class. Interquartile means over "
-    "roads and trainings; entries without a significant difference share a rank. Dim rows: "
+    "NRMSE: error over truth, RMS, in 0.2 to min(1.8, 22.5 Hz / v) cycles/m; a flat road has 1. "
+    "Interquartile means over roads and trainings; worst: the worst drive; > 0.3, > 1: shares of "
+    "drives above. The bound is that of a linear car without friction and of data below 25 Hz. "
+    "eq. 12, about mean: error of the level alone, as printed and about the mean. Entries without "
+    "a significant difference share a rank; no rank or interval from fewer than 5 roads. Dim rows: "
     "baselines. 5/5 beside a name: probes passed, of those that apply (--probes)."
 )
 

@@ -32,7 +32,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from road_envs.analysis.roughness import CLASSES, N_0, TRACK, root_coherence
+from road_envs.analysis.roughness import CLASSES, N_0, TRACK, TrackWidth, root_coherence
 from road_envs.analysis.statistical_linearization import (
     nonlinear_residual,
     residual_force_psd,
@@ -65,7 +65,7 @@ class RoadPrior(Settings):
 
     G_d0: Annotated[Positive, "m³", "density at n0"] = CLASSES["D"]
     w: Annotated[Positive, "", "waviness"] = 2.0
-    track: Annotated[Positive, "m", "distance between the wheel paths"] = TRACK
+    track: TrackWidth = TRACK
 
     def density(self, n: np.ndarray) -> np.ndarray:
         """Return the one-sided density [m³] of a wheel path at `n` [cycles/m], any shape, n > 0."""

@@ -7,17 +7,21 @@ same density at the given frequency.
 """
 
 from functools import cache
+from typing import Annotated
 
 import numpy as np
 from scipy.linalg import expm
 from scipy.signal import lfilter, welch
 from scipy.special import gamma, kv
 
+from road_envs.config import Positive
+
 N_0 = 0.1
 """Reference spatial frequency of ISO 8608 [cycles/m]."""
 
-TRACK = 1.5
-"""Default distance between the wheel paths [m]."""
+TrackWidth = Annotated[Positive, "m", "distance between the wheel paths"]
+TRACK: TrackWidth = 1.5
+"""Default of `TrackWidth`."""
 
 CLASSES = {name: 16e-6 * 4.0**k for k, name in enumerate("ABCDEFGH")}
 """Geometric mean of G_d(n0) [m³] of each class (ISO 8608, table C.1); its limit is twice that."""

@@ -16,7 +16,7 @@ from road_envs.roads.surface import Surface
 from road_envs.sensing.data_logger import DataLogger
 from road_envs.sensing.instruments import Instruments, load_instruments
 from road_envs.simulation.drive import DriveSimulator
-from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
+from road_envs.vehicle.parameters import DEFAULT_STEP, VehicleParameters, load_vehicle
 from road_envs.vehicle.perturbed_vehicle import PlantMismatch, perturb_vehicle
 from road_envs.vehicle.suspension import decode_commands, encode_command
 
@@ -43,7 +43,7 @@ def simulate_record(
     instruments: str | Path | Instruments = "paper",
     grade: str = "S0",
     length: float | None = None,
-    step: float = 0.001,
+    step: float = DEFAULT_STEP,
     plant_mismatch: PlantMismatch | None = None,
 ) -> tuple[Record, Profile]:
     """Drive a vehicle over a road; return what its instruments record, and the true profile.

@@ -28,7 +28,7 @@ from road_envs.simulation.drive import DriveSimulator
 from road_envs.simulation.instrumented_fleet import InstrumentedFleet
 from road_envs.simulation.manoeuvres import load_manoeuvre
 from road_envs.vehicle.equations import DOF, build_plant
-from road_envs.vehicle.parameters import load_vehicle
+from road_envs.vehicle.parameters import DEFAULT_STEP, Step, load_vehicle
 from road_envs.vehicle.suspension import MODES, encode_command
 
 ACTIONS: dict[str, tuple[Any, ...]] = {
@@ -74,7 +74,7 @@ class EnvOptions(Settings):
     length: float | None = None
     sensors: str = "paper"
     vehicle: str = "land_rover_defender_110"
-    step: Annotated[Positive, "s", "step of the integrator"] = 0.001
+    step: Step = DEFAULT_STEP
     manoeuvre: str | dict[str, Any] | None = None
     truth: bool = True
     observe: tuple[Literal["accelerations", "planar", "struts"], ...] = ("accelerations",)

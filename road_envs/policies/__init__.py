@@ -9,13 +9,12 @@ as an entry point, and it is available as `my_policy`:
 """
 
 import dataclasses
-import warnings
 from dataclasses import dataclass, field
-from importlib import metadata
 from typing import Any
 
 from road_envs import config
-from road_envs.config import ConfigError, Settings, build, validate_choice
+from road_envs._registry import PluginWarning, Registry
+from road_envs.config import Settings
 from road_envs.policies.add import AccelerationDriven
 from road_envs.policies.api import Policy, PolicyContext, PolicyError
 from road_envs.policies.dqn import Dqn
@@ -31,7 +30,15 @@ from road_envs.policies.rrms import RunningRmsPolicy
 from road_envs.policies.sh_add import SkyhookAdd
 from road_envs.policies.skyhook import Skyhook
 
-__all__ = ["REGISTRY", "Policy", "PolicyContext", "PolicyError", "available", "create"]
+__all__ = [
+    "REGISTRY",
+    "PluginWarning",
+    "Policy",
+    "PolicyContext",
+    "PolicyError",
+    "available",
+    "create",
+]
 
 ENTRY_POINT_GROUP = "road_envs.policies"
 """Entry-point group under which other packages offer policies."""
@@ -56,10 +63,6 @@ REGISTRY: dict[str, type[Policy]] = {
 }
 
 
-class PolicyPluginWarning(UserWarning):
-    """Warning that a policy of another package cannot be used, with the reason."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class PolicySettings(Settings):
     """Settings of a shipped policy and their source.
@@ -73,39 +76,9 @@ class PolicySettings(Settings):
     training: dict[str, Any] = field(default_factory=dict)
 
 
-def available() -> dict[str, type[Policy]]:
-    """Return all policies by name, those of other packages included.
-
-    A policy that cannot be loaded is omitted with a PolicyPluginWarning. Raises ConfigError if a
-    package declares a name that is taken.
-    """
-    classes = dict(REGISTRY)
-    for entry in metadata.entry_points(group=ENTRY_POINT_GROUP):
-        if entry.name in classes:
-            raise ConfigError(
-                f"the policy {entry.name!r} of {entry.value} needs another name: "
-                f"{classes[entry.name].__module__} already has this one"
-            )
-        try:
-            classes[entry.name] = _validate_policy_class(entry.load())
-        except Exception as error:  # a faulty package must not disable the other policies
-            reason = f"{type(error).__name__}: {error}"
-            warnings.warn(
-                f"the policy {entry.name!r} of {entry.value} is omitted: {reason}",
-                PolicyPluginWarning,
-                stacklevel=2,
-            )
-    return classes
-
-
 def create(name: str, **settings: Any) -> Policy:
     """Create a policy with its tuned settings, overridden by `settings`. Raises ConfigError."""
-    classes = available()
-    cls: Any = classes[validate_choice("policy", name, classes)]
-    known = [f.name for f in dataclasses.fields(cls) if f.init]
-    for setting in settings:
-        validate_choice(f"setting of {name}", setting, known)
-    return build(cls, {**tuned_settings(name), **settings}, name)
+    return _POLICIES.create(name, settings, tuned_settings(name))
 
 
 def tuned_settings(name: str) -> dict[str, Any]:
@@ -123,3 +96,7 @@ def _validate_policy_class(cls: Any) -> Any:
         if not callable(getattr(cls, method, None)):
             raise TypeError(f"it has no method {method}")
     return cls
+
+
+_POLICIES = Registry("policy", ENTRY_POINT_GROUP, REGISTRY, _validate_policy_class)
+available = _POLICIES.available

@@ -17,17 +17,17 @@ import numpy as np
 from pydantic import Field
 from scipy.special import ndtr
 
-from road_envs.analysis.roughness import N_0, TRACK, root_coherence
+from road_envs.analysis.roughness import N_0, TRACK, TrackWidth, root_coherence
 from road_envs.config import Finite, NonNegative, Positive, Settings
 from road_envs.roads.iso8608 import cell_centres, cell_edges, check_band, power_law, synthesise
-from road_envs.roads.surface import Surface
+from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, SampleSpacing, Surface
 
 
 @dataclass(frozen=True, kw_only=True)
 class Belgian(Settings):
     """A random paving similar to the paper's."""
 
-    length: Annotated[Positive, "m", "length of the road"] = 100.0
+    length: RoadLength = DEFAULT_LENGTH
     G_d0: Annotated[Positive, "m³", "base at n0; centre of class D at 0.77 cycles/m"] = 0.00139
     w: Annotated[Positive, "", "waviness of the base"] = 2.15
     n_above: Annotated[Positive, "cycles/m", "frequency beyond which the base is steeper"] = 3.0
@@ -38,8 +38,8 @@ class Belgian(Settings):
     coherence: Annotated[NonNegative, "", "coherence (squared) of the paths at n_cobble"] = 0.22
     n_min: Annotated[Positive, "cycles/m", "lower end of the band [assumed]"] = 0.05
     n_max: Annotated[Positive, "cycles/m", "upper end of the band"] = 10.0
-    track: Annotated[Positive, "m", "distance between the wheel paths"] = TRACK
-    ds: Annotated[Positive, "m", "spacing of the samples"] = 0.01
+    track: TrackWidth = TRACK
+    ds: SampleSpacing = 0.01
 
     def __post_init__(self):
         super().__post_init__()

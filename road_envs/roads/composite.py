@@ -13,16 +13,16 @@ from pydantic import Field
 
 from road_envs.config import Finite, NonNegative, Positive, Settings
 from road_envs.data.record import PROFILE_SPACING
-from road_envs.roads.api import AnyRoad, Road, with_length
+from road_envs.roads.api import AnyRoad, with_length
 from road_envs.roads.measured import tile_heights
-from road_envs.roads.surface import Surface, check_size
+from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, Surface, check_size
 
 
 @dataclass(frozen=True, kw_only=True)
 class Flat(Settings):
     """A flat road."""
 
-    length: Annotated[Positive, "m", "length of the road"] = 100.0
+    length: RoadLength = DEFAULT_LENGTH
 
     def __post_init__(self):
         super().__post_init__()
@@ -170,7 +170,7 @@ class Tiled(Settings):
     """One draw of a road repeated end to end, like a short tile of `Measured`."""
 
     road: AnyRoad
-    length: Annotated[Positive, "m", "length of the road"]
+    length: RoadLength
     repeat: Annotated[Literal["repeat", "mirror"], "", "how the tile is continued"] = "repeat"
 
     def realise(self, rng: np.random.Generator) -> Surface:

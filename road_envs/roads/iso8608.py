@@ -21,10 +21,10 @@ from typing import Annotated, Literal
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
-from road_envs.analysis.roughness import CLASSES, N_0, TRACK, root_coherence
+from road_envs.analysis.roughness import CLASSES, N_0, TRACK, TrackWidth, root_coherence
 from road_envs.config import Positive, Settings
 from road_envs.roads.nonstationary import RoughnessVariation
-from road_envs.roads.surface import Surface, check_size
+from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, SampleSpacing, Surface, check_size
 
 RoadClass = Literal["A", "B", "C", "D", "E", "F", "G", "H"]
 Coherence = Literal["isotropic", "full", "none"]
@@ -39,12 +39,12 @@ class Iso8608(Settings):
     road_class: Annotated[RoadClass | None, "", "ISO class, taken at its geometric mean"] = None
     G_d0: Annotated[Positive | None, "m³", "displacement PSD at n0"] = None
     w: Annotated[Positive, "", "waviness"] = 2.0
-    length: Annotated[Positive, "m", "length of the road"] = 100.0
+    length: RoadLength = DEFAULT_LENGTH
     n_min: Annotated[Positive, "cycles/m", "lower end of the band"] = 0.01
     n_max: Annotated[Positive, "cycles/m", "upper end of the band"] = 10.0
     coherence: Annotated[Coherence, "", "between the wheel paths"] = "isotropic"
-    track: Annotated[Positive, "m", "distance between the wheel paths"] = TRACK
-    ds: Annotated[Positive, "m", "spacing of the samples"] = 0.01
+    track: TrackWidth = TRACK
+    ds: SampleSpacing = 0.01
     variation: Annotated[RoughnessVariation | None, "", "of the roughness along the road"] = None
 
     def __post_init__(self):

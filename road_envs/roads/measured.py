@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from road_envs.analysis.roughness import TRACK
+from road_envs.analysis.roughness import TRACK, TrackWidth
 from road_envs.config import Finite, NonNegative, Positive, Settings
 from road_envs.roads.formats import erd, opencrg, table
 from road_envs.roads.formats.opencrg import CurvedGrid, SurfaceFileError, error_context, read_bytes
@@ -36,7 +36,7 @@ class Measured(Settings):
     length: Annotated[NonNegative, "m", "length of the road; 0: length of the surface"] = 0.0
     repeat: Annotated[Literal["none", "repeat", "mirror"], "", "use of a short surface"] = "none"
     centre: Annotated[Finite | None, "m", "v midway between the paths; default: of the grid"] = None
-    track: Annotated[Positive, "m", "distance between the wheel paths"] = TRACK
+    track: TrackWidth = TRACK
     bridge_gaps: Annotated[bool, "", "interpolate missing heights along the path"] = False
     min_length: Annotated[Positive, "m", "least length of the surface"] = DEFAULT_MIN_LENGTH
 

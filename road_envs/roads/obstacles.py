@@ -19,11 +19,8 @@ import numpy as np
 from pydantic import Field
 
 from road_envs.config import Count, Finite, NonNegative, Positive, Settings, SmallestFirst
-from road_envs.roads.surface import Surface, check_size
-from road_envs.roads.trapezoids import SIDES, Trapezoid
-
-SAMPLE_SPACING = 0.005
-"""Spacing of the samples [m]."""
+from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, Surface, check_size
+from road_envs.roads.trapezoids import SAMPLE_SPACING, SIDES, Trapezoid
 
 MAX_DEFECT_HEIGHT = 10.0
 """Largest height or depth of a defect [m]."""
@@ -90,7 +87,7 @@ class Defects(Settings):
     """Defects at given stations; the heights of overlapping defects add up."""
 
     defects: tuple[Defect, ...]
-    length: Annotated[Positive, "m", "length of the road"] = 100.0
+    length: RoadLength = DEFAULT_LENGTH
 
     def __post_init__(self):
         super().__post_init__()
@@ -117,7 +114,7 @@ class Defects(Settings):
 class Potholes(Settings):
     """Random potholes on either wheel path; where two overlap, the deeper one counts."""
 
-    length: Annotated[Positive, "m", "length of the road"] = 100.0
+    length: RoadLength = DEFAULT_LENGTH
     rate: Annotated[Positive, "1/m", "mean number per metre and wheel path [assumed]"] = 0.05
     depth: Annotated[PositiveRange, "m", "smallest and largest"] = (0.025, 0.075)
     size: Annotated[PositiveRange, "m", "smallest and largest length"] = (0.15, 0.8)

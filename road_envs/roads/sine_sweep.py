@@ -20,7 +20,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from road_envs.config import NonNegative, Positive, Settings
-from road_envs.roads.surface import Surface, check_size
+from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, SampleSpacing, Surface, check_size
 
 PathSigns = Literal["in_phase", "antiphase", "left", "right"]
 SIGNS: dict[PathSigns, tuple[float, float]] = {
@@ -39,7 +39,7 @@ MIN_SAMPLES_PER_WAVE = 8
 class SineSweep(Settings):
     """A sine with a changing spatial frequency and amplitude."""
 
-    length: Annotated[Positive, "m", "length of the road"] = 100.0
+    length: RoadLength = DEFAULT_LENGTH
     n_start: Annotated[Positive, "cycles/m", "spatial frequency at the start"]
     n_end: Annotated[Positive, "cycles/m", "spatial frequency at the end"]
     progress: Annotated[Literal["linear", "logarithmic"], "", "of the frequency"] = "logarithmic"
@@ -47,7 +47,7 @@ class SineSweep(Settings):
     amplitude_end: Annotated[Positive, "m", "at the end"]
     paths: Annotated[PathSigns, "", "wheel paths and their phase"] = "in_phase"
     taper: Annotated[NonNegative, "m", "length of the taper at either end"] = 2.0
-    ds: Annotated[Positive, "m", "spacing of the samples"] = 0.01
+    ds: SampleSpacing = 0.01
 
     def __post_init__(self):
         super().__post_init__()

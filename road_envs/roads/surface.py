@@ -7,15 +7,21 @@ the methods of `Surface` use the same kernels.
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from road_envs._numba import kernel
-from road_envs.config import ConfigError
+from road_envs.config import ConfigError, Positive
 
 PAD = 3
 """Number of repeated samples at each end of `Surface.padded`; spares the kernel a special case."""
+
+RoadLength = Annotated[Positive, "m", "length of the road"]
+DEFAULT_LENGTH: RoadLength = 100.0
+"""Default of `RoadLength`, the length of the paper's roads."""
+
+SampleSpacing = Annotated[Positive, "m", "spacing of the samples"]
 
 MAX_SAMPLES = 50_000_000
 """Largest number of samples per wheel path: 400 MB."""

@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from road_envs.config import Positive, Settings
-from road_envs.roads.surface import Surface, check_size
+from road_envs.roads.surface import SampleSpacing, Surface, check_size
 
 Layout = Literal["small", "large_small", "asymmetric"]
 LAYOUTS: dict[Layout, tuple[tuple[str, str], ...]] = {
@@ -27,6 +27,9 @@ LAYOUTS: dict[Layout, tuple[tuple[str, str], ...]] = {
 
 SIDES = {"left": [0], "right": [1], "both": [0, 1]}
 """Row indices of the heights (2, N) of a surface."""
+
+SAMPLE_SPACING = 0.005
+"""Spacing of the samples of bumps and defects [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +58,7 @@ class Bumps(Settings):
     height_factor: Annotated[Positive, "", "scales heights"] = 1.0
     run_in: Annotated[Positive, "m", "before the first ramp"] = 10.0
     run_out: Annotated[Positive, "m", "after the last ramp"] = 10.0
-    ds: Annotated[Positive, "m", "spacing of the samples"] = 0.005
+    ds: SampleSpacing = SAMPLE_SPACING
 
     def __post_init__(self):
         super().__post_init__()

@@ -43,7 +43,7 @@ from road_envs.vehicle.equations import (
     relative_roll,
     wheel_height,
 )
-from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.parameters import DEFAULT_STEP, VehicleParameters
 from road_envs.vehicle.suspension import DAMPING_HIGH, VALVE_OPEN, tyre_force
 
 MAX_STEP = 0.01
@@ -225,7 +225,7 @@ def simulate_adaptive(
     *,
     rtol: float = 1e-3,
     atol: float = 1e-6,
-    step: float = 0.001,
+    step: float = DEFAULT_STEP,
     max_step: float = MAX_STEP,
 ) -> AdaptiveResult:
     """Simulate `car` over the whole `surface` at `speed` [m/s] in one 4S4 mode, with error control.

@@ -17,7 +17,7 @@ from road_envs.simulation import rosenbrock
 from road_envs.simulation.manoeuvres import Manoeuvre
 from road_envs.simulation.speed import SpeedProfile, constant_speed
 from road_envs.vehicle.equations import N_DOF, PHI, THETA, Z_B, Plant, build_plant, equilibrium
-from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.parameters import DEFAULT_STEP, STEP_LIMIT, VehicleParameters
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 APRON_LENGTH = 5.0
@@ -110,15 +110,17 @@ class DriveSimulator:
         surface: Surface,
         speed: float | SpeedProfile,
         mode: str | Mapping[str, str] = "ride",
-        step: float = 0.001,
+        step: float = DEFAULT_STEP,
         manoeuvre: Manoeuvre | None = None,
     ):
         if not isinstance(speed, SpeedProfile):
             if not (np.isfinite(speed) and speed > 0):
                 raise ConfigError(f"speed must be positive and finite, got {speed} m/s")
             speed = constant_speed(speed)
-        if not 0 < step <= 0.01:
-            raise ConfigError(f"the integrator step must be within (0, 0.01] s, got {step} s")
+        if not 0 < step <= STEP_LIMIT:
+            raise ConfigError(
+                f"the integrator step must be within (0, {STEP_LIMIT:g}] s, got {step} s"
+            )
         if surface.length < car.wheelbase:
             raise ConfigError(
                 f"{surface.name}: {surface.length:.2f} m of road is shorter than the wheelbase "
@@ -224,7 +226,7 @@ def simulate(
     surface: Surface,
     speed: float | SpeedProfile,
     mode: str | Mapping[str, str] = "ride",
-    step: float = 0.001,
+    step: float = DEFAULT_STEP,
     manoeuvre: Manoeuvre | None = None,
 ) -> Trajectory:
     """Simulate `car` over the whole `surface` in one 4S4 mode, at a `speed` [m/s] or profile.

@@ -290,7 +290,9 @@ def force_response(model: LinearModel, f: np.ndarray) -> tuple[np.ndarray, np.nd
     """
     force = model.strut_rows.T / model.M[:, None]
     _, inside = _state_response(model, f, np.vstack([np.zeros_like(force), force]))
-    return model.C @ inside + model.sensor_rows @ force, model.strut_rows @ inside[:, N_DOF:]
+    return model.C @ inside + model.sensor_rows @ force, model.strut_rows @ inside[
+        :, model.M.size :
+    ]
 
 
 def _state_response(model: LinearModel, f: np.ndarray, inputs: np.ndarray):

@@ -8,12 +8,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+from pydantic import Field
+
 from road_envs import config
 from road_envs.config import Finite, NonNegative, Positive, Settings
 from road_envs.vehicle.force_curves import Curve
 
 GRAVITY = 9.81
 """Gravitational acceleration used throughout [m/s²]."""
+
+DEFAULT_STEP, STEP_LIMIT = 0.001, 0.01
+"""Default and longest step [s] of the fixed-step integrator."""
+
+Step = Annotated[float, Field(gt=0, le=STEP_LIMIT), "s", "step of the integrator"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
 from road_envs import config
 from road_envs.config import Fraction, NonNegative, Settings, SmallestFirst
@@ -42,6 +41,7 @@ from road_envs.vehicle.parameters import (
     NOMINAL,
     Axle,
     PerWheel,
+    Step,
     TorsionalFrame,
     VehicleParameters,
     VehicleVariation,
@@ -118,7 +118,7 @@ class PlantMismatch(Settings):
     """Magnitudes of the deviations of perturbed vehicles from the nominal one."""
 
     name: str
-    step: Annotated[float, Field(gt=0, le=0.01), "s", "longest step of the integrator"]
+    step: Step
     manufacture: ManufacturingTolerances
     structure: UnmodelledStructure
     instruments: SensorFaultLimits

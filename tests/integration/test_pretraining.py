@@ -140,7 +140,7 @@ def test_the_command_trains_from_the_corpus_and_its_file_estimates(road_recon, t
 
 def test_an_estimator_for_one_speed_requires_training_roads(road_recon):  # noqa: F811
     code, _, err = road_recon("train", "static_lm", "--out", "s.npz")
-    assert code == 2 and "static_lm learns one speed and mode: give its training roads" in err
+    assert code == 2 and "static_lm is trained for one speed and mode: give training roads" in err
     code, _, err = road_recon("train", "fir_ridge", "--out", "s.npz")
     assert code == 2 and "the name must end in .safetensors" in err
 

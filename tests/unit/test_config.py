@@ -2,14 +2,24 @@
 
 import copy
 import datetime
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import pytest
 
 from road_envs import config
-from road_envs.config import ConfigError, build, load, names, read_yaml, validate_choice
+from road_envs.config import (
+    ConfigError,
+    Positive,
+    Settings,
+    build,
+    load,
+    names,
+    read_yaml,
+    validate_choice,
+)
 from road_envs.sensing.data_logger import Instruments
-from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.parameters import Valve, VehicleParameters
 from road_envs.vehicle.perturbed_vehicle import PlantMismatch
 
 DEFENDER = read_yaml(config.find("vehicles", "land_rover_defender_110"))
@@ -101,6 +111,36 @@ def test_an_invalid_instrument_value_is_named_in_one_sentence(path, value, messa
     with pytest.raises(ConfigError) as caught:
         build(Instruments, changed(PAPER, path, value), "set.yaml")
     assert message in sentence(caught)
+
+
+def test_direct_construction_refuses_a_value_with_the_same_message():
+    for make in (
+        lambda: replace(build(VehicleParameters, DEFENDER, "car.yaml"), m_b=-1.0),
+        lambda: build(VehicleParameters, changed(DEFENDER, "m_b", -1.0), "car.yaml"),
+    ):
+        with pytest.raises(ConfigError) as caught:
+            make()
+        message = sentence(caught).removeprefix("car.yaml: ")
+        assert message == "m_b: must be positive, got -1.0 kg (sprung mass)"
+
+
+def test_an_error_inside_a_list_a_mapping_or_a_union_is_located():
+    @dataclass(frozen=True, kw_only=True)
+    class Outer(Settings):
+        tyres: tuple[Valve, ...] = ()
+        either: Literal["none"] | Valve = "none"
+        numbers: dict[str, Positive] = field(default_factory=dict)
+
+    good = {"delay": 0.0, "lag": 0.1, "equalisation": 0.1}
+    for data, message in (
+        ({"tyres": [good, {**good, "lag": 0.0}]}, "tyres.1.lag: must be positive, got 0.0 s"),
+        ({"tyres": [{**good, "lga": 0.0}]}, "tyres.0.lga: unknown key, did you mean 'lag'"),
+        ({"either": {**good, "lag": 0.0}}, "lag: must be positive, got 0.0 s"),
+        ({"numbers": {"a": 0.0}}, "here: numbers.a: must be positive, got 0.0"),
+    ):
+        with pytest.raises(ConfigError) as caught:
+            build(Outer, data, "here")
+        assert message in sentence(caught)
 
 
 def test_of_several_errors_the_unknown_key_comes_first():

@@ -275,7 +275,7 @@ def test_the_bound_table_interpolates_the_bound():
 def test_invalid_arguments_are_rejected():
     with pytest.raises(ValueError, match="model_error must not be negative"):
         bound(DEFENDER, "ride", 10.0, PAPER, RoadPrior(), model_error=-0.1)
-    with pytest.raises(ValueError, match="G_d0 must be positive, got 0"):
+    with pytest.raises(ValueError, match="G_d0: must be positive, got 0"):
         RoadPrior(G_d0=0.0)
     with pytest.raises(ValueError, match="give locations"):
         bound(PLANTS["defender"], "ride", 10.0, PAPER, RoadPrior())
@@ -303,7 +303,7 @@ def test_the_command_prints_and_draws_the_bound(road_recon, tmp_path):
     [
         (("--mode", "ridee"), "unknown suspension mode 'ridee' (did you mean 'ride'?)"),
         (("--speed-kmh", "-3"), "the speed must be positive, got -3.0 km/h"),
-        (("--noise", "-1"), "noise_density must not be negative, got -1.0"),
+        (("--noise", "-1"), "noise_density: must not be negative, got -1.0"),
         (("--road-class", "K"), "unknown road class 'K'; known: A, B"),
         (("--damping", "ride=x"), "a damper must have the form mode=number in N s/m, got 'ride=x'"),
         (("--damping", "ride=1"), "--damping has ['ride'], but no value for ['handling']"),

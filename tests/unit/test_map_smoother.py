@@ -23,6 +23,7 @@ from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.road_prior import N_FLAT, RoadTransform, padded_size, prior_amplitude
 from estimators.map_smoother.wheel_liftoff import noise_from_coefficients
 from estimators.map_smoother.windows import initial_window_state, window_objective
+from estimators.preprocessing import mask_record
 from leaderboard.metrics.heights import band_pass, nrmse
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.analysis.roughness import displacement_psd
@@ -63,7 +64,7 @@ def objective_of(record: Record, car: VehicleParameters = DEFENDER, **settings) 
     """The objective of a whole record as one window."""
     estimator = MapSmoother(**settings)
     model = estimator._measurement_model(record, car, PAPER)
-    drive = estimator._prepare_drive(record, car, PAPER)
+    drive = estimator._prepare_drive(*mask_record(record, PAPER)[:2], car, PAPER)
     blocks = drive.a.shape[1] // drive.block_size
     return window_objective(model, drive, PRIOR, initial_window_state(drive), 0, blocks)
 
@@ -178,7 +179,7 @@ def test_the_adjoint_transposes_the_tangent_and_the_hessian_is_gauss_newton():
     assert dx @ lin.hessian_product(dx) == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize("kmh", [2.0, 54.0])
+@pytest.mark.parametrize("kmh", [2.2, 54.0])
 def test_the_block_tangent_equals_the_tangent_of_the_steps(kmh):
     """At varying speed, with missing samples, two steps per sample and an incomplete last chunk."""
     record, _ = drive_record(length=12.0)

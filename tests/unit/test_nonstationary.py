@@ -110,9 +110,9 @@ def test_the_variation_scales_with_the_class(road_class):
     ("variation", "reason"),
     [
         ({"law": "normal"}, "law"),
-        ({"spread": 0.0}, "spread must be positive"),
-        ({"spread": 11.0}, "spread must be at most 10"),
-        ({"patch": 1e-9}, "patch must be at least 1 m"),
+        ({"spread": 0.0}, "spread: must be positive"),
+        ({"spread": 11.0}, "spread: must be at most 10"),
+        ({"patch": 1e-9}, "patch: must be at least 1, got 1e-09 m"),
         ({"patches": 3.0}, "patches: unknown key"),
     ],
 )

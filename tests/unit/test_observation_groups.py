@@ -90,7 +90,7 @@ def test_the_reward_is_reduced_by_the_unresolved_variance_of_the_bound(action, p
         ({"observe": ["struts"]}, "observe needs 'accelerations'"),
         ({"observe": ["accelerations", "planar", "planar"]}, "no duplicates"),
         ({"observe": ["accelerations", "lidar"]}, "'accelerations', 'planar' or 'struts'"),
-        ({"weights": {"unresolved_variance": -1.0}}, "unresolved_variance must not be negative"),
+        ({"weights": {"unresolved_variance": -1.0}}, "unresolved_variance: must not be negative"),
         ({"control": "wheel"}, "'vehicle', 'axle' or 'states'"),
     ],
 )

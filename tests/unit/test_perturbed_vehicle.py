@@ -336,20 +336,20 @@ def test_an_unknown_grade_raises_config_error_with_the_known_ones(grade):
 @pytest.mark.parametrize(
     ("path", "value", "reason"),
     [
-        ("manufacture.mass", [0.1, 0.03], "mass must be within [0, 1), smallest first"),
-        ("manufacture.strut_gas", 1.0, "strut_gas must be within [0, 1)"),
+        ("manufacture.mass", [0.1, 0.03], "mass: must be the smallest and the largest value"),
+        ("manufacture.strut_gas", 1.0, "strut_gas: must be below 1, got 1.0"),
         ("manufacture.tyre", 0.1, "tyre: unknown key; known: friction, inertia, mass"),
-        ("structure.contact_length", -0.1, "contact_length must not be negative, got -0.1"),
+        ("structure.contact_length", -0.1, "contact_length: must not be negative, got -0.1 m"),
         ("structure.tyre_pressure_effect", 20.0, "tyre_pressure times tyre_pressure_effect"),
-        ("structure.frame.f", 0.0, "f must be positive and finite, got 0.0"),
-        ("instruments.dropout_rate", 0.5, "dropout_rate must be below half of the samples"),
+        ("structure.frame.f", 0.0, "frame.f: must be positive, got 0.0 Hz"),
+        ("instruments.dropout_rate", 0.5, "dropout_rate: must be below 0.5"),
         (
             "instruments.dropout_length",
             2.5,
             "dropout_length: input should be a valid integer, got 2.5",
         ),
-        ("instruments.offset", -1.0, "offset must not be negative"),
-        ("step", 0.1, "step must be within (0, 0.01] s, got 0.1"),
+        ("instruments.offset", -1.0, "offset: must not be negative"),
+        ("step", 0.1, "step: must be at most 0.01, got 0.1 s"),
     ],
 )
 def test_an_invalid_mismatch_setting_is_named_in_one_sentence(path, value, reason):

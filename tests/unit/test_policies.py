@@ -2,6 +2,7 @@
 
 import itertools
 import pickle
+from importlib import metadata
 
 import numpy as np
 import pytest
@@ -211,13 +212,13 @@ def test_a_policy_of_another_package_is_available_by_its_name(monkeypatch):
         def load(self):
             return REGISTRY["fixed_ride"]
 
-    monkeypatch.setattr(policies.metadata, "entry_points", lambda group: [Entry()])
+    monkeypatch.setattr(metadata, "entry_points", lambda group: [Entry()])
     assert available()["mine"] is REGISTRY["fixed_ride"]
     Entry.name = "random"
-    with pytest.raises(ConfigError, match="'random' of somewhere:Mine needs another name"):
+    with pytest.raises(ConfigError, match="'random' of somewhere:Mine is already taken by"):
         available()
     Entry.name, Entry.load = "mine", lambda self: print
-    with pytest.warns(policies.PolicyPluginWarning, match="must be a dataclass"):
+    with pytest.warns(policies.PluginWarning, match="must be a dataclass"):
         assert "mine" not in available()
 
 
@@ -226,11 +227,11 @@ def test_a_policy_of_another_package_is_available_by_its_name(monkeypatch):
     [
         ("skihook", {}, "did you mean 'skyhook'"),
         ("skyhook", {"lek": 1.0}, "did you mean 'leak'"),
-        ("skyhook", {"leak": -1.0}, "leak must be positive, got -1.0"),
+        ("skyhook", {"leak": -1.0}, "leak: must be positive, got -1.0 Hz"),
         ("skyhook", {"high": "hard"}, "'handling' or 'soft_high'"),
-        ("rrms", {"window": 0.0}, "window must be positive"),
+        ("rrms", {"window": 0.0}, "window: must be positive"),
         ("ppo", {"file": "none.npz"}, "none.npz: No such file"),
-        ("preview", {"bump": 0.0}, "bump must be positive"),
+        ("preview", {"bump": 0.0}, "bump: must be positive"),
     ],
 )
 def test_an_unknown_policy_or_invalid_setting_is_named(name, settings, message):

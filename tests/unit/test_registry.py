@@ -15,10 +15,9 @@ import road_envs
 from estimators import (
     ENTRY_POINT_GROUP,
     REGISTRY,
-    EstimatorPluginWarning,
+    PluginWarning,
     available,
     create,
-    registry,
 )
 from estimators.api import NotFittedError
 from estimators.baselines.flat import Flat
@@ -63,7 +62,7 @@ def offer(monkeypatch, **values: str) -> None:
         metadata.EntryPoint(name, value, ENTRY_POINT_GROUP) for name, value in values.items()
     ]
     monkeypatch.setattr(
-        registry.metadata, "entry_points", lambda group: [e for e in entries if e.group == group]
+        metadata, "entry_points", lambda group: [e for e in entries if e.group == group]
     )
 
 
@@ -148,7 +147,7 @@ def test_an_installed_package_is_found_by_its_metadata(tmp_path, monkeypatch):
 )
 def test_a_broken_plug_in_is_reported_and_disables_no_other(monkeypatch, value, reason):
     offer(monkeypatch, broken=value, plateau=f"{__name__}:Plateau")
-    with pytest.warns(EstimatorPluginWarning, match=f"'broken' of {value} is skipped: .*{reason}"):
+    with pytest.warns(PluginWarning, match=f"'broken' of {value} is skipped: .*{reason}"):
         found = available()
     assert set(found) == {*REGISTRY, "plateau"}
 

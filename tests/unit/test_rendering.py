@@ -263,7 +263,7 @@ def test_rendering_needs_a_render_mode_and_a_reset():
         assert env.render() is None
     with pytest.raises(gym.error.ResetNeeded, match="call reset before render"):
         make().unwrapped.render()
-    with pytest.raises(ConfigError, match="exaggeration must be above 0"):
+    with pytest.raises(ConfigError, match="exaggeration: must be positive"):
         make(exaggeration=0.0)
 
 

@@ -178,11 +178,11 @@ def test_dropouts_are_bridged_with_a_small_error_and_reported():
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"jitter": -1e-4}, "jitter must not be negative"),
-        ({"dropout_rate": -0.1}, "dropout_rate must not be negative"),
-        ({"dropout_rate": 0.5}, "dropout_rate must be below half"),
-        ({"dropout_length": 0}, "dropout_length must be at least one"),
-        ({"position_fix_length": 0.0}, "position_fix_length must be positive"),
+        ({"jitter": -1e-4}, "jitter: must not be negative"),
+        ({"dropout_rate": -0.1}, "dropout_rate: must not be negative"),
+        ({"dropout_rate": 0.5}, "dropout_rate: must be below 0.5"),
+        ({"dropout_length": 0}, "dropout_length: must be at least 1"),
+        ({"position_fix_length": 0.0}, "position_fix_length: must be positive"),
     ],
 )
 def test_invalid_faults_are_rejected_in_one_sentence(options, says):

@@ -20,8 +20,15 @@ from road_envs.analysis.statistical_linearization import (
     residual_force_psd,
 )
 from road_envs.sensing.instruments import load_instruments
-from road_envs.vehicle.equations import N_DOF, equilibrium
-from road_envs.vehicle.linear_model import force_response, linearise, strut_forces
+from road_envs.vehicle.equations import N_DOF, build_plant, equilibrium
+from road_envs.vehicle.linear_model import (
+    force_response,
+    linearise,
+    strut_forces,
+    strut_rate_response,
+    wheel_response,
+)
+from road_envs.vehicle.parameters import TorsionalFrame, VehicleVariation
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 PLACES = {"RF": (1.2, -0.5), "LR": (-2.0, 0.6), "RR": (-2.0, -0.6)}
@@ -182,6 +189,19 @@ def test_the_force_response_agrees_with_the_energy_matrices(name):
         expected = [oracles.point_acceleration(*a[:3], *at) for at in PLACES.values()]
         np.testing.assert_allclose(sensed[:, w], expected, rtol=1e-8)
         assert rates[w, w] == pytest.approx(jw * (push @ q), rel=1e-8)
+
+
+@pytest.mark.parametrize("frame", [None, TorsionalFrame(f=12.0, zeta=0.08)])
+def test_more_damping_acts_as_a_strut_force_against_the_rate_of_extension(frame):
+    plant = build_plant(DEFENDER, variation=VehicleVariation(frame=frame))
+    c, more, f = np.full(4, 1200.0), np.array([0.0, 0.0, 700.0, 0.0]), np.array([1.5, 9.0, 13.0])
+    before, after = (linearise(plant, "ride", PLACES, damping=x) for x in (c, c + more))
+    sensed, rates = force_response(before, f)
+    rate = strut_rate_response(after, f)
+    force = -more[:, None] * rate
+    np.testing.assert_allclose(rate, strut_rate_response(before, f) + rates @ force, rtol=1e-8)
+    expected = wheel_response(before, f) + sensed @ force
+    np.testing.assert_allclose(wheel_response(after, f), expected, rtol=1e-8)
 
 
 def test_strut_forces_are_computed_independently():

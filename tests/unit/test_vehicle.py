@@ -64,7 +64,7 @@ def test_tyre_deflections_come_from_the_loads_unless_one_is_given(name):
 
 
 def test_replaced_values_are_validated():
-    with pytest.raises(ValueError, match="m_b must be positive"):
+    with pytest.raises(ValueError, match="m_b: must be positive"):
         replace(DEFENDER, m_b=0.0)
 
 

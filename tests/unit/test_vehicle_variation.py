@@ -285,10 +285,10 @@ def test_closing_a_valve_on_twisted_ground_causes_no_motion():
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        ({"gas": (1.0, 0.0, 1.0, 1.0)}, "gas must be four positive factors"),
-        ({"tyre": (1.0, float("nan"), 1.0, 1.0)}, "tyre must be four positive factors"),
-        ({"tyre_progression": -1.0}, "tyre_progression must not be negative"),
-        ({"roll_stiffness": (-1.0, 0.0)}, "roll_stiffness must not be negative"),
+        ({"gas": (1.0, 0.0, 1.0, 1.0)}, "gas.1: must be positive"),
+        ({"tyre": (1.0, float("nan"), 1.0, 1.0)}, "tyre.1: must be finite"),
+        ({"tyre_progression": -1.0}, "tyre_progression: must not be negative"),
+        ({"roll_stiffness": (-1.0, 0.0)}, "roll_stiffness.0: must not be negative"),
     ],
 )
 def test_an_invalid_variation_raises_value_error(options, reason):
@@ -297,9 +297,9 @@ def test_an_invalid_variation_raises_value_error(options, reason):
 
 
 def test_invalid_frames_and_progressions_raise_value_error():
-    with pytest.raises(ValueError, match="f must be positive"):
+    with pytest.raises(ValueError, match="f: must be positive"):
         TorsionalFrame(f=0.0, zeta=0.1)
-    with pytest.raises(ValueError, match="zeta must not be negative"):
+    with pytest.raises(ValueError, match="zeta: must not be negative"):
         TorsionalFrame(f=10.0, zeta=-0.1)
     with pytest.raises(ValueError, match=r"tyre_progression must be below 46\.. 1/m, got 50"):
         build_plant(DEFENDER, False, VehicleVariation(tyre_progression=50.0))
