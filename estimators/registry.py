@@ -65,6 +65,7 @@ REGISTRY: dict[str, type[Estimator]] = {
 
 _ESTIMATORS = Registry("estimator", ENTRY_POINT_GROUP, REGISTRY, check_class)
 available, names, find = _ESTIMATORS.available, _ESTIMATORS.names, _ESTIMATORS.find
+"""Look-up by name, as documented in `Registry`."""
 
 
 def pretrainable() -> list[str]:

@@ -22,6 +22,9 @@ parser.add_argument("--out", type=Path, default=Path("out/examples"), help="fold
 parser.add_argument("--road", default="belgian", help="shipped name, YAML file or surface file")
 parser.add_argument("--speed-kmh", type=float, default=14.5)
 parser.add_argument("--mode", default="handling", help="suspension state: ride or handling")
+parser.add_argument(
+    "--compare", nargs="+", default=["flat", "fir_ridge", "wiener", "iterated_wiener"]
+)
 options = parser.parse_known_args()[0]  # a notebook kernel has arguments of its own
 options.out.mkdir(parents=True, exist_ok=True)
 
@@ -72,7 +75,7 @@ plot(estimated, truth).savefig(options.out / "estimate.png")
 # true ones, both within the scored band of spatial frequencies. A flat road has 1.
 
 # %%
-for name in ("flat", "fir_ridge", "wiener", "iterated_wiener"):
+for name in options.compare:
     scores = score(estimate(name, record), truth)
     print(f"{name:<16} in-band NRMSE {scores['nrmse']:.2f}, correlation {scores['r']:.2f}")
 

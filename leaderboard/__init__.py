@@ -1,4 +1,4 @@
-"""Evaluation of estimators and of switching policies; `score`, `plot` and `run_task` from Python."""
+"""Evaluation of estimators and of switching policies; from Python `score`, `plot`, `run_task`."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

@@ -25,7 +25,7 @@ from road_envs.data.record import Estimate, Profile
 
 @dataclass(frozen=True)
 class ScoreTable:
-    """Scores of one estimate by key, as in `leaderboard.metrics.registry.SCORES`; NaN if undefined."""
+    """Scores of one estimate by key (`leaderboard.metrics.registry.SCORES`); NaN if undefined."""
 
     values: dict[str, float]
 
@@ -115,7 +115,9 @@ def run_task(
             rows.append({"estimator": result.estimator, "failure": result.failure})
         for drive in result.drives:
             place = {"condition": drive.condition, "road": drive.road, "road_seed": drive.road_seed}
-            rows.append({"estimator": result.estimator, **place, "seed": drive.seed, **drive.scores})
+            rows.append(
+                {"estimator": result.estimator, **place, "seed": drive.seed, **drive.scores}
+            )
     table = pandas.DataFrame(rows)
     table.attrs["labels"] = {key: form.label for key, form in SCORES.items()}
     return table

@@ -75,7 +75,12 @@ def numbers() -> Iterator[tuple[str, np.ndarray]]:
     yield "fleet", np.stack([select_vehicle(signals, k) for k in range(5)])
     yield from _environments()
     record, _ = simulate_record(
-        surface, vehicle=car, speed_kmh=36.0, mode="handling", instruments=load_instruments("paper"), seed=2
+        surface,
+        vehicle=car,
+        speed_kmh=36.0,
+        mode="handling",
+        instruments=load_instruments("paper"),
+        seed=2,
     )
     for name in ESTIMATORS:
         found = estimators.create(name).estimate(record, car)
@@ -110,7 +115,9 @@ def _rows() -> Iterator[tuple[str, np.ndarray]]:
         test={"roads": ["iso_d", "random_bumps"], "seeds": [11], "length": 60.0}, bumps=True
     )
     entries = {name: estimators.create(name) for name in ("flat", "static_lm", "fir_ridge", "narx")}
-    for row in run_task(short, {**entries, "truth_plus_noise": None}, (1,), simulate=simulate_drives):
+    for row in run_task(
+        short, {**entries, "truth_plus_noise": None}, (1,), simulate=simulate_drives
+    ):
         scores = [sorted(drive.scores.items()) for drive in row.drives]
         yield f"row {row.estimator}", np.array([v for drive in scores for _, v in drive])
 

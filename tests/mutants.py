@@ -41,9 +41,7 @@ AIR = "suspension::test_an_airborne_tyre_has_no_load_and_contact_starts_without_
 SLOPES = "suspension::test_tyre_stiffness_damping_and_curvature_match_differences"
 GRADED = "perturbed_vehicle::test_a_record_of_s3_equals_simulator_and_faulty_data_logger"
 FELT = "perturbed_vehicle::test_enveloping_is_the_mean_of_the_cubic_over_the_contact_length"
-MOUNTED = (
-    "sensor_faults::test_readings_follow_location_tilt_gain_and_offset"
-)
+MOUNTED = "sensor_faults::test_readings_follow_location_tilt_gain_and_offset"
 CONTRACT = "record_contract::test_every_estimator_"
 LOST = "sensor_faults::test_dropouts_have_the_stated_rate_and_length"
 PAIR = "adaptive_drive::test_the_compiled_step_and_its_error_equal_the_published_pair"

@@ -117,7 +117,7 @@ def simulate_block(
 ):
     """Simulate the block: fill the tape `rows`, `block.end_state` and `block.predicted`."""
     p, work, out = model.constants[0], workspace(), np.empty(N_SIGNALS)
-    vehicle = VehicleBuffers(p, model.velocity, model.displacement, state.strut_state)
+    vehicle = VehicleBuffers(model.constants, model.velocity, model.displacement, state.strut_state)
     motion = Motion(state.x[:N_DOF].copy(), state.x[N_DOF:N_VEHICLE].copy())
     road = np.empty(16)
     step_inputs = StepInputs(road, np.zeros(4))

@@ -150,7 +150,7 @@ class IntegrationProblem:
             return out
 
         def jac(t: float, y: np.ndarray) -> np.ndarray:
-            sample_road(vehicle.p, surface, drive.start + SPEED * t, SPEED, road)
+            sample_road(vehicle.constants[0], surface, drive.start + SPEED * t, SPEED, road)
             return jacobian(self.plant, drive.strut_state, y, road[:4], road[4:])
 
         return rate, jac

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import yaml
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from leaderboard.json_values import nan_to_none
 from road_envs.config import ConfigError
 
 console = Console(markup=False)
@@ -48,20 +48,12 @@ def check_output_path(path: Path | None, *suffixes: str) -> Path | None:
 
 def to_json(data: object) -> str:
     """Return `data` as JSON; NaN and infinity become null."""
-    return json.dumps(_nan_to_none(data), indent=2, allow_nan=False) + "\n"
+    return json.dumps(nan_to_none(data), indent=2, allow_nan=False) + "\n"
 
 
 def print_json(data: object) -> None:
     """Write `data` to standard output as JSON."""
     print(to_json(data), end="")
-
-
-def _nan_to_none(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _nan_to_none(v) for key, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_nan_to_none(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @contextlib.contextmanager

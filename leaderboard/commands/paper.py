@@ -15,7 +15,7 @@ def paper(
     out: Annotated[Path, typer.Option(help="Folder for the report.")] = Path("out/paper"),
     json: Json = False,
 ) -> None:
-    """Reproduce the paper: HTML and PDF report with its figures, and all numbers as JSON."""
+    """Reproduce the paper: a page with its figures, and all numbers as JSON."""
     from leaderboard.paper import published_figures, report, study
 
     if out.exists() and not out.is_dir():

@@ -11,7 +11,6 @@ assembled again. Each file begins with a checksum of the rest.
 import dataclasses
 import hashlib
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,6 +21,7 @@ from leaderboard.evaluation.code_version import evaluation_version
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.results import FORMAT, DriveScores, Result, Trace
 from leaderboard.evaluation.tasks import Task
+from leaderboard.json_values import nan_to_none
 from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import BASELINES
 from road_envs._atomic_io import write_text
@@ -97,7 +97,7 @@ def to_text(result: Result) -> str:
     }
     names = [f.name for f in dataclasses.fields(result)]
     return with_checksum(
-        {n: large[n] if n in large else _nan_to_none(getattr(result, n)) for n in names}
+        {n: large[n] if n in large else nan_to_none(getattr(result, n)) for n in names}
     )
 
 
@@ -321,14 +321,3 @@ def _dump_by_lines(value: Any, depth: int = 2) -> str:
         ]
         return "{\n" + ",\n".join(lines) + "\n" + indent[1:] + "}"
     return json.dumps(value, allow_nan=False)
-
-
-def _nan_to_none(value: Any) -> Any:
-    """Return `value` with None instead of NaN and infinity, which JSON does not have."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, Mapping):
-        return {key: _nan_to_none(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_nan_to_none(item) for item in value]
-    return value

@@ -3,5 +3,5 @@
 study.py              drives, trainings, scores
 published_figures.py  statements of the paper, compared with the results
 figures.py            Figures 1, 2, 3(b), 6-11 and A.1-A.6, and the spread of the trainings
-report.py             HTML and PDF report
+report.py             the report as a page
 """

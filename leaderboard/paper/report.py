@@ -1,8 +1,6 @@
-"""Report of the study: a self-contained HTML page, the same as PDF, and all numbers as JSON."""
+"""Report of the study: a self-contained HTML page, and all numbers as JSON."""
 
-import io
 import json
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +14,7 @@ from leaderboard.metrics.registry import EQ_12_RAW, UNDEFINED
 from leaderboard.paper.figures import PaperFigure, paper_figures
 from leaderboard.paper.published_figures import claims, key_findings
 from leaderboard.paper.study import PaperScenario, Study
+from leaderboard.report.rendering import render
 from leaderboard.report.svg import STYLE, inline_svg
 from road_envs._atomic_io import write_text
 from road_envs._extras import optional_import
@@ -47,12 +46,11 @@ class ReportTable:
 
 
 def write_report(study: Study, out: Path, command: str) -> list[Path]:
-    """Write index.html, report.pdf and numbers.json into `out`, each atomically; return them."""
+    """Write index.html and numbers.json into `out`, each atomically; return them."""
     drawn = [(paper_figure, _figure(paper_figure)) for paper_figure in paper_figures(study)]
     write_text(out / "index.html", render_html(study, drawn, command))
     write_text(out / "numbers.json", json.dumps(numbers(study, command), indent=1) + "\n")
-    _write_pdf(study, drawn, out / "report.pdf", command)
-    return [out / name for name in ("index.html", "report.pdf", "numbers.json")]
+    return [out / name for name in ("index.html", "numbers.json")]
 
 
 def tables(study: Study) -> list[ReportTable]:
@@ -95,17 +93,8 @@ def numbers(study: Study, command: str) -> dict[str, Any]:
 
 def render_html(study: Study, drawn: Sequence[DrawnFigure], command: str) -> str:
     """Render the report as a page."""
-    with optional_import("a page"):
-        from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    templates = Environment(
-        loader=PackageLoader("leaderboard.report"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-    )
-    return templates.get_template("paper.html").render(
+    return render(
+        "paper.html",
         title=TITLE,
         about=_about(study),
         findings=key_findings(study),
@@ -119,36 +108,6 @@ def render_html(study: Study, drawn: Sequence[DrawnFigure], command: str) -> str
     )
 
 
-def _write_pdf(study: Study, drawn: Sequence[DrawnFigure], path: Path, command: str) -> None:
-    with optional_import("a figure"):
-        from matplotlib.backends.backend_pdf import PdfPages
-
-    buffer = io.BytesIO()
-    about = {
-        "Title": TITLE,
-        "Creator": f"road-envs {package_version()}",
-        "CreationDate": None,
-    }  # reproducible
-    with PdfPages(buffer, metadata=about) as pages:
-        for page in _text_pages(study, command):
-            pages.savefig(page)
-        for paper_figure, figure in drawn:
-            figure.text(
-                0.01,
-                0.0,
-                _wrapped(f"{paper_figure.name}. {paper_figure.caption}", 120),
-                fontsize=8,
-                va="top",
-            )
-            pages.savefig(figure, bbox_inches="tight", pad_inches=0.4)
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        partial.write_bytes(buffer.getvalue())
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
-
-
 def _figure(paper_figure: PaperFigure) -> Any:
     with optional_import("a figure"):
         import matplotlib
@@ -160,67 +119,6 @@ def _figure(paper_figure: PaperFigure) -> Any:
         FigureCanvasAgg(figure)
         paper_figure.paint(figure)
     return figure
-
-
-def _text_pages(study: Study, command: str) -> list[Any]:
-    """Return summary, tables and statements as pages of text."""
-    with optional_import("a figure"):
-        from matplotlib.figure import Figure
-
-    lines = [TITLE, "", *_lines(_about(study)), ""]
-    for sentence in key_findings(study):
-        lines += _lines(f"- {sentence}")
-    for table in tables(study):
-        lines += ["", table.title, *_aligned(table), *_lines(table.note)]
-    lines += ["", "Statements of the paper and results"]
-    for claim in claims(study):
-        lines += [
-            "",
-            *_lines(f"[{claim.verdict}] {claim.statement} ({claim.section})"),
-            *_lines(f"Result: {claim.result}", 4),
-            *_lines(f"Reason: {claim.reason}" if claim.reason else "", 4),
-        ]
-    lines += [
-        "",
-        *(line for name, text in _provenance(study, command) for line in _lines(f"{name}: {text}")),
-    ]
-    size = 78  # lines of a page at this font size
-    pages = []
-    for k in range(0, len(lines), size):
-        figure = Figure(PAGE)
-        figure.text(
-            0.07, 0.96, "\n".join(lines[k : k + size]), family="monospace", fontsize=7.6, va="top"
-        )
-        pages.append(figure)
-    return pages
-
-
-def _aligned(table: ReportTable) -> list[str]:
-    """Return a table as lines of aligned text, with long heads wrapped."""
-    columns = range(len(table.heads))
-    widths = [
-        max(map(len, [*table.heads[k].split(" "), *(row[k] for row in table.rows)]), default=0)
-        for k in columns
-    ]
-    heads = [textwrap.wrap(table.heads[k], max(widths[k], 1)) for k in columns]
-    above = [[""] * (max(map(len, heads)) - len(head)) + head for head in heads]
-    rows = [*zip(*above, strict=True), *table.rows]
-    return [
-        "  ".join(
-            cell.ljust(width) if k == 0 else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
-    ]
-
-
-def _lines(text: str, indent: int = 0) -> list[str]:
-    space = " " * indent
-    return textwrap.wrap(text, 112, initial_indent=space, subsequent_indent=space + "  ")
-
-
-def _wrapped(text: str, width: int) -> str:
-    return "\n".join(textwrap.wrap(text, width))
 
 
 def _about(study: Study) -> str:

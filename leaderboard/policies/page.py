@@ -10,12 +10,10 @@ import numpy as np
 from leaderboard.policies.ride_metrics import METRICS
 from leaderboard.policies.summary import PARETO_METRICS, format_metric
 from leaderboard.policies.timeline import MODE_NAMES, Timeline
+from leaderboard.report.rendering import render
 from road_envs._atomic_io import write_text
 from road_envs._extras import optional_import
 from road_envs.policies.greedy_information import GreedyInformation
-
-with optional_import("a page"):
-    from jinja2 import Environment, PackageLoader, StrictUndefined
 
 PARETO_COLOUR, DOMINATED_COLOUR, ORACLE_COLOUR, SWEEP_COLOUR = (
     "#D55E00",
@@ -45,14 +43,11 @@ def render_page(
 
     With `board`, the page links to the leaderboard of estimators beside it.
     """
-    env = Environment(
-        loader=PackageLoader("leaderboard.report"), autoescape=True, undefined=StrictUndefined
-    )
-    template = env.get_template("policies.html")
     first = next((row for row in data["rows"] if not row["failure"]), None)
     estimators = list(first["errors"]) if first else []
     pictures = {name: timeline.svg() for name, timeline in timelines.items()}
-    return template.render(
+    return render(
+        "policies.html",
         data=data,
         metrics=METRICS,
         estimators=estimators,

@@ -11,7 +11,6 @@ of removed tasks and entries are deleted.
 """
 
 import json
-import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,11 +20,11 @@ from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.baselines import NOISE_LEVEL
 from leaderboard.report import charts, export
 from leaderboard.report.cache import Report
+from leaderboard.report.rendering import file_name, render
 from leaderboard.report.sentences import UNRELATED_ROAD, unrelated_level_errors
 from leaderboard.report.tables import BOUND_ROW, BoardView, Section, nonempty_columns
 from leaderboard.running.board import Board
 from road_envs._atomic_io import write_text
-from road_envs._extras import optional_import
 
 MAX_DRAWN = 8
 """Number of entries of a task that are drawn, best first, each with its colour and dash."""
@@ -71,49 +70,22 @@ def _is_current(out: Path, key: str) -> bool:
 
 def render_pages(board: Board, report: Report) -> Iterator[tuple[str, str]]:
     """Yield path and text of every page, the index last."""
-    render = _renderer()
     results: dict[str, list[tuple[Task, Result]]] = {}
     for view in report.views:
         for section in view.sections:
             task = next(task for task in board.tasks if task.name == section.task)
             for result in board.results[task.name]:
                 results.setdefault(result.estimator, []).append((task, result))
-            yield f"tasks/{task.name}.html", render("task.html", _task(board, view, section, task))
+            yield (
+                f"tasks/{task.name}.html",
+                render("site/task.html", **_task(board, view, section, task)),
+            )
     for name, own in results.items():
         yield (
             f"estimators/{file_name(name)}",
-            render("estimator.html", _estimator(board, report.views, name, own)),
+            render("site/estimator.html", **_estimator(board, report.views, name, own)),
         )
-    yield "index.html", render("index.html", _index(board, report))
-
-
-def file_name(estimator: str) -> str:
-    """Return the file name of the page of an estimator, for any name."""
-    return re.sub(r"[^A-Za-z0-9_.-]", "_", estimator) + ".html"
-
-
-def _renderer() -> Any:
-    with optional_import("a page"):
-        from jinja2 import Environment, PackageLoader, StrictUndefined
-    from markupsafe import Markup
-
-    environment = Environment(
-        loader=PackageLoader("leaderboard.report"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-    )
-    # JSON stands inside <script>, which only "<" could end
-    environment.filters["data"] = lambda x: Markup(
-        json.dumps(x, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    )
-    environment.filters |= {"file": file_name}
-
-    def render(template: str, values: dict[str, Any]) -> str:
-        return environment.get_template(f"site/{template}").render(values)
-
-    return render
+    yield "index.html", render("site/index.html", **_index(board, report))
 
 
 def _index(board: Board, report: Report) -> dict[str, Any]:

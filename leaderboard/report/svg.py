@@ -18,7 +18,7 @@ STYLE: Any = {
     "axes.titlelocation": "left",
     "path.simplify_threshold": 0.5,
 }
-"""Matplotlib style of the figures of a report, in the PDF and in the page."""
+"""Matplotlib style of the figures of a page."""
 
 
 def inline_svg(figure: Any) -> str:

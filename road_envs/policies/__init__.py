@@ -100,3 +100,4 @@ def _validate_policy_class(cls: Any) -> Any:
 
 _POLICIES = Registry("policy", ENTRY_POINT_GROUP, REGISTRY, _validate_policy_class)
 available = _POLICIES.available
+"""Look-up of all policies, as documented in `Registry`."""

@@ -56,8 +56,9 @@ def height_and_slope(surface, side, s):
 
 
 @kernel
-def sample_surface(surface, s, z, slope):
+def sample_surface(padded, start, ds, s, z, slope):
     """Write heights `z` and slopes `slope`, both (2, M), at the stations `s` (M,)."""
+    surface = SurfaceBuffers(padded, start, ds)
     for side in range(2):
         for k in range(s.size):
             z[side, k], slope[side, k] = height_and_slope(surface, side, s[k])
@@ -114,7 +115,7 @@ class Surface:
         # left writeable like its copies and pickles: numba compiles again for read-only arrays
         return np.pad(self.z, ((0, 0), (PAD, PAD)), mode="edge")
 
-    @property
+    @cached_property
     def buffers(self) -> SurfaceBuffers:
         """The surface as kernels take it."""
         return SurfaceBuffers(self.padded, float(self.start), float(self.ds))
@@ -130,7 +131,7 @@ class Surface:
     def _sample(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         s = np.asarray(s, dtype=float)
         z, slope = np.empty((2, s.size)), np.empty((2, s.size))
-        sample_surface(self.buffers, s.ravel(), z, slope)
+        sample_surface(*self.buffers, s.ravel(), z, slope)
         return z.reshape(2, *s.shape), slope.reshape(2, *s.shape)
 
 

@@ -58,7 +58,7 @@ def step_error(vehicle, signals_0, y, road, h, work, k_3):
     by `step`; `y` (14,) is the state at its end; `road` (24,) are the heights [m] and rates [m/s]
     under the wheels at t, t + h/2 and t + h.
     """
-    p, hd = vehicle.p, h * D
+    p, hd = vehicle.constants[0], h * D
     R_q, R_v = k_3[:N_DOF], k_3[N_DOF:]
     at_middle, at_end = np.empty(N_DOF), np.empty(N_DOF)
     accelerations(vehicle, Motion(work.q, work.v), road[8:12], road[12:16], at_middle)
@@ -97,7 +97,7 @@ def dense_output(signals_0, work, h, x, y):
 @kernel
 def write_signals(vehicle, y, road, out):
     """Write the signals (29,) of the state `y` (14,) over the road (8,) to `out`."""
-    p, q, v = vehicle.p, y[:N_DOF], y[N_DOF:]
+    p, q, v = vehicle.constants[0], y[:N_DOF], y[N_DOF:]
     a = out[ACCELERATION : ACCELERATION + N_DOF]
     accelerations(vehicle, Motion(q, v), road[:4], road[4:8], a)
     for j in range(2 * N_DOF):
@@ -129,7 +129,7 @@ def adaptive_kernel(vehicle, y, surface, inputs, out):
     The signals at the times `t` go to `out` (N, 29). Returns the numbers of accepted and of
     rejected steps, and the time reached, which is before the end if no step meets the tolerance.
     """
-    p, work, road, a_xy = vehicle.p, workspace(), np.empty(24), np.zeros(4)
+    p, work, road, a_xy = vehicle.constants[0], workspace(), np.empty(24), np.zeros(4)
     signals_0, error, y_dense = np.empty(N_SIGNALS), np.empty(2 * N_DOF), np.empty(2 * N_DOF)
     motion, step_inputs = Motion(y[:N_DOF], y[N_DOF:]), StepInputs(road[:16], a_xy)
     s_0, v, t, rtol, atol, max_step = inputs

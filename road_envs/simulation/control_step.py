@@ -16,7 +16,6 @@ from road_envs.simulation.drive import DriveInputs
 from road_envs.simulation.fleet import (
     SCRATCH_ROWS,
     LaneBuffers,
-    LaneConstants,
     RoadBuffers,
     aligned_zeros,
     delay_commands,
@@ -79,13 +78,13 @@ class FleetState(NamedTuple):
 class FleetParameters(NamedTuple):
     """Parameters common to all vehicles.
 
-    Vehicle constants per lane (`p`) and as an array, force tables, command `delay` in steps,
-    valve factor `alpha`, `static_load` (4,) [N], cost `weights` (3,), filters, indices `columns` of
+    Vehicle constants as in `fleet.LaneBuffers`, force tables, command `delay` in steps, valve
+    factor `alpha`, `static_load` (4,) [N], cost `weights` (3,), filters, indices `columns` of
     the stored signals, accelerometer noise and range [m/s²], `top_speed` [m/s], step `h` [s], steps
     per sample (`decimation`), and flags of the optional observation groups.
     """
 
-    p: LaneConstants
+    lane_constants: np.ndarray
     constants: np.ndarray
     velocity: np.ndarray
     displacement: np.ndarray
@@ -298,7 +297,7 @@ def _write_optional_groups(parameters, a_xy, out, k_0, observation):
         at += N_PLANAR
     if parameters.struts > 0:
         for w in range(4):
-            rate = extension(parameters.p, out[n - 1, N_DOF : 2 * N_DOF], w)
+            rate = extension(parameters.lane_constants[0], out[n - 1, N_DOF : 2 * N_DOF], w)
             for k in range(LANES):
                 e, e_dot = out[n - 1, EXTENSION + w, k], extract_lane(rate, k)
                 observation[k, at + w] = min(max(e, -MAX_EXTENSION), MAX_EXTENSION)
@@ -310,12 +309,12 @@ def _write_optional_groups(parameters, a_xy, out, k_0, observation):
 @kernel(inline=False)
 def _write_truth(parameters, roads, workspace, s, profile, loads):
     """Write stations, heights under the front wheels and tyre loads at the samples."""
+    p = parameters.lane_constants[0]
     for i in range(0, workspace.out.shape[0], parameters.decimation):
         at = i // parameters.decimation
-        station, speed = workspace.s[2 * i], workspace.v[2 * i]
-        sample_roads(parameters.p, roads, station, speed, workspace.scratch, 0)
+        sample_roads(p, roads, workspace.s[2 * i], workspace.v[2 * i], workspace.scratch, 0)
         for k in range(LANES):
-            s[k, at] = station[k]
+            s[k, at] = workspace.s[2 * i, k]
             for side in range(2):
                 profile[k, side, at] = workspace.scratch[side, k]
             for w in range(4):
@@ -350,7 +349,7 @@ def advance_blocks(blocks, state, parameters, inputs, delayed, buffer, output):
             state.delay_line[b], parameters.delay, counts[STEPS_DELAYED], delayed[0], delayed[1]
         )
         lanes = LaneBuffers(
-            parameters.p, parameters.constants, parameters.alpha, parameters.velocity,
+            parameters.lane_constants, parameters.constants, parameters.alpha, parameters.velocity,
             parameters.displacement, state.strut_state[b], q, v,
         )  # fmt: skip
         drive_inputs = DriveInputs(workspace.s, workspace.v, a_xy, delayed[1], h)

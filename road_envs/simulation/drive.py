@@ -135,6 +135,7 @@ class DriveSimulator:
         self._total = int(np.ceil(speed.arrival_time(self.end - self.start) / step))
         self.strut_state = settled_strut_state(byte)
         self.state = self._at_rest()
+        self._vehicle = plant.buffers(self.strut_state)
         # commands that have not reached the valves yet, one per step of delay
         self.delay_line = np.full(round(car.valve.delay / step), byte, dtype=np.uint8)
 
@@ -200,11 +201,10 @@ class DriveSimulator:
         signals = np.empty((n, rosenbrock.n_signals(self.plant)))
         delayed = self.delayed_commands(commands)
         inputs = DriveInputs(s, v, a_xy.ravel(), delayed, self.step)
-        vehicle, surface = self.plant.buffers(self.strut_state), self.surface.buffers
         # no argument for a rigid frame: its kernel then compiles without flexible_step
-        flexible = (True,) if self.plant.flexible else ()
-        lag = self.car.valve.lag
-        rosenbrock.integrate(vehicle, self.state, surface, inputs, lag, signals, *flexible)
+        flexible = (True,) if signals.shape[1] > rosenbrock.N_SIGNALS else ()
+        road, lag = self.surface.buffers, self.car.valve.lag
+        rosenbrock.integrate(self._vehicle, self.state, road, inputs, lag, signals, *flexible)
         t = self.step * (self.steps + np.arange(n))
         self.steps += n
         if not np.isfinite(self.state).all():

@@ -30,10 +30,6 @@ from road_envs.simulation.simd import LANES, get, integer_part, load_four, maxim
 from road_envs.vehicle.equations import PLANT_DTYPE, Motion
 from road_envs.vehicle.suspension import VehicleBuffers
 
-LaneConstants = np.void
-"""Record like `equations.PLANT_DTYPE` with lanes as the last axis of every field. Compiled code
-needs one address for a record; 30 arrays would need 30, more than there are registers."""
-
 _LANE_CONSTANTS = np.dtype(
     [(name, "f8", (*PLANT_DTYPE[name].shape, LANES)) for name in PLANT_DTYPE.names or ()]
 )
@@ -74,16 +70,15 @@ def aligned_copy(array: np.ndarray) -> np.ndarray:
     return copy
 
 
-def _aligned_record(kind: np.dtype) -> np.void:
-    """Return an aligned zero record of a dtype whose fields have lanes as their last axis."""
-    return aligned_zeros(kind.itemsize // (8 * LANES)).reshape(-1).view(kind)[0]
+def transpose_constants(constants: np.ndarray) -> np.ndarray:
+    """Return the constants (LANES,) of LANES vehicles as one record (1,), lanes last in each field.
 
-
-def lane_constants(constants: np.ndarray) -> LaneConstants:
-    """Return LaneConstants from the constants (LANES,) of LANES vehicles."""
-    p = _aligned_record(_LANE_CONSTANTS)
+    Compiled code needs one address for a record; 30 arrays would need 30, more than there are
+    registers.
+    """
+    p = aligned_zeros(_LANE_CONSTANTS.itemsize // (8 * LANES)).reshape(-1).view(_LANE_CONSTANTS)
     for name in PLANT_DTYPE.names or ():
-        p[name][...] = np.moveaxis(constants[name], 0, -1)
+        p[name][0] = np.moveaxis(constants[name], 0, -1)
     return p
 
 
@@ -158,12 +153,13 @@ def front_axle_stations(start, v, done, h, s, speed):
 class LaneBuffers(NamedTuple):
     """LANES vehicles as kernels read them; `strut_state`, `q` and `v` are advanced in place.
 
-    `p`: LaneConstants; the same as an array `constants` (LANES,) and the factors `alpha` (LANES,)
-    of `suspension.advance_valve` for the valves, which move lane by lane; tables `velocity` and
-    `displacement`; `strut_state` (4, 3, LANES); `q`, `v` (7, LANES), (8, LANES) if flexible.
+    `lane_constants` (1,) as of `transpose_constants`; for the valves, which move lane by lane, the
+    same as `constants` (LANES,) and the factors `alpha` (LANES,) of `suspension.advance_valve`;
+    tables `velocity` and `displacement`; `strut_state` (4, 3, LANES); `q`, `v` (7, LANES), or
+    (8, LANES) if flexible.
     """
 
-    p: LaneConstants
+    lane_constants: np.ndarray
     constants: np.ndarray
     alpha: np.ndarray
     velocity: np.ndarray
@@ -180,9 +176,9 @@ def integrate_lanes(lanes, roads, inputs, scratch, columns, out, flexible=None):
     The signals in `columns` (C,) go to `out` (N, C, LANES); `scratch` (SCRATCH_ROWS, LANES).
     `flexible`, if given: the vehicles have flexible frames, so there are 32 signals.
     """
-    p, q, strut_state, alpha, h = lanes.p, lanes.q, lanes.strut_state, lanes.alpha, inputs.h
-    vehicle = VehicleBuffers(p, lanes.velocity, lanes.displacement, strut_state)
-    motion, s, speed = Motion(q, lanes.v), inputs.s, inputs.v
+    p, q, strut_state, alpha = lanes.lane_constants[0], lanes.q, lanes.strut_state, lanes.alpha
+    vehicle = VehicleBuffers(lanes.lane_constants, lanes.velocity, lanes.displacement, strut_state)
+    motion, s, speed, h = Motion(q, lanes.v), inputs.s, inputs.v, inputs.h
     work, road, row = step_workspace(scratch), scratch[WORKSPACE_ROWS:_ROW], scratch[_ROW:]
     last = np.zeros(LANES, dtype=np.uint8)
     at_target = np.zeros(LANES, dtype=np.bool_)
@@ -224,7 +220,7 @@ class _Block:
         lags = np.array([drive.car.valve.lag for drive in lane_drives])
         q, v = np.split(np.stack([drive.state for drive in lane_drives], axis=-1), 2)
         self.lanes = LaneBuffers(
-            p=lane_constants(constants),
+            lane_constants=transpose_constants(constants),
             constants=constants,
             alpha=aligned_copy(1.0 - np.exp(-self.h / lags)),
             velocity=np.concatenate([plant.velocity for plant in plants]),

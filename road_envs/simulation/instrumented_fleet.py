@@ -41,7 +41,12 @@ from road_envs.simulation.control_step import (
     workspace_views,
 )
 from road_envs.simulation.drive import DriveSimulator, Trajectory
-from road_envs.simulation.fleet import aligned_copy, aligned_zeros, lane_constants, thread_pool
+from road_envs.simulation.fleet import (
+    aligned_copy,
+    aligned_zeros,
+    thread_pool,
+    transpose_constants,
+)
 from road_envs.simulation.manoeuvres import Manoeuvre
 from road_envs.simulation.rosenbrock import N_SIGNALS
 from road_envs.simulation.simd import LANES
@@ -108,7 +113,7 @@ class InstrumentedFleet:
         self.rngs: list[np.random.Generator | None] = [None] * (blocks * LANES)
         delay, constants = round(car.valve.delay / step), np.repeat(plant.constants, LANES)
         self.parameters = FleetParameters(
-            p=lane_constants(constants),
+            lane_constants=transpose_constants(constants),
             constants=constants,
             velocity=plant.velocity,
             displacement=plant.displacement,

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Protocol
 
 import numpy as np
+from pydantic import Field
 
-from road_envs.config import ConfigError, Settings, build, validate_choice
+from road_envs.config import ConfigError, Finite, Positive, Settings, build, validate_choice
 
 
 class Manoeuvre(Protocol):
@@ -33,10 +34,10 @@ def _lateral(a_y: np.ndarray) -> np.ndarray:
 class SteadyTurn(Settings):
     """Turn to the left (a_y > 0): build-up, constant lateral acceleration, release."""
 
-    a_y: Annotated[float, "m/s²", "lateral acceleration of the constant phase"] = 3.924
-    begin: Annotated[float, "s", "time at which the turn begins"] = 1.0
-    build_up: Annotated[float, "s", "duration of the build-up, and of the release"] = 1.0
-    hold: Annotated[float, "s", "duration of the constant phase"] = np.inf
+    a_y: Annotated[Finite, "m/s²", "lateral acceleration of the constant phase"] = 3.924
+    begin: Annotated[Finite, "s", "time at which the turn begins"] = 1.0
+    build_up: Annotated[Positive, "s", "duration of the build-up, and of the release"] = 1.0
+    hold: Annotated[float, Field(ge=0), "s", "duration of the constant phase"] = np.inf
 
     def at(self, t: np.ndarray) -> np.ndarray:
         """Return a_x and a_y (N, 2) [m/s²] at the times `t` (N,) [s]."""
@@ -54,11 +55,13 @@ class LaneChange(Settings):
     over the length of its section at speed `v`.
     """
 
-    v: Annotated[float, "m/s", "speed through the track"] = 15.0
-    begin: Annotated[float, "s", "time at which the first section is entered"] = 1.0
-    offset: Annotated[float, "m", "lateral offset of the lane"] = 3.5
+    v: Annotated[Positive, "m/s", "speed through the track"] = 15.0
+    begin: Annotated[Finite, "s", "time at which the first section is entered"] = 1.0
+    offset: Annotated[Finite, "m", "lateral offset of the lane"] = 3.5
     sections: Annotated[
-        tuple[float, float, float], "m", "lengths: out, straight, back (ISO 3888-1:2018, table 1)"
+        tuple[Positive, Positive, Positive],
+        "m",
+        "lengths: out, straight, back (ISO 3888-1:2018, table 1)",
     ] = (30.0, 25.0, 25.0)
 
     def at(self, t: np.ndarray) -> np.ndarray:
@@ -76,9 +79,9 @@ class LaneChange(Settings):
 class Slalom(Settings):
     """Sinusoidal lateral acceleration, with a smooth start over the first period."""
 
-    a_y: Annotated[float, "m/s²", "amplitude"] = 3.0
-    period: Annotated[float, "s", "period of the sine"] = 3.0
-    begin: Annotated[float, "s", "time at which it begins"] = 1.0
+    a_y: Annotated[Finite, "m/s²", "amplitude"] = 3.0
+    period: Annotated[Positive, "s", "period of the sine"] = 3.0
+    begin: Annotated[Finite, "s", "time at which it begins"] = 1.0
 
     def at(self, t: np.ndarray) -> np.ndarray:
         """Return a_x and a_y (N, 2) [m/s²] at the times `t` (N,) [s]."""
@@ -90,10 +93,10 @@ class Slalom(Settings):
 class Braking(Settings):
     """Braking as it acts on the body only; a SpeedProfile changes the speed and has its own a_x."""
 
-    a_x: Annotated[float, "m/s²", "deceleration, as a positive number"] = 4.0
-    begin: Annotated[float, "s", "time at which the brake is applied"] = 1.0
-    build_up: Annotated[float, "s", "duration of the build-up, and of the release"] = 0.3
-    hold: Annotated[float, "s", "duration of the constant phase"] = 2.0
+    a_x: Annotated[Finite, "m/s²", "deceleration, as a positive number"] = 4.0
+    begin: Annotated[Finite, "s", "time at which the brake is applied"] = 1.0
+    build_up: Annotated[Positive, "s", "duration of the build-up, and of the release"] = 0.3
+    hold: Annotated[float, Field(ge=0), "s", "duration of the constant phase"] = 2.0
 
     def at(self, t: np.ndarray) -> np.ndarray:
         """Return a_x and a_y (N, 2) [m/s²] at the times `t` (N,) [s]."""

@@ -207,7 +207,7 @@ def step(vehicle, motion, inputs, h, work, out, twist=None):
     The signals at t go to `out` (29,). `twist`, if given: the frame's twist [rad] and its rate at
     t and at t + h/2 (4 numbers). With LANES vehicles every array has the lanes as its last axis.
     """
-    hd, p = h * D, vehicle.p
+    hd, p = h * D, vehicle.constants[0]
     (q, v), (road, a_xy) = motion, inputs
     f, g, r, k_q = work.f, work.g, work.r, work.k_q
     F, T, dF, dT = work.F, work.T, work.dF, work.dT
@@ -301,7 +301,7 @@ def flexible_step(vehicle, motion, inputs, h, work, out):
     the twist. The formula keeps order 2 with any matrix in place of the Jacobian, since
     k_2 = F(t + h/2, y + h k_1 / 2) + O(h²) still holds, and the omitted coupling is not stiff.
     """
-    hd, p = h * D, vehicle.p
+    hd, p = h * D, vehicle.constants[0]
     q, v = motion
     inertia, rate, damping = get(p.frame_inertia), get(p.frame_rate), get(p.frame_damping)
     inverse = 1.0 / (inertia + hd * (damping + hd * rate))
@@ -352,7 +352,7 @@ def state_rate(vehicle, surface, s, v, y, out):
     flexible vehicle `y` and `out` are (16,).
     """
     road, n = np.empty(8), y.size // 2
-    sample_road(vehicle.p, surface, s, v, road)
+    sample_road(vehicle.constants[0], surface, s, v, road)
     out[:n] = y[n:]
     accelerations(vehicle, Motion(y[:n], y[n:]), road[:4], road[4:], out[n:])
 
@@ -383,7 +383,7 @@ def integrate(vehicle, y, surface, inputs, lag, out, flexible=None):
     `surface`: SurfaceBuffers; `lag` [s]: time constant of the valves. `out` (N, 29): the signals at
     the beginning of each step. Of a `flexible` vehicle `y` is (16,) and `out` (N, 32).
     """
-    p, work, road = vehicle.p, workspace(), np.empty(16)
+    p, work, road = vehicle.constants[0], workspace(), np.empty(16)
     s, v, a_xy, commands, h = inputs
     motion = Motion(y[: y.size // 2], y[y.size // 2 :])
     alpha = 1.0 - np.exp(-h / lag)

@@ -71,7 +71,7 @@ TAPE_ROW_SIZE = 74
 def step_with_derivative(vehicle, motion, inputs, h, work, out, row):
     """Take `rosenbrock.step`, same arguments; write its derivative to `row` (TAPE_ROW_SIZE,)."""
     step(vehicle, motion, inputs, h, work, out)
-    p, road, hd, before = vehicle.p, inputs.road, h * D, out[N_DOF : 2 * N_DOF]
+    p, road, hd, before = vehicle.constants[0], inputs.road, h * D, out[N_DOF : 2 * N_DOF]
     for w in range(4):
         e, e_dot = out[EXTENSION + w], extension(p, before, w)
         # `step` leaves k and s = h d c + (h d)² k in its scratch: no second call of strut_force
@@ -266,7 +266,9 @@ def integrate_with_derivative(vehicle, y, inputs, out, rows):
     alpha = 1.0 - np.exp(-h / inputs.lag)
     for n in range(rows.shape[0]):
         if inputs.commands.size > 0:
-            update_valves(vehicle.p, vehicle.strut_state, motion.q, inputs.commands[n], alpha, h)
+            update_valves(
+                vehicle.constants[0], vehicle.strut_state, motion.q, inputs.commands[n], alpha, h
+            )
         step_inputs = StepInputs(inputs.road[n], inputs.a_xy[n])
         step_with_derivative(vehicle, motion, step_inputs, h, work, out[n], rows[n])
 

@@ -89,7 +89,7 @@ class Plant:
 
     def buffers(self, strut_state: np.ndarray) -> VehicleBuffers:
         """Return what kernels take, with the strut state (4, 3), which they may advance."""
-        return VehicleBuffers(self.constants[0], self.velocity, self.displacement, strut_state)
+        return VehicleBuffers(self.constants, self.velocity, self.displacement, strut_state)
 
     @property
     def flexible(self) -> bool:
@@ -273,7 +273,7 @@ def accelerations(vehicle, motion, z_r, w_r, out, a_x=0.0, a_y=0.0):
     `z_r`, `w_r` (4,): road height [m] and its rate [m/s] under each wheel; `a_x`, `a_y` [m/s²]:
     accelerations of a manoeuvre.
     """
-    p, F, T = vehicle.p, np.empty(4), np.empty(4)
+    p, F, T = vehicle.constants[0], np.empty(4), np.empty(4)
     q, v = motion
     flexible = q.size > N_DOF
     psi, psi_dot = (q[N_DOF], v[N_DOF]) if flexible else (0.0, 0.0)
@@ -303,7 +303,7 @@ def stiffness_and_damping(vehicle, motion, z_r, w_r, K, C):
 
     With a flexible frame both matrices are (8, 8). Arguments as for `accelerations`.
     """
-    p, k, c, k_t, c_t = vehicle.p, np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    p, k, c, k_t, c_t = vehicle.constants[0], np.empty(4), np.empty(4), np.empty(4), np.empty(4)
     q, v = motion
     flexible = q.size > N_DOF
     psi, psi_dot = (q[N_DOF], v[N_DOF]) if flexible else (0.0, 0.0)

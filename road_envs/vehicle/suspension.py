@@ -55,11 +55,12 @@ is open and equals e_2 once it is closed."""
 class VehicleBuffers(NamedTuple):
     """One vehicle, or LANES of them, as kernels read it: its constants and laws of the struts.
 
-    `p` is a record of `equations.PLANT_DTYPE`; `velocity` and `displacement` are the tables of an
-    `equations.Plant`; `strut_state` (4, 3) selects among them and may be advanced in place.
+    `constants` (1,) of `equations.PLANT_DTYPE`, or with a last axis of lanes in each field;
+    `velocity` and `displacement`: the tables of an `equations.Plant`; `strut_state` (4, 3) selects
+    among them and may be advanced in place.
     """
 
-    p: np.void
+    constants: np.ndarray
     velocity: np.ndarray
     displacement: np.ndarray
     strut_state: np.ndarray
@@ -153,8 +154,9 @@ def gas_spring(p, w, column):
 @kernel
 def gas_column(vehicle, w, e):
     """Return the gas column [m] of strut `w`'s first accumulator and its derivative by `e`."""
-    share = 1.0 - get(vehicle.strut_state, w, VALVE_OPEN) * get(vehicle.p.r_2)
-    return get(vehicle.p.x_1) + share * e - get(vehicle.strut_state, w, HELD_EXTENSION), share
+    p, strut_state = vehicle.constants[0], vehicle.strut_state
+    share = 1.0 - get(strut_state, w, VALVE_OPEN) * get(p.r_2)
+    return get(p.x_1) + share * e - get(strut_state, w, HELD_EXTENSION), share
 
 
 @kernel
@@ -194,7 +196,8 @@ def valves_settled(strut_state, w, setting):
 @kernel
 def damping_force(vehicle, w, e_dot):
     """Return damper plus friction force [N] and its derivative by the rate of extension [N s/m]."""
-    high, ride = get(vehicle.strut_state, w, DAMPING_HIGH), get(vehicle.p.velocity_table, w)
+    high = get(vehicle.strut_state, w, DAMPING_HIGH)
+    ride = get(vehicle.constants[0].velocity_table, w)
     if is_zero_or_one(high):
         return interpolate_table(vehicle.velocity, ride + high, V_0, V_STEP, e_dot)
     F_0, c_0 = interpolate_table(vehicle.velocity, ride, V_0, V_STEP, e_dot)
@@ -206,7 +209,7 @@ def damping_force(vehicle, w, e_dot):
 @kernel
 def strut_force(vehicle, w, e, e_dot):
     """Return force [N], stiffness -dF/de [N/m] and damping -dF/de_dot [N s/m] of strut `w`."""
-    p = vehicle.p
+    p = vehicle.constants[0]
     column, share = gas_column(vehicle, w, e)
     gas, slope = gas_spring(p, w, column)
     damper, c = damping_force(vehicle, w, e_dot)
@@ -217,13 +220,13 @@ def strut_force(vehicle, w, e, e_dot):
 @kernel
 def strut_curvature(vehicle, w, e, e_dot):
     """Return d stiffness/de [N/m²] and d damping/de_dot [N s²/m²] of a strut."""
-    p, ride = vehicle.p, get(vehicle.p.velocity_table, w)
+    p = vehicle.constants[0]
     column, share = gas_column(vehicle, w, e)
     _, slope = gas_spring(p, w, column)
     bend = -(get(p.n_p) + 1.0) * slope / maximum(column, get(p.column_min))
     gas = if_positive(column - get(p.column_min), bend, 0.0)
     stop = second_derivative(vehicle.displacement, get(p.displacement_table, w), E_0, E_STEP, e)
-    high = get(vehicle.strut_state, w, DAMPING_HIGH)
+    high, ride = get(vehicle.strut_state, w, DAMPING_HIGH), get(p.velocity_table, w)
     c_0 = second_derivative(vehicle.velocity, ride, V_0, V_STEP, e_dot)
     c_1 = second_derivative(vehicle.velocity, ride + 1.0, V_0, V_STEP, e_dot)
     return stop - share * share * gas, (1.0 - high) * c_0 + high * c_1

@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs/tutorials").glob("*.md"))]
 
 EXAMPLES = {
-    "simulate_and_reconstruct": ([], ["drive.png", "estimate.png"]),
+    "simulate_and_reconstruct": (["--compare", "fir_ridge"], ["drive.png", "estimate.png"]),
     "own_estimator": (["--roads", "1"], ["own_estimator.png"]),
     "board_from_python": (
         ["--roads", "1", "--estimators", "fir_ridge", "inverse_quarter_car"],

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import re
 from functools import cache
 
 import numpy as np
@@ -241,7 +240,7 @@ def test_the_test_road_is_also_driven_by_the_car_of_the_training():
     assert found == pytest.approx((0.4, 0.2))
 
 
-def test_the_report_is_written_as_page_pdf_and_json(tmp_path, monkeypatch):
+def test_the_report_is_written_as_page_and_json(tmp_path, monkeypatch):
     few = [
         figure
         for figure in paper_figures(made())
@@ -250,7 +249,7 @@ def test_the_report_is_written_as_page_pdf_and_json(tmp_path, monkeypatch):
     monkeypatch.setattr(
         report, "paper_figures", lambda found: few
     )  # the tests above draw all of them
-    page, pdf, numbers = report.write_report(made(), tmp_path, "road-recon paper --trainings 3")
+    page, numbers = report.write_report(made(), tmp_path, "road-recon paper --trainings 3")
     text = page.read_text()
     parser = HtmlChecker()
     parser.feed(text)
@@ -259,9 +258,7 @@ def test_the_report_is_written_as_page_pdf_and_json(tmp_path, monkeypatch):
     for name in ("Figure 3.", "Figure 6.", "Spread.", "agree", "--trainings 3"):
         assert name in text
     assert f"{100 * made().paving[0].iq_mean(study.EQ_12_RAW):.1f}" in text
-    content = pdf.read_bytes()
-    assert content.startswith(b"%PDF") and len(re.findall(rb"/Type /Page\b", content)) > 3
-    assert len(text) < 3e6 and len(content) < 2e6
+    assert len(text) < 3e6
     data = json.loads(numbers.read_text())
     assert len(data["cases"]) == 8 and data["command"].endswith("--trainings 3")
     first = data["cases"][0]["trainings"][0]

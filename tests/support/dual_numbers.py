@@ -78,11 +78,13 @@ def main(cases, derivatives):
     end, signals = [], []
     for i in range(int(given["n_cases"])):
         case = {key.split("/")[1]: given[key] for key in given if key.startswith(f"{i}/")}
-        p = np.frombuffer(case["constants"].tobytes(), dtype=PLANT_DTYPE).view(np.recarray)[0]
+        constants = np.frombuffer(case["constants"].tobytes(), dtype=PLANT_DTYPE).view(np.recarray)
         work = rosenbrock.step_workspace(np.empty(rosenbrock.WORKSPACE_ROWS, dtype=object))
         y, out = duals(case["y"], case["dy"]), np.empty(rosenbrock.N_SIGNALS, dtype=object)
         inputs = rosenbrock.StepInputs(duals(case["road"], case["droad"]), case["a_xy"])
-        vehicle = VehicleBuffers(p, case["velocity"], case["displacement"], case["strut_state"])
+        vehicle = VehicleBuffers(
+            constants, case["velocity"], case["displacement"], case["strut_state"]
+        )
         rosenbrock.step(vehicle, Motion(y[:7], y[7:]), inputs, float(case["h"]), work, out)
         end.append([dual(a).d for a in y])
         signals.append([dual(a).d for a in out])

@@ -30,11 +30,11 @@ def make_simulator(name, mode, surface=GENTLE, step=0.001):
 def equations(simulator):
     """Return functions of time for a drive: rate (14,), Jacobian (14, 14) and road (8,)."""
     vehicle = simulator.plant.buffers(simulator.strut_state)
-    surface = simulator.surface.buffers
+    constants, surface = vehicle.constants[0], simulator.surface.buffers
 
     def road(t):
         under = np.empty(8)
-        rosenbrock.sample_road(vehicle.p, surface, simulator.start + SPEED * t, SPEED, under)
+        rosenbrock.sample_road(constants, surface, simulator.start + SPEED * t, SPEED, under)
         return under
 
     def rate(t, y):

@@ -70,7 +70,7 @@ def test_a_strut_force_is_the_sum_of_its_five_components(name, w, strut_state, e
 @given(strut_states, st.floats(-0.2, 0.2), st.floats(-3.0, 3.0))
 def test_compiled_and_interpreted_strut_forces_agree(strut_state, e, e_dot):
     plant = PLANTS["unequal_axles"]
-    plain = plant.buffers(strut_state)._replace(p=plant.constants.view(np.recarray)[0])
+    plain = plant.buffers(strut_state)._replace(constants=plant.constants.view(np.recarray))
     expected = strut_force.py_func(plain, 2, e, e_dot)
     actual = force(strut_state, e, e_dot, 2, "unequal_axles")
     np.testing.assert_allclose(actual, expected, rtol=1e-12, atol=1e-9)
