@@ -9,15 +9,17 @@
 `simulate_record` is in `road_envs`, `estimate` in `estimators`.
 """
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import estimators
+from estimators.api import Estimator
 from leaderboard.evaluation import evaluate
 from leaderboard.evaluation.tasks import Task, load_task
-from leaderboard.metrics.registry import SCORES, compute_scores
+from leaderboard.metrics.registry import PRINTED_SCORES, SCORES, compute_scores
 from road_envs._extras import optional_import
 from road_envs.config import ConfigError
 from road_envs.data.record import Estimate, Profile
@@ -30,20 +32,20 @@ class ScoreTable:
     values: dict[str, float]
 
     def __getitem__(self, key: str) -> float:
-        """Return the score of a key in SI units, not as printed."""
+        """Return the score of a key as computed, not scaled for printing."""
         return self.values[key]
 
-    def rows(self) -> list[tuple[str, str, str]]:
-        """Return key, text with unit and label of each defined score."""
-        rows = [(key, SCORES[key], value) for key, value in self.values.items()]
+    def rows(self, keys: Iterable[str] = PRINTED_SCORES) -> list[tuple[str, str, str]]:
+        """Return key, text with unit and label of each defined score of `keys`."""
+        rows = [(key, SCORES[key], self.values.get(key, math.nan)) for key in keys]
         return [
             (key, f"{form.format_value(value)} {form.unit}".strip(), form.label)
             for key, form, value in rows
-            if value == value  # not NaN
+            if math.isfinite(value)
         ]
 
     def __str__(self) -> str:
-        """Return the table as text, a score on each line."""
+        """Return the main scores as text, one on each line; `to_pandas` has them all."""
         return "\n".join(f"{label:<42}{text:>12}   {key}" for key, text, label in self.rows())
 
     def to_pandas(self) -> Any:
@@ -87,7 +89,7 @@ def plot(
 
 def run_task(
     task: str | Path | Task,
-    names: Sequence[str],
+    entries: Sequence[str] | Mapping[str, str | Estimator],
     *,
     roads: int | None = None,
     seeds: Sequence[int] = (1,),
@@ -95,12 +97,13 @@ def run_task(
 ) -> Any:
     """Evaluate estimators on a task in this process; return a DataFrame, a row per estimated drive.
 
-    `names` are registered names, files of `train` or "module:Class"; `roads` is the number of test
+    `entries` are registered names, files of `train` or "module:Class", or a mapping from the names
+    of the rows to these or to estimators; `roads` is the number of test
     drives per condition, `seeds` are those of trainings. `report` is called with each step as it
-    begins. An estimator that fails has one row with the reason under `failure`. Scores are in SI
-    units, with the labels of SCORES as `table.attrs["labels"]`. For estimators of other people use
-    `road-recon leaderboard`, which runs each in a process of its own. Raises ConfigError, and
-    MissingExtraError without pandas.
+    begins. An estimator that fails has one row with the reason under `failure`. Columns are keys of
+    SCORES, which has their units; their labels are in `table.attrs["labels"]`. For estimators of
+    other people use `road-recon leaderboard`, which runs each in a process of its own. Raises
+    ConfigError, and MissingExtraError without pandas.
     """
     with optional_import("a DataFrame"):
         import pandas
@@ -108,7 +111,11 @@ def run_task(
     chosen = task if isinstance(task, Task) else load_task(task)
     if roads is not None:
         chosen = chosen.with_test_drives(roads)
-    made = {name: estimators.make_estimator(name) for name in names}
+    named = entries if isinstance(entries, Mapping) else {name: name for name in entries}
+    made = {
+        name: estimators.make_estimator(entry) if isinstance(entry, str) else entry
+        for name, entry in named.items()
+    }
     rows: list[dict[str, Any]] = []
     for result in evaluate.run_task(chosen, made, seeds, report=report):
         if result.failure is not None:

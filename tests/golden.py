@@ -64,9 +64,8 @@ def numbers() -> Iterator[tuple[str, np.ndarray]]:
         n = drive.steps_left
         yield f"field {grade}", drive.advance(np.full(n, encode_command("ride"), np.uint8)).signals
         record, truth = simulate_record(
-            surface, vehicle=car, speed_kmh=14.5, mode="ride", instruments=load_instruments("paper"),
-            seed=5, grade=grade,
-        )  # fmt: skip
+            surface, vehicle=car, speed_kmh=14.5, mode="ride", seed=5, grade=grade
+        )
         yield f"record {grade}", np.concatenate([record.a.ravel(), record.s, record.v])
         yield f"truth {grade}", truth.z
     drives = [DriveSimulator(build_plant(car), car, surface, 5.0 + k, MIXED) for k in range(5)]

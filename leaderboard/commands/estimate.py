@@ -14,7 +14,7 @@ from estimators.roughness.rms_regression import RmsRoughness, RoughnessEstimate
 from estimators.wiener.segments import dominant_modes
 from leaderboard.commands import check_output_path, console, parse_mode, parse_settings, print_json
 from leaderboard.commands.simulate import Json, Sensors, Vehicle, print_facts, print_notes
-from leaderboard.metrics.registry import SCORES, UNDEFINED, compute_scores
+from leaderboard.metrics.registry import PRINTED_SCORES, SCORES, UNDEFINED, compute_scores
 from leaderboard.report import plots
 from road_envs.config import ConfigError, validate_choice
 from road_envs.data.measured_record import MeasuredRecord, read_measured_record
@@ -35,13 +35,6 @@ Mode = Annotated[
     typer.Option(help="4S4 mode of a measured drive: ride, handling, ..., or front=..,rear=.."),
 ]
 Speed = Annotated[float | None, typer.Option(help="Speed of a measured drive in km/h.", min=0.1)]
-PRINTED_SCORES = (
-    "nrmse", "nrmse_left", "nrmse_right", "r", "coherence", "level_error", "level_error_raw",
-    "class_exact", "fitted_class", "dsd_distance_db", "iri_error", "bump_recall",
-    "bump_precision", "coverage_50", "coverage_90",
-)  # fmt: skip
-"""Scores in the printed table; `--json` prints all."""
-
 METHODS = ["spectral", "rms"]
 DB_PER_LOG = 4.34
 """10 / ln 10: decibels per unit of the natural logarithm of a PSD."""

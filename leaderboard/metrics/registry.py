@@ -86,6 +86,14 @@ SCORES = {
 }
 
 
+PRINTED_SCORES = (
+    "nrmse", "nrmse_left", "nrmse_right", "r", "coherence", "level_error", "level_error_raw",
+    "class_exact", "fitted_class", "dsd_distance_db", "iri_error", "bump_recall",
+    "bump_precision", "coverage_50", "coverage_90",
+)  # fmt: skip
+"""Scores that are printed of one estimate; there are three times as many."""
+
+
 def compute_scores(
     truth: Profile, estimate: Estimate, v: float, bumps: bool, bound: float | None = None
 ) -> dict[str, float]:

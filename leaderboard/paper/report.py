@@ -27,9 +27,6 @@ ABOUT = (
     "published. They are replaced by drives of the field car {grade}, which differs from the car "
     "of the training and has sensor faults, and repeated with the car of the training (S0)."
 )
-PAGE = (8.27, 11.69)
-"""A4 [inch]."""
-
 
 DrawnFigure = tuple[PaperFigure, Any]
 """A figure of the paper, and its matplotlib figure."""

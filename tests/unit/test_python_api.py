@@ -1,0 +1,108 @@
+"""The Python interface: simulate, estimate, score, plot and run a task in a few lines."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from fakes import Broken, Reader, task
+
+from estimators import create, estimate, make_estimator
+from leaderboard import plot, run_task, score
+from leaderboard.metrics.registry import PRINTED_SCORES, SCORES, compute_scores
+from road_envs import simulate_record
+from road_envs.config import ConfigError
+from road_envs.data.record import Estimate
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return simulate_record("iso_d", speed_kmh=36.0, mode="handling", seed=1, length=40.0)
+
+
+def test_a_drive_is_simulated_and_scored_in_three_lines(drive):
+    record, truth = drive
+    result = estimate("fir_ridge", record)
+    table = score(result, truth)
+    expected = compute_scores(truth, result, float(np.median(record.v)), bumps=True)
+    np.testing.assert_equal(table.values, expected)
+    assert table["nrmse"] < 0.6 and result.speed == pytest.approx(10.0, rel=0.01)
+    lines = str(table).splitlines()
+    assert 5 < len(lines) <= len(PRINTED_SCORES) and "in-band NRMSE" in lines[0]
+
+
+def test_the_same_seed_gives_the_same_drive_and_another_seed_another_road(drive):
+    record, truth = drive
+    again, _ = simulate_record("iso_d", speed_kmh=36.0, mode="handling", seed=1, length=40.0)
+    _, other = simulate_record("iso_d", speed_kmh=36.0, mode="handling", seed=2, length=40.0)
+    np.testing.assert_array_equal(again.a, record.a)
+    assert np.abs(other.z - truth.z).max() > 0.001
+
+
+def test_the_table_of_scores_converts_to_pandas_in_printed_units(drive):
+    record, truth = drive
+    table = score(estimate("flat", record), truth)
+    frame = table.to_pandas()
+    assert list(frame.columns) == ["label", "value", "unit"] and frame.index.is_unique
+    assert frame.loc["nrmse", "value"] == pytest.approx(1.0)
+    assert frame.loc["level_error", "value"] == pytest.approx(100.0)  # [%]
+    assert frame.loc["level_error", "unit"] == "%"
+
+
+def test_an_estimate_without_speed_or_on_other_stations_is_refused(drive):
+    _, truth = drive
+    bare = Estimate(truth.s, truth.z)
+    with pytest.raises(ConfigError, match="give the speed of its drive as speed_kmh"):
+        score(bare, truth)
+    assert score(bare, truth, speed_kmh=36.0)["nrmse"] == 0.0
+    short = Estimate(truth.s[:-5], truth.z[:, :-5], speed=10.0)
+    with pytest.raises(ConfigError, match="both must be on the same ones"):
+        score(short, truth)
+    with pytest.raises(ConfigError, match="both must be on the same ones"):
+        plot(short, truth)
+
+
+def test_a_plot_is_a_figure_with_both_paths_raw_and_in_band(drive):
+    record, truth = drive
+    figure = plot(estimate("fir_ridge", record), truth)
+    assert [axes.get_ylabel() for axes in figure.axes] == [
+        f"{side}{band} [mm]" for side in ("left", "right") for band in ("", ", in band")
+    ]
+    (truth_line, _) = figure.axes[0].lines[:2]
+    np.testing.assert_allclose(truth_line.get_ydata(), 1000.0 * truth.z[0])
+
+
+def test_settings_belong_to_names_and_not_to_objects_or_files(drive):
+    record, _ = drive
+    with pytest.raises(ConfigError, match="need an estimator by name"):
+        estimate(create("flat"), record, reach=3.0)
+    with pytest.raises(ConfigError, match="takes no others"):
+        make_estimator("model.npz", reach=3.0)
+    assert type(make_estimator("fakes:Reader", gain=0.5)) is Reader
+
+
+def test_a_task_gives_a_row_for_each_drive_and_one_for_a_failure():
+    short = task(test={"roads": ["iso_d"], "seeds": [11, 12], "length": 40.0})
+    steps = []
+    table = run_task(
+        short, {"zero": "flat", "mine": Reader(gain=0.0), "bad": Broken(how="nan")}, roads=1,
+        report=steps.append,
+    )  # fmt: skip
+    drives = table[table.estimator != "bad"]
+    assert list(drives.estimator) == ["zero"] * 2 + ["mine"] * 2
+    assert drives.nrmse.tolist() == pytest.approx([1.0] * 4)
+    assert set(drives.condition) == {c.label for c in short.conditions}
+    (failed,) = table[table.estimator == "bad"].failure
+    assert "must be finite" in failed and len(steps) == 8
+    assert set(SCORES) & set(table.columns) and table.attrs["labels"]["nrmse"] == "in-band NRMSE"
+    with pytest.raises(ConfigError, match="number of drives must be 1 to 2, got 3"):
+        run_task(short, ["flat"], roads=3)
+
+
+def test_importing_the_packages_loads_neither_kernels_nor_plots():
+    code = (
+        "import sys, road_envs, leaderboard\n"
+        "print([m for m in ('numba', 'torch', 'matplotlib', 'pandas') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout.strip() == "[]"
