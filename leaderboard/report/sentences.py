@@ -7,6 +7,7 @@ import numpy as np
 
 from leaderboard.metrics import heights
 from leaderboard.metrics.registry import EQ_12_RAW, STATE_LIMITS
+from leaderboard.report.board_definitions import WORST
 from leaderboard.report.tables import TRAINING_STATES, BoardView, Row
 from road_envs.data.record import PROFILE_SPACING, profile_stations
 from road_envs.roads import load_road
@@ -120,24 +121,28 @@ def _best_sentence(views: Sequence[BoardView]) -> str:
     best = min(names, key=lambda name: (_mean(by_name[name], "nrmse"), name))
     found = by_name[best]
     bound = list(_rows(views, "new_road", "bound"))
-    limit = f" (bound of linear estimators: {_mean(bound, 'nrmse'):.2f})" if bound else ""
+    limit = f", where the linear bound is {_mean(bound, 'nrmse'):.3f}" if bound else ""
     return (
-        f"The best entry there is {best}: in-band error {_mean(found, 'nrmse'):.2f}{limit}, "
-        f"correlation {_mean(found, 'r'):.2f}, {_percent(_mean(found, 'class_exact'), 0)} of "
-        "octaves in the true ISO class."
+        f"The best entry there is {best}: in-band error {_mean(found, 'nrmse'):.3f}{limit}, "
+        f"{_worst(found):.2f} on its worst drive, correlation {_mean(found, 'r'):.2f}."
     )
+
+
+def _worst(rows: Sequence[Row]) -> float:
+    """Return the error of the worst drive of an entry."""
+    return max(row.values.get(WORST) or 0.0 for row in rows)
 
 
 def _causal_sentence(views: Sequence[BoardView]) -> str:
     found = [row for row in _rows(views, "new_road") if row.state == "scored" and row.causal]
     if not found:
         return ""
-    errors = {
-        row.name: _mean([other for other in found if other.name == row.name], "nrmse")
-        for row in found
-    }
-    best = min(errors, key=lambda name: (errors[name], name))
-    return f"The best causal entry is {best}: in-band error {errors[best]:.2f}."
+    by_name = {row.name: [other for other in found if other.name == row.name] for row in found}
+    best = min(by_name, key=lambda name: (_mean(by_name[name], "nrmse"), name))
+    return (
+        f"The best causal entry is {best}: in-band error {_mean(by_name[best], 'nrmse'):.3f}, "
+        f"{_worst(by_name[best]):.2f} on its worst drive."
+    )
 
 
 def _other_cars(views: Sequence[BoardView], board: str) -> set[str]:
