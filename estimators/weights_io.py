@@ -19,8 +19,8 @@ import numpy as np
 from estimators import pretrained_weights
 from estimators.api import Estimator, Trainable
 from estimators.registry import available, create
-from road_envs import __version__
 from road_envs._atomic_io import atomic_write
+from road_envs._version import __version__
 
 FORMAT = "roadrecon estimator 1"
 WEIGHT_PREFIX = "weights."

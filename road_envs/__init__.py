@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
+from road_envs._version import __version__
+
 if TYPE_CHECKING:
     from road_envs.data.record import Estimate, Profile, Record
     from road_envs.data.recording import simulate_record
     from road_envs.roads import load_road
     from road_envs.vehicle.parameters import load_vehicle
-
-__version__ = "0.2.0"
 
 ID = "RoadRecon-v0"
 
@@ -29,7 +29,16 @@ _PUBLIC = {
 }
 """Names of the Python interface, by the module that is imported when one is first used."""
 
-__all__ = ["ID", "Estimate", "Profile", "Record", "load_road", "load_vehicle", "simulate_record"]
+__all__ = [
+    "ID",
+    "Estimate",
+    "Profile",
+    "Record",
+    "__version__",
+    "load_road",
+    "load_vehicle",
+    "simulate_record",
+]
 
 if ID not in gymnasium.registry:
     gymnasium.register(
