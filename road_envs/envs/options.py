@@ -47,6 +47,9 @@ Speed = Annotated[float, Field(gt=0, le=200)]
 MAX_OBSERVED_SPEED = 100.0
 """Upper limit of the observed speed [m/s]."""
 
+_bound_tables: dict[tuple[str, str, tuple[float, ...], tuple[str, ...]], BoundTable] = {}
+"""Tables that were computed, by all that they depend on."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Weights(Settings):
@@ -179,7 +182,12 @@ class EnvSetup:
             speeds = np.linspace(speeds[0], speeds[-1], 5)  # the table interpolates in between
         used = {f[axle] for f in map(_axle_modes, ACTIONS[self.options.control]) for axle in f}
         modes = tuple(mode for mode in MODES if mode in used)
-        return BoundTable.tabulate(self.car, self.instruments, RoadPrior(), speeds, modes)
+        # half a second each: shared by all environments of one vehicle, its instruments and speeds
+        key = repr(self.car), repr(self.instruments), tuple(speeds), modes
+        if key not in _bound_tables:
+            table = BoundTable.tabulate(self.car, self.instruments, RoadPrior(), speeds, modes)
+            _bound_tables[key] = table
+        return _bound_tables[key]
 
     def unresolved_variance_by_command(self, v: float) -> np.ndarray:
         """Return the unresolved share (256,) [-] of the road's variance at `v` [m/s].
