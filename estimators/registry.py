@@ -11,7 +11,7 @@ estimator is then available as `my_estimator`:
 from typing import Any
 
 from estimators.api import Estimator, Pretrained, check_class
-from estimators.baselines.flat import Flat
+from estimators.baselines.flat import FlatEstimator
 from estimators.baselines.mean import Mean
 from estimators.baselines.random_road import UnrelatedRoad
 from estimators.kalman.estimators import Kalman, KalmanLag, KalmanRts
@@ -43,7 +43,7 @@ ENTRY_POINT_GROUP = "road_envs.estimators"
 """Entry-point group in which other packages declare estimators."""
 
 REGISTRY: dict[str, type[Estimator]] = {
-    "flat": Flat,
+    "flat": FlatEstimator,
     "mean": Mean,
     "unrelated_road": UnrelatedRoad,
     "static_lm": StaticLm,

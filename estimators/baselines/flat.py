@@ -12,7 +12,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flat:
+class FlatEstimator:
     """Zero everywhere; its in-band error is the level of the truth by definition."""
 
     __pydantic_config__ = STRICT

@@ -30,7 +30,7 @@ import numpy as np
 from estimators.common.block_means import MIN_NOISE_DENSITY
 from estimators.common.model_inputs import MOVING_STD, REST_STD, build_model_inputs, rest_state
 from estimators.common.spline import evaluate_spline
-from estimators.map_smoother.gauss_newton import NOISE_SCALE_WARNING, Solution, minimize
+from estimators.map_smoother.gauss_newton import NOISE_SCALE_WARNING, MapSolution, minimize
 from estimators.map_smoother.objective import MeasurementModel, Objective
 from estimators.map_smoother.posterior_sampling import posterior_std
 from estimators.map_smoother.preconditioner import stationary_hessian
@@ -105,7 +105,7 @@ class MapSmoother:
         blocks //= drive.block_size
         windows = split_windows(blocks, round(self.window * rate), round(self.overlap * rate))
 
-        def solve(objective: Objective) -> tuple[Solution, np.ndarray]:
+        def solve(objective: Objective) -> tuple[MapSolution, np.ndarray]:
             stationary = stationary_hessian(objective)
             solution = minimize(
                 objective, stationary, huber=self.huber, adapt_prior=self.adapt_prior

@@ -41,7 +41,7 @@ MAX_LIFTOFF_RETRIES, LIFTOFF_STEPS = 2, 5
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class MapSolution:
     """Result of the minimization: the final `linearization`, the preconditioner's `stationary`
     Hessian, the `noise_scale` on the instruments' noise variance, and the `steps` and
     `cg_iterations` taken.
@@ -64,7 +64,7 @@ def minimize(
     cost_tolerance: float = 1e-2,
     adapt_prior: bool = True,
     report: Callable[[str, Linearization], None] = lambda text, lin: None,
-) -> Solution:
+) -> MapSolution:
     """Minimize the objective, from a level road on.
 
     `huber`: standard deviations beyond which a block mean is down-weighted. Ends when a step with
@@ -105,7 +105,7 @@ def minimize(
             break
         report("lowered", better)
         lin = better
-    return Solution(lin, solver.stationary, noise_scale, steps, total)
+    return MapSolution(lin, solver.stationary, noise_scale, steps, total)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from scipy.fft import irfft, rfft
 
 from estimators.common.conjugate_gradients import conjugate_gradients
 from estimators.common.model_inputs import ModelInputs
-from estimators.map_smoother.gauss_newton import Solution
+from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.objective import Linearization, apply_frequency_weights
 from estimators.map_smoother.road_prior import RoadTransform
 
@@ -26,7 +26,7 @@ STD_INFLATION = 1.1
 
 
 def posterior_std(
-    solution: Solution, band: tuple[float, float], draws: int, seed: int
+    solution: MapSolution, band: tuple[float, float], draws: int, seed: int
 ) -> np.ndarray:
     """Return the standard deviation (K,) [m] of the error inside `band` [cycles/m] at each node.
 

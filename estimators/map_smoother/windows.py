@@ -13,7 +13,7 @@ import numpy as np
 
 from estimators.common.block_means import block_means
 from estimators.common.model_inputs import ModelInputs
-from estimators.map_smoother.gauss_newton import Solution
+from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.objective import MeasurementModel, Objective
 from estimators.map_smoother.road_prior import RoadTransform, padded_size, prior_amplitude
 from road_envs.analysis.information_bound import RoadPrior
@@ -94,7 +94,7 @@ def reconstruct(
     drive: PreparedDrive,
     prior: RoadPrior,
     windows: list[tuple[int, int, int]],
-    solve: Callable[[Objective], tuple[Solution, np.ndarray]],
+    solve: Callable[[Objective], tuple[MapSolution, np.ndarray]],
 ) -> tuple[WindowState, list[float]]:
     """Estimate all windows; return the final state and the noise scale of each window.
 
@@ -139,7 +139,7 @@ def _advance(
     drive: PreparedDrive,
     prior: RoadPrior,
     window_state: WindowState,
-    solution: Solution,
+    solution: MapSolution,
     window_std: np.ndarray,
     steps: int | None,
 ) -> WindowState:

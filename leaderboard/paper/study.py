@@ -38,7 +38,7 @@ Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)
-class TrainingRun:
+class PaperTraining:
     """One training and its estimate of the test road: scores, and heights `z` (2, M) [m].
 
     `nominal` and `nominal_z` are those on the drive of the car of the training.
@@ -64,7 +64,7 @@ class PaperScenario:
 
     task: Task
     truth: Profile
-    trainings: tuple[TrainingRun, ...]
+    trainings: tuple[PaperTraining, ...]
     baselines: dict[str, tuple[dict[str, float], ...]]
     drive_seconds: float  # of all its drives, simulated
 
@@ -124,7 +124,7 @@ class PaperScenario:
         states = [training.state for training in self.trainings]
         return {kind: states.count(kind) / len(states) for kind in TRAINING_STATES}
 
-    def median_run(self, score: str = "nrmse") -> TrainingRun:
+    def median_run(self, score: str = "nrmse") -> PaperTraining:
         """Return the training with the median of a score."""
         return sorted(self.trainings, key=lambda t: t.scores[score])[(len(self.trainings) - 1) // 2]
 
@@ -198,7 +198,7 @@ def _run_scenario(
     own = replace(task, conditions=(replace(condition, grade="S0"),))
     (nominal,) = drive(own, task.test, own.conditions[0])
 
-    def trained(estimator: Estimator, seed: int) -> TrainingRun:
+    def trained(estimator: Estimator, seed: int) -> PaperTraining:
         return _train_and_score(estimator, task, training, [test, nominal], seed)
 
     mean_height = np.mean([truth.z.mean(axis=1) for _, truth in training], axis=0)
@@ -222,11 +222,11 @@ def _train_and_score(
     training: Sequence[tuple[Record, Profile]],
     tests: Sequence[RecordedDrive],
     seed: int,
-) -> TrainingRun:
+) -> PaperTraining:
     outcome = reconstruct(estimator, training, [t.record for t in tests], task.vehicle, seed)
     found, nominal = (_scores(task, *pair) for pair in zip(tests, outcome.estimates, strict=True))
     z, nominal_z = (estimate.z for estimate in outcome.estimates)
-    return TrainingRun(
+    return PaperTraining(
         seed,
         found,
         z,

@@ -20,7 +20,7 @@ from estimators import (
     create,
 )
 from estimators.api import NotFittedError
-from estimators.baselines.flat import Flat
+from estimators.baselines.flat import FlatEstimator
 from estimators.baselines.mean import Mean
 from estimators.weights_io import StorageError, load, save
 from road_envs.config import ConfigError
@@ -212,7 +212,7 @@ def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(
     tmp_path, monkeypatch, module, function
 ):
     path = tmp_path / "kept.npz"
-    save(Flat(), path)
+    save(FlatEstimator(), path)
     before = path.read_bytes()
 
     def full(*args, **kwargs):
