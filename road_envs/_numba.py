@@ -48,7 +48,7 @@ def cache_of(name: str) -> Path:
     return CACHE / digest(path for folder in folders for path in _kernel_files(folder))
 
 
-class _Locator(caching.UserProvidedCacheLocator):
+class _Locator(caching._CacheLocator):
     """Place of one kernel in the cache: by module and name, whatever line it stands in."""
 
     def __init__(self, py_func: Any, py_file: str):
@@ -64,6 +64,10 @@ class _Locator(caching.UserProvidedCacheLocator):
         except OSError:
             return None
         return locator
+
+    def get_cache_path(self) -> str:
+        """Return the folder of the package's kernels."""
+        return self._cache_path
 
     def get_source_stamp(self) -> str:
         """Return nothing that changes: the name of the folder is the digest of the code."""
