@@ -12,9 +12,12 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
+
+from road_envs._atomic_io import write_text
 
 ROOT = Path(__file__).parents[1]
 """Folder that holds the packages of this project."""
@@ -176,12 +179,6 @@ def _save_memory() -> None:
     if not _parsed:
         return
     _parsed.clear()
-    path = _memory_file()
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
     entries = dict(list(_memory().items())[-LARGEST_MEMORY:])
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(json.dumps(entries), encoding="utf-8")
-        partial.replace(path)
-    except OSError:
-        partial.unlink(missing_ok=True)
+    with suppress(OSError):
+        write_text(_memory_file(), json.dumps(entries))

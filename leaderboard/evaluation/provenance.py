@@ -9,8 +9,8 @@ from importlib import metadata
 from pathlib import Path
 
 import road_envs
+from road_envs._code_digest import PACKAGES, ROOT
 
-PACKAGES = ("road_envs", "estimators", "leaderboard")
 LIBRARIES = ("numpy", "scipy", "numba", "torch")
 
 
@@ -22,8 +22,7 @@ def package_version() -> str:
 @cache
 def source_digest() -> str:
     """Return a digest of all source files of this project; any edit changes it."""
-    folder = Path(__file__).parents[2]
-    sources = sorted(path for name in PACKAGES for path in (folder / name).rglob("*.py"))
+    sources = sorted(path for name in PACKAGES for path in (ROOT / name).rglob("*.py"))
     return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:12]
 
 
@@ -31,7 +30,7 @@ def source_digest() -> str:
 def describe_environment() -> dict[str, str]:
     """Return Python, libraries, source digest, commit (in a checkout), processor and system."""
     libraries = {name: release for name in LIBRARIES if (release := _library(name))}
-    commit = _commit(Path(__file__).parents[2])
+    commit = _commit(ROOT)
     return {
         "python": platform.python_version(),
         **libraries,
