@@ -150,6 +150,7 @@ def evaluate_entry(
         judge=evaluation_version(),
         conditions=(condition.label,),
         causal=entry.causal,
+        lag=entry.lag,
         environment=describe_environment(),
     )
     failure = entry.failure or (data if isinstance(data, str) else None)

@@ -22,6 +22,9 @@ from road_envs.config import STRICT
 
 FORMAT = 3
 Role = Literal["entry", "sentinel"]
+ISOLATED = ("bubblewrap", "namespaces")
+"""Values of `Result.isolation` of entries without access to files, network and other processes."""
+
 Z_UNIT = 1e-5
 """Unit [m] of the heights of a trace, which are stored as integers."""
 
@@ -110,11 +113,12 @@ class Result:
     estimate_ms_per_100m: float | None = None
     parameters: int | None = None  # number of fitted parameters
     causal: bool | None = None
+    lag: float = 0.0  # [m] behind the front axle, of a causal estimate
     failure: str | None = None
     notes: tuple[str, ...] = ()
     traces: Sequence[Trace] = ()
     peak_memory: float | None = None  # [GiB] of the entry's processes, libraries included
-    isolation: str = "none"  # of the entry: none, process, namespaces
+    isolation: str = "none"  # of the entry: none, process, bubblewrap
     environment: dict[str, str] = dataclasses.field(default_factory=dict)
     format: int = FORMAT
 
@@ -207,6 +211,21 @@ def merge_parts(parts: Sequence[Result], identity: str) -> Result:
             name: _join_distinct(part.environment.get(name, "none") for part in parts)
             for name in names
         },
+    )
+
+
+def isolation_notice(results: Iterable[Result]) -> str | None:
+    """Return one sentence on the scored rows that ran without isolation; None if all had it."""
+    names = [
+        r.estimator
+        for r in results
+        if r.role == "entry" and r.failure is None and r.isolation not in ISOLATED
+    ]
+    if not names:
+        return None
+    return (
+        f"Run without isolation: {', '.join(dict.fromkeys(names))}. These estimators had the rights "
+        "of the user who ran the board, so their rows hold only if that user trusts their code."
     )
 
 

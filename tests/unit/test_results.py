@@ -13,7 +13,7 @@ from rich.console import Console
 
 from leaderboard.evaluation import results
 from leaderboard.evaluation.evaluate import run_task
-from leaderboard.evaluation.results import content_digest
+from leaderboard.evaluation.results import content_digest, isolation_notice
 from leaderboard.evaluation.store import (
     CHECKSUM_PREFIX,
     RowChangedError,
@@ -167,6 +167,16 @@ def test_the_content_digest_ignores_only_timings_and_environment():
     worse = dataclasses.replace(first, scores={**first.scores, "nrmse": 0.0})
     for change in ({"drives": (worse, *others)}, {"parameters": 2}, {"failure": "it failed"}):
         assert content_digest(dataclasses.replace(result, **change)) != digest
+
+
+def test_rows_that_ran_without_isolation_are_named():
+    flat, reader = result_of("flat"), result_of("reader")
+    isolated = dataclasses.replace(reader, isolation="bubblewrap")
+    assert flat.role == "sentinel" and isolation_notice([flat, isolated]) is None
+    mixed = dataclasses.replace(reader, isolation="bubblewrap or process")
+    for run in (reader, mixed):
+        assert isolation_notice([flat, run]).startswith("Run without isolation: reader. These ")
+    assert isolation_notice([dataclasses.replace(reader, failure="it failed")]) is None
 
 
 def test_drives_of_board_rows_are_read_on_demand(tmp_path):
