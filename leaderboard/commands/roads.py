@@ -22,12 +22,9 @@ from road_envs.config import ConfigError
 from road_envs.roads import Surface, load_road, realise_road
 from road_envs.roads.formats.write import WRITERS, write, write_crg
 
-app = typer.Typer(help="List, plot and export roads.", no_args_is_help=True, rich_markup_mode=None)
-
 Which = Annotated[str, typer.Argument(help="Shipped name, YAML path or surface file.")]
 
 
-@app.command("list")
 def list_roads(json: Json = False) -> None:
     """List the shipped roads, each realised with seed 1."""
     rows = [_facts(name, load_road(name).realise(np.random.default_rng(1))) for name in _names()]
@@ -46,7 +43,6 @@ def list_roads(json: Json = False) -> None:
     console.print(table)
 
 
-@app.command("plot")
 def plot_road(
     road: Which,
     out: Annotated[Path, typer.Option(help="Picture to write (.png, .svg or .pdf).")],
@@ -59,7 +55,6 @@ def plot_road(
     console.print(f"written: {out}")
 
 
-@app.command("export")
 def export(
     road: Which,
     out: Annotated[Path, typer.Option(help="File to write (.csv, .parquet, .crg or .erd).")],

@@ -1,6 +1,7 @@
 """Subcommands of `road-recon` and their error messages."""
 
 import json
+import subprocess
 import sys
 
 import numpy as np
@@ -29,26 +30,50 @@ def road_recon(monkeypatch, capsys, tmp_path):
 DRIVE = ("--road", "iso_c", "--length", "30", "--speed-kmh", "36")
 
 
-def test_every_command_has_a_help_text(road_recon):
-    for command in (
-        "simulate",
-        "train",
-        "estimate",
-        "leaderboard",
-        "policies",
-        "tune-policy",
-        "train-policy",
-        "roads",
-        "animate",
-        "bench",
-        "precision",
-        "observability",
-        "classify",
-        "new-estimator",
-    ):
-        code, out, _ = road_recon(command, "--help")
+GROUPS = {"": cli.RoadRecon, "roads": cli.Roads}
+COMMANDS = [
+    (*group.split(), name, entry)
+    for group, commands in GROUPS.items()
+    for entries in commands.sections.values()
+    for name, entry in entries.items()
+]
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=lambda words: " ".join(words[:-1]))
+def test_every_command_has_a_help_text_that_opens_with_its_line_in_the_list(road_recon, words):
+    *command, entry = words
+    code, out, _ = road_recon(*command, "--help")
+    assert code == 0 and f"Usage: road-recon {' '.join(command)}" in out
+    text = " ".join(out.split("\n\n")[1].split())
+    assert text.startswith(entry.help.removesuffix("."))
+
+
+def test_the_help_lists_every_command_whole(road_recon):
+    for group, commands in GROUPS.items():
+        code, out, _ = road_recon(*group.split(), "--help")
         assert code == 0
-        assert "Usage: road-recon" in out and command in out
+        shown = " ".join(out.split())
+        for section, entries in commands.sections.items():
+            assert f"{section}:" in shown
+            assert all(f" {name} {entry.help}" in shown for name, entry in entries.items())
+
+
+def test_the_help_imports_neither_the_commands_nor_the_libraries_they_need():
+    """They take a second to import, and the help a tenth of that."""
+    heavy = ("scipy", "numba", "pydantic", "rich", "pandas", "matplotlib", "torch", "jinja2")
+    code = f"""
+import sys
+from leaderboard import cli
+sys.argv = ["road-recon", "--help"]
+try:
+    cli.main()
+except SystemExit as ended:
+    assert not ended.code
+print([name for name in {heavy} if name in sys.modules])
+print([name for name in sys.modules if name.startswith("leaderboard.commands")])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-2:] == ["[]", "[]"]
 
 
 def test_a_drive_of_a_perturbed_vehicle_is_recorded_with_its_lost_samples(road_recon, tmp_path):
