@@ -224,8 +224,8 @@ def isolation_notice(results: Iterable[Result]) -> str | None:
     if not names:
         return None
     return (
-        f"Run without isolation: {', '.join(dict.fromkeys(names))}. These estimators had the rights "
-        "of the user who ran the board, so their rows hold only if that user trusts their code."
+        f"Run without isolation: {', '.join(dict.fromkeys(names))}. These estimators had the "
+        "rights of the user who ran the board: their rows hold only if that user trusts their code."
     )
 
 
