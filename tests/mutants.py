@@ -84,6 +84,8 @@ METRICS, SPECTRAL, BUMPS = (
 DEFENDER = "configs/vehicles/land_rover_defender_110.yaml"
 
 FAULTS = [
+    Fault("road_envs/vehicle/tolerances.py", "return (WHEELS if size == len(WHEELS) else AXLES).index(part)", "return (WHEELS if size == len(WHEELS) else AXLES).index(part) // 2",
+          "tolerances::test_a_scaled_parameter_acts_on_its_own_wheel_mass_or_curve"),
     Fault("leaderboard/evaluation/tasks.py", 'condition.grade if drives is self.test else "S0"', "condition.grade",
           "tasks::test_training_uses_the_nominal_vehicle_and_test_one_perturbed_vehicle"),
     Fault("leaderboard/evaluation/tasks.py", "(condition.mode, condition.speed_kmh))", "(condition.mode, condition.speed_kmh)) + self.conditions.index(condition)",

@@ -43,7 +43,7 @@ import numpy as np
 
 from road_envs._numba import kernel
 from road_envs.simulation.simd import add, get
-from road_envs.vehicle.parameters import GRAVITY, NOMINAL, VehicleParameters, VehicleVariation
+from road_envs.vehicle.parameters import GRAVITY, VehicleParameters, VehicleVariation
 from road_envs.vehicle.suspension import (
     VehicleBuffers,
     displacement_tables,
@@ -114,14 +114,15 @@ class Motion(NamedTuple):
 
 
 def build_plant(
-    car: VehicleParameters, manoeuvres: bool = False, variation: VehicleVariation = NOMINAL
+    car: VehicleParameters, manoeuvres: bool = False, variation: VehicleVariation | None = None
 ) -> Plant:
-    """Build the plant of a vehicle, varied by `variation`.
+    """Build the plant of a vehicle, varied by `variation` or by its own.
 
     With `manoeuvres` the body rolls in turns and pitches when braking. Raises ValueError if the
     progression of the tyres would make their stiffness negative at first contact.
     """
     axles, strut = car.axles, car.strut
+    variation = car.variation if variation is None else variation
     sides = (1.0, -1.0)
     velocity, velocity_indices = velocity_tables(car, variation)
     displacement, displacement_indices = displacement_tables(car, variation)

@@ -4,7 +4,7 @@ Axes after ISO 8855: x ahead, y left, z up. Symbols as in the literature; `equat
 to the letters of the paper (Ngwangwa, Heyns, Breytenbach & Els).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -82,6 +82,59 @@ class Valve(Settings):
     equalisation: Annotated[Positive, "s", "time constant of pressure equalisation, valve open"]
 
 
+PerWheel = tuple[Positive, Positive, Positive, Positive]
+UNIT_FACTORS: PerWheel = (1.0, 1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorsionalFrame(Settings):
+    """A torsionally flexible body: two halves of equal roll inertia, joined by spring and damper.
+
+    Points ahead of the centre of mass belong to the front half, all others to the rear half.
+    """
+
+    f: Annotated[Positive, "Hz", "frequency of the free body's torsion mode"]
+    zeta: Annotated[NonNegative, "", "its damping ratio"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class VehicleVariation(Settings):
+    """Deviation of one manufactured vehicle from its parameters; by default there is none.
+
+    Tuples of four are factors per wheel (FL, FR, RL, RR).
+    """
+
+    gas: Annotated[PerWheel, "", "of the struts' gas pressure"] = UNIT_FACTORS
+    damper: Annotated[PerWheel, "", "of the dampers' forces"] = UNIT_FACTORS
+    friction: Annotated[PerWheel, "", "of the struts' friction"] = UNIT_FACTORS
+    bushing: Annotated[PerWheel, "", "of the bushings' forces"] = UNIT_FACTORS
+    tyre: Annotated[PerWheel, "", "of the tyres' stiffness"] = UNIT_FACTORS
+    tyre_progression: Annotated[
+        NonNegative, "1/m", "a, of a tyre whose secant stiffness at the compression x is "
+        "k_t (1 + a (x - delta)), with delta its deflection at the origin"
+    ] = 0.0  # fmt: skip
+    roll_stiffness: Annotated[
+        tuple[NonNegative, NonNegative], "N m/rad", "of the bushings between body and each axle"
+    ] = (0.0, 0.0)
+    frame: TorsionalFrame | None = None
+
+
+NOMINAL = VehicleVariation()
+"""No deviation from the parameters."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tolerance(Settings):
+    """Standard deviation of a parameter among vehicles of one description.
+
+    `about` is the median of a parameter that the description leaves out (a frame) or sets to 0.
+    """
+
+    relative: Annotated[float, Field(gt=0, le=1), "", "standard deviation of the logarithm"]
+    about: Annotated[Positive, "", "median, in the parameter's unit"] | None = None
+    source: str
+
+
 @dataclass(frozen=True, kw_only=True)
 class VehicleParameters(Settings):
     """A two-axle vehicle with solid axles and a four-state semi-active (4S4) suspension."""
@@ -101,6 +154,8 @@ class VehicleParameters(Settings):
         Literal["equilibrium"] | NonNegative, "m", "deflection at the origin of the coordinates"
     ]
     sources: dict[str, str]
+    variation: VehicleVariation = NOMINAL
+    tolerances: dict[str, Tolerance] = field(default_factory=dict)
 
     def __post_init__(self):
         super().__post_init__()
@@ -142,47 +197,6 @@ class VehicleParameters(Settings):
             return self.tyre_static_deflection, self.tyre_static_deflection
         front, rear = self.tyre_loads
         return front / self.front.k_t, rear / self.rear.k_t
-
-
-PerWheel = tuple[Positive, Positive, Positive, Positive]
-UNIT_FACTORS: PerWheel = (1.0, 1.0, 1.0, 1.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class TorsionalFrame(Settings):
-    """A torsionally flexible body: two halves of equal roll inertia, joined by spring and damper.
-
-    Points ahead of the centre of mass belong to the front half, all others to the rear half.
-    """
-
-    f: Annotated[Positive, "Hz", "frequency of the free body's torsion mode"]
-    zeta: Annotated[NonNegative, "", "its damping ratio"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class VehicleVariation(Settings):
-    """Deviation of one manufactured vehicle from its parameters; by default there is none.
-
-    Tuples of four are factors per wheel (FL, FR, RL, RR).
-    """
-
-    gas: Annotated[PerWheel, "", "of the struts' gas pressure"] = UNIT_FACTORS
-    damper: Annotated[PerWheel, "", "of the dampers' forces"] = UNIT_FACTORS
-    friction: Annotated[PerWheel, "", "of the struts' friction"] = UNIT_FACTORS
-    bushing: Annotated[PerWheel, "", "of the bushings' forces"] = UNIT_FACTORS
-    tyre: Annotated[PerWheel, "", "of the tyres' stiffness"] = UNIT_FACTORS
-    tyre_progression: Annotated[
-        NonNegative, "1/m", "a, of a tyre whose secant stiffness at the compression x is "
-        "k_t (1 + a (x - delta)), with delta its deflection at the origin"
-    ] = 0.0  # fmt: skip
-    roll_stiffness: Annotated[
-        tuple[NonNegative, NonNegative], "N m/rad", "of the bushings between body and each axle"
-    ] = (0.0, 0.0)
-    frame: TorsionalFrame | None = None
-
-
-NOMINAL = VehicleVariation()
-"""No deviation from the parameters."""
 
 
 def load_vehicle(name: str | Path) -> VehicleParameters:

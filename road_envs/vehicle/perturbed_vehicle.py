@@ -38,14 +38,13 @@ from road_envs.sensing.sensor_faults import (
 )
 from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.parameters import (
-    NOMINAL,
-    Axle,
     PerWheel,
     Step,
     TorsionalFrame,
     VehicleParameters,
-    VehicleVariation,
 )
+from road_envs.vehicle.suspension import WHEELS
+from road_envs.vehicle.tolerances import scale_parameters
 
 GRADES = ("S0", "S1", "S2", "S3")
 
@@ -127,14 +126,13 @@ class PlantMismatch(Settings):
 
 @dataclass(frozen=True)
 class PerturbedVehicle:
-    """One perturbed vehicle: parameters, variation, tyre contact length and sensor faults.
+    """One perturbed vehicle: parameters with their variation, tyre contact length, sensor faults.
 
     `step` [s]: longest step of the integrator. A `contact_length` [m] of 0 is a point follower.
     """
 
     grade: str
     car: VehicleParameters
-    variation: VehicleVariation = NOMINAL
     contact_length: float = 0.0
     faults: SensorFaults = NO_FAULTS
     step: float = np.inf
@@ -142,7 +140,7 @@ class PerturbedVehicle:
     @cached_property
     def plant(self) -> Plant:
         """The vehicle as kernels read it."""
-        return build_plant(self.car, variation=self.variation)
+        return build_plant(self.car)
 
     def enveloped(self, surface: Surface) -> Surface:
         """Return the surface after enveloping by the tyres; the true profile is not affected."""
@@ -213,41 +211,37 @@ def _with_tolerances(
     rng = np.random.default_rng(_seed_sequence(seed, MANUFACTURE_LEVEL))
     factor = _two_sided_factor(rng)
 
-    def perturbed_axle(axle: Axle) -> Axle:
-        return replace(
-            axle, m=axle.m * factor(*limits.mass), I_xx=axle.I_xx * factor(*limits.inertia)
-        )
-
-    car = replace(
-        vehicle.car,
-        m_b=vehicle.car.m_b * factor(*limits.mass),
-        I_xx=vehicle.car.I_xx * factor(*limits.inertia),
-        I_yy=vehicle.car.I_yy * factor(*limits.inertia),
-        front=perturbed_axle(vehicle.car.front),
-        rear=perturbed_axle(vehicle.car.rear),
-    )
-    common, (a, b, c, d) = factor(*limits.friction), _four_factors(rng, limits.strut_friction)
-    struts = VehicleVariation(
-        gas=_four_factors(rng, limits.strut_gas),
-        damper=_four_factors(rng, limits.strut_damper),
-        friction=(common * a, common * b, common * c, common * d),
-        bushing=_four_factors(rng, limits.strut_bushing),
-    )
-    return replace(vehicle, car=car, variation=struts)
+    mass, inertia = limits.mass, limits.inertia
+    factors = {"m_b": factor(*mass), "I_xx": factor(*inertia), "I_yy": factor(*inertia)}
+    for axle in ("front", "rear"):
+        factors |= {f"{axle}.m": factor(*mass), f"{axle}.I_xx": factor(*inertia)}
+    common, each = factor(*limits.friction), _four_factors(rng, limits.strut_friction)
+    struts = {
+        "gas": _four_factors(rng, limits.strut_gas),
+        "damper": _four_factors(rng, limits.strut_damper),
+        "friction": [common * one for one in each],
+        "bushing": _four_factors(rng, limits.strut_bushing),
+    }
+    for name, values in struts.items():
+        for wheel, value in zip(WHEELS, values, strict=True):
+            factors[f"variation.{name}.{wheel}"] = value
+    return replace(vehicle, car=scale_parameters(vehicle.car, factors))
 
 
 def _with_structure(
     vehicle: PerturbedVehicle, limits: UnmodelledStructure, seed: int | np.random.SeedSequence
 ) -> PerturbedVehicle:
     rng = np.random.default_rng(_seed_sequence(seed, STRUCTURE_LEVEL))
+    car = vehicle.car
     variation = replace(
-        vehicle.variation,
+        car.variation,
         tyre=_four_factors(rng, limits.tyre_pressure * limits.tyre_pressure_effect),
         tyre_progression=limits.tyre_progression,
         roll_stiffness=limits.roll_stiffness,
         frame=limits.frame,
     )
-    return replace(vehicle, variation=variation, contact_length=limits.contact_length)
+    car = replace(car, variation=variation)
+    return replace(vehicle, car=car, contact_length=limits.contact_length)
 
 
 def _draw_sensor_faults(

@@ -247,6 +247,7 @@ def test_every_shipped_number_has_a_source_and_every_source_a_number(kind):
     for name in names(kind):
         data = read_yaml(config.folder() / kind / f"{name}.yaml")
         sources = data.pop("sources")
+        assert all(t["source"] for t in data.pop("tolerances", {}).values())
         paths = [p for p in leaves(data) if p != "name"]
         for path in paths:
             assert any(path == s or path.startswith(f"{s}.") for s in sources), (name, path)

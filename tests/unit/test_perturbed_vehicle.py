@@ -21,7 +21,6 @@ from road_envs.sensing.sensor_faults import NO_FAULTS, SensorFaults
 from road_envs.simulation.drive import APRON_LENGTH, DriveSimulator
 from road_envs.simulation.rosenbrock import TWIST
 from road_envs.vehicle.equations import build_plant, equilibrium
-from road_envs.vehicle.parameters import NOMINAL
 from road_envs.vehicle.perturbed_vehicle import (
     GRADES,
     PlantMismatch,
@@ -65,7 +64,7 @@ def relative(vehicle):
 
 def test_grade_s0_is_the_nominal_vehicle():
     vehicle = perturb_vehicle(DEFENDER, "S0", 3)
-    assert vehicle.car is DEFENDER and vehicle.variation is NOMINAL and vehicle.faults is NO_FAULTS
+    assert vehicle.car is DEFENDER and vehicle.faults is NO_FAULTS
     assert vehicle.enveloped(ROAD) is ROAD and vehicle.step == np.inf
     for name, array in vars(build_plant(DEFENDER)).items():
         np.testing.assert_array_equal(getattr(vehicle.plant, name), array)
@@ -77,7 +76,7 @@ def test_manufacturing_deviations_stay_within_their_limits(seed):
     masses, inertias = relative(vehicle)
     for factors in (masses, inertias):
         assert ((np.abs(factors - 1.0) >= 0.03) & (np.abs(factors - 1.0) <= 0.10)).all()
-    struts, mismatch = vehicle.variation, ASSUMED.manufacture
+    struts, mismatch = vehicle.car.variation, ASSUMED.manufacture
     for name in ("gas", "damper", "bushing"):
         factors, limits = np.array(getattr(struts, name)), getattr(mismatch, f"strut_{name}")
         assert (np.abs(factors - 1.0) <= limits).all() and len(set(factors)) == 4
@@ -91,7 +90,7 @@ def test_manufacturing_deviations_stay_within_their_limits(seed):
     assert vehicle.car.strut == DEFENDER.strut and vehicle.step == ASSUMED.step
     assert (
         vehicle.faults is NO_FAULTS
-        and vehicle.variation.frame is None
+        and vehicle.car.variation.frame is None
         and vehicle.contact_length == 0.0
     )
 
@@ -99,15 +98,15 @@ def test_manufacturing_deviations_stay_within_their_limits(seed):
 @given(seeds)
 def test_every_grade_keeps_the_deviations_of_the_previous_grade(seed):
     s1, s2, s3 = (perturb_vehicle(DEFENDER, grade, seed) for grade in GRADES[1:])
-    assert s1.car == s2.car == s3.car and s2.variation == s3.variation
+    assert s2.car == s3.car and s1.car == replace(s2.car, variation=s1.car.variation)
     for name in ("gas", "damper", "friction", "bushing"):
-        assert getattr(s1.variation, name) == getattr(s2.variation, name)
+        assert getattr(s1.car.variation, name) == getattr(s2.car.variation, name)
     mismatch = ASSUMED.structure
-    assert s3.contact_length == mismatch.contact_length and s3.variation.frame == mismatch.frame
-    assert s2.variation.roll_stiffness == mismatch.roll_stiffness
-    tyre = np.array(s2.variation.tyre)
+    assert s3.contact_length == mismatch.contact_length and s3.car.variation.frame == mismatch.frame
+    assert s2.car.variation.roll_stiffness == mismatch.roll_stiffness
+    tyre = np.array(s2.car.variation.tyre)
     assert (np.abs(tyre - 1.0) <= mismatch.tyre_pressure * mismatch.tyre_pressure_effect).all()
-    assert len(set(tyre)) == 4 and s2.variation.tyre_progression == mismatch.tyre_progression
+    assert len(set(tyre)) == 4 and s2.car.variation.tyre_progression == mismatch.tyre_progression
     assert s1.faults is s2.faults is NO_FAULTS
     faults, limits = s3.faults, ASSUMED.instruments
     for name, limit in (("dx", limits.place), ("dy", limits.place), ("tilt", limits.tilt),
@@ -312,7 +311,7 @@ def test_a_perturbed_drive_matches_scipy_with_independent_equations():
     heights = road.wheel_inputs(car.start, DEFENDER.wheelbase, 0.0)[0]
     np.testing.assert_allclose(equilibrium(vehicle.plant, strut_state, heights), y_0, atol=1e-9)
     expected = oracles.trajectory(
-        vehicle.car, strut_state, road, 12.0, -APRON_LENGTH, y_0, t, vehicle.variation,
+        vehicle.car, strut_state, road, 12.0, -APRON_LENGTH, y_0, t, vehicle.car.variation,
         method="Radau", rtol=1e-5, atol=1e-8,
     )  # fmt: skip
     motion = car.advance(np.full(8001, encode_command(mode), dtype=np.uint8))
