@@ -16,7 +16,7 @@ from leaderboard.evaluation.evaluate import SEEDS
 from leaderboard.evaluation.surface_tasks import surface_tasks
 from leaderboard.evaluation.tasks import Task, load_task, shipped_tasks
 from leaderboard.metrics.baselines import BASELINES
-from leaderboard.report.board_definitions import BOARDS
+from leaderboard.report.board_definitions import board_columns
 from leaderboard.report.cache import Report, build_report
 from leaderboard.report.site import write_site
 from leaderboard.report.terminal import as_json, print_tables
@@ -25,7 +25,7 @@ from leaderboard.running.dask_executor import DaskExecutor
 from leaderboard.running.executors import Executor, ProcessExecutor
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
-from road_envs.config import ConfigError, validate_choice
+from road_envs.config import ConfigError, names, validate_choice
 
 CORES = os.cpu_count() or 1
 
@@ -38,7 +38,9 @@ def leaderboard(
     ] = None,
     board: Annotated[
         list[str] | None,
-        typer.Option(help=f"Board: {', '.join(BOARDS)}; may be given again. Default: all."),
+        typer.Option(
+            help=f"Board: {', '.join(names('boards'))}; may be given again. Default: all."
+        ),
     ] = None,
     road: Annotated[
         list[Path] | None,
@@ -90,6 +92,8 @@ def leaderboard(
     if full and roads:
         raise ConfigError("give either --roads or --full, not both")
     chosen = _tasks(task, board, road)
+    for each in chosen:
+        board_columns(each.board_name, each.board_definition)  # raises before anything runs
     if full:
         chosen = [
             task.with_test_drives(None) if task.has_several_test_drives else task for task in chosen
@@ -126,20 +130,20 @@ def _write(board: Board, out: Path) -> tuple[Report, Path]:
 
 
 def _tasks(
-    names: list[str] | None, boards: list[str] | None, roads: list[Path] | None
+    tasks: list[str] | None, boards: list[str] | None, roads: list[Path] | None
 ) -> list[Task]:
-    if sum(map(bool, (names, boards, roads))) > 1:
+    if sum(map(bool, (tasks, boards, roads))) > 1:
         raise ConfigError("give only one of --task, --board and --road")
     if roads:
         return [task for road in roads for task in surface_tasks(road)]
     boards = [name.replace("-", "_") for name in boards or []]
     for name in boards:
-        validate_choice("board", name, list(BOARDS))
+        validate_choice("board", name, names("boards"))
     if "measured" in boards:
         raise ConfigError("the board of measured surfaces needs files: give them with --road")
-    if names:
-        return [load_task(name) for name in names]
-    return [task for task in shipped_tasks() if not boards or task.board in boards]
+    if tasks:
+        return [load_task(name) for name in tasks]
+    return [task for task in shipped_tasks() if not boards or task.board_name in boards]
 
 
 def _entries(names: Sequence[str] | None, without: Sequence[str], limits: Limits) -> list[Entry]:

@@ -14,7 +14,8 @@ from estimators.roughness.rms_regression import RmsRoughness, RoughnessEstimate
 from estimators.wiener.segments import dominant_modes
 from leaderboard.commands import check_output_path, console, parse_mode, parse_settings, print_json
 from leaderboard.commands.simulate import Json, Sensors, Vehicle, print_facts, print_notes
-from leaderboard.metrics.registry import PRINTED_SCORES, SCORES, UNDEFINED, compute_scores
+from leaderboard.metrics.api import UNDEFINED
+from leaderboard.metrics.registry import PRINTED_SCORES, SCORES, compute_scores
 from leaderboard.report import plots
 from road_envs.config import ConfigError, validate_choice
 from road_envs.data.measured_record import MeasuredRecord, read_measured_record

@@ -54,4 +54,4 @@ def season(
 
 
 def _random_road_tasks():
-    return [task for task in shipped_tasks() if task.board in RANDOM_ROAD_BOARDS]
+    return [task for task in shipped_tasks() if task.board_name in RANDOM_ROAD_BOARDS]

@@ -18,6 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from leaderboard.evaluation.boards import BoardDefinition, shipped_boards
 from road_envs import config
 from road_envs.config import STRICT, ConfigError
 from road_envs.roads import Road, with_length
@@ -28,7 +29,6 @@ from road_envs.sensing.data_logger import Instruments, load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.perturbed_vehicle import load_plant_mismatch
 
-BoardName = Literal["new_road", "field", "class", "measured", "paper"]
 Grade = Literal["S0", "S1", "S2", "S3"]
 StrutMode = Literal["ride", "handling", "soft_high", "stiff_low"]
 
@@ -36,7 +36,7 @@ SEED_STRIDE = 10_000
 """Offset between the seeds of one road of a list and those of the next."""
 
 DESCRIPTIVE_FIELDS = frozenset(
-    {"title", "source", "sources", "note", "claimed_level_error", "families"}
+    {"title", "board", "source", "sources", "note", "claimed_level_error", "families"}
 )
 """Fields that only describe a task: editing them does not invalidate results."""
 
@@ -161,7 +161,7 @@ class Task:
 
     name: str
     title: str
-    board: BoardName
+    board: str | BoardDefinition  # a shipped board, or one of its own, with the name of the task
     version: int
     car: str
     instruments: str
@@ -177,6 +177,8 @@ class Task:
     def __post_init__(self):
         if not re.fullmatch(r"[A-Za-z0-9_.-]+", self.name):
             raise ValueError(f"name {self.name!r} may have letters, digits, '_', '-' and '.' only")
+        if isinstance(self.board, str):
+            config.validate_choice("board", self.board, shipped_boards())
         if not self.conditions:
             raise ValueError("at least one condition is required")
         if self.training.design or len(self.test.design) not in (0, len(self.conditions)):
@@ -191,6 +193,16 @@ class Task:
                 "training and test share a surface; choose other roads, or set "
                 "trains_on_test_road: true"
             )
+
+    @property
+    def board_name(self) -> str:
+        """Name of the board of this task."""
+        return self.board if isinstance(self.board, str) else self.name
+
+    @property
+    def board_definition(self) -> BoardDefinition:
+        """Definition of the board of this task."""
+        return shipped_boards()[self.board] if isinstance(self.board, str) else self.board
 
     @cached_property
     def vehicle(self) -> VehicleParameters:
@@ -262,10 +274,10 @@ def load_task(name: str | Path) -> Task:
     return task
 
 
-def shipped_tasks(board: BoardName | None = None) -> list[Task]:
+def shipped_tasks(board: str | None = None) -> list[Task]:
     """Return all shipped tasks, or those of one board, ordered by name."""
     tasks = [load_task(name) for name in config.names("tasks")]
-    return [task for task in tasks if board in (None, task.board)]
+    return [task for task in tasks if board in (None, task.board_name)]
 
 
 def _is_random(road: Road) -> bool:

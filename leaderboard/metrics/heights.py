@@ -34,7 +34,7 @@ from road_envs.data.record import SCORED_N_MAX as SCORED_N_MAX
 from road_envs.data.record import SCORED_N_MIN as SCORED_N_MIN
 from road_envs.data.record import scored_band as scored_band
 
-VERSION = 2
+VERSION = 3
 """Version of the metrics: raised whenever a score of the same two profiles changes, which makes
 older results stale.
 """
@@ -105,15 +105,32 @@ def correlation(y: np.ndarray, a: np.ndarray, ds: float) -> Correlation:
 
     An estimate without content has r = 0 at lag 0.
     """
-    reach = min(int(LAG_MAX / ds), y.shape[-1] // 4)
-    inner = y[:, reach : y.shape[-1] - reach]
-    shifted = sliding_window_view(a, inner.shape[-1], axis=-1)  # (2, 2 reach + 1, inner)
+    inner, shifted = _shifts(y, a, ds)
+    reach = shifted.shape[1] // 2
     product = np.einsum("ij,ikj->k", inner, shifted)
     energy = np.einsum("ikj,ikj->k", shifted, shifted)
     r = _pearson(np.sum(inner * inner), energy, product)
     best = int(np.argmax(r)) if np.nan_to_num(r).any() else reach
     whole = _pearson(np.sum(y * y), np.sum(a * a), np.sum(y * a))
     return Correlation(float(whole), float((best - reach) * ds), float(r[best]))
+
+
+def error_at_best_lag(y: np.ndarray, a: np.ndarray, ds: float) -> float:
+    """Return the least RMS error over RMS truth [-] of `a` shifted within +-LAG_MAX against `y`.
+
+    Both are band-passed (2, K); the stations that every shift covers count. NaN over a flat truth.
+    """
+    inner, shifted = _shifts(y, a, ds)
+    error = np.mean((shifted - inner[:, None]) ** 2, axis=(0, 2)).min()
+    truth = np.mean(inner**2)
+    return float(np.sqrt(error / truth)) if truth > 0.0 else np.nan
+
+
+def _shifts(y: np.ndarray, a: np.ndarray, ds: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the inner stations of `y` (2, L), and `a` there at every lag (2, lags, L)."""
+    reach = min(int(LAG_MAX / ds), y.shape[-1] // 4)
+    inner = y[:, reach : y.shape[-1] - reach]
+    return inner, sliding_window_view(a, inner.shape[-1], axis=-1)
 
 
 def coherence(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> float:

@@ -41,7 +41,7 @@ class ObstacleScores(NamedTuple):
     location_error: float  # [m]
     height_error: float  # [m]
     height_error_relative: float  # of the true height
-    ghosts: int  # estimated on the wrong side: only the other wheel path has one there
+    ghosts: float  # estimated on the wrong side: only the other wheel path has one there
 
 
 def detect_obstacles(z: np.ndarray, ds: float, threshold: float) -> list[Obstacle]:
@@ -105,7 +105,7 @@ def obstacle_scores(y: np.ndarray, a: np.ndarray, ds: float) -> ObstacleScores |
         location_error=float(s),
         height_error=float(height),
         height_error_relative=float(relative),
-        ghosts=int(ghosts),
+        ghosts=float(ghosts),
     )
 
 

@@ -8,11 +8,10 @@ from. Ratios of densities are 10 log10(estimate / truth) [dB], clipped to +-60 d
 
 import numpy as np
 
-from leaderboard.metrics.heights import SCORED_F_MAX, Band, scored_band
+from leaderboard.metrics.heights import SCORED_F_MAX, Band
 from road_envs.analysis.roughness import (
     CLASSES,
     band_means,
-    displacement_psd,
     fit_line,
     golden_car,
     octave_levels,
@@ -25,35 +24,6 @@ IRI_SEGMENT_LENGTH = 100.0  # [m]
 OCTAVE_CENTRES = (0.25, 0.5, 1.0, 2.0)  # [cycles/m] octaves in which classes are compared
 THIRD_OCTAVES = 2.0 ** (np.arange(-9, 6) / 3.0)
 """Centres [cycles/m] of the third octaves of the error spectrum: 0.125 to 3.17."""
-
-
-def roughness_scores(y: np.ndarray, a: np.ndarray, ds: float, v: float) -> dict[str, float]:
-    """Return all roughness scores of a drive at `v` [m/s], by key."""
-    band = scored_band(v)
-    n, (G_y, G_a, G_e) = displacement_psd(np.stack([y, a, a - y]), ds)
-    distance, bias = dsd_distance(n, G_y, G_a, band)
-    steps = class_differences(n, G_y, G_a, v)
-    fitted, size, signed = fitted_class(n, G_y, G_a, band)
-    error, relative = iri_error(y, a, ds)
-    return {
-        "dsd_distance_db": distance,
-        "dsd_bias_db": bias,
-        "class_exact": _share(steps == 0),
-        "class_within_one": _share(np.abs(steps) <= 1),
-        "fitted_class": fitted,
-        "G_d0_error_db": size,
-        "G_d0_bias_db": signed,
-        "iri_error": error,
-        "iri_error_relative": relative,
-        **{
-            f"class_exact_{n_c:g}": _share(steps[:, k] == 0) if k < steps.shape[1] else np.nan
-            for k, n_c in enumerate(OCTAVE_CENTRES)
-        },
-        **{
-            f"error_at_{n_c:.3g}": x
-            for n_c, x in zip(THIRD_OCTAVES, third_octave_errors(n, G_y, G_e), strict=True)
-        },
-    }
 
 
 def third_octave_errors(n: np.ndarray, G_y: np.ndarray, G_e: np.ndarray) -> list[float]:
@@ -128,10 +98,6 @@ def _fitted_G_d0(n: np.ndarray, G: np.ndarray, band: Band) -> float:
     n, G = smooth_psd(n, G)
     inside = (n >= band[0]) & (n <= band[1]) & (G > 0.0)
     return fit_line(n, G, w=2.0, band=band)[0] if inside.sum() >= 2 else 0.0
-
-
-def _share(hits: np.ndarray) -> float:
-    return float(np.mean(hits)) if hits.size else np.nan
 
 
 def _class_index(G_d0: float) -> int:

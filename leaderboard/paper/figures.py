@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.metrics.registry import EQ_12_RAW, STATE_LIMITS
+from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.paper.study import PaperScenario, Study, training_state
 from leaderboard.report.plots import COLOURS, draw_classes
 from road_envs.analysis.roughness import displacement_psd, smooth_psd

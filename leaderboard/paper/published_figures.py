@@ -7,7 +7,7 @@ import numpy as np
 
 from leaderboard.metrics.bound import nrmse_bound
 from leaderboard.metrics.heights import scored_band
-from leaderboard.metrics.registry import EQ_12_RAW, STATE_LIMITS
+from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.paper.study import (
     TRAINING_STATES,
     PaperScenario,

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from leaderboard.evaluation.provenance import describe_environment, package_version
+from leaderboard.metrics.api import UNDEFINED
 from leaderboard.metrics.bound import nrmse_bound
-from leaderboard.metrics.registry import EQ_12_RAW, UNDEFINED
+from leaderboard.metrics.level import EQ_12_RAW
 from leaderboard.paper.figures import PaperFigure, paper_figures
 from leaderboard.paper.published_figures import claims, key_findings
 from leaderboard.paper.study import PaperScenario, Study

@@ -21,8 +21,9 @@ from leaderboard.evaluation.entry import reconstruct
 from leaderboard.evaluation.tasks import Condition, Task, load_task, shipped_tasks
 from leaderboard.evaluation.test_data import DriveSimulation, RecordedDrive, simulate_drives
 from leaderboard.metrics.bootstrap import interquartile_mean
+from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.metrics.obstacles import MATCH_DISTANCE, detect_obstacles, true_obstacles
-from leaderboard.metrics.registry import EQ_12_RAW, STATE_LIMITS, compute_scores
+from leaderboard.metrics.registry import compute_scores
 from road_envs.data.record import Estimate, Profile, Record
 
 PAPER_NETWORK = "static_lm"

@@ -19,10 +19,8 @@ from typing import Any
 
 from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import package_version
-from leaderboard.evaluation.tasks import BoardName
-from leaderboard.report.board_definitions import BOARDS
 from leaderboard.report.sentences import findings
-from leaderboard.report.tables import BoardView, Section, board_views
+from leaderboard.report.tables import BoardView, board_views
 from leaderboard.running.board import Board
 from road_envs._code_digest import closure, digest
 from road_envs.config import ConfigError, build
@@ -46,16 +44,10 @@ class Report:
 
 
 @dataclass(frozen=True)
-class _CachedView:
-    board: BoardName
-    sections: tuple[Section, ...]
-
-
-@dataclass(frozen=True)
 class _CachedReport:
     format: int
     key: str
-    views: tuple[_CachedView, ...]
+    views: tuple[BoardView, ...]
     findings: tuple[str, ...]
 
 
@@ -103,10 +95,7 @@ def _page_code_digest() -> str:
 
 
 def _as_dict(report: Report) -> dict[str, Any]:
-    views = [
-        {"board": view.board, "sections": [dataclasses.asdict(s) for s in view.sections]}
-        for view in report.views
-    ]
+    views = [dataclasses.asdict(view) for view in report.views]
     return {"format": FORMAT, "key": report.key, "views": views, "findings": list(report.findings)}
 
 
@@ -118,5 +107,4 @@ def _load_cached(path: Path, key: str) -> Report | None:
         cached = build(_CachedReport, data, str(path))
     except ConfigError:  # missing or damaged: the report is built again
         return None
-    views = tuple(BoardView(view.board, BOARDS[view.board], view.sections) for view in cached.views)
-    return Report(views, cached.findings, key)
+    return Report(cached.views, cached.findings, key)

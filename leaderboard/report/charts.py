@@ -10,15 +10,16 @@ from typing import Any
 
 import numpy as np
 
+from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, Trace
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.bootstrap import MIN_ROADS, Strata, count_roads, performance_profile
 from leaderboard.metrics.bound import third_octave_bound
 from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.metrics.obstacles import Obstacle, match_obstacles, true_obstacles
-from leaderboard.metrics.registry import SCORES, UNDEFINED
+from leaderboard.metrics.registry import SCORES
 from leaderboard.metrics.roughness import THIRD_OCTAVES
-from leaderboard.report.board_definitions import COLUMN_FORMATS, BoardDefinition, Column
+from leaderboard.report.board_definitions import COLUMNS, TEXT_COLUMNS, Column
 from leaderboard.report.tables import (
     ALL_RUNS,
     BOUND_ROW,
@@ -37,9 +38,6 @@ RAW_SPACING, IN_BAND_SPACING = 0.05, 0.1
 
 DRAWN_HEIGHT_LIMIT = 3.0
 """Drawn heights are clipped to +- this [m]."""
-
-TEXT_COLUMNS = ("interval", "states", "slope_interval")
-"""Columns that are not a single number."""
 
 CLASS_FREQUENCIES = (0.05, 10.0)
 THRESHOLDS = 41
@@ -85,17 +83,12 @@ def _row_data(row: Row, keys: Sequence[str]) -> dict[str, Any]:
 
 
 def _column_format(key: str) -> dict[str, Any]:
-    """Return how a script formats a column, equal to `Score.format_value`."""
-    if key in COLUMN_FORMATS:
-        score = COLUMN_FORMATS[key]
-        form = {"factor": score.factor, "digits": score.digits, "blank": UNDEFINED}
-        return {"better": score.better, "format": {**form, "sign": score.better == "zero"}}
-    plain = {"rank": 0, "rank_causal": 0, "parameters": 0}
-    plain |= {"train_seconds": 1, "estimate_ms_per_100m": 1}
-    if key in plain:
-        form = {"factor": 1, "digits": plain[key], "sign": False, "blank": ""}
-        return {"better": "low", "format": form}
-    return {"better": "low", "format": None}
+    """Return how a script formats a column, equal to `Metric.format_value`."""
+    if key in TEXT_COLUMNS or key not in COLUMNS:
+        return {"better": "low", "format": None}
+    column = COLUMNS[key]
+    form = {"factor": column.factor, "digits": column.digits, "blank": column.blank}
+    return {"better": column.better, "format": {**form, "sign": column.better == "zero"}}
 
 
 def chart_data(

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 
 from leaderboard.metrics import heights
-from leaderboard.metrics.registry import EQ_12_RAW, STATE_LIMITS
+from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.report.board_definitions import WORST
 from leaderboard.report.tables import TRAINING_STATES, BoardView, Row
 from road_envs.data.record import PROFILE_SPACING, profile_stations

@@ -13,8 +13,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from leaderboard.conformance.results import EstimatorCard
+from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result
-from leaderboard.evaluation.tasks import BoardName, Task
+from leaderboard.evaluation.tasks import Task
+from leaderboard.metrics.api import UNDEFINED
 from leaderboard.metrics.baselines import NOISE_LEVEL, TRUTH_PLUS_NOISE
 from leaderboard.metrics.bootstrap import (
     MIN_ROADS,
@@ -26,14 +28,15 @@ from leaderboard.metrics.bootstrap import (
     iqm_slope,
     rank_entries,
 )
-from leaderboard.metrics.registry import EQ_12_RAW, SCORES, STATE_LIMITS, UNDEFINED
+from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
+from leaderboard.metrics.registry import SCORES
 from leaderboard.report.board_definitions import (
-    BOARDS,
-    COLUMN_FORMATS,
+    COLUMNS,
+    RANK_COLUMNS,
     TAIL,
     WORST,
-    BoardDefinition,
     Column,
+    board_columns,
 )
 from leaderboard.running.board import Board
 from road_envs.vehicle.perturbed_vehicle import GRADES
@@ -94,17 +97,21 @@ class Section:
 class BoardView:
     """The tables of one board, a section for each of its tasks."""
 
-    board: BoardName
+    board: str
     definition: BoardDefinition
     sections: tuple[Section, ...]
 
 
 def board_views(board: Board) -> list[BoardView]:
     """Return the boards that have a task, the main one first."""
+    definitions = {task.board_name: task.board_definition for task in board.tasks}
     return [
-        BoardView(name, definition, tuple(_section(board, task, definition) for task in tasks))
-        for name, definition in BOARDS.items()
-        if (tasks := [task for task in board.tasks if task.board == name])
+        BoardView(
+            name,
+            definition,
+            tuple(_section(board, t, definition) for t in board.tasks if t.board_name == name),
+        )
+        for name, definition in sorted(definitions.items(), key=lambda item: item[1].order)
     ]
 
 
@@ -113,7 +120,7 @@ def nonempty_columns(view: BoardView, *sections: Section) -> list[Column]:
     rows = [row for section in sections for row in section.rows]
     return [
         column
-        for column in view.definition.columns
+        for column in board_columns(view.board, view.definition)
         if any(row.cells.get(column.key, "") not in ("", UNDEFINED) for row in rows)
     ]
 
@@ -184,7 +191,7 @@ def _aggregate(
     """Average the scores of a result over all runs and over each group."""
     scores, strata = result.arrays(SCORES), task.test.strata
     shown = (
-        {c.key for c in definition.columns}
+        {*definition.columns, *definition.on_request}
         | {definition.ranks_by, "bound_nrmse"}
         | set(SPECTRUM_SCORES)
     )
@@ -250,7 +257,7 @@ def _rank(
     Ranks need at least MIN_ROADS roads.
     """
     for group, part in {ALL_RUNS: ALL_SCORES, **parts}.items():
-        for k, key in enumerate(("rank", "rank_causal")):
+        for k, key in enumerate(RANK_COLUMNS.values()):
             scores = {x.name: x.ranked[part] for x in tables if x.division[k]}
             if not any(count_roads(x) >= MIN_ROADS for x in scores.values()):
                 continue
@@ -264,19 +271,14 @@ def _scored_row(
 ) -> Row:
     mine = table.values[ALL_RUNS]
     cells = {
-        name: COLUMN_FORMATS[name].format_value(_nan_if_none(x))
+        name: COLUMNS[name].format_value(_nan_if_none(x))
         for name, x in mine.items()
-        if name in COLUMN_FORMATS
+        if name in COLUMNS
     }
     cells |= {
         "slope_interval": interval_text(mine.get("slope_low"), mine.get("slope_high"), "slope"),
-        "rank": _format_number(mine.get("rank"), 0),
-        "rank_causal": _format_number(mine.get("rank_causal"), 0),
         "interval": interval_text(mine["low"], mine["high"], definition.ranks_by),
         "states": _states_text(mine),
-        "train_seconds": _format_number(mine["train_seconds"], 1),
-        "estimate_ms_per_100m": _format_number(mine["estimate_ms_per_100m"], 1),
-        "parameters": _format_number(mine["parameters"], 0),
         "probes": card.passed_count if card else "",
     }
     state: RowState = "baseline" if result.role == "sentinel" else "scored"
@@ -339,7 +341,7 @@ def _protocol_notes(task: Task, results: Sequence[Result]) -> list[str]:
 def _surface_notes(task: Task, results: list[Result]) -> list[str]:
     """Return what was changed on a road surface that was read from a file."""
     notes = dict.fromkeys(note for r in results for note in r.notes)
-    return [f"Surface: {'; '.join(notes)}."] if notes and task.board == "measured" else []
+    return [f"Surface: {'; '.join(notes)}."] if notes and task.board_name == "measured" else []
 
 
 def _mean(scores: np.ndarray | None) -> float | None:
@@ -368,7 +370,7 @@ def interval_text(low: float | None, high: float | None, score: str) -> str:
     """Return the text of an interval of a score."""
     if low is None or high is None:
         return UNDEFINED
-    return "–".join(COLUMN_FORMATS[score].format_value(x) for x in (low, high))
+    return "–".join(COLUMNS[score].format_value(x) for x in (low, high))
 
 
 def _format_number(value: float | None, digits: int) -> str:

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from leaderboard.metrics.registry import UNDEFINED
+from leaderboard.metrics.api import UNDEFINED
 from leaderboard.report import export
 from leaderboard.report.board_definitions import WORST
 from leaderboard.report.cache import Report

@@ -93,6 +93,20 @@ def pearson(y, a, ds, low, high):
     return ya / whole, best[1] * ds, best[0]
 
 
+def error_at_best_lag(y, a, ds, low, high):
+    """Return the least RMS error over RMS truth of shifts within 0.5 m, shift by shift."""
+    y = [in_band(z, ds, low, high) for z in y]
+    a = [in_band(z, ds, low, high) for z in a]
+    reach = int(0.5 / ds)
+    M = y[0].size
+    truth = np.concatenate([z[reach : M - reach] for z in y])
+    errors = []
+    for k in range(-reach, reach + 1):
+        moved = np.concatenate([z[reach + k : M - reach + k] for z in a])
+        errors.append(rms(moved - truth) / rms(truth))
+    return min(errors)
+
+
 def coherence(y, a, ds, low, high):
     """Return the mean of SciPy's magnitude-squared coherence inside the band, 10 m segments."""
     size = round(10.0 / ds)

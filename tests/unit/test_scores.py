@@ -24,6 +24,7 @@ from leaderboard.metrics.bootstrap import (
 )
 from leaderboard.metrics.obstacles import detect_obstacles, obstacle_scores, true_obstacles
 from leaderboard.metrics.registry import SCORES, compute_scores
+from road_envs.analysis.roughness import displacement_psd
 from road_envs.data.record import PROFILE_SPACING, Estimate, Profile, profile_stations
 
 STORED = Path(__file__).parents[1] / "data" / "scores.json"
@@ -63,6 +64,7 @@ def expected(name):
     all_steps = np.concatenate(list(steps.values()))
     return {
         "nrmse": oracle.error_over_truth(y, a, ds, *band),
+        "nrmse_at_lag": oracle.error_at_best_lag(y, a, ds, *band),
         "nrmse_full": oracle.error_over_truth(y, a, ds, 0.05, 3.0),
         "r": r,
         "lag": lag,
@@ -109,7 +111,8 @@ def test_scores_of_the_stored_cases_are_unchanged(name):
 
 
 def test_every_score_has_a_format():
-    assert set(found("late")) <= SCORES.keys()
+    assert found("late").keys() == SCORES.keys()
+    assert all(score.label and score.help for score in SCORES.values())
     assert (
         SCORES["crps"].format_value(0.00123) == "1.23"
         and SCORES["level_bias"].format_value(0.1) == "+10.0"
@@ -163,10 +166,8 @@ def test_the_crps_of_a_zero_deviation_is_the_mean_absolute_error():
 def test_an_estimate_without_a_deviation_has_no_uncertainty_scores():
     y, a, _, ds = case("late")
     s = ds * np.arange(y.shape[1])
-    assert (
-        not {"crps", "coverage_50"}
-        & compute_scores(Profile(s, y), Estimate(s, a), 4.0, False).keys()
-    )
+    scores = compute_scores(Profile(s, y), Estimate(s, a), 4.0, False)
+    assert np.isnan([scores[name] for name in ("crps", "coverage_50", "coverage_90")]).all()
 
 
 # --- over spatial frequency, and obstacles --------------------------------------------------------
@@ -176,7 +177,7 @@ def test_the_third_octave_error_is_largest_at_the_frequency_of_an_added_sine():
     y, _, _, ds = case("late")
     s = ds * np.arange(y.shape[1])
     a = y + 0.002 * np.sin(2.0 * np.pi * 1.26 * s)
-    n, (G_y, G_e) = roughness.displacement_psd(np.stack([y, a - y]), ds)
+    n, (G_y, G_e) = displacement_psd(np.stack([y, a - y]), ds)
     error = roughness.third_octave_errors(n, G_y, G_e)
     assert int(np.argmax(error)) == list(np.round(roughness.THIRD_OCTAVES, 2)).index(1.26)
     assert error[0] < 0.01 < 0.2 < max(error)

@@ -164,7 +164,10 @@ def test_training_on_the_test_road_must_be_declared(training):
     ("change", "message"),
     [
         ({"boards": "paper"}, "unknown key, did you mean 'board'"),
-        ({"board": "papers"}, "'new_road', 'field', 'class', 'measured' or 'paper'"),
+        (
+            {"board": "papers"},
+            "unknown board 'papers' (did you mean 'paper'?); known: class, field",
+        ),
         ({"test": {"roads": ["iso_x"], "seeds": [9]}}, "unknown road 'iso_x'"),
         ({"test": {"roads": [], "seeds": [9]}}, "at least one road and one seed"),
         ({"test": {"roads": ["iso_d"], "seeds": [9, 9]}}, "seeds must differ"),

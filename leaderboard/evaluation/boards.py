@@ -1,0 +1,41 @@
+"""Boards: how the results of tasks are shown, as YAML in `configs/boards` or in the task itself.
+
+Nothing here influences a result: editing a board leaves all of them valid.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal
+
+from road_envs import config
+from road_envs.config import Positive, Settings
+
+Division = Literal["offline", "causal"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardDefinition(Settings):
+    """Title, ranking score and columns of a board.
+
+    `columns` and, on request, `on_request` are keys of `report.board_definitions.COLUMNS`. Entries
+    are ranked in each of `divisions`: all of them (offline), and the causal ones among themselves.
+    Boards with a lower `order` come first. `scale` is the value of the ranking score at the right
+    end of bars and profiles. `findings` names the sentences of `report.sentences` about the board.
+    """
+
+    title: str
+    description: str = ""
+    ranks_by: str = "nrmse"
+    columns: tuple[str, ...] = ("nrmse", "interval", "worst", "r")
+    on_request: tuple[str, ...] = ()
+    divisions: tuple[Division, ...] = ("offline", "causal")
+    findings: tuple[str, ...] = ()
+    scale: Positive = 2.0
+    order: int = 100
+
+
+@cache
+def shipped_boards() -> dict[str, BoardDefinition]:
+    """Return the shipped boards by name, in their order. Raises ConfigError."""
+    boards = {name: config.load(BoardDefinition, "boards", name) for name in config.names("boards")}
+    return dict(sorted(boards.items(), key=lambda item: (item[1].order, item[0])))

@@ -1,0 +1,114 @@
+"""What a metric is: a function of one scored estimate, with its format and its explanation.
+
+A metric is declared beside its function, which returns NaN where it is not defined:
+
+    @metric("in-band NRMSE", digits=3, head="NRMSE", boards=("new_road",))
+    def nrmse(scored: ScoredEstimate) -> float:
+        \"\"\"RMS error over RMS truth in the scored band.\"\"\"
+        return ...
+
+Its key is the name of the function, its explanation on pages the docstring, and `registry` collects
+the metrics of every module that it lists.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, TypeVar, cast
+
+import numpy as np
+
+from leaderboard.metrics import heights
+from road_envs.analysis.roughness import displacement_psd
+from road_envs.data.record import Estimate, Profile
+
+UNDEFINED = "–"
+"""Text of a score that is not defined."""
+
+HEIGHT_LIMIT = 1e6
+"""Estimated heights are clipped to +- this [m], so that an absurd estimate still has a score."""
+
+Better = Literal["low", "high", "zero", ""]
+T = TypeVar("T")
+
+
+class ScoredEstimate:
+    """Truth and estimate of one drive, and what several metrics need of them, computed once.
+
+    `y` and `a` (2, M) [m] are the true and the estimated heights, `ds` [m] apart, `v` [m/s] is the
+    speed, `std` (2, M) [m] the standard deviation of the estimate, if it has one. `bumps` tells
+    whether obstacles are scored, `bound` is the bound on the NRMSE of this drive or NaN.
+    """
+
+    def __init__(
+        self, truth: Profile, estimate: Estimate, v: float, *, bumps: bool, bound: float = np.nan
+    ) -> None:
+        self.y, self.a = truth.z, np.clip(estimate.z, -HEIGHT_LIMIT, HEIGHT_LIMIT)
+        self.std = None if estimate.z_std is None else np.minimum(estimate.z_std, HEIGHT_LIMIT)
+        self.ds, self.v, self.bumps, self.bound = truth.ds, v, bumps, bound
+        self._shared: dict[Callable[..., Any], Any] = {}
+
+    @property
+    def band(self) -> heights.Band:
+        """The scored band [cycles/m] at the speed of the drive."""
+        return heights.scored_band(self.v)
+
+    @cached_property
+    def in_band(self) -> tuple[np.ndarray, np.ndarray]:
+        """Truth and estimate, each (2, K) [m], inside the scored band."""
+        y, a = heights.band_pass(np.stack([self.y, self.a]), self.ds, self.band)
+        return y, a
+
+    @cached_property
+    def densities(self) -> tuple[np.ndarray, np.ndarray]:
+        """Frequencies (F,) [cycles/m], and densities (3, 2, F) [m³] of truth, estimate, error."""
+        n, G = displacement_psd(np.stack([self.y, self.a, self.a - self.y]), self.ds)
+        return n, G
+
+    def shared(self, function: Callable[["ScoredEstimate"], T]) -> T:
+        """Return `function(self)`, computed once for all metrics that need it."""
+        if function not in self._shared:
+            self._shared[function] = function(self)
+        return cast(T, self._shared[function])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metric:
+    """A metric: its function, and its format as `factor` times the value with `digits` decimals.
+
+    `label` names it in full, `head` at the top of a table column, `help` explains it in a sentence
+    or two. Values are printed in `unit`; `better` tells which ones are good. It is a column on
+    request of each of `boards`, beside those that list it themselves; `blank` stands for a value
+    that is not defined. Columns that a board derives from scores have no `compute`.
+    """
+
+    key: str
+    label: str
+    unit: str = ""
+    factor: float = 1.0
+    digits: int = 2
+    better: Better = "low"
+    head: str = ""
+    help: str = ""
+    boards: tuple[str, ...] = ()
+    blank: str = UNDEFINED
+    compute: Callable[[ScoredEstimate], float] | None = None
+
+    def format_value(self, value: float) -> str:
+        """Return the value as text; `blank` if it is not finite."""
+        if not np.isfinite(value):
+            return self.blank
+        rounded = round(self.factor * value, self.digits) + 0.0  # no minus before a zero
+        return f"{rounded:{'+' if self.better == 'zero' else ''}.{self.digits}f}"
+
+
+def metric(label: str, **form: Any) -> Callable[[Callable[[ScoredEstimate], float]], Metric]:
+    """Return a decorator that makes a function a Metric with this format."""
+
+    def declare(function: Callable[[ScoredEstimate], float]) -> Metric:
+        explanation = " ".join((function.__doc__ or "").split())
+        return Metric(
+            key=function.__name__, label=label, help=explanation, compute=function, **form
+        )
+
+    return declare
