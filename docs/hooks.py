@@ -38,10 +38,12 @@ def _scores() -> str:
     """Return the table of scores."""
     better = {"low": "lower", "high": "higher", "zero": "towards 0", "": ""}
     rows = [
-        f"| `{key}` | {score.label} | {score.unit} | {better[score.better]} |"
+        f"| `{key}` | {score.label} | {score.unit} | {better[score.better]} | {score.help} |"
         for key, score in SCORES.items()
     ]
-    return "\n".join(["| key | score | unit as printed | better |", "|---|---|---|---|", *rows])
+    return "\n".join(
+        ["| key | score | unit as printed | better | what it is |", "|---|---|---|---|---|", *rows]
+    )
 
 
 def _modules(package: str) -> str:

@@ -272,7 +272,7 @@ def _scored_row(
     mine = table.values[ALL_RUNS]
     cells = {
         name: COLUMNS[name].format_value(_nan_if_none(x))
-        for name, x in mine.items()
+        for name, x in {**dict.fromkeys(RANK_COLUMNS.values()), **mine}.items()
         if name in COLUMNS
     }
     cells |= {
