@@ -10,6 +10,7 @@ EXTRAS = {
     "board": ("typer", "rich", "jinja2", "matplotlib", "pyarrow", "pandas"),
     "render": ("PIL",),
     "dask": ("distributed",),
+    "mdf": ("asammdf",),
 }
 """Top-level modules of other packages, by the extra that brings them."""
 

@@ -12,30 +12,30 @@ from estimators.api import check_estimate
 from estimators.roughness import spectral
 from estimators.roughness.rms_regression import RmsRoughness, RoughnessEstimate
 from estimators.wiener.segments import dominant_modes
-from leaderboard.commands import check_output_path, console, parse_mode, parse_settings, print_json
-from leaderboard.commands.simulate import Json, Sensors, Vehicle, print_facts, print_notes
+from leaderboard.commands import check_output_path, console, parse_settings, print_json
+from leaderboard.commands.drive_files import (
+    Columns,
+    Description,
+    Invert,
+    Mode,
+    Offset,
+    RecordFile,
+    SaveDescription,
+    Sensors,
+    Speed,
+    Units,
+    Vehicle,
+    read_drive,
+)
+from leaderboard.commands.simulate import Json, print_facts, print_notes
 from leaderboard.metrics.api import UNDEFINED
 from leaderboard.metrics.registry import PRINTED_SCORES, SCORES, compute_scores
 from leaderboard.report import plots
-from road_envs.config import ConfigError, validate_choice
-from road_envs.data.measured_record import MeasuredRecord, read_measured_record
+from road_envs.config import validate_choice
 from road_envs.data.record import Profile, Record
-from road_envs.data.recording import is_record, read_record
 from road_envs.data.training_corpus import Corpus, drives_in_mode
 from road_envs.roads import Surface, load_road, write_csv
-from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 
-RecordFile = Annotated[
-    Path,
-    typer.Argument(
-        help="A record from `simulate`, or a measured drive as a table (.csv, .parquet)."
-    ),
-]
-Mode = Annotated[
-    str | None,
-    typer.Option(help="4S4 mode of a measured drive: ride, handling, ..., or front=..,rear=.."),
-]
-Speed = Annotated[float | None, typer.Option(help="Speed of a measured drive in km/h.", min=0.1)]
 METHODS = ["spectral", "rms"]
 DB_PER_LOG = 4.34
 """10 / ln 10: decibels per unit of the natural logarithm of a PSD."""
@@ -49,9 +49,15 @@ def estimate(
     estimator: Annotated[str, typer.Argument(help="A file from `train`, or a name.")],
     record: RecordFile,
     truth: Annotated[Path | None, typer.Option(help="True profile (.csv), to score.")] = None,
-    vehicle: Vehicle = "land_rover_defender_110",
+    vehicle: Vehicle = None,
     mode: Mode = None,
     speed_kmh: Speed = None,
+    columns: Columns = None,
+    units: Units = None,
+    invert: Invert = None,
+    offset: Offset = None,
+    description: Description = None,
+    save_description: SaveDescription = None,
     settings: Annotated[
         list[str] | None, typer.Option("--set", help="Setting of the estimator, key=value.")
     ] = None,
@@ -65,11 +71,12 @@ def estimate(
     v [m/s] or v_kmh, and mode; speed and mode can be given as options instead.
     """
     check_output_path(out, ".csv"), check_output_path(plot, ".png", ".svg", ".pdf")
-    chosen, car = (
-        estimators.make_estimator(estimator, **parse_settings(settings or [])),
-        load_vehicle(vehicle),
-    )
-    measured, notes = _record(record, car, mode, speed_kmh)
+    chosen = estimators.make_estimator(estimator, **parse_settings(settings or []))
+    drive = read_drive(
+        record, vehicle=vehicle, mode=mode, speed_kmh=speed_kmh, columns=columns, units=units,
+        invert=invert, offset=offset, description=description, save_description=save_description,
+    )  # fmt: skip
+    measured, car, notes = drive.measured.record, drive.car, drive.measured.notes
     result = chosen.estimate(measured, car)
     check_estimate(result, measured)
     facts: dict[str, Any] = {
@@ -99,10 +106,15 @@ def estimate(
 
 def classify(
     record: RecordFile,
-    vehicle: Vehicle = "land_rover_defender_110",
-    sensors: Sensors = "paper",
+    vehicle: Vehicle = None,
+    sensors: Sensors = None,
     mode: Mode = None,
     speed_kmh: Speed = None,
+    columns: Columns = None,
+    units: Units = None,
+    invert: Invert = None,
+    description: Description = None,
+    save_description: SaveDescription = None,
     method: Annotated[
         str, typer.Option(help="spectral: by a vehicle model; rms: regression on simulated drives.")
     ] = "spectral",
@@ -114,12 +126,16 @@ def classify(
     RMS of drives that are simulated in the modes and at the speeds of the record.
     """
     validate_choice("method", method, METHODS)
-    car = load_vehicle(vehicle)
-    measured, notes = _record(record, car, mode, speed_kmh)
+    drive = read_drive(
+        record, vehicle=vehicle, sensors=sensors, mode=mode, speed_kmh=speed_kmh,
+        columns=columns, units=units, invert=invert,
+        description=description, save_description=save_description,
+    )  # fmt: skip
+    measured, notes = drive.measured.record, drive.measured.notes
     result: Any = (
-        spectral.classify_record(measured, car, sensors)
+        spectral.classify_record(measured, drive.car, drive.sensors)
         if method == "spectral"
-        else _by_rms(measured, Corpus(car=vehicle, instruments=sensors))
+        else _by_rms(measured, Corpus(car=drive.vehicle, instruments=drive.sensors))
     )
     if json:
         facts = {
@@ -154,20 +170,6 @@ def _print_octaves(posterior: spectral.ClassPosterior) -> None:
     for centre, level, std, letter in zip(*columns, strict=True):
         table.add_row(f"{centre:g}", f"{1e6 * level:.0f}", f"{DB_PER_LOG * std:.1f}", letter)
     console.print(table)
-
-
-def _record(
-    path: Path, car: VehicleParameters, mode: str | None, speed_kmh: float | None
-) -> MeasuredRecord:
-    """Read a record of this package, or a measured drive. Raises ConfigError."""
-    if not is_record(path):
-        struts = parse_mode(mode) if mode is not None else None
-        return read_measured_record(path, car.wheelbase, speed_kmh=speed_kmh, mode=struts)
-    if mode is not None or speed_kmh is not None:
-        raise ConfigError(
-            f"{path} contains mode and speed of the drive: leave out --mode and --speed-kmh"
-        )
-    return MeasuredRecord(read_record(path)[0], ())
 
 
 def _print_scores(scores: dict[str, float]) -> None:

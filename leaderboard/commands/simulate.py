@@ -60,14 +60,14 @@ def simulate(
     vehicle: Vehicle = "land_rover_defender_110",
     sensors: Sensors = "paper",
     grade: Grade = "S0",
-    out: Annotated[Path | None, typer.Option(help="Write the record (.parquet).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the record (.parquet, .csv).")] = None,
     truth: Annotated[Path | None, typer.Option(help="Write the true profile (.csv).")] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw profile and record (.png).")] = None,
     json: Json = False,
 ) -> None:
     """Simulate a drive over a road and record the signals of the instruments."""
     (
-        check_output_path(out, ".parquet"),
+        check_output_path(out, ".parquet", ".csv"),
         check_output_path(truth, ".csv"),
         check_output_path(plot, ".png", ".svg", ".pdf"),
     )

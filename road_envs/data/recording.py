@@ -18,9 +18,13 @@ from road_envs.sensing.instruments import Instruments, load_instruments
 from road_envs.simulation.drive import DriveSimulator
 from road_envs.vehicle.parameters import DEFAULT_STEP, VehicleParameters, load_vehicle
 from road_envs.vehicle.perturbed_vehicle import PlantMismatch, perturb_vehicle
-from road_envs.vehicle.suspension import decode_commands, encode_command
+from road_envs.vehicle.suspension import MODES, decode_commands, encode_command
 
 COLUMNS = ("t", "a_rf", "a_lr", "a_rr", "v", "s", "commands")
+CSV_COLUMNS = (
+    "t [s]", "a_rf [m/s2]", "a_lr [m/s2]", "a_rr [m/s2]", "v [m/s]", "s [m]",
+    "mode_front", "mode_rear",
+)  # fmt: skip
 FORMAT = "roadrecon record 1"
 
 CHUNK = 20_000
@@ -78,7 +82,14 @@ def simulate_record(
 
 
 def write_record(path: Path, record: Record, provenance: Mapping[str, object]) -> None:
-    """Write a record as Parquet atomically; `provenance` goes into the metadata."""
+    """Write a record atomically as Parquet, with `provenance` in the metadata, or as CSV.
+
+    A CSV file is a table as other data loggers write it (`road_envs.data.measured_record`); the
+    road before and behind the drive is not in it.
+    """
+    if path.suffix.lower() == ".csv":
+        _write_csv(path, record, provenance)
+        return
     with optional_import("a table as CSV or Parquet"):
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -90,6 +101,25 @@ def write_record(path: Path, record: Record, provenance: Mapping[str, object]) -
     table = table.replace_schema_metadata({"roadrecon": json.dumps(about)})
     with atomic_write(path) as partial:
         pq.write_table(table, partial)
+
+
+def _write_csv(path: Path, record: Record, provenance: Mapping[str, object]) -> None:
+    names = {setting: name for name, setting in MODES.items()}
+    modes = [
+        [
+            names[pair]
+            for pair in zip(record.spring_stiff[:, w], record.damper_high[:, w], strict=True)
+        ]
+        for w in (0, 2)
+    ]
+    lines = [f"# simulated: {json.dumps(dict(provenance))}", ",".join(CSV_COLUMNS)]
+    for t, a_rf, a_lr, a_rr, v, s, front, rear in zip(
+        record.t, *record.a, record.v, record.s, *modes, strict=True
+    ):
+        cells = ["" if np.isnan(x) else f"{x:.4f}" for x in (a_rf, a_lr, a_rr)]
+        lines.append(",".join([f"{t:.6g}", *cells, f"{v:.4f}", f"{s:.4f}", front, rear]))
+    with atomic_write(path) as partial:
+        partial.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def is_record(path: Path) -> bool:

@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from leaderboard import cli
@@ -138,6 +139,22 @@ def test_a_measured_drive_is_accepted_in_place_of_a_record(road_recon, tmp_path)
     assert code == 2 and "leave out --mode" in err
 
 
+def test_choices_for_a_table_are_saved_and_read(road_recon, tmp_path):
+    road_recon("simulate", *DRIVE, "--out", "d.csv")
+    table = pd.read_csv(tmp_path / "d.csv", comment="#")
+    table = table.rename(columns={"a_rf [m/s2]": "front", "v [m/s]": "pace"})
+    table.drop(columns=["s [m]"]).to_csv(tmp_path / "own.csv", index=False)
+    code, _, err = road_recon("classify", "own.csv")
+    assert code == 2 and "2 problems" in err and "--columns a_rf=NAME" in err
+    names = ("--columns", "a_rf=front,v=pace", "--units", "a_rf=m/s2")
+    code, first, _ = road_recon("classify", "own.csv", *names, "--save-description", "d.yaml")
+    assert code == 0
+    code, again, _ = road_recon("classify", "own.csv", "--description", "d.yaml")
+    assert code == 0 and again == first
+    code, _, err = road_recon("classify", "own.csv", "--columns", "a_rf:front")
+    assert code == 2 and "key=value" in err
+
+
 def test_scores_of_an_estimate_are_printed_with_their_units(road_recon):
     road_recon("simulate", *DRIVE, "--out", "d.parquet", "--truth", "t.csv")
     code, out, _ = road_recon("estimate", "wiener", "d.parquet", "--truth", "t.csv")
@@ -195,7 +212,7 @@ def test_an_exported_road_can_be_read_back_from_every_format(road_recon, tmp_pat
         (("simulate", "--road", "iso_a", "--length", "2"), ["shorter than the wheelbase"]),
         (("simulate", "--vehicle", "beetle"), ["beetle", "land_rover_defender_110"]),
         (("simulate", "--out", "no/where.parquet"), ["no does not exist"]),
-        (("simulate", "--out", "record.csv"), [".parquet"]),
+        (("simulate", "--out", "record.xlsx"), [".parquet or .csv"]),
         (("roads", "export", "flat", "--out", "f.xlsx"), [".csv or .parquet or .crg or .erd"]),
         (("roads", "export", "flat", "--out", "f.crg", "--form", "ABC"), ["ABC", "KDBI"]),
         (("roads", "export", "flat", "--out", "f.csv", "--form", "KDBI"), ["for .crg files only"]),

@@ -13,7 +13,8 @@ from vehicle_fixtures import DEFENDER
 import estimators
 from leaderboard.metrics.heights import band_pass
 from road_envs.config import ConfigError
-from road_envs.data.measured_record import STANDARD_GRAVITY, read_measured_record
+from road_envs.data.logger_tables.units import STANDARD_GRAVITY
+from road_envs.data.measured_record import read_measured_record
 from road_envs.data.record import scored_band
 from road_envs.data.recording import is_record, simulate_record, write_record
 from road_envs.roads import load_road
@@ -53,7 +54,8 @@ def changed(**changes):
 def test_a_table_is_read_with_any_delimiter_and_decimal_mark(tmp_path, mark, point):
     path = table(tmp_path / "d.csv", CHANNELS, mark, point)
     path.write_text("# a logger\n# of 2014\n" + path.read_text(), encoding="utf-8")
-    record, notes = read_measured_record(path, BASE)
+    measured = read_measured_record(path, BASE)
+    record, notes = measured.record, measured.notes
     np.testing.assert_allclose(record.t, T, atol=1e-12)
     wanted = [CHANNELS[name] for name in ("a_rf", "a_lr", "a_rr")]
     np.testing.assert_allclose(record.a, wanted, rtol=1e-10, atol=1e-11)
@@ -70,29 +72,32 @@ def test_units_follow_from_column_names_and_gravity_from_the_mean(tmp_path):
         a_rf_g=1.0 + CHANNELS["a_rf"] / STANDARD_GRAVITY,
         V_kmh=3.6 * CHANNELS["v"],
     )
-    record, notes = read_measured_record(table(tmp_path / "d.csv", columns), BASE)
+    measured = read_measured_record(table(tmp_path / "d.csv", columns), BASE)
+    record, notes = measured.record, measured.notes
     np.testing.assert_allclose(record.a[0], CHANNELS["a_rf"] - CHANNELS["a_rf"].mean(), atol=1e-9)
     np.testing.assert_allclose(record.v, CHANNELS["v"], rtol=1e-10)
-    assert len(notes) == 1 and notes[0].startswith("a_rf: its mean of 9.") and "gravity" in notes[0]
+    assert (
+        len(notes) == 1 and notes[0].startswith("a_rf_g: its mean of 9.") and "gravity" in notes[0]
+    )
 
 
 def test_a_given_odometer_is_used(tmp_path):
     columns = changed(s=1000.0 + 6.0 * T)
-    record, _ = read_measured_record(table(tmp_path / "d.csv", columns), BASE)
+    record = read_measured_record(table(tmp_path / "d.csv", columns), BASE).record
     np.testing.assert_allclose(record.s, BASE + 6.0 * T, atol=1e-9)
 
 
 def test_strut_states_are_given_per_row_or_once(tmp_path):
     switched = ["ride"] * 120 + ["handling"] * 80
     columns = changed(mode=None, mode_front=switched, mode_rear=["soft_high"] * T.size)
-    record, _ = read_measured_record(table(tmp_path / "a.csv", columns), BASE)
+    record = read_measured_record(table(tmp_path / "a.csv", columns), BASE).record
     late = T >= 1.195
     np.testing.assert_array_equal(record.spring_stiff, np.outer(late, [1, 1, 0, 0]).astype(bool))
     np.testing.assert_array_equal(record.damper_high[:, 2:], np.ones((200, 2), dtype=bool))
     np.testing.assert_array_equal(record.damper_high[:, 0], late)
     plain = table(tmp_path / "b.csv", changed(mode=None, v=None))
     mixed = {"front": "ride", "rear": "handling"}
-    record, _ = read_measured_record(plain, BASE, speed_kmh=36.0, mode=mixed)
+    record = read_measured_record(plain, BASE, speed_kmh=36.0, mode=mixed).record
     assert (record.spring_stiff == [False, False, True, True]).all() and (record.v == 10.0).all()
 
 
@@ -100,7 +105,7 @@ def test_foreign_parquet_is_read_by_column_names(tmp_path):
     path = tmp_path / "d.parquet"
     pq.write_table(pa.table({name.upper(): x for name, x in CHANNELS.items()}), path)
     assert not is_record(path)
-    record, _ = read_measured_record(path, BASE)
+    record = read_measured_record(path, BASE).record
     np.testing.assert_array_equal(record.a[1], CHANNELS["a_lr"])
     write_record(path, record, {})
     assert is_record(path)
@@ -112,12 +117,13 @@ def test_empty_cells_and_missing_rows_become_lost_samples(tmp_path):
     columns = changed(a_rf=a)
     kept = np.r_[0:100, 105:200]
     columns = {name: [x[k] for k in kept] for name, x in columns.items()}
-    record, notes = read_measured_record(table(tmp_path / "d.csv", columns), BASE)
+    measured = read_measured_record(table(tmp_path / "d.csv", columns), BASE)
+    record, notes = measured.record, measured.notes
     assert record.t.size == 200 and record.fs == pytest.approx(100.0)
     lost = np.isnan(record.a)
     assert set(np.flatnonzero(lost[0])) == {50, 51, 52, 100, 101, 102, 103, 104}
     assert set(np.flatnonzero(lost[1])) == {100, 101, 102, 103, 104}
-    assert len(notes) == 1 and "2.5% of the samples lost" in notes[0]
+    assert len(notes) == 1 and "4.0% of the samples lost" in notes[0]
 
 
 @settings(deadline=None, max_examples=20)
@@ -125,9 +131,8 @@ def test_empty_cells_and_missing_rows_become_lost_samples(tmp_path):
 def test_an_uneven_clock_is_resampled(tmp_path_factory, seed):
     t = T + 0.002 * np.random.default_rng(seed).uniform(-1.0, 1.0, T.size)
     columns = changed(t=t, a_rf=3.0 * t, v=5.0 + t)
-    record, notes = read_measured_record(
-        table(tmp_path_factory.mktemp("d") / "d.csv", columns), BASE
-    )
+    measured = read_measured_record(table(tmp_path_factory.mktemp("d") / "d.csv", columns), BASE)
+    record, notes = measured.record, measured.notes
     steps = np.diff(record.t)
     np.testing.assert_allclose(steps, steps[0], rtol=1e-9)
     np.testing.assert_allclose(record.a[0], 3.0 * (record.t + t[0]), atol=1e-6)
@@ -151,7 +156,7 @@ def test_the_estimated_road_of_a_measured_record_is_the_driven_road(tmp_path):
         },
     }
     path = table(tmp_path / "d.csv", columns)
-    measured, _ = read_measured_record(path, BASE, speed_kmh=54.0, mode="handling")
+    measured = read_measured_record(path, BASE, speed_kmh=54.0, mode="handling").record
     estimate = estimators.create("iterated_wiener").estimate(measured, DEFENDER)
     begin = record.s[1200] - BASE  # position of the rear axle
     expected = np.stack([np.interp(begin + estimate.s, truth.s, z) for z in truth.z])
@@ -168,23 +173,32 @@ def spoilt(column, k, value):
 @pytest.mark.parametrize(
     ("columns", "options", "message"),
     [
-        ({"t": None}, {}, "the column t is missing; the table has a_rf"),
-        ({"a_lr": None}, {}, "column a_lr is missing; give a_lr [m/s²] or a_lr_g [g] once"),
-        ({"a_lr_g": T}, {}, "column a_lr is given twice"),
+        ({"t": None}, {}, "the column t is missing: name it t, time or timestamp"),
+        ({"a_lr": None}, {}, "the column a_lr is missing: name it a_lr (m/s²) or a_lr_g"),
+        ({"a_lr_g": T}, {}, "a_lr is given twice, by the columns a_lr and a_lr_g"),
         ({"v": None}, {}, "the speed is missing: give one of the columns v [m/s]"),
-        ({}, {"speed_kmh": 50.0}, "the speed is given twice"),
+        ({}, {"speed_kmh": 50.0}, "the speed is given twice, by the column v"),
         ({"mode": None}, {}, "the state of the struts is missing: give the column mode"),
         ({}, {"mode": "ride"}, "given as mode and for the whole drive"),
         ({"mode": None, "mode_rear": CHANNELS["mode"]}, {}, "given as mode_rear"),
         (spoilt("mode", 7, "sport"), {}, "unknown suspension mode 'sport'"),
-        (spoilt("a_rr", 4, "over"), {}, "row 5 of a_rr: 'over' is not a number"),
-        (spoilt("t", 9, ""), {}, "t must hold a number in every row"),
+        (spoilt("a_rr", 4, "over"), {}, "the column a_rr: row 5: 'over' is not a number"),
+        (spoilt("a_rr", 4, "1_0"), {}, "the column a_rr: row 5: '1_0' is not a number"),
+        (spoilt("t", 9, ""), {}, "t must hold a time in every row; row 10 is empty"),
+        (spoilt("t", 9, "noon"), {}, "the column t: row 10: 'noon' is not a number"),
         ({"t": T[::-1]}, {}, "t must increase; it does not after row 1"),
+        ({"t": 1000.0 * T}, {}, "at 0.1 Hz; at least 20 Hz are needed; are the times in ms"),
+        ({"t": T + 1e7 * (T > 1.0)}, {}, "the longest gap is 1e+07 s after row 101"),
         ({"v": T - 0.5}, {}, "the vehicle moves backwards"),
-        ({"v": np.where(T == 1.0, np.nan, 5.0)}, {}, "v and s must hold a number in every row"),
+        ({"v": 30.0 * CHANNELS["v"]}, {}, "is it in km/h (--units v=km/h)?"),
+        ({"s": 36.0 * T}, {}, "11.93 m by the speed and 71.64 m by the odometer"),
         ({"a_rf": np.full(200, np.nan)}, {}, "the column a_rf holds no number"),
-        ({"a_rf": np.where(T < 1.0, np.nan, 1.0)}, {}, "50% of the samples are lost"),
-        ({"a_rf": -9.8 + T}, {}, "its axis points down; invert its sign"),
+        ({"a_rf": np.where(T < 1.0, np.nan, T)}, {}, "50% of the samples are lost"),
+        ({"a_rf": -9.8 + T}, {}, "invert its sign with --invert a_rf"),
+        ({"a_rf": 0.0 * T}, {}, "a_rf is 0 in all rows: the sensor is dead"),
+        ({"a_rf": 1.0 + 0.1 * np.sin(9.0 * T)}, {}, "as of gravity in g: say --units a_rf=g"),
+        ({"a_rf": 0.01 * np.sin(9.0 * T)}, {}, "less than any driven car"),
+        ({"lat": 91.0 + 0.0 * T, "lon": T}, {}, "no latitudes within ±90°"),
         ({" V ": T}, {}, "the column v is duplicated"),
     ],
 )  # fmt: skip
@@ -194,6 +208,17 @@ def test_an_invalid_record_is_rejected_in_one_sentence(tmp_path, columns, option
         read_measured_record(path, BASE, **options)
     sentence = str(error.value)
     assert message in sentence and str(path) in sentence and "\n" not in sentence
+
+
+def test_all_problems_of_a_file_are_told_at_once(tmp_path):
+    columns = changed(mode=None, v=None, a_lr=None, **spoilt("a_rr", 4, "over"))
+    with pytest.raises(ConfigError) as error:
+        read_measured_record(table(tmp_path / "d.csv", columns), BASE)
+    told = str(error.value)
+    assert "4 problems: (1) " in told
+    assert all(
+        part in told for part in ("a_lr is missing", "row 5", "speed is missing", "state of the")
+    )
 
 
 @pytest.mark.parametrize("data", [b"", b"t\n", b"\xff\xfe\x00", b"t,a_rf\n1,2,3\n", b"t\n1\n2\n"])
@@ -207,7 +232,7 @@ def test_an_invalid_table_is_rejected_in_one_sentence(tmp_path, data):
 
 
 def test_a_record_is_recognised_by_its_metadata_even_if_damaged(tmp_path):
-    record, _ = read_measured_record(table(tmp_path / "d.csv", CHANNELS), BASE)
+    record = read_measured_record(table(tmp_path / "d.csv", CHANNELS), BASE).record
     path = tmp_path / "d.parquet"
     write_record(path, replace(record, length=5.0), {})
     path.write_bytes(path.read_bytes()[:-10])

@@ -1,0 +1,166 @@
+"""Quantities of a drive from the columns of a table, in SI units.
+
+A column is found by the name that is given for its quantity, or else by the quantity's own name or
+an alias, with or without a unit in the header. All problems are collected.
+"""
+
+import difflib
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from road_envs.config import ConfigError
+from road_envs.data.logger_tables import units
+from road_envs.data.logger_tables.description import QUANTITIES, DriveDescription
+from road_envs.data.logger_tables.table import Table, numeric_values
+
+GRAVITY_THRESHOLD = 0.5 * units.STANDARD_GRAVITY
+"""A channel includes gravity if the magnitude of its mean exceeds this value [m/s²]."""
+
+GRAVITY_IN_G = (0.9, 1.1)
+"""Mean of a channel in m/s² that suggests a channel in g."""
+
+QUIET_RMS, SILENT_RMS = 0.15, 0.02
+"""RMS [m/s²] at which a driven car is questioned, and below which there is none: 50 km/h on a good
+road of class A give 0.3.
+"""
+
+
+@dataclass
+class Findings:
+    """Problems, which all are told at once, and notes on assumptions and corrections."""
+
+    problems: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def raise_problems(self) -> None:
+        """Raise ConfigError that tells all problems, if there are any."""
+        if len(self.problems) == 1:
+            raise ConfigError(self.problems[0])
+        if self.problems:
+            listed = "; ".join(f"({k}) {text}" for k, text in enumerate(self.problems, 1))
+            raise ConfigError(f"{len(self.problems)} problems: {listed}")
+
+
+class Channels:
+    """The columns of a `table` by quantity, as a `description` and the headers tell."""
+
+    def __init__(self, table: Table, description: DriveDescription, findings: Findings):
+        self.table, self.description, self.findings = table, description, findings
+        self.headers = {name: self._find(name) for name in QUANTITIES}
+
+    def __contains__(self, quantity: str) -> bool:
+        return self.headers[quantity] is not None
+
+    def list_columns(self) -> str:
+        """Return the headers of the table in words."""
+        return f"the table has {', '.join(self.table)}"
+
+    def unit(self, quantity: str) -> str | None:
+        """Return the unit that is given, or that the header tells, if any."""
+        header = self.headers[quantity]
+        return self.description.units.get(quantity) or (units.split_header(header or "")[1])
+
+    def numbers(self, quantity: str) -> np.ndarray | None:
+        """Return a column in SI units (N,), NaN for empty cells; None if it cannot be read."""
+        header, kind = self.headers[quantity], QUANTITIES[quantity].kind
+        if header is None or kind is None:
+            return None
+        try:
+            unit = self.unit(quantity)
+            factor = units.factor(kind, unit) if unit else 1.0
+            x = numeric_values(self.table[header])
+        except ConfigError as error:
+            self.findings.problems.append(f"{quantity}: {error}")
+            return None
+        except ValueError as error:
+            self.findings.problems.append(f"the column {header}: {error}")
+            return None
+        if not np.isfinite(x).any():
+            self.findings.problems.append(f"the column {header} holds no number")
+            return None
+        return factor * x
+
+    def acceleration(self, quantity: str) -> np.ndarray | None:
+        """Return one channel [m/s²], upwards and without gravity; None if there is none."""
+        if quantity not in self:
+            self.findings.problems.append(
+                f"the column {quantity} is missing: name it {quantity} (m/s²) or {quantity}_g, or "
+                f"say which it is with --columns {quantity}=NAME; {self.list_columns()}"
+            )
+            return None
+        if (a := self.numbers(quantity)) is None:
+            return None
+        name = self.headers[quantity]
+        a = -a if quantity in self.description.invert else a
+        finite = a[np.isfinite(a)]
+        mean, spread = float(finite.mean()), float(finite.std())
+        problems, notes = self.findings.problems, self.findings.notes
+        in_g = self.unit(quantity) is None and (
+            GRAVITY_IN_G[0] < mean < GRAVITY_IN_G[1] or -GRAVITY_IN_G[1] < mean < -GRAVITY_IN_G[0]
+        )
+        if spread <= 1e-12:
+            problems.append(
+                f"{name} is {mean:g} in all rows: the sensor is dead, or the wrong column"
+            )
+        elif in_g:
+            problems.append(
+                f"{name} has a mean of {mean:.2f}, as of gravity in g: say --units {quantity}=g, "
+                f"or --units {quantity}=m/s2 if the sensor has this offset"
+            )
+        elif mean < -GRAVITY_THRESHOLD:
+            problems.append(
+                f"{name} has a mean of {mean:.1f} m/s²: its axis points down; invert its sign "
+                f"with --invert {quantity}"
+            )
+        elif spread < SILENT_RMS:
+            problems.append(
+                f"{name} has an RMS of {spread:.2g} m/s², less than any driven car: check the "
+                f"column and its unit (--units {quantity}=g)"
+            )
+        elif spread < QUIET_RMS and self.unit(quantity) is None:
+            notes.append(
+                f"{name} has an RMS of only {spread:.2g} m/s²: if it is in g, say "
+                f"--units {quantity}=g"
+            )
+        if mean > GRAVITY_THRESHOLD:
+            notes.append(f"{name}: its mean of {mean:.2f} m/s² is taken as gravity and subtracted")
+            return a - mean
+        return a
+
+    def texts(self, quantity: str) -> list[str]:
+        """Return the cells of a column, the last known one for an empty cell."""
+        header = self.headers[quantity]
+        assert header is not None
+        cells = self.table[header].to_pandas().ffill().bfill()
+        return [str(cell).strip() for cell in cells]
+
+    def _find(self, quantity: str) -> str | None:
+        """Return the header of the column of a quantity, None if there is none."""
+        given = self.description.columns.get(quantity)
+        if given is not None:
+            wanted = given.strip().lower()
+            for matches in (
+                [h for h in self.table if h.lower() == wanted],
+                [h for h in self.table if units.split_header(h)[0].lower() == wanted],
+            ):
+                if len(matches) == 1:
+                    return matches[0]
+            close = difflib.get_close_matches(given, list(self.table), n=1)
+            hint = f" (did you mean {close[0]!r}?)" if close else ""
+            self.findings.problems.append(
+                f"there is no column {given!r} for {quantity}{hint}; {self.list_columns()}"
+            )
+            return None
+        taken = {name.strip().lower() for name in self.description.columns.values()}
+        free = [h for h in self.table if h.lower() not in taken]
+        for name in (quantity, *QUANTITIES[quantity].aliases):
+            matches = [h for h in free if units.split_header(h)[0].lower() == name]
+            if len(matches) > 1:
+                self.findings.problems.append(
+                    f"{quantity} is given twice, by the columns {' and '.join(matches)}: say which "
+                    f"with --columns {quantity}=NAME"
+                )
+            if matches:
+                return matches[0]
+        return None
