@@ -15,7 +15,7 @@ from leaderboard.evaluation.entry import Entry
 from leaderboard.evaluation.evaluate import SEEDS
 from leaderboard.evaluation.surface_tasks import surface_tasks
 from leaderboard.evaluation.tasks import Task, load_task, shipped_tasks
-from leaderboard.metrics.baselines import BASELINES
+from leaderboard.metrics.baselines import SENTINELS
 from leaderboard.report.board_definitions import board_columns
 from leaderboard.report.cache import Report, build_report
 from leaderboard.report.site import write_site
@@ -152,7 +152,7 @@ def _entries(names: Sequence[str] | None, without: Sequence[str], limits: Limits
     for name in without:
         validate_choice("estimator", name, estimators.names())
     unavailable = estimators.without_weights()
-    excluded = {*BASELINES, *unavailable, *without}
+    excluded = {*SENTINELS, *unavailable, *without}
     chosen = names or [name for name in estimators.names() if name not in excluded]
     if unavailable and not names:
         notices.print(f"excluded, no weights in this package: {', '.join(unavailable)}")

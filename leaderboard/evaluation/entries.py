@@ -44,7 +44,7 @@ def describe(reference: str, estimator: Estimator) -> dict[str, Any]:
 
 
 def make_entry(name: str, estimator: Estimator | None) -> Entry:
-    """Return the entry of an estimator of this process; None is the truth plus noise."""
+    """Return the entry of an estimator of this process; None is made by the evaluation."""
     if estimator is None:
         return Entry(name=name, reference=BUILTIN)
     cls: Any = type(estimator)

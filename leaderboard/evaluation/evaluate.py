@@ -21,7 +21,7 @@ from leaderboard.evaluation.entry import (
 )
 from leaderboard.evaluation.provenance import describe_environment, package_version
 from leaderboard.evaluation.results import DriveScores, Result, Trace, merge_parts, quantize_heights
-from leaderboard.evaluation.tasks import Condition, Task
+from leaderboard.evaluation.tasks import Condition, Task, training_delays
 from leaderboard.evaluation.test_data import (
     DriveSimulation,
     RecordedDrive,
@@ -29,7 +29,7 @@ from leaderboard.evaluation.test_data import (
     simulate_drives,
 )
 from leaderboard.metrics import heights
-from leaderboard.metrics.baselines import BASELINES, truth_plus_noise
+from leaderboard.metrics.baselines import MEMORY, SENTINELS, memory, truth_plus_noise
 from leaderboard.metrics.bound import nrmse_bound
 from leaderboard.metrics.registry import compute_scores
 from road_envs.data.record import Estimate
@@ -70,7 +70,7 @@ def run_task(
     simulate: DriveSimulation = simulate_drives,
     report: StatusCallback = lambda text: None,
 ) -> list[Result]:
-    """Evaluate `estimators` on a task in this process; None is the truth plus noise.
+    """Evaluate `estimators` on a task in this process; None is a baseline made from the truth.
 
     `report` is called at the start of each of `steps(task, estimators)` steps. Raises ConfigError
     for an invalid task.
@@ -141,7 +141,7 @@ def evaluate_entry(
         task=task.name,
         task_digest=task.digest,
         estimator=entry.name,
-        role="sentinel" if entry.name in BASELINES else "entry",
+        role="sentinel" if entry.name in SENTINELS else "entry",
         settings=entry.settings,
         package_version=package_version(),
         metric_version=heights.VERSION,
@@ -170,9 +170,13 @@ def _training_runs(
 ) -> Iterable[TrainingRun]:
     if entry.reference != BUILTIN:
         return run(entry, data, seeds)
-    band = heights.scored_band(data.v)
-    noisy = [truth_plus_noise(test.truth, band, test.seed) for test in data.tests]
-    return [TrainingRun(noisy, 0.0, 0.0, 0, seeds[0])]
+    if entry.name == MEMORY:
+        truths, delays = [d.truth for d in data.training], training_delays(data.task)
+        estimates = [memory(truths, delays, test.truth.s) for test in data.tests]
+    else:
+        band = heights.scored_band(data.v)
+        estimates = [truth_plus_noise(test.truth, band, test.seed) for test in data.tests]
+    return [TrainingRun(estimates, 0.0, 0.0, 0, seeds[0])]
 
 
 def _score_fields(data: ConditionData, training_runs: Iterable[TrainingRun]) -> dict:

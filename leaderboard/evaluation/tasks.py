@@ -21,7 +21,7 @@ import numpy as np
 from leaderboard.evaluation.boards import BoardDefinition, shipped_boards
 from road_envs import config
 from road_envs.config import STRICT, ConfigError
-from road_envs.roads import Road, with_length
+from road_envs.roads import KINDS, Road, with_length
 from road_envs.roads.api import AnyRoad
 from road_envs.roads.composite import NoisyCopy
 from road_envs.roads.measured import Measured
@@ -195,6 +195,14 @@ class Task:
             )
 
     @property
+    def heading(self) -> str:
+        """Title, and the car of the test drives where it is not that of the training."""
+        grades = {condition.grade for condition in self.conditions}
+        if len(grades) > 1 or grades == {"S0"}:
+            return self.title
+        return f"{self.title}; judged on the field car {grades.pop()}, trained on S0"
+
+    @property
     def board_name(self) -> str:
         """Name of the board of this task."""
         return self.board if isinstance(self.board, str) else self.name
@@ -291,16 +299,36 @@ def _base_road(road: Road) -> Road:
     return _base_road(road.road) if isinstance(road, NoisyCopy) else road
 
 
+def training_delays(task: Task) -> list[float]:
+    """Return the delay [m] of the road of each training drive, 0 if it is no delayed copy."""
+    roads = [road for road, _ in task.training.roads_and_seeds]
+    return [road.delay if isinstance(road, NoisyCopy) else 0.0 for road in roads]
+
+
 def _canonical(value: Any) -> Any:
-    """Return `value` as JSON types: dataclasses with their class name, surface files by content."""
+    """Return `value` as JSON types, by the kinds and keys of its YAML and not by names of classes.
+
+    Fields at their defaults are left out, so that a new option leaves the digests of all tasks as
+    they are; code that changes a default changes the version of the evaluation code. A surface file
+    is given by its content.
+    """
     if dataclasses.is_dataclass(value):
-        names = [f.name for f in dataclasses.fields(value) if f.name not in DESCRIPTIVE_FIELDS]
-        fields = {name: _canonical(getattr(value, name)) for name in names}
+        fields = {
+            f.name: _canonical(getattr(value, f.name))
+            for f in dataclasses.fields(value)
+            if f.name not in DESCRIPTIVE_FIELDS and not _is_default(f, getattr(value, f.name))
+        }
         if isinstance(value, Measured):
             fields["path"] = hashlib.sha256(Path(value.path).read_bytes()).hexdigest()
-        return {"is": type(value).__name__, **fields}
+        kind = next((kind for kind, cls in KINDS.items() if type(value) is cls), None)
+        return fields if kind is None else {"kind": kind, **fields}
     if isinstance(value, tuple | list):
         return [_canonical(item) for item in value]
     if isinstance(value, dict):
         return {str(key): _canonical(item) for key, item in value.items()}
     return value if isinstance(value, str | int | float | bool | type(None)) else repr(value)
+
+
+def _is_default(f: dataclasses.Field[Any], value: Any) -> bool:
+    made = f.default_factory() if f.default_factory is not dataclasses.MISSING else f.default
+    return made is not dataclasses.MISSING and type(made) is type(value) and bool(made == value)

@@ -2,11 +2,16 @@
 
     flat, mean, unrelated_road   estimators that use no measurement
     truth_plus_noise             the truth plus 2 % noise inside the band, made by the evaluation
+    memory                       the training road with its known delay undone, by the evaluation
 
+`memory` appears where a task trains on altered copies of its test road: it uses no measurement, and
+its score is what an entry earns there by remembering the training road and where it lay.
 The least error of any linear estimator with the paper's three noisy accelerometers is 3.2 %. An
 entry that scores better than 2 % has used the truth, or the evaluation is faulty; its row is
 flagged (`report.tables.sanity_warnings`).
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,7 +19,11 @@ from leaderboard.metrics.heights import Band, band_pass
 from road_envs.data.record import Estimate, Profile
 
 TRUTH_PLUS_NOISE = "truth_plus_noise"
+MEMORY = "memory"
 BASELINES = ("flat", "mean", "unrelated_road", TRUTH_PLUS_NOISE)
+"""Baselines of every task."""
+SENTINELS = (*BASELINES, MEMORY)
+"""Names of all baselines; no entry may have one of them."""
 NOISE_LEVEL = 0.02
 """Ratio of the noise of `truth_plus_noise` to the truth, both as in-band RMS."""
 
@@ -25,6 +34,18 @@ def truth_plus_noise(truth: Profile, band: Band, seed: int) -> Estimate:
     # match the RMS inside the band, the part that is scored
     level = _rms(band_pass(truth.z, truth.ds, band)) / _rms(band_pass(noise, truth.ds, band))
     return Estimate(truth.s, truth.z + NOISE_LEVEL * level * noise)
+
+
+def memory(truths: Sequence[Profile], delays: Sequence[float], stations: np.ndarray) -> Estimate:
+    """Return the mean of training roads at `stations` (M,) [m], each moved back by its delay [m].
+
+    The `truths` are those of the training drives; a road is continued at its last height.
+    """
+    moved = [
+        np.stack([np.interp(stations + delay, truth.s, path) for path in truth.z])
+        for truth, delay in zip(truths, delays, strict=True)
+    ]
+    return Estimate(stations, np.mean(moved, axis=0))
 
 
 def _rms(z: np.ndarray) -> float:

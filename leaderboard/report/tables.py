@@ -164,7 +164,7 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
     stale = [Row(r.estimator, "stale", message=why) for r, why in board.stale(task)]
     return Section(
         task.name,
-        task.title,
+        task.heading,
         (*claim, *rows, *failed, *stale),
         (
             *_protocol_notes(task, scored),

@@ -15,7 +15,7 @@ from leaderboard.evaluation.evaluate import SEEDS
 from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.store import RowChangedError, load_rows
 from leaderboard.evaluation.tasks import Task
-from leaderboard.metrics.baselines import BASELINES, TRUTH_PLUS_NOISE
+from leaderboard.metrics.baselines import BASELINES, MEMORY, SENTINELS, TRUTH_PLUS_NOISE
 from leaderboard.running.executors import Executor
 from leaderboard.running.jobs import to_text
 from leaderboard.running.plan import Plan, PlannedRow, make_jobs
@@ -50,15 +50,14 @@ class RunRequest:
 
     def rows(self) -> list[PlannedRow]:
         """Return the rows of every entry on every task. Raises ConfigError."""
-        baselines = [make_entry(name, baseline) for name, baseline in create_baselines().items()]
-        entries = [*self.entries, *baselines]
+        baselines = {name: make_entry(name, x) for name, x in create_baselines().items()}
         return [
             PlannedRow(
                 task, entry_refit_per_case(entry) if task.trains_on_test_road else entry, seeds
             )
             for seeds in [tuple(self.seeds)]
             for task in self.sized_tasks()
-            for entry in entries
+            for entry in [*self.entries, *(baselines[name] for name in baseline_names(task))]
         ]
 
 
@@ -200,5 +199,11 @@ def write_jobs(request: RunRequest, out: Path, folder: Path) -> int:
 
 
 def create_baselines() -> dict[str, Estimator | None]:
-    """Return the baselines of every board by name; None is the truth plus noise."""
-    return {name: None if name == TRUTH_PLUS_NOISE else create(name) for name in BASELINES}
+    """Return all baselines by name; None is one that the evaluation makes from the truth."""
+    made = (TRUTH_PLUS_NOISE, MEMORY)
+    return {name: None if name in made else create(name) for name in SENTINELS}
+
+
+def baseline_names(task: Task) -> tuple[str, ...]:
+    """Return the baselines of a task: `memory` where it trains on its test road."""
+    return SENTINELS if task.trains_on_test_road else BASELINES

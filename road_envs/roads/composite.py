@@ -11,7 +11,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field
 
-from road_envs.config import Finite, NonNegative, Positive, Settings
+from road_envs.config import Finite, NonNegative, Positive, Settings, SmallestFirst
 from road_envs.data.record import PROFILE_SPACING
 from road_envs.roads.api import AnyRoad, with_length
 from road_envs.roads.measured import tile_heights
@@ -163,6 +163,27 @@ class Scaled(_Modified):
             name=f"{surface.name}, scaled",
             notes=(*surface.notes, note),
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomLevel(_Modified):
+    """A road whose roughness is drawn: its level, uniform in dB between two limits.
+
+    The same seed draws the same inner road at every level; 6 dB double its heights and are one ISO
+    class.
+    """
+
+    level: Annotated[
+        tuple[Finite, Finite], SmallestFirst, "dB", "limits of the level relative to the road's"
+    ]
+
+    def realise(self, rng: np.random.Generator) -> Surface:
+        """Draw the inner road, then its level."""
+        surface = self.road.realise(rng)
+        decibels = rng.uniform(*self.level)
+        z = 10.0 ** (decibels / 20.0) * surface.z
+        notes = (*surface.notes, f"level {decibels:+.1f} dB")
+        return Surface(z, surface.ds, surface.start, surface.name, notes)
 
 
 @dataclass(frozen=True, kw_only=True)

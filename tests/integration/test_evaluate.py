@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from fakes import Broken, Learner, Reader, fake_drives, task
 
+import estimators
 from leaderboard.evaluation.entries import make_entry
 from leaderboard.evaluation.entry import EntryError, needs_training, reconstruct
 from leaderboard.evaluation.evaluate import run_task, steps
@@ -13,7 +14,7 @@ from leaderboard.evaluation.store import row_path
 from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.metrics.baselines import BASELINES, NOISE_LEVEL, truth_plus_noise
 from leaderboard.metrics.heights import nrmse, scored_band
-from leaderboard.running.board import RunRequest, load_board, run_board
+from leaderboard.running.board import RunRequest, baseline_names, load_board, run_board
 from leaderboard.running.executors import InProcessExecutor
 from road_envs.config import ConfigError
 from road_envs.simulation.drive import SimulationError
@@ -24,10 +25,10 @@ def run(entries, seeds=(1, 2, 3), t=None, **options):
     return {result.estimator: result for result in results}
 
 
-def board(tmp_path, estimators, t=None, simulate=fake_drives, progress=lambda *_: None, **options):
-    entries = [make_entry(name, estimator) for name, estimator in estimators.items()]
+def board(tmp_path, by_name, t=None, simulate=fake_drives, progress=lambda *_: None, **options):
+    entries = [make_entry(name, estimator) for name, estimator in by_name.items()]
     request = RunRequest([t or task()], entries, **options)
-    return run_board(request, tmp_path, InProcessExecutor(simulate, estimators), progress)
+    return run_board(request, tmp_path, InProcessExecutor(simulate, by_name), progress)
 
 
 def test_a_scaled_truth_has_the_error_of_its_scale_on_every_drive():
@@ -153,6 +154,32 @@ def test_truth_plus_noise_has_exactly_its_noise_level():
     noisy = truth_plus_noise(drive.truth, band, seed=1)
     error = nrmse(drive.truth.z, noisy.z, drive.truth.ds, band)
     assert error.pooled == pytest.approx(NOISE_LEVEL, rel=1e-9)
+
+
+@pytest.mark.parametrize("delay", [0.4, 1.0])
+def test_memory_is_the_training_road_without_its_delay(delay):
+    """Its error is the noise of the copy inside the band; that of `mean` is the delay."""
+    belgian = {"kind": "fixed", "seed": 8, "road": "belgian_like"}
+    copy = {"kind": "altered", "noise": 0.1, "delay": delay, "road": belgian}
+    t = task(
+        training={"roads": [copy], "seeds": [1], "length": 60.0, "noise": False},
+        test={"roads": [belgian], "seeds": [11], "length": 60.0},
+        trains_on_test_road=True,
+    )
+    found = run({"memory": None, "mean": estimators.create("mean")}, t=t, seeds=(1,))
+    remembered = found["memory"].values("nrmse")[0, :, 0]
+    out_of_place = found["mean"].values("nrmse")[0, :, 0]
+    (test,) = fake_drives(t, t.test, t.conditions[0])
+    noise = np.random.default_rng(3).standard_normal(test.truth.z.shape)
+    noise *= 0.1 * test.truth.z.std(axis=1, keepdims=True)
+    for k, condition in enumerate(t.conditions):
+        band = scored_band(condition.speed_kmh / 3.6)
+        expected = nrmse(test.truth.z, test.truth.z + noise, test.truth.ds, band).pooled
+        # interpolation between the samples of the noise takes off some of it
+        assert 0.6 * expected < remembered[k] < 1.2 * expected
+    assert (out_of_place > 0.9).all()
+    assert found["memory"].role == "sentinel"
+    assert "memory" in baseline_names(t) and "memory" not in baseline_names(task())
 
 
 def test_progress_is_reported_step_by_step():

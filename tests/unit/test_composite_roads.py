@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 
 from road_envs.config import ConfigError
 from road_envs.roads import Road, load_road, with_length
@@ -217,3 +218,19 @@ def test_nested_file_paths_are_relative_to_their_yaml_file(tmp_path):
     text = "kind: joined\nroads: [flat, {kind: scaled, road: {kind: measured, path: short.csv}}]\n"
     (tmp_path / "road.yaml").write_text(text)
     assert load_road(tmp_path / "road.yaml").length == 108.0
+
+
+def test_a_random_level_is_uniform_in_decibels_and_leaves_the_road_as_it_is():
+    road = load_road({"kind": "random_level", "level": [-9.0, 3.0], "road": "iso_d"})
+    inner = load_road("iso_d")
+    levels = []
+    for seed in range(60):
+        z = road.realise(np.random.default_rng(seed)).z
+        y = inner.realise(np.random.default_rng(seed)).z
+        gain = (z * y).sum() / (y * y).sum()
+        np.testing.assert_allclose(z, gain * y, atol=1e-12)
+        levels.append(20.0 * np.log10(gain))
+    assert stats.kstest(levels, "uniform", (-9.0, 12.0)).pvalue > 0.01
+    assert -9.0 <= min(levels) and max(levels) <= 3.0
+    with pytest.raises(ConfigError, match="smallest and the largest"):
+        load_road({"kind": "random_level", "level": [3.0, -3.0], "road": "iso_d"})

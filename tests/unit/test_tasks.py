@@ -9,12 +9,12 @@ from fakes import task
 
 from leaderboard.evaluation import tasks, test_data
 from leaderboard.evaluation.surface_tasks import surface_class, surface_tasks
-from leaderboard.evaluation.tasks import load_task, shipped_tasks
+from leaderboard.evaluation.tasks import Condition, load_task, shipped_tasks
 from leaderboard.evaluation.test_data import simulate_drives
 from road_envs.config import ConfigError, folder, names
 from road_envs.data.record import profile_stations
 from road_envs.data.recording import simulate_record
-from road_envs.roads import load_road, write_csv
+from road_envs.roads import KINDS, load_road, write_csv
 from road_envs.vehicle.perturbed_vehicle import load_plant_mismatch
 
 DRIVES = {"roads": ["iso_d"], "seeds": [1, 2]}
@@ -100,7 +100,7 @@ def test_families_partition_the_test_drives():
     assert sorted(k for part in families.values() for k in part) == list(range(60))
     assert [len(part) for part in families.values()] == [10, 10, 20, 20]
     roads = [drives.roads_and_seeds[k][0] for k in families["ISO w = 2"]]
-    assert {(type(road).__name__, road.w) for road in roads} == {("Iso8608", 2.0)}
+    assert {(type(road.road).__name__, road.road.w) for road in roads} == {("Iso8608", 2.0)}
     with pytest.raises(ConfigError, match="one family for each of the 2 roads, got 1"):
         task(test={"roads": ["iso_d", "iso_e"], "seeds": [7], "families": ["one"]})
 
@@ -222,6 +222,50 @@ def test_the_digest_depends_on_all_inputs_of_the_drives_and_on_nothing_else(tmp_
     ]
     digests = {base.digest, *(other.digest for other in others)}
     assert len(digests) == len(others) + 1
+
+
+def test_the_digest_does_not_depend_on_names_of_classes_nor_on_options_at_their_defaults(
+    monkeypatch,
+):
+    """A published commitment to hidden seeds holds digests of tasks, so renames must not void it."""
+    before = load_task("new_road").digest
+    for kind, cls in list(KINDS.items()):
+        monkeypatch.setitem(KINDS, kind, type(f"Renamed{cls.__name__}", (cls,), {}))
+    with_option = dataclasses.make_dataclass(
+        "OtherCondition", [("shade", str, "none")], bases=(Condition,), frozen=True, kw_only=True
+    )
+    t = load_task("new_road")
+    assert type(t.test.roads[0]).__name__ == "RenamedRandomLevel"
+    conditions = tuple(with_option(**vars(c)) for c in t.conditions)
+    assert dataclasses.replace(t, conditions=conditions).digest == before
+    shaded = (with_option(**vars(t.conditions[0]), shade="dark"), *conditions[1:])
+    assert dataclasses.replace(t, conditions=shaded).digest != before
+
+
+def test_two_kinds_of_road_with_the_same_settings_have_different_digests():
+    inner = {"road": "iso_d"}
+    digests = {
+        task(test={"roads": [{"kind": kind, **inner}], "seeds": [11]}).digest
+        for kind in ("scaled", "run_in", "offset")
+    }
+    assert len(digests) == 3
+
+
+def test_a_title_names_the_car_of_the_test_drives_where_it_is_another_one():
+    assert load_task("paper_5").heading == (
+        "Belgian paving; ride, 14.5 km/h; judged on the field car S3, trained on S0"
+    )
+    assert load_task("new_road").heading == load_task("new_road").title
+    assert load_task("field").heading == load_task("field").title
+
+
+def test_levels_on_the_main_board_lie_in_several_classes():
+    t = load_task("new_road").with_test_drives(None)
+    surfaces = [road.realise(np.random.default_rng(seed)) for road, seed in t.test.roads_and_seeds]
+    levelled = [surface for k, surface in enumerate(surfaces) if k % 6 < 4]
+    classes = [surface_class(surface) for surface in levelled]
+    assert max(classes.count(letter) for letter in "BCDE") < 0.65 * len(classes)
+    assert {"C", "D"} <= set(classes)
 
 
 @pytest.mark.parametrize(
