@@ -227,7 +227,7 @@ def test_the_digest_depends_on_all_inputs_of_the_drives_and_on_nothing_else(tmp_
 def test_the_digest_does_not_depend_on_names_of_classes_nor_on_options_at_their_defaults(
     monkeypatch,
 ):
-    """A published commitment to hidden seeds holds digests of tasks, so renames must not void it."""
+    """A published commitment to hidden seeds holds digests of tasks: renames must not void it."""
     before = load_task("new_road").digest
     for kind, cls in list(KINDS.items()):
         monkeypatch.setitem(KINDS, kind, type(f"Renamed{cls.__name__}", (cls,), {}))
