@@ -15,6 +15,7 @@ import numpy as np
 
 from road_envs._atomic_io import atomic_write
 from road_envs._extras import optional_import
+from road_envs._reading import parsing
 
 FOLDER = Path(__file__).parent / "weights"
 SUFFIX = ".safetensors"
@@ -44,17 +45,16 @@ def write_weights(
 def read_weights(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Return the arrays and metadata that `write_weights` stored. Raises WeightsError."""
     with optional_import("a file of weights"):
-        from safetensors import SafetensorError, safe_open
+        from safetensors import safe_open
 
-    try:
-        Path(path).open("rb").close()
+    with parsing(path, WeightsError, "damaged or not a safetensors file"):
+        Path(path).open("rb").close()  # its own error of a missing file has no reason
         with safe_open(path, framework="numpy") as file:
             arrays = {name: file.get_tensor(name) for name in file.keys()}
-            return arrays, json.loads((file.metadata() or {}).get(METADATA_KEY, "{}"))
-    except OSError as error:
-        raise WeightsError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except SafetensorError as error:
-        raise WeightsError(f"{path}: damaged or not a safetensors file: {error}") from None
+            metadata = json.loads((file.metadata() or {}).get(METADATA_KEY, "{}"))
+        if not isinstance(metadata, dict):
+            raise WeightsError(f"its metadata {METADATA_KEY!r} are not a mapping")
+        return arrays, metadata
 
 
 @cache

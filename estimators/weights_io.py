@@ -5,10 +5,7 @@ settings; the weights are the arrays `weights.<name>`. In a `.safetensors` file 
 entry of the metadata.
 """
 
-import io
 import json
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -20,6 +17,7 @@ from estimators import pretrained_weights
 from estimators.api import Estimator, Trainable
 from estimators.registry import available, create
 from road_envs._atomic_io import atomic_write
+from road_envs._reading import parsing, read_npz
 from road_envs._version import __version__
 
 FORMAT = "roadrecon estimator 1"
@@ -60,16 +58,12 @@ def save(estimator: Estimator, path: str | Path, metadata: Mapping[str, str] | N
 def load(path: str | Path) -> Estimator:
     """Return the estimator stored by `save`. Raises StorageError."""
     weights, metadata = _read(Path(path))
-    try:
+    with parsing(path, StorageError, "not a usable RoadRecon estimator"):
         header = json.loads(metadata["header"])
         if header["format"] != FORMAT:
             raise StorageError(f"format {header['format']!r} is not supported, expected {FORMAT!r}")
         estimator = create(header["name"], **header["settings"])
         return estimator.with_weights(weights) if isinstance(estimator, Trainable) else estimator
-    except KeyError as error:
-        raise StorageError(f"{path}: not a RoadRecon estimator: {error} is missing") from None
-    except (TypeError, ValueError) as error:
-        raise StorageError(f"{path}: not a usable estimator: {error}") from None
 
 
 def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
@@ -79,16 +73,7 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
             return pretrained_weights.read_weights(path)
         except pretrained_weights.WeightsError as error:
             raise StorageError(str(error)) from None
-    try:
-        data = io.BytesIO(path.read_bytes())
-    except OSError as error:
-        raise StorageError(f"{path}: cannot be read: {error.strerror}") from None
-    if not zipfile.is_zipfile(data):
-        raise StorageError(f"{path}: truncated or not an .npz file")
-    try:
-        with np.load(data, allow_pickle=False) as file:
-            arrays = {name.removeprefix(WEIGHT_PREFIX): file[name] for name in file.files}
-    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise StorageError(f"{path}: damaged or not written by RoadRecon: {error}") from None
+    with parsing(path, StorageError, "damaged or not an .npz file of RoadRecon"):
+        arrays = {name.removeprefix(WEIGHT_PREFIX): x for name, x in read_npz(path).items()}
     header = arrays.pop("header", None)
     return arrays, {} if header is None else {"header": str(header)}

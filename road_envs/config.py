@@ -13,6 +13,7 @@ Configurations are looked up by name in the packaged folder, or read from a path
 import dataclasses
 import difflib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -21,6 +22,8 @@ from typing import Annotated, Any, TypeVar, Union, cast, get_args, get_origin
 
 import yaml
 from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
+
+from road_envs._reading import parsing
 
 T = TypeVar("T")
 
@@ -32,6 +35,12 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, lt=1)]
 Count = Annotated[int, Field(ge=1)]
+
+MAX_FILE_SIZE, MAX_VALUES = 2**22, 10**6
+"""Largest YAML file [bytes], and most values in it, every alias counted as what it stands for."""
+
+MAX_SHOWN = 200
+"""Characters of a value that a message repeats."""
 
 UNKNOWN_KEY = "unexpected_keyword_argument"
 """Pydantic's type of this error."""
@@ -91,11 +100,20 @@ def validate_choice(what: str, given: object, known: Mapping[str, Any] | list[st
         return given
     close = difflib.get_close_matches(str(given), list(known), n=1)
     hint = f" (did you mean {close[0]!r}?)" if close else ""
-    raise ConfigError(f"unknown {what} {given!r}{hint}; known: {', '.join(sorted(known))}")
+    raise ConfigError(f"unknown {what} {_shown(given)}{hint}; known: {', '.join(sorted(known))}")
 
 
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """YAML loader that rejects duplicate keys; plain YAML would silently keep the last one."""
+class _StrictLoader(yaml.SafeLoader):
+    """YAML loader that bounds the size of a document, and rejects duplicate keys.
+
+    Aliases let a file of 1 kB expand to any size. Plain YAML keeps the last of duplicate keys.
+    """
+
+    def get_single_node(self) -> yaml.Node | None:
+        node = super().get_single_node()
+        if (size := _expanded_size(node, {})) > MAX_VALUES:
+            raise ConfigError(f"{size:.3g} values with all aliases; at most {MAX_VALUES} are read")
+        return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: dict[Any, int] = {}
@@ -110,16 +128,23 @@ class _UniqueKeyLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
+def _expanded_size(node: Any, known: dict[int, float]) -> float:
+    """Return the number of values of a node, aliases counted each time; infinite for a cycle."""
+    if isinstance(node, tuple):
+        return sum(_expanded_size(part, known) for part in node)
+    if id(node) not in known:
+        known[id(node)] = math.inf
+        parts = node.value if isinstance(node, yaml.CollectionNode) else ()
+        known[id(node)] = 1 + sum(_expanded_size(part, known) for part in parts)
+    return known[id(node)]
+
+
 def read_yaml(path: Path) -> dict[str, Any]:
     """Return the mapping in a YAML file. Raises ConfigError if unreadable or not a mapping."""
-    try:
-        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeyLoader)
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+    with parsing(path, ConfigError, "not valid YAML"):
+        if (size := path.stat().st_size) > MAX_FILE_SIZE:
+            raise ConfigError(f"{size} bytes; at most {MAX_FILE_SIZE} are read")
+        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_StrictLoader)
     if not isinstance(data, dict):
         raise ConfigError(f"{path}: expected a mapping of keys to values, got {_type_name(data)}")
     return data
@@ -145,7 +170,7 @@ def build(cls: type[T], data: Mapping[str, Any], where: str) -> T:
     try:
         # JSON mode converts lists to tuples but keeps "16e-6", which YAML reads as a string
         text = json.dumps(data, default=str)
-    except (TypeError, ValueError) as error:  # a date as a key, or a mapping that contains itself
+    except (TypeError, ValueError, RecursionError) as error:  # a date as a key, or a cycle
         raise ConfigError(f"{where}: {error}") from None
     try:
         return _adapter(cast(Any, cls)).validate_json(text, strict=True)
@@ -198,10 +223,12 @@ def _describe(errors: Sequence[Mapping[str, Any]], cls: type) -> str:
         text = str(first["ctx"]["error"])
     elif allowed := _range_of(first):
         unit, meaning, *_ = *notes, "", ""
-        text = f"must {allowed}, got {value}{unit and f' {unit}'}{meaning and f' ({meaning})'}"
+        text = (
+            f"must {allowed}, got {_shown(value)}{unit and f' {unit}'}{meaning and f' ({meaning})'}"
+        )
     else:
         expected = first["msg"][0].lower() + first["msg"][1:]
-        text = f"{expected}, got {value!r} ({_type_name(value)})"
+        text = f"{expected}, got {_shown(value)} ({_type_name(value)})"
     at = ".".join(map(str, loc))
     more = f" (and {len(places) - 1} more)" if len(places) > 1 else ""
     return (f"{at}: {text}" if at else text) + more
@@ -260,6 +287,12 @@ def _bare(hint: Any) -> Any:
         types = [_bare(arg) for arg in get_args(hint)]
         return next(filter(dataclasses.is_dataclass, types), types[0])
     return hint
+
+
+def _shown(value: object) -> str:
+    """Return a value as Python code, without the middle of a long one."""
+    text = repr(value)
+    return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 10]} ... {text[-5:]}"
 
 
 def _type_name(value: object) -> str:

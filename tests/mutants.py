@@ -556,6 +556,12 @@ FAULTS = [
           "paper::test_the_reasons_follow_the_numbers"),
     Fault("road_envs/_atomic_io.py", "or not _try_lock(owner)", "",
           "atomic_io::test_temporary_folders_of_dead_owners_are_removed"),
+    Fault("road_envs/_reading.py", "> MAX_COMPRESSION * len(data)", "> math.inf",
+          "hostile_files::test_a_bomb_is_refused_before_it_is_unpacked"),
+    Fault("road_envs/_reading.py", "except Exception as failure:", "except ValueError as failure:",
+          "hostile_files::test_archives_that_lie_about_their_arrays_are_refused"),
+    Fault("road_envs/config.py", "known[id(node)] = 1 + sum(", "known[id(node)] = 0 * sum(",
+          "hostile_files::test_aliases_count_as_what_they_stand_for"),
 ]  # fmt: skip
 
 

@@ -20,6 +20,7 @@ import yaml
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.tasks import SEED_STRIDE, Task, load_task
 from road_envs._atomic_io import write_text
+from road_envs._reading import parsing
 from road_envs.config import STRICT, ConfigError, build, find, read_yaml
 
 COMMITMENT = "commitment.json"
@@ -67,12 +68,9 @@ def save(hidden: HiddenSeeds, folder: Path) -> Path:
 def load(folder: Path) -> HiddenSeeds:
     """Return the published hidden test set of a folder. Raises ConfigError."""
     path = folder / COMMITMENT
-    try:
-        return build(HiddenSeeds, json.loads(path.read_text(encoding="utf-8")), str(path))
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}") from None
-    except json.JSONDecodeError as error:
-        raise ConfigError(f"{path}: damaged, not valid JSON: {error}") from None
+    with parsing(path, ConfigError, "damaged, not valid JSON"):
+        data = json.loads(path.read_text(encoding="utf-8"))
+    return build(HiddenSeeds, data, str(path))
 
 
 def reveal(salt: str, folder: Path) -> list[Path]:

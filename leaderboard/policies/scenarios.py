@@ -85,8 +85,12 @@ class Scenarios:
             )
         if len(set(map(repr, self.cases))) < len(self.cases):
             raise ValueError("cases must be distinct: one is given twice")
-        if shared := sorted(set(self.test.seeds) & set(self.training.seeds)):
-            raise ValueError(f"training and test must be disjoint but share the seeds {shared}")
+        test, training = self.test.seeds, self.training.seeds
+        if shared := range(max(test[0], training[0]), min(test[-1], training[-1]) + 1):
+            raise ValueError(
+                "training and test must be disjoint but share the seeds "
+                f"{shared[0]} to {shared[-1]}"
+            )
 
     def options(self, case: Case) -> dict[str, Any]:
         """Return the keyword arguments of the environment; `info` never holds the truth."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from road_envs._atomic_io import atomic_write
 from road_envs._extras import optional_import
+from road_envs._reading import parsing
 from road_envs.config import ConfigError
 from road_envs.data.record import Profile, Record, profile_stations
 from road_envs.roads import Road, realise_road
@@ -139,21 +140,14 @@ def is_record(path: Path) -> bool:
 def read_record(path: Path) -> tuple[Record, dict[str, object]]:
     """Read a record and its provenance from Parquet. Raises ConfigError if invalid."""
     with optional_import("a table as CSV or Parquet"):
-        import pyarrow as pa
         import pyarrow.parquet as pq
 
-    try:
+    with parsing(path, ConfigError, "no readable Parquet file"):
         table = pq.read_table(path)
-    except (OSError, pa.ArrowInvalid) as error:
-        raise ConfigError(
-            f"{path}: no readable Parquet file: {str(error).splitlines()[0]}"
-        ) from None
-    try:
+    with parsing(path, ConfigError, "not a RoadRecon record"):
         about = json.loads((table.schema.metadata or {})[b"roadrecon"])
-    except (KeyError, ValueError):
-        about = None
-    if not (isinstance(about, dict) and about.get("format") == FORMAT and "length" in about):
-        raise ConfigError(f"{path}: not a RoadRecon record (its metadata lacks {FORMAT!r})")
+        if about["format"] != FORMAT or not 0.0 < about["length"] < np.inf:
+            raise ConfigError(f"not a RoadRecon record (its metadata lacks {FORMAT!r})")
     if missing := [c for c in COLUMNS if c not in table.column_names]:
         raise ConfigError(f"{path}: columns {missing} are missing; needed: {', '.join(COLUMNS)}")
     column = {c: table[c].to_numpy() for c in COLUMNS}

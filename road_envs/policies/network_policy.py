@@ -10,7 +10,6 @@ execute code.
 
 import io
 import json
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from road_envs._reading import parsing, read_npz
 from road_envs.config import ConfigError, Settings, folder
 from road_envs.envs.options import ACTIONS
 from road_envs.policies.api import PolicyContext
@@ -57,14 +57,8 @@ class PolicyNetwork:
 
 def read_policy_network(path: Path) -> PolicyNetwork:
     """Read a network from its file. Raises ConfigError if the file is damaged or foreign."""
-    try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror or error}") from None
-    except (ValueError, zipfile.BadZipFile, EOFError) as error:
-        raise ConfigError(f"{path}: not a stored policy: {error}") from None
-    try:
+    with parsing(path, ConfigError, "not a stored policy"):
+        arrays = read_npz(path)
         metadata = json.loads(str(arrays.pop("about")))
         if metadata["format"] != FORMAT:
             raise ValueError(f"format must be {FORMAT!r}, got {metadata['format']!r}")
@@ -76,9 +70,7 @@ def read_policy_network(path: Path) -> PolicyNetwork:
         if not isinstance(metadata["ahead"], bool):
             raise ValueError(f"ahead must be true or false, got {metadata['ahead']!r}")
         _validate_layers(layers, n_features(metadata["ahead"]), len(ACTIONS[metadata["control"]]))
-    except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError(f"{path}: not a stored policy: {error}") from None
-    return PolicyNetwork(layers, metadata)
+        return PolicyNetwork(layers, metadata)
 
 
 def _validate_layers(

@@ -17,6 +17,7 @@ import numpy as np
 
 from road_envs._atomic_io import atomic_write
 from road_envs._extras import optional_import
+from road_envs._reading import parsing
 from road_envs.config import ConfigError, Count, Settings
 from road_envs.envs.sb3 import RoadReconVecEnv
 from road_envs.policies.api import PolicyContext
@@ -358,24 +359,17 @@ def _save_checkpoint(model: Any, state: dict[str, Any], path: Path, config: Trai
 
 def _resume(model: Any, state: dict[str, Any], path: Path, config: TrainingConfig) -> None:
     """Restore a checkpoint. Raises ConfigError if it is damaged or of other settings."""
-    import pickle
-
     with optional_import("a neural network"):
         import torch
 
-    try:
+    with parsing(path, ConfigError, "not a checkpoint that can be resumed"):
         stored = torch.load(path, weights_only=True)
         if stored["config"] != repr(config):
-            raise ConfigError(f"{path}: belongs to other settings; choose another checkpoint file")
+            raise ConfigError("belongs to other settings; choose another checkpoint file")
         model.policy.load_state_dict(stored["policy"])
         model.policy.optimizer.load_state_dict(stored["optimizer"])
         state |= json.loads(stored["state"])
         arrays, metadata = stored["network"], json.loads(stored["about"])
-    except ConfigError:
-        raise
-    except (pickle.UnpicklingError, RuntimeError, LookupError, ValueError, OSError, EOFError) as e:
-        reason = str(e).splitlines()[0]
-        raise ConfigError(f"{path}: not a checkpoint that can be resumed: {reason}") from None
-    layers = [(arrays[f"W_{i}"], arrays[f"b_{i}"]) for i in range(len(arrays) // 2)]
-    state["network"] = PolicyNetwork(tuple((W.numpy(), b.numpy()) for W, b in layers), metadata)
+        layers = [(arrays[f"W_{i}"], arrays[f"b_{i}"]) for i in range(len(arrays) // 2)]
+        state["network"] = PolicyNetwork(tuple((W.numpy(), b.numpy()) for W, b in layers), metadata)
     model.num_timesteps = state["steps"]

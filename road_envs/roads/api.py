@@ -47,7 +47,7 @@ def load_road(source: str | Path | Mapping[str, Any] | Road) -> Road:
     optionally `length`. A road is returned as it is. Raises ConfigError.
     """
     if isinstance(source, Mapping):
-        return _from_mapping(source, "")
+        return _from_mapping(source)
     if isinstance(source, Road):
         return source
     if not isinstance(source, str | Path):
@@ -55,7 +55,11 @@ def load_road(source: str | Path | Mapping[str, Any] | Road) -> Road:
     if Path(source).suffix.lower() in SURFACE_SUFFIXES:
         return Measured(path=str(source))
     path = find("roads", source)
-    return _from_mapping(_resolve_paths(read_yaml(path), path.parent), str(path))
+    data = _resolve_paths(read_yaml(path), path.parent)
+    try:
+        return _from_mapping(data)
+    except ConfigError as error:
+        raise type(error)(f"{path}: {error}") from None
 
 
 def realise_road(
@@ -93,14 +97,14 @@ def with_length(road: Road, length: float) -> Road:
         raise ConfigError(str(error)) from None
 
 
-def _from_mapping(data: Mapping[str, Any], where: str) -> Road:
+def _from_mapping(data: Mapping[str, Any]) -> Road:
     settings = dict(data)
     if "name" in settings and "kind" not in settings:
-        return _load_named(settings, where)
+        return _load_named(settings)
     if "kind" not in settings:
-        raise ConfigError(f"{where or 'road'}: missing kind; known: {', '.join(KINDS)}")
+        raise ConfigError(f"road: missing kind; known: {', '.join(KINDS)}")
     kind = validate_choice("kind of road", settings.pop("kind"), KINDS)
-    return build(KINDS[kind], settings, where or kind)
+    return build(KINDS[kind], settings, kind)
 
 
 def _resolve_paths(data: Any, folder: Path) -> Any:
@@ -115,9 +119,9 @@ def _resolve_paths(data: Any, folder: Path) -> Any:
     return inner
 
 
-def _load_named(settings: dict[str, Any], where: str) -> Road:
+def _load_named(settings: dict[str, Any]) -> Road:
     if extra := settings.keys() - {"name", "length"}:
-        raise ConfigError(f"{where or 'road'}: unknown {sorted(extra)} next to name; known: length")
+        raise ConfigError(f"road: unknown {sorted(extra)} next to name; known: length")
     road = load_road(settings["name"])
     return with_length(road, settings["length"]) if "length" in settings else road
 

@@ -396,7 +396,7 @@ def test_shipped_scenarios_are_valid_and_separate_training_from_test(name):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"training": {"first": 99, "number": 5}}, r"share the seeds \[101, 102, 103\]"),
+        ({"training": {"first": 99, "number": 5}}, r"share the seeds 101 to 103"),
         ({"cases": []}, "at least one case"),
         ({"cases": [{"road": "iso_d", "speed_kmh": 54.0}] * 2}, "cases must be distinct"),
         ({"test": {"first": 101, "number": 1}}, "number at least 2"),
