@@ -209,7 +209,7 @@ def _score_fields(data: ConditionData, training_runs: Iterable[TrainingRun]) -> 
 
 def _score_drive(data: ConditionData, drive: int, estimate: Estimate, seed: int) -> DriveScores:
     test = data.tests[drive]
-    bound = nrmse_bound(data.task, data.condition, test.truth)
+    bound = nrmse_bound(data.task, data.condition, test.truth) if data.task.bound else math.nan
     values = compute_scores(test.truth, estimate, data.v, data.task.bumps, bound)
     return DriveScores(
         condition=data.condition.label,

@@ -2,36 +2,50 @@
 
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.heights import scored_band
-from road_envs.analysis.roughness import displacement_psd, fit_line, roughness_class, smooth_psd
-from road_envs.config import build
+from road_envs.analysis.roughness import (
+    detrend_linear,
+    displacement_psd,
+    fit_line,
+    roughness_class,
+    smooth_psd,
+)
+from road_envs.config import ConfigError, build
 from road_envs.data.record import PROFILE_SPACING, profile_stations
 from road_envs.roads import Surface, load_road
+from road_envs.simulation.drive import SimulationError, simulate
+from road_envs.vehicle.parameters import load_vehicle
 
 MIN_LENGTH = 100.0
 """A shorter surface is repeated, mirrored, up to this length [m]."""
 
+LEVEL_RANGE = 1e-6
+"""Range [m] of heights about their line below which a surface is level."""
+
 MAX_LENGTH = 300.0
 """Only this length [m] from the start of a longer surface is driven."""
 
-CONDITIONS = (
-    {"mode": "ride", "speed_kmh": 14.5},
-    {"mode": "handling", "speed_kmh": 14.5},
-    {"mode": {"front": "ride", "rear": "handling"}, "speed_kmh": 14.5},
-)
+CAR = "land_rover_defender_110"
+MODES = ("ride", "handling", {"front": "ride", "rear": "handling"})
+SPEEDS_KMH = (14.5, 10.0, 7.0, 5.0)
+"""Speeds [km/h] of which the highest is driven at which all wheels stay on the ground."""
+MAX_LIFTED_TIME = 0.001
+"""Share of the time for which a wheel may be off the ground where wheels count as staying down."""
 SEEDS = (1, 2, 3, 4, 5)
 
 
-def surface_tasks(path: Path, conditions: tuple[dict[str, Any], ...] = CONDITIONS) -> list[Task]:
+def surface_tasks(path: Path) -> list[Task]:
     """Return two tasks on one file: trained on altered copies of it, and on roads of its class.
 
     The class is computed from the file, which is information that no estimator would have on the
-    road; title and note of the task say so. Raises ConfigError if the file cannot be used.
+    road; title and note of the task say so. The note says how much of the file is driven, and at
+    what speed: the highest of SPEEDS_KMH at which the wheels stay on the ground. Where they do not
+    at any, the tasks have no bound, since there is nothing to be learnt of a road below wheels in
+    the air. Raises ConfigError, which names the file, if it cannot be used.
     """
     native = load_road(path).length
     length = min(max(native, MIN_LENGTH), MAX_LENGTH)
@@ -39,12 +53,22 @@ def surface_tasks(path: Path, conditions: tuple[dict[str, Any], ...] = CONDITION
     if native < length:
         road["repeat"] = "mirror"
     surface = load_road(road).realise(np.random.default_rng(0))
+    if np.ptp(detrend_linear(surface.z)) < LEVEL_RANGE:
+        raise ConfigError(f"{path}: a level surface, on which no estimate can be scored")
     letter = surface_class(surface)
+    try:
+        speed, lifted = choose_speed(surface)
+    except SimulationError as error:
+        raise ConfigError(
+            f"{path}: the vehicle cannot drive over it at {SPEEDS_KMH[-1]:g} km/h: {error}"
+        ) from None
+    note = describe_drive(native, length, speed, lifted)
     common = {
-        "version": 1,
-        "car": "land_rover_defender_110",
+        "version": 2,
+        "car": CAR,
         "instruments": "paper",
-        "conditions": list(conditions),
+        "conditions": [{"mode": mode, "speed_kmh": speed} for mode in MODES],
+        "bound": lifted <= MAX_LIFTED_TIME,
         "test": {"roads": [road], "seeds": [1001], "step": 0.0005},
         "bumps": True,
         "source": path.name,
@@ -56,16 +80,54 @@ def surface_tasks(path: Path, conditions: tuple[dict[str, Any], ...] = CONDITION
         "board": "measured",
         "training": {"roads": [{"kind": "altered", "road": road}], "seeds": [1], "noise": False},
         "trains_on_test_road": True,
+        "note": note,
     }
     others = {
         "name": f"{stem}_new_road",
         "title": f"{path.stem}: trained on random roads of class {letter}, the class of this file",
         "board": "measured",
         "training": {"roads": [f"iso_{letter.lower()}"], "seeds": list(SEEDS), "length": 100.0},
-        "note": "The class of the training roads was computed from the file; on a drive it would "
-        "have to be estimated.",
+        "note": f"{note} The class of the training roads was computed from the file; on a drive it "
+        "would have to be estimated.",
     }
     return [build(Task, {**common, **special}, str(path)) for special in (copies, others)]
+
+
+def choose_speed(surface: Surface) -> tuple[float, float]:
+    """Return the speed [km/h] of the drives, and the share of time with a wheel in the air.
+
+    The share is the largest over MODES. Raises SimulationError if no speed can be driven.
+    """
+    car = load_vehicle(CAR)
+    for speed in SPEEDS_KMH:
+        try:
+            motions = [simulate(car, surface, speed / 3.6, mode) for mode in MODES]
+        except SimulationError:
+            if speed == SPEEDS_KMH[-1]:
+                raise
+            continue
+        lifted = max(float(np.mean((m.tyre_load <= 0.0).any(axis=1))) for m in motions)
+        if lifted <= MAX_LIFTED_TIME:
+            break
+    return speed, lifted
+
+
+def describe_drive(native: float, length: float, speed: float, lifted: float) -> str:
+    """Return the note on what is driven of a surface of `native` length [m], and how."""
+    if round(native) > round(length):
+        part = f"The first {length:.0f} m of {native:.0f} m are driven"
+    elif round(native) < round(length):
+        part = f"The surface of {native:.0f} m is driven, mirrored up to {length:.0f} m,"
+    else:
+        part = f"All {native:.0f} m are driven"
+    if lifted > MAX_LIFTED_TIME:
+        return (
+            f"{part} at {speed:g} km/h, where a wheel is still in the air for {lifted:.1%} of the "
+            "time: the road below it cannot be known, and no bound is given."
+        )
+    if speed == SPEEDS_KMH[0]:
+        return f"{part} at {speed:g} km/h."
+    return f"{part} at {speed:g} km/h: at higher speeds wheels leave the ground."
 
 
 def surface_class(surface: Surface) -> str:

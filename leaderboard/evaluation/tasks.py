@@ -170,6 +170,7 @@ class Task:
     test: DriveSet
     trains_on_test_road: bool = False
     bumps: bool = False  # also score obstacles
+    bound: bool = True  # also compute the information bound of every drive
     claimed_level_error: float | None = None  # [-] eq. 12, value printed in the paper
     source: str = ""
     note: str = ""  # remark printed on the board

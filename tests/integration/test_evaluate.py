@@ -182,6 +182,14 @@ def test_memory_is_the_training_road_without_its_delay(delay):
     assert "memory" in baseline_names(t) and "memory" not in baseline_names(task())
 
 
+def test_a_task_without_a_bound_has_none_in_its_scores():
+    scores = [
+        run({"reader": Reader()}, t=task(bound=given))["reader"].drives for given in (False, True)
+    ]
+    without, with_bound = (drives[0].scores for drives in scores)
+    assert with_bound.keys() - without.keys() == {"bound_nrmse", "bound_efficiency"}
+
+
 def test_progress_is_reported_step_by_step():
     message = []
     entries = {"reader": Reader(), "broken": Broken(how="raises")}
