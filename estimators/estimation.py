@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 
 from estimators import pretrained_weights, registry, weights_io
-from estimators.api import Estimator, check_class, check_estimate
+from estimators.api import Estimator, Pretrained, check_class, check_estimate
 from road_envs.config import ConfigError, build
 from road_envs.data.record import Estimate, Record
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
+
+TRAINING_VEHICLE = "land_rover_defender_110"
+"""Vehicle of the drives that the shipped weights were trained on."""
 
 FILE_SUFFIXES = (".npz", pretrained_weights.SUFFIX)
 
@@ -55,4 +58,18 @@ def estimate(
     car = vehicle if isinstance(vehicle, VehicleParameters) else load_vehicle(vehicle)
     found = estimator.estimate(record, car)
     check_estimate(found, record)
-    return dataclasses.replace(found, speed=float(np.nanmedian(record.v)))
+    notes = (*found.notes, *training_notes(estimator, car))
+    return dataclasses.replace(found, notes=notes, speed=float(np.nanmedian(record.v)))
+
+
+def training_notes(estimator: Estimator, car: VehicleParameters) -> tuple[str, ...]:
+    """Return a note if shipped weights were trained on drives of another vehicle."""
+    trained_on = load_vehicle(TRAINING_VEHICLE)
+    if not isinstance(estimator, Pretrained) or estimator.fitted_state is not None:
+        return ()
+    if car == trained_on:
+        return ()
+    return (
+        f"the shipped weights of {type(estimator).name} were trained on {trained_on.name}; that "
+        f"the vehicle is {car.name} makes no difference to this estimate",
+    )

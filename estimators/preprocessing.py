@@ -104,6 +104,11 @@ def mask_record(record: Record, instruments: Instruments | None = None) -> Maske
     ]
     size = np.abs(np.where(finite, record.a, 0.0))
     out_of_range = size >= RANGE_SHARE * (instruments.range if instruments else np.inf)
+    gap_notes += [
+        f"{name} is {x[np.isfinite(x)][0]:g} in all samples: the sensor is dead"
+        for name, x in zip(SENSORS, record.a, strict=True)
+        if np.isfinite(x).any() and np.nanmax(x) == np.nanmin(x)
+    ]
     spread = np.ones((1, 2 * ANTIALIAS_SPREAD + 1))
     valid = ~binary_dilation(~finite | out_of_range, spread)
     clipping_notes = _clipping_notes(size, out_of_range)

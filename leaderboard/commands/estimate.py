@@ -8,7 +8,6 @@ import typer
 from rich.table import Table
 
 import estimators
-from estimators.api import check_estimate
 from estimators.roughness import spectral
 from estimators.roughness.rms_regression import RmsRoughness, RoughnessEstimate
 from estimators.wiener.segments import dominant_modes
@@ -28,13 +27,15 @@ from leaderboard.commands.drive_files import (
     read_drive,
 )
 from leaderboard.commands.simulate import Json, print_facts, print_notes
+from leaderboard.metrics.alignment import Alignment, align
 from leaderboard.metrics.api import UNDEFINED
 from leaderboard.metrics.registry import PRINTED_SCORES, SCORES, compute_scores
 from leaderboard.report import plots
 from road_envs.config import validate_choice
 from road_envs.data.record import Profile, Record
 from road_envs.data.training_corpus import Corpus, drives_in_mode
-from road_envs.roads import Surface, load_road, write_csv
+from road_envs.roads import Surface, load_road, realise_road, write_csv
+from road_envs.roads.measured import Measured
 
 METHODS = ["spectral", "rms"]
 DB_PER_LOG = 4.34
@@ -77,8 +78,7 @@ def estimate(
         invert=invert, offset=offset, description=description, save_description=save_description,
     )  # fmt: skip
     measured, car, notes = drive.measured.record, drive.car, drive.measured.notes
-    result = chosen.estimate(measured, car)
-    check_estimate(result, measured)
+    result = estimators.estimate(chosen, measured, car)
     facts: dict[str, Any] = {
         "estimator": estimator,
         "record": str(record),
@@ -87,15 +87,22 @@ def estimate(
         "notes": [*notes, *result.notes],
         "written": [str(p) for p in (out, plot) if p],
     }
-    profile, v, scores = None, float(np.median(measured.v)), {}
+    profile, scored, v, scores = None, result, float(np.median(measured.v)), {}
     if truth:
-        surface = load_road(truth).realise(np.random.default_rng(0))
-        profile = Profile(result.s, surface.height(result.s))
-        scores = compute_scores(profile, result, v, bumps=True)
+        surface = realise_road(truth, 0)
+        profile, scored = Profile(result.s, surface.height(result.s)), result
+        if drive.is_table:
+            road = load_road(truth)
+            start = road.first_station if isinstance(road, Measured) else 0.0
+            aligned = align(surface, result, v, drive.measured.chainage - start)
+            profile, scored = aligned.truth, aligned.estimate
+            facts["notes"].append(_alignment_note(aligned))
+        scores = compute_scores(profile, scored, v, bumps=True)
     if out:
-        write_csv(Surface(result.z, result.ds, name=f"estimate of {record.name}"), out)
+        start = drive.measured.chainage if drive.is_table else 0.0
+        write_csv(Surface(result.z, result.ds, start, name=f"estimate of {record.name}"), out)
     if plot:
-        plots.draw_estimate(profile, result, v, plot)
+        plots.draw_estimate(profile, scored, v, plot)
     if json:
         print_json({**facts, "scores": scores} if truth else facts)
         return
@@ -170,6 +177,16 @@ def _print_octaves(posterior: spectral.ClassPosterior) -> None:
     for centre, level, std, letter in zip(*columns, strict=True):
         table.add_row(f"{centre:g}", f"{1e6 * level:.0f}", f"{DB_PER_LOG * std:.1f}", letter)
     console.print(table)
+
+
+def _alignment_note(aligned: Alignment) -> str:
+    before = (
+        "" if np.isnan(aligned.correlation_before) else f", {aligned.correlation_before:.2f} before"
+    )
+    return (
+        f"aligned with the truth by {aligned.lag:+.2f} m (correlation of slopes in the scored band "
+        f"{aligned.correlation:.2f}{before}); {aligned.truth.s[-1]:.1f} m overlap and are scored"
+    )
 
 
 def _print_scores(scores: dict[str, float]) -> None:

@@ -16,7 +16,7 @@ from road_envs.analysis.roughness import (
 )
 from road_envs.config import ConfigError, build
 from road_envs.data.record import PROFILE_SPACING, profile_stations
-from road_envs.roads import Surface, load_road
+from road_envs.roads import Surface, load_road, realise_road
 from road_envs.simulation.drive import SimulationError, simulate
 from road_envs.vehicle.parameters import load_vehicle
 
@@ -52,7 +52,7 @@ def surface_tasks(path: Path) -> list[Task]:
     road = {"kind": "measured", "path": str(path), "length": length}
     if native < length:
         road["repeat"] = "mirror"
-    surface = load_road(road).realise(np.random.default_rng(0))
+    surface = realise_road(road, 0)
     if np.ptp(detrend_linear(surface.z)) < LEVEL_RANGE:
         raise ConfigError(f"{path}: a level surface, on which no estimate can be scored")
     letter = surface_class(surface)

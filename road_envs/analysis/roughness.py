@@ -104,7 +104,8 @@ def fit_line(
     use = (n >= band[0]) & (n <= band[1]) & (G > 0.0)
     if use.sum() < 2:
         raise ValueError(
-            f"fewer than 2 points of the density are in {band[0]} to {band[1]} cycles/m"
+            "the profile is too short or too coarse for an ISO 8608 class: fewer than 2 points of "
+            f"its density are in {band[0]} to {band[1]} cycles/m"
         )
     x, y = np.log(n[use] / N_0), np.log(G[use])
     if w is None:

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import PlainValidator
 
 from road_envs.config import ConfigError, build, find, read_yaml, validate_choice
-from road_envs.roads.measured import SURFACE_SUFFIXES, Measured
+from road_envs.roads.measured import SURFACE_SUFFIXES, Measured, check_slopes
 from road_envs.roads.surface import Surface
 
 KINDS: dict[str, type] = {}
@@ -74,7 +74,10 @@ def realise_road(
     described = load_road(road)
     if length is not None:
         described = with_length(described, length)
-    return described.realise(np.random.default_rng(seed))
+    surface = described.realise(np.random.default_rng(seed))
+    if isinstance(described, Measured):
+        check_slopes(surface)
+    return surface
 
 
 def with_length(road: Road, length: float) -> Road:

@@ -25,6 +25,8 @@ from road_envs.roads.surface import Surface, check_size
 DEFAULT_MIN_LENGTH = 2.794
 """Default of `Measured.min_length` [m]: the wheelbase of a Defender 110."""
 SURFACE_SUFFIXES = (".crg", ".erd", ".parquet", ".csv", ".txt", ".dat")
+MAX_SLOPE = 1.0
+"""Largest RMS slope [m/m] of a road; that of Belgian paving is 0.1."""
 SIDE_NAMES = ("left", "right")
 
 
@@ -70,7 +72,7 @@ class Measured(Settings):
     @cached_property
     def _tile(self) -> Surface:
         """The surface in the file, with gaps interpolated if allowed."""
-        z, ds, notes = self._read()
+        z, ds, notes, _ = self._contents
         if z.shape[1] < 4:
             raise SurfaceFileError(f"at least 4 stations are required, got {z.shape[1]}")
         z, gap_notes = fill_gaps(z, ds, self.bridge_gaps)
@@ -78,7 +80,13 @@ class Measured(Settings):
             notes = (*notes, "left and right wheel path are the same")
         return Surface(z, ds, name=Path(self.path).stem, notes=(*notes, *gap_notes))
 
-    def _read(self) -> WheelPaths:
+    @property
+    def first_station(self) -> float:
+        """Station [m] of the first sample in the file, which is station 0 of the road."""
+        return self._contents.start
+
+    @cached_property
+    def _contents(self) -> WheelPaths:
         match Path(self.path).suffix.lower():
             case ".crg":
                 grid = opencrg.parse(read_bytes(self.path))
@@ -114,7 +122,20 @@ def wheel_paths(grid: CurvedGrid, centre: float | None, track: float) -> WheelPa
         parts = [w * grid.z[:, k + j] for j, w in enumerate((1.0 - share, share)) if w]
         z[side] = sum(parts)
     start = (f"station 0 is u = {grid.u_start:g} m",) if grid.u_start else ()
-    return z, grid.du, (*start, *grid.notes)
+    return WheelPaths(z, grid.du, (*start, *grid.notes), grid.u_start)
+
+
+def check_slopes(surface: Surface) -> None:
+    """Raise SurfaceFileError if the slopes of a surface are those of no road."""
+    z, ds = surface.z, surface.ds
+    stride = max(1, round(0.1 / ds))
+    slope = float(np.sqrt(np.mean((np.diff(z[:, ::stride], axis=1) / (stride * ds)) ** 2)))
+    if slope > MAX_SLOPE:
+        raise SurfaceFileError(
+            f"{surface.name}: its slopes have an RMS of {slope:.3g} m/m, as of heights in "
+            "millimetres that are read as metres: give metres, or name the unit in the header of "
+            "a text file: left [mm]"
+        )
 
 
 def fill_gaps(z: np.ndarray, ds: float, allowed: bool) -> tuple[np.ndarray, list[str]]:
@@ -133,7 +154,8 @@ def fill_gaps(z: np.ndarray, ds: float, allowed: bool) -> tuple[np.ndarray, list
         if not allowed or count == path.size:
             raise SurfaceFileError(
                 f"{count} of {path.size} heights of the {side} wheel path are missing, the first "
-                f"at station {first:.2f} m; choose another centre or set bridge_gaps"
+                f"at station {first:.2f} m; to interpolate them, describe the road in a YAML file "
+                "with kind: measured, path: ... and bridge_gaps: true, or choose another centre"
             )
         path[missing] = np.interp(k[missing], k[~missing], path[~missing])
         edges = np.flatnonzero(np.diff(np.r_[False, missing, False]))

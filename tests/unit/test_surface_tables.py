@@ -218,7 +218,7 @@ def test_changed_bytes_of_the_numbers_are_detected(tmp_path):
     for at in range(4, len(data) - 8, 7):
         changed = data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :]
         try:
-            z, _, _ = parse_parquet(changed)
+            z = parse_parquet(changed).z
         except SurfaceFileError:
             continue
         np.testing.assert_array_equal(z, wavy().z)

@@ -123,7 +123,7 @@ def parse_numbers(header: Header, body: bytes) -> WheelPaths:
         )
     table = values.reshape(samples, header.channels)
     z = [checked_heights(table[:, k], scale) for k, scale in _left_and_right(header)]
-    return np.array(z), header.step, ()
+    return WheelPaths(np.array(z), header.step)
 
 
 def _text(body: bytes) -> np.ndarray:

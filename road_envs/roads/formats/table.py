@@ -1,15 +1,19 @@
 """Reader of tables of distance and height: plain text and Parquet.
 
 A table has the columns distance, left, right [m], or distance and one height for both wheel paths.
-Columns of a text file are separated by white space, comma, semicolon or tab; lines that begin with
-"#" and one line of column names are skipped. Columns of a Parquet file are found by name.
+Columns of a text file are separated by white space, comma, semicolon or tab; with the latter two
+the decimal mark may be a comma. Lines that begin with "#" and one line of column names are skipped;
+a name may have a unit, as in "left [mm]". Columns of a Parquet file are found by name.
 """
 
 import re
+from typing import NamedTuple
 
 import numpy as np
 
 from road_envs._extras import optional_import
+from road_envs.config import ConfigError
+from road_envs.data.logger_tables import units
 from road_envs.roads.formats.opencrg import MAX_LENGTH, SurfaceFileError, checked_heights
 
 EVEN_TOLERANCE = 1e-3
@@ -18,30 +22,60 @@ EVEN_TOLERANCE = 1e-3
 MAX_COMPRESSION = 100
 """Largest ratio of uncompressed numbers to file size; guards against decompression bombs."""
 
-WheelPaths = tuple[np.ndarray, float, tuple[str, ...]]
-"""Heights (2, N) [m] of the left and right wheel path, their spacing [m], and notes."""
+
+class WheelPaths(NamedTuple):
+    """Heights `z` (2, N) [m] of the left and right wheel path, their spacing `ds` [m], notes, and
+    the station `start` [m] of the first in the file.
+    """
+
+    z: np.ndarray
+    ds: float
+    notes: tuple[str, ...] = ()
+    start: float = 0.0
 
 
 def parse_text(data: bytes) -> WheelPaths:
     """Return both wheel paths from the bytes of a text file. Raises SurfaceFileError."""
     try:
-        text = re.sub("[,;\t]", " ", data.decode("utf-8-sig"))
+        text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise SurfaceFileError("not a text file") from None
     lines = [s for line in text.splitlines() if (s := line.strip()) and not s.startswith("#")]
-    names = lines.pop(0).lower().split() if lines and not _is_number(lines[0].split()[0]) else []
+    mark = next((mark for mark in ";\t," if lines and mark in lines[0]), None)
+    names = []
+    if lines and not _is_number(_cells(lines[0], mark)[0]):
+        names = [cell.lower() for cell in _cells(lines.pop(0), mark)]
     if not lines:
         raise SurfaceFileError("the table is empty")
-    table = parse_number_rows(lines)
+    if mark in (";", "\t") and any(re.search(r"\d,\d", line) for line in lines[:100]):
+        lines = [line.replace(",", ".") for line in lines]
+    table = parse_number_rows([re.sub("[,;\t]", " ", line) for line in lines])
     if table.shape[1] not in (2, 3):
         raise SurfaceFileError(
             f"the columns must be distance, left, right, or distance, height, "
             f"got {table.shape[1]} columns"
         )
     order = [1, -1]
-    if len(names) == 3 and "right" in names[1] and "left" in names[2]:
-        order = [2, 1]
+    if len(names) == table.shape[1]:
+        table = table * [_factor(name) for name in names]
+        if len(names) == 3 and "right" in names[1] and "left" in names[2]:
+            order = [2, 1]
     return resample_evenly(table[:, 0], checked_heights(table[:, order].T))
+
+
+def _cells(line: str, mark: str | None) -> list[str]:
+    """Return the cells of a line; those of white space are split outside of brackets."""
+    pattern = re.escape(mark) if mark else r"\s+(?![\[(])"
+    return [cell.strip() for cell in re.split(pattern, line)] or [""]
+
+
+def _factor(name: str) -> float:
+    """Return the factor to metres of a column name with a unit. Raises SurfaceFileError."""
+    unit = units.split_header(name)[1]
+    try:
+        return 1.0 if unit is None else units.factor("distance", unit)
+    except ConfigError as error:
+        raise SurfaceFileError(f"the column {name}: {error}") from None
 
 
 def parse_parquet(data: bytes) -> WheelPaths:
@@ -100,7 +134,7 @@ def resample_evenly(s: np.ndarray, z: np.ndarray) -> WheelPaths:
         raise SurfaceFileError("at least 4 stations are required, got 1")
     ds = float(np.median(steps))
     if (np.abs(steps - ds) < EVEN_TOLERANCE * ds).all():
-        return z, float((s[-1] - s[0]) / steps.size), ()
+        return WheelPaths(z, float((s[-1] - s[0]) / steps.size), start=float(s[0]))
     size = float(s[-1] - s[0]) / ds + 1.0
     if size > 4.0 * s.size:
         raise SurfaceFileError(
@@ -108,7 +142,8 @@ def resample_evenly(s: np.ndarray, z: np.ndarray) -> WheelPaths:
             f"{size:.0f}"
         )
     grid = s[0] + ds * np.arange(int(size + 1e-9))
-    return np.array([np.interp(grid, s, path) for path in z]), ds, (f"resampled to {ds:.4g} m",)
+    even = np.array([np.interp(grid, s, path) for path in z])
+    return WheelPaths(even, ds, (f"resampled to {ds:.4g} m",), float(s[0]))
 
 
 def _columns(names: list[str]) -> list[str]:

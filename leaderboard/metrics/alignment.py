@@ -1,0 +1,120 @@
+"""Alignment of an estimate with the true profile of a road by cross-correlation.
+
+The stations of a measured drive are those of its odometer or of a speed that was integrated, so
+they differ from those of a levelled or profiled road by an unknown distance. Both profiles are
+limited to the scored band; the lag of the largest correlation coefficient of their slopes over the
+overlap, of both wheel paths together, is the distance. Slopes of roads are nearly white, so that
+unrelated ones seldom have a large correlation.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import fftconvolve
+
+from leaderboard.metrics.heights import band_pass
+from road_envs.config import ConfigError
+from road_envs.data.record import Estimate, Profile, scored_band
+from road_envs.roads import Surface
+
+SEARCHED = 50.0
+"""Largest lag [m] that is searched, to either side."""
+
+MIN_OVERLAP = 20.0
+"""Shortest overlap [m] of two profiles: four of the longest scored waves."""
+
+MIN_CORRELATION = 0.3
+"""Correlation below which two profiles do not match, at any length."""
+
+CHANCE = 5.0
+"""Largest correlation of unrelated profiles over thousands of lags, times the square root of their
+number of independent values.
+"""
+
+
+class Alignment(NamedTuple):
+    """Truth and estimate over their overlap; the estimate was moved by `lag` [m] towards larger
+    stations. `correlation` of the slopes in the scored band, at this lag and where the stations
+    had put it.
+    """
+
+    truth: Profile
+    estimate: Estimate
+    lag: float
+    correlation: float
+    correlation_before: float
+
+
+def align(road: Surface, estimate: Estimate, v: float, chainage: float = 0.0) -> Alignment:
+    """Align an estimate of a drive at `v` [m/s] with the `road` that was driven.
+
+    `chainage` [m] is the station of the road at which station 0 of the estimate is assumed. Raises
+    ConfigError if the profiles do not overlap, or do not match at any lag.
+    """
+    ds, band = estimate.ds, scored_band(v)
+    first = int(np.ceil((road.start - chainage) / ds))
+    size = int(np.floor((road.end - chainage) / ds)) - first + 1
+    trimmed = round(1.0 / (band[0] * ds))  # of either profile, by the band-pass
+    needed = int(np.ceil(MIN_OVERLAP / ds))
+    if min(size, estimate.s.size) < needed + 2 * trimmed:
+        shorter = ds * min(size, estimate.s.size)
+        raise ConfigError(
+            f"{shorter:.1f} m are too short to be aligned with the truth: at least "
+            f"{MIN_OVERLAP + 2 * trimmed * ds:.0f} m are needed"
+        )
+    grid = first + np.arange(size)
+    truth = np.gradient(band_pass(road.height(chainage + ds * grid), ds, band), axis=1)
+    found = np.gradient(band_pass(estimate.z, ds, band), axis=1)
+    cut_truth, cut_found = (
+        (n - x.shape[1]) // 2 for n, x in ((size, truth), (estimate.s.size, found))
+    )
+    # a lag of k: station i of the estimate is station i + k of the truth's grid
+    start = first + cut_truth - cut_found
+    lags, r = _correlations(truth, found, needed, start)
+    near = np.abs(lags) * ds <= SEARCHED
+    if not near.any():
+        raise ConfigError(
+            f"the drive covers stations {chainage:.1f} to {chainage + estimate.s[-1]:.1f} m and "
+            f"the truth {road.start:.1f} to {road.end:.1f} m: they do not overlap within "
+            f"{SEARCHED:g} m; give the chainage of the first sample (--offset)"
+        )
+    best = int(np.argmax(np.where(near, r, -2.0)))
+    lag, correlation = int(lags[best]), float(r[best])
+    before = float(r[lags == 0][0]) if (lags == 0).any() else np.nan
+    begin = max(0, first - lag)
+    end = min(estimate.s.size, first + size - lag)
+    independent = 4.0 * (band[1] - band[0]) * ds * (end - begin)
+    if correlation < max(MIN_CORRELATION, CHANCE / np.sqrt(independent)):
+        raise ConfigError(
+            f"the estimate matches the truth at no lag within {SEARCHED:g} m: its best "
+            f"correlation is {correlation:.2f}, at {ds * lag:+.2f} m; check the road, the vehicle "
+            "and the chainage of the first sample (--offset)"
+        )
+    inside = slice(begin, end)
+    s = ds * np.arange(end - begin)
+    std = None if estimate.z_std is None else estimate.z_std[:, inside]
+    part = dataclasses.replace(estimate, s=s, z=estimate.z[:, inside], z_std=std)
+    heights = road.height(chainage + ds * (begin + lag + np.arange(end - begin)))
+    return Alignment(Profile(s, heights), part, ds * lag, correlation, before)
+
+
+def _correlations(
+    truth: np.ndarray, found: np.ndarray, needed: int, start: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return lags (L,) and correlation coefficients (L,) of profiles (2, N) and (2, M).
+
+    Only lags with at least `needed` common samples are returned.
+    """
+    ones = np.ones_like(found)
+
+    def slide(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return fftconvolve(x, y[:, ::-1], axes=1).sum(axis=0)
+
+    product = slide(truth, found)
+    power = slide(truth**2, ones) * slide(np.ones_like(truth), found**2)
+    common = np.rint(slide(np.ones_like(truth), ones)) / 2.0
+    k = np.arange(product.size) - (found.shape[1] - 1)
+    use = common >= needed
+    r = product[use] / np.sqrt(np.maximum(power[use], 1e-30))
+    return k[use] + start, r

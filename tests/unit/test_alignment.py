@@ -1,0 +1,58 @@
+"""An estimate is moved onto the truth by the lag of their largest correlation, or refused."""
+
+import numpy as np
+import pytest
+
+from leaderboard.metrics.alignment import align
+from road_envs.config import ConfigError
+from road_envs.data.record import PROFILE_SPACING, Estimate, profile_stations
+from road_envs.roads import Surface, realise_road
+
+ROAD = realise_road("iso_c", 4, 200.0)
+NOISE = 0.0005 * np.random.default_rng(0).standard_normal((2, 10_000))
+
+
+def estimate(begin, length, shift=0.0):
+    """The road from station `begin`, with stations that are wrong by `shift` [m]."""
+    s = profile_stations(length)
+    z = ROAD.height(s + begin + shift) + NOISE[:, : s.size]
+    return Estimate(s, z, np.ones((2, s.size)))
+
+
+@pytest.mark.parametrize("shift", [0.0, 7.8, -3.3, 31.0])
+@pytest.mark.parametrize("chainage", [20.0, 60.0])
+def test_the_lag_and_the_heights_of_the_overlap_are_found(chainage, shift):
+    found = align(ROAD, estimate(chainage, 90.0, shift), 10.0, chainage)
+    assert found.lag == pytest.approx(shift, abs=PROFILE_SPACING)
+    assert found.correlation > 0.9
+    if shift:
+        assert found.correlation_before < 0.5
+    assert found.estimate.z.shape == found.truth.z.shape == found.estimate.z_std.shape
+    size = found.truth.z.shape[1]
+    # a grid cell off at most, and the noise
+    assert np.std(found.truth.z - found.estimate.z) < 0.002
+    assert size * PROFILE_SPACING == pytest.approx(min(90.0, 200.0 - chainage - shift), abs=0.1)
+
+
+def test_only_the_overlap_is_used():
+    before = align(ROAD, estimate(-30.0, 90.0), 10.0, -30.0)
+    assert before.truth.z.shape[1] * PROFILE_SPACING == pytest.approx(60.0, abs=0.1)
+    np.testing.assert_allclose(
+        before.truth.z[:, 100], ROAD.height(PROFILE_SPACING * 101), atol=1e-3
+    )
+
+
+def test_another_road_matches_nowhere():
+    other = realise_road("iso_c", 5, 200.0)
+    for length in (40.0, 90.0, 180.0):
+        with pytest.raises(ConfigError, match="at no lag within 50 m"):
+            align(other, estimate(0.0, length), 10.0)
+
+
+def test_too_short_and_far_away_drives_are_refused():
+    with pytest.raises(ConfigError, match="too short to be aligned"):
+        align(ROAD, estimate(0.0, 20.0), 10.0)
+    with pytest.raises(ConfigError, match="do not overlap within 50 m"):
+        align(ROAD, estimate(0.0, 90.0), 10.0, 5000.0)
+    with pytest.raises(ConfigError, match="too short"):
+        align(Surface(ROAD.z[:, :100], ROAD.ds), estimate(0.0, 90.0), 10.0)
