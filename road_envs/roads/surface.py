@@ -26,6 +26,11 @@ SampleSpacing = Annotated[Positive, "m", "spacing of the samples"]
 MAX_SAMPLES = 50_000_000
 """Largest number of samples per wheel path: 400 MB."""
 
+MAX_RISE, RISE_LENGTH = 0.2, 0.05
+"""Greatest rise [m] within a length [m] that a wheel climbs: half the radius of about 0.4 m of a
+7.50 R16 tyre. There its contact with a step is 60 degrees from the vertical.
+"""
+
 
 class SurfaceBuffers(NamedTuple):
     """A `Surface` as kernels read it: `padded` heights (2, N + 2 PAD), `start` and `ds` [m]."""
@@ -127,6 +132,19 @@ class Surface:
     def slope(self, s: np.ndarray) -> np.ndarray:
         """Return the slopes dz/ds (2, ...) [-] at stations `s` [m] of any shape."""
         return self._sample(s)[1]
+
+    def check_climbable(self) -> None:
+        """Raise ConfigError on a step that no wheel can climb: MAX_RISE within RISE_LENGTH."""
+        cells = max(1, int(RISE_LENGTH / self.ds))
+        rise = self.z[:, cells:] - self.z[:, :-cells]
+        if rise.size and (most := rise.max()) > MAX_RISE:
+            side, at = np.unravel_index(rise.argmax(), rise.shape)
+            raise ConfigError(
+                f"{self.name}: at {self.start + self.ds * at:.2f} m the {('left', 'right')[side]} "
+                f"wheel path rises by {1e3 * most:.0f} mm within {1e3 * cells * self.ds:.0f} mm; "
+                f"no wheel climbs more than half its radius, {1e3 * MAX_RISE:.0f} mm: scale the "
+                "heights down, or check their unit"
+            )
 
     def _sample(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         s = np.asarray(s, dtype=float)

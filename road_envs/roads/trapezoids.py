@@ -52,8 +52,8 @@ class Bumps(Settings):
 
     layout: Annotated[Layout, "", "sizes and wheel paths of the bumps"]
     spacing: Annotated[Positive, "m", "between the middles of successive bumps"] = 10.4
-    small: Trapezoid = field(default_factory=lambda: Trapezoid(height=0.1, ramp=0.2, top=0.4))
-    large: Trapezoid = field(default_factory=lambda: Trapezoid(height=0.15, ramp=0.3, top=0.6))
+    small: Trapezoid = field(default_factory=lambda: Trapezoid(height=0.1, ramp=0.5, top=0.4))
+    large: Trapezoid = field(default_factory=lambda: Trapezoid(height=0.15, ramp=0.75, top=0.6))
     length_factor: Annotated[Positive, "", "scales ramps and tops"] = 1.0
     height_factor: Annotated[Positive, "", "scales heights"] = 1.0
     run_in: Annotated[Positive, "m", "before the first ramp"] = 10.0

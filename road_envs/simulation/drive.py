@@ -100,7 +100,8 @@ class DriveSimulator:
 
     `speed` is a number [m/s] or a SpeedProfile; `step` [s] is the integrator's. A `manoeuvre` and
     the acceleration of a speed profile act on the body if `plant` was built for manoeuvres. Raises
-    ConfigError on a speed or step out of range, and on a surface shorter than the wheelbase.
+    ConfigError on a speed or step out of range, and on a surface that is shorter than the wheelbase
+    or has a step that no wheel can climb.
     """
 
     def __init__(
@@ -126,6 +127,7 @@ class DriveSimulator:
                 f"{surface.name}: {surface.length:.2f} m of road is shorter than the wheelbase "
                 f"of {car.wheelbase:.3f} m"
             )
+        surface.check_climbable()
         self.plant, self.car, self.surface = plant, car, surface
         self.speed_profile, self.manoeuvre, self.step = speed, manoeuvre, float(step)
         byte = encode_command(mode)

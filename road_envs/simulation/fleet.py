@@ -27,6 +27,7 @@ from road_envs.simulation.rosenbrock import (
     update_valves,
 )
 from road_envs.simulation.simd import LANES, get, integer_part, load_four, maximum, minimum, put
+from road_envs.simulation.substeps import SUBSTEPS, interpolate, mark_steep
 from road_envs.vehicle.equations import PLANT_DTYPE, Motion
 from road_envs.vehicle.suspension import VehicleBuffers
 
@@ -176,12 +177,15 @@ def integrate_lanes(lanes, roads, inputs, scratch, columns, out, flexible=None):
     The signals in `columns` (C,) go to `out` (N, C, LANES); `scratch` (SCRATCH_ROWS, LANES).
     `flexible`, if given: the vehicles have flexible frames, so there are 32 signals.
     """
-    p, q, strut_state, alpha = lanes.lane_constants[0], lanes.q, lanes.strut_state, lanes.alpha
+    p, q, v = lanes.lane_constants[0], lanes.q, lanes.v
+    strut_state, alpha = lanes.strut_state, lanes.alpha
     vehicle = VehicleBuffers(lanes.lane_constants, lanes.velocity, lanes.displacement, strut_state)
-    motion, s, speed, h = Motion(q, lanes.v), inputs.s, inputs.v, inputs.h
+    motion, s, speed, h = Motion(q, v), inputs.s, inputs.v, inputs.h
     work, road, row = step_workspace(scratch), scratch[WORKSPACE_ROWS:_ROW], scratch[_ROW:]
     last = np.zeros(LANES, dtype=np.uint8)
-    at_target = np.zeros(LANES, dtype=np.bool_)
+    at_target, steep = np.zeros(LANES, dtype=np.bool_), np.zeros(LANES, dtype=np.bool_)
+    before, whole = np.empty((2, *q.shape)), np.empty((2, *q.shape))
+    unused, along = np.empty(row.shape), np.empty((2, LANES))
     for n in range(inputs.commands.shape[0]):
         sample_roads(p, roads, s[2 * n], speed[2 * n], road, 0)
         sample_roads(p, roads, s[2 * n + 1], speed[2 * n + 1], road, 8)
@@ -192,11 +196,30 @@ def integrate_lanes(lanes, roads, inputs, scratch, columns, out, flexible=None):
                 own = lanes.constants[k : k + 1]
                 at_target[k] = update_lane_valves(own, strut_state, q, k, byte, alpha[k], h)
                 last[k] = byte
-        step_inputs = StepInputs(road, inputs.a_xy[4 * n : 4 * n + 4])
-        if flexible is None:
-            step(vehicle, motion, step_inputs, h, work, row)
-        else:
-            flexible_step(vehicle, motion, step_inputs, h, work, row)
+        # all lanes take the whole step, then those on a steep road take it again in parts
+        parts = 1
+        if mark_steep(road, steep):
+            parts += SUBSTEPS
+            before[0], before[1] = q, v
+        for i in range(parts):
+            if i == 1:
+                whole[0], whole[1] = q, v
+                q[:], v[:] = before[0], before[1]
+            for half in range(2 if i > 0 else 0):
+                for k in range(LANES):
+                    along[0, k] = interpolate(s[2 * n : 2 * n + 3, k], i - 1, half)
+                    along[1, k] = interpolate(speed[2 * n : 2 * n + 3, k], i - 1, half)
+                sample_roads(p, roads, along[0], along[1], road, 8 * half)
+            first = 4 * n + (2 * (2 * (i - 1) // SUBSTEPS) if i > 0 else 0)
+            step_inputs = StepInputs(road, inputs.a_xy[first : first + 4])
+            length, signals = (h / SUBSTEPS, unused) if i > 0 else (h, row)
+            if flexible is None:
+                step(vehicle, motion, step_inputs, length, work, signals)
+            else:
+                flexible_step(vehicle, motion, step_inputs, length, work, signals)
+        for k in range(LANES if parts > 1 else 0):
+            if not steep[k]:
+                q[:, k], v[:, k] = whole[0, :, k], whole[1, :, k]
         # writing more columns than the caches hold takes as long as the step itself
         for c in range(columns.size):
             put(out[n], c, get(row, columns[c]))

@@ -25,6 +25,7 @@ import numpy as np
 from road_envs._numba import kernel
 from road_envs.roads.surface import height_and_slope
 from road_envs.simulation.simd import add, get, put
+from road_envs.simulation.substeps import SUBSTEPS, interpolate, is_steep
 from road_envs.vehicle.equations import (
     AXLE,
     N_DOF,
@@ -381,18 +382,27 @@ def integrate(vehicle, y, surface, inputs, lag, out, flexible=None):
     """Integrate `drive.DriveInputs`; the state `y` (14,) and the strut state change in place.
 
     `surface`: SurfaceBuffers; `lag` [s]: time constant of the valves. `out` (N, 29): the signals at
-    the beginning of each step. Of a `flexible` vehicle `y` is (16,) and `out` (N, 32).
+    the beginning of each step. Of a `flexible` vehicle `y` is (16,) and `out` (N, 32). A step on a
+    steep road is divided (`substeps`).
     """
     p, work, road = vehicle.constants[0], workspace(), np.empty(16)
     s, v, a_xy, commands, h = inputs
-    motion = Motion(y[: y.size // 2], y[y.size // 2 :])
+    motion, unused = Motion(y[: y.size // 2], y[y.size // 2 :]), np.empty(out.shape[1])
     alpha = 1.0 - np.exp(-h / lag)
     for n in range(commands.size):
         sample_road(p, surface, s[2 * n], v[2 * n], road[:8])
         sample_road(p, surface, s[2 * n + 1], v[2 * n + 1], road[8:])
         update_valves(p, vehicle.strut_state, motion.q, commands[n], alpha, h)
-        step_inputs = StepInputs(road, a_xy[4 * n : 4 * n + 4])
-        if flexible is None:
-            step(vehicle, motion, step_inputs, h, work, out[n])
-        else:
-            flexible_step(vehicle, motion, step_inputs, h, work, out[n])
+        parts = SUBSTEPS if is_steep(road) else 1
+        for i in range(parts):
+            for half in range(2 if parts > 1 else 0):
+                station = interpolate(s[2 * n : 2 * n + 3], i, half)
+                speed = interpolate(v[2 * n : 2 * n + 3], i, half)
+                sample_road(p, surface, station, speed, road[8 * half : 8 * half + 8])
+            first = 4 * n + 2 * (2 * i // parts)  # a manoeuvre hardly changes in half a step
+            step_inputs = StepInputs(road, a_xy[first : first + 4])
+            row = out[n] if i == 0 else unused
+            if flexible is None:
+                step(vehicle, motion, step_inputs, h / parts, work, row)
+            else:
+                flexible_step(vehicle, motion, step_inputs, h / parts, work, row)

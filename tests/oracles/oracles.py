@@ -257,13 +257,16 @@ class NonlinearCar:
             wheels[w] = height + y_t[w] * axle.y_t * roll
         share = 1.0 - strut_state[:, 1] * s.x_2 / (s.x_1 + s.x_2)
         x = s.x_1 + share * e - strut_state[:, 0]
-        assert (x > s.column_min).all(), "the closed form ends at the tangent"
+        beyond, x = np.minimum(x - s.column_min, 0.0), np.maximum(x, s.column_min)
         pA = s.p_stat * s.A * np.array(variation.gas)
         if s.n_p == 1.0:
             gas = -pA * s.x_1 / share * np.log(x / s.x_1)
         else:
             n = 1.0 - s.n_p
             gas = -pA * s.x_1**s.n_p / share * (x**n - s.x_1**n) / n
+        # below the shortest column the force rises along its tangent
+        F = pA * (s.x_1 / x) ** s.n_p
+        gas -= (F * beyond - 0.5 * s.n_p * F / x * beyond**2) / share
         stops = (np.array(variation.bushing) * self.bushing.integral(e)).sum()
         stops += self.stops[0].integral(e[:2]).sum() + self.stops[1].integral(e[2:]).sum()
         x, rise = np.maximum(self.delta + z_r - wheels, 0.0), variation.tyre_progression

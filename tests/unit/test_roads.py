@@ -174,8 +174,8 @@ def test_the_three_layouts_are_those_of_the_paper():
     assert cross.realise(rng()).z.max(axis=1) == pytest.approx([0.15, 0.1])
     for road in (both, cross):
         left, right = (np.flatnonzero(z > 0.05) * 0.005 for z in road.realise(rng()).z)
-        # 0.5 m, 0.3 m: half widths of the large and the small bump at the height of 0.05 m
-        assert right[-1] - left[0] == pytest.approx(10.4 + 0.5 + 0.3, abs=0.02)
+        # 0.8 m, 0.45 m: half widths of the large and the small bump at the height of 0.05 m
+        assert right[-1] - left[0] == pytest.approx(10.4 + 0.8 + 0.45, abs=0.02)
 
 
 def test_training_bumps_are_scaled_by_10_percent_and_8_m_apart():

@@ -1,0 +1,51 @@
+"""Shorter steps where the road is steep: the choice, and the inputs within a step.
+
+The formula of `rosenbrock` knows the road at a step's beginning and middle. Where the rate of a
+road height changes much between them, as at the edge of a pothole at speed or on a ramp, the step
+is divided into SUBSTEPS. Measured against steps of 25 microseconds at 54 km/h, the RMS error of the
+body's acceleration at a step of 1 ms falls from 5.9 to 0.4 % (the paper's large bump, handling),
+from 3.2 to 1.6 % (potholes) and from 2.8 to 1.5 % (class F); roads up to class D are as before.
+"""
+
+from road_envs._numba import kernel
+from road_envs.simulation.simd import LANES
+
+SUBSTEPS = 4
+"""Parts of a step on a steep road, an even number."""
+
+MAX_RATE_CHANGE = 0.7
+"""Greatest change [m/s] of a road height's rate in half a step that is not divided."""
+
+
+@kernel
+def is_steep(road):
+    """Return whether the step of one vehicle, with the inputs `road` (16,), must be divided."""
+    steep = False
+    for w in range(4):
+        steep = steep or abs(road[12 + w] - road[4 + w]) > MAX_RATE_CHANGE
+    return steep
+
+
+@kernel
+def mark_steep(road, steep):
+    """Write to `steep` (LANES,) which lanes of `road` (16, LANES) must be divided; return
+    whether any must.
+    """
+    found = False
+    for k in range(LANES):
+        steep[k] = False
+        for w in range(4):
+            steep[k] = steep[k] or abs(road[12 + w, k] - road[4 + w, k]) > MAX_RATE_CHANGE
+        found = found or steep[k]
+    return found
+
+
+@kernel
+def interpolate(x, i, half):
+    """Return `x`, given at the beginning, middle and end of a step, in the substep `i`.
+
+    `half` is 0 for the substep's beginning and 1 for its middle.
+    """
+    at = (2.0 * i + half) / SUBSTEPS
+    first = 1 if at >= 1.0 else 0
+    return x[first] + (at - first) * (x[first + 1] - x[first])
