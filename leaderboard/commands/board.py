@@ -16,8 +16,8 @@ from leaderboard.evaluation.evaluate import SEEDS
 from leaderboard.evaluation.surface_tasks import surface_tasks
 from leaderboard.evaluation.tasks import Task, load_task, shipped_tasks
 from leaderboard.metrics.baselines import SENTINELS
-from leaderboard.report.board_definitions import board_columns
 from leaderboard.report.cache import Report, build_report
+from leaderboard.report.sentences import check_board
 from leaderboard.report.site import write_site
 from leaderboard.report.terminal import as_json, print_tables
 from leaderboard.running.board import Board, RunRequest, render_with_retry, run_board, write_jobs
@@ -93,7 +93,7 @@ def leaderboard(
         raise ConfigError("give either --roads or --full, not both")
     chosen = _tasks(task, board, road)
     for each in chosen:
-        board_columns(each.board_name, each.board_definition)  # raises before anything runs
+        check_board(each.board_name, each.board_definition)
     if full:
         chosen = [
             task.with_test_drives(None) if task.has_several_test_drives else task for task in chosen

@@ -6,7 +6,12 @@ from leaderboard.metrics import detection, level, pointwise, spectra
 from leaderboard.metrics.api import Metric, ScoredEstimate
 from road_envs.data.record import Estimate, Profile
 
-MODULES = (pointwise, level, spectra, detection)
+MODULES = (
+    pointwise,
+    level,
+    spectra,
+    detection,
+)
 """Modules of metrics, in the order of the table of scores."""
 
 

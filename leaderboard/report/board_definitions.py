@@ -12,6 +12,10 @@ WORST = "worst"
 TAIL = {"above_0.3": 0.3, "above_1": 1.0}
 """Thresholds of the ranking score by column; the column shows the share of drives above it."""
 
+BELOW_BOUND = "below_bound"
+BOUND_NAME = "bound of a linear car without friction, from data below 25 Hz"
+"""What the bound is: no floor for estimators that use the nonlinear car and higher frequencies."""
+
 RANK_COLUMNS = {"offline": "rank", "causal": "rank_causal"}
 """Column with the ranks of a division."""
 
@@ -52,6 +56,13 @@ _DERIVED = (
             digits=0, help=f"Share of drives whose ranking score is above {limit:g}.",
         )
         for key, limit in TAIL.items()
+    ),
+    Metric(
+        key=BELOW_BOUND, label="drives below the bound", head="< bound", unit="%", factor=100.0,
+        digits=0, better="",
+        help=f"Share of drives with an error below the {BOUND_NAME}. It is no floor: an estimator "
+        "that uses the nonlinear car and higher frequencies can be below, and so can any on roads "
+        "with single obstacles.",
     ),
     Metric(
         key="train_seconds", label="training time", head="train", unit="s", digits=1, blank="",

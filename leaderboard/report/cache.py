@@ -1,18 +1,18 @@
-"""The report of a board (rows and findings), cached with the sizes of its pages.
+"""The report of a board (rows and findings), built once and cached under its key.
 
 The key is the digest of everything that determines the report: tasks, stored results by their
-checksums, conformance cards, and the code, templates and scripts of the pages. One file,
+checksums, conformance cards, and the code and templates of the pages. The rows are cached in
 
     <out>/.shown.json
 
-spares a run without new results the bootstrap and the pages; `site.py` writes it with the pages.
+so that a run without new results need not repeat the bootstrap; `site.py` uses the same key.
 """
 
 import dataclasses
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -26,25 +26,21 @@ from road_envs._code_digest import closure, digest
 from road_envs.config import ConfigError, build
 
 CACHE_FILE = ".shown.json"
-FORMAT = 2
+FORMAT = 1
 MAX_CACHED_ROWS = 2000
 """Largest number of rows that is cached; a larger cache takes long to write and to read."""
 
 SITE_MODULE = "leaderboard.report.site"
-PAGE_FILES = [Path(__file__).parent / folder for folder in ("templates", "static")]
+TEMPLATES = Path(__file__).parent / "templates"
 
 
 @dataclass(frozen=True)
 class Report:
-    """Boards, the main one first; findings in sentences; the key; and the sizes of its pages.
-
-    `pages` is empty until they are written.
-    """
+    """Boards, the main one first; findings in sentences; and the key."""
 
     views: tuple[BoardView, ...]
     findings: tuple[str, ...]
     key: str
-    pages: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -53,7 +49,6 @@ class _CachedReport:
     key: str
     views: tuple[BoardView, ...]
     findings: tuple[str, ...]
-    pages: dict[str, int]
 
 
 def build_report(board: Board, out: Path | None = None) -> Report:
@@ -62,15 +57,10 @@ def build_report(board: Board, out: Path | None = None) -> Report:
     if out is not None and (cached := _load_cached(out / CACHE_FILE, key)) is not None:
         return cached
     views = tuple(board_views(board))
-    return Report(views, tuple(findings(views)), key)
-
-
-def save_report(report: Report, out: Path) -> None:
-    """Cache a report whose pages are written; a large one is not worth its file."""
-    if sum(len(s.rows) for view in report.views for s in view.sections) <= MAX_CACHED_ROWS:
+    report = Report(views, tuple(findings(views)), key)
+    if out is not None and sum(map(len, board.results.values())) <= MAX_CACHED_ROWS:
         store.write_text(out / CACHE_FILE, store.with_checksum(_as_dict(report)))
-    else:
-        (out / CACHE_FILE).unlink(missing_ok=True)
+    return report
 
 
 def report_key(board: Board) -> str:
@@ -100,14 +90,13 @@ def _key_parts(board: Board) -> Iterator[str]:
 
 @cache
 def _page_code_digest() -> str:
-    files = [path for folder in PAGE_FILES for path in folder.rglob("*") if path.is_file()]
-    return digest([*closure(SITE_MODULE), *files])
+    templates = [path for path in TEMPLATES.rglob("*") if path.is_file()]
+    return digest([*closure(SITE_MODULE), *templates])
 
 
 def _as_dict(report: Report) -> dict[str, Any]:
     views = [dataclasses.asdict(view) for view in report.views]
-    plain = {"format": FORMAT, "key": report.key, "pages": dict(report.pages)}
-    return {**plain, "views": views, "findings": list(report.findings)}
+    return {"format": FORMAT, "key": report.key, "views": views, "findings": list(report.findings)}
 
 
 def _load_cached(path: Path, key: str) -> Report | None:
@@ -118,4 +107,4 @@ def _load_cached(path: Path, key: str) -> Report | None:
         cached = build(_CachedReport, data, str(path))
     except ConfigError:  # missing or damaged: the report is built again
         return None
-    return Report(cached.views, cached.findings, key, cached.pages)
+    return Report(cached.views, cached.findings, key)

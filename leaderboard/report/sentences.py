@@ -1,14 +1,20 @@
-"""Findings: sentences about the boards, made from their numbers."""
+"""Findings: sentences about the boards, made from their numbers.
 
-from collections.abc import Iterator, Sequence
+A board names those about itself by their keys in FINDINGS (`evaluation.boards`).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 
 import numpy as np
 
+from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.metrics import heights
+from leaderboard.metrics.baselines import MEMORY
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
-from leaderboard.report.board_definitions import WORST
-from leaderboard.report.tables import TRAINING_STATES, BoardView, Row
+from leaderboard.report.board_definitions import BOUND_NAME, COLUMNS, WORST, board_columns
+from leaderboard.report.tables import BOUND_ROW, TRAINING_STATES, BoardView, Row
+from road_envs.config import validate_choice
 from road_envs.data.record import PROFILE_SPACING, profile_stations
 from road_envs.roads import load_road
 
@@ -19,37 +25,23 @@ N_PAIRS = 200
 UNRELATED_ROAD = {"kind": "iso8608", "road_class": "D", "length": 100.0}
 
 
-def findings(views: Sequence[BoardView]) -> list[str]:
-    """Return the sentences about the boards, without those for which results are missing."""
-    sentences = [
-        unrelated_sentence(),
-        _paper_sentence(views),
-        _memory_sentence(views),
-        _new_road_sentence(views),
-        _best_sentence(views),
-        _causal_sentence(views),
-    ]
-    return [sentence for sentence in sentences if sentence]
-
-
 @cache
 def unrelated_level_errors(
-    pairs: int = N_PAIRS, seed: int = 0, longest_wave: float = 20.0
+    pairs: int = N_PAIRS, seed: int = 0, longest_wave: float = 20.0, about_mean: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return level errors (2 pairs,) and correlations (pairs,) of unrelated class-D roads.
 
-    Level errors are those of single wheel paths. The two roads of a pair are 100 m of the same
-    class and independent.
+    Level errors are those of single wheel paths, of heights about their mean or about the first
+    one. The two roads of a pair are 100 m of the same class and independent.
     """
     road = load_road({**UNRELATED_ROAD, "n_min": 1.0 / longest_wave})
     s = profile_stations(100.0)
     levels: list[float] = []
     r: list[float] = []
     for k in range(pairs):
-        y, a = (
-            heights.remove_mean(road.realise(np.random.default_rng([seed, k, j])).height(s))
-            for j in range(2)
-        )
+        y, a = (road.realise(np.random.default_rng([seed, k, j])).height(s) for j in range(2))
+        if about_mean:
+            y, a = heights.remove_mean(y), heights.remove_mean(a)
         levels += heights.level_error(y, a)[:2]
         # at 1 m/s the low-pass does not shorten the scored band
         y, a = heights.band_pass(np.stack([y, a]), PROFILE_SPACING, heights.scored_band(1.0))
@@ -60,23 +52,32 @@ def unrelated_level_errors(
 def unrelated_sentence() -> str:
     """Return the sentence about equation 12 for a road that is unrelated to the truth."""
     levels, r = unrelated_level_errors()
-    with_long_waves, _ = unrelated_level_errors(longest_wave=100.0)
+    long_waves, as_printed = (
+        100.0 * np.median(unrelated_level_errors(longest_wave=100.0, about_mean=mean)[0])
+        for mean in (True, False)
+    )
     low, median, high = 100.0 * np.quantile(levels, [0.1, 0.5, 0.9])
     low_share = _percent(float(np.mean(levels < STATE_LIMITS[0])), 0)
-    long_median = 100.0 * np.median(with_long_waves)
     return (
         f"An unrelated road of the same class D has a level error (the paper's eq. 12) of "
         f"{median:.0f}\u00a0% in the median where no wave is longer than 20 m ({low:.0f} to "
         f"{high:.0f}\u00a0% from the 10th to the 90th percentile, below 15\u00a0% in "
-        f"{low_share} of cases), and of {long_median:.0f}\u00a0% with waves up to 100 m, at "
-        f"correlation {abs(np.mean(r)):.2f} ({r.size} pairs of 100 m, heights about their mean). "
-        "The paper reports 10.2 to 14.8\u00a0% for its network: eq. 12 alone cannot distinguish a "
+        f"{low_share} of cases); with waves up to 100 m it has {long_waves:.0f}\u00a0%, and "
+        f"{as_printed:.0f}\u00a0% as printed, of heights above the first one instead of the mean "
+        f"({r.size} pairs of 100 m, each wheel path; correlation {abs(np.mean(r)):.2f}). The paper "
+        "reports 10.2 to 14.8\u00a0% for its network: eq. 12 alone cannot distinguish a "
         "reconstruction from an unrelated road."
     )
 
 
-def _paper_sentence(views: Sequence[BoardView]) -> str:
-    found = list(_rows(views, "paper", PAPER_NETWORK, claimed=True))
+def findings(views: Sequence[BoardView]) -> list[str]:
+    """Return the sentences about the boards, without those for which results are missing."""
+    about = [FINDINGS[name](view) for view in views for name in view.definition.findings]
+    return [sentence for sentence in [unrelated_sentence(), *about] if sentence]
+
+
+def _paper_protocol(view: BoardView) -> str:
+    found = [row for row in _rows(view, claimed=True) if row.name == PAPER_NETWORK]
     if not found:
         return ""
     near, total = (
@@ -84,7 +85,7 @@ def _paper_sentence(views: Sequence[BoardView]) -> str:
         for names in (TRAINING_STATES[:1], TRAINING_STATES)
     )
     counted = f" ({near} of {total} trainings below 15\u00a0%)" if total else ""
-    cars = sorted(_other_cars(views, "paper"))
+    cars = sorted(_other_cars(view))
     tested = f" and tested on another car ({', '.join(cars)})" if cars else ""
     return (
         f"Trained as the paper trains it, on an altered copy of the paving{tested}, the "
@@ -96,86 +97,103 @@ def _paper_sentence(views: Sequence[BoardView]) -> str:
     )
 
 
-def _memory_sentence(views: Sequence[BoardView]) -> str:
-    found = list(_rows(views, "paper", "mean", claimed=True))
+def _memory(view: BoardView) -> str:
+    found = [row for row in _rows(view, claimed=True) if row.name == MEMORY]
     if not found:
         return ""
     return (
-        "There the mean of the training roads, which uses no measurement, has a level error of "
-        f"{_percent(_mean(found, EQ_12_RAW))}: the protocol rewards memorising the road."
+        "There the training road, moved back by its known delay, has an in-band error of "
+        f"{_mean(found, 'nrmse'):.2f} and a level error of {_percent(_mean(found, EQ_12_RAW))} as "
+        f"printed, and uses no measurement ({MEMORY}): the protocol rewards memorising the road."
     )
 
 
-def _new_road_sentence(views: Sequence[BoardView]) -> str:
-    found = list(_rows(views, "new_road", PAPER_NETWORK))
+def _paper_network(view: BoardView) -> str:
+    found = [row for row in _rows(view) if row.name == PAPER_NETWORK]
     if not found:
         return ""
     error, r = _mean(found, "nrmse"), _mean(found, "r")
     return (
-        f"On roads it has not seen, the {PAPER_NETWORK} network has an in-band error of "
+        f"{view.definition.title}: the paper's network, {PAPER_NETWORK}, has an in-band error of "
         f"{error:.2f}, {'worse' if error > 1.0 else 'better'} than a flat road, and "
         f"correlation {r:.2f}."
     )
 
 
-def _best_sentence(views: Sequence[BoardView]) -> str:
-    scored = [row for row in _rows(views, "new_road") if row.state == "scored"]
-    if not scored:
-        return ""
-    names = dict.fromkeys(row.name for row in scored)
-    by_name = {name: [row for row in scored if row.name == name] for name in names}
-    best = min(names, key=lambda name: (_mean(by_name[name], "nrmse"), name))
-    found = by_name[best]
-    bound = list(_rows(views, "new_road", "bound"))
-    limit = f", where the linear bound is {_mean(bound, 'nrmse'):.3f}" if bound else ""
-    return (
-        f"The best entry there is {best}: in-band error {_mean(found, 'nrmse'):.3f}{limit}, "
-        f"{_worst(found):.2f} on its worst drive, correlation {_mean(found, 'r'):.2f}."
-    )
-
-
-def _worst(rows: Sequence[Row]) -> float:
-    """Return the error of the worst drive of an entry."""
-    return max(row.values.get(WORST) or 0.0 for row in rows)
-
-
-def _causal_sentence(views: Sequence[BoardView]) -> str:
-    found = [row for row in _rows(views, "new_road") if row.state == "scored" and row.causal]
+def _best(view: BoardView) -> str:
+    rows = _rows(view)
+    found = _best_rows([row for row in rows if row.state == "scored"], view)
     if not found:
         return ""
-    by_name = {row.name: [other for other in found if other.name == row.name] for row in found}
-    best = min(by_name, key=lambda name: (_mean(by_name[name], "nrmse"), name))
+    bound = [row for row in rows if row.name == BOUND_ROW]
+    limit = f" (the {BOUND_NAME}: {_mean(bound, 'nrmse'):.3f})" if bound else ""
+    return f"{view.definition.title}: the best entry is {_described(found, view, limit)}."
+
+
+def _best_causal(view: BoardView) -> str:
+    found = _best_rows([row for row in _rows(view) if row.state == "scored" and row.causal], view)
+    if not found:
+        return ""
+    return f"{view.definition.title}: the best causal entry is {_described(found, view)}."
+
+
+FINDINGS: Mapping[str, Callable[[BoardView], str]] = {
+    "best": _best,
+    "best_causal": _best_causal,
+    "paper_network": _paper_network,
+    "paper_protocol": _paper_protocol,
+    "memory": _memory,
+}
+"""Sentences about a board by the names that boards use; empty without the results for one."""
+
+
+def check_board(name: str, board: BoardDefinition) -> None:
+    """Raise ConfigError if a board names an unknown column or sentence."""
+    board_columns(name, board)
+    for finding in board.findings:
+        validate_choice(f"finding of the board {name}:", finding, FINDINGS)
+
+
+def _best_rows(rows: Sequence[Row], view: BoardView) -> list[Row]:
+    """Return the rows, one for each task, of the entry with the least mean ranking score."""
+    by_name: dict[str, list[Row]] = {}
+    for row in rows:
+        by_name.setdefault(row.name, []).append(row)
+    score = view.definition.ranks_by
+    return min(by_name.values(), key=lambda own: (_mean(own, score), own[0].name), default=[])
+
+
+def _described(rows: Sequence[Row], view: BoardView, limit: str = "") -> str:
+    """Return name, ranking score and worst drive of an entry."""
+    form = COLUMNS[view.definition.ranks_by]
+    score = form.format_value(_mean(rows, form.key)) + (f"\u00a0{form.unit}" if form.unit else "")
+    worst = max(row.values.get(WORST) or 0.0 for row in rows)
     return (
-        f"The best causal entry is {best}: in-band error {_mean(by_name[best], 'nrmse'):.3f}, "
-        f"{_worst(by_name[best]):.2f} on its worst drive."
+        f"{rows[0].name}, with {form.label} {score}{limit}, {COLUMNS[WORST].format_value(worst)} "
+        f"on its worst drive, and correlation {_mean(rows, 'r'):.2f}"
     )
 
 
-def _other_cars(views: Sequence[BoardView], board: str) -> set[str]:
+def _other_cars(view: BoardView) -> set[str]:
     """Return the grades of the cars of a board's tasks with a claim, except that of training."""
     labels = (
         label
-        for view in views
         for section in view.sections
-        if view.board == board and any(row.state == "claim" for row in section.rows)
+        if any(row.state == "claim" for row in section.rows)
         for label in section.conditions
     )
     return {car for label in labels if (car := label.partition(", car ")[2])}
 
 
-def _rows(
-    views: Sequence[BoardView], board: str, name: str | None = None, claimed: bool = False
-) -> Iterator[Row]:
-    """Yield scored rows of a board, of one entry or all; if `claimed`, of tasks with a claim."""
-    for view in views:
-        for section in view.sections if view.board == board else ():
-            rows = section.rows
-            if not claimed or any(row.state == "claim" for row in rows):
-                yield from (
-                    row
-                    for row in rows
-                    if row.values and row.state != "claim" and name in (None, row.name)
-                )
+def _rows(view: BoardView, claimed: bool = False) -> list[Row]:
+    """Return the rows with scores of a board; if `claimed`, those of tasks with a claim."""
+    return [
+        row
+        for section in view.sections
+        if not claimed or any(row.state == "claim" for row in section.rows)
+        for row in section.rows
+        if row.values and row.state != "claim"
+    ]
 
 
 def _mean(rows: Sequence[Row], score: str) -> float:

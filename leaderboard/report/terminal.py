@@ -11,7 +11,7 @@ from rich.text import Text
 
 from leaderboard.metrics.api import UNDEFINED
 from leaderboard.report import export
-from leaderboard.report.board_definitions import WORST
+from leaderboard.report.board_definitions import BOUND_NAME, WORST
 from leaderboard.report.cache import Report
 from leaderboard.report.tables import BoardView, Row, Section, nonempty_columns
 
@@ -26,10 +26,10 @@ STYLES = {
 LEGEND = (
     "NRMSE: error over truth, RMS, in 0.2 to min(1.8, 22.5 Hz / v) cycles/m; a flat road has 1. "
     "Interquartile means over roads and trainings; worst: the worst drive; > 0.3, > 1: shares of "
-    "drives above. The bound is that of a linear car without friction and of data below 25 Hz. "
-    "eq. 12, about mean: error of the level alone, as printed and about the mean. Entries without "
-    "a significant difference share a rank; no rank or interval from fewer than 5 roads. Dim rows: "
-    "baselines. 5/5 beside a name: probes passed, of those that apply (--probes)."
+    f"drives above. bound: {BOUND_NAME}. eq. 12: error of the RMS level alone, as printed, and "
+    "about the mean; it is that of the longest waves, which kalman_lag for one cuts off. "
+    "Entries without a significant difference share a rank; no rank or interval from fewer than 5 "
+    "roads. Dim rows: baselines. 5/5 beside a name: probes passed, of those that apply (--probes)."
 )
 
 

@@ -1,6 +1,6 @@
-"""One file and one line with its import add an estimator, a policy or a road family.
+"""One file and one line with its import add an estimator, a policy, a road family or a metric.
 
-A road or a task is one YAML file. Each is added to a copy of the tree, and used there by its name.
+A road, a task or a board is one YAML file. Each is added to a copy of the tree and used there.
 """
 
 import os
@@ -10,6 +10,11 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
+
+from leaderboard.evaluation.boards import BoardDefinition
+from leaderboard.report.sentences import check_board
+from road_envs.config import ConfigError, build
 
 ROOT = Path(__file__).parents[2]
 
@@ -75,6 +80,30 @@ class Added(Settings):
         return Surface(np.tile(np.linspace(0.0, 0.1, 2001), (2, 1)), 0.01, name="ramp")
 '''
 
+METRIC = '''
+"""Mean error."""
+
+import numpy as np
+
+from leaderboard.metrics.api import ScoredEstimate, metric
+
+
+@metric("mean error", unit="mm", factor=1000.0, digits=1, better="zero", boards=("new_road",))
+def added(scored: ScoredEstimate) -> float:
+    """Mean error of both wheel paths."""
+    return float(np.mean(scored.a - scored.y))
+'''
+
+BOARD = """
+board:
+  title: Mine
+  ranks_by: crps
+  columns: [crps, worst, r]
+  on_request: [nrmse]
+  divisions: [offline]
+  findings: [best]
+"""
+
 ADDITIONS = {
     "estimator": (
         "estimators/baselines/added.py", ESTIMATOR, "estimators/registry.py",
@@ -96,6 +125,20 @@ ADDITIONS = {
         "from road_envs import load_road\nimport numpy as np\n"
         "print(load_road({'kind': 'added'}).realise(np.random.default_rng(0)).z.max())",
         "0.1",
+    ),
+    "metric": (
+        "leaderboard/metrics/added.py", METRIC, "leaderboard/metrics/registry.py",
+        "from leaderboard.metrics import detection,", "    level,\n",
+        "from road_envs.data.record import Estimate, Profile\nimport numpy as np\n"
+        "from leaderboard.metrics.registry import SCORES, compute_scores\n"
+        "from leaderboard.evaluation.boards import shipped_boards\n"
+        "from leaderboard.report.board_definitions import board_columns\n"
+        "s, z = np.arange(4000) * 0.025, np.random.default_rng(0).normal(size=(2, 4000))\n"
+        "x = compute_scores(Profile(s, z), Estimate(s, z + 0.02), 4.0, False)['added']\n"
+        "(column,) = [c for c in board_columns('new_road', shipped_boards()['new_road'])\n"
+        "             if c.key == 'added']\n"
+        "print(SCORES['added'].format_value(x), column.unit, column.wide, column.help)",
+        "+20.0 mm True Mean error of both wheel paths.",
     ),
 }  # fmt: skip
 """File and text of the addition; its registry, the lines beside its import and its entry; a use of
@@ -129,11 +172,12 @@ def test_one_file_and_one_line_with_its_import_add_it(tree, kind):
     path = tree / registry
     content = path.read_text()
     module = file.removesuffix(".py").replace("/", ".")
-    entry = entry_before[: entry_before.index('"')] + '"added": Added,\n'
-    for before, line in [
-        (import_before, f"from {module} import Added\n"),
-        (entry_before, entry),
-    ]:
+    package, _, name = module.rpartition(".")
+    imported, entry = f"from {module} import Added\n", '"added": Added,\n'
+    if kind == "metric":
+        imported, entry = f"from {package} import {name}\n", "added,\n"
+    indentation = entry_before[: len(entry_before) - len(entry_before.lstrip())]
+    for before, line in [(import_before, imported), (entry_before, indentation + entry)]:
         assert content.count(before) == 1
         content = content.replace(before, line + before)
     path.write_text(content)
@@ -149,3 +193,35 @@ def test_one_yaml_adds_a_road_and_a_task(tree):
         "print(load_road('mine').length, 'mine' in [t.name for t in shipped_tasks()])"
     )
     assert output(tree, code) == "30.0 True"
+
+
+def test_one_yaml_adds_a_board(tree):
+    lines = (ROOT / "configs/tasks/new_road.yaml").read_text().splitlines(keepends=True)
+    kept = "".join(line for line in lines if not line.startswith(("board:", "name:")))
+    (tree / "configs/tasks/my_board.yaml").write_text(f"name: my_board\n{kept}{BOARD}")
+    code = (
+        "from leaderboard.evaluation.tasks import load_task\n"
+        "from leaderboard.report.board_definitions import board_columns\n"
+        "from leaderboard.report.tables import board_views\n"
+        "from leaderboard.running.board import Board\n"
+        "tasks = [load_task(name) for name in ('my_board', 'new_road')]\n"
+        "views = board_views(Board(tuple(tasks), {t.name: () for t in tasks}))\n"
+        "view = views[-1]\n"
+        "keys = [c.key for c in board_columns(view.board, view.definition) if not c.wide]\n"
+        "print(len(views), view.board, view.definition.title, *keys, view.sections[0].task)"
+    )
+    assert output(tree, code) == "2 my_board Mine rank crps worst r my_board"
+
+
+@pytest.mark.parametrize(
+    ("given", "instead", "message"),
+    [
+        ("worst", "worse", "unknown column of the board mine: 'worse' (did you mean 'worst'?)"),
+        ("[best]", "[bets]", "unknown finding of the board mine: 'bets' (did you mean 'best'?)"),
+    ],
+)
+def test_a_board_with_an_unknown_column_or_finding_is_refused(given, instead, message):
+    board = yaml.safe_load(BOARD.replace(given, instead))["board"]
+    with pytest.raises(ConfigError) as error:
+        check_board("mine", build(BoardDefinition, board, "mine"))
+    assert message in str(error.value)

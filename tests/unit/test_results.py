@@ -367,6 +367,14 @@ def test_entries_better_than_truth_plus_noise_and_inconsistent_baselines_are_fla
     (perfect,) = run_task(task(), {"perfect": Reader(gain=1.0)}, (1,), simulate=fake_drives)
     (note,) = flagged(perfect, result_of("truth_plus_noise"))
     assert note.startswith("perfect scores better than the truth with 2 % noise")
+    better = run_task(task(), {"better": Reader(gain=0.96)}, (1,), simulate=fake_drives)
+    (note,) = flagged(*better)
+    shares = better[0].values("nrmse") < better[0].values("bound_nrmse")
+    assert 0.0 < shares.mean()
+    assert note == (
+        "better is below the bound of a linear car without friction, from data below 25 Hz, on "
+        f"{shares.mean():.0%} of its drives"
+    )
     (note,) = flagged(dataclasses.replace(result_of("reader"), estimator="flat", role="sentinel"))
     assert note.startswith("the evaluation is faulty: flat scores 0.1")
 

@@ -214,6 +214,7 @@ def test_the_digest_depends_on_all_inputs_of_the_drives_and_on_nothing_else(tmp_
     same = {"roads": [{"kind": "iso8608", "road_class": "D"}], "seeds": [1, 2], "length": 40.0}
     assert task(training=same).digest == base.digest
     assert task(title="Another title", note="Read this.").digest == base.digest
+    assert task(board="field").digest == task(board={"title": "Mine"}).digest == base.digest
     others = [
         task(version=2),
         task(bumps=True),
