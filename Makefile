@@ -15,7 +15,7 @@ policies: $(READY)
 	$(VENV)/bin/road-recon policies --scenarios league --sweep --out out/policies
 
 test: lint
-	$(VENV)/bin/pytest -n auto --dist loadscope
+	$(VENV)/bin/pytest -n auto --dist worksteal
 
 test-long: $(READY)
 	$(VENV)/bin/pytest -m slow -s
@@ -23,7 +23,7 @@ test-long: $(READY)
 test-lowest:
 	$(PYTHON) -m venv .venv-lowest
 	.venv-lowest/bin/pip install --quiet --constraint constraints-lowest.txt --editable '.[test]'
-	.venv-lowest/bin/pytest -n auto --dist loadscope tests/unit
+	.venv-lowest/bin/pytest -n auto --dist worksteal tests/unit
 
 lint: $(READY)
 	$(VENV)/bin/ruff check .

@@ -7,6 +7,7 @@ import platform
 import shutil
 import tempfile
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,9 @@ PARTIAL_SUFFIX = ".partial"
 
 TEMP_PREFIX = "roadrecon-scratch-"
 """Prefix of the name of a temporary folder."""
+
+LOCK_INTERVAL = 0.02
+"""Time [s] between two attempts to take a lock."""
 
 _counter = itertools.count()
 
@@ -136,6 +140,26 @@ def _remove_if_orphaned(folder: Path) -> bool:
         return True
     finally:
         os.close(owner)
+
+
+@contextmanager
+def exclusive_lock(path: Path, longest_wait: float) -> Iterator[None]:
+    """Hold the lock of a file, which other processes wait for.
+
+    After `longest_wait` [s], or where no lock can be had, the block runs without it.
+    """
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_CREAT, 0o600)
+    except OSError:
+        yield
+        return
+    try:
+        end = time.monotonic() + longest_wait
+        while not _try_lock(handle) and time.monotonic() < end:
+            time.sleep(LOCK_INTERVAL)
+        yield
+    finally:
+        os.close(handle)
 
 
 def _try_lock(handle: int) -> bool:

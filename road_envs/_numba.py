@@ -6,7 +6,9 @@ arrays handed to it, calls other kernels directly and never receives a function 
 Numba's own disk cache is keyed by the file of a function and the line it stands in: it misses a
 change in a callee, and it compiles again after any edit of a comment. Here the cache folder is
 named after the code of all files that hold kernels and of what these import, without docstrings,
-comments and layout, and inside it a kernel is found by its module and name.
+comments and layout, and inside it a kernel is found by its module and name. A kernel is compiled by
+one process at a time; others that need it wait and load it. (Numba's index of a kernel's signatures
+also is not safe against two writers.)
 """
 
 import sys
@@ -18,12 +20,17 @@ from typing import Any, TypeVar, overload
 
 import numba
 from numba.core import caching
+from numba.core.compiler_lock import global_compiler_lock
 
+from road_envs._atomic_io import exclusive_lock
 from road_envs._code_digest import cache_home, closure, digest, importers
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 HERE = Path(__file__).parent
+
+MAX_WAIT = 300.0
+"""Longest wait [s] for another process that compiles a kernel; then it is compiled here too."""
 
 
 def _kernel_files(folder: Path) -> list[Path]:
@@ -110,4 +117,21 @@ def _compiled(function: F, inline: bool) -> F:
     if hasattr(compiled, "_cache"):  # NUMBA_DISABLE_JIT leaves a plain function
         with suppress(RuntimeError):  # nowhere to write: compiled anew in every process
             compiled._cache = _KernelCache(function)  # as `cache=True`, with the key above
+            lock = Path(
+                compiled._cache.cache_path, f"{function.__module__}.{function.__name__}.lock"
+            )
+            compiled.compile = _one_at_a_time(compiled.compile, lock)
     return compiled
+
+
+def _one_at_a_time(compile_signature: Callable[[Any], Any], lock: Path) -> Callable[[Any], Any]:
+    """Return the method `compile` of a dispatcher, held by one process at a time.
+
+    Locks are taken from callers to callees, inside the lock of this process: no deadlock.
+    """
+
+    def compile_alone(sig: Any) -> Any:
+        with global_compiler_lock, exclusive_lock(lock, MAX_WAIT):
+            return compile_signature(sig)
+
+    return compile_alone

@@ -1,18 +1,18 @@
-"""The report of a board (rows and findings), built once and cached under its key.
+"""The report of a board (rows and findings), cached with the sizes of its pages.
 
 The key is the digest of everything that determines the report: tasks, stored results by their
-checksums, conformance cards, and the code and templates of the pages. The rows are cached in
+checksums, conformance cards, and the code, templates and scripts of the pages. One file,
 
     <out>/.shown.json
 
-so that a run without new results need not repeat the bootstrap; `site.py` uses the same key.
+spares a run without new results the bootstrap and the pages; `site.py` writes it with the pages.
 """
 
 import dataclasses
 import hashlib
 import json
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -26,21 +26,25 @@ from road_envs._code_digest import closure, digest
 from road_envs.config import ConfigError, build
 
 CACHE_FILE = ".shown.json"
-FORMAT = 1
+FORMAT = 2
 MAX_CACHED_ROWS = 2000
 """Largest number of rows that is cached; a larger cache takes long to write and to read."""
 
 SITE_MODULE = "leaderboard.report.site"
-TEMPLATES = Path(__file__).parent / "templates"
+PAGE_FILES = [Path(__file__).parent / folder for folder in ("templates", "static")]
 
 
 @dataclass(frozen=True)
 class Report:
-    """Boards, the main one first; findings in sentences; and the key."""
+    """Boards, the main one first; findings in sentences; the key; and the sizes of its pages.
+
+    `pages` is empty until they are written.
+    """
 
     views: tuple[BoardView, ...]
     findings: tuple[str, ...]
     key: str
+    pages: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,7 @@ class _CachedReport:
     key: str
     views: tuple[BoardView, ...]
     findings: tuple[str, ...]
+    pages: dict[str, int]
 
 
 def build_report(board: Board, out: Path | None = None) -> Report:
@@ -57,10 +62,15 @@ def build_report(board: Board, out: Path | None = None) -> Report:
     if out is not None and (cached := _load_cached(out / CACHE_FILE, key)) is not None:
         return cached
     views = tuple(board_views(board))
-    report = Report(views, tuple(findings(views)), key)
-    if out is not None and sum(map(len, board.results.values())) <= MAX_CACHED_ROWS:
+    return Report(views, tuple(findings(views)), key)
+
+
+def save_report(report: Report, out: Path) -> None:
+    """Cache a report whose pages are written; a large one is not worth its file."""
+    if sum(len(s.rows) for view in report.views for s in view.sections) <= MAX_CACHED_ROWS:
         store.write_text(out / CACHE_FILE, store.with_checksum(_as_dict(report)))
-    return report
+    else:
+        (out / CACHE_FILE).unlink(missing_ok=True)
 
 
 def report_key(board: Board) -> str:
@@ -90,13 +100,14 @@ def _key_parts(board: Board) -> Iterator[str]:
 
 @cache
 def _page_code_digest() -> str:
-    templates = [path for path in TEMPLATES.rglob("*") if path.is_file()]
-    return digest([*closure(SITE_MODULE), *templates])
+    files = [path for folder in PAGE_FILES for path in folder.rglob("*") if path.is_file()]
+    return digest([*closure(SITE_MODULE), *files])
 
 
 def _as_dict(report: Report) -> dict[str, Any]:
     views = [dataclasses.asdict(view) for view in report.views]
-    return {"format": FORMAT, "key": report.key, "views": views, "findings": list(report.findings)}
+    plain = {"format": FORMAT, "key": report.key, "pages": dict(report.pages)}
+    return {**plain, "views": views, "findings": list(report.findings)}
 
 
 def _load_cached(path: Path, key: str) -> Report | None:
@@ -107,4 +118,4 @@ def _load_cached(path: Path, key: str) -> Report | None:
         cached = build(_CachedReport, data, str(path))
     except ConfigError:  # missing or damaged: the report is built again
         return None
-    return Report(cached.views, cached.findings, key)
+    return Report(cached.views, cached.findings, key, cached.pages)

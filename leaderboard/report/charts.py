@@ -1,10 +1,5 @@
-"""Data for the scripts of the pages, as plain JSON: scores by group, and the charts of a task.
+"""Charts of a task: along the road, over spatial frequency, over the runs."""
 
-Heights are integers of 0.1 mm, encoded as differences; densities are logarithms. A task of seven
-conditions and eight entries takes about a megabyte.
-"""
-
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -12,208 +7,228 @@ import numpy as np
 
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, Trace
-from leaderboard.evaluation.tasks import Task
+from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.metrics.bootstrap import MIN_ROADS, Strata, count_roads, performance_profile
 from leaderboard.metrics.bound import third_octave_bound
 from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.metrics.obstacles import Obstacle, match_obstacles, true_obstacles
 from leaderboard.metrics.registry import SCORES
 from leaderboard.metrics.roughness import THIRD_OCTAVES
-from leaderboard.report.board_definitions import COLUMNS, TEXT_COLUMNS, Column
-from leaderboard.report.tables import (
-    ALL_RUNS,
-    BOUND_ROW,
-    SPECTRUM_SCORES,
-    BoardView,
-    Row,
-    Section,
+from leaderboard.report.figures import (
+    BAND,
+    INK,
+    QUIET,
+    TRUTH_LINE,
+    Chart,
+    area,
+    axis,
+    chart,
+    colour,
+    curve,
+    encode_heights,
+    encode_std,
+    frequency_axis,
+    line_style,
+    rounded,
+    upright,
 )
+from leaderboard.report.tables import SPECTRUM_SCORES, Row
 from road_envs.analysis.roughness import CLASSES, N_0, displacement_psd, smooth_psd
-
-HEIGHT_UNIT = 1e-4
-"""Unit [m] of encoded heights."""
 
 RAW_SPACING, IN_BAND_SPACING = 0.05, 0.1
 """Least spacing [m] at which raw and band-passed heights are drawn."""
 
-DRAWN_HEIGHT_LIMIT = 3.0
-"""Drawn heights are clipped to +- this [m]."""
+KINDS = ("inside", "raw")
+"""Drawn heights: inside the scored band, and about their median, as no sensor knows the datum."""
+
+N_SHOWN = 2
+"""Number of entries, best first, whose lines are shown at first."""
 
 CLASS_FREQUENCIES = (0.05, 10.0)
 THRESHOLDS = 41
 REPLICATES = 300
 """Bootstrap replicates of a performance profile: enough for a drawn line."""
 
-
-def table_data(view: BoardView, section: Section, columns: Sequence[Column]) -> dict[str, Any]:
-    """Return the rows of a task, with their numbers over all runs and over each group."""
-    keys = [
-        *(column.key for column in columns),
-        view.definition.ranks_by,
-        "rank_causal",
-        "low",
-        "high",
-    ]
-    numeric = dict.fromkeys(key for key in keys if key not in TEXT_COLUMNS)
-    return {
-        "ranks_by": view.definition.ranks_by,
-        "scale": view.definition.scale,
-        "flat": 1.0 if view.definition.ranks_by == "nrmse" else None,
-        "groups": {kind: list(names) for kind, names in section.groups.items()},
-        "columns": {key: _column_format(key) for key in dict.fromkeys(keys)},
-        "rows": [_row_data(row, list(numeric)) for row in section.rows],
-    }
+SIDES = ("left", "right")
+OBSTACLE_SYMBOLS = {
+    "detected": "circle-open",
+    "missed": "x-thin-open",
+    "false alarm": "diamond-open",
+}
 
 
-def _row_data(row: Row, keys: Sequence[str]) -> dict[str, Any]:
-    groups = {ALL_RUNS: row.values, **row.groups}
-    return {
-        "name": row.name,
-        "state": row.state,
-        "causal": bool(row.causal),
-        "message": row.message,
-        # rows with few scores have empty cells instead of dashes
-        "sparse": row.state == "claim" or row.name == BOUND_ROW,
-        "cells": {key: row.cells[key] for key in TEXT_COLUMNS if row.cells.get(key)},
-        "groups": {
-            name: {key: rounded(x) for key in keys if (x := values.get(key)) is not None}
-            for name, values in groups.items()
-        },
-    }
-
-
-def _column_format(key: str) -> dict[str, Any]:
-    """Return how a script formats a column, equal to `Metric.format_value`."""
-    if key in TEXT_COLUMNS or key not in COLUMNS:
-        return {"better": "low", "format": None}
-    column = COLUMNS[key]
-    form = {"factor": column.factor, "digits": column.digits, "blank": column.blank}
-    return {"better": column.better, "format": {**form, "sign": column.better == "zero"}}
-
-
-def chart_data(
+def task_charts(
     task: Task, definition: BoardDefinition, results: Mapping[str, Result], rows: Mapping[str, Row]
+) -> dict[str, Chart]:
+    """Return the charts of a task by name, with the given results in their order, best first."""
+    traces = [
+        {name: r.traces[k] for name, r in results.items() if len(r.traces) > k}
+        for k in range(len(task.conditions))
+    ]
+    drawn = {c: t for c, t in zip(task.conditions, traces, strict=True) if t}
+    charts = {
+        "road": _road_chart(drawn),
+        "density": _density_chart(drawn),
+        "error": _error_chart(task, {name: rows[name] for name in results}),
+    }
+    scores = {name: _with_failures(result, definition.ranks_by) for name, result in results.items()}
+    scores = {name: x for name, x in scores.items() if count_roads(x) >= MIN_ROADS}
+    if scores:
+        charts["runs"] = _runs_chart(scores, definition, task.test.strata)
+    return charts
+
+
+def visibility(k: int) -> dict[str, Any]:
+    """Return whether the line of entry number `k` is shown at first."""
+    return {} if k < N_SHOWN else {"visible": "legendonly"}
+
+
+def heights_of(trace: Trace, z: np.ndarray, kind: str) -> tuple[float, float, np.ndarray]:
+    """Return first station and spacing [m] of drawn heights (2, N) [m] of a kind in KINDS."""
+    if kind == "inside":
+        inside = band_pass(z, trace.ds, scored_band(trace.speed_kmh / 3.6))
+        first, spacing = (z.shape[1] - inside.shape[1]) // 2, IN_BAND_SPACING
+    else:
+        inside = z - np.median(z, axis=1, keepdims=True)
+        first, spacing = 0, RAW_SPACING
+    stride = max(1, round(spacing / trace.ds))
+    return first * trace.ds, stride * trace.ds, inside[:, ::stride]
+
+
+def height_lines(
+    traces: Mapping[str, Trace], side: int, kind: str, shown: int = N_SHOWN
+) -> list[dict[str, Any]]:
+    """Return the truth and the estimates of one wheel path, the first `shown` visible at first."""
+    reference = next(iter(traces.values()))
+    lines = [_height_line("truth", reference, reference.z_true, side, kind) | {"line": TRUTH_LINE}]
+    for k, (name, trace) in enumerate(traces.items()):
+        line = _height_line(name, trace, trace.z_estimated, side, kind)
+        if kind == "inside" and trace.z_std is not None:
+            first = round(line["x0"] / trace.ds)
+            stride = round(line["dx"] / trace.ds)
+            std = trace.z_std[side, first:][::stride][: len(line["dy"])]
+            line["std"] = encode_std(std)
+        lines.append({**line, "line": line_style(name), **({} if k < shown else visibility(k))})
+    return lines
+
+
+def _height_line(name: str, trace: Trace, z: np.ndarray, side: int, kind: str) -> dict[str, Any]:
+    first, spacing, heights = heights_of(trace, z, kind)
+    return {
+        "name": name,
+        "legendgroup": name,
+        "mode": "lines",
+        "x0": rounded(first),
+        "dx": rounded(spacing),
+        "dy": encode_heights(heights[side]),
+        "hovertemplate": "%{y:.1f} mm",
+    }
+
+
+def _road_chart(drawn: Mapping[Condition, Mapping[str, Trace]]) -> Chart:
+    figures = {}
+    for condition, traces in drawn.items():
+        trace = next(iter(traces.values()))
+        caption = (
+            f"{trace.road}, seed {trace.road_seed}: the first test road, first "
+            f"{trace.s[-1] + trace.ds:.0f} m; of a trained entry, the training with the median "
+            "error"
+        )
+        for side, path in enumerate(SIDES):
+            marks = _obstacle_marks(traces, side)
+            for kind in KINDS:
+                lines = height_lines(traces, side, kind) + (marks if kind == "raw" else [])
+                figures[f"{condition.label}|{path}|{kind}"] = {"data": lines, "caption": caption}
+    layout = {
+        "height": 420,
+        "hovermode": "x unified",
+        "xaxis": axis("distance [m]", unifiedhovertitle={"text": "%{x:.1f} m"}),
+        "yaxis": axis("height [mm]"),
+    }
+    title = "Truth and estimates along the road"
+    return chart(title, figures, layout, by=("condition", "side", "kind"))
+
+
+def _obstacle_marks(traces: Mapping[str, Trace], side: int) -> list[dict[str, Any]]:
+    reference = next(iter(traces.values()))
+    found = true_obstacles(reference.z_true, reference.ds)[side]
+    marks = [_marks("truth", "true obstacle", found, "triangle-down", INK)] if found else []
+    for k, (name, trace) in enumerate(traces.items()):
+        matches = match_obstacles(trace.z_true, trace.z_estimated, trace.ds)
+        if matches is None:
+            continue
+        path = matches[side]
+        kinds = ([mine for _, mine in path.pairs], path.missed, path.false)
+        for obstacles, (kind, symbol) in zip(kinds, OBSTACLE_SYMBOLS.items(), strict=True):
+            if obstacles:
+                marks.append(_marks(name, kind, obstacles, symbol, colour(name)) | visibility(k))
+    return marks
+
+
+def _marks(
+    name: str, kind: str, obstacles: Sequence[Obstacle], symbol: str, paint: str
 ) -> dict[str, Any]:
-    """Return everything drawn of a task, for the given results by name in their order."""
-    scores = {
-        name: _profile_scores(result, definition.ranks_by) for name, result in results.items()
-    }
-    thresholds = np.linspace(0.0, definition.scale, THRESHOLDS)
     return {
-        "entries": list(results),
-        "ranks_by": SCORES[definition.ranks_by].label,
-        "scale": definition.scale,
-        "conditions": {
-            condition.label: _condition_data(
-                task, k, {name: r.traces[k] for name, r in results.items() if len(r.traces) > k}
-            )
-            for k, condition in enumerate(task.conditions)
-        },
-        "thirds": [rounded(n) for n in THIRD_OCTAVES],
-        "spectrum": {name: _spectrum_data(rows[name]) for name in results},
-        "thresholds": [rounded(x) for x in thresholds],
-        "performance": {
-            name: _profile_data(values, thresholds, task.test.strata)
-            for name, values in scores.items()
-            if count_roads(values) >= MIN_ROADS
-        },
-        "class_n": CLASS_FREQUENCIES,
-        "classes": [
-            {"letter": letter, "low": _class_line(0.5 * mean), "high": _class_line(2.0 * mean)}
-            for letter, mean in CLASSES.items()
-        ],
+        "name": f"{name}: {kind}",
+        "legendgroup": name,
+        "showlegend": False,
+        "mode": "markers",
+        "x": [round(obstacle.s, 2) for obstacle in obstacles],
+        "y": [round(1000.0 * obstacle.height, 1) for obstacle in obstacles],
+        "marker": {"symbol": symbol, "size": 10, "color": paint, "line": {"width": 2}},
+        "hovertemplate": "%{y:.0f} mm",
     }
 
 
-def _condition_data(task: Task, place: int, traces: Mapping[str, Trace]) -> dict[str, Any]:
-    """Return the truth and every estimate of one condition."""
-    condition = task.conditions[place]
-    band = scored_band(condition.speed_kmh / 3.6)
-    if not traces:
-        return {"caption": "", "band": band, "bound": None, "entries": {}, "bumps": [[], []]}
-    first = next(iter(traces.values()))
-    n, density = _log_density(first.z_true, first.ds)
-    # the band-pass cuts both ends of a profile
-    trim = (first.s.size - band_pass(first.z_true, first.ds, band).shape[1]) // 2
-    steps = {"raw": _stride(RAW_SPACING, first.ds), "inside": _stride(IN_BAND_SPACING, first.ds)}
-    first_station = {"raw": 0.0, "inside": trim * first.ds}
-    truth = {
-        "raw": _raw_heights(first.z_true, first.ds),
-        "inside": _in_band_heights(first.z_true, first.ds, band),
+def _density_chart(drawn: Mapping[Condition, Mapping[str, Trace]]) -> Chart:
+    figures = {}
+    for condition, traces in drawn.items():
+        reference = next(iter(traces.values()))
+        lines = [_density("truth", reference.z_true, reference.ds) | {"line": TRUTH_LINE}]
+        for k, (name, trace) in enumerate(traces.items()):
+            line = _density(name, trace.z_estimated, trace.ds)
+            lines.append(line | {"line": line_style(name)} | visibility(k))
+        figures[condition.label] = {
+            "data": [*_class_areas(), *lines],
+            "layout": {"shapes": [upright(n) for n in scored_band(condition.speed_kmh / 3.6)]},
+        }
+    layout = {
+        "xaxis": frequency_axis(*CLASS_FREQUENCIES),
+        "yaxis": axis("density [m³]", -9, -1, type="log", exponentformat="power", dtick=2),
+        "annotations": _class_letters(),
     }
-    return {
-        "caption": f"{first.road}, seed {first.road_seed}: the first test road, "
-        f"first {first.s[-1] + first.ds:.0f} m; of a trained entry, the training with the median "
-        "error",
-        "band": band,
-        "bound": [rounded(x) for x in third_octave_bound(task, condition)],
-        **{
-            kind: {"ds": steps[kind] * first.ds, "first": first_station[kind], "truth": truth[kind]}
-            for kind in truth
-        },
-        "bumps": [_obstacle_marks(path) for path in true_obstacles(first.z_true, first.ds)],
-        "density_n": [rounded(x) for x in n],
-        "density": density,
-        "entries": {name: _entry_data(trace, band) for name, trace in traces.items()},
-    }
+    title = "Displacement spectral densities over the classes of ISO 8608"
+    return chart(title, figures, layout, by=("condition",))
 
 
-def _entry_data(trace: Trace, band: tuple[float, float]) -> dict[str, Any]:
-    matches = match_obstacles(trace.z_true, trace.z_estimated, trace.ds)
-    std = trace.z_std
-    return {
-        "raw": _raw_heights(trace.z_estimated, trace.ds),
-        "inside": _in_band_heights(trace.z_estimated, trace.ds, band),
-        "std": None if std is None else _encoded_std(std, trace, band),
-        "density": _log_density(trace.z_estimated, trace.ds)[1],
-        "bumps": None
-        if matches is None
-        else [
-            {
-                "found": _obstacle_marks([f for _, f in path.pairs]),
-                "missed": _obstacle_marks(path.missed),
-                "false": _obstacle_marks(path.false),
-            }
-            for path in matches
-        ],
-    }
-
-
-def _raw_heights(z: np.ndarray, ds: float) -> list[list[int]]:
-    """Return heights about their median, since accelerometers do not observe the datum."""
-    about = z - np.median(z, axis=1, keepdims=True)
-    return [_encoded(path[:: _stride(RAW_SPACING, ds)]) for path in about]
-
-
-def _in_band_heights(z: np.ndarray, ds: float, band: tuple[float, float]) -> list[list[int]]:
-    return [_encoded(path[:: _stride(IN_BAND_SPACING, ds)]) for path in band_pass(z, ds, band)]
-
-
-def _encoded_std(std: np.ndarray, trace: Trace, band: tuple[float, float]) -> list[list[int]]:
-    size = band_pass(trace.z_true, trace.ds, band).shape[1]
-    trim = (trace.s.size - size) // 2
-    inside = std[:, trim : trim + size : _stride(IN_BAND_SPACING, trace.ds)]
-    return np.rint(np.minimum(inside, DRAWN_HEIGHT_LIMIT) / HEIGHT_UNIT).astype(int).tolist()
-
-
-def _encoded(z: np.ndarray) -> list[int]:
-    """Return the differences of heights [m], in units of HEIGHT_UNIT."""
-    whole = np.rint(np.clip(z, -DRAWN_HEIGHT_LIMIT, DRAWN_HEIGHT_LIMIT) / HEIGHT_UNIT).astype(int)
-    return np.diff(whole, prepend=0).tolist()
-
-
-def _stride(spacing: float, ds: float) -> int:
-    return max(1, round(spacing / ds))
-
-
-def _obstacle_marks(bumps: Sequence[Obstacle]) -> list[tuple[float, int]]:
-    return [(round(bump.s, 2), round(bump.height / HEIGHT_UNIT)) for bump in bumps]
-
-
-def _log_density(z: np.ndarray, ds: float) -> tuple[np.ndarray, list[float | None]]:
-    """Return frequencies and log10 of the density of both paths, None where it is 0."""
+def _density(name: str, z: np.ndarray, ds: float) -> dict[str, Any]:
+    """Return the mean density of both wheel paths, with gaps where it is 0."""
     n, G = smooth_psd(*displacement_psd(z, ds))
-    return n, [round(math.log10(x), 2) if x > 0.0 else None for x in G.mean(axis=0)]
+    y = [rounded(x, 3) if x > 0.0 else None for x in G.mean(axis=0)]
+    hover = "%{y:.2e} m³ at %{x:.2f} cycles/m"
+    return curve(name, [rounded(x, 4) for x in n], y, hovertemplate=hover)
+
+
+def _class_areas() -> list[dict[str, Any]]:
+    """Return the areas of every second class; its densities are half to twice the mean."""
+    n = list(CLASS_FREQUENCIES)
+    means = list(CLASSES.values())[::2]
+    return [
+        area(n, _class_line(0.5 * G), _class_line(2.0 * G), fillcolor=BAND, name="class")
+        for G in means
+    ]
+
+
+def _class_letters() -> list[dict[str, Any]]:
+    """Return the letters of the classes at the right edge; annotations are at powers of ten."""
+    n = CLASS_FREQUENCIES[1]
+    look = {"showarrow": False, "xanchor": "right", "font": {"color": QUIET}}
+    at = {letter: np.log10(_class_line(G)[1]) for letter, G in CLASSES.items()}
+    return [
+        {"text": letter, "x": np.log10(n), "y": rounded(y, 4), **look}
+        for letter, y in at.items()
+        if y > -9
+    ]
 
 
 def _class_line(level: float) -> list[float]:
@@ -221,29 +236,75 @@ def _class_line(level: float) -> list[float]:
     return [level * (n / N_0) ** -2.0 for n in CLASS_FREQUENCIES]
 
 
-def _spectrum_data(row: Row) -> dict[str, list[float | None]]:
-    """Return the third-octave errors of all runs and of each group."""
-    groups = {ALL_RUNS: row.values, **row.groups}
+def error_lines(rows: Mapping[str, Row], group: str, shown: int = N_SHOWN) -> list[dict[str, Any]]:
+    """Return the third-octave errors of rows over a group of runs, or over all of them."""
+    lines = []
+    for k, (name, row) in enumerate(rows.items()):
+        values = row.groups.get(group, row.values)
+        y = [None if (x := values.get(key)) is None else rounded(x, 4) for key in SPECTRUM_SCORES]
+        look = {"line": line_style(name), **({} if k < shown else visibility(k))}
+        lines.append(curve(name, THIRD_OCTAVES, y, hovertemplate=ERROR_HOVER, **look))
+    return lines
+
+
+_BOUNDS: dict[tuple[str, str], list[float]] = {}
+"""Bounds by task and condition: every page of an estimator shows them."""
+
+ERROR_HOVER = "%{y:.3f} at %{x:.2f} cycles/m"
+
+
+def bound_line(task: Task, condition: Condition) -> dict[str, Any]:
+    """Return the bound in third octaves under a condition, on a class-D road."""
+    key = (task.digest, condition.label)
+    if key not in _BOUNDS:
+        _BOUNDS[key] = [rounded(x, 4) for x in third_octave_bound(task, condition)]
+    look = {"color": INK, "dash": "dot", "width": 1.6}
+    return curve("bound", THIRD_OCTAVES, _BOUNDS[key], line=look, hovertemplate=ERROR_HOVER)
+
+
+def error_axes() -> dict[str, Any]:
+    """Return the axes of errors over spatial frequency."""
     return {
-        group: [None if (x := values.get(name)) is None else rounded(x) for name in SPECTRUM_SCORES]
-        for group, values in groups.items()
+        "xaxis": frequency_axis(THIRD_OCTAVES[0], THIRD_OCTAVES[-1]),
+        "yaxis": axis("error over truth", 0.0, 2.0),
     }
 
 
-def _profile_scores(result: Result, name: str) -> np.ndarray:
+def _error_chart(task: Task, rows: Mapping[str, Row]) -> Chart:
+    figures = {
+        condition.label: {
+            "data": [bound_line(task, condition), *error_lines(rows, condition.label)],
+            "layout": {"shapes": [upright(n) for n in scored_band(condition.speed_kmh / 3.6)]},
+        }
+        for condition in task.conditions
+    }
+    title = "Error over spatial frequency, with the bound"
+    return chart(title, figures, error_axes(), by=("condition",))
+
+
+def _runs_chart(
+    scores: Mapping[str, np.ndarray], definition: BoardDefinition, strata: Strata
+) -> Chart:
+    """Return the performance profiles of scores (R, C, S), with their intervals."""
+    thresholds = np.linspace(0.0, definition.scale, THRESHOLDS)
+    x = [rounded(limit) for limit in thresholds]
+    data = []
+    for k, (name, values) in enumerate(scores.items()):
+        profile = performance_profile(values, thresholds, replicates=REPLICATES, strata=strata)
+        share, low, high = (np.round(100.0 * y, 1).tolist() for y in profile)
+        own = {"legendgroup": name, **visibility(k)}
+        data.append(area(x, low, high, fillcolor=f"{colour(name)}2e", name=name, **own))
+        hover = "%{y:.0f} % of runs up to %{x:.2f}"
+        data.append(curve(name, x, share, line=line_style(name), hovertemplate=hover, **own))
+    layout = {
+        "xaxis": axis(SCORES[definition.ranks_by].label, 0.0, definition.scale),
+        "yaxis": axis("share of runs [%]", 0.0, 100.0),
+    }
+    return chart("Share of runs at or below an error", {"": {"data": data}}, layout)
+
+
+def _with_failures(result: Result, name: str) -> np.ndarray:
     """Return a score (R, C, S) of which a run without a value counts as infinite."""
     values = result.values(name)
     values[result.driven() & np.isnan(values)] = np.inf
     return values
-
-
-def _profile_data(
-    scores: np.ndarray, thresholds: np.ndarray, strata: Strata
-) -> dict[str, list[float]]:
-    profile = performance_profile(scores, thresholds, replicates=REPLICATES, strata=strata)
-    return {name: np.round(100.0 * x, 1).tolist() for name, x in profile._asdict().items()}
-
-
-def rounded(x: float) -> float:
-    """Return `x` with eight digits: the page rounds it once more, to what is printed."""
-    return float(f"{x:.8g}")

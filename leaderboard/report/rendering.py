@@ -2,10 +2,16 @@
 
 import json
 import re
+import shutil
 from functools import cache
+from pathlib import Path
 from typing import Any
 
+from road_envs._atomic_io import atomic_write
 from road_envs._extras import optional_import
+
+STATIC = Path(__file__).parent / "static"
+"""Style, scripts and pictures that all pages of a site share."""
 
 
 def file_name(estimator: str) -> str:
@@ -16,11 +22,11 @@ def file_name(estimator: str) -> str:
 @cache
 def _environment() -> Any:
     with optional_import("a page"):
-        from jinja2 import Environment, PackageLoader, StrictUndefined
-    from markupsafe import Markup
+        from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    from markupsafe import Markup, escape
 
     environment = Environment(
-        loader=PackageLoader("leaderboard.report"),
+        loader=FileSystemLoader([STATIC.with_name("templates"), STATIC]),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -31,9 +37,25 @@ def _environment() -> Any:
         json.dumps(x, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     )
     environment.filters["file"] = file_name
+    # `code` as in the docstrings
+    environment.filters["code"] = lambda text: Markup(
+        re.sub("`+([^`]+)`+", r"<code>\1</code>", str(escape(text)))
+    )
     return environment
 
 
 def render(template: str, **values: Any) -> str:
     """Render a template of `leaderboard/report/templates`. Raises MissingExtraError."""
     return _environment().get_template(template).render(values)
+
+
+def write_static(out: Path) -> list[str]:
+    """Copy the shared files of a site into `out`; return their names."""
+    names = []
+    for source in sorted(STATIC.iterdir()):
+        name = f"{STATIC.name}/{source.name}"
+        (out / STATIC.name).mkdir(parents=True, exist_ok=True)
+        with atomic_write(out / name) as partial:
+            shutil.copyfile(source, partial)
+        names.append(name)
+    return names

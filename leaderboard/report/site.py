@@ -1,37 +1,39 @@
 """The boards as a static site that is opened from disk: no server, no network, one folder.
 
-    index.html               all boards, with filters, sorting and findings
+    index.html               who is best; all boards, with filters, sorting and findings
     tasks/<task>.html        one task: every score, and its charts
-    estimators/<name>.html   one entry: its conformance card, all its results, their provenance
+    estimators/<name>.html   one entry: method, errors, calibration, cost, failures, provenance
+    static/                  style, scripts and the charts' library, shared by all pages
     export/                  the same for programs and papers
 
-Each page contains its style, scripts and data. Without scripts the tables are still there; filters
-and charts need them. The index is written last, so an interrupted build leaves the old one; pages
-of removed tasks and entries are deleted.
+Each page contains its data. Without scripts the tables are still there; filters and charts need
+them. The index is written last, so an interrupted build leaves the old one; pages of removed tasks
+and entries are deleted.
 """
 
+import dataclasses
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from leaderboard.evaluation.results import Result
+from leaderboard.evaluation.results import Result, isolation_notice
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.baselines import NOISE_LEVEL
-from leaderboard.report import charts, export
+from leaderboard.report import cache, estimator_page, export, overview
 from leaderboard.report.cache import Report
-from leaderboard.report.rendering import file_name, render
+from leaderboard.report.charts import task_charts
+from leaderboard.report.rendering import file_name, render, write_static
 from leaderboard.report.sentences import UNRELATED_ROAD, unrelated_level_errors
+from leaderboard.report.table_data import table_data
 from leaderboard.report.tables import BOUND_ROW, BoardView, Section, nonempty_columns
 from leaderboard.running.board import Board
 from road_envs._atomic_io import write_text
 
 MAX_DRAWN = 8
-"""Number of entries of a task that are drawn, best first, each with its colour and dash."""
+"""Number of entries of a task that are drawn, best first."""
 
 PAGE_FOLDERS = ("tasks", "estimators")
-STAMP_FILE = ".page.json"
-"""File with the key of the report that the site shows, and the size of every page."""
 
 
 def write_site(board: Board, report: Report, out: Path) -> Path:
@@ -40,10 +42,10 @@ def write_site(board: Board, report: Report, out: Path) -> Path:
     Nothing is written if the site in `out` already shows this report.
     """
     index = out / "index.html"
-    if _is_current(out, report.key):
+    if report.pages and all(_size(out / name) == size for name, size in report.pages.items()):
         return index
-    (out / STAMP_FILE).unlink(missing_ok=True)  # an interrupted build is repeated
-    written = []
+    (out / cache.CACHE_FILE).unlink(missing_ok=True)  # an interrupted build is repeated
+    written = write_static(out)
     for name, text in render_pages(board, report):  # the index comes last
         if name == index.name:
             export.write_exports(report.views, out)
@@ -53,19 +55,13 @@ def write_site(board: Board, report: Report, out: Path) -> Path:
         for path in (out / folder).glob("*.html"):
             if f"{folder}/{path.name}" not in written:
                 path.unlink()
-    sizes = {name: (out / name).stat().st_size for name in written}
-    write_text(out / STAMP_FILE, json.dumps({"key": report.key, "sizes": sizes}) + "\n")
+    pages = {name: (out / name).stat().st_size for name in written}
+    cache.save_report(dataclasses.replace(report, pages=pages), out)
     return index
 
 
-def _is_current(out: Path, key: str) -> bool:
-    """Return whether `out` holds the complete site of the report with this key."""
-    try:
-        stamp = json.loads((out / STAMP_FILE).read_text(encoding="utf-8"))
-        sizes = {name: (out / name).stat().st_size for name in stamp["sizes"]}
-        return bool(stamp["key"] == key and stamp["sizes"] == sizes)
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.is_file() else -1
 
 
 def render_pages(board: Board, report: Report) -> Iterator[tuple[str, str]]:
@@ -91,13 +87,22 @@ def render_pages(board: Board, report: Report) -> Iterator[tuple[str, str]]:
 def _index(board: Board, report: Report) -> dict[str, Any]:
     errors, _ = unrelated_level_errors()
     claims = [t.claimed_level_error for t in board.tasks if t.claimed_level_error is not None]
+    view = report.views[0]
+    section, definition = view.sections[0], view.definition
+    task = next(task for task in board.tasks if task.name == section.task)
+    scored = [result for task in board.tasks for result in board.scored(task)]
+    scored.sort(key=lambda result: result.estimator)
     return {
         "root": "",
+        "section": section,
+        "ranking": overview.ranking_chart(section, definition),
+        "strip": overview.strip_chart(section, board.scored(task), definition.ranks_by),
+        "headline": overview.headline(section, definition),
+        "causal": any(row.causal for row in section.rows),
+        "notice": isolation_notice(scored),
         "findings": report.findings,
-        "levels": {
-            "x": [charts.rounded(100.0 * x) for x in sorted(errors.tolist())],
-            "claims": sorted(100.0 * x for x in claims),
-        },
+        "levels": overview.levels_chart(sorted(claims)),
+        "claims": claims,
         "pairs": f"{errors.size} wheel paths of class {UNRELATED_ROAD['road_class']}",
         "boards": [(view, [_table(view, s) for s in view.sections]) for view in report.views],
         "noise": NOISE_LEVEL,
@@ -114,7 +119,7 @@ def _table(view: BoardView, section: Section) -> dict[str, Any]:
         "section": section,
         "columns": columns,
         "groups": list(groups),
-        "data": charts.table_data(view, section, columns),
+        "data": table_data(view, section, columns),
     }
 
 
@@ -131,9 +136,9 @@ def _task(board: Board, view: BoardView, section: Section, task: Task) -> dict[s
         "view": view,
         "score_table": _table(view, section),
         "task": task,
-        "chart_data": charts.chart_data(task, view.definition, drawn, rows) if drawn else None,
+        "charts": task_charts(task, view.definition, drawn, rows) if drawn else {},
+        "notice": isolation_notice(board.scored(task)),
         "left_out": order[MAX_DRAWN:],
-        "spread": any(row.values.get("low") is not None for row in rows.values()),
         "facts_rows": [
             ("drives", _drive_counts(task, board.scored(task))),
             ("digest", task.digest),
@@ -151,17 +156,34 @@ def _estimator(
         for row in section.rows
         if row.name == name
     ]
+    by_task = {task.name: (task, result) for task, result in results}
+    judged = [
+        (*by_task[section.task], row, section, view.definition)
+        for view, section, row in rows
+        if row.state in ("scored", "baseline")
+    ]
     first = results[0][1]
     return {
         "root": "../",
         "name": name,
         "role": first.role,
         "causal": first.causal,
-        "settings": first.settings,
+        "lag": first.lag,
+        "settings": estimator_page.settings_in_words(first.settings),
+        "method": estimator_page.method(name),
         "cards": list(
             {card.identity: card for _, result in results if (card := board.card(result))}.values()
         ),
         "rows": rows,
+        "charts": estimator_page.estimator_charts(judged),
+        "tasks": [task for task, *_ in judged],
+        "cost": [estimator_page.cost(task, result) for task, result, *_ in judged],
+        "worst": [
+            drive
+            for task, result, _, _, definition in judged
+            for drive in estimator_page.worst_drives(task, result, definition.ranks_by)
+        ],
+        "failures": [(task, result.failure) for task, result in results if result.failure],
         "results": [
             (task, result, result_provenance(board, task, result)) for task, result in results
         ],
@@ -186,6 +208,7 @@ def result_provenance(board: Board, task: Task, result: Result) -> list[tuple[st
         "task": f"version {task.version}, digest {result.task_digest}",
         "state": board.stale_reason(task, result) or "fresh",
         "package": f"road-envs {result.package_version}, metrics {result.metric_version}",
+        "isolation": result.isolation,
         "training seeds": ", ".join(map(str, result.seeds)),
         "settings": json.dumps(result.settings) if result.settings else "none",
     }

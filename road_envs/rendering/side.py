@@ -32,8 +32,14 @@ GROUND = 254.0
 SHOULDER = 0.3
 """Width of the road outside the wheel paths [m]."""
 
+PAVING = "belgian"
+"""Part of the name of a surface that is drawn with paving stones; others are asphalt."""
+
 STONE, COURSES = 0.25, 4
 """Length of a paving stone [m], and number of courses between the wheel paths."""
+
+DASH, GAP, DASH_EDGES = 1.0, 2.0, (0.46, 0.54)
+"""Length and spacing of the painted dashes on asphalt [m], and their edges across the road."""
 
 # Outlines: share of the wheelbase ahead of the rear axle, distance ahead of that [m], height [m]
 CHASSIS = ((1, 0.52, 0.50), (1, 0.52, 0.64), (0, -0.98, 0.64), (0, -0.98, 0.50))
@@ -105,6 +111,8 @@ class SideView:
         self.x = (columns - self.origin) / SCALE
         self.s = self.x + scene.station - scene.car.front.x
         self.left, self.right = scene.road_heights(self.s)
+        self.paved = PAVING in scene.surface.name
+        self.road_colour = style.ROAD if self.paved else style.ASPHALT
 
     def draw(self) -> None:
         """Draw everything, from the back to the front."""
@@ -144,14 +152,14 @@ class SideView:
     def _draw_far_side(self) -> None:
         y = -self.near
         verge = self.project(self.x, y + SHOULDER, self.left)
-        self._fill_strip(verge, self.project(self.x, y, self.left), style.ROAD)
+        self._fill_strip(verge, self.project(self.x, y, self.left), self.road_colour)
         for wheel in (REAR_LEFT, FRONT_LEFT):
             self._draw_wheel(wheel)
 
     def _draw_road(self) -> None:
         far = self.project(self.x, -self.near, self.left)
-        self._fill_strip(far, self.project(self.x, self.near, self.right), style.ROAD)
-        self._draw_stones()
+        self._fill_strip(far, self.project(self.x, self.near, self.right), self.road_colour)
+        self._draw_stones() if self.paved else self._draw_dashes()
         self.canvas.line(far, style.LEFT_PATH, 1.5)
         for left in (REAR_LEFT, FRONT_LEFT):
             x = self.scene.car.axles[left // 2].x
@@ -161,19 +169,36 @@ class SideView:
 
     def _draw_stones(self) -> None:
         """Draw courses of stones; a periodic pattern would seem to run backwards."""
-        car, scene = self.scene.car, self.scene
         for course in range(COURSES):
             shift = 0.5 * (course % 2)
             number = np.arange(int(self.s[0] / STONE) - 1, int(self.s[-1] / STONE) + 1)
             s = STONE * (number[:, None] + shift + np.array([0.04, 0.96, 0.96, 0.04]))
             across = (course + np.array([0.1, 0.1, 0.95, 0.95])) / COURSES
-            left, right = scene.road_heights(s)
-            x, z = s - scene.station + car.front.x, left + across * (right - left)
-            corners = self.project(x, self.near * (2.0 * across - 1.0), z)
-            for i, stone in zip(number.tolist(), corners, strict=True):
+            stones = self._project_road(s, across)
+            for i, stone in zip(number.tolist(), stones, strict=True):
                 self.canvas.polygon(
                     stone, style.STONES[_scatter_hash(i, course) % len(style.STONES)]
                 )
+
+    def _draw_dashes(self) -> None:
+        """Draw the dashes of a centre line, which follow the road in steps of a tenth."""
+        period = DASH + GAP
+        along = DASH * np.linspace(0.0, 1.0, 11)
+        first = period * np.arange(int(self.s[0] / period) - 1, int(self.s[-1] / period) + 1)
+        s = first[:, None] + np.concatenate([along, along[::-1]])
+        across = np.repeat(DASH_EDGES, along.size)
+        for dash in self._project_road(s, across):
+            self.canvas.polygon(dash, style.PAINT)
+
+    def _project_road(self, s: np.ndarray, across: np.ndarray) -> np.ndarray:
+        """Return canvas points (N, M, 2) at stations `s` (N, M) [m] of the road.
+
+        `across` (M,) is the position between the left (0) and the right (1) wheel path.
+        """
+        left, right = self.scene.road_heights(s)
+        x = s - self.scene.station + self.scene.car.front.x
+        z = left + across * (right - left)
+        return self.project(x, self.near * (2.0 * across - 1.0), z)
 
     def _draw_body(self) -> None:
         canvas = self.canvas
@@ -219,7 +244,7 @@ class SideView:
         """Draw the road in front of the right wheels, and the earth under it with stations."""
         path = self.project(self.x, self.near, self.right)
         edge = self.project(self.x, self.near - SHOULDER, self.right)
-        self._fill_strip(path, edge, style.ROAD)
+        self._fill_strip(path, edge, self.road_colour)
         bottom = np.array([[edge[-1, 0], self.canvas.height], [edge[0, 0], self.canvas.height]])
         self.canvas.polygon(np.concatenate([edge, bottom]), style.EARTH)
         self.canvas.line(path, style.RIGHT_PATH, 1.5)

@@ -17,6 +17,8 @@ GRID = "#e6eaee"
 SKY = "#dfebf3"
 HILLS = "#cfdccf"
 ROAD = "#a5a198"
+ASPHALT = "#8f9296"
+PAINT = "#d9dadb"
 STONES = ("#bcb8b0", "#b3aea5", "#c3bfb8", "#aeaaa3", "#b8b2a6")
 EARTH = "#857d71"
 LEFT_PATH = "#16222d"
@@ -50,9 +52,10 @@ BLENDED_EDGES = (
 STATE_NAMES = {
     "ride": "ride",
     "handling": "handling",
-    "soft_high": "soft spring, high damping",
-    "stiff_low": "stiff spring, low damping",
+    "soft_high": "soft/high",
+    "stiff_low": "stiff/low",
 }
+"""Names of the states of a strut: spring/damping where they are not those of a named state."""
 
 
 def palette() -> list[int]:
@@ -76,7 +79,7 @@ def describe_tilt(angle: float, positive: str, negative: str) -> str:
 
 
 def describe_state(stiff: bool, high: bool) -> str:
-    """Return the state of a strut in words."""
+    """Return the name of the state of a strut."""
     return STATE_NAMES[next(mode for mode, state in MODES.items() if state == (stiff, high))]
 
 

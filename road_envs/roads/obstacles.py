@@ -88,6 +88,7 @@ class Defects(Settings):
 
     defects: tuple[Defect, ...]
     length: RoadLength = DEFAULT_LENGTH
+    name: Annotated[str, "", "of the surface, as results and frames show it"] = "defects"
 
     def __post_init__(self):
         super().__post_init__()
@@ -107,7 +108,7 @@ class Defects(Settings):
             for middle, height in zip(defect.middles, defect.heights, strict=True):
                 near = footprint(s, middle, defect.length)
                 z[SIDES[defect.side], near] += height * defect.unit_height(s[near] - middle)
-        return Surface(z, SAMPLE_SPACING, name="defects")
+        return Surface(z, SAMPLE_SPACING, name=self.name)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,15 +13,19 @@ from browser import CHROMIUM, Browser
 from fakes import Broken, Learner, Reader, fake_drives, task
 from html_checker import HtmlChecker
 
+from estimators.registry import REGISTRY
 from leaderboard.evaluation.entry import Entry
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.evaluation.store import row_path, save
+from leaderboard.metrics.baselines import BASELINES
 from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.metrics.registry import SCORES
-from leaderboard.report import charts, export
-from leaderboard.report.cache import build_report
+from leaderboard.report import export
+from leaderboard.report.cache import CACHE_FILE, build_report
+from leaderboard.report.charts import task_charts
+from leaderboard.report.figures import line_style, rounded
 from leaderboard.report.sentences import findings, unrelated_level_errors
-from leaderboard.report.site import STAMP_FILE, file_name, render_pages, write_site
+from leaderboard.report.site import file_name, render_pages, write_site
 from leaderboard.report.tables import board_views
 from leaderboard.running.board import Board, create_baselines, load_board
 from road_envs._atomic_io import write_text
@@ -209,8 +213,9 @@ def test_an_unchanged_site_is_not_rewritten_and_any_change_rebuilds_it(tmp_path)
     for change in (
         page.unlink,
         lambda: page.write_text("cut short"),
-        (tmp_path / STAMP_FILE).unlink,
-        lambda: (tmp_path / STAMP_FILE).write_text("{"),
+        (tmp_path / CACHE_FILE).unlink,
+        lambda: (tmp_path / CACHE_FILE).write_text("{"),
+        (tmp_path / "static" / "charts.js").unlink,
         lambda: save(dataclasses.replace(results()["paving"][0], notes=("new",)), tmp_path),
         row_path(tmp_path, "paving", "reader").unlink,
     ):
@@ -226,11 +231,15 @@ def test_a_cached_report_is_exact_and_a_damaged_cache_is_rebuilt(tmp_path):
         for result in found:
             save(result, tmp_path)
     made = load_board(tasks(), tmp_path)
+    fresh = build_report(made, tmp_path)
+    write_site(made, fresh, tmp_path)
     first = build_report(made, tmp_path)
-    cache_file = tmp_path / ".shown.json"
+    assert dataclasses.replace(first, pages={}) == fresh and first.pages
+    cache_file = tmp_path / CACHE_FILE
     text = cache_file.read_text()
     cache_file.write_text(text.replace('"findings": [', '"findings": ["forged", '))
-    assert build_report(made, tmp_path) == first and cache_file.read_text() == text
+    assert build_report(made, tmp_path) == fresh
+    cache_file.write_text(text)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             "leaderboard.report.cache.board_views", lambda board: pytest.fail("built again")
@@ -330,70 +339,161 @@ def test_the_exports_hold_the_same_numbers(written):
 # --- data of the scripts --------------------------------------------------------------------------
 
 
-def chart_data(name, script="chart-data"):
-    found = re.search(rf'id="{script}">(.*?)</script>', site()[f"tasks/{name}.html"], flags=re.S)
+def chart(page, name):
+    found = re.search(rf'id="chart-{name}">(.*?)</script>', site()[page], flags=re.S)
     return json.loads(found[1])
 
 
+def lines_by_name(figure):
+    """Return the lines of a figure; bands and marks share the names of lines."""
+    return {x["name"]: x for x in figure["data"] if "lines" in x["mode"] and "fill" not in x}
+
+
+RIDE = tasks()[0].conditions[0].label
+
+
 def test_encoded_heights_are_decoded_to_the_stored_ones():
-    data = chart_data("held_out")
-    label = tasks()[0].conditions[0].label
+    figures = chart("tasks/held_out.html", "road")["figures"]
     trace = next(r for r in results()["held_out"] if r.estimator == "reader").traces[0]
-    scene = data["conditions"][label]
-    z = np.cumsum(scene["entries"]["reader"]["raw"][1]) * 1e-4
+    line = lines_by_name(figures[f"{RIDE}|right|raw"])["reader"]
     expected = trace.z_estimated[1] - np.median(trace.z_estimated[1])
-    step = round(scene["raw"]["ds"] / trace.ds)
-    np.testing.assert_allclose(z, expected[::step], atol=0.6e-4)
-    band = scored_band(14.5 / 3.6)
-    inside = band_pass(trace.z_true, trace.ds, band)
-    step = round(scene["inside"]["ds"] / trace.ds)
-    np.testing.assert_allclose(
-        np.cumsum(scene["inside"]["truth"][0]) * 1e-4, inside[0][::step], atol=0.6e-4
-    )
-    first = round(scene["inside"]["first"] / trace.ds)
-    assert inside.shape[1] == trace.s.size - 2 * first
+    step = round(line["dx"] / trace.ds)
+    np.testing.assert_allclose(np.cumsum(line["dy"]) * 1e-4, expected[::step], atol=0.6e-4)
+    inside = band_pass(trace.z_true, trace.ds, scored_band(14.5 / 3.6))
+    line = lines_by_name(figures[f"{RIDE}|left|inside"])["truth"]
+    step = round(line["dx"] / trace.ds)
+    np.testing.assert_allclose(np.cumsum(line["dy"]) * 1e-4, inside[0][::step], atol=0.6e-4)
+    assert inside.shape[1] == trace.s.size - 2 * round(line["x0"] / trace.ds)
 
 
 def test_an_interval_is_drawn_where_the_estimate_has_a_deviation():
-    scene = chart_data("held_out")["conditions"][tasks()[0].conditions[0].label]
-    assert scene["entries"]["reader"]["std"] is None
-    std = scene["entries"]["online"]["std"]
-    assert len(std[0]) == len(scene["entries"]["online"]["inside"][0]) and set(std[0]) == {30}
+    lines = lines_by_name(chart("tasks/held_out.html", "road")["figures"][f"{RIDE}|left|inside"])
+    assert "std" not in lines["reader"]
+    std = lines["online"]["std"]
+    assert len(std) == len(lines["online"]["dy"]) and set(std) == {30}
+
+
+def test_truth_and_the_two_best_entries_are_shown_at_first():
+    lines = lines_by_name(chart("tasks/held_out.html", "road")["figures"][f"{RIDE}|left|inside"])
+    shown = [name for name, line in lines.items() if "visible" not in line]
+    assert shown == ["truth", "reader", "static_lm"]
+
+
+def test_an_entry_has_one_colour_on_every_page():
+    colours = {"line": set(), "marker": set()}
+    for page, text in site().items():
+        for name in re.findall(r'json" id="chart-([\w-]+)"', text):
+            for figure in chart(page, name)["figures"].values():
+                for trace in figure["data"]:
+                    if trace["name"] == "reader" and "fill" not in trace:
+                        kind = "marker" if trace.get("type") == "bar" else "line"
+                        colours[kind].add(trace[kind]["color"])
+    assert colours["line"] == colours["marker"] and len(colours["line"]) == 1
+
+
+def test_every_shipped_estimator_has_a_line_of_its_own():
+    names = [name for name in REGISTRY if name not in BASELINES]
+    looks = [(line_style(name)["color"], line_style(name)["dash"]) for name in names]
+    assert len(set(looks)) == len(names), "name the new estimator in figures.FAMILIES"
 
 
 def test_obstacles_are_marked_as_detected_missed_and_false_alarms():
-    (scene,) = chart_data("blocks")["conditions"].values()
-    (left,), (right,) = scene["bumps"]
-    assert left[1] == pytest.approx(1500, abs=5) and right[1] == pytest.approx(1000, abs=5)
-    left, right = scene["entries"]["reader"]["bumps"]
-    assert len(left["found"]) == len(right["found"]) == 1 and not left["missed"] + left["false"]
+    figures = chart("tasks/blocks.html", "road")["figures"]
+    label = tasks()[2].conditions[0].label
+    for side, height in (("left", 150.0), ("right", 100.0)):
+        marks = [x for x in figures[f"{label}|{side}|raw"]["data"] if x["mode"] == "markers"]
+        by_name = {mark["name"]: mark for mark in marks}
+        assert by_name["truth: true obstacle"]["y"] == [pytest.approx(height, abs=0.5)]
+        assert len(by_name["reader: detected"]["x"]) == 1
+        assert not {"reader: missed", "reader: false alarm"} & set(by_name)
 
 
 def test_densities_errors_and_performance_profiles_equal_the_scores():
-    data = chart_data("held_out")
+    page = "tasks/held_out.html"
     reader = next(r for r in results()["held_out"] if r.estimator == "reader")
-    errors = data["spectrum"]["reader"][""]
-    assert len(errors) == len(data["thirds"]) == 15
-    assert errors[5] == pytest.approx(0.1, abs=0.02)  # 0.9 of the truth, at every frequency
-    profile = data["performance"]["reader"]
-    below = [100 * np.mean(reader.values("nrmse") <= x) for x in data["thresholds"]]
-    assert profile["share"] == pytest.approx(below, abs=0.1)
-    scene = data["conditions"][tasks()[0].conditions[0].label]
-    truth, mine = (
-        np.array(x, dtype=float) for x in (scene["density"], scene["entries"]["reader"]["density"])
+    lines = lines_by_name(chart(page, "error")["figures"][RIDE])
+    assert len(lines["reader"]["y"]) == len(lines["reader"]["x"]) == 15
+    assert lines["reader"]["y"][5] == pytest.approx(0.1, abs=0.02)  # 0.9 of the truth everywhere
+    assert len(lines["bound"]["y"]) == 15 and min(lines["bound"]["y"]) > 0.0
+    profile = lines_by_name(chart(page, "runs")["figures"][""])["reader"]
+    below = [100 * np.mean(reader.values("nrmse") <= x) for x in profile["x"]]
+    assert profile["y"] == pytest.approx(below, abs=0.1)
+    density = chart(page, "density")
+    lines = lines_by_name(density["figures"][RIDE])
+    n, truth, mine = (
+        np.array(x, dtype=float)
+        for x in (lines["truth"]["x"], lines["truth"]["y"], lines["reader"]["y"])
     )
-    below = np.array(scene["density_n"]) < 3.0  # above, the rounding of stored traces is noise
-    np.testing.assert_allclose((mine - truth)[below], 2 * np.log10(0.9), atol=0.011)
-    assert len(scene["bound"]) == 15 and min(scene["bound"]) > 0.0
-    assert [c["letter"] for c in data["classes"]] == list("ABCDEFGH")
+    below = n < 3.0  # above, the rounding of stored traces is noise
+    np.testing.assert_allclose((mine / truth)[below], 0.81, rtol=0.02)
+    letters = [note["text"] for note in density["layout"]["annotations"]]
+    assert "".join(letters) in "ABCDEFGH" and len(letters) > 5
+
+
+def test_the_ranking_chart_shows_every_entry_with_its_interval():
+    (section,) = board_views(board())[0].sections
+    (bars,) = chart("index.html", "ranking")["figures"][""]["data"]
+    rows = [row for row in section.rows if row.state == "scored"]
+    assert [re.search(r">(\w+)</a>", label)[1] for label in bars["y"]] == [r.name for r in rows]
+    for k, row in enumerate(rows):
+        low, high = row.values["low"], row.values["high"]
+        assert bars["x"][k] == pytest.approx(row.values["nrmse"], rel=1e-4)
+        assert bars["x"][k] - bars["error_x"]["arrayminus"][k] == pytest.approx(low, abs=1e-4)
+        assert bars["x"][k] + bars["error_x"]["array"][k] == pytest.approx(high, abs=1e-4)
+    marked = " ".join(x["text"] for x in chart("index.html", "ranking")["layout"]["annotations"])
+    assert "linear bound" in marked and "flat" in marked and "unrelated road" in marked
+
+
+def test_the_headline_names_best_next_and_certainty():
+    text = text_of(site()["index.html"])
+    cells = lines_of()["reader"].cells
+    assert f"reader is best: its error is {cells['nrmse']}, where" in text
+    assert "static_lm follows with" in text and "The first place is not decided" in text
+
+
+def test_calibration_counts_the_errors_inside_the_stated_intervals():
+    figure = chart("estimators/online.html", "calibration")["figures"]["held_out"]
+    line = lines_by_name(figure)["online"]
+    (online,) = [r for r in results()["held_out"] if r.estimator == "online"]
+    errors = []
+    for trace in online.traces:
+        band = scored_band(trace.speed_kmh / 3.6)
+        errors.append(np.abs(band_pass(trace.z_estimated - trace.z_true, trace.ds, band)).ravel())
+    # 0.003 m is one standard deviation, and 0.675 of it bound half of a normal distribution
+    half = 100.0 * np.mean(np.concatenate(errors) <= 0.67449 * 0.003)
+    assert line["y"][line["x"].index(50.0)] == pytest.approx(half, abs=0.2)
+    assert "calibration" not in site()["estimators/reader.html"]
+
+
+def test_the_page_of_an_estimator_has_method_worst_drives_and_cost():
+    text = text_of(site()["estimators/static_lm.html"])
+    assert "Levenberg-Marquardt" in text and "estimators/networks/static_lm.py" in text
+    assert "comes from another package" in text_of(site()["estimators/reader.html"])
+    reader = next(r for r in results()["held_out"] if r.estimator == "reader")
+    worst = max(drive.scores["nrmse"] for drive in reader.drives)
+    assert SCORES["nrmse"].format_value(worst) in text_of(site()["estimators/reader.html"])
+    assert "RuntimeError: no idea" in text_of(site()["estimators/broken.html"])
+
+
+def test_rows_without_isolation_are_named_above_the_ranking():
+    text = text_of(site()["index.html"])
+    assert "Run without isolation: online, reader, static_lm" in text
+    safe = {
+        name: tuple(dataclasses.replace(r, isolation="bubblewrap") for r in found)
+        for name, found in results().items()
+    }
+    made = Board(tuple(tasks()), safe)
+    text = text_of(dict(render_pages(made, build_report(made)))["index.html"])
+    assert "without isolation" not in text and "sealed season" in text
 
 
 def test_a_flat_estimate_can_be_drawn():
     flat = {"flat": next(r for r in results()["paving"] if r.estimator == "flat")}
     (view,) = [v for v in board_views(board()) if v.board == "paper"]
-    lines = {line.name: line for line in view.sections[0].rows}
-    (scene,) = charts.chart_data(tasks()[1], view.definition, flat, lines)["conditions"].values()
-    assert set(scene["entries"]["flat"]["density"]) == {None}
+    rows = {row.name: row for row in view.sections[0].rows}
+    made = task_charts(tasks()[1], view.definition, flat, rows)["density"]
+    (figure,) = made["figures"].values()
+    assert set(lines_by_name(figure)["flat"]["y"]) == {None}
 
 
 def test_rendering_twice_gives_identical_pages():
@@ -479,7 +579,7 @@ def test_tables_can_be_sorted_with_the_keyboard(browser, written):
     assert browser.value(f"{head}.getAttribute('aria-sort')") == "descending"
     order = browser.value(ROWS % "held_out")
     r = [lines_of()[name].values.get("r") for name in order if not lines_of()[name].message]
-    defined = [charts.rounded(x) for x in r if x is not None]  # as the page has them
+    defined = [rounded(x) for x in r if x is not None]  # as the page has them
     assert defined == sorted(defined, reverse=True) and order[-1] == "broken"
     browser.press("Enter")
     assert browser.value(f"{head}.getAttribute('aria-sort')") == "ascending"
@@ -489,7 +589,7 @@ def test_tables_can_be_sorted_with_the_keyboard(browser, written):
 def test_all_controls_are_reached_by_tab_with_a_visible_focus(browser, written):
     browser.open(written / "index.html")
     reached = []
-    for _ in range(12):
+    for _ in range(50):
         browser.press("Tab")
         reached.append(
             browser.value("document.activeElement.name || document.activeElement.tagName")
@@ -498,33 +598,99 @@ def test_all_controls_are_reached_by_tab_with_a_visible_focus(browser, written):
     assert browser.value("getComputedStyle(document.activeElement).outlineStyle") == "solid"
 
 
-def test_the_road_chart_is_panned_and_zoomed_with_the_keyboard(browser, written, tmp_path):
+RANGE = "document.querySelector('[data-chart=road]')._fullLayout.xaxis.range.map(Number)"
+SHOWN = """document.querySelector('[data-chart=road]').data
+.filter(t => t.visible !== 'legendonly' && t.showlegend !== false).map(t => t.name)"""
+
+
+def test_the_road_chart_is_panned_zoomed_and_reset_with_the_keyboard(browser, written, tmp_path):
     browser.open(written / "tasks/held_out.html")
-    ticks = "[...document.querySelectorAll('#road .axes text')].map(t => t.textContent).join(' ')"
-    whole = browser.value(ticks)
-    browser.value("document.querySelector('#road svg').focus()")
+    whole = browser.value(RANGE)
+    browser.value("document.querySelector('[data-chart=road]').focus()")
     browser.press("+", "+")
-    zoomed = browser.value(ticks)
+    low, high = browser.value(RANGE)
+    assert high - low == pytest.approx((whole[1] - whole[0]) / 4)
     browser.press("ArrowRight")
-    moved = browser.value(ticks)
+    assert browser.value(RANGE) == pytest.approx([low + (high - low) / 5, high + (high - low) / 5])
     browser.press("Home")
-    assert len({whole, zoomed, moved}) == 3 and browser.value(ticks) == whole
+    assert browser.value(RANGE) == whole
     browser.picture(tmp_path / "road.png")
     assert (tmp_path / "road.png").stat().st_size > 20_000
 
 
-def test_lines_differ_in_dash_and_colour_and_can_be_hidden(browser, written):
+def test_the_wheel_zooms_a_chart_only_after_a_click(browser, written):
+    browser.open(written / "tasks/held_out.html", height=2000)
+    whole = browser.value(RANGE)
+    box = "document.querySelector('[data-chart=road]').getBoundingClientRect()"
+    at = {"x": browser.value(f"{box}.x") + 400, "y": browser.value(f"{box}.y") + 150}
+    wheel = {"type": "mouseWheel", "deltaX": 0, "deltaY": -300, **at}
+    browser.call("Input.dispatchMouseEvent", **wheel)
+    assert browser.value(RANGE) == whole
+    for kind in ("mousePressed", "mouseReleased"):
+        press = {"type": kind, "button": "left", "clickCount": 1, **at}
+        browser.call("Input.dispatchMouseEvent", **press)
+    browser.call("Input.dispatchMouseEvent", **wheel)
+    low, high = browser.value(RANGE)
+    assert high - low < 0.95 * (whole[1] - whole[0])
+
+
+def test_lines_are_hidden_by_their_digit_and_stay_so_under_another_condition(browser, written):
     browser.open(written / "tasks/held_out.html")
-    lines = "[...document.querySelectorAll('#road svg.chart path[stroke]')]"
-    dashes = browser.value(f"{lines}.map(p => p.getAttribute('stroke-dasharray'))")
-    assert len(dashes) == 4 and len(set(dashes)) == 4  # truth and three entries
-    assert len(browser.value("[...document.querySelectorAll('#road path.band')].map(p => 1)")) == 1
-    browser.value("document.querySelectorAll('#road .legend button')[1].click()")
-    assert len(browser.value(f"{lines}.map(p => 1)")) == 3
+    assert browser.value(SHOWN) == ["truth", "reader", "static_lm"]
+    browser.value("document.querySelector('[data-chart=road]').focus()")
+    browser.press("2")
+    assert browser.value(SHOWN) == ["truth", "static_lm"]
+    browser.value(
+        "(() => { const f = document.querySelector('[name=condition]'); f.selectedIndex = 1;"
+        "f.dispatchEvent(new Event('input', {bubbles: true})); })()"
+    )
+    assert browser.value(SHOWN) == ["truth", "static_lm"]
 
 
-def test_obstacles_are_marked_on_the_road_chart(browser, written):
-    browser.open(written / "tasks/blocks.html")
-    marks = "[...document.querySelectorAll('#road path.mark')].map(m => m.getAttribute('class'))"
-    found = browser.value(marks)
-    assert found.count("mark true") == 1 and "mark found" in found
+def test_a_filter_without_matches_says_so_and_can_be_cleared(browser, written):
+    browser.open(written / "index.html", after="#find=nobody")
+    nothing = "document.getElementById('nothing')"
+    assert not browser.value(f"{nothing}.hidden")
+    browser.value("document.getElementById('clear').click()")
+    assert browser.value(f"{nothing}.hidden") and browser.value("location.hash") == ""
+    assert "reader" in browser.value(ROWS % "held_out")
+
+
+def test_text_on_both_pages_has_enough_contrast(browser, written):
+    """WCAG 2: at least 4.5 for text, and 3 for the lines of charts."""
+    try:
+        for scheme in ("light", "dark"):
+            feature = {"name": "prefers-color-scheme", "value": scheme}
+            browser.call("Emulation.setEmulatedMedia", features=[feature])
+            browser.open(written / "index.html")
+            for names, least in (
+                (("ink", "quiet", "series-1", "bad", "stale"), 4.5),
+                ([f"line-{k}" for k in range(7)], 3.0),
+            ):
+                for name in names:
+                    ratios = [
+                        contrast(css_colour(browser, name), css_colour(browser, back))
+                        for back in ("card", "paper")
+                    ]
+                    assert min(ratios) >= least, (scheme, name, ratios)
+            drawn = browser.value("document.querySelector('[data-chart=strip]').layout.font.color")
+            assert drawn == css_colour(browser, "ink")
+    finally:
+        browser.call("Emulation.setEmulatedMedia", features=[])
+
+
+def css_colour(browser, name):
+    style = "getComputedStyle(document.documentElement)"
+    return browser.value(f"{style}.getPropertyValue('--{name}').trim()")
+
+
+def contrast(one, other):
+    """Return the contrast ratio of two colours #rrggbb by WCAG 2."""
+    lights = sorted(map(luminance, (one, other)))
+    return (lights[1] + 0.05) / (lights[0] + 0.05)
+
+
+def luminance(colour):
+    parts = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])

@@ -144,6 +144,27 @@ def test_a_kernel_is_compiled_again_when_code_changes_and_not_for_a_comment(tmp_
     assert run(source.replace("FACTOR = 2.0", "FACTOR = 3.0")) == (6.0, 0)
 
 
+def test_processes_that_start_together_compile_a_kernel_once(tmp_path):
+    package = tmp_path / "kernel_package"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "law.py").write_text(
+        "from road_envs._numba import kernel\n"
+        "@kernel\ndef twice(x):\n    return 2.0 * x\n"
+        "@kernel\ndef four_times(x):\n    return twice(twice(x))\n"
+    )
+    code = KERNELS.format(folder=str(tmp_path)).replace("law.twice", "law.four_times")
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    command = [sys.executable, "-c", code]
+    running = [
+        subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    answers = [process.communicate()[0].split() for process in running]
+    assert [float(value) for value, _ in answers] == [8.0] * 2
+    assert sorted(int(hits) for _, hits in answers) == [0, 1]
+
+
 def test_every_module_of_this_project_is_found_by_its_name():
     for name in ("road_envs", "estimators.api", "leaderboard.cli"):
         assert _code_digest.find_source(name) in closure(name)

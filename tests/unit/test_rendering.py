@@ -14,6 +14,7 @@ from PIL import Image
 
 import road_envs  # registers the environment
 from leaderboard.report.animation import animate
+from leaderboard.report.rendering import STATIC
 from road_envs.config import ConfigError
 from road_envs.envs.road_recon import RoadReconEnv
 from road_envs.rendering import HEIGHT, WIDTH, Scene, panels, render_frame, style
@@ -210,10 +211,29 @@ def test_traces_show_the_last_seconds_with_the_newest_at_the_right():
     assert trace[:8, -12:].any() and not trace[:8, :-20].any()
 
 
+@pytest.mark.parametrize("road", ["belgian", "belgian_rough", "iso_d", "speed_bumps"])
+def test_only_belgian_paving_is_drawn_with_stones(road):
+    picture = render_frame(scene(road))
+    stones = any(where(picture, colour, SIDE).any() for colour in style.STONES)
+    assert stones == road.startswith("belgian")
+    assert where(picture, style.PAINT, SIDE).any() == (not stones)
+
+
+def test_the_picture_of_the_pages_is_the_side_view_of_a_frame():
+    """After a change of the drawing, save this view again as the picture."""
+    env = make(road="belgian", length=100.0, speed_kmh=30.0, control="axle")
+    env.reset(seed=0)
+    for _ in range(20):
+        env.step(0)
+    kept = np.asarray(Image.open(STATIC / "car.png").convert("RGB"), dtype=int)
+    different = np.abs(kept - env.render()[SIDE]).max(axis=2) > 60
+    assert different.mean() < 0.05
+
+
 def test_a_command_is_described_in_words():
     assert panels.describe_command(encode_command("handling")) == "handling"
     front_rear = encode_command({"front": "ride", "rear": "stiff_low"})
-    assert panels.describe_command(front_rear) == "front ride, rear stiff spring, low damping"
+    assert panels.describe_command(front_rear) == "front ride, rear stiff/low"
     each = encode_command({"FL": "ride", "FR": "handling", "RL": "ride", "RR": "ride"})
     assert panels.describe_command(each) == "individual wheels"
 

@@ -143,6 +143,12 @@ function startBoards() {
       });
     }
     form.addEventListener("submit", (event) => event.preventDefault());
+    document.getElementById("clear")?.addEventListener("click", () => {
+      form.reset();
+      for (const name of names) delete state[name];
+      writeState(state);
+      show();
+    });
   }
   function show() {
     document.querySelectorAll("article[data-groups]").forEach((article) => {
@@ -159,6 +165,7 @@ function startBoards() {
       const rows = [...document.querySelectorAll("table[data-source] tbody tr")];
       const visible = rows.filter((row) => !row.closest("[hidden]") && !row.hidden).length;
       count.textContent = `${visible} of ${rows.length} rows`;
+      document.getElementById("nothing").hidden = visible > 0;
     }
   }
   show();

@@ -1,0 +1,120 @@
+"""Building blocks of the charts of the pages, which `static/charts.js` draws with Plotly.
+
+A chart is plain data:
+
+    title    description for screen readers
+    by       names of the form fields that select one of its figures
+    layout   Plotly layout of all its figures
+    figures  by the values of these fields, joined by "|": {data, layout, caption}
+
+Colours are variables of `static/site.css`, so that a figure serves the light and the dark page.
+Heights are integers of HEIGHT_UNIT, encoded as differences under `dy`; `std` is their standard
+deviation in that unit, of which the script makes a 90 % band.
+"""
+
+import math
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+HEIGHT_UNIT = 1e-4
+"""Unit [m] of encoded heights."""
+
+DRAWN_HEIGHT_LIMIT = 3.0
+"""Drawn heights are clipped to +- this [m]."""
+
+N_COLOURS = 7
+DASHES = ("solid", "dash", "dot", "dashdot")
+FAMILIES = (
+    ("map_smoother",),
+    ("iterated_wiener", "wiener"),
+    ("kalman_rts", "kalman_lag", "kalman"),
+    ("tcn", "tcn_causal"),
+    ("gru", "gru_causal"),
+    ("fir_ridge", "inverse_quarter_car"),
+    ("static_lm", "narx"),
+)
+"""Estimators of one method have one colour on every page, and differ by their dashes."""
+
+STYLES = {name: (k, dash) for k, family in enumerate(FAMILIES) for dash, name in enumerate(family)}
+INK, QUIET, RULE, BAND = "var(--ink)", "var(--quiet)", "var(--rule)", "var(--band)"
+TRUTH_LINE = {"color": "var(--truth)", "width": 4.0}
+
+Chart = dict[str, Any]
+
+
+def colour(name: str) -> str:
+    """Return the colour of an estimator, the same on every page."""
+    return f"var(--line-{_style(name)[0]})"
+
+
+def line_style(name: str) -> dict[str, Any]:
+    """Return colour, dash and width of the line of an estimator."""
+    return {"color": colour(name), "dash": DASHES[_style(name)[1]], "width": 1.6}
+
+
+def _style(name: str) -> tuple[int, int]:
+    digest = zlib.crc32(name.encode())  # of names from other packages
+    return STYLES.get(name, (digest % N_COLOURS, digest // N_COLOURS % len(DASHES)))
+
+
+def chart(
+    title: str,
+    figures: Mapping[str, Mapping[str, Any]],
+    layout: Mapping[str, Any],
+    by: Sequence[str] = (),
+) -> Chart:
+    """Return a chart; a single figure has the key ""."""
+    return {"title": title, "by": list(by), "layout": dict(layout), "figures": dict(figures)}
+
+
+def axis(label: str, low: float | None = None, high: float | None = None, **options: Any) -> Any:
+    """Return a Plotly axis with a label; `low` and `high` are powers of ten on a log axis."""
+    limits = {} if low is None or high is None else {"range": [low, high]}
+    return {"title": {"text": label}, **limits, **options}
+
+
+def frequency_axis(low: float, high: float) -> Any:
+    """Return a logarithmic axis of spatial frequency between two frequencies [cycles/m]."""
+    ticks = [n for n in (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10) if low <= n <= high]
+    label = "spatial frequency [cycles/m]"
+    ends = (rounded(math.log10(low)), rounded(math.log10(high)))
+    return axis(label, *ends, type="log", tickvals=ticks, ticktext=[f"{n:g}" for n in ticks])
+
+
+def curve(name: str, x: Iterable[float], y: Iterable[float | None], **options: Any) -> Any:
+    """Return a line; its legend entry also hides what has the same `legendgroup`."""
+    return {"name": name, "x": list(x), "y": list(y), "legendgroup": name, "mode": "lines"} | (
+        options
+    )
+
+
+def area(x: Sequence[float], low: Sequence[float], high: Sequence[float], **options: Any) -> Any:
+    """Return a filled area between two curves, without legend and read-out."""
+    outline = {"x": [*x, *x[::-1]], "y": [*high, *low[::-1]]}
+    look = {"fill": "toself", "line": {"width": 0}, "mode": "lines"}
+    return {**outline, **look, "hoverinfo": "skip", "showlegend": False, **options}
+
+
+def upright(x: float, dash: str = "dot", colour: str = QUIET) -> dict[str, Any]:
+    """Return a vertical line over the whole height of a figure."""
+    at = {"x0": x, "x1": x, "y0": 0, "y1": 1, "yref": "paper"}
+    return {"type": "line", **at, "line": {"color": colour, "dash": dash, "width": 1}}
+
+
+def encode_heights(z: np.ndarray) -> list[int]:
+    """Return the differences of heights (N,) [m], in units of HEIGHT_UNIT."""
+    limited = np.clip(z, -DRAWN_HEIGHT_LIMIT, DRAWN_HEIGHT_LIMIT)
+    return np.diff(np.rint(limited / HEIGHT_UNIT).astype(int), prepend=0).tolist()
+
+
+def encode_std(std: np.ndarray) -> list[int]:
+    """Return standard deviations (N,) [m] in units of HEIGHT_UNIT."""
+    return np.rint(np.minimum(std, DRAWN_HEIGHT_LIMIT) / HEIGHT_UNIT).astype(int).tolist()
+
+
+def rounded(x: float, digits: int = 8) -> float:
+    """Return `x` with some significant digits: a page rounds it once more, to what is printed."""
+    return float(f"{x:.{digits}g}")

@@ -1,0 +1,259 @@
+"""First screen of the index: the ranking as bars, three plain sentences, one strip of road."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from leaderboard.evaluation.boards import BoardDefinition
+from leaderboard.evaluation.results import Result
+from leaderboard.report.board_definitions import COLUMNS, WORST
+from leaderboard.report.charts import height_lines
+from leaderboard.report.figures import (
+    INK,
+    QUIET,
+    Chart,
+    axis,
+    chart,
+    colour,
+    rounded,
+    upright,
+)
+from leaderboard.report.rendering import file_name
+from leaderboard.report.sentences import PAPER_NETWORK, unrelated_level_errors
+from leaderboard.report.tables import BOUND_ROW, Row, Section, interval_text
+
+MAX_BARS = 16
+BAR_HEIGHT = 21
+"""Height of a bar with its gap [pixels]."""
+
+LABEL_HEIGHT, LETTER_WIDTH = 16, 0.018
+"""Height of the label of a line [pixels], and width of a letter as a share of the axis."""
+
+STRIP_LENGTH = 30.0
+"""Length of road [m] that the strip shows at first."""
+
+
+def headline(section: Section, definition: BoardDefinition) -> list[str]:
+    """Return who is best, who follows, and how sure that is, without terms of the field."""
+    scored = _scored(section, definition.ranks_by)
+    if not scored:
+        return []
+    best, *others = scored
+    return [
+        _best_sentence(best, section, definition),
+        *([_others_sentence(best, others, definition)] if others else []),
+        _certainty_sentence(best, others, section),
+    ]
+
+
+def _best_sentence(best: Row, section: Section, definition: BoardDefinition) -> str:
+    key = definition.ranks_by
+    low, high = best.values.get("low"), best.values.get("high")
+    sure = "" if low is None else f", with 95\u00a0% confidence {interval_text(low, high, key)}"
+    scale = ", where an exact estimate has 0 and a flat road 1" if key == "nrmse" else ""
+    worst = best.values.get(WORST)
+    tail = "" if worst is None else f" On its worst drive it is {_format(WORST, worst)}."
+    return (
+        f"{best.name} is best: its error is {_format_score(best, definition)}{scale}{sure}.{tail}"
+    )
+
+
+def _others_sentence(best: Row, others: Sequence[Row], definition: BoardDefinition) -> str:
+    key = definition.ranks_by
+    times = (others[0].values[key] or 0.0) / (best.values[key] or 1.0)
+    mine = _format_score(others[0], definition)
+    text = f"{others[0].name} follows with {mine}, {times:.1f} times as much"
+    paper = next((row for row in others[1:] if row.name == PAPER_NETWORK), None)
+    if paper is None or key != "nrmse":
+        return f"{text}."
+    error = paper.values[key] or 0.0
+    verdict = "worse" if error > 1.0 else "better"
+    theirs = _format_score(paper, definition)
+    return f"{text}; the paper's network has {theirs}, {verdict} than a flat road."
+
+
+def _certainty_sentence(best: Row, others: Sequence[Row], section: Section) -> str:
+    rank = best.values.get("rank")
+    if rank is None:
+        return "Too few roads for a rank or an interval: another road may give another order."
+    tied = [row.name for row in others if row.values.get("rank") == rank]
+    if tied:
+        names = ", ".join(tied)
+        return f"The first place is not decided: these drives cannot tell {names} from it."
+    return (
+        "The first place is decided: resampling the roads leaves every other entry behind. Entries "
+        "that the drives cannot tell apart share a rank."
+    )
+
+
+def _format_score(row: Row, definition: BoardDefinition) -> str:
+    return _format(definition.ranks_by, row.values[definition.ranks_by] or 0.0)
+
+
+def _format(key: str, value: float) -> str:
+    score = COLUMNS[key]
+    return f"{score.format_value(value)} {score.unit}".strip()
+
+
+def _scored(section: Section, key: str) -> list[Row]:
+    """Return the scored rows, best first."""
+    rows = [r for r in section.rows if r.state == "scored" and r.values.get(key) is not None]
+    return sorted(rows, key=lambda row: row.values[key] or 0.0)
+
+
+def ranking_chart(section: Section, definition: BoardDefinition) -> Chart | None:
+    """Return the ranking as bars with intervals; bound and baselines are lines. None if empty."""
+    key = definition.ranks_by
+    rows = _scored(section, key)[:MAX_BARS]
+    if not rows:
+        return None
+    score = COLUMNS[key]
+    marks = _marked_values(section, key)
+    values = [row.values[key] or 0.0 for row in rows]
+    largest = max(x for x in (*values, *marks.values()) if x <= definition.scale)
+    limit = min(1.08 * largest, definition.scale)
+    low, high = ([row.values.get(end) for row in rows] for end in ("low", "high"))
+    ends = zip(low, values, high, strict=True)
+    spans = [(0.0, 0.0) if a is None or b is None else (b - x, x - a) for a, x, b in ends]
+    labels = [
+        f'<a href="estimators/{file_name(row.name)}">{row.name}</a>  <b>{score.format_value(x)}</b>'
+        for row, x in zip(rows, values, strict=True)
+    ]
+    hover = [
+        f"{row.name}: {_format(key, x)}"
+        + ("" if row.values.get("low") is None else f", 95 %: {interval_text(a, b, key)}")
+        for row, a, x, b in zip(rows, low, values, high, strict=True)
+    ]
+    bars = {
+        "type": "bar",
+        "orientation": "h",
+        "name": "entries",
+        "x": [rounded(x, 5) for x in values],
+        "y": labels,
+        "error_x": {
+            "type": "data",
+            "array": [rounded(a, 4) for a, _ in spans],
+            "arrayminus": [rounded(b, 4) for _, b in spans],
+            "color": INK,
+            "thickness": 1.5,
+            "width": 3,
+        },
+        "marker": {
+            "color": [colour(row.name) for row in rows],
+            "pattern": {
+                "shape": ["/" if row.causal else "" for row in rows],
+                "fillmode": "replace",
+            },
+        },
+        "hovertext": hover,
+        "hovertemplate": "%{hovertext}<extra></extra>",
+    }
+    levels = _label_levels(marks, limit)
+    top = 34 + LABEL_HEIGHT * (1 + max(levels.values(), default=0))
+    layout = {
+        "height": BAR_HEIGHT * len(rows) + top + 44,
+        "margin": {"l": 8, "r": 12, "t": top, "b": 44},
+        "showlegend": False,
+        "bargap": 0.25,
+        "xaxis": axis(_error_label(key), 0.0, rounded(limit, 4)),
+        "yaxis": axis("", autorange="reversed", ticks="", showgrid=False, fixedrange=True),
+        "shapes": [upright(x, "dash") for x in marks.values()],
+        "annotations": [
+            _mark_label(text, x, x > 0.7 * limit, levels[text]) for text, x in marks.items()
+        ],
+    }
+    title = f"{section.title}: error of every entry, with 95 % intervals"
+    return chart(title, {"": {"data": [bars]}}, layout)
+
+
+def _error_label(key: str) -> str:
+    score = COLUMNS[key]
+    if key == "nrmse":
+        return "error: 0 is exact, 1 is that of a flat road"
+    return f"{score.label} [{score.unit}]" if score.unit else score.label
+
+
+def _marked_values(section: Section, key: str) -> dict[str, float]:
+    """Return the values of bound and baselines by label; equal ones share a label."""
+    found: dict[str, tuple[list[str], float]] = {}
+    for row in section.rows:
+        value = row.values.get(key)
+        if value is not None and row.state == "baseline":
+            text = "linear bound" if row.name == BOUND_ROW else row.name.replace("_", " ")
+            found.setdefault(COLUMNS[key].format_value(value), ([], value))[0].append(text)
+    return {f"{', '.join(names)} {text}": value for text, (names, value) in found.items()}
+
+
+def _label_levels(marks: Mapping[str, float], limit: float) -> dict[str, int]:
+    """Return the level of each label above the bars, so that none is printed over another.
+
+    Labels extend to the right of their lines, those near the right edge to the left.
+    """
+    taken: list[tuple[int, float, float]] = []
+    levels = {}
+    for text, x in sorted(marks.items(), key=lambda item: item[1]):
+        width = LETTER_WIDTH * len(text)
+        low, high = (
+            (x / limit - width, x / limit) if x > 0.7 * limit else (x / limit, x / limit + width)
+        )
+        busy = {level for level, a, b in taken if a < high and low < b}
+        levels[text] = next(k for k in range(len(marks)) if k not in busy)
+        taken.append((levels[text], low, high))
+    return levels
+
+
+def _mark_label(text: str, x: float, at_right: bool, level: int) -> dict[str, Any]:
+    look = {"showarrow": False, "font": {"color": QUIET, "size": 11}, "yanchor": "bottom"}
+    side = {"xanchor": "right" if at_right else "left", "xshift": -2 if at_right else 2}
+    at = {"x": x, "y": 1, "yref": "paper", "yshift": LABEL_HEIGHT * level}
+    return {"text": text, **at, **side, **look}
+
+
+def strip_chart(section: Section, results: Iterable[Result], ranks_by: str) -> Chart | None:
+    """Return the truth against the best estimate and the paper's network; None without traces."""
+    by_name = {result.estimator: result for result in results if result.traces}
+    order = [row.name for row in _scored(section, ranks_by) if row.name in by_name]
+    chosen = dict.fromkeys([*order[:1], *(n for n in order if n == PAPER_NETWORK), *order[1:2]])
+    traces = {name: by_name[name].traces[0] for name in list(chosen)[:2]}
+    if not traces:
+        return None
+    trace = next(iter(traces.values()))
+    lines = height_lines(traces, side=0, kind="inside")
+    first = lines[0]["x0"]
+    layout = {
+        "height": 270,
+        "hovermode": "x unified",
+        "margin": {"l": 56, "r": 8, "t": 34, "b": 70},
+        "xaxis": axis(
+            "distance [m]",
+            rounded(first),
+            rounded(first + STRIP_LENGTH),
+            unifiedhovertitle={"text": "%{x:.1f} m"},
+        ),
+        "yaxis": axis("height [mm]"),
+    }
+    drive = f"{trace.road} at {trace.speed_kmh:g} km/h"
+    caption = f"Left wheel path of {drive}, in the band that the sensors observe"
+    title = "Truth, best estimate and the paper's network along a road"
+    return chart(title, {"": {"data": lines, "caption": caption}}, layout)
+
+
+def levels_chart(claims: Sequence[float]) -> Chart:
+    """Return the distribution of eq. 12 over unrelated roads, with errors that the paper claims."""
+    errors, _ = unrelated_level_errors()
+    x = sorted((100.0 * errors).tolist())
+    line = {
+        "name": "unrelated roads",
+        "mode": "lines",
+        "x": [rounded(error, 4) for error in x],
+        "y": [rounded(100.0 * (k + 1) / len(x), 4) for k in range(len(x))],
+        "line": {"color": "var(--line-1)"},
+        "hovertemplate": "%{y:.0f} % below %{x:.1f} %<extra></extra>",
+    }
+    layout = {
+        "height": 280,
+        "showlegend": False,
+        "xaxis": axis("level error, eq. 12 [%]", 0.0, 40.0),
+        "yaxis": axis("unrelated roads below [%]", 0.0, 100.0),
+        "shapes": [upright(100.0 * claim) for claim in claims],
+    }
+    return chart("Level error of unrelated roads", {"": {"data": [line]}}, layout)
