@@ -114,6 +114,7 @@ def digest(paths: Iterable[Path], root: Path = ROOT) -> str:
     return total.hexdigest()[:DIGITS]
 
 
+@cache
 def find_source(module: str, root: Path = ROOT) -> Path | None:
     """Return the file of a module of this project; None for any other module."""
     if module.partition(".")[0] not in PACKAGES:

@@ -11,6 +11,7 @@ one process at a time; others that need it wait and load it. (Numba's index of a
 also is not safe against two writers.)
 """
 
+import logging
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -21,6 +22,7 @@ from typing import Any, TypeVar, overload
 import numba
 from numba.core import caching
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.runtime import rtsys
 
 from road_envs._atomic_io import exclusive_lock
 from road_envs._code_digest import cache_home, closure, digest, importers
@@ -91,6 +93,27 @@ class _Implementation(caching.CompileResultCacheImpl):
 
 class _KernelCache(caching.FunctionCache):
     _impl_class = _Implementation
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load compiled code without numba's registries, which only a compilation needs.
+
+        They take a third of the time to the first step. A compilation that follows loads them.
+        """
+        rtsys.initialize(target_context)
+        compiled = None
+        with self._guard_against_spurious_io_errors():
+            compiled = self._load_overload(sig, target_context)
+        if compiled is None:
+            _announce_compilation()
+        return compiled
+
+
+@cache
+def _announce_compilation() -> None:
+    """Say once why the first step takes long; `logging` shows warnings unless told otherwise."""
+    logging.getLogger("road_envs").warning(
+        "compiling the simulator's kernels: up to half a minute, once for each version"
+    )
 
 
 @overload

@@ -252,6 +252,8 @@ FAULTS = [
           "suspension::test_a_command_can_address_vehicle_axle_or_strut"),
     Fault(CURVES, "3.0 * rise - 2.0 * b", "3.0 * rise - b", TABLE),
     Fault(CURVES, "+ slope * (u - inside)", "", TABLE),
+    Fault(CURVES, "abs(slope) > 3.0 * abs(chord)", "abs(slope) > 9.0 * abs(chord)", "force_curves::test_curves_are_the_pchip_of_scipy"),
+    Fault(PROCESSING, "warped**order", "warped**2", "data_logger::test_the_low_pass_is_that_of_scipy"),
     Fault(INTEGRATOR, "D = 1.0 / (2.0 + np.sqrt(2.0))", "D = 0.5", FORMULA),
     Fault(INTEGRATOR, "get(q, j) + 0.5 * h * kq", "get(q, j) + h * kq", FORMULA),
     Fault(INTEGRATOR, "get(r, j) + hd * get(f, j)", "get(r, j)", FORMULA),

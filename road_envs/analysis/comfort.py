@@ -8,7 +8,7 @@ The weighting is the product of four second-order sections (ISO 2631-1, annex A;
 """
 
 import numpy as np
-from scipy.signal import sosfilt
+import scipy
 
 W_1, W_2, W_3, W_4, W_5, W_6 = 2.0 * np.pi * np.array([0.4, 100.0, 12.5, 12.5, 2.37, 3.35])
 Q_4, Q_5, Q_6 = 0.63, 0.91, 0.91
@@ -50,7 +50,7 @@ def vdv(a: np.ndarray, fs: float) -> np.ndarray:
 
 def apply_wk(a: np.ndarray, fs: float) -> np.ndarray:
     """Filter accelerations `a` (..., N) [m/s²], sampled at `fs` [Hz], by Wk from rest."""
-    return sosfilt(wk_sos(fs), a, axis=-1)
+    return scipy.signal.sosfilt(wk_sos(fs), a, axis=-1)
 
 
 def _match_section(b: np.ndarray, a: np.ndarray, corner: float, fs: float) -> np.ndarray:

@@ -10,9 +10,7 @@ from functools import cache
 from typing import Annotated
 
 import numpy as np
-from scipy.linalg import expm
-from scipy.signal import lfilter, welch
-from scipy.special import gamma, kv
+import scipy
 
 from road_envs.config import Positive
 
@@ -40,7 +38,7 @@ def displacement_psd(
     """
     z = np.asarray(z, dtype=float)
     size = min(z.shape[-1], round(segment / ds))
-    n, G = welch(z, 1.0 / ds, "hann", size, size // 2, detrend=detrend_linear)
+    n, G = scipy.signal.welch(z, 1.0 / ds, "hann", size, size // 2, detrend=detrend_linear)
     return n[1:], G[..., 1:]
 
 
@@ -55,7 +53,8 @@ def root_coherence(n: np.ndarray, w: float, track: float) -> np.ndarray:
     x, v = 2.0 * np.pi * np.asarray(n, dtype=float) * track, 0.5 * w
     x = np.maximum(x, 1e-12)  # K_v is infinite at 0, but x^v K_v(x) is finite
     # K_v underflows to 0 for large x, which is the limit
-    return np.clip(2.0 ** (1.0 - v) / gamma(v) * x**v * kv(v, x), 0.0, 1.0)
+    scale = 2.0 ** (1.0 - v) / scipy.special.gamma(v)
+    return np.clip(scale * x**v * scipy.special.kv(v, x), 0.0, 1.0)
 
 
 def detrend_linear(z: np.ndarray) -> np.ndarray:
@@ -178,7 +177,7 @@ def golden_car(z: np.ndarray, ds: float, average: float = 0.25) -> np.ndarray:
     out = np.zeros(slope.shape, dtype=complex)
     for pole, gain, x, output in zip(poles, inputs, initial, rattle, strict=True):
         zi = pole * x * start[..., None]
-        out += output * lfilter([gain], [1.0, -pole], slope, zi=zi)[0]
+        out += output * scipy.signal.lfilter([gain], [1.0, -pole], slope, zi=zi)[0]
     return out.real
 
 
@@ -195,7 +194,7 @@ def _golden_modes(ds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         ]
     )
     B = np.array([0.0, 0.0, 0.0, K1 / mu])
-    S = expm(A * ds / (80.0 / 3.6))
+    S = scipy.linalg.expm(A * ds / (80.0 / 3.6))
     P = np.linalg.solve(A, (S - np.eye(4)) @ B)
     poles, modes = np.linalg.eig(S)
     return poles, modes, np.linalg.solve(modes, P)

@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import irfft, rfft
+import scipy
 
 from road_envs.vehicle.equations import N_DOF, Plant, build_plant, equilibrium
 from road_envs.vehicle.linear_model import (
@@ -114,12 +114,12 @@ def _hermite(x: np.ndarray, laws: np.ndarray, spectrum: np.ndarray, df: float) -
     sigma = np.sqrt(np.real(np.einsum("fii->i", spectrum)) * df)
     a, power = _coefficients(x, laws, sigma)
     lines = np.concatenate([np.zeros((1, 4, 4)), spectrum, np.zeros((K, 4, 4))])
-    rho = irfft(lines, axis=0) * (2 * K * df) / np.outer(sigma, sigma)
+    rho = scipy.fft.irfft(lines, axis=0) * (2 * K * df) / np.outer(sigma, sigma)
     R, rho_k = np.zeros_like(rho), rho
     for k in range(2, ORDERS + 1):
         rho_k = rho_k * rho
         R += np.outer(a[k], a[k]) * rho_k
-    density = rfft(R, axis=0)[: K + 1] / (2 * K * df)
+    density = scipy.fft.rfft(R, axis=0)[: K + 1] / (2 * K * df)
     # the spectra broaden with the order: the power of the orders above is added as white noise
     return density + np.diag(np.maximum(power - np.sum(a[2:] ** 2, axis=0), 0.0)) / (2 * K * df)
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+import scipy
 from pydantic import Field
-from scipy.special import ndtr
 
 from road_envs.analysis.roughness import N_0, TRACK, TrackWidth, root_coherence
 from road_envs.config import Finite, NonNegative, Positive, Settings
@@ -73,4 +73,4 @@ class Belgian(Settings):
         tiny = self.n_cobble * np.array([1.0 - 1e-6, 1.0 + 1e-6])
         top = (self.peak - 1.0) * self._base(tiny) / np.diff(tiny)
         x = (edges - self.n_cobble) / self.n_sigma
-        return top * self.n_sigma * np.sqrt(2.0 * np.pi) * np.diff(ndtr(x))
+        return top * self.n_sigma * np.sqrt(2.0 * np.pi) * np.diff(scipy.special.ndtr(x))

@@ -19,7 +19,7 @@ from functools import lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
+import scipy
 
 from road_envs.analysis.roughness import CLASSES, N_0, TRACK, TrackWidth, root_coherence
 from road_envs.config import Positive, Settings
@@ -113,11 +113,11 @@ def synthesise(
     else:
         level = variation.draw(rng, size, road.ds)
         noise = np.sqrt(level / size) * rng.standard_normal((2, size))
-        unit = rfft(noise)[:, first : last + 1]
+        unit = scipy.fft.rfft(noise)[:, first : last + 1]
     parts = np.sqrt(power * np.array([1.0 + g, 1.0 - g])) * unit
     lines = np.zeros((2, size // 2 + 1), dtype=complex)
     lines[:, first : last + 1] = [parts[0] + parts[1], parts[0] - parts[1]]
-    z = 0.5 * size * irfft(lines, size)[:, : round(road.length / road.ds) + 1]
+    z = 0.5 * size * scipy.fft.irfft(lines, size)[:, : round(road.length / road.ds) + 1]
     return Surface(z - z[:, :1], road.ds, name=name)
 
 
@@ -139,6 +139,6 @@ def _spectral_lines(road) -> tuple[int, int, int]:
     The period has at least two road lengths and MIN_PERIODS of the longest waves.
     """
     period = max(2.0 * road.length, MIN_PERIODS / road.n_min)
-    size = next_fast_len(int(np.ceil(period / road.ds)), True)
+    size = scipy.fft.next_fast_len(int(np.ceil(period / road.ds)), True)
     last = min(round(road.n_max * size * road.ds), (size - 1) // 2)
     return size, round(road.n_min * size * road.ds), last

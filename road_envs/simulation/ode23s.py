@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import lu_factor, lu_solve
+import scipy
 
 from road_envs._numba import kernel
 from road_envs.simulation.rosenbrock import D
@@ -105,10 +105,10 @@ def step(
     rate: Rate, t: float, y: np.ndarray, F_0: np.ndarray, J: np.ndarray, T: np.ndarray, h: float
 ) -> Step:
     """Take one step `h` from the state `y` with rate `F_0`; J = df/dy, T = df/dt."""
-    factors = lu_factor(np.eye(y.size) - h * D * J, check_finite=False)
+    factors = scipy.linalg.lu_factor(np.eye(y.size) - h * D * J, check_finite=False)
 
     def solve(right: np.ndarray) -> np.ndarray:
-        return lu_solve(factors, right, check_finite=False)
+        return scipy.linalg.lu_solve(factors, right, check_finite=False)
 
     k_1 = solve(F_0 + h * D * T)
     F_1 = rate(t + 0.5 * h, y + 0.5 * h * k_1)

@@ -24,8 +24,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh
-from scipy.optimize import linear_sum_assignment
+import scipy
 
 from road_envs._numba import kernel
 from road_envs.vehicle.equations import (
@@ -248,13 +247,13 @@ def natural_modes(model: LinearModel) -> NaturalModes:
     """
     M, n = model.M, model.M.size
     K, C = (-M[:, None] * model.A[n:, part] for part in (slice(n), slice(n, None)))
-    square, shapes = eigh(0.5 * (K + K.T), np.diag(M))
+    square, shapes = scipy.linalg.eigh(0.5 * (K + K.T), np.diag(M))
     if not square[0] > 1e-9 * square[-1]:
         raise ArithmeticError(
             "no natural modes: the stiffness matrix of this state is not positive definite; "
             "linearise about a state with all wheels on the ground"
         )
-    _, assigned = linear_sum_assignment(M[:, None] * shapes**2, maximize=True)
+    _, assigned = scipy.optimize.linear_sum_assignment(M[:, None] * shapes**2, maximize=True)
     names = [""] * n
     for name, column in zip((*NATURAL_MODE_NAMES, FRAME_TORSION_MODE)[:n], assigned, strict=True):
         names[column] = name

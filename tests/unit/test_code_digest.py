@@ -136,6 +136,7 @@ def test_a_kernel_is_compiled_again_when_code_changes_and_not_for_a_comment(tmp_
         done = subprocess.run(command, env=environment, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         value, hits = done.stdout.split()
+        assert ("compiling" in done.stderr) == (hits == "0")
         return float(value), int(hits)
 
     assert run(source) == (4.0, 0)

@@ -137,6 +137,12 @@ def test_a_sample_is_the_filtered_acceleration_at_its_instant(step, every):
     np.testing.assert_array_equal(logger(step=step).sample(trajectory), all_of_them[:, ::every])
 
 
+@given(st.sampled_from([2, 4, 6, 8]), st.floats(1e-3, 0.499), st.sampled_from([200.0, 1000.0]))
+def test_the_low_pass_is_that_of_scipy(order, share, fs):
+    expected = signal.butter(order, share * fs, fs=fs, output="sos")
+    np.testing.assert_allclose(butterworth_sos(order, share * fs, fs), expected, rtol=1e-12)
+
+
 def test_the_filter_kernel_agrees_with_scipy():
     a = noise(500).T
     sos, memory, out = butterworth_sos(4, 80.0, 1000.0), np.zeros((2, 3, 2)), np.empty((3, 500))

@@ -7,6 +7,7 @@ import oracles
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.interpolate import PchipInterpolator
 from vehicle_fixtures import DEFENDER
 
 from road_envs.vehicle.force_curves import Curve, interpolate_table, tabulate
@@ -39,6 +40,21 @@ def test_a_table_is_exact_if_breakpoints_are_grid_points(curve, xs):
     for x in xs:
         actual = interpolate_table(table[None], 0.0, -1.0, 0.05, x)[0]
         assert actual == pytest.approx(float(slope(x)), abs=1e-9 * size * (1.0 + 40.0 * abs(x)))
+
+
+@given(
+    st.lists(st.integers(-1000, 1000), min_size=2, max_size=8, unique=True),
+    st.lists(st.sampled_from([-3.0, -1.0, 0.0, 0.0, 0.5, 40.0]), min_size=8, max_size=8),
+)
+def test_curves_are_the_pchip_of_scipy(places, forces):
+    """Among them are curves of two points, plateaus, and steep chords at the ends."""
+    x, F = 1e-3 * np.sort(places), np.array(forces[: len(places)])
+    at = np.r_[x, np.linspace(x[0], x[-1], 50)]
+    cubic = PchipInterpolator(x, F)
+    value, slope = Curve(x=tuple(x), F=tuple(F))(at)
+    np.testing.assert_allclose(value, cubic(at), rtol=1e-12, atol=1e-12 * np.abs(F).max())
+    size = np.abs(cubic.derivative()(at)).max()
+    np.testing.assert_allclose(slope, cubic.derivative()(at), rtol=1e-9, atol=1e-12 * size)
 
 
 @every_curve
