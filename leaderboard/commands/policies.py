@@ -1,5 +1,6 @@
 """Commands `policies`, `tune-policy`, `train-policy`: suspension-switching policies."""
 
+import json as json_module
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,7 +33,7 @@ COLUMNS = {
     "comfort": "comfort\nm/s²",
     "tyre_load": "tyre\nload",
     "switches_per_km": "switch\n1/km",
-    "reward": "return\n1/s",
+    "return": "return\n1/s",
 }
 WIDE_COLUMNS = {
     **COLUMNS,
@@ -73,10 +74,19 @@ def policies(
     wide: Annotated[
         bool, typer.Option("--wide", help="More columns, wider than 80 characters.")
     ] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for results, plot and page.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for results, plot and page; or a .png for the plot.")
+    ] = None,
+    kept: Annotated[
+        Path | None,
+        typer.Option("--from", help="Kept policies.json: draw its page or plot, simulate nothing."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Compare policies by comfort, handling and estimation error on held-out roads."""
+    if kept:
+        _redraw(kept, out)
+        return
     if quick and (scenarios != "quick" or sweep):
         raise ConfigError(
             "--quick means the quick scenarios without sweep: leave out --scenarios and --sweep"
@@ -105,6 +115,21 @@ def policies(
     print_json(data) if json else _print(data, WIDE_COLUMNS if wide else COLUMNS)
     if failed := [r.policy for r in results if r.failure]:
         raise ConfigError(f"failed policies: {', '.join(failed)}; the other results are valid")
+
+
+def _redraw(kept: Path, out: Path | None) -> None:
+    """Draw the page (without drives) or the plot of a kept comparison."""
+    if out is None:
+        raise ConfigError("--from needs --out: a folder for the page, or a .png for the plot")
+    try:
+        data = json_module.loads(kept.read_bytes())
+        if out.suffix == ".png":
+            policy_page.draw_pareto(data, out)
+        else:
+            policy_page.write_policy_page(data, {}, out)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{kept} is not the policies.json of a comparison: {error!r}") from None
+    notices.print(f"written: {out}")
 
 
 def tune_policy(

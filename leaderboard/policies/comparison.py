@@ -237,7 +237,7 @@ def _evaluate(
     for k, motion in enumerate(trajectories(test, rollout)):
         row = ride_metrics(motion, car, first_step)
         row["turned_over"] = float(rollout.reasons[k] != "")
-        row["reward"] = rollout.returns[k] / (rollout.intervals[k] * test.setup.interval)
+        row["return"] = rollout.returns[k] / (rollout.intervals[k] * test.setup.interval)
         row["bound"] = np.nan if road is None else _bound(test, motion.commands, v, road)
         rows.append(row)
     column = {name: np.array([row[name] for row in rows]) for name in METRICS}

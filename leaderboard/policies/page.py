@@ -1,6 +1,6 @@
-"""Self-contained HTML page of the policy comparison, and the Pareto plot beside it."""
+"""Page of the policy comparison, and the Pareto plot beside it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -9,18 +9,35 @@ import numpy as np
 
 from leaderboard.policies.ride_metrics import METRICS
 from leaderboard.policies.summary import PARETO_METRICS, format_metric
-from leaderboard.policies.timeline import MODE_NAMES, Timeline
-from leaderboard.report.rendering import render
+from leaderboard.policies.timeline import Timeline, drive_chart
+from leaderboard.report.figures import QUIET, Chart, axis, chart
+from leaderboard.report.rendering import file_name, render, write_static
 from road_envs._atomic_io import write_text
-from road_envs._extras import optional_import
 from road_envs.policies.greedy_information import GreedyInformation
 
-PARETO_COLOUR, DOMINATED_COLOUR, ORACLE_COLOUR, SWEEP_COLOUR = (
-    "#D55E00",
-    "#0072B2",
-    "0.6",
-    "#009E73",
-)
+COLOURS = {"Pareto-optimal": "#D55E00", "dominated": "#0072B2", "oracle": "#808080"}
+"""Colours of the plot; the page has its own."""
+
+PAGE_COLOURS = {
+    "Pareto-optimal": "var(--line-0)",
+    "dominated": "var(--line-1)",
+    "oracle": "var(--line-6)",
+}
+SYMBOLS = {
+    "circle": "o",
+    "square": "s",
+    "diamond": "D",
+    "triangle-up": "^",
+    "triangle-down": "v",
+    "triangle-left": "<",
+    "triangle-right": ">",
+    "cross": "P",
+    "x": "X",
+    "pentagon": "p",
+    "hexagon": "h",
+    "star": "*",
+}
+"""Markers of the policies of one status in turn, by their names in Plotly and in matplotlib."""
 
 SWEEP_PREFIX = "information "
 """Names of the greedy information policies of a sweep: this prefix, then the weight."""
@@ -30,69 +47,136 @@ def write_policy_page(data: dict[str, Any], timelines: Mapping[str, Timeline], o
     """Write policies.html and pareto.png under `out`; return the path of the page."""
     draw_pareto(data, out / "pareto.png")
     page = out / "policies.html"
-    write_text(page, render_page(data, timelines, board=(out / "index.html").exists()))
+    write_static(out)
+    write_text(page, render_page(data, timelines, out))
     return page
 
 
 def render_page(
     data: dict[str, Any],
     timelines: Mapping[str, Timeline] = MappingProxyType({}),
-    board: bool = False,
+    out: Path | None = None,
 ) -> str:
     """Render the page from the data of `summarize_results` and one drive of each policy.
 
-    With `board`, the page links to the leaderboard of estimators beside it.
+    The page links to the leaderboard and to those estimators that have a page under `out`.
     """
     first = next((row for row in data["rows"] if not row["failure"]), None)
     estimators = list(first["errors"]) if first else []
-    pictures = {name: timeline.svg() for name, timeline in timelines.items()}
+    pages = {name: f"estimators/{file_name(name)}" for name in estimators}
+    linked = {name: page for name, page in pages.items() if out and (out / page).exists()}
     return render(
-        "policies.html",
+        "site/policies.html",
+        root="",
         data=data,
         metrics=METRICS,
         estimators=estimators,
+        estimator_pages=linked,
         format_metric=format_metric,
-        timelines=pictures,
-        states=MODE_NAMES,
-        board=board,
+        pareto=pareto_chart(data) if first else None,
+        drives=drive_chart(timelines) if timelines else None,
+        board=bool(out and (out / "index.html").exists()),
+        policies=True,
     )
 
 
-def draw_pareto(data: dict[str, Any], path: Path) -> None:
-    """Draw comfort and handling, each against the error of the first estimator.
-
-    Markers of Pareto-optimal policies are filled; a line joins the greedy information policies.
-    """
-    from leaderboard.report.plots import write_figure
-
+def pareto_chart(data: dict[str, Any]) -> Chart:
+    """Return comfort and handling, each against the error of the first estimator."""
     rows = [row for row in data["rows"] if not row["failure"]]
-    swept = [row for row in rows if _sensing_weight(row["policy"]) is not None]
-    swept.sort(key=lambda row: _sensing_weight(row["policy"]) or 0.0)
-
-    def paint(figure: Any) -> None:
-        for axes, name in zip(figure.subplots(1, 2, sharey=True), PARETO_METRICS, strict=True):
-            for row in rows:
-                _draw_policy(axes, row["metrics"][name], _first_error(row), row)
-            line = [(row["metrics"][name]["mean"], _first_error(row)["mean"]) for row in swept]
-            if len(line) > 2:
-                axes.plot(*zip(*line, strict=True), color=SWEEP_COLOUR, lw=1.0, zorder=0)
-            metric = METRICS[name]
-            axes.set(xlabel=f"{metric.label} [{metric.unit}]")
-            axes.grid(color="0.93", lw=0.6)
-        figure.axes[0].set(ylabel="in-band reconstruction error [-]")
-        figure.legend(
-            handles=_legend_entries(rows), loc="outside right center", frameon=False, fontsize=8
-        )
-        figure.suptitle("Comfort and handling against the reconstruction error")
-        for k, row in enumerate(rows, start=1):
-            for axes, name in zip(figure.axes, PARETO_METRICS, strict=True):
-                at = (row["metrics"][name]["mean"], _first_error(row)["mean"])
-                axes.annotate(str(k), at, (4, 3), textcoords="offset points", fontsize=8)
-
-    write_figure(paint, (10.0, 5.0), path)
+    traces = [_sweep_line(rows, k) for k in range(len(PARETO_METRICS))]
+    for row, symbol in zip(rows, _symbols(rows), strict=True):
+        for k in range(len(PARETO_METRICS)):
+            traces.append(_policy_trace(row, symbol, k))
+    layout = {
+        "height": 560,
+        "margin": {"l": 56, "r": 12, "t": 34, "b": 150},
+        "xaxis": axis("comfort [m/s²]", domain=[0.0, 0.48], nticks=5),
+        "xaxis2": axis("tyre load", domain=[0.52, 1.0], nticks=5),
+        "yaxis": axis("error of the reconstruction"),
+    }
+    return chart(
+        "Comfort and tyre load of every policy against its reconstruction error",
+        {"": {"data": traces}},
+        layout,
+    )
 
 
-def _sensing_weight(name: str) -> float | None:
+def _policy_trace(row: dict[str, Any], symbol: str, k: int) -> dict[str, Any]:
+    """Return a policy in panel `k` with its intervals; its marker is filled if Pareto-optimal."""
+    x, y = row["metrics"][PARETO_METRICS[k]], first_error(row)
+    colour = PAGE_COLOURS[status(row)]
+    spans = {
+        f"error_{name}": {
+            "type": "data",
+            "array": [max(value["high"] - value["mean"], 0.0)],
+            "arrayminus": [max(value["mean"] - value["low"], 0.0)],
+            "thickness": 1,
+            "width": 0,
+            "color": colour,
+        }
+        for name, value in (("x", x), ("y", y))
+    }
+    return {
+        "name": row["policy"],
+        "legendgroup": row["policy"],
+        "showlegend": k == 0,
+        "mode": "markers",
+        "x": [x["mean"]],
+        "y": [y["mean"]],
+        "xaxis": "x" if k == 0 else "x2",
+        "marker": {
+            "symbol": symbol if row["pareto"] else f"{symbol}-open",
+            "size": 10,
+            "color": colour,
+            "line": {"width": 2},
+        },
+        "customdata": [f"#policy-{row['policy'].replace(' ', '-')}"],
+        "hovertemplate": f"{row['policy']}, {status(row)}: %{{x:.3f}}, error %{{y:.3f}}"
+        "<extra></extra>",
+        **spans,
+    }
+
+
+def _sweep_line(rows: list[dict[str, Any]], k: int) -> dict[str, Any]:
+    points = sweep_points(rows, PARETO_METRICS[k])
+    return {
+        "name": "greedy information, weight swept",
+        "legendgroup": "sweep",
+        "showlegend": bool(k == 0 and points),
+        "mode": "lines",
+        "x": [x for x, _ in points],
+        "y": [y for _, y in points],
+        "xaxis": "x" if k == 0 else "x2",
+        "line": {"color": QUIET, "width": 1, "dash": "dot"},
+        "hoverinfo": "skip",
+    }
+
+
+def _symbols(rows: list[dict[str, Any]]) -> list[str]:
+    """Return a symbol for each row, different ones within a status and so within a colour."""
+    counts = dict.fromkeys(PAGE_COLOURS, 0)
+    symbols = []
+    for row in rows:
+        symbols.append(list(SYMBOLS)[counts[status(row)] % len(SYMBOLS)])
+        counts[status(row)] += 1
+    return symbols
+
+
+def status(row: dict[str, Any]) -> str:
+    """Return whether a policy is Pareto-optimal, dominated, or the oracle, which is neither."""
+    return "Pareto-optimal" if row["pareto"] else "dominated" if row["attainable"] else "oracle"
+
+
+def sweep_points(rows: list[dict[str, Any]], metric: str) -> list[tuple[float, float]]:
+    """Return metric and error of the greedy information policies by weight; empty if not swept."""
+    swept = [(weight, row) for row in rows if (weight := _weight(row["policy"])) is not None]
+    if len(swept) < 3:
+        return []
+    swept.sort(key=lambda item: item[0])
+    return [(row["metrics"][metric]["mean"], first_error(row)["mean"]) for _, row in swept]
+
+
+def _weight(name: str) -> float | None:
     """Return the weight of the unresolved variance of a greedy policy; None for other policies."""
     # without a weight on the variance, the greedy policy stays in ride mode
     known = {"fixed_ride": 0.0, "greedy_information": GreedyInformation().weight}
@@ -101,30 +185,45 @@ def _sensing_weight(name: str) -> float | None:
     )
 
 
-def _legend_entries(rows: Sequence[dict[str, Any]]) -> list[Any]:
-    """Return the legend: numbers and names of the policies, and the colours."""
-    with optional_import("a figure"):
-        from matplotlib.lines import Line2D
-
-    colours = {
-        "Pareto-optimal": PARETO_COLOUR,
-        "dominated": DOMINATED_COLOUR,
-        "oracle (knows the road)": ORACLE_COLOUR,
-    }
-    names = [Line2D([], [], ls="", label=f"{k}  {row['policy']}") for k, row in enumerate(rows, 1)]
-    dots = [Line2D([], [], ls="", marker="o", color=c, label=n) for n, c in colours.items()]
-    return [
-        *dots,
-        Line2D([], [], color=SWEEP_COLOUR, label="greedy information, weight swept"),
-        *names,
-    ]
+def first_error(row: dict[str, Any]) -> dict[str, float]:
+    """Return the error of the first estimator, or the bound without estimators."""
+    return next(iter(row["errors"].values()), row["metrics"]["bound"])
 
 
-def _draw_policy(axes: Any, x: dict[str, float], y: dict[str, float], row: dict[str, Any]) -> None:
-    """Draw a policy with its intervals; an empty circle if another one dominates it."""
-    colour = (
-        PARETO_COLOUR if row["pareto"] else DOMINATED_COLOUR if row["attainable"] else ORACLE_COLOUR
-    )
+def draw_pareto(data: dict[str, Any], path: Path) -> None:
+    """Draw the chart of `pareto_chart` as a picture, with the same markers."""
+    from leaderboard.report.plots import write_figure
+
+    rows = [row for row in data["rows"] if not row["failure"]]
+    marks = [SYMBOLS[symbol] for symbol in _symbols(rows)]
+
+    def paint(figure: Any) -> None:
+        for axes, name in zip(figure.subplots(1, 2, sharey=True), PARETO_METRICS, strict=True):
+            for row, mark in zip(rows, marks, strict=True):
+                _draw_policy(axes, row["metrics"][name], first_error(row), row, mark)
+            if points := sweep_points(rows, name):
+                axes.plot(*zip(*points, strict=True), ":", color="0.4", lw=1.0, zorder=0)
+            axes.set(xlabel=f"{METRICS[name].label} [{METRICS[name].unit}]")
+            axes.grid(color="0.93", lw=0.6)
+        figure.axes[0].set(ylabel="error of the reconstruction (in-band NRMSE)")
+        figure.legend(
+            *figure.axes[0].get_legend_handles_labels(),
+            loc="outside right center",
+            frameon=False,
+            fontsize=8,
+            title="filled, orange: Pareto-optimal\nblue: dominated; grey: oracle\n"
+            "dotted: information weight swept",
+            title_fontsize=8,
+        )
+
+    write_figure(paint, (10.0, 5.0), path)
+
+
+def _draw_policy(
+    axes: Any, x: dict[str, float], y: dict[str, float], row: dict[str, Any], mark: str
+) -> None:
+    """Draw a policy with its intervals; an empty marker if another one dominates it."""
+    colour = COLOURS[status(row)]
     spans = [
         np.array([[max(v["mean"] - v["low"], 0.0)], [max(v["high"] - v["mean"], 0.0)]])
         for v in (x, y)
@@ -132,9 +231,5 @@ def _draw_policy(axes: Any, x: dict[str, float], y: dict[str, float], row: dict[
     at = (x["mean"], y["mean"])
     axes.errorbar(*at, xerr=spans[0], yerr=spans[1], color=colour, lw=0.7, alpha=0.5, zorder=1)
     inside = colour if row["pareto"] else "white"
-    axes.scatter(*at, s=26.0, facecolor=inside, edgecolor=colour, zorder=2)
-
-
-def _first_error(row: dict[str, Any]) -> dict[str, float]:
-    """Return the error of the first estimator, or the bound without estimators."""
-    return next(iter(row["errors"].values()), row["metrics"]["bound"])
+    look = {"marker": mark, "facecolor": inside, "edgecolor": colour, "label": row["policy"]}
+    axes.scatter(*at, s=34.0, zorder=2, **look)

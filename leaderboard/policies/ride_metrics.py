@@ -38,7 +38,7 @@ METRICS = {
     "switches_per_km": Metric("changes of the command", "1/km", 1.0, 0),
     "dwell": Metric("mean time between changes", "s", 1.0, 2),
     "turned_over": Metric("drives that ended in a rollover", "-", 1.0, 2),
-    "reward": Metric("return of the reward, per second", "-", 1.0, 3),
+    "return": Metric("return: sum of rewards, per second", "1/s", 1.0, 3),
     "bound": Metric("bound on the in-band error for the states used", "-", 1.0, 3),
 }
 

@@ -30,7 +30,7 @@ def summarize_results(
     for row in rows:
         row["more_than"] = {
             name: _interval_dict(
-                paired_difference(mine.metrics["reward"], by_name[name].metrics["reward"])
+                paired_difference(mine.metrics["return"], by_name[name].metrics["return"])
             )
             for name in dict.fromkeys((reference, *TUNED_POLICIES))
             if name in by_name and (mine := by_name.get(row["policy"]))

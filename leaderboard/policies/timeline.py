@@ -1,10 +1,11 @@
-"""Time history of one drive of a policy as SVG: road, commanded states, heave, roll."""
+"""Time history of one drive of a policy: road, commanded states, heave, roll."""
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
-from markupsafe import Markup
 
+from leaderboard.report.figures import INK, Chart, axis, chart, rounded
 from road_envs.roads import Surface
 from road_envs.simulation.drive import Trajectory
 from road_envs.vehicle.equations import PHI, Z_B
@@ -13,9 +14,19 @@ from road_envs.vehicle.suspension import MODES, decode_commands
 POINTS_PER_SECOND = 50.0
 """Sample rate [Hz] of the drawn curves."""
 
-WIDTH, LEFT, GAP = 720.0, 74.0, 12.0
-PANEL_HEIGHTS = {"road": 52.0, "states": 64.0, "acceleration": 70.0, "roll": 44.0}
 MODE_NAMES = tuple(MODES)
+MODE_COLOURS = {
+    "handling": "var(--line-0)",
+    "soft_high": "var(--line-1)",
+    "stiff_low": "var(--line-3)",
+}
+"""Colours of the states; ride mode is drawn as a gap."""
+
+AXLES = ("rear", "front")
+"""Axles in the order of their strips, from below."""
+
+DOMAINS = ((0.80, 1.0), (0.58, 0.72), (0.27, 0.50), (0.0, 0.19))
+"""Share of the height of each panel."""
 
 
 class Timeline(NamedTuple):
@@ -50,70 +61,90 @@ class Timeline(NamedTuple):
             motion.state[sampled, PHI],
         )
 
-    def svg(self) -> Markup:
-        """Return the drawing as SVG, without size, colours or fonts of its own."""
-        panels, top = [], 4.0
-        lines = {
-            "road": (1000.0 * self.road, "road", "mm"),
-            "states": (self.states, "", ""),
-            "acceleration": (self.acceleration[None], "heave", "m/s²"),
-            "roll": (np.degrees(self.roll)[None], "roll", "deg"),
-        }
-        for name, (values, label, unit) in lines.items():
-            height = PANEL_HEIGHTS[name]
-            make = _draw_mode_strips if name == "states" else _draw_curves
-            panels.append(make(self.t, values, top, height, label, unit))
-            top += height + GAP
-        panels.append(_draw_time_axis(self.t, top - GAP))
-        body = "".join(panels)
-        size = f"0 0 {WIDTH:g} {top + 12:g}"
-        return Markup(f'<svg viewBox="{size}" role="img" aria-label="over time">{body}</svg>')
+    def curves(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return road (2, T) [mm], heave acceleration (1, T) [m/s²] and roll (1, T) [deg]."""
+        return 1000.0 * self.road, self.acceleration[None], np.degrees(self.roll)[None]
 
 
-def _x_pixels(t: np.ndarray) -> np.ndarray:
-    return LEFT + (WIDTH - LEFT - 4.0) * (t - t[0]) / (t[-1] - t[0])
-
-
-def _draw_curves(t, values, top: float, height: float, label: str, unit: str) -> str:
-    """Draw curves over each other, scaled by their largest magnitude."""
-    most = max(float(np.abs(values).max()), 1e-9)  # a flat curve has no scale
-    middle = top + 0.5 * height
-    parts = [
-        f'<path class="axis" d="M{LEFT:g} {middle:g}H{WIDTH - 4:g}"/>',
-        f'<text x="0" y="{middle:g}">{label}</text>',
-        f'<text class="quiet" x="0" y="{middle + 12:g}">±{most:.2g} {unit}</text>',
+def drive_chart(timelines: Mapping[str, Timeline]) -> Chart:
+    """Return a chart with a figure for each policy; all have the same axes."""
+    limits = [
+        max(float(np.abs(values).max()) for values in group)
+        for group in zip(*(line.curves() for line in timelines.values()), strict=True)
     ]
-    for k, y in enumerate(values):
-        points = zip(_x_pixels(t), middle - 0.5 * height * y / most, strict=True)
-        d = "L".join(f"{x:.1f} {v:.1f}" for x, v in points)
-        parts.append(f'<path class="line-{k}" d="M{d}"/>')
-    return "".join(parts)
-
-
-def _draw_mode_strips(t, states, top: float, height: float, label: str, unit: str) -> str:
-    """Draw a strip for each axle, filled while the state is not ride."""
-    parts, x, tall = [], _x_pixels(t), 0.5 * height - 6.0
-    for k, (axle, state) in enumerate(zip(("front", "rear"), states, strict=True)):
-        bottom = top + (k + 1) * 0.5 * height - 2.0
-        parts.append(f'<text x="0" y="{bottom - 4:g}">{axle}</text>')
-        parts.append(f'<path class="axis" d="M{LEFT:g} {bottom:g}H{WIDTH - 4:g}"/>')
-        changes = np.flatnonzero(np.diff(state)) + 1
-        for a, b in zip([0, *changes], [*changes, len(t) - 1], strict=True):
-            name = MODE_NAMES[state[a]]
-            if name != "ride" and b > a:
-                parts.append(
-                    f'<rect class="{name}" x="{x[a]:.1f}" y="{bottom - tall:g}" '
-                    f'width="{x[b] - x[a]:.1f}" height="{tall:g}"><title>{axle}: {name}, '
-                    f"{t[a]:.2f} to {t[b]:.2f} s</title></rect>"
-                )
-    return "".join(parts)
-
-
-def _draw_time_axis(t, top: float) -> str:
-    ticks = np.arange(np.ceil(t[0]), t[-1] + 1e-9)
-    x = np.interp(ticks, t, _x_pixels(t))
-    return "".join(
-        f'<path class="axis" d="M{at:.1f} {top:g}v4"/>'
-        f'<text class="quiet tick" x="{at:.1f}" y="{top + 14:g}">{second:g} s</text>'
-        for at, second in zip(x, ticks, strict=True)
+    road, heave, roll = (rounded(1.05 * limit, 3) for limit in limits)
+    seconds = max(float(line.t[-1] - line.t[0]) for line in timelines.values())
+    names = ("yaxis", "yaxis2", "yaxis3", "yaxis4")
+    axes = (
+        axis("road [mm]", -road, road),
+        axis("", type="category", categoryorder="array", categoryarray=AXLES, range=[-0.5, 1.5]),
+        axis("heave [m/s²]", -heave, heave),
+        axis("roll [deg]", -roll, roll),
     )
+    layout = {
+        "height": 480,
+        "barmode": "overlay",
+        "xaxis": axis("time [s]", 0.0, rounded(seconds, 4), anchor="y4"),
+        **{
+            name: {**one, "domain": domain, "nticks": 4}
+            for name, one, domain in zip(names, axes, DOMAINS, strict=True)
+        },
+    }
+    figures = {name: {"data": _drive_data(line)} for name, line in timelines.items()}
+    return chart("One drive over time", figures, layout, by=("policy",))
+
+
+def _drive_data(line: Timeline) -> list[dict[str, Any]]:
+    road, heave, roll = line.curves()
+    curves = (
+        ("road, left", road[0], "y", INK, "%{y:.0f} mm"),
+        ("road, right", road[1], "y", "var(--line-1)", "%{y:.0f} mm"),
+        ("heave acceleration", heave[0], "y3", INK, "%{y:.2f} m/s²"),
+        ("roll", roll[0], "y4", INK, "%{y:.2f}°"),
+    )
+    spacing = rounded(float(line.t[1] - line.t[0]), 6)
+    data = [
+        {
+            "name": name,
+            "mode": "lines",
+            "x0": 0.0,
+            "dx": spacing,
+            "y": np.round(values, 2).tolist(),
+            "yaxis": place,
+            "line": {"color": colour, "width": 1.3},
+            "showlegend": place == "y",
+            "hovertemplate": f"{hover} at %{{x:.2f}} s",
+        }
+        for name, values, place, colour, hover in curves
+    ]
+    return data + _state_bars(line)
+
+
+def _state_bars(line: Timeline) -> list[dict[str, Any]]:
+    """Return a bar for each time in which an axle is commanded to another state than ride."""
+    bars: dict[str, dict[str, list[Any]]] = {
+        mode: {"y": [], "base": [], "x": []} for mode in MODE_COLOURS
+    }
+    t = line.t - line.t[0]
+    for axle, states in zip(("front", "rear"), line.states, strict=True):
+        changes = np.flatnonzero(np.diff(states)) + 1
+        for first, end in zip([0, *changes], [*changes, t.size - 1], strict=True):
+            mode = MODE_NAMES[states[first]]
+            if mode in bars and end > first:
+                bars[mode]["y"].append(axle)
+                bars[mode]["base"].append(round(float(t[first]), 3))
+                bars[mode]["x"].append(round(float(t[end] - t[first]), 3))
+    return [
+        {
+            "type": "bar",
+            "orientation": "h",
+            "name": mode.replace("_", " "),
+            **bars[mode],
+            "yaxis": "y2",
+            "width": 0.7,
+            "marker": {"color": colour},
+            "showlegend": True,
+            "hovertemplate": "%{y}: from %{base:.2f} s for %{x:.2f} s",
+        }
+        for mode, colour in MODE_COLOURS.items()
+    ]

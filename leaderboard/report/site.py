@@ -33,6 +33,9 @@ from road_envs._atomic_io import write_text
 MAX_DRAWN = 8
 """Number of entries of a task that are drawn, best first."""
 
+POLICY_PAGE = "policies.html"
+"""Page of the comparison of policies, which the pages link to if it is there."""
+
 PAGE_FOLDERS = ("tasks", "estimators")
 
 
@@ -46,7 +49,8 @@ def write_site(board: Board, report: Report, out: Path) -> Path:
         return index
     (out / cache.CACHE_FILE).unlink(missing_ok=True)  # an interrupted build is repeated
     written = write_static(out)
-    for name, text in render_pages(board, report):  # the index comes last
+    policies = (out / POLICY_PAGE).is_file()
+    for name, text in render_pages(board, report, policies):  # the index comes last
         if name == index.name:
             export.write_exports(report.views, out)
         write_text(out / name, text)
@@ -55,17 +59,22 @@ def write_site(board: Board, report: Report, out: Path) -> Path:
         for path in (out / folder).glob("*.html"):
             if f"{folder}/{path.name}" not in written:
                 path.unlink()
-    pages = {name: (out / name).stat().st_size for name in written}
+    pages = {name: _size(out / name) for name in (*written, POLICY_PAGE)}
     cache.save_report(dataclasses.replace(report, pages=pages), out)
     return index
 
 
 def _size(path: Path) -> int:
+    """Return the size of a file; -1 if there is none."""
     return path.stat().st_size if path.is_file() else -1
 
 
-def render_pages(board: Board, report: Report) -> Iterator[tuple[str, str]]:
-    """Yield path and text of every page, the index last."""
+def render_pages(board: Board, report: Report, policies: bool = False) -> Iterator[tuple[str, str]]:
+    """Yield path and text of every page, the index last.
+
+    With `policies` the pages link to the comparison of policies beside them.
+    """
+    linked = {"board": True, "policies": policies}
     results: dict[str, list[tuple[Task, Result]]] = {}
     for view in report.views:
         for section in view.sections:
@@ -74,14 +83,14 @@ def render_pages(board: Board, report: Report) -> Iterator[tuple[str, str]]:
                 results.setdefault(result.estimator, []).append((task, result))
             yield (
                 f"tasks/{task.name}.html",
-                render("site/task.html", **_task(board, view, section, task)),
+                render("site/task.html", **linked, **_task(board, view, section, task)),
             )
     for name, own in results.items():
         yield (
             f"estimators/{file_name(name)}",
-            render("site/estimator.html", **_estimator(board, report.views, name, own)),
+            render("site/estimator.html", **linked, **_estimator(board, report.views, name, own)),
         )
-    yield "index.html", render("site/index.html", **_index(board, report))
+    yield "index.html", render("site/index.html", **linked, **_index(board, report))
 
 
 def _index(board: Board, report: Report) -> dict[str, Any]:

@@ -5,7 +5,9 @@ import dataclasses
 import io
 import json
 import re
+import shutil
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from leaderboard.evaluation.store import row_path, save
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.metrics.registry import SCORES
+from leaderboard.policies.page import write_policy_page
 from leaderboard.report import export
 from leaderboard.report.cache import CACHE_FILE, build_report
 from leaderboard.report.charts import task_charts
@@ -31,6 +34,7 @@ from leaderboard.running.board import Board, create_baselines, load_board
 from road_envs._atomic_io import write_text
 from road_envs.data.record import Estimate
 
+POLICIES = Path(__file__).parents[2] / "docs" / "policies"
 ENTRIES = ("static_lm", "reader", "online", "broken")
 
 
@@ -596,6 +600,39 @@ def test_all_controls_are_reached_by_tab_with_a_visible_focus(browser, written):
         )
     assert {"board", "division", "group", "find"} <= set(reached)
     assert browser.value("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+
+
+def test_the_page_of_the_policies_shows_the_kept_comparison(browser, written, tmp_path):
+    kept = json.loads((POLICIES / "policies.json").read_text())
+    for folder in ("static", "estimators"):
+        shutil.copytree(written / folder, tmp_path / folder)
+    shutil.copy(tmp_path / "estimators/reader.html", tmp_path / "estimators/fir_ridge.html")
+    page = write_policy_page(kept, {}, tmp_path)
+    parser = HtmlChecker()
+    parser.feed(page.read_text())
+    assert parser.open == [] and "estimators/fir_ridge.html" in parser.addresses
+    before = len(browser.errors)
+    for width in (1280, 400):
+        browser.open(page, width)
+        assert browser.value("document.documentElement.scrollWidth - innerWidth") <= 0
+    assert browser.errors[before:] == []
+    points = "document.querySelector('[data-chart=pareto]').data.filter(t => t.mode === 'markers')"
+    looks = browser.value(f"{points}.map(t => t.name + ' ' + t.marker.symbol + t.marker.color)")
+    rows = [row["policy"] for row in kept["rows"]]
+    assert [look.rsplit(" ", 1)[0] for look in looks] == [name for name in rows for _ in range(2)]
+    assert len({look.rsplit(" ", 1)[1] for look in looks}) == len(rows)  # no two alike
+    filled = browser.value(f"{points}.filter(t => !t.marker.symbol.endsWith('-open')).length")
+    assert filled == 2 * sum(row["pareto"] for row in kept["rows"])
+
+
+def test_the_site_links_to_the_policies_once_they_are_compared(tmp_path):
+    made = Board(tuple(tasks()[:1]), {"held_out": results()["held_out"]})
+    report = build_report(made)
+    assert "policies.html" not in write_site(made, report, tmp_path).read_text()
+    write_text(tmp_path / "policies.html", "made meanwhile")
+    index = write_site(made, build_report(made, tmp_path), tmp_path)
+    assert 'href="policies.html"' in index.read_text()
+    assert 'href="../policies.html"' in (tmp_path / "estimators/reader.html").read_text()
 
 
 RANGE = "document.querySelector('[data-chart=road]')._fullLayout.xaxis.range.map(Number)"

@@ -4,12 +4,13 @@ import io
 import json
 import time
 from dataclasses import dataclass
-from xml.etree import ElementTree
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 from rich.console import Console
 from scipy.stats import trim_mean
 
@@ -25,7 +26,7 @@ from leaderboard.policies.ride_metrics import (
 )
 from leaderboard.policies.scenarios import Scenarios, load_scenarios
 from leaderboard.policies.summary import case_mean, paired_difference, pareto, summarize_results
-from leaderboard.policies.timeline import MODE_NAMES, Timeline
+from leaderboard.policies.timeline import MODE_NAMES, Timeline, drive_chart
 from road_envs.analysis.comfort import weighted_rms
 from road_envs.config import ConfigError, build, names
 from road_envs.data.recording import simulate_record
@@ -262,7 +263,7 @@ def test_the_table_fits_80_columns_and_the_wide_one_has_more_metrics(monkeypatch
     cell = data["rows"][0]["metrics"]["comfort"]
     expected = paired_difference(rows[0].metrics["comfort"], rows[1].metrics["comfort"])
     assert list(cell["difference"].values()) == pytest.approx(expected, rel=1e-4)
-    more = paired_difference(rows[0].metrics["reward"], rows[1].metrics["reward"])
+    more = paired_difference(rows[0].metrics["return"], rows[1].metrics["return"])
     assert list(data["rows"][0]["more_than"]) == [
         "greedy_information"
     ]  # no tuned policy is compared
@@ -356,14 +357,21 @@ def test_a_timeline_has_the_road_states_and_motion_of_the_drive():
     np.testing.assert_array_equal(line.acceleration, moved.acceleration[::20, Z_B])
     np.testing.assert_array_equal(line.road, prepared.starts[0].surface.height(moved.s[::20]))
     assert set(line.states[0]) == {0} and MODE_NAMES[line.states[1, -1]] == "handling"
-    picture = ElementTree.fromstring(str(line.svg()))
-    strips = [x for x in picture.iter("rect")]
-    assert [x.get("class") for x in strips] == ["handling"]
-    assert float(strips[0].get("width")) > 500.0
+    still = line._replace(states=np.zeros_like(line.states), roll=0.0 * line.roll)
+    chart = drive_chart({"mine": line, "still": still})
+    traces = {trace["name"]: trace for trace in chart["figures"]["mine"]["data"]}
+    assert traces["roll"]["y"] == pytest.approx(np.degrees(line.roll), abs=0.006)
+    bars = traces["handling"]
+    assert bars["y"] == ["rear"] and bars["base"] == [0.0]
+    assert bars["x"][0] == pytest.approx(line.t[-1] - line.t[0], abs=0.05)
+    assert not any(trace.get("base") for trace in chart["figures"]["still"]["data"])
+    low, high = chart["layout"]["yaxis4"]["range"]
+    assert -low == high > np.degrees(np.abs(line.roll).max())
     data = summarize_results(
         scenarios(), [comparison.PolicyResult("mine", failure="why")], [101], "mine"
     )
-    assert str(line.svg()) in policy_page.render_page(data, {"mine": line})
+    page = policy_page.render_page(data, {"mine": line})
+    assert 'data-source="drive"' in page and "<option selected>mine</option>" in page
 
 
 @given(st.lists(st.tuples(*[st.integers(0, 3)] * 3), min_size=1, max_size=8))
@@ -443,3 +451,16 @@ def test_results_have_exactly_the_listed_metrics():
     assert row.metrics.keys() == METRICS.keys()
     assert row.metrics["comfort"].shape == (3, 2)
     assert Z_B == 0
+
+
+def test_page_and_plot_are_drawn_again_from_kept_numbers(tmp_path, capsys):
+    kept = Path(__file__).parents[2] / "docs/policies/policies.json"
+    policies_command.policies(kept=kept, out=tmp_path / "plot.png")
+    with Image.open(tmp_path / "plot.png") as plot:
+        assert plot.width > 1000
+    policies_command.policies(kept=kept, out=tmp_path)
+    assert "greedy_information" in (tmp_path / "policies.html").read_text()
+    (tmp_path / "broken.json").write_text('{"rows": [{}]}')
+    with pytest.raises(ConfigError, match="is not the policies.json of a comparison"):
+        policies_command.policies(kept=tmp_path / "broken.json", out=tmp_path / "x.png")
+    assert not (tmp_path / "x.png").exists()

@@ -54,8 +54,9 @@ function withAxes(layout) {
 class Chart {
   constructor(host) {
     this.host = host;
-    this.data = JSON.parse(document.getElementById(`chart-${host.dataset.chart}`).textContent);
-    this.fields = this.data.by.map((name) => document.querySelector(`[name="${name}"]`));
+    const { chart, source = chart, by } = host.dataset; // two charts may share their data
+    this.data = JSON.parse(document.getElementById(`chart-${source}`).textContent);
+    this.fields = (by?.split(" ") ?? this.data.by).map((name) => document.querySelector(`[name="${name}"]`));
     this.caption = document.querySelector(`[data-caption="${host.dataset.chart}"]`);
     this.resets = 0;
     host.setAttribute("aria-label", this.data.title);
@@ -82,6 +83,11 @@ class Chart {
       responsive: true, displaylogo: false, scrollZoom: true, showSendToCloud: false, plotlyServerURL: "",
       modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
       toImageButtonOptions: { filename: `road-recon-${this.host.dataset.chart}`, scale: 2 },
+    });
+    this.host.removeAllListeners("plotly_click");
+    this.host.on("plotly_click", ({ points }) => {
+      const target = points[0].customdata;
+      if (typeof target === "string" && target.startsWith("#")) location.hash = target;
     });
     if (this.caption) this.caption.textContent = figure.caption ?? "";
   }
