@@ -6,16 +6,15 @@ from typing import ClassVar
 import numpy as np
 
 from estimators.preprocessing import mask_record
-from road_envs.config import STRICT
+from road_envs.config import Settings
 from road_envs.data.record import Estimate, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 
 @dataclass(frozen=True, kw_only=True)
-class FlatEstimator:
+class FlatEstimator(Settings):
     """Zero everywhere; its in-band error is the level of the truth by definition."""
 
-    __pydantic_config__ = STRICT
     causal: ClassVar[bool] = True
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:

@@ -14,16 +14,15 @@ import numpy as np
 
 from estimators.api import copy_with, require_fitted, validate_weights
 from estimators.preprocessing import mask_record, sample_profile
-from road_envs.config import STRICT
+from road_envs.config import Settings
 from road_envs.data.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 
 @dataclass(frozen=True, kw_only=True)
-class Mean:
+class Mean(Settings):
     """The mean training road, independent of the record."""
 
-    __pydantic_config__ = STRICT
     causal: ClassVar[bool] = True
 
     z: np.ndarray | None = field(default=None, init=False, repr=False, compare=False)

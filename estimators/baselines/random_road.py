@@ -21,7 +21,7 @@ from scipy.fft import irfft, rfftfreq
 from estimators.api import copy_with, require_fitted, validate_weights
 from estimators.preprocessing import mask_record
 from road_envs.analysis.roughness import FIT_BAND, N_0, displacement_psd, fit_line, smooth_psd
-from road_envs.config import STRICT
+from road_envs.config import Settings
 from road_envs.data.record import PROFILE_SPACING, Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -35,10 +35,9 @@ class FittedRoad(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class UnrelatedRoad:
+class UnrelatedRoad(Settings):
     """A random road as rough as the training roads, independent of the record."""
 
-    __pydantic_config__ = STRICT
     causal: ClassVar[bool] = True
 
     fitted_state: FittedRoad | None = field(default=None, init=False, repr=False, compare=False)

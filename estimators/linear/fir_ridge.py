@@ -28,9 +28,10 @@ contains too little of the body's motion and of the rear axle's passage.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
-from typing import ClassVar, NamedTuple, Self
+from typing import Annotated, ClassVar, NamedTuple, Self
 
 import numpy as np
+from pydantic import Field
 from scipy import signal
 from scipy.linalg import cho_solve
 
@@ -48,7 +49,7 @@ from estimators.common.training_data import (
 from estimators.linear.fir_bank import FirBank, fit_bank, taps_shape
 from estimators.preprocessing import clean_record, sample_profile, spatial_accelerations
 from estimators.pretrained_weights import load_pretrained
-from road_envs.config import STRICT
+from road_envs.config import Settings
 from road_envs.data.record import (
     F_C,
     PROFILE_SPACING,
@@ -115,23 +116,18 @@ class LeastSquaresSums(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FirRidge:
+class FirRidge(Settings):
     """The shipped bank; or, once fitted, a window of `reach` [m] to either side of the station.
     With `shipped=False` it must be fitted.
     """
 
-    __pydantic_config__ = STRICT
     causal: ClassVar[bool] = False
     name: ClassVar[str] = "fir_ridge"
     refit_per_case: ClassVar[bool] = True
 
-    reach: float = DEFAULT_REACH
+    reach: Annotated[float, Field(gt=0, le=100), "m", "of the window"] = DEFAULT_REACH
     shipped: bool = True
     fitted_state: Taps | FirBank | None = field(default=None, init=False, repr=False, compare=False)
-
-    def __post_init__(self):
-        if not 0 < self.reach <= 100:
-            raise ValueError(f"reach must be within (0, 100] m, got {self.reach}")
 
     @single_blas_thread()  # small products: as in the LM training
     def fit(

@@ -31,14 +31,15 @@ road's level for a linear Defender, and about the same with friction.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
+from pydantic import Field
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from estimators.preprocessing import clean_record
 from estimators.wiener.segments import dominant_modes
-from road_envs.config import STRICT
+from road_envs.config import Settings
 from road_envs.data.record import F_C, SENSORS, Estimate, Record, profile_stations
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.equations import Plant, build_plant
@@ -81,18 +82,13 @@ class QuarterCars(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class InverseQuarterCar:
+class InverseQuarterCar(Settings):
     """For a vehicle with these `instruments`; below `f_low` [Hz] nothing is estimated."""
 
-    __pydantic_config__ = STRICT
     causal: ClassVar[bool] = False
 
     instruments: str = "paper"
-    f_low: float = 0.3
-
-    def __post_init__(self):
-        if not 0 < self.f_low < F_C:
-            raise ValueError(f"f_low must be within (0, {F_C:g}) Hz, got {self.f_low}")
+    f_low: Annotated[float, Field(gt=0, lt=F_C), "Hz", "lower end of the band"] = 0.3
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths. Raises ConfigError, RecordError."""

@@ -10,11 +10,12 @@ times as long, since the stations are processed sequentially.
 
 import abc
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from estimators.api import LAG
 from estimators.networks.inputs import N_CONDITIONS, N_INPUTS
-from estimators.networks.sequence_estimator import SequenceEstimator
+from estimators.networks.sequence_estimator import KernelSize, SequenceEstimator
+from road_envs.config import Count
 
 WARM_UP_STATIONS = 60
 """Stations of warm-up."""
@@ -22,14 +23,8 @@ WARM_UP_STATIONS = 60
 
 @dataclass(frozen=True, kw_only=True)
 class _Recurrent(SequenceEstimator, abc.ABC):
-    steps: int = 1200
-    channels: int = 48
-    kernel: int = 9
-
-    def __post_init__(self):
-        super().__post_init__()
-        if self.kernel < 3 or self.kernel % 2 == 0:
-            raise ValueError(f"kernel must be odd and at least 3, got {self.kernel}")
+    steps: Annotated[Count, "", "training steps"] = 1200
+    kernel: KernelSize = 9
 
     def network(self) -> Any:
         """Return the torch network with its initial weights."""

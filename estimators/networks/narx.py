@@ -15,60 +15,40 @@ part of the training roads, stored with the weights and reported in the notes of
 Limitations: fed-back errors accumulate; on a new road the estimate is no better than a level one.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import ClassVar, NamedTuple, Self
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
-from estimators.api import copy_with, require_fitted, validate_weights
+from estimators.api import copy_with, require_fitted
 from estimators.networks import levenberg_marquardt as lm
-from estimators.preprocessing import clean_record, sample_profile, spatial_accelerations
+from estimators.networks.lm_estimator import PATHS, FittedNetwork, LmEstimator, training_data
+from estimators.preprocessing import clean_record, spatial_accelerations
 from road_envs._numba import kernel
-from road_envs.config import STRICT
+from road_envs.config import Count
 from road_envs.data.record import SENSORS, Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
-PATHS = 2
 HELD_OUT_SHARE = 0.15
 """Fraction of each training drive, at its end, on which both loops are evaluated."""
 
 
-class FittedNarx(NamedTuple):
-    """Training result, the mapped ranges of accelerations [m/s²] and heights [m], and the error
-    relative to the level of the held-out heights in open and closed loop.
-    """
-
-    training: lm.LmResult
-    inputs: lm.Scaling
-    outputs: lm.Scaling
-    open_loop: float
-    closed_loop: float
-
-
 @dataclass(frozen=True, kw_only=True)
-class Narx:
+class Narx(LmEstimator):
     """A network with `delays` heights fed back; after fitting, `training` holds the history."""
 
-    __pydantic_config__ = STRICT
-    causal: ClassVar[bool] = False  # the processed accelerations are not
+    range_name: ClassVar[str] = "heights"
+    n_errors: ClassVar[int] = 2
 
-    hidden: int = 20
-    delays: int = 2
-    max_epochs: int = 300
-    max_fail: int = 6
-    max_samples: int = 3964
-    fitted_state: FittedNarx | None = field(default=None, init=False, repr=False, compare=False)
-
-    def __post_init__(self):
-        for name in ("hidden", "delays", "max_epochs", "max_fail", "max_samples"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+    hidden: Annotated[Count, "", "hidden units"] = 20
+    max_epochs: Annotated[Count, "", "most epochs"] = 300
+    delays: Annotated[Count, "", "past stations among the inputs"] = 2
 
     @property
-    def training(self) -> lm.LmResult:
-        """Result of the training with one value per epoch. Raises NotFittedError."""
-        return require_fitted(self.fitted_state, self).training
+    def n_regressors(self) -> int:
+        """Number of inputs of the network."""
+        return len(SENSORS) * (self.delays + 1) + PATHS * self.delays
 
     def fit(
         self,
@@ -78,65 +58,27 @@ class Narx:
         seed: int,
     ) -> Self:
         """Train series-parallel; `seed` draws division and initial weights. Raises RecordError."""
-        a = [spatial_accelerations(clean_record(record)[0]) for record in records]
-        pairs = zip(records, truths, strict=True)
-        z = [sample_profile(truth, profile_stations(record.length)) for record, truth in pairs]
-        inputs, outputs = lm.Scaling.fit(np.hstack(a)), lm.Scaling.fit(np.hstack(z))
+        a, z, inputs, outputs = training_data(records, truths)
         drives = [(inputs.apply(x), outputs.apply(y)) for x, y in zip(a, z, strict=True)]
         parts = [_cut(x, y, slice(None, _n_training(y))) for x, y in drives]
         samples = [series_parallel(x, y, self.delays) for x, y in parts]
         x, t = (np.hstack(part) for part in zip(*samples, strict=True))
-        if t.shape[1] > self.max_samples:
-            spread = np.linspace(0, t.shape[1] - 1, self.max_samples).astype(int)
-            x, t = x[:, spread], t[:, spread]
-        rng = np.random.default_rng(seed)
-        division = lm.divide(t.shape[1], "random", rng)
-        start = lm.nguyen_widrow(len(x), self.hidden, PATHS, rng)
-        options = lm.TrainlmOptions(max_epochs=self.max_epochs, max_fail=self.max_fail)
-        training = lm.train(start, x, t, division, options)
-        loops = self._loop_errors(training.network, outputs, drives)
-        return copy_with(self, fitted_state=FittedNarx(training, inputs, outputs, *loops))
+        training = self._train(x, t, "random", seed)
+        errors = self._loop_errors(training.network, outputs, drives)
+        return copy_with(self, fitted_state=FittedNetwork(training, inputs, outputs, errors))
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Run the network in parallel on its own outputs. Raises RecordError, NotFittedError."""
-        training, inputs, outputs, open_loop, closed_loop = require_fitted(self.fitted_state, self)
+        training, inputs, outputs, errors = require_fitted(self.fitted_state, self)
         record, notes = clean_record(record)
         x = inputs.apply(spatial_accelerations(record))
         before = np.repeat(outputs.apply(np.zeros((PATHS, 1))), self.delays, axis=1)
         z = outputs.reverse(self._run_closed_loop(training.network, x, before))
         loop_note = (
-            f"relative error on held-out training roads {closed_loop:.2f} in closed loop, as here; "
-            f"{open_loop:.2f} with the true heights fed back, which is not attainable in use"
+            f"relative error on held-out training roads {errors[1]:.2f} in closed loop, as here; "
+            f"{errors[0]:.2f} with the true heights fed back, which is not attainable in use"
         )
         return Estimate(profile_stations(record.length), z, notes=(*notes, loop_note))
-
-    def weights(self) -> dict[str, np.ndarray]:
-        """Return both layers, mapped ranges, loop errors and history. Raises NotFittedError."""
-        training, inputs, outputs, open_loop, closed_loop = require_fitted(self.fitted_state, self)
-        return {
-            "hidden": training.network.hidden,
-            "output": training.network.output,
-            "inputs": np.array([inputs.low, inputs.high]),
-            "heights": np.array([outputs.low, outputs.high]),
-            "loops": np.array([open_loop, closed_loop]),
-            **training.to_arrays(),
-        }
-
-    def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
-        """Return a copy with these weights. Raises ValueError."""
-        rows = len(SENSORS) * (self.delays + 1) + PATHS * self.delays + 1
-        shapes = {
-            "hidden": (rows, self.hidden),
-            "output": (PATHS, self.hidden + 1),
-            "inputs": (2, len(SENSORS)),
-            "heights": (2, PATHS),
-            "loops": (2,),
-            **lm.HISTORY_SHAPES,
-        }
-        hidden, output, inputs, outputs, loops, *history = validate_weights(weights, shapes)
-        training = lm.LmResult.from_arrays(lm.TwoLayerNetwork(hidden, output), *history)
-        scalings = lm.Scaling(*inputs), lm.Scaling(*outputs)
-        return copy_with(self, fitted_state=FittedNarx(training, *scalings, *loops.tolist()))
 
     def _run_closed_loop(
         self, network: lm.TwoLayerNetwork, x: np.ndarray, before: np.ndarray
@@ -147,7 +89,7 @@ class Narx:
 
     def _loop_errors(
         self, network: lm.TwoLayerNetwork, outputs: lm.Scaling, drives: Sequence
-    ) -> list[float]:
+    ) -> tuple[float, float]:
         """Return the relative errors of the held-out heights in open and closed loop."""
         wrong, level = np.zeros(2), 0.0
         for x, y in drives:
@@ -159,7 +101,8 @@ class Narx:
             for k, output in enumerate((network(regressors), closed)):
                 wrong[k] += np.sum((outputs.reverse(output) - truth) ** 2)
             level += np.sum((truth - truth.mean(axis=1, keepdims=True)) ** 2)
-        return np.sqrt(wrong / level).tolist() if level > 0.0 else [0.0, 0.0]
+        open_loop, closed_loop = np.sqrt(wrong / level) if level > 0.0 else (0.0, 0.0)
+        return float(open_loop), float(closed_loop)
 
 
 def series_parallel(x: np.ndarray, z: np.ndarray, delays: int) -> tuple[np.ndarray, np.ndarray]:

@@ -8,9 +8,10 @@ weights, or with `shipped=False`, must be fitted before use.
 import abc
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
+from pydantic import AfterValidator, Field
 
 from estimators.api import copy_with, require_fitted, validate_weights
 from estimators.common.spatial_signals import (
@@ -52,7 +53,7 @@ from estimators.networks.trainer import (
 from estimators.preprocessing import clean_record
 from estimators.pretrained_weights import load_pretrained
 from road_envs._extras import optional_import
-from road_envs.config import STRICT
+from road_envs.config import Count, Settings
 from road_envs.data.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -74,11 +75,19 @@ class FittedSequence(NamedTuple):
     wheelbase: float
 
 
+def _check_odd(size: int) -> int:
+    if size % 2 == 0:
+        raise ValueError(f"must be odd, got {size}")
+    return size
+
+
+KernelSize = Annotated[int, Field(ge=3), AfterValidator(_check_odd), "stations", "kernel size"]
+
+
 @dataclass(frozen=True, kw_only=True)
-class SequenceEstimator(abc.ABC):
+class SequenceEstimator(Settings, abc.ABC):
     """A sequence network behind an FIR bank."""
 
-    __pydantic_config__ = STRICT
     name: ClassVar[str]
     refit_per_case: ClassVar[bool] = False
     causal: ClassVar[bool]
@@ -86,13 +95,10 @@ class SequenceEstimator(abc.ABC):
     """Distance [m] from a station to the front axle when its height is known; None if offline."""
 
     shipped: bool = True
-    steps: int = 2500
+    steps: Annotated[Count, "", "training steps"] = 2500
+    channels: Annotated[Count, "", "channels of each layer"] = 48
+    kernel: KernelSize = 5
     fitted_state: FittedSequence | None = field(default=None, init=False, repr=False, compare=False)
-
-    def __post_init__(self):
-        for setting in ("steps", "channels"):
-            if getattr(self, setting) < 1:
-                raise ValueError(f"{setting} must be at least 1, got {getattr(self, setting)}")
 
     @abc.abstractmethod
     def network(self) -> Any:
@@ -214,7 +220,13 @@ class SequenceEstimator(abc.ABC):
             "widths": (N_TERMS,),
             "wheelbase": (),
         }
-        own = {NETWORK_PREFIX + name: x.shape for name, x in get_weights(self.network()).items()}
+        with optional_import("a neural network"):
+            import torch
+        with torch.device("meta"):  # shapes only: the settings of a file may ask for any size
+            own = {
+                NETWORK_PREFIX + name: tuple(x.shape)
+                for name, x in self.network().state_dict().items()
+            }
         taps, coefficients, wheelbase, *rest = validate_weights(weights, shapes | own)
         names = (name.removeprefix(NETWORK_PREFIX) for name in own)
         network = {name: x.astype(np.float16) for name, x in zip(names, rest, strict=True)}

@@ -9,25 +9,25 @@ nothing to the FIR bank.
 
 import abc
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
+
+from pydantic import Field
 
 from estimators.api import LAG
 from estimators.networks.inputs import N_CONDITIONS, N_INPUTS
 from estimators.networks.sequence_estimator import SequenceEstimator
+from road_envs.config import Count
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Convolutional(SequenceEstimator, abc.ABC):
-    channels: int = 48
-    kernel: int = 5
-    dilations: tuple[int, ...] = (1, 2, 4, 8, 16)
-
-    def __post_init__(self):
-        super().__post_init__()
-        if self.kernel < 3 or self.kernel % 2 == 0:
-            raise ValueError(f"kernel must be odd and at least 3, got {self.kernel}")
-        if not self.dilations or min(self.dilations) < 1:
-            raise ValueError(f"dilations must be at least 1, got {self.dilations}")
+    dilations: Annotated[tuple[Count, ...], Field(min_length=1), "stations", "of the layers"] = (
+        1,
+        2,
+        4,
+        8,
+        16,
+    )
 
     def network(self) -> Any:
         """Return the torch network with its initial weights."""

@@ -141,5 +141,5 @@ def test_a_mode_change_is_noted_and_invalid_settings_are_rejected():
     stiff[: record.t.size // 3] = True
     notes = estimate(replace(record, spring_stiff=stiff)).notes
     assert "treated as driven in the dominant strut states" in notes
-    with pytest.raises(ConfigError, match=r"f_low must be within \(0, 25\) Hz, got 0"):
+    with pytest.raises(ConfigError, match="f_low: must be positive, got 0"):
         create("inverse_quarter_car", f_low=0.0)

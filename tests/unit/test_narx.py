@@ -51,7 +51,7 @@ def test_both_loops_agree_where_the_outputs_are_the_truth():
 
 
 def test_the_open_loop_error_is_small_and_the_closed_loop_error_is_not(trained):
-    _, _, _, open_loop, closed_loop = trained.fitted_state
+    open_loop, closed_loop = trained.fitted_state.errors
     assert open_loop < 0.1 < 0.5 < closed_loop
     record, truth = drive(300)
     estimate = trained.estimate(record, CAR)

@@ -97,9 +97,9 @@ def test_settings_reach_the_estimator():
         ("static_lm", {"fitted_state": 7}, "unknown setting of static_lm 'fitted_state'"),
         ("flat", {"height": 1.0}, "unknown setting of flat 'height'"),
         ("static_lm", {"hidden": "many"}, "static_lm.*hidden: .*valid integer, got 'many'"),
-        ("static_lm", {"hidden": 0}, "hidden must be at least 1, got 0"),
+        ("static_lm", {"hidden": 0}, "hidden: must be at least 1, got 0"),
         ("static_lm", {"division": "odd"}, "static_lm.*division: .*'random' or 'block'"),
-        ("fir_ridge", {"reach": -1.0}, r"reach must be within \(0, 100\] m, got -1"),
+        ("fir_ridge", {"reach": -1.0}, "reach: must be positive, got -1.0 m"),
     ],
 )
 def test_a_wrong_name_or_setting_is_reported_with_the_choices(name, settings, sentence):

@@ -159,9 +159,9 @@ def test_settings_other_than_those_of_the_shipped_weights_need_a_fit():
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"channels": 0}, "channels must be at least 1"),
-        ({"kernel": 4}, "kernel must be odd and at least 3, got 4"),
-        ({"dilations": ()}, "dilations must be at least 1"),
+        ({"channels": 0}, "channels: must be at least 1"),
+        ({"kernel": 4}, "kernel: must be odd, got 4"),
+        ({"dilations": ()}, "dilations: must have at least 1 element"),
     ],
 )
 def test_invalid_settings_are_rejected(settings, sentence):
