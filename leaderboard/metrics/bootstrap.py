@@ -16,6 +16,7 @@ import numpy as np
 REPLICATES = 2000
 CONFIDENCE = 0.95
 """Level of every interval."""
+QUANTILES = (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2)
 MIN_ROADS = 5
 """Least number of roads for an interval or a rank: with two, the interval is their two scores."""
 
@@ -76,17 +77,47 @@ def bootstrap(
     return np.concatenate([interquartile_mean(x) for x in batches])
 
 
+class Resampled(NamedTuple):
+    """A weighted sum of interquartile means, and its replicates (B,)."""
+
+    mean: float
+    replicates: np.ndarray
+
+    def interval(self) -> Interval:
+        """Return the sum with its 95 % interval; NaNs if a replicate is undefined."""
+        if not np.isfinite(self.replicates).all():
+            return Interval(np.nan, np.nan, np.nan)
+        low, high = np.quantile(self.replicates, QUANTILES)
+        return Interval(float(self.mean), float(low), float(high))
+
+    def minus(self, other: "Resampled") -> "Resampled":
+        """Return the paired difference: both were resampled on the same roads and seeds."""
+        return Resampled(self.mean - other.mean, self.replicates - other.replicates)
+
+
+def resample(
+    parts: Sequence[np.ndarray],
+    weights: Sequence[float] = (1.0,),
+    seed: int = 0,
+    replicates: int = REPLICATES,
+    strata: Strata | None = None,
+) -> Resampled:
+    """Return the sum of the interquartile means of `parts`, each (R, C, S), with `weights`.
+
+    One seed gives all parts the same roads and seeds in each replicate.
+    """
+    made = [bootstrap(part, seed, replicates, strata) for part in parts]
+    means = [float(interquartile_mean(part.ravel())) for part in parts]
+    return Resampled(float(np.dot(weights, means)), np.tensordot(weights, made, axes=1))
+
+
 def iqm_slope(parts: Sequence[np.ndarray], seed: int = 0, strata: Strata | None = None) -> Interval:
     """Return the least-squares slope of the interquartile mean over `parts`, each (R, C, S).
 
     With its 95 % interval; the parts are paired road by road and seed by seed.
     """
     x = np.arange(len(parts)) - 0.5 * (len(parts) - 1)
-    weight = x / np.sum(x * x)
-    resampled = weight @ np.stack([bootstrap(part, seed, strata=strata) for part in parts])
-    low, high = np.quantile(resampled, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
-    mean = weight @ np.array([float(interquartile_mean(part.ravel())) for part in parts])
-    return Interval(float(mean), float(low), float(high))
+    return resample(parts, (x / np.sum(x * x)).tolist(), seed, strata=strata).interval()
 
 
 def performance_profile(
@@ -108,9 +139,7 @@ def performance_profile(
 
     reached = shares(scores.ravel())
     parts = [shares(x) for x in _replicate_scores(scores, seed, replicates, strata)]
-    low, high = np.quantile(
-        np.concatenate(parts), [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2], axis=0
-    )
+    low, high = np.quantile(np.concatenate(parts), QUANTILES, axis=0)
     return PerformanceProfile(reached, low, high)
 
 
@@ -135,7 +164,7 @@ def _replicate_scores(
 
 def iqm_interval(scores: np.ndarray, seed: int = 0, strata: Strata | None = None) -> Interval:
     """Return the interquartile mean of `scores` (R, C, S) with its 95 % interval, or NaNs."""
-    return _as_interval(scores, bootstrap(scores, seed, strata=strata))
+    return resample([scores], seed=seed, strata=strata).interval()
 
 
 def count_roads(scores: np.ndarray) -> int:
@@ -157,24 +186,14 @@ def rank_entries(
     """
     if not scores:
         return {}
-    resampled = np.stack(
-        [bootstrap(x, seed, replicates, strata) for x in scores.values()]
-    )  # (N, B)
-    resampled[np.isnan(resampled).any(axis=1)] = np.inf  # an undefined score loses every comparison
+    made = {name: resample([x], (1.0,), seed, replicates, strata) for name, x in scores.items()}
+    drawn = np.stack([x.replicates for x in made.values()])  # (N, B)
+    drawn[np.isnan(drawn).any(axis=1)] = np.inf  # an undefined score loses every comparison
+    ranks = 1 + np.sum(np.mean(drawn[:, None] > drawn, axis=2) > QUANTILES[1], axis=1)
     rows = {
-        name: Rank(
-            1 + int(np.sum(np.mean(resampled < mine, axis=1) > 0.5 + CONFIDENCE / 2)),
-            _as_interval(scores[name], mine),
-        )
-        for name, mine in zip(scores, resampled, strict=True)
+        name: Rank(int(rank), x.interval())
+        for (name, x), rank in zip(made.items(), ranks, strict=True)
     }
     last = np.inf
     by_mean = sorted(rows.items(), key=lambda row: np.nan_to_num(row[1].score.mean, nan=last))
     return dict(by_mean)
-
-
-def _as_interval(scores: np.ndarray, replicates: np.ndarray) -> Interval:
-    if not np.isfinite(replicates).all():
-        return Interval(np.nan, np.nan, np.nan)
-    low, high = np.quantile(replicates, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
-    return Interval(float(interquartile_mean(scores.ravel())), float(low), float(high))

@@ -252,17 +252,15 @@ def _evaluate(
         try:
             estimates = reconstruct(estimator, training_pairs, records, car, seed=1).estimates
             column[name] = np.array(
-                [_nrmse(y, x, v) for y, x in zip(test.truths, estimates, strict=True)]
+                [
+                    heights.nrmse(y.z, x.z, y.ds, scored_band(v)).pooled
+                    for y, x in zip(test.truths, estimates, strict=True)
+                ]
             )
         except EntryError as error:
             notes.append(f"{name}: {test.case.label}: {error}")
             column[name] = np.full(len(records), np.nan)
     return column, notes
-
-
-def _nrmse(y: Profile, estimate: Profile, v: float) -> float:
-    inside = heights.band_pass(np.stack([y.z, estimate.z]), y.ds, scored_band(v))
-    return heights.error_over_truth(*inside).pooled
 
 
 def _bound(test: PreparedCase, commands: np.ndarray, v: float, road: tuple[float, float]) -> float:

@@ -203,7 +203,7 @@ def draw_pareto(data: dict[str, Any], path: Path) -> None:
                 _draw_policy(axes, row["metrics"][name], first_error(row), row, mark)
             if points := sweep_points(rows, name):
                 axes.plot(*zip(*points, strict=True), ":", color="0.4", lw=1.0, zorder=0)
-            axes.set(xlabel=f"{METRICS[name].label} [{METRICS[name].unit}]")
+            axes.set(xlabel=f"{METRICS[name].label} [{METRICS[name].unit or '-'}]")
             axes.grid(color="0.93", lw=0.6)
         figure.axes[0].set(ylabel="error of the reconstruction (in-band NRMSE)")
         figure.legend(

@@ -4,10 +4,9 @@ Comfort is that of heave at the centre of mass (a seat elsewhere is also exposed
 Bump-stop hits are counted for each strut, whenever it leaves the range without bump-stop force.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
+from leaderboard.metrics.api import Metric
 from road_envs.analysis import comfort
 from road_envs.simulation.drive import Trajectory
 from road_envs.vehicle.equations import PHI, Z_B
@@ -15,32 +14,69 @@ from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import decode_commands
 
-
-class Metric(NamedTuple):
-    """Format of a metric: its value times `factor`, in `unit`, with `digits` decimals."""
-
-    label: str
-    unit: str
-    factor: float
-    digits: int
-
-
 METRICS = {
-    "comfort": Metric("W_k-weighted RMS heave acceleration", "m/s²", 1.0, 2),
-    "vdv": Metric("vibration dose value of heave", "m/s^1.75", 1.0, 2),
-    "rattle": Metric("RMS strut extension", "mm", 1000.0, 1),
-    "rattle_peak": Metric("largest strut extension", "mm", 1000.0, 0),
-    "stops_per_km": Metric("bump-stop hits", "1/km", 1.0, 0),
-    "tyre_load": Metric("dynamic tyre load coefficient", "-", 1.0, 3),
-    "lift_per_km": Metric("time of wheels off the ground", "s/km", 1.0, 2),
-    "roll": Metric("RMS roll angle", "deg", np.degrees(1.0), 2),
-    "roll_peak": Metric("largest roll angle", "deg", np.degrees(1.0), 1),
-    "switches_per_km": Metric("changes of the command", "1/km", 1.0, 0),
-    "dwell": Metric("mean time between changes", "s", 1.0, 2),
-    "turned_over": Metric("drives that ended in a rollover", "-", 1.0, 2),
-    "return": Metric("return: sum of rewards, per second", "1/s", 1.0, 3),
-    "bound": Metric("bound on the in-band error for the states used", "-", 1.0, 3),
-}
+    metric.key: metric
+    for metric in (
+        Metric(
+            key="comfort", label="W_k-weighted RMS heave acceleration", unit="m/s²",
+            help="RMS of the heave acceleration of the body, weighted by W_k of ISO 2631-1.",
+        ),
+        Metric(
+            key="vdv", label="vibration dose value of heave", unit="m/s^1.75",
+            help="Fourth-power dose of the W_k-weighted heave acceleration: shocks count most.",
+        ),
+        Metric(
+            key="rattle", label="RMS strut extension", unit="mm", factor=1000.0, digits=1,
+            help="RMS of the strut extensions from the static length, all four struts.",
+        ),
+        Metric(
+            key="rattle_peak", label="largest strut extension", unit="mm", factor=1000.0, digits=0,
+            help="Largest extension or compression of any strut.",
+        ),
+        Metric(
+            key="stops_per_km", label="bump-stop hits", unit="1/km", digits=0,
+            help="How often a strut leaves the range without bump-stop force.",
+        ),
+        Metric(
+            key="tyre_load", label="dynamic tyre load coefficient", digits=3,
+            help="RMS of the tyre load about the static one, relative to it: handling.",
+        ),
+        Metric(
+            key="lift_per_km", label="time of wheels off the ground", unit="s/km",
+            help="Time for which wheels have no load, summed over the wheels.",
+        ),
+        Metric(
+            key="roll", label="RMS roll angle", unit="deg", factor=float(np.degrees(1.0)),
+            help="RMS roll angle of the body.",
+        ),
+        Metric(
+            key="roll_peak", label="largest roll angle", unit="deg",
+            factor=float(np.degrees(1.0)), digits=1, help="Largest roll angle of the body.",
+        ),
+        Metric(
+            key="switches_per_km", label="changes of the command", unit="1/km", digits=0,
+            better="", help="How often the commanded states change, after the first command.",
+        ),
+        Metric(
+            key="dwell", label="mean time between changes", unit="s", better="",
+            help="Mean time for which the commanded states stay.",
+        ),
+        Metric(
+            key="turned_over", label="drives that ended in a rollover",
+            help="Share of drives that ended in a rollover.",
+        ),
+        Metric(
+            key="return", label="return: sum of rewards, per second", unit="1/s", digits=3,
+            better="high", help="Sum of the environment's rewards over a drive, per second.",
+        ),
+        Metric(
+            key="bound", label="bound on the in-band error for the states used", digits=3,
+            help="Bound of a linear car without friction that spends in each pair of states the "
+            "time that the policy did.",
+        ),
+    )
+}  # fmt: skip
+"""Metrics of a policy by key."""
 
 
 def ride_metrics(

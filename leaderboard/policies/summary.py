@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.metrics.bootstrap import CONFIDENCE, Interval, bootstrap, interquartile_mean
+from leaderboard.metrics.bootstrap import Interval, Resampled, interquartile_mean, resample
 from leaderboard.policies.comparison import ORACLE, PolicyResult
 from leaderboard.policies.ride_metrics import METRICS
 from leaderboard.policies.scenarios import Scenarios
@@ -54,7 +54,7 @@ def case_mean(x: np.ndarray) -> Interval:
     `x` is (R, C) or (R, C, S); the bootstrap resamples roads, then seeds. Cases are kinds of drives
     and count equally; roads are samples of one kind, so outliers among them are trimmed.
     """
-    return _as_interval(_mean(_with_seed_axis(x)), _replicates(x))
+    return _over_cases(x).interval()
 
 
 def paired_difference(one: np.ndarray, other: np.ndarray) -> Interval:
@@ -62,30 +62,14 @@ def paired_difference(one: np.ndarray, other: np.ndarray) -> Interval:
 
     Both are resampled on the same roads, so the common effect of a road cancels.
     """
-    mean = _mean(_with_seed_axis(one)) - _mean(_with_seed_axis(other))
-    return _as_interval(mean, _replicates(one) - _replicates(other))
+    return _over_cases(one).minus(_over_cases(other)).interval()
 
 
-def _with_seed_axis(x: np.ndarray) -> np.ndarray:
-    return x if x.ndim == 3 else x[:, :, None]
-
-
-def _mean(x: np.ndarray) -> float:
-    per_case = [interquartile_mean(x[:, c].ravel()) for c in range(x.shape[1])]
-    return float(np.mean(per_case))
-
-
-def _replicates(x: np.ndarray) -> np.ndarray:
-    """Return replicates (B,); one seed gives all cases the same resample of roads."""
-    x = _with_seed_axis(x)
-    return np.mean([bootstrap(x[:, [c]], seed=0) for c in range(x.shape[1])], axis=0)
-
-
-def _as_interval(mean: float, replicates: np.ndarray) -> Interval:
-    if not np.isfinite(replicates).all():
-        return Interval(np.nan, np.nan, np.nan)
-    low, high = np.quantile(replicates, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
-    return Interval(mean, float(low), float(high))
+def _over_cases(x: np.ndarray) -> Resampled:
+    """Return the mean over cases, resampled on the same roads in every case."""
+    C = x.shape[1]
+    parts = np.split(x if x.ndim == 3 else x[:, :, None], C, axis=1)
+    return resample(parts, [1.0 / C] * C)
 
 
 def pareto(by_name: Mapping[str, PolicyResult], names: Sequence[str]) -> list[bool]:
@@ -107,18 +91,18 @@ def pareto(by_name: Mapping[str, PolicyResult], names: Sequence[str]) -> list[bo
 def _point(result: PolicyResult) -> np.ndarray:
     errors = list(result.errors.values()) or [result.metrics["bound"]]
     values = [*(result.metrics[name] for name in PARETO_METRICS), errors[0]]
-    return np.array([_mean(_with_seed_axis(x)) for x in values])
+    return np.array([interquartile_mean(x, axis=0).mean() for x in values])
 
 
-ReferenceStatistics = dict[tuple[str, str], tuple[float, np.ndarray]]
-"""Mean and replicates (B,) of the reference policy, by kind ("metrics", "errors") and name."""
+ReferenceStatistics = dict[tuple[str, str], Resampled]
+"""Scores of the reference policy, by kind ("metrics", "errors") and name."""
 
 
 def _reference_statistics(result: PolicyResult | None) -> ReferenceStatistics:
     if result is None:
         return {}
     return {
-        (kind, name): (_mean(_with_seed_axis(x)), _replicates(x))
+        (kind, name): _over_cases(x)
         for kind, values in _score_groups(result)
         for name, x in values.items()
     }
@@ -142,14 +126,14 @@ def _row(result: PolicyResult, base: ReferenceStatistics) -> dict[str, Any]:
     return row
 
 
-def _cell(x: np.ndarray, base: tuple[float, np.ndarray] | None) -> dict[str, Any]:
-    mean, replicates = _mean(_with_seed_axis(x)), _replicates(x)
+def _cell(x: np.ndarray, base: Resampled | None) -> dict[str, Any]:
+    mine = _over_cases(x)
     cell: dict[str, Any] = {
-        **_interval_dict(_as_interval(mean, replicates)),
+        **_interval_dict(mine.interval()),
         "cases": [_round(v) for v in interquartile_mean(x, axis=0)],
     }
     if base is not None:
-        cell["difference"] = _interval_dict(_as_interval(mean - base[0], replicates - base[1]))
+        cell["difference"] = _interval_dict(mine.minus(base).interval())
     return cell
 
 
@@ -164,5 +148,4 @@ def _round(x: float) -> float:
 
 def format_metric(name: str, value: float) -> str:
     """Return the text of a metric."""
-    metric = METRICS[name]
-    return f"{metric.factor * value:.{metric.digits}f}" if np.isfinite(value) else "–"
+    return METRICS[name].format_value(value)
