@@ -1,0 +1,194 @@
+"""Results of one drive: segments with IRI, class, condition and quality, and obstacles."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from estimators.wiener.segments import dominant_modes
+from leaderboard.drive_report.conditions import Conditions
+from leaderboard.drive_report.obstacles import DetectedObstacle, detect
+from leaderboard.drive_report.posterior_iri import IriPosterior, posterior_iri
+from road_envs.analysis.roughness import (
+    displacement_psd,
+    octave_levels,
+    roughness_class,
+)
+from road_envs.data.measured_record import MeasuredRecord
+from road_envs.data.record import Estimate, scored_band
+
+SEGMENT_LENGTHS = (10.0, 20.0, 100.0)
+"""Lengths [m] of segments."""
+
+RUN_IN = 11.0
+"""Length [m] of the golden car's run-in (Sayers 1995)."""
+
+SLOW = 20.0 / 3.6
+"""Speed [m/s] below which long waves are flagged: at 0.5 Hz they are shorter than 11 m."""
+
+OCTAVES = (0.125, 0.25, 0.5, 1.0)
+"""Centres [cycles/m] of the octaves of a class."""
+
+WAVES_PER_SEGMENT = 2.0
+"""Least number of waves of an octave in a segment."""
+
+
+@dataclass(frozen=True)
+class DriveResult:
+    """A drive: its `segments` and `obstacles` as rows, `estimate`, and what was told of it.
+
+    `chainage` [m] is that of station 0 of the estimate; stations of rows are chainages.
+    """
+
+    name: str
+    measured: MeasuredRecord
+    estimate: Estimate
+    v: float
+    chainage: float
+    segments: list[dict[str, Any]]
+    obstacles: list[dict[str, Any]]
+    notes: tuple[str, ...]
+    facts: dict[str, Any]
+
+    @property
+    def has_position(self) -> bool:
+        """Whether latitude and longitude are known."""
+        return self.measured.position is not None
+
+    def position(self, station: float) -> tuple[float | None, float | None]:
+        """Return latitude and longitude [°] of the front axle at a station, None if unknown."""
+        if self.measured.position is None:
+            return None, None
+        lat, lon = (np.interp(station, self.measured.record.s, x) for x in self.measured.position)
+        return float(lat), float(lon)
+
+
+def analyse(
+    name: str,
+    measured: MeasuredRecord,
+    estimate: Estimate,
+    conditions: Conditions,
+    *,
+    segment: float = 100.0,
+    model_std: float = 0.0,
+    clipping: float = np.inf,
+) -> DriveResult:
+    """Return the results of a drive by segments of `segment` [m], at whole multiples of it.
+
+    `model_std` is the relative standard deviation of the IRI by a vehicle that differs from its
+    description; `clipping` [m/s²] the magnitude from which on a sample is clipped.
+    """
+    record, v = measured.record, float(np.median(measured.record.v))
+    edges = _edges(estimate, measured.chainage, segment, record.s[0])
+    iri = posterior_iri(estimate, v, edges, model_std=model_std)
+    result = DriveResult(
+        name, measured, estimate, v, measured.chainage, [], [], (*measured.notes, *estimate.notes), {}
+    )  # fmt: skip
+    for k in range(edges.size - 1):
+        result.segments.append(_segment(result, edges, k, iri, conditions, clipping))
+    for obstacle in detect(estimate):
+        result.obstacles.append(_obstacle(result, obstacle))
+    result.facts.update(
+        length_m=float(edges[-1] - edges[0]),
+        speed_kmh=3.6 * v,
+        sampled_hz=float(min(measured.fs, record.fs)),
+        duration_s=float(record.t[-1]),
+        iri_mean=float(np.average(iri.median[2], weights=np.diff(edges))),
+    )
+    return result
+
+
+def _edges(estimate: Estimate, chainage: float, segment: float, first: float) -> np.ndarray:
+    """Return the stations (K + 1,) of segments at multiples of `segment` in the user's chainage.
+
+    What remains at either end is a segment of its own if it is half as long, else it is joined.
+    """
+    begin, end = max(0.0, first - 5.0), float(estimate.s[-1])
+    inner = segment * np.arange(
+        np.ceil((begin + chainage) / segment), np.floor((end + chainage) / segment) + 1
+    )
+    inner = inner - chainage
+    inner = inner[(inner > begin + 0.5 * segment) & (inner < end - 0.5 * segment)]
+    return np.concatenate([[begin], inner, [end]])
+
+
+def _segment(
+    result: DriveResult,
+    edges: np.ndarray,
+    k: int,
+    iri: IriPosterior,
+    conditions: Conditions,
+    clipping: float,
+) -> dict[str, Any]:
+    begin, end = float(edges[k]), float(edges[k + 1])
+    record = result.measured.record
+    inside = np.flatnonzero((record.s >= begin) & (record.s < end))
+    inside = inside if inside.size else np.array([int(np.searchsorted(record.s, begin))])
+    speed = float(np.mean(record.v[inside]))
+    levels = _levels(result.estimate, begin, end, result.v)
+    row: dict[str, Any] = {"begin_m": result.chainage + begin, "end_m": result.chainage + end}
+    for j, path in enumerate(("left", "right", "mean")):
+        row[f"iri_{path}"] = float(iri.median[j, k])
+        row[f"iri_{path}_low"] = float(iri.low[j, k])
+        row[f"iri_{path}_high"] = float(iri.high[j, k])
+    row["condition"] = conditions.category(row["iri_mean"])
+    whole = np.exp(np.mean(np.log(list(levels.values())))) if levels else np.nan
+    row["class"] = roughness_class(float(whole)) if levels else ""
+    for centre in OCTAVES:
+        row[f"class_{centre:g}"] = roughness_class(levels[centre]) if centre in levels else ""
+    row["speed_kmh"] = 3.6 * speed
+    row["state"] = _state(record, inside)
+    row["flags"] = "; ".join(_flags(result, inside, speed, begin, clipping))
+    row["lat"], row["lon"] = result.position(0.5 * (begin + end))
+    return row
+
+
+def _levels(estimate: Estimate, begin: float, end: float, v: float) -> dict[float, float]:
+    """Return the level G_d(n0) [m³] of each octave that segment and speed resolve."""
+    i, j = np.searchsorted(estimate.s, [begin, end])
+    n, G = displacement_psd(estimate.z[:, i:j], estimate.ds)
+    low = max(WAVES_PER_SEGMENT * np.sqrt(2.0) / (end - begin), OCTAVES[0])
+    high = min(scored_band(v)[1] / np.sqrt(2.0), OCTAVES[-1])
+    if not high >= low:
+        return {}
+    centres, levels = octave_levels(n, G.mean(axis=0), (low, high))
+    return {float(c): max(float(x), 1e-12) for c, x in zip(centres, levels, strict=True)}
+
+
+def _state(record: Any, inside: np.ndarray) -> str:
+    mode = dominant_modes(record, inside)
+    return mode["front"] if mode["front"] == mode["rear"] else f"{mode['front']}/{mode['rear']}"
+
+
+def _flags(
+    result: DriveResult, inside: np.ndarray, speed: float, begin: float, clipping: float
+) -> list[str]:
+    """Return what limits the results of a segment, in words."""
+    record, flags = result.measured.record, []
+    if speed < SLOW:
+        flags.append(f"slow: waves longer than {speed / 0.5:.0f} m are uncertain")
+    shortest = max(speed / (0.4 * min(result.measured.fs, 1e9)), 1.0 / scored_band(speed)[1])
+    if shortest > 1.0:
+        flags.append(f"waves shorter than {shortest:.1f} m are not resolved")
+    lost = float(np.isnan(record.a[:, inside]).any(axis=0).mean())
+    if lost > 0.01:
+        flags.append(f"{lost:.0%} of the samples lost")
+    if (np.abs(np.nan_to_num(record.a[:, inside])) >= 0.98 * clipping).any():
+        flags.append("clipped")
+    if begin < record.s[0] + RUN_IN:
+        flags.append("start of the drive")
+    return flags
+
+
+def _obstacle(result: DriveResult, found: DetectedObstacle) -> dict[str, Any]:
+    lat, lon = result.position(found.station)
+    return {
+        "kind": "bump" if found.height > 0.0 else "hole",
+        "station_m": result.chainage + found.station,
+        "height_mm": 1e3 * found.height,
+        "length_m": found.length,
+        "wheel_path": found.side,
+        "confidence": found.confidence,
+        "lat": lat,
+        "lon": lon,
+    }

@@ -1,0 +1,94 @@
+"""Posterior of the International Roughness Index, by samples of the profile's error.
+
+An estimator tells the standard deviation of its error inside the scored band. Samples of that error
+are added to the profile and the IRI of each is computed; the median and the 2.5 and 97.5 %
+quantiles are reported. This also removes the bias of the smoothed profile, whose IRI is too low by
+the power of what was not resolved.
+
+Assumptions: the error is Gaussian with a density proportional to n^-2, as the slopes of roads and
+of their errors are nearly white, and it continues with that density over the band of the IRI; it is
+common to both wheel paths, which makes the interval of their mean no narrower than those of the
+paths. What a vehicle that differs from its description adds is `model_std`, a relative standard
+deviation of the IRI.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfftfreq
+
+from road_envs.analysis.roughness import golden_car
+from road_envs.data.record import Estimate, scored_band
+
+IRI_BAND = (0.04, 2.0)
+"""Band [cycles/m] over which the error is continued: 25 to 0.5 m, the waves that the golden car
+answers to.
+"""
+
+QUANTILES = (0.025, 0.5, 0.975)
+"""The interval of 95 % and the median."""
+
+
+class IriPosterior(NamedTuple):
+    """Lower limit, median and upper limit [mm/m], each (3, K): left, right and mean by segment."""
+
+    low: np.ndarray
+    median: np.ndarray
+    high: np.ndarray
+
+
+def posterior_iri(
+    estimate: Estimate,
+    v: float,
+    edges: np.ndarray,
+    *,
+    samples: int = 100,
+    model_std: float = 0.0,
+    seed: int = 0,
+) -> IriPosterior:
+    """Return the IRI of the segments between stations `edges` (K + 1,) [m] of a drive at `v` [m/s].
+
+    Without a standard deviation of the estimate all three values are those of its profile.
+    """
+    rng = np.random.default_rng(seed)
+    index = np.searchsorted(estimate.s, edges)
+    known = estimate.z_std is not None
+    drawn = []
+    for _ in range(samples if known else 1):
+        error = 0.0
+        if estimate.z_std is not None:
+            noise = unit_error(estimate.s.size, estimate.ds, scored_band(v), rng)
+            error = estimate.z_std * noise
+        drawn.append(_segment_iri(estimate.z + error, estimate.ds, index))
+    iri = np.array(drawn)
+    if known and model_std:
+        iri *= np.exp(model_std * rng.standard_normal((samples, 1, 1)))
+    return IriPosterior(*np.quantile(iri, QUANTILES, axis=0))
+
+
+def unit_error(
+    size: int, ds: float, band: tuple[float, float], rng: np.random.Generator
+) -> np.ndarray:
+    """Return an error (size,) of density n^-2 over IRI_BAND whose part in `band` has variance 1."""
+    whole = next_fast_len(size + round(1.0 / (IRI_BAND[0] * ds)), real=True)
+    n = rfftfreq(whole, ds)
+    inside = (n >= IRI_BAND[0]) & (n <= IRI_BAND[1])
+    density = np.zeros(n.size)
+    density[inside] = n[inside] ** -2.0
+    scored = (n >= band[0]) & (n <= band[1])
+    lines = rng.standard_normal(n.size) + 1j * rng.standard_normal(n.size)
+    x = irfft(np.sqrt(density) * lines, whole)
+    # the variance of irfft of such lines is 4 sum(density) / whole²
+    return (x / np.sqrt(4.0 * density[scored].sum()) * whole)[:size]
+
+
+def _segment_iri(z: np.ndarray, ds: float, index: np.ndarray) -> np.ndarray:
+    """Return the IRI (3, K) [mm/m] of left, right and their mean between the indices (K + 1,)."""
+    motion = 1e3 * np.abs(golden_car(z, ds))
+    index = np.minimum(index, motion.shape[1] - 1)
+    sums = np.add.reduceat(motion, index[:-1], axis=1)
+    sums[:, -1] = motion[:, index[-2] : index[-1] + 1].sum(axis=1)
+    counts = np.diff(index)
+    counts[-1] += 1
+    left, right = sums / counts
+    return np.array([left, right, 0.5 * (left + right)])
