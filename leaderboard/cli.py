@@ -64,6 +64,11 @@ class RoadRecon(LazyGroup):
             ),
         },
         "Estimates": {
+            "report": _entry(
+                "report:report",
+                "Report IRI, ISO class, condition and obstacles of a driven road: a page, CSV, "
+                "GeoJSON.",
+            ),
             "estimate": _entry(
                 "estimate:estimate",
                 "Reconstruct both wheel paths of a record; score them if the truth is given.",

@@ -70,20 +70,17 @@ def analyse(
     conditions: Conditions,
     *,
     segment: float = 100.0,
-    model_std: float = 0.0,
     clipping: float = np.inf,
 ) -> DriveResult:
     """Return the results of a drive by segments of `segment` [m], at whole multiples of it.
 
-    `model_std` is the relative standard deviation of the IRI by a vehicle that differs from its
-    description; `clipping` [m/s²] the magnitude from which on a sample is clipped.
+    `clipping` [m/s²] is the magnitude from which on a sample is clipped.
     """
     record, v = measured.record, float(np.median(measured.record.v))
     edges = _edges(estimate, measured.chainage, segment, record.s[0])
-    iri = posterior_iri(estimate, v, edges, model_std=model_std)
-    result = DriveResult(
-        name, measured, estimate, v, measured.chainage, [], [], (*measured.notes, *estimate.notes), {}
-    )  # fmt: skip
+    iri = posterior_iri(estimate, v, edges)
+    notes = (*measured.notes, *estimate.notes)
+    result = DriveResult(name, measured, estimate, v, measured.chainage, [], [], notes, {})
     for k in range(edges.size - 1):
         result.segments.append(_segment(result, edges, k, iri, conditions, clipping))
     for obstacle in detect(estimate):
@@ -156,8 +153,9 @@ def _levels(estimate: Estimate, begin: float, end: float, v: float) -> dict[floa
 
 
 def _state(record: Any, inside: np.ndarray) -> str:
-    mode = dominant_modes(record, inside)
-    return mode["front"] if mode["front"] == mode["rear"] else f"{mode['front']}/{mode['rear']}"
+    modes = dominant_modes(record, inside)
+    front, rear = modes["FL"], modes["RL"]
+    return front if front == rear else f"{front}/{rear}"
 
 
 def _flags(

@@ -1,4 +1,4 @@
-"""Condition categories of a road by its International Roughness Index, from `configs/conditions`."""
+"""Condition categories of a road by its IRI, from `configs/conditions`."""
 
 from dataclasses import dataclass
 from typing import Annotated

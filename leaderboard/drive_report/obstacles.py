@@ -31,6 +31,11 @@ MIN_HEIGHT = 0.015
 MIN_CONFIDENCE = 0.5
 """Obstacles of a lower confidence are left out."""
 
+SIDE_LOBE_REACH, SIDE_LOBE_SHARE = 5.0, 0.5
+"""An obstacle closer than this [m] to one that is higher is a side lobe of it if it has less than
+this share of its height: the band of an estimate is limited, so obstacles ring.
+"""
+
 INDEPENDENT_LENGTH = 0.5
 """Length [m] of road that counts as one independent value."""
 
@@ -70,7 +75,8 @@ def detect(estimate: Estimate) -> list[DetectedObstacle]:
                 max(one.confidence, twin.confidence),
             )
         )
-    return sorted([*merged, *(o._replace(side="right") for o in right)])
+    found = sorted([*merged, *(o._replace(side="right") for o in right)])
+    return [one for one in found if not any(_is_side_lobe(one, other) for other in found)]
 
 
 def _detect_path(z: np.ndarray, std: np.ndarray, ds: float) -> list[DetectedObstacle]:
@@ -102,6 +108,11 @@ def _detect_path(z: np.ndarray, std: np.ndarray, ds: float) -> list[DetectedObst
 def _confidence(height: float, scatter: float) -> float:
     chance = 2.0 * ndtr(height / max(scatter, 1e-9)) - 1.0
     return float(chance ** (100.0 / INDEPENDENT_LENGTH))
+
+
+def _is_side_lobe(one: DetectedObstacle, other: DetectedObstacle) -> bool:
+    near = abs(one.station - other.station) < SIDE_LOBE_REACH
+    return near and abs(one.height) < SIDE_LOBE_SHARE * abs(other.height)
 
 
 def _is_same(a: DetectedObstacle, b: DetectedObstacle) -> bool:

@@ -1,0 +1,176 @@
+"""Command `report`: roughness, condition and obstacles of a driven road, as a page and files."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+import estimators
+from leaderboard.commands import console, parse_settings, print_json, progress_bar
+from leaderboard.commands.drive_files import (
+    Columns,
+    Description,
+    DriveFile,
+    Invert,
+    Mode,
+    Offset,
+    SaveDescription,
+    Sensors,
+    Speed,
+    Units,
+    Vehicle,
+    read_drive,
+)
+from leaderboard.commands.simulate import Json, print_notes
+from leaderboard.drive_report.analysis import SEGMENT_LENGTHS, DriveResult, analyse
+from leaderboard.drive_report.conditions import load_conditions
+from leaderboard.drive_report.export import write_geojson, write_tables
+from leaderboard.drive_report.page import write_page
+from road_envs.config import ConfigError
+from road_envs.data.record import Estimate
+from road_envs.sensing.instruments import load_instruments
+
+Drives = Annotated[
+    list[Path],
+    typer.Argument(help="Records or tables of drives (.csv, .parquet, .mf4); several passes."),
+]
+
+
+def report(
+    *,
+    drives: Drives,
+    out: Annotated[Path, typer.Option(help="Folder of the page and its files.")],
+    estimator: Annotated[str, typer.Option(help="Name, or a file from `train`.")] = "map_smoother",
+    segment: Annotated[
+        float, typer.Option(help="Length of a segment in m: 10, 20 or 100.")
+    ] = 100.0,
+    conditions: Annotated[
+        str, typer.Option(help="Condition categories: shipped name or YAML path.")
+    ] = "hpms",
+    vehicle: Vehicle = None,
+    sensors: Sensors = None,
+    mode: Mode = None,
+    speed_kmh: Speed = None,
+    columns: Columns = None,
+    units: Units = None,
+    invert: Invert = None,
+    offset: Offset = None,
+    description: Description = None,
+    save_description: SaveDescription = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="Setting of the estimator, key=value.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Report IRI, ISO class, condition and obstacles of a driven road: a page, CSV, GeoJSON.
+
+    Writes index.html, which needs no other file and prints on A4, and for each drive the tables
+    NAME_segments, NAME_obstacles (.csv, .parquet), NAME_heights (.parquet) and, if the drive has
+    positions, NAME.geojson.
+    """
+    if segment not in SEGMENT_LENGTHS:
+        allowed = ", ".join(f"{x:g}" for x in SEGMENT_LENGTHS)
+        raise ConfigError(f"--segment must be one of {allowed} m, got {segment:g} m")
+    if out.exists() and not out.is_dir():
+        raise ConfigError(f"{out}: a file; give a folder for the report")
+    categories, chosen = load_conditions(conditions), parse_settings(settings or [])
+    results: list[DriveResult] = []
+    with progress_bar() as progress:
+        names = _names(drives)
+        for k, (path, name) in enumerate(zip(drives, names, strict=True)):
+            progress(f"reading {path.name}", k / len(drives))
+            drive = read_drive(
+                path, vehicle=vehicle, sensors=sensors, mode=mode, speed_kmh=speed_kmh,
+                columns=columns, units=units, invert=invert, offset=offset,
+                description=description, save_description=save_description if k == 0 else None,
+            )  # fmt: skip
+            progress(f"estimating {path.name}", (k + 0.2) / len(drives))
+            found = _estimate(estimator, drive, chosen)
+            results.append(
+                analyse(
+                    name,
+                    drive.measured,
+                    found,
+                    categories,
+                    segment=segment,
+                    clipping=load_instruments(drive.sensors).range,
+                )
+            )
+    out.mkdir(parents=True, exist_ok=True)
+    written = []
+    for result in results:
+        written += write_tables(result, out, result.name)
+        written += write_geojson(result, out, result.name)
+    about = {
+        "estimator": estimator,
+        "vehicle": drive.car.name,
+        "sensors": drive.sensors,
+    }
+    page = out / "index.html"
+    write_page(results, categories, about, None, page)
+    files = [str(path) for path in (page, *written)]
+    if json:
+        print_json({"drives": [_facts(result) for result in results], "written": files})
+        return
+    for result in results:
+        _print(result)
+    console.print(f"written: {page} and {len(written)} tables")
+
+
+def _estimate(name: str, drive: DriveFile, settings: dict[str, Any]) -> Estimate:
+    """Return the estimate; the drive's instruments are passed to an estimator that takes them."""
+    if (
+        Path(name).suffix not in estimators.estimation.FILE_SUFFIXES
+        and "instruments" not in settings
+    ):
+        fields = getattr(
+            estimators.find(name) if ":" not in name else None, "__dataclass_fields__", {}
+        )
+        if "instruments" in fields:
+            settings = {**settings, "instruments": drive.sensors}
+    return estimators.estimate(name, drive.measured.record, drive.car, **settings)
+
+
+def _names(drives: list[Path]) -> list[str]:
+    """Return a name for each drive: its stem, numbered where stems are equal."""
+    stems = [path.stem for path in drives]
+    return [
+        stem if stems.count(stem) == 1 else f"{stem}_{stems[: k + 1].count(stem)}"
+        for k, stem in enumerate(stems)
+    ]
+
+
+def _facts(result: DriveResult) -> dict[str, Any]:
+    return {
+        "name": result.name,
+        **result.facts,
+        "segments": result.segments,
+        "obstacles": result.obstacles,
+        "notes": list(result.notes),
+    }
+
+
+def _print(result: DriveResult) -> None:
+    console.print(
+        f"{result.name}: {result.facts['length_m']:.0f} m, "
+        f"mean IRI {result.facts['iri_mean']:.2f} mm/m"
+    )
+    table = Table("from [m]", "to [m]", "IRI mean [mm/m]", "95 %", "condition", "class", "flags")
+    for row in result.segments:
+        table.add_row(
+            f"{row['begin_m']:.0f}",
+            f"{row['end_m']:.0f}",
+            f"{row['iri_mean']:.2f}",
+            f"{row['iri_mean_low']:.2f} to {row['iri_mean_high']:.2f}",
+            row["condition"],
+            row["class"],
+            row["flags"],
+        )
+    console.print(table)
+    for row in result.obstacles:
+        console.print(
+            f"{row['kind']} at {row['station_m']:.1f} m: {row['height_mm']:+.0f} mm, "
+            f"{row['length_m']:.1f} m long, {row['wheel_path']}, confidence {row['confidence']:.2f}"
+        )
+    print_notes(result.notes)

@@ -1,0 +1,64 @@
+"""The page of a report: one HTML file without references to others, which prints on A4."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from leaderboard.drive_report import pictures
+from leaderboard.drive_report.analysis import DriveResult
+from leaderboard.drive_report.conditions import Conditions
+from leaderboard.report.rendering import render
+from road_envs import __version__
+from road_envs._atomic_io import atomic_write
+from road_envs.data.record import scored_band
+
+TABLE_ROWS = 200
+"""Largest number of segments that the page lists; the files have all."""
+
+
+def write_page(
+    results: Sequence[DriveResult],
+    conditions: Conditions,
+    settings: dict[str, Any],
+    agreement: dict[str, Any] | None,
+    path: Path,
+) -> None:
+    """Write the page of one or more drives; `agreement` is that of several passes."""
+    drives = [_drive(result, conditions) for result in results]
+    text = render(
+        "drive/page.html",
+        drives=drives,
+        conditions=conditions,
+        colours=pictures.CONDITION_COLOURS,
+        settings=settings,
+        agreement=agreement,
+        version=__version__,
+    )
+    with atomic_write(path) as partial:
+        partial.write_text(text, encoding="utf-8")
+
+
+def _drive(result: DriveResult, conditions: Conditions) -> dict[str, Any]:
+    track = pictures.track_map(result, conditions)
+    lengths = {name: 0.0 for name in conditions.categories}
+    for row in result.segments:
+        lengths[row["condition"]] += row["end_m"] - row["begin_m"]
+    total = sum(lengths.values())
+    return {
+        "name": result.name,
+        "facts": result.facts,
+        "notes": result.notes,
+        "segments": result.segments[:TABLE_ROWS],
+        "hidden": max(0, len(result.segments) - TABLE_ROWS),
+        "obstacles": result.obstacles,
+        "shares": {name: length / total for name, length in lengths.items()},
+        "band": scored_band(result.v),
+        "has_interval": result.estimate.z_std is not None,
+        "level": {name: k for k, name in enumerate(conditions.categories)},
+        "strip": Markup(pictures.profile_strip(result)),
+        "iri": Markup(pictures.iri_chart(result, conditions)),
+        "density": Markup(pictures.density_chart(result)),
+        "map": Markup(track),
+    }

@@ -1,0 +1,171 @@
+"""Pictures of a drive as SVG for a page that is read on a screen and on paper."""
+
+import io
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from leaderboard.drive_report.analysis import DriveResult
+from leaderboard.drive_report.conditions import Conditions
+from leaderboard.metrics.heights import band_pass
+from leaderboard.report.plots import COLOURS, SIDES, draw_classes, make_figure
+from road_envs.analysis.roughness import displacement_psd, smooth_psd
+from road_envs.data.record import scored_band
+
+CONDITION_COLOURS = ("#009E73", "#F0C000", "#D55E00", "#7B2D26", "#3D1410")
+"""Colours of the categories, from the best: told apart by lightness, too."""
+
+ROWS, ROW_LENGTH = 6, 50.0
+"""Largest number of rows of the strip, and the least length [m] of one."""
+
+POINTS = 1500
+"""Largest number of points of a line."""
+
+LONGEST_WAVE = 20.0
+"""Longest wave [m] of the profile strip."""
+
+
+def to_svg(paint: Callable[[Any], None], size: tuple[float, float]) -> str:
+    """Return a figure as an SVG element, with text as text."""
+    import matplotlib as mpl
+
+    buffer = io.StringIO()
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "road-recon", "font.size": 9}):
+        make_figure(paint, size).savefig(buffer, format="svg", metadata={"Date": None})
+    text = buffer.getvalue()
+    return text[text.index("<svg") :]
+
+
+def colour(conditions: Conditions, iri: float) -> str:
+    """Return the colour of the category of an IRI [mm/m]."""
+    return CONDITION_COLOURS[min(conditions.level(iri), len(CONDITION_COLOURS) - 1)]
+
+
+def profile_strip(result: DriveResult) -> str:
+    """Return the heights of both wheel paths over the chainage, with their 95 % interval."""
+    estimate, ds = result.estimate, result.estimate.ds
+    band = (1.0 / LONGEST_WAVE, scored_band(result.v)[1])
+    z = 1e3 * band_pass(estimate.z, ds, band)
+    trim = (estimate.s.size - z.shape[1]) // 2
+    s = result.chainage + estimate.s[trim : trim + z.shape[1]]
+    std = None if estimate.z_std is None else 1e3 * estimate.z_std[:, trim : trim + z.shape[1]]
+    rows = int(np.clip(np.ceil((s[-1] - s[0]) / ROW_LENGTH), 1, ROWS))
+    limit = 1.1 * float(np.abs(z).max()) + 1.0
+
+    def paint(figure: Any) -> None:
+        panels = np.atleast_1d(figure.subplots(rows, 1, sharey=True))
+        for axes, part in zip(panels, np.array_split(np.arange(s.size), rows), strict=True):
+            step = max(1, part.size // POINTS)
+            part = part[::step]
+            for k, side in enumerate(SIDES):
+                axes.plot(s[part], z[k, part], color=COLOURS[side], lw=0.9, label=side)
+                if std is not None:
+                    low, high = (z[k, part] + f * std[k, part] for f in (-1.96, 1.96))
+                    axes.fill_between(s[part], low, high, color=COLOURS[side], alpha=0.2, lw=0)
+            for obstacle in result.obstacles:
+                if s[part[0]] <= obstacle["station_m"] <= s[part[-1]]:
+                    axes.annotate(
+                        f"{obstacle['height_mm']:+.0f} mm",
+                        (obstacle["station_m"], 0.9 * limit),
+                        ha="center",
+                        va="top",
+                        fontsize=8,
+                    )
+            axes.set(xlim=(s[part[0]], s[part[-1]]), ylim=(-limit, limit))
+            axes.grid(color="0.9", lw=0.5)
+        panels[0].legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+        panels[rows // 2].set_ylabel("height [mm]")
+        panels[-1].set_xlabel("chainage [m]")
+
+    return to_svg(paint, (8.0, 0.6 + 1.15 * rows))
+
+
+def iri_chart(result: DriveResult, conditions: Conditions) -> str:
+    """Return the IRI of the segments along the road, with intervals, over the categories."""
+
+    def paint(figure: Any) -> None:
+        axes = figure.subplots()
+        segments = result.segments
+        edges = [row["begin_m"] for row in segments] + [segments[-1]["end_m"]]
+        top = 1.15 * max(row[f"iri_{p}_high"] for row in segments for p in ("left", "right"))
+        limits = (0.0, *conditions.limits, max(top, 1.2 * conditions.limits[-1]))
+        for k, (low, high) in enumerate(pairwise(limits)):
+            shade = CONDITION_COLOURS[min(k, len(CONDITION_COLOURS) - 1)]
+            axes.axhspan(low, high, color=shade, alpha=0.10, lw=0)
+            if low < top:
+                axes.annotate(
+                    conditions.categories[k], (edges[-1], low), (-3, 2), ha="right", va="bottom",
+                    textcoords="offset points", color="0.35", fontsize=8,
+                )  # fmt: skip
+        for side in SIDES:
+            axes.stairs(
+                [row[f"iri_{side}"] for row in segments], edges, baseline=None,
+                color=COLOURS[side], lw=1.2, label=side,
+            )  # fmt: skip
+        middle = [0.5 * (row["begin_m"] + row["end_m"]) for row in segments]
+        mean = np.array([row["iri_mean"] for row in segments])
+        low, high = (np.array([row[f"iri_mean_{x}"] for row in segments]) for x in ("low", "high"))
+        axes.errorbar(
+            middle, mean, [mean - low, high - mean], fmt="o", ms=3, color="0.1", lw=1.0,
+            capsize=2, label="mean with 95 % interval",
+        )  # fmt: skip
+        axes.set(xlabel="chainage [m]", ylabel="IRI [mm/m]", xlim=(edges[0], edges[-1]))
+        axes.set_ylim(0.0, top)
+        axes.legend(frameon=False, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+
+    return to_svg(paint, (8.0, 3.0))
+
+
+def density_chart(result: DriveResult) -> str:
+    """Return the displacement spectral density of both wheel paths over the ISO 8608 classes."""
+    band = scored_band(result.v)
+
+    def paint(figure: Any) -> None:
+        axes = figure.subplots()
+        draw_classes(axes)
+        for side, z in zip(SIDES, result.estimate.z, strict=True):
+            n, G = smooth_psd(*displacement_psd(z, result.estimate.ds))
+            inside = (n >= 0.5 * band[0]) & (n <= band[1])
+            axes.plot(n, G, color=COLOURS[side], lw=0.7, alpha=0.5)
+            axes.plot(n[inside], G[inside], color=COLOURS[side], lw=1.6, label=side)
+        axes.axvspan(0.02, 0.5 * band[0], color="0.5", alpha=0.12, lw=0)
+        axes.axvspan(band[1], 10.0, color="0.5", alpha=0.12, lw=0)
+        axes.legend(frameon=False)
+
+    return to_svg(paint, (4.6, 3.6))
+
+
+def track_map(result: DriveResult, conditions: Conditions) -> str:
+    """Return the track with segments in the colour of their category; empty without positions."""
+    if result.measured.position is None:
+        return ""
+    lat, lon = result.measured.position
+    north = 111_195.0 * (lat - lat[0])
+    east = 111_195.0 * np.cos(np.radians(lat[0])) * (lon - lon[0])
+    station = result.chainage + result.measured.record.s
+
+    def paint(figure: Any) -> None:
+        axes = figure.subplots()
+        axes.plot(east, north, color="0.8", lw=6, solid_capstyle="round", zorder=1)
+        for row in result.segments:
+            part = np.flatnonzero((station >= row["begin_m"]) & (station <= row["end_m"]))
+            step = max(1, part.size // 200)
+            part = part[::step]
+            shade = colour(conditions, row["iri_mean"])
+            axes.plot(east[part], north[part], color=shade, lw=3.5, zorder=2)
+        for obstacle in result.obstacles:
+            x, y = (np.interp(obstacle["station_m"], station, q) for q in (east, north))
+            mark = "^" if obstacle["height_mm"] > 0.0 else "v"
+            axes.plot(x, y, mark, color="0.1", ms=7, zorder=3)
+            axes.annotate(
+                f" {obstacle['height_mm']:+.0f} mm", (x, y), (5, -3),
+                textcoords="offset points", fontsize=8,
+            )  # fmt: skip
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.margins(0.12)
+        axes.set(xlabel="east of the start [m]", ylabel="north of the start [m]")
+        axes.grid(color="0.92", lw=0.5)
+
+    return to_svg(paint, (4.6, 3.6))
