@@ -1,0 +1,78 @@
+"""The command `report`: a table of a drive in, a page and files out."""
+
+import json
+import re
+import sys
+
+import pandas as pd
+import pytest
+
+from leaderboard import cli
+
+
+@pytest.fixture
+def road_recon(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["road-recon", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        out, err = capsys.readouterr()
+        return ended.value.code or 0, out, err
+
+    return run
+
+
+DRIVE = ("--road", "iso_b", "--length", "120", "--speed-kmh", "50", "--sensors", "phone")
+
+
+def test_a_report_has_a_page_that_needs_no_other_file_and_tables_that_agree(road_recon, tmp_path):
+    road_recon("simulate", *DRIVE, "--out", "one.csv")
+    table = pd.read_csv("one.csv", comment="#")
+    table["lat"] = 48.0 + 1e-5 * table["s [m]"]
+    table["lon"] = 11.0
+    table.to_csv("one.csv", index=False)
+    words = ("report", "one.csv", "--out", "r", "--estimator", "wiener", "--segment", "20")
+    code, out, err = road_recon(*words, "--sensors", "phone", "--conditions", "norway", "--json")
+    assert code == 0, err
+    (drive,) = json.loads(out)["drives"]
+    assert {path.name for path in (tmp_path / "r").iterdir()} == {
+        "index.html", "one.geojson", "one_segments.csv", "one_segments.parquet",
+        "one_obstacles.csv", "one_obstacles.parquet", "one_heights.parquet",
+    }  # fmt: skip
+    rows = pd.read_csv(tmp_path / "r/one_segments.csv", keep_default_na=False)
+    assert rows["iri_mean"].tolist() == pytest.approx([r["iri_mean"] for r in drive["segments"]])
+    assert (rows["iri_mean_low"] < rows["iri_mean"]).all() and set(rows["state"]) == {"ride"}
+    assert rows["iri_mean"].between(2.0, 7.0).all()  # class B: 4.3
+    assert set(rows["condition"]) <= {"adequate", "poor", "very poor"}
+    pd.testing.assert_frame_equal(rows, pd.read_parquet(tmp_path / "r/one_segments.parquet"),
+                                  check_dtype=False, check_exact=False)  # fmt: skip
+    page = (tmp_path / "r/index.html").read_text(encoding="utf-8")
+    assert not re.search(r"""(src|href)\s*=\s*["'](?!#)""", page) and "@import" not in page
+    assert page.count("<svg") == 4 and f"{rows['iri_mean'][2]:.2f}" in page
+    features = json.loads((tmp_path / "r/one.geojson").read_text())["features"]
+    assert sum(f["geometry"]["type"] == "LineString" for f in features) == len(rows)
+
+
+def test_without_positions_there_is_no_map(road_recon, tmp_path):
+    road_recon("simulate", *DRIVE, "--out", "one.parquet")
+    code, out, err = road_recon("report", "one.parquet", "--out", "r", "--estimator", "wiener")
+    assert code == 0 and "written: r/index.html and 5 tables" in out, err
+    assert (tmp_path / "r/index.html").read_text(encoding="utf-8").count("<svg") == 3
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("missing.csv", "--out", "r"), "missing.csv: no readable table"),
+        (("one.csv", "--out", "r", "--segment", "50"), "--segment must be one of 10, 20, 100 m"),
+        (("one.csv", "--out", "r", "--conditions", "hpm"), "did you mean 'hpms'"),
+        (("one.csv", "--out", "one.csv"), "a file; give a folder"),
+    ],
+)
+def test_wrong_words_end_in_one_sentence_without_a_folder(road_recon, tmp_path, words, message):
+    (tmp_path / "one.csv").write_text("t\n1\n")
+    code, _, err = road_recon("report", *words)
+    assert code == 2 and message in err and err.count("\n") == 1
+    assert not (tmp_path / "r").exists()

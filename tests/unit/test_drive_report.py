@@ -1,0 +1,171 @@
+"""Results of a drive report: posterior of the IRI, obstacles, categories, segments and files."""
+
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.signal import welch
+
+from leaderboard.drive_report.analysis import analyse
+from leaderboard.drive_report.conditions import Conditions, load_conditions
+from leaderboard.drive_report.export import write_geojson
+from leaderboard.drive_report.obstacles import detect
+from leaderboard.drive_report.posterior_iri import MODEL_STD, posterior_iri, unit_error
+from road_envs.analysis.roughness import iri
+from road_envs.config import ConfigError
+from road_envs.data.measured_record import MeasuredRecord
+from road_envs.data.record import PROFILE_SPACING, Estimate, Record, profile_stations
+from road_envs.roads import realise_road
+
+HPMS = load_conditions("hpms")
+
+
+def estimate(road, length=300.0, std=0.0, seed=1):
+    surface = realise_road(road, seed, None if road == "street" else length)
+    s = profile_stations(length)
+    return Estimate(s, surface.height(s), np.full((2, s.size), std))
+
+
+def drive(length=300.0, speed=15.0, fs=200.0):
+    """Three silent accelerometers at constant speed from station 0."""
+    t = np.arange(int(length / speed * fs) + 1) / fs
+    off = np.zeros((t.size, 4), dtype=bool)
+    a = np.zeros((3, t.size))
+    return Record(t, a, np.full(t.size, speed), speed * t, off, off, length)
+
+
+def test_the_error_has_unit_variance_in_the_band_and_falls_with_the_square_of_frequency():
+    rng = np.random.default_rng(2)
+    x = np.array([unit_error(8000, PROFILE_SPACING, (0.2, 1.8), rng) for _ in range(200)])
+    n, G = welch(x, 1.0 / PROFILE_SPACING, nperseg=8000, detrend=False)
+    G = G.mean(axis=0)
+    inside = (n >= 0.2) & (n <= 1.8)
+    assert np.trapezoid(G[inside], n[inside]) == pytest.approx(1.0, rel=0.05)
+    slope = np.polyfit(np.log(n[inside]), np.log(G[inside]), 1)[0]
+    assert slope == pytest.approx(-2.0, abs=0.1)
+
+
+def test_without_error_the_median_is_the_iri_of_the_profile():
+    one = estimate("iso_c")
+    edges = np.array([0.0, 100.0, 200.0, 300.0])
+    found = posterior_iri(one, 15.0, edges)
+    expected = iri(one.z, one.ds, segment=100.0)
+    np.testing.assert_allclose(found.median[:2, :2], expected[:, :2], rtol=0.02)
+    width = np.log(found.high / found.low)
+    np.testing.assert_allclose(width, 2 * 1.96 * MODEL_STD, rtol=0.25)
+    bare = posterior_iri(Estimate(one.s, one.z), 15.0, edges)
+    np.testing.assert_array_equal(bare.low, bare.high)
+
+
+def test_the_interval_of_a_smoothed_profile_contains_the_iri_of_the_road():
+    """Estimate: the road less an error that is independent of the estimate, as of a posterior."""
+    rng, hits, bias = np.random.default_rng(3), 0, []
+    edges = np.arange(0.0, 301.0, 50.0)
+    for seed in range(8):
+        one = estimate("iso_b", seed=seed)
+        std = 0.001
+        error = std * unit_error(one.s.size, one.ds, (0.2, 1.5), rng)
+        truth = Estimate(one.s, one.z + error)
+        found = posterior_iri(Estimate(one.s, one.z, np.full_like(one.z, std)), 15.0, edges)
+        true = posterior_iri(truth, 15.0, edges).median
+        plain = posterior_iri(Estimate(one.s, one.z), 15.0, edges).median
+        hits += int(((found.low <= true) & (true <= found.high)).sum())
+        bias.append([np.mean(found.median / true) - 1.0, np.mean(plain / true) - 1.0])
+    assert hits >= 0.9 * 8 * 18
+    ours, of_profile = np.mean(bias, axis=0)
+    assert abs(ours) < 0.02 and of_profile < -0.03
+
+
+def test_a_hump_a_pothole_and_a_bump_are_found_between_the_waves_of_a_street():
+    hump, hole, bump = detect(estimate("street", std=0.002))
+    assert hump.station == pytest.approx(80.0, abs=0.3)
+    assert hump.height == pytest.approx(0.075, rel=0.1)
+    # a half sine exceeds half its height over two thirds of its length
+    assert hump.length == pytest.approx(2.0 / 3.0 * 3.7, rel=0.15)
+    assert hole.station == pytest.approx(150.0, abs=0.3)
+    assert hole.height == pytest.approx(-0.05, rel=0.2)
+    assert bump.station == pytest.approx(220.0, abs=0.3)
+    assert bump.height == pytest.approx(0.03, rel=0.2)
+    assert [hump.side, hole.side, bump.side] == ["both", "right", "both"]
+    assert min(hump.confidence, hole.confidence, bump.confidence) > 0.9
+
+
+def test_random_roads_have_next_to_no_obstacles():
+    """At a confidence of 0.95 there is one in 20 wheel paths of 100 m; here are 120."""
+    for road in ("iso_c", "iso_d"):
+        found = [o for seed in range(20) for o in detect(estimate(road, seed=seed))]
+        assert len(found) <= 12
+        assert all(obstacle.confidence < 0.9999 for obstacle in found)
+    assert not [o for seed in range(10) for o in detect(estimate("iso_b", seed=seed))]
+
+
+def test_categories_change_at_95_and_170_inches_per_mile():
+    inch_per_mile = 1e3 * 0.0254 / 1609.344
+    for value, category in ((94.9, "good"), (95.1, "fair"), (169.9, "fair"), (170.1, "poor")):
+        assert HPMS.category(inch_per_mile * value) == category
+    with pytest.raises(ConfigError, match="2 categories need 1 limits"):
+        Conditions(name="x", title="x", categories=("a", "b"), limits=(1.0, 2.0), source="")
+    with pytest.raises(ConfigError, match="must increase"):
+        Conditions(name="x", title="x", categories=("a", "b", "c"), limits=(2.0, 1.0), source="")
+
+
+def test_segments_end_at_multiples_of_their_length_in_the_chainage_of_the_user():
+    measured = MeasuredRecord(drive(), chainage=1234.0)
+    rows = analyse("d", measured, estimate("iso_c"), HPMS, segment=100.0).segments
+    assert [round(row["end_m"]) for row in rows] == [1300, 1400, 1534]
+    assert rows[0]["begin_m"] == 1234.0
+    assert all(a["end_m"] == b["begin_m"] for a, b in pairwise(rows))
+    short = analyse("d", measured, estimate("iso_c"), HPMS, segment=10.0).segments
+    assert len(short) == 30 and short[1]["end_m"] == pytest.approx(1250.0)
+    mean = np.average(
+        [r["iri_mean"] for r in short], weights=[r["end_m"] - r["begin_m"] for r in short]
+    )
+    whole = np.average(
+        [r["iri_mean"] for r in rows], weights=[r["end_m"] - r["begin_m"] for r in rows]
+    )
+    assert mean == pytest.approx(whole, rel=0.02)
+
+
+@pytest.mark.parametrize(("road", "letter"), [("iso_a", "A"), ("iso_b", "B"), ("iso_d", "D")])
+def test_the_class_of_a_segment_is_that_of_the_road(road, letter):
+    rows = analyse("d", MeasuredRecord(drive()), estimate(road), HPMS, segment=100.0).segments
+    assert {row["class"] for row in rows} == {letter}
+    assert {row["class_0.25"] for row in rows} <= {chr(ord(letter) + k) for k in (-1, 0, 1)}
+    assert analyse("d", MeasuredRecord(drive()), estimate(road), HPMS, segment=10.0).segments[3][
+        "class_0.125"
+    ] == ""  # 1.25 waves  # fmt: skip
+
+
+def test_flags_name_the_segments_that_they_belong_to():
+    record = drive()
+    record.a[:, (record.s > 110.0) & (record.s < 130.0)] = np.nan
+    record.a[0, (record.s > 250.0) & (record.s < 251.0)] = 70.0
+    record.v[record.s < 90.0] = 4.0
+    measured = MeasuredRecord(record, fs=50.0)
+    rows = analyse("d", measured, estimate("iso_c"), HPMS, segment=100.0, clipping=68.6).segments
+    assert "slow: waves longer than" in rows[0]["flags"] and "start" in rows[0]["flags"]
+    assert "20% of the samples lost" in rows[1]["flags"] and "clipped" not in rows[1]["flags"]
+    assert "clipped" in rows[2]["flags"] and "lost" not in rows[2]["flags"]
+    fast = analyse("d", MeasuredRecord(drive(speed=30.0)), estimate("iso_c"), HPMS).segments
+    assert "waves shorter than 1.3 m are not resolved" in fast[1]["flags"]
+
+
+def test_geojson_has_lines_for_segments_and_points_for_obstacles(tmp_path):
+    record = drive()
+    position = np.stack([48.0 + record.s / 111_195.0, 11.0 + 0.0 * record.s])
+    measured = MeasuredRecord(record, chainage=500.0, position=position)
+    result = analyse("d", measured, estimate("street", std=0.002), HPMS)
+    (path,) = write_geojson(result, tmp_path, "d")
+    features = json.loads(path.read_text())["features"]
+    kinds = [feature["geometry"]["type"] for feature in features]
+    assert kinds == ["LineString"] * 3 + ["Point"] * 3
+    lon, lat = features[3]["geometry"]["coordinates"]
+    assert (lat - 48.0) * 111_195.0 == pytest.approx(80.0, abs=0.5) and lon == 11.0
+    assert features[3]["properties"]["station_m"] == pytest.approx(580.0, abs=0.3)
+    first, last = (features[1]["geometry"]["coordinates"][k] for k in (0, -1))
+    assert (last[1] - first[1]) * 111_195.0 == pytest.approx(100.0, abs=0.5)
+    assert (
+        write_geojson(analyse("d", MeasuredRecord(record), estimate("iso_c"), HPMS), tmp_path, "e")
+        == []
+    )
