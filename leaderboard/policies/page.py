@@ -128,7 +128,7 @@ def _policy_trace(row: dict[str, Any], symbol: str, k: int) -> dict[str, Any]:
             "symbol": symbol if row["pareto"] else f"{symbol}-open",
             "size": 10,
             "color": colour,
-            "line": {"width": 2},
+            "line": {"width": 2, "color": colour},
         },
         "customdata": [f"#policy-{row['policy'].replace(' ', '-')}"],
         "hovertemplate": f"{row['policy']}, {status(row)}: %{{x:.3f}}, error %{{y:.3f}}"

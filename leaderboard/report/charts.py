@@ -220,14 +220,14 @@ def _class_areas() -> list[dict[str, Any]]:
 
 
 def _class_letters() -> list[dict[str, Any]]:
-    """Return the letters of the classes at the right edge; annotations are at powers of ten."""
+    """Return letters of the shaded classes at the right edge; annotations take powers of ten."""
     n = CLASS_FREQUENCIES[1]
     look = {"showarrow": False, "xanchor": "right", "font": {"color": QUIET}}
     at = {letter: np.log10(_class_line(G)[1]) for letter, G in CLASSES.items()}
     return [
         {"text": letter, "x": np.log10(n), "y": rounded(y, 4), **look}
         for letter, y in at.items()
-        if y > -9
+        if y > -9 and letter in "ACEG"
     ]
 
 

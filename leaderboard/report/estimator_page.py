@@ -116,7 +116,7 @@ def _error_figure(row: Row, section: Section, definition: BoardDefinition) -> di
     names = [group for groups in section.groups.values() for group in groups]
     groups = {"all drives": row.values, **{name: row.groups.get(name, {}) for name in names}}
     found = {name: x for name, values in groups.items() if (x := values.get(key)) is not None}
-    if not found:
+    if len(found) < 2:
         return None
     reach = {
         end: [
@@ -196,9 +196,11 @@ def _standardized(trace: Trace) -> np.ndarray:
 
 
 def worst_drives(task: Task, result: Result, key: str) -> list[tuple[str, ...]]:
-    """Return task, road, condition, training seed and error of the worst drives, worst first."""
+    """Return task, road, condition, training seed and error of the worst of several drives."""
     drives = [drive for drive in result.drives if drive.scores.get(key) is not None]
     drives.sort(key=lambda drive: -drive.scores[key])
+    if len(drives) < 2:
+        return []
     form = COLUMNS[key]
     return [
         (

@@ -1,6 +1,6 @@
 """First screen of the index: the ranking as bars, three plain sentences, one strip of road."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from leaderboard.evaluation.boards import BoardDefinition
@@ -25,8 +25,8 @@ MAX_BARS = 16
 BAR_HEIGHT = 21
 """Height of a bar with its gap [pixels]."""
 
-LABEL_HEIGHT, LETTER_WIDTH = 16, 0.018
-"""Height of the label of a line [pixels], and width of a letter as a share of the axis."""
+LABEL_HEIGHT, MODEBAR_HEIGHT = 15, 34
+"""Heights of the label of a line and of the buttons above a chart [pixels]."""
 
 STRIP_LENGTH = 30.0
 """Length of road [m] that the strip shows at first."""
@@ -147,8 +147,7 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> Chart | None
         "hovertext": hover,
         "hovertemplate": "%{hovertext}<extra></extra>",
     }
-    levels = _label_levels(marks, limit)
-    top = 34 + LABEL_HEIGHT * (1 + max(levels.values(), default=0))
+    top = MODEBAR_HEIGHT + LABEL_HEIGHT * len(marks)
     layout = {
         "height": BAR_HEIGHT * len(rows) + top + 44,
         "margin": {"l": 8, "r": 12, "t": top, "b": 44},
@@ -158,7 +157,7 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> Chart | None
         "yaxis": axis("", autorange="reversed", ticks="", showgrid=False, fixedrange=True),
         "shapes": [upright(x, "dash") for x in marks.values()],
         "annotations": [
-            _mark_label(text, x, x > 0.7 * limit, levels[text]) for text, x in marks.items()
+            _mark_label(text, x, level) for level, (text, x) in enumerate(marks.items())
         ],
     }
     title = f"{section.title}: error of every entry, with 95 % intervals"
@@ -168,44 +167,27 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> Chart | None
 def _error_label(key: str) -> str:
     score = COLUMNS[key]
     if key == "nrmse":
-        return "error: 0 is exact, 1 is that of a flat road"
+        return "error (a flat road has 1)"
     return f"{score.label} [{score.unit}]" if score.unit else score.label
 
 
 def _marked_values(section: Section, key: str) -> dict[str, float]:
-    """Return the values of bound and baselines by label; equal ones share a label."""
+    """Return bound and baselines by label, smallest first; equal ones share a label."""
     found: dict[str, tuple[list[str], float]] = {}
     for row in section.rows:
         value = row.values.get(key)
         if value is not None and row.state == "baseline":
             text = "linear bound" if row.name == BOUND_ROW else row.name.replace("_", " ")
             found.setdefault(COLUMNS[key].format_value(value), ([], value))[0].append(text)
-    return {f"{', '.join(names)} {text}": value for text, (names, value) in found.items()}
+    marks = {f"{', '.join(names)} {text}": value for text, (names, value) in found.items()}
+    return dict(sorted(marks.items(), key=lambda item: item[1]))
 
 
-def _label_levels(marks: Mapping[str, float], limit: float) -> dict[str, int]:
-    """Return the level of each label above the bars, so that none is printed over another.
-
-    Labels extend to the right of their lines, those near the right edge to the left.
-    """
-    taken: list[tuple[int, float, float]] = []
-    levels = {}
-    for text, x in sorted(marks.items(), key=lambda item: item[1]):
-        width = LETTER_WIDTH * len(text)
-        low, high = (
-            (x / limit - width, x / limit) if x > 0.7 * limit else (x / limit, x / limit + width)
-        )
-        busy = {level for level, a, b in taken if a < high and low < b}
-        levels[text] = next(k for k in range(len(marks)) if k not in busy)
-        taken.append((levels[text], low, high))
-    return levels
-
-
-def _mark_label(text: str, x: float, at_right: bool, level: int) -> dict[str, Any]:
+def _mark_label(text: str, x: float, level: int) -> dict[str, Any]:
+    """Return the label of a line, left of it: there is room above the names, on any screen."""
     look = {"showarrow": False, "font": {"color": QUIET, "size": 11}, "yanchor": "bottom"}
-    side = {"xanchor": "right" if at_right else "left", "xshift": -2 if at_right else 2}
     at = {"x": x, "y": 1, "yref": "paper", "yshift": LABEL_HEIGHT * level}
-    return {"text": text, **at, **side, **look}
+    return {"text": text, **at, "xanchor": "right", "xshift": -2, **look}
 
 
 def strip_chart(section: Section, results: Iterable[Result], ranks_by: str) -> Chart | None:

@@ -96,6 +96,8 @@ def render_pages(board: Board, report: Report, policies: bool = False) -> Iterat
 def _index(board: Board, report: Report) -> dict[str, Any]:
     errors, _ = unrelated_level_errors()
     claims = [t.claimed_level_error for t in board.tasks if t.claimed_level_error is not None]
+    boards = [(view, [_table(view, s) for s in view.sections]) for view in report.views]
+    explained = {(c.label, c.help): c for _, made in boards for t in made for c in t["columns"]}
     view = report.views[0]
     section, definition = view.sections[0], view.definition
     task = next(task for task in board.tasks if task.name == section.task)
@@ -113,7 +115,8 @@ def _index(board: Board, report: Report) -> dict[str, Any]:
         "levels": overview.levels_chart(sorted(claims)),
         "claims": claims,
         "pairs": f"{errors.size} wheel paths of class {UNRELATED_ROAD['road_class']}",
-        "boards": [(view, [_table(view, s) for s in view.sections]) for view in report.views],
+        "boards": boards,
+        "explained": list(explained.values()),
         "noise": NOISE_LEVEL,
         "provenance": board_provenance(board),
     }
