@@ -201,19 +201,18 @@ def test_pages_of_removed_tasks_and_entries_are_deleted(tmp_path):
 
 
 def test_an_unchanged_site_is_not_rewritten_and_any_change_rebuilds_it(tmp_path):
-    for found in results().values():
-        for result in found:
-            save(result, tmp_path)
-    many = tuple(tasks())
+    for result in results()["paving"]:
+        save(result, tmp_path)
+    paving = tasks()[1:2]
 
     def build():
-        made = load_board(many, tmp_path)
+        made = load_board(paving, tmp_path)
         index = write_site(made, build_report(made, tmp_path), tmp_path)
         return {path: path.stat().st_mtime_ns for path in index.parent.rglob("*.html")}
 
     first = build()
     assert build() == first  # nothing was written
-    page = tmp_path / "tasks" / "held_out.html"
+    page = tmp_path / "tasks" / "paving.html"
     for change in (
         page.unlink,
         lambda: page.write_text("cut short"),
@@ -226,7 +225,7 @@ def test_an_unchanged_site_is_not_rewritten_and_any_change_rebuilds_it(tmp_path)
         change()
         again = build()
         assert again[page] != first[page] and build() == again
-        assert "held_out" in page.read_text()  # and not the text written above
+        assert "paving" in page.read_text()  # and not the text written above
         first = again
 
 
@@ -431,7 +430,7 @@ def test_densities_errors_and_performance_profiles_equal_the_scores():
     below = n < 3.0  # above, the rounding of stored traces is noise
     np.testing.assert_allclose((mine / truth)[below], 0.81, rtol=0.02)
     letters = [note["text"] for note in density["layout"]["annotations"]]
-    assert "".join(letters) in "ABCDEFGH" and len(letters) > 5
+    assert "".join(letters) == "ACEG"  # of the shaded classes
 
 
 def test_the_ranking_chart_shows_every_entry_with_its_interval():
