@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 READY := $(VENV)/.ready
 
-.PHONY: leaderboard policies test test-long test-lowest lint bench mutants docs clean
+.PHONY: leaderboard policies test suite test-long test-lowest lint bench mutants docs clean
 
 leaderboard: $(READY)
 	$(VENV)/bin/road-recon leaderboard --board paper --board new_road --seeds 2 \
@@ -14,7 +14,11 @@ leaderboard: $(READY)
 policies: $(READY)
 	$(VENV)/bin/road-recon policies --scenarios league --sweep --out out/policies
 
-test: lint
+# side by side: mypy uses one core
+test: $(READY)
+	$(MAKE) --jobs=2 lint suite
+
+suite: $(READY)
 	$(VENV)/bin/pytest -n auto --dist worksteal
 
 test-long: $(READY)

@@ -6,6 +6,7 @@ the high state while the sum over its two struts is positive. v is integrated fr
 accelerometers, e' is measured at the struts.
 """
 
+import abc
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
@@ -17,7 +18,7 @@ from road_envs.policies.body_motion import BodyMotionEstimator
 
 
 @dataclass(kw_only=True)
-class TwoStateDamper(Settings):
+class TwoStateDamper(Settings, abc.ABC):
     """Policy with state `high` where the law is positive, else ride.
 
     `bias` shifts the threshold by a share of the running mean magnitude of the sum; a positive one
@@ -45,6 +46,6 @@ class TwoStateDamper(Settings):
         firm = axles + self.bias * self.mean_magnitude > 0
         return self.context.switch_axles(firm, "ride", self.high)
 
+    @abc.abstractmethod
     def law(self, v: np.ndarray, a: np.ndarray, e_dot: np.ndarray) -> np.ndarray:
         """Return a value for each strut (N, 4) from v [m/s], a [m/s²] and e' [m/s], all (N, 4)."""
-        raise NotImplementedError
