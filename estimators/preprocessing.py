@@ -115,6 +115,12 @@ def mask_record(record: Record, instruments: Instruments | None = None) -> Maske
     return MaskedRecord(record, valid, (*gap_notes, *clock_notes, *drive_notes, *clipping_notes))
 
 
+def clipped_signs(record: Record, instruments: Instruments) -> np.ndarray:
+    """Return 1 and -1 where a sample (3, N) is at the upper and lower end of the range, else 0."""
+    clipped = np.abs(np.nan_to_num(record.a)) >= RANGE_SHARE * instruments.range
+    return clipped * np.sign(np.nan_to_num(record.a))
+
+
 def clean_record(record: Record) -> tuple[Record, tuple[str, ...]]:
     """Return `record` on an even clock with missing samples interpolated linearly, and notes.
 

@@ -17,12 +17,15 @@ MIN_NOISE_DENSITY = 1e-3
 class BlockMeans:
     """Means `y` (S, J) [m/s²] over blocks of b samples, the `sample_weight` (S, J, b) of each
     sample in the mean of its block (0 if unused) and the number of samples used, `sample_count` (S,
-    J).
+    J). The reading of a sample that is `censored` (S, J b), as in `block_means`, is a `limit` (S, J
+    b) [m/s²]; both are None if no sample is.
     """
 
     y: np.ndarray
     sample_weight: np.ndarray
     sample_count: np.ndarray
+    censored: np.ndarray | None = None
+    limit: np.ndarray | None = None
 
     @property
     def n_samples(self) -> int:
@@ -33,16 +36,36 @@ class BlockMeans:
         """Return the means (S, J) of other samples `a` (S, J b) with the same weights."""
         return np.einsum("sjb,sjb->sj", self.sample_weight, a.reshape(self.sample_weight.shape))
 
+    def residual(self, predicted: np.ndarray) -> np.ndarray:
+        """Return the means (S, J) of measured less `predicted` (S, J b) samples [m/s²].
 
-def block_means(a: np.ndarray, valid: np.ndarray, block: int) -> BlockMeans:
+        A censored sample that is predicted beyond its limit has no residual.
+        """
+        residual = self.y - self.average(predicted)
+        if self.censored is not None and self.limit is not None:
+            beyond = self.censored * (predicted - self.limit) > 0.0
+            residual -= self.average(np.where(beyond, self.limit - predicted, 0.0))
+        return residual
+
+
+def block_means(
+    a: np.ndarray, valid: np.ndarray, block: int, censored: np.ndarray | None = None
+) -> BlockMeans:
     """Return the means of the `valid` samples of `a` (S, T) [m/s²], over blocks of `block` samples.
 
-    Up to `block` - 1 samples at the end fill no block and are left out.
+    `censored` (S, T) is 1 where `a` is the upper end of the instrument's range, which the true
+    value exceeds, -1 where it is the lower end, else 0. Up to `block` - 1 samples at the end fill
+    no block and are left out.
     """
     J = a.shape[1] // block
-    shape = (a.shape[0], J, block)
-    valid, a = valid[:, : J * block].reshape(shape), a[:, : J * block].reshape(shape)
-    count = valid.sum(axis=2)
-    weight = valid / np.maximum(count, 1)[:, :, None]
-    y = np.einsum("sjb,sjb->sj", weight, np.where(valid, a, 0.0))
-    return BlockMeans(y, weight, count.astype(float))
+    shape, a = (a.shape[0], J, block), a[:, : J * block]
+    used = valid[:, : J * block]
+    if censored is not None:
+        censored = censored[:, : J * block]
+        used = used | (censored != 0)
+        censored = censored if censored.any() else None
+    used = used.reshape(shape)
+    count = used.sum(axis=2)
+    weight = used / np.maximum(count, 1)[:, :, None]
+    y = np.einsum("sjb,sjb->sj", weight, np.where(used, a.reshape(shape), 0.0))
+    return BlockMeans(y, weight, count.astype(float), censored, None if censored is None else a)

@@ -5,11 +5,12 @@
 a(road) is what three accelerometers measure when the vehicle, with its gas springs, dampers,
 friction, stops and tyres that lift off, is driven over the road. u is white noise that the prior
 shapes into an equally rough surface in all directions (`road_prior.py`); its density is
-re-estimated from the drive, octave by octave. Both axles roll over the same unknown road.
-Gauss-Newton steps with the exact tangent and adjoint of the simulator's step (`objective.py`) are
-solved by conjugate gradients, preconditioned by the stationary linear vehicle
-(`preconditioner.py`). Friction is smoothed and the noise inflated at first and less so in later
-steps (`gauss_newton.py`). At last the road is lowered where a wheel has lifted off
+re-estimated from the drive, octave by octave, and along the road where it is rough in places only
+(potholes, bumps). A clipped sample is a limit: the acceleration was at least that. Both axles roll
+over the same unknown road. Gauss-Newton steps with the exact tangent and adjoint of the simulator's
+step (`objective.py`) are solved by conjugate gradients, preconditioned by the stationary linear
+vehicle (`preconditioner.py`). Friction is smoothed and the noise inflated at first and less so in
+later steps (`gauss_newton.py`). At last the road is lowered where a wheel has lifted off
 (`wheel_liftoff.py`). (Talagrand & Courtier 1987, doi:10.1002/qj.49711347812, for the adjoint
 method.)
 
@@ -28,14 +29,16 @@ from typing import ClassVar
 import numpy as np
 
 from estimators.common.block_means import MIN_NOISE_DENSITY
+from estimators.common.fallback import reduce_unexplained
 from estimators.common.model_inputs import MOVING_STD, REST_STD, build_model_inputs, rest_state
 from estimators.common.spline import evaluate_spline
 from estimators.map_smoother.gauss_newton import NOISE_SCALE_WARNING, MapSolution, minimize
 from estimators.map_smoother.objective import MeasurementModel, Objective
 from estimators.map_smoother.posterior_sampling import posterior_std
 from estimators.map_smoother.preconditioner import stationary_hessian
+from estimators.map_smoother.wheel_liftoff import distance_in_air
 from estimators.map_smoother.windows import MARGIN, PreparedDrive, reconstruct, split_windows
-from estimators.preprocessing import mask_record
+from estimators.preprocessing import clipped_signs, mask_record
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.analysis.roughness import CLASSES
 from road_envs.config import STRICT
@@ -50,6 +53,10 @@ NODE_SPACING_RANGE = (0.025, 0.05)
 
 F_RESOLVED = 70.0
 """Frequency [Hz] that the nodes resolve at any speed, within NODE_SPACING_RANGE."""
+
+LOST_NOISE_SCALE = 300.0
+"""Noise scale above which the minimization has lost the vehicle, as on obstacles that throw it off
+the ground again and again. Vehicles that are not the one described stay far below."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,24 +112,38 @@ class MapSmoother:
         blocks //= drive.block_size
         windows = split_windows(blocks, round(self.window * rate), round(self.overlap * rate))
 
+        in_air: list[float] = []
+
         def solve(objective: Objective) -> tuple[MapSolution, np.ndarray]:
             stationary = stationary_hessian(objective)
             solution = minimize(
                 objective, stationary, huber=self.huber, adapt_prior=self.adapt_prior
             )
+            in_air.append(distance_in_air(solution.linearization))
             return solution, posterior_std(solution, band, self.draws, seed=0)
 
         result, noise_scale = reconstruct(model, drive, prior, windows, solve)
         s = profile_stations(record.length)
         x = np.clip((s - drive.origin) / drive.ds, 1.0, drive.free.size - 3.0)
-        std = np.interp(x, np.arange(drive.free.size), result.std)
-        z_std = np.stack([std, std]) if self.draws else None
+        node = np.arange(drive.free.size)
+        z_std = np.array([np.interp(x, node, std) for std in result.std]) if self.draws else None
+        if sum(in_air) >= 0.1:
+            notes += (
+                f"wheels were in the air for {sum(in_air):.1f} m of the drive; the road below them "
+                "is uncertain",
+            )
         if max(noise_scale) > NOISE_SCALE_WARNING:
             notes += (
                 f"{max(noise_scale):.1f} times the instruments' noise power is left unexplained: "
                 "the vehicle may differ from the one described",
             )
-        return Estimate(s, evaluate_spline(result.c, x), z_std, notes)
+        z, share = evaluate_spline(result.c, x), LOST_NOISE_SCALE / max(noise_scale)
+        if share < 1.0:
+            z, z_std = reduce_unexplained(z, z_std, share)
+            notes += (
+                f"the heights are reduced to {share:.0%}: their motion is not the measured one",
+            )
+        return Estimate(s, z, z_std, notes)
 
     def _measurement_model(
         self, record: Record, car: VehicleParameters, instruments: Instruments
@@ -137,9 +158,11 @@ class MapSmoother:
         self, record: Record, valid: np.ndarray, car: VehicleParameters, instruments: Instruments
     ) -> PreparedDrive:
         inputs = build_model_inputs(record, instruments, car, self.step)
-        a = np.where(valid, record.a, 0.0)
+        censored = clipped_signs(record, instruments)
+        a = np.where(valid | (censored != 0), record.a, 0.0)
         # the mean over the drive is mostly sensor bias
-        a -= a.sum(axis=1, keepdims=True) / np.maximum(valid.sum(axis=1, keepdims=True), 1)
+        mean = np.sum(a, axis=1, where=valid) / np.maximum(valid.sum(axis=1), 1)
+        a -= mean[:, None]
         block = max(1, round(record.fs / self.data_rate))
         ds = float(np.clip(0.5 * inputs.v.mean() / F_RESOLVED, *NODE_SPACING_RANGE))
         origin = inputs.s[0] - car.wheelbase - (MARGIN + 1) * ds
@@ -148,4 +171,4 @@ class MapSmoother:
         end = record.length if self.level_ends else np.inf
         free = ((middle > (0.0 if level else -np.inf)) & (middle < end)).astype(float)
         rest, initial_std = rest_state(car, inputs), REST_STD if level else MOVING_STD
-        return PreparedDrive(a, valid, block, inputs, rest, initial_std, origin, ds, free)
+        return PreparedDrive(a, valid, censored, block, inputs, rest, initial_std, origin, ds, free)

@@ -17,14 +17,14 @@ from scipy.signal import welch
 from estimators.common.conjugate_gradients import conjugate_gradients
 from estimators.map_smoother.objective import Linearization, Objective, linearize
 from estimators.map_smoother.preconditioner import StationaryHessian
-from estimators.map_smoother.wheel_liftoff import relax_unloaded
+from estimators.map_smoother.wheel_liftoff import relax_unloaded, unloaded_nodes
 from road_envs.vehicle.equations import Plant
 from road_envs.vehicle.force_curves import gaussian_smoothed
 from road_envs.vehicle.suspension import V_0, V_STEP
 
 Vector = np.ndarray
 
-FRICTION_STAGES = ((0.3, 2), (0.1, 2), (0.03, 3), (0.0, 12))
+FRICTION_STAGES = ((0.3, 2), (0.1, 2), (0.03, 3), (0.0, 40))
 """Standard deviation [m/s] of the smoothing, and the most Gauss-Newton steps with it."""
 
 MAX_HALVINGS = 6
@@ -35,6 +35,9 @@ NOISE_SCALE_WARNING = 2.0
 
 REWEIGHTING_STEPS, WELCH_SEGMENT = 3, 128
 """Steps under frequency-dependent noise, and blocks in a segment of the residual's periodogram."""
+
+PRIOR_UPDATES, PRIOR_STEPS = 3, 2
+"""Updates of the prior after the minimization, and steps after each."""
 
 MAX_LIFTOFF_RETRIES, LIFTOFF_STEPS = 2, 5
 """How often the road under lifted wheels is lowered at most, and the steps after each time."""
@@ -71,15 +74,15 @@ def minimize(
     the true vehicle lowers the cost by less than the share `cost_tolerance`.
     """
     solver = GaussNewton(stationary, huber, cg_iterations, cg_tolerance)
-    steps, total, x = 0, 0, np.zeros(objective.size)
-    information = objective.information
-    noise_scale = np.inf
+    steps, total, noise_scale = 0, 0, np.inf
+    lin = linearize(objective, np.zeros(objective.size), objective.information)
     for std, max_steps in FRICTION_STAGES:
+        x = lin.x
         if steps > 0 and adapt_prior:
-            objective, x = update_prior(objective, stationary, x, noise_scale)
+            objective, x = update_prior(lin, stationary, noise_scale)
         plant = objective.model.plant
         plant = plant if std == 0.0 else smooth_friction(plant, std)
-        lin = linearize(objective, x, information, plant)
+        lin = linearize(objective, x, objective.information, plant)
         for _ in range(max_steps):
             estimate = estimate_noise_scale(lin, stationary, noise_scale)
             noise_scale = max(1.0, min(noise_scale, estimate))  # never rises again
@@ -90,7 +93,13 @@ def minimize(
             lin = new
             if decrease < cost_tolerance:
                 break
-        x = lin.x
+    for _ in range(PRIOR_UPDATES if adapt_prior else 0):
+        objective, x = update_prior(lin, stationary, noise_scale)
+        lin = linearize(objective, x, objective.information)
+        for _ in range(PRIOR_STEPS):
+            lin, k = solver.step(lin, plant, noise_scale)
+            steps, total = steps + 1, total + k
+            report("prior", lin)
     if noise_scale > NOISE_SCALE_WARNING:
         for _ in range(REWEIGHTING_STEPS):
             frequency_weights = estimate_frequency_weights(lin, stationary, noise_scale)
@@ -147,14 +156,18 @@ def retry_after_liftoff(
 
 
 def update_prior(
-    objective: Objective, stationary: StationaryHessian, x: Vector, noise_scale: float
+    lin: Linearization, stationary: StationaryHessian, noise_scale: float
 ) -> tuple[Objective, Vector]:
     """Return the objective under the prior that its own road suggests, and `x` there; same road."""
+    objective, x = lin.objective, lin.x
     u, _, _ = objective.split(x)
     noise_variance = objective.model.noise_variance * noise_scale
     scale = stationary.density_scale(objective.road, noise_variance, u)
     road = objective.road.scale_density(scale)
     u = road.convert_noise(u, objective.road)
+    local = stationary.local_roughness(road, noise_variance, u, unloaded_nodes(lin))
+    rough = replace(road, local=local)
+    u, road = rough.convert_noise(u, road), rough
     return replace(objective, road=road), np.concatenate([u.ravel(), x[u.size :]])
 
 

@@ -102,10 +102,12 @@ class Objective:
         """Inverse variance (S, J) of each block mean, by the noise of the instruments alone."""
         return self.measurements.sample_count / self.model.noise_variance
 
-    def observe(self, acceleration: np.ndarray, bias: np.ndarray) -> np.ndarray:
-        """Return the sensors' block means (S, J) for accelerations (N, 7) of the coordinates."""
+    def residual(self, acceleration: np.ndarray, bias: np.ndarray) -> np.ndarray:
+        """Return measured less predicted block means (S, J) [m/s²] of the sensors, from the
+        accelerations (N, 7) of the coordinates.
+        """
         samples = acceleration[:: self.inputs.decimation][: self.measurements.n_samples]
-        return self.measurements.average(self.model.sensor_rows @ samples.T) + bias[:, None]
+        return self.measurements.residual(self.model.sensor_rows @ samples.T + bias[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,5 +192,5 @@ def linearize(
     """Linearize `objective` at `x`, for its own plant or another. Raises ArithmeticError."""
     tape = objective.simulate(x, plant)
     _, _, bias = objective.split(x)
-    residual = objective.measurements.y - objective.observe(tape.acceleration, bias)
+    residual = objective.residual(tape.acceleration, bias)
     return Linearization(objective, x, tape, residual, inverse_variance, frequency_weights)

@@ -14,6 +14,7 @@ from estimators.common.model_inputs import ModelInputs
 from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.objective import Linearization, apply_frequency_weights
 from estimators.map_smoother.road_prior import RoadTransform
+from estimators.map_smoother.wheel_liftoff import distance_in_air
 
 CG_ITERATIONS = 40
 """Iterations of conjugate gradients for one sample, at most."""
@@ -24,13 +25,20 @@ MIN_STATE_LENGTH = 10.0
 STD_INFLATION = 1.1
 """Factor for the curvature and for the unfinished minimization, from training drives."""
 
+OBSTACLE_INFLATION, FLIGHT_INFLATION, OBSTACLE_SHARE = 2.0, 8.0, 0.02
+"""On roads that are rough in places: factor for what the linearized posterior does not know, the
+same where wheels lift off, and the share of the mean variance that is added between the rough
+places. From training drives over potholes and bumps.
+"""
+
 
 def posterior_std(
     solution: MapSolution, band: tuple[float, float], draws: int, seed: int
 ) -> np.ndarray:
-    """Return the standard deviation (K,) [m] of the error inside `band` [cycles/m] at each node.
+    """Return the standard deviation (2, K) [m] of the error inside `band` [cycles/m] at each node.
 
-    The same for both wheel paths and for all nodes that were passed in the same strut state.
+    Its course along the road is that of the local roughness, by the stationary approximation; its
+    level, from the samples, is the same for all nodes that were passed in the same strut state.
     """
     lin, rng = solution.linearization, np.random.default_rng(seed)
     objective, road = lin.objective, lin.objective.road
@@ -39,15 +47,26 @@ def posterior_std(
     inside = (road.n >= band[0]) & (road.n <= band[1])
     # at the ends of the road the band-pass leaks
     middle = _interior(road.free, round(1.0 / (band[0] * road.ds)))
-    square = np.zeros(road.size)
+    square = np.zeros((2, road.size))
     for _ in range(draws):
         b = lin.adjoint(draw_weighted_noise(lin, rng)) + rng.standard_normal(objective.size)
         x, _ = conjugate_gradients(lin.hessian_product, b, precondition, CG_ITERATIONS, 1e-2)
         u, _, _ = objective.split(x)
-        part = road.apply(irfft(inside * rfft(road.free * u, axis=1), road.size, axis=1))
+        increments = np.diff(road.apply(u), axis=1, prepend=0.0)
+        part = np.cumsum(irfft(inside * rfft(increments, axis=1), road.size, axis=1), axis=1)
         part -= part[:, middle].mean(axis=1, keepdims=True)
-        square += np.mean(part**2, axis=0) / draws
-    return STD_INFLATION * np.sqrt(_average_by_strut_state(square, middle, road, objective.inputs))
+        square += part**2 / draws
+    shape = solution.stationary.error_variance(road, noise_variance, inside)
+    # a band-pass spreads errors along the road by the square of its impulse response
+    spread = irfft(inside.astype(float), road.size) ** 2
+    shape = irfft(rfft(shape, axis=1) * rfft(spread), road.size, axis=1) / spread.sum()
+    level = _average_by_strut_state(square, shape, middle, road, objective.inputs)
+    variance = STD_INFLATION**2 * level * shape
+    if np.ptp(road.local) == 0.0:
+        return np.sqrt(variance)
+    floor = OBSTACLE_SHARE * variance[:, middle].mean()
+    inflation = FLIGHT_INFLATION if distance_in_air(lin) > 0.0 else OBSTACLE_INFLATION
+    return inflation * np.sqrt(variance + floor)
 
 
 def draw_weighted_noise(lin: Linearization, rng: np.random.Generator) -> np.ndarray:
@@ -68,15 +87,22 @@ def _interior(free: np.ndarray, margin: int) -> np.ndarray:
 
 
 def _average_by_strut_state(
-    square: np.ndarray, free: np.ndarray, road: RoadTransform, inputs: ModelInputs
+    square: np.ndarray,
+    shape: np.ndarray,
+    free: np.ndarray,
+    road: RoadTransform,
+    inputs: ModelInputs,
 ) -> np.ndarray:
-    """Return the mean of `square` (K,) over `free` nodes (K,) passed in the same strut state."""
+    """Return the mean of `square` (2, K) over that of `shape` (2, K), over `free` nodes (K,) passed
+    in the same strut state (K,).
+    """
     station = road.origin + road.ds * np.arange(road.size)
     passed = np.clip(np.searchsorted(inputs.s[::2], station), 0, inputs.n_steps - 1)
     state = inputs.commands[passed]
-    average = np.full(road.size, square[free].mean() if free.any() else 0.0)
+    nodes = free if free.any() else np.ones(free.size, dtype=bool)
+    ratio = np.full(road.size, square[:, nodes].mean() / shape[:, nodes].mean())
     for byte in np.unique(state):
-        here = state == byte
-        if (here & free).sum() * road.ds >= MIN_STATE_LENGTH:
-            average[here] = square[here & free].mean()
-    return average
+        here = (state == byte) & free
+        if here.sum() * road.ds >= MIN_STATE_LENGTH:
+            ratio[state == byte] = square[:, here].mean() / shape[:, here].mean()
+    return ratio

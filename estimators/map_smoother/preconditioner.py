@@ -9,7 +9,9 @@ with H the response of the linear vehicle, T that of the heights to the noise u,
 measurements' information per second and ds / v the time from node to node. Friction makes the true
 information vary along the drive, from strut to strut and from moment to moment, by more than a
 factor of ten either way. The preconditioner is therefore P^-1/2: on class-D roads it needs a
-quarter of the iterations of P^-1 or of no preconditioner.
+quarter of the iterations of P^-1 or of no preconditioner. Where the road is rough in places only,
+the nodes are shared out among levels of local roughness, and the preconditioner is the sum of those
+of the levels.
 """
 
 from collections.abc import Callable
@@ -17,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
+from scipy.ndimage import gaussian_filter1d
 
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.road_prior import TO_WHEEL_PATHS, RoadTransform
@@ -32,6 +35,22 @@ RESOLVED_THRESHOLD = 10.0
 
 MIN_DENSITY_RATIO = 1e-4
 """Least density, relative to the prior's, that one update takes: a road may be level."""
+
+LOCAL_LENGTH = 0.3
+"""Standard deviation [m] of the window in which the local roughness is estimated."""
+
+PRIOR_COUNT, PRIOR_ROUGHNESS = 0.5, 0.05
+"""Increments, and their roughness, that are added to those in the window."""
+
+MIN_CONTRAST = 1.0
+"""Least logarithm of the ratio of arithmetic and geometric mean of the local power at which a road
+counts as uneven in places. It is 0.2 to 0.4 on stationary roads, above 2 on potholes."""
+
+ROUGHNESS_STEPS = np.geomspace(0.005, 50.0, 20)
+"""Local roughness, from its least to its greatest value, at which tables are computed."""
+
+MAX_LEVEL_STEP = 1.5
+"""Greatest distance of the levels of local roughness in the preconditioner, as a logarithm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +81,11 @@ class StationaryHessian:
     ) -> Callable[[np.ndarray], np.ndarray]:
         """Return a function that maps a gradient to a step."""
         road = objective.road
-        root = _inverse(_root(self.precision(road, noise_variance)))
+        excess = self.precision(road, noise_variance) - np.eye(2)
+        roots = [
+            (np.sqrt(share), _inverse(_root(np.eye(2) + level**2 * excess)))
+            for level, share in _split_levels(road.local)
+        ]
         count = objective.measurements.sample_count.sum(axis=1)
         bias = np.sqrt(1.0 + objective.model.bias_std**2 * count / noise_variance)
         scale = np.concatenate([np.ones(objective.initial_std.size), bias])
@@ -70,8 +93,10 @@ class StationaryHessian:
         def apply(g: np.ndarray) -> np.ndarray:
             u, rest = np.split(g, [2 * road.size])
             u = u.reshape(2, -1)
-            U = np.einsum("fij,jf->if", root, rfft(road.free * u, axis=1))
-            step = road.free * irfft(U, road.size, axis=1) + (1.0 - road.free) * u
+            step = (1.0 - road.free) * u
+            for share, root in roots:
+                U = np.einsum("fij,jf->if", root, rfft(share * road.free * u, axis=1))
+                step += share * road.free * irfft(U, road.size, axis=1)
             return np.concatenate([step.ravel(), rest / scale])
 
         return apply
@@ -102,6 +127,53 @@ class StationaryHessian:
         level = np.log(np.maximum(power[enough] / lines[enough], MIN_DENSITY_RATIO))
         return np.exp(np.interp(np.log2(np.maximum(road.n, 1e-9)), centre[enough], level))
 
+    def local_roughness(
+        self, road: RoadTransform, noise_variance: float, u: np.ndarray, unloaded: np.ndarray
+    ) -> np.ndarray:
+        """Return the local roughness (2, K) that `u` (2, K) suggests, relative to the spectrum.
+
+        The power of the increments within some LOCAL_LENGTH over the share of it that the
+        measurements resolve (MacKay 1992, doi:10.1162/neco.1992.4.3.415). PRIOR_COUNT increments of
+        PRIOR_ROUGHNESS are added, so the distribution of the increments is Student's. On nodes that
+        are `unloaded` (2, K) nothing was measured; they are as rough as most of the power is.
+        """
+        seen = road.free * ~unloaded
+        w = road.local * (TO_WHEEL_PATHS @ u) * np.sqrt(0.5) * seen
+        left = [posterior.mean() for posterior in self._posteriors(road, noise_variance)]
+        resolved = seen * np.interp(road.local, ROUGHNESS_STEPS, 1.0 - np.array(left))
+        width = LOCAL_LENGTH / road.ds
+        count = np.sqrt(2.0 * np.pi) * width  # of nodes in the window
+        power, dof = (count * gaussian_filter1d(x, width, axis=1) for x in (w**2, resolved))
+        variance = (power + PRIOR_COUNT * PRIOR_ROUGHNESS**2) / (dof + PRIOR_COUNT)
+        inside = variance[:, road.free > 0]
+        if not np.log(inside.mean()) - np.log(inside).mean() > MIN_CONTRAST:
+            return np.ones_like(variance)
+        typical = np.mean(inside**2) / inside.mean()
+        variance = np.where(unloaded, np.maximum(variance, typical), variance)
+        local = np.sqrt(variance / inside.mean())  # the mean power is that of the spectrum
+        return np.clip(local, ROUGHNESS_STEPS[0], ROUGHNESS_STEPS[-1])
+
+    def error_variance(
+        self, road: RoadTransform, noise_variance: float, lines: np.ndarray
+    ) -> np.ndarray:
+        """Return the variance (2, K) of the heights' error, up to a factor, at the local roughness.
+
+        Only the spatial frequencies `lines` (F,) count.
+        """
+        density = 0.5 * np.abs(road.transfer_function().T) ** 2
+        posteriors = self._posteriors(road, noise_variance)
+        variance = [
+            d**2 * np.sum((density * posterior)[lines])
+            for d, posterior in zip(ROUGHNESS_STEPS, posteriors, strict=True)
+        ]
+        return np.interp(road.local, ROUGHNESS_STEPS, variance)
+
+    def _posteriors(self, road: RoadTransform, noise_variance: float) -> list[np.ndarray]:
+        """Return posterior over prior variance (F, 2) of `u`, for each of ROUGHNESS_STEPS."""
+        excess = self.precision(road, noise_variance) - np.eye(2)
+        matrices = (_inverse(np.eye(2) + d**2 * excess) for d in ROUGHNESS_STEPS)
+        return [np.real(M[:, [0, 1], [0, 1]]) for M in matrices]
+
 
 def stationary_hessian(objective: Objective) -> StationaryHessian:
     """Return the Hessian of `objective` at its mean speed; strut states count by their duration."""
@@ -117,6 +189,14 @@ def stationary_hessian(objective: Objective) -> StationaryHessian:
     fs = 1.0 / (inputs.h * inputs.decimation)
     response = np.sinc(n * v * objective.measurements.sample_weight.shape[2] / fs) ** 2
     return StationaryHessian(information * (response * fs * road.ds / v)[:, None, None])
+
+
+def _split_levels(local: np.ndarray) -> list[tuple[float, np.ndarray]]:
+    """Return levels of local roughness (2, K), and the shares (K,) in them, which add to 1."""
+    log = 0.5 * np.log(np.mean(local**2, axis=0))
+    levels = np.linspace(log.min(), log.max(), 1 + int(np.ceil(np.ptp(log) / MAX_LEVEL_STEP)))
+    shares = np.array([np.interp(log, levels, row) for row in np.eye(levels.size)])
+    return list(zip(np.exp(levels), shares, strict=True))
 
 
 def _decode_mode(byte: int) -> dict[str, str]:

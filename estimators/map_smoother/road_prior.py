@@ -1,10 +1,12 @@
 """Map from white noise u to both wheel paths, such that they have the prior's spectrum.
 
     e = irfft(A(n) rfft(u))          increments of the mean path and of half the difference
-    c = c_0 + cumsum(free e)         spline coefficients of left = mean + half, right = mean - half
+    c = c_0 + cumsum(scale e)        spline coefficients of left = mean + half, right = mean - half
 
 u (2, K) is standard normal, so |u|² / 2 is the road's share of the cost; A(n) is that of
-`estimators.common.road_prior`. Where `free` is 0 the road is level.
+`estimators.common.road_prior`. `scale` is the local roughness of each wheel path relative to its
+spectrum: a pothole in a level road is no part of a stationary process. Where it is 0 the road is
+level.
 """
 
 from dataclasses import dataclass, replace
@@ -24,6 +26,9 @@ small."""
 TO_WHEEL_PATHS = np.array([[1.0, 1.0], [1.0, -1.0]])
 """From mean and half difference to left and right."""
 
+FROM_WHEEL_PATHS = np.linalg.inv(TO_WHEEL_PATHS)
+"""From left and right to mean and half difference."""
+
 
 @dataclass(frozen=True, eq=False)
 class RoadTransform:
@@ -31,7 +36,8 @@ class RoadTransform:
 
     Nodes are `ds` [m] apart from the station `origin` [m] on. `background` (2, K) [m] are the
     coefficients for u = 0; `free` (K,) is 1 where the road may rise or fall, else 0; `amplitude`
-    (2, K // 2 + 1) is A(n) [m].
+    (2, K // 2 + 1) is A(n) [m]; `local` (2, K) is the local roughness of each wheel path relative
+    to it.
     """
 
     origin: float
@@ -39,6 +45,7 @@ class RoadTransform:
     background: np.ndarray
     free: np.ndarray
     amplitude: np.ndarray
+    local: np.ndarray
 
     @property
     def size(self) -> int:
@@ -53,12 +60,12 @@ class RoadTransform:
     def apply(self, u: np.ndarray) -> np.ndarray:
         """Return the change (2, K) [m] of the coefficients by `u` (2, K)."""
         e = irfft(self.amplitude * rfft(u, axis=1), self.size, axis=1)
-        return np.cumsum(self.free * (TO_WHEEL_PATHS @ e), axis=1)
+        return np.cumsum(self.free * self.local * (TO_WHEEL_PATHS @ e), axis=1)
 
     def apply_transpose(self, c: np.ndarray) -> np.ndarray:
         """Apply the transpose of `apply`: from coefficients (2, K) to `u` (2, K)."""
         rest = np.cumsum(c[:, ::-1], axis=1)[:, ::-1]  # an increment lifts all nodes behind it
-        e = TO_WHEEL_PATHS @ (self.free * rest)
+        e = TO_WHEEL_PATHS @ (self.free * self.local * rest)
         return irfft(self.amplitude * rfft(e, axis=1), self.size, axis=1)
 
     def coefficients(self, u: np.ndarray) -> np.ndarray:
@@ -73,9 +80,14 @@ class RoadTransform:
         """Return the map of a prior with `scale` (K // 2 + 1,) times this density."""
         return replace(self, amplitude=self.amplitude * np.sqrt(scale))
 
+    def whiten(self, increments: np.ndarray) -> np.ndarray:
+        """Return the noise (2, K) of the `increments` (2, K) [m] of both wheel paths where free."""
+        e = FROM_WHEEL_PATHS @ (self.free * increments / self.local)
+        return irfft(rfft(e, axis=1) / self.amplitude, self.size, axis=1)
+
     def convert_noise(self, u: np.ndarray, other: "RoadTransform") -> np.ndarray:
         """Return the noise (2, K) by which this map gives the road that `other` gives by `u`."""
-        return irfft(other.amplitude / self.amplitude * rfft(u, axis=1), self.size, axis=1)
+        return self.whiten(np.diff(other.apply(u), axis=1, prepend=0.0))
 
     def transfer_function(self) -> np.ndarray:
         """Return the response (2, K // 2 + 1) [m] of mean and half difference to `u`."""

@@ -7,10 +7,8 @@ therefore repeated from a road that is straight wherever neither axle has presse
 """
 
 import numpy as np
-from scipy.fft import irfft, rfft
 
 from estimators.map_smoother.objective import Linearization
-from estimators.map_smoother.road_prior import TO_WHEEL_PATHS, RoadTransform
 from road_envs.simulation.rosenbrock import LOAD
 
 LIFTOFF_LOAD_SHARE = 0.1
@@ -18,9 +16,6 @@ LIFTOFF_LOAD_SHARE = 0.1
 
 MIN_DROP = 0.01
 """Least lowering of the road [m] for another minimization."""
-
-FROM_WHEEL_PATHS = np.linalg.inv(TO_WHEEL_PATHS)
-"""From left and right to mean and half difference."""
 
 
 def unloaded_nodes(lin: Linearization) -> np.ndarray:
@@ -38,6 +33,12 @@ def unloaded_nodes(lin: Linearization) -> np.ndarray:
     return (max_load < LIFTOFF_LOAD_SHARE * loads.mean()) & passed & (road.free > 0)
 
 
+def distance_in_air(lin: Linearization) -> float:
+    """Return the distance [m] over which at least one wheel had lifted off."""
+    lifted = np.any(lin.tape.signals[:, LOAD : LOAD + 4] <= 0.0, axis=1)
+    return float(np.diff(lin.objective.inputs.s[::2]) @ lifted[:-1])
+
+
 def relax_unloaded(lin: Linearization) -> np.ndarray | None:
     """Return `lin.x` with the road no higher than straight where unloaded; None if it is lower.
 
@@ -51,10 +52,5 @@ def relax_unloaded(lin: Linearization) -> np.ndarray | None:
         path[mask] = np.minimum(path, np.interp(node, node[~mask], path[~mask]))[mask]
     if not (before - c).max() > MIN_DROP:
         return None
-    return np.concatenate([noise_from_coefficients(road, c).ravel(), lin.x[u.size :]])
-
-
-def noise_from_coefficients(road: RoadTransform, c: np.ndarray) -> np.ndarray:
-    """Return the noise (2, K) of the road with coefficients `c` (2, K), level where not free."""
-    increments = road.free * np.diff(c - road.background, axis=1, prepend=0.0)
-    return irfft(rfft(FROM_WHEEL_PATHS @ increments, axis=1) / road.amplitude, road.size, axis=1)
+    u = road.whiten(np.diff(c - road.background, axis=1, prepend=0.0))
+    return np.concatenate([u.ravel(), lin.x[u.size :]])

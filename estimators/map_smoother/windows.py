@@ -27,13 +27,15 @@ MARGIN = 4
 @dataclass(frozen=True, eq=False)
 class PreparedDrive:
     """A drive prepared for estimation. Samples `a` (S, T) [m/s²], of which `valid` (S, T) are used,
-    in blocks of `block_size`; model `inputs`; vehicle at rest `rest_state` (14,) and the prior
-    standard deviation `initial_std` (14,) about it; nodes of the road from the station `origin` [m]
-    on, `ds` [m] apart, and which of them may rise or fall, `free` (K,) 0 or 1.
+    and `censored` (S, T) as in `block_means`, in blocks of `block_size`; model `inputs`; vehicle at
+    rest `rest_state` (14,) and the prior standard deviation `initial_std` (14,) about it; nodes of
+    the road from the station `origin` [m] on, `ds` [m] apart, and which of them may rise or fall,
+    `free` (K,) 0 or 1.
     """
 
     a: np.ndarray
     valid: np.ndarray
+    censored: np.ndarray
     block_size: int
     inputs: ModelInputs
     rest_state: np.ndarray
@@ -55,7 +57,7 @@ class PreparedDrive:
 @dataclass(frozen=True, eq=False)
 class WindowState:
     """Result of the windows so far. Coefficients `c` (2, K) [m] of the road, final before the node
-    `first_free_node` and level from there on, and the `std` (K,) [m] of their error;
+    `first_free_node` and level from there on, and the `std` (2, K) [m] of their error;
     `vehicle_state` (14,), its standard deviation `initial_std` (14,) and `strut_state` (4, 3) where
     the next window begins; `density_scale` of the road's prior at the frequencies `n` [cycles/m].
     """
@@ -77,7 +79,7 @@ def initial_window_state(drive: PreparedDrive) -> WindowState:
     vehicle = drive.rest_state + 1e-7, drive.initial_std
     strut_state = settled_strut_state(int(drive.inputs.commands[0]))
     prior = np.array([0.0, 1.0]), np.ones(2)
-    return WindowState(np.zeros((2, size)), np.zeros(size), 0, *vehicle, strut_state, *prior)
+    return WindowState(np.zeros((2, size)), np.zeros((2, size)), 0, *vehicle, strut_state, *prior)
 
 
 def split_windows(blocks: int, window: int, overlap: int) -> list[tuple[int, int, int]]:
@@ -98,7 +100,7 @@ def reconstruct(
 ) -> tuple[WindowState, list[float]]:
     """Estimate all windows; return the final state and the noise scale of each window.
 
-    `solve` returns the solution of one window and its standard deviation (K,).
+    `solve` returns the solution of one window and its standard deviation (2, K).
     """
     window_state, noise_scale = initial_window_state(drive), []
     for begin, after, end in windows:
@@ -121,7 +123,8 @@ def window_objective(
     """Return the objective of blocks `begin` to `end` (excluded), started from `window_state`."""
     inputs = drive.inputs.slice_steps(begin * drive.steps_per_block, end * drive.steps_per_block)
     samples = slice(begin * drive.block_size, end * drive.block_size)
-    measurements = block_means(drive.a[:, samples], drive.valid[:, samples], drive.block_size)
+    a, valid, censored = (x[:, samples] for x in (drive.a, drive.valid, drive.censored))
+    measurements = block_means(a, valid, drive.block_size, censored)
     low = drive.node_at(inputs.s[0] - model.wheelbase) - MARGIN
     size = padded_size(drive.node_at(inputs.s[-1]) + MARGIN + 1 - low)
     c, free = window_state.c[:, low : low + size], drive.free[low : low + size].copy()
@@ -129,7 +132,8 @@ def window_objective(
     missing = size - free.size
     c, free = np.pad(c, ((0, 0), (0, missing)), mode="edge"), np.pad(free, (0, missing))
     origin = drive.origin + drive.ds * low
-    road = RoadTransform(origin, drive.ds, c, free, prior_amplitude(prior, size, drive.ds))
+    amplitude = prior_amplitude(prior, size, drive.ds)
+    road = RoadTransform(origin, drive.ds, c, free, amplitude, np.ones_like(c))
     road = road.scale_density(np.interp(road.n, window_state.n, window_state.density_scale))
     vehicle = window_state.vehicle_state, window_state.initial_std
     return Objective(model, window_state.strut_state, *vehicle, road, inputs, measurements)
@@ -145,7 +149,7 @@ def _advance(
 ) -> WindowState:
     """Return the state after another window, of which the first `steps` are final; None: all."""
     objective, x = solution.linearization.objective, solution.linearization.x
-    road, size = objective.road, window_state.std.size
+    road, size = objective.road, drive.free.size
     low = round((road.origin - drive.origin) / drive.ds)
     first, last = max(window_state.first_free_node, low), min(low + road.size, size)
     state, strut_state = window_state.vehicle_state, window_state.strut_state
@@ -155,7 +159,8 @@ def _advance(
         last = drive.node_at(objective.inputs.s[2 * steps]) + 3
     c, std, here = window_state.c.copy(), window_state.std.copy(), slice(first - low, last - low)
     c[:, first:last] = road.coefficients(objective.split(x)[0])[:, here]
-    std[first:last] = window_std[here]
-    c[:, last:], std[last:] = c[:, last - 1 : last], std[last - 1]
+    std[:, first:last] = window_std[:, here]
+    c[:, last:], std[:, last:] = c[:, last - 1 : last], std[:, last - 1 : last]
     scale = (road.amplitude[0] / prior_amplitude(prior, road.size, road.ds)[0]) ** 2
+    scale *= np.mean(road.local[:, road.free > 0] ** 2)
     return WindowState(c, std, last, state, np.zeros(2 * N_DOF), strut_state, road.n, scale)
