@@ -27,7 +27,9 @@ from leaderboard.drive_report.analysis import SEGMENT_LENGTHS, DriveResult, anal
 from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.export import write_geojson, write_tables
 from leaderboard.drive_report.page import write_page
+from leaderboard.drive_report.passes import align_passes, compare
 from road_envs.config import ConfigError
+from road_envs.data.measured_record import MeasuredRecord
 from road_envs.data.record import Estimate
 from road_envs.sensing.instruments import load_instruments
 
@@ -74,11 +76,11 @@ def report(
         raise ConfigError(f"--segment must be one of {allowed} m, got {segment:g} m")
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out}: a file; give a folder for the report")
+    names = _names(drives)
     categories, chosen = load_conditions(conditions), parse_settings(settings or [])
-    results: list[DriveResult] = []
+    read: list[tuple[MeasuredRecord, Estimate]] = []
     with progress_bar() as progress:
-        names = _names(drives)
-        for k, (path, name) in enumerate(zip(drives, names, strict=True)):
+        for k, path in enumerate(drives):
             progress(f"reading {path.name}", k / len(drives))
             drive = read_drive(
                 path, vehicle=vehicle, sensors=sensors, mode=mode, speed_kmh=speed_kmh,
@@ -86,17 +88,13 @@ def report(
                 description=description, save_description=save_description if k == 0 else None,
             )  # fmt: skip
             progress(f"estimating {path.name}", (k + 0.2) / len(drives))
-            found = _estimate(estimator, drive, chosen)
-            results.append(
-                analyse(
-                    name,
-                    drive.measured,
-                    found,
-                    categories,
-                    segment=segment,
-                    clipping=load_instruments(drive.sensors).range,
-                )
-            )
+            read.append((drive.measured, _estimate(estimator, drive, chosen)))
+    aligned, clipping = align_passes(read), load_instruments(drive.sensors).range
+    results = [
+        analyse(name, measured, estimate, categories, segment=segment, clipping=clipping)
+        for name, (measured, _), (_, estimate) in zip(names, aligned, read, strict=True)
+    ]
+    agreement = compare([r for r, (_, same) in zip(results, aligned, strict=True) if same])
     out.mkdir(parents=True, exist_ok=True)
     written = []
     for result in results:
@@ -108,13 +106,16 @@ def report(
         "sensors": drive.sensors,
     }
     page = out / "index.html"
-    write_page(results, categories, about, None, page)
+    write_page(results, categories, about, agreement, page)
     files = [str(path) for path in (page, *written)]
     if json:
-        print_json({"drives": [_facts(result) for result in results], "written": files})
+        told = {"drives": [_facts(result) for result in results], "agreement": agreement}
+        print_json({**told, "written": files})
         return
     for result in results:
         _print(result)
+    if agreement:
+        _print_agreement(agreement)
     console.print(f"written: {page} and {len(written)} tables")
 
 
@@ -139,6 +140,18 @@ def _names(drives: list[Path]) -> list[str]:
         stem if stems.count(stem) == 1 else f"{stem}_{stems[: k + 1].count(stem)}"
         for k, stem in enumerate(stems)
     ]
+
+
+def _print_agreement(agreement: dict[str, Any]) -> None:
+    console.print(
+        f"{len(agreement['names'])} passes: standard deviation of the IRI within segments "
+        f"{agreement['repeatability']:.2f} mm/m, ICC {agreement['icc']:.2f}"
+    )
+    for row in agreement["passes"]:
+        console.print(
+            f"{row['name']} less {agreement['first']}: IRI bias {row['bias']:+.2f} mm/m, "
+            f"RMSE {row['rmse']:.2f}, cross-correlation (R 56-style) {row['correlation']:.2f}"
+        )
 
 
 def _facts(result: DriveResult) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from leaderboard.metrics import detection, level, pointwise, spectra
+from leaderboard.metrics import agreement, detection, level, pointwise, spectra
 from leaderboard.metrics.api import Metric, ScoredEstimate
 from road_envs.data.record import Estimate, Profile
 
@@ -10,6 +10,7 @@ MODULES = (
     pointwise,
     level,
     spectra,
+    agreement,
     detection,
 )
 """Modules of metrics, in the order of the table of scores."""
@@ -25,7 +26,8 @@ SCORES = {metric.key: metric for module in MODULES for metric in _declared(modul
 PRINTED_SCORES = (
     "nrmse", "nrmse_left", "nrmse_right", "nrmse_at_lag", "lag", "r", "coherence", "level_error",
     "level_error_raw", "G_d0_bias_db", "class_exact", "fitted_class", "dsd_distance_db",
-    "iri_error", "bump_recall", "bump_precision", "coverage_50", "coverage_90",
+    "iri_error", "iri_bias", "iri_cross_correlation", "bump_recall", "bump_precision",
+    "coverage_50", "coverage_90",
 )  # fmt: skip
 """Scores that are printed of one estimate; there are three times as many."""
 

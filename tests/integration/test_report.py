@@ -62,6 +62,30 @@ def test_without_positions_there_is_no_map(road_recon, tmp_path):
     assert (tmp_path / "r/index.html").read_text(encoding="utf-8").count("<svg") == 3
 
 
+def test_passes_are_moved_onto_the_first_and_compared(road_recon, tmp_path):
+    """Two speeds, one of them without odometer; and a drive over another road."""
+    road_recon("simulate", *DRIVE, "--seed", "2", "--out", "one.csv")
+    road_recon("simulate", *DRIVE[:4], "--speed-kmh", "40", "--seed", "2", "--out", "two.csv")
+    road_recon("simulate", *DRIVE, "--seed", "5", "--out", "other.csv")
+    table = pd.read_csv("two.csv", comment="#")
+    table.drop(columns=["s [m]"]).to_csv("two.csv", index=False)
+    files = ("one.csv", "two.csv", "other.csv")
+    words = ("--out", "r", "--estimator", "iterated_wiener", "--segment", "10", "--json")
+    code, out, err = road_recon("report", *files, *words)
+    assert code == 0, err
+    told = json.loads(out)
+    agreement = told["agreement"]
+    assert agreement["names"] == ["one", "two"]
+    assert len(agreement["segments"]) >= 9
+    (row,) = agreement["passes"]
+    assert abs(row["bias"]) < 0.5 and row["correlation"] > 0.8
+    assert agreement["repeatability"] < 0.5 and agreement["icc"] > 0.7
+    assert any("moved by -" in note for note in told["drives"][1]["notes"])
+    assert any("not compared with" in note for note in told["drives"][2]["notes"])
+    page = (tmp_path / "r/index.html").read_text(encoding="utf-8")
+    assert "R 56-style" in page and "compliant" not in page
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

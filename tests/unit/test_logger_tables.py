@@ -152,6 +152,26 @@ def test_speed_and_distance_follow_from_positions(tmp_path):
     np.testing.assert_allclose(measured.position[0, inside], lat[inside], atol=1e-6)
 
 
+@pytest.mark.parametrize("gain", [0.97, 1.03])
+def test_a_speed_that_is_a_few_percent_wrong_is_scaled_to_the_track(tmp_path, gain):
+    """Positions once a second with independent errors of 1 m on a gentle curve."""
+    degree, rng = np.pi * 6_371_008.8 / 180.0, np.random.default_rng(4)
+    heading = 0.3 + DISTANCE / 400.0
+    step = np.gradient(DISTANCE)
+    north, east = np.cumsum(step * np.cos(heading)), np.cumsum(step * np.sin(heading))
+    rows = np.arange(T.size) % 100 == 0
+    lat, lon = (
+        np.where(rows, origin + (x + rng.standard_normal(T.size)) / scale, np.nan)
+        for x, origin, scale in (
+            (north, 48.0, degree), (east, 11.0, degree * np.cos(np.radians(48.0))),
+        )
+    )  # fmt: skip
+    columns = {"t": T, **ACCELERATION, "v": gain * SPEED, "lat": lat, "lon": lon}
+    measured = read(write(tmp_path / "d.csv", columns))
+    assert np.median(measured.record.v / SPEED) == pytest.approx(1.0, abs=0.006)
+    assert any("scaled by" in note for note in measured.notes)
+
+
 def test_fifty_hertz_are_interpolated_and_noted(tmp_path):
     every = slice(None, None, 2)
     columns = {"t": T, **ACCELERATION, "v": SPEED}

@@ -18,6 +18,15 @@ HELD_ROWS = 5
 SPEED_MAX, SPEED_QUESTIONED = 70.0, 42.0
 """Speeds [m/s] that no drive has (250 km/h), and that are questioned (150 km/h)."""
 
+TRACK_SMOOTHING = 5.0
+"""Time [s] over which positions are averaged before their track is measured: noise lengthens it."""
+
+SHORTEST_TRACK = 100.0
+"""Length [m] of track from which on it calibrates the speed."""
+
+MAX_SPEED_ERROR = 0.05
+"""Largest relative error of a speed that is taken as its calibration."""
+
 DISAGREEMENT = 0.25
 """Relative difference of two distances of a drive above which one of them is wrong."""
 
@@ -66,12 +75,15 @@ def read_motion(
             f"or one speed for the whole drive (--speed-kmh); {channels.list_columns()}"
         )
         return None
-    if s is None and v is None:
+    if s is None and v is None and position is not None:
         findings.notes.append("speed and distance are those of the positions")
+        track = track_length(np.array([_smoothed(x, t, 2.0) for x in position]))
+    if s is None and v is not None and position is not None:
+        v = _calibrated(t, v, position, findings)
     distance = s if s is not None else integrate(t, v) if v is not None else track
     assert distance is not None
     if v is None:
-        v = np.maximum(np.gradient(_smoothed(distance, t), t), 0.0)
+        v = np.maximum(np.gradient(_smoothed(distance, t, 1.0), t), 0.0)
     _check(t, v, distance, track, s is not None, findings)
     return Motion(v, distance, position) if len(findings.problems) == before else None
 
@@ -86,6 +98,22 @@ def track_length(position: np.ndarray) -> np.ndarray:
     lat, lon = np.radians(position)
     x = np.diff(np.unwrap(lon)) * np.cos(0.5 * (lat[1:] + lat[:-1]))
     return np.concatenate([[0.0], np.cumsum(EARTH_RADIUS * np.hypot(x, np.diff(lat)))])
+
+
+def _calibrated(
+    t: np.ndarray, v: np.ndarray, position: np.ndarray, findings: Findings
+) -> np.ndarray:
+    """Return the speed, scaled to the length of the track if both are nearly equal."""
+    smooth = np.array([_smoothed(x, t, TRACK_SMOOTHING) for x in position])
+    middle = (t >= t[0] + TRACK_SMOOTHING) & (t <= t[-1] - TRACK_SMOOTHING)
+    if middle.sum() < 2:
+        return v
+    track = track_length(smooth[:, middle])[-1]
+    scale = track / max(integrate(t[middle], v[middle])[-1], 1e-9)
+    if track < SHORTEST_TRACK or not 1e-4 < abs(scale - 1.0) < MAX_SPEED_ERROR:
+        return v
+    findings.notes.append(f"the speed is scaled by {scale:.4f} to the length of the track")
+    return scale * v
 
 
 def _at(
@@ -108,7 +136,23 @@ def _at(
     if good.size < 0.5 * x.size:
         interval = float(np.median(np.diff(t_rows[good])))
         findings.notes.append(f"{header}: values every {interval:.3g} s are interpolated")
-    return np.interp(t, t_rows[good], x[good])
+    known, x = t_rows[good], x[good]
+    if name != "v" and known.size > 1:
+        known, x = _continued(known, x, t[0], t[-1])
+    return np.interp(t, known, x)
+
+
+def _continued(
+    t: np.ndarray, x: np.ndarray, begin: float, end: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return values `x` (N,) at times `t`, extended linearly to `begin` and `end` [s]."""
+    if t[0] > begin:
+        first = x[0] + (x[1] - x[0]) / (t[1] - t[0]) * (begin - t[0])
+        t, x = np.r_[begin, t], np.r_[first, x]
+    if t[-1] < end:
+        last = x[-1] + (x[-1] - x[-2]) / (t[-1] - t[-2]) * (end - t[-1])
+        t, x = np.r_[t, end], np.r_[x, last]
+    return t, x
 
 
 def _updates(x: np.ndarray) -> np.ndarray:
@@ -128,9 +172,9 @@ def _updates(x: np.ndarray) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _smoothed(s: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return the moving average of `s` (N,) over a second, for its derivative."""
-    half = max(1, min(round(0.5 * t.size / (t[-1] - t[0])), (t.size - 1) // 2))
+def _smoothed(s: np.ndarray, t: np.ndarray, duration: float) -> np.ndarray:
+    """Return the moving average of `s` (N,) over a `duration` [s], continued by odd reflection."""
+    half = max(1, min(round(0.5 * duration * t.size / (t[-1] - t[0])), (t.size - 1) // 2))
     padded = np.r_[2 * s[0] - s[half:0:-1], s, 2 * s[-1] - s[-2 : -half - 2 : -1]]
     return np.convolve(padded, np.full(2 * half + 1, 1.0 / (2 * half + 1)), "valid")
 

@@ -1,0 +1,111 @@
+"""Agreement of roughness measurements, with a reference or among passes over one road.
+
+The cross-correlation is in the way of AASHTO R 56: profiles are passed through the filter of the
+IRI, and the largest cross-correlation of the filtered profiles P and Q over small lags is scaled by
+the ratio of their standard deviations (Karamihas & Gillespie 2002, "Development of cross
+correlation for objective comparison of profiles"):
+
+    R = max over lags of <P(s) Q(s + lag)> / (sigma_P sigma_Q) x min(sigma_P, sigma_Q) / max(...)
+
+It is 1 only where both the places and the sizes of roughness agree. It is a comparison in the style
+of that practice, not a certification by it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import correlate, correlation_lags
+
+from leaderboard.metrics.api import ScoredEstimate, metric
+from road_envs.analysis.roughness import golden_car, iri
+
+SEGMENT_LENGTH = 100.0
+"""Length [m] of the segments whose IRI is compared."""
+
+LAG_MAX = 1.0
+"""Largest lag [m] of the cross-correlation."""
+
+
+class BlandAltman(NamedTuple):
+    """Mean difference `bias`, and the limits bias ± 1.96 standard deviations of the differences
+    (Bland & Altman, Lancet 327, 1986).
+    """
+
+    bias: float
+    lower: float
+    upper: float
+
+
+def bland_altman(x: np.ndarray, y: np.ndarray) -> BlandAltman:
+    """Return the limits of agreement of x - y, two measurements (N,) of the same segments."""
+    difference = np.asarray(x, dtype=float) - np.asarray(y, dtype=float)
+    bias = float(difference.mean())
+    spread = 1.96 * float(difference.std(ddof=1)) if difference.size > 1 else np.nan
+    return BlandAltman(bias, bias - spread, bias + spread)
+
+
+def intraclass_correlation(x: np.ndarray) -> float:
+    """Return ICC(2,1) of measurements (N, K) of N segments in K passes: absolute agreement.
+
+    Shrout & Fleiss, Psychological Bulletin 86, 1979: passes and segments are random samples. NaN
+    for fewer than two segments or passes, or without any scatter.
+    """
+    x = np.asarray(x, dtype=float)
+    n, k = x.shape
+    if n < 2 or k < 2:
+        return np.nan
+    rows, columns, mean = x.mean(axis=1), x.mean(axis=0), x.mean()
+    between_rows = k * np.sum((rows - mean) ** 2) / (n - 1)
+    between_columns = n * np.sum((columns - mean) ** 2) / (k - 1)
+    rest = np.sum((x - rows[:, None] - columns + mean) ** 2) / ((n - 1) * (k - 1))
+    total = between_rows + (k - 1) * rest + k * (between_columns - rest) / n
+    return float((between_rows - rest) / total) if total > 0.0 else np.nan
+
+
+def repeatability(x: np.ndarray) -> float:
+    """Return the standard deviation within segments of measurements (N, K) in K passes."""
+    x = np.asarray(x, dtype=float)
+    return float(np.sqrt(np.mean(x.var(axis=1, ddof=1)))) if x.shape[1] > 1 else np.nan
+
+
+def iri_filtered_correlation(y: np.ndarray, a: np.ndarray, ds: float) -> float:
+    """Return the scaled cross-correlation R of two profiles (M,) [m], R 56-style."""
+    P, Q = (x - x.mean() for x in golden_car(np.stack([y, a]), ds))
+    power = float(P @ P), float(Q @ Q)
+    if not min(power) > 0.0:
+        return np.nan
+    near = np.abs(correlation_lags(P.size, Q.size)) * ds <= LAG_MAX
+    # <PQ> / (sP sQ) x min / max = <PQ> / max²
+    return float(correlate(P, Q, method="fft")[near].max() / max(power))
+
+
+def _segment_iri(scored: ScoredEstimate) -> tuple[np.ndarray, np.ndarray]:
+    """Return true and estimated IRI [mm/m] of both wheel paths by segment, each (N,)."""
+    length = min(SEGMENT_LENGTH, (scored.y.shape[1] - 1) * scored.ds - 1.0)
+    true, found = (iri(z, scored.ds, segment=length).ravel() for z in (scored.y, scored.a))
+    return true, found
+
+
+@metric("IRI-filtered cross-correlation, R 56-style", digits=2, better="high", head="R 56-style")
+def iri_cross_correlation(scored: ScoredEstimate) -> float:
+    """Cross-correlation of IRI-filtered profiles, scaled by their amplitudes, R 56-style.
+
+    Mean of both wheel paths. Inertial profilers had 0.95 on dense-graded and 0.64 on open-graded
+    asphalt (Nazef & Mraz, RPUG 2013).
+    """
+    pairs = zip(scored.y, scored.a, strict=True)
+    return float(np.mean([iri_filtered_correlation(y, a, scored.ds) for y, a in pairs]))
+
+
+@metric("IRI bias", unit="mm/m", digits=2, better="zero", head="IRI bias")
+def iri_bias(scored: ScoredEstimate) -> float:
+    """Mean difference of the IRI per 100 m, estimate less truth, of both wheel paths."""
+    true, found = scored.shared(_segment_iri)
+    return bland_altman(found, true).bias
+
+
+@metric("IRI RMSE", unit="mm/m", digits=2, head="IRI RMSE")
+def iri_rmse(scored: ScoredEstimate) -> float:
+    """RMS difference of the IRI per 100 m of both wheel paths."""
+    true, found = scored.shared(_segment_iri)
+    return float(np.sqrt(np.mean((found - true) ** 2)))
