@@ -88,8 +88,7 @@ def pareto_chart(data: dict[str, Any]) -> Chart:
         for k in range(len(PARETO_METRICS)):
             traces.append(_policy_trace(row, symbol, k))
     layout = {
-        "height": 560,
-        "margin": {"l": 56, "r": 12, "t": 34, "b": 150},
+        "height": 460,
         "xaxis": axis("comfort [m/s²]", domain=[0.0, 0.48], nticks=5),
         "xaxis2": axis("tyre load", domain=[0.52, 1.0], nticks=5),
         "yaxis": axis("error of the reconstruction"),

@@ -22,7 +22,7 @@ from leaderboard.report.sentences import PAPER_NETWORK, unrelated_level_errors
 from leaderboard.report.tables import BOUND_ROW, Row, Section, interval_text
 
 MAX_BARS = 16
-BAR_HEIGHT = 21
+BAR_HEIGHT = 19
 """Height of a bar with its gap [pixels]."""
 
 LABEL_HEIGHT, MODEBAR_HEIGHT = 15, 34
@@ -167,7 +167,7 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> Chart | None
 def _error_label(key: str) -> str:
     score = COLUMNS[key]
     if key == "nrmse":
-        return "error (a flat road has 1)"
+        return "error"
     return f"{score.label} [{score.unit}]" if score.unit else score.label
 
 
@@ -202,9 +202,9 @@ def strip_chart(section: Section, results: Iterable[Result], ranks_by: str) -> C
     lines = height_lines(traces, side=0, kind="inside")
     first = lines[0]["x0"]
     layout = {
-        "height": 270,
+        "height": 310,
         "hovermode": "x unified",
-        "margin": {"l": 56, "r": 8, "t": 34, "b": 70},
+        "margin": {"l": 56, "r": 8, "t": 34, "b": 44},
         "xaxis": axis(
             "distance [m]",
             rounded(first),

@@ -109,6 +109,7 @@ def _index(board: Board, report: Report) -> dict[str, Any]:
         "ranking": overview.ranking_chart(section, definition),
         "strip": overview.strip_chart(section, board.scored(task), definition.ranks_by),
         "headline": overview.headline(section, definition),
+        "ranked_by": definition.ranks_by,
         "causal": any(row.causal for row in section.rows),
         "notice": isolation_notice(scored),
         "findings": report.findings,

@@ -3,6 +3,7 @@
 
 const MILLIMETRES = 0.1; // unit of encoded heights
 const HALF_WIDTH_90 = 1.645; // 90 % interval of a normal distribution, in standard deviations
+const LEGEND = { row: 21, entry: 160 }; // height of a row and typical width of an entry [pixels]
 const KEYS = { ArrowLeft: [1, -0.2], ArrowRight: [1, 0.2], "+": [0.5, 0], "=": [0.5, 0], "-": [2, 0] };
 const FONT = { family: "system-ui, sans-serif", size: 13, color: "var(--ink)" };
 const AXIS = {
@@ -11,7 +12,7 @@ const AXIS = {
 };
 const LAYOUT = {
   height: 340, font: FONT, paper_bgcolor: "var(--card)", plot_bgcolor: "var(--card)",
-  margin: { l: 56, r: 16, t: 34, b: 70 }, hovermode: "closest", dragmode: "zoom",
+  margin: { l: 56, r: 16, t: 34, b: 44 }, hovermode: "closest", dragmode: "zoom",
   hoverlabel: { bgcolor: "var(--card)", bordercolor: "var(--faint)", font: FONT },
   legend: { orientation: "h", x: 0, yref: "container", y: 0, yanchor: "bottom" },
   modebar: { bgcolor: "rgba(0,0,0,0)", color: "var(--faint)", activecolor: "var(--ink)" },
@@ -69,10 +70,20 @@ class Chart {
     }, { capture: true });
   }
 
+  /** Return the layout of a figure, higher by the rows of its legend. */
+  layout(figure) {
+    const layout = withAxes({ ...this.data.layout, ...figure.layout });
+    const entries = layout.showlegend === false ? 0 : figure.data.filter((trace) => trace.showlegend !== false).length;
+    const rows = Math.ceil((entries * LEGEND.entry) / Math.max(this.host.clientWidth - 70, LEGEND.entry));
+    layout.margin = { ...layout.margin, b: layout.margin.b + rows * LEGEND.row };
+    layout.height += Math.max(rows - 1, 0) * LEGEND.row;
+    return layout;
+  }
+
   draw() {
     const figure = this.data.figures[this.fields.map((field) => field.value).join("|")];
     if (!figure) return Plotly.purge(this.host);
-    const layout = withAxes({ ...this.data.layout, ...figure.layout });
+    const layout = this.layout(figure);
     // zoom and hidden lines survive another figure of the chart, but not a reset
     const before = this.host.layout?.uirevision === this.resets ? this.host.data : [];
     const visible = new Map(before.map((trace) => [trace.name, trace.visible ?? true]));
