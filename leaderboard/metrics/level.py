@@ -30,8 +30,9 @@ def level_error_raw(scored: ScoredEstimate) -> float:
 def level_error(scored: ScoredEstimate) -> float:
     """Equation 12 of the paper, of heights about their mean: the error of the RMS level alone.
 
-    The longest waves dominate it, so an estimator that cuts them off, such as kalman_lag, has a
-    large one at a small in-band error, and an unrelated road of the same class a small one.
+    The longest waves dominate it, so an estimator that cuts them off, such as kalman_lag and
+    kalman_rts, has a large one at a small in-band error, and an unrelated road of the same class a
+    small one.
     """
     return abs(scored.shared(_level).pooled)
 
