@@ -1,6 +1,7 @@
 """Commands `policies`, `tune-policy`, `train-policy`: suspension-switching policies."""
 
 import json as json_module
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,6 +22,7 @@ from leaderboard.commands import (
 from leaderboard.commands.simulate import Json
 from leaderboard.policies import comparison, grid_search
 from leaderboard.policies import page as policy_page
+from leaderboard.policies.ride_metrics import METRICS
 from leaderboard.policies.scenarios import load_scenarios
 from leaderboard.policies.summary import REFERENCE, format_metric, summarize_results
 from leaderboard.policies.training_study import evaluate_study, study_lines, train_seeds
@@ -29,21 +31,8 @@ from road_envs.config import ConfigError, validate_choice
 from road_envs.policies import available, create
 from road_envs.policies.greedy_information import GreedyInformation
 
-COLUMNS = {
-    "comfort": "comfort\nm/s²",
-    "tyre_load": "tyre\nload",
-    "switches_per_km": "switch\n1/km",
-    "return": "return\n1/s",
-}
-WIDE_COLUMNS = {
-    **COLUMNS,
-    "vdv": "VDV\nm/s^1.75",
-    "rattle": "rattle\nmm",
-    "stops_per_km": "stops\n1/km",
-    "roll_peak": "roll\ndeg",
-    "dwell": "dwell\ns",
-    "bound": "bound\n",
-}
+COLUMNS = ("comfort", "tyre_load", "switches_per_km", "return")
+WIDE_COLUMNS = (*COLUMNS, "vdv", "rattle", "stops_per_km", "roll_peak", "dwell", "bound")
 """Columns of the table by default and with --wide; the page has all."""
 SWEPT_WEIGHTS = (15.0, 30.0, 300.0, 2000.0)
 """Information weights of the sensing policies in the Pareto plot. Each gives a different policy at
@@ -202,7 +191,7 @@ def _make_estimator(name: str) -> Estimator:
     return estimators.create(name, shipped=False) if refits_per_case(estimator) else estimator
 
 
-def _print(data: dict[str, Any], columns: dict[str, str]) -> None:
+def _print(data: dict[str, Any], columns: Sequence[str]) -> None:
     console.print(
         f"Switching policies on {len(data['seeds'])} held-out roads: {data['title']}",
         soft_wrap=True,
@@ -210,7 +199,8 @@ def _print(data: dict[str, Any], columns: dict[str, str]) -> None:
     table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
     names = next((list(row["errors"]) for row in data["rows"] if not row["failure"]), [])
     table.add_column("policy", no_wrap=True)
-    for heading in (*columns.values(), *(name.replace("_", "\n", 1) for name in names)):
+    heads = [f"{METRICS[name].head}\n{METRICS[name].unit}" for name in columns]
+    for heading in (*heads, *(name.replace("_", "\n", 1) for name in names)):
         table.add_column(heading, justify="right", no_wrap=True)
     failed = [row for row in data["rows"] if row["failure"]]
     for row in data["rows"]:

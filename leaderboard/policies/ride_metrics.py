@@ -18,15 +18,16 @@ METRICS = {
     metric.key: metric
     for metric in (
         Metric(
-            key="comfort", label="W_k-weighted RMS heave acceleration", unit="m/s²",
+            key="comfort", head="comfort", label="W_k-weighted RMS heave acceleration", unit="m/s²",
             help="RMS of the heave acceleration of the body, weighted by W_k of ISO 2631-1.",
         ),
         Metric(
-            key="vdv", label="vibration dose value of heave", unit="m/s^1.75",
+            key="vdv", head="VDV", label="vibration dose value of heave", unit="m/s^1.75",
             help="Fourth-power dose of the W_k-weighted heave acceleration: shocks count most.",
         ),
         Metric(
-            key="rattle", label="RMS strut extension", unit="mm", factor=1000.0, digits=1,
+            key="rattle", head="rattle",
+            label="RMS strut extension", unit="mm", factor=1000.0, digits=1,
             help="RMS of the strut extensions from the static length, all four struts.",
         ),
         Metric(
@@ -34,11 +35,11 @@ METRICS = {
             help="Largest extension or compression of any strut.",
         ),
         Metric(
-            key="stops_per_km", label="bump-stop hits", unit="1/km", digits=0,
+            key="stops_per_km", head="stops", label="bump-stop hits", unit="1/km", digits=0,
             help="How often a strut leaves the range without bump-stop force.",
         ),
         Metric(
-            key="tyre_load", label="dynamic tyre load coefficient", digits=3,
+            key="tyre_load", head="tyre load", label="dynamic tyre load coefficient", digits=3,
             help="RMS of the tyre load about the static one, relative to it: handling.",
         ),
         Metric(
@@ -50,15 +51,16 @@ METRICS = {
             help="RMS roll angle of the body.",
         ),
         Metric(
-            key="roll_peak", label="largest roll angle", unit="deg",
+            key="roll_peak", head="roll", label="largest roll angle", unit="deg",
             factor=float(np.degrees(1.0)), digits=1, help="Largest roll angle of the body.",
         ),
         Metric(
-            key="switches_per_km", label="changes of the command", unit="1/km", digits=0,
+            key="switches_per_km", head="switch",
+            label="changes of the command", unit="1/km", digits=0,
             better="", help="How often the commanded states change, after the first command.",
         ),
         Metric(
-            key="dwell", label="mean time between changes", unit="s", better="",
+            key="dwell", head="dwell", label="mean time between changes", unit="s", better="",
             help="Mean time for which the commanded states stay.",
         ),
         Metric(
@@ -66,11 +68,13 @@ METRICS = {
             help="Share of drives that ended in a rollover.",
         ),
         Metric(
-            key="return", label="return: sum of rewards, per second", unit="1/s", digits=3,
+            key="return", head="return",
+            label="return: sum of rewards, per second", unit="1/s", digits=3,
             better="high", help="Sum of the environment's rewards over a drive, per second.",
         ),
         Metric(
-            key="bound", label="bound on the in-band error for the states used", digits=3,
+            key="bound", head="bound",
+            label="bound on the in-band error for the states used", digits=3,
             help="Bound of a linear car without friction that spends in each pair of states the "
             "time that the policy did.",
         ),
