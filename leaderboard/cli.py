@@ -77,6 +77,10 @@ class RoadRecon(LazyGroup):
                 "estimate:classify",
                 "Estimate the ISO 8608 class of the road of a record, with its probability.",
             ),
+            "identify": _entry(
+                "identify:identify",
+                "Identify a vehicle's parameters from calibration drives, and write its file.",
+            ),
             "train": _entry(
                 "simulate:train", "Train an estimator on simulated drives and store it."
             ),

@@ -84,6 +84,8 @@ METRICS, SPECTRAL, BUMPS = (
 DEFENDER = "configs/vehicles/land_rover_defender_110.yaml"
 
 FAULTS = [
+    Fault("road_envs/simulation/lanes.py", "if not settled or commands[n] != commands[n - 1]:", "if not settled:",
+          "lanes::test_variants_drive_as_each_of_them_alone"),
     Fault("road_envs/vehicle/tolerances.py", "return (WHEELS if size == len(WHEELS) else AXLES).index(part)", "return (WHEELS if size == len(WHEELS) else AXLES).index(part) // 2",
           "tolerances::test_a_scaled_parameter_acts_on_its_own_wheel_mass_or_curve"),
     Fault("leaderboard/evaluation/tasks.py", 'condition.grade if drives is self.test else "S0"', "condition.grade",
@@ -195,7 +197,7 @@ FAULTS = [
     Fault("road_envs/simulation/instrumented_fleet.py", "field[b][..., lanes] = before[j][..., lanes]", "pass", SINGLE),
     Fault("road_envs/envs/sb3.py", "truncated[i] and not terminated[i]", "truncated[i] or terminated[i]",
           "sb3::test_a_failed_vehicle_is_not_reported_as_truncated"),
-    Fault("road_envs/simulation/fleet.py", "constants[field] += first", "constants[field] += 0 * first", LANE),
+    Fault("road_envs/simulation/lanes.py", "constants[field] += first", "constants[field] += 0 * first", LANE),
     Fault("road_envs/simulation/fleet.py", "        if flexible is None:", "        if True:", LANE),
     Fault("road_envs/simulation/fleet.py", "byte != last[k]", "False",
           "fleet::test_every_lane_matches_its_vehicle_simulated_alone"),

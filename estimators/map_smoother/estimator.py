@@ -18,12 +18,16 @@ The model is the vehicle as given, in steps of 1 ms. The measurements are means 
 samples, so up to about 90 Hz: friction mixes frequencies, and accelerations above the scored 25 Hz
 carry information about the road below.
 
-Known to fail: on a vehicle that is far from the one given; under a lifted wheel, where the road is
+A vehicle that differs from the one given within its tolerances is fitted to the drive
+(`car_fit.py`).
+
+Known to fail: on a vehicle with elements that the one given has not, such as a frame that twists;
+under a lifted wheel, where the road is
 only known to lie below it: a bump that throws the wheel is as long as its jump; for waves longer
 than about 50 m, which are hardly observable at a walking pace and left out.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -32,24 +36,38 @@ from estimators.common.block_means import MIN_NOISE_DENSITY
 from estimators.common.fallback import reduce_unexplained
 from estimators.common.model_inputs import MOVING_STD, REST_STD, build_model_inputs, rest_state
 from estimators.common.spline import evaluate_spline
-from estimators.map_smoother.gauss_newton import NOISE_SCALE_WARNING, MapSolution, minimize
+from estimators.map_smoother.car_fit import CarFit, fit_car
+from estimators.map_smoother.gauss_newton import (
+    NOISE_SCALE_WARNING,
+    GaussNewton,
+    MapSolution,
+    minimize,
+)
 from estimators.map_smoother.objective import MeasurementModel, Objective
 from estimators.map_smoother.posterior_sampling import posterior_std
 from estimators.map_smoother.preconditioner import stationary_hessian
-from estimators.map_smoother.wheel_liftoff import distance_in_air
+from estimators.map_smoother.wheel_liftoff import distance_in_air, unloaded_nodes
 from estimators.map_smoother.windows import MARGIN, PreparedDrive, reconstruct, split_windows
 from estimators.preprocessing import clipped_signs, mask_record
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.analysis.roughness import CLASSES
 from road_envs.config import STRICT
-from road_envs.data.record import Estimate, Record, profile_stations, scored_band
+from road_envs.data.record import SENSORS, Estimate, Record, profile_stations, scored_band
 from road_envs.sensing.instruments import Instruments, load_instruments
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.linear_model import linearise
 from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.tolerances import parameter_space
 
 NODE_SPACING_RANGE = (0.025, 0.05)
 """Least and greatest distance of the road's nodes [m]."""
+
+READINGS_PER_UNKNOWN = 2.0
+"""Block means per unknown of the road, at least: with as many unknowns as readings the unexplained
+noise is overestimated, and a fitted vehicle is biased."""
+
+ADAPT_NOISE_SCALE = 1.15
+"""Unexplained noise from which on the vehicle is adapted to the drive."""
 
 F_RESOLVED = 70.0
 """Frequency [Hz] that the nodes resolve at any speed, within NODE_SPACING_RANGE."""
@@ -65,11 +83,13 @@ class MapSmoother:
 
     `instruments`: name or path; `noise_density` [(m/s²)/sqrt(Hz)] if it is not theirs. `G_d0` [m³]
     and `w`: the road's prior; `adapt_prior`: re-estimate its density from the drive. `data_rate`
-    [Hz] of the block means. `step` [s]: longest step of the model. `level_ends`: the road is level
+    [Hz] of the
+    block means, at least. `step` [s]: longest step of the model. `level_ends`: the road is level
     before station 0 and behind its length, where the drive begins at rest. `huber`: standard
     deviations beyond which a measurement is down-weighted. `window`, `overlap` [s]: longer drives
     are estimated window by window. `draws`: posterior samples for the standard deviation, 0 for
-    none.
+    none. `adapt`: where the unexplained noise says that the vehicle differs, and its file gives
+    tolerances, the parameters are fitted to the drive (`car_fit.py`).
     """
 
     __pydantic_config__ = STRICT
@@ -87,6 +107,7 @@ class MapSmoother:
     window: float = 40.0
     overlap: float = 5.0
     draws: int = 2
+    adapt: bool = True
 
     def __post_init__(self):
         for name in ("G_d0", "w", "data_rate", "step", "huber", "overlap"):
@@ -105,19 +126,38 @@ class MapSmoother:
         """Estimate both wheel paths. Raises ConfigError, RecordError, ArithmeticError."""
         instruments = load_instruments(self.instruments)
         record, valid, notes = mask_record(record, instruments)
-        model = self._measurement_model(record, car, instruments)
-        drive = self._prepare_drive(record, valid, car, instruments)
+        model = self.measurement_model(record, car, instruments)
+        drive = self.prepare_drive(record, valid, car, instruments)
         prior, band = RoadPrior(G_d0=self.G_d0, w=self.w), scored_band(float(drive.inputs.v.mean()))
         rate, blocks = 1.0 / (drive.steps_per_block * drive.inputs.h), drive.a.shape[1]
         blocks //= drive.block_size
         windows = split_windows(blocks, round(self.window * rate), round(self.overlap * rate))
 
         in_air: list[float] = []
+        fits: list[CarFit] = []
+
+        def adapt_car(solution: MapSolution, solver: GaussNewton) -> MapSolution:
+            lin = solution.linearization
+            # on uneven roads and under wheels in the air, the vehicle is not what is unexplained
+            uneven = np.ptp(lin.objective.road.local) > 0.0 or unloaded_nodes(lin).any()
+            if uneven or solution.noise_scale < ADAPT_NOISE_SCALE:
+                return solution
+            try:
+                fits.append(fit_car([solution], parameter_space(car), solver))
+            except ArithmeticError:  # a varied vehicle's motion was not finite
+                return solution
+            return fits[0].solutions[0]
 
         def solve(objective: Objective) -> tuple[MapSolution, np.ndarray]:
-            stationary = stationary_hessian(objective)
+            if fits:  # the vehicle of the first window is that of the whole drive
+                plant = build_plant(fits[0].car)
+                objective = replace(objective, model=replace(objective.model, plant=plant))
             solution = minimize(
-                objective, stationary, huber=self.huber, adapt_prior=self.adapt_prior
+                objective,
+                stationary_hessian(objective),
+                huber=self.huber,
+                adapt_prior=self.adapt_prior,
+                adapt_car=adapt_car if self.adapt and car.tolerances and not fits else None,
             )
             in_air.append(distance_in_air(solution.linearization))
             return solution, posterior_std(solution, band, self.draws, seed=0)
@@ -132,6 +172,8 @@ class MapSmoother:
                 f"wheels were in the air for {sum(in_air):.1f} m of the drive; the road below them "
                 "is uncertain",
             )
+        if fits:
+            notes += (f"the vehicle was adapted to the drive: {fits[0].summary()}",)
         if max(noise_scale) > NOISE_SCALE_WARNING:
             notes += (
                 f"{max(noise_scale):.1f} times the instruments' noise power is left unexplained: "
@@ -145,7 +187,7 @@ class MapSmoother:
             )
         return Estimate(s, z, z_std, notes)
 
-    def _measurement_model(
+    def measurement_model(
         self, record: Record, car: VehicleParameters, instruments: Instruments
     ) -> MeasurementModel:
         one, locations = build_plant(car), instruments.locations(car)
@@ -154,8 +196,13 @@ class MapSmoother:
         noise = density**2 * 0.5 * record.fs
         return MeasurementModel(one, car.valve.lag, car.wheelbase, locations, sensor_rows, noise)
 
-    def _prepare_drive(
-        self, record: Record, valid: np.ndarray, car: VehicleParameters, instruments: Instruments
+    def prepare_drive(
+        self,
+        record: Record,
+        valid: np.ndarray,
+        car: VehicleParameters,
+        instruments: Instruments,
+        readings_per_unknown: float = READINGS_PER_UNKNOWN,
     ) -> PreparedDrive:
         inputs = build_model_inputs(record, instruments, car, self.step)
         censored = clipped_signs(record, instruments)
@@ -163,8 +210,10 @@ class MapSmoother:
         # the mean over the drive is mostly sensor bias
         mean = np.sum(a, axis=1, where=valid) / np.maximum(valid.sum(axis=1), 1)
         a -= mean[:, None]
-        block = max(1, round(record.fs / self.data_rate))
         ds = float(np.clip(0.5 * inputs.v.mean() / F_RESOLVED, *NODE_SPACING_RANGE))
+        unknowns = 2.0 * float(inputs.v.mean()) / ds  # per second
+        rate = max(self.data_rate, readings_per_unknown * unknowns / len(SENSORS))
+        block = max(1, round(record.fs / rate))
         origin = inputs.s[0] - car.wheelbase - (MARGIN + 1) * ds
         middle = origin + ds * (np.arange(int((inputs.s[-1] - origin) / ds) + 2 * MARGIN) - 0.5)
         level = self.level_ends and record.s[0] <= 0.0

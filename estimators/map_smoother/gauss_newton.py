@@ -66,12 +66,14 @@ def minimize(
     huber: float = np.inf,
     cost_tolerance: float = 1e-2,
     adapt_prior: bool = True,
+    adapt_car: "Callable[[MapSolution, GaussNewton], MapSolution] | None" = None,
     report: Callable[[str, Linearization], None] = lambda text, lin: None,
 ) -> MapSolution:
     """Minimize the objective, from a level road on.
 
     `huber`: standard deviations beyond which a block mean is down-weighted. Ends when a step with
-    the true vehicle lowers the cost by less than the share `cost_tolerance`.
+    the true vehicle lowers the cost by less than the share `cost_tolerance`. `adapt_car`, if given,
+    then returns the solution with another vehicle.
     """
     solver = GaussNewton(stationary, huber, cg_iterations, cg_tolerance)
     steps, total, noise_scale = 0, 0, np.inf
@@ -100,6 +102,11 @@ def minimize(
             lin, k = solver.step(lin, plant, noise_scale)
             steps, total = steps + 1, total + k
             report("prior", lin)
+    if adapt_car is not None:
+        found = adapt_car(MapSolution(lin, stationary, noise_scale, steps, total), solver)
+        lin, stationary, noise_scale = found.linearization, found.stationary, found.noise_scale
+        steps, total, plant = found.steps, found.cg_iterations, lin.objective.model.plant
+        objective, solver = lin.objective, replace(solver, stationary=stationary)
     if noise_scale > NOISE_SCALE_WARNING:
         for _ in range(REWEIGHTING_STEPS):
             frequency_weights = estimate_frequency_weights(lin, stationary, noise_scale)

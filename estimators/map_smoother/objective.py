@@ -22,7 +22,8 @@ from estimators.common.spline import sample_under_wheels
 from estimators.map_smoother.block_tangent import BlockTangent, build_block_tangent
 from estimators.map_smoother.road_prior import RoadTransform
 from road_envs.simulation.sensitivity import Tape, linearize_drive
-from road_envs.vehicle.equations import N_DOF, Plant
+from road_envs.vehicle.equations import N_DOF, Plant, equilibrium
+from road_envs.vehicle.suspension import settled_strut_state
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +62,12 @@ class Objective:
         """Number of unknowns."""
         return 2 * self.road.size + 2 * N_DOF + self.model.sensor_rows.shape[0]
 
+    @property
+    def block_duration(self) -> float:
+        """Duration [s] of the samples of one block mean."""
+        inputs, samples = self.inputs, self.measurements.sample_weight.shape[2]
+        return inputs.h * inputs.decimation * samples
+
     def split(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return `u` (2, K) and, in SI units, the initial deviation (14,) and biases (S,)."""
         u, start, bias = np.split(x, [2 * self.road.size, 2 * self.road.size + 2 * N_DOF])
@@ -78,6 +85,14 @@ class Objective:
         x = (self.inputs.s - self.road.origin) / ds
         return x, self.inputs.v / ds, self.model.wheelbase / ds
 
+    def with_plant(self, plant: Plant) -> "Objective":
+        """Return the objective for another `plant`, which begins as far from its equilibrium."""
+        strut_state, level = settled_strut_state(int(self.inputs.commands[0])), np.zeros(4)
+        change = equilibrium(plant, strut_state, level)
+        change -= equilibrium(self.model.plant, strut_state, level)
+        model = replace(self.model, plant=plant)
+        return replace(self, model=model, initial_state=self.initial_state + change)
+
     def simulate(self, x: np.ndarray, plant: Plant | None = None) -> Tape:
         """Return the taped motion on the road of `x`. Raises ArithmeticError if not finite."""
         u, start, _ = self.split(x)
@@ -90,6 +105,12 @@ class Objective:
             commands=self.inputs.commands,
             lag=self.model.valve_lag,
         )
+
+    def residual_at(self, x: np.ndarray, plant: Plant | None = None) -> tuple[np.ndarray, Tape]:
+        """Return the residual (S, J) [m/s²] of the measurements and the taped motion."""
+        tape = self.simulate(x, plant)
+        _, _, bias = self.split(x)
+        return self.residual(tape.acceleration, bias), tape
 
     def state_after(self, x: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
         """Return vehicle state (14,) and strut state (4, 3) after `steps` on the road of `x`."""
@@ -190,7 +211,5 @@ def linearize(
     frequency_weights: np.ndarray | None = None,
 ) -> Linearization:
     """Linearize `objective` at `x`, for its own plant or another. Raises ArithmeticError."""
-    tape = objective.simulate(x, plant)
-    _, _, bias = objective.split(x)
-    residual = objective.residual(tape.acceleration, bias)
+    residual, tape = objective.residual_at(x, plant)
     return Linearization(objective, x, tape, residual, inverse_variance, frequency_weights)

@@ -14,7 +14,7 @@ the nodes are shared out among levels of local roughness, and the preconditioner
 of the levels.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -179,13 +179,8 @@ def stationary_hessian(objective: Objective) -> StationaryHessian:
     """Return the Hessian of `objective` at its mean speed; strut states count by their duration."""
     road, inputs = objective.road, objective.inputs
     n, v = np.maximum(road.n, 1e-6), float(inputs.v.mean())
-    information = np.zeros((n.size, 2, 2), dtype=complex)
-    for byte, count in zip(*np.unique(inputs.commands, return_counts=True), strict=True):
-        mode = _decode_mode(int(byte))
-        damping = gaussian_damping(objective.model.plant, mode, DAMPING_RATE)
-        model = linearise(objective.model.plant, mode, objective.model.locations, damping=damping)
-        H = frequency_response(model, v, n=n) @ TO_WHEEL_PATHS
-        information += count / inputs.n_steps * np.einsum("fsi,fsj->fij", H.conj(), H)
+    parts = ((share * H.conj(), H) for share, H in linear_responses(objective, n * v))
+    information = np.sum([np.einsum("fsi,fsj->fij", dual, H) for dual, H in parts], axis=0)
     fs = 1.0 / (inputs.h * inputs.decimation)
     response = np.sinc(n * v * objective.measurements.sample_weight.shape[2] / fs) ** 2
     return StationaryHessian(information * (response * fs * road.ds / v)[:, None, None])
@@ -197,6 +192,31 @@ def _split_levels(local: np.ndarray) -> list[tuple[float, np.ndarray]]:
     levels = np.linspace(log.min(), log.max(), 1 + int(np.ceil(np.ptp(log) / MAX_LEVEL_STEP)))
     shares = np.array([np.interp(log, levels, row) for row in np.eye(levels.size)])
     return list(zip(np.exp(levels), shares, strict=True))
+
+
+def prior_spectrum(objective: Objective, f: np.ndarray) -> np.ndarray:
+    """Return the spectrum (F, 2) [m²] of mean and half difference in block means at `f` (F,) [Hz].
+
+    In units in which that of unit white noise of the block means is 1.
+    """
+    road, v = objective.road, float(objective.inputs.v.mean())
+    dt = objective.block_duration
+    density = np.abs(road.transfer_function()) ** 2 * road.ds / (v * dt)
+    response = np.sinc(f * dt) ** 2
+    return np.array([np.interp(f / v, road.n, path) * response for path in density]).T
+
+
+def linear_responses(objective: Objective, f: np.ndarray) -> Iterator[tuple[float, np.ndarray]]:
+    """Yield the share of each strut state in the drive, and its response (F, S, 2) at `f` (F,) [Hz]
+    to mean and half difference.
+    """
+    inputs, model = objective.inputs, objective.model
+    for byte, count in zip(*np.unique(inputs.commands, return_counts=True), strict=True):
+        mode = _decode_mode(int(byte))
+        damping = gaussian_damping(model.plant, mode, DAMPING_RATE)
+        linear = linearise(model.plant, mode, model.locations, damping=damping)
+        H = frequency_response(linear, float(inputs.v.mean()), f=f)
+        yield count / inputs.n_steps, H @ TO_WHEEL_PATHS
 
 
 def _decode_mode(byte: int) -> dict[str, str]:

@@ -14,15 +14,13 @@ from road_envs._numba import kernel
 from road_envs.sensing.filters import sosfilt_kernel
 from road_envs.simulation.drive import DriveInputs
 from road_envs.simulation.fleet import (
-    SCRATCH_ROWS,
-    LaneBuffers,
     RoadBuffers,
-    aligned_zeros,
     delay_commands,
     front_axle_stations,
     integrate_lanes,
     sample_roads,
 )
+from road_envs.simulation.lanes import SCRATCH_ROWS, LaneBuffers, aligned_zeros
 from road_envs.simulation.rosenbrock import ACCELERATION, EXTENSION, LOAD, N_SIGNALS
 from road_envs.simulation.simd import LANES, extract_lane, get, maximum, minimum, put
 from road_envs.vehicle.equations import DOF, N_DOF, PHI, THETA, Z_B, extension

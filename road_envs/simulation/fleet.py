@@ -16,27 +16,26 @@ from road_envs._numba import kernel
 from road_envs.config import ConfigError
 from road_envs.roads.surface import PAD, Surface, catmull_rom
 from road_envs.simulation.drive import DriveInputs, DriveSimulator
+from road_envs.simulation.lanes import (
+    ROW,
+    SCRATCH_ROWS,
+    aligned_copy,
+    aligned_zeros,
+    lane_buffers,
+    update_lane_valves,
+)
 from road_envs.simulation.rosenbrock import (
-    N_FLEXIBLE_SIGNALS,
     WORKSPACE_ROWS,
     StepInputs,
     flexible_step,
     n_signals,
     step,
     step_workspace,
-    update_valves,
 )
 from road_envs.simulation.simd import LANES, get, integer_part, load_four, maximum, minimum, put
 from road_envs.simulation.substeps import SUBSTEPS, interpolate, mark_steep
-from road_envs.vehicle.equations import PLANT_DTYPE, Motion
+from road_envs.vehicle.equations import Motion
 from road_envs.vehicle.suspension import VehicleBuffers
-
-_LANE_CONSTANTS = np.dtype(
-    [(name, "f8", (*PLANT_DTYPE[name].shape, LANES)) for name in PLANT_DTYPE.names or ()]
-)
-_ROW = WORKSPACE_ROWS + 16
-SCRATCH_ROWS = _ROW + N_FLEXIBLE_SIGNALS
-"""Rows of the scratch of `integrate_lanes`: workspace, road and signals of one step."""
 
 
 @cache
@@ -56,33 +55,6 @@ class RoadBuffers(NamedTuple):
     ds: np.ndarray
 
 
-def aligned_zeros(*shape: int) -> np.ndarray:
-    """Return zeros (..., LANES) with rows on cache line boundaries, which no load then crosses."""
-    size = int(np.prod(shape)) * LANES
-    store = np.zeros(size + LANES)
-    skip = -(store.ctypes.data // 8) % LANES
-    return store[skip : skip + size].reshape(*shape, LANES)
-
-
-def aligned_copy(array: np.ndarray) -> np.ndarray:
-    """Return an aligned copy of an array (..., LANES)."""
-    copy = aligned_zeros(*array.shape[:-1])
-    copy[...] = array
-    return copy
-
-
-def transpose_constants(constants: np.ndarray) -> np.ndarray:
-    """Return the constants (LANES,) of LANES vehicles as one record (1,), lanes last in each field.
-
-    Compiled code needs one address for a record; 30 arrays would need 30, more than there are
-    registers.
-    """
-    p = aligned_zeros(_LANE_CONSTANTS.itemsize // (8 * LANES)).reshape(-1).view(_LANE_CONSTANTS)
-    for name in PLANT_DTYPE.names or ():
-        p[name][0] = np.moveaxis(constants[name], 0, -1)
-    return p
-
-
 @kernel
 def sample_roads(p, roads, s, speed, road, at):
     """Write heights [m] and rates [m/s] under the wheels to rows `at` ... `at` + 7 of `road`.
@@ -100,23 +72,6 @@ def sample_roads(p, roads, s, speed, road, at):
             z, slope = catmull_rom(a, b, c, d, u - j, ds)
             put(road, at + 2 * i + side, z)
             put(road, at + 4 + 2 * i + side, slope * v)
-
-
-@kernel(inline=False)
-def update_lane_valves(constants, strut_state, q, k, byte, alpha, h):
-    """Advance the valves of lane `k`, vehicle `constants` (1,); return whether all are settled."""
-    # the valve law is written for the arrays of one vehicle: copy the lane out and back
-    own, own_q = np.empty(strut_state.shape[:2]), np.empty(q.shape[0])
-    for w in range(own.shape[0]):
-        for j in range(own.shape[1]):
-            own[w, j] = strut_state[w, j, k]
-    for j in range(own_q.size):
-        own_q[j] = q[j, k]
-    at_target = update_valves(constants[0], own, own_q, byte, alpha, h)
-    for w in range(own.shape[0]):
-        for j in range(own.shape[1]):
-            strut_state[w, j, k] = own[w, j]
-    return at_target
 
 
 @kernel(inline=False)
@@ -151,25 +106,6 @@ def front_axle_stations(start, v, done, h, s, speed):
             speed[i, k] = v[k]
 
 
-class LaneBuffers(NamedTuple):
-    """LANES vehicles as kernels read them; `strut_state`, `q` and `v` are advanced in place.
-
-    `lane_constants` (1,) as of `transpose_constants`; for the valves, which move lane by lane, the
-    same as `constants` (LANES,) and the factors `alpha` (LANES,) of `suspension.advance_valve`;
-    tables `velocity` and `displacement`; `strut_state` (4, 3, LANES); `q`, `v` (7, LANES), or
-    (8, LANES) if flexible.
-    """
-
-    lane_constants: np.ndarray
-    constants: np.ndarray
-    alpha: np.ndarray
-    velocity: np.ndarray
-    displacement: np.ndarray
-    strut_state: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-
-
 @kernel(inline=False)
 def integrate_lanes(lanes, roads, inputs, scratch, columns, out, flexible=None):
     """Integrate the DriveInputs of LaneBuffers over RoadBuffers.
@@ -181,7 +117,7 @@ def integrate_lanes(lanes, roads, inputs, scratch, columns, out, flexible=None):
     strut_state, alpha = lanes.strut_state, lanes.alpha
     vehicle = VehicleBuffers(lanes.lane_constants, lanes.velocity, lanes.displacement, strut_state)
     motion, s, speed, h = Motion(q, v), inputs.s, inputs.v, inputs.h
-    work, road, row = step_workspace(scratch), scratch[WORKSPACE_ROWS:_ROW], scratch[_ROW:]
+    work, road, row = step_workspace(scratch), scratch[WORKSPACE_ROWS:ROW], scratch[ROW:]
     last = np.zeros(LANES, dtype=np.uint8)
     at_target, steep = np.zeros(LANES, dtype=np.bool_), np.zeros(LANES, dtype=np.bool_)
     before, whole = np.empty((2, *q.shape)), np.empty((2, *q.shape))
@@ -231,26 +167,13 @@ class _Block:
     def __init__(self, drives: Sequence[DriveSimulator]):
         lane_drives = [*drives, *[drives[-1]] * (LANES - len(drives))]
         self.drives, self.lane_drives = list(drives), lane_drives
-        constants = np.concatenate([drive.plant.constants for drive in lane_drives])
-        plants = list({id(drive.plant): drive.plant for drive in lane_drives}.values())
-        of_lane = [next(i for i, p in enumerate(plants) if p is d.plant) for d in lane_drives]
-        # the tables of all plants are concatenated, those of shared plants once
-        tables = (("velocity_table", "velocity"), ("displacement_table", "displacement"))
-        for field, table in tables:
-            first = np.cumsum([0, *(len(getattr(plant, table)) for plant in plants)])
-            constants[field] += first[of_lane][:, None]
         self.h = lane_drives[0].step
-        lags = np.array([drive.car.valve.lag for drive in lane_drives])
-        q, v = np.split(np.stack([drive.state for drive in lane_drives], axis=-1), 2)
-        self.lanes = LaneBuffers(
-            lane_constants=transpose_constants(constants),
-            constants=constants,
-            alpha=aligned_copy(1.0 - np.exp(-self.h / lags)),
-            velocity=np.concatenate([plant.velocity for plant in plants]),
-            displacement=np.concatenate([plant.displacement for plant in plants]),
-            strut_state=aligned_copy(np.stack([d.strut_state for d in lane_drives], axis=-1)),
-            q=aligned_copy(q),
-            v=aligned_copy(v),
+        self.lanes = lane_buffers(
+            [drive.plant for drive in lane_drives],
+            [drive.state for drive in lane_drives],
+            [drive.strut_state for drive in lane_drives],
+            [drive.car.valve.lag for drive in lane_drives],
+            self.h,
         )
         self.flexible = (True,) if lane_drives[0].plant.flexible else ()
         self.roads = _road_buffers([drive.surface for drive in lane_drives])

@@ -41,12 +41,8 @@ from road_envs.simulation.control_step import (
     workspace_views,
 )
 from road_envs.simulation.drive import DriveSimulator, Trajectory
-from road_envs.simulation.fleet import (
-    aligned_copy,
-    aligned_zeros,
-    thread_pool,
-    transpose_constants,
-)
+from road_envs.simulation.fleet import thread_pool
+from road_envs.simulation.lanes import aligned_copy, aligned_zeros, transpose_constants
 from road_envs.simulation.manoeuvres import Manoeuvre
 from road_envs.simulation.rosenbrock import N_SIGNALS
 from road_envs.simulation.simd import LANES

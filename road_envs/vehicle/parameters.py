@@ -4,13 +4,16 @@ Axes after ISO 8855: x ahead, y left, z up. Symbols as in the literature; `equat
 to the letters of the paper (Ngwangwa, Heyns, Breytenbach & Els).
 """
 
-from dataclasses import dataclass, field
+import json
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
+import yaml
 from pydantic import Field
 
 from road_envs import config
+from road_envs._atomic_io import write_text
 from road_envs.config import Finite, NonNegative, Positive, Settings
 from road_envs.vehicle.force_curves import Curve
 
@@ -202,3 +205,11 @@ class VehicleParameters(Settings):
 def load_vehicle(name: str | Path) -> VehicleParameters:
     """Load a vehicle by shipped name or YAML path. Raises ConfigError."""
     return config.load(VehicleParameters, "vehicles", name)
+
+
+def write_vehicle(path: Path, car: VehicleParameters, comment: str = "") -> None:
+    """Write a vehicle as YAML, with a `comment` of one or more lines at the head."""
+    data = json.loads(json.dumps(asdict(car)))
+    head = "".join(f"# {line}\n" for line in comment.splitlines())
+    text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, default_flow_style=None)
+    write_text(path, head + text)

@@ -8,7 +8,8 @@ import pytest
 from road_envs.config import ConfigError
 from road_envs.roads import load_road
 from road_envs.simulation.drive import DriveSimulator
-from road_envs.simulation.fleet import Fleet, aligned_zeros, select_vehicle
+from road_envs.simulation.fleet import Fleet, select_vehicle
+from road_envs.simulation.lanes import aligned_zeros
 from road_envs.simulation.manoeuvres import Slalom
 from road_envs.simulation.simd import LANES
 from road_envs.simulation.speed import speed_ramp

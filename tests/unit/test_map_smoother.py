@@ -64,8 +64,8 @@ def drive_record(mode="handling", kmh=54.0, length=40.0, density=0.01, road_clas
 def objective_of(record: Record, car: VehicleParameters = DEFENDER, **settings) -> Objective:
     """The objective of a whole record as one window."""
     estimator = MapSmoother(**settings)
-    model = estimator._measurement_model(record, car, PAPER)
-    drive = estimator._prepare_drive(*mask_record(record, PAPER)[:2], car, PAPER)
+    model = estimator.measurement_model(record, car, PAPER)
+    drive = estimator.prepare_drive(*mask_record(record, PAPER)[:2], car, PAPER)
     blocks = drive.a.shape[1] // drive.block_size
     return window_objective(model, drive, PRIOR, initial_window_state(drive), 0, blocks)
 

@@ -1,0 +1,357 @@
+"""Identification of a vehicle from calibration drives.
+
+Over a known road (a profile with a survey error) the readings tell the parameters directly; over
+roads that nobody measured by marginal likelihood. Both are one problem with a narrow or a wide
+prior of the road (`car_fit.py`), and drives of both kinds can be combined. The last third of each
+drive is held out: there the described and the identified vehicle are compared.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.fft import irfft, rfft, rfftfreq
+from scipy.ndimage import spline_filter1d
+from scipy.signal import welch
+
+from estimators.map_smoother.car_fit import CarFit, Readings, fit_car
+from estimators.map_smoother.estimator import READINGS_PER_UNKNOWN, MapSmoother
+from estimators.map_smoother.gauss_newton import (
+    GaussNewton,
+    MapSolution,
+    estimate_noise_scale,
+    minimize,
+)
+from estimators.map_smoother.objective import Objective, linearize
+from estimators.map_smoother.preconditioner import stationary_hessian
+from estimators.map_smoother.windows import initial_window_state, window_objective
+from estimators.preprocessing import mask_record
+from road_envs.analysis.information_bound import RoadPrior
+from road_envs.analysis.roughness import N_0, displacement_psd
+from road_envs.data.record import Profile, Record
+from road_envs.sensing.instruments import load_instruments
+from road_envs.vehicle.parameters import Tolerance, VehicleParameters
+from road_envs.vehicle.tolerances import ParameterSpace, parameter_space
+
+FIT_SHARE = 2.0 / 3.0
+"""Share of each drive that is fitted; the rest is held out."""
+
+MIN_DURATION, MIN_SPEED, MIN_SIGNAL = 4.0, 1.0, 3.0
+"""Least duration [s] and mean speed [m/s] of the fitted part of a drive, and least standard
+deviation of its accelerations in units of that of the instruments' noise."""
+
+MIN_CORRELATION = 0.5
+"""Least correlation of the readings with those expected on the known road."""
+
+CLEARLY_BETTER = 0.03
+"""Excess of the correlation with another profile from which on that one is believed."""
+
+LEVEL_BAND = (0.2, 1.0)
+"""Band [cycles/m] in which the level of a profile is taken."""
+
+KNOWN_DATA_RATE = 100.0
+"""Block means per second [Hz] of a drive over a known road."""
+
+UNIT_RATIO = 4.0
+"""Ratio of measured to expected acceleration from which on units are suspected."""
+
+STD_INFLATION = 1.5
+"""Factor on posterior standard deviations, for what the covariances of a linear vehicle leave
+out."""
+
+
+WHEELBASE_MARGIN = 4.0
+"""Distance [m] after the beginning of a profile at which all wheels are on it."""
+
+
+class CalibrationError(ValueError):
+    """A drive from which the vehicle cannot be identified; the message says why."""
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationDrive:
+    """A drive, and the `profile` of its road if that is known, with independent survey errors of
+    the standard deviation `survey_std` [m].
+    """
+
+    record: Record
+    profile: Profile | None = None
+    survey_std: float = 0.0005
+    name: str = "the drive"
+
+
+@dataclass(frozen=True, eq=False)
+class Unexplained:
+    """Power of the residual over that of the instruments' noise, and its spectrum (F,) over `f`
+    (F,) [Hz], mean of the three sensors.
+    """
+
+    power: float
+    f: np.ndarray
+    spectrum: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """Result: the `fit`, the identified `car`, and what the described and the identified vehicle
+    leave `unexplained` in the held-out part of each drive.
+    """
+
+    fit: CarFit
+    car: VehicleParameters
+    std: np.ndarray
+    unexplained: tuple[tuple[Unexplained, Unexplained], ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters (P,), errors of the instruments last."""
+        space = self.fit.space
+        return (*space.names, *Readings.names)[: self.fit.x.size]
+
+    @property
+    def factors(self) -> np.ndarray:
+        """Fitted value over described value of each parameter of the vehicle."""
+        space = self.fit.space
+        return np.exp(space.std * self.fit.x[: space.size])
+
+
+def identify(
+    drives: Sequence[CalibrationDrive],
+    car: VehicleParameters,
+    smoother: MapSmoother | None = None,
+    structure: bool = False,
+) -> Identification:
+    """Identify the parameters of `car` that have tolerances from calibration drives.
+
+    With `structure`, elements that the description leaves out are identified as well
+    (`tolerances.parameter_space`). Raises CalibrationError on drives that do not fit, ConfigError
+    if the vehicle has no tolerances.
+    """
+    if not drives:
+        raise CalibrationError("an identification needs at least one drive")
+    chosen = smoother or MapSmoother(adapt=False)
+    space = parameter_space(car, structure)
+    if structure and any(drive.profile is None for drive in drives):
+        raise CalibrationError(
+            "a frame and other elements that the description leaves out are identified on known "
+            "roads only: give the profile of every drive"
+        )
+    known = all(drive.profile is not None for drive in drives)
+    parts = [_parts(drive, chosen) for drive in drives]
+    solutions = [_solve(first, space.car, chosen) for first, _ in parts]
+    solver = GaussNewton(solutions[0].stationary, chosen.huber, 40, 0.1)
+    fit = fit_car(solutions, space, solver, instruments=known)
+    std = np.minimum(STD_INFLATION * fit.std, 1.0)
+    errors = fit.x[space.size :]
+    unexplained = tuple(
+        (_unexplained(rest, car, chosen), _unexplained(rest, fit.car, chosen, errors))
+        for _, rest in parts
+    )
+    return Identification(fit, _with_posterior(fit, car, std), std, unexplained)
+
+
+def _with_posterior(fit: CarFit, car: VehicleParameters, std: np.ndarray) -> VehicleParameters:
+    """Return the fitted vehicle; its tolerances are the posterior standard deviations."""
+    space: ParameterSpace = fit.space
+    found = {
+        name: Tolerance(relative=float(s * t), source="identified")
+        for name, s, t in zip(space.names, space.std, std, strict=False)
+    }
+    name = car.name if car.name.endswith("identified") else f"{car.name} identified"
+    return replace(fit.car, name=name, tolerances=found)
+
+
+def _parts(
+    drive: CalibrationDrive, smoother: MapSmoother
+) -> tuple[CalibrationDrive, CalibrationDrive]:
+    """Return the part of a drive that is fitted, and the rest. Raises CalibrationError."""
+    record, profile = drive.record, drive.profile
+    first, last = 0, record.t.size
+    if profile is not None:  # both axles on the profile
+        first = int(np.searchsorted(record.s, profile.s[0] + WHEELBASE_MARGIN))
+        last = int(np.searchsorted(record.s, profile.s[-1]))
+    elif record.t.size > smoother.window * record.fs:
+        last = int(smoother.window * record.fs)
+    middle = first + int(FIT_SHARE * (last - first))
+    duration = (middle - first) / record.fs
+    if duration < MIN_DURATION:
+        where = "on its profile " if profile is not None else ""
+        raise CalibrationError(
+            f"{drive.name}: {duration:.1f} s {where}are too short to identify a vehicle; give "
+            f"{MIN_DURATION / FIT_SHARE:.0f} s or more"
+        )
+    fitted, rest = (
+        replace(drive, record=_slice(record, *x)) for x in ((first, middle), (middle, last))
+    )
+    speed = float(fitted.record.v.mean())
+    if speed < MIN_SPEED:
+        raise CalibrationError(
+            f"{drive.name}: a mean speed of {3.6 * speed:.1f} km/h is too slow to identify a "
+            f"vehicle; drive {3.6 * MIN_SPEED:.1f} km/h or faster"
+        )
+    noise = load_instruments(smoother.instruments).noise_density * np.sqrt(0.5 * record.fs)
+    signal = float(np.nanstd(fitted.record.a))
+    if signal < MIN_SIGNAL * noise:
+        raise CalibrationError(
+            f"{drive.name}: the accelerations of {signal:.2f} m/s² RMS hardly exceed the "
+            f"instruments' noise of {noise:.2f} m/s²; drive a rougher road or faster"
+        )
+    return fitted, rest
+
+
+def _slice(record: Record, first: int, last: int) -> Record:
+    part = slice(first, last)
+    return Record(
+        record.t[part], record.a[:, part], record.v[part], record.s[part],
+        record.spring_stiff[part], record.damper_high[part], record.length,
+    )  # fmt: skip
+
+
+def _objective(drive: CalibrationDrive, car: VehicleParameters, smoother: MapSmoother) -> Objective:
+    """Return the objective of a drive as one window."""
+    instruments = load_instruments(smoother.instruments)
+    readings = READINGS_PER_UNKNOWN
+    if drive.profile is not None:  # slow readings tell of waves that a survey measures well
+        smoother, readings = replace(smoother, level_ends=False, data_rate=KNOWN_DATA_RATE), 0.0
+    record, valid, _ = mask_record(drive.record, instruments)
+    model = smoother.measurement_model(record, car, instruments)
+    prepared = smoother.prepare_drive(record, valid, car, instruments, readings)
+    blocks = prepared.a.shape[1] // prepared.block_size
+    prior = RoadPrior(G_d0=smoother.G_d0, w=smoother.w)
+    state = initial_window_state(prepared)
+    objective = window_objective(model, prepared, prior, state, 0, blocks)
+    return _on_profile(objective, drive)
+
+
+def _on_profile(objective: Objective, drive: CalibrationDrive) -> Objective:
+    """Return the objective with the known road, if there is one, in place of the prior's.
+
+    The road is the Wiener filter's estimate from the profile: left as measured, errors of short
+    waves would count as road and make the vehicle look softer than it is.
+    """
+    road, profile = objective.road, drive.profile
+    if profile is None:
+        return objective
+    prior, noise = _road_prior(profile), 2.0 * drive.survey_std**2 * profile.ds
+
+    def share(n: np.ndarray) -> np.ndarray:
+        """Return the road's share of the profile's density at `n` [cycles/m]."""
+        density = prior.density(np.maximum(n, 1e-6))
+        return density / (density + noise)
+
+    s = road.origin + road.ds * np.arange(road.size)
+    smooth = _filtered(profile, share)
+    heights = np.array([np.interp(s, profile.s, z) for z in smooth])
+    background = spline_filter1d(heights, order=3, axis=1, mode="nearest")
+    rise = np.maximum(2.0 * np.sin(np.pi * road.n * road.ds), 1e-3)
+    # mean and half difference have half the variance each of what is left of the error
+    amplitude = rise * np.sqrt(0.25 * noise * share(road.n) / road.ds) * np.ones((2, 1))
+    # the road is not moved: its error counts as noise of the readings
+    known = replace(road, background=background, amplitude=amplitude, free=np.zeros(road.size))
+    return replace(objective, road=known)
+
+
+def _road_prior(profile: Profile) -> RoadPrior:
+    """Return a prior of the profile's own level, from waves that are long against its error."""
+    n, G = displacement_psd(profile.z, profile.ds)
+    inside = (n > LEVEL_BAND[0]) & (n < LEVEL_BAND[1])
+    return RoadPrior(G_d0=float(np.mean(G[:, inside] * (n[inside] / N_0) ** 2)))
+
+
+def _filtered(profile: Profile, share: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Return the heights (2, M) with each wave multiplied by `share`; mirrored at both ends."""
+    both = np.concatenate([profile.z, profile.z[:, ::-1]], axis=1)
+    spectrum = rfft(both, axis=1) * share(rfftfreq(both.shape[1], profile.ds))
+    return irfft(spectrum, both.shape[1], axis=1)[:, : profile.s.size]
+
+
+def _solve(drive: CalibrationDrive, car: VehicleParameters, smoother: MapSmoother) -> MapSolution:
+    """Return the most probable road of a drive with the vehicle `car`."""
+    objective = _objective(drive, car, smoother)
+    stationary = stationary_hessian(objective)
+    if drive.profile is None:
+        return minimize(objective, stationary, huber=smoother.huber)
+    _check_profile(objective, drive)
+    return _settle(objective, smoother)
+
+
+def _settle(objective: Objective, smoother: MapSmoother, steps: int = 2) -> MapSolution:
+    """Return the solution over a known road; only first state and biases are found."""
+    stationary = stationary_hessian(objective)
+    lin = linearize(objective, np.zeros(objective.size), objective.information)
+    noise_scale, solver = np.inf, GaussNewton(stationary, smoother.huber, 40, 0.1)
+    iterations = 0
+    for _ in range(steps):
+        noise_scale = max(1.0, min(noise_scale, estimate_noise_scale(lin, stationary, noise_scale)))
+        lin, k = solver.step(lin, objective.model.plant, noise_scale)
+        iterations += k
+    return MapSolution(lin, stationary, noise_scale, steps, iterations)
+
+
+def _unexplained(
+    drive: CalibrationDrive,
+    car: VehicleParameters,
+    smoother: MapSmoother,
+    errors: np.ndarray | None = None,
+) -> Unexplained:
+    """Return what `car` leaves unexplained in a drive, with instruments of these `errors`."""
+    objective = _objective(drive, car, smoother)
+    if errors is not None:
+        objective = Readings.apply(objective, errors)
+    if drive.profile is None:
+        solution = minimize(objective, stationary_hessian(objective), huber=smoother.huber)
+    else:
+        solution = _settle(objective, smoother)
+    lin = solution.linearization
+    used = objective.measurements.sample_count > 0
+    r = np.where(used, np.sqrt(objective.information) * lin.residual, 0.0)
+    f, S = welch(r, fs=1.0 / objective.block_duration, nperseg=min(256, r.shape[1]))
+    return Unexplained(float(np.mean(r[used] ** 2)), f, S.mean(axis=0))
+
+
+def _check_profile(objective: Objective, drive: CalibrationDrive) -> None:
+    """Raise CalibrationError if the readings do not belong to the profile, and say what would."""
+    y = objective.measurements.y
+    y = y - y.mean(axis=1, keepdims=True)
+    expected = _expected(objective)
+    fit, ratio = _correlation(y, expected), float(y.std() / expected.std())
+    profile = drive.profile
+    assert profile is not None
+    others = {
+        "reversed": profile.z[::-1, ::-1],
+        "with left and right exchanged": profile.z[::-1],
+        "with the opposite sign": -profile.z,
+    }
+    tried = {
+        what: _correlation(
+            y, _expected(_on_profile(objective, replace(drive, profile=Profile(profile.s, z))))
+        )
+        for what, z in others.items()
+    }
+    best = max(tried, key=lambda what: tried[what])
+    if tried[best] > max(MIN_CORRELATION, fit + CLEARLY_BETTER):
+        hint = f"the profile {best} fits ({tried[best]:.2f})"
+    elif fit < MIN_CORRELATION:
+        hint = "it may be another stretch, or the odometer may be displaced"
+    elif not 1.0 / UNIT_RATIO < ratio < UNIT_RATIO:
+        raise CalibrationError(
+            f"{drive.name}: the accelerations are {ratio:.2g} times those expected on its profile; "
+            "check the units of both (m/s² and m)"
+        )
+    else:
+        return
+    raise CalibrationError(
+        f"{drive.name}: the readings do not belong to its profile (correlation {fit:.2f} with "
+        f"those expected); {hint}"
+    )
+
+
+def _expected(objective: Objective) -> np.ndarray:
+    """Return the block means (S, J) expected on the known road, less their means."""
+    residual, _ = objective.residual_at(np.zeros(objective.size))
+    expected = objective.measurements.y - residual
+    return expected - expected.mean(axis=1, keepdims=True)
+
+
+def _correlation(y: np.ndarray, expected: np.ndarray) -> float:
+    return float(np.sum(y * expected) / np.sqrt(np.sum(y**2) * np.sum(expected**2)))

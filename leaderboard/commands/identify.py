@@ -1,0 +1,143 @@
+"""Command `identify`: a vehicle's parameters from calibration drives."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from estimators.map_smoother.car_fit import Readings
+from estimators.map_smoother.estimator import MapSmoother
+from estimators.map_smoother.identification import CalibrationDrive, Identification
+from estimators.map_smoother.identification import identify as identify_vehicle
+from leaderboard.commands import check_output_path, console, print_json
+from leaderboard.commands.drive_files import Description, Mode, Sensors, Speed, Vehicle, read_drive
+from leaderboard.commands.simulate import Json, print_notes
+from leaderboard.report import identification_plot
+from road_envs.config import ConfigError
+from road_envs.data.record import Profile
+from road_envs.roads import realise_road
+from road_envs.vehicle.parameters import write_vehicle
+
+UNDETERMINED = 0.9
+"""Posterior standard deviation, in units of the tolerance, above which a drive told nothing."""
+
+FAR = 3.0
+"""Fitted deviation, in units of the tolerance, that is flagged."""
+
+
+def identify(
+    *,
+    records: Annotated[list[Path], typer.Argument(help="Calibration drives of one vehicle.")],
+    profile: Annotated[
+        list[str] | None,
+        typer.Option(help="Known road of each drive in turn (.csv, .crg, ...), or one for all."),
+    ] = None,
+    survey_error_mm: Annotated[
+        float, typer.Option(help="Standard deviation of a profile's heights in mm.", min=0.01)
+    ] = 1.0,
+    structure: Annotated[
+        bool,
+        typer.Option(help="Identify the frame and what else the vehicle's file leaves out, too."),
+    ] = False,
+    vehicle: Vehicle = None,
+    sensors: Sensors = None,
+    mode: Mode = None,
+    speed_kmh: Speed = None,
+    description: Description = None,
+    out: Annotated[Path | None, typer.Option(help="Write the identified vehicle (.yaml).")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw the result (.png).")] = None,
+    json: Json = False,
+) -> None:
+    """Identify a vehicle's parameters from calibration drives, and write its file.
+
+    With --profile the road is known; without, it is estimated at the same time. Parameters are
+    those with tolerances in the vehicle's file. The last third of each drive is held out.
+    """
+    check_output_path(out, ".yaml", ".yml"), check_output_path(plot, ".png", ".svg", ".pdf")
+    files = [
+        read_drive(
+            path, vehicle=vehicle, sensors=sensors, mode=mode, speed_kmh=speed_kmh,
+            description=description,
+        )
+        for path in records
+    ]  # fmt: skip
+    profiles = _profiles(profile or [], len(records))
+    drives = [
+        CalibrationDrive(file.measured.record, known, 1e-3 * survey_error_mm, path.name)
+        for path, file, known in zip(records, files, profiles, strict=True)
+    ]
+    smoother = MapSmoother(adapt=False, instruments=files[0].sensors)
+    result = identify_vehicle(drives, files[0].car, smoother, structure)
+    notes = [*dict.fromkeys(n for file in files for n in file.measured.notes), *_notes(result)]
+    if out:
+        names = ", ".join(path.name for path in records)
+        write_vehicle(out, result.car, f"Identified by `road-recon identify` from {names}.")
+    if plot:
+        identification_plot.draw_identification(result, [p.name for p in records], plot)
+    if json:
+        print_json({**_facts(result), "notes": notes})
+        return
+    _print(result, [path.name for path in records])
+    print_notes([*notes, *(f"written: {path}" for path in (out, plot) if path)])
+
+
+def _profiles(names: list[str], drives: int) -> list[Profile | None]:
+    """Return the profile of each drive. Raises ConfigError if there are too few or too many."""
+    if not names:
+        return [None] * drives
+    if len(names) not in (1, drives):
+        raise ConfigError(f"give one --profile, or one for each of {drives} drives")
+    surfaces = [realise_road(name, 0) for name in names * (drives if len(names) == 1 else 1)]
+    return [Profile(surface.s, surface.z) for surface in surfaces]
+
+
+def _facts(result: Identification) -> dict[str, Any]:
+    space = result.fit.space
+    names = zip(space.names, result.factors, result.std, space.std, strict=False)
+    readings = zip(Readings.names, result.fit.x[space.size :], Readings.std, strict=False)
+    return {
+        "vehicle": result.car.name,
+        "parameters": {
+            name: {"factor": float(f), "relative_std": float(s * t)} for name, f, s, t in names
+        },
+        "instruments": {name: float(x * s) for name, x, s in readings},
+        "unexplained": [[told.power, fitted.power] for told, fitted in result.unexplained],
+    }
+
+
+def _notes(result: Identification) -> list[str]:
+    size = result.fit.space.size
+    x, std, names = result.fit.x[:size], result.std[:size], result.names
+    open_ = [names[i] for i in np.flatnonzero(std > UNDETERMINED)]
+    far = [names[i] for i in np.flatnonzero(np.abs(x) > FAR)]
+    notes = []
+    if open_:
+        notes.append(f"not determined by the drives, kept as described: {', '.join(open_)}")
+    if far:
+        notes.append(f"more than {FAR:g} tolerances from the description: {', '.join(far)}")
+    for told, fitted in result.unexplained:
+        if fitted.power > told.power:
+            notes.append("on held-out readings the identified vehicle is no better: do not use it")
+    return notes
+
+
+def _print(result: Identification, drives: list[str]) -> None:
+    space = result.fit.space
+    table = Table("parameter", "change [%]", "± [%]", "of tolerance [%]", box=None)
+    for i, name in enumerate(space.names):
+        if result.std[i] <= UNDETERMINED:
+            change, std = 100.0 * (result.factors[i] - 1.0), 100.0 * result.std[i] * space.std[i]
+            table.add_row(name, f"{change:+.1f}", f"{std:.1f}", f"{100.0 * result.std[i]:.0f}")
+    units = (*("[%]",) * 3, "[m]", "[%]")
+    for k, unit in enumerate(units[: result.fit.x.size - space.size]):
+        i, scale = space.size + k, 100.0 if unit == "[%]" else 1.0
+        value, std = (scale * Readings.std[k] * x[i] for x in (result.fit.x, result.std))
+        table.add_row(f"{Readings.names[k]} {unit}", f"{value:+.2f}", f"{std:.2f}", "")
+    console.print(table)
+    power = Table("drive, held-out third", "described", "identified", box=None)
+    for name, (told, fitted) in zip(drives, result.unexplained, strict=True):
+        power.add_row(name, f"{told.power:.1f}", f"{fitted.power:.1f}")
+    console.print("\nunexplained power over that of the instruments' noise")
+    console.print(power)

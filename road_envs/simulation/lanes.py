@@ -1,0 +1,199 @@
+"""LANES vehicles side by side in SIMD vectors, and their drives over one and the same road.
+
+A lane may hold any vehicle: the constants of LANES vehicles are transposed so that lanes come last,
+and their tables of force laws are concatenated. `drive_variants` drives variants of one vehicle,
+with the same road under their wheels; differences of their accelerations are the sensitivities to
+the parameters in which they differ.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from road_envs._numba import kernel
+from road_envs.simulation.rosenbrock import (
+    ACCELERATION,
+    N_FLEXIBLE_SIGNALS,
+    TWIST,
+    WORKSPACE_ROWS,
+    StepInputs,
+    flexible_step,
+    step,
+    step_workspace,
+    update_valves,
+)
+from road_envs.simulation.simd import LANES, broadcast, get, put
+from road_envs.vehicle.equations import N_DOF, PLANT_DTYPE, Motion, Plant
+from road_envs.vehicle.suspension import VehicleBuffers
+
+_LANE_CONSTANTS = np.dtype(
+    [(name, "f8", (*PLANT_DTYPE[name].shape, LANES)) for name in PLANT_DTYPE.names or ()]
+)
+ROW = WORKSPACE_ROWS + 16
+SCRATCH_ROWS = ROW + N_FLEXIBLE_SIGNALS
+"""Rows of the scratch of the integration: workspace, road and signals of one step."""
+
+
+def aligned_zeros(*shape: int) -> np.ndarray:
+    """Return zeros (..., LANES) with rows on cache line boundaries, which no load then crosses."""
+    size = int(np.prod(shape)) * LANES
+    store = np.zeros(size + LANES)
+    skip = -(store.ctypes.data // 8) % LANES
+    return store[skip : skip + size].reshape(*shape, LANES)
+
+
+def aligned_copy(array: np.ndarray) -> np.ndarray:
+    """Return an aligned copy of an array (..., LANES)."""
+    copy = aligned_zeros(*array.shape[:-1])
+    copy[...] = array
+    return copy
+
+
+def transpose_constants(constants: np.ndarray) -> np.ndarray:
+    """Return the constants (LANES,) of LANES vehicles as one record (1,), lanes last in each field.
+
+    Compiled code needs one address for a record; 30 arrays would need 30, more than there are
+    registers.
+    """
+    p = aligned_zeros(_LANE_CONSTANTS.itemsize // (8 * LANES)).reshape(-1).view(_LANE_CONSTANTS)
+    for name in PLANT_DTYPE.names or ():
+        p[name][0] = np.moveaxis(constants[name], 0, -1)
+    return p
+
+
+@kernel(inline=False)
+def update_lane_valves(constants, strut_state, q, k, byte, alpha, h):
+    """Advance the valves of lane `k`, vehicle `constants` (1,); return whether all are settled."""
+    # the valve law is written for the arrays of one vehicle: copy the lane out and back
+    own, own_q = np.empty(strut_state.shape[:2]), np.empty(q.shape[0])
+    for w in range(own.shape[0]):
+        for j in range(own.shape[1]):
+            own[w, j] = strut_state[w, j, k]
+    for j in range(own_q.size):
+        own_q[j] = q[j, k]
+    at_target = update_valves(constants[0], own, own_q, byte, alpha, h)
+    for w in range(own.shape[0]):
+        for j in range(own.shape[1]):
+            strut_state[w, j, k] = own[w, j]
+    return at_target
+
+
+class LaneBuffers(NamedTuple):
+    """LANES vehicles as kernels read them; `strut_state`, `q` and `v` are advanced in place.
+
+    `lane_constants` (1,) as of `transpose_constants`; for the valves, which move lane by lane, the
+    same as `constants` (LANES,) and the factors `alpha` (LANES,) of `suspension.advance_valve`;
+    tables `velocity` and `displacement`; `strut_state` (4, 3, LANES); `q`, `v` (7, LANES), or
+    (8, LANES) if flexible.
+    """
+
+    lane_constants: np.ndarray
+    constants: np.ndarray
+    alpha: np.ndarray
+    velocity: np.ndarray
+    displacement: np.ndarray
+    strut_state: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+
+
+def lane_buffers(
+    plants: Sequence[Plant],
+    states: Sequence[np.ndarray],
+    strut_states: Sequence[np.ndarray],
+    lags: Sequence[float],
+    h: float,
+) -> LaneBuffers:
+    """Return LANES vehicles at their states (14,) and strut states (4, 3), for steps of `h` [s].
+
+    `lags` [s] are the time constants of their valves.
+    """
+    constants = np.concatenate([plant.constants for plant in plants])
+    distinct = list({id(plant): plant for plant in plants}.values())
+    of_lane = [next(i for i, p in enumerate(distinct) if p is plant) for plant in plants]
+    # the tables of all plants are concatenated, those of shared plants once
+    for field, table in (("velocity_table", "velocity"), ("displacement_table", "displacement")):
+        first = np.cumsum([0, *(len(getattr(plant, table)) for plant in distinct)])
+        constants[field] += first[of_lane][:, None]
+    q, v = np.split(np.stack(states, axis=-1), 2)
+    return LaneBuffers(
+        lane_constants=transpose_constants(constants),
+        constants=constants,
+        alpha=aligned_copy(1.0 - np.exp(-h / np.asarray(lags))),
+        velocity=np.concatenate([plant.velocity for plant in distinct]),
+        displacement=np.concatenate([plant.displacement for plant in distinct]),
+        strut_state=aligned_copy(np.stack(strut_states, axis=-1)),
+        q=aligned_copy(q),
+        v=aligned_copy(v),
+    )
+
+
+@kernel(inline=False)
+def integrate_on_road(lanes, road, commands, h, scratch, out, flexible=None):
+    """Integrate LaneBuffers over the same `road` (N, 16), as in `rosenbrock.StepInputs`.
+
+    `commands` (N,): bytes that reach the valves. The accelerations of the coordinates go to `out`
+    (N, 7, LANES), of `flexible` vehicles to (N, 8, LANES).
+    """
+    q = lanes.q
+    vehicle = VehicleBuffers(
+        lanes.lane_constants, lanes.velocity, lanes.displacement, lanes.strut_state
+    )
+    motion = Motion(q, lanes.v)
+    work, inputs, row = step_workspace(scratch), scratch[WORKSPACE_ROWS:ROW], scratch[ROW:]
+    no_manoeuvre = np.zeros((4, LANES))
+    settled = False
+    for n in range(commands.size):
+        for j in range(16):
+            put(inputs, j, broadcast(road[n, j]))
+        if not settled or commands[n] != commands[n - 1]:
+            settled = True
+            for k in range(LANES):
+                own, alpha = lanes.constants[k : k + 1], lanes.alpha[k]
+                here = update_lane_valves(own, lanes.strut_state, q, k, commands[n], alpha, h)
+                settled = settled and here
+        if flexible is None:
+            step(vehicle, motion, StepInputs(inputs, no_manoeuvre), h, work, row)
+        else:
+            flexible_step(vehicle, motion, StepInputs(inputs, no_manoeuvre), h, work, row)
+            put(out[n], N_DOF, get(row, TWIST + 2))
+        for j in range(N_DOF):
+            put(out[n], j, get(row, ACCELERATION + j))
+
+
+class SharedInputs(NamedTuple):
+    """What variants of a vehicle share in a drive of N steps of `h` [s].
+
+    `road` (2 N, 2, 4): heights [m] and rates [m/s] under the wheels at each half step; `commands`
+    (N,): bytes that reach the valves, of time constant `lag` [s]; `strut_state` (4, 3) at the
+    start.
+    """
+
+    road: np.ndarray
+    commands: np.ndarray
+    strut_state: np.ndarray
+    lag: float
+    h: float
+
+
+def drive_variants(
+    plants: Sequence[Plant], starts: Sequence[np.ndarray], inputs: SharedInputs
+) -> list[np.ndarray]:
+    """Return the accelerations (N, 7) of the coordinates of each plant; (N, 8) if flexible.
+
+    `starts` (14,) or (16,): the first state of each. All plants are flexible, or none. A motion
+    that diverges is NaN.
+    """
+    steps, scratch = inputs.commands.size, aligned_zeros(SCRATCH_ROWS)
+    road = np.ascontiguousarray(inputs.road.reshape(steps, 16))
+    flexible, found = (True,) if plants[0].flexible else (), []
+    out = aligned_zeros(steps, plants[0].inertias.size)
+    for first in range(0, len(plants), LANES):
+        chosen = [min(first + k, len(plants) - 1) for k in range(LANES)]
+        own = [plants[i] for i in chosen], [starts[i] for i in chosen]
+        shared = [inputs.strut_state] * LANES, [inputs.lag] * LANES
+        lanes = lane_buffers(*own, *shared, inputs.h)
+        integrate_on_road(lanes, road, inputs.commands, inputs.h, scratch, out, *flexible)
+        found += [out[:, :, k].copy() for k in range(min(LANES, len(plants) - first))]
+    return found

@@ -1,0 +1,159 @@
+"""Vehicle parameters from drives: derivatives, log-determinant, recovery, refusals."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from vehicle_fixtures import DEFENDER
+
+from estimators.map_smoother import car_fit
+from estimators.map_smoother.car_fit import Readings, perturbed_plants, sensitivities
+from estimators.map_smoother.estimator import MapSmoother
+from estimators.map_smoother.identification import (
+    CalibrationDrive,
+    CalibrationError,
+    identify,
+)
+from estimators.map_smoother.objective import Objective, linearize
+from estimators.map_smoother.windows import initial_window_state, window_objective
+from estimators.preprocessing import mask_record
+from leaderboard.metrics.heights import nrmse
+from road_envs.analysis.information_bound import RoadPrior
+from road_envs.data.record import Profile, scored_band
+from road_envs.data.recording import simulate_record
+from road_envs.roads.iso8608 import Iso8608
+from road_envs.sensing.instruments import load_instruments
+from road_envs.vehicle.perturbed_vehicle import perturb_vehicle
+from road_envs.vehicle.tolerances import ParameterSpace, parameter_space
+
+PAPER, MIXED = load_instruments("paper"), {"front": "ride", "rear": "handling"}
+SPACE = parameter_space(DEFENDER)
+
+
+@cache
+def calibration_drive(grade="S1", seed=2, length=100.0, kmh=54.0):
+    surface = Iso8608(road_class="D", length=length).realise(np.random.default_rng(900 + seed))
+    record, profile = simulate_record(
+        surface, vehicle=DEFENDER, speed_kmh=kmh, mode=MIXED, seed=seed, grade=grade
+    )
+    error = 0.0005 * np.random.default_rng(seed).standard_normal(profile.z.shape)
+    return CalibrationDrive(record, Profile(profile.s, profile.z + error)), profile
+
+
+def short_objective() -> Objective:
+    record = calibration_drive()[0].record
+    smoother = MapSmoother()
+    drive = smoother.prepare_drive(*mask_record(record, PAPER)[:2], DEFENDER, PAPER)
+    model = smoother.measurement_model(record, DEFENDER, PAPER)
+    return window_objective(model, drive, RoadPrior(), initial_window_state(drive), 0, 600)
+
+
+def test_sensitivities_are_differences_of_single_drives():
+    objective = short_objective()
+    x = 0.5 * np.random.default_rng(0).standard_normal(objective.size)
+    lin = linearize(objective, x, objective.information)
+    few = ParameterSpace(DEFENDER, SPACE.names[::5], SPACE.std[::5])
+    plants = perturbed_plants(few, np.zeros(few.size))
+    for plant, found in zip(plants[1:], sensitivities(lin, plants), strict=True):
+        residual, _ = objective.with_plant(plant).residual_at(x)
+        expected = (lin.residual - residual) / car_fit.DIFFERENCE
+        np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_the_log_determinant_has_its_gradient():
+    objective, noise = short_objective(), 0.05
+    f, lines = car_fit._lines(objective)
+
+    def half_log_det(plant) -> float:
+        C = car_fit._covariance(objective.with_plant(plant), f, noise)
+        return 0.5 * float(lines @ np.linalg.slogdet(C)[1])
+
+    few = ParameterSpace(DEFENDER, SPACE.names[:6], 0.01 * SPACE.std[:6])
+    plants = perturbed_plants(few, np.zeros(few.size))
+    values = np.array([half_log_det(plant) for plant in plants])
+    gradient, hessian = car_fit._log_det_terms(objective, plants, noise)
+    np.testing.assert_allclose(
+        gradient, (values[1:] - values[0]) / car_fit.DIFFERENCE, rtol=0.02, atol=1e-3
+    )
+    np.testing.assert_allclose(hessian, hessian.T, atol=1e-9 * np.abs(hessian).max())
+
+
+def compared(result, true):
+    """Deviations (P,) from the true vehicle in posterior standard deviations."""
+    space = result.fit.space
+    x = result.fit.x[: space.size] - space.to_vector(true)
+    # the common friction and that of each strut are told apart by their tolerances alone
+    friction = np.array(["friction" in name for name in space.names])
+    return (x / result.std[: space.size])[~friction]
+
+
+def test_a_vehicle_is_recovered_from_a_drive_over_a_known_road():
+    drive, _ = calibration_drive()
+    result = identify([drive], DEFENDER)
+    true = perturb_vehicle(DEFENDER, "S1", 2).car
+    z = compared(result, true)
+    assert np.mean(np.abs(z) < 3.0) >= 0.9
+    told, identified = result.unexplained[0]
+    assert identified.power < 0.25 * told.power
+    mass = result.car.m_b / true.m_b
+    assert abs(mass - 1.0) < 0.25 * abs(DEFENDER.m_b / true.m_b - 1.0) + 0.01
+    assert parameter_space(result.car).names == SPACE.names
+
+
+def test_the_smoother_adapts_to_another_vehicle_and_not_to_its_own():
+    drive, truth = calibration_drive("S1", 1, 150.0)
+    told, adapted = (
+        MapSmoother(adapt=adapt, draws=0).estimate(drive.record, DEFENDER)
+        for adapt in (False, True)
+    )
+    scores = [nrmse(truth.z, one.z, truth.ds, scored_band(15.0)).pooled for one in (told, adapted)]
+    assert scores[1] < 0.7 * scores[0]
+    assert any("the vehicle was adapted to the drive: " in note for note in adapted.notes)
+    own = MapSmoother(draws=0).estimate(calibration_drive("S0", 1, 60.0)[0].record, DEFENDER)
+    assert not own.notes
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda d: replace(d, profile=Profile(d.profile.s, d.profile.z[:, ::-1])), "do not belong"),
+        (
+            lambda d: replace(d, profile=Profile(d.profile.s, d.profile.z[::-1])),
+            "left and right exchanged fits",
+        ),
+        (
+            lambda d: replace(d, profile=Profile(d.profile.s, d.profile.z[::-1, ::-1])),
+            "reversed fits",
+        ),
+        (
+            lambda d: replace(d, profile=Profile(d.profile.s, -d.profile.z)),
+            "opposite sign fits",
+        ),
+        (lambda d: replace(d, record=replace(d.record, a=9.81 * d.record.a)), "check the units"),
+        (
+            lambda d: replace(d, profile=Profile(d.profile.s[:1000], d.profile.z[:, :1000])),
+            "too short to identify",
+        ),
+        (lambda d: replace(d, record=replace(d.record, a=0.01 * d.record.a)), "hardly exceed"),
+    ],
+    ids=["reversed", "sides", "backwards", "sign", "units", "short", "smooth"],
+)
+def test_a_calibration_drive_that_does_not_fit_is_refused_in_one_sentence(change, reason):
+    drive, _ = calibration_drive()
+    with pytest.raises(CalibrationError, match=reason):
+        identify([change(drive)], DEFENDER)
+
+
+def test_errors_of_the_instruments_are_applied_to_the_model():
+    objective = short_objective()
+    x = np.zeros(objective.size)
+    means = objective.measurements.y - objective.residual_at(x)[0]
+    errors = np.array([2.0, 0.0, -1.0, 0.0, 0.0])
+    changed = Readings.apply(objective, errors)
+    scaled = objective.measurements.y - changed.residual_at(x)[0]
+    expected = np.exp(Readings.std * errors)[:3, None] * means
+    np.testing.assert_allclose(scaled, expected, atol=1e-12)
+    moved = Readings.apply(objective, np.array([0.0, 0.0, 0.0, 1.0, 0.0]))
+    np.testing.assert_allclose(moved.inputs.s - objective.inputs.s, Readings.std[3])
+    assert Readings.apply(objective, np.zeros(0)) is objective
