@@ -84,6 +84,10 @@ METRICS, SPECTRAL, BUMPS = (
 DEFENDER = "configs/vehicles/land_rover_defender_110.yaml"
 
 FAULTS = [
+    Fault("estimators/map_smoother/car_fit.py", "return fit - log_det, information + curvature", "return fit, information + curvature",
+          "car_fit::test_the_smoother_adapts_to_another_vehicle_and_not_to_its_own"),
+    Fault("estimators/map_smoother/identification.py", '"with left and right exchanged": profile.z[::-1]', '"with left and right exchanged": profile.z',
+          "car_fit::test_a_calibration_drive_that_does_not_fit_is_refused_in_one_sentence"),
     Fault("road_envs/simulation/lanes.py", "if not settled or commands[n] != commands[n - 1]:", "if not settled:",
           "lanes::test_variants_drive_as_each_of_them_alone"),
     Fault("road_envs/vehicle/tolerances.py", "return (WHEELS if size == len(WHEELS) else AXLES).index(part)", "return (WHEELS if size == len(WHEELS) else AXLES).index(part) // 2",

@@ -173,8 +173,8 @@ def sensitivities(lin: Linearization, plants: Sequence[Plant]) -> np.ndarray:
     inputs, strut_state = objective.inputs, objective.strut_state
     shared = SharedInputs(road, inputs.commands, strut_state, objective.model.valve_lag, inputs.h)
     starts = [objective.with_plant(plant).initial_state + start for plant in plants]
-    means = [objective.observe(a, bias) for a in drive_variants(plants, starts, shared)]
-    found = (np.array(means[1:]) - means[0]) / DIFFERENCE
+    left = [objective.residual(a, bias) for a in drive_variants(plants, starts, shared)]
+    found = (left[0] - np.array(left[1:])) / DIFFERENCE
     if not np.isfinite(found).all():
         raise ArithmeticError("the motion of a varied vehicle was not finite")
     return found

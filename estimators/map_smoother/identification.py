@@ -119,23 +119,15 @@ def identify(
     drives: Sequence[CalibrationDrive],
     car: VehicleParameters,
     smoother: MapSmoother | None = None,
-    structure: bool = False,
 ) -> Identification:
     """Identify the parameters of `car` that have tolerances from calibration drives.
 
-    With `structure`, elements that the description leaves out are identified as well
-    (`tolerances.parameter_space`). Raises CalibrationError on drives that do not fit, ConfigError
-    if the vehicle has no tolerances.
+    Raises CalibrationError on drives that do not fit, ConfigError if the vehicle has no tolerances.
     """
     if not drives:
         raise CalibrationError("an identification needs at least one drive")
     chosen = smoother or MapSmoother(adapt=False)
-    space = parameter_space(car, structure)
-    if structure and any(drive.profile is None for drive in drives):
-        raise CalibrationError(
-            "a frame and other elements that the description leaves out are identified on known "
-            "roads only: give the profile of every drive"
-        )
+    space = parameter_space(car)
     known = all(drive.profile is not None for drive in drives)
     parts = [_parts(drive, chosen) for drive in drives]
     solutions = [_solve(first, space.car, chosen) for first, _ in parts]
@@ -305,7 +297,7 @@ def _unexplained(
     lin = solution.linearization
     used = objective.measurements.sample_count > 0
     r = np.where(used, np.sqrt(objective.information) * lin.residual, 0.0)
-    f, S = welch(r, fs=1.0 / objective.block_duration, nperseg=min(256, r.shape[1]))
+    f, S = welch(r, fs=1.0 / objective.block_duration, nperseg=min(128, r.shape[1]))
     return Unexplained(float(np.mean(r[used] ** 2)), f, S.mean(axis=0))
 
 
