@@ -56,9 +56,9 @@ def test_the_installed_wheel_runs_a_leaderboard_task_in_another_folder(installed
     )
     assert Path(where.strip()).is_relative_to(inside)
     run(
-        bin_folder / "road-recon", "leaderboard", "--task", "paper_5", "--estimator", "static_lm",
+        bin_folder / "road-recon", "leaderboard", "--task", "paper_5", "--estimator", "fir_ridge",
         "--seeds", "1", "--out", "board", cwd=tmp_path,
     )  # fmt: skip
-    result = json.loads((tmp_path / "board/results/paper_5/static_lm.json").read_text())
+    result = json.loads((tmp_path / "board/results/paper_5/fir_ridge.json").read_text())
     assert result["failure"] is None
     assert (tmp_path / "board/index.html").is_file()

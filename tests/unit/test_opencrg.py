@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from oracles_roads import crg_file
 
+from examples import examples
 from road_envs.roads.formats.opencrg import SurfaceFileError, parse, read_crg
 from road_envs.roads.formats.table import parse_text
 
@@ -34,7 +35,7 @@ def wavy(nu=201, nv=7, seed=3):
 # the format
 
 
-@settings(deadline=None, max_examples=60)
+@examples(30)
 @given(grids, st.sampled_from(FORMS), st.sampled_from(["\n", "\r\n"]))
 def test_every_data_format_returns_the_written_grid(z, form, eol):
     grid = parse(crg_file(z, form, du=0.1, dv=0.5, eol=eol))
@@ -112,7 +113,7 @@ def test_a_binary_file_transferred_as_text_is_rejected(form):
         parse(text + mark + damaged.replace(b"\r\n", b"\n"))
 
 
-@settings(deadline=None, max_examples=60)
+@examples(30)
 @given(st.sampled_from(FORMS), st.floats(0.0, 0.999))
 def test_a_truncated_file_is_rejected(form, share):
     data = crg_file(wavy(nu=40, nv=9), form)
@@ -185,7 +186,7 @@ def test_a_non_numeric_text_field_is_rejected(field):
         parse(data[:-200] + data[-200:].replace(b"  0.123456", field, 1))
 
 
-@settings(deadline=None, max_examples=150)
+@examples(50)
 @given(st.binary(max_size=400))
 def test_arbitrary_bytes_are_rejected(data):
     with pytest.raises(SurfaceFileError):
@@ -194,7 +195,7 @@ def test_arbitrary_bytes_are_rejected(data):
         parse_text(b"1 2 3 4\n" + data)
 
 
-@settings(deadline=None, max_examples=250)
+@examples(60)
 @given(st.sampled_from(FORMS), st.data())
 def test_a_corrupted_file_is_read_or_rejected(form, data):
     content = bytearray(crg_file(wavy(nu=6, nv=3), form))

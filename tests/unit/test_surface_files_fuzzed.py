@@ -8,10 +8,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from oracles_roads import crg_file, erd_file
 
+from examples import examples
 from road_envs.roads.formats import erd, opencrg
 from road_envs.roads.formats import table as tables
 from road_envs.roads.formats.opencrg import SurfaceFileError
@@ -77,7 +78,7 @@ def warmed(reader):
 
 
 @pytest.mark.parametrize("reader", READERS)
-@settings(max_examples=60)
+@examples(20)
 @given(st.binary(max_size=600))
 def test_arbitrary_bytes_are_rejected(reader, data):
     read, _ = warmed(reader)
@@ -85,7 +86,7 @@ def test_arbitrary_bytes_are_rejected(reader, data):
 
 
 @pytest.mark.parametrize("reader", READERS)
-@settings(max_examples=200)
+@examples(50)
 @given(st.data())
 def test_a_corrupted_file_is_read_or_rejected(reader, data):
     read, samples = warmed(reader)
@@ -104,7 +105,7 @@ def test_a_corrupted_file_is_read_or_rejected(reader, data):
 
 
 @pytest.mark.parametrize("reader", READERS)
-@settings(max_examples=40)
+@examples(20)
 @given(st.data())
 def test_corrupted_numbers_are_read_or_rejected(reader, data):
     read, samples = warmed(reader)
@@ -159,7 +160,7 @@ def test_a_decompression_bomb_is_rejected_before_decompression():
 
 
 @pytest.mark.parametrize("suffix", SURFACE_SUFFIXES)
-@settings(max_examples=25)
+@examples(20)
 @example(b"")
 @given(st.binary(max_size=200))
 def test_an_invalid_file_is_rejected_with_its_path(tmp_path_factory, suffix, data):

@@ -1,0 +1,12 @@
+"""Number of examples of a fuzz test: few in the suite, many times as many in `make test-long`."""
+
+import os
+
+from hypothesis import settings
+
+FACTOR = int(os.environ.get("ROADRECON_EXAMPLES", "1"))
+
+
+def examples(number: int) -> settings:
+    """Return the decorator of a test with so many examples, times ROADRECON_EXAMPLES."""
+    return settings(max_examples=number * FACTOR, deadline=None)
