@@ -4,7 +4,7 @@ A board names those about itself by their keys in FINDINGS (`evaluation.boards`)
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -34,12 +34,9 @@ def unrelated_level_errors(
     Level errors are those of single wheel paths, of heights about their mean or about the first
     one. The two roads of a pair are 100 m of the same class and independent.
     """
-    road = load_road({**UNRELATED_ROAD, "n_min": 1.0 / longest_wave})
-    s = profile_stations(100.0)
     levels: list[float] = []
     r: list[float] = []
-    for k in range(pairs):
-        y, a = (road.realise(np.random.default_rng([seed, k, j])).height(s) for j in range(2))
+    for y, a in _unrelated_roads(pairs, seed, longest_wave):
         if about_mean:
             y, a = heights.remove_mean(y), heights.remove_mean(a)
         levels += heights.level_error(y, a)[:2]
@@ -47,6 +44,17 @@ def unrelated_level_errors(
         y, a = heights.band_pass(np.stack([y, a]), PROFILE_SPACING, heights.scored_band(1.0))
         r.append(heights.correlation(y, a, PROFILE_SPACING).r)
     return np.abs(levels), np.array(r)
+
+
+@lru_cache(maxsize=1)
+def _unrelated_roads(pairs: int, seed: int, longest_wave: float) -> list[list[np.ndarray]]:
+    """Return pairs of independent roads, each the heights (2, M) [m] of both wheel paths."""
+    road = load_road({**UNRELATED_ROAD, "n_min": 1.0 / longest_wave})
+    s = profile_stations(100.0)
+    return [
+        [road.realise(np.random.default_rng([seed, k, j])).height(s) for j in range(2)]
+        for k in range(pairs)
+    ]
 
 
 def unrelated_sentence() -> str:
