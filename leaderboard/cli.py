@@ -120,6 +120,13 @@ class RoadRecon(LazyGroup):
                 "policies:policies",
                 "Compare policies by comfort, handling and estimation error on held-out roads.",
             ),
+            "new-policy": _entry(
+                "scaffold:new_policy", "Write a small working package with a new switching policy."
+            ),
+            "check-policy": _entry(
+                "check_policy:check_policy",
+                "Check whether a policy is ready for a comparison; exit status 1 if a check fails.",
+            ),
             "tune-policy": _entry(
                 "policies:tune_policy", "Search the settings of a policy on training roads only."
             ),

@@ -182,6 +182,8 @@ def build(cls: type[T], data: Mapping[str, Any], where: str) -> T:
 
 @cache
 def _adapter(cls: Any) -> TypeAdapter:
+    if not hasattr(cls, "__pydantic_config__"):  # of another package: what it learns are arrays
+        cls.__pydantic_config__ = STRICT
     return TypeAdapter(cls)
 
 

@@ -2,6 +2,8 @@
 
 import contextlib
 import json
+import math
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,8 +15,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from leaderboard.json_values import nan_to_none
 from road_envs.config import ConfigError
 
-console = Console(markup=False)
-notices = Console(stderr=True, markup=False)
+console = Console(markup=False, emoji=False)
+notices = Console(stderr=True, markup=False, emoji=False)
 
 
 def parse_mode(text: str) -> str | dict[str, str]:
@@ -57,11 +59,62 @@ def print_json(data: object) -> None:
 
 
 @contextlib.contextmanager
+def on_interrupt(kept: str) -> Iterator[None]:
+    """Let SIGINT end the command with a sentence on what is `kept` and how to continue."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(kept) from None
+
+
+@contextlib.contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """Show a progress bar on standard error; yield its update(description, share of 0 to 1)."""
+    """Show progress on standard error; yield its update(description, share of 0 to 1).
+
+    A terminal shows a bar; a file or pipe gets a line every LINE_INTERVAL with the time left.
+    """
+    if not notices.is_terminal:
+        yield ProgressLines(notices.print)
+        return
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(
-        *columns, console=notices, transient=True, disable=not notices.is_terminal
-    ) as bar:
+    with Progress(*columns, console=notices, transient=True) as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda text, share: bar.update(task, description=text, completed=share)
+
+
+LINE_INTERVAL = 10.0
+"""Time [s] between two lines of progress without a terminal."""
+
+
+class ProgressLines:
+    """Progress as lines: share done, description, and an estimate of the time left.
+
+    The estimate takes the rest to be as fast as what is done since the first update, where stored
+    results do not count.
+    """
+
+    def __init__(self, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic):
+        self._write, self._clock = write, clock
+        self._begin, self._first_share = clock(), math.nan
+        self._next = self._begin + LINE_INTERVAL
+
+    def __call__(self, text: str, share: float) -> None:
+        """Take a description and the share done; write a line if one is due."""
+        now = self._clock()
+        if math.isnan(self._first_share):
+            self._begin, self._first_share = now, share
+        if now < self._next:
+            return
+        self._next = now + LINE_INTERVAL
+        done = share - self._first_share
+        left = (now - self._begin) * (1.0 - share) / done if done > 0.0 else math.nan
+        remains = f", about {describe_duration(left)} left" if left > 0.0 else ""
+        self._write(f"{100.0 * share:3.0f} %  {text}{remains}")
+
+
+def describe_duration(seconds: float) -> str:
+    """Return a time in whole seconds, minutes or hours, as "40 s", "12 min" or "3 h 05 min"."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60.0)
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60:02d} min"

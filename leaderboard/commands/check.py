@@ -58,13 +58,18 @@ def check_estimator(
             }
         )
     else:
-        table = Table.grid(padding=(0, 1))
-        for result in results:
-            table.add_row(MARKS[result.passed], result.name, result.message)
-        console.print(table)
-        console.print(f"{entry.name}: {summarize(results)}", highlight=False)
+        print_checks(results, f"{entry.name}: {summarize(results)}")
     if failed:
         raise typer.Exit(1)
+
+
+def print_checks(results: Sequence[CheckResult], summary: str) -> None:
+    """Print a line for each check, and one for all."""
+    table = Table.grid(padding=(0, 1))
+    for result in results:
+        table.add_row(MARKS[result.passed], result.name, result.message)
+    console.print(table)
+    console.print(summary, highlight=False)
 
 
 def summarize(results: Sequence[CheckResult]) -> str:

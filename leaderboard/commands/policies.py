@@ -1,6 +1,9 @@
 """Commands `policies`, `tune-policy`, `train-policy`: suspension-switching policies."""
 
+import contextlib
 import json as json_module
+import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,6 +18,7 @@ from leaderboard.commands import (
     check_output_path,
     console,
     notices,
+    on_interrupt,
     print_json,
     progress_bar,
     to_json,
@@ -22,13 +26,16 @@ from leaderboard.commands import (
 from leaderboard.commands.simulate import Json
 from leaderboard.policies import comparison, grid_search
 from leaderboard.policies import page as policy_page
+from leaderboard.policies.comparison import PolicyResult
+from leaderboard.policies.policy_process import PolicyLimits, PolicyProcess
 from leaderboard.policies.ride_metrics import METRICS
 from leaderboard.policies.scenarios import load_scenarios
+from leaderboard.policies.store import RowStore
 from leaderboard.policies.summary import REFERENCE, format_metric, summarize_results
 from leaderboard.policies.training_study import evaluate_study, study_lines, train_seeds
 from road_envs._atomic_io import write_text
 from road_envs.config import ConfigError, validate_choice
-from road_envs.policies import available, create
+from road_envs.policies import FILE_SUFFIX, REGISTRY, make_policy, names, runs_foreign_code
 from road_envs.policies.greedy_information import GreedyInformation
 
 COLUMNS = ("comfort", "tyre_load", "switches_per_km", "return")
@@ -40,10 +47,29 @@ some speed of the league scenarios; weight 0 is the policy `ride`.
 """
 
 
+TimeLimit = Annotated[
+    float, typer.Option(help="Time limit of a policy per case in seconds.", min=0.001)
+]
+MemoryLimit = Annotated[
+    float, typer.Option(help="Memory limit in GiB of a policy in a process of its own.", min=0.1)
+]
+Isolation = Annotated[
+    str,
+    typer.Option(
+        help="auto: only policies of this package and files; process: others too, each in a "
+        "process with your rights."
+    ),
+]
+
+
 def policies(
     *,
     policy: Annotated[
-        list[str] | None, typer.Option(help="Policy, may be given again. Default: all.")
+        list[str] | None,
+        typer.Option(
+            help="Policy: name, module:Class, or a file from `train-policy`; may be given again. "
+            "Default: all of this package, and installed ones with --isolation process."
+        ),
     ] = None,
     scenarios: Annotated[
         str, typer.Option(help="Scenarios: shipped name (quick, league) or YAML path.")
@@ -70,6 +96,9 @@ def policies(
         Path | None,
         typer.Option("--from", help="Kept policies.json: draw its page or plot, simulate nothing."),
     ] = None,
+    time_limit: TimeLimit = PolicyLimits.seconds,
+    memory_limit: MemoryLimit = PolicyLimits.memory,
+    isolation: Isolation = "auto",
     json: Json = False,
 ) -> None:
     """Compare policies by comfort, handling and estimation error on held-out roads."""
@@ -82,10 +111,9 @@ def policies(
         )
     chosen = load_scenarios(scenarios)
     seeds = chosen.test_seeds(roads)
-    known = [*available(), comparison.ORACLE]
-    names = [validate_choice("policy", name, known) for name in policy or known]
-    validate_choice("reference", reference, names if policy else known)
-    entries: dict[str, Any] = {n: None if n == comparison.ORACLE else create(n) for n in names}
+    limits = PolicyLimits(seconds=time_limit, memory=memory_limit)
+    entries = _entries(policy, isolation, limits)
+    validate_choice("reference", reference, list(entries) if policy else [*entries, REFERENCE])
     if sweep:
         entries |= {
             f"{policy_page.SWEEP_PREFIX}{w:g}": GreedyInformation(weight=w) for w in SWEPT_WEIGHTS
@@ -93,8 +121,30 @@ def policies(
     applied = {name: _make_estimator(name) for name in estimator or ["fir_ridge"]}
     if out is not None and out.exists() and not out.is_dir():
         raise ConfigError(f"--out must be a folder, {out} is a file")
-    with progress_bar() as progress:
-        results = comparison.compare(chosen, entries, applied, roads=roads, progress=progress)
+    store = RowStore(out / "policies", chosen, seeds, applied) if out else None
+    keepable = {n: p for n, p in entries.items() if store and not isinstance(p, PolicyProcess)}
+    rows = {n: store.load(n, p) for n, p in keepable.items()} if store else {}
+    finished = {n: row for n, row in rows.items() if row is not None}
+    kept_rows = f"finished policies are kept in {out}; the same command continues" if out else ""
+
+    def keep(result: PolicyResult) -> None:
+        if store and result.policy in keepable:
+            store.save(result, entries[result.policy])
+
+    with contextlib.ExitStack() as processes, on_interrupt(kept_rows), progress_bar() as progress:
+        for entry in entries.values():
+            if isinstance(entry, PolicyProcess):
+                processes.enter_context(entry)
+        results = comparison.compare(
+            chosen,
+            entries,
+            applied,
+            roads=roads,
+            seconds=limits.seconds,
+            finished=finished,
+            on_result=keep,
+            progress=progress,
+        )
         data = summarize_results(chosen, results, seeds, reference)
         if out:
             write_text(out / "policies.json", to_json(data))
@@ -104,6 +154,43 @@ def policies(
     print_json(data) if json else _print(data, WIDE_COLUMNS if wide else COLUMNS)
     if failed := [r.policy for r in results if r.failure]:
         raise ConfigError(f"failed policies: {', '.join(failed)}; the other results are valid")
+
+
+def policy_reference(reference: str, isolation: str) -> str:
+    """Return a reference to a policy that may be run. Raises ConfigError."""
+    validate_choice("isolation", isolation, ["auto", "process"])
+    if ":" in reference:
+        if os.getcwd() not in sys.path:
+            sys.path.insert(0, os.getcwd())  # as `python -m` does, to import from this folder
+    elif not reference.endswith(FILE_SUFFIX):
+        validate_choice("policy", reference, [*names(), comparison.ORACLE])
+    foreign = reference != comparison.ORACLE and runs_foreign_code(reference)
+    if foreign and isolation != "process":
+        raise ConfigError(
+            f"the policy {reference} is not part of this package, and its code would run with your "
+            "rights: give --isolation process if you trust it"
+        )
+    return reference
+
+
+def _entries(references: list[str] | None, isolation: str, limits: PolicyLimits) -> dict[str, Any]:
+    """Return the policies by name, those of other packages in processes. Raises ConfigError."""
+    if references is None:
+        references = [*(names() if isolation == "process" else REGISTRY), comparison.ORACLE]
+    entries: dict[str, Any] = {}
+    for reference in references:
+        policy_reference(reference, isolation)
+        name = reference.rpartition(":")[2]
+        name = Path(name).stem if name.endswith(FILE_SUFFIX) else name
+        if name in entries:
+            raise ConfigError(f"two policies have the name {name!r}: give each of them once")
+        if reference == comparison.ORACLE:
+            entries[name] = None
+        elif runs_foreign_code(reference):
+            entries[name] = PolicyProcess(reference, limits=limits)
+        else:
+            entries[name] = make_policy(reference)
+    return entries
 
 
 def _redraw(kept: Path, out: Path | None) -> None:

@@ -58,13 +58,19 @@ class TrainingRun:
 
 
 def needs_training(estimator: Estimator) -> bool:
-    """Return whether an estimator is trainable and has no weights yet."""
+    """Return whether an estimator is trainable and has no weights yet. Raises EntryError."""
     if not isinstance(estimator, Trainable):
         return False
+    rule = "weights() must raise NotFittedError until there are arrays to return"
     try:
-        estimator.weights()
+        weights = estimator.weights()
     except NotFittedError:
         return True
+    except Exception as error:
+        raise EntryError(f"{rule}, not {describe_error(error)}") from error
+    for name, value in weights.items():
+        if not isinstance(value, np.ndarray):
+            raise EntryError(f"{rule}; it returned {name!r} as {type(value).__name__}")
     return False
 
 

@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -78,12 +79,16 @@ def compare(
     estimators: Mapping[str, Estimator],
     *,
     roads: int | None = None,
+    seconds: float = TIME_LIMIT,
+    finished: Mapping[str, PolicyResult] = MappingProxyType({}),
+    on_result: Callable[[PolicyResult], None] = lambda result: None,
     progress: Progress = lambda text, share: None,
 ) -> list[PolicyResult]:
     """Simulate every policy on every case; a policy that fails is a row with its failure.
 
-    A policy of None is replaced by the oracle. `roads` limits the number of test roads per case.
-    Raises ConfigError on invalid scenarios.
+    A policy of None is replaced by the oracle. `roads` limits the number of test roads per case,
+    `seconds` the time of a policy for a case. `finished` rows are taken as they are; `on_result` is
+    called with each new one. Raises ConfigError on invalid scenarios.
     """
     tests = [
         prepare_case(scenarios, c, scenarios.test_seeds(roads)) for c in range(len(scenarios.cases))
@@ -94,13 +99,16 @@ def compare(
     training = [prepare_case(scenarios, c, training_seeds) for c in range(len(scenarios.cases))]
     results = []
     for i, (name, policy) in enumerate(policies.items()):
+        if name in finished:
+            results.append(finished[name])
+            continue
         columns: list[dict[str, np.ndarray]] = []
         notes: dict[str, None] = {}
         failure, timeline = None, None
         for c, (test, train) in enumerate(zip(tests, training, strict=True)):
             progress(f"{name}: {test.case.label}", (i + c / len(tests)) / len(policies))
             try:
-                with time_limit(TIME_LIMIT) if policy is not None else nullcontext():
+                with time_limit(seconds) if policy is not None else nullcontext():
                     rollout = _rollout(policy, test)
                     train_rollout = _rollout(policy, train) if train.seeds else None
                 column, case_notes = _evaluate(test, rollout, train, train_rollout, estimators)
@@ -115,6 +123,7 @@ def compare(
             columns.append(column)
             notes |= dict.fromkeys(case_notes)
         results.append(_result(name, columns, tuple(estimators), failure, tuple(notes), timeline))
+        on_result(results[-1])
     progress("done", 1.0)
     return results
 

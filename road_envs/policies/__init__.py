@@ -9,18 +9,22 @@ as an entry point, and it is available as `my_policy`:
 """
 
 import dataclasses
+import importlib
 from dataclasses import dataclass, field
+from operator import attrgetter
+from pathlib import Path
 from typing import Any
 
 from road_envs import config
 from road_envs._registry import PluginWarning, Registry
-from road_envs.config import Settings
+from road_envs.config import ConfigError, Settings, build
 from road_envs.policies.add import AccelerationDriven
 from road_envs.policies.api import Policy, PolicyContext, PolicyError
 from road_envs.policies.dqn import Dqn
 from road_envs.policies.fixed import FixedHandling, FixedHandlingRide, FixedRide, FixedRideHandling
 from road_envs.policies.greedy_information import GreedyInformation
 from road_envs.policies.groundhook import Groundhook
+from road_envs.policies.network_policy import NetworkPolicy
 from road_envs.policies.ppo import Ppo
 from road_envs.policies.ppo_sensing import PpoSensing
 from road_envs.policies.preview import Preview
@@ -38,6 +42,7 @@ __all__ = [
     "PolicyError",
     "available",
     "create",
+    "make_policy",
 ]
 
 ENTRY_POINT_GROUP = "road_envs.policies"
@@ -81,6 +86,41 @@ def create(name: str, **settings: Any) -> Policy:
     return _POLICIES.create(name, settings, tuned_settings(name))
 
 
+FILE_SUFFIX = ".npz"
+"""Suffix of the networks that `road-recon train-policy` writes."""
+
+
+def make_policy(reference: str | Path, **settings: Any) -> Policy:
+    """Return a policy by registered name, by "module:Class", or from a file of `train-policy`.
+
+    A name or a class takes `settings`. Raises ConfigError, and whatever the code of another package
+    raises.
+    """
+    name = str(reference)
+    if name.endswith(FILE_SUFFIX):
+        if settings:
+            raise ConfigError(f"{name} holds a network, which takes no settings")
+        if not Path(name).is_file():
+            raise ConfigError(f"{name}: there is no such file")
+        return NetworkPolicy(file=name)
+    if ":" not in name:
+        return create(name, **settings)
+    module, _, qualified_name = name.partition(":")
+    try:
+        cls: Any = attrgetter(qualified_name)(importlib.import_module(module))
+        return build(_validate_policy_class(cls), settings, qualified_name)
+    except (ImportError, AttributeError, TypeError) as error:
+        raise ConfigError(f"the policy {name} cannot be used: {error}") from error
+
+
+def runs_foreign_code(reference: str) -> bool:
+    """Return whether `make_policy` would run code that is not part of this package.
+
+    Files of networks hold numbers only, and are read without pickle.
+    """
+    return reference not in REGISTRY and not reference.endswith(FILE_SUFFIX)
+
+
 def tuned_settings(name: str) -> dict[str, Any]:
     """Return the shipped settings of a policy; empty if there are none."""
     if name not in config.names("policies"):
@@ -99,5 +139,5 @@ def _validate_policy_class(cls: Any) -> Any:
 
 
 _POLICIES = Registry("policy", ENTRY_POINT_GROUP, REGISTRY, _validate_policy_class)
-available = _POLICIES.available
+available, names = _POLICIES.available, _POLICIES.names
 """Look-up of all policies, as documented in `Registry`."""

@@ -149,7 +149,7 @@ def test_the_first_drive_is_reconstructed_with_the_error_that_it_states(page_val
 
 def test_the_estimator_of_the_tutorial_learns_and_passes_the_probes(page_values):
     _, values = page_values("own_estimator.md")
-    assert values["one drive"] < 0.7 and values["task"] == pytest.approx(0.4, abs=0.05)
+    assert values["one drive"] < 0.7 and values["task"] == pytest.approx(0.48, abs=0.05)
     assert values["probes"] == "5/5"
 
 

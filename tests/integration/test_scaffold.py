@@ -1,6 +1,7 @@
 """Template package of an estimator: written, tested, built, installed, evaluated."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -58,6 +59,27 @@ def test_the_template_package_installs_and_gets_a_row_on_the_board(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("example", "check"),
+    [
+        ("learner", ("check-estimator", "road_recon_mine.estimator:Mine")),
+        ("policy", ("check-policy", "road_recon_mine.policy:Mine", "--isolation", "process")),
+    ],
+)
+def test_the_templates_of_a_learner_and_of_a_policy_pass_their_tests_and_checks(
+    tmp_path, example, check
+):
+    write_package("mine", tmp_path / "package", example)
+    path = [tmp_path / "package", ROOT]
+    tested = run("-m", "pytest", "-q", "-p", "no:cacheprovider", cwd=path[0], path=path)
+    assert "3 passed" in tested
+    printed = run("-m", "leaderboard.cli", *check, cwd=tmp_path, path=path)
+    assert "ready" in printed and "FAILED" not in printed
+    if example == "learner":
+        (error,) = re.findall(r"in-band\s+error\s+([\d.]+)", " ".join(printed.split()))
+        assert float(error) < 0.9  # a flat estimate has 1
+
+
+@pytest.mark.parametrize(
     ("name", "sentence"),
     [
         ("My-Road", "'My-Road' cannot be the name of an estimator: use lower-case letters"),
@@ -69,6 +91,12 @@ def test_an_invalid_name_is_refused_and_nothing_is_written(tmp_path, name, sente
     with pytest.raises(ConfigError, match=sentence):
         write_package(name, tmp_path / "new")
     assert not (tmp_path / "new").exists()
+
+
+def test_a_name_is_taken_by_its_own_kind_only(tmp_path):
+    with pytest.raises(ConfigError, match="the name 'skyhook' is taken by an installed policy"):
+        write_package("skyhook", tmp_path / "new", "policy")
+    assert write_package("flat", tmp_path / "new", "policy")
 
 
 def test_a_folder_with_files_is_refused_and_unchanged(tmp_path):

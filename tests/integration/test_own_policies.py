@@ -1,0 +1,186 @@
+"""Policies of other people: by class, by file, in a process of their own, checked and compared."""
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bad_policies import Lateral
+from test_cli import road_recon as road_recon
+
+from leaderboard.conformance.policy_checks import OPTIONS, SEEDS, check_policy
+from leaderboard.policies.comparison import compare
+from leaderboard.policies.policy_process import PolicyLimits, PolicyProcess
+from leaderboard.policies.scenarios import load_scenarios
+from leaderboard.policies.store import RowStore
+from road_envs.config import ConfigError
+from road_envs.policies import create, make_policy
+from road_envs.policies.api import PolicyError
+from road_envs.policies.rollout import roll_out
+
+SUPPORT = Path(__file__).parents[1] / "support"
+SHORT = {**OPTIONS, "length": 10.0}
+LIMITS = PolicyLimits(seconds=5.0, memory=1.5)
+
+
+def drive(reference, limits=LIMITS, seeds=SEEDS):
+    with PolicyProcess(f"bad_policies:{reference}", limits=limits) as policy:
+        return roll_out(policy, dict(SHORT), seeds).actions
+
+
+def test_a_policy_in_a_process_acts_as_it_does_here():
+    np.testing.assert_array_equal(drive("Lateral"), roll_out(Lateral(), dict(SHORT), SEEDS).actions)
+    np.testing.assert_array_equal(drive("Prints"), drive("Lateral"))
+
+
+@pytest.mark.parametrize(
+    ("reference", "sentence"),
+    [
+        ("Endless", "stopped after 2 s, the time limit"),
+        ("Greedy", "MemoryError"),
+        ("Leaves", "its process ended with exit status 3"),
+        ("Floats", "act must return whole numbers, got float64"),
+        ("TooMany", "its reply has 32000 bytes, at most 32 are expected"),
+        ("Beyond", "actions must be 0 to 15, got 99"),
+        ("Nowhere", "the policy bad_policies:Nowhere cannot be used"),
+    ],
+)
+def test_a_policy_beyond_its_limits_ends_in_a_sentence(reference, sentence):
+    with pytest.raises(PolicyError, match=sentence):
+        drive(reference, PolicyLimits(seconds=2.0, memory=1.5))
+
+
+def test_a_process_that_failed_is_replaced_at_the_next_episode():
+    with PolicyProcess("bad_policies:Leaves", limits=LIMITS) as policy:
+        for _ in range(2):
+            with pytest.raises(PolicyError, match="exit status 3"):
+                roll_out(policy, dict(SHORT), SEEDS)
+
+
+def verdicts(name):
+    return {r.name: r.passed for r in check_policy(f"bad_policies:{name}")}
+
+
+@pytest.mark.parametrize(
+    ("name", "failed"),
+    [
+        ("Remembers", ["reset"]),
+        ("Chance", ["repeat", "reset"]),
+        ("Scribbles", ["unchanged"]),
+        ("Beyond", ["runs"]),
+    ],
+)
+def test_each_fault_fails_its_check(name, failed):
+    assert [check for check, passed in verdicts(name).items() if passed is False] == failed
+
+
+def test_a_sound_policy_passes_and_what_it_refuses_is_noted():
+    found = verdicts("Lateral")
+    assert not [check for check, passed in found.items() if passed is False]
+    assert found["observations"] is None and found["actions"] is None and found["vehicles"]
+    assert verdicts("Crowd")["vehicles"] is None
+
+
+@pytest.mark.parametrize("name", ["skyhook", "greedy_information", "dqn"])
+def test_policies_of_this_package_pass(name):
+    failed = [r for r in check_policy(name) if r.passed is False]
+    assert not failed
+
+
+def test_check_policy_refuses_foreign_code_until_it_is_trusted(road_recon, monkeypatch):
+    monkeypatch.syspath_prepend(str(SUPPORT))
+    code, out, err = road_recon("check-policy", "bad_policies:Lateral")
+    assert code == 2 and out == "" and "give --isolation process if you trust it" in err
+    code, out, _ = road_recon(
+        "check-policy", "bad_policies:Remembers", "--isolation", "process", "--json"
+    )
+    assert code == 1 and not json.loads(out)["passed"]
+
+
+def test_policies_compares_a_class_and_a_file_beside_shipped_ones(
+    road_recon, tmp_path, monkeypatch
+):
+    monkeypatch.syspath_prepend(str(SUPPORT))
+    network = Path(__file__).parents[2] / "configs/policies/dqn.npz"
+    (tmp_path / "mine.npz").write_bytes(network.read_bytes())
+    words = ("--policy", "fixed_ride", "--policy", "mine.npz", "--policy", "bad_policies:Lateral")
+    code, out, err = road_recon("policies", *words, "--roads", "2", "--json")
+    assert code == 2 and "not part of this package" in err and out == ""
+    code, out, _ = road_recon(
+        "policies", *words, "--roads", "2", "--isolation", "process", "--json", "--out", "out"
+    )
+    rows = {row["policy"]: row for row in json.loads(out)["rows"]}
+    assert code == 0 and set(rows) == {"fixed_ride", "mine", "Lateral"}
+    assert all(row["failure"] is None for row in rows.values())
+    kept = sorted(path.name for path in (tmp_path / "out/policies").iterdir())
+    assert kept == ["fixed_ride.npz", "mine.npz"]
+
+
+def test_finished_rows_are_kept_until_something_that_they_depend_on_changes(tmp_path):
+    scenarios, policy = load_scenarios("quick"), create("skyhook")
+    seeds = scenarios.test_seeds(2)
+    (row,) = compare(scenarios, {"skyhook": policy}, {}, roads=2)
+    store = RowStore(tmp_path, scenarios, seeds, {})
+    assert store.load("skyhook", policy) is None
+    store.save(row, policy)
+    again = store.load("skyhook", policy)
+    assert again is not None and again.metrics.keys() == row.metrics.keys()
+    for name, values in row.metrics.items():
+        np.testing.assert_array_equal(again.metrics[name], values)
+    for one, other in zip(again.timeline, row.timeline, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert store.load("skyhook", create("skyhook", leak=0.3)) is None
+    assert RowStore(tmp_path, scenarios, range(5), {}).load("skyhook", policy) is None
+    (tmp_path / "skyhook.npz").write_bytes((tmp_path / "skyhook.npz").read_bytes()[:500])
+    assert store.load("skyhook", policy) is None
+
+    def never(*_):
+        raise AssertionError("a finished policy was driven again")
+
+    (taken,) = compare(
+        scenarios, {"skyhook": policy}, {}, roads=2, finished={"skyhook": row}, on_result=never
+    )
+    assert taken is row
+
+
+@pytest.mark.parametrize(
+    ("reference", "sentence"),
+    [
+        ("mine.npz", "mine.npz: there is no such file"),
+        ("nowhere:Mine", "No module named 'nowhere'"),
+        ("bad_policies:np", "it must be a dataclass of settings"),
+        ("skihook", "did you mean 'skyhook'"),
+    ],
+)
+def test_a_reference_to_no_policy_is_one_sentence(reference, sentence):
+    with pytest.raises(ConfigError, match=sentence):
+        make_policy(reference)
+
+
+INTERRUPTED = """
+import os, signal, sys, threading
+sys.argv = ["road-recon", "policies", "--policy", "fixed_ride", "--policy", "fixed_handling",
+            "--roads", "2", "--out", "out"]
+from leaderboard.policies import store
+save = store.RowStore.save
+def save_and_interrupt(self, result, policy):
+    save(self, result, policy)
+    os.kill(os.getpid(), signal.SIGINT)
+store.RowStore.save = save_and_interrupt
+from leaderboard.cli import main
+main()
+"""
+
+
+def test_an_interrupted_comparison_keeps_what_it_has(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 128 + signal.SIGINT
+    assert done.stderr.splitlines()[-1] == (
+        "interrupted: finished policies are kept in out; the same command continues"
+    )
+    assert [path.name for path in (tmp_path / "out/policies").iterdir()] == ["fixed_ride.npz"]

@@ -1,0 +1,53 @@
+"""Progress without a terminal, and what an interrupted command says."""
+
+import pytest
+
+from leaderboard.commands import LINE_INTERVAL, ProgressLines, describe_duration, on_interrupt
+
+
+class Clock:
+    now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+def test_a_line_is_written_at_most_every_interval_with_the_time_left():
+    clock, lines = Clock(), []
+    progress = ProgressLines(lines.append, clock)
+    for k in range(31):
+        clock.now = 100.0 + 2.0 * k  # a fiftieth of the work in 2 s
+        progress(f"drive {k}", k / 50.0)
+    assert len(lines) == int(60.0 / LINE_INTERVAL)
+    assert lines[0] == " 10 %  drive 5, about 90 s left".replace("90 s", describe_duration(90.0))
+    assert lines[-1] == " 60 %  drive 30, about 40 s left"
+
+
+def test_stored_results_do_not_count_as_fast_work():
+    clock, lines = Clock(), []
+    progress = ProgressLines(lines.append, clock)
+    progress("found 90 of 100", 0.9)
+    clock.now += 20.0
+    progress("one more", 0.91)
+    assert lines == [" 91 %  one more, about 3 min left"]
+
+
+def test_without_progress_no_time_is_told():
+    clock, lines = Clock(), []
+    progress = ProgressLines(lines.append, clock)
+    clock.now += 20.0
+    progress("starting", 0.0)
+    assert lines == ["  0 %  starting"]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(4.4, "4 s"), (89.0, "89 s"), (150.0, "2 min"), (7500.0, "2 h 05 min")],
+)
+def test_durations_are_told_in_whole_units(seconds, text):
+    assert describe_duration(seconds) == text
+
+
+def test_an_interruption_says_what_is_kept():
+    with pytest.raises(KeyboardInterrupt, match="all is kept"), on_interrupt("all is kept"):
+        raise KeyboardInterrupt
