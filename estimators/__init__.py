@@ -3,17 +3,28 @@
 An estimator imports neither another estimator nor the simulator.
 """
 
-from estimators.estimation import estimate, make_estimator
-from estimators.registry import (
-    ENTRY_POINT_GROUP,
-    REGISTRY,
-    PluginWarning,
-    available,
-    create,
-    find,
-    names,
-    without_weights,
-)
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from estimators.api import ENTRY_POINT_GROUP
+    from estimators.estimation import estimate, make_estimator
+    from estimators.registry import (
+        REGISTRY,
+        PluginWarning,
+        available,
+        create,
+        find,
+        names,
+        without_weights,
+    )
+
+_MODULES = {
+    "ENTRY_POINT_GROUP": "api",
+    "estimate": "estimation",
+    "make_estimator": "estimation",
+}
+"""Modules of the public names that are not in `registry`."""
 
 __all__ = [
     "ENTRY_POINT_GROUP",
@@ -27,3 +38,10 @@ __all__ = [
     "names",
     "without_weights",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used: the interface needs no implementation."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"estimators.{_MODULES.get(name, 'registry')}"), name)

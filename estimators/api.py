@@ -19,6 +19,9 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 T = TypeVar("T")
 
+ENTRY_POINT_GROUP = "road_envs.estimators"
+"""Entry-point group in which other packages declare estimators."""
+
 LAG = 4.79
 """Lag [m] of the fixed-lag estimators: the Defender's wheelbase and 2 m."""
 

@@ -10,7 +10,7 @@ estimator is then available as `my_estimator`:
 
 from typing import Any
 
-from estimators.api import Estimator, Pretrained, check_class
+from estimators.api import ENTRY_POINT_GROUP, Estimator, Pretrained, check_class
 from estimators.baselines.flat import FlatEstimator
 from estimators.baselines.mean import Mean
 from estimators.baselines.random_road import UnrelatedRoad
@@ -38,9 +38,6 @@ __all__ = [
     "pretrainable",
     "without_weights",
 ]
-
-ENTRY_POINT_GROUP = "road_envs.estimators"
-"""Entry-point group in which other packages declare estimators."""
 
 REGISTRY: dict[str, type[Estimator]] = {
     "flat": FlatEstimator,

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, get_args
 
 import typer
 
@@ -13,6 +13,7 @@ from leaderboard.commands.simulate import Json
 from leaderboard.evaluation.entries import resolve_entries
 from leaderboard.evaluation.entry import Entry
 from leaderboard.evaluation.evaluate import SEEDS
+from leaderboard.evaluation.results import isolation_notice
 from leaderboard.evaluation.surface_tasks import surface_tasks
 from leaderboard.evaluation.tasks import Task, load_task, shipped_tasks
 from leaderboard.metrics.baselines import SENTINELS
@@ -24,10 +25,18 @@ from leaderboard.running.board import Board, RunRequest, render_with_retry, run_
 from leaderboard.running.dask_executor import DaskExecutor
 from leaderboard.running.executors import Executor, ProcessExecutor
 from leaderboard.sandbox.client import SandboxClient
-from leaderboard.sandbox.limits import Limits
+from leaderboard.sandbox.limits import Isolation, Limits
 from road_envs.config import ConfigError, names, validate_choice
 
 CORES = os.cpu_count() or 1
+
+IsolationOption = Annotated[
+    str,
+    typer.Option(
+        help="bubblewrap; process: every entry has your rights; auto: bubblewrap where it is "
+        "available, else processes for the estimators of this package only."
+    ),
+]
 
 
 def leaderboard(
@@ -48,7 +57,10 @@ def leaderboard(
     ] = None,
     estimator: Annotated[
         list[str] | None,
-        typer.Option(help="Estimator, or a file from `train`; may be given again. Default: all."),
+        typer.Option(
+            help="Estimator: name, module:Class, or path of a wheel, an installed package or a "
+            "file from `train`; may be given again. Default: all."
+        ),
     ] = None,
     without: Annotated[
         list[str] | None, typer.Option(help="Estimator to exclude; may be given again.")
@@ -80,6 +92,7 @@ def leaderboard(
         float, typer.Option(help="Time limit of an entry per condition in seconds.")
     ] = Limits.seconds,
     memory_limit: Annotated[float, typer.Option(help="Memory limit in GiB.")] = Limits.memory,
+    isolation: IsolationOption = "auto",
     out: Annotated[Path, typer.Option(help="Folder for results and site.")] = Path(
         "out/leaderboard"
     ),
@@ -98,7 +111,7 @@ def leaderboard(
         chosen = [
             task.with_test_drives(None) if task.has_several_test_drives else task for task in chosen
         ]
-    limits = parse_limits(time_limit, memory_limit)
+    limits = parse_limits(time_limit, memory_limit, isolation)
     if out.exists() and not out.is_dir():
         raise ConfigError(f"--out must be a folder, {out} is a file")
     entries = _entries(estimator, without or [], limits)
@@ -120,6 +133,9 @@ def leaderboard(
         print_json(as_json(report))
     else:
         print_tables(report, console)
+        scored = [row for task in evaluated.tasks for row in evaluated.scored(task)]
+        if (notice := isolation_notice(scored)) is not None:
+            notices.print(notice)
         notices.print(f"page: {page}")
 
 
@@ -162,9 +178,10 @@ def _entries(names: Sequence[str] | None, without: Sequence[str], limits: Limits
         return resolve_entries(chosen, sandbox)
 
 
-def parse_limits(seconds: float, memory: float) -> Limits:
+def parse_limits(seconds: float, memory: float, isolation: str) -> Limits:
     """Return the limits of the command line. Raises ConfigError."""
+    choice: Any = validate_choice("isolation", isolation, list(get_args(Isolation)))
     try:
-        return Limits(seconds=seconds, memory=memory)
+        return Limits(seconds=seconds, memory=memory, isolation=choice)
     except ValueError as error:
         raise ConfigError(f"limits: {error}") from None

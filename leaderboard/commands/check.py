@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from leaderboard.commands import console, print_json
-from leaderboard.commands.board import parse_limits
+from leaderboard.commands.board import IsolationOption, parse_limits
 from leaderboard.commands.simulate import Json
 from leaderboard.conformance.checks import RUN_TIME_LIMIT, check_entry
 from leaderboard.conformance.probes import PROBES, CheckResult
@@ -28,12 +28,14 @@ MARKS = {
 
 def check_estimator(
     estimator: Annotated[
-        str, typer.Argument(help="Installed name, module:Class, or a file from `train`.")
+        str,
+        typer.Argument(help="Installed name, module:Class, or path of a wheel or trained file."),
     ],
     time_limit: Annotated[
         float, typer.Option(help="Time limit of an entry per condition in seconds.")
     ] = Limits.seconds,
     memory_limit: Annotated[float, typer.Option(help="Memory limit in GiB.")] = Limits.memory,
+    isolation: IsolationOption = "auto",
     json: Json = False,
 ) -> None:
     """Check whether an estimator is ready for a board; exit status 1 if a check fails.
@@ -42,7 +44,7 @@ def check_estimator(
     """
     if ":" in estimator and os.getcwd() not in sys.path:
         sys.path.insert(0, os.getcwd())  # as `python -m` does, to import from this folder
-    limits = parse_limits(time_limit, memory_limit)
+    limits = parse_limits(time_limit, memory_limit, isolation)
     with SandboxClient(
         dataclasses.replace(limits, seconds=min(RUN_TIME_LIMIT, limits.seconds))
     ) as sandbox:

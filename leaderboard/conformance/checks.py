@@ -138,9 +138,7 @@ def probe_entry(entry: Entry, sandbox: SandboxClient) -> list[CheckResult]:
 
 def _run(sandbox: SandboxClient, entry: Entry, records: Sequence[Record]) -> TrainingRun:
     drives = check_drives()
-    (training_run,) = sandbox.reconstruct(
-        entry.reference, entry.settings, drives.training, records, drives.car, [SEED], entry.name
-    )
+    (training_run,) = sandbox.reconstruct(entry, drives.training, records, drives.car, [SEED])
     return training_run
 
 

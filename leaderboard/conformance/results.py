@@ -85,10 +85,7 @@ def probe_entries(
     }
     if not missing:
         return 0
-    hidden = [out / "results", out / "jobs", out / "cards"]
-    for folder in hidden:
-        folder.mkdir(parents=True, exist_ok=True)
-    with SandboxClient(limits, hidden) as sandbox:
+    with SandboxClient(limits) as sandbox:
         for identity, entry in missing.items():
             report(f"probing {entry.name}")
             card = _probe_entry(identity, entry, sandbox)

@@ -1,10 +1,12 @@
 """Entries from the names of estimators, with the settings and versions that identify them.
 
-Estimators of this package are constructed here. Estimators of other packages or from files are
-not loaded by the evaluation: a separate process describes them.
+Estimators of this package are constructed here. An entry from outside (a wheel, a folder, a file, a
+class of another package) is not loaded by the evaluation: a guest describes it, and of that only
+settings, causality and lag are used.
 """
 
 import hashlib
+import itertools
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -18,29 +20,38 @@ from estimators import pretrained_weights
 from estimators.api import Estimator, Pretrained, Trainable, declared_lag, refits_per_case
 from leaderboard.evaluation.code_version import module_version
 from leaderboard.evaluation.entry import BUILTIN, Entry, EntryError, get_settings, needs_training
-from road_envs.config import ConfigError, build, validate_choice
+from leaderboard.sandbox import entry_files
 
-CLASS_REFERENCE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
-"""Pattern of a reference to a class of an importable module, "module:Class"."""
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
+"""Pattern of the name of a row. It is part of the names of files and of addresses of pages."""
+
+RESERVED = frozenset(
+    {*estimators.REGISTRY, BUILTIN, "bound", "truth", "truth_plus_noise", "memory", "index"}
+)
+"""Names of rows and pages that an entry from outside cannot have, in lower case."""
 
 
 class SupportsDescribe(Protocol):
     """Describes estimators that this process does not load, such as `SandboxClient`."""
 
-    def describe(self, reference: str, settings: Mapping[str, Any]) -> dict[str, Any]: ...
+    def describe(self, reference: str) -> dict[str, Any]: ...
 
 
 def describe(reference: str, estimator: Estimator) -> dict[str, Any]:
     """Return settings, causality, lag [m] and version of an estimator, as JSON types."""
-    code = module_version(type(estimator).__module__)
-    if (weights := _included_weights(estimator)) is not None:
-        code = f"{code}+{_arrays_digest(weights)}"
     return {
         "settings": json.loads(json.dumps(get_settings(estimator), default=str)),
         "causal": estimator.causal,
         "lag": declared_lag(estimator),
-        "code": code,
+        "code": _code_of(reference, estimator),
     }
+
+
+def _code_of(reference: str, estimator: Estimator) -> str:
+    if not entry_files.is_ours(reference):
+        return entry_files.snapshot(reference, None)
+    code, weights = module_version(type(estimator).__module__), _included_weights(estimator)
+    return code if weights is None else f"{code}+{_arrays_digest(weights)}"
 
 
 def make_entry(name: str, estimator: Estimator | None) -> Entry:
@@ -54,19 +65,21 @@ def make_entry(name: str, estimator: Estimator | None) -> Entry:
 
 
 def resolve_entries(names: Sequence[str], describer: SupportsDescribe | None) -> list[Entry]:
-    """Return entries by registered name, .npz file or "module:Class".
+    """Return entries by registered name, "module:Class", or path of a wheel, folder or .npz.
 
-    Estimators of other packages need a `describer`. An estimator that cannot be constructed gives
-    an entry with a failure. Raises ConfigError for an unknown name.
+    Entries from outside this package need a `describer`. One that cannot be constructed, or whose
+    name is not allowed or taken, gives an entry with a failure, so that every entry has its row.
+    Raises ConfigError for an unknown name.
     """
-    known = estimators.names()
-    for name in names:
-        if name.endswith(".npz"):
-            if not Path(name).is_file():
-                raise ConfigError(f"{name}: no such file; give an .npz from `train`")
-        elif not CLASS_REFERENCE.fullmatch(name):
-            validate_choice("estimator", name, known)
-    return [_resolve_entry(name, describer) for name in names]
+    references = [entry_files.find_reference(name) for name in names]
+    entries: list[Entry] = []
+    for name, reference in zip(names, references, strict=True):
+        if name in estimators.REGISTRY or describer is None:
+            entries.append(make_entry(name, estimators.create(name)))
+        else:
+            taken = {entry.name.lower() for entry in entries}
+            entries.append(_outside_entry(name, reference, taken, describer))
+    return entries
 
 
 def registered_entry(name: str, each_case: bool) -> Entry | None:
@@ -90,18 +103,45 @@ def entry_refit_per_case(entry: Entry) -> Entry:
     return make_entry(entry.name, estimators.create(entry.reference, **settings))
 
 
-def _resolve_entry(name: str, describer: SupportsDescribe | None) -> Entry:
-    if name in estimators.REGISTRY or describer is None:
-        return make_entry(name, estimators.create(name))
-    is_file = name.endswith(".npz")
-    known: dict[str, Any] = {
-        "name": Path(name).stem if is_file else name.rpartition(":")[2],
-        "reference": str(Path(name).resolve()) if is_file else name,
-    }
+def _outside_entry(
+    given: str, reference: str, taken: set[str], describer: SupportsDescribe
+) -> Entry:
     try:
-        return build(Entry, {**known, **describer.describe(known["reference"], {})}, name)
-    except (EntryError, ConfigError) as error:
-        return Entry(**known, failure=str(error))
+        known = describer.describe(reference)
+    except EntryError as error:
+        name = _free_name(_name_of(given), taken)
+        return Entry(name=name, reference=reference, failure=str(error))
+    name = known.pop("name", None) or _name_of(given)
+    if not NAME.fullmatch(name):
+        reason = "a name has up to 40 letters, digits, _ and -, and begins with a letter"
+    elif name.lower() in RESERVED:
+        reason = f"the name {name} is reserved"
+    elif name.lower() in taken:
+        reason = f"another entry has the name {name}"
+    else:
+        return Entry(name=name, reference=reference, **known)
+    return Entry(
+        name=_free_name(_name_of(given), taken),
+        reference=reference,
+        failure=f"its entry cannot be named so: {reason}",
+    )
+
+
+def _name_of(given: str) -> str:
+    """Return the name of an entry that has been given as a path, "module:Class" or name."""
+    is_class = entry_files.CLASS_REFERENCE.fullmatch(given)
+    path = Path(given)
+    if is_class:
+        return given.rpartition(":")[2].rpartition(".")[2]
+    return path.name.partition("-")[0] if path.suffix == ".whl" else path.stem
+
+
+def _free_name(name: str, taken: set[str]) -> str:
+    """Return an allowed name like `name` that is neither reserved nor taken."""
+    name = re.sub(r"[^A-Za-z0-9_-]", "_", name)[:30]
+    name = name if NAME.fullmatch(name) else f"entry_{name}"
+    choices = itertools.chain([name], (f"{name}_{k}" for k in itertools.count(2)))
+    return next(x for x in choices if x.lower() not in taken | RESERVED)
 
 
 def _included_weights(estimator: Any) -> Mapping[str, np.ndarray] | None:

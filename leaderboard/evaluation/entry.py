@@ -1,13 +1,13 @@
 """Entries and how they are run: training records and truths and test records in, estimates out.
 
-All code of an entry runs in `reconstruct`, which never receives the truth of a test drive.
+All code of an entry runs in a `Session`, which never receives the truth of a test drive.
 """
 
 import dataclasses
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -20,13 +20,18 @@ BUILTIN = "judge"
 """Reference of an entry whose estimates the evaluation computes itself, from the truth."""
 
 
+MAX_LAG = 10.0
+"""Largest lag [m] of an estimator that counts as causal."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Entry:
     """An estimator on the leaderboard, described so that any process can construct it.
 
-    `reference` is a registered name, "module:Class", or the path of an .npz from `train`; `lag` [m]
-    is the distance of a causal estimate behind the front axle; `code` is the version of its sources
-    and weights; `failure` is the reason why it cannot be constructed.
+    `reference` is a registered name, "module:Class", or a path: a wheel, a folder with an installed
+    package, or a file of weights. `lag` [m] is the distance of a causal estimate behind the front
+    axle, at most MAX_LAG; `code` is the version of its sources and weights; `failure` is the reason
+    why it cannot be constructed.
     """
 
     __pydantic_config__ = STRICT
@@ -55,6 +60,8 @@ class TrainingRun:
     seed: int = 0  # of the training
     peak_memory: float | None = None  # [GiB] of the process that ran all trainings
     isolation: str = "none"
+    notes: tuple[str, ...] = ()  # what the judge has found out about the entry
+    looks_ahead: bool = False  # a causal estimator whose estimate depends on later samples
 
 
 def needs_training(estimator: Estimator) -> bool:
@@ -74,25 +81,63 @@ def needs_training(estimator: Estimator) -> bool:
     return False
 
 
+class Session(Protocol):
+    """An estimator that is trained and asked for estimates, in this process or in another."""
+
+    needs_training: bool
+
+    def fit(self, training: Sequence[tuple[Record, Profile]], seed: int) -> tuple[int, float]:
+        """Train anew; return the number of fitted parameters and the time [s] it took."""
+        ...
+
+    def estimate(self, record: Record) -> tuple[Estimate, float]:
+        """Return a valid estimate and the time [s] it took."""
+        ...
+
+
+class LocalSession:
+    """A session with an estimator in this process."""
+
+    def __init__(self, estimator: Estimator, car: VehicleParameters):
+        self.needs_training = needs_training(estimator)
+        self._estimator, self._trained, self._car = estimator, estimator, car
+
+    def fit(self, training: Sequence[tuple[Record, Profile]], seed: int) -> tuple[int, float]:
+        """Train the estimator if it needs training; count its parameters."""
+        start = time.perf_counter()
+        if self.needs_training:
+            records, truths = [list(part) for part in zip(*training, strict=True)]
+            self._trained = self._estimator.fit(records, truths, self._car, seed)  # type: ignore[attr-defined]
+        seconds = time.perf_counter() - start
+        return sum(np.size(array) for array in _weights(self._trained)), seconds
+
+    def estimate(self, record: Record) -> tuple[Estimate, float]:
+        """Estimate a record. Raises EstimateError and what the estimator raises."""
+        start = time.perf_counter()
+        estimate = self._trained.estimate(record, self._car)
+        check_estimate(estimate, record)
+        return estimate, time.perf_counter() - start
+
+
 def reconstruct_all(
-    estimator: Estimator,
+    session: Session,
     training: Sequence[tuple[Record, Profile]],
     records: Sequence[Record],
-    car: VehicleParameters,
     seeds: Sequence[int],
+    order: Sequence[int] | None = None,
 ) -> Iterator[TrainingRun]:
-    """Yield one run for each training seed. Raises EntryError.
+    """Yield one run for each training seed; ask for the estimates in `order`. Raises EntryError.
 
     Yields the first run only if the training does not depend on the seed, that is, if the second
     run gives the same estimates.
     """
     first: list[Estimate] = []
-    for seed in seeds if needs_training(estimator) else seeds[:1]:
-        training_run = reconstruct(estimator, training, records, car, seed)
-        if first and _equal_estimates(training_run.estimates, first):
+    for seed in seeds if session.needs_training else seeds[:1]:
+        run = _run(session, training, records, seed, order or range(len(records)))
+        if first and _equal_estimates(run.estimates, first):
             return
-        yield training_run
-        first = first or training_run.estimates
+        yield run
+        first = first or run.estimates
 
 
 def reconstruct(
@@ -102,25 +147,33 @@ def reconstruct(
     car: VehicleParameters,
     seed: int,
 ) -> TrainingRun:
-    """Train the estimator if it needs training, then estimate every record. Raises EntryError."""
-    step = f"training with seed {seed}"
+    """Train an estimator in this process, if it needs training, then estimate every record.
+
+    Raises EntryError.
+    """
+    return _run(LocalSession(estimator, car), training, records, seed, range(len(records)))
+
+
+def _run(
+    session: Session,
+    training: Sequence[tuple[Record, Profile]],
+    records: Sequence[Record],
+    seed: int,
+    order: Sequence[int],
+) -> TrainingRun:
+    step, seconds = f"training with seed {seed}", 0.0
+    estimates: dict[int, Estimate] = {}
     try:
-        start = time.perf_counter()
-        if needs_training(estimator):
-            training_records, truths = [list(part) for part in zip(*training, strict=True)]
-            estimator = estimator.fit(training_records, truths, car, seed)  # type: ignore[attr-defined]
-        end_of_training = time.perf_counter()
-        parameters = sum(np.size(array) for array in _weights(estimator))
-        estimates = []
-        for k, record in enumerate(records, start=1):
-            step = f"estimating test drive {k} of {len(records)}, seed {seed}"
-            estimate = estimator.estimate(record, car)
-            check_estimate(estimate, record)
-            estimates.append(estimate)
+        parameters, train_seconds = session.fit(training, seed)
+        for k in order:
+            step = f"estimating test drive {k + 1} of {len(records)}, seed {seed}"
+            estimates[k], duration = session.estimate(records[k])
+            seconds += duration
     except (Exception, SystemExit) as error:
-        raise EntryError(f"{step}: {describe_error(error)}") from error
-    estimate_seconds = time.perf_counter() - end_of_training
-    return TrainingRun(estimates, end_of_training - start, estimate_seconds, parameters, seed)
+        reason = str(error) if isinstance(error, EntryError) else describe_error(error)
+        raise EntryError(f"{step}: {reason}") from error
+    ordered = [estimates[k] for k in range(len(records))]
+    return TrainingRun(ordered, train_seconds, seconds, parameters, seed)
 
 
 def get_settings(estimator: Estimator | None) -> dict[str, Any]:

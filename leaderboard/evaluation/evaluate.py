@@ -7,7 +7,7 @@ at a time. Scores of each training seed are stored separately. A failure is a re
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from estimators.api import Estimator
 from leaderboard.evaluation.code_version import evaluation_version
@@ -15,6 +15,7 @@ from leaderboard.evaluation.entry import (
     BUILTIN,
     Entry,
     EntryError,
+    LocalSession,
     TrainingRun,
     get_settings,
     reconstruct_all,
@@ -106,7 +107,8 @@ def in_process(estimator: Estimator | None) -> EntryRunner:
     def run(entry: Entry, data: ConditionData, seeds: Sequence[int]) -> Iterable[TrainingRun]:
         assert estimator is not None
         records = [test.record for test in data.tests]
-        return reconstruct_all(estimator, training_pairs(data), records, data.task.vehicle, seeds)
+        session = LocalSession(estimator, data.task.vehicle)
+        return reconstruct_all(session, training_pairs(data), records, seeds)
 
     return run
 
@@ -158,11 +160,11 @@ def evaluate_entry(
         return dataclasses.replace(empty, failure=failure)
     notes = tuple(dict.fromkeys(note for test in data.tests for note in test.notes))
     try:
-        fields = _score_fields(data, _training_runs(data, entry, seeds, run))
+        fields = _score_fields(data, entry, _training_runs(data, entry, seeds, run))
     except EntryError as error:
         failure = f"{condition.label}, {error}"
         return dataclasses.replace(empty, failure=failure, notes=notes)
-    return dataclasses.replace(empty, notes=notes, **fields)
+    return dataclasses.replace(empty, **{**fields, "notes": (*notes, *fields["notes"])})
 
 
 def _training_runs(
@@ -179,7 +181,9 @@ def _training_runs(
     return [TrainingRun(estimates, 0.0, 0.0, 0, seeds[0])]
 
 
-def _score_fields(data: ConditionData, training_runs: Iterable[TrainingRun]) -> dict:
+def _score_fields(
+    data: ConditionData, entry: Entry, training_runs: Iterable[TrainingRun]
+) -> dict[str, Any]:
     """Return fields of a result: scores of all runs, the trace of the median run, and costs."""
     drives: list[DriveScores] = []
     traces: list[Trace] = []
@@ -204,6 +208,8 @@ def _score_fields(data: ConditionData, training_runs: Iterable[TrainingRun]) -> 
         "parameters": last.parameters,
         "peak_memory": last.peak_memory,
         "isolation": last.isolation,
+        "causal": entry.causal and not last.looks_ahead,
+        "notes": tuple(f"{entry.name}: {note}" for note in last.notes),
     }
 
 

@@ -22,7 +22,7 @@ from road_envs.config import STRICT
 
 FORMAT = 3
 Role = Literal["entry", "sentinel"]
-ISOLATED = ("bubblewrap", "namespaces")
+ISOLATED = ("bubblewrap",)
 """Values of `Result.isolation` of entries without access to files, network and other processes."""
 
 Z_UNIT = 1e-5
@@ -201,6 +201,7 @@ def merge_parts(parts: Sequence[Result], identity: str) -> Result:
         drives=tuple(drive for part in scored for drive in part.drives),
         train_seconds=tuple(seconds for part in scored for seconds in part.train_seconds),
         estimate_ms_per_100m=float(np.mean(costs)) if costs else None,
+        causal=first.causal if all(part.causal == first.causal for part in parts) else False,
         parameters=_maximum(part.parameters for part in parts),
         peak_memory=_maximum(part.peak_memory for part in parts),
         failure=failure,

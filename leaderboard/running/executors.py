@@ -23,7 +23,7 @@ from leaderboard.evaluation.test_data import DriveSimulation, simulate_drives
 from leaderboard.running import jobs
 from leaderboard.running.jobs import Job, JobDone
 from leaderboard.sandbox import processes
-from leaderboard.sandbox.client import describe_exit
+from leaderboard.sandbox.guest import describe_exit
 from leaderboard.sandbox.limits import THREAD_VARIABLES
 from road_envs._atomic_io import TempFolder
 from road_envs.config import ConfigError, build

@@ -17,7 +17,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import estimators
 from leaderboard.evaluation import evaluate, store
 from leaderboard.evaluation.code_version import evaluation_version
 from leaderboard.evaluation.entry import Entry, TrainingRun
@@ -38,9 +37,6 @@ from leaderboard.sandbox.limits import Limits
 from road_envs._atomic_io import remove_stale_temp
 from road_envs.config import STRICT, ConfigError, build
 from road_envs.roads import KINDS
-
-BUILTIN_CACHE = "ours"
-"""Name of the kernel cache shared by this package's estimators; any other entry has its own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,19 +138,12 @@ def store_result(result: Result, job: Job, entry: Entry, out: Path) -> JobDone:
 
 
 def in_sandbox(sandbox: SandboxClient) -> EntryRunner:
-    """Return a runner that trains and runs each entry in a separate process."""
+    """Return a runner that trains and runs each entry in a guest."""
 
     def run(entry: Entry, data: ConditionData, seeds: Sequence[int]) -> Iterable[TrainingRun]:
-        is_builtin = entry.reference in estimators.REGISTRY
-        return sandbox.reconstruct(
-            entry.reference,
-            entry.settings,
-            evaluate.training_pairs(data),
-            [test.record for test in data.tests],
-            data.task.vehicle,
-            seeds,
-            cache=BUILTIN_CACHE if is_builtin else f"entry-{entry.name}",
-        )
+        training, car = evaluate.training_pairs(data), data.task.vehicle
+        records = [test.record for test in data.tests]
+        return sandbox.reconstruct(entry, training, records, car, seeds, retest=True)
 
     return run
 
@@ -166,10 +155,7 @@ def run_job_file(spec: Path, out: Path) -> Iterator[JobDone]:
     """
     remove_stale_temp()
     job = from_text(spec.read_text(encoding="utf-8"), str(spec))
-    hidden = [out / "results", out / "jobs"]
-    for folder in hidden:
-        folder.mkdir(parents=True, exist_ok=True)
-    with SandboxClient(job.limits, hidden, owns_all_children=True) as sandbox:
+    with SandboxClient(job.limits, owns_all_children=True) as sandbox:
         yield from run_job(job, out, in_sandbox(sandbox))
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from leaderboard.evaluation import store
 from leaderboard.evaluation.entry import Entry
-from leaderboard.evaluation.results import content_digest, merge_parts
+from leaderboard.evaluation.results import ISOLATED, content_digest, merge_parts
 from leaderboard.evaluation.store import NewerFormatError
 from leaderboard.evaluation.tasks import Task
 from leaderboard.running.jobs import Job, JobDone, result_identity
@@ -40,7 +40,7 @@ class PlannedRow:
 class Plan:
     """State of a run: current rows, stored parts, and missing results.
 
-    An entry that runs without namespaces could change stored files. The plan therefore records a
+    An entry that runs without isolation could change stored files. The plan therefore records a
     digest of each file that it has read or that a job has reported, and verifies it before use.
     """
 
@@ -67,7 +67,7 @@ class Plan:
     def record_part(self, done: JobDone) -> None:
         """Record a part that was run."""
         self._digests[self._part_path(done.identity)] = done.content_digest
-        self._may_be_altered |= done.isolation != "namespaces"
+        self._may_be_altered |= done.isolation not in ISOLATED
         if done.failure is not None:
             self._failed.add(done.identity)
 

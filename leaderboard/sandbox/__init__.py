@@ -1,13 +1,12 @@
-"""Isolation of entries in separate processes.
+"""Isolation of entries: each runs in a guest process, inside bubblewrap where that is available.
 
-    client      in the evaluating process: holds the truth, writes records, reads estimates
-    server      a process with the libraries loaded, started before any truth exists; forks
-    supervisor  one for each run of an entry: enforces limits, kills leftover processes
-    worker      the entry's process: records in, estimates out
+    client      in the judge: drives the dialogue, checks every reply, measures time and memory
+    entry_files snapshot and digest of the code of an entry, without importing it
+    bubblewrap  the command line of the container: a minimal, read-only tree without network
+    guest       one guest process: pipes, limits, ending it with everything it has started
+    messages    the format of requests and replies
+    worker      in the guest: loads the estimator and serves requests
 
-The truth of a test drive never reaches the server or its descendants. The isolation of the worker
-depends on the platform. It always has its own session, environment, folder and limits, and is
-killed with all its children. Where the kernel grants namespaces (Linux, for root or with user
-namespaces) it has no network, sees no process but its own, cannot write outside its folder, and
-does not see the folder of results. `docs/running.md` lists the remaining gaps.
+The judge holds the truth of the test drives, their roads and their seeds, and never sends them.
+`docs/running.md` says what is guaranteed, with and without bubblewrap, and what is not.
 """

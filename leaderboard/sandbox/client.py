@@ -1,276 +1,343 @@
-"""Client of the sandbox: sends records to an entry's process and returns checked estimates."""
+"""Client of the sandbox, in the judge: runs entries in guests and checks every reply.
+
+What an entry says about itself counts for nothing but its settings, `causal` and `lag`. Its name is
+checked against an allow-list, its code is hashed from its files, its time is compared with the
+processor time of the guest, and its causality is tested on the test drives.
+"""
 
 import dataclasses
 import json
-import os
-import select
-import shutil
-import subprocess
+import random
 import sys
-import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from signal import Signals
-from typing import Any, TypeVar
+from typing import Any
 
-from estimators.api import EstimateError, check_estimate
-from leaderboard.evaluation.entry import EntryError, TrainingRun
-from leaderboard.sandbox import messages, processes
-from leaderboard.sandbox.limits import Limits, worker_environment
-from leaderboard.sandbox.messages import Request, Response, TrainingReport
-from leaderboard.sandbox.supervisor import LaunchRequest, RunStatus
+import numpy as np
+
+from estimators.api import check_estimate
+from leaderboard.evaluation.entry import MAX_LAG, Entry, EntryError, TrainingRun, reconstruct_all
+from leaderboard.sandbox import bubblewrap, entry_files, messages, processes, worker
+from leaderboard.sandbox.guest import Guest
+from leaderboard.sandbox.limits import Limits, guest_environment
 from road_envs import _numba
 from road_envs._atomic_io import TempFolder
-from road_envs.config import build
-from road_envs.data.record import Profile, Record
+from road_envs._code_digest import cache_home
+from road_envs.config import ConfigError
+from road_envs.data.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
-T = TypeVar("T")
+LARGEST_HEIGHT = 1e6
+"""Largest height and standard deviation [m] of an estimate."""
 
-GRACE_PERIOD = 60.0
-"""Time [s] after the limit of a run within which the supervisor must report its status."""
+LARGEST_COUNT = 1e12
+"""Largest number of parameters."""
 
-STARTUP_TIMEOUT = 300.0
-"""Time [s] within which the server must have loaded its libraries."""
+UNSEEN_TIME = 0.05
+"""Processor time [s] of one request beyond the reported time that is not charged to an entry."""
+
+EQUALITY_TOLERANCE = 1e-9
+"""Largest difference [m] of estimates that count as equal, for rounding."""
+
+RETESTED_DRIVES = 2
+"""Number of test drives that are estimated again with other samples from a secret point on."""
+
+LOOKS_AHEAD = "claims to be causal, but its estimate of a test drive depends on later samples"
+REMEMBERS = "its estimate of a test drive depends on the drives that it has seen before"
+ONE_TRAINING = "its training does not depend on the seed"
+NOT_RETESTED = "could not be run again to test its causality and its memory"
 
 
 class SandboxClient:
-    """Runs entries in separate processes, one run at a time; a context manager.
+    """Runs entries in guests, one at a time; a context manager.
 
-    `hidden` folders look empty to the entries where the platform has namespaces.
-    `owns_all_children` states that this process has no children but those of the client, so that
-    all remaining ones can be killed.
+    Estimators of this package share a guest with a child for each run; an entry from outside has a
+    new guest for each run. `owns_all_children` states that this process has no children but those
+    of the client, so that all remaining ones can be killed.
     """
 
-    def __init__(
-        self,
-        limits: Limits | None = None,
-        hidden: Sequence[Path] = (),
-        *,
-        owns_all_children: bool = False,
-    ):
+    def __init__(self, limits: Limits | None = None, *, owns_all_children: bool = False):
+        """Raises ConfigError if bubblewrap is requested and cannot be used."""
         self.limits = limits or Limits()
-        self.run_status: RunStatus | None = None  # of the last run
-        self.hidden = tuple(str(path.resolve()) for path in hidden)
+        self.guest: Guest | None = None  # of the last run
         self._owns_all_children = owns_all_children
         self._temp = TempFolder()
-        self._home = self._temp.path
-        self._runs = 0
-        self._namespaces: bool | None = None
+        self._temp.path.chmod(0o755)  # a guest has another user
+        self._snapshots: dict[str, tuple[str, Path]] = {}
+        self._ours: Guest | None = None
+        self._count = 0
+        obstacle = bubblewrap.obstacle()
+        if self.limits.isolation == "bubblewrap" and obstacle is not None:
+            self._temp.close()
+            raise ConfigError(f"{obstacle}; install it, or choose the isolation process")
+        self._bubblewrap = obstacle is None and self.limits.isolation != "process"
         if owns_all_children:
             processes.become_subreaper()
-        self._server = self._start()  # loads its libraries while this process simulates drives
 
     def __enter__(self) -> "SandboxClient":
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._stop()
+        self._close_guests()
+        if self._owns_all_children:
+            processes.kill_descendants()
         self._temp.close()
 
     @property
     def isolation(self) -> str:
-        """Isolation of the entries: "namespaces", or "process" where those are not available."""
-        return "namespaces" if self._may_use_namespaces() and self.limits.namespaces else "process"
+        """Isolation of the entries: "bubblewrap" or "process"."""
+        return "bubblewrap" if self._bubblewrap else "process"
+
+    def describe(self, reference: str) -> dict[str, Any]:
+        """Return settings, causality, lag [m], version and, of a package, the name of its entry
+        point, without loading the code here. Raises EntryError.
+        """
+        code, _ = self._snapshot(reference)
+        guest = self._start(reference)
+        try:
+            head = self._begin(guest, reference, {}, None)
+        finally:
+            self._end(guest)
+        causal, lag = head.get("causal"), head.get("lag")
+        if not isinstance(causal, bool):
+            raise EntryError("cannot be constructed: its attribute causal must be True or False")
+        lag = messages.number(head, "lag", 1e9)
+        if causal and lag > MAX_LAG:
+            raise EntryError(
+                f"cannot be constructed: a causal estimate may be at most {MAX_LAG:g} m behind the "
+                f"front axle, its lag is {lag:g} m; declare causal = False"
+            )
+        known = {"settings": messages.settings(head.get("settings")), "causal": causal, "lag": lag}
+        name = head.get("name")
+        return {**known, "code": code, **({"name": name} if isinstance(name, str) else {})}
 
     def reconstruct(
         self,
-        reference: str,
-        settings: Mapping[str, Any],
+        entry: Entry,
         training: Sequence[tuple[Record, Profile]],
         records: Sequence[Record],
         car: VehicleParameters,
         seeds: Sequence[int],
-        cache: str = "",
+        *,
+        retest: bool = False,
     ) -> list[TrainingRun]:
-        """Run `entry.reconstruct_all` in a worker. Raises EntryError.
+        """Run `entry.reconstruct_all` in a guest. Raises EntryError.
 
-        Entries with the same `cache` share their compiled kernels.
+        With `retest`, an entry from outside runs a second time: does it look ahead or remember?
         """
-        request = Request(
-            reference=reference,
-            settings=dict(settings),
-            seeds=tuple(seeds),
-            training=len(training),
-            tests=len(records),
-            car=dataclasses.asdict(car),
-        )
+        ours = entry_files.is_ours(entry.reference)
+        if not ours and self._snapshot(entry.reference)[0] != entry.code and entry.code:
+            raise EntryError("its files have changed since the run was planned")
+        order = list(range(len(records)))
+        if not ours:
+            random.SystemRandom().shuffle(order)
+        guest = self._start(entry.reference)
+        try:
+            session = self._session(guest, entry, car)
+            runs = list(reconstruct_all(session, training, records, seeds, order))
+        finally:
+            self._end(guest)
+        found: dict[str, Any] = {"peak_memory": guest.peak_memory, "isolation": self.isolation}
+        if not ours and session.needs_training and len(runs) < len(seeds):
+            found["notes"] = (ONE_TRAINING,)
+        if retest and not ours:
+            tested = self._retest(entry, training, records, car, seeds[0], order, runs[0])
+            found["looks_ahead"] = LOOKS_AHEAD in tested or NOT_RETESTED in tested
+            found["notes"] = (*found.get("notes", ()), *tested)
+        return [dataclasses.replace(run, **found) for run in runs]
 
-        def training_runs(folder: Path, response: Response) -> list[TrainingRun]:
-            reported = [training.seed for training in response.trainings]
-            if reported not in ([*seeds], [*seeds[:1]]):
-                raise EntryError(
-                    f"its response has the training seeds {reported}, requested were {list(seeds)}"
-                )
-            assert self.run_status is not None
-            memory, isolation = self.run_status.memory, self.isolation
-            runs = (_read_checked_run(folder, report, records) for report in response.trainings)
-            return [
-                dataclasses.replace(run, peak_memory=memory, isolation=isolation) for run in runs
-            ]
-
-        return self._run(request, training, records, cache, training_runs)
-
-    def describe(self, reference: str, settings: Mapping[str, Any]) -> dict[str, Any]:
-        """Run `entries.describe` in a worker, without loading the code here. Raises EntryError."""
-        request = Request(reference=reference, settings=dict(settings))
-        return self._run(request, [], [], "", lambda folder, response: response.description or {})
-
-    def _run(
+    def _retest(
         self,
-        request: Request,
+        entry: Entry,
         training: Sequence[tuple[Record, Profile]],
         records: Sequence[Record],
-        cache: str,
-        read: Callable[[Path, Response], T],
-    ) -> T:
-        self._runs += 1
-        folder = self._home / str(self._runs)
+        car: VehicleParameters,
+        seed: int,
+        order: Sequence[int],
+        run: TrainingRun,
+    ) -> list[str]:
+        """Compare estimates of `run` with those of a new guest, which knows nothing of the first.
+
+        It estimates the last of the drives first, and causal estimators must not change before the
+        point from which on the samples of a drive were replaced.
+        """
+        secret = random.SystemRandom()
+        number = min(RETESTED_DRIVES, len(records)) if entry.causal else 0
+        drives = secret.sample(range(len(records)), number)
+        changed = [_replace_future(records[k], secret) for k in drives]
+        asked = [records[order[-1]], *(record for record, _ in changed)]
+        guest = self._start(entry.reference)
         try:
-            messages.write_request(folder, request, training, records)
-            run_status = self.run_status = self._start_run(folder, cache)
-            if (failure := _describe_violation(run_status, self.limits)) is not None:
-                raise EntryError(failure)
-            response = messages.read_response(folder)
-            if response is None:
-                raise EntryError(_describe_missing_response(run_status))
-            if response.failure is not None:
-                raise EntryError(response.failure)
-            return read(folder, response)
+            (again,) = reconstruct_all(self._session(guest, entry, car), training, asked, [seed])
+        except EntryError:
+            return [NOT_RETESTED]
         finally:
-            shutil.rmtree(folder, ignore_errors=True)
+            self._end(guest)
+        notes = []
+        if _differ(again.estimates[0], run.estimates[order[-1]], np.inf):
+            notes.append(REMEMBERS)
+        for k, (record, start), estimate in zip(drives, changed, again.estimates[1:], strict=True):
+            # between two samples one may interpolate
+            first = start - entry.lag - float(np.diff(record.s).max())
+            if _differ(estimate, run.estimates[k], first) and LOOKS_AHEAD not in notes:
+                notes.append(LOOKS_AHEAD)
+        return notes
 
-    def _start_run(self, folder: Path, cache: str) -> RunStatus:
-        isolation: Any = self.isolation
-        launch = LaunchRequest(
-            folder=str(folder.resolve()),
+    def _snapshot(self, reference: str) -> tuple[str, Path]:
+        """Return the digest of an outside entry's code and the folder with a copy of it."""
+        if entry_files.is_ours(reference):
+            return "", Path()
+        if reference not in self._snapshots:
+            if not self._bubblewrap and self.limits.isolation != "process":
+                raise EntryError(
+                    f"not run: {bubblewrap.obstacle()}; an estimator from outside this package "
+                    "would have the rights of the user; if you trust it: --isolation process"
+                )
+            folder = self._temp.path / f"entry-{len(self._snapshots)}"
+            self._snapshots[reference] = entry_files.snapshot(reference, folder), folder
+        return self._snapshots[reference]
+
+    def _start(self, reference: str) -> Guest:
+        ours = entry_files.is_ours(reference)
+        if ours and self._ours is not None:
+            guest = self._ours
+        else:
+            guest = self._new_guest(None if ours else self._snapshot(reference)[1])
+        self._ours = guest if ours else self._ours
+        self.guest = guest
+        guest.start_run(self.limits)
+        return guest
+
+    def _new_guest(self, code: Path | None) -> Guest:
+        self._count += 1
+        home = self._temp.path / str(self._count)
+        home.mkdir()
+        isolated, cache = self._bubblewrap, cache_home()
+        has_cache = (cache / _numba.CACHE.name).is_dir()
+        read_only: dict[Path, Path] = {}
+        writable: dict[Path, Path] = {}
+        entry, shared = code, cache
+        if isolated and code is not None:
+            entry, shared = bubblewrap.ENTRY, bubblewrap.SHARED_CACHE
+            read_only[code] = entry
+        if has_cache and isolated:
+            if code is None:
+                writable[cache] = bubblewrap.HOME / cache.name
+            else:
+                needed = [cache / _numba.CACHE.name, *cache.glob("*.json")]
+                read_only |= {path: shared / path.name for path in needed}
+        becomes_nobody = isolated and code is not None and bubblewrap.must_become_nobody()
+        setup = worker.Setup(
             limits=self.limits,
-            isolation=isolation,
-            bind_mounts=_private_cache(cache) if isolation == "namespaces" else (),
-            hidden=self.hidden,
+            entry=None if entry is None else str(entry),
+            user=bubblewrap.NOBODY if becomes_nobody else None,
+            serves_many=code is None,
+            cache=(str(shared), _numba.CACHE.name) if has_cache and code is not None else None,
         )
-        begin = time.monotonic()
-        try:
-            os.write(self._server.stdin.fileno(), _json_line(dataclasses.asdict(launch)))  # type: ignore[union-attr]
-            line = self._read_line(self.limits.seconds + GRACE_PERIOD)
-            return build(RunStatus, json.loads(line), "run status")
-        except (OSError, ValueError):
-            status = self._stop()
-            self._server = self._start()
-            return RunStatus(outcome="supervisor", status=status, seconds=time.monotonic() - begin)
-
-    def _start(self) -> subprocess.Popen[bytes]:
-        self._namespaces = None
-        with (self._home / "stderr.txt").open("ab") as stderr:
-            return subprocess.Popen(
-                [sys.executable, "-P", "-m", "leaderboard.sandbox.server"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=stderr,
-                env=worker_environment(self._home),
-                cwd=self._home,
-                start_new_session=True,
+        words = [sys.executable, "-P", "-s", "-m", worker.__name__]
+        words.append(json.dumps(dataclasses.asdict(setup)))
+        inside = bubblewrap.HOME if isolated else home
+        environment = guest_environment(inside, whole_path=not isolated)
+        environment["XDG_CACHE_HOME"] = str(inside)
+        if code is None and not isolated:
+            environment["XDG_CACHE_HOME"] = str(cache.parent)
+        if isolated:
+            words = bubblewrap.command(
+                words, environment, self.limits, read_only, writable, becomes_nobody=becomes_nobody
             )
-
-    def _may_use_namespaces(self) -> bool:
-        """Return whether the kernel grants namespaces, which the first line of the server says."""
-        if self._namespaces is None:
-            try:
-                self._namespaces = bool(json.loads(self._read_line(STARTUP_TIMEOUT))["namespaces"])
-            except (OSError, ValueError, KeyError, TypeError) as error:
-                log = (self._home / "stderr.txt").read_text(encoding="utf-8", errors="replace")
-                raise RuntimeError(f"the sandbox server does not start: {log}") from error
-        return self._namespaces
-
-    def _read_line(self, seconds: float) -> bytes:
-        """Read the next line from the server. Raises OSError on a timeout or at its end."""
-        handle, line = self._server.stdout.fileno(), b""  # type: ignore[union-attr]
-        end = time.monotonic() + seconds
-        while not line.endswith(b"\n"):
-            ready, _, _ = select.select([handle], [], [], max(0.0, end - time.monotonic()))
-            text = os.read(handle, 1 << 16) if ready else b""
-            if not text:
-                raise OSError("no response of the sandbox server")
-            line += text
-        return line
-
-    def _stop(self) -> int:
-        """Stop the server, its supervisors and their workers; return the server's exit status."""
-        server = self._server
-        for stream in (server.stdin, server.stdout):
-            if stream is not None:
-                stream.close()
         try:
-            status = server.wait(timeout=2.0)
-        except subprocess.TimeoutExpired:
-            processes.kill_group(server.pid)
-            status = server.wait()
-        if self._owns_all_children:
-            processes.kill_descendants()
-        return status
+            return Guest(words, environment, home)
+        except EntryError as error:
+            raise RuntimeError(f"the sandbox does not start: {error}") from error
+
+    def _begin(
+        self, guest: Guest, reference: str, settings: Mapping[str, Any], car: Any
+    ) -> dict[str, Any]:
+        start = {"reference": reference, "settings": dict(settings), "car": car}
+        return call(guest, messages.encode(start))[0]
+
+    def _session(self, guest: Guest, entry: Entry, car: VehicleParameters) -> "_RemoteSession":
+        head = self._begin(guest, entry.reference, entry.settings, dataclasses.asdict(car))
+        return _RemoteSession(guest, head.get("needs_training") is True)
+
+    def _end(self, guest: Guest) -> None:
+        """End a run: only a guest of our own that has finished properly is kept."""
+        if guest is self._ours and sys.exc_info()[0] is None:
+            guest.send_end()
+            return
+        guest.close()
+        if guest is self._ours:
+            self._ours = None
+
+    def _close_guests(self) -> None:
+        if self._ours is not None:
+            self._ours.close()
+            self._ours = None
 
 
-def _read_checked_run(
-    folder: Path, report: TrainingReport, records: Sequence[Record]
-) -> TrainingRun:
-    run = messages.read_training_run(folder, report, records)
-    for k, (estimate, record) in enumerate(zip(run.estimates, records, strict=True), start=1):
-        try:
-            check_estimate(estimate, record)
-        except EstimateError as error:
-            raise EntryError(
-                f"test drive {k} of {len(records)}, seed {report.seed}: {error}"
-            ) from None
-    return run
+class _RemoteSession:
+    """A session with an estimator in a guest."""
+
+    def __init__(self, guest: Guest, needs_training: bool):
+        self.needs_training = needs_training
+        self._guest = guest
+
+    def fit(self, training: Sequence[tuple[Record, Profile]], seed: int) -> tuple[int, float]:
+        """Train the estimator if it needs training. Raises EntryError."""
+        sent = training if self.needs_training else []
+        head, _, seconds = self._timed(messages.encode_training(sent, seed))
+        return int(messages.number(head, "parameters", LARGEST_COUNT)), seconds
+
+    def estimate(self, record: Record) -> tuple[Estimate, float]:
+        """Return the estimate of a record. Raises EntryError, EstimateError."""
+        stations = profile_stations(record.length)
+        size = 2 * stations.size
+
+        def size_of_arrays(head: dict[str, Any]) -> int:
+            if "failure" in head:
+                return 0
+            messages.number(head, "seconds", self._guest.limits.seconds)
+            return 8 * size * (2 if head.get("std") is True else 1)
+
+        request = messages.encode(
+            {"do": "estimate", "length": record.length}, messages.record_arrays(record)
+        )
+        _, data, seconds = self._timed(request, size_of_arrays)
+        arrays = np.frombuffer(data).reshape(-1, 2, stations.size)
+        estimate = Estimate(stations, arrays[0], arrays[1] if len(arrays) > 1 else None)
+        check_estimate(estimate, record)
+        largest = float(np.abs(arrays).max(initial=0.0))
+        if largest > LARGEST_HEIGHT:
+            raise EntryError(f"heights up to {largest:.3g} m, the limit is {LARGEST_HEIGHT:g} m")
+        return estimate, seconds
+
+    def _timed(self, request: bytes, *size: Callable) -> tuple[dict[str, Any], bytes, float]:
+        """Return a reply and its time [s]: the reported one unless more processor time was used."""
+        before = self._guest.cpu_seconds()
+        head, data = call(self._guest, request, *size)
+        used = self._guest.cpu_seconds() - before
+        reported = messages.number(head, "seconds", self._guest.limits.seconds)
+        return head, data, reported if used < reported + UNSEEN_TIME else used
 
 
-def _describe_violation(run_status: RunStatus, limits: Limits) -> str | None:
-    """Return why a run was stopped from outside, in one sentence; None if it was not."""
-    match run_status.outcome:
-        case "time":
-            return f"stopped after {limits.seconds:g} s, the time limit"
-        case "memory":
-            return f"stopped for using more than {limits.memory:g} GiB, the memory limit"
-        case "processes":
-            return f"stopped for having more than {limits.processes} processes, the limit"
-        case "supervisor":
-            return f"its supervisor was ended by {describe_exit(run_status.status)}"
-    return None
+def call(guest: Guest, request: bytes, *size: Callable) -> tuple[dict[str, Any], bytes]:
+    """Send a request and return the reply. Raises EntryError, also for a reported failure."""
+    head, data = guest.call(request, *size)
+    if "failure" in head:
+        raise EntryError(messages.text(head["failure"]))
+    return head, data
 
 
-def _describe_missing_response(run_status: RunStatus) -> str:
-    lines = run_status.output_tail.strip().splitlines()
-    last = f"; its last output: {lines[-1].strip()[:200]}" if lines else ""
-    return f"its process ended without a response, by {describe_exit(run_status.status)}{last}"
+def _replace_future(record: Record, secret: random.Random) -> tuple[Record, float]:
+    """Return a record with other accelerations from a random station [m] on, and that station."""
+    start = record.length * secret.uniform(0.1, 0.9)
+    rng = np.random.default_rng(secret.getrandbits(128))
+    noise = np.nanstd(record.a) * rng.standard_normal(record.a.shape)
+    return dataclasses.replace(record, a=record.a + np.where(record.s >= start, noise, 0.0)), start
 
 
-def describe_exit(status: int) -> str:
-    """Return the exit status, or the name of the signal, that ended a process."""
-    if status >= 0:
-        return f"exit status {status}"
-    return Signals(-status).name if -status in set(Signals) else f"signal {-status}"
-
-
-def _private_cache(name: str) -> tuple[tuple[str, str], ...]:
-    """Return the bind mount that replaces the kernel cache by one of the entry, () without a name.
-
-    The cache of an entry starts as a copy of the shared one. Neither this process nor other entries
-    ever load from it, so an entry cannot inject code through it.
-    """
-    shared = _numba.CACHE
-    if not name or not shared.is_dir():
-        return ()
-    private = shared.parent / "entries" / shared.name / name
-    if not private.is_dir():
-        copy = private.with_name(f".{private.name}.{os.getpid()}")
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copytree(shared, copy, dirs_exist_ok=True)
-        try:
-            os.rename(copy, private)
-        except OSError:  # another job was faster
-            shutil.rmtree(copy, ignore_errors=True)
-    return ((str(private), str(shared)),)
-
-
-def _json_line(data: Mapping[str, Any]) -> bytes:
-    return (json.dumps(data) + "\n").encode()
+def _differ(first: Estimate, second: Estimate, end: float) -> bool:
+    """Return whether two estimates differ before the station `end` [m]."""
+    before = first.s < end
+    change = np.abs(first.z - second.z)[:, before]
+    return bool(change.max(initial=0.0) > EQUALITY_TOLERANCE)

@@ -1,11 +1,12 @@
-"""Resource limits and environment variables of an entry's process."""
+"""Resource limits and environment variables of a guest."""
 
 import os
-import site
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
+from road_envs._code_digest import ROOT
 from road_envs.config import STRICT
 
 GIB = 2**30
@@ -21,21 +22,28 @@ THREAD_VARIABLES = (
 )
 """Set to 1, so that sums have the same order on every machine and times can be compared."""
 
-INHERITED_VARIABLES = ("PATH", "LANG", "LC_ALL", "TZ", "VIRTUAL_ENV", "LD_LIBRARY_PATH")
-"""Environment variables that an entry inherits."""
+INHERITED_VARIABLES = ("PATH", "TZ", "VIRTUAL_ENV", "LD_LIBRARY_PATH")
+"""Environment variables that a guest inherits."""
+
+Isolation = Literal["auto", "bubblewrap", "process"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """Resource limits of one run of an entry, which has all its trainings under one condition."""
+    """Resource limits of one run of an entry, which has all its trainings under one condition.
+
+    `isolation` is "bubblewrap"; or "process", which gives every entry the rights of the user; or
+    "auto": bubblewrap where it is available, else processes for the estimators of this package,
+    and no others.
+    """
 
     __pydantic_config__ = STRICT
 
     seconds: float = 1800.0
     memory: float = 4.0  # [GiB] of all its processes together
     processes: int = 64
-    file: float = 1.0  # [GiB] of each file that it writes
-    namespaces: bool = True  # use them where the platform grants them
+    file: float = 1.0  # [GiB] of each file that it writes, and of all its files under bubblewrap
+    isolation: Isolation = "auto"
 
     def __post_init__(self):
         for name in ("seconds", "memory", "processes", "file"):
@@ -43,23 +51,24 @@ class Limits:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
 
-def cache_home() -> Path:
-    """Return the parent folder of the kernel cache, as in `road_envs._numba`."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+def guest_environment(home: Path, *, whole_path: bool) -> dict[str, str]:
+    """Return the environment of a guest whose working folder is `home`.
 
-
-def worker_environment(folder: Path) -> dict[str, str]:
-    """Return the environment of an entry with the working directory `folder`."""
+    With `whole_path` it can import what this process can.
+    """
     inherited = {name: os.environ[name] for name in INHERITED_VARIABLES if name in os.environ}
+    path = [os.path.abspath(entry) for entry in sys.path] if whole_path else [str(ROOT)]
     return {
         **inherited,
         **dict.fromkeys(THREAD_VARIABLES, "1"),
-        "HOME": str(folder),
-        "TMPDIR": str(folder),
-        "XDG_CACHE_HOME": str(cache_home()),
-        "PYTHONUSERBASE": site.getuserbase(),
+        "HOME": str(home),
+        "TMPDIR": str(home),
+        "USER": "guest",
+        "LANG": "C.UTF-8",
         "PYTHONHASHSEED": "0",
-        "PYTHONPATH": os.pathsep.join(os.path.abspath(path) for path in sys.path),
-        # the server forks, so no library may start threads when it is imported
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "PYTHONNOUSERSITE": "1",
+        "PYTHONPATH": os.pathsep.join(path),
+        # the worker forks, so no library may start threads when it is imported
         "JE_ARROW_MALLOC_CONF": "background_thread:false",
     }

@@ -1,234 +1,144 @@
-"""Messages between client and worker, as files in one folder.
+"""Messages between judge and guest, over pipes: a JSON object and arrays, without pickle.
 
-    in/request.json        estimator, its settings, vehicle, training seeds
-    in/training-0.parquet  a training record; its truth is in training-0.npz
-    in/test-0.parquet      a test record; its truth is never written
-    out/response.json      the outcome, written last
-    out/seed-1.npz         estimates of one training: z0, z1, ... and z_std0, ... if there are any
+    4 bytes    size of the JSON text, big endian
+    JSON       an object
+    arrays     raw numbers in C order, one array after the other
 
-The output is untrusted: files are opened without following links, limited in size and read without
-pickle, and every array is checked against its expected shape.
+The judge sends `arrays`, their types and shapes, in the object. A reply has only float64 arrays of
+a shape that the judge knows, so it never takes a size from a guest. What a guest sends may be
+anything: `parse_head`, `text`, `number` and `settings` raise EntryError for all that is not
+expected.
 """
 
-import dataclasses
-import io
 import json
-import os
-import stat
-import zipfile
-import zlib
+import math
+import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
-from numpy.lib import format as npy
 
-from leaderboard.evaluation.entry import EntryError, TrainingRun
-from road_envs._atomic_io import atomic_write
-from road_envs.config import STRICT, ConfigError, build
-from road_envs.data.record import Estimate, Profile, Record, profile_stations
-from road_envs.data.recording import read_record, write_record
-from road_envs.vehicle.parameters import VehicleParameters
+from leaderboard.evaluation.entry import EntryError
+from road_envs.data.record import Profile, Record
 
-MAX_RESPONSE_SIZE = 1_000_000
-"""Largest size [bytes] of a response."""
+HEAD_SIZE = struct.Struct(">I")
+MAX_HEAD = 1 << 16
+"""Largest size [bytes] of the JSON text of a message."""
 
-ESTIMATES_MARGIN = 1.5
-"""Largest size of a file of estimates, relative to that of its arrays."""
+MAX_TEXT = 300
+"""Largest number of characters of a text of a guest; the rest is cut off."""
 
+MAX_SETTINGS = 4000
+"""Largest size [characters] of the settings of an estimator, as JSON text."""
 
-@dataclass(frozen=True, kw_only=True)
-class Request:
-    """Request for an estimate of every test record after every training."""
+LARGEST_NUMBER = 1e100
+"""Largest absolute value of a number in the settings of an estimator."""
 
-    __pydantic_config__ = STRICT
-
-    reference: str
-    settings: dict[str, Any]
-    seeds: tuple[int, ...] = ()
-    training: int = 0  # number of records
-    tests: int = 0
-    car: dict[str, Any] | None = None  # None requests only a description of the estimator
+RECORD_ARRAYS = tuple(f.name for f in fields(Record) if f.name != "length")
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrainingReport:
-    """Cost of one training, as reported by the worker."""
-
-    __pydantic_config__ = STRICT
-
-    seed: int
-    train_seconds: float
-    estimate_seconds: float
-    parameters: int
+def encode(head: Mapping[str, Any], arrays: Sequence[np.ndarray] = ()) -> bytes:
+    """Return a message. Raises ValueError if its JSON text is too long."""
+    solid = [np.ascontiguousarray(array) for array in arrays]
+    shapes = {"arrays": [[a.dtype.str, *a.shape] for a in solid]} if solid else {}
+    text = json.dumps({**head, **shapes}).encode()
+    if len(text) > MAX_HEAD:
+        raise ValueError(f"a message of {len(text)} bytes, the limit is {MAX_HEAD}")
+    return b"".join([HEAD_SIZE.pack(len(text)), text, *(a.tobytes() for a in solid)])
 
 
-@dataclass(frozen=True, kw_only=True)
-class Response:
-    """Response of a worker: its trainings, the description of the estimator, or a failure."""
-
-    __pydantic_config__ = STRICT
-
-    failure: str | None = None
-    trainings: tuple[TrainingReport, ...] = ()
-    description: dict[str, Any] | None = None
-
-
-def write_request(
-    folder: Path,
-    request: Request,
-    training: Sequence[tuple[Record, Profile]],
-    tests: Sequence[Record],
-) -> None:
-    """Write a request and its drives to `folder`/in and create `folder`/out, in the client."""
-    inputs = folder / "in"
-    inputs.mkdir(parents=True)
-    (folder / "out").mkdir()
-    for k, (record, truth) in enumerate(training):
-        write_record(inputs / f"training-{k}.parquet", record, {})
-        np.savez(inputs / f"training-{k}.npz", s=truth.s, z=truth.z)
-    for k, record in enumerate(tests):
-        write_record(inputs / f"test-{k}.parquet", record, {})
-    (inputs / "request.json").write_text(json.dumps(dataclasses.asdict(request)), encoding="utf-8")
-
-
-def read_request(folder: Path) -> Request:
-    """Read a request, in the worker."""
-    text = (folder / "in" / "request.json").read_text(encoding="utf-8")
-    return build(Request, json.loads(text), "request.json")
-
-
-def read_drives(
-    folder: Path, request: Request
-) -> tuple[list[tuple[Record, Profile]], list[Record], VehicleParameters]:
-    """Read training drives with their truth, test records and vehicle, in the worker."""
-    inputs = folder / "in"
-    training = []
-    for k in range(request.training):
-        with np.load(inputs / f"training-{k}.npz") as truth:
-            pair = _record(inputs / f"training-{k}.parquet"), Profile(truth["s"], truth["z"])
-        training.append(pair)
-    tests = [_record(inputs / f"test-{k}.parquet") for k in range(request.tests)]
-    return training, tests, build(VehicleParameters, request.car or {}, "car")
-
-
-def _record(path: Path) -> Record:
-    record, _ = read_record(path)
-    return record
-
-
-def write_estimates(folder: Path, seed: int, estimates: Sequence[Estimate]) -> None:
-    """Write the estimates of one training, in the worker."""
-    arrays: dict[str, np.ndarray] = {}
-    for k, estimate in enumerate(estimates):
-        arrays[f"z{k}"] = np.ascontiguousarray(estimate.z, dtype=float)
-        if estimate.z_std is not None:
-            arrays[f"z_std{k}"] = np.ascontiguousarray(estimate.z_std, dtype=float)
-    with (folder / "out" / f"seed-{seed}.npz").open("wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)
-
-
-def write_response(folder: Path, response: Response) -> None:
-    """Write the response, the last step of the worker."""
-    with atomic_write(folder / "out" / "response.json") as partial:
-        partial.write_text(json.dumps(dataclasses.asdict(response)), encoding="utf-8")
-
-
-def read_response(folder: Path) -> Response | None:
-    """Read the response, in the client; None if there is none.
-
-    Raises EntryError for an invalid one.
-    """
-    data = _read_regular_file(folder / "out", "response.json", MAX_RESPONSE_SIZE)
-    if data is None:
-        return None
-    try:
-        return build(Response, json.loads(data), "its response")
-    except (ConfigError, ValueError, RecursionError) as error:
-        raise EntryError(f"its response is invalid: {' '.join(str(error).split())}") from None
-
-
-def read_training_run(
-    folder: Path, training: TrainingReport, tests: Sequence[Record]
-) -> TrainingRun:
-    """Read the estimates of one training, in the client. Raises EntryError.
-
-    Stations are not read but those of the scoring grid; `check_estimate` checks the values.
-    """
-    stations = [profile_stations(record.length) for record in tests]
-    arrays_size = sum(2 * 2 * 8 * s.size for s in stations)  # heights and standard deviations
-    limit = int(ESTIMATES_MARGIN * arrays_size) + 10_000 * (len(tests) + 1)
-    name = f"seed-{training.seed}.npz"
-    data = _read_regular_file(folder / "out", name, limit)
-    if data is None:
-        raise EntryError(f"its estimates of the training with seed {training.seed} are missing")
-    try:
-        arrays = _arrays(data, {f"{kind}{k}": (2, s.size) for k, s in enumerate(stations)
-                                for kind in ("z", "z_std")})  # fmt: skip
-        estimates = [
-            Estimate(s, arrays[f"z{k}"], arrays.get(f"z_std{k}")) for k, s in enumerate(stations)
-        ]
-    except KeyError as error:
-        raise EntryError(f"{name}: the array {error.args[0]} is missing") from None
-    except (ValueError, EOFError, OSError, zipfile.BadZipFile, zlib.error) as error:
-        raise EntryError(f"{name}: {error}") from None
-    return TrainingRun(
-        estimates,
-        training.train_seconds,
-        training.estimate_seconds,
-        training.parameters,
-        training.seed,
-    )
-
-
-def _arrays(data: bytes, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
-    """Return the float arrays of an .npz by name.
-
-    Raises ValueError for a name or a shape not in `shapes` before allocating memory of that size.
-    """
-    arrays = {}
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        for member in archive.namelist():
-            name = member.removesuffix(".npy")
-            if name not in shapes:
-                raise ValueError(f"unexpected array {name!r}")
-            with archive.open(member) as file:
-                version = npy.read_magic(file)
-                if version != (1, 0):
-                    raise ValueError(f"{name}: .npy format {version}, must be (1, 0)")
-                shape, by_columns, dtype = npy.read_array_header_1_0(file)
-                if shape != shapes[name] or dtype != np.dtype(float) or by_columns:
-                    raise ValueError(f"{name}: must be float64 {shapes[name]}, got {dtype} {shape}")
-                size = 8 * int(np.prod(shape))
-                content = file.read(size)
-                if len(content) != size:
-                    raise ValueError(f"{name}: truncated")
-                arrays[name] = np.frombuffer(content).reshape(shape)
+def decode_arrays(head: Mapping[str, Any], read: Any) -> list[np.ndarray]:
+    """Return the arrays of a message of the judge, in the guest; `read(n)` returns n bytes."""
+    arrays = []
+    for kind, *shape in head.get("arrays", ()):
+        dtype = np.dtype(kind)
+        data = bytearray(read(dtype.itemsize * math.prod(shape)))
+        arrays.append(np.frombuffer(data, dtype).reshape(shape))
     return arrays
 
 
-def _read_regular_file(folder: Path, name: str, limit: int) -> bytes | None:
-    """Read a regular file of at most `limit` bytes, not following links; None if it is missing.
+def record_arrays(record: Record) -> list[np.ndarray]:
+    """Return the arrays of a record in the order of RECORD_ARRAYS."""
+    return [getattr(record, name) for name in RECORD_ARRAYS]
 
-    Raises EntryError.
-    """
+
+def make_record(arrays: Sequence[np.ndarray], length: float) -> Record:
+    """Return the record of `record_arrays`."""
+    return Record(**dict(zip(RECORD_ARRAYS, arrays, strict=True)), length=length)
+
+
+def encode_training(training: Sequence[tuple[Record, Profile]], seed: int) -> bytes:
+    """Return the request to train with `seed`."""
+    lengths = [record.length for record, _ in training]
+    arrays = [x for record, truth in training for x in (*record_arrays(record), truth.s, truth.z)]
+    return encode({"do": "fit", "seed": seed, "lengths": lengths}, arrays)
+
+
+def make_training(
+    arrays: Sequence[np.ndarray], lengths: Sequence[float]
+) -> tuple[list[Record], list[Profile]]:
+    """Return records and truths of `encode_training`, in the guest."""
+    size = len(RECORD_ARRAYS) + 2
+    parts = [arrays[k * size : (k + 1) * size] for k in range(len(lengths))]
+    records = [make_record(part[:-2], x) for part, x in zip(parts, lengths, strict=True)]
+    return records, [Profile(part[-2], part[-1]) for part in parts]
+
+
+def parse_head(text: bytes) -> dict[str, Any]:
+    """Return the object of a reply. Raises EntryError."""
+
+    def reject(word: str) -> None:
+        raise ValueError(f"{word} is no JSON number")
+
     try:
-        parent = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-        try:
-            flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK  # a pipe must not block the client
-            handle = os.open(name, flags, dir_fd=parent)
-        finally:
-            os.close(parent)
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise EntryError(f"{name} cannot be read: {error.strerror}") from None
-    with open(handle, "rb") as file:
-        status = os.fstat(handle)
-        if not stat.S_ISREG(status.st_mode):
-            raise EntryError(f"{name} is not a regular file")
-        if status.st_size > limit:
-            raise EntryError(f"{name} has {status.st_size} bytes, the limit is {limit}")
-        return file.read(limit)
+        head = json.loads(text, parse_constant=reject)
+    except (ValueError, RecursionError, MemoryError):
+        raise EntryError("its reply is invalid: not JSON") from None
+    if not isinstance(head, dict):
+        raise EntryError("its reply is invalid: not a JSON object")
+    return head
+
+
+def text(value: object) -> str:
+    """Return a text of a guest in one line of printable characters, at most MAX_TEXT."""
+    if not isinstance(value, str):
+        return "no message"
+    words = "".join(c if c.isprintable() else " " for c in value[: 4 * MAX_TEXT]).split()
+    line = " ".join(words) or "no message"
+    return line if len(line) <= MAX_TEXT else line[:MAX_TEXT] + " ..."
+
+
+def number(head: Mapping[str, Any], name: str, largest: float) -> float:
+    """Return a number of a reply between 0 and `largest`. Raises EntryError."""
+    value = head.get(name)
+    # compared before it is converted: an integer may be too large for a float
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= largest:
+        raise EntryError(f"its reply is invalid: {name} must be a number from 0 to {largest:g}")
+    return float(value)
+
+
+def settings(value: object) -> dict[str, Any]:
+    """Return the settings that an estimator reports about itself. Raises EntryError."""
+    if not isinstance(value, dict) or not all(key.isidentifier() for key in value):
+        raise EntryError("its settings must be a JSON object with names as keys")
+    if len(json.dumps(value)) > MAX_SETTINGS or _depth(value) > 4:
+        raise EntryError(f"its settings are longer than {MAX_SETTINGS} characters or too deep")
+    return {key: _clean(item) for key, item in value.items()}
+
+
+def _clean(value: Any) -> Any:
+    if isinstance(value, str):
+        return text(value) if value else ""
+    if isinstance(value, list):
+        return [_clean(item) for item in value]
+    if isinstance(value, dict):
+        return {text(key): _clean(item) for key, item in value.items()}
+    if isinstance(value, int | float) and not abs(value) <= LARGEST_NUMBER:
+        raise EntryError(f"a number in its settings is beyond {LARGEST_NUMBER:g}")
+    return value
+
+
+def _depth(value: Any) -> int:
+    items = list(value.values()) if isinstance(value, dict) else value
+    return 1 + max(map(_depth, items), default=0) if isinstance(items, list) else 0

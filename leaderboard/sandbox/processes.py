@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 PROC = Path("/proc")
-PAGE = os.sysconf("SC_PAGE_SIZE")
+PAGE, TICKS = os.sysconf("SC_PAGE_SIZE"), os.sysconf("SC_CLK_TCK")
 LINUX = sys.platform == "linux"
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
 
@@ -20,17 +20,21 @@ libc = ctypes.CDLL(None, use_errno=True)
 
 
 class Process(NamedTuple):
-    """A process with its parent and its resident memory [bytes]."""
+    """A process: its parent, resident memory [bytes] and processor time [s].
+
+    The processor time is that of all its threads and of the ended children that it has waited for.
+    """
 
     pid: int
     parent: int
     resident: int
+    cpu: float
 
 
-def die_with_parent(number: signal.Signals = signal.SIGKILL) -> None:
-    """Let the kernel send this process a signal when its parent ends (Linux only)."""
+def die_with_parent() -> None:
+    """Let the kernel kill this process when its parent ends (Linux only)."""
     if LINUX:
-        libc.prctl(PR_SET_PDEATHSIG, int(number), 0, 0, 0)
+        libc.prctl(PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
 
 
 def become_subreaper() -> None:
@@ -39,15 +43,17 @@ def become_subreaper() -> None:
         libc.prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
-def descendants(root: int) -> list[Process]:
-    """Return all descendants of `root`, level by level; [] where there is no /proc."""
+def tree(root: int) -> list[Process]:
+    """Return `root` and all its descendants, level by level; [] where there is no /proc."""
     if not LINUX:
         return []
     children: dict[int, list[Process]] = {}
+    result: list[Process] = []
     for entry in os.scandir(PROC):
         if entry.name.isdigit() and (process := _read_process(int(entry.name))) is not None:
             children.setdefault(process.parent, []).append(process)
-    result, level = [], [root]
+            result += [process] if process.pid == root else []
+    level = [root]
     while level:
         below = [child for pid in level for child in children.get(pid, ())]
         result += below
@@ -60,23 +66,18 @@ def proportional_memory(processes: list[Process]) -> int:
     return sum(_proportional_memory(process) for process in processes)
 
 
-def kill_descendants(timeout: float = 10.0) -> dict[int, int]:
-    """Kill all descendants of this process, which must have called `become_subreaper`.
-
-    Wait for them for up to `timeout` [s] and return their wait statuses by process number.
-    """
-    statuses: dict[int, int] = {}
+def kill_descendants(timeout: float = 10.0) -> None:
+    """Kill all descendants of this process, which must have called `become_subreaper`, and wait."""
     end = time.monotonic() + timeout
     while time.monotonic() < end:
-        for process in descendants(os.getpid()):
+        for process in tree(os.getpid())[1:]:
             kill(process.pid)
         try:
-            while (ended := os.waitpid(-1, os.WNOHANG))[0]:
-                statuses[ended[0]] = ended[1]
+            while os.waitpid(-1, os.WNOHANG)[0]:
+                pass
         except ChildProcessError:
-            return statuses
+            return
         time.sleep(0.002)
-    return statuses
 
 
 def kill(pid: int) -> None:
@@ -102,7 +103,8 @@ def _read_process(pid: int) -> Process | None:
     except OSError:
         return None
     fields = text.rpartition(")")[2].split()  # the name in brackets may contain anything
-    return Process(pid, int(fields[1]), PAGE * int(fields[21]))
+    cpu = sum(map(int, fields[11:15])) / TICKS
+    return Process(pid, int(fields[1]), PAGE * int(fields[21]), cpu)
 
 
 def _proportional_memory(process: Process) -> int:

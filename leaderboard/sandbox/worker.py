@@ -1,42 +1,288 @@
-"""Worker process of an entry: reads the request, runs the estimator, writes the response."""
+"""The guest: loads the libraries, then an estimator in a child process, and serves the judge.
 
+    python -P -s -m leaderboard.sandbox.worker SETUP
+
+reads requests from standard input and writes replies to what was its standard output; whatever the
+estimator prints goes to standard error. The code of the estimator is loaded only in the child,
+after all privileges are dropped and the limits of the kernel are set. Of a reply the judge
+believes nothing: see `client`.
+"""
+
+import importlib
+import json
+import os
+import signal
+import stat
+import sys
+import zipfile
+from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
+from typing import Any, NoReturn
 
-from leaderboard.evaluation.entry import EntryError, describe_error, reconstruct_all
-from leaderboard.sandbox import messages
-from leaderboard.sandbox.messages import Request, Response, TrainingReport
+from leaderboard.sandbox import processes
+from leaderboard.sandbox.limits import GIB, Limits
+from road_envs.config import STRICT, build
+
+SERVED = 64
+"""Exit status of a child that has served its requests until the end."""
 
 
-def run(folder: Path) -> None:
-    """Serve the request in `folder` and write a response there, also if the estimator fails."""
+@dataclass(frozen=True, kw_only=True)
+class Setup:
+    """What a guest is told when it starts.
+
+    `entry` is the folder with the code of the entry; `user` the user and group to become, None to
+    stay; `serves_many` allows more than one estimator, each in a child of its own. The kernel cache
+    `cache` (folder of all files, name of the folder of today's kernels) is copied by links.
+    """
+
+    __pydantic_config__ = STRICT
+
+    limits: Limits
+    entry: str | None = None
+    user: int | None = None
+    serves_many: bool = False
+    cache: tuple[str, str] | None = None
+
+
+def main() -> None:
+    """Serve requests until the end of input."""
+    processes.die_with_parent()
+    processes.become_subreaper()
+    replies = os.dup(1)
+    os.dup2(2, 1)
+    setup = build(Setup, json.loads(sys.argv[1]), "the setup of a guest")
+    os.umask(0)  # the child may be another user
+    if setup.cache is not None:
+        _link_cache(Path(setup.cache[0]), setup.cache[1])
+    _preload(implementations=setup.serves_many)
+    _reply(replies, {})
+    while True:
+        try:
+            start = _read_request()
+        except EOFError:
+            return
+        pid = os.fork()
+        if pid == 0:
+            _run_child(setup, replies, start)
+        _, status = os.waitpid(pid, 0)
+        code = os.waitstatus_to_exitcode(status)
+        if code != SERVED or not setup.serves_many:
+            os._exit(128 - code if code < 0 else code)
+
+
+def _preload(implementations: bool) -> None:
+    """Import what every estimator needs, or also the `implementations` of this package."""
+    import gc
+
+    import leaderboard.evaluation.entry
+    import leaderboard.sandbox.messages  # noqa: F401
+
+    if implementations:
+        import estimators.registry  # noqa: F401
+    gc.collect()
+    gc.freeze()
+
+
+def _link_cache(source: Path, name: str) -> None:
+    """Make a kernel cache in the working folder that begins with links to the files of another."""
+    target = Path(os.environ["XDG_CACHE_HOME"]) / "road-recon"
+    files = [path for path in source.glob("*") if path.is_file()]
+    for path in [*files, *(source / name).rglob("*")]:
+        link = target / path.relative_to(source)
+        if path.is_dir():
+            link.mkdir(parents=True, exist_ok=True)
+        elif path.stat().st_mode & stat.S_IROTH:
+            link.parent.mkdir(parents=True, exist_ok=True)
+            link.symlink_to(path)
+
+
+def _read(size: int) -> bytes:
+    data = bytearray()
+    while len(data) < size:
+        part = os.read(0, min(size - len(data), 1 << 20))
+        if not part:
+            raise EOFError
+        data += part
+    return bytes(data)
+
+
+def _read_request() -> dict[str, Any]:
+    from leaderboard.sandbox import messages
+
+    (size,) = messages.HEAD_SIZE.unpack(_read(messages.HEAD_SIZE.size))
+    return json.loads(_read(size))
+
+
+def _reply(handle: int, head: dict[str, Any], arrays: Any = ()) -> None:
+    from leaderboard.sandbox import messages
+
     try:
-        response = _make_response(folder, messages.read_request(folder))
-    except EntryError as error:
-        response = Response(failure=str(error))
+        message = messages.encode(head, arrays)
+    except (ValueError, TypeError, OverflowError) as error:
+        message = messages.encode({"failure": f"cannot be reported: {error}"[:1000]})
+    unsent = memoryview(message)
+    while unsent:
+        unsent = unsent[os.write(handle, unsent) :]
+
+
+def _run_child(setup: Setup, replies: int, start: dict[str, Any]) -> NoReturn:
+    """Serve the requests to one estimator in this process, then end it."""
+    status = 1
+    try:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, signal.SIG_DFL)
+        processes.die_with_parent()
+        _set_resource_limits(setup.limits, is_nobody=setup.user is not None)
+        if setup.user is not None:
+            os.setgroups([])
+            os.setgid(setup.user)
+            os.setuid(setup.user)
+        os.umask(0o022)
+        _serve(setup, replies, start)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        status = SERVED
     except BaseException as error:
-        response = Response(failure=describe_error(error))
-    messages.write_response(folder, response)
+        os.write(2, f"{type(error).__name__}: {error}\n".encode())
+    finally:
+        os._exit(status)
 
 
-def _make_response(folder: Path, request: Request) -> Response:
-    from estimators import make_estimator
-    from leaderboard.evaluation.entries import describe
+def _serve(setup: Setup, replies: int, start: dict[str, Any]) -> None:
+    from leaderboard.evaluation.entry import EntryError, LocalSession, describe_error
+    from leaderboard.sandbox import messages
+    from road_envs.vehicle.parameters import VehicleParameters
 
     try:
-        estimator = make_estimator(request.reference, **request.settings)
-        if request.car is None:
-            return Response(description=describe(request.reference, estimator))
-    except Exception as error:
-        raise EntryError(f"cannot be constructed: {describe_error(error)}") from error
-    training, tests, car = messages.read_drives(folder, request)
-    trainings = []
-    for training_run in reconstruct_all(estimator, training, tests, car, request.seeds):
-        messages.write_estimates(folder, training_run.seed, training_run.estimates)
-        report = TrainingReport(
-            seed=training_run.seed,
-            train_seconds=training_run.train_seconds,
-            estimate_seconds=training_run.estimate_seconds,
-            parameters=training_run.parameters,
-        )
-        trainings.append(report)
-    return Response(trainings=tuple(trainings))
+        name, estimator = load(start["reference"], start["settings"], setup.entry)
+        head = describe(estimator)
+    except BaseException as error:
+        reason = str(error) if isinstance(error, EntryError) else describe_error(error)
+        _reply(replies, {"failure": f"cannot be constructed: {reason}"[:10_000]})
+        return
+    if start["car"] is None:
+        _reply(replies, {**head, "name": name})
+        _read_request()
+        return
+    for library in ("scipy.interpolate", "scipy.signal"):  # slow to load, and in nobody's time
+        importlib.import_module(library)
+    session = LocalSession(estimator, build(VehicleParameters, start["car"], "car"))
+    _reply(replies, {"needs_training": session.needs_training})
+    while (request := _read_request())["do"] != "end":
+        arrays = messages.decode_arrays(request, _read)
+        answer: dict[str, Any]
+        z: list[Any] = []
+        try:
+            if request["do"] == "fit":
+                training = messages.make_training(arrays, request["lengths"])
+                parameters, seconds = session.fit(
+                    list(zip(*training, strict=True)), request["seed"]
+                )
+                answer = {"parameters": parameters, "seconds": seconds}
+            else:
+                estimate, seconds = session.estimate(
+                    messages.make_record(arrays, request["length"])
+                )
+                z = [x.astype(float) for x in (estimate.z, estimate.z_std) if x is not None]
+                answer = {"seconds": seconds, "std": estimate.z_std is not None}
+        except (Exception, SystemExit) as error:
+            answer, z = {"failure": describe_error(error)[:10_000]}, []
+        _reply(replies, answer, z)
+
+
+def load(reference: str, settings: dict[str, Any], folder: str | None) -> tuple[str | None, Any]:
+    """Return the estimator of an entry, and its name if it is from a package with an entry point.
+
+    `folder` holds the snapshot of its code; without one it is an estimator of this package.
+    """
+    if folder is not None and is_class(reference):
+        from estimators.api import check_class
+
+        sys.path.insert(0, folder)
+        module, _, name = reference.partition(":")
+        cls = attrgetter(name)(importlib.import_module(module))
+        return None, build(check_class(cls), settings, name)
+    if folder is not None and not reference.endswith((".npz", ".safetensors")):
+        return load_package(Path(folder), settings)
+    from estimators import make_estimator
+
+    file = reference if folder is None else Path(folder) / Path(reference).name
+    return None, make_estimator(file, **settings)
+
+
+def is_class(reference: str) -> bool:
+    """Return whether a reference is "module:Class"."""
+    return ":" in reference and "/" not in reference
+
+
+def load_package(folder: Path, settings: dict[str, Any]) -> tuple[str, Any]:
+    """Return name and estimator of a wheel, or of a folder of installed packages.
+
+    Files named .pth have no effect. Raises EntryError.
+    """
+    from importlib import metadata
+
+    from estimators.api import ENTRY_POINT_GROUP, check_class
+    from leaderboard.evaluation.entry import EntryError
+
+    for wheel in folder.glob("*.whl"):
+        folder = Path(os.environ["HOME"]) / "entry"
+        with zipfile.ZipFile(wheel) as archive:
+            archive.extractall(folder)
+    sys.path.append(str(folder))
+    found = [
+        entry
+        for distribution in metadata.distributions(path=[str(folder)])
+        for entry in distribution.entry_points
+        if entry.group == ENTRY_POINT_GROUP
+    ]
+    if len(found) != 1:
+        names = sorted(entry.name for entry in found)
+        raise EntryError(f"it must declare one entry point of {ENTRY_POINT_GROUP}, found {names}")
+    return found[0].name, build(check_class(found[0].load()), settings, found[0].name)
+
+
+def describe(estimator: Any) -> dict[str, Any]:
+    """Return what an estimator says about itself, as JSON types."""
+    from estimators.api import declared_lag
+    from leaderboard.evaluation.entry import get_settings
+
+    return {
+        "settings": json.loads(json.dumps(get_settings(estimator), default=str)),
+        "causal": estimator.causal,
+        "lag": declared_lag(estimator),
+    }
+
+
+def _set_resource_limits(limits: Limits, *, is_nobody: bool) -> None:
+    """Set the limits that the kernel enforces. Reserved but unused memory does not count."""
+    import resource
+
+    values = {
+        "RLIMIT_CORE": 0,
+        "RLIMIT_FSIZE": int(limits.file * GIB),
+        "RLIMIT_DATA": int(limits.memory * GIB) + _mapped_memory(),
+        "RLIMIT_CPU": int(limits.seconds * max(1, os.cpu_count() or 1)) + 60,
+    }
+    if is_nobody:  # of any other user it would count all processes
+        values["RLIMIT_NPROC"] = 4 * limits.processes + 64
+    for name, value in values.items():
+        kind = getattr(resource, name)
+        _, hard = resource.getrlimit(kind)
+        value = value if hard == resource.RLIM_INFINITY else min(value, hard)
+        resource.setrlimit(kind, (value, value))
+
+
+def _mapped_memory() -> int:
+    """Return the writable memory [bytes] that this process had mapped when it was forked."""
+    try:
+        lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return GIB
+    return 1024 * next((int(x.split()[1]) for x in lines if x.startswith("VmData:")), 0)
+
+
+if __name__ == "__main__":
+    main()

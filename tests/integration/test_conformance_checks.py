@@ -82,7 +82,7 @@ def test_a_deliberate_refusal_is_accepted_and_an_unintended_error_fails(sandbox)
             "its lag must be a distance >= 0 in metres behind the front axle, got -1.0",
         ),
         ("Nowhere", "AttributeError: module 'bad_estimators' has no attribute 'Nowhere'"),
-        ("no.such.module:Thing", "ModuleNotFoundError: No module named 'no'"),
+        ("no.such.module:Thing", "cannot be constructed: there is no module 'no'"),
     ],
 )
 def test_an_estimator_that_cannot_be_constructed_fails_only_the_contract(sandbox, name, sentence):

@@ -1,11 +1,15 @@
 """Hostile entries. They are loaded by name in a worker process, never in that of a test."""
 
+import contextlib
+import fcntl
 import json
 import os
 import signal
 import socket
+import stat
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -109,7 +113,23 @@ def does_print(where, record):
         line = b"x" * 999 + b"\n"
         for _ in range(50):
             os.write(stream, 1000 * line)
-    sys.stdout.write("that was 100 MB\n")
+    os.write(1, b"that was 100 MB\n")
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def does_work_in_secret(where, record):
+    """Work in a thread while the clock that the worker reads stands still."""
+    still = time.perf_counter()
+    time.perf_counter = lambda: still
+
+    def work():
+        end = time.process_time() + 0.5
+        while time.process_time() < end:
+            pass
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
 
 
 def does_kill_parent(where, record):
@@ -123,8 +143,8 @@ def does_kill_grandparent(where, record):
 
 
 def does_kill_evaluation(where, record):
-    """Kill the third ancestor: after supervisor and server, the evaluation process."""
-    os.kill(_ancestor(3), signal.SIGKILL)
+    """Kill the second ancestor: after the guest's first process, the evaluation process."""
+    os.kill(_ancestor(2), signal.SIGKILL)
     time.sleep(1000.0)
 
 
@@ -144,17 +164,11 @@ def does_patch_evaluation(where, record):
 
 
 def does_look_for_truth(where, record):
-    """Raise an error that lists all true profiles that can be found."""
-    found = []
-    for folder in (Path.cwd().parent, Path(where)):
-        for path in folder.rglob("*"):
-            if path.suffix == ".npz" and "training" not in path.name:
-                found.append(path.name)
-            if path.suffix == ".json" and path.name != "request.json":
-                found.append(path.name)
-    names = sorted(f.name for f in Path.cwd().parent.joinpath("in").iterdir())
-    request = json.loads(Path.cwd().parent.joinpath("in", "request.json").read_text())
-    raise RuntimeError(f"found {found}, input files {names} and {sorted(request)}")
+    """Raise an error that lists what can be seen: of `where`, of the root, and all own data."""
+    found = sorted(str(path) for path in Path(where).rglob("*")) if where else []
+    root = sorted(path.name for path in Path("/").iterdir())
+    held = sorted(vars(record))
+    raise RuntimeError(f"found {found}, root {root}, record {held}, words {sys.argv[1:]}")
 
 
 def does_tamper(where, record):
@@ -182,6 +196,12 @@ def does_poison_kernels(where, record):
     from road_envs import _numba
 
     (_numba.CACHE / "hostile.nbc").write_bytes(b"code")
+    for path in _numba.CACHE.rglob("*.nbi"):
+        with contextlib.suppress(OSError):
+            path.resolve().write_bytes(b"code")
+    for path in Path("/shared-cache").rglob("*"):
+        with contextlib.suppress(OSError):
+            path.write_bytes(b"code")
 
 
 def does_connect(where, record):
@@ -199,59 +219,33 @@ def does_fill(where, record):
             file.write(bytes(2**20))
 
 
-def does_forge_answer(where, record):
-    _out("response.json").write_text('{"trainings": [{"seed": 7, "score": 0.0}]}')
-    os._exit(0)
+def does_reply(where, record):
+    """Write a forged reply, the expression `where`, in place of the worker's, and go on."""
+    names = {"stations": profile_stations(record.length), "np": np, "head": head, "json": json}
+    data = eval(where, names)
+    os.set_blocking(reply_pipe(), True)
+    while data:
+        data = data[os.write(reply_pipe(), data) :]
+    time.sleep(1000.0)
 
 
-def does_link_answer(where, record):
-    _out("response.json").symlink_to("/etc/hostname")
-    os._exit(0)
+def head(text):
+    """Return the head of a reply, from a dictionary, a text or bytes."""
+    text = json.dumps(text) if isinstance(text, dict) else text
+    data = text.encode() if isinstance(text, str) else text
+    return len(data).to_bytes(4, "big") + data
 
 
-def does_answer_with_a_pipe(where, record):
-    os.mkfifo(_out("response.json"))
-    os._exit(0)
-
-
-def does_answer_at_length(where, record):
-    _out("response.json").write_text('{"failure": "' + "x" * 2_000_000 + '"}')
-    os._exit(0)
-
-
-def does_answer_without_estimates(where, record):
-    report = {"seed": 1, "train_seconds": 0.0, "estimate_seconds": 0.0, "parameters": 0}
-    _out("response.json").write_text(json.dumps({"trainings": [report]}))
-    os._exit(0)
-
-
-def does_send_a_pickle(where, record):
-    does_send_arrays(z0=np.array([{"a": 1}], dtype=object))
-
-
-def does_send_a_bomb(where, record):
-    does_send_arrays(z0=np.zeros((2, 2**22)), compressed=True)
-
-
-def does_send_another_name(where, record):
-    does_send_arrays(z0=np.zeros((2, profile_stations(record.length).size)), truth=np.zeros(3))
-
-
-def does_send_half(where, record):
-    np.savez(_out("seed-1.npz"), z0=np.zeros((2, profile_stations(record.length).size)))
-    data = _out("seed-1.npz").read_bytes()
-    _out("seed-1.npz").write_bytes(data[: len(data) // 2])
-    does_answer_without_estimates(where, record)
-
-
-def does_send_arrays(compressed=False, **arrays):
-    save = np.savez_compressed if compressed else np.savez
-    save(_out("seed-1.npz"), **arrays)
-    does_answer_without_estimates("", None)
-
-
-def _out(name):
-    return Path.cwd().parent / "out" / name
+def reply_pipe():
+    """Return the handle on which the worker replies to the judge."""
+    for handle in range(3, 64):
+        try:
+            status = os.fstat(handle)
+        except OSError:
+            continue
+        if stat.S_ISFIFO(status.st_mode) and fcntl.fcntl(handle, fcntl.F_GETFL) & os.O_WRONLY:
+            return handle
+    raise LookupError("no pipe to the judge")
 
 
 def _ancestor(generations):

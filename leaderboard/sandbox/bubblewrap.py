@@ -1,0 +1,141 @@
+"""The container of a guest: the command line of bubblewrap (bwrap, version 0.8 or newer).
+
+The guest sees the interpreter, its packages, this project's packages and the code of its entry,
+all read-only; an empty folder in memory of its own; a bare /dev and a /proc with nothing but
+itself. It has no network, no capabilities, no other user's processes and no Unix sockets of the
+host. It ends with the judge.
+
+A judge that is root starts the guest as root without capabilities but the one to become nobody,
+which `worker` uses before it loads the entry; any other judge uses a user namespace.
+"""
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+
+from leaderboard.sandbox.limits import GIB, Limits
+from road_envs._code_digest import PACKAGES, ROOT
+
+HOME = Path("/tmp/guest")
+"""Working folder of a guest."""
+
+ENTRY = Path("/entry")
+"""Folder with the code of the entry."""
+
+SHARED_CACHE = Path("/shared-cache")
+"""Folder with the compiled kernels of this package, for a guest that must not write there."""
+
+NOBODY = 65534
+"""User and group of a guest."""
+
+SYSTEM = ("/usr", "/lib", "/lib32", "/lib64", "/bin", "/etc/ld.so.cache", "/etc/alternatives")
+"""Paths of the operating system that programs need."""
+
+SHARED_MEMORY = 2**28
+"""Size [bytes] of a guest's /dev/shm."""
+
+
+def command(
+    words: Sequence[str],
+    environment: Mapping[str, str],
+    limits: Limits,
+    read_only: Mapping[Path, Path],
+    writable: Mapping[Path, Path],
+    *,
+    becomes_nobody: bool,
+) -> list[str]:
+    """Return the command line that runs `words` in a container.
+
+    The mappings name the folders and files that it sees, by their path on the host.
+    """
+    mounts = {**_system_mounts(), **{source: target for source, target in read_only.items()}}
+    parents = {
+        parent for target in [*mounts.values(), *writable.values()] for parent in target.parents
+    }
+    line = [
+        shutil.which("bwrap") or "bwrap",
+        *_privileges(becomes_nobody),
+        "--die-with-parent",
+        "--new-session",
+    ]
+    for parent in sorted(parents | {HOME.parent}, key=lambda path: len(path.parts))[1:]:
+        line += ["--perms", "0755", "--dir", str(parent)]  # else hidden from nobody
+    for source, target in mounts.items():
+        if source.is_symlink() and source == target:
+            line += ["--symlink", os.readlink(source), str(target)]
+        else:
+            line += ["--ro-bind", str(source), str(target)]
+    line += ["--proc", "/proc", "--dev", "/dev"]
+    for folder, size in (("/dev/shm", SHARED_MEMORY), (HOME, int(limits.file * GIB))):
+        line += ["--perms", "1777", "--size", str(size), "--tmpfs", str(folder)]
+    for source, target in writable.items():
+        line += ["--bind", str(source), str(target)]
+    line += ["--remount-ro", "/dev", "--remount-ro", "/", "--chdir", str(HOME), "--clearenv"]
+    for name, value in environment.items():
+        line += ["--setenv", name, value]
+    return [*line, "--", *words]
+
+
+@cache
+def obstacle() -> str | None:
+    """Return why bubblewrap cannot be used here, None if it can, by running a program in it."""
+    if shutil.which("bwrap") is None:
+        return "bubblewrap is not installed (the program bwrap)"
+    numpy = importlib.util.find_spec("numpy")
+    needed = [str(ROOT / "estimators" / "__init__.py"), numpy and numpy.origin]
+    become = f"import os; os.setuid({NOBODY}); " if must_become_nobody() else ""
+    code = f"{become}import socket; [open(path).close() for path in {needed}]"
+    words = [sys.executable, "-S", "-c", code]
+    line = command(words, {}, Limits(), {}, {}, becomes_nobody=must_become_nobody())
+    try:
+        ended = subprocess.run(line, capture_output=True, text=True, timeout=30.0)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"bubblewrap cannot be started: {error}"
+    reason = " ".join(ended.stderr.split())[-200:]
+    return None if ended.returncode == 0 else f"bubblewrap is refused here: {reason}"
+
+
+def must_become_nobody() -> bool:
+    """Return whether a guest with an entry from outside has to give up the user of the judge."""
+    return os.geteuid() == 0
+
+
+def _privileges(becomes_nobody: bool) -> list[str]:
+    if must_become_nobody():
+        words = ["--unshare-ipc", "--unshare-pid", "--unshare-net", "--unshare-uts"]
+        words += ["--unshare-cgroup-try", "--cap-drop", "ALL"]
+        if becomes_nobody:
+            words += ["--cap-add", "CAP_SETUID", "--cap-add", "CAP_SETGID"]
+        return words
+    identity = ["--uid", str(NOBODY), "--gid", str(NOBODY)]
+    return ["--unshare-all", "--unshare-user", "--disable-userns", *identity]
+
+
+def _system_mounts() -> dict[Path, Path]:
+    """Return what every guest sees: system libraries, interpreter, packages, this project."""
+    project = [ROOT / name for name in (*PACKAGES, "configs")]
+    words = os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep)
+    libraries = [Path(word) for word in words if word.startswith("/")]
+    executable = Path(sys.executable)
+    wanted = [
+        *map(Path, SYSTEM),
+        *map(Path, (sys.base_prefix, sys.base_exec_prefix, sys.prefix, sys.exec_prefix)),
+        *(Path(p) for p in sys.path if Path(p).name in ("site-packages", "dist-packages")),
+        *project,
+        *libraries,
+        *([executable] if executable.exists() else []),
+    ]
+    mounts: list[Path] = []
+    for path in sorted(dict.fromkeys(map(_absolute, wanted)), key=lambda path: len(path.parts)):
+        if path.exists() and not any(path.is_relative_to(mount) for mount in mounts):
+            mounts.append(path)
+    return {path: path for path in mounts}
+
+
+def _absolute(path: Path) -> Path:
+    return Path(os.path.abspath(path))

@@ -1,0 +1,196 @@
+"""One guest process: messages over pipes, its limits, and its end with all that it has started.
+
+A guest may do anything: write what it likes, stop reading, fork, or never answer. Every call ends
+in a reply within the limits or in an EntryError.
+"""
+
+import os
+import select
+import subprocess
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from signal import Signals
+from typing import Any
+
+from leaderboard.evaluation.entry import EntryError
+from leaderboard.sandbox import messages, processes
+from leaderboard.sandbox.limits import GIB, Limits
+
+POLL_INTERVAL = 0.1
+"""Interval [s] of the checks of memory and number of processes."""
+
+OUTPUT_TAIL_SIZE = 4000
+"""Number of last bytes of the output that are kept; the rest is only counted."""
+
+STARTUP_TIMEOUT = 300.0
+"""Time [s] within which a guest must have loaded its libraries."""
+
+CHUNK = 1 << 20
+
+SIGNAL_STATUS = 128
+"""Added to the number of the signal that ended a guest in its exit status, as in a shell."""
+
+
+class Guest:
+    """A guest that has loaded its libraries; `close` ends it. Raises EntryError.
+
+    `peak_memory` [GiB] is the largest that was seen, of all its processes together.
+    """
+
+    def __init__(self, command: Sequence[str], environment: Mapping[str, str], folder: Path):
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=dict(environment),
+            cwd=folder,
+            start_new_session=True,
+        )
+        streams = (self._process.stdin, self._process.stdout, self._process.stderr)
+        self._requests, self._replies, self._output = (s.fileno() for s in streams if s is not None)
+        for handle in (self._requests, self._replies, self._output):
+            os.set_blocking(handle, False)
+        self.output_size, self.output_tail, self.peak_memory = 0, b"", 0.0
+        self._end_of_output = False
+        self.limits, self._end = Limits(), 0.0
+        self.start_run(Limits(seconds=STARTUP_TIMEOUT))
+        try:
+            self.call(b"")
+        except EntryError:
+            self.close()
+            raise
+
+    @property
+    def pid(self) -> int:
+        """Number of the process that this one has started."""
+        return self._process.pid
+
+    def start_run(self, limits: Limits) -> None:
+        """Apply these limits to all calls from now on together."""
+        self.limits, self._end, self.peak_memory = limits, time.monotonic() + limits.seconds, 0.0
+
+    def cpu_seconds(self) -> float:
+        """Return the processor time [s] of all its processes and threads, ended ones included."""
+        return sum(process.cpu for process in self._tree())
+
+    def call(
+        self, request: bytes, size_of_arrays: Callable[[dict[str, Any]], int] = lambda head: 0
+    ) -> tuple[dict[str, Any], bytes]:
+        """Send a request; return the object and the arrays of the reply. Raises EntryError.
+
+        `size_of_arrays` returns the expected number of bytes of the arrays.
+        """
+        unsent = memoryview(request)
+        received, wanted = bytearray(), messages.HEAD_SIZE.size
+        size: int | None = None
+        head: dict[str, Any] | None = None
+        next_check = time.monotonic() + POLL_INTERVAL
+        while True:
+            while len(received) >= wanted:
+                if head is not None:
+                    self._measure()
+                    return head, bytes(received)
+                if size is None:
+                    (size,) = messages.HEAD_SIZE.unpack(received)
+                    if size > messages.MAX_HEAD:
+                        raise EntryError(f"its reply is invalid: a head of {size} bytes")
+                    wanted += size
+                else:
+                    head = messages.parse_head(bytes(received[messages.HEAD_SIZE.size :]))
+                    received, wanted = bytearray(), size_of_arrays(head)
+            now = time.monotonic()
+            if now > self._end:
+                raise EntryError(f"stopped after {self.limits.seconds:g} s, the time limit")
+            if now >= next_check:
+                next_check = now + POLL_INTERVAL
+                self._measure()
+            wait = max(0.0, min(next_check, self._end) - now)
+            outputs = [self._replies] + ([] if self._end_of_output else [self._output])
+            ready, free, _ = select.select(outputs, [self._requests] if unsent else [], [], wait)
+            if self._output in ready:
+                self._read_output()
+            if free:
+                unsent = self._send(unsent)
+            if self._replies in ready:
+                part = os.read(self._replies, min(wanted - len(received), CHUNK))
+                if not part:
+                    raise EntryError(self._describe_end())
+                received += part
+            elif self._process.poll() is not None and self._replies not in ready:
+                if not select.select([self._replies], [], [], 0.0)[0]:
+                    raise EntryError(self._describe_end())
+
+    def send_end(self) -> None:
+        """Let the guest end its child and wait for the next estimator."""
+        os.set_blocking(self._requests, True)
+        os.write(self._requests, messages.encode({"do": "end"}))
+        os.set_blocking(self._requests, False)
+
+    def close(self) -> None:
+        """Kill the guest and all that it has started."""
+        # children first: an orphan would be looked for in vain
+        for process in self._tree()[1:]:
+            processes.kill(process.pid)
+        processes.kill_group(self.pid)
+        processes.kill(self.pid)
+        for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
+            if stream is not None:
+                try:
+                    stream.close()
+                except OSError:
+                    pass
+        self._process.wait()
+
+    def _tree(self) -> list[processes.Process]:
+        return processes.tree(self.pid)
+
+    def _measure(self) -> None:
+        """Record the memory in use. Raises EntryError above a limit."""
+        running = self._tree()
+        used = sum(process.resident for process in running)
+        if used > self.limits.memory * GIB and len(running) > 1:
+            # the sum counts shared pages several times; the exact value is slow to read
+            used = processes.proportional_memory(running)
+        self.peak_memory = max(self.peak_memory, used / GIB)
+        if used > self.limits.memory * GIB:
+            raise EntryError(
+                f"stopped for using more than {self.limits.memory:g} GiB, the memory limit"
+            )
+        if len(running) > self.limits.processes:
+            limit = self.limits.processes
+            raise EntryError(f"stopped for having more than {limit} processes, the limit")
+
+    def _send(self, unsent: memoryview) -> memoryview:
+        try:
+            return unsent[os.write(self._requests, unsent[:CHUNK]) :]
+        except BlockingIOError:
+            return unsent
+        except BrokenPipeError:  # it does not read any more; it may still have replied
+            return unsent[:0]
+
+    def _read_output(self) -> None:
+        part = os.read(self._output, CHUNK)
+        self._end_of_output = not part
+        self.output_size += len(part)
+        self.output_tail = (self.output_tail + part)[-OUTPUT_TAIL_SIZE:]
+
+    def _describe_end(self) -> str:
+        try:
+            status = self._process.wait(timeout=1.0)
+        except subprocess.TimeoutExpired:
+            return "it closed its connection to the judge"
+        while not self._end_of_output and select.select([self._output], [], [], 0.0)[0]:
+            self._read_output()
+        lines = self.output_tail.decode(errors="replace").strip().splitlines()
+        last = f"; its last output: {messages.text(lines[-1])}" if lines else ""
+        return f"its process ended without a response, by {describe_exit(status)}{last}"
+
+
+def describe_exit(status: int) -> str:
+    """Return the exit status, or the name of the signal, that ended a process."""
+    number = -status if status < 0 else status - SIGNAL_STATUS
+    if number in set(Signals):
+        return Signals(number).name
+    return f"exit status {status}" if status >= 0 else f"signal {-status}"

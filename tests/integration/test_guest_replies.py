@@ -1,0 +1,163 @@
+"""Whatever bytes a guest sends, a call ends in a valid estimate or in an EntryError."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from estimators.api import EstimateError
+from leaderboard.evaluation.entry import EntryError
+from leaderboard.sandbox import messages
+from leaderboard.sandbox.client import _RemoteSession, call
+from leaderboard.sandbox.guest import Guest
+from leaderboard.sandbox.limits import Limits
+from road_envs.data.record import Record, profile_stations
+
+READY = messages.encode({})
+ECHO = """
+import os, sys
+os.write(1, bytes.fromhex(sys.argv[1]))
+os.read(0, 1)
+with open(sys.argv[2], "rb") as file:
+    data = file.read()
+while data:
+    data = data[os.write(1, data):]
+os.close(1)
+while os.read(0, 1 << 20):
+    pass
+"""
+
+
+def guest_that_sends(data, tmp_path):
+    """Return a guest that sends `data` as soon as it has been asked, and reads on."""
+    (tmp_path / "data").write_bytes(data)
+    words = [sys.executable, "-I", "-S", "-c", ECHO, READY.hex(), str(tmp_path / "data")]
+    return Guest(words, {}, tmp_path)
+
+
+def a_record():
+    t = np.arange(40) / 400.0
+    state = np.zeros((40, 4), dtype=bool)
+    return Record(t, np.zeros((3, 40)), np.full(40, 10.0), 10.0 * t, state, state, 0.9)
+
+
+def head(text):
+    data = text.encode() if isinstance(text, str) else text
+    return messages.HEAD_SIZE.pack(len(data)) + data
+
+
+SIZE = profile_stations(a_record().length).size
+FINE = json.dumps({"seconds": 0.0, "std": False})
+WITH_STD = json.dumps({"seconds": 0.0, "std": True})
+HEIGHTS = np.full((2, SIZE), 0.01).tobytes()
+
+MALFORMED = {
+    "nothing": b"",
+    "half a head": head(FINE)[:10],
+    "a size of 4 GiB": b"\xff" * 8,
+    "no JSON": head("z = 0"),
+    "no text": head(b"\xff\xfe\x00"),
+    "an empty head": head(""),
+    "a list": head("[]"),
+    "a number": head("1"),
+    "deep lists": head("[" * 60_000),
+    "deep objects": head('{"a":' * 12_000),
+    "NaN": head('{"seconds": NaN}'),
+    "infinite": head('{"seconds": 1e999}'),
+    "minus infinity": head('{"seconds": -Infinity}'),
+    "negative": head('{"seconds": -1e-9}'),
+    "a truth": head('{"seconds": true}'),
+    "a text": head('{"seconds": "0"}'),
+    "an object": head('{"seconds": {}}'),
+    "missing": head("{}"),
+    "400 digits": head('{"seconds": 1%s}' % ("0" * 400)),
+    "5000 digits": head('{"seconds": 1%s}' % ("0" * 5000)),
+    "a surrogate": head('{"failure": "\\ud800"}'),
+    "a list as failure": head('{"failure": [[[[]]]]}'),
+    "no heights": head(FINE),
+    "too few heights": head(FINE) + HEIGHTS[:-1],
+    "no deviations": head(WITH_STD) + HEIGHTS,
+    "NaN heights": head(FINE) + np.full((2, SIZE), np.nan).tobytes(),
+    "infinite heights": head(FINE) + np.full((2, SIZE), -np.inf).tobytes(),
+    "huge heights": head(FINE) + np.full((2, SIZE), 1e7).tobytes(),
+    "negative deviations": head(WITH_STD) + HEIGHTS + np.full((2, SIZE), -1.0).tobytes(),
+    "NaN deviations": head(WITH_STD) + HEIGHTS + np.full((2, SIZE), np.nan).tobytes(),
+    "huge deviations": head(WITH_STD) + HEIGHTS + np.full((2, SIZE), 1e300).tobytes(),
+}
+
+
+@pytest.mark.parametrize("name", MALFORMED)
+def test_a_malformed_reply_is_one_sentence(name, tmp_path):
+    guest = guest_that_sends(MALFORMED[name], tmp_path)
+    guest.start_run(Limits(seconds=20.0))
+    with pytest.raises((EntryError, EstimateError)) as error:
+        _RemoteSession(guest, False).estimate(a_record())
+    guest.close()
+    text = str(error.value)
+    assert text.isprintable() and len(text) < 500, text
+
+
+def test_random_replies_never_raise_anything_else(tmp_path):
+    rng = np.random.default_rng(1)
+    good = head(FINE) + HEIGHTS
+    outcomes = set()
+    for _ in range(40):
+        data = bytearray(good)
+        for at in rng.integers(len(good) if rng.random() < 0.5 else 40, size=rng.integers(1, 4)):
+            data[at] = rng.integers(256)
+        guest = guest_that_sends(bytes(data), tmp_path)
+        guest.start_run(Limits(seconds=20.0))
+        try:
+            outcomes.add(np.isfinite(_RemoteSession(guest, False).estimate(a_record())[0].z).all())
+        except (EntryError, EstimateError):
+            outcomes.add("refused")
+        finally:
+            guest.close()
+    assert outcomes == {True, "refused"}
+
+
+def test_a_valid_reply_is_taken_as_it_is(tmp_path):
+    z = np.random.default_rng(0).standard_normal((2, SIZE))
+    guest = guest_that_sends(head(WITH_STD) + z.tobytes() + (z * z).tobytes(), tmp_path)
+    guest.start_run(Limits(seconds=20.0))
+    estimate, seconds = _RemoteSession(guest, False).estimate(a_record())
+    guest.close()
+    np.testing.assert_array_equal(estimate.z, z)
+    np.testing.assert_array_equal(estimate.z_std, z * z)
+    assert seconds == 0.0
+
+
+def test_a_guest_that_does_not_read_cannot_block_the_judge(tmp_path):
+    code = f"import os, time; os.write(1, {READY}); time.sleep(99)"
+    guest = Guest([sys.executable, "-I", "-S", "-c", code], {}, tmp_path)
+    guest.start_run(Limits(seconds=0.5))
+    with pytest.raises(EntryError, match="the time limit"):
+        call(guest, bytes(10**7))
+    guest.close()
+
+
+@pytest.mark.parametrize(
+    ("value", "sentence"),
+    [
+        ([], "must be a JSON object"),
+        ({"two words": 1}, "must be a JSON object with names as keys"),
+        ({"a": "x" * 5000}, "longer than 4000 characters"),
+        ({"a": [[[[[]]]]]}, "too deep"),
+        ({"a": 10**200}, "beyond 1e+100"),
+        ({"a": -1e300}, "beyond 1e+100"),
+    ],
+)
+def test_settings_are_a_small_object(value, sentence):
+    with pytest.raises(EntryError) as error:
+        messages.settings(value)
+    assert sentence in str(error.value)
+
+
+def test_texts_are_one_short_printable_line():
+    assert messages.text("a\nb\x1b[31m\u202ec\t<b>") == "a b [31m c <b>"
+    assert len(messages.text("x" * 10**6)) == messages.MAX_TEXT + 4
+    assert messages.text(None) == messages.text("\0") == "no message"
+    assert messages.settings({"a": "b\nc", "n": [1, 2.5, None, True]}) == {
+        "a": "b c", "n": [1, 2.5, None, True],
+    }  # fmt: skip
