@@ -8,11 +8,9 @@ def reduce_unexplained(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Return heights `z` (2, M) [m] times `share`, 0 to 1, and the standard deviation they leave.
 
-    The part that is taken away counts as error, at its RMS along the road. `share` is a number or
-    one per station (M,).
+    The part that is taken away counts as error. `share` is a number or one per station (M,).
     """
     share = np.broadcast_to(share, z.shape)
     if z_std is None or not (share < 1.0).any():
         return z * share, z_std
-    spread = np.std(z, axis=1, keepdims=True)
-    return z * share, np.hypot(z_std, (1.0 - share) * spread)
+    return z * share, np.hypot(z_std, (1.0 - share) * np.abs(z))

@@ -16,13 +16,16 @@ scale are estimated online. Heights are emitted relative to their long waves (`p
 
 The measurements are means over 3 ms of the raw samples; lost and clipped samples are left out.
 
+Where the innovations are far beyond their covariance, heights are emitted reduced, with wide
+intervals and a note: a filter that has lost the vehicle tells of a nearly flat road, and no drift.
+
 Known to fail: on a vehicle other than the one described (on the field vehicle S2 the error is
-greater than that of a flat road; a note says so), as the filter corrects the road and not the
-vehicle; where the front struts are softer than the rear ones, as only the rear axle then resolves
-the difference of the wheel paths, wheelbases later (`docs/observability.md`): the early variants
-have twice the error of equal states; on smooth roads (class A), where friction holds the struts
-most of the time; where wheels lift off. `kalman_rts` linearizes once, about the filter's estimate;
-`map_smoother` iterates and is more accurate.
+nearly that of a flat road), as the filter corrects the road and not the vehicle; where the front
+struts are softer than the rear ones, as only the rear axle then resolves the difference of the
+wheel paths, wheelbases later (`docs/observability.md`): the early variants have twice the error of
+equal states; on smooth roads (class A), where friction holds the struts most of the time; where
+wheels lift off. `kalman_rts` linearizes once, about the filter's estimate; `map_smoother` iterates
+and is more accurate.
 """
 
 from dataclasses import dataclass
@@ -32,6 +35,8 @@ import numpy as np
 
 from estimators.api import LAG
 from estimators.common.block_means import MIN_NOISE_DENSITY, block_means
+from estimators.common.explained import trusted_share, untrusted_note
+from estimators.common.fallback import reduce_unexplained
 from estimators.common.model_inputs import antialias_delay, build_model_inputs
 from estimators.kalman.pipeline import FilterRun, run_filter, run_smoother, setup_output, setup_run
 from estimators.kalman.profile_output import ProfileOutput
@@ -40,7 +45,7 @@ from estimators.preprocessing import ANTIALIAS_SPREAD, SPEED_MIN, mask_record
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.analysis.roughness import CLASSES
 from road_envs.config import STRICT
-from road_envs.data.record import Estimate, Record, profile_stations, scored_band
+from road_envs.data.record import PROFILE_SPACING, Estimate, Record, profile_stations, scored_band
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -116,8 +121,19 @@ class _KalmanSettings:
                 f"at the end the noise power is {scale:.1f} times the expected one: the vehicle "
                 "may differ from the one described",
             )
-        z_std = self.std_factor * _output_std(run, output, record, prior)
-        return Estimate(profile_stations(record.length), output.z.T.copy(), z_std, notes)
+        z, z_std = output.z.T.copy(), self.std_factor * _output_std(run, output, record, prior)
+        share = output.share
+        if smooth:
+            explained = trusted_share(record, valid, car, instruments, z)
+            share, notes = share * explained, notes + untrusted_note(explained)
+        if (lost := PROFILE_SPACING * float(np.sum(output.share < 0.95))) >= 1.0:
+            notes += (
+                f"over {lost:.0f} m the innovations are far beyond their covariance; the heights "
+                "are reduced there",
+            )
+        return Estimate(
+            profile_stations(record.length), *reduce_unexplained(z, z_std, share), notes
+        )
 
 
 def _output_std(

@@ -230,6 +230,7 @@ def setup_output(
         detrended=detrended,
         z=np.zeros((s.size, 2)),
         variance=np.zeros((s.size, 2)),
+        share=np.ones(s.size),
         next_station=np.zeros(1, dtype=np.int64),
         height_covariance=none,
         band_covariance=none,
@@ -288,6 +289,7 @@ def _filter_chunk(run: FilterRun, output: ProfileOutput, first: int, last: int) 
         detrended=output.detrended,
         z=np.zeros((count, 2)),
         variance=np.zeros((count, 2)),
+        share=np.ones(count),
         next_station=np.zeros(1, dtype=np.int64),
         height_covariance=np.zeros((count, 2, n)),
         band_covariance=np.zeros((count // VARIANCE_STRIDE + 1, 2, n)),
@@ -318,3 +320,4 @@ def _smooth_chunks(run: FilterRun, chunks: list[Chunk], at_end: bool) -> None:
 def _store_chunk(output: ProfileOutput, chunk: Chunk) -> None:
     here = slice(chunk.first_station, chunk.first_station + chunk.output.node.size)
     output.z[here], output.variance[here] = chunk.output.z, chunk.output.variance
+    output.share[here] = chunk.output.share

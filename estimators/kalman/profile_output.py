@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.kalman.state import NODES, RETIRED, FilterModel, FilterState
+from estimators.kalman.state import NODES, NOISE_SCALE, RETIRED, FilterModel, FilterState
 from road_envs._numba import kernel
 
 N_DETREND = 0.1
@@ -32,6 +32,10 @@ HALF_WINDOW = 1.0
 VARIANCE_STRIDE = 8
 """Stations from one whose variance is computed to the next."""
 
+LOST_NOISE_SCALE = 20.0
+"""Noise scale, a mean of the normalized innovation squared over the last second, above which the
+filter has lost the vehicle. Heights are then emitted reduced in proportion."""
+
 
 class ProfileOutput(NamedTuple):
     """Emission schedule and emitted heights of M stations, in order.
@@ -40,7 +44,8 @@ class ProfileOutput(NamedTuple):
     `cutoff` (M, 2) [cycles/node] of the kernel `low`, for height and for variance; its half length
     `half_window` [nodes]; `detrended`: whether long waves are subtracted from the height (from the
     variance they always are). Results: heights `z` [m] and their in-band `variance` [m²] (M, 2),
-    left and right; `next_station` (1,), the first not yet emitted.
+    left and right; `share` (M,), 0 to 1, by how much they are to be trusted; `next_station` (1,),
+    the first not yet emitted.
 
     For the smoother, else of length 0: the covariance of the emitted heights with the state,
     `height_covariance` (M, 2, n), and of their in-band part, `band_covariance` (M /
@@ -54,6 +59,7 @@ class ProfileOutput(NamedTuple):
     detrended: bool
     z: np.ndarray
     variance: np.ndarray
+    share: np.ndarray
     next_station: np.ndarray
     height_covariance: np.ndarray
     band_covariance: np.ndarray
@@ -165,6 +171,7 @@ def emit(model: FilterModel, state: FilterState, output: ProfileOutput, j):
         output_weights(u, at, newest_node, decay, output.cutoff[m, 0], output.half_window)
         z, d = read_out(state.x, u, 0), read_out(state.x, u, 1)
         output.z[m, 0], output.z[m, 1] = z + d, z - d
+        output.share[m] = min(1.0, LOST_NOISE_SCALE / state.adaptive[NOISE_SCALE])
         if output.height_covariance.shape[0] > 0:
             covariance_rows(state.P, u, output.height_covariance[m])
         if m % VARIANCE_STRIDE == 0:

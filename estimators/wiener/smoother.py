@@ -20,6 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.fft import irfft, rfft
 
+from estimators.common.explained import trusted_share, untrusted_note
+from estimators.common.fallback import reduce_unexplained
 from estimators.preprocessing import mask_record
 from estimators.wiener.segments import Segment, split_segments
 from estimators.wiener.spectral_model import (
@@ -111,7 +113,10 @@ def smooth_record(
             "unexplained: the vehicle or the state of its struts may differ from the one described"
         )
     weights = np.maximum(weights, 1e-12)
-    return Estimate(stations, total / weights, std_factor * total_std / weights, tuple(notes))
+    z, std = total / weights, std_factor * total_std / weights
+    share = trusted_share(masked.record, masked.valid, car, sensors, z)
+    z, z_std = reduce_unexplained(z, std, share)
+    return Estimate(stations, z, z_std, (*notes, *untrusted_note(share)))
 
 
 def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Iterator[Iterate]:

@@ -11,7 +11,6 @@ from vehicle_fixtures import DEFENDER
 
 from estimators.common.block_means import block_means
 from estimators.common.conjugate_gradients import conjugate_gradients
-from estimators.common.fallback import reduce_unexplained
 from estimators.map_smoother import gauss_newton
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.gauss_newton import (
@@ -180,14 +179,6 @@ def test_a_clipped_sample_is_a_limit_and_not_a_measurement():
     np.testing.assert_array_equal(means.sample_count, [[3.0, 3.0]])
     left_out = block_means(a, valid, 3)
     np.testing.assert_allclose(left_out.residual(predicted), [[0.0, -1.5]])
-
-
-def test_what_the_model_does_not_explain_is_taken_away_and_counted_as_error():
-    z, std = np.array([[1.0, -1.0], [3.0, -3.0]]), np.full((2, 2), 0.4)
-    reduced, wider = reduce_unexplained(z, std, 0.25)
-    np.testing.assert_allclose(reduced, 0.25 * z)
-    np.testing.assert_allclose(wider, np.hypot(0.4, 0.75 * np.abs(z)))
-    assert reduce_unexplained(z, std, 1.0)[1] is std
 
 
 def test_bumps_on_a_level_road_are_told_within_a_twentieth():
