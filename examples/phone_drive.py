@@ -46,7 +46,9 @@ t = record.t[1:-1] + 1e-3 * options.jitter_ms * rng.uniform(-1.0, 1.0, record.t.
 accelerations = [np.interp(t, record.t[np.isfinite(a)], a[np.isfinite(a)]) for a in record.a]
 once = np.arange(t.size) % 100 == 0  # a position per second
 s = np.interp(t, record.t, record.s)
-east, north = s * np.sin(0.8), s * np.cos(0.8) + 15.0 * np.sin(s / 120.0)
+heading = 0.8 + 0.4 * np.sin(s / 120.0)
+step = np.diff(s, prepend=s[0])
+east, north = np.cumsum(step * np.sin(heading)), np.cumsum(step * np.cos(heading))
 metres_per_degree = 111_195.0
 stamp = pd.Timestamp("2026-05-04T09:30:00Z") + pd.to_timedelta(t, unit="s")
 table = pd.DataFrame(

@@ -72,9 +72,11 @@ ADAPT_NOISE_SCALE = 1.15
 F_RESOLVED = 70.0
 """Frequency [Hz] that the nodes resolve at any speed, within NODE_SPACING_RANGE."""
 
-LOST_NOISE_SCALE = 300.0
+LOST_NOISE_SCALE, LOST_POWER_SHARE = 300.0, 0.3
 """Noise scale above which the minimization has lost the vehicle, as on obstacles that throw it off
-the ground again and again. Vehicles that are not the one described stay far below."""
+the ground again and again, if it also exceeds this share of the signals' power: the noise of good
+instruments is small beside what a vehicle that is not the one described leaves unexplained.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,7 +181,8 @@ class MapSmoother:
                 f"{max(noise_scale):.1f} times the instruments' noise power is left unexplained: "
                 "the vehicle may differ from the one described",
             )
-        z, share = evaluate_spline(result.c, x), LOST_NOISE_SCALE / max(noise_scale)
+        lost = max(LOST_NOISE_SCALE, LOST_POWER_SHARE * float(drive.a.var()) / model.noise_variance)
+        z, share = evaluate_spline(result.c, x), lost / max(noise_scale)
         if share < 1.0:
             z, z_std = reduce_unexplained(z, z_std, share)
             notes += (

@@ -169,7 +169,10 @@ def _print(result: DriveResult) -> None:
         f"{result.name}: {result.facts['length_m']:.0f} m, "
         f"mean IRI {result.facts['iri_mean']:.2f} mm/m"
     )
-    table = Table("from [m]", "to [m]", "IRI mean [mm/m]", "95 %", "condition", "class", "flags")
+    table = Table("from [m]", "to [m]", "IRI mean [mm/m]")
+    table.add_column("95 %", no_wrap=True)
+    for heading in ("condition", "class", "flags"):
+        table.add_column(heading)
     for row in result.segments:
         table.add_row(
             f"{row['begin_m']:.0f}",

@@ -48,7 +48,7 @@ CHECKS = {
         values = {"mass": car.m_b, "right": right, "wrong": wrong}
     """,
     "measured_drive.md": """
-        values = {"length": measured.length, "class": type(estimated).__name__}
+        values = {"length": drive.record.length, "class": type(estimated).__name__}
     """,
 }
 """Code that collects the values to test at the end of a page, in its own process."""
