@@ -128,7 +128,7 @@ ADDITIONS = {
     ),
     "metric": (
         "leaderboard/metrics/added.py", METRIC, "leaderboard/metrics/registry.py",
-        "from leaderboard.metrics import detection,", "    level,\n",
+        "from leaderboard.metrics import ", "    level,\n",
         "from road_envs.data.record import Estimate, Profile\nimport numpy as np\n"
         "from leaderboard.metrics.registry import SCORES, compute_scores\n"
         "from leaderboard.evaluation.boards import shipped_boards\n"
