@@ -17,13 +17,13 @@ from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.report.board_definitions import COLUMNS
 from leaderboard.report.charts import bound_line, error_axes, error_lines
 from leaderboard.report.figures import (
-    INK,
     QUIET,
     Chart,
     axis,
     chart,
     colour,
     curve,
+    interval_bars,
     line_style,
     rounded,
     upright,
@@ -118,31 +118,14 @@ def _error_figure(row: Row, section: Section, definition: BoardDefinition) -> di
     found = {name: x for name, values in groups.items() if (x := values.get(key)) is not None}
     if len(found) < 2:
         return None
-    reach = {
-        end: [
-            0.0 if (limit := groups[name].get(end)) is None else rounded(abs(limit - x), 4)
-            for name, x in found.items()
-        ]
-        for end in ("low", "high")
+    labels = {
+        f"{'<br>'.join(textwrap.wrap(name, LABEL_LENGTH))}  <b>{score.format_value(x)}</b>": x
+        for name, x in found.items()
     }
+    ends = [(groups[name].get("low"), groups[name].get("high")) for name in found]
     bars = {
-        "type": "bar",
-        "orientation": "h",
-        "name": row.name,
-        "x": [rounded(x, 5) for x in found.values()],
-        "y": [
-            f"{'<br>'.join(textwrap.wrap(name, LABEL_LENGTH))}  <b>{score.format_value(x)}</b>"
-            for name, x in found.items()
-        ],
+        **interval_bars(row.name, labels, ends),
         "marker": {"color": colour(row.name)},
-        "error_x": {
-            "type": "data",
-            "array": reach["high"],
-            "arrayminus": reach["low"],
-            "color": INK,
-            "thickness": 1.5,
-            "width": 3,
-        },
         "hovertemplate": "%{y}<extra></extra>",
     }
     unit = f" [{score.unit}]" if score.unit else ""

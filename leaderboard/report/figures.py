@@ -10,6 +10,9 @@ A chart is plain data:
 Colours are variables of `static/site.css`, so that a figure serves the light and the dark page.
 Heights are integers of HEIGHT_UNIT, encoded as differences under `dy`; `std` is their standard
 deviation in that unit, of which the script makes a 90 % band.
+
+`static/plotly-basic.min.js` is the unchanged file of the npm package plotly.js-basic-dist-min 4.1.1
+(MIT, `static/plotly-LICENSE.txt`).
 """
 
 import math
@@ -96,6 +99,31 @@ def area(x: Sequence[float], low: Sequence[float], high: Sequence[float], **opti
     outline = {"x": [*x, *x[::-1]], "y": [*high, *low[::-1]]}
     look = {"fill": "toself", "line": {"width": 0}, "mode": "lines"}
     return {**outline, **look, "hoverinfo": "skip", "showlegend": False, **options}
+
+
+def interval_bars(
+    name: str, values: Mapping[str, float], ends: Iterable[tuple[float | None, float | None]]
+) -> dict[str, Any]:
+    """Return horizontal bars of values by label, with their intervals where there are any."""
+    spans = [
+        (0.0, 0.0) if low is None or high is None else (x - low, high - x)
+        for x, (low, high) in zip(values.values(), ends, strict=True)
+    ]
+    return {
+        "type": "bar",
+        "orientation": "h",
+        "name": name,
+        "x": [rounded(x, 5) for x in values.values()],
+        "y": list(values),
+        "error_x": {
+            "type": "data",
+            "arrayminus": [rounded(below, 4) for below, _ in spans],
+            "array": [rounded(above, 4) for _, above in spans],
+            "color": INK,
+            "thickness": 1.5,
+            "width": 3,
+        },
+    }
 
 
 def upright(x: float, dash: str = "dot", colour: str = QUIET) -> dict[str, Any]:

@@ -8,12 +8,12 @@ from leaderboard.evaluation.results import Result
 from leaderboard.report.board_definitions import COLUMNS, WORST
 from leaderboard.report.charts import height_lines
 from leaderboard.report.figures import (
-    INK,
     QUIET,
     Chart,
     axis,
     chart,
     colour,
+    interval_bars,
     rounded,
     upright,
 )
@@ -109,34 +109,16 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> Chart | None
     score = COLUMNS[key]
     marks = _marked_values(section, key)
     values = [row.values[key] or 0.0 for row in rows]
-    largest = max(x for x in (*values, *marks.values()) if x <= definition.scale)
-    limit = min(1.08 * largest, definition.scale)
-    low, high = ([row.values.get(end) for row in rows] for end in ("low", "high"))
-    ends = zip(low, values, high, strict=True)
-    spans = [(0.0, 0.0) if a is None or b is None else (b - x, x - a) for a, x, b in ends]
-    labels = [
-        f'<a href="estimators/{file_name(row.name)}">{row.name}</a>  <b>{score.format_value(x)}</b>'
+    drawn = [x for x in (*values, *marks.values()) if x <= definition.scale]
+    limit = min(1.08 * max(drawn, default=definition.scale), definition.scale)
+    ends = [(row.values.get("low"), row.values.get("high")) for row in rows]
+    labels = {
+        f'<a href="estimators/{file_name(row.name)}">{row.name}</a>  '
+        f"<b>{score.format_value(x)}</b>": x
         for row, x in zip(rows, values, strict=True)
-    ]
-    hover = [
-        f"{row.name}: {_format(key, x)}"
-        + ("" if row.values.get("low") is None else f", 95 %: {interval_text(a, b, key)}")
-        for row, a, x, b in zip(rows, low, values, high, strict=True)
-    ]
+    }
     bars = {
-        "type": "bar",
-        "orientation": "h",
-        "name": "entries",
-        "x": [rounded(x, 5) for x in values],
-        "y": labels,
-        "error_x": {
-            "type": "data",
-            "array": [rounded(a, 4) for a, _ in spans],
-            "arrayminus": [rounded(b, 4) for _, b in spans],
-            "color": INK,
-            "thickness": 1.5,
-            "width": 3,
-        },
+        **interval_bars("entries", labels, ends),
         "marker": {
             "color": [colour(row.name) for row in rows],
             "pattern": {
@@ -144,7 +126,11 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> Chart | None
                 "fillmode": "replace",
             },
         },
-        "hovertext": hover,
+        "hovertext": [
+            f"{row.name}: {_format(key, x)}"
+            + ("" if low is None else f", 95 %: {interval_text(low, high, key)}")
+            for row, x, (low, high) in zip(rows, values, ends, strict=True)
+        ],
         "hovertemplate": "%{hovertext}<extra></extra>",
     }
     top = MODEBAR_HEIGHT + LABEL_HEIGHT * len(marks)

@@ -27,9 +27,10 @@ from leaderboard.report import export
 from leaderboard.report.cache import CACHE_FILE, build_report
 from leaderboard.report.charts import task_charts
 from leaderboard.report.figures import line_style, rounded
+from leaderboard.report.overview import ranking_chart
 from leaderboard.report.sentences import findings, unrelated_level_errors
 from leaderboard.report.site import file_name, render_pages, write_site
-from leaderboard.report.tables import board_views
+from leaderboard.report.tables import Row, board_views
 from leaderboard.running.board import Board, create_baselines, load_board
 from road_envs._atomic_io import write_text
 from road_envs.data.record import Estimate
@@ -445,6 +446,15 @@ def test_the_ranking_chart_shows_every_entry_with_its_interval():
         assert bars["x"][k] + bars["error_x"]["array"][k] == pytest.approx(high, abs=1e-4)
     marked = " ".join(x["text"] for x in chart("index.html", "ranking")["layout"]["annotations"])
     assert "linear bound" in marked and "flat" in marked and "unrelated road" in marked
+
+
+def test_a_ranking_of_bad_entries_only_is_drawn_too():
+    row = Row("bad", "scored", {}, {"nrmse": 70.0})
+    (view,) = [v for v in board_views(board()) if v.board == "new_road"]
+    section = dataclasses.replace(view.sections[0], rows=(row,))
+    chart = ranking_chart(section, view.definition)
+    assert chart["layout"]["xaxis"]["range"] == [0.0, view.definition.scale]
+    assert ranking_chart(dataclasses.replace(section, rows=()), view.definition) is None
 
 
 def test_the_headline_names_best_next_and_certainty():
