@@ -57,6 +57,11 @@ class RoadRecon(LazyGroup):
                 "simulate:simulate",
                 "Simulate a drive over a road and record the signals of the instruments.",
             ),
+            "dataset": _entry(
+                "dataset:dataset",
+                "Write simulated drives with true roads as Parquet: splits, card, licence, "
+                "checksums.",
+            ),
             "roads": CommandEntry(roads, "List, plot and export roads."),
             "animate": _entry(
                 "animate:animate",

@@ -7,6 +7,7 @@ import typer
 from rich.table import Table
 
 import estimators
+from estimators.estimation import FILE_SUFFIXES
 from leaderboard.commands import console, parse_settings, print_json, progress_bar
 from leaderboard.commands.drive_files import (
     Columns,
@@ -121,10 +122,7 @@ def report(
 
 def _estimate(name: str, drive: DriveFile, settings: dict[str, Any]) -> Estimate:
     """Return the estimate; the drive's instruments are passed to an estimator that takes them."""
-    if (
-        Path(name).suffix not in estimators.estimation.FILE_SUFFIXES
-        and "instruments" not in settings
-    ):
+    if Path(name).suffix not in FILE_SUFFIXES and "instruments" not in settings:
         fields = getattr(
             estimators.find(name) if ":" not in name else None, "__dataclass_fields__", {}
         )

@@ -5,9 +5,9 @@ road has a hump of 75 mm, a pothole of 50 mm and a bump of 30 mm.
 """
 
 import json
+import resource
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,7 @@ from road_envs.roads import realise_road
 ROOT = Path(__file__).parents[2]
 OBSTACLES = ((80.0, 75.0, "both"), (150.0, -50.0, "right"), (220.0, 30.0, "both"))
 SECONDS = 120.0
+"""Longest processor time of a report; its compilation is part of the first."""
 
 pytestmark = pytest.mark.slow
 
@@ -32,12 +33,12 @@ def test_obstacles_and_iri_of_a_phone_drive(tmp_path, seed, speed):
     options = ["--seed", str(seed), "--speed-kmh", str(speed)]
     subprocess.run([*example, *options], check=True, cwd=tmp_path)
     command = [sys.executable, "-m", "leaderboard.cli", "report", "phone_drive.csv"]
-    began = time.monotonic()
+    began = _cpu_seconds()
     done = subprocess.run(
         [*command, "--description", "phone_drive.yaml", "--out", "report", "--json"],
         check=True, cwd=tmp_path, capture_output=True, text=True,
     )  # fmt: skip
-    assert time.monotonic() - began < SECONDS
+    assert _cpu_seconds() - began < SECONDS
     (drive,) = json.loads(done.stdout)["drives"]
     found = [(o["station_m"], o["height_mm"], o["wheel_path"]) for o in drive["obstacles"]]
     print(speed, seed, [(round(s, 1), round(h), side) for s, h, side in found])
@@ -51,6 +52,12 @@ def test_obstacles_and_iri_of_a_phone_drive(tmp_path, seed, speed):
     print([f"{100 * e:+.1f} %" for e in error])
     assert np.abs(error).max() < 0.15
     assert (rows["iri_mean_low"] <= true).all() and (true <= rows["iri_mean_high"]).all()
+
+
+def _cpu_seconds():
+    """Return the time of ended processes, which other work on the machine does not change."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def _true_iri(edges):

@@ -1,0 +1,174 @@
+"""Command `dataset`: simulated drives with their true roads, for training without the simulator."""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from leaderboard.commands import print_json, progress_bar, to_json
+from leaderboard.commands.simulate import Json, command_line, print_facts
+from road_envs import __version__
+from road_envs._atomic_io import atomic_write
+from road_envs._extras import optional_import
+from road_envs.config import ConfigError
+from road_envs.data.record import Profile, Record
+from road_envs.data.training_corpus import Corpus
+
+FORMAT = "roadrecon dataset 1"
+SPLITS = ("train", "validation", "test")
+CYCLE = ("train",) * 8 + ("validation", "test")
+"""Split of the drives k = 0, 1, ..., repeated: every prefix of a data set has 80, 10 and 10 %."""
+
+LICENCE = "CC-BY-4.0"
+
+CARD = """---
+license: cc-by-4.0
+pretty_name: RoadRecon drives
+size_categories: [{size}]
+configs:
+- config_name: records
+  data_files: [{{split: train, path: train_records.parquet}},
+    {{split: validation, path: validation_records.parquet}},
+    {{split: test, path: test_records.parquet}}]
+---
+# RoadRecon drives
+
+{number} simulated drives of a Land Rover Defender with switchable suspension over {metres:.0f} m of
+road, with the true heights of both wheel paths. Road, speed, strut states, vehicle, noise and gains
+are drawn for each drive (`road_envs.data.training_corpus`); no drive is one of the benchmark.
+
+- `SPLIT_records.parquet`: one row per sample: `drive`, `t` [s], `a_rf`, `a_lr`, `a_rr` (vertical
+  body accelerations, upwards [m/s²]; empty: lost), `v` [m/s], `s` (station of the front axle [m]),
+  `commands` (bit w: stiff spring, bit 4 + w: high damping, at wheel w of FL, FR, RL, RR).
+- `SPLIT_profiles.parquet`: one row per station: `drive`, `station`, `left`, `right` [m].
+- `drives.parquet`: one row per drive: `drive`, `split`, `length_m`, `speed_kmh`, `samples`.
+- `dataset.json`: version, settings, and the SHA-256 of every file.
+
+Splits: train, validation, test; every drive has a road of its own. Made by `{command}` with
+road-envs {version}, corpus {digest}. Licence: {licence}. These are no measured data; the vehicles
+are variants of one model, so an error on it says nothing about another kind of vehicle.
+"""
+
+
+def dataset(
+    *,
+    out: Annotated[Path, typer.Option(help="Folder of the data set; it must not exist.")],
+    drives: Annotated[int, typer.Option(help="Number of drives.", min=10)] = 200,
+    seed: Annotated[int, typer.Option(help="Seed of the drives.", min=0)] = 2,
+    sensors: Annotated[str, typer.Option(help="Instruments: shipped name or YAML.")] = "paper",
+    json: Json = False,
+) -> None:
+    """Write simulated drives with true roads as Parquet: splits, card, licence, checksums.
+
+    The same options and version give the same drives. Seed 1 is that of the shipped weights'
+    training.
+    """
+    if out.exists():
+        raise ConfigError(f"{out} exists; give a folder that does not")
+    if not out.parent.is_dir():
+        raise ConfigError(f"{out}: the folder {out.parent} does not exist")
+    corpus = Corpus(number=drives, seed=seed, instruments=sensors)
+    partial = out.with_name(f"{out.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir()
+    try:
+        with progress_bar() as progress:
+            facts = write_dataset(corpus, partial, progress)
+        partial.rename(out)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    print_json({**facts, "written": [str(out)]}) if json else print_facts(
+        {**facts, "written": [str(out)]}
+    )
+
+
+def write_dataset(
+    corpus: Corpus, folder: Path, progress: Callable[[str, float], None]
+) -> dict[str, Any]:
+    """Write the drives of a corpus with card and checksums into `folder`; return the facts."""
+    with optional_import("a table as CSV or Parquet"):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+    rows: list[dict[str, Any]] = []
+    for split in SPLITS:
+        chosen = [k for k in range(corpus.number) if CYCLE[k % len(CYCLE)] == split]
+        writers: dict[str, Any] = {}
+        try:
+            for k in chosen:
+                progress(f"simulating drive {k}", len(rows) / corpus.number)
+                record, truth = corpus.simulate_drive(k)
+                rows.append(_about(k, split, record))
+                for name, columns in _tables(k, record, truth).items():
+                    table = pa.table(columns)
+                    if name not in writers:
+                        path = folder / f"{split}_{name}.parquet"
+                        writers[name] = pq.ParquetWriter(path, table.schema)
+                    writers[name].write_table(table)
+        finally:
+            for writer in writers.values():
+                writer.close()
+    rows.sort(key=lambda row: row["drive"])
+    pq.write_table(pa.Table.from_pylist(rows), folder / "drives.parquet")
+    facts = {
+        "format": FORMAT,
+        "version": __version__,
+        "corpus": corpus.digest,
+        "drives": corpus.number,
+        "metres": float(sum(row["length_m"] for row in rows)),
+        "licence": LICENCE,
+    }
+    card = CARD.format(
+        number=corpus.number,
+        metres=facts["metres"],
+        size="n<1K" if corpus.number < 1000 else "1K<n<10K",
+        command=command_line(),
+        version=__version__,
+        digest=corpus.digest,
+        licence=LICENCE,
+    )
+    (folder / "README.md").write_text(card, encoding="utf-8")
+    files = {
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.iterdir())
+    }
+    settings = json.loads(json.dumps(corpus.__dict__))
+    with atomic_write(folder / "dataset.json") as target:
+        target.write_text(to_json({**facts, "settings": settings, "files": files}))
+    return facts
+
+
+def _tables(k: int, record: Record, truth: Profile) -> dict[str, dict[str, Any]]:
+    bits = np.concatenate([record.spring_stiff, record.damper_high], axis=1) << np.arange(8)
+    a = record.a.astype(np.float32)
+    return {
+        "records": {
+            "drive": np.full(record.t.size, k, dtype=np.int32),
+            "t": record.t,
+            **dict(zip(("a_rf", "a_lr", "a_rr"), a, strict=True)),
+            "v": record.v.astype(np.float32),
+            "s": record.s,
+            "commands": bits.sum(axis=1).astype(np.uint8),
+        },
+        "profiles": {
+            "drive": np.full(truth.s.size, k, dtype=np.int32),
+            "station": truth.s,
+            "left": truth.z[0].astype(np.float32),
+            "right": truth.z[1].astype(np.float32),
+        },
+    }
+
+
+def _about(k: int, split: str, record: Record) -> dict[str, Any]:
+    return {
+        "drive": k,
+        "split": split,
+        "length_m": float(record.length),
+        "speed_kmh": 3.6 * float(np.median(record.v)),
+        "samples": record.t.size,
+    }
