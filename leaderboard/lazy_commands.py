@@ -1,7 +1,6 @@
 """Command groups that import the module of a command when it is called, and help in sections.
 
-The help of a group is read from its table, so `road-recon --help` needs neither NumPy nor the
-commands. Options with a `rich_help_panel` are listed under that heading.
+The help of a group is read from its table, so `road-recon --help` imports no command.
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,18 +21,32 @@ class CommandEntry(NamedTuple):
     help: str
 
 
+OPTION_SECTIONS = {
+    "Drive": ("road", "speed_kmh", "mode", "length", "vehicle", "sensors", "grade"),
+    "Running": (
+        "seed", "seeds", "workers", "dask", "plan", "again", "probes", "isolation", "time_limit",
+        "memory_limit", "checkpoint", "log",
+    ),
+    "Output": ("out", "plot", "wide", "json"),
+}  # fmt: skip
+"""Options of all commands, by heading of the help; others come first, as "Options"."""
+
+_SECTION_OF = {name: title for title, names in OPTION_SECTIONS.items() for name in names}
+
+
 class SectionedCommand(TyperCommand):
-    """A command whose options are listed in sections, those without one first."""
+    """A command whose options are listed in the sections of OPTION_SECTIONS."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the sections."""
-        sections: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        titles = ("Arguments", "Options", *OPTION_SECTIONS)
+        sections: dict[str, list[tuple[str, str]]] = {title: [] for title in titles}
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
-            kind = f"{parameter.param_type_name.capitalize()}s"
             if record is not None:
-                section = getattr(parameter, "rich_help_panel", None) or kind
-                sections.setdefault(section, []).append(record)
+                is_option = parameter.param_type_name == "option"
+                title = _SECTION_OF.get(parameter.name, "Options") if is_option else "Arguments"
+                sections[title].append(record)
         for title, records in sections.items():
             if records:
                 with formatter.section(title):

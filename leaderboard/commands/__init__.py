@@ -5,6 +5,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +75,7 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
     A terminal shows a bar; a file or pipe gets a line every LINE_INTERVAL with the time left.
     """
     if not notices.is_terminal:
-        yield ProgressLines(notices.print)
+        yield ProgressLines(partial(notices.print, soft_wrap=True, highlight=False))
         return
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=notices, transient=True) as bar:

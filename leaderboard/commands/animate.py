@@ -17,8 +17,8 @@ def animate(
     ),
     speed_kmh: Annotated[float, typer.Option(help="Speed in km/h.")] = 54.0,
     length: Length = None,
-    seconds: Annotated[float, typer.Option(help="Length of the animation.", min=0.1)] = 6.5,
-    enlarged: Annotated[float, typer.Option(help="Factor on vertical motion.")] = 2.0,
+    seconds: Annotated[float, typer.Option(help="Duration in seconds.", min=0.1)] = 6.5,
+    enlarged: Annotated[float, typer.Option(help="Factor on the drawn vertical motion.")] = 2.0,
 ) -> None:
     """Draw the vehicle on its road: ride for the first half, handling for the second."""
     check_output_path(out, ".gif", ".webp")

@@ -8,7 +8,7 @@ from typing import Annotated, Any, get_args
 import typer
 
 import estimators
-from leaderboard.commands import console, notices, print_json, progress_bar
+from leaderboard.commands import console, notices, on_interrupt, print_json, progress_bar
 from leaderboard.commands.simulate import Json
 from leaderboard.evaluation.entries import resolve_entries
 from leaderboard.evaluation.entry import Entry
@@ -120,7 +120,8 @@ def leaderboard(
         notices.print(f"job files written to {plan}: {write_jobs(request, out, plan)}")
         return
     executor: Executor = DaskExecutor(dask) if dask else ProcessExecutor(workers)
-    with progress_bar() as progress:
+    kept = f"results of finished jobs are kept in {out}; the same command continues"
+    with on_interrupt(kept), progress_bar() as progress:
         evaluated = run_board(
             request,
             out,

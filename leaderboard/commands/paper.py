@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from leaderboard.commands import console, print_json, progress_bar
+from leaderboard.commands import console, on_interrupt, print_json, progress_bar
 from leaderboard.commands.simulate import Json
 from road_envs.config import ConfigError
 
@@ -20,7 +20,7 @@ def paper(
 
     if out.exists() and not out.is_dir():
         raise ConfigError(f"--out must be a folder, {out} is a file")
-    with progress_bar() as progress:
+    with on_interrupt("nothing is kept"), progress_bar() as progress:
         result = study.run_study(trainings, progress=progress)
         progress("writing the report", 1.0)
         written = report.write_report(result, out, f"road-recon paper --trainings {trainings}")

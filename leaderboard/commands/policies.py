@@ -247,7 +247,8 @@ def train_policy(
     training_config = grid_search.load_training_config(name, steps)
     check_output_path(out, ".npz")
     chosen = load_scenarios(scenarios)
-    with progress_bar() as progress:
+    kept = f"the state is kept in {checkpoint}; the same command continues" if checkpoint else ""
+    with on_interrupt(kept), progress_bar() as progress:
         learning = train_seeds(
             training_config,
             chosen,

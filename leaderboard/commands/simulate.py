@@ -19,6 +19,7 @@ from estimators.networks.static_lm import StaticLm
 from leaderboard.commands import (
     check_output_path,
     console,
+    on_interrupt,
     parse_mode,
     parse_settings,
     print_json,
@@ -192,7 +193,8 @@ def _pretrain(
         raise ConfigError(f"{out}: the name must end in .safetensors for weights from the corpus")
     corpus = Corpus() if number is None else Corpus(number=number)
     begin = time.process_time()
-    with progress_bar() as progress:
+    kept = f"the last stored state of the training is beside {out}; the same command continues"
+    with on_interrupt(kept), progress_bar() as progress:
         pretraining.train(estimator, name, corpus, seed, out, command_line(), progress)
     return {
         "estimator": name,

@@ -59,6 +59,14 @@ def test_the_help_lists_every_command_whole(road_recon):
             assert all(f" {name} {entry.help}" in shown for name, entry in entries.items())
 
 
+def test_options_are_listed_by_what_they_are_for(road_recon):
+    _, out, _ = road_recon("simulate", "--help")
+    places = [out.index(text) for text in ("Options:", "Drive:", "--road", "Running:", "Output:")]
+    assert places == sorted(places) and out.index("--json") > places[-1]
+    _, out, _ = road_recon("estimate", "--help")
+    assert out.index("Arguments:") < out.index("estimator <") < out.index("Options:")
+
+
 def test_the_help_imports_neither_the_commands_nor_the_libraries_they_need():
     """They take a second to import, and the help a tenth of that."""
     heavy = ("scipy", "numba", "pydantic", "rich", "pandas", "matplotlib", "torch", "jinja2")
