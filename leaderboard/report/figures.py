@@ -29,7 +29,9 @@ DRAWN_HEIGHT_LIMIT = 3.0
 """Drawn heights are clipped to +- this [m]."""
 
 N_COLOURS = 7
-DASHES = ("solid", "dash", "dot", "dashdot")
+DASHES, OTHER_DASHES = ("solid", "dash", "dot"), ("dashdot", "longdash", "longdashdot")
+"""Dashes of the estimators in FAMILIES, and of all others."""
+
 FAMILIES = (
     ("map_smoother",),
     ("iterated_wiener", "wiener"),
@@ -41,7 +43,11 @@ FAMILIES = (
 )
 """Estimators of one method have one colour on every page, and differ by their dashes."""
 
-STYLES = {name: (k, dash) for k, family in enumerate(FAMILIES) for dash, name in enumerate(family)}
+STYLES = {
+    name: (k, dash)
+    for k, family in enumerate(FAMILIES)
+    for name, dash in zip(family, DASHES, strict=False)
+}
 INK, QUIET, RULE, BAND = "var(--ink)", "var(--quiet)", "var(--rule)", "var(--band)"
 TRUTH_LINE = {"color": "var(--truth)", "width": 4.0}
 
@@ -55,12 +61,13 @@ def colour(name: str) -> str:
 
 def line_style(name: str) -> dict[str, Any]:
     """Return colour, dash and width of the line of an estimator."""
-    return {"color": colour(name), "dash": DASHES[_style(name)[1]], "width": 1.6}
+    return {"color": colour(name), "dash": _style(name)[1], "width": 1.6}
 
 
-def _style(name: str) -> tuple[int, int]:
-    digest = zlib.crc32(name.encode())  # of names from other packages
-    return STYLES.get(name, (digest % N_COLOURS, digest // N_COLOURS % len(DASHES)))
+def _style(name: str) -> tuple[int, str]:
+    digest = zlib.crc32(name.encode())
+    other = OTHER_DASHES[digest // N_COLOURS % len(OTHER_DASHES)]
+    return STYLES.get(name, (digest % N_COLOURS, other))
 
 
 def chart(
