@@ -193,6 +193,7 @@ class MapSmoother:
     def measurement_model(
         self, record: Record, car: VehicleParameters, instruments: Instruments
     ) -> MeasurementModel:
+        """Return the model of the vehicle and its instruments."""
         one, locations = build_plant(car), instruments.locations(car)
         sensor_rows = linearise(one, "ride", locations).sensor_rows
         density = self.noise_density or max(instruments.noise_density, MIN_NOISE_DENSITY)
@@ -207,6 +208,7 @@ class MapSmoother:
         instruments: Instruments,
         readings_per_unknown: float = READINGS_PER_UNKNOWN,
     ) -> PreparedDrive:
+        """Return the drive of a masked record with its `valid` samples (3, N)."""
         inputs = build_model_inputs(record, instruments, car, self.step)
         censored = clipped_signs(record, instruments)
         a = np.where(valid | (censored != 0), record.a, 0.0)

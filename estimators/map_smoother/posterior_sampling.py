@@ -9,7 +9,7 @@ error there.
 import numpy as np
 from scipy.fft import irfft, rfft
 
-from estimators.common.conjugate_gradients import conjugate_gradients
+from estimators.common.conjugate_gradients import Operator, conjugate_gradients
 from estimators.common.model_inputs import ModelInputs
 from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.objective import Linearization, apply_frequency_weights
@@ -46,14 +46,11 @@ def posterior_std(
     precondition = solution.stationary.preconditioner(objective, noise_variance)
     inside = (road.n >= band[0]) & (road.n <= band[1])
     # at the ends of the road the band-pass leaks
-    middle = _interior(road.free, round(1.0 / (band[0] * road.ds)))
+    middle = interior(road.free, round(1.0 / (band[0] * road.ds)))
     square = np.zeros((2, road.size))
     for _ in range(draws):
-        b = lin.adjoint(draw_weighted_noise(lin, rng)) + rng.standard_normal(objective.size)
-        x, _ = conjugate_gradients(lin.hessian_product, b, precondition, CG_ITERATIONS, 1e-2)
-        u, _, _ = objective.split(x)
-        increments = np.diff(road.apply(u), axis=1, prepend=0.0)
-        part = np.cumsum(irfft(inside * rfft(increments, axis=1), road.size, axis=1), axis=1)
+        dx = draw_deviation(lin, precondition, rng, CG_ITERATIONS, 1e-2)
+        part = band_pass(road.apply(objective.split(dx)[0]), inside)
         part -= part[:, middle].mean(axis=1, keepdims=True)
         square += part**2 / draws
     shape = solution.stationary.error_variance(road, noise_variance, inside)
@@ -69,6 +66,25 @@ def posterior_std(
     return inflation * np.sqrt(variance + floor)
 
 
+def draw_deviation(
+    lin: Linearization,
+    precondition: Operator,
+    rng: np.random.Generator,
+    iterations: int,
+    tolerance: float,
+) -> np.ndarray:
+    """Return a sample of the deviation of `x` from its posterior mean."""
+    b = lin.adjoint(draw_weighted_noise(lin, rng)) + rng.standard_normal(lin.objective.size)
+    return conjugate_gradients(lin.hessian_product, b, precondition, iterations, tolerance)[0]
+
+
+def band_pass(c: np.ndarray, lines: np.ndarray) -> np.ndarray:
+    """Return heights `c` (2, K) [m] with the spectral `lines` (K // 2 + 1,) of their increments."""
+    size = c.shape[1]
+    increments = np.diff(c, axis=1, prepend=0.0)
+    return np.cumsum(irfft(lines * rfft(increments, axis=1), size, axis=1), axis=1)
+
+
 def draw_weighted_noise(lin: Linearization, rng: np.random.Generator) -> np.ndarray:
     """Return R^-1/2 times white noise (S, J)."""
     white = rng.standard_normal(lin.residual.shape)
@@ -77,7 +93,7 @@ def draw_weighted_noise(lin: Linearization, rng: np.random.Generator) -> np.ndar
     return np.sqrt(lin.inverse_variance) * white
 
 
-def _interior(free: np.ndarray, margin: int) -> np.ndarray:
+def interior(free: np.ndarray, margin: int) -> np.ndarray:
     """Return which nodes (K,) are free, less at most `margin` of them at either end."""
     nodes = np.flatnonzero(free)
     margin = min(margin, nodes.size // 4)

@@ -8,6 +8,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
+from estimators.map_smoother.attainable import attainable_error
 from leaderboard.commands import check_output_path, console, parse_mode, print_json, progress_bar
 from leaderboard.commands.simulate import Json, Sensors, Vehicle
 from leaderboard.report import plots
@@ -20,8 +21,10 @@ from road_envs.analysis.information_bound import (
 from road_envs.analysis.roughness import CLASSES
 from road_envs.config import ConfigError, validate_choice
 from road_envs.data.record import F_C, scored_band
+from road_envs.data.recording import simulate_record
+from road_envs.roads.iso8608 import Iso8608
 from road_envs.sensing.instruments import load_instruments
-from road_envs.vehicle.parameters import load_vehicle
+from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.suspension import MODES, decode_commands, encode_command
 
 DEFAULT_MODES = (
@@ -32,6 +35,9 @@ DEFAULT_MODES = (
 )
 PLOTTED_BAND = (0.05, 2.5)
 """Band [cycles/m] of the plot, cut at the low-pass of the sensors."""
+
+BANDWIDTHS, ATTAINABLE_LENGTH = (25.0, 100.0, 333.0), 100.0
+"""Bandwidths [Hz] of the data and length [m] of the road for the attainable error."""
 
 
 def observability(
@@ -57,10 +63,21 @@ def observability(
     ] = None,
     vehicle: Vehicle = "land_rover_defender_110",
     sensors: Sensors = "paper",
+    attainable: Annotated[
+        bool,
+        typer.Option(
+            help="Also what the nonlinear vehicle allows, by the band of the data, and the floor "
+            "of linear estimators, to which friction is noise."
+        ),
+    ] = False,
     out: Annotated[Path | None, typer.Option(help="Plot over spatial frequency to write.")] = None,
     json: Json = False,
 ) -> None:
-    """Compute the least error of any linear estimator, and plot it over spatial frequency."""
+    """Compute the least error of an estimate by mode and speed, and plot it over frequency.
+
+    The first table is the bound of the linear vehicle without friction: it shows where roll does
+    not tell the wheel paths apart.
+    """
     check_output_path(out, ".png", ".svg", ".pdf")
     car, instruments = load_vehicle(vehicle), load_instruments(sensors)
     if noise is not None:
@@ -88,6 +105,10 @@ def observability(
             settings: dict[str, Any] = {"damping": c, "model_error": mismatch}
             posterior = bound(car, state, v, instruments, prior, **settings)
             rows.append(_row(name, speed, c, posterior))
+            if attainable:
+                floor = bound(car, state, v, instruments, prior, residual_as_noise=True, **settings)
+                rows[-1]["linear_estimators"] = floor.pooled
+                rows[-1]["attainable"] = _attainable(car, state, speed, sensors, noise, prior)
             if out is not None:
                 n = np.geomspace(PLOTTED_BAND[0], min(PLOTTED_BAND[1], F_C / v), 3000)
                 drawn = bound(car, state, v, instruments, prior, n=n, **settings)
@@ -105,6 +126,8 @@ def observability(
         print_json({**facts, "bounds": rows})
         return
     console.print(_table(rows, speeds, _title(facts)))
+    if attainable:
+        console.print(_attainable_table(rows))
 
 
 def front_rear(mode: str | dict[str, str]) -> str:
@@ -157,6 +180,39 @@ def _row(mode: str, speed: float, damping: np.ndarray, posterior: Posterior) -> 
         "nrmse_right": float(right),
         "damping": damping.tolist(),
     }
+
+
+def _attainable(
+    car: VehicleParameters,
+    mode: str | dict[str, str],
+    speed_kmh: float,
+    sensors: str,
+    noise: float | None,
+    prior: RoadPrior,
+) -> dict[str, float]:
+    """Return the attainable NRMSE for each of BANDWIDTHS on a road of ATTAINABLE_LENGTH."""
+    road = Iso8608(G_d0=prior.G_d0, w=prior.w, track=prior.track, length=ATTAINABLE_LENGTH)
+    record, truth = simulate_record(
+        road, vehicle=car, speed_kmh=speed_kmh, mode=mode, instruments=sensors
+    )
+    options: dict[str, Any] = {"instruments": sensors, "noise_density": noise}
+    return {
+        f"{f:g}": attainable_error(record, truth, car, prior, bandwidth=f, **options)
+        for f in BANDWIDTHS
+    }
+
+
+def _attainable_table(rows: list[dict[str, Any]]) -> Table:
+    table = Table(
+        title="Attainable in-band NRMSE: nonlinear vehicle, data up to ...",
+        caption="one road; linear estimators: friction is noise to them",
+    )
+    for head in ("front / rear", "km/h", *(f"{f:g} Hz" for f in BANDWIDTHS), "linear"):
+        table.add_column(head, justify="left" if head == "front / rear" else "right")
+    for row in rows:
+        cells = (*row["attainable"].values(), row["linear_estimators"])
+        table.add_row(row["mode"], f"{row['speed_kmh']:g}", *(f"{x:.3f}" for x in cells))
+    return table
 
 
 def _title(facts: dict[str, Any]) -> str:

@@ -1,0 +1,63 @@
+"""Tests of the attainable error against a dense posterior and against the linear bound."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from vehicle_fixtures import DEFENDER
+
+from estimators.map_smoother.attainable import attainable_error, road_noise, whole_drive
+from estimators.map_smoother.objective import linearize
+from estimators.map_smoother.posterior_sampling import band_pass, draw_deviation, interior
+from estimators.map_smoother.preconditioner import stationary_hessian
+from road_envs.analysis.information_bound import RoadPrior
+from road_envs.analysis.roughness import CLASSES
+from road_envs.data.recording import simulate_record
+
+PRIOR = RoadPrior(G_d0=CLASSES["D"])
+
+
+def drive(length, mode="handling", kmh=54.0):
+    return simulate_record("iso_d", speed_kmh=kmh, mode=mode, seed=31, length=length)
+
+
+def test_the_noise_of_the_truth_gives_the_true_heights():
+    record, truth = drive(30.0)
+    objective = whole_drive(record, DEFENDER, PRIOR, 100.0, "paper")
+    s = np.linspace(2.0, 28.0, 200)
+    z = objective.road.heights_at(road_noise(objective, truth), s)
+    true = np.array([np.interp(s, truth.s, path - path[0]) for path in truth.z])
+    assert np.std(z - true) < 0.04 * np.std(true)  # what is shorter than two nodes is left out
+
+
+def test_samples_have_the_covariance_of_the_dense_posterior():
+    record, truth = drive(8.0)
+    objective = whole_drive(record, DEFENDER, PRIOR, 50.0, "paper")
+    u = road_noise(objective, truth).ravel()
+    lin = linearize(objective, np.pad(u, (0, objective.size - u.size)), objective.information)
+    H = np.array([lin.hessian_product(row) for row in np.eye(objective.size)])
+    road = objective.road
+    inside = (road.n > 0.3) & (road.n < 1.6)
+    nodes = interior(road.free, 20)
+
+    def in_band(x):
+        return band_pass(road.apply(objective.split(x)[0]), inside)[:, nodes].ravel()
+
+    B = np.array([in_band(row) for row in np.eye(objective.size)]).T
+    expected = np.trace(B @ np.linalg.solve(0.5 * (H + H.T), B.T))
+    M = stationary_hessian(objective).preconditioner(objective, objective.model.noise_variance)
+    rng = np.random.default_rng(2)
+    drawn = [in_band(draw_deviation(lin, M, rng, 2000, 1e-6)) for _ in range(60)]
+    assert np.mean(np.sum(np.square(drawn), axis=1)) == pytest.approx(expected, rel=0.25)
+
+
+def test_more_bandwidth_and_less_noise_attain_less_error():
+    record, truth = drive(60.0, "ride", 14.5)
+    wide, narrow = (
+        attainable_error(record, truth, DEFENDER, PRIOR, bandwidth=f) for f in (333.0, 25.0)
+    )
+    assert 0.03 < wide < 0.8 * narrow < 0.3
+    rough = attainable_error(
+        record, truth, DEFENDER, replace(PRIOR, G_d0=CLASSES["F"]), bandwidth=25.0
+    )
+    assert rough > 0.9 * narrow  # a weaker prior leaves no less to be found out
