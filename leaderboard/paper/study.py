@@ -1,11 +1,12 @@
 """The eight case scenarios of Ngwangwa et al., each with many trainings of the paper's network.
 
 Training k of every scenario forms session k, since the paper shows the four networks of the paving
-as they came out of one training session. Three naive baselines use no measurement: an
-`unrelated_road` of the training road's roughness, the `mean` of the training roads, and the
-`constant` mean height of these. The test road is driven by the field car, in place of the paper's
-measurements, and by the nominal car of the training, which shows the effect of the other car. For
-the new roads, the network is trained on other roads of the same kinds and tested on unseen ones.
+as they came out of one training session. Four naive baselines use no measurement: an
+`unrelated_road` of the training road's roughness, the `mean` of the training roads, the `constant`
+mean height of these, and their `memory`, moved back by the delay of the copies. The test road is
+driven by the field car, in place of the paper's measurements, and by the nominal car of the
+training, which shows the effect of the other car. For the new roads, the network is trained on
+other roads of the same kinds and tested on unseen ones.
 """
 
 import time
@@ -18,8 +19,9 @@ import numpy as np
 import estimators
 from estimators.api import Estimator
 from leaderboard.evaluation.entry import reconstruct
-from leaderboard.evaluation.tasks import Condition, Task, load_task, shipped_tasks
+from leaderboard.evaluation.tasks import Condition, Task, load_task, shipped_tasks, training_delays
 from leaderboard.evaluation.test_data import DriveSimulation, RecordedDrive, simulate_drives
+from leaderboard.metrics.baselines import memory
 from leaderboard.metrics.bootstrap import interquartile_mean
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.metrics.obstacles import MATCH_DISTANCE, detect_obstacles, true_obstacles
@@ -213,6 +215,9 @@ def _run_scenario(
         for name in NAIVE_ESTIMATORS
     }
     baselines["constant"] = (_scores(task, test, constant),)
+    truths = [truth for _, truth in training]
+    remembered = memory(truths, training_delays(task), test.truth.s)
+    baselines["memory"] = (_scores(task, test, remembered),)
     trainings = tuple(trained(network, seed) for seed in seeds)
     return PaperScenario(task, test.truth, trainings, baselines, drive_seconds)
 

@@ -71,13 +71,17 @@ def test_there_are_the_papers_eight_scenarios_in_its_order():
 
 def test_naive_baselines_are_scored_with_the_network():
     case = made().paving[0]
-    assert set(case.baselines) == {"unrelated_road", "mean", "constant"}
+    assert set(case.baselines) == {"unrelated_road", "mean", "constant", "memory"}
     # a constant at the mean height of the truth has the level |mean| / rms, by equation 12 raw
     z = case.truth.z
     level = np.sqrt(np.mean(z.mean(axis=1) ** 2) / np.mean(z**2))
     assert case.baseline_median("constant", study.EQ_12_RAW) == pytest.approx(1.0 - level, abs=0.02)
     assert case.baseline_median("constant", "nrmse") == pytest.approx(1.0)
     assert 1.2 < case.baseline_median("unrelated_road", "nrmse") < 1.6
+    # without the delay of the copy only its noise of 10 % is left, most of it outside the band
+    assert (
+        case.baseline_median("memory", "nrmse") < 0.1 < 1.0 < case.baseline_median("mean", "nrmse")
+    )
 
 
 def test_new_roads_are_driven_under_the_conditions_of_the_scenarios():
