@@ -71,7 +71,10 @@ def antialias_delay(instruments: Instruments) -> float:
 
 
 def rest_state(car: VehicleParameters, inputs: ModelInputs) -> np.ndarray:
-    """Return the state (14,) of the vehicle at rest on a level apron before the drive."""
+    """Return the state (14,) of the vehicle at rest on a level apron before the drive; (16,) with a
+    flexible frame.
+    """
+    plant = build_plant(car)
     if car.tyre_static_deflection != "equilibrium":
-        return np.zeros(2 * N_DOF)  # the paper's start, some millimetres off
-    return equilibrium(build_plant(car), settled_strut_state(int(inputs.commands[0])), np.zeros(4))
+        return np.zeros(2 * plant.inertias.size)  # the paper's start, some millimetres off
+    return equilibrium(plant, settled_strut_state(int(inputs.commands[0])), np.zeros(4))

@@ -66,6 +66,9 @@ READINGS_PER_UNKNOWN = 2.0
 """Block means per unknown of the road, at least: with as many unknowns as readings the unexplained
 noise is overestimated, and a fitted vehicle is biased."""
 
+MAX_UNLOADED_SHARE = 0.02
+"""Share of the road that no wheel pressed on, above which the vehicle is not adapted."""
+
 ADAPT_NOISE_SCALE = 1.15
 """Unexplained noise from which on the vehicle is adapted to the drive."""
 
@@ -141,8 +144,9 @@ class MapSmoother:
         def adapt_car(solution: MapSolution, solver: GaussNewton) -> MapSolution:
             lin = solution.linearization
             # on uneven roads and under wheels in the air, the vehicle is not what is unexplained
-            uneven = np.ptp(lin.objective.road.local) > 0.0 or unloaded_nodes(lin).any()
-            if uneven or solution.noise_scale < ADAPT_NOISE_SCALE:
+            flown = unloaded_nodes(lin).mean() > MAX_UNLOADED_SHARE
+            uneven = np.ptp(lin.objective.road.local) > 0.0
+            if flown or uneven or solution.noise_scale < ADAPT_NOISE_SCALE:
                 return solution
             try:
                 fits.append(fit_car([solution], parameter_space(car), solver))
@@ -224,5 +228,7 @@ class MapSmoother:
         level = self.level_ends and record.s[0] <= 0.0
         end = record.length if self.level_ends else np.inf
         free = ((middle > (0.0 if level else -np.inf)) & (middle < end)).astype(float)
-        rest, initial_std = rest_state(car, inputs), REST_STD if level else MOVING_STD
+        rest = rest_state(car, inputs)
+        typical = REST_STD if level else MOVING_STD
+        initial_std = np.repeat(typical[[0, -1]], rest.size // 2)  # of a frame's twist, too
         return PreparedDrive(a, valid, censored, block, inputs, rest, initial_std, origin, ds, free)

@@ -52,12 +52,15 @@ LEVEL_BAND = (0.2, 1.0)
 KNOWN_DATA_RATE = 100.0
 """Block means per second [Hz] of a drive over a known road."""
 
+FRAME_FREQUENCY, FRAME_STARTS = "variation.frame.f", (-1.2, -0.6, 0.0, 0.6, 1.2)
+"""Frequency of a frame, and where searches for it begin, in units of its tolerance."""
+
 UNIT_RATIO = 4.0
 """Ratio of measured to expected acceleration from which on units are suspected."""
 
-STD_INFLATION = 1.5
-"""Factor on posterior standard deviations, for what the covariances of a linear vehicle leave
-out."""
+STD_INFLATION, UNKNOWN_STD_INFLATION = 1.5, 5.0
+"""Factors on posterior standard deviations for what the linear vehicle's covariances leave out, over
+known and over unmeasured roads; `leaderboard/benchmarks/vehicle_knowledge.py` measures them."""
 
 
 WHEELBASE_MARGIN = 4.0
@@ -119,27 +122,46 @@ def identify(
     drives: Sequence[CalibrationDrive],
     car: VehicleParameters,
     smoother: MapSmoother | None = None,
+    structure: bool = False,
 ) -> Identification:
     """Identify the parameters of `car` that have tolerances from calibration drives.
 
+    With `structure`, the elements that the description leaves out (a frame that twists, progressive
+    tyres, bushings; see `tolerances.parameter_space`) are identified as well, on known roads only.
     Raises CalibrationError on drives that do not fit, ConfigError if the vehicle has no tolerances.
     """
     if not drives:
         raise CalibrationError("an identification needs at least one drive")
     chosen = smoother or MapSmoother(adapt=False)
-    space = parameter_space(car)
+    space = parameter_space(car, structure)
     known = all(drive.profile is not None for drive in drives)
+    if structure and not known:
+        raise CalibrationError(
+            "elements that the description leaves out are identified on known roads only: give the "
+            "profile of every drive"
+        )
     parts = [_parts(drive, chosen) for drive in drives]
     solutions = [_solve(first, space.car, chosen) for first, _ in parts]
     solver = GaussNewton(solutions[0].stationary, chosen.huber, 40, 0.1)
-    fit = fit_car(solutions, space, solver, instruments=known)
-    std = np.minimum(STD_INFLATION * fit.std, 1.0)
+    starts = _starts(space, known)
+    fits = [fit_car(solutions, space, solver, instruments=known, start=x) for x in starts]
+    fit = min(fits, key=lambda fit: sum(s.noise_scale for s in fit.solutions))
+    std = np.minimum((STD_INFLATION if known else UNKNOWN_STD_INFLATION) * fit.std, 1.0)
     errors = fit.x[space.size :]
     unexplained = tuple(
         (_unexplained(rest, car, chosen), _unexplained(rest, fit.car, chosen, errors))
         for _, rest in parts
     )
     return Identification(fit, _with_posterior(fit, car, std), std, unexplained)
+
+
+def _starts(space: ParameterSpace, instruments: bool) -> list[np.ndarray]:
+    """Return where searches begin: a frame's resonance is found only from near its frequency."""
+    x = np.zeros(space.size + instruments * len(Readings.names))
+    if FRAME_FREQUENCY not in space.names:
+        return [x]
+    unit = np.eye(x.size)[space.names.index(FRAME_FREQUENCY)]
+    return [x + k * unit for k in FRAME_STARTS]
 
 
 def _with_posterior(fit: CarFit, car: VehicleParameters, std: np.ndarray) -> VehicleParameters:

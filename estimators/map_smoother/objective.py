@@ -22,7 +22,7 @@ from estimators.common.spline import sample_under_wheels
 from estimators.map_smoother.block_tangent import BlockTangent, build_block_tangent
 from estimators.map_smoother.road_prior import RoadTransform
 from road_envs.simulation.sensitivity import Tape, linearize_drive
-from road_envs.vehicle.equations import N_DOF, Plant, equilibrium
+from road_envs.vehicle.equations import Plant, equilibrium
 from road_envs.vehicle.suspension import settled_strut_state
 
 
@@ -60,7 +60,7 @@ class Objective:
     @property
     def size(self) -> int:
         """Number of unknowns."""
-        return 2 * self.road.size + 2 * N_DOF + self.model.sensor_rows.shape[0]
+        return 2 * self.road.size + self.initial_std.size + self.model.sensor_rows.shape[0]
 
     @property
     def block_duration(self) -> float:
@@ -70,7 +70,7 @@ class Objective:
 
     def split(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return `u` (2, K) and, in SI units, the initial deviation (14,) and biases (S,)."""
-        u, start, bias = np.split(x, [2 * self.road.size, 2 * self.road.size + 2 * N_DOF])
+        u, start, bias = np.split(x, 2 * self.road.size + np.array([0, self.initial_std.size]))
         return u.reshape(2, -1), self.initial_std * start, self.model.bias_std * bias
 
     def road_under_wheels(self, c: np.ndarray) -> np.ndarray:

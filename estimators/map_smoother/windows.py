@@ -17,7 +17,6 @@ from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.objective import MeasurementModel, Objective
 from estimators.map_smoother.road_prior import RoadTransform, padded_size, prior_amplitude
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.vehicle.equations import N_DOF
 from road_envs.vehicle.suspension import settled_strut_state
 
 MARGIN = 4
@@ -163,4 +162,4 @@ def _advance(
     c[:, last:], std[:, last:] = c[:, last - 1 : last], std[:, last - 1 : last]
     scale = (road.amplitude[0] / prior_amplitude(prior, road.size, road.ds)[0]) ** 2
     scale *= np.mean(road.local[:, road.free > 0] ** 2)
-    return WindowState(c, std, last, state, np.zeros(2 * N_DOF), strut_state, road.n, scale)
+    return WindowState(c, std, last, state, np.zeros_like(state), strut_state, road.n, scale)

@@ -37,6 +37,10 @@ def identify(
     survey_error_mm: Annotated[
         float, typer.Option(help="Standard deviation of a profile's heights in mm.", min=0.01)
     ] = 1.0,
+    structure: Annotated[
+        bool,
+        typer.Option(help="Identify a frame and what else the vehicle's file leaves out, too."),
+    ] = False,
     vehicle: Vehicle = None,
     sensors: Sensors = None,
     mode: Mode = None,
@@ -65,7 +69,7 @@ def identify(
         for path, file, known in zip(records, files, profiles, strict=True)
     ]
     smoother = MapSmoother(adapt=False, instruments=files[0].sensors)
-    result = identify_vehicle(drives, files[0].car, smoother)
+    result = identify_vehicle(drives, files[0].car, smoother, structure)
     notes = [*dict.fromkeys(n for file in files for n in file.measured.notes), *_notes(result)]
     if out:
         names = ", ".join(path.name for path in records)

@@ -19,7 +19,7 @@ shortest gas column) the derivative is that of the branch taken by the step; the
 lift-off is neglected. A vehicle exactly at rest is at such a kink, because the friction law has
 opposite curvature for opening and closing struts. The strut state follows the commands, but its
 derivative is neglected: the dependence of a held extension on the road before the switch is
-missing. A flexible frame is not supported.
+missing. The adjoint does not support a flexible frame.
 
 One row of the tape (TAPE_ROW_SIZE,) holds the derivative of one step. Per strut (4 each): K_1, C_1
 and K_2, C_2, stiffness and damping at stages 1 and 2; G_K, G_C and F_K, F_C, minus the derivatives
@@ -38,9 +38,11 @@ from road_envs._numba import kernel
 from road_envs.simulation.rosenbrock import (
     ACCELERATION,
     EXTENSION,
-    N_SIGNALS,
+    TWIST,
     D,
     StepInputs,
+    flexible_step,
+    n_signals,
     solve_factored,
     step,
     update_valves,
@@ -58,6 +60,8 @@ from road_envs.vehicle.equations import (
     add_tyres,
     extension,
     relative_roll,
+    twist_extension,
+    twist_moment,
     wheel_height,
 )
 from road_envs.vehicle.suspension import strut_curvature, strut_force, tyre_curvature, tyre_force
@@ -68,22 +72,35 @@ TAPE_ROW_SIZE = 74
 
 
 @kernel
-def step_with_derivative(vehicle, motion, inputs, h, work, out, row):
-    """Take `rosenbrock.step`, same arguments; write its derivative to `row` (TAPE_ROW_SIZE,)."""
-    step(vehicle, motion, inputs, h, work, out)
+def step_with_derivative(vehicle, motion, inputs, h, work, out, row, flexible=None):
+    """Take `rosenbrock.step`, same arguments; write its derivative to `row` (TAPE_ROW_SIZE,).
+
+    Of a `flexible` vehicle, `rosenbrock.flexible_step`.
+    """
     p, road, hd, before = vehicle.constants[0], inputs.road, h * D, out[N_DOF : 2 * N_DOF]
+    psi_dot = psi_mid = psi_mid_dot = 0.0
+    if flexible is None:
+        step(vehicle, motion, inputs, h, work, out)
+    else:
+        flexible_step(vehicle, motion, inputs, h, work, out)
+        psi_dot, moment = out[TWIST + 1], p.frame_inertia * out[TWIST + 2]
+        k_v = (moment - hd * p.frame_rate * psi_dot) * _inverse_frame(p, hd)
+        psi_mid = out[TWIST] + 0.5 * h * (psi_dot + hd * k_v)
+        psi_mid_dot = psi_dot + 0.5 * h * k_v
     for w in range(4):
         e, e_dot = out[EXTENSION + w], extension(p, before, w)
+        twist_rate = twist_extension(p, psi_dot, w)
         # `step` leaves k and s = h d c + (h d)² k in its scratch: no second call of strut_force
         k, c = work.k[w], work.s[w] / hd - hd * work.k[w]
-        k_slope, c_slope = strut_curvature(vehicle, w, e, e_dot)
+        k_slope, c_slope = strut_curvature(vehicle, w, e, e_dot + twist_rate)
         first, second = extension(p, work.g, w), extension(p, work.f, w)
         row[K_1 + w], row[C_1 + w] = k, c
         row[G_K + w] = k + hd * k_slope * (e_dot + hd * first)
         row[G_C + w] = c + hd * k + hd * c_slope * first
         row[F_K + w] = hd * k_slope * (extension(p, work.r, w) + hd * second)
         row[F_C + w] = hd * c_slope * second
-        e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
+        e = extension(p, work.q, w) + twist_extension(p, psi_mid, w)
+        e_dot = extension(p, work.v, w) + twist_extension(p, psi_mid_dot, w)
         _, row[K_2 + w], row[C_2 + w] = strut_force(vehicle, w, e, e_dot)
         u, u_dot = road[w] - wheel_height(p, out, w), road[4 + w] - wheel_height(p, before, w)
         _, k, c = tyre_force(p, w, u, u_dot)
@@ -102,12 +119,19 @@ def step_with_derivative(vehicle, motion, inputs, h, work, out, row):
 
 
 @kernel
-def tangent_step(p, row, motion, road, h, work, a):
+def _inverse_frame(p, hd):
+    """Return the inverse of the frame's share of W."""
+    return 1.0 / (p.frame_inertia + hd * (p.frame_damping + hd * p.frame_rate))
+
+
+@kernel
+def tangent_step(p, row, motion, road, h, work, a, flexible=None):
     """Propagate changes `motion` of coordinates and rates through one step, in place.
 
     `road` (16,): changes of the road's heights [m] and rates [m/s], in the layout of
     `rosenbrock.step`. Writes the change of the accelerations (7,) at the step's beginning to `a`.
     For LANES directions at once, all arrays but `p` and `row` have the lanes as their last axis.
+    Of a `flexible` vehicle, coordinates, rates and accelerations are (8,).
     """
     hd, (q, v) = h * D, motion
     f, g, r, k_q, F, T, dF, dT = work.f, work.g, work.r, work.k_q, work.F, work.T, work.dF, work.dT
@@ -115,8 +139,13 @@ def tangent_step(p, row, motion, road, h, work, a):
     # stage 1: F, T give f'; dF, dT give g' - W' k; s, t keep what stage 2 needs of the state at t
     for w in range(4):
         e, e_dot = extension(p, q, w), extension(p, v, w)
+        held = 0.0 * e
+        if flexible is not None:
+            twist_rate = twist_extension(p, get(v, N_DOF), w)
+            e, e_dot = e + twist_extension(p, get(q, N_DOF), w), e_dot + twist_rate
+            held = hd * row[K_1 + w] * twist_rate  # W leaves out the twist
         put(F, w, -row[K_1 + w] * e - row[C_1 + w] * e_dot)
-        put(dF, w, -row[G_K + w] * e - row[G_C + w] * e_dot)
+        put(dF, w, held - row[G_K + w] * e - row[G_C + w] * e_dot)
         put(work.s, w, row[F_K + w] * e + row[F_C + w] * e_dot)
         k_t, c_t = row[TK_1 + w], row[TC_1 + w]
         u = get(road, w) - wheel_height(p, q, w)
@@ -129,6 +158,14 @@ def tangent_step(p, row, motion, road, h, work, a):
         put(f, j, 0.0)
         put(g, j, 0.0)
     front, rear = relative_roll(q, 0), relative_roll(q, 1)
+    if flexible is not None:
+        psi, psi_dot = get(q, N_DOF), get(v, N_DOF)
+        front, rear = front + p.twist_share[0] * psi, rear + p.twist_share[1] * psi
+        moment = twist_moment(p, F, front, rear) - p.frame_rate * psi - p.frame_damping * psi_dot
+        put(a, N_DOF, moment / p.frame_inertia)
+        t_v = (moment - hd * p.frame_rate * psi_dot) * _inverse_frame(p, hd)
+        t_q = psi_dot + hd * t_v
+        psi_mid, psi_mid_dot = psi + 0.5 * h * t_q, psi_dot + 0.5 * h * t_v
     add_struts(p, F, front, rear, f)
     add_tyres(p, T, f)
     add_manoeuvre_moments(p, get(q, PHI), get(q, THETA), 0.0, 0.0, f)
@@ -147,14 +184,26 @@ def tangent_step(p, row, motion, road, h, work, a):
         put(f, j, -get(p.M, j) * k_v)
     for w in range(4):
         e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
+        if flexible is not None:
+            e = e + twist_extension(p, psi_mid, w)
+            e_dot = e_dot + twist_extension(p, psi_mid_dot, w)
         force = -row[K_2 + w] * e - row[C_2 + w] * e_dot
+        put(dF, w, force)
         put(F, w, force - hd * row[K_1 + w] * extension(p, r, w) - get(work.s, w))
         u = get(road, 8 + w) - wheel_height(p, work.q, w)
         u_dot = get(road, 12 + w) - wheel_height(p, work.v, w)
         load = row[TK_2 + w] * u + row[TC_2 + w] * u_dot
         put(T, w, load - hd * row[TK_1 + w] * wheel_height(p, r, w) - get(work.t, w))
-    front = relative_roll(work.q, 0) + hd * relative_roll(r, 0)
-    rear = relative_roll(work.q, 1) + hd * relative_roll(r, 1)
+    front, rear = relative_roll(work.q, 0), relative_roll(work.q, 1)
+    if flexible is not None:
+        front, rear = front + p.twist_share[0] * psi_mid, rear + p.twist_share[1] * psi_mid
+        t_r = psi_mid_dot - t_q
+        spring = p.frame_rate * (psi_mid + hd * t_r) + p.frame_damping * psi_mid_dot
+        t_m = twist_moment(p, dF, front, rear) - spring - p.frame_inertia * t_v
+        t_m = t_m * _inverse_frame(p, hd)
+        add(q, N_DOF, h * (t_q + t_r + hd * t_m))
+        add(v, N_DOF, h * (t_v + t_m))
+    front, rear = front + hd * relative_roll(r, 0), rear + hd * relative_roll(r, 1)
     add_struts(p, F, front, rear, f)
     add_tyres(p, T, f)
     phi, theta = get(work.q, PHI) + hd * get(r, PHI), get(work.q, THETA) + hd * get(r, THETA)
@@ -257,12 +306,13 @@ class TapeInputs(NamedTuple):
 
 
 @kernel
-def integrate_with_derivative(vehicle, y, inputs, out, rows):
+def integrate_with_derivative(vehicle, y, inputs, out, rows, flexible=None):
     """Take the steps of TapeInputs; the state `y` (14,) and the strut state change in place.
 
     Signals go to `out` (N, 29), the derivative to `rows` (N, TAPE_ROW_SIZE).
     """
-    work, motion, h = workspace(), Motion(y[:N_DOF], y[N_DOF:]), inputs.h
+    n_dof, h = y.size // 2, inputs.h
+    work, motion = workspace(), Motion(y[:n_dof], y[n_dof:])
     alpha = 1.0 - np.exp(-h / inputs.lag)
     for n in range(rows.shape[0]):
         if inputs.commands.size > 0:
@@ -270,15 +320,16 @@ def integrate_with_derivative(vehicle, y, inputs, out, rows):
                 vehicle.constants[0], vehicle.strut_state, motion.q, inputs.commands[n], alpha, h
             )
         step_inputs = StepInputs(inputs.road[n], inputs.a_xy[n])
-        step_with_derivative(vehicle, motion, step_inputs, h, work, out[n], rows[n])
+        step_with_derivative(vehicle, motion, step_inputs, h, work, out[n], rows[n], flexible)
 
 
 @kernel
-def propagate_tangent(constants, rows, y, road, h, a):
+def propagate_tangent(constants, rows, y, road, h, a, flexible=None):
     """Apply `tangent_step` row by row; write changes of accelerations to `a` (N, 7)."""
-    p, work, motion = constants[0], workspace(), Motion(y[:N_DOF], y[N_DOF:])
+    n_dof, p, work = y.size // 2, constants[0], workspace()
+    motion = Motion(y[:n_dof], y[n_dof:])
     for n in range(rows.shape[0]):
-        tangent_step(p, rows[n], motion, road[n], h, work, a[n])
+        tangent_step(p, rows[n], motion, road[n], h, work, a[n], flexible)
 
 
 @kernel
@@ -317,7 +368,10 @@ class Tape:
     @property
     def acceleration(self) -> np.ndarray:
         """Accelerations (N, 7) of the degrees of freedom at the beginning of each step."""
-        return self.signals[:, ACCELERATION : ACCELERATION + N_DOF]
+        rigid = self.signals[:, ACCELERATION : ACCELERATION + N_DOF]
+        if not self.plant.flexible:
+            return rigid
+        return np.column_stack([rigid, self.signals[:, TWIST + 2]])
 
     def tangent(self, start: np.ndarray, road: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return first-order changes of the accelerations (N, 7) and of the final state (14,).
@@ -326,18 +380,21 @@ class Tape:
         and rates [m/s] under the wheels at the beginning and the middle of each step. Raises
         ValueError on a wrong shape.
         """
-        y, steps = _checked_copy("start", start, (2 * N_DOF,)), self.rows.shape[0]
+        y, steps = _checked_copy("start", start, self.end.shape), self.rows.shape[0]
         z = _checked_copy("road", road, (2 * steps, 2, 4)).reshape(steps, 16)
-        a = np.empty((steps, N_DOF))
-        propagate_tangent(self.plant.constants, self.rows, y, z, self.h, a)
+        a, flexible = np.empty((steps, y.size // 2)), (True,) if self.plant.flexible else ()
+        propagate_tangent(self.plant.constants, self.rows, y, z, self.h, a, *flexible)
         return a, y
 
     def adjoint(self, acceleration: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return a cost's gradients by the initial state (14,) and by the road (2 N, 2, 4).
 
         This is the transpose of `tangent`: `acceleration` (N, 7) and `end` (14,) are the cost's
-        gradients by the outputs of `tangent`. Raises ValueError on a wrong shape.
+        gradients by the outputs of `tangent`. Raises ValueError on a wrong shape and on a flexible
+        frame.
         """
+        if self.plant.flexible:
+            raise ValueError("the adjoint does not support a flexible frame")
         y, steps = _checked_copy("end", end, (2 * N_DOF,)), self.rows.shape[0]
         a, road = _checked_copy("acceleration", acceleration, (steps, N_DOF)), np.empty((steps, 16))
         propagate_adjoint(self.plant.constants, self.rows, a, self.h, y, road)
@@ -361,27 +418,26 @@ def linearize_drive(
     wheels at the beginning and the middle of each step; `a_xy` (2 N, 2), if given, a_x and a_y
     [m/s²] of a manoeuvre at the same times; `commands` (N,), if given, the bytes that reach the
     valves, of time constant `lag` [s]. Without commands the strut state stays constant. Raises
-    ValueError on a wrong shape and on a flexible vehicle, ArithmeticError if the motion diverges.
+    ValueError on a wrong shape, ArithmeticError if the motion diverges.
     """
-    if plant.flexible:
-        raise ValueError(
-            "linearize_drive does not support a flexible frame; use a vehicle variation without one"
-        )
     road = np.asarray(road, dtype=float)
     steps = len(road) // 2
     z, y = (
         _checked_copy("road", road, (2 * steps, 2, 4)),
-        _checked_copy("start", start, (2 * N_DOF,)),
+        _checked_copy("start", start, (2 * plant.inertias.size,)),
     )
     a_xy_steps = _checked_copy(
         "a_xy", np.zeros((2 * steps, 2)) if a_xy is None else a_xy, (2 * steps, 2)
     )
     strut_state_end = _checked_copy("strut_state", strut_state, (4, 3))
-    signals, rows = np.empty((steps, N_SIGNALS)), np.empty((steps, TAPE_ROW_SIZE))
+    signals, rows = np.empty((steps, n_signals(plant))), np.empty((steps, TAPE_ROW_SIZE))
     bytes_ = np.zeros(0) if commands is None else _checked_copy("commands", commands, (steps,))
     course = z.reshape(steps, 16), a_xy_steps.reshape(steps, 4)
     inputs = TapeInputs(*course, bytes_.astype(np.uint8), float(lag), float(h))
-    integrate_with_derivative(plant.buffers(strut_state_end), y, inputs, signals, rows)
+    # no argument for a rigid frame: its kernel then compiles without flexible_step
+    flexible = (True,) if plant.flexible else ()
+    buffers = plant.buffers(strut_state_end)
+    integrate_with_derivative(buffers, y, inputs, signals, rows, *flexible)
     if not np.isfinite(y).all():
         raise ArithmeticError("the motion diverged (no longer finite); check the road and start")
     return Tape(plant, float(h), signals, y, strut_state_end, rows)

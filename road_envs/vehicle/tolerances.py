@@ -47,7 +47,8 @@ class ParameterSpace:
 
     def from_vector(self, x: np.ndarray) -> VehicleParameters:
         """Return the vehicle of a vector `x` (P,)."""
-        return scale_parameters(self.car, dict(zip(self.names, np.exp(self.std * x), strict=True)))
+        factors = np.exp(self.std * x).tolist()
+        return scale_parameters(self.car, dict(zip(self.names, factors, strict=True)))
 
     def to_vector(self, car: VehicleParameters) -> np.ndarray:
         """Return the vector (P,) of a vehicle that differs from `self.car` in these parameters."""
