@@ -59,8 +59,8 @@ UNIT_RATIO = 4.0
 """Ratio of measured to expected acceleration from which on units are suspected."""
 
 STD_INFLATION, UNKNOWN_STD_INFLATION = 1.5, 5.0
-"""Factors on posterior standard deviations for what the linear vehicle's covariances leave out, over
-known and over unmeasured roads; `leaderboard/benchmarks/vehicle_knowledge.py` measures them."""
+"""Factors on posterior standard deviations for what the linear vehicle's covariances leave out,
+over known and over unmeasured roads (`leaderboard/benchmarks/vehicle_knowledge.py`)."""
 
 
 WHEELBASE_MARGIN = 4.0
