@@ -19,6 +19,8 @@ import numpy as np
 
 from road_envs.data.record import Estimate, profile_stations
 
+POISON = b"the code of a hostile entry"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Hostile:
@@ -195,13 +197,19 @@ def does_write_elsewhere(where, record):
 def does_poison_kernels(where, record):
     from road_envs import _numba
 
-    (_numba.CACHE / "hostile.nbc").write_bytes(b"code")
-    for path in _numba.CACHE.rglob("*.nbi"):
+    (_numba.CACHE / "hostile.nbc").write_bytes(POISON)
+    paths = [path.resolve() for path in _numba.CACHE.rglob("*.nbi")]
+    for path in [*paths, *Path("/shared-cache").rglob("*")]:
         with contextlib.suppress(OSError):
-            path.resolve().write_bytes(b"code")
-    for path in Path("/shared-cache").rglob("*"):
-        with contextlib.suppress(OSError):
-            path.write_bytes(b"code")
+            path.write_bytes(POISON)
+
+
+def poisoned_kernels():
+    """Return the files of the shared cache of kernels that `does_poison_kernels` has written."""
+    from road_envs import _numba
+
+    files = [path for path in _numba.CACHE.rglob("*") if path.is_file()]
+    return [path for path in files if path.read_bytes() == POISON]
 
 
 def does_connect(where, record):
