@@ -5,6 +5,7 @@ to the letters of the paper (Ngwangwa, Heyns, Breytenbach & Els).
 """
 
 import json
+import math
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -138,6 +139,10 @@ class Tolerance(Settings):
     source: str
 
 
+TYRE_DEFLECTION, WHEEL_HOP = (0.003, 0.1), (3.0, 40.0)
+"""Plausible static deflections of a tyre [m], and frequencies of an axle on its tyres [Hz]."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class VehicleParameters(Settings):
     """A two-axle vehicle with solid axles and a four-state semi-active (4S4) suspension."""
@@ -204,7 +209,27 @@ class VehicleParameters(Settings):
 
 def load_vehicle(name: str | Path) -> VehicleParameters:
     """Load a vehicle by shipped name or YAML path. Raises ConfigError."""
-    return config.load(VehicleParameters, "vehicles", name)
+    car = config.load(VehicleParameters, "vehicles", name)
+    check_plausible(car, str(name))
+    return car
+
+
+def check_plausible(car: VehicleParameters, where: str) -> None:
+    """Raise ConfigError if tyres or axles are those of no road vehicle, as by a wrong unit."""
+    for end, axle, load in zip(("front", "rear"), car.axles, car.tyre_loads, strict=True):
+        deflection = load / axle.k_t
+        if not TYRE_DEFLECTION[0] <= deflection <= TYRE_DEFLECTION[1]:
+            raise config.ConfigError(
+                f"{where}: {end}.k_t = {axle.k_t:g} N/m lets a tyre give way by {deflection:.3g} m "
+                f"under its static load of {load:.0f} N; {TYRE_DEFLECTION[0]:g} to "
+                f"{TYRE_DEFLECTION[1]:g} m are plausible: check units and masses"
+            )
+        hop = math.sqrt(2.0 * axle.k_t / axle.m) / (2.0 * math.pi)
+        if not WHEEL_HOP[0] <= hop <= WHEEL_HOP[1]:
+            raise config.ConfigError(
+                f"{where}: the {end} axle of m = {axle.m:g} kg hops at {hop:.3g} Hz on its tyres; "
+                f"{WHEEL_HOP[0]:g} to {WHEEL_HOP[1]:g} Hz are plausible: check units and masses"
+            )
 
 
 def write_vehicle(path: Path, car: VehicleParameters, comment: str = "") -> None:

@@ -102,6 +102,12 @@ ERRORS = {
         lambda: surface(rows(gap="nan")), PLOT, "kind: measured, path: ... and bridge_gaps: true"),
     "a surface too short for a class": (
         lambda: surface(rows(count=60)), PLOT, "shorter than min_length"),
+    "a tyre in N/mm": (
+        lambda: (table(), vehicle(front__k_t=250.0)), (*CLASSIFY, "--vehicle", "car.yaml"),
+        "front.k_t = 250 N/m lets a tyre give way by"),
+    "an axle in tonnes": (
+        lambda: (table(), vehicle(rear__m=0.229)), (*CLASSIFY, "--vehicle", "car.yaml"),
+        "the rear axle of m = 0.229 kg hops at"),
     "a description with an unknown key": (
         lambda: (table(), Path("d.yaml").write_text("colums: {}\n")),
         (*CLASSIFY, "--description", "d.yaml"), "did you mean 'columns'"),
