@@ -68,6 +68,10 @@ class Registry(Generic[T]):
                 f"the {self.kind} {name!r} of {plugins[name].value} cannot be used: {reason}"
             ) from error
 
+    def entry_point(self, name: str) -> str:
+        """Return "module:Class" of a plug-in, without loading it. Raises ConfigError."""
+        return self._plugins()[validate_choice(self.kind, name, list(self._plugins()))].value
+
     def create(self, name: str, settings: Mapping[str, Any], defaults: Mapping[str, Any]) -> T:
         """Return an object with these `settings`, which override `defaults`.
 

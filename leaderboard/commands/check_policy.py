@@ -7,7 +7,13 @@ import typer
 
 from leaderboard.commands import parse_settings, print_json
 from leaderboard.commands.check import print_checks
-from leaderboard.commands.policies import Isolation, MemoryLimit, TimeLimit, policy_reference
+from leaderboard.commands.policies import (
+    Isolation,
+    MemoryLimit,
+    TimeLimit,
+    chosen_isolation,
+    policy_reference,
+)
 from leaderboard.commands.simulate import Json
 from leaderboard.conformance.policy_checks import check_policy as run_checks
 from leaderboard.policies.policy_process import PolicyLimits
@@ -31,7 +37,11 @@ def check_policy(
     sensors, cost.
     """
     reference = policy_reference(policy, isolation)
-    limits = PolicyLimits(seconds=time_limit, memory=memory_limit)
+    limits = PolicyLimits(
+        seconds=time_limit,
+        memory=memory_limit,
+        isolation=chosen_isolation(isolation) or "process",  # of a policy of this package
+    )
     results = run_checks(reference, parse_settings(settings or []), limits)
     failed = [result.name for result in results if result.passed is False]
     if json:

@@ -1,6 +1,7 @@
 """Commands `policies`, `tune-policy`, `train-policy`: suspension-switching policies."""
 
 import contextlib
+import dataclasses
 import json as json_module
 import os
 import sys
@@ -33,6 +34,7 @@ from leaderboard.policies.scenarios import load_scenarios
 from leaderboard.policies.store import RowStore
 from leaderboard.policies.summary import REFERENCE, format_metric, summarize_results
 from leaderboard.policies.training_study import evaluate_study, study_lines, train_seeds
+from leaderboard.sandbox import bubblewrap
 from road_envs._atomic_io import write_text
 from road_envs.config import ConfigError, validate_choice
 from road_envs.policies import FILE_SUFFIX, REGISTRY, make_policy, names, runs_foreign_code
@@ -56,8 +58,8 @@ MemoryLimit = Annotated[
 Isolation = Annotated[
     str,
     typer.Option(
-        help="auto: only policies of this package and files; process: others too, each in a "
-        "process with your rights."
+        help="Of policies from outside. bubblewrap; process: they have your rights; auto: "
+        "bubblewrap where it is available, else they are refused."
     ),
 ]
 
@@ -68,7 +70,7 @@ def policies(
         list[str] | None,
         typer.Option(
             help="Policy: name, module:Class, or a file from `train-policy`; may be given again. "
-            "Default: all of this package, and installed ones with --isolation process."
+            "Default: all of this package, and installed ones where they can be isolated."
         ),
     ] = None,
     scenarios: Annotated[
@@ -156,19 +158,31 @@ def policies(
         raise ConfigError(f"failed policies: {', '.join(failed)}; the other results are valid")
 
 
+def chosen_isolation(isolation: str) -> Any:
+    """Return "bubblewrap" or "process" by the option; None if neither may be used. Raises
+    ConfigError.
+    """
+    validate_choice("isolation", isolation, ["auto", "bubblewrap", "process"])
+    if isolation == "process":
+        return isolation
+    obstacle = bubblewrap.obstacle()
+    if obstacle is not None and isolation == "bubblewrap":
+        raise ConfigError(f"{obstacle}; install it, or choose the isolation process")
+    return "bubblewrap" if obstacle is None else None
+
+
 def policy_reference(reference: str, isolation: str) -> str:
     """Return a reference to a policy that may be run. Raises ConfigError."""
-    validate_choice("isolation", isolation, ["auto", "process"])
     if ":" in reference:
         if os.getcwd() not in sys.path:
             sys.path.insert(0, os.getcwd())  # as `python -m` does, to import from this folder
     elif not reference.endswith(FILE_SUFFIX):
         validate_choice("policy", reference, [*names(), comparison.ORACLE])
     foreign = reference != comparison.ORACLE and runs_foreign_code(reference)
-    if foreign and isolation != "process":
+    if foreign and chosen_isolation(isolation) is None:
         raise ConfigError(
-            f"the policy {reference} is not part of this package, and its code would run with your "
-            "rights: give --isolation process if you trust it"
+            f"the policy {reference} is not part of this package, and {bubblewrap.obstacle()}: "
+            "install it, or give --isolation process if you trust its code with your rights"
         )
     return reference
 
@@ -176,7 +190,7 @@ def policy_reference(reference: str, isolation: str) -> str:
 def _entries(references: list[str] | None, isolation: str, limits: PolicyLimits) -> dict[str, Any]:
     """Return the policies by name, those of other packages in processes. Raises ConfigError."""
     if references is None:
-        references = [*(names() if isolation == "process" else REGISTRY), comparison.ORACLE]
+        references = [*(names() if chosen_isolation(isolation) else REGISTRY), comparison.ORACLE]
     entries: dict[str, Any] = {}
     for reference in references:
         policy_reference(reference, isolation)
@@ -187,7 +201,8 @@ def _entries(references: list[str] | None, isolation: str, limits: PolicyLimits)
         if reference == comparison.ORACLE:
             entries[name] = None
         elif runs_foreign_code(reference):
-            entries[name] = PolicyProcess(reference, limits=limits)
+            own = dataclasses.replace(limits, isolation=chosen_isolation(isolation))
+            entries[name] = PolicyProcess(reference, limits=own)
         else:
             entries[name] = make_policy(reference)
     return entries

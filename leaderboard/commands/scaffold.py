@@ -29,7 +29,7 @@ def new_estimator(
 
 def new_policy(name: Name, out: Folder = None) -> None:
     """Write a small working package with a new switching policy."""
-    _write(name, out, "policy", f"check-policy {name} --isolation process")
+    _write(name, out, "policy", f"check-policy {name}")
 
 
 def _write(name: str, out: Path | None, example: Example, check: str) -> None:

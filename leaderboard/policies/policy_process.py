@@ -1,7 +1,8 @@
 """A policy in a process of its own, with limits of time and memory.
 
 The process sees observations and a PolicyContext, never the road, the seeds or the scores, which
-stay here. It has the rights of the user, so this protects from mistakes, not from malice.
+stay here. Inside bubblewrap it also has no network, no files but the libraries and a copy of its
+code, and no rights; otherwise it has those of the user, which protects from mistakes only.
 """
 
 import json
@@ -13,14 +14,19 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from leaderboard.policies.policy_worker import LONGEST_TEXT, REPLY
+from leaderboard.evaluation.entry import EntryError
+from leaderboard.policies.policy_worker import LONGEST_TEXT, REPLY, PolicySetup
+from leaderboard.sandbox import bubblewrap, entry_files, processes
+from leaderboard.sandbox.limits import Limits, guest_environment
+from road_envs._atomic_io import TempFolder
 from road_envs.config import Positive, Settings
+from road_envs.policies import entry_point, runs_foreign_code
 from road_envs.policies.api import PolicyContext, PolicyError
 
 GIB = 2**30
@@ -31,10 +37,14 @@ STARTUP_SECONDS = 60.0
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyLimits(Settings):
-    """Limits of a policy: `seconds` for all vehicles of a case, `memory` [GiB]."""
+    """Limits of a policy: `seconds` for all vehicles of a case, `memory` [GiB].
+
+    `isolation` is "process", or "bubblewrap", which is for code from outside this package.
+    """
 
     seconds: Positive = 120.0
     memory: Positive = 2.0
+    isolation: Literal["process", "bubblewrap"] = "process"
 
 
 class PolicyProcess:
@@ -52,8 +62,9 @@ class PolicyProcess:
         self.reference, self.settings = reference, dict(settings or {})
         self.limits = limits or PolicyLimits()
         self.act_seconds: list[float] = []  # of each call
-        self.peak_memory = 0.0
+        self.peak_memory, self._next_measurement = 0.0, 0.0
         self._process: subprocess.Popen[bytes] | None = None
+        self._temp: TempFolder | None = None
         self._n_vehicles, self._seconds_left = 0, 0.0
 
     def __enter__(self) -> "PolicyProcess":
@@ -81,6 +92,9 @@ class PolicyProcess:
 
     def close(self) -> None:
         """Kill the process and its children."""
+        if self._temp is not None:
+            self._temp.close()
+            self._temp = None
         if self._process is None:
             return
         try:
@@ -94,19 +108,54 @@ class PolicyProcess:
         self._process = None
 
     def _start(self) -> subprocess.Popen[bytes]:
-        memory = str(int(self.limits.memory * GIB))
-        words = (self.reference, json.dumps(self.settings), memory)
+        memory = int(self.limits.memory * GIB)
+        setup = PolicySetup(reference=self.reference, settings=self.settings, memory=memory)
         paths = os.pathsep.join(os.path.abspath(path) for path in sys.path)
+        environment = {**os.environ, "PYTHONPATH": paths}
+        code = self._code() if self.limits.isolation == "bubblewrap" else None
+        if code is not None:
+            user = bubblewrap.NOBODY if bubblewrap.must_become_nobody() else None
+            setup = replace(setup, code=str(bubblewrap.ENTRY), user=user)
+            environment = guest_environment(bubblewrap.HOME, whole_path=False)
+            environment["XDG_CACHE_HOME"] = str(bubblewrap.HOME)
+        words = [sys.executable, "-P", "-m", "leaderboard.policies.policy_worker"]
+        words.append(json.dumps(asdict(setup)))
+        if code is not None:
+            limits = Limits(seconds=self.limits.seconds, memory=self.limits.memory)
+            mounts = {code: bubblewrap.ENTRY}
+            nobody = setup.user is not None
+            words = bubblewrap.command(
+                words, environment, limits, mounts, {}, becomes_nobody=nobody
+            )
         process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "leaderboard.policies.policy_worker", *words],
+            words,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": paths},
+            env=environment,
             start_new_session=True,
         )
         for stream in (process.stdin, process.stdout):
             os.set_blocking(stream.fileno(), False)  # type: ignore[union-attr]
         return process
+
+    def _code(self) -> Path | None:
+        """Return a folder with a copy of the code, which is not imported here; None for our own.
+
+        Raises PolicyError.
+        """
+        if not runs_foreign_code(self.reference):
+            return None
+        if ":" not in self.reference:
+            self.reference = entry_point(self.reference)
+        if self._temp is None:
+            self._temp = TempFolder()
+            self._temp.path.chmod(0o755)  # the process has another user
+            (self._temp.path / "code").mkdir()
+            try:
+                entry_files.snapshot(self.reference, self._temp.path / "code")
+            except EntryError as error:
+                raise PolicyError(str(error)) from None
+        return self._temp.path / "code"
 
     def _call(self, task: str, data: Any) -> bytes:
         """Send a request and return the answer. Raises PolicyError; the process has then ended."""
@@ -161,11 +210,9 @@ class PolicyProcess:
         return f"its process ended with exit status {status}"
 
     def _measure(self) -> None:
-        """Read the largest memory [GiB] of the process so far, where the platform tells it."""
-        try:
-            status = Path(f"/proc/{self._process.pid}/status").read_text()  # type: ignore[union-attr]
-        except OSError:
-            return
-        for line in status.splitlines():
-            if line.startswith("VmHWM:"):
-                self.peak_memory = max(self.peak_memory, int(line.split()[1]) / 2**20)
+        """Read the memory [GiB] that the process and its children have now, every 0.1 s."""
+        now = time.monotonic()
+        if self._process is not None and now >= self._next_measurement:
+            self._next_measurement = now + 0.1
+            used = sum(process.resident for process in processes.tree(self._process.pid))
+            self.peak_memory = max(self.peak_memory, used / GIB)

@@ -1,10 +1,11 @@
 """The process of an isolated policy: requests on standard input, actions on standard output.
 
-    python -P -m leaderboard.policies.policy_worker REFERENCE SETTINGS MEMORY
+    python -P -m leaderboard.policies.policy_worker SETUP
 
-Requests come from the judge and are pickles; replies go to it and are a flag, a size and plain
-numbers or text, since nothing that a policy writes is to be unpickled. What the policy prints goes
-to standard error.
+SETUP is a PolicySetup as JSON. The libraries are loaded first, then the process becomes another
+user, then the policy is loaded. Requests come from the judge and are pickles; replies go to it and
+are a flag, a size and plain numbers or text, since nothing that a policy writes is to be unpickled.
+What the policy prints goes to standard error.
 """
 
 import json
@@ -13,9 +14,12 @@ import pickle
 import resource
 import struct
 import sys
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
+from road_envs.policies import make_policy
 
 REPLY = struct.Struct("<?I")
 """Head of a reply: whether it succeeded, and the number of bytes that follow."""
@@ -24,12 +28,29 @@ LONGEST_TEXT = 2000
 """Longest description of a failure, in characters."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class PolicySetup:
+    """What the process is told: the policy, `memory` [bytes], where its code is, whom to become."""
+
+    reference: str
+    settings: dict[str, Any]
+    memory: int
+    code: str | None = None
+    user: int | None = None
+
+
 def main() -> None:
     """Serve requests until the end of input."""
-    reference, settings, memory = sys.argv[1], json.loads(sys.argv[2]), int(sys.argv[3])
+    setup = PolicySetup(**json.loads(sys.argv[1]))
     requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
+    resource.setrlimit(resource.RLIMIT_DATA, (setup.memory, setup.memory))
+    if setup.user is not None:
+        os.setgroups([])
+        os.setgid(setup.user)
+        os.setuid(setup.user)
+    if setup.code is not None:
+        sys.path.insert(0, setup.code)
     policy: Any = None
     while True:
         try:
@@ -38,9 +59,7 @@ def main() -> None:
             return
         try:
             if task == "reset":
-                from road_envs.policies import make_policy
-
-                policy = policy or make_policy(reference, **settings)
+                policy = policy or make_policy(setup.reference, **setup.settings)
                 policy.reset(data)
                 answer = b""
             elif task == "changes":

@@ -2,6 +2,7 @@
 
 import json
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -16,12 +17,36 @@ from leaderboard.policies.comparison import compare
 from leaderboard.policies.policy_process import PolicyLimits, PolicyProcess
 from leaderboard.policies.scenarios import load_scenarios
 from leaderboard.policies.store import RowStore
+from leaderboard.sandbox import bubblewrap
 from road_envs.config import ConfigError
 from road_envs.policies import create, make_policy
 from road_envs.policies.api import PolicyError
 from road_envs.policies.rollout import roll_out
 
 SUPPORT = Path(__file__).parents[1] / "support"
+SPY = """
+import os, socket
+from dataclasses import dataclass
+
+@dataclass
+class Spy:
+    def reset(self, context):
+        found = [path for path in ({secret!r}, "/root/.ssh") if os.path.exists(path)]
+        try:
+            open("/entry/new.py", "w").close()
+            found.append("writes to its code")
+        except OSError:
+            pass
+        try:
+            socket.create_connection(("127.0.0.1", {port}), 1.0)
+            found.append("network of the host")
+        except OSError:
+            pass
+        raise ValueError(f"found {{found}}, user {{os.getuid()}}, code {{os.listdir('/entry')}}")
+
+    def act(self, observations):
+        return [0] * len(observations)
+"""
 SHORT = {**OPTIONS, "length": 10.0}
 LIMITS = PolicyLimits(seconds=5.0, memory=1.5)
 
@@ -92,8 +117,10 @@ def test_policies_of_this_package_pass(name):
 
 def test_check_policy_refuses_foreign_code_until_it_is_trusted(road_recon, monkeypatch):
     monkeypatch.syspath_prepend(str(SUPPORT))
+    monkeypatch.setattr(bubblewrap, "obstacle", lambda: "bubblewrap is not installed")
     code, out, err = road_recon("check-policy", "bad_policies:Lateral")
-    assert code == 2 and out == "" and "give --isolation process if you trust it" in err
+    assert code == 2 and out == "" and "bubblewrap is not installed" in err
+    assert "give --isolation process if you trust its code" in err
     code, out, _ = road_recon(
         "check-policy", "bad_policies:Remembers", "--isolation", "process", "--json"
     )
@@ -107,8 +134,6 @@ def test_policies_compares_a_class_and_a_file_beside_shipped_ones(
     network = Path(__file__).parents[2] / "configs/policies/dqn.npz"
     (tmp_path / "mine.npz").write_bytes(network.read_bytes())
     words = ("--policy", "fixed_ride", "--policy", "mine.npz", "--policy", "bad_policies:Lateral")
-    code, out, err = road_recon("policies", *words, "--roads", "2", "--json")
-    assert code == 2 and "not part of this package" in err and out == ""
     code, out, _ = road_recon(
         "policies", *words, "--roads", "2", "--isolation", "process", "--json", "--out", "out"
     )
@@ -117,6 +142,25 @@ def test_policies_compares_a_class_and_a_file_beside_shipped_ones(
     assert all(row["failure"] is None for row in rows.values())
     kept = sorted(path.name for path in (tmp_path / "out/policies").iterdir())
     assert kept == ["fixed_ride.npz", "mine.npz"]
+
+
+@pytest.mark.skipif(bubblewrap.obstacle() is not None, reason="bubblewrap cannot be used here")
+def test_a_policy_inside_bubblewrap_sees_its_code_and_nothing_else(tmp_path, monkeypatch):
+    (tmp_path / "secret.txt").write_text("seeds")
+    limits = PolicyLimits(seconds=30.0, isolation="bubblewrap")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        secret, port = str(tmp_path / "secret.txt"), server.getsockname()[1]
+        (tmp_path / "spy.py").write_text(SPY.format(secret=secret, port=port))
+        monkeypatch.syspath_prepend(str(tmp_path))
+        with (
+            PolicyProcess("spy:Spy", limits=limits) as policy,
+            pytest.raises(PolicyError, match=r"found \[\], user 65534, code \['spy.py'\]"),
+        ):
+            roll_out(policy, dict(SHORT), SEEDS)
+    monkeypatch.syspath_prepend(str(SUPPORT))
+    with PolicyProcess("bad_policies:Lateral", limits=limits) as policy:
+        actions = roll_out(policy, dict(SHORT), SEEDS).actions
+    np.testing.assert_array_equal(actions, roll_out(Lateral(), dict(SHORT), SEEDS).actions)
 
 
 def test_finished_rows_are_kept_until_something_that_they_depend_on_changes(tmp_path):
