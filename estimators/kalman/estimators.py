@@ -37,7 +37,7 @@ from estimators.api import LAG
 from estimators.common.block_means import MIN_NOISE_DENSITY, block_means
 from estimators.common.explained import trusted_share, untrusted_note
 from estimators.common.fallback import reduce_unexplained
-from estimators.common.model_inputs import antialias_delay, build_model_inputs
+from estimators.common.model_inputs import antialias_delay, build_model_inputs, rigid_vehicle
 from estimators.kalman.pipeline import FilterRun, run_filter, run_smoother, setup_output, setup_run
 from estimators.kalman.profile_output import ProfileOutput
 from estimators.kalman.state import NOISE_SCALE, ROUGHNESS_SCALE
@@ -87,7 +87,9 @@ class _KalmanSettings:
     ) -> Estimate:
         """Return both wheel paths. Raises ConfigError, RecordError, ValueError, ArithmeticError."""
         instruments = load_instruments(self.instruments)
+        car, rigid_notes = rigid_vehicle(car)
         record, valid, notes = mask_record(record, instruments)
+        notes += rigid_notes
         model_inputs = build_model_inputs(record, instruments, car, self.step)
         a = np.where(valid, record.a, 0.0)
         measurements = block_means(a, valid, max(1, round(record.fs / self.data_rate)))

@@ -103,7 +103,7 @@ class InverseQuarterCar(Settings):
             (FADE_RATIO * F_C - f) / ((FADE_RATIO - 1.0) * F_C), 0.0, 1.0
         ) / sensors.response(f)
         mode, samples = dominant_modes(record, np.arange(record.t.size)), record.t.size
-        corners = fit_corners(build_plant(car), car, mode, f, lines, samples)
+        corners = fit_corners(build_plant(car.rigid), car, mode, f, lines, samples)
         R = corners.inverse(f)
         H_0 = 1.0 / np.abs(corners.inverse(np.array([self.f_low])))
         z = irfft(lines * R / (1.0 + np.abs(R * H_0) ** 2), size)[:, :samples]

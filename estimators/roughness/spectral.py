@@ -72,7 +72,7 @@ def classify_record(
     record: Record, car: VehicleParameters, instruments: str = "paper"
 ) -> ClassPosterior:
     """Return the roughness of a record's road. Raises ConfigError, RecordError, ValueError."""
-    sensors, plant = load_instruments(instruments), build_plant(car)
+    sensors, plant = load_instruments(instruments), build_plant(car.rigid)
     masked = mask_record(record, sensors)
     locations, track = sensors.locations(car), car.front.y_t + car.rear.y_t
     octaves = scored_octaves(float(np.median(masked.record.v)))

@@ -6,7 +6,7 @@ to the letters of the paper (Ngwangwa, Heyns, Breytenbach & Els).
 
 import json
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -172,6 +172,13 @@ class VehicleParameters(Settings):
                 "the front axle must be ahead of the centre of mass and the rear axle behind it, "
                 f"got front.x = {self.front.x}, rear.x = {self.rear.x}"
             )
+
+    @property
+    def rigid(self) -> "VehicleParameters":
+        """The vehicle without a flexible frame; itself if it has none."""
+        if self.variation.frame is None:
+            return self
+        return replace(self, variation=replace(self.variation, frame=None))
 
     @property
     def axles(self) -> tuple[Axle, Axle]:

@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
-from vehicle_fixtures import VARIED_MANOEUVRE_PLANTS
+from vehicle_fixtures import DEFENDER, VARIED_MANOEUVRE_PLANTS
 
+import estimators
+from road_envs.data.recording import simulate_record
 from road_envs.simulation.sensitivity import linearize_drive
 from road_envs.vehicle.equations import equilibrium
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
+from road_envs.vehicle.tolerances import parameter_space
 
 PLANT, STEPS, H = VARIED_MANOEUVRE_PLANTS["flexible"], 60, 1e-3
 
@@ -41,3 +44,14 @@ def test_the_adjoint_refuses_a_flexible_frame():
         start = equilibrium(PLANT, strut_state, np.zeros(4)) + 1e-6
         tape = linearize_drive(PLANT, strut_state, start, np.zeros((4, 2, 4)), H)
         tape.adjoint(np.zeros((2, 8)), np.zeros(16))
+
+
+@pytest.mark.parametrize("name", ["kalman_lag", "iterated_wiener", "inverse_quarter_car"])
+def test_rigid_estimators_leave_out_the_frame(name):
+    car = parameter_space(DEFENDER, structure=True).car
+    record, _ = simulate_record("iso_c", speed_kmh=30.0, seed=3, vehicle=DEFENDER, length=20.0)
+    estimator = estimators.make_estimator(name)
+    flexible, rigid = (estimator.estimate(record, one) for one in (car, car.rigid))
+    np.testing.assert_array_equal(flexible.z, rigid.z)
+    assert any("frame" in note for note in flexible.notes) == (name != "inverse_quarter_car")
+    assert DEFENDER.rigid is DEFENDER
