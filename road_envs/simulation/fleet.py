@@ -107,20 +107,30 @@ def front_axle_stations(start, v, done, h, s, speed):
 
 
 @kernel(inline=False)
+def copy_lanes(source, target, steep, all_lanes):
+    """Copy the Motion `source` of all lanes, or of those that are not `steep`, to `target`."""
+    for j in range(source.q.shape[0]):
+        for k in range(LANES):
+            if all_lanes or not steep[k]:
+                target.q[j, k], target.v[j, k] = source.q[j, k], source.v[j, k]
+
+
+@kernel(inline=False)
 def integrate_lanes(lanes, roads, inputs, scratch, columns, out, flexible=None):
     """Integrate the DriveInputs of LaneBuffers over RoadBuffers.
 
     The signals in `columns` (C,) go to `out` (N, C, LANES); `scratch` (SCRATCH_ROWS, LANES).
     `flexible`, if given: the vehicles have flexible frames, so there are 32 signals.
     """
-    p, q, v = lanes.lane_constants[0], lanes.q, lanes.v
+    p, q = lanes.lane_constants[0], lanes.q
     strut_state, alpha = lanes.strut_state, lanes.alpha
     vehicle = VehicleBuffers(lanes.lane_constants, lanes.velocity, lanes.displacement, strut_state)
-    motion, s, speed, h = Motion(q, v), inputs.s, inputs.v, inputs.h
+    motion, s, speed, h = Motion(q, lanes.v), inputs.s, inputs.v, inputs.h
     work, road, row = step_workspace(scratch), scratch[WORKSPACE_ROWS:ROW], scratch[ROW:]
     last = np.zeros(LANES, dtype=np.uint8)
     at_target, steep = np.zeros(LANES, dtype=np.bool_), np.zeros(LANES, dtype=np.bool_)
-    before, whole = np.empty((2, *q.shape)), np.empty((2, *q.shape))
+    before = Motion(np.empty(q.shape), np.empty(q.shape))
+    whole = Motion(np.empty(q.shape), np.empty(q.shape))
     unused, along = np.empty(row.shape), np.empty((2, LANES))
     for n in range(inputs.commands.shape[0]):
         sample_roads(p, roads, s[2 * n], speed[2 * n], road, 0)
@@ -136,11 +146,11 @@ def integrate_lanes(lanes, roads, inputs, scratch, columns, out, flexible=None):
         parts = 1
         if mark_steep(road, steep):
             parts += SUBSTEPS
-            before[0], before[1] = q, v
+            copy_lanes(motion, before, steep, True)
         for i in range(parts):
             if i == 1:
-                whole[0], whole[1] = q, v
-                q[:], v[:] = before[0], before[1]
+                copy_lanes(motion, whole, steep, True)
+                copy_lanes(before, motion, steep, True)
             for half in range(2 if i > 0 else 0):
                 for k in range(LANES):
                     along[0, k] = interpolate(s[2 * n : 2 * n + 3, k], i - 1, half)
@@ -153,9 +163,8 @@ def integrate_lanes(lanes, roads, inputs, scratch, columns, out, flexible=None):
                 step(vehicle, motion, step_inputs, length, work, signals)
             else:
                 flexible_step(vehicle, motion, step_inputs, length, work, signals)
-        for k in range(LANES if parts > 1 else 0):
-            if not steep[k]:
-                q[:, k], v[:, k] = whole[0, :, k], whole[1, :, k]
+        if parts > 1:
+            copy_lanes(whole, motion, steep, False)
         # writing more columns than the caches hold takes as long as the step itself
         for c in range(columns.size):
             put(out[n], c, get(row, columns[c]))
