@@ -100,7 +100,7 @@ def validate_choice(what: str, given: object, known: Mapping[str, Any] | list[st
         return given
     close = difflib.get_close_matches(str(given), list(known), n=1)
     hint = f" (did you mean {close[0]!r}?)" if close else ""
-    raise ConfigError(f"unknown {what} {_shown(given)}{hint}; known: {', '.join(sorted(known))}")
+    raise ConfigError(f"unknown {what} {shown(given)}{hint}; known: {', '.join(sorted(known))}")
 
 
 class _StrictLoader(yaml.SafeLoader):
@@ -226,11 +226,11 @@ def _describe(errors: Sequence[Mapping[str, Any]], cls: type) -> str:
     elif allowed := _range_of(first):
         unit, meaning, *_ = *notes, "", ""
         text = (
-            f"must {allowed}, got {_shown(value)}{unit and f' {unit}'}{meaning and f' ({meaning})'}"
+            f"must {allowed}, got {shown(value)}{unit and f' {unit}'}{meaning and f' ({meaning})'}"
         )
     else:
         expected = first["msg"][0].lower() + first["msg"][1:]
-        text = f"{expected}, got {_shown(value)} ({_type_name(value)})"
+        text = f"{expected}, got {shown(value)} ({_type_name(value)})"
     at = ".".join(map(str, loc))
     more = f" (and {len(places) - 1} more)" if len(places) > 1 else ""
     return (f"{at}: {text}" if at else text) + more
@@ -291,7 +291,7 @@ def _bare(hint: Any) -> Any:
     return hint
 
 
-def _shown(value: object) -> str:
+def shown(value: object) -> str:
     """Return a value as Python code, without the middle of a long one."""
     text = repr(value)
     return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 10]} ... {text[-5:]}"

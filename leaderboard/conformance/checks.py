@@ -1,7 +1,7 @@
 """Conformance checks of an estimator before submission, one sentence for each check.
 
     contract   a frozen dataclass with the attribute `causal` and the required methods
-    runs       trained and run in a separate process, it returns a valid estimate
+    runs       trained and run in a separate process, it returns a valid estimate in metres
     gaps       2 % of the samples lost in bursts, as in records of the field board
     clipped    accelerometers clipped at half of the peak value
     field      a drive of car S3: perturbed vehicle, faulty instruments
@@ -54,6 +54,9 @@ RUN_TIME_LIMIT = 300.0
 """Time limit [s] of one run on these drives. They are an eighth of a condition's training drives
 and less of its test drives, so a slower estimator would exceed the limit of a board.
 """
+
+MAX_ERROR = 10.0
+"""In-band error above which heights are not in metres: a flat road has 1, a wrong sign 2."""
 
 REFUSAL_ALLOWED = ("short", "mode")
 UNINTENDED_ERRORS = (
@@ -143,12 +146,14 @@ def _run(sandbox: SandboxClient, entry: Entry, records: Sequence[Record]) -> Tra
 
 
 def _check_run(drives: CheckDrives, training_run: TrainingRun) -> CheckResult:
-    values = compute_scores(drives.truth, training_run.estimates[0], SPEED_KMH / 3.6, False)
+    error = compute_scores(drives.truth, training_run.estimates[0], SPEED_KMH / 3.6, False)["nrmse"]
     message = (
         f"{drives.description}, in a separate process (isolation: {training_run.isolation}): "
-        f"in-band error {values['nrmse']:.2f}, a flat estimate has 1"
+        f"in-band error {error:.2f}, a flat estimate has 1"
     )
-    return CheckResult(name="runs", passed=True, message=message)
+    if error > MAX_ERROR:
+        message += "; heights must be in metres, upwards: are these in millimetres?"
+    return CheckResult(name="runs", passed=not error > MAX_ERROR, message=message)
 
 
 def _check_damaged_records(

@@ -9,7 +9,7 @@ import numpy as np
 
 from road_envs._atomic_io import atomic_write
 from road_envs._extras import optional_import
-from road_envs._reading import parsing
+from road_envs._reading import parsing, read_parquet
 from road_envs.config import ConfigError
 from road_envs.data.record import Profile, Record, profile_stations
 from road_envs.roads import Road, realise_road
@@ -139,11 +139,8 @@ def is_record(path: Path) -> bool:
 
 def read_record(path: Path) -> tuple[Record, dict[str, object]]:
     """Read a record and its provenance from Parquet. Raises ConfigError if invalid."""
-    with optional_import("a table as CSV or Parquet"):
-        import pyarrow.parquet as pq
-
     with parsing(path, ConfigError, "no readable Parquet file"):
-        table = pq.read_table(path)
+        table = read_parquet(path)
     with parsing(path, ConfigError, "not a RoadRecon record"):
         about = json.loads((table.schema.metadata or {})[b"roadrecon"])
         if about["format"] != FORMAT or not 0.0 < about["length"] < np.inf:

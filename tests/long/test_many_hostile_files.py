@@ -14,7 +14,7 @@ def test_damaged_files_are_read_or_refused(seed, tmp_path):
     (tmp_path / "samples").mkdir()
     for name, reader in readers(tmp_path / "samples").items():
         files = [corrupted(reader.sample, rng) for _ in range(N_FILES)]
-        if reader.name.endswith(("yaml", "json")):
+        if reader.name.endswith(("yaml", "json", "csv")):
             text = reader.sample.decode()
             files += [with_other_value(text, rng).encode() for _ in range(N_FILES)]
         refused = sum(answer(reader, tmp_path, content) is not None for content in files)

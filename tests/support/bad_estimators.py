@@ -62,6 +62,15 @@ class NotCausal(Valid):
 
 
 @dataclass(frozen=True, kw_only=True)
+class InMillimetres(Valid):
+    """Returns heights in millimetres."""
+
+    def estimate(self, record, car):
+        estimate = super().estimate(record, car)
+        return dataclasses.replace(estimate, z=1000.0 * estimate.z)
+
+
+@dataclass(frozen=True, kw_only=True)
 class NonDeterministic(Valid):
     """Adds random noise without a seed."""
 

@@ -5,11 +5,13 @@ import re
 import struct
 import time
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from estimators import create, weights_io
 from leaderboard.evaluation import hidden_seeds
@@ -17,6 +19,12 @@ from leaderboard.evaluation.tasks import load_task
 from leaderboard.policies.scenarios import load_scenarios
 from road_envs import config
 from road_envs.config import ConfigError, find
+from road_envs.data.logger_tables.description import (
+    DriveDescription,
+    read_description,
+    write_description,
+)
+from road_envs.data.measured_record import MeasuredRecord, read_measured_record
 from road_envs.data.recording import read_record, simulate_record, write_record
 from road_envs.policies import PolicySettings
 from road_envs.policies.network_policy import read_policy_network
@@ -47,6 +55,23 @@ TEXTS = (
     b"kind: " + b"x" * 10_000, f"a: {HUGE}".encode(), BOMB.encode(), MERGES.encode(),
 )  # fmt: skip
 """Contents that no reader may stumble over."""
+
+
+TIMES = np.arange(80) / 100.0
+DRIVE = {
+    "t": TIMES,
+    **{f"a_{k}": np.sin(w * TIMES).round(5) for k, w in (("rf", 9.0), ("lr", 7.0), ("rr", 5.0))},
+    "v": 5.0 + TIMES,
+    "s": (5.0 * TIMES + 0.5 * TIMES**2).round(5),
+    "mode": ["ride"] * TIMES.size,
+}
+"""Columns of the table of a valid drive."""
+
+DESCRIPTION = DriveDescription(
+    columns={"t": "Time", "a_rf": "x"}, units={"t": "ms", "a_rf": "g"}, invert=("a_rr",),
+    speed_kmh=36.0, mode={"front": "ride", "rear": "ride"}, offset=3.0,
+    vehicle="land_rover_defender_110", sensors="paper",
+)  # fmt: skip
 
 
 class Reader(NamedTuple):
@@ -89,9 +114,15 @@ def readers(folder: Path) -> dict[str, Reader]:
     mean = create("mean").with_weights({"z": 0.01 * np.arange(80.0).reshape(2, 40)})
     for suffix in ("npz", "safetensors"):
         weights_io.save(mean, folder / f"weights.{suffix}")
+    write_drive(folder / "drive.csv", DRIVE)
+    write_drive(folder / "drive.parquet", DRIVE)
+    write_description(folder / "drive.yaml", DESCRIPTION)
     hidden_seeds.save(hidden_seeds.commit("a secret of a season", [load_task("class")]), folder)
     found = {
         "record": (read_record, folder / "record.parquet", ConfigError),
+        "drive table": (read_drive, folder / "drive.csv", ConfigError),
+        "drive Parquet": (read_drive, folder / "drive.parquet", ConfigError),
+        "drive description": (read_description, folder / "drive.yaml", ConfigError),
         "weights": (weights_io.load, folder / "weights.npz", weights_io.StorageError),
         "safetensors": (weights_io.load, folder / "weights.safetensors", weights_io.StorageError),
         "policy": (read_policy_network, config.folder() / "policies/ppo.npz", ConfigError),
@@ -113,6 +144,26 @@ def readers(folder: Path) -> dict[str, Reader]:
         name: Reader(read, path.read_bytes(), path.name, error)
         for name, (read, path, error) in found.items()
     }
+
+
+def read_drive(path: Path) -> MeasuredRecord:
+    """Read the table of a drive, and assert that what was read could be a drive."""
+    measured = read_measured_record(path, 2.5)
+    record, n = measured.record, measured.record.t.size
+    assert 32 <= n < 10_000 and record.a.shape == (3, n) and record.spring_stiff.shape == (n, 4)
+    assert (np.diff(record.t) > 0.0).all() and (np.diff(record.s) >= 0.0).all()
+    assert np.isfinite([*record.s, *record.v, record.length, measured.chainage, measured.fs]).all()
+    assert (np.isnan(record.a) | (np.abs(record.a) < 1e12)).all()
+    return measured
+
+
+def write_drive(path: Path, columns: Mapping[str, Any]) -> None:
+    """Write a table of a drive as CSV or Parquet."""
+    if path.suffix == ".parquet":
+        pq.write_table(pa.table(dict(columns)), path)
+        return
+    rows = (",".join(map(str, row)) for row in zip(*columns.values(), strict=True))
+    path.write_text("\n".join([",".join(columns), *rows]), encoding="utf-8")
 
 
 def load_policy_settings(path: Path) -> PolicySettings:

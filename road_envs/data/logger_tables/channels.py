@@ -5,6 +5,7 @@ an alias, with or without a unit in the header. All problems are collected.
 """
 
 import difflib
+import textwrap
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,13 +13,16 @@ import numpy as np
 from road_envs.config import ConfigError
 from road_envs.data.logger_tables import units
 from road_envs.data.logger_tables.description import QUANTITIES, DriveDescription
-from road_envs.data.logger_tables.table import Table, numeric_values
+from road_envs.data.logger_tables.table import Table, numeric_values, to_si
 
 GRAVITY_THRESHOLD = 0.5 * units.STANDARD_GRAVITY
 """A channel includes gravity if the magnitude of its mean exceeds this value [m/s²]."""
 
 GRAVITY_IN_G = (0.9, 1.1)
 """Mean of a channel in m/s² that suggests a channel in g."""
+
+MAX_TOLD = 1500
+"""Characters of all problems, each of which may have 300."""
 
 QUIET_RMS, SILENT_RMS = 0.15, 0.02
 """RMS [m/s²] at which a driven car is questioned, and below which there is none: 50 km/h on a good
@@ -35,11 +39,13 @@ class Findings:
 
     def raise_problems(self) -> None:
         """Raise ConfigError that tells all problems, if there are any."""
-        if len(self.problems) == 1:
-            raise ConfigError(self.problems[0])
-        if self.problems:
-            listed = "; ".join(f"({k}) {text}" for k, text in enumerate(self.problems, 1))
-            raise ConfigError(f"{len(self.problems)} problems: {listed}")
+        width = max(300, MAX_TOLD // max(len(self.problems), 1))
+        told = [textwrap.shorten(text, width, placeholder=" ...") for text in self.problems]
+        if len(told) == 1:
+            raise ConfigError(told[0])
+        if told:
+            listed = "; ".join(f"({k}) {text}" for k, text in enumerate(told, 1))
+            raise ConfigError(f"{len(told)} problems: {listed}")
 
 
 class Channels:
@@ -69,7 +75,7 @@ class Channels:
         try:
             unit = self.unit(quantity)
             factor = units.factor(kind, unit) if unit else 1.0
-            x = numeric_values(self.table[header])
+            x = to_si(numeric_values(self.table[header]), factor)
         except ConfigError as error:
             self.findings.problems.append(f"{quantity}: {error}")
             return None
@@ -79,7 +85,7 @@ class Channels:
         if not np.isfinite(x).any():
             self.findings.problems.append(f"the column {header} holds no number")
             return None
-        return factor * x
+        return x
 
     def acceleration(self, quantity: str) -> np.ndarray | None:
         """Return one channel [m/s²], upwards and without gravity; None if there is none."""
@@ -130,9 +136,11 @@ class Channels:
 
     def texts(self, quantity: str) -> list[str]:
         """Return the cells of a column, the last known one for an empty cell."""
+        import pandas as pd
+
         header = self.headers[quantity]
         assert header is not None
-        cells = self.table[header].to_pandas().ffill().bfill()
+        cells = pd.Series(self.table[header].to_pylist(), dtype=object).ffill().bfill()
         return [str(cell).strip() for cell in cells]
 
     def _find(self, quantity: str) -> str | None:

@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from road_envs.config import ConfigError
+from road_envs.config import ConfigError, shown
 from road_envs.data.logger_tables import units
 from road_envs.data.logger_tables.channels import Channels, Findings
-from road_envs.data.logger_tables.table import numeric_values
+from road_envs.data.logger_tables.table import numeric_values, to_si
 from road_envs.data.record import F_C
 
 CLOCK_TOLERANCE = 0.01
@@ -27,6 +27,9 @@ MAX_LOST_SHARE = 0.2
 
 MIN_SAMPLES = 32
 """Smallest number of samples of a drive."""
+
+SHORTEST_STEP = 1e-12
+"""Smallest increase of a clock [s]; rates of change over less would overflow."""
 
 FS_MIN, FS_USABLE, FS_UPSAMPLED = 20.0, 2.4 * F_C, 4.0 * F_C
 """Lowest sample rate [Hz] that is read, lowest rate that estimators take, and the rate to which
@@ -69,7 +72,7 @@ def read_clock(channels: Channels, findings: Findings) -> Clock | None:
         k = int(np.flatnonzero(np.isnan(t))[0]) + 1
         findings.problems.append(f"{header} must hold a time in every row; row {k} is empty")
         return None
-    if (backwards := np.flatnonzero(np.diff(t) <= 0.0)).size:
+    if (backwards := np.flatnonzero(np.diff(t) <= SHORTEST_STEP)).size:
         findings.problems.append(
             f"{header} must increase; it does not after row {backwards[0] + 1}"
         )
@@ -96,8 +99,8 @@ def _seconds(column: Any, unit: str | None, findings: Findings) -> np.ndarray:
             wrong = np.flatnonzero((stamps.isna() & cells.notna()).to_numpy())
             if wrong.size:
                 raise ValueError(
-                    f"row {wrong[0] + 1}: {cells.iloc[wrong[0]]!r} is neither a number nor a time "
-                    "in ISO 8601"
+                    f"row {wrong[0] + 1}: {shown(cells.iloc[wrong[0]])} is neither a number nor "
+                    "a time in ISO 8601"
                 )
             return _epoch(stamps)
     t = numeric_values(column)
@@ -106,7 +109,7 @@ def _seconds(column: Any, unit: str | None, findings: Findings) -> np.ndarray:
         unit = next((name for limit, name in EPOCHS if first > limit), "s")
         if unit != "s":
             findings.notes.append(f"the times are read as {unit} since 1970")
-    return t * units.factor("time", unit)
+    return to_si(t, units.factor("time", unit))
 
 
 def _time_of_day(times: Any) -> np.ndarray:

@@ -7,18 +7,27 @@ joined to it. A table that is read is a mapping of stripped headers to columns.
 
 import io
 import re
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from road_envs._extras import optional_import
-from road_envs.config import ConfigError
+from road_envs._reading import parsing, read_parquet
+from road_envs.config import ConfigError, shown
 from road_envs.data.logger_tables.units import is_unit
 
 SNIFFED_CHARACTERS = 10_000
 """Number of characters that are searched for a decimal comma."""
+
+MAX_COLUMNS, MAX_HEADER = 4096, 200
+"""Most columns of a table, and most characters of a header."""
+
+LARGEST = 1e12
+"""Greater numbers, in SI units, are none of a drive; their squares and sums would overflow."""
 
 TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".parquet", ".mf4", ".mdf")
 
@@ -30,24 +39,28 @@ def read_table(path: Path) -> Table:
     """Read the columns of a table by header. Raises ConfigError."""
     with optional_import("a table as CSV or Parquet"):
         import pyarrow as pa
-        import pyarrow.parquet as pq
 
     suffix = path.suffix.lower()
-    try:
+    with parsing(path, ConfigError, "no readable table"):
         if suffix == ".parquet":
-            table = pq.read_table(path)
+            table = read_parquet(path)
         elif suffix in (".mf4", ".mdf"):
             table = pa.Table.from_pandas(_read_mdf(path), preserve_index=False)
         else:
             table = _read_text(path.read_bytes())
-    except (OSError, UnicodeDecodeError, pa.ArrowException) as error:
-        reason = str(getattr(error, "strerror", None) or error).splitlines()[0]
-        raise ConfigError(f"{path}: no readable table: {reason}") from None
-    names = [name.strip() for name in table.column_names]
-    lower = [name.lower() for name in names]
-    if duplicates := [name for name, low in zip(names, lower, strict=True) if lower.count(low) > 1]:
-        raise ConfigError(f"{path}: the column {duplicates[0]} is duplicated")
+        names = [" ".join(name.split()) for name in table.column_names]
+        _check_headers(names)
     return dict(zip(names, table.columns, strict=True))
+
+
+def _check_headers(names: Sequence[str]) -> None:
+    if len(names) > MAX_COLUMNS:
+        raise ConfigError(f"{len(names)} columns; at most {MAX_COLUMNS} are read")
+    if (longest := max(map(len, names), default=0)) > MAX_HEADER:
+        raise ConfigError(f"a header of {longest} characters; at most {MAX_HEADER} are read")
+    count = Counter(name.lower() for name in names)
+    if duplicates := [name for name in names if count[name.lower()] > 1]:
+        raise ConfigError(f"the column {duplicates[0]} is duplicated")
 
 
 def numeric_values(column: Any) -> np.ndarray:
@@ -65,20 +78,33 @@ def numeric_values(column: Any) -> np.ndarray:
         x = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
         wrong = np.flatnonzero(np.isnan(x) & cells.notna().to_numpy())
         if wrong.size:
-            raise ValueError(f"row {wrong[0] + 1}: {cells.iloc[wrong[0]]!r} is not a number")
+            raise ValueError(f"row {wrong[0] + 1}: {shown(cells.iloc[wrong[0]])} is not a number")
     return np.where(np.isfinite(x), x, np.nan)
+
+
+def to_si(x: np.ndarray, factor: float) -> np.ndarray:
+    """Return `factor` times the numbers `x` (N,). Raises ValueError if one cannot be measured."""
+    if (large := np.flatnonzero(np.abs(x) > LARGEST / factor)).size:
+        raise ValueError(f"row {large[0] + 1}: {x[large[0]]:.6g} is too large: check its unit")
+    return factor * x
 
 
 def _read_text(data: bytes) -> Any:
     with optional_import("a table as CSV or Parquet"):
         from pyarrow import csv
 
-    text = _decode(data).replace("\r\n", "\n")
-    while text.startswith("#"):
-        text = text.partition("\n")[2]
-    head, _, rest = text.partition("\n")
+    text = _decode(data).replace("\r\n", "\n").replace("\r", "\n")
+    if "\0" in text:
+        raise ValueError(
+            "it has zero bytes: no text in UTF-8, UTF-16 with its mark, or Windows-1252"
+        )
+    start = 0
+    while text.startswith("#", start):
+        start = text.find("\n", start) + 1 or len(text)
+    head, _, rest = text[start:].partition("\n")
     delimiter = next((mark for mark in ";\t," if mark in head), ",")
     names = [cell.strip().strip('"') for cell in head.split(delimiter)]
+    _check_headers(names)
     units, _, below = rest.partition("\n")
     cells = [cell.strip(' "[]()') for cell in units.split(delimiter)]
     if len(cells) == len(names) and any(cells) and all(is_unit(cell) for cell in cells if cell):
@@ -118,7 +144,7 @@ def _read_mdf(path: Path) -> Any:
 
     channels: dict[str, Any] = {}
     try:
-        with MDF(path) as file:
+        with redirect_stdout(io.StringIO()), MDF(path) as file:  # it prints what is damaged
             for signal in file.iter_channels():
                 samples = np.asarray(signal.samples)
                 if samples.ndim > 1 or samples.dtype.names:

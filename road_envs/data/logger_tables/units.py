@@ -3,7 +3,7 @@
 import re
 import unicodedata
 
-from road_envs.config import ConfigError
+from road_envs.config import ConfigError, shown
 
 STANDARD_GRAVITY = 9.80665
 """Standard gravity [m/s²], the unit g of acceleration columns."""
@@ -47,7 +47,7 @@ def factor(kind: str, unit: str) -> float:
     """Return the factor from `unit` to that of SI (degrees for angles). Raises ConfigError."""
     known = FACTORS[kind]
     if (found := known.get(normalise(unit))) is None:
-        raise ConfigError(f"the {kind} unit {unit!r} is unknown; known: {', '.join(known)}")
+        raise ConfigError(f"the {kind} unit {shown(unit)} is unknown; known: {', '.join(known)}")
     return found
 
 
