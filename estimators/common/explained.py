@@ -29,6 +29,11 @@ TRUSTED_SHARE = 0.7
 """Explained share of the measured power from which on an estimate is left as it is. Linear
 smoothers explain more than 0.8 on roads up to class D and on bumps, none where wheels fly."""
 
+SETTLING_TIME = 2.0
+"""Time [s] at the beginning of a record that is not compared: the simulation starts at rest, a
+record may begin in motion. Two periods of the body's bounce.
+"""
+
 MAX_SPEED_STEP = 0.001
 """Longest step [s] of the simulation."""
 
@@ -43,7 +48,8 @@ def trusted_share(
     """Return by how much (M,), 0 to 1, heights `z` (2, M) [m] of the `record` are to be trusted.
 
     It is 1 where the accelerations of `car` on them explain TRUSTED_SHARE or more of the measured
-    power, 0 where they explain nothing. `valid` (3, N): samples that are compared.
+    power, 0 where they explain nothing. `valid` (3, N): samples that are compared, after the first
+    SETTLING_TIME.
     """
     if build_plant(car).flexible:  # the tape does not know a frame
         return np.ones(z.shape[1])
@@ -57,6 +63,8 @@ def trusted_share(
         for x in (measured, measured - predicted)
     )
     e[~finite] = np.inf
+    settling = record.t < record.t[0] + SETTLING_TIME
+    a[settling], e[settling] = 0.0, 0.0
     stations = profile_stations(record.length)
     # both axles excite the body: a sample tells of the road around the middle of the vehicle
     cell = ((record.s - 0.5 * car.wheelbase) / PROFILE_SPACING).round().astype(int)

@@ -6,6 +6,7 @@ pickled objects, so that an untrusted checkpoint cannot execute code. The replay
 not stored; it is filled again.
 """
 
+import io
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -363,7 +364,7 @@ def _resume(model: Any, state: dict[str, Any], path: Path, config: TrainingConfi
         import torch
 
     with parsing(path, ConfigError, "not a checkpoint that can be resumed"):
-        stored = torch.load(path, weights_only=True)
+        stored = torch.load(io.BytesIO(path.read_bytes()), weights_only=True)
         if stored["config"] != repr(config):
             raise ConfigError("belongs to other settings; choose another checkpoint file")
         model.policy.load_state_dict(stored["policy"])

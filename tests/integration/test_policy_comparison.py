@@ -205,8 +205,7 @@ def test_no_policy_receives_the_truth():
             assert not {"profile", "loads", "s"} & info.keys()
 
 
-def test_a_failing_policy_is_a_row_and_does_not_affect_the_others(monkeypatch):
-    monkeypatch.setattr(comparison, "TIME_LIMIT", 3.0)
+def test_a_failing_policy_is_a_row_and_does_not_affect_the_others():
     wrong = {
         "raises": "RuntimeError: no idea",
         "outside": "PolicyError: actions must be 0 to 15, got 99",
@@ -215,7 +214,7 @@ def test_a_failing_policy_is_a_row_and_does_not_affect_the_others(monkeypatch):
     }
     alone = comparison.compare(scenarios(), {"fixed_ride": create("fixed_ride")}, {})[0]
     entries = {how: Wrong(how) for how in wrong} | {"fixed_ride": create("fixed_ride")}
-    *rows, ride = comparison.compare(scenarios(), entries, {})
+    *rows, ride = comparison.compare(scenarios(), entries, {}, seconds=3.0)
     for row in rows:
         assert row.failure == f"iso_d, 54 km/h, straight on: {wrong[row.policy]}"
     assert ride.failure is None

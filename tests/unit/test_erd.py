@@ -44,18 +44,18 @@ def read_floats(header, body):
     st.sampled_from(["\n", "\r\n", "\r"]),
 )  # fmt: skip
 def test_heights_and_step_are_converted_to_metres(z, unit, x_unit, step, eol):
-    actual, ds, notes = read(*erd_file(z, unit=unit, x_unit=x_unit, step=step, eol=eol))
+    actual, ds, notes, start = read(*erd_file(z, unit=unit, x_unit=x_unit, step=step, eol=eol))
     np.testing.assert_allclose(actual, z * METRES[unit], rtol=1e-7, atol=1e-7 * METRES[unit])
-    assert ds == pytest.approx(step * METRES[x_unit]) and notes == ()
+    assert ds == pytest.approx(step * METRES[x_unit]) and (notes, start) == ((), 0.0)
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("offset", [0.0, 583.0, 1e-6])
 def test_the_byte_order_of_binary_numbers_is_detected(order, offset):
     z = wavy() + offset
-    actual, _, _ = read_floats(*erd_file(z, order))
+    actual, *_ = read_floats(*erd_file(z, order))
     np.testing.assert_allclose(actual, z * 1e-3, rtol=1e-6)
-    level, _, _ = read_floats(*erd_file(0.0 * z, order))
+    level, *_ = read_floats(*erd_file(0.0 * z, order))
     assert not level.any()
 
 
@@ -63,7 +63,7 @@ def test_wheel_paths_are_found_by_channel_name():
     z = wavy(5)
     names = ("Speed", "RElev.", "CElev.", "LElev.", "Temp.")
     units = ("km/h", "in", "mm", "ft", "deg C")
-    actual, _, _ = read(*erd_file(z, names=names, unit=units))
+    actual, *_ = read(*erd_file(z, names=names, unit=units))
     np.testing.assert_allclose(actual, [z[3] * 0.3048, z[1] * 0.0254], rtol=1e-6)
 
 
@@ -73,18 +73,18 @@ def test_wheel_paths_are_found_by_channel_name():
      "LONGNAME" + "Elevation, left wheel path".ljust(32) + "Elevation, right wheel path"],
 )  # fmt: skip
 def test_wheel_paths_may_have_long_names_only(extra):
-    actual, _, _ = read(*erd_file(wavy(), names=(), extra=(extra,)))
+    actual, *_ = read(*erd_file(wavy(), names=(), extra=(extra,)))
     np.testing.assert_allclose(actual, 1e-3 * wavy(), rtol=1e-6)
 
 
 def test_a_single_channel_is_used_for_both_paths():
-    actual, _, _ = read(*erd_file(wavy(1), names=("Elev.",)))
+    actual, *_ = read(*erd_file(wavy(1), names=("Elev.",)))
     np.testing.assert_array_equal(actual[0], actual[1])
 
 
 @pytest.mark.parametrize("samples", [-1, 0])
 def test_samples_are_counted_if_the_header_states_no_number(samples):
-    actual, _, _ = read(*erd_file(wavy(), samples=samples))
+    actual, *_ = read(*erd_file(wavy(), samples=samples))
     assert actual.shape == (2, 40)
 
 
@@ -92,7 +92,7 @@ def test_lines_may_have_any_number_of_values():
     header, body = erd_file(wavy())
     words = body.decode().split()
     rows = [", ".join(words[k : k + 7]) for k in range(0, len(words), 7)]
-    actual, _, _ = read(header, "\n".join(rows).encode())
+    actual, *_ = read(header, "\n".join(rows).encode())
     np.testing.assert_allclose(actual, 1e-3 * wavy(), rtol=1e-6)
 
 
@@ -106,7 +106,7 @@ def test_a_file_of_the_ltpp_programme_can_be_read():
         "XLABEL  Distance\nXUNITS  m\nDATE    11/Apr/1997\n\nEND\n"
         " 0.0 0.0 0.0\n 1.0 2.0 3.0\n 2.0 4.0 6.0\n 3.0 6.0 9.0\n 4.0 8.0 12.0\n"
     )
-    z, ds, _ = read(text.encode(), b"")
+    z, ds, *_ = read(text.encode(), b"")
     np.testing.assert_allclose(z, [1e-3 * np.arange(5.0), 2e-3 * np.arange(5.0)])
     assert ds == 0.025
 
