@@ -161,6 +161,15 @@ def test_any_cell_of_a_drive_is_read_or_refused(quantity, all_readers, tmp_path)
     assert sum(x is not None for x in said) > len(CELLS)
 
 
+def test_a_duration_among_dates_is_refused_as_no_time(tmp_path):
+    dates = [f"2026-05-01T12:00:00.{k:03d}Z" for k in range(0, 800, 10)]
+    write_drive(tmp_path / "x.csv", {**DRIVE, "t": dates})
+    assert read_drive(tmp_path / "x.csv").record.t[-1] == pytest.approx(0.79)
+    write_drive(tmp_path / "x.csv", {**DRIVE, "t": [*dates[:40], "5 H", *dates[41:]]})
+    with pytest.raises(ConfigError, match="row 41: '5 H' is neither a number nor a time in ISO"):
+        read_drive(tmp_path / "x.csv")
+
+
 @pytest.mark.parametrize("quantity", DRIVE)
 def test_any_type_of_column_of_a_drive_is_read_or_refused(quantity, all_readers, tmp_path):
     n = TIMES.size

@@ -39,6 +39,9 @@ slower records are interpolated.
 EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))
 """Numbers above these are times since 1970 in this unit; no drive lasts that long."""
 
+TIME_OF_DAY = r"\s*\d+:\d\d:\d\d(\.\d*)?\s*"
+"""Regular expression of a time of the day; pandas would take "5 H" for one as well."""
+
 Y2001 = 1e9
 """Seconds from 1970 to September 2001: greater times are those of a calendar."""
 
@@ -92,7 +95,7 @@ def _seconds(column: Any, unit: str | None, findings: Findings) -> np.ndarray:
     if pa.types.is_string(column.type):
         cells = column.to_pandas()
         if pd.to_numeric(cells.head(20), errors="coerce").isna().all():
-            of_day = pd.to_timedelta(cells, errors="coerce")
+            of_day = pd.to_timedelta(cells.where(cells.str.fullmatch(TIME_OF_DAY)), errors="coerce")
             if of_day.notna().any():
                 return _time_of_day(of_day)
             stamps = pd.to_datetime(cells, errors="coerce", utc=True, format="ISO8601")
