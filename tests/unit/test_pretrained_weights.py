@@ -27,10 +27,17 @@ def read_shipped(name: str):
     return pretrained_weights.read_weights(pretrained_weights.FOLDER / f"{name}.safetensors")
 
 
+MOVED = 0.01
+"""Largest change of a tap, over the largest tap, since the weights were trained: the simulator has
+divided steps over steep edges and another gas spring near its end since, which moves taps by up to
+0.0075. Where weights are trained anew this becomes 0.002, for the rounding of sums.
+"""
+
+
 def nearly_equal(fresh: np.ndarray, stored: np.ndarray) -> bool:
-    """Whether arrays are equal up to rounding of sums in another order."""
+    """Whether arrays are equal up to MOVED."""
     apart = np.abs(fresh.astype(float) - stored.astype(float))
-    return bool(apart.max() < 2e-3 * np.abs(stored).max())
+    return bool(apart.max() < MOVED * np.abs(stored).max())
 
 
 @cache
