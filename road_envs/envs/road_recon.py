@@ -119,8 +119,8 @@ class RoadReconEnv(gymnasium.Env):
     `"road_envs:RoadRecon-v0"`, which imports the package first.
 
     ## Version History
-    * v0: first release. Since 0.2.0 of the package steps over steep edges are divided and the end of
-      the stiff gas spring is softer, so that episodes over obstacles differ from those of 0.1.0.
+    * v0: first release. Since package 0.2.0 steps over steep edges are divided and the end of the
+      stiff gas spring is softer, so that episodes over obstacles differ from those of 0.1.0.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as the base class has it; each instance copies it
