@@ -1,4 +1,9 @@
+import sys
+
+import pytest
 from hypothesis import Phase, settings
+
+from leaderboard import cli
 
 # The first example of a test may compile kernels; the same examples are tried on every machine.
 settings.register_profile("steady", deadline=None, derandomize=True)
@@ -6,3 +11,18 @@ settings.register_profile(
     "faults", settings.get_profile("steady"), phases=[Phase.explicit, Phase.generate]
 )
 settings.load_profile("steady")
+
+
+@pytest.fixture
+def road_recon(monkeypatch, capsys, tmp_path):
+    """Run the command in an empty folder; returns exit code, standard output and error."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["road-recon", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        out, err = capsys.readouterr()
+        return ended.value.code or 0, out, err
+
+    return run

@@ -112,6 +112,7 @@ def estimate(
 
 
 def classify(
+    *,
     record: RecordFile,
     vehicle: Vehicle = None,
     sensors: Sensors = None,

@@ -1,4 +1,4 @@
-"""What a metric is: a function of one scored estimate, with its format and its explanation.
+"""Definition of a metric: a function of one scored estimate, with its format and its explanation.
 
 A metric is declared beside its function, which returns NaN where it is not defined:
 

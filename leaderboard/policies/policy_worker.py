@@ -30,7 +30,7 @@ LONGEST_TEXT = 2000
 
 @dataclass(frozen=True, kw_only=True)
 class PolicySetup:
-    """What the process is told: the policy, `memory` [bytes], where its code is, whom to become."""
+    """Start message: the policy, `memory` [bytes], where its code is, whom to become."""
 
     reference: str
     settings: dict[str, Any]

@@ -30,7 +30,7 @@ SERVED = 64
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """What a guest is told when it starts.
+    """Message that starts a guest.
 
     `entry` is the folder with the code of the entry; `user` the user and group to become, None to
     stay; `serves_many` allows more than one estimator, each in a child of its own. The kernel cache

@@ -163,7 +163,7 @@ def integrate_on_road(lanes, road, commands, h, scratch, out, flexible=None):
 
 
 class SharedInputs(NamedTuple):
-    """What variants of a vehicle share in a drive of N steps of `h` [s].
+    """Inputs that variants of a vehicle share in a drive of N steps of `h` [s].
 
     `road` (2 N, 2, 4): heights [m] and rates [m/s] under the wheels at each half step; `commands`
     (N,): bytes that reach the valves, of time constant `lag` [s]; `strut_state` (4, 3) at the

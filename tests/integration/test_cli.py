@@ -12,22 +12,6 @@ from leaderboard import cli
 from road_envs.data.recording import read_record
 from road_envs.roads import load_road
 
-
-@pytest.fixture
-def road_recon(monkeypatch, capsys, tmp_path):
-    """Run the command in an empty folder; returns exit code, standard output and error."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["road-recon", *map(str, words)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        out, err = capsys.readouterr()
-        return ended.value.code or 0, out, err
-
-    return run
-
-
 DRIVE = ("--road", "iso_c", "--length", "30", "--speed-kmh", "36")
 
 

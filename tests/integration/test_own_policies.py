@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bad_policies import Lateral
-from test_cli import road_recon as road_recon
 
 from leaderboard.conformance.policy_checks import OPTIONS, SEEDS, check_policy
 from leaderboard.policies.comparison import compare
@@ -31,7 +30,7 @@ from dataclasses import dataclass
 @dataclass
 class Spy:
     def reset(self, context):
-        found = [path for path in ({secret!r}, "/root/.ssh") if os.path.exists(path)]
+        found = [path for path in ({secret!r}, {keys!r}) if os.path.exists(path)]
         try:
             open("/entry/new.py", "w").close()
             found.append("writes to its code")
@@ -150,7 +149,8 @@ def test_a_policy_inside_bubblewrap_sees_its_code_and_nothing_else(tmp_path, mon
     limits = PolicyLimits(seconds=30.0, isolation="bubblewrap")
     with socket.create_server(("127.0.0.1", 0)) as server:
         secret, port = str(tmp_path / "secret.txt"), server.getsockname()[1]
-        (tmp_path / "spy.py").write_text(SPY.format(secret=secret, port=port))
+        keys = str(Path.home() / ".ssh")
+        (tmp_path / "spy.py").write_text(SPY.format(secret=secret, keys=keys, port=port))
         monkeypatch.syspath_prepend(str(tmp_path))
         with (
             PolicyProcess("spy:Spy", limits=limits) as policy,

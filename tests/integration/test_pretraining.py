@@ -7,7 +7,6 @@ import sys
 
 import numpy as np
 import pytest
-from test_cli import road_recon  # noqa: F401
 
 from estimators import REGISTRY, create, pretrained_weights, weights_io
 from estimators.api import check_estimate
@@ -127,7 +126,7 @@ def test_an_unfinished_state_of_another_purpose_is_ignored(tmp_path):
     assert pretraining.FileCheckpoint(path, "this").load() is None
 
 
-def test_the_command_trains_from_the_corpus_and_its_file_estimates(road_recon, tmp_path):  # noqa: F811
+def test_the_command_trains_from_the_corpus_and_its_file_estimates(road_recon, tmp_path):
     code, out, _ = road_recon(
         "train", "fir_ridge", "--drives", 4, "--out", "bank.safetensors", "--json"
     )
@@ -138,7 +137,7 @@ def test_the_command_trains_from_the_corpus_and_its_file_estimates(road_recon, t
     assert kept.weights().keys() == {"bank"} and not needs_training(kept)
 
 
-def test_an_estimator_for_one_speed_requires_training_roads(road_recon):  # noqa: F811
+def test_an_estimator_for_one_speed_requires_training_roads(road_recon):
     code, _, err = road_recon("train", "static_lm", "--out", "s.npz")
     assert code == 2 and "static_lm is trained for one speed and mode: give training roads" in err
     code, _, err = road_recon("train", "fir_ridge", "--out", "s.npz")

@@ -2,27 +2,9 @@
 
 import json
 import re
-import sys
 
 import pandas as pd
 import pytest
-
-from leaderboard import cli
-
-
-@pytest.fixture
-def road_recon(monkeypatch, capsys, tmp_path):
-    monkeypatch.chdir(tmp_path)
-
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["road-recon", *map(str, words)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        out, err = capsys.readouterr()
-        return ended.value.code or 0, out, err
-
-    return run
-
 
 DRIVE = ("--road", "iso_b", "--length", "120", "--speed-kmh", "50", "--sensors", "phone")
 

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import integrate, stats
-from test_cli import road_recon as road_recon
 from test_linear_model import energy_matrices
 from vehicle_fixtures import CARS, DEFENDER, PLANTS
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy import stats
 from scipy.optimize import approx_fprime
-from test_cli import road_recon as road_recon
 from test_wiener import drive
 
 from estimators.roughness.rms_regression import (

@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 from scipy import stats
-from test_cli import road_recon as road_recon
 from test_wiener import DEFENDER, drive
 
 from estimators.roughness.spectral import class_probabilities, classify_record

@@ -33,8 +33,8 @@ QUANTITIES = {
     "mode_front": Quantity(None),
     "mode_rear": Quantity(None),
 }
-"""What a table can hold. Vertical accelerations of the body at right front, left rear, right rear;
-speed, odometer, position (WGS 84), and state of the struts.
+"""Signals that a table can hold. Vertical accelerations of the body at right front, left rear,
+right rear; speed, odometer, position (WGS 84), and state of the struts.
 """
 
 ACCELERATIONS = ("a_rf", "a_lr", "a_rr")
@@ -42,7 +42,7 @@ ACCELERATIONS = ("a_rf", "a_lr", "a_rr")
 
 @dataclass(frozen=True, kw_only=True)
 class DriveDescription(Settings):
-    """What the columns of a table mean, and what holds for the whole drive."""
+    """Meaning of the columns of a table, and values that hold for the whole drive."""
 
     columns: Annotated[dict[str, str], "", "header of each quantity"] = field(default_factory=dict)
     units: Annotated[dict[str, str], "", "unit of each quantity"] = field(default_factory=dict)
