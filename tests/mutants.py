@@ -3,8 +3,9 @@
     python tests/mutants.py [filter]
 
 Each fault changes one line in a temporary copy of the tree and runs the tests that must then turn
-red. `filter` is part of a file name or of a changed text. The exit status is 1 if a fault survives,
-no longer fits its file or breaks more than its tests.
+red. `filter` is part of a file name or of a changed text. As many faults are tried at a time as
+MUTANT_JOBS says, by default one for each core. The exit status is 1 if a fault survives, no longer
+fits its file or breaks more than its tests.
 """
 
 import os
@@ -13,7 +14,9 @@ import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from queue import SimpleQueue
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -44,6 +47,13 @@ FELT = "perturbed_vehicle::test_enveloping_is_the_mean_of_the_cubic_over_the_con
 MOUNTED = "sensor_faults::test_readings_follow_location_tilt_gain_and_offset"
 CONTRACT = "record_contract::test_every_estimator_"
 LOST = "sensor_faults::test_dropouts_have_the_stated_rate_and_length"
+WHITENED = (
+    "map_smoother::"
+    "test_whitened_increments_give_the_same_coefficients_and_the_map_has_its_transpose"
+)
+NOT_WORSE = (
+    "explained::test_on_a_vehicle_far_from_the_described_one_no_estimate_is_worse_than_a_flat_road"
+)
 PAIR = "adaptive_drive::test_the_compiled_step_and_its_error_equal_the_published_pair"
 
 
@@ -243,12 +253,12 @@ FAULTS = [
     Fault("estimators/map_smoother/road_prior.py",
           "e = TO_WHEEL_PATHS @ (self.free * self.local * rest)",
           "e = TO_WHEEL_PATHS @ (self.free * rest)",
-          "map_smoother::test_whitened_increments_give_the_same_coefficients_and_the_map_has"),
+          WHITENED),
     Fault("estimators/common/explained.py", "0.5 * car.wheelbase) / PROFILE_SPACING",
           "8.0 * car.wheelbase) / PROFILE_SPACING",
           "explained::test_the_share_is_local_and_its_note_gives_the_distance"),
     Fault("estimators/kalman/profile_output.py", "LOST_NOISE_SCALE = 20.0", "LOST_NOISE_SCALE = 1e9",
-          "explained::test_on_a_vehicle_far_from_the_described_one_no_estimate_is_worse_than_a_flat"),
+          NOT_WORSE),
     Fault("estimators/map_smoother/posterior_sampling.py",
           "+ rng.standard_normal(lin.objective.size)", "+ 0.0",
           "attainable::test_samples_have_the_covariance_of_the_dense_posterior"),
@@ -640,15 +650,20 @@ FAULTS = [
 ]  # fmt: skip
 
 
-def run_tests(tree: Path, tests: str) -> tuple[int, str]:
-    """Exit status and output of pytest in a tree."""
+def test_id(tree: Path, tests: str) -> str:
+    """The identifier by which pytest knows `tests`, "file::name"."""
     file, name = tests.split("::")
     (path,) = (tree / "tests").glob(f"*/test_{file}.py")
+    return f"{path}::{name}"
+
+
+def run_tests(tree: Path, *tests: str) -> tuple[int, str]:
+    """Exit status and output of pytest in a tree."""
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
     command += ["--hypothesis-profile", "faults"]  # a red test need not look for its least example
     settings = {"XDG_CACHE_HOME": str(tree / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(
-        [*command, f"{path}::{name}"],
+        [*command, f"--basetemp={tree / 'tmp'}", *(test_id(tree, name) for name in tests)],
         cwd=tree,
         env=os.environ | settings,
         capture_output=True,
@@ -673,30 +688,46 @@ def verdict(tree: Path, fault: Fault) -> str:
     return "caught" if status == 1 else f"BROKE THE RUN (status {status})\n{output[-800:]}"
 
 
+def copy_tree(tree: Path) -> Path:
+    """Copy what the tests need to a new folder."""
+    tree.mkdir()
+    for name in COPIED:
+        if (ROOT / name).is_dir():
+            ignore = shutil.ignore_patterns("__pycache__")
+            shutil.copytree(ROOT / name, tree / name, ignore=ignore)
+        else:
+            shutil.copy(ROOT / name, tree / name)
+    return tree
+
+
 def main(wanted: str) -> int:
     chosen = [f for f in FAULTS if wanted in f.file or wanted in f.old or wanted in f.new]
-    missed = 0
-    with tempfile.TemporaryDirectory() as folder:
-        tree = Path(folder)
-        for name in COPIED:
-            if (ROOT / name).is_dir():
-                ignore = shutil.ignore_patterns("__pycache__")
-                shutil.copytree(ROOT / name, tree / name, ignore=ignore)
-            else:
-                shutil.copy(ROOT / name, tree / name)
-        for tests in sorted({f.tests for f in chosen}):
-            status, output = run_tests(tree, tests)
-            if status != 0:
-                print(f"without any fault, {tests} is not green:\n{output[-2000:]}")
-                return 1
-        for fault in chosen:
-            start = time.perf_counter()
-            found = verdict(tree, fault)
-            missed += found != "caught"
-            spent = f"{time.perf_counter() - start:4.0f} s"
-            print(f"{found:8} {spent}  {fault.file}: {fault.old} -> {fault.new}", flush=True)
-    print(f"{len(chosen) - missed} of {len(chosen)} faults caught")
-    return 1 if missed or not chosen else 0
+    jobs = int(os.environ.get("MUTANT_JOBS", os.cpu_count() or 1))
+    caught = 0
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(jobs) as pool:
+        trees = [copy_tree(Path(folder) / str(job)) for job in range(jobs)]
+        status, output = run_tests(trees[0], *sorted({f.tests for f in chosen}))
+        if status != 0:
+            print(f"without any fault the tests are not green:\n{output[-4000:]}")
+            return 1
+        for tree in trees[1:]:  # kernels compiled without a fault serve all trees
+            shutil.copytree(trees[0] / "cache", tree / "cache")
+        idle: SimpleQueue[Path] = SimpleQueue()
+        for tree in trees:
+            idle.put(tree)
+
+        def attempt(fault: Fault) -> tuple[Fault, str, float]:
+            tree, start = idle.get(), time.perf_counter()
+            try:
+                return fault, verdict(tree, fault), time.perf_counter() - start
+            finally:
+                idle.put(tree)
+
+        for fault, found, spent in pool.map(attempt, chosen):
+            caught += found == "caught"
+            print(f"{found:8} {spent:4.0f} s  {fault.file}: {fault.old} -> {fault.new}", flush=True)
+    print(f"{caught} of {len(chosen)} faults caught")
+    return 0 if caught == len(chosen) > 0 else 1
 
 
 if __name__ == "__main__":
