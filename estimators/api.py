@@ -10,6 +10,7 @@ import dataclasses
 import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
@@ -115,12 +116,47 @@ class Pretrained(Trainable, Protocol):
 
 
 @runtime_checkable
-class Calibratable(Pretrained, Protocol):
+class DeviationCalibratable(Pretrained, Protocol):
     """A pretrained estimator whose standard deviations are calibrated after training."""
 
-    def calibrate(self, drives: Sequence[Any]) -> Self:
+    def calibrate_deviations(self, drives: Sequence[Any]) -> Self:
         """Return a copy calibrated on these examples: drives of the nominal vehicle on roads that
         were not used for training.
+        """
+        ...
+
+
+class CalibrationError(ValueError):
+    """Drives that an estimator cannot be calibrated with; the message says why."""
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationDrive:
+    """A drive of the vehicle that is to be known better, before the drives that matter.
+
+    `profile` is the road if it was measured, with independent survey errors of the standard
+    deviation `survey_std` [m]; None over a road that nobody measured.
+    """
+
+    record: Record
+    profile: Profile | None = None
+    survey_std: float = 0.0005
+    name: str = "the drive"
+
+
+@runtime_checkable
+class Calibratable(Estimator, Protocol):
+    """An estimator that can be calibrated to one vehicle by drives of it.
+
+    A trained estimator keeps its weights: only what belongs to the vehicle and its instruments is
+    new in the copy, and is not part of `weights`.
+    """
+
+    def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
+        """Return a copy for the vehicle of these `drives`, of which `car` is the description.
+
+        Drives over measured and unmeasured roads may be mixed. A second calibration replaces the
+        first. Raises CalibrationError, ArithmeticError.
         """
         ...
 
@@ -183,7 +219,8 @@ def check_class(cls: Any) -> Any:
         raise TypeError(
             f"its lag must be a distance >= 0 in metres behind the front axle, got {lag!r}"
         )
-    for method, arguments in {"estimate": 3, "fit": 5, "weights": 1, "with_weights": 2}.items():
+    arguments_of = {"estimate": 3, "fit": 5, "weights": 1, "with_weights": 2, "calibrate": 3}
+    for method, arguments in arguments_of.items():
         if (function := getattr(cls, method, None)) is not None:
             _check_call(function, method, arguments)
     missing = [name for name in ("weights", "with_weights") if not hasattr(cls, name)]
@@ -197,7 +234,11 @@ def _check_call(function: Callable, name: str, arguments: int) -> None:
     try:
         inspect.signature(function).bind(*range(arguments))
     except TypeError:
-        signatures = {"estimate": "record, car", "fit": "records, truths, car, seed"}
+        signatures = {
+            "estimate": "record, car",
+            "fit": "records, truths, car, seed",
+            "calibrate": "drives, car",
+        }
         parameters = signatures.get(name, "weights" if arguments > 1 else "")
         raise TypeError(f"it cannot be called as {name}({parameters})") from None
 

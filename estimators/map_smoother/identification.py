@@ -14,6 +14,7 @@ from scipy.fft import irfft, rfft, rfftfreq
 from scipy.ndimage import spline_filter1d
 from scipy.signal import welch
 
+from estimators.api import CalibrationDrive, CalibrationError
 from estimators.map_smoother.car_fit import CarFit, Readings, fit_car
 from estimators.map_smoother.estimator import READINGS_PER_UNKNOWN, MapSmoother
 from estimators.map_smoother.gauss_newton import (
@@ -62,25 +63,8 @@ STD_INFLATION, UNKNOWN_STD_INFLATION = 1.5, 5.0
 """Factors on posterior standard deviations for what the linear vehicle's covariances leave out,
 over known and over unmeasured roads (`leaderboard/benchmarks/vehicle_knowledge.py`)."""
 
-
 WHEELBASE_MARGIN = 4.0
 """Distance [m] after the beginning of a profile at which all wheels are on it."""
-
-
-class CalibrationError(ValueError):
-    """A drive from which the vehicle cannot be identified; the message says why."""
-
-
-@dataclass(frozen=True, eq=False)
-class CalibrationDrive:
-    """A drive, and the `profile` of its road if that is known, with independent survey errors of
-    the standard deviation `survey_std` [m].
-    """
-
-    record: Record
-    profile: Profile | None = None
-    survey_std: float = 0.0005
-    name: str = "the drive"
 
 
 @dataclass(frozen=True, eq=False)

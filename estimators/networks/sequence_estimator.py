@@ -154,7 +154,7 @@ class SequenceEstimator(Settings, abc.ABC):
             self, fitted_state=FittedSequence(bank, rounded, coefficients, car.wheelbase)
         )
 
-    def calibrate(self, drives: Sequence[TrainingExample]) -> Self:
+    def calibrate_deviations(self, drives: Sequence[TrainingExample]) -> Self:
         """Return a copy with standard deviations calibrated on these drives, unseen in training."""
         fitted_state = self._fitted_or_pretrained()
         network = self.network()

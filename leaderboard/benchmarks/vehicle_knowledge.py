@@ -20,8 +20,9 @@ from typing import Any
 
 import numpy as np
 
+from estimators.api import CalibrationDrive
 from estimators.map_smoother.estimator import MapSmoother
-from estimators.map_smoother.identification import CalibrationDrive, Identification, identify
+from estimators.map_smoother.identification import Identification, identify
 from leaderboard.metrics.heights import nrmse
 from leaderboard.report.plots import COLOURS, write_figure
 from road_envs.data.record import Profile, Record, scored_band

@@ -7,9 +7,10 @@ import numpy as np
 import typer
 from rich.table import Table
 
+from estimators.api import CalibrationDrive
 from estimators.map_smoother.car_fit import Readings
 from estimators.map_smoother.estimator import MapSmoother
-from estimators.map_smoother.identification import CalibrationDrive, Identification
+from estimators.map_smoother.identification import Identification
 from estimators.map_smoother.identification import identify as identify_vehicle
 from leaderboard.commands import check_output_path, console, print_json
 from leaderboard.commands.drive_files import Description, Mode, Sensors, Speed, Vehicle, read_drive

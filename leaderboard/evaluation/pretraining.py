@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from estimators import pretrained_weights, weights_io
-from estimators.api import Calibratable, Pretrained
+from estimators.api import DeviationCalibratable, Pretrained
 from leaderboard.evaluation.evaluate import get_settings
 from leaderboard.evaluation.provenance import package_version
 from road_envs.data.training_corpus import Corpus
@@ -81,11 +81,11 @@ def train(
         lambda text, share: progress(text, SIMULATION_SHARE + (1.0 - SIMULATION_SHARE) * share),
         checkpoint,
     )
-    if isinstance(trained, Calibratable):
+    if isinstance(trained, DeviationCalibratable):
         progress("calibrating standard deviations", 1.0)
         more = range(corpus.number, corpus.number + math.ceil(CALIBRATION_SHARE * corpus.number))
         drives = [trained.training_example(*corpus.simulate_drive(k, True)) for k in more]
-        trained = trained.calibrate(drives)
+        trained = trained.calibrate_deviations(drives)
     metadata = {"command": command, "seed": str(seed), "corpus": corpus.digest, "digest": digest}
     weights_io.save(trained, out, metadata)
     checkpoint.done()

@@ -7,14 +7,11 @@ import numpy as np
 import pytest
 from vehicle_fixtures import DEFENDER
 
+from estimators.api import CalibrationDrive, CalibrationError
 from estimators.map_smoother import car_fit
 from estimators.map_smoother.car_fit import Readings, perturbed_plants, sensitivities
 from estimators.map_smoother.estimator import MapSmoother
-from estimators.map_smoother.identification import (
-    CalibrationDrive,
-    CalibrationError,
-    identify,
-)
+from estimators.map_smoother.identification import identify
 from estimators.map_smoother.objective import Objective, linearize
 from estimators.map_smoother.windows import initial_window_state, window_objective
 from estimators.preprocessing import mask_record

@@ -103,7 +103,7 @@ def test_the_command_trains_and_then_calibrates_on_the_nominal_vehicle(tmp_path)
     calibration_drives = [
         estimator.training_example(*corpus.simulate_drive(k, nominal=True)) for k in (4, 5)
     ]
-    again, before = plain.calibrate(calibration_drives).weights(), plain.weights()
+    again, before = plain.calibrate_deviations(calibration_drives).weights(), plain.weights()
     for name, x in written.weights().items():
         np.testing.assert_array_equal(x, again[name])
         if name != "widths":
