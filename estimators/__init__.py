@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from estimators.api import ENTRY_POINT_GROUP
     from estimators.estimation import estimate, make_estimator
+    from estimators.passes import estimate_passes
     from estimators.registry import (
         REGISTRY,
         PluginWarning,
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "ENTRY_POINT_GROUP": "api",
     "estimate": "estimation",
+    "estimate_passes": "passes",
     "make_estimator": "estimation",
 }
 """Modules of the public names that are not in `registry`."""
@@ -33,6 +35,7 @@ __all__ = [
     "available",
     "create",
     "estimate",
+    "estimate_passes",
     "find",
     "make_estimator",
     "names",

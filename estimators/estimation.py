@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib
+from collections.abc import Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -40,26 +41,39 @@ def make_estimator(reference: str | Path, **settings: Any) -> Estimator:
 
 def estimate(
     estimator: str | Path | Estimator,
-    record: Record,
-    vehicle: str | Path | VehicleParameters = "land_rover_defender_110",
+    record: Record | Sequence[Record],
+    vehicle: str | Path | VehicleParameters | Sequence[Any] = "land_rover_defender_110",
     **settings: Any,
 ) -> Estimate:
-    """Reconstruct both wheel paths from a record.
+    """Reconstruct both wheel paths from a record, or from those of several passes over one road
+    (`estimators.passes`), each with a `vehicle` of its own or one for all.
 
     `estimator` is an object, or what `make_estimator` takes with its `settings`; `vehicle` is the
     described car, by name, YAML file or parameters. The estimate keeps the median speed of the
     record, which decides the band in which it can be scored. Raises ConfigError, EstimateError,
     and NotFittedError for an estimator that must be trained first.
     """
-    if isinstance(estimator, str | Path):
-        estimator = make_estimator(estimator, **settings)
-    elif settings:
-        raise ConfigError(f"settings {sorted(settings)} need an estimator by name, not an object")
+    if not isinstance(record, Record):
+        from estimators.passes import estimate_passes
+
+        return estimate_passes(estimator, record, vehicle, **settings)
+    if not isinstance(vehicle, str | Path | VehicleParameters):
+        raise ConfigError(f"one record needs one vehicle, got {len(vehicle)}")
+    estimator = resolve_estimator(estimator, settings)
     car = vehicle if isinstance(vehicle, VehicleParameters) else load_vehicle(vehicle)
     found = estimator.estimate(record, car)
     check_estimate(found, record)
     notes = (*found.notes, *training_notes(estimator, car))
     return dataclasses.replace(found, notes=notes, speed=float(np.nanmedian(record.v)))
+
+
+def resolve_estimator(reference: str | Path | Estimator, settings: Mapping[str, Any]) -> Estimator:
+    """Return an estimator given as an object, or by what `make_estimator` takes with `settings`."""
+    if isinstance(reference, str | Path):
+        return make_estimator(reference, **settings)
+    if settings:
+        raise ConfigError(f"settings {sorted(settings)} need an estimator by name, not an object")
+    return reference
 
 
 def training_notes(estimator: Estimator, car: VehicleParameters) -> tuple[str, ...]:

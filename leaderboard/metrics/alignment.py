@@ -1,36 +1,20 @@
 """Alignment of an estimate with the true profile of a road by cross-correlation.
 
 The stations of a measured drive are those of its odometer or of a speed that was integrated, so
-they differ from those of a levelled or profiled road by an unknown distance. Both profiles are
-limited to the scored band; the lag of the largest correlation coefficient of their slopes over the
-overlap, of both wheel paths together, is the distance. Slopes of roads are nearly white, so that
-unrelated ones seldom have a large correlation.
+they differ from those of a levelled or profiled road by an unknown distance: that of the largest
+correlation of their slopes in the scored band (`road_envs.analysis.alignment`).
 """
 
 import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import fftconvolve
 
-from leaderboard.metrics.heights import band_pass
+from road_envs.analysis.alignment import MIN_OVERLAP, SEARCHED, is_match, lag_correlations
+from road_envs.analysis.roughness import band_pass
 from road_envs.config import ConfigError
 from road_envs.data.record import Estimate, Profile, scored_band
 from road_envs.roads import Surface
-
-SEARCHED = 50.0
-"""Largest lag [m] that is searched, to either side."""
-
-MIN_OVERLAP = 20.0
-"""Shortest overlap [m] of two profiles: four of the longest scored waves."""
-
-MIN_CORRELATION = 0.3
-"""Correlation below which two profiles do not match, at any length."""
-
-CHANCE = 5.0
-"""Largest correlation of unrelated profiles over thousands of lags, times the square root of their
-number of independent values.
-"""
 
 
 class Alignment(NamedTuple):
@@ -71,7 +55,7 @@ def align(road: Surface, estimate: Estimate, v: float, chainage: float = 0.0) ->
     )
     # a lag of k: station i of the estimate is station i + k of the truth's grid
     start = first + cut_truth - cut_found
-    lags, r = _correlations(truth, found, needed, start)
+    lags, r = lag_correlations(truth, found, needed, start)
     near = np.abs(lags) * ds <= SEARCHED
     if not near.any():
         raise ConfigError(
@@ -84,8 +68,7 @@ def align(road: Surface, estimate: Estimate, v: float, chainage: float = 0.0) ->
     before = float(r[lags == 0][0]) if (lags == 0).any() else np.nan
     begin = max(0, first - lag)
     end = min(estimate.s.size, first + size - lag)
-    independent = 4.0 * (band[1] - band[0]) * ds * (end - begin)
-    if correlation < max(MIN_CORRELATION, CHANCE / np.sqrt(independent)):
+    if not is_match(correlation, ds * (end - begin), band):
         raise ConfigError(
             f"the estimate matches the truth at no lag within {SEARCHED:g} m: its best "
             f"correlation is {correlation:.2f}, at {ds * lag:+.2f} m; check the road, the vehicle "
@@ -97,24 +80,3 @@ def align(road: Surface, estimate: Estimate, v: float, chainage: float = 0.0) ->
     part = dataclasses.replace(estimate, s=s, z=estimate.z[:, inside], z_std=std)
     heights = road.height(chainage + ds * (begin + lag + np.arange(end - begin)))
     return Alignment(Profile(s, heights), part, ds * lag, correlation, before)
-
-
-def _correlations(
-    truth: np.ndarray, found: np.ndarray, needed: int, start: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return lags (L,) and correlation coefficients (L,) of profiles (2, N) and (2, M).
-
-    Only lags with at least `needed` common samples are returned.
-    """
-    ones = np.ones_like(found)
-
-    def slide(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return fftconvolve(x, y[:, ::-1], axes=1).sum(axis=0)
-
-    product = slide(truth, found)
-    power = slide(truth**2, ones) * slide(np.ones_like(truth), found**2)
-    common = np.rint(slide(np.ones_like(truth), ones)) / 2.0
-    k = np.arange(product.size) - (found.shape[1] - 1)
-    use = common >= needed
-    r = product[use] / np.sqrt(np.maximum(power[use], 1e-30))
-    return k[use] + start, r

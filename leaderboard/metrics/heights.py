@@ -25,10 +25,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import signal
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.fft import rfft, rfftfreq
 from scipy.special import ndtr, ndtri
 
-from road_envs.analysis.roughness import detrend_linear
+from road_envs.analysis.roughness import Band as Band
+from road_envs.analysis.roughness import band_pass as band_pass
 from road_envs.data.record import SCORED_F_MAX as SCORED_F_MAX
 from road_envs.data.record import SCORED_N_MAX as SCORED_N_MAX
 from road_envs.data.record import SCORED_N_MIN as SCORED_N_MIN
@@ -39,7 +40,6 @@ VERSION = 3
 older results stale.
 """
 
-Band = tuple[float, float]
 FULL_BAND: Band = (0.05, 3.0)
 LAG_MAX = 0.5  # [m]
 SEGMENT_LENGTH = 10.0  # [m] Welch segment of the coherence: resolution 0.1 cycles/m
@@ -68,26 +68,6 @@ class Uncertainty(NamedTuple):
     crps: float
     coverage_50: float
     coverage_90: float
-
-
-def band_pass(z: np.ndarray, ds: float, band: Band) -> np.ndarray:
-    """Return the part of `z` (..., M) [m] inside `band`, without phase shift; (..., K) with K < M.
-
-    The least-squares line is subtracted, the profile is continued by odd reflection (height and
-    slope go on) and tapered to zero over 20 m, so neither drift nor ends leak into the band; then
-    every frequency outside is set to zero. One longest wavelength, at most a tenth, is cut from
-    each end.
-    """
-    M = z.shape[-1]
-    pad = min(M - 1, round(20.0 / ds))
-    ends = [(0, 0)] * (z.ndim - 1) + [(pad, pad)]
-    z = np.pad(detrend_linear(z), ends, mode="reflect", reflect_type="odd")
-    z = z * signal.windows.tukey(z.shape[-1], 2 * pad / z.shape[-1])
-    size = next_fast_len(z.shape[-1], real=True)
-    n = rfftfreq(size, ds)
-    spectrum = np.where((n >= band[0]) & (n <= band[1]), rfft(z, size), 0.0)
-    trim = round(min(1.0 / band[0], 0.1 * M * ds) / ds)
-    return irfft(spectrum, size)[..., pad + trim : pad + M - trim]
 
 
 def nrmse(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> Sides:

@@ -14,6 +14,9 @@ import scipy
 
 from road_envs.config import Positive
 
+Band = tuple[float, float]
+"""Lower and upper limit of spatial frequency [cycles/m]."""
+
 N_0 = 0.1
 """Reference spatial frequency of ISO 8608 [cycles/m]."""
 
@@ -62,6 +65,26 @@ def detrend_linear(z: np.ndarray) -> np.ndarray:
     x = np.arange(z.shape[-1]) - 0.5 * (z.shape[-1] - 1)
     slope = np.einsum("...i,i->...", z, x) / np.sum(x * x)  # avoids BLAS, which starts threads
     return z - z.mean(axis=-1, keepdims=True) - slope[..., None] * x
+
+
+def band_pass(z: np.ndarray, ds: float, band: Band) -> np.ndarray:
+    """Return the part of `z` (..., M) [m] inside `band`, without phase shift; (..., K) with K < M.
+
+    The least-squares line is subtracted, the profile is continued by odd reflection (height and
+    slope go on) and tapered to zero over 20 m, so neither drift nor ends leak into the band; then
+    every frequency outside is set to zero. One longest wavelength, at most a tenth, is cut from
+    each end.
+    """
+    M = z.shape[-1]
+    pad = min(M - 1, round(20.0 / ds))
+    ends = [(0, 0)] * (z.ndim - 1) + [(pad, pad)]
+    z = np.pad(detrend_linear(z), ends, mode="reflect", reflect_type="odd")
+    z = z * scipy.signal.windows.tukey(z.shape[-1], 2 * pad / z.shape[-1])
+    size = scipy.fft.next_fast_len(z.shape[-1], real=True)
+    n = scipy.fft.rfftfreq(size, ds)
+    spectrum = np.where((n >= band[0]) & (n <= band[1]), scipy.fft.rfft(z, size), 0.0)
+    trim = round(min(1.0 / band[0], 0.1 * M * ds) / ds)
+    return scipy.fft.irfft(spectrum, size)[..., pad + trim : pad + M - trim]
 
 
 def smooth_psd(n: np.ndarray, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
