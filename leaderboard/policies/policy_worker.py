@@ -1,31 +1,25 @@
-"""The process of an isolated policy: requests on standard input, actions on standard output.
+"""The guest of a policy: requests on standard input, actions on standard output.
 
     python -P -m leaderboard.policies.policy_worker SETUP
 
-SETUP is a PolicySetup as JSON. The libraries are loaded first, then the process becomes another
-user, then the policy is loaded. Requests come from the judge and are pickles; replies go to it and
-are a flag, a size and plain numbers or text, since nothing that a policy writes is to be unpickled.
-What the policy prints goes to standard error.
+SETUP is a PolicySetup as JSON, messages are those of `leaderboard.sandbox.messages`. The libraries
+are loaded first, then the process becomes another user, then the policy is loaded. What the policy
+prints goes to standard error.
 """
 
 import json
 import os
 import pickle
 import resource
-import struct
 import sys
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from leaderboard.evaluation.entry import describe_error
+from leaderboard.sandbox import messages, processes, worker
 from road_envs.policies import make_policy
-
-REPLY = struct.Struct("<?I")
-"""Head of a reply: whether it succeeded, and the number of bytes that follow."""
-
-LONGEST_TEXT = 2000
-"""Longest description of a failure, in characters."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,38 +36,35 @@ class PolicySetup:
 def main() -> None:
     """Serve requests until the end of input."""
     setup = PolicySetup(**json.loads(sys.argv[1]))
-    requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    processes.die_with_parent()
+    replies = os.dup(1)
     os.dup2(2, 1)
+    worker.reply(replies, {})
     resource.setrlimit(resource.RLIMIT_DATA, (setup.memory, setup.memory))
-    if setup.user is not None:
-        os.setgroups([])
-        os.setgid(setup.user)
-        os.setuid(setup.user)
+    worker.become(setup.user)
     if setup.code is not None:
         sys.path.insert(0, setup.code)
     policy: Any = None
     while True:
         try:
-            task, data = pickle.load(requests)
+            request = worker.read_request()
         except EOFError:
             return
+        (data,) = messages.decode_arrays(request, worker.read)
         try:
-            if task == "reset":
+            if request["do"] == "reset":
                 policy = policy or make_policy(setup.reference, **setup.settings)
-                policy.reset(data)
-                answer = b""
-            elif task == "changes":
+                policy.reset(pickle.loads(data.tobytes()))  # of the judge
+                worker.reply(replies, {})
+            elif request["do"] == "changes":
                 before = data.copy()
                 policy.act(data)
-                answer = b"" if np.array_equal(before, data) else b"changed"
+                worker.reply(replies, {"changed": not np.array_equal(before, data)})
             else:
-                answer = _whole_numbers(policy.act(data)).astype(np.int64).tobytes()
-            ok = True
+                actions = _whole_numbers(policy.act(data)).astype(np.int64)
+                worker.reply(replies, {"actions": actions.size}, [actions])
         except BaseException as error:
-            ok, text = False, " ".join(str(error).split()) or "no message"
-            answer = f"{type(error).__name__}: {text}"[:LONGEST_TEXT].encode(errors="replace")
-        replies.write(REPLY.pack(ok, len(answer)) + answer)
-        replies.flush()
+            worker.reply(replies, {"failure": describe_error(error)[:10_000]})
 
 
 def _whole_numbers(actions: object) -> np.ndarray:

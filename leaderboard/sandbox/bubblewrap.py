@@ -131,7 +131,9 @@ def _system_mounts() -> dict[Path, Path]:
         *([executable] if executable.exists() else []),
     ]
     mounts: list[Path] = []
-    for path in sorted(dict.fromkeys(map(_absolute, wanted)), key=lambda path: len(path.parts)):
+    paths = [_absolute(path) for path in wanted]
+    paths += [path.resolve() for path in paths]  # an environment may be reached by a link
+    for path in sorted(dict.fromkeys(paths), key=lambda path: len(path.parts)):
         if path.exists() and not any(path.is_relative_to(mount) for mount in mounts):
             mounts.append(path)
     return {path: path for path in mounts}

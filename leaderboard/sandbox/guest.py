@@ -54,7 +54,7 @@ class Guest:
             os.set_blocking(handle, False)
         self.output_size, self.output_tail, self.peak_memory = 0, b"", 0.0
         self._end_of_output = False
-        self.limits, self._end = Limits(), 0.0
+        self.limits, self._seconds_left = Limits(), 0.0
         self.start_run(Limits(seconds=STARTUP_TIMEOUT))
         try:
             self.call(b"")
@@ -68,8 +68,8 @@ class Guest:
         return self._process.pid
 
     def start_run(self, limits: Limits) -> None:
-        """Apply these limits to all calls from now on together."""
-        self.limits, self._end, self.peak_memory = limits, time.monotonic() + limits.seconds, 0.0
+        """Apply these limits to all calls from now on together; time between calls is free."""
+        self.limits, self._seconds_left, self.peak_memory = limits, limits.seconds, 0.0
 
     def cpu_seconds(self) -> float:
         """Return the processor time [s] of all its processes and threads, ended ones included."""
@@ -82,15 +82,17 @@ class Guest:
 
         `size_of_arrays` returns the expected number of bytes of the arrays.
         """
+        begin = time.monotonic()
+        end, next_check = begin + self._seconds_left, begin + POLL_INTERVAL
         unsent = memoryview(request)
         received, wanted = bytearray(), messages.HEAD_SIZE.size
         size: int | None = None
         head: dict[str, Any] | None = None
-        next_check = time.monotonic() + POLL_INTERVAL
         while True:
             while len(received) >= wanted:
                 if head is not None:
                     self._measure()
+                    self._seconds_left = end - time.monotonic()
                     return head, bytes(received)
                 if size is None:
                     (size,) = messages.HEAD_SIZE.unpack(received)
@@ -101,12 +103,12 @@ class Guest:
                     head = messages.parse_head(bytes(received[messages.HEAD_SIZE.size :]))
                     received, wanted = bytearray(), size_of_arrays(head)
             now = time.monotonic()
-            if now > self._end:
+            if now > end:
                 raise EntryError(f"stopped after {self.limits.seconds:g} s, the time limit")
             if now >= next_check:
                 next_check = now + POLL_INTERVAL
                 self._measure()
-            wait = max(0.0, min(next_check, self._end) - now)
+            wait = max(0.0, min(next_check, end) - now)
             outputs = [self._replies] + ([] if self._end_of_output else [self._output])
             ready, free, _ = select.select(outputs, [self._requests] if unsent else [], [], wait)
             if self._output in ready:

@@ -57,10 +57,10 @@ def main() -> None:
     if setup.cache is not None:
         _link_cache(Path(setup.cache[0]), setup.cache[1])
     _preload(implementations=setup.serves_many)
-    _reply(replies, {})
+    reply(replies, {})
     while True:
         try:
-            start = _read_request()
+            start = read_request()
         except EOFError:
             return
         pid = os.fork()
@@ -98,7 +98,8 @@ def _link_cache(source: Path, name: str) -> None:
             link.symlink_to(path)
 
 
-def _read(size: int) -> bytes:
+def read(size: int) -> bytes:
+    """Return `size` bytes of the requests. Raises EOFError at the end of input."""
     data = bytearray()
     while len(data) < size:
         part = os.read(0, min(size - len(data), 1 << 20))
@@ -108,14 +109,16 @@ def _read(size: int) -> bytes:
     return bytes(data)
 
 
-def _read_request() -> dict[str, Any]:
+def read_request() -> dict[str, Any]:
+    """Return the JSON object of the next request. Raises EOFError at the end of input."""
     from leaderboard.sandbox import messages
 
-    (size,) = messages.HEAD_SIZE.unpack(_read(messages.HEAD_SIZE.size))
-    return json.loads(_read(size))
+    (size,) = messages.HEAD_SIZE.unpack(read(messages.HEAD_SIZE.size))
+    return json.loads(read(size))
 
 
-def _reply(handle: int, head: dict[str, Any], arrays: Any = ()) -> None:
+def reply(handle: int, head: dict[str, Any], arrays: Any = ()) -> None:
+    """Write a reply; one that cannot be encoded becomes a failure."""
     from leaderboard.sandbox import messages
 
     try:
@@ -135,10 +138,7 @@ def _run_child(setup: Setup, replies: int, start: dict[str, Any]) -> NoReturn:
             signal.signal(number, signal.SIG_DFL)
         processes.die_with_parent()
         _set_resource_limits(setup.limits, is_nobody=setup.user is not None)
-        if setup.user is not None:
-            os.setgroups([])
-            os.setgid(setup.user)
-            os.setuid(setup.user)
+        become(setup.user)
         os.umask(0o022)
         _serve(setup, replies, start)
         sys.stdout.flush()
@@ -148,6 +148,14 @@ def _run_child(setup: Setup, replies: int, start: dict[str, Any]) -> NoReturn:
         os.write(2, f"{type(error).__name__}: {error}\n".encode())
     finally:
         os._exit(status)
+
+
+def become(user: int | None) -> None:
+    """Give up this user and its groups for `user`, if that is not None."""
+    if user is not None:
+        os.setgroups([])
+        os.setgid(user)
+        os.setuid(user)
 
 
 def _serve(setup: Setup, replies: int, start: dict[str, Any]) -> None:
@@ -160,18 +168,18 @@ def _serve(setup: Setup, replies: int, start: dict[str, Any]) -> None:
         head = describe(estimator)
     except BaseException as error:
         reason = str(error) if isinstance(error, EntryError) else describe_error(error)
-        _reply(replies, {"failure": f"cannot be constructed: {reason}"[:10_000]})
+        reply(replies, {"failure": f"cannot be constructed: {reason}"[:10_000]})
         return
     if start["car"] is None:
-        _reply(replies, {**head, "name": name})
-        _read_request()
+        reply(replies, {**head, "name": name})
+        read_request()
         return
     for library in ("scipy.interpolate", "scipy.signal"):  # slow to load, and in nobody's time
         importlib.import_module(library)
     session = LocalSession(estimator, build(VehicleParameters, start["car"], "car"))
-    _reply(replies, {"needs_training": session.needs_training})
-    while (request := _read_request())["do"] != "end":
-        arrays = messages.decode_arrays(request, _read)
+    reply(replies, {"needs_training": session.needs_training})
+    while (request := read_request())["do"] != "end":
+        arrays = messages.decode_arrays(request, read)
         answer: dict[str, Any]
         z: list[Any] = []
         try:
@@ -189,7 +197,7 @@ def _serve(setup: Setup, replies: int, start: dict[str, Any]) -> None:
                 answer = {"seconds": seconds, "std": estimate.z_std is not None}
         except (Exception, SystemExit) as error:
             answer, z = {"failure": describe_error(error)[:10_000]}, []
-        _reply(replies, answer, z)
+        reply(replies, answer, z)
 
 
 def load(reference: str, settings: dict[str, Any], folder: str | None) -> tuple[str | None, Any]:

@@ -65,9 +65,9 @@ def test_a_policy_in_a_process_acts_as_it_does_here():
     [
         ("Endless", "stopped after 2 s, the time limit"),
         ("Greedy", "MemoryError"),
-        ("Leaves", "its process ended with exit status 3"),
+        ("Leaves", "its process ended without a response, by exit status 3"),
         ("Floats", "act must return whole numbers, got float64"),
-        ("TooMany", "its reply has 32000 bytes, at most 32 are expected"),
+        ("TooMany", "act must return 4 actions, one per vehicle"),
         ("Beyond", "actions must be 0 to 15, got 99"),
         ("Nowhere", "the policy bad_policies:Nowhere cannot be used"),
     ],
