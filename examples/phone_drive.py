@@ -3,21 +3,28 @@
 #
 # A car that differs from its description drives over a street with a hump, a pothole and a bump.
 # The record is written as a table of its own kind: other column names, accelerations in g that
-# include gravity, a clock that jitters, and one position and speed per second.
+# include gravity, a clock that jitters about 100 Hz, and one position and speed per second. The
+# positions are those of satellite navigation: they wander by metres within minutes.
 #
 # Run it as `python examples/phone_drive.py`; `road-recon report` turns the table into a report.
 
 # %%
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.signal import lfilter
 
 from road_envs import simulate_record
 from road_envs.data.logger_tables.description import DriveDescription, write_description
 from road_envs.data.logger_tables.units import STANDARD_GRAVITY
 from road_envs.roads import realise_road, write_csv
+from road_envs.sensing.instruments import load_instruments
+
+WANDER, WANDER_TIME = 2.0, 300.0
+"""Error [m] of a position in each direction, and the time [s] within which it changes."""
 
 parser = argparse.ArgumentParser(description="Write a drive as three phones would log it.")
 parser.add_argument("--out", type=Path, default=Path("out/examples"), help="folder of the files")
@@ -29,26 +36,33 @@ parser.add_argument("--jitter-ms", type=float, default=3.0, help="largest error 
 options = parser.parse_known_args()[0]  # a notebook kernel has arguments of its own
 options.out.mkdir(parents=True, exist_ok=True)
 
-# %% The drive
+# %% The drive: what the phones' filters pass, 1000 times a second
 surface = realise_road(options.road, options.seed)
+phone = load_instruments("phone")
 record, _ = simulate_record(
     surface,
     speed_kmh=options.speed_kmh,
     mode="handling",
-    instruments="phone",
+    instruments=replace(phone, fs=1000.0),
     grade=options.grade,
     seed=options.seed,
 )
 
 # %% Its table: samples are taken when the jittering clock says
 rng = np.random.default_rng(options.seed)
-t = record.t[1:-1] + 1e-3 * options.jitter_ms * rng.uniform(-1.0, 1.0, record.t.size - 2)
+even = np.arange(0.01, record.t[-1] - 0.01, 1.0 / phone.fs)
+t = even + 1e-3 * options.jitter_ms * rng.uniform(-1.0, 1.0, even.size)
 accelerations = [np.interp(t, record.t[np.isfinite(a)], a[np.isfinite(a)]) for a in record.a]
 once = np.arange(t.size) % 100 == 0  # a position per second
-s = np.interp(t, record.t, record.s)
+v = options.speed_kmh / 3.6
+s = record.s[0] + v * t  # the odometer of the record has the error of its speed
 heading = 0.8 + 0.4 * np.sin(s / 120.0)
 step = np.diff(s, prepend=s[0])
 east, north = np.cumsum(step * np.sin(heading)), np.cumsum(step * np.cos(heading))
+keep = np.exp(-1.0 / (phone.fs * WANDER_TIME))
+for track in (east, north):
+    steps = WANDER * np.sqrt(1.0 - keep**2) * rng.standard_normal(t.size)
+    track += lfilter([1.0], [1.0, -keep], steps)
 metres_per_degree = 111_195.0
 stamp = pd.Timestamp("2026-05-04T09:30:00Z") + pd.to_timedelta(t, unit="s")
 table = pd.DataFrame(
@@ -77,7 +91,7 @@ write_description(
         columns={"a_rf": "front_right_z", "a_lr": "rear_left_z", "a_rr": "rear_right_z"},
         mode="handling",
         sensors="phone",
-        offset=float(record.s[1]),
+        offset=float(s[0]),
     ),
 )
 write_csv(surface, options.out / "phone_drive_truth.csv")

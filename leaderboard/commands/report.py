@@ -90,9 +90,17 @@ def report(
             )  # fmt: skip
             progress(f"estimating {path.name}", (k + 0.2) / len(drives))
             read.append((drive.measured, _estimate(estimator, drive, chosen)))
-    aligned, clipping = align_passes(read), load_instruments(drive.sensors).range
+    aligned, instruments = align_passes(read), load_instruments(drive.sensors)
     results = [
-        analyse(name, measured, estimate, categories, segment=segment, clipping=clipping)
+        analyse(
+            name,
+            measured,
+            estimate,
+            categories,
+            segment=segment,
+            clipping=instruments.range,
+            speed_error=instruments.speed_error,
+        )
         for name, (measured, _), (_, estimate) in zip(names, aligned, read, strict=True)
     ]
     agreement = compare([r for r, (_, same) in zip(results, aligned, strict=True) if same])
@@ -184,7 +192,9 @@ def _print(result: DriveResult) -> None:
     console.print(table)
     for row in result.obstacles:
         console.print(
-            f"{row['kind']} at {row['station_m']:.1f} m: {row['height_mm']:+.0f} mm, "
-            f"{row['length_m']:.1f} m long, {row['wheel_path']}, confidence {row['confidence']:.2f}"
+            f"{row['kind']} at {row['station_m']:.1f} ± {1.96 * row['station_std_m']:.1f} m: "
+            f"{row['height_mm']:+.0f} mm ({row['height_low_mm']:.0f} to "
+            f"{row['height_high_mm']:.0f}), {row['length_m']:.1f} m long, {row['wheel_path']}, "
+            f"confidence {row['confidence']:.2f}"
         )
     print_notes(result.notes)

@@ -20,6 +20,11 @@ from road_envs.data.record import Estimate, scored_band
 SEGMENT_LENGTHS = (10.0, 20.0, 100.0)
 """Lengths [m] of segments."""
 
+PLACE_STD = 0.15
+"""Standard deviation [m] of an obstacle's place in a drive whose distance is right; by
+`tests/long/report_trial.py` with seeds 201 to 203.
+"""
+
 RUN_IN = 11.0
 """Length [m] of the golden car's run-in (Sayers 1995)."""
 
@@ -71,10 +76,12 @@ def analyse(
     *,
     segment: float = 100.0,
     clipping: float = np.inf,
+    speed_error: float = 0.0,
 ) -> DriveResult:
     """Return the results of a drive by segments of `segment` [m], at whole multiples of it.
 
-    `clipping` [m/s²] is the magnitude from which on a sample is clipped.
+    `clipping` [m/s²] is the magnitude from which on a sample is clipped, `speed_error` the relative
+    standard deviation of the speed, by which distances from the first sample are uncertain.
     """
     record, v = measured.record, float(np.median(measured.record.v))
     edges = _edges(estimate, measured.chainage, segment, record.s[0])
@@ -84,7 +91,7 @@ def analyse(
     for k in range(edges.size - 1):
         result.segments.append(_segment(result, edges, k, iri, conditions, clipping))
     for obstacle in detect(estimate):
-        result.obstacles.append(_obstacle(result, obstacle))
+        result.obstacles.append(_obstacle(result, obstacle, speed_error))
     result.facts.update(
         length_m=float(edges[-1] - edges[0]),
         speed_kmh=3.6 * v,
@@ -178,12 +185,17 @@ def _flags(
     return flags
 
 
-def _obstacle(result: DriveResult, found: DetectedObstacle) -> dict[str, Any]:
+def _obstacle(result: DriveResult, found: DetectedObstacle, speed_error: float) -> dict[str, Any]:
     lat, lon = result.position(found.station)
+    distance = speed_error * (found.station - result.measured.record.s[0])
+    low, high = sorted(1e3 * (found.height + x * found.height_std) for x in (-1.96, 1.96))
     return {
         "kind": "bump" if found.height > 0.0 else "hole",
         "station_m": result.chainage + found.station,
+        "station_std_m": float(np.hypot(PLACE_STD, distance)),
         "height_mm": 1e3 * found.height,
+        "height_low_mm": low,
+        "height_high_mm": high,
         "length_m": found.length,
         "wheel_path": found.side,
         "confidence": found.confidence,

@@ -21,7 +21,8 @@ def write_tables(result: DriveResult, folder: Path, stem: str) -> list[Path]:
         import pandas as pd
 
     columns = [
-        "kind", "station_m", "height_mm", "length_m", "wheel_path", "confidence", "lat", "lon",
+        "kind", "station_m", "station_std_m", "height_mm", "height_low_mm", "height_high_mm",
+        "length_m", "wheel_path", "confidence", "lat", "lon",
     ]  # fmt: skip
     estimate = result.estimate
     std = np.full_like(estimate.z, np.nan) if estimate.z_std is None else estimate.z_std

@@ -9,6 +9,7 @@ from markupsafe import Markup
 from leaderboard.drive_report import pictures
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.conditions import Conditions
+from leaderboard.drive_report.posterior_iri import MODEL_STD
 from leaderboard.report.rendering import render
 from road_envs import __version__
 from road_envs._atomic_io import atomic_write
@@ -34,6 +35,7 @@ def write_page(
         colours=pictures.CONDITION_COLOURS,
         settings=settings,
         agreement=agreement,
+        model_std=MODEL_STD,
         version=__version__,
     )
     with atomic_write(path) as partial:

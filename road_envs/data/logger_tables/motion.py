@@ -22,8 +22,10 @@ SPEED_MAX, SPEED_QUESTIONED = 70.0, 42.0
 TRACK_SMOOTHING = 5.0
 """Time [s] over which positions are averaged before their track is measured: noise lengthens it."""
 
-SHORTEST_TRACK = 100.0
-"""Length [m] of track from which on it calibrates the speed."""
+POSITION_ERROR, SPEED_ERROR = 1.0, 0.01
+"""Assumed standard deviations of the length [m] of a track of satellite positions, whose error
+changes slowly, and of a speed, relative to it.
+"""
 
 MAX_SPEED_ERROR = 0.05
 """Largest relative error of a speed that is taken as its calibration."""
@@ -104,16 +106,20 @@ def track_length(position: np.ndarray) -> np.ndarray:
 def _calibrated(
     t: np.ndarray, v: np.ndarray, position: np.ndarray, findings: Findings
 ) -> np.ndarray:
-    """Return the speed, scaled to the length of the track if both are nearly equal."""
+    """Return the speed, scaled towards the length of the track as far as that is known better."""
     smooth = np.array([_smoothed(x, t, TRACK_SMOOTHING) for x in position])
     middle = (t >= t[0] + TRACK_SMOOTHING) & (t <= t[-1] - TRACK_SMOOTHING)
     if middle.sum() < 2:
         return v
     track = track_length(smooth[:, middle])[-1]
-    scale = track / max(integrate(t[middle], v[middle])[-1], 1e-9)
-    if track < SHORTEST_TRACK or not 1e-4 < abs(scale - 1.0) < MAX_SPEED_ERROR:
+    error = track / max(integrate(t[middle], v[middle])[-1], 1e-9) - 1.0
+    weight = 1.0 / (1.0 + (POSITION_ERROR / (SPEED_ERROR * max(track, 1e-9))) ** 2)
+    scale = 1.0 + weight * error
+    if not abs(error) < MAX_SPEED_ERROR or not abs(scale - 1.0) > 1e-4:
         return v
-    findings.notes.append(f"the speed is scaled by {scale:.4f} to the length of the track")
+    findings.notes.append(
+        f"the speed is scaled by {scale:.4f}, towards the length of the track of the positions"
+    )
     return scale * v
 
 

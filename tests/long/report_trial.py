@@ -1,0 +1,204 @@
+"""Trial of the report: drives as phones log them, of cars that differ from their description.
+
+For each case a table is written (`examples/phone_drive.py`) and reported by one command,
+and the obstacles and IRI that the report gives are compared with the road:
+
+    python tests/long/report_trial.py --out out/report_trial
+
+The folder keeps what is done, so that a trial that was ended goes on; the summary is printed.
+"""
+
+import argparse
+import contextlib
+import io
+import itertools
+import json
+import runpy
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from leaderboard import cli
+from leaderboard.drive_report.posterior_iri import posterior_iri
+from road_envs.data.record import Estimate
+from road_envs.roads import realise_road
+
+ROOT = Path(__file__).parents[2]
+
+LENGTH = 150.0
+"""Length [m] of a road."""
+
+CLASSES, SPEEDS, SEEDS = "BC", (30, 36, 50), (101, 102, 103, 104, 105, 106)
+"""Road classes, speeds [km/h], and seeds of road, car, noise and clock. No constant of the report
+was chosen by drives of these seeds.
+"""
+
+LIMITS = {"place_own_m": 0.5, "height": 0.2, "iri": 0.15}
+"""Errors that a report is allowed: places in the drive's own distance [m], relative heights,
+relative IRI of segments. The distance itself is as good as the speed, 0.5 % (configs/sensors).
+"""
+
+
+def road(letter: str, seed: int) -> dict:
+    """Return a road of a class with a hump, a pothole and a bump whose places the seed draws."""
+    rng = np.random.default_rng((seed, 14))
+    hump, hole, bump = np.array([35.0, 75.0, 115.0]) + rng.uniform(-6.0, 6.0, 3)
+    side = str(rng.choice(["left", "right"]))
+    defects = [
+        {"shape": "half_sine", "at": float(hump), "length": 3.7, "height": 0.075},
+        {"shape": "pothole", "at": float(hole), "length": 1.2, "edge": 0.2, "height": -0.05,
+         "side": side},
+        {"shape": "half_sine", "at": float(bump), "length": 0.9, "height": 0.03},
+    ]  # fmt: skip
+    ground = {"kind": "iso8608", "road_class": letter, "length": LENGTH}
+    return {
+        "kind": "summed",
+        "roads": [ground, {"kind": "defects", "length": LENGTH, "defects": defects}],
+    }
+
+
+def report(case: tuple[str, int, int], folder: Path, *options: str) -> dict:
+    """Write the drive of a case into `folder`, report it, and return the errors of the report."""
+    letter, speed, seed = case
+    folder.mkdir(parents=True, exist_ok=True)
+    described = road(letter, seed)
+    (folder / "road.yaml").write_text(yaml.safe_dump(described), encoding="utf-8")
+    words = ["--out", folder, "--road", folder / "road.yaml", "--speed-kmh", speed, "--seed", seed]
+    with _arguments("phone_drive.py", *words), contextlib.redirect_stdout(io.StringIO()):
+        runpy.run_path(str(ROOT / "examples/phone_drive.py"))
+    began = time.process_time()
+    words = ["--description", folder / "phone_drive.yaml", "--out", folder / "report", "--json"]
+    printed = io.StringIO()
+    with (
+        _arguments("road-recon", "report", folder / "phone_drive.csv", *words, *options),
+        contextlib.redirect_stdout(printed),
+        contextlib.suppress(SystemExit),
+    ):
+        cli.main()
+    (drive,) = json.loads(printed.getvalue())["drives"]
+    defects = [d for part in described["roads"] for d in part.get("defects", [])]
+    seconds = time.process_time() - began
+    scale = drive["speed_kmh"] / speed
+    errors = compare(drive, defects, folder / "road.yaml", seed, scale)
+    return {"case": case, "seconds": seconds, **errors}
+
+
+def compare(drive: dict, defects: list[dict], road_file: Path, seed: int, scale: float) -> dict:
+    """Return the errors of a report: of obstacles, of the IRI of segments, and false obstacles.
+
+    `place_own_m` are errors of the place in the drive's own distance, whose scale is that of its
+    speed. An obstacle is that of its kind (bump, hole) nearest to its station; its error of height
+    is relative, -1 if there is none within 2 m.
+    """
+    found, place, own, height, inside = list(drive["obstacles"]), [], [], [], [0, 0]
+    for defect in defects:
+        same = [o for o in found if (o["height_mm"] > 0.0) == (defect["height"] > 0.0)]
+        near = [o for o in same if abs(o["station_m"] - defect["at"]) < 2.0]
+        if not near:
+            place.append(None)
+            own.append(None)
+            height.append(-1.0)
+            continue
+        nearest = min(near, key=lambda o: abs(o["station_m"] - defect["at"]))
+        found.remove(nearest)
+        true = 1e3 * defect["height"]
+        place.append(nearest["station_m"] - defect["at"])
+        own.append(place[-1] - (scale - 1.0) * defect["at"])
+        inside[0] += bool(abs(place[-1]) <= 1.96 * nearest["station_std_m"])
+        height.append(nearest["height_mm"] / true - 1.0)
+        low, high = (nearest[f"height_{x}_mm"] for x in ("low", "high"))
+        inside[1] += bool(low <= true <= high)
+    rows = drive["segments"]
+    edges = np.array([row["begin_m"] for row in rows] + [rows[-1]["end_m"]])
+    surface = realise_road(road_file, seed)
+    s = edges[0] + 0.025 * np.arange(int((edges[-1] - edges[0]) / 0.025))
+    truth = Estimate(s - s[0], surface.height(s))
+    iri = posterior_iri(truth, 10.0, edges - edges[0]).median[2]
+    covered = [
+        bool(r["iri_mean_low"] <= x <= r["iri_mean_high"]) for r, x in zip(rows, iri, strict=True)
+    ]
+    return {
+        "place_m": place,
+        "place_own_m": own,
+        "height": height,
+        "covered": inside,
+        "iri": [row["iri_mean"] / x - 1.0 for row, x in zip(rows, iri, strict=True)],
+        "iri_covered": sum(covered),
+        "false": [[o["station_m"], o["height_mm"]] for o in found],
+        "notes": drive["notes"],
+    }
+
+
+def passes(result: dict) -> bool:
+    """Return whether all errors of a report are within LIMITS."""
+    return all(
+        x is not None and abs(x) <= limit for key, limit in LIMITS.items() for x in result[key]
+    )
+
+
+def summary(results: list[dict]) -> str:
+    """Return the errors of the trial by class and speed, in words."""
+    lines = []
+    for letter, speed in sorted({tuple(r["case"][:2]) for r in results}):
+        chosen = [r for r in results if tuple(r["case"][:2]) == (letter, speed)]
+        good = sum(map(passes, chosen))
+        lines.append(f"class {letter}, {speed} km/h: {good} of {len(chosen)} within all limits")
+    for k, name in enumerate(("hump 75 mm", "pothole 50 mm", "bump 30 mm")):
+        place = np.array([r["place_m"][k] for r in results], dtype=float)
+        own = np.array([r["place_own_m"][k] for r in results], dtype=float)
+        height = 100.0 * np.array([r["height"][k] for r in results])
+        lines.append(
+            f"{name}: place {np.nanmean(place):+.2f} ± {np.nanstd(place):.2f} m, "
+            f"{np.mean(np.abs(place) <= 0.5):.0%} within 0.5 m, {np.mean(np.abs(own) <= 0.5):.0%} "
+            f"in the drive's own distance; height {height.mean():+.0f} "
+            f"± {height.std():.0f} %, {np.mean(np.abs(height) <= 20.0):.0%} within 20 %"
+        )
+    iri = 100.0 * np.concatenate([r["iri"] for r in results])
+    covered = sum(r["iri_covered"] for r in results) / iri.size
+    lines.append(
+        f"IRI of segments: {iri.mean():+.1f} ± {iri.std():.1f} %, "
+        f"{np.mean(np.abs(iri) <= 15.0):.0%} within 15 %, {covered:.0%} within their interval"
+    )
+    places, heights = np.mean([r["covered"] for r in results], axis=0) / 3.0
+    false = sum(len(r["false"]) for r in results)
+    good = sum(map(passes, results))
+    lines.append(
+        f"within their intervals: {places:.0%} of places, {heights:.0%} of heights; "
+        f"false obstacles: {false}"
+    )
+    lines.append(f"{good} of {len(results)} reports within all limits")
+    lines.append(f"processor time of a report: at most {max(r['seconds'] for r in results):.0f} s")
+    return "\n".join(lines)
+
+
+@contextlib.contextmanager
+def _arguments(*words):
+    before, sys.argv = sys.argv, [str(word) for word in words]
+    try:
+        yield
+    finally:
+        sys.argv = before
+
+
+def main() -> None:
+    """Run the cases that the folder does not have yet, and print the summary."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("out/report_trial"))
+    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
+    options = parser.parse_args()
+    results = []
+    for letter, speed, seed in itertools.product(CLASSES, SPEEDS, options.seeds):
+        kept = options.out / f"{letter}_{speed}_{seed}" / "errors.json"
+        if not kept.exists():
+            result = report((letter, speed, seed), kept.parent)
+            kept.write_text(json.dumps(result), encoding="utf-8")
+            print(letter, speed, seed, "within" if passes(result) else "beyond", flush=True)
+        results.append(json.loads(kept.read_text(encoding="utf-8")))
+    print(summary(results))
+
+
+if __name__ == "__main__":
+    main()
