@@ -74,7 +74,7 @@ class RecordError(ValueError):
 
 
 class MaskedRecord(NamedTuple):
-    """A `record` on an even clock with finite `v` and `s`, the `valid` (3, N) samples of its
+    """A `record` on an even clock with finite `v` and `s`, the `valid` (k, N) samples of its
     accelerations, which are NaN where missing, and `notes` on what was changed or tolerated.
     """
 
@@ -86,11 +86,13 @@ class MaskedRecord(NamedTuple):
 def mask_record(record: Record, instruments: Instruments | None = None) -> MaskedRecord:
     """Return `record` on an even clock, its valid samples, and notes.
 
-    A record that needs no change is returned itself. Without `instruments` no sample counts as out
-    of range. Raises RecordError if a channel's shape differs from the clock's, if clock, strut
-    states or odometer cannot belong to a drive over the road, or if all accelerations are missing.
+    A record that needs no change is returned itself. The `instruments` are those of the record
+    (`instruments_of`); without them no sample counts as out of range. Raises RecordError if a
+    channel's shape differs from the clock's, if clock, strut states or odometer cannot belong to a
+    drive over the road, or if all accelerations are missing.
     """
-    _check_shapes(record)
+    names = record.channels if instruments is None else tuple(instruments.accelerometers)
+    _check_shapes(record, names)
     record, gap_notes = _fill_odometer(record)
     record, clock_notes = _resample_evenly(record)
     record, drive_notes = _check_drive(record)
@@ -99,43 +101,67 @@ def mask_record(record: Record, instruments: Instruments | None = None) -> Maske
         raise RecordError("the record has no finite acceleration: check the sensors' channels")
     gap_notes += [
         f"{name}: {share:.1%} of the samples are missing"
-        for name, share in zip(SENSORS, np.mean(~finite, axis=1), strict=True)
+        for name, share in zip(names, np.mean(~finite, axis=1), strict=True)
         if share > 0.0
     ]
     size = np.abs(np.where(finite, record.a, 0.0))
-    out_of_range = size >= RANGE_SHARE * (instruments.range if instruments else np.inf)
+    ranges = instruments.ranges if instruments else np.full(len(names), np.inf)
+    out_of_range = size >= RANGE_SHARE * ranges[:, None]
     gap_notes += [
         f"{name} is {x[np.isfinite(x)][0]:g} in all samples: the sensor is dead"
-        for name, x in zip(SENSORS, record.a, strict=True)
+        for name, x in zip(names, record.a, strict=True)
         if np.isfinite(x).any() and np.nanmax(x) == np.nanmin(x)
     ]
     spread = np.ones((1, 2 * ANTIALIAS_SPREAD + 1))
     valid = ~binary_dilation(~finite | out_of_range, spread)
-    clipping_notes = _clipping_notes(size, out_of_range)
+    clipping_notes = _clipping_notes(names, size, out_of_range)
     return MaskedRecord(record, valid, (*gap_notes, *clock_notes, *drive_notes, *clipping_notes))
 
 
 def clipped_signs(record: Record, instruments: Instruments) -> np.ndarray:
-    """Return 1 and -1 where a sample (3, N) is at the upper and lower end of the range, else 0."""
-    clipped = np.abs(np.nan_to_num(record.a)) >= RANGE_SHARE * instruments.range
+    """Return 1 and -1 where a sample (k, N) is at the upper and lower end of the range, else 0."""
+    clipped = np.abs(np.nan_to_num(record.a)) >= RANGE_SHARE * instruments.ranges[:, None]
     return clipped * np.sign(np.nan_to_num(record.a))
 
 
-def clean_record(record: Record) -> tuple[Record, tuple[str, ...]]:
+def clean_record(
+    record: Record, channels: tuple[str, ...] | None = SENSORS
+) -> tuple[Record, tuple[str, ...]]:
     """Return `record` on an even clock with missing samples interpolated linearly, and notes.
 
-    Raises RecordError as `mask_record` does, and if too many samples of a sensor are missing.
+    It has the `channels` alone, in this order; all of its own if None. Raises RecordError as
+    `mask_record` does, if a channel is missing, and if too many of its samples are.
     """
+    if channels is not None and record.channels != channels:
+        record = select_channels(record, channels)
     record, _, notes = mask_record(record)
     if np.isfinite(record.a).all():
         return record, notes
-    channels = zip(SENSORS, record.a, strict=True)
-    a = np.array([_fill_gaps(name, record.t, x) for name, x in channels])
+    named = zip(record.channels, record.a, strict=True)
+    a = np.array([_fill_gaps(name, record.t, x) for name, x in named])
     return dataclasses.replace(record, a=a), notes
 
 
+def select_channels(record: Record, channels: tuple[str, ...]) -> Record:
+    """Return `record` with these channels alone, in this order. Raises RecordError.
+
+    They are on the body; a sensor on an axle is no substitute.
+    """
+    sensors = record.sensors or {}
+    known = [name for name, sensor in sensors.items() if sensor.mounted == "body"]
+    if missing := [name for name in channels if name not in known]:
+        raise RecordError(
+            f"this estimator needs the accelerometers {', '.join(channels)} on the body, and "
+            f"{', '.join(missing)} cannot be found among {', '.join(record.channels)}; "
+            "map_smoother uses what there is"
+        )
+    rows = [record.channels.index(name) for name in channels]
+    layout = {name: sensors[name] for name in channels}
+    return dataclasses.replace(record, a=record.a[rows], sensors=layout)
+
+
 def spatial_accelerations(record: Record, margin: int = 0) -> np.ndarray:
-    """Return processed accelerations (3, M + 2 margin) [m/s²] at the moments when the front axle
+    """Return processed accelerations (k, M + 2 margin) [m/s²] at the moments when the front axle
     passed the profile stations and `margin` stations beyond either end; zero outside the record.
     """
     stations = PROFILE_SPACING * np.arange(-margin, profile_stations(record.length).size + margin)
@@ -149,11 +175,11 @@ def sample_profile(truth: Profile, stations: np.ndarray) -> np.ndarray:
     return np.array([np.interp(stations, truth.s, z) for z in truth.z])
 
 
-def _check_shapes(record: Record) -> None:
+def _check_shapes(record: Record, names: tuple[str, ...]) -> None:
     """Raise RecordError unless shapes, length, clock and strut states are valid."""
     size = np.size(record.t)
     expected = {
-        "t": (size,), "a": (len(SENSORS), size), "v": (size,), "s": (size,),
+        "t": (size,), "a": (len(names), size), "v": (size,), "s": (size,),
         "spring_stiff": (size, 4), "damper_high": (size, 4),
     }  # fmt: skip
     for name, shape in expected.items():
@@ -287,13 +313,15 @@ def _check_drive(record: Record) -> tuple[Record, list[str]]:
     return record, notes
 
 
-def _clipping_notes(size: np.ndarray, out_of_range: np.ndarray) -> list[str]:
-    """Return a note for each sensor with samples `out_of_range` (3, N), or whose magnitude `size`
-    (3, N) [m/s²] stays at its peak. The peak of a whole drive makes no sample invalid, since that
+def _clipping_notes(
+    names: tuple[str, ...], size: np.ndarray, out_of_range: np.ndarray
+) -> list[str]:
+    """Return a note for each sensor with samples `out_of_range` (k, N), or whose magnitude `size`
+    (k, N) [m/s²] stays at its peak. The peak of a whole drive makes no sample invalid, since that
     would let a causal estimate depend on later samples.
     """
     notes = []
-    for name, x, clipped in zip(SENSORS, size, out_of_range, strict=True):
+    for name, x, clipped in zip(names, size, out_of_range, strict=True):
         at_peak = x >= (1.0 - CLIPPING_TOLERANCE) * x.max()
         in_a_row = np.lib.stride_tricks.sliding_window_view(at_peak, CLIPPING_SAMPLES).all(axis=1)
         if x.any() and (clipped.any() or in_a_row.any()):

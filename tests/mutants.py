@@ -46,6 +46,10 @@ GRADED = "perturbed_vehicle::test_a_record_of_s3_equals_simulator_and_faulty_dat
 FELT = "perturbed_vehicle::test_enveloping_is_the_mean_of_the_cubic_over_the_contact_length"
 MOUNTED = "sensor_faults::test_readings_follow_location_tilt_gain_and_offset"
 CONTRACT = "record_contract::test_every_estimator_"
+LAYOUT = (
+    "accelerometer_layouts::"
+    "test_sensors_measure_the_second_derivative_of_the_height_where_they_are_mounted"
+)
 LOST = "sensor_faults::test_dropouts_have_the_stated_rate_and_length"
 WHITENED = (
     "map_smoother::"
@@ -334,9 +338,9 @@ FAULTS = [
           "suspension::test_the_shipped_valve_reaches_95_percent_within_50_ms"),
     Fault(SENSORS, "np.sqrt(0.5 / step)", "np.sqrt(1.0 / step)",
           "data_logger::test_noise_has_its_density_at_every_integrator_step"),
-    Fault(SENSORS, "np.clip(a, -self.range, self.range)", "np.clip(a, -np.inf, self.range)",
+    Fault(SENSORS, "np.clip(a, -self.range[:, None],", "np.clip(a, -np.inf,",
           "data_logger::test_clipping_happens_before_the_antialias_filter"),
-    Fault("road_envs/sensing/instruments.py", ".x + self.ahead", ".x - self.ahead", PLACED),
+    Fault("road_envs/sensing/instruments.py", "0.0) + sensor.ahead", "0.0) - sensor.ahead", PLACED),
     Fault(SENSORS, "-self.n_steps % self.decimation", "self.n_steps % self.decimation",
           "data_logger::test_sampling_in_chunks_equals_sampling_at_once_to_the_bit"),
     Fault(SENSORS, "standard_normal(a.shape[::-1]).T", "standard_normal(a.shape)",
@@ -365,11 +369,11 @@ FAULTS = [
     Fault(TANGENT, "z_dot - difference", "z_dot", TRANSPOSE),
     Fault(TANGENT, "- 1, -1, -1)", "- 1, 0, -1)",
           "sensitivity::test_the_adjoint_of_a_drive_is_the_transpose_of_its_tangent"),
-    Fault(LINEAR, "1.0, y, -x", "1.0, y, x",
+    Fault(DYNAMICS, "= 1.0, y, -x", "= 1.0, y, x",
           "linear_model::test_about_any_state_the_model_matches_differences"),
     Fault(LINEAR, "rows.T * c_t", "rows.T * k_t",
           "linear_model::test_at_equilibrium_the_model_matches_the_energy_matrices"),
-    Fault(LINEAR, "0.5 * np.sign(x) * y", "0.5 * y",
+    Fault(DYNAMICS, "row[N_DOF] = 0.5 * np.sign(x) * y", "row[N_DOF] = 0.5 * y",
           "varied_drives::test_about_any_state_the_linear_model_matches_differences"),
     Fault(LINEAR, "u_dot = z - rows @ y[:n], w - rows", "u_dot = z + rows @ y[:n], w + rows",
           "linear_model::test_about_any_state_the_model_matches_differences"),
@@ -392,11 +396,16 @@ FAULTS = [
     Fault(DATASET, "logger.speed_gain * v", "v",
           "recording::test_the_odometer_integrates_the_measured_speed"),
     Fault(DATASET, "step, enveloped_surface = min(step, one.step)", "step, felt = step", GRADED),
-    Fault(DATASET, "surface.length), true_profile(surface)", "surface.length), truth(felt)", GRADED),
+    Fault(DATASET, "dict(sensors)), true_profile(surface)", "dict(sensors)), truth(felt)", GRADED),
     Fault(DATASET, "[*parts, logger.flush()]", "parts", GRADED),
     Fault(SENSORS, "np.expm1(-distance / length)", "np.expm1(-0.5 * distance / length)",
           "sensor_faults::test_position_fixes_bound_the_odometer_error"),
-    Fault(SENSORS, "(x + dx, y + dy)", "(x + dx, y)", MOUNTED),
+    Fault(SENSORS, "y=location.y + float(dy)", "y=location.y", MOUNTED),
+    Fault(SIMULATE, "+ y * a[:, AXLE", "- y * a[:, AXLE", LAYOUT),
+    Fault(DYNAMICS, "AXLE + 2 * axle + 1]] = 1.0, y", "AXLE + 2 * axle + 1]] = 1.0, -y",
+          "accelerometer_layouts::test_the_linear_model_has_rows_of_the_axles"),
+    Fault("road_envs/simulation/instrumented_fleet.py", "0: [AXLE, AXLE + 1,", "0: [AXLE, PHI,",
+          "accelerometer_layouts::test_an_environment_observes_the_sensors_of_its_instruments"),
     Fault(FAULTY, "gain * GRAVITY * (axis_cosine - 1.0)", "GRAVITY * (axis_cosine - 1.0)", MOUNTED),
     Fault(FAULTY, "rate / (length * (1.0 - rate))", "rate / length", LOST),
     Fault(FAULTY, "self.dropout_left < 0 and", "self.dropout_left <= 0 and", LOST),
@@ -439,8 +448,8 @@ FAULTS = [
           "adaptive_drive::test_every_signal_matches_the_drive_in_small_fixed_steps"),
     Fault(ADAPTIVE, "(now + 0.5 * k * h)", "(now + 0.25 * k * h)",
           "adaptive_drive::test_the_drive_converges_to_scipys_radau_with_the_tolerance"),
-    Fault(OBSERVABILITY, "noise = np.maximum(instruments.noise_density, 1e-9) ** 2 * v",
-          "noise = np.maximum(instruments.noise_density, 1e-9) ** 2", BOUND),
+    Fault(OBSERVABILITY, "noise = np.maximum(densities, 1e-9) ** 2 * v",
+          "noise = np.maximum(densities, 1e-9) ** 2", BOUND),
     Fault(OBSERVABILITY, "R + model_error**2", "R + model_error",
           "information_bound::test_the_bound_reproduces_the_benchmark_table"),
     Fault(OBSERVABILITY, "0.5 * (error + _adjoint(error))", "error + _adjoint(error)", BOUND),

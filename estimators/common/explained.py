@@ -48,7 +48,7 @@ def trusted_share(
     """Return by how much (M,), 0 to 1, heights `z` (2, M) [m] of the `record` are to be trusted.
 
     It is 1 where the accelerations of `car` on them explain TRUSTED_SHARE or more of the measured
-    power, 0 where they explain nothing. `valid` (3, N): samples that are compared, after the first
+    power, 0 where they explain nothing. `valid` (k, N): samples that are compared, after the first
     SETTLING_TIME.
     """
     if build_plant(car).flexible:  # the tape does not know a frame
@@ -92,7 +92,7 @@ def untrusted_note(share: np.ndarray) -> tuple[str, ...]:
 def simulate_sensors(
     inputs: ModelInputs, car: VehicleParameters, instruments: Instruments, z: np.ndarray
 ) -> np.ndarray:
-    """Return accelerations (3, N) [m/s²] of the sensors on heights `z` (2, M) [m] at the profile
+    """Return accelerations (k, N) [m/s²] of the sensors on heights `z` (2, M) [m] at the profile
     stations; not finite from where the motion diverges.
     """
     plant = build_plant(car)

@@ -41,13 +41,16 @@ from estimators.common.model_inputs import antialias_delay, build_model_inputs, 
 from estimators.kalman.pipeline import FilterRun, run_filter, run_smoother, setup_output, setup_run
 from estimators.kalman.profile_output import ProfileOutput
 from estimators.kalman.state import NOISE_SCALE, ROUGHNESS_SCALE
-from estimators.preprocessing import ANTIALIAS_SPREAD, SPEED_MIN, mask_record
+from estimators.preprocessing import ANTIALIAS_SPREAD, SPEED_MIN, RecordError, mask_record
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.analysis.roughness import CLASSES
 from road_envs.config import STRICT
 from road_envs.data.record import PROFILE_SPACING, Estimate, Record, profile_stations, scored_band
-from road_envs.sensing.instruments import load_instruments
+from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
+
+N_SENSORS = 3
+"""Accelerometers that the state vector has biases for."""
 
 NOISE_SCALE_WARNING = 2.0
 """Noise scale above which a note says that the vehicle may differ from the one described."""
@@ -86,7 +89,12 @@ class _KalmanSettings:
         self, record: Record, car: VehicleParameters, lag: float, smooth: bool
     ) -> Estimate:
         """Return both wheel paths. Raises ConfigError, RecordError, ValueError, ArithmeticError."""
-        instruments = load_instruments(self.instruments)
+        instruments = instruments_of(record, self.instruments)
+        if len(instruments.accelerometers) != N_SENSORS:
+            raise RecordError(
+                f"the Kalman filters take {N_SENSORS} accelerometers, and the record has "
+                f"{', '.join(instruments.accelerometers)}; map_smoother uses what there is"
+            )
         car, rigid_notes = rigid_vehicle(car)
         record, valid, notes = mask_record(record, instruments)
         notes += rigid_notes

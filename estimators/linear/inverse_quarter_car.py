@@ -1,9 +1,10 @@
 """Inverse of four quarter cars: from the body acceleration above each strut to the road under its
 wheel.
 
-Three accelerometers give heave, roll and pitch of a rigid body, hence the acceleration a above each
-strut. Each corner is treated as an independent quarter car and the forward problem is inverted
-(after Ngwangwa 2020, who inverts the solution of the vertical ride dynamics):
+Three or more accelerometers on the body give heave, roll and pitch of a rigid body, hence the
+acceleration a above each strut. Each corner is treated as an independent quarter car and the
+forward problem is inverted (after Ngwangwa 2020, who inverts the solution of the vertical ride
+dynamics):
 
     body      m_s a = -(k_s + c_s p) e                       e: extension of the strut
     strut     z_u   = a / p² - e                             z_u: height of the wheel
@@ -37,11 +38,11 @@ import numpy as np
 from pydantic import Field
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-from estimators.preprocessing import clean_record
+from estimators.preprocessing import RecordError, clean_record
 from estimators.wiener.segments import dominant_modes
 from road_envs.config import Settings
-from road_envs.data.record import F_C, SENSORS, Estimate, Record, profile_stations
-from road_envs.sensing.instruments import load_instruments
+from road_envs.data.record import F_C, Estimate, Record, profile_stations
+from road_envs.sensing.instruments import SensorLocation, instruments_of
 from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.linear_model import gaussian_damping, strut_forces
 from road_envs.vehicle.parameters import VehicleParameters
@@ -51,6 +52,9 @@ PADDING_TIME = 8.0
 
 FADE_RATIO = 1.2
 """The response fades to zero from F_C to this multiple of it."""
+
+MIN_LEVER = 0.1
+"""Least singular value of the sensors' lever arms [m]: with less, noise hides the rotations."""
 
 INITIAL_RATE_STD, DAMPING_ITERATIONS = 0.1, 4
 """Initial standard deviation [m/s] of the struts' rates, and number of damper updates."""
@@ -92,8 +96,8 @@ class InverseQuarterCar(Settings):
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths. Raises ConfigError, RecordError."""
-        record, notes = clean_record(record)
-        sensors = load_instruments(self.instruments)
+        sensors = instruments_of(record, self.instruments)
+        record, notes = clean_record(record, None)
         size = next_fast_len(record.t.size + round(PADDING_TIME * record.fs), real=True)
         f = rfftfreq(size, 1.0 / record.fs)
         f[0] = 0.5 * f[1]  # R has a pole at 0
@@ -118,14 +122,24 @@ class InverseQuarterCar(Settings):
 
 
 def accelerations_at_struts(
-    a: np.ndarray, locations: Mapping[str, tuple[float, float]], car: VehicleParameters
+    a: np.ndarray, locations: Mapping[str, SensorLocation], car: VehicleParameters
 ) -> np.ndarray:
-    """Return accelerations (4, N) of a rigid body above its struts from those (3, N) of the sensors
-    at `locations`, name -> (x, y) [m].
+    """Return accelerations (4, N) of a rigid body above its struts from those (k, N) of the sensors
+    at `locations`; sensors on the axles are not used.
+
+    Raises RecordError if the others do not determine the motion of the body.
     """
-    sensed = np.array([(1.0, *locations[name]) for name in SENSORS])
+    on_body = [i for i, place in enumerate(locations.values()) if place.axle is None]
+    sensed = np.array([(1.0, place.x, place.y) for place in locations.values()])[on_body]
+    if np.linalg.matrix_rank(sensed, tol=MIN_LEVER) < 3:
+        raise RecordError(
+            "inverse_quarter_car needs three accelerometers on the body that are not in one line, "
+            f"to tell heave, roll and pitch; the record has {', '.join(locations)}"
+        )
     struts = np.array([(1.0, axle.x, y) for axle in car.axles for y in (axle.y_s, -axle.y_s)])
-    return struts @ np.linalg.solve(sensed, a)
+    if len(on_body) == 3:  # three are the inverse exactly, more its least squares
+        return struts @ np.linalg.solve(sensed, a[on_body])
+    return struts @ np.linalg.lstsq(sensed, a[on_body])[0]
 
 
 def quarter_cars(

@@ -22,7 +22,7 @@ from estimators.map_smoother.windows import initial_window_state, window_objecti
 from estimators.preprocessing import mask_record
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.data.record import Profile, Record, scored_band
-from road_envs.sensing.instruments import load_instruments
+from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 
 CG_ITERATIONS, CG_TOLERANCE = 400, 1e-3
@@ -75,7 +75,7 @@ def whole_drive(
     noise_density: float | None = None,
 ) -> Objective:
     """Return the objective of a drive as one window, with block means up to `bandwidth` [Hz]."""
-    sensors = load_instruments(instruments)
+    sensors = instruments_of(record, instruments)
     record, valid, _ = mask_record(record, sensors)
     estimator = MapSmoother(
         instruments=instruments, noise_density=noise_density, data_rate=2.0 * bandwidth

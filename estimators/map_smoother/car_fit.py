@@ -36,7 +36,6 @@ from estimators.map_smoother.preconditioner import (
     prior_spectrum,
     stationary_hessian,
 )
-from road_envs.data.record import SENSORS
 from road_envs.simulation.lanes import SharedInputs, drive_variants
 from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.parameters import VehicleParameters
@@ -59,20 +58,34 @@ MAX_LINES = 500
 """Frequencies at which a log-determinant is evaluated, about."""
 
 
+@dataclass(frozen=True)
 class Readings:
-    """Errors of the instruments as parameters: gains of RF, LR, RR, displacement of the odometer
-    [m], relative error of the speed, each in units of its standard deviation `std`.
+    """Errors of the instruments as parameters: gains of the accelerometers `sensors`, displacement
+    of the odometer [m], relative error of the speed, each in units of its standard deviation `std`.
     """
 
-    names = (*(f"gain.{name}" for name in SENSORS), "odometer", "speed")
-    std = np.array([0.02, 0.02, 0.02, 0.3, 0.01])
+    sensors: tuple[str, ...]
 
     @classmethod
-    def apply(cls, objective: Objective, x: np.ndarray) -> Objective:
-        """Return the objective for instruments with the errors `x` (0 or 5,)."""
+    def of(cls, objective: Objective) -> "Readings":
+        """Return those of the sensors of an `objective`."""
+        return cls(tuple(objective.model.locations))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters (R,)."""
+        return (*(f"gain.{name}" for name in self.sensors), "odometer", "speed")
+
+    @property
+    def std(self) -> np.ndarray:
+        """Prior standard deviations (R,)."""
+        return np.array([*(0.02,) * len(self.sensors), 0.3, 0.01])
+
+    def apply(self, objective: Objective, x: np.ndarray) -> Objective:
+        """Return the objective for instruments with the errors `x` (0 or R,)."""
         if x.size == 0:
             return objective
-        *gain, displacement, speed = (cls.std * x).tolist()
+        *gain, displacement, speed = (self.std * x).tolist()
         model, inputs = objective.model, objective.inputs
         rows = model.sensor_rows * np.exp(gain)[:, None]
         s = inputs.s + displacement + speed * (inputs.s - inputs.s[0])
@@ -90,6 +103,11 @@ class CarFit:
     x: np.ndarray
     covariance: np.ndarray
     solutions: tuple[MapSolution, ...]
+
+    @property
+    def readings(self) -> Readings:
+        """Errors of the instruments that may have been fitted."""
+        return Readings.of(self.solutions[0].linearization.objective)
 
     @property
     def car(self) -> VehicleParameters:
@@ -122,7 +140,8 @@ def fit_car(
     too, the same in all drives; possible only where the road is known. `start` (P,) is where the
     search begins.
     """
-    size = space.size + instruments * len(Readings.names)
+    readings = Readings.of(solutions[0].linearization.objective)
+    size = space.size + instruments * len(readings.names)
     x = np.zeros(size) if start is None else start
     original, now = [s.linearization.objective for s in solutions], tuple(solutions)
     covariance = np.eye(size)
@@ -142,7 +161,7 @@ def fit_car(
         x = x + step
         plant = build_plant(space.from_vector(x[: space.size]))
         now = tuple(
-            _resolve(solution, Readings.apply(o.with_plant(plant), x[space.size :]), solver)
+            _resolve(solution, readings.apply(o.with_plant(plant), x[space.size :]), solver)
             for solution, o in zip(now, original, strict=True)
         )
         if (np.abs(step) < SMALL_CHANGE * np.sqrt(np.diag(covariance))).all():
@@ -181,10 +200,11 @@ def sensitivities(lin: Linearization, plants: Sequence[Plant]) -> np.ndarray:
 
 
 def _reading_sensitivities(lin: Linearization, original: Objective, errors: np.ndarray):
-    """Return the derivatives (5, S, J) by errors of the instruments, at `errors` (5,) of them."""
+    """Return the derivatives (R, S, J) by errors of the instruments, at `errors` (R,) of them."""
+    readings = Readings.of(original)
     base = original.with_plant(lin.objective.model.plant)
     points = [errors + DIFFERENCE * unit for unit in np.eye(errors.size)]
-    found = [Readings.apply(base, point).residual_at(lin.x)[0] for point in points]
+    found = [readings.apply(base, point).residual_at(lin.x)[0] for point in points]
     return (lin.residual - np.array(found)) / DIFFERENCE
 
 
@@ -234,7 +254,11 @@ def _lines(objective: Objective) -> tuple[np.ndarray, np.ndarray]:
 def _covariance(objective: Objective, f: np.ndarray, noise: float) -> np.ndarray:
     """Return the covariance (F, S, S) [(m/s²)²] of the block means' spectrum at `f` (F,) [Hz]."""
     S = prior_spectrum(objective, f)[:, None, :]
-    noise_part = noise / objective.measurements.sample_weight.shape[2] * np.eye(len(SENSORS))
+    noise_part = (
+        noise
+        / objective.measurements.sample_weight.shape[2]
+        * np.eye(len(objective.model.sensor_rows))
+    )
     parts = ((share * H * S, H) for share, H in linear_responses(objective, f))
     return noise_part + np.sum([HS @ np.conj(H.swapaxes(1, 2)) for HS, H in parts], axis=0)
 

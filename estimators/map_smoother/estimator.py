@@ -2,7 +2,7 @@
 
     minimize  1/2 sum over block means ((y - a(road)) / sigma)² + 1/2 |u|²
 
-a(road) is what three accelerometers measure when the vehicle, with its gas springs, dampers,
+a(road) is what the accelerometers measure when the vehicle, with its gas springs, dampers,
 friction, stops and tyres that lift off, is driven over the road. u is white noise that the prior
 shapes into an equally rough surface in all directions (`road_prior.py`); its density is
 re-estimated from the drive, octave by octave, and along the road where it is rough in places only
@@ -52,8 +52,8 @@ from estimators.preprocessing import clipped_signs, mask_record
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.analysis.roughness import CLASSES
 from road_envs.config import STRICT
-from road_envs.data.record import SENSORS, Estimate, Record, profile_stations, scored_band
-from road_envs.sensing.instruments import Instruments, load_instruments
+from road_envs.data.record import Estimate, Record, profile_stations, scored_band
+from road_envs.sensing.instruments import Instruments, instruments_of
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.linear_model import linearise
 from road_envs.vehicle.parameters import VehicleParameters
@@ -129,7 +129,7 @@ class MapSmoother:
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths. Raises ConfigError, RecordError, ArithmeticError."""
-        instruments = load_instruments(self.instruments)
+        instruments = instruments_of(record, self.instruments)
         record, valid, notes = mask_record(record, instruments)
         model = self.measurement_model(record, car, instruments)
         drive = self.prepare_drive(record, valid, car, instruments)
@@ -212,7 +212,7 @@ class MapSmoother:
         instruments: Instruments,
         readings_per_unknown: float = READINGS_PER_UNKNOWN,
     ) -> PreparedDrive:
-        """Return the drive of a masked record with its `valid` samples (3, N)."""
+        """Return the drive of a masked record with its `valid` samples (k, N)."""
         inputs = build_model_inputs(record, instruments, car, self.step)
         censored = clipped_signs(record, instruments)
         a = np.where(valid | (censored != 0), record.a, 0.0)
@@ -221,7 +221,7 @@ class MapSmoother:
         a -= mean[:, None]
         ds = float(np.clip(0.5 * inputs.v.mean() / F_RESOLVED, *NODE_SPACING_RANGE))
         unknowns = 2.0 * float(inputs.v.mean()) / ds  # per second
-        rate = max(self.data_rate, readings_per_unknown * unknowns / len(SENSORS))
+        rate = max(self.data_rate, readings_per_unknown * unknowns / len(record.a))
         block = max(1, round(record.fs / rate))
         origin = inputs.s[0] - car.wheelbase - (MARGIN + 1) * ds
         middle = origin + ds * (np.arange(int((inputs.s[-1] - origin) / ds) + 2 * MARGIN) - 0.5)

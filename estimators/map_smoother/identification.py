@@ -30,7 +30,7 @@ from estimators.preprocessing import mask_record
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.analysis.roughness import N_0, displacement_psd
 from road_envs.data.record import Profile, Record
-from road_envs.sensing.instruments import load_instruments
+from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import Tolerance, VehicleParameters
 from road_envs.vehicle.tolerances import ParameterSpace, parameter_space
 
@@ -93,7 +93,7 @@ class Identification:
     def names(self) -> tuple[str, ...]:
         """Names of the parameters (P,), errors of the instruments last."""
         space = self.fit.space
-        return (*space.names, *Readings.names)[: self.fit.x.size]
+        return (*space.names, *self.fit.readings.names)[: self.fit.x.size]
 
     @property
     def factors(self) -> np.ndarray:
@@ -116,6 +116,13 @@ def identify(
     """
     if not drives:
         raise CalibrationError("an identification needs at least one drive")
+    layouts = {drive.record.channels: drive.name for drive in drives}
+    if len(layouts) > 1:
+        one, other = list(layouts.values())[:2]
+        raise CalibrationError(
+            f"the drives {one} and {other} have different accelerometers; identify from drives "
+            "with one layout"
+        )
     chosen = smoother or MapSmoother(adapt=False)
     space = parameter_space(car, structure)
     known = all(drive.profile is not None for drive in drives)
@@ -127,7 +134,7 @@ def identify(
     parts = [_parts(drive, chosen) for drive in drives]
     solutions = [_solve(first, space.car, chosen) for first, _ in parts]
     solver = GaussNewton(solutions[0].stationary, chosen.huber, 40, 0.1)
-    starts = _starts(space, known)
+    starts = _starts(space, len(Readings.of(solutions[0].linearization.objective).names) * known)
     fits = [fit_car(solutions, space, solver, instruments=known, start=x) for x in starts]
     fit = min(fits, key=lambda fit: sum(s.noise_scale for s in fit.solutions))
     std = np.minimum((STD_INFLATION if known else UNKNOWN_STD_INFLATION) * fit.std, 1.0)
@@ -139,9 +146,12 @@ def identify(
     return Identification(fit, _with_posterior(fit, car, std), std, unexplained)
 
 
-def _starts(space: ParameterSpace, instruments: bool) -> list[np.ndarray]:
-    """Return where searches begin: a frame's resonance is found only from near its frequency."""
-    x = np.zeros(space.size + instruments * len(Readings.names))
+def _starts(space: ParameterSpace, readings: int) -> list[np.ndarray]:
+    """Return where searches begin, with so many errors of the `readings`.
+
+    A frame's resonance is found only from near its frequency.
+    """
+    x = np.zeros(space.size + readings)
     if FRAME_FREQUENCY not in space.names:
         return [x]
     unit = np.eye(x.size)[space.names.index(FRAME_FREQUENCY)]
@@ -187,7 +197,7 @@ def _parts(
             f"{drive.name}: a mean speed of {3.6 * speed:.1f} km/h is too slow to identify a "
             f"vehicle; drive {3.6 * MIN_SPEED:.1f} km/h or faster"
         )
-    noise = load_instruments(smoother.instruments).noise_density * np.sqrt(0.5 * record.fs)
+    noise = instruments_of(record, smoother.instruments).noise_density * np.sqrt(0.5 * record.fs)
     signal = float(np.nanstd(fitted.record.a))
     if signal < MIN_SIGNAL * noise:
         raise CalibrationError(
@@ -199,15 +209,15 @@ def _parts(
 
 def _slice(record: Record, first: int, last: int) -> Record:
     part = slice(first, last)
-    return Record(
-        record.t[part], record.a[:, part], record.v[part], record.s[part],
-        record.spring_stiff[part], record.damper_high[part], record.length,
+    return replace(
+        record, t=record.t[part], a=record.a[:, part], v=record.v[part], s=record.s[part],
+        spring_stiff=record.spring_stiff[part], damper_high=record.damper_high[part],
     )  # fmt: skip
 
 
 def _objective(drive: CalibrationDrive, car: VehicleParameters, smoother: MapSmoother) -> Objective:
     """Return the objective of a drive as one window."""
-    instruments = load_instruments(smoother.instruments)
+    instruments = instruments_of(drive.record, smoother.instruments)
     readings = READINGS_PER_UNKNOWN
     if drive.profile is not None:  # slow readings tell of waves that a survey measures well
         smoother, readings = replace(smoother, level_ends=False, data_rate=KNOWN_DATA_RATE), 0.0
@@ -295,7 +305,7 @@ def _unexplained(
     """Return what `car` leaves unexplained in a drive, with instruments of these `errors`."""
     objective = _objective(drive, car, smoother)
     if errors is not None:
-        objective = Readings.apply(objective, errors)
+        objective = Readings.of(objective).apply(objective, errors)
     if drive.profile is None:
         solution = minimize(objective, stationary_hessian(objective), huber=smoother.huber)
     else:

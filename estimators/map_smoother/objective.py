@@ -21,6 +21,7 @@ from estimators.common.model_inputs import ModelInputs
 from estimators.common.spline import sample_under_wheels
 from estimators.map_smoother.block_tangent import BlockTangent, build_block_tangent
 from estimators.map_smoother.road_prior import RoadTransform
+from road_envs.sensing.instruments import SensorLocation
 from road_envs.simulation.sensitivity import Tape, linearize_drive
 from road_envs.vehicle.equations import Plant, equilibrium
 from road_envs.vehicle.suspension import settled_strut_state
@@ -29,7 +30,7 @@ from road_envs.vehicle.suspension import settled_strut_state
 @dataclass(frozen=True, eq=False)
 class MeasurementModel:
     """Model of vehicle and instruments: `plant`, time constant `valve_lag` [s] of its valves and
-    `wheelbase` [m]; sensor `locations` (x, y) [m] and `sensor_rows` (S, 7), their acceleration per
+    `wheelbase` [m]; `locations` of the S sensors and `sensor_rows` (S, 7), their acceleration per
     unit of each coordinate's; `noise_variance` [(m/s²)²] of a sample; prior standard deviation
     `bias_std` [m/s²] of the sensor biases.
     """
@@ -37,7 +38,7 @@ class MeasurementModel:
     plant: Plant
     valve_lag: float
     wheelbase: float
-    locations: Mapping[str, tuple[float, float]]
+    locations: Mapping[str, SensorLocation]
     sensor_rows: np.ndarray
     noise_variance: float
     bias_std: float = 0.05

@@ -28,7 +28,7 @@ from estimators.wiener.spectral_model import (
 from road_envs.analysis.information_bound import RoadPrior, posterior
 from road_envs.analysis.roughness import CLASSES
 from road_envs.data.record import SCORED_F_MAX, Record, scored_band
-from road_envs.sensing.instruments import load_instruments
+from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -72,7 +72,7 @@ def classify_record(
     record: Record, car: VehicleParameters, instruments: str = "paper"
 ) -> ClassPosterior:
     """Return the roughness of a record's road. Raises ConfigError, RecordError, ValueError."""
-    sensors, plant = load_instruments(instruments), build_plant(car.rigid)
+    sensors, plant = instruments_of(record, instruments), build_plant(car.rigid)
     masked = mask_record(record, sensors)
     locations, track = sensors.locations(car), car.front.y_t + car.rear.y_t
     octaves = scored_octaves(float(np.median(masked.record.v)))

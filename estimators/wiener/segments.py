@@ -25,9 +25,9 @@ FILTER_TIME = 0.08
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Signals `a` (3, M) [m/s²] at the stations `spacing * (first + i)` [m], i < M.
+    """Signals `a` (k, M) [m/s²] at the stations `spacing * (first + i)` [m], i < M.
 
-    `stride` is the spacing in profile stations; `valid` (3, M) marks measured samples. `v` [m/s] is
+    `stride` is the spacing in profile stations; `valid` (k, M) marks measured samples. `v` [m/s] is
     the speed, `mode` the strut mode by wheel, `core` (2,) [m] the part of the road to be estimated.
     """
 
@@ -62,7 +62,7 @@ def split_segments(masked: MaskedRecord, length: float, margin: float) -> Iterat
 
 
 def bridge_and_lowpass(a: np.ndarray, good: np.ndarray, fs: float) -> np.ndarray:
-    """Return signals (3, N) without their mean over `good` samples, interpolated where not `good`,
+    """Return signals (k, N) without their mean over `good` samples, interpolated where not `good`,
     and low-passed at 40 Hz without phase.
     """
     t = np.arange(a.shape[1])

@@ -45,7 +45,7 @@ from road_envs.data.record import (
     profile_stations,
     scored_band,
 )
-from road_envs.sensing.instruments import load_instruments
+from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -91,7 +91,7 @@ def smooth_record(
     Raises ConfigError on unknown instruments, RecordError.
     """
     car, rigid_notes = rigid_vehicle(car)
-    sensors, plant = load_instruments(instruments), build_plant(car)
+    sensors, plant = instruments_of(record, instruments), build_plant(car)
     locations, track = sensors.locations(car), car.front.y_t + car.rear.y_t
     stations = profile_stations(record.length)
     total, total_std, weights = (np.zeros((2, stations.size)) for _ in range(3))
@@ -137,9 +137,9 @@ def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Itera
             model = replace(model, noise_scale=noise_scale)
         spectrum = signal_psd(model, model.noise_psd(share))
         start = solve_circulant(spectrum / (2.0 * segment.spacing), y, segment.valid, size, start)
-        neg_log_likelihood = (
-            float(np.vdot(y, start)) / measured + np.mean(np.linalg.slogdet(spectrum)[1]) / 3
-        )
+        neg_log_likelihood = float(np.vdot(y, start)) / measured + np.mean(
+            np.linalg.slogdet(spectrum)[1]
+        ) / len(y)
         first = neg_log_likelihood if first is None else first
         # less likely than the first pass while q still changes much: keep the previous pass
         if change > DIVERGENCE_THRESHOLD and not neg_log_likelihood <= first:

@@ -10,6 +10,7 @@ wheel paths: one combination of the sensors contains noise alone. A vehicle that
 model appears in this combination too and raises the noise scale.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,7 +30,7 @@ from road_envs.analysis.statistical_linearization import (
     nonlinear_residual,
     residual_force_psd,
 )
-from road_envs.sensing.instruments import Instruments
+from road_envs.sensing.instruments import Instruments, SensorLocation
 from road_envs.vehicle.equations import Plant
 from road_envs.vehicle.linear_model import (
     combine_wheel_paths,
@@ -77,9 +78,9 @@ class ShapedRoadPrior(RoadPrior):
 class SpectralModel:
     """Model on the frequencies `n` [cycles/m], `f` [Hz] (F,) of a circle of `size` stations.
 
-    - `H` (F, 3, 2) [m/s² per m], `X` (F, 4, 2) [m/s per m]: responses of the sensors and of the
+    - `H` (F, S, 2) [m/s² per m], `X` (F, 4, 2) [m/s per m]: responses of the sensors and of the
     strut
-      extension rates to the wheel paths; `H_force` (F, 3, 4), `X_force` (F, 4, 4): to strut forces
+      extension rates to the wheel paths; `H_force` (F, S, 4), `X_force` (F, 4, 4): to strut forces
     - `residual_law`: nonlinear part of the strut forces; `residual_power` (4,) [N²]: its power;
       `residual_psd` (F, 4, 4) [N² m]: its spectrum over n
     - `sensor_psd` [(m/s²)² m]: noise of a sensor; `noise_scale` (F,): factor on all noise
@@ -102,12 +103,14 @@ class SpectralModel:
     noise_scale: np.ndarray
 
     def noise_psd(self, share: np.ndarray | None = None) -> np.ndarray:
-        """Return the spectrum (F, 3, 3) of all noise; `share` (4,) scales the residuals' power."""
+        """Return the spectrum (F, S, S) of all noise; `share` (4,) scales the residuals' power."""
         residual = self.residual_psd
         if share is not None:
             residual = residual * np.sqrt(np.outer(share, share))
         forces = self.H_force @ residual @ hermitian(self.H_force)
-        return self.noise_scale[:, None, None] * (forces + self.sensor_psd * np.eye(3))
+        return self.noise_scale[:, None, None] * (
+            forces + self.sensor_psd * np.eye(self.H.shape[1])
+        )
 
     def posterior(self, share: np.ndarray | None = None) -> Posterior:
         """Return the road's posterior; `share` (4,) scales the residuals' power."""
@@ -116,7 +119,7 @@ class SpectralModel:
 
 def fit_hyperparameters(
     plant: Plant,
-    locations: dict[str, tuple[float, float]],
+    locations: Mapping[str, SensorLocation],
     instruments: Instruments,
     segment: Segment,
     track: float,
@@ -135,7 +138,7 @@ def fit_hyperparameters(
 
 def build_model(
     plant: Plant,
-    locations: dict[str, tuple[float, float]],
+    locations: Mapping[str, SensorLocation],
     instruments: Instruments,
     segment: Segment,
     prior: ShapedRoadPrior,
@@ -172,7 +175,7 @@ def build_model(
 
 
 def windowed_spectrum(model: SpectralModel, segment: Segment) -> np.ndarray:
-    """Return a segment's lines (F, 3, 1) [m/s² sqrt(m)]; gaps hold their conditional mean."""
+    """Return a segment's lines (F, S, 1) [m/s² sqrt(m)]; gaps hold their conditional mean."""
     measured = np.flatnonzero(segment.valid[active_sensors(segment)].any(axis=0))
     span = np.zeros(segment.a.shape[1], dtype=bool)
     if measured.size:
@@ -203,7 +206,7 @@ def run_em(
     sensors: np.ndarray,
     share: np.ndarray | None = None,
 ) -> tuple[ShapedRoadPrior, np.ndarray]:
-    """Return updated road prior and noise scale (F,), given `lines` (F, 3, 1) of the `sensors`.
+    """Return updated road prior and noise scale (F,), given `lines` (F, S, 1) of the `sensors`.
 
     With fewer than three sensors the noise scale is kept: noise and road are not separable.
     """
@@ -229,8 +232,8 @@ def run_em(
         level_per_line = _trace(np.linalg.solve(unit, road)) / 2.0
         level = float(np.mean(level_per_line / shape[octave]))
         shape = _shrunk_band_means(level_per_line / level, octave, ROAD_OCTAVES.size)
-        if sensors.size == 3:
-            scale_per_line = _trace(np.linalg.solve(base, noise)) / 3.0
+        if sensors.size >= 3:
+            scale_per_line = _trace(np.linalg.solve(base, noise)) / sensors.size
             factor = _shrunk_band_means(scale_per_line, band, NOISE_OCTAVES.size)
     prior = replace(model.prior, G_d0=level, shape=tuple(shape.tolist()))
     return prior, np.exp(np.interp(np.log(model.f), np.log(NOISE_OCTAVES), np.log(factor)))
@@ -254,7 +257,7 @@ def hermitian(matrices: np.ndarray) -> np.ndarray:
 
 
 def signal_psd(model: SpectralModel, noise: np.ndarray) -> np.ndarray:
-    """Return the spectrum (F, 3, 3) over n of the signals, given that of the noise."""
+    """Return the spectrum (F, S, S) over n of the signals, given that of the noise."""
     return model.H @ model.S @ hermitian(model.H) + noise
 
 
@@ -271,7 +274,7 @@ def circulant_product(spectrum: np.ndarray, x: np.ndarray, size: int) -> np.ndar
 def solve_circulant(
     C: np.ndarray, y: np.ndarray, valid: np.ndarray, size: int, start: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return x (3, M), zero where not `valid`, with C x = y (3, M) where `valid`.
+    """Return x (S, M), zero where not `valid`, with C x = y (S, M) where `valid`.
 
     Conjugate gradients with FFT products; the preconditioner is C^-1 of the circle.
     """

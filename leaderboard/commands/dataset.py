@@ -16,6 +16,7 @@ from road_envs import __version__
 from road_envs._atomic_io import atomic_write
 from road_envs._extras import optional_import
 from road_envs.config import ConfigError
+from road_envs.data.accelerometers import column
 from road_envs.data.record import Profile, Record
 from road_envs.data.training_corpus import Corpus
 
@@ -150,7 +151,7 @@ def _tables(k: int, record: Record, truth: Profile) -> dict[str, dict[str, Any]]
         "records": {
             "drive": np.full(record.t.size, k, dtype=np.int32),
             "t": record.t,
-            **dict(zip(("a_rf", "a_lr", "a_rr"), a, strict=True)),
+            **dict(zip(map(column, record.channels), a, strict=True)),
             "v": record.v.astype(np.float32),
             "s": record.s,
             "commands": bits.sum(axis=1).astype(np.uint8),

@@ -8,7 +8,6 @@ import typer
 from rich.table import Table
 
 from estimators.api import CalibrationDrive
-from estimators.map_smoother.car_fit import Readings
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.identification import Identification
 from estimators.map_smoother.identification import identify as identify_vehicle
@@ -97,7 +96,8 @@ def _profiles(names: list[str], drives: int) -> list[Profile | None]:
 def _facts(result: Identification) -> dict[str, Any]:
     space = result.fit.space
     names = zip(space.names, result.factors, result.std, space.std, strict=False)
-    readings = zip(Readings.names, result.fit.x[space.size :], Readings.std, strict=False)
+    fitted = result.fit.readings
+    readings = zip(fitted.names, result.fit.x[space.size :], fitted.std, strict=False)
     return {
         "vehicle": result.car.name,
         "parameters": {
@@ -131,11 +131,12 @@ def _print(result: Identification, drives: list[str]) -> None:
         if result.std[i] <= UNDETERMINED:
             change, std = 100.0 * (result.factors[i] - 1.0), 100.0 * result.std[i] * space.std[i]
             table.add_row(name, f"{change:+.1f}", f"{std:.1f}", f"{100.0 * result.std[i]:.0f}")
-    units = (*("[%]",) * 3, "[m]", "[%]")
+    readings = result.fit.readings
+    units = (*("[%]",) * len(readings.sensors), "[m]", "[%]")
     for k, unit in enumerate(units[: result.fit.x.size - space.size]):
         i, scale = space.size + k, 100.0 if unit == "[%]" else 1.0
-        value, std = (scale * Readings.std[k] * x[i] for x in (result.fit.x, result.std))
-        table.add_row(f"{Readings.names[k]} {unit}", f"{value:+.2f}", f"{std:.2f}", "")
+        value, std = (scale * readings.std[k] * x[i] for x in (result.fit.x, result.std))
+        table.add_row(f"{readings.names[k]} {unit}", f"{value:+.2f}", f"{std:.2f}", "")
     console.print(table)
     power = Table("drive, held-out third", "described", "identified", box=None)
     for name, (told, fitted) in zip(drives, result.unexplained, strict=True):

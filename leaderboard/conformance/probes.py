@@ -28,7 +28,7 @@ import numpy as np
 from estimators.api import Estimator, Trainable, declared_lag
 from leaderboard.metrics.heights import band_pass, correlation
 from road_envs.config import STRICT
-from road_envs.data.record import Estimate, Profile, Record, scored_band
+from road_envs.data.record import SENSORS, Estimate, Profile, Record, scored_band
 from road_envs.sensing.instruments import Instruments, load_instruments
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import WHEELS
@@ -67,7 +67,7 @@ def perturbed_records(record: Record, instruments: Instruments, seed: int = 0) -
     """Return the records to estimate by name; "original" and "again" are unperturbed."""
     rng = np.random.default_rng(seed)
     RF, LR, RR = record.a
-    y = [place.y for place in vars(instruments.accelerometers).values()]
+    y = [instruments.accelerometers[name].y for name in SENSORS]
     LF = RF - 2.0 * y[0] * (LR - RR) / (y[1] - y[2])
     late = record.s >= 0.5 * record.length
     noise = np.nanstd(record.a) * rng.standard_normal(record.a.shape)

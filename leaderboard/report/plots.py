@@ -14,7 +14,7 @@ from road_envs._atomic_io import atomic_write
 from road_envs._extras import optional_import
 from road_envs.analysis.information_bound import Posterior
 from road_envs.analysis.roughness import CLASSES, N_0, displacement_psd, smooth_psd
-from road_envs.data.record import SENSORS, Estimate, Profile, Record, scored_band
+from road_envs.data.record import Estimate, Profile, Record, scored_band
 from road_envs.roads import Surface
 
 COLOURS = {"left": "#0072B2", "right": "#D55E00", "truth": "#222222", "sensor": "#009E73"}
@@ -69,21 +69,21 @@ def draw_classes(axes: Any) -> None:
 
 
 def draw_drive(record: Record, truth: Profile, path: Path) -> None:
-    """Plot the road and the three accelerometer signals over the front axle's station."""
+    """Plot the road and the signals of the accelerometers over the front axle's station."""
 
     def paint(figure: Any) -> None:
-        panels = figure.subplots(4, 1, sharex=True)
+        panels = figure.subplots(1 + len(record.a), 1, sharex=True)
         for side, z in zip(SIDES, truth.z, strict=True):
             panels[0].plot(truth.s, 1000 * z, color=COLOURS[side], lw=0.9, label=side)
         panels[0].set(ylabel="road [mm]")
         panels[0].legend(frameon=False, ncols=2, loc="upper right")
-        for axes, name, a in zip(panels[1:], SENSORS, record.a, strict=True):
+        for axes, name, a in zip(panels[1:], record.channels, record.a, strict=True):
             axes.plot(record.s, a, color=COLOURS["sensor"], lw=0.6)
             axes.set(ylabel=f"{name} [m/s²]")
         panels[-1].set(xlabel="station of the front axle [m]")
         panels[0].set_title(f"{record.v[0] * 3.6:.1f} km/h")
 
-    write_figure(paint, (11.0, 7.0), path)
+    write_figure(paint, (11.0, 1.75 * (1 + len(record.a))), path)
 
 
 def estimate_figure(truth: Profile | None, estimate: Estimate, v: float) -> Any:

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from leaderboard.evaluation.entry import EntryError
+from road_envs.data.accelerometers import from_plain, to_plain
 from road_envs.data.record import Profile, Record
 
 HEAD_SIZE = struct.Struct(">I")
@@ -35,7 +36,7 @@ MAX_SETTINGS = 4000
 LARGEST_NUMBER = 1e100
 """Largest absolute value of a number in the settings of an estimator."""
 
-RECORD_ARRAYS = tuple(f.name for f in fields(Record) if f.name != "length")
+RECORD_ARRAYS = tuple(f.name for f in fields(Record) if f.name not in ("length", "sensors"))
 
 
 def encode(head: Mapping[str, Any], arrays: Sequence[np.ndarray] = ()) -> bytes:
@@ -63,25 +64,29 @@ def record_arrays(record: Record) -> list[np.ndarray]:
     return [getattr(record, name) for name in RECORD_ARRAYS]
 
 
-def make_record(arrays: Sequence[np.ndarray], length: float) -> Record:
-    """Return the record of `record_arrays`."""
-    return Record(**dict(zip(RECORD_ARRAYS, arrays, strict=True)), length=length)
+def make_record(
+    arrays: Sequence[np.ndarray], length: float, sensors: Mapping[str, Any] | None
+) -> Record:
+    """Return the record of `record_arrays`, with its `sensors` as plain values."""
+    layout = from_plain(sensors, "the record of a request")
+    return Record(**dict(zip(RECORD_ARRAYS, arrays, strict=True)), length=length, sensors=layout)
 
 
 def encode_training(training: Sequence[tuple[Record, Profile]], seed: int) -> bytes:
-    """Return the request to train with `seed`."""
+    """Return the request to train with `seed` on drives with one layout of sensors."""
     lengths = [record.length for record, _ in training]
     arrays = [x for record, truth in training for x in (*record_arrays(record), truth.s, truth.z)]
-    return encode({"do": "fit", "seed": seed, "lengths": lengths}, arrays)
+    sensors = to_plain(training[0][0].sensors)
+    return encode({"do": "fit", "seed": seed, "lengths": lengths, "sensors": sensors}, arrays)
 
 
 def make_training(
-    arrays: Sequence[np.ndarray], lengths: Sequence[float]
+    arrays: Sequence[np.ndarray], lengths: Sequence[float], sensors: Mapping[str, Any] | None
 ) -> tuple[list[Record], list[Profile]]:
     """Return records and truths of `encode_training`, in the guest."""
     size = len(RECORD_ARRAYS) + 2
     parts = [arrays[k * size : (k + 1) * size] for k in range(len(lengths))]
-    records = [make_record(part[:-2], x) for part, x in zip(parts, lengths, strict=True)]
+    records = [make_record(part[:-2], x, sensors) for part, x in zip(parts, lengths, strict=True)]
     return records, [Profile(part[-2], part[-1]) for part in parts]
 
 

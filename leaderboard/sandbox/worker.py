@@ -184,14 +184,14 @@ def _serve(setup: Setup, replies: int, start: dict[str, Any]) -> None:
         z: list[Any] = []
         try:
             if request["do"] == "fit":
-                training = messages.make_training(arrays, request["lengths"])
+                training = messages.make_training(arrays, request["lengths"], request["sensors"])
                 parameters, seconds = session.fit(
                     list(zip(*training, strict=True)), request["seed"]
                 )
                 answer = {"parameters": parameters, "seconds": seconds}
             else:
                 estimate, seconds = session.estimate(
-                    messages.make_record(arrays, request["length"])
+                    messages.make_record(arrays, request["length"], request["sensors"])
                 )
                 z = [x.astype(float) for x in (estimate.z, estimate.z_std) if x is not None]
                 answer = {"seconds": seconds, "std": estimate.z_std is not None}

@@ -160,7 +160,7 @@ def bound(
     instruments: Instruments,
     prior: RoadPrior,
     *,
-    locations: Mapping[str, tuple[float, float]] | None = None,
+    locations: Mapping[str, tuple[Any, ...]] | None = None,
     damping: np.ndarray | None = None,
     model_error: float = 0.0,
     residual_as_noise: bool = False,
@@ -170,7 +170,7 @@ def bound(
     """Return the least error of linear reconstruction of a road with the given `prior`.
 
     The vehicle drives in `mode` at `v` [m/s]. `n` [cycles/m] is the scored band by default.
-    `locations`, name -> (x, y) [m], replace those of the `instruments`. `damping` (4,) [N s/m] of
+    `locations`, as in `linearise`, replace those of the `instruments`. `damping` (4,) [N s/m] of
     the struts is `equivalent_damping` by default. With `residual_as_noise` the nonlinear residual
     of the strut forces adds to the noise, which gives the bound of purely linear estimators. Raises
     ValueError on invalid arguments.
@@ -188,8 +188,10 @@ def bound(
     H = frequency_response(model, v, n=n)
     H[n * v > f_c] = 0.0
     # density over n; the lower limit keeps R regular for noise-free instruments
-    noise = np.maximum(instruments.noise_density, 1e-9) ** 2 * v
-    R = np.broadcast_to(noise * np.eye(H.shape[1]), (n.size, H.shape[1], H.shape[1]))
+    own = dict(zip(instruments.accelerometers, instruments.noise_densities, strict=True))
+    densities = np.array([own.get(name, instruments.noise_density) for name in locations])
+    noise = np.maximum(densities, 1e-9) ** 2 * v
+    R = np.broadcast_to(np.diag(noise), (n.size, noise.size, noise.size))
     if residual_as_noise:
         residual = nonlinear_residual(car, mode, damping)
         forces = residual_force_psd(model, residual, v, prior.spectrum, n * v)

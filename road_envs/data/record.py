@@ -2,14 +2,19 @@
 
 A record holds the measured signals of a drive, a profile the heights of both wheel paths (the truth
 if it is that of the road). The order of wheel paths is left, right; that of wheels FL, FR, RL, RR;
-that of sensors RF, LR, RR. SI units.
+that of the paper's sensors RF, LR, RR. SI units.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from road_envs.data.accelerometers import Accelerometer
+
 SENSORS = ("RF", "LR", "RR")
+"""The paper's accelerometers, on the body at right front, left rear and right rear."""
+
 PROFILE_SPACING = 100.0 / 3964
 """Spacing of the stations of a profile [m], as in the paper: 3964 over 100 m (section 5)."""
 
@@ -71,11 +76,15 @@ class Estimate(Profile):
 class Record:
     """Measured signals of one drive, sampled at a constant rate.
 
-    `t` (N,) time [s]; `a` (3, N) unprocessed vertical body accelerations at RF, LR, RR [m/s²], NaN
-    where a sample was lost; `v` (N,) measured speed [m/s]; `s` (N,) odometer [m]: station of the
-    front axle, 0 at the start of the road of `length` [m] whose profile is to be estimated;
-    `spring_stiff`, `damper_high` (N, 4) bool: commanded spring and damper state of each strut
-    (ride = neither, handling = both).
+    `t` (N,) time [s]; `a` (k, N) unprocessed vertical accelerations [m/s²], NaN where a sample was
+    lost; `v` (N,) measured speed [m/s]; `s` (N,) odometer [m]: station of the front axle, 0 at the
+    start of the road of `length` [m] whose profile is to be estimated; `spring_stiff`,
+    `damper_high` (N, 4) bool: commanded spring and damper state of each strut (ride = neither,
+    handling = both).
+
+    `sensors` are the k accelerometers by name, in the order of the rows of `a`. None, if they are
+    not known, stands for those of the instruments that an estimator assumes: by default the paper's
+    RF, LR and RR on the body.
     """
 
     t: np.ndarray
@@ -85,6 +94,12 @@ class Record:
     spring_stiff: np.ndarray
     damper_high: np.ndarray
     length: float
+    sensors: Mapping[str, Accelerometer] | None = None
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the rows of `a`."""
+        return SENSORS if self.sensors is None else tuple(self.sensors)
 
     @property
     def fs(self) -> float:

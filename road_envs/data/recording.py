@@ -1,7 +1,7 @@
 """Simulation of records with their true profiles, and records as Parquet files."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,8 @@ from road_envs._atomic_io import atomic_write
 from road_envs._extras import optional_import
 from road_envs._reading import parsing, read_parquet
 from road_envs.config import ConfigError
-from road_envs.data.record import Profile, Record, profile_stations
+from road_envs.data.accelerometers import column, from_plain, to_plain
+from road_envs.data.record import SENSORS, Profile, Record, profile_stations
 from road_envs.roads import Road, realise_road
 from road_envs.roads.surface import Surface
 from road_envs.sensing.data_logger import DataLogger
@@ -21,11 +22,6 @@ from road_envs.vehicle.parameters import DEFAULT_STEP, VehicleParameters, load_v
 from road_envs.vehicle.perturbed_vehicle import PlantMismatch, perturb_vehicle
 from road_envs.vehicle.suspension import MODES, decode_commands, encode_command
 
-COLUMNS = ("t", "a_rf", "a_lr", "a_rr", "v", "s", "commands")
-CSV_COLUMNS = (
-    "t [s]", "a_rf [m/s2]", "a_lr [m/s2]", "a_rr [m/s2]", "v [m/s]", "s [m]",
-    "mode_front", "mode_rear",
-)  # fmt: skip
 FORMAT = "roadrecon record 1"
 
 CHUNK = 20_000
@@ -66,7 +62,8 @@ def simulate_record(
     car = vehicle if isinstance(vehicle, VehicleParameters) else load_vehicle(vehicle)
     if not isinstance(instruments, Instruments):
         instruments = load_instruments(instruments)
-    one = perturb_vehicle(car, grade, seed, plant_mismatch)
+    sensors = instruments.accelerometers
+    one = perturb_vehicle(car, grade, seed, plant_mismatch, len(sensors))
     step, enveloped_surface = min(step, one.step), one.enveloped(surface)
     drive = DriveSimulator(one.plant, one.car, enveloped_surface, speed_kmh / 3.6, mode, step)
     logger = DataLogger(instruments, one.car, step, np.random.default_rng(seed), one.faults)
@@ -79,7 +76,7 @@ def simulate_record(
     distance, v, _ = drive.speed_profile.at(t)
     s, v = drive.start + logger.odometer(distance), logger.speed_gain * v
     stiff, high = decode_commands(np.full(t.size, byte))
-    return Record(t, a, v, s, stiff, high, surface.length), true_profile(surface)
+    return Record(t, a, v, s, stiff, high, surface.length, dict(sensors)), true_profile(surface)
 
 
 def write_record(path: Path, record: Record, provenance: Mapping[str, object]) -> None:
@@ -98,10 +95,17 @@ def write_record(path: Path, record: Record, provenance: Mapping[str, object]) -
     bits = np.concatenate([record.spring_stiff, record.damper_high], axis=1) << np.arange(8)
     data = (record.t, *record.a, record.v, record.s, bits.sum(axis=1).astype(np.uint8))
     about = {"format": FORMAT, "length": record.length, "provenance": dict(provenance)}
-    table = pa.table(dict(zip(COLUMNS, data, strict=True)))
+    if record.sensors is not None:
+        about["sensors"] = to_plain(record.sensors)
+    table = pa.table(dict(zip(_columns(record.channels), data, strict=True)))
     table = table.replace_schema_metadata({"roadrecon": json.dumps(about)})
     with atomic_write(path) as partial:
         pq.write_table(table, partial)
+
+
+def _columns(channels: Iterable[str]) -> tuple[str, ...]:
+    """Return the columns of a record as Parquet."""
+    return ("t", *map(column, channels), "v", "s", "commands")
 
 
 def _write_csv(path: Path, record: Record, provenance: Mapping[str, object]) -> None:
@@ -113,11 +117,13 @@ def _write_csv(path: Path, record: Record, provenance: Mapping[str, object]) -> 
         ]
         for w in (0, 2)
     ]
-    lines = [f"# simulated: {json.dumps(dict(provenance))}", ",".join(CSV_COLUMNS)]
-    for t, a_rf, a_lr, a_rr, v, s, front, rear in zip(
-        record.t, *record.a, record.v, record.s, *modes, strict=True
+    accelerations = [f"{column(name)} [m/s2]" for name in record.channels]
+    header = ("t [s]", *accelerations, "v [m/s]", "s [m]", "mode_front", "mode_rear")
+    lines = [f"# simulated: {json.dumps(dict(provenance))}", ",".join(header)]
+    for t, a, v, s, front, rear in zip(
+        record.t, record.a.T, record.v, record.s, *modes, strict=True
     ):
-        cells = ["" if np.isnan(x) else f"{x:.4f}" for x in (a_rf, a_lr, a_rr)]
+        cells = ["" if np.isnan(x) else f"{x:.4f}" for x in a]
         lines.append(",".join([f"{t:.6g}", *cells, f"{v:.4f}", f"{s:.4f}", front, rear]))
     with atomic_write(path) as partial:
         partial.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -145,12 +151,14 @@ def read_record(path: Path) -> tuple[Record, dict[str, object]]:
         about = json.loads((table.schema.metadata or {})[b"roadrecon"])
         if about["format"] != FORMAT or not 0.0 < about["length"] < np.inf:
             raise ConfigError(f"not a RoadRecon record (its metadata lacks {FORMAT!r})")
-    if missing := [c for c in COLUMNS if c not in table.column_names]:
-        raise ConfigError(f"{path}: columns {missing} are missing; needed: {', '.join(COLUMNS)}")
-    column = {c: table[c].to_numpy() for c in COLUMNS}
-    if invalid := [c for c in COLUMNS if column[c].dtype.kind not in "fu"]:
+    sensors = from_plain(about.get("sensors"), str(path))
+    columns = _columns(SENSORS if sensors is None else sensors)
+    if missing := [c for c in columns if c not in table.column_names]:
+        raise ConfigError(f"{path}: columns {missing} are missing; needed: {', '.join(columns)}")
+    values = [table[c].to_numpy() for c in columns]
+    if invalid := [c for c, x in zip(columns, values, strict=True) if x.dtype.kind not in "fu"]:
         raise ConfigError(f"{path}: columns {invalid} must hold numbers")
-    a = np.stack([column["a_rf"], column["a_lr"], column["a_rr"]])
-    stiff, high = decode_commands(column["commands"])
-    record = Record(column["t"], a, column["v"], column["s"], stiff, high, about["length"])
+    t, *a, v, s, commands = values
+    stiff, high = decode_commands(commands)
+    record = Record(t, np.stack(a), v, s, stiff, high, about["length"], sensors)
     return record, about.get("provenance", {})

@@ -10,7 +10,6 @@ from pydantic import Field
 
 from road_envs.analysis.information_bound import BoundTable, RoadPrior
 from road_envs.config import ConfigError, NonNegative, Positive, Settings, SmallestFirst, build
-from road_envs.data.record import SENSORS
 from road_envs.roads import load_road, with_length
 from road_envs.roads.surface import Surface
 from road_envs.sensing.data_logger import DataLogger, load_instruments
@@ -43,6 +42,9 @@ ACTIONS: dict[str, tuple[Any, ...]] = {
 """Strut states commanded by the actions 0, 1, ..., for each choice of `control`."""
 
 Speed = Annotated[float, Field(gt=0, le=200)]
+
+RESERVED_NAMES = {"speed", "front", "rear", "planar", "extension", "extension_rate"}
+"""Parts of an observation that are no accelerometers."""
 
 MAX_OBSERVED_SPEED = 100.0
 """Upper limit of the observed speed [m/s]."""
@@ -126,6 +128,11 @@ class EnvSetup:
         self.manoeuvre = None if o.manoeuvre is None else load_manoeuvre(o.manoeuvre)
         self.plant = build_plant(self.car, manoeuvres=self.manoeuvre is not None)
         self.instruments = load_instruments(o.sensors)
+        if taken := RESERVED_NAMES & self.instruments.accelerometers.keys():
+            raise ConfigError(
+                f"{o.sensors}: an accelerometer must not be named {min(taken)!r}, which is another "
+                "part of the observation"
+            )
         road = load_road(o.road)
         self.road = road if o.length is None else with_length(road, o.length)
         self.interval = 1.0 / o.control_rate
@@ -144,7 +151,7 @@ class EnvSetup:
 
     def _limits(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the lower and the upper limit of the observations."""
-        accelerations = np.full(3 * self.samples_per_interval, self.instruments.range)
+        accelerations = np.repeat(self.instruments.ranges, self.samples_per_interval)
         groups = [
             np.full(size, limit)
             for group, size, limit in (
@@ -163,7 +170,11 @@ class EnvSetup:
     def observation_slices(self) -> dict[str, slice]:
         """Slice of each named part within an observation."""
         k = self.samples_per_interval
-        sizes = dict.fromkeys(SENSORS, k) | {"speed": 1, "front": 2, "rear": 2}
+        sizes = dict.fromkeys(self.instruments.accelerometers, k) | {
+            "speed": 1,
+            "front": 2,
+            "rear": 2,
+        }
         if "planar" in self.options.observe:
             sizes |= {"planar": N_PLANAR}
         if "struts" in self.options.observe:

@@ -22,10 +22,11 @@ class RoadReconEnv(gymnasium.Env):
     ## Description
     A vehicle with solid axles drives over a road at constant speed. Its four struts can be soft
     with low damping (*ride*) or stiff with high damping (*handling*); a command takes effect after
-    a delay of 20 ms and a lag of 10 ms. The agent observes the vehicle's own instruments: three
-    vertical body accelerations at the right front (RF), left rear (LR) and right rear (RR), the
-    speed, and the commanded states. It does not observe the road. The model is that of Ngwangwa,
-    Heyns, Breytenbach & Els; see `road_envs.vehicle.equations` and `road_envs.vehicle.suspension`.
+    a delay of 20 ms and a lag of 10 ms. The agent observes the vehicle's own instruments: vertical
+    accelerations, of the body at the right front (RF), left rear (LR) and right rear (RR) unless
+    other `sensors` are chosen, the speed, and the commanded states. It does not observe the road.
+    The model is that of Ngwangwa, Heyns, Breytenbach & Els; see `road_envs.vehicle.equations` and
+    `road_envs.vehicle.suspension`.
 
     ## Action Space
     `control="vehicle"`: `Discrete(2)`, 0 ride, 1 handling, for all struts.
@@ -36,7 +37,8 @@ class RoadReconEnv(gymnasium.Env):
 
     ## Observation Space
     `Box`, float32, (3 k + 5,), where k is the number of samples in a control interval (50 at 1 kHz
-    and 20 Hz). `unwrapped.split(observation)` returns the parts by name.
+    and 20 Hz). `unwrapped.split(observation)` returns the parts by name. Other `sensors` have one
+    row of k for each accelerometer, in their order.
 
     | index | quantity | unit | low | high |
     |---|---|---|---|---|
@@ -176,7 +178,8 @@ class RoadReconEnv(gymnasium.Env):
         samples = np.concatenate(self._history, axis=1)
         fs, scale = self.setup.instruments.fs, self.setup.options.exaggeration
         motion = self.fleet.last_interval(0, self._command_byte)
-        scene = Scene.from_drive(self.drive, motion, samples, fs, RENDERED_HISTORY, scale)
+        names = tuple(self.setup.instruments.accelerometers)
+        scene = Scene.from_drive(self.drive, motion, samples, fs, RENDERED_HISTORY, scale, names)
         return render_frame(scene)
 
     @property
@@ -200,7 +203,8 @@ class RoadReconEnv(gymnasium.Env):
         self._command_byte = byte
         if self.render_mode is not None:
             k = self.setup.samples_per_interval
-            self._history.append(output.observation[0, : 3 * k].reshape(3, k).copy())
+            S = len(self.setup.instruments.accelerometers)
+            self._history.append(output.observation[0, : S * k].reshape(S, k).copy())
         return output
 
     def _info(self, output: StepOutput, start: EpisodeStart) -> tuple[float, dict[str, Any]]:

@@ -11,7 +11,6 @@ from typing import Protocol
 import numpy as np
 
 from road_envs.config import ConfigError
-from road_envs.data.record import SENSORS
 from road_envs.envs.options import ACTIONS, EnvSetup
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.parameters import VehicleParameters
@@ -76,8 +75,13 @@ class PolicyContext:
         return observations[:, self.observation_slices[name]]
 
     def accelerations(self, observations: np.ndarray) -> np.ndarray:
-        """Return the samples (N, 3, k) [m/s²] of RF, LR, RR in the last interval."""
-        return np.stack([self.signal(name, observations) for name in SENSORS], axis=1)
+        """Return the samples (N, S, k) [m/s²] of the accelerometers in the last interval."""
+        return np.stack([self.signal(name, observations) for name in self.accelerometers], axis=1)
+
+    @property
+    def accelerometers(self) -> tuple[str, ...]:
+        """Names of the S accelerometers, which name parts of an observation."""
+        return tuple(self.instruments.accelerometers)
 
 
 class Policy(Protocol):

@@ -1,13 +1,18 @@
 """Signals that policies derive from the instruments, for many vehicles at once.
 
-Three vertical accelerometers on a rigid body determine its heave, roll and pitch acceleration.
-Leaky integration gives the rates, dv/dt = a - v / tau with 1 / tau = 2 pi `leak`; frequencies below
-`leak` [Hz] are attenuated. Policies decide once per control interval, so means over it suffice.
+Three or more vertical accelerometers on a rigid body determine its heave, roll and pitch
+acceleration. Leaky integration gives the rates, dv/dt = a - v / tau with 1 / tau = 2 pi `leak`;
+frequencies below `leak` [Hz] are attenuated. Policies decide once per control interval, so means
+over it suffice.
 """
 
 import numpy as np
 
+from road_envs.config import ConfigError
 from road_envs.policies.api import PolicyContext
+
+MIN_LEVER = 0.1
+"""Least singular value of the sensors' lever arms [m]: with less, noise hides the rotations."""
 
 SIDE_SIGNS = np.array([1.0, -1.0, 1.0, -1.0])
 """Sign of the lateral position of the struts FL, FR, RL, RR."""
@@ -21,9 +26,16 @@ class BodyMotionEstimator:
     """
 
     def __init__(self, context: PolicyContext, leak: float):
-        locations = context.instruments.locations(context.car).values()
+        places = list(context.instruments.locations(context.car).values())
         self.context, self.decay = context, np.exp(-2.0 * np.pi * leak * context.interval)
-        self.sensors_to_motion = np.linalg.inv([[1.0, y, -x] for x, y in locations])
+        self.on_body = [i for i, place in enumerate(places) if place.axle is None]
+        rows = np.array([[1.0, place.y, -place.x] for place in places])[self.on_body]
+        if np.linalg.matrix_rank(rows, tol=MIN_LEVER) < 3:
+            raise ConfigError(
+                "this policy needs three accelerometers on the body that are not in one line, to "
+                f"tell heave, roll and pitch; there are {', '.join(context.accelerometers)}"
+            )
+        self.sensors_to_motion = np.linalg.inv(rows) if len(rows) == 3 else np.linalg.pinv(rows)
         axles = [axle for axle in context.car.axles for _ in range(2)]
         self.motion_to_mounts = np.array(
             [[1.0, side * a.y_s, -a.x] for a, side in zip(axles, SIDE_SIGNS, strict=True)]
@@ -32,7 +44,8 @@ class BodyMotionEstimator:
 
     def update(self, observations: np.ndarray) -> None:
         """Advance by one interval, from observations (N, d)."""
-        self.a = self.context.accelerations(observations).mean(axis=2) @ self.sensors_to_motion.T
+        means = self.context.accelerations(observations)[:, self.on_body].mean(axis=2)
+        self.a = means @ self.sensors_to_motion.T
         self.v = self.decay * (self.v + self.context.interval * self.a)
 
     def at_strut_mounts(self, motion: np.ndarray) -> np.ndarray:

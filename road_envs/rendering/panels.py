@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from road_envs.data.record import SENSORS
 from road_envs.rendering import style
 from road_envs.rendering.canvas import Canvas
 from road_envs.rendering.scene import Scene, free_travel
@@ -111,14 +110,14 @@ def round_up(value: float, leading: tuple[int, ...] = (1, 2, 5)) -> float:
 
 
 def accelerations(canvas: Canvas, scene: Scene) -> None:
-    """Draw the recent samples of the three accelerometers, newest at the right."""
+    """Draw the recent samples of the accelerometers, newest at the right."""
     left, right, top = MARGIN, canvas.width - 70.0, 20.0
-    height = (canvas.height - top - 4.0) / len(SENSORS)
+    height = (canvas.height - top - 4.0) / len(scene.sensors)
     recent = scene.samples[:, -round(scene.window * scene.fs) :]
     limit = round_up(max(float(np.abs(recent).max()), 1.0), (1, 2, 3, 5))
-    canvas.text(10, 15, f"body accelerations, ±{limit:g} m/s²", style.INK, 12)
+    canvas.text(10, 15, f"accelerations, ±{limit:g} m/s²", style.INK, 12)
     canvas.text(right, 15, f"last {scene.window:g} s", style.FAINT, 11, "rs")
-    for i, name in enumerate(SENSORS):
+    for i, name in enumerate(scene.sensors):
         middle = top + (i + 0.5) * height
         canvas.line(np.array([[left, middle], [right, middle]]), style.GRID)
         canvas.text(left - 6, middle, name, style.INK, 12, "rm", bold=True)

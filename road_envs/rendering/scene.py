@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
+from road_envs.data.record import SENSORS
 from road_envs.roads.surface import Surface
 from road_envs.simulation.drive import DriveSimulator, Trajectory
 from road_envs.vehicle.equations import AXLE, PHI, THETA, Z_B
@@ -32,8 +33,8 @@ class Scene:
 
     `q` (7,) are the coordinates of `vehicle.equations`, `extension` (4,) [m] and `load` (4,) [N]
     those of struts and tyres, `spring_stiff` and `damper_high` (4,) the valve states, `command` the
-    last command byte. `samples` (3, N) [m/s²] are those of the accelerometers at `fs` [Hz], newest
-    last; the last `window` seconds are shown.
+    last command byte. `samples` (k, N) [m/s²] are those of the accelerometers `sensors` at
+    `fs` [Hz], newest last; the last `window` seconds are shown.
     """
 
     car: VehicleParameters
@@ -51,6 +52,7 @@ class Scene:
     fs: float
     window: float
     exaggeration: float = 1.0
+    sensors: tuple[str, ...] = SENSORS
 
     @classmethod
     def from_drive(
@@ -61,6 +63,7 @@ class Scene:
         fs: float,
         window: float,
         exaggeration: float,
+        sensors: tuple[str, ...] = SENSORS,
     ) -> "Scene":
         """Return the scene at the end of `trajectory`, the latest one of `drive`."""
         return cls(
@@ -79,6 +82,7 @@ class Scene:
             fs=fs,
             window=window,
             exaggeration=exaggeration,
+            sensors=sensors,
         )
 
     @cached_property

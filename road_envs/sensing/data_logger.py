@@ -1,6 +1,6 @@
 """Data logger: measured samples from the true motion (section 6 of the paper).
 
-body acceleration at the sensor -> faults -> noise -> clipping at the range -> anti-alias -> samples
+acceleration at the sensor -> faults -> noise -> clipping at the range -> anti-alias -> samples
 samples -> constant trend removed -> 25 Hz low-pass        (`filters.preprocess_accelerations`)
 """
 
@@ -37,31 +37,40 @@ class DataLogger:
                 f"samples; a step of {step} s gives {decimation:.3f}"
             )
         self.decimation = round(decimation)
-        self.range = instruments.range
-        self.noise_std = instruments.noise_density * np.sqrt(0.5 / step)
-        shifts = zip(instruments.locations(car).values(), faults.dx, faults.dy, strict=True)
-        self.locations = [(x + dx, y + dy) for (x, y), dx, dy in shifts]
+        self.range = instruments.ranges
+        self.noise_std = instruments.noise_densities * np.sqrt(0.5 / step)
+        k = self.range.size
+        shifts = zip(
+            instruments.locations(car).values(),
+            faults.per_sensor("dx", k),
+            faults.per_sensor("dy", k),
+            strict=True,
+        )
+        self.locations = [
+            location._replace(x=location.x + float(dx), y=location.y + float(dy))
+            for location, dx, dy in shifts
+        ]
         self.faults, self.sampler = faults, None
         if faults.jitter > 0.0 or faults.dropout_rate > 0.0:
-            self.sampler = JitteredSampler(self.decimation, step, faults)
+            self.sampler = JitteredSampler(self.decimation, step, faults, k)
         self.sos = butterworth_sos(ANTIALIAS_ORDER, instruments.f_alias, 1.0 / step)
-        self.filter_state = np.zeros((self.sos.shape[0], 3, 2))
+        self.filter_state = np.zeros((self.sos.shape[0], k, 2))
         self.n_steps = 0
         self.rng = rng
         self.speed_gain = 1.0 + instruments.speed_error * rng.standard_normal()
         self.speed_gain *= 1.0 + faults.speed
 
     def sample(self, trajectory: Trajectory) -> np.ndarray:
-        """Return the samples (3, n) [m/s²] of RF, LR, RR within `trajectory`; NaN if lost.
+        """Return the samples (k, n) [m/s²] of the sensors within `trajectory`; NaN if lost.
 
         With jitter the samples near the end are returned by the next call, or by `flush`.
         """
-        a = np.array([trajectory.body_acceleration(x, y) for x, y in self.locations])
+        a = np.array([trajectory.vertical_acceleration(*location) for location in self.locations])
         if self.faults is not NO_FAULTS:
             a = self.faults.apply(a)
-        if self.noise_std > 0.0:  # drawn time step by time step, so that chunks equal the whole
-            a += self.noise_std * self.rng.standard_normal(a.shape[::-1]).T
-        a = np.clip(a, -self.range, self.range)
+        if self.noise_std.any():  # drawn time step by time step, so that chunks equal the whole
+            a += self.noise_std[:, None] * self.rng.standard_normal(a.shape[::-1]).T
+        a = np.clip(a, -self.range[:, None], self.range[:, None])
         sosfilt_kernel(self.sos, self.filter_state, a, a)
         if self.sampler is not None:
             return self.sampler.sample(a)
@@ -77,6 +86,6 @@ class DataLogger:
         return distance - (self.speed_gain - 1.0) * length * np.expm1(-distance / length)
 
     def flush(self) -> np.ndarray:
-        """Return the samples (3, n) [m/s²] that are still buffered at the end of the drive."""
-        empty = np.zeros((3, 0))
+        """Return the samples (k, n) [m/s²] that are still buffered at the end of the drive."""
+        empty = np.zeros((self.range.size, 0))
         return empty if self.sampler is None else self.sampler.sample(empty, last=True)

@@ -3,42 +3,32 @@
 Estimators may use it; `data_logger.py` simulates the instruments.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
 from road_envs import config
-from road_envs.config import Finite, NonNegative, Positive, Settings
-from road_envs.data.record import SENSORS
+from road_envs.config import NonNegative, Positive, Settings
+from road_envs.data.accelerometers import Accelerometer, Layout
+from road_envs.data.record import Record
 from road_envs.vehicle.parameters import VehicleParameters
 
 ANTIALIAS_ORDER = 4
 """Order of the Butterworth filter before the sampler [assumed]."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class SensorLocation(Settings):
-    """Location of an accelerometer on the body."""
+class SensorLocation(NamedTuple):
+    """Location (`x`, `y`) [m] ahead and left of the centre of mass, of the body or of an `axle`.
 
-    axle: Annotated[Literal["front", "rear"], "", "axle from which `ahead` is measured"]
-    ahead: Annotated[Finite, "m", "ahead of that axle; negative behind it"]
-    y: Annotated[Finite, "m", "left of the centre line"]
+    `axle` is 0 for the front axle, 1 for the rear one and None for the body.
+    """
 
-    def x(self, car: VehicleParameters) -> float:
-        """Return the position ahead of the body's centre of mass [m]."""
-        return (car.front if self.axle == "front" else car.rear).x + self.ahead
-
-
-@dataclass(frozen=True, kw_only=True)
-class SensorLocations(Settings):
-    """Locations of the paper's three accelerometers."""
-
-    RF: SensorLocation
-    LR: SensorLocation
-    RR: SensorLocation
+    x: float
+    y: float
+    axle: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +36,7 @@ class Instruments(Settings):
     """Accelerometers, logger and speed signal of one vehicle."""
 
     name: str
-    accelerometers: SensorLocations
+    accelerometers: Layout
     fs: Annotated[Positive, "Hz", "sampling rate"]
     f_alias: Annotated[Positive, "Hz", "cut-off of the anti-alias filter"]
     range: Annotated[float, Field(gt=0), "m/s²", "clipping level, either way"]
@@ -61,10 +51,21 @@ class Instruments(Settings):
         if self.f_alias >= 0.5 * self.fs:
             raise ValueError(f"f_alias {self.f_alias} must be below fs / 2 = {0.5 * self.fs}")
 
-    def locations(self, car: VehicleParameters) -> dict[str, tuple[float, float]]:
-        """Return (x, y) [m] of each sensor, ahead and left of the body's centre of mass."""
-        locations = {name: getattr(self.accelerometers, name) for name in SENSORS}
-        return {name: (location.x(car), location.y) for name, location in locations.items()}
+    def locations(self, car: VehicleParameters) -> dict[str, SensorLocation]:
+        """Return the location of each sensor on `car`."""
+        return {name: _location(sensor, car) for name, sensor in self.accelerometers.items()}
+
+    @property
+    def ranges(self) -> np.ndarray:
+        """Clipping level (k,) [m/s²] of each accelerometer."""
+        own = [sensor.range for sensor in self.accelerometers.values()]
+        return np.array([self.range if x is None else x for x in own], dtype=float)
+
+    @property
+    def noise_densities(self) -> np.ndarray:
+        """Noise density (k,) [(m/s²)/sqrt(Hz)] of each accelerometer."""
+        own = [sensor.noise_density for sensor in self.accelerometers.values()]
+        return np.array([self.noise_density if x is None else x for x in own], dtype=float)
 
     def response(self, f: np.ndarray) -> np.ndarray:
         """Return the complex response [-] of the anti-alias filter at `f` [Hz], any shape.
@@ -78,6 +79,30 @@ class Instruments(Settings):
         return 1.0 / np.prod(s[..., None] - poles, axis=-1)
 
 
+def _location(sensor: Accelerometer, car: VehicleParameters) -> SensorLocation:
+    axles = {"front": car.front.x, "rear": car.rear.x}
+    if sensor.mounted == "body":
+        return SensorLocation(axles.get(sensor.axle or "", 0.0) + sensor.ahead, sensor.y)
+    axle = 0 if sensor.mounted == "front axle" else 1
+    return SensorLocation(car.axles[axle].x, sensor.y, axle)
+
+
 def load_instruments(name: str | Path) -> Instruments:
     """Load instruments by shipped name or YAML path. Raises ConfigError."""
     return config.load(Instruments, "sensors", name)
+
+
+def instruments_of(record: Record, name: str | Path) -> Instruments:
+    """Load instruments, with the accelerometers of `record` where it tells them.
+
+    Raises ConfigError, also if the number of accelerometers is not that of the record.
+    """
+    instruments = load_instruments(name)
+    if record.sensors is not None:
+        return replace(instruments, accelerometers=dict(record.sensors))
+    if (k := len(instruments.accelerometers)) != len(record.a):
+        raise config.ConfigError(
+            f"the record has {len(record.a)} accelerations, but the instruments {name} have {k} "
+            f"accelerometers ({', '.join(instruments.accelerometers)})"
+        )
+    return instruments

@@ -17,13 +17,11 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from road_envs.config import Count, Finite, NonNegative, Settings
+from road_envs.config import ConfigError, Count, Finite, NonNegative, Settings
 from road_envs.vehicle.parameters import GRAVITY
 
-PerSensor = tuple[Finite, Finite, Finite]
-"""Values of RF, LR, RR."""
-
-ZEROS: PerSensor = (0.0, 0.0, 0.0)
+PerSensor = tuple[Finite, ...]
+"""One value for each accelerometer; none if all are without this fault."""
 
 MAX_JITTER_STDS = 3.0
 """Limit of the time error of a sample, in standard deviations of the jitter."""
@@ -40,11 +38,11 @@ DropoutLength = Annotated[Count, "samples", "mean length n of a burst; the maxim
 class SensorFaults(Settings):
     """Faults of one set of instruments; the defaults are instruments without faults."""
 
-    dx: Annotated[PerSensor, "m", "error of the location, positive ahead"] = ZEROS
-    dy: Annotated[PerSensor, "m", "error of the location, positive to the left"] = ZEROS
-    tilt: Annotated[PerSensor, "rad", "angle between the axis and the vertical"] = ZEROS
-    gain: Annotated[PerSensor, "", "factor of the sensitivity"] = (1.0, 1.0, 1.0)
-    offset: Annotated[PerSensor, "m/s²", "added to every reading"] = ZEROS
+    dx: Annotated[PerSensor, "m", "error of the location, positive ahead"] = ()
+    dy: Annotated[PerSensor, "m", "error of the location, positive to the left"] = ()
+    tilt: Annotated[PerSensor, "rad", "angle between the axis and the vertical"] = ()
+    gain: Annotated[PerSensor, "", "factor of the sensitivity; else 1"] = ()
+    offset: Annotated[PerSensor, "m/s²", "added to every reading"] = ()
     speed: Annotated[Finite, "", "relative error of the speed signal"] = 0.0
     position_fix_length: PositionFixLength = np.inf
     jitter: Jitter = 0.0
@@ -52,10 +50,18 @@ class SensorFaults(Settings):
     dropout_length: DropoutLength = 1
     seed: Annotated[tuple[int, ...], "", "of jitter and dropouts"] = (0,)
 
+    def per_sensor(self, name: str, k: int) -> np.ndarray:
+        """Return the values (k,) of a fault of k accelerometers. Raises ConfigError."""
+        values = getattr(self, name) or (float(name == "gain"),) * k
+        if len(values) != k:
+            raise ConfigError(f"{name} is given for {len(values)} accelerometers; there are {k}")
+        return np.array(values)
+
     def apply(self, a: np.ndarray) -> np.ndarray:
-        """Return the readings of true accelerations (3, N) [m/s²] at the true locations."""
-        gain, axis_cosine = np.array(self.gain), np.cos(self.tilt)
-        constant = gain * GRAVITY * (axis_cosine - 1.0) + np.array(self.offset)
+        """Return the readings of true accelerations (k, N) [m/s²] at the true locations."""
+        gain, tilt, offset = (self.per_sensor(x, len(a)) for x in ("gain", "tilt", "offset"))
+        axis_cosine = np.cos(tilt)
+        constant = gain * GRAVITY * (axis_cosine - 1.0) + offset
         return (gain * axis_cosine)[:, None] * a + constant[:, None]
 
 
@@ -66,12 +72,12 @@ NO_FAULTS = SensorFaults()
 class JitteredSampler:
     """Sampler with clock jitter and dropouts, of a signal that arrives in chunks.
 
-    A sample is taken every `decimation` steps of `step` [s]; the signal is interpolated linearly
-    between steps. Jitter and dropouts are drawn sample by sample, so that chunks give the same
-    samples as the whole.
+    A sample of `k` channels is taken every `decimation` steps of `step` [s]; the signal is
+    interpolated linearly between steps. Jitter and dropouts are drawn sample by sample, so that
+    chunks give the same samples as the whole.
     """
 
-    def __init__(self, decimation: int, step: float, faults: SensorFaults):
+    def __init__(self, decimation: int, step: float, faults: SensorFaults, k: int = 3):
         self.decimation, self.jitter = decimation, faults.jitter / step
         self.margin = int(np.ceil(MAX_JITTER_STDS * self.jitter))
         self.dropout_length = faults.dropout_length
@@ -81,11 +87,11 @@ class JitteredSampler:
         self.jitter_rng, self.dropout_rng = map(np.random.default_rng, streams)
         # remaining samples of the current dropout; 0 directly after one, -1 otherwise
         self.dropout_left = -1
-        self.buffer = np.zeros((3, 0))
+        self.buffer = np.zeros((k, 0))
         self.buffer_start = self.n_samples = 0
 
     def sample(self, a: np.ndarray, last: bool = False) -> np.ndarray:
-        """Add a chunk `a` (3, N), and return the samples (3, n) that it completes.
+        """Add a chunk `a` (k, N), and return the samples (k, n) that it completes.
 
         Samples near the end need the next chunk, because of jitter, unless this is the `last` one.
         """
@@ -93,7 +99,7 @@ class JitteredSampler:
         end = self.buffer_start + self.buffer.shape[1]
         ready = (end if last else end - self.margin) - 1
         n = max(ready // self.decimation + 1 - self.n_samples, 0) if ready >= 0 else 0
-        samples = self._draw_samples(n) if n else np.zeros((3, 0))
+        samples = self._draw_samples(n) if n else np.zeros((len(self.buffer), 0))
         self.n_samples += n
         obsolete = max(self.n_samples * self.decimation - self.margin - self.buffer_start, 0)
         self.buffer_start += min(obsolete, self.buffer.shape[1])
@@ -101,7 +107,7 @@ class JitteredSampler:
         return samples
 
     def _draw_samples(self, n: int) -> np.ndarray:
-        """Return the next n samples (3, n) from the buffer."""
+        """Return the next n samples (k, n) from the buffer."""
         limit = MAX_JITTER_STDS * self.jitter
         error = np.zeros(n)
         if self.jitter > 0.0:

@@ -54,9 +54,9 @@ class FleetState(NamedTuple):
     """State that every vehicle keeps between control intervals; blocks first, lanes last.
 
     Coordinates `q` and rates `v` (B, 7), `strut_state` (B, 4, 3), command `delay_line` (B, D),
-    filter states `antialias_state` (B, n, 3, 2) and `wk_state` (B, m, 1, 2), `sensor_rows`
-    (B, 3, 3) as `instrumented_fleet.sensor_rows` returns them. `counts` (B, 4): steps passed
-    through the delay line, steps done, noise rows used, steps in total. `kinematics` (B, 4):
+    filter states `antialias_state` (B, n, k, 2) and `wk_state` (B, m, 1, 2), `sensor_rows`
+    (B, k, 3) as `instrumented_fleet.sensor_rows` returns them for k sensors. `counts` (B, 4): steps
+    passed through the delay line, steps done, noise rows used, steps in total. `kinematics` (B, 4):
     station at the start [m], speed [m/s], speed [km/h], gain of the speed signal. `road_layout`
     (B, 5): the fields of `fleet.RoadBuffers` other than the heights.
     """
@@ -78,8 +78,9 @@ class FleetParameters(NamedTuple):
 
     Vehicle constants as in `fleet.LaneBuffers`, force tables, command `delay` in steps, valve
     factor `alpha`, `static_load` (4,) [N], cost `weights` (3,), filters, indices `columns` of
-    the stored signals, accelerometer noise and range [m/s²], `top_speed` [m/s], step `h` [s], steps
-    per sample (`decimation`), and flags of the optional observation groups.
+    the stored signals, noise and range (k,) [m/s²] of the accelerometers, whether they are `noisy`,
+    and the coordinates `sensor_columns` (k, 3) that they measure, `top_speed` [m/s], step `h` [s],
+    steps per sample (`decimation`), and flags of the optional observation groups.
     """
 
     lane_constants: np.ndarray
@@ -93,8 +94,10 @@ class FleetParameters(NamedTuple):
     antialias_sos: np.ndarray
     wk_sos: np.ndarray
     columns: np.ndarray
-    noise_std: float
-    range: float
+    noise_std: np.ndarray
+    range: np.ndarray
+    noisy: int
+    sensor_columns: np.ndarray
     top_speed: float
     h: float
     decimation: int
@@ -105,7 +108,7 @@ class FleetParameters(NamedTuple):
 class IntervalInputs(NamedTuple):
     """Inputs of B blocks in one control interval.
 
-    `road_heights` (B, ...); `noise` (B, LANES, rows, 3), standard normal; `commands` (B, LANES);
+    `road_heights` (B, ...); `noise` (B, LANES, rows, k), standard normal; `commands` (B, LANES);
     `a_xy` (B or 1, 4 n + 2), a_x and a_y [m/s²] of a manoeuvre in turn at every half step.
     """
 
@@ -123,14 +126,14 @@ class ControlStepWorkspace(NamedTuple):
     out: np.ndarray  # (n, 29)
     s: np.ndarray  # (2 n + 1,)
     v: np.ndarray  # (2 n + 1,)
-    a: np.ndarray  # (3, n)
+    a: np.ndarray  # (k, n)
     heave: np.ndarray  # (1, n)
 
 
 class StepOutput(NamedTuple):
-    """Output of one control interval with k samples, of N vehicles.
+    """Output of one control interval with k samples, of N vehicles with S accelerometers.
 
-    `observation` (N, 3 k + 5 or more) float32, see `RoadReconEnv`; `values` (N, 8), see
+    `observation` (N, S k + 5 or more) float32, see `RoadReconEnv`; `values` (N, 8), see
     OUTPUT_COLUMNS; `end_of_road` (N,), whether the vehicle has left its road; `rollover` (N,),
     4 i + column of ANGLES if an angle first exceeds MAX_ANGLE in step i, else -1; `nonfinite_step`
     (N,), the first step with a non-finite motion, else -1. The ground truth `s` (N, k) [m],
@@ -147,13 +150,13 @@ class StepOutput(NamedTuple):
     loads: np.ndarray
 
 
-def workspace_buffer(steps: int) -> np.ndarray:
+def workspace_buffer(steps: int, sensors: int) -> np.ndarray:
     """Allocate the buffer (rows, LANES) of a ControlStepWorkspace for intervals of n = `steps`."""
-    return aligned_zeros(SCRATCH_ROWS + 1 + (N_SIGNALS + 8) * steps + 2)
+    return aligned_zeros(SCRATCH_ROWS + 1 + (N_SIGNALS + 5 + sensors) * steps + 2)
 
 
 @kernel
-def workspace_views(buffer, n):
+def workspace_views(buffer, n, sensors):
     """Return the ControlStepWorkspace for `n` steps as views into a `workspace_buffer`."""
     scratch, scalar, at = (
         buffer[:SCRATCH_ROWS],
@@ -163,7 +166,7 @@ def workspace_views(buffer, n):
     out, at = buffer[at : at + N_SIGNALS * n].reshape(n, N_SIGNALS, LANES), at + N_SIGNALS * n
     s, at = buffer[at : at + 2 * n + 1], at + 2 * n + 1
     v, at = buffer[at : at + 2 * n + 1], at + 2 * n + 1
-    a, at = buffer[at : at + 3 * n].reshape(3, n, LANES), at + 3 * n
+    a, at = buffer[at : at + sensors * n].reshape(sensors, n, LANES), at + sensors * n
     heave = buffer[at : at + n].reshape(1, n, LANES)
     return ControlStepWorkspace(scratch, scalar, out, s, v, a, heave)
 
@@ -211,9 +214,9 @@ def _find_failures(out, q, v, largest, nonfinite_step, rollover):
 
 @kernel(inline=False)
 def _sample_accelerometers(parameters, sensor_rows, antialias_state, noise, used, out, a):
-    """Write the filtered accelerometer signals of an interval to `a` (3, n, LANES)."""
+    """Write the filtered accelerometer signals of an interval to `a` (k, n, LANES)."""
     n = out.shape[0]
-    if parameters.noise_std > 0.0:
+    if parameters.noisy > 0:
         for k in range(LANES):
             for i in range(n):
                 for j in range(a.shape[0]):
@@ -223,11 +226,16 @@ def _sample_accelerometers(parameters, sensor_rows, antialias_state, noise, used
         a[:] = 0.0
     for j in range(a.shape[0]):
         heave, roll, pitch = get(sensor_rows, j, 0), get(sensor_rows, j, 1), get(sensor_rows, j, 2)
+        columns, std, limit = (
+            parameters.sensor_columns[j],
+            parameters.noise_std[j],
+            parameters.range[j],
+        )
         for i in range(n):
-            z, phi = get(out[i], ACCELERATION + Z_B), get(out[i], ACCELERATION + PHI)
-            true = heave * z + roll * phi + pitch * get(out[i], ACCELERATION + THETA)
-            x = true + parameters.noise_std * get(a, j, i)
-            put(a[j], i, minimum(maximum(x, -parameters.range), parameters.range))
+            z, phi = get(out[i], ACCELERATION + columns[0]), get(out[i], ACCELERATION + columns[1])
+            true = heave * z + roll * phi + pitch * get(out[i], ACCELERATION + columns[2])
+            x = true + std * get(a, j, i)
+            put(a[j], i, minimum(maximum(x, -limit), limit))
     sosfilt_kernel(parameters.antialias_sos, antialias_state, a, a)
 
 
@@ -261,11 +269,11 @@ def _sum_costs(parameters, wk_state, out, heave, scalar, values):
 
 @kernel(inline=False)
 def _write_observation(parameters, kinematics, a, commands, observation):
-    """Write the observations (LANES, 3 k + 5) of a block."""
-    high = parameters.range
+    """Write the observations (LANES, S k + 5) of a block."""
     for k in range(LANES):
         at, byte = 0, commands[k]
         for j in range(a.shape[0]):
+            high = parameters.range[j]
             for i in range(0, a.shape[1], parameters.decimation):
                 observation[k, at] = min(max(a[j, i, k], -high), high)
                 at += 1
@@ -328,7 +336,8 @@ def advance_blocks(blocks, state, parameters, inputs, delayed, buffer, output):
     """
     n = delayed.shape[1]
     n_samples = (n + parameters.decimation - 1) // parameters.decimation
-    workspace = workspace_views(buffer, n)
+    n_sensors = parameters.range.size
+    workspace = workspace_views(buffer, n, n_sensors)
     for b in blocks:
         rows = slice(b * LANES, (b + 1) * LANES)
         q, v, layout, commands = state.q[b], state.v[b], state.road_layout[b], inputs.commands[b]
@@ -360,7 +369,7 @@ def advance_blocks(blocks, state, parameters, inputs, delayed, buffer, output):
         _sum_costs(parameters, state.wk_state[b], out, workspace.heave, workspace.scalar, values)
         observation = output.observation[rows]
         _write_observation(parameters, kinematics, a, commands, observation)
-        _write_optional_groups(parameters, a_xy, out, 3 * n_samples + 5, observation)
+        _write_optional_groups(parameters, a_xy, out, n_sensors * n_samples + 5, observation)
         if output.s.shape[1] > 0:
             truth = (output.s[rows], output.profile[rows], output.loads[rows])
             _write_truth(parameters, roads, workspace, *truth)

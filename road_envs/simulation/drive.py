@@ -16,7 +16,16 @@ from road_envs.roads.surface import Surface
 from road_envs.simulation import rosenbrock
 from road_envs.simulation.manoeuvres import Manoeuvre
 from road_envs.simulation.speed import SpeedProfile, constant_speed
-from road_envs.vehicle.equations import N_DOF, PHI, THETA, Z_B, Plant, build_plant, equilibrium
+from road_envs.vehicle.equations import (
+    AXLE,
+    N_DOF,
+    PHI,
+    THETA,
+    Z_B,
+    Plant,
+    build_plant,
+    equilibrium,
+)
 from road_envs.vehicle.parameters import DEFAULT_STEP, STEP_LIMIT, VehicleParameters
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
@@ -68,12 +77,15 @@ class Trajectory:
         """Twist of the frame (N, 3): angle [rad], rate and acceleration; (N, 0) if it is rigid."""
         return self.signals[:, rosenbrock.TWIST :]
 
-    def body_acceleration(self, x: float, y: float) -> np.ndarray:
-        """Return the vertical acceleration (N,) [m/s²] of the body's point at (x, y) [m].
+    def vertical_acceleration(self, x: float, y: float, axle: int | None = None) -> np.ndarray:
+        """Return the vertical acceleration (N,) [m/s²] of a point at (x, y) [m].
 
-        The two halves of a flexible frame meet at the centre of mass, x = 0.
+        It belongs to the body, or to the front (0) or rear (1) `axle`. The two halves of a flexible
+        frame meet at the centre of mass, x = 0.
         """
         a = self.acceleration
+        if axle is not None:
+            return a[:, AXLE + 2 * axle] + y * a[:, AXLE + 2 * axle + 1]
         a_point = a[:, Z_B] - x * a[:, THETA] + y * a[:, PHI]
         if self.twist.shape[1] > 0:
             a_point += 0.5 * np.sign(x) * y * self.twist[:, 2]

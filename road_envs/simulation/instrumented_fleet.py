@@ -11,7 +11,6 @@ import numpy as np
 
 from road_envs.analysis.comfort import wk_sos
 from road_envs.config import ConfigError
-from road_envs.data.record import SENSORS
 from road_envs.roads.surface import PAD
 from road_envs.sensing.data_logger import DataLogger, Instruments
 from road_envs.simulation.control_step import (
@@ -46,16 +45,25 @@ from road_envs.simulation.lanes import aligned_copy, aligned_zeros, transpose_co
 from road_envs.simulation.manoeuvres import Manoeuvre
 from road_envs.simulation.rosenbrock import N_SIGNALS
 from road_envs.simulation.simd import LANES
-from road_envs.vehicle.equations import N_DOF, Plant
+from road_envs.vehicle.equations import AXLE, N_DOF, PHI, THETA, Z_B, Plant, sensor_row
 from road_envs.vehicle.parameters import VehicleParameters
 
 NOISE_INTERVALS = 20
 """Intervals for which noise is drawn at once, in the same order as one interval at a time."""
 
 
+COORDINATES = {None: [Z_B, PHI, THETA], 0: [AXLE, AXLE + 1, THETA], 1: [AXLE + 2, AXLE + 3, THETA]}
+"""Coordinates that move a sensor on the body, the front and the rear axle; no axle pitches."""
+
+
+def sensor_columns(logger: DataLogger) -> np.ndarray:
+    """Return the coordinates (k, 3) whose accelerations each sensor measures."""
+    return np.array([COORDINATES[location.axle] for location in logger.locations])
+
+
 def sensor_rows(logger: DataLogger) -> np.ndarray:
-    """Return the rows (3, 3) that map heave, roll and pitch acceleration to the sensors."""
-    return np.array([[1.0, y, -x] for x, y in logger.locations])
+    """Return the factors (k, 3) of these accelerations."""
+    return np.array([sensor_row(*x)[COORDINATES[x.axle]] for x in logger.locations])
 
 
 class InstrumentedFleet:
@@ -120,26 +128,29 @@ class InstrumentedFleet:
             antialias_sos=logger.sos,
             wk_sos=wk_sos(1.0 / step),
             columns=np.arange(N_SIGNALS),
-            noise_std=float(logger.noise_std),
-            range=float(logger.range),
+            noise_std=logger.noise_std,
+            range=logger.range,
+            noisy=int(logger.noise_std.any()),
+            sensor_columns=sensor_columns(logger),
             top_speed=float(top_speed),
             h=step,
             decimation=logger.decimation,
             planar=int(planar),
             struts=int(struts),
         )
-        self.observation_size = len(SENSORS) * self.samples + 5
+        k = logger.range.size
+        self.observation_size = k * self.samples + 5
         self.observation_size += planar * N_PLANAR + struts * N_STRUT_SIGNALS
         self.unresolved_variance = unresolved_variance
         self.unresolved_variance_weight = unresolved_variance_weight
         self.unresolved = np.zeros((n_vehicles, 256 if unresolved_variance else 0))
-        self.state = _initial_state(blocks, delay, len(logger.sos), len(self.parameters.wk_sos))
+        self.state = _initial_state(blocks, delay, len(logger.sos), len(self.parameters.wk_sos), k)
         self.road_heights = np.zeros((blocks, LANES * 2 * (4 + 2 * PAD)))
         self._resize_roads(4 + 2 * PAD)
-        rows = NOISE_INTERVALS * steps if logger.noise_std > 0.0 else 1
-        self.noise = np.zeros((blocks, LANES, rows, len(SENSORS)))
+        rows = NOISE_INTERVALS * steps if self.parameters.noisy else 1
+        self.noise = np.zeros((blocks, LANES, rows, k))
         self._moving = np.arange(blocks)
-        self._workspaces = [_thread_workspace(steps) for _ in range(min(threads, blocks))]
+        self._workspaces = [_thread_workspace(steps, k) for _ in range(min(threads, blocks))]
         self._no_manoeuvre = np.zeros((1, 4 * steps + 2, LANES))
 
     def start(self, i: int, drive: DriveSimulator, logger: DataLogger, speed_kmh: float) -> None:
@@ -177,7 +188,7 @@ class InstrumentedFleet:
         lane_commands = np.zeros(size, dtype=np.uint8)
         lane_commands[: self.n_vehicles] = commands
         moving = self._moving if mask is None else np.unique(np.flatnonzero(mask) // LANES)
-        if self.parameters.noise_std > 0.0:
+        if self.parameters.noisy:
             self._draw_noise(moving)
         # blocks advance as a whole: lanes outside the mask are restored afterwards
         saved = None if mask is None else [field[moving] for field in self.state]
@@ -235,7 +246,7 @@ class InstrumentedFleet:
                 f"the last interval is kept in fleets of at most {LANES} vehicles, got "
                 f"{self.n_vehicles}; use a smaller fleet"
             )
-        last = workspace_views(self._workspaces[0][1], self.steps)
+        last = workspace_views(self._workspaces[0][1], self.steps, self.noise.shape[3])
         first = int(self.state.counts[0, STEPS_DONE, i]) - self.steps
         t = self.step * (first + np.arange(self.steps))
         commands = np.full(self.steps, byte, dtype=np.uint8)
@@ -316,12 +327,12 @@ class InstrumentedFleet:
                 field[b][..., lanes] = before[j][..., lanes]
 
 
-def _thread_workspace(steps: int) -> tuple[np.ndarray, np.ndarray]:
-    return np.zeros((2, steps, LANES), dtype=np.uint8), workspace_buffer(steps)
+def _thread_workspace(steps: int, sensors: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.zeros((2, steps, LANES), dtype=np.uint8), workspace_buffer(steps, sensors)
 
 
 def _initial_state(
-    blocks: int, delay: int, antialias_sections: int, wk_sections: int
+    blocks: int, delay: int, antialias_sections: int, wk_sections: int, sensors: int
 ) -> FleetState:
     """Return the state of vehicles at rest on level ground, in all lanes of every block."""
     state = FleetState(
@@ -329,9 +340,9 @@ def _initial_state(
         v=aligned_zeros(blocks, N_DOF),
         strut_state=aligned_zeros(blocks, 4, 3),
         delay_line=np.zeros((blocks, delay, LANES), dtype=np.uint8),
-        antialias_state=aligned_zeros(blocks, antialias_sections, len(SENSORS), 2),
+        antialias_state=aligned_zeros(blocks, antialias_sections, sensors, 2),
         wk_state=aligned_zeros(blocks, wk_sections, 1, 2),
-        sensor_rows=aligned_zeros(blocks, len(SENSORS), 3),
+        sensor_rows=aligned_zeros(blocks, sensors, 3),
         counts=np.zeros((blocks, 4, LANES), dtype=np.int64),
         kinematics=aligned_zeros(blocks, 4),
         road_layout=aligned_zeros(blocks, 5),

@@ -218,6 +218,21 @@ def axle_roll_moment(p, F, i, roll):
     return get(p.y_s, 2 * i) * (get(F, 2 * i) - get(F, 2 * i + 1)) - get(p.k_roll, i) * roll
 
 
+def sensor_row(x: float, y: float, axle: int | None = None) -> np.ndarray:
+    """Return the height of a point at (x, y) [m] per unit of each coordinate and of psi (8,).
+
+    The point belongs to the body, or to the front (0) or rear (1) `axle`. The two halves of a
+    flexible frame meet at the centre of mass, x = 0.
+    """
+    row = np.zeros(N_DOF + 1)
+    if axle is not None:
+        row[[AXLE + 2 * axle, AXLE + 2 * axle + 1]] = 1.0, y
+        return row
+    row[[Z_B, PHI, THETA]] = 1.0, y, -x
+    row[N_DOF] = 0.5 * np.sign(x) * y
+    return row
+
+
 @kernel
 def add_struts(p, F, front, rear, out):
     """Add the generalised forces (7,) of strut forces `F` (4,) and bushings to `out`.

@@ -6,8 +6,8 @@ About a state y_0 on road heights z_0, deviations follow
 
 with x (14,) the coordinates and their rates, u (8,) the road heights [m] and their rates [m/s]
 under the four wheels, and a the vertical accelerations [m/s²] of points (x_i, y_i) of the body,
-heave - x_i pitch + y_i roll. The rear wheels follow the front ones at the wheelbase L, so the
-responses to the two wheel paths are
+heave - x_i pitch + y_i roll, or of the axles, heave + y_i roll. The rear wheels follow the front
+ones at the wheelbase L, so the responses to the two wheel paths are
 
     H_side(f) = H_front(f) + exp(-2 pi j f L / v) H_rear(f),   H_wheel = H_z + 2 pi j f H_w
 
@@ -22,6 +22,7 @@ Statistical Linearization", section 5.2), to be passed to `linearise`.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy
@@ -30,14 +31,12 @@ from road_envs._numba import kernel
 from road_envs.vehicle.equations import (
     DOF,
     N_DOF,
-    PHI,
-    THETA,
-    Z_B,
     Plant,
     build_plant,
     equilibrium,
     extension,
     jacobian,
+    sensor_row,
     twist_extension,
     wheel_height,
 )
@@ -111,7 +110,7 @@ class NaturalModes:
 def linearise(
     car: Plant | VehicleParameters,
     mode: str | Mapping[str, str] | np.ndarray,
-    sensors: Mapping[str, tuple[float, float]],
+    sensors: Mapping[str, tuple[Any, ...]],
     state: np.ndarray | None = None,
     z_r: np.ndarray | None = None,
     w_r: np.ndarray | None = None,
@@ -120,7 +119,8 @@ def linearise(
     """Linearise the vehicle about a `state` (14,), by default its static equilibrium.
 
     `mode` as in `suspension.encode_command`, or a strut state (4, 3), which is held constant.
-    `sensors`: name -> (x, y) [m], ahead and to the left of the body's centre of mass. `z_r`, `w_r`
+    `sensors`: name -> (x, y) [m], ahead and to the left of the body's centre of mass, and the axle
+    (0 or 1) if it is mounted there, as in `equations.sensor_row`. `z_r`, `w_r`
     (4,): road heights [m] and rates [m/s] under the wheels, 0 by default. `damping` (4,) [N s/m]
     replaces the slopes of the struts' force curves. About a state that is not an equilibrium, the
     model describes deviations from the motion as long as the slopes are constant. Raises ValueError
@@ -145,22 +145,16 @@ def linearise(
     A, B = jacobian(plant, strut_state, y, z, w), _road_input_matrix(plant, y, z, w)
     if damping is not None:
         A[n:, n:] += _damping_correction(plant, strut_state, y, np.asarray(damping, dtype=float))
-    body = np.array([_sensor_row(x, y, n) for x, y in sensors.values()]).reshape(-1, n)
+    heights = np.array([sensor_row(*place)[:n] for place in sensors.values()]).reshape(-1, n)
     axles = plant.constants[0]["x"]
-    C, D = body @ A[n:], body @ B[n:]
+    C, D = heights @ A[n:], heights @ B[n:]
     struts, wheelbase = _as_matrix(extension, plant), float(axles[0] - axles[1])
     names, units = (*DOF, "psi")[:n], (*COORDINATE_UNITS, "rad")[:n]
     return LinearModel(
-        *(A, B, C, D, plant.inertias.copy(), struts, body, wheelbase, tuple(sensors)),
+        *(A, B, C, D, plant.inertias.copy(), struts, heights, wheelbase, tuple(sensors)),
         states=(*names, *(f"{name}_dot" for name in names)),
         state_units=(*units, *(f"{unit}/s" for unit in units)),
     )
-
-
-def _sensor_row(x: float, y: float, n: int) -> np.ndarray:
-    row = np.zeros(N_DOF + 1)
-    row[[Z_B, PHI, THETA, N_DOF]] = 1.0, y, -x, 0.5 * np.sign(x) * y
-    return row[:n]
 
 
 def _as_matrix(law, plant: Plant) -> np.ndarray:

@@ -157,11 +157,12 @@ def perturb_vehicle(
     grade: str,
     seed: int | np.random.SeedSequence,
     plant_mismatch: PlantMismatch | None = None,
+    accelerometers: int = 3,
 ) -> PerturbedVehicle:
     """Draw the perturbed vehicle of a `seed`, with the deviations up to `grade`.
 
     All grades of one seed share their random draws. `plant_mismatch`: magnitudes, by default the
-    shipped "assumed" ones. Raises ConfigError.
+    shipped "assumed" ones. `accelerometers`: their number. Raises ConfigError.
     """
     level = GRADES.index(config.validate_choice("grade", grade, list(GRADES)))
     if level == 0:
@@ -173,7 +174,8 @@ def perturb_vehicle(
     if level >= STRUCTURE_LEVEL:
         vehicle = _with_structure(vehicle, mismatch.structure, seed)
     if level >= INSTRUMENT_LEVEL:
-        vehicle = replace(vehicle, faults=_draw_sensor_faults(mismatch.instruments, seed))
+        faults = _draw_sensor_faults(mismatch.instruments, seed, accelerometers)
+        vehicle = replace(vehicle, faults=faults)
     return vehicle
 
 
@@ -197,12 +199,6 @@ def _four_factors(rng: np.random.Generator, most: float) -> PerWheel:
     """Draw factors between 1 - `most` and 1 + `most`."""
     a, b, c, d = (1.0 + rng.uniform(-most, most, 4)).tolist()
     return a, b, c, d
-
-
-def _three_values(rng: np.random.Generator, most: float, centre: float = 0.0) -> PerSensor:
-    """Draw values between `centre` - `most` and `centre` + `most`."""
-    a, b, c = (centre + rng.uniform(-most, most, 3)).tolist()
-    return a, b, c
 
 
 def _with_tolerances(
@@ -245,16 +241,21 @@ def _with_structure(
 
 
 def _draw_sensor_faults(
-    limits: SensorFaultLimits, seed: int | np.random.SeedSequence
+    limits: SensorFaultLimits, seed: int | np.random.SeedSequence, k: int
 ) -> SensorFaults:
+    """Draw the faults of `k` accelerometers."""
     stream = _seed_sequence(seed, INSTRUMENT_LEVEL)
     rng = np.random.default_rng(stream)
+
+    def draw(most: float, centre: float = 0.0) -> PerSensor:
+        return tuple((centre + rng.uniform(-most, most, k)).tolist())
+
     return SensorFaults(
-        dx=_three_values(rng, limits.place),
-        dy=_three_values(rng, limits.place),
-        tilt=_three_values(rng, limits.tilt),
-        gain=_three_values(rng, limits.gain, 1.0),
-        offset=_three_values(rng, limits.offset),
+        dx=draw(limits.place),
+        dy=draw(limits.place),
+        tilt=draw(limits.tilt),
+        gain=draw(limits.gain, 1.0),
+        offset=draw(limits.offset),
         speed=float(rng.uniform(-limits.speed, limits.speed)),
         position_fix_length=limits.position_fix_length,
         jitter=limits.jitter,

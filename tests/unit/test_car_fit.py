@@ -147,10 +147,12 @@ def test_errors_of_the_instruments_are_applied_to_the_model():
     x = np.zeros(objective.size)
     means = objective.measurements.y - objective.residual_at(x)[0]
     errors = np.array([2.0, 0.0, -1.0, 0.0, 0.0])
-    changed = Readings.apply(objective, errors)
+    readings = Readings.of(objective)
+    assert readings.names == ("gain.RF", "gain.LR", "gain.RR", "odometer", "speed")
+    changed = readings.apply(objective, errors)
     scaled = objective.measurements.y - changed.residual_at(x)[0]
-    expected = np.exp(Readings.std * errors)[:3, None] * means
+    expected = np.exp(readings.std * errors)[:3, None] * means
     np.testing.assert_allclose(scaled, expected, atol=1e-12)
-    moved = Readings.apply(objective, np.array([0.0, 0.0, 0.0, 1.0, 0.0]))
-    np.testing.assert_allclose(moved.inputs.s - objective.inputs.s, Readings.std[3])
-    assert Readings.apply(objective, np.zeros(0)) is objective
+    moved = readings.apply(objective, np.array([0.0, 0.0, 0.0, 1.0, 0.0]))
+    np.testing.assert_allclose(moved.inputs.s - objective.inputs.s, readings.std[3])
+    assert readings.apply(objective, np.zeros(0)) is objective

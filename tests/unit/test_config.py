@@ -97,7 +97,17 @@ def test_an_invalid_vehicle_value_is_named_in_one_sentence(path, value, message)
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
-        ("accelerometers.LF", {"axle": "front", "ahead": 0.0, "y": 0.5}, "known: LR, RF, RR"),
+        ("accelerometers.LF", {"axle": "front", "forward": 0.0, "y": 0.5}, "known: ahead, axle"),
+        (
+            "accelerometers.rr",
+            {"y": 0.5},
+            "names must differ in more than case, got RF, LR, RR, rr",
+        ),
+        ("accelerometers.a b", {"y": 0.5}, "letters, digits or underscores, got 'a b'"),
+        ("accelerometers.RF.y", 600.0, "must be at most 2, got 600.0 m (left of the centre line)"),
+        ("accelerometers.RF.mounted", "front axle", "has no 'axle' and no 'ahead'"),
+        ("accelerometers.RF.range", 0.0, "must be positive, got 0.0 m/s²"),
+        ("accelerometers", {}, "give 1 to 32 accelerometers, got 0"),
         ("accelerometers.RF.axle", "middle", "input should be 'front' or 'rear', got 'middle'"),
         ("accelerometers.RF.y", float("nan"), "accelerometers.RF.y: must be finite, got nan m"),
         ("fs", 600.0, "f_alias 333.0 must be below fs / 2 = 300.0"),

@@ -64,9 +64,9 @@ def test_accelerometers_measure_the_rigid_body_at_the_papers_locations(name):
 def test_instruments_report_the_papers_sensor_locations(name):
     car = CARS[name]
     assert PAPER.locations(car) == {
-        "RF": (car.front.x - 0.12, -0.55),
-        "LR": (car.rear.x - 0.62, 0.55),
-        "RR": (car.rear.x - 0.62, -0.55),
+        "RF": (car.front.x - 0.12, -0.55, None),
+        "LR": (car.rear.x - 0.62, 0.55, None),
+        "RR": (car.rear.x - 0.62, -0.55, None),
     }
 
 

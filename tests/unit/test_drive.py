@@ -166,7 +166,7 @@ def test_the_signals_are_consistent_with_the_states(name):
 def test_the_acceleration_of_a_body_point_is_that_of_the_rigid_body(x, y):
     signals = np.zeros((1, N_SIGNALS))
     signals[0, 14:17] = 1.3, -0.4, 0.7
-    result = Trajectory(*np.zeros((4, 1)), signals).body_acceleration(x, y)
+    result = Trajectory(*np.zeros((4, 1)), signals).vertical_acceleration(x, y)
     assert result[0] == pytest.approx(oracles.point_acceleration(1.3, -0.4, 0.7, x, y))
 
 

@@ -46,9 +46,9 @@ def modes(pair):
 
 def ahead():
     """Return the instruments with the rear accelerometers 620 mm ahead of the rear axle."""
-    locations = PAPER.accelerometers
-    rear = {name: replace(getattr(locations, name), ahead=0.62) for name in ("LR", "RR")}
-    return replace(PAPER, accelerometers=replace(locations, **rear))
+    sensors = PAPER.accelerometers
+    rear = {name: replace(sensors[name], ahead=0.62) for name in ("LR", "RR")}
+    return replace(PAPER, accelerometers=sensors | rear)
 
 
 def tabled(pair, v, model_error, n, car=DEFENDER):

@@ -82,7 +82,7 @@ def test_accelerations_at_the_struts_are_those_of_the_rigid_body():
     car, rng = CARS["defender"], np.random.default_rng(0)
     heave, roll, pitch = rng.standard_normal((3, 5))
     locations = IDEAL.locations(car)
-    a = np.array([heave - x * pitch + y * roll for x, y in locations.values()])
+    a = np.array([heave - x * pitch + y * roll for x, y, _ in locations.values()])
     corners = [(a.x, side * a.y_s) for a in car.axles for side in (1.0, -1.0)]
     expected = [heave - x * pitch + y * roll for x, y in corners]
     np.testing.assert_allclose(accelerations_at_struts(a, locations, car), expected, atol=1e-12)

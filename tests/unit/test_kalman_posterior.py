@@ -122,7 +122,8 @@ def dense():
                     under[rows, nodes] = shares
                     under[rows, number.size + nodes] = sign * shares
         road_now.append(under)
-    levers = np.array([[1.0, y, -forward_] for forward_, y in PAPER.locations(DEFENDER).values()])
+    places = PAPER.locations(DEFENDER).values()
+    levers = np.array([[1.0, place.y, -place.x] for place in places])
     sensed = np.zeros((len(road_now), 3, unknowns))
     for n, now in enumerate(road_now):
         sensed[n] = levers @ (A @ state + B @ now)[[7, 8, 9]]

@@ -291,11 +291,7 @@ def test_given_damping_replaces_the_strut_slopes_in_the_model():
 
 def test_states_inputs_and_sensors_have_names_and_units():
     instruments, car = load_instruments("paper"), DEFENDER
-    locations = instruments.accelerometers
-    sensors = {
-        n: (getattr(locations, n).x(car), getattr(locations, n).y) for n in ("RF", "LR", "RR")
-    }
-    model = linearise(car, "ride", sensors)
+    model = linearise(car, "ride", instruments.locations(car))
     assert model.sensors == ("RF", "LR", "RR") and model.wheelbase == car.wheelbase
     assert len(model.states) == len(model.state_units) == model.A.shape[0] == 14
     assert len(model.inputs) == len(model.input_units) == model.B.shape[1] == 8

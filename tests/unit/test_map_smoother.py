@@ -375,7 +375,7 @@ def dense_tangent(objective: Objective) -> np.ndarray:
                 road[n, 2 * axle + side, nodes_] = z
                 road[n, 4 + 2 * axle + side, nodes_] = w * objective.inputs.v[0] / objective.road.ds
     state, sensed = np.zeros((14, 2 * size)), np.zeros((x.size, 3, 2 * size))
-    sensor_rows = np.array([[1.0, y, -ahead] for ahead, y in PAPER.locations(DEFENDER).values()])
+    sensor_rows = np.array([[1.0, y, -ahead] for ahead, y, _ in PAPER.locations(DEFENDER).values()])
     for n in range(x.size):
         sensed[n] = sensor_rows @ (A @ state + B @ road[n])[[7, 8, 9]]
         drift = road[n + 1] - road[n]

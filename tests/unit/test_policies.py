@@ -134,7 +134,7 @@ def test_heave_roll_and_pitch_are_separated():
     body = BodyMotionEstimator(one, leak=0.1)
     motion = np.array([0.7, -0.4, 0.3])
     locations = one.instruments.locations(one.car)
-    signals = {n: motion[0] + y * motion[1] - x * motion[2] for n, (x, y) in locations.items()}
+    signals = {n: motion[0] + y * motion[1] - x * motion[2] for n, (x, y, _) in locations.items()}
     body.update(observed(**signals))
     np.testing.assert_allclose(body.a[0], motion, rtol=1e-5)
     corners = body.at_strut_mounts(body.a)[0]

@@ -195,7 +195,7 @@ def test_a_stiff_frame_behaves_like_a_rigid_one():
 def test_a_body_point_moves_with_its_half_of_the_frame(x, y):
     signals = np.zeros((1, 32))
     signals[0, 14:17], signals[0, TWIST + 2] = (1.3, -0.4, 0.7), 0.9
-    actual = Trajectory(*np.zeros((4, 1)), signals).body_acceleration(x, y)
+    actual = Trajectory(*np.zeros((4, 1)), signals).vertical_acceleration(x, y)
     half = -0.4 + (0.45 if x > 0.0 else -0.45 if x < 0.0 else 0.0)
     assert actual[0] == pytest.approx(oracles.point_acceleration(1.3, half, 0.7, x, y), abs=1e-12)
 
