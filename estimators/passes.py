@@ -45,21 +45,26 @@ class JointEstimator(Estimator, Protocol):
         ...
 
     def estimate_jointly(
-        self, records: Sequence[Record], cars: Sequence[VehicleParameters], start: Estimate
+        self,
+        records: Sequence[Record],
+        cars: Sequence[VehicleParameters],
+        start: Estimate,
+        names: Sequence[str],
     ) -> Estimate:
         """Return both wheel paths on the stations of `start`, the mean of the single estimates.
 
-        The `records` have stations of one odometer and one `length`; a pass may begin behind
-        station 0 and end before the road does.
+        The `records` have stations of one odometer; the `length` of each is the station at which
+        its own road ends. A pass may begin elsewhere. `names` of the passes are for notes.
         """
         ...
 
 
 class AlignedPass(NamedTuple):
-    """A `record` with the stations of the first pass, the `estimate` of the pass alone with its own
-    stations, and the map of these to those of the first.
+    """A pass by its `name`: its `record` with the stations of the first pass, the `estimate` of it
+    alone with its own stations, and the map of these to those of the first.
     """
 
+    name: str
     record: Record
     estimate: Estimate
     stations: StationMap
@@ -91,25 +96,17 @@ def estimate_passes(
         check_estimate(single, record)
     speeds = [float(np.nanmedian(record.v)) for record in records]
     aligned, notes = align_passes(records, singles, names)
-    found = join_passes(estimator, aligned, cars)
+    found = combine(aligned)
+    if joint:
+        parts = [each.record for each in aligned]
+        found = estimator.estimate_jointly(parts, cars, found, names)  # type: ignore[attr-defined]
+        check_estimate(found, records[0])
     if len(records) > 1:
         notes += [WANDER_NOTE]
     trained = dict.fromkeys(note for car in cars for note in training_notes(estimator, car))
     return dataclasses.replace(
         found, notes=(*found.notes, *notes, *trained), speed=float(np.min(speeds))
     )
-
-
-def join_passes(
-    estimator: Estimator, aligned: Sequence[AlignedPass], cars: Sequence[VehicleParameters]
-) -> Estimate:
-    """Return one road from aligned passes with the vehicles `cars`, one for each."""
-    found = combine(aligned)
-    if not isinstance(estimator, JointEstimator) or len(aligned) == 1:
-        return found
-    found = estimator.estimate_jointly([each.record for each in aligned], cars, found)
-    check_estimate(found, aligned[0].record)
-    return found
 
 
 def load_vehicles(vehicles: Vehicle | Sequence[Vehicle], count: int) -> list[VehicleParameters]:
@@ -131,7 +128,7 @@ def align_passes(
     Raises ConfigError if a pass does not match.
     """
     reference, first = records[0], estimates[0]
-    aligned = [AlignedPass(reference, first, identity_map(reference.length))]
+    aligned = [AlignedPass(names[0], reference, first, identity_map(reference.length))]
     notes = []
     for record, estimate, name in zip(records[1:], estimates[1:], names[1:], strict=True):
         fastest = max(float(np.nanmedian(r.v)) for r in (reference, record))
@@ -140,9 +137,9 @@ def align_passes(
             record,
             s=stations.apply(record.s),
             v=record.v * stations.scale(record.s),
-            length=reference.length,
+            length=float(stations.apply(np.array([record.length]))[0]),
         )
-        aligned.append(AlignedPass(moved, estimate, stations))
+        aligned.append(AlignedPass(name, moved, estimate, stations))
         notes.append(_alignment_note(name, names[0], record, reference, stations))
     return aligned, notes
 
@@ -208,8 +205,19 @@ def combine(passes: Sequence[AlignedPass]) -> Estimate:
         speed = max(float(np.nanmedian(each.record.v)) for each in passes)
         ratio = _birge_ratio(heights - z, variance, everywhere, scored_band(speed))
         std = ratio * np.sqrt((weight**2 * variance).sum(axis=0))
-    notes = tuple(dict.fromkeys(note for each in passes for note in each.estimate.notes))
-    return Estimate(s, z, std, notes)
+    return Estimate(s, z, std, _named_notes(passes))
+
+
+def _named_notes(passes: Sequence[AlignedPass]) -> tuple[str, ...]:
+    """Return the notes of the single estimates, with the names of those that have them."""
+    owners: dict[str, list[str]] = {}
+    for each in passes:
+        for note in each.estimate.notes:
+            owners.setdefault(note, []).append(each.name)
+    return tuple(
+        note if len(names) == len(passes) else f"{', '.join(names)}: {note}"
+        for note, names in owners.items()
+    )
 
 
 def _on_stations(each: AlignedPass, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

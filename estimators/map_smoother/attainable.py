@@ -12,7 +12,6 @@ slow motions and mixes frequencies, gas springs, stops and wheels that lift off.
 """
 
 import numpy as np
-from scipy.ndimage import spline_filter1d
 
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.objective import Objective, linearize
@@ -49,7 +48,7 @@ def attainable_error(
     """
     objective = whole_drive(record, car, prior, bandwidth, instruments, noise_density)
     road = objective.road
-    u = road_noise(objective, truth)
+    u = road.noise_of(truth)
     x = np.pad(u.ravel(), (0, objective.size - u.size))
     lin = linearize(objective, x, objective.information)
     stationary = stationary_hessian(objective)
@@ -84,12 +83,3 @@ def whole_drive(
     drive = estimator.prepare_drive(record, valid, car, sensors, readings_per_unknown=0.0)
     blocks = drive.a.shape[1] // drive.block_size
     return window_objective(model, drive, prior, initial_window_state(drive), 0, blocks)
-
-
-def road_noise(objective: Objective, truth: Profile) -> np.ndarray:
-    """Return the noise (2, K) of the true road, which begins at height 0."""
-    road = objective.road
-    station = road.origin + road.ds * np.arange(road.size)
-    z = np.array([np.interp(station, truth.s, path - path[0]) for path in truth.z])
-    c = spline_filter1d(z, order=3, axis=1, mode="nearest")
-    return road.whiten(np.diff(c, axis=1, prepend=0.0))

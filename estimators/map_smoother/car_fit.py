@@ -36,6 +36,7 @@ from estimators.map_smoother.preconditioner import (
     prior_spectrum,
     stationary_hessian,
 )
+from estimators.map_smoother.wheel_liftoff import unloaded_nodes
 from road_envs.simulation.lanes import SharedInputs, drive_variants
 from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.parameters import VehicleParameters
@@ -53,6 +54,12 @@ DAMPING = 0.5
 MAX_CHANGE, SMALL_CHANGE = 1.5, 0.2
 """Largest change of a parameter in one step, and the change of all below which the steps end, in
 units of the tolerance and of the posterior standard deviation."""
+
+MAX_UNLOADED_SHARE = 0.02
+"""Share of the road that no wheel pressed on, above which the vehicle is not adapted."""
+
+ADAPT_NOISE_SCALE = 1.15
+"""Unexplained noise from which on the vehicle is adapted to the drive."""
 
 MAX_LINES = 500
 """Frequencies at which a log-determinant is evaluated, about."""
@@ -167,6 +174,17 @@ def fit_car(
         if (np.abs(step) < SMALL_CHANGE * np.sqrt(np.diag(covariance))).all():
             break
     return CarFit(space, x, covariance, now)
+
+
+def is_vehicle_unexplained(solution: MapSolution) -> bool:
+    """Return whether what a solution leaves unexplained may be the vehicle, so that a fit is due.
+
+    On roads that are rough in places and under wheels in the air it is not the vehicle.
+    """
+    lin = solution.linearization
+    flown = unloaded_nodes(lin).mean() > MAX_UNLOADED_SHARE
+    uneven = np.ptp(lin.objective.road.local) > 0.0
+    return bool(not flown and not uneven and np.max(solution.noise_scale) >= ADAPT_NOISE_SCALE)
 
 
 def _invert(hessian: np.ndarray) -> np.ndarray:

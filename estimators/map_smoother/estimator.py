@@ -27,6 +27,7 @@ only known to lie below it: a bump that throws the wheel is as long as its jump;
 than about 50 m, which are hardly observable at a walking pace and left out.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -36,7 +37,7 @@ from estimators.common.block_means import MIN_NOISE_DENSITY
 from estimators.common.fallback import reduce_unexplained
 from estimators.common.model_inputs import MOVING_STD, REST_STD, build_model_inputs, rest_state
 from estimators.common.spline import evaluate_spline
-from estimators.map_smoother.car_fit import CarFit, fit_car
+from estimators.map_smoother.car_fit import CarFit, fit_car, is_vehicle_unexplained
 from estimators.map_smoother.gauss_newton import (
     NOISE_SCALE_WARNING,
     GaussNewton,
@@ -44,9 +45,10 @@ from estimators.map_smoother.gauss_newton import (
     minimize,
 )
 from estimators.map_smoother.objective import MeasurementModel, Objective
+from estimators.map_smoother.passes import estimate_jointly
 from estimators.map_smoother.posterior_sampling import posterior_std
 from estimators.map_smoother.preconditioner import stationary_hessian
-from estimators.map_smoother.wheel_liftoff import distance_in_air, unloaded_nodes
+from estimators.map_smoother.wheel_liftoff import distance_in_air
 from estimators.map_smoother.windows import MARGIN, PreparedDrive, reconstruct, split_windows
 from estimators.preprocessing import clipped_signs, mask_record
 from road_envs.analysis.information_bound import RoadPrior
@@ -65,12 +67,6 @@ NODE_SPACING_RANGE = (0.025, 0.05)
 READINGS_PER_UNKNOWN = 2.0
 """Block means per unknown of the road, at least: with as many unknowns as readings the unexplained
 noise is overestimated, and a fitted vehicle is biased."""
-
-MAX_UNLOADED_SHARE = 0.02
-"""Share of the road that no wheel pressed on, above which the vehicle is not adapted."""
-
-ADAPT_NOISE_SCALE = 1.15
-"""Unexplained noise from which on the vehicle is adapted to the drive."""
 
 F_RESOLVED = 70.0
 """Frequency [Hz] that the nodes resolve at any speed, within NODE_SPACING_RANGE."""
@@ -142,11 +138,7 @@ class MapSmoother:
         fits: list[CarFit] = []
 
         def adapt_car(solution: MapSolution, solver: GaussNewton) -> MapSolution:
-            lin = solution.linearization
-            # on uneven roads and under wheels in the air, the vehicle is not what is unexplained
-            flown = unloaded_nodes(lin).mean() > MAX_UNLOADED_SHARE
-            uneven = np.ptp(lin.objective.road.local) > 0.0
-            if flown or uneven or solution.noise_scale < ADAPT_NOISE_SCALE:
+            if not is_vehicle_unexplained(solution):
                 return solution
             try:
                 fits.append(fit_car([solution], parameter_space(car), solver))
@@ -193,6 +185,20 @@ class MapSmoother:
                 f"the heights are reduced to {share:.0%}: their motion is not the measured one",
             )
         return Estimate(s, z, z_std, notes)
+
+    def for_one_of_many(self) -> "MapSmoother":
+        """Return the estimator of a single pass of several: fast, for alignment and as a start."""
+        return replace(self, draws=0, adapt=False)
+
+    def estimate_jointly(
+        self,
+        records: Sequence[Record],
+        cars: Sequence[VehicleParameters],
+        start: Estimate,
+        names: Sequence[str],
+    ) -> Estimate:
+        """Estimate one road from several passes (`estimators.passes.JointEstimator`)."""
+        return estimate_jointly(self, records, cars, start, names)
 
     def measurement_model(
         self, record: Record, car: VehicleParameters, instruments: Instruments

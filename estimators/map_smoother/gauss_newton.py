@@ -7,8 +7,9 @@ what the model cannot explain yet. If the residual remains large, the vehicle di
 model: then the noise is inflated frequency by frequency.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.fft import rfftfreq
@@ -66,10 +67,13 @@ def minimize(
     huber: float = np.inf,
     cost_tolerance: float = 1e-2,
     adapt_prior: bool = True,
+    start: Vector | None = None,
+    stages: Sequence[tuple[float, int]] = FRICTION_STAGES,
+    prior_updates: int = PRIOR_UPDATES,
     adapt_car: "Callable[[MapSolution, GaussNewton], MapSolution] | None" = None,
     report: Callable[[str, Linearization], None] = lambda text, lin: None,
 ) -> MapSolution:
-    """Minimize the objective, from a level road on.
+    """Minimize the objective, of one pass or of several, from a level road or `start` on.
 
     `huber`: standard deviations beyond which a block mean is down-weighted. Ends when a step with
     the true vehicle lowers the cost by less than the share `cost_tolerance`. `adapt_car`, if given,
@@ -77,25 +81,26 @@ def minimize(
     """
     solver = GaussNewton(stationary, huber, cg_iterations, cg_tolerance)
     steps, total, noise_scale = 0, 0, np.inf
-    lin = linearize(objective, np.zeros(objective.size), objective.information)
-    for std, max_steps in FRICTION_STAGES:
+    x = np.zeros(objective.size) if start is None else start
+    lin = linearize(objective, x, objective.information)
+    for std, max_steps in stages:
         x = lin.x
         if steps > 0 and adapt_prior:
             objective, x = update_prior(lin, stationary, noise_scale)
-        plant = objective.model.plant
+        plant = objective.plant
         plant = plant if std == 0.0 else smooth_friction(plant, std)
         lin = linearize(objective, x, objective.information, plant)
         for _ in range(max_steps):
             estimate = estimate_noise_scale(lin, stationary, noise_scale)
-            noise_scale = max(1.0, min(noise_scale, estimate))  # never rises again
+            noise_scale = np.maximum(1.0, np.minimum(noise_scale, estimate))  # never rises again
             new, k = solver.step(lin, plant, noise_scale)
             steps, total = steps + 1, total + k
             decrease = 1.0 - new.cost / lin.with_inverse_variance(new.inverse_variance).cost
-            report(f"{std} {noise_scale:.1f} {k} {new.cost:.1f}", new)
+            report(f"{std} {np.max(noise_scale):.1f} {k} {new.cost:.1f}", new)
             lin = new
             if decrease < cost_tolerance:
                 break
-    for _ in range(PRIOR_UPDATES if adapt_prior else 0):
+    for _ in range(prior_updates if adapt_prior else 0):
         objective, x = update_prior(lin, stationary, noise_scale)
         lin = linearize(objective, x, objective.information)
         for _ in range(PRIOR_STEPS):
@@ -105,12 +110,12 @@ def minimize(
     if adapt_car is not None:
         found = adapt_car(MapSolution(lin, stationary, noise_scale, steps, total), solver)
         lin, stationary, noise_scale = found.linearization, found.stationary, found.noise_scale
-        steps, total, plant = found.steps, found.cg_iterations, lin.objective.model.plant
+        steps, total, plant = found.steps, found.cg_iterations, lin.objective.plant
         objective, solver = lin.objective, replace(solver, stationary=stationary)
-    if noise_scale > NOISE_SCALE_WARNING:
+    if np.max(noise_scale) > NOISE_SCALE_WARNING:
         for _ in range(REWEIGHTING_STEPS):
             frequency_weights = estimate_frequency_weights(lin, stationary, noise_scale)
-            lin = replace(lin, frequency_weights=frequency_weights)
+            lin = lin.with_frequency_weights(frequency_weights)
             solver = replace(solver, stationary=stationary.reweighted(objective, frequency_weights))
             lin, k = solver.step(lin, plant, noise_scale)
             steps, total = steps + 1, total + k
@@ -137,20 +142,22 @@ class GaussNewton:
         self, lin: Linearization, plant: Plant, noise_scale: float
     ) -> tuple[Linearization, int]:
         """Return the next point, under `noise_scale` times the noise, and its CG iterations."""
-        objective = lin.objective
-        inverse_variance = objective.information / noise_scale
-        lin = lin.with_inverse_variance(huber_weights(lin.residual, inverse_variance, self.huber))
-        M = self.stationary.preconditioner(objective, objective.model.noise_variance * noise_scale)
+        lin = lin.with_inverse_variance(lin.per_pass(self._weights, noise_scale))
+        noise_variance = lin.objective.noise_variance * noise_scale
+        M = self.stationary.preconditioner(lin.objective, noise_variance)
         limits = self.cg_iterations, self.cg_tolerance
         dx, k = conjugate_gradients(lin.hessian_product, -lin.gradient(), M, *limits)
         return line_search(lin, dx, plant), k
+
+    def _weights(self, lin: Linearization, noise_scale: float) -> np.ndarray:
+        return huber_weights(lin.residual, lin.objective.information / noise_scale, self.huber)
 
 
 def retry_after_liftoff(
     lin: Linearization, solver: GaussNewton, noise_scale: float
 ) -> Linearization:
     """Return the optimum from the road lowered where no wheel pressed on it, if it costs less."""
-    x, plant = relax_unloaded(lin), lin.objective.model.plant
+    x, plant = relax_unloaded(lin), lin.objective.plant
     if x is None:
         return lin
     try:
@@ -168,14 +175,14 @@ def update_prior(
     """Return the objective under the prior that its own road suggests, and `x` there; same road."""
     objective, x = lin.objective, lin.x
     u, _, _ = objective.split(x)
-    noise_variance = objective.model.noise_variance * noise_scale
+    noise_variance = objective.noise_variance * noise_scale
     scale = stationary.density_scale(objective.road, noise_variance, u)
     road = objective.road.scale_density(scale)
     u = road.convert_noise(u, objective.road)
     local = stationary.local_roughness(road, noise_variance, u, unloaded_nodes(lin))
     rough = replace(road, local=local)
     u, road = rough.convert_noise(u, road), rough
-    return replace(objective, road=road), np.concatenate([u.ravel(), x[u.size :]])
+    return objective.with_road(road), np.concatenate([u.ravel(), x[u.size :]])
 
 
 def line_search(lin: Linearization, dx: Vector, plant: Plant) -> Linearization:
@@ -197,12 +204,13 @@ def estimate_noise_scale(
     lin: Linearization, stationary: StationaryHessian, noise_scale: float
 ) -> float:
     """Return the residual's power over the instruments' noise, for the degrees of freedom left."""
+    noise_variance = lin.objective.noise_variance * noise_scale
+    return lin.per_pass(_noise_scale, stationary.effective_dof(lin.objective.road, noise_variance))
+
+
+def _noise_scale(lin: Linearization, dof: float) -> float:
     objective = lin.objective
     squares, used = objective.information * lin.residual**2, objective.measurements.sample_count > 0
-    dof = 0.0
-    if np.isfinite(noise_scale):
-        noise_variance = objective.model.noise_variance * noise_scale
-        dof = stationary.effective_dof(objective.road, noise_variance)
     return float(squares[used].mean() / max(1.0 - dof / used.sum(), 0.1))
 
 
@@ -212,9 +220,14 @@ def estimate_frequency_weights(
     """Return the weight (J // 2 + 1,) of each frequency: noise as large as the residual is there,
     but never less than that of the instruments.
     """
+    noise_variance = lin.objective.noise_variance * noise_scale
+    dof = stationary.effective_dof(lin.objective.road, noise_variance)
+    return lin.per_pass(_frequency_weights, dof, noise_scale)
+
+
+def _frequency_weights(lin: Linearization, dof: float, noise_scale: float) -> np.ndarray:
     objective = lin.objective
     r, used = np.sqrt(objective.information) * lin.residual, objective.measurements.sample_count > 0
-    dof = stationary.effective_dof(objective.road, objective.model.noise_variance * noise_scale)
     left = 1.0 - dof / used.sum()
     size = min(WELCH_SEGMENT, r.shape[1])
     f, S = welch(r, fs=1.0, nperseg=size)
@@ -228,7 +241,11 @@ def huber_weights(residual: np.ndarray, inverse_variance: np.ndarray, huber: flo
     return inverse_variance * np.minimum(1.0, huber / np.maximum(deviation, 1e-12))
 
 
-def smooth_friction(plant: Plant, std: float) -> Plant:
-    """Return the plant with its rate laws averaged over a Gaussian of deviation `std` [m/s]."""
+def smooth_friction(plant: Any, std: float) -> Any:
+    """Return the plant, or a list of several, with its rate laws averaged over a Gaussian of
+    deviation `std` [m/s].
+    """
+    if isinstance(plant, list):
+        return [smooth_friction(one, std) for one in plant]
     velocity = gaussian_smoothed(plant.velocity, V_0, V_STEP, std)
     return Plant(plant.constants, velocity, plant.displacement)

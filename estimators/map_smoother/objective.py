@@ -9,9 +9,10 @@ the computed steps (`road_envs.simulation.sensitivity`), the Hessian that of Gau
 J' R^-1 J.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.fft import irfft, rfft
@@ -64,6 +65,26 @@ class Objective:
         return 2 * self.road.size + self.initial_std.size + self.model.sensor_rows.shape[0]
 
     @property
+    def noise_variance(self) -> float:
+        """Variance [(m/s²)²] of a sample's noise."""
+        return self.model.noise_variance
+
+    @property
+    def plant(self) -> Plant:
+        """The vehicle."""
+        return self.model.plant
+
+    def with_road(self, road: RoadTransform) -> "Objective":
+        """Return the objective with another prior of the road."""
+        return replace(self, road=road)
+
+    def offset_scale(self, noise_variance: float) -> np.ndarray:
+        """Return about the root of the Hessian's diagonal behind the unknowns of the road."""
+        count = self.measurements.sample_count.sum(axis=1)
+        bias = np.sqrt(1.0 + self.model.bias_std**2 * count / noise_variance)
+        return np.concatenate([np.ones(self.initial_std.size), bias])
+
+    @property
     def block_duration(self) -> float:
         """Duration [s] of the samples of one block mean."""
         inputs, samples = self.inputs, self.measurements.sample_weight.shape[2]
@@ -113,6 +134,17 @@ class Objective:
         _, _, bias = self.split(x)
         return self.residual(tape.acceleration, bias), tape
 
+    def linearize(
+        self,
+        x: np.ndarray,
+        inverse_variance: np.ndarray,
+        plant: Plant | None = None,
+        frequency_weights: np.ndarray | None = None,
+    ) -> "Linearization":
+        """Return the linearization at `x`, for this plant or another. Raises ArithmeticError."""
+        residual, tape = self.residual_at(x, plant)
+        return Linearization(self, x, tape, residual, inverse_variance, frequency_weights)
+
     def state_after(self, x: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
         """Return vehicle state (14,) and strut state (4, 3) after `steps` on the road of `x`."""
         part = replace(self, inputs=self.inputs.slice_steps(0, steps))
@@ -145,6 +177,15 @@ class Linearization:
     residual: np.ndarray
     inverse_variance: np.ndarray
     frequency_weights: np.ndarray | None = None
+
+    @property
+    def passes(self) -> "tuple[Linearization, ...]":
+        """The passes over the road: this one."""
+        return (self,)
+
+    def per_pass(self, function: Callable[..., Any], *values: Any) -> Any:
+        """Return `function` of the pass and of its `values`; of several passes these are lists."""
+        return function(self, *values)
 
     def apply_inverse_covariance(self, means: np.ndarray) -> np.ndarray:
         """Return R^-1 times block means (S, J)."""
@@ -190,6 +231,17 @@ class Linearization:
         bias = o.model.bias_std * means.sum(axis=1)
         return np.concatenate([o.road.apply_transpose(c).ravel(), o.initial_std * start, bias])
 
+    def draw_noise(self, rng: np.random.Generator) -> np.ndarray:
+        """Return R^-1/2 times white noise (S, J)."""
+        white = rng.standard_normal(self.residual.shape)
+        if self.frequency_weights is not None:
+            white = apply_frequency_weights(np.sqrt(self.frequency_weights), white)
+        return np.sqrt(self.inverse_variance) * white
+
+    def with_frequency_weights(self, frequency_weights: np.ndarray) -> "Linearization":
+        """Return the same point under noise of other frequency weights (J // 2 + 1,)."""
+        return replace(self, frequency_weights=frequency_weights)
+
     def with_inverse_variance(self, inverse_variance: np.ndarray) -> "Linearization":
         """Return the same point under another inverse variance (S, J) of the noise."""
         return replace(self, inverse_variance=inverse_variance)
@@ -212,5 +264,4 @@ def linearize(
     frequency_weights: np.ndarray | None = None,
 ) -> Linearization:
     """Linearize `objective` at `x`, for its own plant or another. Raises ArithmeticError."""
-    residual, tape = objective.residual_at(x, plant)
-    return Linearization(objective, x, tape, residual, inverse_variance, frequency_weights)
+    return objective.linearize(x, inverse_variance, plant, frequency_weights)

@@ -6,13 +6,15 @@ perturbations"). The road of such a sample within a band has the distribution of
 error there.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.fft import irfft, rfft
 
 from estimators.common.conjugate_gradients import Operator, conjugate_gradients
 from estimators.common.model_inputs import ModelInputs
 from estimators.map_smoother.gauss_newton import MapSolution
-from estimators.map_smoother.objective import Linearization, apply_frequency_weights
+from estimators.map_smoother.objective import Linearization
 from estimators.map_smoother.road_prior import RoadTransform
 from estimators.map_smoother.wheel_liftoff import distance_in_air
 
@@ -42,7 +44,7 @@ def posterior_std(
     """
     lin, rng = solution.linearization, np.random.default_rng(seed)
     objective, road = lin.objective, lin.objective.road
-    noise_variance = objective.model.noise_variance * solution.noise_scale
+    noise_variance = objective.noise_variance * solution.noise_scale
     precondition = solution.stationary.preconditioner(objective, noise_variance)
     inside = (road.n >= band[0]) & (road.n <= band[1])
     # at the ends of the road the band-pass leaks
@@ -57,12 +59,14 @@ def posterior_std(
     # a band-pass spreads errors along the road by the square of its impulse response
     spread = irfft(inside.astype(float), road.size) ** 2
     shape = irfft(rfft(shape, axis=1) * rfft(spread), road.size, axis=1) / spread.sum()
-    level = _average_by_strut_state(square, shape, middle, road, objective.inputs)
+    drives = [one.objective.inputs for one in lin.passes]
+    level = _average_by_strut_state(square, shape, middle, road, drives)
     variance = STD_INFLATION**2 * level * shape
     if np.ptp(road.local) == 0.0:
         return np.sqrt(variance)
     floor = OBSTACLE_SHARE * variance[:, middle].mean()
-    inflation = FLIGHT_INFLATION if distance_in_air(lin) > 0.0 else OBSTACLE_INFLATION
+    flown = all(distance_in_air(one) > 0.0 for one in lin.passes)
+    inflation = FLIGHT_INFLATION if flown else OBSTACLE_INFLATION
     return inflation * np.sqrt(variance + floor)
 
 
@@ -74,7 +78,7 @@ def draw_deviation(
     tolerance: float,
 ) -> np.ndarray:
     """Return a sample of the deviation of `x` from its posterior mean."""
-    b = lin.adjoint(draw_weighted_noise(lin, rng)) + rng.standard_normal(lin.objective.size)
+    b = lin.adjoint(lin.draw_noise(rng)) + rng.standard_normal(lin.objective.size)
     return conjugate_gradients(lin.hessian_product, b, precondition, iterations, tolerance)[0]
 
 
@@ -83,14 +87,6 @@ def band_pass(c: np.ndarray, lines: np.ndarray) -> np.ndarray:
     size = c.shape[1]
     increments = np.diff(c, axis=1, prepend=0.0)
     return np.cumsum(irfft(lines * rfft(increments, axis=1), size, axis=1), axis=1)
-
-
-def draw_weighted_noise(lin: Linearization, rng: np.random.Generator) -> np.ndarray:
-    """Return R^-1/2 times white noise (S, J)."""
-    white = rng.standard_normal(lin.residual.shape)
-    if lin.frequency_weights is not None:
-        white = apply_frequency_weights(np.sqrt(lin.frequency_weights), white)
-    return np.sqrt(lin.inverse_variance) * white
 
 
 def interior(free: np.ndarray, margin: int) -> np.ndarray:
@@ -107,14 +103,17 @@ def _average_by_strut_state(
     shape: np.ndarray,
     free: np.ndarray,
     road: RoadTransform,
-    inputs: ModelInputs,
+    drives: Sequence[ModelInputs],
 ) -> np.ndarray:
     """Return the mean of `square` (2, K) over that of `shape` (2, K), over `free` nodes (K,) passed
-    in the same strut state (K,).
+    in the same strut states of all drives.
     """
     station = road.origin + road.ds * np.arange(road.size)
-    passed = np.clip(np.searchsorted(inputs.s[::2], station), 0, inputs.n_steps - 1)
-    state = inputs.commands[passed]
+    states = []
+    for inputs in drives:
+        passed = np.clip(np.searchsorted(inputs.s[::2], station), 0, inputs.n_steps - 1)
+        states.append(inputs.commands[passed])
+    state = np.unique(states, axis=1, return_inverse=True)[1].ravel()
     nodes = free if free.any() else np.ones(free.size, dtype=bool)
     ratio = np.full(road.size, square[:, nodes].mean() / shape[:, nodes].mean())
     for byte in np.unique(state):

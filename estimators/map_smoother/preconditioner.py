@@ -71,10 +71,14 @@ class StationaryHessian:
         response = np.interp(objective.road.n * inputs.v.mean(), f, frequency_weights)
         return StationaryHessian(self.information * response[:, None, None])
 
+    def weighted(self, noise_variance: float) -> np.ndarray:
+        """Return the information (F, 2, 2) under a `noise_variance` [(m/s²)²] of each sample."""
+        return self.information / noise_variance
+
     def precision(self, road: RoadTransform, noise_variance: float) -> np.ndarray:
         """Return P(n) (F, 2, 2) under a `noise_variance` [(m/s²)²] of each sample."""
         T = road.transfer_function().T
-        return np.eye(2) + self.information / noise_variance * T.conj()[:, :, None] * T[:, None, :]
+        return np.eye(2) + self.weighted(noise_variance) * T.conj()[:, :, None] * T[:, None, :]
 
     def preconditioner(
         self, objective: Objective, noise_variance: float
@@ -86,9 +90,7 @@ class StationaryHessian:
             (np.sqrt(share), _inverse(_root(np.eye(2) + level**2 * excess)))
             for level, share in _split_levels(road.local)
         ]
-        count = objective.measurements.sample_count.sum(axis=1)
-        bias = np.sqrt(1.0 + objective.model.bias_std**2 * count / noise_variance)
-        scale = np.concatenate([np.ones(objective.initial_std.size), bias])
+        scale = objective.offset_scale(noise_variance)
 
         def apply(g: np.ndarray) -> np.ndarray:
             u, rest = np.split(g, [2 * road.size])

@@ -13,10 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.ndimage import spline_filter1d
 
 from estimators.common.road_prior import increment_amplitude
 from estimators.common.spline import evaluate_spline
 from road_envs.analysis.information_bound import RoadPrior
+from road_envs.data.record import Profile
 
 N_FLAT = 0.02
 """Spatial frequency [cycles/m] below which the prior is no higher than there. Longer waves are
@@ -88,6 +90,13 @@ class RoadTransform:
     def convert_noise(self, u: np.ndarray, other: "RoadTransform") -> np.ndarray:
         """Return the noise (2, K) by which this map gives the road that `other` gives by `u`."""
         return self.whiten(np.diff(other.apply(u), axis=1, prepend=0.0))
+
+    def noise_of(self, profile: Profile) -> np.ndarray:
+        """Return the noise (2, K) of the road of a `profile`, which begins at height 0."""
+        station = self.origin + self.ds * np.arange(self.size)
+        z = np.array([np.interp(station, profile.s, path - path[0]) for path in profile.z])
+        c = spline_filter1d(z, order=3, axis=1, mode="nearest")
+        return self.whiten(np.diff(c, axis=1, prepend=0.0))
 
     def transfer_function(self) -> np.ndarray:
         """Return the response (2, K // 2 + 1) [m] of mean and half difference to `u`."""

@@ -19,7 +19,11 @@ MIN_DROP = 0.01
 
 
 def unloaded_nodes(lin: Linearization) -> np.ndarray:
-    """Return which free nodes (2, K) were passed but never pressed on."""
+    """Return which free nodes (2, K) were passed but never pressed on, in any of the passes."""
+    return np.all([_unloaded_in_pass(one) for one in lin.passes], axis=0)
+
+
+def _unloaded_in_pass(lin: Linearization) -> np.ndarray:
     objective, road = lin.objective, lin.objective.road
     loads = lin.tape.signals[:, LOAD : LOAD + 4]
     s, max_load = objective.inputs.s[::2], np.zeros((2, road.size))

@@ -107,7 +107,7 @@ def reconstruct(
         solution, window_std = solve(objective)
         noise_scale.append(solution.noise_scale)
         steps = (after - begin) * drive.steps_per_block if after < end else None
-        window_state = _advance(drive, prior, window_state, solution, window_std, steps)
+        window_state = advance(drive, prior, window_state, solution, window_std, steps)
     return window_state, noise_scale
 
 
@@ -118,14 +118,19 @@ def window_objective(
     window_state: WindowState,
     begin: int,
     end: int,
+    nodes: tuple[int, int] | None = None,
 ) -> Objective:
-    """Return the objective of blocks `begin` to `end` (excluded), started from `window_state`."""
+    """Return the objective of blocks `begin` to `end` (excluded), started from `window_state`.
+
+    `nodes` are the first and last that carry a wheel, if not those of these blocks.
+    """
     inputs = drive.inputs.slice_steps(begin * drive.steps_per_block, end * drive.steps_per_block)
     samples = slice(begin * drive.block_size, end * drive.block_size)
     a, valid, censored = (x[:, samples] for x in (drive.a, drive.valid, drive.censored))
     measurements = block_means(a, valid, drive.block_size, censored)
-    low = drive.node_at(inputs.s[0] - model.wheelbase) - MARGIN
-    size = padded_size(drive.node_at(inputs.s[-1]) + MARGIN + 1 - low)
+    first, last = nodes or nodes_under(drive, model.wheelbase, begin, end)
+    low = first - MARGIN
+    size = padded_size(last + MARGIN + 1 - low)
     c, free = window_state.c[:, low : low + size], drive.free[low : low + size].copy()
     free[: max(window_state.first_free_node - low, 0)] = 0.0
     missing = size - free.size
@@ -138,7 +143,14 @@ def window_objective(
     return Objective(model, window_state.strut_state, *vehicle, road, inputs, measurements)
 
 
-def _advance(
+def nodes_under(drive: PreparedDrive, wheelbase: float, begin: int, end: int) -> tuple[int, int]:
+    """Return the first and the last node that carries a wheel in blocks `begin` to `end`."""
+    s = drive.inputs.s
+    first, last = (2 * drive.steps_per_block * block for block in (begin, end))
+    return drive.node_at(s[first] - wheelbase), drive.node_at(s[last - 1])
+
+
+def advance(
     drive: PreparedDrive,
     prior: RoadPrior,
     window_state: WindowState,

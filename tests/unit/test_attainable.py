@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from vehicle_fixtures import DEFENDER
 
-from estimators.map_smoother.attainable import attainable_error, road_noise, whole_drive
+from estimators.map_smoother.attainable import attainable_error, whole_drive
 from estimators.map_smoother.objective import linearize
 from estimators.map_smoother.posterior_sampling import band_pass, draw_deviation, interior
 from estimators.map_smoother.preconditioner import stationary_hessian
@@ -25,7 +25,7 @@ def test_the_noise_of_the_truth_gives_the_true_heights():
     record, truth = drive(30.0)
     objective = whole_drive(record, DEFENDER, PRIOR, 100.0, "paper")
     s = np.linspace(2.0, 28.0, 200)
-    z = objective.road.heights_at(road_noise(objective, truth), s)
+    z = objective.road.heights_at(objective.road.noise_of(truth), s)
     true = np.array([np.interp(s, truth.s, path - path[0]) for path in truth.z])
     assert np.std(z - true) < 0.04 * np.std(true)  # what is shorter than two nodes is left out
 
@@ -33,7 +33,7 @@ def test_the_noise_of_the_truth_gives_the_true_heights():
 def test_samples_have_the_covariance_of_the_dense_posterior():
     record, truth = drive(8.0)
     objective = whole_drive(record, DEFENDER, PRIOR, 50.0, "paper")
-    u = road_noise(objective, truth).ravel()
+    u = objective.road.noise_of(truth).ravel()
     lin = linearize(objective, np.pad(u, (0, objective.size - u.size)), objective.information)
     H = np.array([lin.hessian_product(row) for row in np.eye(objective.size)])
     road = objective.road

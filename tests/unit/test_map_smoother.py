@@ -19,7 +19,6 @@ from estimators.map_smoother.gauss_newton import (
     smooth_friction,
 )
 from estimators.map_smoother.objective import Objective, linearize
-from estimators.map_smoother.posterior_sampling import draw_weighted_noise
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.road_prior import N_FLAT, RoadTransform, padded_size, prior_amplitude
 from estimators.map_smoother.windows import initial_window_state, window_objective
@@ -319,7 +318,7 @@ def test_drawn_noise_has_the_inverse_covariance_of_the_cost():
     lin = linearize(
         objective, np.zeros(objective.size), inverse_variance, frequency_weights=weights
     )
-    drawn = np.array([draw_weighted_noise(lin, rng).ravel() for _ in range(4000)])
+    drawn = np.array([lin.draw_noise(rng).ravel() for _ in range(4000)])
     direction = rng.standard_normal((3, J))
     expected = np.sum(direction * lin.apply_inverse_covariance(direction))
     assert np.var(drawn @ direction.ravel()) == pytest.approx(expected, rel=0.1)

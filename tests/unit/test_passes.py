@@ -39,7 +39,8 @@ def test_the_mean_is_weighted_by_inverse_variance_and_its_error_is_that_of_the_w
     std = np.array([0.001, 0.003])
     whole = identity_map(LENGTH)
     passes = [
-        AlignedPass(drive()[0], single(s, x, k, slope=0.01 * k), whole) for k, x in enumerate(std)
+        AlignedPass("a", drive()[0], single(s, x, k, slope=0.01 * k), whole)
+        for k, x in enumerate(std)
     ]
     found = combine(passes)
     expected = np.average([p.estimate.z for p in passes], axis=0, weights=std**-2)
@@ -60,7 +61,8 @@ def test_passes_that_disagree_widen_the_standard_deviation():
     # the standard deviation is that inside the band, a fifth of the power of white errors
     told = [replace(x, z_std=np.full_like(x.z, 0.0001)) for x in honest]
     ratio = [
-        combine([AlignedPass(record, x, whole) for x in each]).z_std.mean() / each[0].z_std.mean()
+        combine([AlignedPass("a", record, x, whole) for x in each]).z_std.mean()
+        / each[0].z_std.mean()
         for each in (honest, told)
     ]
     assert ratio[0] == pytest.approx(0.5, rel=1e-3)
@@ -72,8 +74,8 @@ def test_a_pass_that_ends_early_leaves_no_step():
     half = replace(single(s, 0.0002, 1), s=s[: s.size // 2])
     half = replace(half, z=half.z[:, : half.s.size] + 0.3, z_std=half.z_std[:, : half.s.size])
     passes = [
-        AlignedPass(drive()[0], single(s, 0.0002, 0), identity_map(LENGTH)),
-        AlignedPass(drive(length=LENGTH / 2)[0], half, identity_map(LENGTH / 2)),
+        AlignedPass("a", drive()[0], single(s, 0.0002, 0), identity_map(LENGTH)),
+        AlignedPass("b", drive(length=LENGTH / 2)[0], half, identity_map(LENGTH / 2)),
     ]
     error = combine(passes).z - ROAD.height(s)
     assert np.abs(np.diff(error, axis=1)).max() < 0.002
@@ -83,9 +85,11 @@ def test_a_pass_that_ends_early_leaves_no_step():
 
 def test_records_get_the_stations_of_the_first_and_the_note_tells_the_shift():
     (first, at), (second, moved) = drive(begin=10.0), drive(begin=10.0, lag=2.5, stretch=0.008)
+    told = replace(single(moved, 0.0005, 2), notes=("samples clipped",))
     aligned, notes = align_passes(
-        [first, second], [single(at, 0.0005, 1), single(moved, 0.0005, 2)], ["a.csv", "b.csv"]
+        [first, second], [single(at, 0.0005, 1), told], ["a.csv", "b.csv"]
     )
+    assert combine(aligned).notes == ("b.csv: samples clipped",)
     true = 2.5 + 1.008 * second.s
     inner = (second.s > 8.0) & (second.s < 50.0)
     assert np.abs(aligned[1].record.s - true)[inner].max() < 0.02
