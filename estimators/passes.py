@@ -96,17 +96,26 @@ def estimate_passes(
         check_estimate(single, record)
     speeds = [float(np.nanmedian(record.v)) for record in records]
     aligned, notes = align_passes(records, singles, names)
-    found = combine(aligned)
-    if joint:
-        parts = [each.record for each in aligned]
-        found = estimator.estimate_jointly(parts, cars, found, names)  # type: ignore[attr-defined]
-        check_estimate(found, records[0])
+    found = join_passes(estimator, aligned, cars)
     if len(records) > 1:
         notes += [WANDER_NOTE]
     trained = dict.fromkeys(note for car in cars for note in training_notes(estimator, car))
     return dataclasses.replace(
         found, notes=(*found.notes, *notes, *trained), speed=float(np.min(speeds))
     )
+
+
+def join_passes(
+    estimator: Estimator, aligned: Sequence[AlignedPass], cars: Sequence[VehicleParameters]
+) -> Estimate:
+    """Return one road from aligned passes with the vehicles `cars`, one for each."""
+    found = combine(aligned)
+    if not isinstance(estimator, JointEstimator) or len(aligned) == 1:
+        return found
+    names, records = [each.name for each in aligned], [each.record for each in aligned]
+    found = estimator.estimate_jointly(records, cars, found, names)
+    check_estimate(found, records[0])
+    return found
 
 
 def load_vehicles(vehicles: Vehicle | Sequence[Vehicle], count: int) -> list[VehicleParameters]:

@@ -1,11 +1,16 @@
 """Options that say how a drive in a file is to be read, and its record."""
 
-from collections.abc import Mapping
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import typer
 
+import estimators
+from estimators.api import Estimator
+from estimators.estimation import FILE_SUFFIXES
 from leaderboard.commands import check_output_path, parse_mode
 from road_envs.config import ConfigError
 from road_envs.data.logger_tables.description import (
@@ -31,22 +36,58 @@ RecordFile = Annotated[
         help="A record from `simulate`, or a measured drive as a table (.csv, .parquet, .mf4)."
     ),
 ]
-Mode = Annotated[
-    str | None, _option("4S4 mode of the drive: ride, handling, ..., or front=..,rear=..")
-]
-Speed = Annotated[float | None, _option("Speed of the drive in km/h.", min=0.1)]
-Columns = Annotated[
-    str | None, _option("Names of columns: a_rf=acc_front,v=speed,... (t, a_rf, a_lr, a_rr, v, s).")
-]
-Units = Annotated[str | None, _option("Units of columns: a_rf=g,t=ms,v=km/h,...")]
-Invert = Annotated[str | None, _option("Accelerations whose axis points down: a_rf,a_rr,...")]
-Offset = Annotated[
-    float | None, _option("Chainage in metres of the front axle at the first sample.")
-]
-Description = Annotated[Path | None, _option("Read these choices from a description (.yaml).")]
-SaveDescription = Annotated[Path | None, _option("Write the choices as a description (.yaml).")]
-Vehicle = Annotated[str | None, typer.Option(help="Vehicle: shipped name or YAML path.")]
-Sensors = Annotated[str | None, typer.Option(help="Instruments: shipped name or YAML path.")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveOptions:
+    """What the options of a command say of a drive; None is left to its description or file."""
+
+    vehicle: Annotated[str | None, typer.Option(help="Vehicle: shipped name or YAML path.")] = None
+    sensors: Annotated[str | None, typer.Option(help="Instruments: shipped name or YAML path.")] = (
+        None
+    )
+    mode: Annotated[
+        str | None, _option("4S4 mode of the drive: ride, handling, ..., or front=..,rear=..")
+    ] = None
+    speed_kmh: Annotated[float | None, _option("Speed of the drive in km/h.", min=0.1)] = None
+    columns: Annotated[
+        str | None,
+        _option("Names of columns: a_rf=acc_front,v=speed,... (t, a_rf, a_lr, a_rr, v, s)."),
+    ] = None
+    units: Annotated[str | None, _option("Units of columns: a_rf=g,t=ms,v=km/h,...")] = None
+    invert: Annotated[str | None, _option("Accelerations whose axis points down: a_rf,...")] = None
+    offset: Annotated[
+        float | None, _option("Chainage in metres of the front axle at the first sample.")
+    ] = None
+    description: Annotated[
+        Path | None, _option("Read these choices from a description (.yaml).")
+    ] = None
+    save_description: Annotated[
+        Path | None, _option("Write the choices as a description (.yaml).")
+    ] = None
+
+
+def with_drive_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a `command` with the options of DriveOptions in place of its parameter `options`."""
+    signature = inspect.signature(command)
+    shared = [
+        inspect.Parameter(
+            each.name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=each.type
+        )
+        for each in fields(DriveOptions)
+    ]
+
+    def run(**given: Any) -> None:
+        options = DriveOptions(**{each.name: given.pop(each.name) for each in shared})
+        command(**given, options=options)
+
+    parameters: list[inspect.Parameter] = []
+    for name, parameter in signature.parameters.items():
+        parameters += shared if name == "options" else [parameter]
+    run.__name__, run.__doc__ = command.__name__, command.__doc__
+    run.__annotations__ = {each.name: each.annotation for each in parameters}
+    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return run
 
 
 class DriveFile(NamedTuple):
@@ -59,33 +100,23 @@ class DriveFile(NamedTuple):
     is_table: bool
 
 
-def read_drive(
-    path: Path,
-    *,
-    vehicle: str | None = None,
-    sensors: str | None = None,
-    columns: str | None = None,
-    units: str | None = None,
-    invert: str | None = None,
-    description: Path | None = None,
-    save_description: Path | None = None,
-    **whole_drive: Any,
-) -> DriveFile:
+def read_drive(path: Path, options: DriveOptions) -> DriveFile:
     """Read a record of this package, or a measured drive as the options tell. Raises ConfigError.
 
-    `whole_drive` are the `mode`, `speed_kmh` and `offset` of a measured drive. Options go before
-    what the description says.
+    Options go before what the description says.
     """
-    if whole_drive.get("mode") is not None:
-        whole_drive["mode"] = parse_mode(whole_drive["mode"])
+    invert, save_description = options.invert, options.save_description
     given = {
-        "columns": _pairs("columns", columns),
-        "units": _pairs("units", units),
+        "columns": _pairs("columns", options.columns),
+        "units": _pairs("units", options.units),
         "invert": None if invert is None else tuple(x.strip() for x in invert.split(",")),
-        **whole_drive,
+        "mode": None if options.mode is None else parse_mode(options.mode),
+        "speed_kmh": options.speed_kmh,
+        "offset": options.offset,
     }
+    description = options.description
     told = read_description(description) if description else DriveDescription()
-    told = told.updated(vehicle=vehicle, sensors=sensors, **given)
+    told = told.updated(vehicle=options.vehicle, sensors=options.sensors, **given)
     name = told.vehicle or DEFAULT_VEHICLE
     car, instruments = load_vehicle(name), told.sensors or DEFAULT_SENSORS
     if save_description:
@@ -93,13 +124,21 @@ def read_drive(
     if is_record(path):
         needless = [key.replace("_", "-") for key, value in given.items() if value is not None]
         if needless or description or save_description:
-            options = ", ".join(f"--{x}" for x in needless) or "the description"
-            raise ConfigError(f"{path} contains all that belongs to the drive: leave out {options}")
+            left = ", ".join(f"--{x}" for x in needless) or "the description"
+            raise ConfigError(f"{path} contains all that belongs to the drive: leave out {left}")
         return DriveFile(MeasuredRecord(read_record(path)[0]), name, car, instruments, False)
     measured = read_measured_record(path, car.wheelbase, description=told)
     if save_description:
         write_description(save_description, told)
     return DriveFile(measured, name, car, instruments, True)
+
+
+def make_drive_estimator(name: str, drive: DriveFile, settings: dict[str, Any]) -> Estimator:
+    """Return an estimator by name, class or file; one that takes instruments has the drive's."""
+    if Path(name).suffix not in FILE_SUFFIXES and ":" not in name and "instruments" not in settings:
+        if "instruments" in getattr(estimators.find(name), "__dataclass_fields__", {}):
+            settings = {**settings, "instruments": drive.sensors}
+    return estimators.make_estimator(name, **settings)
 
 
 def _pairs(option: str, text: str | None) -> Mapping[str, str] | None:

@@ -13,18 +13,11 @@ from estimators.roughness.rms_regression import RmsRoughness, RoughnessEstimate
 from estimators.wiener.segments import dominant_modes
 from leaderboard.commands import check_output_path, console, parse_settings, print_json
 from leaderboard.commands.drive_files import (
-    Columns,
-    Description,
-    Invert,
-    Mode,
-    Offset,
+    DriveOptions,
     RecordFile,
-    SaveDescription,
-    Sensors,
-    Speed,
-    Units,
-    Vehicle,
+    make_drive_estimator,
     read_drive,
+    with_drive_options,
 )
 from leaderboard.commands.simulate import Json, print_facts, print_notes
 from leaderboard.metrics.alignment import Alignment, align
@@ -45,20 +38,13 @@ N_DRIVES, SPEED_MARGIN = 60, 1.5
 """Number of training drives of the regression, and factor around the speeds of the record."""
 
 
+@with_drive_options
 def estimate(
     *,
     estimator: Annotated[str, typer.Argument(help="A file from `train`, or a name.")],
     record: RecordFile,
     truth: Annotated[Path | None, typer.Option(help="True profile (.csv), to score.")] = None,
-    vehicle: Vehicle = None,
-    mode: Mode = None,
-    speed_kmh: Speed = None,
-    columns: Columns = None,
-    units: Units = None,
-    invert: Invert = None,
-    offset: Offset = None,
-    description: Description = None,
-    save_description: SaveDescription = None,
+    options: DriveOptions,
     settings: Annotated[
         list[str] | None, typer.Option("--set", help="Setting of the estimator, key=value.")
     ] = None,
@@ -72,11 +58,8 @@ def estimate(
     v [m/s] or v_kmh, and mode; speed and mode can be given as options instead.
     """
     check_output_path(out, ".csv"), check_output_path(plot, ".png", ".svg", ".pdf")
-    chosen = estimators.make_estimator(estimator, **parse_settings(settings or []))
-    drive = read_drive(
-        record, vehicle=vehicle, mode=mode, speed_kmh=speed_kmh, columns=columns, units=units,
-        invert=invert, offset=offset, description=description, save_description=save_description,
-    )  # fmt: skip
+    drive = read_drive(record, options)
+    chosen = make_drive_estimator(estimator, drive, parse_settings(settings or []))
     measured, car, notes = drive.measured.record, drive.car, drive.measured.notes
     result = estimators.estimate(chosen, measured, car)
     facts: dict[str, Any] = {
@@ -111,18 +94,11 @@ def estimate(
         _print_scores(scores)
 
 
+@with_drive_options
 def classify(
     *,
     record: RecordFile,
-    vehicle: Vehicle = None,
-    sensors: Sensors = None,
-    mode: Mode = None,
-    speed_kmh: Speed = None,
-    columns: Columns = None,
-    units: Units = None,
-    invert: Invert = None,
-    description: Description = None,
-    save_description: SaveDescription = None,
+    options: DriveOptions,
     method: Annotated[
         str, typer.Option(help="spectral: by a vehicle model; rms: regression on simulated drives.")
     ] = "spectral",
@@ -134,11 +110,7 @@ def classify(
     RMS of drives that are simulated in the modes and at the speeds of the record.
     """
     validate_choice("method", method, METHODS)
-    drive = read_drive(
-        record, vehicle=vehicle, sensors=sensors, mode=mode, speed_kmh=speed_kmh,
-        columns=columns, units=units, invert=invert,
-        description=description, save_description=save_description,
-    )  # fmt: skip
+    drive = read_drive(record, options)
     measured, notes = drive.measured.record, drive.measured.notes
     result: Any = (
         spectral.classify_record(measured, drive.car, drive.sensors)

@@ -1,5 +1,6 @@
 """Command `identify`: a vehicle's parameters from calibration drives."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +13,7 @@ from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.identification import Identification
 from estimators.map_smoother.identification import identify as identify_vehicle
 from leaderboard.commands import check_output_path, console, print_json
-from leaderboard.commands.drive_files import Description, Mode, Sensors, Speed, Vehicle, read_drive
+from leaderboard.commands.drive_files import DriveOptions, read_drive, with_drive_options
 from leaderboard.commands.simulate import Json, print_notes
 from leaderboard.report import identification_plot
 from road_envs.config import ConfigError
@@ -27,6 +28,7 @@ FAR = 3.0
 """Fitted deviation, in units of the tolerance, that is flagged."""
 
 
+@with_drive_options
 def identify(
     *,
     records: Annotated[list[Path], typer.Argument(help="Calibration drives of one vehicle.")],
@@ -41,11 +43,7 @@ def identify(
         bool,
         typer.Option(help="Identify a frame and what else the vehicle's file leaves out, too."),
     ] = False,
-    vehicle: Vehicle = None,
-    sensors: Sensors = None,
-    mode: Mode = None,
-    speed_kmh: Speed = None,
-    description: Description = None,
+    options: DriveOptions,
     out: Annotated[Path | None, typer.Option(help="Write the identified vehicle (.yaml).")] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw the result (.png).")] = None,
     json: Json = False,
@@ -58,11 +56,10 @@ def identify(
     check_output_path(out, ".yaml", ".yml"), check_output_path(plot, ".png", ".svg", ".pdf")
     files = [
         read_drive(
-            path, vehicle=vehicle, sensors=sensors, mode=mode, speed_kmh=speed_kmh,
-            description=description,
+            path, replace(options, save_description=options.save_description if k == 0 else None)
         )
-        for path in records
-    ]  # fmt: skip
+        for k, path in enumerate(records)
+    ]
     profiles = _profiles(profile or [], len(records))
     drives = [
         CalibrationDrive(file.measured.record, known, 1e-3 * survey_error_mm, path.name)

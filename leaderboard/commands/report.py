@@ -1,5 +1,6 @@
 """Command `report`: roughness, condition and obstacles of a driven road, as a page and files."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -7,28 +8,19 @@ import typer
 from rich.table import Table
 
 import estimators
-from estimators.estimation import FILE_SUFFIXES
 from leaderboard.commands import console, parse_settings, print_json, progress_bar
 from leaderboard.commands.drive_files import (
-    Columns,
-    Description,
-    DriveFile,
-    Invert,
-    Mode,
-    Offset,
-    SaveDescription,
-    Sensors,
-    Speed,
-    Units,
-    Vehicle,
+    DriveOptions,
+    make_drive_estimator,
     read_drive,
+    with_drive_options,
 )
 from leaderboard.commands.simulate import Json, print_notes
 from leaderboard.drive_report.analysis import SEGMENT_LENGTHS, DriveResult, analyse
 from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.export import write_geojson, write_tables
 from leaderboard.drive_report.page import write_page
-from leaderboard.drive_report.passes import align_passes, compare
+from leaderboard.drive_report.passes import Pass, align_passes, compare, join
 from road_envs.config import ConfigError
 from road_envs.data.measured_record import MeasuredRecord
 from road_envs.data.record import Estimate
@@ -40,6 +32,7 @@ Drives = Annotated[
 ]
 
 
+@with_drive_options
 def report(
     *,
     drives: Drives,
@@ -51,16 +44,7 @@ def report(
     conditions: Annotated[
         str, typer.Option(help="Condition categories: shipped name or YAML path.")
     ] = "hpms",
-    vehicle: Vehicle = None,
-    sensors: Sensors = None,
-    mode: Mode = None,
-    speed_kmh: Speed = None,
-    columns: Columns = None,
-    units: Units = None,
-    invert: Invert = None,
-    offset: Offset = None,
-    description: Description = None,
-    save_description: SaveDescription = None,
+    options: DriveOptions,
     settings: Annotated[
         list[str] | None, typer.Option("--set", help="Setting of the estimator, key=value.")
     ] = None,
@@ -79,34 +63,34 @@ def report(
         raise ConfigError(f"{out}: a file; give a folder for the report")
     names = _names(drives)
     categories, chosen = load_conditions(conditions), parse_settings(settings or [])
-    read: list[tuple[MeasuredRecord, Estimate]] = []
+    read: list[tuple[str, MeasuredRecord, Estimate]] = []
+    cars = []
     with progress_bar() as progress:
         for k, path in enumerate(drives):
             progress(f"reading {path.name}", k / len(drives))
-            drive = read_drive(
-                path, vehicle=vehicle, sensors=sensors, mode=mode, speed_kmh=speed_kmh,
-                columns=columns, units=units, invert=invert, offset=offset,
-                description=description, save_description=save_description if k == 0 else None,
-            )  # fmt: skip
+            drive = read_drive(path, options)
+            options = replace(options, save_description=None)  # once
             progress(f"estimating {path.name}", (k + 0.2) / len(drives))
-            read.append((drive.measured, _estimate(estimator, drive, chosen)))
-    aligned, instruments = align_passes(read), load_instruments(drive.sensors)
-    results = [
-        analyse(
-            name,
-            measured,
-            estimate,
-            categories,
-            segment=segment,
-            clipping=instruments.range,
-            speed_error=instruments.speed_error,
+            one = make_drive_estimator(estimator, drive, chosen)
+            found = estimators.estimate(one, drive.measured.record, drive.car)
+            read.append((names[k], drive.measured, found))
+            cars.append(drive.car)
+        passes, instruments = align_passes(read), load_instruments(drive.sensors)
+        progress("joining the passes", 1.0)
+        joined = join(one, passes, cars)
+
+    def analysed(each: Pass) -> DriveResult:
+        limits = {"clipping": instruments.range, "speed_error": instruments.speed_error}
+        return analyse(
+            each.name, each.measured, each.estimate, categories, segment=segment, **limits
         )
-        for name, (measured, _), (_, estimate) in zip(names, aligned, read, strict=True)
-    ]
-    agreement = compare([r for r, (_, same) in zip(results, aligned, strict=True) if same])
+
+    results = [analysed(each) for each in passes]
+    road = [analysed(joined)] if joined else []
+    agreement = compare([r for r, one in zip(results, passes, strict=True) if one.aligned])
     out.mkdir(parents=True, exist_ok=True)
     written = []
-    for result in results:
+    for result in (*road, *results):
         written += write_tables(result, out, result.name)
         written += write_geojson(result, out, result.name)
     about = {
@@ -115,28 +99,17 @@ def report(
         "sensors": drive.sensors,
     }
     page = out / "index.html"
-    write_page(results, categories, about, agreement, page)
+    write_page([*road, *results], categories, about, agreement, page)
     files = [str(path) for path in (page, *written)]
     if json:
         told = {"drives": [_facts(result) for result in results], "agreement": agreement}
-        print_json({**told, "written": files})
+        print_json({**told, "road": _facts(road[0]) if road else None, "written": files})
         return
-    for result in results:
+    for result in (*road, *results):
         _print(result)
     if agreement:
         _print_agreement(agreement)
     console.print(f"written: {page} and {len(written)} tables")
-
-
-def _estimate(name: str, drive: DriveFile, settings: dict[str, Any]) -> Estimate:
-    """Return the estimate; the drive's instruments are passed to an estimator that takes them."""
-    if Path(name).suffix not in FILE_SUFFIXES and "instruments" not in settings:
-        fields = getattr(
-            estimators.find(name) if ":" not in name else None, "__dataclass_fields__", {}
-        )
-        if "instruments" in fields:
-            settings = {**settings, "instruments": drive.sensors}
-    return estimators.estimate(name, drive.measured.record, drive.car, **settings)
 
 
 def _names(drives: list[Path]) -> list[str]:

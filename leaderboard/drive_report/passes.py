@@ -1,10 +1,14 @@
 """Several passes over one road: their alignment, and the agreement of what they tell."""
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
+import estimators.passes
+from estimators.api import Estimator
+from estimators.passes import AlignedPass
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.metrics.agreement import (
     bland_altman,
@@ -12,43 +16,95 @@ from leaderboard.metrics.agreement import (
     iri_filtered_correlation,
     repeatability,
 )
-from leaderboard.metrics.alignment import align
+from road_envs.analysis.alignment import identity_map
 from road_envs.config import ConfigError
 from road_envs.data.measured_record import MeasuredRecord
 from road_envs.data.record import Estimate
-from road_envs.roads import Surface
+from road_envs.vehicle.parameters import VehicleParameters
 
 MIN_SEGMENTS = 3
 """Least number of common segments for limits of agreement and for an ICC."""
 
 
-def align_passes(
-    passes: Sequence[tuple[MeasuredRecord, Estimate]],
-) -> list[tuple[MeasuredRecord, bool]]:
-    """Return the records with the chainage of the first pass, and whether each matches it.
+JOINED = "all_passes"
+"""Name of the road of all passes, in the page and in its files."""
 
-    A pass that matches nowhere keeps its chainage; a note says so.
+
+class Pass(NamedTuple):
+    """A pass: its name, measured record and estimate, both in the stations of the first pass if it
+    is `aligned` with it.
     """
-    reference, first = passes[0]
-    road = Surface(first.z, first.ds, start=reference.chainage, name="first pass")
-    aligned = [(reference, True)]
-    for measured, estimate in passes[1:]:
-        v = float(np.median(measured.record.v))
+
+    name: str
+    measured: MeasuredRecord
+    estimate: Estimate
+    aligned: AlignedPass | None
+
+
+def align_passes(passes: Sequence[tuple[str, MeasuredRecord, Estimate]]) -> list[Pass]:
+    """Return the passes in the stations of the first. One that matches nowhere keeps its own; a
+    note says so.
+    """
+    reference, measured, first = passes[0]
+    length = measured.record.length
+    found = [Pass(*passes[0], AlignedPass(reference, measured.record, first, identity_map(length)))]
+    for name, other, estimate in passes[1:]:
+        records, names = (measured.record, other.record), (reference, name)
         try:
-            found = align(road, estimate, v, measured.chainage)
+            (_, aligned), notes = estimators.passes.align_passes(records, (first, estimate), names)
         except ConfigError as error:
             note = f"not compared with the first drive: {error}"
-            aligned.append((measured._replace(notes=(*measured.notes, note)), False))
+            noted = other._replace(notes=(*other.notes, note))
+            found.append(Pass(name, noted, estimate, None))
             continue
-        note = (
-            f"moved by {found.lag:+.2f} m onto the first drive (correlation of slopes "
-            f"{found.correlation:.2f})"
+        moved = other._replace(
+            record=aligned.record,
+            chainage=measured.chainage,
+            notes=(*other.notes, *notes),
         )
-        moved = measured._replace(
-            chainage=measured.chainage + found.lag, notes=(*measured.notes, note)
-        )
-        aligned.append((moved, True))
-    return aligned
+        found.append(_cut(Pass(name, moved, estimate, aligned), first.s))
+    return found
+
+
+def _cut(one: Pass, s: np.ndarray) -> Pass:
+    """Return an aligned pass with its estimate at those of the first's stations `s` (M,) [m] that
+    it covers; station 0 is the first of them.
+    """
+    assert one.aligned is not None
+    own, estimate = one.aligned.stations.inverse().apply(s), one.estimate
+    inside = np.flatnonzero((own >= 0.0) & (own <= estimate.s[-1]))
+    begin, record = float(s[inside[0]]), one.measured.record
+    z, std = (
+        None if x is None else np.array([np.interp(own[inside], estimate.s, path) for path in x])
+        for x in (estimate.z, estimate.z_std)
+    )
+    assert z is not None
+    measured = one.measured._replace(
+        record=replace(record, s=record.s - begin, length=float(s[inside[-1]]) - begin),
+        chainage=one.measured.chainage + begin,
+    )
+    return one._replace(
+        measured=measured, estimate=replace(estimate, s=s[inside] - begin, z=z, z_std=std)
+    )
+
+
+def join(
+    estimator: Estimator, passes: Sequence[Pass], cars: Sequence[VehicleParameters]
+) -> Pass | None:
+    """Return the road of all passes that are aligned, as a pass named JOINED over the first's road;
+    None if there is only one.
+
+    `cars` are the vehicles of all passes. Speed and states are those of the first.
+    """
+    chosen = [(each, car) for each, car in zip(passes, cars, strict=True) if each.aligned]
+    aligned = [each.aligned for each, _ in chosen if each.aligned]
+    if len(aligned) < 2:
+        return None
+    road = estimators.passes.join_passes(estimator, aligned, [car for _, car in chosen])
+    first, names = passes[0].measured, ", ".join(each.name for each, _ in chosen)
+    note = f"one road from {names}; speed and states are those of {passes[0].name}"
+    notes = (note, estimators.passes.WANDER_NOTE)
+    return Pass(JOINED, first._replace(notes=notes), replace(road, notes=()), None)
 
 
 def compare(results: Sequence[DriveResult]) -> dict[str, Any] | None:

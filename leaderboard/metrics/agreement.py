@@ -22,6 +22,9 @@ from road_envs.analysis.roughness import golden_car, iri
 SEGMENT_LENGTH = 100.0
 """Length [m] of the segments whose IRI is compared."""
 
+SHORT_SEGMENT = 20.0
+"""Length [m] of the segments of limits of agreement and ICC, of which a drive needs several."""
+
 LAG_MAX = 1.0
 """Largest lag [m] of the cross-correlation."""
 
@@ -79,9 +82,11 @@ def iri_filtered_correlation(y: np.ndarray, a: np.ndarray, ds: float) -> float:
     return float(correlate(P, Q, method="fft")[near].max() / max(power))
 
 
-def _segment_iri(scored: ScoredEstimate) -> tuple[np.ndarray, np.ndarray]:
+def _segment_iri(
+    scored: ScoredEstimate, length: float = SEGMENT_LENGTH
+) -> tuple[np.ndarray, np.ndarray]:
     """Return true and estimated IRI [mm/m] of both wheel paths by segment, each (N,)."""
-    length = min(SEGMENT_LENGTH, (scored.y.shape[1] - 1) * scored.ds - 1.0)
+    length = min(length, (scored.y.shape[1] - 1) * scored.ds - 1.0)
     true, found = (iri(z, scored.ds, segment=length).ravel() for z in (scored.y, scored.a))
     return true, found
 
@@ -109,3 +114,27 @@ def iri_rmse(scored: ScoredEstimate) -> float:
     """RMS difference of the IRI per 100 m of both wheel paths."""
     true, found = scored.shared(_segment_iri)
     return float(np.sqrt(np.mean((found - true) ** 2)))
+
+
+def _short_segment_iri(scored: ScoredEstimate) -> tuple[np.ndarray, np.ndarray]:
+    return _segment_iri(scored, SHORT_SEGMENT)
+
+
+@metric("lower limit of agreement of the IRI", unit="mm/m", digits=2, better="zero", head="IRI low")
+def iri_lower_limit(scored: ScoredEstimate) -> float:
+    """Bias of the IRI per 20 m less 1.96 standard deviations of the differences (Bland-Altman)."""
+    true, found = scored.shared(_short_segment_iri)
+    return bland_altman(found, true).lower
+
+
+@metric("upper limit of agreement of the IRI", unit="mm/m", digits=2, better="zero", head="IRI up")
+def iri_upper_limit(scored: ScoredEstimate) -> float:
+    """Bias of the IRI per 20 m plus 1.96 standard deviations of the differences (Bland-Altman)."""
+    true, found = scored.shared(_short_segment_iri)
+    return bland_altman(found, true).upper
+
+
+@metric("intraclass correlation of the IRI", digits=2, better="high", head="IRI ICC")
+def iri_icc(scored: ScoredEstimate) -> float:
+    """ICC(2,1) of the true and the estimated IRI per 20 m of both wheel paths."""
+    return intraclass_correlation(np.stack(scored.shared(_short_segment_iri), axis=1))

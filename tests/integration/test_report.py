@@ -62,8 +62,13 @@ def test_passes_are_moved_onto_the_first_and_compared(road_recon, tmp_path):
     (row,) = agreement["passes"]
     assert abs(row["bias"]) < 0.5 and row["correlation"] > 0.8
     assert agreement["repeatability"] < 0.5 and agreement["icc"] > 0.7
-    assert any("moved by -" in note for note in told["drives"][1]["notes"])
+    assert any("two: stations moved by" in note for note in told["drives"][1]["notes"])
     assert any("not compared with" in note for note in told["drives"][2]["notes"])
+    road = {round(row["begin_m"]): row["iri_mean"] for row in told["road"]["segments"]}
+    for row in agreement["segments"]:  # the joined road lies between its passes, or near
+        assert min(row["iri"]) - 0.3 < road[round(row["begin_m"])] < max(row["iri"]) + 0.3
+    assert "one road from one, two" in told["road"]["notes"][0]
+    assert (tmp_path / "r/all_passes_segments.csv").exists()
     page = (tmp_path / "r/index.html").read_text(encoding="utf-8")
     assert "R 56-style" in page and "compliant" not in page
 

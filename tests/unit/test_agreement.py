@@ -10,6 +10,7 @@ from leaderboard.metrics.agreement import (
     repeatability,
 )
 from leaderboard.metrics.registry import compute_scores
+from road_envs.analysis.roughness import iri
 from road_envs.data.record import PROFILE_SPACING, Estimate, Profile, profile_stations
 from road_envs.roads import realise_road
 
@@ -71,3 +72,11 @@ def test_the_metrics_of_an_estimate_that_is_ten_percent_too_high():
     assert scores["iri_cross_correlation"] == pytest.approx(1.0 / 1.1)
     assert scores["iri_bias"] == pytest.approx(scores["iri_rmse"], rel=0.01)
     assert scores["iri_error"] == pytest.approx(scores["iri_bias"], rel=0.05)
+    short = iri(z, PROFILE_SPACING, segment=20.0).ravel()  # differences are a tenth of these
+    spread = 0.196 * short.std(ddof=1)
+    assert scores["iri_lower_limit"] == pytest.approx(0.1 * short.mean() - spread, rel=1e-6)
+    assert scores["iri_upper_limit"] == pytest.approx(0.1 * short.mean() + spread, rel=1e-6)
+    assert scores["iri_icc"] == pytest.approx(
+        intraclass_correlation(np.stack([short, 1.1 * short], axis=1))
+    )
+    assert 0.5 < scores["iri_icc"] < 1.0
