@@ -14,6 +14,7 @@ from estimators.api import Estimator, Pretrained, check_class, check_estimate
 from road_envs.config import ConfigError, build
 from road_envs.data.record import Estimate, Record
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
+from road_envs.vehicle.suspension import check_modes
 
 TRAINING_VEHICLE = "land_rover_defender_110"
 """Vehicle of the drives that the shipped weights were trained on."""
@@ -61,6 +62,7 @@ def estimate(
         raise ConfigError(f"one record needs one vehicle, got {len(vehicle)}")
     estimator = resolve_estimator(estimator, settings)
     car = vehicle if isinstance(vehicle, VehicleParameters) else load_vehicle(vehicle)
+    check_modes(record, car)
     found = estimator.estimate(record, car)
     check_estimate(found, record)
     notes = (*found.notes, *training_notes(estimator, car))

@@ -21,7 +21,7 @@ from types import UnionType
 from typing import Annotated, Any, TypeVar, Union, cast, get_args, get_origin
 
 import yaml
-from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, Discriminator, Field, Tag, TypeAdapter, ValidationError
 
 from road_envs._reading import parsing
 
@@ -77,6 +77,20 @@ def _check_order(pair: tuple[float, float]) -> tuple[float, float]:
 
 SmallestFirst = AfterValidator(_check_order)
 """Constraint on a pair of numbers."""
+
+
+def by_kind(default: str) -> Discriminator:
+    """Return what chooses one dataclass of a union of tagged ones by the key or field `kind`.
+
+    Without the key it is `default`.
+    """
+
+    def kind(value: Any) -> str:
+        if isinstance(value, Mapping):
+            return str(value.get("kind", default))
+        return str(getattr(value, "kind", default))
+
+    return Discriminator(kind)
 
 
 def folder() -> Path:
@@ -211,7 +225,7 @@ def _describe(errors: Sequence[Mapping[str, Any]], cls: type) -> str:
     )
     places = {_place(e, cls) for e in errors}
     loc, value = _place(first, cls), first["input"]
-    hint, _, notes = _field_at(cls, loc)
+    hint, _, notes = _field_at(cls, first["loc"])
     if first["type"] == UNKNOWN_KEY:
         owner = _bare(hint)
         fields = dataclasses.fields(owner) if dataclasses.is_dataclass(owner) else ()
@@ -221,6 +235,9 @@ def _describe(errors: Sequence[Mapping[str, Any]], cls: type) -> str:
         text += f"; known: {', '.join(known)}"
     elif first["type"] == "missing":
         text = "missing"
+    elif first["type"] == "union_tag_invalid":
+        kind, known = (first["ctx"][key] for key in ("tag", "expected_tags"))
+        text = f"unknown kind {shown(kind)}; known: {known.replace(chr(39), '')}"
     elif first["type"] == "value_error":
         text = str(first["ctx"]["error"])
     elif allowed := _range_of(first):
@@ -237,9 +254,10 @@ def _describe(errors: Sequence[Mapping[str, Any]], cls: type) -> str:
 
 
 def _place(error: Mapping[str, Any], cls: type) -> tuple[Any, ...]:
-    """Return the location of an error, without the last branch of a union."""
+    """Return the location of an error, without the branches of unions."""
     loc = error["loc"]
-    return loc if error["type"] == UNKNOWN_KEY else loc[: _field_at(cls, loc)[1]]
+    place = _field_at(cls, loc)[1]
+    return (*place, loc[-1]) if error["type"] == UNKNOWN_KEY else place
 
 
 def _range_of(error: Mapping[str, Any]) -> str:
@@ -260,14 +278,19 @@ def _range_of(error: Mapping[str, Any]) -> str:
     return ""
 
 
-def _field_at(cls: Any, loc: Sequence[str | int]) -> tuple[Any, int, list[str]]:
-    """Return the annotation at `loc`, its depth in `loc`, and the unit and meaning of its field.
+def _field_at(cls: Any, loc: Sequence[str | int]) -> tuple[Any, tuple[str | int, ...], list[str]]:
+    """Return the annotation at `loc`, its place, and the unit and meaning of its field.
 
-    Parts of `loc` that are neither field nor index, such as branches of unions, are skipped.
+    The place has the parts of `loc` that are a field, a key or an index, not those that are
+    branches of unions.
     """
-    hint, depth = cls, 0
+    hint: Any = cls
+    place: tuple[str | int, ...] = ()
     notes: list[str] = []
-    for i, part in enumerate(loc, 1):
+    for part in loc:
+        if (branch := _tagged(hint).get(part)) is not None:
+            hint = branch
+            continue
         owner = _bare(hint)
         types: dict[Any, Any] = {}
         if dataclasses.is_dataclass(owner):
@@ -275,10 +298,19 @@ def _field_at(cls: Any, loc: Sequence[str | int]) -> tuple[Any, int, list[str]]:
         elif get_origin(owner) is dict or isinstance(part, int):
             types = {part: (*get_args(owner), None)[0 if isinstance(part, int) else 1]}
         if part in types:
-            hint, depth = types[part], i
+            hint, place = types[part], (*place, part)
             own = [n for n in getattr(hint, "__metadata__", ()) if isinstance(n, str)]
             notes = own or notes
-    return hint, depth, notes
+    return hint, place, notes
+
+
+def _tagged(hint: Any) -> dict[Any, Any]:
+    """Return the branches of a union by their tags; empty if the type is none of tagged ones."""
+    while get_origin(hint) is Annotated:
+        hint = get_args(hint)[0]
+    branches = get_args(hint) if get_origin(hint) in (Union, UnionType) else ()
+    tags = [(note, b) for b in branches for note in getattr(b, "__metadata__", ())]
+    return {note.tag: branch for note, branch in tags if isinstance(note, Tag)}
 
 
 def _bare(hint: Any) -> Any:

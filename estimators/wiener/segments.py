@@ -13,7 +13,7 @@ from scipy import signal
 
 from estimators.preprocessing import SPEED_MIN, MaskedRecord
 from road_envs.data.record import PROFILE_SPACING, Record
-from road_envs.vehicle.suspension import MODES
+from road_envs.vehicle.parameters import MODES, Modes
 
 STATION_RATE = 100.0
 """Lowest rate [Hz] at which a segment's stations are passed; signals end at 40 Hz."""
@@ -108,9 +108,9 @@ def _segment(record: Record, a: np.ndarray, bad: np.ndarray, core, margin: float
     )
 
 
-def dominant_modes(record: Record, part: np.ndarray) -> dict[str, str]:
-    """Return, by wheel, the mode of each strut in most of the samples `part`."""
-    names = {state: name for name, state in MODES.items()}
+def dominant_modes(record: Record, part: np.ndarray, modes: Modes = MODES) -> dict[str, str]:
+    """Return, by wheel, the mode of each strut in most of the samples `part`, named by `modes`."""
+    names = {state: name for name, state in modes.items()}
     stiff = record.spring_stiff[part].mean(axis=0) > 0.5
     high = record.damper_high[part].mean(axis=0) > 0.5
     states = [names[bool(k), bool(c)] for k, c in zip(stiff, high, strict=True)]

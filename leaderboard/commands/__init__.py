@@ -20,9 +20,9 @@ console = Console(markup=False, emoji=False)
 notices = Console(stderr=True, markup=False, emoji=False)
 
 
-def parse_mode(text: str) -> str | dict[str, str]:
-    """Parse a 4S4 mode, "ride" or "front=ride,rear=handling"."""
-    if "=" not in text:
+def parse_mode(text: str | None) -> str | dict[str, str] | None:
+    """Parse a mode of the struts, "ride" or "front=ride,rear=handling"; None stays."""
+    if text is None or "=" not in text:
         return text
     parts = [part.partition("=") for part in text.split(",")]
     return {wheel.strip(): mode.strip() for wheel, _, mode in parts}

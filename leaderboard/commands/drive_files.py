@@ -21,6 +21,7 @@ from road_envs.data.logger_tables.description import (
 from road_envs.data.measured_record import MeasuredRecord, read_measured_record
 from road_envs.data.recording import is_record, read_record
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
+from road_envs.vehicle.suspension import check_modes
 
 DEFAULT_VEHICLE, DEFAULT_SENSORS = "land_rover_defender_110", "paper"
 PANEL = "Measured drives"
@@ -47,7 +48,7 @@ class DriveOptions:
         None
     )
     mode: Annotated[
-        str | None, _option("4S4 mode of the drive: ride, handling, ..., or front=..,rear=..")
+        str | None, _option("Mode of the struts: ride, handling, ..., or front=..,rear=..; passive")
     ] = None
     speed_kmh: Annotated[float | None, _option("Speed of the drive in km/h.", min=0.1)] = None
     columns: Annotated[
@@ -126,8 +127,10 @@ def read_drive(path: Path, options: DriveOptions) -> DriveFile:
         if needless or description or save_description:
             left = ", ".join(f"--{x}" for x in needless) or "the description"
             raise ConfigError(f"{path} contains all that belongs to the drive: leave out {left}")
-        return DriveFile(MeasuredRecord(read_record(path)[0]), name, car, instruments, False)
-    measured = read_measured_record(path, car.wheelbase, description=told)
+        record = read_record(path)[0]
+        check_modes(record, car)
+        return DriveFile(MeasuredRecord(record), name, car, instruments, False)
+    measured = read_measured_record(path, car.wheelbase, description=told, car=car)
     if save_description:
         write_description(save_description, told)
     return DriveFile(measured, name, car, instruments, True)

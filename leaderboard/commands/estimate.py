@@ -136,7 +136,7 @@ def classify(
 
 def _by_rms(record: Record, corpus: Corpus) -> RoughnessEstimate:
     """Fit the regression to simulated drives similar to `record` and apply it."""
-    mode = dominant_modes(record, np.arange(record.t.size))
+    mode = dominant_modes(record, np.arange(record.t.size), corpus.vehicle.modes)
     slow, fast = 3.6 * np.percentile(record.v, [5.0, 95.0])
     drives = drives_in_mode(corpus, mode, (slow / SPEED_MARGIN, fast * SPEED_MARGIN), N_DRIVES)
     return RmsRoughness.fit(*zip(*drives, strict=True)).predict(record)

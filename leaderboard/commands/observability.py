@@ -25,7 +25,7 @@ from road_envs.data.recording import simulate_record
 from road_envs.roads.iso8608 import Iso8608
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
-from road_envs.vehicle.suspension import MODES, decode_commands, encode_command
+from road_envs.vehicle.suspension import decode_commands, encode_command
 
 DEFAULT_MODES = (
     "ride",
@@ -47,7 +47,7 @@ def observability(
     ] = None,
     mode: Annotated[
         list[str] | None,
-        typer.Option(help="4S4 mode, as in simulate; may be given again. All four by default."),
+        typer.Option(help="Mode, as in simulate; may be given again. By default all of the car."),
     ] = None,
     road_class: Annotated[str, typer.Option(help="ISO 8608 class of the road, A to H.")] = "D",
     noise: Annotated[
@@ -88,12 +88,14 @@ def observability(
     prior = RoadPrior(
         G_d0=CLASSES[validate_choice("road class", road_class, CLASSES)], track=2.0 * car.front.y_t
     )
-    speeds, modes = speed_kmh or [14.5, 54.0], [parse_mode(text) for text in mode or DEFAULT_MODES]
+    default = list(car.modes) if car.is_passive else DEFAULT_MODES
+    speeds, modes = speed_kmh or [14.5, 54.0], [_parsed(text) for text in mode or default]
     for speed in speeds:
         if not (np.isfinite(speed) and speed > 0):
             raise ConfigError(f"the speed must be positive, got {speed} km/h")
-    dampers = None if damping is None else _dampers(damping)
-    chosen = [_damping_by_strut(dampers, m) for m in modes]  # fails before anything is computed
+    dampers = None if damping is None else _dampers(damping, car)
+    # fails before anything is computed
+    chosen = [_damping_by_strut(dampers, m, car) for m in modes]
     rows: list[dict[str, Any]] = []
     curves: list[tuple[str, float, Posterior, float]] = []
     jobs = [(*pair, speed) for pair in zip(modes, chosen, strict=True) for speed in speeds]
@@ -139,13 +141,19 @@ def front_rear(mode: str | dict[str, str]) -> str:
     return ", ".join(f"{wheel} {state}" for wheel, state in mode.items())
 
 
-def _dampers(text: str) -> dict[str, float]:
+def _parsed(text: str) -> str | dict[str, str]:
+    mode = parse_mode(text)
+    assert mode is not None
+    return mode
+
+
+def _dampers(text: str, car: VehicleParameters) -> dict[str, float]:
     """Parse damping [N s/m] by mode from "ride=2000,handling=5000". Raises ConfigError."""
     dampers = {}
     for part in text.split(","):
         name, equals, value = part.partition("=")
         try:
-            dampers[validate_choice("suspension mode", name.strip(), MODES)] = float(value)
+            dampers[validate_choice("suspension mode", name.strip(), car.modes)] = float(value)
         except ValueError as error:
             if isinstance(error, ConfigError):
                 raise
@@ -156,13 +164,13 @@ def _dampers(text: str) -> dict[str, float]:
 
 
 def _damping_by_strut(
-    dampers: dict[str, float] | None, mode: str | dict[str, str]
+    dampers: dict[str, float] | None, mode: str | dict[str, str], car: VehicleParameters
 ) -> np.ndarray | None:
     """Return the damping (4,) [N s/m] of each strut in its mode; None without `dampers`."""
-    stiff, high = (flags[0] for flags in decode_commands(np.array([encode_command(mode)])))
+    stiff, high = (flags[0] for flags in decode_commands(np.array([encode_command(mode, car)])))
     if dampers is None:
         return None
-    names = {state: name for name, state in MODES.items()}
+    names = {state: name for name, state in car.modes.items()}
     modes = [names[bool(s), bool(h)] for s, h in zip(stiff, high, strict=True)]
     if missing := sorted(set(modes) - set(dampers)):
         raise ConfigError(f"--damping has {sorted(dampers)}, but no value for {missing}")

@@ -82,7 +82,13 @@ def report(
     def analysed(each: Pass) -> DriveResult:
         limits = {"clipping": instruments.range, "speed_error": instruments.speed_error}
         return analyse(
-            each.name, each.measured, each.estimate, categories, segment=segment, **limits
+            each.name,
+            each.measured,
+            each.estimate,
+            categories,
+            segment=segment,
+            modes=drive.car.modes,
+            **limits,
         )
 
     results = [analysed(each) for each in passes]

@@ -39,7 +39,10 @@ from road_envs.vehicle.parameters import load_vehicle
 Road = Annotated[str, typer.Option(help="Road: shipped name, YAML path or surface file.")]
 Speed = Annotated[float, typer.Option(help="Speed in km/h.")]
 Mode = Annotated[
-    str, typer.Option(help="4S4 mode: ride, handling, ..., or front=ride,rear=handling.")
+    str | None,
+    typer.Option(
+        help="Mode of the struts: ride, handling, ..., or front=ride,rear=handling; passive."
+    ),
 ]
 Length = Annotated[float | None, typer.Option(help="Another length of the road in metres.")]
 Seed = Annotated[int, typer.Option(help="Seed of the road, and of the sensors' noise.", min=0)]
@@ -55,7 +58,7 @@ def simulate(
     *,
     road: Road = "belgian",
     speed_kmh: Speed = 14.5,
-    mode: Mode = "ride",
+    mode: Mode = None,
     length: Length = None,
     seed: Seed = 1,
     vehicle: Vehicle = "land_rover_defender_110",
@@ -72,10 +75,11 @@ def simulate(
         check_output_path(truth, ".csv"),
         check_output_path(plot, ".png", ".svg", ".pdf"),
     )
-    surface, struts = realise_road(road, seed, length), parse_mode(mode)
+    surface, car = realise_road(road, seed, length), load_vehicle(vehicle)
+    struts = parse_mode(mode) or next(iter(car.modes))
     record, profile = simulate_record(
         surface,
-        vehicle=load_vehicle(vehicle),
+        vehicle=car,
         speed_kmh=speed_kmh,
         mode=struts,
         instruments=load_instruments(sensors),
@@ -92,7 +96,7 @@ def simulate(
         "seed": seed,
     }
     if out:
-        write_record(out, record, settings)
+        write_record(out, record, settings, car.modes)
     if truth:
         write_csv(surface, truth)
     if plot:
@@ -123,7 +127,7 @@ def train(
         typer.Option(help="Training road; may be given again. Default: the shipped corpus."),
     ] = None,
     speed_kmh: Speed = 14.5,
-    mode: Mode = "ride",
+    mode: Mode = None,
     length: Length = None,
     drives: Annotated[
         int | None,

@@ -16,6 +16,7 @@ from road_envs.analysis.roughness import (
 )
 from road_envs.data.measured_record import MeasuredRecord
 from road_envs.data.record import Estimate, scored_band
+from road_envs.vehicle.parameters import MODES, Modes
 
 SEGMENT_LENGTHS = (10.0, 20.0, 100.0)
 """Lengths [m] of segments."""
@@ -77,11 +78,13 @@ def analyse(
     segment: float = 100.0,
     clipping: float = np.inf,
     speed_error: float = 0.0,
+    modes: Modes = MODES,
 ) -> DriveResult:
     """Return the results of a drive by segments of `segment` [m], at whole multiples of it.
 
     `clipping` [m/s²] is the magnitude from which on a sample is clipped, `speed_error` the relative
     standard deviation of the speed, by which distances from the first sample are uncertain.
+    `modes` name the states of the struts.
     """
     record, v = measured.record, float(np.median(measured.record.v))
     edges = _edges(estimate, measured.chainage, segment, record.s[0])
@@ -89,7 +92,7 @@ def analyse(
     notes = (*measured.notes, *estimate.notes)
     result = DriveResult(name, measured, estimate, v, measured.chainage, [], [], notes, {})
     for k in range(edges.size - 1):
-        result.segments.append(_segment(result, edges, k, iri, conditions, clipping))
+        result.segments.append(_segment(result, edges, k, iri, conditions, clipping, modes))
     for obstacle in detect(estimate):
         result.obstacles.append(_obstacle(result, obstacle, speed_error))
     result.facts.update(
@@ -123,6 +126,7 @@ def _segment(
     iri: IriPosterior,
     conditions: Conditions,
     clipping: float,
+    modes: Modes,
 ) -> dict[str, Any]:
     begin, end = float(edges[k]), float(edges[k + 1])
     record = result.measured.record
@@ -141,7 +145,7 @@ def _segment(
     for centre in OCTAVES:
         row[f"class_{centre:g}"] = roughness_class(levels[centre]) if centre in levels else ""
     row["speed_kmh"] = 3.6 * speed
-    row["state"] = _state(record, inside)
+    row["state"] = _state(record, inside, modes)
     row["flags"] = "; ".join(_flags(result, inside, speed, begin, clipping))
     row["lat"], row["lon"] = result.position(0.5 * (begin + end))
     return row
@@ -159,9 +163,9 @@ def _levels(estimate: Estimate, begin: float, end: float, v: float) -> dict[floa
     return {float(c): max(float(x), 1e-12) for c, x in zip(centres, levels, strict=True)}
 
 
-def _state(record: Any, inside: np.ndarray) -> str:
-    modes = dominant_modes(record, inside)
-    front, rear = modes["FL"], modes["RL"]
+def _state(record: Any, inside: np.ndarray, modes: Modes) -> str:
+    by_wheel = dominant_modes(record, inside, modes)
+    front, rear = by_wheel["FL"], by_wheel["RL"]
     return front if front == rear else f"{front}/{rear}"
 
 

@@ -28,9 +28,10 @@ from road_envs.roads.measured import Measured
 from road_envs.sensing.data_logger import Instruments, load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.perturbed_vehicle import load_plant_mismatch
+from road_envs.vehicle.suspension import encode_command
 
 Grade = Literal["S0", "S1", "S2", "S3"]
-StrutMode = Literal["ride", "handling", "soft_high", "stiff_low"]
+StrutMode = Literal["ride", "handling", "soft_high", "stiff_low", "passive"]
 
 SEED_STRIDE = 10_000
 """Offset between the seeds of one road of a list and those of the next."""
@@ -280,6 +281,11 @@ def load_task(name: str | Path) -> Task:
     stem = Path(name).stem
     if task.name != stem:
         raise ConfigError(f"{name}: the task is named {task.name!r} but its file {stem!r}")
+    for condition in task.conditions:
+        try:
+            encode_command(condition.simulator_mode, task.vehicle)
+        except ConfigError as error:
+            raise ConfigError(f"{name}: conditions: {error}") from None
     return task
 
 

@@ -72,7 +72,7 @@ def select_sessions(study: Study, nominal: bool = False) -> list[int]:
 
 
 def _struts(study: Study) -> PaperFigure:
-    strut = study.scenarios[0].task.vehicle.strut
+    strut: Any = study.scenarios[0].task.vehicle.strut
 
     def paint(figure: Any) -> None:
         panels = figure.subplots(2, 2).ravel()

@@ -114,8 +114,7 @@ def ride_metrics(
 
 def count_bump_stop_hits(extension: np.ndarray, car: VehicleParameters) -> int:
     """Count how often a strut reaches a bump stop, from extensions (N, 4) [m]."""
-    curves = car.strut.bump_stop
-    limits = np.array([_zero_force_range(curves.front)] * 2 + [_zero_force_range(curves.rear)] * 2)
+    limits = np.array([_zero_force_range(curve) for curve in car.bump_stops for _ in range(2)])
     hits = 0
     for beyond in (extension < limits[:, 0], extension > limits[:, 1]):
         # an excursion counts at its first sample only

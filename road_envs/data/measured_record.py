@@ -35,6 +35,7 @@ from road_envs.data.logger_tables.description import ACCELERATIONS, DriveDescrip
 from road_envs.data.logger_tables.motion import read_motion
 from road_envs.data.logger_tables.table import Table, read_table
 from road_envs.data.record import Record
+from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import decode_commands, encode_command
 
 
@@ -60,28 +61,32 @@ def read_measured_record(
     speed_kmh: float | None = None,
     mode: str | Mapping[str, str] | None = None,
     description: DriveDescription | None = None,
+    car: VehicleParameters | None = None,
 ) -> MeasuredRecord:
     """Read the record of a measured drive of a vehicle of this `wheelbase` [m].
 
     `speed_kmh` and `mode` apply to the whole drive, as those of the `description` do; each is
-    required if the table does not hold it, and invalid otherwise. The road extends from the
+    required if the table does not hold it, and invalid otherwise. Modes are those of the `car`, by
+    default of a 4S4 suspension; a car with passive struts needs none. The road extends from the
     position of the rear axle at the first sample to that of the front axle at the last. Raises one
     ConfigError that tells all problems, with the columns, and the rows if there are any.
     """
     chosen = (description or DriveDescription()).updated(speed_kmh=speed_kmh, mode=mode)
     table = read_table(path)
     try:
-        return _to_record(table, wheelbase, chosen)
+        return _to_record(table, wheelbase, chosen, car)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
 
 
-def _to_record(table: Table, wheelbase: float, description: DriveDescription) -> MeasuredRecord:
+def _to_record(
+    table: Table, wheelbase: float, description: DriveDescription, car: VehicleParameters | None
+) -> MeasuredRecord:
     findings = Findings()
     channels = Channels(table, description, findings)
     clock = read_clock(channels, findings)
     given = [x for name in ACCELERATIONS if (x := channels.acceleration(name)) is not None]
-    commands = _commands(channels, findings)
+    commands = _commands(channels, findings, car)
     if clock is None or not given:
         findings.raise_problems()
     assert clock is not None
@@ -110,10 +115,14 @@ def _to_record(table: Table, wheelbase: float, description: DriveDescription) ->
     return MeasuredRecord(record, tuple(findings.notes), float(chainage), position, 1.0 / dt)
 
 
-def _commands(channels: Channels, findings: Findings) -> np.ndarray | None:
+def _commands(
+    channels: Channels, findings: Findings, car: VehicleParameters | None
+) -> np.ndarray | None:
     """Return the command bytes (N,) of the strut states, None if unknown."""
     mode, size = channels.description.mode, len(next(iter(channels.table.values()), ()))
     given = [name for name in ("mode", "mode_front", "mode_rear") if name in channels]
+    if car is not None and car.is_passive and not given and mode is None:
+        mode = "passive"
     if given not in ([], ["mode"], ["mode_front", "mode_rear"]) or bool(given) == bool(mode):
         problem = f"given as {', '.join(given)}" if given else "missing"
         also = " and for the whole drive" if given and mode else ""
@@ -124,11 +133,11 @@ def _commands(channels: Channels, findings: Findings) -> np.ndarray | None:
         return None
     try:
         if mode:
-            return np.full(size, encode_command(mode), dtype=np.uint8)
+            return np.full(size, encode_command(mode, car), dtype=np.uint8)
         columns = [channels.texts(name) for name in (given if len(given) == 2 else given * 2)]
         pairs = list(zip(*columns, strict=True))
         encoded = {
-            pair: encode_command(dict(zip(("front", "rear"), pair, strict=True)))
+            pair: encode_command(dict(zip(("front", "rear"), pair, strict=True)), car)
             for pair in set(pairs)
         }
         return np.array([encoded[pair] for pair in pairs], dtype=np.uint8)

@@ -18,7 +18,7 @@ from road_envs.roads.surface import Surface
 from road_envs.sensing.data_logger import DataLogger
 from road_envs.sensing.instruments import Instruments, load_instruments
 from road_envs.simulation.drive import DriveSimulator
-from road_envs.vehicle.parameters import DEFAULT_STEP, VehicleParameters, load_vehicle
+from road_envs.vehicle.parameters import DEFAULT_STEP, Modes, VehicleParameters, load_vehicle
 from road_envs.vehicle.perturbed_vehicle import PlantMismatch, perturb_vehicle
 from road_envs.vehicle.suspension import MODES, decode_commands, encode_command
 
@@ -38,7 +38,7 @@ def simulate_record(
     road: str | Path | Mapping[str, Any] | Road | Surface,
     *,
     speed_kmh: float,
-    mode: str | Mapping[str, str] = "ride",
+    mode: str | Mapping[str, str] | None = None,
     seed: int | np.random.SeedSequence = 1,
     vehicle: str | Path | VehicleParameters = "land_rover_defender_110",
     instruments: str | Path | Instruments = "paper",
@@ -50,11 +50,11 @@ def simulate_record(
     """Drive a vehicle over a road; return what its instruments record, and the true profile.
 
     `road` is a shipped name, a file, a description or a realised Surface; `length` [m] changes
-    that of a road that has no fixed one. `mode` is "ride", "handling", ..., or one of these for
-    "front" and "rear". `grade` "S1" to "S3" drives a vehicle that departs from its description
-    (`road_envs.vehicle.perturbed_vehicle`), by the shipped `plant_mismatch` unless another is
-    given. `seed` draws the road, the sensor noise and the individual vehicle. `step` [s] is the
-    integrator's. Raises ConfigError, SimulationError.
+    that of a road that has no fixed one. `mode` is one of the car's ("ride", "handling", ..., or
+    "passive"), or one of these for "front" and "rear"; by default it is the first. `grade` "S1" to
+    "S3" drives a vehicle that departs from its description (`road_envs.vehicle.perturbed_vehicle`),
+    by the shipped `plant_mismatch` unless another is given. `seed` draws the road, the sensor noise
+    and the individual vehicle. `step` [s] is the integrator's. Raises ConfigError, SimulationError.
     """
     if not 0.0 < speed_kmh < np.inf:
         raise ConfigError(f"the speed must be positive, got {speed_kmh:g} km/h")
@@ -67,7 +67,7 @@ def simulate_record(
     step, enveloped_surface = min(step, one.step), one.enveloped(surface)
     drive = DriveSimulator(one.plant, one.car, enveloped_surface, speed_kmh / 3.6, mode, step)
     logger = DataLogger(instruments, one.car, step, np.random.default_rng(seed), one.faults)
-    byte, parts = encode_command(mode), []
+    byte, parts = encode_command(mode, car), []
     while not drive.is_finished:  # in chunks, which bounds the memory of a long drive
         commands = np.full(min(CHUNK, drive.steps_left), byte, dtype=np.uint8)
         parts.append(logger.sample(drive.advance(commands)))
@@ -79,14 +79,19 @@ def simulate_record(
     return Record(t, a, v, s, stiff, high, surface.length, dict(sensors)), true_profile(surface)
 
 
-def write_record(path: Path, record: Record, provenance: Mapping[str, object]) -> None:
+def write_record(
+    path: Path,
+    record: Record,
+    provenance: Mapping[str, object],
+    modes: Modes = MODES,
+) -> None:
     """Write a record atomically as Parquet, with `provenance` in the metadata, or as CSV.
 
-    A CSV file is a table as other data loggers write it (`road_envs.data.measured_record`); the
-    road before and behind the drive is not in it.
+    A CSV file is a table as other data loggers write it (`road_envs.data.measured_record`), with
+    the names of the car's `modes`; the road before and behind the drive is not in it.
     """
     if path.suffix.lower() == ".csv":
-        _write_csv(path, record, provenance)
+        _write_csv(path, record, provenance, modes)
         return
     with optional_import("a table as CSV or Parquet"):
         import pyarrow as pa
@@ -108,9 +113,9 @@ def _columns(channels: Iterable[str]) -> tuple[str, ...]:
     return ("t", *map(column, channels), "v", "s", "commands")
 
 
-def _write_csv(path: Path, record: Record, provenance: Mapping[str, object]) -> None:
-    names = {setting: name for name, setting in MODES.items()}
-    modes = [
+def _write_csv(path: Path, record: Record, provenance: Mapping[str, object], modes: Modes) -> None:
+    names = {setting: name for name, setting in modes.items()}
+    by_axle = [
         [
             names[pair]
             for pair in zip(record.spring_stiff[:, w], record.damper_high[:, w], strict=True)
@@ -121,7 +126,7 @@ def _write_csv(path: Path, record: Record, provenance: Mapping[str, object]) -> 
     header = ("t [s]", *accelerations, "v [m/s]", "s [m]", "mode_front", "mode_rear")
     lines = [f"# simulated: {json.dumps(dict(provenance))}", ",".join(header)]
     for t, a, v, s, front, rear in zip(
-        record.t, record.a.T, record.v, record.s, *modes, strict=True
+        record.t, record.a.T, record.v, record.s, *by_axle, strict=True
     ):
         cells = ["" if np.isnan(x) else f"{x:.4f}" for x in a]
         lines.append(",".join([f"{t:.6g}", *cells, f"{v:.4f}", f"{s:.4f}", front, rear]))

@@ -37,7 +37,14 @@ from road_envs.roads.trapezoids import LAYOUTS
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.simulation.drive import SimulationError
 from road_envs.vehicle.force_curves import Curve
-from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
+from road_envs.vehicle.parameters import (
+    Axle,
+    CoilSpring,
+    PassiveStrut,
+    Strut,
+    VehicleParameters,
+    load_vehicle,
+)
 from road_envs.vehicle.suspension import MODES
 
 SEED_STREAM = 0x7EAC4
@@ -99,7 +106,8 @@ class Corpus(Settings):
     def _simulate(self, rng: np.random.Generator, nominal: bool) -> tuple[Record, Profile]:
         length = 10.0 * rng.integers(self.shortest // 10, self.longest // 10 + 1)
         surface = draw_road(rng, length).realise(rng)
-        front, rear = draw_modes(rng)
+        front, rear = draw_modes(rng)  # drawn for every car, so that seeds keep their roads
+        mode = None if self.vehicle.is_passive else {"front": front, "rear": rear}
         deviation_scale = rng.uniform()
         noise = float(np.exp(rng.uniform(-1.0, 0.7)))
         if nominal:
@@ -113,7 +121,7 @@ class Corpus(Settings):
             surface,
             vehicle=perturb_parameters(self.vehicle, rng, deviation_scale),
             speed_kmh=float(np.exp(rng.uniform(*np.log([self.slowest_kmh, self.fastest_kmh])))),
-            mode={"front": front, "rear": rear},
+            mode=mode,
             instruments=instruments,
             seed=np.random.SeedSequence(rng.integers(2**32, size=4).tolist()),
         )
@@ -122,7 +130,7 @@ class Corpus(Settings):
 
 
 def drives_in_mode(
-    corpus: Corpus, mode: Mapping[str, str], speeds_kmh: tuple[float, float], number: int
+    corpus: Corpus, mode: str | Mapping[str, str], speeds_kmh: tuple[float, float], number: int
 ) -> list[tuple[Record, Profile]]:
     """Simulate `number` drives of the nominal vehicle in one `mode` over roads of 100 m.
 
@@ -226,25 +234,29 @@ def perturb_parameters(
         return float(np.clip(1.0 + deviation_scale * std * rng.standard_normal(), 0.6, 1.4))
 
     load, damping, friction = factor(0.06), factor(0.10), factor(0.15)
-    strut = dataclasses.replace(
-        car.strut,
-        p_stat=car.strut.p_stat * load,  # the gas pressure keeps the height of a heavier body
-        x_1=car.strut.x_1 * factor(0.07),
-        x_2=car.strut.x_2 * factor(0.07),
-        damper=_scale_curves(car.strut.damper, lambda: damping * factor(0.05)),
-        friction=_scale_curves(car.strut.friction, lambda: friction * factor(0.05)),
-    )
-    tyre = factor(0.08)
-    axles = [
-        dataclasses.replace(
-            axle,
-            m=axle.m * factor(0.07),
-            I_xx=axle.I_xx * factor(0.08),
-            k_t=axle.k_t * tyre * factor(0.03),
-            c_t=axle.c_t * factor(0.15),
+    if isinstance(car.strut, Strut):
+        strut: Any = dataclasses.replace(
+            car.strut,
+            p_stat=car.strut.p_stat * load,  # the gas pressure keeps the height of a heavier body
+            x_1=car.strut.x_1 * factor(0.07),
+            x_2=car.strut.x_2 * factor(0.07),
+            damper=_scale_curves(car.strut.damper, lambda: damping * factor(0.05)),
+            friction=_scale_curves(car.strut.friction, lambda: friction * factor(0.05)),
         )
-        for axle in car.axles
-    ]
+    else:
+        strut = dataclasses.replace(
+            car.strut,
+            front=_perturb_passive(car.strut.front, damping, friction, factor),
+            rear=_perturb_passive(car.strut.rear, damping, friction, factor),
+        )
+    tyre = factor(0.08)
+    axles: list[Any] = []
+    for axle in car.axles:
+        changes: dict[str, Any] = {"m": axle.m * factor(0.07)}
+        if isinstance(axle, Axle):
+            changes["I_xx"] = axle.I_xx * factor(0.08)
+        changes |= {"k_t": axle.k_t * tyre * factor(0.03), "c_t": axle.c_t * factor(0.15)}
+        axles.append(dataclasses.replace(axle, **changes))
     return dataclasses.replace(
         car,
         m_b=car.m_b * load,
@@ -253,6 +265,20 @@ def perturb_parameters(
         front=axles[0],
         rear=axles[1],
         strut=strut,
+    )
+
+
+def _perturb_passive(
+    strut: PassiveStrut, damping: float, friction: float, factor: Callable[[float], float]
+) -> PassiveStrut:
+    """Return a passive strut whose spring, damper and friction deviate at random."""
+    spring: Any = strut.spring
+    rate = "k" if isinstance(spring, CoilSpring) else "x"
+    return dataclasses.replace(
+        strut,
+        spring=dataclasses.replace(spring, **{rate: getattr(spring, rate) * factor(0.07)}),
+        damper=strut.damper.scaled(damping * factor(0.05)),
+        friction=strut.friction.scaled(friction * factor(0.05)),
     )
 
 

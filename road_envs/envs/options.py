@@ -41,6 +41,9 @@ ACTIONS: dict[str, tuple[Any, ...]] = {
 }
 """Strut states commanded by the actions 0, 1, ..., for each choice of `control`."""
 
+PASSIVE_ACTIONS = ("passive",)
+"""The only action of a car with passive struts, which changes nothing."""
+
 Speed = Annotated[float, Field(gt=0, le=200)]
 
 RESERVED_NAMES = {"speed", "front", "rear", "planar", "extension", "extension_rate"}
@@ -73,7 +76,7 @@ class EnvOptions(Settings):
     speed_kmh: Annotated[
         Speed | Annotated[tuple[Speed, Speed], SmallestFirst], "km/h", "speed, or its range"
     ] = 14.5
-    mode: str | dict[str, str] = "ride"
+    mode: str | dict[str, str] | None = None
     control: Literal["vehicle", "axle", "states"] = "vehicle"
     control_rate: Annotated[Positive, "Hz", "rate of the actions"] = 20.0
     length: float | None = None
@@ -125,6 +128,12 @@ class EnvSetup:
             options["weights"] = asdict(options["weights"])
         self.options = o = build(EnvOptions, options, "RoadRecon-v0")
         self.car = load_vehicle(o.vehicle)
+        encode_command(o.mode, self.car)
+        if self.car.is_passive and o.control != "vehicle":
+            raise ConfigError(
+                f"control = {o.control!r} switches 4S4 struts, but the car {self.car.name} has "
+                "passive ones: leave out control; the only action is 0, which changes nothing"
+            )
         self.manoeuvre = None if o.manoeuvre is None else load_manoeuvre(o.manoeuvre)
         self.plant = build_plant(self.car, manoeuvres=self.manoeuvre is not None)
         self.instruments = load_instruments(o.sensors)
@@ -137,7 +146,7 @@ class EnvSetup:
         self.road = road if o.length is None else with_length(road, o.length)
         self.interval = 1.0 / o.control_rate
         self.command_bytes = np.array(
-            [encode_command(action) for action in ACTIONS[o.control]], dtype=np.uint8
+            [encode_command(action, self.car) for action in self.actions], dtype=np.uint8
         )
         samples = self.instruments.fs * self.interval
         self.samples_per_interval = round(samples)
@@ -148,6 +157,11 @@ class EnvSetup:
             )
         self.observation_space = gymnasium.spaces.Box(*self._limits(), dtype=np.float32)
         self.action_space = gymnasium.spaces.Discrete(len(self.command_bytes))
+
+    @property
+    def actions(self) -> tuple[Any, ...]:
+        """Strut states that the actions 0, 1, ... command."""
+        return PASSIVE_ACTIONS if self.car.is_passive else ACTIONS[self.options.control]
 
     def _limits(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the lower and the upper limit of the observations."""
@@ -191,8 +205,8 @@ class EnvSetup:
         speeds = np.atleast_1d(np.asarray(self.options.speed_kmh, dtype=float)) / 3.6
         if speeds[0] < speeds[-1]:
             speeds = np.linspace(speeds[0], speeds[-1], 5)  # the table interpolates in between
-        used = {f[axle] for f in map(_axle_modes, ACTIONS[self.options.control]) for axle in f}
-        modes = tuple(mode for mode in MODES if mode in used)
+        used = {f[axle] for f in map(_axle_modes, self.actions) for axle in f}
+        modes = tuple(mode for mode in self.car.modes if mode in used)
         # half a second each: shared by all environments of one vehicle, its instruments and speeds
         key = repr(self.car), repr(self.instruments), tuple(speeds), modes
         if key not in _bound_tables:
@@ -206,7 +220,7 @@ class EnvSetup:
         It is indexed by the command byte, and 1 for bytes that no action commands.
         """
         share = np.ones(256)
-        for action in ACTIONS[self.options.control]:
+        for action in self.actions:
             pair = _axle_modes(action)
             error = self.bound_table.interpolate(pair["front"], pair["rear"], v)
             share[encode_command(action)] = error**2
@@ -253,7 +267,7 @@ class EnvSetup:
         step = self.options.step
         drive = DriveSimulator(self.plant, self.car, surface, speed_kmh / 3.6, o.mode, step)
         fleet.start(i, drive, DataLogger(self.instruments, self.car, step, sensor_rng), speed_kmh)
-        return EpisodeStart(speed_kmh, encode_command(o.mode), surface, drive)
+        return EpisodeStart(speed_kmh, encode_command(o.mode, self.car), surface, drive)
 
     def failure_reason(self, output: StepOutput, i: int, road: str) -> str:
         """Return why the episode of environment `i` on `road` has failed; empty if it has not."""

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from road_envs.config import ConfigError
-from road_envs.envs.options import ACTIONS, EnvSetup
+from road_envs.envs.options import EnvSetup
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -41,14 +41,17 @@ class PolicyContext:
     def from_setup(cls, setup: EnvSetup, n_vehicles: int, seed: int) -> "PolicyContext":
         """Return the context of `n_vehicles` environments with this `setup`."""
         actions = tuple(
-            (a, a) if isinstance(a, str) else (a["front"], a["rear"])
-            for a in ACTIONS[setup.options.control]
+            (a, a) if isinstance(a, str) else (a["front"], a["rear"]) for a in setup.actions
         )
         slices, car, instruments = setup.observation_slices, setup.car, setup.instruments
         return cls(n_vehicles, actions, slices, setup.interval, car, instruments, seed)
 
     def action_index(self, front: str, rear: str) -> int:
         """Return the action that commands these states. Raises ConfigError if there is none."""
+        if self.car.is_passive:
+            raise ConfigError(
+                f"the car {self.car.name} has passive struts: no policy can switch them"
+            )
         if (front, rear) not in self.actions:
             raise ConfigError(
                 f"no action commands {front} in front and {rear} at the rear; choose another "

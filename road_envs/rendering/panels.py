@@ -7,6 +7,7 @@ import numpy as np
 from road_envs.rendering import style
 from road_envs.rendering.canvas import Canvas
 from road_envs.rendering.scene import Scene, free_travel
+from road_envs.vehicle.parameters import MODES, Modes
 from road_envs.vehicle.suspension import WHEELS, decode_commands
 
 ROAD_BEHIND, ROAD_AHEAD = 10.0, 20.0
@@ -35,15 +36,18 @@ def heading(canvas: Canvas, scene: Scene) -> None:
     shown = name if len(name) <= MAX_NAME_LENGTH else name[: MAX_NAME_LENGTH - 1] + "…"
     canvas.text(12, y, f"road: {shown}", style.INK, 16, "lm", bold=True)
     canvas.text(330, y, f"{3.6 * scene.speed:.1f} km/h", style.INK, 15, "lm", bold=True)
-    canvas.text(450, y, f"command: {describe_command(scene.command)}", style.INK, 13, "lm")
+    canvas.text(
+        450, y, f"command: {describe_command(scene.command, scene.car.modes)}", style.INK, 13, "lm"
+    )
     canvas.text(860, y, f"station {scene.station:.1f} m", style.INK, 13, "rm")
     canvas.text(948, y, f"{scene.t:.2f} s", style.INK, 13, "rm")
 
 
-def describe_command(byte: int) -> str:
-    """Return a command byte in words."""
+def describe_command(byte: int, modes: Modes = MODES) -> str:
+    """Return a command byte in words, by the `modes` of the car."""
     stiff, high = (flags[0] for flags in decode_commands(np.array([byte])))
-    words = [style.describe_state(bool(s), bool(d)) for s, d in zip(stiff, high, strict=True)]
+    flags = zip(stiff, high, strict=True)
+    words = [style.describe_state(bool(s), bool(d), modes) for s, d in flags]
     if len(set(words)) == 1:
         return words[0]
     if words[0] == words[1] and words[2] == words[3]:
@@ -151,7 +155,7 @@ def _corner(canvas: Canvas, scene: Scene, wheel: int, x: float, y: float, width:
     canvas.text(x, y + 18, WHEELS[wheel], style.INK, 13, bold=True)
     canvas.box(x + 26, y + 8, x + 33, y + 18, style.state_colour(high))
     canvas.box(x + 33, y + 8, x + 40, y + 18, style.state_colour(stiff))
-    canvas.text(x + 46, y + 18, style.describe_state(stiff, high), style.INK, 12)
+    canvas.text(x + 46, y + 18, style.describe_state(stiff, high, scene.car.modes), style.INK, 12)
     _extension(canvas, scene, wheel, x, y + 28, width)
     _load(canvas, scene, wheel, x, y + 62, width)
 

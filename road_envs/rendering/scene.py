@@ -14,7 +14,6 @@ from road_envs.data.record import SENSORS
 from road_envs.roads.surface import Surface
 from road_envs.simulation.drive import DriveSimulator, Trajectory
 from road_envs.vehicle.equations import AXLE, PHI, THETA, Z_B
-from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import DAMPING_HIGH, VALVE_OPEN
 
@@ -140,7 +139,6 @@ class Scene:
 
 def free_travel(car: VehicleParameters, wheel: int) -> tuple[float, float]:
     """Return the limits [m] of the strut extension at which neither stop gives a force."""
-    stops = car.strut.bump_stop
-    curve: Curve = stops.front if wheel < REAR_LEFT else stops.rear
+    curve = car.bump_stops[wheel // 2]
     free = [x for x, F in zip(curve.x, curve.F, strict=True) if F == 0.0]
     return (min(free), max(free)) if free else (0.0, 0.0)

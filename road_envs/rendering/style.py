@@ -5,7 +5,7 @@ Colours with a meaning are of Okabe & Ito's palette, which is safe for colour-bl
 
 import numpy as np
 
-from road_envs.vehicle.suspension import MODES
+from road_envs.vehicle.parameters import MODES, Modes
 
 PAPER = "#ffffff"
 RULE = "#c9d1d8"
@@ -54,6 +54,7 @@ STATE_NAMES = {
     "handling": "handling",
     "soft_high": "soft/high",
     "stiff_low": "stiff/low",
+    "passive": "passive",
 }
 """Names of the states of a strut: spring/damping where they are not those of a named state."""
 
@@ -78,9 +79,9 @@ def describe_tilt(angle: float, positive: str, negative: str) -> str:
     return size if size == "0.00°" else f"{size} {positive if angle > 0 else negative}"
 
 
-def describe_state(stiff: bool, high: bool) -> str:
-    """Return the name of the state of a strut."""
-    return STATE_NAMES[next(mode for mode, state in MODES.items() if state == (stiff, high))]
+def describe_state(stiff: bool, high: bool, modes: Modes = MODES) -> str:
+    """Return the name of the state of a strut, by the `modes` of the car."""
+    return STATE_NAMES[next(mode for mode, state in modes.items() if state == (stiff, high))]
 
 
 def state_colour(firm: bool) -> str:

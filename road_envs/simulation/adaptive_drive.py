@@ -221,14 +221,14 @@ def simulate_adaptive(
     car: VehicleParameters,
     surface: Surface,
     speed: float,
-    mode: str | Mapping[str, str] = "ride",
+    mode: str | Mapping[str, str] | None = None,
     *,
     rtol: float = 1e-3,
     atol: float = 1e-6,
     step: float = DEFAULT_STEP,
     max_step: float = MAX_STEP,
 ) -> AdaptiveResult:
-    """Simulate `car` over the whole `surface` at `speed` [m/s] in one 4S4 mode, with error control.
+    """Simulate `car` over the whole `surface` at `speed` [m/s] in one mode, with error control.
 
     `step` [s] is the sample time of the trajectory. The integrator chooses its own steps, none
     longer than `max_step` [s], since a long step can miss a bump. Raises ConfigError on bad input,

@@ -110,10 +110,10 @@ class DriveInputs(NamedTuple):
 class DriveSimulator:
     """Simulator of one drive over a surface; its state is plain NumPy, so copies and pickles work.
 
-    `speed` is a number [m/s] or a SpeedProfile; `step` [s] is the integrator's. A `manoeuvre` and
-    the acceleration of a speed profile act on the body if `plant` was built for manoeuvres. Raises
-    ConfigError on a speed or step out of range, and on a surface that is shorter than the wheelbase
-    or has a step that no wheel can climb.
+    `mode` is one of the car's, by default its first. `speed` is a number [m/s] or a SpeedProfile;
+    `step` [s] is the integrator's. A `manoeuvre` and the acceleration of a speed profile act on the
+    body if `plant` was built for manoeuvres. Raises ConfigError on a mode, speed or step out of
+    range, on a surface shorter than the wheelbase, and on one with a step that no wheel can climb.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class DriveSimulator:
         car: VehicleParameters,
         surface: Surface,
         speed: float | SpeedProfile,
-        mode: str | Mapping[str, str] = "ride",
+        mode: str | Mapping[str, str] | None = None,
         step: float = DEFAULT_STEP,
         manoeuvre: Manoeuvre | None = None,
     ):
@@ -142,7 +142,7 @@ class DriveSimulator:
         surface.check_climbable()
         self.plant, self.car, self.surface = plant, car, surface
         self.speed_profile, self.manoeuvre, self.step = speed, manoeuvre, float(step)
-        byte = encode_command(mode)
+        byte = encode_command(mode, car)
         self.steps = 0
         self.start = -APRON_LENGTH
         self.end = surface.end + car.wheelbase + APRON_LENGTH
@@ -239,11 +239,13 @@ def simulate(
     car: VehicleParameters,
     surface: Surface,
     speed: float | SpeedProfile,
-    mode: str | Mapping[str, str] = "ride",
+    mode: str | Mapping[str, str] | None = None,
     step: float = DEFAULT_STEP,
     manoeuvre: Manoeuvre | None = None,
 ) -> Trajectory:
-    """Simulate `car` over the whole `surface` in one 4S4 mode, at a `speed` [m/s] or profile.
+    """Simulate `car` over the whole `surface` in one mode, at a `speed` [m/s] or profile.
+
+    Without a `mode` it is the first of the car: ride, or passive.
 
     Without a `manoeuvre` no horizontal acceleration acts on the body, not even that of the speed
     profile, as in the paper. Raises ConfigError on bad input, SimulationError if the motion
@@ -251,4 +253,4 @@ def simulate(
     """
     plant = build_plant(car, manoeuvres=manoeuvre is not None)
     drive = DriveSimulator(plant, car, surface, speed, mode, step, manoeuvre)
-    return drive.advance(np.full(drive.steps_left, encode_command(mode), dtype=np.uint8))
+    return drive.advance(np.full(drive.steps_left, encode_command(mode, car), dtype=np.uint8))

@@ -1,4 +1,6 @@
-"""Equations of motion of a 7-DOF ride model with solid axles and a 4S4 suspension.
+"""Equations of motion of a 7-DOF ride model with solid axles and a 4S4 or passive suspension.
+
+Independent wheels have the equations of an equivalent axle (`parameters.IndependentWheels`).
 
 Axle a is at x = x_a, its struts at y = ±y_s and its tyres at y = ±y_t, with + for the left side. F
 is the force of a strut on the body and T >= 0 the load of a tyre, both positive upwards:
@@ -20,11 +22,11 @@ They are left out on a straight drive at constant speed, as in the paper.
 State (14,): z_b [m], phi, theta [rad], z_af [m], phi_af [rad], z_ar, phi_ar, then their rates. At
 the origin every strut has its static length and every tyre its static deflection. Small angles.
 
-A `parameters.VehicleVariation` can add two elements. Bushings with a roll stiffness k_r exert the
-moment k_r (phi - phi_a) between body and axle. A body with a flexible frame consists of two halves
-with half the roll inertia each, which roll by phi ± psi / 2 (front and rear): phi is their mean and
-the twist psi [rad] is an eighth coordinate, after the other seven; its rate is the last rate. With
-M the roll moment of struts and bushings on each half,
+An anti-roll bar, and bushings of a `parameters.VehicleVariation`, with a roll stiffness k_r exert
+the moment k_r (phi - phi_a) between body and axle. A variation can also make the frame flexible:
+the body then consists of two halves with half the roll inertia each, which roll by phi ± psi / 2
+(front and rear): phi is their mean and the twist psi [rad] is an eighth coordinate, after the other
+seven; its rate is the last rate. With M the roll moment of struts, bars and bushings on each half,
 
     I_xx / 4 psi'' = (M_front - M_rear) / 2 - k_f psi - c_f psi'
 
@@ -47,6 +49,7 @@ from road_envs.vehicle.parameters import GRAVITY, VehicleParameters, VehicleVari
 from road_envs.vehicle.suspension import (
     VehicleBuffers,
     displacement_tables,
+    gas_constants,
     strut_force,
     tyre_force,
     velocity_tables,
@@ -121,29 +124,25 @@ def build_plant(
     With `manoeuvres` the body rolls in turns and pitches when braking. Raises ValueError if the
     progression of the tyres would make their stiffness negative at first contact.
     """
-    axles, strut = car.axles, car.strut
+    axles = car.axles
     variation = car.variation if variation is None else variation
     sides = (1.0, -1.0)
     velocity, velocity_indices = velocity_tables(car, variation)
     displacement, displacement_indices = displacement_tables(car, variation)
     values = {
         "M": [car.m_b, car.I_xx, car.I_yy, *(v for a in axles for v in (a.m, a.I_xx))],
-        "p_A": [factor * strut.p_stat * strut.A for factor in variation.gas],
-        "n_p": strut.n_p,
-        "x_1": strut.x_1,
-        "r_2": strut.x_2 / (strut.x_1 + strut.x_2),
         "roll_moment": car.m_b * (car.h_cg - car.roll_centre) if manoeuvres else 0.0,
         "pitch_moment": car.m_b * (car.h_cg - car.pitch_centre) if manoeuvres else 0.0,
-        "column_min": strut.column_min,
         "equalisation": car.valve.equalisation,
         "x": [a.x for a in axles],
         "delta": car.tyre_deflections,
-        "k_roll": variation.roll_stiffness,
+        "k_roll": [a.k_roll + k for a, k in zip(axles, variation.roll_stiffness, strict=True)],
         "y_s": [side * a.y_s for a in axles for side in sides],
         "y_t": [side * a.y_t for a in axles for side in sides],
         "c_t": [a.c_t for a in axles for _ in sides],
         "velocity_table": velocity_indices,
         "displacement_table": displacement_indices,
+        **gas_constants(car, variation),
         **_tyre_constants(car, variation),
         **_frame_constants(car, variation),
     }

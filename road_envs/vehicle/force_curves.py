@@ -7,7 +7,7 @@ values and slopes: the table is exact where the breakpoints are grid points, and
 Beyond its last breakpoint a curve is extrapolated linearly.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -83,7 +83,11 @@ def _end_slope(h: float, next_h: float, chord: float, next_chord: float) -> floa
     return slope
 
 
-def tabulate(curves: Sequence[Curve], x_0: float, dx: float, cells: int) -> np.ndarray:
+Law = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""A force over velocity or displacement with its derivative, such as a Curve."""
+
+
+def tabulate(curves: Sequence[Law], x_0: float, dx: float, cells: int) -> np.ndarray:
     """Tabulate the sum of `curves`: cubic coefficients (cells, 4) in powers of the cell fraction.
 
     The grid starts at `x_0` and has the spacing `dx`.

@@ -127,9 +127,7 @@ def linearise(
     on a wrong shape and ArithmeticError if there is no static equilibrium.
     """
     plant = car if isinstance(car, Plant) else build_plant(car)
-    strut_state = (
-        mode if isinstance(mode, np.ndarray) else settled_strut_state(encode_command(mode))
-    )
+    strut_state = mode if isinstance(mode, np.ndarray) else _settled(car, mode)
     z, w = (np.zeros(4) if v is None else np.array(v, dtype=float) for v in (z_r, w_r))
     y = equilibrium(plant, strut_state, z) if state is None else np.array(state, dtype=float)
     n = plant.inertias.size
@@ -221,8 +219,14 @@ def strut_forces(
     """
     plant = car if isinstance(car, Plant) else build_plant(car)
     forces = np.empty(e.shape)
-    _strut_forces(plant.buffers(settled_strut_state(encode_command(mode))), e, e_dot, forces)
+    _strut_forces(plant.buffers(_settled(car, mode)), e, e_dot, forces)
     return forces
+
+
+def _settled(car: Plant | VehicleParameters, mode: str | Mapping[str, str]) -> np.ndarray:
+    """Return the strut state (4, 3) of a mode, which must be one of the car's if that is known."""
+    known = car if isinstance(car, VehicleParameters) else None
+    return settled_strut_state(encode_command(mode, known))
 
 
 @kernel

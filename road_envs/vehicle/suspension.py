@@ -20,6 +20,10 @@ u the open fraction of the valve, T the time constant of equalisation and r = x_
 
 The force is therefore continuous through every switch, and a switch under deflection shifts the
 ride height.
+
+A passive strut has the same form, so that the same kernels run it: its gas column is endless, which
+makes the gas force the constant static load; what the spring has more or less at an extension is in
+the table of displacement, its damper and friction in both tables of velocity.
 """
 
 from collections.abc import Mapping
@@ -29,18 +33,30 @@ import numpy as np
 
 from road_envs._numba import kernel
 from road_envs.config import ConfigError, validate_choice
+from road_envs.data.record import Record
 from road_envs.simulation.simd import equals_one, get, if_positive, is_zero_or_one, maximum, power
-from road_envs.vehicle.force_curves import interpolate_table, second_derivative, tabulate
-from road_envs.vehicle.parameters import NOMINAL, VehicleParameters, VehicleVariation
+from road_envs.vehicle.force_curves import (
+    Curve,
+    Law,
+    interpolate_table,
+    second_derivative,
+    tabulate,
+)
+from road_envs.vehicle.parameters import (
+    MODES,
+    NOMINAL,
+    PASSIVE_MODES,
+    UNIT_FACTORS,
+    PassiveStrut,
+    Strut,
+    VehicleParameters,
+    VehicleVariation,
+)
 
 WHEELS = ("FL", "FR", "RL", "RR")
-MODES = {
-    "ride": (False, False),
-    "handling": (True, True),
-    "soft_high": (False, True),
-    "stiff_low": (True, False),
-}
-"""The four settings of a strut: (stiff spring, high damping)."""
+
+ENDLESS = 1e12
+"""Gas column [m] that no extension changes: a spring's constant static load."""
 
 V_0, V_STEP, V_CELLS = -3.0, 0.01, 600
 E_0, E_STEP, E_CELLS = -0.2, 0.0025, 160
@@ -66,12 +82,19 @@ class VehicleBuffers(NamedTuple):
     strut_state: np.ndarray
 
 
-def encode_command(mode: str | Mapping[str, str]) -> int:
-    """Return a 4S4 command as one byte: bit w: stiff spring, bit 4 + w: high damping at wheel w.
+def encode_command(
+    mode: str | Mapping[str, str] | None, car: VehicleParameters | None = None
+) -> int:
+    """Return a mode of the struts as one byte: bit w: stiff spring, bit 4 + w: high damping, at
+    wheel w.
 
-    `mode` is a name from MODES for the whole vehicle, or a mapping from "front" and "rear", or
-    from all of FL, FR, RL, RR, to such names. Raises ConfigError.
+    `mode` is the name of a mode for the whole vehicle, or a mapping from "front" and "rear", or
+    from all of FL, FR, RL, RR, to such names. With a `car` it must be one of its own, and None is
+    its first. Raises ConfigError.
     """
+    modes = MODES | PASSIVE_MODES if car is None else car.modes
+    if mode is None:
+        mode = next(iter(modes))
     if isinstance(mode, Mapping):
         if set(mode) == {"front", "rear"}:
             wheels = [mode["front"], mode["front"], mode["rear"], mode["rear"]]
@@ -84,7 +107,9 @@ def encode_command(mode: str | Mapping[str, str]) -> int:
             )
     else:
         wheels = [mode] * 4
-    states = [MODES[validate_choice("suspension mode", m, MODES)] for m in wheels]
+    if car is not None and car.is_passive and (other := [m for m in wheels if m not in modes]):
+        raise ConfigError(f"the car {car.name} has passive struts: mode passive, not {other[0]!r}")
+    states = [modes[validate_choice("suspension mode", m, modes)] for m in wheels]
     return sum((stiff << w) | (high << (4 + w)) for w, (stiff, high) in enumerate(states))
 
 
@@ -92,6 +117,15 @@ def decode_commands(commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the stiff-spring and high-damping flags (N, 4) of command bytes (N,)."""
     bits = (np.asarray(commands, dtype=np.uint8)[:, None] >> np.arange(8)) & 1
     return bits[:, :4].astype(bool), bits[:, 4:].astype(bool)
+
+
+def check_modes(record: Record, car: VehicleParameters) -> None:
+    """Raise ConfigError if the struts of a record were switched but those of the car cannot be."""
+    if car.is_passive and (record.spring_stiff.any() or record.damper_high.any()):
+        raise ConfigError(
+            f"the struts of the drive were stiff or highly damped, but the car {car.name} has "
+            "passive struts: it is the drive of another car"
+        )
 
 
 def settled_strut_state(byte: int) -> np.ndarray:
@@ -103,6 +137,21 @@ def settled_strut_state(byte: int) -> np.ndarray:
     return strut_state
 
 
+def gas_constants(car: VehicleParameters, variation: VehicleVariation) -> dict[str, object]:
+    """Return the constants of the gas springs, by the names that `gas_spring` reads."""
+    strut = car.strut
+    if isinstance(strut, Strut):
+        return {
+            "p_A": [factor * strut.p_stat * strut.A for factor in variation.gas],
+            "n_p": strut.n_p,
+            "x_1": strut.x_1,
+            "r_2": strut.x_2 / (strut.x_1 + strut.x_2),
+            "column_min": strut.column_min,
+        }
+    loads = [factor * car.strut_loads[w // 2] for w, factor in enumerate(variation.gas)]
+    return {"p_A": loads, "n_p": 1.0, "x_1": ENDLESS, "r_2": 0.0, "column_min": 0.5 * ENDLESS}
+
+
 def velocity_tables(
     car: VehicleParameters, variation: VehicleVariation = NOMINAL
 ) -> tuple[np.ndarray, list[int]]:
@@ -110,29 +159,64 @@ def velocity_tables(
 
     The handling table follows the ride table. Equal struts share their tables.
     """
-    damper, friction = car.strut.damper, car.strut.friction
-    factors = list(zip(variation.damper, variation.friction, strict=True))
-    distinct = list(dict.fromkeys(factors))
-    tables = [
-        tabulate((law.scaled(d), stribeck.scaled(f)), V_0, V_STEP, V_CELLS)
-        for d, f in distinct
-        for law, stribeck in ((damper.ride, friction.ride), (damper.handling, friction.handling))
-    ]
-    return np.stack(tables), [2 * distinct.index(pair) for pair in factors]
+
+    def tabulated(key: tuple[int, float, float]) -> list[np.ndarray]:
+        axle, d, f = key
+        return [
+            tabulate((law.scaled(d), stribeck.scaled(f)), V_0, V_STEP, V_CELLS)
+            for law, stribeck in _velocity_curves(car, axle)
+        ]
+
+    factors = zip(variation.damper, variation.friction, strict=True)
+    keys = [(w // 2 if car.is_passive else 0, *pair) for w, pair in enumerate(factors)]
+    distinct = list(dict.fromkeys(keys))
+    tables = [table for key in distinct for table in tabulated(key)]
+    return np.stack(tables), [2 * distinct.index(key) for key in keys]
+
+
+def _velocity_curves(car: VehicleParameters, axle: int) -> list[tuple[Curve, Curve]]:
+    """Return damper and friction of an axle's struts, with low and with high damping."""
+    if isinstance(car.strut, Strut):
+        damper, friction = car.strut.damper, car.strut.friction
+        return [(damper.ride, friction.ride), (damper.handling, friction.handling)]
+    strut = (car.strut.front, car.strut.rear)[axle]
+    return 2 * [(strut.at_wheel(strut.damper), strut.at_wheel(strut.friction))]
 
 
 def displacement_tables(
     car: VehicleParameters, variation: VehicleVariation = NOMINAL
 ) -> tuple[np.ndarray, list[int]]:
-    """Tabulate bushing plus bump stop: tables (K, E_CELLS, 4), index of each strut's table."""
-    stops = (car.strut.bump_stop.front, car.strut.bump_stop.rear)
-    keys = [(w // 2, factor) for w, factor in enumerate(variation.bushing)]
+    """Tabulate bushing plus bump stop: tables (K, E_CELLS, 4), index of each strut's table.
+
+    In the table of a passive strut is also the force that its spring lacks to its static load.
+    """
+
+    def tabulated(key: tuple[int, float, float]) -> np.ndarray:
+        axle, gas, factor = key
+        laws: list[Law] = [car.bump_stops[axle]]
+        if isinstance(car.strut, Strut):
+            laws.insert(0, car.strut.bushing.scaled(factor))
+        else:
+            strut = (car.strut.front, car.strut.rear)[axle]
+            laws.append(_spring_deficit(strut, car.strut_loads[axle], gas))
+            if strut.bushing is not None:
+                laws.append(strut.at_wheel(strut.bushing).scaled(factor))
+        return tabulate(laws, E_0, E_STEP, E_CELLS)
+
+    factors = zip(variation.gas if car.is_passive else UNIT_FACTORS, variation.bushing, strict=True)
+    keys = [(w // 2, *pair) for w, pair in enumerate(factors)]
     distinct = list(dict.fromkeys(keys))
-    tables = [
-        tabulate((car.strut.bushing.scaled(factor), stops[axle]), E_0, E_STEP, E_CELLS)
-        for axle, factor in distinct
-    ]
-    return np.stack(tables), [distinct.index(key) for key in keys]
+    return np.stack([tabulated(key) for key in distinct]), [distinct.index(key) for key in keys]
+
+
+def _spring_deficit(strut: PassiveStrut, load: float, factor: float) -> Law:
+    """Return the static load of a spring less its force, both times `factor`, over extension."""
+
+    def deficit(e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        F, slope = strut.spring_force(e, load)
+        return factor * (load - F), -factor * slope
+
+    return deficit
 
 
 @kernel
