@@ -2,7 +2,7 @@
 
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -19,7 +19,9 @@ from road_envs.data.logger_tables.description import (
     write_description,
 )
 from road_envs.data.measured_record import MeasuredRecord, read_measured_record
+from road_envs.data.record import Record
 from road_envs.data.recording import is_record, read_record
+from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.suspension import check_modes
 
@@ -127,13 +129,29 @@ def read_drive(path: Path, options: DriveOptions) -> DriveFile:
         if needless or description or save_description:
             left = ", ".join(f"--{x}" for x in needless) or "the description"
             raise ConfigError(f"{path} contains all that belongs to the drive: leave out {left}")
-        record = read_record(path)[0]
+        record = with_layout(read_record(path)[0], options.sensors, path)
         check_modes(record, car)
         return DriveFile(MeasuredRecord(record), name, car, instruments, False)
     measured = read_measured_record(path, car.wheelbase, description=told, car=car)
     if save_description:
         write_description(save_description, told)
     return DriveFile(measured, name, car, instruments, True)
+
+
+def with_layout(record: Record, sensors: str | None, path: Path) -> Record:
+    """Return a record with the accelerometers of the instruments `sensors`, if they are given.
+
+    Raises ConfigError if they have other names.
+    """
+    if sensors is None:
+        return record
+    layout = load_instruments(sensors).accelerometers
+    if tuple(layout) != record.channels:
+        raise ConfigError(
+            f"{path} has the accelerometers {', '.join(record.channels)}, and the instruments "
+            f"{sensors} have {', '.join(layout)}: give those of the drive, or leave out --sensors"
+        )
+    return replace(record, sensors=layout)
 
 
 def make_drive_estimator(name: str, drive: DriveFile, settings: dict[str, Any]) -> Estimator:

@@ -24,7 +24,7 @@ from leaderboard.drive_report.passes import Pass, align_passes, compare, join
 from road_envs.config import ConfigError
 from road_envs.data.measured_record import MeasuredRecord
 from road_envs.data.record import Estimate
-from road_envs.sensing.instruments import load_instruments
+from road_envs.sensing.instruments import instruments_of, load_instruments
 
 Drives = Annotated[
     list[Path],
@@ -80,7 +80,7 @@ def report(
         joined = join(one, passes, cars)
 
     def analysed(each: Pass) -> DriveResult:
-        limits = {"clipping": instruments.range, "speed_error": instruments.speed_error}
+        ranges = instruments_of(each.measured.record, drive.sensors).ranges
         return analyse(
             each.name,
             each.measured,
@@ -88,7 +88,8 @@ def report(
             categories,
             segment=segment,
             modes=drive.car.modes,
-            **limits,
+            clipping=ranges[:, None],
+            speed_error=instruments.speed_error,
         )
 
     results = [analysed(each) for each in passes]

@@ -76,15 +76,15 @@ def analyse(
     conditions: Conditions,
     *,
     segment: float = 100.0,
-    clipping: float = np.inf,
+    clipping: float | np.ndarray = np.inf,
     speed_error: float = 0.0,
     modes: Modes = MODES,
 ) -> DriveResult:
     """Return the results of a drive by segments of `segment` [m], at whole multiples of it.
 
-    `clipping` [m/s²] is the magnitude from which on a sample is clipped, `speed_error` the relative
-    standard deviation of the speed, by which distances from the first sample are uncertain.
-    `modes` name the states of the struts.
+    `clipping` [m/s²], one or (k, 1), is the magnitude from which on a sample is clipped,
+    `speed_error` the relative standard deviation of the speed, by which distances from the first
+    sample are uncertain. `modes` name the states of the struts.
     """
     record, v = measured.record, float(np.median(measured.record.v))
     edges = _edges(estimate, measured.chainage, segment, record.s[0])
@@ -125,7 +125,7 @@ def _segment(
     k: int,
     iri: IriPosterior,
     conditions: Conditions,
-    clipping: float,
+    clipping: float | np.ndarray,
     modes: Modes,
 ) -> dict[str, Any]:
     begin, end = float(edges[k]), float(edges[k + 1])
@@ -170,7 +170,11 @@ def _state(record: Any, inside: np.ndarray, modes: Modes) -> str:
 
 
 def _flags(
-    result: DriveResult, inside: np.ndarray, speed: float, begin: float, clipping: float
+    result: DriveResult,
+    inside: np.ndarray,
+    speed: float,
+    begin: float,
+    clipping: float | np.ndarray,
 ) -> list[str]:
     """Return what limits the results of a segment, in words."""
     record, flags = result.measured.record, []

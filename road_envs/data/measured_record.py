@@ -5,15 +5,15 @@ The table is text, Parquet or MDF4, with a header of column names and one row fo
 | quantity | column |
 |---|---|
 | `t` | time [s], time since 1970, or calendar time in ISO 8601 |
-| `a_rf`, `a_lr`, `a_rr` | vertical accelerations of the body, upwards, at right front, left and right rear [m/s²] |
+| `a_rf`, `a_lr`, `a_rr` | vertical accelerations of the body, upwards, at right front, left and right rear [m/s²]; others as the description tells |
 | `v` | speed [m/s] |
 | `s` | odometer [m]; without it the speed is integrated |
 | `lat`, `lon` | position [°]; without `v` and `s`, the distance is that of the positions |
 | `mode`, or `mode_front` and `mode_rear` | state of the struts (`ride`, `handling`, ...) |
 
 Other columns are ignored. A header may contain its unit: `a_rf [g]`, `speed (km/h)`, `v_kmh`. Other
-names and units, axes that point down, and one speed or mode for the whole drive are given by a
-`DriveDescription`. An empty cell is a lost sample of an acceleration; speed, odometer and position
+names and units, accelerometers at other places, axes that point down, and one speed or mode for the
+whole drive are given by a `DriveDescription`. An empty cell is a lost sample of an acceleration; speed, odometer and position
 are interpolated between the rows that hold them. A clock that jitters is resampled.
 """  # noqa: E501
 
@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from road_envs.config import ConfigError
+from road_envs.data.accelerometers import column
 from road_envs.data.logger_tables.channels import Channels, Findings
 from road_envs.data.logger_tables.clock import (
     MAX_LOST_SHARE,
@@ -31,10 +32,11 @@ from road_envs.data.logger_tables.clock import (
     read_clock,
     resample,
 )
-from road_envs.data.logger_tables.description import ACCELERATIONS, DriveDescription
+from road_envs.data.logger_tables.description import DriveDescription
 from road_envs.data.logger_tables.motion import read_motion
 from road_envs.data.logger_tables.table import Table, read_table
 from road_envs.data.record import Record
+from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import decode_commands, encode_command
 
@@ -83,9 +85,13 @@ def _to_record(
     table: Table, wheelbase: float, description: DriveDescription, car: VehicleParameters | None
 ) -> MeasuredRecord:
     findings = Findings()
-    channels = Channels(table, description, findings)
+    layout = description.accelerometers
+    if layout is None:
+        layout = load_instruments(description.sensors or "paper").accelerometers
+    channels = Channels(table, description, findings, layout)
     clock = read_clock(channels, findings)
-    given = [x for name in ACCELERATIONS if (x := channels.acceleration(name)) is not None]
+    found = [channels.acceleration(column(name)) for name in layout]
+    given = [x for x in found if x is not None]
     commands = _commands(channels, findings, car)
     if clock is None or not given:
         findings.raise_problems()
@@ -111,7 +117,7 @@ def _to_record(
     stiff, high = decode_commands(commands[np.clip(before, 0, commands.size - 1)])
     chainage = (s[0] if description.offset is None else description.offset) - wheelbase
     s = s - s[0] + wheelbase
-    record = Record(even, a, v, s, stiff, high, float(s[-1]))
+    record = Record(even, a, v, s, stiff, high, float(s[-1]), layout)
     return MeasuredRecord(record, tuple(findings.notes), float(chainage), position, 1.0 / dt)
 
 

@@ -4,6 +4,7 @@ from dataclasses import asdict, replace
 
 import gymnasium as gym
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 from scipy import signal
@@ -11,6 +12,12 @@ from vehicle_fixtures import DEFENDER, smooth_road
 
 from road_envs.config import ConfigError
 from road_envs.data.accelerometers import Accelerometer, from_plain, to_plain
+from road_envs.data.logger_tables.description import (
+    DriveDescription,
+    read_description,
+    write_description,
+)
+from road_envs.data.measured_record import read_measured_record
 from road_envs.data.recording import read_record, simulate_record, write_record
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.sensing.instruments import ANTIALIAS_ORDER, instruments_of
@@ -90,13 +97,39 @@ def test_a_record_keeps_its_layout_in_a_file(tmp_path, name):
     record = drive(layout(SIX))
     write_record(tmp_path / name, record, {})
     if name.endswith("csv"):
-        header = (tmp_path / name).read_text().splitlines()[1]
-        assert "a_seat [m/s2],a_front_hub [m/s2],a_diff [m/s2]" in header
-        return
-    again, _ = read_record(tmp_path / name)
-    np.testing.assert_array_equal(again.a, record.a)
-    assert again.sensors == SIX
+        description = DriveDescription(sensors=shape(SIX, tmp_path))
+        measured = read_measured_record(
+            tmp_path / name, DEFENDER.wheelbase, description=description
+        )
+        np.testing.assert_allclose(measured.record.a, record.a, atol=1e-4)
+        again = measured.record
+    else:
+        again, _ = read_record(tmp_path / name)
+        np.testing.assert_array_equal(again.a, record.a)
+    assert again.sensors == SIX and again.channels == tuple(SIX)
     assert from_plain(to_plain(SIX), "x") == SIX and to_plain(None) is None
+
+
+def test_a_description_says_where_the_accelerometers_of_a_table_are(tmp_path):
+    hubs = {"left_hub": SIX["front_hub"], "dash": Accelerometer(axle="front", ahead=-1.0, y=0.0)}
+    record = drive(layout(hubs))
+    table = {"t": record.t, "phone 2 [g]": record.a[1] / 9.80665, "hub": record.a[0]}
+    pd.DataFrame(table | {"v": record.v}).to_csv(tmp_path / "d.csv", index=False)
+    told = DriveDescription(
+        columns={"a_left_hub": "hub", "a_dash": "phone 2"}, mode="ride", accelerometers=hubs
+    )
+    write_description(tmp_path / "d.yaml", told)
+    assert "mounted: front axle" in (tmp_path / "d.yaml").read_text()
+    again = read_description(tmp_path / "d.yaml")
+    assert again == told
+    measured = read_measured_record(tmp_path / "d.csv", DEFENDER.wheelbase, description=again)
+    assert measured.record.sensors == hubs
+    np.testing.assert_allclose(measured.record.a, record.a, atol=1e-6)
+    with pytest.raises(ConfigError, match="unknown quantity in columns 'a_rf'"):
+        told.updated(columns={"a_rf": "hub"})
+    with pytest.raises(ConfigError, match="the column a_hood is missing"):
+        more = told.updated(accelerometers={**hubs, "hood": Accelerometer(y=0.0)})
+        read_measured_record(tmp_path / "d.csv", DEFENDER.wheelbase, description=more)
 
 
 def test_a_record_without_a_layout_has_that_of_the_assumed_instruments():

@@ -6,14 +6,16 @@ an alias, with or without a unit in the header. All problems are collected.
 
 import difflib
 import textwrap
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from road_envs.config import ConfigError
 from road_envs.data.logger_tables import units
-from road_envs.data.logger_tables.description import QUANTITIES, DriveDescription
+from road_envs.data.logger_tables.description import DriveDescription, quantities
 from road_envs.data.logger_tables.table import Table, numeric_values, to_si
+from road_envs.data.record import SENSORS
 
 GRAVITY_THRESHOLD = 0.5 * units.STANDARD_GRAVITY
 """A channel includes gravity if the magnitude of its mean exceeds this value [m/s²]."""
@@ -49,11 +51,22 @@ class Findings:
 
 
 class Channels:
-    """The columns of a `table` by quantity, as a `description` and the headers tell."""
+    """The columns of a `table` by quantity, as a `description` and the headers tell.
 
-    def __init__(self, table: Table, description: DriveDescription, findings: Findings):
+    The table has the accelerations of these `accelerometers`.
+    """
+
+    def __init__(
+        self,
+        table: Table,
+        description: DriveDescription,
+        findings: Findings,
+        accelerometers: Iterable[str] = SENSORS,
+    ):
+        description.check_names(accelerometers)
         self.table, self.description, self.findings = table, description, findings
-        self.headers = {name: self._find(name) for name in QUANTITIES}
+        self.quantities = quantities(accelerometers)
+        self.headers = {name: self._find(name) for name in self.quantities}
 
     def __contains__(self, quantity: str) -> bool:
         return self.headers[quantity] is not None
@@ -69,7 +82,7 @@ class Channels:
 
     def numbers(self, quantity: str) -> np.ndarray | None:
         """Return a column in SI units (N,), NaN for empty cells; None if it cannot be read."""
-        header, kind = self.headers[quantity], QUANTITIES[quantity].kind
+        header, kind = self.headers[quantity], self.quantities[quantity].kind
         if header is None or kind is None:
             return None
         try:
@@ -162,7 +175,7 @@ class Channels:
             return None
         taken = {name.strip().lower() for name in self.description.columns.values()}
         free = [h for h in self.table if h.lower() not in taken]
-        for name in (quantity, *QUANTITIES[quantity].aliases):
+        for name in (quantity, *self.quantities[quantity].aliases):
             matches = [h for h in free if units.split_header(h)[0].lower() == name]
             if len(matches) > 1:
                 self.findings.problems.append(

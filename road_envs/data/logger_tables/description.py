@@ -1,7 +1,7 @@
 """Description of a drive: what the columns of a table mean, and what the table does not say."""
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -10,7 +10,9 @@ import yaml
 from road_envs._atomic_io import atomic_write
 from road_envs.config import ConfigError, Finite, Positive, Settings, build, read_yaml
 from road_envs.config import validate_choice as validate
+from road_envs.data.accelerometers import Layout, column, to_plain
 from road_envs.data.logger_tables import units
+from road_envs.data.record import SENSORS
 
 
 class Quantity(NamedTuple):
@@ -22,9 +24,6 @@ class Quantity(NamedTuple):
 
 QUANTITIES = {
     "t": Quantity("time", ("time", "timestamp", "datetime", "date_time", "timestamps")),
-    "a_rf": Quantity("acceleration"),
-    "a_lr": Quantity("acceleration"),
-    "a_rr": Quantity("acceleration"),
     "v": Quantity("speed", ("speed", "velocity", "vehicle_speed", "gps_speed")),
     "s": Quantity("distance", ("distance", "odometer", "chainage", "station")),
     "lat": Quantity("angle", ("latitude", "gps_lat", "gps_latitude")),
@@ -33,16 +32,26 @@ QUANTITIES = {
     "mode_front": Quantity(None),
     "mode_rear": Quantity(None),
 }
-"""Signals that a table can hold. Vertical accelerations of the body at right front, left rear,
-right rear; speed, odometer, position (WGS 84), and state of the struts.
+"""Signals that a table can hold beside its accelerations: time, speed, odometer, position (WGS 84),
+and state of the struts.
 """
 
-ACCELERATIONS = ("a_rf", "a_lr", "a_rr")
+PREFIX = column("")
+"""Beginning of the name of every acceleration."""
+
+
+def quantities(accelerometers: Iterable[str]) -> dict[str, Quantity]:
+    """Return the signals of a table with the accelerations of these accelerometers."""
+    return {column(name): Quantity("acceleration") for name in accelerometers} | QUANTITIES
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriveDescription(Settings):
-    """Meaning of the columns of a table, and values that hold for the whole drive."""
+    """Meaning of the columns of a table, and values that hold for the whole drive.
+
+    The accelerations are `a_NAME` for each of the `accelerometers`, or of the instruments `sensors`
+    if none are described: by default a_rf, a_lr and a_rr on the body.
+    """
 
     columns: Annotated[dict[str, str], "", "header of each quantity"] = field(default_factory=dict)
     units: Annotated[dict[str, str], "", "unit of each quantity"] = field(default_factory=dict)
@@ -52,23 +61,33 @@ class DriveDescription(Settings):
     offset: Annotated[Finite | None, "m", "chainage of the front axle at the first sample"] = None
     vehicle: Annotated[str | None, "", "vehicle: shipped name or YAML path"] = None
     sensors: Annotated[str | None, "", "instruments: shipped name or YAML path"] = None
+    accelerometers: Annotated[
+        Layout | None, "", "places of the accelerometers by name, if not those of the instruments"
+    ] = None
 
     def __post_init__(self):
         super().__post_init__()
+        if self.accelerometers is not None or self.sensors is None:
+            self.check_names(self.accelerometers or SENSORS)
+        for quantity, unit in self.units.items():
+            kind = "acceleration" if quantity.startswith(PREFIX) else QUANTITIES[quantity].kind
+            if kind is None:
+                raise ConfigError(f"units: {quantity} has no unit")
+            units.factor(kind, unit)
+
+    def check_names(self, accelerometers: Iterable[str]) -> None:
+        """Raise ConfigError if a quantity is none of a table with these `accelerometers`."""
+        known = quantities(accelerometers)
         for name, given in (("columns", self.columns), ("units", self.units)):
             for quantity in given:
-                validate(f"quantity in {name}", quantity, list(QUANTITIES))
-        for quantity, unit in self.units.items():
-            if kind := QUANTITIES[quantity].kind:
-                units.factor(kind, unit)
-            else:
-                raise ConfigError(f"units: {quantity} has no unit")
+                validate(f"quantity in {name}", quantity, list(known))
         for name in self.invert:
-            validate("acceleration in invert", name, list(ACCELERATIONS))
+            accelerations = [x for x in known if x.startswith(PREFIX)]
+            validate("acceleration in invert", name, accelerations)
 
     def updated(self, **changes: Any) -> "DriveDescription":
         """Return the description with `changes`; None changes nothing, mappings are merged."""
-        data = asdict(self)
+        data = {f.name: getattr(self, f.name) for f in fields(self)}
         for key, value in changes.items():
             if value is None:
                 continue
@@ -87,7 +106,9 @@ def read_description(path: Path) -> DriveDescription:
 
 def write_description(path: Path, description: DriveDescription) -> None:
     """Write a description as YAML, without what was left open."""
-    data = {key: value for key, value in asdict(description).items() if value not in (None, {}, ())}
+    told = {f.name: getattr(description, f.name) for f in fields(description)}
+    told["accelerometers"] = to_plain(description.accelerometers)
+    data = {key: value for key, value in told.items() if value not in (None, {}, ())}
     text = yaml.safe_dump(_plain(data), sort_keys=False, allow_unicode=True)
     with atomic_write(path) as partial:
         partial.write_text(text, encoding="utf-8")
