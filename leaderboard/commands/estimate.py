@@ -58,8 +58,10 @@ def estimate(
     v [m/s] or v_kmh, and mode; speed and mode can be given as options instead.
     """
     check_output_path(out, ".csv"), check_output_path(plot, ".png", ".svg", ".pdf")
+    given = parse_settings(settings or [])
+    estimators.make_estimator(estimator, **given)  # a wrong name is told before a file is read
     drive = read_drive(record, options)
-    chosen = make_drive_estimator(estimator, drive, parse_settings(settings or []))
+    chosen = make_drive_estimator(estimator, drive, given)
     measured, car, notes = drive.measured.record, drive.car, drive.measured.notes
     result = estimators.estimate(chosen, measured, car)
     facts: dict[str, Any] = {

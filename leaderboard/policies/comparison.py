@@ -162,7 +162,9 @@ def record_of(prepared: PreparedCase, rollout: Rollout, k: int) -> Record:
     setup, rows = prepared.setup, 1 + int(rollout.intervals[k])
     context = PolicyContext.from_setup(setup, 1, 0)
     observations = rollout.observations[:rows, k]
-    a = np.moveaxis(context.accelerations(observations), 0, 1).reshape(3, -1)
+    a = np.moveaxis(context.accelerations(observations), 0, 1).reshape(
+        len(context.accelerometers), -1
+    )
     # an observation has one speed for all samples of its interval
     v = np.repeat(context.signal("speed", observations)[:, 0], setup.samples_per_interval).astype(
         float
@@ -173,7 +175,8 @@ def record_of(prepared: PreparedCase, rollout: Rollout, k: int) -> Record:
     )
     start = prepared.starts[k]
     s = start.drive.start + v * t
-    return Record(t, a.astype(float), v, s, stiff, high, start.surface.length)
+    sensors = setup.instruments.accelerometers
+    return Record(t, a.astype(float), v, s, stiff, high, start.surface.length, sensors)
 
 
 def command_bytes(prepared: PreparedCase, rollout: Rollout, k: int, repeated: int) -> np.ndarray:
