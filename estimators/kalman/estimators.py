@@ -37,6 +37,7 @@ from estimators.api import LAG
 from estimators.common.block_means import MIN_NOISE_DENSITY, block_means
 from estimators.common.explained import trusted_share, untrusted_note
 from estimators.common.fallback import reduce_unexplained
+from estimators.common.identified_vehicle import CalibratedByIdentification
 from estimators.common.model_inputs import antialias_delay, build_model_inputs, rigid_vehicle
 from estimators.kalman.pipeline import FilterRun, run_filter, run_smoother, setup_output, setup_run
 from estimators.kalman.profile_output import ProfileOutput
@@ -57,7 +58,7 @@ NOISE_SCALE_WARNING = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class _KalmanSettings:
+class _KalmanSettings(CalibratedByIdentification):
     """Settings of all variants.
 
     `instruments`: name or path; `noise_density` [(m/s²)/sqrt(Hz)] if it is not theirs. `G_d0` [m³]
@@ -69,7 +70,6 @@ class _KalmanSettings:
 
     __pydantic_config__ = STRICT
 
-    instruments: str = "paper"
     noise_density: float | None = None
     G_d0: float = CLASSES["D"]
     w: float = 2.0
@@ -95,6 +95,7 @@ class _KalmanSettings:
                 f"the Kalman filters take {N_SENSORS} accelerometers, and the record has "
                 f"{', '.join(instruments.accelerometers)}; map_smoother uses what there is"
             )
+        record, car = self.as_identified(record, car)
         car, rigid_notes = rigid_vehicle(car)
         record, valid, notes = mask_record(record, instruments)
         notes += rigid_notes

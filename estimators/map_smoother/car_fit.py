@@ -38,7 +38,6 @@ from estimators.map_smoother.preconditioner import (
 )
 from estimators.map_smoother.wheel_liftoff import unloaded_nodes
 from road_envs.simulation.lanes import SharedInputs, drive_variants
-from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import ParameterSpace
 
@@ -94,10 +93,14 @@ class Readings:
             return objective
         *gain, displacement, speed = (self.std * x).tolist()
         model, inputs = objective.model, objective.inputs
-        rows = model.sensor_rows * np.exp(gain)[:, None]
+        factor = np.exp(gain)
+        rows, bending = model.sensor_rows * factor[:, None], model.bending
+        if bending is not None:
+            bending = replace(bending, shape=factor * bending.shape)
         s = inputs.s + displacement + speed * (inputs.s - inputs.s[0])
         inputs = replace(inputs, s=s, v=inputs.v * (1.0 + speed))
-        return replace(objective, model=replace(model, sensor_rows=rows), inputs=inputs)
+        model = replace(model, sensor_rows=rows, bending=bending)
+        return replace(objective, model=model, inputs=inputs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,9 +156,9 @@ def fit_car(
     original, now = [s.linearization.objective for s in solutions], tuple(solutions)
     covariance = np.eye(size)
     for k in range(MAX_STEPS):
-        plants = perturbed_plants(space, x[: space.size])
+        cars = perturbed_cars(space, x[: space.size])
         terms = [
-            _drive_terms(solution, objective, plants, x[space.size :])
+            _drive_terms(solution, objective, cars, x[space.size :])
             for solution, objective in zip(now, original, strict=True)
         ]
         gradient = np.sum([slope for slope, _ in terms], axis=0) - x
@@ -166,9 +169,9 @@ def fit_car(
         share = 1.0 if instruments or k == 0 else DAMPING
         step *= min(share, MAX_CHANGE / np.abs(step).max())
         x = x + step
-        plant = build_plant(space.from_vector(x[: space.size]))
+        car = space.from_vector(x[: space.size])
         now = tuple(
-            _resolve(solution, readings.apply(o.with_plant(plant), x[space.size :]), solver)
+            _resolve(solution, readings.apply(o.with_car(car), x[space.size :]), solver)
             for solution, o in zip(now, original, strict=True)
         )
         if (np.abs(step) < SMALL_CHANGE * np.sqrt(np.diag(covariance))).all():
@@ -193,48 +196,60 @@ def _invert(hessian: np.ndarray) -> np.ndarray:
     return (vectors / np.maximum(values, 1.0)) @ vectors.T
 
 
-def perturbed_plants(space: ParameterSpace, x: np.ndarray) -> list[Plant]:
-    """Return the plant at `x` (P,), and for each parameter that with it changed by DIFFERENCE."""
+def perturbed_cars(space: ParameterSpace, x: np.ndarray) -> list[VehicleParameters]:
+    """Return the vehicle at `x` (P,), and for each parameter that with it changed by DIFFERENCE."""
     points = [x, *(x + DIFFERENCE * unit for unit in np.eye(space.size))]
-    return [build_plant(space.from_vector(point)) for point in points]
+    return [space.from_vector(point) for point in points]
 
 
-def sensitivities(lin: Linearization, plants: Sequence[Plant]) -> np.ndarray:
+def sensitivities(
+    lin: Linearization, original: Objective, cars: Sequence[VehicleParameters], errors: np.ndarray
+) -> np.ndarray:
     """Return the derivatives (P, S, J) of the block means by the parameters, at a fixed road.
 
-    `plants` as of `perturbed_plants`. Raises ArithmeticError if a motion is not finite.
+    `cars` as of `perturbed_cars`; `original` is the objective for instruments without the `errors`
+    (0 or 5,). Raises ArithmeticError if a motion is not finite.
     """
     objective = lin.objective
     u, start, bias = objective.split(lin.x)
     road = objective.road_under_wheels(objective.road.coefficients(u))
     inputs, strut_state = objective.inputs, objective.strut_state
     shared = SharedInputs(road, inputs.commands, strut_state, objective.model.valve_lag, inputs.h)
-    starts = [objective.with_plant(plant).initial_state + start for plant in plants]
-    left = [objective.residual(a, bias) for a in drive_variants(plants, starts, shared)]
+    readings = Readings.of(original)
+    varied = [readings.apply(original.with_car(car), errors) for car in cars]
+    starts = [one.initial_state + start for one in varied]
+    motions = drive_variants([one.model.plant for one in varied], starts, shared)
+    left = [one.residual(a, bias) for one, a in zip(varied, motions, strict=True)]
     found = (left[0] - np.array(left[1:])) / DIFFERENCE
     if not np.isfinite(found).all():
         raise ArithmeticError("the motion of a varied vehicle was not finite")
     return found
 
 
-def _reading_sensitivities(lin: Linearization, original: Objective, errors: np.ndarray):
-    """Return the derivatives (R, S, J) by errors of the instruments, at `errors` (R,) of them."""
-    readings = Readings.of(original)
-    base = original.with_plant(lin.objective.model.plant)
+def _reading_sensitivities(lin: Linearization, base: Objective, errors: np.ndarray) -> np.ndarray:
+    """Return the derivatives (R, S, J) by errors of the instruments, at `errors` (R,) of them.
+
+    `base` is the objective for the vehicle of `lin` and instruments without errors.
+    """
+    readings = Readings.of(base)
     points = [errors + DIFFERENCE * unit for unit in np.eye(errors.size)]
     found = [readings.apply(base, point).residual_at(lin.x)[0] for point in points]
     return (lin.residual - np.array(found)) / DIFFERENCE
 
 
 def _drive_terms(
-    solution: MapSolution, original: Objective, plants: Sequence[Plant], errors: np.ndarray
+    solution: MapSolution,
+    original: Objective,
+    cars: Sequence[VehicleParameters],
+    errors: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return gradient (P,) and information (P, P) of one drive's marginal likelihood."""
     lin = solution.linearization
     objective = lin.objective
-    G = sensitivities(lin, plants)
+    G = sensitivities(lin, original, cars, errors)
     if errors.size > 0:
-        G = np.concatenate([G, _reading_sensitivities(lin, original, errors)])
+        read = _reading_sensitivities(lin, original.with_car(cars[0]), errors)
+        G = np.concatenate([G, read])
     f, lines = _lines(objective)
     is_known = not objective.road.free.any()
     noise = objective.model.noise_variance * (1.0 if is_known else solution.noise_scale)
@@ -243,7 +258,7 @@ def _drive_terms(
     weighted = np.linalg.solve(covariance, lines[:, None, None] * A)
     information = np.real(np.einsum("fsp,fsq->pq", A.conj(), weighted))
     if not is_known:
-        log_det, curvature = _log_det_terms(objective, plants, noise)
+        log_det, curvature = _log_det_terms(objective, cars, noise)
         fit = np.einsum("psj,sj->p", G, lin.apply_inverse_covariance(lin.residual))
         return fit - log_det, information + curvature
     # the error of the profile is noise; what the model cannot explain inflates all of it
@@ -282,7 +297,7 @@ def _covariance(objective: Objective, f: np.ndarray, noise: float) -> np.ndarray
 
 
 def _log_det_terms(
-    objective: Objective, plants: Sequence[Plant], noise: float
+    objective: Objective, cars: Sequence[VehicleParameters], noise: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the gradient (P,) of 1/2 log det by the parameters, and its part of the Hessian.
 
@@ -297,8 +312,8 @@ def _log_det_terms(
     inverse = np.linalg.inv(_covariance(objective, f, noise))
     dual = [share * (S * H).conj().swapaxes(1, 2) @ inverse for share, H in base]
     M = []
-    for plant in plants[1:]:
-        varied = linear_responses(objective.with_plant(plant), f)
+    for car in cars[1:]:
+        varied = linear_responses(objective.with_car(car), f)
         pairs = zip(varied, base, dual, strict=True)
         M.append(np.sum([(new - old) @ d for (_, new), (_, old), d in pairs], axis=0) / DIFFERENCE)
     flat = np.array(M) * np.sqrt(lines)[:, None, None]

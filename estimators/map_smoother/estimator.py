@@ -35,8 +35,10 @@ import numpy as np
 
 from estimators.common.block_means import MIN_NOISE_DENSITY
 from estimators.common.fallback import reduce_unexplained
+from estimators.common.identified_vehicle import CalibratedByIdentification
 from estimators.common.model_inputs import MOVING_STD, REST_STD, build_model_inputs, rest_state
 from estimators.common.spline import evaluate_spline
+from estimators.map_smoother.bending import sensed_bending
 from estimators.map_smoother.car_fit import CarFit, fit_car, is_vehicle_unexplained
 from estimators.map_smoother.gauss_newton import (
     NOISE_SCALE_WARNING,
@@ -79,7 +81,7 @@ instruments is small beside what a vehicle that is not the one described leaves 
 
 
 @dataclass(frozen=True, kw_only=True)
-class MapSmoother:
+class MapSmoother(CalibratedByIdentification):
     """Estimator of the maximum a posteriori road.
 
     `instruments`: name or path; `noise_density` [(m/s²)/sqrt(Hz)] if it is not theirs. `G_d0` [m³]
@@ -96,7 +98,6 @@ class MapSmoother:
     __pydantic_config__ = STRICT
     causal: ClassVar[bool] = False
 
-    instruments: str = "paper"
     noise_density: float | None = None
     G_d0: float = CLASSES["D"]
     w: float = 2.0
@@ -126,6 +127,7 @@ class MapSmoother:
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths. Raises ConfigError, RecordError, ArithmeticError."""
         instruments = instruments_of(record, self.instruments)
+        record, car = self.as_identified(record, car)
         record, valid, notes = mask_record(record, instruments)
         model = self.measurement_model(record, car, instruments)
         drive = self.prepare_drive(record, valid, car, instruments)
@@ -148,8 +150,8 @@ class MapSmoother:
 
         def solve(objective: Objective) -> tuple[MapSolution, np.ndarray]:
             if fits:  # the vehicle of the first window is that of the whole drive
-                plant = build_plant(fits[0].car)
-                objective = replace(objective, model=replace(objective.model, plant=plant))
+                fitted = objective.with_car(fits[0].car).model
+                objective = replace(objective, model=fitted)
             solution = minimize(
                 objective,
                 stationary_hessian(objective),
@@ -208,7 +210,10 @@ class MapSmoother:
         sensor_rows = linearise(one, "ride", locations).sensor_rows
         density = self.noise_density or max(instruments.noise_density, MIN_NOISE_DENSITY)
         noise = density**2 * 0.5 * record.fs
-        return MeasurementModel(one, car.valve.lag, car.wheelbase, locations, sensor_rows, noise)
+        return MeasurementModel(
+            one, car.valve.lag, car.wheelbase, locations, sensor_rows, noise,
+            bending=sensed_bending(car, locations),
+        )  # fmt: skip
 
     def prepare_drive(
         self,

@@ -32,7 +32,7 @@ from road_envs.analysis.roughness import N_0, displacement_psd
 from road_envs.data.record import Profile, Record
 from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import Tolerance, VehicleParameters
-from road_envs.vehicle.tolerances import ParameterSpace, parameter_space
+from road_envs.vehicle.tolerances import ParameterSpace, has_absent_elements, parameter_space
 
 FIT_SHARE = 2.0 / 3.0
 """Share of each drive that is fitted; the rest is held out."""
@@ -53,8 +53,15 @@ LEVEL_BAND = (0.2, 1.0)
 KNOWN_DATA_RATE = 100.0
 """Block means per second [Hz] of a drive over a known road."""
 
-FRAME_FREQUENCY, FRAME_STARTS = "variation.frame.f", (-1.2, -0.6, 0.0, 0.6, 1.2)
-"""Frequency of a frame, and where searches for it begin, in units of its tolerance."""
+MODE_STARTS = {
+    "frame": (7.0, 8.5, 10.5, 13.0, 16.0, 20.0),
+    "bending": (15.0, 18.0, 22.0, 27.0, 33.0, 40.0),
+}
+"""Frequencies [Hz] of the body's modes at which searches begin: one reaches about a tenth."""
+
+STRUCTURE_POWER, STRUCTURE_GAIN = 10.0, 0.5
+"""Unexplained power of held-out readings, over that of the instruments' noise, from which on more
+elements are tried; and the share of it that they may leave at most."""
 
 UNIT_RATIO = 4.0
 """Ratio of measured to expected acceleration from which on units are suspected."""
@@ -90,10 +97,33 @@ class Identification:
     unexplained: tuple[tuple[Unexplained, Unexplained], ...]
 
     @property
+    def left(self) -> float:
+        """Power that the identified vehicle leaves unexplained, mean of the held-out parts."""
+        return float(np.mean([fitted.power for _, fitted in self.unexplained]))
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters (P,), errors of the instruments last."""
         space = self.fit.space
         return (*space.names, *self.fit.readings.names)[: self.fit.x.size]
+
+    @property
+    def sensor_gains(self) -> tuple[float, ...]:
+        """Gain of each accelerometer; 1 over unmeasured roads, where none is identified."""
+        readings, errors = self.fit.readings, self.fit.x[self.fit.space.size :]
+        gains = np.exp(readings.std * errors) if errors.size else np.ones(len(readings.names))
+        return tuple(gains[: len(readings.sensors)].tolist())
+
+    @property
+    def displacement(self) -> float:
+        """Distance [m] that the odometer lacks, mean of the drives; 0 over unmeasured roads."""
+        errors = self.fit.x[self.fit.space.size :]
+        if errors.size == 0:
+            return 0.0
+        found = (self.fit.readings.std * errors)[-2:]
+        s = [solution.linearization.objective.inputs.s for solution in self.fit.solutions]
+        travelled = float(np.mean([np.mean(x - x[0]) for x in s]))
+        return float(found[0] + travelled * found[1])
 
     @property
     def factors(self) -> np.ndarray:
@@ -106,13 +136,14 @@ def identify(
     drives: Sequence[CalibrationDrive],
     car: VehicleParameters,
     smoother: MapSmoother | None = None,
-    structure: bool = False,
+    structure: bool | None = False,
 ) -> Identification:
     """Identify the parameters of `car` that have tolerances from calibration drives.
 
     With `structure`, the elements that the description leaves out (a frame that twists, progressive
-    tyres, bushings; see `tolerances.parameter_space`) are identified as well, on known roads only.
-    Raises CalibrationError on drives that do not fit, ConfigError if the vehicle has no tolerances.
+    tyres, bushings; see `tolerances.parameter_space`) are identified as well; if it is None, where
+    the held-out parts are explained much better with them. Raises CalibrationError on drives that
+    do not fit, ConfigError if the vehicle has no tolerances.
     """
     if not drives:
         raise CalibrationError("an identification needs at least one drive")
@@ -124,38 +155,61 @@ def identify(
             "with one layout"
         )
     chosen = smoother or MapSmoother(adapt=False)
-    space = parameter_space(car, structure)
-    known = all(drive.profile is not None for drive in drives)
-    if structure and not known:
-        raise CalibrationError(
-            "elements that the description leaves out are identified on known roads only: give the "
-            "profile of every drive"
-        )
     parts = [_parts(drive, chosen) for drive in drives]
-    solutions = [_solve(first, space.car, chosen) for first, _ in parts]
-    solver = GaussNewton(solutions[0].stationary, chosen.huber, 40, 0.1)
-    starts = _starts(space, len(Readings.of(solutions[0].linearization.objective).names) * known)
-    fits = [fit_car(solutions, space, solver, instruments=known, start=x) for x in starts]
-    fit = min(fits, key=lambda fit: sum(s.noise_scale for s in fit.solutions))
+    for first, _ in parts:
+        if first.profile is not None:
+            _check_profile(_objective(first, car, chosen), first)
+    result = _identify(parts, car, chosen, bool(structure))
+    if structure is not None or result.left < STRUCTURE_POWER or not has_absent_elements(car):
+        return result
+    flexible = _identify(parts, car, chosen, True)
+    return flexible if flexible.left < STRUCTURE_GAIN * result.left else result
+
+
+def _identify(
+    parts: Sequence[tuple[CalibrationDrive, CalibrationDrive]],
+    car: VehicleParameters,
+    smoother: MapSmoother,
+    structure: bool,
+) -> Identification:
+    """Identify a vehicle from the first part of each drive, and judge it on the second."""
+    space = parameter_space(car, structure)
+    known = all(first.profile is not None for first, _ in parts)
+
+    def solve(x: np.ndarray) -> list[MapSolution]:
+        vehicle = space.from_vector(x[: space.size])
+        return [_solve(first, vehicle, smoother) for first, _ in parts]
+
+    errors = len(Readings(parts[0][0].record.channels).names) if known else 0
+    x, solutions = _nearest_start(space, space.size + errors, solve)
+    solver = GaussNewton(solutions[0].stationary, smoother.huber, 40, 0.1)
+    fit = fit_car(solutions, space, solver, instruments=known, start=x)
     std = np.minimum((STD_INFLATION if known else UNKNOWN_STD_INFLATION) * fit.std, 1.0)
-    errors = fit.x[space.size :]
+    found = fit.x[space.size :]
     unexplained = tuple(
-        (_unexplained(rest, car, chosen), _unexplained(rest, fit.car, chosen, errors))
+        (_unexplained(rest, car, smoother), _unexplained(rest, fit.car, smoother, found))
         for _, rest in parts
     )
     return Identification(fit, _with_posterior(fit, car, std), std, unexplained)
 
 
-def _starts(space: ParameterSpace, readings: int) -> list[np.ndarray]:
-    """Return where searches begin, with so many errors of the `readings`.
+def _nearest_start(
+    space: ParameterSpace, size: int, solve: Callable[[np.ndarray], list[MapSolution]]
+) -> tuple[np.ndarray, list[MapSolution]]:
+    """Return where the search begins: a resonance is found only from near its frequency.
 
-    A frame's resonance is found only from near its frequency.
+    One mode after the other, the frequency is taken at which the drives leave the least noise
+    unexplained.
     """
-    x = np.zeros(space.size + readings)
-    if FRAME_FREQUENCY not in space.names:
-        return [x]
-    unit = np.eye(x.size)[space.names.index(FRAME_FREQUENCY)]
-    return [x + k * unit for k in FRAME_STARTS]
+    x, solutions = np.zeros(size), None
+    for mode, frequencies in MODE_STARTS.items():
+        if (name := f"variation.{mode}.f") in space.names:
+            i = space.names.index(name)
+            about = getattr(space.car.variation, mode).f
+            points = [x + np.log(f / about) / space.std[i] * np.eye(size)[i] for f in frequencies]
+            tried = [(point, solve(point)) for point in points]
+            x, solutions = min(tried, key=lambda one: sum(s.noise_scale for s in one[1]))
+    return x, solutions or solve(x)
 
 
 def _with_posterior(fit: CarFit, car: VehicleParameters, std: np.ndarray) -> VehicleParameters:
@@ -279,7 +333,6 @@ def _solve(drive: CalibrationDrive, car: VehicleParameters, smoother: MapSmoothe
     stationary = stationary_hessian(objective)
     if drive.profile is None:
         return minimize(objective, stationary, huber=smoother.huber)
-    _check_profile(objective, drive)
     return _settle(objective, smoother)
 
 

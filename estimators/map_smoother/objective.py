@@ -20,11 +20,13 @@ from scipy.fft import irfft, rfft
 from estimators.common.block_means import BlockMeans
 from estimators.common.model_inputs import ModelInputs
 from estimators.common.spline import sample_under_wheels
+from estimators.map_smoother.bending import SensedBending, sensed_bending
 from estimators.map_smoother.block_tangent import BlockTangent, build_block_tangent
 from estimators.map_smoother.road_prior import RoadTransform
 from road_envs.sensing.instruments import SensorLocation
 from road_envs.simulation.sensitivity import Tape, linearize_drive
-from road_envs.vehicle.equations import Plant, equilibrium
+from road_envs.vehicle.equations import Plant, build_plant, equilibrium
+from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import settled_strut_state
 
 
@@ -33,7 +35,7 @@ class MeasurementModel:
     """Model of vehicle and instruments: `plant`, time constant `valve_lag` [s] of its valves and
     `wheelbase` [m]; `locations` of the S sensors and `sensor_rows` (S, 7), their acceleration per
     unit of each coordinate's; `noise_variance` [(m/s²)²] of a sample; prior standard deviation
-    `bias_std` [m/s²] of the sensor biases.
+    `bias_std` [m/s²] of the sensor biases; the `bending` of the body, None if it is stiff.
     """
 
     plant: Plant
@@ -43,6 +45,7 @@ class MeasurementModel:
     sensor_rows: np.ndarray
     noise_variance: float
     bias_std: float = 0.05
+    bending: SensedBending | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,12 +110,13 @@ class Objective:
         x = (self.inputs.s - self.road.origin) / ds
         return x, self.inputs.v / ds, self.model.wheelbase / ds
 
-    def with_plant(self, plant: Plant) -> "Objective":
-        """Return the objective for another `plant`, which begins as far from its equilibrium."""
+    def with_car(self, car: VehicleParameters) -> "Objective":
+        """Return the objective for another vehicle, which begins as far from its equilibrium."""
+        plant, bending = build_plant(car), sensed_bending(car, self.model.locations)
         strut_state, level = settled_strut_state(int(self.inputs.commands[0])), np.zeros(4)
         change = equilibrium(plant, strut_state, level)
         change -= equilibrium(self.model.plant, strut_state, level)
-        model = replace(self.model, plant=plant)
+        model = replace(self.model, plant=plant, bending=bending)
         return replace(self, model=model, initial_state=self.initial_state + change)
 
     def simulate(self, x: np.ndarray, plant: Plant | None = None) -> Tape:
@@ -160,8 +164,12 @@ class Objective:
         """Return measured less predicted block means (S, J) [m/s²] of the sensors, from the
         accelerations (N, 7) of the coordinates.
         """
-        samples = acceleration[:: self.inputs.decimation][: self.measurements.n_samples]
-        return self.measurements.residual(self.model.sensor_rows @ samples.T + bias[:, None])
+        inputs, model = self.inputs, self.model
+        samples = acceleration[:: inputs.decimation][: self.measurements.n_samples]
+        predicted = model.sensor_rows @ samples.T + bias[:, None]
+        if model.bending is not None:
+            predicted += model.bending.at_samples(samples, inputs.h * inputs.decimation)
+        return self.measurements.residual(predicted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,20 +223,28 @@ class Linearization:
     @cached_property
     def block_tangent(self) -> BlockTangent:
         """The tangent at this point, as matrices."""
-        o = self.objective
-        sensors = o.model.sensor_rows, o.model.wheelbase
-        return build_block_tangent(self.tape, o.road, o.inputs, o.measurements, *sensors)
+        o, model = self.objective, self.objective.model
+        sensors = o.measurements, model.sensor_rows
+        if model.bending is not None:
+            sensors = model.bending.extended(*sensors)
+        return build_block_tangent(self.tape, o.road, o.inputs, *sensors, model.wheelbase)
 
     def tangent(self, dx: np.ndarray) -> np.ndarray:
         """Return the change (S, J) of the predicted block means by a small `dx`."""
-        u, start, bias = self.objective.split(dx)
-        return self.block_tangent.apply(start, self.objective.road.apply(u)) + bias[:, None]
+        o = self.objective
+        u, start, bias = o.split(dx)
+        means = self.block_tangent.apply(start, o.road.apply(u))
+        if o.model.bending is not None:
+            means = o.model.bending.sense(means, o.block_duration)
+        return means + bias[:, None]
 
     def adjoint(self, means: np.ndarray) -> np.ndarray:
         """Apply the transpose of `tangent`: from block means (S, J) to `x`."""
         o = self.objective
-        start, c = self.block_tangent.apply_transpose(means)
         bias = o.model.bias_std * means.sum(axis=1)
+        if o.model.bending is not None:
+            means = o.model.bending.sense_transpose(means, o.block_duration)
+        start, c = self.block_tangent.apply_transpose(means)
         return np.concatenate([o.road.apply_transpose(c).ravel(), o.initial_std * start, bias])
 
     def draw_noise(self, rng: np.random.Generator) -> np.ndarray:

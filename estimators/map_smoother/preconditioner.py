@@ -53,6 +53,10 @@ MAX_LEVEL_STEP = 1.5
 """Greatest distance of the levels of local roughness in the preconditioner, as a logarithm."""
 
 
+BODY = {"middle of the body": (0.0, 0.0), "1 m behind it": (-1.0, 0.0)}
+"""Points (x, y) [m] whose accelerations are the body's heave, and heave and pitch."""
+
+
 @dataclass(frozen=True, eq=False)
 class StationaryHessian:
     """Stationary Hessian: `information` (F, 2, 2) of measurements of unit variance on the heights
@@ -216,8 +220,12 @@ def linear_responses(objective: Objective, f: np.ndarray) -> Iterator[tuple[floa
     for byte, count in zip(*np.unique(inputs.commands, return_counts=True), strict=True):
         mode = _decode_mode(int(byte))
         damping = gaussian_damping(model.plant, mode, DAMPING_RATE)
-        linear = linearise(model.plant, mode, model.locations, damping=damping)
+        locations = {**model.locations, **({} if model.bending is None else BODY)}
+        linear = linearise(model.plant, mode, locations, damping=damping)
         H = frequency_response(linear, float(inputs.v.mean()), f=f)
+        if model.bending is not None:
+            rigid, heave, behind = H[:, :-2], H[:, -2], H[:, -1]
+            H = rigid + model.bending.response(heave, behind - heave, f)
         yield count / inputs.n_steps, H @ TO_WHEEL_PATHS
 
 

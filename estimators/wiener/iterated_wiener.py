@@ -13,6 +13,7 @@ better than that of `wiener`.
 from dataclasses import dataclass
 from typing import ClassVar
 
+from estimators.common.identified_vehicle import CalibratedByIdentification
 from estimators.wiener.smoother import smooth_record
 from road_envs.config import STRICT
 from road_envs.data.record import Estimate, Record
@@ -20,13 +21,12 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 
 @dataclass(frozen=True, kw_only=True)
-class IteratedWiener:
+class IteratedWiener(CalibratedByIdentification):
     """Up to `passes` passes of the smoother for a vehicle with these `instruments`."""
 
     __pydantic_config__ = STRICT
     causal: ClassVar[bool] = False
 
-    instruments: str = "paper"
     passes: int = 15
     std_factor: float = 0.88
 
@@ -36,4 +36,5 @@ class IteratedWiener:
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths. Raises ConfigError, RecordError."""
+        record, car = self.as_identified(record, car)
         return smooth_record(record, car, self.instruments, self.passes, self.std_factor)

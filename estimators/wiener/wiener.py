@@ -12,6 +12,7 @@ segment. Friction limits the accuracy: with linear struts the error would reach 
 from dataclasses import dataclass
 from typing import ClassVar
 
+from estimators.common.identified_vehicle import CalibratedByIdentification
 from estimators.wiener.smoother import smooth_record
 from road_envs.config import STRICT
 from road_envs.data.record import Estimate, Record
@@ -19,15 +20,15 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wiener:
+class Wiener(CalibratedByIdentification):
     """One pass of the smoother for a vehicle with these `instruments`."""
 
     __pydantic_config__ = STRICT
     causal: ClassVar[bool] = False
 
-    instruments: str = "paper"
     std_factor: float = 0.93
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths. Raises ConfigError, RecordError."""
+        record, car = self.as_identified(record, car)
         return smooth_record(record, car, self.instruments, 1, self.std_factor)

@@ -11,7 +11,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from estimators.api import Estimator, NotFittedError, Trainable, check_estimate
+from estimators.api import (
+    Calibratable,
+    CalibrationDrive,
+    Estimator,
+    NotFittedError,
+    Trainable,
+    check_estimate,
+)
 from road_envs.config import STRICT
 from road_envs.data.record import Estimate, Profile, Record
 from road_envs.vehicle.parameters import VehicleParameters
@@ -22,6 +29,10 @@ BUILTIN = "judge"
 
 MAX_LAG = 10.0
 """Largest lag [m] of an estimator that counts as causal."""
+
+
+Calibrations = Sequence[Sequence[CalibrationDrive]]
+"""Drives of the vehicle of each test record, empty without calibration."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +73,7 @@ class TrainingRun:
     isolation: str = "none"
     notes: tuple[str, ...] = ()  # what the judge has found out about the entry
     looks_ahead: bool = False  # a causal estimator whose estimate depends on later samples
+    calibrate_seconds: float | None = None  # of all calibrations; None: there was none
 
 
 def needs_training(estimator: Estimator) -> bool:
@@ -85,9 +97,14 @@ class Session(Protocol):
     """An estimator that is trained and asked for estimates, in this process or in another."""
 
     needs_training: bool
+    calibrates: bool
 
     def fit(self, training: Sequence[tuple[Record, Profile]], seed: int) -> tuple[int, float]:
         """Train anew; return the number of fitted parameters and the time [s] it took."""
+        ...
+
+    def calibrate(self, drives: Sequence[CalibrationDrive]) -> float:
+        """Calibrate what was trained to the vehicle of `drives`; return the time [s] it took."""
         ...
 
     def estimate(self, record: Record) -> tuple[Estimate, float]:
@@ -100,7 +117,9 @@ class LocalSession:
 
     def __init__(self, estimator: Estimator, car: VehicleParameters):
         self.needs_training = needs_training(estimator)
+        self.calibrates = isinstance(estimator, Calibratable)
         self._estimator, self._trained, self._car = estimator, estimator, car
+        self._calibrated = estimator
 
     def fit(self, training: Sequence[tuple[Record, Profile]], seed: int) -> tuple[int, float]:
         """Train the estimator if it needs training; count its parameters."""
@@ -108,13 +127,20 @@ class LocalSession:
         if self.needs_training:
             records, truths = [list(part) for part in zip(*training, strict=True)]
             self._trained = self._estimator.fit(records, truths, self._car, seed)  # type: ignore[attr-defined]
+        self._calibrated = self._trained
         seconds = time.perf_counter() - start
         return sum(np.size(array) for array in _weights(self._trained)), seconds
+
+    def calibrate(self, drives: Sequence[CalibrationDrive]) -> float:
+        """Calibrate what was trained. Raises what the estimator raises."""
+        start = time.perf_counter()
+        self._calibrated = self._trained.calibrate(drives, self._car)  # type: ignore[attr-defined]
+        return time.perf_counter() - start
 
     def estimate(self, record: Record) -> tuple[Estimate, float]:
         """Estimate a record. Raises EstimateError and what the estimator raises."""
         start = time.perf_counter()
-        estimate = self._trained.estimate(record, self._car)
+        estimate = self._calibrated.estimate(record, self._car)
         check_estimate(estimate, record)
         return estimate, time.perf_counter() - start
 
@@ -125,15 +151,16 @@ def reconstruct_all(
     records: Sequence[Record],
     seeds: Sequence[int],
     order: Sequence[int] | None = None,
+    calibrations: Calibrations = (),
 ) -> Iterator[TrainingRun]:
     """Yield one run for each training seed; ask for the estimates in `order`. Raises EntryError.
 
-    Yields the first run only if the training does not depend on the seed, that is, if the second
-    run gives the same estimates.
+    `calibrations`: drives of the vehicle of each record, or nothing. Yields the first run only if
+    the training does not depend on the seed, that is, if the second run gives the same estimates.
     """
     first: list[Estimate] = []
     for seed in seeds if session.needs_training else seeds[:1]:
-        run = _run(session, training, records, seed, order or range(len(records)))
+        run = _run(session, training, records, seed, order or range(len(records)), calibrations)
         if first and _equal_estimates(run.estimates, first):
             return
         yield run
@@ -160,12 +187,17 @@ def _run(
     records: Sequence[Record],
     seed: int,
     order: Sequence[int],
+    calibrations: Calibrations = (),
 ) -> TrainingRun:
     step, seconds = f"training with seed {seed}", 0.0
+    calibrate_seconds: float | None = 0.0 if calibrations and session.calibrates else None
     estimates: dict[int, Estimate] = {}
     try:
         parameters, train_seconds = session.fit(training, seed)
         for k in order:
+            if calibrate_seconds is not None:
+                step = f"calibrating to the vehicle of test drive {k + 1}, seed {seed}"
+                calibrate_seconds += session.calibrate(calibrations[k])
             step = f"estimating test drive {k + 1} of {len(records)}, seed {seed}"
             estimates[k], duration = session.estimate(records[k])
             seconds += duration
@@ -173,7 +205,9 @@ def _run(
         reason = str(error) if isinstance(error, EntryError) else describe_error(error)
         raise EntryError(f"{step}: {reason}") from error
     ordered = [estimates[k] for k in range(len(records))]
-    return TrainingRun(ordered, train_seconds, seconds, parameters, seed)
+    return TrainingRun(
+        ordered, train_seconds, seconds, parameters, seed, calibrate_seconds=calibrate_seconds
+    )
 
 
 def get_settings(estimator: Estimator | None) -> dict[str, Any]:

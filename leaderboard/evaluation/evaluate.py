@@ -13,6 +13,7 @@ from estimators.api import Estimator
 from leaderboard.evaluation.code_version import evaluation_version
 from leaderboard.evaluation.entry import (
     BUILTIN,
+    Calibrations,
     Entry,
     EntryError,
     LocalSession,
@@ -108,7 +109,8 @@ def in_process(estimator: Estimator | None) -> EntryRunner:
         assert estimator is not None
         records = [test.record for test in data.tests]
         session = LocalSession(estimator, data.task.vehicle)
-        return reconstruct_all(session, training_pairs(data), records, seeds)
+        training, drives = training_pairs(data), calibrations(data)
+        return reconstruct_all(session, training, records, seeds, None, drives)
 
     return run
 
@@ -116,6 +118,13 @@ def in_process(estimator: Estimator | None) -> EntryRunner:
 def training_pairs(data: ConditionData) -> list[tuple]:
     """Return training records with their true profiles."""
     return [(drive.record, drive.truth) for drive in data.training]
+
+
+def calibrations(data: ConditionData) -> Calibrations:
+    """Return the calibration drives of the vehicle of each test drive, if the task has any."""
+    if not data.task.calibration:
+        return ()
+    return [drive.calibration for drive in data.tests]
 
 
 def simulate_condition(
@@ -199,11 +208,14 @@ def _score_fields(
         train.append(training_run.train_seconds)
         seconds += training_run.estimate_seconds
         last = training_run
+    calibrated = last.calibrate_seconds
     metres = len(train) * sum(test.record.length for test in data.tests)
     return {
         "drives": tuple(drives),
         "traces": (_median_trace(traces),),
         "train_seconds": tuple(train),
+        "calibrates": calibrated is not None if data.task.calibration else None,
+        "calibrate_seconds": None if calibrated is None else calibrated / len(data.tests),
         "estimate_ms_per_100m": 1e5 * seconds / metres if seconds else None,
         "parameters": last.parameters,
         "peak_memory": last.peak_memory,

@@ -110,6 +110,8 @@ class Result:
     conditions: tuple[str, ...] = ()
     drives: Sequence[DriveScores] = ()
     train_seconds: tuple[float, ...] = ()  # one per condition and seed
+    calibrates: bool | None = None  # to the vehicle; None on tasks without calibration drives
+    calibrate_seconds: float | None = None  # mean of one calibration
     estimate_ms_per_100m: float | None = None
     parameters: int | None = None  # number of fitted parameters
     causal: bool | None = None
@@ -174,7 +176,14 @@ class Result:
 
 
 RUN_DEPENDENT = frozenset(
-    {"train_seconds", "estimate_ms_per_100m", "peak_memory", "isolation", "environment"}
+    {
+        "train_seconds",
+        "calibrate_seconds",
+        "estimate_ms_per_100m",
+        "peak_memory",
+        "isolation",
+        "environment",
+    }
 )
 """Fields that differ from run to run and machine to machine."""
 
@@ -200,6 +209,7 @@ def merge_parts(parts: Sequence[Result], identity: str) -> Result:
         conditions=tuple(label for part in parts for label in part.conditions),
         drives=tuple(drive for part in scored for drive in part.drives),
         train_seconds=tuple(seconds for part in scored for seconds in part.train_seconds),
+        calibrate_seconds=_maximum(part.calibrate_seconds for part in parts),
         estimate_ms_per_100m=float(np.mean(costs)) if costs else None,
         causal=first.causal if all(part.causal == first.causal for part in parts) else False,
         parameters=_maximum(part.parameters for part in parts),

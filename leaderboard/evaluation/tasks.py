@@ -27,7 +27,11 @@ from road_envs.roads.composite import NoisyCopy
 from road_envs.roads.measured import Measured
 from road_envs.sensing.data_logger import Instruments, load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
-from road_envs.vehicle.perturbed_vehicle import load_plant_mismatch
+from road_envs.vehicle.perturbed_vehicle import (
+    PerturbedVehicle,
+    load_plant_mismatch,
+    perturb_vehicle,
+)
 from road_envs.vehicle.suspension import encode_command
 
 Grade = Literal["S0", "S1", "S2", "S3"]
@@ -155,6 +159,41 @@ class DriveSet:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CalibrationRun:
+    """A drive of each test vehicle that estimators are given before its test drive.
+
+    On the test road of a seed, the vehicle has driven over `road` of seed + `seed_offset`. With
+    `survey_std` [m], the standard deviation of independent errors, its profile is given too.
+    """
+
+    __pydantic_config__ = STRICT
+
+    road: AnyRoad
+    mode: StrutMode | AxleModes
+    speed_kmh: float
+    seed_offset: int
+    length: float | None = None  # [m]; else the road's own
+    survey_std: float | None = None
+
+    def __post_init__(self):
+        for name in ("speed_kmh", "seed_offset"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        if self.survey_std is not None and not self.survey_std > 0:
+            raise ValueError(f"survey_std must be positive, got {self.survey_std}")
+
+    @property
+    def simulator_mode(self) -> str | dict[str, str]:
+        """Mode in the form that the simulator accepts."""
+        return self.mode if isinstance(self.mode, str) else dataclasses.asdict(self.mode)
+
+    @property
+    def driven_road(self) -> Road:
+        """The road at the length that is driven."""
+        return self.road if self.length is None else with_length(self.road, self.length)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Task:
     """Training and test drives under some conditions; changing a task invalidates its results."""
 
@@ -169,6 +208,8 @@ class Task:
     conditions: tuple[Condition, ...]
     training: DriveSet
     test: DriveSet
+    calibration: tuple[CalibrationRun, ...] = ()  # drives of each test vehicle, given before
+    low_pass: float | None = None  # [Hz] of all accelerations, as in the paper's processing
     trains_on_test_road: bool = False
     bumps: bool = False  # also score obstacles
     bound: bool = True  # also compute the information bound of every drive
@@ -190,6 +231,9 @@ class Task:
             )
         if shared := sorted(self.training.all_seeds & self.test.all_seeds):
             raise ValueError(f"training and test share the seeds {shared}")
+        self._check_calibration()
+        if self.low_pass is not None and not self.low_pass > 0:
+            raise ValueError(f"low_pass must be positive, got {self.low_pass}")
         if not self.trains_on_test_road and self._shared_surfaces():
             raise ValueError(
                 "training and test share a surface; choose other roads, or set "
@@ -238,13 +282,16 @@ class Task:
         return condition.grade if drives is self.test else "S0"
 
     def seed_stream(self, condition: Condition) -> int:
-        """Return the random stream of a condition, the same for conditions that differ in grade.
-
-        On each road the grades are then driven by one perturbed vehicle whose deviations grow with
-        the grade.
+        """Return the random stream of the sensor noise under a condition, the same for conditions
+        that differ in grade only.
         """
         driven = [(c.mode, c.speed_kmh) for c in self.conditions]
         return driven.index((condition.mode, condition.speed_kmh))
+
+    def individual(self, index: int, grade: Grade) -> PerturbedVehicle:
+        """Return the vehicle of a `grade` on the test road of this index in `roads_and_seeds`."""
+        _, seed = self.test.roads_and_seeds[index]
+        return perturb_vehicle(self.vehicle, grade, individual_seed(seed))
 
     def drives_of(self, drives: DriveSet, condition: Condition) -> list[tuple[int, Road, int]]:
         """Return index, road and seed of the training or test drives under a condition."""
@@ -270,9 +317,26 @@ class Task:
             raise ConfigError(f"{self.name}: {error}") from None
         return dataclasses.replace(self, test=test)
 
+    def _check_calibration(self) -> None:
+        """Raise ValueError if a calibration drive shares a seed or the surface of a test drive."""
+        used = self.training.all_seeds | self.test.all_seeds
+        fixed = [_base_road(road) for road in self.test.roads if not _is_random(road)]
+        for run in self.calibration:
+            seeds = {seed + run.seed_offset for seed in self.test.all_seeds}
+            if shared := sorted(seeds & used):
+                raise ValueError(f"a calibration drive shares the seeds {shared} with other drives")
+            if _base_road(run.road) in fixed:
+                raise ValueError("a calibration drive and a test drive share a surface")
+            used |= seeds
+
     def _shared_surfaces(self) -> bool:
         fixed = [road for road in self.test.roads if not _is_random(road)]
         return any(_base_road(road) in map(_base_road, fixed) for road in self.training.roads)
+
+
+def individual_seed(road_seed: int) -> np.random.SeedSequence:
+    """Return the seed of the vehicle on a test road, in all its drives and under all conditions."""
+    return np.random.SeedSequence(road_seed)
 
 
 def load_task(name: str | Path) -> Task:

@@ -1,14 +1,17 @@
 """Simulated drives over a task's roads under one condition, each record with its true profile."""
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from leaderboard.evaluation.tasks import Condition, DriveSet, Task
+from estimators.api import CalibrationDrive
+from leaderboard.evaluation.tasks import Condition, DriveSet, Task, individual_seed
 from road_envs.data.record import Profile, Record
 from road_envs.data.recording import simulate_record
+from road_envs.sensing.filters import preprocess_accelerations
 
 
 @dataclass(frozen=True)
@@ -21,6 +24,7 @@ class RecordedDrive:
     record: Record
     truth: Profile
     notes: tuple[str, ...] = ()
+    calibration: tuple[CalibrationDrive, ...] = ()
 
 
 DriveSimulation = Callable[[Task, DriveSet, Condition], Iterator[RecordedDrive]]
@@ -30,31 +34,77 @@ DriveSimulation = Callable[[Task, DriveSet, Condition], Iterator[RecordedDrive]]
 def simulate_drives(task: Task, drives: DriveSet, condition: Condition) -> Iterator[RecordedDrive]:
     """Yield a drive of the task's vehicle for each road and seed.
 
-    A seed realises the same road under every condition. Sensor noise has a separate random stream
-    for each seed and condition. Raises ConfigError, SimulationError.
+    A seed realises the same road under every condition, and draws the vehicle that drives there;
+    `calibration` holds other drives of it. Sensor noise has a separate random stream for each seed
+    and condition. Raises ConfigError, SimulationError.
     """
-    car, instruments = task.vehicle, task.sensors
+    instruments = task.sensors
     if not drives.noise:
         instruments = dataclasses.replace(instruments, noise_density=0.0, speed_error=0.0)
     for index, road, seed in task.drives_of(drives, condition):
         surface = road.realise(np.random.default_rng(seed))
+        common: dict[str, Any] = {
+            "vehicle": task.vehicle,
+            "instruments": instruments,
+            "individual": individual_seed(seed),
+            "step": drives.step,
+            "grade": task.grade(drives, condition),
+        }
         record, truth = simulate_record(
             surface,
-            vehicle=car,
             speed_kmh=condition.speed_kmh,
             mode=condition.simulator_mode,
-            instruments=instruments,
             seed=np.random.SeedSequence([seed, task.seed_stream(condition)]),
-            step=drives.step,
-            grade=task.grade(drives, condition),
+            **common,
         )
-        yield RecordedDrive(index, surface.name, seed, record, truth, surface.notes)
+        runs = task.calibration if drives is task.test else ()
+        calibration = tuple(_calibration_drive(task, k, seed, common) for k in range(len(runs)))
+        record = _low_passed(record, task.low_pass)
+        yield RecordedDrive(index, surface.name, seed, record, truth, surface.notes, calibration)
+
+
+def _calibration_drive(
+    task: Task, k: int, seed: int, common: Mapping[str, Any]
+) -> CalibrationDrive:
+    """Return the `k`-th calibration drive of the vehicle that drives the test road of a `seed`."""
+    run = task.calibration[k]
+    rng = np.random.default_rng(seed + run.seed_offset)
+    surface = run.driven_road.realise(rng)
+    record, truth = simulate_record(
+        surface,
+        speed_kmh=run.speed_kmh,
+        mode=run.simulator_mode,
+        seed=np.random.SeedSequence([seed, run.seed_offset]),
+        **common,
+    )
+    profile = None
+    if run.survey_std is not None:
+        error = run.survey_std * rng.standard_normal(truth.z.shape)
+        profile = Profile(truth.s, truth.z + error)
+    record = _low_passed(record, task.low_pass)
+    std = run.survey_std or CalibrationDrive.survey_std
+    return CalibrationDrive(record, profile, std, f"calibration drive {k + 1}")
+
+
+def _low_passed(record: Record, f_c: float | None) -> Record:
+    """Return a record whose accelerations were processed as the paper's, up to `f_c` [Hz].
+
+    Lost samples are bridged for the filter, and lost again.
+    """
+    if f_c is None:
+        return record
+    lost, t = np.isnan(record.a), record.t
+    pairs = zip(record.a, lost, strict=True)
+    bridged = np.array([np.interp(t, t[~gap], x[~gap]) for x, gap in pairs])
+    filtered = preprocess_accelerations(bridged, record.fs, f_c)
+    return dataclasses.replace(record, a=np.where(lost, np.nan, filtered))
 
 
 def lock_arrays(drive: RecordedDrive) -> RecordedDrive:
     """Make the arrays of a drive read-only and return the drive."""
     # all entries share the arrays: an entry that writes into them fails instead of changing them
-    for holder in (drive.record, drive.truth):
+    given = [x for c in drive.calibration for x in (c.record, c.profile) if x is not None]
+    for holder in (drive.record, drive.truth, *given):
         for value in vars(holder).values():
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False

@@ -19,7 +19,7 @@ BOUND_NAME = "bound of a linear car without friction, from data below 25 Hz"
 RANK_COLUMNS = {"offline": "rank", "causal": "rank_causal"}
 """Column with the ranks of a division."""
 
-TEXT_COLUMNS = ("interval", "states", "slope_interval")
+TEXT_COLUMNS = ("interval", "states", "slope_interval", "calibrates")
 """Columns that are not a single number."""
 
 
@@ -91,6 +91,16 @@ _DERIVED = (
     Metric(
         key="slope", label="growth of the NRMSE per grade", head="slope", unit="per grade",
         digits=3, better="zero", help="Least-squares slope of the NRMSE over the grades of car.",
+    ),
+    Metric(
+        key="calibrates", label="calibrated to the vehicle", head="calibrated", blank="",
+        help="Whether the estimator uses the calibration drives that it is given before each test "
+        "drive; the others ignore them.",
+    ),
+    Metric(
+        key="calibrate_seconds", label="calibration time", head="calibrate", unit="s", digits=1,
+        blank="", help="Mean time of a calibration. Drives that an estimator before it has "
+        "identified the same vehicle from take none.",
     ),
     Metric(
         key="slope_interval", label="95 % interval of the slope", head="95 %",

@@ -40,6 +40,7 @@ from leaderboard.report.board_definitions import (
     Column,
     board_columns,
 )
+from leaderboard.report.run_groups import ScoreSlice, run_groups
 from leaderboard.running.board import Board
 from road_envs.vehicle.perturbed_vehicle import GRADES
 
@@ -54,9 +55,6 @@ ALL_RUNS = ""
 
 SPECTRUM_SCORES = tuple(name for name in SCORES if name.startswith("error_at_"))
 """Score keys of the third-octave errors."""
-
-ScoreSlice = tuple[list[int] | slice, list[int] | slice]
-"""Index of roads and of conditions into scores (R, C, S)."""
 
 ALL_SCORES: ScoreSlice = (slice(None), slice(None))
 GroupValues = dict[str, dict[str, float | None]]
@@ -125,27 +123,6 @@ def nonempty_columns(view: BoardView, *sections: Section) -> list[Column]:
         for column in board_columns(view.board, view.definition)
         if any(row.cells.get(column.key, "") not in ("", UNDEFINED) for row in rows)
     ]
-
-
-def run_groups(task: Task) -> dict[str, dict[str, ScoreSlice]]:
-    """Return the groups of runs of a task by kind and name, as slices of roads and conditions.
-
-    Kinds with a single group are left out.
-    """
-    every = slice(None)
-    conditions: dict[str, ScoreSlice] = {
-        c.label: (every, slice(k, k + 1)) for k, c in enumerate(task.conditions)
-    }
-    families: dict[str, ScoreSlice] = {
-        family: (task.test.indices_of_family(family), every)
-        for family in dict.fromkeys(task.test.families)
-    }
-    grades: dict[str, ScoreSlice] = {
-        f"car {grade}": (every, [k for k, c in enumerate(task.conditions) if c.grade == grade])
-        for grade in dict.fromkeys(c.grade for c in task.conditions)
-    }
-    kinds = {"condition": conditions, "family": families, "car": grades}
-    return {kind: parts for kind, parts in kinds.items() if len(parts) > 1}
 
 
 def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
@@ -218,6 +195,7 @@ def _aggregate(
         if result.parameters
         else None,
         "estimate_ms_per_100m": result.estimate_ms_per_100m,
+        "calibrate_seconds": result.calibrate_seconds,
         "parameters": result.parameters or None,
         **_training_states(scores),
         **_grade_scores(ranked, parts, strata),
@@ -291,6 +269,7 @@ def _scored_row(
         "interval": interval_text(mine["low"], mine["high"], definition.ranks_by),
         "states": _states_text(mine),
         "probes": card.passed_count if card else "",
+        "calibrates": {True: "yes", False: "no", None: ""}[result.calibrates],
     }
     state: RowState = "baseline" if result.role == "sentinel" else "scored"
     groups = {name: x for name, x in table.values.items() if name != ALL_RUNS}

@@ -143,7 +143,10 @@ def in_sandbox(sandbox: SandboxClient) -> EntryRunner:
     def run(entry: Entry, data: ConditionData, seeds: Sequence[int]) -> Iterable[TrainingRun]:
         training, car = evaluate.training_pairs(data), data.task.vehicle
         records = [test.record for test in data.tests]
-        return sandbox.reconstruct(entry, training, records, car, seeds, retest=True)
+        return sandbox.reconstruct(
+            entry, training, records, car, seeds,
+            calibrations=evaluate.calibrations(data), retest=True,
+        )  # fmt: skip
 
     return run
 

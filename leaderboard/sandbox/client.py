@@ -15,8 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from estimators.api import check_estimate
-from leaderboard.evaluation.entry import MAX_LAG, Entry, EntryError, TrainingRun, reconstruct_all
+from estimators.api import CalibrationDrive, check_estimate
+from leaderboard.evaluation.entry import (
+    MAX_LAG,
+    Calibrations,
+    Entry,
+    EntryError,
+    TrainingRun,
+    reconstruct_all,
+)
 from leaderboard.sandbox import bubblewrap, entry_files, messages, processes, worker
 from leaderboard.sandbox.guest import Guest
 from leaderboard.sandbox.limits import Limits, guest_environment
@@ -120,6 +127,7 @@ class SandboxClient:
         car: VehicleParameters,
         seeds: Sequence[int],
         *,
+        calibrations: Calibrations = (),
         retest: bool = False,
     ) -> list[TrainingRun]:
         """Run `entry.reconstruct_all` in a guest. Raises EntryError.
@@ -135,14 +143,16 @@ class SandboxClient:
         guest = self._start(entry.reference)
         try:
             session = self._session(guest, entry, car)
-            runs = list(reconstruct_all(session, training, records, seeds, order))
+            runs = list(reconstruct_all(session, training, records, seeds, order, calibrations))
         finally:
             self._end(guest)
         found: dict[str, Any] = {"peak_memory": guest.peak_memory, "isolation": self.isolation}
         if not ours and session.needs_training and len(runs) < len(seeds):
             found["notes"] = (ONE_TRAINING,)
         if retest and not ours:
-            tested = self._retest(entry, training, records, car, seeds[0], order, runs[0])
+            tested = self._retest(
+                entry, training, records, car, seeds[0], order, runs[0], calibrations
+            )
             found["looks_ahead"] = LOOKS_AHEAD in tested or NOT_RETESTED in tested
             found["notes"] = (*found.get("notes", ()), *tested)
         return [dataclasses.replace(run, **found) for run in runs]
@@ -156,6 +166,7 @@ class SandboxClient:
         seed: int,
         order: Sequence[int],
         run: TrainingRun,
+        calibrations: Calibrations,
     ) -> list[str]:
         """Compare estimates of `run` with those of a new guest, which knows nothing of the first.
 
@@ -167,9 +178,11 @@ class SandboxClient:
         drives = secret.sample(range(len(records)), number)
         changed = [_replace_future(records[k], secret) for k in drives]
         asked = [records[order[-1]], *(record for record, _ in changed)]
+        known = [calibrations[k] for k in (order[-1], *drives)] if calibrations else ()
         guest = self._start(entry.reference)
         try:
-            (again,) = reconstruct_all(self._session(guest, entry, car), training, asked, [seed])
+            session = self._session(guest, entry, car)
+            (again,) = reconstruct_all(session, training, asked, [seed], None, known)
         except EntryError:
             return [NOT_RETESTED]
         finally:
@@ -259,7 +272,8 @@ class SandboxClient:
 
     def _session(self, guest: Guest, entry: Entry, car: VehicleParameters) -> "_RemoteSession":
         head = self._begin(guest, entry.reference, entry.settings, dataclasses.asdict(car))
-        return _RemoteSession(guest, head.get("needs_training") is True)
+        trains, calibrates = (head.get(name) is True for name in ("needs_training", "calibrates"))
+        return _RemoteSession(guest, trains, calibrates)
 
     def _end(self, guest: Guest) -> None:
         """End a run: only a guest of our own that has finished properly is kept."""
@@ -279,8 +293,8 @@ class SandboxClient:
 class _RemoteSession:
     """A session with an estimator in a guest."""
 
-    def __init__(self, guest: Guest, needs_training: bool):
-        self.needs_training = needs_training
+    def __init__(self, guest: Guest, needs_training: bool, calibrates: bool):
+        self.needs_training, self.calibrates = needs_training, calibrates
         self._guest = guest
 
     def fit(self, training: Sequence[tuple[Record, Profile]], seed: int) -> tuple[int, float]:
@@ -288,6 +302,10 @@ class _RemoteSession:
         sent = training if self.needs_training else []
         head, _, seconds = self._timed(messages.encode_training(sent, seed))
         return int(messages.number(head, "parameters", LARGEST_COUNT)), seconds
+
+    def calibrate(self, drives: Sequence[CalibrationDrive]) -> float:
+        """Calibrate the estimator to the vehicle of these drives. Raises EntryError."""
+        return self._timed(messages.encode_calibration(drives))[2]
 
     def estimate(self, record: Record) -> tuple[Estimate, float]:
         """Return the estimate of a record. Raises EntryError, EstimateError."""

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from estimators.api import CalibrationDrive
 from leaderboard.evaluation.entry import EntryError
 from road_envs.data.accelerometers import from_plain, to_plain
 from road_envs.data.record import Profile, Record
@@ -88,6 +89,37 @@ def make_training(
     parts = [arrays[k * size : (k + 1) * size] for k in range(len(lengths))]
     records = [make_record(part[:-2], x, sensors) for part, x in zip(parts, lengths, strict=True)]
     return records, [Profile(part[-2], part[-1]) for part in parts]
+
+
+def encode_calibration(drives: Sequence[CalibrationDrive]) -> bytes:
+    """Return the request to calibrate with drives of one layout of sensors.
+
+    A survey error of None stands for an unmeasured road.
+    """
+    survey = [None if drive.profile is None else drive.survey_std for drive in drives]
+    lengths, arrays = [drive.record.length for drive in drives], []
+    for drive in drives:
+        arrays += record_arrays(drive.record)
+        arrays += [] if drive.profile is None else [drive.profile.s, drive.profile.z]
+    head = {"do": "calibrate", "lengths": lengths, "survey": survey}
+    names, sensors = [drive.name for drive in drives], to_plain(drives[0].record.sensors)
+    return encode({**head, "names": names, "sensors": sensors}, arrays)
+
+
+def make_calibration(
+    head: Mapping[str, Any], arrays: Sequence[np.ndarray]
+) -> list[CalibrationDrive]:
+    """Return the drives of `encode_calibration`, in the guest."""
+    left, drives = list(arrays), []
+    size = len(RECORD_ARRAYS)
+    for length, std, name in zip(head["lengths"], head["survey"], head["names"], strict=True):
+        record, left = make_record(left[:size], length, head["sensors"]), left[size:]
+        if std is None:
+            drives.append(CalibrationDrive(record, name=name))
+        else:
+            drives.append(CalibrationDrive(record, Profile(left[0], left[1]), std, name))
+            left = left[2:]
+    return drives
 
 
 def parse_head(text: bytes) -> dict[str, Any]:

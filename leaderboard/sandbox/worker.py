@@ -177,7 +177,7 @@ def _serve(setup: Setup, replies: int, start: dict[str, Any]) -> None:
     for library in ("scipy.interpolate", "scipy.signal"):  # slow to load, and in nobody's time
         importlib.import_module(library)
     session = LocalSession(estimator, build(VehicleParameters, start["car"], "car"))
-    reply(replies, {"needs_training": session.needs_training})
+    reply(replies, {"needs_training": session.needs_training, "calibrates": session.calibrates})
     while (request := read_request())["do"] != "end":
         arrays = messages.decode_arrays(request, read)
         answer: dict[str, Any]
@@ -189,6 +189,8 @@ def _serve(setup: Setup, replies: int, start: dict[str, Any]) -> None:
                     list(zip(*training, strict=True)), request["seed"]
                 )
                 answer = {"parameters": parameters, "seconds": seconds}
+            elif request["do"] == "calibrate":
+                answer = {"seconds": session.calibrate(messages.make_calibration(request, arrays))}
             else:
                 estimate, seconds = session.estimate(
                     messages.make_record(arrays, request["length"], request["sensors"])

@@ -46,6 +46,7 @@ def simulate_record(
     length: float | None = None,
     step: float = DEFAULT_STEP,
     plant_mismatch: PlantMismatch | None = None,
+    individual: int | np.random.SeedSequence | None = None,
 ) -> tuple[Record, Profile]:
     """Drive a vehicle over a road; return what its instruments record, and the true profile.
 
@@ -54,7 +55,8 @@ def simulate_record(
     "passive"), or one of these for "front" and "rear"; by default it is the first. `grade` "S1" to
     "S3" drives a vehicle that departs from its description (`road_envs.vehicle.perturbed_vehicle`),
     by the shipped `plant_mismatch` unless another is given. `seed` draws the road, the sensor noise
-    and the individual vehicle. `step` [s] is the integrator's. Raises ConfigError, SimulationError.
+    and the individual vehicle, unless `individual` is the seed of that, for several drives of one.
+    `step` [s] is the integrator's. Raises ConfigError, SimulationError.
     """
     if not 0.0 < speed_kmh < np.inf:
         raise ConfigError(f"the speed must be positive, got {speed_kmh:g} km/h")
@@ -63,7 +65,8 @@ def simulate_record(
     if not isinstance(instruments, Instruments):
         instruments = load_instruments(instruments)
     sensors = instruments.accelerometers
-    one = perturb_vehicle(car, grade, seed, plant_mismatch, len(sensors))
+    drawn_by = seed if individual is None else individual
+    one = perturb_vehicle(car, grade, drawn_by, plant_mismatch, len(sensors))
     step, enveloped_surface = min(step, one.step), one.enveloped(surface)
     drive = DriveSimulator(one.plant, one.car, enveloped_surface, speed_kmh / 3.6, mode, step)
     logger = DataLogger(instruments, one.car, step, np.random.default_rng(seed), one.faults)

@@ -12,6 +12,8 @@ from road_envs.sensing.instruments import ANTIALIAS_ORDER, Instruments
 from road_envs.sensing.instruments import load_instruments as load_instruments
 from road_envs.sensing.sensor_faults import NO_FAULTS, JitteredSampler, SensorFaults
 from road_envs.simulation.drive import Trajectory
+from road_envs.vehicle.body_bending import BendingMotion, shape
+from road_envs.vehicle.equations import THETA, Z_B
 from road_envs.vehicle.parameters import VehicleParameters
 
 
@@ -51,6 +53,8 @@ class DataLogger:
             for location, dx, dy in shifts
         ]
         self.faults, self.sampler = faults, None
+        mode = car.variation.bending
+        self.bending = None if mode is None else BendingMotion(mode, car, step)
         if faults.jitter > 0.0 or faults.dropout_rate > 0.0:
             self.sampler = JitteredSampler(self.decimation, step, faults, k)
         self.sos = butterworth_sos(ANTIALIAS_ORDER, instruments.f_alias, 1.0 / step)
@@ -66,6 +70,12 @@ class DataLogger:
         With jitter the samples near the end are returned by the next call, or by `flush`.
         """
         a = np.array([trajectory.vertical_acceleration(*location) for location in self.locations])
+        if self.bending is not None:
+            rates = trajectory.acceleration
+            q = self.bending.advance(rates[:, Z_B], rates[:, THETA])
+            a += np.array(
+                [shape(self.bending.mode, at.x) * (at.axle is None) * q for at in self.locations]
+            )
         if self.faults is not NO_FAULTS:
             a = self.faults.apply(a)
         if self.noise_std.any():  # drawn time step by time step, so that chunks equal the whole

@@ -20,7 +20,7 @@ from pydantic import Field, Tag
 
 from road_envs import config
 from road_envs._atomic_io import write_text
-from road_envs.config import Finite, NonNegative, Positive, Settings, by_kind
+from road_envs.config import Finite, Fraction, NonNegative, Positive, Settings, by_kind
 from road_envs.vehicle.force_curves import Curve
 
 GRAVITY = 9.81
@@ -258,6 +258,15 @@ class TorsionalFrame(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class BendingMode(Settings):
+    """First vertical bending mode of the body, which sensors measure (`body_bending`)."""
+
+    f: Annotated[Positive, "Hz", "frequency"]
+    zeta: Annotated[Fraction, "", "its damping ratio"]
+    length: Annotated[Positive, "m", "of the beam, centred at the body's centre of mass"]
+
+
+@dataclass(frozen=True, kw_only=True)
 class VehicleVariation(Settings):
     """Deviation of one manufactured vehicle from its parameters; by default there is none.
 
@@ -277,6 +286,7 @@ class VehicleVariation(Settings):
         tuple[NonNegative, NonNegative], "N m/rad", "of the bushings between body and each axle"
     ] = (0.0, 0.0)
     frame: TorsionalFrame | None = None
+    bending: BendingMode | None = None
 
 
 NOMINAL = VehicleVariation()

@@ -9,7 +9,8 @@ grades are cumulative for the same seed:
 | S0 | nothing: the nominal vehicle, bit for bit |
 | S1 | manufacture: masses, inertias, friction; gas, damper, friction and bushing of each strut |
 | S2 | structure: tyres that envelop the road, are progressive and differ in pressure; roll |
-|    | stiffness of the bushings; a torsionally flexible frame |
+|    | stiffness of the bushings; a body that twists (`parameters.TorsionalFrame`) and bends |
+|    | (`body_bending`), each at its own frequency |
 | S3 | instruments: position, tilt, gain, offset, speed error, clock jitter, lost samples |
 
 The magnitudes are in `configs/field/*.yaml` and assumed. From S1 on the integrator takes finer
@@ -25,7 +26,7 @@ from typing import Annotated
 import numpy as np
 
 from road_envs import config
-from road_envs.config import Fraction, NonNegative, Settings, SmallestFirst
+from road_envs.config import Fraction, NonNegative, Positive, Settings, SmallestFirst
 from road_envs.roads.surface import Surface, enveloped
 from road_envs.sensing.sensor_faults import (
     NO_FAULTS,
@@ -38,6 +39,7 @@ from road_envs.sensing.sensor_faults import (
 )
 from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.parameters import (
+    BendingMode,
     PerWheel,
     Step,
     TorsionalFrame,
@@ -49,6 +51,7 @@ from road_envs.vehicle.tolerances import scale_parameters
 GRADES = ("S0", "S1", "S2", "S3")
 
 Range = Annotated[tuple[Fraction, Fraction], SmallestFirst]
+PositiveRange = Annotated[tuple[Positive, Positive], SmallestFirst]
 MANUFACTURE_LEVEL, STRUCTURE_LEVEL, INSTRUMENT_LEVEL = 1, 2, 3
 """Index of the grade that adds each group of deviations, and second key of its random stream."""
 
@@ -74,6 +77,21 @@ class ManufacturingTolerances(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class FrameRange(Settings):
+    """Range of the frames of vehicles of one kind; frequencies are uniform in their logarithm."""
+
+    f: Annotated[PositiveRange, "Hz", "of the torsion mode, as in `parameters.TorsionalFrame`"]
+    zeta: Annotated[Range, "", "its damping ratio"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BendingRange(FrameRange):
+    """Range of the vertical bending modes of bodies."""
+
+    length: Annotated[Positive, "m", "of the beam, as in `body_bending.BendingMode`"]
+
+
+@dataclass(frozen=True, kw_only=True)
 class UnmodelledStructure(Settings):
     """Structural effects that the nominal equations of motion leave out."""
 
@@ -86,7 +104,8 @@ class UnmodelledStructure(Settings):
     roll_stiffness: Annotated[
         tuple[NonNegative, NonNegative], "N m/rad", "of the bushings, front and rear"
     ]
-    frame: TorsionalFrame | None
+    frame: FrameRange | None
+    bending: BendingRange | None
 
     def __post_init__(self):
         super().__post_init__()
@@ -234,10 +253,19 @@ def _with_structure(
         tyre=_four_factors(rng, limits.tyre_pressure * limits.tyre_pressure_effect),
         tyre_progression=limits.tyre_progression,
         roll_stiffness=limits.roll_stiffness,
-        frame=limits.frame,
+        frame=None if limits.frame is None else TorsionalFrame(**_draw_mode(rng, limits.frame)),
+        bending=None
+        if (b := limits.bending) is None
+        else BendingMode(**_draw_mode(rng, b), length=b.length),
     )
     car = replace(car, variation=variation)
     return replace(vehicle, car=car, contact_length=limits.contact_length)
+
+
+def _draw_mode(rng: np.random.Generator, limits: FrameRange) -> dict[str, float]:
+    """Draw frequency and damping ratio of a mode."""
+    f = float(np.exp(rng.uniform(*np.log(limits.f))))
+    return {"f": f, "zeta": float(rng.uniform(*limits.zeta))}
 
 
 def _draw_sensor_faults(

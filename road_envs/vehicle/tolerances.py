@@ -23,11 +23,12 @@ import numpy as np
 
 from road_envs.config import ConfigError
 from road_envs.vehicle.force_curves import Curve
-from road_envs.vehicle.parameters import TorsionalFrame, VehicleParameters
+from road_envs.vehicle.parameters import BendingMode, TorsionalFrame, VehicleParameters
 from road_envs.vehicle.suspension import WHEELS
 
 AXLES = ("front", "rear")
-FRAME = "variation.frame"
+MODES = {"frame": TorsionalFrame, "bending": BendingMode}
+"""Elements that are left out as a whole, by their names in `VehicleVariation`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +83,11 @@ def parameter_space(car: VehicleParameters, structure: bool = False) -> Paramete
     return ParameterSpace(car, tuple(std), np.array(list(std.values())))
 
 
+def has_absent_elements(car: VehicleParameters) -> bool:
+    """Return whether a tolerance is that of an element that the description leaves out."""
+    return any(_is_absent(car, path) for path in car.tolerances)
+
+
 def scale_parameters(car: VehicleParameters, factors: Mapping[str, float]) -> VehicleParameters:
     """Return `car` with the parameter of each path multiplied by its factor."""
     return reduce(lambda c, item: _scale_at(c, item[0].split("."), item[1]), factors.items(), car)
@@ -128,13 +134,14 @@ def _is_absent(car: VehicleParameters, path: str) -> bool:
 
 def _with_elements(car: VehicleParameters, about: Mapping[str, float]) -> VehicleParameters:
     """Return `car` with the elements that it lacks, of the values `about`."""
-    frame = {f.name: about.get(f"{FRAME}.{f.name}") for f in fields(TorsionalFrame)}
     variation = car.variation
-    if variation.frame is None and all(frame.values()):
-        variation = replace(variation, frame=TorsionalFrame(**frame))  # type: ignore[arg-type]
+    for mode, cls in MODES.items():
+        values = {f.name: about.get(f"variation.{mode}.{f.name}") for f in fields(cls)}
+        if getattr(variation, mode) is None and all(values.values()):
+            variation = replace(variation, **{mode: cls(**values)})
     for path, value in about.items():
-        if not path.startswith(FRAME):
-            name = path.removeprefix("variation.")
+        name = path.removeprefix("variation.")
+        if name.partition(".")[0] not in MODES:
             old = getattr(variation, name)
             new: Any = (value,) * len(old) if isinstance(old, tuple) else value
             variation = replace(variation, **{name: new})

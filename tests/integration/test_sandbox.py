@@ -12,9 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fakes import Learner, Reader, fake_drives, task
+from fakes import CalibratedReader, Learner, Reader, fake_drives, task
 from hostile import poisoned_kernels
 
+from estimators.api import CalibrationDrive
 from leaderboard.evaluation import entries
 from leaderboard.evaluation.entry import Entry, EntryError, LocalSession, reconstruct_all
 from leaderboard.sandbox import bubblewrap, limits
@@ -108,6 +109,64 @@ def test_estimates_in_the_sandbox_are_bitwise_those_of_this_process(sandbox, est
     assert found[0].estimate_seconds > 0.0 and nothing_left()
     one_training = len(found) == 1 and isinstance(estimator, Learner)
     assert found[0].notes == (("its training does not depend on the seed",) * one_training)
+
+
+def calibration_drives(number, known):
+    """Drives of the vehicle of each of `number` records, two of each, the second measured."""
+    t = task(training={"roads": ["iso_d"], "seeds": [*range(1, 2 * number + 1)], "length": 20.0})
+    made = list(fake_drives(t, t.training, t.conditions[0]))
+    return [
+        [
+            CalibrationDrive(made[2 * k].record, name="first"),
+            CalibrationDrive(
+                made[2 * k + 1].record, made[2 * k + 1].truth if known else None, 0.002
+            ),
+        ]
+        for k in range(number)
+    ]
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_each_estimate_follows_the_calibration_to_its_own_vehicle(sandbox, known):
+    """In this process and in a guest, which asks for the estimates in any order."""
+    training, records, car = drives(2)
+    given = calibration_drives(2, known)
+    estimator, entry = CalibratedReader(), Entry(name="x", reference="fakes:CalibratedReader")
+    session = LocalSession(estimator, car)
+    (here,) = reconstruct_all(session, training, records, (1,), None, given)
+    (there,) = sandbox.reconstruct(
+        entry, training, records, car, (1,), calibrations=given, retest=True
+    )
+    for k in range(2):
+        profile = given[k][1].profile
+        gain = np.abs(profile.z).max() + 0.002 if profile else 2.0
+        expected = Reader(gain=gain).estimate(records[k], car).z
+        np.testing.assert_array_equal(here.estimates[k].z, expected)
+        np.testing.assert_array_equal(there.estimates[k].z, expected)
+    assert here.calibrate_seconds >= 0.0 and there.calibrate_seconds >= 0.0
+    assert there.notes == () and nothing_left()
+
+
+def test_an_estimator_that_cannot_be_calibrated_ignores_the_drives(sandbox):
+    training, records, car = drives()
+    entry = Entry(name="x", reference="fakes:Reader")
+    given = calibration_drives(1, False)
+    (there,) = sandbox.reconstruct(entry, training, records, car, (1,), calibrations=given)
+    assert there.calibrate_seconds is None
+    np.testing.assert_array_equal(there.estimates[0].z, Reader().estimate(records[0], car).z)
+
+
+def test_a_failing_calibration_fails_the_entry_with_its_sentence(sandbox):
+    training, records, car = drives()
+    entry = Entry(name="x", reference="fakes:CalibratedReader", settings={"how": "raises"})
+    reason = (
+        "calibrating to the vehicle of test drive 1, seed 1: CalibrationError: first: too smooth"
+    )
+    with pytest.raises(EntryError, match=reason):
+        sandbox.reconstruct(
+            entry, training, records, car, (1,), calibrations=calibration_drives(1, False)
+        )
+    assert nothing_left()
 
 
 def test_standard_deviations_are_returned_from_the_sandbox(sandbox):

@@ -9,7 +9,7 @@ from vehicle_fixtures import DEFENDER
 
 from estimators.api import CalibrationDrive, CalibrationError
 from estimators.map_smoother import car_fit
-from estimators.map_smoother.car_fit import Readings, perturbed_plants, sensitivities
+from estimators.map_smoother.car_fit import Readings, perturbed_cars, sensitivities
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.identification import identify
 from estimators.map_smoother.objective import Objective, linearize
@@ -51,9 +51,9 @@ def test_sensitivities_are_differences_of_single_drives():
     x = 0.5 * np.random.default_rng(0).standard_normal(objective.size)
     lin = linearize(objective, x, objective.information)
     few = ParameterSpace(DEFENDER, SPACE.names[::5], SPACE.std[::5])
-    plants = perturbed_plants(few, np.zeros(few.size))
-    for plant, found in zip(plants[1:], sensitivities(lin, plants), strict=True):
-        residual, _ = objective.with_plant(plant).residual_at(x)
+    cars, none = perturbed_cars(few, np.zeros(few.size)), np.zeros(0)
+    for car, found in zip(cars[1:], sensitivities(lin, objective, cars, none), strict=True):
+        residual, _ = objective.with_car(car).residual_at(x)
         expected = (lin.residual - residual) / car_fit.DIFFERENCE
         np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
 
@@ -62,14 +62,14 @@ def test_the_log_determinant_has_its_gradient():
     objective, noise = short_objective(), 0.05
     f, lines = car_fit._lines(objective)
 
-    def half_log_det(plant) -> float:
-        C = car_fit._covariance(objective.with_plant(plant), f, noise)
+    def half_log_det(car) -> float:
+        C = car_fit._covariance(objective.with_car(car), f, noise)
         return 0.5 * float(lines @ np.linalg.slogdet(C)[1])
 
     few = ParameterSpace(DEFENDER, SPACE.names[:6], 0.01 * SPACE.std[:6])
-    plants = perturbed_plants(few, np.zeros(few.size))
-    values = np.array([half_log_det(plant) for plant in plants])
-    gradient, hessian = car_fit._log_det_terms(objective, plants, noise)
+    cars = perturbed_cars(few, np.zeros(few.size))
+    values = np.array([half_log_det(car) for car in cars])
+    gradient, hessian = car_fit._log_det_terms(objective, cars, noise)
     np.testing.assert_allclose(
         gradient, (values[1:] - values[0]) / car_fit.DIFFERENCE, rtol=0.02, atol=1e-3
     )

@@ -90,7 +90,7 @@ def test_manufacturing_deviations_stay_within_their_limits(seed):
     assert vehicle.car.strut == DEFENDER.strut and vehicle.step == ASSUMED.step
     assert (
         vehicle.faults is NO_FAULTS
-        and vehicle.car.variation.frame is None
+        and vehicle.car.variation.frame is vehicle.car.variation.bending is None
         and vehicle.contact_length == 0.0
     )
 
@@ -102,7 +102,12 @@ def test_every_grade_keeps_the_deviations_of_the_previous_grade(seed):
     for name in ("gas", "damper", "friction", "bushing"):
         assert getattr(s1.car.variation, name) == getattr(s2.car.variation, name)
     mismatch = ASSUMED.structure
-    assert s3.contact_length == mismatch.contact_length and s3.car.variation.frame == mismatch.frame
+    assert s3.contact_length == mismatch.contact_length
+    assert s1.car.variation.bending is None
+    for name in ("frame", "bending"):
+        mode, limits = getattr(s3.car.variation, name), getattr(mismatch, name)
+        assert limits.f[0] <= mode.f <= limits.f[1]
+        assert limits.zeta[0] <= mode.zeta <= limits.zeta[1]
     assert s2.car.variation.roll_stiffness == mismatch.roll_stiffness
     tyre = np.array(s2.car.variation.tyre)
     assert (np.abs(tyre - 1.0) <= mismatch.tyre_pressure * mismatch.tyre_pressure_effect).all()
@@ -129,6 +134,14 @@ def test_draws_cover_their_ranges_in_both_directions():
         and speed.max() > 0.9 * ASSUMED.instruments.speed
     )
     assert len({vehicle.faults.seed for vehicle in cars}) == 300
+    for found, limits in (
+        ([vehicle.car.variation.frame for vehicle in cars], ASSUMED.structure.frame),
+        ([vehicle.car.variation.bending for vehicle in cars], ASSUMED.structure.bending),
+    ):
+        f = np.log([mode.f for mode in found])
+        low, high = np.log(limits.f)
+        assert f.min() < low + 0.03 and f.max() > high - 0.03  # uniform in the logarithm
+        assert f.mean() == pytest.approx(0.5 * (low + high), abs=0.06)
 
 
 def test_a_seed_is_reproducible_and_its_sequence_is_not_modified():
@@ -152,7 +165,7 @@ ZERO_MISMATCH = replace(
     ),
     structure=replace(
         ASSUMED.structure, contact_length=0.0, tyre_progression=0.0, tyre_pressure=0.0,
-        roll_stiffness=(0.0, 0.0), frame=None,
+        roll_stiffness=(0.0, 0.0), frame=None, bending=None,
     ),
     instruments=replace(
         ASSUMED.instruments, place=0.0, tilt=0.0, gain=0.0, offset=0.0, speed=0.0, jitter=0.0,
@@ -340,7 +353,8 @@ def test_an_unknown_grade_raises_config_error_with_the_known_ones(grade):
         ("manufacture.tyre", 0.1, "tyre: unknown key; known: friction, inertia, mass"),
         ("structure.contact_length", -0.1, "contact_length: must not be negative, got -0.1 m"),
         ("structure.tyre_pressure_effect", 20.0, "tyre_pressure times tyre_pressure_effect"),
-        ("structure.frame.f", 0.0, "frame.f: must be positive, got 0.0 Hz"),
+        ("structure.frame.f", [0.0, 9.0], "frame.f.0: must be positive, got 0.0 Hz"),
+        ("structure.bending.f", [30.0, 20.0], "bending.f: must be the smallest and the largest"),
         ("instruments.dropout_rate", 0.5, "dropout_rate: must be below 0.5"),
         (
             "instruments.dropout_length",

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from fakes import task
+from scipy import signal
 
 from leaderboard.evaluation import tasks, test_data
 from leaderboard.evaluation.surface_tasks import surface_class, surface_tasks
@@ -121,9 +122,9 @@ def test_the_field_board_has_all_grades_on_the_same_roads():
 def test_training_uses_the_nominal_vehicle_and_test_one_perturbed_vehicle(monkeypatch):
     seen = []
 
-    def recorded(surface, *, grade, seed, **options):
-        seen.append((grade, seed.entropy))
-        return simulate_record(surface, grade=grade, seed=seed, **options)
+    def recorded(surface, *, grade, seed, individual, **options):
+        seen.append((grade, seed.entropy, individual.entropy))
+        return simulate_record(surface, grade=grade, seed=seed, individual=individual, **options)
 
     monkeypatch.setattr(test_data, "simulate_record", recorded)
     t = task(conditions=CARS, test={"roads": ["iso_b"], "seeds": [11], "length": 12.0},
@@ -131,8 +132,84 @@ def test_training_uses_the_nominal_vehicle_and_test_one_perturbed_vehicle(monkey
     for condition in t.conditions:
         list(simulate_drives(t, t.training, condition)), list(simulate_drives(t, t.test, condition))
     trained, tested = seen[::2], seen[1::2]
-    assert trained == [("S0", [1, 0])] * 3
-    assert tested == [(grade, [11, 0]) for grade in ("S0", "S1", "S3")]
+    assert trained == [("S0", [1, 0], 1)] * 3
+    assert tested == [(grade, [11, 0], 11) for grade in ("S0", "S1", "S3")]
+
+
+CALIBRATION = [
+    {"road": "iso_c", "mode": "ride", "speed_kmh": 36.0, "seed_offset": 100, "length": 12.0},
+    {"road": "iso_d", "mode": "ride", "speed_kmh": 30.0, "seed_offset": 200, "length": 12.0,
+     "survey_std": 0.001},
+]  # fmt: skip
+
+
+def test_calibration_drives_are_of_the_very_vehicle_on_other_roads(monkeypatch):
+    driven = []
+
+    def recorded(surface, *, seed, individual, grade, speed_kmh, **options):
+        driven.append((individual.entropy, grade, speed_kmh, seed.entropy))
+        return simulate_record(
+            surface, seed=seed, individual=individual, grade=grade, speed_kmh=speed_kmh, **options
+        )
+
+    monkeypatch.setattr(test_data, "simulate_record", recorded)
+    t = task(conditions=CARS[1:], calibration=CALIBRATION,
+             test={"roads": ["iso_b"], "seeds": [11], "length": 12.0})  # fmt: skip
+    (drive,) = simulate_drives(t, t.test, t.conditions[0])
+    assert driven == [
+        (11, "S1", 30.0, [11, 0]), (11, "S1", 36.0, [11, 100]), (11, "S1", 30.0, [11, 200])
+    ]  # fmt: skip
+    unknown, known = drive.calibration
+    assert unknown.profile is None and known.survey_std == 0.001
+    truth = load_road("iso_d")
+    road = dataclasses.replace(truth, length=12.0).realise(np.random.default_rng(211))
+    error = known.profile.z - road.height(known.profile.s)
+    assert 0.0008 < error.std() < 0.0012
+    list(simulate_drives(t, t.training, t.conditions[0]))
+    assert all(one[1:3] == ("S0", 30.0) for one in driven[3:])  # no calibration of training drives
+
+
+@pytest.mark.parametrize("t", [t for t in shipped_tasks() if t.calibration], ids=lambda t: t.name)
+def test_no_calibration_drive_shares_a_seed_with_a_test_or_training_drive(t):
+    t = t.with_test_drives(None)
+    seeds = [seed for _, seed in t.test.roads_and_seeds]
+    others = set(seeds) | {seed for _, seed in t.training.roads_and_seeds}
+    own = [seed + run.seed_offset for run in t.calibration for seed in seeds]
+    assert len(set(own)) == len(own) and not others & set(own)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"seed_offset": 1}, r"a calibration drive shares the seeds \[12, 13, 14, 15\] with other"),
+        ({"seed_offset": 100}, r"a calibration drive shares the seeds \[111, 112"),
+        ({"survey_std": 0.0}, "survey_std must be positive, got 0"),
+        ({"seed_offset": 0}, "seed_offset must be positive, got 0"),
+    ],
+)
+def test_an_invalid_calibration_drive_is_refused(change, message):
+    with pytest.raises(ConfigError, match=message):
+        task(calibration=[CALIBRATION[0], {**CALIBRATION[1], **change}])
+
+
+def test_a_calibration_drive_over_the_test_road_is_refused():
+    with pytest.raises(ConfigError, match="a calibration drive and a test drive share a surface"):
+        task(test={"roads": ["belgian"], "seeds": [11]},
+             calibration=[{**CALIBRATION[0], "road": "belgian", "length": None}])  # fmt: skip
+
+
+def test_a_low_pass_leaves_the_accelerations_below_it_and_keeps_samples_lost():
+    options = {"conditions": CARS[2:], "test": {"roads": ["iso_b"], "seeds": [11], "length": 60.0}}
+    plain, low = task(**options), task(**options, low_pass=25.0)
+    a, b = (next(simulate_drives(t, t.test, t.conditions[0])).record.a for t in (plain, low))
+    np.testing.assert_array_equal(np.isnan(a), np.isnan(b))
+    f, before = signal.welch(np.nan_to_num(a), fs=1000.0, nperseg=512)
+    after = signal.welch(np.nan_to_num(b), fs=1000.0, nperseg=512)[1]
+    ratio = after.mean(axis=0) / before.mean(axis=0)
+    assert 0.8 < ratio[(f > 2.0) & (f < 15.0)].mean() < 1.2
+    assert ratio[(f > 60.0) & (f < 200.0)].max() < 0.1
+    with pytest.raises(ConfigError, match="low_pass must be positive, got 0"):
+        task(low_pass=0.0)
 
 
 def test_the_digest_depends_on_the_plant_mismatch(monkeypatch):

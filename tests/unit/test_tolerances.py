@@ -10,7 +10,7 @@ from road_envs import config
 from road_envs.config import ConfigError
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.linear_model import gaussian_damping
-from road_envs.vehicle.parameters import Tolerance, TorsionalFrame, load_vehicle
+from road_envs.vehicle.parameters import BendingMode, Tolerance, TorsionalFrame, load_vehicle
 from road_envs.vehicle.perturbed_vehicle import load_plant_mismatch, perturb_vehicle
 from road_envs.vehicle.tolerances import parameter_space, scale_parameters
 
@@ -71,11 +71,13 @@ def test_the_tolerances_are_those_of_the_test_vehicles():
 def test_structure_adds_what_the_description_leaves_out():
     car = FLEXIBLE.car
     assert car.variation.frame == TorsionalFrame(f=12.0, zeta=0.08)
+    assert car.variation.bending == BendingMode(f=25.0, zeta=0.045, length=4.4)
     assert car.variation.roll_stiffness == (3000.0, 3000.0)
     assert car.variation.tyre_progression == 3.0
     added = set(FLEXIBLE.names) - set(SPACE.names)
     assert added == {
         *("variation.frame.f", "variation.frame.zeta", "variation.tyre_progression"),
+        *(f"variation.bending.{name}" for name in ("f", "zeta", "length")),
         *("variation.roll_stiffness.front", "variation.roll_stiffness.rear"),
     }
     assert parameter_space(FLEXIBLE.car).names == FLEXIBLE.names

@@ -1,0 +1,78 @@
+"""Bending of the body in the readings: a linear filter behind the model of the rigid motion.
+
+What the struts bend (`road_envs.vehicle.body_bending`) follows from the body's heave and pitch and
+acts on the sensors alone. Sample by sample it is one more filter of the predicted accelerations;
+in the tangent, which is in block means, the modal force is one more sensor behind the others.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import sosfilt
+
+from estimators.common.block_means import BlockMeans
+from road_envs.sensing.instruments import SensorLocation
+from road_envs.vehicle import body_bending
+from road_envs.vehicle.equations import THETA, Z_B
+from road_envs.vehicle.parameters import BendingMode, VehicleParameters
+
+
+@dataclass(frozen=True, eq=False)
+class SensedBending:
+    """A bending `mode`, its modal `force` (2,) per modal mass by heave and pitch, and its `shape`
+    (S,) at the sensors, in units of their readings.
+    """
+
+    mode: BendingMode
+    force: np.ndarray
+    shape: np.ndarray
+
+    def at_samples(self, acceleration: np.ndarray, step: float) -> np.ndarray:
+        """Return what the sensors read of it (S, N), from accelerations (N, 7) of the coordinates
+        every `step` [s].
+        """
+        force = acceleration[:, [Z_B, THETA]] @ self.force
+        return self.shape[:, None] * sosfilt(body_bending.section(self.mode, step), force)
+
+    def extended(
+        self, measurements: BlockMeans, sensor_rows: np.ndarray
+    ) -> tuple[BlockMeans, np.ndarray]:
+        """Return measurements and sensor rows with the modal force as the last sensor."""
+        weight = measurements.sample_weight
+        mean = np.full((1, *weight.shape[1:]), 1.0 / weight.shape[2])
+        row = np.zeros((1, sensor_rows.shape[1]))
+        row[0, [Z_B, THETA]] = self.force
+        longer = replace(measurements, sample_weight=np.concatenate([weight, mean]))
+        return longer, np.concatenate([sensor_rows, row])
+
+    def sense(self, means: np.ndarray, duration: float) -> np.ndarray:
+        """Return the block means (S, J) of the sensors, from those of `extended` (S + 1, J)."""
+        q = sosfilt(body_bending.section(self.mode, duration), means[-1])
+        return means[:-1] + self.shape[:, None] * q
+
+    def sense_transpose(self, means: np.ndarray, duration: float) -> np.ndarray:
+        """Apply the transpose of `sense`: from (S, J) to (S + 1, J)."""
+        backward = (self.shape @ means)[::-1]
+        force = sosfilt(body_bending.section(self.mode, duration), backward)[::-1]
+        return np.concatenate([means, force[None]])
+
+    def response(self, heave: np.ndarray, pitch: np.ndarray, f: np.ndarray) -> np.ndarray:
+        """Return the sensors' response (F, S, K) by it, from those (F, K) of the body's heave and
+        pitch accelerations at `f` (F,) [Hz].
+        """
+        force = self.force[0] * heave + self.force[1] * pitch
+        q = body_bending.response(self.mode, f)[:, None] * force
+        return self.shape[:, None] * q[:, None, :]
+
+
+def sensed_bending(
+    car: VehicleParameters, locations: Mapping[str, SensorLocation]
+) -> SensedBending | None:
+    """Return the bending of a vehicle as sensors at `locations` read it; None if it is stiff."""
+    mode = car.variation.bending
+    if mode is None:
+        return None
+    on_body = np.array([place.axle is None for place in locations.values()])
+    shape = on_body * body_bending.shape(mode, np.array([place.x for place in locations.values()]))
+    return SensedBending(mode, body_bending.modal_force(mode, car), shape)

@@ -1,0 +1,52 @@
+"""Groups of the runs of a task: by condition, family of roads, grade of car, frequency of frame."""
+
+from itertools import pairwise
+
+from leaderboard.evaluation.tasks import Task
+
+ScoreSlice = tuple[list[int] | slice, list[int] | slice]
+"""Index of roads and of conditions into scores (R, C, S)."""
+
+FLEXIBLE_GRADES = ("S2", "S3")
+"""Grades of vehicles with a frame that twists."""
+
+FRAME_BANDS = (0.0, 10.0, 14.0, 100.0)
+"""Limits of the groups of frames [Hz]."""
+
+
+def run_groups(task: Task) -> dict[str, dict[str, ScoreSlice]]:
+    """Return the groups of runs of a task by kind and name, as slices of roads and conditions.
+
+    Kinds with a single group are left out.
+    """
+    every = slice(None)
+    conditions: dict[str, ScoreSlice] = {
+        c.label: (every, slice(k, k + 1)) for k, c in enumerate(task.conditions)
+    }
+    families: dict[str, ScoreSlice] = {
+        family: (task.test.indices_of_family(family), every)
+        for family in dict.fromkeys(task.test.families)
+    }
+    grades: dict[str, ScoreSlice] = {
+        f"car {grade}": (every, [k for k, c in enumerate(task.conditions) if c.grade == grade])
+        for grade in dict.fromkeys(c.grade for c in task.conditions)
+    }
+    kinds = {"condition": conditions, "family": families, "car": grades, "frame": _frames(task)}
+    return {kind: parts for kind, parts in kinds.items() if len(parts) > 1}
+
+
+def _frames(task: Task) -> dict[str, ScoreSlice]:
+    """Return the runs of vehicles whose frame twists, by its frequency in FRAME_BANDS."""
+    flexible = [k for k, c in enumerate(task.conditions) if c.grade in FLEXIBLE_GRADES]
+    if not flexible:
+        return {}
+    grade = task.conditions[flexible[0]].grade
+    roads = range(len(task.test.roads_and_seeds))
+    frames = [task.individual(k, grade).car.variation.frame for k in roads]
+    groups = {
+        f"frame {low:g} to {high:g} Hz": [
+            k for k, frame in zip(roads, frames, strict=True) if frame and low <= frame.f < high
+        ]
+        for low, high in pairwise(FRAME_BANDS)
+    }
+    return {name: (members, flexible) for name, members in groups.items() if members}
