@@ -103,7 +103,7 @@ def test_the_sensors_measure_the_bending_at_their_places():
         motion.acceleration[:, Z_B], motion.acceleration[:, THETA]
     )
     difference = bent - rigid
-    x = np.array([x for x, _ in IDEAL.locations(DEFENDER).values()])
+    x = np.array([place.x for place in IDEAL.locations(DEFENDER).values()])
     np.testing.assert_allclose(difference[1], difference[2], atol=1e-9)
     ratio = shape(MODE, x[0]) / shape(MODE, x[1])
     np.testing.assert_allclose(difference[0], ratio * difference[1], atol=1e-9)

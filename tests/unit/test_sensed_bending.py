@@ -54,7 +54,7 @@ def test_the_linear_response_has_the_bending_of_the_sensors():
     stiff, bent = (objective_of(v, 40) for v in (VehicleVariation(), VARIATIONS[0]))
     f = np.array([5.0, 20.0, 22.0, 40.0])
     (_, H), (_, B) = (next(linear_responses(one, f)) for one in (stiff, bent))
-    x = {name: x for name, (x, _) in PAPER.locations(DEFENDER).items()}
+    x = {name: place.x for name, place in PAPER.locations(DEFENDER).items()}
     # on a symmetric road the rear sensors tell pitch from heave with the front one
     heave_pitch = np.linalg.solve(
         np.array([[1.0, -x["RF"]], [1.0, -x["LR"]]]), np.array([H[:, 0, 0], H[:, 1, 0]])
