@@ -44,7 +44,6 @@ from estimators.preprocessing import mask_record
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.data.record import Estimate, Record, scored_band
 from road_envs.sensing.instruments import instruments_of
-from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import parameter_space
 
@@ -205,10 +204,8 @@ def _with_fits(
     """Return the objective with the vehicles that were fitted in an earlier window."""
     parts = list(objective.passes)
     for fit, fitted in findings.fits:
-        plant = build_plant(fit.car)
         for i in (i for i, number in enumerate(members) if number in fitted):
-            model = replace(parts[i].model, plant=plant)
-            parts[i] = replace(parts[i], model=model)
+            parts[i] = replace(parts[i], model=parts[i].with_car(fit.car).model)
     return objective.with_passes(parts)
 
 
@@ -238,9 +235,8 @@ def _adapt(
             fit = fit_car([parts[i] for i in same], parameter_space(car), solver)
         except ArithmeticError:  # a varied vehicle's motion was not finite
             continue
-        plant = build_plant(fit.car)
         for i in same:
-            objectives[i] = objectives[i].with_plant(plant)
+            objectives[i] = objectives[i].with_car(fit.car)
         findings.fits.append((fit, [members[i] for i in same]))
     if not findings.fits:
         return solution
