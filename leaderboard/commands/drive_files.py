@@ -1,7 +1,7 @@
 """Options that say how a drive in a file is to be read, and its record."""
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -37,6 +37,15 @@ RecordFile = Annotated[
     Path,
     typer.Argument(
         help="A record from `simulate`, or a measured drive as a table (.csv, .parquet, .mf4)."
+    ),
+]
+
+
+RecordFiles = Annotated[
+    list[Path],
+    typer.Argument(
+        help="Records from `simulate`, or measured drives as tables (.csv, .parquet, .mf4), of one "
+        "road."
     ),
 ]
 
@@ -152,6 +161,30 @@ def with_layout(record: Record, sensors: str | None, path: Path) -> Record:
             f"{sensors} have {', '.join(layout)}: give those of the drive, or leave out --sensors"
         )
     return replace(record, sensors=layout)
+
+
+def read_passes(paths: Sequence[Path], options: DriveOptions) -> list[DriveFile]:
+    """Read several passes over one road. Raises ConfigError.
+
+    Without a description for all, each table is read by that beside it with its own name and the
+    suffix .yaml, if there is one; a note says so.
+    """
+    drives = []
+    for path in paths:
+        beside = path.with_suffix(".yaml")
+        if len(paths) == 1 or options.description or is_record(path) or not beside.exists():
+            drives.append(read_drive(path, options))
+        else:
+            drive = read_drive(path, replace(options, description=beside))
+            notes = (*drive.measured.notes, f"read by the description {beside.name}")
+            drives.append(drive._replace(measured=drive.measured._replace(notes=notes)))
+        options = replace(options, save_description=None)  # once
+    if len(sensors := {drive.sensors for drive in drives}) > 1:
+        raise ConfigError(
+            f"passes of one road need the same instruments, got {', '.join(sorted(sensors))}: give "
+            "one for all (--sensors)"
+        )
+    return drives
 
 
 def make_drive_estimator(name: str, drive: DriveFile, settings: dict[str, Any]) -> Estimator:

@@ -15,8 +15,10 @@ from leaderboard.commands import check_output_path, console, parse_settings, pri
 from leaderboard.commands.drive_files import (
     DriveOptions,
     RecordFile,
+    RecordFiles,
     make_drive_estimator,
     read_drive,
+    read_passes,
     with_drive_options,
 )
 from leaderboard.commands.simulate import Json, print_facts, print_notes
@@ -42,7 +44,7 @@ N_DRIVES, SPEED_MARGIN = 60, 1.5
 def estimate(
     *,
     estimator: Annotated[str, typer.Argument(help="A file from `train`, or a name.")],
-    record: RecordFile,
+    records: RecordFiles,
     truth: Annotated[Path | None, typer.Option(help="True profile (.csv), to score.")] = None,
     options: DriveOptions,
     settings: Annotated[
@@ -54,25 +56,37 @@ def estimate(
 ) -> None:
     """Reconstruct both wheel paths of a record; score them if the truth is given.
 
+    Several records are passes over one road, which is reconstructed from all of them, on the
+    stations of the first. Each can have a description of its own, with the name of its file:
+    a.yaml beside a.csv. Options are for all.
+
     A measured drive is a table with the columns t [s], a_rf, a_lr, a_rr [m/s²] (or a_rf_g ... [g]),
     v [m/s] or v_kmh, and mode; speed and mode can be given as options instead.
     """
     check_output_path(out, ".csv"), check_output_path(plot, ".png", ".svg", ".pdf")
     given = parse_settings(settings or [])
     estimators.make_estimator(estimator, **given)  # a wrong name is told before a file is read
-    drive = read_drive(record, options)
+    drives = read_passes(records, options)
+    drive = drives[0]
     chosen = make_drive_estimator(estimator, drive, given)
-    measured, car, notes = drive.measured.record, drive.car, drive.measured.notes
-    result = estimators.estimate(chosen, measured, car)
+    measured, notes = [each.measured.record for each in drives], list(drive.measured.notes)
+    if len(drives) == 1:
+        result = estimators.estimate(chosen, measured[0], drive.car)
+    else:
+        names = [path.name for path in records]
+        pairs = zip(names, drives, strict=True)
+        notes = [f"{name}: {note}" for name, each in pairs for note in each.measured.notes]
+        cars = [each.car for each in drives]
+        result = estimators.estimate_passes(chosen, measured, cars, names=names)
     facts: dict[str, Any] = {
         "estimator": estimator,
-        "record": str(record),
-        "length_m": measured.length,
+        "record": ", ".join(str(path) for path in records),
+        "length_m": measured[0].length,
         "rms_m": [float(z.std()) for z in result.z],
         "notes": [*notes, *result.notes],
         "written": [str(p) for p in (out, plot) if p],
     }
-    profile, scored, v, scores = None, result, float(np.median(measured.v)), {}
+    profile, scored, v, scores = None, result, result.speed or 0.0, {}
     if truth:
         surface = realise_road(truth, 0)
         profile, scored = Profile(result.s, surface.height(result.s)), result
@@ -85,7 +99,7 @@ def estimate(
         scores = compute_scores(profile, scored, v, bumps=True)
     if out:
         start = drive.measured.chainage if drive.is_table else 0.0
-        write_csv(Surface(result.z, result.ds, start, name=f"estimate of {record.name}"), out)
+        write_csv(Surface(result.z, result.ds, start, name=f"estimate of {records[0].name}"), out)
     if plot:
         plots.draw_estimate(profile, scored, v, plot)
     if json:

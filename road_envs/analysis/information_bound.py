@@ -25,10 +25,10 @@ knows the force laws, and is neglected by default. For a linear estimator it is 
 (`statistical_linearization.py`).
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -178,6 +178,64 @@ def bound(
     if not 0 <= model_error < np.inf:
         raise ValueError(f"model_error must not be negative, got {model_error}")
     n = np.linspace(*scored_band(v), N_FREQUENCIES) if n is None else np.asarray(n, dtype=float)
+    H, R = measurement(
+        car, mode, v, instruments, prior, n, locations, damping, residual_as_noise, f_c
+    )
+    return posterior(n, H, prior.spectrum(n), R, model_error)
+
+
+class Pass(NamedTuple):
+    """One pass over a road: a vehicle in a `mode` at `v` [m/s]."""
+
+    car: Plant | VehicleParameters
+    mode: Mode
+    v: float
+
+
+def bound_of_passes(
+    passes: Sequence[Pass],
+    instruments: Instruments,
+    prior: RoadPrior,
+    *,
+    residual_as_noise: bool = False,
+    n: np.ndarray | None = None,
+    f_c: float = F_C,
+) -> Posterior:
+    """Return the least error of linear reconstruction of one road from several passes over it.
+
+    The noise of the passes is independent, so that their information H* R^-1 H adds. `n`
+    [cycles/m] is by default the band of the fastest; other arguments as those of `bound`.
+    """
+    if n is None:
+        n = np.linspace(*scored_band(max(one.v for one in passes)), N_FREQUENCIES)
+    parts = [
+        measurement(*one, instruments, prior, n, None, None, residual_as_noise, f_c)
+        for one in passes
+    ]
+    H = np.concatenate([H for H, _ in parts], axis=1)
+    R, first = np.zeros((n.size, H.shape[1], H.shape[1]), dtype=complex), 0
+    for _, one in parts:
+        inside = slice(first, first + one.shape[1])
+        R[:, inside, inside], first = one, inside.stop
+    return posterior(n, H, prior.spectrum(n), R)
+
+
+def measurement(
+    car: Plant | VehicleParameters,
+    mode: Mode,
+    v: float,
+    instruments: Instruments,
+    prior: RoadPrior,
+    n: np.ndarray,
+    locations: Mapping[str, tuple[Any, ...]] | None,
+    damping: np.ndarray | None,
+    residual_as_noise: bool,
+    f_c: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return response H (F, S, 2) and noise spectrum R (F, S, S) of the sensors at `n` (F,).
+
+    The arguments are those of `bound`.
+    """
     if damping is None:
         damping = equivalent_damping(car, mode, v, prior)
     if locations is None:
@@ -196,7 +254,7 @@ def bound(
         residual = nonlinear_residual(car, mode, damping)
         forces = residual_force_psd(model, residual, v, prior.spectrum, n * v)
         R = R + v * sensor_psd(model, n * v, forces)
-    return posterior(n, H, prior.spectrum(n), R, model_error)
+    return H, R
 
 
 def _adjoint(matrices: np.ndarray) -> np.ndarray:

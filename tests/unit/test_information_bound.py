@@ -16,8 +16,10 @@ from vehicle_fixtures import CARS, DEFENDER, PLANTS
 
 from road_envs.analysis.information_bound import (
     BoundTable,
+    Pass,
     RoadPrior,
     bound,
+    bound_of_passes,
     equivalent_damping,
     posterior,
     strut_rate_std,
@@ -313,3 +315,27 @@ def test_the_command_rejects_invalid_options_in_one_sentence(road_recon, words, 
     code, _, err = road_recon("observability", *words)
     assert code == 2
     assert sentence in err and err.count("\n") == 1
+
+
+# --- several passes over one road -----------------------------------------------------------------
+
+
+def test_the_information_of_passes_adds_in_a_case_solved_exactly():
+    """At one frequency: the posterior precision is the prior's and that of each measurement."""
+    passes = [Pass(DEFENDER, "ride", SLOW), Pass(DEFENDER, modes(PAIRS[2]), FAST)]
+    n, prior = np.array([0.3, 0.9, 1.4]), RoadPrior()
+    found = bound_of_passes(passes, PAPER, prior, n=n)
+    precision = np.linalg.inv(prior.spectrum(n))
+    for one in passes:
+        alone = bound(*one, PAPER, prior, n=n)
+        precision = precision + np.linalg.inv(alone.error) - np.linalg.inv(prior.spectrum(n))
+    np.testing.assert_allclose(found.error, np.linalg.inv(precision), rtol=1e-6)
+
+
+def test_equal_passes_count_as_one_with_less_noise():
+    quiet = replace(PAPER, noise_density=0.5 * PAPER.noise_density)
+    one = Pass(DEFENDER, "handling", FAST)
+    four = bound_of_passes([one] * 4, PAPER, RoadPrior())
+    np.testing.assert_allclose(four.pooled, bound(*one, quiet, RoadPrior()).pooled, rtol=1e-6)
+    mixed = [one, Pass(DEFENDER, "ride", FAST), one, Pass(DEFENDER, modes(PAIRS[3]), SLOW)]
+    assert bound_of_passes(mixed, PAPER, RoadPrior(), n=four.n).pooled < 0.8 * four.pooled
