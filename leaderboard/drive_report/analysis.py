@@ -196,14 +196,14 @@ def _flags(
 def _obstacle(result: DriveResult, found: DetectedObstacle, speed_error: float) -> dict[str, Any]:
     lat, lon = result.position(found.station)
     distance = speed_error * (found.station - result.measured.record.s[0])
-    low, high = sorted(1e3 * (found.height + x * found.height_std) for x in (-1.96, 1.96))
+    low, high = found.height_interval
     return {
         "kind": "bump" if found.height > 0.0 else "hole",
         "station_m": result.chainage + found.station,
         "station_std_m": float(np.hypot(PLACE_STD, distance)),
         "height_mm": 1e3 * found.height,
-        "height_low_mm": low,
-        "height_high_mm": high,
+        "height_low_mm": 1e3 * low,
+        "height_high_mm": 1e3 * high,
         "length_m": found.length,
         "wheel_path": found.side,
         "confidence": found.confidence,

@@ -17,6 +17,7 @@ whole drive are given by a `DriveDescription`. An empty cell is a lost sample of
 are interpolated between the rows that hold them. A clock that jitters is resampled.
 """  # noqa: E501
 
+import itertools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -98,6 +99,11 @@ def _to_record(
     assert clock is not None
     a = np.array(given)
     sampled = np.isfinite(a).any(axis=0)  # the other rows are those of slower sensors
+    names = [
+        channels.headers[column(x)] for x, a in zip(layout, found, strict=True) if a is not None
+    ]
+    _check_different(dict(zip(names, a[:, sampled], strict=True)), findings)
+    sampled &= _new_samples(a, findings)
     t = clock.t[sampled]
     dt = check_rate(t, findings)
     motion = read_motion(channels, clock.t, t, findings)
@@ -119,6 +125,28 @@ def _to_record(
     s = s - s[0] + wheelbase
     record = Record(even, a, v, s, stiff, high, float(s[-1]), layout)
     return MeasuredRecord(record, tuple(findings.notes), float(chainage), position, 1.0 / dt)
+
+
+def _check_different(columns: Mapping[str | None, np.ndarray], findings: Findings) -> None:
+    """Add a problem for each two columns (N,) that are equal."""
+    for (one, x), (other, y) in itertools.combinations(columns.items(), 2):
+        if np.array_equal(x, y, equal_nan=True):
+            findings.problems.append(f"{one} and {other} are equal in all rows")
+
+
+def _new_samples(a: np.ndarray, findings: Findings) -> np.ndarray:
+    """Return which rows (N,) of channels (K, N) are samples: all, or those with new values where a
+    logger repeats those of slower sensors.
+    """
+    new = np.r_[True, (np.diff(np.nan_to_num(a), axis=1) != 0.0).any(axis=0)]
+    rows = float(np.median(np.diff(np.flatnonzero(np.r_[new, True]))))
+    if rows < 2.0:  # a vehicle that stands repeats its samples, too, but not between new ones
+        return np.ones(new.size, dtype=bool)
+    findings.notes.append(
+        f"the accelerations are repeated for {rows:g} rows each; the first of equal rows are the "
+        "samples"
+    )
+    return new
 
 
 def _commands(

@@ -16,6 +16,7 @@ import yaml
 
 from leaderboard import cli
 from road_envs import config
+from road_envs.data.measured_record import read_measured_record
 from road_envs.data.recording import simulate_record, write_record
 from road_envs.roads import realise_road, write_csv
 
@@ -37,6 +38,11 @@ def table(**changes):
             frame.drop(columns=name) if change is None else frame.assign(**{name: change(frame)})
         )
     frame.to_csv("d.csv", index=False)
+
+
+def text(change):
+    """Write the drive as d.csv, with the bytes that `change` makes of its text."""
+    Path("d.csv").write_bytes(change(drive()[0].to_csv(index=False)))
 
 
 def surface(text):
@@ -111,11 +117,64 @@ ERRORS = {
     "a description with an unknown key": (
         lambda: (table(), Path("d.yaml").write_text("colums: {}\n")),
         (*CLASSIFY, "--description", "d.yaml"), "did you mean 'columns'"),
+    "milli-g without their unit": (
+        lambda: table(a_rf=lambda d: 1e3 + 1e3 * d.a_rf / 9.80665), CLASSIFY,
+        "more than any car: give its unit (--units a_rf=mg)"),
+    "one channel twice": (
+        lambda: table(a_rr=lambda d: d.a_lr), CLASSIFY, "a_lr and a_rr are equal in all rows"),
+    "times rounded to whole seconds": (
+        lambda: table(t=lambda d: d.t.round()), CLASSIFY, "its times are rounded: write them with"),
+    "a clock that wraps": (
+        lambda: table(t=lambda d: d.t % 4.0), CLASSIFY, "clock starts anew there, cut the file"),
+    "times in microseconds": (
+        lambda: table(t=lambda d: 1e6 * d.t), CLASSIFY, "are the times in us (--units t=us)?"),
+    "an odometer that starts anew": (
+        lambda: table(s=lambda d: d.s % 50.0), CLASSIFY, "the vehicle moves backwards"),
+    "a drive in reverse": (
+        lambda: table(s=lambda d: -d.s, v=lambda d: -d.v), CLASSIFY, "v must not be negative"),
+    "an odometer in km": (
+        lambda: table(s=lambda d: 1e-3 * d.s), CLASSIFY, "m by the odometer and"),
+    "latitude and longitude exchanged": (
+        lambda: table(lat=lambda d: 111.0 + 0.0 * d.s, lon=lambda d: 48.0 + d.s / 111e3), CLASSIFY,
+        "no latitudes within ±90°"),
+    "accelerations in metres": (
+        lambda: table(**{"a_rf": None, "a_rf [m]": lambda d: drive()[0].a_rf}), CLASSIFY,
+        "the acceleration unit 'm' is unknown; known: m/s2, g, mg"),
+    "accelerations ten times a second": (
+        lambda: drive()[0][::100].to_csv("d.csv", index=False), CLASSIFY,
+        "sampled at 10 Hz; at least 20 Hz"),
+    "three seconds without one sensor": (
+        lambda: table(a_rf=lambda d: d.a_rf.where((d.t < 4.0) | (d.t > 7.0))), CLASSIFY,
+        "of the samples are lost"),
+    "a spreadsheet": (
+        lambda: Path("d.csv").write_bytes(b"PK\x03\x04" + bytes(range(256))), CLASSIFY,
+        "a spreadsheet or an archive: save its sheet as CSV"),
+    "UTF-16 without its mark": (
+        lambda: text(lambda t: t.encode("utf-16-le")), CLASSIFY, "it has zero bytes: no text in"),
+    "a line that is cut off": (
+        lambda: text(lambda t: t[:-30].encode()), CLASSIFY, "Expected 7 columns, got"),
+    "no headers": (
+        lambda: text(lambda t: t.partition("\n")[2].encode()), CLASSIFY, "the column t is missing"),
+    "an empty file": (lambda: Path("d.csv").write_bytes(b""), CLASSIFY, "Empty CSV file"),
     "options for a record that has them": (
         record, ("classify", "d.parquet", "--units", "a_rf=g"), "leave out --units"),
 }  # fmt: skip
 
 NOTES = {
+    "single samples that no sensor measures": (
+        lambda: table(a_rf=lambda d: d.a_rf.where(d.index != 50, 1e6)), CLASSIFY,
+        "1 samples beyond 1000 m/s² of the others are taken as lost"),
+    "accelerations of 50 Hz repeated in rows of 1000 Hz": (
+        lambda: table(**{k: lambda d, k=k: np.repeat(d[k].to_numpy()[::20], 20)[: len(d)]
+                         for k in ("a_rf", "a_lr", "a_rr")}), CLASSIFY,
+        "repeated for 20 rows each; the first of equal rows are the samples"),
+    "positions before the first fix": (
+        lambda: table(lat=lambda d: np.where(d.t < 3.0, 0.0, 48.0 + d.s / 111_195.0),
+                      lon=lambda d: np.where(d.t < 3.0, 0.0, 11.0)), CLASSIFY,
+        "positions at 0° N 0° E are taken as missing"),
+    "a speed that is noise at standstill": (
+        lambda: table(v=lambda d: np.where(d.t < 1.0, -0.01, d.v)), CLASSIFY,
+        "speeds down to -0.01 m/s are taken as standstill"),
     "stations of another origin": (
         lambda: (table(s=lambda d: d.s + 5.0), write_csv(drive()[1], "t.csv")),
         (*ESTIMATE, "--truth", "t.csv"), "aligned with the truth by -4.99 m"),
@@ -174,3 +233,32 @@ def test_a_surface_with_semicolons_decimal_commas_and_millimetres_is_read(run, t
     again, road = realise_road(tmp_path / "same.csv", 0), drive()[1]
     expected = road.z[:, : again.z.shape[1]] - road.z[:, :1]
     np.testing.assert_allclose(again.z, expected, atol=2e-6)
+
+
+DIALECTS = {
+    "byte order mark": lambda t: t.encode("utf-8-sig"),
+    "UTF-16": lambda t: t.encode("utf-16"),
+    "semicolons and decimal commas": lambda t: t.replace(",", ";").replace(".", ",").encode(),
+    "bars": lambda t: t.replace(",", "|").encode(),
+    "spaces": lambda t: t.replace(",", "   ").encode(),
+    "lines before the header": lambda t: b"Logger 3\nserial;123\n\n" + t.encode(),
+    "a row of units": lambda t: t.replace("\n", "\ns,m/s2,m/s2,m/s2,m/s,m,\n", 1).encode(),
+    "line ends of Windows": lambda t: t.replace("\n", "\r\n").encode(),
+}
+
+
+@pytest.mark.parametrize("name", DIALECTS)
+def test_a_table_is_the_same_in_every_dialect(tmp_path, name):
+    path = tmp_path / "d.csv"
+    path.write_bytes(DIALECTS[name](drive()[0].to_csv(index=False)))
+    found = read_measured_record(path, 2.794).record
+    np.testing.assert_array_equal(found.a, drive()[0][["a_rf", "a_lr", "a_rr"]].to_numpy().T)
+    np.testing.assert_allclose(found.v, drive()[0].v)
+
+
+def test_a_text_larger_than_half_a_gigabyte_is_refused_unread(tmp_path):
+    path = tmp_path / "d.csv"
+    with path.open("wb") as file:
+        file.truncate(2**30)  # sparse: no block is written
+    with pytest.raises(config.ConfigError, match="1024 MiB; at most 512 MiB of text are read"):
+        read_measured_record(path, 2.794)

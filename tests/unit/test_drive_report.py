@@ -118,7 +118,8 @@ def test_heights_of_obstacles_are_read_over_the_line_between_their_feet(letter):
         assert [o.side for o in near] == ["both", "both"]
         heights.append([near[0].height / 0.075 - 1.0, near[1].height / 0.03 - 1.0])
         places.append([near[0].station - 35.0, near[1].station - 85.0])
-        assert all(0.3 * abs(o.height) > o.height_std > 0.1 * abs(o.height) for o in near)
+        assert all(0.3 * abs(o.height) > o.height_std > 0.08 * abs(o.height) for o in near)
+        assert all(o.height_interval[0] < o.height < o.height_interval[1] for o in near)
     assert np.abs(places).max() < 0.15
     assert np.std(heights) < (0.05 if letter == "b" else 0.09)
     assert abs(np.mean(heights)) < 0.04

@@ -20,8 +20,19 @@ from road_envs.data.record import SENSORS
 GRAVITY_THRESHOLD = 0.5 * units.STANDARD_GRAVITY
 """A channel includes gravity if the magnitude of its mean exceeds this value [m/s²]."""
 
+GRAVITY_MAX = 1.5 * units.STANDARD_GRAVITY
+"""Greatest mean of a channel [m/s²]: gravity, and the offset of a sensor."""
+
+LOUD_RMS, LOUDEST = 200.0, 1000.0
+"""RMS [m/s²] that no body or axle has over a drive, and the largest sample of one, of 100 g; those
+beyond are lost.
+"""
+
 GRAVITY_IN_G = (0.9, 1.1)
 """Mean of a channel in m/s² that suggests a channel in g."""
+
+MAX_SPIKES = 0.01
+"""Largest share of a channel's samples that may be such."""
 
 MAX_TOLD = 1500
 """Characters of all problems, each of which may have 300."""
@@ -48,6 +59,15 @@ class Findings:
         if told:
             listed = "; ".join(f"({k}) {text}" for k, text in enumerate(told, 1))
             raise ConfigError(f"{len(told)} problems: {listed}")
+
+
+def _without_spikes(a: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return a channel (N,) without the few samples that no sensor measures, and their number."""
+    beyond = np.abs(a - np.nanmedian(a)) > LOUDEST
+    lost = int(beyond.sum())
+    if not 0 < lost <= MAX_SPIKES * a.size:
+        return a, 0
+    return np.where(beyond, np.nan, a), lost
 
 
 class Channels:
@@ -112,9 +132,14 @@ class Channels:
             return None
         name = self.headers[quantity]
         a = -a if quantity in self.description.invert else a
+        problems, notes = self.findings.problems, self.findings.notes
+        a, lost = _without_spikes(a)
+        if lost:
+            notes.append(
+                f"{name}: {lost} samples beyond {LOUDEST:g} m/s² of the others are taken as lost"
+            )
         finite = a[np.isfinite(a)]
         mean, spread = float(finite.mean()), float(finite.std())
-        problems, notes = self.findings.problems, self.findings.notes
         in_g = self.unit(quantity) is None and (
             GRAVITY_IN_G[0] < mean < GRAVITY_IN_G[1] or -GRAVITY_IN_G[1] < mean < -GRAVITY_IN_G[0]
         )
@@ -126,6 +151,12 @@ class Channels:
             problems.append(
                 f"{name} has a mean of {mean:.2f}, as of gravity in g: say --units {quantity}=g, "
                 f"or --units {quantity}=m/s2 if the sensor has this offset"
+            )
+        elif abs(mean) > GRAVITY_MAX or spread > LOUD_RMS:
+            problems.append(
+                f"{name} has a mean of {mean:.4g} and an RMS of {spread:.3g} m/s², more than any "
+                f"car: give its unit (--units {quantity}=mg), and scale raw counts by the data "
+                "sheet of the sensor"
             )
         elif mean < -GRAVITY_THRESHOLD:
             problems.append(

@@ -76,8 +76,13 @@ def read_clock(channels: Channels, findings: Findings) -> Clock | None:
         findings.problems.append(f"{header} must hold a time in every row; row {k} is empty")
         return None
     if (backwards := np.flatnonzero(np.diff(t) <= SHORTEST_STEP)).size:
+        why = (
+            "its times are rounded: write them with more decimals"
+            if backwards.size > 0.1 * t.size and np.diff(t).min() >= 0.0
+            else "if the clock starts anew there, cut the file"
+        )
         findings.problems.append(
-            f"{header} must increase; it does not after row {backwards[0] + 1}"
+            f"{header} must increase; it does not after row {backwards[0] + 1}: {why}"
         )
         return None
     return Clock(t - t[0], float(t[0]) if t.size and t[0] > Y2001 else None)
@@ -141,7 +146,8 @@ def check_rate(t: np.ndarray, findings: Findings) -> float:
     longest = 2.5 if _jitters(steps, dt) else 1.5
     dt = float(steps[steps < longest * dt].mean())  # stamps are rounded, and the median with them
     if 1.0 / dt < FS_MIN * (1.0 - CLOCK_TOLERANCE):
-        unit = "; are the times in ms (--units t=ms)?" if dt >= 1.0 else ""
+        unit = next((u for least, u in ((1e6, "ns"), (1e3, "us"), (1.0, "ms")) if dt >= least), "")
+        unit = unit and f"; are the times in {unit} (--units t={unit})?"
         findings.problems.append(
             f"the accelerations are sampled at {1.0 / dt:.3g} Hz; at least {FS_MIN:g} Hz are "
             f"needed{unit}"

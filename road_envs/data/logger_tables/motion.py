@@ -19,6 +19,9 @@ HELD_ROWS = 5
 SPEED_MAX, SPEED_QUESTIONED = 70.0, 42.0
 """Speeds [m/s] that no drive has (250 km/h), and that are questioned (150 km/h)."""
 
+STANDING = -0.3
+"""Least speed [m/s] that is noise of a standing vehicle."""
+
 TRACK_SMOOTHING = 5.0
 """Time [s] over which positions are averaged before their track is measured: noise lengthens it."""
 
@@ -57,6 +60,9 @@ def read_motion(
         for name in ("v", "s", "lat", "lon")
     )
     position = None if lat is None or lon is None else np.stack([lat, lon])
+    if v is not None and STANDING < v.min() < 0.0:
+        findings.notes.append(f"speeds down to {v.min():.2g} m/s are taken as standstill")
+        v = np.maximum(v, 0.0)
     if position is not None and not _is_on_earth(position):
         findings.problems.append(
             "the positions are no latitudes within ±90° and longitudes within ±180°"
@@ -130,6 +136,13 @@ def _at(
     if (x := channels.numbers(name)) is None:
         return None
     header = channels.headers[name]
+    if name in ("lat", "lon") and "lat" in channels and "lon" in channels:
+        missing = _without_fix(channels)
+        x = np.where(missing, np.nan, x)
+        if missing.any() and name == "lat":
+            findings.notes.append(f"{missing.sum()} positions at 0° N 0° E are taken as missing")
+        if not np.isfinite(x).any():
+            return None
     good = np.flatnonzero(np.isfinite(x))
     good = good[_updates(x[good])]
     far = np.diff(np.r_[t[0], t_rows[good], t[-1]])
@@ -184,6 +197,14 @@ def _smoothed(s: np.ndarray, t: np.ndarray, duration: float) -> np.ndarray:
     half = max(1, min(round(0.5 * duration * t.size / (t[-1] - t[0])), (t.size - 1) // 2))
     padded = np.r_[2 * s[0] - s[half:0:-1], s, 2 * s[-1] - s[-2 : -half - 2 : -1]]
     return oaconvolve(padded, np.full(2 * half + 1, 1.0 / (2 * half + 1)), "valid")
+
+
+def _without_fix(channels: Channels) -> np.ndarray:
+    """Return where the position (N,) is 0° N 0° E, as a receiver writes before it has a fix."""
+    lat, lon = (channels.numbers(name) for name in ("lat", "lon"))
+    if lat is None or lon is None:
+        return np.zeros(len(next(iter(channels.table.values()))), dtype=bool)
+    return (lat == 0.0) & (lon == 0.0)
 
 
 def _is_on_earth(position: np.ndarray) -> bool:

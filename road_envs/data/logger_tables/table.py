@@ -1,8 +1,9 @@
 """Tables of data loggers: CSV dialects, Parquet and MDF4 files as columns by header.
 
-In text, columns are separated by semicolon, tab or comma; with the first two a decimal comma is
-recognised. Leading lines that begin with "#" are skipped, and a row of units below the header is
-joined to it. A table that is read is a mapping of stripped headers to columns.
+In text, columns are separated by semicolon, tab, bar, comma or spaces; except with commas, a
+decimal comma is recognised. Lines before the header, which has as many cells as the rows below it,
+are skipped, and a row of units below it is joined to it. A table that is read is a mapping of
+stripped headers to columns.
 """
 
 import io
@@ -23,11 +24,23 @@ from road_envs.data.logger_tables.units import is_unit
 SNIFFED_CHARACTERS = 10_000
 """Number of characters that are searched for a decimal comma."""
 
+SNIFFED_LINES = 60
+"""Number of lines among which the header is looked for."""
+
+DELIMITERS = (";", "\t", "|", ",", " ")
+"""Separators of columns, in the order in which they are tried."""
+
+MAX_BYTES = 2**29
+"""Largest text that is read: three hours of ten columns at 500 Hz."""
+
 MAX_COLUMNS, MAX_HEADER = 4096, 200
 """Most columns of a table, and most characters of a header."""
 
 LARGEST = 1e12
 """Greater numbers, in SI units, are none of a drive; their squares and sums would overflow."""
+
+SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
+"""First bytes of spreadsheets, which are also those of archives."""
 
 TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".parquet", ".mf4", ".mdf")
 
@@ -47,6 +60,11 @@ def read_table(path: Path) -> Table:
         elif suffix in (".mf4", ".mdf"):
             table = pa.Table.from_pandas(_read_mdf(path), preserve_index=False)
         else:
+            if (size := path.stat().st_size) > MAX_BYTES:
+                raise ConfigError(
+                    f"{size / 2**20:.0f} MiB; at most {MAX_BYTES / 2**20:.0f} MiB of text are "
+                    "read: write it as Parquet, or cut it into shorter drives"
+                )
             table = _read_text(path.read_bytes())
         names = [" ".join(name.split()) for name in table.column_names]
         _check_headers(names)
@@ -98,11 +116,7 @@ def _read_text(data: bytes) -> Any:
         raise ValueError(
             "it has zero bytes: no text in UTF-8, UTF-16 with its mark, or Windows-1252"
         )
-    start = 0
-    while text.startswith("#", start):
-        start = text.find("\n", start) + 1 or len(text)
-    head, _, rest = text[start:].partition("\n")
-    delimiter = next((mark for mark in ";\t," if mark in head), ",")
+    head, delimiter, rest = _find_header(text)
     names = [cell.strip().strip('"') for cell in head.split(delimiter)]
     _check_headers(names)
     units, _, below = rest.partition("\n")
@@ -121,8 +135,52 @@ def _read_text(data: bytes) -> Any:
     )
 
 
+def _find_header(text: str) -> tuple[str, str, str]:
+    """Return the line of headers, the separator of columns, and the text below.
+
+    The separator is the first that the last sniffed lines have equally often; the header is the
+    first line that has it as often as they do.
+    """
+    start = 0
+    while text.startswith("#", start):
+        start = text.find("\n", start) + 1 or len(text)
+    lines: list[tuple[int, str]] = []
+    while len(lines) < SNIFFED_LINES and start < len(text):
+        end = text.find("\n", start)
+        end = len(text) if end < 0 else end
+        lines.append((start, text[start:end]))
+        start = end + 1
+    shown = [(at, line) for at, line in lines if line.strip()]
+    if not shown:
+        return "", ",", ""
+    complete = [line for _, line in shown][: -1 if len(shown) > 2 else None]
+    last = complete[-(len(complete) + 1) // 2 :]
+    counts = {mark: _cells(last[-1], mark) for mark in DELIMITERS}
+    regular = [
+        m for m in DELIMITERS if counts[m] > 1 and all(_cells(x, m) == counts[m] for x in last)
+    ]
+    at, head = shown[0]
+    if regular:
+        delimiter = regular[0]
+        at, head = next(x for x in shown if _cells(x[1], delimiter) == counts[delimiter])
+    else:
+        delimiter = next((m for m in DELIMITERS if m in head), ",")
+    rest = text[at + len(head) + 1 :]
+    if delimiter == " ":
+        head, rest = (re.sub(r" +", " ", re.sub(r"(?m)^ +| +$", "", x)) for x in (head, rest))
+    return head, delimiter, rest
+
+
+def _cells(line: str, mark: str) -> int:
+    """Return the number of cells of a line; separators in quotes are none."""
+    line = re.sub(r'"[^"]*"', "", line)
+    return len(line.split()) if mark == " " else line.count(mark) + 1
+
+
 def _decode(data: bytes) -> str:
     """Return the text of a file in UTF-8, UTF-16 with its mark, or else Windows-1252."""
+    if data[:4] in SPREADSHEETS:
+        raise ConfigError("a spreadsheet or an archive: save its sheet as CSV")
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16")
     try:
