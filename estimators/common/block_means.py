@@ -32,6 +32,13 @@ class BlockMeans:
         """Samples J b of each sensor, used or not."""
         return self.sample_weight.shape[1] * self.sample_weight.shape[2]
 
+    @property
+    def censored_blocks(self) -> np.ndarray:
+        """1 and -1 (S, J) where the true mean of a block exceeds `y` or is below it, else 0."""
+        if self.censored is None:
+            return np.zeros(self.y.shape)
+        return np.sign(self.censored.reshape(self.sample_weight.shape).sum(axis=2))
+
     def average(self, a: np.ndarray) -> np.ndarray:
         """Return the means (S, J) of other samples `a` (S, J b) with the same weights."""
         return np.einsum("sjb,sjb->sj", self.sample_weight, a.reshape(self.sample_weight.shape))

@@ -9,6 +9,8 @@ same road nodes: what a rear wheel measures corrects the node that the front whe
 and Filtering Theory", 1970, section 8.3.)
 """
 
+import math
+
 import numpy as np
 
 from estimators.kalman.friction_linearization import choose_linearization
@@ -29,6 +31,10 @@ from road_envs._numba import kernel
 MAX_NIS = 16.0
 """Greatest normalized innovation squared per measurement; greater innovations are scaled down to
 it."""
+
+MAX_LIMIT = 1.5
+"""Standard deviations by which a clipped sample exceeds its prediction, at most: clipping may be a
+fault of the sensor."""
 
 
 @kernel(inline=False)
@@ -61,7 +67,8 @@ def filter_forward(
             block.nodes_added[0] += 1
         choose_linearization(model, state)
         linearize_block(model, inputs, state, j, block)
-        update(model, state, inputs.y[:, j], inputs.sample_count[:, j], block)
+        measured = inputs.y[:, j], inputs.sample_count[:, j], inputs.censored[:, j]
+        state.nis[j] = update(model, state, measured, block)
         predict(state, block)
 
 
@@ -84,15 +91,25 @@ def gather_dot(weights, row, columns, size):
     return z
 
 
+@kernel
+def normal_hazard(x):
+    """Return the standard normal density at `x` over the probability of more; E[X | X > x]."""
+    if x > 8.0:
+        return x + 1.0 / x - 2.0 / x**3
+    return np.exp(-0.5 * x * x) / (np.sqrt(0.5 * np.pi) * math.erfc(x / np.sqrt(2.0)))
+
+
 @kernel(inline=False)
-def update(model: FilterModel, state: FilterState, y, count, block: LinearizedBlock):
-    """Update mean and covariance by the means `y` (3,) of `count` (3,) samples; a count of 0 is
-    skipped.
+def update(model: FilterModel, state: FilterState, measured, block: LinearizedBlock):
+    """Update mean and covariance by `measured`: means y (3,) of so many samples (3,), which may be
+    0, censored as in `FilterInputs` (3,). Return the normalized innovation squared per measurement.
 
     The measurements are processed one after the other. Each is decorrelated from those before it
     and scaled to unit variance: a Cholesky factorization of the innovation covariance, row by row.
-    `block.H` is whitened alike.
+    `block.H` is whitened alike. A censored one has the mean and the variance of a truncated normal
+    distribution, as a measurement by which the update has both (Tobit filter).
     """
+    y, count, censored = measured
     x, P, n, size = state.x, state.P, state.x.size, block.n_columns[0]
     V, H, innovation, columns = block.V, block.H, block.innovation, block.columns
     noise_scale, n_measured = state.adaptive[NOISE_SCALE], 0
@@ -117,12 +134,18 @@ def update(model: FilterModel, state: FilterState, y, count, block: LinearizedBl
             innovation[s] -= cross[r] * innovation[r]
         # rounding must not make the variance less than that of the noise
         inverse_std = 1.0 / np.sqrt(max(variance, noise_variance))
+        innovation[s] *= inverse_std
+        if censored[s] != 0.0:
+            limit = min(censored[s] * innovation[s], MAX_LIMIT)
+            hazard = normal_hazard(limit)
+            innovation[s] = censored[s] * np.sqrt(hazard / (hazard - limit))
+            inverse_std *= np.sqrt(hazard * (hazard - limit))
         V[s] *= inverse_std
         H[s] *= inverse_std  # for the smoother
-        innovation[s] *= inverse_std
     nis = innovation[0] ** 2 + innovation[1] ** 2 + innovation[2] ** 2
+    mean_nis = nis / max(n_measured, 1)
     if n_measured > 0:
-        mean = min(nis / n_measured, MAX_NIS)  # one outlier must not raise the noise much
+        mean = min(mean_nis, MAX_NIS)  # one outlier must not raise the noise much
         state.adaptive[NOISE_SCALE] = max(
             1.0, noise_scale * (1.0 + (mean - 1.0) / model.noise_time)
         )
@@ -134,6 +157,7 @@ def update(model: FilterModel, state: FilterState, y, count, block: LinearizedBl
         a, b, c = V[0, i], V[1, i], V[2, i]
         for k in range(n):
             P[i, k] -= a * V[0, k] + b * V[1, k] + c * V[2, k]
+    return mean_nis
 
 
 @kernel(inline=False)

@@ -93,6 +93,14 @@ class FilterRun:
         """Blocks of measurements."""
         return int(self.inputs.y.shape[1])
 
+    def known_front(self, sensor_latency: float) -> np.ndarray:
+        """Return the front axle's station (J,) [m] when a block is known, `sensor_latency` [s]
+        after its end.
+        """
+        h, node = self.model.h, self.inputs.front_node
+        t = sensor_latency + h * self.model.steps_per_block * np.arange(1, self.n_blocks + 1)
+        return self.origin + NODE_SPACING * np.interp(t, 0.5 * h * np.arange(node.size), node)
+
 
 def setup_run(
     record: Record,
@@ -131,13 +139,15 @@ def setup_run(
         model_inputs.commands,
         measurements.y,
         measurements.sample_count,
+        measurements.censored_blocks,
         (ends - origin) / NODE_SPACING,
     )
     road = fit_ar_model(prior, NODE_SPACING)
     model = _build_model(car, instruments, model_inputs, steps_per_block, noise_variance, road)
     level = level_ends and record.s[0] <= 0.0
     newest_node = int(inputs.front_node[0]) + 2
-    state = _initial_state(car, model_inputs, road, NODES + 2 * K, newest_node, level)
+    blocks, n = measurements.y.shape[1], NODES + 2 * K
+    state = _initial_state(car, model_inputs, road, n, blocks, newest_node, level)
     return FilterRun(model, inputs, state, origin, max_columns(in_block))
 
 
@@ -186,6 +196,7 @@ def _initial_state(
     model_inputs: ModelInputs,
     road: ARModel,
     n: int,
+    blocks: int,
     newest_node: int,
     level: bool,
 ) -> FilterState:
@@ -200,7 +211,7 @@ def _initial_state(
     strut_state = settled_strut_state(int(model_inputs.commands[0]))
     weight = ROUGHNESS_LENGTH / NODE_SPACING  # that of a stationary average
     adaptive = np.array([1.0, weight, weight, 1.0])
-    return FilterState(x, P, strut_state, np.array([newest_node]), adaptive)
+    return FilterState(x, P, strut_state, np.array([newest_node]), adaptive, np.ones(blocks))
 
 
 def setup_output(
@@ -209,11 +220,8 @@ def setup_output(
     """Return the stations of a record, with the block before which each is emitted: once the front
     axle is `lag` [m] past the station and another `sensor_latency` [s] has been recorded.
     """
-    s, h = profile_stations(record.length), run.model.h
+    s = profile_stations(record.length)
     node = (s - run.origin) / NODE_SPACING
-    front_node = run.inputs.front_node
-    t = sensor_latency + h * run.model.steps_per_block * np.arange(1, run.n_blocks + 1)
-    passed = np.interp(t, 0.5 * h * np.arange(front_node.size), front_node)
     v = np.interp(s, record.s, record.v)
     if lag > HALF_WINDOW:
         high = np.array([scored_band(x)[1] for x in np.clip(v, 0.1, MAX_SPEED)])
@@ -224,7 +232,7 @@ def setup_output(
     none = np.zeros((0, 2, run.n_states))
     return ProfileOutput(
         node=node,
-        emit_block=np.searchsorted(passed, node + lag / NODE_SPACING),
+        emit_block=np.searchsorted(run.known_front(sensor_latency), s + lag),
         cutoff=cutoff,
         half_window=HALF_WINDOW / NODE_SPACING,
         detrended=detrended,

@@ -77,7 +77,8 @@ class FilterInputs(NamedTuple):
 
     Each half step: `front_node` (2 N,), the (fractional) node number of the front axle, and its
     `node_rate` (2 N,) [nodes/s]. Each step: the command byte `commands` (N,). Each block: means `y`
-    (3, J) [m/s²] of `sample_count` (3, J) samples. The road is level outside the node numbers
+    (3, J) [m/s²] of `sample_count` (3, J) samples. Where `censored` (3, J) is 1 or -1, the true
+    mean is beyond y, above or below it; else it is 0. The road is level outside the node numbers
     `free_range` (2,).
     """
 
@@ -86,12 +87,14 @@ class FilterInputs(NamedTuple):
     commands: np.ndarray
     y: np.ndarray
     sample_count: np.ndarray
+    censored: np.ndarray
     free_range: np.ndarray
 
 
 class FilterState(NamedTuple):
     """Mean `x` (n,) and covariance `P` (n, n), valve states of the struts `strut_state` (4, 3),
-    number of the newest node `newest_node` (1,) and the parameters `adaptive` (4,).
+    number of the newest node `newest_node` (1,) and the parameters `adaptive` (4,). `nis` (J,): the
+    normalized innovation squared, per measurement, of the blocks so far.
     """
 
     x: np.ndarray
@@ -99,6 +102,7 @@ class FilterState(NamedTuple):
     strut_state: np.ndarray
     newest_node: np.ndarray
     adaptive: np.ndarray
+    nis: np.ndarray
 
 
 class LinearizedBlock(NamedTuple):

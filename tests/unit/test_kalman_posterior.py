@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from oracles import linear_matrices
 from scipy.linalg import expm
+from scipy.stats import truncnorm
 from vehicle_fixtures import DEFENDER
 
 from estimators.common.block_means import block_means
 from estimators.common.model_inputs import REST_STD, build_model_inputs
-from estimators.kalman.filter import filter_forward
+from estimators.kalman.filter import filter_forward, normal_hazard, update
 from estimators.kalman.pipeline import (
     BIAS_STD,
     NODE_SPACING,
@@ -25,7 +26,13 @@ from estimators.kalman.pipeline import (
 )
 from estimators.kalman.profile_output import HALF_WINDOW, VARIANCE_STRIDE, decay_per_node
 from estimators.kalman.road_process import fit_ar_model
-from estimators.kalman.state import N_VEHICLE, ROUGHNESS_SUM, ROUGHNESS_WEIGHT, empty_blocks
+from estimators.kalman.state import (
+    N_VEHICLE,
+    ROUGHNESS_SUM,
+    ROUGHNESS_WEIGHT,
+    empty_blocks,
+    get_block,
+)
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.data.record import Record
 from road_envs.sensing.instruments import load_instruments
@@ -263,3 +270,27 @@ def test_innovations_on_the_filters_own_model_are_white_with_unit_variance():
             covariance = np.mean(innovation[gap:, s] * innovation[:-gap, s])
             assert abs(covariance) < 4.0 / np.sqrt(run.n_blocks)
     assert abs(np.mean(innovation[:, 0] * innovation[:, 2])) < 4.0 / np.sqrt(run.n_blocks)
+
+
+@pytest.mark.parametrize("limit", [-1.5, 0.3, 1.4])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_censored_measurement_gives_the_moments_of_a_truncated_normal(limit, sign):
+    run, _, _ = run_of(np.zeros((3, 1900)), 1.0)
+    rng = np.random.default_rng(4)
+    n, columns = run.n_states, np.array([0, 3, N_VEHICLE + 20])
+    root = 0.1 * rng.standard_normal((n, n))
+    P, x, h = root @ root.T, rng.standard_normal(n), np.array([2.0, -1.0, 0.5])
+    gain, count = P[:, columns] @ h, 3.0
+    std = np.sqrt(h @ gain[columns] + run.model.noise_variance / count)
+    truncated = truncnorm(limit, np.inf)
+    far = 9.0 * abs(limit)
+    assert normal_hazard(far) == pytest.approx(truncnorm(far, np.inf).mean(), rel=1e-3)
+    block = get_block(empty_blocks(n, run.max_columns, 1), 0)
+    block.n_columns[0], block.columns[:3], block.predicted[1] = 3, columns, 0.7
+    block.H[1, :3] = h
+    state = run.state._replace(x=x.copy(), P=P.copy())
+    y, used = np.array([0.0, 0.7 + sign * limit * std, 0.0]), np.array([0.0, count, 0.0])
+    update(run.model, state, (y, used, sign * np.array([0.0, 1.0, 0.0])), block)
+    np.testing.assert_allclose(state.x - x, sign * gain / std * truncated.mean(), rtol=2e-3)
+    shrinkage = (1.0 - truncated.var()) / std**2
+    np.testing.assert_allclose(P - state.P, shrinkage * np.outer(gain, gain), rtol=2e-3, atol=1e-12)

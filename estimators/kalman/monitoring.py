@@ -1,0 +1,69 @@
+"""Consistency of the innovations along the road, and heights reduced by their own uncertainty.
+
+On the filter's own model the normalized innovation squared (NIS) is 1 in the mean. Where it is
+larger, on an obstacle that the prior did not expect or where wheels lift off, so is the error: the
+variance of a height is multiplied by the NIS of the metres in which both axles passed it (the Birge
+ratio; Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and Navigation",
+2001, section 5.4). A height is then multiplied by q / (q + variance), with q the mean square of the
+heights about it: what is no larger than its own error is told as a level road.
+"""
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from road_envs.data.record import PROFILE_SPACING
+
+NIS_CELL = 0.25
+"""Length of road [m] over which the NIS is averaged."""
+
+NIS_BEHIND, NIS_AHEAD = 0.5, 4.79
+"""Positions of the front axle [m] before and beyond a station whose NIS counts for it: while either
+axle is within two metres of it."""
+
+POWER_WINDOW = 1.0
+"""Length [m] to either side of a station in which the mean square of the heights is taken."""
+
+DETREND_LENGTH = 1.6
+"""Standard deviation [m] of the Gaussian whose low-pass is taken off before; half at 0.12
+cycles/m."""
+
+
+def local_nis(nis: np.ndarray, front: np.ndarray, s: np.ndarray, lag: float) -> np.ndarray:
+    """Return the greatest local mean (M,) of the `nis` (J,), 1 at least, that counts for `s` (M,).
+
+    `front` (J,) [m]: the front axle's station when a block is known. Of blocks that are known when
+    the front axle is `lag` [m] past the station.
+    """
+    origin = min(front[0], s[0]) - 1.0
+    cell = ((front - origin) / NIS_CELL).astype(int)
+    size = max(cell.max(), int((s[-1] - origin) / NIS_CELL)) + 2
+    count = np.bincount(cell, minlength=size)
+    mean = np.bincount(cell, nis, size) / np.maximum(count, 1)
+    ahead = min(NIS_AHEAD, lag - NIS_CELL)
+    low = ((s - NIS_BEHIND - NIS_CELL * (ahead < 0.0) - origin) / NIS_CELL).astype(int)
+    high = np.floor((s + ahead - origin) / NIS_CELL).astype(int)
+    width = int(np.max(high - low)) + 1
+    windows = np.minimum(np.maximum(low, 0)[:, None] + np.arange(width), high[:, None])
+    return np.maximum(mean[np.clip(windows, 0, size - 1)].max(axis=1), 1.0)
+
+
+def reduce_uncertain(
+    z: np.ndarray, z_std: np.ndarray, ahead: float, *, drifting: bool
+) -> np.ndarray:
+    """Return heights `z` (2, M) [m] times q / (q + `z_std`² (2, M)).
+
+    q is the mean square over POWER_WINDOW behind and `ahead` [m] of each station. Of `drifting`
+    heights the waves that are longer than the scored band are left as they are.
+    """
+    long = np.zeros_like(z)
+    if drifting:
+        long = gaussian_filter1d(z, DETREND_LENGTH / PROFILE_SPACING, axis=1)
+    width = round(POWER_WINDOW / PROFILE_SPACING)
+    kernel = np.ones(2 * width + 1)
+    kernel[: width - round(ahead / PROFILE_SPACING)] = 0.0
+    ones = np.convolve(np.ones(z.shape[1]), kernel, "same")
+    q, variance = (
+        np.array([np.convolve(path**2, kernel, "same") for path in x]) / ones
+        for x in (z - long, z_std)
+    )
+    return long + (z - long) * q / np.maximum(q + variance, 1e-300)
