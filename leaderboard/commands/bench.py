@@ -30,6 +30,7 @@ def bench(json: Json = False) -> None:
         "environment": speed.environment_overhead,
         "training": _training,
         "estimators": _estimators,
+        "passes": _passes,
         "start-up": speed.start_up_cost,
         "memory": _memory,
     }
@@ -98,6 +99,18 @@ def _estimators() -> list[dict[str, Any]]:
         text = f"{seconds:.2f} s"
         rows.append(benchmark_row(what, text, f"< {aim:g} s", seconds < aim, seconds=seconds))
     return rows
+
+
+def _passes() -> list[dict[str, Any]]:
+    road = with_length(load_road("iso_d"), 100.0).realise(np.random.default_rng(1))
+    mode = {"front": "ride", "rear": "handling"}
+    records = [
+        simulate_record(road, speed_kmh=54.0, mode=mode, seed=seed)[0] for seed in range(1, 5)
+    ]
+    one = median_time(lambda: estimators.estimate("map_smoother", records[0]), 3)
+    four = median_time(lambda: estimators.estimate("map_smoother", records), 3)
+    what, ratio = "map_smoother, four passes over 100 m at 54 km/h against one", four / one
+    return [benchmark_row(what, f"{ratio:.1f} x the time", "<= 6 x", ratio <= 6.0, ratio=ratio)]
 
 
 DRIVES_SCRIPT = """

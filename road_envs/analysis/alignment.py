@@ -40,7 +40,10 @@ WINDOW = 20.0
 """Length [m] of the windows in which the lag is refined, one every half window."""
 
 REFINED = 0.4
-"""Largest lag [m] of a window against the uniform scale."""
+"""Largest lag [m] of a window against the one before it, but for the uniform scale."""
+
+SEARCH_LENGTH = 300.0
+"""Length [m] from the beginning on which lag and scale are searched; windows follow on."""
 
 MIN_WINDOW_CORRELATION = 0.5
 """Correlation of a window below which its lag is not used."""
@@ -125,7 +128,9 @@ def map_stations(
             f"{shortest + trimmed:.1f} m are too short to be aligned: at least "
             f"{MIN_OVERLAP + 2.0 / band[0]:.0f} m are needed"
         )
-    lag, stretch, correlation, overlap = _search(first, second, searched, max_stretch)
+    head = second[0] <= second[0][0] + SEARCH_LENGTH
+    begin = second[0][head], second[1][:, head]
+    lag, stretch, correlation, overlap = _search(first, begin, searched, max_stretch)
     ends = second[0][[0, -1]]
     whole = StationMap(ends, lag + (1.0 + stretch) * ends, correlation)
     if not is_match(correlation, overlap, band):
@@ -188,17 +193,18 @@ def _refine(
     count = max(1, round((end - begin) / (0.5 * WINDOW)) - 1)
     length = min(WINDOW, end - begin)
     reach, size = round(REFINED / ds), int(length / ds) - 2 * round(REFINED / ds)
-    knots, shifts = [], []
+    knots, shifts, last = [], [], 0.0
     for left in np.linspace(begin, end - length, count):
         inner = left + REFINED + ds * np.arange(size)
-        outer = left + REFINED + ds * (np.arange(size + 2 * reach) - reach)
+        outer = left + last + REFINED + ds * (np.arange(size + 2 * reach) - reach)
         window = np.array([np.interp(inner, mapped, path) for path in y])
         road = np.array([np.interp(outer, s, path) for path in x])
         k, correlation = lag_correlations(road, window, size, -reach)
         i = int(np.argmax(correlation))
         if correlation[i] > MIN_WINDOW_CORRELATION and 0 < i < k.size - 1:
+            last += _peak(ds * k, correlation, i)
             knots.append(float(left + 0.5 * length))
-            shifts.append(_peak(ds * k, correlation, i))
+            shifts.append(last)
     if not knots:
         return whole
     # stations of the other profile where its windows have their middles

@@ -40,6 +40,16 @@ def test_an_odometer_that_position_fixes_pull_back_is_followed():
     assert np.abs(found.apply(s) - true)[400:-400].max() < 0.03
 
 
+def test_on_a_long_road_the_windows_follow_an_odometer_whose_scale_changes():
+    long, s = realise_road("iso_c", 5, 1300.0), profile_stations(1200.0)
+    true = 1.006 * s + 4.0 * np.sin(s / 400.0)
+    z = (noisy(long.height(20.0 + x), k) for k, x in enumerate((s, true)))
+    found, matches = map_stations(*z, PROFILE_SPACING, BAND)
+    assert matches
+    error = found.apply(s) - true
+    assert np.abs(error[(true > 10.0) & (true < 1160.0)]).max() < 0.03
+
+
 def test_another_road_does_not_match_at_any_lag_or_scale():
     s = profile_stations(100.0)
     for seed in range(20, 26):
