@@ -11,6 +11,7 @@ EXTRAS = {
     "render": ("PIL",),
     "dask": ("distributed",),
     "mdf": ("asammdf",),
+    "minari": ("minari",),
 }
 """Top-level modules of other packages, by the extra that brings them."""
 

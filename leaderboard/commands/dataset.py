@@ -10,8 +10,9 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from leaderboard.commands import print_json, progress_bar, to_json
+from leaderboard.commands import console, print_json, progress_bar, to_json
 from leaderboard.commands.simulate import Json, command_line, print_facts
+from leaderboard.policies.episodes import DATASETS_PATH, write_episodes
 from road_envs import __version__
 from road_envs._atomic_io import atomic_write
 from road_envs._extras import optional_import
@@ -62,30 +63,43 @@ def dataset(
     drives: Annotated[int, typer.Option(help="Number of drives.", min=10)] = 200,
     seed: Annotated[int, typer.Option(help="Seed of the drives.", min=0)] = 2,
     sensors: Annotated[str, typer.Option(help="Instruments: shipped name or YAML.")] = "paper",
+    episodes: Annotated[
+        str | None,
+        typer.Option(help="Write episodes of this switching policy instead, for Minari."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Write simulated drives with true roads as Parquet: splits, card, licence, checksums.
 
     The same options and version give the same drives. Seed 1 is that of the shipped weights'
-    training.
+    training. With --episodes, a data set of Minari has as many episodes of a policy in
+    RoadRecon-v0.
     """
     if out.exists():
         raise ConfigError(f"{out} exists; give a folder that does not")
     if not out.parent.is_dir():
         raise ConfigError(f"{out}: the folder {out.parent} does not exist")
-    corpus = Corpus(number=drives, seed=seed, instruments=sensors)
     partial = out.with_name(f"{out.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir()
     try:
         with progress_bar() as progress:
-            facts = write_dataset(corpus, partial, progress)
+            if episodes is not None:
+                facts = write_episodes(episodes, drives, seed, partial, progress, sensors=sensors)
+            else:
+                corpus = Corpus(number=drives, seed=seed, instruments=sensors)
+                facts = write_dataset(corpus, partial, progress)
         partial.rename(out)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    print_json({**facts, "written": [str(out)]}) if json else print_facts(
-        {**facts, "written": [str(out)]}
-    )
+    facts["written"] = [str(out)]
+    if json:
+        print_json(facts)
+        return
+    print_facts(facts)
+    if episodes is not None:
+        load = f"minari.load_dataset({facts['data_set']!r})"
+        console.print(f"to load it: {DATASETS_PATH}={out} and {load}", soft_wrap=True)
 
 
 def write_dataset(

@@ -15,14 +15,16 @@ POLICY_SEED = 0
 
 @dataclass(frozen=True)
 class Rollout:
-    """Actions, observations and returns of N vehicles over at most T control intervals.
+    """Actions, rewards, observations and returns of N vehicles over at most T control intervals.
 
-    `actions` (T, N); `observations` (T + 1, N, d), the first one of the interval that reset drives;
-    `intervals` (N,), the number of intervals until the end; `returns` (N,), the sum of rewards;
-    `reasons` (N,), why a drive failed, else empty.
+    `actions` and `rewards` (T, N), of which those after the end of a drive mean nothing;
+    `observations` (T + 1, N, d), the first one of the interval that reset drives; `intervals` (N,),
+    the number of intervals until the end; `returns` (N,), the sum of rewards; `reasons` (N,), why a
+    drive failed, else empty.
     """
 
     actions: np.ndarray
+    rewards: np.ndarray
     observations: np.ndarray
     intervals: np.ndarray
     returns: np.ndarray
@@ -49,7 +51,8 @@ def roll_out(
     policy.reset(context)
     running = np.ones(len(seeds), dtype=bool)
     returns, intervals = np.zeros(len(seeds)), np.zeros(len(seeds), dtype=int)
-    reasons, actions, stored = [""] * len(seeds), [], [observations.copy()]
+    reasons, actions, earned = [""] * len(seeds), [], []
+    stored = [observations.copy()]
     total = envs.fleet.steps_left.max() / envs.fleet.steps
     while running.any():
         selected_actions = validate_actions(policy.act(observations), context)
@@ -60,7 +63,9 @@ def roll_out(
             reasons[i] = infos["reason"][i]
         running &= ~(terminated | truncated)
         actions.append(selected_actions.copy())
+        earned.append(rewards.copy())
         if store_observations:
             stored.append(observations.copy())
         progress(min(len(actions) / total, 1.0))
-    return Rollout(np.array(actions), np.array(stored), intervals, returns, tuple(reasons))
+    steps = np.array(actions), np.array(earned), np.array(stored)
+    return Rollout(*steps, intervals, returns, tuple(reasons))
