@@ -15,6 +15,7 @@ from estimators.baselines.flat import FlatEstimator
 from estimators.baselines.mean import Mean
 from estimators.baselines.random_road import UnrelatedRoad
 from estimators.kalman.estimators import Kalman, KalmanLag, KalmanRts
+from estimators.linear.calibrated_fir import CalibratedFir
 from estimators.linear.fir_ridge import FirRidge
 from estimators.linear.inverse_quarter_car import InverseQuarterCar
 from estimators.map_smoother.estimator import MapSmoother
@@ -47,6 +48,7 @@ REGISTRY: dict[str, type[Estimator]] = {
     "narx": Narx,
     "inverse_quarter_car": InverseQuarterCar,
     "fir_ridge": FirRidge,
+    "calibrated_fir": CalibratedFir,
     "map_smoother": MapSmoother,
     "kalman": Kalman,
     "kalman_lag": KalmanLag,

@@ -87,7 +87,7 @@ class RoadRecon(LazyGroup):
                 "Identify a vehicle's parameters from calibration drives, and write its file.",
             ),
             "train": _entry(
-                "simulate:train", "Train an estimator on simulated drives and store it."
+                "simulate:train", "Train an estimator on simulated or own drives and store it."
             ),
             "observability": _entry(
                 "observability:observability",

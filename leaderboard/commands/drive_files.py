@@ -19,8 +19,10 @@ from road_envs.data.logger_tables.description import (
     write_description,
 )
 from road_envs.data.measured_record import MeasuredRecord, read_measured_record
-from road_envs.data.record import Record
+from road_envs.data.record import Profile, Record
 from road_envs.data.recording import is_record, read_record
+from road_envs.roads import load_road, realise_road
+from road_envs.roads.measured import Measured
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.suspension import check_modes
@@ -193,6 +195,22 @@ def make_drive_estimator(name: str, drive: DriveFile, settings: dict[str, Any]) 
         if "instruments" in getattr(estimators.find(name), "__dataclass_fields__", {}):
             settings = {**settings, "instruments": drive.sensors}
     return estimators.make_estimator(name, **settings)
+
+
+def read_profiles(names: list[str], drives: list[MeasuredRecord]) -> list[Profile | None]:
+    """Return the known road of each drive, over the stations of its record; one name is that of all
+    drives, and without names there is none. Raises ConfigError if there are too few or too many.
+    """
+    if not names:
+        return [None] * len(drives)
+    if len(names) not in (1, len(drives)):
+        raise ConfigError(f"give one --profile, or one for each of {len(drives)} drives")
+    profiles: list[Profile | None] = []
+    for name, drive in zip(names * (len(drives) // len(names)), drives, strict=True):
+        surface, road = realise_road(name, 0), load_road(name)
+        first = road.first_station if isinstance(road, Measured) else 0.0
+        profiles.append(Profile(surface.s + first - drive.chainage, surface.z))
+    return profiles
 
 
 def _pairs(option: str, text: str | None) -> Mapping[str, str] | None:

@@ -13,12 +13,14 @@ from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.identification import Identification
 from estimators.map_smoother.identification import identify as identify_vehicle
 from leaderboard.commands import check_output_path, console, print_json
-from leaderboard.commands.drive_files import DriveOptions, read_drive, with_drive_options
+from leaderboard.commands.drive_files import (
+    DriveOptions,
+    read_drive,
+    read_profiles,
+    with_drive_options,
+)
 from leaderboard.commands.simulate import Json, print_notes
 from leaderboard.report import identification_plot
-from road_envs.config import ConfigError
-from road_envs.data.record import Profile
-from road_envs.roads import realise_road
 from road_envs.vehicle.parameters import write_vehicle
 
 UNDETERMINED = 0.9
@@ -60,7 +62,7 @@ def identify(
         )
         for k, path in enumerate(records)
     ]
-    profiles = _profiles(profile or [], len(records))
+    profiles = read_profiles(profile or [], [file.measured for file in files])
     drives = [
         CalibrationDrive(file.measured.record, known, 1e-3 * survey_error_mm, path.name)
         for path, file, known in zip(records, files, profiles, strict=True)
@@ -78,16 +80,6 @@ def identify(
         return
     _print(result, [path.name for path in records])
     print_notes([*notes, *(f"written: {path}" for path in (out, plot) if path)])
-
-
-def _profiles(names: list[str], drives: int) -> list[Profile | None]:
-    """Return the profile of each drive. Raises ConfigError if there are too few or too many."""
-    if not names:
-        return [None] * drives
-    if len(names) not in (1, drives):
-        raise ConfigError(f"give one --profile, or one for each of {drives} drives")
-    surfaces = [realise_road(name, 0) for name in names * (drives if len(names) == 1 else 1)]
-    return [Profile(surface.s, surface.z) for surface in surfaces]
 
 
 def _facts(result: Identification) -> dict[str, Any]:

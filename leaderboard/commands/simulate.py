@@ -5,7 +5,7 @@ import sys
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import numpy as np
 import typer
@@ -14,6 +14,7 @@ from rich.table import Table
 import estimators
 from estimators import registry, weights_io
 from estimators.api import Pretrained, Trainable
+from estimators.linear.calibrated_fir import CalibratedFir
 from estimators.networks.narx import Narx
 from estimators.networks.static_lm import StaticLm
 from leaderboard.commands import (
@@ -24,6 +25,13 @@ from leaderboard.commands import (
     parse_settings,
     print_json,
     progress_bar,
+)
+from leaderboard.commands.drive_files import (
+    DEFAULT_VEHICLE,
+    DriveOptions,
+    read_drive,
+    read_profiles,
+    with_drive_options,
 )
 from leaderboard.evaluation import pretraining
 from leaderboard.report import plots
@@ -116,46 +124,61 @@ def simulate(
     print_json(facts) if json else print_facts(facts)
 
 
+@with_drive_options
 def train(
     *,
     estimator: Annotated[str, typer.Argument(help="Name of a trainable estimator.")],
+    records: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Own drives to train on, over roads of known --profile."),
+    ] = None,
     out: Annotated[
         Path, typer.Option(help="File for the fitted estimator (.npz or .safetensors).")
     ],
+    profile: Annotated[
+        list[str] | None,
+        typer.Option(help="Known road of each drive in turn (.csv, .crg, ...), or one for all."),
+    ] = None,
     road: Annotated[
         list[str] | None,
         typer.Option(help="Training road; may be given again. Default: the shipped corpus."),
     ] = None,
-    speed_kmh: Speed = 14.5,
-    mode: Mode = None,
     length: Length = None,
     drives: Annotated[
         int | None,
         typer.Option(help="Drives on each road with different seeds, or of the corpus.", min=1),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the training.", min=0)] = 1,
-    vehicle: Vehicle = "land_rover_defender_110",
-    sensors: Sensors = "ideal",
     settings: Annotated[
         list[str] | None, typer.Option("--set", help="Setting of the estimator, key=value.")
     ] = None,
+    options: DriveOptions,
     json: Json = False,
 ) -> None:
-    """Train an estimator on simulated drives and store it.
+    """Train an estimator and store it.
 
-    With --road, it is trained at one speed and in one mode. Without, it is pretrained on the corpus
-    for all speeds and modes, like the weights in this package. Pretraining takes some minutes and
-    continues from a checkpoint if it is interrupted and called again.
+    With files of drives and their --profile, it is trained on them: `calibrated_fir` needs nothing
+    else. With --road, it is trained on simulated drives at one speed and in one mode. Without
+    either, it is pretrained on the corpus for all speeds and modes, like the weights in this
+    package. Pretraining takes some minutes and continues from a checkpoint if it is interrupted and
+    called again.
     """
     check_output_path(out, ".npz", ".safetensors")
     chosen = estimators.create(estimator, **parse_settings(settings or []))
     if not isinstance(chosen, Trainable):
         raise ConfigError(f"{estimator} is not trainable; use it in `estimate` by its name")
+    if records:
+        if road or not profile:
+            raise ConfigError("give the --profile of the drives' roads, and no --road")
+        facts = _train_on_drives(chosen, records, profile, out, seed, options)
+        print_json(facts) if json else print_facts({"estimator": estimator, **facts})
+        return
     if road is None:
         facts = _pretrain(chosen, estimator, out, drives, seed)
         print_json(facts) if json else print_facts(facts)
         return
-    car, instruments, drives = load_vehicle(vehicle), load_instruments(sensors), drives or 1
+    car = load_vehicle(options.vehicle or DEFAULT_VEHICLE)
+    instruments, drives = load_instruments(options.sensors or "ideal"), drives or 1
     pairs: list[tuple[Record, Profile]] = []
     with progress_bar() as progress:
         for k, (name, i) in enumerate((name, i) for name in road for i in range(drives)):
@@ -164,8 +187,8 @@ def train(
                 name,
                 length=length,
                 vehicle=car,
-                speed_kmh=speed_kmh,
-                mode=parse_mode(mode),
+                speed_kmh=options.speed_kmh or 14.5,
+                mode=parse_mode(options.mode),
                 instruments=instruments,
                 seed=seed + i,
             )
@@ -182,6 +205,28 @@ def train(
     if isinstance(fitted, StaticLm | Narx):
         facts |= {"epochs": fitted.training.epochs, "stopped_by": fitted.training.stop}
     print_json(facts) if json else print_facts(facts)
+
+
+def _train_on_drives(
+    estimator: Trainable,
+    paths: list[Path],
+    profiles: list[str],
+    out: Path,
+    seed: int,
+    options: DriveOptions,
+) -> dict[str, Any]:
+    """Fit an estimator to drives in files and return the facts to print. Raises ConfigError."""
+    files = [read_drive(path, options) for path in paths]
+    truths = [
+        cast(Profile, truth) for truth in read_profiles(profiles, [f.measured for f in files])
+    ]
+    fitted = estimator.fit([f.measured.record for f in files], truths, files[0].car, seed)
+    weights_io.save(fitted, out)
+    facts: dict[str, Any] = {"drives": [str(path) for path in paths]}
+    if isinstance(fitted, CalibratedFir):
+        facts |= fitted.summary()
+    notes = dict.fromkeys(note for f in files for note in f.measured.notes)
+    return {**facts, "notes": list(notes), "written": [str(out)]}
 
 
 def _pretrain(

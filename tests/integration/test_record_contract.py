@@ -22,16 +22,16 @@ QUICK = {
 """Settings that make the tests fast; pretrained estimators keep their shipped weights."""
 
 INTERPOLATING = {
-    "static_lm", "narx", "inverse_quarter_car", "fir_ridge", "tcn", "tcn_causal", "gru",
-    "gru_causal",
+    "static_lm", "narx", "inverse_quarter_car", "fir_ridge", "calibrated_fir", "tcn", "tcn_causal",
+    "gru", "gru_causal",
 }  # fmt: skip
 """Estimators that need every sample and therefore limit the share of missing ones."""
 
 
 @cache
-def drive() -> tuple[Record, Profile]:
+def drive(length: float = 12.0) -> tuple[Record, Profile]:
     """A record of the paper's instruments at 36 km/h and its truth."""
-    road = load_road({"kind": "iso8608", "road_class": "D", "length": 12.0})
+    road = load_road({"kind": "iso8608", "road_class": "D", "length": length})
     return simulate_record(
         road.realise(np.random.default_rng(1)), speed_kmh=36.0, mode="handling", seed=1
     )
@@ -42,7 +42,7 @@ def ready(name: str) -> Estimator:
     """An estimator with weights."""
     estimator = create(name, **QUICK.get(name, {}))
     if isinstance(estimator, Trainable) and not isinstance(estimator, Pretrained):
-        record, truth = drive()
+        record, truth = drive(60.0) if name == "calibrated_fir" else drive()
         return estimator.fit([record], [truth], CAR, 0)
     return estimator
 

@@ -1,0 +1,348 @@
+"""Reconstruction without a vehicle model: responses identified on a known stretch, then inverted.
+
+A calibration drive over a measured profile gives the impulse responses from the road to the sensors
+(`impulse_responses.py`), for any vehicle and any number of accelerometers at any places. On another
+road they are the measurement model of a random walk over distance, and the most probable road, with
+its standard deviation, follows from normal equations (`road_posterior.py`). The distance between
+the axles is the only number that must be known of the vehicle.
+
+Responses belong to the states of the struts in which they were identified. Those of several states
+are kept side by side, and a drive is estimated with those of the state that prevails in it. They
+hold for other speeds, since the delay between the axles is not part of them; friction does not, as
+its share depends on speed and roughness.
+
+Standard deviations are those of the posterior, times a factor that makes half and nine tenths of
+the errors on the calibration drives lie within the Gaussian bounds; each fifth of a drive is
+estimated there with responses identified on the other four.
+
+Limitations: a linear model of the vehicle, as in `wiener`; roads on which wheels leave the ground.
+A calibration drive of 100 m leaves errors of its own; two or three reduce them.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Annotated, Any, ClassVar, NamedTuple, Self, cast
+
+import numpy as np
+from pydantic import Field
+from scipy.ndimage import gaussian_filter1d
+
+from estimators.api import (
+    CalibrationDrive,
+    CalibrationError,
+    copy_with,
+    require_fitted,
+    validate_weights,
+)
+from estimators.common.blas import single_blas_thread
+from estimators.linear.calibration_checks import check_drives, check_responses
+from estimators.linear.impulse_responses import (
+    AR_ORDER,
+    MEMORY,
+    N_TAPS,
+    Identification,
+    Responses,
+    fine_stations,
+    identify_responses,
+    road_drive,
+    sample_times,
+    segment_of,
+    sensed,
+)
+from estimators.linear.road_posterior import (
+    START,
+    Nodes,
+    fit_settings,
+    normal_equations,
+    prior_bands,
+    solve,
+)
+from estimators.preprocessing import RecordError, clean_record, sample_profile
+from road_envs.analysis.roughness import band_pass
+from road_envs.config import Settings
+from road_envs.data.record import (
+    PROFILE_SPACING,
+    Estimate,
+    Profile,
+    Record,
+    profile_stations,
+    scored_band,
+)
+from road_envs.vehicle.parameters import VehicleParameters
+
+WINDOW = 200.0
+"""Length [m] of the road that is estimated at a time, with a road prior of its own."""
+
+NODE_TIME, NODE_SPACING = 0.01, (0.1, 0.25)
+"""Time [s] between nodes, four in a period of 25 Hz, and limits of their spacing [m]."""
+
+DRAWS, SMOOTHING = 40, 5.0
+"""Samples of the posterior for the standard deviation, and the distance [m] over which their power
+is averaged.
+"""
+
+JUDGED = 3
+"""Calibration drives at most on which standard deviations are calibrated."""
+
+COVERAGE = ((0.5, 0.6745), (0.9, 1.6449))
+"""Probabilities of the intervals that are calibrated, and their Gaussian bounds."""
+
+FAR_SPEED = 1.3
+"""Factor between the speeds of calibration and drive from which on a note is given."""
+
+
+class VehicleResponse(NamedTuple):
+    """What calibration drives in one strut state gave: `responses`, `state` (4,) (stiff and high
+    damping in front, then at the rear), mean `speed` [m/s], the factor `std_factor` on standard
+    deviations, and the in-band `error` of segments estimated without themselves over their road.
+    """
+
+    responses: Responses
+    state: np.ndarray
+    speed: float
+    std_factor: float
+    error: float
+
+
+class VehicleResponses(NamedTuple):
+    """Responses by strut state, and the `axles` (X,) [m] behind the first."""
+
+    by_state: tuple[VehicleResponse, ...]
+    axles: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibratedFir(Settings):
+    """Road of a vehicle that is known by calibration drives alone."""
+
+    causal: ClassVar[bool] = False
+
+    wheelbase: Annotated[
+        float | None,
+        Field(gt=0, le=20),
+        "m",
+        "between first and last axle; default: that of the vehicle given",
+    ] = None
+    seed: Annotated[int, Field(ge=0), "", "of the samples of the posterior"] = 0
+    fitted_state: VehicleResponses | None = field(
+        default=None, init=False, repr=False, compare=False
+    )
+
+    def fit(
+        self,
+        records: Sequence[Record],
+        truths: Sequence[Profile],
+        car: VehicleParameters,
+        seed: int,
+    ) -> Self:
+        """Identify the responses from drives over known roads; `seed` is unused. Of `car` only the
+        wheelbase is used, unless it is a setting. Raises RecordError, CalibrationError.
+        """
+        pairs = zip(records, truths, strict=True)
+        names = (f"drive {i + 1}" if len(records) > 1 else "the drive" for i in range(len(records)))
+        drives = [
+            CalibrationDrive(record, truth, name=name)
+            for (record, truth), name in zip(pairs, names, strict=False)
+        ]
+        return self._identify(drives, car)
+
+    def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
+        """Identify the responses from the drives over measured roads, starting from those of `fit`
+        if there are any; drives over unmeasured roads tell nothing here. Raises RecordError,
+        CalibrationError.
+        """
+        known = [drive for drive in drives if drive.profile is not None]
+        if not known and self.fitted_state is None:
+            raise CalibrationError(
+                "calibrated_fir knows nothing of a vehicle but what drives over measured roads "
+                "tell: give at least one"
+            )
+        return self._identify(known, car) if known else self
+
+    def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
+        """Return the most probable road and its standard deviation in the scored band. Raises
+        RecordError, NotFittedError.
+        """
+        model = require_fitted(self.fitted_state, self)
+        record, notes = clean_record(record, None)
+        state = _state(record)
+        chosen = min(model.by_state, key=lambda x: float(np.abs(x.state - state).sum()))
+        n_sensors = len(chosen.responses.taps)
+        if len(record.a) != n_sensors:
+            raise RecordError(
+                f"calibrated with {n_sensors} accelerometers, the record has {len(record.a)}"
+            )
+        z, z_std = _reconstruct(chosen.responses, model.axles, record, self.seed)
+        notes = (*notes, *_notes(chosen, state, record))
+        return Estimate(profile_stations(record.length), z, chosen.std_factor * z_std, notes)
+
+    def summary(self) -> dict[str, Any]:
+        """Return what the calibration gave: in each strut state the in-band error of segments that
+        it did not use, and the gain of all wheels together on long waves, sensor by sensor. Raises
+        NotFittedError.
+        """
+        model = require_fitted(self.fitted_state, self)
+        return {
+            "axles_m": model.axles.tolist(),
+            "speeds_m_s": [x.speed for x in model.by_state],
+            "held_out_nrmse": [x.error for x in model.by_state],
+            "gains": [x.responses.taps.sum(axis=(1, 2, 3)).tolist() for x in model.by_state],
+        }
+
+    def weights(self) -> dict[str, np.ndarray]:
+        """Return `taps` (S, k, X, 2, N_TAPS), `ar` (S, AR_ORDER) and `innovation` (S, k, k) of S
+        strut states, `axles` (X,), and `about` (S, 7): state, speed, factor on the standard
+        deviations, held-out error. Raises NotFittedError.
+        """
+        model = require_fitted(self.fitted_state, self)
+        about = [[*x.state, x.speed, x.std_factor, x.error] for x in model.by_state]
+        parts = zip(*(x.responses for x in model.by_state), strict=True)
+        arrays = dict(zip(Responses._fields, map(np.array, parts), strict=True))
+        return {**arrays, "axles": model.axles, "about": np.array(about)}
+
+    def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
+        """Return a copy with these weights. Raises ValueError."""
+        shapes = {
+            "taps": (None, None, None, 2, N_TAPS),
+            "ar": (None, AR_ORDER),
+            "innovation": (None, None, None),
+            "axles": (None,),
+            "about": (None, 7),
+        }
+        taps, ar, innovation, axles, about = validate_weights(weights, shapes)
+        n_states, k = taps.shape[:2]
+        if not (len(ar) == len(innovation) == len(about) == n_states > 0):
+            raise ValueError("taps, ar, innovation and about must be of the same strut states")
+        if innovation.shape[1:] != (k, k) or taps.shape[2] != axles.size:
+            raise ValueError("innovation and axles must be of the sensors and axles of the taps")
+        by_state = tuple(
+            VehicleResponse(Responses(*x[:3]), x[3][:4], *x[3][4:].tolist())
+            for x in zip(taps, ar, innovation, about, strict=True)
+        )
+        return copy_with(self, fitted_state=VehicleResponses(by_state, axles))
+
+    @single_blas_thread()
+    def _identify(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
+        axles = np.array([0.0, self.wheelbase or car.wheelbase])
+        before = self.fitted_state
+        if before is not None and before.axles.tolist() != axles.tolist():
+            before = None
+        kept = {x.state.tobytes(): x for x in before.by_state} if before else {}
+        groups: dict[bytes, list[CalibrationDrive]] = {}
+        for drive in drives:
+            cleaned = replace(drive, record=clean_record(drive.record, None)[0])
+            groups.setdefault(_state(cleaned.record).tobytes(), []).append(cleaned)
+        for key, group in groups.items():
+            prior = kept[key].responses.taps if key in kept else None
+            if prior is not None and len(prior) != len(group[0].record.a):
+                prior = None
+            kept[key] = _identify_state(group, axles, prior)
+        return copy_with(self, fitted_state=VehicleResponses(tuple(kept.values()), axles))
+
+
+def _identify_state(
+    drives: Sequence[CalibrationDrive], axles: np.ndarray, prior: np.ndarray | None
+) -> VehicleResponse:
+    """Identify the responses from drives in one strut state. Raises CalibrationError."""
+    data = [road_drive(drive.record, cast(Profile, drive.profile), axles) for drive in drives]
+    check_drives(drives, data)
+    found = identify_responses(data, prior)
+    check_responses(found, drives, axles)
+    factor, error = _judge(found, drives, axles)
+    speed = float(np.mean([drive.record.v.mean() for drive in drives]))
+    return VehicleResponse(found.responses, _state(drives[0].record), speed, factor, error)
+
+
+def _judge(
+    found: Identification, drives: Sequence[CalibrationDrive], axles: np.ndarray
+) -> tuple[float, float]:
+    """Return the factor on standard deviations that gives COVERAGE on segments that responses were
+    identified without, and the in-band RMS error over the RMS of the road there.
+    """
+    ratios, square, power = [], 0.0, 0.0
+    for drive in drives[:JUDGED]:
+        record, profile = drive.record, cast(Profile, drive.profile)
+        s, band = profile_stations(record.length), scored_band(float(record.v.mean()))
+        truth = sample_profile(profile, s)
+        inside = band_pass(truth, PROFILE_SPACING, band)
+        cut = slice((s.size - inside.shape[1]) // 2, (s.size + inside.shape[1]) // 2)
+        part = segment_of(s[cut], profile, axles)
+        for segment, responses in enumerate(found.held_out):
+            here = part == segment
+            z, z_std = _reconstruct(responses, axles, record, 0)
+            error = band_pass(z - truth, PROFILE_SPACING, band)[:, here]
+            ratios.append((np.abs(error) / z_std[:, cut][:, here]).ravel())
+            square += float(np.sum(error**2))
+            power += float(np.sum(inside[:, here] ** 2))
+    all_ratios = np.concatenate(ratios)
+    factors = [np.quantile(all_ratios, share) / bound for share, bound in COVERAGE]
+    return float(np.exp(np.mean(np.log(factors)))), float(np.sqrt(square / power))
+
+
+def _reconstruct(
+    responses: Responses, axles: np.ndarray, record: Record, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return heights and standard deviations (2, M) [m] at the profile stations of a clean record,
+    window by window.
+    """
+    stations, rng = profile_stations(record.length), np.random.default_rng(seed)
+    v = float(np.median(record.v))
+    ds = float(np.clip(NODE_TIME * v, *NODE_SPACING))
+    margin = axles[-1] + MEMORY * v
+    t = sample_times(record)
+    a, s = sensed(record, t), np.interp(t, record.t, record.s)
+    count = max(1, round(record.length / WINDOW))
+    edges = np.linspace(0.0, record.length, count + 1)
+    z, power = np.zeros((2, stations.size)), np.zeros((2, stations.size))
+    settings = START
+    for begin, end in pairwise(edges):
+        own = np.flatnonzero((s > begin - margin) & (s < end + margin))
+        if own.size < 2:
+            continue
+        part = slice(own[0], own[-1] + 1)
+        first = max(begin - margin, float(s[own[0]])) - margin
+        nodes = Nodes(first, ds, int((end + margin - first) / ds) + 1)
+        fine = fine_stations(record, t[part])
+        roads = [nodes.accelerations(fine - axle) for axle in axles]
+        data, prior = normal_equations(responses, a[:, part], roads), prior_bands(nodes)
+        settings = fit_settings(data, prior, settings)
+        posterior = solve(data, prior, settings)
+        here = (stations >= begin) & (stations < end)
+        heights = nodes.heights(stations)
+        z[:, here] = (heights @ posterior.mean.reshape(-1, 2)).T[:, here]
+        drawn = posterior.draw(DRAWS, rng).reshape(nodes.size, 2, DRAWS)
+        for path in range(2):
+            power[path, here] = _in_band_power(heights @ drawn[:, path], v)[here]
+    width = SMOOTHING / PROFILE_SPACING
+    return z, np.sqrt(gaussian_filter1d(power, width, axis=1, mode="nearest"))
+
+
+def _in_band_power(deviations: np.ndarray, v: float) -> np.ndarray:
+    """Return the mean square (M,) [m²] inside the scored band of deviations (M, draws)."""
+    x = band_pass(deviations.T, PROFILE_SPACING, scored_band(v))
+    cut = (len(deviations) - x.shape[1]) // 2
+    return np.pad(np.mean(x**2, axis=0), (cut, len(deviations) - x.shape[1] - cut), mode="edge")
+
+
+def _state(record: Record) -> np.ndarray:
+    """Return the prevailing state (4,): stiff and high damping in front, then at the rear."""
+    stiff, high = record.spring_stiff.mean(axis=0), record.damper_high.mean(axis=0)
+    pairs = (stiff[:2], high[:2], stiff[2:], high[2:])
+    return np.array([float(pair.mean() > 0.5) for pair in pairs])
+
+
+def _notes(chosen: VehicleResponse, state: np.ndarray, record: Record) -> tuple[str, ...]:
+    """Return notes on a drive in another state or at another speed than the calibration's."""
+    notes, v = [], float(record.v.mean())
+    if (chosen.state != state).any():
+        notes.append(
+            "no calibration drive was in this state of the struts; the responses are those of the "
+            "nearest state"
+        )
+    if not chosen.speed / FAR_SPEED < v < chosen.speed * FAR_SPEED:
+        notes.append(
+            f"calibrated at {chosen.speed:.1f} m/s, driven at {v:.1f} m/s: friction acts otherwise "
+            "there, and errors exceed the standard deviations"
+        )
+    return tuple(notes)

@@ -1,0 +1,121 @@
+"""Whether a drive over a known profile can tell how the vehicle responds; refusals otherwise."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimators.api import CalibrationDrive, CalibrationError
+from estimators.linear.impulse_responses import (
+    F_BODY,
+    RATE,
+    Identification,
+    RoadDrive,
+    quick_explained,
+    road_drive,
+    sample_times,
+)
+from road_envs.data.record import F_C, Profile
+
+LENGTH_MIN = 25.0
+"""Shortest distance [m] that is of use, of all drives in one state together: five of the longest
+waves of the scored band."""
+
+FREQUENCIES_MIN = 30.0
+"""Least number of independent frequencies in the road's acceleration, of each wheel path and of
+their difference. A tenth of what 100 m of an ISO 8608 road have; a sine has one or two."""
+
+EXPLAINED_MIN = 0.3
+"""Least share of the sensors' power that must be predicted where the responses were not identified.
+100 m of class C or rougher give 0.6 to 0.95, a profile of elsewhere less than 0.1."""
+
+GAIN_RANGE = (0.3, 3.0)
+"""Responses of all wheels together far below the body's resonance: a vehicle moves as its road, so
+they sum to 1 whatever the vehicle is. 100 m leave an error of up to a half."""
+
+SEARCHED = np.arange(-10.0, 10.5, 0.5)
+"""Shifts [m] of the profile that are tried to say what is wrong with it."""
+
+
+def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) -> None:
+    """Raise CalibrationError if drives are too short or their roads have too few frequencies."""
+    used = [each.segment >= 0 for each in data]
+    names = drives[0].name if len(drives) == 1 else f"the {len(drives)} drives in this state"
+    length = 0.0
+    for drive, here in zip(drives, used, strict=True):
+        s = np.interp(sample_times(drive.record), drive.record.t, drive.record.s)
+        length += float(np.ptp(s[here])) if here.any() else 0.0
+    if length < LENGTH_MIN:
+        raise CalibrationError(
+            f"{names}: all axles are on the profile over {length:.0f} m; at least {LENGTH_MIN:.0f} "
+            "m are needed: check where the profile begins, or drive over a longer one"
+        )
+    parts = [each.u[0][:, here] for each, here in zip(data, used, strict=True) if here.sum() > 1]
+    counts = {
+        "the left wheel path": sum(independent_frequencies(u[0]) for u in parts),
+        "the right wheel path": sum(independent_frequencies(u[1]) for u in parts),
+        "the difference of the wheel paths": sum(
+            independent_frequencies(u[0] - u[1]) for u in parts
+        ),
+    }
+    name = min(counts, key=counts.__getitem__)
+    if counts[name] < FREQUENCIES_MIN:
+        raise CalibrationError(
+            f"{names}: {name} moves the wheels at {counts[name]:.0f} independent frequencies; at "
+            f"least {FREQUENCIES_MIN:.0f} are needed to tell how the vehicle responds: choose a "
+            "rougher or longer stretch"
+        )
+
+
+def independent_frequencies(u: np.ndarray) -> float:
+    """Return the number of independent frequencies of a road acceleration (N,) between F_BODY and
+    F_C: (sum of powers)² over the sum of their squares, of its spectral lines. The rate of the
+    height is taken, which is white on a road with a waviness of 2.
+    """
+    f = np.fft.rfftfreq(u.size, 1.0 / RATE)
+    inside = (f > F_BODY) & (f < F_C)
+    power = np.abs(np.fft.rfft(u * np.hanning(u.size))[inside] / f[inside]) ** 2
+    # a periodogram's lines are exponentially distributed, which halves the ratio
+    return float(2.0 * power.sum() ** 2 / max(np.sum(power**2), 1e-300)) if power.any() else 0.0
+
+
+def check_responses(
+    found: Identification, drives: Sequence[CalibrationDrive], axles: np.ndarray
+) -> None:
+    """Raise CalibrationError if the profiles do not explain the drives, or not in their units."""
+    if (least := float(found.explained.min())) < EXPLAINED_MIN:
+        sensor = f"sensor {1 + int(found.explained.argmin())} of {found.explained.size}"
+        raise CalibrationError(
+            f"the profile explains {max(least, 0.0):.0%} of what {sensor} measured on parts of the "
+            f"road that were left out; at least {EXPLAINED_MIN:.0%} are needed"
+            f"{_reason(drives[0], axles)}"
+        )
+    gain = float(np.median(found.responses.taps.sum(axis=(1, 2, 3))))
+    low, high = GAIN_RANGE
+    if not low < gain < high:
+        turned = "; an axis that points down, or heights counted downwards" if gain < 0.0 else ""
+        raise CalibrationError(
+            f"on long waves the sensors move {gain:.3g} times as much as the road, which must be "
+            f"about 1: check the units of heights (m) and accelerations (m/s²){turned}"
+        )
+
+
+def _reason(drive: CalibrationDrive, axles: np.ndarray) -> str:
+    """Return what would make the profile fit, as the end of a sentence."""
+    profile = drive.profile
+    assert profile is not None
+    reversed_profile = Profile(profile.s, profile.z[::-1, ::-1])
+    tried = {"the profile is reversed": reversed_profile}
+    tried |= {
+        f"the profile lies {shift:+.1f} m from where the drive says": Profile(
+            profile.s - shift, profile.z
+        )
+        for shift in SEARCHED
+    }
+    best, text = EXPLAINED_MIN, ": it is of another road or lane, or too smooth"
+    for name, other in tried.items():
+        data = road_drive(drive.record, other, axles)
+        if (data.segment >= 0).sum() > RATE and (
+            share := float(quick_explained(data).min())
+        ) > best:
+            best, text = share, f": {name}"
+    return text

@@ -1,0 +1,310 @@
+"""Impulse responses from the road to accelerometers, identified on a known profile.
+
+    a_j(t) = sum_x sum_p sum_i  g_jxp[i] u_xp(t - i / RATE) + e_j(t)
+
+u_xp is the vertical acceleration d²z/dt² of the wheel path p (left, right) at the axle x while it
+passes; g_jxp [-] is what the sensor j makes of it. Nothing is known of the vehicle but the distance
+between its axles, because this delay changes with speed; the responses, which belong to springs,
+dampers and masses, do not.
+
+The taps have a Gaussian prior with the covariance c lambda^max(i, i'), of smooth and decaying
+responses (the "TC kernel" of Chen, Ohlsson & Ljung, Automatica 48, 2012). Scale c, decay lambda and
+noise of each sensor are those of the largest marginal likelihood. The residual e holds friction and
+other nonlinearities beside the sensors' noise. It is modelled as autoregressive, equally for all
+sensors, with correlated innovations, and the taps are fitted again to signals whitened by this
+model.
+"""
+
+from collections.abc import Sequence
+from functools import cache, reduce
+from typing import NamedTuple
+
+import numpy as np
+from scipy import signal
+from scipy.linalg import cho_solve, solve_toeplitz
+from scipy.optimize import minimize
+
+from estimators.common.blas import single_blas_thread
+from road_envs.data.record import F_C, Profile, Record
+from road_envs.sensing.filters import preprocess_accelerations
+
+RATE = 62.5
+"""Rate [Hz] of signals and taps, 2.5 times the bandwidth F_C."""
+
+OVERSAMPLING = 8
+"""Instants per sample at which the road under an axle is read, before its low-pass."""
+
+STOP_FREQUENCY = 36.0
+"""Frequency [Hz] from which the low-pass of the road's acceleration leaves nothing."""
+
+MEMORY = 1.2
+"""Duration of the responses [s]: bounce at 1.2 Hz with a damping ratio of 0.25 has then fallen to a
+tenth.
+"""
+
+N_TAPS = int(MEMORY * RATE)
+AR_ORDER = 12
+SEGMENTS = 5
+"""Parts of each drive; every one is predicted from the others."""
+
+F_BODY = 0.5
+"""Frequency [Hz] below which accelerometers measure offset and drift rather than the road."""
+
+START = (np.log(0.01), np.log(13.0), np.log(0.1))
+"""First guess of log c, logit lambda, and log of the noise's share in a sensor's power."""
+
+
+class RoadDrive(NamedTuple):
+    """Sensors `a` (k, N) [m/s²] and road accelerations `u` (axles, 2, N) [m/s²] of a drive, and the
+    `segment` (N,) of each sample, -1 where it is not used.
+    """
+
+    a: np.ndarray
+    u: np.ndarray
+    segment: np.ndarray
+
+
+class Responses(NamedTuple):
+    """Responses and noise of the sensors of one vehicle in one state of its struts.
+
+    `taps` (k, axles, 2, N_TAPS) [-] by sensor, axle and wheel path; `ar` (AR_ORDER,): coefficients
+    of the residual's autoregression; `innovation` (k, k) [(m/s²)²]: covariance of its innovations
+    at RATE.
+    """
+
+    taps: np.ndarray
+    ar: np.ndarray
+    innovation: np.ndarray
+
+    @property
+    def whitening(self) -> np.ndarray:
+        """Taps (AR_ORDER + 1,) of the filter that makes the residual white."""
+        return np.append(1.0, -self.ar)
+
+
+class Identification(NamedTuple):
+    """`responses`; those without each segment, `held_out` (SEGMENTS,); and the shares `explained`
+    (k,) of each sensor's power in segments that were not used.
+    """
+
+    responses: Responses
+    held_out: list[Responses]
+    explained: np.ndarray
+
+
+class Sums(NamedTuple):
+    """Sums over samples: X'X (p, p), X'a (p, k), a'a (k,), and their number."""
+
+    XX: np.ndarray
+    Xa: np.ndarray
+    aa: np.ndarray
+    n: int
+
+    @classmethod
+    def of(cls, X: np.ndarray, a: np.ndarray) -> "Sums":
+        """Return the sums of regressors `X` (N, p) and sensors `a` (k, N)."""
+        return cls(X.T @ X, X.T @ a.T, np.sum(a**2, axis=1), len(X))
+
+    def plus(self, other: "Sums", sign: int = 1) -> "Sums":
+        """Return these sums plus `sign` times those of `other`."""
+        XX, Xa, aa = (x + sign * y for x, y in zip(self[:3], other[:3], strict=True))
+        return Sums(XX, Xa, aa, self.n + sign * other.n)
+
+
+def sample_times(record: Record) -> np.ndarray:
+    """Return the instants (N,) [s] at RATE within a record."""
+    return record.t[0] + np.arange(int((record.t[-1] - record.t[0]) * RATE + 1e-6) + 1) / RATE
+
+
+def sensed(record: Record, t: np.ndarray) -> np.ndarray:
+    """Return the processed accelerations (k, N) [m/s²] at the instants `t`."""
+    a = preprocess_accelerations(record.a, record.fs, F_C)
+    return np.array([np.interp(t, record.t, x) for x in a])
+
+
+@cache
+def acceleration_filter() -> np.ndarray:
+    """Return the taps [1/s²] of a low-pass and a second difference, at RATE * OVERSAMPLING."""
+    fs = RATE * OVERSAMPLING
+    length, beta = signal.kaiserord(50.0, (STOP_FREQUENCY - F_C) / (0.5 * fs))
+    cut = 0.5 * (F_C + STOP_FREQUENCY)
+    low_pass = signal.firwin(length | 1, cut, window=("kaiser", beta), fs=fs)
+    return np.convolve(low_pass, np.array([1.0, -2.0, 1.0]) * fs**2)
+
+
+def fine_stations(record: Record, t: np.ndarray) -> np.ndarray:
+    """Return the stations [m] of the first axle at all instants that the acceleration filter needs
+    for the samples at `t` (N,); beyond the record at the speeds of its ends.
+    """
+    reach, fs = acceleration_filter().size // 2, RATE * OVERSAMPLING
+    fine = t[0] + np.arange(-reach, (t.size - 1) * OVERSAMPLING + reach + 1) / fs
+    s = np.interp(fine, record.t, record.s)
+    s += np.minimum(fine - record.t[0], 0.0) * record.v[0]
+    return s + np.maximum(fine - record.t[-1], 0.0) * record.v[-1]
+
+
+def road_drive(record: Record, profile: Profile, axles: np.ndarray) -> RoadDrive:
+    """Return a drive over a known `profile`; `axles` (X,) [m] behind the first.
+
+    Used are samples with all axles on the profile. Its heights go on beyond its ends as they are
+    there.
+    """
+    t = sample_times(record)
+    fine, s = fine_stations(record, t), np.interp(t, record.t, record.s)
+    weights = acceleration_filter()
+    u = [
+        [
+            np.convolve(np.interp(fine - axle, profile.s, z), weights, "valid")[::OVERSAMPLING]
+            for z in profile.z
+        ]
+        for axle in axles
+    ]
+    return RoadDrive(sensed(record, t), np.array(u), segment_of(s, profile, axles))
+
+
+def segment_of(s: np.ndarray, profile: Profile, axles: np.ndarray) -> np.ndarray:
+    """Return the segment (N,) of each station `s` [m] of the first axle, -1 where not all axles are
+    on the profile.
+    """
+    start, end = profile.s[0] + axles[-1], profile.s[-1]
+    part = np.floor(SEGMENTS * (s - start) / max(end - start, 1e-9)).astype(int)
+    return np.where((part >= 0) & (part < SEGMENTS), part, -1)
+
+
+def stack_delays(u: np.ndarray, n_taps: int) -> np.ndarray:
+    """Return the regressors (N, inputs n_taps) of inputs `u` (..., N), zero before them."""
+    u = u.reshape(-1, u.shape[-1])
+    padded = np.pad(u, ((0, 0), (n_taps - 1, 0)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, n_taps, axis=1)[:, :, ::-1]
+    return np.concatenate(list(windows), axis=1)
+
+
+@single_blas_thread()
+def identify_responses(
+    drives: Sequence[RoadDrive], prior: np.ndarray | None = None
+) -> Identification:
+    """Identify the responses from drives of one vehicle in one state.
+
+    `prior` (k, axles, 2, N_TAPS): mean of the taps before these drives, by default 0.
+    """
+    k, shape = len(drives[0].a), (*drives[0].u.shape[:2], N_TAPS)
+    mean = np.zeros((k, int(np.prod(shape)))) if prior is None else prior.reshape(k, -1)
+    X = [stack_delays(drive.u, N_TAPS) for drive in drives]
+    a = [drive.a - mean @ x.T for drive, x in zip(drives, X, strict=True)]
+    parts = _segment_sums(drives, X, a, np.ones(1))
+    total = reduce(Sums.plus, parts)
+    settings = [_fit_settings(total, j) for j in range(k)]
+    powers = [np.sum(drive.a[:, drive.segment >= 0] ** 2, axis=1) for drive in drives]
+    explained = _explained(parts, settings, np.sum(powers, axis=0))
+    ar = _fit_autoregression(_residuals(drives, X, a, solve_taps(total, settings)))
+    white = np.append(1.0, -ar)
+    parts = _segment_sums(drives, X, a, white)
+    total = reduce(Sums.plus, parts)
+    settings = [_fit_settings(total, j) for j in range(k)]
+    theta = solve_taps(total, settings)
+    e = [signal.lfilter(white, 1.0, x) for x in _residuals(drives, X, a, theta)]
+    innovation = np.cov(np.concatenate(e, axis=1), bias=True).reshape(k, k)
+    held_out = [solve_taps(total.plus(part, -1), settings) for part in parts]
+    first, *others = [
+        Responses((mean + x).reshape(k, *shape), ar, innovation) for x in (theta, *held_out)
+    ]
+    return Identification(first, others, explained)
+
+
+@single_blas_thread()
+def quick_explained(drive: RoadDrive) -> np.ndarray:
+    """Return the shares (k,) of the sensors' power that responses of the usual size and decay
+    predict in segments that they were not identified in.
+    """
+    parts = _segment_sums([drive], [stack_delays(drive.u, N_TAPS)], [drive.a], np.ones(1))
+    total = reduce(Sums.plus, parts)
+    settings = [_first_guess(total, j) for j in range(len(drive.a))]
+    return _explained(parts, settings, total.aa)
+
+
+def _explained(
+    parts: Sequence[Sums], settings: Sequence[np.ndarray], power: np.ndarray
+) -> np.ndarray:
+    """Return the shares (k,) of the sensors' `power` (k,) that are predicted in parts left out."""
+    total, left = reduce(Sums.plus, parts), np.zeros(power.shape)
+    for part in parts:
+        taps = solve_taps(total.plus(part, -1), settings)
+        left += part.aa + np.sum(taps * (taps @ part.XX - 2.0 * part.Xa.T), axis=1)
+    return 1.0 - left / np.maximum(power, 1e-12)
+
+
+def solve_taps(sums: Sums, settings: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the posterior means (k, p) of the taps of all sensors under their `settings`."""
+    return np.array([_posterior(sums, j, x)[1] for j, x in enumerate(settings)])
+
+
+def kernel_factor(log_scale: float, decay: float) -> np.ndarray:
+    """Return F (T, T) with F F' = c decay^max(i, j), the TC kernel of T = N_TAPS taps."""
+    # a random walk that begins at the last tap: the variances of its steps are differences
+    steps = decay ** np.arange(N_TAPS) * np.append(np.full(N_TAPS - 1, 1.0 - decay), 1.0)
+    return np.exp(0.5 * log_scale) * np.triu(np.ones((N_TAPS, N_TAPS))) * np.sqrt(steps)
+
+
+def _posterior(sums: Sums, j: int, settings: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the negative log marginal likelihood of sensor `j` and its taps' posterior mean (p,).
+
+    `settings`: log c, logit lambda, log of the noise variance.
+    """
+    F = kernel_factor(settings[0], 1.0 / (1.0 + np.exp(-settings[1])))
+    inputs, noise = len(sums.XX) // N_TAPS, float(np.exp(settings[2]))
+    blocks = sums.XX.reshape(inputs, N_TAPS, inputs, N_TAPS)
+    M = np.einsum("ij,aibk->ajbk", F, blocks @ F, optimize=True).reshape(sums.XX.shape)
+    b = (sums.Xa[:, j].reshape(inputs, N_TAPS) @ F).ravel()
+    factor = np.linalg.cholesky(M / noise + np.eye(len(M)))
+    w = cho_solve((factor, True), b / noise)
+    misfit = (float(sums.aa[j]) - b @ w) / noise
+    loss = 0.5 * (misfit + sums.n * settings[2]) + np.log(np.diag(factor)).sum()
+    return float(loss), (w.reshape(inputs, N_TAPS) @ F.T).ravel()
+
+
+def _first_guess(sums: Sums, j: int) -> np.ndarray:
+    """Return the settings START, the noise as a share of the power of sensor `j`."""
+    power = float(sums.aa[j]) / max(sums.n, 1) + 1e-12
+    return np.array(START) + np.array([0.0, 0.0, np.log(power)])
+
+
+def _fit_settings(sums: Sums, j: int) -> np.ndarray:
+    """Return the settings of the largest marginal likelihood of sensor `j`."""
+    start = _first_guess(sums, j)
+    simplex = start + np.array([[0, 0, 0], [1.5, 0, 0], [0, 0.7, 0], [0, 0, -1.5]])
+    options = {"xatol": 0.05, "fatol": 0.5, "maxiter": 60, "initial_simplex": simplex}
+    return minimize(
+        lambda x: _posterior(sums, j, x)[0], start, method="Nelder-Mead", options=options
+    ).x
+
+
+def _segment_sums(
+    drives: Sequence[RoadDrive], X: list[np.ndarray], a: list[np.ndarray], white: np.ndarray
+) -> list[Sums]:
+    """Return the sums of each segment over all drives, of signals filtered by `white`."""
+    sums: list[Sums | None] = [None] * SEGMENTS
+    for drive, x, y in zip(drives, X, a, strict=True):
+        xw, yw = signal.lfilter(white, 1.0, x, axis=0), signal.lfilter(white, 1.0, y)
+        for part in range(SEGMENTS):
+            here = drive.segment == part
+            new, old = Sums.of(xw[here], yw[:, here]), sums[part]
+            sums[part] = new if old is None else old.plus(new)
+    return [x for x in sums if x is not None]
+
+
+def _residuals(
+    drives: Sequence[RoadDrive], X: list[np.ndarray], a: list[np.ndarray], theta: np.ndarray
+) -> list[np.ndarray]:
+    return [
+        (y - theta @ x.T)[:, drive.segment >= 0] for drive, x, y in zip(drives, X, a, strict=True)
+    ]
+
+
+def _fit_autoregression(residuals: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the coefficients (AR_ORDER,) of one autoregression of all rows (Yule-Walker)."""
+    r = np.zeros(AR_ORDER + 1)
+    for e in residuals:
+        scaled, N = e / (e.std(axis=1, keepdims=True) + 1e-12), e.shape[1]
+        r += [np.sum(scaled[:, lag:] * scaled[:, : N - lag]) for lag in range(AR_ORDER + 1)]
+    r[0] = r[0] * (1.0 + 1e-6) + 1e-12
+    return solve_toeplitz(r[:-1], r[1:])

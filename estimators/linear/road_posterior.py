@@ -1,0 +1,171 @@
+"""Posterior of the road under identified responses, by banded Cholesky factors.
+
+Unknown are the coefficients of both wheel paths at the nodes of a cubic spline, left and right in
+turn. The prior is a random walk over distance for each path, that is a waviness of 2, with a weak
+pull towards level ground. It also pulls the paths together: on an isotropic surface they differ
+only by waves that are short against their distance. The level of the prior and a factor on all
+noise are those of the largest marginal likelihood.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import signal, sparse
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg.lapack import dtbtrs
+from scipy.optimize import minimize
+
+from estimators.linear.impulse_responses import (
+    OVERSAMPLING,
+    Responses,
+    acceleration_filter,
+)
+
+CHUNK = 64
+"""Samples whose rows are formed at a time."""
+
+LEVEL_LENGTH, PATH_LENGTH = 16.0, 1.2
+"""Lengths [m] over which a random walk is pulled towards level ground, and the difference of the
+paths towards zero: about 1 / (2 pi n), with n 0.01 cycles/m, and the 0.13 cycles/m at which the
+coherence of paths 1.5 m apart is one half.
+"""
+
+START = np.array([np.log(1e-5), 0.0])
+"""First guess of the logarithms of the variance of the rise over a metre [m²], and of the factor on
+the noise.
+"""
+
+
+class Nodes(NamedTuple):
+    """`size` nodes `ds` [m] apart, the first at the station `start` [m]."""
+
+    start: float
+    ds: float
+    size: int
+
+    def heights(self, s: np.ndarray) -> sparse.csr_array:
+        """Return the matrix (M, size) from coefficients to heights at the stations `s` (M,)."""
+        x = np.clip((s - self.start) / self.ds, 0.0, self.size - 1.0)
+        i = np.minimum(x.astype(int), self.size - 2)
+        t = x - i
+        r = 1.0 - t
+        weights = np.array([r**3, 4 - 6 * t**2 + 3 * t**3, 4 - 6 * r**2 + 3 * r**3, t**3]) / 6.0
+        columns = np.clip(i + np.arange(-1, 3)[:, None], 0, self.size - 1)
+        rows = np.tile(np.arange(s.size), (4, 1))
+        indices = (rows.ravel(), columns.ravel())
+        return sparse.csr_array((weights.ravel(), indices), shape=(s.size, self.size))
+
+    def accelerations(self, fine: np.ndarray) -> sparse.csr_array:
+        """Return the matrix (N, size) [1/s²] from coefficients to accelerations of the road at the
+        stations `fine` that an axle has at the instants of `fine_stations`.
+        """
+        weights = acceleration_filter()
+        N = (fine.size - weights.size) // OVERSAMPLING + 1
+        columns = OVERSAMPLING * np.arange(N)[:, None] + np.arange(weights.size)
+        rows = np.repeat(np.arange(N), weights.size)
+        data = np.tile(weights, N)  # the filter is symmetric
+        F = sparse.csr_array((data, (rows, columns.ravel())), shape=(N, fine.size))
+        return (F @ self.heights(fine)).tocsr()
+
+
+class NormalEquations(NamedTuple):
+    """Lower bands (width, p) of H' R^-1 H, the vector H' R^-1 a (p,), a' R^-1 a, and the number of
+    data.
+    """
+
+    bands: np.ndarray
+    rhs: np.ndarray
+    square: float
+    n: int
+
+
+class RoadPosterior(NamedTuple):
+    """Posterior `mean` (p,) [m], the banded Cholesky `factor` of its precision, and the logarithm
+    of the marginal likelihood up to a constant.
+    """
+
+    mean: np.ndarray
+    factor: np.ndarray
+    log_likelihood: float
+
+    def draw(self, number: int, rng: np.random.Generator) -> np.ndarray:
+        """Return `number` deviations (p, number) [m] from the mean."""
+        white = rng.standard_normal((self.factor.shape[1], number))
+        return dtbtrs(self.factor, white, uplo="L", trans="T")[0]
+
+
+def normal_equations(
+    responses: Responses, a: np.ndarray, roads: Sequence[sparse.csr_array]
+) -> NormalEquations:
+    """Return the equations of sensors `a` (k, N) [m/s²]; `roads`: for each axle, the accelerations
+    of the road from its nodes (`Nodes.accelerations`).
+    """
+    size, white = roads[0].shape[1], responses.whitening
+    mix = np.linalg.inv(np.linalg.cholesky(responses.innovation))
+    taps = np.pad(responses.taps, ((0, 0), (0, 0), (0, 0), (0, white.size - 1)))
+    taps = np.einsum("ij,jxpt->xpti", mix, signal.lfilter(white, 1.0, taps, axis=3))
+    y = mix @ signal.lfilter(white, 1.0, a)
+    n_taps, k = taps.shape[2:]
+    N = a.shape[1]
+    firsts = range(0, N, CHUNK)
+    spans = [_columns(roads, max(first - n_taps + 1, 0), min(first + CHUNK, N)) for first in firsts]
+    bands = np.zeros((2 * max(high - low for low, high in spans), 2 * size))
+    rhs = np.zeros(2 * size)
+    for first, (low, high) in zip(firsts, spans, strict=True):
+        last = min(first + CHUNK, N)
+        H = np.zeros((last - first, high - low, 2, k))
+        for road, axle_taps in zip(roads, taps, strict=True):
+            past = road[max(first - n_taps + 1, 0) : last, low:high].toarray()
+            past = np.pad(past, ((max(n_taps - 1 - first, 0), 0), (0, 0)))
+            windows = np.lib.stride_tricks.sliding_window_view(past, n_taps, axis=0)[:, :, ::-1]
+            H += np.tensordot(windows, axle_taps, axes=(2, 1))
+        H = H.transpose(0, 3, 1, 2).reshape(-1, 2 * (high - low))
+        gram = H.T @ H
+        for d in range(len(gram)):
+            bands[d, 2 * low : 2 * high - d] += np.diagonal(gram, -d)
+        rhs[2 * low : 2 * high] += H.T @ y[:, first:last].T.ravel()
+    return NormalEquations(bands, rhs, float(np.sum(y**2)), y.size)
+
+
+def _columns(roads: Sequence[sparse.csr_array], first: int, last: int) -> tuple[int, int]:
+    """Return the range of the nodes that the rows `first` to `last` involve."""
+    used = np.concatenate([road.indices[road.indptr[first] : road.indptr[last]] for road in roads])
+    return int(used.min()), int(used.max()) + 1
+
+
+def prior_bands(nodes: Nodes) -> np.ndarray:
+    """Return the lower bands (3, 2 size) of the prior's precision [1/m²] for a rise over a metre of
+    variance 1 m².
+    """
+    level, path = (nodes.ds / LEVEL_LENGTH) ** 2, 0.5 * (nodes.ds / PATH_LENGTH) ** 2
+    bands = np.zeros((3, 2 * nodes.size))
+    bands[0] = 2.0 + level + path
+    bands[0, [0, 1, -2, -1]] -= 1.0
+    bands[1, ::2] = -path
+    bands[2, :-2] = -1.0
+    return bands / nodes.ds
+
+
+def solve(data: NormalEquations, prior: np.ndarray, settings: np.ndarray) -> RoadPosterior:
+    """Return the posterior; `settings`: logarithms of the variance of the rise over a metre [m²],
+    and of the factor on the noise.
+    """
+    weight, precision = np.exp(-settings[1]), np.exp(-settings[0])
+    bands = weight * data.bands
+    bands[: len(prior)] += precision * prior
+    factor = cholesky_banded(bands, overwrite_ab=True, lower=True, check_finite=False)
+    mean = cho_solve_banded((factor, True), weight * data.rhs, check_finite=False)
+    misfit = weight * (data.square - data.rhs @ mean)
+    log_det = np.log(factor[0]).sum() + 0.5 * factor.shape[1] * settings[0]
+    return RoadPosterior(mean, factor, float(-0.5 * (misfit + data.n * settings[1]) - log_det))
+
+
+def fit_settings(data: NormalEquations, prior: np.ndarray, start: np.ndarray = START) -> np.ndarray:
+    """Return the settings of `solve` of the largest marginal likelihood."""
+    simplex = start + np.array([[0.0, 0.0], [1.5, 0.0], [0.0, 0.7]])
+    options = {"xatol": 0.1, "fatol": 0.5, "maxiter": 30, "initial_simplex": simplex}
+    return minimize(
+        lambda x: -solve(data, prior, x).log_likelihood, start, method="Nelder-Mead",
+        options=options,
+    ).x  # fmt: skip
