@@ -17,6 +17,7 @@ from leaderboard.evaluation.results import isolation_notice
 from leaderboard.evaluation.surface_tasks import surface_tasks
 from leaderboard.evaluation.tasks import Task, load_task, shipped_tasks
 from leaderboard.metrics.baselines import SENTINELS
+from leaderboard.report.attainable import with_attainable
 from leaderboard.report.cache import Report, build_report
 from leaderboard.report.sentences import check_board
 from leaderboard.report.site import write_site
@@ -77,6 +78,14 @@ def leaderboard(
     again: Annotated[
         bool, typer.Option("--again", help="Run everything again, including valid stored results.")
     ] = False,
+    attainable: Annotated[
+        bool,
+        typer.Option(
+            "--attainable",
+            help="Also what is attainable on each test drive through the nonlinear vehicle: "
+            "seconds per drive, once.",
+        ),
+    ] = False,
     probes: Annotated[
         bool, typer.Option("--probes", help="Probe entries without a card, on this machine.")
     ] = False,
@@ -128,8 +137,14 @@ def leaderboard(
             executor,
             progress=lambda done, total, text: progress(text, done / max(total, 1)),
         )
-        progress("writing the site", 1.0)
-        report, page = render_with_retry(evaluated, request, out, lambda board: _write(board, out))
+
+        def write(board: Board) -> tuple[Report, Path]:
+            if attainable:
+                board = with_attainable(board, lambda text: progress(text, 1.0))
+            progress("writing the site", 1.0)
+            return _write(board, out)
+
+        report, page = render_with_retry(evaluated, request, out, write)
     if json:
         print_json(as_json(report))
     else:

@@ -1,4 +1,4 @@
-"""Command `observability`: least possible error of the road estimate by mode and speed."""
+"""Command `observability`: bounds on the error of the road estimate by mode and speed."""
 
 import dataclasses
 from pathlib import Path
@@ -73,7 +73,7 @@ def observability(
     out: Annotated[Path | None, typer.Option(help="Plot over spatial frequency to write.")] = None,
     json: Json = False,
 ) -> None:
-    """Compute the least error of an estimate by mode and speed, and plot it over frequency.
+    """Compute bounds on the error of an estimate by mode and speed, and plot them over frequency.
 
     The first table is the bound of the linear vehicle without friction: it shows where roll does
     not tell the wheel paths apart.
@@ -230,7 +230,10 @@ def _title(facts: dict[str, Any]) -> str:
 
 def _table(rows: list[dict[str, Any]], speeds: list[float], title: str) -> Table:
     heads = [f"{speed:g} km/h" for speed in speeds]
-    table = Table(title=f"Least in-band NRMSE: {title}", caption="left, right wheel path; pooled")
+    table = Table(
+        title=f"Bound of a linear vehicle without friction: {title}",
+        caption="in-band NRMSE: left, right wheel path; pooled",
+    )
     table.add_column("front / rear")
     for head in heads:
         table.add_column(head, justify="right")

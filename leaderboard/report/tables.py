@@ -47,8 +47,8 @@ from road_envs.vehicle.perturbed_vehicle import GRADES
 RowState = Literal["scored", "baseline", "claim", "failed", "stale"]
 CLAIM_ROW = "paper's claim"
 TRAINING_STATES = ("near_optimal", "sub_optimal", "unstable")
-BOUND_ROW = "bound"
-"""Name of the row with the information bound of the sensors."""
+BOUND_ROW, ATTAINABLE_ROW = "bound", "attainable"
+"""Names of the rows with the information bound of the sensors, and with the attainable error."""
 
 ALL_RUNS = ""
 """Name of the group of all runs."""
@@ -171,7 +171,7 @@ def _aggregate(
     scores, strata = result.arrays(SCORES), task.test.strata
     shown = (
         {*definition.columns, *definition.on_request}
-        | {definition.ranks_by, "bound_nrmse"}
+        | {definition.ranks_by, "bound_nrmse", "attainable_nrmse"}
         | set(SPECTRUM_SCORES)
     )
     values: GroupValues = {ALL_RUNS: {name: _mean(scores.get(name)) for name in SCORES}}
@@ -277,14 +277,19 @@ def _scored_row(
 
 
 def _bound_rows(values: Mapping[str, GroupValues], definition: BoardDefinition) -> list[Row]:
-    """Return the row of the bound, if it was computed and NRMSE is the ranking score."""
-    bounded = [v for v in values.values() if v[ALL_RUNS].get("bound_nrmse") is not None]
-    if not bounded or definition.ranks_by != "nrmse":
-        return []
-    groups = {group: {"nrmse": x.get("bound_nrmse")} for group, x in bounded[0].items()}
-    mine = groups.pop(ALL_RUNS)
-    cells = {"nrmse": SCORES["bound_nrmse"].format_value(_nan_if_none(mine["nrmse"]))}
-    return [Row(BOUND_ROW, "baseline", cells, mine, groups=groups)]
+    """Return the rows of the bound and of the attainable error, as far as they were computed, if
+    NRMSE is the ranking score.
+    """
+    rows = []
+    for name, key in ((BOUND_ROW, "bound_nrmse"), (ATTAINABLE_ROW, "attainable_nrmse")):
+        bounded = [v for v in values.values() if v[ALL_RUNS].get(key) is not None]
+        if not bounded or definition.ranks_by != "nrmse":
+            continue
+        groups = {group: {"nrmse": x.get(key)} for group, x in bounded[0].items()}
+        mine = groups.pop(ALL_RUNS)
+        cells = {"nrmse": SCORES[key].format_value(_nan_if_none(mine["nrmse"]))}
+        rows.append(Row(name, "baseline", cells, mine, groups=groups))
+    return rows
 
 
 def _claim_row(level_error: float) -> Row:

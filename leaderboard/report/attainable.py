@@ -1,0 +1,96 @@
+"""Attainable error of the test drives, added on request to the scores of a board.
+
+An estimator that knows the described vehicle, its instruments and the spectrum of the road attains
+it to first order from data below BANDWIDTH (`estimators.map_smoother.attainable`). A drive takes
+some seconds, so the errors of a condition are kept in the cache folder, by task and code. Test
+drives of perturbed vehicles have none: what they leave unexplained is not noise.
+"""
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Callable
+
+import numpy as np
+
+from estimators.map_smoother.attainable import attainable_error
+from leaderboard.evaluation.code_version import evaluation_version, module_version
+from leaderboard.evaluation.results import DriveScores, Result
+from leaderboard.evaluation.tasks import Condition, Task
+from leaderboard.evaluation.test_data import DriveSimulation, RecordedDrive, simulate_drives
+from leaderboard.metrics.bound import fit_spectrum
+from leaderboard.running.board import Board
+from road_envs._atomic_io import write_text
+from road_envs._code_digest import cache_home
+from road_envs.analysis.information_bound import RoadPrior
+from road_envs.data.record import scored_band
+
+BANDWIDTH = 100.0
+"""Bandwidth [Hz] of the data; the estimators of this package use no more."""
+
+
+def with_attainable(
+    board: Board,
+    report: Callable[[str], None] = lambda text: None,
+    simulate: DriveSimulation = simulate_drives,
+) -> Board:
+    """Return the board with `attainable_nrmse` and `attainable_efficiency` of every drive."""
+    results = dict(board.results)
+    for task in board.tasks:
+        found: dict[tuple[str, int], float] = {}
+        for condition in task.conditions:
+            if task.grade(task.test, condition) == "S0" and task.bound:
+                report(f"{task.name}: attainable error, {condition.label}")
+                errors = attainable_errors(task, condition, simulate)
+                found |= {(condition.label, k): error for k, error in errors.items()}
+        results[task.name] = [_with_scores(result, found) for result in results[task.name]]
+    return dataclasses.replace(board, results=results)
+
+
+def attainable_errors(
+    task: Task, condition: Condition, simulate: DriveSimulation = simulate_drives
+) -> dict[int, float]:
+    """Return the attainable in-band NRMSE [-] by test drive; NaN where it is not defined."""
+    versions = evaluation_version(), module_version(attainable_error.__module__)
+    key = hashlib.sha256(json.dumps([task.digest, condition.label, *versions]).encode())
+    path = cache_home() / "attainable" / f"{key.hexdigest()[:32]}.json"
+    try:
+        return {int(k): float(x) for k, x in json.loads(path.read_text()).items()}
+    except (OSError, ValueError, AttributeError):  # not computed yet, or damaged
+        pass
+    drives = simulate(task, task.test, condition)
+    errors = {drive.index: _drive_error(task, condition, drive) for drive in drives}
+    write_text(path, json.dumps(errors))
+    return errors
+
+
+def _drive_error(task: Task, condition: Condition, drive: RecordedDrive) -> float:
+    road = fit_spectrum(drive.truth, scored_band(condition.speed_kmh / 3.6))
+    if road is None:
+        return np.nan
+    prior = RoadPrior(G_d0=10.0 ** (road[0] / 10.0), w=road[1])
+    try:
+        return attainable_error(
+            drive.record,
+            drive.truth,
+            task.vehicle,
+            prior,
+            bandwidth=BANDWIDTH,
+            instruments=task.instruments,
+        )
+    except (ArithmeticError, ValueError):  # the motion is not finite; a frame that twists
+        return np.nan
+
+
+def _with_scores(result: Result, attainable: dict[tuple[str, int], float]) -> Result:
+    drives = [_with_score(x, attainable.get((x.condition, x.drive))) for x in result.drives]
+    return dataclasses.replace(result, drives=tuple(drives))
+
+
+def _with_score(drive: DriveScores, error: float | None) -> DriveScores:
+    if error is None or not np.isfinite(error):
+        return drive
+    scores = drive.scores | {"attainable_nrmse": error}
+    if (own := scores.get("nrmse", 0.0)) > 0.0:
+        scores["attainable_efficiency"] = (error / own) ** 2
+    return dataclasses.replace(drive, scores=scores)

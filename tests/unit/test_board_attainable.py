@@ -1,0 +1,60 @@
+"""The attainable error on boards: scores, row, cache, and which drives have none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fakes import Reader, fake_drives, task
+
+from leaderboard.evaluation.evaluate import run_task
+from leaderboard.report import attainable
+from leaderboard.report.tables import board_views
+from leaderboard.running.board import Board
+
+
+@pytest.fixture
+def computed(tmp_path, monkeypatch):
+    """Records for which the attainable error, here 0.01 m of RMS height, was computed."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    records = []
+
+    def error(record, truth, car, prior, **options):
+        records.append(record)
+        assert options == {"bandwidth": 100.0, "instruments": task().instruments}
+        return 0.01 / truth.z.std()
+
+    monkeypatch.setattr(attainable, "attainable_error", error)
+    monkeypatch.setattr(error, "__module__", "estimators.map_smoother.attainable")
+    return records
+
+
+def test_every_drive_is_computed_once_and_efficiency_is_relative_to_it(computed):
+    t = task()
+    rows = run_task(t, {"reader": Reader(), "flat": Reader(gain=0.0)}, (1,), simulate=fake_drives)
+    for _ in range(2):
+        board = attainable.with_attainable(Board((t,), {t.name: rows}), simulate=fake_drives)
+        drives = [drive for row in board.results[t.name] for drive in row.drives]
+        assert len(computed) == len(drives) / 2
+    for drive in drives:
+        scores = drive.scores
+        expected = (scores["attainable_nrmse"] / scores["nrmse"]) ** 2
+        assert scores["attainable_efficiency"] == pytest.approx(expected)
+    (view,) = board_views(board)
+    by_name = {row.name: row for row in view.sections[0].rows}
+    errors = board.results[t.name][0].values("attainable_nrmse")
+    assert by_name["attainable"].values["nrmse"] == pytest.approx(np.mean(errors), rel=0.2)
+    assert by_name["reader"].values["attainable_efficiency"] > 0.0
+    (plain,) = board_views(Board((t,), {t.name: rows}))
+    assert "attainable" not in {row.name for row in plain.sections[0].rows}
+
+
+def test_drives_of_perturbed_vehicles_and_tasks_without_a_bound_have_none(computed):
+    t = task()
+    field = replace(t, conditions=tuple(replace(c, grade="S2") for c in t.conditions))
+    for other in (field, replace(t, bound=False)):
+        rows = run_task(other, {"reader": Reader()}, (1,), simulate=fake_drives)
+        board = attainable.with_attainable(
+            Board((other,), {other.name: rows}), simulate=fake_drives
+        )
+        assert "attainable_nrmse" not in board.results[other.name][0].drives[0].scores
+    assert computed == []
