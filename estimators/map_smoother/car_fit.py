@@ -37,6 +37,7 @@ from estimators.map_smoother.preconditioner import (
     stationary_hessian,
 )
 from estimators.map_smoother.wheel_liftoff import unloaded_nodes
+from road_envs.sensing.instruments import on_axle
 from road_envs.simulation.lanes import SharedInputs, drive_variants
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import ParameterSpace
@@ -182,9 +183,12 @@ def fit_car(
 def is_vehicle_unexplained(solution: MapSolution) -> bool:
     """Return whether what a solution leaves unexplained may be the vehicle, so that a fit is due.
 
-    On roads that are rough in places and under wheels in the air it is not the vehicle.
+    On roads that are rough in places and under wheels in the air it is not the vehicle. Sensors on
+    an axle measure waves that are too short for the nodes of the road.
     """
     lin = solution.linearization
+    if on_axle(lin.objective.model.locations):
+        return False
     flown = unloaded_nodes(lin).mean() > MAX_UNLOADED_SHARE
     uneven = np.ptp(lin.objective.road.local) > 0.0
     return bool(not flown and not uneven and np.max(solution.noise_scale) >= ADAPT_NOISE_SCALE)

@@ -57,7 +57,7 @@ from road_envs.analysis.information_bound import RoadPrior
 from road_envs.analysis.roughness import CLASSES
 from road_envs.config import STRICT
 from road_envs.data.record import Estimate, Record, profile_stations, scored_band
-from road_envs.sensing.instruments import Instruments, instruments_of
+from road_envs.sensing.instruments import Instruments, instruments_of, on_axle
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.linear_model import linearise
 from road_envs.vehicle.parameters import VehicleParameters
@@ -69,6 +69,10 @@ NODE_SPACING_RANGE = (0.025, 0.05)
 READINGS_PER_UNKNOWN = 2.0
 """Block means per unknown of the road, at least: with as many unknowns as readings the unexplained
 noise is overestimated, and a fitted vehicle is biased."""
+
+AXLE_READINGS_PER_UNKNOWN = 1.0
+"""The same where a sensor is on an axle: the tyre passes on waves that the nodes cannot hold, and
+longer means keep them out."""
 
 F_RESOLVED = 70.0
 """Frequency [Hz] that the nodes resolve at any speed, within NODE_SPACING_RANGE."""
@@ -233,6 +237,8 @@ class MapSmoother(CalibratedByIdentification):
         ds = float(np.clip(0.5 * inputs.v.mean() / F_RESOLVED, *NODE_SPACING_RANGE))
         unknowns = 2.0 * float(inputs.v.mean()) / ds  # per second
         rate = max(self.data_rate, readings_per_unknown * unknowns / len(record.a))
+        if on_axle(instruments.locations(car)) and readings_per_unknown > 0.0:
+            rate = AXLE_READINGS_PER_UNKNOWN * unknowns / len(record.a)
         block = max(1, round(record.fs / rate))
         origin = inputs.s[0] - car.wheelbase - (MARGIN + 1) * ds
         middle = origin + ds * (np.arange(int((inputs.s[-1] - origin) / ds) + 2 * MARGIN) - 0.5)

@@ -3,6 +3,7 @@
 Estimators may use it; `data_logger.py` simulates the instruments.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -85,6 +86,11 @@ def _location(sensor: Accelerometer, car: VehicleParameters) -> SensorLocation:
         return SensorLocation(axles.get(sensor.axle or "", 0.0) + sensor.ahead, sensor.y)
     axle = 0 if sensor.mounted == "front axle" else 1
     return SensorLocation(car.axles[axle].x, sensor.y, axle)
+
+
+def on_axle(locations: Mapping[str, SensorLocation]) -> bool:
+    """Return whether any of the sensors is mounted on an axle."""
+    return any(location.axle is not None for location in locations.values())
 
 
 def load_instruments(name: str | Path) -> Instruments:
