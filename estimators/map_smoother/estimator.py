@@ -42,6 +42,7 @@ from estimators.map_smoother.bending import sensed_bending
 from estimators.map_smoother.car_fit import CarFit, fit_car, is_vehicle_unexplained
 from estimators.map_smoother.gauss_newton import (
     NOISE_SCALE_WARNING,
+    PRIOR_UPDATES,
     GaussNewton,
     MapSolution,
     minimize,
@@ -89,7 +90,8 @@ class MapSmoother(CalibratedByIdentification):
     """Estimator of the maximum a posteriori road.
 
     `instruments`: name or path; `noise_density` [(m/s²)/sqrt(Hz)] if it is not theirs. `G_d0` [m³]
-    and `w`: the road's prior; `adapt_prior`: re-estimate its density from the drive. `data_rate`
+    and `w`: the road's prior; `adapt_prior`: re-estimate its density from the drive, in the end
+    `prior_updates` times. `data_rate`
     [Hz] of the
     block means, at least. `step` [s]: longest step of the model. `level_ends`: the road is level
     before station 0 and behind its length, where the drive begins at rest. `huber`: standard
@@ -106,6 +108,7 @@ class MapSmoother(CalibratedByIdentification):
     G_d0: float = CLASSES["D"]
     w: float = 2.0
     adapt_prior: bool = True
+    prior_updates: int = PRIOR_UPDATES
     data_rate: float = 200.0
     step: float = 0.001
     level_ends: bool = True
@@ -125,8 +128,9 @@ class MapSmoother(CalibratedByIdentification):
             raise ValueError(
                 f"window must be at least twice the overlap of {self.overlap} s, got {self.window}"
             )
-        if self.draws < 0:
-            raise ValueError(f"draws must not be negative, got {self.draws}")
+        for name in ("draws", "prior_updates"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths. Raises ConfigError, RecordError, ArithmeticError."""
@@ -161,6 +165,7 @@ class MapSmoother(CalibratedByIdentification):
                 stationary_hessian(objective),
                 huber=self.huber,
                 adapt_prior=self.adapt_prior,
+                prior_updates=self.prior_updates,
                 adapt_car=adapt_car if self.adapt and car.tolerances and not fits else None,
             )
             in_air.append(distance_in_air(solution.linearization))
@@ -194,7 +199,7 @@ class MapSmoother(CalibratedByIdentification):
 
     def for_one_of_many(self) -> "MapSmoother":
         """Return the estimator of a single pass of several: fast, for alignment and as a start."""
-        return replace(self, draws=0, adapt=False)
+        return replace(self, draws=0, adapt=False, prior_updates=0)
 
     def estimate_jointly(
         self,

@@ -57,6 +57,9 @@ estimates is so near that it needs none."""
 JOINT_PRIOR_UPDATES = 1
 """Updates of the prior after the minimization."""
 
+COST_TOLERANCE = 0.05
+"""Share by which a step has to lower the cost before the prior is updated."""
+
 ADAPTED_STEPS = 4
 """Gauss-Newton steps of the road after its vehicles were adapted."""
 
@@ -153,7 +156,8 @@ def estimate_jointly(
             adapt_prior=smoother.adapt_prior,
             start=np.pad(u.ravel(), (0, objective.size - u.size)),
             stages=STAGES,
-            prior_updates=JOINT_PRIOR_UPDATES,
+            prior_updates=min(JOINT_PRIOR_UPDATES, smoother.prior_updates),
+            cost_tolerance=COST_TOLERANCE,
             adapt_car=adapt if may_adapt else None,
         )
         scale = np.maximum(findings.noise_scale[members], solution.noise_scale)

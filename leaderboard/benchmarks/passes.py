@@ -44,13 +44,20 @@ CONDITIONS: dict[str, tuple[Condition, ...]] = {
     "same": ((54.0, FRONT_RIDE),) * 4,
     "mixed": ((54.0, FRONT_RIDE), (30.0, "handling"), (40.0, REAR_RIDE), (14.5, "ride")),
 }
-GROUPS = ((0,), (1,), (2,), (3,), (0, 1), (2, 3), (0, 1, 2, 3))
+ALONE, TOGETHER = ((0,), (1,), (2,), (3,)), (0, 1, 2, 3)
+GROUPS = {"same": (*ALONE[:2], (0, 1), TOGETHER), "mixed": (*ALONE, (0, 1), (2, 3), TOGETHER)}
 """Passes that are estimated together."""
+
+SINGLES = {mix: sum(len(group) == 1 for group in groups) for mix, groups in GROUPS.items()}
+"""Number of passes of each set that are estimated alone."""
 
 ROADS = ("iso_b", "iso_c", "iso_d", "belgian_like", "random_bumps", "iso_c", "iso_d", "iso_b")
 """Roads, of which each has a seed of its own."""
 
 LENGTH, FIRST_SEED = 100.0, 50_000
+SMOOTHER = MapSmoother(draws=0)
+"""The estimator, without samples for standard deviations."""
+
 OFFSET, STRETCH = 2.0, 0.01
 """Largest error of an odometer [m], and of its scale."""
 
@@ -81,39 +88,38 @@ def road_results(number: int, grade: str) -> dict[str, Any]:
     """Return errors, CPU times and bounds of both sets of passes over one road."""
     band = scored_band(max(v for v, _ in CONDITIONS["mixed"]) / 3.6)
     row: dict[str, Any] = {"road": number, "name": ROADS[number], "grade": grade}
-    for mix, conditions in CONDITIONS.items():
+    for mix in CONDITIONS:
         records, truth = drives(number, grade, mix)
         errors, seconds = [], []
-        for group in GROUPS:
+        for group in GROUPS[mix]:
             chosen = displaced([records[k] for k in group], FIRST_SEED + number)
             begin = time.process_time()
-            found = estimators.estimate(MapSmoother(), chosen if len(group) > 1 else chosen[0])
+            found = estimators.estimate(SMOOTHER, chosen if len(group) > 1 else chosen[0])
             seconds.append(round(time.process_time() - begin, 2))
             errors.append(round(nrmse(truth.z, found.z, truth.ds, band).pooled, 4))
-        row[mix] = {"nrmse": errors, "seconds": seconds, "bound": _bounds(number, conditions, band)}
+        bounds = _bounds(number, mix, band)
+        row[mix] = {"nrmse": errors, "seconds": seconds, "bound": bounds}
     return row
 
 
-def _bounds(
-    number: int, conditions: Sequence[Condition], band: tuple[float, float]
-) -> list[float] | None:
-    """Return the bound of each of GROUPS on an ISO road, None on others."""
+def _bounds(number: int, mix: str, band: tuple[float, float]) -> list[float] | None:
+    """Return the bound of each of the GROUPS on an ISO road, None on others."""
     if not ROADS[number].startswith("iso_"):
         return None
     car = load_vehicle("land_rover_defender_110")
     prior = RoadPrior(G_d0=CLASSES[ROADS[number][-1].upper()])
-    passes = [Pass(car, mode, v / 3.6) for v, mode in conditions]
+    passes = [Pass(car, mode, v / 3.6) for v, mode in CONDITIONS[mix]]
     n = np.linspace(*band, 1001)
     instruments = load_instruments("paper")
     return [
         round(bound_of_passes([passes[k] for k in g], instruments, prior, n=n).pooled, 4)
-        for g in GROUPS
+        for g in GROUPS[mix]
     ]
 
 
-def by_number(values: Sequence[float]) -> dict[int, float]:
-    """Return the mean of `values`, one for each of GROUPS, by the number of passes."""
-    sizes = [len(group) for group in GROUPS]
+def by_number(values: Sequence[float], mix: str) -> dict[int, float]:
+    """Return the mean of `values`, one for each of the GROUPS, by the number of passes."""
+    sizes = [len(group) for group in GROUPS[mix]]
     return {
         size: float(np.mean([x for x, k in zip(values, sizes, strict=True) if k == size]))
         for size in sorted(set(sizes))
@@ -128,25 +134,26 @@ def summary(rows: list[dict[str, Any]]) -> str:
         head = "".join(f"{mix + ' ' + str(k):>10}" for mix in CONDITIONS for k in (1, 2, 4))
         lines += ["", f"{grade}: {'road':<14}{head}"]
         for row in chosen:
-            cells = [x for mix in CONDITIONS for x in by_number(row[mix]["nrmse"]).values()]
+            cells = [x for mix in CONDITIONS for x in by_number(row[mix]["nrmse"], mix).values()]
             lines.append(f"    {row['name']:<14}" + "".join(f"{x:>10.4f}" for x in cells))
         for mix in CONDITIONS:
             one, two, four = (
-                np.array([by_number(row[mix]["nrmse"])[k] for row in chosen]) for k in (1, 2, 4)
+                np.array([by_number(row[mix]["nrmse"], mix)[k] for row in chosen])
+                for k in (1, 2, 4)
             )
-            best = np.array([min(row[mix]["nrmse"][:4]) for row in chosen])
+            best = np.array([min(row[mix]["nrmse"][: SINGLES[mix]]) for row in chosen])
             lines.append(
                 f"{grade} {mix}: two passes {np.median(two / one):.2f}, four "
                 f"{np.median(four / one):.2f} times the error of one (worst "
                 f"{np.max(four / one):.2f}), {np.median(four / best):.2f} times that of the best "
                 "one (median of the roads)"
             )
-            bounded = [by_number(row[mix]["bound"]) for row in chosen if row[mix]["bound"]]
+            bounded = [by_number(row[mix]["bound"], mix) for row in chosen if row[mix]["bound"]]
             if bounded:
                 ratio = np.median([each[4] / each[1] for each in bounded])
                 lines.append(f"{grade} {mix}: the bound of four is {ratio:.2f} times that of one")
             times = [row[mix]["seconds"] for row in chosen]
-            cost = np.median([each[-1] / np.mean(each[:4]) for each in times])
+            cost = np.median([each[-1] / np.mean(each[: SINGLES[mix]]) for each in times])
             lines.append(f"{grade} {mix}: four passes take {cost:.1f} times the CPU time of one")
     return "\n".join(lines)
 
@@ -160,13 +167,13 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
         for axes, grade in zip(panels, grades, strict=True):
             chosen = [row for row in rows if row["grade"] == grade]
             for mix, colour in zip(CONDITIONS, (COLOURS["left"], COLOURS["right"]), strict=True):
-                each = [by_number(row[mix]["nrmse"]) for row in chosen]
+                each = [by_number(row[mix]["nrmse"], mix) for row in chosen]
                 for one in each:
                     axes.plot(list(one), list(one.values()), color=colour, lw=0.7, alpha=0.3)
                 median = [np.median([one[k] for one in each]) for k in (1, 2, 4)]
                 label = f"{mix} speed and state"
                 axes.plot((1, 2, 4), median, "o-", color=colour, label=label)
-                bounds = [by_number(row[mix]["bound"]) for row in chosen if row[mix]["bound"]]
+                bounds = [by_number(row[mix]["bound"], mix) for row in chosen if row[mix]["bound"]]
                 median = [np.median([one[k] for one in bounds]) for k in (1, 2, 4)]
                 axes.plot((1, 2, 4), median, ":", color=colour, label=f"bound, {mix}")
             axes.set(title=f"{grade}, {len(chosen)} roads", xscale="log", yscale="log")
