@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from estimators.estimation import TRAINING_VEHICLE
 from leaderboard.conformance.results import EstimatorCard
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result
@@ -42,6 +43,7 @@ from leaderboard.report.board_definitions import (
 )
 from leaderboard.report.run_groups import ScoreSlice, run_groups
 from leaderboard.running.board import Board
+from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.perturbed_vehicle import GRADES
 
 RowState = Literal["scored", "baseline", "claim", "failed", "stale"]
@@ -327,7 +329,13 @@ def _protocol_notes(task: Task, results: Sequence[Result]) -> list[str]:
     if task.trains_on_test_road:
         trained = "Trained on altered copies of the test road"
         trained += f"; {', '.join(pretrained)} with pretrained weights." if pretrained else "."
-    return [text for text in (trained, task.note) if text]
+    elsewhere = ""
+    if pretrained and task.vehicle != load_vehicle(TRAINING_VEHICLE):
+        elsewhere = (
+            f"{', '.join(pretrained)}: trained on drives of {TRAINING_VEHICLE}, not of "
+            f"{task.vehicle.name}."
+        )
+    return [text for text in (trained, elsewhere, task.note) if text]
 
 
 def _surface_notes(task: Task, results: list[Result]) -> list[str]:

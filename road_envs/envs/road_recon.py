@@ -34,6 +34,7 @@ class RoadReconEnv(gymnasium.Env):
     1 front handling, 2 rear handling, 3 handling/handling.
     `control="states"`: `Discrete(16)`, front + 4 * rear with 0 ride, 1 handling, 2 soft spring and
     high damping, 3 stiff spring and low damping.
+    A `vehicle` with passive struts has nothing to switch: `Discrete(1)`, and no other `control`.
 
     ## Observation Space
     `Box`, float32, (3 k + 5,), where k is the number of samples in a control interval (50 at 1 kHz
@@ -97,7 +98,7 @@ class RoadReconEnv(gymnasium.Env):
     |---|---|---|
     | `road` | `"belgian"` | shipped name, path of a YAML or surface file, or mapping with `kind` |
     | `speed_kmh` | `14.5` | speed [km/h], or `[low, high]` from which each episode draws |
-    | `mode` | `"ride"` | 4S4 mode at the start; also `{"front": ..., "rear": ...}` |
+    | `mode` | `None` | mode at the start, by default ride, or passive; also by `front`, `rear` |
     | `control` | `"vehicle"` | what an action switches: `"vehicle"`, `"axle"` or `"states"` |
     | `control_rate` | `20.0` | actions per second [Hz] |
     | `length` | `None` | length of the road [m]; `None`: its own |

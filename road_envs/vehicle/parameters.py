@@ -432,6 +432,8 @@ def check_plausible(car: VehicleParameters, where: str) -> None:
 def write_vehicle(path: Path, car: VehicleParameters, comment: str = "") -> None:
     """Write a vehicle as YAML, with a `comment` of one or more lines at the head."""
     data = json.loads(json.dumps(asdict(car)))
+    if car.is_passive:
+        del data["valve"]
     head = "".join(f"# {line}\n" for line in comment.splitlines())
     text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, default_flow_style=None)
     write_text(path, head + text)

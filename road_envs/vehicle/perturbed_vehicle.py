@@ -40,6 +40,7 @@ from road_envs.sensing.sensor_faults import (
 from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.parameters import (
     BendingMode,
+    IndependentWheels,
     PerWheel,
     Step,
     TorsionalFrame,
@@ -230,6 +231,8 @@ def _with_tolerances(
     factors = {"m_b": factor(*mass), "I_xx": factor(*inertia), "I_yy": factor(*inertia)}
     for axle in ("front", "rear"):
         factors |= {f"{axle}.m": factor(*mass), f"{axle}.I_xx": factor(*inertia)}
+        if isinstance(getattr(vehicle.car, axle), IndependentWheels):  # it follows from the mass
+            del factors[f"{axle}.I_xx"]
     common, each = factor(*limits.friction), _four_factors(rng, limits.strut_friction)
     struts = {
         "gas": _four_factors(rng, limits.strut_gas),

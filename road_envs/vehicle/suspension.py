@@ -55,6 +55,8 @@ from road_envs.vehicle.parameters import (
 
 WHEELS = ("FL", "FR", "RL", "RR")
 
+ALL_MODES = MODES | PASSIVE_MODES
+
 ENDLESS = 1e12
 """Gas column [m] that no extension changes: a spring's constant static load."""
 
@@ -92,7 +94,7 @@ def encode_command(
     from all of FL, FR, RL, RR, to such names. With a `car` it must be one of its own, and None is
     its first. Raises ConfigError.
     """
-    modes = MODES | PASSIVE_MODES if car is None else car.modes
+    modes = ALL_MODES if car is None else car.modes
     if mode is None:
         mode = next(iter(modes))
     if isinstance(mode, Mapping):
@@ -107,8 +109,10 @@ def encode_command(
             )
     else:
         wheels = [mode] * 4
-    if car is not None and car.is_passive and (other := [m for m in wheels if m not in modes]):
-        raise ConfigError(f"the car {car.name} has passive struts: mode passive, not {other[0]!r}")
+    foreign = [m for m in wheels if isinstance(m, str) and m in ALL_MODES and m not in modes]
+    if car is not None and foreign:
+        kind, own = "passive" if car.is_passive else "4S4", ", ".join(modes)
+        raise ConfigError(f"the car {car.name} has {kind} struts: mode {own}, not {foreign[0]!r}")
     states = [modes[validate_choice("suspension mode", m, modes)] for m in wheels]
     return sum((stiff << w) | (high << (4 + w)) for w, (stiff, high) in enumerate(states))
 

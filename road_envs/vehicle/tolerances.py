@@ -111,6 +111,8 @@ def _value_at(car: VehicleParameters, path: str) -> Any:
             if isinstance(value, tuple):
                 value = value[_index(part, len(value))]
             elif value is not None:
+                if part not in {f.name for f in fields(value)}:  # a property follows from others
+                    raise AttributeError
                 value = getattr(value, part)
         except (AttributeError, ValueError):
             raise ConfigError(f"{car.name}: unknown parameter {path!r} of a tolerance") from None

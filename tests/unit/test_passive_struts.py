@@ -22,7 +22,9 @@ from road_envs.vehicle.parameters import (
     VehicleParameters,
     load_vehicle,
 )
+from road_envs.vehicle.perturbed_vehicle import perturb_vehicle
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
+from road_envs.vehicle.tolerances import parameter_space
 
 PASSIVE = [n for n in config.names("vehicles") if load_vehicle(n).is_passive]
 BMW = load_vehicle("bmw_320i")
@@ -200,7 +202,9 @@ def test_a_passive_car_has_the_mode_passive_and_no_other():
     for mode in ("ride", {"front": "passive", "rear": "ride"}):
         with pytest.raises(ConfigError, match=message):
             encode_command(mode, BMW)
-    with pytest.raises(ConfigError, match="unknown suspension mode 'passive'; known: handling"):
+    with pytest.raises(
+        ConfigError, match=r"has 4S4 struts: mode ride, handling, soft_high, .*, not 'passive'"
+    ):
         encode_command("passive", DEFENDER)
     with pytest.raises(ConfigError, match=message):
         linearise(BMW, "ride", {})
@@ -228,6 +232,16 @@ def test_shipped_cars_have_the_frequencies_and_damping_of_their_kind(name):
         v = 0.2
         mean = 0.5 * (strut.damper(np.array(v))[0] - strut.damper(np.array(-v))[0]) / v
         assert 0.2 <= mean / critical <= 0.8, mean / critical
+
+
+def test_a_manufactured_car_has_the_inertia_that_follows_from_its_wheels():
+    for seed in (1, 2):
+        one = perturb_vehicle(BMW, "S3", seed).car
+        for axle, nominal in zip(one.axles, BMW.axles, strict=True):
+            assert axle.I_xx == pytest.approx(axle.m * axle.y_t**2) and axle.m != nominal.m
+        assert one.variation.frame is not None and np.isfinite(build_plant(one).velocity).all()
+    with pytest.raises(ConfigError, match=r"bmw_320i: unknown parameter 'front\.I_xx'"):
+        parameter_space(replace(BMW, tolerances={"front.I_xx": BMW.tolerances["m_b"]}))
 
 
 def test_the_inertia_of_independent_wheels_is_that_of_the_published_car():
