@@ -174,7 +174,7 @@ def train(
         print_json(facts) if json else print_facts({"estimator": estimator, **facts})
         return
     if road is None:
-        facts = _pretrain(chosen, estimator, out, drives, seed)
+        facts = _pretrain(chosen, estimator, out, drives, seed, options.vehicle or DEFAULT_VEHICLE)
         print_json(facts) if json else print_facts(facts)
         return
     car = load_vehicle(options.vehicle or DEFAULT_VEHICLE)
@@ -230,9 +230,12 @@ def _train_on_drives(
 
 
 def _pretrain(
-    estimator: Trainable, name: str, out: Path, number: int | None, seed: int
+    estimator: Trainable, name: str, out: Path, number: int | None, seed: int, vehicle: str
 ) -> dict[str, Any]:
-    """Pretrain an estimator on the corpus and return the facts to print. Raises ConfigError."""
+    """Pretrain an estimator on the corpus of drives of a vehicle and return the facts to print.
+
+    Raises ConfigError.
+    """
     if not isinstance(estimator, Pretrained):
         raise ConfigError(
             f"{name} is trained for one speed and mode: give training roads with --road; "
@@ -240,7 +243,7 @@ def _pretrain(
         )
     if out.suffix != ".safetensors":
         raise ConfigError(f"{out}: the name must end in .safetensors for weights from the corpus")
-    corpus = Corpus() if number is None else Corpus(number=number)
+    corpus = Corpus(car=vehicle) if number is None else Corpus(car=vehicle, number=number)
     begin = time.process_time()
     kept = f"the last stored state of the training is beside {out}; the same command continues"
     with on_interrupt(kept), progress_bar() as progress:

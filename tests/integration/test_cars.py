@@ -14,6 +14,7 @@ from leaderboard.evaluation.evaluate import run_task
 from leaderboard.evaluation.tasks import load_task
 from road_envs import config, load_vehicle, simulate_record
 from road_envs.config import ConfigError
+from road_envs.data.training_corpus import Corpus, perturb_parameters
 from road_envs.vehicle.parameters import write_vehicle
 
 VEHICLES = config.names("vehicles")
@@ -136,6 +137,17 @@ def test_the_drive_of_a_passive_car_needs_no_mode_and_takes_no_other(road_recon)
 def test_an_environment_of_a_passive_car_refuses_what_would_switch_it(options, message):
     with pytest.raises(ConfigError, match=message):
         gymnasium.make("RoadRecon-v0", vehicle="bmw_320i", **options)
+
+
+@every_vehicle
+def test_drives_of_the_vehicle_can_be_trained_on(name):
+    corpus = Corpus(car=name, number=2, shortest=100, longest=100)
+    record, truth = corpus.simulate_drive(0)
+    assert np.isfinite(record.a).all() and truth.z.shape[1] == truth.s.size
+    one = perturb_parameters(corpus.vehicle, np.random.default_rng(1), 1.0)
+    assert one.strut != corpus.vehicle.strut and one.front != corpus.vehicle.front
+    if corpus.vehicle.is_passive:
+        assert not record.spring_stiff.any() and not record.damper_high.any()
 
 
 VAN_TASK = {

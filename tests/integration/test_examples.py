@@ -160,7 +160,7 @@ def test_the_policy_of_the_tutorial_beats_constant_states(page_values):
 
 def test_the_vehicle_of_the_tutorial_is_estimated_best_with_its_own_parameters(page_values):
     _, values = page_values("own_vehicle.md")
-    assert values["mass"] == 2100.0
+    assert values["mass"] == 1250.0
     assert values["right"] < values["wrong"]
 
 
