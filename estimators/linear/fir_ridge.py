@@ -27,17 +27,23 @@ contains too little of the body's motion and of the rear axle's passage.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import reduce
 from typing import Annotated, ClassVar, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field
 from scipy import signal
-from scipy.linalg import cho_solve
 
-from estimators.api import copy_with, require_fitted, validate_weights
+from estimators.api import CalibrationDrive, copy_with, require_fitted, validate_weights
 from estimators.common.blas import single_blas_thread
-from estimators.common.spatial_signals import N_HIGH_PASS, to_spatial, upsample, wheel_paths
+from estimators.common.least_squares import LeastSquaresSums, cross_validate
+from estimators.common.spatial_signals import (
+    N_HIGH_PASS,
+    N_MOTIONS,
+    SpatialSignals,
+    to_spatial,
+    upsample,
+    wheel_paths,
+)
 from estimators.common.training_data import (
     LONG_WAVE_NOTE,
     STATION_MARGIN,
@@ -46,7 +52,13 @@ from estimators.common.training_data import (
     training_example,
     validity_notes,
 )
-from estimators.linear.fir_bank import FirBank, fit_bank, taps_shape
+from estimators.common.vehicle_correction import (
+    NOTE,
+    Prediction,
+    VehicleCorrection,
+    fit_corrections,
+)
+from estimators.linear.fir_bank import FirBank, fit_bank, keep_short_waves, taps_shape
 from estimators.preprocessing import clean_record, sample_profile, spatial_accelerations
 from estimators.pretrained_weights import load_pretrained
 from road_envs.config import Settings
@@ -69,6 +81,10 @@ RIDGES = 10.0 ** np.arange(-6, 1)
 """Candidates, relative to the mean square of the accelerations."""
 
 
+CORRECTION_REACH = 40
+"""Stations to either side in the window of a correction: 6 m."""
+
+
 class Taps(NamedTuple):
     """`taps` (2, 3, T) [s²] by wheel path, sensor and offset, `stride` profile stations apart; mean
     `speed` [m/s] of the training drives and the selected `ridge`.
@@ -78,41 +94,6 @@ class Taps(NamedTuple):
     stride: int
     speed: float
     ridge: float
-
-
-class LeastSquaresSums(NamedTuple):
-    """Sums over samples: X'X (p, p), X'Z (p, 2) and Z'Z ()."""
-
-    XX: np.ndarray
-    XZ: np.ndarray
-    ZZ: np.ndarray
-
-    @classmethod
-    def zeros(cls, size: int) -> "LeastSquaresSums":
-        """Return empty sums for `size` regressors."""
-        return cls(np.zeros((size, size)), np.zeros((size, 2)), np.zeros(()))
-
-    @classmethod
-    def from_samples(cls, X: np.ndarray, Z: np.ndarray) -> "LeastSquaresSums":
-        """Return the sums of regressors `X` (N, p) and targets `Z` (N, 2)."""
-        return cls(X.T @ X, X.T @ Z, np.vdot(Z, Z))
-
-    def plus(self, other: "LeastSquaresSums", sign: float = 1.0) -> "LeastSquaresSums":
-        """Return these sums plus `sign` times those of `other`."""
-        return LeastSquaresSums(*(x + sign * y for x, y in zip(self, other, strict=True)))
-
-    def solve(self, ridge: float) -> np.ndarray:
-        """Return coefficients (p, 2); `ridge` is relative to the mean diagonal of XX."""
-        size = len(self.XX)
-        level = np.trace(self.XX) / size or 1.0  # a level drive has no signal
-        # NumPy's factor: SciPy's BLAS has a thread pool of its own, which competes with NumPy's
-        factor = np.linalg.cholesky(self.XX + ridge * level * np.eye(size))
-        return cho_solve((factor, True), self.XZ)
-
-    def squared_error(self, coefficients: np.ndarray) -> float:
-        """Return the sum of squared errors of `coefficients` (p, 2) on these samples."""
-        fit = 2.0 * self.XZ - self.XX @ coefficients
-        return float(self.ZZ - np.vdot(coefficients, fit))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,6 +109,9 @@ class FirRidge(Settings):
     reach: Annotated[float, Field(gt=0, le=100), "m", "of the window"] = DEFAULT_REACH
     shipped: bool = True
     fitted_state: Taps | FirBank | None = field(default=None, init=False, repr=False, compare=False)
+    corrections: tuple[VehicleCorrection, ...] = field(
+        default=(), init=False, repr=False, compare=False
+    )
 
     @single_blas_thread()  # small products: as in the LM training
     def fit(
@@ -151,7 +135,7 @@ class FirRidge(Settings):
                 sums.plus(LeastSquaresSums.from_samples(*part))
                 for sums, part in zip(folds, parts, strict=True)
             ]
-        ridge, coefficients = cross_validate(folds)
+        ridge, coefficients = cross_validate(folds, RIDGES)
         taps = coefficients.T.reshape(2, len(SENSORS), 2 * half + 1)
         return copy_with(self, fitted_state=Taps(taps, stride, speed, ridge))
 
@@ -174,13 +158,30 @@ class FirRidge(Settings):
             self, fitted_state=fit_bank(all_signals, targets, STATIONS_BEHIND, STATIONS_BEHIND)
         )
 
+    def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
+        """Return a copy whose bank is corrected for the vehicle of the drives over measured roads
+        (`vehicle_correction.py`); others tell nothing here. Fitted taps stay. Raises RecordError.
+        """
+        model = self._fitted_or_pretrained()
+        if not isinstance(model, FirBank):
+            return self
+        corrections = fit_corrections(
+            drives, self.causal, lambda signals: _prediction(model, signals), keep_short_waves
+        )
+        return copy_with(self, corrections=corrections)
+
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Return the weighted sums. Raises RecordError, NotFittedError."""
         record, notes = clean_record(record)
         model, stations = self._fitted_or_pretrained(), profile_stations(record.length)
         if isinstance(model, FirBank):
             signals = to_spatial(record, STATION_MARGIN)
-            z = wheel_paths(upsample(model(signals), stations.size))
+            z = model(signals)
+            for correction in self.corrections:
+                if correction.serves(signals):
+                    z = correction.correct(_prediction(model, signals))
+                    notes = (*notes, NOTE)
+            z = wheel_paths(upsample(z, stations.size))
             return Estimate(stations, z, notes=(*notes, LONG_WAVE_NOTE, *validity_notes(signals)))
         taps, stride, speed, _ = model
         half = taps.shape[2] // 2
@@ -226,6 +227,16 @@ class FirRidge(Settings):
         return int(self.reach / (stride * PROFILE_SPACING))
 
 
+def _prediction(bank: FirBank, signals: SpatialSignals) -> Prediction:
+    """Return the bank's estimate, with the accelerations in the window of a correction."""
+    first, last = signals.margin - CORRECTION_REACH, signals.margin + signals.size
+    motions = keep_short_waves(signals.motions[:N_MOTIONS].astype(float))
+    inside = motions[:, first : last + CORRECTION_REACH]
+    windows = np.lib.stride_tricks.sliding_window_view(inside, 2 * CORRECTION_REACH + 1, axis=1)
+    x, z = np.concatenate(list(windows), axis=1).T, bank(signals)
+    return Prediction(z, keep_short_waves(z), np.array([x, x]), np.ones(signals.size))
+
+
 def sliding_windows(record: Record, stride: int, half: int) -> np.ndarray:
     """Return the regressors (N, 3 (2 half + 1)) [m/s²] at every `stride`-th station."""
     a = spatial_accelerations(record, half * stride)
@@ -238,17 +249,6 @@ def highpass_profile(truth: Profile, stations: np.ndarray) -> np.ndarray:
     sos = signal.butter(2, N_HIGH_PASS, "high", fs=1.0 / PROFILE_SPACING, output="sos")
     padding = min(int(1.0 / (N_HIGH_PASS * PROFILE_SPACING)), stations.size - 1)
     return signal.sosfiltfilt(sos, sample_profile(truth, stations), axis=1, padlen=padding)
-
-
-def cross_validate(folds: Sequence[LeastSquaresSums]) -> tuple[float, np.ndarray]:
-    """Return the ridge of least cross-validation error, and coefficients (p, 2) on all folds."""
-    total = reduce(LeastSquaresSums.plus, folds)
-    errors = np.zeros(RIDGES.size)
-    for fold in folds:
-        others = total.plus(fold, -1.0)
-        errors += [fold.squared_error(others.solve(ridge)) for ridge in RIDGES]
-    best = float(RIDGES[np.argmin(errors)])
-    return best, total.solve(best)
 
 
 def _speed_note(speed: float, record: Record) -> tuple[str, ...]:

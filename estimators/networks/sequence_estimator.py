@@ -13,10 +13,11 @@ from typing import Annotated, Any, ClassVar, NamedTuple, Self
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from estimators.api import copy_with, require_fitted, validate_weights
+from estimators.api import CalibrationDrive, copy_with, require_fitted, validate_weights
 from estimators.common.spatial_signals import (
     EDGE_STATIONS,
     SPACING,
+    SpatialSignals,
     to_spatial,
     upsample,
     wheel_paths,
@@ -27,6 +28,12 @@ from estimators.common.training_data import (
     TrainingExample,
     training_example,
     validity_notes,
+)
+from estimators.common.vehicle_correction import (
+    NOTE,
+    Prediction,
+    VehicleCorrection,
+    fit_corrections,
 )
 from estimators.linear.fir_bank import FirBank, fit_bank, keep_short_waves, taps_shape
 from estimators.networks.inputs import MIRROR_SIGNS, NetworkInputs, network_inputs, window_span
@@ -99,6 +106,9 @@ class SequenceEstimator(Settings, abc.ABC):
     channels: Annotated[Count, "", "channels of each layer"] = 48
     kernel: KernelSize = 5
     fitted_state: FittedSequence | None = field(default=None, init=False, repr=False, compare=False)
+    corrections: tuple[VehicleCorrection, ...] = field(
+        default=(), init=False, repr=False, compare=False
+    )
 
     @abc.abstractmethod
     def network(self) -> Any:
@@ -166,7 +176,7 @@ class SequenceEstimator(Settings, abc.ABC):
             )
             drive_conditions = _station_conditions(inputs, network)
             scored = interior(inputs.level.size)
-            residual, std = predict_residual(network, inputs.x, inputs.conditions)
+            residual, std, _ = predict_residual(network, inputs.x, inputs.conditions)
             error = wheel_paths(drive.target - inputs.first - inputs.level * residual)
             speed = float(np.median(drive.signals.v))
             ratios.append(
@@ -179,6 +189,31 @@ class SequenceEstimator(Settings, abc.ABC):
             fitted_state=fitted_state._replace(std_coefficients=fit_std_scale(ratios, conditions)),
         )
 
+    def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
+        """Return a copy whose last layer is corrected for the vehicle of the drives over measured
+        roads (`vehicle_correction.py`); others tell nothing here. Raises RecordError.
+        """
+        bank, weights, _, _ = self._fitted_or_pretrained()
+        network = self.network()
+        set_weights(network, weights)
+
+        def predict(signals: SpatialSignals) -> Prediction:
+            inputs = network_inputs(signals, bank, car.wheelbase, network, self.causal)
+            residual, _, hidden = predict_residual(network, inputs.x, inputs.conditions)
+            return self._prediction(inputs, residual, hidden)
+
+        corrections = fit_corrections(drives, self.causal, predict, self._short_waves)
+        return copy_with(self, corrections=corrections)
+
+    def _short_waves(self, z: np.ndarray) -> np.ndarray:
+        return keep_short_waves(np.asarray(z, dtype=float), self.causal)
+
+    def _prediction(
+        self, inputs: NetworkInputs, residual: np.ndarray, hidden: np.ndarray
+    ) -> Prediction:
+        z = inputs.first + inputs.level * residual
+        return Prediction(z, self._short_waves(z), hidden, inputs.level)
+
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths, with standard deviations above 0.15 cycles/m. Raises
         RecordError, NotFittedError.
@@ -189,9 +224,14 @@ class SequenceEstimator(Settings, abc.ABC):
         set_weights(network, weights)
         signals = to_spatial(record, STATION_MARGIN, self.causal)
         inputs = network_inputs(signals, bank, car.wheelbase, network, self.causal)
-        residual, std = predict_residual(network, inputs.x, inputs.conditions)
+        residual, std, hidden = predict_residual(network, inputs.x, inputs.conditions)
+        z = inputs.first + inputs.level * residual
+        for correction in self.corrections:
+            if correction.serves(signals):
+                z = correction.correct(self._prediction(inputs, residual, hidden))
+                notes = (*notes, NOTE)
         stations = profile_stations(record.length)
-        z = wheel_paths(upsample(inputs.first + inputs.level * residual, stations.size))
+        z = wheel_paths(upsample(z, stations.size))
         factors = std_scale(coefficients, _station_conditions(inputs, network))
         std_m = factors * inputs.level * np.hypot(*std)
         z_std = np.interp(stations, SPACING * (np.arange(std_m.size) - EDGE_STATIONS), std_m)
@@ -253,15 +293,16 @@ class SequenceEstimator(Settings, abc.ABC):
         self, sequence: TrainingSequence, network: Any, start: int, stop: int
     ) -> np.ndarray:
         """Return errors of both wheel paths over their standard deviations."""
-        residual, std = predict_residual(network, sequence.inputs.x, sequence.inputs.conditions)
+        residual, std, _ = predict_residual(network, sequence.inputs.x, sequence.inputs.conditions)
         error = wheel_paths(sequence.residual - residual) / np.hypot(*std)
         return error[:, start:stop].ravel()
 
 
 def predict_residual(
     network: Any, x: np.ndarray, conditions: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the residual of m and q and its standard deviation, both (2, M) in levels.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the residual of m and q and its standard deviation, both (2, M) in levels, and what
+    the weights of the last layer multiply, (2, channels, M).
 
     Mean of the network's outputs for the drive and for the mirrored drive, mirrored back.
     """
@@ -271,10 +312,15 @@ def predict_residual(
     with torch.no_grad(), single_thread():
         both_drives = torch.from_numpy(np.array([x, x * MIRROR_SIGNS]))
         both_conditions = torch.from_numpy(np.array([conditions, conditions]))
+        kept: list[Any] = []
+        hook = network.head.register_forward_pre_hook(lambda _, given: kept.append(given[0]))
         output = network(both_drives, both_conditions).numpy().astype(float)
+        hook.remove()
     mirror = np.array([[1.0], [-1.0]])
     residual = 0.5 * (output[0, :2] + mirror * output[1, :2])
-    return residual, np.exp(np.clip(output[:, 2:], *LOG_STD_RANGE).mean(axis=0))
+    one, other = kept[0].numpy().astype(float)
+    std = np.exp(np.clip(output[:, 2:], *LOG_STD_RANGE).mean(axis=0))
+    return residual, std, 0.5 * np.array([one + other, one - other])
 
 
 def _station_conditions(inputs: NetworkInputs, network: Any) -> np.ndarray:

@@ -10,6 +10,7 @@ from test_estimator_contract import APRON, CAR, drive, error, fit
 from estimators import create
 from estimators.baselines.mean import mean_profile
 from estimators.baselines.random_road import FittedRoad, draw_road, fit_spectrum
+from estimators.common.least_squares import LeastSquaresSums, cross_validate
 from estimators.linear import fir_ridge
 from estimators.preprocessing import spatial_accelerations
 from road_envs.analysis.roughness import displacement_psd
@@ -208,10 +209,10 @@ def test_known_taps_are_recovered():
     rng = np.random.default_rng(0)
     stride, half = 3, int(0.5 / (3 * PROFILE_SPACING))
     coefficients = rng.standard_normal((3 * (2 * half + 1), 2))
-    sums = fir_ridge.LeastSquaresSums.zeros(len(coefficients))
+    sums = LeastSquaresSums.zeros(len(coefficients))
     for seed in range(4):
         X = fir_ridge.sliding_windows(drive(seed, noise=1.0)[0], stride, half)
-        sums = sums.plus(fir_ridge.LeastSquaresSums.from_samples(X, X @ coefficients))
+        sums = sums.plus(LeastSquaresSums.from_samples(X, X @ coefficients))
     np.testing.assert_allclose(sums.solve(1e-12), coefficients, rtol=1e-4)
 
 
@@ -231,8 +232,8 @@ def test_the_ridge_is_the_least_squares_problem_with_a_penalty_row_for_each_tap(
     level = np.mean(np.sum(X**2, axis=0))
     penalty = np.sqrt(ridge * level) * np.eye(9)
     expected, *_ = np.linalg.lstsq(np.vstack([X, penalty]), np.vstack([Z, np.zeros((9, 2))]))
-    sums = fir_ridge.LeastSquaresSums.from_samples(X[:20], Z[:20]).plus(
-        fir_ridge.LeastSquaresSums.from_samples(X[20:], Z[20:])
+    sums = LeastSquaresSums.from_samples(X[:20], Z[:20]).plus(
+        LeastSquaresSums.from_samples(X[20:], Z[20:])
     )
     found = sums.solve(ridge)
     np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12)
@@ -246,9 +247,8 @@ def test_cross_validation_selects_a_strong_ridge_for_noise_only():
 
     def chosen(Z):
         parts = zip(np.split(X, 5), np.split(Z, 5), strict=True)
-        return fir_ridge.cross_validate(
-            [fir_ridge.LeastSquaresSums.from_samples(*part) for part in parts]
-        )[0]
+        folds = [LeastSquaresSums.from_samples(*part) for part in parts]
+        return cross_validate(folds, fir_ridge.RIDGES)[0]
 
     assert chosen(noise) == fir_ridge.RIDGES[-1]
     assert chosen(clear) == fir_ridge.RIDGES[0]

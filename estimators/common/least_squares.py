@@ -1,0 +1,60 @@
+"""Ridge regression from sums over samples, with the ridge chosen by cross-validation."""
+
+from collections.abc import Sequence
+from functools import reduce
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_solve
+
+
+class LeastSquaresSums(NamedTuple):
+    """Sums over samples: X'X (p, p), X'Z (p, m) and Z'Z ()."""
+
+    XX: np.ndarray
+    XZ: np.ndarray
+    ZZ: np.ndarray
+
+    @classmethod
+    def zeros(cls, size: int, targets: int = 2) -> "LeastSquaresSums":
+        """Return empty sums for `size` regressors."""
+        return cls(np.zeros((size, size)), np.zeros((size, targets)), np.zeros(()))
+
+    @classmethod
+    def from_samples(cls, X: np.ndarray, Z: np.ndarray) -> "LeastSquaresSums":
+        """Return the sums of regressors `X` (N, p) and targets `Z` (N, m)."""
+        return cls(X.T @ X, X.T @ Z, np.vdot(Z, Z))
+
+    def plus(self, other: "LeastSquaresSums", sign: float = 1.0) -> "LeastSquaresSums":
+        """Return these sums plus `sign` times those of `other`."""
+        return LeastSquaresSums(*(x + sign * y for x, y in zip(self, other, strict=True)))
+
+    def solve(self, ridge: float) -> np.ndarray:
+        """Return coefficients (p, m); `ridge` is relative to the mean diagonal of XX."""
+        if not np.isfinite(ridge):
+            return np.zeros_like(self.XZ)
+        size = len(self.XX)
+        level = np.trace(self.XX) / size or 1.0  # a level drive has no signal
+        # NumPy's factor: SciPy's BLAS has a thread pool of its own, which competes with NumPy's
+        factor = np.linalg.cholesky(self.XX + ridge * level * np.eye(size))
+        return cho_solve((factor, True), self.XZ)
+
+    def squared_error(self, coefficients: np.ndarray) -> float:
+        """Return the sum of squared errors of `coefficients` (p, 2) on these samples."""
+        fit = 2.0 * self.XZ - self.XX @ coefficients
+        return float(self.ZZ - np.vdot(coefficients, fit))
+
+
+def cross_validate(
+    folds: Sequence[LeastSquaresSums], ridges: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Return the one of the `ridges` with the least cross-validation error, and coefficients
+    (p, m) on all folds.
+    """
+    total = reduce(LeastSquaresSums.plus, folds)
+    errors = np.zeros(ridges.size)
+    for fold in folds:
+        others = total.plus(fold, -1.0)
+        errors += [fold.squared_error(others.solve(ridge)) for ridge in ridges]
+    best = float(ridges[np.argmin(errors)])
+    return best, total.solve(best)

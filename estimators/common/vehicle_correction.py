@@ -1,0 +1,136 @@
+"""Quick correction of a trained estimator for one vehicle, from drives of it over measured roads.
+
+What the trained estimator leaves of a known road is regressed on its own features (accelerations in
+its window, or what feeds a network's last layer) and on its estimate. The ridge draws the
+correction towards zero, that is towards the trained weights; it is chosen by cross-validation over
+fifths of the drives, and is infinite if no correction predicts any better. A correction is used in
+the state of the struts and near the speed at which it was found.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import reduce
+from typing import NamedTuple
+
+import numpy as np
+
+from estimators.api import CalibrationDrive, CalibrationError
+from estimators.common.blas import single_blas_thread
+from estimators.common.least_squares import LeastSquaresSums, cross_validate
+from estimators.common.spatial_signals import EDGE_STATIONS, SPACING, SpatialSignals
+from estimators.common.training_data import TrainingExample, training_example
+
+FOLDS = 5
+RIDGES = np.append(10.0 ** np.arange(-4.0, 2.0), np.inf)
+"""Candidates, relative to the mean square of the features; infinite: no correction."""
+
+SPEED_RATIO = 1.15
+"""Factor of the speed up to which a correction is used."""
+
+UNEXPLAINED_MAX = 0.97
+"""Largest share of a road's mean square that cross-validation may leave; unrelated profiles leave
+all of it."""
+
+NOTE = "corrected by a calibration drive of this vehicle"
+
+
+class VehicleCorrection(NamedTuple):
+    """`coefficients` (2, p) of the features of m and of q, found in the `state` (4,) and at the
+    mean `speed` [m/s].
+    """
+
+    coefficients: np.ndarray
+    state: np.ndarray
+    speed: float
+
+    def serves(self, signals: SpatialSignals) -> bool:
+        """Return whether a drive is in the state and near the speed of the correction."""
+        state, speed = _condition(signals)
+        near = self.speed / SPEED_RATIO < speed < self.speed * SPEED_RATIO
+        return bool((state == self.state).all() and near)
+
+    def correct(self, prediction: "Prediction") -> np.ndarray:
+        """Return the corrected m and q (2, M) [m]."""
+        change = np.einsum("rp,rpm->rm", self.coefficients, prediction.all_features())
+        return prediction.estimate + prediction.unit * change
+
+
+class Prediction(NamedTuple):
+    """An `estimate` (2, M) of m and q [m], its `short_waves` (2, M) [m], and the `features`
+    (2, p, M) of m and of q in the `unit` (M,) [m].
+    """
+
+    estimate: np.ndarray
+    short_waves: np.ndarray
+    features: np.ndarray
+    unit: np.ndarray
+
+    def all_features(self) -> np.ndarray:
+        """Return the features (2, p + 1, M), the estimate's short waves last."""
+        own = (self.short_waves / self.unit)[:, None]
+        return np.concatenate([self.features, own], axis=1)
+
+
+@single_blas_thread()
+def fit_corrections(
+    drives: Sequence[CalibrationDrive],
+    causal: bool,
+    predict: Callable[[SpatialSignals], Prediction],
+    high_pass: Callable[[np.ndarray], np.ndarray],
+) -> tuple[VehicleCorrection, ...]:
+    """Fit a correction to the measured roads of each condition among the `drives`.
+
+    `predict` returns the estimate of a drive, `high_pass` the short waves of heights (2, M), in
+    which errors are judged. Corrections that cross-validation does not find better than none are
+    left out. Raises RecordError, CalibrationError.
+    """
+    found: list[VehicleCorrection] = []
+    groups: dict[bytes, list[tuple[TrainingExample, CalibrationDrive]]] = {}
+    for drive in drives:
+        if drive.profile is not None:
+            example = training_example(drive.record, drive.profile, causal)
+            state, speed = _condition(example.signals)
+            key = np.append(state, np.round(np.log(speed) / np.log(SPEED_RATIO))).tobytes()
+            groups.setdefault(key, []).append((example, drive))
+    for group in groups.values():
+        sums: list[list[LeastSquaresSums]] = [[], []]
+        power = 0.0
+        for example, drive in group:
+            prediction = predict(example.signals)
+            x, unit = prediction.all_features(), prediction.unit
+            error = high_pass(example.target - prediction.estimate) / unit
+            assert drive.profile is not None
+            s = SPACING * (np.arange(unit.size) - EDGE_STATIONS)
+            inside = np.flatnonzero((s > drive.profile.s[0]) & (s < drive.profile.s[-1]))
+            power += float(np.sum((high_pass(example.target) / unit)[:, inside] ** 2))
+            for row in range(2):
+                for k, part in enumerate(np.array_split(inside, FOLDS)):
+                    new = LeastSquaresSums.from_samples(x[row][:, part].T, error[row][part, None])
+                    if len(sums[row]) > k:
+                        sums[row][k] = sums[row][k].plus(new)
+                    else:
+                        sums[row].append(new)
+        state, _ = _condition(group[0][0].signals)
+        speed = float(np.mean([_condition(example.signals)[1] for example, _ in group]))
+        chosen = [cross_validate(folds, RIDGES) for folds in sums]
+        coefficients = np.array([each[:, 0] for _, each in chosen])
+        left = sum(_held_out(folds, ridge) for folds, (ridge, _) in zip(sums, chosen, strict=True))
+        if left > UNEXPLAINED_MAX * power:
+            raise CalibrationError(
+                f"{group[0][1].name}: what was measured tells nothing of the profile; it is of "
+                "another road or lane, reversed, displaced or in other units"
+            )
+        if coefficients.any():
+            found.append(VehicleCorrection(coefficients, state, speed))
+    return tuple(found)
+
+
+def _held_out(folds: Sequence[LeastSquaresSums], ridge: float) -> float:
+    """Return the sum of squared errors of folds that were left out."""
+    total = reduce(LeastSquaresSums.plus, folds)
+    return sum(fold.squared_error(total.plus(fold, -1.0).solve(ridge)) for fold in folds)
+
+
+def _condition(signals: SpatialSignals) -> tuple[np.ndarray, float]:
+    """Return the prevailing state (4,) and the mean speed [m/s] of a drive."""
+    inside = slice(signals.margin, signals.margin + signals.size)
+    return signals.states[inside].mean(axis=0).round(), float(signals.v[inside].mean())
