@@ -26,7 +26,16 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
 """Pattern of the name of a row. It is part of the names of files and of addresses of pages."""
 
 RESERVED = frozenset(
-    {*estimators.REGISTRY, BUILTIN, "bound", "truth", "truth_plus_noise", "memory", "index"}
+    {
+        *estimators.REGISTRY,
+        BUILTIN,
+        "bound",
+        "attainable",
+        "truth",
+        "truth_plus_noise",
+        "memory",
+        "index",
+    }
 )
 """Names of rows and pages that an entry from outside cannot have, in lower case."""
 

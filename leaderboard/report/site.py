@@ -26,7 +26,7 @@ from leaderboard.report.charts import task_charts
 from leaderboard.report.rendering import file_name, render, write_static
 from leaderboard.report.sentences import UNRELATED_ROAD, unrelated_level_errors
 from leaderboard.report.table_data import table_data
-from leaderboard.report.tables import BOUND_ROW, BoardView, Section, nonempty_columns
+from leaderboard.report.tables import LIMIT_ROWS, BoardView, Section, nonempty_columns
 from leaderboard.running.board import Board
 from road_envs._atomic_io import write_text
 
@@ -141,7 +141,7 @@ def _task(board: Board, view: BoardView, section: Section, task: Task) -> dict[s
     by_name = {result.estimator: result for result in board.scored(task)}
     # without entries, the baselines are drawn
     order = [name for name, row in rows.items() if row.state == "scored"] or [
-        name for name, row in rows.items() if row.state == "baseline" and name != BOUND_ROW
+        name for name, row in rows.items() if row.state == "baseline" and name not in LIMIT_ROWS
     ]
     drawn = {name: by_name[name] for name in order[:MAX_DRAWN]}
     return {

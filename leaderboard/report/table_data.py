@@ -5,7 +5,7 @@ from typing import Any
 
 from leaderboard.report.board_definitions import COLUMNS, TEXT_COLUMNS, Column
 from leaderboard.report.figures import rounded
-from leaderboard.report.tables import ALL_RUNS, BOUND_ROW, BoardView, Row, Section
+from leaderboard.report.tables import ALL_RUNS, LIMIT_ROWS, BoardView, Row, Section
 
 
 def table_data(view: BoardView, section: Section, columns: Sequence[Column]) -> dict[str, Any]:
@@ -36,7 +36,7 @@ def _row_data(row: Row, keys: Sequence[str]) -> dict[str, Any]:
         "causal": bool(row.causal),
         "message": row.message,
         # rows with few scores have empty cells instead of dashes
-        "sparse": row.state == "claim" or row.name == BOUND_ROW,
+        "sparse": row.state == "claim" or row.name in LIMIT_ROWS,
         "cells": {key: row.cells[key] for key in TEXT_COLUMNS if row.cells.get(key)},
         "groups": {
             name: {key: rounded(x) for key in keys if (x := values.get(key)) is not None}

@@ -52,6 +52,9 @@ TRAINING_STATES = ("near_optimal", "sub_optimal", "unstable")
 BOUND_ROW, ATTAINABLE_ROW = "bound", "attainable"
 """Names of the rows with the information bound of the sensors, and with the attainable error."""
 
+LIMIT_ROWS = (BOUND_ROW, ATTAINABLE_ROW)
+"""Names of the rows that are no estimator's."""
+
 ALL_RUNS = ""
 """Name of the group of all runs."""
 

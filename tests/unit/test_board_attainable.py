@@ -8,6 +8,8 @@ from fakes import Reader, fake_drives, task
 
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.report import attainable
+from leaderboard.report.cache import build_report
+from leaderboard.report.site import write_site
 from leaderboard.report.tables import board_views
 from leaderboard.running.board import Board
 
@@ -58,3 +60,13 @@ def test_drives_of_perturbed_vehicles_and_tasks_without_a_bound_have_none(comput
         )
         assert "attainable_nrmse" not in board.results[other.name][0].drives[0].scores
     assert computed == []
+
+
+def test_the_pages_of_a_board_have_its_row(computed, tmp_path):
+    t = task()
+    rows = run_task(t, {"flat": Reader(gain=0.0)}, (1,), simulate=fake_drives)
+    board = attainable.with_attainable(Board((t,), {t.name: rows}), simulate=fake_drives)
+    write_site(board, build_report(board), tmp_path)
+    (page,) = (p for p in tmp_path.rglob("*.html") if p.stem == t.name)
+    assert '<th scope="row">attainable' in page.read_text()
+    assert not any(p.stem == "attainable" for p in tmp_path.rglob("*.html"))
