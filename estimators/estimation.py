@@ -12,12 +12,17 @@ import numpy as np
 from estimators import pretrained_weights, registry, weights_io
 from estimators.api import Estimator, Pretrained, check_class, check_estimate
 from road_envs.config import ConfigError, build
+from road_envs.data.accelerometers import Accelerometer
 from road_envs.data.record import Estimate, Record
+from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.suspension import check_modes
 
 TRAINING_VEHICLE = "land_rover_defender_110"
 """Vehicle of the drives that the shipped weights were trained on."""
+
+TRAINING_INSTRUMENTS = "paper"
+"""Instruments of these drives."""
 
 FILE_SUFFIXES = (".npz", pretrained_weights.SUFFIX)
 
@@ -65,7 +70,7 @@ def estimate(
     check_modes(record, car)
     found = estimator.estimate(record, car)
     check_estimate(found, record)
-    notes = (*found.notes, *training_notes(estimator, car))
+    notes = (*found.notes, *training_notes(estimator, car), *layout_notes(estimator, record))
     return dataclasses.replace(found, notes=notes, speed=float(np.nanmedian(record.v)))
 
 
@@ -76,6 +81,29 @@ def resolve_estimator(reference: str | Path | Estimator, settings: Mapping[str, 
     if settings:
         raise ConfigError(f"settings {sorted(settings)} need an estimator by name, not an object")
     return reference
+
+
+def layout_notes(estimator: Estimator, record: Record) -> tuple[str, ...]:
+    """Return a note if shipped weights were trained with accelerometers at other places."""
+    if not isinstance(estimator, Pretrained) or estimator.fitted_state is not None:
+        return ()
+    trained_with = load_instruments(TRAINING_INSTRUMENTS).accelerometers
+    sensors = record.sensors or {}
+    other = [
+        name
+        for name, sensor in trained_with.items()
+        if name in sensors and not _same_place(sensors[name], sensor)
+    ]
+    if not other:
+        return ()
+    return (
+        f"the shipped weights of {type(estimator).name} were trained with {', '.join(other)} at "
+        "other places; that they differ makes no difference to this estimate",
+    )
+
+
+def _same_place(one: Accelerometer, other: Accelerometer) -> bool:
+    return all(getattr(one, x) == getattr(other, x) for x in ("mounted", "axle", "ahead", "y"))
 
 
 def training_notes(estimator: Estimator, car: VehicleParameters) -> tuple[str, ...]:

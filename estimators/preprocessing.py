@@ -149,11 +149,10 @@ def select_channels(record: Record, channels: tuple[str, ...]) -> Record:
     """
     sensors = record.sensors or {}
     known = [name for name, sensor in sensors.items() if sensor.mounted == "body"]
-    if missing := [name for name in channels if name not in known]:
+    if not set(channels) <= set(known):
         raise RecordError(
-            f"this estimator needs the accelerometers {', '.join(channels)} on the body, and "
-            f"{', '.join(missing)} cannot be found among {', '.join(record.channels)}; "
-            "map_smoother uses what there is"
+            f"this estimator needs the accelerometers {', '.join(channels)} on the body; the "
+            f"record has {', '.join(record.channels)}: map_smoother and wiener take any"
         )
     rows = [record.channels.index(name) for name in channels]
     layout = {name: sensors[name] for name in channels}

@@ -407,7 +407,7 @@ FAULTS = [
     Fault(DATASET, "logger.speed_gain * v", "v",
           "recording::test_the_odometer_integrates_the_measured_speed"),
     Fault(DATASET, "step, enveloped_surface = min(step, one.step)", "step, felt = step", GRADED),
-    Fault(DATASET, "dict(sensors)), true_profile(surface)", "dict(sensors)), truth(felt)", GRADED),
+    Fault(DATASET, "return record, true_profile(surface)", "return record, truth(felt)", GRADED),
     Fault(DATASET, "[*parts, logger.flush()]", "parts", GRADED),
     Fault(SENSORS, "np.expm1(-distance / length)", "np.expm1(-0.5 * distance / length)",
           "sensor_faults::test_position_fixes_bound_the_odometer_error"),

@@ -103,7 +103,7 @@ class _KalmanSettings(CalibratedByIdentification):
         if len(instruments.accelerometers) != N_SENSORS:
             raise RecordError(
                 f"the Kalman filters take {N_SENSORS} accelerometers, and the record has "
-                f"{', '.join(instruments.accelerometers)}; map_smoother uses what there is"
+                f"{', '.join(instruments.accelerometers)}: map_smoother and wiener take any"
             )
         record, car = self.as_identified(record, car)
         car, rigid_notes = rigid_vehicle(car)

@@ -1,6 +1,6 @@
 """Error of the reconstruction over the number and the places of the accelerometers.
 
-    python -m leaderboard.benchmarks.accelerometer_layouts [--length M] [--roads N]
+    python -m leaderboard.benchmarks.accelerometer_layouts [--length M] [--roads N] [--part K]
 
 For each layout, state and speed: the bound of linear estimation (`analysis.information_bound`), and
 the NRMSE of two estimators with a vehicle model, pooled over the roads, which are of class D. All
@@ -9,7 +9,6 @@ accelerometers have the noise of the paper's; those on an axle have a range of 5
 
 import argparse
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 from rich.console import Console
@@ -26,7 +25,7 @@ from road_envs.vehicle.parameters import load_vehicle
 
 PAPER, HUBS = load_instruments("paper"), load_instruments("axle_ends")
 FRONT_LEFT = Accelerometer(axle="front", ahead=-0.12, y=0.55)
-LAYOUTS = {
+LAYOUTS: dict[str, dict[str, Accelerometer]] = {
     "1 body, at the centre of mass": {"centre": Accelerometer(y=0.0)},
     "2 body, dashboard left and right": {
         "left": Accelerometer(axle="front", ahead=-0.9, y=0.5),
@@ -60,13 +59,15 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--length", type=float, default=100.0)
-    parser.add_argument("--roads", type=int, default=3)
+    parser.add_argument("--roads", type=int, default=1)
+    parser.add_argument("--part", type=int, choices=range(4), help="one of the four tables")
     chosen = parser.parse_args()
     console = Console(width=110)
-    for v, mode in CONDITIONS:
+    for v, mode in CONDITIONS if chosen.part is None else [CONDITIONS[chosen.part]]:
         table = Table("accelerometers", "bound", *ESTIMATORS, title=f"{mode}, {v} km/h", box=None)
         for name, layout in LAYOUTS.items():
-            instruments = replace(PAPER, accelerometers=cast(dict, layout))
+            on_body = all(sensor.mounted == "body" for sensor in layout.values())
+            instruments = replace(PAPER if on_body else HUBS, accelerometers=layout)
             row = errors(instruments, v, mode, chosen.roads, chosen.length)
             table.add_row(name, *(f"{x:.3f}" for x in row))
         console.print(table)

@@ -156,7 +156,7 @@ def with_layout(record: Record, sensors: str | None, path: Path) -> Record:
     """
     if sensors is None:
         return record
-    layout = load_instruments(sensors).accelerometers
+    layout = load_instruments(sensors).layout
     if tuple(layout) != record.channels:
         raise ConfigError(
             f"{path} has the accelerometers {', '.join(record.channels)}, and the instruments "

@@ -109,7 +109,7 @@ def simulate(
         write_csv(surface, truth)
     if plot:
         plots.draw_drive(record, profile, plot)
-    rms = dict(zip(("RF", "LR", "RR"), np.sqrt(np.nanmean(record.a**2, axis=1)), strict=True))
+    rms = dict(zip(record.channels, np.sqrt(np.nanmean(record.a**2, axis=1)), strict=True))
     facts = {
         **settings,
         "length_m": surface.length,

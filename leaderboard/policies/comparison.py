@@ -175,7 +175,7 @@ def record_of(prepared: PreparedCase, rollout: Rollout, k: int) -> Record:
     )
     start = prepared.starts[k]
     s = start.drive.start + v * t
-    sensors = setup.instruments.accelerometers
+    sensors = setup.instruments.layout
     return Record(t, a.astype(float), v, s, stiff, high, start.surface.length, sensors)
 
 

@@ -19,6 +19,7 @@ are interpolated between the rows that hold them. A clock that jitters is resamp
 
 import itertools
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -86,9 +87,10 @@ def _to_record(
     table: Table, wheelbase: float, description: DriveDescription, car: VehicleParameters | None
 ) -> MeasuredRecord:
     findings = Findings()
-    layout = description.accelerometers
-    if layout is None:
-        layout = load_instruments(description.sensors or "paper").accelerometers
+    instruments = load_instruments(description.sensors or "paper")
+    if description.accelerometers is not None:
+        instruments = replace(instruments, accelerometers=description.accelerometers)
+    layout = instruments.layout
     channels = Channels(table, description, findings, layout)
     clock = read_clock(channels, findings)
     found = [channels.acceleration(column(name)) for name in layout]

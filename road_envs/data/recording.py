@@ -64,9 +64,9 @@ def simulate_record(
     car = vehicle if isinstance(vehicle, VehicleParameters) else load_vehicle(vehicle)
     if not isinstance(instruments, Instruments):
         instruments = load_instruments(instruments)
-    sensors = instruments.accelerometers
+    k = len(instruments.accelerometers)
     drawn_by = seed if individual is None else individual
-    one = perturb_vehicle(car, grade, drawn_by, plant_mismatch, len(sensors))
+    one = perturb_vehicle(car, grade, drawn_by, plant_mismatch, k)
     step, enveloped_surface = min(step, one.step), one.enveloped(surface)
     drive = DriveSimulator(one.plant, one.car, enveloped_surface, speed_kmh / 3.6, mode, step)
     logger = DataLogger(instruments, one.car, step, np.random.default_rng(seed), one.faults)
@@ -79,7 +79,8 @@ def simulate_record(
     distance, v, _ = drive.speed_profile.at(t)
     s, v = drive.start + logger.odometer(distance), logger.speed_gain * v
     stiff, high = decode_commands(np.full(t.size, byte))
-    return Record(t, a, v, s, stiff, high, surface.length, dict(sensors)), true_profile(surface)
+    record = Record(t, a, v, s, stiff, high, surface.length, instruments.layout)
+    return record, true_profile(surface)
 
 
 def write_record(

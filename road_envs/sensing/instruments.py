@@ -57,6 +57,12 @@ class Instruments(Settings):
         return {name: _location(sensor, car) for name, sensor in self.accelerometers.items()}
 
     @property
+    def layout(self) -> dict[str, Accelerometer]:
+        """The accelerometers, each with its range, as a record carries them."""
+        sensors = zip(self.accelerometers.items(), self.ranges.tolist(), strict=True)
+        return {name: replace(sensor, range=limit) for (name, sensor), limit in sensors}
+
+    @property
     def ranges(self) -> np.ndarray:
         """Clipping level (k,) [m/s²] of each accelerometer."""
         own = [sensor.range for sensor in self.accelerometers.values()]

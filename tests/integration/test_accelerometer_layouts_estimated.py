@@ -31,7 +31,7 @@ LAYOUTS = {
 
 @cache
 def drive(name):
-    instruments = replace(PAPER, accelerometers=LAYOUTS[name])
+    instruments = replace(HUBS, accelerometers=LAYOUTS[name])  # of the wider range
     return simulate_record(
         "iso_c", speed_kmh=SPEED_KMH, mode="handling", instruments=instruments, length=30.0, seed=4
     )
@@ -78,3 +78,12 @@ def test_the_order_of_the_sensors_does_not_matter(name):
     )
     one, other = (estimators.estimate(name, x, DEFENDER).z for x in (record, permuted))
     np.testing.assert_allclose(other, one, atol=1e-3 * np.abs(one).max())
+
+
+def test_shipped_weights_say_that_they_were_trained_with_other_places():
+    record, _ = drive("six")
+    assert not any("other places" in x for x in estimators.estimate("tcn", record, DEFENDER).notes)
+    assert record.sensors is not None
+    moved = {**record.sensors, "LR": replace(record.sensors["LR"], ahead=0.62)}
+    notes = estimators.estimate("tcn", replace(record, sensors=moved), DEFENDER).notes
+    assert sum("trained with LR at other places" in note for note in notes) == 1

@@ -89,7 +89,7 @@ def test_every_sensor_of_a_faulty_layout_has_its_own_faults():
     assert faulty.a.shape[0] == len(SIX)
     means = np.nanmean(faulty.a, axis=1)
     assert np.unique(means).size == len(SIX) and np.abs(means).max() > 1e-3
-    assert sound.sensors == faulty.sensors == SIX
+    assert sound.sensors == faulty.sensors == layout(SIX, IDEAL).layout
 
 
 @pytest.mark.parametrize("name", ["record.parquet", "record.csv"])
@@ -106,7 +106,8 @@ def test_a_record_keeps_its_layout_in_a_file(tmp_path, name):
     else:
         again, _ = read_record(tmp_path / name)
         np.testing.assert_array_equal(again.a, record.a)
-    assert again.sensors == SIX and again.channels == tuple(SIX)
+    assert again.sensors == layout(SIX).layout and again.channels == tuple(SIX)
+    assert again.sensors["RF"].range == PAPER.range and again.sensors["diff"].range == 490.0
     assert from_plain(to_plain(SIX), "x") == SIX and to_plain(None) is None
 
 
@@ -123,7 +124,7 @@ def test_a_description_says_where_the_accelerometers_of_a_table_are(tmp_path):
     again = read_description(tmp_path / "d.yaml")
     assert again == told
     measured = read_measured_record(tmp_path / "d.csv", DEFENDER.wheelbase, description=again)
-    assert measured.record.sensors == hubs
+    assert measured.record.sensors == layout(hubs).layout
     np.testing.assert_allclose(measured.record.a, record.a, atol=1e-6)
     with pytest.raises(ConfigError, match="unknown quantity in columns 'a_rf'"):
         told.updated(columns={"a_rf": "hub"})
