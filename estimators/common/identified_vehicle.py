@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from road_envs.config import ConfigError, build
 from road_envs.data.accelerometers import to_plain
 from road_envs.data.record import Record
 from road_envs.vehicle.parameters import VehicleParameters
+
+if TYPE_CHECKING:
+    from estimators.map_smoother.identification import Identification
 
 IDENTIFICATION = "estimators.map_smoother.identification"
 """Module that identifies vehicles; imported when it is needed, since estimators import this one."""
@@ -38,6 +41,12 @@ class IdentifiedVehicle:
     car: VehicleParameters
     gain: tuple[float, ...] = (1.0, 1.0, 1.0)
     displacement: float = 0.0
+
+    @classmethod
+    def of(cls, result: "Identification") -> Self:
+        """Return what an identification has found."""
+        gain, displacement = result.sensor_gains, result.displacement
+        return cls(car=result.car, gain=gain, displacement=displacement)
 
     def correct(self, record: Record) -> Record:
         """Return the record without these errors of the instruments. Raises CalibrationError."""
@@ -99,9 +108,7 @@ def _identify(
         result = identify(drives, car, smoother, structure=None)
     except ArithmeticError as error:
         raise CalibrationError(f"the vehicle cannot be identified: {error}") from error
-    return IdentifiedVehicle(
-        car=result.car, gain=result.sensor_gains, displacement=result.displacement
-    )
+    return IdentifiedVehicle.of(result)
 
 
 def _drives_digest(

@@ -61,6 +61,11 @@ MAX_UNLOADED_SHARE = 0.02
 ADAPT_NOISE_SCALE = 1.15
 """Unexplained noise from which on the vehicle is adapted to the drive."""
 
+BELIEVED_GAIN, STRUCTURE_POWER = 0.85, 10.0
+"""Share of the unexplained noise that a fit leaves at most to be believed (a vehicle as described
+0.95, of grade S1 0.33 to 0.72); and the power, over that of the instruments' noise, from which on
+the vehicle has elements that its description leaves out."""
+
 MAX_LINES = 500
 """Frequencies at which a log-determinant is evaluated, about."""
 
@@ -192,6 +197,18 @@ def is_vehicle_unexplained(solution: MapSolution) -> bool:
     flown = unloaded_nodes(lin).mean() > MAX_UNLOADED_SHARE
     uneven = np.ptp(lin.objective.road.local) > 0.0
     return bool(not flown and not uneven and np.max(solution.noise_scale) >= ADAPT_NOISE_SCALE)
+
+
+def is_believed(fit: CarFit, solutions: Sequence[MapSolution]) -> bool:
+    """Return whether a fit explains the drives so much better than their `solutions` before it.
+
+    A vehicle as described is fitted to what friction and the count of unknowns leave, and a vehicle
+    of another kind, such as with a frame that twists, stays unexplained: neither is believed.
+    """
+    before, after = (
+        max(float(np.max(s.noise_scale)) for s in part) for part in (solutions, fit.solutions)
+    )
+    return after < min(BELIEVED_GAIN * before, STRUCTURE_POWER)
 
 
 def _invert(hessian: np.ndarray) -> np.ndarray:

@@ -19,12 +19,12 @@ samples, so up to about 90 Hz: friction mixes frequencies, and accelerations abo
 carry information about the road below.
 
 A vehicle that differs from the one given within its tolerances is fitted to the drive
-(`car_fit.py`).
+(`car_fit.py`), and one that stays unexplained with the elements that the description leaves out but
+whose tolerances say what they are about, such as a frame that twists (`identification.py`).
 
-Known to fail: on a vehicle with elements that the one given has not, such as a frame that twists;
-under a lifted wheel, where the road is
-only known to lie below it: a bump that throws the wheel is as long as its jump; for waves longer
-than about 50 m, which are hardly observable at a walking pace and left out.
+Known to fail: under a lifted wheel, where the road is only known to lie below it: a bump that
+throws the wheel is as long as its jump; for waves longer than about 50 m, which are hardly
+observable at a walking pace and left out.
 """
 
 from collections.abc import Sequence
@@ -33,13 +33,20 @@ from typing import ClassVar
 
 import numpy as np
 
+from estimators.api import CalibrationDrive, CalibrationError, copy_with
 from estimators.common.block_means import MIN_NOISE_DENSITY
 from estimators.common.fallback import reduce_unexplained
 from estimators.common.identified_vehicle import CalibratedByIdentification
 from estimators.common.model_inputs import MOVING_STD, REST_STD, build_model_inputs, rest_state
 from estimators.common.spline import evaluate_spline
 from estimators.map_smoother.bending import sensed_bending
-from estimators.map_smoother.car_fit import CarFit, fit_car, is_vehicle_unexplained
+from estimators.map_smoother.car_fit import (
+    STRUCTURE_POWER,
+    CarFit,
+    fit_car,
+    is_believed,
+    is_vehicle_unexplained,
+)
 from estimators.map_smoother.gauss_newton import (
     NOISE_SCALE_WARNING,
     PRIOR_UPDATES,
@@ -62,7 +69,7 @@ from road_envs.sensing.instruments import Instruments, instruments_of, on_axle
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.linear_model import linearise
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.tolerances import parameter_space
+from road_envs.vehicle.tolerances import has_absent_elements, parameter_space
 
 NODE_SPACING_RANGE = (0.025, 0.05)
 """Least and greatest distance of the road's nodes [m]."""
@@ -134,8 +141,28 @@ class MapSmoother(CalibratedByIdentification):
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths. Raises ConfigError, RecordError, ArithmeticError."""
-        instruments = instruments_of(record, self.instruments)
         record, car = self.as_identified(record, car)
+        first, left = self._estimate(record, car)
+        if not (self.adapt and left >= STRUCTURE_POWER and has_absent_elements(car)):
+            return first
+        from estimators.map_smoother.identification import STRUCTURE_GAIN, identify
+
+        drive, told = CalibrationDrive(record), replace(self, adapt=False)
+        try:  # the vehicle may have elements that its description leaves out
+            found = identify([drive], car, told, structure=True).car
+            second, rest = told._estimate(record, found)
+        except (CalibrationError, ArithmeticError):
+            return first
+        if rest > STRUCTURE_GAIN * left:
+            return first
+        note = f"the vehicle was found to {_describe_modes(found)}, and adapted to the drive"
+        return replace(second, notes=(*second.notes, note))
+
+    def _estimate(self, record: Record, car: VehicleParameters) -> tuple[Estimate, float]:
+        """Return both wheel paths, and the noise that the vehicle leaves unexplained if it may be
+        of another kind, else 0.
+        """
+        instruments = instruments_of(record, self.instruments)
         record, valid, notes = mask_record(record, instruments)
         model = self.measurement_model(record, car, instruments)
         drive = self.prepare_drive(record, valid, car, instruments)
@@ -146,15 +173,20 @@ class MapSmoother(CalibratedByIdentification):
 
         in_air: list[float] = []
         fits: list[CarFit] = []
+        unlike = [0.0]
 
         def adapt_car(solution: MapSolution, solver: GaussNewton) -> MapSolution:
             if not is_vehicle_unexplained(solution):
                 return solution
             try:
-                fits.append(fit_car([solution], parameter_space(car), solver))
+                fit = fit_car([solution], parameter_space(car), solver)
             except ArithmeticError:  # a varied vehicle's motion was not finite
                 return solution
-            return fits[0].solutions[0]
+            if not is_believed(fit, [solution]):
+                unlike.append(float(np.max(fit.solutions[0].noise_scale)))
+                return solution
+            fits.append(fit)
+            return fit.solutions[0]
 
         def solve(objective: Objective) -> tuple[MapSolution, np.ndarray]:
             if fits:  # the vehicle of the first window is that of the whole drive
@@ -195,11 +227,11 @@ class MapSmoother(CalibratedByIdentification):
             notes += (
                 f"the heights are reduced to {share:.0%}: their motion is not the measured one",
             )
-        return Estimate(s, z, z_std, notes)
+        return Estimate(s, z, z_std, notes), max(unlike)
 
     def for_one_of_many(self) -> "MapSmoother":
         """Return the estimator of a single pass of several: fast, for alignment and as a start."""
-        return replace(self, draws=0, adapt=False, prior_updates=0)
+        return copy_with(self, draws=0, adapt=False, prior_updates=0)
 
     def estimate_jointly(
         self,
@@ -209,7 +241,9 @@ class MapSmoother(CalibratedByIdentification):
         names: Sequence[str],
     ) -> Estimate:
         """Estimate one road from several passes (`estimators.passes.JointEstimator`)."""
-        return estimate_jointly(self, records, cars, start, names)
+        pairs = zip(records, cars, strict=True)
+        known = [self.as_identified(record, car) for record, car in pairs]
+        return estimate_jointly(self, *map(list, zip(*known, strict=True)), start, names)
 
     def measurement_model(
         self, record: Record, car: VehicleParameters, instruments: Instruments
@@ -254,3 +288,9 @@ class MapSmoother(CalibratedByIdentification):
         typical = REST_STD if level else MOVING_STD
         initial_std = np.repeat(typical[[0, -1]], rest.size // 2)  # of a frame's twist, too
         return PreparedDrive(a, valid, censored, block, inputs, rest, initial_std, origin, ds, free)
+
+
+def _describe_modes(car: VehicleParameters) -> str:
+    """Return the frequencies of the body's modes in words."""
+    modes = {"twist": car.variation.frame, "bend": car.variation.bending}
+    return " and ".join(f"{verb} at {mode.f:.1f} Hz" for verb, mode in modes.items() if mode)

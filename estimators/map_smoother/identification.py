@@ -8,6 +8,7 @@ drive is held out: there the described and the identified vehicle are compared.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
@@ -15,7 +16,7 @@ from scipy.ndimage import spline_filter1d
 from scipy.signal import welch
 
 from estimators.api import CalibrationDrive, CalibrationError
-from estimators.map_smoother.car_fit import CarFit, Readings, fit_car
+from estimators.map_smoother.car_fit import STRUCTURE_POWER, CarFit, Readings, fit_car
 from estimators.map_smoother.estimator import READINGS_PER_UNKNOWN, MapSmoother
 from estimators.map_smoother.gauss_newton import (
     GaussNewton,
@@ -59,9 +60,9 @@ MODE_STARTS = {
 }
 """Frequencies [Hz] of the body's modes at which searches begin: one reaches about a tenth."""
 
-STRUCTURE_POWER, STRUCTURE_GAIN = 10.0, 0.5
-"""Unexplained power of held-out readings, over that of the instruments' noise, from which on more
-elements are tried; and the share of it that they may leave at most."""
+STRUCTURE_GAIN = 0.5
+"""Share of the unexplained power of held-out readings that elements which the description leaves
+out may leave at most, to be believed."""
 
 UNIT_RATIO = 4.0
 """Ratio of measured to expected acceleration from which on units are suspected."""
@@ -176,9 +177,9 @@ def _identify(
     space = parameter_space(car, structure)
     known = all(first.profile is not None for first, _ in parts)
 
-    def solve(x: np.ndarray) -> list[MapSolution]:
+    def solve(x: np.ndarray, **options: Any) -> list[MapSolution]:
         vehicle = space.from_vector(x[: space.size])
-        return [_solve(first, vehicle, smoother) for first, _ in parts]
+        return [_solve(first, vehicle, smoother, **options) for first, _ in parts]
 
     errors = len(Readings(parts[0][0].record.channels).names) if known else 0
     x, solutions = _nearest_start(space, space.size + errors, solve)
@@ -194,22 +195,23 @@ def _identify(
 
 
 def _nearest_start(
-    space: ParameterSpace, size: int, solve: Callable[[np.ndarray], list[MapSolution]]
+    space: ParameterSpace, size: int, solve: Callable[..., list[MapSolution]]
 ) -> tuple[np.ndarray, list[MapSolution]]:
     """Return where the search begins: a resonance is found only from near its frequency.
 
     One mode after the other, the frequency is taken at which the drives leave the least noise
     unexplained.
     """
-    x, solutions = np.zeros(size), None
+    x = np.zeros(size)
     for mode, frequencies in MODE_STARTS.items():
         if (name := f"variation.{mode}.f") in space.names:
             i = space.names.index(name)
             about = getattr(space.car.variation, mode).f
             points = [x + np.log(f / about) / space.std[i] * np.eye(size)[i] for f in frequencies]
-            tried = [(point, solve(point)) for point in points]
-            x, solutions = min(tried, key=lambda one: sum(s.noise_scale for s in one[1]))
-    return x, solutions or solve(x)
+            tried = [solve(point, cost_tolerance=0.1, adapt_prior=False) for point in points]
+            left = [sum(float(s.noise_scale) for s in solutions) for solutions in tried]
+            x = points[int(np.argmin(left))]
+    return x, solve(x)
 
 
 def _with_posterior(fit: CarFit, car: VehicleParameters, std: np.ndarray) -> VehicleParameters:
@@ -327,12 +329,14 @@ def _filtered(profile: Profile, share: Callable[[np.ndarray], np.ndarray]) -> np
     return irfft(spectrum, both.shape[1], axis=1)[:, : profile.s.size]
 
 
-def _solve(drive: CalibrationDrive, car: VehicleParameters, smoother: MapSmoother) -> MapSolution:
-    """Return the most probable road of a drive with the vehicle `car`."""
+def _solve(
+    drive: CalibrationDrive, car: VehicleParameters, smoother: MapSmoother, **options: Any
+) -> MapSolution:
+    """Return the most probable road of a drive with the vehicle `car`; `options` of `minimize`."""
     objective = _objective(drive, car, smoother)
     stationary = stationary_hessian(objective)
     if drive.profile is None:
-        return minimize(objective, stationary, huber=smoother.huber)
+        return minimize(objective, stationary, huber=smoother.huber, **options)
     return _settle(objective, smoother)
 
 

@@ -15,7 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estimators.common.spline import evaluate_spline
-from estimators.map_smoother.car_fit import CarFit, fit_car, is_vehicle_unexplained
+from estimators.map_smoother.car_fit import (
+    CarFit,
+    fit_car,
+    is_believed,
+    is_vehicle_unexplained,
+)
 from estimators.map_smoother.gauss_newton import (
     NOISE_SCALE_WARNING,
     GaussNewton,
@@ -238,6 +243,8 @@ def _adapt(
         try:
             fit = fit_car([parts[i] for i in same], parameter_space(car), solver)
         except ArithmeticError:  # a varied vehicle's motion was not finite
+            continue
+        if not is_believed(fit, [parts[i] for i in same]):
             continue
         for i in same:
             objectives[i] = objectives[i].with_car(fit.car)
