@@ -708,6 +708,16 @@ FAULTS = [
           "hostile_files::test_archives_that_lie_about_their_arrays_are_refused"),
     Fault("road_envs/config.py", "known[id(node)] = 1 + sum(", "known[id(node)] = 0 * sum(",
           "hostile_files::test_aliases_count_as_what_they_stand_for"),
+    Fault("road_envs/vehicle/body_bending.py", "/ (0.25 * car.m_b)", "/ (0.5 * car.m_b)",
+          "body_bending::test_a_sine_is_answered_by_the_closed_form"),
+    Fault("estimators/map_smoother/bending.py", "backward = (self.shape @ means)[::-1]", "backward = self.shape @ means",
+          "sensed_bending::test_tangent_and_adjoint_are_transposes_and_the_tangent_a_derivative"),
+    Fault("leaderboard/evaluation/entry.py", "session.calibrate(calibrations[k])", "session.calibrate(calibrations[0])",
+          "sandbox::test_each_estimate_follows_the_calibration_to_its_own_vehicle"),
+    Fault("leaderboard/evaluation/tasks.py", "            used |= seeds\n", "",
+          "tasks::test_an_invalid_calibration_drive_is_refused"),
+    Fault("estimators/common/identified_vehicle.py", "s=record.s + self.displacement", "s=record.s - self.displacement",
+          "identified_vehicle::test_every_estimator_with_a_model_uses_what_was_identified"),
 ]  # fmt: skip
 
 

@@ -2,10 +2,12 @@
 
 from itertools import pairwise
 
+import numpy as np
+
 from leaderboard.evaluation.tasks import Task
 
-ScoreSlice = tuple[list[int] | slice, list[int] | slice]
-"""Index of roads and of conditions into scores (R, C, S)."""
+ScoreSlice = tuple[list[int] | slice | np.ndarray, list[int] | slice | np.ndarray]
+"""Index of roads and of conditions into scores (R, C, S), which keeps both axes."""
 
 FLEXIBLE_GRADES = ("S2", "S3")
 """Grades of vehicles with a frame that twists."""
@@ -49,4 +51,4 @@ def _frames(task: Task) -> dict[str, ScoreSlice]:
         ]
         for low, high in pairwise(FRAME_BANDS)
     }
-    return {name: (members, flexible) for name, members in groups.items() if members}
+    return {name: np.ix_(members, flexible) for name, members in groups.items() if members}

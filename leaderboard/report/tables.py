@@ -263,7 +263,7 @@ def _rank(
 def _scored_row(
     result: Result, table: AggregatedScores, definition: BoardDefinition, card: EstimatorCard | None
 ) -> Row:
-    mine = table.values[ALL_RUNS]
+    mine, entry = table.values[ALL_RUNS], result.role == "entry"
     cells = {
         name: COLUMNS[name].format_value(_nan_if_none(x))
         for name, x in {**dict.fromkeys(RANK_COLUMNS.values()), **mine}.items()
@@ -274,9 +274,9 @@ def _scored_row(
         "interval": interval_text(mine["low"], mine["high"], definition.ranks_by),
         "states": _states_text(mine),
         "probes": card.passed_count if card else "",
-        "calibrates": {True: "yes", False: "no", None: ""}[result.calibrates],
+        "calibrates": {True: "yes", False: "no"}.get(result.calibrates, "") if entry else "",
     }
-    state: RowState = "baseline" if result.role == "sentinel" else "scored"
+    state: RowState = "scored" if entry else "baseline"
     groups = {name: x for name, x in table.values.items() if name != ALL_RUNS}
     return Row(result.estimator, state, cells, mine, causal=result.causal, groups=groups)
 

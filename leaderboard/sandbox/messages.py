@@ -77,7 +77,7 @@ def encode_training(training: Sequence[tuple[Record, Profile]], seed: int) -> by
     """Return the request to train with `seed` on drives with one layout of sensors."""
     lengths = [record.length for record, _ in training]
     arrays = [x for record, truth in training for x in (*record_arrays(record), truth.s, truth.z)]
-    sensors = to_plain(training[0][0].sensors)
+    sensors = to_plain(training[0][0].sensors) if training else None
     return encode({"do": "fit", "seed": seed, "lengths": lengths, "sensors": sensors}, arrays)
 
 
