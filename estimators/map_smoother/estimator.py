@@ -243,7 +243,8 @@ class MapSmoother(CalibratedByIdentification):
         """Estimate one road from several passes (`estimators.passes.JointEstimator`)."""
         pairs = zip(records, cars, strict=True)
         known = [self.as_identified(record, car) for record, car in pairs]
-        return estimate_jointly(self, *map(list, zip(*known, strict=True)), start, names)
+        corrected, identified = [record for record, _ in known], [car for _, car in known]
+        return estimate_jointly(self, corrected, identified, start, names)
 
     def measurement_model(
         self, record: Record, car: VehicleParameters, instruments: Instruments

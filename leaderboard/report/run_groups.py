@@ -51,4 +51,5 @@ def _frames(task: Task) -> dict[str, ScoreSlice]:
         ]
         for low, high in pairwise(FRAME_BANDS)
     }
-    return {name: np.ix_(members, flexible) for name, members in groups.items() if members}
+    at = np.array(flexible)
+    return {name: (np.array(members)[:, None], at) for name, members in groups.items() if members}

@@ -274,7 +274,7 @@ def _scored_row(
         "interval": interval_text(mine["low"], mine["high"], definition.ranks_by),
         "states": _states_text(mine),
         "probes": card.passed_count if card else "",
-        "calibrates": {True: "yes", False: "no"}.get(result.calibrates, "") if entry else "",
+        "calibrates": _yes_or_no(result.calibrates if entry else None),
     }
     state: RowState = "scored" if entry else "baseline"
     groups = {name: x for name, x in table.values.items() if name != ALL_RUNS}
@@ -363,6 +363,10 @@ def _training_states(scores: Mapping[str, np.ndarray]) -> dict[str, float | None
     near, unstable = np.sum(error < STATE_LIMITS[0]), np.sum(error >= STATE_LIMITS[1])
     counts = (near, error.size - near - unstable, unstable)
     return dict(zip(TRAINING_STATES, map(float, counts), strict=True))
+
+
+def _yes_or_no(value: bool | None) -> str:
+    return "" if value is None else "yes" if value else "no"
 
 
 def _states_text(values: Mapping[str, float | None]) -> str:

@@ -1,0 +1,31 @@
+"""Groups of the runs of a task."""
+
+import numpy as np
+
+from leaderboard.evaluation.tasks import load_task
+from leaderboard.report.run_groups import FRAME_BANDS, run_groups
+from road_envs.vehicle.perturbed_vehicle import perturb_vehicle
+
+
+def test_runs_are_grouped_by_the_frequency_of_the_frame():
+    task = load_task("field")
+    R, C = len(task.test.roads_and_seeds), len(task.conditions)
+    scores = np.arange(R * C, dtype=float).reshape(R, C, 1)
+    found: list[float] = []
+    for name, part in run_groups(task)["frame"].items():
+        low, high = (float(x) for x in name.removeprefix("frame ").split(" Hz")[0].split(" to "))
+        assert (low, high) in list(zip(FRAME_BANDS, FRAME_BANDS[1:], strict=False))
+        members = scores[part]
+        assert members.ndim == 3
+        found += members.ravel().tolist()
+        for value in members.ravel().astype(int):
+            road, condition = divmod(value, C)
+            assert task.conditions[condition].grade in ("S2", "S3")
+            seed = np.random.SeedSequence(task.test.roads_and_seeds[road][1])
+            frame = perturb_vehicle(task.vehicle, "S3", seed).car.variation.frame
+            assert low <= frame.f < high
+    assert len(found) == len(set(found)) == R * C // 2
+
+
+def test_a_task_without_flexible_cars_has_no_group_of_frames():
+    assert "frame" not in run_groups(load_task("new_road"))
