@@ -1,5 +1,7 @@
 """Groups of the runs of a task."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from leaderboard.evaluation.tasks import load_task
@@ -14,7 +16,7 @@ def test_runs_are_grouped_by_the_frequency_of_the_frame():
     found: list[float] = []
     for name, part in run_groups(task)["frame"].items():
         low, high = (float(x) for x in name.removeprefix("frame ").split(" Hz")[0].split(" to "))
-        assert (low, high) in list(zip(FRAME_BANDS, FRAME_BANDS[1:], strict=False))
+        assert (low, high) in list(pairwise(FRAME_BANDS))
         members = scores[part]
         assert members.ndim == 3
         found += members.ravel().tolist()
