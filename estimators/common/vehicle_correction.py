@@ -116,8 +116,9 @@ def fit_corrections(
         left = sum(_held_out(folds, ridge) for folds, (ridge, _) in zip(sums, chosen, strict=True))
         if left > UNEXPLAINED_MAX * power:
             raise CalibrationError(
-                f"{group[0][1].name}: what was measured tells nothing of the profile; it is of "
-                "another road or lane, reversed, displaced or in other units"
+                f"{group[0][1].name}: a correction finds nothing of the profile in the drive; it is "
+                "of another road or lane, reversed, displaced or in other units, or the vehicle is "
+                "too unlike that of the training (calibrated_fir knows none)"
             )
         if coefficients.any():
             found.append(VehicleCorrection(coefficients, state, speed))
