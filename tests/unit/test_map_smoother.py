@@ -166,6 +166,13 @@ def test_local_roughness_is_found_where_it_is_and_not_on_a_stationary_road():
     hidden[1, road.size // 2] = True  # nothing pressed there: as rough as most of the power
     unknown = stationary.local_roughness(road, noise, drawn, hidden)
     assert unknown[1, road.size // 2] > 10.0 * local[1, road.size // 2]
+    hidden[:, road.size // 2] = True
+    changed = drawn.copy()
+    changed[:, road.size // 2] += 100.0  # unmeasured, so it tells nothing
+    unknown = stationary.local_roughness(road, noise, drawn, hidden)
+    np.testing.assert_allclose(
+        stationary.local_roughness(road, noise, changed, hidden), unknown, rtol=1e-9
+    )
 
 
 def test_a_clipped_sample_is_a_limit_and_not_a_measurement():

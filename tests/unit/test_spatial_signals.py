@@ -44,9 +44,10 @@ def test_front_and_rear_motions_exclude_roll_and_roll_excludes_heave_and_pitch()
     a = np.array([heave - front * pitch - y * roll, heave - rear * pitch + y * roll,
                   heave - rear * pitch - y * roll])  # fmt: skip
     motions = spatial_signals.body_motions(replace(record, a=a), causal=False)[:N_MOTIONS]
-    centre = replace(record, a=np.array([heave - front * pitch] * 3))
-    centre_line = spatial_signals.body_motions(centre, False)[0]
-    np.testing.assert_allclose(motions[0], centre_line, atol=1e-9)
+    for row, x in enumerate((front, rear)):
+        centre = replace(record, a=np.array([heave - x * pitch] * 3))
+        centre_line = spatial_signals.body_motions(centre, False)[row]
+        np.testing.assert_allclose(motions[row], centre_line, atol=1e-9)
     without_roll = replace(record, a=a + y * np.array([[1], [-1], [1]]) * roll)
     unrolled = spatial_signals.body_motions(without_roll, False)
     np.testing.assert_allclose(motions[:2], unrolled[:2], atol=1e-9)
