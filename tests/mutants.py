@@ -644,6 +644,8 @@ FAULTS = [
           "measured_record::test_units_follow_from_column_names_and_gravity_from_the_mean"),
     Fault("leaderboard/drive_report/posterior_iri.py", "n[inside] ** -2.0", "n[inside] ** -1.0",
           "drive_report::test_the_error_has_unit_variance_in_the_band_and_falls_with_the_square_of_frequency"),
+    Fault("estimators/wiener/drive_check.py", "described - value", "value - described",
+          "drive_check::test_a_wrong_mode_is_noticed_and_the_right_one_is_not_doubted"),
     Fault("leaderboard/metrics/agreement.py", "between_columns - rest) / n", "between_columns) / n",
           "agreement::test_icc_of_the_published_example"),
     Fault("leaderboard/metrics/agreement.py", ".max() / max(power))", ".max() / np.sqrt(power[0] * power[1]))",

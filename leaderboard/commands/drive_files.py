@@ -11,6 +11,7 @@ import typer
 import estimators
 from estimators.api import Estimator
 from estimators.estimation import FILE_SUFFIXES
+from estimators.wiener.drive_check import check_notes
 from leaderboard.commands import check_output_path, parse_mode
 from road_envs.config import ConfigError
 from road_envs.data.logger_tables.description import (
@@ -144,6 +145,9 @@ def read_drive(path: Path, options: DriveOptions) -> DriveFile:
         check_modes(record, car)
         return DriveFile(MeasuredRecord(record), name, car, instruments, False)
     measured = read_measured_record(path, car.wheelbase, description=told, car=car)
+    has_distance = measured.has_distance or told.speed_kmh is not None
+    doubts = check_notes(measured.record, car, instruments, speed_known=has_distance)
+    measured = measured._replace(notes=(*measured.notes, *doubts))
     if save_description:
         write_description(save_description, told)
     return DriveFile(measured, name, car, instruments, True)

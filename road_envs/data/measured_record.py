@@ -48,7 +48,8 @@ class MeasuredRecord(NamedTuple):
 
     `notes` are assumptions and corrections; `chainage` [m] is that of station 0 of the record in
     the distances of the user; `position` (2, N) are latitude and longitude [°] at the samples, if
-    known; `fs` [Hz] is the rate at which the accelerations were sampled.
+    known; `fs` [Hz] is the rate at which the accelerations were sampled; `has_distance` tells
+    whether the speed agrees with an odometer or with positions.
     """
 
     record: Record
@@ -56,6 +57,7 @@ class MeasuredRecord(NamedTuple):
     chainage: float = 0.0
     position: np.ndarray | None = None
     fs: float = np.inf
+    has_distance: bool = False
 
 
 def read_measured_record(
@@ -126,7 +128,9 @@ def _to_record(
     chainage = (s[0] if description.offset is None else description.offset) - wheelbase
     s = s - s[0] + wheelbase
     record = Record(even, a, v, s, stiff, high, float(s[-1]), layout)
-    return MeasuredRecord(record, tuple(findings.notes), float(chainage), position, 1.0 / dt)
+    has_distance = "s" in channels or position is not None
+    notes = tuple(findings.notes)
+    return MeasuredRecord(record, notes, float(chainage), position, 1.0 / dt, has_distance)
 
 
 def _check_different(columns: Mapping[str | None, np.ndarray], findings: Findings) -> None:

@@ -161,6 +161,17 @@ ERRORS = {
 }  # fmt: skip
 
 NOTES = {
+    "another mode of the struts": (
+        lambda: table(mode=lambda d: "handling"), CLASSIFY, "fits the mode ride better: handling"),
+    "a speed in km/h without its unit or an odometer": (
+        lambda: table(v=lambda d: 3.6 * d.v, s=None), CLASSIFY, "(--units v=km/h)"),
+    "a speed in mph without its unit or an odometer": (
+        lambda: table(v=lambda d: d.v / 0.44704, s=None), CLASSIFY, "(--units v=mph)"),
+    "an axis that points down, without gravity": (
+        lambda: table(a_lr=lambda d: -d.a_lr), CLASSIFY, "(--invert a_lr)"),
+    "left and right exchanged": (
+        lambda: table(a_lr=lambda d: d.a_rr, a_rr=lambda d: drive()[0].a_lr), CLASSIFY,
+        "LR and RR exchanged better"),
     "single samples that no sensor measures": (
         lambda: table(a_rf=lambda d: d.a_rf.where(d.index != 50, 1e6)), CLASSIFY,
         "1 samples beyond 1000 m/s² of the others are taken as lost"),

@@ -1,0 +1,184 @@
+"""Check of a described drive: does its record fit another description better?
+
+The accelerations are a Gaussian process under the vehicle linearised in a state of its struts
+(`spectral_model.py`), with road level, spectral shape and noise fitted to them. The deviance of a
+description is minus twice its log-likelihood by Whittle's approximation. Other modes of the
+vehicle and, where much noise is left unexplained, speeds in other units, channels with the opposite
+sign and exchanged channels are tried on CHECKED_LENGTH in the middle of the drive, some tenths of a
+second each.
+
+The difference of the deviance is divided by the number of spectral lines, and by the smaller noise
+scale of the two where that is above 1: a vehicle that is not the one described changes the deviance
+of every description, and leaves more noise unexplained under each.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from estimators.preprocessing import mask_record
+from estimators.wiener.segments import dominant_modes, split_segments
+from estimators.wiener.spectral_model import (
+    F_LOW,
+    active_sensors,
+    fit_hyperparameters,
+    signal_psd,
+    windowed_spectrum,
+)
+from road_envs.data.record import F_C, Record
+from road_envs.sensing.instruments import Instruments, instruments_of
+from road_envs.vehicle.equations import build_plant
+from road_envs.vehicle.parameters import VehicleParameters
+
+CHECKED_LENGTH = 150.0
+"""Length [m] of the part of a drive that is checked."""
+
+MIN_GAIN, FAR_SCALE = 0.15, 4.5
+"""Least difference of the deviance per line and noise scale; twice as much where that noise scale
+is above FAR_SCALE, as of vehicles far from their description. A test has drives of both kinds.
+"""
+
+DOUBTED_SCALE = 3.0
+"""Noise scale of the description above which speed and channels are doubted, too. It is below on
+the vehicle described, and 9 or more with wrong channels.
+"""
+
+SPEED_UNITS = {"km/h": 1.0 / 3.6, "mph": 0.44704}
+"""Units in which a speed may be given without a word, and their factors to m/s."""
+
+LEAST_CHANNELS = 3
+"""Channels from which on noise is told from road: one more than wheel paths."""
+
+MAX_EXCHANGED = 4
+"""Most channels of which any two are exchanged."""
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another reading of a drive: what is `different` about its `record`, and what to do."""
+
+    different: str
+    remedy: str
+    record: Record
+
+
+def check_notes(
+    record: Record, car: VehicleParameters, instruments: str, *, speed_known: bool = False
+) -> tuple[str, ...]:
+    """Return a note if the `record` of a drive of a `car` fits another description better.
+
+    A drive that changes the state of its struts, or has few channels, is not checked. With
+    `speed_known`, the speed is not doubted. Raises ConfigError, RecordError.
+    """
+    flags = np.hstack([record.spring_stiff, record.damper_high])
+    if (flags != flags[0]).any() or len(record.channels) < LEAST_CHANNELS:
+        return ()
+    part = _middle(record)
+    described, scale, lines = deviance(part, car, instruments)
+    best, highest = None, 0.0
+    others = list(other_modes(part, car))
+    if scale > DOUBTED_SCALE:
+        others += other_readings(part, speed_known)
+    for other in others:
+        value, other_scale, _ = deviance(other.record, car, instruments)
+        smaller = max(1.0, min(scale, other_scale))
+        gain = (described - value) / (lines * smaller)
+        if gain > max(highest, MIN_GAIN * (2.0 if smaller > FAR_SCALE else 1.0)):
+            best, highest = other, gain
+    if best is None:
+        return ()
+    return (
+        f"the record fits {best.different} better: {best.remedy} (deviance lower by "
+        f"{highest:.2f} per spectral line)",
+    )
+
+
+def other_modes(record: Record, car: VehicleParameters) -> Iterator[Alternative]:
+    """Yield a record in the other modes of its car."""
+    described = dominant_modes(record, np.arange(record.t.size), car.modes)
+    names = " and ".join(dict.fromkeys(described.values()))
+    for name, (stiff, high) in car.modes.items():
+        if set(described.values()) != {name}:
+            other = replace(
+                record,
+                spring_stiff=np.full_like(record.spring_stiff, stiff),
+                damper_high=np.full_like(record.damper_high, high),
+            )
+            yield Alternative(f"the mode {name}", f"{names} is described (--mode)", other)
+
+
+def other_readings(record: Record, speed_known: bool = False) -> Iterator[Alternative]:
+    """Yield a record with other units of its speed, other signs, and exchanged channels."""
+    for unit, factor in SPEED_UNITS.items():
+        if not speed_known:
+            slower = replace(
+                record,
+                v=factor * record.v,
+                s=factor * (record.s - record.s[0]),
+                length=factor * record.length,
+            )
+            told = f"{3.6 * np.median(record.v):.0f} km/h"
+            yield Alternative(
+                f"a speed of {3.6 * factor * np.median(record.v):.0f} km/h",
+                f"{told} is described; is the speed in {unit} (--units v={unit})?",
+                slower,
+            )
+    for k, name in enumerate(record.channels):
+        sign = np.where(np.arange(len(record.channels)) == k, -1.0, 1.0)
+        column = f"a_{name.lower()}"
+        yield Alternative(
+            f"the opposite sign of {name}",
+            f"does its axis point down (--invert {column})?",
+            replace(record, a=sign[:, None] * record.a),
+        )
+    pairs = combinations(range(len(record.channels)), 2)
+    for i, j in pairs if len(record.channels) <= MAX_EXCHANGED else ():
+        order = np.arange(len(record.channels))
+        order[[i, j]] = j, i
+        yield Alternative(
+            f"{record.channels[i]} and {record.channels[j]} exchanged",
+            "check which column is which (--columns)",
+            replace(record, a=record.a[order]),
+        )
+
+
+def deviance(
+    record: Record, car: VehicleParameters, instruments: str
+) -> tuple[float, float, float]:
+    """Return the deviance of a record in one state of the struts, the mean noise scale, and the
+    number of independent spectral lines.
+    """
+    sensors: Instruments = instruments_of(record, instruments)
+    locations, track = sensors.locations(car), car.front.y_t + car.rear.y_t
+    (segment,) = split_segments(mask_record(record, sensors), np.inf, 0.0)
+    model = fit_hyperparameters(build_plant(car.rigid), locations, sensors, segment, track)
+    used, band = active_sensors(segment), (model.f > F_LOW) & (model.f < F_C)
+    y = windowed_spectrum(model, segment)[band][:, used]
+    C = signal_psd(model, model.noise_psd())[band][:, used][:, :, used]
+    misfit = np.real(np.sum(y.conj() * np.linalg.solve(C, y), axis=(1, 2)))
+    # densities over frequency, not over distance: those of other speeds are compared
+    log_det = np.linalg.slogdet(C)[1] - used.size * np.log(segment.v)
+    independent = segment.a.shape[1] / model.size  # the circle is longer than the segment
+    total = 2.0 * independent * float(np.sum(log_det + misfit))
+    return total, float(np.mean(model.noise_scale)), float(independent * band.sum())
+
+
+def _middle(record: Record) -> Record:
+    """Return CHECKED_LENGTH in the middle of a record, from station 0 on."""
+    reach = 0.5 * CHECKED_LENGTH
+    middle = 0.5 * (record.s[0] + record.s[-1])
+    inside = np.flatnonzero(np.abs(record.s - middle) <= reach)
+    part = slice(int(inside[0]), int(inside[-1]) + 1)
+    s = record.s[part] - record.s[part][0]
+    return replace(
+        record,
+        t=record.t[part] - record.t[part][0],
+        a=record.a[:, part],
+        v=record.v[part],
+        s=s,
+        spring_stiff=record.spring_stiff[part],
+        damper_high=record.damper_high[part],
+        length=float(s[-1]),
+    )

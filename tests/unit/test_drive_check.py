@@ -1,0 +1,64 @@
+"""Other readings of a drive: a wrong one is noticed, and no doubt is raised where all is right."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from vehicle_fixtures import DEFENDER
+
+from estimators.wiener.drive_check import check_notes
+from road_envs.data.recording import simulate_record
+from road_envs.vehicle.parameters import MODES
+
+
+def drive(road, speed, mode, grade="S0", seed=5):
+    record, _ = simulate_record(
+        road, speed_kmh=speed, mode=mode, seed=seed, grade=grade, length=80.0
+    )
+    return record
+
+
+def told(record, mode):
+    stiff, high = MODES[mode]
+    return replace(
+        record,
+        spring_stiff=np.full_like(record.spring_stiff, stiff),
+        damper_high=np.full_like(record.damper_high, high),
+    )
+
+
+@pytest.mark.parametrize(
+    ("road", "speed", "mode", "grade"),
+    [
+        ("iso_b", 50, "handling", "S0"),
+        ("iso_d", 15, "handling", "S1"),
+        ("iso_b", 15, "ride", "S1"),
+    ],
+)
+def test_a_wrong_mode_is_noticed_and_the_right_one_is_not_doubted(road, speed, mode, grade):
+    record = drive(road, speed, mode, grade)
+    assert check_notes(record, DEFENDER, "paper") == ()
+    wrong = "handling" if mode == "ride" else "ride"
+    (note,) = check_notes(told(record, wrong), DEFENDER, "paper")
+    assert f"{wrong} is described (--mode)" in note
+
+
+@pytest.mark.parametrize(
+    ("road", "speed", "mode"), [("iso_b", 15, "ride"), ("iso_d", 50, "handling")]
+)
+def test_a_vehicle_far_from_its_description_raises_no_doubt(road, speed, mode):
+    assert check_notes(drive(road, speed, mode, "S2"), DEFENDER, "paper") == ()
+
+
+def test_a_drive_that_changes_its_state_is_not_checked():
+    record = told(drive("iso_b", 50, "ride"), "handling")
+    record.damper_high[:50] = False
+    assert check_notes(record, DEFENDER, "paper") == ()
+
+
+def test_a_known_speed_is_not_doubted():
+    record = drive("iso_b", 50, "ride")
+    fast = replace(record, v=3.6 * record.v, s=3.6 * record.s, length=3.6 * record.length)
+    assert "--units v=km/h" in check_notes(fast, DEFENDER, "paper")[0]
+    known = check_notes(fast, DEFENDER, "paper", speed_known=True)
+    assert not any("--units v" in note for note in known)
