@@ -76,7 +76,7 @@ def report(
             read.append((names[k], drive.measured, found))
             cars.append(drive.car)
         passes, instruments = align_passes(read), load_instruments(drive.sensors)
-        progress("joining the passes", 1.0)
+        progress("joining the passes" if len(drives) > 1 else "writing the report", 1.0)
         joined = join(one, passes, cars)
 
     def analysed(each: Pass) -> DriveResult:
