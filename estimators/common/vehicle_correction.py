@@ -116,8 +116,8 @@ def fit_corrections(
         left = sum(_held_out(folds, ridge) for folds, (ridge, _) in zip(sums, chosen, strict=True))
         if left > UNEXPLAINED_MAX * power:
             raise CalibrationError(
-                f"{group[0][1].name}: a correction finds nothing of the profile in the drive; it is "
-                "of another road or lane, reversed, displaced or in other units, or the vehicle is "
+                f"{group[0][1].name}: a correction finds nothing of the profile in the drive; it "
+                "is of another road or lane, reversed, displaced or in other units, or the vehicle is "
                 "too unlike that of the training (calibrated_fir knows none)"
             )
         if coefficients.any():
