@@ -117,8 +117,8 @@ def fit_corrections(
         if left > UNEXPLAINED_MAX * power:
             raise CalibrationError(
                 f"{group[0][1].name}: a correction finds nothing of the profile in the drive; it "
-                "is of another road or lane, reversed, displaced or in other units, or the vehicle is "
-                "too unlike that of the training (calibrated_fir knows none)"
+                "is of another road or lane, reversed, displaced or in other units, or the "
+                "vehicle is too unlike that of the training (calibrated_fir knows none)"
             )
         if coefficients.any():
             found.append(VehicleCorrection(coefficients, state, speed))
