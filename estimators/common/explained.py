@@ -13,7 +13,7 @@ from estimators.common.spline import sample_under_wheels
 from road_envs.data.record import F_C, PROFILE_SPACING, Record, profile_stations
 from road_envs.sensing.filters import preprocess_accelerations
 from road_envs.sensing.instruments import Instruments
-from road_envs.simulation.sensitivity import linearize_drive
+from road_envs.simulation.tape import linearize_drive
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.linear_model import linearise
 from road_envs.vehicle.parameters import VehicleParameters

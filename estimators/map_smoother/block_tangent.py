@@ -22,8 +22,9 @@ from estimators.common.spline import height_weights, locate_node, slope_weights
 from estimators.map_smoother.road_prior import RoadTransform
 from road_envs._numba import kernel
 from road_envs.simulation.rosenbrock import WORKSPACE_ROWS, step_workspace
-from road_envs.simulation.sensitivity import Tape, tangent_step
+from road_envs.simulation.sensitivity import tangent_step
 from road_envs.simulation.simd import LANES, broadcast, extract_lane, get, put
+from road_envs.simulation.tape import Tape
 from road_envs.vehicle.equations import Motion
 
 N_ROWS = 32

@@ -5,7 +5,7 @@
 x holds the white noise u of the road (2 K), the deviation of the initial vehicle state (14) and the
 sensor biases (S), each in units of its prior standard deviation. a_j are block means of the
 accelerations of the nonlinear vehicle, R_j the variances of their noise. The gradient is that of
-the computed steps (`road_envs.simulation.sensitivity`), the Hessian that of Gauss and Newton, I +
+the computed steps (`road_envs.simulation.tape`), the Hessian that of Gauss and Newton, I +
 J' R^-1 J.
 """
 
@@ -24,7 +24,7 @@ from estimators.map_smoother.bending import SensedBending, sensed_bending
 from estimators.map_smoother.block_tangent import BlockTangent, build_block_tangent
 from estimators.map_smoother.road_prior import RoadTransform
 from road_envs.sensing.instruments import SensorLocation
-from road_envs.simulation.sensitivity import Tape, linearize_drive
+from road_envs.simulation.tape import Tape, linearize_drive
 from road_envs.vehicle.equations import Plant, build_plant, equilibrium
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import settled_strut_state

@@ -127,6 +127,8 @@ class Surface:
 
     def height(self, s: np.ndarray) -> np.ndarray:
         """Return the heights (2, ...) [m] at stations `s` [m] of any shape."""
+        if np.all(np.less_equal(s, self.start)):  # level there: no use of compiled code
+            return np.broadcast_to(self.z[:, :1], (2, np.size(s))).reshape(2, *np.shape(s)).copy()
         return self._sample(s)[0]
 
     def slope(self, s: np.ndarray) -> np.ndarray:

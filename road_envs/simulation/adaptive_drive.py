@@ -18,6 +18,7 @@ import numpy as np
 
 from road_envs._numba import kernel
 from road_envs.roads.surface import Surface
+from road_envs.simulation.block_elimination import solve_factored
 from road_envs.simulation.drive import DriveSimulator, SimulationError, Trajectory
 from road_envs.simulation.ode23s import E_32, dense_output_weights, step_size_factor
 from road_envs.simulation.rosenbrock import (
@@ -28,7 +29,6 @@ from road_envs.simulation.rosenbrock import (
     D,
     StepInputs,
     sample_road,
-    solve_factored,
     step,
     workspace,
 )

@@ -29,32 +29,20 @@ the first right-hand side by the compression u, and F_U, minus that of the secon
 Last come the factors of W.
 """
 
-from dataclasses import dataclass
-from typing import NamedTuple
-
-import numpy as np
-
 from road_envs._numba import kernel
+from road_envs.simulation.block_elimination import solve_factored
 from road_envs.simulation.rosenbrock import (
-    ACCELERATION,
     EXTENSION,
     TWIST,
     D,
-    StepInputs,
     flexible_step,
-    n_signals,
-    solve_factored,
     step,
-    update_valves,
-    workspace,
 )
 from road_envs.simulation.simd import add, get, put
 from road_envs.vehicle.equations import (
     N_DOF,
     PHI,
     THETA,
-    Motion,
-    Plant,
     add_manoeuvre_moments,
     add_struts,
     add_tyres,
@@ -290,154 +278,3 @@ def adjoint_step(p, row, a, h, work, motion, road):
     add_tyres(p, F, q)
     add_struts(p, work.dT, hd * front, hd * rear, v)
     add_tyres(p, T, v)
-
-
-class TapeInputs(NamedTuple):
-    """Inputs of N steps of `h` [s]: `road` (N, 16) and `a_xy` (N, 4) as in `rosenbrock.StepInputs`.
-
-    `commands` (N,), or (0,) for a constant strut state, and `lag` as in `rosenbrock.integrate`.
-    """
-
-    road: np.ndarray
-    a_xy: np.ndarray
-    commands: np.ndarray
-    lag: float
-    h: float
-
-
-@kernel
-def integrate_with_derivative(vehicle, y, inputs, out, rows, flexible=None):
-    """Take the steps of TapeInputs; the state `y` (14,) and the strut state change in place.
-
-    Signals go to `out` (N, 29), the derivative to `rows` (N, TAPE_ROW_SIZE).
-    """
-    n_dof, h = y.size // 2, inputs.h
-    work, motion = workspace(), Motion(y[:n_dof], y[n_dof:])
-    alpha = 1.0 - np.exp(-h / inputs.lag)
-    for n in range(rows.shape[0]):
-        if inputs.commands.size > 0:
-            update_valves(
-                vehicle.constants[0], vehicle.strut_state, motion.q, inputs.commands[n], alpha, h
-            )
-        step_inputs = StepInputs(inputs.road[n], inputs.a_xy[n])
-        step_with_derivative(vehicle, motion, step_inputs, h, work, out[n], rows[n], flexible)
-
-
-@kernel
-def propagate_tangent(constants, rows, y, road, h, a, flexible=None):
-    """Apply `tangent_step` row by row; write changes of accelerations to `a` (N, 7)."""
-    n_dof, p, work = y.size // 2, constants[0], workspace()
-    motion = Motion(y[:n_dof], y[n_dof:])
-    for n in range(rows.shape[0]):
-        tangent_step(p, rows[n], motion, road[n], h, work, a[n], flexible)
-
-
-@kernel
-def propagate_adjoint(constants, rows, a, h, y, road):
-    """Apply `adjoint_step` in reverse order; write the adjoint of the road to `road` (N, 16)."""
-    p, work, motion = constants[0], workspace(), Motion(y[:N_DOF], y[N_DOF:])
-    for n in range(rows.shape[0] - 1, -1, -1):
-        adjoint_step(p, rows[n], a[n], h, work, motion, road[n])
-
-
-def _checked_copy(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return a copy of `value` as float. Raises ValueError unless it has the `shape`."""
-    copy = np.array(value, dtype=float)
-    if copy.shape != shape:
-        # kernels do not check bounds
-        raise ValueError(f"{name} must be of shape {shape}, got {copy.shape}")
-    return copy
-
-
-@dataclass(frozen=True, eq=False)
-class Tape:
-    """A drive of N steps and its derivative, 592 bytes per step; it can be applied repeatedly.
-
-    `signals` (N, 29) at the beginning of each step, laid out as in `rosenbrock`; `end` (14,) and
-    `strut_state` (4, 3) after the last step; `rows` (N, TAPE_ROW_SIZE), the derivative of each
-    step of `h` [s].
-    """
-
-    plant: Plant
-    h: float
-    signals: np.ndarray
-    end: np.ndarray
-    strut_state: np.ndarray
-    rows: np.ndarray
-
-    @property
-    def acceleration(self) -> np.ndarray:
-        """Accelerations (N, 7) of the degrees of freedom at the beginning of each step."""
-        rigid = self.signals[:, ACCELERATION : ACCELERATION + N_DOF]
-        if not self.plant.flexible:
-            return rigid
-        return np.column_stack([rigid, self.signals[:, TWIST + 2]])
-
-    def tangent(self, start: np.ndarray, road: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return first-order changes of the accelerations (N, 7) and of the final state (14,).
-
-        `start` (14,): change of the initial state; `road` (2 N, 2, 4): change of the heights [m]
-        and rates [m/s] under the wheels at the beginning and the middle of each step. Raises
-        ValueError on a wrong shape.
-        """
-        y, steps = _checked_copy("start", start, self.end.shape), self.rows.shape[0]
-        z = _checked_copy("road", road, (2 * steps, 2, 4)).reshape(steps, 16)
-        a, flexible = np.empty((steps, y.size // 2)), (True,) if self.plant.flexible else ()
-        propagate_tangent(self.plant.constants, self.rows, y, z, self.h, a, *flexible)
-        return a, y
-
-    def adjoint(self, acceleration: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return a cost's gradients by the initial state (14,) and by the road (2 N, 2, 4).
-
-        This is the transpose of `tangent`: `acceleration` (N, 7) and `end` (14,) are the cost's
-        gradients by the outputs of `tangent`. Raises ValueError on a wrong shape and on a flexible
-        frame.
-        """
-        if self.plant.flexible:
-            raise ValueError("the adjoint does not support a flexible frame")
-        y, steps = _checked_copy("end", end, (2 * N_DOF,)), self.rows.shape[0]
-        a, road = _checked_copy("acceleration", acceleration, (steps, N_DOF)), np.empty((steps, 16))
-        propagate_adjoint(self.plant.constants, self.rows, a, self.h, y, road)
-        return y, road.reshape(2 * steps, 2, 4)
-
-
-def linearize_drive(
-    plant: Plant,
-    strut_state: np.ndarray,
-    start: np.ndarray,
-    road: np.ndarray,
-    h: float,
-    a_xy: np.ndarray | None = None,
-    *,
-    commands: np.ndarray | None = None,
-    lag: float = 0.01,
-) -> Tape:
-    """Simulate N steps of `h` [s] from the state `start` (14,) and record the derivative.
-
-    `strut_state` (4, 3) at the start; `road` (2 N, 2, 4): heights [m] and rates [m/s] under the
-    wheels at the beginning and the middle of each step; `a_xy` (2 N, 2), if given, a_x and a_y
-    [m/s²] of a manoeuvre at the same times; `commands` (N,), if given, the bytes that reach the
-    valves, of time constant `lag` [s]. Without commands the strut state stays constant. Raises
-    ValueError on a wrong shape, ArithmeticError if the motion diverges.
-    """
-    road = np.asarray(road, dtype=float)
-    steps = len(road) // 2
-    z, y = (
-        _checked_copy("road", road, (2 * steps, 2, 4)),
-        _checked_copy("start", start, (2 * plant.inertias.size,)),
-    )
-    a_xy_steps = _checked_copy(
-        "a_xy", np.zeros((2 * steps, 2)) if a_xy is None else a_xy, (2 * steps, 2)
-    )
-    strut_state_end = _checked_copy("strut_state", strut_state, (4, 3))
-    signals, rows = np.empty((steps, n_signals(plant))), np.empty((steps, TAPE_ROW_SIZE))
-    bytes_ = np.zeros(0) if commands is None else _checked_copy("commands", commands, (steps,))
-    course = z.reshape(steps, 16), a_xy_steps.reshape(steps, 4)
-    inputs = TapeInputs(*course, bytes_.astype(np.uint8), float(lag), float(h))
-    # no argument for a rigid frame: its kernel then compiles without flexible_step
-    flexible = (True,) if plant.flexible else ()
-    buffers = plant.buffers(strut_state_end)
-    integrate_with_derivative(buffers, y, inputs, signals, rows, *flexible)
-    if not np.isfinite(y).all():
-        raise ArithmeticError("the motion diverged (no longer finite); check the road and start")
-    return Tape(plant, float(h), signals, y, strut_state_end, rows)

@@ -9,17 +9,22 @@ with one dimension less selects a row of lanes.
     get(q, j)      q (7,)     a float         q (7, LANES)     a vector
     get(p.x_1)     a float    a float         (LANES,)         a vector
 
-Without compilation (`py_func`) only the scalar column exists. As in every kernel, a*b + c may be
-contracted to a fused operation and x / c may become x * (1 / c).
+Indices are not negative. Without compilation (`py_func`) only the scalar column exists. As in every
+kernel, a*b + c may be contracted to a fused operation and x / c may become x * (1 / c).
+
+Each operation is typed and lowered directly: an `overload` would be compiled for every combination
+of argument types, which took a tenth of the time to a first step.
 """
 
 import operator
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
 from numba import extending
 from numba.core import cgutils, types
-from numba.extending import models, overload, register_model
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import lower_builtin, models, overload, register_model
 
 intrinsic: Any = extending.intrinsic  # its annotations count the typing context as an argument
 
@@ -61,58 +66,68 @@ def _broadcast(context, builder, value, kind):
 
 
 def _broadcast_all(context, builder, signature, values):
+    """Return `values` as vectors if any of them is one, else as they are."""
+    if not _any_vector(*signature.args):
+        return values
     return [_broadcast(context, builder, v, k) for v, k in zip(values, signature.args, strict=True)]
 
 
-def _arithmetic(instruction: str) -> Any:
-    @intrinsic
-    def operation(context, a, b):
-        def generate(context, builder, signature, values):
-            a, b = _broadcast_all(context, builder, signature, values)
-            return getattr(builder, instruction)(a, b, flags=FLAGS)
+def _typed(function: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Register the decorated function as typing of `function`.
 
-        return vector(a, b), generate
+    It returns the signature for types of arguments, or None for those it does not know.
+    """
 
-    return operation
+    def decorate(find: Callable[..., Any]) -> Callable[..., Any]:
+        class Template(AbstractTemplate):
+            def generic(self, args, kws):
+                return find(*args)
+
+        infer_global(function)(Template)
+        return find
+
+    return decorate
+
+
+def _elementwise(*kinds):
+    """Return the signature of a function of numbers or vectors: a vector if any of them is."""
+    arguments = [k if isinstance(k, Vector) else types.float64 for k in kinds]
+    return signature(vector if _any_vector(*kinds) else types.float64, *arguments)
+
+
+def _constant(kind, number: float):
+    """Return `number` as a constant of an LLVM type: of doubles, or of vectors."""
+    if kind == _llvm:
+        return ir.Constant(kind, [ir.Constant(kind.element, number)] * LANES)
+    return ir.Constant(kind, number)
+
+
+def _where_greater(builder, a, b, x, y):
+    """Select lane by lane `x` where a > b, else `y`."""
+    return builder.select(builder.fcmp_ordered(">", a, b), x, y)
 
 
 def _overload_arithmetic(operators: tuple[Any, ...], instruction: str) -> None:
-    operation = _arithmetic(instruction)
-    for each in operators:
+    def lower(context, builder, signature, values):
+        a, b = _broadcast_all(context, builder, signature, values)
+        return getattr(builder, instruction)(a, b, flags=FLAGS)
 
-        @overload(each)
-        def on_vectors(a, b):
-            return (lambda a, b: operation(a, b)) if _any_vector(a, b) else None
+    for each in operators:
+        _typed(each)(lambda *kinds: _elementwise(*kinds) if _any_vector(*kinds) else None)
+        for kinds in ((vector, vector), (vector, types.float64), (types.float64, vector)):
+            lower_builtin(each, *kinds)(lower)
 
 
 _overload_arithmetic((operator.add, operator.iadd), "fadd")
 _overload_arithmetic((operator.sub, operator.isub), "fsub")
 _overload_arithmetic((operator.mul, operator.imul), "fmul")
 _overload_arithmetic((operator.truediv, operator.itruediv), "fdiv")
+_typed(operator.neg)(lambda kind: signature(vector, vector) if _any_vector(kind) else None)
 
 
-@intrinsic
-def _negate(context, a):
-    def generate(context, builder, signature, values):
-        return builder.fneg(values[0], flags=FLAGS)
-
-    return vector(a), generate
-
-
-@overload(operator.neg)
-def _negate_vector(a):
-    return (lambda a: _negate(a)) if _any_vector(a) else None
-
-
-@intrinsic
-def _where_greater(context, a, b, x, y):
-    """Select lane by lane `x` where a > b, else `y`."""
-
-    def generate(context, builder, signature, values):
-        a, b, x, y = _broadcast_all(context, builder, signature, values)
-        return builder.select(builder.fcmp_ordered(">", a, b), x, y)
-
-    return vector(a, b, x, y), generate
+@lower_builtin(operator.neg, vector)
+def _negate(context, builder, signature, values):
+    return builder.fneg(values[0], flags=FLAGS)
 
 
 def maximum(a, b):
@@ -130,25 +145,26 @@ def if_positive(c, a, b):
     return a if c > 0.0 else b
 
 
-@overload(maximum)
-def _maximum(a, b):
-    if _any_vector(a, b):
-        return lambda a, b: _where_greater(a, b, a, b)
-    return maximum
+for _choice in (maximum, minimum, if_positive):
+    _typed(_choice)(_elementwise)
 
 
-@overload(minimum)
-def _minimum(a, b):
-    if _any_vector(a, b):
-        return lambda a, b: _where_greater(a, b, b, a)
-    return minimum
+@lower_builtin(maximum, types.VarArg(types.Any))
+def _maximum(context, builder, signature, values):
+    a, b = _broadcast_all(context, builder, signature, values)
+    return _where_greater(builder, a, b, a, b)
 
 
-@overload(if_positive)
-def _if_positive(c, a, b):
-    if _any_vector(c, a, b):
-        return lambda c, a, b: _where_greater(c, 0.0, a, b)
-    return if_positive
+@lower_builtin(minimum, types.VarArg(types.Any))
+def _minimum(context, builder, signature, values):
+    a, b = _broadcast_all(context, builder, signature, values)
+    return _where_greater(builder, a, b, b, a)
+
+
+@lower_builtin(if_positive, types.VarArg(types.Any))
+def _if_positive(context, builder, signature, values):
+    c, a, b = _broadcast_all(context, builder, signature, values)
+    return _where_greater(builder, c, _constant(c.type, 0.0), a, b)
 
 
 @intrinsic
@@ -184,40 +200,6 @@ def broadcast(context, value):
     return vector(value), generate
 
 
-def _address(context, builder, kind, array, index_kinds, indices):
-    struct = context.make_array(kind)(context, builder, array)
-    wide = [
-        context.cast(builder, i, k, types.intp) for i, k in zip(indices, index_kinds, strict=True)
-    ]
-    wide.append(context.get_constant(types.intp, 0))  # lane 0: the start of the row
-    at = cgutils.get_item_pointer(context, builder, kind, struct, wide, wraparound=False)
-    return builder.bitcast(at, _llvm.as_pointer())
-
-
-@intrinsic
-def _load(context, array, indices):
-    def generate(context, builder, signature, values):
-        kind, index_kinds = signature.args
-        unpacked = cgutils.unpack_tuple(builder, values[1])
-        value = builder.load(_address(context, builder, kind, values[0], index_kinds, unpacked))
-        value.align = 8  # NumPy guarantees no more; vectors would default to 64
-        return value
-
-    return vector(array, indices), generate
-
-
-@intrinsic
-def _store(context, array, indices, x):
-    def generate(context, builder, signature, values):
-        kind, index_kinds, x_kind = signature.args
-        unpacked = cgutils.unpack_tuple(builder, values[1])
-        at = _address(context, builder, kind, values[0], index_kinds, unpacked)
-        builder.store(_broadcast(context, builder, values[2], x_kind), at).align = 8
-        return context.get_dummy_value()
-
-    return types.void(array, indices, x), generate
-
-
 def get(a, *i):
     """Return the element, or the row of lanes, of `a` at the indices `i`."""
     return a[i] if i else a
@@ -228,44 +210,65 @@ def put(a, i, x):
     a[i] = x
 
 
-@overload(get)
-def _get(a, *i):
-    if isinstance(a, types.Float):
-        return lambda a, *i: a
-    if a.ndim == len(i):
-        return lambda a, *i: a[i]
-    return lambda a, *i: _load(a, i)
-
-
-@overload(put)
-def _put(a, i, x):
-    if a.ndim == 1:
-        return put
-    return lambda a, i, x: _store(a, (i,), x)
-
-
 def add(a, i, x):
     """Add `x` to the element, or the row of lanes, of `a` at index `i`."""
-    put(a, i, get(a, i) + x)
+    a[i] += x
 
 
-@overload(add)
-def _add(a, i, x):
-    return add
+@_typed(get)
+def _find_get(a, *i):
+    if not isinstance(a, types.Array):
+        return signature(a, a)
+    return signature(a.dtype if a.ndim == len(i) else vector, a, *[types.intp for _ in i])
 
 
-@intrinsic
-def _all_equal(context, x, a, b):
-    """Return whether every lane of `x` equals the number `a` or the number `b`."""
+def _find_put(a, i, x):
+    kind = vector if a.ndim > 1 else a.dtype
+    return signature(types.none, a, types.intp, x if kind == vector else kind)
 
-    def generate(context, builder, signature, values):
-        x, a, b = _broadcast_all(context, builder, signature, values)
-        # one bit per lane, read as an integer: all ones if every lane is equal
-        equal = (builder.fcmp_ordered("==", x, y) for y in (a, b))
-        bits = builder.bitcast(builder.or_(*equal), ir.IntType(LANES))
-        return builder.icmp_unsigned("==", bits, ir.Constant(ir.IntType(LANES), -1))
 
-    return types.boolean(x, a, b), generate
+_typed(put)(_find_put)
+_typed(add)(_find_put)
+
+
+def _address(context, builder, kind, array, indices):
+    """Return the address of an element, or of the row of lanes, of an array."""
+    struct = context.make_array(kind)(context, builder, array)
+    start = context.get_constant(types.intp, 0)  # lane 0: the start of a row
+    whole = [*indices, *[start] * (kind.ndim - len(indices))]
+    at = cgutils.get_item_pointer(context, builder, kind, struct, whole, wraparound=False)
+    return at if kind.ndim == len(indices) else builder.bitcast(at, _llvm.as_pointer())
+
+
+def _load(builder, address):
+    value = builder.load(address)
+    value.align = 8  # NumPy guarantees no more; vectors would default to 64
+    return value
+
+
+@lower_builtin(get, types.VarArg(types.Any))
+def _get(context, builder, signature, values):
+    if not isinstance(signature.args[0], types.Array):
+        return values[0]
+    return _load(builder, _address(context, builder, signature.args[0], values[0], values[1:]))
+
+
+@lower_builtin(put, types.VarArg(types.Any))
+def _put(context, builder, signature, values):
+    array, _, x = signature.args
+    at = _address(context, builder, array, values[0], values[1:2])
+    value = _broadcast(context, builder, values[2], x) if array.ndim > 1 else values[2]
+    builder.store(value, at).align = 8
+    return context.get_dummy_value()
+
+
+@lower_builtin(add, types.VarArg(types.Any))
+def _add(context, builder, signature, values):
+    array, _, x = signature.args
+    at = _address(context, builder, array, values[0], values[1:2])
+    value = _broadcast(context, builder, values[2], x) if array.ndim > 1 else values[2]
+    builder.store(builder.fadd(_load(builder, at), value, flags=FLAGS), at).align = 8
+    return context.get_dummy_value()
 
 
 def equals_one(x):
@@ -278,14 +281,29 @@ def is_zero_or_one(x):
     return x == 0.0 or x == 1.0
 
 
-@overload(equals_one)
-def _equals_one(x):
-    return (lambda x: _all_equal(x, 1.0, 1.0)) if _any_vector(x) else equals_one
+def _every_lane_is(builder, x, *numbers):
+    """Return whether every lane of `x` equals one of two `numbers`."""
+    a, b = (builder.fcmp_ordered("==", x, _constant(x.type, number)) for number in numbers)
+    either = builder.or_(a, b)
+    if x.type != _llvm:
+        return either
+    # one bit per lane, read as an integer: all ones if every lane is equal
+    bits = builder.bitcast(either, ir.IntType(LANES))
+    return builder.icmp_unsigned("==", bits, ir.Constant(bits.type, -1))
 
 
-@overload(is_zero_or_one)
-def _is_flag(x):
-    return (lambda x: _all_equal(x, 0.0, 1.0)) if _any_vector(x) else is_zero_or_one
+for _test in (equals_one, is_zero_or_one):
+    _typed(_test)(lambda x: signature(types.boolean, x))
+
+
+@lower_builtin(equals_one, types.Any)
+def _equals_one(context, builder, signature, values):
+    return _every_lane_is(builder, values[0], 1.0, 1.0)
+
+
+@lower_builtin(is_zero_or_one, types.Any)
+def _is_zero_or_one(context, builder, signature, values):
+    return _every_lane_is(builder, values[0], 0.0, 1.0)
 
 
 def power(x, n):
@@ -308,59 +326,24 @@ def _overload_power(x, n):
     return lane_by_lane
 
 
-@intrinsic
-def _integer_part_of_vector(context, x):
-    def generate(context, builder, signature, values):
-        integers = builder.fptosi(values[0], ir.VectorType(ir.IntType(64), LANES))
-        return builder.sitofp(integers, _llvm)
-
-    return vector(x), generate
-
-
 def integer_part(x):
     """Return the integer part of `x` >= 0 as a float."""
     return float(int(x))
 
 
-@overload(integer_part)
-def _overload_integer_part(x):
-    return (lambda x: _integer_part_of_vector(x)) if _any_vector(x) else integer_part
+_typed(integer_part)(_elementwise)
 
 
-@intrinsic
-def _load_four_lanes(context, array, first):
-    """Load four neighbours per lane as one row and transpose; this is faster than a gather."""
-    four, row = ir.VectorType(ir.DoubleType(), 4), types.UniTuple(vector, 4)
-
-    def generate(context, builder, signature, values):
-        struct = context.make_array(signature.args[0])(context, builder, values[0])
-        first = _broadcast(context, builder, values[1], signature.args[1])
-        at = builder.fptosi(first, ir.VectorType(ir.IntType(64), LANES))
-        rows = []
-        for k in range(LANES):
-            address = builder.gep(struct.data, [builder.extract_element(at, _int32(k))])
-            rows.append(builder.load(builder.bitcast(address, four.as_pointer())))
-            rows[-1].align = 8
-        columns = _transpose(builder, rows)
-        return context.make_tuple(builder, signature.return_type, columns)
-
-    return row(array, first), generate
+@lower_builtin(integer_part, types.Any)
+def _integer_part(context, builder, signature, values):
+    integers = builder.fptosi(values[0], _integers(values[0].type))
+    return builder.sitofp(integers, values[0].type)
 
 
-def _transpose(builder, rows):
-    """Return four vectors of LANES from LANES rows of four, by pairwise shuffles."""
-
-    def shuffled(a, b, mask):
-        return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_int32, len(mask)), mask))
-
-    columns = []
-    for j in range(4):
-        parts = [shuffled(a, b, [j, 4 + j]) for a, b in zip(rows[::2], rows[1::2], strict=True)]
-        while len(parts) > 1:
-            mask = list(range(2 * parts[0].type.count))
-            parts = [shuffled(a, b, mask) for a, b in zip(parts[::2], parts[1::2], strict=True)]
-        columns.append(parts[0])
-    return columns
+def _integers(kind):
+    """Return the LLVM type of integers, one for each double of `kind`."""
+    integer = ir.IntType(64)
+    return ir.VectorType(integer, LANES) if kind == _llvm else integer
 
 
 def load_four(array, first):
@@ -370,20 +353,40 @@ def load_four(array, first):
     return flat[i], flat[i + 1], flat[i + 2], flat[i + 3]
 
 
-@intrinsic
-def _load_four_numbers(context, array, first):
-    def generate(context, builder, signature, values):
-        struct = context.make_array(signature.args[0])(context, builder, values[0])
-        at = context.cast(builder, values[1], signature.args[1], types.int64)
-        addresses = (builder.gep(struct.data, [builder.add(at, at.type(k))]) for k in range(4))
-        numbers = [builder.load(address) for address in addresses]
-        return context.make_tuple(builder, signature.return_type, numbers)
-
-    return types.UniTuple(types.float64, 4)(array, first), generate
+@_typed(load_four)
+def _find_load_four(array, first):
+    x = _elementwise(first)
+    return signature(types.UniTuple(x.return_type, 4), array, *x.args)
 
 
-@overload(load_four)
-def _overload_load_four(array, first):
-    if _any_vector(first):
-        return lambda array, first: _load_four_lanes(array, first)
-    return lambda array, first: _load_four_numbers(array, first)
+@lower_builtin(load_four, types.Array, types.Any)
+def _load_four(context, builder, signature, values):
+    data = context.make_array(signature.args[0])(context, builder, values[0]).data
+    at = builder.fptosi(values[1], _integers(values[1].type))
+    if _any_vector(signature.args[1]):
+        # a row of four neighbours per lane, transposed: faster than a gather
+        four, rows = ir.VectorType(ir.DoubleType(), 4), []
+        for k in range(LANES):
+            address = builder.gep(data, [builder.extract_element(at, _int32(k))])
+            rows.append(_load(builder, builder.bitcast(address, four.as_pointer())))
+        columns = _transpose(builder, rows)
+    else:
+        addresses = (builder.gep(data, [builder.add(at, at.type(k))]) for k in range(4))
+        columns = [builder.load(address) for address in addresses]
+    return context.make_tuple(builder, signature.return_type, columns)
+
+
+def _transpose(builder, rows):
+    """Return four vectors of LANES from LANES rows of four, by twelve shuffles."""
+
+    def shuffled(a, b, mask):
+        return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_int32, len(mask)), mask))
+
+    # rows k and k + 4 side by side, then 4 x 4 transposes in both halves of the registers
+    pairs = [shuffled(rows[k], rows[k + 4], list(range(8))) for k in range(4)]
+    columns = []
+    for first in ([0, 8, 2, 10, 4, 12, 6, 14], [1, 9, 3, 11, 5, 13, 7, 15]):
+        low, high = (shuffled(a, b, first) for a, b in zip(pairs[::2], pairs[1::2], strict=True))
+        columns.append(shuffled(low, high, [0, 1, 8, 9, 4, 5, 12, 13]))
+        columns.append(shuffled(low, high, [2, 3, 10, 11, 6, 7, 14, 15]))
+    return [columns[k] for k in (0, 2, 1, 3)]

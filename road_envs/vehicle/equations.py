@@ -300,7 +300,8 @@ def accelerations(vehicle, motion, z_r, w_r, out, a_x=0.0, a_y=0.0):
         T[w] = tyre_force(p, w, u, u_dot)[0]
     front = relative_roll(q, 0) + p.twist_share[0] * psi
     rear = relative_roll(q, 1) + p.twist_share[1] * psi
-    out[:] = 0.0
+    for j in range(N_DOF):
+        out[j] = 0.0
     add_weight(p, out)
     add_struts(p, F, front, rear, out)
     add_tyres(p, T, out)
@@ -318,34 +319,38 @@ def stiffness_and_damping(vehicle, motion, z_r, w_r, K, C):
 
     With a flexible frame both matrices are (8, 8). Arguments as for `accelerations`.
     """
-    p, k, c, k_t, c_t = vehicle.constants[0], np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    p, struts, tyres = vehicle.constants[0], np.empty((2, 4)), np.empty((2, 4))
     q, v = motion
     flexible = q.size > N_DOF
     psi, psi_dot = (q[N_DOF], v[N_DOF]) if flexible else (0.0, 0.0)
     for w in range(4):
         e = extension(p, q, w) + twist_extension(p, psi, w)
         e_dot = extension(p, v, w) + twist_extension(p, psi_dot, w)
-        _, k[w], c[w] = strut_force(vehicle, w, e, e_dot)
+        _, struts[0, w], struts[1, w] = strut_force(vehicle, w, e, e_dot)
         u, u_dot = z_r[w] - wheel_height(p, q, w), w_r[w] - wheel_height(p, v, w)
-        _, k_t[w], c_t[w] = tyre_force(p, w, u, u_dot)
-    K[:] = 0.0
-    C[:] = 0.0
-    e, height = np.empty(4), np.empty(4)
+        _, tyres[0, w], tyres[1, w] = tyre_force(p, w, u, u_dot)
+    F, T, unit, column = np.empty(4), np.empty(4), np.zeros(N_DOF + 1), np.empty(N_DOF)
     for j in range(q.size):  # column j: forces of the linear elements under a unit coordinate
-        unit = np.zeros(N_DOF + 1)
         unit[j] = 1.0
-        for w in range(4):
-            e[w] = extension(p, unit, w) + twist_extension(p, unit[N_DOF], w)
-            height[w] = wheel_height(p, unit, w)
         front = relative_roll(unit, 0) + p.twist_share[0] * unit[N_DOF]
         rear = relative_roll(unit, 1) + p.twist_share[1] * unit[N_DOF]
-        add_struts(p, k * e, -front, -rear, K[:, j])
-        add_tyres(p, k_t * height, K[:, j])
-        add_struts(p, c * e, 0.0, 0.0, C[:, j])
-        add_tyres(p, c_t * height, C[:, j])
-        if flexible:
-            K[N_DOF, j] = twist_moment(p, k * e, -front, -rear) + p.frame_rate * unit[N_DOF]
-            C[N_DOF, j] = twist_moment(p, c * e, 0.0, 0.0) + p.frame_damping * unit[N_DOF]
+        for rate in range(2):
+            for w in range(4):
+                e = extension(p, unit, w) + twist_extension(p, unit[N_DOF], w)
+                F[w], T[w] = struts[rate, w] * e, tyres[rate, w] * wheel_height(p, unit, w)
+            if rate == 1:  # bushings do not damp
+                front = rear = 0.0
+            for i in range(N_DOF):
+                column[i] = 0.0
+            add_struts(p, F, -front, -rear, column)
+            add_tyres(p, T, column)
+            matrix = K if rate == 0 else C
+            for i in range(N_DOF):
+                matrix[i, j] = column[i]
+            if flexible:
+                frame = p.frame_rate if rate == 0 else p.frame_damping
+                matrix[N_DOF, j] = twist_moment(p, F, -front, -rear) + frame * unit[N_DOF]
+        unit[j] = 0.0
     K[PHI, PHI] -= p.roll_moment * GRAVITY
     K[THETA, THETA] -= p.pitch_moment * GRAVITY
 

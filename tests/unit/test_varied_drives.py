@@ -31,7 +31,7 @@ from vehicle_fixtures import (
 from road_envs.simulation.adaptive_drive import integrate_adaptive, simulate_adaptive
 from road_envs.simulation.drive import DriveSimulator, Trajectory
 from road_envs.simulation.rosenbrock import ACCELERATION, LOAD, TWIST
-from road_envs.simulation.sensitivity import linearize_drive
+from road_envs.simulation.tape import linearize_drive
 from road_envs.vehicle.equations import build_plant, equilibrium
 from road_envs.vehicle.linear_model import frequency_response, linearise, natural_modes
 from road_envs.vehicle.parameters import TorsionalFrame, VehicleVariation
