@@ -1,0 +1,38 @@
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from leaderboard.benchmarks.machine import CHAINS, LANES, measure_machine, multiply_adds
+from leaderboard.benchmarks.speed import STEP_OPERATIONS
+
+COUNT = Path(__file__).parents[1] / "support" / "count_operations.py"
+
+
+def test_every_chain_of_multiply_adds_sums_its_geometric_series():
+    x = np.zeros((CHAINS + 2, LANES))
+    x[0], x[1] = 0.5, 1.0 + np.arange(LANES)
+    multiply_adds(x, 3)
+    np.testing.assert_array_equal(x[2], CHAINS * x[1] * (1.0 + 0.5 + 0.25))
+
+
+def test_the_machine_is_measured_on_one_thread_and_on_two():
+    machine = measure_machine(rounds=2000)
+    assert machine.one_thread > 1e6
+    assert machine.second_thread > 0.0
+
+
+def test_the_bench_states_the_operations_of_a_step_as_counted():
+    counted = subprocess.run(
+        [sys.executable, COUNT],
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    operations = json.loads(counted.stdout)
+    del operations["comparisons"]
+    assert sum(operations.values()) == STEP_OPERATIONS
