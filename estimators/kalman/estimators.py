@@ -57,7 +57,7 @@ from road_envs.analysis.information_bound import RoadPrior
 from road_envs.analysis.roughness import CLASSES
 from road_envs.config import STRICT
 from road_envs.data.record import PROFILE_SPACING, Estimate, Record, profile_stations, scored_band
-from road_envs.sensing.instruments import instruments_of
+from road_envs.sensing.instruments import instruments_of, on_axle
 from road_envs.vehicle.parameters import VehicleParameters
 
 N_SENSORS = 3
@@ -100,9 +100,10 @@ class _KalmanSettings(CalibratedByIdentification):
     ) -> Estimate:
         """Return both wheel paths. Raises ConfigError, RecordError, ValueError, ArithmeticError."""
         instruments = instruments_of(record, self.instruments)
-        if len(instruments.accelerometers) != N_SENSORS:
+        places = instruments.locations(car)
+        if len(places) != N_SENSORS or on_axle(places):
             raise RecordError(
-                f"the Kalman filters take {N_SENSORS} accelerometers, and the record has "
+                f"the Kalman filters take {N_SENSORS} accelerometers on the body; the record has "
                 f"{', '.join(instruments.accelerometers)}: map_smoother and wiener take any"
             )
         record, car = self.as_identified(record, car)
