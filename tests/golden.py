@@ -4,8 +4,8 @@
     python tests/golden.py FILE              compute them again and compare
 
 Bits differ between processors, library versions and numbers of threads (one is set here), so this
-compares two states of the code on one machine; `tests/data/golden.json` holds what was computed when
-the list was made.
+compares two states of the code on one machine; `tests/data/golden.json` holds what was computed
+when the list was made.
 """
 
 # ruff: noqa: E402
