@@ -239,8 +239,8 @@ class Valve(Settings):
     equalisation: Annotated[Positive, "s", "time constant of pressure equalisation, valve open"]
 
 
-NO_VALVE = Valve(delay=0.0, lag=0.01, equalisation=0.01)
-"""Stands in for the valve of a passive strut, of which nothing depends on it."""
+NO_VALVE = Valve(delay=0.0, lag=1e-6, equalisation=1e-6)
+"""Stands in for the valve of a passive strut, whose force does not depend on it."""
 
 PerWheel = tuple[Positive, Positive, Positive, Positive]
 UNIT_FACTORS: PerWheel = (1.0, 1.0, 1.0, 1.0)

@@ -138,7 +138,7 @@ def test_a_drive_is_that_of_four_wheels(springs):
     )
     for mine, oracle in ((ours[:3], theirs[:3]), (wheels, theirs[3:7])):
         error = np.abs(mine - oracle).max(axis=1) / np.abs(oracle).max(axis=1)
-        assert error.max() < 0.01, error
+        assert error.max() < 1e-4, error
 
 
 def test_the_rate_of_an_air_spring_is_n_p_a_over_its_column():
