@@ -298,7 +298,7 @@ FAULTS = [
     Fault(SUSPENSION, "if_positive(-x, 0.0, x)", "x", AIR),
     Fault(SUSPENSION, "if_positive(margin, slope, slope + slope)", "slope", SLOPES),
     Fault(SUSPENSION, "if_positive(excess, bend + bend, bend)", "bend", SLOPES),
-    Fault(SUSPENSION, "2 * distinct.index(pair)", "distinct.index(pair)", ODD_SAYS),
+    Fault(SUSPENSION, "2 * distinct.index(key)", "distinct.index(key)", ODD_SAYS),
     Fault(SUSPENSION, "stribeck.scaled(f)", "stribeck", ODD_SAYS),
     Fault(SUSPENSION, "+ c * u_dot", "- c * u_dot", PAPER_SAYS),
     Fault(SUSPENSION, "stop, k = interpolate_table(vehicle.displacement, get(p.displacement_table, w)", "stop, k = interpolate_table(vehicle.displacement, get(p.displacement_table, 0)", PAPER_SAYS),

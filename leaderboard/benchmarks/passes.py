@@ -175,9 +175,11 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
                 axes.plot((1, 2, 4), median, "o-", color=colour, label=label)
                 bounds = [by_number(row[mix]["bound"], mix) for row in chosen if row[mix]["bound"]]
                 median = [np.median([one[k] for one in bounds]) for k in (1, 2, 4)]
-                axes.plot((1, 2, 4), median, ":", color=colour, label=f"bound, {mix}")
+                axes.plot((1, 2, 4), median, ":", color=colour, label=f"bound (ISO roads), {mix}")
             axes.set(title=f"{grade}, {len(chosen)} roads", xscale="log", yscale="log")
             axes.set_xticks((1, 2, 4), ("1", "2", "4"), minor=False)
+            ticks = (0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3)
+            axes.set_yticks(ticks, [f"{x:g}" for x in ticks], minor=False)
             axes.minorticks_off()
             axes.set_xlabel("passes")
         panels[0].set_ylabel("in-band NRMSE of map_smoother")
