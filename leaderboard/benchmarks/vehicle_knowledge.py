@@ -148,8 +148,9 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
             median = [np.median([e[k] for e in errors]) for k in KNOWLEDGE]
             axes.plot(KNOWLEDGE, median, "o-", color=COLOURS["left"], label="median")
             number = f"{len(errors)} individual" + "s" * (len(errors) > 1)
-            axes.set(title=f"{grade}, {number}", ylim=(0.0, None))
+            axes.set_title(f"{grade}, {number}")
             axes.set_xlabel("what is known of the vehicle")
+        panels[0].set_ylim(0.0, 1.05 * max(max(row["nrmse"].values()) for row in rows))
         panels[0].set_ylabel("in-band NRMSE of map_smoother")
         panels[0].legend(frameon=False)
 
