@@ -92,7 +92,7 @@ def test_a_malformed_reply_is_one_sentence(name, tmp_path):
     guest = guest_that_sends(MALFORMED[name], tmp_path)
     guest.start_run(Limits(seconds=20.0))
     with pytest.raises((EntryError, EstimateError)) as error:
-        _RemoteSession(guest, False).estimate(a_record())
+        _RemoteSession(guest, False, False).estimate(a_record())
     guest.close()
     text = str(error.value)
     assert text.isprintable() and len(text) < 500, text
@@ -110,7 +110,7 @@ def test_random_replies_never_raise_anything_else(tmp_path):
         guest = guest_that_sends(bytes(data), tmp_path)
         guest.start_run(Limits(seconds=20.0))
         try:
-            outcomes.add(np.isfinite(_RemoteSession(guest, False).estimate(a_record())[0].z).all())
+            outcomes.add(np.isfinite(_RemoteSession(guest, False, False).estimate(a_record())[0].z).all())
         except (EntryError, EstimateError):
             outcomes.add("refused")
         finally:
@@ -122,7 +122,7 @@ def test_a_valid_reply_is_taken_as_it_is(tmp_path):
     z = np.random.default_rng(0).standard_normal((2, SIZE))
     guest = guest_that_sends(head(WITH_STD) + z.tobytes() + (z * z).tobytes(), tmp_path)
     guest.start_run(Limits(seconds=20.0))
-    estimate, seconds = _RemoteSession(guest, False).estimate(a_record())
+    estimate, seconds = _RemoteSession(guest, False, False).estimate(a_record())
     guest.close()
     np.testing.assert_array_equal(estimate.z, z)
     np.testing.assert_array_equal(estimate.z_std, z * z)
