@@ -91,7 +91,7 @@ class RoadRecon(LazyGroup):
             ),
             "observability": _entry(
                 "observability:observability",
-                "Compute the least error of an estimate by mode and speed, and plot it over "
+                "Compute bounds on the error of an estimate by mode and speed, and plot them over "
                 "frequency.",
             ),
             "new-estimator": _entry(

@@ -10,6 +10,7 @@ heights about it: what is no larger than its own error is told as a level road.
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
+from scipy.signal import convolve
 
 from road_envs.data.record import PROFILE_SPACING
 
@@ -61,9 +62,9 @@ def reduce_uncertain(
     width = round(POWER_WINDOW / PROFILE_SPACING)
     kernel = np.ones(2 * width + 1)
     kernel[: width - round(ahead / PROFILE_SPACING)] = 0.0
-    ones = np.convolve(np.ones(z.shape[1]), kernel, "same")
+    ones = convolve(np.ones(z.shape[1]), kernel, "same", "direct")
     q, variance = (
-        np.array([np.convolve(path**2, kernel, "same") for path in x]) / ones
+        np.array([convolve(path**2, kernel, "same", "direct") for path in x]) / ones
         for x in (z - long, z_std)
     )
     return long + (z - long) * q / np.maximum(q + variance, 1e-300)

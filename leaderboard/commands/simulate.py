@@ -155,7 +155,7 @@ def train(
     options: DriveOptions,
     json: Json = False,
 ) -> None:
-    """Train an estimator and store it.
+    """Train an estimator on simulated or own drives and store it.
 
     With files of drives and their --profile, it is trained on them: `calibrated_fir` needs nothing
     else. With --road, it is trained on simulated drives at one speed and in one mode. Without

@@ -70,6 +70,7 @@ class Guest:
     def start_run(self, limits: Limits) -> None:
         """Apply these limits to all calls from now on together; time between calls is free."""
         self.limits, self._seconds_left, self.peak_memory = limits, limits.seconds, 0.0
+        self._next_check = 0.0
 
     def cpu_seconds(self) -> float:
         """Return the processor time [s] of all its processes and threads, ended ones included."""
@@ -82,8 +83,7 @@ class Guest:
 
         `size_of_arrays` returns the expected number of bytes of the arrays.
         """
-        begin = time.monotonic()
-        end, next_check = begin + self._seconds_left, begin + POLL_INTERVAL
+        end = time.monotonic() + self._seconds_left
         unsent = memoryview(request)
         received, wanted = bytearray(), messages.HEAD_SIZE.size
         size: int | None = None
@@ -91,8 +91,9 @@ class Guest:
         while True:
             while len(received) >= wanted:
                 if head is not None:
-                    self._measure()
-                    self._seconds_left = end - time.monotonic()
+                    if (now := time.monotonic()) >= self._next_check:
+                        self._measure()
+                    self._seconds_left = end - now
                     return head, bytes(received)
                 if size is None:
                     (size,) = messages.HEAD_SIZE.unpack(received)
@@ -105,10 +106,9 @@ class Guest:
             now = time.monotonic()
             if now > end:
                 raise EntryError(f"stopped after {self.limits.seconds:g} s, the time limit")
-            if now >= next_check:
-                next_check = now + POLL_INTERVAL
+            if now >= self._next_check:
                 self._measure()
-            wait = max(0.0, min(next_check, end) - now)
+            wait = max(0.0, min(self._next_check, end) - now)
             outputs = [self._replies] + ([] if self._end_of_output else [self._output])
             ready, free, _ = select.select(outputs, [self._requests] if unsent else [], [], wait)
             if self._output in ready:
@@ -150,6 +150,7 @@ class Guest:
 
     def _measure(self) -> None:
         """Record the memory in use. Raises EntryError above a limit."""
+        self._next_check = time.monotonic() + POLL_INTERVAL
         running = self._tree()
         used = sum(process.resident for process in running)
         if used > self.limits.memory * GIB and len(running) > 1:

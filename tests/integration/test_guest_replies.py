@@ -110,7 +110,9 @@ def test_random_replies_never_raise_anything_else(tmp_path):
         guest = guest_that_sends(bytes(data), tmp_path)
         guest.start_run(Limits(seconds=20.0))
         try:
-            outcomes.add(np.isfinite(_RemoteSession(guest, False, False).estimate(a_record())[0].z).all())
+            outcomes.add(
+                np.isfinite(_RemoteSession(guest, False, False).estimate(a_record())[0].z).all()
+            )
         except (EntryError, EstimateError):
             outcomes.add("refused")
         finally:
