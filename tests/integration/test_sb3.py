@@ -45,6 +45,7 @@ def test_a_failed_vehicle_is_not_reported_as_truncated():
     assert infos[0]["comfort"] >= 0.0
 
 
+@pytest.mark.slow
 def test_ppo_learns_to_prefer_ride_on_a_rough_road():
     """On a rough straight road ride is the better mode, which PPO must learn."""
     from stable_baselines3 import PPO

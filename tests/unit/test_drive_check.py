@@ -31,7 +31,7 @@ def told(record, mode):
     ("road", "speed", "mode", "grade"),
     [
         ("iso_b", 50, "handling", "S0"),
-        ("iso_d", 15, "handling", "S1"),
+        pytest.param("iso_d", 15, "handling", "S1", marks=pytest.mark.slow),
         ("iso_b", 15, "ride", "S1"),
     ],
 )
@@ -44,7 +44,8 @@ def test_a_wrong_mode_is_noticed_and_the_right_one_is_not_doubted(road, speed, m
 
 
 @pytest.mark.parametrize(
-    ("road", "speed", "mode"), [("iso_b", 15, "ride"), ("iso_d", 50, "handling")]
+    ("road", "speed", "mode"),
+    [("iso_b", 15, "ride"), pytest.param("iso_d", 50, "handling", marks=pytest.mark.slow)],
 )
 def test_a_vehicle_far_from_its_description_raises_no_doubt(road, speed, mode):
     assert check_notes(drive(road, speed, mode, "S2"), DEFENDER, "paper") == ()
