@@ -10,7 +10,7 @@ KEPT = (ROOT / "docs/runs/new_road.txt").read_text(encoding="utf-8")
 
 def rows(text: str) -> dict[str, list[str]]:
     """Return the numbers of each row of the first table, by estimator."""
-    table = text[text.index("estimator           rank") :].splitlines()[1:]
+    table = text[re.search(r"estimator +rank", text).start() :].splitlines()[1:]
     end = next(k for k, line in enumerate(table) if not line.strip() or line.startswith("```"))
     return {line.split()[0]: line.split()[1:] for line in table[:end]}
 
