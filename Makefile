@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 
 leaderboard: $(READY)
 	$(VENV)/bin/road-recon leaderboard --board paper --board new_road --seeds 2 \
-		--without kalman --without kalman_rts --without gru --without gru_causal --without calibrated_fir \
+		--without kalman --without kalman_rts --without gru --without gru_causal \
 		--out out/leaderboard
 	$(VENV)/bin/road-recon policies --quick --out out/leaderboard
 

@@ -187,7 +187,7 @@ class CalibratedFir(Settings):
             "axles_m": model.axles.tolist(),
             "speeds_m_s": [x.speed for x in model.by_state],
             "held_out_nrmse": [x.error for x in model.by_state],
-            "gains": [x.responses.taps.sum(axis=(1, 2, 3)).tolist() for x in model.by_state],
+            "gains": [x.responses.long_wave_gain.tolist() for x in model.by_state],
         }
 
     def weights(self) -> dict[str, np.ndarray]:

@@ -77,6 +77,17 @@ class Responses(NamedTuple):
     innovation: np.ndarray
 
     @property
+    def long_wave_gain(self) -> np.ndarray:
+        """How far each sensor moves in phase with the road (k,), all wheels together, at F_BODY.
+
+        About 1 for any vehicle on its springs: that is the real part of
+        (1 + 2 i d x) / (1 - x² + 2 i d x) at its resonance, x = 1, and far below. Drives do not
+        tell what the taps sum to, the gain at no frequency at all.
+        """
+        turn = np.exp(-2j * np.pi * F_BODY / RATE * np.arange(N_TAPS))
+        return (self.taps.sum(axis=(1, 2)) @ turn).real
+
+    @property
     def whitening(self) -> np.ndarray:
         """Taps (AR_ORDER + 1,) of the filter that makes the residual white."""
         return np.append(1.0, -self.ar)

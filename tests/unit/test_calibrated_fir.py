@@ -14,7 +14,13 @@ from scipy import signal, sparse
 from estimators.api import CalibrationDrive, CalibrationError, NotFittedError, check_estimate
 from estimators.linear import impulse_responses, road_posterior
 from estimators.linear.calibrated_fir import CalibratedFir
-from estimators.linear.impulse_responses import N_TAPS, RATE, kernel_factor, road_drive
+from estimators.linear.impulse_responses import (
+    N_TAPS,
+    RATE,
+    Responses,
+    kernel_factor,
+    road_drive,
+)
 from estimators.linear.road_posterior import Nodes, normal_equations, prior_bands, solve
 from estimators.preprocessing import RecordError
 from road_envs.analysis.roughness import band_pass
@@ -89,6 +95,21 @@ def test_identified_responses_have_the_transfer_functions_of_the_vehicle():
         true[:, wheel // 2, wheel % 2] = SHARES[:, [wheel]] * transmitted
     assert np.abs(found - true).max() < 0.1 * np.abs(true).max()
     np.testing.assert_allclose(taps.sum(axis=(1, 2, 3)), 1.0, atol=0.1)
+
+
+def test_the_long_wave_gain_is_the_motion_in_phase_with_the_road_at_half_a_hertz():
+    """Of a resonance; and of one that answers a quarter of a period late, hence not in phase."""
+    f_0, damping, late = 1.2, 0.3, round(0.5 * RATE)
+    t, w = np.arange(N_TAPS) / RATE, 2.0 * np.pi * f_0
+    w_d = w * np.sqrt(1.0 - damping**2)
+    g = w**2 / w_d * np.exp(-damping * w * t) * np.sin(w_d * t) / RATE
+    taps = np.zeros((2, 2, 2, N_TAPS))
+    taps[0, :, 0] = 0.3 * g, 0.7 * g
+    taps[1, 0, 1, late] = 1.0
+    found = Responses(taps, np.zeros(impulse_responses.AR_ORDER), np.eye(2)).long_wave_gain
+    x = 0.5 / f_0
+    np.testing.assert_allclose(found[0], (1.0 / (1.0 - x**2 + 2j * damping * x)).real, rtol=0.05)
+    assert abs(found[1]) < 0.03
 
 
 @pytest.mark.parametrize("v", [8.0, 5.0])
