@@ -39,7 +39,7 @@ class Estimator(Protocol):
     """Maps a record to both wheel paths."""
 
     causal: ClassVar[bool]
-    """Whether the estimate at a station uses only samples up to the moment when the front axle has
+    """True if the estimate at a station uses only samples up to the moment when the front axle has
     passed it; with a lag (`HasLag`), when the front axle is that far beyond it.
     """
 
@@ -93,7 +93,7 @@ class Pretrained(Trainable, Protocol):
     refit_per_case: ClassVar[bool]
 
     fitted_state: Any
-    """What a fit has learned; None if the shipped weights are used."""
+    """Result of a fit; None if the shipped weights are used."""
 
     def training_example(self, record: Record, truth: Profile) -> Any:
         """Return the part of a drive needed for training; raw records would not fit in memory."""

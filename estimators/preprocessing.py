@@ -1,4 +1,4 @@
-"""The contract of records: which are taken, which samples are valid, and what is noted.
+"""Checks and cleaning of records: refusal of unusable ones, validity of samples, notes.
 
 Two views follow the same rules. An estimator that can leave samples out takes the first, one that
 needs every sample the second, which also limits how much of a channel may be missing:

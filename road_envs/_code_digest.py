@@ -125,7 +125,7 @@ def find_source(module: str, root: Path = ROOT) -> Path | None:
 
 
 def _is_text(statement: ast.AST) -> bool:
-    """Whether a statement is a bare string: a docstring of a module, class, function or name."""
+    """Return True for a bare string: a docstring of a module, class, function or name."""
     return (
         isinstance(statement, ast.Expr)
         and isinstance(statement.value, ast.Constant)

@@ -124,7 +124,7 @@ class _PartOfKernel(JITCodeLibrary):
 
 
 class _InKernels:
-    """What a dispatcher answers where compiled code calls it: signatures and their code."""
+    """Typing of a dispatcher for numba where compiled code calls it: signatures and their code."""
 
     def __init__(self, dispatcher: Any):
         self.dispatcher = dispatcher
@@ -162,7 +162,7 @@ class _InKernels:
 
 @cache
 def _announce_compilation() -> None:
-    """Say once why the first step takes long; `logging` shows warnings unless told otherwise."""
+    """Log once why the first step takes long; `logging` shows warnings by default."""
     logging.getLogger("road_envs").warning(
         "compiling the simulator's kernels: up to half a minute, once for each version"
     )

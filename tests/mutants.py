@@ -71,7 +71,7 @@ class Fault(NamedTuple):
 
 
 DYNAMICS, INTEGRATOR = "road_envs/vehicle/equations.py", "road_envs/simulation/rosenbrock.py"
-PARAMETERS = "road_envs/vehicle/parameters.py"
+STRUTS = "road_envs/vehicle/struts.py"
 ELIMINATION = "road_envs/simulation/block_elimination.py"
 SUSPENSION, SIMULATE = "road_envs/vehicle/suspension.py", "road_envs/simulation/drive.py"
 SENSORS, PROCESSING = "road_envs/sensing/data_logger.py", "road_envs/sensing/filters.py"
@@ -278,9 +278,9 @@ FAULTS = [
           "substeps::test_lanes_on_steep_and_on_even_roads_match_vehicles_simulated_alone"),
     Fault("road_envs/simulation/fleet.py", "or not steep[k]:", "or steep[k]:",
           "substeps::test_lanes_on_steep_and_on_even_roads_match_vehicles_simulated_alone"),
-    Fault(PARAMETERS, "return r * F, r * r * slope", "return F, slope",
+    Fault(STRUTS, "return r * F, r * r * slope", "return F, slope",
           "passive_struts::test_a_motion_ratio_acts_once_on_forces_and_once_on_lengths"),
-    Fault(PARAMETERS, "gas = (ATMOSPHERE * self.A + load)", "gas = load",
+    Fault(STRUTS, "gas = (ATMOSPHERE * self.A + load)", "gas = load",
           "passive_struts::test_the_rate_of_an_air_spring_is_n_p_a_over_its_column"),
     Fault(DYNAMICS, "[a.k_roll + k for a", "[k for a",
           "passive_struts::test_natural_frequencies_are_those_of_four_wheels_with_bars"),

@@ -41,7 +41,7 @@ from estimators.linear.impulse_responses import (
     AR_ORDER,
     MEMORY,
     N_TAPS,
-    Identification,
+    IdentifiedResponses,
     Responses,
     fine_stations,
     identify_responses,
@@ -93,7 +93,7 @@ FAR_SPEED = 1.3
 
 
 class VehicleResponse(NamedTuple):
-    """What calibration drives in one strut state gave: `responses`, `state` (4,) (stiff and high
+    """Result of calibration drives in one strut state: `responses`, `state` (4,) (stiff and high
     damping in front, then at the rear), mean `speed` [m/s], the factor `std_factor` on standard
     deviations, and the in-band `error` of segments estimated without themselves over their road.
     """
@@ -255,7 +255,7 @@ def _identify_state(
 
 
 def _judge(
-    found: Identification, drives: Sequence[CalibrationDrive], axles: np.ndarray
+    found: IdentifiedResponses, drives: Sequence[CalibrationDrive], axles: np.ndarray
 ) -> tuple[float, float]:
     """Return the factor on standard deviations that gives COVERAGE on segments that responses were
     identified without, and the in-band RMS error over the RMS of the road there.

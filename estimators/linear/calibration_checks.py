@@ -1,4 +1,4 @@
-"""Whether a drive over a known profile can tell how the vehicle responds; refusals otherwise."""
+"""Checks that drives over known profiles determine the responses of a vehicle."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,7 @@ from estimators.api import CalibrationDrive, CalibrationError
 from estimators.linear.impulse_responses import (
     F_BODY,
     RATE,
-    Identification,
+    IdentifiedResponses,
     RoadDrive,
     quick_explained,
     road_drive,
@@ -79,7 +79,7 @@ def independent_frequencies(u: np.ndarray) -> float:
 
 
 def check_responses(
-    found: Identification, drives: Sequence[CalibrationDrive], axles: np.ndarray
+    found: IdentifiedResponses, drives: Sequence[CalibrationDrive], axles: np.ndarray
 ) -> None:
     """Raise CalibrationError if the profiles do not explain the drives, or not in their units."""
     if (least := float(found.explained.min())) < EXPLAINED_MIN:

@@ -93,7 +93,7 @@ class Responses(NamedTuple):
         return np.append(1.0, -self.ar)
 
 
-class Identification(NamedTuple):
+class IdentifiedResponses(NamedTuple):
     """`responses`; those without each segment, `held_out` (SEGMENTS,); and the shares `explained`
     (k,) of each sensor's power in segments that were not used.
     """
@@ -193,7 +193,7 @@ def stack_delays(u: np.ndarray, n_taps: int) -> np.ndarray:
 @single_blas_thread()
 def identify_responses(
     drives: Sequence[RoadDrive], prior: np.ndarray | None = None
-) -> Identification:
+) -> IdentifiedResponses:
     """Identify the responses from drives of one vehicle in one state.
 
     `prior` (k, axles, 2, N_TAPS): mean of the taps before these drives, by default 0.
@@ -219,7 +219,7 @@ def identify_responses(
     first, *others = [
         Responses((mean + x).reshape(k, *shape), ar, innovation) for x in (theta, *held_out)
     ]
-    return Identification(first, others, explained)
+    return IdentifiedResponses(first, others, explained)
 
 
 @single_blas_thread()

@@ -69,7 +69,7 @@ class Nodes(NamedTuple):
         return (F @ self.heights(fine)).tocsr()
 
 
-class NormalEquations(NamedTuple):
+class BandedNormalEquations(NamedTuple):
     """Lower bands (width, p) of H' R^-1 H, the vector H' R^-1 a (p,), a' R^-1 a, and the number of
     data.
     """
@@ -97,7 +97,7 @@ class RoadPosterior(NamedTuple):
 
 def normal_equations(
     responses: Responses, a: np.ndarray, roads: Sequence[sparse.csr_array]
-) -> NormalEquations:
+) -> BandedNormalEquations:
     """Return the equations of sensors `a` (k, N) [m/s²]; `roads`: for each axle, the accelerations
     of the road from its nodes (`Nodes.accelerations`).
     """
@@ -125,7 +125,7 @@ def normal_equations(
         for d in range(len(gram)):
             bands[d, 2 * low : 2 * high - d] += np.diagonal(gram, -d)
         rhs[2 * low : 2 * high] += H.T @ y[:, first:last].T.ravel()
-    return NormalEquations(bands, rhs, float(np.sum(y**2)), y.size)
+    return BandedNormalEquations(bands, rhs, float(np.sum(y**2)), y.size)
 
 
 def _columns(roads: Sequence[sparse.csr_array], first: int, last: int) -> tuple[int, int]:
@@ -147,7 +147,7 @@ def prior_bands(nodes: Nodes) -> np.ndarray:
     return bands / nodes.ds
 
 
-def solve(data: NormalEquations, prior: np.ndarray, settings: np.ndarray) -> RoadPosterior:
+def solve(data: BandedNormalEquations, prior: np.ndarray, settings: np.ndarray) -> RoadPosterior:
     """Return the posterior; `settings`: logarithms of the variance of the rise over a metre [m²],
     and of the factor on the noise.
     """
@@ -161,7 +161,9 @@ def solve(data: NormalEquations, prior: np.ndarray, settings: np.ndarray) -> Roa
     return RoadPosterior(mean, factor, float(-0.5 * (misfit + data.n * settings[1]) - log_det))
 
 
-def fit_settings(data: NormalEquations, prior: np.ndarray, start: np.ndarray = START) -> np.ndarray:
+def fit_settings(
+    data: BandedNormalEquations, prior: np.ndarray, start: np.ndarray = START
+) -> np.ndarray:
     """Return the settings of `solve` of the largest marginal likelihood."""
     simplex = start + np.array([[0.0, 0.0], [1.5, 0.0], [0.0, 0.7]])
     options = {"xatol": 0.1, "fatol": 0.5, "maxiter": 30, "initial_simplex": simplex}

@@ -41,7 +41,7 @@ PRIOR_UPDATES, PRIOR_STEPS = 3, 2
 """Updates of the prior after the minimization, and steps after each."""
 
 MAX_LIFTOFF_RETRIES, LIFTOFF_STEPS = 2, 5
-"""How often the road under lifted wheels is lowered at most, and the steps after each time."""
+"""Largest number of times that the road under lifted wheels is lowered, and steps after each."""
 
 
 @dataclass(frozen=True, eq=False)

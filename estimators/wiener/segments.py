@@ -13,7 +13,7 @@ from scipy import signal
 
 from estimators.preprocessing import SPEED_MIN, MaskedRecord
 from road_envs.data.record import PROFILE_SPACING, Record
-from road_envs.vehicle.parameters import MODES, Modes
+from road_envs.vehicle.struts import MODES, Modes
 
 STATION_RATE = 100.0
 """Lowest rate [Hz] at which a segment's stations are passed; signals end at 40 Hz."""

@@ -15,10 +15,9 @@ from rich.console import Console
 from rich.table import Table
 
 import estimators
-from leaderboard.metrics.heights import nrmse
+from leaderboard.api import score
 from road_envs.analysis.information_bound import RoadPrior, bound
 from road_envs.data.accelerometers import Accelerometer
-from road_envs.data.record import scored_band
 from road_envs.data.recording import simulate_record
 from road_envs.sensing.instruments import Instruments, load_instruments
 from road_envs.vehicle.parameters import load_vehicle
@@ -50,7 +49,7 @@ def errors(instruments: Instruments, v: float, mode: str, roads: int, length: fl
         )
         for k, name in enumerate(ESTIMATORS):
             estimate = estimators.estimate(name, record, car)
-            found[seed, k] = nrmse(truth.z, estimate.z, truth.ds, scored_band(v / 3.6)).pooled
+            found[seed, k] = score(estimate, truth, speed_kmh=v)["nrmse"]
     floor = bound(car, mode, v / 3.6, instruments, RoadPrior()).pooled
     return [floor, *np.sqrt(np.mean(found**2, axis=0))]
 

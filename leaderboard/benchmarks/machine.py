@@ -1,4 +1,4 @@
-"""What the machine gives: multiply-adds per second on one thread, and the gain of a second one.
+"""Measured arithmetic of the machine: multiply-adds per second of a thread, gain of a second one.
 
 The speed of a simulation is compared with it: a loop that computes in registers and touches no
 memory shows whether two cores are twice as fast as one at all.

@@ -16,15 +16,12 @@ intervals.
 import argparse
 from typing import Any
 
-import numpy as np
-
 from estimators.api import CalibrationDrive, CalibrationError, Estimator
 from estimators.linear.calibrated_fir import CalibratedFir
 from estimators.linear.fir_ridge import FirRidge
 from estimators.networks.tcn import Tcn
-from leaderboard.metrics.heights import nrmse
-from road_envs.analysis.roughness import band_pass
-from road_envs.data.record import Profile, Record, scored_band
+from leaderboard.api import score
+from road_envs.data.record import Profile, Record
 from road_envs.data.recording import simulate_record
 from road_envs.roads import realise_road
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
@@ -57,15 +54,9 @@ def judge(
     """Return the in-band error and the shares inside the intervals, as text."""
     if estimator is None:
         return "refused"
-    estimate, band = estimator.estimate(record, car), scored_band(float(record.v.mean()))
-    text = f"{nrmse(truth.z, estimate.z, truth.ds, band).pooled:.3f}"
-    if estimate.z_std is None:
-        return text
-    error = np.abs(band_pass(estimate.z - truth.z, truth.ds, band))
-    cut = (truth.s.size - error.shape[1]) // 2
-    std = estimate.z_std[:, cut : cut + error.shape[1]]
-    shares = [100.0 * np.mean(error < bound * std) for bound in (0.6745, 1.6449)]
-    return f"{text} ({shares[0]:.0f}/{shares[1]:.0f})"
+    scores = score(estimator.estimate(record, car), truth, speed_kmh=3.6 * float(record.v.mean()))
+    shares = "/".join(f"{100.0 * scores[key]:.0f}" for key in ("coverage_50", "coverage_90"))
+    return f"{scores['nrmse']:.3f} ({shares})"
 
 
 def main() -> None:

@@ -12,8 +12,6 @@ With S1 the vehicle of all passes is one individual that differs from its descri
 instruments.
 """
 
-import argparse
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,9 +22,10 @@ import numpy as np
 
 import estimators
 from estimators.map_smoother.estimator import MapSmoother
+from leaderboard.benchmarks.study import Row, run_study, study_parser
 from leaderboard.metrics.heights import nrmse
 from leaderboard.report.plots import COLOURS, write_figure
-from road_envs.analysis.information_bound import Pass, RoadPrior, bound_of_passes
+from road_envs.analysis.information_bound import OperatingPoint, RoadPrior, bound_of_passes
 from road_envs.analysis.roughness import CLASSES
 from road_envs.data.record import Profile, Record, scored_band
 from road_envs.data.recording import simulate_record
@@ -84,20 +83,20 @@ def displaced(records: Sequence[Record], seed: int) -> list[Record]:
     return found
 
 
-def road_results(number: int, grade: str) -> dict[str, Any]:
-    """Return errors, CPU times and bounds of both sets of passes over one road."""
+def road_results(road: int, grade: str) -> Row:
+    """Return errors, CPU times and bounds of both sets of passes over one of the ROADS."""
     band = scored_band(max(v for v, _ in CONDITIONS["mixed"]) / 3.6)
-    row: dict[str, Any] = {"road": number, "name": ROADS[number], "grade": grade}
+    row: Row = {"name": ROADS[road]}
     for mix in CONDITIONS:
-        records, truth = drives(number, grade, mix)
+        records, truth = drives(road, grade, mix)
         errors, seconds = [], []
         for group in GROUPS[mix]:
-            chosen = displaced([records[k] for k in group], FIRST_SEED + number)
+            chosen = displaced([records[k] for k in group], FIRST_SEED + road)
             begin = time.process_time()
             found = estimators.estimate(SMOOTHER, chosen if len(group) > 1 else chosen[0])
             seconds.append(round(time.process_time() - begin, 2))
             errors.append(round(nrmse(truth.z, found.z, truth.ds, band).pooled, 4))
-        bounds = _bounds(number, mix, band)
+        bounds = _bounds(road, mix, band)
         row[mix] = {"nrmse": errors, "seconds": seconds, "bound": bounds}
     return row
 
@@ -108,7 +107,7 @@ def _bounds(number: int, mix: str, band: tuple[float, float]) -> list[float] | N
         return None
     car = load_vehicle("land_rover_defender_110")
     prior = RoadPrior(G_d0=CLASSES[ROADS[number][-1].upper()])
-    passes = [Pass(car, mode, v / 3.6) for v, mode in CONDITIONS[mix]]
+    passes = [OperatingPoint(car, mode, v / 3.6) for v, mode in CONDITIONS[mix]]
     n = np.linspace(*band, 1001)
     instruments = load_instruments("paper")
     return [
@@ -126,7 +125,7 @@ def by_number(values: Sequence[float], mix: str) -> dict[int, float]:
     }
 
 
-def summary(rows: list[dict[str, Any]]) -> str:
+def summary(rows: list[Row]) -> str:
     """Return errors by the number of passes, their ratios to one pass, and times."""
     lines = ["in-band NRMSE of map_smoother, mean of the passes (pairs) of each set"]
     for grade in sorted({row["grade"] for row in rows}):
@@ -158,7 +157,7 @@ def summary(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def draw(rows: list[dict[str, Any]], path: Path) -> None:
+def draw(rows: list[Row], path: Path) -> None:
     """Draw error and bound over the number of passes, for each grade."""
     grades = sorted({row["grade"] for row in rows})
 
@@ -190,24 +189,13 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
 
 def main() -> None:
     """Run the study."""
-    parser = argparse.ArgumentParser(description="Error over the number of passes.")
-    parser.add_argument("results", type=Path)
+    parser = study_parser("Error over the number of passes.")
     parser.add_argument("--roads", type=int, default=0, help="number of roads with S0")
     parser.add_argument("--varied", type=int, default=0, help="number of roads with S1")
-    parser.add_argument("--plot", type=Path)
     chosen = parser.parse_args()
-    text = chosen.results.read_text(encoding="utf-8") if chosen.results.exists() else ""
-    rows = [json.loads(line) for line in text.splitlines()]
-    done = {(row["grade"], row["road"]) for row in rows}
-    wanted = [("S0", k) for k in range(chosen.roads)] + [("S1", k) for k in range(chosen.varied)]
-    for grade, number in wanted:
-        if (grade, number) not in done:
-            rows.append(road_results(number, grade))
-            with chosen.results.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(rows[-1]) + "\n")
-    print(summary(rows))
-    if chosen.plot:
-        draw(rows, chosen.plot)
+    numbers = {"S0": chosen.roads, "S1": chosen.varied}
+    cases = [{"road": k, "grade": grade} for grade, n in numbers.items() for k in range(n)]
+    run_study(chosen, cases, road_results, summary, draw)
 
 
 if __name__ == "__main__":

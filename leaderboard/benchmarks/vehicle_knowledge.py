@@ -14,8 +14,6 @@ class D. What is known of the vehicle:
 | true | the individual itself, and of its instruments what their data sheet says |
 """
 
-import argparse
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -26,6 +24,7 @@ from estimators.api import CalibrationDrive, copy_with
 from estimators.common.identified_vehicle import IdentifiedVehicle
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.identification import Identification, identify
+from leaderboard.benchmarks.study import Row, run_study, study_parser
 from leaderboard.metrics.heights import nrmse
 from leaderboard.report.plots import COLOURS, write_figure
 from road_envs.data.record import Profile, Record, scored_band
@@ -80,12 +79,12 @@ def deviations(result: Identification, true: VehicleParameters) -> list[float]:
     return found
 
 
-def individual_result(seed: int, grade: str) -> dict[str, Any]:
+def individual_result(individual: int, grade: str) -> Row:
     """Return the result of one individual."""
     car = load_vehicle("land_rover_defender_110")
-    true = perturb_vehicle(car, grade, seed).car
-    found = calibrations(car, seed, grade)
-    record, truth = _drive(seed, grade, TEST_ROAD)
+    true = perturb_vehicle(car, grade, individual).car
+    found = calibrations(car, individual, grade)
+    record, truth = _drive(individual, grade, TEST_ROAD)
     told = MapSmoother(draws=0, adapt=False)
     adapting = MapSmoother(draws=0)
     errors = {}
@@ -98,8 +97,6 @@ def individual_result(seed: int, grade: str) -> dict[str, Any]:
         errors[knowledge] = round(nrmse(truth.z, estimate.z, truth.ds, band).pooled, 4)
     frame, bending = true.variation.frame, true.variation.bending
     return {
-        "individual": seed,
-        "grade": grade,
         "frame": frame and round(frame.f, 2),
         "bending": bending and round(bending.f, 2),
         "nrmse": errors,
@@ -115,7 +112,7 @@ def _drive(seed: int, grade: str, road: tuple[int, float]) -> tuple[Record, Prof
     )
 
 
-def summary(rows: Sequence[dict[str, Any]]) -> str:
+def summary(rows: Sequence[Row]) -> str:
     """Return medians and worst errors, and how many parameters are within three deviations."""
     lines = ["median (worst) in-band NRMSE of map_smoother, and the parameters within 3 deviations"]
     lines.append(f"{'grade':<7}{'n':>3}  " + "".join(f"{k:>16}" for k in KNOWLEDGE))
@@ -135,7 +132,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
+def draw(rows: Sequence[Row], path: Path) -> None:
     """Draw the error of each individual over what is known of the vehicle."""
     grades = [grade for grade in GRADES if any(row["grade"] == grade for row in rows)]
 
@@ -159,24 +156,16 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
 
 def main() -> None:
     """Run the study."""
-    parser = argparse.ArgumentParser(description="Error over knowledge of the vehicle.")
-    parser.add_argument("results", type=Path)
+    parser = study_parser("Error over knowledge of the vehicle.")
     parser.add_argument("--individuals", type=int, default=0)
     parser.add_argument("--grade", action="append", choices=GRADES[1:])
-    parser.add_argument("--plot", type=Path)
     chosen = parser.parse_args()
-    text = chosen.results.read_text(encoding="utf-8") if chosen.results.exists() else ""
-    rows = [json.loads(line) for line in text.splitlines()]
-    done = {(row["individual"], row["grade"]) for row in rows}
-    for seed in range(FIRST_INDIVIDUAL, FIRST_INDIVIDUAL + chosen.individuals):
-        for grade in chosen.grade or GRADES[1:]:
-            if (seed, grade) not in done:
-                rows.append(individual_result(seed, grade))
-                with chosen.results.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(rows[-1]) + "\n")
-    print(summary(rows))
-    if chosen.plot:
-        draw(rows, chosen.plot)
+    cases = [
+        {"individual": FIRST_INDIVIDUAL + k, "grade": grade}
+        for k in range(chosen.individuals)
+        for grade in chosen.grade or GRADES[1:]
+    ]
+    run_study(chosen, cases, individual_result, summary, draw)
 
 
 if __name__ == "__main__":

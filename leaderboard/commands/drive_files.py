@@ -55,7 +55,7 @@ RecordFiles = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class DriveOptions:
-    """What the options of a command say of a drive; None is left to its description or file."""
+    """Options of a command that describe a drive; None is left to its description or file."""
 
     vehicle: Annotated[str | None, typer.Option(help="Vehicle: shipped name or YAML path.")] = None
     sensors: Annotated[str | None, typer.Option(help="Instruments: shipped name or YAML path.")] = (

@@ -20,7 +20,7 @@ from leaderboard.drive_report.analysis import SEGMENT_LENGTHS, DriveResult, anal
 from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.export import write_geojson, write_tables
 from leaderboard.drive_report.page import write_page
-from leaderboard.drive_report.passes import Pass, align_passes, compare, join
+from leaderboard.drive_report.passes import ReportedPass, align_passes, compare, join
 from road_envs.config import ConfigError
 from road_envs.data.measured_record import MeasuredRecord
 from road_envs.data.record import Estimate
@@ -79,7 +79,7 @@ def report(
         progress("joining the passes" if len(drives) > 1 else "writing the report", 1.0)
         joined = join(one, passes, cars)
 
-    def analysed(each: Pass) -> DriveResult:
+    def analysed(each: ReportedPass) -> DriveResult:
         ranges = instruments_of(each.measured.record, drive.sensors).ranges
         return analyse(
             each.name,

@@ -16,7 +16,7 @@ from road_envs.analysis.roughness import (
 )
 from road_envs.data.measured_record import MeasuredRecord
 from road_envs.data.record import Estimate, scored_band
-from road_envs.vehicle.parameters import MODES, Modes
+from road_envs.vehicle.struts import MODES, Modes
 
 SEGMENT_LENGTHS = (10.0, 20.0, 100.0)
 """Lengths [m] of segments."""
@@ -58,7 +58,7 @@ class DriveResult:
 
     @property
     def has_position(self) -> bool:
-        """Whether latitude and longitude are known."""
+        """True if latitude and longitude are known."""
         return self.measured.position is not None
 
     def position(self, station: float) -> tuple[float | None, float | None]:

@@ -48,7 +48,7 @@ TOP = 0.2
 """The height is the mean of this share of the obstacle that is highest: not the waves upon it."""
 
 READINGS = 3
-"""How often feet and line are found, each time by the line before."""
+"""Iterations that find feet and line, each by the line before."""
 
 HEIGHT_BIAS, HEIGHT_STD = 0.10, 0.085
 """Mean by which obstacles are higher than they are told, and its standard deviation, both relative:

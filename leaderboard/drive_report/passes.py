@@ -30,7 +30,7 @@ JOINED = "all_passes"
 """Name of the road of all passes, in the page and in its files."""
 
 
-class Pass(NamedTuple):
+class ReportedPass(NamedTuple):
     """A pass: its name, measured record and estimate, both in the stations of the first pass if it
     is `aligned` with it.
     """
@@ -41,13 +41,14 @@ class Pass(NamedTuple):
     aligned: AlignedPass | None
 
 
-def align_passes(passes: Sequence[tuple[str, MeasuredRecord, Estimate]]) -> list[Pass]:
+def align_passes(passes: Sequence[tuple[str, MeasuredRecord, Estimate]]) -> list[ReportedPass]:
     """Return the passes in the stations of the first. One that matches nowhere keeps its own; a
     note says so.
     """
     reference, measured, first = passes[0]
     length = measured.record.length
-    found = [Pass(*passes[0], AlignedPass(reference, measured.record, first, identity_map(length)))]
+    unmoved = AlignedPass(reference, measured.record, first, identity_map(length))
+    found = [ReportedPass(*passes[0], unmoved)]
     for name, other, estimate in passes[1:]:
         records, names = (measured.record, other.record), (reference, name)
         try:
@@ -55,18 +56,18 @@ def align_passes(passes: Sequence[tuple[str, MeasuredRecord, Estimate]]) -> list
         except ConfigError as error:
             note = f"not compared with the first drive: {error}"
             noted = other._replace(notes=(*other.notes, note))
-            found.append(Pass(name, noted, estimate, None))
+            found.append(ReportedPass(name, noted, estimate, None))
             continue
         moved = other._replace(
             record=aligned.record,
             chainage=measured.chainage,
             notes=(*other.notes, *notes),
         )
-        found.append(_cut(Pass(name, moved, estimate, aligned), first.s))
+        found.append(_cut(ReportedPass(name, moved, estimate, aligned), first.s))
     return found
 
 
-def _cut(one: Pass, s: np.ndarray) -> Pass:
+def _cut(one: ReportedPass, s: np.ndarray) -> ReportedPass:
     """Return an aligned pass with its estimate at those of the first's stations `s` (M,) [m] that
     it covers; station 0 is the first of them.
     """
@@ -89,8 +90,8 @@ def _cut(one: Pass, s: np.ndarray) -> Pass:
 
 
 def join(
-    estimator: Estimator, passes: Sequence[Pass], cars: Sequence[VehicleParameters]
-) -> Pass | None:
+    estimator: Estimator, passes: Sequence[ReportedPass], cars: Sequence[VehicleParameters]
+) -> ReportedPass | None:
     """Return the road of all passes that are aligned, as a pass named JOINED over the first's road;
     None if there is only one.
 
@@ -104,7 +105,7 @@ def join(
     first, names = passes[0].measured, ", ".join(each.name for each, _ in chosen)
     note = f"one road from {names}; speed and states are those of {passes[0].name}"
     notes = (note, estimators.passes.WANDER_NOTE)
-    return Pass(JOINED, first._replace(notes=notes), replace(road, notes=()), None)
+    return ReportedPass(JOINED, first._replace(notes=notes), replace(road, notes=()), None)
 
 
 def compare(results: Sequence[DriveResult]) -> dict[str, Any] | None:

@@ -303,7 +303,7 @@ class Task:
 
     @property
     def has_several_test_drives(self) -> bool:
-        """Whether the number of test drives can be reduced."""
+        """True if the number of test drives can be reduced."""
         return len(self.test.roads) * len(self.test.seeds) > 1
 
     def with_test_drives(self, number: int | None) -> "Task":

@@ -93,7 +93,7 @@ class PaperScenario:
 
     @property
     def is_paving(self) -> bool:
-        """Whether the road is Belgian paving rather than bumps."""
+        """True on Belgian paving, False over bumps."""
         return not self.task.bumps
 
     def score_values(self, score: str, nominal: bool = False) -> np.ndarray:

@@ -14,7 +14,7 @@ TAIL = {"above_0.3": 0.3, "above_1": 1.0}
 
 BELOW_BOUND = "below_bound"
 BOUND_NAME = "bound of a linear car without friction, from data below 25 Hz"
-"""What the bound is: no floor for estimators that use the nonlinear car and higher frequencies."""
+"""Name of the bound; estimators that use the nonlinear car and higher frequencies may be below."""
 
 RANK_COLUMNS = {"offline": "rank", "causal": "rank_causal"}
 """Column with the ranks of a division."""

@@ -184,8 +184,8 @@ def bound(
     return posterior(n, H, prior.spectrum(n), R, model_error)
 
 
-class Pass(NamedTuple):
-    """One pass over a road: a vehicle in a `mode` at `v` [m/s]."""
+class OperatingPoint(NamedTuple):
+    """A vehicle in a `mode` at `v` [m/s], in which it passes over a road."""
 
     car: Plant | VehicleParameters
     mode: Mode
@@ -193,7 +193,7 @@ class Pass(NamedTuple):
 
 
 def bound_of_passes(
-    passes: Sequence[Pass],
+    passes: Sequence[OperatingPoint],
     instruments: Instruments,
     prior: RoadPrior,
     *,

@@ -18,8 +18,9 @@ from road_envs.roads.surface import Surface
 from road_envs.sensing.data_logger import DataLogger
 from road_envs.sensing.instruments import Instruments, load_instruments
 from road_envs.simulation.drive import DriveSimulator
-from road_envs.vehicle.parameters import DEFAULT_STEP, Modes, VehicleParameters, load_vehicle
+from road_envs.vehicle.parameters import DEFAULT_STEP, VehicleParameters, load_vehicle
 from road_envs.vehicle.perturbed_vehicle import PlantMismatch, perturb_vehicle
+from road_envs.vehicle.struts import Modes
 from road_envs.vehicle.suspension import MODES, decode_commands, encode_command
 
 FORMAT = "roadrecon record 1"

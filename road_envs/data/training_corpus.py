@@ -36,15 +36,10 @@ from road_envs.roads.obstacles import Defect
 from road_envs.roads.trapezoids import LAYOUTS
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.simulation.drive import SimulationError
+from road_envs.vehicle.axles import Axle
 from road_envs.vehicle.force_curves import Curve
-from road_envs.vehicle.parameters import (
-    Axle,
-    CoilSpring,
-    PassiveStrut,
-    Strut,
-    VehicleParameters,
-    load_vehicle,
-)
+from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
+from road_envs.vehicle.struts import CoilSpring, PassiveStrut, Strut
 from road_envs.vehicle.suspension import MODES
 
 SEED_STREAM = 0x7EAC4

@@ -7,7 +7,7 @@ import numpy as np
 from road_envs.rendering import style
 from road_envs.rendering.canvas import Canvas
 from road_envs.rendering.scene import Scene, free_travel
-from road_envs.vehicle.parameters import MODES, Modes
+from road_envs.vehicle.struts import MODES, Modes
 from road_envs.vehicle.suspension import WHEELS, decode_commands
 
 ROAD_BEHIND, ROAD_AHEAD = 10.0, 20.0

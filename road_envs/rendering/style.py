@@ -5,7 +5,7 @@ Colours with a meaning are of Okabe & Ito's palette, which is safe for colour-bl
 
 import numpy as np
 
-from road_envs.vehicle.parameters import MODES, Modes
+from road_envs.vehicle.struts import MODES, Modes
 
 PAPER = "#ffffff"
 RULE = "#c9d1d8"

@@ -184,7 +184,7 @@ class DriveSimulator:
 
     @property
     def is_finished(self) -> bool:
-        """Whether the rear axle has left the surface and its apron."""
+        """True once the rear axle has left the surface and its apron."""
         return self.steps_left == 0
 
     def delayed_commands(self, commands: np.ndarray) -> np.ndarray:

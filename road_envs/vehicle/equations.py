@@ -96,7 +96,7 @@ class Plant:
 
     @property
     def flexible(self) -> bool:
-        """Whether the frame is flexible, so that the state is (16,) instead of (14,)."""
+        """True if the frame is flexible, so that the state is (16,) instead of (14,)."""
         return bool(self.constants["frame_inertia"][0] > 0.0)
 
     @property

@@ -9,238 +9,36 @@ are 4S4 struts, which can be switched, or passive ones.
 
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 import yaml
-from pydantic import Field, Tag
+from pydantic import Field
 
 from road_envs import config
 from road_envs._atomic_io import write_text
-from road_envs.config import Finite, Fraction, NonNegative, Positive, Settings, by_kind
+from road_envs.config import Finite, Fraction, NonNegative, Positive, Settings
+from road_envs.vehicle.axles import AnyAxle, Axle, IndependentWheels
 from road_envs.vehicle.force_curves import Curve
+from road_envs.vehicle.struts import (
+    MODES,
+    NO_VALVE,
+    PASSIVE_MODES,
+    AnyStruts,
+    Modes,
+    PassiveStruts,
+    Strut,
+    Valve,
+)
 
 GRAVITY = 9.81
 """Gravitational acceleration used throughout [m/s²]."""
-
-ATMOSPHERE = 101325.0
-"""Standard atmospheric pressure [Pa]."""
-
-MODES = {
-    "ride": (False, False),
-    "handling": (True, True),
-    "soft_high": (False, True),
-    "stiff_low": (True, False),
-}
-"""The four settings of a 4S4 strut: (stiff spring, high damping)."""
-
-PASSIVE_MODES = {"passive": (False, False)}
-"""The only setting of a passive strut."""
-
-Modes = Mapping[str, tuple[bool, bool]]
-"""Settings of the struts by name: (stiff spring, high damping)."""
 
 DEFAULT_STEP, STEP_LIMIT = 0.001, 0.01
 """Default and longest step [s] of the fixed-step integrator."""
 
 Step = Annotated[float, Field(gt=0, le=STEP_LIMIT), "s", "step of the integrator"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Axle(Settings):
-    """A solid axle with its two struts and two tyres."""
-
-    x: Annotated[Finite, "m", "ahead of the body's centre of mass; negative at the rear"]
-    m: Annotated[Positive, "kg", "unsprung mass, wheels included"]
-    I_xx: Annotated[Positive, "kg m²", "roll inertia"]
-    y_s: Annotated[Positive, "m", "half the distance between the struts"]
-    y_t: Annotated[Positive, "m", "half the distance between the tyres"]
-    k_t: Annotated[Positive, "N/m", "vertical stiffness of one tyre"]
-    c_t: Annotated[NonNegative, "N s/m", "damping of one tyre"]
-    k_roll: Annotated[
-        NonNegative, "N m/rad", "anti-roll bar: moment per roll of the body relative to the axle"
-    ] = 0.0
-    kind: Literal["solid"] = "solid"
-
-
-@dataclass(frozen=True, kw_only=True)
-class IndependentWheels(Settings):
-    """Two independently suspended wheels with their struts and tyres.
-
-    Two masses m / 2 at y = ±y_t have the motion of an axle of mass m and roll inertia m y_t² whose
-    struts are at the wheels (y_s = y_t): heave and roll of the axle are the mean of the wheels'
-    heights and their difference over 2 y_t. Forces of the struts and rates of their extension are
-    those at the wheels. The anti-roll bar pushes each wheel by k_roll / (2 y_t)² times the
-    difference of the two wheels' travel.
-    """
-
-    x: Annotated[Finite, "m", "ahead of the body's centre of mass; negative at the rear"]
-    m: Annotated[Positive, "kg", "unsprung mass of both wheels together"]
-    y_t: Annotated[Positive, "m", "half the distance between the wheels"]
-    k_t: Annotated[Positive, "N/m", "vertical stiffness of one tyre"]
-    c_t: Annotated[NonNegative, "N s/m", "damping of one tyre"]
-    k_roll: Annotated[
-        NonNegative, "N m/rad", "anti-roll bar: moment per roll of the body relative to the wheels"
-    ] = 0.0
-    kind: Literal["independent"]
-
-    @property
-    def I_xx(self) -> float:
-        """Roll inertia [kg m²] of the equivalent axle."""
-        return self.m * self.y_t**2
-
-    @property
-    def y_s(self) -> float:
-        """Half the distance [m] between the struts of the equivalent axle."""
-        return self.y_t
-
-
-AnyAxle = Annotated[
-    Annotated[Axle, Tag("solid")] | Annotated[IndependentWheels, Tag("independent")],
-    by_kind("solid"),
-]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ModeCurves(Settings):
-    """One curve for each setting of the strut's damper valve."""
-
-    ride: Annotated[Curve, "N over m/s", "low damping"]
-    handling: Annotated[Curve, "N over m/s", "high damping"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class AxleCurves(Settings):
-    """One curve for the struts of each axle."""
-
-    front: Annotated[Curve, "N over m", "both front struts"]
-    rear: Annotated[Curve, "N over m", "both rear struts"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Strut(Settings):
-    """A 4S4 strut: gas spring with two accumulators, damper, friction, bushing, bump stop."""
-
-    p_stat: Annotated[Positive, "Pa", "static gas pressure"]
-    A: Annotated[Positive, "m²", "bore area"]
-    n_p: Annotated[Positive, "", "polytropic exponent"]
-    x_1: Annotated[Positive, "m", "static gas column of the first accumulator"]
-    x_2: Annotated[Positive, "m", "static gas column of the second accumulator, behind the valve"]
-    column_min: Annotated[Positive, "m", "shortest gas column; the force is linear below it"]
-    damper: ModeCurves
-    friction: ModeCurves
-    bushing: Curve
-    bump_stop: AxleCurves
-    kind: Literal["4s4"] = "4s4"
-
-    def __post_init__(self):
-        super().__post_init__()
-        if self.column_min >= self.x_1:
-            raise ValueError(f"column_min {self.column_min} must be below x_1 {self.x_1}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class CoilSpring(Settings):
-    """A linear spring: coil, leaf or torsion bar."""
-
-    k: Annotated[Positive, "N/m", "rate"]
-    kind: Literal["coil"] = "coil"
-
-    def force(self, e: np.ndarray, load: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the force [N] at extensions `e` [m], and its derivative; `load` [N] at 0."""
-        return load - self.k * e, np.full_like(e, -self.k)
-
-
-@dataclass(frozen=True, kw_only=True)
-class AirSpring(Settings):
-    """An air spring of constant effective area whose pressure carries the static load.
-
-    With p_0 the atmospheric pressure and p = p_0 + load / A the absolute pressure at static length,
-
-        F = A (p (x / (x + e))^n_p - p_0),
-
-    so that its rate at static length is n_p p A / x (Gillespie, "Fundamentals of Vehicle Dynamics",
-    chapter 5). Below a fifth of the static column the force continues linearly.
-    """
-
-    A: Annotated[Positive, "m²", "effective area"]
-    x: Annotated[Positive, "m", "gas column at static length: volume over effective area"]
-    n_p: Annotated[Positive, "", "polytropic exponent"]
-    kind: Literal["air"]
-
-    def force(self, e: np.ndarray, load: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the force [N] at extensions `e` [m], and its derivative; `load` [N] at 0."""
-        column = self.x + e
-        inside = np.maximum(column, 0.2 * self.x)
-        gas = (ATMOSPHERE * self.A + load) * (self.x / inside) ** self.n_p
-        slope = -self.n_p * gas / inside
-        return gas + slope * (column - inside) - ATMOSPHERE * self.A, slope
-
-
-AnySpring = Annotated[
-    Annotated[CoilSpring, Tag("coil")] | Annotated[AirSpring, Tag("air")], by_kind("coil")
-]
-
-
-@dataclass(frozen=True, kw_only=True)
-class PassiveStrut(Settings):
-    """Spring, damper, friction and stops of one wheel, none of which can be switched.
-
-    The spring carries the static load of the body at static length. Curves are those of the strut
-    itself; with r its `motion_ratio`, a force F(e) of the strut is r F(r e) at y_s of a solid axle,
-    or at an independent wheel.
-    """
-
-    spring: AnySpring
-    damper: Annotated[Curve, "N over m/s", "rebound positive, compression negative"]
-    friction: Annotated[Curve, "N over m/s", "dry friction"]
-    bump_stop: Annotated[Curve, "N over m", "stops of bump (negative) and of rebound"]
-    bushing: Annotated[Curve, "N over m", "rubber parallel to the spring"] | None = None
-    motion_ratio: Annotated[Positive, "", "travel of the strut per travel of the wheel"] = 1.0
-
-    def spring_force(self, e: np.ndarray, load: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the spring's force [N] at the wheel and its derivative by `e` [m].
-
-        `load` [N] is the static load of the body on the wheel.
-        """
-        r = self.motion_ratio
-        F, slope = self.spring.force(r * e, load / r)
-        return r * F, r * r * slope
-
-    def at_wheel(self, curve: Curve) -> Curve:
-        """Return one of the strut's curves as a force at the wheel over its travel or rate."""
-        r = self.motion_ratio
-        return Curve(x=tuple(x / r for x in curve.x), F=tuple(r * F for F in curve.F))
-
-
-@dataclass(frozen=True, kw_only=True)
-class PassiveStruts(Settings):
-    """The passive struts of both axles."""
-
-    kind: Literal["passive"]
-    front: PassiveStrut
-    rear: PassiveStrut
-
-
-AnyStruts = Annotated[
-    Annotated[Strut, Tag("4s4")] | Annotated[PassiveStruts, Tag("passive")], by_kind("4s4")
-]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Valve(Settings):
-    """Dynamics between a switching command and the strut: pure delay, then first-order lag."""
-
-    delay: Annotated[NonNegative, "s", "pure delay"]
-    lag: Annotated[Positive, "s", "time constant of the valve"]
-    equalisation: Annotated[Positive, "s", "time constant of pressure equalisation, valve open"]
-
-
-NO_VALVE = Valve(delay=0.0, lag=1e-6, equalisation=1e-6)
-"""Stands in for the valve of a passive strut, whose force does not depend on it."""
 
 PerWheel = tuple[Positive, Positive, Positive, Positive]
 UNIT_FACTORS: PerWheel = (1.0, 1.0, 1.0, 1.0)
@@ -347,7 +145,7 @@ class VehicleParameters(Settings):
 
     @property
     def is_passive(self) -> bool:
-        """Whether the struts are passive, so that there is nothing to switch."""
+        """True if the struts are passive, so that there is nothing to switch."""
         return isinstance(self.strut, PassiveStruts)
 
     @property

@@ -37,10 +37,10 @@ from road_envs.sensing.sensor_faults import (
     PositionFixLength,
     SensorFaults,
 )
+from road_envs.vehicle.axles import IndependentWheels
 from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.parameters import (
     BendingMode,
-    IndependentWheels,
     PerWheel,
     Step,
     TorsionalFrame,

@@ -42,16 +42,8 @@ from road_envs.vehicle.force_curves import (
     second_derivative,
     tabulate,
 )
-from road_envs.vehicle.parameters import (
-    MODES,
-    NOMINAL,
-    PASSIVE_MODES,
-    UNIT_FACTORS,
-    PassiveStrut,
-    Strut,
-    VehicleParameters,
-    VehicleVariation,
-)
+from road_envs.vehicle.parameters import NOMINAL, UNIT_FACTORS, VehicleParameters, VehicleVariation
+from road_envs.vehicle.struts import MODES, PASSIVE_MODES, PassiveStrut, Strut
 
 WHEELS = ("FL", "FR", "RL", "RR")
 

@@ -8,17 +8,16 @@ from hypothesis import strategies as st
 from road_envs.roads.surface import Surface
 from road_envs.simulation import rosenbrock
 from road_envs.simulation.drive import DriveInputs
+from road_envs.vehicle.axles import Axle
 from road_envs.vehicle.equations import Motion, accelerations, build_plant
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.parameters import (
-    Axle,
-    AxleCurves,
-    ModeCurves,
     TorsionalFrame,
     VehicleParameters,
     VehicleVariation,
     load_vehicle,
 )
+from road_envs.vehicle.struts import AxleCurves, ModeCurves
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 DEFENDER = load_vehicle("land_rover_defender_110")

@@ -19,8 +19,9 @@ from road_envs.config import (
     validate_choice,
 )
 from road_envs.sensing.data_logger import Instruments
-from road_envs.vehicle.parameters import Valve, VehicleParameters
+from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.perturbed_vehicle import PlantMismatch
+from road_envs.vehicle.struts import Valve
 
 DEFENDER = read_yaml(config.find("vehicles", "land_rover_defender_110"))
 PAPER = read_yaml(config.find("sensors", "paper"))

@@ -8,7 +8,7 @@ from vehicle_fixtures import DEFENDER
 
 from estimators.wiener.drive_check import check_notes
 from road_envs.data.recording import simulate_record
-from road_envs.vehicle.parameters import MODES
+from road_envs.vehicle.struts import MODES
 
 
 def drive(road, speed, mode, grade="S0", seed=5):

@@ -16,7 +16,7 @@ from vehicle_fixtures import CARS, DEFENDER, PLANTS
 
 from road_envs.analysis.information_bound import (
     BoundTable,
-    Pass,
+    OperatingPoint,
     RoadPrior,
     bound,
     bound_of_passes,
@@ -322,7 +322,10 @@ def test_the_command_rejects_invalid_options_in_one_sentence(road_recon, words, 
 
 def test_the_information_of_passes_adds_in_a_case_solved_exactly():
     """At one frequency: the posterior precision is the prior's and that of each measurement."""
-    passes = [Pass(DEFENDER, "ride", SLOW), Pass(DEFENDER, modes(PAIRS[2]), FAST)]
+    passes = [
+        OperatingPoint(DEFENDER, "ride", SLOW),
+        OperatingPoint(DEFENDER, modes(PAIRS[2]), FAST),
+    ]
     n, prior = np.array([0.3, 0.9, 1.4]), RoadPrior()
     found = bound_of_passes(passes, PAPER, prior, n=n)
     precision = np.linalg.inv(prior.spectrum(n))
@@ -334,8 +337,13 @@ def test_the_information_of_passes_adds_in_a_case_solved_exactly():
 
 def test_equal_passes_count_as_one_with_less_noise():
     quiet = replace(PAPER, noise_density=0.5 * PAPER.noise_density)
-    one = Pass(DEFENDER, "handling", FAST)
+    one = OperatingPoint(DEFENDER, "handling", FAST)
     four = bound_of_passes([one] * 4, PAPER, RoadPrior())
     np.testing.assert_allclose(four.pooled, bound(*one, quiet, RoadPrior()).pooled, rtol=1e-6)
-    mixed = [one, Pass(DEFENDER, "ride", FAST), one, Pass(DEFENDER, modes(PAIRS[3]), SLOW)]
+    mixed = [
+        one,
+        OperatingPoint(DEFENDER, "ride", FAST),
+        one,
+        OperatingPoint(DEFENDER, modes(PAIRS[3]), SLOW),
+    ]
     assert bound_of_passes(mixed, PAPER, RoadPrior(), n=four.n).pooled < 0.8 * four.pooled

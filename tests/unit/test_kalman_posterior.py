@@ -37,7 +37,8 @@ from road_envs.analysis.information_bound import RoadPrior
 from road_envs.data.record import Record
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.force_curves import Curve
-from road_envs.vehicle.parameters import ModeCurves, VehicleParameters
+from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.struts import ModeCurves
 
 PAPER = load_instruments("paper")
 C_S, K_S = 3000.0, 16682.0

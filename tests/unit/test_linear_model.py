@@ -31,7 +31,7 @@ from road_envs.vehicle.linear_model import (
     natural_modes,
     wheel_response,
 )
-from road_envs.vehicle.parameters import ModeCurves
+from road_envs.vehicle.struts import ModeCurves
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 MODES = ("ride", "handling")

@@ -33,7 +33,8 @@ from road_envs.roads.trapezoids import Bumps, Trapezoid
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.force_curves import Curve, interpolate_table
-from road_envs.vehicle.parameters import ModeCurves, VehicleParameters
+from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.struts import ModeCurves
 from road_envs.vehicle.suspension import V_0, V_STEP
 
 PAPER = load_instruments("paper")

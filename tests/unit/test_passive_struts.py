@@ -12,17 +12,13 @@ from road_envs import config
 from road_envs.config import ConfigError
 from road_envs.roads.surface import Surface
 from road_envs.simulation.drive import APRON_LENGTH, simulate
+from road_envs.vehicle.axles import IndependentWheels
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.linear_model import linearise, natural_modes, strut_forces
-from road_envs.vehicle.parameters import (
-    AirSpring,
-    CoilSpring,
-    IndependentWheels,
-    VehicleParameters,
-    load_vehicle,
-)
+from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.perturbed_vehicle import perturb_vehicle
+from road_envs.vehicle.struts import AirSpring, CoilSpring
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 from road_envs.vehicle.tolerances import parameter_space
 
@@ -265,7 +261,7 @@ DATA, DEFENDER_DATA = (
         ("front.I_xx", 30.0, "front.I_xx: unknown key"),
         ("front.kind", None, "front: unknown kind 'None'; known: solid, independent"),
         ("front.kind", "rigid", "front: unknown kind 'rigid'; known: solid, independent"),
-        ("front.m", -1.0, "front.m: must be positive, got -1.0 kg (unsprung mass of both wheels"),
+        ("front.m", -1.0, "front.m: must be positive, got -1.0 kg (unsprung mass, both wheels"),
         ("strut.kind", "active", "strut: unknown kind 'active'; known: 4s4, passive"),
         ("strut.rear", 1.0, "strut.rear: input should be an object, got 1.0"),
         ("strut.rear.spring.kind", "air", "strut.rear.spring.k: unknown key; known: A, kind, n_p"),

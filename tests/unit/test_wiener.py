@@ -33,7 +33,7 @@ from road_envs.roads import load_road, with_length
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.force_curves import Curve
-from road_envs.vehicle.parameters import ModeCurves
+from road_envs.vehicle.struts import ModeCurves
 
 PAPER = load_instruments("paper")
 SPLIT = {"front": "ride", "rear": "handling"}

@@ -1,0 +1,64 @@
+"""Axles of a vehicle: solid ones, and pairs of independent wheels, as parameters.
+
+Axes after ISO 8855: x ahead, y left, z up.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from pydantic import Tag
+
+from road_envs.config import Finite, NonNegative, Positive, Settings, by_kind
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnsprungPair(Settings):
+    """Fields of both kinds of axle: two wheels with their tyres, at one distance from the body."""
+
+    x: Annotated[Finite, "m", "ahead of the body's centre of mass; negative at the rear"]
+    m: Annotated[Positive, "kg", "unsprung mass, both wheels included"]
+    y_t: Annotated[Positive, "m", "half the distance between the tyres"]
+    k_t: Annotated[Positive, "N/m", "vertical stiffness of one tyre"]
+    c_t: Annotated[NonNegative, "N s/m", "damping of one tyre"]
+    k_roll: Annotated[
+        NonNegative, "N m/rad", "anti-roll bar: moment per roll of the body relative to the wheels"
+    ] = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axle(UnsprungPair):
+    """A solid axle with its two struts and two tyres."""
+
+    I_xx: Annotated[Positive, "kg m²", "roll inertia"]
+    y_s: Annotated[Positive, "m", "half the distance between the struts"]
+    kind: Literal["solid"] = "solid"
+
+
+@dataclass(frozen=True, kw_only=True)
+class IndependentWheels(UnsprungPair):
+    """Two independently suspended wheels with their struts and tyres.
+
+    Two masses m / 2 at y = ±y_t have the motion of an axle of mass m and roll inertia m y_t² whose
+    struts are at the wheels (y_s = y_t): heave and roll of the axle are the mean of the wheels'
+    heights and their difference over 2 y_t. Forces of the struts and rates of their extension are
+    those at the wheels. The anti-roll bar pushes each wheel by k_roll / (2 y_t)² times the
+    difference of the two wheels' travel.
+    """
+
+    kind: Literal["independent"]
+
+    @property
+    def I_xx(self) -> float:
+        """Roll inertia [kg m²] of the equivalent axle."""
+        return self.m * self.y_t**2
+
+    @property
+    def y_s(self) -> float:
+        """Half the distance [m] between the struts of the equivalent axle."""
+        return self.y_t
+
+
+AnyAxle = Annotated[
+    Annotated[Axle, Tag("solid")] | Annotated[IndependentWheels, Tag("independent")],
+    by_kind("solid"),
+]
