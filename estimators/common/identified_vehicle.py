@@ -20,7 +20,7 @@ import numpy as np
 from estimators.api import CalibrationDrive, CalibrationError, copy_with
 from road_envs._atomic_io import write_text
 from road_envs._code_digest import cache_home, closure, digest
-from road_envs.config import ConfigError, build
+from road_envs.config import ConfigError, Settings, build
 from road_envs.data.accelerometers import to_plain
 from road_envs.data.record import Record
 from road_envs.vehicle.parameters import VehicleParameters
@@ -60,7 +60,7 @@ class IdentifiedVehicle:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibratedByIdentification:
+class CalibratedByIdentification(Settings):
     """Part of an estimator with a model of the vehicle, that of `instruments`: `calibrate`."""
 
     instruments: str = "paper"

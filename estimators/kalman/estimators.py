@@ -32,9 +32,10 @@ filter's estimate; `map_smoother` iterates and is more accurate.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from pydantic import Field
 
 from estimators.api import LAG
 from estimators.common.block_means import MIN_NOISE_DENSITY, block_means
@@ -55,7 +56,7 @@ from estimators.preprocessing import (
 )
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.analysis.roughness import CLASSES
-from road_envs.config import STRICT
+from road_envs.config import Positive
 from road_envs.data.record import PROFILE_SPACING, Estimate, Record, profile_stations, scored_band
 from road_envs.sensing.instruments import instruments_of, on_axle
 from road_envs.vehicle.parameters import VehicleParameters
@@ -66,34 +67,25 @@ N_SENSORS = 3
 NOISE_SCALE_WARNING = 2.0
 """Noise scale above which a note says that the vehicle may differ from the one described."""
 
+Lag = Annotated[float, Field(ge=0, lt=100), "m", "from the front axle back to the station emitted"]
+StdFactor = Annotated[Positive, "", "on the in-band standard deviation, fitted to training drives"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class _KalmanSettings(CalibratedByIdentification):
-    """Settings of all variants.
+    """Settings of all variants, beside the name or path of the `instruments`.
 
-    `instruments`: name or path; `noise_density` [(m/s²)/sqrt(Hz)] if it is not theirs. `G_d0` [m³]
-    and `w`: the road's prior; its level adapts. `data_rate` [Hz] of the block means. `step` [s]:
-    longest step of the model. `level_ends`: the road is level before station 0 and behind its
-    length, where the drive begins at rest. `std_factor` on the filter's standard deviation in the
-    scored band, fitted to training drives.
+    `level_ends`: the road is level before station 0 and behind its length, where the drive begins
+    at rest.
     """
 
-    __pydantic_config__ = STRICT
-
-    noise_density: float | None = None
-    G_d0: float = CLASSES["D"]
-    w: float = 2.0
-    data_rate: float = 1000.0 / 3.0
-    step: float = 0.001
+    noise_density: Annotated[Positive | None, "(m/s²)/sqrt(Hz)", "if not the instruments'"] = None
+    G_d0: Annotated[Positive, "m³", "of the road's prior, whose level adapts"] = CLASSES["D"]
+    w: Annotated[Positive, "", "waviness of the road's prior"] = 2.0
+    data_rate: Annotated[Positive, "Hz", "of the block means"] = 1000.0 / 3.0
+    step: Annotated[Positive, "s", "longest step of the model"] = 0.001
     level_ends: bool = True
-    std_factor: float = 1.0
-
-    def __post_init__(self):
-        for name in ("G_d0", "w", "data_rate", "step", "std_factor"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
-        if self.noise_density is not None and not self.noise_density > 0:
-            raise ValueError(f"noise_density must be positive, got {self.noise_density}")
+    std_factor: StdFactor = 1.0
 
     def _estimate(
         self, record: Record, car: VehicleParameters, lag: float, smooth: bool
@@ -184,13 +176,8 @@ class Kalman(_KalmanSettings):
 
     causal: ClassVar[bool] = True
 
-    lag: float = 0.0
-    std_factor: float = 1.5
-
-    def __post_init__(self):
-        super().__post_init__()
-        if not 0.0 <= self.lag < 100.0:
-            raise ValueError(f"lag must be 0 to 100 m, got {self.lag}")
+    lag: Lag = 0.0
+    std_factor: StdFactor = 1.5
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Return both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""
@@ -201,8 +188,8 @@ class Kalman(_KalmanSettings):
 class KalmanLag(Kalman):
     """Fixed-lag smoother."""
 
-    lag: float = 10.0
-    std_factor: float = 0.87
+    lag: Lag = 10.0
+    std_factor: StdFactor = 0.87
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,7 +198,7 @@ class KalmanRts(_KalmanSettings):
 
     causal: ClassVar[bool] = False
 
-    std_factor: float = 0.85
+    std_factor: StdFactor = 0.85
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Return both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""

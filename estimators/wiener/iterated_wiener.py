@@ -15,7 +15,7 @@ from typing import ClassVar
 
 from estimators.common.identified_vehicle import CalibratedByIdentification
 from estimators.wiener.smoother import smooth_record
-from road_envs.config import STRICT
+from road_envs.config import Count, Positive
 from road_envs.data.record import Estimate, Record
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -24,15 +24,10 @@ from road_envs.vehicle.parameters import VehicleParameters
 class IteratedWiener(CalibratedByIdentification):
     """Up to `passes` passes of the smoother for a vehicle with these `instruments`."""
 
-    __pydantic_config__ = STRICT
     causal: ClassVar[bool] = False
 
-    passes: int = 15
-    std_factor: float = 0.88
-
-    def __post_init__(self):
-        if self.passes < 1:
-            raise ValueError(f"passes must be at least 1, got {self.passes}")
+    passes: Count = 15
+    std_factor: Positive = 0.88
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths. Raises ConfigError, RecordError."""

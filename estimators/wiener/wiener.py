@@ -14,7 +14,7 @@ from typing import ClassVar
 
 from estimators.common.identified_vehicle import CalibratedByIdentification
 from estimators.wiener.smoother import smooth_record
-from road_envs.config import STRICT
+from road_envs.config import Positive
 from road_envs.data.record import Estimate, Record
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -23,10 +23,9 @@ from road_envs.vehicle.parameters import VehicleParameters
 class Wiener(CalibratedByIdentification):
     """One pass of the smoother for a vehicle with these `instruments`."""
 
-    __pydantic_config__ = STRICT
     causal: ClassVar[bool] = False
 
-    std_factor: float = 0.93
+    std_factor: Positive = 0.93
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths. Raises ConfigError, RecordError."""

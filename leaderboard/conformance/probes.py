@@ -27,7 +27,7 @@ import numpy as np
 
 from estimators.api import Estimator, Trainable, declared_lag
 from leaderboard.metrics.heights import band_pass, correlation
-from road_envs.config import STRICT
+from road_envs.config import Settings
 from road_envs.data.record import SENSORS, Estimate, Profile, Record, scored_band
 from road_envs.sensing.instruments import Instruments, load_instruments
 from road_envs.vehicle.parameters import VehicleParameters
@@ -53,10 +53,8 @@ EstimateFunction = Callable[[Sequence[Record]], Sequence[Estimate]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckResult:
+class CheckResult(Settings):
     """Result of one check or probe; `passed` is None if it does not apply to the estimator."""
-
-    __pydantic_config__ = STRICT
 
     name: str
     passed: bool | None

@@ -22,7 +22,7 @@ from leaderboard.evaluation.provenance import package_version
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from road_envs._code_digest import closure, digest
-from road_envs.config import STRICT, ConfigError, build
+from road_envs.config import ConfigError, Settings, build
 
 FORMAT = 1
 CHECKS_MODULE = "leaderboard.conformance.checks"
@@ -30,10 +30,8 @@ CHECKS_MODULE = "leaderboard.conformance.checks"
 
 
 @dataclass(frozen=True, kw_only=True)
-class EstimatorCard:
+class EstimatorCard(Settings):
     """Probe results of an estimator on the described `drive`, or the `failure` of the probes."""
-
-    __pydantic_config__ = STRICT
 
     identity: str
     estimator: str

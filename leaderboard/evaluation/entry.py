@@ -19,7 +19,7 @@ from estimators.api import (
     Trainable,
     check_estimate,
 )
-from road_envs.config import STRICT
+from road_envs.config import Settings
 from road_envs.data.record import Estimate, Profile, Record
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -36,7 +36,7 @@ Calibrations = Sequence[Sequence[CalibrationDrive]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entry:
+class Entry(Settings):
     """An estimator on the leaderboard, described so that any process can construct it.
 
     `reference` is a registered name, "module:Class", or a path: a wheel, a folder with an installed
@@ -44,8 +44,6 @@ class Entry:
     axle, at most MAX_LAG; `code` is the version of its sources and weights; `failure` is the reason
     why it cannot be constructed.
     """
-
-    __pydantic_config__ = STRICT
 
     name: str
     reference: str

@@ -21,7 +21,7 @@ from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.tasks import SEED_STRIDE, Task, load_task
 from road_envs._atomic_io import write_text
 from road_envs._reading import parsing
-from road_envs.config import STRICT, ConfigError, build, find, read_yaml
+from road_envs.config import ConfigError, Settings, build, find, read_yaml
 
 COMMITMENT = "commitment.json"
 MIN_SALT_LENGTH = 12
@@ -29,10 +29,8 @@ MIN_SALT_LENGTH = 12
 
 
 @dataclass(frozen=True, kw_only=True)
-class HiddenSeeds:
+class HiddenSeeds(Settings):
     """The published part of a hidden test set: digests of the public tasks, and the commitment."""
-
-    __pydantic_config__ = STRICT
 
     format: int = 1
     package_version: str

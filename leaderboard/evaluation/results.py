@@ -18,7 +18,7 @@ from leaderboard.evaluation.code_version import evaluation_version
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import heights
-from road_envs.config import STRICT
+from road_envs.config import Settings
 
 FORMAT = 3
 Role = Literal["entry", "sentinel"]
@@ -30,13 +30,11 @@ Z_UNIT = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriveScores:
+class DriveScores(Settings):
     """Scores of one estimate: test drive `drive` of the condition, on the road of `road_seed`.
 
     The estimator was trained with `seed`. An undefined score is omitted, in memory and on disk.
     """
-
-    __pydantic_config__ = STRICT
 
     condition: str
     drive: int
@@ -47,13 +45,11 @@ class DriveScores:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trace:
+class Trace(Settings):
     """True and estimated heights (2, M) of the start of a drive, in units of 0.01 mm, for plots.
 
     `scores` are those of the whole drive.
     """
-
-    __pydantic_config__ = STRICT
 
     condition: str
     speed_kmh: float
@@ -88,13 +84,11 @@ class Trace:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Result:
+class Result(Settings):
     """Scores of one estimator on one task, or under one of its conditions.
 
     With a `failure`, one sentence, there are no scores.
     """
-
-    __pydantic_config__ = STRICT
 
     task: str
     task_digest: str

@@ -25,7 +25,7 @@ from leaderboard.json_values import nan_to_none
 from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import SENTINELS
 from road_envs._atomic_io import write_text
-from road_envs.config import STRICT, ConfigError, build
+from road_envs.config import ConfigError, Settings, build
 
 CHECKSUM_PREFIX = '{\n "sha256": "'
 CHECKSUM_SUFFIX = '",\n'
@@ -45,10 +45,8 @@ class NewerFormatError(ConfigError):
 
 
 @dataclass(frozen=True)
-class _DriveColumns:
+class _DriveColumns(Settings):
     """All scores of a result by columns, one value per drive."""
-
-    __pydantic_config__ = STRICT
 
     condition: tuple[str, ...]
     drive: tuple[int, ...]

@@ -14,19 +14,20 @@ import re
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import Field
 
 from leaderboard.evaluation.boards import BoardDefinition, shipped_boards
 from road_envs import config
-from road_envs.config import STRICT, ConfigError
+from road_envs.config import ConfigError, Count, Positive, Settings
 from road_envs.roads import KINDS, Road, with_length
 from road_envs.roads.api import AnyRoad
 from road_envs.roads.composite import NoisyCopy
 from road_envs.roads.measured import Measured
 from road_envs.sensing.data_logger import Instruments, load_instruments
-from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
+from road_envs.vehicle.parameters import DEFAULT_STEP, Step, VehicleParameters, load_vehicle
 from road_envs.vehicle.perturbed_vehicle import (
     PerturbedVehicle,
     load_plant_mismatch,
@@ -47,28 +48,31 @@ DESCRIPTIVE_FIELDS = frozenset(
 
 
 @dataclass(frozen=True, kw_only=True)
-class AxleModes:
+class AxleModes(Settings):
     """Different strut modes in front and at the rear."""
-
-    __pydantic_config__ = STRICT
 
     front: StrutMode
     rear: StrutMode
 
 
 @dataclass(frozen=True, kw_only=True)
-class Condition:
-    """Strut mode, speed and plant-mismatch grade of a drive."""
-
-    __pydantic_config__ = STRICT
+class ModeAndSpeed(Settings):
+    """Strut mode and speed of a drive."""
 
     mode: StrutMode | AxleModes
-    speed_kmh: float
-    grade: Grade = "S0"  # of the test vehicle (`perturbed_vehicle`); training uses S0
+    speed_kmh: Annotated[Positive, "km/h"]
 
-    def __post_init__(self):
-        if not self.speed_kmh > 0:
-            raise ValueError(f"speed_kmh must be positive, got {self.speed_kmh}")
+    @property
+    def simulator_mode(self) -> str | dict[str, str]:
+        """Mode in the form that the simulator accepts."""
+        return self.mode if isinstance(self.mode, str) else dataclasses.asdict(self.mode)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Condition(ModeAndSpeed):
+    """Strut mode, speed and plant-mismatch grade of a drive."""
+
+    grade: Grade = "S0"  # of the test vehicle (`perturbed_vehicle`); training uses S0
 
     @property
     def label(self) -> str:
@@ -78,42 +82,32 @@ class Condition:
         car = "" if self.grade == "S0" else f", car {self.grade}"
         return f"{name}, {self.speed_kmh:g} km/h{car}"
 
-    @property
-    def simulator_mode(self) -> str | dict[str, str]:
-        """Mode in the form that the simulator accepts."""
-        return self.mode if isinstance(self.mode, str) else dataclasses.asdict(self.mode)
-
 
 @dataclass(frozen=True, kw_only=True)
-class DriveSet:
+class DriveSet(Settings):
     """Every road at every seed, seed by seed; only the first `number` if it is given."""
 
-    __pydantic_config__ = STRICT
-
-    roads: tuple[AnyRoad, ...]
-    seeds: tuple[int, ...]
+    roads: Annotated[tuple[AnyRoad, ...], Field(min_length=1)]
+    seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)]
     number: int | None = None
     length: float | None = None  # [m]; else each road's own
-    step: float = 0.001  # [s] of the integrator
+    step: Step = DEFAULT_STEP
     noise: bool = True  # of the instruments
     families: tuple[str, ...] = ()  # one for each road, to report scores by family
     design: tuple[tuple[int, ...], ...] = ()  # drives of each condition; empty: all in each
 
     def __post_init__(self):
-        if not self.roads or not self.seeds:
-            raise ValueError("at least one road and one seed are required")
+        super().__post_init__()
         if self.families and len(self.families) != len(self.roads):
             raise ValueError(
                 f"families must name one family for each of the {len(self.roads)} roads, "
                 f"got {len(self.families)}"
             )
-        if len(set(self.seeds)) < len(self.seeds) or min(self.seeds) < 0:
-            raise ValueError(f"seeds must differ and not be negative, got {list(self.seeds)}")
+        if len(set(self.seeds)) < len(self.seeds):
+            raise ValueError(f"seeds must differ, got {list(self.seeds)}")
         total = len(self.roads) * len(self.seeds)
         if self.number is not None and not 1 <= self.number <= total:
             raise ValueError(f"number of drives must be 1 to {total}, got {self.number}")
-        if not self.step > 0:
-            raise ValueError(f"step must be positive, got {self.step}")
         drives = set(range(total if self.number is None else self.number))
         if self.design and set().union(*self.design) != drives:
             raise ValueError(
@@ -159,33 +153,17 @@ class DriveSet:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibrationRun:
+class CalibrationRun(ModeAndSpeed):
     """A drive of each test vehicle that estimators are given before its test drive.
 
     On the test road of a seed, the vehicle has driven over `road` of seed + `seed_offset`. With
     `survey_std` [m], the standard deviation of independent errors, its profile is given too.
     """
 
-    __pydantic_config__ = STRICT
-
     road: AnyRoad
-    mode: StrutMode | AxleModes
-    speed_kmh: float
-    seed_offset: int
+    seed_offset: Count
     length: float | None = None  # [m]; else the road's own
-    survey_std: float | None = None
-
-    def __post_init__(self):
-        for name in ("speed_kmh", "seed_offset"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
-        if self.survey_std is not None and not self.survey_std > 0:
-            raise ValueError(f"survey_std must be positive, got {self.survey_std}")
-
-    @property
-    def simulator_mode(self) -> str | dict[str, str]:
-        """Mode in the form that the simulator accepts."""
-        return self.mode if isinstance(self.mode, str) else dataclasses.asdict(self.mode)
+    survey_std: Annotated[Positive | None, "m"] = None
 
     @property
     def driven_road(self) -> Road:
@@ -194,10 +172,8 @@ class CalibrationRun:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Task:
+class Task(Settings):
     """Training and test drives under some conditions; changing a task invalidates its results."""
-
-    __pydantic_config__ = STRICT
 
     name: str
     title: str
@@ -205,11 +181,11 @@ class Task:
     version: int
     car: str
     instruments: str
-    conditions: tuple[Condition, ...]
+    conditions: Annotated[tuple[Condition, ...], Field(min_length=1)]
     training: DriveSet
     test: DriveSet
     calibration: tuple[CalibrationRun, ...] = ()  # drives of each test vehicle, given before
-    low_pass: float | None = None  # [Hz] of all accelerations, as in the paper's processing
+    low_pass: Annotated[Positive | None, "Hz", "of all accelerations, as in the paper"] = None
     trains_on_test_road: bool = False
     bumps: bool = False  # also score obstacles
     bound: bool = True  # also compute the information bound of every drive
@@ -218,12 +194,11 @@ class Task:
     note: str = ""  # remark printed on the board
 
     def __post_init__(self):
+        super().__post_init__()
         if not re.fullmatch(r"[A-Za-z0-9_.-]+", self.name):
             raise ValueError(f"name {self.name!r} may have letters, digits, '_', '-' and '.' only")
         if isinstance(self.board, str):
             config.validate_choice("board", self.board, shipped_boards())
-        if not self.conditions:
-            raise ValueError("at least one condition is required")
         if self.training.design or len(self.test.design) not in (0, len(self.conditions)):
             raise ValueError(
                 "a design lists the test drives of every condition: "
@@ -232,8 +207,6 @@ class Task:
         if shared := sorted(self.training.all_seeds & self.test.all_seeds):
             raise ValueError(f"training and test share the seeds {shared}")
         self._check_calibration()
-        if self.low_pass is not None and not self.low_pass > 0:
-            raise ValueError(f"low_pass must be positive, got {self.low_pass}")
         if not self.trains_on_test_road and self._shared_surfaces():
             raise ValueError(
                 "training and test share a surface; choose other roads, or set "

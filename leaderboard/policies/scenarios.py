@@ -7,21 +7,21 @@ manoeuvre; every seed realises another road of the family. Test and training nev
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
 
 from road_envs import config
-from road_envs.config import STRICT, ConfigError
+from road_envs.config import ConfigError, Positive, Settings
 from road_envs.envs.options import EnvSetup, Weights
 
 
 @dataclass(frozen=True, kw_only=True)
-class Case:
+class Case(Settings):
     """A kind of drive; `manoeuvre` as the environment takes it."""
 
-    __pydantic_config__ = STRICT
-
     road: str
-    speed_kmh: float
+    speed_kmh: Annotated[Positive, "km/h"]
     manoeuvre: str | dict[str, Any] | None = None
 
     @property
@@ -32,19 +32,11 @@ class Case:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SeedRange:
+class SeedRange(Settings):
     """`number` consecutive seeds, beginning with `first`."""
 
-    __pydantic_config__ = STRICT
-
-    first: int
-    number: int
-
-    def __post_init__(self):
-        if self.first < 0 or self.number < 2:
-            raise ValueError(
-                f"first must be >= 0 and number at least 2, got {self.first} and {self.number}"
-            )
+    first: Annotated[int, Field(ge=0)]
+    number: Annotated[int, Field(ge=2)]
 
     @property
     def seeds(self) -> range:
@@ -53,23 +45,21 @@ class SeedRange:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scenarios:
-    """Cases and their common settings: `length` [m] of every road, `control_rate` [Hz].
+class Scenarios(Settings):
+    """Cases and their common settings.
 
     `shown` is the number of the case whose drives the page shows over time.
     """
 
-    __pydantic_config__ = STRICT
-
     name: str
     title: str
-    cases: tuple[Case, ...]
+    cases: Annotated[tuple[Case, ...], Field(min_length=1)]
     test: SeedRange
     training: SeedRange
     shown: int = 0
-    length: float = 100.0
+    length: Annotated[Positive, "m", "of every road"] = 100.0
     control: Literal["vehicle", "axle", "states"] = "states"
-    control_rate: float = 50.0
+    control_rate: Annotated[Positive, "Hz"] = 50.0
     mode: str | dict[str, str] = "ride"
     vehicle: str = "land_rover_defender_110"
     sensors: str = "paper"
@@ -77,8 +67,7 @@ class Scenarios:
     note: str = ""
 
     def __post_init__(self):
-        if not self.cases:
-            raise ValueError("cases is empty: at least one case is needed")
+        super().__post_init__()
         if not 0 <= self.shown < len(self.cases):
             raise ValueError(
                 f"shown must be the index of a case, 0 to {len(self.cases) - 1}, got {self.shown}"

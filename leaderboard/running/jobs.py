@@ -35,15 +35,13 @@ from leaderboard.sandbox import processes
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from road_envs._atomic_io import remove_stale_temp
-from road_envs.config import STRICT, ConfigError, build
+from road_envs.config import ConfigError, Settings, build
 from road_envs.roads import KINDS
 
 
 @dataclass(frozen=True, kw_only=True)
-class Job:
+class Job(Settings):
     """Entries that are evaluated on the same drives."""
-
-    __pydantic_config__ = STRICT
 
     task: Task
     condition: int
@@ -55,10 +53,8 @@ class Job:
 
 
 @dataclass(frozen=True, kw_only=True)
-class JobDone:
+class JobDone(Settings):
     """Summary of a stored result."""
-
-    __pydantic_config__ = STRICT
 
     identity: str
     task: str

@@ -4,10 +4,10 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from road_envs._code_digest import ROOT
-from road_envs.config import STRICT
+from road_envs.config import Count, Positive, Settings
 
 GIB = 2**30
 
@@ -29,7 +29,7 @@ Isolation = Literal["auto", "bubblewrap", "process"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
+class Limits(Settings):
     """Resource limits of one run of an entry, which has all its trainings under one condition.
 
     `isolation` is "bubblewrap"; or "process", which gives every entry the rights of the user; or
@@ -37,18 +37,13 @@ class Limits:
     and no others.
     """
 
-    __pydantic_config__ = STRICT
-
-    seconds: float = 1800.0
-    memory: float = 4.0  # [GiB] of all its processes together
-    processes: int = 64
-    file: float = 1.0  # [GiB] of each file that it writes, and of all its files under bubblewrap
+    seconds: Positive = 1800.0
+    memory: Annotated[Positive, "GiB", "of all its processes together"] = 4.0
+    processes: Count = 64
+    file: Annotated[
+        Positive, "GiB", "of each file that it writes, and of all its files under bubblewrap"
+    ] = 1.0
     isolation: Isolation = "auto"
-
-    def __post_init__(self):
-        for name in ("seconds", "memory", "processes", "file"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
 
 def guest_environment(home: Path, *, whole_path: bool) -> dict[str, str]:

@@ -22,22 +22,20 @@ from typing import Any, NoReturn
 
 from leaderboard.sandbox import processes
 from leaderboard.sandbox.limits import GIB, Limits
-from road_envs.config import STRICT, build
+from road_envs.config import Settings, build
 
 SERVED = 64
 """Exit status of a child that has served its requests until the end."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Setup:
+class Setup(Settings):
     """Message that starts a guest.
 
     `entry` is the folder with the code of the entry; `user` the user and group to become, None to
     stay; `serves_many` allows more than one estimator, each in a child of its own. The kernel cache
     `cache` (folder of all files, name of the folder of today's kernels) is copied by links.
     """
-
-    __pydantic_config__ = STRICT
 
     limits: Limits
     entry: str | None = None

@@ -404,9 +404,9 @@ def test_shipped_scenarios_are_valid_and_separate_training_from_test(name):
     ("changes", "message"),
     [
         ({"training": {"first": 99, "number": 5}}, r"share the seeds 101 to 103"),
-        ({"cases": []}, "at least one case"),
+        ({"cases": []}, "cases: must have at least 1 element"),
         ({"cases": [{"road": "iso_d", "speed_kmh": 54.0}] * 2}, "cases must be distinct"),
-        ({"test": {"first": 101, "number": 1}}, "number at least 2"),
+        ({"test": {"first": 101, "number": 1}}, "test.number: must be at least 2, got 1"),
         ({"shown": 2}, "index of a case, 0 to 1, got 2"),
         ({"kases": []}, "unknown key, did you mean 'cases'"),
         ({"control": "wheel"}, "'vehicle', 'axle' or 'states'"),

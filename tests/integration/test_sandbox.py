@@ -382,9 +382,11 @@ def test_a_plug_in_is_described_without_being_loaded_in_this_process(
 
 
 def test_limits_must_be_positive():
-    for name in ("seconds", "memory", "processes", "file"):
-        with pytest.raises(ValueError, match=f"{name} must be positive, got 0"):
+    for name in ("seconds", "memory", "file"):
+        with pytest.raises(ValueError, match=f"{name}: must be positive, got 0"):
             Limits(**{name: 0})
+    with pytest.raises(ValueError, match="processes: must be at least 1, got 0"):
+        Limits(processes=0)
 
 
 def test_an_exit_is_described_by_its_signal_or_status():

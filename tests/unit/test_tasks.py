@@ -183,8 +183,8 @@ def test_no_calibration_drive_shares_a_seed_with_a_test_or_training_drive(t):
     [
         ({"seed_offset": 1}, r"a calibration drive shares the seeds \[12, 13, 14, 15\] with other"),
         ({"seed_offset": 100}, r"a calibration drive shares the seeds \[111, 112"),
-        ({"survey_std": 0.0}, "survey_std must be positive, got 0"),
-        ({"seed_offset": 0}, "seed_offset must be positive, got 0"),
+        ({"survey_std": 0.0}, "survey_std: must be positive, got 0.0 m"),
+        ({"seed_offset": 0}, "seed_offset: must be at least 1, got 0"),
     ],
 )
 def test_an_invalid_calibration_drive_is_refused(change, message):
@@ -208,7 +208,7 @@ def test_a_low_pass_leaves_the_accelerations_below_it_and_keeps_samples_lost():
     ratio = after.mean(axis=0) / before.mean(axis=0)
     assert 0.8 < ratio[(f > 2.0) & (f < 15.0)].mean() < 1.2
     assert ratio[(f > 60.0) & (f < 200.0)].max() < 0.1
-    with pytest.raises(ConfigError, match="low_pass must be positive, got 0"):
+    with pytest.raises(ConfigError, match="low_pass: must be positive, got 0"):
         task(low_pass=0.0)
 
 
@@ -248,12 +248,18 @@ def test_training_on_the_test_road_must_be_declared(training):
             "unknown board 'papers' (did you mean 'paper'?); known: class, field",
         ),
         ({"test": {"roads": ["iso_x"], "seeds": [9]}}, "unknown road 'iso_x'"),
-        ({"test": {"roads": [], "seeds": [9]}}, "at least one road and one seed"),
+        ({"test": {"roads": [], "seeds": [9]}}, "roads: must have at least 1 element, got"),
         ({"test": {"roads": ["iso_d"], "seeds": [9, 9]}}, "seeds must differ"),
-        ({"test": {"roads": ["iso_d"], "seeds": [9], "step": 0.0}}, "step must be positive"),
-        ({"conditions": [{"mode": "ride", "speed_kmh": 0.0}]}, "speed_kmh must be positive"),
+        (
+            {"test": {"roads": ["iso_d"], "seeds": [9], "step": 0.0}},
+            "step: must be positive",
+        ),
+        (
+            {"conditions": [{"mode": "ride", "speed_kmh": 0.0}]},
+            "speed_kmh: must be positive",
+        ),
         ({"conditions": [{"mode": "sport", "speed_kmh": 9.0}]}, "mode"),
-        ({"conditions": []}, "at least one condition"),
+        ({"conditions": []}, "conditions: must have at least 1 element"),
         ({"name": "../up"}, "letters, digits"),
     ],
 )

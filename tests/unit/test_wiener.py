@@ -325,7 +325,7 @@ def test_settings_are_validated():
     record, _ = drive(length=60.0)
     with pytest.raises(ConfigError, match="unknown sensor 'papre'"):
         create("wiener", instruments="papre").estimate(record, DEFENDER)
-    with pytest.raises(ConfigError, match="passes must be at least 1, got 0"):
+    with pytest.raises(ConfigError, match="passes: must be at least 1, got 0"):
         create("iterated_wiener", passes=0)
 
 
