@@ -10,9 +10,9 @@ from leaderboard.metrics.heights import scored_band
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.paper.study import (
     TRAINING_STATES,
-    PaperScenario,
     Study,
     TrainingState,
+    iq_means,
     training_state,
 )
 
@@ -72,7 +72,7 @@ def key_findings(study: Study) -> list[str]:
         f"On the paving, equation 12 as it is printed gives {_listed(study, EQ_12_RAW)} where the "
         f"paper has {_claimed(study)} (handling and ride at 14.5 km/h, ride and handling at "
         f"54 km/h). On the car of their training the same networks have "
-        f"{_percents([scenario.nominal_iq_mean(EQ_12_RAW) for scenario in paving])}.",
+        f"{_percents(iq_means(paving, EQ_12_RAW)[1])}.",
         "The equation compares levels, and of raw heights mostly the datum: a constant height, "
         f"without any road, has {constant}, an unrelated road of the same roughness {unrelated}. "
         "With heights about their mean the networks have "
@@ -83,10 +83,7 @@ def key_findings(study: Study) -> list[str]:
 
 
 def _point_by_point(study: Study) -> str:
-    field, own = (
-        [find(scenario, "nrmse") for scenario in study.paving]
-        for find in (PaperScenario.iq_mean, PaperScenario.nominal_iq_mean)
-    )
+    field, own = iq_means(study.paving, "nrmse")
     low, high = scored_band(min(scenario.speed for scenario in study.paving))
     sentence = (
         f"Point by point, between {low:g} and {high:g} cycles/m, the error is {_numbers(field, 2)} "
@@ -111,14 +108,8 @@ def _new_roads(study: Study) -> str:
 
 
 def _bumps_found(study: Study) -> Claim:
-    recall, precision, own = (
-        [find(scenario, score) for scenario in study.bumps]
-        for find, score in (
-            (PaperScenario.iq_mean, "bump_recall"),
-            (PaperScenario.iq_mean, "bump_precision"),
-            (PaperScenario.nominal_iq_mean, "bump_recall"),
-        )
-    )
+    recall, own = iq_means(study.bumps, "bump_recall")
+    precision, _ = iq_means(study.bumps, "bump_precision")
     return Claim(
         "section 7.1, conclusions",
         "The methodology locates the bumps where they occur.",
@@ -146,7 +137,7 @@ def _false_bumps(study: Study) -> str:
 
 
 def _bump_heights(study: Study) -> Claim:
-    wrong = [scenario.iq_mean("bump_height_error_relative") for scenario in study.bumps]
+    wrong, _ = iq_means(study.bumps, "bump_height_error_relative")
     good = sum(x < 0.2 for x in wrong)
     return Claim(
         "section 7.1, Figures 6 to 9",
@@ -159,8 +150,7 @@ def _bump_heights(study: Study) -> Claim:
 
 def _ride_on_bumps(study: Study) -> Claim:
     pair = [next(c for c in study.bumps if c.number == number) for number in (3, 4)]
-    ride, handling = (scenario.iq_mean("nrmse") for scenario in pair)
-    own = [scenario.nominal_iq_mean("nrmse") for scenario in pair]
+    (ride, handling), own = iq_means(pair, "nrmse")
     least = [nrmse_bound(c.task, c.task.conditions[0], c.truth) for c in pair]
     bound = (
         f"the least error of a linear estimator that knows the car is {least[0]:.3f} in ride and "
@@ -183,14 +173,8 @@ def _ride_on_bumps(study: Study) -> Claim:
 
 
 def _left_and_right(study: Study) -> Claim:
-    pairs = [
-        (scenario.iq_mean("nrmse_left"), scenario.iq_mean("nrmse_right"))
-        for scenario in study.bumps
-    ]
-    own = [
-        (scenario.nominal_iq_mean("nrmse_left"), scenario.nominal_iq_mean("nrmse_right"))
-        for scenario in study.bumps
-    ]
+    sides = (iq_means(study.bumps, f"nrmse_{side}") for side in ("left", "right"))
+    pairs, own = (list(zip(*each, strict=True)) for each in zip(*sides, strict=True))
     better = [left < right for left, right in pairs]
     better_own = sum(left < right for left, right in own)
     return Claim(
@@ -212,7 +196,7 @@ def _levels(study: Study) -> Claim:
     below = [scenario.iq_mean(EQ_12_RAW) < STATE_LIMITS[0] for scenario in study.paving]
     scenario = study.paving[0]
     naive = [_percent(scenario.baseline_median(name, EQ_12_RAW)) for name in NAIVE_BASELINES]
-    own = _percents([scenario.nominal_iq_mean(EQ_12_RAW) for scenario in study.paving])
+    own = _percents(iq_means(study.paving, EQ_12_RAW)[1])
     return Claim(
         "section 7.2, Figure 10",
         f"The RMS errors (equation 12) of the near-optimal trainings are below 15 %: "
@@ -230,10 +214,7 @@ def _levels(study: Study) -> Claim:
 
 
 def _order(study: Study) -> Claim:
-    mine, own = (
-        [find(scenario, EQ_12_RAW) for scenario in study.paving]
-        for find in (PaperScenario.iq_mean, PaperScenario.nominal_iq_mean)
-    )
+    mine, own = iq_means(study.paving, EQ_12_RAW)
     low, high = float(np.mean(mine[:2])), float(np.mean(mine[2:]))
     agrees = int(np.argmin(mine)) == 1, int(np.argmax(mine)) == 2  # ride at 14.5, at 54 km/h
     faster = (
@@ -254,11 +235,8 @@ def _order(study: Study) -> Claim:
 
 
 def _densities(study: Study) -> Claim:
-    mine = [scenario.iq_mean("dsd_distance_db") for scenario in study.paving]
-    own = [scenario.nominal_iq_mean("dsd_distance_db") for scenario in study.paving]
-    unrelated = [
-        scenario.baseline_median("unrelated_road", "dsd_distance_db") for scenario in study.paving
-    ]
+    mine, own = iq_means(study.paving, "dsd_distance_db")
+    unrelated = _unrelated(study, "dsd_distance_db")
     easy = (
         ": without any measurement it has nearly the right one"
         if max(unrelated) < 1.5 * CLOSE_DB
@@ -276,11 +254,8 @@ def _densities(study: Study) -> Claim:
 
 
 def _classes(study: Study) -> Claim:
-    mine = [scenario.iq_mean("class_exact") for scenario in study.paving]
-    own = [scenario.nominal_iq_mean("class_exact") for scenario in study.paving]
-    unrelated = [
-        scenario.baseline_median("unrelated_road", "class_exact") for scenario in study.paving
-    ]
+    mine, own = iq_means(study.paving, "class_exact")
+    unrelated = _unrelated(study, "class_exact")
     return Claim(
         "section 7.2",
         "The roads are consistently classified as D between 0.2 and 3 cycles/m.",
@@ -293,10 +268,7 @@ def _classes(study: Study) -> Claim:
 
 def _bias(study: Study) -> str:
     """Return sentences on the sign of the density errors and its cause."""
-    field, own = (
-        [find(scenario, "dsd_bias_db") for scenario in study.paving]
-        for find in (PaperScenario.iq_mean, PaperScenario.nominal_iq_mean)
-    )
+    field, own = iq_means(study.paving, "dsd_bias_db")
     sentences = (
         f"The networks' densities are {_numbers(field)} dB off in the mean over the band, and "
         f"{_numbers(own)} dB on the car of the training."
@@ -317,11 +289,7 @@ def _bias(study: Study) -> str:
 def _states(study: Study) -> Claim:
     paving = [t.state for scenario in study.paving for t in scenario.trainings]
     every = [t.state for scenario in study.scenarios for t in scenario.trainings]
-    own = [
-        training_state(t.nominal[EQ_12_RAW])
-        for scenario in study.paving
-        for t in scenario.trainings
-    ]
+    own = [training_state(x) for s in study.paving for x in s.score_values(EQ_12_RAW, nominal=True)]
     seen = sum(kind in paving for kind in TRAINING_STATES)
     lost = (paving.count("unstable") - own.count("unstable")) / len(paving)
     reason = (
@@ -347,12 +315,9 @@ def _shares(states: list[TrainingState]) -> str:
 
 
 def _times(study: Study) -> Claim:
-    train = float(
-        np.mean([t.train_seconds for scenario in study.scenarios for t in scenario.trainings])
-    )
-    run = float(
-        np.mean([t.estimate_seconds for scenario in study.scenarios for t in scenario.trainings])
-    )
+    trainings = [t for scenario in study.scenarios for t in scenario.trainings]
+    train = float(np.mean([t.train_seconds for t in trainings]))
+    run = float(np.mean([t.estimate_seconds for t in trainings]))
     drives = float(np.mean([scenario.drive_seconds for scenario in study.scenarios]))
     total, simulation = PAPER_SECONDS
     return Claim(
@@ -375,7 +340,11 @@ def _claimed(study: Study) -> str:
 
 
 def _listed(study: Study, score: str) -> str:
-    return _percents([scenario.iq_mean(score) for scenario in study.paving])
+    return _percents(iq_means(study.paving, score)[0])
+
+
+def _unrelated(study: Study, score: str) -> list[float]:
+    return [scenario.baseline_median("unrelated_road", score) for scenario in study.paving]
 
 
 def _percents(values: list[float], digits: int = 1) -> str:

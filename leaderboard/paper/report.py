@@ -139,8 +139,7 @@ def _paving(study: Study) -> ReportTable:
             ),
             _percent(scenario.iq_mean("level_error")),
             _shares(scenario),
-            f"{scenario.iq_mean('nrmse'):.2f}",
-            f"{scenario.iq_mean('r'):.2f}",
+            *_means(scenario, "nrmse", "r"),
             _percent(scenario.baseline_median("constant", EQ_12_RAW)),
             _percent(scenario.baseline_median("unrelated_road", EQ_12_RAW)),
             f"{scenario.baseline_median('unrelated_road', 'nrmse'):.2f}",
@@ -168,12 +167,11 @@ def _bumps(study: Study) -> ReportTable:
             f"{scenario.number}: {scenario.drive_label}",
             _percent(scenario.iq_mean(EQ_12_RAW)),
             _shares(scenario),
-            f"{scenario.iq_mean('nrmse_left'):.2f}",
-            f"{scenario.iq_mean('nrmse_right'):.2f}",
-            f"{scenario.iq_mean('r'):.2f}",
-            _percent(scenario.iq_mean("bump_recall"), 0),
-            _percent(scenario.iq_mean("bump_precision"), 0),
-            _percent(scenario.iq_mean("bump_height_error_relative"), 0),
+            *_means(scenario, "nrmse_left", "nrmse_right", "r"),
+            *(
+                _percent(scenario.iq_mean(f"bump_{score}"), 0)
+                for score in ("recall", "precision", "height_error_relative")
+            ),
             f"{100 * scenario.iq_mean('bump_location_error'):.0f} cm",
             f"{scenario.baseline_median('unrelated_road', 'nrmse'):.2f}",
             f"{study.new_road_score(scenario, 'nrmse'):.2f}",
@@ -204,9 +202,9 @@ def _modes(study: Study) -> ReportTable:
         [
             f"{scenario.number}: {scenario.drive_label}",
             _percent(scenario.iq_mean(EQ_12_RAW)),
-            *(f"{scenario.iq_mean(score):.2f}" for score in scores),
-            _percent(scenario.nominal_iq_mean(EQ_12_RAW)),
-            *(f"{scenario.nominal_iq_mean(score):.2f}" for score in scores),
+            *_means(scenario, *scores),
+            _percent(scenario.iq_mean(EQ_12_RAW, nominal=True)),
+            *_means(scenario, *scores, nominal=True),
             f"{nrmse_bound(scenario.task, scenario.task.conditions[0], scenario.truth):.3f}",
         ]
         for scenario in order
@@ -239,24 +237,19 @@ def _cost(study: Study) -> ReportTable:
 
 
 def _provenance(study: Study, command: str) -> list[tuple[str, str]]:
+    versions = {"road-envs": package_version(), **describe_environment()}
+    tasks = [scenario.task for scenario in study.scenarios]
     return [
         ("Command", command),
         ("Duration", f"{study.seconds:.0f} s"),
-        (
-            "Versions",
-            ", ".join(
-                f"{k} {v}"
-                for k, v in {"road-envs": package_version(), **describe_environment()}.items()
-            ),
-        ),
-        (
-            "Tasks",
-            ", ".join(
-                f"{scenario.task.name} {scenario.task.digest[:12]}" for scenario in study.scenarios
-            ),
-        ),
+        ("Versions", ", ".join(f"{name} {version}" for name, version in versions.items())),
+        ("Tasks", ", ".join(f"{task.name} {task.digest[:12]}" for task in tasks)),
         ("Numbers", "numbers.json beside this file has every score of every training"),
     ]
+
+
+def _means(scenario: PaperScenario, *scores: str, nominal: bool = False) -> list[str]:
+    return [f"{scenario.iq_mean(score, nominal):.2f}" for score in scores]
 
 
 def _shares(scenario: PaperScenario) -> str:

@@ -101,13 +101,11 @@ class PaperScenario:
         by_run = [t.nominal if nominal else t.scores for t in self.trainings]
         return np.array([scores.get(score, np.nan) for scores in by_run])
 
-    def iq_mean(self, score: str) -> float:
+    def iq_mean(self, score: str, nominal: bool = False) -> float:
         """Return the interquartile mean of a score over the trainings; NaN if none has it."""
-        return _iq_mean(self.score_values(score))
-
-    def nominal_iq_mean(self, score: str) -> float:
-        """Return `iq_mean` on the car of the training."""
-        return _iq_mean(self.score_values(score, nominal=True))
+        x = self.score_values(score, nominal)
+        x = x[np.isfinite(x)]
+        return float(interquartile_mean(x)) if x.size else np.nan
 
     def baseline_median(self, name: str, score: str) -> float:
         """Return the median of a score of a naive baseline."""
@@ -130,6 +128,11 @@ class PaperScenario:
     def median_run(self, score: str = "nrmse") -> PaperTraining:
         """Return the training with the median of a score."""
         return sorted(self.trainings, key=lambda t: t.scores[score])[(len(self.trainings) - 1) // 2]
+
+
+def iq_means(scenarios: Sequence[PaperScenario], score: str) -> list[list[float]]:
+    """Return the interquartile means by scenario: on the field car, and on that of the training."""
+    return [[each.iq_mean(score, nominal) for each in scenarios] for nominal in (False, True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,11 +272,6 @@ def _score_new_roads(
             tests = list(drive(task, task.test, condition))
             found[condition.label] = _new_road_scores(task, condition, network, training, tests)
     return found
-
-
-def _iq_mean(x: np.ndarray) -> float:
-    x = x[np.isfinite(x)]
-    return float(interquartile_mean(x)) if x.size else np.nan
 
 
 def _new_road_scores(

@@ -237,10 +237,10 @@ def test_the_test_road_is_also_driven_by_the_car_of_the_training():
         grades = [c.grade for task, drives, c in driven if drives is case.task.test]
         assert grades == ["S3", "S0"]
         assert case.condition.endswith("car S3") and "S3" not in case.drive_label
-        assert case.nominal_iq_mean("nrmse") == pytest.approx(case.iq_mean("nrmse"))
+        assert case.iq_mean("nrmse", nominal=True) == pytest.approx(case.iq_mean("nrmse"))
         assert all(np.array_equal(t.nominal_z, t.z) for t in case.trainings)
     case = both(made().scenarios[0], 0.4, 0.2)
-    found = case.iq_mean(study.EQ_12_RAW), case.nominal_iq_mean(study.EQ_12_RAW)
+    found = case.iq_mean(study.EQ_12_RAW), case.iq_mean(study.EQ_12_RAW, nominal=True)
     assert found == pytest.approx((0.4, 0.2))
 
 
