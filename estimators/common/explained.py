@@ -66,7 +66,7 @@ def trusted_share(
     settling = record.t < record.t[0] + SETTLING_TIME
     a[settling], e[settling] = 0.0, 0.0
     stations = profile_stations(record.length)
-    # both axles excite the body: a sample tells of the road around the middle of the vehicle
+    # both axles excite the body: a sample belongs to the road around the middle of the vehicle
     cell = ((record.s - 0.5 * car.wheelbase) / PROFILE_SPACING).round().astype(int)
     inside = (cell >= 0) & (cell < stations.size)
     width = WINDOW / PROFILE_SPACING

@@ -80,7 +80,7 @@ def fit_corrections(
     """Fit a correction to the measured roads of each condition among the `drives`.
 
     `predict` returns the estimate of a drive, `high_pass` the short waves of heights (2, M), in
-    which errors are judged. Corrections that cross-validation does not find better than none are
+    which errors are compared. Corrections that cross-validation does not find better than none are
     left out. Raises RecordError, CalibrationError.
     """
     found: list[VehicleCorrection] = []

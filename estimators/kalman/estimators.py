@@ -20,7 +20,7 @@ a limit.
 The standard deviation follows the innovations of the metres about a station, and heights no larger
 than it are reduced (`monitoring.py`). Where the innovations are far beyond their covariance for
 long, heights are emitted reduced, with wide intervals and a note: a filter that has lost the
-vehicle tells of a nearly flat road, and no drift.
+vehicle gives a nearly flat road, and no drift.
 
 Known to fail: on a vehicle other than the one described (on the field vehicle S2 the error is
 nearly that of a flat road), as the filter corrects the road and not the vehicle; where the front

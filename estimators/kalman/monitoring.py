@@ -5,7 +5,7 @@ larger, on an obstacle that the prior did not expect or where wheels lift off, s
 variance of a height is multiplied by the NIS of the metres in which both axles passed it (the Birge
 ratio; Bar-Shalom, Li & Kirubarajan, "Estimation with Applications to Tracking and Navigation",
 2001, section 5.4). A height is then multiplied by q / (q + variance), with q the mean square of the
-heights about it: what is no larger than its own error is told as a level road.
+heights about it: what is no larger than its own error is emitted as a level road.
 """
 
 import numpy as np

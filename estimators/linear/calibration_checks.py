@@ -61,8 +61,8 @@ def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) 
     if counts[name] < FREQUENCIES_MIN:
         raise CalibrationError(
             f"{names}: {name} moves the wheels at {counts[name]:.0f} independent frequencies; at "
-            f"least {FREQUENCIES_MIN:.0f} are needed to tell how the vehicle responds: choose a "
-            "rougher or longer stretch"
+            f"least {FREQUENCIES_MIN:.0f} are needed to identify the vehicle's responses: choose "
+            "a rougher or longer road"
         )
 
 

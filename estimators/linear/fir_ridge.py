@@ -160,7 +160,7 @@ class FirRidge(Settings):
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
         """Return a copy whose bank is corrected for the vehicle of the drives over measured roads
-        (`vehicle_correction.py`); others tell nothing here. Fitted taps stay. Raises RecordError.
+        (`vehicle_correction.py`); others are ignored. Fitted taps stay. Raises RecordError.
         """
         model = self._fitted_or_pretrained()
         if not isinstance(model, FirBank):

@@ -78,11 +78,11 @@ class Responses(NamedTuple):
 
     @property
     def long_wave_gain(self) -> np.ndarray:
-        """How far each sensor moves in phase with the road (k,), all wheels together, at F_BODY.
+        """Motion of each sensor in phase with the road (k,), relative to it, at F_BODY.
 
         About 1 for any vehicle on its springs: that is the real part of
         (1 + 2 i d x) / (1 - x² + 2 i d x) at its resonance, x = 1, and far below. Drives do not
-        tell what the taps sum to, the gain at no frequency at all.
+        determine the sum of the taps, the gain at zero frequency.
         """
         turn = np.exp(-2j * np.pi * F_BODY / RATE * np.arange(N_TAPS))
         return (self.taps.sum(axis=(1, 2)) @ turn).real

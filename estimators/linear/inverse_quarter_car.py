@@ -134,7 +134,7 @@ def accelerations_at_struts(
     if np.linalg.matrix_rank(sensed, tol=MIN_LEVER) < 3:
         raise RecordError(
             "inverse_quarter_car needs three accelerometers on the body that are not in one line, "
-            f"to tell heave, roll and pitch; the record has {', '.join(locations)}"
+            f"to resolve heave, roll and pitch; the record has {', '.join(locations)}"
         )
     struts = np.array([(1.0, axle.x, y) for axle in car.axles for y in (axle.y_s, -axle.y_s)])
     if len(on_body) == 3:  # three are the inverse exactly, more its least squares

@@ -49,7 +49,7 @@ SPEED_UNITS = {"km/h": 1.0 / 3.6, "mph": 0.44704}
 """Units in which a speed may be given without a word, and their factors to m/s."""
 
 LEAST_CHANNELS = 3
-"""Channels from which on noise is told from road: one more than wheel paths."""
+"""Least number of channels that separates noise from road: one more than wheel paths."""
 
 MAX_EXCHANGED = 4
 """Most channels of which any two are exchanged."""
@@ -119,10 +119,10 @@ def other_readings(record: Record, speed_known: bool = False) -> Iterator[Altern
                 s=factor * (record.s - record.s[0]),
                 length=factor * record.length,
             )
-            told = f"{3.6 * np.median(record.v):.0f} km/h"
+            given = f"{3.6 * np.median(record.v):.0f} km/h"
             yield Alternative(
                 f"a speed of {3.6 * factor * np.median(record.v):.0f} km/h",
-                f"{told} is described; is the speed in {unit} (--units v={unit})?",
+                f"{given} is described; is the speed in {unit} (--units v={unit})?",
                 slower,
             )
     for k, name in enumerate(record.channels):

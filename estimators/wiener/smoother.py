@@ -69,7 +69,7 @@ DIVERGENCE_THRESHOLD = 0.8
 NOISE_SCALE_WARNING = 2.0
 """Mean scale of the noise on a segment above which a note says so. With the paper's instruments it
 is 0.85 to 1.3 for the vehicle and mode described, 1.7 to 2.4 in ride if handling was driven, and
-above 40 for a vehicle of grade S2; that handling is told in place of ride it does not show.
+above 40 for a vehicle of grade S2; a drive in ride that is described as handling stays below.
 """
 
 

@@ -1,4 +1,4 @@
-"""Error of estimators that are calibrated on one known stretch by one individual vehicle.
+"""Error of estimators that are calibrated on one known road by one individual vehicle.
 
     python -m leaderboard.benchmarks.no_vehicle_model [--vehicle NAME] [--seed N]
 
@@ -27,7 +27,7 @@ from road_envs.roads import realise_road
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 
 CALIBRATION = ("iso_d", 41)
-"""Road and seed of the stretch that is known."""
+"""Known road and its seed."""
 
 TESTS = (("iso_d", 51), ("belgian_like", 52), ("potholes", 53))
 LENGTH = 100.0  # [m]
@@ -48,7 +48,7 @@ def calibrated(
         return None
 
 
-def judge(
+def error_text(
     estimator: Estimator | None, record: Record, truth: Profile, car: VehicleParameters
 ) -> str:
     """Return the in-band error and the shares inside the intervals, as text."""
@@ -90,7 +90,7 @@ def main() -> None:
             for each in (FirRidge(), Tcn()):
                 columns += [each, calibrated(each, known, car)]
             for road, kmh in [*((test, speed) for test in TESTS), (TESTS[0], OTHER_SPEED)]:
-                errors = [judge(each, *drive(road, kmh), car) for each in columns]
+                errors = [error_text(each, *drive(road, kmh), car) for each in columns]
                 errors[1:] = [error.split()[0] for error in errors[1:]]
                 what = f"{name} {speed:g} km/h {grade}, {road[0]}, {kmh:g}"
                 others = "".join(f"{error:>11s}" for error in errors[1:])

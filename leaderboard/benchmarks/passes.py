@@ -57,7 +57,7 @@ LENGTH, FIRST_SEED = 100.0, 50_000
 SMOOTHER = MapSmoother(draws=0)
 """The estimator, without samples for standard deviations."""
 
-OFFSET, STRETCH = 2.0, 0.01
+OFFSET, SCALE_ERROR = 2.0, 0.01
 """Largest error of an odometer [m], and of its scale."""
 
 
@@ -78,7 +78,7 @@ def displaced(records: Sequence[Record], seed: int) -> list[Record]:
     rng = np.random.default_rng(seed)
     found = list(records[:1])
     for record in records[1:]:
-        scale, offset = 1.0 + STRETCH * rng.uniform(-1.0, 1.0), OFFSET * rng.uniform(-1.0, 1.0)
+        scale, offset = 1.0 + SCALE_ERROR * rng.uniform(-1.0, 1.0), OFFSET * rng.uniform(-1.0, 1.0)
         found.append(replace(record, s=scale * record.s + offset, v=scale * record.v))
     return found
 

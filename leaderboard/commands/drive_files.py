@@ -1,4 +1,4 @@
-"""Options that say how a drive in a file is to be read, and its record."""
+"""Options of commands that read drives from files, and reading these drives."""
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
@@ -116,9 +116,9 @@ class DriveFile(NamedTuple):
 
 
 def read_drive(path: Path, options: DriveOptions) -> DriveFile:
-    """Read a record of this package, or a measured drive as the options tell. Raises ConfigError.
+    """Read a record of this package, or a measured drive. Raises ConfigError.
 
-    Options go before what the description says.
+    Options take precedence over the description.
     """
     invert, save_description = options.invert, options.save_description
     given = {
@@ -129,27 +129,27 @@ def read_drive(path: Path, options: DriveOptions) -> DriveFile:
         "speed_kmh": options.speed_kmh,
         "offset": options.offset,
     }
-    description = options.description
-    told = read_description(description) if description else DriveDescription()
-    told = told.updated(vehicle=options.vehicle, sensors=options.sensors, **given)
-    name = told.vehicle or DEFAULT_VEHICLE
-    car, instruments = load_vehicle(name), told.sensors or DEFAULT_SENSORS
+    chosen = options.description
+    described = read_description(chosen) if chosen else DriveDescription()
+    described = described.updated(vehicle=options.vehicle, sensors=options.sensors, **given)
+    name = described.vehicle or DEFAULT_VEHICLE
+    car, instruments = load_vehicle(name), described.sensors or DEFAULT_SENSORS
     if save_description:
         check_output_path(save_description, ".yaml", ".yml")
     if is_record(path):
         needless = [key.replace("_", "-") for key, value in given.items() if value is not None]
-        if needless or description or save_description:
+        if needless or chosen or save_description:
             left = ", ".join(f"--{x}" for x in needless) or "the description"
             raise ConfigError(f"{path} contains all that belongs to the drive: leave out {left}")
         record = with_layout(read_record(path)[0], options.sensors, path)
         check_modes(record, car)
         return DriveFile(MeasuredRecord(record), name, car, instruments, False)
-    measured = read_measured_record(path, car.wheelbase, description=told, car=car)
-    has_distance = measured.has_distance or told.speed_kmh is not None
+    measured = read_measured_record(path, car.wheelbase, description=described, car=car)
+    has_distance = measured.has_distance or described.speed_kmh is not None
     doubts = check_notes(measured.record, car, instruments, speed_known=has_distance)
     measured = measured._replace(notes=(*measured.notes, *doubts))
     if save_description:
-        write_description(save_description, told)
+        write_description(save_description, described)
     return DriveFile(measured, name, car, instruments, True)
 
 

@@ -24,7 +24,7 @@ from leaderboard.report import identification_plot
 from road_envs.vehicle.parameters import write_vehicle
 
 UNDETERMINED = 0.9
-"""Posterior standard deviation, in units of the tolerance, above which a drive told nothing."""
+"""Posterior standard deviation, in tolerances, above which a parameter is not determined."""
 
 FAR = 3.0
 """Fitted deviation, in units of the tolerance, that is flagged."""
@@ -93,7 +93,7 @@ def _facts(result: Identification) -> dict[str, Any]:
             name: {"factor": float(f), "relative_std": float(s * t)} for name, f, s, t in names
         },
         "instruments": {name: float(x * s) for name, x, s in readings},
-        "unexplained": [[told.power, fitted.power] for told, fitted in result.unexplained],
+        "unexplained": [[x.power, y.power] for x, y in result.unexplained],
     }
 
 
@@ -107,8 +107,8 @@ def _notes(result: Identification) -> list[str]:
         notes.append(f"not determined by the drives, kept as described: {', '.join(open_)}")
     if far:
         notes.append(f"more than {FAR:g} tolerances from the description: {', '.join(far)}")
-    for told, fitted in result.unexplained:
-        if fitted.power > told.power:
+    for described, fitted in result.unexplained:
+        if fitted.power > described.power:
             notes.append("on held-out readings the identified vehicle is no better: do not use it")
     return notes
 
@@ -128,7 +128,7 @@ def _print(result: Identification, drives: list[str]) -> None:
         table.add_row(f"{readings.names[k]} {unit}", f"{value:+.2f}", f"{std:.2f}", "")
     console.print(table)
     power = Table("drive, held-out third", "described", "identified", box=None)
-    for name, (told, fitted) in zip(drives, result.unexplained, strict=True):
-        power.add_row(name, f"{told.power:.1f}", f"{fitted.power:.1f}")
+    for name, (described, fitted) in zip(drives, result.unexplained, strict=True):
+        power.add_row(name, f"{described.power:.1f}", f"{fitted.power:.1f}")
     console.print("\nunexplained power over that of the instruments' noise")
     console.print(power)

@@ -76,7 +76,7 @@ def observability(
     """Compute bounds on the error of an estimate by mode and speed, and plot them over frequency.
 
     The first table is the bound of the linear vehicle without friction: it shows where roll does
-    not tell the wheel paths apart.
+    not separate the wheel paths.
     """
     check_output_path(out, ".png", ".svg", ".pdf")
     car, instruments = load_vehicle(vehicle), load_instruments(sensors)

@@ -36,8 +36,8 @@ class ScoredEstimate:
     """Truth and estimate of one drive, and what several metrics need of them, computed once.
 
     `y` and `a` (2, M) [m] are the true and the estimated heights, `ds` [m] apart, `v` [m/s] is the
-    speed, `std` (2, M) [m] the standard deviation of the estimate, if it has one. `bumps` tells
-    whether obstacles are scored, `bound` is the bound on the NRMSE of this drive or NaN.
+    speed, `std` (2, M) [m] the standard deviation of the estimate, if it has one. `bumps`:
+    obstacles are scored, `bound` is the bound on the NRMSE of this drive or NaN.
     """
 
     def __init__(

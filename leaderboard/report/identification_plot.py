@@ -15,9 +15,9 @@ def draw_identification(result: Identification, drives: Sequence[str], path: Pat
 
     def paint(figure: Any) -> None:
         spectrum, parameters = figure.subplots(1, 2, width_ratios=(1, 1.1))
-        for k, (told, fitted) in enumerate(result.unexplained):
+        for k, (described, fitted) in enumerate(result.unexplained):
             for part, colour, what in (
-                (told, COLOURS["right"], "described"),
+                (described, COLOURS["right"], "described"),
                 (fitted, COLOURS["left"], "identified"),
             ):
                 label = f"{what} vehicle" if k == 0 else None

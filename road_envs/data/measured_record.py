@@ -5,7 +5,7 @@ The table is text, Parquet or MDF4, with a header of column names and one row fo
 | quantity | column |
 |---|---|
 | `t` | time [s], time since 1970, or calendar time in ISO 8601 |
-| `a_rf`, `a_lr`, `a_rr` | vertical accelerations of the body, upwards, at right front, left and right rear [m/s²]; others as the description tells |
+| `a_rf`, `a_lr`, `a_rr` | vertical accelerations of the body, upwards, at right front, left and right rear [m/s²]; others by the description |
 | `v` | speed [m/s] |
 | `s` | odometer [m]; without it the speed is integrated |
 | `lat`, `lon` | position [°]; without `v` and `s`, the distance is that of the positions |
@@ -48,8 +48,8 @@ class MeasuredRecord(NamedTuple):
 
     `notes` are assumptions and corrections; `chainage` [m] is that of station 0 of the record in
     the distances of the user; `position` (2, N) are latitude and longitude [°] at the samples, if
-    known; `fs` [Hz] is the rate at which the accelerations were sampled; `has_distance` tells
-    whether the speed agrees with an odometer or with positions.
+    known; `fs` [Hz] is the rate at which the accelerations were sampled; `has_distance`:
+    the speed agrees with an odometer or with positions.
     """
 
     record: Record
@@ -75,7 +75,7 @@ def read_measured_record(
     required if the table does not hold it, and invalid otherwise. Modes are those of the `car`, by
     default of a 4S4 suspension; a car with passive struts needs none. The road extends from the
     position of the rear axle at the first sample to that of the front axle at the last. Raises one
-    ConfigError that tells all problems, with the columns, and the rows if there are any.
+    ConfigError that lists all problems, with the columns, and the rows if there are any.
     """
     chosen = (description or DriveDescription()).updated(speed_kmh=speed_kmh, mode=mode)
     table = read_table(path)

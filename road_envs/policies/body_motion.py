@@ -33,7 +33,7 @@ class BodyMotionEstimator:
         if np.linalg.matrix_rank(rows, tol=MIN_LEVER) < 3:
             raise ConfigError(
                 "this policy needs three accelerometers on the body that are not in one line, to "
-                f"tell heave, roll and pitch; there are {', '.join(context.accelerometers)}"
+                f"resolve heave, roll and pitch; there are {', '.join(context.accelerometers)}"
             )
         self.sensors_to_motion = np.linalg.inv(rows) if len(rows) == 3 else np.linalg.pinv(rows)
         axles = [axle for axle in context.car.axles for _ in range(2)]

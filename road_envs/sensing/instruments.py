@@ -105,7 +105,7 @@ def load_instruments(name: str | Path) -> Instruments:
 
 
 def instruments_of(record: Record, name: str | Path) -> Instruments:
-    """Load instruments, with the accelerometers of `record` where it tells them.
+    """Load instruments, with the accelerometers of `record` where it has them.
 
     Raises ConfigError, also if the number of accelerometers is not that of the record.
     """

@@ -34,7 +34,7 @@ GRAVITY_IN_G = (0.9, 1.1)
 MAX_SPIKES = 0.01
 """Largest share of a channel's samples that may be such."""
 
-MAX_TOLD = 1500
+MAX_LISTED = 1500
 """Characters of all problems, each of which may have 300."""
 
 QUIET_RMS, SILENT_RMS = 0.15, 0.02
@@ -45,20 +45,20 @@ road of class A give 0.3.
 
 @dataclass
 class Findings:
-    """Problems, which all are told at once, and notes on assumptions and corrections."""
+    """Problems, which are reported together, and notes on assumptions and corrections."""
 
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     def raise_problems(self) -> None:
-        """Raise ConfigError that tells all problems, if there are any."""
-        width = max(300, MAX_TOLD // max(len(self.problems), 1))
-        told = [textwrap.shorten(text, width, placeholder=" ...") for text in self.problems]
-        if len(told) == 1:
-            raise ConfigError(told[0])
-        if told:
-            listed = "; ".join(f"({k}) {text}" for k, text in enumerate(told, 1))
-            raise ConfigError(f"{len(told)} problems: {listed}")
+        """Raise ConfigError that lists all problems, if there are any."""
+        width = max(300, MAX_LISTED // max(len(self.problems), 1))
+        problems = [textwrap.shorten(text, width, placeholder=" ...") for text in self.problems]
+        if len(problems) == 1:
+            raise ConfigError(problems[0])
+        if problems:
+            listed = "; ".join(f"({k}) {text}" for k, text in enumerate(problems, 1))
+            raise ConfigError(f"{len(problems)} problems: {listed}")
 
 
 def _without_spikes(a: np.ndarray) -> tuple[np.ndarray, int]:
@@ -71,7 +71,7 @@ def _without_spikes(a: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 class Channels:
-    """The columns of a `table` by quantity, as a `description` and the headers tell.
+    """The columns of a `table` by quantity, by a `description` and the headers.
 
     The table has the accelerations of these `accelerometers`.
     """
@@ -96,7 +96,7 @@ class Channels:
         return f"the table has {', '.join(self.table)}"
 
     def unit(self, quantity: str) -> str | None:
-        """Return the unit that is given, or that the header tells, if any."""
+        """Return the unit that is given, or that of the header, if any."""
         header = self.headers[quantity]
         return self.description.units.get(quantity) or (units.split_header(header or "")[1])
 

@@ -106,9 +106,9 @@ def read_description(path: Path) -> DriveDescription:
 
 def write_description(path: Path, description: DriveDescription) -> None:
     """Write a description as YAML, without what was left open."""
-    told = {f.name: getattr(description, f.name) for f in fields(description)}
-    told["accelerometers"] = to_plain(description.accelerometers)
-    data = {key: value for key, value in told.items() if value not in (None, {}, ())}
+    data = {f.name: getattr(description, f.name) for f in fields(description)}
+    data["accelerometers"] = to_plain(description.accelerometers)
+    data = {key: value for key, value in data.items() if value not in (None, {}, ())}
     text = yaml.safe_dump(_plain(data), sort_keys=False, allow_unicode=True)
     with atomic_write(path) as partial:
         partial.write_text(text, encoding="utf-8")

@@ -241,5 +241,5 @@ def _check(
         max(travelled, key=lambda k: travelled[k]),
     )
     if travelled[high] > 20.0 and travelled[high] * (1.0 - DISAGREEMENT) > travelled[low]:
-        told = f"{travelled[low]:.4g} m by the {low} and {travelled[high]:.4g} m by the {high}"
-        problems.append(f"the drive is {told}: check their units (--units v=..., s=...)")
+        lengths = f"{travelled[low]:.4g} m by the {low} and {travelled[high]:.4g} m by the {high}"
+        problems.append(f"the drive is {lengths}: check their units (--units v=..., s=...)")
