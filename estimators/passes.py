@@ -21,6 +21,7 @@ from typing import NamedTuple, Protocol, Self, runtime_checkable
 import numpy as np
 
 from estimators.api import Estimator, check_estimate
+from estimators.common.odometer import calibrate_odometer
 from estimators.estimation import resolve_estimator, training_notes
 from road_envs.analysis.alignment import MIN_OVERLAP, StationMap, identity_map, map_stations
 from road_envs.analysis.roughness import band_pass
@@ -89,6 +90,8 @@ def estimate_passes(
     names = list(names or (f"pass {k + 1}" for k in range(len(records))))
     if len(names) != len(records):
         raise ConfigError(f"{len(records)} records need as many names, got {len(names)}")
+    calibrated = [calibrate_odometer(record) for record in records]
+    records, odometer = [r for r, _ in calibrated], [n for _, n in calibrated]
     joint = isinstance(estimator, JointEstimator) and len(records) > 1
     one = estimator.for_one_of_many() if joint else estimator  # type: ignore[attr-defined]
     singles = [one.estimate(record, car) for record, car in zip(records, cars, strict=True)]
@@ -97,6 +100,7 @@ def estimate_passes(
     speeds = [float(np.nanmedian(record.v)) for record in records]
     aligned, notes = align_passes(records, singles, names)
     found = join_passes(estimator, aligned, cars)
+    notes += [f"{name}: {note}" for name, own in zip(names, odometer, strict=True) for note in own]
     if len(records) > 1:
         notes += [WANDER_NOTE]
     trained = dict.fromkeys(note for car in cars for note in training_notes(estimator, car))

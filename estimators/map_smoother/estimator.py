@@ -38,6 +38,7 @@ from estimators.common.block_means import MIN_NOISE_DENSITY
 from estimators.common.fallback import reduce_unexplained
 from estimators.common.identified_vehicle import CalibratedByIdentification
 from estimators.common.model_inputs import MOVING_STD, REST_STD, build_model_inputs, rest_state
+from estimators.common.odometer import calibrate_odometer
 from estimators.common.spline import evaluate_spline
 from estimators.map_smoother.bending import sensed_bending
 from estimators.map_smoother.car_fit import (
@@ -141,7 +142,13 @@ class MapSmoother(CalibratedByIdentification):
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths. Raises ConfigError, RecordError, ArithmeticError."""
+        record, odometer = calibrate_odometer(record)
         record, car = self.as_identified(record, car)
+        found = self._estimate_adapting(record, car)
+        return replace(found, notes=(*found.notes, *odometer))
+
+    def _estimate_adapting(self, record: Record, car: VehicleParameters) -> Estimate:
+        """Estimate both wheel paths, also with elements that the description leaves out."""
         first, left = self._estimate(record, car)
         if not (self.adapt and left >= STRUCTURE_POWER and has_absent_elements(car)):
             return first

@@ -16,6 +16,7 @@ from scipy.ndimage import spline_filter1d
 from scipy.signal import welch
 
 from estimators.api import CalibrationDrive, CalibrationError
+from estimators.common.odometer import calibrate_odometer
 from estimators.map_smoother.car_fit import STRUCTURE_POWER, CarFit, Readings, fit_car
 from estimators.map_smoother.estimator import READINGS_PER_UNKNOWN, MapSmoother
 from estimators.map_smoother.gauss_newton import (
@@ -156,6 +157,7 @@ def identify(
             "with one layout"
         )
     chosen = smoother or MapSmoother(adapt=False)
+    drives = [replace(drive, record=calibrate_odometer(drive.record)[0]) for drive in drives]
     parts = [_parts(drive, chosen) for drive in drives]
     for first, _ in parts:
         if first.profile is not None:

@@ -1,0 +1,77 @@
+"""Calibration of the speed signal against the position fixes of the same record.
+
+A speed signal that reads 1 + e times the speed displaces the odometer, which integrates it, until
+position fixes hold it. With d the distance from the beginning of the record, where the odometer is
+right, and L the distance over which the fixes remove 63 % of an error,
+
+    integral of v = (1 + e) d,      s - s_0 = d + e L (1 - exp(-d / L)).
+
+The two signals agree if there are no fixes, and differ in proportion if the fixes act at once; only
+between the two is the odometer displaced, by up to e L. Both e and L are fitted to their difference
+along the drive, and the displacement is removed. (The scale factor of an odometer is a state of
+every navigation filter: Groves, "Principles of GNSS, Inertial, and Multisensor Integrated
+Navigation Systems", 2013, section 16.3.)
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.optimize import minimize_scalar
+
+from road_envs.data.record import Record
+
+LENGTHS = (0.5, 100.0)
+"""Least and greatest L [m] that is looked for; it must be passed within the record."""
+
+MAX_SPEED_ERROR = 0.1
+"""Greatest relative error of a speed signal that is believed."""
+
+MIN_DISPLACEMENT = 0.005
+"""Displacement [m] below which nothing is corrected."""
+
+CLEARNESS = 10.0
+"""Least ratio of the displacement to what the fit leaves, root mean square."""
+
+
+def calibrate_odometer(record: Record) -> tuple[Record, tuple[str, ...]]:
+    """Return `record` with calibrated stations and speed, and a note if they were changed.
+
+    The whole record is used, so this is not for causal estimates. A record is returned itself if
+    its signals are not finite or their difference shows no clear displacement.
+    """
+    travelled = cumulative_trapezoid(record.v, record.t, initial=0.0)
+    slip = travelled - (record.s - record.s[0])
+    if not (np.isfinite(slip).all() and np.ptp(slip) > MIN_DISPLACEMENT):
+        return record, ()
+    most = min(LENGTHS[1], 0.5 * float(travelled[-1]))
+    if not most > LENGTHS[0]:
+        return record, ()
+
+    def fit(log_length: float) -> tuple[float, np.ndarray, np.ndarray]:
+        """Return the speed error for a length L, the displacement (N,) and what is left (N,)."""
+        length, error = np.exp(log_length), 0.0
+        for _ in range(3):  # the distance depends on the error itself, a little
+            distance = travelled / (1.0 + error)
+            held = -length * np.expm1(-distance / length)
+            shape = distance - held
+            error = float(np.clip(shape @ slip / (shape @ shape), -0.5, 0.5))
+        return error, error * held, slip - error * shape
+
+    found = minimize_scalar(
+        lambda x: float(np.sum(fit(x)[2] ** 2)),
+        bounds=(np.log(LENGTHS[0]), np.log(most)),
+        method="bounded",
+    )
+    error, displacement, left = fit(found.x)
+    greatest = float(np.abs(displacement).max())
+    if abs(error) > MAX_SPEED_ERROR or greatest < MIN_DISPLACEMENT:
+        return record, ()
+    if greatest < CLEARNESS * float(np.sqrt(np.mean(left**2))):
+        return record, ()
+    note = (
+        f"the speed signal reads {100.0 * error:+.1f} % beside the position fixes; stations are "
+        f"corrected by up to {100.0 * greatest:.0f} cm"
+    )
+    corrected = replace(record, s=record.s - displacement, v=record.v / (1.0 + error))
+    return corrected, (note,)

@@ -1,0 +1,63 @@
+"""Calibration of the odometer against its position fixes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from estimators.common.odometer import calibrate_odometer
+from road_envs.data.record import Record
+
+FS, DURATION = 200.0, 8.0
+
+
+def true_speed(t):
+    return 14.0 + 2.0 * np.sin(0.7 * t)
+
+
+def drive(error, length, noise=0.0):
+    """Return the record of an odometer with this speed error and distance of its fixes, and the
+    true stations.
+    """
+    t = np.arange(int(DURATION * FS)) / FS
+
+    def rates(time, y):
+        v = true_speed(time)
+        return [v, v * (error - y[1] / length)]
+
+    found = solve_ivp(rates, (0.0, DURATION), [-3.0, 0.0], t_eval=t, rtol=1e-9, atol=1e-10)
+    s, displacement = found.y
+    s_read = s + displacement + noise * np.random.default_rng(1).standard_normal(t.size)
+    states = np.zeros((t.size, 4), dtype=bool)
+    v = (1.0 + error) * true_speed(t)
+    return Record(t, np.zeros((3, t.size)), v, s_read, states, states, 100.0), s
+
+
+@pytest.mark.parametrize("error, length", [(0.02, 10.0), (-0.015, 10.0), (0.05, 4.0), (0.01, 30.0)])
+def test_the_displacement_of_an_odometer_with_position_fixes_is_found(error, length):
+    record, s = drive(error, length)
+    calibrated, notes = calibrate_odometer(record)
+    assert np.abs(record.s - s).max() > 0.1
+    np.testing.assert_allclose(calibrated.s, s, atol=2e-3)
+    np.testing.assert_allclose(calibrated.v, true_speed(record.t), rtol=1e-4)
+    assert notes[0].startswith(f"the speed signal reads {100.0 * error:+.1f} % beside")
+    assert calibrate_odometer(calibrated) == (calibrated, ())
+
+
+@pytest.mark.parametrize("length, noise", [(1e9, 0.0), (1e-3, 0.0), (10.0, 0.3)])
+def test_an_odometer_without_fixes_with_immediate_or_with_noisy_ones_is_left_alone(length, noise):
+    record, _ = drive(0.02, length, noise)
+    assert calibrate_odometer(record)[0] is record
+
+
+def test_fixes_with_some_noise_leave_centimetres():
+    record, s = drive(0.02, 10.0, 0.01)
+    calibrated, _ = calibrate_odometer(record)
+    assert np.abs(calibrated.s - s).max() < 0.2 * np.abs(record.s - s).max() + 4.0 * 0.01
+
+
+def test_a_record_with_lost_speeds_is_left_alone():
+    record, _ = drive(0.02, 10.0)
+    lost = replace(record, v=np.where(record.t > 7.0, np.nan, record.v))
+    assert calibrate_odometer(lost) == (lost, ())
