@@ -64,9 +64,7 @@ def numbers() -> Iterator[tuple[str, np.ndarray]]:
     yield "adaptive", simulate_adaptive(car, surface, 15.0, "handling").trajectory.signals
     for grade in ("S0", "S1", "S2", "S3"):
         one = perturb_vehicle(car, grade, 3)
-        drive = DriveSimulator(
-            one.plant, one.car, one.enveloped(surface), 15.0, "ride", min(1e-3, one.step)
-        )
+        drive = DriveSimulator(one.plant, one.car, surface, 15.0, "ride", min(1e-3, one.step))
         n = drive.steps_left
         yield f"field {grade}", drive.advance(np.full(n, encode_command("ride"), np.uint8)).signals
         record, truth = simulate_record(

@@ -26,7 +26,7 @@ from road_envs.data.record import Record
 from road_envs.vehicle.parameters import VehicleParameters
 
 if TYPE_CHECKING:
-    from estimators.map_smoother.identification import Identification
+    from estimators.map_smoother.identification import IdentificationResult
 
 IDENTIFICATION = "estimators.map_smoother.identification"
 """Module that identifies vehicles; imported when it is needed, since estimators import this one."""
@@ -43,7 +43,7 @@ class IdentifiedVehicle:
     displacement: float = 0.0
 
     @classmethod
-    def of(cls, result: "Identification") -> Self:
+    def of(cls, result: "IdentificationResult") -> Self:
         """Return what an identification has found."""
         gain, displacement = result.sensor_gains, result.displacement
         return cls(car=result.car, gain=gain, displacement=displacement)

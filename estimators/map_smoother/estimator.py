@@ -44,9 +44,8 @@ from estimators.map_smoother.bending import sensed_bending
 from estimators.map_smoother.car_fit import (
     STRUCTURE_POWER,
     CarFit,
-    fit_car,
+    fit_if_due,
     is_believed,
-    is_vehicle_unexplained,
 )
 from estimators.map_smoother.gauss_newton import (
     NOISE_SCALE_WARNING,
@@ -70,7 +69,7 @@ from road_envs.sensing.instruments import Instruments, instruments_of, on_axle
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.linear_model import linearise
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.tolerances import has_absent_elements, parameter_space
+from road_envs.vehicle.tolerances import has_absent_elements
 
 NODE_SPACING_RANGE = (0.025, 0.05)
 """Least and greatest distance of the road's nodes [m]."""
@@ -97,16 +96,17 @@ instruments is small beside what a vehicle that is not the one described leaves 
 class MapSmoother(CalibratedByIdentification):
     """Estimator of the maximum a posteriori road.
 
-    `instruments`: name or path; `noise_density` [(m/s²)/sqrt(Hz)] if it is not theirs. `G_d0` [m³]
-    and `w`: the road's prior; `adapt_prior`: re-estimate its density from the drive, in the end
-    `prior_updates` times. `data_rate`
-    [Hz] of the
-    block means, at least. `step` [s]: longest step of the model. `level_ends`: the road is level
-    before station 0 and behind its length, where the drive begins at rest. `huber`: standard
-    deviations beyond which a measurement is down-weighted. `window`, `overlap` [s]: longer drives
-    are estimated window by window. `draws`: posterior samples for the standard deviation, 0 for
-    none. `adapt`: where the unexplained noise says that the vehicle differs, and its file gives
-    tolerances, the parameters are fitted to the drive (`car_fit.py`).
+    - `instruments`: name or path; `noise_density` [(m/s²)/sqrt(Hz)] if it is not theirs.
+    - `G_d0` [m³] and `w`: the road's prior; `adapt_prior`: re-estimate its density from the drive,
+      in the end `prior_updates` times.
+    - `data_rate` [Hz] of the block means, at least; `step` [s]: longest step of the model.
+    - `level_ends`: the road is level before station 0 and behind its length, where the drive begins
+      at rest.
+    - `huber`: standard deviations beyond which a measurement is down-weighted.
+    - `window`, `overlap` [s]: longer drives are estimated window by window.
+    - `draws`: posterior samples for the standard deviation, 0 for none.
+    - `adapt`: where the unexplained noise says that the vehicle differs, and its file gives
+      tolerances, the parameters are fitted to the drive (`car_fit.py`).
     """
 
     __pydantic_config__ = STRICT
@@ -166,8 +166,8 @@ class MapSmoother(CalibratedByIdentification):
         return replace(second, notes=(*second.notes, note))
 
     def _estimate(self, record: Record, car: VehicleParameters) -> tuple[Estimate, float]:
-        """Return both wheel paths, and the noise that the vehicle leaves unexplained if it may be
-        of another kind, else 0.
+        """Return both wheel paths, and the noise that a fit of the vehicle left unexplained if it
+        was not believed, else 0.
         """
         instruments = instruments_of(record, self.instruments)
         record, valid, notes = mask_record(record, instruments)
@@ -178,26 +178,22 @@ class MapSmoother(CalibratedByIdentification):
         blocks //= drive.block_size
         windows = split_windows(blocks, round(self.window * rate), round(self.overlap * rate))
 
-        in_air: list[float] = []
-        fits: list[CarFit] = []
-        unlike = [0.0]
+        findings = _Findings()
 
         def adapt_car(solution: MapSolution, solver: GaussNewton) -> MapSolution:
-            if not is_vehicle_unexplained(solution):
-                return solution
-            try:
-                fit = fit_car([solution], parameter_space(car), solver)
-            except ArithmeticError:  # a varied vehicle's motion was not finite
+            fit = fit_if_due([solution], car, solver)
+            if fit is None:
                 return solution
             if not is_believed(fit, [solution]):
-                unlike.append(float(np.max(fit.solutions[0].noise_scale)))
+                left = float(np.max(fit.solutions[0].noise_scale))
+                findings.left_by_fit = max(findings.left_by_fit, left)
                 return solution
-            fits.append(fit)
+            findings.fit = fit
             return fit.solutions[0]
 
         def solve(objective: Objective) -> tuple[MapSolution, np.ndarray]:
-            if fits:  # the vehicle of the first window is that of the whole drive
-                fitted = objective.with_car(fits[0].car).model
+            if findings.fit:  # the vehicle of the first window is that of the whole drive
+                fitted = objective.with_car(findings.fit.car).model
                 objective = replace(objective, model=fitted)
             solution = minimize(
                 objective,
@@ -205,9 +201,9 @@ class MapSmoother(CalibratedByIdentification):
                 huber=self.huber,
                 adapt_prior=self.adapt_prior,
                 prior_updates=self.prior_updates,
-                adapt_car=adapt_car if self.adapt and car.tolerances and not fits else None,
+                adapt_car=adapt_car if self.adapt and not findings.fit else None,
             )
-            in_air.append(distance_in_air(solution.linearization))
+            findings.in_air += distance_in_air(solution.linearization)
             return solution, posterior_std(solution, band, self.draws, seed=0)
 
         result, noise_scale = reconstruct(model, drive, prior, windows, solve)
@@ -215,13 +211,13 @@ class MapSmoother(CalibratedByIdentification):
         x = np.clip((s - drive.origin) / drive.ds, 1.0, drive.free.size - 3.0)
         node = np.arange(drive.free.size)
         z_std = np.array([np.interp(x, node, std) for std in result.std]) if self.draws else None
-        if sum(in_air) >= 0.1:
+        if findings.in_air >= 0.1:
             notes += (
-                f"wheels were in the air for {sum(in_air):.1f} m of the drive; the road below them "
-                "is uncertain",
+                f"wheels were in the air for {findings.in_air:.1f} m of the drive; the road below "
+                "them is uncertain",
             )
-        if fits:
-            notes += (f"the vehicle was adapted to the drive: {fits[0].summary()}",)
+        if findings.fit:
+            notes += (f"the vehicle was adapted to the drive: {findings.fit.summary()}",)
         if max(noise_scale) > NOISE_SCALE_WARNING:
             notes += (
                 f"{max(noise_scale):.1f} times the instruments' noise power is left unexplained: "
@@ -234,7 +230,7 @@ class MapSmoother(CalibratedByIdentification):
             notes += (
                 f"the heights are reduced to {share:.0%}: their motion is not the measured one",
             )
-        return Estimate(s, z, z_std, notes), max(unlike)
+        return Estimate(s, z, z_std, notes), findings.left_by_fit
 
     def for_one_of_many(self) -> "MapSmoother":
         """Return the estimator of a single pass of several: fast, for alignment and as a start."""
@@ -263,7 +259,7 @@ class MapSmoother(CalibratedByIdentification):
         noise = density**2 * 0.5 * record.fs
         return MeasurementModel(
             one, car.valve.lag, car.wheelbase, locations, sensor_rows, noise,
-            bending=sensed_bending(car, locations),
+            bending=sensed_bending(car, locations), contact_length=car.variation.contact_length,
         )  # fmt: skip
 
     def prepare_drive(
@@ -296,6 +292,17 @@ class MapSmoother(CalibratedByIdentification):
         typical = REST_STD if level else MOVING_STD
         initial_std = np.repeat(typical[[0, -1]], rest.size // 2)  # of a frame's twist, too
         return PreparedDrive(a, valid, censored, block, inputs, rest, initial_std, origin, ds, free)
+
+
+@dataclass(eq=False)
+class _Findings:
+    """Results of all windows so far: distance in the air [m], the fit of the vehicle, and the noise
+    that a fit left which is not believed.
+    """
+
+    in_air: float = 0.0
+    fit: CarFit | None = None
+    left_by_fit: float = 0.0
 
 
 def _describe_modes(car: VehicleParameters) -> str:

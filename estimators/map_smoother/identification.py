@@ -11,13 +11,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.fft import irfft, rfft, rfftfreq
-from scipy.ndimage import spline_filter1d
 from scipy.signal import welch
 
 from estimators.api import CalibrationDrive, CalibrationError
 from estimators.common.odometer import calibrate_odometer
-from estimators.map_smoother.car_fit import STRUCTURE_POWER, CarFit, Readings, fit_car
+from estimators.map_smoother.car_fit import STRUCTURE_POWER, CarFit, fit_car
 from estimators.map_smoother.estimator import READINGS_PER_UNKNOWN, MapSmoother
 from estimators.map_smoother.gauss_newton import (
     GaussNewton,
@@ -25,13 +23,14 @@ from estimators.map_smoother.gauss_newton import (
     estimate_noise_scale,
     minimize,
 )
+from estimators.map_smoother.instrument_errors import InstrumentErrors
+from estimators.map_smoother.known_road import check_profile, on_profile
 from estimators.map_smoother.objective import Objective, linearize
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.windows import initial_window_state, window_objective
 from estimators.preprocessing import mask_record
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.analysis.roughness import N_0, displacement_psd
-from road_envs.data.record import Profile, Record
+from road_envs.data.record import Record
 from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import Tolerance, VehicleParameters
 from road_envs.vehicle.tolerances import ParameterSpace, has_absent_elements, parameter_space
@@ -42,15 +41,6 @@ FIT_SHARE = 2.0 / 3.0
 MIN_DURATION, MIN_SPEED, MIN_SIGNAL = 4.0, 1.0, 3.0
 """Least duration [s] and mean speed [m/s] of the fitted part of a drive, and least standard
 deviation of its accelerations in units of that of the instruments' noise."""
-
-MIN_CORRELATION = 0.5
-"""Least correlation of the readings with those expected on the known road."""
-
-CLEARLY_BETTER = 0.03
-"""Excess of the correlation with another profile from which on that one is believed."""
-
-LEVEL_BAND = (0.2, 1.0)
-"""Band [cycles/m] in which the level of a profile is taken."""
 
 KNOWN_DATA_RATE = 100.0
 """Block means per second [Hz] of a drive over a known road."""
@@ -65,12 +55,9 @@ STRUCTURE_GAIN = 0.5
 """Share of the unexplained power of held-out readings that elements which the description leaves
 out may leave at most, to be believed."""
 
-UNIT_RATIO = 4.0
-"""Ratio of measured to expected acceleration from which on units are suspected."""
-
-STD_INFLATION, UNKNOWN_STD_INFLATION = 1.5, 5.0
-"""Factors on posterior standard deviations for what the linear vehicle's covariances leave out,
-over known and over unmeasured roads (`leaderboard/benchmarks/vehicle_knowledge.py`)."""
+UNKNOWN_STD_INFLATION = 5.0
+"""Factor on posterior standard deviations over unmeasured roads, for what the linear vehicle's
+covariances leave out (`leaderboard/benchmarks/identified_parameters.py`)."""
 
 WHEELBASE_MARGIN = 4.0
 """Distance [m] after the beginning of a profile at which all wheels are on it."""
@@ -88,7 +75,7 @@ class Unexplained:
 
 
 @dataclass(frozen=True, eq=False)
-class Identification:
+class IdentificationResult:
     """Result: the `fit`, the identified `car`, and what the described and the identified vehicle
     leave `unexplained` in the held-out part of each drive.
     """
@@ -107,12 +94,12 @@ class Identification:
     def names(self) -> tuple[str, ...]:
         """Names of the parameters (P,), errors of the instruments last."""
         space = self.fit.space
-        return (*space.names, *self.fit.readings.names)[: self.fit.x.size]
+        return (*space.names, *self.fit.instrument_errors.names)[: self.fit.x.size]
 
     @property
     def sensor_gains(self) -> tuple[float, ...]:
         """Gain of each accelerometer; 1 over unmeasured roads, where none is identified."""
-        readings, errors = self.fit.readings, self.fit.x[self.fit.space.size :]
+        readings, errors = self.fit.instrument_errors, self.fit.x[self.fit.space.size :]
         gains = np.exp(readings.std * errors) if errors.size else np.ones(len(readings.names))
         return tuple(gains[: len(readings.sensors)].tolist())
 
@@ -122,7 +109,7 @@ class Identification:
         errors = self.fit.x[self.fit.space.size :]
         if errors.size == 0:
             return 0.0
-        found = (self.fit.readings.std * errors)[-2:]
+        found = (self.fit.instrument_errors.std * errors)[-2:]
         s = [solution.linearization.objective.inputs.s for solution in self.fit.solutions]
         travelled = float(np.mean([np.mean(x - x[0]) for x in s]))
         return float(found[0] + travelled * found[1])
@@ -139,7 +126,7 @@ def identify(
     car: VehicleParameters,
     smoother: MapSmoother | None = None,
     structure: bool | None = False,
-) -> Identification:
+) -> IdentificationResult:
     """Identify the parameters of `car` that have tolerances from calibration drives.
 
     With `structure`, the elements that the description leaves out (a frame that twists, progressive
@@ -161,7 +148,7 @@ def identify(
     parts = [_parts(drive, chosen) for drive in drives]
     for first, _ in parts:
         if first.profile is not None:
-            _check_profile(_objective(first, car, chosen), first)
+            check_profile(_objective(first, car, chosen), first)
     result = _identify(parts, car, chosen, bool(structure))
     if structure is not None or result.left < STRUCTURE_POWER or not has_absent_elements(car):
         return result
@@ -174,7 +161,7 @@ def _identify(
     car: VehicleParameters,
     smoother: MapSmoother,
     structure: bool,
-) -> Identification:
+) -> IdentificationResult:
     """Identify a vehicle from the first part of each drive, and judge it on the second."""
     space = parameter_space(car, structure)
     known = all(first.profile is not None for first, _ in parts)
@@ -183,17 +170,17 @@ def _identify(
         vehicle = space.from_vector(x[: space.size])
         return [_solve(first, vehicle, smoother, **options) for first, _ in parts]
 
-    errors = len(Readings(parts[0][0].record.channels).names) if known else 0
+    errors = len(InstrumentErrors(parts[0][0].record.channels).names) if known else 0
     x, solutions = _nearest_start(space, space.size + errors, solve)
     solver = GaussNewton(solutions[0].stationary, smoother.huber, 40, 0.1)
     fit = fit_car(solutions, space, solver, instruments=known, start=x)
-    std = np.minimum((STD_INFLATION if known else UNKNOWN_STD_INFLATION) * fit.std, 1.0)
+    std = np.minimum((1.0 if known else UNKNOWN_STD_INFLATION) * fit.std, 1.0)
     found = fit.x[space.size :]
     unexplained = tuple(
         (_unexplained(rest, car, smoother), _unexplained(rest, fit.car, smoother, found))
         for _, rest in parts
     )
-    return Identification(fit, _with_posterior(fit, car, std), std, unexplained)
+    return IdentificationResult(fit, _with_posterior(fit, car, std), std, unexplained)
 
 
 def _nearest_start(
@@ -286,49 +273,7 @@ def _objective(drive: CalibrationDrive, car: VehicleParameters, smoother: MapSmo
     prior = RoadPrior(G_d0=smoother.G_d0, w=smoother.w)
     state = initial_window_state(prepared)
     objective = window_objective(model, prepared, prior, state, 0, blocks)
-    return _on_profile(objective, drive)
-
-
-def _on_profile(objective: Objective, drive: CalibrationDrive) -> Objective:
-    """Return the objective with the known road, if there is one, in place of the prior's.
-
-    The road is the Wiener filter's estimate from the profile: left as measured, errors of short
-    waves would count as road and make the vehicle look softer than it is.
-    """
-    road, profile = objective.road, drive.profile
-    if profile is None:
-        return objective
-    prior, noise = _road_prior(profile), 2.0 * drive.survey_std**2 * profile.ds
-
-    def share(n: np.ndarray) -> np.ndarray:
-        """Return the road's share of the profile's density at `n` [cycles/m]."""
-        density = prior.density(np.maximum(n, 1e-6))
-        return density / (density + noise)
-
-    s = road.origin + road.ds * np.arange(road.size)
-    smooth = _filtered(profile, share)
-    heights = np.array([np.interp(s, profile.s, z) for z in smooth])
-    background = spline_filter1d(heights, order=3, axis=1, mode="nearest")
-    rise = np.maximum(2.0 * np.sin(np.pi * road.n * road.ds), 1e-3)
-    # mean and half difference have half the variance each of what is left of the error
-    amplitude = rise * np.sqrt(0.25 * noise * share(road.n) / road.ds) * np.ones((2, 1))
-    # the road is not moved: its error counts as noise of the readings
-    known = replace(road, background=background, amplitude=amplitude, free=np.zeros(road.size))
-    return replace(objective, road=known)
-
-
-def _road_prior(profile: Profile) -> RoadPrior:
-    """Return a prior of the profile's own level, from waves that are long against its error."""
-    n, G = displacement_psd(profile.z, profile.ds)
-    inside = (n > LEVEL_BAND[0]) & (n < LEVEL_BAND[1])
-    return RoadPrior(G_d0=float(np.mean(G[:, inside] * (n[inside] / N_0) ** 2)))
-
-
-def _filtered(profile: Profile, share: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Return the heights (2, M) with each wave multiplied by `share`; mirrored at both ends."""
-    both = np.concatenate([profile.z, profile.z[:, ::-1]], axis=1)
-    spectrum = rfft(both, axis=1) * share(rfftfreq(both.shape[1], profile.ds))
-    return irfft(spectrum, both.shape[1], axis=1)[:, : profile.s.size]
+    return on_profile(objective, drive)
 
 
 def _solve(
@@ -364,7 +309,7 @@ def _unexplained(
     """Return what `car` leaves unexplained in a drive, with instruments of these `errors`."""
     objective = _objective(drive, car, smoother)
     if errors is not None:
-        objective = Readings.of(objective).apply(objective, errors)
+        objective = InstrumentErrors.of(objective).apply(objective, errors)
     if drive.profile is None:
         solution = minimize(objective, stationary_hessian(objective), huber=smoother.huber)
     else:
@@ -374,51 +319,3 @@ def _unexplained(
     r = np.where(used, np.sqrt(objective.information) * lin.residual, 0.0)
     f, S = welch(r, fs=1.0 / objective.block_duration, nperseg=min(128, r.shape[1]))
     return Unexplained(float(np.mean(r[used] ** 2)), f, S.mean(axis=0))
-
-
-def _check_profile(objective: Objective, drive: CalibrationDrive) -> None:
-    """Raise CalibrationError if the readings do not belong to the profile, and say what would."""
-    y = objective.measurements.y
-    y = y - y.mean(axis=1, keepdims=True)
-    expected = _expected(objective)
-    fit, ratio = _correlation(y, expected), float(y.std() / expected.std())
-    profile = drive.profile
-    assert profile is not None
-    others = {
-        "reversed": profile.z[::-1, ::-1],
-        "with left and right exchanged": profile.z[::-1],
-        "with the opposite sign": -profile.z,
-    }
-    tried = {
-        what: _correlation(
-            y, _expected(_on_profile(objective, replace(drive, profile=Profile(profile.s, z))))
-        )
-        for what, z in others.items()
-    }
-    best = max(tried, key=lambda what: tried[what])
-    if tried[best] > max(MIN_CORRELATION, fit + CLEARLY_BETTER):
-        hint = f"the profile {best} fits ({tried[best]:.2f})"
-    elif fit < MIN_CORRELATION:
-        hint = "it may be another stretch, or the odometer may be displaced"
-    elif not 1.0 / UNIT_RATIO < ratio < UNIT_RATIO:
-        raise CalibrationError(
-            f"{drive.name}: the accelerations are {ratio:.2g} times those expected on its profile; "
-            "check the units of both (m/s² and m)"
-        )
-    else:
-        return
-    raise CalibrationError(
-        f"{drive.name}: the readings do not belong to its profile (correlation {fit:.2f} with "
-        f"those expected); {hint}"
-    )
-
-
-def _expected(objective: Objective) -> np.ndarray:
-    """Return the block means (S, J) expected on the known road, less their means."""
-    residual, _ = objective.residual_at(np.zeros(objective.size))
-    expected = objective.measurements.y - residual
-    return expected - expected.mean(axis=1, keepdims=True)
-
-
-def _correlation(y: np.ndarray, expected: np.ndarray) -> float:
-    return float(np.sum(y * expected) / np.sqrt(np.sum(y**2) * np.sum(expected**2)))

@@ -158,7 +158,8 @@ class JointLinearization:
         information = []
         for one in self.passes[1:]:
             measurements = one.objective.measurements
-            uniform = one.block_tangent.apply(np.zeros(one.tape.end.size), self._slope)
+            slope = one.objective.footprint.apply(self._slope)
+            uniform = one.block_tangent.apply(np.zeros(one.tape.end.size), slope)
             power = np.sum(measurements.sample_count * uniform**2, axis=0)
             s = one.objective.inputs.s[:: one.objective.inputs.s.size // power.size][: power.size]
             hats = [np.interp(s, self.at.knots, unit) for unit in np.eye(self.at.knots.size)]
@@ -210,11 +211,10 @@ class JointLinearization:
         dc = self.at.road.apply(u)
         shifts = self.at.shifts(dx)
         roads = [dc + (shift @ self._hats) * self._slope if shift.any() else dc for shift in shifts]
+        rows = zip(self.passes, start, roads, bias, strict=True)
         return [
-            one.block_tangent.apply(*pair) + offset[:, None]
-            for one, pair, offset in zip(
-                self.passes, zip(start, roads, strict=True), bias, strict=True
-            )
+            one.block_tangent.apply(first, one.objective.footprint.apply(c)) + offset[:, None]
+            for one, first, c, offset in rows
         ]
 
     def adjoint(self, means: Sequence[np.ndarray]) -> np.ndarray:
@@ -223,6 +223,7 @@ class JointLinearization:
         for k, (one, values) in enumerate(zip(self.passes, means, strict=True)):
             start, c = one.block_tangent.apply_transpose(values)
             o = one.objective
+            c = o.footprint.apply_transpose(c)
             own += [o.initial_std * start, o.model.bias_std * values.sum(axis=1)]
             total += c
             if k and self.at.n_shifts:

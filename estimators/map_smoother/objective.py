@@ -22,6 +22,7 @@ from estimators.common.model_inputs import ModelInputs
 from estimators.common.spline import sample_under_wheels
 from estimators.map_smoother.bending import SensedBending, sensed_bending
 from estimators.map_smoother.block_tangent import BlockTangent, build_block_tangent
+from estimators.map_smoother.footprint import Footprint
 from estimators.map_smoother.road_prior import RoadTransform
 from road_envs.sensing.instruments import SensorLocation
 from road_envs.simulation.tape import Tape, linearize_drive
@@ -35,7 +36,8 @@ class MeasurementModel:
     """Model of vehicle and instruments: `plant`, time constant `valve_lag` [s] of its valves and
     `wheelbase` [m]; `locations` of the S sensors and `sensor_rows` (S, 7), their acceleration per
     unit of each coordinate's; `noise_variance` [(m/s²)²] of a sample; prior standard deviation
-    `bias_std` [m/s²] of the sensor biases; the `bending` of the body, None if it is stiff.
+    `bias_std` [m/s²] of the sensor biases; the `bending` of the body, None if it is stiff; the
+    `contact_length` [m] over which the tyres envelop the road.
     """
 
     plant: Plant
@@ -46,6 +48,7 @@ class MeasurementModel:
     noise_variance: float
     bias_std: float = 0.05
     bending: SensedBending | None = None
+    contact_length: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +104,13 @@ class Objective:
     def road_under_wheels(self, c: np.ndarray) -> np.ndarray:
         """Return heights and rates (2 N, 2, 4) under the wheels for coefficients `c` (2, K)."""
         out = np.empty((self.inputs.s.size, 2, 4))
-        sample_under_wheels(c, *self._along, out)
+        sample_under_wheels(self.footprint.apply(c), *self._along, out)
         return out
+
+    @property
+    def footprint(self) -> Footprint:
+        """The enveloping of the road by the tyres."""
+        return Footprint.of(self.model.contact_length, self.road.ds)
 
     @property
     def _along(self) -> tuple[np.ndarray, np.ndarray, float]:
@@ -116,7 +124,8 @@ class Objective:
         strut_state, level = settled_strut_state(int(self.inputs.commands[0])), np.zeros(4)
         change = equilibrium(plant, strut_state, level)
         change -= equilibrium(self.model.plant, strut_state, level)
-        model = replace(self.model, plant=plant, bending=bending)
+        contact = car.variation.contact_length
+        model = replace(self.model, plant=plant, bending=bending, contact_length=contact)
         return replace(self, model=model, initial_state=self.initial_state + change)
 
     def simulate(self, x: np.ndarray, plant: Plant | None = None) -> Tape:
@@ -233,7 +242,7 @@ class Linearization:
         """Return the change (S, J) of the predicted block means by a small `dx`."""
         o = self.objective
         u, start, bias = o.split(dx)
-        means = self.block_tangent.apply(start, o.road.apply(u))
+        means = self.block_tangent.apply(start, o.footprint.apply(o.road.apply(u)))
         if o.model.bending is not None:
             means = o.model.bending.sense(means, o.block_duration)
         return means + bias[:, None]
@@ -245,6 +254,7 @@ class Linearization:
         if o.model.bending is not None:
             means = o.model.bending.sense_transpose(means, o.block_duration)
         start, c = self.block_tangent.apply_transpose(means)
+        c = o.footprint.apply_transpose(c)
         return np.concatenate([o.road.apply_transpose(c).ravel(), o.initial_std * start, bias])
 
     def draw_noise(self, rng: np.random.Generator) -> np.ndarray:

@@ -15,12 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estimators.common.spline import evaluate_spline
-from estimators.map_smoother.car_fit import (
-    CarFit,
-    fit_car,
-    is_believed,
-    is_vehicle_unexplained,
-)
+from estimators.map_smoother.car_fit import CarFit, fit_if_due, is_believed
 from estimators.map_smoother.gauss_newton import (
     NOISE_SCALE_WARNING,
     GaussNewton,
@@ -50,7 +45,6 @@ from road_envs.analysis.information_bound import RoadPrior
 from road_envs.data.record import Estimate, Record, scored_band
 from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.tolerances import parameter_space
 
 if TYPE_CHECKING:
     from estimators.map_smoother.estimator import MapSmoother
@@ -81,7 +75,7 @@ Window = tuple[int, int, int]
 
 
 @dataclass(frozen=True, eq=False)
-class Pass:
+class PreparedPass:
     """One pass: its described `car`, measurement `model`, and `drive` on the common nodes."""
 
     name: str
@@ -102,7 +96,7 @@ class Pass:
 
 @dataclass(eq=False)
 class _Findings:
-    """What is found window by window: noise scale and distance in the air of each pass, fits of
+    """Results of all windows so far: noise scale and distance in the air of each pass, fits of
     vehicles with the numbers of their passes.
     """
 
@@ -110,7 +104,7 @@ class _Findings:
     in_air: np.ndarray
     fits: list[tuple[CarFit, list[int]]] = field(default_factory=list)
 
-    def notes(self, passes: Sequence[Pass]) -> list[str]:
+    def notes(self, passes: Sequence[PreparedPass]) -> list[str]:
         """Return the notes, with the names of the passes."""
         notes = [
             f"{one.name}: wheels were in the air for {length:.1f} m of the drive"
@@ -184,7 +178,7 @@ def prepare_passes(
     records: Sequence[Record],
     cars: Sequence[VehicleParameters],
     names: Sequence[str],
-) -> tuple[list[Pass], list[str]]:
+) -> tuple[list[PreparedPass], list[str]]:
     """Return the passes on common nodes, the finest that any of them needs, and notes."""
     passes, notes = [], list[str]()
     for record, car, name in zip(records, cars, names, strict=True):
@@ -192,7 +186,7 @@ def prepare_passes(
         record, valid, told = mask_record(record, instruments)
         model = smoother.measurement_model(record, car, instruments)
         drive = smoother.prepare_drive(record, valid, car, instruments)
-        passes.append(Pass(name, car, model, drive))
+        passes.append(PreparedPass(name, car, model, drive))
         notes += [f"{name}: {note}" for note in told]
     drives = [one.drive for one in passes]
     ds, origin = min(drive.ds for drive in drives), min(drive.origin for drive in drives)
@@ -235,16 +229,12 @@ def _adapt(
     ]
     objectives = list(lin.at.passes)
     for first, car in enumerate(cars):
-        if car in cars[:first] or not car.tolerances:
+        if car in cars[:first]:
             continue
         same = [i for i, other in enumerate(cars) if other == car]
-        if not any(is_vehicle_unexplained(parts[i]) for i in same):
-            continue
-        try:
-            fit = fit_car([parts[i] for i in same], parameter_space(car), solver)
-        except ArithmeticError:  # a varied vehicle's motion was not finite
-            continue
-        if not is_believed(fit, [parts[i] for i in same]):
+        own = [parts[i] for i in same]
+        fit = fit_if_due(own, car, solver)
+        if fit is None or not is_believed(fit, own):
             continue
         for i in same:
             objectives[i] = objectives[i].with_car(fit.car)
@@ -265,7 +255,7 @@ def _adapt(
 
 
 def joint_windows(
-    passes: Sequence[Pass], window: float, overlap: float
+    passes: Sequence[PreparedPass], window: float, overlap: float
 ) -> list[tuple[Window, ...]]:
     """Return the windows (begin, begin of the next one, end) of each pass, in blocks.
 
@@ -277,7 +267,7 @@ def joint_windows(
     even = split_windows(longest.blocks, round(window * rate), round(overlap * rate))
     starts = longest.block_stations
 
-    def at(one: Pass, block: int) -> int:
+    def at(one: PreparedPass, block: int) -> int:
         if one is longest or block == 0:
             return block
         if block >= starts.size:
@@ -290,7 +280,9 @@ def joint_windows(
     ]
 
 
-def reconstruct_passes(smoother: "MapSmoother", passes: Sequence[Pass], solve: Any) -> WindowState:
+def reconstruct_passes(
+    smoother: "MapSmoother", passes: Sequence[PreparedPass], solve: Any
+) -> WindowState:
     """Estimate all windows and return the final state of the road.
 
     `solve` gets the objective of a window and the numbers of its passes, and returns the solution

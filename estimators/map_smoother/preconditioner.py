@@ -226,7 +226,8 @@ def linear_responses(objective: Objective, f: np.ndarray) -> Iterator[tuple[floa
         if model.bending is not None:
             rigid, heave, behind = H[:, :-2], H[:, -2], H[:, -1]
             H = rigid + model.bending.response(heave, behind - heave, f)
-        yield count / inputs.n_steps, H @ TO_WHEEL_PATHS
+        enveloped = np.sinc(f / inputs.v.mean() * model.contact_length)
+        yield count / inputs.n_steps, enveloped[:, None, None] * H @ TO_WHEEL_PATHS
 
 
 def _decode_mode(byte: int) -> dict[str, str]:

@@ -23,7 +23,7 @@ import numpy as np
 from estimators.api import CalibrationDrive, copy_with
 from estimators.common.identified_vehicle import IdentifiedVehicle
 from estimators.map_smoother.estimator import MapSmoother
-from estimators.map_smoother.identification import Identification, identify
+from estimators.map_smoother.identification import IdentificationResult, identify
 from leaderboard.benchmarks.study import Row, run_study, study_parser
 from leaderboard.metrics.heights import nrmse
 from leaderboard.report.plots import COLOURS, write_figure
@@ -45,7 +45,7 @@ TEST_ROAD, KNOWN_ROAD, BLIND_ROAD = (1_070_000, 120.0), (1_080_000, 100.0), (1_0
 """First seed and length [m] of the test roads, and of the roads of both calibrations."""
 
 
-def calibrations(car: VehicleParameters, seed: int, grade: str) -> dict[str, Identification]:
+def calibrations(car: VehicleParameters, seed: int, grade: str) -> dict[str, IdentificationResult]:
     """Identify one individual from a drive over a known and from one over an unknown road."""
     record, profile = _drive(seed, grade, KNOWN_ROAD)
     error = SURVEY_STD * np.random.default_rng(seed).standard_normal(profile.z.shape)
@@ -57,7 +57,7 @@ def calibrations(car: VehicleParameters, seed: int, grade: str) -> dict[str, Ide
     }
 
 
-def deviations(result: Identification, true: VehicleParameters) -> list[float]:
+def deviations(result: IdentificationResult, true: VehicleParameters) -> list[float]:
     """Return the errors of the fitted parameters in posterior standard deviations.
 
     The frictions are left out: that of all struts and that of each are told apart by prior only.

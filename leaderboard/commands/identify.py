@@ -10,7 +10,7 @@ from rich.table import Table
 
 from estimators.api import CalibrationDrive
 from estimators.map_smoother.estimator import MapSmoother
-from estimators.map_smoother.identification import Identification
+from estimators.map_smoother.identification import IdentificationResult
 from estimators.map_smoother.identification import identify as identify_vehicle
 from leaderboard.commands import check_output_path, console, print_json
 from leaderboard.commands.drive_files import (
@@ -82,10 +82,10 @@ def identify(
     print_notes([*notes, *(f"written: {path}" for path in (out, plot) if path)])
 
 
-def _facts(result: Identification) -> dict[str, Any]:
+def _facts(result: IdentificationResult) -> dict[str, Any]:
     space = result.fit.space
     names = zip(space.names, result.factors, result.std, space.std, strict=False)
-    fitted = result.fit.readings
+    fitted = result.fit.instrument_errors
     readings = zip(fitted.names, result.fit.x[space.size :], fitted.std, strict=False)
     return {
         "vehicle": result.car.name,
@@ -97,7 +97,7 @@ def _facts(result: Identification) -> dict[str, Any]:
     }
 
 
-def _notes(result: Identification) -> list[str]:
+def _notes(result: IdentificationResult) -> list[str]:
     size = result.fit.space.size
     x, std, names = result.fit.x[:size], result.std[:size], result.names
     open_ = [names[i] for i in np.flatnonzero(std > UNDETERMINED)]
@@ -113,15 +113,15 @@ def _notes(result: Identification) -> list[str]:
     return notes
 
 
-def _print(result: Identification, drives: list[str]) -> None:
+def _print(result: IdentificationResult, drives: list[str]) -> None:
     space = result.fit.space
     table = Table("parameter", "change [%]", "± [%]", "of tolerance [%]", box=None)
     for i, name in enumerate(space.names):
         if result.std[i] <= UNDETERMINED:
             change, std = 100.0 * (result.factors[i] - 1.0), 100.0 * result.std[i] * space.std[i]
             table.add_row(name, f"{change:+.1f}", f"{std:.1f}", f"{100.0 * result.std[i]:.0f}")
-    readings = result.fit.readings
-    units = (*("[%]",) * len(readings.sensors), "[m]", "[%]")
+    readings = result.fit.instrument_errors
+    units = ["[%]" if name.startswith(("gain", "speed")) else "[m]" for name in readings.names]
     for k, unit in enumerate(units[: result.fit.x.size - space.size]):
         i, scale = space.size + k, 100.0 if unit == "[%]" else 1.0
         value, std = (scale * readings.std[k] * x[i] for x in (result.fit.x, result.std))

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from estimators.map_smoother.identification import Identification
+from estimators.map_smoother.identification import IdentificationResult
 from leaderboard.report.plots import COLOURS, write_figure
 
 
-def draw_identification(result: Identification, drives: Sequence[str], path: Path) -> None:
+def draw_identification(result: IdentificationResult, drives: Sequence[str], path: Path) -> None:
     """Draw the unexplained spectra of the held-out readings, and the parameters with intervals."""
 
     def paint(figure: Any) -> None:

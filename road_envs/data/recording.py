@@ -68,8 +68,8 @@ def simulate_record(
     k = len(instruments.accelerometers)
     drawn_by = seed if individual is None else individual
     one = perturb_vehicle(car, grade, drawn_by, plant_mismatch, k)
-    step, enveloped_surface = min(step, one.step), one.enveloped(surface)
-    drive = DriveSimulator(one.plant, one.car, enveloped_surface, speed_kmh / 3.6, mode, step)
+    step = min(step, one.step)
+    drive = DriveSimulator(one.plant, one.car, surface, speed_kmh / 3.6, mode, step)
     logger = DataLogger(instruments, one.car, step, np.random.default_rng(seed), one.faults)
     byte, parts = encode_command(mode, car), []
     while not drive.is_finished:  # in chunks, which bounds the memory of a long drive

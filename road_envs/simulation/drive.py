@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from road_envs.config import ConfigError
-from road_envs.roads.surface import Surface
+from road_envs.roads.surface import Surface, enveloped
 from road_envs.simulation import rosenbrock
 from road_envs.simulation.manoeuvres import Manoeuvre
 from road_envs.simulation.speed import SpeedProfile, constant_speed
@@ -139,6 +139,8 @@ class DriveSimulator:
                 f"{surface.name}: {surface.length:.2f} m of road is shorter than the wheelbase "
                 f"of {car.wheelbase:.3f} m"
             )
+        if (contact := car.variation.contact_length) > 0.0:
+            surface = enveloped(surface, contact)
         surface.check_climbable()
         self.plant, self.car, self.surface = plant, car, surface
         self.speed_profile, self.manoeuvre, self.step = speed, manoeuvre, float(step)

@@ -83,6 +83,9 @@ class VehicleVariation(Settings):
     roll_stiffness: Annotated[
         tuple[NonNegative, NonNegative], "N m/rad", "of the bushings between body and each axle"
     ] = (0.0, 0.0)
+    contact_length: Annotated[
+        NonNegative, "m", "of the tyres' contact, over which they envelop the road; 0: a point"
+    ] = 0.0
     frame: TorsionalFrame | None = None
     bending: BendingMode | None = None
 

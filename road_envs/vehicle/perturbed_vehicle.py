@@ -27,7 +27,6 @@ import numpy as np
 
 from road_envs import config
 from road_envs.config import Fraction, NonNegative, Positive, Settings, SmallestFirst
-from road_envs.roads.surface import Surface, enveloped
 from road_envs.sensing.sensor_faults import (
     NO_FAULTS,
     DropoutLength,
@@ -146,14 +145,13 @@ class PlantMismatch(Settings):
 
 @dataclass(frozen=True)
 class PerturbedVehicle:
-    """One perturbed vehicle: parameters with their variation, tyre contact length, sensor faults.
+    """One perturbed vehicle: parameters with their variation, and sensor faults.
 
-    `step` [s]: longest step of the integrator. A `contact_length` [m] of 0 is a point follower.
+    `step` [s]: longest step of the integrator.
     """
 
     grade: str
     car: VehicleParameters
-    contact_length: float = 0.0
     faults: SensorFaults = NO_FAULTS
     step: float = np.inf
 
@@ -161,10 +159,6 @@ class PerturbedVehicle:
     def plant(self) -> Plant:
         """The vehicle as kernels read it."""
         return build_plant(self.car)
-
-    def enveloped(self, surface: Surface) -> Surface:
-        """Return the surface after enveloping by the tyres; the true profile is not affected."""
-        return enveloped(surface, self.contact_length) if self.contact_length > 0.0 else surface
 
 
 def load_plant_mismatch(name: str | Path = "assumed") -> PlantMismatch:
@@ -256,13 +250,13 @@ def _with_structure(
         tyre=_four_factors(rng, limits.tyre_pressure * limits.tyre_pressure_effect),
         tyre_progression=limits.tyre_progression,
         roll_stiffness=limits.roll_stiffness,
+        contact_length=limits.contact_length,
         frame=None if limits.frame is None else TorsionalFrame(**_draw_mode(rng, limits.frame)),
         bending=None
         if (b := limits.bending) is None
         else BendingMode(**_draw_mode(rng, b), length=b.length),
     )
-    car = replace(car, variation=variation)
-    return replace(vehicle, car=car, contact_length=limits.contact_length)
+    return replace(vehicle, car=replace(car, variation=variation))
 
 
 def _draw_mode(rng: np.random.Generator, limits: FrameRange) -> dict[str, float]:

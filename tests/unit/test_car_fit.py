@@ -8,10 +8,11 @@ import pytest
 from vehicle_fixtures import DEFENDER
 
 from estimators.api import CalibrationDrive, CalibrationError
-from estimators.map_smoother import car_fit
-from estimators.map_smoother.car_fit import Readings, perturbed_cars, sensitivities
+from estimators.map_smoother import marginal_likelihood
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.identification import identify
+from estimators.map_smoother.instrument_errors import InstrumentErrors
+from estimators.map_smoother.marginal_likelihood import perturbed_cars, sensitivities
 from estimators.map_smoother.objective import Objective, linearize
 from estimators.map_smoother.windows import initial_window_state, window_objective
 from estimators.preprocessing import mask_record
@@ -21,6 +22,7 @@ from road_envs.data.record import Profile, scored_band
 from road_envs.data.recording import simulate_record
 from road_envs.roads.iso8608 import Iso8608
 from road_envs.sensing.instruments import load_instruments
+from road_envs.vehicle.equations import THETA
 from road_envs.vehicle.perturbed_vehicle import perturb_vehicle
 from road_envs.vehicle.tolerances import ParameterSpace, parameter_space
 
@@ -54,24 +56,24 @@ def test_sensitivities_are_differences_of_single_drives():
     cars, none = perturbed_cars(few, np.zeros(few.size)), np.zeros(0)
     for car, found in zip(cars[1:], sensitivities(lin, objective, cars, none), strict=True):
         residual, _ = objective.with_car(car).residual_at(x)
-        expected = (lin.residual - residual) / car_fit.DIFFERENCE
+        expected = (lin.residual - residual) / marginal_likelihood.DIFFERENCE
         np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
 
 
 def test_the_log_determinant_has_its_gradient():
     objective, noise = short_objective(), 0.05
-    f, lines = car_fit._lines(objective)
+    f, lines = marginal_likelihood._lines(objective)
 
     def half_log_det(car) -> float:
-        C = car_fit._covariance(objective.with_car(car), f, noise)
+        C = marginal_likelihood._covariance(objective.with_car(car), f, noise)
         return 0.5 * float(lines @ np.linalg.slogdet(C)[1])
 
     few = ParameterSpace(DEFENDER, SPACE.names[:6], 0.01 * SPACE.std[:6])
     cars = perturbed_cars(few, np.zeros(few.size))
     values = np.array([half_log_det(car) for car in cars])
-    gradient, hessian = car_fit._log_det_terms(objective, cars, noise)
+    gradient, hessian = marginal_likelihood._log_det_terms(objective, cars, noise)
     np.testing.assert_allclose(
-        gradient, (values[1:] - values[0]) / car_fit.DIFFERENCE, rtol=0.02, atol=1e-3
+        gradient, (values[1:] - values[0]) / marginal_likelihood.DIFFERENCE, rtol=0.02, atol=1e-3
     )
     np.testing.assert_allclose(hessian, hessian.T, atol=1e-9 * np.abs(hessian).max())
 
@@ -146,13 +148,19 @@ def test_errors_of_the_instruments_are_applied_to_the_model():
     objective = short_objective()
     x = np.zeros(objective.size)
     means = objective.measurements.y - objective.residual_at(x)[0]
-    errors = np.array([2.0, 0.0, -1.0, 0.0, 0.0])
-    readings = Readings.of(objective)
-    assert readings.names == ("gain.RF", "gain.LR", "gain.RR", "odometer", "speed")
+    errors = np.zeros(11)
+    errors[:3] = 2.0, 0.0, -1.0
+    readings = InstrumentErrors.of(objective)
+    assert readings.names[:5] == ("gain.RF", "gain.LR", "gain.RR", "x.RF", "x.LR")
+    assert readings.names[8:] == ("y.RR", "odometer", "speed")
     changed = readings.apply(objective, errors)
     scaled = objective.measurements.y - changed.residual_at(x)[0]
     expected = np.exp(readings.std * errors)[:3, None] * means
     np.testing.assert_allclose(scaled, expected, atol=1e-12)
-    moved = readings.apply(objective, np.array([0.0, 0.0, 0.0, 1.0, 0.0]))
-    np.testing.assert_allclose(moved.inputs.s - objective.inputs.s, readings.std[3])
+    moved = readings.apply(objective, np.eye(11)[9])
+    np.testing.assert_allclose(moved.inputs.s - objective.inputs.s, readings.std[9])
+    rows = readings.apply(objective, np.eye(11)[4]).model.sensor_rows  # ahead: pitch, nose down
+    expected = np.zeros((3, 7))
+    expected[1, THETA] = -0.012
+    np.testing.assert_allclose(rows - objective.model.sensor_rows, expected, atol=1e-12)
     assert readings.apply(objective, np.zeros(0)) is objective

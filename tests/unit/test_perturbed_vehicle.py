@@ -65,7 +65,7 @@ def relative(vehicle):
 def test_grade_s0_is_the_nominal_vehicle():
     vehicle = perturb_vehicle(DEFENDER, "S0", 3)
     assert vehicle.car is DEFENDER and vehicle.faults is NO_FAULTS
-    assert vehicle.enveloped(ROAD) is ROAD and vehicle.step == np.inf
+    assert vehicle.car.variation.contact_length == 0.0 and vehicle.step == np.inf
     for name, array in vars(build_plant(DEFENDER)).items():
         np.testing.assert_array_equal(getattr(vehicle.plant, name), array)
 
@@ -91,7 +91,7 @@ def test_manufacturing_deviations_stay_within_their_limits(seed):
     assert (
         vehicle.faults is NO_FAULTS
         and vehicle.car.variation.frame is vehicle.car.variation.bending is None
-        and vehicle.contact_length == 0.0
+        and vehicle.car.variation.contact_length == 0.0
     )
 
 
@@ -102,7 +102,7 @@ def test_every_grade_keeps_the_deviations_of_the_previous_grade(seed):
     for name in ("gas", "damper", "friction", "bushing"):
         assert getattr(s1.car.variation, name) == getattr(s2.car.variation, name)
     mismatch = ASSUMED.structure
-    assert s3.contact_length == mismatch.contact_length
+    assert s3.car.variation.contact_length == mismatch.contact_length
     assert s1.car.variation.bending is None
     for name in ("frame", "bending"):
         mode, limits = getattr(s3.car.variation, name), getattr(mismatch, name)
@@ -256,13 +256,9 @@ def test_a_record_of_s3_equals_simulator_and_faulty_data_logger():
     mismatch = replace(ASSUMED, instruments=replace(ASSUMED.instruments, dropout_rate=0.05))
     record, profile = recorded_drive("S3", seed=11, plant_mismatch=mismatch)
     vehicle = perturb_vehicle(DEFENDER, "S3", 11, mismatch)
-    car = DriveSimulator(
-        vehicle.plant,
-        vehicle.car,
-        enveloped(ROAD, ASSUMED.structure.contact_length),
-        15.0,
-        step=0.0005,
-    )
+    point = replace(vehicle.car, variation=replace(vehicle.car.variation, contact_length=0.0))
+    road = enveloped(ROAD, ASSUMED.structure.contact_length)
+    car = DriveSimulator(vehicle.plant, point, road, 15.0, step=0.0005)
     motion = car.advance(np.full(car.steps_left, encode_command("ride"), dtype=np.uint8))
     logger = DataLogger(PAPER, vehicle.car, 0.0005, np.random.default_rng(11), vehicle.faults)
     expected = np.concatenate([logger.sample(motion), logger.flush()], axis=1)
@@ -301,7 +297,7 @@ def test_a_symmetric_road_rolls_every_vehicle_but_the_nominal_one():
     road = Surface(np.stack([ROAD.z[0], ROAD.z[0]]), ROAD.ds)
     for grade, still in zip(GRADES, (True, False, False, False), strict=True):
         vehicle = perturb_vehicle(DEFENDER, grade, 4)
-        car = DriveSimulator(vehicle.plant, vehicle.car, vehicle.enveloped(road), 15.0)
+        car = DriveSimulator(vehicle.plant, vehicle.car, road, 15.0)
         motion = car.advance(np.full(car.steps_left, encode_command("ride"), dtype=np.uint8))
         assert (motion.state[:, [1, 4, 6]] == 0.0).all() == still
 
@@ -317,9 +313,7 @@ def test_a_perturbed_drive_matches_scipy_with_independent_equations():
     area = CubicHermiteSpline(stations, wide, slope, axis=1).antiderivative()
     road = oracles.SplineRoad((area(s + half) - area(s - half)) / L, ROUGH.ds, float(s[0]))
     mode = {"front": "ride", "rear": "handling"}
-    car = DriveSimulator(
-        vehicle.plant, vehicle.car, vehicle.enveloped(ROUGH), 12.0, mode, step=0.0001
-    )
+    car = DriveSimulator(vehicle.plant, vehicle.car, ROUGH, 12.0, mode, step=0.0001)
     y_0, strut_state, t = car.state.copy(), car.strut_state.copy(), np.linspace(0.0, 0.8, 41)
     heights = road.wheel_inputs(car.start, DEFENDER.wheelbase, 0.0)[0]
     np.testing.assert_allclose(equilibrium(vehicle.plant, strut_state, heights), y_0, atol=1e-9)
@@ -385,7 +379,7 @@ def test_an_invalid_mismatch_setting_is_named_in_one_sentence(path, value, reaso
 def test_every_perturbed_vehicle_has_an_equilibrium_with_its_weight(seed):
     vehicle = perturb_vehicle(DEFENDER, "S3", seed)
     for mode in ("ride", "handling"):
-        car = DriveSimulator(vehicle.plant, vehicle.car, vehicle.enveloped(ROAD), 15.0, mode)
+        car = DriveSimulator(vehicle.plant, vehicle.car, ROAD, 15.0, mode)
         loads = car.advance(np.full(1, encode_command(mode), dtype=np.uint8)).tyre_load[0]
         weight = oracles.G * (vehicle.car.m_b + vehicle.car.front.m + vehicle.car.rear.m)
         assert loads.sum() == pytest.approx(weight, rel=1e-8) and (loads > 0.0).all()

@@ -1,0 +1,62 @@
+"""Errors of the instruments of a drive, as parameters that are identified with the vehicle."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimators.map_smoother.objective import Objective
+from road_envs.vehicle.equations import sensor_row
+
+
+@dataclass(frozen=True)
+class InstrumentErrors:
+    """Errors of the instruments as parameters: gains of the accelerometers `sensors`, their places
+    [m] ahead and to the left, displacement of the odometer [m], relative error of the speed, each
+    in units of its standard deviation `std`.
+    """
+
+    sensors: tuple[str, ...]
+
+    @classmethod
+    def of(cls, objective: Objective) -> "InstrumentErrors":
+        """Return those of the sensors of an `objective`."""
+        return cls(tuple(objective.model.locations))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters (R,)."""
+        kinds = ("gain", "x", "y")
+        return (*(f"{kind}.{name}" for kind in kinds for name in self.sensors), "odometer", "speed")
+
+    @property
+    def std(self) -> np.ndarray:
+        """Prior standard deviations (R,)."""
+        n = len(self.sensors)
+        return np.array([*(0.02,) * n, *(0.012,) * (2 * n), 0.3, 0.01])
+
+    @property
+    def n_fixed(self) -> int:
+        """Number of the first parameters, which leave the vehicle's motion as it is."""
+        return 3 * len(self.sensors)
+
+    def apply(self, objective: Objective, x: np.ndarray) -> Objective:
+        """Return the objective for instruments with the errors `x` (0 or R,)."""
+        if x.size == 0:
+            return objective
+        *of_sensors, displacement, speed = (self.std * x).tolist()
+        gain, ahead, left = np.reshape(of_sensors, (3, -1))
+        model, inputs = objective.model, objective.inputs
+        factor, n = np.exp(gain), model.sensor_rows.shape[1]
+        rows = np.array(
+            [
+                sensor_row(place.x + dx, place.y + dy, place.axle)[:n]
+                for place, dx, dy in zip(model.locations.values(), ahead, left, strict=True)
+            ]
+        )
+        rows, bending = factor[:, None] * rows, model.bending
+        if bending is not None:
+            bending = replace(bending, shape=factor * bending.shape)
+        s = inputs.s + displacement + speed * (inputs.s - inputs.s[0])
+        inputs = replace(inputs, s=s, v=inputs.v * (1.0 + speed))
+        model = replace(model, sensor_rows=rows, bending=bending)
+        return replace(objective, model=model, inputs=inputs)

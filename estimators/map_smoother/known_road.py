@@ -1,0 +1,116 @@
+"""Known road of a calibration drive: the measured profile in place of the prior's road."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.fft import irfft, rfft, rfftfreq
+from scipy.ndimage import spline_filter1d
+
+from estimators.api import CalibrationDrive, CalibrationError
+from estimators.map_smoother.objective import Objective
+from road_envs.analysis.information_bound import RoadPrior
+from road_envs.analysis.roughness import N_0, displacement_psd
+from road_envs.data.record import Profile
+
+MIN_CORRELATION = 0.5
+"""Least correlation of the readings with those expected on the known road."""
+
+CLEARLY_BETTER = 0.03
+"""Excess of the correlation with another profile from which on that one is believed."""
+
+LEVEL_BAND = (0.2, 1.0)
+"""Band [cycles/m] in which the level of a profile is taken."""
+
+UNIT_RATIO = 4.0
+"""Ratio of measured to expected acceleration from which on units are suspected."""
+
+
+def on_profile(objective: Objective, drive: CalibrationDrive) -> Objective:
+    """Return the objective with the known road, if there is one, in place of the prior's.
+
+    The road is the Wiener filter's estimate from the profile: left as measured, errors of short
+    waves would count as road and make the vehicle look softer than it is.
+    """
+    road, profile = objective.road, drive.profile
+    if profile is None:
+        return objective
+    prior, noise = _road_prior(profile), 2.0 * drive.survey_std**2 * profile.ds
+
+    def share(n: np.ndarray) -> np.ndarray:
+        """Return the road's share of the profile's density at `n` [cycles/m]."""
+        density = prior.density(np.maximum(n, 1e-6))
+        return density / (density + noise)
+
+    s = road.origin + road.ds * np.arange(road.size)
+    smooth = _filtered(profile, share)
+    heights = np.array([np.interp(s, profile.s, z) for z in smooth])
+    background = spline_filter1d(heights, order=3, axis=1, mode="nearest")
+    rise = np.maximum(2.0 * np.sin(np.pi * road.n * road.ds), 1e-3)
+    # mean and half difference have half the variance each of what is left of the error
+    amplitude = rise * np.sqrt(0.25 * noise * share(road.n) / road.ds) * np.ones((2, 1))
+    # the road is not moved: its error counts as noise of the readings
+    known = replace(road, background=background, amplitude=amplitude, free=np.zeros(road.size))
+    return replace(objective, road=known)
+
+
+def _road_prior(profile: Profile) -> RoadPrior:
+    """Return a prior of the profile's own level, from waves that are long against its error."""
+    n, G = displacement_psd(profile.z, profile.ds)
+    inside = (n > LEVEL_BAND[0]) & (n < LEVEL_BAND[1])
+    return RoadPrior(G_d0=float(np.mean(G[:, inside] * (n[inside] / N_0) ** 2)))
+
+
+def _filtered(profile: Profile, share: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Return the heights (2, M) with each wave multiplied by `share`; mirrored at both ends."""
+    both = np.concatenate([profile.z, profile.z[:, ::-1]], axis=1)
+    spectrum = rfft(both, axis=1) * share(rfftfreq(both.shape[1], profile.ds))
+    return irfft(spectrum, both.shape[1], axis=1)[:, : profile.s.size]
+
+
+def check_profile(objective: Objective, drive: CalibrationDrive) -> None:
+    """Raise CalibrationError if the readings do not belong to the profile, and say what would."""
+    y = objective.measurements.y
+    y = y - y.mean(axis=1, keepdims=True)
+    expected = _expected(objective)
+    fit, ratio = _correlation(y, expected), float(y.std() / expected.std())
+    profile = drive.profile
+    assert profile is not None
+    others = {
+        "reversed": profile.z[::-1, ::-1],
+        "with left and right exchanged": profile.z[::-1],
+        "with the opposite sign": -profile.z,
+    }
+    tried = {
+        what: _correlation(
+            y, _expected(on_profile(objective, replace(drive, profile=Profile(profile.s, z))))
+        )
+        for what, z in others.items()
+    }
+    best = max(tried, key=lambda what: tried[what])
+    if tried[best] > max(MIN_CORRELATION, fit + CLEARLY_BETTER):
+        hint = f"the profile {best} fits ({tried[best]:.2f})"
+    elif fit < MIN_CORRELATION:
+        hint = "it may be another stretch, or the odometer may be displaced"
+    elif not 1.0 / UNIT_RATIO < ratio < UNIT_RATIO:
+        raise CalibrationError(
+            f"{drive.name}: the accelerations are {ratio:.2g} times those expected on its profile; "
+            "check the units of both (m/s² and m)"
+        )
+    else:
+        return
+    raise CalibrationError(
+        f"{drive.name}: the readings do not belong to its profile (correlation {fit:.2f} with "
+        f"those expected); {hint}"
+    )
+
+
+def _expected(objective: Objective) -> np.ndarray:
+    """Return the block means (S, J) expected on the known road, less their means."""
+    residual, _ = objective.residual_at(np.zeros(objective.size))
+    expected = objective.measurements.y - residual
+    return expected - expected.mean(axis=1, keepdims=True)
+
+
+def _correlation(y: np.ndarray, expected: np.ndarray) -> float:
+    return float(np.sum(y * expected) / np.sqrt(np.sum(y**2) * np.sum(expected**2)))

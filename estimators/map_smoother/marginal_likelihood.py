@@ -1,0 +1,200 @@
+"""Vehicle parameters by marginal likelihood: the road, which nobody measured, is integrated out.
+
+With the parameters p in units of their tolerances (`road_envs.vehicle.tolerances`), the most
+probable road x(p) of each drive and its Gauss-Newton Hessian A(p) = I + J' R^-1 J, Laplace's
+approximation is
+
+    -log p(y, p) = sum over drives [cost(x(p), p) + 1/2 log det A(p)] + 1/2 |p|²
+
+The log-determinant is needed: the road's prior alone rewards vehicles that need less road. It is
+that of the stationary linear vehicle (`preconditioner.py`). Where x is optimal, the gradient of the
+cost is that at a fixed road,
+
+    g = G' R^-1 r - p,      G = d a / d p, by drives of varied vehicles, LANES at a time,
+
+with r the residual. For the Hessian the road is eliminated from the linear problem r = J dx + G dp
++ e by the matrix inversion lemma, frequency by frequency in the stationary linear vehicle:
+
+    I + sum over f of G(f)* (R + H S H*)^-1 G(f),     H: response, S: spectrum of the road's prior
+
+Its inverse is the posterior covariance of the parameters. Over a road that was measured, only the
+error of its profile is unknown; it is small, and noise of the covariance H S H*, so that g = G(f)*
+(R + H S H*)^-1 r summed over f. (Ljung, "System Identification", 1999, section 7.4;
+MacKay 2003, "Information Theory", chapter 27, for Laplace's approximation.)
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.fft import rfft, rfftfreq
+
+from estimators.map_smoother.gauss_newton import MapSolution
+from estimators.map_smoother.instrument_errors import InstrumentErrors
+from estimators.map_smoother.objective import Linearization, Objective
+from estimators.map_smoother.preconditioner import linear_responses, prior_spectrum
+from road_envs.simulation.lanes import SharedInputs, drive_variants
+from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.tolerances import ParameterSpace
+
+DIFFERENCE = 0.1
+"""Difference of a parameter for its derivative, in units of its tolerance."""
+
+ERROR_BANDWIDTH = 2.0
+"""Bandwidth [Hz] in which the error of the model is one: as wide as the resonances of a vehicle. A
+longer drive has more lines in it, but does not tell of another error."""
+
+MAX_LINES = 500
+"""Frequencies at which a log-determinant is evaluated, about."""
+
+
+class LikelihoodTerms(NamedTuple):
+    """Terms of the marginal likelihood of one drive: `gradient` (P,), `information` (P, P), and the
+    covariance of the gradient `score_covariance` (P, P), which is the information if the model is
+    right.
+    """
+
+    gradient: np.ndarray
+    information: np.ndarray
+    score_covariance: np.ndarray
+
+
+def perturbed_cars(space: ParameterSpace, x: np.ndarray) -> list[VehicleParameters]:
+    """Return the vehicle at `x` (P,), and for each parameter that with it changed by DIFFERENCE."""
+    points = [x, *(x + DIFFERENCE * unit for unit in np.eye(space.size))]
+    return [space.from_vector(point) for point in points]
+
+
+def sensitivities(
+    lin: Linearization, original: Objective, cars: Sequence[VehicleParameters], errors: np.ndarray
+) -> np.ndarray:
+    """Return the derivatives (P, S, J) of the block means by the parameters, at a fixed road.
+
+    `cars` as of `perturbed_cars`; `original` is the objective for instruments without the `errors`
+    (0 or 5,). Raises ArithmeticError if a motion is not finite.
+    """
+    objective = lin.objective
+    u, start, bias = objective.split(lin.x)
+    road = objective.road_under_wheels(objective.road.coefficients(u))
+    inputs, strut_state = objective.inputs, objective.strut_state
+    shared = SharedInputs(road, inputs.commands, strut_state, objective.model.valve_lag, inputs.h)
+    instruments = InstrumentErrors.of(original)
+    varied = [instruments.apply(original.with_car(car), errors) for car in cars]
+    starts = [one.initial_state + start for one in varied]
+    motions = drive_variants([one.model.plant for one in varied], starts, shared)
+    left = [one.residual(a, bias) for one, a in zip(varied, motions, strict=True)]
+    for k, one in enumerate(varied):  # the road under longer tyres is another
+        if one.model.contact_length != objective.model.contact_length:
+            left[k] = one.residual_at(lin.x)[0]
+    found = (left[0] - np.array(left[1:])) / DIFFERENCE
+    if not np.isfinite(found).all():
+        raise ArithmeticError("the motion of a varied vehicle was not finite")
+    return found
+
+
+def _reading_sensitivities(lin: Linearization, base: Objective, errors: np.ndarray) -> np.ndarray:
+    """Return the derivatives (R, S, J) by errors of the instruments, at `errors` (R,) of them.
+
+    `base` is the objective for the vehicle of `lin` and instruments without errors.
+    """
+    instruments = InstrumentErrors.of(base)
+    _, _, bias = base.split(lin.x)
+    found = []
+    for k, unit in enumerate(np.eye(errors.size)):
+        varied = instruments.apply(base, errors + DIFFERENCE * unit)
+        same_motion = k < instruments.n_fixed
+        left = varied.residual(lin.tape.acceleration, bias) if same_motion else None
+        found.append(varied.residual_at(lin.x)[0] if left is None else left)
+    return (lin.residual - np.array(found)) / DIFFERENCE
+
+
+def drive_terms(
+    solution: MapSolution,
+    original: Objective,
+    cars: Sequence[VehicleParameters],
+    errors: np.ndarray,
+) -> LikelihoodTerms:
+    """Return the terms of one drive's marginal likelihood."""
+    lin = solution.linearization
+    objective = lin.objective
+    G = sensitivities(lin, original, cars, errors)
+    if errors.size > 0:
+        read = _reading_sensitivities(lin, original.with_car(cars[0]), errors)
+        G = np.concatenate([G, read])
+    f, lines = _lines(objective)
+    is_known = not objective.road.free.any()
+    noise = objective.model.noise_variance * (1.0 if is_known else solution.noise_scale)
+    covariance = _covariance(objective, f, noise)
+    A, r = _spectrum(objective, G), _spectrum(objective, lin.residual[None])
+    weighted = np.linalg.solve(covariance, lines[:, None, None] * A)
+    if not is_known:
+        information = np.real(np.einsum("fsp,fsq->pq", A.conj(), weighted))
+        log_det, curvature = _log_det_terms(objective, cars, noise)
+        fit = np.einsum("psj,sj->p", G, lin.apply_inverse_covariance(lin.residual))
+        information += curvature
+        return LikelihoodTerms(fit - log_det, information, information)
+    # the error of the profile is noise; what the model cannot explain inflates it, band by band
+    power = np.real(np.einsum("fsq,fsq->f", r.conj(), np.linalg.solve(covariance, r))) / r.shape[1]
+    band = (f / ERROR_BANDWIDTH).astype(int)
+    count = np.maximum(np.bincount(band), 1)
+    excess = (np.maximum(np.bincount(band, power) / count, 1.0) - 1.0)[band]
+    scale = 1.0 + excess
+    fit = np.real(np.einsum("f,fsp,fsq->p", 1.0 / scale, weighted.conj(), r))
+    information, score = (
+        np.real(np.einsum("f,fsp,fsq->pq", share, A.conj(), weighted))
+        for share in (1.0 / scale, (1.0 + count[band] * excess) / scale**2)
+    )
+    return LikelihoodTerms(fit, information, score)
+
+
+def _spectrum(objective: Objective, means: np.ndarray) -> np.ndarray:
+    """Return the spectra (F, S, P) of block means (P, S, J), without their means."""
+    used = objective.measurements.sample_count > 0
+    return rfft(means * used, axis=2)[:, :, 1:].transpose(2, 1, 0) / np.sqrt(means.shape[2])
+
+
+def _lines(objective: Objective) -> tuple[np.ndarray, np.ndarray]:
+    """Return the frequencies (F,) [Hz] of the block means' spectrum, without the mean, and how many
+    lines of the two-sided spectrum each stands for.
+    """
+    blocks, dt = objective.measurements.y.shape[1], objective.block_duration
+    lines = np.full(blocks // 2, 2.0)
+    lines[-1] = 1.0 if blocks % 2 == 0 else 2.0
+    return rfftfreq(blocks, dt)[1:], lines
+
+
+def _covariance(objective: Objective, f: np.ndarray, noise: float) -> np.ndarray:
+    """Return the covariance (F, S, S) [(m/s²)²] of the block means' spectrum at `f` (F,) [Hz]."""
+    S = prior_spectrum(objective, f)[:, None, :]
+    noise_part = (
+        noise
+        / objective.measurements.sample_weight.shape[2]
+        * np.eye(len(objective.model.sensor_rows))
+    )
+    parts = ((share * H * S, H) for share, H in linear_responses(objective, f))
+    return noise_part + np.sum([HS @ np.conj(H.swapaxes(1, 2)) for HS, H in parts], axis=0)
+
+
+def _log_det_terms(
+    objective: Objective, cars: Sequence[VehicleParameters], noise: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the gradient (P,) of 1/2 log det by the parameters, and its part of the Hessian.
+
+    With C = R + H S H* and M_i = C^-1 dH_i S H*, summed over frequencies, they are Re tr M_i and
+    Re tr M_i M_j; together with the information at a fixed road the latter is Whittle's.
+    """
+    f, lines = _lines(objective)
+    stride = max(1, f.size // MAX_LINES)
+    f, lines = f[::stride], stride * lines[::stride]
+    base = list(linear_responses(objective, f))
+    S = prior_spectrum(objective, f)[:, None, :]
+    inverse = np.linalg.inv(_covariance(objective, f, noise))
+    dual = [share * (S * H).conj().swapaxes(1, 2) @ inverse for share, H in base]
+    M = []
+    for car in cars[1:]:
+        varied = linear_responses(objective.with_car(car), f)
+        pairs = zip(varied, base, dual, strict=True)
+        M.append(np.sum([(new - old) @ d for (_, new), (_, old), d in pairs], axis=0) / DIFFERENCE)
+    flat = np.array(M) * np.sqrt(lines)[:, None, None]
+    gradient = np.real(np.einsum("pfss,f->p", flat, np.sqrt(lines)))
+    return gradient, np.real(np.einsum("pfst,qfts->pq", flat, flat, optimize=True))
