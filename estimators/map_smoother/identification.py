@@ -45,6 +45,10 @@ deviation of its accelerations in units of that of the instruments' noise."""
 KNOWN_DATA_RATE = 100.0
 """Block means per second [Hz] of a drive over a known road."""
 
+SETTLING_STEPS, SETTLED = 12, 0.97
+"""Steps to the first state of a drive over a known road, at most, and the ratio of successive
+noise scales above which they end."""
+
 MODE_STARTS = {
     "frame": (7.0, 8.5, 10.5, 13.0, 16.0, 20.0),
     "bending": (15.0, 18.0, 22.0, 27.0, 33.0, 40.0),
@@ -166,9 +170,9 @@ def _identify(
     space = parameter_space(car, structure)
     known = all(first.profile is not None for first, _ in parts)
 
-    def solve(x: np.ndarray, **options: Any) -> list[MapSolution]:
+    def solve(x: np.ndarray, quick: bool = False) -> list[MapSolution]:
         vehicle = space.from_vector(x[: space.size])
-        return [_solve(first, vehicle, smoother, **options) for first, _ in parts]
+        return [_solve(first, vehicle, smoother, quick) for first, _ in parts]
 
     errors = len(InstrumentErrors(parts[0][0].record.channels).names) if known else 0
     x, solutions = _nearest_start(space, space.size + errors, solve)
@@ -197,7 +201,7 @@ def _nearest_start(
             i = space.names.index(name)
             about = getattr(space.car.variation, mode).f
             points = [x + np.log(f / about) / space.std[i] * np.eye(size)[i] for f in frequencies]
-            tried = [solve(point, cost_tolerance=0.1, adapt_prior=False) for point in points]
+            tried = [solve(point, quick=True) for point in points]
             left = [sum(float(s.noise_scale) for s in solutions) for solutions in tried]
             x = points[int(np.argmin(left))]
     return x, solve(x)
@@ -277,26 +281,35 @@ def _objective(drive: CalibrationDrive, car: VehicleParameters, smoother: MapSmo
 
 
 def _solve(
-    drive: CalibrationDrive, car: VehicleParameters, smoother: MapSmoother, **options: Any
+    drive: CalibrationDrive, car: VehicleParameters, smoother: MapSmoother, quick: bool = False
 ) -> MapSolution:
-    """Return the most probable road of a drive with the vehicle `car`; `options` of `minimize`."""
+    """Return the most probable road of a drive with the vehicle `car`, `quick`: roughly."""
     objective = _objective(drive, car, smoother)
     stationary = stationary_hessian(objective)
     if drive.profile is None:
+        options: Any = {"cost_tolerance": 0.1, "adapt_prior": False} if quick else {}
         return minimize(objective, stationary, huber=smoother.huber, **options)
-    return _settle(objective, smoother)
+    return _settle(objective, smoother, 2 if quick else SETTLING_STEPS)
 
 
-def _settle(objective: Objective, smoother: MapSmoother, steps: int = 2) -> MapSolution:
-    """Return the solution over a known road; only first state and biases are found."""
+def _settle(
+    objective: Objective, smoother: MapSmoother, max_steps: int = SETTLING_STEPS
+) -> MapSolution:
+    """Return the solution over a known road; only first state and biases are found.
+
+    A drive that is cut out begins in motion, and only a few steps find its first state.
+    """
     stationary = stationary_hessian(objective)
     lin = linearize(objective, np.zeros(objective.size), objective.information)
     noise_scale, solver = np.inf, GaussNewton(stationary, smoother.huber, 40, 0.1)
-    iterations = 0
-    for _ in range(steps):
+    steps = iterations = 0
+    while steps < max_steps:
+        before = noise_scale
         noise_scale = max(1.0, min(noise_scale, estimate_noise_scale(lin, stationary, noise_scale)))
+        if noise_scale > SETTLED * before:
+            break
         lin, k = solver.step(lin, objective.model.plant, noise_scale)
-        iterations += k
+        steps, iterations = steps + 1, iterations + k
     return MapSolution(lin, stationary, noise_scale, steps, iterations)
 
 

@@ -77,6 +77,7 @@ def test_structure_adds_what_the_description_leaves_out():
     added = set(FLEXIBLE.names) - set(SPACE.names)
     assert added == {
         *("variation.frame.f", "variation.frame.zeta", "variation.tyre_progression"),
+        "variation.contact_length",
         *(f"variation.bending.{name}" for name in ("f", "zeta", "length")),
         *("variation.roll_stiffness.front", "variation.roll_stiffness.rear"),
     }
