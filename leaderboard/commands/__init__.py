@@ -21,11 +21,19 @@ notices = Console(stderr=True, markup=False, emoji=False)
 
 
 def parse_mode(text: str | None) -> str | dict[str, str] | None:
-    """Parse a mode of the struts, "ride" or "front=ride,rear=handling"; None stays."""
-    if text is None or "=" not in text:
-        return text
-    parts = [part.partition("=") for part in text.split(",")]
-    return {wheel.strip(): mode.strip() for wheel, _, mode in parts}
+    """Parse a mode of the struts, "ride" or "front=ride,rear=handling"; None stays.
+
+    Raises ConfigError.
+    """
+    return text if text is None or "=" not in text else parse_pairs("mode", text)
+
+
+def parse_pairs(option: str, text: str) -> dict[str, str]:
+    """Return the mapping of "key=value,key=value". Raises ConfigError."""
+    pairs = [part.partition("=") for part in text.split(",")]
+    if wrong := [f"{key}{equals}{value}" for key, equals, value in pairs if not (key and value)]:
+        raise ConfigError(f"--{option} must be key=value,key=value, got {wrong[0]!r}")
+    return {key.strip(): value.strip() for key, _, value in pairs}
 
 
 def parse_settings(pairs: list[str]) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Options of commands that read drives from files, and reading these drives."""
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -12,7 +12,7 @@ import estimators
 from estimators.api import Estimator
 from estimators.estimation import FILE_SUFFIXES
 from estimators.wiener.drive_check import check_notes
-from leaderboard.commands import check_output_path, parse_mode
+from leaderboard.commands import check_output_path, parse_mode, parse_pairs
 from road_envs.config import ConfigError
 from road_envs.data.logger_tables.description import (
     DriveDescription,
@@ -121,11 +121,11 @@ def read_drive(path: Path, options: DriveOptions) -> DriveFile:
     Options take precedence over the description.
     """
     invert, save_description = options.invert, options.save_description
-    given = {
-        "columns": _pairs("columns", options.columns),
-        "units": _pairs("units", options.units),
+    named = {"columns": options.columns, "units": options.units}
+    given: dict[str, Any] = {
+        **{name: None if text is None else parse_pairs(name, text) for name, text in named.items()},
         "invert": None if invert is None else tuple(x.strip() for x in invert.split(",")),
-        "mode": None if options.mode is None else parse_mode(options.mode),
+        "mode": parse_mode(options.mode),
         "speed_kmh": options.speed_kmh,
         "offset": options.offset,
     }
@@ -215,13 +215,3 @@ def read_profiles(names: list[str], drives: list[MeasuredRecord]) -> list[Profil
         first = road.first_station if isinstance(road, Measured) else 0.0
         profiles.append(Profile(surface.s + first - drive.chainage, surface.z))
     return profiles
-
-
-def _pairs(option: str, text: str | None) -> Mapping[str, str] | None:
-    """Return the mapping of "key=value,key=value". Raises ConfigError."""
-    if text is None:
-        return None
-    pairs = [part.partition("=") for part in text.split(",")]
-    if wrong := [f"{key}{equals}{value}" for key, equals, value in pairs if not (key and value)]:
-        raise ConfigError(f"--{option} must be key=value,key=value, got {wrong[0]!r}")
-    return {key.strip(): value.strip() for key, _, value in pairs}

@@ -1,6 +1,8 @@
 """Command `observability`: bounds on the error of the road estimate by mode and speed."""
 
+import contextlib
 import dataclasses
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,7 +11,14 @@ import typer
 from rich.table import Table
 
 from estimators.map_smoother.attainable import attainable_error
-from leaderboard.commands import check_output_path, console, parse_mode, print_json, progress_bar
+from leaderboard.commands import (
+    check_output_path,
+    console,
+    parse_mode,
+    parse_pairs,
+    print_json,
+    progress_bar,
+)
 from leaderboard.commands.simulate import Json, Sensors, Vehicle
 from leaderboard.report import plots
 from road_envs.analysis.information_bound import (
@@ -150,16 +159,14 @@ def _parsed(text: str) -> str | dict[str, str]:
 def _dampers(text: str, car: VehicleParameters) -> dict[str, float]:
     """Parse damping [N s/m] by mode from "ride=2000,handling=5000". Raises ConfigError."""
     dampers = {}
-    for part in text.split(","):
-        name, equals, value = part.partition("=")
-        try:
-            dampers[validate_choice("suspension mode", name.strip(), car.modes)] = float(value)
-        except ValueError as error:
-            if isinstance(error, ConfigError):
-                raise
-            equals = ""
-        if not (equals and dampers[name.strip()] >= 0):
-            raise ConfigError(f"a damper must have the form mode=number in N s/m, got {part!r}")
+    for mode, value in parse_pairs("damping", text).items():
+        validate_choice("suspension mode", mode, car.modes)
+        with contextlib.suppress(ValueError):
+            dampers[mode] = float(value)
+        if not dampers.get(mode, math.nan) >= 0.0:
+            raise ConfigError(
+                f"a damper must have the form mode=number in N s/m, got '{mode}={value}'"
+            )
     return dampers
 
 
