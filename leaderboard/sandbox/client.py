@@ -151,7 +151,14 @@ class SandboxClient:
             found["notes"] = (ONE_TRAINING,)
         if retest and not ours:
             tested = self._retest(
-                entry, training, records, car, seeds[0], order, runs[0], calibrations
+                entry,
+                training,
+                records,
+                car,
+                seeds[0],
+                run=runs[0],
+                last=order[-1],
+                calibrations=calibrations,
             )
             found["looks_ahead"] = LOOKS_AHEAD in tested or NOT_RETESTED in tested
             found["notes"] = (*found.get("notes", ()), *tested)
@@ -164,21 +171,22 @@ class SandboxClient:
         records: Sequence[Record],
         car: VehicleParameters,
         seed: int,
-        order: Sequence[int],
+        *,
         run: TrainingRun,
+        last: int,
         calibrations: Calibrations,
     ) -> list[str]:
-        """Compare estimates of `run` with those of a new guest, which knows nothing of the first.
+        """Compare estimates of `run` with those of a new guest, independent of the first.
 
-        It estimates the last of the drives first, and causal estimators must not change before the
-        point from which on the samples of a drive were replaced.
+        It begins with the drive that was estimated `last`, and causal estimators must not change
+        before the point from which on the samples of a drive were replaced.
         """
         secret = random.SystemRandom()
         number = min(RETESTED_DRIVES, len(records)) if entry.causal else 0
         drives = secret.sample(range(len(records)), number)
         changed = [_replace_future(records[k], secret) for k in drives]
-        asked = [records[order[-1]], *(record for record, _ in changed)]
-        known = [calibrations[k] for k in (order[-1], *drives)] if calibrations else ()
+        asked = [records[last], *(record for record, _ in changed)]
+        known = [calibrations[k] for k in (last, *drives)] if calibrations else ()
         guest = self._start(entry.reference)
         try:
             session = self._session(guest, entry, car)
@@ -188,7 +196,7 @@ class SandboxClient:
         finally:
             self._end(guest)
         notes = []
-        if _differ(again.estimates[0], run.estimates[order[-1]], np.inf):
+        if _differ(again.estimates[0], run.estimates[last], np.inf):
             notes.append(REMEMBERS)
         for k, (record, start), estimate in zip(drives, changed, again.estimates[1:], strict=True):
             # between two samples one may interpolate

@@ -153,6 +153,14 @@ def posterior(
     return Posterior(n, S, 0.5 * (error + _adjoint(error)), gain)
 
 
+class OperatingPoint(NamedTuple):
+    """A vehicle in a `mode` at `v` [m/s], in which it passes over a road."""
+
+    car: Plant | VehicleParameters
+    mode: Mode
+    v: float
+
+
 def bound(
     car: Plant | VehicleParameters,
     mode: Mode,
@@ -178,18 +186,10 @@ def bound(
     if not 0 <= model_error < np.inf:
         raise ValueError(f"model_error must not be negative, got {model_error}")
     n = np.linspace(*scored_band(v), N_FREQUENCIES) if n is None else np.asarray(n, dtype=float)
-    H, R = measurement(
-        car, mode, v, instruments, prior, n, locations, damping, residual_as_noise, f_c
-    )
+    options: dict[str, Any] = {"residual_as_noise": residual_as_noise, "f_c": f_c}
+    options |= {"locations": locations, "damping": damping}
+    H, R = measurement(OperatingPoint(car, mode, v), instruments, prior, n, **options)
     return posterior(n, H, prior.spectrum(n), R, model_error)
-
-
-class OperatingPoint(NamedTuple):
-    """A vehicle in a `mode` at `v` [m/s], in which it passes over a road."""
-
-    car: Plant | VehicleParameters
-    mode: Mode
-    v: float
 
 
 def bound_of_passes(
@@ -208,10 +208,8 @@ def bound_of_passes(
     """
     if n is None:
         n = np.linspace(*scored_band(max(one.v for one in passes)), N_FREQUENCIES)
-    parts = [
-        measurement(*one, instruments, prior, n, None, None, residual_as_noise, f_c)
-        for one in passes
-    ]
+    options: dict[str, Any] = {"residual_as_noise": residual_as_noise, "f_c": f_c}
+    parts = [measurement(one, instruments, prior, n, **options) for one in passes]
     H = np.concatenate([H for H, _ in parts], axis=1)
     R, first = np.zeros((n.size, H.shape[1], H.shape[1]), dtype=complex), 0
     for _, one in parts:
@@ -221,14 +219,13 @@ def bound_of_passes(
 
 
 def measurement(
-    car: Plant | VehicleParameters,
-    mode: Mode,
-    v: float,
+    at: OperatingPoint,
     instruments: Instruments,
     prior: RoadPrior,
     n: np.ndarray,
-    locations: Mapping[str, tuple[Any, ...]] | None,
-    damping: np.ndarray | None,
+    *,
+    locations: Mapping[str, tuple[Any, ...]] | None = None,
+    damping: np.ndarray | None = None,
     residual_as_noise: bool,
     f_c: float,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -236,6 +233,7 @@ def measurement(
 
     The arguments are those of `bound`.
     """
+    car, mode, v = at
     if damping is None:
         damping = equivalent_damping(car, mode, v, prior)
     if locations is None:
