@@ -152,7 +152,7 @@ FAULTS = [
     Fault("leaderboard/report/tables.py", "np.mean(error[known] < bound[known])", "np.mean(error[known] > bound[known])",
           "results::test_entries_better_than_truth_plus_noise_and_inconsistent_baselines_are_flagged"),
     Fault("leaderboard/evaluation/surface_tasks.py", "for speed in SPEEDS_KMH:", "for speed in SPEEDS_KMH[1:]:",
-          "tasks::test_a_surface_is_driven_at_the_highest_speed_at_which_the_wheels_stay_down"),
+          "surface_tasks::test_a_surface_is_driven_at_the_highest_speed_at_which_the_wheels_stay_down"),
     Fault("leaderboard/metrics/baselines.py", "stations + delay", "stations - delay",
           "evaluate::test_memory_is_the_training_road_without_its_delay"),
     Fault("leaderboard/evaluation/tasks.py", 'return fields if kind is None else {"kind": kind, **fields}', "return fields",

@@ -1,7 +1,6 @@
 """Tasks: validation, separation of training and test, digests, and simulated drives."""
 
 import dataclasses
-import re
 
 import numpy as np
 import pytest
@@ -10,14 +9,13 @@ from fakes import task
 from scipy import signal
 
 from leaderboard.evaluation import tasks, test_data
-from leaderboard.evaluation.surface_tasks import surface_class, surface_tasks
+from leaderboard.evaluation.surface_tasks import surface_class
 from leaderboard.evaluation.tasks import Condition, load_task, shipped_tasks
 from leaderboard.evaluation.test_data import simulate_drives
 from road_envs.config import ConfigError, folder, names
 from road_envs.data.record import profile_stations
 from road_envs.data.recording import simulate_record
-from road_envs.roads import KINDS, load_road, write_csv
-from road_envs.simulation.drive import simulate
+from road_envs.roads import KINDS, load_road
 from road_envs.vehicle.perturbed_vehicle import load_plant_mismatch
 
 DRIVES = {"roads": ["iso_d"], "seeds": [1, 2]}
@@ -371,90 +369,6 @@ def test_the_digest_depends_on_the_content_of_vehicle_and_instrument_files(
         path.write_text(yaml.safe_dump({**settings, number: share * settings[number]}))
         digests.add(task(**{field: str(path)}).digest)
     assert len(digests) == 2
-
-
-def test_the_digest_depends_on_the_content_of_a_surface_file(tmp_path):
-    path = surface_file(tmp_path, "a.csv", seed=1)
-    before = surface_tasks(path)[0].digest
-    moved = surface_tasks(surface_file(tmp_path / "elsewhere", "a.csv", seed=1))[0].digest
-    assert moved == before
-    surface_file(tmp_path, "a.csv", seed=2)
-    assert surface_tasks(path)[0].digest != before
-
-
-def surface_file(folder, name, seed, length=120.0, road_class="E"):
-    folder.mkdir(exist_ok=True)
-    road = load_road({"kind": "iso8608", "road_class": road_class, "length": length})
-    write_csv(road.realise(np.random.default_rng(seed)), folder / name)
-    return folder / name
-
-
-def test_a_surface_file_gives_a_paper_task_and_a_new_road_task(tmp_path):
-    paper, new = surface_tasks(surface_file(tmp_path, "course.csv", seed=3))
-    assert (paper.name, new.name) == ("course_paper", "course_new_road")
-    assert paper.trains_on_test_road and not new.trains_on_test_road
-    assert "class E, the class of this file" in new.title
-    assert paper.test.roads_and_seeds[0][0].length == pytest.approx(120.0, abs=0.1)
-
-
-def test_a_short_surface_is_mirrored_with_a_note(tmp_path):
-    for t in surface_tasks(surface_file(tmp_path, "tile.csv", seed=4, length=10.0)):
-        surface = t.test.roads_and_seeds[0][0].realise(np.random.default_rng(0))
-        assert surface.length == pytest.approx(100.0)
-        assert any("mirrored" in note for note in surface.notes)
-
-
-@pytest.mark.parametrize(
-    ("road_class", "length", "part"),
-    [("C", 400.0, "The first 300 m of 400 m"), ("E", 120.0, "All 120 m")],
-)
-def test_a_surface_is_driven_at_the_highest_speed_at_which_the_wheels_stay_down(
-    tmp_path, road_class, length, part
-):
-    path = surface_file(tmp_path, "a.csv", seed=1, length=length, road_class=road_class)
-    t = surface_tasks(path)[1]
-    speed = t.conditions[0].speed_kmh
-    assert {c.speed_kmh for c in t.conditions} == {speed} and t.bound
-    assert t.note.startswith(f"{part} are driven at {speed:g} km/h")
-    surface = t.test.roads_and_seeds[0][0].realise(np.random.default_rng(0))
-
-    def lifted(speed_kmh):
-        modes = [c.simulator_mode for c in t.conditions]
-        loads = [simulate(t.vehicle, surface, speed_kmh / 3.6, mode).tyre_load for mode in modes]
-        return max((load.min(axis=1) <= 0.0).mean() for load in loads)
-
-    assert lifted(speed) <= 0.001
-    if road_class == "C":
-        assert speed == 14.5
-    else:
-        assert speed < 14.5 and lifted({10.0: 14.5, 7.0: 10.0, 5.0: 7.0}[speed]) > 0.001
-
-
-def test_a_surface_on_which_wheels_fly_at_every_speed_has_no_bound_and_says_so(tmp_path):
-    path = surface_file(tmp_path, "rough.csv", seed=1, road_class="G")
-    for t in surface_tasks(path):
-        assert not t.bound and t.conditions[0].speed_kmh == 5.0
-        assert re.search(r"a wheel is still in the air for \d\d\.\d% of the time", t.note)
-
-
-def test_a_level_surface_is_refused_by_the_name_of_its_file(tmp_path):
-    write_csv(load_road("flat").realise(np.random.default_rng(0)), tmp_path / "level.csv")
-    with pytest.raises(ConfigError, match=r"level\.csv: a level surface, on which no estimate"):
-        surface_tasks(tmp_path / "level.csv")
-
-
-def test_the_class_of_a_surface_is_that_of_its_rougher_path():
-    road = load_road({"kind": "iso8608", "road_class": "C", "length": 300.0})
-    surface = road.realise(np.random.default_rng(5))
-    assert surface_class(surface) == "C"
-    assert surface_class(dataclasses.replace(surface, z=surface.z * [[1.0], [4.0]])) == "E"
-
-
-def test_a_file_that_is_no_surface_is_refused(tmp_path):
-    path = tmp_path / "bad.csv"
-    path.write_text("0 zero\n")
-    with pytest.raises(ConfigError, match=r"bad\.csv"):
-        surface_tasks(path)
 
 
 def test_drives_are_repeatable_and_one_road_is_the_same_in_every_condition():
