@@ -7,6 +7,9 @@ vehicle and, where much noise is left unexplained, speeds in other units, channe
 sign and exchanged channels are tried on CHECKED_LENGTH in the middle of the drive, some tenths of a
 second each.
 
+Obstacles, where wheels lift off, are no part of a Gaussian process: a doubt has to be as clear
+without what is beyond FAR_OUT standard deviations, and its surroundings.
+
 The difference of the deviance is divided by the number of spectral lines, and by the smaller noise
 scale of the two where that is above 1: a vehicle that is not the one described changes the deviance
 of every description, and leaves more noise unexplained under each.
@@ -17,6 +20,8 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
+from scipy.stats import median_abs_deviation
 
 from estimators.preprocessing import mask_record
 from estimators.wiener.segments import dominant_modes, split_segments
@@ -43,6 +48,11 @@ is above FAR_SCALE, as of vehicles far from their description. A test has drives
 DOUBTED_SCALE = 3.0
 """Noise scale of the description above which speed and channels are doubted, too. It is below on
 the vehicle described, and 9 or more with wrong channels.
+"""
+
+FAR_OUT, SURROUNDINGS, MOST_LEFT_OUT = 4.0, 0.4, 0.6
+"""Standard deviations, by the median, beyond which an acceleration is an obstacle's; the time [s]
+on either side of it that is left out, too; and the share of a drive above which nothing is.
 """
 
 SPEED_UNITS = {"km/h": 1.0 / 3.6, "mph": 0.44704}
@@ -76,23 +86,44 @@ def check_notes(
     if (flags != flags[0]).any() or len(record.channels) < LEAST_CHANNELS:
         return ()
     part = _middle(record)
-    described, scale, lines = deviance(part, car, instruments)
+    described = deviance(part, car, instruments)
     best, highest = None, 0.0
     others = list(other_modes(part, car))
-    if scale > DOUBTED_SCALE:
+    if described[1] > DOUBTED_SCALE:
         others += other_readings(part, speed_known)
     for other in others:
-        value, other_scale, _ = deviance(other.record, car, instruments)
-        smaller = max(1.0, min(scale, other_scale))
-        gain = (described - value) / (lines * smaller)
-        if gain > max(highest, MIN_GAIN * (2.0 if smaller > FAR_SCALE else 1.0)):
+        gain = _clear_gain(described, deviance(other.record, car, instruments))
+        if gain > highest:
             best, highest = other, gain
     if best is None:
+        return ()
+    calm = [without_obstacles(one) for one in (part, best.record)]
+    if not _clear_gain(*(deviance(one, car, instruments) for one in calm)):
         return ()
     return (
         f"the record fits {best.different} better: {best.remedy} (deviance lower by "
         f"{highest:.2f} per spectral line)",
     )
+
+
+def _clear_gain(described: tuple[float, float, float], other: tuple[float, float, float]) -> float:
+    """Return by how much the deviance is lower, per line and noise scale, 0 if not clearly."""
+    smaller = max(1.0, min(described[1], other[1]))
+    gain = (described[0] - other[0]) / (described[2] * smaller)
+    return gain if gain > MIN_GAIN * (2.0 if smaller > FAR_SCALE else 1.0) else 0.0
+
+
+def without_obstacles(record: Record) -> Record:
+    """Return a record whose samples about obstacles are lost."""
+    a = np.where(np.isfinite(record.a), record.a, 0.0)
+    a -= np.median(a, axis=1, keepdims=True)
+    std = median_abs_deviation(a, axis=1, scale="normal")
+    far = (np.abs(a) > FAR_OUT * std[:, None]).any(axis=0)
+    near = maximum_filter1d(far, 2 * round(SURROUNDINGS * record.fs) + 1)
+    a = record.a.copy()
+    if near.mean() < MOST_LEFT_OUT:
+        a[:, near] = np.nan
+    return replace(record, a=a)
 
 
 def other_modes(record: Record, car: VehicleParameters) -> Iterator[Alternative]:

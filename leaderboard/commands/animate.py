@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from leaderboard.commands import check_output_path, console, progress_bar
-from leaderboard.commands.simulate import Length
+from leaderboard.commands.simulate import Length, Vehicle
 from leaderboard.report import animation
 
 
@@ -15,14 +15,24 @@ def animate(
     road: Annotated[str, typer.Option(help="Road: shipped name, YAML path or surface file.")] = (
         "belgian"
     ),
+    vehicle: Vehicle = "land_rover_defender_110",
     speed_kmh: Annotated[float, typer.Option(help="Speed in km/h.")] = 54.0,
     length: Length = None,
     seconds: Annotated[float, typer.Option(help="Duration in seconds.", min=0.1)] = 6.5,
     enlarged: Annotated[float, typer.Option(help="Factor on the drawn vertical motion.")] = 2.0,
 ) -> None:
-    """Draw the vehicle on its road: ride for the first half, handling for the second."""
+    """Draw the vehicle on its road: ride for the first half, handling for the second.
+
+    Passive struts have one state. Wheelbase and track are the vehicle's, the outline is the same.
+    """
     check_output_path(out, ".gif", ".webp")
-    options = {"road": road, "speed_kmh": speed_kmh, "length": length, "exaggeration": enlarged}
+    options = {
+        "road": road,
+        "vehicle": vehicle,
+        "speed_kmh": speed_kmh,
+        "length": length,
+        "exaggeration": enlarged,
+    }
     with progress_bar() as progress:
         animation.animate(options, seconds, out, progress)
     console.print(f"written: {out} ({out.stat().st_size / 1e6:.1f} MB)")

@@ -196,7 +196,8 @@ def _flags(
 def _obstacle(result: DriveResult, found: DetectedObstacle, speed_error: float) -> dict[str, Any]:
     lat, lon = result.position(found.station)
     distance = speed_error * (found.station - result.measured.record.s[0])
-    low, high = found.height_interval
+    found = found.corrected()
+    low, high = (found.height + 1.96 * way * found.height_std for way in (-1.0, 1.0))
     return {
         "kind": "bump" if found.height > 0.0 else "hole",
         "station_m": result.chainage + found.station,

@@ -265,7 +265,8 @@ class SideView:
         write(200, 20, f"heave {round(heave):+d} mm", style.INK)
         write(self.canvas.width - 10, 20, self.scene.scale_caption, style.INK, anchor="rs")
         y = self.canvas.height - 11.0
-        for x, colour, words in LEGEND:
+        is_switched = len(self.scene.car.modes) > 1
+        for x, colour, words in LEGEND if is_switched else LEGEND[-1:]:
             self.canvas.box(x, y - 5, x + 10, y + 5, style.PAPER)
             self.canvas.box(x + 1, y - 4, x + 9, y + 4, colour)
             write(x + 16, y, words, style.PAPER, 11, "lm")

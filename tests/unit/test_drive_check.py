@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from vehicle_fixtures import DEFENDER
 
-from estimators.wiener.drive_check import check_notes
+from estimators.wiener.drive_check import check_notes, without_obstacles
+from road_envs.data.record import Record
 from road_envs.data.recording import simulate_record
 from road_envs.vehicle.struts import MODES
 
 
-def drive(road, speed, mode, grade="S0", seed=5):
+def drive(road, speed, mode, grade="S0", seed=5, length=80.0):
     record, _ = simulate_record(
-        road, speed_kmh=speed, mode=mode, seed=seed, grade=grade, length=80.0
+        road, speed_kmh=speed, mode=mode, seed=seed, grade=grade, length=length
     )
     return record
 
@@ -49,6 +50,31 @@ def test_a_wrong_mode_is_noticed_and_the_right_one_is_not_doubted(road, speed, m
 )
 def test_a_vehicle_far_from_its_description_raises_no_doubt(road, speed, mode):
     assert check_notes(drive(road, speed, mode, "S2"), DEFENDER, "paper") == ()
+
+
+def test_samples_about_obstacles_are_left_out_unless_most_are():
+    t = np.arange(2000) / 200.0
+    off = np.zeros((t.size, 4), dtype=bool)
+    a = np.random.default_rng(1).standard_normal((3, t.size)) / 3.0
+    a[1, [600, 1400]] = 9.0
+    record = Record(t, a, np.full(t.size, 10.0), 10.0 * t, off, off, 100.0)
+    lost = np.isnan(without_obstacles(record).a)
+    assert (lost == lost[0]).all()
+    assert list(np.flatnonzero(np.diff(lost[0].astype(int)))) == [519, 680, 1319, 1480]
+    a[1, ::150] = 9.0
+    np.testing.assert_array_equal(without_obstacles(record).a, a)
+
+
+@pytest.mark.slow
+def test_obstacles_raise_no_doubt():
+    """Wheels that lift off behind a hump are no sign of another mode."""
+    hump = {"shape": "half_sine", "at": 35.0, "length": 3.7, "height": 0.075}
+    bump = {"shape": "half_sine", "at": 60.0, "length": 0.9, "height": 0.03}
+    defects = {"kind": "defects", "length": 80.0, "defects": [hump, bump]}
+    ground = {"kind": "iso8608", "road_class": "C", "length": 80.0}
+    road = {"kind": "summed", "roads": [ground, defects]}
+    record = drive(road, 50, "handling", "S2", seed=2, length=None)
+    assert check_notes(record, DEFENDER, "paper") == ()
 
 
 def test_a_drive_that_changes_its_state_is_not_checked():

@@ -13,6 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from PIL import Image
 
 import road_envs  # registers the environment
+from leaderboard.commands.animate import animate as animate_command
 from leaderboard.report.animation import animate
 from leaderboard.report.rendering import STATIC
 from road_envs.config import ConfigError
@@ -324,6 +325,18 @@ def test_an_animation_runs_in_real_time(tmp_path, suffix):
         assert image.info["loop"] == 0
     assert shares == sorted(shares) and shares[-1] == 1.0
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_command_animates_the_vehicle_that_it_is_given(tmp_path, monkeypatch):
+    seen = {}
+
+    def write(options, seconds, out, progress):
+        seen.update(options)
+        out.write_bytes(b"GIF")
+
+    monkeypatch.setattr("leaderboard.report.animation.animate", write)
+    animate_command(out=tmp_path / "drive.gif", vehicle="bmw_320i")
+    assert (seen["vehicle"], seen["road"]) == ("bmw_320i", "belgian")
 
 
 def test_a_gif_reproduces_the_colours_of_the_frames(tmp_path):
