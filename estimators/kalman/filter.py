@@ -10,6 +10,7 @@ and Filtering Theory", 1970, section 8.3.)
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from estimators.kalman.linearization import linearize_block
 from estimators.kalman.profile_output import emit
 from estimators.kalman.road_process import add_node, update_roughness
 from estimators.kalman.state import (
+    BIAS,
+    FORCE,
     N_VEHICLE,
     NOISE_SCALE,
     FilterInputs,
@@ -25,6 +28,7 @@ from estimators.kalman.state import (
     FilterState,
     LinearizedBlock,
     get_block,
+    subtract_pending,
 )
 from road_envs._numba import kernel
 
@@ -68,18 +72,35 @@ def filter_forward(
         choose_linearization(model, state)
         linearize_block(model, inputs, state, j, block)
         measured = inputs.y[:, j], inputs.sample_count[:, j], inputs.censored[:, j]
-        state.nis[j] = update(model, state, measured, block)
-        predict(state, block)
+        if state.n_pending[0] + 3 > state.pending.shape[0]:
+            subtract_pending(state)
+        projection = project(state, block)
+        state.nis[j] = update(model, state, measured, block, projection)
+        predict(state, block, projection)
+
+
+class Projection(NamedTuple):
+    """Products of H and A, one below the other (17 rows), with the covariance P - W' W of a
+    `FilterState`: `rows` (17, n) with P and `pending` (17, n_pending) with W'.
+    """
+
+    rows: np.ndarray
+    pending: np.ndarray
 
 
 @kernel(inline=False)
-def add_weighted_rows(weights, P, columns, size, out):
-    """Add the rows `columns` (size,) of `P` (n, n), times `weights`, to `out` (n,)."""
+def project(state: FilterState, block: LinearizedBlock):
+    """Return the Projection of a linearized block."""
+    n, size, rank = state.x.size, block.n_columns[0], state.n_pending[0]
+    factors, rows = np.empty((3 + N_VEHICLE, size)), np.empty((size, n))
+    factors[:3], factors[3:] = block.H[:, :size], block.A[:, :size]
+    pending, P, W = np.empty((size, rank)), state.P, state.pending
     for d in range(size):
-        weight, row = weights[d], P[columns[d]]
-        if weight != 0.0:
-            for k in range(out.size):
-                out[k] += weight * row[k]
+        i = block.columns[d]
+        rows[d] = P[i]
+        for r in range(rank):
+            pending[d, r] = W[r, i]
+    return Projection(np.dot(factors, rows), np.dot(factors, pending))
 
 
 @kernel
@@ -100,9 +121,17 @@ def normal_hazard(x):
 
 
 @kernel(inline=False)
-def update(model: FilterModel, state: FilterState, measured, block: LinearizedBlock):
+def update(
+    model: FilterModel,
+    state: FilterState,
+    measured,
+    block: LinearizedBlock,
+    projection: Projection,
+):
     """Update mean and covariance by `measured`: means y (3,) of so many samples (3,), which may be
     0, censored as in `FilterInputs` (3,). Return the normalized innovation squared per measurement.
+
+    The covariance changes by three pending rows, for which there must be room.
 
     The measurements are processed one after the other. Each is decorrelated from those before it
     and scaled to unit variance: a Cholesky factorization of the innovation covariance, row by row.
@@ -110,18 +139,18 @@ def update(model: FilterModel, state: FilterState, measured, block: LinearizedBl
     distribution, as a measurement by which the update has both (Tobit filter).
     """
     y, count, censored = measured
-    x, P, n, size = state.x, state.P, state.x.size, block.n_columns[0]
+    x, size = state.x, block.n_columns[0]
     V, H, innovation, columns = block.V, block.H, block.innovation, block.columns
     noise_scale, n_measured = state.adaptive[NOISE_SCALE], 0
-    V[:] = 0.0
+    first, pending = state.n_pending[0], state.pending
+    V[:] = projection.rows[:3] - np.dot(projection.pending[:3], pending[:first])
     cross = np.empty(3)
     for s in range(3):
         innovation[s] = 0.0
         if count[s] == 0.0:
-            H[s] = 0.0
+            H[s], V[s] = 0.0, 0.0
             continue
         n_measured += 1
-        add_weighted_rows(H[s], P, columns, size, V[s])
         noise_variance = noise_scale * model.noise_variance / count[s]
         variance = noise_variance + gather_dot(H[s], V[s], columns, size)
         for r in range(s):
@@ -153,33 +182,39 @@ def update(model: FilterModel, state: FilterState, measured, block: LinearizedBl
         innovation *= np.sqrt(MAX_NIS * n_measured / nis)
     for s in range(3):
         x += innovation[s] * V[s]
-    for i in range(n):
-        a, b, c = V[0, i], V[1, i], V[2, i]
-        for k in range(n):
-            P[i, k] -= a * V[0, k] + b * V[1, k] + c * V[2, k]
+        pending[first + s] = V[s]
+    state.n_pending[0] = first + 3
     return mean_nis
 
 
 @kernel(inline=False)
-def predict(state: FilterState, block: LinearizedBlock):
+def predict(state: FilterState, block: LinearizedBlock, projection: Projection):
     """Propagate the vehicle to the block's end: by simulation from the mean before the update, by
     the transition matrix for the correction of the update.
     """
     x, P, n, size = state.x, state.P, state.x.size, block.n_columns[0]
-    A, V, innovation, columns = block.A, block.V, block.innovation, block.columns
-    rows = np.zeros((N_VEHICLE, n))
+    A, innovation, columns = block.A, block.innovation, block.columns
+    rank, rows = state.n_pending[0], projection.rows[3:]
+    pending, moved, V = state.pending, projection.pending, block.V
+    pending[:rank, FORCE:BIAS] = 0.0
     for i in range(N_VEHICLE):
-        z = block.end_state[i]
-        for d in range(size):
-            k = columns[d]
-            z += A[i, d] * (
-                innovation[0] * V[0, k] + innovation[1] * V[1, k] + innovation[2] * V[2, k]
-            )
-        add_weighted_rows(A[i], P, columns, size, rows[i])
-        x[i] = z
+        x[i] = block.end_state[i]
+        for r in range(rank - 3):
+            pending[r, i] = moved[3 + i, r]
+    for s in range(3):  # the rows of this block's update follow them
+        for i in range(N_VEHICLE):
+            z = gather_dot(A[i], V[s], columns, size)
+            x[i] += innovation[s] * z
+            pending[rank - 3 + s, i] = z
+    for k in range(N_VEHICLE, n):
+        for i in range(N_VEHICLE):
+            P[k, i] = rows[i, k]
+        for i in range(FORCE, BIAS):  # force residuals begin anew in each block
+            P[k, i] = 0.0
+    P[FORCE:BIAS] = 0.0
     for i in range(N_VEHICLE):
         P[i, N_VEHICLE:] = rows[i, N_VEHICLE:]
-        P[N_VEHICLE:, i] = rows[i, N_VEHICLE:]
+        P[i, FORCE:BIAS] = 0.0
         for k in range(i + 1):
             z = gather_dot(A[k], rows[i], columns, size)
             P[i, k] = z

@@ -53,16 +53,24 @@ def residual_variance(velocity: np.ndarray, std: float) -> np.ndarray:
 
 @kernel(inline=False)
 def choose_linearization(model: FilterModel, state: FilterState):
-    """Select each strut's table by the uncertainty of its rate, and reset its force residual."""
-    x, P, p = state.x, state.P, model.constants[0]
+    """Select each strut's table by the uncertainty of its rate, and the variance of its force
+    residual, which `filter.predict` has made independent of everything else.
+    """
+    x, P, pending, p = state.x, state.P, state.pending, model.constants[0]
+    strut_rows = model.strut_rows
     n_tables = model.force_variance.shape[1]
     for w in range(4):
         rate, variance = 0.0, 0.0
         for i in range(N_DOF):
-            rate += model.strut_rows[w, i] * x[N_DOF + i]
+            rate += strut_rows[w, i] * x[N_DOF + i]
             for k in range(N_DOF):
-                cross = model.strut_rows[w, i] * model.strut_rows[w, k]
+                cross = strut_rows[w, i] * strut_rows[w, k]
                 variance += cross * P[N_DOF + i, N_DOF + k]
+        for r in range(state.n_pending[0]):
+            z = 0.0
+            for i in range(N_DOF):
+                z += strut_rows[w, i] * pending[r, N_DOF + i]
+            variance -= z * z
         std, index = np.sqrt(max(variance, 0.0)), 0
         while index < model.rate_stds.size - 1 and (
             std > 0.5 * (model.rate_stds[index] + model.rate_stds[index + 1])
@@ -76,6 +84,4 @@ def choose_linearization(model: FilterModel, state: FilterState):
         soft = (1.0 - t) * table[low, i] + t * table[low, i + 1]
         hard = (1.0 - t) * table[low + 1, i] + t * table[low + 1, i + 1]
         x[FORCE + w] = 0.0
-        P[FORCE + w, :] = 0.0
-        P[:, FORCE + w] = 0.0
         P[FORCE + w, FORCE + w] = (1.0 - high) * soft + high * hard

@@ -21,6 +21,7 @@ from estimators.kalman.road_process import ARModel, fit_ar_model, prior_covarian
 from estimators.kalman.rts_smoother import BackwardState, smooth_backward
 from estimators.kalman.state import (
     BIAS,
+    MAX_PENDING,
     NODES,
     FilterInputs,
     FilterModel,
@@ -211,7 +212,9 @@ def _initial_state(
     strut_state = settled_strut_state(int(model_inputs.commands[0]))
     weight = ROUGHNESS_LENGTH / NODE_SPACING  # that of a stationary average
     adaptive = np.array([1.0, weight, weight, 1.0])
-    return FilterState(x, P, strut_state, np.array([newest_node]), adaptive, np.ones(blocks))
+    pending, newest = np.zeros((MAX_PENDING, n)), np.array([newest_node])
+    n_pending = np.zeros(1, dtype=np.int64)
+    return FilterState(x, P, pending, n_pending, strut_state, newest, adaptive, np.ones(blocks))
 
 
 def setup_output(

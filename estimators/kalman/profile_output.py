@@ -125,17 +125,6 @@ def output_weights(u, at, newest_node, decay, cutoff, half_window):
 
 
 @kernel(inline=False)
-def covariance_row(P, u, component, out):
-    """Write the weighted sum of rows of `P` (n, n) of a component (0 mean, 1 half difference) to
-    `out`.
-    """
-    out[:] = u[0] * P[RETIRED + 2 * component] + u[1] * P[RETIRED + 2 * component + 1]
-    for k in range(u.size - 2):
-        if u[2 + k] != 0.0:
-            out += u[2 + k] * P[NODES + 2 * k + component]
-
-
-@kernel(inline=False)
 def read_out(x, u, component):
     """Return the weighted sum of the entries of `x` (n,) of a component (0 mean, 1 half
     difference).
@@ -147,13 +136,27 @@ def read_out(x, u, component):
 
 
 @kernel(inline=False)
-def covariance_rows(P, u, out):
-    """Write the weighted sums of rows of `P` (n, n) for the left and right wheel path to `out` (2,
-    n).
+def covariance_row(state: FilterState, u, component, out):
+    """Write the weighted sum of rows of the covariance of a component (0 mean, 1 half difference)
+    to `out` (n,).
     """
-    mean, difference = np.empty(P.shape[0]), np.empty(P.shape[0])
-    covariance_row(P, u, 0, mean)
-    covariance_row(P, u, 1, difference)
+    P = state.P
+    out[:] = u[0] * P[RETIRED + 2 * component] + u[1] * P[RETIRED + 2 * component + 1]
+    for k in range(u.size - 2):
+        if u[2 + k] != 0.0:
+            out += u[2 + k] * P[NODES + 2 * k + component]
+    for r in range(state.n_pending[0]):
+        out -= read_out(state.pending[r], u, component) * state.pending[r]
+
+
+@kernel(inline=False)
+def covariance_rows(state: FilterState, u, out):
+    """Write the weighted sums of rows of the covariance for the left and right wheel path to `out`
+    (2, n).
+    """
+    mean, difference = np.empty(state.x.size), np.empty(state.x.size)
+    covariance_row(state, u, 0, mean)
+    covariance_row(state, u, 1, difference)
     out[0] = mean + difference
     out[1] = mean - difference
 
@@ -162,6 +165,8 @@ def covariance_rows(P, u, out):
 def emit(model: FilterModel, state: FilterState, output: ProfileOutput, j):
     """Emit all stations that are due before the block `j`."""
     n, newest_node, next_station = state.x.size, state.newest_node[0], output.next_station
+    if next_station[0] == output.node.size or output.emit_block[next_station[0]] > j:
+        return
     u, rows = np.empty(2 + (n - NODES) // 2), np.empty((2, n))
     decay = model.decay if output.detrended else 0.0
     while next_station[0] < output.node.size and output.emit_block[next_station[0]] <= j:
@@ -173,10 +178,10 @@ def emit(model: FilterModel, state: FilterState, output: ProfileOutput, j):
         output.z[m, 0], output.z[m, 1] = z + d, z - d
         output.share[m] = min(1.0, LOST_NOISE_SCALE / state.adaptive[NOISE_SCALE])
         if output.height_covariance.shape[0] > 0:
-            covariance_rows(state.P, u, output.height_covariance[m])
+            covariance_rows(state, u, output.height_covariance[m])
         if m % VARIANCE_STRIDE == 0:
             output_weights(u, at, newest_node, model.decay, output.cutoff[m, 1], output.half_window)
-            covariance_rows(state.P, u, rows)
+            covariance_rows(state, u, rows)
             for side in range(2):
                 z, d = read_out(rows[side], u, 0), read_out(rows[side], u, 1)
                 output.variance[m, side] = z + (1.0 - 2.0 * side) * d

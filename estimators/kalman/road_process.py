@@ -92,20 +92,25 @@ def add_node(model: FilterModel, state: FilterState, free):
     """Add a node ahead of the newest one and retire the oldest. Unless `free`, the road goes on
     level.
     """
-    x, P, n = state.x, state.P, state.x.size
-    newest_node = state.newest_node[0]
+    x, P, n, pending = state.x, state.P, state.x.size, state.pending
+    newest_node, rank = state.newest_node[0], state.n_pending[0]
+    pending_row = np.empty(rank)
     new = node_index(newest_node + 1, n)
     row = np.empty(n)
     for component in range(2):
-        retire_node(x, P, RETIRED + 2 * component, new + component, model.decay)
+        retire_node(state, RETIRED + 2 * component, new + component, model.decay)
         row[:] = 0.0
+        pending_row[:] = 0.0
         z = 0.0
         order = model.ar_weights.shape[1] if free else 1
         for k in range(order):
             old = node_index(newest_node - k, n) + component
             weight = model.ar_weights[component, k] if free else 1.0
             z += weight * x[old]
-            row += weight * P[old]
+            for i in range(n):
+                row[i] += weight * P[old, i]
+            for r in range(rank):
+                pending_row[r] += weight * pending[r, old]
         scale = state.adaptive[ROUGHNESS_SCALE]
         variance = model.prediction_variance[component] * scale if free else 0.0
         for k in range(order):
@@ -115,15 +120,21 @@ def add_node(model: FilterModel, state: FilterState, free):
         P[new + component, :] = row
         P[:, new + component] = row
         P[new + component, new + component] = variance
+        pending[:rank, new + component] = pending_row
     state.newest_node[0] = newest_node + 1
 
 
 @kernel(inline=False)
-def retire_node(x, P, M, old, decay):
+def retire_node(state: FilterState, M, old, decay):
     """Add the node with the index `old` to the decaying sum at `M`, which moves one node further
     back.
     """
+    x, P, pending = state.x, state.P, state.pending
     c, s = np.exp(-decay) * np.cos(decay), np.exp(-decay) * np.sin(decay)
+    for r in range(state.n_pending[0]):
+        row = pending[r]
+        real, imaginary = row[M] + row[old], row[M + 1]
+        row[M], row[M + 1] = c * real - s * imaginary, s * real + c * imaginary
     real, imaginary = x[M] + x[old], x[M + 1]
     x[M], x[M + 1] = c * real - s * imaginary, s * real + c * imaginary
     for i in range(x.size):
@@ -148,6 +159,8 @@ def update_roughness(model: FilterModel, state: FilterState, rear, free):
     for component in range(2):
         a, b = node_index(low, n) + component, node_index(rear, n) + component
         increment, variance = x[b] - x[a], P[a, a] + P[b, b] - 2.0 * P[a, b]
+        for r in range(state.n_pending[0]):
+            variance -= (state.pending[r, b] - state.pending[r, a]) ** 2
         kept = 1.0 - 0.5 / model.roughness_memory  # half a node: there are two components
         ratio = 0.5 * (increment * increment + variance) / model.increment_variance[component]
         adaptive[ROUGHNESS_SUM] = kept * adaptive[ROUGHNESS_SUM] + ratio

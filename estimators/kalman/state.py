@@ -24,6 +24,12 @@ from road_envs.vehicle.equations import N_DOF
 
 N_VEHICLE = 2 * N_DOF
 FORCE, BIAS, RETIRED, NODES = N_VEHICLE, N_VEHICLE + 4, N_VEHICLE + 7, N_VEHICLE + 11
+MAX_PENDING = 96
+"""Rows of the updates that are not yet subtracted from the covariance, at most."""
+
+TILE = 64
+"""Rows and columns of the covariance that are updated together, within the fastest cache."""
+
 ROUGHNESS_SCALE, ROUGHNESS_SUM, ROUGHNESS_WEIGHT, NOISE_SCALE = 0, 1, 2, 3
 """Entries of `FilterState.adaptive`: road PSD relative to the prior, the weighted sum and the
 weight whose ratio it is, and the factor on the measurement noise variance."""
@@ -92,13 +98,20 @@ class FilterInputs(NamedTuple):
 
 
 class FilterState(NamedTuple):
-    """Mean `x` (n,) and covariance `P` (n, n), valve states of the struts `strut_state` (4, 3),
-    number of the newest node `newest_node` (1,) and the parameters `adaptive` (4,). `nis` (J,): the
-    normalized innovation squared, per measurement, of the blocks so far.
+    """Mean `x` (n,), valve states of the struts `strut_state` (4, 3), number of the newest node
+    `newest_node` (1,) and the parameters `adaptive` (4,). `nis` (J,): the normalized innovation
+    squared, per measurement, of the blocks so far.
+
+    The covariance is P - W' W with `P` (n, n) and the first `n_pending` (1,) rows W of `pending`
+    (MAX_PENDING, n): the whitened gains of the last updates. A linear change x' = F x turns it into
+    F P F' - (W F')' (W F'), so every step changes a few rows of P and columns of W only, and the
+    product of all n x n entries is taken once for many updates (`subtract_pending`).
     """
 
     x: np.ndarray
     P: np.ndarray
+    pending: np.ndarray
+    n_pending: np.ndarray
     strut_state: np.ndarray
     newest_node: np.ndarray
     adaptive: np.ndarray
@@ -145,6 +158,21 @@ def empty_blocks(n: int, max_columns: int, blocks: int) -> LinearizedBlock:
 def node_index(k, n):
     """Return the index of the mean of node `k`, in a state of size `n`; half difference next."""
     return NODES + 2 * (k % ((n - NODES) // 2))
+
+
+@kernel(inline=False)
+def subtract_pending(state: FilterState):
+    """Subtract the pending updates from `state.P`, tile by tile of its lower triangle."""
+    P, pending = state.P, state.pending[: state.n_pending[0]]
+    transposed = np.ascontiguousarray(pending.T)
+    for k in range(0, P.shape[0], TILE):
+        columns = np.ascontiguousarray(pending[:, k : k + TILE])
+        for i in range(k, P.shape[0], TILE):
+            tile = P[i : i + TILE, k : k + TILE]
+            tile -= np.dot(transposed[i : i + TILE], columns)
+            if i > k:
+                P[k : k + TILE, i : i + TILE] = tile.T
+    state.n_pending[0] = 0
 
 
 @kernel

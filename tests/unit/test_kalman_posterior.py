@@ -15,7 +15,7 @@ from vehicle_fixtures import DEFENDER
 
 from estimators.common.block_means import block_means
 from estimators.common.model_inputs import REST_STD, build_model_inputs
-from estimators.kalman.filter import filter_forward, normal_hazard, update
+from estimators.kalman.filter import filter_forward, normal_hazard, project, update
 from estimators.kalman.pipeline import (
     BIAS_STD,
     NODE_SPACING,
@@ -32,6 +32,7 @@ from estimators.kalman.state import (
     ROUGHNESS_WEIGHT,
     empty_blocks,
     get_block,
+    subtract_pending,
 )
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.data.record import Record
@@ -291,7 +292,8 @@ def test_a_censored_measurement_gives_the_moments_of_a_truncated_normal(limit, s
     block.H[1, :3] = h
     state = run.state._replace(x=x.copy(), P=P.copy())
     y, used = np.array([0.0, 0.7 + sign * limit * std, 0.0]), np.array([0.0, count, 0.0])
-    update(run.model, state, (y, used, sign * np.array([0.0, 1.0, 0.0])), block)
+    update(run.model, state, (y, used, sign * np.array([0.0, 1.0, 0.0])), block, project(state, block))
+    subtract_pending(state)
     np.testing.assert_allclose(state.x - x, sign * gain / std * truncated.mean(), rtol=2e-3)
     shrinkage = (1.0 - truncated.var()) / std**2
     np.testing.assert_allclose(P - state.P, shrinkage * np.outer(gain, gain), rtol=2e-3, atol=1e-12)
