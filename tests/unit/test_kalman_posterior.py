@@ -292,7 +292,8 @@ def test_a_censored_measurement_gives_the_moments_of_a_truncated_normal(limit, s
     block.H[1, :3] = h
     state = run.state._replace(x=x.copy(), P=P.copy())
     y, used = np.array([0.0, 0.7 + sign * limit * std, 0.0]), np.array([0.0, count, 0.0])
-    update(run.model, state, (y, used, sign * np.array([0.0, 1.0, 0.0])), block, project(state, block))
+    measured = y, used, sign * np.array([0.0, 1.0, 0.0])
+    update(run.model, state, measured, block, project(state, block))
     subtract_pending(state)
     np.testing.assert_allclose(state.x - x, sign * gain / std * truncated.mean(), rtol=2e-3)
     shrinkage = (1.0 - truncated.var()) / std**2
