@@ -11,6 +11,7 @@ import dataclasses
 import hashlib
 import json
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -247,7 +248,7 @@ class Task(Settings):
         parts: list[Any] = [self, self.vehicle, self.sensors]
         if any(condition.grade != "S0" for condition in self.conditions):
             parts.append(load_plant_mismatch())
-        text = json.dumps([_canonical(part) for part in parts], sort_keys=True)
+        text = json.dumps(to_json_types(parts, _digested_fields), sort_keys=True, default=repr)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def grade(self, drives: DriveSet, condition: Condition) -> Grade:
@@ -349,28 +350,40 @@ def training_delays(task: Task) -> list[float]:
     return [road.delay if isinstance(road, NoisyCopy) else 0.0 for road in roads]
 
 
-def _canonical(value: Any) -> Any:
-    """Return `value` as JSON types, by the kinds and keys of its YAML and not by names of classes.
+def _fields(value: Any) -> dict[str, Any]:
+    return {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.init}
 
-    Fields at their defaults are left out, so that a new option leaves the digests of all tasks as
-    they are; code that changes a default changes the version of the evaluation code. A surface file
-    is given by its content.
+
+def to_json_types(value: Any, fields: Callable[[Any], dict[str, Any]] = _fields) -> Any:
+    """Return `value` as JSON types that `config.build` parses; roads have a key `kind`.
+
+    `fields` returns the fields of a dataclass that are kept.
     """
     if dataclasses.is_dataclass(value):
-        fields = {
-            f.name: _canonical(getattr(value, f.name))
-            for f in dataclasses.fields(value)
-            if f.name not in DESCRIPTIVE_FIELDS and not _is_default(f, getattr(value, f.name))
-        }
-        if isinstance(value, Measured):
-            fields["path"] = hashlib.sha256(Path(value.path).read_bytes()).hexdigest()
+        kept = {name: to_json_types(item, fields) for name, item in fields(value).items()}
         kind = next((kind for kind, cls in KINDS.items() if type(value) is cls), None)
-        return fields if kind is None else {"kind": kind, **fields}
+        return kept if kind is None else {"kind": kind, **kept}
     if isinstance(value, tuple | list):
-        return [_canonical(item) for item in value]
+        return [to_json_types(item, fields) for item in value]
     if isinstance(value, dict):
-        return {str(key): _canonical(item) for key, item in value.items()}
-    return value if isinstance(value, str | int | float | bool | type(None)) else repr(value)
+        return {str(key): to_json_types(item, fields) for key, item in value.items()}
+    return value
+
+
+def _digested_fields(value: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass that its digest covers; a surface file by its content.
+
+    Fields at their defaults are left out, so that a new option leaves the digests of all tasks as
+    they are; code that changes a default changes the version of the evaluation code.
+    """
+    kept = {
+        f.name: x
+        for f in dataclasses.fields(value)
+        if f.name not in DESCRIPTIVE_FIELDS and not _is_default(f, x := getattr(value, f.name))
+    }
+    if isinstance(value, Measured):
+        kept["path"] = hashlib.sha256(Path(value.path).read_bytes()).hexdigest()
+    return kept
 
 
 def _is_default(f: dataclasses.Field[Any], value: Any) -> bool:

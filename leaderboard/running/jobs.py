@@ -28,7 +28,7 @@ from leaderboard.evaluation.evaluate import (
 )
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.results import FORMAT, Result, content_digest
-from leaderboard.evaluation.tasks import Task
+from leaderboard.evaluation.tasks import Task, to_json_types
 from leaderboard.evaluation.test_data import DriveSimulation, simulate_drives
 from leaderboard.metrics import heights
 from leaderboard.sandbox import processes
@@ -36,7 +36,6 @@ from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from road_envs._atomic_io import remove_stale_temp
 from road_envs.config import ConfigError, Settings, build
-from road_envs.roads import KINDS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +82,7 @@ def result_identity(task: Task, condition: int | None, entry: Entry, seeds: Sequ
 def to_text(job: Job) -> str:
     """Return the content of a job file."""
     job = dataclasses.replace(job, task_digest=job.task.digest, judge=evaluation_version())
-    return json.dumps(_to_json_types(job), indent=1) + "\n"
+    return json.dumps(to_json_types(job), indent=1) + "\n"
 
 
 def from_text(text: str, where: str) -> Job:
@@ -171,23 +170,6 @@ def main() -> None:
 def _print_json_line(data: dict[str, Any]) -> None:
     sys.stdout.write(json.dumps(data) + "\n")
     sys.stdout.flush()
-
-
-def _to_json_types(value: Any) -> Any:
-    """Return `value` as JSON types that `build` can parse; roads get a key `kind`."""
-    if dataclasses.is_dataclass(value):
-        fields = {
-            f.name: _to_json_types(getattr(value, f.name))
-            for f in dataclasses.fields(value)
-            if f.init
-        }
-        kind = next((name for name, cls in KINDS.items() if type(value) is cls), None)
-        return fields if kind is None else {"kind": kind, **fields}
-    if isinstance(value, list | tuple):
-        return [_to_json_types(item) for item in value]
-    if isinstance(value, dict):
-        return {key: _to_json_types(item) for key, item in value.items()}
-    return value
 
 
 if __name__ == "__main__":
