@@ -472,7 +472,7 @@ FAULTS = [
     Fault(OBSERVABILITY, "0.5 * (error + _adjoint(error))", "error + _adjoint(error)", BOUND),
     Fault(OBSERVABILITY, "H[n * v > f_c] = 0.0", "pass",
           "information_bound::test_no_information_is_gained_above_the_low_pass"),
-    Fault(OBSERVABILITY, "_project_psd(self.error, 1.0, -1.0)", "_project_psd(self.error, 0.5, -0.5)",
+    Fault(OBSERVABILITY, "known.get(which, (1.0, -1.0))", "known.get(which, (0.5, 0.5))",
           "information_bound::test_mean_and_difference_follow_from_the_wheel_paths"),
     Fault(OBSERVABILITY, "prior.spectrum(f / v) / v", "prior.spectrum(f / v)",
           "information_bound::test_the_equivalent_damping_is_a_fixed_point_of_linearization"),

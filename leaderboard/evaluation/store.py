@@ -138,11 +138,6 @@ def read(path: Path) -> Result:
     return read_with_checksum(path)[0]
 
 
-def load_all(out: Path, task: str) -> list[Result]:
-    """Read all rows of a task, sorted by estimator. Raises ConfigError for a damaged one."""
-    return [load(path) for path in _row_files(out, task)]
-
-
 def load_rows(out: Path, task: Task) -> list[Result]:
     """Return all rows of a task; drives and traces are read from disk on demand.
 

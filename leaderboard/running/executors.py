@@ -1,4 +1,4 @@
-"""Executors of jobs: in this process, or in several processes of this machine.
+"""Executors of jobs: their interface, and several processes of this machine.
 
 `dask_executor.py` runs jobs on a Dask cluster.
 """
@@ -8,18 +8,14 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Protocol
 
-from estimators import make_estimator
-from estimators.api import Estimator
 from leaderboard.evaluation import evaluate
-from leaderboard.evaluation.entry import Entry, TrainingRun
-from leaderboard.evaluation.evaluate import ConditionData
-from leaderboard.evaluation.test_data import DriveSimulation, simulate_drives
+from leaderboard.evaluation.entry import Entry
 from leaderboard.running import jobs
 from leaderboard.running.jobs import Job, JobDone
 from leaderboard.sandbox import processes
@@ -44,40 +40,6 @@ class Executor(Protocol):
 
 class EvaluatorError(Exception):
     """The evaluation code has failed, independently of the entry."""
-
-
-class InProcessExecutor:
-    """Runs jobs in this process without isolation, for tests and debugging.
-
-    `estimators` are used by name of the entry; others are constructed from their entry.
-    """
-
-    workers = 1
-
-    def __init__(
-        self,
-        simulate: DriveSimulation = simulate_drives,
-        estimators: Mapping[str, Estimator | None] | None = None,
-    ):
-        self._simulate, self._estimators = simulate, estimators or {}
-
-    def run(self, jobs_: Sequence[Job], out: Path) -> Iterator[JobDone]:
-        """Run jobs one after the other; skip further conditions of an entry that failed."""
-        failed: set[tuple[str, str]] = set()
-        for job in jobs_:
-            for done in jobs.run_job(
-                _without_failed(job, failed), out, self._run_entry, self._simulate
-            ):
-                if done.failure is not None:
-                    failed.add((done.task, done.entry))
-                yield done
-
-    def _run_entry(
-        self, entry: Entry, data: ConditionData, seeds: Sequence[int]
-    ) -> Iterator[TrainingRun]:
-        estimator = self._estimators.get(entry.name)
-        estimator = estimator or make_estimator(entry.reference, **entry.settings)
-        yield from evaluate.in_process(estimator)(entry, data, seeds)
 
 
 class ProcessExecutor:
@@ -120,7 +82,7 @@ class ProcessExecutor:
         self, job: Job, out: Path, failed: set[tuple[str, str]], put: Callable[..., None]
     ) -> None:
         try:
-            remaining = {entry.name: entry for entry in _without_failed(job, failed).entries}
+            remaining = {entry.name: entry for entry in without_failed(job, failed).entries}
             while remaining:
                 self._run_process(
                     _with_entries(job, remaining.values()), out, failed, put, remaining
@@ -195,7 +157,7 @@ def _with_entries(job: Job, entries: Iterable[Entry]) -> Job:
     return dataclasses.replace(job, entries=tuple(entries))
 
 
-def _without_failed(job: Job, failed: set[tuple[str, str]]) -> Job:
+def without_failed(job: Job, failed: set[tuple[str, str]]) -> Job:
     """Return a job without the entries that have failed on its task."""
     return _with_entries(job, (e for e in job.entries if (job.task.name, e.name) not in failed))
 

@@ -97,16 +97,6 @@ class Posterior:
         """Error densities (F, 2) [m³] of the left and the right wheel path."""
         return np.real(self.error[:, [0, 1], [0, 1]])
 
-    @property
-    def mean_psd(self) -> np.ndarray:
-        """Error density (F,) [m³] of the mean of the wheel paths."""
-        return _project_psd(self.error, 0.5, 0.5)
-
-    @property
-    def difference_psd(self) -> np.ndarray:
-        """Error density (F,) [m³] of the difference of left and right wheel path."""
-        return _project_psd(self.error, 1.0, -1.0)
-
     def relative_error(self, which: str) -> np.ndarray:
         """Return the amplitude of the error relative to the prior (F,) [-].
 

@@ -23,6 +23,7 @@ from board_runs import (
     small,
 )
 from fakes import Broken, Reader, fake_drives
+from in_process import InProcessExecutor
 
 from leaderboard.evaluation import evaluate, store
 from leaderboard.evaluation.results import content_digest
@@ -31,7 +32,6 @@ from leaderboard.evaluation.tasks import shipped_tasks
 from leaderboard.running import board as board_module
 from leaderboard.running import jobs, plan
 from leaderboard.running.board import load_board, run_board, write_jobs
-from leaderboard.running.executors import InProcessExecutor
 from road_envs.config import ConfigError, build
 
 

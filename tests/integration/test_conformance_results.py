@@ -6,6 +6,7 @@ import io
 import numpy as np
 import pytest
 from fakes import Reader, fake_drives, task
+from in_process import InProcessExecutor
 from rich.console import Console
 
 import estimators
@@ -27,7 +28,6 @@ from leaderboard.report.cache import build_report
 from leaderboard.report.site import render_pages
 from leaderboard.report.terminal import print_tables
 from leaderboard.running.board import Board, RunRequest, load_board, run_board
-from leaderboard.running.executors import InProcessExecutor
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from fakes import Broken, Learner, Reader, fake_drives, task
+from in_process import InProcessExecutor
 
 import estimators
 from leaderboard.evaluation.entries import make_entry
@@ -15,7 +16,6 @@ from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.metrics.baselines import BASELINES, NOISE_LEVEL, truth_plus_noise
 from leaderboard.metrics.heights import nrmse, scored_band
 from leaderboard.running.board import RunRequest, baseline_names, load_board, run_board
-from leaderboard.running.executors import InProcessExecutor
 from road_envs.config import ConfigError
 from road_envs.simulation.drive import SimulationError
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from fakes import Reader, task
 from hostile import Hostile
+from in_process import InProcessExecutor
 
 from leaderboard.evaluation import store
 from leaderboard.evaluation.entries import make_entry
@@ -20,7 +21,7 @@ from leaderboard.running import dask_executor as cluster_module
 from leaderboard.running import executors, jobs
 from leaderboard.running.board import RunRequest, run_board
 from leaderboard.running.dask_executor import DaskExecutor
-from leaderboard.running.executors import EvaluatorError, InProcessExecutor, ProcessExecutor
+from leaderboard.running.executors import EvaluatorError, ProcessExecutor
 from leaderboard.sandbox.limits import Limits
 from road_envs.config import ConfigError
 

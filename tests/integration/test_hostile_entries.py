@@ -11,6 +11,7 @@ import hostile
 import pytest
 from fakes import Reader, task
 from hostile import Hostile, poisoned_kernels
+from in_process import InProcessExecutor
 from wheels import encrypt, module, write_wheel
 
 from estimators import create
@@ -18,7 +19,7 @@ from leaderboard.evaluation.entries import NAME, RESERVED, make_entry, resolve_e
 from leaderboard.evaluation.results import content_digest, isolation_notice
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.running.board import RunRequest, run_board
-from leaderboard.running.executors import InProcessExecutor, ProcessExecutor
+from leaderboard.running.executors import ProcessExecutor
 from leaderboard.sandbox import bubblewrap
 from leaderboard.sandbox.client import LOOKS_AHEAD, ONE_TRAINING, REMEMBERS, SandboxClient
 from leaderboard.sandbox.limits import Limits

@@ -4,11 +4,11 @@ import dataclasses
 import functools
 
 from fakes import Learner, Reader, fake_drives, task
+from in_process import InProcessExecutor
 
 from leaderboard.evaluation.entries import make_entry
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.running.board import RunRequest, run_board
-from leaderboard.running.executors import InProcessExecutor
 
 SHORT = {
     "training": {"roads": ["iso_d"], "seeds": [1], "length": 16.0},

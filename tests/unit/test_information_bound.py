@@ -145,12 +145,12 @@ def test_the_error_on_drawn_roads_agrees_with_the_bound():
 def test_mean_and_difference_follow_from_the_wheel_paths():
     result = tabled(PAIRS[2], SLOW, 0.0, np.linspace(0.2, 1.8, 50))
     P = result.error
-    np.testing.assert_allclose(
-        result.mean_psd, (P[:, 0, 0] + P[:, 1, 1] + 2 * P[:, 0, 1]).real / 4.0
-    )
-    np.testing.assert_allclose(
-        result.difference_psd, (P[:, 0, 0] + P[:, 1, 1] - 2 * P[:, 0, 1]).real
-    )
+    for name, sign in (("mean", 1.0), ("difference", -1.0)):
+        both = [
+            (X[:, 0, 0] + X[:, 1, 1] + 2.0 * sign * X[:, 0, 1]).real
+            for X in (result.error, result.prior)
+        ]
+        np.testing.assert_allclose(result.relative_error(name), np.sqrt(both[0] / both[1]))
     for side, name in enumerate(("left", "right")):
         share = np.sqrt(P[:, side, side].real / result.prior[:, side, side])
         np.testing.assert_allclose(result.relative_error(name), share)

@@ -18,7 +18,6 @@ from leaderboard.evaluation.store import (
     CHECKSUM_PREFIX,
     RowChangedError,
     load,
-    load_all,
     load_rows,
     row_path,
     save,
@@ -85,7 +84,8 @@ def test_a_result_is_equal_after_writing_and_reading(tmp_path):
         path = save(result, tmp_path)
         assert path == row_path(tmp_path, "small", result.estimator)
         assert load(path) == result
-    assert [r.estimator for r in load_all(tmp_path, "small")] == sorted(ENTRIES)
+    rows = load_rows(tmp_path, task())
+    assert [row.estimator for row in rows] == sorted(ENTRIES)
 
 
 def test_undefined_scores_stay_undefined(tmp_path):
@@ -133,7 +133,7 @@ INVALID = [
 def test_an_invalid_file_raises_an_error_that_names_it(tmp_path, change, message):
     path = edited(tmp_path, change)
     with pytest.raises(ConfigError) as error:
-        load_all(tmp_path, "small")
+        load(path)
     assert str(path) in str(error.value) and message in str(error.value)
 
 
