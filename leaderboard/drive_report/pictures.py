@@ -68,12 +68,12 @@ def profile_strip(result: DriveResult) -> str:
                 if s[part[0]] <= obstacle["station_m"] <= s[part[-1]]:
                     axes.annotate(
                         f"{obstacle['height_mm']:+.0f} mm",
-                        (obstacle["station_m"], 0.9 * limit),
+                        (obstacle["station_m"], 1.35 * limit),
                         ha="center",
                         va="top",
                         fontsize=8,
                     )
-            axes.set(xlim=(s[part[0]], s[part[-1]]), ylim=(-limit, limit))
+            axes.set(xlim=(s[part[0]], s[part[-1]]), ylim=(-limit, 1.4 * limit))
             axes.grid(color="0.9", lw=0.5)
         panels[0].legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0))
         panels[rows // 2].set_ylabel("height [mm]")
@@ -160,7 +160,7 @@ def track_map(result: DriveResult, conditions: Conditions) -> str:
             mark = "^" if obstacle["height_mm"] > 0.0 else "v"
             axes.plot(x, y, mark, color="0.1", ms=7, zorder=3)
             axes.annotate(
-                f" {obstacle['height_mm']:+.0f} mm", (x, y), (5, -3),
+                f"{obstacle['height_mm']:+.0f} mm", (x, y), (9, -3),
                 textcoords="offset points", fontsize=8,
             )  # fmt: skip
         axes.set_aspect("equal", adjustable="datalim")

@@ -19,13 +19,16 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import yaml
 
 from leaderboard import cli
 from leaderboard.drive_report.obstacles import detect
 from leaderboard.drive_report.posterior_iri import posterior_iri
+from road_envs.analysis.roughness import displacement_psd
 from road_envs.data.record import Estimate, profile_stations
 from road_envs.roads import realise_road
+from road_envs.roads.surface import Surface
 
 ROOT = Path(__file__).parents[2]
 
@@ -42,6 +45,9 @@ LIMITS = {"place_own_m": 0.5, "height": 0.2, "iri": 0.15}
 the surface's, relative IRI of segments. The distance itself is as good as the speed, 0.5 %
 (configs/sensors).
 """
+
+SHORT_WAVES = (0.8, 1.1)
+"""Shortest and longest of the waves [m] that make up the crest of the bump."""
 
 NAMES = ("hump 75 mm", "pothole 50 mm", "bump 30 mm")
 
@@ -87,7 +93,18 @@ def report(case: tuple[str, int, int], folder: Path, *options: str) -> dict:
     seconds = time.process_time() - began
     scale = drive["speed_kmh"] / speed
     errors = compare(drive, defects, folder / "road.yaml", seed, scale)
-    return {"case": case, "seconds": seconds, **errors}
+    heights = pd.read_parquet(folder / "report/phone_drive_heights.parquet")
+    gain = short_wave_gain(heights, realise_road(folder / "road.yaml", seed))
+    return {"case": case, "seconds": seconds, **errors, "short_waves": gain}
+
+
+def short_wave_gain(heights: pd.DataFrame, surface: Surface) -> float:
+    """Return the RMS of the waves SHORT_WAVES in reported `heights` over that in the surface."""
+    s = heights["station_m"].to_numpy()
+    n, told = displacement_psd(heights[["left_m", "right_m"]].to_numpy().T, float(s[1] - s[0]))
+    _, true = displacement_psd(surface.height(s), float(s[1] - s[0]))
+    inside = (n >= 1.0 / SHORT_WAVES[1]) & (n <= 1.0 / SHORT_WAVES[0])
+    return float(np.sqrt(told[:, inside].sum() / true[:, inside].sum()))
 
 
 def compare(drive: dict, defects: list[dict], road_file: Path, seed: int, scale: float) -> dict:
@@ -118,6 +135,9 @@ def compare(drive: dict, defects: list[dict], road_file: Path, seed: int, scale:
             (o for o in on_surface if o.height * defect["height"] > 0.0),
             key=lambda o: abs(o.station - defect["at"]),
         ).height
+        place.append(nearest["station_m"] - defect["at"])
+        own.append(place[-1] - (scale - 1.0) * defect["at"])
+        inside[0] += bool(abs(place[-1]) <= 1.96 * nearest["station_std_m"])
         height.append(1e-3 * nearest["height_mm"] / true - 1.0)
         nominal.append(1e-3 * nearest["height_mm"] / defect["height"] - 1.0)
         low, high = (1e-3 * nearest[f"height_{x}_mm"] for x in ("low", "high"))
@@ -160,7 +180,7 @@ def summary(results: list[dict]) -> str:
         good, nominal = sum(map(passes, chosen)), sum(passes(r, "nominal") for r in chosen)
         lines.append(
             f"class {letter}, {speed} km/h: {good} of {len(chosen)} within all limits, "
-            f"{nominal} by nominal heights"
+            f"{nominal} by nominal heights; {_heights(np.ravel([r['height'] for r in chosen]))}"
         )
     for k, name in enumerate(NAMES):
         place, own, height, nominal = (
@@ -189,6 +209,11 @@ def summary(results: list[dict]) -> str:
     lines.append(
         f"IRI of segments: {iri.mean():+.1f} ± {iri.std():.1f} %, "
         f"{np.mean(np.abs(iri) <= 15.0):.0%} within 15 %, {covered:.0%} within their interval"
+    )
+    gain = np.array([r["short_waves"] for r in results])
+    lines.append(
+        f"waves of {SHORT_WAVES[0]} to {SHORT_WAVES[1]} m: {gain.mean():.2f} ± {gain.std():.2f} of "
+        f"their true amplitude, {gain.min():.2f} to {gain.max():.2f}"
     )
     places, heights, nominals = np.mean([r["covered"] for r in results], axis=0) / 3.0
     false = sum(len(r["false"]) for r in results)
