@@ -627,7 +627,7 @@ FAULTS = [
           WHITE),
     Fault("estimators/kalman/linearization.py", "sign = -1.0 if component == 1 and side == 1 else 1.0", "sign = 1.0",
           EARLY),
-    Fault("estimators/kalman/linearization.py", "block.H[s, BIAS + s] = 1.0", "pass",
+    Fault("estimators/kalman/linearization.py", "H[s, BIAS + s] = 1.0", "pass",
           EARLY),
     Fault("estimators/kalman/profile_output.py", "u[1] = -0.5 * decay * np.exp(-x) * (np.cos(x) - np.sin(x))", "u[1] = 0.0",
           EARLY),

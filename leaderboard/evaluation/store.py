@@ -19,7 +19,7 @@ from typing import Any, overload
 
 from leaderboard.evaluation.code_version import evaluation_version
 from leaderboard.evaluation.provenance import package_version
-from leaderboard.evaluation.results import FORMAT, DriveScores, Result, Trace
+from leaderboard.evaluation.results import FORMAT, DriveScores, Result
 from leaderboard.evaluation.tasks import Task
 from leaderboard.json_values import nan_to_none
 from leaderboard.metrics import heights
@@ -55,14 +55,6 @@ class _DriveColumns(Settings):
     seed: tuple[int, ...]
     scores: dict[str, tuple[float | None, ...]]
     """None where a score is undefined."""
-
-
-@dataclass(frozen=True)
-class _LargeFields:
-    """The fields of a result that are read from disk on demand."""
-
-    drives: tuple[DriveScores, ...]
-    traces: tuple[Trace, ...]
 
 
 def row_path(out: Path, task: str, estimator: str) -> Path:
@@ -214,18 +206,18 @@ class _StoredSequence(Sequence[Any]):
         return isinstance(other, Sequence) and tuple(self) == tuple(other)
 
     def _all(self) -> tuple[Any, ...]:
-        values = getattr(_large_fields(self._path, self.checksum, self._identity), self._name)
+        values = getattr(_stored_result(self._path, self.checksum, self._identity), self._name)
         if len(values) != self._size:
             raise RowChangedError(f"{self._path}: {ROW_REPLACED}")
         return values
 
 
 @lru_cache(maxsize=CACHED_ROWS)
-def _large_fields(path: Path, checksum: str, identity: str) -> _LargeFields:
+def _stored_result(path: Path, checksum: str, identity: str) -> Result:
     result, current = read_with_checksum(path)
     if current != checksum and (not identity or result.identity != identity):
         raise RowChangedError(f"{path}: {ROW_REPLACED}")
-    return _LargeFields(tuple(result.drives), tuple(result.traces))
+    return result
 
 
 def _row_files(out: Path, task: str) -> list[Path]:

@@ -11,11 +11,10 @@ spares a run without new results the bootstrap and the pages; `site.py` writes i
 import dataclasses
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import package_version
@@ -44,16 +43,8 @@ class Report:
     views: tuple[BoardView, ...]
     findings: tuple[str, ...]
     key: str
-    pages: Mapping[str, int] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class _CachedReport:
-    format: int
-    key: str
-    views: tuple[BoardView, ...]
-    findings: tuple[str, ...]
-    pages: dict[str, int]
+    pages: dict[str, int] = field(default_factory=dict)
+    format: int = FORMAT
 
 
 def build_report(board: Board, out: Path | None = None) -> Report:
@@ -68,7 +59,7 @@ def build_report(board: Board, out: Path | None = None) -> Report:
 def save_report(report: Report, out: Path) -> None:
     """Cache a report whose pages are written; a large one is not worth its file."""
     if sum(len(s.rows) for view in report.views for s in view.sections) <= MAX_CACHED_ROWS:
-        store.write_text(out / CACHE_FILE, store.with_checksum(_as_dict(report)))
+        store.write_text(out / CACHE_FILE, store.with_checksum(dataclasses.asdict(report)))
     else:
         (out / CACHE_FILE).unlink(missing_ok=True)
 
@@ -104,18 +95,9 @@ def _page_code_digest() -> str:
     return digest([*closure(SITE_MODULE), *files])
 
 
-def _as_dict(report: Report) -> dict[str, Any]:
-    views = [dataclasses.asdict(view) for view in report.views]
-    plain = {"format": FORMAT, "key": report.key, "pages": dict(report.pages)}
-    return {**plain, "views": views, "findings": list(report.findings)}
-
-
 def _load_cached(path: Path, key: str) -> Report | None:
     try:
         data, _ = store.read_checked_json(path, FORMAT)
-        if data.get("key") != key:
-            return None
-        cached = build(_CachedReport, data, str(path))
+        return build(Report, data, str(path)) if data.get("key") == key else None
     except ConfigError:  # missing or damaged: the report is built again
         return None
-    return Report(cached.views, cached.findings, key, cached.pages)
