@@ -20,14 +20,11 @@ from road_envs._atomic_io import atomic_write
 from road_envs._extras import optional_import
 from road_envs._reading import parsing
 from road_envs.config import ConfigError, Count, Settings
-from road_envs.envs.sb3 import RoadReconVecEnv
+from road_envs.envs.sb3 import ArrayVecEnv, RoadReconVecEnv
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.features import MAX_FEATURE, FeatureExtractor, n_features
 from road_envs.policies.network_policy import NetworkPolicy, PolicyNetwork
 from road_envs.policies.rollout import roll_out
-
-with optional_import("training a policy"):
-    from stable_baselines3.common.vec_env import VecEnv
 
 RIDE = ("ride", "ride")
 """States of the paired baseline."""
@@ -70,7 +67,7 @@ class TrainingResult:
     curve: tuple[tuple[int, float], ...]
 
 
-class MultiScenarioVecEnv(VecEnv):
+class MultiScenarioVecEnv(ArrayVecEnv):
     """Vector environment of `n_envs` environments of each case, observed as features.
 
     An action is repeated for `action_repeat` intervals, whose rewards are summed and scaled. With
@@ -162,18 +159,6 @@ class MultiScenarioVecEnv(VecEnv):
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return an attribute of the first case, once for each environment."""
         return self.envs[0].get_attr(attr_name) * len(self.envs)
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Raise ConfigError, as the environments of the cases do."""
-        self.envs[0].set_attr(attr_name, value)
-
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any):
-        """Raise ConfigError, as the environments of the cases do."""
-        self.envs[0].env_method(method_name)
-
-    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """Return False for each environment: none can be wrapped individually."""
-        return [False] * self.num_envs
 
     def _terminal_features(
         self, features: FeatureExtractor, part_infos: list[dict[str, Any]], ended: np.ndarray
