@@ -26,6 +26,11 @@ from road_envs.policies.features import MAX_FEATURE, FeatureExtractor, n_feature
 from road_envs.policies.network_policy import NetworkPolicy, PolicyNetwork
 from road_envs.policies.rollout import roll_out
 
+with optional_import("training a policy"):
+    import torch
+    from stable_baselines3 import DQN, PPO
+    from stable_baselines3.common.callbacks import BaseCallback
+
 RIDE = ("ride", "ride")
 """States of the paired baseline."""
 
@@ -189,9 +194,6 @@ def train(
     An existing `checkpoint` is resumed; it is written after every evaluation. `log` is a folder for
     TensorBoard, if that is installed. Raises ConfigError.
     """
-    with optional_import("a neural network"):
-        import torch
-
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # several threads are slower for layers this small
     try:
@@ -257,10 +259,6 @@ def _with_information_weight(options: dict[str, Any], weight: float) -> dict[str
 
 
 def _model(config: TrainingConfig, envs: MultiScenarioVecEnv, seed: int, log: Path | None):
-    with optional_import("a neural network"):
-        import torch
-        from stable_baselines3 import DQN, PPO
-
     layers = list(config.layers)
     activation = torch.nn.Tanh if config.algorithm == "ppo" else torch.nn.ReLU
     shape: Any = {"pi": layers, "vf": layers} if config.algorithm == "ppo" else layers
@@ -290,9 +288,6 @@ def _has_tensorboard() -> bool:
 
 
 def _progress_callback(progress: Progress, total: int):
-    with optional_import("training a policy"):
-        from stable_baselines3.common.callbacks import BaseCallback
-
     class ProgressCallback(BaseCallback):
         def _on_step(self) -> bool:
             if self.n_calls % 32 == 0:
@@ -304,9 +299,6 @@ def _progress_callback(progress: Progress, total: int):
 
 def _actor_layers(model: Any, algorithm: str) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     """Return the network of a model that selects actions, as plain arrays."""
-    with optional_import("a neural network"):
-        import torch
-
     if algorithm == "ppo":
         net = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
     else:
@@ -320,9 +312,6 @@ def _actor_layers(model: Any, algorithm: str) -> tuple[tuple[np.ndarray, np.ndar
 
 def _save_checkpoint(model: Any, state: dict[str, Any], path: Path, config: TrainingConfig) -> None:
     """Write a checkpoint atomically."""
-    with optional_import("a neural network"):
-        import torch
-
     plain = {"steps": state["steps"], "best": state["best"], "curve": state["curve"]}
     network = {
         f"{kind}_{i}": torch.from_numpy(array)
@@ -345,9 +334,6 @@ def _save_checkpoint(model: Any, state: dict[str, Any], path: Path, config: Trai
 
 def _resume(model: Any, state: dict[str, Any], path: Path, config: TrainingConfig) -> None:
     """Restore a checkpoint. Raises ConfigError if it is damaged or of other settings."""
-    with optional_import("a neural network"):
-        import torch
-
     with parsing(path, ConfigError, "not a checkpoint that can be resumed"):
         stored = torch.load(io.BytesIO(path.read_bytes()), weights_only=True)
         if stored["config"] != repr(config):
