@@ -303,6 +303,7 @@ def test_the_command_prints_and_draws_the_bound(road_recon, tmp_path):
     ("words", "sentence"),
     [
         (("--mode", "ridee"), "unknown suspension mode 'ridee' (did you mean 'ride'?)"),
+        (("--mode", "front=ride,rear"), "--mode must be key=value,key=value, got 'rear'"),
         (("--speed-kmh", "-3"), "the speed must be positive, got -3.0 km/h"),
         (("--noise", "-1"), "noise_density: must not be negative, got -1.0"),
         (("--road-class", "K"), "unknown road class 'K'; known: A, B"),
