@@ -193,8 +193,8 @@ def _first_rollover(out, k):
 
 @kernel(inline=False)
 def _find_failures(out, q, v, largest, nonfinite_step, rollover):
-    """Write the first failures of the lanes (LANES,); zero the signals of diverged lanes."""
-    for k in range(LANES):
+    """Write the first failures of the lanes in use (k,); zero the signals of diverged lanes."""
+    for k in range(rollover.size):
         total = 0.0
         for j in range(N_DOF):
             total += q[j, k] + v[j, k]
@@ -208,22 +208,24 @@ def _find_failures(out, q, v, largest, nonfinite_step, rollover):
         for angle in ANGLES:
             x = get(out[i], angle)
             put(largest, 0, maximum(get(largest, 0), maximum(x, -x)))
-    for k in range(LANES):
+    for k in range(rollover.size):
         rollover[k] = _first_rollover(out, k) if largest[0, k] > MAX_ANGLE else -1
 
 
 @kernel(inline=False)
 def _sample_accelerometers(parameters, sensor_rows, antialias_state, noise, used, out, a):
-    """Write the filtered accelerometer signals of an interval to `a` (k, n, LANES)."""
+    """Write the filtered accelerometer signals of an interval to `a` (k, n, LANES).
+
+    `used` (lanes in use,): the rows of their `noise` that are used up.
+    """
     n = out.shape[0]
+    a[:] = 0.0
     if parameters.noisy > 0:
-        for k in range(LANES):
+        for k in range(used.size):
             for i in range(n):
                 for j in range(a.shape[0]):
                     a[j, i, k] = noise[k, used[k] + i, j]
             used[k] += n
-    else:
-        a[:] = 0.0
     for j in range(a.shape[0]):
         heave, roll, pitch = get(sensor_rows, j, 0), get(sensor_rows, j, 1), get(sensor_rows, j, 2)
         columns, std, limit = (
@@ -241,7 +243,7 @@ def _sample_accelerometers(parameters, sensor_rows, antialias_state, noise, used
 
 @kernel(inline=False)
 def _sum_costs(parameters, wk_state, out, heave, scalar, values):
-    """Write the costs and the reward of an interval to their columns of `values` (LANES, 8)."""
+    """Write the costs and the reward of an interval to `values` (lanes in use, 8)."""
     n = out.shape[0]
     put(scalar, 0, 0.0)
     for i in range(n):
@@ -256,7 +258,7 @@ def _sum_costs(parameters, wk_state, out, heave, scalar, values):
             rattle = rattle + e * e
             variation = get(out[i], LOAD + w) / parameters.static_load[w] - 1.0
             load = load + variation * variation
-    for k in range(LANES):
+    for k in range(values.shape[0]):
         values[k, OUT_COMFORT] = np.sqrt(extract_lane(comfort, k) / n)
         values[k, OUT_RATTLE] = np.sqrt(extract_lane(rattle, k) / (4 * n))
         values[k, OUT_TYRE_LOAD] = np.sqrt(extract_lane(load, k) / (4 * n))
@@ -269,8 +271,8 @@ def _sum_costs(parameters, wk_state, out, heave, scalar, values):
 
 @kernel(inline=False)
 def _write_observation(parameters, kinematics, a, commands, observation):
-    """Write the observations (LANES, S k + 5) of a block."""
-    for k in range(LANES):
+    """Write the observations (lanes in use, S k + 5) of a block."""
+    for k in range(observation.shape[0]):
         at, byte = 0, commands[k]
         for j in range(a.shape[0]):
             high = parameters.range[j]
@@ -286,14 +288,14 @@ def _write_observation(parameters, kinematics, a, commands, observation):
 
 @kernel(inline=False)
 def _write_optional_groups(parameters, a_xy, out, k_0, observation):
-    """Write the optional groups to the observations (LANES, ...), from column `k_0` on.
+    """Write the optional groups to the observations (lanes in use, ...), from column `k_0` on.
 
     Horizontal specific forces on the inclined body are a_x - g theta and a_y + g phi, averaged over
     the interval. Strut extensions and rates are those of the last step.
     """
-    n, at = out.shape[0], k_0
+    n, at, lanes = out.shape[0], k_0, observation.shape[0]
     if parameters.planar > 0:
-        for k in range(LANES):
+        for k in range(lanes):
             a_x = a_y = 0.0
             for i in range(n):
                 a_x += a_xy[4 * i, k] - GRAVITY * out[i, THETA, k]
@@ -304,7 +306,7 @@ def _write_optional_groups(parameters, a_xy, out, k_0, observation):
     if parameters.struts > 0:
         for w in range(4):
             rate = extension(parameters.lane_constants[0], out[n - 1, N_DOF : 2 * N_DOF], w)
-            for k in range(LANES):
+            for k in range(lanes):
                 e, e_dot = out[n - 1, EXTENSION + w, k], extract_lane(rate, k)
                 observation[k, at + w] = min(max(e, -MAX_EXTENSION), MAX_EXTENSION)
                 observation[k, at + 4 + w] = min(
@@ -319,7 +321,7 @@ def _write_truth(parameters, roads, workspace, s, profile, loads):
     for i in range(0, workspace.out.shape[0], parameters.decimation):
         at = i // parameters.decimation
         sample_roads(p, roads, workspace.s[2 * i], workspace.v[2 * i], workspace.scratch, 0)
-        for k in range(LANES):
+        for k in range(s.shape[0]):
             s[k, at] = workspace.s[2 * i, k]
             for side in range(2):
                 profile[k, side, at] = workspace.scratch[side, k]
@@ -332,14 +334,15 @@ def advance_blocks(blocks, state, parameters, inputs, delayed, buffer, output):
     """Advance the `blocks` (indices) by one control interval under IntervalInputs.
 
     `delayed` (2, n, LANES): scratch for command bytes; `buffer`: a `workspace_buffer`. The rows of
-    `output` are the lanes of all blocks.
+    `output` are the vehicles; the last block may have lanes without one.
     """
     n = delayed.shape[1]
     n_samples = (n + parameters.decimation - 1) // parameters.decimation
     n_sensors = parameters.range.size
     workspace = workspace_views(buffer, n, n_sensors)
     for b in blocks:
-        rows = slice(b * LANES, (b + 1) * LANES)
+        rows = slice(b * LANES, min((b + 1) * LANES, output.values.shape[0]))
+        lanes = rows.stop - rows.start
         q, v, layout, commands = state.q[b], state.v[b], state.road_layout[b], inputs.commands[b]
         kinematics, counts, values = state.kinematics[b], state.counts[b], output.values[rows]
         offset, size = layout[ROAD_OFFSET:ROAD_SIZE], layout[ROAD_SIZE]
@@ -355,15 +358,15 @@ def advance_blocks(blocks, state, parameters, inputs, delayed, buffer, output):
         delay_commands(
             state.delay_line[b], parameters.delay, counts[STEPS_DELAYED], delayed[0], delayed[1]
         )
-        lanes = LaneBuffers(
+        vehicles = LaneBuffers(
             parameters.lane_constants, parameters.constants, parameters.alpha, parameters.velocity,
             parameters.displacement, state.strut_state[b], q, v,
         )  # fmt: skip
         drive_inputs = DriveInputs(workspace.s, workspace.v, a_xy, delayed[1], h)
-        integrate_lanes(lanes, roads, drive_inputs, workspace.scratch, parameters.columns, out)
+        integrate_lanes(vehicles, roads, drive_inputs, workspace.scratch, parameters.columns, out)
         nonfinite_step, rollover = output.nonfinite_step[rows], output.rollover[rows]
         _find_failures(out, q, v, workspace.scalar, nonfinite_step, rollover)
-        filters, used = state.antialias_state[b], counts[NOISE_ROWS_USED]
+        filters, used = state.antialias_state[b], counts[NOISE_ROWS_USED, :lanes]
         sensor_rows, a = state.sensor_rows[b], workspace.a
         _sample_accelerometers(parameters, sensor_rows, filters, inputs.noise[b], used, out, a)
         _sum_costs(parameters, state.wk_state[b], out, workspace.heave, workspace.scalar, values)
@@ -373,7 +376,7 @@ def advance_blocks(blocks, state, parameters, inputs, delayed, buffer, output):
         if output.s.shape[1] > 0:
             truth = (output.s[rows], output.profile[rows], output.loads[rows])
             _write_truth(parameters, roads, workspace, *truth)
-        for k in range(LANES):
+        for k in range(lanes):
             counts[STEPS_DONE, k] += n
             t = counts[STEPS_DONE, k] * parameters.h
             values[k, OUT_T] = t

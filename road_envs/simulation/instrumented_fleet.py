@@ -184,15 +184,15 @@ class InstrumentedFleet:
 
         Output rows outside the mask are undefined.
         """
-        blocks, size = len(self.road_heights), len(self.road_heights) * LANES
-        lane_commands = np.zeros(size, dtype=np.uint8)
+        blocks = len(self.road_heights)
+        lane_commands = np.zeros(blocks * LANES, dtype=np.uint8)
         lane_commands[: self.n_vehicles] = commands
         moving = self._moving if mask is None else np.unique(np.flatnonzero(mask) // LANES)
         if self.parameters.noisy:
             self._draw_noise(moving)
         # blocks advance as a whole: lanes outside the mask are restored afterwards
         saved = None if mask is None else [field[moving] for field in self.state]
-        output, a_xy = self._allocate_output(size), self._manoeuvre_inputs()
+        output, a_xy = self._allocate_output(), self._manoeuvre_inputs()
         block_commands = lane_commands.reshape(blocks, LANES)
         inputs = IntervalInputs(self.road_heights, self.noise, block_commands, a_xy)
 
@@ -209,16 +209,14 @@ class InstrumentedFleet:
             self._restore_unmasked(moving, mask, saved)
         if self.unresolved_variance is not None:
             self._subtract_information_cost(commands, output.values)
-        if size == self.n_vehicles:
-            return output
-        return StepOutput(*(field[: self.n_vehicles] for field in output))
+        return output
 
     def _subtract_information_cost(self, commands: np.ndarray, values: np.ndarray) -> None:
         """Subtract the cost of the road variance that the commanded states leave unresolved."""
-        n, interval = self.n_vehicles, self.steps * self.step
-        unresolved = self.unresolved[np.arange(n), commands]
-        values[:n, OUT_UNRESOLVED] = unresolved
-        values[:n, OUT_REWARD] -= interval * self.unresolved_variance_weight * unresolved
+        interval = self.steps * self.step
+        unresolved = self.unresolved[np.arange(self.n_vehicles), commands]
+        values[:, OUT_UNRESOLVED] = unresolved
+        values[:, OUT_REWARD] -= interval * self.unresolved_variance_weight * unresolved
 
     @property
     def steps_left(self) -> np.ndarray:
@@ -301,9 +299,8 @@ class InstrumentedFleet:
         a_xy = self.manoeuvre.at(instants)
         return np.moveaxis(a_xy, -1, 2).reshape(len(done), 4 * self.steps + 2, LANES)
 
-    def _allocate_output(self, size: int) -> StepOutput:
-        """Allocate the output of `size` lanes."""
-        truth = self.samples if self.truth else 0
+    def _allocate_output(self) -> StepOutput:
+        size, truth = self.n_vehicles, self.samples if self.truth else 0
         return StepOutput(
             np.empty((size, self.observation_size), dtype=np.float32),
             np.empty((size, len(OUTPUT_COLUMNS))),
