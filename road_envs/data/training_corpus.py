@@ -37,7 +37,6 @@ from road_envs.roads.trapezoids import LAYOUTS
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.simulation.drive import SimulationError
 from road_envs.vehicle.axles import Axle
-from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.struts import CoilSpring, PassiveStrut, Strut
 from road_envs.vehicle.suspension import MODES
@@ -279,9 +278,5 @@ def _perturb_passive(
 
 def _scale_curves(curves: Any, draw_factor: Callable[[], float]) -> Any:
     """Return the curves of both modes with their forces multiplied by random factors."""
-
-    def scaled(curve: Curve) -> Curve:
-        factor = draw_factor()
-        return dataclasses.replace(curve, F=tuple(factor * F for F in curve.F))
-
-    return dataclasses.replace(curves, ride=scaled(curves.ride), handling=scaled(curves.handling))
+    ride, handling = curves.ride.scaled(draw_factor()), curves.handling.scaled(draw_factor())
+    return dataclasses.replace(curves, ride=ride, handling=handling)
