@@ -9,13 +9,13 @@ accelerometers have the noise of the paper's; those on an axle have a range of 5
 
 import argparse
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-import estimators
-from leaderboard.api import score
+from leaderboard.benchmarks.study import in_band_errors
 from road_envs.analysis.information_bound import RoadPrior, bound
 from road_envs.data.accelerometers import Accelerometer
 from road_envs.data.recording import simulate_record
@@ -42,14 +42,12 @@ CONDITIONS = [(v, mode) for v in (14.5, 54.0) for mode in ("ride", "handling")]
 def errors(instruments: Instruments, v: float, mode: str, roads: int, length: float) -> list[float]:
     """Return the bound and the NRMSE of ESTIMATORS at `v` [km/h] on `roads` of `length` [m]."""
     car = load_vehicle("land_rover_defender_110")
-    found = np.zeros((roads, len(ESTIMATORS)))
-    for seed in range(roads):
-        record, truth = simulate_record(
-            "iso_d", speed_kmh=v, mode=mode, instruments=instruments, length=length, seed=seed
-        )
-        for k, name in enumerate(ESTIMATORS):
-            estimate = estimators.estimate(name, record, car)
-            found[seed, k] = score(estimate, truth, speed_kmh=v)["nrmse"]
+    settings: dict[str, Any] = {"speed_kmh": v, "mode": mode, "length": length}
+    drives = (
+        simulate_record("iso_d", seed=seed, instruments=instruments, **settings)
+        for seed in range(roads)
+    )
+    found = np.array([in_band_errors(ESTIMATORS, drive, car, speed_kmh=v) for drive in drives])
     floor = bound(car, mode, v / 3.6, instruments, RoadPrior()).pooled
     return [floor, *np.sqrt(np.mean(found**2, axis=0))]
 

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from estimators.estimation import estimate
-from leaderboard.api import score
+from leaderboard.benchmarks.study import in_band_errors
 from road_envs import config
 from road_envs.analysis.information_bound import RoadPrior, bound, equivalent_damping
 from road_envs.data.recording import simulate_record
@@ -25,14 +24,10 @@ SPEED_KMH, LENGTH = 36.0, 100.0
 
 def errors(car: VehicleParameters, road: str, seeds: range) -> dict[str, float]:
     """Return the median NRMSE [-] over seeds of each estimator on a road."""
-    found: dict[str, list[float]] = {name: [] for name in ESTIMATORS}
-    for seed in seeds:
-        record, truth = simulate_record(
-            road, speed_kmh=SPEED_KMH, seed=seed, vehicle=car, length=LENGTH
-        )
-        for name in ESTIMATORS:
-            found[name].append(score(estimate(name, record, car), truth)["nrmse"])
-    return {name: float(np.median(values)) for name, values in found.items()}
+    settings: dict[str, Any] = {"speed_kmh": SPEED_KMH, "vehicle": car, "length": LENGTH}
+    drives = (simulate_record(road, seed=seed, **settings) for seed in seeds)
+    medians = np.median([in_band_errors(ESTIMATORS, drive, car) for drive in drives], axis=0)
+    return dict(zip(ESTIMATORS, medians.tolist(), strict=True))
 
 
 def bounds(car: VehicleParameters) -> tuple[float, float]:
