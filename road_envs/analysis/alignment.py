@@ -9,7 +9,7 @@ of the stations follows the lag of each WINDOW along the road.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import fftconvolve
+import scipy
 
 from road_envs.analysis.roughness import Band, band_pass
 
@@ -236,7 +236,7 @@ def lag_correlations(
     ones = np.ones_like(other)
 
     def slide(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return fftconvolve(x, y[:, ::-1], axes=1).sum(axis=0)
+        return scipy.signal.fftconvolve(x, y[:, ::-1], axes=1).sum(axis=0)
 
     product = slide(reference, other)
     power = slide(reference**2, ones) * slide(np.ones_like(reference), other**2)

@@ -16,7 +16,7 @@ body: F_f + F_r = m z'', x_f F_f + x_r F_r = -I_yy theta''. The coupling is one-
 """
 
 import numpy as np
-from scipy.signal import bilinear_zpk, sosfilt, zpk2sos
+import scipy
 
 from road_envs.vehicle.parameters import BendingMode, VehicleParameters
 
@@ -51,7 +51,7 @@ def section(mode: BendingMode, step: float) -> np.ndarray:
     """
     w = 2.0 / step * np.tan(np.pi * mode.f * step)
     poles = w * (-mode.zeta + 1j * np.sqrt(1.0 - mode.zeta**2) * np.array([1.0, -1.0]))
-    return zpk2sos(*bilinear_zpk(np.zeros(2), poles, 1.0, fs=1.0 / step))
+    return scipy.signal.zpk2sos(*scipy.signal.bilinear_zpk(np.zeros(2), poles, 1.0, fs=1.0 / step))
 
 
 class BendingMotion:
@@ -64,5 +64,5 @@ class BendingMotion:
     def advance(self, heave: np.ndarray, pitch: np.ndarray) -> np.ndarray:
         """Return q'' (N,) [m/s²] from the body's accelerations (N,) [m/s²] and [rad/s²]."""
         force = self._force @ np.array([heave, pitch])
-        q, self._state = sosfilt(self._section, force, zi=self._state)
+        q, self._state = scipy.signal.sosfilt(self._section, force, zi=self._state)
         return q

@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from road_envs.config import ConfigError, shown
 from road_envs.data.logger_tables import units
@@ -189,7 +189,9 @@ def resample(
         nearest = np.minimum(np.abs(grid - t[good[after - 1]]), np.abs(t[good[after]] - grid))
         inside = (grid >= t[good[0]] - reach * dt) & (grid <= t[good[-1]] + reach * dt)
         known = (nearest <= reach * dt) & inside
-        row[known] = CubicSpline(*_spread_out(t[good], x[good], 0.25 * dt))(grid[known])
+        row[known] = scipy.interpolate.CubicSpline(*_spread_out(t[good], x[good], 0.25 * dt))(
+            grid[known]
+        )
     lost = np.isnan(out).any(axis=0).mean()
     if not even:
         findings.notes.append(

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import oaconvolve
+import scipy
 
 from road_envs.data.logger_tables.channels import Channels, Findings
 
@@ -196,7 +196,7 @@ def _smoothed(s: np.ndarray, t: np.ndarray, duration: float) -> np.ndarray:
     """Return the moving average of `s` (N,) over a `duration` [s], continued by odd reflection."""
     half = max(1, min(round(0.5 * duration * t.size / (t[-1] - t[0])), (t.size - 1) // 2))
     padded = np.r_[2 * s[0] - s[half:0:-1], s, 2 * s[-1] - s[-2 : -half - 2 : -1]]
-    return oaconvolve(padded, np.full(2 * half + 1, 1.0 / (2 * half + 1)), "valid")
+    return scipy.signal.oaconvolve(padded, np.full(2 * half + 1, 1.0 / (2 * half + 1)), "valid")
 
 
 def _without_fix(channels: Channels) -> np.ndarray:
