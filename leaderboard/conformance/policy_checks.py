@@ -78,7 +78,7 @@ def check_policy(
             _attempt("repeat", lambda: _repeat(reference, settings, limits, first.actions), policy),
             _attempt("reset", lambda: _reset(policy, first.actions), policy),
             _attempt("vehicles", lambda: _alone(policy, first.actions), policy),
-            _attempt("unchanged", lambda: _unchanged(reference, settings, limits), policy),
+            _attempt("unchanged", lambda: _unchanged(policy), policy),
             _attempt("sensors", lambda: _damaged_sensors(policy, first.observations), policy),
         ]
         return [*results, *_costs(limits, seconds, policy.peak_memory)]
@@ -150,13 +150,12 @@ def _compare(found: np.ndarray, expected: np.ndarray, when: str) -> Verdict:
     return different == 0, f"{when}: {different} of {expected.size} actions differ"
 
 
-def _unchanged(reference, settings, limits) -> Verdict:
-    """Compare the actions for one observation, which is given twice to fresh episodes."""
+def _unchanged(policy: PolicyProcess) -> Verdict:
+    """Let the policy act once in a new episode, and compare the observations with before."""
     setup, rng = EnvSetup({**OPTIONS, "truth": False}), np.random.default_rng(0)
     observations = rng.standard_normal((2, setup.observation_space.shape[0])).astype(np.float32)
-    with PolicyProcess(reference, settings, limits) as policy:
-        policy.reset(PolicyContext.from_setup(setup, 2, POLICY_SEED))
-        changed = policy.changes(observations)
+    policy.reset(PolicyContext.from_setup(setup, 2, POLICY_SEED))
+    changed = policy.changes(observations)
     return not changed, "the observations were changed in place" if changed else "not changed"
 
 
