@@ -14,6 +14,14 @@ settings.load_profile("steady")
 
 
 @pytest.fixture
+def unchecked(monkeypatch):
+    """Let commands read tables without trying other descriptions, which takes a second each."""
+    from leaderboard.commands import drive_files
+
+    monkeypatch.setattr(drive_files, "check_notes", lambda *_, **__: ())
+
+
+@pytest.fixture
 def road_recon(monkeypatch, capsys, tmp_path):
     """Run the command in an empty folder; returns exit code, standard output and error."""
     monkeypatch.chdir(tmp_path)

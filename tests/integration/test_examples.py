@@ -21,9 +21,12 @@ EXAMPLES = {
     ),
     "phone_drive": ([], ["phone_drive.csv", "phone_drive.yaml", "phone_drive_truth.csv"]),
     "switch_the_suspension": (["--drives", "8"], ["switch_the_suspension.png"]),
-    "train_a_policy": (["--steps", "8000"], ["train_a_policy.png", "policy.zip"]),
+    "train_a_policy": (["--steps", "3000"], ["train_a_policy.png", "policy.zip"]),
 }
 """Options that make an example short, and the files that it writes."""
+
+LONG = {"own_estimator", "board_from_python"}
+"""Examples that run a whole task, as README.md and the tutorial of an own estimator do too."""
 
 PNG_SIGNATURE = b"\x89PNG"
 
@@ -103,7 +106,9 @@ def test_every_example_and_every_page_with_code_is_tested():
     assert {page.name for page in PAGES if python_blocks(page)} == set(CHECKS)
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(x, marks=[pytest.mark.slow] * (x in LONG)) for x in EXAMPLES]
+)
 def test_an_example_runs_from_another_folder_and_writes_its_files(name, tmp_path):
     options, files = EXAMPLES[name]
     printed = run(ROOT / f"examples/{name}.py", "--out", tmp_path / "out", *options, cwd=tmp_path)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from bad_policies import Lateral
 
+from leaderboard.conformance import policy_checks
 from leaderboard.conformance.policy_checks import OPTIONS, SEEDS, check_policy
 from leaderboard.policies.comparison import compare
 from leaderboard.policies.policy_process import PolicyLimits, PolicyProcess
@@ -48,6 +49,11 @@ class Spy:
 """
 SHORT = {**OPTIONS, "length": 10.0}
 LIMITS = PolicyLimits(seconds=5.0, memory=1.5)
+
+
+@pytest.fixture(autouse=True)
+def _short_roads(monkeypatch):
+    monkeypatch.setitem(policy_checks.OPTIONS, "length", 20.0)
 
 
 def drive(reference, limits=LIMITS, seeds=SEEDS):

@@ -1,26 +1,34 @@
 """The command `estimate` with several passes over one road."""
 
 import json
+import shutil
+from pathlib import Path
 
 import pytest
 
-from road_envs.data.recording import simulate_record, true_profile, write_record
+from road_envs.data.recording import read_record, simulate_record, true_profile, write_record
 from road_envs.roads import Surface, realise_road, write_csv
 
 ROAD = realise_road("iso_c", 3, 45.0)
 
 
-@pytest.fixture
-def passes(tmp_path):
-    """Drives a.csv and b.csv over one road, c.csv over another, and road.csv."""
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("passes")
     for name, road, kmh, seed in (
         ("a", ROAD, 14.5, 1), ("b", ROAD, 30.0, 2), ("c", realise_road("iso_c", 9, 45.0), 30.0, 3),
     ):  # fmt: skip
         record, _ = simulate_record(road, speed_kmh=kmh, mode="handling", seed=seed)
-        write_record(tmp_path / f"{name}.csv", record, {})
+        write_record(folder / f"{name}.parquet", record, {})
     truth = true_profile(ROAD)
-    write_csv(Surface(truth.z, truth.ds, name="road"), tmp_path / "road.csv")
-    return tmp_path
+    write_csv(Surface(truth.z, truth.ds, name="road"), folder / "road.csv")
+    return folder
+
+
+@pytest.fixture
+def passes(files, tmp_path):
+    """Drives a.parquet and b.parquet over one road, c.parquet over another, and road.csv."""
+    return Path(shutil.copytree(files, tmp_path, dirs_exist_ok=True))
 
 
 def test_several_drives_give_one_road_that_is_better_than_that_of_one(road_recon, passes):
@@ -30,26 +38,29 @@ def test_several_drives_give_one_road_that_is_better_than_that_of_one(road_recon
         assert code == 0, err
         return json.loads(out)["scores"]["nrmse"], json.loads(out)["notes"]
 
-    one, _ = nrmse("a.csv")
-    both, notes = nrmse("a.csv", "b.csv", "--out", "road_found.csv")
+    one, _ = nrmse("a.parquet")
+    both, notes = nrmse("a.parquet", "b.parquet", "--out", "road_found.csv")
     assert both < one
-    assert any(note.startswith("b.csv: stations moved by") for note in notes)
+    assert any(note.startswith("b.parquet: stations moved by") for note in notes)
     assert "lateral wander between the passes is neglected" in notes
     assert (passes / "road_found.csv").exists()
 
 
 def test_a_drive_of_another_road_is_refused_by_name_and_nothing_is_written(road_recon, passes):
-    code, _, err = road_recon("estimate", "iterated_wiener", "a.csv", "c.csv", "--out", "e.csv")
+    code, _, err = road_recon("estimate", "wiener", "a.parquet", "c.parquet", "--out", "e.csv")
     assert code == 2
-    assert "c.csv matches a.csv nowhere" in err and "Traceback" not in err
+    assert "c.parquet matches a.parquet nowhere" in err and "Traceback" not in err
     assert not (passes / "e.csv").exists()
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_each_table_is_read_by_the_description_beside_it(road_recon, passes):
     """b.csv has columns of other names, which its own description tells."""
+    for name in ("a", "b"):
+        write_record(passes / f"{name}.csv", *read_record(passes / f"{name}.parquet"))
     text = (passes / "b.csv").read_text().replace("a_rf [m/s2]", "front")
     (passes / "b.csv").write_text(text)
     (passes / "b.yaml").write_text("columns: {a_rf: front}\n")
-    code, out, err = road_recon("estimate", "iterated_wiener", "a.csv", "b.csv", "--json")
+    code, out, err = road_recon("estimate", "wiener", "a.csv", "b.csv", "--json")
     assert code == 0, err
     assert "b.csv: read by the description b.yaml" in json.loads(out)["notes"]

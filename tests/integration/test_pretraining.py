@@ -4,6 +4,7 @@ import dataclasses
 import json
 import subprocess
 import sys
+from functools import cache
 
 import numpy as np
 import pytest
@@ -17,18 +18,26 @@ from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.metrics.heights import band_pass, nrmse, scored_band
 from road_envs.data.training_corpus import Corpus, perturb_parameters
 
-CORPUS = Corpus(number=12, shortest=20, longest=30)
+CORPUS = Corpus(number=6, shortest=20, longest=30)
 PRETRAINED = [path.stem for path in sorted(pretrained_weights.FOLDER.glob("*.safetensors"))]
+
+
+@cache
+def board_drives(number: int):
+    """Return the test drives of each condition of the main board."""
+    task = load_task("new_road")
+    test = task.with_test_drives(number).test
+    return task.vehicle, [(c, list(simulate_drives(task, test, c))) for c in task.conditions]
 
 
 def errors_and_coverage(name: str, number: int):
     """Errors in the scored band and interval coverage on drives of the main board, by condition."""
-    estimator, task = create(name), load_task("new_road")
+    estimator, (car, conditions) = create(name), board_drives(number)
     found = {}
-    for condition in task.conditions:
+    for condition, drives in conditions:
         rows = []
-        for test in simulate_drives(task, task.with_test_drives(number).test, condition):
-            estimate = estimator.estimate(test.record, task.vehicle)
+        for test in drives:
+            estimate = estimator.estimate(test.record, car)
             check_estimate(estimate, test.record)
             band = scored_band(condition.speed_kmh / 3.6)
             error = nrmse(test.truth.z, estimate.z, test.truth.ds, band).pooled
@@ -85,7 +94,7 @@ def test_a_short_training_is_reproducible_to_the_bit_interrupted_or_not(tmp_path
 
     def train(folder):
         folder.mkdir(exist_ok=True)
-        estimator = create("tcn", channels=4, steps=20)
+        estimator = create("tcn", channels=4, steps=6)
         out = folder / "tcn.safetensors"
         pretraining.train(estimator, "tcn", CORPUS, 1, out, "road-recon train tcn")
         return out

@@ -161,7 +161,7 @@ ERRORS = {
         record, ("classify", "d.parquet", "--units", "a_rf=g"), "leave out --units"),
 }  # fmt: skip
 
-NOTES = {
+CHECKED = {
     "another mode of the struts": (
         lambda: table(mode=lambda d: "handling"), CLASSIFY, "fits the mode ride better: handling"),
     "a speed in km/h without its unit or an odometer": (
@@ -173,6 +173,10 @@ NOTES = {
     "left and right exchanged": (
         lambda: table(a_lr=lambda d: d.a_rr, a_rr=lambda d: drive()[0].a_lr), CLASSIFY,
         "LR and RR exchanged better"),
+}  # fmt: skip
+"""Notes of `drive_check`, which tries other descriptions for seconds."""
+
+NOTES = {
     "single samples that no sensor measures": (
         lambda: table(a_rf=lambda d: d.a_rf.where(d.index != 50, 1e6)), CLASSIFY,
         "1 samples beyond 1000 m/s² of the others are taken as lost"),
@@ -221,6 +225,7 @@ def run(monkeypatch, capsys, tmp_path):
     return run
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("name", ERRORS)
 def test_a_wrong_input_is_refused_in_one_sentence(run, tmp_path, name):
     prepare, words, sentence = ERRORS[name]
@@ -231,9 +236,20 @@ def test_a_wrong_input_is_refused_in_one_sentence(run, tmp_path, name):
     assert {path.name for path in tmp_path.iterdir()} == before
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("name", NOTES)
 def test_a_doubtful_input_is_answered_with_a_note(run, name):
-    prepare, words, sentence = NOTES[name]
+    assert_note(run, *NOTES[name])
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * ("mph" in name)) for name in CHECKED]
+)
+def test_a_description_that_fits_worse_than_another_is_noted(run, name):
+    assert_note(run, *CHECKED[name])
+
+
+def assert_note(run, prepare, words, sentence):
     prepare()
     code, out, err = run(*words, "--json")
     assert code == 0, err

@@ -311,7 +311,7 @@ def test_a_tone_outside_the_model_is_down_weighted_at_its_frequency(monkeypatch)
     """The residual is large at 12 Hz alone; as white noise it would mask all other frequencies."""
     record, truth = drive_record()
     tone = 0.5 * np.sin(2.0 * np.pi * 12.0 * record.t + np.array([[0.0], [2.0], [4.0]]))
-    estimator, wrong = MapSmoother(draws=0), replace(record, a=record.a + tone)
+    estimator, wrong = MapSmoother(adapt=False, draws=0), replace(record, a=record.a + tone)
     reweighted = estimator.estimate(wrong, DEFENDER)
     assert "left unexplained" in reweighted.notes[-1]
     monkeypatch.setattr(gauss_newton, "REWEIGHTING_STEPS", 0)
@@ -334,8 +334,8 @@ def test_drawn_noise_has_the_inverse_covariance_of_the_cost():
 
 def test_joined_windows_agree_with_one_window_within_its_std():
     record, truth = drive_record(length=90.0)
-    whole = MapSmoother().estimate(record, DEFENDER)
-    parts = MapSmoother(window=3.0, overlap=1.0).estimate(record, DEFENDER)
+    whole = MapSmoother(adapt=False).estimate(record, DEFENDER)
+    parts = MapSmoother(adapt=False, window=3.0, overlap=1.0).estimate(record, DEFENDER)
     band = scored_band(float(record.v.mean()))
     z = band_pass(np.stack([whole.z, parts.z, truth.z]), truth.ds, band)
     assert whole.z_std is not None and record.t[-1] > 6.0
