@@ -95,8 +95,11 @@ class Pretrained(Trainable, Protocol):
     fitted_state: Any
     """Result of a fit; None if the shipped weights are used."""
 
-    def training_example(self, record: Record, truth: Profile) -> Any:
-        """Return the part of a drive needed for training; raw records would not fit in memory."""
+    def training_example(self, record: Record, truth: Profile, rigid: bool = True) -> Any:
+        """Return the part of a drive needed for training; raw records would not fit in memory.
+
+        `rigid`: whether the vehicle's body neither twists nor bends.
+        """
         ...
 
     def pretrain(

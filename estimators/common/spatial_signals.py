@@ -12,15 +12,27 @@ for 1.8 cycles/m, the end of the scored band. Signals are low-passed over distan
 and heights after upsampling to the profile grid, by the same short filter, which reaches
 FILTER_REACH to either side: a causal input stays causal up to 2 FILTER_REACH. Velocities of the
 three motions are integrals over time, high-passed at 0.3 Hz.
+
+A body that twists or bends is not rigid, and then the three motions are not what they are called.
+How front and roll compare with rear, frequency by frequency, tells such a vehicle from a rigid one
+on any road: `spectrum` has the logarithms of these ratios.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from scipy import signal
 
 from estimators.preprocessing import sample_profile
-from road_envs.data.record import F_C, PROFILE_SPACING, Profile, Record, profile_stations
+from road_envs.data.record import (
+    F_C,
+    PROFILE_SPACING,
+    SCORED_F_MAX,
+    Profile,
+    Record,
+    profile_stations,
+)
 from road_envs.sensing.filters import preprocess_accelerations
 
 DECIMATION = 6
@@ -43,11 +55,22 @@ LOWPASS = signal.firwin(
 F_VELOCITY = 0.3
 """High-pass of the velocities [Hz]: below, integrated drift is as large as motion."""
 
+BANDS = np.geomspace(5.0, SCORED_F_MAX, 6)
+"""Limits of the frequency bands [Hz] in which the powers of the motions are compared."""
+
+NOISE_ENERGY = 0.05
+"""Energy [m²/s³] that is added to that of every motion in every band: of noise of 0.05 m/s² in
+20 s. Ratios are 1 where nothing has been measured.
+"""
+
 N_HIGH_PASS = 0.05
 """High-pass of the target heights [cycles/m]: accelerations fall with n² v²."""
 
 N_MOTIONS = 3
 """Front, rear and roll."""
+
+N_RATIOS = 2 * (BANDS.size - 1)
+"""Front over rear, then roll over rear, in each of the bands."""
 
 
 class SpatialSignals(NamedTuple):
@@ -57,13 +80,15 @@ class SpatialSignals(NamedTuple):
     `motions` (6, K): accelerations [m/s²] and velocities [m/s] of front, rear and roll; `v` (K,):
     speed [m/s]; `states` (K, 4): shares of stiff springs and of high damping in front, then at the
     rear. All are those of the moment when the front axle passed the station; motions are zero where
-    the record does not reach.
+    the record does not reach. `spectrum` (N_RATIOS, K): logarithms of power ratios until that
+    moment, or those of the whole drive throughout.
     """
 
     motions: np.ndarray
     v: np.ndarray
     states: np.ndarray
     margin: int
+    spectrum: np.ndarray
 
     @property
     def size(self) -> int:
@@ -85,13 +110,28 @@ def to_spatial(record: Record, margin: int, causal: bool = False) -> SpatialSign
     first = -(EDGE_STATIONS + margin) * DECIMATION
     edge = EDGE_STATIONS * DECIMATION
     fine = PROFILE_SPACING * np.arange(first - edge, first + (K - 1) * DECIMATION + edge + 1)
-    motions = record.interpolate(fine, body_motions(record, causal))
+    sensed = body_motions(record, causal)
+    motions = record.interpolate(fine, sensed)
     motions[:, (fine < record.s[0]) | (fine > record.s[-1])] = 0.0
     s = fine[edge:-edge:DECIMATION]
     stiff, high = record.spring_stiff, record.damper_high
     axles = (stiff[:, :2], high[:, :2], stiff[:, 2:], high[:, 2:])
     states = record.interpolate(s, np.array([pair.mean(axis=1) for pair in axles]))
-    return SpatialSignals(decimate(motions), np.interp(s, record.s, record.v), states.T, margin)
+    v, ratios = np.interp(s, record.s, record.v), power_ratios(sensed[:N_MOTIONS], record.fs)
+    spectrum = record.interpolate(s, ratios) if causal else np.tile(ratios[:, -1:], K)
+    return SpatialSignals(decimate(motions), v, states.T, margin, spectrum)
+
+
+def power_ratios(a: np.ndarray, fs: float) -> np.ndarray:
+    """Return logarithms (N_RATIOS, N) of the ratios of the powers of front and of roll to that of
+    rear in each of BANDS, from the first to each sample of the accelerations `a` (3, N) [m/s²].
+    """
+    energy = np.empty((BANDS.size - 1, *a.shape))
+    for band, limits in zip(energy, pairwise(BANDS), strict=True):
+        sos = signal.butter(2, limits, "bandpass", fs=fs, output="sos")
+        band[:] = np.cumsum(signal.sosfilt(sos, a) ** 2, axis=1) / fs
+    front, rear, roll = np.log(energy + NOISE_ENERGY).transpose(1, 0, 2)
+    return np.concatenate([front - rear, roll - rear])
 
 
 def body_motions(record: Record, causal: bool) -> np.ndarray:

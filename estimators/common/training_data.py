@@ -26,20 +26,25 @@ LONG_WAVE_NOTE = f"waves longer than {1.0 / N_HIGH_PASS:.0f} m are not estimated
 
 
 class TrainingExample(NamedTuple):
-    """A drive over distance, and m and q (2, M) [m] of its road."""
+    """A drive over distance, m and q (2, M) [m] of its road, and whether the body is `rigid`."""
 
     signals: SpatialSignals
     target: np.ndarray
+    rigid: bool = True
 
 
-def training_example(record: Record, truth: Profile, causal: bool) -> TrainingExample:
+def training_example(
+    record: Record, truth: Profile, causal: bool, rigid: bool = True
+) -> TrainingExample:
     """Return the training example of a drive in single precision. Raises RecordError."""
     record, _ = clean_record(record)
     signals = to_spatial(record, STATION_MARGIN, causal)
     single = np.float32
-    motions, v, states = (x.astype(single) for x in (signals.motions, signals.v, signals.states))
-    target = target_profile(truth, record.length).astype(single)
-    return TrainingExample(SpatialSignals(motions, v, states, STATION_MARGIN), target)
+    motions, v, states, spectrum = (
+        x.astype(single) for x in (signals.motions, signals.v, signals.states, signals.spectrum)
+    )
+    signals = SpatialSignals(motions, v, states, STATION_MARGIN, spectrum)
+    return TrainingExample(signals, target_profile(truth, record.length).astype(single), rigid)
 
 
 def validity_notes(signals: SpatialSignals) -> list[str]:

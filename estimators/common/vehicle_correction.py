@@ -1,7 +1,7 @@
 """Quick correction of a trained estimator for one vehicle, from drives of it over measured roads.
 
-What the trained estimator leaves of a known road is regressed on its own features (accelerations in
-its window, or what feeds a network's last layer) and on its estimate. The ridge draws the
+What the trained estimator leaves of a known road is regressed on the motions in a window, on what
+feeds the last layer if it is a network, and on its estimate. The ridge draws the
 correction towards zero, that is towards the trained weights; it is chosen by cross-validation over
 fifths of the drives, and is infinite if no correction predicts any better. A correction is used in
 the state of the struts and near the speed at which it was found.
@@ -25,6 +25,9 @@ RIDGES = np.append(10.0 ** np.arange(-4.0, 2.0), np.inf)
 
 SPEED_RATIO = 1.15
 """Factor of the speed up to which a correction is used."""
+
+CORRECTION_REACH = 40
+"""Stations to either side in the window of motions: 6 m. A causal window ends with its lag."""
 
 UNEXPLAINED_MAX = 0.97
 """Largest share of a road's mean square that cross-validation may leave; unrelated profiles leave

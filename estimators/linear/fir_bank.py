@@ -151,6 +151,17 @@ def keep_short_waves(x: np.ndarray, causal: bool = False) -> np.ndarray:
     return signal.sosfiltfilt(sos, x, padlen=min(x.shape[-1] - 1, 100))
 
 
+def motion_windows(
+    signals: SpatialSignals, behind: int, ahead: int, causal: bool = False
+) -> np.ndarray:
+    """Return the short waves of front, rear and roll in the windows of the estimated stations,
+    (3, M, behind + 1 + ahead) [m/s²].
+    """
+    motions = keep_short_waves(signals.motions[:N_MOTIONS].astype(float), causal)
+    inside = motions[:, signals.margin - behind : signals.margin + signals.size + ahead]
+    return np.lib.stride_tricks.sliding_window_view(inside, behind + 1 + ahead, axis=1)
+
+
 def _add_drive(
     sums: list[KnotNormalEquations],
     signals: SpatialSignals,
@@ -159,11 +170,9 @@ def _add_drive(
     ahead: int,
 ) -> None:
     """Add a drive to the `sums` of (front, rear) and of roll."""
-    motions = keep_short_waves(signals.motions[:N_MOTIONS].astype(float))
+    windows = motion_windows(signals, behind, ahead)
     z = keep_short_waves(target)
     scale = 1.0 / (LEVEL_MIN + np.sqrt(np.mean(z**2)))
-    inside = motions[:, signals.margin - behind : signals.margin + signals.size + ahead]
-    windows = np.lib.stride_tricks.sliding_window_view(inside, behind + 1 + ahead, axis=1)
     v = float(signals.v[signals.margin : signals.margin + signals.size].mean())
     sums[0].add(scale * np.concatenate([windows[0], windows[1]], axis=1), scale * z[0], v)
     sums[1].add(scale * windows[2], scale * z[1], v)

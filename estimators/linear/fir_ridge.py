@@ -38,7 +38,6 @@ from estimators.common.blas import single_blas_thread
 from estimators.common.least_squares import LeastSquaresSums, cross_validate
 from estimators.common.spatial_signals import (
     N_HIGH_PASS,
-    N_MOTIONS,
     SpatialSignals,
     to_spatial,
     upsample,
@@ -53,12 +52,19 @@ from estimators.common.training_data import (
     validity_notes,
 )
 from estimators.common.vehicle_correction import (
+    CORRECTION_REACH,
     NOTE,
     Prediction,
     VehicleCorrection,
     fit_corrections,
 )
-from estimators.linear.fir_bank import FirBank, fit_bank, keep_short_waves, taps_shape
+from estimators.linear.fir_bank import (
+    FirBank,
+    fit_bank,
+    keep_short_waves,
+    motion_windows,
+    taps_shape,
+)
 from estimators.preprocessing import clean_record, sample_profile, spatial_accelerations
 from estimators.pretrained_weights import load_pretrained
 from road_envs.config import Settings
@@ -79,10 +85,6 @@ DEFAULT_REACH = 12.0
 FOLDS = 5
 RIDGES = 10.0 ** np.arange(-6, 1)
 """Candidates, relative to the mean square of the accelerations."""
-
-
-CORRECTION_REACH = 40
-"""Stations to either side in the window of a correction: 6 m."""
 
 
 class Taps(NamedTuple):
@@ -139,9 +141,11 @@ class FirRidge(Settings):
         taps = coefficients.T.reshape(2, len(SENSORS), 2 * half + 1)
         return copy_with(self, fitted_state=Taps(taps, stride, speed, ridge))
 
-    def training_example(self, record: Record, truth: Profile) -> TrainingExample:
+    def training_example(
+        self, record: Record, truth: Profile, rigid: bool = True
+    ) -> TrainingExample:
         """Return what is kept of a drive for training. Raises RecordError."""
-        return training_example(record, truth, self.causal)
+        return training_example(record, truth, self.causal, rigid)
 
     def pretrain(
         self,
@@ -153,7 +157,7 @@ class FirRidge(Settings):
     ) -> Self:
         """Fit a bank for all speeds and modes; deterministic, takes less than a minute."""
         progress("fitting the FIR bank", 0.0)
-        all_signals, targets = zip(*drives, strict=True)
+        all_signals, targets, _ = zip(*drives, strict=True)
         return copy_with(
             self, fitted_state=fit_bank(all_signals, targets, STATIONS_BEHIND, STATIONS_BEHIND)
         )
@@ -229,10 +233,7 @@ class FirRidge(Settings):
 
 def _prediction(bank: FirBank, signals: SpatialSignals) -> Prediction:
     """Return the bank's estimate, with the accelerations in the window of a correction."""
-    first, last = signals.margin - CORRECTION_REACH, signals.margin + signals.size
-    motions = keep_short_waves(signals.motions[:N_MOTIONS].astype(float))
-    inside = motions[:, first : last + CORRECTION_REACH]
-    windows = np.lib.stride_tricks.sliding_window_view(inside, 2 * CORRECTION_REACH + 1, axis=1)
+    windows = motion_windows(signals, CORRECTION_REACH, CORRECTION_REACH)
     x, z = np.concatenate(list(windows), axis=1).T, bank(signals)
     return Prediction(z, keep_short_waves(z), np.array([x, x]), np.ones(signals.size))
 

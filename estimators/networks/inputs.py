@@ -3,9 +3,10 @@
 An FIR bank (`fir_bank.py`) gives a first estimate. The network receives it together with the
 motions, both divided by the drive's level l, and adds a correction:
 
-    m, q  =  bank  +  l network(motions / l, bank / l; speed, states, l)
+    m, q  =  bank  +  l network(motions / l, bank / l; speed, states, l, ratios)
 
-Friction breaks the scale equivariance, so log l is a condition, beside speed and strut states. A
+Friction breaks the scale equivariance, so log l is a condition, beside speed and strut states; so
+are the ratios of the motions' powers, which tell how the vehicle's body departs from a rigid one. A
 mirrored drive gives the mirrored road by construction: the network also processes the mirrored
 inputs, and both outputs are averaged.
 
@@ -25,6 +26,7 @@ from estimators.common.spatial_signals import (
     EDGE_STATIONS,
     FILTER_REACH,
     N_MOTIONS,
+    N_RATIOS,
     SPACING,
     SpatialSignals,
 )
@@ -40,7 +42,7 @@ LEVEL_DECAY_LENGTH = 30.0
 LEVEL_MIN = 3e-4
 """Added to the level [m], so that noise on a level road is not amplified."""
 
-N_INPUTS, N_CONDITIONS = 10, 8
+N_INPUTS, N_CONDITIONS = 10, 8 + N_RATIOS
 
 
 class NetworkInputs(NamedTuple):
@@ -105,7 +107,12 @@ def network_inputs(
     states = signals.states[sensed].T
     speed_term = (u - 2.0) / 0.8
     conditions = np.array(
-        [speed_term, speed_term**2 - 1, *(2 * states - 1), np.log(l) + 5.5, np.log(scale)]
+        [
+            *(speed_term, speed_term**2 - 1),
+            *(2 * states - 1),
+            *(np.log(l) + 5.5, np.log(scale)),
+            *signals.spectrum[:, sensed],
+        ]
     )
     if np.ptp(conditions, axis=1).max() == 0.0:
         conditions = conditions[:, :1]

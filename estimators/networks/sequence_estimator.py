@@ -30,13 +30,26 @@ from estimators.common.training_data import (
     validity_notes,
 )
 from estimators.common.vehicle_correction import (
+    CORRECTION_REACH,
     NOTE,
     Prediction,
     VehicleCorrection,
     fit_corrections,
 )
-from estimators.linear.fir_bank import FirBank, fit_bank, keep_short_waves, taps_shape
-from estimators.networks.inputs import MIRROR_SIGNS, NetworkInputs, network_inputs, window_span
+from estimators.linear.fir_bank import (
+    FirBank,
+    fit_bank,
+    keep_short_waves,
+    motion_windows,
+    taps_shape,
+)
+from estimators.networks.inputs import (
+    MIRROR_SIGNS,
+    STATIONS_AHEAD,
+    NetworkInputs,
+    network_inputs,
+    window_span,
+)
 from estimators.networks.std_calibration import (
     N_TERMS,
     calibration_factor,
@@ -66,6 +79,9 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 NETWORK_PREFIX = "network."
 """Prefix of the names of the network's weights."""
+
+MOTION_UNIT = 500.0
+"""Accelerations in the window of a correction are divided by this many levels per s²."""
 
 WHEELBASE_TOLERANCE = 0.02
 """Relative deviation from the trained wheelbase above which a note is added."""
@@ -114,9 +130,11 @@ class SequenceEstimator(Settings, abc.ABC):
     def network(self) -> Any:
         """Return the torch network with its initial weights."""
 
-    def training_example(self, record: Record, truth: Profile) -> TrainingExample:
+    def training_example(
+        self, record: Record, truth: Profile, rigid: bool = True
+    ) -> TrainingExample:
         """Return what is kept of a drive for training. Raises RecordError."""
-        return training_example(record, truth, self.causal)
+        return training_example(record, truth, self.causal, rigid)
 
     def fit(
         self,
@@ -137,12 +155,17 @@ class SequenceEstimator(Settings, abc.ABC):
         progress: Callable[[str, float], None] = lambda text, share: None,
         checkpoint: Checkpoint | None = None,
     ) -> Self:
-        """Return a copy trained on these drives; `seed` draws initial weights and batches."""
+        """Return a copy trained on these drives; `seed` draws initial weights and batches.
+
+        The FIR bank is fitted to the rigid bodies among them. One that serves all is worse on
+        these by a fifth, and the network does not make up for it; it learns to correct the others.
+        """
         with optional_import("a neural network"):
             import torch
 
         progress("fitting the FIR bank", 0.0)
-        all_signals, targets = zip(*drives, strict=True)
+        rigid = [(drive.signals, drive.target) for drive in drives if drive.rigid]
+        all_signals, targets = zip(*rigid, strict=True)
         bank = fit_bank(all_signals, targets, *window_span(self.causal))
         with torch.random.fork_rng():
             torch.manual_seed(seed)
@@ -190,8 +213,8 @@ class SequenceEstimator(Settings, abc.ABC):
         )
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
-        """Return a copy whose last layer is corrected for the vehicle of the drives over measured
-        roads (`vehicle_correction.py`); others tell nothing here. Raises RecordError.
+        """Return a copy with a correction for the vehicle of the drives over measured roads
+        (`vehicle_correction.py`); others tell nothing here. Raises RecordError.
         """
         bank, weights, _, _ = self._fitted_or_pretrained()
         network = self.network()
@@ -200,7 +223,7 @@ class SequenceEstimator(Settings, abc.ABC):
         def predict(signals: SpatialSignals) -> Prediction:
             inputs = network_inputs(signals, bank, car.wheelbase, network, self.causal)
             residual, _, hidden = predict_residual(network, inputs.x, inputs.conditions)
-            return self._prediction(inputs, residual, hidden)
+            return self._prediction(signals, inputs, residual, hidden)
 
         corrections = fit_corrections(drives, self.causal, predict, self._short_waves)
         return copy_with(self, corrections=corrections)
@@ -209,10 +232,21 @@ class SequenceEstimator(Settings, abc.ABC):
         return keep_short_waves(np.asarray(z, dtype=float), self.causal)
 
     def _prediction(
-        self, inputs: NetworkInputs, residual: np.ndarray, hidden: np.ndarray
+        self,
+        signals: SpatialSignals,
+        inputs: NetworkInputs,
+        residual: np.ndarray,
+        hidden: np.ndarray,
     ) -> Prediction:
+        """Return the estimate, with what feeds the last layer and the motions in a window, which
+        may be asymmetric as the vehicle's body is.
+        """
         z = inputs.first + inputs.level * residual
-        return Prediction(z, self._short_waves(z), hidden, inputs.level)
+        ahead = STATIONS_AHEAD if self.causal else CORRECTION_REACH
+        windows = motion_windows(signals, CORRECTION_REACH, ahead, self.causal)
+        x = np.concatenate(list(windows), axis=1).T / (MOTION_UNIT * inputs.level)
+        features = np.concatenate([hidden, np.array([x, x])], axis=1)
+        return Prediction(z, self._short_waves(z), features, inputs.level)
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths, with standard deviations above 0.15 cycles/m. Raises
@@ -228,7 +262,7 @@ class SequenceEstimator(Settings, abc.ABC):
         z = inputs.first + inputs.level * residual
         for correction in self.corrections:
             if correction.serves(signals):
-                z = correction.correct(self._prediction(inputs, residual, hidden))
+                z = correction.correct(self._prediction(signals, inputs, residual, hidden))
                 notes = (*notes, NOTE)
         stations = profile_stations(record.length)
         z = wheel_paths(upsample(z, stations.size))

@@ -4,6 +4,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -42,7 +43,8 @@ configs:
 
 {number} simulated drives of a Land Rover Defender with switchable suspension over {metres:.0f} m of
 road, with the true heights of both wheel paths. Road, speed, strut states, vehicle, noise and gains
-are drawn for each drive (`road_envs.data.training_corpus`); no drive is one of the benchmark.
+are drawn for each drive (`road_envs.data.training_corpus`); a third of the vehicles have flexible
+bodies or faulty instruments. No drive is one of the benchmark.
 
 - `SPLIT_records.parquet`: one row per sample: `drive`, `t` [s], `a_rf`, `a_lr`, `a_rr` (vertical
   body accelerations, upwards [m/s²]; empty: lost), `v` [m/s], `s` (station of the front axle [m]),
@@ -117,7 +119,7 @@ def write_dataset(
         try:
             for k in chosen:
                 progress(f"simulating drive {k}", len(rows) / corpus.number)
-                record, truth = corpus.simulate_drive(k)
+                record, truth, _ = corpus.simulate_drive(k)
                 rows.append(_about(k, split, record))
                 for name, columns in _tables(k, record, truth).items():
                     table = pa.table(columns)
@@ -152,7 +154,7 @@ def write_dataset(
         path.name: hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(folder.iterdir())
     }
-    settings = json.loads(json.dumps(corpus.__dict__))
+    settings = json.loads(json.dumps(asdict(corpus)))
     with atomic_write(folder / "dataset.json") as target:
         target.write_text(to_json({**facts, "settings": settings, "files": files}))
     return facts

@@ -22,7 +22,7 @@ Progress = Callable[[str, float], None]
 SIMULATION_SHARE = 0.15
 """Share of the run time that simulating the drives takes, for the progress bar."""
 
-CALIBRATION_SHARE = 0.5
+CALIBRATION_SHARE = 0.3
 """Drives of the nominal vehicle for calibrating standard deviations, per training drive."""
 
 

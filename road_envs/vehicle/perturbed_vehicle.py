@@ -1,4 +1,4 @@
-"""Perturbed test vehicle with plant-model mismatch; estimators are tested on it, not trained.
+"""Perturbed vehicles with plant-model mismatch, for tests, and for training on other individuals.
 
 It substitutes for the paper's unpublished measurements. A seed draws one manufactured vehicle with
 the force laws of the nominal one and deviations where the paper found its own model wrong. The

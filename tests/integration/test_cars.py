@@ -142,7 +142,7 @@ def test_an_environment_of_a_passive_car_refuses_what_would_switch_it(options, m
 @every_vehicle
 def test_drives_of_the_vehicle_can_be_trained_on(name):
     corpus = Corpus(car=name, number=2, shortest=100, longest=100)
-    record, truth = corpus.simulate_drive(0)
+    record, truth, _ = corpus.simulate_drive(0)
     assert np.isfinite(record.a).all() and truth.z.shape[1] == truth.s.size
     one = perturb_parameters(corpus.vehicle, np.random.default_rng(1), 1.0)
     assert one.strut != corpus.vehicle.strut and one.front != corpus.vehicle.front

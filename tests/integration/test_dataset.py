@@ -35,7 +35,7 @@ def test_a_data_set_has_every_drive_in_one_split_and_checksums(monkeypatch, caps
         records = pd.read_parquet(out / f"{split}_records.parquet")
         profiles = pd.read_parquet(out / f"{split}_profiles.parquet")
         assert set(records["drive"]) == set(profiles["drive"]) == set(part["drive"])
-    record, truth = Corpus(number=10, seed=7, instruments="phone").simulate_drive(9)
+    record, truth, _ = Corpus(number=10, seed=7, instruments="phone").simulate_drive(9)
     test = pd.read_parquet(out / "test_records.parquet")
     np.testing.assert_allclose(test["a_lr"], record.a[1], rtol=1e-6)
     np.testing.assert_allclose(test["s"], record.s)

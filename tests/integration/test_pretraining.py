@@ -16,7 +16,11 @@ from leaderboard.evaluation.entry import needs_training
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.metrics.heights import band_pass, nrmse, scored_band
+from road_envs.data import training_corpus
 from road_envs.data.training_corpus import Corpus, perturb_parameters
+from road_envs.roads import Iso8608
+from road_envs.simulation.drive import SimulationError
+from road_envs.vehicle.perturbed_vehicle import load_plant_mismatch
 
 CORPUS = Corpus(number=6, shortest=20, longest=30)
 PRETRAINED = [path.stem for path in sorted(pretrained_weights.FOLDER.glob("*.safetensors"))]
@@ -64,12 +68,35 @@ def test_corpus_drives_are_reproducible_and_differ_by_number():
 
 def test_the_corpus_covers_speeds_modes_and_levels():
     drives = [CORPUS.simulate_drive(k) for k in range(50)]
-    v = 3.6 * np.array([record.v[0] for record, _ in drives])
+    v = 3.6 * np.array([record.v[0] for record, _, _ in drives])
     assert v.min() < 10.0 and v.max() > 50.0 and np.all((v > 4.9) & (v < 72.1))
-    states = {(*r.spring_stiff[0, [0, 2]], *r.damper_high[0, [0, 2]]) for r, _ in drives}
+    states = {(*r.spring_stiff[0, [0, 2]], *r.damper_high[0, [0, 2]]) for r, _, _ in drives}
     assert {(False,) * 4, (True,) * 4, (False, True, False, True)} <= states and len(states) > 6
-    level = np.array([truth.z.std() for _, truth in drives])
+    level = np.array([truth.z.std() for _, truth, _ in drives])
     assert level.max() > 10.0 * level.min()
+
+
+def test_a_third_of_the_corpus_are_individuals_and_calibration_drives_are_nominal(monkeypatch):
+    asked = []
+
+    def remember(surface, *, grade, instruments, **_):
+        asked.append((grade, instruments.noise_density))
+        raise SimulationError("not simulated")
+
+    monkeypatch.setattr(training_corpus, "simulate_record", remember)
+    monkeypatch.setattr(
+        training_corpus, "draw_road", lambda rng, length: Iso8608(road_class="A", length=5.0)
+    )
+    for k in range(12):
+        with pytest.raises(SimulationError):
+            CORPUS.simulate_drive(k)
+    grades = [grade for grade, _ in asked]
+    for grade, share in {"S0": 0.66, "S1": 0.06, "S2": 0.14, "S3": 0.14}.items():
+        assert grades.count(grade) / len(grades) == pytest.approx(share, abs=0.1), grade
+    asked.clear()
+    with pytest.raises(SimulationError):
+        CORPUS.simulate_drive(0, nominal=True)
+    assert set(asked) == {("S0", CORPUS.sensors.noise_density)}
 
 
 def test_vehicles_vary_by_the_stated_amounts():
@@ -87,6 +114,14 @@ def test_different_corpora_have_different_digests():
     changes = ({"number": 7}, {"seed": 2}, {"instruments": "ideal"}, {"fastest_kmh": 60.0})
     digests = {dataclasses.replace(Corpus(), **change).digest for change in changes}
     assert len(digests | {Corpus().digest}) == 5
+
+
+def test_the_digest_depends_on_the_deviations_of_individuals(monkeypatch):
+    before, known = Corpus().digest, load_plant_mismatch()
+    monkeypatch.setattr(
+        training_corpus, "load_plant_mismatch", lambda: dataclasses.replace(known, step=0.001)
+    )
+    assert Corpus().digest != before
 
 
 def test_a_short_training_is_reproducible_to_the_bit_interrupted_or_not(tmp_path, monkeypatch):
@@ -153,10 +188,13 @@ def test_an_estimator_for_one_speed_requires_training_roads(road_recon):
     assert code == 2 and "the name must end in .safetensors" in err
 
 
-SHIPPED_CORPUS = "f74b498595d6"
-"""Digest of the corpus that the shipped weights were trained on: its vehicle had a column_min of
-5 mm and no tolerances. `test_pretrained_weights` holds how far its drives are from today's.
+SHIPPED_CORPUS = "0ad25ee03bd7"
+"""Digest of the corpus that the shipped weights were trained on; `test_pretrained_weights` holds
+that its drives are today's.
 """
+
+EARLIER_CORPUS, EARLIER = "f74b498595d6", ("tcn_causal", "gru", "gru_causal")
+"""Digest of the corpus of rigid bodies, and the weights that were trained on it."""
 
 
 @pytest.mark.parametrize("name", PRETRAINED)
@@ -166,8 +204,9 @@ def test_shipped_weights_are_small_and_state_their_corpus_and_settings(name, mon
     _, about = pretrained_weights.read_weights(path)
     header = json.loads(about["header"])
     assert header["name"] == name
-    assert about["corpus"] == SHIPPED_CORPUS
-    monkeypatch.setattr(Corpus, "digest", SHIPPED_CORPUS)
+    corpus = EARLIER_CORPUS if name in EARLIER else SHIPPED_CORPUS
+    assert about["corpus"] == corpus
+    monkeypatch.setattr(Corpus, "digest", corpus)
     estimator = create(name)
     assert header["settings"] == json.loads(json.dumps(pretraining.get_settings(estimator)))
     monkeypatch.setattr(pretraining, "package_version", lambda: header["version"])

@@ -70,6 +70,27 @@ def test_causal_signals_are_independent_of_samples_beyond_the_filter_reach():
     past = s < 10.0 - spatial_signals.FILTER_REACH - 1e-9
     np.testing.assert_array_equal(before.motions[:, past], after.motions[:, past])
     assert np.any(before.motions[:, s > 10.0] != after.motions[:, s > 10.0])
+    np.testing.assert_array_equal(before.spectrum[:, past], after.spectrum[:, past])
+    assert np.any(before.spectrum[:, s > 10.0] != after.spectrum[:, s > 10.0])
+
+
+def test_power_ratios_compare_motions_band_by_band():
+    """Sines of 8 and 16 Hz, of which front has three times and roll half the rear's amplitude."""
+    fs = 400.0
+    t = np.arange(int(20.0 * fs)) / fs
+    a = 5.0 * np.outer([3.0, 1.0, 0.5], np.sin(16.0 * np.pi * t))
+    a += 5.0 * np.outer([1.0, 2.0, 1.0], np.sin(32.0 * np.pi * t))
+    ratios = spatial_signals.power_ratios(a, fs)[:, -1].reshape(2, -1)
+    limits = spatial_signals.BANDS
+    low, high = (np.searchsorted(limits, f) - 1 for f in (8.0, 16.0))
+    np.testing.assert_allclose(np.exp(ratios[:, low]), [9.0, 0.25], rtol=0.05)
+    np.testing.assert_allclose(np.exp(ratios[:, high]), [0.25, 0.25], rtol=0.05)
+
+
+def test_power_ratios_of_noise_alone_are_near_one():
+    """What the sensors' noise says of the vehicle is nothing."""
+    a = 0.01 * np.random.default_rng(0).standard_normal((3, 2000)) * [[1.0], [1.0], [3.0]]
+    assert np.abs(spatial_signals.power_ratios(a, 400.0)).max() < 0.1
 
 
 def white_signals(
@@ -79,7 +100,10 @@ def white_signals(
     K = size + 2 * 20
     bits = (combination >> np.arange(3, -1, -1)) & 1
     states = np.broadcast_to(bits.astype(float), (K, 4))
-    return SpatialSignals(rng.standard_normal((6, K)), np.broadcast_to(v, (K,)), states, 20)
+    spectrum = np.zeros((spatial_signals.N_RATIOS, K))
+    return SpatialSignals(
+        rng.standard_normal((6, K)), np.broadcast_to(v, (K,)), states, 20, spectrum
+    )
 
 
 def taps_of_speed(v: float) -> np.ndarray:

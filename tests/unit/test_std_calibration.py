@@ -9,6 +9,7 @@ from test_pretraining import errors_and_coverage
 
 from estimators import create
 from estimators.common.spatial_signals import SPACING
+from estimators.linear.fir_bank import FirBank, taps_shape
 from estimators.networks.std_calibration import (
     N_TERMS,
     calibration_factor,
@@ -93,8 +94,15 @@ def test_the_scored_band_at_the_stations_equals_that_of_the_metrics(v):
     assert found == pytest.approx(band_pass(fine, PROFILE_SPACING, scored_band(v)).std(), rel=0.02)
 
 
-def test_the_command_trains_and_then_calibrates_on_the_nominal_vehicle(tmp_path):
-    """By the command, and again step by step."""
+def test_the_command_trains_and_then_calibrates_on_the_nominal_vehicle(tmp_path, monkeypatch):
+    """By the command, and again step by step; the bank is fitted to the rigid bodies."""
+    numbers_of_drives = []
+
+    def fake_bank(all_signals, targets, behind, ahead):
+        numbers_of_drives.append(len(all_signals))
+        return FirBank(np.full(taps_shape(behind, ahead), 1e-3, np.float16), ahead)
+
+    monkeypatch.setattr("estimators.networks.sequence_estimator.fit_bank", fake_bank)
     corpus = Corpus(number=4, shortest=20, longest=30)
     estimator, path = create("tcn", channels=4, steps=4), tmp_path / "t.safetensors"
     written = pretraining.train(estimator, "tcn", corpus, 1, path, "road-recon train tcn")
@@ -109,13 +117,14 @@ def test_the_command_trains_and_then_calibrates_on_the_nominal_vehicle(tmp_path)
         if name != "widths":
             np.testing.assert_array_equal(x, before[name])
     assert (again["widths"] != before["widths"]).any()
+    assert numbers_of_drives == [3, 3] == 2 * [sum(example.rigid for example in examples)]
 
 
 def test_a_nominal_drive_differs_from_its_twin_by_the_vehicle_only():
     corpus = Corpus(number=4, shortest=20, longest=30)
-    (record, truth), (plain, same) = (
-        corpus.simulate_drive(2),
-        corpus.simulate_drive(2, nominal=True),
+    (record, truth, _), (plain, same, _) = (
+        corpus.simulate_drive(3),
+        corpus.simulate_drive(3, nominal=True),
     )
     np.testing.assert_array_equal(truth.z, same.z)
     np.testing.assert_array_equal(record.v, plain.v)

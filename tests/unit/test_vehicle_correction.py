@@ -21,7 +21,7 @@ CAR = load_vehicle("land_rover_defender_110")
 
 @cache
 def drive(seed: int, speed_kmh: float = 54.0, mode: str = "handling") -> tuple[Record, Profile]:
-    """A drive of one individual of grade S3, whose frame the shipped weights do not know."""
+    """A drive of one individual of grade S3, which the shipped weights do not know."""
     road = realise_road("iso_d", seed, 100.0)
     return simulate_record(road, speed_kmh=speed_kmh, mode=mode, seed=7, grade="S3")
 
@@ -34,7 +34,7 @@ def error(estimator, record: Record, truth: Profile) -> float:
 
 
 @pytest.mark.parametrize("name", ["fir_ridge", "tcn"])
-def test_one_known_drive_halves_the_error_on_a_vehicle_with_a_frame(name):
+def test_one_known_drive_reduces_the_error_on_a_vehicle_with_a_frame(name):
     record, truth = drive(41)
     plain = create(name)
     assert isinstance(plain, Calibratable)
