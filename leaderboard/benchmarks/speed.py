@@ -19,6 +19,7 @@ from leaderboard.benchmarks.integrators import IntegrationProblem, PeerError, re
 from leaderboard.benchmarks.machine import measure_machine
 from road_envs.simulation.fleet import Fleet
 from road_envs.simulation.rosenbrock import ACCELERATION
+from road_envs.simulation.simd import LANES
 from road_envs.vehicle.suspension import encode_command
 
 COMPARISON_DURATION = 3.0
@@ -76,21 +77,29 @@ def run_in_new_process(code: str, **variables: str) -> str:
     ).stdout
 
 
+def factor_of(seconds: float) -> float:
+    """Return the speed relative to real time of a drive of COMPARISON_DURATION."""
+    return COMPARISON_DURATION / seconds
+
+
 def integrator_speed() -> list[dict[str, Any]]:
     """Compare the fixed-step integrator with peers of at least its accuracy."""
     problem = IntegrationProblem(COMPARISON_DURATION)
     reference = problem.scipy("DOP853", 1e-9)
     seconds = median_time(lambda: problem.fixed_step(0.001), 21)
+    machine = measure_machine()
+    rate, peak = 1e-6 * STEP_OPERATIONS * factor_of(seconds), 2e-9 * machine.one_thread / LANES
     accuracy = relative_error(problem.fixed_step(0.001), reference)
-    factor = COMPARISON_DURATION / seconds
+    factor = factor_of(seconds)
     rows = [
         benchmark_row(
             "one vehicle, one core, 1 ms step",
             f"{factor:.0f} x real time",
             ">= 4000 x",
             factor >= 4000,
-            f"a step is {STEP_OPERATIONS} floating-point operations in chains that depend on each "
-            "other; a single vehicle cannot fill the vector registers, a fleet does",
+            f"a step is {STEP_OPERATIONS} floating-point operations, {rate:.1f} GFLOP/s; one lane "
+            f"of the registers gives {peak:.1f} GFLOP/s to operations that do not wait for each "
+            "other; those of a step do, and a single vehicle cannot fill the registers",
             factor=factor,
         ),
         benchmark_row(
@@ -146,6 +155,7 @@ def fleet_throughput() -> list[dict[str, Any]]:
         return FLEET_SIZE * steps * 0.001 / median_time(lambda: fleet.advance(commands, signals), 9)
 
     one, two, whole = rate(1, accelerations), rate(2, accelerations), rate(1, range(29))
+    bare = 1e6 / rate(1, range(0))
     alone = problem.new_drive(0.001)
     single = steps * 0.001 / median_time(lambda: alone.advance(commands[0]), 9)
     unit = "vehicle-seconds per second"
@@ -161,6 +171,8 @@ def fleet_throughput() -> list[dict[str, Any]]:
         benchmark_row("multiply-adds in registers, one thread", f"{peak:.0f} GFLOP/s", rate=peak),
         benchmark_row("the same, two threads against one", f"{machine.second_thread:.2f} x",
             ratio=machine.second_thread),
+        benchmark_row("step of a vehicle in a fleet, no signals written", f"{bare:.0f} ns",
+            "<= 62 ns", bare <= 62.0, step_cost, nanoseconds=bare),
         benchmark_row(f"{FLEET_SIZE} vehicles in a fleet, one core", f"{one:.0f} {unit}",
             ">= 14000", one >= 1.4e4, step_cost, rate=one),
         benchmark_row(f"{FLEET_SIZE} vehicles in a fleet, two threads", f"{two:.0f} {unit}",
@@ -208,6 +220,9 @@ def environment_overhead() -> list[dict[str, Any]]:
     step = median_time(lambda: [env.step(0) for _ in range(100)], 9) / 100
     motion = median_time(lambda: [drive.advance(commands) for _ in range(100)], 9) / 100
     rest = 1e6 * (step - motion)
+    fleet = Fleet([DriveSimulator(setup.plant, setup.car, surface, 14.5 / 3.6)], 1, range(29))
+    signals, one = fleet.allocate_signals(50), commands[None]
+    block = median_time(lambda: [fleet.advance(one, signals) for _ in range(100)], 9) / 100
     return [
         benchmark_row("environment step of 50 ms", f"{1e6 * step:.0f} µs", microseconds=1e6 * step),
         benchmark_row(
@@ -216,11 +231,51 @@ def environment_overhead() -> list[dict[str, Any]]:
             "<= 15 µs",
             rest <= 15.0,
             "for results equal to the vector environment, one vehicle is simulated in a block of "
-            "eight SIMD lanes (twice the drive alone); passing 50 arrays to the kernel takes "
-            "8 µs; noise and filters of three sensors take as much",
+            f"eight lanes, which takes {1e6 * (block - motion):.0f} µs more than the drive alone",
             microseconds=rest,
         ),
     ]
+
+
+PPO_SCRIPT = """
+import time
+import numpy as np, torch
+from stable_baselines3 import PPO
+from road_envs.policies.training import MultiScenarioVecEnv
+
+torch.set_num_threads(1)
+observe = ["accelerations", "planar", "struts"]
+case = {"road": "iso_d", "control": "axle", "truth": False, "observe": observe}
+envs = MultiScenarioVecEnv([case], 32, 0, 10.0, 25, paired_baseline=True)
+model = PPO("MlpPolicy", envs, n_steps=15, batch_size=480, n_epochs=10, device="cpu")
+model.learn(480)
+begin = time.process_time()
+model.learn(1920)
+middle = time.process_time()
+for _ in range(60):
+    envs.step(np.zeros(32, dtype=int))
+print(middle - begin, time.process_time() - middle)
+"""
+
+
+def training_cost() -> list[dict[str, Any]]:
+    """Measure PPO with the settings of the shipped policy, and its environments alone."""
+    what = "PPO, a million environment steps, and as many of paired baselines"
+    try:
+        out = run_in_new_process(PPO_SCRIPT, OMP_NUM_THREADS="1")
+    except subprocess.CalledProcessError:
+        return [benchmark_row(what, "skipped: pip install road-envs[learn]")]
+    whole, simulated = (1e6 * float(x) / (60 * 32 * 25) for x in out.split())
+    why = (
+        f"the environments take {simulated:.0f} CPU-s of it, the networks' updates and choices in "
+        f"Stable-Baselines3 {whole - simulated:.0f}"
+    )
+    return [
+        benchmark_row(
+            what, f"{whole:.0f} CPU-s", "<= 25", whole <= 25.0, why,
+            seconds=whole, environments=simulated,
+        )
+    ]  # fmt: skip
 
 
 HELP_SCRIPT = """
