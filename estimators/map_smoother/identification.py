@@ -178,13 +178,20 @@ def _identify(
     x, solutions = _nearest_start(space, space.size + errors, solve)
     solver = GaussNewton(solutions[0].stationary, smoother.huber, 40, 0.1)
     fit = fit_car(solutions, space, solver, instruments=known, start=x)
-    std = np.minimum((1.0 if known else UNKNOWN_STD_INFLATION) * fit.std, 1.0)
+    std = inflated_std(fit.std, known)
     found = fit.x[space.size :]
     unexplained = tuple(
         (_unexplained(rest, car, smoother), _unexplained(rest, fit.car, smoother, found))
         for _, rest in parts
     )
     return IdentificationResult(fit, _with_posterior(fit, car, std), std, unexplained)
+
+
+def inflated_std(std: np.ndarray, known: bool) -> np.ndarray:
+    """Return the standard deviations of parameters from those `std` of a fit over `known` roads or
+    over unmeasured ones, no greater than the tolerances.
+    """
+    return np.minimum((1.0 if known else UNKNOWN_STD_INFLATION) * std, 1.0)
 
 
 def _nearest_start(
