@@ -33,7 +33,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from estimators.api import CalibrationDrive, CalibrationError, copy_with
+from estimators.api import CalibrationError, copy_with
 from estimators.common.block_means import MIN_NOISE_DENSITY
 from estimators.common.fallback import reduce_unexplained
 from estimators.common.identified_vehicle import CalibratedByIdentification
@@ -149,26 +149,25 @@ class MapSmoother(CalibratedByIdentification):
 
     def _estimate_adapting(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths, also with elements that the description leaves out."""
-        first, left = self._estimate(record, car)
+        first, findings = self._estimate(record, car)
+        left = findings.left_by_fit
         if not (self.adapt and left >= STRUCTURE_POWER and has_absent_elements(car)):
             return first
-        from estimators.map_smoother.identification import STRUCTURE_GAIN, identify
+        from estimators.map_smoother.identification import STRUCTURE_GAIN, identify_structure
 
-        drive, told = CalibrationDrive(record), replace(self, adapt=False)
+        told = replace(self, adapt=False)
         try:  # the vehicle may have elements that its description leaves out
-            found = identify([drive], car, told, structure=True).car
-            second, rest = told._estimate(record, found)
+            found = identify_structure(record, car, told)
+            second, flexible = told._estimate(record, found)
         except (CalibrationError, ArithmeticError):
             return first
-        if rest > STRUCTURE_GAIN * left:
+        if flexible.noise_scale > STRUCTURE_GAIN * left:
             return first
         note = f"the vehicle was found to {_describe_modes(found)}, and adapted to the drive"
         return replace(second, notes=(*second.notes, note))
 
-    def _estimate(self, record: Record, car: VehicleParameters) -> tuple[Estimate, float]:
-        """Return both wheel paths, and the noise that a fit of the vehicle left unexplained if it
-        was not believed, else 0.
-        """
+    def _estimate(self, record: Record, car: VehicleParameters) -> tuple[Estimate, "_Findings"]:
+        """Return both wheel paths, and what was found beside them."""
         instruments = instruments_of(record, self.instruments)
         record, valid, notes = mask_record(record, instruments)
         model = self.measurement_model(record, car, instruments)
@@ -206,7 +205,8 @@ class MapSmoother(CalibratedByIdentification):
             findings.in_air += distance_in_air(solution.linearization)
             return solution, posterior_std(solution, band, self.draws, seed=0)
 
-        result, noise_scale = reconstruct(model, drive, prior, windows, solve)
+        result, noise_scales = reconstruct(model, drive, prior, windows, solve)
+        noise_scale = findings.noise_scale = float(max(noise_scales))
         s = profile_stations(record.length)
         x = np.clip((s - drive.origin) / drive.ds, 1.0, drive.free.size - 3.0)
         node = np.arange(drive.free.size)
@@ -218,19 +218,19 @@ class MapSmoother(CalibratedByIdentification):
             )
         if findings.fit:
             notes += (f"the vehicle was adapted to the drive: {findings.fit.summary()}",)
-        if max(noise_scale) > NOISE_SCALE_WARNING:
+        if noise_scale > NOISE_SCALE_WARNING:
             notes += (
-                f"{max(noise_scale):.1f} times the instruments' noise power is left unexplained: "
+                f"{noise_scale:.1f} times the instruments' noise power is left unexplained: "
                 "the vehicle may differ from the one described",
             )
         lost = max(LOST_NOISE_SCALE, LOST_POWER_SHARE * float(drive.a.var()) / model.noise_variance)
-        z, share = evaluate_spline(result.c, x), lost / max(noise_scale)
+        z, share = evaluate_spline(result.c, x), lost / noise_scale
         if share < 1.0:
             z, z_std = reduce_unexplained(z, z_std, share)
             notes += (
                 f"the heights are reduced to {share:.0%}: their motion is not the measured one",
             )
-        return Estimate(s, z, z_std, notes), findings.left_by_fit
+        return Estimate(s, z, z_std, notes), findings
 
     def for_one_of_many(self) -> "MapSmoother":
         """Return the estimator of a single pass of several: fast, for alignment and as a start."""
@@ -296,10 +296,11 @@ class MapSmoother(CalibratedByIdentification):
 
 @dataclass(eq=False)
 class _Findings:
-    """Results of all windows so far: distance in the air [m], the fit of the vehicle, and the noise
-    that a fit left which is not believed.
+    """Results of all windows so far: greatest noise scale, distance in the air [m], the fit of the
+    vehicle, and the noise scale that a fit left which is not believed.
     """
 
+    noise_scale: float = 1.0
     in_air: float = 0.0
     fit: CarFit | None = None
     left_by_fit: float = 0.0

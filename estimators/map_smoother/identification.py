@@ -59,7 +59,7 @@ STRUCTURE_GAIN = 0.5
 """Share of the unexplained power of held-out readings that elements which the description leaves
 out may leave at most, to be believed."""
 
-UNKNOWN_STD_INFLATION = 5.0
+UNKNOWN_STD_INFLATION = 10.0
 """Factor on posterior standard deviations over unmeasured roads, for what the linear vehicle's
 covariances leave out (`leaderboard/benchmarks/identified_parameters.py`)."""
 
@@ -167,24 +167,47 @@ def _identify(
     structure: bool,
 ) -> IdentificationResult:
     """Identify a vehicle from the first part of each drive, and judge it on the second."""
-    space = parameter_space(car, structure)
-    known = all(first.profile is not None for first, _ in parts)
-
-    def solve(x: np.ndarray, quick: bool = False) -> list[MapSolution]:
-        vehicle = space.from_vector(x[: space.size])
-        return [_solve(first, vehicle, smoother, quick) for first, _ in parts]
-
-    errors = len(InstrumentErrors(parts[0][0].record.channels).names) if known else 0
-    x, solutions = _nearest_start(space, space.size + errors, solve)
-    solver = GaussNewton(solutions[0].stationary, smoother.huber, 40, 0.1)
-    fit = fit_car(solutions, space, solver, instruments=known, start=x)
-    std = inflated_std(fit.std, known)
-    found = fit.x[space.size :]
+    fit, std = _fit([first for first, _ in parts], car, smoother, structure)
+    found = fit.x[fit.space.size :]
     unexplained = tuple(
         (_unexplained(rest, car, smoother), _unexplained(rest, fit.car, smoother, found))
         for _, rest in parts
     )
     return IdentificationResult(fit, _with_posterior(fit, car, std), std, unexplained)
+
+
+def identify_structure(
+    record: Record, car: VehicleParameters, smoother: MapSmoother
+) -> VehicleParameters:
+    """Return `car` with the elements that its description leaves out, by one drive, unjudged.
+
+    Raises CalibrationError on a drive that is too short, too slow or too smooth.
+    """
+    is_short = FIT_SHARE * record.t.size < MIN_DURATION * record.fs
+    first, _ = _parts(CalibrationDrive(record), smoother, 1.0 if is_short else FIT_SHARE)
+    fit, std = _fit([first], car, smoother, structure=True)
+    return _with_posterior(fit, car, std)
+
+
+def _fit(
+    drives: Sequence[CalibrationDrive],
+    car: VehicleParameters,
+    smoother: MapSmoother,
+    structure: bool,
+) -> tuple[CarFit, np.ndarray]:
+    """Return the fit to `drives`, and the standard deviations of its parameters."""
+    space = parameter_space(car, structure)
+    known = all(drive.profile is not None for drive in drives)
+
+    def solve(x: np.ndarray, quick: bool = False) -> list[MapSolution]:
+        vehicle = space.from_vector(x[: space.size])
+        return [_solve(drive, vehicle, smoother, quick) for drive in drives]
+
+    errors = len(InstrumentErrors(drives[0].record.channels).names) if known else 0
+    x, solutions = _nearest_start(space, space.size + errors, solve)
+    solver = GaussNewton(solutions[0].stationary, smoother.huber, 40, 0.1)
+    fit = fit_car(solutions, space, solver, instruments=known, start=x)
+    return fit, inflated_std(fit.std, known)
 
 
 def inflated_std(std: np.ndarray, known: bool) -> np.ndarray:
@@ -226,9 +249,9 @@ def _with_posterior(fit: CarFit, car: VehicleParameters, std: np.ndarray) -> Veh
 
 
 def _parts(
-    drive: CalibrationDrive, smoother: MapSmoother
+    drive: CalibrationDrive, smoother: MapSmoother, share: float = FIT_SHARE
 ) -> tuple[CalibrationDrive, CalibrationDrive]:
-    """Return the part of a drive that is fitted, and the rest. Raises CalibrationError."""
+    """Return the `share` of a drive that is fitted, and the rest. Raises CalibrationError."""
     record, profile = drive.record, drive.profile
     first, last = 0, record.t.size
     if profile is not None:  # both axles on the profile
@@ -236,7 +259,7 @@ def _parts(
         last = int(np.searchsorted(record.s, profile.s[-1]))
     elif record.t.size > smoother.window * record.fs:
         last = int(smoother.window * record.fs)
-    middle = first + int(FIT_SHARE * (last - first))
+    middle = first + int(share * (last - first))
     duration = (middle - first) / record.fs
     if duration < MIN_DURATION:
         where = "on its profile " if profile is not None else ""
