@@ -38,8 +38,10 @@ def calibrate_odometer(record: Record) -> tuple[Record, tuple[str, ...]]:
     """Return `record` with calibrated stations and speed, and a note if they were changed.
 
     The whole record is used, so this is not for causal estimates. A record is returned itself if
-    its signals are not finite or their difference shows no clear displacement.
+    it is empty, its signals are not finite or their difference shows no clear displacement.
     """
+    if record.t.size == 0:
+        return record, ()
     travelled = cumulative_trapezoid(record.v, record.t, initial=0.0)
     slip = travelled - (record.s - record.s[0])
     if not (np.isfinite(slip).all() and np.ptp(slip) > MIN_DISPLACEMENT):
