@@ -1,9 +1,7 @@
 """Drives as phones log them, of cars that differ from their description, in reports that hold.
 
 The cases are those of `report_trial.py`, by class and speed; no constant of the report was chosen
-by their drives. On class B all limits hold. On class C, and the more so at speed, short obstacles
-are found too low, since less of their waves stands out from what an unknown car leaves unexplained;
-their intervals say so.
+by their drives. Heights are compared with those of the true surface, as the report defines them.
 """
 
 import sys
@@ -35,7 +33,6 @@ def test_obstacles_and_iri_of_phone_drives(tmp_path, letter, speed):
         np.abs(np.array([one["place_own_m"] for one in results], float)).max()
         < limits["place_own_m"]
     )
-    heights = np.array([one["height"] for one in results])
-    assert np.abs(heights[:, 0]).max() < limits["height"]
-    assert np.abs(heights).max() < (limits["height"] if letter == "B" else 0.4)
-    assert (np.sum([one["covered"] for one in results], axis=0) >= (7, 6)).all()  # of nine
+    assert np.abs([one["height"] for one in results]).max() < limits["height"]
+    assert (np.sum([one["covered"] for one in results], axis=0) >= (7, 8, 7)).all()  # of nine
+    assert not any("better:" in note for one in results for note in one["notes"])
