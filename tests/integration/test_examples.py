@@ -21,7 +21,7 @@ EXAMPLES = {
     ),
     "phone_drive": ([], ["phone_drive.csv", "phone_drive.yaml", "phone_drive_truth.csv"]),
     "switch_the_suspension": (["--drives", "8"], ["switch_the_suspension.png"]),
-    "train_a_policy": (["--steps", "3000"], ["train_a_policy.png", "policy.zip"]),
+    "train_a_policy": (["--steps", "8000"], ["train_a_policy.png", "policy.zip"]),
 }
 """Options that make an example short, and the files that it writes."""
 
