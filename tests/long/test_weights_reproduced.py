@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_pretrained_weights import NETWORKS, nearly_equal, read_shipped
+from test_pretrained_weights import WINDOWS, nearly_equal, read_shipped
 
 from estimators import create
 from leaderboard.evaluation import pretraining
@@ -41,7 +41,7 @@ def test_the_shipped_fir_taps_are_reproduced_by_their_command(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", NETWORKS)
+@pytest.mark.parametrize("name", [name for name in WINDOWS if name != "fir_ridge"])
 def test_shipped_networks_are_reproduced_within_the_spread_of_seeds(name, tmp_path):
     fresh = mean_error(train_again(name, tmp_path / "network.safetensors"))
     assert fresh == pytest.approx(mean_error(create(name)), rel=SEED_SPREAD)
