@@ -17,8 +17,10 @@ from road_envs.data.record import scored_band
 CONDITION_COLOURS = ("#009E73", "#F0C000", "#D55E00", "#7B2D26", "#3D1410")
 """Colours of the categories, from the best: told apart by lightness, too."""
 
-ROWS, ROW_LENGTH = 6, 50.0
-"""Largest number of rows of the strip, and the least length [m] of one."""
+ROWS, ROW_LENGTH, OVERLAP = 6, 50.0, 3.0
+"""Largest number of rows of the strip, the least length [m] of one, and by how much [m] it begins
+before the end of the last one and ends behind the begin of the next, so that no obstacle is cut.
+"""
 
 POINTS = 1500
 """Largest number of points of a line."""
@@ -56,16 +58,16 @@ def profile_strip(result: DriveResult) -> str:
 
     def paint(figure: Any) -> None:
         panels = np.atleast_1d(figure.subplots(rows, 1, sharey=True))
-        for axes, part in zip(panels, np.array_split(np.arange(s.size), rows), strict=True):
-            step = max(1, part.size // POINTS)
-            part = part[::step]
+        for axes, core in zip(panels, np.array_split(np.arange(s.size), rows), strict=True):
+            step, more = max(1, core.size // POINTS), round(OVERLAP / ds)
+            part = np.arange(max(0, core[0] - more), min(s.size, core[-1] + 1 + more), step)
             for k, side in enumerate(SIDES):
                 axes.plot(s[part], z[k, part], color=COLOURS[side], lw=0.9, label=side)
                 if std is not None:
                     low, high = (z[k, part] + f * std[k, part] for f in (-1.96, 1.96))
                     axes.fill_between(s[part], low, high, color=COLOURS[side], alpha=0.2, lw=0)
             for obstacle in result.obstacles:
-                if s[part[0]] <= obstacle["station_m"] <= s[part[-1]]:
+                if s[core[0]] <= obstacle["station_m"] <= s[core[-1]]:
                     axes.annotate(
                         f"{obstacle['height_mm']:+.0f} mm",
                         (obstacle["station_m"], 1.35 * limit),
