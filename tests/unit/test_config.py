@@ -202,6 +202,13 @@ def test_a_key_may_occur_in_several_mappings(tmp_path):
     assert read_yaml(path) == expected | {"both": {"y": 1}, "c": {"y": 1}}
 
 
+def test_what_a_caller_changes_in_a_file_that_was_read_changes_nothing_for_the_next():
+    path = config.find("vehicles", "land_rover_defender_110")
+    before = copy.deepcopy(read_yaml(path))
+    read_yaml(path)["front"]["m"] = 0.0
+    assert read_yaml(path) == before
+
+
 def test_a_missing_file_or_a_folder_is_rejected(tmp_path):
     (tmp_path / "folder.yaml").mkdir()
     for name, message in (("none.yaml", "No such file"), ("folder.yaml", "Is a directory")):
