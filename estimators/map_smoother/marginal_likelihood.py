@@ -19,8 +19,10 @@ with r the residual. For the Hessian the road is eliminated from the linear prob
 
 Its inverse is the posterior covariance of the parameters. Over a road that was measured, only the
 error of its profile is unknown; it is small, and noise of the covariance H S H*, so that g = G(f)*
-(R + H S H*)^-1 r summed over f. (Ljung, "System Identification", 1999, section 7.4;
-MacKay 2003, "Information Theory", chapter 27, for Laplace's approximation.)
+(R + H S H*)^-1 r summed over f. What then stays unexplained is an error of the model: it adds to
+the noise of its band, and to the covariance of g by all lines of the band at once, since it does
+not average out. (Ljung, "System Identification", 1999, section 7.4; MacKay 2003, "Information
+Theory", chapter 27, for Laplace's approximation.)
 """
 
 from collections.abc import Sequence
@@ -102,9 +104,10 @@ def _reading_sensitivities(lin: Linearization, base: Objective, errors: np.ndarr
     found = []
     for k, unit in enumerate(np.eye(errors.size)):
         varied = instruments.apply(base, errors + DIFFERENCE * unit)
-        same_motion = k < instruments.n_fixed
-        left = varied.residual(lin.tape.acceleration, bias) if same_motion else None
-        found.append(varied.residual_at(lin.x)[0] if left is None else left)
+        if k < instruments.n_fixed:  # the vehicle moves as before
+            found.append(varied.residual(lin.tape.acceleration, bias))
+        else:
+            found.append(varied.residual_at(lin.x)[0])
     return (lin.residual - np.array(found)) / DIFFERENCE
 
 
