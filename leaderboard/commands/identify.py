@@ -125,7 +125,10 @@ def _print(result: IdentificationResult, drives: list[str]) -> None:
     for k, unit in enumerate(units[: result.fit.x.size - space.size]):
         i, scale = space.size + k, 100.0 if unit == "[%]" else 1.0
         value, std = (scale * readings.std[k] * x[i] for x in (result.fit.x, result.std))
-        table.add_row(f"{readings.names[k]} {unit}", f"{value:+.2f}", f"{std:.2f}", "")
+        digits = 2 if unit == "[%]" else 3
+        table.add_row(
+            f"{readings.names[k]} {unit}", f"{value:+.{digits}f}", f"{std:.{digits}f}", ""
+        )
     console.print(table)
     power = Table("drive, held-out third", "described", "identified", box=None)
     for name, (described, fitted) in zip(drives, result.unexplained, strict=True):
