@@ -193,7 +193,7 @@ SHIPPED_CORPUS = "0ad25ee03bd7"
 that its drives are today's.
 """
 
-EARLIER_CORPUS, EARLIER = "f74b498595d6", ("gru", "gru_causal")
+EARLIER_CORPUS, EARLIER = "f74b498595d6", ("gru",)
 """Digest of the corpus of rigid bodies, and the weights that were trained on it."""
 
 
