@@ -115,10 +115,11 @@ def _hermite(x: np.ndarray, laws: np.ndarray, spectrum: np.ndarray, df: float) -
     a, power = _coefficients(x, laws, sigma)
     lines = np.concatenate([np.zeros((1, 4, 4)), spectrum, np.zeros((K, 4, 4))])
     rho = scipy.fft.irfft(lines, axis=0) * (2 * K * df) / np.outer(sigma, sigma)
-    R, rho_k = np.zeros_like(rho), rho
-    for k in range(2, ORDERS + 1):
-        rho_k = rho_k * rho
-        R += np.outer(a[k], a[k]) * rho_k
+    R = np.outer(a[ORDERS], a[ORDERS]) * rho
+    for k in range(ORDERS - 1, 1, -1):  # Horner's rule, in place: the arrays are large
+        R += np.outer(a[k], a[k])
+        R *= rho
+    R *= rho
     density = scipy.fft.rfft(R, axis=0)[: K + 1] / (2 * K * df)
     # the spectra broaden with the order: the power of the orders above is added as white noise
     return density + np.diag(np.maximum(power - np.sum(a[2:] ** 2, axis=0), 0.0)) / (2 * K * df)
