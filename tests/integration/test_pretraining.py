@@ -193,9 +193,6 @@ SHIPPED_CORPUS = "0ad25ee03bd7"
 that its drives are today's.
 """
 
-EARLIER_CORPUS, EARLIER = "f74b498595d6", ("gru",)
-"""Digest of the corpus of rigid bodies, and the weights that were trained on it."""
-
 
 @pytest.mark.parametrize("name", PRETRAINED)
 def test_shipped_weights_are_small_and_state_their_corpus_and_settings(name, monkeypatch):
@@ -204,9 +201,8 @@ def test_shipped_weights_are_small_and_state_their_corpus_and_settings(name, mon
     _, about = pretrained_weights.read_weights(path)
     header = json.loads(about["header"])
     assert header["name"] == name
-    corpus = EARLIER_CORPUS if name in EARLIER else SHIPPED_CORPUS
-    assert about["corpus"] == corpus
-    monkeypatch.setattr(Corpus, "digest", corpus)
+    assert about["corpus"] == SHIPPED_CORPUS
+    monkeypatch.setattr(Corpus, "digest", SHIPPED_CORPUS)
     estimator = create(name)
     assert header["settings"] == json.loads(json.dumps(pretraining.get_settings(estimator)))
     monkeypatch.setattr(pretraining, "package_version", lambda: header["version"])

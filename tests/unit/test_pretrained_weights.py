@@ -21,7 +21,7 @@ the rarest combination of states.
 
 STIFF_LOW_AND_RIDE = 0b1000
 NETWORKS = ("tcn", "tcn_causal", "gru", "gru_causal")
-WINDOWS = {"fir_ridge": "bank"} | dict.fromkeys(("tcn", "tcn_causal", "gru_causal"), "taps")
+WINDOWS = {"fir_ridge": "bank"} | dict.fromkeys(NETWORKS, "taps")
 """Names of the FIR taps in the weight files that were trained on the corpus as it is."""
 
 
