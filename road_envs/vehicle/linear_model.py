@@ -293,14 +293,9 @@ def force_response(model: LinearModel, f: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _state_response(model: LinearModel, f: np.ndarray, inputs: np.ndarray):
-    """Return s = 2 pi j f (F, 1, 1) and the responses (F, 14, inputs) of the state.
-
-    The `inputs` (14, inputs) act on the rates only, so that half the equations are (s q) = s q.
-    """
-    s, n = 2j * np.pi * np.atleast_1d(np.asarray(f, dtype=float))[:, None, None], model.M.size
-    stiffness, damping = -model.A[n:, :n], -model.A[n:, n:]  # over the inertias
-    q = np.linalg.solve(s**2 * np.eye(n) + s * damping + stiffness, inputs[n:])
-    return s, np.concatenate([q, s * q], axis=1)
+    """Return s = 2 pi j f (F, 1, 1) and the responses (F, 14, inputs) of the state."""
+    s = 2j * np.pi * np.atleast_1d(np.asarray(f, dtype=float))[:, None, None]
+    return s, np.linalg.solve(s * np.eye(len(model.A)) - model.A, inputs)
 
 
 def frequency_response(
