@@ -573,7 +573,7 @@ FAULTS = [
           "hostile_entries::test_what_an_entry_claims_falsely_is_shown"),
     Fault("leaderboard/evaluation/entries.py", "elif name.lower() in RESERVED:", "elif name in ():",
           "hostile_entries::test_every_entry_has_its_row_and_every_failure_its_sentence"),
-    Fault("road_envs/analysis/statistical_linearization.py", "for k in range(2, ORDERS + 1):\n        rho_k = rho_k * rho", "for k in range(2, ORDERS + 1):\n        rho_k = rho",
+    Fault("road_envs/analysis/statistical_linearization.py", "        R += np.outer(a[k], a[k])\n        R *= rho", "        R += np.outer(a[k], a[k]) * rho",
           "statistical_linearization::test_the_residual_of_a_cube_is_the_triple_convolution"),
     Fault("estimators/wiener/spectral_model.py", "np.real(np.einsum(\"fii->f\", matrices))", "np.abs(matrices[:, 0, 0])",
           "wiener::test_the_noise_scale_is_separated_from_the_road_level"),

@@ -194,14 +194,14 @@ def test_a_window_fitted_at_another_speed_adds_a_note():
     record, _ = drive(119)
     assert window.estimate(record, CAR).notes == ("waves longer than 20 m are not estimated",)
     faster = replace(record, t=record.t / 2.0, v=2.0 * record.v)
-    assert "fitted at 4.0 m/s, driven at 8.0 m/s" in window.estimate(faster, CAR).notes
+    assert "fitted at 8.0 m/s, driven at 16.0 m/s" in window.estimate(faster, CAR).notes
 
 
 def test_the_tap_spacing_is_that_of_the_band_limit():
-    """At 4 m/s the band ends at 6.25 cycles/m: taps 80 mm apart, three profile stations."""
+    """At 8 m/s the band ends at 3.1 cycles/m: taps 160 mm apart, six profile stations."""
     fitted_state = fit("fir_ridge").fitted_state
-    assert fitted_state.stride == 3
-    assert fitted_state.taps.shape == (2, 3, 2 * int(3.0 / (3 * PROFILE_SPACING)) + 1)
+    assert fitted_state.stride == 6
+    assert fitted_state.taps.shape == (2, 3, 2 * int(3.0 / (6 * PROFILE_SPACING)) + 1)
 
 
 def test_known_taps_are_recovered():

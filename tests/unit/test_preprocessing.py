@@ -89,9 +89,9 @@ def test_a_stop_and_a_late_start_are_noted():
     record, _ = drive(204)
     s = np.where(record.s < 5.0, record.s, np.maximum(record.s - 4.0, 5.0))
     _, notes = clean_record(replace(record, s=s))
-    assert "the vehicle stood still for 1.0 s; these samples carry no road information" in notes
+    assert "the vehicle stood still for 0.5 s; these samples carry no road information" in notes
     late = select_samples(record, record.s > 3.0)
-    assert clean_record(late)[1] == ("the record does not reach the first 3.02 m of the road",)
+    assert clean_record(late)[1] == ("the record does not reach the first 3.04 m of the road",)
 
 
 REFUSED = {

@@ -19,7 +19,8 @@ from road_envs.roads.measured import Measured
 from road_envs.roads.surface import Surface
 
 FORMS = {"LRFI": 0.6e-6, "LDFI": 1e-14, "KRBI": 1e-6, "KDBI": 0.0}
-PRECISION = {".csv": 1.1e-9, ".parquet": 0.0, ".crg": 0.0, ".erd": 1.1e-9}
+EXACT = np.finfo(float).tiny  # a sum may round the smallest of all numbers
+PRECISION = {".csv": 1.1e-9, ".parquet": 0.0, ".crg": EXACT, ".erd": 1.1e-9}
 
 
 def rng():
