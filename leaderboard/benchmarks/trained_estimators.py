@@ -18,6 +18,7 @@ import numpy as np
 
 from estimators import make_estimator
 from estimators.api import CalibrationDrive, CalibrationError
+from leaderboard.evaluation.test_data import levelled
 from leaderboard.metrics.heights import nrmse
 from road_envs.data.record import Profile, Record, scored_band
 from road_envs.data.recording import simulate_record
@@ -56,8 +57,7 @@ def drives(individuals: int) -> Iterator[tuple[str, tuple[Record, Profile], Cali
                     for road, first in ((ROADS[seed % 2], TEST_SEED), ("iso_d", KNOWN_SEED))
                 ]
                 record, profile = drive[1]
-                error = SURVEY_STD * np.random.default_rng(seed).standard_normal(profile.z.shape)
-                measured = Profile(profile.s, profile.z + error)
+                measured = levelled(profile, SURVEY_STD, np.random.default_rng(seed))
                 yield grade, drive[0], CalibrationDrive(record, measured, SURVEY_STD)
 
 

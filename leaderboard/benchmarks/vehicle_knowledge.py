@@ -25,6 +25,7 @@ from estimators.common.identified_vehicle import IdentifiedVehicle
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.identification import IdentificationResult, identify
 from leaderboard.benchmarks.study import Row, run_study, study_parser
+from leaderboard.evaluation.test_data import levelled
 from leaderboard.metrics.heights import nrmse
 from leaderboard.report.plots import COLOURS, write_figure
 from road_envs.data.record import Profile, Record, scored_band
@@ -52,8 +53,8 @@ def calibrate(
     record, profile = _drive(individual, grade, KNOWN_ROAD if known else BLIND_ROAD)
     drive = CalibrationDrive(record)
     if known:
-        error = SURVEY_STD * np.random.default_rng(individual).standard_normal(profile.z.shape)
-        drive = CalibrationDrive(record, Profile(profile.s, profile.z + error), SURVEY_STD)
+        measured = levelled(profile, SURVEY_STD, np.random.default_rng(individual))
+        drive = CalibrationDrive(record, measured, SURVEY_STD)
     return identify([drive], car, structure=None)
 
 

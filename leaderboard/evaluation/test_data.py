@@ -79,11 +79,15 @@ def _calibration_drive(
     )
     profile = None
     if run.survey_std is not None:
-        error = run.survey_std * rng.standard_normal(truth.z.shape)
-        profile = Profile(truth.s, truth.z + error)
+        profile = levelled(truth, run.survey_std, rng)
     record = _low_passed(record, task.low_pass)
     std = run.survey_std or CalibrationDrive.survey_std
     return CalibrationDrive(record, profile, std, f"calibration drive {k + 1}")
+
+
+def levelled(truth: Profile, std: float, rng: np.random.Generator) -> Profile:
+    """Return a road as a survey measures it: with independent errors of the deviation `std` [m]."""
+    return Profile(truth.s, truth.z + std * rng.standard_normal(truth.z.shape))
 
 
 def _low_passed(record: Record, f_c: float | None) -> Record:
