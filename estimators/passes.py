@@ -15,6 +15,7 @@ All vehicles are supposed to have driven in the same wheel paths: lateral wander
 
 import dataclasses
 from collections.abc import Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple, Protocol, Self, runtime_checkable
 
@@ -82,14 +83,16 @@ def estimate_passes(
     """Return one road, on the stations of the first record, from several passes over it.
 
     `vehicles` is one for all or one for each record; `names` of the records are for messages. What
-    was found in the alignment is in the notes. Raises ConfigError if a pass matches the first
-    nowhere or was driven in the opposite direction, and what `estimators.estimate` raises.
+    was found in the alignment is in the notes. Raises ConfigError if a pass is given twice, matches
+    the first nowhere or was driven in the opposite direction, and what `estimators.estimate`
+    raises.
     """
     estimator = resolve_estimator(estimator, settings)
     cars = load_vehicles(vehicles, len(records))
     names = list(names or (f"pass {k + 1}" for k in range(len(records))))
     if len(names) != len(records):
         raise ConfigError(f"{len(records)} records need as many names, got {len(names)}")
+    refuse_repetitions(records, names)
     calibrated = [calibrate_odometer(record) for record in records]
     records, odometer = [r for r, _ in calibrated], [n for _, n in calibrated]
     joint = isinstance(estimator, JointEstimator) and len(records) > 1
@@ -107,6 +110,13 @@ def estimate_passes(
     return dataclasses.replace(
         found, notes=(*found.notes, *notes, *trained), speed=float(np.min(speeds))
     )
+
+
+def refuse_repetitions(records: Sequence[Record], names: Sequence[str]) -> None:
+    """Raise ConfigError if two records have the same accelerations, which are no two passes."""
+    for (one, a), (other, b) in combinations(zip(names, records, strict=True), 2):
+        if np.array_equal(a.a, b.a, equal_nan=True):
+            raise ConfigError(f"{one} and {other} are the same drive: give each pass once")
 
 
 def join_passes(

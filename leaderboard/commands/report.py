@@ -70,6 +70,8 @@ def report(
             progress(f"reading {path.name}", k / len(drives))
             drive = read_drive(path, options)
             options = replace(options, save_description=None)  # once
+            records = [*(measured.record for _, measured, _ in read), drive.measured.record]
+            estimators.passes.refuse_repetitions(records, [str(file) for file in drives[: k + 1]])
             progress(f"estimating {path.name}", (k + 0.2) / len(drives))
             one = make_drive_estimator(estimator, drive, chosen)
             found = estimators.estimate(one, drive.measured.record, drive.car)

@@ -18,6 +18,7 @@ from road_envs.roads.surface import Surface
 from road_envs.sensing.data_logger import DataLogger
 from road_envs.sensing.instruments import Instruments, load_instruments
 from road_envs.simulation.drive import DriveSimulator
+from road_envs.simulation.speed import MAX_SPEED_KMH
 from road_envs.vehicle.parameters import DEFAULT_STEP, VehicleParameters, load_vehicle
 from road_envs.vehicle.perturbed_vehicle import PlantMismatch, perturb_vehicle
 from road_envs.vehicle.struts import Modes
@@ -59,8 +60,10 @@ def simulate_record(
     and the individual vehicle, unless `individual` is the seed of that, for several drives of one.
     `step` [s] is the integrator's. Raises ConfigError, SimulationError.
     """
-    if not 0.0 < speed_kmh < np.inf:
-        raise ConfigError(f"the speed must be positive, got {speed_kmh:g} km/h")
+    if not 0.0 < speed_kmh <= MAX_SPEED_KMH:
+        raise ConfigError(
+            f"the speed must be above 0 and at most {MAX_SPEED_KMH:g} km/h, got {speed_kmh:g} km/h"
+        )
     surface = road if isinstance(road, Surface) else realise_road(road, seed, length)
     car = vehicle if isinstance(vehicle, VehicleParameters) else load_vehicle(vehicle)
     if not isinstance(instruments, Instruments):

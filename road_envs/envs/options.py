@@ -26,6 +26,7 @@ from road_envs.simulation.control_step import (
 from road_envs.simulation.drive import DriveSimulator
 from road_envs.simulation.instrumented_fleet import InstrumentedFleet
 from road_envs.simulation.manoeuvres import load_manoeuvre
+from road_envs.simulation.speed import MAX_SPEED_KMH
 from road_envs.vehicle.equations import DOF, build_plant
 from road_envs.vehicle.parameters import DEFAULT_STEP, Step, load_vehicle
 from road_envs.vehicle.suspension import MODES, encode_command
@@ -44,7 +45,7 @@ ACTIONS: dict[str, tuple[Any, ...]] = {
 PASSIVE_ACTIONS = ("passive",)
 """The only action of a car with passive struts, which changes nothing."""
 
-Speed = Annotated[float, Field(gt=0, le=200)]
+Speed = Annotated[float, Field(gt=0, le=MAX_SPEED_KMH)]
 
 RESERVED_NAMES = {"speed", "front", "rear", "planar", "extension", "extension_rate"}
 """Parts of an observation that are no accelerometers."""

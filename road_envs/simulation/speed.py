@@ -10,6 +10,9 @@ import numpy as np
 
 from road_envs.config import Finite, NonNegative, Settings
 
+MAX_SPEED_KMH = 200.0
+"""Largest speed [km/h] at which a drive is simulated."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SpeedProfile(Settings):

@@ -53,6 +53,14 @@ def test_a_drive_of_another_road_is_refused_by_name_and_nothing_is_written(road_
     assert not (passes / "e.csv").exists()
 
 
+@pytest.mark.parametrize("words", [("estimate", "wiener"), ("report",)])
+def test_a_drive_given_twice_is_refused(road_recon, passes, words):
+    shutil.copy(passes / "a.parquet", passes / "copy.parquet")
+    code, _, err = road_recon(*words, "a.parquet", "copy.parquet", "--out", "twice.csv")
+    assert code == 2 and "copy.parquet are the same drive: give each pass once" in err
+    assert not (passes / "twice.csv").exists()
+
+
 @pytest.mark.usefixtures("unchecked")
 def test_each_table_is_read_by_the_description_beside_it(road_recon, passes):
     """b.csv has columns of other names, which its own description tells."""

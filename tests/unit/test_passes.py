@@ -128,6 +128,13 @@ def test_any_estimator_estimates_several_passes():
     np.testing.assert_array_equal(estimate_passes("iterated_wiener", records[:1]).z, alone.z)
 
 
+def test_a_drive_given_twice_is_refused():
+    record, _ = drive()
+    other = replace(record, a=record.a + 1.0)
+    with pytest.raises(ConfigError, match=r"^a and c are the same drive: give each pass once$"):
+        estimate_passes("flat", [record, other, record], names=["a", "b", "c"])
+
+
 def test_as_many_vehicles_and_names_as_records_are_needed():
     record, _ = drive()
     with pytest.raises(ConfigError, match="2 records need one vehicle or 2, got 3"):

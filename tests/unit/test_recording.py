@@ -70,6 +70,12 @@ def test_a_record_describes_the_drive():
     assert (record.damper_high == [False, True, True, False]).all()
 
 
+@pytest.mark.parametrize("speed_kmh", [0.0, -5.0, float("nan"), 200.5])
+def test_a_speed_that_no_vehicle_drives_is_refused(speed_kmh):
+    with pytest.raises(ConfigError, match=f"at most 200 km/h, got {speed_kmh:g} km/h"):
+        drive(speed_kmh=speed_kmh)
+
+
 def test_the_odometer_integrates_the_measured_speed():
     record, _ = drive(speed_error=0.02)
     assert record.v[0] != 15.0 and (record.v == record.v[0]).all()
