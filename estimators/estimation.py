@@ -57,8 +57,15 @@ def estimate(
     `estimator` is an object, or what `make_estimator` takes with its `settings`; `vehicle` is the
     described car, by name, YAML file or parameters. The estimate keeps the median speed of the
     record, which decides the band in which it can be scored. Raises ConfigError, EstimateError,
-    and NotFittedError for an estimator that must be trained first.
+    NotFittedError for an estimator that must be trained first, and TypeError for arguments of
+    another kind.
     """
+    given = [record] if isinstance(record, Record) else record
+    if not isinstance(given, Sequence) or not all(isinstance(each, Record) for each in given):
+        raise TypeError(
+            "estimate takes an estimator, then a Record or several in a list, then the vehicle; "
+            f"the second argument is a {type(record).__name__}"
+        )
     if not isinstance(record, Record):
         from estimators.passes import estimate_passes
 
@@ -78,6 +85,11 @@ def resolve_estimator(reference: str | Path | Estimator, settings: Mapping[str, 
     """Return an estimator given as an object, or by what `make_estimator` takes with `settings`."""
     if isinstance(reference, str | Path):
         return make_estimator(reference, **settings)
+    if not callable(getattr(reference, "estimate", None)):
+        raise TypeError(
+            "an estimator is a name, a file, 'module:Class' or an object with estimate(record, "
+            f"car); this is a {type(reference).__name__}"
+        )
     if settings:
         raise ConfigError(f"settings {sorted(settings)} need an estimator by name, not an object")
     return reference

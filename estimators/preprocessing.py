@@ -99,6 +99,8 @@ def mask_record(record: Record, instruments: Instruments | None = None) -> Maske
     finite = np.isfinite(record.a)
     if not finite.any():
         raise RecordError("the record has no finite acceleration: check the sensors' channels")
+    if np.isinf(record.a).any():
+        record = dataclasses.replace(record, a=np.where(finite, record.a, np.nan))
     gap_notes += [
         f"{name}: {share:.1%} of the samples are missing"
         for name, share in zip(names, np.mean(~finite, axis=1), strict=True)

@@ -67,7 +67,7 @@ def score(estimate: Estimate, truth: Profile, *, speed_kmh: float | None = None)
     """Score an estimate of both wheel paths against the true ones.
 
     The scored band depends on the speed of the drive, which an estimate of
-    `estimators.estimate` carries; give `speed_kmh` for any other. Raises ConfigError.
+    `estimators.estimate` carries; give `speed_kmh` for any other. Raises ConfigError, TypeError.
     """
     _check_stations(estimate, truth)
     return ScoreTable(compute_scores(truth, estimate, _speed(estimate, speed_kmh), bumps=True))
@@ -78,7 +78,7 @@ def plot(
 ) -> Any:
     """Return a matplotlib figure of both wheel paths, raw and in the scored band, over the truth.
 
-    Raises ConfigError, and MissingExtraError without matplotlib.
+    Raises ConfigError, TypeError, and MissingExtraError without matplotlib.
     """
     from leaderboard.report.plots import estimate_figure
 
@@ -139,6 +139,11 @@ def _speed(estimate: Estimate, speed_kmh: float | None) -> float:
 
 
 def _check_stations(estimate: Estimate, truth: Profile) -> None:
+    if not isinstance(estimate, Estimate) or not isinstance(truth, Profile):
+        raise TypeError(
+            "an Estimate comes first, then the true Profile; given: "
+            f"{type(estimate).__name__}, {type(truth).__name__}"
+        )
     if estimate.s.shape != truth.s.shape or abs(estimate.s - truth.s).max() > 1e-6:
         raise ConfigError(
             f"the estimate has {estimate.s.size} stations up to {estimate.s[-1]:.2f} m, the truth "

@@ -64,6 +64,8 @@ def simulate_record(
         raise ConfigError(
             f"the speed must be above 0 and at most {MAX_SPEED_KMH:g} km/h, got {speed_kmh:g} km/h"
         )
+    if isinstance(seed, int) and seed < 0:
+        raise ConfigError(f"the seed must not be negative, got {seed}")
     surface = road if isinstance(road, Surface) else realise_road(road, seed, length)
     car = vehicle if isinstance(vehicle, VehicleParameters) else load_vehicle(vehicle)
     if not isinstance(instruments, Instruments):

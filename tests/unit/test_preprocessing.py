@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from test_estimator_contract import drive, fit
 
-from estimators.preprocessing import RecordError, clean_record, mask_record
+from estimators.preprocessing import RecordError, clean_record, clipped_signs, mask_record
 from road_envs.data.record import Record
+from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 
 CAR = load_vehicle("land_rover_defender_110")
@@ -73,6 +74,16 @@ def test_samples_of_an_uneven_clock_are_interpolated_to_an_even_one():
     hum[1, -20:] = np.nan
     lost = np.isnan(mask_record(replace(record, t=t, a=hum)).record.a)
     assert 18 <= lost[1, -21:].sum() == lost.sum() <= 21
+
+
+def test_infinite_samples_are_missing():
+    record, _ = drive(203)
+    a = record.a.copy()
+    a[0, 100:120] = np.inf
+    found, valid, notes = mask_record(replace(record, a=a), load_instruments("paper"))
+    assert np.isnan(found.a[0, 100:120]).all() and np.isfinite(found.a).sum() == a.size - 20
+    assert not valid[0, 100:120].any() and len(notes) == 1 and "missing" in notes[0]
+    assert not clipped_signs(found, load_instruments("paper")).any()
 
 
 def test_a_clipped_sensor_is_noted_and_a_smooth_peak_is_not():

@@ -106,3 +106,17 @@ def test_importing_the_packages_loads_neither_kernels_nor_plots():
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("call", "reason"),
+    [
+        (lambda record, truth: estimate(record, "wiener"), "the second argument is a str"),
+        (lambda record, truth: estimate(None, record), "this is a NoneType"),
+        (lambda record, truth: score(truth, estimate("flat", record)), "given: Profile, Estimate"),
+        (lambda record, truth: plot(truth, truth), "given: Profile, Profile"),
+    ],
+)
+def test_arguments_of_another_kind_are_named(drive, call, reason):
+    with pytest.raises(TypeError, match=reason):
+        call(*drive)
