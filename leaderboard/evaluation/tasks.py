@@ -373,6 +373,8 @@ def to_json_types(value: Any, fields: Callable[[Any], dict[str, Any]] = _fields)
 def _digested_fields(value: Any) -> dict[str, Any]:
     """Return the fields of a dataclass that its digest covers; a surface file by its content.
 
+    Vehicle and instruments are digested by their content too: the folder of their file is left out.
+
     Fields at their defaults are left out, so that a new option leaves the digests of all tasks as
     they are; code that changes a default changes the version of the evaluation code.
     """
@@ -381,6 +383,8 @@ def _digested_fields(value: Any) -> dict[str, Any]:
         for f in dataclasses.fields(value)
         if f.name not in DESCRIPTIVE_FIELDS and not _is_default(f, x := getattr(value, f.name))
     }
+    if isinstance(value, Task):
+        kept |= {name: Path(kept[name]).name for name in ("car", "instruments")}
     if isinstance(value, Measured):
         kept["path"] = hashlib.sha256(Path(value.path).read_bytes()).hexdigest()
     return kept

@@ -17,10 +17,10 @@ from leaderboard.evaluation.store import RowChangedError, load_rows
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.baselines import BASELINES, MEMORY, SENTINELS, TRUTH_PLUS_NOISE
 from leaderboard.running.executors import Executor
-from leaderboard.running.jobs import to_text
+from leaderboard.running.jobs import to_packed_text
 from leaderboard.running.plan import Plan, PlannedRow, make_jobs
 from leaderboard.sandbox.limits import Limits
-from road_envs._atomic_io import remove_stale_partials, remove_stale_temp, write_text
+from road_envs._atomic_io import atomic_write, remove_stale_partials, remove_stale_temp, write_text
 from road_envs.config import ConfigError
 
 
@@ -190,11 +190,20 @@ def run_board(
 
 
 def write_jobs(request: RunRequest, out: Path, folder: Path) -> int:
-    """Write a job file for each missing result and return their number."""
+    """Write a job file for each missing result, with copies of what the jobs need.
+
+    Return the number of jobs.
+    """
     plan = Plan(request.rows(), out, request.resume)
     missing = plan.missing()
     for k, job in enumerate(make_jobs(missing, len(missing) ** 2, request.limits)):
-        write_text(folder / f"{k}.json", to_text(job))
+        text, sources = to_packed_text(job)
+        for name, source in sources.items():
+            if not (folder / name).exists():
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                with atomic_write(folder / name) as partial:
+                    partial.write_bytes(source.read_bytes())
+        write_text(folder / f"{k}.json", text)
     return len(missing)
 
 

@@ -1,7 +1,8 @@
-"""Execution of jobs on a Dask cluster: job files are sent as text, results are returned as text.
+"""Execution of jobs on a Dask cluster: jobs and their files are sent, results are returned as text.
 
-Workers need the same version of this package and the surface files of the tasks, but no access to
-the folder of results. The scheduler reassigns a job whose worker dies.
+Workers need the same version of this package and nothing else: surfaces, vehicles, instruments and
+the code of entries travel through the scheduler, as do the results. The scheduler reassigns a job
+whose worker dies.
 """
 
 import dataclasses
@@ -45,6 +46,7 @@ class DaskExecutor:
                 f"the Dask scheduler at {address!r} has no worker; start one with `dask worker`"
             ) from None
         self.workers = sum(self._client.nthreads().values())
+        self._sent: dict[str, Any] = {}
 
     def run(self, jobs_: Sequence[Job], out: Path) -> Iterator[JobDone]:
         """Run all jobs and store their results. Raises ConfigError, EvaluatorError of a job."""
@@ -73,14 +75,26 @@ class DaskExecutor:
                 yield done
 
     def _submit(self, job: Job) -> Any:
-        return self._client.submit(run_remote_job, jobs.to_text(job), pure=False)
+        text, sources = jobs.to_packed_text(job)
+        for name, source in sources.items():
+            if name not in self._sent:  # a task, unlike scattered data, outlives its worker
+                self._sent[name] = self._client.submit(bytes, source.read_bytes(), key=name)
+        contents = [self._sent[name] for name in sources]
+        return self._client.submit(run_remote_job, text, list(sources), *contents, pure=False)
 
 
-def run_remote_job(spec: str) -> list[tuple[JobDone, str]]:
-    """Run a job on a Dask worker and return the summary and text of each result."""
-    job = jobs.from_text(spec, "a job")
+def run_remote_job(spec: str, names: Sequence[str], *contents: bytes) -> list[tuple[JobDone, str]]:
+    """Run a packed job on a Dask worker; return the summary and text of each result.
+
+    `names` are the paths of its files relative to that of the job.
+    """
     remove_stale_temp()
-    with TempFolder() as out:
+    with TempFolder() as folder, TempFolder() as out:
+        for name, content in zip(names, contents, strict=True):
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+        job = jobs.from_text(spec, "a job", folder)
         return [
             (done, store.part_path(out, done.identity).read_text(encoding="utf-8"))
             for done in ProcessExecutor(1).run([job], out)

@@ -31,6 +31,7 @@ from leaderboard.evaluation.results import FORMAT, Result, content_digest
 from leaderboard.evaluation.tasks import Task, to_json_types
 from leaderboard.evaluation.test_data import DriveSimulation, simulate_drives
 from leaderboard.metrics import heights
+from leaderboard.running import job_files
 from leaderboard.sandbox import processes
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
@@ -49,6 +50,7 @@ class Job(Settings):
     limits: Limits = field(default_factory=Limits)
     task_digest: str = ""
     judge: str = ""  # version of the evaluation code that planned the job
+    files: str = ""  # folder with copies of all files that the job needs; "": they are elsewhere
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,18 +83,37 @@ def result_identity(task: Task, condition: int | None, entry: Entry, seeds: Sequ
 
 def to_text(job: Job) -> str:
     """Return the content of a job file."""
+    return json.dumps(_to_spec(job), indent=1) + "\n"
+
+
+def to_packed_text(job: Job) -> tuple[str, dict[str, Path]]:
+    """Return the content of a file of a job that needs no file of this machine.
+
+    Also returns the files to be copied, by the path of the copy relative to that of the job. Raises
+    ConfigError.
+    """
+    spec, sources = job_files.pack(_to_spec(job), job.entries)
+    return json.dumps(spec, indent=1) + "\n", sources
+
+
+def _to_spec(job: Job) -> dict[str, Any]:
     job = dataclasses.replace(job, task_digest=job.task.digest, judge=evaluation_version())
-    return json.dumps(to_json_types(job), indent=1) + "\n"
+    return to_json_types(job)
 
 
-def from_text(text: str, where: str) -> Job:
-    """Parse a job file. Raises ConfigError, also if the job was planned by another version."""
+def from_text(text: str, where: str, folder: Path = Path()) -> Job:
+    """Parse a job file; copies of files are looked for in its `folder`.
+
+    Raises ConfigError, also if the job was planned by another version.
+    """
     try:
         data = json.loads(text)
     except ValueError as error:
         raise ConfigError(f"{where}: damaged, not valid JSON: {error}") from None
     if not isinstance(data, dict):
         raise ConfigError(f"{where}: not a job")
+    if data.get("files") and isinstance(data["files"], str):
+        data = job_files.locate(data, folder)
     job = build(Job, data, where)
     if not 0 <= job.condition < len(job.task.conditions):
         raise ConfigError(f"{where}: {job.task.name} has no condition {job.condition}")
@@ -152,8 +173,9 @@ def run_job_file(spec: Path, out: Path) -> Iterator[JobDone]:
     Raises ConfigError, OSError.
     """
     remove_stale_temp()
-    job = from_text(spec.read_text(encoding="utf-8"), str(spec))
-    with SandboxClient(job.limits, owns_all_children=True) as sandbox:
+    job = from_text(spec.read_text(encoding="utf-8"), str(spec), spec.parent)
+    code = job_files.code_folders(job.files, job.entries)
+    with SandboxClient(job.limits, owns_all_children=True, code=code) as sandbox:
         yield from run_job(job, out, in_sandbox(sandbox))
 
 

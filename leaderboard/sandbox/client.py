@@ -11,6 +11,7 @@ import random
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -61,14 +62,21 @@ class SandboxClient:
 
     Estimators of this package share a guest with a child for each run; an entry from outside has a
     new guest for each run. `owns_all_children` states that this process has no children but those
-    of the client, so that all remaining ones can be killed.
+    of the client, so that all remaining ones can be killed. `code` has folders with a copy of the
+    code of entries from outside, by reference; the code of others is read from where it is.
     """
 
-    def __init__(self, limits: Limits | None = None, *, owns_all_children: bool = False):
+    def __init__(
+        self,
+        limits: Limits | None = None,
+        *,
+        owns_all_children: bool = False,
+        code: Mapping[str, Path] = MappingProxyType({}),
+    ):
         """Raises ConfigError if bubblewrap is requested and cannot be used."""
         self.limits = limits or Limits()
         self.guest: Guest | None = None  # of the last run
-        self._owns_all_children = owns_all_children
+        self._owns_all_children, self._code = owns_all_children, code
         self._temp = TempFolder()
         self._temp.path.chmod(0o755)  # a guest has another user
         self._snapshots: dict[str, tuple[str, Path]] = {}
@@ -216,7 +224,8 @@ class SandboxClient:
                     "would have the rights of the user; if you trust it: --isolation process"
                 )
             folder = self._temp.path / f"entry-{len(self._snapshots)}"
-            self._snapshots[reference] = entry_files.snapshot(reference, folder), folder
+            source = str(self._code.get(reference, reference))
+            self._snapshots[reference] = entry_files.snapshot(source, folder), folder
         return self._snapshots[reference]
 
     def _start(self, reference: str) -> Guest:

@@ -61,7 +61,7 @@ def snapshot(reference: str, folder: Path | None) -> str:
     total = hashlib.sha256()
     count = size = 0
     try:
-        for source, name in _files(reference):
+        for source, name in list_files(reference):
             count += 1
             size += source.stat().st_size
             if count > MAX_FILES or size > MAX_SIZE:
@@ -78,8 +78,8 @@ def snapshot(reference: str, folder: Path | None) -> str:
     return total.hexdigest()[:DIGITS]
 
 
-def _files(reference: str) -> Iterator[tuple[Path, str]]:
-    """Yield the files of an entry with their names in the snapshot, in order."""
+def list_files(reference: str) -> Iterator[tuple[Path, str]]:
+    """Yield the files of an entry with their names in the snapshot, in order. Raises EntryError."""
     if not CLASS_REFERENCE.fullmatch(reference):
         path = Path(reference)
         yield from _walk(path, "") if path.is_dir() else [(path, path.name)]

@@ -10,7 +10,10 @@ import signal
 import subprocess
 import time
 
+import fakes
+import numpy as np
 import pytest
+import wheels
 from board_runs import (
     ESTIMATORS,
     NAMES,
@@ -26,13 +29,21 @@ from fakes import Broken, Reader, fake_drives
 from in_process import InProcessExecutor
 
 from leaderboard.evaluation import evaluate, store
+from leaderboard.evaluation.entry import Entry
 from leaderboard.evaluation.results import content_digest
 from leaderboard.evaluation.store import part_path, row_path
 from leaderboard.evaluation.tasks import shipped_tasks
+from leaderboard.metrics.baselines import BASELINES
 from leaderboard.running import board as board_module
-from leaderboard.running import jobs, plan
-from leaderboard.running.board import load_board, run_board, write_jobs
+from leaderboard.running import job_files, jobs, plan
+from leaderboard.running.board import RunRequest, load_board, run_board, write_jobs
+from leaderboard.sandbox import entry_files
+from leaderboard.sandbox.client import SandboxClient
+from leaderboard.sandbox.limits import Limits
 from road_envs.config import ConfigError, build
+from road_envs.roads import load_road, with_length
+from road_envs.roads.formats.write import write_csv
+from road_envs.vehicle.parameters import load_vehicle, write_vehicle
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -351,6 +362,36 @@ def test_planned_jobs_give_the_results_of_a_run(tmp_path, expected):
     board, ran = run(tmp_path / "out")
     assert ran == [] and rows(board) == expected
     assert write_jobs(make_request(), tmp_path / "out", tmp_path / "more") == 0
+
+
+def test_planned_jobs_need_no_other_file(tmp_path):
+    given = tmp_path / "given"
+    given.mkdir()
+    write_vehicle(given / "car.yaml", load_vehicle("land_rover_defender_110"))
+    surface = with_length(load_road("iso_d"), 16.0).realise(np.random.default_rng(3))
+    write_csv(surface, given / "road.csv")
+    (given / "elsewhere.py").write_text(wheels.module())
+    changed = {"kind": "altered", "road": {"kind": "measured", "path": str(given / "road.csv")}}
+    t = fakes.task(
+        car=str(given / "car.yaml"),
+        training={"roads": [changed], "seeds": [1]},
+        trains_on_test_road=True,
+    )
+    code = entry_files.snapshot(str(given), None)
+    entry = Entry(name="elsewhere", reference=str(given), code=code)
+    request = RunRequest([t], [entry], seeds=(1,))
+    count = write_jobs(request, tmp_path / "out", tmp_path / "jobs")
+    assert count == len(t.conditions) * (1 + len(BASELINES) + 1)  # and `memory`
+    shutil.rmtree(given)
+    for path in sorted((tmp_path / "jobs").glob("*.json")):
+        job = jobs.from_text(path.read_text(), str(path), path.parent)
+        assert job.task.digest == t.digest
+        again = jobs.from_text(jobs.to_text(job), "on a worker", tmp_path / "elsewhere")
+        assert again == dataclasses.replace(job, task_digest=t.digest)
+        code_folders = job_files.code_folders(again.files, again.entries)
+        if again.entries == (entry,):
+            with SandboxClient(Limits(isolation="process"), code=code_folders) as sandbox:
+                assert sandbox._snapshot(str(given))[0] == code
 
 
 def test_the_summary_of_a_result_is_equal_after_json(tmp_path):

@@ -1,6 +1,7 @@
 """Executors: jobs in processes and on a Dask cluster, with hostile entries and killed runs."""
 
 import dataclasses
+import json
 import os
 import signal
 import subprocess
@@ -8,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from fakes import Reader, task
 from hostile import Hostile
@@ -22,8 +24,12 @@ from leaderboard.running import executors, jobs
 from leaderboard.running.board import RunRequest, run_board
 from leaderboard.running.dask_executor import DaskExecutor
 from leaderboard.running.executors import EvaluatorError, ProcessExecutor
+from leaderboard.sandbox import bubblewrap
 from leaderboard.sandbox.limits import Limits
 from road_envs.config import ConfigError
+from road_envs.roads import load_road, with_length
+from road_envs.roads.formats.write import write_csv
+from road_envs.vehicle.parameters import load_vehicle, write_vehicle
 
 LIMITS = Limits(seconds=60.0, memory=0.7, processes=40, isolation="process")
 """Processes: `test_hostile_entries.py` has entries inside bubblewrap."""
@@ -31,17 +37,14 @@ LIMITS = Limits(seconds=60.0, memory=0.7, processes=40, isolation="process")
 VALID = {"reader": Reader(), "half_as_bad": Reader(gain=0.45)}
 
 
-def small():
+def small(**changes):
     """A task with 16 m of road and the simulated vehicle.
 
     One condition, since every job and every entry is a process; `test_board.py` has two.
     """
     short = {"roads": ["iso_d"], "length": 16.0}
-    return task(
-        conditions=[{"mode": "ride", "speed_kmh": 36.0}],
-        training={**short, "seeds": [1]},
-        test={**short, "seeds": [11, 12]},
-    )
+    settings = {"training": {**short, "seeds": [1]}, "test": {**short, "seeds": [11, 12]}}
+    return task(conditions=[{"mode": "ride", "speed_kmh": 36.0}], **{**settings, **changes})
 
 
 def make_request(estimators=VALID, limits=LIMITS):
@@ -179,39 +182,64 @@ def test_an_entry_that_cannot_be_constructed_is_a_failed_row(tmp_path):
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory):
-    """A scheduler and two workers in separate processes: scheduler file, and the workers."""
-    pytest.importorskip("distributed", reason="the extra `dask` is not installed")
-    folder = tmp_path_factory.mktemp("dask")
-    path = os.pathsep.join(
-        [str(Path(__file__).parents[1] / "support"), *map(os.path.abspath, sys.path)]
-    )
-    environment = os.environ | {"PYTHONPATH": path, "DASK_DISTRIBUTED__WORKER__DAEMON": "False"}
+    """A scheduler and two workers in separate processes: address, and the workers.
 
-    def start(*words):
+    A worker has an empty folder in place of all temporary folders of the tests, and cannot import
+    the modules of the tests: what it needs of them must be sent to it.
+    """
+    pytest.importorskip("distributed", reason="the extra `dask` is not installed")
+    if (obstacle := bubblewrap.obstacle()) is not None:
+        pytest.skip(obstacle)
+    folder = tmp_path_factory.mktemp("dask")
+    tests = Path(__file__).resolve().parents[1]
+    paths = [path for path in map(os.path.abspath, sys.path) if tests not in Path(path).parents]
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join(paths),
+        "DASK_DISTRIBUTED__WORKER__DAEMON": "False",
+    }
+
+    def start(module, *words, before=()):
         with (folder / "log.txt").open("ab") as log:
-            command = [sys.executable, "-m", "distributed.cli." + words[0], *words[1:]]
+            command = [*before, sys.executable, "-m", "distributed.cli." + module, *words]
             return subprocess.Popen(command, cwd=folder, env=environment, stderr=log, stdout=log)
 
     file = folder / "scheduler.json"
-    options = ("--scheduler-file", str(file), "--no-dashboard")
-    processes = [start("dask_scheduler", *options, "--port", "0", "--host", "127.0.0.1")]
+    options = ("--scheduler-file", str(file), "--no-dashboard", "--host", "127.0.0.1")
+    processes = [start("dask_scheduler", *options, "--port", "0")]
     end = time.monotonic() + 60.0
     while not file.exists() and time.monotonic() < end:
         time.sleep(0.1)
-    worker = ("dask_worker", *options, "--nthreads", "1", "--no-nanny")
-    processes += [start(*worker, "--name", str(k)) for k in range(2)]
-    yield file, processes[1:]
+    address = json.loads(file.read_text())["address"]
+    hidden = str(tmp_path_factory.getbasetemp())
+    alone = ("bwrap", "--dev-bind", "/", "/", "--tmpfs", hidden, "--die-with-parent")
+    alone += ("--chdir", hidden)
+    worker = ("dask_worker", address, "--no-dashboard", "--nthreads", "1", "--no-nanny")
+    processes += [start(*worker, "--name", str(k), before=alone) for k in range(2)]
+    yield address, processes[1:]
     for process in processes:
         process.kill()
         process.wait()
 
 
-def test_a_cluster_that_loses_a_worker_gives_the_same_board(tmp_path, expected, cluster):
-    import json
+def request_of_files(folder):
+    """Return a request for a measured surface and a vehicle in files of `folder`."""
+    road, car = folder / "surface.csv", folder / "vehicle.yaml"
+    surface = with_length(load_road("iso_d"), 16.0).realise(np.random.default_rng(3))
+    write_csv(surface, road)
+    write_vehicle(car, load_vehicle("land_rover_defender_110"))
+    test = {"roads": [{"kind": "measured", "path": str(road)}], "seeds": [11, 12]}
+    return dataclasses.replace(make_request(), tasks=[small(car=str(car), test=test)])
 
-    file, workers = cluster
-    executor = DaskExecutor(json.loads(file.read_text())["address"])
+
+def test_a_cluster_without_shared_files_that_loses_a_worker_gives_the_same_board(tmp_path, cluster):
+    address, workers = cluster
+    request = request_of_files(tmp_path)
+    expected = rows(run_board(request, tmp_path / "here", InProcessExecutor(estimators=VALID)))
+    assert set(expected) == {*VALID, *BASELINES}
+    executor = DaskExecutor(address)
     executor._client.wait_for_workers(2, timeout=60)
+    seen = executor._client.run(lambda *paths: any(map(os.path.exists, paths)), str(tmp_path))
+    assert list(seen.values()) == [False, False]
     executor.workers = 4  # so that each worker has a job to lose
     done = []
 
@@ -220,8 +248,8 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_board(tmp_path, expected, 
         if len(done) == 2:
             workers[0].kill()
 
-    board = run_board(make_request(), tmp_path, executor, lose_a_worker)
-    assert rows(board) == expected and not board.failed(small())
+    board = run_board(request, tmp_path / "cluster", executor, lose_a_worker)
+    assert rows(board) == expected and not board.failed(request.tasks[0])
     assert workers[0].wait() == -signal.SIGKILL
     assert done[-1] == len(expected)
     executor._client.close()

@@ -1,0 +1,82 @@
+"""Files that a job needs besides its text: surfaces, vehicles, instruments, code of entries.
+
+A job names files of the machine that planned it. Packed, it names copies of them, relative to its
+own file and by the digest of their content, so that it can be run where there are no other files.
+"""
+
+import hashlib
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from leaderboard.evaluation.entry import BUILTIN, Entry, EntryError
+from leaderboard.sandbox import entry_files
+from road_envs import config
+from road_envs.config import ConfigError
+
+FOLDER = "files"
+"""Folder of the copies, beside the file of the job."""
+
+ChangePath = Callable[[str], str]
+
+
+def pack(spec: dict[str, Any], entries: Iterable[Entry]) -> tuple[dict[str, Any], dict[str, Path]]:
+    """Return the JSON object of a job that names copies, and the file of each copy.
+
+    Raises ConfigError if a file cannot be read.
+    """
+    sources: dict[str, Path] = {}
+
+    def copy(path: str) -> str:
+        name = f"{FOLDER}/{hashlib.sha256(Path(path).read_bytes()).hexdigest()}/{Path(path).name}"
+        sources[name] = Path(path)
+        return name
+
+    try:
+        task = _with_paths(spec["task"], copy)
+        for entry in entries:
+            if _is_from_outside(entry):
+                for source, name in entry_files.list_files(entry.reference):
+                    sources[f"{FOLDER}/{entry.code}/{name}"] = source
+    except (OSError, EntryError) as error:
+        raise ConfigError(f"a file of the job cannot be read: {error}") from None
+    return {**spec, "task": task, "files": FOLDER}, sources
+
+
+def locate(spec: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the JSON object of a packed job whose file lies in `folder`, with absolute paths."""
+
+    def absolute(path: str) -> str:
+        return str(folder.resolve() / path)
+
+    task = _with_paths(spec.get("task"), absolute)
+    return {**spec, "task": task, "files": absolute(spec["files"])}
+
+
+def code_folders(files: str, entries: Iterable[Entry]) -> dict[str, Path]:
+    """Return the folder with the copied code of each entry from outside, by its reference."""
+    if not files:
+        return {}
+    return {x.reference: Path(files, x.code) for x in entries if _is_from_outside(x)}
+
+
+def _is_from_outside(entry: Entry) -> bool:
+    return (
+        entry.failure is None
+        and entry.reference != BUILTIN
+        and not entry_files.is_ours(entry.reference)
+    )
+
+
+def _with_paths(value: Any, change: ChangePath, at_top: bool = True) -> Any:
+    """Return the JSON types of a task with every path of a file changed."""
+    if isinstance(value, list):
+        return [_with_paths(item, change, False) for item in value]
+    if not isinstance(value, dict):
+        return value
+    changed = {key: _with_paths(item, change, False) for key, item in value.items()}
+    names = {"path"} if value.get("kind") == "measured" else set()
+    for name, kind in {"car": "vehicles", "instruments": "sensors"}.items() if at_top else ():
+        if isinstance(file := value.get(name), str) and config.find(kind, file) == Path(file):
+            names.add(name)
+    return changed | {k: change(value[k]) for k in names if isinstance(value.get(k), str)}
