@@ -34,13 +34,13 @@ from typing import ClassVar
 import numpy as np
 
 from estimators.api import CalibrationError, copy_with
+from estimators.common.bending import sensed_bending
 from estimators.common.block_means import MIN_NOISE_DENSITY
 from estimators.common.fallback import reduce_unexplained
 from estimators.common.identified_vehicle import CalibratedByIdentification
 from estimators.common.model_inputs import MOVING_STD, REST_STD, build_model_inputs, rest_state
 from estimators.common.odometer import calibrate_odometer
 from estimators.common.spline import evaluate_spline
-from estimators.map_smoother.bending import sensed_bending
 from estimators.map_smoother.car_fit import (
     STRUCTURE_POWER,
     CarFit,

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from scipy.fft import irfft, rfft
 
+from estimators.common.bending import SensedBending, sensed_bending
 from estimators.common.block_means import BlockMeans
+from estimators.common.footprint import Footprint
 from estimators.common.model_inputs import ModelInputs
 from estimators.common.spline import sample_under_wheels
-from estimators.map_smoother.bending import SensedBending, sensed_bending
 from estimators.map_smoother.block_tangent import BlockTangent, build_block_tangent
-from estimators.map_smoother.footprint import Footprint
 from estimators.map_smoother.road_prior import RoadTransform
 from road_envs.sensing.instruments import SensorLocation
 from road_envs.simulation.tape import Tape, linearize_drive

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimators.map_smoother.footprint import Footprint
+from estimators.common.footprint import Footprint
 from road_envs.roads.surface import Surface, enveloped
 
 
