@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.table import Table
+from rich.table import Column, Table
 
 from leaderboard.commands import check_output_path, console, print_json
 from leaderboard.commands.simulate import Json, Length, Seed
@@ -31,7 +31,10 @@ def list_roads(json: Json = False) -> None:
     if json:
         print_json(rows)
         return
-    table = Table("road", "length [m]", "RMS left, right [mm]", "IRI left, right [mm/m]", "class")
+    table = Table(
+        Column("road", no_wrap=True),  # a name that is cut cannot be used
+        *("length [m]", "RMS left, right [mm]", "IRI left, right [mm/m]", "class"),
+    )
     for row in rows:
         table.add_row(
             row["road"],

@@ -123,7 +123,7 @@ def synthesise(
 
 def check_band(road) -> None:
     """Raise ValueError or ConfigError if length, spacing and band of a road are inconsistent."""
-    check_size(max(2.0 * road.length, MIN_PERIODS / road.n_min), road.ds)
+    check_size(_period(road), road.ds, "period (twice the length, or more for long waves)")
     if road.length < 4.0 * road.ds:
         raise ValueError(f"length must be at least 4 ds = {4.0 * road.ds:g} m, got {road.length} m")
     if not road.n_min < road.n_max <= 0.5 / road.ds:
@@ -133,12 +133,13 @@ def check_band(road) -> None:
         )
 
 
-def _spectral_lines(road) -> tuple[int, int, int]:
-    """Return the samples per period and the indices of the first and last spectral line.
+def _period(road) -> float:
+    """Return the period [m]: at least two road lengths and MIN_PERIODS of the longest waves."""
+    return max(2.0 * road.length, MIN_PERIODS / road.n_min)
 
-    The period has at least two road lengths and MIN_PERIODS of the longest waves.
-    """
-    period = max(2.0 * road.length, MIN_PERIODS / road.n_min)
-    size = scipy.fft.next_fast_len(int(np.ceil(period / road.ds)), True)
+
+def _spectral_lines(road) -> tuple[int, int, int]:
+    """Return the samples per period and the indices of the first and last spectral line."""
+    size = scipy.fft.next_fast_len(int(np.ceil(_period(road) / road.ds)), True)
     last = min(round(road.n_max * size * road.ds), (size - 1) // 2)
     return size, round(road.n_min * size * road.ds), last

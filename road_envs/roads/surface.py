@@ -192,10 +192,10 @@ def enveloped(surface: Surface, contact_length: float) -> Surface:
     return replace(surface, z=z, start=float(s[0]), notes=notes)
 
 
-def check_size(length: float, ds: float) -> None:
-    """Raise ConfigError if `length` [m] has more than MAX_SAMPLES steps of `ds` [m]."""
+def check_size(length: float, ds: float, what: str = "length") -> None:
+    """Raise ConfigError if `length` [m], called `what`, has over MAX_SAMPLES steps of `ds` [m]."""
     if not length / ds < MAX_SAMPLES:
         raise ConfigError(
-            f"a length of {length:g} m in steps of {ds:g} m has more than {MAX_SAMPLES:,} samples; "
+            f"a {what} of {length:g} m in steps of {ds:g} m has more than {MAX_SAMPLES:,} samples; "
             "choose a shorter road or a larger step"
         )
