@@ -4,11 +4,14 @@ Conjugate gradients apply tangent and adjoint dozens of times about one motion. 
 the same each time and is done once. Over a chunk of some hundredths of a second, the change of the
 vehicle state y and of the block means m is
 
-    (y after, m) = P (y before, c)        c: the spline's coefficients under the four wheels
+    (y after, m) = P (c, y before)        c: the spline's coefficients under the four wheels
 
-The columns of P are unit changes, propagated through the chunk by `tangent_step`, LANES at a time.
-A tangent is then one product with each P from the first chunk to the last, an adjoint one with each
-P' from the last to the first. Both are more than ten times as fast as the steps themselves.
+The columns of P are unit changes, propagated through the chunk by `tangent_step`, LANES at a time,
+each from the step on at which it begins. A tangent is then one product with each P from the first
+chunk to the last, an adjoint one with each P' from the last to the first. Both are more than ten
+times as fast as the steps themselves, and take as long as P takes to be read. It is therefore kept
+in single precision: a tangent with a relative error of 1e-7 leads to the same road, and its adjoint
+is exactly its transpose.
 """
 
 from dataclasses import dataclass
@@ -23,12 +26,12 @@ from estimators.map_smoother.road_prior import RoadTransform
 from road_envs._numba import kernel
 from road_envs.simulation.rosenbrock import WORKSPACE_ROWS, step_workspace
 from road_envs.simulation.sensitivity import tangent_step
-from road_envs.simulation.simd import LANES, broadcast, extract_lane, get, put
+from road_envs.simulation.simd import LANES, broadcast, get, put, sum_lanes
 from road_envs.simulation.tape import Tape
 from road_envs.vehicle.equations import Motion
 
-N_ROWS = 32
-"""Rows of P at most: vehicle state and block means."""
+N_ROWS = 4 * LANES
+"""Rows of P at most: vehicle state and block means. Four registers hold them."""
 
 
 class NodeTrack(NamedTuple):
@@ -53,21 +56,28 @@ def road_derivatives(track: NodeTrack, n, m, road):
     """Write the derivative of heights and rates under the wheels to `road` (G, 16, LANES).
 
     For the step `n` of the chunk `m`. Rows 0 to 7 are heights and rates at the first half step,
-    rows 8 to 15 at the second; lanes are columns of P.
+    rows 8 to 15 at the second; lanes are unit changes of the states, then of the nodes. Returns the
+    number of changes that have begun in this step.
     """
     road[:] = 0.0
+    begun = 0
     for half in range(2):
         now = 2 * n + half
         for axle in range(2):
             i, t = locate_node(track.front_node[now] - axle * track.wheelbase_nodes, track.size)
             z, w = height_weights(t), slope_weights(t)
-            for side in range(2):
-                wheel = 2 * axle + side
-                column = track.n_states + wheel * track.width + i - 1 - track.first[m, axle]
-                for k in range(4):
-                    group, at = (column + k) // LANES, (column + k) % LANES
+            for k in range(4):
+                change = track.n_states + 4 * (i - 1 + k - track.first[m, axle]) + 2 * axle
+                begun = max(begun, change + 2)
+                for side in range(2):
+                    wheel, group, at = (
+                        2 * axle + side,
+                        (change + side) // LANES,
+                        (change + side) % LANES,
+                    )
                     road[group, 8 * half + wheel, at] = z[k]
                     road[group, 8 * half + 4 + wheel, at] = w[k] * track.node_rate[now]
+    return begun
 
 
 class Sampling(NamedTuple):
@@ -82,13 +92,15 @@ class Sampling(NamedTuple):
 
 @kernel
 def fill_chunk_matrices(constants, rows, h, track: NodeTrack, sampling: Sampling, P, flexible=None):
-    """Write the matrices of all chunks to `P` (M, C, N_ROWS), transposed: a column in each row.
+    """Write the matrices of all chunks to `P` (M, C, N_ROWS), transposed: a column in each row,
+    those of the nodes before those of the states.
 
     `rows` of the tape; `flexible` as of `sensitivity.tangent_step`.
     """
     n_states, n_dof = track.n_states, track.n_states // 2
     decimation, sample_weight, sensor_rows = sampling
-    p, groups = constants[0], P.shape[1] // LANES
+    p, changes = constants[0], P.shape[1]
+    groups = -(-changes // LANES)
     work = step_workspace(np.empty((WORKSPACE_ROWS, LANES)))
     sensors, blocks, block = sample_weight.shape
     blocks_per_chunk = (N_ROWS - n_states) // sensors
@@ -101,10 +113,10 @@ def fill_chunk_matrices(constants, rows, h, track: NodeTrack, sampling: Sampling
             y[j // LANES, j, j % LANES] = 1.0
         last = min((m + 1) * blocks_per_chunk, blocks)
         for n in range(m * blocks_per_chunk * block * decimation, last * block * decimation):
-            road_derivatives(track, n, m, road)
+            begun = road_derivatives(track, n, m, road)
             sample = n // decimation
             at = sample // block
-            for group in range(groups):
+            for group in range((begun + LANES - 1) // LANES):
                 motion = Motion(y[group, :n_dof], y[group, n_dof:])
                 tangent_step(p, rows[n], motion, road[group], h, work, a, flexible)
                 if n % decimation == 0:
@@ -115,8 +127,8 @@ def fill_chunk_matrices(constants, rows, h, track: NodeTrack, sampling: Sampling
                         k = i * blocks_per_chunk + at - m * blocks_per_chunk
                         weight = sample_weight[i, at, sample % block]
                         put(means[group], k, get(means, group, k) + weight * sensed)
-        for column in range(P.shape[1]):
-            group, at = column // LANES, column % LANES
+        for change in range(changes):
+            group, at, column = change // LANES, change % LANES, (change - n_states) % changes
             for j in range(n_states):
                 P[m, column, j] = y[group, j, at]
             for k in range(sensors * blocks_per_chunk):
@@ -132,20 +144,26 @@ def apply_chunks(P, first, width, c, y, means):
     `P` (M, C, N_ROWS // LANES, LANES); `y` ends as the change of the last state.
     """
     n_states = y.size
-    x, out = np.zeros(P.shape[1]), np.empty((P.shape[2], LANES))
+    x, out = np.empty(P.shape[1]), np.empty((P.shape[2], LANES))
     flat, blocks_per_chunk = out.ravel(), (N_ROWS - n_states) // means.shape[0]
-    used = n_states + 4 * width
     for m in range(P.shape[0]):
-        x[:n_states] = y
-        for wheel in range(4):
-            for k in range(width):
-                x[n_states + wheel * width + k] = c[wheel % 2, first[m, wheel // 2] + k]
-        for group in range(P.shape[2]):
-            total = broadcast(0.0)
-            for column in range(used):
-                total = total + x[column] * get(P, m, column, group)
-            put(out, group, total)
-        y[:] = flat[:n_states]
+        for k in range(width):
+            for wheel in range(4):
+                x[4 * k + wheel] = c[wheel % 2, first[m, wheel // 2] + k]
+        for j in range(n_states):  # element by element: an assignment of slices takes longer
+            x[4 * width + j] = y[j]
+        r0, r1, r2, r3 = broadcast(0.0), broadcast(0.0), broadcast(0.0), broadcast(0.0)
+        for column in range(P.shape[1]):  # the nodes first: they do not wait for the last chunk
+            r0 = r0 + x[column] * get(P, m, column, 0)
+            r1 = r1 + x[column] * get(P, m, column, 1)
+            r2 = r2 + x[column] * get(P, m, column, 2)
+            r3 = r3 + x[column] * get(P, m, column, 3)
+        put(out, 0, r0)
+        put(out, 1, r1)
+        put(out, 2, r2)
+        put(out, 3, r3)
+        for j in range(n_states):
+            y[j] = flat[j]
         for i in range(means.shape[0]):
             for j in range(m * blocks_per_chunk, min((m + 1) * blocks_per_chunk, means.shape[1])):
                 means[i, j] = flat[n_states + i * blocks_per_chunk + j - m * blocks_per_chunk]
@@ -159,26 +177,24 @@ def apply_chunks_transpose(P, first, width, means, y, c):
     n_states = y.size
     inside, out = np.zeros((P.shape[2], LANES)), np.empty(P.shape[1])
     flat, blocks_per_chunk = inside.ravel(), (N_ROWS - n_states) // means.shape[0]
-    used = n_states + 4 * width
     c[:] = 0.0
     for m in range(P.shape[0] - 1, -1, -1):
         flat[:] = 0.0
-        flat[:n_states] = y
+        for j in range(n_states):
+            flat[j] = y[j]
         for i in range(means.shape[0]):
             for j in range(m * blocks_per_chunk, min((m + 1) * blocks_per_chunk, means.shape[1])):
                 flat[n_states + i * blocks_per_chunk + j - m * blocks_per_chunk] = means[i, j]
-        for column in range(used):
-            total = broadcast(0.0)
-            for group in range(P.shape[2]):
-                total = total + get(inside, group) * get(P, m, column, group)
-            x = extract_lane(total, 0)
-            for k in range(1, LANES):
-                x += extract_lane(total, k)
-            out[column] = x
-        y[:] = out[:n_states]
-        for wheel in range(4):
-            for k in range(width):
-                c[wheel % 2, first[m, wheel // 2] + k] += out[n_states + wheel * width + k]
+        r0, r1, r2, r3 = get(inside, 0), get(inside, 1), get(inside, 2), get(inside, 3)
+        for column in range(P.shape[1]):
+            total = r0 * get(P, m, column, 0) + r1 * get(P, m, column, 1)
+            total = total + r2 * get(P, m, column, 2) + r3 * get(P, m, column, 3)
+            out[column] = sum_lanes(total)
+        for j in range(n_states):
+            y[j] = out[4 * width + j]
+        for k in range(width):
+            for wheel in range(4):
+                c[wheel % 2, first[m, wheel // 2] + k] += out[4 * k + wheel]
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,11 +247,10 @@ def build_block_tangent(
     low, high = (np.clip(node, 1.0, road.size - 2.001).astype(int) for node in axles)
     width = int((high - low).max()) + 4
     first = np.minimum(low - 1, road.size - width)
-    columns = -(-(n_states + 4 * width) // LANES) * LANES
-    P = np.empty((begin.size, columns, N_ROWS))
+    P = np.empty((begin.size, 4 * width + n_states, N_ROWS), dtype=np.float32)
     track = NodeTrack(x, inputs.v / road.ds, wheelbase_nodes, first, width, road.size, n_states)
     sampling = Sampling(inputs.decimation, measurements.sample_weight, sensor_rows)
     flexible = (True,) if tape.plant.flexible else ()
     fill_chunk_matrices(tape.plant.constants, tape.rows, tape.h, track, sampling, P, *flexible)
-    P = P.reshape(begin.size, columns, N_ROWS // LANES, LANES)
+    P = P.reshape(*P.shape[:2], N_ROWS // LANES, LANES)
     return BlockTangent(P, first, width, road.size, (sensors, blocks), n_states)

@@ -102,8 +102,11 @@ def step_with_derivative(vehicle, motion, inputs, h, work, out, row, flexible=No
             road[12 + w] - wheel_height(p, work.v, w),
         )
         _, row[TK_2 + w], row[TC_2 + w] = tyre_force(p, w, u, u_dot)
-    row[BLOCKS:BODY] = work.blocks
-    row[BODY:TAPE_ROW_SIZE] = work.body
+    # element by element: an assignment of slices takes as long as the rest of the derivative
+    for k in range(BODY - BLOCKS):
+        row[BLOCKS + k] = work.blocks[k]
+    for k in range(TAPE_ROW_SIZE - BODY):
+        row[BODY + k] = work.body[k]
 
 
 @kernel

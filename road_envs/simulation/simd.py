@@ -9,6 +9,8 @@ with one dimension less selects a row of lanes.
     get(q, j)      q (7,)     a float         q (7, LANES)     a vector
     get(p.x_1)     a float    a float         (LANES,)         a vector
 
+A row of lanes that is stored in single precision is read as a vector of doubles.
+
 Indices are not negative. Without compilation (`py_func`) only the scalar column exists. As in every
 kernel, a*b + c may be contracted to a fused operation and x / c may become x * (1 / c).
 
@@ -167,6 +169,11 @@ def _if_positive(context, builder, signature, values):
     return _where_greater(builder, c, _constant(c.type, 0.0), a, b)
 
 
+def _shuffled(builder, a, b, mask):
+    """Return the elements `mask` of the vector `a` followed by the vector `b`."""
+    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_int32, len(mask)), mask))
+
+
 @intrinsic
 def extract_lane(context, x, k):
     """Return lane `k` of a vector as a number."""
@@ -176,6 +183,23 @@ def extract_lane(context, x, k):
         return builder.extract_element(values[0], k)
 
     return types.float64(x, k), generate
+
+
+@intrinsic
+def sum_lanes(context, x):
+    """Return the sum of all lanes of a vector, as a number: halves are added to halves."""
+
+    def generate(context, builder, signature, values):
+        total, width = values[0], LANES
+        while width > 1:
+            width //= 2
+            low, high = (
+                _shuffled(builder, total, total, list(range(at, at + width))) for at in (0, width)
+            )
+            total = builder.fadd(low, high, flags=FLAGS)
+        return builder.extract_element(total, ir.Constant(_int32, 0))
+
+    return types.float64(x), generate
 
 
 @intrinsic
@@ -237,20 +261,27 @@ def _address(context, builder, kind, array, indices):
     start = context.get_constant(types.intp, 0)  # lane 0: the start of a row
     whole = [*indices, *[start] * (kind.ndim - len(indices))]
     at = cgutils.get_item_pointer(context, builder, kind, struct, whole, wraparound=False)
-    return at if kind.ndim == len(indices) else builder.bitcast(at, _llvm.as_pointer())
+    if kind.ndim == len(indices):
+        return at
+    row = ir.VectorType(context.get_data_type(kind.dtype), LANES)
+    return builder.bitcast(at, row.as_pointer())
 
 
-def _load(builder, address):
+def _load(builder, address, align=8):
     value = builder.load(address)
-    value.align = 8  # NumPy guarantees no more; vectors would default to 64
+    value.align = align  # NumPy guarantees no more; vectors would default to 64
     return value
 
 
 @lower_builtin(get, types.VarArg(types.Any))
 def _get(context, builder, signature, values):
-    if not isinstance(signature.args[0], types.Array):
+    kind = signature.args[0]
+    if not isinstance(kind, types.Array):
         return values[0]
-    return _load(builder, _address(context, builder, signature.args[0], values[0], values[1:]))
+    address = _address(context, builder, kind, values[0], values[1:])
+    value = _load(builder, address, kind.dtype.bitwidth // 8)
+    widen = kind.dtype == types.float32 and kind.ndim > len(values) - 1
+    return builder.fpext(value, _llvm) if widen else value
 
 
 @lower_builtin(put, types.VarArg(types.Any))
@@ -378,15 +409,12 @@ def _load_four(context, builder, signature, values):
 
 def _transpose(builder, rows):
     """Return four vectors of LANES from LANES rows of four, by twelve shuffles."""
-
-    def shuffled(a, b, mask):
-        return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_int32, len(mask)), mask))
-
     # rows k and k + 4 side by side, then 4 x 4 transposes in both halves of the registers
-    pairs = [shuffled(rows[k], rows[k + 4], list(range(8))) for k in range(4)]
+    pairs = [_shuffled(builder, rows[k], rows[k + 4], list(range(8))) for k in range(4)]
     columns = []
     for first in ([0, 8, 2, 10, 4, 12, 6, 14], [1, 9, 3, 11, 5, 13, 7, 15]):
-        low, high = (shuffled(a, b, first) for a, b in zip(pairs[::2], pairs[1::2], strict=True))
-        columns.append(shuffled(low, high, [0, 1, 8, 9, 4, 5, 12, 13]))
-        columns.append(shuffled(low, high, [2, 3, 10, 11, 6, 7, 14, 15]))
+        halves = zip(pairs[::2], pairs[1::2], strict=True)
+        low, high = (_shuffled(builder, a, b, first) for a, b in halves)
+        columns.append(_shuffled(builder, low, high, [0, 1, 8, 9, 4, 5, 12, 13]))
+        columns.append(_shuffled(builder, low, high, [2, 3, 10, 11, 6, 7, 14, 15]))
     return [columns[k] for k in (0, 2, 1, 3)]
