@@ -1,0 +1,230 @@
+"""The pages and files of a site: what they show, when they are written again, what damage does."""
+
+import csv
+import dataclasses
+import io
+import json
+import re
+
+import numpy as np
+import pytest
+from example_site import ENTRIES, board, built, results, site, tasks, text_of
+from html_checker import HtmlChecker
+
+from leaderboard.evaluation.entry import Entry
+from leaderboard.evaluation.store import row_path, save
+from leaderboard.report import export
+from leaderboard.report.cache import CACHE_FILE, build_report
+from leaderboard.report.sentences import findings, unrelated_level_errors
+from leaderboard.report.site import file_name, render_pages, write_site
+from leaderboard.report.tables import board_views
+from leaderboard.running.board import Board, create_baselines, load_board
+from road_envs._atomic_io import write_text
+
+
+def test_every_page_is_well_formed_and_all_its_links_resolve(written):
+    for name in site():
+        parser = HtmlChecker()
+        parser.feed((written / name).read_text())
+        assert parser.open == [], name
+        assert len(set(parser.ids)) == len(parser.ids)
+        for address in parser.addresses:
+            if address.startswith("#"):
+                assert address[1:] in parser.ids, address
+            elif not address.startswith("data:"):
+                assert ((written / name).parent / address).is_file(), (name, address)
+        assert "@import" not in site()[name] and "http" not in re.sub(
+            r"http://www\.w3\.org/2000/svg", "", site()[name]
+        )
+
+
+def test_there_is_a_page_for_each_task_and_each_entry():
+    names = {f"tasks/{t.name}.html" for t in tasks()}
+    names |= {f"estimators/{name}.html" for name in [*ENTRIES, *create_baselines()]}
+    assert set(site()) == names | {"index.html"}
+
+
+def test_the_index_shows_the_scores_of_every_entry_and_the_reason_of_every_failure():
+    text = text_of(site()["index.html"])
+    for name in ("static_lm", "reader", "flat", "mean", "unrelated_road", "truth_plus_noise"):
+        assert name in text
+    assert text.count("estimating test drive 1 of") == 3
+    assert "RuntimeError: no idea" in text
+    assert "Paving &amp; &lt;cobbles&gt;" in text
+    reader = next(r for r in results()["held_out"] if r.estimator == "reader")
+    assert f"{np.median(reader.values('nrmse')):.3f}" in text
+    assert reader.package_version in text and reader.task_digest[:12] in text
+    assert "paper&#39;s claim" in text and "10.2" in text
+
+
+def test_the_page_of_an_entry_gives_the_provenance_of_every_result():
+    text = text_of(site()["estimators/reader.html"])
+    for result in (r for found in results().values() for r in found if r.estimator == "reader"):
+        assert f"results/{result.task}/reader.json" in text and result.task_digest in text
+        assert str(result.environment["numpy"]) in text
+    assert "gain 0.9" in text and "training seeds 1, 2, 3" in text
+
+
+def test_an_entry_of_any_name_has_a_page_of_its_own():
+    assert file_name("my entry/../x") == "my_entry_.._x.html"
+
+
+def test_the_site_is_small(written):
+    size = sum(path.stat().st_size for path in written.rglob("*") if path.is_file())
+    assert size < 2.1e6
+
+
+def test_the_site_is_built_from_stored_results(tmp_path, written):
+    for found in results().values():
+        for result in found:
+            save(result, tmp_path)
+    path = built(load_board(tasks(), tmp_path), tmp_path)
+    assert path == tmp_path / "index.html"
+    assert path.read_text() == (written / "index.html").read_text()
+
+
+def test_pages_of_removed_tasks_and_entries_are_deleted(tmp_path):
+    write_text(tmp_path / "tasks" / "old.html", "old")
+    write_text(tmp_path / "estimators" / "old.html", "old")
+    built(Board(tuple(tasks()[:1]), {"held_out": results()["held_out"]}), tmp_path)
+    assert [p.name for p in (tmp_path / "tasks").iterdir()] == ["held_out.html"]
+    assert not (tmp_path / "estimators" / "old.html").exists()
+
+
+def test_an_unchanged_site_is_not_rewritten_and_any_change_rebuilds_it(tmp_path):
+    for result in results()["paving"]:
+        save(result, tmp_path)
+    paving = tasks()[1:2]
+
+    def build():
+        made = load_board(paving, tmp_path)
+        index = write_site(made, build_report(made, tmp_path), tmp_path)
+        return {path: path.stat().st_mtime_ns for path in index.parent.rglob("*.html")}
+
+    first = build()
+    assert build() == first  # nothing was written
+    page = tmp_path / "tasks" / "paving.html"
+    for change in (
+        page.unlink,
+        lambda: page.write_text("cut short"),
+        (tmp_path / CACHE_FILE).unlink,
+        lambda: (tmp_path / CACHE_FILE).write_text("{"),
+        (tmp_path / "static" / "charts.js").unlink,
+        lambda: save(dataclasses.replace(results()["paving"][0], notes=("new",)), tmp_path),
+        row_path(tmp_path, "paving", "reader").unlink,
+    ):
+        change()
+        again = build()
+        assert again[page] != first[page] and build() == again
+        assert "paving" in page.read_text()  # and not the text written above
+        first = again
+
+
+def test_a_cached_report_is_exact_and_a_damaged_cache_is_rebuilt(tmp_path):
+    for found in results().values():
+        for result in found:
+            save(result, tmp_path)
+    made = load_board(tasks(), tmp_path)
+    fresh = build_report(made, tmp_path)
+    write_site(made, fresh, tmp_path)
+    first = build_report(made, tmp_path)
+    assert dataclasses.replace(first, pages={}) == fresh and first.pages
+    cache_file = tmp_path / CACHE_FILE
+    text = cache_file.read_text()
+    cache_file.write_text(text.replace('"findings": [', '"findings": ["forged", '))
+    assert build_report(made, tmp_path) == fresh
+    cache_file.write_text(text)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            "leaderboard.report.cache.board_views", lambda board: pytest.fail("built again")
+        )
+        assert build_report(made, tmp_path) == first
+    other = dataclasses.replace(made, entries={("held_out", "reader"): Entry(
+        name="reader", reference="x", code="y")})  # fmt: skip
+    assert build_report(other).key == first.key  # the entry has no code digest
+    fewer = dataclasses.replace(made, tasks=made.tasks[:1])
+    assert build_report(fewer).key != first.key
+
+
+def test_an_interrupted_build_leaves_the_old_index(tmp_path, monkeypatch):
+    write_text(tmp_path / "index.html", "old")
+
+    def interrupted(views, out):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(export, "write_exports", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        built(board(), tmp_path)
+    assert (tmp_path / "index.html").read_text() == "old"
+    assert not list(tmp_path.rglob(".*"))
+
+
+def test_a_damaged_result_is_a_row_with_its_error_and_other_rows_remain(tmp_path):
+    for result in results()["paving"]:
+        save(result, tmp_path)
+    row_path(tmp_path, "paving", "reader").write_text("{")
+    text = text_of(built(load_board(tasks(), tmp_path), tmp_path).read_text())
+    assert "its result cannot be read: " in text and "reader.json: damaged" in text
+    assert "static_lm" in text
+
+
+def test_a_site_can_be_built_when_every_entry_failed():
+    failed = {
+        name: [r for r in found if r.estimator == "broken"] for name, found in results().items()
+    }
+    made = Board(tuple(tasks()), failed)
+    index = dict(render_pages(made, build_report(made)))["index.html"]
+    assert text_of(index).count("RuntimeError: no idea") == 3
+
+
+def test_stale_results_are_marked_stale():
+    changed = Board(tuple(dataclasses.replace(t, version=9) for t in tasks()), results())
+    text = text_of(dict(render_pages(changed, build_report(changed)))["index.html"])
+    assert text.count("stale: the task has changed") == sum(map(len, results().values()))
+
+
+# --- findings and exports -------------------------------------------------------------------------
+
+
+def test_the_findings_quote_the_scores():
+    views = board_views(board())
+    unrelated, new, best, *causal, trained, memory = findings(views)
+    rows = [x for v in views if v.board == "new_road" for s in v.sections for x in s.rows]
+    assert len(causal) == any(x.causal for x in rows if x.state == "scored")
+    assert all("best causal entry" in sentence for sentence in causal)
+    levels, r = unrelated_level_errors()
+    assert f"{100.0 * np.median(levels):.0f}\u00a0% in the median" in unrelated
+    assert np.median(levels) == pytest.approx(0.09, abs=0.02) and abs(r.mean()) < 0.02
+    for about_mean, expected in ((True, 0.20), (False, 0.26)):
+        with_long_waves, _ = unrelated_level_errors(longest_wave=100.0, about_mean=about_mean)
+        assert np.median(with_long_waves) == pytest.approx(expected, abs=0.01)
+        assert f"{100.0 * np.median(with_long_waves):.0f}\u00a0%" in unrelated
+    assert "altered copy of the paving" in trained and "of 3 trainings" in trained
+    assert "uses no measurement" in memory
+    assert "better than a flat road" in new  # the fake estimator uses the truth
+    assert best.startswith("New road: the best entry is ")
+
+
+def test_findings_without_results_are_omitted():
+    nothing = Board(tuple(tasks()), {t.name: () for t in tasks()})
+    assert len(findings(board_views(nothing))) == 1
+
+
+def test_the_exports_hold_the_same_numbers(written):
+    (section,) = board_views(board())[0].sections
+    line = next(line for line in section.rows if line.name == "reader")
+    rows = list(csv.DictReader(io.StringIO((written / "export/new_road.csv").read_text())))
+    mine = [row for row in rows if row["estimator"] == "reader"]
+    assert [row["group"] for row in mine] == ["", *section.groups["condition"], "rough", "smooth"]
+    assert float(mine[0]["nrmse"]) == pytest.approx(line.values["nrmse"], rel=1e-5)
+    assert float(mine[4]["nrmse"]) == pytest.approx(line.groups["smooth"]["nrmse"], rel=1e-5)
+    assert {row["causal"] for row in rows if row["estimator"] == "online"} == {"true"}
+    data = json.loads((written / "export/paper.json").read_text())
+    assert [one["task"] for one in data] == ["paving", "blocks"]
+    tex = (written / "export/new_road.tex").read_text()
+    assert r"static\_lm & " in tex and line.cells["nrmse"] in tex and tex.count(r"\toprule") == 1
+    columns = tex.split(r"\begin{tabular}{")[1].split("}")[0]
+    for row in re.findall(r"^[a-z].*&.*\\\\$", tex, flags=re.M):
+        if "multicolumn" not in row:
+            assert row.count("&") == len(columns) - 1
+    assert "@article{ngwangwa" in (written / "export/road_recon.bib").read_text()
