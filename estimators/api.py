@@ -174,6 +174,11 @@ def refits_per_case(estimator: object) -> bool:
     return isinstance(estimator, Pretrained) and estimator.refit_per_case
 
 
+def uses_seed(estimator: object) -> bool:
+    """Return whether the seed of `fit` makes a difference: not where `uses_seed` is False."""
+    return getattr(estimator, "uses_seed", True) is not False
+
+
 def copy_with(estimator: T, **fields: Any) -> T:
     """Return a copy of a frozen estimator with these learned `fields` set."""
     twin = copy.copy(estimator)

@@ -117,6 +117,7 @@ class CalibratedFir(Settings):
     """Road of a vehicle that is known by calibration drives alone."""
 
     causal: ClassVar[bool] = False
+    uses_seed: ClassVar[bool] = False
 
     wheelbase: Annotated[
         float | None,

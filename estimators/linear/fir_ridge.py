@@ -107,6 +107,7 @@ class FirRidge(Settings):
     causal: ClassVar[bool] = False
     name: ClassVar[str] = "fir_ridge"
     refit_per_case: ClassVar[bool] = True
+    uses_seed: ClassVar[bool] = False
 
     reach: Annotated[float, Field(gt=0, le=100), "m", "of the window"] = DEFAULT_REACH
     shipped: bool = True

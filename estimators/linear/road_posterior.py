@@ -14,7 +14,7 @@ import numpy as np
 from scipy import signal, sparse
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dtbtrs
-from scipy.optimize import minimize
+from scipy.optimize import minimize_scalar
 
 from estimators.linear.impulse_responses import (
     OVERSAMPLING,
@@ -35,6 +35,9 @@ START = np.array([np.log(1e-5), 0.0])
 """First guess of the logarithms of the variance of the rise over a metre [m²], and of the factor on
 the noise.
 """
+
+SEARCHED = 8.0
+"""Largest change of the logarithm of the ratio of noise to rise in the search for the settings."""
 
 
 class Nodes(NamedTuple):
@@ -164,10 +167,23 @@ def solve(data: BandedNormalEquations, prior: np.ndarray, settings: np.ndarray) 
 def fit_settings(
     data: BandedNormalEquations, prior: np.ndarray, start: np.ndarray = START
 ) -> np.ndarray:
-    """Return the settings of `solve` of the largest marginal likelihood."""
-    simplex = start + np.array([[0.0, 0.0], [1.5, 0.0], [0.0, 0.7]])
-    options = {"xatol": 0.1, "fatol": 0.5, "maxiter": 30, "initial_simplex": simplex}
-    return minimize(
-        lambda x: -solve(data, prior, x).log_likelihood, start, method="Nelder-Mead",
-        options=options,
-    ).x  # fmt: skip
+    """Return the settings of `solve` of the largest marginal likelihood.
+
+    The mean depends on the ratio of both factors only, and for each ratio the best factor on the
+    noise is known: the misfit per reading. So the search has one dimension.
+    """
+
+    def settings_of(log_ratio: float) -> tuple[float, np.ndarray]:
+        found = solve(data, prior, np.array([-log_ratio, 0.0]))
+        misfit = data.square - data.rhs @ found.mean
+        noise = np.log(misfit / data.n)
+        loss = 0.5 * (data.n * (1.0 + noise) - misfit) - found.log_likelihood
+        return float(loss), np.array([noise - log_ratio, noise])
+
+    first = start[1] - start[0]
+    found = minimize_scalar(
+        lambda x: settings_of(x)[0],
+        bounds=(first - SEARCHED, first + SEARCHED),
+        options={"xatol": 0.1},
+    )
+    return settings_of(found.x)[1]

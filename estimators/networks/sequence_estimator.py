@@ -116,6 +116,7 @@ class SequenceEstimator(Settings, abc.ABC):
     causal: ClassVar[bool]
     lag: ClassVar[float | None] = None
     """Distance [m] from a station to the front axle when its height is known; None if offline."""
+    libraries: ClassVar[tuple[str, ...]] = ("torch",)
 
     shipped: bool = True
     steps: Annotated[Count, "", "training steps"] = 2500

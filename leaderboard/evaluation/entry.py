@@ -18,6 +18,7 @@ from estimators.api import (
     NotFittedError,
     Trainable,
     check_estimate,
+    uses_seed,
 )
 from road_envs.config import Settings
 from road_envs.data.record import Estimate, Profile, Record
@@ -96,6 +97,7 @@ class Session(Protocol):
 
     needs_training: bool
     calibrates: bool
+    uses_seed: bool
 
     def fit(self, training: Sequence[tuple[Record, Profile]], seed: int) -> tuple[int, float]:
         """Train anew; return the number of fitted parameters and the time [s] it took."""
@@ -116,6 +118,7 @@ class LocalSession:
     def __init__(self, estimator: Estimator, car: VehicleParameters):
         self.needs_training = needs_training(estimator)
         self.calibrates = isinstance(estimator, Calibratable)
+        self.uses_seed = uses_seed(estimator)
         self._estimator, self._trained, self._car = estimator, estimator, car
         self._calibrated = estimator
 
@@ -154,10 +157,10 @@ def reconstruct_all(
     """Yield one run for each training seed; ask for the estimates in `order`. Raises EntryError.
 
     `calibrations`: drives of the vehicle of each record, or nothing. Yields the first run only if
-    the training does not depend on the seed, that is, if the second run gives the same estimates.
+    the training does not depend on the seed, by its own account or by the second estimates.
     """
     first: list[Estimate] = []
-    for seed in seeds if session.needs_training else seeds[:1]:
+    for seed in seeds if session.needs_training and session.uses_seed else seeds[:1]:
         run = _run(session, training, records, seed, order or range(len(records)), calibrations)
         if first and _equal_estimates(run.estimates, first):
             return

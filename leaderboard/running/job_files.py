@@ -35,7 +35,7 @@ def pack(spec: dict[str, Any], entries: Iterable[Entry]) -> tuple[dict[str, Any]
     try:
         task = _with_paths(spec["task"], copy)
         for entry in entries:
-            if _is_from_outside(entry):
+            if is_from_outside(entry):
                 for source, name in entry_files.list_files(entry.reference):
                     sources[f"{FOLDER}/{entry.code}/{name}"] = source
     except (OSError, EntryError) as error:
@@ -57,10 +57,11 @@ def code_folders(files: str, entries: Iterable[Entry]) -> dict[str, Path]:
     """Return the folder with the copied code of each entry from outside, by its reference."""
     if not files:
         return {}
-    return {x.reference: Path(files, x.code) for x in entries if _is_from_outside(x)}
+    return {x.reference: Path(files, x.code) for x in entries if is_from_outside(x)}
 
 
-def _is_from_outside(entry: Entry) -> bool:
+def is_from_outside(entry: Entry) -> bool:
+    """Return whether code of an entry is run that is none of this package."""
     return (
         entry.failure is None
         and entry.reference != BUILTIN

@@ -5,9 +5,13 @@ Jobs can be run on any machine, any number of times, in any order.
     road-recon run-job spec.json --out FOLDER
 
 The process that runs a job simulates the drives, holds the truth, runs every entry in a separate
-process, scores the estimates and stores the results. It prints one JSON line for each result.
+process, scores the estimates and stores the results. `python -m leaderboard.running.jobs FOLDER`
+runs one job after the other: it reads the path of a job file from each line of standard input, and
+prints a JSON line for each result and at the end of each job. Its guests, which have loaded the
+libraries that estimators of this package use, stay for the jobs that follow.
 """
 
+import contextlib
 import dataclasses
 import hashlib
 import json
@@ -173,18 +177,47 @@ def run_job_file(spec: Path, out: Path) -> Iterator[JobDone]:
     Raises ConfigError, OSError.
     """
     remove_stale_temp()
-    job = from_text(spec.read_text(encoding="utf-8"), str(spec), spec.parent)
-    code = job_files.code_folders(job.files, job.entries)
-    with SandboxClient(job.limits, owns_all_children=True, code=code) as sandbox:
+    job = _read(spec)
+    with _sandbox_for(job) as sandbox:
         yield from run_job(job, out, in_sandbox(sandbox))
 
 
+def _read(spec: Path) -> Job:
+    return from_text(spec.read_text(encoding="utf-8"), str(spec), spec.parent)
+
+
+def _sandbox_for(job: Job) -> SandboxClient:
+    code = job_files.code_folders(job.files, job.entries)
+    return SandboxClient(job.limits, owns_all_children=True, code=code)
+
+
+def are_ours(entries: Iterable[Entry]) -> bool:
+    """Return whether all entries are of this package: such jobs may share a process."""
+    return not any(job_files.is_from_outside(entry) for entry in entries)
+
+
+def serve(specs: Iterable[Path], out: Path) -> Iterator[JobDone | None]:
+    """Run the jobs of some files; yield each result, and None at the end of each job.
+
+    Jobs after the first must have entries of this package only. Raises ConfigError, OSError.
+    """
+    with contextlib.ExitStack() as stack:
+        sandbox: SandboxClient | None = None
+        for spec in specs:
+            job = _read(spec)
+            sandbox = sandbox or stack.enter_context(_sandbox_for(job))
+            yield from run_job(job, out, in_sandbox(sandbox))
+            yield None
+
+
 def main() -> None:
-    """Run a job and print a JSON line for each result, or one with the error."""
+    """Run the jobs of standard input; print a JSON line for each result, or one with the error."""
     processes.die_with_parent()
+    remove_stale_temp()
+    specs = (Path(line.removesuffix("\n")) for line in sys.stdin)
     try:
-        for done in run_job_file(*map(Path, sys.argv[1:3])):
-            _print_json_line(dataclasses.asdict(done))
+        for done in serve(specs, Path(sys.argv[1])):
+            _print_json_line({} if done is None else dataclasses.asdict(done))
     except (ConfigError, OSError) as error:
         _print_json_line({"error": " ".join(str(error).split())})
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+import estimators
 from estimators.api import CalibrationDrive, check_estimate
 from leaderboard.evaluation.entry import (
     MAX_LAG,
@@ -60,10 +61,11 @@ NOT_RETESTED = "could not be run again to test its causality and its memory"
 class SandboxClient:
     """Runs entries in guests, one at a time; a context manager.
 
-    Estimators of this package share a guest with a child for each run; an entry from outside has a
-    new guest for each run. `owns_all_children` states that this process has no children but those
-    of the client, so that all remaining ones can be killed. `code` has folders with a copy of the
-    code of entries from outside, by reference; the code of others is read from where it is.
+    Estimators of this package that use the same libraries share a guest with a child for each run;
+    an entry from outside has a new guest for each run. `owns_all_children` states that this process
+    has no children but those of the client, so that all remaining ones can be killed. `code` has
+    folders with a copy of the code of entries from outside, by reference; the code of others is
+    read from where it is.
     """
 
     def __init__(
@@ -80,7 +82,7 @@ class SandboxClient:
         self._temp = TempFolder()
         self._temp.path.chmod(0o755)  # a guest has another user
         self._snapshots: dict[str, tuple[str, Path]] = {}
-        self._ours: Guest | None = None
+        self._ours: dict[tuple[str, ...], Guest] = {}  # by the libraries that they have loaded
         self._count = 0
         obstacle = bubblewrap.obstacle()
         if self.limits.isolation == "bubblewrap" and obstacle is not None:
@@ -229,17 +231,17 @@ class SandboxClient:
         return self._snapshots[reference]
 
     def _start(self, reference: str) -> Guest:
-        ours = entry_files.is_ours(reference)
-        if ours and self._ours is not None:
-            guest = self._ours
+        if entry_files.is_ours(reference):
+            libraries = getattr(estimators.REGISTRY.get(reference), "libraries", ())
+            guest = self._ours.get(libraries) or self._new_guest(None, libraries)
+            self._ours[libraries] = guest
         else:
-            guest = self._new_guest(None if ours else self._snapshot(reference)[1])
-        self._ours = guest if ours else self._ours
+            guest = self._new_guest(self._snapshot(reference)[1])
         self.guest = guest
         guest.start_run(self.limits)
         return guest
 
-    def _new_guest(self, code: Path | None) -> Guest:
+    def _new_guest(self, code: Path | None, libraries: tuple[str, ...] = ()) -> Guest:
         self._count += 1
         home = self._temp.path / str(self._count)
         home.mkdir()
@@ -263,6 +265,7 @@ class SandboxClient:
             entry=None if entry is None else str(entry),
             user=bubblewrap.NOBODY if becomes_nobody else None,
             serves_many=code is None,
+            libraries=libraries,
             cache=(str(shared), _numba.CACHE.name) if has_cache and code is not None else None,
         )
         words = [sys.executable, "-P", "-s", "-m", worker.__name__]
@@ -290,28 +293,31 @@ class SandboxClient:
     def _session(self, guest: Guest, entry: Entry, car: VehicleParameters) -> "_RemoteSession":
         head = self._begin(guest, entry.reference, entry.settings, dataclasses.asdict(car))
         trains, calibrates = (head.get(name) is True for name in ("needs_training", "calibrates"))
-        return _RemoteSession(guest, trains, calibrates)
+        # of others the judge finds out whether the seed makes a difference
+        uses_seed = head.get("uses_seed") is True or not entry_files.is_ours(entry.reference)
+        return _RemoteSession(guest, trains, calibrates, uses_seed)
 
     def _end(self, guest: Guest) -> None:
         """End a run: only a guest of our own that has finished properly is kept."""
-        if guest is self._ours and sys.exc_info()[0] is None:
+        ours = [libraries for libraries, kept in self._ours.items() if kept is guest]
+        if ours and sys.exc_info()[0] is None:
             guest.send_end()
             return
         guest.close()
-        if guest is self._ours:
-            self._ours = None
+        for libraries in ours:
+            del self._ours[libraries]
 
     def _close_guests(self) -> None:
-        if self._ours is not None:
-            self._ours.close()
-            self._ours = None
+        while self._ours:
+            self._ours.popitem()[1].close()
 
 
 class _RemoteSession:
     """A session with an estimator in a guest."""
 
-    def __init__(self, guest: Guest, needs_training: bool, calibrates: bool):
+    def __init__(self, guest: Guest, needs_training: bool, calibrates: bool, uses_seed: bool):
         self.needs_training, self.calibrates = needs_training, calibrates
+        self.uses_seed = uses_seed
         self._guest = guest
 
     def fit(self, training: Sequence[tuple[Record, Profile]], seed: int) -> tuple[int, float]:

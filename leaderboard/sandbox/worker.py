@@ -15,6 +15,8 @@ import signal
 import stat
 import sys
 import zipfile
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -33,14 +35,16 @@ class Setup(Settings):
     """Message that starts a guest.
 
     `entry` is the folder with the code of the entry; `user` the user and group to become, None to
-    stay; `serves_many` allows more than one estimator, each in a child of its own. The kernel cache
-    `cache` (folder of all files, name of the folder of today's kernels) is copied by links.
+    stay; `serves_many` allows more than one estimator, each in a child of its own, for which
+    `libraries` are imported once. The kernel cache `cache` (folder of all files, name of the folder
+    of today's kernels) is copied by links.
     """
 
     limits: Limits
     entry: str | None = None
     user: int | None = None
     serves_many: bool = False
+    libraries: tuple[str, ...] = ()
     cache: tuple[str, str] | None = None
 
 
@@ -54,7 +58,7 @@ def main() -> None:
     os.umask(0)  # the child may be another user
     if setup.cache is not None:
         _link_cache(Path(setup.cache[0]), setup.cache[1])
-    _preload(implementations=setup.serves_many)
+    _preload(setup.libraries, implementations=setup.serves_many)
     reply(replies, {})
     while True:
         try:
@@ -70,8 +74,11 @@ def main() -> None:
             os._exit(128 - code if code < 0 else code)
 
 
-def _preload(implementations: bool) -> None:
-    """Import what every estimator needs, or also the `implementations` of this package."""
+def _preload(libraries: Sequence[str], implementations: bool) -> None:
+    """Import what every estimator needs, or also the `implementations` of this package.
+
+    Of `libraries` those that are not installed are left out; the estimator says so itself.
+    """
     import gc
 
     import leaderboard.evaluation.entry
@@ -79,6 +86,9 @@ def _preload(implementations: bool) -> None:
 
     if implementations:
         import estimators.registry  # noqa: F401
+    for library in libraries:
+        with suppress(ImportError):
+            importlib.import_module(library)
     gc.collect()
     gc.freeze()
 
@@ -175,7 +185,8 @@ def _serve(setup: Setup, replies: int, start: dict[str, Any]) -> None:
     for library in ("scipy.interpolate", "scipy.signal"):  # slow to load, and in nobody's time
         importlib.import_module(library)
     session = LocalSession(estimator, build(VehicleParameters, start["car"], "car"))
-    reply(replies, {"needs_training": session.needs_training, "calibrates": session.calibrates})
+    known = ("needs_training", "calibrates", "uses_seed")
+    reply(replies, {name: getattr(session, name) for name in known})
     while (request := read_request())["do"] != "end":
         arrays = messages.decode_arrays(request, read)
         answer: dict[str, Any]

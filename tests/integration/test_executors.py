@@ -15,6 +15,7 @@ from fakes import Reader, task
 from hostile import Hostile
 from in_process import InProcessExecutor
 
+from estimators import create
 from leaderboard.evaluation import store
 from leaderboard.evaluation.entries import make_entry
 from leaderboard.evaluation.entry import Entry
@@ -43,8 +44,12 @@ def small(**changes):
     One condition, since every job and every entry is a process; `test_board.py` has two.
     """
     short = {"roads": ["iso_d"], "length": 16.0}
-    settings = {"training": {**short, "seeds": [1]}, "test": {**short, "seeds": [11, 12]}}
-    return task(conditions=[{"mode": "ride", "speed_kmh": 36.0}], **{**settings, **changes})
+    settings = {
+        "conditions": [{"mode": "ride", "speed_kmh": 36.0}],
+        "training": {**short, "seeds": [1]},
+        "test": {**short, "seeds": [11, 12]},
+    }
+    return task(**{**settings, **changes})
 
 
 def make_request(estimators=VALID, limits=LIMITS):
@@ -167,6 +172,20 @@ def test_a_failure_of_the_evaluation_is_not_attributed_to_an_entry(tmp_path, mon
         run_board(make_request({}), tmp_path, ProcessExecutor(1))
     with pytest.raises(ConfigError, match="the number of workers must be at least 1, got 0"):
         ProcessExecutor(0)
+
+
+def test_jobs_with_entries_of_this_package_share_a_process_and_its_guest(tmp_path, monkeypatch):
+    started = []
+    start = executors.JobProcess.__init__
+    monkeypatch.setattr(
+        executors.JobProcess, "__init__", lambda self, out: started.append(1) or start(self, out)
+    )
+    conditions = [{"mode": mode, "speed_kmh": 36.0} for mode in ("ride", "handling")]
+    request = make_request({"flat": create("flat")})
+    request = dataclasses.replace(request, tasks=[small(conditions=conditions)])
+    board = run_board(request, tmp_path / "processes", ProcessExecutor(1))
+    assert len(started) == 1 and not running_jobs(tmp_path)
+    assert rows(board) == rows(run_board(request, tmp_path / "here", InProcessExecutor()))
 
 
 def test_an_entry_that_cannot_be_constructed_is_a_failed_row(tmp_path):

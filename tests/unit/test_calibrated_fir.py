@@ -320,5 +320,9 @@ def test_the_posterior_module_solves_for_the_most_probable_settings():
         roads = [nodes.accelerations(fine - axle) for axle in (0.0, WHEELBASE)]
         data = normal_equations(responses, impulse_responses.sensed(record, t), roads)
         found.append(road_posterior.fit_settings(data, prior_bands(nodes)))
+        best = road_posterior.solve(data, prior_bands(nodes), found[-1]).log_likelihood
+        for change in ([0.3, 0.0], [-0.3, 0.0], [0.0, 0.1], [0.0, -0.1], [0.3, 0.3], [-0.3, -0.3]):
+            other = road_posterior.solve(data, prior_bands(nodes), found[-1] + change)
+            assert other.log_likelihood < best
     assert found[1][1] > found[0][1] + 1.0
     assert abs(found[1][0] - found[0][0]) < 0.7
