@@ -41,10 +41,14 @@ class SensedBending:
         """Return measurements and sensor rows with the modal force as the last sensor."""
         weight = measurements.sample_weight
         mean = np.full((1, *weight.shape[1:]), 1.0 / weight.shape[2])
+        longer = replace(measurements, sample_weight=np.concatenate([weight, mean]))
+        return longer, self.extended_rows(sensor_rows)
+
+    def extended_rows(self, sensor_rows: np.ndarray) -> np.ndarray:
+        """Return sensor rows (S + 1, 7) with the modal force as the last sensor."""
         row = np.zeros((1, sensor_rows.shape[1]))
         row[0, [Z_B, THETA]] = self.force
-        longer = replace(measurements, sample_weight=np.concatenate([weight, mean]))
-        return longer, np.concatenate([sensor_rows, row])
+        return np.concatenate([sensor_rows, row])
 
     def sense(self, means: np.ndarray, duration: float) -> np.ndarray:
         """Return the block means (S, J) of the sensors, from those of `extended` (S + 1, J)."""

@@ -8,6 +8,8 @@ vehicle is simulated over the estimate and the accelerations of the sensors are 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from estimators.common.bending import sensed_bending
+from estimators.common.footprint import Footprint
 from estimators.common.model_inputs import ModelInputs, build_model_inputs, rest_state
 from estimators.common.spline import sample_under_wheels
 from road_envs.data.record import F_C, PROFILE_SPACING, Record, profile_stations
@@ -51,8 +53,6 @@ def trusted_share(
     power, 0 where they explain nothing. `valid` (k, N): samples that are compared, after the first
     SETTLING_TIME.
     """
-    if build_plant(car).flexible:  # the tape does not know a frame
-        return np.ones(z.shape[1])
     inputs = build_model_inputs(record, instruments, car, MAX_SPEED_STEP)
     predicted = simulate_sensors(inputs, car, instruments, z)[:, : record.t.size]
     measured = np.where(valid, record.a, 0.0)
@@ -96,9 +96,13 @@ def simulate_sensors(
     stations; not finite from where the motion diverges.
     """
     plant = build_plant(car)
-    rows = linearise(plant, "ride", instruments.locations(car)).sensor_rows
+    locations = instruments.locations(car)
+    rows, bending = linearise(plant, "ride", locations).sensor_rows, sensed_bending(car, locations)
+    if bending is not None:
+        rows = bending.extended_rows(rows)
     pad = int(np.ceil((car.wheelbase + 5.0) / PROFILE_SPACING)) + 4
-    c = np.pad(z, ((0, 0), (pad, pad)), mode="edge")
+    footprint = Footprint.of(car.variation.contact_length, PROFILE_SPACING)
+    c = footprint.apply(np.pad(z, ((0, 0), (pad, pad)), mode="edge"))
     node = inputs.s / PROFILE_SPACING + pad
     state = rest_state(car, inputs) + 1e-7  # exactly at rest the friction law has no tangent
     strut_state = settled_strut_state(int(inputs.commands[0]))
@@ -118,4 +122,6 @@ def simulate_sensors(
             break
         a[:, first:last] = rows @ tape.acceleration.T
         state, strut_state = tape.end, tape.strut_state
+    if bending is not None:
+        a = bending.sense(a, inputs.h)
     return a[:, :: inputs.decimation]

@@ -1,14 +1,15 @@
 """Extended Kalman filter of vehicle and road, with a fixed-lag and a whole-drive smoother.
 
-The state holds the seven coordinates of the vehicle and their rates, the sensor biases, and the
-road as nodes of a spline fixed in space, of both wheel paths, from the front axle back to behind
-the rear one. New nodes come from the isotropic prior (`road_process.py`). Both axles roll over the
-same nodes, so the wheelbase delay is exact, and a node keeps being updated until it is retired:
-fixed-lag smoothing at no extra cost. The vehicle is propagated by the simulator's own step through
-every switch of its struts, and linearized by the exact tangent of the steps (`linearization.py`).
-The strut forces are linearized over the uncertainty of their rate (`friction_linearization.py`) and
-the residual is noise, without which the filter soon becomes overconfident. Roughness and noise
-scale are estimated online. Heights are emitted relative to their long waves (`profile_output.py`).
+The state holds the coordinates of the vehicle and their rates, with a frame that twists and a body
+that bends where the vehicle has them, the sensor biases, and the road as nodes of a spline fixed in
+space, of both wheel paths, from the front axle back to behind the rear one. New nodes come from the
+isotropic prior (`road_process.py`). Both axles roll over the same nodes, so the wheelbase delay is
+exact, and a node keeps being updated until it is retired: fixed-lag smoothing at no extra cost. The
+vehicle is propagated by the simulator's own step through every switch of its struts, and linearized
+by the exact tangent of the steps (`linearization.py`). The strut forces are linearized over the
+uncertainty of their rate (`friction_linearization.py`) and the residual is noise, without which the
+filter soon becomes overconfident. Roughness and noise scale are estimated online. Heights are
+emitted relative to their long waves (`profile_output.py`).
 
     kalman       emitted when the front axle is at the station
     kalman_lag   emitted 10 m later, 7.2 m after the rear axle
@@ -22,8 +23,9 @@ than it are reduced (`monitoring.py`). Where the innovations are far beyond thei
 long, heights are emitted reduced, with wide intervals and a note: a filter that has lost the
 vehicle gives a nearly flat road, and no drift.
 
-Known to fail: on a vehicle other than the one described (on the field vehicle S2 the error is
-nearly that of a flat road), as the filter corrects the road and not the vehicle; where the front
+Known to fail: on a vehicle other than the one described (on a field vehicle S2 that was not
+identified the error is nearly that of a flat road), as the filter corrects the road and not the
+vehicle; where the front
 struts are softer than the rear ones, as only the rear axle then resolves the difference of the
 wheel paths, wheelbases later (`docs/observability.md`): at a lag of 4.79 m the error is two to
 three times that of equal states, at 10 m about the same; on smooth roads (class A), where friction
@@ -42,7 +44,7 @@ from estimators.common.block_means import MIN_NOISE_DENSITY, block_means
 from estimators.common.explained import trusted_share, untrusted_note
 from estimators.common.fallback import reduce_unexplained
 from estimators.common.identified_vehicle import CalibratedByIdentification
-from estimators.common.model_inputs import antialias_delay, build_model_inputs, rigid_vehicle
+from estimators.common.model_inputs import antialias_delay, build_model_inputs
 from estimators.kalman.monitoring import POWER_WINDOW, local_nis, reduce_uncertain
 from estimators.kalman.pipeline import FilterRun, run_filter, run_smoother, setup_output, setup_run
 from estimators.kalman.profile_output import ProfileOutput
@@ -99,9 +101,7 @@ class _KalmanSettings(CalibratedByIdentification):
                 f"{', '.join(instruments.accelerometers)}: map_smoother and wiener take any"
             )
         record, car = self.as_identified(record, car)
-        car, rigid_notes = rigid_vehicle(car)
         record, valid, notes = mask_record(record, instruments)
-        notes += rigid_notes
         model_inputs = build_model_inputs(record, instruments, car, self.step)
         censored = clipped_signs(record, instruments)
         a = np.where(valid | (censored != 0), record.a, 0.0)

@@ -21,7 +21,6 @@ from estimators.kalman.road_process import add_node, update_roughness
 from estimators.kalman.state import (
     BIAS,
     FORCE,
-    N_VEHICLE,
     NOISE_SCALE,
     FilterInputs,
     FilterModel,
@@ -80,8 +79,8 @@ def filter_forward(
 
 
 class Projection(NamedTuple):
-    """Products of H and A, one below the other (17 rows), with the covariance P - W' W of a
-    `FilterState`: `rows` (17, n) with P and `pending` (17, n_pending) with W'.
+    """Products of H and A, one below the other (3 + N rows), with the covariance P - W' W of a
+    `FilterState`: `rows` (3 + N, n) with P and `pending` (3 + N, n_pending) with W'.
     """
 
     rows: np.ndarray
@@ -92,7 +91,7 @@ class Projection(NamedTuple):
 def project(state: FilterState, block: LinearizedBlock):
     """Return the Projection of a linearized block."""
     n, size, rank = state.x.size, block.n_columns[0], state.n_pending[0]
-    factors, rows = np.empty((3 + N_VEHICLE, size)), np.empty((size, n))
+    factors, rows = np.empty((3 + block.A.shape[0], size)), np.empty((size, n))
     factors[:3], factors[3:] = block.H[:, :size], block.A[:, :size]
     pending, P, W = np.empty((size, rank)), state.P, state.pending
     for d in range(size):
@@ -196,26 +195,23 @@ def predict(state: FilterState, block: LinearizedBlock, projection: Projection):
     A, innovation, columns = block.A, block.innovation, block.columns
     rank, rows = state.n_pending[0], projection.rows[3:]
     pending, moved, V = state.pending, projection.pending, block.V
+    first, n_vehicle = n - A.shape[0], A.shape[0]
     pending[:rank, FORCE:BIAS] = 0.0
-    for i in range(N_VEHICLE):
-        x[i] = block.end_state[i]
+    for i in range(n_vehicle):
+        x[first + i] = block.end_state[i]
         for r in range(rank - 3):
-            pending[r, i] = moved[3 + i, r]
+            pending[r, first + i] = moved[3 + i, r]
     for s in range(3):  # the rows of this block's update follow them
-        for i in range(N_VEHICLE):
+        for i in range(n_vehicle):
             z = gather_dot(A[i], V[s], columns, size)
-            x[i] += innovation[s] * z
-            pending[rank - 3 + s, i] = z
-    for k in range(N_VEHICLE, n):
-        for i in range(N_VEHICLE):
-            P[k, i] = rows[i, k]
-        for i in range(FORCE, BIAS):  # force residuals begin anew in each block
-            P[k, i] = 0.0
-    P[FORCE:BIAS] = 0.0
-    for i in range(N_VEHICLE):
-        P[i, N_VEHICLE:] = rows[i, N_VEHICLE:]
-        P[i, FORCE:BIAS] = 0.0
+            x[first + i] += innovation[s] * z
+            pending[rank - 3 + s, first + i] = z
+    for i in range(n_vehicle):
         for k in range(i + 1):
             z = gather_dot(A[k], rows[i], columns, size)
-            P[i, k] = z
-            P[k, i] = z
+            P[first + i, first + k] = z
+            P[first + k, first + i] = z
+    rows[:, FORCE:BIAS] = 0.0  # force residuals begin anew in each block
+    P[FORCE:BIAS], P[:, FORCE:BIAS] = 0.0, 0.0
+    P[first:, :first] = rows[:, :first]
+    P[:first, first:] = rows[:, :first].T

@@ -15,7 +15,6 @@ import numpy as np
 
 from estimators.kalman.state import FORCE, FilterModel, FilterState
 from road_envs._numba import kernel
-from road_envs.vehicle.equations import N_DOF
 from road_envs.vehicle.force_curves import gaussian_smoothed, interpolate_tables
 from road_envs.vehicle.suspension import DAMPING_HIGH, V_0, V_STEP
 
@@ -57,19 +56,20 @@ def choose_linearization(model: FilterModel, state: FilterState):
     residual, which `filter.predict` has made independent of everything else.
     """
     x, P, pending, p = state.x, state.P, state.pending, model.constants[0]
-    strut_rows = model.strut_rows
+    strut_rows, n_dof = model.strut_rows, model.strut_rows.shape[1]
+    rates = x.size - model.force_to_state.shape[0] + n_dof  # their first index in the state vector
     n_tables = model.force_variance.shape[1]
     for w in range(4):
         rate, variance = 0.0, 0.0
-        for i in range(N_DOF):
-            rate += strut_rows[w, i] * x[N_DOF + i]
-            for k in range(N_DOF):
+        for i in range(n_dof):
+            rate += strut_rows[w, i] * x[rates + i]
+            for k in range(n_dof):
                 cross = strut_rows[w, i] * strut_rows[w, k]
-                variance += cross * P[N_DOF + i, N_DOF + k]
+                variance += cross * P[rates + i, rates + k]
         for r in range(state.n_pending[0]):
             z = 0.0
-            for i in range(N_DOF):
-                z += strut_rows[w, i] * pending[r, N_DOF + i]
+            for i in range(n_dof):
+                z += strut_rows[w, i] * pending[r, rates + i]
             variance -= z * z
         std, index = np.sqrt(max(variance, 0.0)), 0
         while index < model.rate_stds.size - 1 and (

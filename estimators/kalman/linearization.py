@@ -14,7 +14,7 @@ from estimators.common.spline import height_weights, slope_weights
 from estimators.kalman.state import (
     BIAS,
     FORCE,
-    N_VEHICLE,
+    RETIRED,
     FilterInputs,
     FilterModel,
     FilterState,
@@ -24,7 +24,8 @@ from estimators.kalman.state import (
 from road_envs._numba import kernel
 from road_envs.simulation.rosenbrock import (
     ACCELERATION,
-    N_SIGNALS,
+    N_FLEXIBLE_SIGNALS,
+    TWIST,
     WORKSPACE_ROWS,
     StepInputs,
     step_workspace,
@@ -32,12 +33,12 @@ from road_envs.simulation.rosenbrock import (
     workspace,
 )
 from road_envs.simulation.sensitivity import TAPE_ROW_SIZE, step_with_derivative, tangent_step
-from road_envs.simulation.simd import LANES, add, get
-from road_envs.vehicle.equations import N_DOF, Motion
+from road_envs.simulation.simd import LANES, add, broadcast, get, put
+from road_envs.vehicle.equations import N_DOF, THETA, Z_B, Motion
 from road_envs.vehicle.suspension import VehicleBuffers
 
-N_COMMON_COLUMNS = BIAS + 3
-"""Columns of every block: vehicle, strut force residuals, biases."""
+N_OTHER = RETIRED
+"""Columns of every block behind the vehicle's: strut force residuals and biases."""
 
 
 class AxleWeights(NamedTuple):
@@ -52,9 +53,9 @@ class AxleWeights(NamedTuple):
     slope: np.ndarray
 
 
-def max_columns(nodes_in_block: float) -> int:
+def max_columns(n_vehicle: int, nodes_in_block: float) -> int:
     """Return the greatest number of columns of a block in which a wheel passes so many nodes."""
-    return N_COMMON_COLUMNS + 4 * (int(np.ceil(nodes_in_block)) + 5)
+    return n_vehicle + N_OTHER + 4 * (int(np.ceil(nodes_in_block)) + 5)
 
 
 @kernel(inline=False)
@@ -90,26 +91,26 @@ def linearize_block(
     axle_spline_weights(inputs, model.wheelbase_nodes, first, weights)
     rows = np.empty((steps_per_block, TAPE_ROW_SIZE))
     simulate_block(model, inputs, state, first, weights, rows, block)
-    n, size, columns, A, H = state.x.size, N_COMMON_COLUMNS, block.columns, block.A, block.H
+    columns, A, H = block.columns, block.A, block.H
+    size, n_vehicle = 0, A.shape[0]
     A[:] = 0.0
     H[:] = 0.0
-    for i in range(N_COMMON_COLUMNS):
-        columns[i] = i
-    time = steps_per_block * model.h
-    # a constant force over so short a time moves the vehicle like free masses
-    to_accel, to_sensor = model.force_to_accel, model.force_to_sensor
+    for i in range(state.x.size - n_vehicle, state.x.size):
+        columns[size] = i
+        size += 1
     for w in range(4):
-        for i in range(N_DOF):
-            A[i, FORCE + w] = 0.5 * time * time * to_accel[w, i]
-            A[N_DOF + i, FORCE + w] = time * to_accel[w, i]
-        for s in range(3):
-            H[s, FORCE + w] = to_sensor[s, w]
+        columns[size] = FORCE + w
+        A[:, size] = model.force_to_state[:, w]
+        H[:, size] = model.force_to_sensor[:, w]
+        size += 1
     for s in range(3):
-        H[s, BIAS + s] = 1.0
+        columns[size] = BIAS + s
+        H[s, size] = 1.0
+        size += 1
     for axle in range(2):
         for k in range(node[0, 0, axle], node[steps_per_block - 1, 1, axle] + 4):
             for component in range(2):
-                columns[size] = node_index(k, n) + component
+                columns[size] = node_index(k, model.n_nodes) + component
                 size += 1
     block.n_columns[0] = size
     tangent_columns(model, first, rows, weights, block)
@@ -120,53 +121,79 @@ def simulate_block(
     model: FilterModel, inputs: FilterInputs, state: FilterState, first, weights, rows, block
 ):
     """Simulate the block: fill the tape `rows`, `block.end_state` and `block.predicted`."""
-    p, work, out = model.constants[0], workspace(), np.empty(N_SIGNALS)
+    p, work, out = model.constants[0], workspace(), np.empty(N_FLEXIBLE_SIGNALS)
+    n_dof = model.strut_rows.shape[1]
+    end = block.end_state
+    end[:] = state.x[state.x.size - end.size :]
     vehicle = VehicleBuffers(model.constants, model.velocity, model.displacement, state.strut_state)
-    motion = Motion(state.x[:N_DOF].copy(), state.x[N_DOF:N_VEHICLE].copy())
+    motion, bending = Motion(end[:n_dof], end[n_dof : 2 * n_dof]), end[2 * n_dof :]
     road, x, (node, height, slope) = np.empty(16), state.x, weights
+    acceleration = np.empty(n_dof)
     step_inputs, sensor_rows, predicted = (
         StepInputs(road, np.zeros(4)),
         model.sensor_rows,
         np.zeros(3),
     )
     alpha = 1.0 - np.exp(-model.h / model.valve_lag)
-    n, samples = x.size, 0
+    samples = 0
     for k in range(rows.shape[0]):
         for half in range(2):
             for axle in range(2):
                 for side in range(2):
                     z, rate = 0.0, 0.0
                     for m in range(4):
-                        i = node_index(node[k, half, axle] + m, n)
+                        i = node_index(node[k, half, axle] + m, model.n_nodes)
                         c = x[i] + (1.0 - 2.0 * side) * x[i + 1]
                         z += height[k, half, axle, m] * c
                         rate += slope[k, half, axle, m] * c
                     road[8 * half + 2 * axle + side] = z
                     road[8 * half + 4 + 2 * axle + side] = rate
         update_valves(p, state.strut_state, motion.q, inputs.commands[first + k], alpha, model.h)
-        step_with_derivative(vehicle, motion, step_inputs, model.h, work, out, rows[k])
+        step_with_derivative(
+            vehicle, motion, step_inputs, model.h, work, out, rows[k], model.flexible
+        )
         if (first + k) % model.decimation == 0:
             samples += 1
+            acceleration[:N_DOF] = out[ACCELERATION : ACCELERATION + N_DOF]
+            if n_dof > N_DOF:
+                acceleration[N_DOF] = out[TWIST + 2]
+            bent = 0.0
+            if bending.size > 0:
+                bent = bend(model, acceleration, bending)
             for s in range(3):
-                for i in range(N_DOF):
-                    predicted[s] += sensor_rows[s, i] * out[ACCELERATION + i]
+                predicted[s] += model.bending_shape[s] * bent
+                for i in range(n_dof):
+                    predicted[s] += sensor_rows[s, i] * acceleration[i]
     for s in range(3):
         block.predicted[s] = predicted[s] / samples + x[BIAS + s]
-    block.end_state[:N_DOF] = motion.q
-    block.end_state[N_DOF:] = motion.v
+
+
+@kernel
+def bend(model: FilterModel, acceleration, bending):
+    """Return the acceleration of the body's bending, and advance its filter by one sample.
+
+    `acceleration` (D,) of the coordinates; `bending` (2,): state of the filter. Both may have the
+    lanes as their last axis.
+    """
+    b = model.bending_section
+    force = model.bending_force[0] * get(acceleration, Z_B)
+    force = force + model.bending_force[1] * get(acceleration, THETA)
+    bent = b[0] * force + get(bending, 0)
+    put(bending, 0, b[1] * force - b[4] * bent + get(bending, 1))
+    put(bending, 1, b[2] * force - b[5] * bent)
+    return bent
 
 
 @kernel(inline=False)
-def node_derivatives(weights: AxleWeights, i, road):
+def node_derivatives(weights: AxleWeights, i, direction, road):
     """Write the derivatives of heights and rates under the wheels at the step `i` by the block's
     nodes to `road` (G, 16, LANES), in the layout of `rosenbrock.step`.
 
-    A lane of a group is a direction: after the vehicle states, mean and half difference of the
-    nodes under the front axle, then under the rear axle.
+    A lane of a group is a direction: from `direction` on, behind the vehicle states, mean and half
+    difference of the nodes under the front axle, then under the rear axle.
     """
     node, height, slope = weights
     road[:] = 0.0
-    direction = N_VEHICLE
     for axle in range(2):
         oldest, end = node[0, 0, axle], node[-1, 1, axle] + 4
         for half in range(2):
@@ -187,33 +214,37 @@ def node_derivatives(weights: AxleWeights, i, road):
 @kernel(inline=False)
 def tangent_columns(model: FilterModel, first, rows, weights: AxleWeights, block):
     """Write the tangents along the vehicle states and the nodes to the columns of `A` and `H`."""
-    directions = N_VEHICLE + block.n_columns[0] - N_COMMON_COLUMNS
+    n_dof, n_vehicle = model.strut_rows.shape[1], block.A.shape[0]
+    directions = block.n_columns[0] - N_OTHER
     groups, samples = (directions + LANES - 1) // LANES, 0
     p, h, sensor_rows, A, H = model.constants[0], model.h, model.sensor_rows, block.A, block.H
     work = step_workspace(np.empty((WORKSPACE_ROWS, LANES)))
-    y, a = np.zeros((groups, N_VEHICLE, LANES)), np.empty((N_DOF, LANES))
+    y, a = np.zeros((groups, n_vehicle, LANES)), np.empty((n_dof, LANES))
     road, sums = np.empty((groups, 16, LANES)), np.zeros((3 * groups, LANES))
-    for j in range(N_VEHICLE):
+    for j in range(n_vehicle):
         y[j // LANES, j, j % LANES] = 1.0
     for i in range(rows.shape[0]):
-        node_derivatives(weights, i, road)
+        node_derivatives(weights, i, n_vehicle, road)
         sampled = (first + i) % model.decimation == 0
         samples += sampled
         for group in range(groups):
-            motion = Motion(y[group, :N_DOF], y[group, N_DOF:])
-            tangent_step(p, rows[i], motion, road[group], h, work, a)
+            motion = Motion(y[group, :n_dof], y[group, n_dof : 2 * n_dof])
+            tangent_step(p, rows[i], motion, road[group], h, work, a, model.flexible)
             if sampled:
+                bent = broadcast(0.0)
+                if n_vehicle > 2 * n_dof:
+                    bent = bend(model, a, y[group, 2 * n_dof :])
                 for s in range(3):
-                    sensed = sensor_rows[s, 0] * get(a, 0)
-                    for j in range(1, N_DOF):
+                    sensed = model.bending_shape[s] * bent
+                    for j in range(n_dof):
                         sensed = sensed + sensor_rows[s, j] * get(a, j)
                     add(sums, 3 * group + s, sensed)
     for direction in range(directions):
         group, lane = direction // LANES, direction % LANES
         column = direction
-        if direction >= N_VEHICLE:
-            column += N_COMMON_COLUMNS - N_VEHICLE
+        if direction >= n_vehicle:
+            column += N_OTHER
         for s in range(3):
             H[s, column] = sums[3 * group + s, lane] / samples
-        for j in range(N_VEHICLE):
+        for j in range(n_vehicle):
             A[j, column] = y[group, j, lane]

@@ -4,7 +4,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.signal import sosfilt
 
+from estimators.common.bending import sensed_bending
 from estimators.common.block_means import BlockMeans
 from estimators.common.model_inputs import MOVING_STD, REST_STD, ModelInputs, rest_state
 from estimators.kalman.filter import filter_forward
@@ -23,6 +25,7 @@ from estimators.kalman.state import (
     BIAS,
     MAX_PENDING,
     NODES,
+    RETIRED,
     FilterInputs,
     FilterModel,
     FilterState,
@@ -32,7 +35,8 @@ from estimators.kalman.state import (
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.data.record import F_C, Record, profile_stations, scored_band
 from road_envs.sensing.instruments import Instruments
-from road_envs.vehicle.equations import build_plant
+from road_envs.vehicle import body_bending
+from road_envs.vehicle.equations import THETA, Z_B, build_plant
 from road_envs.vehicle.linear_model import linearise
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import settled_strut_state
@@ -89,6 +93,11 @@ class FilterRun:
         """Size n of the state vector."""
         return int(self.state.x.size)
 
+    def empty_blocks(self, count: int) -> LinearizedBlock:
+        """Return `count` blocks of zeros, stacked along the first axis of each field."""
+        n, n_vehicle = self.n_states, self.model.force_to_state.shape[0]
+        return empty_blocks(n, n_vehicle, self.max_columns, count)
+
     @property
     def n_blocks(self) -> int:
         """Blocks of measurements."""
@@ -144,12 +153,12 @@ def setup_run(
         (ends - origin) / NODE_SPACING,
     )
     road = fit_ar_model(prior, NODE_SPACING)
-    model = _build_model(car, instruments, model_inputs, steps_per_block, noise_variance, road)
+    model = _build_model(car, instruments, model_inputs, steps_per_block, noise_variance, road, K)
     level = level_ends and record.s[0] <= 0.0
     newest_node = int(inputs.front_node[0]) + 2
-    blocks, n = measurements.y.shape[1], NODES + 2 * K
-    state = _initial_state(car, model_inputs, road, n, blocks, newest_node, level)
-    return FilterRun(model, inputs, state, origin, max_columns(in_block))
+    state = _initial_state(car, model_inputs, model, road, inputs, newest_node, level)
+    columns = max_columns(model.force_to_state.shape[0], in_block)
+    return FilterRun(model, inputs, state, origin, columns)
 
 
 def _build_model(
@@ -159,10 +168,25 @@ def _build_model(
     steps_per_block: int,
     noise_variance: float,
     road: ARModel,
+    n_nodes: int,
 ) -> FilterModel:
-    one = build_plant(car)
-    line = linearise(one, "ride", instruments.locations(car))
-    force_to_accel = line.strut_rows / line.M
+    one, locations = build_plant(car), instruments.locations(car)
+    line, bending = linearise(one, "ride", locations), sensed_bending(car, locations)
+    # a constant force over so short a time as a block moves the vehicle like free masses
+    accel = (line.strut_rows / line.M).T
+    time = steps_per_block * model_inputs.h
+    force_to_state, force_to_sensor = (
+        [0.5 * time**2 * accel, time * accel],
+        line.sensor_rows @ accel,
+    )
+    section = np.zeros((0, 6))
+    if bending is not None:
+        section = body_bending.section(bending.mode, model_inputs.h * model_inputs.decimation)
+        samples = steps_per_block // model_inputs.decimation
+        push = np.repeat((bending.force @ accel[[Z_B, THETA]])[:, None], samples, axis=1)
+        bent, end = sosfilt(section, push, zi=np.zeros((1, 4, 2)))
+        force_to_state.append(end[0].T)
+        force_to_sensor = force_to_sensor + np.outer(bending.shape, bent.mean(axis=1))
     tables, force_variance = smoothed_tables(one.velocity)
     increment_span = round(INCREMENT_LENGTH / NODE_SPACING)
     return FilterModel(
@@ -174,8 +198,9 @@ def _build_model(
         force_variance=force_variance * FORCE_CORRELATION_TIME / (steps_per_block * model_inputs.h),
         strut_rows=line.strut_rows,
         sensor_rows=line.sensor_rows,
-        force_to_accel=force_to_accel,
-        force_to_sensor=line.sensor_rows @ force_to_accel.T,
+        force_to_state=np.concatenate(force_to_state),
+        force_to_sensor=force_to_sensor,
+        n_nodes=n_nodes,
         ar_weights=road.weights,
         prediction_variance=road.prediction_variance,
         increment_variance=road.increment_variance(increment_span),
@@ -185,6 +210,10 @@ def _build_model(
         steps_per_block=steps_per_block,
         decimation=model_inputs.decimation,
         valve_lag=car.valve.lag,
+        bending_force=np.zeros(2) if bending is None else bending.force,
+        bending_shape=np.zeros(3) if bending is None else bending.shape,
+        bending_section=section.ravel(),
+        flexible=True if one.flexible else None,
         wheelbase_nodes=car.wheelbase / NODE_SPACING,
         decay=decay_per_node(NODE_SPACING),
         noise_variance=noise_variance,
@@ -195,20 +224,26 @@ def _build_model(
 def _initial_state(
     car: VehicleParameters,
     model_inputs: ModelInputs,
+    model: FilterModel,
     road: ARModel,
-    n: int,
-    blocks: int,
+    inputs: FilterInputs,
     newest_node: int,
     level: bool,
 ) -> FilterState:
-    x, P = np.zeros(n), np.zeros((n, n))
+    K, (n_vehicle, _) = model.n_nodes, model.force_to_state.shape
+    n, blocks = NODES + 2 * K + n_vehicle, inputs.y.shape[1]
+    x, P, motion = np.zeros(n), np.zeros((n, n)), rest_state(car, model_inputs)
     # exactly at rest the friction law has a kink and no tangent
-    x[: REST_STD.size] = rest_state(car, model_inputs) + 1e-7
-    vehicle_std = REST_STD if level else MOVING_STD
-    std = np.concatenate([vehicle_std, np.zeros(BIAS - vehicle_std.size), np.full(3, BIAS_STD)])
-    P[: std.size, : std.size] = np.diag(std**2)
+    x[n - n_vehicle :][: motion.size] = motion + 1e-7
+    typical = (REST_STD if level else MOVING_STD)[[0, -1]]
+    std = np.concatenate(
+        [np.repeat(typical, motion.size // 2), np.full(n_vehicle - motion.size, typical[1])]
+    )
+    P[n - n_vehicle :, n - n_vehicle :] = np.diag(std**2)
+    P[BIAS:RETIRED, BIAS:RETIRED] = np.diag(np.full(3, BIAS_STD**2))
     if not level:
-        P[NODES:, NODES:] = prior_covariance(road, n, newest_node + 1 - (n - NODES) // 2)
+        nodes = slice(NODES, NODES + 2 * K)
+        P[nodes, nodes] = prior_covariance(road, K, newest_node + 1 - K)
     strut_state = settled_strut_state(int(model_inputs.commands[0]))
     weight = ROUGHNESS_LENGTH / NODE_SPACING  # that of a stationary average
     adaptive = np.array([1.0, weight, weight, 1.0])
@@ -250,7 +285,7 @@ def setup_output(
 
 def run_filter(run: FilterRun, output: ProfileOutput) -> None:
     """Filter a drive to its end and emit all stations."""
-    one = empty_blocks(run.n_states, run.max_columns, 1)
+    one = run.empty_blocks(1)
     filter_forward(run.model, run.inputs, run.state, 0, run.n_blocks, output, one)
     emit(run.model, run.state, output, END)
 
@@ -305,7 +340,7 @@ def _filter_chunk(run: FilterRun, output: ProfileOutput, first: int, last: int) 
         height_covariance=np.zeros((count, 2, n)),
         band_covariance=np.zeros((count // VARIANCE_STRIDE + 1, 2, n)),
     )
-    blocks = empty_blocks(n, run.max_columns, last - first)
+    blocks = run.empty_blocks(last - first)
     filter_forward(run.model, run.inputs, run.state, first, last, own, blocks)
     if last == run.n_blocks:
         emit(run.model, run.state, own, END)

@@ -167,7 +167,7 @@ def emit(model: FilterModel, state: FilterState, output: ProfileOutput, j):
     n, newest_node, next_station = state.x.size, state.newest_node[0], output.next_station
     if next_station[0] == output.node.size or output.emit_block[next_station[0]] > j:
         return
-    u, rows = np.empty(2 + (n - NODES) // 2), np.empty((2, n))
+    u, rows = np.empty(2 + model.n_nodes), np.empty((2, n))
     decay = model.decay if output.detrended else 0.0
     while next_station[0] < output.node.size and output.emit_block[next_station[0]] <= j:
         m = next_station[0]

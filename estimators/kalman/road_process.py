@@ -15,7 +15,6 @@ from scipy.linalg import solve_toeplitz, toeplitz
 
 from estimators.common.road_prior import N_MIN, increment_amplitude
 from estimators.kalman.state import (
-    NODES,
     RETIRED,
     ROUGHNESS_SCALE,
     ROUGHNESS_SUM,
@@ -74,11 +73,10 @@ def yule_walker(covariance: np.ndarray, order: int) -> tuple[np.ndarray, float]:
     return weights, float(covariance[0] - weights @ covariance[1 : order + 1])
 
 
-def prior_covariance(ar_model: ARModel, n: int, oldest: int) -> np.ndarray:
-    """Return the prior covariance (n - NODES, n - NODES) [m²] of the nodes from `oldest` on, in the
-    ring-buffer order of a state of size `n`.
+def prior_covariance(ar_model: ARModel, size: int, oldest: int) -> np.ndarray:
+    """Return the prior covariance (2 `size`, 2 `size`) [m²] of the nodes from `oldest` on, in the
+    order of the ring buffer.
     """
-    size = (n - NODES) // 2
     slot = (oldest + np.arange(size)) % size
     P = np.zeros((2 * size, 2 * size))
     for component in range(2):
@@ -92,11 +90,11 @@ def add_node(model: FilterModel, state: FilterState, free):
     """Add a node ahead of the newest one and retire the oldest. Unless `free`, the road goes on
     level.
     """
-    x, P, n, pending = state.x, state.P, state.x.size, state.pending
+    x, P, K, pending = state.x, state.P, model.n_nodes, state.pending
     newest_node, rank = state.newest_node[0], state.n_pending[0]
     pending_row = np.empty(rank)
-    new = node_index(newest_node + 1, n)
-    row = np.empty(n)
+    new = node_index(newest_node + 1, K)
+    row = np.empty(x.size)
     for component in range(2):
         retire_node(state, RETIRED + 2 * component, new + component, model.decay)
         row[:] = 0.0
@@ -104,10 +102,10 @@ def add_node(model: FilterModel, state: FilterState, free):
         z = 0.0
         order = model.ar_weights.shape[1] if free else 1
         for k in range(order):
-            old = node_index(newest_node - k, n) + component
+            old = node_index(newest_node - k, K) + component
             weight = model.ar_weights[component, k] if free else 1.0
             z += weight * x[old]
-            for i in range(n):
+            for i in range(x.size):
                 row[i] += weight * P[old, i]
             for r in range(rank):
                 pending_row[r] += weight * pending[r, old]
@@ -115,7 +113,7 @@ def add_node(model: FilterModel, state: FilterState, free):
         variance = model.prediction_variance[component] * scale if free else 0.0
         for k in range(order):
             weight = model.ar_weights[component, k] if free else 1.0
-            variance += weight * row[node_index(newest_node - k, n) + component]
+            variance += weight * row[node_index(newest_node - k, K) + component]
         x[new + component] = z
         P[new + component, :] = row
         P[:, new + component] = row
@@ -152,12 +150,12 @@ def update_roughness(model: FilterModel, state: FilterState, rear, free):
 
     One step of expectation maximization: the expected square is the squared mean plus the variance.
     """
-    x, P, n, adaptive = state.x, state.P, state.x.size, state.adaptive
+    x, P, K, adaptive = state.x, state.P, model.n_nodes, state.adaptive
     low = rear - model.increment_span
     if low <= free[0] or rear >= free[1]:
         return
     for component in range(2):
-        a, b = node_index(low, n) + component, node_index(rear, n) + component
+        a, b = node_index(low, K) + component, node_index(rear, K) + component
         increment, variance = x[b] - x[a], P[a, a] + P[b, b] - 2.0 * P[a, b]
         for r in range(state.n_pending[0]):
             variance -= (state.pending[r, b] - state.pending[r, a]) ** 2

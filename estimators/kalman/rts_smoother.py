@@ -23,7 +23,6 @@ from estimators.kalman.profile_output import VARIANCE_STRIDE, ProfileOutput
 from estimators.kalman.state import (
     BIAS,
     FORCE,
-    N_VEHICLE,
     RETIRED,
     FilterInputs,
     FilterModel,
@@ -118,20 +117,21 @@ def smooth_output(r, N, output: ProfileOutput, m):
 def adjoint_predict(r, N, block: LinearizedBlock):
     """Apply the transpose of `filter.predict`."""
     n, size, A, columns = r.size, block.n_columns[0], block.A, block.columns
-    vehicle, rows = r[:N_VEHICLE].copy(), N[:N_VEHICLE].copy()
-    r[:N_VEHICLE] = 0.0
-    N[:N_VEHICLE] = 0.0
+    first = n - A.shape[0]
+    vehicle, rows = r[first:].copy(), N[first:].copy()
+    r[first:] = 0.0
+    N[first:] = 0.0
     for d in range(size):
-        for i in range(N_VEHICLE):
+        for i in range(A.shape[0]):
             r[columns[d]] += A[i, d] * vehicle[i]
             for k in range(n):
                 N[columns[d], k] += A[i, d] * rows[i, k]
     for d in range(size):
         row = N[columns[d]]
-        vehicle = row[:N_VEHICLE].copy()
-        row[:N_VEHICLE] = 0.0
+        vehicle = row[first:].copy()
+        row[first:] = 0.0
         for e in range(size):
-            for i in range(N_VEHICLE):
+            for i in range(A.shape[0]):
                 row[columns[e]] += vehicle[i] * A[i, e]
     mirror_rows(N, columns, size)
 
@@ -180,20 +180,20 @@ def adjoint_update(r, N, block: LinearizedBlock):
 @kernel(inline=False)
 def adjoint_add_node(model: FilterModel, r, N, newest_node, free):
     """Apply the transpose of `road_process.add_node`, which added a node ahead of `newest_node`."""
-    n = r.size
+    n, K = r.size, model.n_nodes
     c, s = np.exp(-model.decay) * np.cos(model.decay), np.exp(-model.decay) * np.sin(model.decay)
     order = model.ar_weights.shape[1] if free else 1
     for component in (1, 0):
-        new, M = node_index(newest_node + 1, n) + component, RETIRED + 2 * component
+        new, M = node_index(newest_node + 1, K) + component, RETIRED + 2 * component
         for k in range(order):
             weight = model.ar_weights[component, k] if free else 1.0
-            old = node_index(newest_node - k, n) + component
+            old = node_index(newest_node - k, K) + component
             r[old] += weight * r[new]
             for i in range(n):
                 N[old, i] += weight * N[new, i]
         for k in range(order):
             weight = model.ar_weights[component, k] if free else 1.0
-            old = node_index(newest_node - k, n) + component
+            old = node_index(newest_node - k, K) + component
             for i in range(n):
                 N[i, old] += weight * N[i, new]
         r[M], r[M + 1] = c * r[M] + s * r[M + 1], c * r[M + 1] - s * r[M]

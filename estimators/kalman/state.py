@@ -1,12 +1,15 @@
 """State vector of the filter, constants of a run, and the record of one filtered block.
 
-    x = [vehicle (14), strut force residuals (4), biases (3), retired-node sums (4), nodes (2 K)]
+    x = [strut force residuals (4), biases (3), retired-node sums (4), nodes (2 K), vehicle (N)]
 
-The vehicle part holds the coordinates and rates of the 7-DOF model. The strut force residuals [N]
+The vehicle part holds the coordinates of the 7-DOF model and their rates, N = 14; with a frame that
+twists, its twist as the eighth, and with a body that bends, the two states of its filter
+(`estimators.common.bending`), N = 18. The strut force residuals [N]
 are the parts of the strut forces that the linearized force laws leave out; each is constant over a
 block and independent from block to block. The biases [m/s²] are the offsets of the sensors. The
 road is K nodes of a cubic B-spline, fixed in space, as mean and half difference of the wheel paths.
-Node k has the index NODES + 2 (k mod K): a ring buffer, in which a new node overwrites the oldest
+Node k has the index
+NODES + 2 (k mod K): a ring buffer, in which a new node overwrites the oldest
 one and no entry moves. Retired nodes remain in decaying sums, real and imaginary part for the mean,
 then for the half difference,
 
@@ -20,10 +23,10 @@ from typing import NamedTuple
 import numpy as np
 
 from road_envs._numba import kernel
-from road_envs.vehicle.equations import N_DOF
 
-N_VEHICLE = 2 * N_DOF
-FORCE, BIAS, RETIRED, NODES = N_VEHICLE, N_VEHICLE + 4, N_VEHICLE + 7, N_VEHICLE + 11
+FORCE, BIAS, RETIRED, NODES = 0, 4, 7, 11
+"""Index of the first entry of each part of the state vector."""
+
 MAX_PENDING = 96
 """Rows of the updates that are not yet subtracted from the covariance, at most."""
 
@@ -38,16 +41,21 @@ weight whose ratio it is, and the factor on the measurement noise variance."""
 class FilterModel(NamedTuple):
     """Constants of a run. Lengths along the road are in nodes.
 
-    Vehicle: `constants`, `velocity` and `displacement` of the plant; `velocity` holds the tables
-    once for each rate standard deviation in `rate_stds` (W,) [m/s], and `first_table` (4,) is each
-    strut's number among the tables of one. `force_variance` (W, K, V) [N²]: variance of the strut
-    force about its linearization. `strut_rows` (4, 7), `sensor_rows` (3, 7): strut extension and
-    sensor acceleration per unit of each coordinate. `force_to_accel` (4, 7), `force_to_sensor` (3,
-    4): acceleration of the coordinates and of the sensors per unit strut force. `valve_lag` [s].
+    Vehicle, of D coordinates and N states: `constants`, `velocity` and `displacement` of the plant;
+    `velocity` holds the tables once for each rate standard deviation in `rate_stds` (W,) [m/s], and
+    `first_table` (4,) is each strut's number among the tables of one. `force_variance` (W, K, V)
+    [N²]: variance of the strut force about its linearization. `strut_rows` (4, D), `sensor_rows`
+    (3, D): strut extension and sensor acceleration per unit of each coordinate. `force_to_state`
+    (N, 4), `force_to_sensor` (3, 4): states at the end of a block and means of the sensors per unit
+    strut force. `valve_lag` [s]. Bending of the body: modal force per heave and pitch acceleration
+    `bending_force` (2,), shape at the sensors `bending_shape` (3,), and the coefficients
+    `bending_section` (6,) of its filter, (0,) if the body is stiff. `flexible`: True of a frame
+    that twists, else None.
 
-    Road: `ar_weights` (2, order) and `prediction_variance` (2,) [m²] of the model of the next node;
-    prior `increment_variance` (2,) [m²] over `increment_span` nodes; `roughness_memory`, over which
-    roughness is averaged; `wheelbase_nodes`; `decay` of the retired-node sums per node.
+    Road, of `n_nodes` K: `ar_weights` (2, order) and `prediction_variance` (2,) [m²] of the model
+    of the next node; prior `increment_variance` (2,) [m²] over `increment_span` nodes;
+    `roughness_memory`, over which roughness is averaged; `wheelbase_nodes`; `decay` of the
+    retired-node sums per node.
 
     Measurements: step `h` [s], `steps_per_block`, one sample in `decimation` steps,
     `noise_variance` [(m/s²)²] of a sample, whose factor adapts over `noise_time` blocks.
@@ -61,8 +69,9 @@ class FilterModel(NamedTuple):
     force_variance: np.ndarray
     strut_rows: np.ndarray
     sensor_rows: np.ndarray
-    force_to_accel: np.ndarray
+    force_to_state: np.ndarray
     force_to_sensor: np.ndarray
+    n_nodes: int
     ar_weights: np.ndarray
     prediction_variance: np.ndarray
     increment_variance: np.ndarray
@@ -72,6 +81,10 @@ class FilterModel(NamedTuple):
     steps_per_block: int
     decimation: int
     valve_lag: float
+    bending_force: np.ndarray
+    bending_shape: np.ndarray
+    bending_section: np.ndarray
+    flexible: bool | None
     wheelbase_nodes: float
     decay: float
     noise_variance: float
@@ -122,10 +135,10 @@ class LinearizedBlock(NamedTuple):
     """Linearization of one block of measurements and the result of its update.
 
     The measurements and the vehicle state at the block's end depend on the `n_columns` (1,) entries
-    `columns` (D,) of the state vector: `A` (14, D) is the transition of the vehicle, `H` (3, D) the
-    measurement matrix, which the update whitens in place. Whitened gain `V` (3, n) and `innovation`
-    (3,): x' = x + V' innovation, P' = P - V' V. By nonlinear simulation: vehicle state `end_state`
-    (14,) and block means `predicted` (3,). `nodes_added` (1,): new nodes.
+    `columns` (C,) of the state vector, the vehicle first: `A` (N, C) is the transition of the
+    vehicle, `H` (3, C) the measurement matrix, which the update whitens in place. Whitened gain `V`
+    (3, n) and `innovation` (3,): x' = x + V' innovation, P' = P - V' V. By nonlinear simulation:
+    vehicle state `end_state` (N,) and block means `predicted` (3,). `nodes_added` (1,): new nodes.
     """
 
     n_columns: np.ndarray
@@ -139,25 +152,25 @@ class LinearizedBlock(NamedTuple):
     nodes_added: np.ndarray
 
 
-def empty_blocks(n: int, max_columns: int, blocks: int) -> LinearizedBlock:
+def empty_blocks(n: int, n_vehicle: int, max_columns: int, blocks: int) -> LinearizedBlock:
     """Return `blocks` blocks of zeros, stacked along the first axis of each field."""
     return LinearizedBlock(
         n_columns=np.zeros((blocks, 1), dtype=np.int64),
         columns=np.zeros((blocks, max_columns), dtype=np.int64),
-        A=np.zeros((blocks, N_VEHICLE, max_columns)),
+        A=np.zeros((blocks, n_vehicle, max_columns)),
         H=np.zeros((blocks, 3, max_columns)),
         V=np.zeros((blocks, 3, n)),
         innovation=np.zeros((blocks, 3)),
-        end_state=np.zeros((blocks, N_VEHICLE)),
+        end_state=np.zeros((blocks, n_vehicle)),
         predicted=np.zeros((blocks, 3)),
         nodes_added=np.zeros((blocks, 1), dtype=np.int64),
     )
 
 
 @kernel
-def node_index(k, n):
-    """Return the index of the mean of node `k`, in a state of size `n`; half difference next."""
-    return NODES + 2 * (k % ((n - NODES) // 2))
+def node_index(k, n_nodes):
+    """Return the index of the mean of node `k`; that of the half difference follows."""
+    return NODES + 2 * (k % n_nodes)
 
 
 @kernel(inline=False)

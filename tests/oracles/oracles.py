@@ -43,25 +43,35 @@ def static_rate(mode):
     return N_P * P_STAT * BORE / X_STAT[mode]
 
 
-def linear_matrices(car, k_s, c_s=(0.0, 0.0)):
+def linear_matrices(car, k_s, c_s=(0.0, 0.0), frame=None):
     """Return (M, C, K, K_r, C_r) of the car with linear struts `k_s`, `c_s` (front, rear).
+
+    With a torsional `frame` (frequency, damping ratio) its twist is the eighth coordinate: the
+    halves of the body roll by half of it more and less than their mean.
 
     A spring with the elongation b.q stores k (b.q)^2 / 2 and adds k b b' to K, so that no signs of
     forces have to be chosen. K_r, C_r (7, 4) multiply the road heights and their rates.
     """
-    M, C, K = np.zeros((7, 7)), np.zeros((7, 7)), np.zeros((7, 7))
-    K_r, C_r = np.zeros((7, 4)), np.zeros((7, 4))
+    n = 7 if frame is None else 8
+    M, C, K = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
+    K_r, C_r = np.zeros((n, 4)), np.zeros((n, 4))
     M[[0, 1, 2], [0, 1, 2]] = car.m_b, car.I_xx, car.I_yy
     for i, axle in enumerate((car.front, car.rear)):
         M[3 + 2 * i, 3 + 2 * i], M[4 + 2 * i, 4 + 2 * i] = axle.m, axle.I_xx
         for side, sign in enumerate((1.0, -1.0)):
-            strut, tyre = np.zeros(7), np.zeros(7)
+            strut, tyre = np.zeros(n), np.zeros(n)
             strut[:3] = -1.0, -sign * axle.y_s, axle.x
             strut[3 + 2 * i : 5 + 2 * i] = 1.0, sign * axle.y_s
+            strut[7:] = -0.5 * sign * axle.y_s * (1.0 - 2.0 * i)
             tyre[3 + 2 * i : 5 + 2 * i] = 1.0, sign * axle.y_t
             K += k_s[i] * np.outer(strut, strut) + axle.k_t * np.outer(tyre, tyre)
             C += c_s[i] * np.outer(strut, strut) + axle.c_t * np.outer(tyre, tyre)
             K_r[:, 2 * i + side], C_r[:, 2 * i + side] = axle.k_t * tyre, axle.c_t * tyre
+    if frame is not None:
+        omega = 2.0 * np.pi * frame[0]
+        M[7, 7] = 0.25 * car.I_xx
+        K[7, 7] += M[7, 7] * omega**2
+        C[7, 7] += 2.0 * frame[1] * omega * M[7, 7]
     return M, C, K, K_r, C_r
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from oracles import linear_matrices
 from scipy.linalg import expm
+from scipy.signal import sosfilt
 from scipy.stats import truncnorm
 from vehicle_fixtures import DEFENDER
 
@@ -27,18 +28,17 @@ from estimators.kalman.pipeline import (
 from estimators.kalman.profile_output import HALF_WINDOW, VARIANCE_STRIDE, decay_per_node
 from estimators.kalman.road_process import fit_ar_model
 from estimators.kalman.state import (
-    N_VEHICLE,
     ROUGHNESS_SUM,
     ROUGHNESS_WEIGHT,
-    empty_blocks,
     get_block,
     subtract_pending,
 )
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.data.record import Record
 from road_envs.sensing.instruments import load_instruments
+from road_envs.vehicle.body_bending import modal_force, section, shape
 from road_envs.vehicle.force_curves import Curve
-from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.parameters import BendingMode, TorsionalFrame, VehicleParameters
 from road_envs.vehicle.struts import ModeCurves
 
 PAPER = load_instruments("paper")
@@ -53,11 +53,21 @@ NOISE = (1e-5) ** 2 * 500.0
 CUTOFF = 0.09
 
 
-def linear_car() -> VehicleParameters:
-    """Linear dampers and no friction; on a smooth road the gas springs are linear, too."""
+FRAME, BENDING = (9.0, 0.08), BendingMode(f=18.0, zeta=0.05, length=4.4)
+
+
+def linear_car(flexible: bool) -> VehicleParameters:
+    """Linear dampers and no friction; on a smooth road the gas springs are linear, too. The body of
+    a flexible one twists and bends.
+    """
     line, none = Curve(x=(-3.0, 3.0), F=(-3.0 * C_S, 3.0 * C_S)), Curve(x=(-3.0, 3.0), F=(0.0, 0.0))
     damper, friction = ModeCurves(ride=line, handling=line), ModeCurves(ride=none, handling=none)
-    return replace(DEFENDER, strut=replace(DEFENDER.strut, damper=damper, friction=friction))
+    variation = DEFENDER.variation
+    if flexible:
+        frame = TorsionalFrame(f=FRAME[0], zeta=FRAME[1])
+        variation = replace(variation, frame=frame, bending=BENDING)
+    strut = replace(DEFENDER.strut, damper=damper, friction=friction)
+    return replace(DEFENDER, strut=strut, variation=variation)
 
 
 def record_of(a: np.ndarray) -> Record:
@@ -68,27 +78,28 @@ def record_of(a: np.ndarray) -> Record:
     return Record(t, a, np.full(t.size, SPEED), s, state, state, SPEED * TIME - LEAD - 1.0)
 
 
-def run_of(a: np.ndarray, lag: float):
+def run_of(a: np.ndarray, lag: float, flexible: bool = False):
     """The short drive before its first block, without adaptation, and from a narrow initial state,
     in which the gas springs are linear.
     """
-    record, car = record_of(a), linear_car()
+    record, car = record_of(a), linear_car(flexible)
     inputs = build_model_inputs(record, PAPER, car, STEP)
     measurements = block_means(record.a, np.isfinite(record.a), 3)
     options = {"noise_variance": NOISE, "prior": SMOOTH, "level_ends": True, "lag": lag}
     run = setup_run(record, car, PAPER, inputs, measurements, **options)
     model = run.model._replace(roughness_memory=np.inf, noise_time=np.inf)
     run.state.adaptive[[ROUGHNESS_SUM, ROUGHNESS_WEIGHT]] = 1e15
-    run.state.P[:N_VEHICLE, :N_VEHICLE] *= START**2
+    vehicle = slice(-run.model.force_to_state.shape[0], None)
+    run.state.P[vehicle, vehicle] *= START**2
     return replace(run, model=model), record, inputs
 
 
 @cache
-def dense():
+def dense(flexible: bool = False):
     """Prior covariance of all unknowns (coefficients, initial state, biases), block means per unit
-    of each (3, J, unknowns), and the first node number of the front axle.
+    of each (3, J, unknowns), the first node number of the front axle, and the number of nodes.
     """
-    run, _, inputs = run_of(np.zeros((3, round(1000 * TIME))), 4.79)
+    run, _, inputs = run_of(np.zeros((3, round(1000 * TIME))), 4.79, flexible)
     road, newest_node = fit_ar_model(SMOOTH, NODE_SPACING), int(run.inputs.front_node[0]) + 2
     last = int(run.inputs.front_node[-1]) + 3
     number = np.arange(last + 1)
@@ -104,16 +115,19 @@ def dense():
             weights = road.weights[component] if free[k] else np.ones(1)
             root[component, k] = weights @ root[component, k - 1 - np.arange(order)]
             root[component, k, k] = free[k] * np.sqrt(road.prediction_variance[component])
-    M, C, K, K_r, C_r = linear_matrices(DEFENDER, (K_S, K_S), (C_S, C_S))
-    h, size = inputs.h, 2 * number.size
-    A = np.block([[np.zeros((7, 7)), np.eye(7)], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])
-    B = np.vstack([np.zeros((7, 8)), np.linalg.solve(M, np.hstack([K_r, C_r]))])
-    big = np.zeros((30, 30))
-    big[:14, :14], big[:14, 14:22], big[14:22, 22:] = A * h, B * h, np.eye(8)
-    step = expm(big)[:14]
-    unknowns = size + 17
-    state, road_now = np.zeros((14, unknowns)), []
-    state[:, size : size + 14] = np.eye(14)
+    frame = FRAME if flexible else None
+    M, C, K, K_r, C_r = linear_matrices(DEFENDER, (K_S, K_S), (C_S, C_S), frame)
+    h, size, d = inputs.h, 2 * number.size, len(M)
+    A = np.block([[np.zeros((d, d)), np.eye(d)], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])
+    B = np.vstack([np.zeros((d, 8)), np.linalg.solve(M, np.hstack([K_r, C_r]))])
+    n = 2 * d
+    big = np.zeros((n + 16, n + 16))
+    big[:n, :n], big[:n, n : n + 8], big[n : n + 8, n + 8 :] = A * h, B * h, np.eye(8)
+    step = expm(big)[:n]
+    bias = size + n + 2 * flexible
+    unknowns = bias + 3
+    state, road_now = np.zeros((n, unknowns)), []
+    state[:, size : size + n] = np.eye(n)
     for x in run.inputs.front_node[::2]:
         under = np.zeros((8, unknowns))
         for axle in range(2):
@@ -131,29 +145,40 @@ def dense():
                     under[rows, nodes] = shares
                     under[rows, number.size + nodes] = sign * shares
         road_now.append(under)
-    places = PAPER.locations(DEFENDER).values()
-    levers = np.array([[1.0, place.y, -place.x] for place in places])
-    sensed = np.zeros((len(road_now), 3, unknowns))
-    for n, now in enumerate(road_now):
-        sensed[n] = levers @ (A @ state + B @ now)[[7, 8, 9]]
-        drift = (road_now[n + 1] if n + 1 < len(road_now) else now) - now
-        state = step[:, :14] @ state + step[:, 14:22] @ now + step[:, 22:] @ drift
+    places = list(PAPER.locations(DEFENDER).values())
+    levers = np.zeros((3, d))
+    levers[:, :3] = [[1.0, place.y, -place.x] for place in places]
+    levers[:, 7:] = [[0.5 * np.sign(place.x) * place.y] for place in places] if flexible else 0.0
+    motion = np.zeros((len(road_now), d, unknowns))
+    for k, now in enumerate(road_now):
+        motion[k] = (A @ state + B @ now)[d:]
+        drift = (road_now[k + 1] if k + 1 < len(road_now) else now) - now
+        state = step[:, :n] @ state + step[:, n : n + 8] @ now + step[:, n + 8 :] @ drift
+    motion = motion[:: inputs.decimation]
+    sensed = np.einsum("sj,tju->tsu", levers, motion)
+    if flexible:
+        zi = np.zeros((1, 2, unknowns))
+        zi[0, :, bias - 2 : bias] = np.eye(2)
+        force = np.einsum("j,tju->tu", modal_force(BENDING, DEFENDER), motion[:, [0, 2]])
+        bent, _ = sosfilt(section(BENDING, 1e-3), force, axis=0, zi=zi)
+        sensed += shape(BENDING, np.array([place.x for place in places]))[:, None] * bent[:, None]
     J = run.n_blocks  # blocks of 3 samples
-    means = sensed[:: inputs.decimation][: 3 * J].reshape(J, 3, 3, unknowns).mean(axis=1)
+    means = sensed[: 3 * J].reshape(J, 3, 3, unknowns).mean(axis=1)
     means = means.transpose(1, 0, 2)
-    means[np.arange(3), :, size + 14 + np.arange(3)] = 1.0
+    means[np.arange(3), :, bias + np.arange(3)] = 1.0
     half = number.size
     P = np.zeros((unknowns, unknowns))
     P[:half, :half], P[half:size, half:size] = root[0] @ root[0].T, root[1] @ root[1].T
-    std = np.concatenate([START * REST_STD, np.full(3, BIAS_STD)])
+    rest = START * np.concatenate([np.repeat(REST_STD[[0, -1]], d), REST_STD[-2 * flexible :]])
+    std = np.concatenate([rest[: bias - size], np.full(3, BIAS_STD)])
     P[size:, size:] = np.diag(std**2)
-    return P, means, run.inputs.front_node[0]
+    return P, means, run.inputs.front_node[0], half
 
 
 @cache
-def drawn_samples() -> np.ndarray:
+def drawn_samples(flexible: bool = False) -> np.ndarray:
     """Samples (3, T) whose block means are drawn from the dense model."""
-    P, means, _ = dense()
+    P, means, *_ = dense(flexible)
     rng = np.random.default_rng(7)
     root = np.linalg.cholesky(P + 1e-18 * np.eye(P.shape[0]))
     y = means @ (root @ rng.standard_normal(P.shape[0]))
@@ -164,7 +189,7 @@ def drawn_samples() -> np.ndarray:
 
 def dense_weights(at: float, detrended: bool) -> np.ndarray:
     """Weights of the coefficients in the output at a node number, as a sum over all nodes."""
-    half = dense()[0].shape[0] // 2 - 8  # 17 unknowns follow the coefficients
+    half = dense()[3]
     number, window = np.arange(half), HALF_WINDOW / NODE_SPACING
 
     def low(d):
@@ -183,14 +208,17 @@ def dense_weights(at: float, detrended: bool) -> np.ndarray:
     return weights
 
 
-def posterior(blocks: int, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def posterior(
+    blocks: int, weights: np.ndarray, flexible: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
     """Posterior mean and variance (2,) of left and right, given the first `blocks` block means."""
-    P, means, _ = dense()
+    P, means, *_ = dense(flexible)
     half = weights.size
     f = np.zeros((2, P.shape[0]))
     f[:, :half], f[0, half : 2 * half], f[1, half : 2 * half] = weights, weights, -weights
     H = means[:, :blocks].reshape(-1, P.shape[0])
-    y = block_means(drawn_samples(), np.isfinite(drawn_samples()), 3).y[:, :blocks].ravel()
+    samples = drawn_samples(flexible)
+    y = block_means(samples, np.isfinite(samples), 3).y[:, :blocks].ravel()
     S = H @ P @ H.T + NOISE / 3.0 * np.eye(y.size)
     gain = np.linalg.solve(S, H @ P @ f.T)
     return gain.T @ y, np.diag(f @ P @ f.T - (f @ P @ H.T) @ gain)
@@ -215,10 +243,13 @@ def detrended_weights(run, output, m) -> np.ndarray:
     return weights
 
 
-@pytest.mark.parametrize("lag", [0.0, 4.79])
-def test_an_emitted_station_is_the_dense_posterior_of_the_blocks_until_then(lag):
+FLEXIBLE = pytest.param(4.79, True, marks=pytest.mark.slow, id="a body that twists and bends")
+
+
+@pytest.mark.parametrize("lag, flexible", [(0.0, False), (4.79, False), FLEXIBLE])
+def test_an_emitted_station_is_the_dense_posterior_of_the_blocks_until_then(lag, flexible):
     """Heights within a tenth of their standard deviation, standard deviations to a hundredth."""
-    run, record, _ = run_of(drawn_samples(), lag)
+    run, record, _ = run_of(drawn_samples(flexible), lag, flexible)
     output = setup_output(run, record, lag, 0.004, detrended=True)
     output = output._replace(cutoff=np.full_like(output.cutoff, CUTOFF))
     assert np.searchsorted(output.emit_block, run.n_blocks) > 100
@@ -226,7 +257,7 @@ def test_an_emitted_station_is_the_dense_posterior_of_the_blocks_until_then(lag)
     compared = range(VARIANCE_STRIDE * 8, output.node.size, VARIANCE_STRIDE * 4)  # after the apron
     for m in compared:
         blocks = min(output.emit_block[m], run.n_blocks)
-        z, variance = posterior(blocks, detrended_weights(run, output, m))
+        z, variance = posterior(blocks, detrended_weights(run, output, m), flexible)
         assert np.abs(output.z[m] - z).max() < 0.1 * np.sqrt(variance.min())
         np.testing.assert_allclose(np.sqrt(output.variance[m]), np.sqrt(variance), rtol=0.01)
     assert len(compared) >= 7
@@ -263,7 +294,7 @@ def test_smoothing_in_chunks_is_nearly_smoothing_at_once():
 def test_innovations_on_the_filters_own_model_are_white_with_unit_variance():
     run, record, _ = run_of(drawn_samples(), 4.79)
     output = setup_output(run, record, 4.79, 0.004, detrended=True)
-    blocks = empty_blocks(run.n_states, run.max_columns, run.n_blocks)
+    blocks = run.empty_blocks(run.n_blocks)
     filter_forward(run.model, run.inputs, run.state, 0, run.n_blocks, output, blocks)
     innovation, count = blocks.innovation, 3 * run.n_blocks
     assert np.mean(innovation**2) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / count))
@@ -279,7 +310,7 @@ def test_innovations_on_the_filters_own_model_are_white_with_unit_variance():
 def test_a_censored_measurement_gives_the_moments_of_a_truncated_normal(limit, sign):
     run, _, _ = run_of(np.zeros((3, 1900)), 1.0)
     rng = np.random.default_rng(4)
-    n, columns = run.n_states, np.array([0, 3, N_VEHICLE + 20])
+    n, columns = run.n_states, np.array([0, 3, 34])
     root = 0.1 * rng.standard_normal((n, n))
     P, x, h = root @ root.T, rng.standard_normal(n), np.array([2.0, -1.0, 0.5])
     gain, count = P[:, columns] @ h, 3.0
@@ -287,7 +318,7 @@ def test_a_censored_measurement_gives_the_moments_of_a_truncated_normal(limit, s
     truncated = truncnorm(limit, np.inf)
     far = 9.0 * abs(limit)
     assert normal_hazard(far) == pytest.approx(truncnorm(far, np.inf).mean(), rel=1e-3)
-    block = get_block(empty_blocks(n, run.max_columns, 1), 0)
+    block = get_block(run.empty_blocks(1), 0)
     block.n_columns[0], block.columns[:3], block.predicted[1] = 3, columns, 0.7
     block.H[1, :3] = h
     state = run.state._replace(x=x.copy(), P=P.copy())
