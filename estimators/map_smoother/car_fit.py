@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimators.map_smoother.gauss_newton import GaussNewton, MapSolution, estimate_noise_scale
+from estimators.map_smoother.gauss_newton import GaussNewton, MapSolution, update_noise_scale
 from estimators.map_smoother.instrument_errors import InstrumentErrors
 from estimators.map_smoother.marginal_likelihood import drive_terms, perturbed_cars
 from estimators.map_smoother.objective import Objective, linearize
@@ -171,8 +171,7 @@ def _resolve(solution: MapSolution, objective: Objective, solver: GaussNewton) -
     lin = linearize(objective, solution.linearization.x, objective.information)
     noise_scale, iterations = solution.noise_scale, solution.cg_iterations
     for _ in range(ROAD_STEPS):
-        estimate = estimate_noise_scale(lin, stationary, noise_scale)
-        noise_scale = max(1.0, min(noise_scale, estimate))
-        lin, k = solver.step(lin, objective.model.plant, noise_scale)
+        noise_scale = update_noise_scale(lin, stationary, noise_scale)
+        lin, k, _ = solver.step(lin, objective.model.plant, noise_scale)
         iterations += k
     return MapSolution(lin, stationary, noise_scale, solution.steps + ROAD_STEPS, iterations)

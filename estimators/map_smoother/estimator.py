@@ -98,7 +98,7 @@ class MapSmoother(CalibratedByIdentification):
 
     - `instruments`: name or path; `noise_density` [(m/s²)/sqrt(Hz)] if it is not theirs.
     - `G_d0` [m³] and `w`: the road's prior; `adapt_prior`: re-estimate its density from the drive,
-      in the end `prior_updates` times.
+      between the last steps at most `prior_updates` times.
     - `data_rate` [Hz] of the block means, at least; `step` [s]: longest step of the model.
     - `level_ends`: the road is level before station 0 and behind its length, where the drive begins
       at rest.

@@ -16,7 +16,7 @@ from scipy.fft import rfftfreq
 from scipy.signal import welch
 
 from estimators.common.conjugate_gradients import conjugate_gradients
-from estimators.map_smoother.objective import Linearization, Objective, linearize
+from estimators.map_smoother.objective import Linearization, Objective
 from estimators.map_smoother.preconditioner import StationaryHessian
 from estimators.map_smoother.wheel_liftoff import relax_unloaded, unloaded_nodes
 from road_envs.vehicle.equations import Plant
@@ -25,8 +25,13 @@ from road_envs.vehicle.suspension import V_0, V_STEP
 
 Vector = np.ndarray
 
-FRICTION_STAGES = ((0.3, 2), (0.1, 2), (0.03, 3), (0.0, 40))
+FRICTION_STAGES = ((0.3, 2), (0.1, 2), (0.03, 2), (0.0, 12))
 """Standard deviation [m/s] of the smoothing, and the most Gauss-Newton steps with it."""
+
+CHANGE_TOLERANCE = 0.4
+"""Root mean square change of the unknowns by a step, in units of their posterior standard
+deviations, below which the minimization ends. Smaller ones hardly lower the error any more: it is
+that of the posterior itself. On roads with obstacles the steps remain larger for longer."""
 
 MAX_HALVINGS = 6
 """Halvings of a step in the line search, at most."""
@@ -37,8 +42,8 @@ NOISE_SCALE_WARNING = 2.0
 REWEIGHTING_STEPS, WELCH_SEGMENT = 3, 128
 """Steps under frequency-dependent noise, and blocks in a segment of the residual's periodogram."""
 
-PRIOR_UPDATES, PRIOR_STEPS = 3, 2
-"""Updates of the prior after the minimization, and steps after each."""
+PRIOR_UPDATES = 6
+"""Updates of the prior between the steps with the true friction, at most."""
 
 MAX_LIFTOFF_RETRIES, LIFTOFF_STEPS = 2, 5
 """Largest number of times that the road under lifted wheels is lowered, and steps after each."""
@@ -65,7 +70,7 @@ def minimize(
     cg_iterations: int = 40,
     cg_tolerance: float = 0.1,
     huber: float = np.inf,
-    cost_tolerance: float = 1e-2,
+    change_tolerance: float = CHANGE_TOLERANCE,
     adapt_prior: bool = True,
     start: Vector | None = None,
     stages: Sequence[tuple[float, int]] = FRICTION_STAGES,
@@ -75,49 +80,42 @@ def minimize(
 ) -> MapSolution:
     """Minimize the objective, of one pass or of several, from a level road or `start` on.
 
-    `huber`: standard deviations beyond which a block mean is down-weighted. Ends when a step with
-    the true vehicle lowers the cost by less than the share `cost_tolerance`. `adapt_car`, if given,
-    then returns the solution with another vehicle.
+    `huber`: standard deviations beyond which a block mean is down-weighted. The prior is updated
+    before each of the `stages` and between steps with the true vehicle, there at most
+    `prior_updates` times. Ends when such a step changes the unknowns by less than
+    `change_tolerance`. `adapt_car`, if given, then returns the solution with another vehicle.
     """
     solver = GaussNewton(stationary, huber, cg_iterations, cg_tolerance)
     steps, total, noise_scale = 0, 0, np.inf
+    lin: Any = None
     x = np.zeros(objective.size) if start is None else start
-    lin = linearize(objective, x, objective.information)
     for std, max_steps in stages:
-        x = lin.x
-        if steps > 0 and adapt_prior:
-            objective, x = update_prior(lin, stationary, noise_scale)
-        plant = objective.plant
-        plant = plant if std == 0.0 else smooth_friction(plant, std)
-        lin = linearize(objective, x, objective.information, plant)
-        for _ in range(max_steps):
-            estimate = estimate_noise_scale(lin, stationary, noise_scale)
-            noise_scale = np.maximum(1.0, np.minimum(noise_scale, estimate))  # never rises again
-            new, k = solver.step(lin, plant, noise_scale)
+        if lin is not None:
+            lin = update_prior(lin, stationary, noise_scale) if adapt_prior else lin
+            objective, x = lin.objective, lin.x
+        plant = objective.plant if std == 0.0 else smooth_friction(objective.plant, std)
+        lin = objective.linearize(x, objective.information, plant)
+        noise_scale = update_noise_scale(lin, stationary, noise_scale)
+        for n in range(max_steps):
+            if std == 0.0 and adapt_prior and 0 < n <= prior_updates:
+                lin = update_prior(lin, stationary, noise_scale)
+            lin, k, change = solver.step(lin, plant, noise_scale)
             steps, total = steps + 1, total + k
-            decrease = 1.0 - new.cost / lin.with_inverse_variance(new.inverse_variance).cost
-            report(f"{std} {np.max(noise_scale):.1f} {k} {new.cost:.1f}", new)
-            lin = new
-            if decrease < cost_tolerance:
+            noise_scale = update_noise_scale(lin, stationary, noise_scale)
+            report(f"{std} {np.max(noise_scale):.1f} {k} {change:.2f} {lin.cost:.1f}", lin)
+            if change < change_tolerance:
                 break
-    for _ in range(prior_updates if adapt_prior else 0):
-        objective, x = update_prior(lin, stationary, noise_scale)
-        lin = linearize(objective, x, objective.information)
-        for _ in range(PRIOR_STEPS):
-            lin, k = solver.step(lin, plant, noise_scale)
-            steps, total = steps + 1, total + k
-            report("prior", lin)
     if adapt_car is not None:
         found = adapt_car(MapSolution(lin, stationary, noise_scale, steps, total), solver)
         lin, stationary, noise_scale = found.linearization, found.stationary, found.noise_scale
         steps, total, plant = found.steps, found.cg_iterations, lin.objective.plant
-        objective, solver = lin.objective, replace(solver, stationary=stationary)
+        solver = replace(solver, stationary=stationary)
     if np.max(noise_scale) > NOISE_SCALE_WARNING:
         for _ in range(REWEIGHTING_STEPS):
-            frequency_weights = estimate_frequency_weights(lin, stationary, noise_scale)
-            lin = lin.with_frequency_weights(frequency_weights)
-            solver = replace(solver, stationary=stationary.reweighted(objective, frequency_weights))
-            lin, k = solver.step(lin, plant, noise_scale)
+            weights = estimate_frequency_weights(lin, stationary, noise_scale)
+            lin = lin.with_frequency_weights(weights)
+            solver = replace(solver, stationary=stationary.reweighted(lin.objective, weights))
+            lin, k, _ = solver.step(lin, plant, noise_scale)
             steps, total = steps + 1, total + k
             report("reweighted", lin)
     for _ in range(MAX_LIFTOFF_RETRIES):
@@ -140,14 +138,20 @@ class GaussNewton:
 
     def step(
         self, lin: Linearization, plant: Plant, noise_scale: float
-    ) -> tuple[Linearization, int]:
-        """Return the next point, under `noise_scale` times the noise, and its CG iterations."""
+    ) -> tuple[Linearization, int, float]:
+        """Return the next point, under `noise_scale` times the noise, the CG iterations, and the
+        root mean square change of the resolved unknowns in posterior standard deviations.
+        """
         lin = lin.with_inverse_variance(lin.per_pass(self._weights, noise_scale))
         noise_variance = lin.objective.noise_variance * noise_scale
         M = self.stationary.preconditioner(lin.objective, noise_variance)
         limits = self.cg_iterations, self.cg_tolerance
-        dx, k = conjugate_gradients(lin.hessian_product, -lin.gradient(), M, *limits)
-        return line_search(lin, dx, plant), k
+        gradient = lin.gradient()
+        dx, k = conjugate_gradients(lin.hessian_product, -gradient, M, *limits)
+        slope = float(gradient @ dx)
+        # conjugate gradients leave dx' H dx = -slope
+        dof = np.sum(self.stationary.effective_dof(lin.objective.road, noise_variance))
+        return line_search(lin, dx, slope, plant), k, float(np.sqrt(-slope / dof))
 
     def _weights(self, lin: Linearization, noise_scale: float) -> np.ndarray:
         return huber_weights(lin.residual, lin.objective.information / noise_scale, self.huber)
@@ -165,14 +169,14 @@ def retry_after_liftoff(
     except ArithmeticError:
         return lin
     for _ in range(LIFTOFF_STEPS):
-        new, _ = solver.step(new, plant, noise_scale)
+        new, _, _ = solver.step(new, plant, noise_scale)
     return new if new.with_inverse_variance(lin.inverse_variance).cost < lin.cost else lin
 
 
 def update_prior(
     lin: Linearization, stationary: StationaryHessian, noise_scale: float
-) -> tuple[Objective, Vector]:
-    """Return the objective under the prior that its own road suggests, and `x` there; same road."""
+) -> Linearization:
+    """Return the linearization under the prior that its own road suggests; the same road."""
     objective, x = lin.objective, lin.x
     u, _, _ = objective.split(x)
     noise_variance = objective.noise_variance * noise_scale
@@ -181,13 +185,15 @@ def update_prior(
     u = road.convert_noise(u, objective.road)
     local = stationary.local_roughness(road, noise_variance, u, unloaded_nodes(lin))
     rough = replace(road, local=local)
-    u, road = rough.convert_noise(u, road), rough
-    return objective.with_road(road), np.concatenate([u.ravel(), x[u.size :]])
+    return lin.with_road(rough, rough.convert_noise(u, road))
 
 
-def line_search(lin: Linearization, dx: Vector, plant: Plant) -> Linearization:
-    """Return a point along `dx` by backtracking: the step is halved until the cost has fallen."""
-    slope, length = float(lin.gradient() @ dx), 1.0
+def line_search(lin: Linearization, dx: Vector, slope: float, plant: Plant) -> Linearization:
+    """Return a point along `dx` by backtracking: the step is halved until the cost has fallen.
+
+    `slope` of the cost along `dx`.
+    """
+    length = 1.0
     for _ in range(MAX_HALVINGS):
         try:
             new = lin.relinearize(lin.x + length * dx, plant)
@@ -200,12 +206,16 @@ def line_search(lin: Linearization, dx: Vector, plant: Plant) -> Linearization:
     return lin
 
 
-def estimate_noise_scale(
+def update_noise_scale(
     lin: Linearization, stationary: StationaryHessian, noise_scale: float
 ) -> float:
-    """Return the residual's power over the instruments' noise, for the degrees of freedom left."""
+    """Return the residual's power over the instruments' noise, for the degrees of freedom left.
+
+    It never rises above `noise_scale`, nor falls below 1.
+    """
     noise_variance = lin.objective.noise_variance * noise_scale
-    return lin.per_pass(_noise_scale, stationary.effective_dof(lin.objective.road, noise_variance))
+    dof = stationary.effective_dof(lin.objective.road, noise_variance)
+    return np.maximum(1.0, np.minimum(noise_scale, lin.per_pass(_noise_scale, dof)))
 
 
 def _noise_scale(lin: Linearization, dof: float) -> float:

@@ -20,8 +20,8 @@ from estimators.map_smoother.estimator import READINGS_PER_UNKNOWN, MapSmoother
 from estimators.map_smoother.gauss_newton import (
     GaussNewton,
     MapSolution,
-    estimate_noise_scale,
     minimize,
+    update_noise_scale,
 )
 from estimators.map_smoother.instrument_errors import InstrumentErrors
 from estimators.map_smoother.known_road import check_profile, on_profile
@@ -317,7 +317,7 @@ def _solve(
     objective = _objective(drive, car, smoother)
     stationary = stationary_hessian(objective)
     if drive.profile is None:
-        options: Any = {"cost_tolerance": 0.1, "adapt_prior": False} if quick else {}
+        options: Any = {"change_tolerance": 1.0, "adapt_prior": False} if quick else {}
         return minimize(objective, stationary, huber=smoother.huber, **options)
     return _settle(objective, smoother, 2 if quick else SETTLING_STEPS)
 
@@ -335,10 +335,10 @@ def _settle(
     steps = iterations = 0
     while steps < max_steps:
         before = noise_scale
-        noise_scale = max(1.0, min(noise_scale, estimate_noise_scale(lin, stationary, noise_scale)))
+        noise_scale = update_noise_scale(lin, stationary, noise_scale)
         if noise_scale > SETTLED * before:
             break
-        lin, k = solver.step(lin, objective.model.plant, noise_scale)
+        lin, k, _ = solver.step(lin, objective.model.plant, noise_scale)
         steps, iterations = steps + 1, iterations + k
     return MapSolution(lin, stationary, noise_scale, steps, iterations)
 

@@ -243,6 +243,12 @@ class JointLinearization:
         """Return the same point under other inverse variances (S, J) of the noise."""
         return self._with(self.per_pass(Linearization.with_inverse_variance, variance))
 
+    def with_road(self, road: RoadTransform, u: np.ndarray) -> "JointLinearization":
+        """Return the same motions under another prior, by which `u` (2, K) gives the same road."""
+        x = np.concatenate([u.ravel(), self.x[u.size :]])
+        passes = tuple(one.with_road(road, u) for one in self.passes)
+        return JointLinearization(self.at.with_road(road), x, passes)
+
     def relinearize(
         self, x: np.ndarray, plant: Sequence[Plant] | None = None
     ) -> "JointLinearization":

@@ -272,6 +272,11 @@ class Linearization:
         """Return the same point under another inverse variance (S, J) of the noise."""
         return replace(self, inverse_variance=inverse_variance)
 
+    def with_road(self, road: RoadTransform, u: np.ndarray) -> "Linearization":
+        """Return the same motion under another prior, by which `u` (2, K) gives the same road."""
+        x = np.concatenate([u.ravel(), self.x[u.size :]])
+        return replace(self, objective=self.objective.with_road(road), x=x)
+
     def relinearize(self, x: np.ndarray, plant: Plant | None = None) -> "Linearization":
         """Return the same objective and noise at another `x`. Raises ArithmeticError."""
         return linearize(self.objective, x, self.inverse_variance, plant, self.frequency_weights)

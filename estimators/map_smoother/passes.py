@@ -20,8 +20,8 @@ from estimators.map_smoother.gauss_newton import (
     NOISE_SCALE_WARNING,
     GaussNewton,
     MapSolution,
-    estimate_noise_scale,
     minimize,
+    update_noise_scale,
 )
 from estimators.map_smoother.joint_objective import (
     JointObjective,
@@ -49,15 +49,12 @@ from road_envs.vehicle.parameters import VehicleParameters
 if TYPE_CHECKING:
     from estimators.map_smoother.estimator import MapSmoother
 
-STAGES = ((0.0, 2), (0.0, 10))
+STAGES = ((0.0, 8),)
 """Smoothing of friction [m/s], and the most Gauss-Newton steps with it: the mean of the single
 estimates is so near that it needs none."""
 
-JOINT_PRIOR_UPDATES = 1
-"""Updates of the prior after the minimization."""
-
-COST_TOLERANCE = 0.05
-"""Share by which a step has to lower the cost before the prior is updated."""
+JOINT_PRIOR_UPDATES = 2
+"""Updates of the prior between the steps, at most."""
 
 ADAPTED_STEPS = 4
 """Gauss-Newton steps of the road after its vehicles were adapted."""
@@ -156,7 +153,6 @@ def estimate_jointly(
             start=np.pad(u.ravel(), (0, objective.size - u.size)),
             stages=STAGES,
             prior_updates=min(JOINT_PRIOR_UPDATES, smoother.prior_updates),
-            cost_tolerance=COST_TOLERANCE,
             adapt_car=adapt if may_adapt else None,
         )
         scale = np.maximum(findings.noise_scale[members], solution.noise_scale)
@@ -246,9 +242,8 @@ def _adapt(
     new: Any = objective.linearize(lin.x, objective.information)
     noise_scale = solution.noise_scale
     for _ in range(ADAPTED_STEPS):
-        estimate = estimate_noise_scale(new, solver.stationary, noise_scale)
-        noise_scale = np.maximum(1.0, np.minimum(noise_scale, estimate))
-        new, _ = solver.step(new, objective.plant, noise_scale)
+        noise_scale = update_noise_scale(new, solver.stationary, noise_scale)
+        new, _, _ = solver.step(new, objective.plant, noise_scale)
     return replace(
         solution, linearization=new, stationary=solver.stationary, noise_scale=noise_scale
     )

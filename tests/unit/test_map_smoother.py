@@ -412,7 +412,7 @@ def test_on_a_linear_vehicle_the_map_road_is_the_dense_gaussian_posterior():
     settling = linearize(objective, np.zeros(objective.size), objective.information).residual
     measurements = replace(objective.measurements, y=y.reshape(settling.shape) - settling)
     objective = replace(objective, measurements=measurements)
-    tolerances = {"cg_iterations": 400, "cg_tolerance": 1e-6, "cost_tolerance": 1e-9}
+    tolerances = {"cg_iterations": 400, "cg_tolerance": 1e-6, "change_tolerance": 1e-9}
     solution = minimize(objective, stationary_hessian(objective), adapt_prior=False, **tolerances)
     assert 1.0 <= solution.noise_scale < 1.1
     noise *= np.sqrt(solution.noise_scale)
