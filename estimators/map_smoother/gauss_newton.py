@@ -149,8 +149,9 @@ class GaussNewton:
         gradient = lin.gradient()
         dx, k = conjugate_gradients(lin.hessian_product, -gradient, M, *limits)
         slope = float(gradient @ dx)
+        road, others = lin.objective.road, lin.objective.size - 2 * lin.objective.road.size
+        dof = np.sum(self.stationary.effective_dof(road, noise_variance)) + others
         # conjugate gradients leave dx' H dx = -slope
-        dof = np.sum(self.stationary.effective_dof(lin.objective.road, noise_variance))
         return line_search(lin, dx, slope, plant), k, float(np.sqrt(-slope / dof))
 
     def _weights(self, lin: Linearization, noise_scale: float) -> np.ndarray:

@@ -27,7 +27,8 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve
+from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.blas import dsyrk
 
 from estimators.common.blas import single_blas_thread
 
@@ -274,51 +275,51 @@ def _take_step(
 
 def _damped_step(normal: NormalEquations, mu: float) -> np.ndarray | None:
     """Return the solution (P,) of the damped normal equations, or None if they are singular."""
-    damped = normal.JJ.copy()
-    damped.flat[:: damped.shape[0] + 1] += mu
+    damped = normal.JJ.copy(order="F")
+    damped[np.diag_indices_from(damped)] += mu
     try:
-        # not SciPy's: its BLAS has a thread pool of its own, which competes with NumPy's
-        factor = np.linalg.cholesky(damped)
+        factor = cho_factor(damped, lower=True, overwrite_a=True, check_finite=False)
     except np.linalg.LinAlgError:
         return None
-    return cho_solve((factor, True), normal.Je, check_finite=False)
+    return cho_solve(factor, normal.Je, check_finite=False)
 
 
 def normal_equations(network: TwoLayerNetwork, x: np.ndarray, t: np.ndarray) -> NormalEquations:
     """Return J'J, J'e and the mean squared error for samples `x` (R, N), `t` (K, N)."""
-    P, (K, width) = network.hidden.size, network.output.shape
-    rows = np.empty((P + width, min(CHUNK, t.shape[1])))
-    products = np.zeros((P + width, P + width))
-    hidden, output = np.zeros_like(network.hidden), np.zeros((K, width))
-    squares = 0.0
+    hidden, output = network.hidden, network.output
+    P, (K, width) = hidden.size, output.shape
+    # hidden derivatives, activations and errors: their products with each other are all that counts
+    rows = np.empty((P + width + K, min(CHUNK, t.shape[1])))
+    products = np.zeros((len(rows), len(rows)), order="F")
     for x_part, t_part in _chunks(x, t):
+        part = rows[:, : t_part.shape[1]]
+        D, activations, e = np.split(part, [P, P + width])
         inputs = _append_ones(x_part)
-        activations = _append_ones(np.tanh(network.hidden.T @ inputs))
+        np.tanh(hidden.T @ inputs, out=activations[:-1])
+        activations[-1] = 1.0
         d = 1.0 - activations[:-1] ** 2
-        e = t_part - network.output @ activations
-        part = rows[:, : e.shape[1]]
-        for D, x_row in zip(np.split(part[:P], inputs.shape[0]), inputs, strict=True):
-            np.multiply(d, x_row, out=D)
-        part[P:] = activations
-        products += part @ part.T
-        hidden += inputs @ (d * (network.output[:, :-1].T @ e)).T
-        output += e @ activations.T
-        squares += float(np.vdot(e, e))
-    Je = np.concatenate([hidden.ravel(), output.ravel()])
-    return NormalEquations(_assemble_JJ(products, network) / t.size, Je / t.size, squares / t.size)
+        np.multiply(inputs[:, None], d, out=D.reshape(*hidden.shape, -1))
+        np.subtract(t_part, output @ activations, out=e)
+        products = dsyrk(1.0, part.T, 1.0, products, trans=True, lower=True, overwrite_c=True)
+    products = (products + np.tril(products, -1).T) / t.size  # so far the lower triangle alone
+    D_e, activations_e, e_e = np.split(products[:, P + width :], [P, P + width])
+    weights = np.tile(output[:, :-1], len(hidden))
+    Je = np.concatenate([np.sum(D_e * weights.T, axis=1), activations_e.T.ravel()])
+    return NormalEquations(_assemble_JJ(products, network), Je, float(np.trace(e_e)))
 
 
 def _assemble_JJ(products: np.ndarray, network: TwoLayerNetwork) -> np.ndarray:
     """Return J'J (P, P) of all outputs from `products` of hidden derivatives and activations."""
     W2 = network.output[:, :-1]
     R1, P, width = network.hidden.shape[0], network.hidden.size, network.output.shape[1]
+    units = slice(P, P + width)
     JJ = np.zeros((P + network.output.size,) * 2)
     JJ[:P, :P] = products[:P, :P] * np.tile(W2.T @ W2, (R1, R1))
     for k, w in enumerate(W2):
         own = slice(P + k * width, P + (k + 1) * width)
-        JJ[:P, own] = products[:P, P:] * np.tile(w, R1)[:, None]
+        JJ[:P, own] = products[:P, units] * np.tile(w, R1)[:, None]
         JJ[own, :P] = JJ[:P, own].T
-        JJ[own, own] = products[P:, P:]
+        JJ[own, own] = products[units, units]
     return JJ
 
 

@@ -17,6 +17,7 @@ from estimators.map_smoother.gauss_newton import (
     huber_weights,
     minimize,
     smooth_friction,
+    update_prior,
 )
 from estimators.map_smoother.objective import Objective, linearize
 from estimators.map_smoother.preconditioner import stationary_hessian
@@ -225,6 +226,16 @@ def test_the_gradient_equals_finite_differences_of_the_cost(mode):
             for sign in (1.0, -1.0)
         ]
         assert lin.gradient() @ dx == pytest.approx((costs[0] - costs[1]) / (2.0 * eps), rel=1e-4)
+
+
+def test_an_update_of_the_prior_changes_neither_road_nor_motion():
+    objective = objective_of(drive_record(length=12.0)[0])
+    lin = linearize(objective, perturb(np.zeros(objective.size)), objective.information)
+    new = update_prior(lin, stationary_hessian(objective), 1.0)
+    again = linearize(new.objective, new.x, objective.information)
+    assert not np.allclose(new.objective.road.amplitude, objective.road.amplitude, rtol=0.1)
+    np.testing.assert_allclose(new.residual, again.residual, atol=1e-6)
+    assert new.cost == pytest.approx(again.cost, rel=1e-6)
 
 
 def test_the_adjoint_transposes_the_tangent_and_the_hessian_is_gauss_newton():
