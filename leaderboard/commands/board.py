@@ -69,6 +69,9 @@ def leaderboard(
     roads: Annotated[
         int | None, typer.Option(help="Test drives per condition on random roads.", min=2)
     ] = None,
+    length: Annotated[
+        float | None, typer.Option(help="Length of random test roads in metres.", min=50.0)
+    ] = None,
     full: Annotated[
         bool, typer.Option("--full", help="All test drives of every task: 50 and more roads.")
     ] = False,
@@ -119,6 +122,11 @@ def leaderboard(
     if full:
         chosen = [
             task.with_test_drives(None) if task.has_several_test_drives else task for task in chosen
+        ]
+    if length:
+        chosen = [
+            task.with_test_length(length) if task.has_several_test_drives else task
+            for task in chosen
         ]
     limits = parse_limits(time_limit, memory_limit, isolation)
     if out.exists() and not out.is_dir():

@@ -291,6 +291,12 @@ class Task(Settings):
             raise ConfigError(f"{self.name}: {error}") from None
         return dataclasses.replace(self, test=test)
 
+    def with_test_length(self, length: float) -> "Task":
+        """Return the task on test roads of this length [m], which its note says."""
+        note = f"{self.note} Test roads of {length:g} m.".strip()
+        test = dataclasses.replace(self.test, length=length)
+        return dataclasses.replace(self, test=test, note=note)
+
     def _check_calibration(self) -> None:
         """Raise ValueError if a calibration drive shares a seed or the surface of a test drive."""
         used = self.training.all_seeds | self.test.all_seeds
