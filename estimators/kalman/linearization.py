@@ -30,10 +30,9 @@ from road_envs.simulation.rosenbrock import (
     StepInputs,
     step_workspace,
     update_valves,
-    workspace,
 )
 from road_envs.simulation.sensitivity import TAPE_ROW_SIZE, step_with_derivative, tangent_step
-from road_envs.simulation.simd import LANES, add, broadcast, get, put
+from road_envs.simulation.simd import LANES, add, broadcast, get, put, stack_array, stack_rows
 from road_envs.vehicle.equations import N_DOF, THETA, Z_B, Motion
 from road_envs.vehicle.suspension import VehicleBuffers
 
@@ -121,7 +120,8 @@ def simulate_block(
     model: FilterModel, inputs: FilterInputs, state: FilterState, first, weights, rows, block
 ):
     """Simulate the block: fill the tape `rows`, `block.end_state` and `block.predicted`."""
-    p, work, out = model.constants[0], workspace(), np.empty(N_FLEXIBLE_SIGNALS)
+    p, work = model.constants[0], step_workspace(stack_array(WORKSPACE_ROWS))
+    out = stack_array(N_FLEXIBLE_SIGNALS)
     n_dof = model.strut_rows.shape[1]
     end = block.end_state
     end[:] = state.x[state.x.size - end.size :]
@@ -218,7 +218,7 @@ def tangent_columns(model: FilterModel, first, rows, weights: AxleWeights, block
     directions = block.n_columns[0] - N_OTHER
     groups, samples = (directions + LANES - 1) // LANES, 0
     p, h, sensor_rows, A, H = model.constants[0], model.h, model.sensor_rows, block.A, block.H
-    work = step_workspace(np.empty((WORKSPACE_ROWS, LANES)))
+    work = step_workspace(stack_rows(WORKSPACE_ROWS))
     y, a = np.zeros((groups, n_vehicle, LANES)), np.empty((n_dof, LANES))
     road, sums = np.empty((groups, 16, LANES)), np.zeros((3 * groups, LANES))
     for j in range(n_vehicle):

@@ -26,7 +26,7 @@ from estimators.map_smoother.road_prior import RoadTransform
 from road_envs._numba import kernel
 from road_envs.simulation.rosenbrock import WORKSPACE_ROWS, step_workspace
 from road_envs.simulation.sensitivity import tangent_step
-from road_envs.simulation.simd import LANES, broadcast, get, put, sum_lanes
+from road_envs.simulation.simd import LANES, broadcast, get, put, stack_rows, sum_lanes
 from road_envs.simulation.tape import Tape
 from road_envs.vehicle.equations import Motion
 
@@ -101,7 +101,7 @@ def fill_chunk_matrices(constants, rows, h, track: NodeTrack, sampling: Sampling
     decimation, sample_weight, sensor_rows = sampling
     p, changes = constants[0], P.shape[1]
     groups = -(-changes // LANES)
-    work = step_workspace(np.empty((WORKSPACE_ROWS, LANES)))
+    work = step_workspace(stack_rows(WORKSPACE_ROWS))
     sensors, blocks, block = sample_weight.shape
     blocks_per_chunk = (N_ROWS - n_states) // sensors
     y, a = np.empty((groups, n_states, LANES)), np.empty((n_dof, LANES))

@@ -41,12 +41,12 @@ class SurfaceBuffers(NamedTuple):
 
 
 @kernel
-def catmull_rom(a, b, c, d, x, ds):
+def catmull_rom(a, b, c, d, x, per_ds):
     """Return value and slope at the fraction `x` between `b` and `c`, for the spacing `ds` [m]."""
     p = 0.5 * (c - a)
     q = a - 2.5 * b + 2.0 * c - 0.5 * d
     r = 0.5 * (d - a) + 1.5 * (b - c)
-    return b + x * (p + x * (q + x * r)), (p + x * (2.0 * q + x * 3.0 * r)) / ds
+    return b + x * (p + x * (q + x * r)), (p + x * (2.0 * q + x * 3.0 * r)) * per_ds
 
 
 @kernel
@@ -57,7 +57,7 @@ def height_and_slope(surface, side, s):
     u = min(max(u, 1.0), padded.shape[1] - 3.0)
     i = int(max(1.0, u))  # index 1 for NaN: the result is NaN
     a, b, c, d = padded[side, i - 1], padded[side, i], padded[side, i + 1], padded[side, i + 2]
-    return catmull_rom(a, b, c, d, u - i, ds)
+    return catmull_rom(a, b, c, d, u - i, 1.0 / ds)
 
 
 @kernel

@@ -26,12 +26,14 @@ from road_envs.simulation.rosenbrock import (
     EXTENSION,
     LOAD,
     N_SIGNALS,
+    WORKSPACE_ROWS,
     D,
     StepInputs,
     sample_road,
     step,
-    workspace,
+    step_workspace,
 )
+from road_envs.simulation.simd import stack_array
 from road_envs.vehicle.equations import (
     N_DOF,
     Motion,
@@ -129,7 +131,12 @@ def adaptive_kernel(vehicle, y, surface, inputs, out):
     The signals at the times `t` go to `out` (N, 29). Returns the numbers of accepted and of
     rejected steps, and the time reached, which is before the end if no step meets the tolerance.
     """
-    p, work, road, a_xy = vehicle.constants[0], workspace(), np.empty(24), np.zeros(4)
+    p, work, road, a_xy = (
+        vehicle.constants[0],
+        step_workspace(stack_array(WORKSPACE_ROWS)),
+        np.empty(24),
+        np.zeros(4),
+    )
     signals_0, error, y_dense = np.empty(N_SIGNALS), np.empty(2 * N_DOF), np.empty(2 * N_DOF)
     motion, step_inputs = Motion(y[:N_DOF], y[N_DOF:]), StepInputs(road[:16], a_xy)
     s_0, v, t, rtol, atol, max_step = inputs

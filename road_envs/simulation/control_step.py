@@ -20,9 +20,9 @@ from road_envs.simulation.fleet import (
     integrate_lanes,
     sample_roads,
 )
-from road_envs.simulation.lanes import SCRATCH_ROWS, LaneBuffers, aligned_zeros
+from road_envs.simulation.lanes import LaneBuffers, aligned_zeros
 from road_envs.simulation.rosenbrock import ACCELERATION, EXTENSION, LOAD, N_SIGNALS
-from road_envs.simulation.simd import LANES, extract_lane, get, maximum, minimum, put
+from road_envs.simulation.simd import LANES, extract_lane, get, maximum, minimum, put, stack_rows
 from road_envs.vehicle.equations import DOF, N_DOF, PHI, THETA, Z_B, extension
 from road_envs.vehicle.parameters import GRAVITY
 
@@ -121,7 +121,6 @@ class IntervalInputs(NamedTuple):
 class ControlStepWorkspace(NamedTuple):
     """Scratch of one thread for the n steps of a block."""
 
-    scratch: np.ndarray  # of `integrate_lanes`
     scalar: np.ndarray  # (1,)
     out: np.ndarray  # (n, 29)
     s: np.ndarray  # (2 n + 1,)
@@ -152,23 +151,19 @@ class StepOutput(NamedTuple):
 
 def workspace_buffer(steps: int, sensors: int) -> np.ndarray:
     """Allocate the buffer (rows, LANES) of a ControlStepWorkspace for intervals of n = `steps`."""
-    return aligned_zeros(SCRATCH_ROWS + 1 + (N_SIGNALS + 5 + sensors) * steps + 2)
+    return aligned_zeros(1 + (N_SIGNALS + 5 + sensors) * steps + 2)
 
 
 @kernel
 def workspace_views(buffer, n, sensors):
     """Return the ControlStepWorkspace for `n` steps as views into a `workspace_buffer`."""
-    scratch, scalar, at = (
-        buffer[:SCRATCH_ROWS],
-        buffer[SCRATCH_ROWS : SCRATCH_ROWS + 1],
-        SCRATCH_ROWS + 1,
-    )
+    scalar, at = buffer[:1], 1
     out, at = buffer[at : at + N_SIGNALS * n].reshape(n, N_SIGNALS, LANES), at + N_SIGNALS * n
     s, at = buffer[at : at + 2 * n + 1], at + 2 * n + 1
     v, at = buffer[at : at + 2 * n + 1], at + 2 * n + 1
     a, at = buffer[at : at + sensors * n].reshape(sensors, n, LANES), at + sensors * n
     heave = buffer[at : at + n].reshape(1, n, LANES)
-    return ControlStepWorkspace(scratch, scalar, out, s, v, a, heave)
+    return ControlStepWorkspace(scalar, out, s, v, a, heave)
 
 
 @kernel(inline=False)
@@ -317,14 +312,14 @@ def _write_optional_groups(parameters, a_xy, out, k_0, observation):
 @kernel(inline=False)
 def _write_truth(parameters, roads, workspace, s, profile, loads):
     """Write stations, heights under the front wheels and tyre loads at the samples."""
-    p = parameters.lane_constants[0]
+    p, road = parameters.lane_constants[0], stack_rows(8)
     for i in range(0, workspace.out.shape[0], parameters.decimation):
         at = i // parameters.decimation
-        sample_roads(p, roads, workspace.s[2 * i], workspace.v[2 * i], workspace.scratch, 0)
+        sample_roads(p, roads, workspace.s[2 * i], workspace.v[2 * i], road, 0)
         for k in range(s.shape[0]):
             s[k, at] = workspace.s[2 * i, k]
             for side in range(2):
-                profile[k, side, at] = workspace.scratch[side, k]
+                profile[k, side, at] = road[side, k]
             for w in range(4):
                 loads[k, w, at] = workspace.out[i, LOAD + w, k]
 
@@ -363,7 +358,7 @@ def advance_blocks(blocks, state, parameters, inputs, delayed, buffer, output):
             parameters.displacement, state.strut_state[b], q, v,
         )  # fmt: skip
         drive_inputs = DriveInputs(workspace.s, workspace.v, a_xy, delayed[1], h)
-        integrate_lanes(vehicles, roads, drive_inputs, workspace.scratch, parameters.columns, out)
+        integrate_lanes(vehicles, roads, drive_inputs, parameters.columns, out)
         nonfinite_step, rollover = output.nonfinite_step[rows], output.rollover[rows]
         _find_failures(out, q, v, workspace.scalar, nonfinite_step, rollover)
         filters, used = state.antialias_state[b], counts[NOISE_ROWS_USED, :lanes]

@@ -17,14 +17,13 @@ from road_envs.config import ConfigError
 from road_envs.roads.surface import PAD, Surface, catmull_rom
 from road_envs.simulation.drive import DriveInputs, DriveSimulator
 from road_envs.simulation.lanes import (
-    ROW,
-    SCRATCH_ROWS,
     aligned_copy,
     aligned_zeros,
     lane_buffers,
     update_lane_valves,
 )
 from road_envs.simulation.rosenbrock import (
+    N_FLEXIBLE_SIGNALS,
     WORKSPACE_ROWS,
     StepInputs,
     flexible_step,
@@ -32,7 +31,16 @@ from road_envs.simulation.rosenbrock import (
     step,
     step_workspace,
 )
-from road_envs.simulation.simd import LANES, get, integer_part, load_four, maximum, minimum, put
+from road_envs.simulation.simd import (
+    LANES,
+    get,
+    integer_part,
+    load_four,
+    maximum,
+    minimum,
+    put,
+    stack_rows,
+)
 from road_envs.simulation.substeps import SUBSTEPS, interpolate, mark_steep
 from road_envs.vehicle.equations import Motion
 from road_envs.vehicle.suspension import VehicleBuffers
@@ -61,15 +69,15 @@ def sample_roads(p, roads, s, speed, road, at):
 
     `s`, `speed` (LANES,): stations [m] and speeds [m/s] of the front axles; `road` (16, LANES).
     """
-    ds, v = get(roads.ds), get(speed)
-    front = (get(s) - get(roads.start)) / ds + PAD
+    per_ds, v = 1.0 / get(roads.ds), get(speed)
+    front = (get(s) - get(roads.start)) * per_ds + PAD
     last = get(roads.size) - 3.0
     for i in range(2):
-        u = minimum(maximum(front - (get(p.x, 0) - get(p.x, i)) / ds, 1.0), last)
+        u = minimum(maximum(front - (get(p.x, 0) - get(p.x, i)) * per_ds, 1.0), last)
         j = integer_part(u)
         for side in range(2):
             a, b, c, d = load_four(roads.heights, get(roads.first, side) + j - 1.0)
-            z, slope = catmull_rom(a, b, c, d, u - j, ds)
+            z, slope = catmull_rom(a, b, c, d, u - j, per_ds)
             put(road, at + 2 * i + side, z)
             put(road, at + 4 + 2 * i + side, slope * v)
 
@@ -115,23 +123,28 @@ def copy_lanes(source, target, steep, all_lanes):
                 target.q[j, k], target.v[j, k] = source.q[j, k], source.v[j, k]
 
 
-@kernel(inline=False)
-def integrate_lanes(lanes, roads, inputs, scratch, columns, out, flexible=None):
-    """Integrate the DriveInputs of LaneBuffers over RoadBuffers.
+NO_MANOEUVRE = aligned_zeros(6)
+"""Accelerations a_x, a_y in turn at the three instants of any step without a manoeuvre."""
 
-    The signals in `columns` (C,) go to `out` (N, C, LANES); `scratch` (SCRATCH_ROWS, LANES).
+
+@kernel(inline=False)
+def integrate_lanes(lanes, roads, inputs, columns, out, flexible=None):
+    """Integrate the DriveInputs of LaneBuffers over RoadBuffers; `a_xy` may be NO_MANOEUVRE.
+
+    The signals in `columns` (C,) go to `out` (N, C, LANES).
     `flexible`, if given: the vehicles have flexible frames, so there are 32 signals.
     """
     p, q = lanes.lane_constants[0], lanes.q
     strut_state, alpha = lanes.strut_state, lanes.alpha
     vehicle = VehicleBuffers(lanes.lane_constants, lanes.velocity, lanes.displacement, strut_state)
     motion, s, speed, h = Motion(q, lanes.v), inputs.s, inputs.v, inputs.h
-    work, road, row = step_workspace(scratch), scratch[WORKSPACE_ROWS:ROW], scratch[ROW:]
+    work, road = step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16)
+    row, unused = stack_rows(N_FLEXIBLE_SIGNALS), stack_rows(N_FLEXIBLE_SIGNALS)
     last = np.zeros(LANES, dtype=np.uint8)
     at_target, steep = np.zeros(LANES, dtype=np.bool_), np.zeros(LANES, dtype=np.bool_)
     before = Motion(np.empty(q.shape), np.empty(q.shape))
     whole = Motion(np.empty(q.shape), np.empty(q.shape))
-    unused, along = np.empty(row.shape), np.empty((2, LANES))
+    along, manoeuvre = np.empty((2, LANES)), inputs.a_xy.shape[0] > NO_MANOEUVRE.shape[0]
     for n in range(inputs.commands.shape[0]):
         sample_roads(p, roads, s[2 * n], speed[2 * n], road, 0)
         sample_roads(p, roads, s[2 * n + 1], speed[2 * n + 1], road, 8)
@@ -156,7 +169,7 @@ def integrate_lanes(lanes, roads, inputs, scratch, columns, out, flexible=None):
                     along[0, k] = interpolate(s[2 * n : 2 * n + 3, k], i - 1, half)
                     along[1, k] = interpolate(speed[2 * n : 2 * n + 3, k], i - 1, half)
                 sample_roads(p, roads, along[0], along[1], road, 8 * half)
-            first = 4 * n + (2 * (2 * (i - 1) // SUBSTEPS) if i > 0 else 0)
+            first = (4 * n if manoeuvre else 0) + (2 * (2 * (i - 1) // SUBSTEPS) if i > 0 else 0)
             step_inputs = StepInputs(road, inputs.a_xy[first : first + 4])
             length, signals = (h / SUBSTEPS, unused) if i > 0 else (h, row)
             if flexible is None:
@@ -186,8 +199,9 @@ class _Block:
         )
         self.flexible = (True,) if lane_drives[0].plant.flexible else ()
         self.roads = _road_buffers([drive.surface for drive in lane_drives])
-        self.scratch = aligned_zeros(SCRATCH_ROWS)
         self.constant_speed_inputs = _constant_speed_inputs(lane_drives)
+        # kept for the next call: the kernel of the system clears fresh memory page by page
+        self.half_steps = aligned_zeros(2, 0)
         self.delay = np.array([drive.delay_line.size for drive in lane_drives])
         self.delay_line = np.zeros((self.delay.max(), LANES), dtype=np.uint8)
         for k, drive in enumerate(lane_drives):
@@ -201,20 +215,22 @@ class _Block:
         sent[:, :own], sent[:, own:] = commands, commands[:, -1:]
         delay_commands(self.delay_line, self.delay, self.steps_delayed, sent, delayed)
         inputs = DriveInputs(*self._half_step_inputs(n), delayed, self.h)
-        integrate_lanes(self.lanes, self.roads, inputs, self.scratch, columns, out, *self.flexible)
+        integrate_lanes(self.lanes, self.roads, inputs, columns, out, *self.flexible)
         for drive in self.drives:
             drive.steps += n
 
     def _half_step_inputs(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return stations, speeds (2 n + 1, LANES) and alternating a_x, a_y (4 n + 2, LANES)."""
-        s, speed = aligned_zeros(2 * n + 1), aligned_zeros(2 * n + 1)
-        a_xy = aligned_zeros(2 * n + 1, 2)
+        if self.half_steps.shape[1] != 2 * n + 1:
+            self.half_steps = aligned_zeros(2, 2 * n + 1)
+        s, speed = self.half_steps
         if self.constant_speed_inputs is not None:
             done = np.full(LANES, self.drives[0].steps)
             front_axle_stations(*self.constant_speed_inputs, done, self.h, s, speed)
-        else:
-            for k, drive in enumerate(self.lane_drives):
-                s[:, k], speed[:, k], a_xy[:, :, k] = drive.half_step_inputs(n)
+            return s, speed, NO_MANOEUVRE
+        a_xy = aligned_zeros(2 * n + 1, 2)
+        for k, drive in enumerate(self.lane_drives):
+            s[:, k], speed[:, k], a_xy[:, :, k] = drive.half_step_inputs(n)
         return s, speed, a_xy.reshape(4 * n + 2, LANES)
 
     def write_back(self) -> None:
@@ -241,9 +257,12 @@ def _constant_speed_inputs(
 
 def _road_buffers(surfaces: Sequence[Surface]) -> RoadBuffers:
     sizes = np.array([surface.padded.shape[1] for surface in surfaces])
-    left = np.cumsum([0, *2 * sizes[:-1]])
+    distinct = list({id(surface): surface for surface in surfaces}.values())
+    first = np.cumsum([0, *(surface.padded.size for surface in distinct)])
+    at = {id(surface): i for surface, i in zip(distinct, first[:-1], strict=True)}
+    left = np.array([at[id(surface)] for surface in surfaces])
     return RoadBuffers(
-        np.concatenate([surface.padded.ravel() for surface in surfaces]),
+        np.concatenate([surface.padded.ravel() for surface in distinct]),
         aligned_copy(np.stack([left, left + sizes]).astype(float)),
         aligned_copy(sizes.astype(float)),
         aligned_copy(np.array([surface.start for surface in surfaces])),

@@ -23,16 +23,13 @@ from road_envs.simulation.rosenbrock import (
     step_workspace,
     update_valves,
 )
-from road_envs.simulation.simd import LANES, broadcast, get, put
+from road_envs.simulation.simd import LANES, broadcast, get, put, stack_rows
 from road_envs.vehicle.equations import N_DOF, PLANT_DTYPE, Motion, Plant
 from road_envs.vehicle.suspension import VehicleBuffers
 
 _LANE_CONSTANTS = np.dtype(
     [(name, "f8", (*PLANT_DTYPE[name].shape, LANES)) for name in PLANT_DTYPE.names or ()]
 )
-ROW = WORKSPACE_ROWS + 16
-SCRATCH_ROWS = ROW + N_FLEXIBLE_SIGNALS
-"""Rows of the scratch of the integration: workspace, road and signals of one step."""
 
 
 def aligned_zeros(*shape: int) -> np.ndarray:
@@ -130,7 +127,7 @@ def lane_buffers(
 
 
 @kernel(inline=False)
-def integrate_on_road(lanes, road, commands, h, scratch, out, flexible=None):
+def integrate_on_road(lanes, road, commands, h, out, flexible=None):
     """Integrate LaneBuffers over the same `road` (N, 16), as in `rosenbrock.StepInputs`.
 
     `commands` (N,): bytes that reach the valves. The accelerations of the coordinates go to `out`
@@ -141,7 +138,8 @@ def integrate_on_road(lanes, road, commands, h, scratch, out, flexible=None):
         lanes.lane_constants, lanes.velocity, lanes.displacement, lanes.strut_state
     )
     motion = Motion(q, lanes.v)
-    work, inputs, row = step_workspace(scratch), scratch[WORKSPACE_ROWS:ROW], scratch[ROW:]
+    work, inputs = step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16)
+    row = stack_rows(N_FLEXIBLE_SIGNALS)
     no_manoeuvre = np.zeros((4, LANES))
     settled = False
     for n in range(commands.size):
@@ -185,7 +183,7 @@ def drive_variants(
     `starts` (14,) or (16,): the first state of each. All plants are flexible, or none. A motion
     that diverges is NaN.
     """
-    steps, scratch = inputs.commands.size, aligned_zeros(SCRATCH_ROWS)
+    steps = inputs.commands.size
     road = np.ascontiguousarray(inputs.road.reshape(steps, 16))
     flexible, found = (True,) if plants[0].flexible else (), []
     out = aligned_zeros(steps, plants[0].inertias.size)
@@ -194,6 +192,6 @@ def drive_variants(
         own = [plants[i] for i in chosen], [starts[i] for i in chosen]
         shared = [inputs.strut_state] * LANES, [inputs.lag] * LANES
         lanes = lane_buffers(*own, *shared, inputs.h)
-        integrate_on_road(lanes, road, inputs.commands, inputs.h, scratch, out, *flexible)
+        integrate_on_road(lanes, road, inputs.commands, inputs.h, out, *flexible)
         found += [out[:, :, k].copy() for k in range(min(LANES, len(plants) - first))]
     return found

@@ -24,7 +24,7 @@ import numpy as np
 from road_envs._numba import kernel
 from road_envs.roads.surface import height_and_slope
 from road_envs.simulation.block_elimination import factorize, solve_factored
-from road_envs.simulation.simd import add, get, put
+from road_envs.simulation.simd import add, get, put, stack_array
 from road_envs.simulation.substeps import SUBSTEPS, interpolate, is_steep
 from road_envs.vehicle.equations import (
     N_DOF,
@@ -87,7 +87,10 @@ WORKSPACE_ROWS = 6 * N_DOF + 8 * 4 + 12 + 6
 
 @kernel
 def step_workspace(buffer):
-    """Return the StepWorkspace as views of a `buffer` (WORKSPACE_ROWS,) or (..., LANES)."""
+    """Return the StepWorkspace as views of a `buffer` (WORKSPACE_ROWS,) or (..., LANES).
+
+    It is fastest on the stack: `stack_array(WORKSPACE_ROWS)` or `stack_rows(WORKSPACE_ROWS)`.
+    """
     n, w = N_DOF, 6 * N_DOF
     return StepWorkspace(
         buffer[:n], buffer[n : 2 * n], buffer[2 * n : 3 * n],
@@ -96,12 +99,6 @@ def step_workspace(buffer):
         buffer[w + 16 : w + 20], buffer[w + 20 : w + 24], buffer[w + 24 : w + 28],
         buffer[w + 28 : w + 32], buffer[w + 32 : w + 44], buffer[w + 44 : WORKSPACE_ROWS],
     )  # fmt: skip
-
-
-@kernel
-def workspace():
-    """Allocate the scratch of `step` for one vehicle."""
-    return step_workspace(np.empty(WORKSPACE_ROWS))
 
 
 class StepInputs(NamedTuple):
@@ -116,6 +113,48 @@ class StepInputs(NamedTuple):
 
 
 @kernel
+def _stage_1_at_wheel(vehicle, motion, road, h, work, out, twist, w):
+    """Write the forces of strut and tyre `w` at t, their stiffness and their part of h d df/dt."""
+    hd, p = h * D, vehicle.constants[0]
+    (q, v), (F, T, dF, dT) = motion, (work.F, work.T, work.dF, work.dT)
+    e, rate = extension(p, q, w), extension(p, v, w)
+    e_dot = rate
+    if twist is not None:
+        e, e_dot = e + twist_extension(p, twist[0], w), e_dot + twist_extension(p, twist[1], w)
+    force, k, c = strut_force(vehicle, w, e, e_dot)
+    u = get(road, w) - wheel_height(p, q, w)
+    u_dot = get(road, 4 + w) - wheel_height(p, v, w)
+    load, k_t, c_t = tyre_force(p, w, u, u_dot)
+    # the road is known at t and t + h/2 only: its second derivative is a difference
+    w_dot = (get(road, 12 + w) - get(road, 4 + w)) * (2.0 / h)
+    put(F, w, force)
+    put(T, w, load)
+    put(dF, w, -hd * k * rate)
+    put(dT, w, hd * (k_t * u_dot + c_t * w_dot))
+    put(work.k, w, k)
+    put(work.k_t, w, k_t)
+    put(work.s, w, hd * (c + hd * k))
+    put(work.t, w, hd * (c_t + hd * k_t))
+    put(out, EXTENSION + w, e)
+    put(out, LOAD + w, load)
+
+
+@kernel
+def _stage_2_at_wheel(vehicle, road, h, work, twist, w):
+    """Write the forces of strut and tyre `w` in the right-hand side of stage 2."""
+    hd, p, r, F, T = h * D, vehicle.constants[0], work.r, work.F, work.T
+    e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
+    if twist is not None:
+        e, e_dot = e + twist_extension(p, twist[2], w), e_dot + twist_extension(p, twist[3], w)
+    force, _, _ = strut_force(vehicle, w, e, e_dot)
+    put(F, w, force - hd * get(work.k, w) * extension(p, r, w))
+    u = get(road, 8 + w) - wheel_height(p, work.q, w)
+    u_dot = get(road, 12 + w) - wheel_height(p, work.v, w)
+    load, _, _ = tyre_force(p, w, u, u_dot)
+    put(T, w, load - hd * get(work.k_t, w) * wheel_height(p, r, w))
+
+
+@kernel
 def step(vehicle, motion, inputs, h, work, out, twist=None):
     """Advance the `motion` of one or LANES vehicles by `h` [s], in place.
 
@@ -126,28 +165,12 @@ def step(vehicle, motion, inputs, h, work, out, twist=None):
     (q, v), (road, a_xy) = motion, inputs
     f, g, r, k_q = work.f, work.g, work.r, work.k_q
     F, T, dF, dT = work.F, work.T, work.dF, work.dT
+    # one call for each wheel, since loops are not unrolled and their arrays stay in memory;
     # stage 1: F, T are the forces at t; dF, dT their part of h d (df/dt - K v)
-    for w in range(4):
-        e, rate = extension(p, q, w), extension(p, v, w)
-        e_dot = rate
-        if twist is not None:
-            e, e_dot = e + twist_extension(p, twist[0], w), e_dot + twist_extension(p, twist[1], w)
-        force, k, c = strut_force(vehicle, w, e, e_dot)
-        u = get(road, w) - wheel_height(p, q, w)
-        u_dot = get(road, 4 + w) - wheel_height(p, v, w)
-        load, k_t, c_t = tyre_force(p, w, u, u_dot)
-        # the road is known at t and t + h/2 only: its second derivative is a difference
-        w_dot = (get(road, 12 + w) - get(road, 4 + w)) * (2.0 / h)
-        put(F, w, force)
-        put(T, w, load)
-        put(dF, w, -hd * k * rate)
-        put(dT, w, hd * (k_t * u_dot + c_t * w_dot))
-        put(work.k, w, k)
-        put(work.k_t, w, k_t)
-        put(work.s, w, hd * (c + hd * k))
-        put(work.t, w, hd * (c_t + hd * k_t))
-        put(out, EXTENSION + w, e)
-        put(out, LOAD + w, load)
+    _stage_1_at_wheel(vehicle, motion, road, h, work, out, twist, 0)
+    _stage_1_at_wheel(vehicle, motion, road, h, work, out, twist, 1)
+    _stage_1_at_wheel(vehicle, motion, road, h, work, out, twist, 2)
+    _stage_1_at_wheel(vehicle, motion, road, h, work, out, twist, 3)
     for j in range(N_DOF):
         put(f, j, 0.0)
     # bushings act on the roll of the body relative to each axle, which the frame's twist changes
@@ -182,16 +205,10 @@ def step(vehicle, motion, inputs, h, work, out, twist=None):
         put(work.v, j, v_mid)
         put(r, j, v_mid - kq)
         put(f, j, -get(p.M, j) * kv)
-    for w in range(4):
-        e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
-        if twist is not None:
-            e, e_dot = e + twist_extension(p, twist[2], w), e_dot + twist_extension(p, twist[3], w)
-        force, _, _ = strut_force(vehicle, w, e, e_dot)
-        put(F, w, force - hd * get(work.k, w) * extension(p, r, w))
-        u = get(road, 8 + w) - wheel_height(p, work.q, w)
-        u_dot = get(road, 12 + w) - wheel_height(p, work.v, w)
-        load, _, _ = tyre_force(p, w, u, u_dot)
-        put(T, w, load - hd * get(work.k_t, w) * wheel_height(p, r, w))
+    _stage_2_at_wheel(vehicle, road, h, work, twist, 0)
+    _stage_2_at_wheel(vehicle, road, h, work, twist, 1)
+    _stage_2_at_wheel(vehicle, road, h, work, twist, 2)
+    _stage_2_at_wheel(vehicle, road, h, work, twist, 3)
     front = relative_roll(work.q, 0) + hd * relative_roll(r, 0)
     rear = relative_roll(work.q, 1) + hd * relative_roll(r, 1)
     if twist is not None:
@@ -299,9 +316,10 @@ def integrate(vehicle, y, surface, inputs, lag, out, flexible=None):
     the beginning of each step. Of a `flexible` vehicle `y` is (16,) and `out` (N, 32). A step on a
     steep road is divided (`substeps`).
     """
-    p, work, road = vehicle.constants[0], workspace(), np.empty(16)
+    p, work = vehicle.constants[0], step_workspace(stack_array(WORKSPACE_ROWS))
+    road = stack_array(16)
     s, v, a_xy, commands, h = inputs
-    motion, unused = Motion(y[: y.size // 2], y[y.size // 2 :]), np.empty(out.shape[1])
+    motion, unused = Motion(y[: y.size // 2], y[y.size // 2 :]), stack_array(N_FLEXIBLE_SIGNALS)
     alpha = 1.0 - np.exp(-h / lag)
     for n in range(commands.size):
         sample_road(p, surface, s[2 * n], v[2 * n], road[:8])

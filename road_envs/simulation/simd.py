@@ -22,11 +22,13 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import extending
 from numba.core import cgutils, types
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin, models, overload, register_model
+from numba.np.arrayobj import populate_array
 
 intrinsic: Any = extending.intrinsic  # its annotations count the typing context as an argument
 
@@ -82,6 +84,8 @@ def _typed(function: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
 
     def decorate(find: Callable[..., Any]) -> Callable[..., Any]:
         class Template(AbstractTemplate):
+            prefer_literal = True
+
             def generic(self, args, kws):
                 return find(*args)
 
@@ -222,6 +226,49 @@ def broadcast(context, value):
         return _broadcast(context, builder, values[0], signature.args[0])
 
     return vector(value), generate
+
+
+def stack_array(rows):
+    """Return an uninitialised array (rows,) on the stack of the kernel that calls this.
+
+    The compiler keeps it apart from all other memory, so that it holds values in registers and
+    reorders loads and stores around it. It must not outlive the kernel, and `rows` is a constant.
+    """
+    return np.empty(rows)
+
+
+def stack_rows(rows):
+    """Return a `stack_array` (rows, LANES)."""
+    return np.empty((rows, LANES))
+
+
+def _register_on_stack(function: Any, *lanes: int) -> None:
+    @_typed(function)
+    def find(rows):
+        if isinstance(rows, types.IntegerLiteral):
+            return signature(types.Array(types.float64, 1 + len(lanes), "C"), rows)
+        return None
+
+    @lower_builtin(function, types.IntegerLiteral)
+    def lower(context, builder, signature, values):
+        shape = signature.args[0].literal_value, *lanes
+        strides = [8 * int(np.prod(shape[i + 1 :])) for i in range(len(shape))]
+        store = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), int(np.prod(shape))))
+        store.align = 64
+        array = context.make_array(signature.return_type)(context, builder)
+        populate_array(
+            array,
+            builder.bitcast(store, array.data.type),
+            [context.get_constant(types.intp, n) for n in shape],
+            [context.get_constant(types.intp, n) for n in strides],
+            context.get_constant(types.intp, 8),
+            meminfo=None,
+        )
+        return array._getvalue()
+
+
+_register_on_stack(stack_array)
+_register_on_stack(stack_rows, LANES)
 
 
 def get(a, *i):

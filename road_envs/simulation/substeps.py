@@ -8,7 +8,7 @@ from 3.2 to 1.6 % (potholes) and from 2.8 to 1.5 % (class F); roads up to class 
 """
 
 from road_envs._numba import kernel
-from road_envs.simulation.simd import LANES
+from road_envs.simulation.simd import LANES, get, maximum, put, stack_rows
 
 SUBSTEPS = 4
 """Parts of a step on a steep road, an even number."""
@@ -31,11 +31,14 @@ def mark_steep(road, steep):
     """Write to `steep` (LANES,) which lanes of `road` (16, LANES) must be divided; return
     whether any must.
     """
+    largest = stack_rows(1)
+    put(largest, 0, 0.0)
+    for w in range(4):
+        change = get(road, 12 + w) - get(road, 4 + w)
+        put(largest, 0, maximum(maximum(change, -change), get(largest, 0)))
     found = False
     for k in range(LANES):
-        steep[k] = False
-        for w in range(4):
-            steep[k] = steep[k] or abs(road[12 + w, k] - road[4 + w, k]) > MAX_RATE_CHANGE
+        steep[k] = largest[0, k] > MAX_RATE_CHANGE
         found = found or steep[k]
     return found
 

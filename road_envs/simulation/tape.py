@@ -12,10 +12,11 @@ from road_envs._numba import kernel
 from road_envs.simulation.rosenbrock import (
     ACCELERATION,
     TWIST,
+    WORKSPACE_ROWS,
     StepInputs,
     n_signals,
+    step_workspace,
     update_valves,
-    workspace,
 )
 from road_envs.simulation.sensitivity import (
     TAPE_ROW_SIZE,
@@ -23,6 +24,7 @@ from road_envs.simulation.sensitivity import (
     step_with_derivative,
     tangent_step,
 )
+from road_envs.simulation.simd import stack_array
 from road_envs.vehicle.equations import N_DOF, Motion, Plant
 
 
@@ -46,7 +48,7 @@ def integrate_with_derivative(vehicle, y, inputs, out, rows, flexible=None):
     Signals go to `out` (N, 29), the derivative to `rows` (N, TAPE_ROW_SIZE).
     """
     n_dof, h = y.size // 2, inputs.h
-    work, motion = workspace(), Motion(y[:n_dof], y[n_dof:])
+    work, motion = step_workspace(stack_array(WORKSPACE_ROWS)), Motion(y[:n_dof], y[n_dof:])
     alpha = 1.0 - np.exp(-h / inputs.lag)
     for n in range(rows.shape[0]):
         if inputs.commands.size > 0:
@@ -60,7 +62,7 @@ def integrate_with_derivative(vehicle, y, inputs, out, rows, flexible=None):
 @kernel
 def propagate_tangent(constants, rows, y, road, h, a, flexible=None):
     """Apply `tangent_step` row by row; write changes of accelerations to `a` (N, 7)."""
-    n_dof, p, work = y.size // 2, constants[0], workspace()
+    n_dof, p, work = y.size // 2, constants[0], step_workspace(stack_array(WORKSPACE_ROWS))
     motion = Motion(y[:n_dof], y[n_dof:])
     for n in range(rows.shape[0]):
         tangent_step(p, rows[n], motion, road[n], h, work, a[n], flexible)
@@ -69,7 +71,11 @@ def propagate_tangent(constants, rows, y, road, h, a, flexible=None):
 @kernel
 def propagate_adjoint(constants, rows, a, h, y, road):
     """Apply `adjoint_step` in reverse order; write the adjoint of the road to `road` (N, 16)."""
-    p, work, motion = constants[0], workspace(), Motion(y[:N_DOF], y[N_DOF:])
+    p, work, motion = (
+        constants[0],
+        step_workspace(stack_array(WORKSPACE_ROWS)),
+        Motion(y[:N_DOF], y[N_DOF:]),
+    )
     for n in range(rows.shape[0] - 1, -1, -1):
         adjoint_step(p, rows[n], a[n], h, work, motion, road[n])
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from road_envs._numba import kernel
 from road_envs.config import Finite, Settings
-from road_envs.simulation.simd import if_positive, integer_part, load_four, maximum, minimum
+from road_envs.simulation.simd import integer_part, load_four, maximum, minimum
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,9 +88,9 @@ Law = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def tabulate(curves: Sequence[Law], x_0: float, dx: float, cells: int) -> np.ndarray:
-    """Tabulate the sum of `curves`: cubic coefficients (cells, 4) in powers of the cell fraction.
+    """Tabulate the sum of `curves`: coefficients (cells + 2, 4) in powers of the cell fraction.
 
-    The grid starts at `x_0` and has the spacing `dx`.
+    The grid starts at `x_0` and has the spacing `dx`; a cell at each end continues it linearly.
     """
     x = x_0 + dx * np.arange(cells + 1)
     values, slopes = np.sum([curve(x) for curve in curves], axis=0)
@@ -98,14 +98,22 @@ def tabulate(curves: Sequence[Law], x_0: float, dx: float, cells: int) -> np.nda
 
 
 def _hermite(values: np.ndarray, rises: np.ndarray) -> np.ndarray:
-    """Return coefficients (..., cells, 4) from values and slopes times spacing (..., cells + 1)."""
+    """Return coefficients (..., cells + 2, 4) from values and rises per cell (..., cells + 1).
+
+    A cell at each end continues them linearly.
+    """
+    first, last = rises[..., :1], rises[..., -1:]
+    values = np.concatenate([values[..., :1] - first, values, values[..., -1:] + last], axis=-1)
+    rises = np.concatenate([first, rises, last], axis=-1)
     a, b, end, rise = values[..., :-1], rises[..., :-1], rises[..., 1:], np.diff(values)
-    return np.stack([a, b, 3.0 * rise - 2.0 * b - end, b + end - 2.0 * rise], axis=-1)
+    coefficients = np.stack([a, b, 3.0 * rise - 2.0 * b - end, b + end - 2.0 * rise], axis=-1)
+    coefficients[..., [0, -1], 2:] = 0.0  # exactly linear
+    return coefficients
 
 
 def gaussian_smoothed(tables: np.ndarray, x_0: float, dx: float, width: float) -> np.ndarray:
-    """Smooth `tables` (K, cells, 4) with a Gaussian kernel of standard deviation `width`."""
-    x = x_0 + dx * np.arange(tables.shape[1] + 1)
+    """Smooth `tables` (K, cells + 2, 4) with a Gaussian kernel of standard deviation `width`."""
+    x = x_0 + dx * np.arange(tables.shape[1] - 1)
     u = np.linspace(-4.0, 4.0, 161)
     weight = np.exp(-0.5 * u**2) / np.exp(-0.5 * u**2).sum()
     values = np.empty((tables.shape[0], x.size, u.size, 2))
@@ -115,19 +123,26 @@ def gaussian_smoothed(tables: np.ndarray, x_0: float, dx: float, width: float) -
 
 
 @kernel
+def locate(tables, k, x_0, dx, x):
+    """Return the cubic's coefficients (4 numbers) of table `k` in the cell of `x`, and where in it.
+
+    The fraction of the cell is below 0 or above 1 beyond the ends, where the cubic is a line.
+    """
+    cells = float(tables.shape[1])
+    u = (x - (x_0 - dx)) / dx
+    i = integer_part(minimum(maximum(u, 0.0), cells - 1.0))
+    return load_four(tables, 4.0 * (k * cells + i)), u - i
+
+
+@kernel
 def interpolate_table(tables, k, x_0, dx, x):
-    """Return value and derivative of table `k` of `tables` (K, cells, 4) at `x`.
+    """Return value and derivative of table `k` of `tables` (K, cells + 2, 4) at `x`.
 
     Extrapolates linearly beyond the ends of the grid.
     """
-    cells = float(tables.shape[1])
-    u = (x - x_0) / dx
-    inside = minimum(maximum(u, 0.0), cells)
-    i = minimum(integer_part(inside), cells - 1.0)
-    a, b, c, d = load_four(tables, 4.0 * (k * cells + i))
-    t = inside - i
+    (a, b, c, d), t = locate(tables, k, x_0, dx, x)
     slope = b + t * (2.0 * c + t * 3.0 * d)
-    return a + t * (b + t * (c + t * d)) + slope * (u - inside), slope / dx
+    return a + t * (b + t * (c + t * d)), slope / dx
 
 
 @kernel
@@ -144,9 +159,5 @@ def interpolate_tables(tables, x_0, dx, x, out):
 @kernel
 def second_derivative(tables, k, x_0, dx, x):
     """Return the second derivative of table `k` at `x`: right-sided, and 0 beyond the ends."""
-    cells = float(tables.shape[1])
-    u = (x - x_0) / dx
-    inside = minimum(maximum(u, 0.0), cells)
-    i = minimum(integer_part(inside), cells - 1.0)
-    _, _, c, d = load_four(tables, 4.0 * (k * cells + i))
-    return if_positive(u * (cells - u), (2.0 * c + 6.0 * d * (inside - i)) / (dx * dx), 0.0)
+    (_, _, c, d), t = locate(tables, k, x_0, dx, x)
+    return (2.0 * c + 6.0 * d * t) / (dx * dx)

@@ -71,7 +71,7 @@ def test_the_compiled_step_and_its_error_equal_the_published_pair(name, mode, h)
     expected = ode23s.step(rate, t, y, rate(t, y), J(t, y), T, h)
 
     vehicle = simulator.plant.buffers(simulator.strut_state)
-    work, before = rosenbrock.workspace(), np.empty(29)
+    work, before = rosenbrock.step_workspace(np.empty(rosenbrock.WORKSPACE_ROWS)), np.empty(29)
     result, error, under = y.copy(), np.empty(14), np.concatenate([now, later, road(t + h)])
     inputs = rosenbrock.StepInputs(under[:16], np.zeros(4))
     rosenbrock.step(vehicle, Motion(result[:7], result[7:]), inputs, h, work, before)

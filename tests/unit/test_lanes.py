@@ -1,5 +1,6 @@
 """Variants of one vehicle side by side over the same road."""
 
+import numba
 import numpy as np
 import pytest
 from vehicle_fixtures import DEFENDER, VARIED, VARIED_FLEXIBLE, VARIED_PLANTS, smooth_road
@@ -7,12 +8,33 @@ from vehicle_fixtures import DEFENDER, VARIED, VARIED_FLEXIBLE, VARIED_PLANTS, s
 from road_envs.simulation.drive import DriveSimulator
 from road_envs.simulation.lanes import SharedInputs, drive_variants
 from road_envs.simulation.rosenbrock import ACCELERATION, TWIST
+from road_envs.simulation.simd import LANES, stack_array, stack_rows
 from road_envs.simulation.tape import linearize_drive
 from road_envs.vehicle.equations import build_plant, equilibrium
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 STRUT_STATE, STEPS, H = settled_strut_state(encode_command("ride")), 300, 1e-3
 PLANTS = [build_plant(DEFENDER), build_plant(DEFENDER, variation=VARIED), VARIED_PLANTS["varied"]]
+
+
+@numba.njit
+def fill_on_the_stack(numbers, rows):
+    one, many = stack_array(3), stack_rows(2)
+    for i in range(3):
+        one[i] = 1.0 + i
+    many[:] = 7.0
+    many[1, 2], one[1] = 9.0, one[1] + many[0, 7]
+    numbers[:], rows[:] = one[1:], many
+    return one.ctypes.data % 64 + many.ctypes.data % 64
+
+
+def test_arrays_on_the_stack_are_apart_and_begin_on_cache_lines():
+    numbers, rows = np.zeros(2), np.zeros((2, LANES))
+    assert fill_on_the_stack(numbers, rows) == 0
+    np.testing.assert_array_equal(numbers, [9.0, 3.0])
+    expected = np.full((2, LANES), 7.0)
+    expected[1, 2] = 9.0
+    np.testing.assert_array_equal(rows, expected)
 
 
 def random_inputs() -> SharedInputs:
