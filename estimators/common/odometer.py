@@ -8,9 +8,14 @@ right, and L the distance over which the fixes remove 63 % of an error,
 
 The two signals agree if there are no fixes, and differ in proportion if the fixes act at once; only
 between the two is the odometer displaced, by up to e L. Both e and L are fitted to their difference
-along the drive, and the displacement is removed. (The scale factor of an odometer is a state of
-every navigation filter: Groves, "Principles of GNSS, Inertial, and Multisensor Integrated
-Navigation Systems", 2013, section 16.3.)
+along the drive, and the displacement is removed. While a drive is recorded they are fitted to what
+is known so far: with x = (1 + e) d the integral of v, and w the difference of the two signals,
+
+    w = e' / L' x² / 2 - 1 / L' (integral of w dx)      e' = e / (1 + e),  L' = (1 + e) L
+
+is linear in e' / L' and 1 / L', whose least squares follow from running sums. (The scale factor of
+an odometer is a state of every navigation filter: Groves, "Principles of GNSS, Inertial, and
+Multisensor Integrated Navigation Systems", 2013, section 16.3.)
 """
 
 from dataclasses import replace
@@ -31,7 +36,14 @@ MIN_DISPLACEMENT = 0.005
 """Displacement [m] below which nothing is corrected."""
 
 CLEARNESS = 10.0
-"""Least ratio of the displacement to what the fit leaves, root mean square."""
+"""Least ratio of the displacement to what the fit leaves, root mean square, or to its standard
+deviation."""
+
+FIT_SPACING = 0.1
+"""Distance [m] of the points to which the signals are fitted online."""
+
+CORRELATION_LENGTH = 1.0
+"""Length [m] over which the errors of position fixes are correlated."""
 
 
 def calibrate_odometer(record: Record) -> tuple[Record, tuple[str, ...]]:
@@ -71,9 +83,54 @@ def calibrate_odometer(record: Record) -> tuple[Record, tuple[str, ...]]:
         return record, ()
     if greatest < CLEARNESS * float(np.sqrt(np.mean(left**2))):
         return record, ()
-    note = (
+    corrected = replace(record, s=record.s - displacement, v=record.v / (1.0 + error))
+    return corrected, (_describe(error, displacement),)
+
+
+def _describe(error: float, displacement: np.ndarray) -> str:
+    greatest = float(np.abs(displacement).max())
+    return (
         f"the speed signal reads {100.0 * error:+.1f} % beside the position fixes; stations are "
         f"corrected by up to {100.0 * greatest:.0f} cm"
     )
-    corrected = replace(record, s=record.s - displacement, v=record.v / (1.0 + error))
-    return corrected, (note,)
+
+
+def calibrate_odometer_online(record: Record) -> tuple[Record, tuple[str, ...]]:
+    """Return `record` with calibrated stations and speed, and a note if they were changed.
+
+    Each sample is calibrated by those before it alone. A record is returned itself if it is empty,
+    its signals are not finite, it goes backwards or its signals show no clear displacement.
+    """
+    if record.t.size == 0:
+        return record, ()
+    x = cumulative_trapezoid(record.v, record.t, initial=0.0)
+    slip = x - (record.s - record.s[0])
+    if not (np.isfinite(slip).all() and (np.diff(x) >= 0.0).all() and x[-1] > 2.0 * FIT_SPACING):
+        return record, ()
+    distance = np.arange(0.0, x[-1], FIT_SPACING)
+    w = np.interp(distance, x, slip)
+    regressors = np.stack([0.5 * distance**2, -cumulative_trapezoid(w, distance, initial=0.0)])
+    (aa, ab), (_, bb) = np.cumsum(regressors[:, None] * regressors, axis=2)
+    aw, bw = np.cumsum(regressors * w, axis=1)
+    left = np.cumsum(w * w)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        determinant = aa * bb - ab**2
+        a, b = (bb * aw - ab * bw) / determinant, (aa * bw - ab * aw) / determinant
+        error, length = a / b, 1.0 / b
+        freedom = np.maximum(np.arange(w.size) - 1, 0)
+        rms = np.sqrt(np.maximum(left - a * aw - b * bw, 0.0) / freedom)
+        gradient = (bb + 2.0 * error * ab + error**2 * aa) * CORRELATION_LENGTH / FIT_SPACING
+        std = length**2 * rms * np.sqrt(gradient / determinant)  # of the error times the length
+        displacement = -length * error * np.expm1(-distance / length)
+        believed = (np.abs(error) < MAX_SPEED_ERROR) & (length > LENGTHS[0])
+        believed &= length < LENGTHS[1]
+        doubt = np.maximum(MIN_DISPLACEMENT, CLEARNESS * np.maximum(rms, std))
+        clearness = np.abs(displacement) / doubt
+    share = np.where(believed & (clearness > 1.0), np.minimum(clearness - 1.0, 1.0), 0.0)
+    if not share.any():
+        return record, ()
+    known = np.minimum(x // FIT_SPACING, distance.size - 1).astype(int)  # the last that is complete
+    share, error, length = (np.where(share > 0.0, y, 0.0)[known] for y in (share, error, length))
+    displacement = -error * length * np.expm1(-x / np.maximum(length, LENGTHS[0]))
+    corrected = replace(record, s=record.s - share * displacement, v=record.v * (1 - share * error))
+    return corrected, (_describe(float(error[-1] / (1.0 - error[-1])), displacement),)

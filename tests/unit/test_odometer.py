@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from estimators.common.odometer import calibrate_odometer
+from estimators.common.odometer import calibrate_odometer, calibrate_odometer_online
 from road_envs.data.record import Record
 
 FS, DURATION = 200.0, 8.0
@@ -61,3 +61,23 @@ def test_a_record_with_lost_speeds_is_left_alone():
     record, _ = drive(0.02, 10.0)
     lost = replace(record, v=np.where(record.t > 7.0, np.nan, record.v))
     assert calibrate_odometer(lost) == (lost, ())
+
+
+@pytest.mark.parametrize("error, length", [(0.02, 10.0), (-0.015, 10.0), (0.05, 4.0), (0.01, 30.0)])
+def test_online_the_displacement_is_found_from_the_samples_before_alone(error, length):
+    record, s = drive(error, length)
+    calibrated, notes = calibrate_odometer_online(record)
+    assert (np.abs(calibrated.s - s) <= np.abs(record.s - s) + 2e-3).all()
+    np.testing.assert_allclose(calibrated.s[400:], s[400:], atol=3e-3)
+    assert notes[0].startswith(f"the speed signal reads {100.0 * error:+.1f} % beside")
+    half = slice(0, record.t.size // 2)
+    first = replace(record, **{name: getattr(record, name)[half] for name in ("t", "v", "s")})
+    before, _ = calibrate_odometer_online(first)
+    np.testing.assert_array_equal(before.s, calibrated.s[half])
+    np.testing.assert_array_equal(before.v, calibrated.v[half])
+
+
+@pytest.mark.parametrize("length, noise", [(1e9, 0.0), (1e-3, 0.0), (10.0, 0.3)])
+def test_online_an_unclear_displacement_is_left_alone(length, noise):
+    record, _ = drive(0.02, length, noise)
+    assert calibrate_odometer_online(record)[0] is record
