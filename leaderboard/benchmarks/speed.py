@@ -250,7 +250,7 @@ envs = MultiScenarioVecEnv([case], 32, 0, 10.0, 25, paired_baseline=True)
 model = PPO("MlpPolicy", envs, n_steps=15, batch_size=480, n_epochs=10, device="cpu")
 model.learn(480)
 begin = time.process_time()
-model.learn(1920)
+model.learn(1920, reset_num_timesteps=False)
 middle = time.process_time()
 for _ in range(60):
     envs.step(np.zeros(32, dtype=int))

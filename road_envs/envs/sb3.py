@@ -60,6 +60,12 @@ class RoadReconVecEnv(ArrayVecEnv):
         self._actions = np.zeros(num_envs, dtype=np.int64)
         super().__init__(num_envs, self.env.single_observation_space, self.env.single_action_space)
 
+    def seed(self, seed: int | None = None, alike: int = 1) -> Sequence[int | None]:
+        """Set the seeds of the next reset, the same for `alike` environments in a row."""
+        seeds = super().seed(seed)
+        self._seeds = [seeds[i // alike] for i in range(self.num_envs)]
+        return self._seeds
+
     def reset(self) -> np.ndarray:
         """Return the first observations (num_envs, 3 k + 5), with the seeds set by `seed`."""
         seeds = None if self._seeds[0] is None else list(self._seeds)
@@ -97,4 +103,6 @@ class RoadReconVecEnv(ArrayVecEnv):
         return [getattr(self.env, attr_name)] * len(self._selected(indices))
 
     def _rows(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
+        if not self.info_keys:
+            return [{} for _ in range(self.num_envs)]
         return [{name: infos[name][i] for name in self.info_keys} for i in range(self.num_envs)]

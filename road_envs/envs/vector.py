@@ -185,10 +185,9 @@ class RoadReconVectorEnv(VectorEnv):
         omitted = {"reward"}
         if not self.setup.options.weights.unresolved_variance:
             omitted.add("unresolved_variance")
+        values = output.values if mask.all() else np.where(mask[:, None], output.values, 0.0)
         infos: dict[str, Any] = {
-            name: np.where(mask, output.values[:, j], 0.0)
-            for j, name in enumerate(OUTPUT_COLUMNS)
-            if name not in omitted
+            name: values[:, j] for j, name in enumerate(OUTPUT_COLUMNS) if name not in omitted
         }
         infos["reason"] = np.where(mask, "", None)  # type: ignore[call-overload]
         failed = mask & ((output.nonfinite_step >= 0) | (output.rollover >= 0))

@@ -76,8 +76,9 @@ class MultiScenarioVecEnv(ArrayVecEnv):
     """Vector environment of `n_envs` environments of each case, observed as features.
 
     An action is repeated for `action_repeat` intervals, whose rewards are summed and scaled. With
-    `paired_baseline` the rewards of vehicles that stay in ride on the same roads are subtracted;
-    after one vehicle of a pair has rolled over, the two drive different roads of the same kind.
+    `paired_baseline` the rewards of vehicles that stay in ride on the same roads are subtracted:
+    of each pair of rows of `envs` the second one. After one vehicle of a pair has rolled over, the
+    two drive different roads of the same kind.
     """
 
     def __init__(
@@ -90,13 +91,11 @@ class MultiScenarioVecEnv(ArrayVecEnv):
         paired_baseline: bool = False,
         preview: bool = False,
     ):
-        baseline_cases = cases if paired_baseline else []
-        self.envs = [RoadReconVecEnv(n_envs, **options) for options in cases]
-        self.baselines = [RoadReconVecEnv(n_envs, **options) for options in baseline_cases]
+        self.rows = 2 if paired_baseline else 1
+        self.envs = [RoadReconVecEnv(self.rows * n_envs, **options) for options in cases]
         self.n_envs, self.reward_scale, self.action_repeat = n_envs, reward_scale, action_repeat
-        for envs in (self.envs, self.baselines):
-            for i, env in enumerate(envs):
-                env.seed(seed + SEEDS_APART * (i + 1))
+        for i, env in enumerate(self.envs):
+            env.seed(seed + SEEDS_APART * (i + 1), alike=self.rows)
         setups = [env.env.setup for env in self.envs]
         if len({setup.action_space.n for setup in setups}) > 1:
             raise ConfigError("all cases must have the same control")
@@ -110,9 +109,7 @@ class MultiScenarioVecEnv(ArrayVecEnv):
         """Start episodes in all environments, and return the features (N, K)."""
         for features in self.features:
             features.reset(np.ones(self.n_envs, dtype=bool))
-        observations = [env.reset() for env in self.envs]
-        for baseline in self.baselines:
-            baseline.reset()
+        observations = [env.reset()[:: self.rows] for env in self.envs]
         pairs = zip(self.features, observations, strict=True)
         return np.concatenate([features.update(x) for features, x in pairs])
 
@@ -122,31 +119,25 @@ class MultiScenarioVecEnv(ArrayVecEnv):
 
     def step_wait(self):
         """Return features, rewards, dones (N, ...) and infos."""
-        baselines: list[RoadReconVecEnv | None] = [*self.baselines] or [None] * len(self.envs)
         parts = [
             self._repeat_action(*each)
-            for each in zip(self.envs, baselines, self.features, self.case_actions, strict=True)
+            for each in zip(self.envs, self.features, self.case_actions, strict=True)
         ]
         observations, rewards, dones, part_infos = zip(*parts, strict=True)
         infos = [info for part in part_infos for info in part]
         return np.concatenate(observations), np.concatenate(rewards), np.concatenate(dones), infos
 
-    def _repeat_action(
-        self,
-        env: RoadReconVecEnv,
-        baseline: RoadReconVecEnv | None,
-        features: FeatureExtractor,
-        actions: np.ndarray,
-    ):
+    def _repeat_action(self, env: RoadReconVecEnv, features: FeatureExtractor, actions: np.ndarray):
         """Repeat the actions of one case; rewards after the end of an episode are discarded."""
         total, ended = np.zeros(self.n_envs, dtype=np.float32), np.zeros(self.n_envs, dtype=bool)
         infos: list[dict[str, Any]] = [{} for _ in range(self.n_envs)]
+        row_actions = np.full(env.num_envs, features.context.action_index(*RIDE))
+        row_actions[:: self.rows] = actions
         for _ in range(self.action_repeat):
-            env.step_async(actions)
-            observations, rewards, dones, part_infos = env.step_wait()
-            if baseline is not None:
-                ride = np.full(self.n_envs, features.context.action_index(*RIDE))
-                rewards = rewards - baseline.step(ride)[1]
+            every_row: Any = env.step(row_actions)
+            observations, rewards, dones, part_infos = (x[:: self.rows] for x in every_row)
+            if self.rows > 1:
+                rewards = rewards - every_row[1][1::2]
             total += np.where(ended, 0.0, self.reward_scale * rewards).astype(np.float32)
             newly_ended = np.flatnonzero(dones & ~ended)
             if newly_ended.size:  # the learner bootstraps from the last features if truncated

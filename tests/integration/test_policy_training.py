@@ -21,6 +21,7 @@ from road_envs.policies.features import (
 from road_envs.policies.network_policy import NetworkPolicy
 from road_envs.policies.training import MultiScenarioVecEnv, TrainingConfig, evaluate, train
 from road_envs.policies.wheelbase_preview import WheelbasePreview
+from road_envs.roads.iso8608 import Iso8608
 
 CASE = {
     "road": "iso_d",
@@ -96,6 +97,14 @@ def test_the_paired_baseline_removes_the_road_from_the_reward():
         np.testing.assert_allclose(gained, expected, atol=1e-5)
         over |= dones.any()
     assert over
+
+
+def test_the_vehicles_of_a_pair_share_one_road(monkeypatch):
+    drawn, realise = [], Iso8608.realise
+    monkeypatch.setattr(Iso8608, "realise", lambda *args: drawn.append(args) or realise(*args))
+    cases = MultiScenarioVecEnv([CASE], n_envs=3, seed=5, reward_scale=1.0, paired_baseline=True)
+    cases.reset()
+    assert len(drawn) == 3
 
 
 def test_preview_features_are_the_heights_ahead_of_the_rear_axle():
