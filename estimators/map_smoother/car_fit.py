@@ -1,6 +1,7 @@
 """Vehicle parameters from drives: Gauss-Newton steps on their marginal likelihood.
 
-The likelihood and its derivatives are those of `marginal_likelihood`. After each step of the
+The likelihood and its derivatives are those of `marginal_likelihood`; a last step over unmeasured
+roads has those of `tangent_likelihood`, which are exact and take longer. After each step of the
 parameters the road of each drive follows.
 """
 
@@ -9,11 +10,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimators.map_smoother.gauss_newton import GaussNewton, MapSolution, update_noise_scale
+from estimators.map_smoother.gauss_newton import (
+    GaussNewton,
+    MapSolution,
+    update_noise_scale,
+    update_prior,
+)
 from estimators.map_smoother.instrument_errors import InstrumentErrors
 from estimators.map_smoother.marginal_likelihood import drive_terms, perturbed_cars
 from estimators.map_smoother.objective import Objective, linearize
 from estimators.map_smoother.preconditioner import stationary_hessian
+from estimators.map_smoother.tangent_likelihood import tangent_terms
 from estimators.map_smoother.wheel_liftoff import unloaded_nodes
 from road_envs.sensing.instruments import on_axle
 from road_envs.vehicle.parameters import VehicleParameters
@@ -118,6 +125,34 @@ def fit_car(
     return CarFit(space, x, covariance @ score @ covariance, now)
 
 
+def refine(fit: CarFit, solver: GaussNewton) -> CarFit:
+    """Return a fit to drives over unmeasured roads after a step by exact derivatives.
+
+    Raises ArithmeticError.
+    """
+    space, x = fit.space, fit.x
+    cars = perturbed_cars(space, x)
+    terms = [tangent_terms(solution, cars) for solution in fit.solutions]
+    gradient, sampling, information = (
+        np.sum(parts, axis=0) for parts in list(zip(*terms, strict=True))[:3]
+    )
+    covariance = _invert(information + np.eye(x.size))
+    step = covariance @ (gradient - x)
+    step *= min(1.0, MAX_CHANGE / np.abs(step).max())
+    car = space.from_vector(x + step)
+    solutions = tuple(
+        _resolve(
+            solution,
+            solution.linearization.objective.with_car(car),
+            solver,
+            change=term.to_optimum + step @ term.by_parameter,
+        )
+        for solution, term in zip(fit.solutions, terms, strict=True)
+    )
+    covariance = covariance + covariance @ sampling @ covariance
+    return CarFit(space, x + step, covariance, solutions)
+
+
 def fit_if_due(
     solutions: Sequence[MapSolution], car: VehicleParameters, solver: GaussNewton
 ) -> CarFit | None:
@@ -164,14 +199,25 @@ def _invert(hessian: np.ndarray) -> np.ndarray:
     return (vectors / np.maximum(values, 1.0)) @ vectors.T
 
 
-def _resolve(solution: MapSolution, objective: Objective, solver: GaussNewton) -> MapSolution:
-    """Return the solution of a drive with another `objective`, from its road on."""
+def _resolve(
+    solution: MapSolution,
+    objective: Objective,
+    solver: GaussNewton,
+    change: np.ndarray | None = None,
+) -> MapSolution:
+    """Return the solution of a drive with another `objective`, from its road on.
+
+    With a `change` of the unknowns that is expected, the prior of the road follows it, too.
+    """
     stationary = stationary_hessian(objective)
     solver = replace(solver, stationary=stationary)
-    lin = linearize(objective, solution.linearization.x, objective.information)
+    x = solution.linearization.x + (0.0 if change is None else change)
+    lin = linearize(objective, x, objective.information)
     noise_scale, iterations = solution.noise_scale, solution.cg_iterations
     for _ in range(ROAD_STEPS):
         noise_scale = update_noise_scale(lin, stationary, noise_scale)
         lin, k, _ = solver.step(lin, objective.model.plant, noise_scale)
         iterations += k
+        if change is not None:
+            lin = update_prior(lin, stationary, noise_scale)
     return MapSolution(lin, stationary, noise_scale, solution.steps + ROAD_STEPS, iterations)

@@ -7,8 +7,8 @@ approximation is
     -log p(y, p) = sum over drives [cost(x(p), p) + 1/2 log det A(p)] + 1/2 |p|²
 
 The log-determinant is needed: the road's prior alone rewards vehicles that need less road. It is
-that of the stationary linear vehicle (`preconditioner.py`). Where x is optimal, the gradient of the
-cost is that at a fixed road,
+that of the stationary linear vehicle (`preconditioner.py`); that of the nonlinear one is in
+`tangent_likelihood.py`. Where x is optimal, the gradient of the cost is that at a fixed road,
 
     g = G' R^-1 r - p,      G = d a / d p, by drives of varied vehicles, LANES at a time,
 

@@ -259,7 +259,10 @@ class Linearization:
 
     def draw_noise(self, rng: np.random.Generator) -> np.ndarray:
         """Return R^-1/2 times white noise (S, J)."""
-        white = rng.standard_normal(self.residual.shape)
+        return self.shape_noise(rng.standard_normal(self.residual.shape))
+
+    def shape_noise(self, white: np.ndarray) -> np.ndarray:
+        """Return R^-1/2 times white noise (S, J)."""
         if self.frequency_weights is not None:
             white = apply_frequency_weights(np.sqrt(self.frequency_weights), white)
         return np.sqrt(self.inverse_variance) * white

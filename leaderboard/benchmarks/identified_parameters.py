@@ -20,15 +20,25 @@ from typing import Any
 
 import numpy as np
 
-from estimators.map_smoother.identification import inflated_std
+from estimators.api import CalibrationDrive
+from estimators.map_smoother.identification import IdentificationResult, identify, inflated_std
 from leaderboard.benchmarks.study import Row, run_study, study_parser
-from leaderboard.benchmarks.vehicle_knowledge import FIRST_INDIVIDUAL, calibrate
+from leaderboard.evaluation.test_data import levelled
 from leaderboard.report.plots import COLOURS, write_figure
-from road_envs.vehicle.parameters import load_vehicle
+from road_envs.data.recording import simulate_record
+from road_envs.roads import realise_road
+from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.perturbed_vehicle import GRADES, perturb_vehicle
 from road_envs.vehicle.tolerances import log_values
 
-DIVISIONS = ("known", "blind")
+MIXED, SPEED_KMH, SURVEY_STD = {"front": "ride", "rear": "handling"}, 54.0, 0.0005
+ROADS = {"known": (1_080_000, 100.0), "blind": (1_090_000, 150.0)}
+"""First seed and length [m] of the roads of both divisions."""
+
+DIVISIONS = tuple(ROADS)
+FIRST_INDIVIDUAL = 1001
+"""Seed of the first individual; those below were looked at in development."""
+
 LIMIT = 3.0
 """Standard deviations within which a parameter should be."""
 
@@ -53,6 +63,23 @@ def individual_result(individual: int, grade: str, division: str) -> Row:
         "unexplained": [round(left[0].power, 1), round(left[1].power, 1)],
         "parameters": parameters,
     }
+
+
+def calibrate(
+    car: VehicleParameters, individual: int, grade: str, division: str
+) -> IdentificationResult:
+    """Identify an individual from a drive over a `known` road or over one that nobody measured."""
+    first, length = ROADS[division]
+    seed = first + individual
+    record, profile = simulate_record(
+        realise_road("iso_d", seed, length),
+        speed_kmh=SPEED_KMH, mode=MIXED, seed=seed, individual=individual, grade=grade,
+    )  # fmt: skip
+    drive = CalibrationDrive(record)
+    if division == "known":
+        measured = levelled(profile, SURVEY_STD, np.random.default_rng(individual))
+        drive = CalibrationDrive(record, measured, SURVEY_STD)
+    return identify([drive], car, structure=None)
 
 
 def deviations(row: Row) -> dict[str, float]:

@@ -1,17 +1,18 @@
-"""Error of `map_smoother` over what it knows of the vehicle, on individuals of each grade.
+"""Error of `map_smoother` over what it knows of the vehicle, on the test drives of the field board.
 
-    python -m leaderboard.benchmarks.vehicle_knowledge RESULTS.jsonl [--individuals N] [--grade S1]
-        [--plot FILE]
+    python -m leaderboard.benchmarks.vehicle_knowledge RESULTS.jsonl [--grade S1] [--speed 54]
+        [--drives 3] [--plot FILE]
 
-One line of JSON for each individual is appended to the results; those that stand there are not
-computed again. The test drive is one of 120 m at 54 km/h, soft in front and stiff at the rear, over
-class D. What is known of the vehicle:
+One line of JSON for each drive is appended to the results; those that stand there are not computed
+again. `--drives` is the number of test drives of each grade and speed, by default those of the
+board. What is known of the vehicle:
 
 | told | its description |
-| adapted | its description, fitted to the very drive |
-| blind | fitted to another drive of 150 m, over a road that nobody measured |
-| known | fitted to 100 m over a road measured with errors of 0.5 mm |
+| adapted | its description, fitted to the very drive: the told division of the board |
+| blind | fitted to the calibration drives of the blind division |
+| known | fitted to the calibration drive of the known division |
 | true | the individual itself, and of its instruments what their data sheet says |
+| attainable | no estimate: what the individual allows from data below 100 Hz, if it is rigid |
 """
 
 from collections.abc import Sequence
@@ -20,124 +21,115 @@ from typing import Any
 
 import numpy as np
 
-from estimators.api import CalibrationDrive, copy_with
-from estimators.common.identified_vehicle import IdentifiedVehicle
 from estimators.map_smoother.estimator import MapSmoother
-from estimators.map_smoother.identification import IdentificationResult, identify
 from leaderboard.benchmarks.study import Row, run_study, study_parser
-from leaderboard.evaluation.test_data import levelled
+from leaderboard.evaluation.tasks import Task, load_task
+from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
 from leaderboard.metrics.heights import nrmse
+from leaderboard.report.attainable import drive_error
 from leaderboard.report.plots import COLOURS, write_figure
-from road_envs.data.record import Profile, Record, scored_band
-from road_envs.data.recording import simulate_record
-from road_envs.roads import realise_road
-from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
-from road_envs.vehicle.perturbed_vehicle import GRADES, perturb_vehicle
+from road_envs.data.record import scored_band
+from road_envs.vehicle.perturbed_vehicle import GRADES
 
-MIXED = {"front": "ride", "rear": "handling"}
-SPEED_KMH = 54.0
-KNOWLEDGE = ("told", "adapted", "blind", "known", "true")
-SURVEY_STD = 0.0005
-FIRST_INDIVIDUAL = 1001
-"""Seed of the first individual; those below were looked at in development."""
-
-TEST_ROAD, KNOWN_ROAD, BLIND_ROAD = (1_070_000, 120.0), (1_080_000, 100.0), (1_090_000, 150.0)
-"""First seed and length [m] of the test roads, and of the roads of both calibrations."""
+KNOWLEDGE = ("told", "adapted", "blind", "known", "true", "attainable")
 
 
-def calibrate(
-    car: VehicleParameters, individual: int, grade: str, division: str
-) -> IdentificationResult:
-    """Identify an individual from a drive over a `known` road or over one that nobody measured."""
-    known = division == "known"
-    record, profile = _drive(individual, grade, KNOWN_ROAD if known else BLIND_ROAD)
-    drive = CalibrationDrive(record)
-    if known:
-        measured = levelled(profile, SURVEY_STD, np.random.default_rng(individual))
-        drive = CalibrationDrive(record, measured, SURVEY_STD)
-    return identify([drive], car, structure=None)
-
-
-def individual_result(individual: int, grade: str) -> Row:
-    """Return the result of one individual."""
-    car = load_vehicle("land_rover_defender_110")
-    true = perturb_vehicle(car, grade, individual).car
-    found = {k: calibrate(car, individual, grade, k) for k in ("known", "blind")}
-    record, truth = _drive(individual, grade, TEST_ROAD)
-    told = MapSmoother(draws=0, adapt=False)
-    adapting = MapSmoother(draws=0)
-    errors = {}
-    for knowledge in KNOWLEDGE:
-        smoother = {"told": told, "adapted": adapting, "true": told}.get(knowledge)
-        if smoother is None:
-            smoother = copy_with(adapting, identified=IdentifiedVehicle.of(found[knowledge]))
-        estimate = smoother.estimate(record, true if knowledge == "true" else car)
-        band = scored_band(float(record.v.mean()))
-        errors[knowledge] = round(nrmse(truth.z, estimate.z, truth.ds, band).pooled, 4)
-    frame, bending = true.variation.frame, true.variation.bending
-    return {
-        "frame": frame and round(frame.f, 2),
-        "bending": bending and round(bending.f, 2),
-        "nrmse": errors,
+def drive_result(grade: str, speed_kmh: float, drive: int) -> Row:
+    """Return the errors on a test drive of the field board."""
+    blind, known = (_test_drive(f"field_{x}", grade, speed_kmh, drive) for x in ("blind", "known"))
+    (task, one), car = known, known[0].vehicle
+    true = task.individual(drive, _condition(task, grade, speed_kmh).grade).car
+    told, adapting = MapSmoother(draws=0, adapt=False), MapSmoother(draws=0)
+    runs = {
+        "told": (told, car),
+        "adapted": (adapting, car),
+        "blind": (adapting.calibrate(blind[1].calibration, car), car),
+        "known": (adapting.calibrate(one.calibration, car), car),
+        "true": (told, true),
     }
+    band = scored_band(speed_kmh / 3.6)
+    errors = {}
+    for knowledge, (smoother, vehicle) in runs.items():
+        estimate = smoother.estimate(one.record, vehicle)
+        errors[knowledge] = nrmse(one.truth.z, estimate.z, one.truth.ds, band).pooled
+    errors["attainable"] = drive_error(task, _condition(task, grade, speed_kmh), one, true)
+    return {"nrmse": {k: round(x, 4) for k, x in errors.items() if np.isfinite(x)}}
 
 
-def _drive(seed: int, grade: str, road: tuple[int, float]) -> tuple[Record, Profile]:
-    first, length = road
-    surface = realise_road("iso_d", first + seed, length)
-    return simulate_record(
-        surface, speed_kmh=SPEED_KMH, mode=MIXED, seed=first + seed, individual=seed, grade=grade
-    )
+def _condition(task: Task, grade: str, speed_kmh: float) -> Any:
+    return next(c for c in task.conditions if (c.grade, c.speed_kmh) == (grade, speed_kmh))
+
+
+def _test_drive(name: str, grade: str, speed_kmh: float, drive: int) -> tuple[Task, RecordedDrive]:
+    """Return a task with more drives than its default, if they are needed, and one of them."""
+    task = load_task(name)
+    condition = _condition(task, grade, speed_kmh)
+    if drive not in [k for k, _, _ in task.drives_of(task.test, condition)]:
+        task = task.with_test_drives(drive + 1)
+    drives = simulate_drives(task, task.test, condition)
+    return task, next(one for one in drives if one.index == drive)
 
 
 def summary(rows: Sequence[Row]) -> str:
-    """Return medians and worst errors."""
+    """Return medians and worst errors by grade and speed, and means of both speeds' medians."""
     lines = ["median (worst) in-band NRMSE of map_smoother"]
-    lines.append(f"{'grade':<7}{'n':>3}  " + "".join(f"{k:>16}" for k in KNOWLEDGE))
-    for grade in GRADES:
-        chosen = [row for row in rows if row["grade"] == grade]
-        if not chosen:
-            continue
-        cells = ([row["nrmse"][k] for row in chosen] for k in KNOWLEDGE)
-        text = "".join(f"   {np.median(c):.3f} ({max(c):.3f})" for c in cells)
-        lines.append(f"{grade:<7}{len(chosen):>3}  {text}")
-    return "\n".join(lines)
+    lines.append(f"{'grade':<7}{'km/h':>5}{'n':>4}" + "".join(f"{k:>16}" for k in KNOWLEDGE))
+    for grade, speed in sorted({(row["grade"], row["speed_kmh"]) for row in rows}):
+        errors = [r["nrmse"] for r in rows if (r["grade"], r["speed_kmh"]) == (grade, speed)]
+        text = "".join(f"{_cell([e[k] for e in errors if k in e]):>16}" for k in KNOWLEDGE)
+        lines.append(f"{grade:<7}{speed:>5g}{len(errors):>4}{text}")
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _cell(errors: Sequence[float]) -> str:
+    return f"{np.median(errors):.3f} ({max(errors):.3f})" if errors else ""
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
-    """Draw the error of each individual over what is known of the vehicle."""
+    """Draw the error of each drive over what is known of the vehicle, one panel a grade."""
     grades = [grade for grade in GRADES if any(row["grade"] == grade for row in rows)]
 
     def paint(figure: Any) -> None:
         panels = figure.subplots(1, len(grades), sharey=True, squeeze=False)[0]
         for axes, grade in zip(panels, grades, strict=True):
-            errors = [row["nrmse"] for row in rows if row["grade"] == grade]
-            for e in errors:
-                axes.plot(KNOWLEDGE, [e[k] for k in KNOWLEDGE], color="0.8", lw=0.8)
-            median = [np.median([e[k] for e in errors]) for k in KNOWLEDGE]
-            axes.plot(KNOWLEDGE, median, "o-", color=COLOURS["left"], label="median")
-            number = f"{len(errors)} individual" + "s" * (len(errors) > 1)
-            axes.set_title(f"{grade}, {number}")
-            axes.set_xlabel("what is known of the vehicle")
-        panels[0].set_ylim(0.0, 1.05 * max(max(row["nrmse"].values()) for row in rows))
+            speeds = sorted({row["speed_kmh"] for row in rows if row["grade"] == grade})
+            for speed, colour in zip(speeds, (COLOURS["left"], COLOURS["right"]), strict=False):
+                errors = [
+                    r["nrmse"] for r in rows if (r["grade"], r["speed_kmh"]) == (grade, speed)
+                ]
+                shown = [k for k in KNOWLEDGE if all(k in e for e in errors)]
+                for e in errors:
+                    axes.plot(shown, [e[k] for k in shown], color=colour, lw=0.6, alpha=0.5)
+                median = [np.median([e[k] for e in errors]) for k in shown]
+                label = f"{speed:g} km/h, {len(errors)} drives"
+                axes.plot(shown, median, "o-", color=colour, label=label)
+            axes.set_title(f"{grade}")
+            axes.tick_params(axis="x", rotation=45)
+            axes.legend(frameon=False)
+        panels[0].set_yscale("log")
         panels[0].set_ylabel("in-band NRMSE of map_smoother")
-        panels[0].legend(frameon=False)
 
-    write_figure(paint, (3.6 * len(grades) + 0.6, 3.8), path)
+    write_figure(paint, (3.6 * len(grades) + 0.6, 4.2), path)
 
 
 def main() -> None:
     """Run the study."""
     parser = study_parser("Error over knowledge of the vehicle.")
-    parser.add_argument("--individuals", type=int, default=0)
     parser.add_argument("--grade", action="append", choices=GRADES[1:])
+    parser.add_argument("--speed", action="append", type=float)
+    parser.add_argument("--drives", type=int)
     chosen = parser.parse_args()
+    task = load_task("field_known")
+    if chosen.drives:
+        task = task.with_test_drives(chosen.drives)
     cases = [
-        {"individual": FIRST_INDIVIDUAL + k, "grade": grade}
-        for k in range(chosen.individuals)
-        for grade in chosen.grade or GRADES[1:]
+        {"grade": condition.grade, "speed_kmh": condition.speed_kmh, "drive": index}
+        for condition in task.conditions
+        for index, _, _ in task.drives_of(task.test, condition)
+        if condition.grade in (chosen.grade or [])
+        and (not chosen.speed or condition.speed_kmh in chosen.speed)
     ]
-    run_study(chosen, cases, individual_result, summary, draw)
+    run_study(chosen, cases, drive_result, summary, draw)
 
 
 if __name__ == "__main__":

@@ -24,6 +24,7 @@ from road_envs._atomic_io import write_text
 from road_envs._code_digest import cache_home
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.data.record import scored_band
+from road_envs.vehicle.parameters import VehicleParameters
 
 BANDWIDTH = 100.0
 """Bandwidth [Hz] of the data; the estimators of this package use no more."""
@@ -59,12 +60,15 @@ def attainable_errors(
     except (OSError, ValueError, AttributeError):  # not computed yet, or damaged
         pass
     drives = simulate(task, task.test, condition)
-    errors = {drive.index: _drive_error(task, condition, drive) for drive in drives}
+    errors = {d.index: drive_error(task, condition, d, task.vehicle) for d in drives}
     write_text(path, json.dumps(errors))
     return errors
 
 
-def _drive_error(task: Task, condition: Condition, drive: RecordedDrive) -> float:
+def drive_error(
+    task: Task, condition: Condition, drive: RecordedDrive, car: VehicleParameters
+) -> float:
+    """Return the attainable in-band NRMSE [-] of a drive with `car`, NaN if it is not defined."""
     road = fit_spectrum(drive.truth, scored_band(condition.speed_kmh / 3.6))
     if road is None:
         return np.nan
@@ -73,7 +77,7 @@ def _drive_error(task: Task, condition: Condition, drive: RecordedDrive) -> floa
         return attainable_error(
             drive.record,
             drive.truth,
-            task.vehicle,
+            car,
             prior,
             bandwidth=BANDWIDTH,
             instruments=task.instruments,

@@ -1,0 +1,121 @@
+"""Derivatives of the marginal likelihood by the tangent, against dense matrices."""
+
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.fft import irfft, rfft
+from scipy.linalg import circulant
+from vehicle_fixtures import DEFENDER
+
+from estimators.map_smoother import tangent_likelihood
+from estimators.map_smoother.estimator import MapSmoother
+from estimators.map_smoother.gauss_newton import MapSolution, minimize
+from estimators.map_smoother.marginal_likelihood import DIFFERENCE, perturbed_cars, sensitivities
+from estimators.map_smoother.preconditioner import stationary_hessian
+from estimators.map_smoother.tangent_likelihood import (
+    DRAWS,
+    posterior_noise,
+    tangent_terms,
+    trace_sample,
+)
+from estimators.map_smoother.windows import initial_window_state, window_objective
+from estimators.preprocessing import mask_record
+from road_envs.analysis.information_bound import RoadPrior
+from road_envs.data.recording import simulate_record
+from road_envs.roads.iso8608 import Iso8608
+from road_envs.sensing.instruments import load_instruments
+from road_envs.vehicle.tolerances import ParameterSpace, parameter_space
+
+PAPER, FULL = load_instruments("paper"), parameter_space(DEFENDER)
+SPACE = ParameterSpace(DEFENDER, FULL.names[:6], FULL.std[:6])
+"""Masses and inertias of body and axles."""
+
+
+@cache
+def solution() -> MapSolution:
+    surface = Iso8608(road_class="D", length=20.0).realise(np.random.default_rng(5))
+    record, _ = simulate_record(surface, vehicle=DEFENDER, speed_kmh=54.0, mode="handling", seed=5)
+    smoother = MapSmoother()
+    drive = smoother.prepare_drive(*mask_record(record, PAPER)[:2], DEFENDER, PAPER)
+    model = smoother.measurement_model(record, DEFENDER, PAPER)
+    objective = window_objective(model, drive, RoadPrior(), initial_window_state(drive), 0, 200)
+    return minimize(objective, stationary_hessian(objective), adapt_prior=False)
+
+
+@pytest.fixture(scope="module")
+def terms():
+    """Terms whose systems are solved well."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tangent_likelihood, "CG_ITERATIONS", 1000)
+        patch.setattr(tangent_likelihood, "CG_TOLERANCE", 1e-4)
+        return tangent_terms(solution(), perturbed_cars(SPACE, np.zeros(SPACE.size)))
+
+
+def dense(lin):
+    """J (M, n), and R^-1 J."""
+    unit = np.eye(lin.x.size)
+    J = np.array([lin.tangent(row) for row in unit])
+    weighted = np.array([lin.apply_inverse_covariance(column) for column in J])
+    return J.reshape(len(J), -1).T, weighted.reshape(len(J), -1).T
+
+
+def test_what_the_road_cannot_explain_is_information(terms):
+    lin = solution().linearization
+    J, weighted = dense(lin)
+    A = np.eye(lin.x.size) + J.T @ weighted
+    cars = perturbed_cars(SPACE, np.zeros(SPACE.size))
+    G = sensitivities(lin, lin.objective, cars, np.zeros(0))
+    RG = np.array([lin.apply_inverse_covariance(g) for g in G]).reshape(SPACE.size, -1)
+    road = np.linalg.solve(A, J.T @ RG.T)
+    expected = RG @ G.reshape(SPACE.size, -1).T - RG @ J @ road
+    scale = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        terms.information / np.outer(scale, scale), expected / np.outer(scale, scale), atol=5e-3
+    )
+    size = np.sqrt(np.einsum("np,nm,mp->p", road, A, road))
+    error = terms.by_parameter.T + road
+    assert (np.sqrt(np.einsum("np,nm,mp->p", error, A, error)) < 1e-2 * size).all()
+
+
+def test_the_gradient_is_that_at_the_optimum_less_that_of_the_log_determinant(terms):
+    lin = solution().linearization
+    J, weighted = dense(lin)
+    A = np.eye(lin.x.size) + J.T @ weighted
+    cars = perturbed_cars(SPACE, np.zeros(SPACE.size))
+    G = sensitivities(lin, lin.objective, cars, np.zeros(0))
+    RG = np.array([lin.apply_inverse_covariance(g) for g in G]).reshape(SPACE.size, -1)
+    dx = np.linalg.solve(A, -lin.gradient())
+    traces = [trace_sample(lin, cars, np.linalg.solve(A, b)) for b in posterior_noise(lin)]
+    expected = RG @ (lin.residual.ravel() - J @ dx) - np.mean(traces, axis=0)
+    scale = np.sqrt(np.diag(terms.information))
+    np.testing.assert_allclose(terms.gradient / scale, expected / scale, atol=0.02)
+    assert (np.abs(np.mean(traces, axis=0)) > 0.1 * scale).any()
+
+
+def test_a_sample_of_the_trace_is_the_change_of_the_tangent_by_a_parameter():
+    lin = solution().linearization
+    cars = perturbed_cars(SPACE, np.zeros(SPACE.size))
+    small = 1e-3 * next(posterior_noise(lin)) / np.sqrt(lin.x.size)
+    means = lin.tangent(small)
+    varied = (lin.objective.with_car(car).linearize(lin.x, lin.inverse_variance) for car in cars)
+    first, *rest = [np.vdot(one.tangent(small), lin.inverse_variance * means) for one in varied]
+    found = trace_sample(lin, cars, small)
+    np.testing.assert_allclose(found, (np.array(rest) - first) / DIFFERENCE, rtol=0.02)
+
+
+def test_a_few_samples_average_a_quadratic_form_of_a_stationary_vehicle_exactly():
+    K, rng = 64, np.random.default_rng(0)
+    lin = SimpleNamespace(
+        x=np.zeros(2 * K), residual=np.zeros((3, K)),
+        objective=SimpleNamespace(split=lambda x: (x.reshape(2, K), x[:0], x[:3])),
+        adjoint=lambda e: np.zeros(2 * K + 3), shape_noise=lambda e: e,
+    )  # fmt: skip
+    waves = rfft(rng.standard_normal((4, K)))
+    waves[:, [0, -1]] = 0.0  # no constant and no wave of two nodes, which have no phase
+    a, b, c, d = (circulant(row) for row in irfft(waves))
+    B = np.block([[a, b], [c, d]])
+    samples = [sample[: 2 * K] for sample in posterior_noise(lin)]
+    assert len(samples) == DRAWS
+    assert np.mean([e @ B @ e for e in samples]) == pytest.approx(np.trace(B), abs=1e-9)
