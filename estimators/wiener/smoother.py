@@ -66,6 +66,9 @@ since errors of neighbouring samples cancel; tuned on training drives.
 DIVERGENCE_THRESHOLD = 0.8
 """Relative change of the residual between passes that may indicate divergence."""
 
+CONVERGED = 0.02
+"""Relative change of the residual below which further passes change the error by half a percent."""
+
 NOISE_SCALE_WARNING = 2.0
 """Mean scale of the noise on a segment above which a note says so. With the paper's instruments it
 is 0.85 to 1.3 for the vehicle and mode described, 1.7 to 2.4 in ride if handling was driven, and
@@ -122,7 +125,7 @@ def smooth_record(
 
 
 def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Iterator[Iterate]:
-    """Yield the result of each pass until `passes` are done or the iteration diverges."""
+    """Yield the result of each pass until `passes` are done, or the iteration ends or diverges."""
     M, size, measured = segment.a.shape[1], model.size, max(int(segment.valid.sum()), 1)
     q, share = np.zeros((4, size)), np.ones(4)
     start: np.ndarray | None = None  # the previous solution warm-starts the next solve
@@ -151,6 +154,8 @@ def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Itera
         yield iterate
         expected, unknown = _residual_forces(model, iterate)
         change = float(np.linalg.norm(expected - q)) / max(float(np.linalg.norm(expected)), 1e-9)
+        if change < CONVERGED:
+            return
         q += RELAXATION * (expected - q)
         share = np.clip(
             RESIDUAL_NOISE_SHARE * unknown / np.maximum(model.residual_power, 1e-9), 0.01, 1.0

@@ -59,7 +59,11 @@ CG_TOLERANCE, CG_STEPS_MAX = 1e-3, 80
 """Conjugate gradients: relative size of the final residual, and maximum steps."""
 
 DAMPING_ITERATIONS, EM_ITERATIONS = 4, 6
-"""Updates of the equivalent dampers, and EM iterations in each."""
+"""Updates of the equivalent dampers at most, and EM iterations in each."""
+
+LEVEL_TOLERANCE = 0.02
+"""Relative change of the road's level below which the dampers are not updated again: they follow
+its root, and the error of the estimate changes by a thousandth."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,11 +132,12 @@ def fit_hyperparameters(
     size = next_fast_len(segment.a.shape[1] + round(CIRCLE_PADDING / segment.spacing), real=True)
     prior = ShapedRoadPrior(track=track)
     noise_scale = np.ones(size // 2 + 1)
-    for _ in range(DAMPING_ITERATIONS):
+    for k in range(DAMPING_ITERATIONS):
         model = build_model(plant, locations, instruments, segment, prior, size, noise_scale)
-        prior, noise_scale = run_em(
-            model, windowed_spectrum(model, segment), active_sensors(segment)
-        )
+        lines = windowed_spectrum(model, segment)
+        prior, noise_scale = run_em(model, lines, active_sensors(segment))
+        if k > 0 and abs(prior.G_d0 / model.prior.G_d0 - 1.0) < LEVEL_TOLERANCE:
+            break
     return replace(model, noise_scale=noise_scale, prior=prior, S=prior.spectrum(model.n))
 
 

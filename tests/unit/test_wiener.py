@@ -13,6 +13,7 @@ from vehicle_fixtures import DEFENDER
 from estimators import create
 from estimators.api import check_estimate
 from estimators.preprocessing import mask_record
+from estimators.wiener import smoother, spectral_model
 from estimators.wiener.segments import Segment, split_segments
 from estimators.wiener.smoother import gaussian_expectation
 from estimators.wiener.spectral_model import (
@@ -67,6 +68,20 @@ def drive(car="defender", road="iso_d", mode="ride", speed_kmh=54.0, seed=1, len
 
 def in_band(estimate, truth, speed_kmh):
     return nrmse(truth.z, estimate.z, PROFILE_SPACING, scored_band(speed_kmh / 3.6)).pooled
+
+
+def test_iterations_that_end_early_find_the_road_of_all_of_them(monkeypatch):
+    record, truth = drive(mode="ride", length=40.0)
+    early = in_band(create("iterated_wiener").estimate(record, DEFENDER), truth, 54.0)
+    calls, residual_forces = [], smoother._residual_forces
+    monkeypatch.setattr(smoother, "CONVERGED", 0.0)
+    monkeypatch.setattr(spectral_model, "LEVEL_TOLERANCE", 0.0)
+    monkeypatch.setattr(
+        smoother, "_residual_forces", lambda *of: calls.append(1) or residual_forces(*of)
+    )
+    whole = in_band(create("iterated_wiener").estimate(record, DEFENDER), truth, 54.0)
+    assert len(calls) == 15
+    assert early == pytest.approx(whole, rel=0.01)
 
 
 # --- accuracy against theory ----------------------------------------------------------------------
