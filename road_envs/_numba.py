@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, TypeVar, overload
 
 import numba
-from numba.core import caching, compiler, sigutils
+from numba.core import caching, compiler, sigutils, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.runtime import rtsys
@@ -145,7 +145,7 @@ class _InKernels:
         """Return the typing of a call, as `Dispatcher.get_call_template`; compile if needed."""
         kernel, name = self.dispatcher, self.dispatcher.py_func.__name__
         pysig, folded = kernel._compiler.fold_argument_types(args, kws)
-        kinds = tuple(folded)
+        kinds = tuple(map(types.unliteral, folded))  # one code for all wheels, not one for each
         if kinds not in self.compiled:
             self.compiled[kinds] = self._compile(kinds)
         signatures = [self.compiled[kinds][0]]

@@ -28,7 +28,6 @@ from numba import extending
 from numba.core import cgutils, types
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin, models, overload, register_model
-from numba.np.arrayobj import populate_array
 
 intrinsic: Any = extending.intrinsic  # its annotations count the typing context as an argument
 
@@ -251,6 +250,8 @@ def _register_on_stack(function: Any, *lanes: int) -> None:
 
     @lower_builtin(function, types.IntegerLiteral)
     def lower(context, builder, signature, values):
+        from numba.np.arrayobj import populate_array  # needed, and slow to import, only here
+
         shape = signature.args[0].literal_value, *lanes
         strides = [8 * int(np.prod(shape[i + 1 :])) for i in range(len(shape))]
         store = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), int(np.prod(shape))))
