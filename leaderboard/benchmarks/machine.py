@@ -1,7 +1,9 @@
-"""Measured arithmetic of the machine: multiply-adds per second of a thread, gain of a second one.
+"""Measured arithmetic of the machine: multiply-adds per second of a thread, gain of a second one,
+and the latency of a multiply-add and of a division.
 
 The speed of a simulation is compared with it: a loop that computes in registers and touches no
-memory shows whether two cores are twice as fast as one at all.
+memory shows whether two cores are twice as fast as one at all, and a chain in which each operation
+needs the result of the one before shows how long a chain of a step must take.
 """
 
 import time
@@ -21,10 +23,14 @@ REPETITIONS = 5
 
 
 class MachineSpeed(NamedTuple):
-    """Rate of one thread [multiply-adds of doubles per second], and that of two relative to it."""
+    """Rate of one thread [multiply-adds of doubles per second], and that of two relative to it;
+    time [s] until the result of a multiply-add and of a division can be used.
+    """
 
     one_thread: float
     second_thread: float
+    multiply_add: float
+    division: float
 
 
 @kernel(inline=False)
@@ -39,6 +45,36 @@ def multiply_adds(x, rounds):
         g, h, i = g * factor + summand, h * factor + summand, i * factor + summand
         j, k, m = j * factor + summand, k * factor + summand, m * factor + summand
     put(x, 2, a + b + c + d + e + f + g + h + i + j + k + m)
+
+
+@kernel(inline=False)
+def dependent_multiply_adds(x, factor, summand, rounds):
+    """Return `x` after `rounds` of four multiply-adds, each of the result of the one before."""
+    for _ in range(rounds):
+        x = (((x * factor + summand) * factor + summand) * factor + summand) * factor + summand
+    return x
+
+
+@kernel(inline=False)
+def dependent_divisions(x, dividend, rounds):
+    """Return `x` after `rounds` of four divisions of `dividend` by the result before."""
+    for _ in range(rounds):
+        x = dividend / (dividend / (dividend / (dividend / x)))
+    return x
+
+
+def measure_latencies(rounds: int = ROUNDS // 4) -> tuple[float, float]:
+    """Return the least times [s] of a multiply-add and of a division in a chain."""
+    dependent_multiply_adds(1.0, 0.5, 1.0, 1), dependent_divisions(1.5, 2.0, 1)
+    spans = []
+    for _ in range(REPETITIONS):
+        times = [time.perf_counter()]
+        dependent_multiply_adds(1.0, 0.5, 1.0, rounds)
+        times.append(time.perf_counter())
+        dependent_divisions(1.5, 2.0, rounds)
+        spans.append(np.diff([*times, time.perf_counter()]) / (4 * rounds))
+    multiply_add, division = np.min(spans, axis=0)
+    return float(multiply_add), float(division)
 
 
 def _operands() -> np.ndarray:
@@ -59,4 +95,5 @@ def measure_machine(rounds: int = ROUNDS) -> MachineSpeed:
                 list(pool.map(lambda x: multiply_adds(x, rounds), operands))
                 taken.append(time.perf_counter() - begin)
     one, two = min(spans[1]), min(spans[2])
-    return MachineSpeed(CHAINS * LANES * rounds / one, 2.0 * one / two)
+    latencies = measure_latencies(rounds // 4)
+    return MachineSpeed(CHAINS * LANES * rounds / one, 2.0 * one / two, *latencies)

@@ -214,10 +214,14 @@ class _Block:
         sent, delayed = np.empty((2, n, LANES), dtype=np.uint8)
         sent[:, :own], sent[:, own:] = commands, commands[:, -1:]
         delay_commands(self.delay_line, self.delay, self.steps_delayed, sent, delayed)
-        inputs = DriveInputs(*self._half_step_inputs(n), delayed, self.h)
+        inputs = self.drive_inputs(delayed)
         integrate_lanes(self.lanes, self.roads, inputs, columns, out, *self.flexible)
         for drive in self.drives:
             drive.steps += n
+
+    def drive_inputs(self, commands: np.ndarray) -> DriveInputs:
+        """Return the inputs of n steps under the `commands` (n, LANES) that reach the valves."""
+        return DriveInputs(*self._half_step_inputs(len(commands)), commands, self.h)
 
     def _half_step_inputs(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return stations, speeds (2 n + 1, LANES) and alternating a_x, a_y (4 n + 2, LANES)."""

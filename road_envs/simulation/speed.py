@@ -36,6 +36,8 @@ class SpeedProfile(Settings):
 
     def at(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return distance [m], speed [m/s] and acceleration [m/s²] (N,) at times `t` (N,) [s]."""
+        if len(self.v) == 1:
+            return t * self.v[0], np.full(np.shape(t), self.v[0]), np.zeros(np.shape(t))
         knots, v = np.array(self.t), np.array(self.v)
         a = np.append(np.diff(v) / np.diff(knots), 0.0)
         s = np.append(0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(knots)))

@@ -1,4 +1,9 @@
-"""Operations of one step of one vehicle, counted by running it uncompiled on numbers that count.
+"""Operations of one step of one vehicle, counted by running it uncompiled on numbers that count,
+and its longest chain: operations of which each needs the result of the one before.
+
+A multiplication that is followed by an addition counts as one multiply-add in the chain, and
+look-ups, comparisons and conversions of indices count nothing there: the chain of the compiled
+step is longer.
 
 NUMBA_DISABLE_JIT=1 python tests/support/count_operations.py
 """
@@ -16,9 +21,19 @@ from road_envs.vehicle.suspension import VehicleBuffers, encode_command, settled
 
 COUNTS: Counter[str] = Counter()
 
+DIVISION_LATENCY = 4.0
+"""Latency of a division in multiply-adds, by which chains are compared; `machine` measures both."""
+
 
 class Counted(float):
-    """A number whose arithmetic is counted."""
+    """A number whose arithmetic is counted, with the chain (multiply-adds, divisions) behind it."""
+
+    chain = before = (0, 0)
+    """`before` is the chain without the multiplication that made the number."""
+
+
+def _longest(*chains: tuple[int, int]) -> tuple[int, int]:
+    return max(chains, key=lambda chain: chain[0] + DIVISION_LATENCY * chain[1])
 
 
 def _count(method: str, kind: str) -> None:
@@ -27,7 +42,17 @@ def _count(method: str, kind: str) -> None:
     def counted(self, other):
         COUNTS[kind] += 1
         result = exact(self, float(other))
-        return result if isinstance(result, bool) else Counted(result)
+        if isinstance(result, bool):
+            return result
+        answer, parts = Counted(result), [x for x in (self, other) if isinstance(x, Counted)]
+        before = _longest(*(x.before if kind == "additions" else x.chain for x in parts))
+        if kind == "additions":  # at most one of two products is part of the multiply-add
+            lengths = [x.chain for x in parts if x.chain != x.before][1:]
+            before = _longest(before, *lengths)
+        longer = (0, 1) if kind == "divisions" else (1, 0)
+        answer.chain = before[0] + longer[0], before[1] + longer[1]
+        answer.before = before if kind == "multiplications" else answer.chain
+        return answer
 
     setattr(Counted, method, counted)
 
@@ -40,7 +65,15 @@ for _kind, _operators in {
 }.items():
     for _operator in _operators:
         _count(f"__{_operator}__", _kind)
-Counted.__neg__ = lambda self: Counted(-float(self))  # a change of sign is no operation
+
+
+def _negated(self: Counted) -> Counted:
+    answer = Counted(-float(self))  # a change of sign is no operation
+    answer.chain, answer.before = self.chain, self.before
+    return answer
+
+
+Counted.__neg__ = _negated  # type: ignore[method-assign]
 
 
 class Numbers:
@@ -60,7 +93,7 @@ class Numbers:
         return self.flat[self._place(i)]
 
     def __setitem__(self, i, value):
-        self.flat[self._place(i)] = Counted(value)
+        self.flat[self._place(i)] = value if isinstance(value, Counted) else Counted(value)
 
 
 def count_step() -> dict[str, int]:
@@ -81,8 +114,10 @@ def count_step() -> dict[str, int]:
     road = Numbers(1e-3 * rng.standard_normal(16))
     inputs, out = StepInputs(road, Numbers(np.zeros(4))), Numbers(np.zeros(29))
     COUNTS.clear()
-    step(vehicle, Motion(Numbers(q), Numbers(v)), inputs, 0.001, work, out)
-    return dict(COUNTS)
+    motion = Motion(Numbers(q), Numbers(v))
+    step(vehicle, motion, inputs, 0.001, work, out)
+    multiply_adds, divisions = _longest(*(x.chain for x in [*motion.q.flat, *motion.v.flat]))
+    return {**COUNTS, "chain_multiply_adds": multiply_adds, "chain_divisions": divisions}
 
 
 if __name__ == "__main__":

@@ -6,8 +6,22 @@ from pathlib import Path
 
 import numpy as np
 
-from leaderboard.benchmarks.machine import CHAINS, LANES, measure_machine, multiply_adds
-from leaderboard.benchmarks.speed import STEP_OPERATIONS
+from leaderboard.benchmarks.machine import (
+    CHAINS,
+    LANES,
+    dependent_divisions,
+    dependent_multiply_adds,
+    measure_machine,
+    multiply_adds,
+)
+from leaderboard.benchmarks.speed import (
+    CHAIN_DIVISIONS,
+    CHAIN_MULTIPLY_ADDS,
+    STEP_ADDITIONS,
+    STEP_COMPARISONS,
+    STEP_DIVISIONS,
+    STEP_MULTIPLICATIONS,
+)
 
 COUNT = Path(__file__).parents[1] / "support" / "count_operations.py"
 
@@ -19,10 +33,16 @@ def test_every_chain_of_multiply_adds_sums_its_geometric_series():
     np.testing.assert_array_equal(x[2], CHAINS * x[1] * (1.0 + 0.5 + 0.25))
 
 
+def test_a_chain_takes_four_operations_in_each_round():
+    assert dependent_multiply_adds(1.0, 0.5, 1.0, 2) == 2.0 - 0.5**8
+    assert dependent_divisions(1.5, 2.0, 3) == 1.5
+
+
 def test_the_machine_is_measured_on_one_thread_and_on_two():
     machine = measure_machine(rounds=2000)
     assert machine.one_thread > 1e6
     assert machine.second_thread > 0.0
+    assert 0.0 < machine.multiply_add < machine.division
 
 
 def test_the_bench_states_the_operations_of_a_step_as_counted():
@@ -33,6 +53,11 @@ def test_the_bench_states_the_operations_of_a_step_as_counted():
         capture_output=True,
         text=True,
     )
-    operations = json.loads(counted.stdout)
-    del operations["comparisons"]
-    assert sum(operations.values()) == STEP_OPERATIONS
+    assert json.loads(counted.stdout) == {
+        "additions": STEP_ADDITIONS,
+        "multiplications": STEP_MULTIPLICATIONS,
+        "divisions": STEP_DIVISIONS,
+        "comparisons": STEP_COMPARISONS,
+        "chain_multiply_adds": CHAIN_MULTIPLY_ADDS,
+        "chain_divisions": CHAIN_DIVISIONS,
+    }
