@@ -1,4 +1,5 @@
-"""Calibration of the speed signal against the position fixes of the same record.
+"""Odometers that are not right: calibration of the speed signal against the position fixes of the
+same record, and the distance scale that an estimator has found.
 
 A speed signal that reads 1 + e times the speed displaces the odometer, which integrates it, until
 position fixes hold it. With d the distance from the beginning of the record, where the odometer is
@@ -22,9 +23,10 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
+from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
-from road_envs.data.record import Record
+from road_envs.data.record import DistanceScale, Estimate, Record, profile_stations
 
 LENGTHS = (0.5, 100.0)
 """Least and greatest L [m] that is looked for; it must be passed within the record."""
@@ -134,3 +136,35 @@ def calibrate_odometer_online(record: Record) -> tuple[Record, tuple[str, ...]]:
     displacement = -error * length * np.expm1(-x / np.maximum(length, LENGTHS[0]))
     corrected = replace(record, s=record.s - share * displacement, v=record.v * (1 - share * error))
     return corrected, (_describe(float(error[-1] / (1.0 - error[-1])), displacement),)
+
+
+def to_true_distance(record: Record, estimate: Estimate) -> tuple[Record, Estimate]:
+    """Return `record` and `estimate` with the stations and speed of the distance scale that the
+    estimate has found, and a note; as they are if it has found none.
+
+    The front axle is at the first sample where it was.
+    """
+    if estimate.distance is None:
+        return record, estimate
+    (factor, std), first = estimate.distance, float(record.s[0])
+    length = first + factor * (record.length - first)
+    s = profile_stations(length)
+    old = np.clip(first + (s - first) / factor, estimate.s[0], estimate.s[-1])
+    z_std = estimate.z_std
+    if z_std is not None:
+        z_std = np.array([np.interp(old, estimate.s, path) for path in z_std])
+    note = (
+        f"the speed reads {100.0 * (1.0 / factor - 1.0):+.2f} % (standard deviation "
+        f"{100.0 * std:.2f} %) beside the time from axle to axle; distances from the first sample "
+        "are corrected by that"
+    )
+    corrected = replace(
+        estimate,
+        s=s,
+        z=CubicSpline(estimate.s, estimate.z, axis=1)(old),
+        z_std=z_std,
+        notes=(*estimate.notes, note),
+        distance=DistanceScale(1.0, std),
+    )
+    moved = first + factor * (record.s - first)
+    return replace(record, s=moved, v=factor * record.v, length=length), corrected

@@ -29,6 +29,9 @@ from road_envs.vehicle.tolerances import ParameterSpace, parameter_space
 MAX_STEPS, ROAD_STEPS = 6, 2
 """Steps of the parameters at most, and Gauss-Newton steps of the road after each."""
 
+STEPS_WITH_SPEED = 14
+"""Steps of the parameters at most where the speed is unknown, too: its error follows them."""
+
 DAMPING = 0.5
 """Share of each step after the first that is taken where the road is unknown."""
 
@@ -88,6 +91,7 @@ def fit_car(
     *,
     instruments: bool = False,
     start: np.ndarray | None = None,
+    max_steps: int = MAX_STEPS,
 ) -> CarFit:
     """Fit the parameters of `space` to drives, from the solutions with `space.car` on.
 
@@ -100,7 +104,7 @@ def fit_car(
     x = np.zeros(size) if start is None else start
     original, now = [s.linearization.objective for s in solutions], tuple(solutions)
     covariance = np.eye(size)
-    for k in range(MAX_STEPS):
+    for k in range(max_steps):
         cars = perturbed_cars(space, x[: space.size])
         terms = [
             drive_terms(solution, objective, cars, x[space.size :])

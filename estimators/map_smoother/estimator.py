@@ -28,7 +28,7 @@ observable at a walking pace and left out.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -58,6 +58,7 @@ from estimators.map_smoother.objective import MeasurementModel, Objective
 from estimators.map_smoother.passes import estimate_jointly
 from estimators.map_smoother.posterior_sampling import posterior_std
 from estimators.map_smoother.preconditioner import stationary_hessian
+from estimators.map_smoother.speed_error import distance_scale, estimate_speed_error
 from estimators.map_smoother.wheel_liftoff import distance_in_air
 from estimators.map_smoother.windows import MARGIN, PreparedDrive, reconstruct, split_windows
 from estimators.preprocessing import clipped_signs, mask_record
@@ -171,6 +172,7 @@ class MapSmoother(CalibratedByIdentification):
         instruments = instruments_of(record, self.instruments)
         record, valid, notes = mask_record(record, instruments)
         model = self.measurement_model(record, car, instruments)
+        model = replace(model, speed_std=instruments.speed_error)
         drive = self.prepare_drive(record, valid, car, instruments)
         prior, band = RoadPrior(G_d0=self.G_d0, w=self.w), scored_band(float(drive.inputs.v.mean()))
         rate, blocks = 1.0 / (drive.steps_per_block * drive.inputs.h), drive.a.shape[1]
@@ -203,6 +205,8 @@ class MapSmoother(CalibratedByIdentification):
                 adapt_car=adapt_car if self.adapt and not findings.fit else None,
             )
             findings.in_air += distance_in_air(solution.linearization)
+            if model.speed_std > 0.0:
+                findings.speed_errors.append(estimate_speed_error(solution))
             return solution, posterior_std(solution, band, self.draws, seed=0)
 
         result, noise_scales = reconstruct(model, drive, prior, windows, solve)
@@ -224,13 +228,16 @@ class MapSmoother(CalibratedByIdentification):
                 "the vehicle may differ from the one described",
             )
         lost = max(LOST_NOISE_SCALE, LOST_POWER_SHARE * float(drive.a.var()) / model.noise_variance)
+        distance, doubts = distance_scale(findings.speed_errors, model)
+        notes += doubts
         z, share = evaluate_spline(result.c, x), lost / noise_scale
         if share < 1.0:
             z, z_std = reduce_unexplained(z, z_std, share)
+            distance = None
             notes += (
                 f"the heights are reduced to {share:.0%}: their motion is not the measured one",
             )
-        return Estimate(s, z, z_std, notes), findings
+        return Estimate(s, z, z_std, notes, distance=distance), findings
 
     def for_one_of_many(self) -> "MapSmoother":
         """Return the estimator of a single pass of several: fast, for alignment and as a start."""
@@ -297,13 +304,15 @@ class MapSmoother(CalibratedByIdentification):
 @dataclass(eq=False)
 class _Findings:
     """Results of all windows so far: greatest noise scale, distance in the air [m], the fit of the
-    vehicle, and the noise scale that a fit left which is not believed.
+    vehicle, the noise scale that a fit left which is not believed, and the relative error of the
+    speed in each window with its variance.
     """
 
     noise_scale: float = 1.0
     in_air: float = 0.0
     fit: CarFit | None = None
     left_by_fit: float = 0.0
+    speed_errors: list[tuple[float, float]] = field(default_factory=list)
 
 
 def _describe_modes(car: VehicleParameters) -> str:

@@ -15,7 +15,14 @@ from scipy.signal import welch
 
 from estimators.api import CalibrationDrive, CalibrationError
 from estimators.common.odometer import calibrate_odometer
-from estimators.map_smoother.car_fit import STRUCTURE_POWER, CarFit, fit_car, refine
+from estimators.map_smoother.car_fit import (
+    MAX_STEPS,
+    STEPS_WITH_SPEED,
+    STRUCTURE_POWER,
+    CarFit,
+    fit_car,
+    refine,
+)
 from estimators.map_smoother.estimator import READINGS_PER_UNKNOWN, MapSmoother
 from estimators.map_smoother.gauss_newton import (
     GaussNewton,
@@ -206,7 +213,9 @@ def _fit(
     errors = len(InstrumentErrors(drives[0].record.channels).names) if known else 0
     x, solutions = _nearest_start(space, space.size + errors, solve)
     solver = GaussNewton(solutions[0].stationary, smoother.huber, 40, 0.1)
-    fit = fit_car(solutions, space, solver, instruments=known, start=x)
+    with_speed = any(one.linearization.objective.is_speed_unknown for one in solutions)
+    steps = STEPS_WITH_SPEED if with_speed else MAX_STEPS
+    fit = fit_car(solutions, space, solver, instruments=known, start=x, max_steps=steps)
     if all(drive.profile is None for drive in drives):
         fit = refine(fit, solver)
     return fit, inflated_std(fit.std, known)
@@ -304,6 +313,8 @@ def _objective(drive: CalibrationDrive, car: VehicleParameters, smoother: MapSmo
         smoother, readings = replace(smoother, level_ends=False, data_rate=KNOWN_DATA_RATE), 0.0
     record, valid, _ = mask_record(drive.record, instruments)
     model = smoother.measurement_model(record, car, instruments)
+    if drive.profile is None:  # on a profile the speed is one of the instruments' errors
+        model = replace(model, speed_std=instruments.speed_error)
     prepared = smoother.prepare_drive(record, valid, car, instruments, readings)
     blocks = prepared.a.shape[1] // prepared.block_size
     prior = RoadPrior(G_d0=smoother.G_d0, w=smoother.w)

@@ -77,7 +77,8 @@ def sensitivities(
     """
     objective = lin.objective
     u, start, bias = objective.split(lin.x)
-    road = objective.road_under_wheels(objective.road.coefficients(u))
+    c = objective.road.coefficients(u)
+    road = objective.road_under_wheels(c, objective.wheelbase(lin.x))
     inputs, strut_state = objective.inputs, objective.strut_state
     shared = SharedInputs(road, inputs.commands, strut_state, objective.model.valve_lag, inputs.h)
     instruments = InstrumentErrors.of(original)

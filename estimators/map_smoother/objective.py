@@ -2,8 +2,10 @@
 
     cost(x) = 1/2 sum_j (y_j - a_j(x))² / R_j + 1/2 |x|²
 
-x holds the white noise u of the road (2 K), the deviation of the initial vehicle state (14) and the
-sensor biases (S), each in units of its prior standard deviation. a_j are block means of the
+x holds the white noise u of the road (2 K), the deviation of the initial vehicle state (14), the
+sensor biases (S) and, if the speed is uncertain, its error, each in units of its prior standard
+deviation. Both axles roll over the same road, the rear one a wheelbase later, so a speed that reads
+too low shows as a wheelbase that is too short in metres of the odometer. a_j are block means of the
 accelerations of the nonlinear vehicle, R_j the variances of their noise. The gradient is that of
 the computed steps (`road_envs.simulation.tape`), the Hessian that of Gauss and Newton, I +
 J' R^-1 J.
@@ -30,6 +32,9 @@ from road_envs.vehicle.equations import Plant, build_plant, equilibrium
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import settled_strut_state
 
+SPEED_DIFFERENCE = 0.1
+"""Difference of the speed's error for its derivative, in units of its standard deviation."""
+
 
 @dataclass(frozen=True, eq=False)
 class MeasurementModel:
@@ -37,7 +42,8 @@ class MeasurementModel:
     `wheelbase` [m]; `locations` of the S sensors and `sensor_rows` (S, 7), their acceleration per
     unit of each coordinate's; `noise_variance` [(m/s²)²] of a sample; prior standard deviation
     `bias_std` [m/s²] of the sensor biases; the `bending` of the body, None if it is stiff; the
-    `contact_length` [m] over which the tyres envelop the road.
+    `contact_length` [m] over which the tyres envelop the road; the relative standard deviation
+    `speed_std` of the speed.
     """
 
     plant: Plant
@@ -49,6 +55,7 @@ class MeasurementModel:
     bias_std: float = 0.05
     bending: SensedBending | None = None
     contact_length: float = 0.0
+    speed_std: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +75,13 @@ class Objective:
     @property
     def size(self) -> int:
         """Number of unknowns."""
-        return 2 * self.road.size + self.initial_std.size + self.model.sensor_rows.shape[0]
+        sensors = self.model.sensor_rows.shape[0]
+        return 2 * self.road.size + self.initial_std.size + sensors + self.is_speed_unknown
+
+    @property
+    def is_speed_unknown(self) -> bool:
+        """True if the error of the speed is the last of the unknowns."""
+        return self.model.speed_std > 0.0
 
     @property
     def noise_variance(self) -> float:
@@ -88,7 +101,14 @@ class Objective:
         """Return about the root of the Hessian's diagonal behind the unknowns of the road."""
         count = self.measurements.sample_count.sum(axis=1)
         bias = np.sqrt(1.0 + self.model.bias_std**2 * count / noise_variance)
-        return np.concatenate([np.ones(self.initial_std.size), bias])
+        scale = np.concatenate([np.ones(self.initial_std.size), bias])
+        if not self.is_speed_unknown:
+            return scale
+        # a change of the speed moves the rear axle's share of the signals, about half of them
+        delay = self.model.speed_std * self.model.wheelbase / float(self.inputs.v.mean())
+        moved = delay * np.diff(self.measurements.y, axis=1) / self.block_duration
+        information = 0.5 * np.sum(self.measurements.sample_count[:, 1:] * moved**2)
+        return np.append(scale, np.sqrt(1.0 + information / noise_variance))
 
     @property
     def block_duration(self) -> float:
@@ -98,25 +118,29 @@ class Objective:
 
     def split(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return `u` (2, K) and, in SI units, the initial deviation (14,) and biases (S,)."""
-        u, start, bias = np.split(x, 2 * self.road.size + np.array([0, self.initial_std.size]))
+        sizes = 2 * self.road.size, self.initial_std.size, self.model.sensor_rows.shape[0]
+        u, start, bias, _ = np.split(x, np.cumsum(sizes))
         return u.reshape(2, -1), self.initial_std * start, self.model.bias_std * bias
 
-    def road_under_wheels(self, c: np.ndarray) -> np.ndarray:
+    def speed_error(self, x: np.ndarray) -> float:
+        """Return by how much the true speed exceeds that of the inputs, relative to it."""
+        return self.model.speed_std * float(x[-1]) if self.is_speed_unknown else 0.0
+
+    def wheelbase(self, x: np.ndarray) -> float:
+        """Return the wheelbase in metres of the odometer."""
+        return self.model.wheelbase / (1.0 + self.speed_error(x))
+
+    def road_under_wheels(self, c: np.ndarray, wheelbase: float) -> np.ndarray:
         """Return heights and rates (2 N, 2, 4) under the wheels for coefficients `c` (2, K)."""
-        out = np.empty((self.inputs.s.size, 2, 4))
-        sample_under_wheels(self.footprint.apply(c), *self._along, out)
+        ds, out = self.road.ds, np.empty((self.inputs.s.size, 2, 4))
+        node, rate = (self.inputs.s - self.road.origin) / ds, self.inputs.v / ds
+        sample_under_wheels(self.footprint.apply(c), node, rate, wheelbase / ds, out)
         return out
 
     @property
     def footprint(self) -> Footprint:
         """The enveloping of the road by the tyres."""
         return Footprint.of(self.model.contact_length, self.road.ds)
-
-    @property
-    def _along(self) -> tuple[np.ndarray, np.ndarray, float]:
-        ds = self.road.ds
-        x = (self.inputs.s - self.road.origin) / ds
-        return x, self.inputs.v / ds, self.model.wheelbase / ds
 
     def with_car(self, car: VehicleParameters) -> "Objective":
         """Return the objective for another vehicle, which begins as far from its equilibrium."""
@@ -135,7 +159,7 @@ class Objective:
             plant or self.model.plant,
             self.strut_state,
             self.initial_state + start,
-            self.road_under_wheels(self.road.coefficients(u)),
+            self.road_under_wheels(self.road.coefficients(u), self.wheelbase(x)),
             self.inputs.h,
             commands=self.inputs.commands,
             lag=self.model.valve_lag,
@@ -173,12 +197,18 @@ class Objective:
         """Return measured less predicted block means (S, J) [m/s²] of the sensors, from the
         accelerations (N, 7) of the coordinates.
         """
+        return self.measurements.residual(self.sense(acceleration) + bias[:, None])
+
+    def sense(self, acceleration: np.ndarray) -> np.ndarray:
+        """Return the samples (S, T) [m/s²] of sensors without bias from the accelerations (N, 7) of
+        the coordinates.
+        """
         inputs, model = self.inputs, self.model
         samples = acceleration[:: inputs.decimation][: self.measurements.n_samples]
-        predicted = model.sensor_rows @ samples.T + bias[:, None]
+        sensed = model.sensor_rows @ samples.T
         if model.bending is not None:
-            predicted += model.bending.at_samples(samples, inputs.h * inputs.decimation)
-        return self.measurements.residual(predicted)
+            sensed += model.bending.at_samples(samples, inputs.h * inputs.decimation)
+        return sensed
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +266,16 @@ class Linearization:
         sensors = o.measurements, model.sensor_rows
         if model.bending is not None:
             sensors = model.bending.extended(*sensors)
-        return build_block_tangent(self.tape, o.road, o.inputs, *sensors, model.wheelbase)
+        return build_block_tangent(self.tape, o.road, o.inputs, *sensors, o.wheelbase(self.x))
+
+    @cached_property
+    def speed_sensitivity(self) -> np.ndarray:
+        """Derivative (S, J) of the block means by the last unknown, the error of the speed."""
+        o, unit = self.objective, SPEED_DIFFERENCE * (np.arange(self.x.size) == self.x.size - 1)
+        c = o.road.coefficients(o.split(self.x)[0])
+        one, other = (o.road_under_wheels(c, o.wheelbase(self.x + d)) for d in (unit, -unit))
+        motion, _ = self.tape.tangent(np.zeros(self.tape.end.size), one - other)
+        return o.measurements.average(o.sense(motion)) / (2.0 * SPEED_DIFFERENCE)
 
     def tangent(self, dx: np.ndarray) -> np.ndarray:
         """Return the change (S, J) of the predicted block means by a small `dx`."""
@@ -245,17 +284,21 @@ class Linearization:
         means = self.block_tangent.apply(start, o.footprint.apply(o.road.apply(u)))
         if o.model.bending is not None:
             means = o.model.bending.sense(means, o.block_duration)
+        if o.is_speed_unknown:
+            means += dx[-1] * self.speed_sensitivity
         return means + bias[:, None]
 
     def adjoint(self, means: np.ndarray) -> np.ndarray:
         """Apply the transpose of `tangent`: from block means (S, J) to `x`."""
         o = self.objective
-        bias = o.model.bias_std * means.sum(axis=1)
+        rest = o.model.bias_std * means.sum(axis=1)
+        if o.is_speed_unknown:
+            rest = np.append(rest, np.sum(self.speed_sensitivity * means))
         if o.model.bending is not None:
             means = o.model.bending.sense_transpose(means, o.block_duration)
         start, c = self.block_tangent.apply_transpose(means)
         c = o.footprint.apply_transpose(c)
-        return np.concatenate([o.road.apply_transpose(c).ravel(), o.initial_std * start, bias])
+        return np.concatenate([o.road.apply_transpose(c).ravel(), o.initial_std * start, rest])
 
     def draw_noise(self, rng: np.random.Generator) -> np.ndarray:
         """Return R^-1/2 times white noise (S, J)."""

@@ -98,7 +98,7 @@ def posterior_noise(lin: Linearization, seed: int = 0) -> Iterator[np.ndarray]:
     give the mean of a quadratic form without error.
     """
     rng = np.random.default_rng(seed)
-    u, start, bias = lin.objective.split(lin.x)
+    u, _, bias = lin.objective.split(lin.x)
     shapes = lin.residual.shape, u.shape
     phases = [rng.uniform(0.0, 2.0 * np.pi, (rows, size // 2 + 1)) for rows, size in shapes]
     turns = np.split(2.0 * np.pi / DRAWS * np.arange(sum(rows for rows, _ in shapes)), [len(bias)])
@@ -107,8 +107,9 @@ def posterior_noise(lin: Linearization, seed: int = 0) -> Iterator[np.ndarray]:
             _flat_noise(phase + k * turn[:, None], size)
             for (_, size), phase, turn in zip(shapes, phases, turns, strict=True)
         )
-        rest = rng.standard_normal(start.size + bias.size)
-        yield lin.adjoint(lin.shape_noise(e_1)) + np.concatenate([e_2.ravel(), rest])
+        measured = lin.adjoint(lin.shape_noise(e_1))
+        rest = rng.standard_normal(measured.size - u.size)
+        yield measured + np.concatenate([e_2.ravel(), rest])
 
 
 def _flat_noise(phases: np.ndarray, size: int) -> np.ndarray:

@@ -8,6 +8,7 @@ import typer
 from rich.table import Table
 
 import estimators
+from estimators.common.odometer import to_true_distance
 from estimators.roughness import spectral
 from estimators.roughness.rms_regression import RmsRoughness, RoughnessEstimate
 from estimators.wiener.segments import dominant_modes
@@ -71,7 +72,10 @@ def estimate(
     chosen = make_drive_estimator(estimator, drive, given)
     measured, notes = [each.measured.record for each in drives], list(drive.measured.notes)
     if len(drives) == 1:
-        result = estimators.estimate(chosen, measured[0], drive.car)
+        record, result = to_true_distance(
+            measured[0], estimators.estimate(chosen, measured[0], drive.car)
+        )
+        measured = [record]
     else:
         names = [path.name for path in records]
         pairs = zip(names, drives, strict=True)

@@ -8,6 +8,7 @@ import typer
 from rich.table import Table
 
 import estimators
+from estimators.common.odometer import to_true_distance
 from leaderboard.commands import console, parse_settings, print_json, progress_bar
 from leaderboard.commands.drive_files import (
     DriveOptions,
@@ -75,13 +76,15 @@ def report(
             progress(f"estimating {path.name}", (k + 0.2) / len(drives))
             one = make_drive_estimator(estimator, drive, chosen)
             found = estimators.estimate(one, drive.measured.record, drive.car)
-            read.append((names[k], drive.measured, found))
+            record, found = to_true_distance(drive.measured.record, found)
+            read.append((names[k], drive.measured._replace(record=record), found))
             cars.append(drive.car)
         passes, instruments = align_passes(read), load_instruments(drive.sensors)
         progress("joining the passes" if len(drives) > 1 else "writing the report", 1.0)
         joined = join(one, passes, cars)
 
     def analysed(each: ReportedPass) -> DriveResult:
+        distance = each.estimate.distance
         ranges = instruments_of(each.measured.record, drive.sensors).ranges
         return analyse(
             each.name,
@@ -91,7 +94,7 @@ def report(
             segment=segment,
             modes=drive.car.modes,
             clipping=ranges[:, None],
-            speed_error=instruments.speed_error,
+            distance_std=distance.std if distance else instruments.speed_error,
         )
 
     results = [analysed(each) for each in passes]

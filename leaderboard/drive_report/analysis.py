@@ -77,14 +77,14 @@ def analyse(
     *,
     segment: float = 100.0,
     clipping: float | np.ndarray = np.inf,
-    speed_error: float = 0.0,
+    distance_std: float = 0.0,
     modes: Modes = MODES,
 ) -> DriveResult:
     """Return the results of a drive by segments of `segment` [m], at whole multiples of it.
 
     `clipping` [m/s²], one or (k, 1), is the magnitude from which on a sample is clipped,
-    `speed_error` the relative standard deviation of the speed, by which distances from the first
-    sample are uncertain. `modes` name the states of the struts.
+    `distance_std` the relative standard deviation of distances from the first sample. `modes` name
+    the states of the struts.
     """
     record, v = measured.record, float(np.median(measured.record.v))
     edges = _edges(estimate, measured.chainage, segment, record.s[0])
@@ -94,7 +94,7 @@ def analyse(
     for k in range(edges.size - 1):
         result.segments.append(_segment(result, edges, k, iri, conditions, clipping, modes))
     for obstacle in detect(estimate):
-        result.obstacles.append(_obstacle(result, obstacle, speed_error))
+        result.obstacles.append(_obstacle(result, obstacle, distance_std))
     result.facts.update(
         length_m=float(edges[-1] - edges[0]),
         speed_kmh=3.6 * v,
@@ -193,9 +193,9 @@ def _flags(
     return flags
 
 
-def _obstacle(result: DriveResult, found: DetectedObstacle, speed_error: float) -> dict[str, Any]:
+def _obstacle(result: DriveResult, found: DetectedObstacle, distance_std: float) -> dict[str, Any]:
     lat, lon = result.position(found.station)
-    distance = speed_error * (found.station - result.measured.record.s[0])
+    distance = distance_std * (found.station - result.measured.record.s[0])
     found = found.corrected()
     low, high = (found.height + 1.96 * way * found.height_std for way in (-1.0, 1.0))
     return {

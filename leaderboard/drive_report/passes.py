@@ -63,15 +63,16 @@ def align_passes(passes: Sequence[tuple[str, MeasuredRecord, Estimate]]) -> list
             chainage=measured.chainage,
             notes=(*other.notes, *notes),
         )
-        found.append(_cut(ReportedPass(name, moved, estimate, aligned), first.s))
+        found.append(_cut(ReportedPass(name, moved, estimate, aligned), first))
     return found
 
 
-def _cut(one: ReportedPass, s: np.ndarray) -> ReportedPass:
-    """Return an aligned pass with its estimate at those of the first's stations `s` (M,) [m] that
-    it covers; station 0 is the first of them.
+def _cut(one: ReportedPass, first: Estimate) -> ReportedPass:
+    """Return an aligned pass with its estimate at those stations of the `first` that it covers;
+    station 0 is the first of them.
     """
     assert one.aligned is not None
+    s = first.s
     own, estimate = one.aligned.stations.inverse().apply(s), one.estimate
     inside = np.flatnonzero((own >= 0.0) & (own <= estimate.s[-1]))
     begin, record = float(s[inside[0]]), one.measured.record
@@ -84,9 +85,8 @@ def _cut(one: ReportedPass, s: np.ndarray) -> ReportedPass:
         record=replace(record, s=record.s - begin, length=float(s[inside[-1]]) - begin),
         chainage=one.measured.chainage + begin,
     )
-    return one._replace(
-        measured=measured, estimate=replace(estimate, s=s[inside] - begin, z=z, z_std=std)
-    )
+    part = replace(estimate, s=s[inside] - begin, z=z, z_std=std, distance=first.distance)
+    return one._replace(measured=measured, estimate=part)
 
 
 def join(
@@ -105,7 +105,8 @@ def join(
     first, names = passes[0].measured, ", ".join(each.name for each, _ in chosen)
     note = f"one road from {names}; speed and states are those of {passes[0].name}"
     notes = (note, estimators.passes.WANDER_NOTE)
-    return ReportedPass(JOINED, first._replace(notes=notes), replace(road, notes=()), None)
+    road = replace(road, notes=(), distance=passes[0].estimate.distance)
+    return ReportedPass(JOINED, first._replace(notes=notes), road, None)
 
 
 def compare(results: Sequence[DriveResult]) -> dict[str, Any] | None:

@@ -7,6 +7,7 @@ that of the paper's sensors RF, LR, RR. SI units.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -59,17 +60,26 @@ class Profile:
         return float(self.s[1] - self.s[0])
 
 
+class DistanceScale(NamedTuple):
+    """True distance over that of an odometer: its `factor`, and the standard deviation `std`."""
+
+    factor: float
+    std: float
+
+
 @dataclass(frozen=True)
 class Estimate(Profile):
     """Estimated profile, with notes of the estimator.
 
     `z_std` (2, M) [m], where a method provides it, is the standard deviation of the error in the
-    scored band; datum and drift are excluded.
+    scored band; datum and drift are excluded. `distance` is the scale of the record's odometer, on
+    which the stations are, where a method finds it.
     """
 
     z_std: np.ndarray | None = None
     notes: tuple[str, ...] = ()
     speed: float | None = None  # [m/s] of the drive, where it is known
+    distance: DistanceScale | None = None
 
 
 @dataclass(frozen=True)

@@ -146,7 +146,7 @@ def test_a_deep_hole_leaves_no_rims_as_bumps():
 
 def test_the_place_of_an_obstacle_is_as_uncertain_as_the_driven_distance():
     measured = MeasuredRecord(drive())
-    rows = analyse("d", measured, estimate("street"), HPMS, speed_error=0.005).obstacles
+    rows = analyse("d", measured, estimate("street"), HPMS, distance_std=0.005).obstacles
     assert [row["station_std_m"] for row in rows] == pytest.approx([0.43, 0.76, 1.11], abs=0.02)
 
 

@@ -261,7 +261,9 @@ def test_the_block_tangent_equals_the_tangent_of_the_steps(kmh):
     lin = linearize(objective, perturb(np.zeros(objective.size)), objective.information)
     dx = rng.standard_normal(objective.size)
     u, start, bias = objective.split(dx)
-    taped, _ = lin.tape.tangent(start, objective.road_under_wheels(objective.road.apply(u)))
+    taped, _ = lin.tape.tangent(
+        start, objective.road_under_wheels(objective.road.apply(u), DEFENDER.wheelbase)
+    )
     samples = taped[:: objective.inputs.decimation][: objective.measurements.n_samples]
     expected = objective.measurements.average(objective.model.sensor_rows @ samples.T)
     expected += bias[:, None]

@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from estimators.common.odometer import calibrate_odometer, calibrate_odometer_online
-from road_envs.data.record import Record
+from estimators.api import check_estimate
+from estimators.common.odometer import (
+    calibrate_odometer,
+    calibrate_odometer_online,
+    to_true_distance,
+)
+from road_envs.data.record import DistanceScale, Estimate, Record, profile_stations
 
 FS, DURATION = 200.0, 8.0
 
@@ -81,3 +86,23 @@ def test_online_the_displacement_is_found_from_the_samples_before_alone(error, l
 def test_online_an_unclear_displacement_is_left_alone(length, noise):
     record, _ = drive(0.02, length, noise)
     assert calibrate_odometer_online(record)[0] is record
+
+
+def test_stations_speed_and_heights_follow_the_distance_scale_that_was_found():
+    record, _ = drive(0.0, 1e9)
+    s = profile_stations(record.length)
+    found = Estimate(s, np.exp(-((s - 50.0) ** 2)) * np.ones((2, 1)), 0.01 * np.ones((2, s.size)))
+    assert to_true_distance(record, found) == (record, found)
+    corrected, estimate = to_true_distance(
+        record, replace(found, distance=DistanceScale(1.01, 0.002))
+    )
+    first = record.s[0]
+    np.testing.assert_allclose(corrected.s - first, 1.01 * (record.s - first))
+    np.testing.assert_allclose(corrected.v, 1.01 * record.v)
+    check_estimate(estimate, corrected)
+    assert estimate.s[estimate.z[0].argmax()] == pytest.approx(
+        first + 1.01 * (50.0 - first), abs=0.02
+    )
+    assert estimate.z.max() == pytest.approx(1.0, abs=1e-3)
+    assert estimate.distance == (1.0, 0.002)
+    assert estimate.notes[0].startswith("the speed reads -0.99 % (standard deviation 0.20 %)")
