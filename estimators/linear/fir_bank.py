@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import signal
-from scipy.linalg import cho_solve
+from scipy.linalg import solveh_banded
 
 from estimators.common.blas import single_blas_thread
 from estimators.common.spatial_signals import N_MOTIONS, SPACING, SpatialSignals
@@ -130,17 +130,19 @@ class KnotNormalEquations(NamedTuple):
     def solve(self) -> np.ndarray:
         """Return the taps (knots, p)."""
         knots, p = self.XZ.shape
-        A = np.zeros((knots, p, knots, p))
         level = np.einsum("kii->", self.diagonal) / (knots * p) or 1.0
         smoothness = SMOOTHNESS * level * np.eye(p)
+        row, column = np.arange(2 * p)[:, None] + np.arange(p), np.arange(p)
+        bands = np.zeros((2 * p, knots * p), order="F")
         for k in range(knots):
-            A[k, :, k] = self.diagonal[k] + RIDGE * level * np.eye(p)
-            A[k, :, k] += smoothness * ((k > 0) + (k + 1 < knots))
+            below = np.zeros((3 * p, p))  # the diagonal block, the one below it, and zeros
+            below[:p] = self.diagonal[k] + RIDGE * level * np.eye(p)
+            below[:p] += smoothness * ((k > 0) + (k + 1 < knots))
             if k + 1 < knots:
-                A[k, :, k + 1] = self.off_diagonal[k] - smoothness
-                A[k + 1, :, k] = A[k, :, k + 1].T
-        factor = np.linalg.cholesky(A.reshape(knots * p, knots * p))
-        return cho_solve((factor, True), self.XZ.ravel(), check_finite=False).reshape(knots, p)
+                below[p : 2 * p] = (self.off_diagonal[k] - smoothness).T
+            bands[:, k * p : (k + 1) * p] = below[row, column]
+        taps = solveh_banded(bands, self.XZ.ravel(), overwrite_ab=True, lower=True)
+        return taps.reshape(knots, p)
 
 
 def keep_short_waves(x: np.ndarray, causal: bool = False) -> np.ndarray:

@@ -128,6 +128,8 @@ def normal_equations(
         for d in range(len(gram)):
             bands[d, 2 * low : 2 * high - d] += np.diagonal(gram, -d)
         rhs[2 * low : 2 * high] += H.T @ y[:, first:last].T.ravel()
+    used = np.flatnonzero(bands.any(axis=1))  # a chunk spans more nodes than each of its samples
+    bands = np.asfortranarray(bands[: used[-1] + 1])  # as LAPACK reads them
     return BandedNormalEquations(bands, rhs, float(np.sum(y**2)), y.size)
 
 
