@@ -25,8 +25,7 @@ suite: $(READY)
 
 test-long: $(READY)
 	$(VENV)/bin/pytest -m slow -s
-	ROADRECON_EXAMPLES=20 $(VENV)/bin/pytest tests/unit/test_opencrg.py \
-		tests/unit/test_surface_files_fuzzed.py
+	ROADRECON_EXAMPLES=20 $(VENV)/bin/pytest -m hypothesis
 
 test-lowest:
 	$(PYTHON) -m venv .venv-lowest

@@ -3,12 +3,16 @@ import sys
 import pytest
 from hypothesis import Phase, settings
 
+from examples import FACTOR
 from leaderboard import cli
 
 # The first example of a test may compile kernels; the same examples are tried on every machine.
-settings.register_profile("steady", deadline=None, derandomize=True)
+settings.register_profile("steady", deadline=None, derandomize=True, max_examples=30 * FACTOR)
 settings.register_profile(
-    "faults", settings.get_profile("steady"), phases=[Phase.explicit, Phase.generate]
+    "faults",
+    settings.get_profile("steady"),
+    max_examples=100,
+    phases=[Phase.explicit, Phase.generate],
 )
 settings.load_profile("steady")
 

@@ -19,6 +19,14 @@ from road_envs.vehicle.parameters import write_vehicle
 
 VEHICLES = config.names("vehicles")
 every_vehicle = pytest.mark.parametrize("name", VEHICLES)
+other_vehicles = pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name == "land_rover_defender_110"))
+        for name in VEHICLES
+    ],
+)
+"""The Defender drives in most other tests too."""
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +44,7 @@ def drive():
     return of
 
 
-@every_vehicle
+@other_vehicles
 @pytest.mark.parametrize(
     ("estimator", "limit"), [("map_smoother", 0.25), ("kalman_rts", 0.3), ("wiener", 0.45)]
 )
@@ -88,7 +96,8 @@ def test_a_manufactured_vehicle_drives_and_its_file_reads_back(name, tmp_path):
     assert load_vehicle(tmp_path / "copy.yaml") == car
 
 
-@every_vehicle
+@pytest.mark.usefixtures("unchecked")
+@other_vehicles
 def test_the_commands_take_the_vehicle(road_recon, name):
     words = ("--vehicle", name, "--speed-kmh", "36")
     code, _, err = road_recon(

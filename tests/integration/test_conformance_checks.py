@@ -47,6 +47,7 @@ def test_a_valid_estimator_passes_and_every_check_has_one_sentence(sandbox):
         assert result.message and "\n" not in result.message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "expected"),
     [

@@ -25,16 +25,19 @@ EXAMPLES = {
 }
 """Options that make an example short, and the files that it writes."""
 
-LONG = {"own_estimator", "board_from_python"}
-"""Examples that run a whole task, as README.md and the tutorial of an own estimator do too."""
+LONG = {"own_estimator", "board_from_python", "train_a_policy"}
+"""Examples that run a whole task, as README.md and the tutorial of an own estimator do too, or
+train for seconds.
+"""
 
 PNG_SIGNATURE = b"\x89PNG"
 
 CHECKS = {
     "README.md": """
-        own = run_task("new_road", ["__main__:LinearInverse"], roads=1)
+        own = LinearInverse().estimate(record, road_envs.load_vehicle("land_rover_defender_110"))
         values = {"fir_ridge": table[table.estimator == "fir_ridge"].nrmse.max(),
-                  "own": own.nrmse.max(), "steps": float(reward), "environments": envs.num_envs}
+                  "own": score(own, truth, speed_kmh=36)["nrmse"], "steps": float(reward),
+                  "environments": envs.num_envs}
     """,
     "first_drive.md": """
         values = {"nrmse": scores["nrmse"]}

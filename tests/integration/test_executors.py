@@ -36,25 +36,25 @@ LIMITS = Limits(seconds=60.0, memory=0.7, processes=40, isolation="process")
 """Processes: `test_hostile_entries.py` has entries inside bubblewrap."""
 
 VALID = {"reader": Reader(), "half_as_bad": Reader(gain=0.45)}
+ONE = {"reader": VALID["reader"]}
 
 
-def small(**changes):
+CONDITIONS = ({"mode": "ride", "speed_kmh": 36.0}, {"mode": "handling", "speed_kmh": 54.0})
+
+
+def small(conditions=1, **changes):
     """A task with 16 m of road and the simulated vehicle.
 
-    One condition, since every job and every entry is a process; `test_board.py` has two.
+    One condition, since every job and every entry is a process; two are slow.
     """
     short = {"roads": ["iso_d"], "length": 16.0}
-    settings = {
-        "conditions": [{"mode": "ride", "speed_kmh": 36.0}],
-        "training": {**short, "seeds": [1]},
-        "test": {**short, "seeds": [11, 12]},
-    }
-    return task(**{**settings, **changes})
+    settings = {"training": {**short, "seeds": [1]}, "test": {**short, "seeds": [11, 12]}}
+    return task(conditions=list(CONDITIONS[:conditions]), **{**settings, **changes})
 
 
-def make_request(estimators=VALID, limits=LIMITS):
+def make_request(estimators=VALID, conditions=1):
     entries = [make_entry(name, estimator) for name, estimator in estimators.items()]
-    return RunRequest([small()], entries, seeds=(1, 2), limits=limits)
+    return RunRequest([small(conditions)], entries, seeds=(1, 2), limits=LIMITS)
 
 
 def rows(board):
@@ -74,32 +74,39 @@ def rows(board):
     }
 
 
+@pytest.fixture(scope="module", params=[1, pytest.param(2, marks=pytest.mark.slow)])
+def conditions(request):
+    """Number of conditions of the task."""
+    return request.param
+
+
 @pytest.fixture(scope="module")
-def expected(tmp_path_factory):
+def expected(tmp_path_factory, conditions):
     """Rows of the valid entries, run in this process."""
-    board = run_board(
-        make_request(), tmp_path_factory.mktemp("expected"), InProcessExecutor(estimators=VALID)
-    )
-    assert set(rows(board)) == {*VALID, *BASELINES} and not board.failed(small())
+    request = make_request(conditions=conditions)
+    executor = InProcessExecutor(estimators=VALID)
+    board = run_board(request, tmp_path_factory.mktemp("expected"), executor)
+    assert set(rows(board)) == {*VALID, *BASELINES} and not board.failed(board.tasks[0])
     return rows(board)
 
 
 def test_without_isolation_failing_entries_do_not_change_a_bit_of_the_other_rows(
-    tmp_path, expected
+    tmp_path, expected, conditions
 ):
     failures = {
         "exit_softly": "its process ended without a response, by exit status 0",
-        "leave_children": None,
-        "patch_evaluation": "heights z: every value must be finite",
         "tamper": None,
         "kill_evaluation": "",
     }
+    if conditions > 1:
+        failures["leave_children"] = None
+        failures["patch_evaluation"] = "heights z: every value must be finite"
     first, second = VALID
     hostile = {how: Hostile(how=how, where=str(tmp_path)) for how in failures}
     estimators = {first: VALID[first], **hostile, second: VALID[second]}
-    board = run_board(make_request(estimators), tmp_path, ProcessExecutor(2))
-    results = {**{r.estimator: None for r in board.scored(small())}}
-    results |= {r.estimator: r.failure for r in board.failed(small())}
+    board = run_board(make_request(estimators, conditions), tmp_path, ProcessExecutor(1))
+    results = {r.estimator: None for r in board.scored(board.tasks[0])}
+    results |= {r.estimator: r.failure for r in board.failed(board.tasks[0])}
     assert set(results) == {*failures, *expected}
     for how, failure in failures.items():
         assert (results[how] is None) == (failure is None), (how, results[how])
@@ -125,27 +132,31 @@ DRIVER = """
 import sys
 from pathlib import Path
 sys.path[:0] = {folders!r}
-from test_executors import make_request, run_board
+from test_executors import VALID, make_request, run_board
 from leaderboard.running.executors import ProcessExecutor
-run_board(make_request(), Path(sys.argv[1]), ProcessExecutor(2))
+request = make_request({{name: VALID[name] for name in sys.argv[3:]}}, int(sys.argv[2]))
+run_board(request, Path(sys.argv[1]), ProcessExecutor(2))
 """
 
 
-def driver(out):
+def driver(out, conditions, names):
     code = DRIVER.format(
         folders=[str(Path(__file__).parent), str(Path(__file__).parents[1] / "support")]
     )
-    return subprocess.Popen([sys.executable, "-c", code, str(out)], cwd=Path(__file__).parents[2])
+    command = [sys.executable, "-c", code, str(out), str(conditions), *names]
+    return subprocess.Popen(command, cwd=Path(__file__).parents[2])
 
 
-def killed_and_resumed(out, expected, delays):
-    """Kill and resume a run after each delay; return how often it was killed.
+def killed_and_resumed(out, expected, delays, conditions, estimators=VALID):
+    """Kill and resume a run, each delay [s] after its first job; return how often it was killed.
 
     Its processes must end with it, and the last run must give the expected rows.
     """
     kills = 0
     for delay in delays:
-        process = driver(out)
+        process = driver(out, conditions, estimators)
+        while process.poll() is None and len(running_jobs(out)) < 2:
+            time.sleep(0.05)
         time.sleep(delay)
         process.send_signal(signal.SIGKILL)
         if process.wait() != -signal.SIGKILL:
@@ -155,12 +166,13 @@ def killed_and_resumed(out, expected, delays):
         while (left := running_jobs(out)) and time.monotonic() < end:
             time.sleep(0.05)
         assert not left
-    assert rows(run_board(make_request(), out, ProcessExecutor(2))) == expected
+    found = rows(run_board(make_request(estimators, conditions), out, ProcessExecutor(2)))
+    assert found == {name: expected[name] for name in (*estimators, *BASELINES)}
     return kills
 
 
-def test_killing_a_run_ends_its_processes_and_it_can_be_resumed(tmp_path, expected):
-    assert killed_and_resumed(tmp_path, expected, (2.0, 3.5)) >= 1
+def test_killing_a_run_ends_its_processes_and_it_can_be_resumed(tmp_path, expected, conditions):
+    assert killed_and_resumed(tmp_path, expected, [1.5] * conditions, conditions, ONE) >= 1
 
 
 def test_a_failure_of_the_evaluation_is_not_attributed_to_an_entry(tmp_path, monkeypatch):
@@ -180,9 +192,7 @@ def test_jobs_with_entries_of_this_package_share_a_process_and_its_guest(tmp_pat
     monkeypatch.setattr(
         executors.JobProcess, "__init__", lambda self, out: started.append(1) or start(self, out)
     )
-    conditions = [{"mode": mode, "speed_kmh": 36.0} for mode in ("ride", "handling")]
-    request = make_request({"flat": create("flat")})
-    request = dataclasses.replace(request, tasks=[small(conditions=conditions)])
+    request = make_request({"flat": create("flat")}, conditions=2)
     board = run_board(request, tmp_path / "processes", ProcessExecutor(1))
     assert len(started) == 1 and not running_jobs(tmp_path)
     assert rows(board) == rows(run_board(request, tmp_path / "here", InProcessExecutor()))
@@ -247,19 +257,20 @@ def request_of_files(folder):
     write_csv(surface, road)
     write_vehicle(car, load_vehicle("land_rover_defender_110"))
     test = {"roads": [{"kind": "measured", "path": str(road)}], "seeds": [11, 12]}
-    return dataclasses.replace(make_request(), tasks=[small(car=str(car), test=test)])
+    return dataclasses.replace(make_request(ONE), tasks=[small(car=str(car), test=test)])
 
 
+@pytest.mark.slow
 def test_a_cluster_without_shared_files_that_loses_a_worker_gives_the_same_board(tmp_path, cluster):
     address, workers = cluster
     request = request_of_files(tmp_path)
-    expected = rows(run_board(request, tmp_path / "here", InProcessExecutor(estimators=VALID)))
-    assert set(expected) == {*VALID, *BASELINES}
+    expected = rows(run_board(request, tmp_path / "here", InProcessExecutor(estimators=ONE)))
+    assert set(expected) == {*ONE, *BASELINES}
     executor = DaskExecutor(address)
     executor._client.wait_for_workers(2, timeout=60)
     seen = executor._client.run(lambda *paths: any(map(os.path.exists, paths)), str(tmp_path))
     assert list(seen.values()) == [False, False]
-    executor.workers = 4  # so that each worker has a job to lose
+    executor.workers = 3  # so that each worker has a job to lose
     done = []
 
     def lose_a_worker(k, total, text):
@@ -288,22 +299,22 @@ def test_without_dask_the_error_names_the_extra(monkeypatch):
         DaskExecutor("tcp://127.0.0.1:9")
 
 
-def test_run_job_stores_the_result_of_a_run(tmp_path, expected):
+def test_run_job_stores_the_result_of_a_run(tmp_path, expected, conditions):
     from typer.testing import CliRunner
 
     from leaderboard.cli import app
     from leaderboard.running.board import write_jobs
 
-    count = write_jobs(make_request({"reader": Reader()}), tmp_path / "out", tmp_path / "jobs")
-    assert count == 1 + len(BASELINES)
+    count = write_jobs(make_request(ONE, conditions), tmp_path / "out", tmp_path / "jobs")
+    assert count == conditions * (1 + len(BASELINES))
     specs = sorted((tmp_path / "jobs").glob("*.json"))
     spec = next(path for path in specs if '"name": "reader"' in path.read_text())
     job = jobs.from_text(spec.read_text(), str(spec))
-    label = small().conditions[job.condition].label
+    label = job.task.conditions[job.condition].label
     called = CliRunner().invoke(app, ["run-job", str(spec), "--out", str(tmp_path / "out")])
     assert called.exit_code == 0, called.output
     assert f"small: reader, {label}: done" in " ".join(called.output.split())
-    known = jobs.result_identity(small(), job.condition, job.entries[0], job.seeds)
+    known = jobs.result_identity(job.task, job.condition, job.entries[0], job.seeds)
     part = store.load_part(store.part_path(tmp_path / "out", known))
     expected = [d for d in expected["reader"].drives if d.condition == label]
     assert list(part.drives) == expected

@@ -1,4 +1,4 @@
-"""The built wheel, installed in an environment without the checkout, runs a leaderboard task."""
+"""The built wheel, installed in an environment without the checkout, runs a task."""
 
 import json
 import os
@@ -9,6 +9,7 @@ import venv
 from pathlib import Path
 
 import pytest
+from fakes import SHORT_TASK
 
 ROOT = Path(__file__).parents[2]
 
@@ -55,10 +56,11 @@ def test_the_installed_wheel_runs_a_leaderboard_task_in_another_folder(installed
         bin_folder / "python", "-c", "import road_envs; print(road_envs.__file__)", cwd=tmp_path
     )
     assert Path(where.strip()).is_relative_to(inside)
+    (tmp_path / "short.yaml").write_text(SHORT_TASK)
     run(
-        bin_folder / "road-recon", "leaderboard", "--task", "paper_5", "--estimator", "fir_ridge",
-        "--seeds", "1", "--out", "board", cwd=tmp_path,
+        bin_folder / "road-recon", "leaderboard", "--task", "short.yaml", "--estimator",
+        "fir_ridge", "--seeds", "1", "--workers", "1", "--out", "board", cwd=tmp_path,
     )  # fmt: skip
-    result = json.loads((tmp_path / "board/results/paper_5/fir_ridge.json").read_text())
+    result = json.loads((tmp_path / "board/results/short/fir_ridge.json").read_text())
     assert result["failure"] is None
     assert (tmp_path / "board/index.html").is_file()

@@ -125,7 +125,9 @@ def test_the_digest_depends_on_the_deviations_of_individuals(monkeypatch):
 
 
 def test_a_short_training_is_reproducible_to_the_bit_interrupted_or_not(tmp_path, monkeypatch):
-    """The command of the shipped weights on fewer drives and steps."""
+    """The command of the shipped weights on fewer drives and steps; drives are simulated once."""
+    simulated = cache(CORPUS.simulate_drive)
+    monkeypatch.setattr(Corpus, "simulate_drive", lambda self, *which: simulated(*which))
 
     def train(folder):
         folder.mkdir(exist_ok=True)

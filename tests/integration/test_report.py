@@ -6,6 +6,7 @@ import re
 import pandas as pd
 import pytest
 
+pytestmark = pytest.mark.usefixtures("unchecked")
 DRIVE = ("--road", "iso_b", "--length", "120", "--speed-kmh", "50", "--sensors", "phone")
 
 
@@ -52,7 +53,7 @@ def test_passes_are_moved_onto_the_first_and_compared(road_recon, tmp_path):
     table = pd.read_csv("two.csv", comment="#")
     table.drop(columns=["s [m]"]).to_csv("two.csv", index=False)
     files = ("one.csv", "two.csv", "other.csv")
-    words = ("--out", "r", "--estimator", "iterated_wiener", "--segment", "10", "--json")
+    words = ("--out", "r", "--estimator", "wiener", "--segment", "10", "--json")
     code, out, err = road_recon("report", *files, *words)
     assert code == 0, err
     told = json.loads(out)

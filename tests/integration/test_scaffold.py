@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from fakes import SHORT_TASK
 from typer.testing import CliRunner
 
 from leaderboard.cli import app
@@ -17,9 +18,13 @@ from road_envs.config import ConfigError
 ROOT = Path(__file__).parents[2]
 
 
-def run(*command, cwd, path):
+EXAMPLES = {"estimator": "double_twice", "learner": "learn_it", "policy": "firm_in_corners"}
+"""A name of the package of each example."""
+
+
+def run(*command, cwd, path=()):
     done = subprocess.run(
-        [sys.executable, *map(str, command)],
+        [sys.executable, "-m", *map(str, command)],
         cwd=cwd,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, path))},
         capture_output=True,
@@ -30,29 +35,40 @@ def run(*command, cwd, path):
     return done.stdout
 
 
-def test_the_template_package_installs_and_gets_a_row_on_the_board(tmp_path):
-    folder = tmp_path / "mine"
-    write_package("double_twice", folder)
+@pytest.fixture(scope="module")
+def packages(tmp_path_factory):
+    """Folder with a package of each example, by its name."""
+    folder = tmp_path_factory.mktemp("packages")
+    for example, name in EXAMPLES.items():
+        write_package(name, folder / example, example)
+    return folder
+
+
+def test_the_tests_of_all_packages_pass(packages):
+    folders = [packages / example for example in EXAMPLES]
+    options = ("-q", "-p", "no:cacheprovider", "--import-mode=importlib")
+    tested = run("pytest", *options, *folders, cwd=packages, path=[*folders, ROOT])
+    assert "9 passed" in tested
+
+
+def test_the_template_package_installs_and_gets_a_row_on_the_board(
+    packages, tmp_path, monkeypatch, road_recon
+):
+    folder, target = packages / "estimator", tmp_path / "target"
     code = (folder / "road_recon_double_twice/estimator.py").read_text()
     assert len(code.splitlines()) < 80
-    tested = run("-m", "pytest", "-q", "-p", "no:cacheprovider", cwd=folder, path=[folder, ROOT])
-    assert "3 passed" in tested
-    pip = ("-m", "pip", "--disable-pip-version-check", "--quiet")
-    run(*pip, "wheel", folder, "--no-deps", "--no-build-isolation", "-w", tmp_path,
-        cwd=tmp_path, path=[])  # fmt: skip
+    pip = ("pip", "--disable-pip-version-check", "--quiet")
+    run(*pip, "wheel", folder, "--no-deps", "--no-build-isolation", "-w", tmp_path, cwd=tmp_path)
     (wheel,) = tmp_path.glob("road_recon_double_twice-*.whl")
-    target = tmp_path / "target"
-    run(*pip, "install", "--no-deps", "--target", target, wheel, cwd=tmp_path, path=[])
-    path = [target, ROOT]
-    output = run(
-        "-m", "leaderboard.cli", "check-estimator", "double_twice", cwd=tmp_path, path=path
-    )
-    assert "double_twice: ready for a board" in output
-    run(
-        "-m", "leaderboard.cli", "leaderboard", "--task", "paper_5", "--estimator", "double_twice",
-        "--seeds", "1", "--out", "board", cwd=tmp_path, path=path,
-    )  # fmt: skip
-    row = load(tmp_path / "board/results/paper_5/double_twice.json")
+    run(*pip, "install", "--no-deps", "--target", target, wheel, cwd=tmp_path)
+    monkeypatch.syspath_prepend(str(target))
+    code, out, err = road_recon("check-estimator", "double_twice")
+    assert code == 0 and "double_twice: ready for a board" in out, err
+    (tmp_path / "short.yaml").write_text(SHORT_TASK)
+    words = ("--task", "short.yaml", "--estimator", "double_twice", "--seeds", 1, "--workers", 1)
+    code, _, err = road_recon("leaderboard", *words, "--out", "board")
+    assert code == 0, err
+    row = load(tmp_path / "board/results/short/double_twice.json")
     assert row.failure is None and row.estimator == "double_twice"
     assert (row.drives[0].scores["nrmse"] or 0.0) > 0.0
     assert "double_twice" in (tmp_path / "board/index.html").read_text()
@@ -61,19 +77,17 @@ def test_the_template_package_installs_and_gets_a_row_on_the_board(tmp_path):
 @pytest.mark.parametrize(
     ("example", "check"),
     [
-        ("learner", ("check-estimator", "road_recon_mine.estimator:Mine")),
-        ("policy", ("check-policy", "road_recon_mine.policy:Mine", "--isolation", "process")),
+        ("learner", ("check-estimator", "road_recon_learn_it.estimator:LearnIt")),
+        ("policy", ("check-policy", "road_recon_firm_in_corners.policy:FirmInCorners")),
     ],
 )
-def test_the_templates_of_a_learner_and_of_a_policy_pass_their_tests_and_checks(
-    tmp_path, example, check
+def test_the_templates_of_a_learner_and_of_a_policy_pass_the_checks(
+    packages, monkeypatch, road_recon, example, check
 ):
-    write_package("mine", tmp_path / "package", example)
-    path = [tmp_path / "package", ROOT]
-    tested = run("-m", "pytest", "-q", "-p", "no:cacheprovider", cwd=path[0], path=path)
-    assert "3 passed" in tested
-    printed = run("-m", "leaderboard.cli", *check, cwd=tmp_path, path=path)
-    assert "ready" in printed and "FAILED" not in printed
+    monkeypatch.syspath_prepend(str(packages / example))
+    isolation = ("--isolation", "process") if example == "policy" else ()
+    code, printed, err = road_recon(*check, *isolation)
+    assert code == 0 and "ready" in printed and "FAILED" not in printed, err
     if example == "learner":
         (error,) = re.findall(r"in-band\s+error\s+([\d.]+)", " ".join(printed.split()))
         assert float(error) < 0.9  # a flat estimate has 1

@@ -61,6 +61,7 @@ def test_sundials_reproduces_the_reference(problem, truth):
     assert relative_error(problem.cvode(1e-6), truth) < 0.003
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("octave-cli") is None, reason="Octave is not installed")
 def test_octaves_ode23s_reproduces_the_reference(problem, truth):
     a, seconds = problem.octave(1e-3)

@@ -174,7 +174,7 @@ CHECKED = {
         lambda: table(a_lr=lambda d: d.a_rr, a_rr=lambda d: drive()[0].a_lr), CLASSIFY,
         "LR and RR exchanged better"),
 }  # fmt: skip
-"""Notes of `drive_check`, which tries other descriptions for seconds."""
+"""Notes of `drive_check`, which tries other descriptions for seconds; most are slow."""
 
 NOTES = {
     "single samples that no sensor measures": (
@@ -243,7 +243,8 @@ def test_a_doubtful_input_is_answered_with_a_note(run, name):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * ("mph" in name)) for name in CHECKED]
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * ("km/h" not in name)) for name in CHECKED],
 )
 def test_a_description_that_fits_worse_than_another_is_noted(run, name):
     assert_note(run, *CHECKED[name])

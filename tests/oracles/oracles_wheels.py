@@ -64,7 +64,7 @@ class FourWheels:
 
     def drive(self, road, t):
         """Return the states (14, N) at the times `t` (N,) [s], from rest."""
-        options = {"method": "Radau", "rtol": 1e-8, "atol": 1e-10, "max_step": 2e-3}
+        options = {"method": "LSODA", "rtol": 1e-8, "atol": 1e-10, "max_step": 2e-3}
         return solve_ivp(self.rate, (0.0, t[-1]), np.zeros(14), t_eval=t, args=(road,), **options).y
 
 

@@ -18,6 +18,19 @@ from road_envs.data.record import Estimate, Profile, Record, profile_stations
 
 RATE = 400.0
 
+SHORT_TASK = """
+name: short
+title: A short task
+board: {title: Short}
+version: 1
+car: land_rover_defender_110
+instruments: paper
+conditions: [{mode: ride, speed_kmh: 36.0}]
+training: {roads: [iso_d], seeds: [1], length: 20.0}
+test: {roads: [iso_c], seeds: [1001], length: 20.0}
+"""
+"""A task file with one short drive, for commands in processes of their own."""
+
 
 def task(name: str = "small", **changes) -> Task:
     """A task of two conditions on class-D roads of 40 m."""

@@ -191,7 +191,15 @@ def does_tamper(where, record):
 
 
 def does_write_elsewhere(where, record):
-    (Path(where) / "was here.txt").write_text("hostile")
+    """Write into each of several folders; raise what came of it."""
+    found = []
+    for folder in where.split(os.pathsep):
+        try:
+            (Path(folder) / "was here.txt").write_text("hostile")
+            found.append("written")
+        except OSError as error:
+            found.append(str(error.strerror))
+    raise OSError("; ".join(found))
 
 
 def does_poison_kernels(where, record):

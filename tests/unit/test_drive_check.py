@@ -85,6 +85,25 @@ def test_a_drive_that_changes_its_state_is_not_checked():
     assert check_notes(record, DEFENDER, "paper") == ()
 
 
+def test_one_of_the_other_readings_is_the_right_one():
+    """Whatever is wrong: the unit of the speed, a sign, or the order of two channels."""
+    right = replace(drive("iso_b", 50, "ride"), a=np.arange(9.0).reshape(3, 3) + 1.0)
+    wrong = [
+        replace(right, v=right.v / 0.44704, s=right.s / 0.44704),
+        replace(right, v=3.6 * right.v, s=3.6 * right.s),
+        replace(right, a=right.a * np.array([[1.0], [-1.0], [1.0]])),
+        replace(right, a=right.a[[0, 2, 1]]),
+    ]
+    for record in wrong:
+        found = [other.record for other in drive_check.other_readings(record)]
+        assert any(
+            np.array_equal(one.a, right.a)
+            and np.allclose(one.v, right.v)
+            and np.allclose(np.diff(one.s), np.diff(right.s))
+            for one in found
+        )
+
+
 @pytest.mark.parametrize("known", [False, True])
 def test_a_known_speed_is_not_doubted(monkeypatch, known):
     """Each deviance takes some tenths of a second; here a slower drive would fit best."""

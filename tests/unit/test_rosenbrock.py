@@ -147,8 +147,15 @@ def relative_error(states, truth):
     return (error / np.sqrt(np.mean(truth[7:] ** 2, axis=1))).max()
 
 
-@every_car
-@every_mode
+@pytest.mark.parametrize(
+    ("name", "mode"),
+    [
+        ("unequal_axles", "ride"),
+        ("defender", "handling"),
+        pytest.param("unequal_axles", "handling", marks=pytest.mark.slow),
+        pytest.param("defender", "ride", marks=pytest.mark.slow),
+    ],
+)
 def test_the_method_has_order_two_on_the_nonlinear_vehicle_over_a_road(name, mode):
     t, truth = reference(name, mode, GENTLE, 1.0)
     h = 0.001 / 2.0 ** np.arange(5)

@@ -132,7 +132,14 @@ def test_a_nominal_drive_differs_from_its_twin_by_the_vehicle_only():
     assert np.abs(record.a - plain.a).max() > 0.1
 
 
-@pytest.mark.parametrize("name", ["tcn", "tcn_causal", "gru", "gru_causal"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "tcn",
+        "gru_causal",
+        *(pytest.param(x, marks=pytest.mark.slow) for x in ("tcn_causal", "gru")),
+    ],
+)
 def test_shipped_intervals_have_the_stated_coverage_on_the_main_board(name):
     """Within 4 points over all conditions; in each, of two roads, within 14 and 10."""
     rows = errors_and_coverage(name, 2).values()

@@ -50,11 +50,21 @@ VARIANTS = {
 }
 
 
+ONE_OF_MANY = {"axle control, drawn speeds", "slalom, fine step"}
+"""Variants of which other tests and variants have each part."""
+
+
 def vector(options=SHORT, **kwargs):
     return RoadReconVectorEnv(**{"num_envs": 3, **kwargs}, **options)
 
 
-@pytest.mark.parametrize("options", VARIANTS.values(), ids=VARIANTS.keys())
+@pytest.mark.parametrize(
+    "options",
+    [
+        pytest.param(options, id=name, marks=[pytest.mark.slow] * (name in ONE_OF_MANY))
+        for name, options in VARIANTS.items()
+    ],
+)
 def test_environment_i_equals_the_single_one_with_seed_plus_i_in_every_mode(options):
     number = 10  # more than one block of lanes, the second one partly filled
     ended = check_vector_env(
