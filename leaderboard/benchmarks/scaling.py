@@ -176,11 +176,12 @@ def draw(curves: Sequence[Curve], path: Path) -> None:
                 label = f"{curve.what}: {curve.slope:.2f}"
                 axes.loglog(curve.work, curve.seconds, marker="o", ms=3.5, lw=1.2, label=label)
             ticks = sorted({x for curve in shown for x in curve.work})
-            axes.set_xticks(ticks, [f"{x:g}" for x in ticks])
-            axes.minorticks_off()
             x = np.array([ticks[0], ticks[-1]])
             y = max(curve.seconds[0] for curve in shown) * 1.6
             axes.loglog(x, y * x / x[0], color="0.6", ls="--", lw=1.0, label="slope 1")
+            axes.set_xticks(ticks, [f"{x:g}" for x in ticks])
+            axes.xaxis.set_minor_formatter("")
+            axes.yaxis.set_minor_formatter("")
             axes.set_xlabel(unit if unit != "m" else "length of the road [m]")
             axes.set_ylabel("processor time [s]")
             axes.grid(True, which="major", color="0.92")
