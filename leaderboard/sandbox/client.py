@@ -315,7 +315,9 @@ class SandboxClient:
 class _RemoteSession:
     """A session with an estimator in a guest."""
 
-    def __init__(self, guest: Guest, needs_training: bool, calibrates: bool, uses_seed: bool):
+    def __init__(
+        self, guest: Guest, needs_training: bool, calibrates: bool, uses_seed: bool = True
+    ):
         self.needs_training, self.calibrates = needs_training, calibrates
         self.uses_seed = uses_seed
         self._guest = guest
