@@ -168,3 +168,8 @@ def to_true_distance(record: Record, estimate: Estimate) -> tuple[Record, Estima
     )
     moved = first + factor * (record.s - first)
     return replace(record, s=moved, v=factor * record.v, length=length), corrected
+
+
+def calibrate_stations(record: Record, causal: bool) -> tuple[Record, tuple[str, ...]]:
+    """Return `record` with calibrated stations and speed, for a `causal` estimate or another."""
+    return (calibrate_odometer_online if causal else calibrate_odometer)(record)

@@ -16,6 +16,7 @@ import numpy as np
 from estimators.api import CalibrationDrive, CalibrationError
 from estimators.common.blas import single_blas_thread
 from estimators.common.least_squares import LeastSquaresSums, cross_validate
+from estimators.common.odometer import calibrate_stations
 from estimators.common.spatial_signals import EDGE_STATIONS, SPACING, SpatialSignals
 from estimators.common.training_data import TrainingExample, training_example
 
@@ -90,7 +91,8 @@ def fit_corrections(
     groups: dict[bytes, list[tuple[TrainingExample, CalibrationDrive]]] = {}
     for drive in drives:
         if drive.profile is not None:
-            example = training_example(drive.record, drive.profile, causal)
+            record, _ = calibrate_stations(drive.record, causal)
+            example = training_example(record, drive.profile, causal)
             state, speed = _condition(example.signals)
             key = np.append(state, np.round(np.log(speed) / np.log(SPEED_RATIO))).tobytes()
             groups.setdefault(key, []).append((example, drive))

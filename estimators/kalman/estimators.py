@@ -45,7 +45,7 @@ from estimators.common.explained import trusted_share, untrusted_note
 from estimators.common.fallback import reduce_unexplained
 from estimators.common.identified_vehicle import CalibratedByIdentification
 from estimators.common.model_inputs import antialias_delay, build_model_inputs
-from estimators.common.odometer import calibrate_odometer, calibrate_odometer_online
+from estimators.common.odometer import calibrate_stations
 from estimators.kalman.monitoring import POWER_WINDOW, local_nis, reduce_uncertain
 from estimators.kalman.pipeline import FilterRun, run_filter, run_smoother, setup_output, setup_run
 from estimators.kalman.profile_output import ProfileOutput
@@ -101,9 +101,7 @@ class _KalmanSettings(CalibratedByIdentification):
                 f"the Kalman filters take {N_SENSORS} accelerometers on the body; the record has "
                 f"{', '.join(instruments.accelerometers)}: map_smoother and wiener take any"
             )
-        record, odometer_note = (calibrate_odometer if smooth else calibrate_odometer_online)(
-            record
-        )
+        record, odometer_note = calibrate_stations(record, causal=not smooth)
         record, car = self.as_identified(record, car)
         record, valid, notes = mask_record(record, instruments)
         notes += odometer_note

@@ -36,6 +36,7 @@ from estimators.api import (
     validate_weights,
 )
 from estimators.common.blas import single_blas_thread
+from estimators.common.odometer import calibrate_odometer
 from estimators.linear.calibration_checks import check_drives, check_responses
 from estimators.linear.impulse_responses import (
     AR_ORDER,
@@ -167,6 +168,7 @@ class CalibratedFir(Settings):
         """
         model = require_fitted(self.fitted_state, self)
         record, notes = clean_record(record, None)
+        record, odometer = calibrate_odometer(record)
         state = _state(record)
         chosen = min(model.by_state, key=lambda x: float(np.abs(x.state - state).sum()))
         n_sensors = len(chosen.responses.taps)
@@ -175,7 +177,7 @@ class CalibratedFir(Settings):
                 f"calibrated with {n_sensors} accelerometers, the record has {len(record.a)}"
             )
         z, z_std = _reconstruct(chosen.responses, model.axles, record, self.seed)
-        notes = (*notes, *_notes(chosen, state, record))
+        notes = (*notes, *odometer, *_notes(chosen, state, record))
         return Estimate(profile_stations(record.length), z, chosen.std_factor * z_std, notes)
 
     def summary(self) -> dict[str, Any]:
@@ -232,7 +234,8 @@ class CalibratedFir(Settings):
         kept = {x.state.tobytes(): x for x in before.by_state} if before else {}
         groups: dict[bytes, list[CalibrationDrive]] = {}
         for drive in drives:
-            cleaned = replace(drive, record=clean_record(drive.record, None)[0])
+            record, _ = calibrate_odometer(clean_record(drive.record, None)[0])
+            cleaned = replace(drive, record=record)
             groups.setdefault(_state(cleaned.record).tobytes(), []).append(cleaned)
         for key, group in groups.items():
             prior = kept[key].responses.taps if key in kept else None

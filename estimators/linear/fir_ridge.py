@@ -36,6 +36,7 @@ from scipy import signal
 from estimators.api import CalibrationDrive, copy_with, require_fitted, validate_weights
 from estimators.common.blas import single_blas_thread
 from estimators.common.least_squares import LeastSquaresSums, cross_validate
+from estimators.common.odometer import calibrate_odometer
 from estimators.common.spatial_signals import (
     N_HIGH_PASS,
     SpatialSignals,
@@ -178,6 +179,8 @@ class FirRidge(Settings):
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Return the weighted sums. Raises RecordError, NotFittedError."""
         record, notes = clean_record(record)
+        record, odometer = calibrate_odometer(record)
+        notes = (*notes, *odometer)
         model, stations = self._fitted_or_pretrained(), profile_stations(record.length)
         if isinstance(model, FirBank):
             signals = to_spatial(record, STATION_MARGIN)

@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from estimators.api import CalibrationDrive, copy_with, require_fitted, validate_weights
+from estimators.common.odometer import calibrate_stations
 from estimators.common.spatial_signals import (
     EDGE_STATIONS,
     SPACING,
@@ -254,6 +255,7 @@ class SequenceEstimator(Settings, abc.ABC):
         RecordError, NotFittedError.
         """
         record, notes = clean_record(record)
+        record, odometer = calibrate_stations(record, self.causal)
         bank, weights, coefficients, wheelbase = self._fitted_or_pretrained()
         network = self.network()
         set_weights(network, weights)
@@ -270,7 +272,7 @@ class SequenceEstimator(Settings, abc.ABC):
         factors = std_scale(coefficients, _station_conditions(inputs, network))
         std_m = factors * inputs.level * np.hypot(*std)
         z_std = np.interp(stations, SPACING * (np.arange(std_m.size) - EDGE_STATIONS), std_m)
-        notes = (*notes, LONG_WAVE_NOTE, *validity_notes(signals))
+        notes = (*notes, *odometer, LONG_WAVE_NOTE, *validity_notes(signals))
         if abs(car.wheelbase - wheelbase) > WHEELBASE_TOLERANCE * wheelbase:
             notes += (f"trained with a wheelbase of {wheelbase:.2f} m, not {car.wheelbase:.2f} m",)
         return Estimate(stations, z, np.array([z_std, z_std]), notes)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from estimators import create
 from estimators.api import check_estimate
 from estimators.common.odometer import (
     calibrate_odometer,
@@ -13,6 +14,9 @@ from estimators.common.odometer import (
     to_true_distance,
 )
 from road_envs.data.record import DistanceScale, Estimate, Record, profile_stations
+from road_envs.data.recording import simulate_record
+from road_envs.roads import realise_road
+from road_envs.vehicle.parameters import load_vehicle
 
 FS, DURATION = 200.0, 8.0
 
@@ -106,3 +110,21 @@ def test_stations_speed_and_heights_follow_the_distance_scale_that_was_found():
     assert estimate.z.max() == pytest.approx(1.0, abs=1e-3)
     assert estimate.distance == (1.0, 0.002)
     assert estimate.notes[0].startswith("the speed reads -0.99 % (standard deviation 0.20 %)")
+
+
+@pytest.mark.parametrize("name", ["wiener", "fir_ridge", "tcn", "tcn_causal"])
+def test_an_estimate_is_that_of_the_calibrated_stations(name):
+    surface = realise_road("iso_d", 3, 40.0)
+    record, _ = simulate_record(surface, speed_kmh=54.0, mode="ride", seed=3)
+    distance = record.s - record.s[0]
+    error, length = 0.02, 10.0
+    displacement = -error * length * np.expm1(-distance / length)
+    displaced = replace(record, s=record.s + displacement, v=(1.0 + error) * record.v)
+    estimator, car = create(name), load_vehicle("land_rover_defender_110")
+    found, plain = (estimator.estimate(each, car) for each in (displaced, record))
+    assert any("beside the position fixes" in note for note in found.notes)
+    assert not any("beside the position fixes" in note for note in plain.notes)
+    reached = 10 if name.endswith("causal") else 0  # [m], before the displacement is clear
+    from_there = slice(int(reached / 0.05), None)
+    error = (found.z - plain.z)[:, from_there]
+    assert error.std() < 0.1 * plain.z[:, from_there].std()

@@ -39,7 +39,7 @@ def test_one_known_drive_reduces_the_error_on_a_vehicle_with_a_frame(name):
     plain = create(name)
     assert isinstance(plain, Calibratable)
     calibrated = plain.calibrate([CalibrationDrive(record, truth)], CAR)
-    assert error(calibrated, *drive(51)) < 0.6 * error(plain, *drive(51))
+    assert error(calibrated, *drive(51)) < 0.75 * error(plain, *drive(51))
     assert NOTE in calibrated.estimate(drive(51)[0], CAR).notes
     for key, x in calibrated.weights().items():
         np.testing.assert_array_equal(x, plain.weights()[key])
@@ -88,4 +88,4 @@ def test_stations_beside_the_profile_are_not_used():
     record, truth = drive(41)
     half = Profile(truth.s[: truth.s.size // 2], truth.z[:, : truth.s.size // 2])
     calibrated = create("fir_ridge").calibrate([CalibrationDrive(record, half)], CAR)
-    assert error(calibrated, *drive(51)) < 0.7 * error(create("fir_ridge"), *drive(51))
+    assert error(calibrated, *drive(51)) < 0.8 * error(create("fir_ridge"), *drive(51))
