@@ -152,6 +152,8 @@ class MapSmoother(CalibratedByIdentification):
         """Estimate both wheel paths, also with elements that the description leaves out."""
         first, findings = self._estimate(record, car)
         left = findings.left_by_fit
+        if findings.speed_errors and not findings.fit:  # places need the vehicle, flights or not
+            left = max(left, findings.noise_scale)
         if not (self.adapt and left >= STRUCTURE_POWER and has_absent_elements(car)):
             return first
         from estimators.map_smoother.identification import STRUCTURE_GAIN, identify_structure
