@@ -3,8 +3,7 @@
 Both axles roll over the same road, so the delay between what front and rear measure is wheelbase
 over speed. The relative error of the speed is an unknown of the objective (`objective.py`), found
 together with the road. Its posterior standard deviation is about 0.01 % after 100 m: the bound of
-the linear vehicle, whose parameters are uncertain too. (Known as wheelbase filtering; road-induced
-speed by axle correlation.)
+the linear vehicle, whose parameters are uncertain too.
 """
 
 from collections.abc import Sequence
