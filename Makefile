@@ -9,9 +9,9 @@ READY := $(VENV)/.ready
 leaderboard: BOARD := out/leaderboard
 leaderboard: $(READY)
 	@mkdir -p $(BOARD)
-	$(VENV)/bin/road-recon policies --quick --out $(BOARD) >$(BOARD)/policies.txt 2>&1 & \
+	$(VENV)/bin/road-recon policies --quick --out $(BOARD) >$(BOARD)/policies.txt 2>$(BOARD)/policies.log & \
 	$(VENV)/bin/road-recon leaderboard --board paper --board new_road --length 150 --seeds 2 \
-		--out $(BOARD) && { wait $$!; status=$$?; cat $(BOARD)/policies.txt; exit $$status; }
+		--out $(BOARD) && { wait $$! || { cat $(BOARD)/policies.log; exit 1; }; } && cat $(BOARD)/policies.txt
 
 policies: $(READY)
 	$(VENV)/bin/road-recon policies --scenarios league --sweep --out out/policies
