@@ -293,7 +293,7 @@ FAULTS = [
     Fault("estimators/common/explained.py", "0.5 * car.wheelbase) / PROFILE_SPACING",
           "8.0 * car.wheelbase) / PROFILE_SPACING",
           "explained::test_the_share_is_local_and_its_note_gives_the_distance"),
-    Fault("estimators/kalman/profile_output.py", "LOST_NOISE_SCALE = 20.0", "LOST_NOISE_SCALE = 1e9",
+    Fault("estimators/kalman/profile_output.py", "LOST_NOISE_SCALE, LOST_POWER_SHARE = 20.0", "LOST_NOISE_SCALE, LOST_POWER_SHARE = 1e9",
           NOT_WORSE),
     Fault("estimators/map_smoother/posterior_sampling.py",
           "+ rng.standard_normal(lin.objective.size)", "+ 0.0",

@@ -115,7 +115,7 @@ def calibrate_odometer_online(record: Record) -> tuple[Record, tuple[str, ...]]:
     (aa, ab), (_, bb) = np.cumsum(regressors[:, None] * regressors, axis=2)
     aw, bw = np.cumsum(regressors * w, axis=1)
     left = np.cumsum(w * w)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         determinant = aa * bb - ab**2
         a, b = (bb * aw - ab * bw) / determinant, (aa * bw - ab * aw) / determinant
         error, length = a / b, 1.0 / b

@@ -38,6 +38,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field
+from scipy.ndimage import minimum_filter1d
 
 from estimators.api import LAG
 from estimators.common.block_means import MIN_NOISE_DENSITY, block_means
@@ -46,7 +47,7 @@ from estimators.common.fallback import reduce_unexplained
 from estimators.common.identified_vehicle import CalibratedByIdentification
 from estimators.common.model_inputs import antialias_delay, build_model_inputs
 from estimators.common.odometer import calibrate_stations
-from estimators.kalman.monitoring import POWER_WINDOW, local_nis, reduce_uncertain
+from estimators.kalman.monitoring import POWER_WINDOW, local_nis, long_waves, reduce_uncertain
 from estimators.kalman.pipeline import FilterRun, run_filter, run_smoother, setup_output, setup_run
 from estimators.kalman.profile_output import ProfileOutput
 from estimators.kalman.state import NOISE_SCALE, ROUGHNESS_SCALE
@@ -69,6 +70,9 @@ N_SENSORS = 3
 
 NOISE_SCALE_WARNING = 2.0
 """Noise scale above which a note says that the vehicle may differ from the one described."""
+
+LOST_REACH = 10.0
+"""Distance [m] about a lost vehicle over which smoothed heights are reduced."""
 
 Lag = Annotated[float, Field(ge=0, lt=100), "m", "from the front axle back to the station emitted"]
 StdFactor = Annotated[Positive, "", "on the in-band standard deviation, fitted to training drives"]
@@ -150,13 +154,17 @@ class _KalmanSettings(CalibratedByIdentification):
             z = reduce_uncertain(z, z_std, ahead, drifting=smooth)
         if smooth:
             explained = trusted_share(record, valid, car, instruments, z)
+            # a filter that is lost later errs before that too, once smoothed
+            share = minimum_filter1d(share, 2 * round(LOST_REACH / PROFILE_SPACING) + 1)
             share, notes = share * explained, notes + untrusted_note(explained)
         if (lost := PROFILE_SPACING * float(np.sum(output.share < 0.95))) >= 1.0:
             notes += (
                 f"over {lost:.0f} m the innovations are far beyond their covariance; the heights "
                 "are reduced there",
             )
-        return Estimate(s, *reduce_unexplained(z, z_std, share), notes)
+        long = long_waves(z) if smooth else 0.0  # reducing a drift would make a step of it
+        z, z_std = reduce_unexplained(z - long, z_std, share)
+        return Estimate(s, z + long, z_std, notes)
 
 
 def _output_std(

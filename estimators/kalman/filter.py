@@ -16,12 +16,13 @@ import numpy as np
 
 from estimators.kalman.friction_linearization import choose_linearization
 from estimators.kalman.linearization import linearize_block
-from estimators.kalman.profile_output import emit
+from estimators.kalman.profile_output import emit, lost_noise_scale
 from estimators.kalman.road_process import add_node, update_roughness
 from estimators.kalman.state import (
     BIAS,
     FORCE,
     NOISE_SCALE,
+    SIGNAL_POWER,
     FilterInputs,
     FilterModel,
     FilterState,
@@ -66,7 +67,8 @@ def filter_forward(
             middle = state.newest_node[0] + 0.5
             add_node(model, state, inputs.free_range[0] < middle < inputs.free_range[1])
             rear = inputs.front_node[2 * j * model.steps_per_block] - model.wheelbase_nodes
-            update_roughness(model, state, int(np.floor(rear)) - 1, inputs.free_range)
+            if state.adaptive[NOISE_SCALE] <= lost_noise_scale(state.adaptive):
+                update_roughness(model, state, int(np.floor(rear)) - 1, inputs.free_range)
             block.nodes_added[0] += 1
         choose_linearization(model, state)
         linearize_block(model, inputs, state, j, block)
@@ -140,7 +142,7 @@ def update(
     y, count, censored = measured
     x, size = state.x, block.n_columns[0]
     V, H, innovation, columns = block.V, block.H, block.innovation, block.columns
-    noise_scale, n_measured = state.adaptive[NOISE_SCALE], 0
+    noise_scale, n_measured, power = state.adaptive[NOISE_SCALE], 0, 0.0
     first, pending = state.n_pending[0], state.pending
     V[:] = projection.rows[:3] - np.dot(projection.pending[:3], pending[:first])
     cross = np.empty(3)
@@ -150,7 +152,9 @@ def update(
             H[s], V[s] = 0.0, 0.0
             continue
         n_measured += 1
-        noise_variance = noise_scale * model.noise_variance / count[s]
+        noise_variance = model.noise_variance / count[s]
+        power += y[s] ** 2 / noise_variance
+        noise_variance *= noise_scale
         variance = noise_variance + gather_dot(H[s], V[s], columns, size)
         for r in range(s):
             cross[r] = gather_dot(H[s], V[r], columns, size)
@@ -177,6 +181,8 @@ def update(
         state.adaptive[NOISE_SCALE] = max(
             1.0, noise_scale * (1.0 + (mean - 1.0) / model.noise_time)
         )
+        power -= n_measured * state.adaptive[SIGNAL_POWER]
+        state.adaptive[SIGNAL_POWER] += power / (n_measured * model.noise_time)
     if nis > MAX_NIS * n_measured:
         innovation *= np.sqrt(MAX_NIS * n_measured / nis)
     for s in range(3):

@@ -48,6 +48,11 @@ def local_nis(nis: np.ndarray, front: np.ndarray, s: np.ndarray, lag: float) -> 
     return np.maximum(mean[np.clip(windows, 0, size - 1)].max(axis=1), 1.0)
 
 
+def long_waves(z: np.ndarray) -> np.ndarray:
+    """Return the waves (2, M) of heights `z` (2, M) [m] that are longer than the scored band."""
+    return gaussian_filter1d(z, DETREND_LENGTH / PROFILE_SPACING, axis=1)
+
+
 def reduce_uncertain(
     z: np.ndarray, z_std: np.ndarray, ahead: float, *, drifting: bool
 ) -> np.ndarray:
@@ -56,9 +61,7 @@ def reduce_uncertain(
     q is the mean square over POWER_WINDOW behind and `ahead` [m] of each station. Of `drifting`
     heights the waves that are longer than the scored band are left as they are.
     """
-    long = np.zeros_like(z)
-    if drifting:
-        long = gaussian_filter1d(z, DETREND_LENGTH / PROFILE_SPACING, axis=1)
+    long = long_waves(z) if drifting else np.zeros_like(z)
     width = round(POWER_WINDOW / PROFILE_SPACING)
     kernel = np.ones(2 * width + 1)
     kernel[: width - round(ahead / PROFILE_SPACING)] = 0.0

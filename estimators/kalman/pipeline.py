@@ -246,7 +246,7 @@ def _initial_state(
         P[nodes, nodes] = prior_covariance(road, K, newest_node + 1 - K)
     strut_state = settled_strut_state(int(model_inputs.commands[0]))
     weight = ROUGHNESS_LENGTH / NODE_SPACING  # that of a stationary average
-    adaptive = np.array([1.0, weight, weight, 1.0])
+    adaptive = np.array([1.0, weight, weight, 1.0, 0.0])
     pending, newest = np.zeros((MAX_PENDING, n)), np.array([newest_node])
     n_pending = np.zeros(1, dtype=np.int64)
     return FilterState(x, P, pending, n_pending, strut_state, newest, adaptive, np.ones(blocks))
@@ -274,6 +274,7 @@ def setup_output(
         cutoff=cutoff,
         half_window=HALF_WINDOW / NODE_SPACING,
         detrended=detrended,
+        both_axles=lag >= NODE_SPACING * run.model.wheelbase_nodes - 1e-9,
         z=np.zeros((s.size, 2)),
         variance=np.zeros((s.size, 2)),
         share=np.ones(s.size),
@@ -333,6 +334,7 @@ def _filter_chunk(run: FilterRun, output: ProfileOutput, first: int, last: int) 
         cutoff=output.cutoff[here],
         half_window=output.half_window,
         detrended=output.detrended,
+        both_axles=output.both_axles,
         z=np.zeros((count, 2)),
         variance=np.zeros((count, 2)),
         share=np.ones(count),

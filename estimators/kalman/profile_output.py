@@ -18,7 +18,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.kalman.state import NODES, NOISE_SCALE, RETIRED, FilterModel, FilterState
+from estimators.kalman.state import (
+    NODES,
+    NOISE_SCALE,
+    RETIRED,
+    SIGNAL_POWER,
+    FilterModel,
+    FilterState,
+)
 from road_envs._numba import kernel
 
 N_DETREND = 0.1
@@ -32,9 +39,14 @@ HALF_WINDOW = 1.0
 VARIANCE_STRIDE = 8
 """Stations from one whose variance is computed to the next."""
 
-LOST_NOISE_SCALE = 20.0
+LOST_NOISE_SCALE, LOST_POWER_SHARE = 20.0, 0.05
 """Noise scale, a mean of the normalized innovation squared over the last second, above which the
-filter has lost the vehicle. Heights are then emitted reduced in proportion."""
+filter has lost the vehicle, if the noise also exceeds this share of the measurements' power.
+Heights are then emitted reduced, and the roughness is no longer adapted to them."""
+
+EARLY_NOISE_SCALE = 8.0
+"""Noise scale above which heights are reduced that are emitted before the rear axle has passed: of
+a vehicle that is not the one described they are worth nothing."""
 
 
 class ProfileOutput(NamedTuple):
@@ -42,8 +54,9 @@ class ProfileOutput(NamedTuple):
 
     Schedule: node numbers `node` (M,); the block `emit_block` (M,) before which each is emitted;
     `cutoff` (M, 2) [cycles/node] of the kernel `low`, for height and for variance; its half length
-    `half_window` [nodes]; `detrended`: whether long waves are subtracted from the height (from the
-    variance they always are). Results: heights `z` [m] and their in-band `variance` [m²] (M, 2),
+    `half_window` [nodes]; `both_axles`: whether the rear axle has passed it then; `detrended`:
+    whether long waves are subtracted from the height (from the variance they always are). Results:
+    heights `z` [m] and their in-band `variance` [m²] (M, 2),
     left and right; `share` (M,), 0 to 1, by how much they are to be trusted; `next_station` (1,),
     the first not yet emitted.
 
@@ -57,6 +70,7 @@ class ProfileOutput(NamedTuple):
     cutoff: np.ndarray
     half_window: float
     detrended: bool
+    both_axles: bool
     z: np.ndarray
     variance: np.ndarray
     share: np.ndarray
@@ -161,6 +175,12 @@ def covariance_rows(state: FilterState, u, out):
     out[1] = mean - difference
 
 
+@kernel
+def lost_noise_scale(adaptive):
+    """Return the noise scale above which the filter, with `adaptive` (5,), has lost the vehicle."""
+    return max(LOST_NOISE_SCALE, LOST_POWER_SHARE * adaptive[SIGNAL_POWER])
+
+
 @kernel(inline=False)
 def emit(model: FilterModel, state: FilterState, output: ProfileOutput, j):
     """Emit all stations that are due before the block `j`."""
@@ -176,7 +196,8 @@ def emit(model: FilterModel, state: FilterState, output: ProfileOutput, j):
         output_weights(u, at, newest_node, decay, output.cutoff[m, 0], output.half_window)
         z, d = read_out(state.x, u, 0), read_out(state.x, u, 1)
         output.z[m, 0], output.z[m, 1] = z + d, z - d
-        output.share[m] = min(1.0, LOST_NOISE_SCALE / state.adaptive[NOISE_SCALE])
+        lost = lost_noise_scale(state.adaptive) if output.both_axles else EARLY_NOISE_SCALE
+        output.share[m] = min(1.0, lost / state.adaptive[NOISE_SCALE]) ** 2
         if output.height_covariance.shape[0] > 0:
             covariance_rows(state, u, output.height_covariance[m])
         if m % VARIANCE_STRIDE == 0:

@@ -33,9 +33,10 @@ MAX_PENDING = 96
 TILE = 64
 """Rows and columns of the covariance that are updated together, within the fastest cache."""
 
-ROUGHNESS_SCALE, ROUGHNESS_SUM, ROUGHNESS_WEIGHT, NOISE_SCALE = 0, 1, 2, 3
+ROUGHNESS_SCALE, ROUGHNESS_SUM, ROUGHNESS_WEIGHT, NOISE_SCALE, SIGNAL_POWER = range(5)
 """Entries of `FilterState.adaptive`: road PSD relative to the prior, the weighted sum and the
-weight whose ratio it is, and the factor on the measurement noise variance."""
+weight whose ratio it is, the factor on the measurement noise variance, and the mean square of the
+measurements over that variance."""
 
 
 class FilterModel(NamedTuple):
@@ -112,7 +113,7 @@ class FilterInputs(NamedTuple):
 
 class FilterState(NamedTuple):
     """Mean `x` (n,), valve states of the struts `strut_state` (4, 3), number of the newest node
-    `newest_node` (1,) and the parameters `adaptive` (4,). `nis` (J,): the normalized innovation
+    `newest_node` (1,) and the parameters `adaptive` (5,). `nis` (J,): the normalized innovation
     squared, per measurement, of the blocks so far.
 
     The covariance is P - W' W with `P` (n, n) and the first `n_pending` (1,) rows W of `pending`
