@@ -163,8 +163,8 @@ class _KalmanSettings(CalibratedByIdentification):
                 "are reduced there",
             )
         long = long_waves(z) if smooth else 0.0  # reducing a drift would make a step of it
-        z, z_std = reduce_unexplained(z - long, z_std, share)
-        return Estimate(s, z + long, z_std, notes)
+        reduced, std = reduce_unexplained(z - long, z_std, share)
+        return Estimate(s, reduced + long, std, notes)
 
 
 def _output_std(
