@@ -32,7 +32,8 @@ from road_envs.simulation.rosenbrock import (
     update_valves,
 )
 from road_envs.simulation.sensitivity import TAPE_ROW_SIZE, step_with_derivative, tangent_step
-from road_envs.simulation.simd import LANES, add, broadcast, get, put, stack_array, stack_rows
+from road_envs.simulation.simd import LANES, broadcast
+from road_envs.simulation.simd_arrays import add, get, put, stack_array, stack_rows
 from road_envs.vehicle.equations import N_DOF, THETA, Z_B, Motion
 from road_envs.vehicle.suspension import VehicleBuffers
 

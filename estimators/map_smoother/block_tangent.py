@@ -26,7 +26,8 @@ from estimators.map_smoother.road_prior import RoadTransform
 from road_envs._numba import kernel
 from road_envs.simulation.rosenbrock import WORKSPACE_ROWS, step_workspace
 from road_envs.simulation.sensitivity import tangent_step
-from road_envs.simulation.simd import LANES, broadcast, get, put, stack_rows, sum_lanes
+from road_envs.simulation.simd import LANES, broadcast, sum_lanes
+from road_envs.simulation.simd_arrays import get, put, stack_rows
 from road_envs.simulation.tape import Tape
 from road_envs.vehicle.equations import Motion
 

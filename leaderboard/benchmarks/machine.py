@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from road_envs._numba import kernel
-from road_envs.simulation.simd import LANES, get, put
+from road_envs.simulation.simd import LANES
+from road_envs.simulation.simd_arrays import get, put
 
 CHAINS = 12
 """Independent sums: more than a multiply-add has cycles of latency times units per core."""

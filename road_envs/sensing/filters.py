@@ -7,7 +7,7 @@ import scipy
 
 from road_envs._numba import kernel
 from road_envs.data.record import F_C
-from road_envs.simulation.simd import get, put
+from road_envs.simulation.simd_arrays import get, put
 
 LOW_PASS_ORDER = 4
 """Order of the Butterworth low-pass of the processing."""

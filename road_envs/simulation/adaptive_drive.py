@@ -33,7 +33,7 @@ from road_envs.simulation.rosenbrock import (
     step,
     step_workspace,
 )
-from road_envs.simulation.simd import stack_array
+from road_envs.simulation.simd_arrays import stack_array
 from road_envs.vehicle.equations import (
     N_DOF,
     Motion,

@@ -22,7 +22,8 @@ from road_envs.simulation.fleet import (
 )
 from road_envs.simulation.lanes import LaneBuffers, aligned_zeros
 from road_envs.simulation.rosenbrock import ACCELERATION, EXTENSION, LOAD, N_SIGNALS
-from road_envs.simulation.simd import LANES, extract_lane, get, maximum, minimum, put, stack_rows
+from road_envs.simulation.simd import LANES, extract_lane, maximum, minimum
+from road_envs.simulation.simd_arrays import get, put, stack_rows
 from road_envs.vehicle.equations import DOF, N_DOF, PHI, THETA, Z_B, extension
 from road_envs.vehicle.parameters import GRAVITY
 

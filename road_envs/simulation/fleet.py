@@ -31,16 +31,8 @@ from road_envs.simulation.rosenbrock import (
     step,
     step_workspace,
 )
-from road_envs.simulation.simd import (
-    LANES,
-    get,
-    integer_part,
-    load_four,
-    maximum,
-    minimum,
-    put,
-    stack_rows,
-)
+from road_envs.simulation.simd import LANES, integer_part, maximum, minimum
+from road_envs.simulation.simd_arrays import get, load_four, put, stack_rows
 from road_envs.simulation.substeps import SUBSTEPS, interpolate, mark_steep
 from road_envs.vehicle.equations import Motion
 from road_envs.vehicle.suspension import VehicleBuffers

@@ -23,7 +23,8 @@ from road_envs.simulation.rosenbrock import (
     step_workspace,
     update_valves,
 )
-from road_envs.simulation.simd import LANES, broadcast, get, put, stack_rows
+from road_envs.simulation.simd import LANES, broadcast
+from road_envs.simulation.simd_arrays import get, put, stack_rows
 from road_envs.vehicle.equations import N_DOF, PLANT_DTYPE, Motion, Plant
 from road_envs.vehicle.suspension import VehicleBuffers
 

@@ -24,7 +24,7 @@ import numpy as np
 from road_envs._numba import kernel
 from road_envs.roads.surface import height_and_slope
 from road_envs.simulation.block_elimination import factorize, solve_factored
-from road_envs.simulation.simd import add, get, put, stack_array
+from road_envs.simulation.simd_arrays import add, get, put, stack_array
 from road_envs.simulation.substeps import SUBSTEPS, interpolate, is_steep
 from road_envs.vehicle.equations import (
     N_DOF,

@@ -38,7 +38,7 @@ from road_envs.simulation.rosenbrock import (
     flexible_step,
     step,
 )
-from road_envs.simulation.simd import add, get, put
+from road_envs.simulation.simd_arrays import add, get, put
 from road_envs.vehicle.equations import (
     N_DOF,
     PHI,

@@ -8,7 +8,8 @@ from 3.2 to 1.6 % (potholes) and from 2.8 to 1.5 % (class F); roads up to class 
 """
 
 from road_envs._numba import kernel
-from road_envs.simulation.simd import LANES, get, maximum, put, stack_rows
+from road_envs.simulation.simd import LANES, maximum
+from road_envs.simulation.simd_arrays import get, put, stack_rows
 
 SUBSTEPS = 4
 """Parts of a step on a steep road, an even number."""

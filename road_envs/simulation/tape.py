@@ -24,7 +24,7 @@ from road_envs.simulation.sensitivity import (
     step_with_derivative,
     tangent_step,
 )
-from road_envs.simulation.simd import stack_array
+from road_envs.simulation.simd_arrays import stack_array
 from road_envs.vehicle.equations import N_DOF, Motion, Plant
 
 

@@ -44,7 +44,7 @@ from typing import NamedTuple
 import numpy as np
 
 from road_envs._numba import kernel
-from road_envs.simulation.simd import add, get
+from road_envs.simulation.simd_arrays import add, get
 from road_envs.vehicle.parameters import GRAVITY, VehicleParameters, VehicleVariation
 from road_envs.vehicle.suspension import (
     VehicleBuffers,

@@ -15,7 +15,8 @@ import numpy as np
 
 from road_envs._numba import kernel
 from road_envs.config import Finite, Settings
-from road_envs.simulation.simd import integer_part, load_four, maximum, minimum
+from road_envs.simulation.simd import integer_part, maximum, minimum
+from road_envs.simulation.simd_arrays import load_four
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
-from mutants import FAULTS  # noqa: E402
+from mutants import load_faults  # noqa: E402
+
+FAULTS = load_faults()
 
 
 def test_each_fault_changes_one_place_of_its_file():
