@@ -14,7 +14,7 @@ import typer
 from rich.table import Table
 
 import estimators
-from leaderboard.benchmarks import levenberg_marquardt, speed
+from leaderboard.benchmarks import levenberg_marquardt, speed, start_up
 from leaderboard.benchmarks import scaling as cost_by_work
 from leaderboard.benchmarks.integrators import PeerError
 from leaderboard.benchmarks.speed import benchmark_row, median_time, run_in_new_process
@@ -56,7 +56,7 @@ def bench(
         "estimators": _estimators,
         "board": _full_board,
         "passes": _passes,
-        "start-up": speed.start_up_cost,
+        "start-up": start_up.start_up_cost,
         "memory": _memory,
     }
     rows = []
