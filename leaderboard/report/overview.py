@@ -165,7 +165,7 @@ def _marked_values(section: Section, key: str) -> dict[str, float]:
         if value is not None and row.state == "baseline":
             text = "linear bound" if row.name == BOUND_ROW else row.name.replace("_", " ")
             found.setdefault(COLUMNS[key].format_value(value), ([], value))[0].append(text)
-    marks = {f"{', '.join(names)} {text}": value for text, (names, value) in found.items()}
+    marks = {f"{', '.join(names)} {text}": rounded(value) for text, (names, value) in found.items()}
     return dict(sorted(marks.items(), key=lambda item: item[1]))
 
 
