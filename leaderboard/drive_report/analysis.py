@@ -196,7 +196,7 @@ def _flags(
 def _obstacle(result: DriveResult, found: DetectedObstacle, distance_std: float) -> dict[str, Any]:
     lat, lon = result.position(found.station)
     distance = distance_std * (found.station - result.measured.record.s[0])
-    found = found.corrected()
+    found = found.in_an_estimate()
     low, high = (found.height + 1.96 * way * found.height_std for way in (-1.0, 1.0))
     return {
         "kind": "bump" if found.height > 0.0 else "hole",

@@ -50,15 +50,10 @@ TOP = 0.2
 READINGS = 3
 """Iterations that find feet and line, each by the line before."""
 
-LOSS_LENGTH, HEIGHT_STD = 0.4, 0.07
-"""Short obstacles are found too low: tyres envelop them, and a vehicle that is not quite the one
-described takes a part of the shortest waves for its own. Of a half sine, the mean over LOSS_LENGTH
-[m] about its crest is found; HEIGHT_STD is the relative standard deviation of a height corrected
-for that. By simulated drives of grade S2 on class C (`tests/long/report_trial.py`, seeds 1 to 3).
+HEIGHT_STD = 0.07
+"""Relative standard deviation of a height by tyres that envelop an obstacle and a vehicle that is
+not quite the one described, from the simulated drives of `tests/long/report_trial.py`.
 """
-
-HALF_SINE = 1.5
-"""Length of a half sine over that in which it exceeds half its height."""
 
 GUMBEL_LOCATION, GUMBEL_SCALE = 3.72, 0.30
 """Constants of the largest departure over 100 m in standard deviations, by moments from 160 times
@@ -82,13 +77,10 @@ class DetectedObstacle(NamedTuple):
     side: str
     confidence: float
 
-    def corrected(self) -> "DetectedObstacle":
-        """Return the obstacle of the road, of which this one was found in a drive's estimate."""
-        # the mean of a half sine over LOSS_LENGTH about its crest, over the crest
-        gain = np.sinc(0.5 * LOSS_LENGTH / (HALF_SINE * max(self.length, LOSS_LENGTH)))
-        height = float(self.height / gain)
-        spread = float(np.hypot(self.height_std, HEIGHT_STD * height))
-        return self._replace(height=height, height_std=spread)
+    def in_an_estimate(self) -> "DetectedObstacle":
+        """Return the obstacle with the standard deviation of a height from a drive's estimate."""
+        spread = float(np.hypot(self.height_std, HEIGHT_STD * self.height))
+        return self._replace(height_std=spread)
 
 
 def detect(estimate: Estimate) -> list[DetectedObstacle]:

@@ -10,7 +10,7 @@ from scipy.signal import welch
 from leaderboard.drive_report.analysis import analyse
 from leaderboard.drive_report.conditions import Conditions, load_conditions
 from leaderboard.drive_report.export import write_geojson
-from leaderboard.drive_report.obstacles import HEIGHT_STD, LOSS_LENGTH, detect
+from leaderboard.drive_report.obstacles import HEIGHT_STD, detect
 from leaderboard.drive_report.posterior_iri import MODEL_STD, posterior_iri, unit_error
 from road_envs.analysis.roughness import iri
 from road_envs.config import ConfigError
@@ -125,14 +125,13 @@ def test_heights_of_obstacles_are_read_over_the_line_between_their_feet(letter):
 
 
 @pytest.mark.parametrize("length", [0.9, 3.7])
-def test_a_half_sine_is_corrected_for_its_mean_about_the_crest(length):
+def test_a_half_sine_has_its_height_and_the_deviation_of_an_estimate(length):
     s = np.arange(0.0, 60.0, PROFILE_SPACING)
     z = 0.05 * np.cos(np.pi * np.clip((s - 30.0) / length, -0.5, 0.5))
     (found,) = detect(Estimate(s, np.array([z, z])))
-    corrected = found.corrected()
-    mean = z[np.abs(s - 30.0) <= 0.5 * LOSS_LENGTH].mean() / 0.05
-    assert corrected.height == pytest.approx(found.height / mean, rel=0.01)
-    assert corrected.height_std >= HEIGHT_STD * corrected.height > found.height_std
+    one = found.in_an_estimate()
+    assert one.height == found.height == pytest.approx(0.05, rel=0.02)
+    assert one.height_std == pytest.approx(np.hypot(found.height_std, HEIGHT_STD * 0.05), rel=0.02)
 
 
 def test_a_deep_hole_leaves_no_rims_as_bumps():
