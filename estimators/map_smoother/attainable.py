@@ -14,6 +14,7 @@ slow motions and mixes frequencies, gas springs, stops and wheels that lift off.
 import numpy as np
 
 from estimators.map_smoother.estimator import MapSmoother
+from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.objective import Objective, linearize
 from estimators.map_smoother.posterior_sampling import band_pass, draw_deviation, interior
 from estimators.map_smoother.preconditioner import stationary_hessian
@@ -51,14 +52,14 @@ def attainable_error(
     u = road.noise_of(truth)
     x = np.pad(u.ravel(), (0, objective.size - u.size))
     lin = linearize(objective, x, objective.information)
-    stationary = stationary_hessian(objective)
-    precondition = stationary.preconditioner(objective, objective.model.noise_variance)
+    solution = MapSolution(lin, stationary_hessian(objective), noise_scale=1.0)
+    solve = solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)
     low, high = scored_band(float(objective.inputs.v.mean()))
     inside = (road.n >= low) & (road.n <= high)
     middle, rng = interior(road.free, round(1.0 / (low * road.ds))), np.random.default_rng(seed)
     power = 0.0
     for _ in range(draws):
-        dx = draw_deviation(lin, precondition, rng, CG_ITERATIONS, CG_TOLERANCE)
+        dx = draw_deviation(lin, solve, rng)
         error = band_pass(road.apply(objective.split(dx)[0]), inside)[:, middle]
         power += float(np.var(error, axis=1).mean()) / draws
     true = band_pass(road.apply(u), inside)[:, middle]

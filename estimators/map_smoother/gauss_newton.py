@@ -15,7 +15,7 @@ import numpy as np
 from scipy.fft import rfftfreq
 from scipy.signal import welch
 
-from estimators.common.conjugate_gradients import conjugate_gradients
+from estimators.common.conjugate_gradients import Operator, conjugate_gradients
 from estimators.map_smoother.objective import Linearization, Objective
 from estimators.map_smoother.preconditioner import StationaryHessian
 from estimators.map_smoother.wheel_liftoff import relax_unloaded, unloaded_nodes
@@ -59,8 +59,15 @@ class MapSolution:
     linearization: Linearization
     stationary: StationaryHessian
     noise_scale: float
-    steps: int
-    cg_iterations: int
+    steps: int = 0
+    cg_iterations: int = 0
+
+    def inverse_hessian(self, max_iterations: int, tolerance: float) -> Operator:
+        """Return x(b) (n,), the solution of H x = b by preconditioned conjugate gradients."""
+        objective = self.linearization.objective
+        M = self.stationary.preconditioner(objective, objective.noise_variance * self.noise_scale)
+        H, limits = self.linearization.hessian_product, (max_iterations, tolerance)
+        return lambda b: conjugate_gradients(H, b, M, *limits)[0]
 
 
 def minimize(

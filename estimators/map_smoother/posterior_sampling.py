@@ -13,15 +13,15 @@ from scipy.fft import irfft, rfft
 from scipy.ndimage import label
 from scipy.signal import hilbert
 
-from estimators.common.conjugate_gradients import Operator, conjugate_gradients
+from estimators.common.conjugate_gradients import Operator
 from estimators.common.model_inputs import ModelInputs
 from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.objective import Linearization
 from estimators.map_smoother.road_prior import RoadTransform
 from estimators.map_smoother.wheel_liftoff import unloaded_nodes
 
-CG_ITERATIONS = 40
-"""Iterations of conjugate gradients for one sample, at most."""
+CG_ITERATIONS, CG_TOLERANCE = 40, 1e-2
+"""Iterations of conjugate gradients for one sample, at most, and where they end."""
 
 MIN_STATE_LENGTH = 10.0
 """Least length [m] of road in one strut state that has a standard deviation of its own."""
@@ -52,13 +52,13 @@ def posterior_std(
     lin, rng = solution.linearization, np.random.default_rng(seed)
     objective, road = lin.objective, lin.objective.road
     noise_variance = objective.noise_variance * solution.noise_scale
-    precondition = solution.stationary.preconditioner(objective, noise_variance)
+    solve = solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)
     inside = (road.n >= band[0]) & (road.n <= band[1])
     # at the ends of the road the band-pass leaks
     middle = interior(road.free, round(1.0 / (band[0] * road.ds)))
     square = np.zeros((2, road.size))
     for _ in range(draws):
-        dx = draw_deviation(lin, precondition, rng, CG_ITERATIONS, 1e-2)
+        dx = draw_deviation(lin, solve, rng)
         part = band_pass(road.apply(objective.split(dx)[0]), inside)
         part -= part[:, middle].mean(axis=1, keepdims=True)
         square += part**2 / draws
@@ -96,16 +96,11 @@ def liftoff_variance(
     return variance
 
 
-def draw_deviation(
-    lin: Linearization,
-    precondition: Operator,
-    rng: np.random.Generator,
-    iterations: int,
-    tolerance: float,
-) -> np.ndarray:
-    """Return a sample of the deviation of `x` from its posterior mean."""
-    b = lin.adjoint(lin.draw_noise(rng)) + rng.standard_normal(lin.objective.size)
-    return conjugate_gradients(lin.hessian_product, b, precondition, iterations, tolerance)[0]
+def draw_deviation(lin: Linearization, solve: Operator, rng: np.random.Generator) -> np.ndarray:
+    """Return a sample of the deviation of `x` from its posterior mean; `solve` as of
+    `MapSolution.inverse_hessian`.
+    """
+    return solve(lin.adjoint(lin.draw_noise(rng)) + rng.standard_normal(lin.objective.size))
 
 
 def band_pass(c: np.ndarray, lines: np.ndarray) -> np.ndarray:

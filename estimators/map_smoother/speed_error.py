@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimators.common.conjugate_gradients import conjugate_gradients
 from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.objective import MeasurementModel
 from road_envs.data.record import DistanceScale
@@ -34,9 +33,7 @@ def estimate_speed_error(solution: MapSolution) -> tuple[float, float]:
     """Return the relative error of the speed, an unknown of the objective, and its variance."""
     lin, objective = solution.linearization, solution.linearization.objective
     unit = (np.arange(lin.x.size) == lin.x.size - 1).astype(float)
-    noise_variance = objective.noise_variance * solution.noise_scale
-    M = solution.stationary.preconditioner(objective, noise_variance)
-    column, _ = conjugate_gradients(lin.hessian_product, unit, M, CG_ITERATIONS, CG_TOLERANCE)
+    column = solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)(unit)
     return objective.speed_error(lin.x), objective.model.speed_std**2 * float(column[-1])
 
 

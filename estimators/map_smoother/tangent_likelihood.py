@@ -25,7 +25,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.fft import irfft
 
-from estimators.common.conjugate_gradients import conjugate_gradients
 from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.marginal_likelihood import sensitivities
 from estimators.map_smoother.objective import Linearization
@@ -56,14 +55,7 @@ def tangent_terms(solution: MapSolution, cars: Sequence[VehicleParameters]) -> T
 
     Raises ArithmeticError if a motion is not finite.
     """
-    lin = solution.linearization
-    noise_variance = lin.objective.noise_variance * solution.noise_scale
-    precondition = solution.stationary.preconditioner(lin.objective, noise_variance)
-
-    def solve(b: np.ndarray) -> np.ndarray:
-        limits = CG_ITERATIONS, CG_TOLERANCE
-        return conjugate_gradients(lin.hessian_product, b, precondition, *limits)[0]
-
+    lin, solve = solution.linearization, solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)
     G = _sensitivities(lin, cars)
     weighted = np.array([lin.apply_inverse_covariance(g) for g in G])
     F = np.array([solve(lin.adjoint(g)) for g in weighted])

@@ -7,6 +7,7 @@ import pytest
 from vehicle_fixtures import DEFENDER
 
 from estimators.map_smoother.attainable import attainable_error, whole_drive
+from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.objective import linearize
 from estimators.map_smoother.posterior_sampling import band_pass, draw_deviation, interior
 from estimators.map_smoother.preconditioner import stationary_hessian
@@ -45,9 +46,9 @@ def test_samples_have_the_covariance_of_the_dense_posterior():
 
     B = np.array([in_band(row) for row in np.eye(objective.size)]).T
     expected = np.trace(B @ np.linalg.solve(0.5 * (H + H.T), B.T))
-    M = stationary_hessian(objective).preconditioner(objective, objective.model.noise_variance)
-    rng = np.random.default_rng(2)
-    drawn = [in_band(draw_deviation(lin, M, rng, 2000, 1e-6)) for _ in range(60)]
+    solution = MapSolution(lin, stationary_hessian(objective), noise_scale=1.0)
+    solve, rng = solution.inverse_hessian(2000, 1e-6), np.random.default_rng(2)
+    drawn = [in_band(draw_deviation(lin, solve, rng)) for _ in range(60)]
     assert np.mean(np.sum(np.square(drawn), axis=1)) == pytest.approx(expected, rel=0.25)
 
 

@@ -53,23 +53,21 @@ def terms():
         return tangent_terms(solution(), perturbed_cars(SPACE, np.zeros(SPACE.size)))
 
 
-def dense(lin):
-    """J (M, n), and R^-1 J."""
-    unit = np.eye(lin.x.size)
-    J = np.array([lin.tangent(row) for row in unit])
-    weighted = np.array([lin.apply_inverse_covariance(column) for column in J])
-    return J.reshape(len(J), -1).T, weighted.reshape(len(J), -1).T
+@cache
+def dense_system():
+    """The linearization with its varied vehicles; J (M, n), A (n, n), G (P, M) and G' R^-1."""
+    lin, cars = solution().linearization, perturbed_cars(SPACE, np.zeros(SPACE.size))
+    J = np.array([lin.tangent(row) for row in np.eye(lin.x.size)])
+    G = sensitivities(lin, lin.objective, cars, np.zeros(0))
+    RJ, RG = (np.array([lin.apply_inverse_covariance(row) for row in rows]) for rows in (J, G))
+    J, RJ, G, RG = (rows.reshape(len(rows), -1) for rows in (J, RJ, G, RG))
+    return (lin, cars), J.T, np.eye(lin.x.size) + J @ RJ.T, G, RG
 
 
 def test_what_the_road_cannot_explain_is_information(terms):
-    lin = solution().linearization
-    J, weighted = dense(lin)
-    A = np.eye(lin.x.size) + J.T @ weighted
-    cars = perturbed_cars(SPACE, np.zeros(SPACE.size))
-    G = sensitivities(lin, lin.objective, cars, np.zeros(0))
-    RG = np.array([lin.apply_inverse_covariance(g) for g in G]).reshape(SPACE.size, -1)
+    _, J, A, G, RG = dense_system()
     road = np.linalg.solve(A, J.T @ RG.T)
-    expected = RG @ G.reshape(SPACE.size, -1).T - RG @ J @ road
+    expected = RG @ G.T - RG @ J @ road
     scale = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(
         terms.information / np.outer(scale, scale), expected / np.outer(scale, scale), atol=5e-3
@@ -80,12 +78,7 @@ def test_what_the_road_cannot_explain_is_information(terms):
 
 
 def test_the_gradient_is_that_at_the_optimum_less_that_of_the_log_determinant(terms):
-    lin = solution().linearization
-    J, weighted = dense(lin)
-    A = np.eye(lin.x.size) + J.T @ weighted
-    cars = perturbed_cars(SPACE, np.zeros(SPACE.size))
-    G = sensitivities(lin, lin.objective, cars, np.zeros(0))
-    RG = np.array([lin.apply_inverse_covariance(g) for g in G]).reshape(SPACE.size, -1)
+    (lin, cars), J, A, _, RG = dense_system()
     dx = np.linalg.solve(A, -lin.gradient())
     traces = [trace_sample(lin, cars, np.linalg.solve(A, b)) for b in posterior_noise(lin)]
     expected = RG @ (lin.residual.ravel() - J @ dx) - np.mean(traces, axis=0)
