@@ -56,6 +56,20 @@ class HasLag(Protocol):
 
 
 @runtime_checkable
+class DeclaresSeedUse(Protocol):
+    """An estimator that says by `uses_seed` whether the seed of `fit` makes a difference."""
+
+    uses_seed: bool
+
+
+@runtime_checkable
+class DeclaresLibraries(Protocol):
+    """An estimator, or its class, that names the `libraries` that are slow to import."""
+
+    libraries: tuple[str, ...]
+
+
+@runtime_checkable
 class Trainable(Estimator, Protocol):
     """An estimator that is fitted to drives over known roads."""
 
@@ -175,8 +189,8 @@ def refits_per_case(estimator: object) -> bool:
 
 
 def uses_seed(estimator: object) -> bool:
-    """Return whether the seed of `fit` makes a difference: not where `uses_seed` is False."""
-    return getattr(estimator, "uses_seed", True) is not False
+    """Return whether the seed of `fit` makes a difference: so unless an estimator denies it."""
+    return not isinstance(estimator, DeclaresSeedUse) or estimator.uses_seed is not False
 
 
 def copy_with(estimator: T, **fields: Any) -> T:

@@ -25,12 +25,11 @@ vehicle gives a nearly flat road, and no drift.
 
 Known to fail: on a vehicle other than the one described (on a field vehicle S2 that was not
 identified the error is nearly that of a flat road), as the filter corrects the road and not the
-vehicle; where the front
-struts are softer than the rear ones, as only the rear axle then resolves the difference of the
-wheel paths, wheelbases later (`docs/observability.md`): at a lag of 4.79 m the error is two to
-three times that of equal states, at 10 m about the same; on smooth roads (class A), where friction
-holds the struts most of the time; where wheels lift off. `kalman_rts` linearizes once, about the
-filter's estimate; `map_smoother` iterates and is more accurate.
+vehicle; where the front struts are softer than the rear ones, as only the rear axle then resolves
+the difference of the wheel paths, wheelbases later (`docs/observability.md`): at a lag of 4.79 m
+the error is two to three times that of equal states, at 10 m about the same; on smooth roads (class
+A), where friction holds the struts most of the time; where wheels lift off. `kalman_rts` linearizes
+once, about the filter's estimate; `map_smoother` iterates and is more accurate.
 """
 
 from dataclasses import dataclass

@@ -130,11 +130,8 @@ def simulate_block(
     motion, bending = Motion(end[:n_dof], end[n_dof : 2 * n_dof]), end[2 * n_dof :]
     road, x, (node, height, slope) = np.empty(16), state.x, weights
     acceleration = np.empty(n_dof)
-    step_inputs, sensor_rows, predicted = (
-        StepInputs(road, np.zeros(4)),
-        model.sensor_rows,
-        np.zeros(3),
-    )
+    step_inputs, sensor_rows = StepInputs(road, np.zeros(4)), model.sensor_rows
+    predicted = np.zeros(3)
     alpha = 1.0 - np.exp(-model.h / model.valve_lag)
     samples = 0
     for k in range(rows.shape[0]):

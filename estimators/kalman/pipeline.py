@@ -175,10 +175,8 @@ def _build_model(
     # a constant force over so short a time as a block moves the vehicle like free masses
     accel = (line.strut_rows / line.M).T
     time = steps_per_block * model_inputs.h
-    force_to_state, force_to_sensor = (
-        [0.5 * time**2 * accel, time * accel],
-        line.sensor_rows @ accel,
-    )
+    force_to_state = [0.5 * time**2 * accel, time * accel]
+    force_to_sensor = line.sensor_rows @ accel
     section = np.zeros((0, 6))
     if bending is not None:
         section = body_bending.section(bending.mode, model_inputs.h * model_inputs.decimation)

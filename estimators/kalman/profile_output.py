@@ -56,9 +56,9 @@ class ProfileOutput(NamedTuple):
     `cutoff` (M, 2) [cycles/node] of the kernel `low`, for height and for variance; its half length
     `half_window` [nodes]; `both_axles`: whether the rear axle has passed it then; `detrended`:
     whether long waves are subtracted from the height (from the variance they always are). Results:
-    heights `z` [m] and their in-band `variance` [m²] (M, 2),
-    left and right; `share` (M,), 0 to 1, by how much they are to be trusted; `next_station` (1,),
-    the first not yet emitted.
+    heights `z` [m] and their in-band `variance` [m²] (M, 2), left and right;
+    `share` (M,), 0 to 1, by how much they are to be trusted; `next_station` (1,), the first not yet
+    emitted.
 
     For the smoother, else of length 0: the covariance of the emitted heights with the state,
     `height_covariance` (M, 2, n), and of their in-band part, `band_covariance` (M /

@@ -4,14 +4,13 @@
 
 The vehicle part holds the coordinates of the 7-DOF model and their rates, N = 14; with a frame that
 twists, its twist as the eighth, and with a body that bends, the two states of its filter
-(`estimators.common.bending`), N = 18. The strut force residuals [N]
-are the parts of the strut forces that the linearized force laws leave out; each is constant over a
-block and independent from block to block. The biases [m/s²] are the offsets of the sensors. The
-road is K nodes of a cubic B-spline, fixed in space, as mean and half difference of the wheel paths.
-Node k has the index
-NODES + 2 (k mod K): a ring buffer, in which a new node overwrites the oldest
-one and no entry moves. Retired nodes remain in decaying sums, real and imaginary part for the mean,
-then for the half difference,
+(`estimators.common.bending`), N = 18. The strut force residuals [N] are the parts of the strut
+forces that the linearized force laws leave out; each is constant over a block and independent from
+block to block. The biases [m/s²] are the offsets of the sensors. The road is K nodes of a cubic
+B-spline, fixed in space, as mean and half difference of the wheel paths. Node k has the index
+NODES + 2 (k mod K): a ring buffer, in which a new node overwrites the oldest one and no entry
+moves. Retired nodes remain in decaying sums, real and imaginary part for the mean, then for the
+half difference,
 
     sum over k < oldest of c_k exp(-(1 + i) decay (oldest - k))
 

@@ -71,13 +71,10 @@ def road_derivatives(track: NodeTrack, n, m, road):
                 change = track.n_states + 4 * (i - 1 + k - track.first[m, axle]) + 2 * axle
                 begun = max(begun, change + 2)
                 for side in range(2):
-                    wheel, group, at = (
-                        2 * axle + side,
-                        (change + side) // LANES,
-                        (change + side) % LANES,
-                    )
-                    road[group, 8 * half + wheel, at] = z[k]
-                    road[group, 8 * half + 4 + wheel, at] = w[k] * track.node_rate[now]
+                    row = 8 * half + 2 * axle + side
+                    group, at = (change + side) // LANES, (change + side) % LANES
+                    road[group, row, at] = z[k]
+                    road[group, row + 4, at] = w[k] * track.node_rate[now]
     return begun
 
 

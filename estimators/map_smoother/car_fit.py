@@ -137,9 +137,9 @@ def refine(fit: CarFit, solver: GaussNewton) -> CarFit:
     space, x = fit.space, fit.x
     cars = perturbed_cars(space, x)
     terms = [tangent_terms(solution, cars) for solution in fit.solutions]
-    gradient, sampling, information = (
-        np.sum(parts, axis=0) for parts in list(zip(*terms, strict=True))[:3]
-    )
+    gradient = np.sum([term.gradient for term in terms], axis=0)
+    sampling = np.sum([term.sampling_covariance for term in terms], axis=0)
+    information = np.sum([term.information for term in terms], axis=0)
     covariance = _invert(information + np.eye(x.size))
     step = covariance @ (gradient - x)
     step *= min(1.0, MAX_CHANGE / np.abs(step).max())

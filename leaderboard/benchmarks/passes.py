@@ -35,10 +35,8 @@ from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.perturbed_vehicle import perturb_vehicle
 
 Condition = tuple[float, Any]
-FRONT_RIDE, REAR_RIDE = (
-    {"front": "ride", "rear": "handling"},
-    {"front": "handling", "rear": "ride"},
-)
+FRONT_RIDE = {"front": "ride", "rear": "handling"}
+REAR_RIDE = {"front": "handling", "rear": "ride"}
 CONDITIONS: dict[str, tuple[Condition, ...]] = {
     "same": ((54.0, FRONT_RIDE),) * 4,
     "mixed": ((54.0, FRONT_RIDE), (30.0, "handling"), (40.0, REAR_RIDE), (14.5, "ride")),

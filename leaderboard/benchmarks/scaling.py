@@ -6,7 +6,8 @@ is the same for any work; above, the cost of a piece of work grows with their nu
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -39,7 +40,7 @@ ROWS = (16, 32, 64, 128)
 ESTIMATORS = ("map_smoother", "kalman_lag", "wiener", "tcn", "fir_ridge")
 
 
-class Curve(NamedTuple):
+class CostCurve(NamedTuple):
     """Processor time `seconds` of `what` for each amount of `work` in a `unit`."""
 
     what: str
@@ -62,19 +63,15 @@ class Curve(NamedTuple):
         return {**self._asdict(), "slope": self.slope, "last_slope": self.last_slope}
 
 
-def measure() -> Iterator[Curve]:
-    """Yield every curve."""
-    yield _vehicles()
-    yield _simulation()
-    for name in ESTIMATORS:
-        yield _estimator(name)
-    yield _entries()
-    yield _rows()
+def measurements() -> list[Callable[[], CostCurve]]:
+    """Return the functions that measure a curve each."""
+    estimations = [partial(_estimator, name) for name in ESTIMATORS]
+    return [_vehicles, _simulation, *estimations, _entries, _rows]
 
 
 def _curve(
     what: str, unit: str, work: Sequence[float], prepare: Callable[[Any], Callable[[], object]]
-) -> Curve:
+) -> CostCurve:
     """Time what `prepare` returns for each amount of work, after one run with the least."""
     prepare(work[0])()
     seconds = []
@@ -86,10 +83,10 @@ def _curve(
             run()
             spans.append(time.process_time() - begin)
         seconds.append(min(spans))
-    return Curve(what, unit, tuple(map(float, work)), tuple(seconds))
+    return CostCurve(what, unit, tuple(map(float, work)), tuple(seconds))
 
 
-def _vehicles() -> Curve:
+def _vehicles() -> CostCurve:
     problem, byte = IntegrationProblem(10.0), encode_command("ride")
 
     def prepare(n: int) -> Callable[[], object]:
@@ -107,12 +104,12 @@ def _drive(metres: float) -> Any:
     return simulate_record(road, speed_kmh=SPEED_KMH, mode="ride", seed=1)[0]
 
 
-def _simulation() -> Curve:
+def _simulation() -> CostCurve:
     work = [SIMULATED * length for length in LENGTHS]
     return _curve("simulate_record", "m", work, lambda metres: lambda: _drive(metres))
 
 
-def _estimator(name: str) -> Curve:
+def _estimator(name: str) -> CostCurve:
     estimator, car = estimators.create(name), load_vehicle("land_rover_defender_110")
 
     def prepare(metres: float) -> Callable[[], object]:
@@ -129,7 +126,7 @@ def _small_task() -> Task:
     return dataclasses.replace(task, conditions=task.conditions[-1:], test=test, title="Rows")
 
 
-def _entries() -> Curve:
+def _entries() -> CostCurve:
     task = _small_task()
 
     def prepare(n: int) -> Callable[[], object]:
@@ -139,7 +136,7 @@ def _entries() -> Curve:
     return _curve("evaluation of 4 drives", "entries", ENTRIES, prepare)
 
 
-def _rows() -> Curve:
+def _rows() -> CostCurve:
     task = _small_task()
     (result,) = evaluate.run_task(task, {"flat": FlatEstimator()}, (1,))
     with TempFolder() as folder:
@@ -165,7 +162,7 @@ def write_board(task: Task, out: Path) -> None:
     write_site(board, cache.build_report(board, out), out)
 
 
-def draw(curves: Sequence[Curve], path: Path) -> None:
+def draw(curves: Sequence[CostCurve], path: Path) -> None:
     """Draw the curves by unit on logarithmic scales, with a line of slope 1 in each panel."""
     units = list(dict.fromkeys(curve.unit for curve in curves))
 

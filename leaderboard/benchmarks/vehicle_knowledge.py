@@ -23,8 +23,8 @@ import numpy as np
 
 from estimators.map_smoother.estimator import MapSmoother
 from leaderboard.benchmarks.study import Row, run_study, study_parser
-from leaderboard.evaluation.tasks import Task, load_task
-from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
+from leaderboard.evaluation.tasks import Condition, Task, load_task
+from leaderboard.evaluation.test_data import calibration_drives, simulate_drive
 from leaderboard.metrics.bootstrap import interquartile_mean
 from leaderboard.metrics.heights import nrmse
 from leaderboard.report.attainable import drive_error
@@ -38,15 +38,22 @@ KNOWLEDGE = ("told", "adapted", "blind", "known", "true", "attainable")
 
 def drive_result(grade: str, speed_kmh: float, drive: int) -> Row:
     """Return the errors on a test drive of the field board."""
-    blind, known = (_test_drive(f"field_{x}", grade, speed_kmh, drive) for x in ("blind", "known"))
-    (task, one), car = known, known[0].vehicle
-    true = task.individual(drive, _condition(task, grade, speed_kmh).grade).car
+    blind, task = (_task(f"field_{x}", grade, speed_kmh, drive) for x in ("blind", "known"))
+    condition, car = _condition(task, grade, speed_kmh), task.vehicle
+    road, seed = next(x[1:] for x in task.drives_of(task.test, condition) if x[0] == drive)
+    one = simulate_drive(task, task.test, condition, road, seed)
+    true = task.individual(drive, condition.grade).car
+
+    def calibrated(by: Task) -> MapSmoother:
+        drives = calibration_drives(by, _condition(by, grade, speed_kmh), seed)
+        return adapting.calibrate(drives, car)
+
     told, adapting = MapSmoother(draws=0, adapt=False), MapSmoother(draws=0)
     runs = {
         "told": (told, car),
         "adapted": (adapting, car),
-        "blind": (adapting.calibrate(blind[1].calibration, car), car),
-        "known": (adapting.calibrate(one.calibration, car), car),
+        "blind": (calibrated(blind), car),
+        "known": (calibrated(task), car),
         "true": (told, true),
     }
     band = scored_band(speed_kmh / 3.6)
@@ -54,22 +61,19 @@ def drive_result(grade: str, speed_kmh: float, drive: int) -> Row:
     for knowledge, (smoother, vehicle) in runs.items():
         estimate = smoother.estimate(one.record, vehicle)
         errors[knowledge] = nrmse(one.truth.z, estimate.z, one.truth.ds, band).pooled
-    errors["attainable"] = drive_error(task, _condition(task, grade, speed_kmh), one, true)
+    errors["attainable"] = drive_error(task, condition, one, true)
     return {"nrmse": {k: round(x, 4) for k, x in errors.items() if np.isfinite(x)}}
 
 
-def _condition(task: Task, grade: str, speed_kmh: float) -> Any:
+def _condition(task: Task, grade: str, speed_kmh: float) -> Condition:
     return next(c for c in task.conditions if (c.grade, c.speed_kmh) == (grade, speed_kmh))
 
 
-def _test_drive(name: str, grade: str, speed_kmh: float, drive: int) -> tuple[Task, RecordedDrive]:
-    """Return a task with more drives than its default, if they are needed, and one of them."""
+def _task(name: str, grade: str, speed_kmh: float, drive: int) -> Task:
+    """Return a task with more drives than its default if `drive` is none of these."""
     task = load_task(name)
-    condition = _condition(task, grade, speed_kmh)
-    if drive not in [k for k, _, _ in task.drives_of(task.test, condition)]:
-        task = task.with_test_drives(drive + 1)
-    drives = simulate_drives(task, task.test, condition)
-    return task, next(one for one in drives if one.index == drive)
+    drives = task.drives_of(task.test, _condition(task, grade, speed_kmh))
+    return task if drive in [k for k, _, _ in drives] else task.with_test_drives(drive + 1)
 
 
 def summary(rows: Sequence[Row]) -> str:

@@ -79,11 +79,11 @@ def bench(
 
 def _scaling(out: Path | None, json: bool) -> None:
     check_output_path(out, ".png", ".svg", ".pdf")
-    curves = []
+    curves, measurements = [], cost_by_work.measurements()
     with progress_bar() as progress:
-        for curve in cost_by_work.measure():
-            curves.append(curve)
-            progress(curve.what, len(curves) / (len(cost_by_work.ESTIMATORS) + 4))
+        for measure in measurements:
+            curves.append(measure())
+            progress(curves[-1].what, len(curves) / len(measurements))
     if out:
         cost_by_work.draw(curves, out)
     if json:

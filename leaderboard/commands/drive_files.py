@@ -10,6 +10,7 @@ import typer
 
 import estimators
 from estimators.api import Estimator
+from estimators.common.odometer import to_true_distance
 from estimators.estimation import FILE_SUFFIXES
 from estimators.wiener.drive_check import check_notes
 from leaderboard.commands import check_output_path, parse_mode, parse_pairs
@@ -20,7 +21,7 @@ from road_envs.data.logger_tables.description import (
     write_description,
 )
 from road_envs.data.measured_record import MeasuredRecord, read_measured_record
-from road_envs.data.record import Profile, Record
+from road_envs.data.record import Estimate, Profile, Record
 from road_envs.data.recording import is_record, read_record
 from road_envs.roads import load_road, realise_road
 from road_envs.roads.measured import Measured
@@ -199,6 +200,13 @@ def make_drive_estimator(name: str, drive: DriveFile, settings: dict[str, Any]) 
         if "instruments" in getattr(estimators.find(name), "__dataclass_fields__", {}):
             settings = {**settings, "instruments": drive.sensors}
     return estimators.make_estimator(name, **settings)
+
+
+def estimate_drive(estimator: Estimator, drive: DriveFile) -> tuple[DriveFile, Estimate]:
+    """Return the estimate of a drive and the drive, both in true distance if that is known."""
+    record = drive.measured.record
+    record, found = to_true_distance(record, estimators.estimate(estimator, record, drive.car))
+    return drive._replace(measured=drive.measured._replace(record=record)), found
 
 
 def read_profiles(names: list[str], drives: list[MeasuredRecord]) -> list[Profile | None]:

@@ -8,7 +8,6 @@ import typer
 from rich.table import Table
 
 import estimators
-from estimators.common.odometer import to_true_distance
 from estimators.roughness import spectral
 from estimators.roughness.rms_regression import RmsRoughness, RoughnessEstimate
 from estimators.wiener.segments import dominant_modes
@@ -17,6 +16,7 @@ from leaderboard.commands.drive_files import (
     DriveOptions,
     RecordFile,
     RecordFiles,
+    estimate_drive,
     make_drive_estimator,
     read_drive,
     read_passes,
@@ -70,22 +70,19 @@ def estimate(
     drives = read_passes(records, options)
     drive = drives[0]
     chosen = make_drive_estimator(estimator, drive, given)
-    measured, notes = [each.measured.record for each in drives], list(drive.measured.notes)
     if len(drives) == 1:
-        record, result = to_true_distance(
-            measured[0], estimators.estimate(chosen, measured[0], drive.car)
-        )
-        measured = [record]
+        drive, result = estimate_drive(chosen, drive)
+        notes = list(drive.measured.notes)
     else:
         names = [path.name for path in records]
         pairs = zip(names, drives, strict=True)
         notes = [f"{name}: {note}" for name, each in pairs for note in each.measured.notes]
-        cars = [each.car for each in drives]
+        measured, cars = [each.measured.record for each in drives], [each.car for each in drives]
         result = estimators.estimate_passes(chosen, measured, cars, names=names)
     facts: dict[str, Any] = {
         "estimator": estimator,
         "record": ", ".join(str(path) for path in records),
-        "length_m": measured[0].length,
+        "length_m": drive.measured.record.length,
         "rms_m": [float(z.std()) for z in result.z],
         "notes": [*notes, *result.notes],
         "written": [str(p) for p in (out, plot) if p],

@@ -8,10 +8,10 @@ import typer
 from rich.table import Table
 
 import estimators
-from estimators.common.odometer import to_true_distance
 from leaderboard.commands import console, parse_settings, print_json, progress_bar
 from leaderboard.commands.drive_files import (
     DriveOptions,
+    estimate_drive,
     make_drive_estimator,
     read_drive,
     with_drive_options,
@@ -75,9 +75,8 @@ def report(
             estimators.passes.refuse_repetitions(records, [str(file) for file in drives[: k + 1]])
             progress(f"estimating {path.name}", (k + 0.2) / len(drives))
             one = make_drive_estimator(estimator, drive, chosen)
-            found = estimators.estimate(one, drive.measured.record, drive.car)
-            record, found = to_true_distance(drive.measured.record, found)
-            read.append((names[k], drive.measured._replace(record=record), found))
+            drive, found = estimate_drive(one, drive)
+            read.append((names[k], drive.measured, found))
             cars.append(drive.car)
         passes, instruments = align_passes(read), load_instruments(drive.sensors)
         progress("joining the passes" if len(drives) > 1 else "writing the report", 1.0)

@@ -11,7 +11,6 @@ import dataclasses
 import hashlib
 import json
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,9 +20,10 @@ import numpy as np
 from pydantic import Field
 
 from leaderboard.evaluation.boards import BoardDefinition, shipped_boards
+from leaderboard.json_values import to_json_types
 from road_envs import config
 from road_envs.config import ConfigError, Count, Positive, Settings
-from road_envs.roads import KINDS, Road, with_length
+from road_envs.roads import Road, with_length
 from road_envs.roads.api import AnyRoad
 from road_envs.roads.composite import NoisyCopy
 from road_envs.roads.measured import Measured
@@ -354,26 +354,6 @@ def training_delays(task: Task) -> list[float]:
     """Return the delay [m] of the road of each training drive, 0 if it is no delayed copy."""
     roads = [road for road, _ in task.training.roads_and_seeds]
     return [road.delay if isinstance(road, NoisyCopy) else 0.0 for road in roads]
-
-
-def _fields(value: Any) -> dict[str, Any]:
-    return {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.init}
-
-
-def to_json_types(value: Any, fields: Callable[[Any], dict[str, Any]] = _fields) -> Any:
-    """Return `value` as JSON types that `config.build` parses; roads have a key `kind`.
-
-    `fields` returns the fields of a dataclass that are kept.
-    """
-    if dataclasses.is_dataclass(value):
-        kept = {name: to_json_types(item, fields) for name, item in fields(value).items()}
-        kind = next((kind for kind, cls in KINDS.items() if type(value) is cls), None)
-        return kept if kind is None else {"kind": kind, **kept}
-    if isinstance(value, tuple | list):
-        return [to_json_types(item, fields) for item in value]
-    if isinstance(value, dict):
-        return {str(key): to_json_types(item, fields) for key, item in value.items()}
-    return value
 
 
 def _digested_fields(value: Any) -> dict[str, Any]:

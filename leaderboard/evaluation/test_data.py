@@ -11,6 +11,7 @@ from estimators.api import CalibrationDrive
 from leaderboard.evaluation.tasks import Condition, DriveSet, Task, individual_seed
 from road_envs.data.record import Profile, Record
 from road_envs.data.recording import simulate_record
+from road_envs.roads import Road
 from road_envs.sensing.filters import preprocess_accelerations
 
 
@@ -38,29 +39,46 @@ def simulate_drives(task: Task, drives: DriveSet, condition: Condition) -> Itera
     `calibration` holds other drives of it. Sensor noise has a separate random stream for each seed
     and condition. Raises ConfigError, SimulationError.
     """
+    for index, road, seed in task.drives_of(drives, condition):
+        drive = simulate_drive(task, drives, condition, road, seed)
+        calibration = calibration_drives(task, condition, seed) if drives is task.test else ()
+        yield dataclasses.replace(drive, index=index, calibration=calibration)
+
+
+def simulate_drive(
+    task: Task, drives: DriveSet, condition: Condition, road: Road, seed: int
+) -> RecordedDrive:
+    """Return the drive over the `road` of a `seed`, without drives to calibrate with."""
+    surface = road.realise(np.random.default_rng(seed))
+    record, truth = simulate_record(
+        surface,
+        speed_kmh=condition.speed_kmh,
+        mode=condition.simulator_mode,
+        seed=np.random.SeedSequence([seed, task.seed_stream(condition)]),
+        **_vehicle(task, drives, condition, seed),
+    )
+    record = _low_passed(record, task.low_pass)
+    return RecordedDrive(0, surface.name, seed, record, truth, surface.notes)
+
+
+def calibration_drives(task: Task, condition: Condition, seed: int) -> tuple[CalibrationDrive, ...]:
+    """Return the calibration drives of the vehicle that drives the test road of a `seed`."""
+    vehicle, runs = _vehicle(task, task.test, condition, seed), range(len(task.calibration))
+    return tuple(_calibration_drive(task, k, seed, vehicle) for k in runs)
+
+
+def _vehicle(task: Task, drives: DriveSet, condition: Condition, seed: int) -> dict[str, Any]:
+    """Return the vehicle that drives the road of a `seed`, as arguments of `simulate_record`."""
     instruments = task.sensors
     if not drives.noise:
         instruments = dataclasses.replace(instruments, noise_density=0.0, speed_error=0.0)
-    for index, road, seed in task.drives_of(drives, condition):
-        surface = road.realise(np.random.default_rng(seed))
-        common: dict[str, Any] = {
-            "vehicle": task.vehicle,
-            "instruments": instruments,
-            "individual": individual_seed(seed),
-            "step": drives.step,
-            "grade": task.grade(drives, condition),
-        }
-        record, truth = simulate_record(
-            surface,
-            speed_kmh=condition.speed_kmh,
-            mode=condition.simulator_mode,
-            seed=np.random.SeedSequence([seed, task.seed_stream(condition)]),
-            **common,
-        )
-        runs = task.calibration if drives is task.test else ()
-        calibration = tuple(_calibration_drive(task, k, seed, common) for k in range(len(runs)))
-        record = _low_passed(record, task.low_pass)
-        yield RecordedDrive(index, surface.name, seed, record, truth, surface.notes, calibration)
+    return {
+        "vehicle": task.vehicle,
+        "instruments": instruments,
+        "individual": individual_seed(seed),
+        "step": drives.step,
+        "grade": task.grade(drives, condition),
+    }
 
 
 def _calibration_drive(

@@ -32,8 +32,9 @@ from leaderboard.evaluation.evaluate import (
 )
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.results import FORMAT, Result, content_digest
-from leaderboard.evaluation.tasks import Task, to_json_types
+from leaderboard.evaluation.tasks import Task
 from leaderboard.evaluation.test_data import DriveSimulation, simulate_drives
+from leaderboard.json_values import to_json_types
 from leaderboard.metrics import heights
 from leaderboard.running import job_files
 from leaderboard.sandbox import processes

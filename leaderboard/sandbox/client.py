@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 import estimators
-from estimators.api import CalibrationDrive, check_estimate
+from estimators.api import CalibrationDrive, DeclaresLibraries, check_estimate
 from leaderboard.evaluation.entry import (
     MAX_LAG,
     Calibrations,
@@ -232,7 +232,8 @@ class SandboxClient:
 
     def _start(self, reference: str) -> Guest:
         if entry_files.is_ours(reference):
-            libraries = getattr(estimators.REGISTRY.get(reference), "libraries", ())
+            kind = estimators.REGISTRY.get(reference)
+            libraries = kind.libraries if isinstance(kind, DeclaresLibraries) else ()
             guest = self._ours.get(libraries) or self._new_guest(None, libraries)
             self._ours[libraries] = guest
         else:

@@ -42,7 +42,7 @@ class SurfaceBuffers(NamedTuple):
 
 @kernel
 def catmull_rom(a, b, c, d, x, per_ds):
-    """Return value and slope at the fraction `x` between `b` and `c`, for the spacing `ds` [m]."""
+    """Return value and slope at the fraction `x` from `b` to `c`; `per_ds`: 1 / spacing [1/m]."""
     p = 0.5 * (c - a)
     q = a - 2.5 * b + 2.0 * c - 0.5 * d
     r = 0.5 * (d - a) + 1.5 * (b - c)

@@ -131,12 +131,8 @@ def adaptive_kernel(vehicle, y, surface, inputs, out):
     The signals at the times `t` go to `out` (N, 29). Returns the numbers of accepted and of
     rejected steps, and the time reached, which is before the end if no step meets the tolerance.
     """
-    p, work, road, a_xy = (
-        vehicle.constants[0],
-        step_workspace(stack_array(WORKSPACE_ROWS)),
-        np.empty(24),
-        np.zeros(4),
-    )
+    p, work = vehicle.constants[0], step_workspace(stack_array(WORKSPACE_ROWS))
+    road, a_xy = np.empty(24), np.zeros(4)
     signals_0, error, y_dense = np.empty(N_SIGNALS), np.empty(2 * N_DOF), np.empty(2 * N_DOF)
     motion, step_inputs = Motion(y[:N_DOF], y[N_DOF:]), StepInputs(road[:16], a_xy)
     s_0, v, t, rtol, atol, max_step = inputs
@@ -189,7 +185,8 @@ def integrate_adaptive(
     `simulator` must not have been advanced and is left unchanged. Raises ValueError on bad input,
     SimulationError if no step meets the tolerance.
     """
-    if simulator.steps > 0 or simulator.manoeuvre is not None or len(simulator.speed_profile.v) > 1:
+    at_start = simulator.steps == 0 and simulator.manoeuvre is None
+    if not (at_start and simulator.speed_profile.is_constant):
         raise ValueError(
             "the simulator must be at its start, without a manoeuvre and at one speed; use "
             "DriveSimulator.advance for other drives"

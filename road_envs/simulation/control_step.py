@@ -224,11 +224,8 @@ def _sample_accelerometers(parameters, sensor_rows, antialias_state, noise, used
             used[k] += n
     for j in range(a.shape[0]):
         heave, roll, pitch = get(sensor_rows, j, 0), get(sensor_rows, j, 1), get(sensor_rows, j, 2)
-        columns, std, limit = (
-            parameters.sensor_columns[j],
-            parameters.noise_std[j],
-            parameters.range[j],
-        )
+        columns, limit = parameters.sensor_columns[j], parameters.range[j]
+        std = parameters.noise_std[j]
         for i in range(n):
             z, phi = get(out[i], ACCELERATION + columns[0]), get(out[i], ACCELERATION + columns[1])
             true = heave * z + roll * phi + pitch * get(out[i], ACCELERATION + columns[2])

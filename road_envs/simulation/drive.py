@@ -203,7 +203,7 @@ class DriveSimulator:
         instants = half_step_times(self.step, self.steps, n)
         distance, v, a_x = self.speed_profile.at(instants)
         a_xy = np.zeros((v.size, 2)) if self.manoeuvre is None else self.manoeuvre.at(instants)
-        if len(self.speed_profile.v) > 1:
+        if not self.speed_profile.is_constant:
             a_xy[:, 0] += a_x
         return self.start + distance, v, a_xy
 

@@ -244,7 +244,7 @@ def _constant_speed_inputs(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return starts [m] and speeds [m/s] if all drives are in step at constant speed, else None."""
     if not all(
-        len(d.speed_profile.v) == 1 and d.manoeuvre is None and d.steps == drives[0].steps
+        d.speed_profile.is_constant and d.manoeuvre is None and d.steps == drives[0].steps
         for d in drives
     ):
         return None

@@ -167,12 +167,8 @@ class InstrumentedFleet:
         state.antialias_state[b, ..., k], state.wk_state[b, ..., k] = 0.0, 0.0
         state.sensor_rows[b, ..., k] = sensor_rows(logger)
         kinematics, counts = state.kinematics[b, :, k], state.counts[b, :, k]
-        kinematics[DRIVE_START], kinematics[SPEED], kinematics[SPEED_GAIN] = (
-            drive.start,
-            drive.speed,
-            logger.speed_gain,
-        )
-        kinematics[SPEED_KMH] = speed_kmh
+        kinematics[DRIVE_START], kinematics[SPEED] = drive.start, drive.speed
+        kinematics[SPEED_GAIN], kinematics[SPEED_KMH] = logger.speed_gain, speed_kmh
         counts[STEPS_DELAYED], counts[STEPS_DONE], counts[STEPS_TOTAL] = 0, 0, drive.steps_left
         # marks all noise rows as used, so that the next interval draws from the new generator
         counts[NOISE_ROWS_USED], self.rngs[i] = self.noise.shape[2], logger.rng
@@ -263,11 +259,8 @@ class InstrumentedFleet:
             path = self.road_heights[b, offset : offset + size]
             path[:PAD], path[PAD:-PAD], path[-PAD:] = z[side, 0], z[side], z[side, -1]
         layout = self.state.road_layout[b, :, k]
-        layout[ROAD_SIZE], layout[ROAD_START], layout[ROAD_DS] = (
-            size,
-            drive.surface.start,
-            drive.surface.ds,
-        )
+        layout[ROAD_SIZE] = size
+        layout[ROAD_START], layout[ROAD_DS] = drive.surface.start, drive.surface.ds
 
     def _resize_roads(self, capacity: int) -> None:
         """Reallocate the roads with `capacity` samples per wheel path of every lane."""

@@ -97,10 +97,8 @@ def step_with_derivative(vehicle, motion, inputs, h, work, out, row, flexible=No
         row[TK_1 + w], row[TC_1 + w] = k, c
         row[G_U + w] = k + hd * k_slope * (u_dot - hd * first)
         row[F_U + w] = hd * k_slope * (wheel_height(p, work.r, w) + hd * second)
-        u, u_dot = (
-            road[8 + w] - wheel_height(p, work.q, w),
-            road[12 + w] - wheel_height(p, work.v, w),
-        )
+        u = road[8 + w] - wheel_height(p, work.q, w)
+        u_dot = road[12 + w] - wheel_height(p, work.v, w)
         _, row[TK_2 + w], row[TC_2 + w] = tyre_force(p, w, u, u_dot)
     # element by element: an assignment of slices takes as long as the rest of the derivative
     for k in range(BODY - BLOCKS):

@@ -34,9 +34,14 @@ class SpeedProfile(Settings):
         if self.v[-1] == 0.0:
             raise ValueError(f"the speeds v must be positive at the end, got {self.v}")
 
+    @property
+    def is_constant(self) -> bool:
+        """Whether it is one speed at all times."""
+        return len(self.v) == 1
+
     def at(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return distance [m], speed [m/s] and acceleration [m/s²] (N,) at times `t` (N,) [s]."""
-        if len(self.v) == 1:
+        if self.is_constant:
             return t * self.v[0], np.full(np.shape(t), self.v[0]), np.zeros(np.shape(t))
         knots, v = np.array(self.t), np.array(self.v)
         a = np.append(np.diff(v) / np.diff(knots), 0.0)

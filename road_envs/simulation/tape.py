@@ -71,11 +71,8 @@ def propagate_tangent(constants, rows, y, road, h, a, flexible=None):
 @kernel
 def propagate_adjoint(constants, rows, a, h, y, road):
     """Apply `adjoint_step` in reverse order; write the adjoint of the road to `road` (N, 16)."""
-    p, work, motion = (
-        constants[0],
-        step_workspace(stack_array(WORKSPACE_ROWS)),
-        Motion(y[:N_DOF], y[N_DOF:]),
-    )
+    p, work = constants[0], step_workspace(stack_array(WORKSPACE_ROWS))
+    motion = Motion(y[:N_DOF], y[N_DOF:])
     for n in range(rows.shape[0] - 1, -1, -1):
         adjoint_step(p, rows[n], a[n], h, work, motion, road[n])
 
@@ -162,13 +159,10 @@ def linearize_drive(
     """
     road = np.asarray(road, dtype=float)
     steps = len(road) // 2
-    z, y = (
-        _checked_copy("road", road, (2 * steps, 2, 4)),
-        _checked_copy("start", start, (2 * plant.inertias.size,)),
-    )
-    a_xy_steps = _checked_copy(
-        "a_xy", np.zeros((2 * steps, 2)) if a_xy is None else a_xy, (2 * steps, 2)
-    )
+    z = _checked_copy("road", road, (2 * steps, 2, 4))
+    y = _checked_copy("start", start, (2 * plant.inertias.size,))
+    a_xy = np.zeros((2 * steps, 2)) if a_xy is None else a_xy
+    a_xy_steps = _checked_copy("a_xy", a_xy, (2 * steps, 2))
     strut_state_end = _checked_copy("strut_state", strut_state, (4, 3))
     signals, rows = np.empty((steps, n_signals(plant))), np.empty((steps, TAPE_ROW_SIZE))
     bytes_ = np.zeros(0) if commands is None else _checked_copy("commands", commands, (steps,))

@@ -37,7 +37,7 @@ def test_tables_and_pages_grow_in_proportion_to_the_rows(tmp_path):
 
 def test_slopes_are_those_of_powers():
     work = (1.0, 2.0, 4.0, 8.0)
-    curve = scaling.Curve("square", "rows", work, tuple(x**2 for x in work))
+    curve = scaling.CostCurve("square", "rows", work, tuple(x**2 for x in work))
     assert curve.slope == pytest.approx(2.0) and curve.last_slope == pytest.approx(2.0)
-    bent = scaling.Curve("late", "rows", work, (1.0, 1.0, 1.0, 8.0))
+    bent = scaling.CostCurve("late", "rows", work, (1.0, 1.0, 1.0, 8.0))
     assert bent.last_slope == pytest.approx(3.0) and 0.0 < bent.slope < 3.0

@@ -236,10 +236,8 @@ def _check(
         travelled["odometer"] = s[-1] - s[0]
     if track is not None:
         travelled["positions"] = track[-1]
-    low, high = (
-        min(travelled, key=lambda k: travelled[k]),
-        max(travelled, key=lambda k: travelled[k]),
-    )
+    low = min(travelled, key=lambda k: travelled[k])
+    high = max(travelled, key=lambda k: travelled[k])
     if travelled[high] > 20.0 and travelled[high] * (1.0 - DISAGREEMENT) > travelled[low]:
         lengths = f"{travelled[low]:.4g} m by the {low} and {travelled[high]:.4g} m by the {high}"
         problems.append(f"the drive is {lengths}: check their units (--units v=..., s=...)")
