@@ -182,8 +182,7 @@ def _serve(setup: Setup, replies: int, start: dict[str, Any]) -> None:
         reply(replies, {**head, "name": name})
         read_request()
         return
-    for library in ("scipy.interpolate", "scipy.signal"):  # slow to load, and in nobody's time
-        importlib.import_module(library)
+    _preload_scipy()
     session = LocalSession(estimator, build(VehicleParameters, start["car"], "car"))
     known = ("needs_training", "calibrates", "uses_seed")
     reply(replies, {name: getattr(session, name) for name in known})
@@ -209,6 +208,19 @@ def _serve(setup: Setup, replies: int, start: dict[str, Any]) -> None:
         except (Exception, SystemExit) as error:
             answer, z = {"failure": describe_error(error)[:10_000]}, []
         reply(replies, answer, z)
+
+
+def _preload_scipy() -> None:
+    """Import the slow parts of SciPy, in nobody's time, if a module refers to SciPy as a whole.
+
+    SciPy would load them at their first use; modules that import them by name have done so.
+    """
+    modules = [
+        module for name, module in list(sys.modules.items()) if not name.startswith("scipy.")
+    ]
+    if any("scipy" in getattr(module, "__dict__", {}) for module in modules):
+        for library in ("scipy.interpolate", "scipy.signal"):
+            importlib.import_module(library)
 
 
 def load(reference: str, settings: dict[str, Any], folder: str | None) -> tuple[str | None, Any]:

@@ -5,7 +5,8 @@ import io
 
 import numpy as np
 import pytest
-from fakes import Reader, fake_drives, task
+from fake_estimators import Reader
+from fakes import fake_drives, task
 from in_process import InProcessExecutor
 from rich.console import Console
 

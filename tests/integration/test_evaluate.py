@@ -4,7 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from fakes import Broken, Learner, Reader, fake_drives, task
+from fake_estimators import Broken, Learner, Reader
+from fakes import fake_drives, task
 from in_process import InProcessExecutor
 
 import estimators

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fakes import Reader, task
+from fake_estimators import Reader
+from fakes import task
 from hostile import Hostile
 from in_process import InProcessExecutor
 

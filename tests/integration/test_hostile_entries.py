@@ -9,7 +9,8 @@ from pathlib import Path
 
 import hostile
 import pytest
-from fakes import Reader, task
+from fake_estimators import Reader
+from fakes import task
 from hostile import Hostile, poisoned_kernels
 from in_process import InProcessExecutor
 from wheels import encrypt, module, write_wheel

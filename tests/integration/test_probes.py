@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from fakes import Learner
+from fake_estimators import Learner
 
 import estimators
 from leaderboard.conformance.probes import PROBES, count_passed, perturbed_records, probe_estimator

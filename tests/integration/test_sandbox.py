@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fakes import CalibratedReader, Learner, Reader, fake_drives, task
+from fake_estimators import CalibratedReader, Learner, Reader
+from fakes import fake_drives, task
 from hostile import poisoned_kernels
 
 from estimators.api import CalibrationDrive
@@ -21,7 +22,6 @@ from leaderboard.evaluation import entries
 from leaderboard.evaluation.entry import Entry, EntryError, LocalSession, reconstruct_all
 from leaderboard.sandbox import bubblewrap, limits
 from leaderboard.sandbox.client import SandboxClient
-from leaderboard.sandbox.guest import describe_exit
 from leaderboard.sandbox.limits import Limits
 from road_envs.config import ConfigError
 
@@ -30,6 +30,7 @@ MODES = ["process"] if bubblewrap.obstacle() else ["bubblewrap", "process"]
 
 LIMITS = Limits(seconds=60.0, memory=0.5, processes=40, file=0.05)
 REFUSED_PLACE = "Read-only file system|Permission denied|No such file or directory"
+CALIBRATED = "fake_estimators:CalibratedReader"
 MARK = f"ROADRECON_TEST_{uuid.uuid4().hex}"
 
 
@@ -141,7 +142,10 @@ def test_each_estimate_follows_the_calibration_to_its_own_vehicle(sandbox, known
     """In this process and in a guest, which asks for the estimates in any order."""
     training, records, car = drives(2)
     given = calibration_drives(2, known)
-    estimator, entry = CalibratedReader(), Entry(name="x", reference="fakes:CalibratedReader")
+    estimator, entry = (
+        CalibratedReader(),
+        Entry(name="x", reference="fake_estimators:CalibratedReader"),
+    )
     session = LocalSession(estimator, car)
     (here,) = reconstruct_all(session, training, records, (1,), None, given)
     (there,) = sandbox.reconstruct(
@@ -159,7 +163,7 @@ def test_each_estimate_follows_the_calibration_to_its_own_vehicle(sandbox, known
 
 def test_an_estimator_that_cannot_be_calibrated_ignores_the_drives(sandbox):
     training, records, car = drives()
-    entry = Entry(name="x", reference="fakes:Reader")
+    entry = Entry(name="x", reference="fake_estimators:Reader")
     given = calibration_drives(1, False)
     (there,) = sandbox.reconstruct(entry, training, records, car, (1,), calibrations=given)
     assert there.calibrate_seconds is None
@@ -168,7 +172,7 @@ def test_an_estimator_that_cannot_be_calibrated_ignores_the_drives(sandbox):
 
 def test_a_failing_calibration_fails_the_entry_with_its_sentence(sandbox):
     training, records, car = drives()
-    entry = Entry(name="x", reference="fakes:CalibratedReader", settings={"how": "raises"})
+    entry = Entry(name="x", reference=CALIBRATED, settings={"how": "raises"})
     reason = (
         "calibrating to the vehicle of test drive 1, seed 1: CalibrationError: first: too smooth"
     )
@@ -180,7 +184,7 @@ def test_a_failing_calibration_fails_the_entry_with_its_sentence(sandbox):
 
 
 def test_standard_deviations_are_returned_from_the_sandbox(sandbox):
-    (training_run,) = run(sandbox, "fakes:Doubtful", std=0.003)
+    (training_run,) = run(sandbox, "fake_estimators:Doubtful", std=0.003)
     np.testing.assert_array_equal(training_run.estimates[0].z_std, 0.003)
 
 
@@ -354,56 +358,3 @@ def count_threads(pid):
 
 def is_worker(pid):
     return Path(f"/proc/{pid}/cmdline").read_bytes().startswith(sys.executable.encode())
-
-
-def test_a_plug_in_is_described_without_being_loaded_in_this_process(
-    sandbox, tmp_path, monkeypatch
-):
-    only_once(sandbox)
-    (tmp_path / "external_slope.py").write_text(
-        "import sys\n"
-        "from dataclasses import dataclass\n"
-        "from typing import ClassVar\n"
-        "@dataclass(frozen=True, kw_only=True)\n"
-        "class Slope:\n"
-        "    causal: ClassVar[bool] = True\n"
-        "    steep: float = 0.5\n"
-        "    def estimate(self, record, car): ...\n"
-    )
-    about = tmp_path / "external_slope-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: external-slope\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text(
-        "[road_envs.estimators]\nslope = external_slope:Slope\nsunken = no_such_module:Hole\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    with SandboxClient(sandbox.limits) as fresh:
-        slope, sunken, flat = entries.resolve_entries(["slope", "sunken", "flat"], fresh)
-    assert (slope.settings, slope.causal, slope.failure) == ({"steep": 0.5}, True, None)
-    assert (slope.name, slope.reference) == ("slope", "external_slope:Slope")
-    assert len(slope.code) == 16 and "external_slope" not in sys.modules
-    assert sunken.failure == "cannot be constructed: there is no module 'no_such_module'"
-    assert flat.reference == "flat" and flat.failure is None
-    before = slope.code
-    (tmp_path / "external_slope.py").write_text(
-        (tmp_path / "external_slope.py").read_text().replace("0.5", "0.6")
-    )
-    with SandboxClient(sandbox.limits) as fresh:
-        with pytest.raises(EntryError, match="its files have changed since the run was planned"):
-            fresh.reconstruct(slope, *drives(), (1,))
-        (slope,) = entries.resolve_entries(["slope"], fresh)
-    assert slope.code != before and slope.settings == {"steep": 0.6}
-
-
-def test_limits_must_be_positive():
-    for name in ("seconds", "memory", "file"):
-        with pytest.raises(ValueError, match=f"{name}: must be positive, got 0"):
-            Limits(**{name: 0})
-    with pytest.raises(ValueError, match="processes: must be at least 1, got 0"):
-        Limits(processes=0)
-
-
-def test_an_exit_is_described_by_its_signal_or_status():
-    assert [describe_exit(x) for x in (0, 3, -9, 128 + 11)] == [
-        "exit status 0", "exit status 3", "SIGKILL", "SIGSEGV",
-    ]  # fmt: skip

@@ -4,7 +4,8 @@ import sys
 
 import numpy as np
 import pytest
-from fakes import Reader, fake_drives, task
+from fake_estimators import Reader
+from fakes import fake_drives, task
 
 from leaderboard.benchmarks import scaling
 from leaderboard.evaluation.evaluate import run_task

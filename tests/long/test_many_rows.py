@@ -10,7 +10,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from fakes import Learner, Reader, fake_drives, task
+from fake_estimators import Learner, Reader
+from fakes import fake_drives, task
 
 from leaderboard.evaluation import store
 from leaderboard.evaluation.evaluate import run_task

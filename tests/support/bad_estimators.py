@@ -11,7 +11,6 @@ from typing import ClassVar
 import numpy as np
 
 from road_envs.data.record import Estimate, profile_stations
-from road_envs.sensing.filters import preprocess_accelerations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,15 +21,18 @@ class Valid:
 
     def estimate(self, record, car):
         stations = profile_stations(record.length)
-        a = np.array([_interpolated(record.t, x) for x in record.a[1:]])
-        return Estimate(
-            stations, -0.01 * record.interpolate(stations, preprocess_accelerations(a, record.fs))
-        )
+        a = np.array([_smoothed(_interpolated(record.t, x)) for x in record.a[1:]])
+        return Estimate(stations, -0.01 * record.interpolate(stations, a))
 
 
 def _interpolated(t, x):
     valid = np.isfinite(x)
     return np.interp(t, t[valid], x[valid])
+
+
+def _smoothed(x):
+    """The mean over about 20 ms before and after a sample, without that of the drive."""
+    return np.convolve(x - x.mean(), np.full(17, 1.0 / 17.0), "same")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,7 +3,8 @@
 import dataclasses
 import functools
 
-from fakes import Learner, Reader, fake_drives, task
+from fake_estimators import Learner, Reader
+from fakes import fake_drives, task
 from in_process import InProcessExecutor
 
 from leaderboard.evaluation.entries import make_entry

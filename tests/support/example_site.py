@@ -5,7 +5,8 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from fakes import Broken, Learner, Reader, fake_drives, task
+from fake_estimators import Broken, Learner, Reader
+from fakes import fake_drives, task
 
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.report.cache import build_report

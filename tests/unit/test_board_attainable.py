@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fakes import Reader, fake_drives, task
+from fake_estimators import Reader
+from fakes import fake_drives, task
 
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.report import attainable

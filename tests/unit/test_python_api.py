@@ -5,7 +5,8 @@ import sys
 
 import numpy as np
 import pytest
-from fakes import Broken, Reader, task
+from fake_estimators import Broken, Reader
+from fakes import task
 
 from estimators import create, estimate, make_estimator
 from leaderboard import plot, run_task, score
@@ -78,7 +79,7 @@ def test_settings_belong_to_names_and_not_to_objects_or_files(drive):
         estimate(create("flat"), record, reach=3.0)
     with pytest.raises(ConfigError, match="takes no others"):
         make_estimator("model.npz", reach=3.0)
-    assert type(make_estimator("fakes:Reader", gain=0.5)) is Reader
+    assert type(make_estimator("fake_estimators:Reader", gain=0.5)) is Reader
 
 
 def test_a_task_gives_a_row_for_each_drive_and_one_for_a_failure():

@@ -1,18 +1,15 @@
-"""Results: storage, staleness, statistics and tables."""
+"""Results: storage and staleness."""
 
 import dataclasses
 import hashlib
-import io
 import json
-from functools import cache
 
 import numpy as np
 import pytest
-from fakes import Broken, Learner, Reader, fake_drives, task
-from rich.console import Console
+from fake_results import ENTRIES, result_of, results_by_fakes
+from fakes import task
 
 from leaderboard.evaluation import results
-from leaderboard.evaluation.evaluate import run_task
 from leaderboard.evaluation.results import content_digest, isolation_notice
 from leaderboard.evaluation.store import (
     CHECKSUM_PREFIX,
@@ -23,35 +20,11 @@ from leaderboard.evaluation.store import (
     save,
     text_checksum,
 )
-from leaderboard.metrics.bootstrap import interquartile_mean, iqm_interval
 from leaderboard.metrics.registry import SCORES
-from leaderboard.report.cache import build_report
 from leaderboard.report.tables import board_views
-from leaderboard.report.terminal import as_json, print_tables
 from leaderboard.running.board import ATTEMPTS, Board, RunRequest, load_board, render_with_retry
 from road_envs import _atomic_io
 from road_envs.config import ConfigError
-
-ENTRIES = {
-    "reader": Reader(),
-    "learner": Learner(),
-    "broken": Broken(how="nan"),
-    "flat": Reader(gain=0.0),
-    "truth_plus_noise": None,
-}
-
-
-@cache
-def results_by_fakes():
-    return tuple(run_task(task(), ENTRIES, (1, 2, 3), simulate=fake_drives))
-
-
-def result_of(name):
-    return next(r for r in results_by_fakes() if r.estimator == name)
-
-
-def board():
-    return Board((task(),), {"small": results_by_fakes()})
 
 
 def edited(tmp_path, change):
@@ -266,141 +239,3 @@ def test_score_arrays_equal_the_values_of_each_score():
     for result in results_by_fakes()[:3]:
         for name, found in result.arrays(SCORES).items():
             np.testing.assert_array_equal(found, result.values(name))
-
-
-# tables
-
-
-def test_every_condition_has_its_own_score_interval_and_rank():
-    (view,) = board_views(board())
-    (section,) = view.sections
-    assert section.groups == {"condition": tuple(c.label for c in task().conditions)}
-    line = next(line for line in section.rows if line.name == "learner")
-    for k, label in enumerate(section.groups["condition"]):
-        values = result_of("learner").values("nrmse")[:, k : k + 1]
-        group = line.groups[label]
-        assert group["nrmse"] == pytest.approx(interquartile_mean(values.ravel()))
-        assert (group["low"], group["high"]) == pytest.approx(iqm_interval(values)[1:])
-        assert group["rank"] in (1, 2)
-
-
-def test_each_road_family_has_its_own_scores():
-    test = {**FAMILIES, "families": ["level", "rough"]}
-    t = task(test=test)
-    (result,) = run_task(t, {"reader": Reader()}, (1,), simulate=fake_drives)
-    (view,) = board_views(Board((t,), {"small": [result]}))
-    line, _ = view.sections[0].rows
-    rough = result.values("level_error")[[1, 3]]
-    assert line.groups["rough"]["level_error"] == pytest.approx(interquartile_mean(rough.ravel()))
-    assert view.sections[0].groups["family"] == ("level", "rough")
-
-
-FAMILIES = {"roads": ["iso_b", "iso_e"], "seeds": [11, 12], "length": 40.0}
-
-
-def test_the_slope_of_the_error_over_grades_is_shown():
-    cars = [{"mode": "ride", "speed_kmh": 30.0, "grade": grade} for grade in ("S0", "S1", "S2")]
-    t = task(board="field", conditions=cars)
-    (result,) = run_task(t, {"reader": Reader()}, (1,), simulate=fake_drives)
-    error = {c.label: 0.1 * (1 + k) for k, c in enumerate(t.conditions)}
-    drives = [
-        dataclasses.replace(d, scores={**d.scores, "nrmse": error[d.condition] + 0.01 * d.drive})
-        for d in result.drives
-    ]
-    (view,) = board_views(
-        Board((t,), {"small": [dataclasses.replace(result, drives=tuple(drives))]})
-    )
-    line, _ = view.sections[0].rows
-    assert [line.values[f"grade_S{k}"] for k in range(3)] == pytest.approx([0.12, 0.22, 0.32])
-    assert line.values["slope"] == pytest.approx(0.1)
-    # the slope is the same on every road and roads are paired, so the interval has zero width
-    assert (line.values["slope_low"], line.values["slope_high"]) == pytest.approx((0.1, 0.1))
-    assert line.cells["slope"] == "+0.100" and line.cells["grade_S1"] == "0.220"
-    assert view.sections[0].groups["car"] == ("car S0", "car S1", "car S2")
-
-
-def test_causal_entries_also_have_a_rank_among_causal_entries():
-    online = dataclasses.replace(result_of("learner"), causal=True)
-    (view,) = board_views(Board((task(),), {"small": [result_of("reader"), online]}))
-    ranks = {
-        x.name: (x.values.get("rank"), x.values.get("rank_causal")) for x in view.sections[0].rows
-    }
-    assert ranks["learner"][1] == 1 and ranks["reader"][1] is None
-    assert ranks["learner"][0] is not None
-
-
-def printed(width):
-    console = Console(width=width, file=io.StringIO())
-    print_tables(build_report(board()), console)
-    return console.file.getvalue()
-
-
-@pytest.mark.parametrize("width", [80, 100])
-def test_the_table_is_readable_on_a_narrow_terminal(width):
-    text = printed(width)
-    assert max(map(len, text.splitlines())) <= width
-    for name in ENTRIES:
-        assert any(line.startswith(name) for line in text.splitlines())
-    assert "…" not in text
-    assert "broken failed: ride, 14.5 km/h, estimating test drive 1 of 5" in " ".join(text.split())
-
-
-def test_baselines_have_no_rank():
-    (view,) = board_views(board())
-    ranks = {line.name: line.values.get("rank") for line in view.sections[0].rows}
-    assert {name for name, rank in ranks.items() if rank} == {"learner", "reader"}
-
-
-def test_the_claimed_score_of_the_paper_is_a_row_of_its_own():
-    t = task(board="paper", claimed_level_error=0.128)
-    values = [dataclasses.replace(r, task_digest=t.digest) for r in results_by_fakes()]
-    (view,) = board_views(Board((t,), {"small": values}))
-    claim, *others = view.sections[0].rows
-    assert (claim.state, claim.cells) == ("claim", {"level_error_raw": "12.8"})
-    reader = next(line for line in others if line.name == "reader")
-    assert float(reader.cells["level_error"]) == pytest.approx(10.0, abs=0.5)
-
-
-def test_entries_better_than_truth_plus_noise_and_inconsistent_baselines_are_flagged():
-    (view,) = board_views(board())
-    assert view.sections[0].notes == ()
-    row = next(row for row in view.sections[0].rows if row.name == "reader")
-    reader = result_of("reader")
-    below = np.mean(reader.values("nrmse") < reader.values("bound_nrmse"))
-    assert row.values["below_bound"] == pytest.approx(below) and 0.0 < below < 0.5
-    (perfect,) = run_task(task(), {"perfect": Reader(gain=1.0)}, (1,), simulate=fake_drives)
-    (note,) = flagged(perfect, result_of("truth_plus_noise"))
-    assert note.startswith("perfect scores better than the truth with 2 % noise")
-    better = run_task(task(), {"better": Reader(gain=0.96)}, (1,), simulate=fake_drives)
-    (note,) = flagged(*better)
-    shares = better[0].values("nrmse") < better[0].values("bound_nrmse")
-    assert note == (
-        "better is below the bound of a linear car without friction, from data below 25 Hz, on "
-        f"{shares.mean():.0%} of its drives"
-    )
-    (note,) = flagged(dataclasses.replace(result_of("reader"), estimator="flat", role="sentinel"))
-    assert note.startswith("the evaluation is faulty: flat scores 0.1")
-
-
-def flagged(*results):
-    (view,) = board_views(Board((task(),), {"small": results}))
-    return view.sections[0].notes
-
-
-def test_the_json_output_has_the_rows_of_the_table():
-    (section,) = json.loads(json.dumps(as_json(build_report(board())), allow_nan=False))
-    entries = {entry["name"]: entry for entry in section["entries"]}
-    assert section["task"] == "small" and set(entries) == {*ENTRIES, "bound"}
-    assert 0.02 < entries["bound"]["nrmse"] < entries["reader"]["nrmse"] + 0.1
-    assert entries["reader"]["nrmse"] == pytest.approx(0.1, abs=0.005)
-    assert entries["broken"]["state"] == "failed" and "finite" in entries["broken"]["text"]
-
-
-def test_notes_of_a_surface_are_printed():
-    t = task(board="measured")
-    noted = [
-        dataclasses.replace(r, task_digest=t.digest, notes=("10 m tile mirrored 10 times",))
-        for r in results_by_fakes()
-    ]
-    (view,) = board_views(Board((t,), {"small": noted}))
-    assert "Surface: 10 m tile mirrored 10 times." in view.sections[0].notes

@@ -1,0 +1,112 @@
+"""Files of jobs: what they carry, how they are split, and what is refused."""
+
+import dataclasses
+import json
+import shutil
+
+import numpy as np
+import pytest
+import wheels
+from board_runs import (
+    ESTIMATORS,
+    PARTS,
+    make_request,
+    small,
+)
+from fakes import fake_drives, task
+from in_process import InProcessExecutor
+
+from leaderboard.evaluation import store
+from leaderboard.evaluation.entry import Entry
+from leaderboard.evaluation.results import content_digest
+from leaderboard.evaluation.store import part_path
+from leaderboard.evaluation.tasks import shipped_tasks
+from leaderboard.metrics.baselines import BASELINES
+from leaderboard.running import job_files, jobs, plan
+from leaderboard.running.board import RunRequest, write_jobs
+from leaderboard.sandbox import entry_files
+from leaderboard.sandbox.client import SandboxClient
+from leaderboard.sandbox.limits import Limits
+from road_envs.config import ConfigError, build
+from road_envs.roads import load_road, with_length
+from road_envs.roads.formats.write import write_csv
+from road_envs.vehicle.parameters import load_vehicle, write_vehicle
+
+
+@pytest.mark.parametrize("t", [small(), *shipped_tasks()], ids=lambda t: t.name)
+def test_a_job_is_equal_after_writing_and_reading_its_file(t):
+    job = jobs.Job(task=t, condition=0, entries=make_request().entries, seeds=(1, 2))
+    again = jobs.from_text(jobs.to_text(job), "a job")
+    assert again.task == t and again.task.digest == t.digest
+    assert (again.entries, again.seeds, again.limits) == (tuple(job.entries), (1, 2), job.limits)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda data: "{", "a job: damaged, not valid JSON"),
+        (lambda data: [], "a job: not a job"),
+        (lambda data: {**data, "colour": 1}, "colour: unknown key"),
+        (lambda data: {**data, "condition": 7}, "small has no condition 7"),
+        (lambda data: {**data, "judge": "0"}, "planned by another version of the code"),
+        (lambda data: {**data, "task_digest": "0"}, "the task small or one of its files differs"),
+    ],
+)
+def test_an_invalid_job_file_is_rejected_with_the_reason(change, message):
+    job = jobs.Job(task=small(), condition=0, entries=make_request().entries, seeds=(1,))
+    data = change(json.loads(jobs.to_text(job)))
+    with pytest.raises(ConfigError, match=message):
+        jobs.from_text(data if isinstance(data, str) else json.dumps(data), "a job")
+
+
+def test_entries_are_split_into_jobs_only_if_workers_would_be_idle(tmp_path):
+    missing = plan.Plan(make_request().rows(), tmp_path, True).missing()
+    assert len(missing) == PARTS
+    limits = make_request().limits
+    for workers, count in ((1, 2), (2, 2), (4, 4), (99, PARTS)):
+        planned = plan.make_jobs(missing, workers, limits)
+        assert len(planned) == count
+        done = [(entry.name, job.condition) for job in planned for entry in job.entries]
+        assert sorted(done) == sorted((row.entry.name, k) for row, k in missing)
+
+
+def test_planned_jobs_need_no_other_file(tmp_path):
+    given = tmp_path / "given"
+    given.mkdir()
+    write_vehicle(given / "car.yaml", load_vehicle("land_rover_defender_110"))
+    surface = with_length(load_road("iso_d"), 16.0).realise(np.random.default_rng(3))
+    write_csv(surface, given / "road.csv")
+    (given / "elsewhere.py").write_text(wheels.module())
+    changed = {"kind": "altered", "road": {"kind": "measured", "path": str(given / "road.csv")}}
+    t = task(
+        car=str(given / "car.yaml"),
+        training={"roads": [changed], "seeds": [1]},
+        trains_on_test_road=True,
+    )
+    code = entry_files.snapshot(str(given), None)
+    entry = Entry(name="elsewhere", reference=str(given), code=code)
+    request = RunRequest([t], [entry], seeds=(1,))
+    count = write_jobs(request, tmp_path / "out", tmp_path / "jobs")
+    assert count == len(t.conditions) * (1 + len(BASELINES) + 1)  # and `memory`
+    shutil.rmtree(given)
+    for path in sorted((tmp_path / "jobs").glob("*.json")):
+        job = jobs.from_text(path.read_text(), str(path), path.parent)
+        assert job.task.digest == t.digest
+        again = jobs.from_text(jobs.to_text(job), "on a worker", tmp_path / "elsewhere")
+        assert again == dataclasses.replace(job, task_digest=t.digest)
+        code_folders = job_files.code_folders(again.files, again.entries)
+        if again.entries == (entry,):
+            with SandboxClient(Limits(isolation="process"), code=code_folders) as sandbox:
+                assert sandbox._snapshot(str(given))[0] == code
+
+
+def test_the_summary_of_a_result_is_equal_after_json(tmp_path):
+    (job, *_) = plan.make_jobs(
+        plan.Plan(make_request().rows(), tmp_path, True).missing(), 1, make_request().limits
+    )
+    for done in InProcessExecutor(fake_drives, ESTIMATORS).run([job], tmp_path):
+        assert build(jobs.JobDone, json.loads(json.dumps(dataclasses.asdict(done))), "done") == done
+        assert (
+            content_digest(store.load_part(part_path(tmp_path, done.identity)))
+            == done.content_digest
+        )

@@ -1,0 +1,64 @@
+"""Sandbox: entries that are described and not yet run, limits, and words for an exit."""
+
+import sys
+from dataclasses import replace
+
+import pytest
+from test_sandbox import LIMITS, MODES, drives
+
+from leaderboard.evaluation import entries
+from leaderboard.evaluation.entry import EntryError
+from leaderboard.sandbox.client import SandboxClient
+from leaderboard.sandbox.guest import describe_exit
+from leaderboard.sandbox.limits import Limits
+
+
+def test_a_plug_in_is_described_without_being_loaded_in_this_process(tmp_path, monkeypatch):
+    limits = replace(LIMITS, isolation=MODES[0])
+    (tmp_path / "external_slope.py").write_text(
+        "import sys\n"
+        "from dataclasses import dataclass\n"
+        "from typing import ClassVar\n"
+        "@dataclass(frozen=True, kw_only=True)\n"
+        "class Slope:\n"
+        "    causal: ClassVar[bool] = True\n"
+        "    steep: float = 0.5\n"
+        "    def estimate(self, record, car): ...\n"
+    )
+    about = tmp_path / "external_slope-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: external-slope\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(
+        "[road_envs.estimators]\nslope = external_slope:Slope\nsunken = no_such_module:Hole\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    with SandboxClient(limits) as fresh:
+        slope, sunken, flat = entries.resolve_entries(["slope", "sunken", "flat"], fresh)
+    assert (slope.settings, slope.causal, slope.failure) == ({"steep": 0.5}, True, None)
+    assert (slope.name, slope.reference) == ("slope", "external_slope:Slope")
+    assert len(slope.code) == 16 and "external_slope" not in sys.modules
+    assert sunken.failure == "cannot be constructed: there is no module 'no_such_module'"
+    assert flat.reference == "flat" and flat.failure is None
+    before = slope.code
+    (tmp_path / "external_slope.py").write_text(
+        (tmp_path / "external_slope.py").read_text().replace("0.5", "0.6")
+    )
+    with SandboxClient(limits) as fresh:
+        with pytest.raises(EntryError, match="its files have changed since the run was planned"):
+            fresh.reconstruct(slope, *drives(), (1,))
+        (slope,) = entries.resolve_entries(["slope"], fresh)
+    assert slope.code != before and slope.settings == {"steep": 0.6}
+
+
+def test_limits_must_be_positive():
+    for name in ("seconds", "memory", "file"):
+        with pytest.raises(ValueError, match=f"{name}: must be positive, got 0"):
+            Limits(**{name: 0})
+    with pytest.raises(ValueError, match="processes: must be at least 1, got 0"):
+        Limits(processes=0)
+
+
+def test_an_exit_is_described_by_its_signal_or_status():
+    assert [describe_exit(x) for x in (0, 3, -9, 128 + 11)] == [
+        "exit status 0", "exit status 3", "SIGKILL", "SIGSEGV",
+    ]  # fmt: skip
