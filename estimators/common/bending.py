@@ -2,7 +2,8 @@
 
 What the struts bend (`road_envs.vehicle.body_bending`) follows from the body's heave and pitch and
 acts on the sensors alone. Sample by sample it is one more filter of the predicted accelerations;
-in the tangent, which is in block means, the modal force is one more sensor behind the others.
+in the tangent, which is in block means, the modal force is one more sensor behind the others. In
+the frequency domain the body's heave and pitch are those of two more sensors, BODY.
 """
 
 from collections.abc import Mapping
@@ -16,6 +17,9 @@ from road_envs.sensing.instruments import SensorLocation
 from road_envs.vehicle import body_bending
 from road_envs.vehicle.equations import THETA, Z_B
 from road_envs.vehicle.parameters import BendingMode, VehicleParameters
+
+BODY = {"middle of the body": (0.0, 0.0), "1 m behind it": (-1.0, 0.0)}
+"""Points (x, y) [m] whose accelerations are the body's heave, and heave and pitch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,13 +65,14 @@ class SensedBending:
         force = sosfilt(body_bending.section(self.mode, duration), backward)[::-1]
         return np.concatenate([means, force[None]])
 
-    def response(self, heave: np.ndarray, pitch: np.ndarray, f: np.ndarray) -> np.ndarray:
-        """Return the sensors' response (F, S, K) by it, from those (F, K) of the body's heave and
-        pitch accelerations at `f` (F,) [Hz].
+    def response(self, unbent: np.ndarray, f: np.ndarray) -> np.ndarray:
+        """Return the responses (F, S, K) of the sensors at `f` (F,) [Hz], from those (F, S + 2, K)
+        of the same sensors and of BODY on a body that does not bend.
         """
-        force = self.force[0] * heave + self.force[1] * pitch
+        heave, behind = unbent[:, -2], unbent[:, -1]
+        force = self.force[0] * heave + self.force[1] * (behind - heave)
         q = body_bending.response(self.mode, f)[:, None] * force
-        return self.shape[:, None] * q[:, None, :]
+        return unbent[:, :-2] + self.shape[:, None] * q[:, None, :]
 
 
 def sensed_bending(

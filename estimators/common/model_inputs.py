@@ -17,14 +17,6 @@ MOVING_STD = np.repeat([3e-2, 3e-1], N_DOF)
 """The same in the middle of a road."""
 
 
-RIGID_NOTE = "the frame of the vehicle twists; this estimator takes it for rigid"
-
-
-def rigid_vehicle(car: VehicleParameters) -> tuple[VehicleParameters, tuple[str, ...]]:
-    """Return the vehicle with a rigid frame, and a note if that leaves something out."""
-    return car.rigid, () if car.rigid is car else (RIGID_NOTE,)
-
-
 @dataclass(frozen=True, eq=False)
 class ModelInputs:
     """Inputs of N steps of `h` [s]: station `s` [m] of the front axle and speed `v` [m/s] at each

@@ -21,6 +21,7 @@ import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
 from scipy.ndimage import gaussian_filter1d
 
+from estimators.common.bending import BODY
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.road_prior import TO_WHEEL_PATHS, RoadTransform
 from road_envs.vehicle.linear_model import frequency_response, gaussian_damping, linearise
@@ -51,10 +52,6 @@ ROUGHNESS_STEPS = np.geomspace(0.005, 50.0, 20)
 
 MAX_LEVEL_STEP = 1.5
 """Greatest distance of the levels of local roughness in the preconditioner, as a logarithm."""
-
-
-BODY = {"middle of the body": (0.0, 0.0), "1 m behind it": (-1.0, 0.0)}
-"""Points (x, y) [m] whose accelerations are the body's heave, and heave and pitch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,8 +221,7 @@ def linear_responses(objective: Objective, f: np.ndarray) -> Iterator[tuple[floa
         linear = linearise(model.plant, mode, locations, damping=damping)
         H = frequency_response(linear, float(inputs.v.mean()), f=f)
         if model.bending is not None:
-            rigid, heave, behind = H[:, :-2], H[:, -2], H[:, -1]
-            H = rigid + model.bending.response(heave, behind - heave, f)
+            H = model.bending.response(H, f)
         enveloped = np.sinc(f / inputs.v.mean() * model.contact_length)
         yield count / inputs.n_steps, enveloped[:, None, None] * H @ TO_WHEEL_PATHS
 

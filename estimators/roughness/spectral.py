@@ -20,6 +20,7 @@ from estimators.preprocessing import mask_record
 from estimators.wiener.segments import Segment, split_segments
 from estimators.wiener.smoother import SEGMENT_LENGTH, SEGMENT_MARGIN
 from estimators.wiener.spectral_model import (
+    SensedVehicle,
     SpectralModel,
     active_sensors,
     fit_hyperparameters,
@@ -29,7 +30,6 @@ from road_envs.analysis.information_bound import RoadPrior, posterior
 from road_envs.analysis.roughness import CLASSES
 from road_envs.data.record import SCORED_F_MAX, Record, scored_band
 from road_envs.sensing.instruments import instruments_of
-from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import VehicleParameters
 
 MODEL_ERROR = 0.10
@@ -72,13 +72,13 @@ def classify_record(
     record: Record, car: VehicleParameters, instruments: str = "paper"
 ) -> ClassPosterior:
     """Return the roughness of a record's road. Raises ConfigError, RecordError, ValueError."""
-    sensors, plant = instruments_of(record, instruments), build_plant(car.rigid)
+    sensors = instruments_of(record, instruments)
+    vehicle = SensedVehicle.of(car, sensors)
     masked = mask_record(record, sensors)
-    locations, track = sensors.locations(car), car.front.y_t + car.rear.y_t
     octaves = scored_octaves(float(np.median(masked.record.v)))
     parts = []
     for segment in split_segments(masked, SEGMENT_LENGTH, SEGMENT_MARGIN):
-        model = fit_hyperparameters(plant, locations, sensors, segment, track)
+        model = fit_hyperparameters(vehicle, segment)
         parts.append(_levels(model, segment, octaves))
     weights = np.array([part.lines for part in parts])
     total = np.maximum(weights.sum(axis=0), 1e-9)

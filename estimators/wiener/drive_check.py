@@ -27,6 +27,7 @@ from estimators.preprocessing import mask_record
 from estimators.wiener.segments import dominant_modes, split_segments
 from estimators.wiener.spectral_model import (
     F_LOW,
+    SensedVehicle,
     active_sensors,
     fit_hyperparameters,
     signal_psd,
@@ -34,7 +35,6 @@ from estimators.wiener.spectral_model import (
 )
 from road_envs.data.record import F_C, Record
 from road_envs.sensing.instruments import Instruments, instruments_of
-from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import VehicleParameters
 
 CHECKED_LENGTH = 150.0
@@ -182,9 +182,8 @@ def deviance(
     number of independent spectral lines.
     """
     sensors: Instruments = instruments_of(record, instruments)
-    locations, track = sensors.locations(car), car.front.y_t + car.rear.y_t
     (segment,) = split_segments(mask_record(record, sensors), np.inf, 0.0)
-    model = fit_hyperparameters(build_plant(car.rigid), locations, sensors, segment, track)
+    model = fit_hyperparameters(SensedVehicle.of(car, sensors), segment)
     used, band = active_sensors(segment), (model.f > F_LOW) & (model.f < F_C)
     y = windowed_spectrum(model, segment)[band][:, used]
     C = signal_psd(model, model.noise_psd())[band][:, used][:, :, used]

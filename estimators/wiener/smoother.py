@@ -22,11 +22,11 @@ from scipy.fft import irfft, rfft
 
 from estimators.common.explained import trusted_share, untrusted_note
 from estimators.common.fallback import reduce_unexplained
-from estimators.common.model_inputs import rigid_vehicle
 from estimators.common.odometer import calibrate_odometer
 from estimators.preprocessing import mask_record
 from estimators.wiener.segments import Segment, split_segments
 from estimators.wiener.spectral_model import (
+    SensedVehicle,
     SpectralModel,
     active_sensors,
     apply_response,
@@ -47,7 +47,6 @@ from road_envs.data.record import (
     scored_band,
 )
 from road_envs.sensing.instruments import instruments_of
-from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import VehicleParameters
 
 SEGMENT_LENGTH, SEGMENT_MARGIN = 150.0, 40.0
@@ -94,16 +93,15 @@ def smooth_record(
 
     Raises ConfigError on unknown instruments, RecordError.
     """
-    car, rigid_notes = rigid_vehicle(car)
     record, odometer = calibrate_odometer(record)
-    sensors, plant = instruments_of(record, instruments), build_plant(car)
-    locations, track = sensors.locations(car), car.front.y_t + car.rear.y_t
+    sensors = instruments_of(record, instruments)
+    vehicle = SensedVehicle.of(car, sensors)
     stations = profile_stations(record.length)
     total, total_std, weights = (np.zeros((2, stations.size)) for _ in range(3))
     masked = mask_record(record, sensors)
-    notes, unexplained = [*masked.notes, *odometer, *rigid_notes], 0.0
+    notes, unexplained = [*masked.notes, *odometer], 0.0
     for segment in split_segments(masked, SEGMENT_LENGTH, SEGMENT_MARGIN):
-        model = fit_hyperparameters(plant, locations, sensors, segment, track)
+        model = fit_hyperparameters(vehicle, segment)
         unexplained = max(unexplained, float(np.mean(model.noise_scale)))
         last = list(smooth_segment(model, segment, passes))[-1]
         z, std = to_grid(model, segment, last)

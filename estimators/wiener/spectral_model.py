@@ -10,12 +10,13 @@ wheel paths: one combination of the sensors contains noise alone. A vehicle that
 model appears in this combination too and raises the noise scale.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
+from estimators.common.bending import BODY, SensedBending, sensed_bending
 from estimators.common.conjugate_gradients import conjugate_gradients
 from estimators.wiener.segments import Segment
 from road_envs.analysis.information_bound import (
@@ -30,8 +31,8 @@ from road_envs.analysis.statistical_linearization import (
     nonlinear_residual,
     residual_force_psd,
 )
-from road_envs.sensing.instruments import Instruments, SensorLocation
-from road_envs.vehicle.equations import Plant
+from road_envs.sensing.instruments import Instruments
+from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.linear_model import (
     combine_wheel_paths,
     force_response,
@@ -39,6 +40,7 @@ from road_envs.vehicle.linear_model import (
     strut_rate_response,
     wheel_response,
 )
+from road_envs.vehicle.parameters import VehicleParameters
 
 CIRCLE_PADDING = 40.0
 """Unobserved road [m] appended to a segment before it repeats in the DFT circle."""
@@ -76,6 +78,37 @@ class ShapedRoadPrior(RoadPrior):
         """Return the one-sided displacement PSD [m³] of a wheel path at `n` [cycles/m] > 0."""
         log_shape = np.interp(np.log(n), np.log(ROAD_OCTAVES), np.log(self.shape))
         return super().density(n) * np.exp(log_shape)
+
+
+@dataclass(frozen=True, eq=False)
+class SensedVehicle:
+    """A vehicle as its `instruments` read it: `points` (x, y) [m] whose accelerations they need,
+    `track` [m] of its wheel paths, `contact_length` [m] of its tyres, `bending` of its body.
+    """
+
+    plant: Plant
+    points: dict[str, tuple[Any, ...]]
+    instruments: Instruments
+    track: float
+    contact_length: float
+    bending: SensedBending | None
+
+    @classmethod
+    def of(cls, car: VehicleParameters, instruments: Instruments) -> Self:
+        """Return a vehicle with its instruments. Raises ConfigError."""
+        locations, track = instruments.locations(car), car.front.y_t + car.rear.y_t
+        bending, contact = sensed_bending(car, locations), car.variation.contact_length
+        points = {**locations, **({} if bending is None else BODY)}
+        return cls(build_plant(car), points, instruments, track, contact, bending)
+
+    def readings(self, response: np.ndarray, f: np.ndarray) -> np.ndarray:
+        """Return responses (F, S, K) of the sensors, from those of the `points` at `f` [Hz]."""
+        sensed = response if self.bending is None else self.bending.response(response, f)
+        return sensed * self.instruments.response(f)[:, None, None]
+
+    def envelope(self, n: np.ndarray) -> np.ndarray:
+        """Return by how much the tyres envelop waves of `n` [cycles/m]."""
+        return np.sinc(n * self.contact_length)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,19 +154,13 @@ class SpectralModel:
         return posterior(self.n, self.H, self.S, self.noise_psd(share))
 
 
-def fit_hyperparameters(
-    plant: Plant,
-    locations: Mapping[str, SensorLocation],
-    instruments: Instruments,
-    segment: Segment,
-    track: float,
-) -> SpectralModel:
-    """Return the model of a `segment` with fitted road prior and noise scale; `track` [m]."""
+def fit_hyperparameters(vehicle: SensedVehicle, segment: Segment) -> SpectralModel:
+    """Return the model of a `segment` with fitted road prior and noise scale."""
     size = next_fast_len(segment.a.shape[1] + round(CIRCLE_PADDING / segment.spacing), real=True)
-    prior = ShapedRoadPrior(track=track)
+    prior = ShapedRoadPrior(track=vehicle.track)
     noise_scale = np.ones(size // 2 + 1)
     for k in range(DAMPING_ITERATIONS):
-        model = build_model(plant, locations, instruments, segment, prior, size, noise_scale)
+        model = build_model(vehicle, segment, prior, size, noise_scale)
         lines = windowed_spectrum(model, segment)
         prior, noise_scale = run_em(model, lines, active_sensors(segment))
         if k > 0 and abs(prior.G_d0 / model.prior.G_d0 - 1.0) < LEVEL_TOLERANCE:
@@ -142,37 +169,40 @@ def fit_hyperparameters(
 
 
 def build_model(
-    plant: Plant,
-    locations: Mapping[str, SensorLocation],
-    instruments: Instruments,
+    vehicle: SensedVehicle,
     segment: Segment,
     prior: ShapedRoadPrior,
     size: int,
     noise_scale: np.ndarray,
 ) -> SpectralModel:
     """Return the model of a `segment` for this road `prior` on a circle of `size` stations."""
-    v = segment.v
+    v, plant = segment.v, vehicle.plant
     n = rfftfreq(size, segment.spacing)
     n[0] = 0.5 * n[1]  # at 0 the responses vanish and the prior is infinite
     f = n * v
     damping = equivalent_damping(plant, segment.mode, v, prior)
-    linear = linearise(plant, segment.mode, locations, damping=damping)
-    alias = instruments.response(f)[:, None, None]
+    linear = linearise(plant, segment.mode, vehicle.points, damping=damping)
+    enveloped = vehicle.envelope(n)[:, None, None]
     H_force, X_force = force_response(linear, f)
     law = nonlinear_residual(plant, segment.mode, damping)
-    D = residual_force_psd(linear, law, v, prior.spectrum, f)
+
+    def under_tyres(n: np.ndarray) -> np.ndarray:
+        return prior.spectrum(n) * vehicle.envelope(n)[:, None, None] ** 2
+
+    D = residual_force_psd(linear, law, v, under_tyres, f)
     return SpectralModel(
         size=size,
         n=n,
         f=f,
-        H=combine_wheel_paths(linear, v, f, wheel_response(linear, f)) * alias,
-        X=combine_wheel_paths(linear, v, f, strut_rate_response(linear, f)),
-        H_force=H_force * alias,
+        H=vehicle.readings(combine_wheel_paths(linear, v, f, wheel_response(linear, f)), f)
+        * enveloped,
+        X=combine_wheel_paths(linear, v, f, strut_rate_response(linear, f)) * enveloped,
+        H_force=vehicle.readings(H_force, f),
         X_force=X_force,
         residual_law=law,
         residual_power=np.trapezoid(np.real(np.einsum("fww->wf", D)), f),
         residual_psd=D * v,
-        sensor_psd=max(instruments.noise_density, 1e-6) ** 2 * v,
+        sensor_psd=max(vehicle.instruments.noise_density, 1e-6) ** 2 * v,
         prior=prior,
         S=prior.spectrum(n),
         noise_scale=noise_scale,

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from road_envs.vehicle.equations import N_DOF, Plant, build_plant, equilibrium
+from road_envs.vehicle.equations import Plant, build_plant, equilibrium
 from road_envs.vehicle.linear_model import (
     LinearModel,
     combine_wheel_paths,
@@ -71,7 +71,7 @@ def nonlinear_residual(
     """Return the residual of a mode beyond `damping` (4,) [N s/m] and the spring rates at rest."""
     plant = car if isinstance(car, Plant) else build_plant(car)
     rest = equilibrium(plant, settled_strut_state(encode_command(mode)), np.zeros(4))
-    e_0 = (linearise(plant, mode, {}, damping=damping).strut_rows @ rest[:N_DOF])[:, None]
+    e_0 = (linearise(plant, mode, {}, damping=damping).strut_rows @ rest[: rest.size // 2])[:, None]
     e, e_dot = np.linspace(-0.2, 0.25, 1801), np.linspace(-3.0, 3.0, 6001)
     no_rate = np.zeros((4, 1))
     F_0 = strut_forces(plant, mode, e_0, no_rate)

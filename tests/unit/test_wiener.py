@@ -17,6 +17,7 @@ from estimators.wiener import smoother, spectral_model
 from estimators.wiener.segments import Segment, split_segments
 from estimators.wiener.smoother import gaussian_expectation
 from estimators.wiener.spectral_model import (
+    SensedVehicle,
     ShapedRoadPrior,
     SpectralModel,
     build_model,
@@ -31,9 +32,10 @@ from road_envs.config import ConfigError
 from road_envs.data.record import PROFILE_SPACING, profile_stations, scored_band
 from road_envs.data.recording import simulate_record
 from road_envs.roads import load_road, with_length
+from road_envs.roads.surface import Surface, enveloped
 from road_envs.sensing.instruments import load_instruments
-from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.force_curves import Curve
+from road_envs.vehicle.perturbed_vehicle import perturb_vehicle
 from road_envs.vehicle.struts import ModeCurves
 
 PAPER = load_instruments("paper")
@@ -138,6 +140,26 @@ def test_intervals_have_the_stated_coverage(name):
     assert most == pytest.approx(0.9, abs=0.08)
 
 
+# --- vehicles that twist and bend -----------------------------------------------------------------
+
+
+def test_a_flexible_vehicle_that_is_known_costs_no_accuracy():
+    given = {"vehicle": DEFENDER, "speed_kmh": 54.0, "mode": SPLIT, "length": 50.0}
+    record, truth = simulate_record("iso_d", **given, instruments=PAPER, seed=901, grade="S2")
+    car = perturb_vehicle(DEFENDER, "S2", 901).car
+    assert in_band(create("iterated_wiener").estimate(record, car), truth, 54.0) < 0.10
+
+
+def test_waves_are_enveloped_as_on_an_enveloped_surface():
+    s, car = np.arange(0.0, 40.0, 0.01), perturb_vehicle(DEFENDER, "S2", 3).car
+    vehicle, L = SensedVehicle.of(car, PAPER), car.variation.contact_length
+    for n in (0.5, 2.0):
+        z = np.tile(np.sin(2.0 * np.pi * n * s), (2, 1))
+        smooth = enveloped(Surface(z=z, ds=0.01, start=0.0), L).height(s[500:-500])
+        factor = smooth.std() / z[:, 500:-500].std()
+        assert vehicle.envelope(np.array([n]))[0] == pytest.approx(factor, rel=2e-3)
+
+
 # --- hyperparameters of a segment -----------------------------------------------------------------
 
 
@@ -156,9 +178,10 @@ def synthetic_segment(
         mode,
         (0.0, M * stride * PROFILE_SPACING),
     )
-    one, prior = build_plant(DEFENDER), ShapedRoadPrior(G_d0=level, w=w)
-    locations = PAPER.locations(DEFENDER)
-    model = build_model(one, locations, PAPER, segment, prior, size, np.full(size // 2 + 1, noise))
+    prior = ShapedRoadPrior(G_d0=level, w=w)
+    model = build_model(
+        SensedVehicle.of(DEFENDER, PAPER), segment, prior, size, np.full(size // 2 + 1, noise)
+    )
     rng = np.random.default_rng(seed)
     spectrum = model.H @ model.S @ np.conj(model.H.swapaxes(1, 2)) + model.noise_psd()
     root = np.linalg.cholesky(spectrum + 1e-18 * np.eye(3))
@@ -173,9 +196,7 @@ def test_the_road_level_is_estimated_from_the_record(level):
     found = []
     for seed in (1, 2, 3):
         segment, _ = synthetic_segment(level, 1.0, seed)
-        fitted = fit_hyperparameters(
-            build_plant(DEFENDER), PAPER.locations(DEFENDER), PAPER, segment, 1.5
-        )
+        fitted = fit_hyperparameters(SensedVehicle.of(DEFENDER, PAPER), segment)
         found.append(10.0 * np.log10(fitted.prior.G_d0 / level))
     assert abs(np.mean(found)) < 0.5
 
@@ -184,9 +205,7 @@ def test_the_road_level_is_estimated_from_the_record(level):
 def test_a_waviness_other_than_the_prior_is_estimated(w):
     """By octave within 1.5 dB of the true level; the prior is up to 4 dB off."""
     segment, model = synthetic_segment(1024e-6, 1.0, 7, w=w)
-    fitted = fit_hyperparameters(
-        build_plant(DEFENDER), PAPER.locations(DEFENDER), PAPER, segment, 1.5
-    )
+    fitted = fit_hyperparameters(SensedVehicle.of(DEFENDER, PAPER), segment)
     octaves = np.array([0.25, 0.5, 1.0, 2.0])
     found = 10.0 * np.log10(fitted.prior.density(octaves) / model.prior.density(octaves))
     assert np.abs(found).max() < 1.5
