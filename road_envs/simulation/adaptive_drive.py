@@ -1,10 +1,21 @@
-"""Simulation of the vehicle with error control: the pair of `ode23s`, compiled.
+"""Simulation of the vehicle with error control: `ode23s`, the integrator of the paper.
 
-A step is `rosenbrock.step`, the same code as at a constant step; the third stage of `ode23s` then
-estimates its error. With k = (k_q, k_v) and R the right-hand side of the third stage, it reduces to
-the seven rates like the other two, with the same factorization:
+A Rosenbrock pair of orders 2 and 3, after Shampine & Reichelt (1997), "The MATLAB ODE suite", SIAM
+J. Sci. Comput. 18, section 3.1, doi 10.1137/S1064827594276424. A step is `rosenbrock.step`, the
+same code as at a constant step, from F_0 to y_1 by the stages k_1 and k_2; F_1 is the rate at the
+second. The third stage,
+
+    W k_3 = R = F(t + h, y_1) - e_32 (k_2 - F_1) - 2 (k_1 - F_0) + h d df/dt,    e_32 = 6 + sqrt 2
+
+gives the difference to a formula of order 3, h (k_1 - 2 k_2 + k_3) / 6, which is the estimate of
+the error. With k = (k_q, k_v) it reduces to the seven rates like the other two stages, with the
+same factorization:
 
     (M + h d C + (h d)² K) k_3v = M R_v - h d K R_q,    k_3q = R_q + h d k_3v
+
+Within a step the motion is the quadratic of the same source (its section on free interpolants),
+
+    y(t + x h) = y + h (x (1 - x) k_1 + x (x - 2 d) k_2) / (1 - 2 d),   0 <= x <= 1
 
 df/dt needs the road's second derivative, a finite difference over half the step. Only drives
 straight ahead, at constant speed and in one mode are supported; use `drive` for all others.
@@ -20,7 +31,6 @@ from road_envs._numba import kernel
 from road_envs.roads.surface import Surface
 from road_envs.simulation.block_elimination import solve_factored
 from road_envs.simulation.drive import DriveSimulator, SimulationError, Trajectory
-from road_envs.simulation.ode23s import E_32, dense_output_weights, step_size_factor
 from road_envs.simulation.rosenbrock import (
     ACCELERATION,
     EXTENSION,
@@ -48,8 +58,22 @@ from road_envs.vehicle.equations import (
 from road_envs.vehicle.parameters import DEFAULT_STEP, VehicleParameters
 from road_envs.vehicle.suspension import DAMPING_HIGH, VALVE_OPEN, tyre_force
 
+E_32 = 6.0 + np.sqrt(2.0)
+
 MAX_STEP = 0.01
 """Default longest step [s]: 150 mm of road at 54 km/h, sampled at three points."""
+
+
+@kernel
+def step_size_factor(error):
+    """Return the factor from this step to the next, for an `error` in units of the tolerance.
+
+    The error is of order h³, hence the cube root. 0.8 is a safety factor, and the result is limited
+    to 0.2 ... 5. A NaN gives the smallest factor.
+    """
+    if error > 0.0:
+        return min(max(0.8 * error ** (-1.0 / 3.0), 0.2), 5.0)
+    return 5.0 if error == 0.0 else 0.2
 
 
 @kernel
@@ -89,7 +113,7 @@ def step_error(vehicle, signals_0, y, road, h, work, k_3):
 @kernel
 def dense_output(signals_0, work, h, x, y):
     """Write the state (14,) at the fraction `x` of the step just taken to `y`."""
-    b_1, b_2 = dense_output_weights(x)
+    b_1, b_2 = x * (1.0 - x) / (1.0 - 2.0 * D), x * (x - 2.0 * D) / (1.0 - 2.0 * D)
     for j in range(N_DOF):
         k_2q, k_2v = work.k_q[j] + work.r[j] + h * D * work.f[j], work.g[j] + work.f[j]
         y[j] = signals_0[j] + h * (b_1 * work.k_q[j] + b_2 * k_2q)

@@ -336,12 +336,21 @@ def second_accumulator(e, e_dot, stiff, times, *, u_0, e_2_0, ratio, lag, equali
 
 
 def ode23s_step(f, jacobian, f_t, t, y, h):
-    """Return one step of the formula of Shampine & Reichelt (1997), with full matrices."""
-    d = 1.0 / (2.0 + np.sqrt(2.0))
-    W = np.eye(y.size) - h * d * jacobian(t, y)
-    k_1 = np.linalg.solve(W, f(t, y) + h * d * f_t(t, y))
-    k_2 = np.linalg.solve(W, f(t + 0.5 * h, y + 0.5 * h * k_1) - k_1) + k_1
-    return y + h * k_2
+    """Return the state after one step of the pair of Shampine & Reichelt (1997), section 3.1, with
+    full matrices; its error estimate; and a function of x, 0 to 1, the state at t + x h.
+    """
+    d, e_32 = 1.0 / (2.0 + np.sqrt(2.0)), 6.0 + np.sqrt(2.0)
+    W, T, F_0 = np.eye(y.size) - h * d * jacobian(t, y), h * d * f_t(t, y), f(t, y)
+    k_1 = np.linalg.solve(W, F_0 + T)
+    F_1 = f(t + 0.5 * h, y + 0.5 * h * k_1)
+    k_2 = np.linalg.solve(W, F_1 - k_1) + k_1
+    F_2 = f(t + h, y + h * k_2)
+    k_3 = np.linalg.solve(W, F_2 - e_32 * (k_2 - F_1) - 2.0 * (k_1 - F_0) + T)
+
+    def dense(x):
+        return y + h * (x * (1.0 - x) * k_1 + x * (x - 2.0 * d) * k_2) / (1.0 - 2.0 * d)
+
+    return y + h * k_2, h / 6.0 * (k_1 - 2.0 * k_2 + k_3), dense
 
 
 def point_acceleration(heave, roll, pitch, x, y):

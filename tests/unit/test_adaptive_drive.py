@@ -3,12 +3,13 @@
 from functools import cache
 
 import numpy as np
+import oracles
 import pytest
 from scipy.integrate import solve_ivp
 from vehicle_fixtures import CARS, PLANTS, VARIED_PLANTS, smooth_road
 
 from road_envs.roads import load_road
-from road_envs.simulation import adaptive_drive, ode23s, rosenbrock
+from road_envs.simulation import adaptive_drive, rosenbrock
 from road_envs.simulation.adaptive_drive import integrate_adaptive, simulate_adaptive
 from road_envs.simulation.drive import DriveSimulator, SimulationError, simulate
 from road_envs.simulation.speed import speed_ramp
@@ -68,7 +69,7 @@ def test_the_compiled_step_and_its_error_equal_the_published_pair(name, mode, h)
     T, (f_l, f_r, r_l, r_r) = np.zeros(14), force
     T[10:] = f_l + f_r, p["y_t"][0] * (f_l - f_r), r_l + r_r, p["y_t"][2] * (r_l - r_r)
     T[7:] /= p["M"]
-    expected = ode23s.step(rate, t, y, rate(t, y), J(t, y), T, h)
+    expected, difference, between = oracles.ode23s_step(rate, J, lambda t, y: T, t, y, h)
 
     vehicle = simulator.plant.buffers(simulator.strut_state)
     work, before = rosenbrock.step_workspace(np.empty(rosenbrock.WORKSPACE_ROWS)), np.empty(29)
@@ -77,14 +78,20 @@ def test_the_compiled_step_and_its_error_equal_the_published_pair(name, mode, h)
     rosenbrock.step(vehicle, Motion(result[:7], result[7:]), inputs, h, work, before)
     assert before[25:].min() > 0.0
     adaptive_drive.step_error(vehicle, before, result, under, h, work, error)
-    np.testing.assert_allclose(result, expected.y, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(error, expected.error, rtol=1e-6, atol=1e-11)
+    np.testing.assert_allclose(result, expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(error, difference, rtol=1e-6, atol=1e-11)
     assert np.abs(error).max() > 1e-8
     for x in (0.0, 0.3, 1.0):
-        dense, (b_1, b_2) = np.empty(14), ode23s.dense_output_weights(x)
+        dense = np.empty(14)
         adaptive_drive.dense_output(before, work, h, x, dense)
-        there = y + h * (b_1 * expected.k_1 + b_2 * expected.k_2)
-        np.testing.assert_allclose(dense, there, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(dense, between(x), rtol=1e-9, atol=1e-12)
+
+
+def test_the_step_size_factor_is_a_limited_cube_root_of_the_error():
+    factor = adaptive_drive.step_size_factor
+    assert [factor(x) for x in (1.0, 0.125, 8.0)] == pytest.approx([0.8, 1.6, 0.4])
+    assert factor(0.0) == factor(1e-9) == 5.0
+    assert factor(1e9) == factor(np.nan) == factor(np.inf) == 0.2
 
 
 @every_car

@@ -7,10 +7,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from vector_checker import VectorCheckError, check_vector_env
 
 import road_envs
 from road_envs.config import ConfigError
-from road_envs.envs.checker import VectorCheckError, check_vector_env
 from road_envs.envs.road_recon import RoadReconEnv
 from road_envs.envs.vector import RoadReconVectorEnv
 from road_envs.simulation.instrumented_fleet import InstrumentedFleet
