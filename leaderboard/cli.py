@@ -5,37 +5,22 @@ traceback.
 """
 
 import sys
-from collections.abc import Mapping
 from typing import ClassVar
 
 import typer
 
-from leaderboard.lazy_commands import CommandEntry, LazyGroup, new_app
+from leaderboard.lazy_commands import LazyGroup, Sections, new_app
 from road_envs import __version__
-
-PACKAGE = "leaderboard.commands"
-
-
-def _entry(target: str, text: str) -> CommandEntry:
-    return CommandEntry(f"{PACKAGE}.{target}", text)
 
 
 class Roads(LazyGroup):
     """Subcommands of `road-recon roads`."""
 
-    sections: ClassVar[Mapping[str, Mapping[str, CommandEntry]]] = {
+    sections: ClassVar[Sections] = {
         "Commands": {
-            "list": _entry(
-                "roads:list_roads", "List the shipped roads, each realised with seed 1."
-            ),
-            "plot": _entry(
-                "roads:plot_road",
-                "Plot both wheel paths of a road, and their PSD over the ISO 8608 classes.",
-            ),
-            "export": _entry(
-                "roads:export",
-                "Write both wheel paths of a road to a file that can be read back as a road.",
-            ),
+            "list": "roads:list_roads",
+            "plot": "roads:plot_road",
+            "export": "roads:export",
         }
     }
 
@@ -49,108 +34,39 @@ def _roads() -> None:
 
 
 class RoadRecon(LazyGroup):
-    """All subcommands, with the first sentence of their docstrings."""
+    """All subcommands."""
 
-    sections: ClassVar[Mapping[str, Mapping[str, CommandEntry]]] = {
+    sections: ClassVar[Sections] = {
         "Drives and roads": {
-            "simulate": _entry(
-                "simulate:simulate",
-                "Simulate a drive over a road and record the signals of the instruments.",
-            ),
-            "dataset": _entry(
-                "dataset:dataset",
-                "Write simulated drives with true roads as Parquet: splits, card, licence, "
-                "checksums.",
-            ),
-            "roads": CommandEntry(roads, "List, plot and export roads."),
-            "animate": _entry(
-                "animate:animate",
-                "Draw the vehicle on its road: ride for the first half, handling for the second.",
-            ),
+            "simulate": "simulate:simulate",
+            "dataset": "dataset:dataset",
+            "roads": roads,
+            "animate": "animate:animate",
         },
         "Estimates": {
-            "report": _entry(
-                "report:report",
-                "Report IRI, ISO class, condition and obstacles of a driven road: a page, CSV, "
-                "GeoJSON.",
-            ),
-            "estimate": _entry(
-                "estimate:estimate",
-                "Reconstruct both wheel paths of a record; score them if the truth is given.",
-            ),
-            "classify": _entry(
-                "estimate:classify",
-                "Estimate the ISO 8608 class of the road of a record, with its probability.",
-            ),
-            "identify": _entry(
-                "identify:identify",
-                "Identify a vehicle's parameters from calibration drives, and write its file.",
-            ),
-            "train": _entry(
-                "simulate:train", "Train an estimator on simulated or own drives and store it."
-            ),
-            "observability": _entry(
-                "observability:observability",
-                "Compute bounds on the error of an estimate by mode and speed, and plot them over "
-                "frequency.",
-            ),
-            "new-estimator": _entry(
-                "scaffold:new_estimator", "Write a small working package with a new estimator."
-            ),
-            "check-estimator": _entry(
-                "check:check_estimator",
-                "Check whether an estimator is ready for a board; exit status 1 if a check fails.",
-            ),
+            "report": "report:report",
+            "estimate": "estimate:estimate",
+            "classify": "estimate:classify",
+            "identify": "identify:identify",
+            "train": "simulate:train",
+            "observability": "observability:observability",
+            "new-estimator": "scaffold:new_estimator",
+            "check-estimator": "check:check_estimator",
         },
         "Leaderboard": {
-            "leaderboard": _entry(
-                "board:leaderboard",
-                "Evaluate estimators: a result file per task and estimator, tables, and a site.",
-            ),
-            "run-job": _entry(
-                "jobs:run_job",
-                "Run one job and store its results for the next `leaderboard --out`.",
-            ),
-            "season": _entry(
-                "hidden_seeds:season",
-                "Publish the hash of a hidden test set, and later, with --reveal, its seeds.",
-            ),
-            "paper": _entry(
-                "paper:paper",
-                "Reproduce the paper: a page with its figures, and all numbers as JSON.",
-            ),
+            "leaderboard": "board:leaderboard",
+            "run-job": "jobs:run_job",
+            "season": "hidden_seeds:season",
+            "paper": "paper:paper",
         },
         "Switching policies": {
-            "policies": _entry(
-                "policies:policies",
-                "Compare policies by comfort, handling and estimation error on held-out roads.",
-            ),
-            "new-policy": _entry(
-                "scaffold:new_policy", "Write a small working package with a new switching policy."
-            ),
-            "check-policy": _entry(
-                "check_policy:check_policy",
-                "Check whether a policy is ready for a comparison; exit status 1 if a check fails.",
-            ),
-            "tune-policy": _entry(
-                "policies:tune_policy", "Search the settings of a policy on training roads only."
-            ),
-            "train-policy": _entry(
-                "policies:train_policy",
-                "Train a policy with Stable-Baselines3 on training roads, evaluate it on "
-                "held-out ones.",
-            ),
+            "policies": "policies:policies",
+            "new-policy": "scaffold:new_policy",
+            "check-policy": "check_policy:check_policy",
+            "tune-policy": "policies:tune_policy",
+            "train-policy": "policies:train_policy",
         },
-        "Speed and precision": {
-            "bench": _entry(
-                "bench:bench",
-                "Measure speed and memory, compare with other packages, and print a table.",
-            ),
-            "precision": _entry(
-                "precision:precision",
-                "Measure error over cost of the integrators and of other packages on one drive.",
-            ),
-        },
+        "Speed and precision": {"bench": "bench:bench", "precision": "precision:precision"},
     }
 
 

@@ -1,11 +1,14 @@
 """Command groups that import the module of a command when it is called, and help in sections.
 
-The help of a group is read from its table, so `road-recon --help` imports no command.
+The help of a group shows the docstrings of its commands as they stand in their files, so
+`road-recon --help` imports no command.
 """
 
+import ast
 from collections.abc import Iterator, Mapping
 from importlib import import_module
-from typing import Any, ClassVar, NamedTuple
+from pathlib import Path
+from typing import Any, ClassVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -14,11 +17,10 @@ INTERRUPTED = 130
 """Exit status after SIGINT: 128 and the number of the signal, as shells have it."""
 
 
-class CommandEntry(NamedTuple):
-    """A command of a group: "module:function" or a Typer app, and its line in the help."""
+PACKAGE = "leaderboard.commands"
 
-    target: str | typer.Typer
-    help: str
+Sections = Mapping[str, Mapping[str, str | typer.Typer]]
+"""Commands by name, by heading of the help: "module:function" of PACKAGE, or a Typer app."""
 
 
 OPTION_SECTIONS = {
@@ -56,12 +58,12 @@ class SectionedCommand(TyperCommand):
 class _Commands(Mapping):
     """Commands by name, each imported and built when it is looked up."""
 
-    def __init__(self, entries: Mapping[str, CommandEntry]):
+    def __init__(self, entries: Mapping[str, str | typer.Typer]):
         self._entries, self._built = entries, dict[str, Any]()
 
     def __getitem__(self, name: str) -> Any:
         if name not in self._built:
-            self._built[name] = _build(name, self._entries[name].target)
+            self._built[name] = _build(name, self._entries[name])
         return self._built[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -74,8 +76,7 @@ class _Commands(Mapping):
 class LazyGroup(TyperGroup):
     """A group of commands from a table; a subclass sets `sections`."""
 
-    sections: ClassVar[Mapping[str, Mapping[str, CommandEntry]]] = {}
-    """Commands by name, by heading of the help."""
+    sections: ClassVar[Sections] = {}
 
     def __init__(self, *args: Any, **settings: Any):
         super().__init__(*args, **settings)
@@ -90,7 +91,7 @@ class LazyGroup(TyperGroup):
         """Write the commands by section."""
         for title, entries in self.sections.items():
             with formatter.section(title):
-                formatter.write_dl([(name, entry.help) for name, entry in entries.items()])
+                formatter.write_dl([(name, help_line(target)) for name, target in entries.items()])
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command; SIGINT ends it with one sentence and exit status 130."""
@@ -101,6 +102,17 @@ class LazyGroup(TyperGroup):
             raise typer.Exit(INTERRUPTED) from None
 
 
+def help_line(target: str | typer.Typer) -> str:
+    """Return the first paragraph of the docstring of a command, or the help of an app."""
+    if isinstance(target, typer.Typer):
+        return str(target.info.help)
+    module, _, function = target.partition(":")
+    path = Path(__file__).parent / PACKAGE.rpartition(".")[2] / f"{module}.py"
+    nodes = ast.parse(path.read_text(encoding="utf-8")).body
+    texts = {n.name: ast.get_docstring(n) for n in nodes if isinstance(n, ast.FunctionDef)}
+    return " ".join((texts[function] or "").partition("\n\n")[0].split())
+
+
 def _build(name: str, target: str | typer.Typer) -> Any:
     if isinstance(target, typer.Typer):
         command = typer.main.get_command(target)
@@ -108,7 +120,7 @@ def _build(name: str, target: str | typer.Typer) -> Any:
         return command
     module, _, function = target.partition(":")
     app = new_app()
-    app.command(name, cls=SectionedCommand)(getattr(import_module(module), function))
+    app.command(name, cls=SectionedCommand)(getattr(import_module(f"{PACKAGE}.{module}"), function))
     return typer.main.get_command(app)
 
 
