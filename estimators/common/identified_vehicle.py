@@ -27,6 +27,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 if TYPE_CHECKING:
     from estimators.map_smoother.identification import IdentificationResult
+    from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 
 IDENTIFICATION = "estimators.map_smoother.identification"
 """Module that identifies vehicles; imported when it is needed, since estimators import this one."""
@@ -35,18 +36,32 @@ IDENTIFICATION = "estimators.map_smoother.identification"
 @dataclass(frozen=True, kw_only=True)
 class IdentifiedVehicle:
     """A vehicle with its instruments: `gain` of each accelerometer, and `displacement` [m] that its
-    odometer lacks.
+    odometer lacks; `covariance` as in `VehicleUncertainty`, of the parameters that have tolerances.
     """
 
     car: VehicleParameters
     gain: tuple[float, ...] = (1.0, 1.0, 1.0)
     displacement: float = 0.0
+    covariance: tuple[tuple[float, ...], ...] = ()
 
     @classmethod
     def of(cls, result: "IdentificationResult") -> Self:
         """Return what an identification has found."""
-        gain, displacement = result.sensor_gains, result.displacement
-        return cls(car=result.car, gain=gain, displacement=displacement)
+        return cls(
+            car=result.car,
+            gain=result.sensor_gains,
+            displacement=result.displacement,
+            covariance=tuple(map(tuple, result.uncertainty.covariance.tolist())),
+        )
+
+    @property
+    def uncertainty(self) -> "VehicleUncertainty | None":
+        """What is not known of the vehicle, None if nothing is said about it."""
+        from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
+
+        if not self.covariance:
+            return None
+        return VehicleUncertainty(self.car, tuple(self.car.tolerances), np.array(self.covariance))
 
     def correct(self, record: Record) -> Record:
         """Return the record without these errors of the instruments. Raises CalibrationError."""

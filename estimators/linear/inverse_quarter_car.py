@@ -19,12 +19,19 @@ which is R above `f_low` (H_0 is |1 / R| there) and tends to zero below it. From
 response fades to zero. The band is therefore f_low / v to 25 Hz / v: 0.07 to 6.2 cycles/m at
 14.5 km/h, 0.02 to 1.7 cycles/m at 54 km/h.
 
-Within the band the mean of the wheel paths is exact if equal corners are uncoupled (body as four
-point masses over its struts, axles as two under them). Their difference is not: the rigid body's
-roll responds to the mean of front and rear, so the fraction cos²(pi n wheelbase) of the difference
-is recovered at the spatial frequency n.
+R knows no resonance of the body and no coupling of the corners, and exaggerates the road where
+either moves the body. Roads have spectra near S = S_0 / f² at constant speed (ISO 8608, w = 2), so
+mean and half difference of the wheel paths under each axle are weighted as Wiener's filter does, by
+S / (S + N): S + N is the spectrum of the inverse itself in third octaves, S_0 the median of
+f² (S + N) over them.
 
-Limitations: errors of half the road's level and more on any vehicle, for that reason and others.
+Without these weights (`weigh`), the mean of the wheel paths is exact if equal corners are uncoupled
+(body as four point masses over its struts, axles as two under them). Their difference is not: the
+rigid body's roll responds to the mean of front and rear, so the fraction cos²(pi n wheelbase) of
+the difference is recovered at the spatial frequency n.
+
+Limitations: errors of half the road's level and more on any vehicle, for that reason and others;
+the weights take a road of single obstacles for a smooth one with noise.
 The Defender's body has 0.72 of the pitch inertia and 1.31 of the roll inertia of uncoupled corners,
 and its struts stand further in than its wheels. The error in the scored band is 0.52 to 0.66 of the
 road's level for a linear Defender, and about the same with friction.
@@ -32,6 +39,7 @@ road's level for a linear Defender, and about the same with friction.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
@@ -55,6 +63,13 @@ FADE_RATIO = 1.2
 
 MIN_LEVER = 0.1
 """Least singular value of the sensors' lever arms [m]: with less, noise hides the rotations."""
+
+OCTAVE_SHARE = 1.0 / 3.0
+"""Width of the bands in which the spectrum of the inverse is averaged, in octaves."""
+
+PATHS = 0.5 * np.array([[1.0, 1.0, 0.0, 0.0], [1.0, -1.0, 0.0, 0.0],
+                        [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 1.0, -1.0]])  # fmt: skip
+"""From heights in wheel order to mean and half difference under the front and the rear axle."""
 
 INITIAL_RATE_STD, DAMPING_ITERATIONS = 0.1, 4
 """Initial standard deviation [m/s] of the struts' rates, and number of damper updates."""
@@ -87,12 +102,16 @@ class QuarterCars(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class InverseQuarterCar(Settings):
-    """For a vehicle with these `instruments`; below `f_low` [Hz] nothing is estimated."""
+    """For a vehicle with these `instruments`; below `f_low` [Hz] nothing is estimated.
+
+    `weigh`: lines are weighted by what is plausible of a road; if not, the inverse is plain.
+    """
 
     causal: ClassVar[bool] = False
 
     instruments: str = "paper"
     f_low: Annotated[float, Field(gt=0, lt=F_C), "Hz", "lower end of the band"] = 0.3
+    weigh: bool = True
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths. Raises ConfigError, RecordError."""
@@ -110,7 +129,10 @@ class InverseQuarterCar(Settings):
         corners = fit_corners(build_plant(car.rigid), car, mode, f, lines, samples)
         R = corners.inverse(f)
         H_0 = 1.0 / np.abs(corners.inverse(np.array([self.f_low])))
-        z = irfft(lines * R / (1.0 + np.abs(R * H_0) ** 2), size)[:, :samples]
+        heights = lines * R / (1.0 + np.abs(R * H_0) ** 2)
+        if self.weigh:
+            heights = weigh_by_road(heights, f, 2.0 * self.f_low)
+        z = irfft(heights, size)[:, :samples]
         lowest, highest = self.f_low / record.v.max(), F_C / record.v.max()
         band = f"waves from {lowest:.2g} to {highest:.2g} cycles/m are estimated"
         stations = profile_stations(record.length)
@@ -179,6 +201,23 @@ def fit_corners(
         e_dot = irfft(2j * np.pi * f * corners.extension(f) * lines)[:, :samples]
         rate = np.maximum(e_dot.std(axis=1), 1e-3)
     return corners
+
+
+def weigh_by_road(heights: np.ndarray, f: np.ndarray, f_low: float) -> np.ndarray:
+    """Return the spectra `heights` (4, F) under the wheels at `f` (F,) [Hz], weighted as Wiener's
+    filter would for roads with a spectrum in proportion to 1 / f² from `f_low` on.
+    """
+    paths = PATHS @ heights
+    bands = round(np.log2(F_C / f_low) / OCTAVE_SHARE)
+    edges = np.geomspace(f_low, F_C, bands + 1)
+    power, weights = np.abs(f * paths) ** 2, np.ones_like(f) * np.ones((4, 1))
+    inside = [band for lo, hi in pairwise(edges) if (band := (f >= lo) & (f < hi)).any()]
+    centre = np.array([np.log(f[band]).mean() for band in inside])
+    for row, lines in zip(weights, power, strict=True):
+        level = np.array([lines[band].mean() for band in inside])
+        if level.size and level.min() > 0.0:
+            row[:] = np.interp(np.log(f), centre, np.minimum(1.0, np.median(level) / level))
+    return np.linalg.inv(PATHS) @ (weights * paths)
 
 
 def merge_axles(record: Record, z: np.ndarray, wheelbase: float) -> np.ndarray:

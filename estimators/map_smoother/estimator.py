@@ -59,6 +59,7 @@ from estimators.map_smoother.passes import estimate_jointly
 from estimators.map_smoother.posterior_sampling import posterior_std
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.speed_error import distance_scale, estimate_speed_error
+from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 from estimators.map_smoother.wheel_liftoff import distance_in_air
 from estimators.map_smoother.windows import MARGIN, PreparedDrive, reconstruct, split_windows
 from estimators.preprocessing import clipped_signs, mask_record
@@ -150,7 +151,8 @@ class MapSmoother(CalibratedByIdentification):
 
     def _estimate_adapting(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths, also with elements that the description leaves out."""
-        first, findings = self._estimate(record, car)
+        known = None if self.identified is None else self.identified.uncertainty
+        first, findings = self._estimate(record, car, known)
         left = findings.left_by_fit
         if findings.speed_errors and not findings.fit:  # places need the vehicle, flights or not
             left = max(left, findings.noise_scale)
@@ -160,8 +162,8 @@ class MapSmoother(CalibratedByIdentification):
 
         told = replace(self, adapt=False)
         try:  # the vehicle may have elements that its description leaves out
-            found = identify_structure(record, car, told)
-            second, flexible = told._estimate(record, found)
+            found, uncertainty = identify_structure(record, car, told)
+            second, flexible = told._estimate(record, found, uncertainty)
         except (CalibrationError, ArithmeticError):
             return first
         if flexible.noise_scale > STRUCTURE_GAIN * left:
@@ -169,8 +171,16 @@ class MapSmoother(CalibratedByIdentification):
         note = f"the vehicle was found to {_describe_modes(found)}, and adapted to the drive"
         return replace(second, notes=(*second.notes, note))
 
-    def _estimate(self, record: Record, car: VehicleParameters) -> tuple[Estimate, "_Findings"]:
-        """Return both wheel paths, and what was found beside them."""
+    def _estimate(
+        self,
+        record: Record,
+        car: VehicleParameters,
+        uncertainty: VehicleUncertainty | None = None,
+    ) -> tuple[Estimate, "_Findings"]:
+        """Return both wheel paths, and what was found beside them.
+
+        `uncertainty` is that of a vehicle that was identified.
+        """
         instruments = instruments_of(record, self.instruments)
         record, valid, notes = mask_record(record, instruments)
         model = self.measurement_model(record, car, instruments)
@@ -209,7 +219,10 @@ class MapSmoother(CalibratedByIdentification):
             findings.in_air += distance_in_air(solution.linearization)
             if model.speed_std > 0.0:
                 findings.speed_errors.append(estimate_speed_error(solution))
-            return solution, posterior_std(solution, band, self.draws, seed=0)
+            uncertain = uncertainty
+            if findings.fit:
+                uncertain = VehicleUncertainty.of_fit(findings.fit)
+            return solution, posterior_std(solution, band, self.draws, 0, uncertain)
 
         result, noise_scales = reconstruct(model, drive, prior, windows, solve)
         noise_scale = findings.noise_scale = float(max(noise_scales))

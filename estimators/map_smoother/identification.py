@@ -34,6 +34,7 @@ from estimators.map_smoother.instrument_errors import InstrumentErrors
 from estimators.map_smoother.known_road import check_profile, on_profile
 from estimators.map_smoother.objective import Objective, linearize
 from estimators.map_smoother.preconditioner import stationary_hessian
+from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty, inflated_std
 from estimators.map_smoother.windows import initial_window_state, window_objective
 from estimators.preprocessing import mask_record
 from road_envs.analysis.information_bound import RoadPrior
@@ -66,10 +67,6 @@ STRUCTURE_GAIN = 0.5
 """Share of the unexplained power of held-out readings that elements which the description leaves
 out may leave at most, to be believed."""
 
-UNKNOWN_STD_INFLATION = 4.0
-"""Factor on posterior standard deviations over unmeasured roads, for what Laplace's approximation
-and the road's estimated prior leave out (`leaderboard/benchmarks/identified_parameters.py`)."""
-
 WHEELBASE_MARGIN = 4.0
 """Distance [m] after the beginning of a profile at which all wheels are on it."""
 
@@ -87,13 +84,15 @@ class Unexplained:
 
 @dataclass(frozen=True, eq=False)
 class IdentificationResult:
-    """Result: the `fit`, the identified `car`, and what the described and the identified vehicle
-    leave `unexplained` in the held-out part of each drive.
+    """Result: the `fit`, the identified `car`, the standard deviations `std` (P,) of its
+    parameters, what is not known of it, and what the described and the identified vehicle leave
+    `unexplained` in the held-out part of each drive.
     """
 
     fit: CarFit
     car: VehicleParameters
     std: np.ndarray
+    uncertainty: VehicleUncertainty
     unexplained: tuple[tuple[Unexplained, Unexplained], ...]
 
     @property
@@ -174,26 +173,30 @@ def _identify(
     structure: bool,
 ) -> IdentificationResult:
     """Identify a vehicle from the first part of each drive, and judge it on the second."""
-    fit, std = _fit([first for first, _ in parts], car, smoother, structure)
+    fit, known = _fit([first for first, _ in parts], car, smoother, structure)
+    std, uncertainty = inflated_std(fit.std, known), VehicleUncertainty.of_fit(fit, known)
     found = fit.x[fit.space.size :]
     unexplained = tuple(
         (_unexplained(rest, car, smoother), _unexplained(rest, fit.car, smoother, found))
         for _, rest in parts
     )
-    return IdentificationResult(fit, _with_posterior(fit, car, std), std, unexplained)
+    identified = _with_posterior(fit, car, std)
+    return IdentificationResult(fit, identified, std, uncertainty, unexplained)
 
 
 def identify_structure(
     record: Record, car: VehicleParameters, smoother: MapSmoother
-) -> VehicleParameters:
+) -> tuple[VehicleParameters, VehicleUncertainty]:
     """Return `car` with the elements that its description leaves out, by one drive, unjudged.
 
-    Raises CalibrationError on a drive that is too short, too slow or too smooth.
+    Beside it, what is not known of it. Raises CalibrationError on a drive that is too short, too
+    slow or too smooth.
     """
     is_short = FIT_SHARE * record.t.size < MIN_DURATION * record.fs
     first, _ = _parts(CalibrationDrive(record), smoother, 1.0 if is_short else FIT_SHARE)
-    fit, std = _fit([first], car, smoother, structure=True)
-    return _with_posterior(fit, car, std)
+    fit, known = _fit([first], car, smoother, structure=True)
+    found = _with_posterior(fit, car, inflated_std(fit.std, known))
+    return found, VehicleUncertainty.of_fit(fit, known)
 
 
 def _fit(
@@ -201,8 +204,8 @@ def _fit(
     car: VehicleParameters,
     smoother: MapSmoother,
     structure: bool,
-) -> tuple[CarFit, np.ndarray]:
-    """Return the fit to `drives`, and the standard deviations of its parameters."""
+) -> tuple[CarFit, bool]:
+    """Return the fit to `drives`, and whether all their roads are known."""
     space = parameter_space(car, structure)
     known = all(drive.profile is not None for drive in drives)
 
@@ -218,14 +221,7 @@ def _fit(
     fit = fit_car(solutions, space, solver, instruments=known, start=x, max_steps=steps)
     if all(drive.profile is None for drive in drives):
         fit = refine(fit, solver)
-    return fit, inflated_std(fit.std, known)
-
-
-def inflated_std(std: np.ndarray, known: bool) -> np.ndarray:
-    """Return the standard deviations of parameters from those `std` of a fit over `known` roads or
-    over unmeasured ones, no greater than the tolerances.
-    """
-    return np.minimum((1.0 if known else UNKNOWN_STD_INFLATION) * std, 1.0)
+    return fit, known
 
 
 def _nearest_start(

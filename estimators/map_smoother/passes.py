@@ -158,7 +158,7 @@ def estimate_jointly(
         scale = np.maximum(findings.noise_scale[members], solution.noise_scale)
         findings.noise_scale[members] = scale
         findings.in_air[members] += [distance_in_air(one) for one in solution.linearization.passes]
-        std = posterior_std(solution, scored_band(slowest), smoother.draws, seed=0)
+        std = posterior_std(solution, scored_band(slowest), smoother.draws, 0)
         return solution, std
 
     state = reconstruct_passes(smoother, passes, solve)

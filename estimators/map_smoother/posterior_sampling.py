@@ -18,10 +18,15 @@ from estimators.common.model_inputs import ModelInputs
 from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.objective import Linearization
 from estimators.map_smoother.road_prior import RoadTransform
+from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 from estimators.map_smoother.wheel_liftoff import unloaded_nodes
 
 CG_ITERATIONS, CG_TOLERANCE = 40, 1e-2
 """Iterations of conjugate gradients for one sample, at most, and where they end."""
+
+VEHICLE_DRAWS = 8
+"""Samples where the vehicle is uncertain: about six of its errors are independent in the road, and
+their mean square over the drive is then within a quarter."""
 
 MIN_STATE_LENGTH = 10.0
 """Least length [m] of road in one strut state that has a standard deviation of its own."""
@@ -42,9 +47,15 @@ many metres [m]. From training drives: nine tenths of the squared error on obsta
 
 
 def posterior_std(
-    solution: MapSolution, band: tuple[float, float], draws: int, seed: int
+    solution: MapSolution,
+    band: tuple[float, float],
+    draws: int,
+    seed: int,
+    uncertainty: VehicleUncertainty | None = None,
 ) -> np.ndarray:
     """Return the standard deviation (2, K) [m] of the error inside `band` [cycles/m] at each node.
+
+    `uncertainty` is that of an identified vehicle, of one pass.
 
     Its course along the road is that of the local roughness, by the stationary approximation; its
     level, from the samples, is the same for all nodes that were passed in the same strut state.
@@ -57,8 +68,10 @@ def posterior_std(
     # at the ends of the road the band-pass leaks
     middle = interior(road.free, round(1.0 / (band[0] * road.ds)))
     square = np.zeros((2, road.size))
+    if draws and uncertainty:
+        draws = max(draws, VEHICLE_DRAWS)
     for _ in range(draws):
-        dx = draw_deviation(lin, solve, rng)
+        dx = draw_deviation(lin, solve, rng, uncertainty)
         part = band_pass(road.apply(objective.split(dx)[0]), inside)
         part -= part[:, middle].mean(axis=1, keepdims=True)
         square += part**2 / draws
@@ -96,11 +109,20 @@ def liftoff_variance(
     return variance
 
 
-def draw_deviation(lin: Linearization, solve: Operator, rng: np.random.Generator) -> np.ndarray:
+def draw_deviation(
+    lin: Linearization,
+    solve: Operator,
+    rng: np.random.Generator,
+    uncertainty: VehicleUncertainty | None = None,
+) -> np.ndarray:
     """Return a sample of the deviation of `x` from its posterior mean; `solve` as of
     `MapSolution.inverse_hessian`.
     """
-    return solve(lin.adjoint(lin.draw_noise(rng)) + rng.standard_normal(lin.objective.size))
+    b = lin.adjoint(lin.draw_noise(rng)) + rng.standard_normal(lin.objective.size)
+    if uncertainty:
+        change = uncertainty.draw_change(lin, rng)
+        b += lin.adjoint(lin.apply_inverse_covariance(change))
+    return solve(b)
 
 
 def band_pass(c: np.ndarray, lines: np.ndarray) -> np.ndarray:

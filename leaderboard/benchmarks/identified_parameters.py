@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from estimators.api import CalibrationDrive
-from estimators.map_smoother.identification import IdentificationResult, identify, inflated_std
+from estimators.map_smoother.identification import IdentificationResult, identify
+from estimators.map_smoother.vehicle_uncertainty import inflated_std
 from leaderboard.benchmarks.study import Row, run_study, study_parser
 from leaderboard.evaluation.test_data import levelled
 from leaderboard.report.plots import COLOURS, write_figure

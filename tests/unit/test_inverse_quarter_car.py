@@ -10,7 +10,13 @@ import pytest
 from test_wiener import CARS, SPLIT, linear_car
 
 from estimators import create
-from estimators.linear.inverse_quarter_car import QuarterCars, accelerations_at_struts, quarter_cars
+from estimators.linear.inverse_quarter_car import (
+    PATHS,
+    QuarterCars,
+    accelerations_at_struts,
+    quarter_cars,
+    weigh_by_road,
+)
 from leaderboard.metrics.heights import band_pass, nrmse
 from road_envs.config import ConfigError
 from road_envs.data.record import PROFILE_SPACING, scored_band
@@ -58,7 +64,8 @@ def drive(mode="ride", speed_kmh=54.0, mirrored=False):
 
 
 def estimate(record, **settings):
-    return create("inverse_quarter_car", instruments="ideal", **settings).estimate(
+    """The plain inverse, without weights."""
+    return create("inverse_quarter_car", instruments="ideal", weigh=False, **settings).estimate(
         record, uncoupled_car()
     )
 
@@ -120,6 +127,33 @@ def test_of_the_difference_a_comb_over_three_wheelbases_is_recovered():
     expected = np.array([mean + comb, mean - comb])[:, inside]
     assert nrmse(expected, found.z[:, inside], PROFILE_SPACING, scored_band(15.0)).pooled < 0.04
     assert 0.35 < nrmse(truth.z, found.z, PROFILE_SPACING, scored_band(15.0)).pooled < 0.5
+
+
+def test_weights_are_those_of_wieners_filter_for_a_road_and_what_exceeds_it():
+    """A resonance of ten times the road's amplitude is left at a tenth of the road's."""
+    f = np.linspace(0.05, 40.0, 4000)
+    paths = np.array([1.0, 0.3, 2.0, 0.5])[:, None] / f * (1.0 + 0.0j)
+    loud = (f > 7.0) & (f < 14.0)
+    paths[1, loud] *= 10.0
+    left = PATHS @ weigh_by_road(np.linalg.solve(PATHS, paths), f, 0.6) * f
+    np.testing.assert_allclose(left[[0, 2, 3]], np.array([1.0, 2.0, 0.5])[:, None] * np.ones(4000))
+    middle = (f > 9.0) & (f < 11.0)
+    np.testing.assert_allclose(left[1, middle], 0.3 / 10.0, rtol=1e-6)
+    np.testing.assert_allclose(left[1, (f < 5.0) | (f > 18.0)], 0.3)
+    nothing = np.zeros((4, f.size))
+    assert not weigh_by_road(nothing, f, 0.6).any()
+    np.testing.assert_allclose(weigh_by_road(paths, f, 24.9), paths)  # no band to judge by
+
+
+def test_a_frame_that_twists_does_not_make_it_worse_than_a_flat_road():
+    record, truth = simulate_record(
+        "iso_d", speed_kmh=54.0, mode=SPLIT, seed=31, length=60.0, individual=31, grade="S2"
+    )
+    errors = [
+        nrmse(truth.z, found.estimate(record, CARS["defender"]).z, truth.ds, scored_band(15.0))
+        for found in (create("inverse_quarter_car", weigh=weigh) for weigh in (False, True))
+    ]
+    assert errors[0].pooled > 2.0 and errors[1].pooled < 0.95
 
 
 def test_below_its_band_the_estimate_tends_to_zero():

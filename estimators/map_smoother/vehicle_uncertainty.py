@@ -1,0 +1,81 @@
+"""What an identification leaves uncertain of vehicle and instruments, as errors of a road.
+
+A road is the most probable one of the vehicle p that was identified. If p is wrong by dp, the
+accelerations that the vehicle predicts on that road are wrong by G dp, and the road is displaced as
+by errors of the measurements of that size:
+
+    dx = A^-1 J' R^-1 G dp,      A = I + J' R^-1 J,      G = d a / d p
+
+So samples of dp with the covariance of the identification, added to samples of the noise, give
+samples of the road under the joint posterior of road, vehicle and instruments
+(`posterior_sampling.py`).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from estimators.map_smoother.car_fit import CarFit
+from estimators.map_smoother.instrument_errors import InstrumentErrors
+from estimators.map_smoother.marginal_likelihood import DIFFERENCE
+from estimators.map_smoother.objective import Linearization
+from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.tolerances import scale_parameters
+
+UNKNOWN_STD_INFLATION = 4.0
+"""Factor on posterior standard deviations over unmeasured roads, for what Laplace's approximation
+and the road's estimated prior leave out (`leaderboard/benchmarks/identified_parameters.py`)."""
+
+
+def inflated_std(std: np.ndarray, known: bool) -> np.ndarray:
+    """Return the standard deviations of parameters from those `std` of a fit over `known` roads or
+    over unmeasured ones, no greater than the tolerances.
+    """
+    return np.minimum((1.0 if known else UNKNOWN_STD_INFLATION) * std, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleUncertainty:
+    """Errors of an identified `car` and its instruments: `covariance` (P + R, P + R) of the
+    logarithms of the P parameters `names`, and behind them of the errors of the instruments in the
+    units of `InstrumentErrors`.
+    """
+
+    car: VehicleParameters
+    names: tuple[str, ...]
+    covariance: np.ndarray
+
+    @classmethod
+    def of_fit(cls, fit: CarFit, known: bool = False) -> "VehicleUncertainty":
+        """Return that of a fit to drives over `known` roads or over unmeasured ones.
+
+        Instruments that were not fitted err as their prior says, but for the odometer, of which
+        nothing is known.
+        """
+        space, errors = fit.space, fit.instrument_errors
+        unit = inflated_std(fit.std, known) / fit.std
+        unit[: space.size] *= space.std
+        covariance = unit[:, None] * fit.covariance * unit
+        if fit.x.size == space.size:
+            rest = np.arange(len(errors.names)) < errors.n_fixed
+            covariance = np.pad(covariance, (0, rest.size))
+            covariance[space.size :, space.size :] = np.diag(rest)
+        return cls(fit.car, space.names, covariance)
+
+    @cached_property
+    def _root(self) -> np.ndarray:
+        """A root of the covariance."""
+        values, vectors = np.linalg.eigh(self.covariance)
+        return vectors * np.sqrt(np.maximum(values, 0.0))
+
+    def draw_change(self, lin: Linearization, rng: np.random.Generator) -> np.ndarray:
+        """Return a sample of G dp (S, J) [m/s²]: by how much the block means of a drive are
+        mispredicted at `lin`, which is a linearization with `car`.
+        """
+        error = DIFFERENCE * self._root @ rng.standard_normal(len(self.covariance))
+        of_car, of_instruments = np.split(error, [len(self.names)])
+        factors = dict(zip(self.names, np.exp(of_car).tolist(), strict=True))
+        varied = lin.objective.with_car(scale_parameters(self.car, factors))
+        varied = InstrumentErrors.of(lin.objective).apply(varied, of_instruments)
+        return (lin.residual - varied.residual_at(lin.x)[0]) / DIFFERENCE

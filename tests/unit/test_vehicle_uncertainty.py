@@ -1,0 +1,96 @@
+"""Intervals of roads under a vehicle and instruments that were identified, and are not known."""
+
+from dataclasses import replace
+
+import numpy as np
+from test_map_smoother import drive_record, objective_of, perturb
+from vehicle_fixtures import DEFENDER
+
+from estimators.api import copy_with
+from estimators.common.identified_vehicle import IdentifiedVehicle
+from estimators.map_smoother.car_fit import CarFit
+from estimators.map_smoother.estimator import MapSmoother
+from estimators.map_smoother.gauss_newton import MapSolution
+from estimators.map_smoother.objective import linearize
+from estimators.map_smoother.preconditioner import stationary_hessian
+from estimators.map_smoother.vehicle_uncertainty import UNKNOWN_STD_INFLATION, VehicleUncertainty
+from leaderboard.metrics.heights import band_pass, uncertainty
+from road_envs.data.record import PROFILE_SPACING, scored_band
+from road_envs.vehicle.parameters import Tolerance
+from road_envs.vehicle.tolerances import parameter_space
+
+INSTRUMENTS = 11
+"""Gain and place of three sensors, odometer and speed."""
+
+
+def linearized():
+    record, _ = drive_record(length=12.0)
+    objective = objective_of(record)
+    return linearize(objective, perturb(np.zeros(objective.size), 0.3), objective.information)
+
+
+def test_a_change_is_that_of_the_predicted_accelerations():
+    lin, b = linearized(), np.zeros((1 + INSTRUMENTS, 1 + INSTRUMENTS))
+    _, _, bias = lin.objective.split(lin.x)
+    predicted = lin.objective.measurements.y - lin.residual - bias[:, None]
+    gain = b.copy()
+    gain[1, 1] = 1.0  # of the first sensor
+    change = VehicleUncertainty(DEFENDER, ("m_b",), gain).draw_change(lin, np.random.default_rng(1))
+    drawn = np.random.default_rng(1).standard_normal(len(gain))
+    np.testing.assert_allclose(np.abs(change[0]), 0.02 * abs(drawn[-1]) * np.abs(predicted[0]),
+                               rtol=0.01, atol=1e-9)  # fmt: skip
+    assert not change[1:].any()
+    mass = b.copy()
+    mass[0, 0] = 0.05**2
+    rng = np.random.default_rng(1)
+    change = VehicleUncertainty(DEFENDER, ("m_b",), mass).draw_change(lin, rng)
+    step = 0.001 * DEFENDER.m_b
+    heavy, light = (
+        lin.objective.with_car(replace(DEFENDER, m_b=DEFENDER.m_b + d)).residual_at(lin.x)[0]
+        for d in (step, -step)
+    )
+    expected = 0.05 * abs(drawn[-1]) * (light - heavy) / 0.002
+    error = np.abs(np.abs(change) - np.abs(expected))
+    assert error.max() < 0.05 * np.abs(expected).max()
+
+
+def test_of_a_fit_the_covariance_is_inflated_up_to_the_tolerances():
+    """The standard deviations are those that `identify` tells; correlations stay."""
+    car = replace(
+        DEFENDER,
+        tolerances={
+            name: Tolerance(relative=0.1, source="test") for name in ("m_b", "I_xx", "I_yy")
+        },
+    )
+    lin = linearized()
+    solution = MapSolution(lin, stationary_hessian(lin.objective), 1.0, 0, 0)
+    covariance = np.array([[0.01, 0.004, 0.0], [0.004, 0.0025, 0.0], [0.0, 0.0, 0.49]])
+    fit = CarFit(parameter_space(car), np.array([0.5, 0.0, 0.0]), covariance, (solution,))
+    found = VehicleUncertainty.of_fit(fit)
+    assert found.car.m_b == DEFENDER.m_b * np.exp(0.05) and found.names == ("m_b", "I_xx", "I_yy")
+    std = np.sqrt(np.diag(found.covariance))
+    np.testing.assert_allclose(std[:3], 0.1 * np.array([0.1, 0.05, 0.25]) * UNKNOWN_STD_INFLATION)
+    assert found.covariance[0, 1] / (std[0] * std[1]) == np.float64(0.8)
+    np.testing.assert_array_equal(std[3:], [1.0] * 9 + [0.0, 0.0])
+    known = VehicleUncertainty.of_fit(fit, known=True).covariance[:3, :3]
+    np.testing.assert_allclose(known, 0.01 * covariance)
+
+
+def test_intervals_of_a_wrong_vehicle_cover_the_error_if_they_know_of_it():
+    record, truth = drive_record(length=40.0)
+    names = ("m_b", "front.m", "rear.m", "I_yy", "variation.damper.FL", "variation.tyre.RR")
+    tolerances = {name: Tolerance(relative=0.1, source="test") for name in names}
+    space = parameter_space(replace(DEFENDER, tolerances=tolerances))
+    wrong = space.from_vector(np.array([0.6, -0.9, 1.2, -0.7, 1.3, -0.8]))
+    covariance = np.zeros((len(names) + INSTRUMENTS,) * 2)
+    covariance[: len(names), : len(names)] = 0.01 * np.eye(len(names))
+    shares = []
+    for known in ((), tuple(map(tuple, covariance.tolist()))):
+        identified = IdentifiedVehicle(car=wrong, covariance=known)
+        smoother = copy_with(MapSmoother(adapt=False), identified=identified)
+        found = smoother.estimate(record, DEFENDER)
+        y, a = band_pass(np.stack([truth.z, found.z]), PROFILE_SPACING, scored_band(15.0))
+        scores = uncertainty(y, a, found.z_std)
+        shares.append((scores.coverage_50, scores.coverage_90))
+    assert shares[0][0] < 0.4 and shares[0][1] < 0.75
+    assert 0.4 < shares[1][0] < 0.75 and 0.8 < shares[1][1] < 0.99
