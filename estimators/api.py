@@ -220,7 +220,10 @@ def validate_weights(
     Raises ValueError if a name is missing or unknown, or if a shape or value is invalid.
     """
     if weights.keys() != shapes.keys():
-        raise ValueError(f"expected weights {sorted(shapes)}, got {sorted(weights)}")
+        raise ValueError(
+            f"expected weights {sorted(shapes)}, got {sorted(weights)}: give the file of this "
+            "estimator, or train it again"
+        )
     for name, shape in shapes.items():
         _validate_array(name, weights[name], shape, ValueError)
     return [np.array(weights[name], dtype=float) for name in shapes]

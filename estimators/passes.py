@@ -1,9 +1,9 @@
 """One road from several passes over it, each with its own vehicle, speed and strut states.
 
 Each pass is estimated singly. The single estimates are aligned with that of the first pass by
-cross-correlation in the band that both tell, which maps the stations of each odometer to those of
-the first (`road_envs.analysis.alignment`). Then the road is estimated from all passes together by
-an estimator that can (`JointEstimator`). For any other it is the mean of the single estimates,
+cross-correlation in the band that both resolve, which maps the stations of each odometer to those
+of the first (`road_envs.analysis.alignment`). Then the road is estimated from all passes together
+by an estimator that can (`JointEstimator`). For any other it is the mean of the single estimates,
 weighted by inverse variance at each station where they have standard deviations.
 
 Call it with records and vehicles, and with names for the messages:

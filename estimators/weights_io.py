@@ -37,7 +37,10 @@ def save(estimator: Estimator, path: str | Path, metadata: Mapping[str, str] | N
     path, kind = Path(path), cast(Any, type(estimator))
     name = next((name for name, cls in available().items() if cls is kind), None)
     if name is None:
-        raise StorageError(f"{kind.__name__} is not a registered estimator and cannot be stored")
+        raise StorageError(
+            f"{kind.__name__} is not a registered estimator and cannot be stored: name it in "
+            "estimators/registry.py, or by an entry point of its package"
+        )
     header = {
         "format": FORMAT,
         "version": __version__,
@@ -61,7 +64,10 @@ def load(path: str | Path) -> Estimator:
     with parsing(path, StorageError, "not a usable RoadRecon estimator"):
         header = json.loads(metadata["header"])
         if header["format"] != FORMAT:
-            raise StorageError(f"format {header['format']!r} is not supported, expected {FORMAT!r}")
+            raise StorageError(
+                f"format {header['format']!r} is not supported, expected {FORMAT!r}: train the "
+                "estimator again, or read it with the version that has written it"
+            )
         estimator = create(header["name"], **header["settings"])
         return estimator.with_weights(weights) if isinstance(estimator, Trainable) else estimator
 

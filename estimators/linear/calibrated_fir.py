@@ -151,14 +151,14 @@ class CalibratedFir(Settings):
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
         """Identify the responses from the drives over measured roads, starting from those of `fit`
-        if there are any; drives over unmeasured roads tell nothing here. Raises RecordError,
+        if there are any; drives over unmeasured roads are not used. Raises RecordError,
         CalibrationError.
         """
         known = [drive for drive in drives if drive.profile is not None]
         if not known and self.fitted_state is None:
             raise CalibrationError(
-                "calibrated_fir knows nothing of a vehicle but what drives over measured roads "
-                "tell: give at least one"
+                "calibrated_fir has no model of the vehicle: calibrate it by at least one drive "
+                "over a measured road"
             )
         return self._identify(known, car) if known else self
 
@@ -174,7 +174,8 @@ class CalibratedFir(Settings):
         n_sensors = len(chosen.responses.taps)
         if len(record.a) != n_sensors:
             raise RecordError(
-                f"calibrated with {n_sensors} accelerometers, the record has {len(record.a)}"
+                f"calibrated with {n_sensors} accelerometers, the record has {len(record.a)}: "
+                "calibrate with the accelerometers of the record"
             )
         z, z_std = _reconstruct(chosen.responses, model.axles, record, self.seed)
         notes = (*notes, *odometer, *_notes(chosen, state, record))

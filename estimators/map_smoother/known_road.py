@@ -91,7 +91,7 @@ def check_profile(objective: Objective, drive: CalibrationDrive) -> None:
     if tried[best] > max(MIN_CORRELATION, fit + CLEARLY_BETTER):
         hint = f"the profile {best} fits ({tried[best]:.2f})"
     elif fit < MIN_CORRELATION:
-        hint = "it may be another stretch, or the odometer may be displaced"
+        hint = "it may be another part of the road, or the odometer may be displaced"
     elif not 1.0 / UNIT_RATIO < ratio < UNIT_RATIO:
         raise CalibrationError(
             f"{drive.name}: the accelerations are {ratio:.2g} times those expected on its profile; "

@@ -3,9 +3,9 @@
 The objectives of the passes add over one road (`joint_objective.py`). The minimization begins at
 the mean of the single estimates, so that few steps are needed. The noise of each pass has a scale
 of its own, so that a vehicle that differs from its description counts for less. Passes whose
-vehicles are described alike are taken for drives of one vehicle: if it has to be adapted, all of
-them tell its parameters. Long roads are estimated in windows that end for all passes at the same
-station (`windows.py`).
+vehicles are described alike are taken for drives of one vehicle: if it has to be adapted, its
+parameters are fitted to all of them. Long roads are estimated in windows that end for all passes at
+the same station (`windows.py`).
 """
 
 from collections.abc import Sequence

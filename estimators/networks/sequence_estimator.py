@@ -216,7 +216,7 @@ class SequenceEstimator(Settings, abc.ABC):
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
         """Return a copy with a correction for the vehicle of the drives over measured roads
-        (`vehicle_correction.py`); others tell nothing here. Raises RecordError.
+        (`vehicle_correction.py`); others are not used. Raises RecordError.
         """
         bank, weights, _, _ = self._fitted_or_pretrained()
         network = self.network()

@@ -120,7 +120,8 @@ def scored_octaves(v: float) -> np.ndarray:
     high = min(2.0, SCORED_F_MAX / v / np.sqrt(2.0))
     if high < low:
         raise ValueError(
-            f"at {v:.1f} m/s the low-pass leaves no octave of the scored band; drive slower"
+            f"at {3.6 * v:.0f} km/h the 25 Hz low-pass passes no octave of the scored band whole; "
+            "drive slower"
         )
     return 2.0 ** np.arange(np.ceil(np.log2(low)), np.floor(np.log2(high)) + 1.0)
 

@@ -57,6 +57,13 @@ def check_output_path(path: Path | None, *suffixes: str) -> Path | None:
     return path
 
 
+def check_output_folder(path: Path | None) -> Path | None:
+    """Return `path` if it is a folder or does not exist yet. Raises ConfigError."""
+    if path is not None and path.exists() and not path.is_dir():
+        raise ConfigError(f"--out must be a folder, {path} is a file")
+    return path
+
+
 def to_json(data: object) -> str:
     """Return `data` as JSON; NaN and infinity become null."""
     return json.dumps(nan_to_none(data), indent=2, allow_nan=False) + "\n"

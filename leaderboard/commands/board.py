@@ -8,7 +8,14 @@ from typing import Annotated, Any, get_args
 import typer
 
 import estimators
-from leaderboard.commands import console, notices, on_interrupt, print_json, progress_bar
+from leaderboard.commands import (
+    check_output_folder,
+    console,
+    notices,
+    on_interrupt,
+    print_json,
+    progress_bar,
+)
 from leaderboard.commands.simulate import Json
 from leaderboard.evaluation.entries import resolve_entries
 from leaderboard.evaluation.entry import Entry
@@ -129,8 +136,7 @@ def leaderboard(
             for task in chosen
         ]
     limits = parse_limits(time_limit, memory_limit, isolation)
-    if out.exists() and not out.is_dir():
-        raise ConfigError(f"--out must be a folder, {out} is a file")
+    check_output_folder(out)
     entries = _entries(estimator, without or [], limits)
     request = RunRequest(chosen, entries, range(1, seeds + 1), roads, not again, limits, probes)
     if plan:

@@ -6,10 +6,9 @@ from typing import Annotated
 
 import typer
 
-from leaderboard.commands import console, print_json
+from leaderboard.commands import check_output_folder, console, print_json
 from leaderboard.commands.simulate import Json
 from leaderboard.running import jobs
-from road_envs.config import ConfigError
 
 
 def run_job(
@@ -23,8 +22,7 @@ def run_job(
 
     Jobs can be run any number of times and in parallel.
     """
-    if out.exists() and not out.is_dir():
-        raise ConfigError(f"--out must be a folder, {out} is a file")
+    check_output_folder(out)
     for done in jobs.run_job_file(spec, out):
         if json:
             print_json(dataclasses.asdict(done))

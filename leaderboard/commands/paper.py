@@ -5,9 +5,14 @@ from typing import Annotated
 
 import typer
 
-from leaderboard.commands import console, on_interrupt, print_json, progress_bar
+from leaderboard.commands import (
+    check_output_folder,
+    console,
+    on_interrupt,
+    print_json,
+    progress_bar,
+)
 from leaderboard.commands.simulate import Json
-from road_envs.config import ConfigError
 
 
 def paper(
@@ -18,8 +23,7 @@ def paper(
     """Reproduce the paper: a page with its figures, and all numbers as JSON."""
     from leaderboard.paper import published_figures, report, study
 
-    if out.exists() and not out.is_dir():
-        raise ConfigError(f"--out must be a folder, {out} is a file")
+    check_output_folder(out)
     with on_interrupt("nothing is kept"), progress_bar() as progress:
         result = study.run_study(trainings, progress=progress)
         progress("writing the report", 1.0)

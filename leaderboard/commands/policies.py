@@ -16,6 +16,7 @@ from rich.table import Table
 import estimators
 from estimators.api import Estimator, refits_per_case
 from leaderboard.commands import (
+    check_output_folder,
     check_output_path,
     console,
     notices,
@@ -121,8 +122,7 @@ def policies(
             f"{policy_page.SWEEP_PREFIX}{w:g}": GreedyInformation(weight=w) for w in SWEPT_WEIGHTS
         }
     applied = {name: _make_estimator(name) for name in estimator or ["fir_ridge"]}
-    if out is not None and out.exists() and not out.is_dir():
-        raise ConfigError(f"--out must be a folder, {out} is a file")
+    check_output_folder(out)
     store = RowStore(out / "policies", chosen, seeds, applied) if out else None
     keepable = {n: p for n, p in entries.items() if store and not isinstance(p, PolicyProcess)}
     rows = {n: store.load(n, p) for n, p in keepable.items()} if store else {}

@@ -8,7 +8,13 @@ import typer
 from rich.table import Table
 
 import estimators
-from leaderboard.commands import console, parse_settings, print_json, progress_bar
+from leaderboard.commands import (
+    check_output_folder,
+    console,
+    parse_settings,
+    print_json,
+    progress_bar,
+)
 from leaderboard.commands.drive_files import (
     DriveOptions,
     estimate_drive,
@@ -60,8 +66,7 @@ def report(
     if segment not in SEGMENT_LENGTHS:
         allowed = ", ".join(f"{x:g}" for x in SEGMENT_LENGTHS)
         raise ConfigError(f"--segment must be one of {allowed} m, got {segment:g} m")
-    if out.exists() and not out.is_dir():
-        raise ConfigError(f"{out}: a file; give a folder for the report")
+    check_output_folder(out)
     names = _names(drives)
     categories, chosen = load_conditions(conditions), parse_settings(settings or [])
     read: list[tuple[str, MeasuredRecord, Estimate]] = []

@@ -41,7 +41,7 @@ WAVES_PER_SEGMENT = 2.0
 
 @dataclass(frozen=True)
 class DriveResult:
-    """A drive: its `segments` and `obstacles` as rows, `estimate`, and what was told of it.
+    """A drive: its `segments` and `obstacles` as rows, `estimate`, and facts and notes of it.
 
     `chainage` [m] is that of station 0 of the estimate; stations of rows are chainages.
     """

@@ -1,4 +1,4 @@
-"""Several passes over one road: their alignment, and the agreement of what they tell."""
+"""Several passes over one road: their alignment, and the agreement of their estimates."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,10 +1,10 @@
 """Posterior of the International Roughness Index, by samples of the profile's error.
 
-An estimator tells the standard deviation of its error inside the scored band. Samples of that error
+An estimate has the standard deviation of its error inside the scored band. Samples of that error
 are added to the profile and the IRI of each is computed; the median and the 2.5 and 97.5 %
 quantiles are reported. This also removes the bias of the smoothed profile, whose IRI is too low by
 the power of what was not resolved. Where the vehicle differs from its description, an estimator
-takes its motion for noise and tells an error that is larger than the road itself; no error counts
+takes its motion for noise and states an error that is larger than the road itself; no error counts
 for more than MAX_ERROR_SHARE of the roughness around it.
 
 Assumptions: the error is Gaussian with a density proportional to n^-2, as the slopes of roads and

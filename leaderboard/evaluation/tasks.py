@@ -306,7 +306,10 @@ class Task(Settings):
             if shared := sorted(seeds & used):
                 raise ValueError(f"a calibration drive shares the seeds {shared} with other drives")
             if _base_road(run.road) in fixed:
-                raise ValueError("a calibration drive and a test drive share a surface")
+                raise ValueError(
+                    "a calibration drive and a test drive share a surface; choose another road for "
+                    "the calibration"
+                )
             used |= seeds
 
     def _shared_surfaces(self) -> bool:
@@ -324,7 +327,9 @@ def load_task(name: str | Path) -> Task:
     task = config.load(Task, "tasks", name)
     stem = Path(name).stem
     if task.name != stem:
-        raise ConfigError(f"{name}: the task is named {task.name!r} but its file {stem!r}")
+        raise ConfigError(
+            f"{name}: the task is named {task.name!r} but its file {stem!r}; give both one name"
+        )
     for condition in task.conditions:
         try:
             encode_command(condition.simulator_mode, task.vehicle)

@@ -37,7 +37,8 @@ def scored_band(v: float) -> tuple[float, float]:
     n_hi = min(SCORED_N_MAX, SCORED_F_MAX / v)
     if not n_hi > SCORED_N_MIN:
         raise ValueError(
-            f"at {v:g} m/s nothing above {SCORED_N_MIN} cycles/m passes the 25 Hz low-pass"
+            f"at {3.6 * v:g} km/h nothing above {SCORED_N_MIN} cycles/m passes the 25 Hz low-pass; "
+            f"drive slower than {3.6 * SCORED_F_MAX / SCORED_N_MIN:g} km/h"
         )
     return SCORED_N_MIN, n_hi
 

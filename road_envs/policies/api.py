@@ -54,8 +54,8 @@ class PolicyContext:
             )
         if (front, rear) not in self.actions:
             raise ConfigError(
-                f"no action commands {front} in front and {rear} at the rear; choose another "
-                f"control than one with {len(self.actions)} actions"
+                f"no action commands {front} in front and {rear} at the rear: choose the control "
+                "'axle' (ride and handling of each axle) or 'states' (all pairs of states)"
             )
         return self.actions.index((front, rear))
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from road_envs._reading import parsing, read_npz
-from road_envs.config import ConfigError, Settings, folder
+from road_envs.config import ConfigError, Settings, folder, validate_choice
 from road_envs.envs.options import ACTIONS
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.features import FeatureExtractor, n_features
@@ -62,8 +62,8 @@ def read_policy_network(path: Path) -> PolicyNetwork:
         metadata = json.loads(str(arrays.pop("about")))
         if metadata["format"] != FORMAT:
             raise ValueError(f"format must be {FORMAT!r}, got {metadata['format']!r}")
-        if metadata["activation"] not in ACTIVATIONS or metadata["control"] not in ACTIONS:
-            raise ValueError("activation or control is unknown")
+        for key, known in (("activation", ACTIVATIONS), ("control", ACTIONS)):
+            validate_choice(key, metadata[key], known)
         if not (isinstance(metadata["held"], int) and metadata["held"] >= 1):
             raise ValueError(f"held must be a positive whole number, got {metadata['held']!r}")
         layers = tuple((arrays[f"W_{i}"], arrays[f"b_{i}"]) for i in range(len(arrays) // 2))

@@ -71,8 +71,8 @@ def parameter_space(car: VehicleParameters, structure: bool = False) -> Paramete
     absent = {path: t.about for path, t in car.tolerances.items() if _is_absent(car, path)}
     if missing := [path for path, about in absent.items() if about is None]:
         raise ConfigError(
-            f"{car.name}: the vehicle has no {missing[0]}, or 0: its tolerance must say what it is "
-            "about"
+            f"{car.name}: {missing[0]} is absent or 0, so a relative tolerance has no value to "
+            "refer to: give the tolerance a key 'about', the value that it must say"
         )
     if structure:
         car = _with_elements(car, {path: about for path, about in absent.items() if about})
@@ -117,7 +117,9 @@ def _value_at(car: VehicleParameters, path: str) -> Any:
         except (AttributeError, ValueError):
             raise ConfigError(f"{car.name}: unknown parameter {path!r} of a tolerance") from None
     if isinstance(value, str | dict) or (is_dataclass(value) and not _curves(value)):
-        raise ConfigError(f"{car.name}: {path!r} of a tolerance is no number and no force curve")
+        raise ConfigError(
+            f"{car.name}: {path!r} of a tolerance is neither a number nor a force curve"
+        )
     return value
 
 

@@ -80,7 +80,7 @@ def test_passes_are_moved_onto_the_first_and_compared(road_recon, tmp_path):
         (("missing.csv", "--out", "r"), "missing.csv: cannot be read: No such file or directory"),
         (("one.csv", "--out", "r", "--segment", "50"), "--segment must be one of 10, 20, 100 m"),
         (("one.csv", "--out", "r", "--conditions", "hpm"), "did you mean 'hpms'"),
-        (("one.csv", "--out", "one.csv"), "a file; give a folder"),
+        (("one.csv", "--out", "one.csv"), "--out must be a folder"),
     ],
 )
 def test_wrong_words_end_in_one_sentence_without_a_folder(road_recon, tmp_path, words, message):

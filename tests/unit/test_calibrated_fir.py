@@ -256,7 +256,7 @@ REFUSED = {
         lambda r, p: (r, Profile(p.s, np.sin(np.outer([3.0, 5.0], p.s)))),
         "independent frequencies",
     ),
-    "unmeasured": (lambda r, p: (r, None), "knows nothing of a vehicle"),
+    "unmeasured": (lambda r, p: (r, None), "has no model of the vehicle"),
 }
 
 

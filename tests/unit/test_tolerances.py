@@ -90,9 +90,9 @@ def test_structure_adds_what_the_description_leaves_out():
     [
         ("m_c", "unknown parameter 'm_c' of a tolerance"),
         ("variation.damper.XY", "unknown parameter 'variation.damper.XY'"),
-        ("name", "'name' of a tolerance is no number and no force curve"),
-        ("front", "'front' of a tolerance is no number and no force curve"),
-        ("variation.tyre_progression", "must say what it is about"),
+        ("name", "'name' of a tolerance is neither a number nor a force curve"),
+        ("front", "'front' of a tolerance is neither a number nor a force curve"),
+        ("variation.tyre_progression", "no value to refer to: give"),
         (None, "names no tolerances"),
     ],
 )
