@@ -1,21 +1,31 @@
-"""Error that no estimator of the whole drive can undercut by much: the posterior at the truth.
+"""What is attainable from a whole drive: the posterior at the truth, and the bound of van Trees.
 
-The nonlinear vehicle, linearized about its motion over the true road, measures accelerations up to
-a given frequency. The road's deviation from the truth then has the Gaussian (Laplace) posterior
+The nonlinear vehicle, linearized about its motion over a road z, measures accelerations up to a
+given frequency. With J(z) the tangent of the block means and I the precision of the noise that the
+prior shapes into a road:
 
-    covariance = (I + J' R^-1 J)^-1
+    attainable   (I + J' R^-1 J)^-1 at the true road: the covariance of the Gaussian (Laplace)
+                 posterior there, which an estimator that knows vehicle, prior and noise attains to
+                 first order
+    van Trees    (I + E[J' R^-1 J])^-1, expected over the roads of the prior: no estimator
+                 whatsoever has a smaller mean square error over these roads
 
-with J the tangent of the block means and the road's own prior. Its power in the scored band, by
-samples of it (`posterior_sampling`), is what an estimator that knows vehicle, prior and noise
-attains to first order. Unlike the bound of the linear vehicle it contains friction, which hides
-slow motions and mixes frequencies, gas springs, stops and wheels that lift off.
+(van Trees 1968, "Detection, Estimation, and Modulation Theory" part I, section 2.4; Gill & Levit
+1995, doi:10.2307/3318681). The second is never above the mean of the first, by Jensen's inequality,
+and with few roads it is overestimated, for the same reason. Unlike the bound of the linear vehicle
+both contain friction, which hides slow motions and mixes frequencies, gas springs, stops and
+wheels that lift off. Their power in the scored band is that of samples (`posterior_sampling`).
 """
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from estimators.map_smoother.estimator import MapSmoother
-from estimators.map_smoother.gauss_newton import MapSolution
-from estimators.map_smoother.objective import Objective, linearize
+from estimators.map_smoother.gauss_newton import MapSolution, update_prior
+from estimators.map_smoother.objective import Linearization, Objective, linearize
 from estimators.map_smoother.posterior_sampling import band_pass, draw_deviation, interior
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.windows import initial_window_state, window_objective
@@ -27,6 +37,36 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 CG_ITERATIONS, CG_TOLERANCE = 400, 1e-3
 """Of one sample; the error in the band has converged within a per cent."""
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedInformation:
+    """Linearizations `at` several roads, whose information on the unknowns is averaged.
+
+    It has the interface of one linearization as far as samples need it.
+    """
+
+    at: Sequence[Linearization]
+
+    @property
+    def objective(self) -> Objective:
+        """The objective, which all have in common."""
+        return self.at[0].objective
+
+    def hessian_product(self, dx: np.ndarray) -> np.ndarray:
+        """Return I + E[J' R^-1 J] times `dx`."""
+        return np.mean([one.hessian_product(dx) for one in self.at], axis=0)
+
+    def draw_noise(self, rng: np.random.Generator) -> list[np.ndarray]:
+        """Return R^-1/2 times white noise (S, J) for each road."""
+        return [one.draw_noise(rng) for one in self.at]
+
+    def adjoint(self, means: Sequence[np.ndarray]) -> np.ndarray:
+        """Return `x` from block means (S, J) of each road, of covariance E[J' R^-1 J] if these are
+        drawn noise.
+        """
+        pairs = zip(self.at, means, strict=True)
+        return np.sum([one.adjoint(part) for one, part in pairs], axis=0) / np.sqrt(len(self.at))
 
 
 def attainable_error(
@@ -41,29 +81,64 @@ def attainable_error(
     draws: int = 2,
     seed: int = 0,
 ) -> float:
-    """Return the attainable in-band NRMSE [-], both wheel paths pooled, of a road with `prior`.
+    """Return the attainable in-band NRMSE [-], both wheel paths pooled, on the road of `truth`.
 
-    `record` gives stations, speed and strut states, `truth` the road. Accelerations are used up to
-    `bandwidth` [Hz], with the noise of the `instruments` or of `noise_density`
-    [(m/s²)/sqrt(Hz)]. Raises RecordError, ArithmeticError, ValueError on a flexible frame.
+    `record` gives stations, speed and strut states. The prior's density and, on uneven roads, its
+    local roughness are fitted to the truth as `map_smoother` fits them to its estimate.
+    Accelerations are used up to `bandwidth` [Hz], with the noise of the `instruments` or of
+    `noise_density` [(m/s²)/sqrt(Hz)]. Raises RecordError, ArithmeticError, ValueError on a flexible
+    frame.
     """
     objective = whole_drive(record, car, prior, bandwidth, instruments, noise_density)
-    road = objective.road
-    u = road.noise_of(truth)
-    x = np.pad(u.ravel(), (0, objective.size - u.size))
+    u = objective.road.noise_of(truth).ravel()
+    x = np.pad(u, (0, objective.size - u.size))
     lin = linearize(objective, x, objective.information)
-    solution = MapSolution(lin, stationary_hessian(objective), noise_scale=1.0)
-    solve = solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)
+    lin = update_prior(lin, stationary_hessian(objective), 1.0)
+    return _relative_error(lin, [lin.x], draws, seed)
+
+
+def van_trees_error(
+    record: Record,
+    car: VehicleParameters,
+    prior: RoadPrior,
+    *,
+    bandwidth: float = 100.0,
+    instruments: str = "paper",
+    noise_density: float | None = None,
+    roads: int = 16,
+    draws: int = 2,
+    seed: int = 0,
+) -> float:
+    """Return the least in-band NRMSE [-] of any estimator, both wheel paths pooled, over the roads
+    of a Gaussian `prior`.
+
+    The information is averaged over that many `roads`; other arguments as in `attainable_error`.
+    """
+    objective = whole_drive(record, car, prior, bandwidth, instruments, noise_density)
+    rng = np.random.default_rng(seed)
+    points = [rng.standard_normal(objective.size) for _ in range(roads)]
+    at = [linearize(objective, x, objective.information) for x in points]
+    return _relative_error(ExpectedInformation(at), points, draws, seed)
+
+
+def _relative_error(lin: Any, points: Sequence[np.ndarray], draws: int, seed: int) -> float:
+    """Return the root of the mean power in the scored band of samples of the posterior of `lin`, a
+    linearization or several, over that of the roads of `points`.
+    """
+    objective = lin.objective
+    road = objective.road
     low, high = scored_band(float(objective.inputs.v.mean()))
     inside = (road.n >= low) & (road.n <= high)
     middle, rng = interior(road.free, round(1.0 / (low * road.ds))), np.random.default_rng(seed)
-    power = 0.0
-    for _ in range(draws):
-        dx = draw_deviation(lin, solve, rng)
-        error = band_pass(road.apply(objective.split(dx)[0]), inside)[:, middle]
-        power += float(np.var(error, axis=1).mean()) / draws
-    true = band_pass(road.apply(u), inside)[:, middle]
-    return float(np.sqrt(power / np.var(true, axis=1).mean()))
+
+    def power(x: np.ndarray) -> float:
+        c = band_pass(road.apply(objective.split(x)[0]), inside)[:, middle]
+        return float(np.var(c, axis=1).mean())
+
+    solution = MapSolution(lin, stationary_hessian(objective), noise_scale=1.0)
+    solve = solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)
+    error = np.mean([power(draw_deviation(lin, solve, rng)) for _ in range(draws)])
+    return float(np.sqrt(error / np.mean([power(x) for x in points])))
 
 
 def whole_drive(

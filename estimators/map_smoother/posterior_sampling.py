@@ -7,6 +7,7 @@ error there.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from scipy.fft import irfft, rfft
@@ -16,7 +17,6 @@ from scipy.signal import hilbert
 from estimators.common.conjugate_gradients import Operator
 from estimators.common.model_inputs import ModelInputs
 from estimators.map_smoother.gauss_newton import MapSolution
-from estimators.map_smoother.objective import Linearization
 from estimators.map_smoother.road_prior import RoadTransform
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 from estimators.map_smoother.wheel_liftoff import unloaded_nodes
@@ -110,13 +110,16 @@ def liftoff_variance(
 
 
 def draw_deviation(
-    lin: Linearization,
+    lin: Any,
     solve: Operator,
     rng: np.random.Generator,
     uncertainty: VehicleUncertainty | None = None,
 ) -> np.ndarray:
     """Return a sample of the deviation of `x` from its posterior mean; `solve` as of
     `MapSolution.inverse_hessian`.
+
+    `lin` is a linearization, of one pass or of several, or the expectation of some over roads
+    (`attainable.ExpectedInformation`).
     """
     b = lin.adjoint(lin.draw_noise(rng)) + rng.standard_normal(lin.objective.size)
     if uncertainty:

@@ -10,7 +10,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from estimators.map_smoother.attainable import attainable_error
+from estimators.map_smoother.attainable import attainable_error, van_trees_error
 from leaderboard.commands import (
     check_output_path,
     console,
@@ -75,8 +75,8 @@ def observability(
     attainable: Annotated[
         bool,
         typer.Option(
-            help="Also what the nonlinear vehicle allows, by the band of the data, and the floor "
-            "of linear estimators, to which friction is noise."
+            help="Also what the nonlinear vehicle allows, by the band of the data, the bound of "
+            "van Trees, and the floor of linear estimators, to which friction is noise."
         ),
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Plot over spatial frequency to write.")] = None,
@@ -119,7 +119,7 @@ def observability(
             if attainable:
                 floor = bound(car, state, v, instruments, prior, residual_as_noise=True, **settings)
                 rows[-1]["linear_estimators"] = floor.pooled
-                rows[-1]["attainable"] = _attainable(car, state, speed, sensors, noise, prior)
+                rows[-1] |= _nonlinear(car, state, speed, sensors, noise, prior)
             if out is not None:
                 n = np.geomspace(PLOTTED_BAND[0], min(PLOTTED_BAND[1], F_C / v), 3000)
                 drawn = bound(car, state, v, instruments, prior, n=n, **settings)
@@ -197,35 +197,41 @@ def _row(mode: str, speed: float, damping: np.ndarray, posterior: Posterior) -> 
     }
 
 
-def _attainable(
+def _nonlinear(
     car: VehicleParameters,
     mode: str | dict[str, str],
     speed_kmh: float,
     sensors: str,
     noise: float | None,
     prior: RoadPrior,
-) -> dict[str, float]:
-    """Return the attainable NRMSE for each of BANDWIDTHS on a road of ATTAINABLE_LENGTH."""
+) -> dict[str, Any]:
+    """Return the attainable NRMSE for each of BANDWIDTHS on a road of ATTAINABLE_LENGTH, and the
+    bound of van Trees for the widest.
+    """
     road = Iso8608(G_d0=prior.G_d0, w=prior.w, track=prior.track, length=ATTAINABLE_LENGTH)
     record, truth = simulate_record(
         road, vehicle=car, speed_kmh=speed_kmh, mode=mode, instruments=sensors
     )
     options: dict[str, Any] = {"instruments": sensors, "noise_density": noise}
-    return {
+    attainable = {
         f"{f:g}": attainable_error(record, truth, car, prior, bandwidth=f, **options)
         for f in BANDWIDTHS
     }
+    van_trees = van_trees_error(record, car, prior, bandwidth=BANDWIDTHS[-1], **options)
+    return {"attainable": attainable, "van_trees": van_trees}
 
 
 def _attainable_table(rows: list[dict[str, Any]]) -> Table:
     table = Table(
         title="Attainable in-band NRMSE: nonlinear vehicle, data up to ...",
-        caption="one road; linear estimators: friction is noise to them",
+        caption="one road; van Trees: no estimator errs less over all such roads; linear: friction "
+        "is noise to linear estimators",
     )
-    for head in ("front / rear", "km/h", *(f"{f:g} Hz" for f in BANDWIDTHS), "linear"):
+    heads = *(f"{f:g} Hz" for f in BANDWIDTHS), "van Trees", "linear"
+    for head in ("front / rear", "km/h", *heads):
         table.add_column(head, justify="left" if head == "front / rear" else "right")
     for row in rows:
-        cells = (*row["attainable"].values(), row["linear_estimators"])
+        cells = (*row["attainable"].values(), row["van_trees"], row["linear_estimators"])
         table.add_row(row["mode"], f"{row['speed_kmh']:g}", *(f"{x:.3f}" for x in cells))
     return table
 

@@ -1,12 +1,18 @@
-"""Tests of the attainable error against a dense posterior and against the linear bound."""
+"""Tests of the attainable error and of the bound of van Trees."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from vehicle_fixtures import DEFENDER
 
-from estimators.map_smoother.attainable import attainable_error, whole_drive
+from estimators.map_smoother.attainable import (
+    ExpectedInformation,
+    attainable_error,
+    van_trees_error,
+    whole_drive,
+)
 from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.objective import linearize
 from estimators.map_smoother.posterior_sampling import band_pass, draw_deviation, interior
@@ -32,7 +38,7 @@ def test_the_noise_of_the_truth_gives_the_true_heights():
 
 
 def test_samples_have_the_covariance_of_the_dense_posterior():
-    record, truth = drive(8.0)
+    record, truth = drive(6.0)
     objective = whole_drive(record, DEFENDER, PRIOR, 50.0, "paper")
     u = objective.road.noise_of(truth).ravel()
     lin = linearize(objective, np.pad(u, (0, objective.size - u.size)), objective.information)
@@ -62,3 +68,42 @@ def test_more_bandwidth_and_less_noise_attain_less_error():
         record, truth, DEFENDER, replace(PRIOR, G_d0=CLASSES["F"]), bandwidth=25.0
     )
     assert rough > 0.9 * narrow  # a weaker prior leaves no less to be found out
+
+
+@pytest.mark.parametrize("cubic", [0.0, 0.3, 1.0])
+def test_of_a_scalar_the_bound_of_van_trees_is_its_closed_form_and_below_the_least_error(cubic):
+    """y = z + cubic z³ + e: of a linear measurement the bound is the posterior variance."""
+    R, rng = 0.25, np.random.default_rng(0)
+
+    def at(z):
+        g = (1.0 + 3.0 * cubic * z**2) / np.sqrt(R)
+        return SimpleNamespace(
+            hessian_product=lambda x: x + g**2 * x,
+            adjoint=lambda e: g * e,
+            draw_noise=lambda rng: rng.standard_normal(),
+        )
+
+    expected = ExpectedInformation([at(z) for z in rng.standard_normal(10_000)])
+    precision = 1.0 + (1.0 + 6.0 * cubic + 27.0 * cubic**2) / R
+    assert expected.hessian_product(np.ones(1)) == pytest.approx(precision, rel=0.1)
+    few = ExpectedInformation(expected.at[:20])
+    scores = [few.adjoint(few.draw_noise(rng)) for _ in range(2000)]
+    assert np.var(scores) == pytest.approx(few.hessian_product(np.ones(1))[0] - 1.0, rel=0.15)
+    # the least error is that of the posterior mean, by quadrature over z and y
+    z = np.linspace(-8.0, 8.0, 801)
+    prior = np.exp(-0.5 * z**2) / np.exp(-0.5 * z**2).sum()
+    g = z + cubic * z**3
+    y = np.linspace(g[100] - 3.0, g[-101] + 3.0, 2001)  # beyond 6 deviations nothing is left
+    joint = prior * np.exp(-0.5 * (y[:, None] - g) ** 2 / R) / np.sqrt(2.0 * np.pi * R)
+    total = np.maximum(joint.sum(axis=1), 1e-300)
+    least = 1.0 - np.sum((joint @ z) ** 2 / total) * (y[1] - y[0])
+    assert 1.0 / precision <= least * (1.0 + 1e-6)
+    if cubic == 0.0:
+        assert 1.0 / precision == pytest.approx(least, rel=1e-6)
+
+
+def test_the_bound_of_van_trees_falls_with_the_roads_and_is_below_what_is_attainable():
+    record, truth = drive(30.0)
+    one, many = (van_trees_error(record, DEFENDER, PRIOR, roads=n) for n in (1, 6))
+    assert 0.005 < many < 0.7 * one
+    assert many < attainable_error(record, truth, DEFENDER, PRIOR)
