@@ -50,28 +50,27 @@ def check_estimator(
     ) as sandbox:
         (entry,) = resolve_entries([estimator], sandbox)
         results = check_entry(entry, sandbox, limits)
-    failed = [result.name for result in results if result.passed is False]
+    print_checks("estimator", entry.name, results, summarize(results), json)
+
+
+def print_checks(
+    kind: str, name: str, results: Sequence[CheckResult], summary: str, json: bool
+) -> None:
+    """Print a line for each check of what is named, and one for all, or JSON. Raises typer.Exit if
+    a check has failed.
+    """
+    passed = not any(result.passed is False for result in results)
     if json:
-        print_json(
-            {
-                "estimator": entry.name,
-                "passed": not failed,
-                "checks": [dataclasses.asdict(result) for result in results],
-            }
-        )
+        checks = [dataclasses.asdict(result) for result in results]
+        print_json({kind: name, "passed": passed, "checks": checks})
     else:
-        print_checks(results, f"{entry.name}: {summarize(results)}")
-    if failed:
+        table = Table.grid(padding=(0, 1))
+        for result in results:
+            table.add_row(MARKS[result.passed], result.name, result.message)
+        console.print(table)
+        console.print(f"{name}: {summary}", highlight=False)
+    if not passed:
         raise typer.Exit(1)
-
-
-def print_checks(results: Sequence[CheckResult], summary: str) -> None:
-    """Print a line for each check, and one for all."""
-    table = Table.grid(padding=(0, 1))
-    for result in results:
-        table.add_row(MARKS[result.passed], result.name, result.message)
-    console.print(table)
-    console.print(summary, highlight=False)
 
 
 def summarize(results: Sequence[CheckResult]) -> str:

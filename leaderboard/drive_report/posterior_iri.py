@@ -39,6 +39,7 @@ MAX_ERROR_SHARE, SHARE_LENGTH = 0.35, 20.0
 window [m] of that. By a third, the median of the IRI is 6 % above that of the profile.
 """
 
+SAMPLES = 100
 QUANTILES = (0.025, 0.5, 0.975)
 """The interval of 95 % and the median."""
 
@@ -51,33 +52,26 @@ class IriPosterior(NamedTuple):
     high: np.ndarray
 
 
-def posterior_iri(
-    estimate: Estimate,
-    v: float,
-    edges: np.ndarray,
-    *,
-    samples: int = 100,
-    seed: int = 0,
-) -> IriPosterior:
+def posterior_iri(estimate: Estimate, v: float, edges: np.ndarray) -> IriPosterior:
     """Return the IRI of the segments between stations `edges` (K + 1,) [m] of a drive at `v` [m/s].
 
     Without a standard deviation of the estimate all three values are those of its profile.
     """
-    rng, band = np.random.default_rng(seed), scored_band(v)
+    rng, band = np.random.default_rng(0), scored_band(v)
     index = np.searchsorted(estimate.s, edges)
     known = estimate.z_std is not None
     std = np.zeros(1)
     if estimate.z_std is not None:
         std = np.minimum(estimate.z_std, MAX_ERROR_SHARE * _roughness(estimate, band))
     drawn = []
-    for _ in range(samples if known else 1):
+    for _ in range(SAMPLES if known else 1):
         error = 0.0
         if known:
             error = std * unit_error(estimate.s.size, estimate.ds, band, rng)
         drawn.append(_segment_iri(estimate.z + error, estimate.ds, index))
     iri = np.array(drawn)
     if known:
-        iri *= np.exp(MODEL_STD * rng.standard_normal((samples, 1, 1)))
+        iri *= np.exp(MODEL_STD * rng.standard_normal((SAMPLES, 1, 1)))
     return IriPosterior(*np.quantile(iri, QUANTILES, axis=0))
 
 

@@ -111,19 +111,18 @@ def resample(
     return Resampled(float(np.dot(weights, means)), np.tensordot(weights, made, axes=1))
 
 
-def iqm_slope(parts: Sequence[np.ndarray], seed: int = 0, strata: Strata | None = None) -> Interval:
+def iqm_slope(parts: Sequence[np.ndarray], strata: Strata | None = None) -> Interval:
     """Return the least-squares slope of the interquartile mean over `parts`, each (R, C, S).
 
     With its 95 % interval; the parts are paired road by road and seed by seed.
     """
     x = np.arange(len(parts)) - 0.5 * (len(parts) - 1)
-    return resample(parts, (x / np.sum(x * x)).tolist(), seed, strata=strata).interval()
+    return resample(parts, (x / np.sum(x * x)).tolist(), strata=strata).interval()
 
 
 def performance_profile(
     scores: np.ndarray,
     thresholds: np.ndarray,
-    seed: int = 0,
     replicates: int = REPLICATES,
     strata: Strata | None = None,
 ) -> PerformanceProfile:
@@ -138,7 +137,7 @@ def performance_profile(
             return np.stack([np.sum(x <= limit, axis=-1) / count for limit in thresholds], axis=-1)
 
     reached = shares(scores.ravel())
-    parts = [shares(x) for x in _replicate_scores(scores, seed, replicates, strata)]
+    parts = [shares(x) for x in _replicate_scores(scores, 0, replicates, strata)]
     low, high = np.quantile(np.concatenate(parts), QUANTILES, axis=0)
     return PerformanceProfile(reached, low, high)
 
@@ -172,12 +171,7 @@ def count_roads(scores: np.ndarray) -> int:
     return int(np.sum(~np.isnan(scores).all(axis=(1, 2))))
 
 
-def rank_entries(
-    scores: Mapping[str, np.ndarray],
-    seed: int = 0,
-    replicates: int = REPLICATES,
-    strata: Strata | None = None,
-) -> dict[str, Rank]:
+def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None) -> dict[str, Rank]:
     """Rank the entries by their `scores` (R, C, S), lower is better; best first.
 
     An entry is significantly better if the 95 % interval of the paired difference lies below 0,
@@ -186,7 +180,7 @@ def rank_entries(
     """
     if not scores:
         return {}
-    made = {name: resample([x], (1.0,), seed, replicates, strata) for name, x in scores.items()}
+    made = {name: resample([x], strata=strata) for name, x in scores.items()}
     drawn = np.stack([x.replicates for x in made.values()])  # (N, B)
     drawn[np.isnan(drawn).any(axis=1)] = np.inf  # an undefined score loses every comparison
     ranks = 1 + np.sum(np.mean(drawn[:, None] > drawn, axis=2) > QUANTILES[1], axis=1)

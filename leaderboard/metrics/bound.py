@@ -35,20 +35,19 @@ def nrmse_bound(task: Task, condition: Condition, truth: Profile) -> float:
     return pooled_bound(task.car, task.instruments, condition.simulator_mode, v, *road)
 
 
-def third_octave_bound(task: Task, condition: Condition, G_d0: float = CLASSES["D"]) -> list[float]:
-    """Return the least NRMSE [-] in each of THIRD_OCTAVES on an ISO road (w = 2) of `G_d0` [m³]."""
+def third_octave_bound(task: Task, condition: Condition) -> list[float]:
+    """Return the least NRMSE [-] in each of THIRD_OCTAVES on an ISO road (w = 2) of class D."""
     v, edge = condition.speed_kmh / 3.6, 2.0 ** (1 / 6)  # half a third octave
     car, instruments = load_vehicle(task.car), load_instruments(task.instruments)
     n = np.geomspace(THIRD_OCTAVES[0] / edge, THIRD_OCTAVES[-1] * edge, 15 * 60)
-    posterior = bound(car, condition.simulator_mode, v, instruments, RoadPrior(G_d0=G_d0), n=n)
+    prior = RoadPrior(G_d0=CLASSES["D"])
+    posterior = bound(car, condition.simulator_mode, v, instruments, prior, n=n)
     errors = []
     for centre in THIRD_OCTAVES:
         inside = (n >= centre / edge) & (n < centre * edge)
         wrong = np.trapezoid(posterior.path_psd[inside].sum(axis=1), n[inside])
-        prior = np.trapezoid(
-            np.real(np.trace(posterior.prior[inside], axis1=1, axis2=2)), n[inside]
-        )
-        errors.append(float(np.sqrt(wrong / prior)))
+        road = np.real(np.trace(posterior.prior[inside], axis1=1, axis2=2))
+        errors.append(float(np.sqrt(wrong / np.trapezoid(road, n[inside]))))
     return errors
 
 

@@ -125,9 +125,11 @@ class PaperScenario:
         states = [training.state for training in self.trainings]
         return {kind: states.count(kind) / len(states) for kind in TRAINING_STATES}
 
-    def median_run(self, score: str = "nrmse") -> PaperTraining:
-        """Return the training with the median of a score."""
-        return sorted(self.trainings, key=lambda t: t.scores[score])[(len(self.trainings) - 1) // 2]
+    def median_run(self) -> PaperTraining:
+        """Return the training with the median NRMSE."""
+        return sorted(self.trainings, key=lambda t: t.scores["nrmse"])[
+            (len(self.trainings) - 1) // 2
+        ]
 
 
 def iq_means(scenarios: Sequence[PaperScenario], score: str) -> list[list[float]]:

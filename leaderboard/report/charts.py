@@ -95,10 +95,8 @@ def heights_of(trace: Trace, z: np.ndarray, kind: str) -> tuple[float, float, np
     return first * trace.ds, stride * trace.ds, inside[:, ::stride]
 
 
-def height_lines(
-    traces: Mapping[str, Trace], side: int, kind: str, shown: int = N_SHOWN
-) -> list[dict[str, Any]]:
-    """Return the truth and the estimates of one wheel path, the first `shown` visible at first."""
+def height_lines(traces: Mapping[str, Trace], side: int, kind: str) -> list[dict[str, Any]]:
+    """Return the truth and the estimates of one wheel path, N_SHOWN of them visible at first."""
     reference = next(iter(traces.values()))
     lines = [_height_line("truth", reference, reference.z_true, side, kind) | {"line": TRUTH_LINE}]
     for k, (name, trace) in enumerate(traces.items()):
@@ -108,7 +106,7 @@ def height_lines(
             stride = round(line["dx"] / trace.ds)
             std = trace.z_std[side, first:][::stride][: len(line["dy"])]
             line["std"] = encode_std(std)
-        lines.append({**line, "line": line_style(name), **({} if k < shown else visibility(k))})
+        lines.append({**line, "line": line_style(name), **({} if k < N_SHOWN else visibility(k))})
     return lines
 
 
@@ -236,13 +234,13 @@ def _class_line(level: float) -> list[float]:
     return [level * (n / N_0) ** -2.0 for n in CLASS_FREQUENCIES]
 
 
-def error_lines(rows: Mapping[str, Row], group: str, shown: int = N_SHOWN) -> list[dict[str, Any]]:
+def error_lines(rows: Mapping[str, Row], group: str) -> list[dict[str, Any]]:
     """Return the third-octave errors of rows over a group of runs, or over all of them."""
     lines = []
     for k, (name, row) in enumerate(rows.items()):
         values = row.groups.get(group, row.values)
         y = [None if (x := values.get(key)) is None else rounded(x, 4) for key in SPECTRUM_SCORES]
-        look = {"line": line_style(name), **({} if k < shown else visibility(k))}
+        look = {"line": line_style(name), **({} if k < N_SHOWN else visibility(k))}
         lines.append(curve(name, THIRD_OCTAVES, y, hovertemplate=ERROR_HOVER, **look))
     return lines
 

@@ -133,10 +133,10 @@ def interval_bars(
     }
 
 
-def upright(x: float, dash: str = "dot", colour: str = QUIET) -> dict[str, Any]:
+def upright(x: float, dash: str = "dot") -> dict[str, Any]:
     """Return a vertical line over the whole height of a figure."""
     at = {"x0": x, "x1": x, "y0": 0, "y1": 1, "yref": "paper"}
-    return {"type": "line", **at, "line": {"color": colour, "dash": dash, "width": 1}}
+    return {"type": "line", **at, "line": {"color": QUIET, "dash": dash, "width": 1}}
 
 
 def encode_heights(z: np.ndarray) -> list[int]:

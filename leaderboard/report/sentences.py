@@ -27,16 +27,16 @@ UNRELATED_ROAD = {"kind": "iso8608", "road_class": "D", "length": 100.0}
 
 @cache
 def unrelated_level_errors(
-    pairs: int = N_PAIRS, seed: int = 0, longest_wave: float = 20.0, about_mean: bool = True
+    longest_wave: float = 20.0, about_mean: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return level errors (2 pairs,) and correlations (pairs,) of unrelated class-D roads.
+    """Return level errors (2 N_PAIRS,) and correlations (N_PAIRS,) of unrelated class-D roads.
 
     Level errors are those of single wheel paths, of heights about their mean or about the first
     one. The two roads of a pair are 100 m of the same class and independent.
     """
     levels: list[float] = []
     r: list[float] = []
-    for y, a in _unrelated_roads(pairs, seed, longest_wave):
+    for y, a in _unrelated_roads(longest_wave):
         if about_mean:
             y, a = heights.remove_mean(y), heights.remove_mean(a)
         levels += heights.level_error(y, a)[:2]
@@ -47,13 +47,13 @@ def unrelated_level_errors(
 
 
 @lru_cache(maxsize=1)
-def _unrelated_roads(pairs: int, seed: int, longest_wave: float) -> list[list[np.ndarray]]:
+def _unrelated_roads(longest_wave: float) -> list[list[np.ndarray]]:
     """Return pairs of independent roads, each the heights (2, M) [m] of both wheel paths."""
     road = load_road({**UNRELATED_ROAD, "n_min": 1.0 / longest_wave})
     s = profile_stations(100.0)
     return [
-        [road.realise(np.random.default_rng([seed, k, j])).height(s) for j in range(2)]
-        for k in range(pairs)
+        [road.realise(np.random.default_rng([0, k, j])).height(s) for j in range(2)]
+        for k in range(N_PAIRS)
     ]
 
 
