@@ -27,6 +27,7 @@ from numba.core import caching, compiler, sigutils, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.runtime import rtsys
+from numba.core.targetconfig import ConfigStack
 from numba.core.typing.templates import make_concrete_template
 
 from road_envs._atomic_io import exclusive_lock
@@ -139,33 +140,36 @@ class _InKernels:
     def __init__(self, dispatcher: Any):
         self.dispatcher = dispatcher
         self.compiled: dict[Any, Any] = {}
-        """Signature and key of the code, by argument types."""
+        """Signature and key of the code, by argument types and whether references are counted."""
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Return the typing of a call, as `Dispatcher.get_call_template`; compile if needed."""
         kernel, name = self.dispatcher, self.dispatcher.py_func.__name__
         pysig, folded = kernel._compiler.fold_argument_types(args, kws)
         kinds = tuple(map(types.unliteral, folded))  # one code for all wheels, not one for each
-        if kinds not in self.compiled:
-            self.compiled[kinds] = self._compile(kinds)
-        signatures = [self.compiled[kinds][0]]
+        counted = bool(ConfigStack().top().nrt)
+        if (kinds, counted) not in self.compiled:
+            self.compiled[kinds, counted] = self._compile(kinds, counted)
+        signatures = [self.compiled[kinds, counted][0]]
         return make_concrete_template(name, key=name, signatures=signatures), pysig, kinds, {}
 
     def get_overload(self, sig: Any) -> Any:
         """Return the key of the code for a signature, as `Dispatcher.get_overload`."""
-        return self.compiled[tuple(sigutils.normalize_signature(sig)[0])][1]
+        kinds = tuple(sigutils.normalize_signature(sig)[0])
+        return self.compiled[kinds, bool(ConfigStack().top().nrt)][1]
 
-    def _compile(self, kinds: Any) -> Any:
+    def _compile(self, kinds: Any, counted: bool) -> Any:
         kernel = self.dispatcher
         flags: Any = compiler.Flags()
         kernel.targetdescr.options.parse_as_flags(flags, kernel.targetoptions)
         target = kernel.targetctx
         flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
+        flags.nrt = counted
         library = _PartOfKernel(target.codegen(), kernel.py_func.__qualname__)
         result = compiler.compile_extra(
             kernel.typingctx, target, kernel.py_func, kinds, None, flags, {}, library=library
         )
-        key = self, kinds
+        key = self, kinds, counted
         target.insert_user_function(key, result.fndesc, [library])
         return result.signature, key
 
@@ -181,23 +185,33 @@ def _announce_compilation() -> None:
 @overload
 def kernel(function: F) -> F: ...
 @overload
-def kernel(*, inline: bool) -> Callable[[F], F]: ...
-def kernel(function: F | None = None, *, inline: bool = True) -> F | Callable[[F], F]:
+def kernel(*, inline: bool = True, count_references: bool = True) -> Callable[[F], F]: ...
+def kernel(
+    function: F | None = None, *, inline: bool = True, count_references: bool = True
+) -> F | Callable[[F], F]:
     """Compile with `numba.njit`, cached on disk and inlined into every caller.
 
     Inlined kernels run 2.5 times faster than called ones; `inline=False` is for what is large and
     called seldom, so that it compiles once. IEEE arithmetic, except that a*b + c may be contracted
     and x / c become x * (1 / c).
+
+    A kernel that Python calls and that creates and returns no array, nor do those that it calls,
+    need not `count_references` to arrays: a view in a loop may take longer than the arithmetic on
+    it, since the counters are atomic. Numba refuses to compile it if it does create one.
     """
-    return (lambda f: _compiled(f, inline)) if function is None else _compiled(function, inline)
+    if function is None:
+        return lambda f: _compiled(f, inline, count_references)
+    return _compiled(function, inline, count_references)
 
 
-def _compiled(function: F, inline: bool) -> F:
+def _compiled(function: F, inline: bool, count_references: bool) -> F:
+    counting: Any = {"_nrt": count_references}  # an option of Numba that its types leave out
     compiled: Any = numba.njit(
         error_model="numpy",
         fastmath={"contract", "arcp"},
         forceinline=inline,
         nogil=True,
+        **counting,
     )(function)
     if hasattr(compiled, "_cache"):  # NUMBA_DISABLE_JIT leaves a plain function
         with suppress(RuntimeError):  # nowhere to write: compiled anew in every process

@@ -228,8 +228,10 @@ class EnvSetup:
             share[encode_command(action)] = error**2
         return share
 
-    def make_fleet(self, n_vehicles: int = 1, threads: int = 1) -> InstrumentedFleet:
-        """Return a fleet of vehicles at rest, one for each environment."""
+    def make_fleet(
+        self, n_vehicles: int = 1, threads: int = 1, keep_signals: bool = False
+    ) -> InstrumentedFleet:
+        """Return an `InstrumentedFleet` at rest, one vehicle for each environment."""
         o = self.options
         by_command = self.unresolved_variance_by_command
         return InstrumentedFleet(
@@ -247,6 +249,7 @@ class EnvSetup:
             unresolved_variance=by_command if o.weights.unresolved_variance > 0.0 else None,
             unresolved_variance_weight=o.weights.unresolved_variance,
             truth=o.truth,
+            keep_signals=keep_signals,
             threads=threads,
         )
 
@@ -284,12 +287,12 @@ class EnvSetup:
 
     def failure_reason(self, output: StepOutput, i: int, road: str) -> str:
         """Return why the episode of environment `i` on `road` has failed; empty if it has not."""
+        if output.nonfinite_step[i] < 0 and output.rollover[i] < 0:
+            return ""
         begin = round((output.values[i, 0] - self.interval) / self.options.step)
         if output.nonfinite_step[i] >= 0:
             t = self.options.step * (begin + output.nonfinite_step[i])
             return f"{road}: the motion is no longer finite at t = {t:.3f} s"
-        if output.rollover[i] >= 0:
-            row, column = divmod(int(output.rollover[i]), len(ANGLES))
-            t, degrees = self.options.step * (begin + row), np.degrees(MAX_ANGLE)
-            return f"{DOF[ANGLES[column]]} passed {degrees:.0f} degrees at t = {t:.3f} s"
-        return ""
+        row, column = divmod(int(output.rollover[i]), len(ANGLES))
+        t, degrees = self.options.step * (begin + row), np.degrees(MAX_ANGLE)
+        return f"{DOF[ANGLES[column]]} passed {degrees:.0f} degrees at t = {t:.3f} s"

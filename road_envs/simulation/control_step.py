@@ -1,9 +1,9 @@
 """One control interval of blocks of instrumented vehicles, in one compiled pass.
 
 It integrates the motion (`fleet`), applies noise, clipping and anti-alias filter of the
-accelerometers (as `data_logger`) and the W_k filter (`comfort`), and sums the costs; only the
-output of an environment is stored. Arrays have the blocks as first axis and LANES as last axis,
-which the shapes below omit.
+accelerometers (as `data_logger`) and the W_k filter (`comfort`), and sums the costs, all of them
+step by step, so that signals are not stored; only the output of an environment is. Arrays have the
+blocks as first axis and LANES as last axis, which the shapes below omit.
 """
 
 from typing import NamedTuple
@@ -11,19 +11,35 @@ from typing import NamedTuple
 import numpy as np
 
 from road_envs._numba import kernel
-from road_envs.sensing.filters import sosfilt_kernel
+from road_envs.sensing.filters import filter_sample
 from road_envs.simulation.drive import DriveInputs
 from road_envs.simulation.fleet import (
+    NO_MANOEUVRE,
+    LaneScratch,
     RoadBuffers,
     delay_commands,
     front_axle_stations,
-    integrate_lanes,
-    sample_roads,
+    take_step,
 )
 from road_envs.simulation.lanes import LaneBuffers, aligned_zeros
-from road_envs.simulation.rosenbrock import ACCELERATION, EXTENSION, LOAD, N_SIGNALS
-from road_envs.simulation.simd import LANES, extract_lane, maximum, minimum
-from road_envs.simulation.simd_arrays import get, put, stack_rows
+from road_envs.simulation.normal_numbers import fill_normal
+from road_envs.simulation.rosenbrock import (
+    ACCELERATION,
+    EXTENSION,
+    LOAD,
+    N_SIGNALS,
+    WORKSPACE_ROWS,
+    step_workspace,
+)
+from road_envs.simulation.simd import (
+    LANES,
+    any_positive,
+    extract_lane,
+    is_zero_or_one,
+    maximum,
+    minimum,
+)
+from road_envs.simulation.simd_arrays import add, get, put, stack_rows
 from road_envs.vehicle.equations import DOF, N_DOF, PHI, THETA, Z_B, extension
 from road_envs.vehicle.parameters import GRAVITY
 
@@ -45,10 +61,19 @@ N_PLANAR, N_STRUT_SIGNALS = 2, 8
 MAX_PLANAR, MAX_EXTENSION, MAX_EXTENSION_RATE = 20.0, 0.5, 10.0
 """Limits of the observed values of these groups [m/s², m, m/s]."""
 
-STEPS_DELAYED, STEPS_DONE, NOISE_ROWS_USED, STEPS_TOTAL = range(4)
+STEPS_DELAYED, STEPS_DONE, STEPS_TOTAL = range(3)
 DRIVE_START, SPEED, SPEED_KMH, SPEED_GAIN = range(4)
 ROAD_OFFSET, ROAD_SIZE, ROAD_START, ROAD_DS = 0, 2, 3, 4
 """Rows of `FleetState.counts`, `FleetState.kinematics` and `FleetState.road_layout`."""
+
+END_OF_ROAD, ROLLOVER, NONFINITE_STEP = range(3)
+"""Columns of `StepOutput.events`."""
+
+TRUE_S, TRUE_PROFILE, TRUE_LOADS, N_TRUE = 0, 1, 3, 7
+"""Rows of `StepOutput.truth`, and their number."""
+
+SUM_COMFORT, SUM_RATTLE, SUM_TYRE_LOAD, SUM_A_X, SUM_A_Y, N_SUMS = range(6)
+"""Rows of the sums over an interval."""
 
 
 class FleetState(NamedTuple):
@@ -56,10 +81,11 @@ class FleetState(NamedTuple):
 
     Coordinates `q` and rates `v` (B, 7), `strut_state` (B, 4, 3), command `delay_line` (B, D),
     filter states `antialias_state` (B, n, k, 2) and `wk_state` (B, m, 1, 2), `sensor_rows`
-    (B, k, 3) as `instrumented_fleet.sensor_rows` returns them for k sensors. `counts` (B, 4): steps
-    passed through the delay line, steps done, noise rows used, steps in total. `kinematics` (B, 4):
-    station at the start [m], speed [m/s], speed [km/h], gain of the speed signal. `road_layout`
-    (B, 5): the fields of `fleet.RoadBuffers` other than the heights.
+    (B, k, 3) as `instrumented_fleet.sensor_rows` returns them for k sensors, and `noise_state`
+    (B, 4) as `normal_numbers.generator_state`. `counts` (B, 3): steps passed through the delay
+    line, steps done, steps in total. `kinematics` (B, 4): station at the start [m], speed [m/s],
+    speed [km/h], gain of the speed signal. `road_layout` (B, 5): the fields of `fleet.RoadBuffers`
+    other than the heights.
     """
 
     q: np.ndarray
@@ -69,6 +95,7 @@ class FleetState(NamedTuple):
     antialias_state: np.ndarray
     wk_state: np.ndarray
     sensor_rows: np.ndarray
+    noise_state: np.ndarray
     counts: np.ndarray
     kinematics: np.ndarray
     road_layout: np.ndarray
@@ -78,10 +105,10 @@ class FleetParameters(NamedTuple):
     """Parameters common to all vehicles.
 
     Vehicle constants as in `fleet.LaneBuffers`, force tables, command `delay` in steps, valve
-    factor `alpha`, `static_load` (4,) [N], cost `weights` (3,), filters, indices `columns` of
-    the stored signals, noise and range (k,) [m/s²] of the accelerometers, whether they are `noisy`,
-    and the coordinates `sensor_columns` (k, 3) that they measure, `top_speed` [m/s], step `h` [s],
-    steps per sample (`decimation`), and flags of the optional observation groups.
+    factor `alpha`, `per_static_load` (4,) [1/N], cost `weights` (3,), filters, noise and range (k,)
+    [m/s²] of the accelerometers, whether they are `noisy`, and the coordinates `sensor_columns`
+    (k, 3) that they measure, `top_speed` [m/s], step `h` [s], steps per sample (`decimation`), and
+    flags of the optional observation groups.
     """
 
     lane_constants: np.ndarray
@@ -90,11 +117,10 @@ class FleetParameters(NamedTuple):
     displacement: np.ndarray
     delay: np.ndarray
     alpha: np.ndarray
-    static_load: np.ndarray
+    per_static_load: np.ndarray
     weights: np.ndarray
     antialias_sos: np.ndarray
     wk_sos: np.ndarray
-    columns: np.ndarray
     noise_std: np.ndarray
     range: np.ndarray
     noisy: int
@@ -109,12 +135,11 @@ class FleetParameters(NamedTuple):
 class IntervalInputs(NamedTuple):
     """Inputs of B blocks in one control interval.
 
-    `road_heights` (B, ...); `noise` (B, LANES, rows, k), standard normal; `commands` (B, LANES);
-    `a_xy` (B or 1, 4 n + 2), a_x and a_y [m/s²] of a manoeuvre in turn at every half step.
+    `road_heights` (B, ...); `commands` (B, LANES); `a_xy` (B, 4 n + 2), a_x and a_y [m/s²] of a
+    manoeuvre in turn at every half step, or (1, ...) of `fleet.NO_MANOEUVRE`.
     """
 
     road_heights: np.ndarray
-    noise: np.ndarray
     commands: np.ndarray
     a_xy: np.ndarray
 
@@ -122,139 +147,145 @@ class IntervalInputs(NamedTuple):
 class ControlStepWorkspace(NamedTuple):
     """Scratch of one thread for the n steps of a block."""
 
-    scalar: np.ndarray  # (1,)
-    out: np.ndarray  # (n, 29)
     s: np.ndarray  # (2 n + 1,)
     v: np.ndarray  # (2 n + 1,)
     a: np.ndarray  # (k, n)
-    heave: np.ndarray  # (1, n)
+    signals: np.ndarray  # (n, 29) of each step if they are kept, else (0, 29)
 
 
 class StepOutput(NamedTuple):
     """Output of one control interval with k samples, of N vehicles with S accelerometers.
 
     `observation` (N, S k + 5 or more) float32, see `RoadReconEnv`; `values` (N, 8), see
-    OUTPUT_COLUMNS; `end_of_road` (N,), whether the vehicle has left its road; `rollover` (N,),
-    4 i + column of ANGLES if an angle first exceeds MAX_ANGLE in step i, else -1; `nonfinite_step`
-    (N,), the first step with a non-finite motion, else -1. The ground truth `s` (N, k) [m],
-    `profile` (N, 2, k) [m] and `loads` (N, 4, k) [N] is empty unless requested.
+    OUTPUT_COLUMNS; `events` (N, 3), the columns below; ground truth `truth` (N, 7, k), the rows
+    below, or (N, 0, k) unless requested.
     """
 
     observation: np.ndarray
     values: np.ndarray
-    end_of_road: np.ndarray
-    rollover: np.ndarray
-    nonfinite_step: np.ndarray
-    s: np.ndarray
-    profile: np.ndarray
-    loads: np.ndarray
+    events: np.ndarray
+    truth: np.ndarray
+
+    @property
+    def end_of_road(self) -> np.ndarray:
+        """Whether the vehicles have left their roads (N,)."""
+        return self.events[:, END_OF_ROAD] > 0
+
+    @property
+    def rollover(self) -> np.ndarray:
+        """4 i + column of ANGLES if an angle first exceeds MAX_ANGLE in step i, else -1 (N,)."""
+        return self.events[:, ROLLOVER]
+
+    @property
+    def nonfinite_step(self) -> np.ndarray:
+        """First step with a non-finite motion, else -1 (N,)."""
+        return self.events[:, NONFINITE_STEP]
+
+    @property
+    def s(self) -> np.ndarray:
+        """Stations of the front axles at the samples [m] (N, k)."""
+        return self.truth[:, TRUE_S]
+
+    @property
+    def profile(self) -> np.ndarray:
+        """Heights under the front wheels at the samples [m] (N, 2, k)."""
+        return self.truth[:, TRUE_PROFILE:TRUE_LOADS]
+
+    @property
+    def loads(self) -> np.ndarray:
+        """Tyre loads at the samples [N] (N, 4, k)."""
+        return self.truth[:, TRUE_LOADS:]
 
 
-def workspace_buffer(steps: int, sensors: int) -> np.ndarray:
+def workspace_buffer(steps: int, sensors: int, keep_signals: bool) -> np.ndarray:
     """Allocate the buffer (rows, LANES) of a ControlStepWorkspace for intervals of n = `steps`."""
-    return aligned_zeros(1 + (N_SIGNALS + 5 + sensors) * steps + 2)
+    return aligned_zeros((4 + sensors + keep_signals * N_SIGNALS) * steps + 2)
 
 
 @kernel
 def workspace_views(buffer, n, sensors):
     """Return the ControlStepWorkspace for `n` steps as views into a `workspace_buffer`."""
-    scalar, at = buffer[:1], 1
-    out, at = buffer[at : at + N_SIGNALS * n].reshape(n, N_SIGNALS, LANES), at + N_SIGNALS * n
-    s, at = buffer[at : at + 2 * n + 1], at + 2 * n + 1
+    s, at = buffer[: 2 * n + 1], 2 * n + 1
     v, at = buffer[at : at + 2 * n + 1], at + 2 * n + 1
     a, at = buffer[at : at + sensors * n].reshape(sensors, n, LANES), at + sensors * n
-    heave = buffer[at : at + n].reshape(1, n, LANES)
-    return ControlStepWorkspace(scalar, out, s, v, a, heave)
+    kept = (buffer.shape[0] - at) // N_SIGNALS
+    return ControlStepWorkspace(s, v, a, buffer[at:].reshape(kept, N_SIGNALS, LANES))
 
 
 @kernel(inline=False)
-def _first_nonfinite(out, k):
-    """Return the first step of lane `k` with a non-finite signal at its beginning, or n."""
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            if not np.isfinite(out[i, j, k]):
-                return i
-    return out.shape[0]
-
-
-@kernel(inline=False)
-def _first_rollover(out, k):
-    """Return 4 i + column of ANGLES for the first step i of lane `k` beyond MAX_ANGLE, or -1."""
-    for i in range(out.shape[0]):
-        for column in range(len(ANGLES)):
-            if abs(out[i, ANGLES[column], k]) > MAX_ANGLE:
-                return len(ANGLES) * i + column
-    return -1
-
-
-@kernel(inline=False)
-def _find_failures(out, q, v, largest, nonfinite_step, rollover):
-    """Write the first failures of the lanes in use (k,); zero the signals of diverged lanes."""
-    for k in range(rollover.size):
+def _mark_nonfinite(signals, i, events):
+    """Note step `i` as the first non-finite one of diverged lanes; zero their `signals`."""
+    for k in range(LANES):
         total = 0.0
-        for j in range(N_DOF):
-            total += q[j, k] + v[j, k]
-        nonfinite_step[k] = -1
+        for j in range(N_SIGNALS):
+            total += signals[j, k]
         if not np.isfinite(total):
-            nonfinite_step[k] = _first_nonfinite(out, k)
-            out[:, :, k] = 0.0  # keeps the output and the filter states finite
-    # a vector maximum over the block first: the search lane by lane is then rarely needed
-    put(largest, 0, 0.0)
-    for i in range(out.shape[0]):
-        for angle in ANGLES:
-            x = get(out[i], angle)
-            put(largest, 0, maximum(get(largest, 0), maximum(x, -x)))
-    for k in range(rollover.size):
-        rollover[k] = _first_rollover(out, k) if largest[0, k] > MAX_ANGLE else -1
+            if k < events.shape[0] and events[k, NONFINITE_STEP] < 0:
+                events[k, NONFINITE_STEP] = i
+            for j in range(N_SIGNALS):
+                signals[j, k] = 0.0  # keeps the output and the filter states finite
 
 
 @kernel(inline=False)
-def _sample_accelerometers(parameters, sensor_rows, antialias_state, noise, used, out, a):
-    """Write the filtered accelerometer signals of an interval to `a` (k, n, LANES).
+def _mark_rollover(signals, i, events):
+    """Note the first angle beyond MAX_ANGLE in step `i` of lanes that have not rolled over yet."""
+    for k in range(events.shape[0]):
+        for column in range(len(ANGLES)):
+            if events[k, ROLLOVER] < 0 and abs(signals[ANGLES[column], k]) > MAX_ANGLE:
+                events[k, ROLLOVER] = len(ANGLES) * i + column
 
-    `used` (lanes in use,): the rows of their `noise` that are used up.
+
+@kernel
+def _find_failures(signals, i, events):
+    """Note lanes of which the motion of step `i` is not finite, or an angle is beyond MAX_ANGLE.
+
+    What is not finite reaches an acceleration in the same step.
     """
-    n = out.shape[0]
-    a[:] = 0.0
-    if parameters.noisy > 0:
-        for k in range(used.size):
-            for i in range(n):
-                for j in range(a.shape[0]):
-                    a[j, i, k] = noise[k, used[k] + i, j]
-            used[k] += n
+    total, angle = get(signals, ACCELERATION), 0.0 * get(signals, ACCELERATION)
+    for j in range(1, N_DOF):
+        total = total + get(signals, ACCELERATION + j)
+    if not is_zero_or_one(0.0 * total):
+        _mark_nonfinite(signals, i, events)
+    for j in ANGLES:
+        angle = maximum(angle, maximum(get(signals, j), -get(signals, j)))
+    if any_positive(angle - MAX_ANGLE):
+        _mark_rollover(signals, i, events)
+
+
+@kernel
+def _measure(parameters, sensor_rows, antialias_state, signals, i, a):
+    """Replace the noise in column `i` of `a` (k, n, LANES) by the filtered accelerations."""
     for j in range(a.shape[0]):
-        heave, roll, pitch = get(sensor_rows, j, 0), get(sensor_rows, j, 1), get(sensor_rows, j, 2)
         columns, limit = parameters.sensor_columns[j], parameters.range[j]
-        std = parameters.noise_std[j]
-        for i in range(n):
-            z, phi = get(out[i], ACCELERATION + columns[0]), get(out[i], ACCELERATION + columns[1])
-            true = heave * z + roll * phi + pitch * get(out[i], ACCELERATION + columns[2])
-            x = true + std * get(a, j, i)
-            put(a[j], i, minimum(maximum(x, -limit), limit))
-    sosfilt_kernel(parameters.antialias_sos, antialias_state, a, a)
+        z, phi = get(signals, ACCELERATION + columns[0]), get(signals, ACCELERATION + columns[1])
+        heave, roll, pitch = get(sensor_rows, j, 0), get(sensor_rows, j, 1), get(sensor_rows, j, 2)
+        true = heave * z + roll * phi + pitch * get(signals, ACCELERATION + columns[2])
+        x = true + parameters.noise_std[j] * get(a, j, i)
+        x = minimum(maximum(x, -limit), limit)
+        x = filter_sample(parameters.antialias_sos, antialias_state, j, x)
+        put(a[j], i, minimum(maximum(x, -limit), limit))
+
+
+@kernel
+def _add_costs(parameters, wk_state, signals, sums):
+    """Add the squares of one step to the `sums` (6, LANES)."""
+    heave = get(signals, ACCELERATION + Z_B)
+    heave = filter_sample(parameters.wk_sos, wk_state, 0, heave)
+    add(sums, SUM_COMFORT, heave * heave)
+    for w in range(4):
+        e = get(signals, EXTENSION + w)
+        add(sums, SUM_RATTLE, e * e)
+        variation = get(signals, LOAD + w) * parameters.per_static_load[w] - 1.0
+        add(sums, SUM_TYRE_LOAD, variation * variation)
 
 
 @kernel(inline=False)
-def _sum_costs(parameters, wk_state, out, heave, scalar, values):
-    """Write the costs and the reward of an interval to `values` (lanes in use, 8)."""
-    n = out.shape[0]
-    put(scalar, 0, 0.0)
-    for i in range(n):
-        put(heave[0], i, get(out[i], ACCELERATION + Z_B))
-    sosfilt_kernel(parameters.wk_sos, wk_state, heave, heave)
-    comfort = rattle = load = get(scalar, 0)
-    for i in range(n):
-        x = get(heave, 0, i)
-        comfort = comfort + x * x
-        for w in range(4):
-            e = get(out[i], EXTENSION + w)
-            rattle = rattle + e * e
-            variation = get(out[i], LOAD + w) / parameters.static_load[w] - 1.0
-            load = load + variation * variation
+def _write_costs(parameters, n, sums, values):
+    """Write the costs and the reward of an interval of `n` steps to `values` (lanes in use, 8)."""
     for k in range(values.shape[0]):
-        values[k, OUT_COMFORT] = np.sqrt(extract_lane(comfort, k) / n)
-        values[k, OUT_RATTLE] = np.sqrt(extract_lane(rattle, k) / (4 * n))
-        values[k, OUT_TYRE_LOAD] = np.sqrt(extract_lane(load, k) / (4 * n))
+        values[k, OUT_COMFORT] = np.sqrt(sums[SUM_COMFORT, k] / n)
+        values[k, OUT_RATTLE] = np.sqrt(sums[SUM_RATTLE, k] / (4 * n))
+        values[k, OUT_TYRE_LOAD] = np.sqrt(sums[SUM_TYRE_LOAD, k] / (4 * n))
         cost = 0.0
         for j in range(3):
             cost += parameters.weights[j] * values[k, OUT_COMFORT + j]
@@ -268,9 +299,8 @@ def _write_observation(parameters, kinematics, a, commands, observation):
     for k in range(observation.shape[0]):
         at, byte = 0, commands[k]
         for j in range(a.shape[0]):
-            high = parameters.range[j]
             for i in range(0, a.shape[1], parameters.decimation):
-                observation[k, at] = min(max(a[j, i, k], -high), high)
+                observation[k, at] = a[j, i, k]
                 at += 1
         measured = kinematics[SPEED_GAIN, k] * kinematics[SPEED, k]
         observation[k, at] = min(max(measured, 0.0), parameters.top_speed)
@@ -280,27 +310,24 @@ def _write_observation(parameters, kinematics, a, commands, observation):
 
 
 @kernel(inline=False)
-def _write_optional_groups(parameters, a_xy, out, k_0, observation):
+def _write_optional_groups(parameters, n, sums, signals, k_0, observation):
     """Write the optional groups to the observations (lanes in use, ...), from column `k_0` on.
 
-    Horizontal specific forces on the inclined body are a_x - g theta and a_y + g phi, averaged over
-    the interval. Strut extensions and rates are those of the last step.
+    Horizontal specific forces on the inclined body are averaged over the interval. Strut extensions
+    and rates are those of the last step, with its `signals`.
     """
-    n, at, lanes = out.shape[0], k_0, observation.shape[0]
+    at, lanes = k_0, observation.shape[0]
     if parameters.planar > 0:
         for k in range(lanes):
-            a_x = a_y = 0.0
-            for i in range(n):
-                a_x += a_xy[4 * i, k] - GRAVITY * out[i, THETA, k]
-                a_y += a_xy[4 * i + 1, k] + GRAVITY * out[i, PHI, k]
-            observation[k, at] = min(max(a_x / n, -MAX_PLANAR), MAX_PLANAR)
-            observation[k, at + 1] = min(max(a_y / n, -MAX_PLANAR), MAX_PLANAR)
+            for j in range(N_PLANAR):
+                mean = sums[SUM_A_X + j, k] / n
+                observation[k, at + j] = min(max(mean, -MAX_PLANAR), MAX_PLANAR)
         at += N_PLANAR
     if parameters.struts > 0:
         for w in range(4):
-            rate = extension(parameters.lane_constants[0], out[n - 1, N_DOF : 2 * N_DOF], w)
+            rate = extension(parameters.lane_constants[0], signals[N_DOF : 2 * N_DOF], w)
             for k in range(lanes):
-                e, e_dot = out[n - 1, EXTENSION + w, k], extract_lane(rate, k)
+                e, e_dot = signals[EXTENSION + w, k], extract_lane(rate, k)
                 observation[k, at + w] = min(max(e, -MAX_EXTENSION), MAX_EXTENSION)
                 observation[k, at + 4 + w] = min(
                     max(e_dot, -MAX_EXTENSION_RATE), MAX_EXTENSION_RATE
@@ -308,43 +335,43 @@ def _write_optional_groups(parameters, a_xy, out, k_0, observation):
 
 
 @kernel(inline=False)
-def _write_truth(parameters, roads, workspace, s, profile, loads):
-    """Write stations, heights under the front wheels and tyre loads at the samples."""
-    p, road = parameters.lane_constants[0], stack_rows(8)
-    for i in range(0, workspace.out.shape[0], parameters.decimation):
-        at = i // parameters.decimation
-        sample_roads(p, roads, workspace.s[2 * i], workspace.v[2 * i], road, 0)
-        for k in range(s.shape[0]):
-            s[k, at] = workspace.s[2 * i, k]
-            for side in range(2):
-                profile[k, side, at] = road[side, k]
-            for w in range(4):
-                loads[k, w, at] = workspace.out[i, LOAD + w, k]
+def _write_truth(s, heights, signals, at, truth):
+    """Write station, heights under the front wheels and tyre loads of a step to column `at`."""
+    for k in range(truth.shape[0]):
+        truth[k, TRUE_S, at] = s[k]
+        for side in range(2):
+            truth[k, TRUE_PROFILE + side, at] = heights[side, k]
+        for w in range(4):
+            truth[k, TRUE_LOADS + w, at] = signals[LOAD + w, k]
 
 
-@kernel(inline=False)
+@kernel(inline=False, count_references=False)
 def advance_blocks(blocks, state, parameters, inputs, delayed, buffer, output):
     """Advance the `blocks` (indices) by one control interval under IntervalInputs.
 
     `delayed` (2, n, LANES): scratch for command bytes; `buffer`: a `workspace_buffer`. The rows of
     `output` are the vehicles; the last block may have lanes without one.
     """
-    n = delayed.shape[1]
+    n, n_sensors, h = delayed.shape[1], parameters.range.size, parameters.h
     n_samples = (n + parameters.decimation - 1) // parameters.decimation
-    n_sensors = parameters.range.size
     workspace = workspace_views(buffer, n, n_sensors)
+    scratch = LaneScratch(
+        step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16), stack_rows(2), stack_rows(2),
+        stack_rows(1), stack_rows(32), stack_rows(2), stack_rows(N_SIGNALS),
+    )  # fmt: skip
+    signals, sums = stack_rows(N_SIGNALS), stack_rows(N_SUMS)
     for b in blocks:
         rows = slice(b * LANES, min((b + 1) * LANES, output.values.shape[0]))
         lanes = rows.stop - rows.start
         q, v, layout, commands = state.q[b], state.v[b], state.road_layout[b], inputs.commands[b]
-        kinematics, counts, values = state.kinematics[b], state.counts[b], output.values[rows]
+        kinematics, counts, a_xy = state.kinematics[b], state.counts[b], inputs.a_xy
+        values, events, truth = output.values[rows], output.events[rows], output.truth[rows]
         offset, size = layout[ROAD_OFFSET:ROAD_SIZE], layout[ROAD_SIZE]
         roads = RoadBuffers(
             inputs.road_heights[b], offset, size, layout[ROAD_START], layout[ROAD_DS]
         )
-        start, speed, h = kinematics[DRIVE_START], kinematics[SPEED], parameters.h
+        start, speed = kinematics[DRIVE_START], kinematics[SPEED]
         front_axle_stations(start, speed, counts[STEPS_DONE], h, workspace.s, workspace.v)
-        a_xy, out = inputs.a_xy[b % inputs.a_xy.shape[0]], workspace.out
         for i in range(n):
             for k in range(LANES):
                 delayed[0, i, k] = commands[k]
@@ -355,24 +382,53 @@ def advance_blocks(blocks, state, parameters, inputs, delayed, buffer, output):
             parameters.lane_constants, parameters.constants, parameters.alpha, parameters.velocity,
             parameters.displacement, state.strut_state[b], q, v,
         )  # fmt: skip
+        a_xy = a_xy[b % a_xy.shape[0]]
+        manoeuvre = a_xy.shape[0] > NO_MANOEUVRE.shape[0]
         drive_inputs = DriveInputs(workspace.s, workspace.v, a_xy, delayed[1], h)
-        integrate_lanes(vehicles, roads, drive_inputs, parameters.columns, out)
-        nonfinite_step, rollover = output.nonfinite_step[rows], output.rollover[rows]
-        _find_failures(out, q, v, workspace.scalar, nonfinite_step, rollover)
-        filters, used = state.antialias_state[b], counts[NOISE_ROWS_USED, :lanes]
-        sensor_rows, a = state.sensor_rows[b], workspace.a
-        _sample_accelerometers(parameters, sensor_rows, filters, inputs.noise[b], used, out, a)
-        _sum_costs(parameters, state.wk_state[b], out, workspace.heave, workspace.scalar, values)
+        if parameters.noisy > 0:
+            for k in range(lanes):
+                fill_normal(state.noise_state[b], k, workspace.a)
+        for j in range(N_SUMS):
+            put(sums, j, 0.0)
+        for k in range(lanes):
+            events[k, ROLLOVER] = events[k, NONFINITE_STEP] = -1
+        put(scratch.valves, 0, 1.0)
+        put(scratch.valves, 1, 0.0)
+        for i in range(n):
+            take_step(vehicles, roads, drive_inputs, i, scratch, signals, None)
+            _find_failures(signals, i, events)
+            _measure(
+                parameters, state.sensor_rows[b], state.antialias_state[b], signals, i, workspace.a
+            )
+            _add_costs(parameters, state.wk_state[b], signals, sums)
+            if parameters.planar > 0:
+                first = 4 * i if manoeuvre else 0
+                add(sums, SUM_A_X, get(a_xy, first) - GRAVITY * get(signals, THETA))
+                add(sums, SUM_A_Y, get(a_xy, first + 1) + GRAVITY * get(signals, PHI))
+            if truth.shape[1] > 0 and i % parameters.decimation == 0:
+                at = i // parameters.decimation
+                _write_truth(workspace.s[2 * i], scratch.front, signals, at, truth)
+            if workspace.signals.shape[0] > 0:
+                for j in range(N_SIGNALS):
+                    put(workspace.signals[i], j, get(signals, j))
+        for k in range(lanes):
+            total = 0.0
+            for j in range(N_DOF):
+                total += q[j, k] + v[j, k]
+            if events[k, NONFINITE_STEP] < 0 and not np.isfinite(total):
+                events[k, NONFINITE_STEP] = n
+            if events[k, NONFINITE_STEP] >= 0:
+                for j in range(N_SUMS):
+                    sums[j, k] = 0.0
+        _write_costs(parameters, n, sums, values)
         observation = output.observation[rows]
-        _write_observation(parameters, kinematics, a, commands, observation)
-        _write_optional_groups(parameters, a_xy, out, n_sensors * n_samples + 5, observation)
-        if output.s.shape[1] > 0:
-            truth = (output.s[rows], output.profile[rows], output.loads[rows])
-            _write_truth(parameters, roads, workspace, *truth)
+        _write_observation(parameters, kinematics, workspace.a, commands, observation)
+        k_0 = n_sensors * n_samples + 5
+        _write_optional_groups(parameters, n, sums, signals, k_0, observation)
         for k in range(lanes):
             counts[STEPS_DONE, k] += n
-            t = counts[STEPS_DONE, k] * parameters.h
+            t = counts[STEPS_DONE, k] * h
             values[k, OUT_T] = t
             values[k, OUT_STATION] = kinematics[DRIVE_START, k] + t * kinematics[SPEED, k]
             values[k, OUT_SPEED_KMH] = kinematics[SPEED_KMH, k]
-            output.end_of_road[b * LANES + k] = counts[STEPS_DONE, k] >= counts[STEPS_TOTAL, k]
+            events[k, END_OF_ROAD] = counts[STEPS_DONE, k] >= counts[STEPS_TOTAL, k]

@@ -26,12 +26,13 @@ from road_envs.simulation.rosenbrock import (
     N_FLEXIBLE_SIGNALS,
     WORKSPACE_ROWS,
     StepInputs,
+    StepWorkspace,
     flexible_step,
     n_signals,
     step,
     step_workspace,
 )
-from road_envs.simulation.simd import LANES, integer_part, maximum, minimum
+from road_envs.simulation.simd import LANES, any_positive, integer_part, maximum, minimum
 from road_envs.simulation.simd_arrays import get, load_four, put, stack_rows
 from road_envs.simulation.substeps import SUBSTEPS, interpolate, mark_steep
 from road_envs.vehicle.equations import Motion
@@ -109,9 +110,9 @@ def front_axle_stations(start, v, done, h, s, speed):
 @kernel(inline=False)
 def copy_lanes(source, target, steep, all_lanes):
     """Copy the Motion `source` of all lanes, or of those that are not `steep`, to `target`."""
-    for j in range(source.q.shape[0]):
+    for j in range(min(source.q.shape[0], target.q.shape[0])):
         for k in range(LANES):
-            if all_lanes or not steep[k]:
+            if all_lanes or steep[0, k] == 0.0:
                 target.q[j, k], target.v[j, k] = source.q[j, k], source.v[j, k]
 
 
@@ -119,60 +120,92 @@ NO_MANOEUVRE = aligned_zeros(6)
 """Accelerations a_x, a_y in turn at the three instants of any step without a manoeuvre."""
 
 
-@kernel(inline=False)
+class LaneScratch(NamedTuple):
+    """Scratch of `take_step`, on the stack of its caller: all but `work` are rows of lanes.
+
+    `road` (16,); `front` (2,): heights under the front wheels at the beginning of the last step;
+    `valves` (2,): 1 where those of a lane move, at the start everywhere, and their last commands;
+    `steep` (1,); `motions` (32,): two Motions; `along` (2,); `unused` (32,): signals.
+    """
+
+    work: StepWorkspace
+    road: np.ndarray
+    front: np.ndarray
+    valves: np.ndarray
+    steep: np.ndarray
+    motions: np.ndarray
+    along: np.ndarray
+    unused: np.ndarray
+
+
+@kernel
+def take_step(lanes, roads, inputs, n, scratch, signals, flexible):
+    """Take step `n` of the DriveInputs of LaneBuffers over RoadBuffers; `a_xy` may be NO_MANOEUVRE.
+
+    Its signals go to `signals` (29 or 32, LANES). `flexible` is None for rigid frames.
+    """
+    p, q, strut_state = lanes.lane_constants[0], lanes.q, lanes.strut_state
+    vehicle = VehicleBuffers(lanes.lane_constants, lanes.velocity, lanes.displacement, strut_state)
+    motion, s, speed, h = Motion(q, lanes.v), inputs.s, inputs.v, inputs.h
+    road, valves, steep, along = scratch.road, scratch.valves, scratch.steep, scratch.along
+    motions, manoeuvre = scratch.motions, inputs.a_xy.shape[0] > NO_MANOEUVRE.shape[0]
+    before, whole = Motion(motions[:8], motions[8:16]), Motion(motions[16:24], motions[24:])
+    sample_roads(p, roads, s[2 * n], speed[2 * n], road, 0)
+    sample_roads(p, roads, s[2 * n + 1], speed[2 * n + 1], road, 8)
+    put(scratch.front, 0, get(road, 0))
+    put(scratch.front, 1, get(road, 1))
+    # valves rarely move: skip those that have settled under an unchanged command
+    change = get(inputs.commands, n) - get(valves, 1)
+    if any_positive(get(valves, 0) + change * change):
+        for k in range(LANES):
+            byte, own = inputs.commands[n, k], lanes.constants[k : k + 1]
+            if valves[0, k] > 0.0 or byte != valves[1, k]:
+                settled = update_lane_valves(own, strut_state, q, k, byte, lanes.alpha[k], h)
+                valves[0, k], valves[1, k] = 0.0 if settled else 1.0, byte
+    # all lanes take the whole step, then those on a steep road take it again in parts
+    parts = 1
+    if mark_steep(road, steep):
+        parts += SUBSTEPS
+        copy_lanes(motion, before, steep, True)
+    for i in range(parts):
+        if i == 1:
+            copy_lanes(motion, whole, steep, True)
+            copy_lanes(before, motion, steep, True)
+        for half in range(2 if i > 0 else 0):
+            for k in range(LANES):
+                along[0, k] = interpolate(s[2 * n : 2 * n + 3, k], i - 1, half)
+                along[1, k] = interpolate(speed[2 * n : 2 * n + 3, k], i - 1, half)
+            sample_roads(p, roads, along[0], along[1], road, 8 * half)
+        first = (4 * n if manoeuvre else 0) + (2 * (2 * (i - 1) // SUBSTEPS) if i > 0 else 0)
+        step_inputs = StepInputs(road, inputs.a_xy[first : first + 4])
+        length, row = (h / SUBSTEPS, scratch.unused) if i > 0 else (h, signals)
+        if flexible is None:
+            step(vehicle, motion, step_inputs, length, scratch.work, row)
+        else:
+            flexible_step(vehicle, motion, step_inputs, length, scratch.work, row)
+    if parts > 1:
+        copy_lanes(whole, motion, steep, False)
+
+
+@kernel(inline=False, count_references=False)
 def integrate_lanes(lanes, roads, inputs, columns, out, flexible=None):
     """Integrate the DriveInputs of LaneBuffers over RoadBuffers; `a_xy` may be NO_MANOEUVRE.
 
     The signals in `columns` (C,) go to `out` (N, C, LANES).
     `flexible`, if given: the vehicles have flexible frames, so there are 32 signals.
     """
-    p, q = lanes.lane_constants[0], lanes.q
-    strut_state, alpha = lanes.strut_state, lanes.alpha
-    vehicle = VehicleBuffers(lanes.lane_constants, lanes.velocity, lanes.displacement, strut_state)
-    motion, s, speed, h = Motion(q, lanes.v), inputs.s, inputs.v, inputs.h
-    work, road = step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16)
-    row, unused = stack_rows(N_FLEXIBLE_SIGNALS), stack_rows(N_FLEXIBLE_SIGNALS)
-    last = np.zeros(LANES, dtype=np.uint8)
-    at_target, steep = np.zeros(LANES, dtype=np.bool_), np.zeros(LANES, dtype=np.bool_)
-    before = Motion(np.empty(q.shape), np.empty(q.shape))
-    whole = Motion(np.empty(q.shape), np.empty(q.shape))
-    along, manoeuvre = np.empty((2, LANES)), inputs.a_xy.shape[0] > NO_MANOEUVRE.shape[0]
+    scratch = LaneScratch(
+        step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16), stack_rows(2), stack_rows(2),
+        stack_rows(1), stack_rows(32), stack_rows(2), stack_rows(N_FLEXIBLE_SIGNALS),
+    )  # fmt: skip
+    signals = stack_rows(N_FLEXIBLE_SIGNALS)
+    put(scratch.valves, 0, 1.0)
+    put(scratch.valves, 1, 0.0)
     for n in range(inputs.commands.shape[0]):
-        sample_roads(p, roads, s[2 * n], speed[2 * n], road, 0)
-        sample_roads(p, roads, s[2 * n + 1], speed[2 * n + 1], road, 8)
-        for k in range(LANES):
-            byte = inputs.commands[n, k]
-            # valves rarely move: skip lanes that have settled under an unchanged command
-            if not at_target[k] or byte != last[k]:
-                own = lanes.constants[k : k + 1]
-                at_target[k] = update_lane_valves(own, strut_state, q, k, byte, alpha[k], h)
-                last[k] = byte
-        # all lanes take the whole step, then those on a steep road take it again in parts
-        parts = 1
-        if mark_steep(road, steep):
-            parts += SUBSTEPS
-            copy_lanes(motion, before, steep, True)
-        for i in range(parts):
-            if i == 1:
-                copy_lanes(motion, whole, steep, True)
-                copy_lanes(before, motion, steep, True)
-            for half in range(2 if i > 0 else 0):
-                for k in range(LANES):
-                    along[0, k] = interpolate(s[2 * n : 2 * n + 3, k], i - 1, half)
-                    along[1, k] = interpolate(speed[2 * n : 2 * n + 3, k], i - 1, half)
-                sample_roads(p, roads, along[0], along[1], road, 8 * half)
-            first = (4 * n if manoeuvre else 0) + (2 * (2 * (i - 1) // SUBSTEPS) if i > 0 else 0)
-            step_inputs = StepInputs(road, inputs.a_xy[first : first + 4])
-            length, signals = (h / SUBSTEPS, unused) if i > 0 else (h, row)
-            if flexible is None:
-                step(vehicle, motion, step_inputs, length, work, signals)
-            else:
-                flexible_step(vehicle, motion, step_inputs, length, work, signals)
-        if parts > 1:
-            copy_lanes(whole, motion, steep, False)
+        take_step(lanes, roads, inputs, n, scratch, signals, flexible)
         # writing more columns than the caches hold takes as long as the step itself
         for c in range(columns.size):
-            put(out[n], c, get(row, columns[c]))
+            put(out[n], c, get(signals, columns[c]))
 
 
 class _Block:

@@ -17,7 +17,7 @@ from road_envs.simulation.control_step import (
     DRIVE_START,
     N_PLANAR,
     N_STRUT_SIGNALS,
-    NOISE_ROWS_USED,
+    N_TRUE,
     OUT_REWARD,
     OUT_UNRESOLVED,
     OUTPUT_COLUMNS,
@@ -40,17 +40,13 @@ from road_envs.simulation.control_step import (
     workspace_views,
 )
 from road_envs.simulation.drive import DriveSimulator, Trajectory
-from road_envs.simulation.fleet import thread_pool
+from road_envs.simulation.fleet import NO_MANOEUVRE, thread_pool
 from road_envs.simulation.lanes import aligned_copy, aligned_zeros, transpose_constants
 from road_envs.simulation.manoeuvres import Manoeuvre
-from road_envs.simulation.rosenbrock import N_SIGNALS
+from road_envs.simulation.normal_numbers import generator_state
 from road_envs.simulation.simd import LANES
 from road_envs.vehicle.equations import AXLE, N_DOF, PHI, THETA, Z_B, Plant, sensor_row
 from road_envs.vehicle.parameters import VehicleParameters
-
-NOISE_INTERVALS = 20
-"""Intervals for which noise is drawn at once, in the same order as one interval at a time."""
-
 
 COORDINATES = {None: [Z_B, PHI, THETA], 0: [AXLE, AXLE + 1, THETA], 1: [AXLE + 2, AXLE + 3, THETA]}
 """Coordinates that move a sensor on the body, the front and the rear axle; no axle pitches."""
@@ -70,9 +66,10 @@ class InstrumentedFleet:
     """`n_vehicles` equal instrumented vehicles: `start` begins a drive, `advance` moves all.
 
     A control interval has `steps` steps of `step` [s], a whole number of samples of the
-    `instruments`. With `truth`, `StepOutput` holds the road and the tyre loads. Blocks are spread
-    over `threads`. The state is plain NumPy, so copies and pickles work. Raises ConfigError if
-    the instruments cannot sample at these steps, and on a flexible frame.
+    `instruments`. With `truth`, `StepOutput` holds the road and the tyre loads; with `keep_signals`
+    `last_interval` returns the motion. Blocks are spread over `threads`. The state is plain NumPy,
+    so copies and pickles work. Raises ConfigError if the instruments cannot sample at these steps,
+    and on a flexible frame.
 
     `weights` are those of the three costs in the reward; `top_speed` [m/s] is the highest speed
     observed; `planar` and `struts` add these groups to the observation. `unresolved_variance`
@@ -97,6 +94,7 @@ class InstrumentedFleet:
         unresolved_variance: Callable[[float], np.ndarray] | None = None,
         unresolved_variance_weight: float = 0.0,
         truth: bool = True,
+        keep_signals: bool = False,
         threads: int = 1,
     ):
         if plant.flexible:
@@ -114,7 +112,6 @@ class InstrumentedFleet:
         self.step, self.steps, self.n_vehicles, self.truth = step, steps, n_vehicles, truth
         self.threads, self.samples = threads, steps // logger.decimation
         blocks = ceil(n_vehicles / LANES)
-        self.rngs: list[np.random.Generator | None] = [None] * (blocks * LANES)
         delay, constants = round(car.valve.delay / step), np.repeat(plant.constants, LANES)
         self.parameters = FleetParameters(
             lane_constants=transpose_constants(constants),
@@ -123,11 +120,10 @@ class InstrumentedFleet:
             displacement=plant.displacement,
             delay=np.full(LANES, delay),
             alpha=aligned_copy(np.full(LANES, 1.0 - np.exp(-step / car.valve.lag))),
-            static_load=np.repeat(car.tyre_loads, 2),
+            per_static_load=1.0 / np.repeat(car.tyre_loads, 2),
             weights=np.array(weights, dtype=float),
             antialias_sos=logger.sos,
             wk_sos=wk_sos(1.0 / step),
-            columns=np.arange(N_SIGNALS),
             noise_std=logger.noise_std,
             range=logger.range,
             noisy=int(logger.noise_std.any()),
@@ -147,11 +143,15 @@ class InstrumentedFleet:
         self.state = _initial_state(blocks, delay, len(logger.sos), len(self.parameters.wk_sos), k)
         self.road_heights = np.zeros((blocks, LANES * 2 * (4 + 2 * PAD)))
         self._resize_roads(4 + 2 * PAD)
-        rows = NOISE_INTERVALS * steps if self.parameters.noisy else 1
-        self.noise = np.zeros((blocks, LANES, rows, k))
         self._moving = np.arange(blocks)
-        self._workspaces = [_thread_workspace(steps, k) for _ in range(min(threads, blocks))]
-        self._no_manoeuvre = np.zeros((1, 4 * steps + 2, LANES))
+        self._commands = np.zeros(blocks * LANES, dtype=np.uint8)
+        self._workspaces = [
+            (
+                np.zeros((2, steps, LANES), dtype=np.uint8),
+                workspace_buffer(steps, k, keep_signals),
+            )
+            for _ in range(min(threads, blocks))
+        ]
 
     def start(self, i: int, drive: DriveSimulator, logger: DataLogger, speed_kmh: float) -> None:
         """Start vehicle `i` on a `drive` at constant speed, measured by `logger`.
@@ -170,27 +170,23 @@ class InstrumentedFleet:
         kinematics[DRIVE_START], kinematics[SPEED] = drive.start, drive.speed
         kinematics[SPEED_GAIN], kinematics[SPEED_KMH] = logger.speed_gain, speed_kmh
         counts[STEPS_DELAYED], counts[STEPS_DONE], counts[STEPS_TOTAL] = 0, 0, drive.steps_left
-        # marks all noise rows as used, so that the next interval draws from the new generator
-        counts[NOISE_ROWS_USED], self.rngs[i] = self.noise.shape[2], logger.rng
+        state.noise_state[b, :, k] = generator_state(logger.rng)
         if self.unresolved_variance is not None:
             self.unresolved[i] = self.unresolved_variance(drive.speed)
 
-    def advance(self, commands: np.ndarray, mask: np.ndarray | None = None) -> StepOutput:
-        """Advance by one interval under `commands` (N,) uint8, only the vehicles in `mask` (N,).
+    def advance(self, commands: np.ndarray | int, mask: np.ndarray | None = None) -> StepOutput:
+        """Advance by one interval under `commands` (N,) uint8 or one for all vehicles.
+
+        With a `mask` (N,) only the vehicles in it advance.
 
         Output rows outside the mask are undefined.
         """
-        blocks = len(self.road_heights)
-        lane_commands = np.zeros(blocks * LANES, dtype=np.uint8)
-        lane_commands[: self.n_vehicles] = commands
+        self._commands[: self.n_vehicles] = commands
         moving = self._moving if mask is None else np.unique(np.flatnonzero(mask) // LANES)
-        if self.parameters.noisy:
-            self._draw_noise(moving)
         # blocks advance as a whole: lanes outside the mask are restored afterwards
         saved = None if mask is None else [field[moving] for field in self.state]
         output, a_xy = self._allocate_output(), self._manoeuvre_inputs()
-        block_commands = lane_commands.reshape(blocks, LANES)
-        inputs = IntervalInputs(self.road_heights, self.noise, block_commands, a_xy)
+        inputs = IntervalInputs(self.road_heights, self._commands.reshape(-1, LANES), a_xy)
 
         def run(job: np.ndarray, delayed: np.ndarray, buffer: np.ndarray) -> None:
             advance_blocks(job, self.state, self.parameters, inputs, delayed, buffer, output)
@@ -207,7 +203,7 @@ class InstrumentedFleet:
             self._subtract_information_cost(commands, output.values)
         return output
 
-    def _subtract_information_cost(self, commands: np.ndarray, values: np.ndarray) -> None:
+    def _subtract_information_cost(self, commands: np.ndarray | int, values: np.ndarray) -> None:
         """Subtract the cost of the road variance that the commanded states leave unresolved."""
         interval = self.steps * self.step
         unresolved = self.unresolved[np.arange(self.n_vehicles), commands]
@@ -233,19 +229,21 @@ class InstrumentedFleet:
     def last_interval(self, i: int, byte: int) -> Trajectory:
         """Return the motion of vehicle `i` in the last interval, under the command `byte`.
 
-        The fleet must be of one block, since a thread keeps only its last block. Raises ValueError.
+        The fleet must keep its signals and be of one block, since a thread keeps only its last
+        block. Raises ValueError.
         """
-        if len(self.road_heights) > 1:
+        sensors = self.parameters.range.size
+        last = workspace_views(self._workspaces[0][1], self.steps, sensors)
+        if len(self.road_heights) > 1 or not last.signals.size:
             raise ValueError(
                 f"the last interval is kept in fleets of at most {LANES} vehicles, got "
-                f"{self.n_vehicles}; use a smaller fleet"
+                f"{self.n_vehicles}, and only with keep_signals; make such a fleet"
             )
-        last = workspace_views(self._workspaces[0][1], self.steps, self.noise.shape[3])
         first = int(self.state.counts[0, STEPS_DONE, i]) - self.steps
         t = self.step * (first + np.arange(self.steps))
         commands = np.full(self.steps, byte, dtype=np.uint8)
         s, v = last.s[:-1:2, i].copy(), last.v[:-1:2, i].copy()
-        return Trajectory(t, s, v, commands, last.out[:, :, i].copy())
+        return Trajectory(t, s, v, commands, last.signals[:, :, i].copy())
 
     def _set_road(self, b: int, k: int, drive: DriveSimulator) -> None:
         """Set the road of lane `k` in block `b` to the surface of `drive`."""
@@ -272,37 +270,22 @@ class InstrumentedFleet:
         offsets = capacity * np.arange(2.0 * LANES).reshape(LANES, 2)
         self.state.road_layout[:, ROAD_OFFSET:ROAD_SIZE] = offsets.T
 
-    def _draw_noise(self, moving: np.ndarray) -> None:
-        rows, used = self.noise.shape[2], self.state.counts[:, NOISE_ROWS_USED]
-        if used.max() < rows:
-            return
-        for b in moving[(used[moving] >= rows).any(axis=1)]:
-            for k in np.flatnonzero(used[b] >= rows):
-                rng = self.rngs[b * LANES + k]
-                if rng is not None:
-                    rng.standard_normal(out=self.noise[b, k])
-                used[b, k] = 0
-
     def _manoeuvre_inputs(self) -> np.ndarray:
-        """Return alternating a_x, a_y (B or 1, 4 n + 2, LANES) for the next interval."""
+        """Return alternating a_x, a_y (B or 1, ..., LANES) for the next interval."""
         if self.manoeuvre is None:
-            return self._no_manoeuvre
+            return NO_MANOEUVRE[None]
         done = self.state.counts[:, STEPS_DONE]
         instants = 0.5 * self.step * (2 * done[:, None] + np.arange(2 * self.steps + 1)[:, None])
         a_xy = self.manoeuvre.at(instants)
         return np.moveaxis(a_xy, -1, 2).reshape(len(done), 4 * self.steps + 2, LANES)
 
     def _allocate_output(self) -> StepOutput:
-        size, truth = self.n_vehicles, self.samples if self.truth else 0
+        size = self.n_vehicles
         return StepOutput(
             np.empty((size, self.observation_size), dtype=np.float32),
             np.empty((size, len(OUTPUT_COLUMNS))),
-            np.empty(size, dtype=bool),
-            np.empty(size, dtype=np.int64),
-            np.empty(size, dtype=np.int64),
-            np.empty((size, truth)),
-            np.empty((size, 2, truth)),
-            np.empty((size, 4, truth)),
+            np.empty((size, 3), dtype=np.int64),
+            np.empty((size, N_TRUE * self.truth, self.samples)),
         )
 
     def _restore_unmasked(
@@ -317,10 +300,6 @@ class InstrumentedFleet:
                 field[b][..., lanes] = before[j][..., lanes]
 
 
-def _thread_workspace(steps: int, sensors: int) -> tuple[np.ndarray, np.ndarray]:
-    return np.zeros((2, steps, LANES), dtype=np.uint8), workspace_buffer(steps, sensors)
-
-
 def _initial_state(
     blocks: int, delay: int, antialias_sections: int, wk_sections: int, sensors: int
 ) -> FleetState:
@@ -333,7 +312,8 @@ def _initial_state(
         antialias_state=aligned_zeros(blocks, antialias_sections, sensors, 2),
         wk_state=aligned_zeros(blocks, wk_sections, 1, 2),
         sensor_rows=aligned_zeros(blocks, sensors, 3),
-        counts=np.zeros((blocks, 4, LANES), dtype=np.int64),
+        noise_state=np.zeros((blocks, 4, LANES), dtype=np.uint64),
+        counts=np.zeros((blocks, 3, LANES), dtype=np.int64),
         kinematics=aligned_zeros(blocks, 4),
         road_layout=aligned_zeros(blocks, 5),
     )

@@ -24,7 +24,7 @@ from road_envs.simulation.rosenbrock import (
     update_valves,
 )
 from road_envs.simulation.simd import LANES, broadcast
-from road_envs.simulation.simd_arrays import get, put, stack_rows
+from road_envs.simulation.simd_arrays import get, put, stack_array, stack_rows
 from road_envs.vehicle.equations import N_DOF, PLANT_DTYPE, Motion, Plant
 from road_envs.vehicle.suspension import VehicleBuffers
 
@@ -64,15 +64,15 @@ def transpose_constants(constants: np.ndarray) -> np.ndarray:
 def update_lane_valves(constants, strut_state, q, k, byte, alpha, h):
     """Advance the valves of lane `k`, vehicle `constants` (1,); return whether all are settled."""
     # the valve law is written for the arrays of one vehicle: copy the lane out and back
-    own, own_q = np.empty(strut_state.shape[:2]), np.empty(q.shape[0])
-    for w in range(own.shape[0]):
-        for j in range(own.shape[1]):
+    own, own_q = stack_rows(4), stack_array(8)[: q.shape[0]]
+    for w in range(strut_state.shape[0]):
+        for j in range(strut_state.shape[1]):
             own[w, j] = strut_state[w, j, k]
     for j in range(own_q.size):
         own_q[j] = q[j, k]
     at_target = update_valves(constants[0], own, own_q, byte, alpha, h)
-    for w in range(own.shape[0]):
-        for j in range(own.shape[1]):
+    for w in range(strut_state.shape[0]):
+        for j in range(strut_state.shape[1]):
             strut_state[w, j, k] = own[w, j]
     return at_target
 
@@ -127,7 +127,7 @@ def lane_buffers(
     )
 
 
-@kernel(inline=False)
+@kernel(inline=False, count_references=False)
 def integrate_on_road(lanes, road, commands, h, out, flexible=None):
     """Integrate LaneBuffers over the same `road` (N, 16), as in `rosenbrock.StepInputs`.
 
@@ -141,7 +141,9 @@ def integrate_on_road(lanes, road, commands, h, out, flexible=None):
     motion = Motion(q, lanes.v)
     work, inputs = step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16)
     row = stack_rows(N_FLEXIBLE_SIGNALS)
-    no_manoeuvre = np.zeros((4, LANES))
+    no_manoeuvre = stack_rows(4)
+    for j in range(4):
+        put(no_manoeuvre, j, 0.0)
     settled = False
     for n in range(commands.size):
         for j in range(16):

@@ -276,14 +276,14 @@ def sample_road(p, surface, s, v, road):
         road[w], road[4 + w] = z, slope * v
 
 
-@kernel
+@kernel(count_references=False)
 def state_rate(vehicle, surface, s, v, y, out):
     """Write the rate (14,) of the state `y` with the front axle at station `s` [m] to `out`.
 
     This is the right-hand side for other integrators; the strut state stays constant. Of a
     flexible vehicle `y` and `out` are (16,).
     """
-    road, n = np.empty(8), y.size // 2
+    road, n = stack_array(8), y.size // 2
     sample_road(vehicle.constants[0], surface, s, v, road)
     out[:n] = y[n:]
     accelerations(vehicle, Motion(y[:n], y[n:]), road[:4], road[4:], out[n:])
@@ -308,7 +308,7 @@ def update_valves(p, strut_state, q, command, alpha, h):
     return settled
 
 
-@kernel
+@kernel(count_references=False)
 def integrate(vehicle, y, surface, inputs, lag, out, flexible=None):
     """Integrate `drive.DriveInputs`; the state `y` (14,) and the strut state change in place.
 

@@ -253,6 +253,24 @@ def _is_zero_or_one(context, builder, signature, values):
     return _every_lane_is(builder, values[0], 0.0, 1.0)
 
 
+def any_positive(x):
+    """Return whether `x`, or any lane of it, is greater than 0."""
+    return x > 0.0
+
+
+typed(any_positive)(lambda x: signature(types.boolean, x))
+
+
+@lower_builtin(any_positive, types.Any)
+def _any_positive(context, builder, signature, values):
+    (x,) = values
+    above = builder.fcmp_ordered(">", x, _constant(x.type, 0.0))
+    if x.type != LLVM_VECTOR:
+        return above
+    bits = builder.bitcast(above, ir.IntType(LANES))
+    return builder.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
+
+
 def power(x, n):
     """Return `x` to the power `n`."""
     return x**n

@@ -6,8 +6,8 @@ of LANES they operate on all lanes: an index with one dimension less selects a r
     get(q, j)      q (7,)     a float         q (7, LANES)     a vector
     get(p.x_1)     a float    a float         (LANES,)         a vector
 
-A row of lanes that is stored in single precision is read as a vector of doubles. Indices are not
-negative. Without compilation (`py_func`) only the scalar column exists.
+A row of lanes that is stored in single precision or as bytes is read as a vector of doubles.
+Indices are not negative. Without compilation (`py_func`) only the scalar column exists.
 """
 
 from typing import Any
@@ -134,8 +134,10 @@ def _get(context, builder, signature, values):
         return values[0]
     address = _address(context, builder, kind, values[0], values[1:])
     value = _load(builder, address, kind.dtype.bitwidth // 8)
-    widen = kind.dtype == types.float32 and kind.ndim > len(values) - 1
-    return builder.fpext(value, LLVM_VECTOR) if widen else value
+    if kind.ndim == len(values) - 1 or kind.dtype == types.float64:
+        return value
+    widen = builder.fpext if kind.dtype == types.float32 else builder.uitofp
+    return widen(value, LLVM_VECTOR)
 
 
 @lower_builtin(put, types.VarArg(types.Any))

@@ -8,8 +8,8 @@ from 3.2 to 1.6 % (potholes) and from 2.8 to 1.5 % (class F); roads up to class 
 """
 
 from road_envs._numba import kernel
-from road_envs.simulation.simd import LANES, maximum
-from road_envs.simulation.simd_arrays import get, put, stack_rows
+from road_envs.simulation.simd import any_positive, if_positive, maximum
+from road_envs.simulation.simd_arrays import get, put
 
 SUBSTEPS = 4
 """Parts of a step on a steep road, an even number."""
@@ -29,19 +29,17 @@ def is_steep(road):
 
 @kernel
 def mark_steep(road, steep):
-    """Write to `steep` (LANES,) which lanes of `road` (16, LANES) must be divided; return
-    whether any must.
+    """Write to `steep` (1, LANES) which lanes of `road` (16, LANES) must be divided, 1 or 0.
+
+    Return whether any must.
     """
-    largest = stack_rows(1)
-    put(largest, 0, 0.0)
+    put(steep, 0, 0.0)
     for w in range(4):
         change = get(road, 12 + w) - get(road, 4 + w)
-        put(largest, 0, maximum(maximum(change, -change), get(largest, 0)))
-    found = False
-    for k in range(LANES):
-        steep[k] = largest[0, k] > MAX_RATE_CHANGE
-        found = found or steep[k]
-    return found
+        put(steep, 0, maximum(maximum(change, -change), get(steep, 0)))
+    beyond = get(steep, 0) - MAX_RATE_CHANGE
+    put(steep, 0, if_positive(beyond, 1.0, 0.0))
+    return any_positive(beyond)
 
 
 @kernel

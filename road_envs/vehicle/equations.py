@@ -44,7 +44,7 @@ from typing import NamedTuple
 import numpy as np
 
 from road_envs._numba import kernel
-from road_envs.simulation.simd_arrays import add, get
+from road_envs.simulation.simd_arrays import add, get, stack_array, stack_rows
 from road_envs.vehicle.parameters import GRAVITY, VehicleParameters, VehicleVariation
 from road_envs.vehicle.suspension import (
     VehicleBuffers,
@@ -281,14 +281,14 @@ def add_manoeuvre_moments(p, phi, theta, a_x, a_y, out):
     add(out, THETA, get(p.pitch_moment) * (GRAVITY * theta - a_x))
 
 
-@kernel
+@kernel(count_references=False)
 def accelerations(vehicle, motion, z_r, w_r, out, a_x=0.0, a_y=0.0):
     """Write the accelerations (7,) of a `motion` to `out`; (8,) with a flexible frame.
 
     `z_r`, `w_r` (4,): road height [m] and its rate [m/s] under each wheel; `a_x`, `a_y` [m/s²]:
     accelerations of a manoeuvre.
     """
-    p, F, T = vehicle.constants[0], np.empty(4), np.empty(4)
+    p, F, T = vehicle.constants[0], stack_array(4), stack_array(4)
     q, v = motion
     flexible = q.size > N_DOF
     psi, psi_dot = (q[N_DOF], v[N_DOF]) if flexible else (0.0, 0.0)
@@ -313,13 +313,13 @@ def accelerations(vehicle, motion, z_r, w_r, out, a_x=0.0, a_y=0.0):
         out[N_DOF] = moment / p.frame_inertia
 
 
-@kernel
+@kernel(count_references=False)
 def stiffness_and_damping(vehicle, motion, z_r, w_r, K, C):
     """Write -df/dq to `K` and -df/dv to `C` (7, 7), with f the generalised forces.
 
     With a flexible frame both matrices are (8, 8). Arguments as for `accelerations`.
     """
-    p, struts, tyres = vehicle.constants[0], np.empty((2, 4)), np.empty((2, 4))
+    p, struts, tyres = vehicle.constants[0], stack_rows(2), stack_rows(2)
     q, v = motion
     flexible = q.size > N_DOF
     psi, psi_dot = (q[N_DOF], v[N_DOF]) if flexible else (0.0, 0.0)
@@ -329,7 +329,9 @@ def stiffness_and_damping(vehicle, motion, z_r, w_r, K, C):
         _, struts[0, w], struts[1, w] = strut_force(vehicle, w, e, e_dot)
         u, u_dot = z_r[w] - wheel_height(p, q, w), w_r[w] - wheel_height(p, v, w)
         _, tyres[0, w], tyres[1, w] = tyre_force(p, w, u, u_dot)
-    F, T, unit, column = np.empty(4), np.empty(4), np.zeros(N_DOF + 1), np.empty(N_DOF)
+    F, T, unit, column = stack_array(4), stack_array(4), stack_array(8), stack_array(N_DOF)
+    for j in range(unit.size):
+        unit[j] = 0.0
     for j in range(q.size):  # column j: forces of the linear elements under a unit coordinate
         unit[j] = 1.0
         front = relative_roll(unit, 0) + p.twist_share[0] * unit[N_DOF]

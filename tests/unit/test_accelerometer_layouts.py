@@ -19,6 +19,7 @@ from road_envs.data.logger_tables.description import (
 )
 from road_envs.data.measured_record import read_measured_record
 from road_envs.data.recording import read_record, simulate_record, write_record
+from road_envs.envs.road_recon import RoadReconEnv
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.sensing.instruments import ANTIALIAS_ORDER, instruments_of
 from road_envs.simulation.drive import simulate
@@ -150,7 +151,7 @@ def shape(sensors, tmp_path) -> str:
 
 def test_an_environment_observes_the_sensors_of_its_instruments(tmp_path):
     options = {"road": "iso_d", "length": 20.0, "speed_kmh": 54.0}
-    env = gym.make("RoadRecon-v0", sensors=shape(SIX, tmp_path), **options).unwrapped
+    env = RoadReconEnv("rgb_array", sensors=shape(SIX, tmp_path), **options)
     paper = gym.make("RoadRecon-v0", sensors="paper", **options).unwrapped
     assert env.observation_space.shape == (6 * 50 + 5,)
     observation, _ = env.reset(seed=3)
