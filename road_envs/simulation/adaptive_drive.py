@@ -56,7 +56,8 @@ from road_envs.vehicle.equations import (
     wheel_height,
 )
 from road_envs.vehicle.parameters import DEFAULT_STEP, VehicleParameters
-from road_envs.vehicle.suspension import DAMPING_HIGH, VALVE_OPEN, tyre_force
+from road_envs.vehicle.suspension import DAMPING_HIGH, VALVE_OPEN
+from road_envs.vehicle.tyres import tyre_force
 
 E_32 = 6.0 + np.sqrt(2.0)
 

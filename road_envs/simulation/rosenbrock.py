@@ -43,7 +43,8 @@ from road_envs.vehicle.equations import (
     twist_moment,
     wheel_height,
 )
-from road_envs.vehicle.suspension import advance_valve, strut_force, tyre_force, valves_settled
+from road_envs.vehicle.suspension import advance_valve, strut_force, valves_settled
+from road_envs.vehicle.tyres import tyre_force
 
 D = 1.0 / (2.0 + np.sqrt(2.0))
 

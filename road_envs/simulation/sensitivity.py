@@ -52,7 +52,8 @@ from road_envs.vehicle.equations import (
     twist_moment,
     wheel_height,
 )
-from road_envs.vehicle.suspension import strut_curvature, strut_force, tyre_curvature, tyre_force
+from road_envs.vehicle.suspension import strut_curvature, strut_force
+from road_envs.vehicle.tyres import tyre_curvature, tyre_force
 
 K_1, C_1, K_2, C_2, G_K, G_C, F_K, F_C = range(0, 32, 4)
 TK_1, TC_1, TK_2, TC_2, G_U, F_U, BLOCKS, BODY = *range(32, 60, 4), 68

@@ -51,9 +51,9 @@ from road_envs.vehicle.suspension import (
     displacement_tables,
     gas_constants,
     strut_force,
-    tyre_force,
     velocity_tables,
 )
+from road_envs.vehicle.tyres import tyre_constants, tyre_force
 
 DOF = ("z_b", "phi", "theta", "z_af", "phi_af", "z_ar", "phi_ar")
 N_DOF = len(DOF)
@@ -143,28 +143,13 @@ def build_plant(
         "velocity_table": velocity_indices,
         "displacement_table": displacement_indices,
         **gas_constants(car, variation),
-        **_tyre_constants(car, variation),
+        **tyre_constants(car, variation),
         **_frame_constants(car, variation),
     }
     constants = np.zeros(1, dtype=PLANT_DTYPE)
     for name in PLANT_DTYPE.names or ():
         constants[name] = values[name]
     return Plant(constants, velocity, displacement)
-
-
-def _tyre_constants(car: VehicleParameters, variation: VehicleVariation) -> dict[str, list[float]]:
-    """Return k_t and k_t2 of each tyre; at the origin its secant stiffness is the nominal one."""
-    rise, deltas = variation.tyre_progression, car.tyre_deflections
-    k = [factor * car.axles[w // 2].k_t for w, factor in enumerate(variation.tyre)]
-    if not rise * max(deltas) < 1.0:
-        raise ValueError(
-            f"tyre_progression must be below {1.0 / max(deltas):.1f} 1/m, got {rise}: beyond it "
-            "tyres would pull at first contact"
-        )
-    return {
-        "k_t": [k[w] * (1.0 - rise * deltas[w // 2]) for w in range(4)],
-        "k_t2": [k[w] * rise for w in range(4)],
-    }
 
 
 def _frame_constants(car: VehicleParameters, variation: VehicleVariation) -> dict[str, object]:

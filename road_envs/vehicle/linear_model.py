@@ -46,8 +46,8 @@ from road_envs.vehicle.suspension import (
     encode_command,
     settled_strut_state,
     strut_force,
-    tyre_force,
 )
+from road_envs.vehicle.tyres import tyre_force
 
 COORDINATE_UNITS = ("m", "rad", "rad", "m", "rad", "m", "rad")
 NATURAL_MODE_NAMES = (

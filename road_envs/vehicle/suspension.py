@@ -1,4 +1,4 @@
-"""Force laws of one 4S4 strut and one tyre, and the commands that switch the struts.
+"""Force laws of one 4S4 strut, and the commands that switch the struts.
 
 Positive strut forces push the body up; `e` [m] is the extension from the static length, `e_dot`
 [m/s] its rate. A strut has five components (paper, section 2.3); all but the gas spring are
@@ -311,33 +311,3 @@ def strut_curvature(vehicle, w, e, e_dot):
     c_0 = second_derivative(vehicle.velocity, ride, V_0, V_STEP, e_dot)
     c_1 = second_derivative(vehicle.velocity, ride + 1.0, V_0, V_STEP, e_dot)
     return stop - share * share * gas, (1.0 - high) * c_0 + high * c_1
-
-
-@kernel
-def tyre_force(p, w, u, u_dot):
-    """Return the load [N] of tyre `w`, its stiffness [N/m] and damping [N s/m].
-
-    `u` [m] is the compression beyond the deflection at the origin, `u_dot` [m/s] its rate. With x
-    the total compression, the spring force is E = (k_t + k_t2 x) x. The magnitude of the damper
-    force is limited to E, so that the load stays between 0 and 2 E: a tyre never pulls, and the
-    load of a wheel that approaches the ground starts from 0 at contact.
-    """
-    x = get(p.delta, w // 2) + u
-    x = if_positive(-x, 0.0, x)  # this form propagates NaN, here and below
-    k, c = get(p.k_t, w) + get(p.k_t2, w) * x, get(p.c_t, w)
-    E, slope = k * x, k + get(p.k_t2, w) * x
-    T, T_max = E + c * u_dot, E + E
-    margin = T_max - T
-    k, c = if_positive(margin, slope, slope + slope), if_positive(margin, c, 0.0)
-    T = if_positive(margin, T, T_max)
-    return if_positive(-T, 0.0, T), if_positive(T, k, 0.0), if_positive(T, c, 0.0)
-
-
-@kernel
-def tyre_curvature(p, w, u, u_dot):
-    """Return d stiffness/du [N/m²] of tyre `w`, in the active branch of `tyre_force`."""
-    _, k, _ = tyre_force(p, w, u, u_dot)
-    x, bend = get(p.delta, w // 2) + u, 2.0 * get(p.k_t2, w)
-    E = (get(p.k_t, w) + get(p.k_t2, w) * x) * x
-    excess = get(p.c_t, w) * u_dot - E  # positive where the damper force is limited
-    return if_positive(k, if_positive(excess, bend + bend, bend), 0.0)

@@ -14,7 +14,8 @@ from road_envs.simulation.adaptive_drive import integrate_adaptive, simulate_ada
 from road_envs.simulation.drive import DriveSimulator, SimulationError, simulate
 from road_envs.simulation.speed import speed_ramp
 from road_envs.vehicle.equations import Motion, equilibrium, jacobian
-from road_envs.vehicle.suspension import encode_command, settled_strut_state, tyre_force
+from road_envs.vehicle.suspension import encode_command, settled_strut_state
+from road_envs.vehicle.tyres import tyre_force
 
 GENTLE, ROUGH = smooth_road(height=0.007), smooth_road(height=0.03)
 SPEED = 12.0

@@ -20,10 +20,9 @@ from road_envs.vehicle.suspension import (
     encode_command,
     settled_strut_state,
     strut_force,
-    tyre_curvature,
-    tyre_force,
     valves_settled,
 )
+from road_envs.vehicle.tyres import tyre_curvature, tyre_force
 
 STRUT = DEFENDER.strut
 V = np.linspace(0.0, 2.5, 501)[1:]
