@@ -21,7 +21,7 @@ def paper(
     json: Json = False,
 ) -> None:
     """Reproduce the paper: a page with its figures, and all numbers as JSON."""
-    from leaderboard.paper import published_figures, report, study
+    from leaderboard.paper import claims, report, study
 
     check_output_folder(out)
     with on_interrupt("nothing is kept"), progress_bar() as progress:
@@ -31,6 +31,6 @@ def paper(
     if json:
         print_json(report.numbers(result, f"road-recon paper --trainings {trainings}"))
         return
-    for sentence in published_figures.key_findings(result):
+    for sentence in claims.key_findings(result):
         console.print(f"- {sentence}")
     console.print(f"written: {', '.join(map(str, written))}")

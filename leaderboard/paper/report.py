@@ -12,8 +12,8 @@ from leaderboard.evaluation.provenance import describe_environment, package_vers
 from leaderboard.metrics.api import UNDEFINED
 from leaderboard.metrics.bound import nrmse_bound
 from leaderboard.metrics.level import EQ_12_RAW
+from leaderboard.paper.claims import claims, key_findings
 from leaderboard.paper.figures import PaperFigure, paper_figures
-from leaderboard.paper.published_figures import claims, key_findings
 from leaderboard.paper.study import PaperScenario, Study
 from leaderboard.report.rendering import render
 from leaderboard.report.svg import STYLE, inline_svg

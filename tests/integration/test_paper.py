@@ -13,7 +13,8 @@ from typer.testing import CliRunner
 from estimators.networks.static_lm import StaticLm
 from leaderboard.cli import app
 from leaderboard.metrics.registry import SCORES
-from leaderboard.paper import published_figures, report, study
+from leaderboard.paper import claims as statements
+from leaderboard.paper import report, study
 from leaderboard.paper.figures import paper_figures, select_sessions
 
 TRAININGS = 3
@@ -54,7 +55,7 @@ def changed(change):
 
 
 def claim(found, says):
-    (one,) = [c for c in published_figures.claims(found) if says in c.statement]
+    (one,) = [c for c in statements.claims(found) if says in c.statement]
     return one
 
 
@@ -192,7 +193,7 @@ def test_verdicts_on_modes_order_states_and_time_follow_the_numbers():
 
 def test_the_key_findings_quote_the_numbers():
     found = changed(lambda case: with_scores(case, **{study.EQ_12_RAW: 0.171, "nrmse": 0.777}))
-    text = " ".join(published_figures.key_findings(found))
+    text = " ".join(statements.key_findings(found))
     assert "17.1, 17.1, 17.1 and 17.1 % where the paper has 12.8, 10.2, 14.8 and 14.2 %" in text
     assert "the error is 0.78, 0.78, 0.78 and 0.78 of the road" in text
 
@@ -215,8 +216,8 @@ def test_the_reasons_follow_the_numbers():
     assert "accelerations lie outside" in claim(loud, "Densities").reason
     assert "accelerations lie outside" not in claim(quiet, "Densities").reason
     good, bad = (changed(lambda c, x=x: both(c, 0.5, x, "nrmse")) for x in (0.3, 1.0))
-    assert "reproduce little of this paving" in " ".join(published_figures.key_findings(bad))
-    assert "reproduce little of this paving" not in " ".join(published_figures.key_findings(good))
+    assert "reproduce little of this paving" in " ".join(statements.key_findings(bad))
+    assert "reproduce little of this paving" not in " ".join(statements.key_findings(good))
 
 
 def test_false_bumps_are_attributed_to_the_rear_axle_only_at_a_wheelbase(monkeypatch):

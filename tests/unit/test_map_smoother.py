@@ -118,7 +118,7 @@ def test_a_clipped_sample_is_a_limit_and_not_a_measurement():
     np.testing.assert_allclose(left_out.residual(predicted), [[0.0, -1.5]])
 
 
-def test_bumps_on_a_level_road_are_told_within_a_twentieth():
+def test_bumps_on_a_level_road_are_found_within_a_twentieth():
     road = {"kind": "scaled", "height_factor": -1.0, "road": {
         "kind": "potholes", "length": 50.0, "rate": 0.06, "depth": [0.03, 0.08],
         "size": [0.4, 2.0], "edge": 0.15}}  # fmt: skip

@@ -210,7 +210,7 @@ def test_an_invalid_record_is_rejected_in_one_sentence(tmp_path, columns, option
     assert message in sentence and str(path) in sentence and "\n" not in sentence
 
 
-def test_all_problems_of_a_file_are_told_at_once(tmp_path):
+def test_all_problems_of_a_file_are_named_at_once(tmp_path):
     columns = changed(mode=None, v=None, a_lr=None, **spoilt("a_rr", 4, "over"))
     with pytest.raises(ConfigError) as error:
         read_measured_record(table(tmp_path / "d.csv", columns), BASE)

@@ -83,7 +83,7 @@ def test_a_pass_that_ends_early_leaves_no_step():
     np.testing.assert_allclose(after, 0.0002, rtol=1e-6)
 
 
-def test_records_get_the_stations_of_the_first_and_the_note_tells_the_shift():
+def test_records_get_the_stations_of_the_first_and_the_note_has_the_shift():
     (first, at), (second, moved) = drive(begin=10.0), drive(begin=10.0, lag=2.5, stretch=0.008)
     told = replace(single(moved, 0.0005, 2), notes=("samples clipped",))
     aligned, notes = align_passes(

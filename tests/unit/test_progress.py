@@ -32,7 +32,7 @@ def test_stored_results_do_not_count_as_fast_work():
     assert lines == [" 91 %  one more, about 3 min left"]
 
 
-def test_without_progress_no_time_is_told():
+def test_without_progress_no_time_is_shown():
     clock, lines = Clock(), []
     progress = ProgressLines(lines.append, clock)
     clock.now += 20.0
@@ -44,7 +44,7 @@ def test_without_progress_no_time_is_told():
     ("seconds", "text"),
     [(4.4, "4 s"), (89.0, "89 s"), (150.0, "2 min"), (7500.0, "2 h 05 min")],
 )
-def test_durations_are_told_in_whole_units(seconds, text):
+def test_durations_are_written_in_whole_units(seconds, text):
     assert describe_duration(seconds) == text
 
 

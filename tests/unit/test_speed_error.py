@@ -60,7 +60,7 @@ def test_a_wrong_speed_is_found_with_the_road():
     assert 1e-5 < np.sqrt(variance) < 4e-4
 
 
-def test_distances_are_corrected_where_the_speed_is_told_and_not_doubted():
+def test_distances_are_corrected_where_the_speed_is_identified_and_not_doubted():
     model = objective_of(0.0, 12.0).model
     found, notes = distance_scale([(0.004, 1e-8), (0.006, 3e-8)], model)
     assert found is not None and not notes
