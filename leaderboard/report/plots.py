@@ -191,11 +191,11 @@ def draw_observability(
                 axes.grid(which="major", color="0.85", lw=0.6)
                 axes.set_title(f"{which} of the wheel paths, {speed:g} km/h", fontsize=10)
             column[0].legend(
-                frameon=False, fontsize=8, loc="upper right", title="front / rear: in-band NRMSE"
+                frameon=False, fontsize=8, loc="upper left", title="front / rear: in-band NRMSE"
             )
             column[1].set_xlabel("spatial frequency [cycles/m]; scored band in grey")
         for axes in panels[:, 0]:
-            axes.set(ylabel="relative error of amplitude [-]", ylim=(3e-3, 1.3))
+            axes.set(ylabel="relative error of amplitude [-]", ylim=(1e-3, 1.3))
         figure.suptitle(f"Least error with the accelerometers: {title}", fontsize=11)
 
     write_figure(paint, (5.5 * len(speeds) + 0.5, 7.0), path)
