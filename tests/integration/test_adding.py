@@ -151,13 +151,13 @@ def tree(tmp_path_factory):
     """A copy of the packages and configurations."""
     folder = tmp_path_factory.mktemp("tree")
     for name in ("road_envs", "estimators", "leaderboard", "configs"):
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / name, folder / name)
     return folder
 
 
 def output(tree: Path, code: str) -> str:
     """Return what Python prints of `code`, with the packages of `tree`."""
-    environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {**os.environ, "PYTHONPATH": str(tree)}
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tree, env=environment, capture_output=True, text=True
     )

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from warm_python import WarmPython
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs/tutorials").glob("*.md"))]
@@ -60,32 +61,41 @@ CHECKS = {
 """Code that collects the values to test at the end of a page, in its own process."""
 
 
-def run(*command, cwd, path=()):
-    """Return what a command prints, with one thread for each numerical library."""
+LIBRARIES = ("leaderboard.api", "estimators.registry", "matplotlib.pyplot", "pandas")
+"""What most of the scripts import."""
+
+
+def environment():
+    """Variables of a script: one thread for each numerical library, this checkout, no window."""
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-    done = subprocess.run(
-        [sys.executable, *map(str, command)],
-        cwd=cwd,
-        env={
-            **os.environ,
-            **threads,
-            "PYTHONPATH": os.pathsep.join(map(str, [*path, ROOT])),
-            "MPLBACKEND": "agg",
-        },
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
-    return done.stdout
+    return {**os.environ, **threads, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"}
+
+
+@pytest.fixture(scope="module")
+def run():
+    """Return what a script prints: a function of the script, its words and a folder."""
+    with WarmPython(LIBRARIES, environment()) as python:
+
+        def run(*words, cwd):
+            status, printed, errors = python.run(*words, cwd=cwd)
+            assert status == 0, printed[-2000:] + errors[-4000:]
+            return printed
+
+        yield run
 
 
 def python_blocks(page: Path) -> list[str]:
     return re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.S | re.M)
 
 
+def code_of(page: Path) -> str:
+    """Return the code of a page, then that of its check, which prints the values as JSON."""
+    check = re.sub(r"^ {8}", "", CHECKS[page.name], flags=re.M)
+    return "\n".join([*python_blocks(page), check, "import json", "print(json.dumps(values))"])
+
+
 @pytest.fixture(scope="module")
-def page_values(tmp_path_factory):
+def page_values(tmp_path_factory, run):
     """Folder and values of each page, whose blocks run one after the other in one process."""
     results = {}
 
@@ -93,12 +103,8 @@ def page_values(tmp_path_factory):
         if name not in results:
             (page,) = (page for page in PAGES if page.name == name)
             folder = tmp_path_factory.mktemp("page")
-            check = re.sub(r"^ {8}", "", CHECKS[name], flags=re.M)
-            code = "\n".join(
-                [*python_blocks(page), check, "import json", "print(json.dumps(values))"]
-            )
-            (folder / "page.py").write_text(code, encoding="utf-8")
-            results[name] = folder, json.loads(run("page.py", cwd=folder).splitlines()[-1])
+            (folder / "page.py").write_text(code_of(page), encoding="utf-8")
+            results[name] = folder, json.loads(run(folder / "page.py", cwd=folder).splitlines()[-1])
         return results[name]
 
     return values_of
@@ -112,7 +118,7 @@ def test_every_example_and_every_page_with_code_is_tested():
 @pytest.mark.parametrize(
     "name", [pytest.param(x, marks=[pytest.mark.slow] * (x in LONG)) for x in EXAMPLES]
 )
-def test_an_example_runs_from_another_folder_and_writes_its_files(name, tmp_path):
+def test_an_example_runs_from_another_folder_and_writes_its_files(name, run, tmp_path):
     options, files = EXAMPLES[name]
     printed = run(ROOT / f"examples/{name}.py", "--out", tmp_path / "out", *options, cwd=tmp_path)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(files)
@@ -135,18 +141,32 @@ def test_an_own_estimator_needs_at_most_80_lines():
     assert len(cls.splitlines()) <= 80
 
 
-def test_the_readme_runs_and_its_estimator_beats_a_flat_road(page_values):
-    folder, values = page_values("README.md")
+def test_the_readme_runs_and_its_estimator_beats_a_flat_road(tmp_path):
+    """In a new interpreter, as readers run it."""
+    (tmp_path / "page.py").write_text(code_of(ROOT / "README.md"), encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "page.py"],
+        cwd=tmp_path,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+    folder, values = tmp_path, json.loads(done.stdout.splitlines()[-1])
     assert (folder / "estimate.png").read_bytes().startswith(PNG_SIGNATURE)
     assert values["own"] < 0.6 and values["fir_ridge"] < 0.6
     assert values["environments"] == 1024 and values["steps"] < 0.0
 
 
-def test_the_estimator_of_the_readme_passes_the_checks_of_a_board(tmp_path):
+def test_the_estimator_of_the_readme_passes_the_checks_of_a_board(
+    road_recon, tmp_path, monkeypatch
+):
     (block,) = (code for code in python_blocks(ROOT / "README.md") if "class LinearInverse" in code)
     (tmp_path / "readme_estimator.py").write_text(block, encoding="utf-8")
-    command = ("-m", "leaderboard.cli", "check-estimator", "readme_estimator:LinearInverse")
-    run(*command, cwd=tmp_path, path=[tmp_path])
+    monkeypatch.syspath_prepend(tmp_path)
+    code, printed, error = road_recon("check-estimator", "readme_estimator:LinearInverse")
+    assert code == 0, printed + error
 
 
 def test_the_first_drive_is_reconstructed_with_the_error_that_it_states(page_values):
