@@ -2,13 +2,15 @@
 
 import pytest
 from browser import CHROMIUM, Browser
-from example_site import board, built
+from example_site import board, report
+
+from leaderboard.report.site import write_site
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
-    built(board(), folder)
+    write_site(board(), report(), folder)
     return folder
 
 

@@ -23,8 +23,9 @@ CELL = 'document.querySelector(\'#task-%s tr[data-name="%s"] td[data-key="%s"]\'
 
 def test_no_page_logs_errors_requests_resources_or_overflows(browser, written):
     for name in site():
-        for width in (1280, 400):
-            browser.open(written / name, width)
+        browser.open(written / name, 400)
+        for width in (400, 1280):
+            browser.resize(width)
             over = browser.value("document.documentElement.scrollWidth - innerWidth")
             assert over <= 0, (name, width)
     assert browser.errors == []

@@ -167,7 +167,7 @@ def killed_and_resumed(out, expected, delays, conditions, estimators=VALID):
         while (left := running_jobs(out)) and time.monotonic() < end:
             time.sleep(0.05)
         assert not left
-    found = rows(run_board(make_request(estimators, conditions), out, ProcessExecutor(2)))
+    found = rows(run_board(make_request(estimators, conditions), out, ProcessExecutor(1)))
     assert found == {name: expected[name] for name in (*estimators, *BASELINES)}
     return kills
 

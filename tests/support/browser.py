@@ -83,14 +83,18 @@ class Browser:
 
     def open(self, path: Path, width: int = 1280, height: int = 1000, after: str = ""):
         """Open a file, with `after` appended to its URL, and wait until its scripts have run."""
-        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-        self.call("Emulation.setDeviceMetricsOverride", **size)
+        self.resize(width, height)
         self.call("Page.navigate", url="about:blank")
         self.call("Page.navigate", url=path.as_uri() + after)
         end = time.monotonic() + self.patience
         while not self.value(READY % json.dumps(path.name)):
             assert time.monotonic() < end, f"{path} is not ready: {self.errors}"
             time.sleep(0.05)
+
+    def resize(self, width: int, height: int = 1000):
+        """Change the size of the window."""
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self.call("Emulation.setDeviceMetricsOverride", **size)
 
     def value(self, script: str):
         """Return the value of an expression in the page."""

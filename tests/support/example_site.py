@@ -79,9 +79,13 @@ def board():
 
 
 @cache
+def report():
+    return build_report(board())
+
+
+@cache
 def site():
-    made = board()
-    return dict(render_pages(made, build_report(made)))
+    return dict(render_pages(board(), report()))
 
 
 def built(made, folder):
