@@ -17,7 +17,11 @@ from estimators.map_smoother.gauss_newton import (
     update_prior,
 )
 from estimators.map_smoother.instrument_errors import InstrumentErrors
-from estimators.map_smoother.marginal_likelihood import drive_terms, perturbed_cars
+from estimators.map_smoother.marginal_likelihood import (
+    drive_derivatives,
+    drive_terms,
+    perturbed_cars,
+)
 from estimators.map_smoother.objective import Objective, linearize
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.tangent_likelihood import tangent_terms
@@ -97,7 +101,8 @@ def fit_car(
 
     `solver`: settings of the road's steps. With `instruments`, errors of the readings are fitted
     too, the same in all drives; possible only where the road is known. `start` (P,) is where the
-    search begins.
+    search begins. Over unmeasured roads, every other step after the second takes the derivatives
+    of the step before.
     """
     errors = InstrumentErrors.of(solutions[0].linearization.objective)
     size = space.size + instruments * len(errors.names)
@@ -105,11 +110,13 @@ def fit_car(
     original, now = [s.linearization.objective for s in solutions], tuple(solutions)
     covariance = np.eye(size)
     for k in range(max_steps):
-        cars = perturbed_cars(space, x[: space.size])
-        terms = [
-            drive_terms(solution, objective, cars, x[space.size :])
-            for solution, objective in zip(now, original, strict=True)
-        ]
+        if instruments or k < 2 or k % 2:
+            cars = perturbed_cars(space, x[: space.size])
+            derivatives = [
+                drive_derivatives(solution, objective, cars, x[space.size :])
+                for solution, objective in zip(now, original, strict=True)
+            ]
+        terms = [drive_terms(*pair) for pair in zip(now, derivatives, strict=True)]
         gradient = np.sum([term.gradient for term in terms], axis=0) - x
         hessian = np.sum([term.information for term in terms], axis=0) + np.eye(size)
         covariance = _invert(hessian)

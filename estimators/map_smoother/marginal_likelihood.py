@@ -46,7 +46,9 @@ ERROR_BANDWIDTH = 2.0
 """Bandwidth [Hz] in which the error of the model is one: as wide as the resonances of a vehicle. A
 longer drive has more lines in it, but does not tell of another error."""
 
-MAX_LINES = 500
+NO_ERRORS = np.zeros(0)
+
+MAX_LINES = 250
 """Frequencies at which a log-determinant is evaluated, about."""
 
 
@@ -61,19 +63,39 @@ class LikelihoodTerms(NamedTuple):
     score_covariance: np.ndarray
 
 
+class Derivatives(NamedTuple):
+    """What changes little from one step of the parameters to the next: the derivatives `G`
+    (P, S, J) of the block means, and of the log-determinant the gradient `log_det` (P,) with the
+    part `curvature` (P, P) of the Hessian, 0 over a known road.
+    """
+
+    G: np.ndarray
+    log_det: np.ndarray
+    curvature: np.ndarray
+
+
 def perturbed_cars(space: ParameterSpace, x: np.ndarray) -> list[VehicleParameters]:
     """Return the vehicle at `x` (P,), and for each parameter that with it changed by DIFFERENCE."""
     points = [x, *(x + DIFFERENCE * unit for unit in np.eye(space.size))]
     return [space.from_vector(point) for point in points]
 
 
-def sensitivities(
-    lin: Linearization, original: Objective, cars: Sequence[VehicleParameters], errors: np.ndarray
-) -> np.ndarray:
+def perturbed_objectives(
+    original: Objective, cars: Sequence[VehicleParameters], errors: np.ndarray = NO_ERRORS
+) -> list[Objective]:
+    """Return the objective for each of the `cars`, as of `perturbed_cars`, and for instruments with
+    these `errors` (0 or R,).
+
+    `original` is that for instruments without.
+    """
+    instruments = InstrumentErrors.of(original)
+    return [instruments.apply(original.with_car(car), errors) for car in cars]
+
+
+def sensitivities(lin: Linearization, varied: Sequence[Objective]) -> np.ndarray:
     """Return the derivatives (P, S, J) of the block means by the parameters, at a fixed road.
 
-    `cars` as of `perturbed_cars`; `original` is the objective for instruments without the `errors`
-    (0 or 5,). Raises ArithmeticError if a motion is not finite.
+    `varied` as of `perturbed_objectives`. Raises ArithmeticError if a motion is not finite.
     """
     objective = lin.objective
     u, start, bias = objective.split(lin.x)
@@ -81,8 +103,6 @@ def sensitivities(
     road = objective.road_under_wheels(c, objective.wheelbase(lin.x))
     inputs, strut_state = objective.inputs, objective.strut_state
     shared = SharedInputs(road, inputs.commands, strut_state, objective.model.valve_lag, inputs.h)
-    instruments = InstrumentErrors.of(original)
-    varied = [instruments.apply(original.with_car(car), errors) for car in cars]
     starts = [one.initial_state + start for one in varied]
     motions = drive_variants([one.model.plant for one in varied], starts, shared)
     left = [one.residual(a, bias) for one, a in zip(varied, motions, strict=True)]
@@ -112,19 +132,32 @@ def _reading_sensitivities(lin: Linearization, base: Objective, errors: np.ndarr
     return (lin.residual - np.array(found)) / DIFFERENCE
 
 
-def drive_terms(
+def drive_derivatives(
     solution: MapSolution,
     original: Objective,
     cars: Sequence[VehicleParameters],
     errors: np.ndarray,
-) -> LikelihoodTerms:
-    """Return the terms of one drive's marginal likelihood."""
+) -> Derivatives:
+    """Return the derivatives of one drive at its solution; arguments as of `perturbed_objectives`.
+
+    Raises ArithmeticError if a motion is not finite.
+    """
     lin = solution.linearization
-    objective = lin.objective
-    G = sensitivities(lin, original, cars, errors)
+    varied = perturbed_objectives(original, cars, errors)
+    G = sensitivities(lin, varied)
     if errors.size > 0:
         read = _reading_sensitivities(lin, original.with_car(cars[0]), errors)
         G = np.concatenate([G, read])
+    if not lin.objective.road.free.any():
+        return Derivatives(G, np.zeros(len(G)), np.zeros((len(G), len(G))))
+    noise = lin.objective.model.noise_variance * solution.noise_scale
+    return Derivatives(G, *_log_det_terms(lin.objective, varied, noise))
+
+
+def drive_terms(solution: MapSolution, derivatives: Derivatives) -> LikelihoodTerms:
+    """Return the terms of one drive's marginal likelihood."""
+    lin, G = solution.linearization, derivatives.G
+    objective = lin.objective
     f, lines = _lines(objective)
     is_known = not objective.road.free.any()
     noise = objective.model.noise_variance * (1.0 if is_known else solution.noise_scale)
@@ -133,10 +166,9 @@ def drive_terms(
     weighted = np.linalg.solve(covariance, lines[:, None, None] * A)
     if not is_known:
         information = np.real(np.einsum("fsp,fsq->pq", A.conj(), weighted))
-        log_det, curvature = _log_det_terms(objective, cars, noise)
         fit = np.einsum("psj,sj->p", G, lin.apply_inverse_covariance(lin.residual))
-        information += curvature
-        return LikelihoodTerms(fit - log_det, information, information)
+        information += derivatives.curvature
+        return LikelihoodTerms(fit - derivatives.log_det, information, information)
     # the error of the profile is noise; what the model cannot explain inflates it, band by band
     power = np.real(np.einsum("fsq,fsq->f", r.conj(), np.linalg.solve(covariance, r))) / r.shape[1]
     band = (f / ERROR_BANDWIDTH).astype(int)
@@ -180,7 +212,7 @@ def _covariance(objective: Objective, f: np.ndarray, noise: float) -> np.ndarray
 
 
 def _log_det_terms(
-    objective: Objective, cars: Sequence[VehicleParameters], noise: float
+    objective: Objective, varied: Sequence[Objective], noise: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the gradient (P,) of 1/2 log det by the parameters, and its part of the Hessian.
 
@@ -195,9 +227,8 @@ def _log_det_terms(
     inverse = np.linalg.inv(_covariance(objective, f, noise))
     dual = [share * (S * H).conj().swapaxes(1, 2) @ inverse for share, H in base]
     M = []
-    for car in cars[1:]:
-        varied = linear_responses(objective.with_car(car), f)
-        pairs = zip(varied, base, dual, strict=True)
+    for one in varied[1:]:
+        pairs = zip(linear_responses(one, f), base, dual, strict=True)
         M.append(np.sum([(new - old) @ d for (_, new), (_, old), d in pairs], axis=0) / DIFFERENCE)
     flat = np.array(M) * np.sqrt(lines)[:, None, None]
     gradient = np.real(np.einsum("pfss,f->p", flat, np.sqrt(lines)))

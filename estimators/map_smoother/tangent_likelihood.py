@@ -26,8 +26,8 @@ import numpy as np
 from scipy.fft import irfft
 
 from estimators.map_smoother.gauss_newton import MapSolution
-from estimators.map_smoother.marginal_likelihood import sensitivities
-from estimators.map_smoother.objective import Linearization
+from estimators.map_smoother.marginal_likelihood import perturbed_objectives, sensitivities
+from estimators.map_smoother.objective import Linearization, Objective
 from road_envs.vehicle.parameters import VehicleParameters
 
 DRAWS = 8
@@ -56,13 +56,14 @@ def tangent_terms(solution: MapSolution, cars: Sequence[VehicleParameters]) -> T
     Raises ArithmeticError if a motion is not finite.
     """
     lin, solve = solution.linearization, solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)
-    G = _sensitivities(lin, cars)
+    varied = perturbed_objectives(lin.objective, cars)
+    G = sensitivities(lin, varied)
     weighted = np.array([lin.apply_inverse_covariance(g) for g in G])
     F = np.array([solve(lin.adjoint(g)) for g in weighted])
     left = G - np.array([lin.tangent(f) for f in F])
     to_optimum = solve(-lin.gradient())
     fit = np.einsum("psj,sj->p", weighted, lin.residual - lin.tangent(to_optimum))
-    traces = np.array([trace_sample(lin, cars, solve(b)) for b in posterior_noise(lin)])
+    traces = np.array([trace_sample(lin, varied, solve(b)) for b in posterior_noise(lin)])
     weighted = np.array([lin.apply_inverse_covariance(g) for g in left])
     return TangentTerms(
         gradient=fit - traces.mean(axis=0),
@@ -73,11 +74,11 @@ def tangent_terms(solution: MapSolution, cars: Sequence[VehicleParameters]) -> T
     )
 
 
-def trace_sample(
-    lin: Linearization, cars: Sequence[VehicleParameters], w: np.ndarray
-) -> np.ndarray:
-    """Return (dJ/dp w)' R^-1 J w (P,) of a sample `w` (n,)."""
-    above, below = (_sensitivities(replace(lin, x=lin.x + dx), cars) for dx in (w, -w))
+def trace_sample(lin: Linearization, varied: Sequence[Objective], w: np.ndarray) -> np.ndarray:
+    """Return (dJ/dp w)' R^-1 J w (P,) of a sample `w` (n,); `varied` as of
+    `perturbed_objectives`.
+    """
+    above, below = (sensitivities(replace(lin, x=lin.x + dx), varied) for dx in (w, -w))
     dual = lin.apply_inverse_covariance(lin.tangent(w))
     return np.einsum("psj,sj->p", 0.5 * (above - below), dual)
 
@@ -111,7 +112,3 @@ def _flat_noise(phases: np.ndarray, size: int) -> np.ndarray:
     if size % 2 == 0:
         spectrum[:, -1] *= np.sqrt(2.0)
     return irfft(spectrum, size, axis=1)
-
-
-def _sensitivities(lin: Linearization, cars: Sequence[VehicleParameters]) -> np.ndarray:
-    return sensitivities(lin, lin.objective, cars, np.zeros(0))

@@ -16,6 +16,7 @@ from rich.table import Table
 import estimators
 from leaderboard.benchmarks import levenberg_marquardt, speed, start_up
 from leaderboard.benchmarks import scaling as cost_by_work
+from leaderboard.benchmarks.identification_speed import identification_speed
 from leaderboard.benchmarks.integrators import PeerError
 from leaderboard.benchmarks.speed import benchmark_row, median_time, run_in_new_process
 from leaderboard.commands import check_output_path, console, notices, print_json, progress_bar
@@ -56,6 +57,7 @@ def bench(
         "estimators": _estimators,
         "board": _full_board,
         "passes": _passes,
+        "identification": identification_speed,
         "start-up": start_up.start_up_cost,
         "memory": _memory,
     }

@@ -12,7 +12,12 @@ from vehicle_fixtures import DEFENDER
 from estimators.map_smoother import tangent_likelihood
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.gauss_newton import MapSolution, minimize
-from estimators.map_smoother.marginal_likelihood import DIFFERENCE, perturbed_cars, sensitivities
+from estimators.map_smoother.marginal_likelihood import (
+    DIFFERENCE,
+    perturbed_cars,
+    perturbed_objectives,
+    sensitivities,
+)
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.tangent_likelihood import (
     DRAWS,
@@ -57,11 +62,12 @@ def terms():
 def dense_system():
     """The linearization with its varied vehicles; J (M, n), A (n, n), G (P, M) and G' R^-1."""
     lin, cars = solution().linearization, perturbed_cars(SPACE, np.zeros(SPACE.size))
+    varied = perturbed_objectives(lin.objective, cars)
     J = np.array([lin.tangent(row) for row in np.eye(lin.x.size)])
-    G = sensitivities(lin, lin.objective, cars, np.zeros(0))
+    G = sensitivities(lin, varied)
     RJ, RG = (np.array([lin.apply_inverse_covariance(row) for row in rows]) for rows in (J, G))
     J, RJ, G, RG = (rows.reshape(len(rows), -1) for rows in (J, RJ, G, RG))
-    return (lin, cars), J.T, np.eye(lin.x.size) + J @ RJ.T, G, RG
+    return (lin, varied), J.T, np.eye(lin.x.size) + J @ RJ.T, G, RG
 
 
 def test_what_the_road_cannot_explain_is_information(terms):
@@ -78,9 +84,9 @@ def test_what_the_road_cannot_explain_is_information(terms):
 
 
 def test_the_gradient_is_that_at_the_optimum_less_that_of_the_log_determinant(terms):
-    (lin, cars), J, A, _, RG = dense_system()
+    (lin, varied), J, A, _, RG = dense_system()
     dx = np.linalg.solve(A, -lin.gradient())
-    traces = [trace_sample(lin, cars, np.linalg.solve(A, b)) for b in posterior_noise(lin)]
+    traces = [trace_sample(lin, varied, np.linalg.solve(A, b)) for b in posterior_noise(lin)]
     expected = RG @ (lin.residual.ravel() - J @ dx) - np.mean(traces, axis=0)
     scale = np.sqrt(np.diag(terms.information))
     np.testing.assert_allclose(terms.gradient / scale, expected / scale, atol=0.02)
@@ -92,9 +98,10 @@ def test_a_sample_of_the_trace_is_the_change_of_the_tangent_by_a_parameter():
     cars = perturbed_cars(SPACE, np.zeros(SPACE.size))
     small = 1e-3 * next(posterior_noise(lin)) / np.sqrt(lin.x.size)
     means = lin.tangent(small)
-    varied = (lin.objective.with_car(car).linearize(lin.x, lin.inverse_variance) for car in cars)
-    first, *rest = [np.vdot(one.tangent(small), lin.inverse_variance * means) for one in varied]
-    found = trace_sample(lin, cars, small)
+    varied = perturbed_objectives(lin.objective, cars)
+    there = (one.linearize(lin.x, lin.inverse_variance) for one in varied)
+    first, *rest = [np.vdot(one.tangent(small), lin.inverse_variance * means) for one in there]
+    found = trace_sample(lin, varied, small)
     np.testing.assert_allclose(found, (np.array(rest) - first) / DIFFERENCE, rtol=0.02)
 
 
