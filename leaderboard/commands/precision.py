@@ -22,6 +22,7 @@ from leaderboard.benchmarks.integrators import (
 from leaderboard.commands import check_output_path, console, notices, print_json, progress_bar
 from leaderboard.commands.simulate import Json
 from leaderboard.report import plots
+from leaderboard.report.figures import rounded
 from road_envs.config import ConfigError
 from road_envs.roads import load_road
 
@@ -106,6 +107,6 @@ def _table(rows: list[dict[str, Any]]) -> Table:
     table = Table("method", "setting", "error", "x real time", title="error against cost")
     for row in rows:
         setting = f"h = {1e3 * row['step']:g} ms" if "step" in row else f"rtol {row['rtol']:g}"
-        speed = f"{row['times_real_time']:.3g}"
+        speed = f"{rounded(row['times_real_time'], 3):g}"
         table.add_row(row["method"], setting, f"{100 * row['error']:.3g} %", speed)
     return table
