@@ -154,9 +154,9 @@ def to_true_distance(record: Record, estimate: Estimate) -> tuple[Record, Estima
     if z_std is not None:
         z_std = np.array([np.interp(old, estimate.s, path) for path in z_std])
     note = (
-        f"the speed reads {100.0 * (1.0 / factor - 1.0):+.2f} % (standard deviation "
-        f"{100.0 * std:.2f} %) beside the time from axle to axle; distances from the first sample "
-        "are corrected by that"
+        f"by the time from axle to axle, the speed is {100.0 * (1.0 / factor - 1.0):+.2f} % off "
+        f"(standard deviation {100.0 * std:.2f} %); distances from the first sample are corrected "
+        "by that"
     )
     corrected = replace(
         estimate,

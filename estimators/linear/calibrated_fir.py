@@ -347,7 +347,7 @@ def _notes(chosen: VehicleResponse, state: np.ndarray, record: Record) -> tuple[
         )
     if not chosen.speed / FAR_SPEED < v < chosen.speed * FAR_SPEED:
         notes.append(
-            f"calibrated at {chosen.speed:.1f} m/s, driven at {v:.1f} m/s: friction acts otherwise "
-            "there, and errors exceed the standard deviations"
+            f"calibrated at {3.6 * chosen.speed:.0f} km/h, driven at {3.6 * v:.0f} km/h: friction "
+            "acts otherwise there, and errors exceed the standard deviations"
         )
     return tuple(notes)
