@@ -46,7 +46,8 @@ class PolicyLimits(Settings):
 class PolicyProcess:
     """The policy `reference`, as `make_policy` takes it; a context manager, used like any policy.
 
-    A process that has failed is replaced by a new one at the next `reset`. Raises PolicyError.
+    A process that has ended or exceeded a limit is replaced by a new one at the next `reset`; a
+    policy that has raised an error is made anew in its process. Raises PolicyError.
     """
 
     def __init__(
@@ -137,7 +138,7 @@ class PolicyProcess:
         return self._temp.path / "code"
 
     def _call(self, task: str, data: np.ndarray) -> tuple[dict[str, Any], bytes]:
-        """Send a request and return the reply. Raises PolicyError; the process has then ended."""
+        """Send a request and return the reply. Raises PolicyError."""
 
         def size_of_actions(head: dict[str, Any]) -> int:
             if task != "act" or "failure" in head:
@@ -153,8 +154,7 @@ class PolicyProcess:
                 self._guest.start_run(self._limits(STARTUP_SECONDS))
             head, actions = self._guest.call(messages.encode({"do": task}, [data]), size_of_actions)
             self.peak_memory = max(self.peak_memory, self._guest.peak_memory)
-            if "failure" in head:
-                raise EntryError(messages.text(head["failure"]))
+            failure = messages.text(head["failure"]) if "failure" in head else None
             if task == "reset":
                 self._guest.start_run(self._limits(self.limits.seconds))
         except BaseException as error:
@@ -162,4 +162,6 @@ class PolicyProcess:
             if isinstance(error, EntryError):
                 raise PolicyError(str(error)) from None
             raise
+        if failure is not None:
+            raise PolicyError(failure)
         return head, actions

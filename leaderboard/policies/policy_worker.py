@@ -64,6 +64,7 @@ def main() -> None:
                 actions = _whole_numbers(policy.act(data)).astype(np.int64)
                 worker.reply(replies, {"actions": actions.size}, [actions])
         except BaseException as error:
+            policy = None  # the next episode begins with a new one
             worker.reply(replies, {"failure": describe_error(error)[:10_000]})
 
 

@@ -90,6 +90,16 @@ def test_a_process_that_failed_is_replaced_at_the_next_episode():
                 roll_out(policy, dict(SHORT), SEEDS)
 
 
+def test_a_policy_that_has_raised_is_made_anew_in_its_process():
+    processes = set()
+    with PolicyProcess("bad_policies:Raises", limits=LIMITS) as policy:
+        for _ in range(2):
+            with pytest.raises(PolicyError, match="ValueError: episode 1"):
+                roll_out(policy, dict(SHORT), SEEDS)
+            processes.add(policy._guest.pid)
+    assert len(processes) == 1
+
+
 def verdicts(name):
     return {r.name: r.passed for r in check_policy(f"bad_policies:{name}")}
 

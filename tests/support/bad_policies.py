@@ -69,6 +69,16 @@ class Chance(Lateral):
         return np.random.default_rng().integers(0, 2, len(observations))
 
 
+class Raises(Lateral):
+    """Names the number of its episodes in an error."""
+
+    def reset(self, context):
+        self.context, self.episodes = context, getattr(self, "episodes", 0) + 1
+
+    def act(self, observations):
+        raise ValueError(f"episode {self.episodes}")
+
+
 class Crowd(Lateral):
     """What it commands depends on how many vehicles there are."""
 
