@@ -115,15 +115,19 @@ def _clear_gain(described: tuple[float, float, float], other: tuple[float, float
 
 def without_obstacles(record: Record) -> Record:
     """Return a record whose samples about obstacles are lost."""
+    near, a = obstacle_samples(record), record.a.copy()
+    if near.mean() < MOST_LEFT_OUT:
+        a[:, near] = np.nan
+    return replace(record, a=a)
+
+
+def obstacle_samples(record: Record) -> np.ndarray:
+    """Return which samples (N,) of a record are about obstacles."""
     a = np.where(np.isfinite(record.a), record.a, 0.0)
     a -= np.median(a, axis=1, keepdims=True)
     std = median_abs_deviation(a, axis=1, scale="normal")
     far = (np.abs(a) > FAR_OUT * std[:, None]).any(axis=0)
-    near = maximum_filter1d(far, 2 * round(SURROUNDINGS * record.fs) + 1)
-    a = record.a.copy()
-    if near.mean() < MOST_LEFT_OUT:
-        a[:, near] = np.nan
-    return replace(record, a=a)
+    return np.asarray(maximum_filter1d(far, 2 * round(SURROUNDINGS * record.fs) + 1))
 
 
 def other_modes(record: Record, car: VehicleParameters) -> Iterator[Alternative]:

@@ -6,6 +6,8 @@ dampers (its expectation where the motion is uncertain), subtracts it from the a
 smooths again (`smoother.py`). A dozen passes come close to the accuracy of the maximum a posteriori
 estimate with the nonlinear vehicle, at the cost of Fourier transforms.
 
+A vehicle that departs from its description is adapted to the very drive (`adaptation.py`, `adapt`).
+
 Limitations: as `wiener`; where wheels leave the ground the passes diverge and the result is no
 better than that of `wiener`.
 """
@@ -28,8 +30,10 @@ class IteratedWiener(CalibratedByIdentification):
 
     passes: Count = 15
     std_factor: Positive = 0.88
+    adapt: bool = True
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths. Raises ConfigError, RecordError."""
         record, car = self.as_identified(record, car)
-        return smooth_record(record, car, self.instruments, self.passes, self.std_factor)
+        adapt = self.adapt and self.identified is None
+        return smooth_record(record, car, self.instruments, self.passes, self.std_factor, adapt)

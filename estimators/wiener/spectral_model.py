@@ -21,7 +21,6 @@ from estimators.common.conjugate_gradients import conjugate_gradients
 from estimators.wiener.segments import Segment
 from road_envs.analysis.information_bound import (
     F_C,
-    Posterior,
     RoadPrior,
     equivalent_damping,
     posterior,
@@ -36,9 +35,9 @@ from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.linear_model import (
     combine_wheel_paths,
     force_response,
+    frequency_response,
     linearise,
     strut_rate_response,
-    wheel_response,
 )
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -106,6 +105,12 @@ class SensedVehicle:
         sensed = response if self.bending is None else self.bending.response(response, f)
         return sensed * self.instruments.response(f)[:, None, None]
 
+    def response(self, unbent: np.ndarray, f: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """Return the responses (F, S, 2) of the sensors to the wheel paths, from those of the
+        `points` to the road under the tyres.
+        """
+        return self.readings(unbent, f) * self.envelope(n)[:, None, None]
+
     def envelope(self, n: np.ndarray) -> np.ndarray:
         """Return by how much the tyres envelop waves of `n` [cycles/m]."""
         return np.sinc(n * self.contact_length)
@@ -120,7 +125,8 @@ class SpectralModel:
       extension rates to the wheel paths; `H_force` (F, S, 4), `X_force` (F, 4, 4): to strut forces
     - `residual_law`: nonlinear part of the strut forces; `residual_power` (4,) [N²]: its power;
       `residual_psd` (F, 4, 4) [N² m]: its spectrum over n
-    - `sensor_psd` [(m/s²)² m]: noise of a sensor; `noise_scale` (F,): factor on all noise
+    - `sensor_psd` [(m/s²)² m]: noise of a sensor; `model_error` (F, S, S): what an uncertain
+      vehicle adds; `noise_scale` (F,): factor on all noise
     - `prior`: road prior; `S` (F, 2, 2) [m³]: its spectrum
     """
 
@@ -135,6 +141,7 @@ class SpectralModel:
     residual_power: np.ndarray
     residual_psd: np.ndarray
     sensor_psd: float
+    model_error: np.ndarray | float
     prior: ShapedRoadPrior
     S: np.ndarray
     noise_scale: np.ndarray
@@ -146,12 +153,8 @@ class SpectralModel:
             residual = residual * np.sqrt(np.outer(share, share))
         forces = self.H_force @ residual @ hermitian(self.H_force)
         return self.noise_scale[:, None, None] * (
-            forces + self.sensor_psd * np.eye(self.H.shape[1])
+            forces + self.sensor_psd * np.eye(self.H.shape[1]) + self.model_error
         )
-
-    def posterior(self, share: np.ndarray | None = None) -> Posterior:
-        """Return the road's posterior; `share` (4,) scales the residuals' power."""
-        return posterior(self.n, self.H, self.S, self.noise_psd(share))
 
 
 def fit_hyperparameters(vehicle: SensedVehicle, segment: Segment) -> SpectralModel:
@@ -194,8 +197,7 @@ def build_model(
         size=size,
         n=n,
         f=f,
-        H=vehicle.readings(combine_wheel_paths(linear, v, f, wheel_response(linear, f)), f)
-        * enveloped,
+        H=vehicle.response(frequency_response(linear, v, f=f), f, n),
         X=combine_wheel_paths(linear, v, f, strut_rate_response(linear, f)) * enveloped,
         H_force=vehicle.readings(H_force, f),
         X_force=X_force,
@@ -203,6 +205,7 @@ def build_model(
         residual_power=np.trapezoid(np.real(np.einsum("fww->wf", D)), f),
         residual_psd=D * v,
         sensor_psd=max(vehicle.instruments.noise_density, 1e-6) ** 2 * v,
+        model_error=0.0,
         prior=prior,
         S=prior.spectrum(n),
         noise_scale=noise_scale,

@@ -5,6 +5,8 @@ forces is noise of known spectrum (`road_envs.analysis.statistical_linearization
 and with it dampers and noise, is estimated per segment from the record (`spectral_model.py`), so no
 training is needed. Missing, clipped or truncated signals only remove information (`smoother.py`).
 
+A vehicle that departs from its description is adapted to the very drive (`adaptation.py`, `adapt`).
+
 Limitations: rough roads at speed, where wheels leave the ground; speed or mode changes within a
 segment. Friction limits the accuracy: with linear struts the error would reach the bound.
 """
@@ -26,8 +28,10 @@ class Wiener(CalibratedByIdentification):
     causal: ClassVar[bool] = False
 
     std_factor: Positive = 0.93
+    adapt: bool = True
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths. Raises ConfigError, RecordError."""
         record, car = self.as_identified(record, car)
-        return smooth_record(record, car, self.instruments, 1, self.std_factor)
+        adapt = self.adapt and self.identified is None
+        return smooth_record(record, car, self.instruments, 1, self.std_factor, adapt)

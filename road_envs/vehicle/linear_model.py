@@ -20,7 +20,7 @@ damper of the same curves (statistical linearisation: Roberts & Spanos 1990, "Ra
 Statistical Linearization", section 5.2), to be passed to `linearise`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -314,6 +314,27 @@ def frequency_response(
         )
     hertz = np.atleast_1d(np.asarray(f if n is None else v * np.asarray(n), dtype=float))
     return combine_wheel_paths(model, v, hertz, wheel_response(model, hertz))
+
+
+def response_changes(
+    model: LinearModel, others: Sequence[LinearModel], v: float, f: np.ndarray
+) -> np.ndarray:
+    """Return the changes (P, F, S, 2) of the frequency response if `model` becomes each of the P
+    `others`, to first order in the change of the matrices.
+
+    With x = (s - A)^-1 B u the change of the accelerations of the coordinates by dA and dB is that
+    by additional accelerations dA x + dB u. `v` [m/s], `f` (F,) [Hz] as in `frequency_response`.
+    """
+    n = model.M.size
+    s, inside = _state_response(model, f, model.B)
+    u = np.broadcast_to(np.eye(4), (s.size, 4, 4))
+    road = np.concatenate([inside[:, :, :4] + s * inside[:, :, 4:], u, s * u], axis=1)
+    paths = combine_wheel_paths(model, v, f, road)  # states, heights and their rates
+    _, forced = _state_response(model, f, np.eye(2 * n)[:, n:])
+    sensors = s * (model.sensor_rows @ forced[:, n:])
+    change = np.array([np.hstack([one.A - model.A, one.B - model.B])[n:] for one in others])
+    accelerations = (change.reshape(-1, change.shape[2]) @ paths).reshape(s.size, -1, n, 2)
+    return np.moveaxis(sensors[:, None] @ accelerations, 1, 0)
 
 
 def combine_wheel_paths(

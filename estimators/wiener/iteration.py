@@ -1,0 +1,151 @@
+"""Smoothing of a segment by iterated statistical linearisation.
+
+On a segment the signals a are a Gaussian process of known spectrum, observed at the valid samples.
+With C the covariance that the spectrum defines on a circle and M the selection of valid samples,
+
+    z^ = C_za M' (M C_aa M')^-1 a
+
+handles ends and gaps exactly (`spectral_model.solve_circulant`).
+
+Each further pass linearises about the estimate: z^ gives the motion of the struts and its
+uncertainty, hence the expected nonlinear force residual q and its variance. q is subtracted from
+the signals, part of its variance remains as noise, and the noise scale is fitted again. The passes
+may diverge where wheels leave the ground; a diverging pass is discarded.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.fft import irfft, rfft
+
+from estimators.wiener.segments import Segment
+from estimators.wiener.spectral_model import (
+    SpectralModel,
+    active_sensors,
+    apply_response,
+    hermitian,
+    run_em,
+    signal_psd,
+    solve_circulant,
+    windowed_spectrum,
+)
+from road_envs.analysis.information_bound import posterior
+from road_envs.analysis.statistical_linearization import NonlinearResidual
+from road_envs.data.record import F_C
+
+F_DATUM = 0.1
+"""Lowest frequency [Hz] that is estimated."""
+
+RELAXATION = 0.7
+"""Relaxation factor of the update of the force residual."""
+
+RESIDUAL_NOISE_SHARE = 0.5
+"""Fraction of the residual's unresolved power that counts as noise in the next pass. Less than 1,
+since errors of neighbouring samples cancel; tuned on training drives.
+"""
+
+DIVERGENCE_THRESHOLD = 0.8
+"""Relative change of the residual between passes that may indicate divergence."""
+
+CONVERGED = 0.02
+"""Relative change of the residual below which further passes change the error by half a percent."""
+
+
+class Iterate(NamedTuple):
+    """Result of a pass: spectral lines of the wheel paths `z` (2, F) and of the struts' extension
+    rates `w` (4, F), and the spectral density `error` (F, 2, 2) [m³] of the paths' errors; beside
+    them its `model`, signals `y` (S, M) [m/s²] and spectrum `noise` (F, S, S).
+    """
+
+    z: np.ndarray
+    w: np.ndarray
+    error: np.ndarray
+    model: SpectralModel
+    y: np.ndarray
+    noise: np.ndarray
+
+
+def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Iterator[Iterate]:
+    """Yield the result of each pass until `passes` are done, or the iteration ends or diverges."""
+    M, size, measured = segment.a.shape[1], model.size, max(int(segment.valid.sum()), 1)
+    q, share = np.zeros((4, size)), np.ones(4)
+    start: np.ndarray | None = None  # the previous solution warm-starts the next solve
+    first: float | None = None
+    change = 1.0
+    for remaining in reversed(range(passes)):
+        residual_lines = apply_response(model.H_force, rfft(q))
+        y = np.where(segment.valid, segment.a - irfft(residual_lines, size)[:, :M], 0.0)
+        if start is not None:
+            lines = windowed_spectrum(model, replace(segment, a=y))
+            _, noise_scale = run_em(model, lines, active_sensors(segment), share)
+            model = replace(model, noise_scale=noise_scale)
+        noise = model.noise_psd(share)
+        spectrum = signal_psd(model, noise)
+        start = solve_circulant(spectrum / (2.0 * segment.spacing), y, segment.valid, size, start)
+        neg_log_likelihood = float(np.vdot(y, start)) / measured + np.mean(
+            np.linalg.slogdet(spectrum)[1]
+        ) / len(y)
+        first = neg_log_likelihood if first is None else first
+        # less likely than the first pass while q still changes much: keep the previous pass
+        if change > DIVERGENCE_THRESHOLD and not neg_log_likelihood <= first:
+            return
+        SH = model.S @ hermitian(model.H)
+        z = apply_response(SH, rfft(start, size)) / (2.0 * segment.spacing) * (model.f > F_DATUM)
+        w = apply_response(model.X, z) + apply_response(model.X_force, rfft(q))
+        error = posterior(model.n, model.H, model.S, noise).error
+        iterate = Iterate(z, w, error, model, y, noise)
+        yield iterate
+        if not remaining:
+            return
+        expected, unknown = _residual_forces(model, iterate)
+        change = float(np.linalg.norm(expected - q)) / max(float(np.linalg.norm(expected)), 1e-9)
+        if change < CONVERGED:
+            return
+        q += RELAXATION * (expected - q)
+        share = np.clip(
+            RESIDUAL_NOISE_SHARE * unknown / np.maximum(model.residual_power, 1e-9), 0.01, 1.0
+        )
+
+
+def _residual_forces(model: SpectralModel, iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
+    """Return expected force residuals (4, size) [N] and their mean variances (4,) [N²]."""
+    slow = model.f > F_DATUM
+    per_rate = np.where(slow, 1.0 / (2j * np.pi * model.f), 0.0)
+    w, e = irfft(iterate.w, model.size), irfft(iterate.w * per_rate, model.size)
+    P = np.real(np.einsum("fwa,fab,fwb->wf", model.X, iterate.error, model.X.conj()))
+    use = slow & (model.f < F_C)
+    std_w = np.sqrt(np.trapezoid(P[:, use], model.n[use]))
+    std_e = np.sqrt(np.trapezoid((P * np.abs(per_rate) ** 2)[:, use], model.n[use]))
+    return gaussian_expectation(model.residual_law, e, w, std_e, std_w)
+
+
+def gaussian_expectation(
+    law: NonlinearResidual, e: np.ndarray, w: np.ndarray, std_e: np.ndarray, std_w: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the expected force (4, N) [N] and its variance (4,) [N²], averaged over N.
+
+    The extensions `e` [m] and rates `w` [m/s] (4, N) have Gaussian errors of standard deviation
+    `std_e` and `std_w` (4,).
+    """
+    mean, variance = np.zeros(e.shape), np.zeros(4)
+    for i in range(4):
+        tables = (
+            (law.e, law.over_extension[i], e[i], std_e[i]),
+            (law.e_dot, law.over_rate[i], w[i], std_w[i]),
+        )
+        for grid_, table, at, std in tables:
+            first = _gaussian_average(grid_, table, std)
+            second = _gaussian_average(grid_, table**2, std)
+            mean[i] += np.interp(at, grid_, first)
+            variance[i] += float(np.mean(np.interp(at, grid_, second - first**2)))
+    return mean, variance
+
+
+def _gaussian_average(at: np.ndarray, table: np.ndarray, std: float) -> np.ndarray:
+    """Return E[table(at + std x)] for a standard normal x, by a 13-point sum."""
+    x = np.linspace(-3.0, 3.0, 13)
+    weight = np.exp(-0.5 * x**2)
+    weight /= weight.sum()
+    return weight @ np.array([np.interp(at + std * each, at, table) for each in x])
