@@ -31,7 +31,7 @@ def make_estimator(reference: str | Path, **settings: Any) -> Estimator:
     """Return an estimator by registered name, by "module:Class" or from a file of `train`.
 
     A name or a class takes `settings`; a file has its own. Raises ConfigError, StorageError, and
-    whatever the code of another package raises.
+    whatever the code of another package raises when it is imported.
     """
     if Path(reference).suffix in FILE_SUFFIXES:
         if settings:
@@ -41,7 +41,16 @@ def make_estimator(reference: str | Path, **settings: Any) -> Estimator:
     if ":" not in name:
         return registry.create(name, **settings)
     module, _, qualified_name = name.partition(":")
-    cls: Any = attrgetter(qualified_name)(importlib.import_module(module))
+    try:
+        imported = importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{module}.".startswith(f"{error.name}."):
+            raise  # one that the module imports
+        raise ConfigError(f"{name}: no module {error.name!r} in this folder or installed") from None
+    try:
+        cls: Any = attrgetter(qualified_name)(imported)
+    except AttributeError:
+        raise ConfigError(f"{name}: the module {module} has no {qualified_name}") from None
     return build(check_class(cls), settings, qualified_name)
 
 

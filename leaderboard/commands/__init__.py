@@ -3,8 +3,10 @@
 import contextlib
 import json
 import math
+import os
+import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -45,6 +47,12 @@ def parse_settings(pairs: list[str]) -> dict[str, Any]:
             raise ConfigError(f"a setting must have the form key=value, got {pair!r}")
         settings[key] = yaml.safe_load(value)
     return settings
+
+
+def import_from_here(references: Iterable[str]) -> None:
+    """Import "module:Class" of `references` also from this folder, as `python -m` does."""
+    if any(":" in reference for reference in references) and os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
 
 
 def check_output_path(path: Path | None, *suffixes: str) -> Path | None:

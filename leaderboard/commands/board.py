@@ -11,6 +11,7 @@ import estimators
 from leaderboard.commands import (
     check_output_folder,
     console,
+    import_from_here,
     notices,
     on_interrupt,
     print_json,
@@ -195,6 +196,7 @@ def _tasks(
 def _entries(names: Sequence[str] | None, without: Sequence[str], limits: Limits) -> list[Entry]:
     if names and without:
         raise ConfigError("give either --estimator or --without, not both")
+    import_from_here(names or ())
     for name in without:
         validate_choice("estimator", name, estimators.names())
     unavailable = estimators.without_weights()

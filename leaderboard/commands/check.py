@@ -1,8 +1,6 @@
 """Command `check-estimator`: conformance checks of an estimator before submission."""
 
 import dataclasses
-import os
-import sys
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -10,7 +8,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from leaderboard.commands import console, print_json
+from leaderboard.commands import console, import_from_here, print_json
 from leaderboard.commands.board import IsolationOption, parse_limits
 from leaderboard.commands.simulate import Json
 from leaderboard.conformance.checks import RUN_TIME_LIMIT, check_entry
@@ -42,8 +40,7 @@ def check_estimator(
 
     It runs in separate processes on a few short drives: contract, damaged records, probes, cost.
     """
-    if ":" in estimator and os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())  # as `python -m` does, to import from this folder
+    import_from_here([estimator])
     limits = parse_limits(time_limit, memory_limit, isolation)
     with SandboxClient(
         dataclasses.replace(limits, seconds=min(RUN_TIME_LIMIT, limits.seconds))

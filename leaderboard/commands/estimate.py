@@ -11,7 +11,13 @@ import estimators
 from estimators.roughness import spectral
 from estimators.roughness.rms_regression import RmsRoughness, RoughnessEstimate
 from estimators.wiener.segments import dominant_modes
-from leaderboard.commands import check_output_path, console, parse_settings, print_json
+from leaderboard.commands import (
+    check_output_path,
+    console,
+    import_from_here,
+    parse_settings,
+    print_json,
+)
 from leaderboard.commands.drive_files import (
     DriveOptions,
     RecordFile,
@@ -66,6 +72,7 @@ def estimate(
     """
     check_output_path(out, ".csv"), check_output_path(plot, ".png", ".svg", ".pdf")
     given = parse_settings(settings or [])
+    import_from_here([estimator])
     estimators.make_estimator(estimator, **given)  # a wrong name is told before a file is read
     drives = read_passes(records, options)
     drive = drives[0]

@@ -3,8 +3,6 @@
 import contextlib
 import dataclasses
 import json as json_module
-import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,6 +17,7 @@ from leaderboard.commands import (
     check_output_folder,
     check_output_path,
     console,
+    import_from_here,
     notices,
     on_interrupt,
     print_json,
@@ -173,10 +172,8 @@ def chosen_isolation(isolation: str) -> Any:
 
 def policy_reference(reference: str, isolation: str) -> str:
     """Return a reference to a policy that may be run. Raises ConfigError."""
-    if ":" in reference:
-        if os.getcwd() not in sys.path:
-            sys.path.insert(0, os.getcwd())  # as `python -m` does, to import from this folder
-    elif not reference.endswith(FILE_SUFFIX):
+    import_from_here([reference])
+    if ":" not in reference and not reference.endswith(FILE_SUFFIX):
         validate_choice("policy", reference, [*names(), comparison.ORACLE])
     foreign = reference != comparison.ORACLE and runs_foreign_code(reference)
     if foreign and chosen_isolation(isolation) is None:

@@ -11,6 +11,7 @@ import estimators
 from leaderboard.commands import (
     check_output_folder,
     console,
+    import_from_here,
     parse_settings,
     print_json,
     progress_bar,
@@ -68,6 +69,7 @@ def report(
         raise ConfigError(f"--segment must be one of {allowed} m, got {segment:g} m")
     check_output_folder(out)
     names = _names(drives)
+    import_from_here([estimator])
     categories, chosen = load_conditions(conditions), parse_settings(settings or [])
     read: list[tuple[str, MeasuredRecord, Estimate]] = []
     cars = []

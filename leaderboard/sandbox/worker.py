@@ -239,8 +239,9 @@ def load(reference: str, settings: dict[str, Any], folder: str | None) -> tuple[
         return load_package(Path(folder), settings)
     from estimators import make_estimator
 
-    file = reference if folder is None else Path(folder) / Path(reference).name
-    return None, make_estimator(file, **settings)
+    if folder is None:
+        return None, make_estimator(reference, **settings)
+    return None, make_estimator(Path(folder) / Path(reference).name)  # a file has its own settings
 
 
 def is_class(reference: str) -> bool:

@@ -10,6 +10,7 @@ import pytest
 
 from leaderboard import cli
 from leaderboard.lazy_commands import help_line
+from road_envs.config import ConfigError
 from road_envs.data.recording import read_record
 from road_envs.roads import load_road
 
@@ -250,3 +251,25 @@ def test_debug_shows_the_traceback(monkeypatch):
     monkeypatch.setattr(sys, "argv", ["road-recon", "--debug", "simulate", "--road", "belgiun"])
     with pytest.raises(ConfigError):
         cli.main()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("estimate", "in_this_folder:Other", "none.csv"),
+        ("report", "none.csv", "--out", "page", "--estimator", "in_this_folder:Other"),
+        ("leaderboard", "--task", "new_road", "--estimator", "in_this_folder:Other"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_an_estimator_may_be_in_a_module_of_this_folder(road_recon, tmp_path, monkeypatch, words):
+    def stop(limits):
+        raise ConfigError("not run here")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [x for x in sys.path if x not in ("", str(tmp_path))])
+    monkeypatch.setattr("leaderboard.commands.board.SandboxClient", stop)
+    (tmp_path / "in_this_folder.py").touch()
+    code, _, err = road_recon(*words)
+    assert code == 2 and str(tmp_path) in sys.path
+    assert words[0] != "estimate" or "the module in_this_folder has no Other" in err

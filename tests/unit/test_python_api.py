@@ -77,6 +77,10 @@ def test_settings_belong_to_names_and_not_to_objects_or_files(drive):
     record, _ = drive
     with pytest.raises(ConfigError, match="need an estimator by name"):
         estimate(create("flat"), record, reach=3.0)
+    with pytest.raises(ConfigError, match="no module 'nowhere' in this folder or installed"):
+        make_estimator("nowhere:Mine")
+    with pytest.raises(ConfigError, match=r"the module estimators\.api has no Mine"):
+        make_estimator("estimators.api:Mine")
     with pytest.raises(ConfigError, match="takes no others"):
         make_estimator("model.npz", reach=3.0)
     assert type(make_estimator("fake_estimators:Reader", gain=0.5)) is Reader

@@ -23,6 +23,7 @@ from estimators.api import NotFittedError
 from estimators.baselines.flat import FlatEstimator
 from estimators.baselines.mean import Mean
 from estimators.weights_io import StorageError, load, save
+from leaderboard.sandbox import worker
 from road_envs.config import ConfigError
 from road_envs.data.record import Estimate, Profile, profile_stations
 
@@ -158,6 +159,13 @@ def test_a_plug_in_may_not_take_the_name_of_another_estimator(monkeypatch):
         ConfigError, match=r"'flat' of .*Plateau is already taken by estimators.baselines.flat"
     ):
         available()
+
+
+def test_a_stored_file_is_an_entry_of_a_board_with_its_own_settings(tmp_path):
+    save(create("fir_ridge", reach=2.5).with_weights(window()), tmp_path / "window.npz")
+    known = worker.describe(load(tmp_path / "window.npz"))["settings"]
+    _, found = worker.load("/elsewhere/window.npz", known, str(tmp_path))
+    assert known["reach"] == found.reach == 2.5
 
 
 def test_a_stored_file_holds_format_name_settings_and_version(tmp_path):
