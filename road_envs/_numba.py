@@ -100,12 +100,19 @@ class _Implementation(caching.CompileResultCacheImpl):
 class _KernelCache(caching.FunctionCache):
     _impl_class = _Implementation
 
+    def __init__(self, function: Any, counts_references: bool):
+        super().__init__(function)
+        self.counts_references = counts_references
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Load compiled code without numba's registries, which only a compilation needs.
 
         They take a third of the time to the first step. A compilation that follows loads them.
+        Nor is Numba's runtime, which itself is compiled in every process, needed by code that
+        counts no references.
         """
-        rtsys.initialize(target_context)
+        if self.counts_references:
+            rtsys.initialize(target_context)
         compiled = None
         with self._guard_against_spurious_io_errors():
             compiled = self._load_overload(sig, target_context)
@@ -215,7 +222,9 @@ def _compiled(function: F, inline: bool, count_references: bool) -> F:
     )(function)
     if hasattr(compiled, "_cache"):  # NUMBA_DISABLE_JIT leaves a plain function
         with suppress(RuntimeError):  # nowhere to write: compiled anew in every process
-            compiled._cache = _KernelCache(function)  # as `cache=True`, with the key above
+            compiled._cache = _KernelCache(
+                function, count_references
+            )  # as `cache=True`, with the key above
             lock = Path(
                 compiled._cache.cache_path, f"{function.__module__}.{function.__name__}.lock"
             )

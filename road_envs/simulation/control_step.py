@@ -147,6 +147,7 @@ class IntervalInputs(NamedTuple):
 class ControlStepWorkspace(NamedTuple):
     """Scratch of one thread for the n steps of a block."""
 
+    delayed: np.ndarray  # (2, n): command bytes
     s: np.ndarray  # (2 n + 1,)
     v: np.ndarray  # (2 n + 1,)
     a: np.ndarray  # (k, n)
@@ -197,19 +198,15 @@ class StepOutput(NamedTuple):
         return self.truth[:, TRUE_LOADS:]
 
 
-def workspace_buffer(steps: int, sensors: int, keep_signals: bool) -> np.ndarray:
-    """Allocate the buffer (rows, LANES) of a ControlStepWorkspace for intervals of n = `steps`."""
-    return aligned_zeros((4 + sensors + keep_signals * N_SIGNALS) * steps + 2)
-
-
-@kernel
-def workspace_views(buffer, n, sensors):
-    """Return the ControlStepWorkspace for `n` steps as views into a `workspace_buffer`."""
-    s, at = buffer[: 2 * n + 1], 2 * n + 1
-    v, at = buffer[at : at + 2 * n + 1], at + 2 * n + 1
-    a, at = buffer[at : at + sensors * n].reshape(sensors, n, LANES), at + sensors * n
-    kept = (buffer.shape[0] - at) // N_SIGNALS
-    return ControlStepWorkspace(s, v, a, buffer[at:].reshape(kept, N_SIGNALS, LANES))
+def allocate_workspace(steps: int, sensors: int, keep_signals: bool) -> ControlStepWorkspace:
+    """Allocate the scratch of a thread for intervals of n = `steps`."""
+    return ControlStepWorkspace(
+        delayed=np.zeros((2, steps, LANES), dtype=np.uint8),
+        s=aligned_zeros(2 * steps + 1),
+        v=aligned_zeros(2 * steps + 1),
+        a=aligned_zeros(sensors, steps),
+        signals=aligned_zeros(keep_signals * steps, N_SIGNALS),
+    )
 
 
 @kernel(inline=False)
@@ -346,15 +343,14 @@ def _write_truth(s, heights, signals, at, truth):
 
 
 @kernel(inline=False, count_references=False)
-def advance_blocks(blocks, state, parameters, inputs, delayed, buffer, output):
+def advance_blocks(blocks, state, parameters, inputs, workspace, output):
     """Advance the `blocks` (indices) by one control interval under IntervalInputs.
 
-    `delayed` (2, n, LANES): scratch for command bytes; `buffer`: a `workspace_buffer`. The rows of
-    `output` are the vehicles; the last block may have lanes without one.
+    The rows of `output` are the vehicles; the last block may have lanes without one.
     """
+    delayed = workspace.delayed
     n, n_sensors, h = delayed.shape[1], parameters.range.size, parameters.h
     n_samples = (n + parameters.decimation - 1) // parameters.decimation
-    workspace = workspace_views(buffer, n, n_sensors)
     scratch = LaneScratch(
         step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16), stack_rows(2), stack_rows(2),
         stack_rows(1), stack_rows(32), stack_rows(2), stack_rows(N_SIGNALS),

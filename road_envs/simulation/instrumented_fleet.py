@@ -31,13 +31,13 @@ from road_envs.simulation.control_step import (
     STEPS_DELAYED,
     STEPS_DONE,
     STEPS_TOTAL,
+    ControlStepWorkspace,
     FleetParameters,
     FleetState,
     IntervalInputs,
     StepOutput,
     advance_blocks,
-    workspace_buffer,
-    workspace_views,
+    allocate_workspace,
 )
 from road_envs.simulation.drive import DriveSimulator, Trajectory
 from road_envs.simulation.fleet import NO_MANOEUVRE, thread_pool
@@ -146,11 +146,7 @@ class InstrumentedFleet:
         self._moving = np.arange(blocks)
         self._commands = np.zeros(blocks * LANES, dtype=np.uint8)
         self._workspaces = [
-            (
-                np.zeros((2, steps, LANES), dtype=np.uint8),
-                workspace_buffer(steps, k, keep_signals),
-            )
-            for _ in range(min(threads, blocks))
+            allocate_workspace(steps, k, keep_signals) for _ in range(min(threads, blocks))
         ]
 
     def start(self, i: int, drive: DriveSimulator, logger: DataLogger, speed_kmh: float) -> None:
@@ -188,15 +184,15 @@ class InstrumentedFleet:
         output, a_xy = self._allocate_output(), self._manoeuvre_inputs()
         inputs = IntervalInputs(self.road_heights, self._commands.reshape(-1, LANES), a_xy)
 
-        def run(job: np.ndarray, delayed: np.ndarray, buffer: np.ndarray) -> None:
-            advance_blocks(job, self.state, self.parameters, inputs, delayed, buffer, output)
+        def run(job: np.ndarray, workspace: ControlStepWorkspace) -> None:
+            advance_blocks(job, self.state, self.parameters, inputs, workspace, output)
 
         if len(self._workspaces) == 1:
-            run(moving, *self._workspaces[0])
+            run(moving, self._workspaces[0])
         else:
             jobs = np.array_split(moving, len(self._workspaces))
             workers = thread_pool(len(jobs))
-            list(workers.map(lambda job, room: run(job, *room), jobs, self._workspaces))
+            list(workers.map(run, jobs, self._workspaces))
         if mask is not None and saved is not None:
             self._restore_unmasked(moving, mask, saved)
         if self.unresolved_variance is not None:
@@ -232,8 +228,7 @@ class InstrumentedFleet:
         The fleet must keep its signals and be of one block, since a thread keeps only its last
         block. Raises ValueError.
         """
-        sensors = self.parameters.range.size
-        last = workspace_views(self._workspaces[0][1], self.steps, sensors)
+        last = self._workspaces[0]
         if len(self.road_heights) > 1 or not last.signals.size:
             raise ValueError(
                 f"the last interval is kept in fleets of at most {LANES} vehicles, got "
