@@ -7,7 +7,7 @@ shares of its errors inside its intervals.
 One line of JSON for each drive is appended to the results; those that stand there are not computed
 again. Each individual is calibrated as in the blind division of the field board, by drives over
 200 m of class D at 54 km/h and 150 m of class C at 36 km/h that nobody measured, and then drives at
-54 km/h over 200 m of each of the classes A to C, on which it is told nothing else.
+54 km/h over a segment of each of the classes A to C, of which it is told nothing.
 """
 
 from collections.abc import Sequence
@@ -33,8 +33,8 @@ CALIBRATION = (("iso_d", 200.0, MIXED, SPEED_KMH), ("iso_c", 150.0, "ride", 36.0
 """Road, its length [m], mode and speed [km/h] of the drives before."""
 
 CLASSES = ("A", "B", "C")
-SEGMENT, SEGMENTS = 100.0, 2
-"""Length [m] of a segment, and their number on a road."""
+SEGMENT, LENGTH = 100.0, 200.0
+"""Length [m] of the segment, the first of a road, and of the road."""
 
 FIRST_INDIVIDUAL = 1401
 """Seed of the first individual; nothing was developed on any."""
@@ -64,9 +64,9 @@ def calibrated(individual: int) -> MapSmoother:
 
 def drive_result(individual: int, road_class: str) -> Row:
     """Return true and estimated IRI of each segment of both wheel paths, NRMSE and coverage."""
-    k, length = len(CALIBRATION) + CLASSES.index(road_class), SEGMENT * SEGMENTS
+    k = len(CALIBRATION) + CLASSES.index(road_class)
     road = f"iso_{road_class.lower()}"
-    record, truth = drive(individual, road, k, length, MIXED, SPEED_KMH)
+    record, truth = drive(individual, road, k, LENGTH, MIXED, SPEED_KMH)
     found = calibrated(individual).estimate(record, load_vehicle("land_rover_defender_110"))
     pair = np.stack([truth.z, found.z])
     y, a = band_pass(pair, truth.ds, scored_band(SPEED_KMH / 3.6))

@@ -1,6 +1,7 @@
 """Intervals of roads under a vehicle and instruments that were identified, and are not known."""
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 
 import numpy as np
 from test_map_smoother import drive_record, objective_of, perturb
@@ -15,6 +16,7 @@ from estimators.map_smoother.objective import linearize
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.vehicle_uncertainty import UNKNOWN_STD_INFLATION, VehicleUncertainty
 from leaderboard.metrics.heights import band_pass, uncertainty
+from road_envs.config import build
 from road_envs.data.record import PROFILE_SPACING, scored_band
 from road_envs.vehicle.parameters import Tolerance
 from road_envs.vehicle.tolerances import parameter_space
@@ -74,6 +76,17 @@ def test_of_a_fit_the_covariance_is_inflated_up_to_the_tolerances():
     np.testing.assert_array_equal(std[3:], [1.0] * 9 + [0.0, 0.0])
     known = VehicleUncertainty.of_fit(fit, known=True).covariance[:3, :3]
     np.testing.assert_allclose(known, 0.01 * covariance)
+
+
+def test_what_is_not_known_of_a_vehicle_is_remembered_with_it():
+    """As `identify_once` writes and reads it."""
+    tolerances = {name: Tolerance(relative=0.1, source="test") for name in ("m_b", "I_xx")}
+    car = replace(DEFENDER, tolerances=tolerances)
+    found = IdentifiedVehicle(car=car, covariance=((0.01, 0.002), (0.002, 0.04)))
+    again = build(IdentifiedVehicle, json.loads(json.dumps(asdict(found))), "cache")
+    assert again == found and found.uncertainty.names == ("m_b", "I_xx")
+    np.testing.assert_array_equal(again.uncertainty.covariance, [[0.01, 0.002], [0.002, 0.04]])
+    assert IdentifiedVehicle(car=car).uncertainty is None
 
 
 def test_intervals_of_a_wrong_vehicle_cover_the_error_if_they_know_of_it():
