@@ -6,7 +6,7 @@ is the density G_d(n0) [m³] at n0 = 0.1 cycles/m of the road G_d = G_d(n0) (n /
 same density at the given frequency.
 """
 
-from functools import cache
+from functools import cache, lru_cache
 from typing import Annotated
 
 import numpy as np
@@ -109,9 +109,16 @@ def band_means(n: np.ndarray, G: np.ndarray, low: np.ndarray, high: np.ndarray) 
 
     Each of the equidistant `n` represents the cell around it (ISO 8608, clause on smoothing).
     """
-    half = 0.5 * (n[1] - n[0])
-    inside = np.minimum(high[:, None], n + half) - np.maximum(low[:, None], n - half)
-    return G @ (np.maximum(inside, 0.0) / (high - low)[:, None]).T
+    return G @ _band_weights(*(np.asarray(x, dtype=float).tobytes() for x in (n, low, high)))
+
+
+@lru_cache(maxsize=64)
+def _band_weights(n: bytes, low: bytes, high: bytes) -> np.ndarray:
+    """Return the share (K, M) of each cell in each band; a board asks for a few, often."""
+    cells, begins, ends = (np.frombuffer(x) for x in (n, low, high))
+    half = 0.5 * (cells[1] - cells[0])
+    inside = np.minimum(ends[:, None], cells + half) - np.maximum(begins[:, None], cells - half)
+    return (np.maximum(inside, 0.0) / (ends - begins)[:, None]).T
 
 
 def fit_line(
