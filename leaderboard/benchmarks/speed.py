@@ -247,8 +247,8 @@ def _vector_environment(fleet_rate: float) -> list[dict[str, Any]]:
             ">= 90 %",
             share >= 0.9,
             f"{1e6 / rate:.0f} ns per vehicle and ms, {1e6 / fleet_rate:.0f} of them the drive and "
-            f"{drawing:.0f} normal numbers of three accelerometers, whose recursion of 128 bits "
-            "waits for itself; the rest filters them and the costs and writes the observations",
+            f"{drawing:.0f} normal numbers of three accelerometers, one by one as NumPy draws "
+            "them; the rest filters, sums the costs, and writes observations and infos",
             rate=rate,
             share=share,
         )

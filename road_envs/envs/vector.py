@@ -198,7 +198,7 @@ class RoadReconVectorEnv(VectorEnv):
             for name, array in rows.items():
                 inside = mask.reshape(-1, *[1] * (array.ndim - 1))
                 infos[name] = array if mask.all() else np.where(inside, array, 0.0)
-        return infos | {f"_{name}": mask.copy() for name in infos}
+        return infos | dict.fromkeys([f"_{name}" for name in infos], mask.copy())
 
     def _validate_mask(self, mask: Any) -> np.ndarray:
         """Return `mask` as (num_envs,) bool; None stands for all. Raises ConfigError."""

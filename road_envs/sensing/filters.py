@@ -28,7 +28,7 @@ def filter_sample(sos, filter_state, row, x):
     return x
 
 
-@kernel
+@kernel(count_references=False)
 def sosfilt_kernel(sos, filter_state, x, out):
     """Filter the rows of `x` (k, N) by second-order sections (n, 6) into `out` (k, N).
 

@@ -75,7 +75,7 @@ def sample_roads(p, roads, s, speed, road, at):
             put(road, at + 4 + 2 * i + side, slope * v)
 
 
-@kernel(inline=False)
+@kernel(inline=False, count_references=False)
 def delay_commands(delay_line, delay, steps_delayed, commands, delayed_commands):
     """Write the commands that reach the valves to `delayed_commands` (N, LANES).
 
@@ -95,7 +95,7 @@ def delay_commands(delay_line, delay, steps_delayed, commands, delayed_commands)
         steps_delayed[k] += n
 
 
-@kernel(inline=False)
+@kernel(inline=False, count_references=False)
 def front_axle_stations(start, v, done, h, s, speed):
     """Write stations `s` [m] and speeds `speed` [m/s] (M, LANES) at M half steps.
 
