@@ -18,7 +18,7 @@ from scipy.signal import welch
 from estimators.common.conjugate_gradients import Operator, conjugate_gradients
 from estimators.map_smoother.objective import Linearization, Objective
 from estimators.map_smoother.preconditioner import StationaryHessian
-from estimators.map_smoother.wheel_liftoff import relax_unloaded, unloaded_nodes
+from estimators.map_smoother.wheel_liftoff import passed_nodes, relax_unloaded
 from road_envs.vehicle.equations import Plant
 from road_envs.vehicle.force_curves import gaussian_smoothed
 from road_envs.vehicle.suspension import V_0, V_STEP
@@ -45,8 +45,12 @@ REWEIGHTING_STEPS, WELCH_SEGMENT = 3, 128
 PRIOR_UPDATES = 6
 """Updates of the prior between the steps with the true friction, at most."""
 
+LOWERING_STEPS = (2, 5)
+"""Steps with the true friction before which the road under lifted wheels is lowered if it has
+obstacles: their edges are then found by the steps that follow."""
+
 MAX_LIFTOFF_RETRIES, LIFTOFF_STEPS = 2, 5
-"""Largest number of times that the road under lifted wheels is lowered, and steps after each."""
+"""Largest number of times that another road under lifted wheels is tried, and steps after each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,13 +108,17 @@ def minimize(
         lin = objective.linearize(x, objective.information, plant)
         noise_scale = update_noise_scale(lin, stationary, noise_scale)
         for n in range(max_steps):
-            if std == 0.0 and adapt_prior and 0 < n <= prior_updates:
+            updates = prior_updates if std == 0.0 and adapt_prior else 0
+            if 0 < n <= updates:
+                if n in LOWERING_STEPS and lin.objective.road.is_uneven:
+                    lin = lower_under_lifted_wheels(lin)
                 lin = update_prior(lin, stationary, noise_scale)
             lin, k, change = solver.step(lin, plant, noise_scale)
             steps, total = steps + 1, total + k
             noise_scale = update_noise_scale(lin, stationary, noise_scale)
             report(f"{std} {np.max(noise_scale):.1f} {k} {change:.2f} {lin.cost:.1f}", lin)
-            if change < change_tolerance:
+            to_come = lin.objective.road.is_uneven and n < min(LOWERING_STEPS[-1], updates)
+            if change < change_tolerance and not to_come:
                 break
     if adapt_car is not None:
         found = adapt_car(MapSolution(lin, stationary, noise_scale, steps, total), solver)
@@ -165,12 +173,21 @@ class GaussNewton:
         return huber_weights(lin.residual, lin.objective.information / noise_scale, self.huber)
 
 
+def lower_under_lifted_wheels(lin: Linearization) -> Linearization:
+    """Return the linearization on the road lowered where no wheel pressed on it."""
+    x = relax_unloaded(lin)
+    return lin if x is None else lin.relinearize(x, lin.objective.plant)
+
+
 def retry_after_liftoff(
     lin: Linearization, solver: GaussNewton, noise_scale: float
 ) -> Linearization:
-    """Return the optimum from the road lowered where no wheel pressed on it, if it costs less."""
+    """Return the optimum from the road lowered where no wheel pressed on it, if it costs less.
+
+    A road with obstacles has been lowered before.
+    """
     x, plant = relax_unloaded(lin), lin.objective.plant
-    if x is None:
+    if x is None or lin.objective.road.is_uneven:
         return lin
     try:
         new = lin.relinearize(x, plant)
@@ -191,7 +208,7 @@ def update_prior(
     scale = stationary.density_scale(objective.road, noise_variance, u)
     road = objective.road.scale_density(scale)
     u = road.convert_noise(u, objective.road)
-    local = stationary.local_roughness(road, noise_variance, u, unloaded_nodes(lin))
+    local = stationary.local_roughness(road, noise_variance, u, passed_nodes(lin))
     rough = replace(road, local=local)
     return lin.with_road(rough, rough.convert_noise(u, road))
 

@@ -34,13 +34,11 @@ MIN_STATE_LENGTH = 10.0
 STD_INFLATION = 1.1
 """Factor for the curvature and for the unfinished minimization, from training drives."""
 
-OBSTACLE_INFLATION, OBSTACLE_SHARE = 2.0, 0.02
-"""On roads that are rough in places: factor for what the linearized posterior does not know, and
-the share of the mean variance that is added between the rough places. From training drives over
-potholes and bumps.
-"""
+OBSTACLE_SHARE = 0.02
+"""On roads that are rough in places: share of the mean variance that is added between these places.
+From training drives over potholes and bumps."""
 
-LIFTOFF_SHARE, LIFTOFF_REACH = 0.3, 1.0
+LIFTOFF_SHARE, LIFTOFF_REACH = 0.15, 1.0
 """Standard deviation of the road below a lifted wheel, relative to the greatest height within so
 many metres [m]. From training drives: nine tenths of the squared error on obstacles are there.
 """
@@ -82,9 +80,8 @@ def posterior_std(
     drives = [one.objective.inputs for one in lin.passes]
     level = _average_by_strut_state(square, shape, middle, road, drives)
     variance = STD_INFLATION**2 * level * shape
-    if np.ptp(road.local) > 0.0:
-        floor = OBSTACLE_SHARE * variance[:, middle].mean()
-        variance = OBSTACLE_INFLATION**2 * (variance + floor)
+    if road.is_uneven:
+        variance = variance + OBSTACLE_SHARE * variance[:, middle].mean()
     c = band_pass(road.apply(objective.split(lin.x)[0]), inside)
     return np.sqrt(variance + liftoff_variance(unloaded_nodes(lin), c, road.ds, inside))
 

@@ -59,6 +59,11 @@ class RoadTransform:
         """Spatial frequencies (K // 2 + 1,) [cycles/m] of the spectrum of `u`."""
         return rfftfreq(self.size, self.ds)
 
+    @property
+    def is_uneven(self) -> bool:
+        """True if the road is rougher in some places than in others, as by obstacles."""
+        return bool(np.ptp(self.local) > 0.0)
+
     def apply(self, u: np.ndarray) -> np.ndarray:
         """Return the change (2, K) [m] of the coefficients by `u` (2, K)."""
         e = irfft(self.amplitude * rfft(u, axis=1), self.size, axis=1)

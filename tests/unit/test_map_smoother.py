@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from vehicle_fixtures import DEFENDER
 
 from estimators.common.block_means import block_means
 from estimators.common.conjugate_gradients import conjugate_gradients
-from estimators.map_smoother import gauss_newton
+from estimators.map_smoother import gauss_newton, wheel_liftoff
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.gauss_newton import (
     huber_weights,
@@ -83,27 +84,50 @@ def test_local_roughness_is_found_where_it_is_and_not_on_a_stationary_road():
     objective = objective_of(drive_record()[0])
     stationary, road = stationary_hessian(objective), objective.road
     rng, noise = np.random.default_rng(4), objective.model.noise_variance
-    seen = np.zeros((2, road.size), dtype=bool)
-    u = rng.standard_normal((2, road.size))
-    np.testing.assert_array_equal(stationary.local_roughness(road, noise, u, seen), 1.0)
-    rough = np.full((2, road.size), 0.05)
-    rough[0, road.size // 3 : road.size // 3 + 20] = 5.0
-    drawn = road.whiten(rough * np.diff(road.apply(u), axis=1, prepend=0.0))
-    local = stationary.local_roughness(road, noise, drawn, seen)
     inside = road.free > 0
-    assert local[0, road.size // 3 + 10] > 20.0 * np.median(local[:, inside])
-    assert local[1, road.size // 3 + 10] < 3.0 * np.median(local[:, inside])
-    hidden = seen.copy()
-    hidden[1, road.size // 2] = True  # nothing pressed there: as rough as most of the power
-    unknown = stationary.local_roughness(road, noise, drawn, hidden)
-    assert unknown[1, road.size // 2] > 10.0 * local[1, road.size // 2]
-    hidden[:, road.size // 2] = True
-    changed = drawn.copy()
-    changed[:, road.size // 2] += 100.0  # unmeasured, so it tells nothing
-    unknown = stationary.local_roughness(road, noise, drawn, hidden)
-    np.testing.assert_allclose(
-        stationary.local_roughness(road, noise, changed, hidden), unknown, rtol=1e-9
+    u = rng.standard_normal((2, road.size))
+    np.testing.assert_array_equal(stationary.local_roughness(road, noise, u, inside), 1.0)
+    rough = np.full((2, road.size), 0.05)
+    middle = road.size // 3
+    rough[0, middle : middle + 20] = 5.0
+    drawn = road.whiten(rough * np.diff(road.apply(u), axis=1, prepend=0.0))
+    local = stationary.local_roughness(road, noise, drawn, inside)
+    assert local[0, middle : middle + 20].mean() > 20.0 * np.median(local[:, inside])
+    assert local[1, middle : middle + 20].mean() < 5.0 * np.median(local[:, inside])
+    half = inside & (np.arange(road.size) < road.size // 2)
+    ahead = np.where(np.arange(road.size) < road.size // 2, u, 0.0)  # not passed yet
+    np.testing.assert_array_equal(stationary.local_roughness(road, noise, ahead, half), 1.0)
+    edges = np.zeros((2, road.size))
+    edges[0, [middle, middle + 20]] = 0.05, -0.05  # a bump, level between its edges
+    local = stationary.local_roughness(road, noise, road.whiten(edges), inside)
+    assert local[0, middle] > 2.0 * local[0, middle + 10] > 2.0 * np.median(local[:, inside])
+
+
+@pytest.mark.parametrize("uneven", [False, True], ids=["stationary", "with obstacles"])
+def test_under_a_lifted_wheel_the_road_becomes_straight_or_as_low_as_where_the_wheel_lands(
+    uneven, monkeypatch
+):
+    lin = SimpleNamespace(objective=objective_of(drive_record()[0]))
+    road = lin.objective.road
+    node, first = np.arange(road.size), np.flatnonzero(road.free)[100]
+    mask = (node >= first) & (node < first + 10)
+    c = np.where(node < first, 0.06, 0.0) * np.array([[1.0], [0.0]])
+    c[0, mask] = 0.06 - 0.09 * (0.1 * (node[mask] - first)) ** 2  # a wheel that falls
+    c[:, node < first - 50] = 0.0
+    local = np.where(mask, 3.0, 1.0) if uneven else np.ones(road.size)
+    road = replace(road, local=np.tile(local, (2, 1)))
+    lin.objective = replace(lin.objective, road=road)
+    u = road.whiten(np.diff(c - road.background, axis=1, prepend=0.0)).ravel()
+    lin.x = np.pad(u, (0, lin.objective.size - u.size))
+    monkeypatch.setattr(
+        wheel_liftoff, "unloaded_nodes", lambda lin: np.array([mask, ~mask & False])
     )
+    x = wheel_liftoff.relax_unloaded(lin)
+    found = road.coefficients(lin.objective.split(x)[0])
+    straight = 0.06 * (1.0 - np.arange(1, 11) / 11.0)
+    expected = c.copy()
+    expected[0, mask] = c[0, mask].min() if uneven else np.minimum(c[0, mask], straight)
+    np.testing.assert_allclose(found[:, road.free > 0], expected[:, road.free > 0], atol=1e-9)
 
 
 def test_a_clipped_sample_is_a_limit_and_not_a_measurement():
