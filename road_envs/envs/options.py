@@ -287,12 +287,13 @@ class EnvSetup:
 
     def failure_reason(self, output: StepOutput, i: int, road: str) -> str:
         """Return why the episode of environment `i` on `road` has failed; empty if it has not."""
-        if output.nonfinite_step[i] < 0 and output.rollover[i] < 0:
+        _, rollover, nonfinite_step = output.events[i].tolist()
+        if nonfinite_step < 0 and rollover < 0:
             return ""
         begin = round((output.values[i, 0] - self.interval) / self.options.step)
-        if output.nonfinite_step[i] >= 0:
-            t = self.options.step * (begin + output.nonfinite_step[i])
+        if nonfinite_step >= 0:
+            t = self.options.step * (begin + nonfinite_step)
             return f"{road}: the motion is no longer finite at t = {t:.3f} s"
-        row, column = divmod(int(output.rollover[i]), len(ANGLES))
+        row, column = divmod(rollover, len(ANGLES))
         t, degrees = self.options.step * (begin + row), np.degrees(MAX_ANGLE)
         return f"{DOF[ANGLES[column]]} passed {degrees:.0f} degrees at t = {t:.3f} s"

@@ -9,7 +9,14 @@ import numpy as np
 
 from road_envs.config import ConfigError, validate_choice
 from road_envs.envs.options import EnvSetup, EpisodeStart
-from road_envs.simulation.control_step import OUTPUT_COLUMNS, StepOutput
+from road_envs.simulation.control_step import (
+    END_OF_ROAD,
+    OUTPUT_COLUMNS,
+    TRUE_LOADS,
+    TRUE_PROFILE,
+    TRUE_S,
+    StepOutput,
+)
 from road_envs.simulation.drive import DriveSimulator
 
 RENDERED_HISTORY = 4.0
@@ -164,7 +171,7 @@ class RoadReconEnv(gymnasium.Env):
         output = self._advance(int(self.setup.command_bytes[action]))
         reward, info = self._info(output, self._start)
         terminated = info["reason"] != ""
-        truncated = not terminated and bool(output.end_of_road[0])
+        truncated = not terminated and bool(output.events[0, END_OF_ROAD])
         return output.observation[0], reward, terminated, truncated, info
 
     def render(self) -> np.ndarray | None:
@@ -216,5 +223,7 @@ class RoadReconEnv(gymnasium.Env):
             del info["unresolved_variance"]
         info["reason"] = self.setup.failure_reason(output, 0, start.surface.name)
         if self.setup.options.truth:
-            info |= {"s": output.s[0], "profile": output.profile[0], "loads": output.loads[0]}
+            truth = output.truth[0]
+            info["s"], info["profile"] = truth[TRUE_S], truth[TRUE_PROFILE:TRUE_LOADS]
+            info["loads"] = truth[TRUE_LOADS:]
         return reward, info
