@@ -48,9 +48,8 @@ DIFFERENCE = 0.02
 INDEPENDENT_SHARE = 0.5
 """Independent share of the lines of a segment under a Hann window."""
 
-MAX_STEP = 1.5
-"""Greatest change of a parameter in a step, in units of its tolerance."""
-
+MAX_STEP, MAX_DEVIATION = 1.5, 4.0
+"""Greatest change of a parameter in a step, and greatest deviation, in units of its tolerance."""
 
 DOUBTED_SCALE, STRUCTURE_SCALE = 1.2, 4.0
 """Noise scale of the description above which the vehicle is doubted, and above which it may twist
@@ -113,7 +112,8 @@ def adapt_vehicle(
     instruments: Instruments,
     passes: int,
 ) -> AdaptedVehicle | None:
-    """Return the vehicle that a `segment` of a `record` tells of; None if it may well be `car`.
+    """Return the vehicle that a `segment` of a `record` tells of; None if it may well be `car`, or
+    if no other explains more.
 
     `model` is that of the segment for `car`, `passes` those of the estimate. A vehicle is never
     adapted if its file gives no tolerances, the record has fewer than LEAST_CHANNELS channels, or
@@ -139,7 +139,9 @@ def adapt_vehicle(
         x, covariance, gain = fisher_scoring(space, x, instruments, segment, last, steps)
         if k == 0 and not flexible and gain < MIN_GAIN:
             return None
-    return AdaptedVehicle(space, instruments, x, covariance, before, after)
+    return (
+        AdaptedVehicle(space, instruments, x, covariance, before, after) if after < before else None
+    )
 
 
 def responses(
@@ -210,4 +212,5 @@ def fisher_scoring(
         step = np.linalg.solve(information, gradient)
         gain = 0.5 * float(gradient @ step) if np.isnan(gain) else gain
         x = x - step * min(1.0, MAX_STEP / max(np.abs(step).max(), 1e-12))
+        x = np.clip(x, -MAX_DEVIATION, MAX_DEVIATION)
     return x, np.linalg.inv(information), gain

@@ -71,6 +71,7 @@ def smooth_record(
     if adapt and (found := adapt_vehicle(masked.record, segments[k], middle, car, sensors, passes)):
         car, fit, middle = found.car, found.model, found.model(segments[k])
         notes.append(found.note)
+        unexplained = found.after
     for segment in segments:
         model = middle if segment is segments[k] else fit(segment)
         unexplained = max(unexplained, float(np.mean(model.noise_scale)))
