@@ -22,9 +22,9 @@ A vehicle that differs from the one given within its tolerances is fitted to the
 (`car_fit.py`), and one that stays unexplained with the elements that the description leaves out but
 whose tolerances say what they are about, such as a frame that twists (`identification.py`).
 
-Known to fail: under a lifted wheel, where the road is only known to lie below it: a bump that
-throws the wheel is as long as its jump; for waves longer than about 50 m, which are hardly
-observable at a walking pace and left out.
+Known to fail: under a lifted wheel, where the road is only known to lie below it: a hole whose
+floor the wheel does not reach is as deep as the wheel fell; for waves longer than about 50 m, which
+are hardly observable at a walking pace and left out.
 """
 
 from collections.abc import Sequence
