@@ -5,10 +5,10 @@ compiled for vectors (`simd`); only the valves are advanced lane by lane. The re
 depends on its own vehicle only, so it is the same for any number of vehicles and threads.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,6 +44,17 @@ def thread_pool(threads: int) -> ThreadPoolExecutor:
     """Return a persistent pool of `threads` threads."""
     # a new thread starts on its creator's core, and an interval ends before it is migrated
     return ThreadPoolExecutor(threads)
+
+
+def run_in_threads(run: Callable[..., None], jobs: Sequence[tuple[Any, ...]]) -> None:
+    """Call `run(*job)` for each of `jobs` at once: the first in this thread, the others in a pool.
+
+    A job is a thread's whole share, since each one that a pool hands over waits for its threads.
+    """
+    others = [thread_pool(len(jobs) - 1).submit(run, *job) for job in jobs[1:]]
+    run(*jobs[0])
+    for other in others:
+        other.result()
 
 
 class RoadBuffers(NamedTuple):
@@ -343,13 +354,13 @@ class Fleet:
         commands = np.asarray(commands, dtype=np.uint8)
         parts = [commands[i * LANES : (i + 1) * LANES].T for i in range(len(self.blocks))]
         out = self.allocate_signals(commands.shape[1]) if out is None else out
-        work = zip(self.blocks, parts, out, strict=True)
-        if self.threads == 1:
-            for block, part, signals in work:
-                block.advance(part, self.columns, signals)
-        else:
-            workers = thread_pool(self.threads)
-            list(workers.map(lambda job: job[0].advance(job[1], self.columns, job[2]), work))
+
+        def run(numbers: range) -> None:
+            for i in numbers:
+                self.blocks[i].advance(parts[i], self.columns, out[i])
+
+        threads, n = min(self.threads, len(self.blocks)), len(self.blocks)
+        run_in_threads(run, [(range(i, n, threads),) for i in range(threads)])
         return out
 
     def write_back(self) -> list[DriveSimulator]:

@@ -40,7 +40,7 @@ from road_envs.simulation.control_step import (
     allocate_workspace,
 )
 from road_envs.simulation.drive import DriveSimulator, Trajectory
-from road_envs.simulation.fleet import NO_MANOEUVRE, thread_pool
+from road_envs.simulation.fleet import NO_MANOEUVRE, run_in_threads
 from road_envs.simulation.lanes import aligned_copy, aligned_zeros, transpose_constants
 from road_envs.simulation.manoeuvres import Manoeuvre
 from road_envs.simulation.normal_numbers import generator_state
@@ -187,12 +187,9 @@ class InstrumentedFleet:
         def run(job: np.ndarray, workspace: ControlStepWorkspace) -> None:
             advance_blocks(job, self.state, self.parameters, inputs, workspace, output)
 
-        if len(self._workspaces) == 1:
-            run(moving, self._workspaces[0])
-        else:
-            jobs = np.array_split(moving, len(self._workspaces))
-            workers = thread_pool(len(jobs))
-            list(workers.map(run, jobs, self._workspaces))
+        n = len(self._workspaces)
+        jobs = [moving] if n == 1 else np.array_split(moving, n)
+        run_in_threads(run, list(zip(jobs, self._workspaces, strict=True)))
         if mask is not None and saved is not None:
             self._restore_unmasked(moving, mask, saved)
         if self.unresolved_variance is not None:
