@@ -286,7 +286,8 @@ def state_rate(vehicle, surface, s, v, y, out):
     """
     road, n = stack_array(8), y.size // 2
     sample_road(vehicle.constants[0], surface, s, v, road)
-    out[:n] = y[n:]
+    for i in range(n):  # Numba 0.61 counts references in the assignment of a slice
+        out[i] = y[n + i]
     accelerations(vehicle, Motion(y[:n], y[n:]), road[:4], road[4:], out[n:])
 
 
