@@ -27,6 +27,10 @@ UNKNOWN_STD_INFLATION = 4.0
 """Factor on posterior standard deviations over unmeasured roads, for what Laplace's approximation
 and the road's estimated prior leave out (`leaderboard/benchmarks/identified_parameters.py`)."""
 
+GAIN_STD = 0.012
+"""Standard deviation of the gain of an accelerometer that was not identified: within 2 % of 1 by
+its data sheet, anywhere alike."""
+
 
 def inflated_std(std: np.ndarray, known: bool) -> np.ndarray:
     """Return the standard deviations of parameters from those `std` of a fit over `known` roads or
@@ -58,7 +62,9 @@ class VehicleUncertainty:
         unit[: space.size] *= space.std
         covariance = unit[:, None] * fit.covariance * unit
         if fit.x.size == space.size:
-            rest = np.arange(len(errors.names)) < errors.n_fixed
+            rest = (np.arange(len(errors.names)) < errors.n_fixed).astype(float)
+            gains = slice(len(errors.sensors))
+            rest[gains] = (GAIN_STD / errors.std[gains]) ** 2
             covariance = np.pad(covariance, (0, rest.size))
             covariance[space.size :, space.size :] = np.diag(rest)
         return cls(fit.car, space.names, covariance)
