@@ -110,14 +110,16 @@ def minimize(
         for n in range(max_steps):
             updates = prior_updates if std == 0.0 and adapt_prior else 0
             if 0 < n <= updates:
-                if n in LOWERING_STEPS and lin.objective.road.is_uneven:
+                if n in LOWERING_STEPS and lin.objective.road.is_level_between_obstacles:
                     lin = lower_under_lifted_wheels(lin)
                 lin = update_prior(lin, stationary, noise_scale)
             lin, k, change = solver.step(lin, plant, noise_scale)
             steps, total = steps + 1, total + k
             noise_scale = update_noise_scale(lin, stationary, noise_scale)
             report(f"{std} {np.max(noise_scale):.1f} {k} {change:.2f} {lin.cost:.1f}", lin)
-            to_come = lin.objective.road.is_uneven and n < min(LOWERING_STEPS[-1], updates)
+            to_come = lin.objective.road.is_level_between_obstacles and n < min(
+                LOWERING_STEPS[-1], updates
+            )
             if change < change_tolerance and not to_come:
                 break
     if adapt_car is not None:
@@ -187,7 +189,7 @@ def retry_after_liftoff(
     A road with obstacles has been lowered before.
     """
     x, plant = relax_unloaded(lin), lin.objective.plant
-    if x is None or lin.objective.road.is_uneven:
+    if x is None or lin.objective.road.is_level_between_obstacles:
         return lin
     try:
         new = lin.relinearize(x, plant)

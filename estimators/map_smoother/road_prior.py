@@ -25,6 +25,11 @@ N_FLAT = 0.02
 hardly observable at a walking pace, and the paper's paving has few of them, so they should stay
 small."""
 
+LEVEL_CONTRAST = 4.0
+"""Least logarithm of the ratio of arithmetic and geometric mean of the squared local roughness at
+which a road counts as level between obstacles: it is 5 to 6 on potholes and bumps after the first
+steps, 1 to 3 on off-road courses."""
+
 TO_WHEEL_PATHS = np.array([[1.0, 1.0], [1.0, -1.0]])
 """From mean and half difference to left and right."""
 
@@ -63,6 +68,12 @@ class RoadTransform:
     def is_uneven(self) -> bool:
         """True if the road is rougher in some places than in others, as by obstacles."""
         return bool(np.ptp(self.local) > 0.0)
+
+    @property
+    def is_level_between_obstacles(self) -> bool:
+        """True if nearly all of the roughness is in a small part of the road."""
+        square = self.local[:, self.free > 0] ** 2
+        return bool(np.log(square.mean()) - np.log(square).mean() > LEVEL_CONTRAST)
 
     def apply(self, u: np.ndarray) -> np.ndarray:
         """Return the change (2, K) [m] of the coefficients by `u` (2, K)."""

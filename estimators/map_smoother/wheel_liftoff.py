@@ -71,7 +71,7 @@ def relax_unloaded(lin: Linearization) -> np.ndarray | None:
     unloaded, road = unloaded_nodes(lin), lin.objective.road
     u = lin.objective.split(lin.x)[0]
     before = road.coefficients(u)
-    lower = _level if road.is_uneven else _straight
+    lower = _level if road.is_level_between_obstacles else _straight
     pairs = zip(before, unloaded, strict=True)
     c = np.array(
         [np.where(mask, np.minimum(path, lower(path, mask)), path) for path, mask in pairs]
