@@ -8,8 +8,9 @@ exact, and a node keeps being updated until it is retired: fixed-lag smoothing a
 vehicle is propagated by the simulator's own step through every switch of its struts, and linearized
 by the exact tangent of the steps (`linearization.py`). The strut forces are linearized over the
 uncertainty of their rate (`friction_linearization.py`) and the residual is noise, without which the
-filter soon becomes overconfident. Roughness and noise scale are estimated online. Heights are
-emitted relative to their long waves (`profile_output.py`).
+filter soon becomes overconfident. Roughness and noise scale are estimated online; edges of
+obstacles, which are no part of a stationary road, are found by the innovations (`jumps.py`).
+Heights are emitted relative to their long waves (`profile_output.py`).
 
     kalman       emitted when the front axle is at the station
     kalman_lag   emitted 10 m later, 7.2 m after the rear axle
@@ -46,7 +47,13 @@ from estimators.common.fallback import reduce_unexplained
 from estimators.common.identified_vehicle import CalibratedByIdentification
 from estimators.common.model_inputs import antialias_delay, build_model_inputs
 from estimators.common.odometer import calibrate_stations
-from estimators.kalman.monitoring import POWER_WINDOW, local_nis, long_waves, reduce_uncertain
+from estimators.kalman.monitoring import (
+    POWER_WINDOW,
+    local_nis,
+    long_waves,
+    obstacle_std,
+    reduce_uncertain,
+)
 from estimators.kalman.pipeline import FilterRun, run_filter, run_smoother, setup_output, setup_run
 from estimators.kalman.profile_output import ProfileOutput
 from estimators.kalman.state import NOISE_SCALE, ROUGHNESS_SCALE
@@ -151,6 +158,7 @@ class _KalmanSettings(CalibratedByIdentification):
         if smooth or lag >= LAG:  # both axles have passed
             z_std *= np.sqrt(local_nis(run.state.nis, front, s, np.inf if smooth else lag))
             z = reduce_uncertain(z, z_std, ahead, drifting=smooth)
+            z_std = np.hypot(z_std, obstacle_std(run.state.jumps.square, run.node_stations, s))
         if smooth:
             explained = trusted_share(record, valid, car, instruments, z)
             # a filter that is lost later errs before that too, once smoothed

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimators.kalman.friction_linearization import choose_linearization
+from estimators.kalman.jumps import accept_jumps, predict_candidates, update_candidates
 from estimators.kalman.linearization import linearize_block
 from estimators.kalman.profile_output import emit, lost_noise_scale
 from estimators.kalman.road_process import add_node, update_roughness
@@ -77,7 +78,10 @@ def filter_forward(
             subtract_pending(state)
         projection = project(state, block)
         state.nis[j] = update(model, state, measured, block, projection)
+        update_candidates(state.jumps, block)
         predict(state, block, projection)
+        predict_candidates(state.jumps, block)
+        accept_jumps(model, state, blocks, j - first if keep_all else 0)
 
 
 class Projection(NamedTuple):

@@ -28,6 +28,21 @@ DETREND_LENGTH = 1.6
 """Standard deviation [m] of the Gaussian whose low-pass is taken off before; half at 0.12
 cycles/m."""
 
+OBSTACLE_ERROR, OBSTACLE_REACH = 0.2, 1.0
+"""Error of heights within so many metres of accepted steps of the road, relative to the root of the
+sum of their squares. Tuned on drives over bumps and potholes."""
+
+
+def obstacle_std(square: np.ndarray, nodes: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Return the standard deviation (2, M) [m] by which heights near obstacles err in addition.
+
+    `square` (N, 2) [m²] of the accepted steps at the stations `nodes` (N,) [m]: an obstacle's
+    height is found by laws that are linear about the road without it.
+    """
+    total = np.cumsum(np.vstack([np.zeros(2), square]), axis=0)
+    first, last = (np.searchsorted(nodes, s + reach) for reach in (-OBSTACLE_REACH, OBSTACLE_REACH))
+    return OBSTACLE_ERROR * np.sqrt(np.maximum(total[last] - total[first], 0.0)).T
+
 
 def local_nis(nis: np.ndarray, front: np.ndarray, s: np.ndarray, lag: float) -> np.ndarray:
     """Return the greatest local mean (M,) of the `nis` (J,), 1 at least, that counts for `s` (M,).

@@ -11,6 +11,7 @@ from estimators.common.block_means import BlockMeans
 from estimators.common.model_inputs import MOVING_STD, REST_STD, ModelInputs, rest_state
 from estimators.kalman.filter import filter_forward
 from estimators.kalman.friction_linearization import RATE_STDS, STD_INFLATION, smoothed_tables
+from estimators.kalman.jumps import JUMP_LENGTH, REAR_REACH, empty_jumps
 from estimators.kalman.linearization import max_columns
 from estimators.kalman.profile_output import (
     HALF_WINDOW,
@@ -47,7 +48,7 @@ NODE_SPACING = 0.05
 INCREMENT_LENGTH = 0.5
 """Length [m] of the increments from which roughness is estimated."""
 
-ROUGHNESS_LENGTH = 15.0
+ROUGHNESS_LENGTH = 8.0
 """Length of road [m] over which roughness is averaged."""
 
 NOISE_TIME = 1.2
@@ -96,12 +97,18 @@ class FilterRun:
     def empty_blocks(self, count: int) -> LinearizedBlock:
         """Return `count` blocks of zeros, stacked along the first axis of each field."""
         n, n_vehicle = self.n_states, self.model.force_to_state.shape[0]
-        return empty_blocks(n, n_vehicle, self.max_columns, count)
+        n_candidates = self.state.jumps.score.size
+        return empty_blocks(n, n_vehicle, self.max_columns, n_candidates, count)
 
     @property
     def n_blocks(self) -> int:
         """Blocks of measurements."""
         return int(self.inputs.y.shape[1])
+
+    @property
+    def node_stations(self) -> np.ndarray:
+        """Stations (N,) [m] of all nodes of the drive."""
+        return self.origin + NODE_SPACING * np.arange(self.state.jumps.square.shape[0])
 
     def known_front(self, sensor_latency: float) -> np.ndarray:
         """Return the front axle's station (J,) [m] when a block is known, `sensor_latency` [s]
@@ -204,6 +211,7 @@ def _build_model(
         increment_variance=road.increment_variance(increment_span),
         increment_span=increment_span,
         roughness_memory=ROUGHNESS_LENGTH / NODE_SPACING,
+        jump_reach=round(REAR_REACH / NODE_SPACING),
         h=model_inputs.h,
         steps_per_block=steps_per_block,
         decimation=model_inputs.decimation,
@@ -247,7 +255,11 @@ def _initial_state(
     adaptive = np.array([1.0, weight, weight, 1.0, 0.0])
     pending, newest = np.zeros((MAX_PENDING, n)), np.array([newest_node])
     n_pending = np.zeros(1, dtype=np.int64)
-    return FilterState(x, P, pending, n_pending, strut_state, newest, adaptive, np.ones(blocks))
+    last = max(newest_node, int(np.max(inputs.front_node)) + 3)
+    jumps = empty_jumps(n, round(JUMP_LENGTH / NODE_SPACING), last + 1)
+    return FilterState(
+        x, P, pending, n_pending, strut_state, newest, adaptive, np.ones(blocks), jumps
+    )
 
 
 def setup_output(

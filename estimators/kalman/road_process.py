@@ -14,6 +14,7 @@ from scipy.fft import irfft, rfftfreq
 from scipy.linalg import solve_toeplitz, toeplitz
 
 from estimators.common.road_prior import N_MIN, increment_amplitude
+from estimators.kalman.jumps import add_candidates
 from estimators.kalman.state import (
     RETIRED,
     ROUGHNESS_SCALE,
@@ -90,15 +91,15 @@ def add_node(model: FilterModel, state: FilterState, free):
     """Add a node ahead of the newest one and retire the oldest. Unless `free`, the road goes on
     level.
     """
-    x, P, K, pending = state.x, state.P, model.n_nodes, state.pending
-    newest_node, rank = state.newest_node[0], state.n_pending[0]
-    pending_row = np.empty(rank)
+    x, P, K, newest_node = state.x, state.P, model.n_nodes, state.newest_node[0]
+    others = state.pending[: state.n_pending[0]], state.jumps.direction
     new = node_index(newest_node + 1, K)
     row = np.empty(x.size)
     for component in range(2):
         retire_node(state, RETIRED + 2 * component, new + component, model.decay)
         row[:] = 0.0
-        pending_row[:] = 0.0
+        for rows in others:
+            rows[:, new + component] = 0.0
         z = 0.0
         order = model.ar_weights.shape[1] if free else 1
         for k in range(order):
@@ -107,8 +108,9 @@ def add_node(model: FilterModel, state: FilterState, free):
             z += weight * x[old]
             for i in range(x.size):
                 row[i] += weight * P[old, i]
-            for r in range(rank):
-                pending_row[r] += weight * pending[r, old]
+            for rows in others:
+                for r in range(rows.shape[0]):
+                    rows[r, new + component] += weight * rows[r, old]
         scale = state.adaptive[ROUGHNESS_SCALE]
         variance = model.prediction_variance[component] * scale if free else 0.0
         for k in range(order):
@@ -118,8 +120,8 @@ def add_node(model: FilterModel, state: FilterState, free):
         P[new + component, :] = row
         P[:, new + component] = row
         P[new + component, new + component] = variance
-        pending[:rank, new + component] = pending_row
     state.newest_node[0] = newest_node + 1
+    add_candidates(state.jumps, newest_node + 1, new, free)
 
 
 @kernel(inline=False)
@@ -127,12 +129,13 @@ def retire_node(state: FilterState, M, old, decay):
     """Add the node with the index `old` to the decaying sum at `M`, which moves one node further
     back.
     """
-    x, P, pending = state.x, state.P, state.pending
+    x, P = state.x, state.P
     c, s = np.exp(-decay) * np.cos(decay), np.exp(-decay) * np.sin(decay)
-    for r in range(state.n_pending[0]):
-        row = pending[r]
-        real, imaginary = row[M] + row[old], row[M + 1]
-        row[M], row[M + 1] = c * real - s * imaginary, s * real + c * imaginary
+    for rows in (state.pending[: state.n_pending[0]], state.jumps.direction):
+        for r in range(rows.shape[0]):
+            row = rows[r]
+            real, imaginary = row[M] + row[old], row[M + 1]
+            row[M], row[M + 1] = c * real - s * imaginary, s * real + c * imaginary
     real, imaginary = x[M] + x[old], x[M + 1]
     x[M], x[M + 1] = c * real - s * imaginary, s * real + c * imaginary
     for i in range(x.size):
@@ -149,10 +152,11 @@ def update_roughness(model: FilterModel, state: FilterState, rear, free):
     passed.
 
     One step of expectation maximization: the expected square is the squared mean plus the variance.
+    An increment with an accepted step is none of the stationary prior and is left out.
     """
     x, P, K, adaptive = state.x, state.P, model.n_nodes, state.adaptive
     low = rear - model.increment_span
-    if low <= free[0] or rear >= free[1]:
+    if low <= free[0] or rear >= free[1] or state.jumps.square[low - 1 : rear + 2].any():
         return
     for component in range(2):
         a, b = node_index(low, K) + component, node_index(rear, K) + component

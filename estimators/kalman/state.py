@@ -54,7 +54,8 @@ class FilterModel(NamedTuple):
 
     Road, of `n_nodes` K: `ar_weights` (2, order) and `prediction_variance` (2,) [m²] of the model
     of the next node; prior `increment_variance` (2,) [m²] over `increment_span` nodes;
-    `roughness_memory`, over which roughness is averaged; `wheelbase_nodes`; `decay` of the
+    `roughness_memory`, over which roughness is averaged; `jump_reach`, as REAR_REACH of `jumps.py`;
+    `wheelbase_nodes`; `decay` of the
     retired-node sums per node.
 
     Measurements: step `h` [s], `steps_per_block`, one sample in `decimation` steps,
@@ -77,6 +78,7 @@ class FilterModel(NamedTuple):
     increment_variance: np.ndarray
     increment_span: int
     roughness_memory: float
+    jump_reach: int
     h: float
     steps_per_block: int
     decimation: int
@@ -110,10 +112,24 @@ class FilterInputs(NamedTuple):
     free_range: np.ndarray
 
 
+class RoadJumps(NamedTuple):
+    """Candidates and accepted steps; candidate 2 k + side, modulo their number m, is that of node k
+    in the left (0) or right (1) wheel path.
+
+    `direction` (m, n): error of the state per unit step; `score` (m,) [1/m]; `information` (m, m)
+    [1/m²]; `square` (N, 2) [m²]: squares of the accepted steps of each node of the drive.
+    """
+
+    direction: np.ndarray
+    score: np.ndarray
+    information: np.ndarray
+    square: np.ndarray
+
+
 class FilterState(NamedTuple):
     """Mean `x` (n,), valve states of the struts `strut_state` (4, 3), number of the newest node
     `newest_node` (1,) and the parameters `adaptive` (5,). `nis` (J,): the normalized innovation
-    squared, per measurement, of the blocks so far.
+    squared, per measurement, of the blocks so far. `jumps`: steps of the road.
 
     The covariance is P - W' W with `P` (n, n) and the first `n_pending` (1,) rows W of `pending`
     (MAX_PENDING, n): the whitened gains of the last updates. A linear change x' = F x turns it into
@@ -129,6 +145,7 @@ class FilterState(NamedTuple):
     newest_node: np.ndarray
     adaptive: np.ndarray
     nis: np.ndarray
+    jumps: RoadJumps
 
 
 class LinearizedBlock(NamedTuple):
@@ -139,6 +156,7 @@ class LinearizedBlock(NamedTuple):
     vehicle, `H` (3, C) the measurement matrix, which the update whitens in place. Whitened gain `V`
     (3, n) and `innovation` (3,): x' = x + V' innovation, P' = P - V' V. By nonlinear simulation:
     vehicle state `end_state` (N,) and block means `predicted` (3,). `nodes_added` (1,): new nodes.
+    `jump_response` (m, 3): mean of the innovation per unit step of each candidate (`jumps.py`).
     """
 
     n_columns: np.ndarray
@@ -150,9 +168,12 @@ class LinearizedBlock(NamedTuple):
     end_state: np.ndarray
     predicted: np.ndarray
     nodes_added: np.ndarray
+    jump_response: np.ndarray
 
 
-def empty_blocks(n: int, n_vehicle: int, max_columns: int, blocks: int) -> LinearizedBlock:
+def empty_blocks(
+    n: int, n_vehicle: int, max_columns: int, n_candidates: int, blocks: int
+) -> LinearizedBlock:
     """Return `blocks` blocks of zeros, stacked along the first axis of each field."""
     return LinearizedBlock(
         n_columns=np.zeros((blocks, 1), dtype=np.int64),
@@ -164,6 +185,7 @@ def empty_blocks(n: int, n_vehicle: int, max_columns: int, blocks: int) -> Linea
         end_state=np.zeros((blocks, n_vehicle)),
         predicted=np.zeros((blocks, 3)),
         nodes_added=np.zeros((blocks, 1), dtype=np.int64),
+        jump_response=np.zeros((blocks, n_candidates, 3)),
     )
 
 
@@ -201,4 +223,5 @@ def get_block(blocks, j):
         blocks.end_state[j],
         blocks.predicted[j],
         blocks.nodes_added[j],
+        blocks.jump_response[j],
     )
