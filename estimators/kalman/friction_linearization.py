@@ -11,6 +11,8 @@ with w and s the mean and standard deviation of the rate and x standard normal (
 Optimal Estimation", 1974, section 6.2).
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from estimators.kalman.state import FORCE, FilterModel, FilterState
@@ -30,6 +32,12 @@ def smoothed_tables(velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return tables (W K, cells, 4) of the expected force, from the tables `velocity` (K, cells,
     4), for each standard deviation of RATE_STDS, and the residual variances (W, K, cells + 1) [N²].
     """
+    return _smoothed_tables(velocity.tobytes(), velocity.shape)
+
+
+@lru_cache(maxsize=16)  # most drives are of a vehicle that has driven before
+def _smoothed_tables(data: bytes, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    velocity = np.frombuffer(data).reshape(shape).copy()
     tables = [
         gaussian_smoothed(velocity, V_0, V_STEP, s) if s > 0.0 else velocity for s in RATE_STDS
     ]
