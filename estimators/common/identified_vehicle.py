@@ -56,7 +56,7 @@ class IdentifiedVehicle:
 
     @property
     def uncertainty(self) -> "VehicleUncertainty | None":
-        """What is not known of the vehicle, None if nothing is said about it."""
+        """Uncertainty of the vehicle, None if nothing is said about it."""
         from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 
         if not self.covariance:

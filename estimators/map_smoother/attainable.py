@@ -1,4 +1,4 @@
-"""What is attainable from a whole drive: the posterior at the truth, and the bound of van Trees.
+"""Attainable error of a whole drive: the posterior at the truth, and the bound of van Trees.
 
 The nonlinear vehicle, linearized about its motion over a road z, measures accelerations up to a
 given frequency. With J(z) the tangent of the block means and I the precision of the noise that the

@@ -188,8 +188,10 @@ def retry_after_liftoff(
 
     A road with obstacles has been lowered before.
     """
+    if lin.objective.road.is_level_between_obstacles:
+        return lin
     x, plant = relax_unloaded(lin), lin.objective.plant
-    if x is None or lin.objective.road.is_level_between_obstacles:
+    if x is None:
         return lin
     try:
         new = lin.relinearize(x, plant)

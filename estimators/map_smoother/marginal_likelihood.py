@@ -64,9 +64,9 @@ class LikelihoodTerms(NamedTuple):
 
 
 class Derivatives(NamedTuple):
-    """What changes little from one step of the parameters to the next: the derivatives `G`
-    (P, S, J) of the block means, and of the log-determinant the gradient `log_det` (P,) with the
-    part `curvature` (P, P) of the Hessian, 0 over a known road.
+    """Derivatives that change little from one step of the parameters to the next: `G` (P, S, J) of
+    the block means, and of the log-determinant the gradient `log_det` (P,) with the part
+    `curvature` (P, P) of the Hessian, 0 over a known road.
     """
 
     G: np.ndarray

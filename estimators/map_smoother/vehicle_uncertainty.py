@@ -1,4 +1,4 @@
-"""What an identification leaves uncertain of vehicle and instruments, as errors of a road.
+"""Uncertainty of an identified vehicle and its instruments, as errors of a road.
 
 A road is the most probable one of the vehicle p that was identified. If p is wrong by dp, the
 accelerations that the vehicle predicts on that road are wrong by G dp, and the road is displaced as

@@ -91,7 +91,7 @@ class AdaptedVehicle:
 
     @property
     def note(self) -> str:
-        """What was done, for the notes of an estimate."""
+        """The adaptation in words, for the notes of an estimate."""
         return (
             f"the vehicle was adapted to the drive: {self.before:.1f} times the noise power of the "
             f"instruments and the friction was unexplained, now {self.after:.1f} times"

@@ -68,27 +68,20 @@ def summary(rows: Sequence[Row]) -> str:
     width = max(len(f"{r['family']}, {r['state']}") for r in rows) + 2
     lines = ["in-band NRMSE" + " " * (width - 13) + "".join(f"{name:>14}" for name in COLUMNS)]
 
-    def line(name: str, chosen: Sequence[Row]) -> None:
-        cells = (
-            interquartile_mean(np.array([r["nrmse"][column] for r in chosen])) for column in COLUMNS
-        )
+    def line(name: str, chosen: Sequence[Row], pick: Callable[..., float]) -> None:
+        cells = (float(pick(np.array([r["nrmse"][column] for r in chosen]))) for column in COLUMNS)
         lines.append(f"{name:<{width}}" + "".join(f"{cell:>14.3f}" for cell in cells))
 
     for row in rows:
-        line(f"{row['family']}, {row['state']}", [row])
+        line(f"{row['family']}, {row['state']}", [row], np.max)
     lines.append("interquartile means")
     for key in ("family", "km/h", "mode"):
         for value in dict.fromkeys(row[key] for row in rows):
-            line(f"  {value}" + " km/h" * (key == "km/h"), [r for r in rows if r[key] == value])
-    line("  all", rows)
-    for name, pick in (("median", np.median), ("worst", np.max)):
-        lines.append(_statistic(f"  all, {name}", rows, pick, width))
+            chosen = [r for r in rows if r[key] == value]
+            line(f"  {value}" + " km/h" * (key == "km/h"), chosen, interquartile_mean)
+    for name, pick in (("", interquartile_mean), (", median", np.median), (", worst", np.max)):
+        line(f"  all{name}", rows, pick)
     return "\n".join(lines)
-
-
-def _statistic(name: str, rows: Sequence[Row], pick: Callable[..., float], width: int) -> str:
-    cells = (float(pick([r["nrmse"][column] for r in rows])) for column in COLUMNS)
-    return f"{name:<{width}}" + "".join(f"{cell:>14.3f}" for cell in cells)
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
