@@ -13,6 +13,7 @@ again. All bounds have the spectrum of the road driven (`leaderboard.metrics.bou
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -68,7 +69,7 @@ def summary(rows: Sequence[Row]) -> str:
     width = max(len(f"{r['family']}, {r['state']}") for r in rows) + 2
     lines = ["in-band NRMSE" + " " * (width - 13) + "".join(f"{name:>14}" for name in COLUMNS)]
 
-    def line(name: str, chosen: Sequence[Row], pick: Callable[..., float]) -> None:
+    def line(name: str, chosen: Sequence[Row], pick: Callable[..., Any]) -> None:
         cells = (float(pick(np.array([r["nrmse"][column] for r in chosen]))) for column in COLUMNS)
         lines.append(f"{name:<{width}}" + "".join(f"{cell:>14.3f}" for cell in cells))
 
