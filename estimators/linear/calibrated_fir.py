@@ -83,7 +83,7 @@ DRAWS, SMOOTHING = 40, 5.0
 is averaged.
 """
 
-JUDGED = 3
+VALIDATED = 3
 """Calibration drives at most on which standard deviations are calibrated."""
 
 COVERAGE = ((0.5, 0.6745), (0.9, 1.6449))
@@ -254,19 +254,19 @@ def _identify_state(
     check_drives(drives, data)
     found = identify_responses(data, prior)
     check_responses(found, drives, axles)
-    factor, error = _judge(found, drives, axles)
+    factor, error = _validate(found, drives, axles)
     speed = float(np.mean([drive.record.v.mean() for drive in drives]))
     return VehicleResponse(found.responses, _state(drives[0].record), speed, factor, error)
 
 
-def _judge(
+def _validate(
     found: IdentifiedResponses, drives: Sequence[CalibrationDrive], axles: np.ndarray
 ) -> tuple[float, float]:
     """Return the factor on standard deviations that gives COVERAGE on segments that responses were
     identified without, and the in-band RMS error over the RMS of the road there.
     """
     ratios, square, power = [], 0.0, 0.0
-    for drive in drives[:JUDGED]:
+    for drive in drives[:VALIDATED]:
         record, profile = drive.record, cast(Profile, drive.profile)
         s, band = profile_stations(record.length), scored_band(float(record.v.mean()))
         truth = sample_profile(profile, s)

@@ -172,7 +172,7 @@ def _identify(
     smoother: MapSmoother,
     structure: bool,
 ) -> IdentificationResult:
-    """Identify a vehicle from the first part of each drive, and judge it on the second."""
+    """Identify a vehicle from the first part of each drive, and validate it on the second."""
     fit, known = _fit([first for first, _ in parts], car, smoother, structure)
     std, uncertainty = inflated_std(fit.std, known), VehicleUncertainty.of_fit(fit, known)
     found = fit.x[fit.space.size :]
@@ -187,10 +187,9 @@ def _identify(
 def identify_structure(
     record: Record, car: VehicleParameters, smoother: MapSmoother
 ) -> tuple[VehicleParameters, VehicleUncertainty]:
-    """Return `car` with the elements that its description leaves out, by one drive, unjudged.
-
-    Beside it, what is not known of it. Raises CalibrationError on a drive that is too short, too
-    slow or too smooth.
+    """Return `car` with the elements that its description leaves out, found on one drive, and
+    what stays unknown of it; without validation. Raises CalibrationError on a drive that is too
+    short, too slow or too smooth.
     """
     is_short = FIT_SHARE * record.t.size < MIN_DURATION * record.fs
     first, _ = _parts(CalibrationDrive(record), smoother, 1.0 if is_short else FIT_SHARE)

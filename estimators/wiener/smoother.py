@@ -128,7 +128,7 @@ def _blend_weights(stations: np.ndarray, core: tuple[float, float], length: floa
     """Return a segment's weight at each station: 1 in its core, with a linear transition of half
     the margin to its neighbours.
     """
-    fade = 0.5 * SEGMENT_MARGIN
-    up = np.clip((stations - core[0]) / fade + 0.5, 0.0, 1.0) if core[0] > 0.0 else 1.0
-    down = np.clip((core[1] - stations) / fade + 0.5, 0.0, 1.0) if core[1] < length else 1.0
+    transition = 0.5 * SEGMENT_MARGIN
+    up = np.clip((stations - core[0]) / transition + 0.5, 0.0, 1.0) if core[0] > 0.0 else 1.0
+    down = np.clip((core[1] - stations) / transition + 0.5, 0.0, 1.0) if core[1] < length else 1.0
     return np.minimum(up, down) * np.ones(stations.size)

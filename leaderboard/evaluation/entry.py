@@ -24,7 +24,7 @@ from road_envs.config import Settings
 from road_envs.data.record import Estimate, Profile, Record
 from road_envs.vehicle.parameters import VehicleParameters
 
-BUILTIN = "judge"
+BUILTIN = "builtin"
 """Reference of an entry whose estimates the evaluation computes itself, from the truth."""
 
 
@@ -70,7 +70,7 @@ class TrainingRun:
     seed: int = 0  # of the training
     peak_memory: float | None = None  # [GiB] of the process that ran all trainings
     isolation: str = "none"
-    notes: tuple[str, ...] = ()  # what the judge has found out about the entry
+    notes: tuple[str, ...] = ()  # what the evaluation has found out about the entry
     looks_ahead: bool = False  # a causal estimator whose estimate depends on later samples
     calibrate_seconds: float | None = None  # of all calibrations; None: there was none
 

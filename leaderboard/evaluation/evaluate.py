@@ -158,7 +158,7 @@ def evaluate_entry(
         metric_version=heights.VERSION,
         seeds=tuple(seeds),
         code=entry.code,
-        judge=evaluation_version(),
+        evaluation_code=evaluation_version(),
         conditions=(condition.label,),
         causal=entry.causal,
         lag=entry.lag,

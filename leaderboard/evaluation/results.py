@@ -20,7 +20,7 @@ from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import heights
 from road_envs.config import Settings
 
-FORMAT = 3
+FORMAT = 4
 Role = Literal["entry", "sentinel"]
 ISOLATED = ("bubblewrap",)
 """Values of `Result.isolation` of entries without access to files, network and other processes."""
@@ -99,7 +99,7 @@ class Result(Settings):
     metric_version: int
     seeds: tuple[int, ...]  # requested training seeds; a deterministic training used the first
     code: str = ""  # version of the estimator's sources and weights
-    judge: str = ""  # version of the sources that make drives and scores
+    evaluation_code: str = ""  # version of the sources that make drives and scores
     identity: str = ""  # digest of all inputs: task, estimator, versions, seeds
     conditions: tuple[str, ...] = ()
     drives: Sequence[DriveScores] = ()
@@ -164,7 +164,7 @@ class Result(Settings):
             return f"made by version {self.package_version}"
         if self.metric_version != heights.VERSION:
             return f"scored by metrics {self.metric_version}, now {heights.VERSION}"
-        if self.judge != evaluation_version():
+        if self.evaluation_code != evaluation_version():
             return "driven or scored by other code"
         return None
 

@@ -166,7 +166,7 @@ def _row_or_failure(path: Path, task: Task) -> Result:
             package_version=package_version(),
             metric_version=heights.VERSION,
             seeds=(),
-            judge=evaluation_version(),
+            evaluation_code=evaluation_version(),
             failure=f"its result cannot be read: {error}",
         )
     return dataclasses.replace(

@@ -220,7 +220,7 @@ class Task(Settings):
         grades = {condition.grade for condition in self.conditions}
         if len(grades) > 1 or grades == {"S0"}:
             return self.title
-        return f"{self.title}; judged on the field car {grades.pop()}, trained on S0"
+        return f"{self.title}; evaluated on the field car {grades.pop()}, trained on S0"
 
     @property
     def board_name(self) -> str:

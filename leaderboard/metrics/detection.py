@@ -53,6 +53,6 @@ def bump_height_error_relative(scored: ScoredEstimate) -> float:
 
 
 @metric("bumps on the wrong side", digits=1, head="wrong side")
-def bump_ghosts(scored: ScoredEstimate) -> float:
+def bump_wrong_side(scored: ScoredEstimate) -> float:
     """Number of detected obstacles that only the other wheel path has."""
-    return scored.shared(_obstacles).ghosts
+    return scored.shared(_obstacles).wrong_side

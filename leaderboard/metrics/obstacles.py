@@ -33,7 +33,7 @@ class ObstacleMatches(NamedTuple):
 
 
 class ObstacleScores(NamedTuple):
-    """Shares [-], mean absolute errors of the matched obstacles (NaN if none) and ghosts."""
+    """Shares [-], mean absolute errors of matched obstacles (NaN if none), number of wrong ones."""
 
     precision: float
     recall: float
@@ -41,7 +41,7 @@ class ObstacleScores(NamedTuple):
     location_error: float  # [m]
     height_error: float  # [m]
     height_error_relative: float  # of the true height
-    ghosts: float  # estimated on the wrong side: only the other wheel path has one there
+    wrong_side: float  # estimated where only the other wheel path has one
 
 
 def detect_obstacles(z: np.ndarray, ds: float, threshold: float) -> list[Obstacle]:
@@ -91,7 +91,7 @@ def obstacle_scores(y: np.ndarray, a: np.ndarray, ds: float) -> ObstacleScores |
     pairs = [pair for path in paths for pair in path.pairs]
     true = [[*path.missed, *(t for t, _ in path.pairs)] for path in paths]
     detected = [[*path.false, *(f for _, f in path.pairs)] for path in paths]
-    ghosts = sum(
+    wrong_side = sum(
         _has_match(obstacle, true[1 - side]) and not _has_match(obstacle, true[side])
         for side in range(2)
         for obstacle in detected[side]
@@ -105,7 +105,7 @@ def obstacle_scores(y: np.ndarray, a: np.ndarray, ds: float) -> ObstacleScores |
         location_error=float(s),
         height_error=float(height),
         height_error_relative=float(relative),
-        ghosts=float(ghosts),
+        wrong_side=float(wrong_side),
     )
 
 

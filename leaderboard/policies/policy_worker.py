@@ -54,7 +54,7 @@ def main() -> None:
         try:
             if request["do"] == "reset":
                 policy = policy or make_policy(setup.reference, **setup.settings)
-                policy.reset(pickle.loads(data.tobytes()))  # of the judge
+                policy.reset(pickle.loads(data.tobytes()))  # of the host
                 worker.reply(replies, {})
             elif request["do"] == "changes":
                 before = data.copy()

@@ -41,16 +41,16 @@ NOMINAL_SHARES = np.linspace(0.05, 0.95, 19)
 
 
 Figure = dict[str, Any]
-Judged = tuple[Task, Result, Row, Section, BoardDefinition]
+Evaluated = tuple[Task, Result, Row, Section, BoardDefinition]
 """One result with its task and its row on the board."""
 
 
-def estimator_charts(judged: Sequence[Judged]) -> dict[str, Chart]:
+def estimator_charts(evaluated: Sequence[Evaluated]) -> dict[str, Chart]:
     """Return the charts of an estimator that are not empty, with a figure for each task."""
     errors: dict[str, Figure | None] = {}
     spectra: dict[str, Figure | None] = {}
     calibrations: dict[str, Figure | None] = {}
-    for task, result, row, section, definition in judged:
+    for task, result, row, section, definition in evaluated:
         errors[task.name] = _error_figure(row, section, definition)
         spectra[task.name] = _spectrum_figure(row, task)
         calibrations[task.name] = _calibration_figure(result)

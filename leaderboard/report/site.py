@@ -170,7 +170,7 @@ def _estimator(
         if row.name == name
     ]
     by_task = {task.name: (task, result) for task, result in results}
-    judged = [
+    evaluated = [
         (*by_task[section.task], row, section, view.definition)
         for view, section, row in rows
         if row.state in ("scored", "baseline")
@@ -188,12 +188,12 @@ def _estimator(
             {card.identity: card for _, result in results if (card := board.card(result))}.values()
         ),
         "rows": rows,
-        "charts": estimator_page.estimator_charts(judged),
-        "tasks": [task for task, *_ in judged],
-        "cost": [estimator_page.cost(task, result) for task, result, *_ in judged],
+        "charts": estimator_page.estimator_charts(evaluated),
+        "tasks": [task for task, *_ in evaluated],
+        "cost": [estimator_page.cost(task, result) for task, result, *_ in evaluated],
         "worst": [
             drive
-            for task, result, _, _, definition in judged
+            for task, result, _, _, definition in evaluated
             for drive in estimator_page.worst_drives(task, result, definition.ranks_by)
         ],
         "failures": [(task, result.failure) for task, result in results if result.failure],

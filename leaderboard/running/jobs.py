@@ -54,7 +54,7 @@ class Job(Settings):
     seeds: tuple[int, ...]
     limits: Limits = field(default_factory=Limits)
     task_digest: str = ""
-    judge: str = ""  # version of the evaluation code that planned the job
+    evaluation_code: str = ""  # version of the evaluation code that planned the job
     files: str = ""  # folder with copies of all files that the job needs; "": they are elsewhere
 
 
@@ -81,7 +81,7 @@ def result_identity(task: Task, condition: int | None, entry: Entry, seeds: Sequ
         "seeds": list(seeds),
         "package": package_version(),
         "metrics": heights.VERSION,
-        "judge": evaluation_version(),
+        "evaluation_code": evaluation_version(),
     }
     return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()[:32]
 
@@ -102,8 +102,8 @@ def to_packed_text(job: Job) -> tuple[str, dict[str, Path]]:
 
 
 def _to_spec(job: Job) -> dict[str, Any]:
-    job = dataclasses.replace(job, task_digest=job.task.digest, judge=evaluation_version())
-    return to_json_types(job)
+    digests = {"task_digest": job.task.digest, "evaluation_code": evaluation_version()}
+    return to_json_types(dataclasses.replace(job, **digests))
 
 
 def from_text(text: str, where: str, folder: Path = Path()) -> Job:
@@ -122,7 +122,7 @@ def from_text(text: str, where: str, folder: Path = Path()) -> Job:
     job = build(Job, data, where)
     if not 0 <= job.condition < len(job.task.conditions):
         raise ConfigError(f"{where}: {job.task.name} has no condition {job.condition}")
-    if job.judge != evaluation_version():
+    if job.evaluation_code != evaluation_version():
         raise ConfigError(f"{where}: planned by another version of the code; plan it again")
     if job.task_digest != job.task.digest:
         raise ConfigError(

@@ -3,10 +3,10 @@
 The guest sees the interpreter, its packages, this project's packages and the code of its entry,
 all read-only; an empty folder in memory of its own; a bare /dev and a /proc with nothing but
 itself. It has no network, no capabilities, no other user's processes and no Unix sockets of the
-host. It ends with the judge.
+host. It ends with the process that started it.
 
-A judge that is root starts the guest as root without capabilities but the one to become nobody,
-which `worker` uses before it loads the entry; any other judge uses a user namespace.
+A host that is root starts the guest as root without capabilities but the one to become nobody,
+which `worker` uses before it loads the entry; any other host uses a user namespace.
 """
 
 import importlib.util
@@ -101,7 +101,7 @@ def obstacle() -> str | None:
 
 
 def must_become_nobody() -> bool:
-    """Return whether a guest with an entry from outside has to give up the user of the judge."""
+    """Return whether a guest with an entry from outside has to give up the user of the host."""
     return os.geteuid() == 0
 
 

@@ -1,4 +1,4 @@
-"""Client of the sandbox, in the judge: runs entries in guests and checks every reply.
+"""Client of the sandbox, in the host: runs entries in guests and checks every reply.
 
 What an entry says about itself counts for nothing but its settings, `causal` and `lag`. Its name is
 checked against an allow-list, its code is hashed from its files, its time is compared with the
@@ -294,7 +294,7 @@ class SandboxClient:
     def _session(self, guest: Guest, entry: Entry, car: VehicleParameters) -> "_RemoteSession":
         head = self._begin(guest, entry.reference, entry.settings, dataclasses.asdict(car))
         trains, calibrates = (head.get(name) is True for name in ("needs_training", "calibrates"))
-        # of others the judge finds out whether the seed makes a difference
+        # of others the host finds out whether the seed makes a difference
         uses_seed = head.get("uses_seed") is True or not entry_files.is_ours(entry.reference)
         return _RemoteSession(guest, trains, calibrates, uses_seed)
 

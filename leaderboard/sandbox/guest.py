@@ -183,7 +183,7 @@ class Guest:
         try:
             status = self._process.wait(timeout=1.0)
         except subprocess.TimeoutExpired:
-            return "it closed its connection to the judge"
+            return "it closed its connection to the host"
         while not self._end_of_output and select.select([self._output], [], [], 0.0)[0]:
             self._read_output()
         lines = self.output_tail.decode(errors="replace").strip().splitlines()

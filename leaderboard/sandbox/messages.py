@@ -1,11 +1,11 @@
-"""Messages between judge and guest, over pipes: a JSON object and arrays, without pickle.
+"""Messages between host and guest, over pipes: a JSON object and arrays, without pickle.
 
     4 bytes    size of the JSON text, big endian
     JSON       an object
     arrays     raw numbers in C order, one array after the other
 
-The judge sends `arrays`, their types and shapes, in the object. A reply has only float64 arrays of
-a shape that the judge knows, so it never takes a size from a guest. What a guest sends may be
+The host sends `arrays`, their types and shapes, in the object. A reply has only float64 arrays of
+a shape that the host knows, so it never takes a size from a guest. What a guest sends may be
 anything: `parse_head`, `text`, `number` and `settings` raise EntryError for all that is not
 expected.
 """
@@ -51,7 +51,7 @@ def encode(head: Mapping[str, Any], arrays: Sequence[np.ndarray] = ()) -> bytes:
 
 
 def decode_arrays(head: Mapping[str, Any], read: Any) -> list[np.ndarray]:
-    """Return the arrays of a message of the judge, in the guest; `read(n)` returns n bytes."""
+    """Return the arrays of a message of the host, in the guest; `read(n)` returns n bytes."""
     arrays = []
     for kind, *shape in head.get("arrays", ()):
         dtype = np.dtype(kind)

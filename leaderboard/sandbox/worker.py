@@ -1,10 +1,10 @@
-"""The guest: loads the libraries, then an estimator in a child process, and serves the judge.
+"""The guest: loads the libraries, then an estimator in a child process, and serves the host.
 
     python -P -s -m leaderboard.sandbox.worker SETUP
 
 reads requests from standard input and writes replies to what was its standard output; whatever the
 estimator prints goes to standard error. The code of the estimator is loaded only in the child,
-after all privileges are dropped and the limits of the kernel are set. Of a reply the judge
+after all privileges are dropped and the limits of the kernel are set. Of a reply the host
 believes nothing: see `client`.
 """
 
@@ -211,7 +211,7 @@ def _serve(setup: Setup, replies: int, start: dict[str, Any]) -> None:
 
 
 def _preload_scipy() -> None:
-    """Import the slow parts of SciPy, in nobody's time, if a module refers to SciPy as a whole.
+    """Import the slow parts of SciPy, before any time counts, if a module uses SciPy as a whole.
 
     SciPy would load them at their first use; modules that import them by name have done so.
     """

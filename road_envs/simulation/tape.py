@@ -166,8 +166,8 @@ def linearize_drive(
     strut_state_end = _checked_copy("strut_state", strut_state, (4, 3))
     signals, rows = np.empty((steps, n_signals(plant))), np.empty((steps, TAPE_ROW_SIZE))
     bytes_ = np.zeros(0) if commands is None else _checked_copy("commands", commands, (steps,))
-    course = z.reshape(steps, 16), a_xy_steps.reshape(steps, 4)
-    inputs = TapeInputs(*course, bytes_.astype(np.uint8), float(lag), float(h))
+    per_step = z.reshape(steps, 16), a_xy_steps.reshape(steps, 4)
+    inputs = TapeInputs(*per_step, bytes_.astype(np.uint8), float(lag), float(h))
     # no argument for a rigid frame: its kernel then compiles without flexible_step
     flexible = (True,) if plant.flexible else ()
     buffers = plant.buffers(strut_state_end)

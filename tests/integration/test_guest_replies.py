@@ -131,7 +131,7 @@ def test_a_valid_reply_is_taken_as_it_is(tmp_path):
     assert seconds == 0.0
 
 
-def test_a_guest_that_does_not_read_cannot_block_the_judge(tmp_path):
+def test_a_guest_that_does_not_read_cannot_block_the_host(tmp_path):
     code = f"import os, time; os.write(1, {READY}); time.sleep(99)"
     guest = Guest([sys.executable, "-I", "-S", "-c", code], {}, tmp_path)
     guest.start_run(Limits(seconds=0.5))

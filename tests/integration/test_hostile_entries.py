@@ -51,7 +51,7 @@ DEAF = module("z[:] = 0.01 * np.sin(stations)") + (
     "class Fitted(Entry):\n"
     "    def weights(self): return {'w': np.zeros(3)}\n"
 )
-SOLVER = module(  # looks for seeds in what it can read, and for the judge's own objects
+SOLVER = module(  # looks for seeds in what it can read, and for the objects of the host
     "paths = [*pathlib.Path('/proc').glob('*/cmdline'), *pathlib.Path('/proc').glob('*/environ')]\n"
     "paths += [*pathlib.Path('/tmp').rglob('*.json'), *pathlib.Path('/var').rglob('*.json')]\n"
     "texts = [p.read_bytes() for p in paths if p.is_file() and os.access(p, os.R_OK)]\n"
@@ -61,7 +61,7 @@ SOLVER = module(  # looks for seeds in what it can read, and for the judge's own
     "import gc, os, pathlib",
 )
 FORGED = (
-    '{"reference": "judge", "code": "0", "causal": true, "lag": 0, "settings": {}, "name": null}'
+    '{"reference": "builtin", "code": "0", "causal": true, "lag": 0, "settings": {}, "name": null}'
 )
 
 
@@ -78,7 +78,7 @@ time.sleep(1000)
 
 
 DESCRIBED = {  # what fails before it is run: code of the module, entry points, sentence
-    "judge": (module(), None, "the name judge is reserved"),
+    "builtin": (module(), None, "the name builtin is reserved"),
     "wiener": (module(), None, "the name wiener is reserved"),
     "bound": (module(), None, "the name bound is reserved"),
     "escape": (module(), "../../escape = escape:Entry", "a name has up to 40 letters"),
@@ -158,7 +158,7 @@ SENTENCES = {
 """Sentence of the failure of every hostile entry, None for one that gets a row with scores."""
 
 FEW = {
-    *("judge", "double", "exits", "deep", "claims", "texts"),
+    *("builtin", "double", "exits", "deep", "claims", "texts"),
     *("pth", "cheat", "stateful", "deaf", "forger", "bomb"),
     *("run_tamper", "run_kill_evaluation", "run_poison_kernels", "reply_flood"),
 }

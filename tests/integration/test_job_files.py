@@ -48,7 +48,7 @@ def test_a_job_is_equal_after_writing_and_reading_its_file(t):
         (lambda data: [], "a job: not a job"),
         (lambda data: {**data, "colour": 1}, "colour: unknown key"),
         (lambda data: {**data, "condition": 7}, "small has no condition 7"),
-        (lambda data: {**data, "judge": "0"}, "planned by another version of the code"),
+        (lambda data: {**data, "evaluation_code": "0"}, "planned by another version of the code"),
         (lambda data: {**data, "task_digest": "0"}, "the task small or one of its files differs"),
     ],
 )

@@ -326,7 +326,7 @@ def test_an_entry_cannot_change_the_compiled_kernels_of_others(sandbox):
     assert not poisoned_kernels()
 
 
-def test_user_namespaces_serve_judges_that_are_not_root(sandbox, monkeypatch):
+def test_user_namespaces_serve_hosts_that_are_not_root(sandbox, monkeypatch):
     if sandbox.isolation != "bubblewrap" or os.geteuid() != 0:
         pytest.skip("the other way to start bubblewrap")
     monkeypatch.setattr(bubblewrap, "must_become_nobody", lambda: False)

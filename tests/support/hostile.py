@@ -253,7 +253,7 @@ def head(text):
 
 
 def reply_pipe():
-    """Return the handle on which the worker replies to the judge."""
+    """Return the handle on which the worker replies to the host."""
     for handle in range(3, 64):
         try:
             status = os.fstat(handle)
@@ -261,7 +261,7 @@ def reply_pipe():
             continue
         if stat.S_ISFIFO(status.st_mode) and fcntl.fcntl(handle, fcntl.F_GETFL) & os.O_WRONLY:
             return handle
-    raise LookupError("no pipe to the judge")
+    raise LookupError("no pipe to the host")
 
 
 def _ancestor(generations):

@@ -261,14 +261,14 @@ def test_bumps_are_matched_on_their_own_wheel_path():
     assert found.location_error == pytest.approx(0.2, abs=DS)
     assert found.height_error == pytest.approx(0.03)
     assert found.height_error_relative == pytest.approx(0.2)
-    assert found.ghosts == 1  # right, where only the left wheel path has a bump
+    assert found.wrong_side == 1  # right, where only the left wheel path has a bump
 
 
 def test_a_bump_beyond_the_match_distance_is_a_miss_and_a_false_alarm():
     y = np.stack([plate((20.0, 20.8, 0.1))] * 2)
     a = np.stack([plate((20.35, 21.15, 0.1)), plate((20.0, 20.8, 0.1))])
     found = obstacle_scores(y, a, DS)
-    assert (found.precision, found.recall, found.ghosts) == (0.5, 0.5, 0)
+    assert (found.precision, found.recall, found.wrong_side) == (0.5, 0.5, 0)
 
 
 def test_an_estimated_bump_matches_at_most_one_true_bump():

@@ -83,13 +83,13 @@ INVALID = [
     (lambda text: "[" * 100_000, "damaged, not valid JSON"),
     (lambda text: "[]", "not a result (it has no format)"),
     (lambda text: "{}", "not a result (it has no format)"),
-    (lambda text: '{"format": 3}', "does not begin with its checksum"),
+    (lambda text: '{"format": 4}', "does not begin with its checksum"),
     (lambda text: json.dumps(json.loads(text)), "does not begin with its checksum"),
-    (replaced('"format": 3', '"format": 1'), "written in format 1, this version reads 3"),
-    (replaced('"format": 3', '"format": 9'), "written in format 9 by a newer version"),
+    (replaced('"format": 4', '"format": 1'), "written in format 1, this version reads 4"),
+    (replaced('"format": 4', '"format": 9'), "written in format 9 by a newer version"),
     (replaced('"role": "entry"', '"role": "king"'), "modified since it was written, by hand or"),
     (with_valid_checksum(replaced('"role": "entry"', '"role": "king"')), "role: "),
-    (with_valid_checksum(replaced('"format": 3', '"format": 3, "score": 1')), "score: unknown key"),
+    (with_valid_checksum(replaced('"format": 4', '"format": 4, "score": 1')), "score: unknown key"),
     (with_valid_checksum(replaced('"seeds": [1, 2, 3]', '"seeds": ["1"]')), "seeds"),
     (
         with_valid_checksum(replaced('"drive": [0, 1, 2, 3, 4, 0, 1, 2, 3, 4]', '"drive": [0]')),
@@ -223,7 +223,7 @@ def test_an_interrupted_write_leaves_only_the_old_file(tmp_path, monkeypatch):
         ({"task_digest": "0" * 64}, "the task has changed"),
         ({"package_version": "0.0.1"}, "made by version 0.0.1"),
         ({"metric_version": 0}, "scored by metrics 0"),
-        ({"judge": "0" * 16}, "driven or scored by other code"),
+        ({"evaluation_code": "0" * 16}, "driven or scored by other code"),
     ],
 )
 def test_a_result_of_another_task_version_or_metric_is_stale(change, why):

@@ -200,7 +200,7 @@ def test_a_hole_does_not_match_a_bump():
     assert hole.s == pytest.approx(20.4, abs=PROFILE_SPACING)
     assert obstacle_scores(y, y, PROFILE_SPACING)[:3] == (1.0, 1.0, 1.0)
     upside_down = obstacle_scores(y, -y, PROFILE_SPACING)
-    assert upside_down.f1 == 0.0 and upside_down.ghosts == 0
+    assert upside_down.f1 == 0.0 and upside_down.wrong_side == 0
     deep = obstacle_scores(y, 0.9 * y, PROFILE_SPACING)
     assert deep.height_error == pytest.approx(
         0.008

@@ -337,7 +337,7 @@ def test_two_kinds_of_road_with_the_same_settings_have_different_digests():
 
 def test_a_title_names_the_car_of_the_test_drives_where_it_is_another_one():
     assert load_task("paper_5").heading == (
-        "Belgian paving; ride, 14.5 km/h; judged on the field car S3, trained on S0"
+        "Belgian paving; ride, 14.5 km/h; evaluated on the field car S3, trained on S0"
     )
     assert load_task("new_road").heading == load_task("new_road").title
     assert load_task("field").heading == load_task("field").title
