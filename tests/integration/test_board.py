@@ -140,7 +140,7 @@ def test_a_row_of_a_newer_version_is_never_overwritten(tmp_path):
     newer = path.read_text().replace('"format": 4', '"format": 5')
     path.write_text(newer)
     executor = Counting()
-    with pytest.raises(ConfigError, match=r"reader\.json: written in format 4 by a newer version"):
+    with pytest.raises(ConfigError, match=r"reader\.json: written in format 5 by a newer version"):
         run_board(make_request(), tmp_path, executor)
     assert executor.ran == [] and path.read_text() == newer
     board = load_board([small()], tmp_path)
