@@ -1,9 +1,9 @@
 """Quick correction of a trained estimator for one vehicle, from drives of it over measured roads.
 
-What the trained estimator leaves of a known road is regressed on the motions in a window, on what
-feeds the last layer if it is a network, and on its estimate. The ridge draws the
-correction towards zero, that is towards the trained weights; it is chosen by cross-validation over
-fifths of the drives, and is infinite if no correction predicts any better. A correction is used in
+The error of the trained estimator on a known road is regressed on the motions in a window, on the
+inputs of the last layer if it is a network, and on its estimate. The ridge draws the correction
+towards zero, that is towards the trained weights; it is chosen by cross-validation over fifths of
+the drives, and is infinite if no correction predicts any better. A correction is used in
 the state of the struts and near the speed at which it was found.
 """
 

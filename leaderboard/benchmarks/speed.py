@@ -82,11 +82,6 @@ def run_in_new_process(code: str, **variables: str) -> str:
     ).stdout
 
 
-def factor_of(seconds: float) -> float:
-    """Return the speed relative to real time of a drive of COMPARISON_DURATION."""
-    return COMPARISON_DURATION / seconds
-
-
 def integrator_speed() -> list[dict[str, Any]]:
     """Compare the fixed-step integrator with peers of at least its accuracy."""
     problem = IntegrationProblem(COMPARISON_DURATION)

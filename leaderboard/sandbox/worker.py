@@ -4,8 +4,8 @@
 
 reads requests from standard input and writes replies to what was its standard output; whatever the
 estimator prints goes to standard error. The code of the estimator is loaded only in the child,
-after all privileges are dropped and the limits of the kernel are set. Of a reply the host
-believes nothing: see `client`.
+after all privileges are dropped and the limits of the kernel are set. The host checks
+every reply: see `client`.
 """
 
 import importlib
