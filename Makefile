@@ -2,6 +2,8 @@
 PYTHON ?= python3
 VENV := .venv
 READY := $(VENV)/.ready
+# each file in one worker, in the order of tests/conftest.py
+WORKERS := -n auto --dist loadfile --no-loadscope-reorder
 
 .PHONY: leaderboard policies test suite test-long test-lowest lint bench mutants docs clean
 
@@ -21,7 +23,7 @@ test: $(READY)
 	$(MAKE) --jobs=2 lint suite
 
 suite: $(READY)
-	$(VENV)/bin/pytest -n auto --dist worksteal
+	$(VENV)/bin/pytest $(WORKERS)
 
 test-long: $(READY)
 	$(VENV)/bin/pytest -m slow -s
@@ -30,7 +32,7 @@ test-long: $(READY)
 test-lowest:
 	$(PYTHON) -m venv .venv-lowest
 	.venv-lowest/bin/pip install --quiet --constraint constraints-lowest.txt --editable '.[test]'
-	.venv-lowest/bin/pytest -n auto --dist worksteal tests/unit
+	.venv-lowest/bin/pytest $(WORKERS) tests/unit
 
 lint: $(READY)
 	$(VENV)/bin/ruff check .
