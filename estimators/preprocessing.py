@@ -8,7 +8,8 @@ needs every sample the second, which also limits how much of a channel may be mi
 
 A sample is valid if it is finite, below the instruments' range, and not within the reach of the
 anti-alias filter from one that is not. Samples at standstill are valid, as the vehicle model
-explains them; a note says how long the vehicle stood.
+explains them; a note says how long the vehicle stood. A low-pass that the accelerations have passed
+is undone (`estimators.common.low_pass`).
 """
 
 import dataclasses
@@ -17,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import binary_dilation
 
+from estimators.common.low_pass import undo_low_pass
 from road_envs.data.record import (
     F_C,
     PROFILE_SPACING,
@@ -117,7 +119,10 @@ def mask_record(record: Record, instruments: Instruments | None = None) -> Maske
     spread = np.ones((1, 2 * ANTIALIAS_SPREAD + 1))
     valid = ~binary_dilation(~finite | out_of_range, spread)
     clipping_notes = _clipping_notes(names, size, out_of_range)
-    return MaskedRecord(record, valid, (*gap_notes, *clock_notes, *drive_notes, *clipping_notes))
+    density = instruments.noise_densities.max() if instruments else 0.0
+    record, valid, filter_notes = undo_low_pass(record, valid, density)
+    notes = (*gap_notes, *clock_notes, *drive_notes, *clipping_notes, *filter_notes)
+    return MaskedRecord(record, valid, notes)
 
 
 def clipped_signs(record: Record, instruments: Instruments) -> np.ndarray:

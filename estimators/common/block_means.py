@@ -56,17 +56,27 @@ class BlockMeans:
 
 
 def block_means(
-    a: np.ndarray, valid: np.ndarray, block: int, censored: np.ndarray | None = None
+    a: np.ndarray,
+    valid: np.ndarray,
+    block: int,
+    censored: np.ndarray | None = None,
+    bridged: bool = False,
 ) -> BlockMeans:
     """Return the means of the `valid` samples of `a` (S, T) [m/s²], over blocks of `block` samples.
 
     `censored` (S, T) is 1 where `a` is the upper end of the instrument's range, which the true
     value exceeds, -1 where it is the lower end, else 0. Up to `block` - 1 samples at the end fill
-    no block and are left out.
+    no block and are left out. If `bridged`, samples that are not valid hold a value between their
+    neighbours: they are in the means, but such blocks count no samples. Censored ones are then not
+    valid.
     """
     J = a.shape[1] // block
     shape, a = (a.shape[0], J, block), a[:, : J * block]
     used = valid[:, : J * block]
+    if bridged:
+        count = block * used.reshape(shape).all(axis=2)
+        y, weight = a.reshape(shape).mean(axis=2), np.full(shape, 1.0 / block)
+        return BlockMeans(y, weight, count.astype(float))
     if censored is not None:
         censored = censored[:, : J * block]
         used = used | (censored != 0)

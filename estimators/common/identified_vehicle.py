@@ -135,8 +135,9 @@ def _drives_digest(
         total.update(Path(instruments).read_bytes())
     for drive in drives:
         record, profile = drive.record, drive.profile
-        total.update(json.dumps(to_plain(record.sensors)).encode())
-        arrays = [getattr(record, f.name) for f in fields(record) if f.name != "sensors"]
+        total.update(json.dumps([to_plain(record.sensors), record.low_pass]).encode())
+        signals = [f.name for f in fields(record) if f.name not in ("sensors", "low_pass")]
+        arrays = [getattr(record, name) for name in signals]
         arrays += [] if profile is None else [profile.s, profile.z, drive.survey_std]
         for array in map(np.asarray, arrays):
             total.update(f"{array.dtype} {array.shape}".encode())

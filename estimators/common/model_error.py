@@ -12,6 +12,8 @@ is as large as the road is rough, and neglects that d is the same at all frequen
 
 import numpy as np
 
+from road_envs.analysis.statistical_linearization import hermitian
+
 
 def model_error_psd(dH: np.ndarray, covariance: np.ndarray, S: np.ndarray) -> np.ndarray:
     """Return the spectrum (F, S, S) that uncertain parameters add to S signals.
@@ -21,4 +23,4 @@ def model_error_psd(dH: np.ndarray, covariance: np.ndarray, S: np.ndarray) -> np
     """
     root = np.linalg.cholesky(covariance)
     parts = np.tensordot(root.T, dH, axes=1)
-    return np.sum(parts @ S @ np.conj(np.swapaxes(parts, -1, -2)), axis=0)
+    return np.sum(parts @ S @ hermitian(parts), axis=0)

@@ -38,6 +38,7 @@ from estimators.common.bending import sensed_bending
 from estimators.common.block_means import MIN_NOISE_DENSITY
 from estimators.common.fallback import reduce_unexplained
 from estimators.common.identified_vehicle import CalibratedByIdentification
+from estimators.common.low_pass import bridge
 from estimators.common.model_inputs import MOVING_STD, REST_STD, build_model_inputs, rest_state
 from estimators.common.odometer import calibrate_odometer
 from estimators.common.spline import evaluate_spline
@@ -282,6 +283,7 @@ class MapSmoother(CalibratedByIdentification):
         return MeasurementModel(
             one, car.valve.lag, car.wheelbase, locations, sensor_rows, noise,
             bending=sensed_bending(car, locations), contact_length=car.variation.contact_length,
+            bandwidth=record.bandwidth,
         )  # fmt: skip
 
     def prepare_drive(
@@ -295,7 +297,10 @@ class MapSmoother(CalibratedByIdentification):
         """Return the drive of a masked record with its `valid` samples (k, N)."""
         inputs = build_model_inputs(record, instruments, car, self.step)
         censored = clipped_signs(record, instruments)
-        a = np.where(valid | (censored != 0), record.a, 0.0)
+        if np.isfinite(record.bandwidth):  # what is left of a gap lies between its ends
+            a = bridge(record.a, np.isfinite(record.a))
+        else:
+            a = np.where(valid | (censored != 0), record.a, 0.0)
         # the mean over the drive is mostly sensor bias
         mean = np.sum(a, axis=1, where=valid) / np.maximum(valid.sum(axis=1), 1)
         a -= mean[:, None]

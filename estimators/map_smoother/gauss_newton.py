@@ -250,7 +250,8 @@ def update_noise_scale(
 def _noise_scale(lin: Linearization, dof: float) -> float:
     objective = lin.objective
     squares, used = objective.information * lin.residual**2, objective.measurements.sample_count > 0
-    return float(squares[used].mean() / max(1.0 - dof / used.sum(), 0.1))
+    share = objective.band_share
+    return float(squares[used].mean() / (share * max(1.0 - dof / (share * used.sum()), 0.1)))
 
 
 def estimate_frequency_weights(
@@ -267,7 +268,7 @@ def estimate_frequency_weights(
 def _frequency_weights(lin: Linearization, dof: float, noise_scale: float) -> np.ndarray:
     objective = lin.objective
     r, used = np.sqrt(objective.information) * lin.residual, objective.measurements.sample_count > 0
-    left = 1.0 - dof / used.sum()
+    left = 1.0 - dof / (objective.band_share * used.sum())
     size = min(WELCH_SEGMENT, r.shape[1])
     f, S = welch(r, fs=1.0, nperseg=size)
     level = np.maximum(0.5 * S.mean(axis=0) / max(left, 0.1), 1.0)

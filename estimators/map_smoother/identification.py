@@ -369,4 +369,5 @@ def _unexplained(
     used = objective.measurements.sample_count > 0
     r = np.where(used, np.sqrt(objective.information) * lin.residual, 0.0)
     f, S = welch(r, fs=1.0 / objective.block_duration, nperseg=min(128, r.shape[1]))
-    return Unexplained(float(np.mean(r[used] ** 2)), f, S.mean(axis=0))
+    power = float(np.mean(r[used] ** 2)) / objective.band_share
+    return Unexplained(power, f, S.mean(axis=0))

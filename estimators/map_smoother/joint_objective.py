@@ -213,7 +213,9 @@ class JointLinearization:
         roads = [dc + (shift @ self._hats) * self._slope if shift.any() else dc for shift in shifts]
         rows = zip(self.passes, start, roads, bias, strict=True)
         return [
-            one.block_tangent.apply(first, one.objective.footprint.apply(c)) + offset[:, None]
+            one.objective.in_band(
+                one.block_tangent.apply(first, one.objective.footprint.apply(c)) + offset[:, None]
+            )
             for one, first, c, offset in rows
         ]
 
@@ -221,8 +223,9 @@ class JointLinearization:
         """Apply the transpose of `tangent`: from block means (S, J) of each pass to `x`."""
         own, shifts, total = [], [], np.zeros((2, self.at.road.size))
         for k, (one, values) in enumerate(zip(self.passes, means, strict=True)):
-            start, c = one.block_tangent.apply_transpose(values)
             o = one.objective
+            values = o.in_band(values)
+            start, c = one.block_tangent.apply_transpose(values)
             c = o.footprint.apply_transpose(c)
             own += [o.initial_std * start, o.model.bias_std * values.sum(axis=1)]
             total += c

@@ -35,6 +35,7 @@ from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.instrument_errors import InstrumentErrors
 from estimators.map_smoother.objective import Linearization, Objective
 from estimators.map_smoother.preconditioner import linear_responses, prior_spectrum
+from road_envs.analysis.statistical_linearization import hermitian
 from road_envs.simulation.lanes import SharedInputs, drive_variants
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import ParameterSpace
@@ -191,12 +192,13 @@ def _spectrum(objective: Objective, means: np.ndarray) -> np.ndarray:
 
 def _lines(objective: Objective) -> tuple[np.ndarray, np.ndarray]:
     """Return the frequencies (F,) [Hz] of the block means' spectrum, without the mean, and how many
-    lines of the two-sided spectrum each stands for.
+    lines of the two-sided spectrum each stands for: none above the bandwidth.
     """
     blocks, dt = objective.measurements.y.shape[1], objective.block_duration
     lines = np.full(blocks // 2, 2.0)
     lines[-1] = 1.0 if blocks % 2 == 0 else 2.0
-    return rfftfreq(blocks, dt)[1:], lines
+    f = rfftfreq(blocks, dt)[1:]
+    return f, lines * (f <= objective.model.bandwidth)
 
 
 def _covariance(objective: Objective, f: np.ndarray, noise: float) -> np.ndarray:
@@ -208,7 +210,7 @@ def _covariance(objective: Objective, f: np.ndarray, noise: float) -> np.ndarray
         * np.eye(len(objective.model.sensor_rows))
     )
     parts = ((share * H * S, H) for share, H in linear_responses(objective, f))
-    return noise_part + np.sum([HS @ np.conj(H.swapaxes(1, 2)) for HS, H in parts], axis=0)
+    return noise_part + np.sum([HS @ hermitian(H) for HS, H in parts], axis=0)
 
 
 def _log_det_terms(
@@ -225,7 +227,7 @@ def _log_det_terms(
     base = list(linear_responses(objective, f))
     S = prior_spectrum(objective, f)[:, None, :]
     inverse = np.linalg.inv(_covariance(objective, f, noise))
-    dual = [share * (S * H).conj().swapaxes(1, 2) @ inverse for share, H in base]
+    dual = [share * hermitian(S * H) @ inverse for share, H in base]
     M = []
     for one in varied[1:]:
         pairs = zip(linear_responses(one, f), base, dual, strict=True)

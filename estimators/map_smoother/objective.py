@@ -17,7 +17,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.fft import irfft, rfft
+from scipy.fft import irfft, rfft, rfftfreq
 
 from estimators.common.bending import SensedBending, sensed_bending
 from estimators.common.block_means import BlockMeans
@@ -43,7 +43,7 @@ class MeasurementModel:
     unit of each coordinate's; `noise_variance` [(m/s²)²] of a sample; prior standard deviation
     `bias_std` [m/s²] of the sensor biases; the `bending` of the body, None if it is stiff; the
     `contact_length` [m] over which the tyres envelop the road; the relative standard deviation
-    `speed_std` of the speed.
+    `speed_std` of the speed; the `bandwidth` [Hz] of the measurements, which say nothing above it.
     """
 
     plant: Plant
@@ -56,6 +56,7 @@ class MeasurementModel:
     bending: SensedBending | None = None
     contact_length: float = 0.0
     speed_std: float = 0.0
+    bandwidth: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +198,19 @@ class Objective:
         """Return measured less predicted block means (S, J) [m/s²] of the sensors, from the
         accelerations (N, 7) of the coordinates.
         """
-        return self.measurements.residual(self.sense(acceleration) + bias[:, None])
+        return self.in_band(self.measurements.residual(self.sense(acceleration) + bias[:, None]))
+
+    @property
+    def band_share(self) -> float:
+        """Share of the block means' lines that are within the bandwidth."""
+        return min(1.0, 2.0 * self.model.bandwidth * self.block_duration)
+
+    def in_band(self, means: np.ndarray) -> np.ndarray:
+        """Return block means (S, J) without what lies above the bandwidth: a projection."""
+        if self.band_share == 1.0:
+            return means
+        f = rfftfreq(means.shape[1], self.block_duration)
+        return apply_frequency_weights(f <= self.model.bandwidth, means)
 
     def sense(self, acceleration: np.ndarray) -> np.ndarray:
         """Return the samples (S, T) [m/s²] of sensors without bias from the accelerations (N, 7) of
@@ -286,11 +299,12 @@ class Linearization:
             means = o.model.bending.sense(means, o.block_duration)
         if o.is_speed_unknown:
             means += dx[-1] * self.speed_sensitivity
-        return means + bias[:, None]
+        return o.in_band(means + bias[:, None])
 
     def adjoint(self, means: np.ndarray) -> np.ndarray:
         """Apply the transpose of `tangent`: from block means (S, J) to `x`."""
         o = self.objective
+        means = o.in_band(means)
         rest = o.model.bias_std * means.sum(axis=1)
         if o.is_speed_unknown:
             rest = np.append(rest, np.sum(self.speed_sensitivity * means))

@@ -194,6 +194,7 @@ def stationary_hessian(objective: Objective) -> StationaryHessian:
     information = np.sum([np.einsum("fsi,fsj->fij", dual, H) for dual, H in parts], axis=0)
     fs = 1.0 / (inputs.h * inputs.decimation)
     response = np.sinc(n * v * objective.measurements.sample_weight.shape[2] / fs) ** 2
+    response *= n * v <= objective.model.bandwidth
     return StationaryHessian(information * (response * fs * road.ds / v)[:, None, None])
 
 

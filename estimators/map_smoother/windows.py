@@ -127,7 +127,8 @@ def window_objective(
     inputs = drive.inputs.slice_steps(begin * drive.steps_per_block, end * drive.steps_per_block)
     samples = slice(begin * drive.block_size, end * drive.block_size)
     a, valid, censored = (x[:, samples] for x in (drive.a, drive.valid, drive.censored))
-    measurements = block_means(a, valid, drive.block_size, censored)
+    bridged = np.isfinite(model.bandwidth)
+    measurements = block_means(a, valid, drive.block_size, censored, bridged)
     first, last = nodes or nodes_under(drive, model.wheelbase, begin, end)
     low = first - MARGIN
     size = padded_size(last + MARGIN + 1 - low)

@@ -28,6 +28,7 @@ from estimators.wiener.spectral_model import (
 )
 from road_envs.analysis.information_bound import RoadPrior, posterior
 from road_envs.analysis.roughness import CLASSES
+from road_envs.analysis.statistical_linearization import hermitian
 from road_envs.data.record import SCORED_F_MAX, Record, scored_band
 from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
@@ -144,7 +145,7 @@ def _levels(model: SpectralModel, segment: Segment, octaves: np.ndarray) -> _Oct
         for _ in range(EM_ITERATIONS):
             road_posterior = posterior(n, H, unit * levels[k], R)
             z = road_posterior.gain @ y
-            second = z @ np.conj(z.swapaxes(1, 2)) + road_posterior.error
+            second = z @ hermitian(z) + road_posterior.error
             levels[k] = float(np.mean(np.real(np.einsum("fii->f", np.linalg.solve(unit, second)))))
             levels[k] /= 2.0
             unresolved = np.linalg.solve(unit, road_posterior.error)

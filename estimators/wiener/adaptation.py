@@ -27,10 +27,10 @@ from estimators.wiener.spectral_model import (
     SpectralModel,
     active_sensors,
     fit_hyperparameters,
-    hermitian,
     windowed_spectrum,
 )
 from road_envs.analysis.information_bound import equivalent_damping, strut_rate_std
+from road_envs.analysis.statistical_linearization import hermitian
 from road_envs.data.record import F_C, Record
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.linear_model import (

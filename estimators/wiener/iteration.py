@@ -25,14 +25,13 @@ from estimators.wiener.spectral_model import (
     SpectralModel,
     active_sensors,
     apply_response,
-    hermitian,
     run_em,
     signal_psd,
     solve_circulant,
     windowed_spectrum,
 )
 from road_envs.analysis.information_bound import posterior
-from road_envs.analysis.statistical_linearization import NonlinearResidual
+from road_envs.analysis.statistical_linearization import NonlinearResidual, hermitian
 from road_envs.data.record import F_C
 
 F_DATUM = 0.1

@@ -27,6 +27,7 @@ from road_envs.analysis.information_bound import (
 )
 from road_envs.analysis.statistical_linearization import (
     NonlinearResidual,
+    hermitian,
     nonlinear_residual,
     residual_force_psd,
 )
@@ -287,11 +288,6 @@ def _shrunk_band_means(values: np.ndarray, band: np.ndarray, bands: int) -> np.n
 def _trace(matrices: np.ndarray) -> np.ndarray:
     """Return the real traces (F,) of matrices (F, k, k)."""
     return np.real(np.einsum("fii->f", matrices))
-
-
-def hermitian(matrices: np.ndarray) -> np.ndarray:
-    """Return the conjugate transposes of the last two axes."""
-    return np.conj(np.swapaxes(matrices, -1, -2))
 
 
 def signal_psd(model: SpectralModel, noise: np.ndarray) -> np.ndarray:

@@ -9,10 +9,10 @@ import numpy as np
 
 from estimators.api import CalibrationDrive
 from leaderboard.evaluation.tasks import Condition, DriveSet, Task, individual_seed
-from road_envs.data.record import Profile, Record
+from road_envs.data.record import LowPass, Profile, Record
 from road_envs.data.recording import simulate_record
 from road_envs.roads import Road
-from road_envs.sensing.filters import preprocess_accelerations
+from road_envs.sensing.filters import LOW_PASS_ORDER, preprocess_accelerations
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,8 @@ def _low_passed(record: Record, f_c: float | None) -> Record:
     pairs = zip(record.a, lost, strict=True)
     bridged = np.array([np.interp(t, t[~gap], x[~gap]) for x, gap in pairs])
     filtered = preprocess_accelerations(bridged, record.fs, f_c)
-    return dataclasses.replace(record, a=np.where(lost, np.nan, filtered))
+    a = np.where(lost, np.nan, filtered)
+    return dataclasses.replace(record, a=a, low_pass=LowPass(f_c, LOW_PASS_ORDER))
 
 
 def lock_arrays(drive: RecordedDrive) -> RecordedDrive:

@@ -33,7 +33,6 @@ from road_envs import _numba
 from road_envs._atomic_io import TempFolder
 from road_envs._code_digest import cache_home
 from road_envs.config import ConfigError
-from road_envs.data.accelerometers import to_plain
 from road_envs.data.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -344,7 +343,7 @@ class _RemoteSession:
             messages.number(head, "seconds", self._guest.limits.seconds)
             return 8 * size * (2 if head.get("std") is True else 1)
 
-        head = {"do": "estimate", "length": record.length, "sensors": to_plain(record.sensors)}
+        head = {"do": "estimate", "length": record.length, **messages.signals_head([record])}
         request = messages.encode(head, messages.record_arrays(record))
         _, data, seconds = self._timed(request, size_of_arrays)
         arrays = np.frombuffer(data).reshape(-1, 2, stations.size)

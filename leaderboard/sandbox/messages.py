@@ -22,7 +22,7 @@ import numpy as np
 from estimators.api import CalibrationDrive
 from leaderboard.evaluation.entry import EntryError
 from road_envs.data.accelerometers import from_plain, to_plain
-from road_envs.data.record import Profile, Record
+from road_envs.data.record import LowPass, Profile, Record
 
 HEAD_SIZE = struct.Struct(">I")
 MAX_HEAD = 1 << 16
@@ -37,7 +37,9 @@ MAX_SETTINGS = 4000
 LARGEST_NUMBER = 1e100
 """Largest absolute value of a number in the settings of an estimator."""
 
-RECORD_ARRAYS = tuple(f.name for f in fields(Record) if f.name not in ("length", "sensors"))
+RECORD_ARRAYS = tuple(
+    f.name for f in fields(Record) if f.name not in ("length", "sensors", "low_pass")
+)
 
 
 def encode(head: Mapping[str, Any], arrays: Sequence[np.ndarray] = ()) -> bytes:
@@ -65,34 +67,41 @@ def record_arrays(record: Record) -> list[np.ndarray]:
     return [getattr(record, name) for name in RECORD_ARRAYS]
 
 
-def make_record(
-    arrays: Sequence[np.ndarray], length: float, sensors: Mapping[str, Any] | None
-) -> Record:
-    """Return the record of `record_arrays`, with its `sensors` as plain values."""
-    layout = from_plain(sensors, "the record of a request")
-    return Record(**dict(zip(RECORD_ARRAYS, arrays, strict=True)), length=length, sensors=layout)
+def signals_head(records: Sequence[Record]) -> dict[str, Any]:
+    """Return what `make_record` needs beside arrays and length, the same of all `records`."""
+    if not records:
+        return {}
+    return {"sensors": to_plain(records[0].sensors), "low_pass": records[0].low_pass}
+
+
+def make_record(arrays: Sequence[np.ndarray], length: float, head: Mapping[str, Any]) -> Record:
+    """Return the record of `record_arrays`, with the values of `signals_head` in a `head`."""
+    layout = from_plain(head.get("sensors"), "the record of a request")
+    low_pass = LowPass(*head["low_pass"]) if head.get("low_pass") else None
+    signals = dict(zip(RECORD_ARRAYS, arrays, strict=True))
+    return Record(**signals, length=length, sensors=layout, low_pass=low_pass)
 
 
 def encode_training(training: Sequence[tuple[Record, Profile]], seed: int) -> bytes:
-    """Return the request to train with `seed` on drives with one layout of sensors."""
+    """Return the request to train with `seed` on drives of one layout of sensors and low-pass."""
     lengths = [record.length for record, _ in training]
     arrays = [x for record, truth in training for x in (*record_arrays(record), truth.s, truth.z)]
-    sensors = to_plain(training[0][0].sensors) if training else None
-    return encode({"do": "fit", "seed": seed, "lengths": lengths, "sensors": sensors}, arrays)
+    signals = signals_head([record for record, _ in training])
+    return encode({"do": "fit", "seed": seed, "lengths": lengths, **signals}, arrays)
 
 
 def make_training(
-    arrays: Sequence[np.ndarray], lengths: Sequence[float], sensors: Mapping[str, Any] | None
+    head: Mapping[str, Any], arrays: Sequence[np.ndarray]
 ) -> tuple[list[Record], list[Profile]]:
     """Return records and truths of `encode_training`, in the guest."""
-    size = len(RECORD_ARRAYS) + 2
+    size, lengths = len(RECORD_ARRAYS) + 2, head["lengths"]
     parts = [arrays[k * size : (k + 1) * size] for k in range(len(lengths))]
-    records = [make_record(part[:-2], x, sensors) for part, x in zip(parts, lengths, strict=True)]
+    records = [make_record(part[:-2], x, head) for part, x in zip(parts, lengths, strict=True)]
     return records, [Profile(part[-2], part[-1]) for part in parts]
 
 
 def encode_calibration(drives: Sequence[CalibrationDrive]) -> bytes:
-    """Return the request to calibrate with drives of one layout of sensors.
+    """Return the request to calibrate with drives of one layout of sensors and low-pass.
 
     A survey error of None stands for an unmeasured road.
     """
@@ -102,8 +111,8 @@ def encode_calibration(drives: Sequence[CalibrationDrive]) -> bytes:
         arrays += record_arrays(drive.record)
         arrays += [] if drive.profile is None else [drive.profile.s, drive.profile.z]
     head = {"do": "calibrate", "lengths": lengths, "survey": survey}
-    names, sensors = [drive.name for drive in drives], to_plain(drives[0].record.sensors)
-    return encode({**head, "names": names, "sensors": sensors}, arrays)
+    names, signals = [drive.name for drive in drives], signals_head([drives[0].record])
+    return encode({**head, "names": names, **signals}, arrays)
 
 
 def make_calibration(
@@ -113,7 +122,7 @@ def make_calibration(
     left, drives = list(arrays), []
     size = len(RECORD_ARRAYS)
     for length, std, name in zip(head["lengths"], head["survey"], head["names"], strict=True):
-        record, left = make_record(left[:size], length, head["sensors"]), left[size:]
+        record, left = make_record(left[:size], length, head), left[size:]
         if std is None:
             drives.append(CalibrationDrive(record, name=name))
         else:

@@ -192,7 +192,7 @@ def _serve(setup: Setup, replies: int, start: dict[str, Any]) -> None:
         z: list[Any] = []
         try:
             if request["do"] == "fit":
-                training = messages.make_training(arrays, request["lengths"], request["sensors"])
+                training = messages.make_training(request, arrays)
                 parameters, seconds = session.fit(
                     list(zip(*training, strict=True)), request["seed"]
                 )
@@ -201,7 +201,7 @@ def _serve(setup: Setup, replies: int, start: dict[str, Any]) -> None:
                 answer = {"seconds": session.calibrate(messages.make_calibration(request, arrays))}
             else:
                 estimate, seconds = session.estimate(
-                    messages.make_record(arrays, request["length"], request["sensors"])
+                    messages.make_record(arrays, request["length"], request)
                 )
                 z = [x.astype(float) for x in (estimate.z, estimate.z_std) if x is not None]
                 answer = {"seconds": seconds, "std": estimate.z_std is not None}

@@ -34,6 +34,7 @@ import numpy as np
 
 from road_envs.analysis.roughness import CLASSES, N_0, TRACK, TrackWidth, root_coherence
 from road_envs.analysis.statistical_linearization import (
+    hermitian,
     nonlinear_residual,
     residual_force_psd,
     sensor_psd,
@@ -135,12 +136,12 @@ def posterior(
     The sensors have the responses `H` (F, S, 2) and the noise spectrum `R` (F, S, S) over `n` (F,).
     """
     HS = H @ S
-    signal = HS @ _adjoint(H)
+    signal = HS @ hermitian(H)
     noise = R + model_error**2 * np.real(signal) * np.eye(H.shape[1])
     # K (signal + noise) = S H*, solved for the adjoint of K
-    gain = _adjoint(np.linalg.solve(signal + noise, HS))
+    gain = hermitian(np.linalg.solve(signal + noise, HS))
     error = S - gain @ HS
-    return Posterior(n, S, 0.5 * (error + _adjoint(error)), gain)
+    return Posterior(n, S, 0.5 * (error + hermitian(error)), gain)
 
 
 class OperatingPoint(NamedTuple):
@@ -243,10 +244,6 @@ def measurement(
         forces = residual_force_psd(model, residual, v, prior.spectrum, n * v)
         R = R + v * sensor_psd(model, n * v, forces)
     return H, R
-
-
-def _adjoint(matrices: np.ndarray) -> np.ndarray:
-    return np.conj(np.swapaxes(matrices, -1, -2))
 
 
 def equivalent_damping(

@@ -93,7 +93,7 @@ def residual_force_psd(
     df = BANDWIDTH / N_FREQUENCIES
     f_motion = df * np.arange(1, N_FREQUENCIES + 1)
     H = combine_wheel_paths(model, v, f_motion, strut_rate_response(model, f_motion))
-    rates = H @ (spectrum(f_motion / v) / v) @ np.conj(np.swapaxes(H, 1, 2))
+    rates = H @ (spectrum(f_motion / v) / v) @ hermitian(H)
     extensions = rates / (2.0 * np.pi * f_motion[:, None, None]) ** 2
     total = _hermite(residual.e_dot, residual.over_rate, rates, df) + _hermite(
         residual.e, residual.over_extension, extensions, df
@@ -149,4 +149,9 @@ def sensor_psd(model: LinearModel, f: np.ndarray, forces: np.ndarray) -> np.ndar
     `forces` (F, 4, 4) [N²/Hz] is the spectrum of the forces at `f` (F,) [Hz].
     """
     H, _ = force_response(model, f)
-    return H @ forces @ np.conj(np.swapaxes(H, 1, 2))
+    return H @ forces @ hermitian(H)
+
+
+def hermitian(matrices: np.ndarray) -> np.ndarray:
+    """Return the conjugate transposes of the last two axes."""
+    return np.conj(np.swapaxes(matrices, -1, -2))

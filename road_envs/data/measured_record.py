@@ -37,7 +37,7 @@ from road_envs.data.logger_tables.clock import (
 from road_envs.data.logger_tables.description import DriveDescription
 from road_envs.data.logger_tables.motion import read_motion
 from road_envs.data.logger_tables.table import Table, read_table
-from road_envs.data.record import Record
+from road_envs.data.record import LowPass, Record
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import decode_commands, encode_command
@@ -127,7 +127,8 @@ def _to_record(
     stiff, high = decode_commands(commands[np.clip(before, 0, commands.size - 1)])
     chainage = (s[0] if description.offset is None else description.offset) - wheelbase
     s = s - s[0] + wheelbase
-    record = Record(even, a, v, s, stiff, high, float(s[-1]), layout)
+    low_pass = None if description.low_pass is None else LowPass(description.low_pass)
+    record = Record(even, a, v, s, stiff, high, float(s[-1]), layout, low_pass)
     has_distance = "s" in channels or position is not None
     notes = tuple(findings.notes)
     return MeasuredRecord(record, notes, float(chainage), position, 1.0 / dt, has_distance)

@@ -29,6 +29,10 @@ SCORED_F_MAX = 0.9 * F_C
 """Highest scored frequency [Hz]: nine tenths of the cut-off of the accelerometers' low-pass."""
 
 
+LEAST_GAIN = 0.1
+"""Least gain of a low-pass that is undone: noise of the processing behind it rises tenfold."""
+
+
 def scored_band(v: float) -> tuple[float, float]:
     """Return the band [cycles/m] in which a drive at `v` [m/s] is scored.
 
@@ -41,6 +45,33 @@ def scored_band(v: float) -> tuple[float, float]:
             f"drive slower than {3.6 * SCORED_F_MAX / SCORED_N_MIN:g} km/h"
         )
     return SCORED_N_MIN, n_hi
+
+
+class LowPass(NamedTuple):
+    """Low-pass without phase that processed accelerations have passed.
+
+    That of a Butterworth filter of the `order` and the cut-off `f_c` [Hz], run forwards and
+    backwards, as the paper's. Without an order its gain is 1 up to `f_c`, and nothing is known
+    above.
+    """
+
+    f_c: float
+    order: int | None = 4
+
+    @property
+    def bandwidth(self) -> float:
+        """Frequency [Hz] up to which the gain is LEAST_GAIN or more."""
+        if self.order is None:
+            return self.f_c
+        return self.f_c * (1.0 / LEAST_GAIN - 1.0) ** (0.5 / self.order)
+
+    def gain(self, f: np.ndarray, fs: float) -> np.ndarray:
+        """Return the gain [-] at `f` [Hz] of the digital filter at the sampling rate `fs` [Hz]."""
+        if self.order is None:
+            return np.where(f <= self.f_c, 1.0, 0.0)
+        with np.errstate(over="ignore"):  # towards fs / 2 the gain is 0
+            ratio = np.tan(np.pi * np.minimum(f / fs, 0.5)) / np.tan(np.pi * self.f_c / fs)
+            return np.asarray(1.0 / (1.0 + ratio ** (2 * self.order)))
 
 
 def profile_stations(length: float, ds: float = PROFILE_SPACING) -> np.ndarray:
@@ -95,7 +126,7 @@ class Record:
 
     `sensors` are the k accelerometers by name, in the order of the rows of `a`. None, if they are
     not known, stands for those of the instruments that an estimator assumes: by default the paper's
-    RF, LR and RR on the body.
+    RF, LR and RR on the body. `low_pass` is the filter that `a` has passed after it was sampled.
     """
 
     t: np.ndarray
@@ -106,11 +137,17 @@ class Record:
     damper_high: np.ndarray
     length: float
     sensors: Mapping[str, Accelerometer] | None = None
+    low_pass: LowPass | None = None
 
     @property
     def channels(self) -> tuple[str, ...]:
         """Names of the rows of `a`."""
         return SENSORS if self.sensors is None else tuple(self.sensors)
+
+    @property
+    def bandwidth(self) -> float:
+        """Frequency [Hz] up to which the accelerations tell of the motion."""
+        return np.inf if self.low_pass is None else self.low_pass.bandwidth
 
     @property
     def fs(self) -> float:

@@ -12,7 +12,7 @@ from road_envs._extras import optional_import
 from road_envs._reading import parsing, read_parquet
 from road_envs.config import ConfigError
 from road_envs.data.accelerometers import column, from_plain, to_plain
-from road_envs.data.record import SENSORS, Profile, Record, profile_stations
+from road_envs.data.record import SENSORS, LowPass, Profile, Record, profile_stations
 from road_envs.roads import Road, realise_road
 from road_envs.roads.surface import Surface
 from road_envs.sensing.data_logger import DataLogger
@@ -112,6 +112,8 @@ def write_record(
     about = {"format": FORMAT, "length": record.length, "provenance": dict(provenance)}
     if record.sensors is not None:
         about["sensors"] = to_plain(record.sensors)
+    if record.low_pass is not None:
+        about["low_pass"] = list(record.low_pass)
     table = pa.table(dict(zip(_columns(record.channels), data, strict=True)))
     table = table.replace_schema_metadata({"roadrecon": json.dumps(about)})
     with atomic_write(path) as partial:
@@ -175,5 +177,6 @@ def read_record(path: Path) -> tuple[Record, dict[str, object]]:
         raise ConfigError(f"{path}: columns {invalid} must hold numbers")
     t, *a, v, s, commands = values
     stiff, high = decode_commands(commands)
-    record = Record(t, np.stack(a), v, s, stiff, high, about["length"], sensors)
+    low_pass = LowPass(*about["low_pass"]) if "low_pass" in about else None
+    record = Record(t, np.stack(a), v, s, stiff, high, about["length"], sensors, low_pass)
     return record, about.get("provenance", {})

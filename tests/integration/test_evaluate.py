@@ -125,7 +125,7 @@ def test_an_entry_gets_training_truths_and_test_records_only():
 
     run({"curious": Curious()}, seeds=(1,))
     assert [what for what in seen if what[0] == "truth"] == [("truth", (2, 1585))] * 4
-    fields = ("a", "damper_high", "length", "s", "sensors", "spring_stiff", "t", "v")
+    fields = ("a", "damper_high", "length", "low_pass", "s", "sensors", "spring_stiff", "t", "v")
     assert [what for what in seen if what[0] != "truth"] == [fields] * 10
 
 

@@ -278,7 +278,7 @@ def test_a_guest_sees_neither_roads_nor_seeds_nor_results(sandbox, tmp_path):
         run(sandbox, how="look_for_truth", where=str(tmp_path))
     found, _, rest = str(error.value).partition(", root ")
     assert found.endswith("found []")
-    held = ["a", "damper_high", "length", "s", "spring_stiff", "t", "v"]
+    held = ["a", "damper_high", "length", "low_pass", "s", "sensors", "spring_stiff", "t", "v"]
     assert f"record {held}, words []" in rest or len(rest) > 250
     assert "'work'" not in rest and "'home'" not in rest and "'run'" not in rest
 

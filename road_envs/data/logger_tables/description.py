@@ -64,6 +64,9 @@ class DriveDescription(Settings):
     accelerometers: Annotated[
         Layout | None, "", "places of the accelerometers by name, if not those of the instruments"
     ] = None
+    low_pass: Annotated[
+        Positive | None, "Hz", "of the accelerations: Butterworth, order 4, forwards and backwards"
+    ] = None
 
     def __post_init__(self):
         super().__post_init__()
