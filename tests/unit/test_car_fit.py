@@ -8,7 +8,7 @@ import pytest
 from vehicle_fixtures import DEFENDER
 
 from estimators.api import CalibrationDrive, CalibrationError
-from estimators.map_smoother import marginal_likelihood
+from estimators.map_smoother import identification, marginal_likelihood
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.identification import identify
 from estimators.map_smoother.instrument_errors import InstrumentErrors
@@ -107,6 +107,17 @@ def test_a_flexible_vehicle_is_recovered_from_a_drive_over_a_known_road():
     contact = result.car.variation.contact_length
     assert contact == pytest.approx(true.variation.contact_length, abs=0.01)
     assert parameter_space(result.car).names == result.fit.space.names
+
+
+def test_the_state_in_which_a_part_of_a_drive_begins_is_found_over_a_known_road():
+    drive, _ = calibration_drive()
+    car, smoother = perturb_vehicle(DEFENDER, "S1", 2).car, MapSmoother()
+    _, later = identification._parts(drive, smoother)
+    objective = identification._objective(later, car, smoother)
+    at_rest = identification._settle(objective, smoother, 1)
+    found = identification._settle(objective, smoother)
+    # what remains are the errors of the profile
+    assert found.noise_scale < 5.0 < 0.05 * at_rest.noise_scale
 
 
 def test_the_smoother_adapts_to_another_vehicle_and_not_to_its_own():
