@@ -231,9 +231,9 @@ def _vector_environment(fleet_rate: float) -> list[dict[str, Any]]:
     steps = 20
     driven = N_ENVIRONMENTS * steps * envs.setup.interval
     rate = driven / median_time(lambda: [envs.step(actions) for _ in range(steps)], 5)
-    state, noise = aligned_zeros(4).astype(np.uint64), aligned_zeros(3, 1000)
-    state[:, 0] = generator_state(np.random.default_rng(0))
-    drawing = 1e6 * median_time(lambda: fill_normal(state, 0, noise), 21)
+    noise = aligned_zeros(3, 1000)
+    state = np.repeat(generator_state(np.random.default_rng(0))[:, None], LANES, axis=1)
+    drawing = 1e6 * median_time(lambda: fill_normal(state, LANES, noise), 21) / LANES
     share = rate / fleet_rate
     return [
         benchmark_row(

@@ -61,9 +61,9 @@ N_PLANAR, N_STRUT_SIGNALS = 2, 8
 MAX_PLANAR, MAX_EXTENSION, MAX_EXTENSION_RATE = 20.0, 0.5, 10.0
 """Limits of the observed values of these groups [m/s², m, m/s]."""
 
-STEPS_DELAYED, STEPS_DONE, STEPS_TOTAL = range(3)
+STEPS_DONE, STEPS_TOTAL = range(2)
 DRIVE_START, SPEED, SPEED_KMH, SPEED_GAIN = range(4)
-ROAD_OFFSET, ROAD_SIZE, ROAD_START, ROAD_DS = 0, 2, 3, 4
+ROAD_OFFSET, ROAD_SIZE, ROAD_START, ROAD_PER_DS = 0, 2, 3, 4
 """Rows of `FleetState.counts`, `FleetState.kinematics` and `FleetState.road_layout`."""
 
 END_OF_ROAD, ROLLOVER, NONFINITE_STEP = range(3)
@@ -82,10 +82,9 @@ class FleetState(NamedTuple):
     Coordinates `q` and rates `v` (B, 7), `strut_state` (B, 4, 3), command `delay_line` (B, D),
     filter states `antialias_state` (B, n, k, 2) and `wk_state` (B, m, 1, 2), `sensor_rows`
     (B, k, 3) as `instrumented_fleet.sensor_rows` returns them for k sensors, and `noise_state`
-    (B, 4) as `normal_numbers.generator_state`. `counts` (B, 3): steps passed through the delay
-    line, steps done, steps in total. `kinematics` (B, 4): station at the start [m], speed [m/s],
-    speed [km/h], gain of the speed signal. `road_layout` (B, 5): the fields of `fleet.RoadBuffers`
-    other than the heights.
+    (B, 4) as `normal_numbers.generator_state`. `counts` (B, 2): steps done, steps in total.
+    `kinematics` (B, 4): station at the start [m], speed [m/s], speed [km/h], gain of the speed
+    signal. `road_layout` (B, 5): the fields of `fleet.RoadBuffers` other than the heights.
     """
 
     q: np.ndarray
@@ -147,7 +146,7 @@ class IntervalInputs(NamedTuple):
 class ControlStepWorkspace(NamedTuple):
     """Scratch of one thread for the n steps of a block."""
 
-    delayed: np.ndarray  # (2, n): command bytes
+    delayed: np.ndarray  # (n,): command bytes
     s: np.ndarray  # (2 n + 1,)
     v: np.ndarray  # (2 n + 1,)
     a: np.ndarray  # (k, n)
@@ -201,7 +200,7 @@ class StepOutput(NamedTuple):
 def allocate_workspace(steps: int, sensors: int, keep_signals: bool) -> ControlStepWorkspace:
     """Allocate the scratch of a thread for intervals of n = `steps`."""
     return ControlStepWorkspace(
-        delayed=np.zeros((2, steps, LANES), dtype=np.uint8),
+        delayed=np.zeros((steps, LANES), dtype=np.uint8),
         s=aligned_zeros(2 * steps + 1),
         v=aligned_zeros(2 * steps + 1),
         a=aligned_zeros(sensors, steps),
@@ -349,11 +348,11 @@ def advance_blocks(blocks, state, parameters, inputs, workspace, output):
     The rows of `output` are the vehicles; the last block may have lanes without one.
     """
     delayed = workspace.delayed
-    n, n_sensors, h = delayed.shape[1], parameters.range.size, parameters.h
+    n, n_sensors, h = delayed.shape[0], parameters.range.size, parameters.h
     n_samples = (n + parameters.decimation - 1) // parameters.decimation
     scratch = LaneScratch(
         step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16), stack_rows(2), stack_rows(2),
-        stack_rows(1), stack_rows(32), stack_rows(2), stack_rows(N_SIGNALS),
+        stack_rows(2), stack_rows(32), stack_rows(N_SIGNALS),
     )  # fmt: skip
     signals, sums = stack_rows(N_SIGNALS), stack_rows(N_SUMS)
     for b in blocks:
@@ -364,26 +363,20 @@ def advance_blocks(blocks, state, parameters, inputs, workspace, output):
         values, events, truth = output.values[rows], output.events[rows], output.truth[rows]
         offset, size = layout[ROAD_OFFSET:ROAD_SIZE], layout[ROAD_SIZE]
         roads = RoadBuffers(
-            inputs.road_heights[b], offset, size, layout[ROAD_START], layout[ROAD_DS]
+            inputs.road_heights[b], offset, size, layout[ROAD_START], layout[ROAD_PER_DS]
         )
         start, speed = kinematics[DRIVE_START], kinematics[SPEED]
         front_axle_stations(start, speed, counts[STEPS_DONE], h, workspace.s, workspace.v)
-        for i in range(n):
-            for k in range(LANES):
-                delayed[0, i, k] = commands[k]
-        delay_commands(
-            state.delay_line[b], parameters.delay, counts[STEPS_DELAYED], delayed[0], delayed[1]
-        )
+        delay_commands(state.delay_line[b], parameters.delay, inputs.commands[b : b + 1], delayed)
         vehicles = LaneBuffers(
             parameters.lane_constants, parameters.constants, parameters.alpha, parameters.velocity,
             parameters.displacement, state.strut_state[b], q, v,
         )  # fmt: skip
         a_xy = a_xy[b % a_xy.shape[0]]
         manoeuvre = a_xy.shape[0] > NO_MANOEUVRE.shape[0]
-        drive_inputs = DriveInputs(workspace.s, workspace.v, a_xy, delayed[1], h)
+        drive_inputs = DriveInputs(workspace.s, workspace.v, a_xy, delayed, h)
         if parameters.noisy > 0:
-            for k in range(lanes):
-                fill_normal(state.noise_state[b], k, workspace.a)
+            fill_normal(state.noise_state[b], lanes, workspace.a)
         for j in range(N_SUMS):
             put(sums, j, 0.0)
         for k in range(lanes):

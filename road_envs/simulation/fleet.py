@@ -32,7 +32,15 @@ from road_envs.simulation.rosenbrock import (
     step,
     step_workspace,
 )
-from road_envs.simulation.simd import LANES, any_positive, integer_part, maximum, minimum
+from road_envs.simulation.simd import (
+    LANES,
+    any_positive,
+    equals_one,
+    if_positive,
+    integer_part,
+    maximum,
+    minimum,
+)
 from road_envs.simulation.simd_arrays import get, load_four, put, stack_rows
 from road_envs.simulation.substeps import SUBSTEPS, interpolate, mark_steep
 from road_envs.vehicle.equations import Motion
@@ -58,13 +66,16 @@ def run_in_threads(run: Callable[..., None], jobs: Sequence[tuple[Any, ...]]) ->
 
 
 class RoadBuffers(NamedTuple):
-    """Roads of LANES vehicles: lane k reads `heights` from `first` (2, LANES), left and right."""
+    """Roads of LANES vehicles: lane k reads `heights` from `first` (2, LANES), left and right.
+
+    `per_ds` (LANES,): samples per metre.
+    """
 
     heights: np.ndarray
     first: np.ndarray
     size: np.ndarray
     start: np.ndarray
-    ds: np.ndarray
+    per_ds: np.ndarray
 
 
 @kernel
@@ -73,37 +84,36 @@ def sample_roads(p, roads, s, speed, road, at):
 
     `s`, `speed` (LANES,): stations [m] and speeds [m/s] of the front axles; `road` (16, LANES).
     """
-    per_ds, v = 1.0 / get(roads.ds), get(speed)
+    per_ds, v = get(roads.per_ds), get(speed)
     front = (get(s) - get(roads.start)) * per_ds + PAD
     last = get(roads.size) - 3.0
     for i in range(2):
         u = minimum(maximum(front - (get(p.x, 0) - get(p.x, i)) * per_ds, 1.0), last)
         j = integer_part(u)
         for side in range(2):
-            a, b, c, d = load_four(roads.heights, get(roads.first, side) + j - 1.0)
+            a, b, c, d = load_four(roads.heights, get(roads.first, side) - 1.0, 1, j)
             z, slope = catmull_rom(a, b, c, d, u - j, per_ds)
             put(road, at + 2 * i + side, z)
             put(road, at + 4 + 2 * i + side, slope * v)
 
 
 @kernel(inline=False, count_references=False)
-def delay_commands(delay_line, delay, steps_delayed, commands, delayed_commands):
+def delay_commands(delay_line, delay, commands, delayed_commands):
     """Write the commands that reach the valves to `delayed_commands` (N, LANES).
 
-    `commands` (N, LANES) are delayed by `delay` (LANES,) steps. Pending ones are in `delay_line`
-    (D, LANES), one ring buffer per column; `steps_delayed` (LANES,) counts the steps so far and
-    is advanced by N.
+    `commands` (N, LANES), or (1, LANES) if they stay the same, are delayed by `delay` (LANES,)
+    steps. The first `delay` rows of `delay_line` (D, LANES) are pending ones, oldest first.
     """
-    n = commands.shape[0]
+    n, last = delayed_commands.shape[0], commands.shape[0] - 1
     for k in range(LANES):
-        slot = steps_delayed[k] % max(delay[k], 1)
-        for i in range(n):
-            delayed_commands[i, k] = commands[i, k]
-            if delay[k] > 0:
-                delayed_commands[i, k] = delay_line[slot, k]
-                delay_line[slot, k] = commands[i, k]
-                slot = slot + 1 if slot + 1 < delay[k] else 0
-        steps_delayed[k] += n
+        d = delay[k]
+        for i in range(min(d, n)):
+            delayed_commands[i, k] = delay_line[i, k]
+        for i in range(d, n):
+            delayed_commands[i, k] = commands[min(i - d, last), k]
+        for i in range(d):
+            sent = i + n - d
+            delay_line[i, k] = delay_line[i + n, k] if sent < 0 else commands[min(sent, last), k]
 
 
 @kernel(inline=False, count_references=False)
@@ -113,18 +123,16 @@ def front_axle_stations(start, v, done, h, s, speed):
     The vehicles have driven `done` (LANES,) steps from station `start` [m] at speed `v` [m/s].
     """
     for i in range(s.shape[0]):
-        for k in range(LANES):
-            s[i, k] = start[k] + 0.5 * h * (2.0 * done[k] + i) * v[k]
-            speed[i, k] = v[k]
+        put(s, i, get(start) + 0.5 * h * (2.0 * get(done) + i) * get(v))
+        put(speed, i, get(v))
 
 
 @kernel(inline=False)
-def copy_lanes(source, target, steep, all_lanes):
-    """Copy the Motion `source` of all lanes, or of those that are not `steep`, to `target`."""
+def copy_lanes(source, target, kept):
+    """Copy the Motion `source` to `target` but in lanes where `kept` (LANES,) is positive."""
     for j in range(min(source.q.shape[0], target.q.shape[0])):
-        for k in range(LANES):
-            if all_lanes or steep[0, k] == 0.0:
-                target.q[j, k], target.v[j, k] = source.q[j, k], source.v[j, k]
+        put(target.q, j, if_positive(get(kept), get(target.q, j), get(source.q, j)))
+        put(target.v, j, if_positive(get(kept), get(target.v, j), get(source.v, j)))
 
 
 NO_MANOEUVRE = aligned_zeros(6)
@@ -136,7 +144,7 @@ class LaneScratch(NamedTuple):
 
     `road` (16,); `front` (2,): heights under the front wheels at the beginning of the last step;
     `valves` (2,): 1 where those of a lane move, at the start everywhere, and their last commands;
-    `steep` (1,); `motions` (32,): two Motions; `along` (2,); `unused` (32,): signals.
+    `steep` (2,): which lanes are, and zeros; `motions` (32,): two Motions; `unused` (32,): signals.
     """
 
     work: StepWorkspace
@@ -145,7 +153,6 @@ class LaneScratch(NamedTuple):
     valves: np.ndarray
     steep: np.ndarray
     motions: np.ndarray
-    along: np.ndarray
     unused: np.ndarray
 
 
@@ -158,8 +165,8 @@ def take_step(lanes, roads, inputs, n, scratch, signals, flexible):
     p, q, strut_state = lanes.lane_constants[0], lanes.q, lanes.strut_state
     vehicle = VehicleBuffers(lanes.lane_constants, lanes.velocity, lanes.displacement, strut_state)
     motion, s, speed, h = Motion(q, lanes.v), inputs.s, inputs.v, inputs.h
-    road, valves, steep, along = scratch.road, scratch.valves, scratch.steep, scratch.along
-    motions, manoeuvre = scratch.motions, inputs.a_xy.shape[0] > NO_MANOEUVRE.shape[0]
+    road, valves, steep, motions = scratch.road, scratch.valves, scratch.steep, scratch.motions
+    manoeuvre = inputs.a_xy.shape[0] > NO_MANOEUVRE.shape[0]
     before, whole = Motion(motions[:8], motions[8:16]), Motion(motions[16:24], motions[24:])
     sample_roads(p, roads, s[2 * n], speed[2 * n], road, 0)
     sample_roads(p, roads, s[2 * n + 1], speed[2 * n + 1], road, 8)
@@ -173,29 +180,30 @@ def take_step(lanes, roads, inputs, n, scratch, signals, flexible):
             if valves[0, k] > 0.0 or byte != valves[1, k]:
                 settled = update_lane_valves(own, strut_state, q, k, byte, lanes.alpha[k], h)
                 valves[0, k], valves[1, k] = 0.0 if settled else 1.0, byte
-    # all lanes take the whole step, then those on a steep road take it again in parts
-    parts = 1
+    # 0: the whole step, of all lanes unless each is on a steep road; then the parts, of those
+    begin, end = 0, 1
     if mark_steep(road, steep):
-        parts += SUBSTEPS
-        copy_lanes(motion, before, steep, True)
-    for i in range(parts):
-        if i == 1:
-            copy_lanes(motion, whole, steep, True)
-            copy_lanes(before, motion, steep, True)
+        begin, end = 1 if equals_one(get(steep, 0)) else 0, 1 + SUBSTEPS
+        put(steep, 1, 0.0)
+        copy_lanes(motion, before, steep[1])
+    for i in range(begin, end):
+        if i == 1 and begin == 0:
+            copy_lanes(motion, whole, steep[1])
+            copy_lanes(before, motion, steep[1])
         for half in range(2 if i > 0 else 0):
-            for k in range(LANES):
-                along[0, k] = interpolate(s[2 * n : 2 * n + 3, k], i - 1, half)
-                along[1, k] = interpolate(speed[2 * n : 2 * n + 3, k], i - 1, half)
-            sample_roads(p, roads, along[0], along[1], road, 8 * half)
+            station = interpolate(s[2 * n : 2 * n + 3], i - 1, half)
+            rate = interpolate(speed[2 * n : 2 * n + 3], i - 1, half)
+            sample_roads(p, roads, station, rate, road, 8 * half)
         first = (4 * n if manoeuvre else 0) + (2 * (2 * (i - 1) // SUBSTEPS) if i > 0 else 0)
         step_inputs = StepInputs(road, inputs.a_xy[first : first + 4])
-        length, row = (h / SUBSTEPS, scratch.unused) if i > 0 else (h, signals)
+        length = h / SUBSTEPS if i > 0 else h
+        row = signals if i == begin else scratch.unused
         if flexible is None:
             step(vehicle, motion, step_inputs, length, scratch.work, row)
         else:
             flexible_step(vehicle, motion, step_inputs, length, scratch.work, row)
-    if parts > 1:
-        copy_lanes(whole, motion, steep, False)
+    if end > 1 and begin == 0:
+        copy_lanes(whole, motion, steep[0])
 
 
 @kernel(inline=False, count_references=False)
@@ -207,7 +215,7 @@ def integrate_lanes(lanes, roads, inputs, columns, out, flexible=None):
     """
     scratch = LaneScratch(
         step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16), stack_rows(2), stack_rows(2),
-        stack_rows(1), stack_rows(32), stack_rows(2), stack_rows(N_FLEXIBLE_SIGNALS),
+        stack_rows(2), stack_rows(32), stack_rows(N_FLEXIBLE_SIGNALS),
     )  # fmt: skip
     signals = stack_rows(N_FLEXIBLE_SIGNALS)
     put(scratch.valves, 0, 1.0)
@@ -242,14 +250,13 @@ class _Block:
         self.delay_line = np.zeros((self.delay.max(), LANES), dtype=np.uint8)
         for k, drive in enumerate(lane_drives):
             self.delay_line[: drive.delay_line.size, k] = drive.delay_line
-        self.steps_delayed = np.zeros(LANES, dtype=np.int64)
 
     def advance(self, commands: np.ndarray, columns: np.ndarray, out: np.ndarray) -> None:
         """Take n steps under `commands` (n, vehicles); write the signals to `out` (n, C, LANES)."""
         n, own = len(commands), len(self.drives)
         sent, delayed = np.empty((2, n, LANES), dtype=np.uint8)
         sent[:, :own], sent[:, own:] = commands, commands[:, -1:]
-        delay_commands(self.delay_line, self.delay, self.steps_delayed, sent, delayed)
+        delay_commands(self.delay_line, self.delay, sent, delayed)
         inputs = self.drive_inputs(delayed)
         integrate_lanes(self.lanes, self.roads, inputs, columns, out, *self.flexible)
         for drive in self.drives:
@@ -278,9 +285,7 @@ class _Block:
         for k, drive in enumerate(self.drives):
             drive.state[:] = np.concatenate([self.lanes.q[:, k], self.lanes.v[:, k]])
             drive.strut_state[:] = self.lanes.strut_state[:, :, k]
-            if self.delay[k]:
-                ring = self.delay_line[: self.delay[k], k]
-                drive.delay_line = np.roll(ring, -(self.steps_delayed[k] % self.delay[k]))
+            drive.delay_line = self.delay_line[: self.delay[k], k].copy()
 
 
 def _constant_speed_inputs(
@@ -306,7 +311,7 @@ def _road_buffers(surfaces: Sequence[Surface]) -> RoadBuffers:
         aligned_copy(np.stack([left, left + sizes]).astype(float)),
         aligned_copy(sizes.astype(float)),
         aligned_copy(np.array([surface.start for surface in surfaces])),
-        aligned_copy(np.array([surface.ds for surface in surfaces])),
+        aligned_copy(np.array([1.0 / surface.ds for surface in surfaces])),
     )
 
 

@@ -21,14 +21,13 @@ from road_envs.simulation.control_step import (
     OUT_REWARD,
     OUT_UNRESOLVED,
     OUTPUT_COLUMNS,
-    ROAD_DS,
     ROAD_OFFSET,
+    ROAD_PER_DS,
     ROAD_SIZE,
     ROAD_START,
     SPEED,
     SPEED_GAIN,
     SPEED_KMH,
-    STEPS_DELAYED,
     STEPS_DONE,
     STEPS_TOTAL,
     ControlStepWorkspace,
@@ -165,7 +164,7 @@ class InstrumentedFleet:
         kinematics, counts = state.kinematics[b, :, k], state.counts[b, :, k]
         kinematics[DRIVE_START], kinematics[SPEED] = drive.start, drive.speed
         kinematics[SPEED_GAIN], kinematics[SPEED_KMH] = logger.speed_gain, speed_kmh
-        counts[STEPS_DELAYED], counts[STEPS_DONE], counts[STEPS_TOTAL] = 0, 0, drive.steps_left
+        counts[STEPS_DONE], counts[STEPS_TOTAL] = 0, drive.steps_left
         state.noise_state[b, :, k] = generator_state(logger.rng)
         if self.unresolved_variance is not None:
             self.unresolved[i] = self.unresolved_variance(drive.speed)
@@ -215,9 +214,7 @@ class InstrumentedFleet:
         drive.state[:N_DOF], drive.state[N_DOF:] = self.state.q[b, :, k], self.state.v[b, :, k]
         drive.strut_state[:] = self.state.strut_state[b, :, :, k]
         drive.steps = int(self.state.counts[b, STEPS_DONE, k])
-        if drive.delay_line.size:
-            ring = self.state.delay_line[b, :, k]
-            drive.delay_line = np.roll(ring, -(self.state.counts[b, STEPS_DELAYED, k] % ring.size))
+        drive.delay_line = self.state.delay_line[b, :, k].copy()
 
     def last_interval(self, i: int, byte: int) -> Trajectory:
         """Return the motion of vehicle `i` in the last interval, under the command `byte`.
@@ -250,7 +247,7 @@ class InstrumentedFleet:
             path[:PAD], path[PAD:-PAD], path[-PAD:] = z[side, 0], z[side], z[side, -1]
         layout = self.state.road_layout[b, :, k]
         layout[ROAD_SIZE] = size
-        layout[ROAD_START], layout[ROAD_DS] = drive.surface.start, drive.surface.ds
+        layout[ROAD_START], layout[ROAD_PER_DS] = drive.surface.start, 1.0 / drive.surface.ds
 
     def _resize_roads(self, capacity: int) -> None:
         """Reallocate the roads with `capacity` samples per wheel path of every lane."""
@@ -305,9 +302,9 @@ def _initial_state(
         wk_state=aligned_zeros(blocks, wk_sections, 1, 2),
         sensor_rows=aligned_zeros(blocks, sensors, 3),
         noise_state=np.zeros((blocks, 4, LANES), dtype=np.uint64),
-        counts=np.zeros((blocks, 3, LANES), dtype=np.int64),
+        counts=np.zeros((blocks, 2, LANES), dtype=np.int64),
         kinematics=aligned_zeros(blocks, 4),
         road_layout=aligned_zeros(blocks, 5),
     )
-    state.road_layout[:, ROAD_SIZE], state.road_layout[:, ROAD_DS] = 4.0 + 2.0 * PAD, 1.0
+    state.road_layout[:, ROAD_SIZE], state.road_layout[:, ROAD_PER_DS] = 4.0 + 2.0 * PAD, 1.0
     return state

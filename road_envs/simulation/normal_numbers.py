@@ -98,23 +98,27 @@ def _beside_the_layers(high, low, inc_high, inc_low, bits):
 
 
 @kernel
-def fill_normal(state, k, out):
-    """Fill `out` (rows, n, LANES) in lane `k` with standard normal numbers, rows innermost.
+def fill_normal(state, lanes, out):
+    """Fill the first `lanes` of `out` (rows, n, LANES) with standard normal numbers, rows first.
 
-    `state` (4, LANES) of `generator_state` is advanced in that lane.
+    `state` (4, LANES) of `generator_state` is advanced in these lanes. They take turns, since a
+    generator's next state waits for its last one.
     """
-    high, low, inc_high, inc_low = state[0, k], state[1, k], state[2, k], state[3, k]
     for i in range(out.shape[1]):
         for j in range(out.shape[0]):
-            accepted, x = False, 0.0
-            while not accepted:
-                high, low, bits = _next_bits(high, low, inc_high, inc_low)
-                layer, place = bits & LAYER_BITS, (bits >> PLACE_SHIFT) & PLACE_BITS
-                x = place * WIDTHS[layer]
-                if bits & SIGN_BIT:
-                    x = -x
-                accepted = place < LIMITS[layer]
-                if not accepted:
-                    accepted, x, high, low = _beside_the_layers(high, low, inc_high, inc_low, bits)
-            out[j, i, k] = x
-    state[0, k], state[1, k] = high, low
+            for k in range(lanes):
+                high, low, inc_high, inc_low = state[0, k], state[1, k], state[2, k], state[3, k]
+                accepted, x = False, 0.0
+                while not accepted:
+                    high, low, bits = _next_bits(high, low, inc_high, inc_low)
+                    layer, place = bits & LAYER_BITS, (bits >> PLACE_SHIFT) & PLACE_BITS
+                    x = place * WIDTHS[layer]
+                    if bits & SIGN_BIT:
+                        x = -x
+                    accepted = place < LIMITS[layer]
+                    if not accepted:
+                        accepted, x, high, low = _beside_the_layers(
+                            high, low, inc_high, inc_low, bits
+                        )
+                out[j, i, k] = x
+                state[0, k], state[1, k] = high, low

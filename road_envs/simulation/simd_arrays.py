@@ -158,24 +158,35 @@ def _add(context, builder, signature, values):
     return context.get_dummy_value()
 
 
-def load_four(array, first):
-    """Return four consecutive elements of a contiguous array, from flat index `first` on."""
-    flat = array.ravel()
-    i = int(first)
-    return flat[i], flat[i + 1], flat[i + 2], flat[i + 3]
+def load_four(array, first, stride, i):
+    """Return four consecutive elements of a contiguous array, from flat `first` + `stride` i on.
+
+    `first` and `i` are whole numbers as floats, `stride` is an integer.
+    """
+    flat, at = array.ravel(), int(first) + stride * int(i)
+    return flat[at], flat[at + 1], flat[at + 2], flat[at + 3]
 
 
 @typed(load_four)
-def _find_load_four(array, first):
-    x = elementwise(first)
-    return signature(types.UniTuple(x.return_type, 4), array, *x.args)
+def _find_load_four(array, first, stride, i):
+    x = elementwise(first, i)
+    if isinstance(stride, types.IntegerLiteral):
+        return signature(types.UniTuple(x.return_type, 4), array, x.args[0], stride, x.args[1])
+    return None
 
 
-@lower_builtin(load_four, types.Array, types.Any)
+@lower_builtin(load_four, types.Array, types.Any, types.IntegerLiteral, types.Any)
 def _load_four(context, builder, signature, values):
-    data = context.make_array(signature.args[0])(context, builder, values[0]).data
-    at = builder.fptosi(values[1], integers(values[1].type))
-    if any_vector(signature.args[1]):
+    array, first, stride, i = signature.args
+    data = context.make_array(array)(context, builder, values[0]).data
+    floats = [(values[1], first), (values[3], i)]
+    if vectors := any_vector(first, i):
+        floats = [(as_vector(context, builder, *x), vector) for x in floats]
+    # each straight to an integer: `i` was one before, and a sum of floats would delay the load
+    start, steps = (builder.fptosi(x, integers(x.type)) for x, _ in floats)
+    by = [stride.literal_value] * LANES if vectors else stride.literal_value
+    at = builder.add(start, builder.mul(steps, ir.Constant(steps.type, by)))
+    if vectors:
         # a row of four neighbours per lane, transposed: faster than a gather
         four, rows = ir.VectorType(ir.DoubleType(), 4), []
         for k in range(LANES):

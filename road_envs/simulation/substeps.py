@@ -44,10 +44,10 @@ def mark_steep(road, steep):
 
 @kernel
 def interpolate(x, i, half):
-    """Return `x`, given at the beginning, middle and end of a step, in the substep `i`.
+    """Return `x` (3,) or (3, LANES), at the beginning, middle and end of a step, in substep `i`.
 
     `half` is 0 for the substep's beginning and 1 for its middle.
     """
     at = (2.0 * i + half) / SUBSTEPS
     first = 1 if at >= 1.0 else 0
-    return x[first] + (at - first) * (x[first + 1] - x[first])
+    return get(x, first) + (at - first) * (get(x, first + 1) - get(x, first))

@@ -132,7 +132,7 @@ def locate(tables, k, x_0, dx, x):
     cells = float(tables.shape[1])
     u = (x - (x_0 - dx)) / dx
     i = integer_part(minimum(maximum(u, 0.0), cells - 1.0))
-    return load_four(tables, 4.0 * (k * cells + i)), u - i
+    return load_four(tables, 4.0 * cells * k, 4, i), u - i
 
 
 @kernel
