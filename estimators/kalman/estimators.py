@@ -14,7 +14,7 @@ Heights are emitted relative to their long waves (`profile_output.py`).
 
     kalman       emitted when the front axle is at the station
     kalman_lag   emitted 10 m later, 7.2 m after the rear axle
-    kalman_rts   emitted after the whole drive (`rts_smoother.py`)
+    kalman_rts   emitted after the whole drive (`smoother.py`)
 
 The measurements are means over 3 ms of the raw samples. Lost samples are left out; a clipped one is
 a limit.
@@ -54,7 +54,14 @@ from estimators.kalman.monitoring import (
     obstacle_std,
     reduce_uncertain,
 )
-from estimators.kalman.pipeline import FilterRun, run_filter, run_smoother, setup_output, setup_run
+from estimators.kalman.pipeline import (
+    FilterRun,
+    emitted_share,
+    run_filter,
+    run_smoother,
+    setup_output,
+    setup_run,
+)
 from estimators.kalman.profile_output import ProfileOutput
 from estimators.kalman.state import NOISE_SCALE, ROUGHNESS_SCALE
 from estimators.preprocessing import (
@@ -134,7 +141,6 @@ class _KalmanSettings(CalibratedByIdentification):
             noise_variance=noise,
             prior=prior,
             level_ends=self.level_ends,
-            lag=emitted_lag,
         )
         sensor_latency = (ANTIALIAS_SPREAD + 1) / record.fs + antialias_delay(instruments)
         output = setup_output(run, record, emitted_lag, sensor_latency, detrended=not smooth)
@@ -153,18 +159,19 @@ class _KalmanSettings(CalibratedByIdentification):
                 "may differ from the one described",
             )
         s, front = profile_stations(record.length), run.known_front(sensor_latency)
-        z, share = output.z.T.copy(), output.share
+        z, emitted = output.z.T.copy(), emitted_share(run, output)
         z_std = self.std_factor * _output_std(run, output, record, prior)
         if smooth or lag >= LAG:  # both axles have passed
             z_std *= np.sqrt(local_nis(run.state.nis, front, s, np.inf if smooth else lag))
             z = reduce_uncertain(z, z_std, ahead, drifting=smooth)
             z_std = np.hypot(z_std, obstacle_std(run.state.jumps.square, run.node_stations, s))
+        share = emitted
         if smooth:
             explained = trusted_share(record, valid, car, instruments, z)
             # a filter that is lost later errs before that too, once smoothed
-            share = minimum_filter1d(share, 2 * round(LOST_REACH / PROFILE_SPACING) + 1)
+            share = minimum_filter1d(emitted, 2 * round(LOST_REACH / PROFILE_SPACING) + 1)
             share, notes = share * explained, notes + untrusted_note(explained)
-        if (lost := PROFILE_SPACING * float(np.sum(output.share < 0.95))) >= 1.0:
+        if (lost := PROFILE_SPACING * float(np.sum(emitted < 0.95))) >= 1.0:
             notes += (
                 f"over {lost:.0f} m the innovations are far beyond their covariance; the heights "
                 "are reduced there",

@@ -1,35 +1,33 @@
-"""Extended Kalman filter over blocks of measurements: linearize, update, predict.
+"""Extended Kalman filter over a window of blocks of measurements: linearize, update, predict.
 
 The means of a block depend on the vehicle state at the block's start, the road nodes passed in it
-and the strut force residuals. The update corrects all of them; the prediction then propagates the
-vehicle state to the block's end by the linearization of the same steps. Nothing but the vehicle
-moves, so a prediction changes the vehicle's rows and columns of P alone. Both axles measure the
-same road nodes: what a rear wheel measures corrects the node that the front wheel passed before.
-(Kailath, Sayed & Hassibi, "Linear Estimation", 2000, chapter 9; Jazwinski, "Stochastic Processes
-and Filtering Theory", 1970, section 8.3.)
+and the strut force residuals, which are independent from block to block. The update corrects all of
+them; the prediction then propagates the vehicle state to the block's end by the linearization of
+the same steps. Nothing but the vehicle moves. Both axles measure the same road nodes: what a rear
+wheel measures corrects the node that the front wheel passed before. (Kailath, Sayed & Hassibi,
+"Linear Estimation", 2000, chapter 9; Jazwinski, "Stochastic Processes and Filtering Theory", 1970,
+section 8.3.)
+
+In a window of some blocks only the local state is filtered (`state.LocalState`), together with its
+closed-loop transition. The other nodes are corrected once, after the window (`forward.py`): the
+compressed filter of Guivant & Nebot (IEEE Transactions on Robotics and Automation 17, 2001, 242).
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from estimators.kalman.friction_linearization import choose_linearization
-from estimators.kalman.jumps import accept_jumps, predict_candidates, update_candidates
+from estimators.kalman.jumps import step_is_likely
 from estimators.kalman.linearization import linearize_block
-from estimators.kalman.profile_output import emit, lost_noise_scale
-from estimators.kalman.road_process import add_node, update_roughness
 from estimators.kalman.state import (
-    BIAS,
-    FORCE,
     NOISE_SCALE,
     SIGNAL_POWER,
     FilterInputs,
     FilterModel,
-    FilterState,
     LinearizedBlock,
-    get_block,
-    subtract_pending,
+    LocalState,
+    StepTest,
 )
 from road_envs._numba import kernel
 
@@ -43,78 +41,22 @@ fault of the sensor."""
 
 
 @kernel(inline=False)
-def filter_forward(
-    model: FilterModel,
-    inputs: FilterInputs,
-    state: FilterState,
-    first,
-    last,
-    output,
-    blocks: LinearizedBlock,
+def filter_window(
+    model: FilterModel, inputs: FilterInputs, local: LocalState, test: StepTest, first, last
 ):
-    """Filter the blocks `first` to `last` (excluded) and emit each station before its block.
-
-    `blocks` holds one entry, which every block overwrites, or one entry per block for the smoother.
-    `output`: the stations, as in `emit`.
+    """Filter the blocks from `first` on, to `last` (excluded) or until a step of the road is
+    likely. Return the number of blocks.
     """
-    keep_all = blocks.n_columns.shape[0] > 1
+    size, n_vehicle = local.x.size, model.force_to_state.shape[0]
+    block = LinearizedBlock(np.empty((3 + n_vehicle, size)), np.empty(3), np.empty(n_vehicle))
+    force_variance = np.empty(4)
     for j in range(first, last):
-        block = get_block(blocks, j - first if keep_all else 0)
-        front = inputs.front_node[2 * (j + 1) * model.steps_per_block - 1]
-        emit(model, state, output, j)  # before new nodes overwrite the oldest ones
-        block.nodes_added[0] = 0
-        # the spline under the front axle needs two nodes beyond it
-        while np.floor(front) + 2 > state.newest_node[0]:
-            middle = state.newest_node[0] + 0.5
-            add_node(model, state, inputs.free_range[0] < middle < inputs.free_range[1])
-            rear = inputs.front_node[2 * j * model.steps_per_block] - model.wheelbase_nodes
-            if state.adaptive[NOISE_SCALE] <= lost_noise_scale(state.adaptive):
-                update_roughness(model, state, int(np.floor(rear)) - 1, inputs.free_range)
-            block.nodes_added[0] += 1
-        choose_linearization(model, state)
-        linearize_block(model, inputs, state, j, block)
-        measured = inputs.y[:, j], inputs.sample_count[:, j], inputs.censored[:, j]
-        if state.n_pending[0] + 3 > state.pending.shape[0]:
-            subtract_pending(state)
-        projection = project(state, block)
-        state.nis[j] = update(model, state, measured, block, projection)
-        update_candidates(state.jumps, block)
-        predict(state, block, projection)
-        predict_candidates(state.jumps, block)
-        accept_jumps(model, state, blocks, j - first if keep_all else 0)
-
-
-class Projection(NamedTuple):
-    """Products of H and A, one below the other (3 + N rows), with the covariance P - W' W of a
-    `FilterState`: `rows` (3 + N, n) with P and `pending` (3 + N, n_pending) with W'.
-    """
-
-    rows: np.ndarray
-    pending: np.ndarray
-
-
-@kernel(inline=False)
-def project(state: FilterState, block: LinearizedBlock):
-    """Return the Projection of a linearized block."""
-    n, size, rank = state.x.size, block.n_columns[0], state.n_pending[0]
-    factors, rows = np.empty((3 + block.A.shape[0], size)), np.empty((size, n))
-    factors[:3], factors[3:] = block.H[:, :size], block.A[:, :size]
-    pending, P, W = np.empty((size, rank)), state.P, state.pending
-    for d in range(size):
-        i = block.columns[d]
-        rows[d] = P[i]
-        for r in range(rank):
-            pending[d, r] = W[r, i]
-    return Projection(np.dot(factors, rows), np.dot(factors, pending))
-
-
-@kernel
-def gather_dot(weights, row, columns, size):
-    """Return the sum of the entries `columns` (size,) of `row` (n,), times `weights`."""
-    z = 0.0
-    for d in range(size):
-        z += weights[d] * row[columns[d]]
-    return z
+        choose_linearization(model, local, force_variance)
+        linearize_block(model, inputs, local, j, block)
+        update_block(model, inputs, local, block, force_variance, j, j - first)
+        if step_is_likely(test, local, j - first):
+            return j - first + 1
+    return last - first
 
 
 @kernel
@@ -126,48 +68,104 @@ def normal_hazard(x):
 
 
 @kernel(inline=False)
-def update(
+def update_block(
     model: FilterModel,
-    state: FilterState,
-    measured,
+    inputs: FilterInputs,
+    local: LocalState,
     block: LinearizedBlock,
-    projection: Projection,
+    force_variance,
+    j,
+    i,
 ):
-    """Update mean and covariance by `measured`: means y (3,) of so many samples (3,), which may be
-    0, censored as in `FilterInputs` (3,). Return the normalized innovation squared per measurement.
+    """Update by the measurements of the block `j`, the window's `i`-th, and predict to its end.
 
-    The covariance changes by three pending rows, for which there must be room.
+    The vehicle is propagated by simulation from the mean before the update, and by the transition
+    matrix for the correction of the update.
+    """
+    size, n_vehicle = local.x.size, block.end_state.size
+    moved, x, rows = np.dot(block.factors, local.rows), local.x, local.rows
+    # all covariances of the means and of the vehicle's next state
+    both = np.dot(np.ascontiguousarray(moved[:, :size]), block.factors.T)
+    cross = both[:, :3].copy()
+    for r in range(3 + n_vehicle):
+        effect = model.force_to_sensor[r] if r < 3 else model.force_to_state[r - 3]
+        for s in range(3):
+            for w in range(4):
+                cross[r, s] += effect[w] * force_variance[w] * model.force_to_sensor[s, w]
+    innovation, T = local.innovation[3 * i : 3 * i + 3], np.zeros((3, 3))
+    whiten(model, inputs, local, block, cross, T, innovation, j, i)
+    V, G = np.dot(T, moved[:3]), np.dot(cross[3:], T.T)
+    local.U[3 * i : 3 * i + 3] = V[:, size:]
+    x[:n_vehicle], rows[:n_vehicle] = block.end_state, moved[3:]
+    for a in range(size):
+        gain = G[a] if a < n_vehicle else V[:, a]
+        subtract_rows(rows[a], gain[0], gain[1], gain[2], V)
+        x[a] += gain[0] * innovation[0] + gain[1] * innovation[1] + gain[2] * innovation[2]
+    for a in range(n_vehicle):
+        for b in range(size):
+            rows[b, a] = rows[a, b]
+    for a in range(n_vehicle):
+        for b in range(n_vehicle):
+            z = both[3 + a, 3 + b]
+            for w in range(4):
+                effect = model.force_to_state[a, w] * model.force_to_state[b, w]
+                z += effect * force_variance[w]
+            for s in range(3):
+                z -= G[a, s] * G[b, s]
+            rows[a, b] = z
+
+
+@kernel
+def subtract_rows(row, a, b, c, V):
+    """Subtract `a` V[0] + `b` V[1] + `c` V[2] from `row` (M,), of rows `V` (3, M)."""
+    first, second, third = V[0], V[1], V[2]
+    for k in range(row.size):
+        row[k] -= a * first[k] + b * second[k] + c * third[k]
+
+
+@kernel(inline=False)
+def whiten(
+    model: FilterModel,
+    inputs: FilterInputs,
+    local: LocalState,
+    block: LinearizedBlock,
+    covariance,
+    T,
+    innovation,
+    j,
+    i,
+):
+    """Write the matrix `T` (3, 3) that whitens the measurements and the whitened `innovation` (3,),
+    and adapt the noise scale. `covariance` (3, 3), or more rows: of the means without their noise.
 
     The measurements are processed one after the other. Each is decorrelated from those before it
     and scaled to unit variance: a Cholesky factorization of the innovation covariance, row by row.
-    `block.H` is whitened alike. A censored one has the mean and the variance of a truncated normal
-    distribution, as a measurement by which the update has both (Tobit filter).
+    A censored one has the mean and the variance of a truncated normal distribution, as a
+    measurement by which the update has both (Tobit filter). A lost one has a row of zeros.
     """
-    y, count, censored = measured
-    x, size = state.x, block.n_columns[0]
-    V, H, innovation, columns = block.V, block.H, block.innovation, block.columns
-    noise_scale, n_measured, power = state.adaptive[NOISE_SCALE], 0, 0.0
-    first, pending = state.n_pending[0], state.pending
-    V[:] = projection.rows[:3] - np.dot(projection.pending[:3], pending[:first])
-    cross = np.empty(3)
+    y, count, censored = inputs.y[:, j], inputs.sample_count[:, j], inputs.censored[:, j]
+    noise_scale, n_measured, power, cross = local.adaptive[NOISE_SCALE], 0, 0.0, np.empty(3)
     for s in range(3):
         innovation[s] = 0.0
+        T[s] = 0.0
         if count[s] == 0.0:
-            H[s], V[s] = 0.0, 0.0
             continue
         n_measured += 1
         noise_variance = model.noise_variance / count[s]
         power += y[s] ** 2 / noise_variance
         noise_variance *= noise_scale
-        variance = noise_variance + gather_dot(H[s], V[s], columns, size)
-        for r in range(s):
-            cross[r] = gather_dot(H[s], V[r], columns, size)
-            variance -= cross[r] ** 2
+        variance = noise_variance + covariance[s, s]
         innovation[s] = y[s] - block.predicted[s]
+        T[s, s] = 1.0
         for r in range(s):
-            V[s] -= cross[r] * V[r]
-            H[s] -= cross[r] * H[r]
+            cross[r] = 0.0
+            for t in range(r + 1):
+                cross[r] += T[r, t] * covariance[s, t]
+            variance -= cross[r] ** 2
+        for r in range(s):
             innovation[s] -= cross[r] * innovation[r]
+            for t in range(r + 1):
+                T[s, t] -= cross[r] * T[r, t]
         # rounding must not make the variance less than that of the noise
         inverse_std = 1.0 / np.sqrt(max(variance, noise_variance))
         innovation[s] *= inverse_std
@@ -176,52 +174,18 @@ def update(
             hazard = normal_hazard(limit)
             innovation[s] = censored[s] * np.sqrt(hazard / (hazard - limit))
             inverse_std *= np.sqrt(hazard * (hazard - limit))
-        V[s] *= inverse_std
-        H[s] *= inverse_std  # for the smoother
+        for t in range(s + 1):
+            T[s, t] *= inverse_std
     nis = innovation[0] ** 2 + innovation[1] ** 2 + innovation[2] ** 2
-    mean_nis = nis / max(n_measured, 1)
+    local.nis[i] = nis / max(n_measured, 1)
     if n_measured > 0:
-        mean = min(mean_nis, MAX_NIS)  # one outlier must not raise the noise much
-        state.adaptive[NOISE_SCALE] = max(
+        mean = min(local.nis[i], MAX_NIS)  # one outlier must not raise the noise much
+        local.adaptive[NOISE_SCALE] = max(
             1.0, noise_scale * (1.0 + (mean - 1.0) / model.noise_time)
         )
-        power -= n_measured * state.adaptive[SIGNAL_POWER]
-        state.adaptive[SIGNAL_POWER] += power / (n_measured * model.noise_time)
+        power -= n_measured * local.adaptive[SIGNAL_POWER]
+        local.adaptive[SIGNAL_POWER] += power / (n_measured * model.noise_time)
+    local.noise_scale[i] = local.adaptive[NOISE_SCALE]
+    local.signal_power[i] = local.adaptive[SIGNAL_POWER]
     if nis > MAX_NIS * n_measured:
         innovation *= np.sqrt(MAX_NIS * n_measured / nis)
-    for s in range(3):
-        x += innovation[s] * V[s]
-        pending[first + s] = V[s]
-    state.n_pending[0] = first + 3
-    return mean_nis
-
-
-@kernel(inline=False)
-def predict(state: FilterState, block: LinearizedBlock, projection: Projection):
-    """Propagate the vehicle to the block's end: by simulation from the mean before the update, by
-    the transition matrix for the correction of the update.
-    """
-    x, P, n, size = state.x, state.P, state.x.size, block.n_columns[0]
-    A, innovation, columns = block.A, block.innovation, block.columns
-    rank, rows = state.n_pending[0], projection.rows[3:]
-    pending, moved, V = state.pending, projection.pending, block.V
-    first, n_vehicle = n - A.shape[0], A.shape[0]
-    pending[:rank, FORCE:BIAS] = 0.0
-    for i in range(n_vehicle):
-        x[first + i] = block.end_state[i]
-        for r in range(rank - 3):
-            pending[r, first + i] = moved[3 + i, r]
-    for s in range(3):  # the rows of this block's update follow them
-        for i in range(n_vehicle):
-            z = gather_dot(A[i], V[s], columns, size)
-            x[first + i] += innovation[s] * z
-            pending[rank - 3 + s, first + i] = z
-    for i in range(n_vehicle):
-        for k in range(i + 1):
-            z = gather_dot(A[k], rows[i], columns, size)
-            P[first + i, first + k] = z
-            P[first + k, first + i] = z
-    rows[:, FORCE:BIAS] = 0.0  # force residuals begin anew in each block
-    P[FORCE:BIAS], P[:, FORCE:BIAS] = 0.0, 0.0
-    P[first:, :first] = rows[:, :first]
-    P[:first, first:] = rows[:, :first].T

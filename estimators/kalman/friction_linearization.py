@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from estimators.kalman.state import FORCE, FilterModel, FilterState
+from estimators.kalman.state import FilterModel, LocalState
 from road_envs._numba import kernel
 from road_envs.vehicle.force_curves import gaussian_smoothed, interpolate_tables
 from road_envs.vehicle.suspension import DAMPING_HIGH, V_0, V_STEP
@@ -59,26 +59,19 @@ def residual_variance(velocity: np.ndarray, std: float) -> np.ndarray:
 
 
 @kernel(inline=False)
-def choose_linearization(model: FilterModel, state: FilterState):
-    """Select each strut's table by the uncertainty of its rate, and the variance of its force
-    residual, which `filter.predict` has made independent of everything else.
+def choose_linearization(model: FilterModel, local: LocalState, force_variance):
+    """Select each strut's table by the uncertainty of its rate, and write the variance [N²] of its
+    force residual to `force_variance` (4,).
     """
-    x, P, pending, p = state.x, state.P, state.pending, model.constants[0]
-    strut_rows, n_dof = model.strut_rows, model.strut_rows.shape[1]
-    rates = x.size - model.force_to_state.shape[0] + n_dof  # their first index in the state vector
-    n_tables = model.force_variance.shape[1]
+    p, strut_rows = model.constants[0], model.strut_rows
+    n_dof, n_tables = strut_rows.shape[1], model.force_variance.shape[1]
     for w in range(4):
         rate, variance = 0.0, 0.0
         for i in range(n_dof):
-            rate += strut_rows[w, i] * x[rates + i]
+            rate += strut_rows[w, i] * local.x[n_dof + i]
             for k in range(n_dof):
                 cross = strut_rows[w, i] * strut_rows[w, k]
-                variance += cross * P[rates + i, rates + k]
-        for r in range(state.n_pending[0]):
-            z = 0.0
-            for i in range(n_dof):
-                z += strut_rows[w, i] * pending[r, rates + i]
-            variance -= z * z
+                variance += cross * local.rows[n_dof + i, n_dof + k]
         std, index = np.sqrt(max(variance, 0.0)), 0
         while index < model.rate_stds.size - 1 and (
             std > 0.5 * (model.rate_stds[index] + model.rate_stds[index + 1])
@@ -86,10 +79,9 @@ def choose_linearization(model: FilterModel, state: FilterState):
             index += 1
         p.velocity_table[w] = model.first_table[w] + n_tables * index
         u = min(max((rate - V_0) / V_STEP, 0.0), model.force_variance.shape[2] - 1.001)
-        i, low, high = int(u), int(model.first_table[w]), state.strut_state[w, DAMPING_HIGH]
+        i, low, high = int(u), int(model.first_table[w]), local.strut_state[w, DAMPING_HIGH]
         t = u - i
         table = model.force_variance[index]  # high damping is next to low damping
         soft = (1.0 - t) * table[low, i] + t * table[low, i + 1]
         hard = (1.0 - t) * table[low + 1, i] + t * table[low + 1, i + 1]
-        x[FORCE + w] = 0.0
-        P[FORCE + w, FORCE + w] = (1.0 - high) * soft + high * hard
+        force_variance[w] = (1.0 - high) * soft + high * hard

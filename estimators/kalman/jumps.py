@@ -17,16 +17,12 @@ The most likely candidate enters the state, as if its increment had had that var
 beginning, and the others are conditioned on it, until none exceeds MIN_LOG_RATIO.
 """
 
+from dataclasses import dataclass
+from typing import NamedTuple
+
 import numpy as np
 
-from estimators.kalman.state import (
-    BIAS,
-    NOISE_SCALE,
-    FilterModel,
-    FilterState,
-    LinearizedBlock,
-    RoadJumps,
-)
+from estimators.kalman.state import NOISE_SCALE, LocalState, StepTest
 from road_envs._numba import kernel
 
 JUMP_LENGTH = 0.3
@@ -54,103 +50,126 @@ REAR_REACH = 0.2
 is the error of that step, not another one under the front axle."""
 
 MAX_JUMPS = 4
-"""Steps accepted in one block, at most."""
-
-
-def empty_jumps(n: int, n_candidates: int, n_nodes: int) -> RoadJumps:
-    """Return no steps, for a state of size `n` and `n_nodes` nodes in the whole drive."""
-    m = 2 * n_candidates
-    return RoadJumps(np.zeros((m, n)), np.zeros(m), np.zeros((m, m)), np.zeros((n_nodes, 2)))
+"""Steps accepted at a time, at most."""
 
 
 @kernel(inline=False)
-def add_candidates(jumps: RoadJumps, node, index, free):
-    """Replace the oldest candidates by those of the new `node`, whose mean has the `index` in the
-    state; on a level road, which is not `free`, there are none.
+def most_likely(score, information, reached, n_nodes):
+    """Return the most likely candidate of the `n_nodes` nodes up to the number `reached`, from
+    `score` (m,) and `information` (m,), and its log likelihood ratio.
     """
-    for side in range(2):
-        i = (2 * node + side) % jumps.score.size
-        jumps.direction[i] = 0.0
-        if free:
-            jumps.direction[i, index] = 0.5
-            jumps.direction[i, index + 1] = 0.5 - side
-        jumps.score[i] = 0.0
-        jumps.information[i] = 0.0
-        jumps.information[:, i] = 0.0
+    best, most, m, prior = -1, 0.0, score.size, JUMP_STD**2
+    for c in range(m):
+        ratio = prior * information[c]
+        if ratio < MIN_INFORMATION or (reached - c // 2) % (m // 2) >= n_nodes:
+            continue
+        gain = 0.5 * (prior * score[c] ** 2 / (1.0 + ratio) - np.log1p(ratio))
+        if gain > most:
+            best, most = c, gain
+    return best, most
 
 
 @kernel(inline=False)
-def update_candidates(jumps: RoadJumps, block: LinearizedBlock):
-    """Update the candidates by the whitened innovation of `block`."""
-    direction, score, information, _ = jumps
-    size = block.n_columns[0]
-    entries = np.empty((size, score.size))
-    for d in range(size):
-        entries[d] = direction[:, block.columns[d]]
-    g = np.ascontiguousarray(np.dot(np.ascontiguousarray(block.H[:, :size]), entries).T)
-    block.jump_response[:] = g
-    direction -= np.dot(g, block.V)
-    score += np.dot(g, block.innovation)
-    information += np.dot(g, g.T)
-
-
-@kernel(inline=False)
-def predict_candidates(jumps: RoadJumps, block: LinearizedBlock):
-    """Propagate the candidates to the end of `block`; force residuals begin anew."""
-    direction, size = jumps.direction, block.n_columns[0]
-    entries = np.empty((size, direction.shape[0]))
-    for d in range(size):
-        entries[d] = direction[:, block.columns[d]]
-    first = direction.shape[1] - block.A.shape[0]
-    direction[:, first:] = np.dot(np.ascontiguousarray(block.A[:, :size]), entries).T
-    direction[:, :BIAS] = 0.0
-
-
-@kernel(inline=False)
-def accept_jumps(model: FilterModel, state: FilterState, blocks: LinearizedBlock, j):
-    """Add the steps that are likely to the `state`, unless the rear axle is near an earlier one.
-
-    The innovations of the entry `j` of `blocks` and of those before it, for the smoother, are
-    corrected to what they would have been with these steps.
+def step_is_likely(test: StepTest, local: LocalState, i):
+    """Update the scores of a `test` by the `i`-th block of the window of `local`. Return whether a
+    candidate is to be accepted.
     """
-    direction, score, information, square = state.jumps
-    x, P, newest_node, reach = state.x, state.P, state.newest_node[0], model.jump_reach
-    rear = int(newest_node - 2 - model.wheelbase_nodes)
-    if square[max(rear - reach, 0) : max(rear + reach, 0)].any():
-        return
-    m, prior = score.size, JUMP_STD**2
-    least = MIN_LOG_RATIO * state.adaptive[NOISE_SCALE]
-    for _ in range(MAX_JUMPS):
-        best, most = -1, least
-        for i in range(m):
-            ratio = prior * information[i, i]
-            if ratio < MIN_INFORMATION:
-                continue
-            gain = 0.5 * (prior * score[i] ** 2 / (1.0 + ratio) - np.log1p(ratio))
-            if gain > most:
-                best, most = i, gain
-        if best < 0:
-            return
-        variance = prior / (1.0 + prior * information[best, best])
-        step = variance * score[best]
-        f, cross = direction[best].copy(), information[best].copy()
-        added = variance + (RELATIVE_ERROR * step) ** 2
-        x += step * f
-        for i in range(f.size):
-            if f[i] != 0.0:
-                P[i] += (added * f[i]) * f
-        score -= step * cross
-        for k in range(m):
-            direction[k] -= (variance * cross[k]) * f
-            information[k] -= (variance * cross[k]) * cross
-        node = newest_node - (newest_node - best // 2) % (m // 2)
-        square[node, best % 2] += step**2
-        newest, k = newest_node, j
-        while k >= 0 and newest >= node:  # the blocks since the node is in the state
-            response = blocks.jump_response[k]
-            g = response[best].copy()
-            blocks.innovation[k] -= step * g
-            for i in range(m):
-                response[i] -= (variance * cross[i]) * g
-            newest -= blocks.nodes_added[k, 0]
-            k -= 1
+    score, information = test.score, test.information
+    response = np.dot(local.U[3 * i : 3 * i + 3], test.direction)
+    for s in range(3):
+        for c in range(score.size):
+            score[c] += local.innovation[3 * i + s] * response[s, c]
+            information[c] += response[s, c] ** 2
+    if test.near_step[i]:
+        return False
+    _, most = most_likely(score, information, test.reached[i], test.n_nodes)
+    return most > MIN_LOG_RATIO * local.adaptive[NOISE_SCALE]
+
+
+class AcceptedStep(NamedTuple):
+    """A step of `size` [m] of the `candidate` at a `node`, in the `direction` (k,), its `variance`
+    [m²] by the innovations and the one `added` [m²] to the state, and the information (m,) [1/m²]
+    that the innovations have on it and each other candidate, `cross`.
+    """
+
+    candidate: int
+    node: int
+    size: float
+    direction: np.ndarray
+    variance: float
+    added: float
+    cross: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class RoadJumps:
+    """Candidates and accepted steps; candidate 2 k + side, modulo their number m, is that of node k
+    in the left (0) or right (1) wheel path.
+
+    `score` (m,) [1/m]; `information` (m, m) [1/m²]; `square` (N, 2) [m²]: squares of the accepted
+    steps of each node of the drive. In nodes: `length`, JUMP_LENGTH, and `rear_reach`, REAR_REACH.
+    """
+
+    score: np.ndarray
+    information: np.ndarray
+    square: np.ndarray
+    length: int
+    rear_reach: int
+
+    @classmethod
+    def none(cls, ahead: float, nodes: int, ds: float) -> "RoadJumps":
+        """Return no steps, in a drive of so many `nodes`, which are `ds` [m] apart and enter the
+        state up to `ahead` [m] before the front axle has reached them.
+        """
+        m, length = 2 * round((JUMP_LENGTH + ahead) / ds), round(JUMP_LENGTH / ds)
+        score, information = np.zeros(m), np.zeros((m, m))
+        return cls(score, information, np.zeros((nodes, 2)), length, round(REAR_REACH / ds))
+
+    def begin(self, nodes: np.ndarray) -> np.ndarray:
+        """Replace the oldest candidates by those of new `nodes` (M,); return which (M, 2)."""
+        candidates = (2 * nodes[:, None] + np.arange(2)) % self.score.size
+        self.score[candidates] = 0.0
+        self.information[candidates] = 0.0
+        self.information[:, candidates] = 0.0
+        return candidates
+
+    def update(self, response: np.ndarray, innovation: np.ndarray) -> None:
+        """Update the candidates by the whitened `innovation` (R,), whose mean is `response` (R, m)
+        per unit step.
+        """
+        self.score[:] += innovation @ response
+        self.information[:] += response.T @ response
+
+    def near_step(self, rear: np.ndarray) -> np.ndarray:
+        """Return whether the rear axle, at the nodes `rear` (B,), is near an accepted step (B,)."""
+        reach = self.rear_reach
+        return np.array([self.square[max(k - reach, 0) : max(k + reach, 0)].any() for k in rear])
+
+    def accept(
+        self, x: np.ndarray, P: np.ndarray, direction: np.ndarray, reached: int, least: float
+    ) -> list[AcceptedStep]:
+        """Add the steps of a log likelihood ratio of more than `least`, of nodes up to the number
+        `reached`, to the state, of mean `x` (n,). Of k quantities, of which the state is the first,
+        `P` (n, k) is the covariance with the state, and `direction` (k, m) the error per unit step
+        of each candidate.
+        """
+        score, information, accepted = self.score, self.information, list[AcceptedStep]()
+        m, prior = score.size, JUMP_STD**2
+        for _ in range(MAX_JUMPS):
+            diagonal = np.diag(information).copy()
+            best, most = most_likely(score, diagonal, reached, self.length)
+            if most <= least:
+                break
+            variance = prior / (1.0 + prior * diagonal[best])
+            step = variance * score[best]
+            f, cross = direction[:, best].copy(), information[best].copy()
+            added = variance + (RELATIVE_ERROR * step) ** 2
+            x += step * f[: x.size]
+            P += np.outer(added * f[: x.size], f)
+            score -= step * cross
+            direction -= np.outer(f, variance * cross)
+            information -= np.outer(variance * cross, cross)
+            node = reached - (reached - best // 2) % (m // 2)
+            self.square[node, best % 2] += step**2
+            accepted.append(AcceptedStep(best, node, step, f, variance, added, cross))
+        return accepted

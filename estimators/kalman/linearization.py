@@ -1,9 +1,8 @@
 """Prediction of one block of measurements by the nonlinear vehicle, and its exact derivative.
 
 The vehicle is simulated through the block by the simulator's own step over the mean of the road
-nodes. Every column of `A` and `H` is the exact tangent of these steps
-(`road_envs.simulation.sensitivity`). A strut force residual acts as a constant force all through
-the block.
+nodes. Every column of the factors is the exact tangent of these steps
+(`road_envs.simulation.sensitivity`).
 """
 
 from typing import NamedTuple
@@ -11,16 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimators.common.spline import height_weights, slope_weights
-from estimators.kalman.state import (
-    BIAS,
-    FORCE,
-    RETIRED,
-    FilterInputs,
-    FilterModel,
-    FilterState,
-    LinearizedBlock,
-    node_index,
-)
+from estimators.kalman.state import FilterInputs, FilterModel, LinearizedBlock, LocalState
 from road_envs._numba import kernel
 from road_envs.simulation.rosenbrock import (
     ACCELERATION,
@@ -37,9 +27,6 @@ from road_envs.simulation.simd_arrays import add, get, put, stack_array, stack_r
 from road_envs.vehicle.equations import N_DOF, THETA, Z_B, Motion
 from road_envs.vehicle.suspension import VehicleBuffers
 
-N_OTHER = RETIRED
-"""Columns of every block behind the vehicle's: strut force residuals and biases."""
-
 
 class AxleWeights(NamedTuple):
     """Spline weights of both axles at both half steps of the steps of a block.
@@ -51,11 +38,6 @@ class AxleWeights(NamedTuple):
     node: np.ndarray
     height: np.ndarray
     slope: np.ndarray
-
-
-def max_columns(n_vehicle: int, nodes_in_block: float) -> int:
-    """Return the greatest number of columns of a block in which a wheel passes so many nodes."""
-    return n_vehicle + N_OTHER + 4 * (int(np.ceil(nodes_in_block)) + 5)
 
 
 @kernel(inline=False)
@@ -78,10 +60,10 @@ def axle_spline_weights(inputs: FilterInputs, wheelbase_nodes, first, weights: A
 
 @kernel(inline=False)
 def linearize_block(
-    model: FilterModel, inputs: FilterInputs, state: FilterState, j, block: LinearizedBlock
+    model: FilterModel, inputs: FilterInputs, local: LocalState, j, block: LinearizedBlock
 ):
-    """Fill the block `j`: columns, `A`, `H` and prediction. `state.strut_state` is advanced to the
-    block's end; the vehicle part of `state.x` is not.
+    """Fill the block `j`: factors and prediction. `local.strut_state` is advanced to the block's
+    end; the vehicle part of `local.x` is not.
     """
     steps_per_block = model.steps_per_block
     first = j * steps_per_block
@@ -90,45 +72,26 @@ def linearize_block(
     weights = AxleWeights(node, heights, slopes)
     axle_spline_weights(inputs, model.wheelbase_nodes, first, weights)
     rows = np.empty((steps_per_block, TAPE_ROW_SIZE))
-    simulate_block(model, inputs, state, first, weights, rows, block)
-    columns, A, H = block.columns, block.A, block.H
-    size, n_vehicle = 0, A.shape[0]
-    A[:] = 0.0
-    H[:] = 0.0
-    for i in range(state.x.size - n_vehicle, state.x.size):
-        columns[size] = i
-        size += 1
-    for w in range(4):
-        columns[size] = FORCE + w
-        A[:, size] = model.force_to_state[:, w]
-        H[:, size] = model.force_to_sensor[:, w]
-        size += 1
+    simulate_block(model, inputs, local, first, weights, rows, block)
+    block.factors[:] = 0.0
     for s in range(3):
-        columns[size] = BIAS + s
-        H[s, size] = 1.0
-        size += 1
-    for axle in range(2):
-        for k in range(node[0, 0, axle], node[steps_per_block - 1, 1, axle] + 4):
-            for component in range(2):
-                columns[size] = node_index(k, model.n_nodes) + component
-                size += 1
-    block.n_columns[0] = size
-    tangent_columns(model, first, rows, weights, block)
+        block.factors[s, block.end_state.size + s] = 1.0
+    tangent_columns(model, local, first, rows, weights, block)
 
 
 @kernel(inline=False)
 def simulate_block(
-    model: FilterModel, inputs: FilterInputs, state: FilterState, first, weights, rows, block
+    model: FilterModel, inputs: FilterInputs, local: LocalState, first, weights, rows, block
 ):
     """Simulate the block: fill the tape `rows`, `block.end_state` and `block.predicted`."""
     p, work = model.constants[0], step_workspace(stack_array(WORKSPACE_ROWS))
     out = stack_array(N_FLEXIBLE_SIGNALS)
     n_dof = model.strut_rows.shape[1]
     end = block.end_state
-    end[:] = state.x[state.x.size - end.size :]
-    vehicle = VehicleBuffers(model.constants, model.velocity, model.displacement, state.strut_state)
+    end[:] = local.x[: end.size]
+    vehicle = VehicleBuffers(model.constants, model.velocity, model.displacement, local.strut_state)
     motion, bending = Motion(end[:n_dof], end[n_dof : 2 * n_dof]), end[2 * n_dof :]
-    road, x, (node, height, slope) = np.empty(16), state.x, weights
+    road, x, (node, height, slope) = np.empty(16), local.x, weights
     acceleration = np.empty(n_dof)
     step_inputs, sensor_rows = StepInputs(road, np.zeros(4)), model.sensor_rows
     predicted = np.zeros(3)
@@ -140,13 +103,13 @@ def simulate_block(
                 for side in range(2):
                     z, rate = 0.0, 0.0
                     for m in range(4):
-                        i = node_index(node[k, half, axle] + m, model.n_nodes)
+                        i = local.nodes_at[axle] - 2 * (node[k, half, axle] + m)
                         c = x[i] + (1.0 - 2.0 * side) * x[i + 1]
                         z += height[k, half, axle, m] * c
                         rate += slope[k, half, axle, m] * c
                     road[8 * half + 2 * axle + side] = z
                     road[8 * half + 4 + 2 * axle + side] = rate
-        update_valves(p, state.strut_state, motion.q, inputs.commands[first + k], alpha, model.h)
+        update_valves(p, local.strut_state, motion.q, inputs.commands[first + k], alpha, model.h)
         step_with_derivative(
             vehicle, motion, step_inputs, model.h, work, out, rows[k], model.flexible
         )
@@ -163,7 +126,7 @@ def simulate_block(
                 for i in range(n_dof):
                     predicted[s] += sensor_rows[s, i] * acceleration[i]
     for s in range(3):
-        block.predicted[s] = predicted[s] / samples + x[BIAS + s]
+        block.predicted[s] = predicted[s] / samples + x[end.size + s]
 
 
 @kernel
@@ -210,12 +173,15 @@ def node_derivatives(weights: AxleWeights, i, direction, road):
 
 
 @kernel(inline=False)
-def tangent_columns(model: FilterModel, first, rows, weights: AxleWeights, block):
-    """Write the tangents along the vehicle states and the nodes to the columns of `A` and `H`."""
-    n_dof, n_vehicle = model.strut_rows.shape[1], block.A.shape[0]
-    directions = block.n_columns[0] - N_OTHER
+def tangent_columns(
+    model: FilterModel, local: LocalState, first, rows, weights: AxleWeights, block
+):
+    """Write the tangents along the vehicle states and the nodes to `block.factors`."""
+    n_dof, n_vehicle, node = model.strut_rows.shape[1], block.end_state.size, weights.node
+    oldest, end = node[0, 0], node[-1, 1] + 4  # of the nodes under each axle
+    directions = n_vehicle + 2 * (end[0] - oldest[0] + end[1] - oldest[1])
     groups, samples = (directions + LANES - 1) // LANES, 0
-    p, h, sensor_rows, A, H = model.constants[0], model.h, model.sensor_rows, block.A, block.H
+    p, h, sensor_rows = model.constants[0], model.h, model.sensor_rows
     work = step_workspace(stack_rows(WORKSPACE_ROWS))
     y, a = np.zeros((groups, n_vehicle, LANES)), np.empty((n_dof, LANES))
     road, sums = np.empty((groups, 16, LANES)), np.zeros((3 * groups, LANES))
@@ -237,12 +203,16 @@ def tangent_columns(model: FilterModel, first, rows, weights: AxleWeights, block
                     for j in range(n_dof):
                         sensed = sensed + sensor_rows[s, j] * get(a, j)
                     add(sums, 3 * group + s, sensed)
-    for direction in range(directions):
-        group, lane = direction // LANES, direction % LANES
-        column = direction
-        if direction >= n_vehicle:
-            column += N_OTHER
-        for s in range(3):
-            H[s, column] = sums[3 * group + s, lane] / samples
-        for j in range(n_vehicle):
-            A[j, column] = y[group, j, lane]
+    direction = 0
+    for part in range(3):  # the vehicle's states, then the nodes of each axle
+        entries = n_vehicle if part == 0 else 2 * (end[part - 1] - oldest[part - 1])
+        for i in range(entries):
+            column = i
+            if part > 0:
+                column = local.nodes_at[part - 1] - 2 * (oldest[part - 1] + i // 2) + i % 2
+            group, lane = direction // LANES, direction % LANES
+            for s in range(3):
+                block.factors[s, column] = sums[3 * group + s, lane] / samples
+            for j in range(n_vehicle):
+                block.factors[3 + j, column] = y[group, j, lane]
+            direction += 1

@@ -14,18 +14,10 @@ low-pass with the response 1 / (1 + (n / N_DETREND)^4). Its kernel, with u = dec
 extends over all the road behind; two decaying sums carry the retired part of it (`state.py`).
 """
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.kalman.state import (
-    NODES,
-    NOISE_SCALE,
-    RETIRED,
-    SIGNAL_POWER,
-    FilterModel,
-    FilterState,
-)
 from road_envs._numba import kernel
 
 N_DETREND = 0.1
@@ -49,20 +41,15 @@ EARLY_NOISE_SCALE = 8.0
 a vehicle that is not the one described they are worth nothing."""
 
 
-class ProfileOutput(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class ProfileOutput:
     """Emission schedule and emitted heights of M stations, in order.
 
-    Schedule: node numbers `node` (M,); the block `emit_block` (M,) before which each is emitted;
-    `cutoff` (M, 2) [cycles/node] of the kernel `low`, for height and for variance; its half length
-    `half_window` [nodes]; `both_axles`: whether the rear axle has passed it then; `detrended`:
-    whether long waves are subtracted from the height (from the variance they always are). Results:
-    heights `z` [m] and their in-band `variance` [m²] (M, 2), left and right;
-    `share` (M,), 0 to 1, by how much they are to be trusted; `next_station` (1,), the first not yet
-    emitted.
-
-    For the smoother, else of length 0: the covariance of the emitted heights with the state,
-    `height_covariance` (M, 2, n), and of their in-band part, `band_covariance` (M /
-    VARIANCE_STRIDE, 2, n).
+    Schedule: node numbers `node` (M,); the number of blocks `emit_block` (M,) after which each is
+    emitted; `cutoff` (M, 2) [cycles/node] of the kernel `low`, for height and for variance; its
+    half length `half_window` [nodes]; `detrended`: whether long waves are subtracted from the
+    height (from the variance they always are); `both_axles`: whether the rear axle has passed a
+    station then. Results: heights `z` [m] and their in-band `variance` [m²] (M, 2), left and right.
     """
 
     node: np.ndarray
@@ -73,10 +60,6 @@ class ProfileOutput(NamedTuple):
     both_axles: bool
     z: np.ndarray
     variance: np.ndarray
-    share: np.ndarray
-    next_station: np.ndarray
-    height_covariance: np.ndarray
-    band_covariance: np.ndarray
 
 
 def decay_per_node(ds: float) -> float:
@@ -100,114 +83,58 @@ def windowed_sinc(d, cutoff, half_window):
     return 2.0 * cutoff * sinc(2.0 * cutoff * d) * np.cos(0.5 * np.pi * d / half_window) ** 2
 
 
-@kernel
-def spline_low_pass(d, cutoff, half_window):
-    """Return the low-pass of the curve, which at a node is (1, 4, 1) / 6 of its coefficients."""
-    left = windowed_sinc(d - 1.0, cutoff, half_window)
-    right = windowed_sinc(d + 1.0, cutoff, half_window)
-    return (4.0 * windowed_sinc(d, cutoff, half_window) + (left + right)) / 6.0
-
-
 @kernel(inline=False)
-def output_weights(u, at, newest_node, decay, cutoff, half_window):
-    """Write the weights `u` (2 + K,) of retired-node sums and nodes in the output at a node number
-    `at`.
+def output_weights(u, at, decay, cutoff, half_window):
+    """Write the weights `u` (2 + L,) of retired-node sums and of L nodes, the oldest first, in the
+    output at the position `at` from the oldest node.
 
     The road beyond the nodes counts as level with the nearest one. With a `decay` of 0 no long
     waves are subtracted.
     """
     u[:] = 0.0
-    K = u.size - 2
-    oldest, sum_low = newest_node - K + 1, 0.0
+    last, sum_low = u.size - 3, 0.0
     low, high = int(np.floor(at - half_window)) - 1, int(np.ceil(at + half_window)) + 1
+    # the curve at a node is (1, 4, 1) / 6 of the coefficients
+    left = windowed_sinc(low - 1.0 - at, cutoff, half_window)
+    middle = windowed_sinc(low - at, cutoff, half_window)
     for k in range(low, high + 1):
-        weight = spline_low_pass(k - at, cutoff, half_window)
-        u[2 + min(max(k, oldest), newest_node) % K] += weight
+        right = windowed_sinc(k + 1.0 - at, cutoff, half_window)
+        weight = (4.0 * middle + (left + right)) / 6.0
+        u[2 + min(max(k, 0), last)] += weight
         sum_low += weight
+        left, middle = middle, right
     u /= sum_low  # a level road keeps its height
     if decay == 0.0:
         return
-    for k in range(oldest, newest_node + 1):
+    # exp((i - 1) decay d) at the distance d, from node to node by a product
+    c, s = np.exp(-decay) * np.cos(decay), np.exp(-decay) * np.sin(decay)
+    middle = min(max(int(np.floor(at)), 0), last)
+    for step in (-1, 1):
+        k = middle if step < 0 else middle + 1
         x = decay * abs(k - at)
-        u[2 + k % K] -= 0.5 * decay * np.exp(-x) * (np.cos(x) + np.sin(x))
+        a, b = np.exp(-x) * np.cos(x), np.exp(-x) * np.sin(x)
+        while 0 <= k <= last:
+            u[2 + k] -= 0.5 * decay * (a + b)
+            a, b = c * a - s * b, s * a + c * b
+            k += step
     # the integrals of `long` over the level road ahead and over the retired nodes
-    x = decay * (newest_node + 0.5 - at)
-    u[2 + newest_node % K] -= 0.5 * np.exp(-x) * np.cos(x)
-    x = decay * (at - oldest)
+    x = decay * (last + 0.5 - at)
+    u[2 + last] -= 0.5 * np.exp(-x) * np.cos(x)
+    x = decay * at
     u[0] = -0.5 * decay * np.exp(-x) * (np.cos(x) + np.sin(x))
     u[1] = -0.5 * decay * np.exp(-x) * (np.cos(x) - np.sin(x))
 
 
 @kernel(inline=False)
-def read_out(x, u, component):
-    """Return the weighted sum of the entries of `x` (n,) of a component (0 mean, 1 half
-    difference).
+def fill_weights(at, nodes, decay, cutoff, half_window, u):
+    """Write the `output_weights` of M positions `at` (M,) from the oldest of so many `nodes` (M,)
+    to `u` (M, 2 + L), where a row has zeros beyond its nodes.
     """
-    z = u[0] * x[RETIRED + 2 * component] + u[1] * x[RETIRED + 2 * component + 1]
-    for k in range(u.size - 2):
-        z += u[2 + k] * x[NODES + 2 * k + component]
-    return z
+    for m in range(at.size):
+        u[m, 2 + nodes[m] :] = 0.0
+        output_weights(u[m, : 2 + nodes[m]], at[m], decay, cutoff[m], half_window)
 
 
-@kernel(inline=False)
-def covariance_row(state: FilterState, u, component, out):
-    """Write the weighted sum of rows of the covariance of a component (0 mean, 1 half difference)
-    to `out` (n,).
-    """
-    P = state.P
-    out[:] = u[0] * P[RETIRED + 2 * component] + u[1] * P[RETIRED + 2 * component + 1]
-    for k in range(u.size - 2):
-        if u[2 + k] != 0.0:
-            out += u[2 + k] * P[NODES + 2 * k + component]
-    for r in range(state.n_pending[0]):
-        out -= read_out(state.pending[r], u, component) * state.pending[r]
-
-
-@kernel(inline=False)
-def covariance_rows(state: FilterState, u, out):
-    """Write the weighted sums of rows of the covariance for the left and right wheel path to `out`
-    (2, n).
-    """
-    mean, difference = np.empty(state.x.size), np.empty(state.x.size)
-    covariance_row(state, u, 0, mean)
-    covariance_row(state, u, 1, difference)
-    out[0] = mean + difference
-    out[1] = mean - difference
-
-
-@kernel
-def lost_noise_scale(adaptive):
-    """Return the noise scale above which the filter, with `adaptive` (5,), has lost the vehicle."""
-    return max(LOST_NOISE_SCALE, LOST_POWER_SHARE * adaptive[SIGNAL_POWER])
-
-
-@kernel(inline=False)
-def emit(model: FilterModel, state: FilterState, output: ProfileOutput, j):
-    """Emit all stations that are due before the block `j`."""
-    n, newest_node, next_station = state.x.size, state.newest_node[0], output.next_station
-    if next_station[0] == output.node.size or output.emit_block[next_station[0]] > j:
-        return
-    u, rows = np.empty(2 + model.n_nodes), np.empty((2, n))
-    decay = model.decay if output.detrended else 0.0
-    while next_station[0] < output.node.size and output.emit_block[next_station[0]] <= j:
-        m = next_station[0]
-        # a station that no wheel has passed is given the height of the nearest node
-        at = min(max(output.node[m], float(newest_node - u.size + 3)), float(newest_node))
-        output_weights(u, at, newest_node, decay, output.cutoff[m, 0], output.half_window)
-        z, d = read_out(state.x, u, 0), read_out(state.x, u, 1)
-        output.z[m, 0], output.z[m, 1] = z + d, z - d
-        lost = lost_noise_scale(state.adaptive) if output.both_axles else EARLY_NOISE_SCALE
-        output.share[m] = min(1.0, lost / state.adaptive[NOISE_SCALE]) ** 2
-        if output.height_covariance.shape[0] > 0:
-            covariance_rows(state, u, output.height_covariance[m])
-        if m % VARIANCE_STRIDE == 0:
-            output_weights(u, at, newest_node, model.decay, output.cutoff[m, 1], output.half_window)
-            covariance_rows(state, u, rows)
-            for side in range(2):
-                z, d = read_out(rows[side], u, 0), read_out(rows[side], u, 1)
-                output.variance[m, side] = z + (1.0 - 2.0 * side) * d
-            if output.band_covariance.shape[0] > 0:
-                output.band_covariance[m // VARIANCE_STRIDE] = rows
-        else:
-            output.variance[m] = output.variance[m - 1]
-        next_station[0] += 1
+def lost_noise_scale(signal_power: np.ndarray | float) -> np.ndarray | float:
+    """Return the noise scale above which a filter of `signal_power` has lost the vehicle."""
+    return np.maximum(LOST_NOISE_SCALE, LOST_POWER_SHARE * signal_power)

@@ -7,6 +7,8 @@ half difference of an isotropic surface is level for waves longer than the track
 itself.
 """
 
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -14,17 +16,13 @@ from scipy.fft import irfft, rfftfreq
 from scipy.linalg import solve_toeplitz, toeplitz
 
 from estimators.common.road_prior import N_MIN, increment_amplitude
-from estimators.kalman.jumps import add_candidates
 from estimators.kalman.state import (
-    RETIRED,
+    N_BIAS,
+    N_SUMS,
     ROUGHNESS_SCALE,
     ROUGHNESS_SUM,
     ROUGHNESS_WEIGHT,
-    FilterModel,
-    FilterState,
-    node_index,
 )
-from road_envs._numba import kernel
 from road_envs.analysis.information_bound import RoadPrior
 
 AR_LENGTH = 2.0
@@ -74,100 +72,110 @@ def yule_walker(covariance: np.ndarray, order: int) -> tuple[np.ndarray, float]:
     return weights, float(covariance[0] - weights @ covariance[1 : order + 1])
 
 
-def prior_covariance(ar_model: ARModel, size: int, oldest: int) -> np.ndarray:
-    """Return the prior covariance (2 `size`, 2 `size`) [m²] of the nodes from `oldest` on, in the
-    order of the ring buffer.
-    """
-    slot = (oldest + np.arange(size)) % size
+def prior_covariance(ar_model: ARModel, size: int) -> np.ndarray:
+    """Return the prior covariance (2 `size`, 2 `size`) [m²] of so many nodes."""
     P = np.zeros((2 * size, 2 * size))
     for component in range(2):
-        i = 2 * slot + component
-        P[np.ix_(i, i)] = toeplitz(ar_model.covariance[component, :size])
+        P[component::2, component::2] = toeplitz(ar_model.covariance[component, :size])
     return P
 
 
-@kernel(inline=False)
-def add_node(model: FilterModel, state: FilterState, free):
-    """Add a node ahead of the newest one and retire the oldest. Unless `free`, the road goes on
-    level.
+class NodeTransition(NamedTuple):
+    """Linear step x' = F x + e of the state vector by which the nodes move back and `n_new` new
+    ones come before them: `rows` (4 + 2 count, n) of F for the retired-node sums and the new nodes;
+    `noise` (4 + 2 count, 4 + 2 count), the covariance of e in them, for a roughness scale of 1;
+    `response` (2, count, count), of mean and half difference, of the nodes to a step at each.
     """
-    x, P, K, newest_node = state.x, state.P, model.n_nodes, state.newest_node[0]
-    others = state.pending[: state.n_pending[0]], state.jumps.direction
-    new = node_index(newest_node + 1, K)
-    row = np.empty(x.size)
-    for component in range(2):
-        retire_node(state, RETIRED + 2 * component, new + component, model.decay)
-        row[:] = 0.0
-        for rows in others:
-            rows[:, new + component] = 0.0
-        z = 0.0
-        order = model.ar_weights.shape[1] if free else 1
-        for k in range(order):
-            old = node_index(newest_node - k, K) + component
-            weight = model.ar_weights[component, k] if free else 1.0
-            z += weight * x[old]
-            for i in range(x.size):
-                row[i] += weight * P[old, i]
-            for rows in others:
-                for r in range(rows.shape[0]):
-                    rows[r, new + component] += weight * rows[r, old]
-        scale = state.adaptive[ROUGHNESS_SCALE]
-        variance = model.prediction_variance[component] * scale if free else 0.0
-        for k in range(order):
-            weight = model.ar_weights[component, k] if free else 1.0
-            variance += weight * row[node_index(newest_node - k, K) + component]
-        x[new + component] = z
-        P[new + component, :] = row
-        P[:, new + component] = row
-        P[new + component, new + component] = variance
-    state.newest_node[0] = newest_node + 1
-    add_candidates(state.jumps, newest_node + 1, new, free)
+
+    n_new: int
+    rows: np.ndarray
+    noise: np.ndarray
+    response: np.ndarray
 
 
-@kernel(inline=False)
-def retire_node(state: FilterState, M, old, decay):
-    """Add the node with the index `old` to the decaying sum at `M`, which moves one node further
-    back.
+@dataclass(frozen=True, eq=False)
+class RoadProcess:
+    """The road's model in a state vector of `n_vehicle` states and `n_nodes` nodes: `ar_model` of
+    the next node, `decay` per node of the retired-node sums, the span [nodes] of the increments
+    from which roughness is estimated, and the number of nodes over which it is averaged.
     """
-    x, P = state.x, state.P
-    c, s = np.exp(-decay) * np.cos(decay), np.exp(-decay) * np.sin(decay)
-    for rows in (state.pending[: state.n_pending[0]], state.jumps.direction):
-        for r in range(rows.shape[0]):
-            row = rows[r]
-            real, imaginary = row[M] + row[old], row[M + 1]
-            row[M], row[M + 1] = c * real - s * imaginary, s * real + c * imaginary
-    real, imaginary = x[M] + x[old], x[M + 1]
-    x[M], x[M + 1] = c * real - s * imaginary, s * real + c * imaginary
-    for i in range(x.size):
-        real, imaginary = P[M, i] + P[old, i], P[M + 1, i]
-        P[M, i], P[M + 1, i] = c * real - s * imaginary, s * real + c * imaginary
-    for i in range(x.size):
-        real, imaginary = P[i, M] + P[i, old], P[i, M + 1]
-        P[i, M], P[i, M + 1] = c * real - s * imaginary, s * real + c * imaginary
 
+    n_vehicle: int
+    n_nodes: int
+    ar_model: ARModel
+    decay: float
+    increment_span: int
+    roughness_memory: float
+    transitions: dict[tuple[int, bool], NodeTransition] = field(default_factory=dict)
 
-@kernel(inline=False)
-def update_roughness(model: FilterModel, state: FilterState, rear, free):
-    """Update the roughness scale by the last increment that the rear axle, at node `rear`, has
-    passed.
+    @cached_property
+    def first_sum(self) -> int:
+        """Index of the first retired-node sum."""
+        return self.n_vehicle + N_BIAS
 
-    One step of expectation maximization: the expected square is the squared mean plus the variance.
-    An increment with an accepted step is none of the stationary prior and is left out.
-    """
-    x, P, K, adaptive = state.x, state.P, model.n_nodes, state.adaptive
-    low = rear - model.increment_span
-    if low <= free[0] or rear >= free[1] or state.jumps.square[low - 1 : rear + 2].any():
-        return
-    for component in range(2):
-        a, b = node_index(low, K) + component, node_index(rear, K) + component
-        increment, variance = x[b] - x[a], P[a, a] + P[b, b] - 2.0 * P[a, b]
-        for r in range(state.n_pending[0]):
-            variance -= (state.pending[r, b] - state.pending[r, a]) ** 2
-        kept = 1.0 - 0.5 / model.roughness_memory  # half a node: there are two components
-        ratio = 0.5 * (increment * increment + variance) / model.increment_variance[component]
-        adaptive[ROUGHNESS_SUM] = kept * adaptive[ROUGHNESS_SUM] + ratio
-        adaptive[ROUGHNESS_WEIGHT] = kept * adaptive[ROUGHNESS_WEIGHT] + 0.5
-    adaptive[ROUGHNESS_SCALE] = min(
-        max(adaptive[ROUGHNESS_SUM] / adaptive[ROUGHNESS_WEIGHT], MIN_ROUGHNESS_SCALE),
-        MAX_ROUGHNESS_SCALE,
-    )
+    @cached_property
+    def first_node(self) -> int:
+        """Index of the mean of the newest node."""
+        return self.first_sum + N_SUMS
+
+    @cached_property
+    def n_states(self) -> int:
+        """Size n of the state vector."""
+        return self.first_node + 2 * self.n_nodes
+
+    @cached_property
+    def increment_variance(self) -> np.ndarray:
+        """Variances (2,) [m²] of the increments from which roughness is estimated."""
+        return self.ar_model.increment_variance(self.increment_span)
+
+    def transition(self, count: int, free: bool) -> NodeTransition:
+        """Return the step to `count` new nodes. Unless `free`, the road goes on level."""
+        if (count, free) not in self.transitions:
+            self.transitions[count, free] = self._transition(count, free)
+        return self.transitions[count, free]
+
+    def _transition(self, count: int, free: bool) -> NodeTransition:
+        rows = np.zeros((N_SUMS + 2 * count, self.n_states))
+        noise, response = np.zeros((rows.shape[0], rows.shape[0])), np.zeros((2, count, count))
+        order = self.ar_model.weights.shape[1]
+        turn = np.exp((1j - 1.0) * self.decay * np.arange(1, count + 1))
+        for component in range(2):
+            pair, first = 2 * component, self.first_sum + 2 * component
+            a, b = turn[-1].real, turn[-1].imag
+            rows[pair : pair + 2, first : first + 2] = [[a, -b], [b, a]]
+            retired = self.n_states - 2 * np.arange(count, 0, -1) + component
+            rows[pair, retired], rows[pair + 1, retired] = turn.real, turn.imag
+            # nodes, the newest first, by the old ones and by the innovations
+            old, e = np.zeros((count + order, order)), np.zeros((count + order, count))
+            old[count:] = np.eye(order)
+            for k in range(count - 1, -1, -1):
+                weights = self.ar_model.weights[component] if free else np.eye(order)[0]
+                old[k], e[k] = weights @ old[k + 1 : k + 1 + order], weights @ e[k + 1 :][:order]
+                e[k, k] = float(free)
+            new = slice(N_SUMS + component, None, 2)
+            rows[new, self.first_node + component :: 2][:, :order] = old[:count]
+            variance = self.ar_model.prediction_variance[component]
+            response[component] = e[:count]
+            noise[new, new] = variance * e[:count] @ e[:count].T
+        return NodeTransition(count, rows, noise, response)
+
+    def update_roughness(
+        self, adaptive: np.ndarray, x: np.ndarray, P: np.ndarray, offsets: np.ndarray
+    ) -> None:
+        """Update the roughness scale by the increments up to the nodes `offsets` behind the newest.
+
+        One step of expectation maximization: the expected square is the squared mean plus the
+        variance.
+        """
+        variances = self.increment_variance
+        for offset in offsets:
+            for component in range(2):
+                a = self.first_node + 2 * offset + component
+                b = a + 2 * self.increment_span
+                square = (x[a] - x[b]) ** 2 + P[a, a] + P[b, b] - 2.0 * P[a, b]
+                kept = 1.0 - 0.5 / self.roughness_memory  # half a node: there are two components
+                ratio = 0.5 * square / variances[component]
+                adaptive[ROUGHNESS_SUM] = kept * adaptive[ROUGHNESS_SUM] + ratio
+                adaptive[ROUGHNESS_WEIGHT] = kept * adaptive[ROUGHNESS_WEIGHT] + 0.5
+            scale = adaptive[ROUGHNESS_SUM] / adaptive[ROUGHNESS_WEIGHT]
+            adaptive[ROUGHNESS_SCALE] = min(max(scale, MIN_ROUGHNESS_SCALE), MAX_ROUGHNESS_SCALE)

@@ -1,18 +1,15 @@
-"""State vector of the filter, constants of a run, and the record of one filtered block.
+"""State vector of the filter, constants of a run, and the part of the state that a window changes.
 
-    x = [strut force residuals (4), biases (3), retired-node sums (4), nodes (2 K), vehicle (N)]
+    x = [vehicle (N), biases (3), retired-node sums (4), nodes (2 K), the newest first]
 
 The vehicle part holds the coordinates of the 7-DOF model and their rates, N = 14; with a frame that
 twists, its twist as the eighth, and with a body that bends, the two states of its filter
-(`estimators.common.bending`), N = 18. The strut force residuals [N] are the parts of the strut
-forces that the linearized force laws leave out; each is constant over a block and independent from
-block to block. The biases [m/s²] are the offsets of the sensors. The road is K nodes of a cubic
-B-spline, fixed in space, as mean and half difference of the wheel paths. Node k has the index
-NODES + 2 (k mod K): a ring buffer, in which a new node overwrites the oldest one and no entry
-moves. Retired nodes remain in decaying sums, real and imaginary part for the mean, then for the
-half difference,
+(`estimators.common.bending`), N = 18. The biases [m/s²] are the offsets of the sensors. The road is
+K nodes of a cubic B-spline, fixed in space, each as mean and half difference of the wheel paths.
+Retired nodes remain in decaying sums, real and imaginary part for the mean, then for the half
+difference,
 
-    sum over k < oldest of c_k exp(-(1 + i) decay (oldest - k))
+    sum over k < oldest of c_k exp((i - 1) decay (oldest - k))
 
 which is all that the detrending needs of the road behind (`profile_output.py`).
 """
@@ -21,25 +18,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from road_envs._numba import kernel
-
-FORCE, BIAS, RETIRED, NODES = 0, 4, 7, 11
-"""Index of the first entry of each part of the state vector."""
-
-MAX_PENDING = 96
-"""Rows of the updates that are not yet subtracted from the covariance, at most."""
-
-TILE = 64
-"""Rows and columns of the covariance that are updated together, within the fastest cache."""
+N_BIAS, N_SUMS = 3, 4
+"""Entries of the biases and of the retired-node sums."""
 
 ROUGHNESS_SCALE, ROUGHNESS_SUM, ROUGHNESS_WEIGHT, NOISE_SCALE, SIGNAL_POWER = range(5)
-"""Entries of `FilterState.adaptive`: road PSD relative to the prior, the weighted sum and the
-weight whose ratio it is, the factor on the measurement noise variance, and the mean square of the
-measurements over that variance."""
+"""Entries of `adaptive`: road PSD relative to the prior, the weighted sum and the weight whose
+ratio it is, the factor on the measurement noise variance, and the mean square of the measurements
+over that variance."""
 
 
 class FilterModel(NamedTuple):
-    """Constants of a run. Lengths along the road are in nodes.
+    """Constants of a run.
 
     Vehicle, of D coordinates and N states: `constants`, `velocity` and `displacement` of the plant;
     `velocity` holds the tables once for each rate standard deviation in `rate_stds` (W,) [m/s], and
@@ -47,16 +36,12 @@ class FilterModel(NamedTuple):
     [N²]: variance of the strut force about its linearization. `strut_rows` (4, D), `sensor_rows`
     (3, D): strut extension and sensor acceleration per unit of each coordinate. `force_to_state`
     (N, 4), `force_to_sensor` (3, 4): states at the end of a block and means of the sensors per unit
-    strut force. `valve_lag` [s]. Bending of the body: modal force per heave and pitch acceleration
-    `bending_force` (2,), shape at the sensors `bending_shape` (3,), and the coefficients
-    `bending_section` (6,) of its filter, (0,) if the body is stiff. `flexible`: True of a frame
-    that twists, else None.
+    strut force, which is constant over a block. `valve_lag` [s]. Bending of the body: modal force
+    per heave and pitch acceleration `bending_force` (2,), shape at the sensors `bending_shape`
+    (3,), and the coefficients `bending_section` (6,) of its filter, (0,) if the body is stiff.
+    `flexible`: True of a frame that twists, else None.
 
-    Road, of `n_nodes` K: `ar_weights` (2, order) and `prediction_variance` (2,) [m²] of the model
-    of the next node; prior `increment_variance` (2,) [m²] over `increment_span` nodes;
-    `roughness_memory`, over which roughness is averaged; `jump_reach`, as REAR_REACH of `jumps.py`;
-    `wheelbase_nodes`; `decay` of the
-    retired-node sums per node.
+    Road: `wheelbase_nodes`, the wheelbase in nodes.
 
     Measurements: step `h` [s], `steps_per_block`, one sample in `decimation` steps,
     `noise_variance` [(m/s²)²] of a sample, whose factor adapts over `noise_time` blocks.
@@ -72,13 +57,6 @@ class FilterModel(NamedTuple):
     sensor_rows: np.ndarray
     force_to_state: np.ndarray
     force_to_sensor: np.ndarray
-    n_nodes: int
-    ar_weights: np.ndarray
-    prediction_variance: np.ndarray
-    increment_variance: np.ndarray
-    increment_span: int
-    roughness_memory: float
-    jump_reach: int
     h: float
     steps_per_block: int
     decimation: int
@@ -88,7 +66,6 @@ class FilterModel(NamedTuple):
     bending_section: np.ndarray
     flexible: bool | None
     wheelbase_nodes: float
-    decay: float
     noise_variance: float
     noise_time: float
 
@@ -99,8 +76,7 @@ class FilterInputs(NamedTuple):
     Each half step: `front_node` (2 N,), the (fractional) node number of the front axle, and its
     `node_rate` (2 N,) [nodes/s]. Each step: the command byte `commands` (N,). Each block: means `y`
     (3, J) [m/s²] of `sample_count` (3, J) samples. Where `censored` (3, J) is 1 or -1, the true
-    mean is beyond y, above or below it; else it is 0. The road is level outside the node numbers
-    `free_range` (2,).
+    mean is beyond y, above or below it; else it is 0.
     """
 
     front_node: np.ndarray
@@ -109,119 +85,55 @@ class FilterInputs(NamedTuple):
     y: np.ndarray
     sample_count: np.ndarray
     censored: np.ndarray
-    free_range: np.ndarray
 
 
-class RoadJumps(NamedTuple):
-    """Candidates and accepted steps; candidate 2 k + side, modulo their number m, is that of node k
-    in the left (0) or right (1) wheel path.
+class LocalState(NamedTuple):
+    """The L entries of the state vector that a window of B blocks measures or moves.
 
-    `direction` (m, n): error of the state per unit step; `score` (m,) [1/m]; `information` (m, m)
-    [1/m²]; `square` (N, 2) [m²]: squares of the accepted steps of each node of the drive.
+    They are [vehicle, biases, nodes under the front axle, nodes under the rear axle]; the mean of
+    node k has the index `nodes_at` - 2 k, for each axle (2,). Mean `x` (L,); `rows` (L, 2 L) the
+    covariance and, beside it, the closed-loop transition: derivative of the error by the error at
+    the window's start. Valve states of the struts `strut_state` (4, 3); parameters `adaptive` (5,).
+
+    Of each measurement: its `innovation` (3 B,) and its derivative `U` (3 B, L) by the error at the
+    window's start, both whitened. Of each block: the normalized innovation squared per measurement
+    `nis` (B,), `noise_scale` (B,) and `signal_power` (B,).
+    """
+
+    x: np.ndarray
+    rows: np.ndarray
+    nodes_at: np.ndarray
+    strut_state: np.ndarray
+    adaptive: np.ndarray
+    innovation: np.ndarray
+    U: np.ndarray
+    nis: np.ndarray
+    noise_scale: np.ndarray
+    signal_power: np.ndarray
+
+
+class StepTest(NamedTuple):
+    """Test for m candidate steps of the road in a window of B blocks (`jumps.py`): `direction`
+    (L, m), error of the local state at the window's start per unit step; `score` (m,) and
+    `information` (m,) so far. Of each block: the newest node that the front axle has touched
+    `reached` (B,), and whether the rear axle is near an accepted step, `near_step` (B,). `n_nodes`
+    nodes are candidates at a time.
     """
 
     direction: np.ndarray
     score: np.ndarray
     information: np.ndarray
-    square: np.ndarray
-
-
-class FilterState(NamedTuple):
-    """Mean `x` (n,), valve states of the struts `strut_state` (4, 3), number of the newest node
-    `newest_node` (1,) and the parameters `adaptive` (5,). `nis` (J,): the normalized innovation
-    squared, per measurement, of the blocks so far. `jumps`: steps of the road.
-
-    The covariance is P - W' W with `P` (n, n) and the first `n_pending` (1,) rows W of `pending`
-    (MAX_PENDING, n): the whitened gains of the last updates. A linear change x' = F x turns it into
-    F P F' - (W F')' (W F'), so every step changes a few rows of P and columns of W only, and the
-    product of all n x n entries is taken once for many updates (`subtract_pending`).
-    """
-
-    x: np.ndarray
-    P: np.ndarray
-    pending: np.ndarray
-    n_pending: np.ndarray
-    strut_state: np.ndarray
-    newest_node: np.ndarray
-    adaptive: np.ndarray
-    nis: np.ndarray
-    jumps: RoadJumps
+    reached: np.ndarray
+    near_step: np.ndarray
+    n_nodes: int
 
 
 class LinearizedBlock(NamedTuple):
-    """Linearization of one block of measurements and the result of its update.
-
-    The measurements and the vehicle state at the block's end depend on the `n_columns` (1,) entries
-    `columns` (C,) of the state vector, the vehicle first: `A` (N, C) is the transition of the
-    vehicle, `H` (3, C) the measurement matrix, which the update whitens in place. Whitened gain `V`
-    (3, n) and `innovation` (3,): x' = x + V' innovation, P' = P - V' V. By nonlinear simulation:
-    vehicle state `end_state` (N,) and block means `predicted` (3,). `nodes_added` (1,): new nodes.
-    `jump_response` (m, 3): mean of the innovation per unit step of each candidate (`jumps.py`).
+    """Linearization of one block: derivatives `factors` (3 + N, L) of the means of the sensors and
+    of the vehicle state at the block's end by the local state; both by nonlinear simulation,
+    `predicted` (3,) and `end_state` (N,).
     """
 
-    n_columns: np.ndarray
-    columns: np.ndarray
-    A: np.ndarray
-    H: np.ndarray
-    V: np.ndarray
-    innovation: np.ndarray
-    end_state: np.ndarray
+    factors: np.ndarray
     predicted: np.ndarray
-    nodes_added: np.ndarray
-    jump_response: np.ndarray
-
-
-def empty_blocks(
-    n: int, n_vehicle: int, max_columns: int, n_candidates: int, blocks: int
-) -> LinearizedBlock:
-    """Return `blocks` blocks of zeros, stacked along the first axis of each field."""
-    return LinearizedBlock(
-        n_columns=np.zeros((blocks, 1), dtype=np.int64),
-        columns=np.zeros((blocks, max_columns), dtype=np.int64),
-        A=np.zeros((blocks, n_vehicle, max_columns)),
-        H=np.zeros((blocks, 3, max_columns)),
-        V=np.zeros((blocks, 3, n)),
-        innovation=np.zeros((blocks, 3)),
-        end_state=np.zeros((blocks, n_vehicle)),
-        predicted=np.zeros((blocks, 3)),
-        nodes_added=np.zeros((blocks, 1), dtype=np.int64),
-        jump_response=np.zeros((blocks, n_candidates, 3)),
-    )
-
-
-@kernel
-def node_index(k, n_nodes):
-    """Return the index of the mean of node `k`; that of the half difference follows."""
-    return NODES + 2 * (k % n_nodes)
-
-
-@kernel(inline=False)
-def subtract_pending(state: FilterState):
-    """Subtract the pending updates from `state.P`, tile by tile of its lower triangle."""
-    P, pending = state.P, state.pending[: state.n_pending[0]]
-    transposed = np.ascontiguousarray(pending.T)
-    for k in range(0, P.shape[0], TILE):
-        columns = np.ascontiguousarray(pending[:, k : k + TILE])
-        for i in range(k, P.shape[0], TILE):
-            tile = P[i : i + TILE, k : k + TILE]
-            tile -= np.dot(transposed[i : i + TILE], columns)
-            if i > k:
-                P[k : k + TILE, i : i + TILE] = tile.T
-    state.n_pending[0] = 0
-
-
-@kernel
-def get_block(blocks, j):
-    """Return the block `j` of `blocks` as views."""
-    return LinearizedBlock(
-        blocks.n_columns[j],
-        blocks.columns[j],
-        blocks.A[j],
-        blocks.H[j],
-        blocks.V[j],
-        blocks.innovation[j],
-        blocks.end_state[j],
-        blocks.predicted[j],
-        blocks.nodes_added[j],
-        blocks.jump_response[j],
-    )
+    end_state: np.ndarray

@@ -140,8 +140,8 @@ TIMED_ESTIMATORS = (("map_smoother", 100.0, 1.0), ("kalman_lag", 100.0, 0.4), ("
 LIMITS = {
     "map_smoother": "about 10 linearizations, each 28 000 steps with 700 operations for each of 43 "
     "columns of the tangent, 8 GFLOP in all, and 220 products that read its 6 MB twice",
-    "kalman_lag": "1.2 million floating-point operations for each of 9 300 blocks of 3 ms: "
-    "products with the covariance of 443 unknowns, most of them road nodes of the last 10 m",
+    "kalman_lag": "for each of 9 300 blocks of 3 ms the tangent of three steps along 32 to 40 "
+    "directions, and 0.9 million operations in products of matrices of 50 to 250 columns",
 }
 """What a missed target is spent on."""
 

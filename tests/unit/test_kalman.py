@@ -14,12 +14,14 @@ from estimators import create
 from estimators.api import LAG
 from estimators.common.block_means import block_means
 from estimators.common.model_inputs import build_model_inputs
+from estimators.kalman import pipeline
 from estimators.kalman.friction_linearization import RATE_STDS, residual_variance, smoothed_tables
 from estimators.kalman.monitoring import local_nis, reduce_uncertain
 from estimators.kalman.pipeline import NODE_SPACING, run_filter, setup_output, setup_run
 from estimators.kalman.profile_output import HALF_WINDOW, decay_per_node, output_weights
 from estimators.kalman.road_process import fit_ar_model
 from estimators.kalman.state import ROUGHNESS_SCALE
+from estimators.kalman.windows import schedule_windows
 from estimators.preprocessing import RecordError
 from leaderboard.conformance.probes import probe_estimator
 from leaderboard.metrics.heights import band_pass, nrmse, uncertainty
@@ -62,15 +64,13 @@ def test_simulated_ar_roads_have_the_density_and_coherence_of_the_prior():
 
 
 def test_the_output_kernel_passes_its_band_and_no_long_waves():
-    u, K, newest_node = np.empty(2 + 4000), 4000, 5000
-    number = newest_node - K + 1 + np.arange(K)
-    at, half = 3000.3, HALF_WINDOW / NODE_SPACING
+    number, u = np.arange(4000), np.empty(2 + 4000)
+    at, half = 1998.3, HALF_WINDOW / NODE_SPACING
     for n, cutoff, gain in (
         (0.02, 0.25, 0.0016), (0.1, 0.25, 0.5), (1.0, 0.25, 1.0), (4.0, 0.1, 0.0),
     ):  # fmt: skip
-        output_weights(u, at, newest_node, decay_per_node(NODE_SPACING), cutoff, half)
-        wave = np.cos(2.0 * np.pi * n * NODE_SPACING * (number - at))
-        height = sum(u[2 + k % K] * x for k, x in zip(number, wave, strict=True))
+        output_weights(u, at, decay_per_node(NODE_SPACING), cutoff, half)
+        height = u[2:] @ np.cos(2.0 * np.pi * n * NODE_SPACING * (number - at))
         # the curve is lower than its coefficients
         attenuation = (2.0 + np.cos(2.0 * np.pi * n * NODE_SPACING)) / 3.0
         assert height * (attenuation if n < 1.0 else 1.0) == pytest.approx(
@@ -251,6 +251,26 @@ def test_intervals_widen_where_obstacles_surprise_the_filter(name):
     assert 0.7 < scores.coverage_90
 
 
+def test_nodes_that_have_left_are_smoothed_as_if_all_were_held(monkeypatch):
+    """Over obstacles, whose steps are accepted after nodes have left that their edges disturb."""
+    case = "ride", 30.0, 72, 60.0, "random_bumps"
+    (record, _), few = drive(*case), estimate_of("kalman_lag", *case)
+
+    def hold_all(*arguments):
+        windows = schedule_windows(*arguments)
+        return replace(windows, n_nodes=windows.n_nodes + round(LAG / NODE_SPACING))
+
+    monkeypatch.setattr(pipeline, "schedule_windows", hold_all)
+    steps = []
+    monkeypatch.setattr(
+        "estimators.kalman.estimators.obstacle_std",
+        lambda square, *_: steps.append(np.count_nonzero(square)) or 0.0,
+    )
+    all_held = create("kalman_lag").estimate(record, DEFENDER)
+    assert steps[0] > 3
+    np.testing.assert_allclose(few.z, all_held.z, rtol=0.0, atol=1e-6)
+
+
 def test_the_local_nis_is_that_of_both_axles_and_no_later_than_the_lag():
     s, front = np.arange(0.0, 30.0, 0.025), np.arange(-5.0, 35.0, 0.05)
     nis = np.where(np.abs(front - 20.0) < 0.3, 9.0, 0.5)
@@ -286,7 +306,7 @@ def test_the_roughness_scale_is_estimated_within_a_factor_of_two():
         record, _ = drive("handling", 54.0, 2, 60.0, name)
         inputs = build_model_inputs(record, PAPER, DEFENDER, 0.001)
         measurements = block_means(record.a, np.isfinite(record.a), 3)
-        options = {"noise_variance": 0.05, "prior": PRIOR, "level_ends": True, "lag": 4.79}
+        options = {"noise_variance": 0.05, "prior": PRIOR, "level_ends": True}
         run = setup_run(record, DEFENDER, PAPER, inputs, measurements, **options)
         run_filter(run, setup_output(run, record, 4.79, 0.004, detrended=True))
         assert abs(np.log2(run.state.adaptive[ROUGHNESS_SCALE] / scale)) < 1.0

@@ -1,0 +1,123 @@
+"""Windows of blocks in which the filter works, and at which of them a height is emitted."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+MAX_BLOCKS = 24
+"""Blocks in one window, at most: the covariance takes the update of a window at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class WindowSchedule:
+    """W windows in order. `edges` (W + 1,): the first block of each, and the number of blocks.
+
+    Node numbers: `newest` (W,) held in a window, of `n_nodes`; `initial`, the newest before the
+    first window; the local state has `n_front` (W,) nodes from the newest on, and `n_rear` (W,)
+    from `rear_newest` (W,) on. `rear` (W,): the last node that the rear axle has passed whole.
+    `reached` (J + 1,): the newest node that the front axle has touched after so many blocks.
+    """
+
+    edges: np.ndarray
+    newest: np.ndarray
+    initial: int
+    n_nodes: int
+    n_front: np.ndarray
+    n_rear: np.ndarray
+    rear_newest: np.ndarray
+    rear: np.ndarray
+    reached: np.ndarray
+
+    @property
+    def oldest(self) -> np.ndarray:
+        """Oldest node held in each window, and before the first one (W + 1,): `oldest[i]` before
+        the window i, `oldest[i + 1]` in it.
+        """
+        return np.append(self.initial, self.newest) - self.n_nodes + 1
+
+
+def schedule_windows(
+    front_node: np.ndarray,
+    steps_per_block: int,
+    wheelbase_nodes: float,
+    max_advance: float,
+    increment_span: int,
+) -> WindowSchedule:
+    """Divide a drive into windows in which the vehicle moves `max_advance` nodes at most, or one
+    block. `front_node` (2 steps,): node number of the front axle at each half step.
+    """
+    blocks = front_node.size // (2 * steps_per_block)
+    node = front_node[: 2 * steps_per_block * blocks].reshape(blocks, -1)
+    start, end = node[:, 0], node[:, -1]
+    edges = [0]
+    while (now := edges[-1]) < blocks:
+        far = end[now : now + MAX_BLOCKS] > start[now] + max_advance
+        edges.append(now + max(int(np.argmax(np.append(far, True))), 1))
+    first = np.array(edges[:-1])
+    low = np.floor(np.minimum.reduceat(node.min(axis=1), first)).astype(int)
+    high = np.maximum.reduceat(node.max(axis=1), first)
+    newest = np.maximum.accumulate(np.floor(high).astype(int) + 2)
+    rear_low = np.floor(np.minimum.reduceat(node.min(axis=1), first) - wheelbase_nodes).astype(int)
+    rear_newest = np.floor(high - wheelbase_nodes).astype(int) + 2
+    rear = np.floor(start[first] - wheelbase_nodes).astype(int) - 1
+    initial = int(front_node[0]) + 2
+    before = np.append(rear[0], rear[:-1]) - increment_span
+    held = np.append(initial, newest[:-1])  # while roughness is updated
+    n_nodes = 1 + max(np.max(held - before), np.max(newest - rear_low + 1))
+    return WindowSchedule(
+        edges=np.append(first, blocks),
+        newest=newest,
+        initial=initial,
+        n_nodes=int(n_nodes),
+        n_front=newest - low + 2,
+        n_rear=rear_newest - rear_low + 2,
+        rear_newest=rear_newest,
+        rear=rear,
+        reached=np.maximum.accumulate(np.append(initial, np.floor(end).astype(int) + 2)),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class EmissionTimes:
+    """T moments at which heights are read: after so many blocks `block` (T,) of the `n_blocks` of
+    the drive, in the window `window` (T,) or before its first block.
+
+    Nodes from `base` (T,) to `newest` (T,) are read; those that are no longer held leave from the
+    window `first` (T,) on, which is `window` + 1 if all are held.
+    """
+
+    block: np.ndarray
+    window: np.ndarray
+    base: np.ndarray
+    newest: np.ndarray
+    first: np.ndarray
+    n_blocks: int
+
+    def within(self, blocks: tuple[int, int]) -> slice:
+        """Return the moments in a part of the drive, from the first of its `blocks` to the last one
+        (excluded); the end of the drive belongs to the last part.
+        """
+        first, last = blocks
+        return slice(*np.searchsorted(self.block, [first, last + (last == self.n_blocks)]))
+
+
+def round_to_windows(schedule: WindowSchedule, block: np.ndarray) -> np.ndarray:
+    """Return the last edge of a window before each `block` (M,); the end of the drive is kept."""
+    edges = schedule.edges
+    rounded = edges[np.searchsorted(edges, block, side="right") - 1]
+    return np.where(block >= edges[-1], edges[-1], rounded)
+
+
+def emission_times(
+    schedule: WindowSchedule, block: np.ndarray, oldest_needed: np.ndarray
+) -> EmissionTimes:
+    """Return the moments after so many blocks `block` (T,), at which nodes from the number
+    `oldest_needed` (T,) on are read.
+    """
+    edges, oldest = schedule.edges, schedule.oldest
+    window = np.searchsorted(edges, np.minimum(block, edges[-1] - 1), side="right") - 1
+    first = np.searchsorted(oldest[1:], oldest_needed, side="right")
+    first = np.minimum(first, window + 1)
+    block = np.minimum(block, edges[-1])
+    newest = schedule.reached[block]
+    return EmissionTimes(block, window, oldest[first], newest, first, int(edges[-1]))
