@@ -248,7 +248,7 @@ def test_intervals_widen_where_obstacles_surprise_the_filter(name):
     y, a = band_pass(np.stack([truth.z, estimate.z]), PROFILE_SPACING, scored_band(30.0 / 3.6))
     scores = uncertainty(y, a, estimate.z_std)
     assert 0.3 < scores.coverage_50 < 0.65
-    assert 0.7 < scores.coverage_90
+    assert 0.85 < scores.coverage_90  # 0.81 without (`kalman_rts`)
 
 
 def test_nodes_that_have_left_are_smoothed_as_if_all_were_held(monkeypatch):
