@@ -10,9 +10,9 @@ re-estimated from the drive, octave by octave, and along the road where it is ro
 over the same unknown road. Gauss-Newton steps with the exact tangent and adjoint of the simulator's
 step (`objective.py`) are solved by conjugate gradients, preconditioned by the stationary linear
 vehicle (`preconditioner.py`). Friction is smoothed and the noise inflated at first and less so in
-later steps (`gauss_newton.py`). At last the road is lowered where a wheel has lifted off
-(`wheel_liftoff.py`). (Talagrand & Courtier 1987, doi:10.1002/qj.49711347812, for the adjoint
-method.)
+later steps (`gauss_newton.py`). Where a wheel has lifted off, the road is lowered, and at last it
+is the mean of what it may be there (`wheel_liftoff.py`). (Talagrand & Courtier 1987,
+doi:10.1002/qj.49711347812, for the adjoint method.)
 
 The model is the vehicle as given, in steps of 1 ms. The measurements are means over 5 ms of the raw
 samples, so up to about 90 Hz: friction mixes frequencies, and accelerations above the scored 25 Hz
@@ -22,9 +22,9 @@ A vehicle that differs from the one given within its tolerances is fitted to the
 (`car_fit.py`), and one that stays unexplained with the elements that the description leaves out but
 whose tolerances say what they are about, such as a frame that twists (`identification.py`).
 
-Known to fail: under a lifted wheel, where the road is only known to lie below it: a hole whose
-floor the wheel does not reach is as deep as the wheel fell; for waves longer than about 50 m, which
-are hardly observable at a walking pace and left out.
+Known to fail: under a lifted wheel, where the road is only known to lie below it, as over a hole
+whose floor the wheel does not reach; for waves longer than about 50 m, which are hardly observable
+at a walking pace and left out.
 """
 
 from collections.abc import Sequence
@@ -61,7 +61,7 @@ from estimators.map_smoother.posterior_sampling import posterior_std
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.speed_error import distance_scale, estimate_speed_error
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
-from estimators.map_smoother.wheel_liftoff import distance_in_air
+from estimators.map_smoother.wheel_liftoff import at_expected_road, distance_in_air
 from estimators.map_smoother.windows import MARGIN, PreparedDrive, reconstruct, split_windows
 from estimators.preprocessing import clipped_signs, mask_record
 from road_envs.analysis.information_bound import RoadPrior
@@ -223,7 +223,9 @@ class MapSmoother(CalibratedByIdentification):
             uncertain = uncertainty
             if findings.fit:
                 uncertain = VehicleUncertainty.of_fit(findings.fit)
-            return solution, posterior_std(solution, band, self.draws, 0, uncertain)
+            std = posterior_std(solution, band, self.draws, 0, uncertain)
+            expected = at_expected_road(solution.linearization)
+            return replace(solution, linearization=expected), std
 
         result, noise_scales = reconstruct(model, drive, prior, windows, solve)
         noise_scale = findings.noise_scale = float(max(noise_scales))

@@ -30,7 +30,7 @@ from estimators.map_smoother.joint_objective import (
 )
 from estimators.map_smoother.objective import MeasurementModel
 from estimators.map_smoother.posterior_sampling import posterior_std
-from estimators.map_smoother.wheel_liftoff import distance_in_air
+from estimators.map_smoother.wheel_liftoff import at_expected_road, distance_in_air
 from estimators.map_smoother.windows import (
     PreparedDrive,
     WindowState,
@@ -159,7 +159,8 @@ def estimate_jointly(
         findings.noise_scale[members] = scale
         findings.in_air[members] += [distance_in_air(one) for one in solution.linearization.passes]
         std = posterior_std(solution, scored_band(slowest), smoother.draws, 0)
-        return solution, std
+        expected = at_expected_road(solution.linearization)
+        return replace(solution, linearization=expected), std
 
     state = reconstruct_passes(smoother, passes, solve)
     drive, s = passes[0].drive, start.s

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from scipy.fft import irfft, rfft
-from scipy.ndimage import label
 from scipy.signal import hilbert
 
 from estimators.common.conjugate_gradients import Operator
@@ -19,7 +18,7 @@ from estimators.common.model_inputs import ModelInputs
 from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.road_prior import RoadTransform
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
-from estimators.map_smoother.wheel_liftoff import unloaded_nodes
+from estimators.map_smoother.wheel_liftoff import LiftoffError, road_below_light_wheels
 
 CG_ITERATIONS, CG_TOLERANCE = 40, 1e-2
 """Iterations of conjugate gradients for one sample, at most, and where they end."""
@@ -37,11 +36,6 @@ STD_INFLATION = 1.1
 OBSTACLE_SHARE = 0.02
 """On roads that are rough in places: share of the mean variance that is added between these places.
 From training drives over potholes and bumps."""
-
-LIFTOFF_SHARE, LIFTOFF_REACH = 0.15, 1.0
-"""Standard deviation of the road below a lifted wheel, relative to the greatest height within so
-many metres [m]. From training drives: nine tenths of the squared error on obstacles are there.
-"""
 
 
 def posterior_std(
@@ -82,28 +76,22 @@ def posterior_std(
     variance = STD_INFLATION**2 * level * shape
     if road.is_uneven:
         variance = variance + OBSTACLE_SHARE * variance[:, middle].mean()
-    c = band_pass(road.apply(objective.split(lin.x)[0]), inside)
-    return np.sqrt(variance + liftoff_variance(unloaded_nodes(lin), c, road.ds, inside))
+    return np.sqrt(add_liftoff_errors(variance, road_below_light_wheels(lin)[1], inside))
 
 
-def liftoff_variance(
-    unloaded: np.ndarray, c: np.ndarray, ds: float, lines: np.ndarray
+def add_liftoff_errors(
+    variance: np.ndarray, errors: Sequence[LiftoffError], lines: np.ndarray
 ) -> np.ndarray:
-    """Return the variance (2, K) [m²] that the road below lifted wheels adds to the error in the
-    band of the spectral `lines`.
+    """Return the `variance` (2, K) [m²] of the error in the band of the spectral `lines`, with that
+    of the road below light wheels.
 
-    `unloaded` (2, K): the nodes that no wheel pressed on, each run of which is too high or too low
-    as a whole; `c` (2, K) [m]: the road in the band; `ds` [m]: distance of the nodes.
+    Where an edge is, is not known to a fraction of a wave in the band, so each error counts by its
+    envelope.
     """
-    variance, reach = np.zeros_like(c), round(LIFTOFF_REACH / ds)
-    for path, mask, total in zip(c, unloaded, variance, strict=True):
-        runs, count = label(mask)
-        for run in range(1, count + 1):
-            nodes = np.flatnonzero(runs == run)
-            error = np.abs(hilbert(band_pass((runs == run)[None].astype(float), lines)[0]))
-            height = np.abs(path[max(nodes[0] - reach, 0) : nodes[-1] + reach + 1]).max()
-            total += (LIFTOFF_SHARE * height * error / error.max()) ** 2
-    return variance
+    total = variance.copy()
+    for path, height in errors:
+        total[path] += np.abs(hilbert(band_pass(height[None], lines)[0])) ** 2
+    return total
 
 
 def draw_deviation(

@@ -10,9 +10,28 @@ therefore goes on from a lowered road:
 - among obstacles it is level there, as low as its lowest point or that of landing. A wheel lifts
   off where the road falls faster than the wheel can, and a road of few edges has fallen before the
   wheel has: behind a bump to the height of landing, into a hole at least as deep as the wheel fell.
+
+At the end the posterior there is one-sided: the road is no higher than estimated, where the wheel
+would have pressed on it, and anywhere between there and the lowest that it can be
+(`road_below_light_wheels`). Among obstacles its distribution over this range R is taken as uniform:
+below a lifted wheel it is R / 2 lower in the mean, with a standard deviation of R / sqrt(12). The
+lowest is
+
+- the height of landing, if the road goes on from there: the wheel has landed on the floor;
+- the floor of the deepest hole that a road of so many holes may have, if the road rises at once:
+  the wheel has hit the far edge of a hole whose floor it did not reach. Of n holes with depths
+  between 0 and D, all equally probable, the deepest is n / (n + 1) D deep in the mean.
+
+Where the wheel is light but presses on the road, and on the nodes next to those, an edge may have
+begun: the road errs by as much there, but not in the mean. A stationary road errs as a random walk
+between known ends (a Brownian bridge), whose mean over m steps of variance s² has the variance
+m s² / 12.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
+from scipy.fft import irfft
 from scipy.ndimage import find_objects, label
 
 from estimators.map_smoother.objective import Linearization
@@ -22,12 +41,23 @@ LIFTOFF_LOAD_SHARE = 0.1
 """Share of the mean wheel load below which a wheel counts as lifted off."""
 
 MIN_DROP = 0.01
-"""Least lowering of the road [m] for another minimization."""
+"""Least lowering of the road [m] for another minimization, and least depth of a hole."""
+
+LIGHT_LOAD_SHARES = {True: 0.5, False: 0.3}
+"""Share of the mean wheel load below which the road below a wheel is hardly known, on roads that
+are level between obstacles and on others. Over a short hole the wheel has lifted off, while on a
+shallow dip instead, which explains the measurements as well, it is light. From training drives."""
+
+EDGE_REACH, EDGE_SHARE = 0.15, 0.25
+"""Distance [m] behind a light wheel within which the road rises by at least this share of its fall
+before if the wheel has hit the far edge of a hole."""
 
 
-def unloaded_nodes(lin: Linearization) -> np.ndarray:
-    """Return which free nodes (2, K) were passed but never pressed on, in any of the passes."""
-    return np.all([_unloaded_in_pass(one) for one in lin.passes], axis=0)
+def unloaded_nodes(lin: Linearization, share: float = LIFTOFF_LOAD_SHARE) -> np.ndarray:
+    """Return which free nodes (2, K) were passed but never pressed on by this `share` of the mean
+    wheel load, in any of the passes.
+    """
+    return np.all([_unloaded_in_pass(one, share) for one in lin.passes], axis=0)
 
 
 def passed_nodes(lin: Linearization) -> np.ndarray:
@@ -36,13 +66,13 @@ def passed_nodes(lin: Linearization) -> np.ndarray:
     return np.asarray(passed & (lin.objective.road.free > 0))
 
 
-def _unloaded_in_pass(lin: Linearization) -> np.ndarray:
+def _unloaded_in_pass(lin: Linearization, share: float) -> np.ndarray:
     road, nodes = lin.objective.road, _wheel_nodes(lin)
     loads, max_load = lin.tape.signals[:, LOAD : LOAD + 4], np.zeros((2, road.size))
     for wheel in range(4):
         for k in (0, 1):  # the nodes to either side carry the wheel
             np.maximum.at(max_load[wheel % 2], nodes[wheel // 2] + k, loads[:, wheel])
-    light = max_load < LIFTOFF_LOAD_SHARE * loads.mean()
+    light = max_load < share * loads.mean()
     return light & _passed_by(lin, nodes) & (road.free > 0)
 
 
@@ -96,3 +126,81 @@ def _level(path: np.ndarray, mask: np.ndarray) -> np.ndarray:
     for (run,) in find_objects(label(mask)[0]):
         c[run] = path[max(run.start - 1, 0) : run.stop + 1].min()
     return c
+
+
+class LiftoffError(NamedTuple):
+    """Error of the road below a light wheel: of the wheel `path`, with the standard deviation
+    `height` (K,) [m], the same error for all nodes but for this factor.
+    """
+
+    path: int
+    height: np.ndarray
+
+
+class _Gap(NamedTuple):
+    """Nodes `run` of a wheel `path` on which the wheel was light, the `level` [m] of landing, and
+    by how much the road falls to it before them, and rises from it behind them, within EDGE_REACH.
+    """
+
+    path: int
+    run: slice
+    level: float
+    fall: float
+    rise: float
+
+
+def road_below_light_wheels(lin: Any) -> tuple[np.ndarray, list[LiftoffError]]:
+    """Return by how much (2, K) [m] the road is lower than that of `lin` in the mean, and its
+    errors below light wheels, which are independent of one another.
+
+    `lin` is of one pass or of several.
+    """
+    road = lin.objective.road
+    c = road.coefficients(lin.objective.split(lin.x)[0])
+    light = unloaded_nodes(lin, LIGHT_LOAD_SHARES[road.is_level_between_obstacles])
+    gaps = [
+        _gap(c, path, run, round(EDGE_REACH / road.ds))
+        for path, mask in enumerate(light)
+        for (run,) in find_objects(label(mask)[0])
+    ]
+    lower, errors, unloaded = np.zeros_like(c), [], unloaded_nodes(lin)
+    if not road.is_level_between_obstacles:
+        step_variance = road.local**2 * irfft(road.amplitude**2, road.size, axis=1)[:, 0].sum()
+        return lower, [_bridge(step_variance, gap) for gap in gaps]
+    falls = [gap.fall for gap in gaps if gap.fall > MIN_DROP]
+    for path, run, level, fall, rise in gaps:
+        height, unseen = np.zeros((2, road.size))
+        before = max(run.start - 1, 0)
+        height[before : run.stop] = np.maximum(c[path, before : run.stop] - level, 0.0)
+        if fall > MIN_DROP and rise > EDGE_SHARE * fall:
+            unseen[before : run.stop + 1] = max(falls) * (1.0 + 1.0 / len(falls)) - fall
+        lower[path, run] += (unloaded[path] * height + unseen)[run] / 2.0
+        errors += [LiftoffError(path, part / np.sqrt(12.0)) for part in (height, unseen)]
+    return lower, errors
+
+
+def at_expected_road(lin: Any) -> Any:
+    """Return the linearization at the mean of the road below light wheels."""
+    lower, _ = road_below_light_wheels(lin)
+    if not lower.max() > 0.0:
+        return lin
+    u = lin.objective.road.whiten(-np.diff(lower, axis=1, prepend=0.0)).ravel()
+    try:
+        return lin.relinearize(lin.x + np.pad(u, (0, lin.x.size - u.size)), lin.objective.plant)
+    except ArithmeticError:  # the motion was not finite
+        return lin
+
+
+def _gap(c: np.ndarray, path: int, run: slice, reach: int) -> _Gap:
+    level = c[path, run.stop]
+    before = c[path, max(run.start - reach, 0) : run.start + 1]
+    behind = c[path, run.stop : run.stop + reach + 1]
+    return _Gap(path, run, level, before.max() - level, behind.max() - level)
+
+
+def _bridge(step_variance: np.ndarray, gap: _Gap) -> LiftoffError:
+    """Return the error of a straight road across a gap, whose steps have this variance (2, K)."""
+    height = np.zeros(step_variance.shape[1])
+    steps = step_variance[gap.path, gap.run.start : gap.run.stop + 1]
+    height[gap.run] = np.sqrt(steps.sum() / 12.0)
+    return LiftoffError(gap.path, height)
