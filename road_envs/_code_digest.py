@@ -66,12 +66,7 @@ def code_digest(text: bytes) -> str:
 
     Raises SyntaxError if the text is no Python.
     """
-    tree = ast.parse(text)
-    for node in ast.walk(tree):
-        body = getattr(node, "body", None)
-        if isinstance(body, list):
-            node.body = [s for s in body if not _is_text(s)] or [ast.Pass()]  # type: ignore[attr-defined]
-    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:DIGITS]
+    return _parse(text).digest
 
 
 @cache
@@ -90,9 +85,11 @@ def closure(module: str, root: Path = ROOT) -> tuple[Path, ...]:
 
 def importers(folder: Path, module: str) -> list[Path]:
     """Return the files below `folder` that import something from `module`."""
+    spelt = module.rpartition(".")[2].encode()  # most files need no parsing
+    paths = (path for path in sorted(folder.rglob("*.py")) if spelt in path.read_bytes())
     return [
         path
-        for path in sorted(folder.rglob("*.py"))
+        for path in paths
         if any(name.partition(":")[0] == module for name in _source(path).imports)
     ]
 
@@ -140,22 +137,26 @@ def _source(path: Path) -> Source:
     known = _memory()
     if key not in known:
         try:
-            known[key] = Source(code_digest(text), _imports(text))
+            known[key] = _parse(text)
         except SyntaxError:  # in somebody else's package; it counts by every byte
             known[key] = Source(key[:DIGITS], ())
         _parsed.append(key)
     return known[key]
 
 
-def _imports(text: bytes) -> tuple[str, ...]:
-    """Import statements of this project's packages, wherever they stand, as `Source` has them."""
-    names: dict[str, None] = {}
-    for node in ast.walk(ast.parse(text)):
+def _parse(text: bytes) -> Source:
+    """Return digest and imports of this project's packages, wherever the statements stand."""
+    tree, names = ast.parse(text), dict[str, None]()
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            node.body = [s for s in body if not _is_text(s)] or [ast.Pass()]  # type: ignore[attr-defined]
         if isinstance(node, ast.Import):
             names.update(dict.fromkeys(alias.name for alias in node.names))
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             names.update(dict.fromkeys(f"{node.module}:{alias.name}" for alias in node.names))
-    return tuple(name for name in names if name.partition(":")[0].partition(".")[0] in PACKAGES)
+    own = (name for name in names if name.partition(":")[0].partition(".")[0] in PACKAGES)
+    return Source(hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:DIGITS], tuple(own))
 
 
 _parsed: list[str] = []

@@ -224,7 +224,20 @@ def _adapter(cls: Any) -> TypeAdapter:
 def _range_adapters(cls: Any) -> dict[str, TypeAdapter]:
     """Return a validator of each field whose annotation has constraints."""
     hints: dict[str, Any] = {f.name: f.type for f in dataclasses.fields(cls)}
-    return {name: TypeAdapter(hint) for name, hint in hints.items() if _is_constrained(hint)}
+    return {name: _validator(_unnoted(h)) for name, h in hints.items() if _is_constrained(h)}
+
+
+@cache
+def _validator(hint: Any) -> TypeAdapter:
+    return TypeAdapter(hint)
+
+
+def _unnoted(hint: Any) -> Any:
+    """Return a type without unit and meaning: fields of one range then share a validator."""
+    rules = tuple(note for note in getattr(hint, "__metadata__", ()) if not isinstance(note, str))
+    if get_origin(hint) is not Annotated:
+        return hint
+    return Annotated[(hint.__origin__, *rules)] if rules else hint.__origin__
 
 
 def _is_constrained(hint: Any) -> bool:

@@ -33,7 +33,7 @@ print(time.process_time())
 
 IMPORTS_SCRIPT = """
 import time
-import gymnasium, numba, pydantic, scipy.fft, scipy.special, yaml
+import gymnasium, numba, pydantic, scipy.special, yaml
 print(time.process_time())
 """
 
@@ -76,7 +76,7 @@ def start_up_cost() -> list[dict[str, Any]]:
         ("import road_envs and gym.make, without torch", make, 0.5, limit),
         ("first step, with compiled code", warm, 0.6, limit),
         ("first step, without compiled code", cold, 8.0,
-            "seventy kernels are typed and lowered by Numba, in Python, and optimised by LLVM"),
+            "some sixty kernels are typed and lowered by Numba, in Python, and optimised by LLVM"),
     ]  # fmt: skip
     return [
         *(

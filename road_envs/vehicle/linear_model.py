@@ -49,7 +49,6 @@ from road_envs.vehicle.suspension import (
 )
 from road_envs.vehicle.tyres import tyre_force
 
-COORDINATE_UNITS = ("m", "rad", "rad", "m", "rad", "m", "rad")
 NATURAL_MODE_NAMES = (
     *("bounce", "roll", "pitch"),
     *("front axle hop", "front axle roll", "rear axle hop", "rear axle roll"),
@@ -62,12 +61,13 @@ FRAME_TORSION_MODE = "frame torsion"
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """State-space model x' = A x + B u, a = C x + D u with S sensors, names and units.
+    """State-space model x' = A x + B u, a = C x + D u with S sensors, and names.
 
-    A (14, 14), B (14, 8), C (S, 14), D (S, 8). `M` (7,): masses [kg] and inertias [kg m²] of the
-    coordinates. `strut_rows` (4, 7), `sensor_rows` (S, 7): strut extensions and sensor heights as
-    linear functions of the coordinates. `wheelbase` [m]. A flexible frame adds an eighth
-    coordinate, so that there are 16 states.
+    A (14, 14), B (14, 8), C (S, 14), D (S, 8), of heights [m], angles [rad], their rates [1/s] and
+    accelerations [m/s²]. `M` (7,): masses [kg] and inertias [kg m²] of the coordinates.
+    `strut_rows` (4, 7), `sensor_rows` (S, 7): strut extensions and sensor heights as linear
+    functions of the coordinates. `wheelbase` [m]. A flexible frame adds an eighth coordinate, so
+    that there are 16 states.
     """
 
     A: np.ndarray
@@ -80,15 +80,7 @@ class LinearModel:
     wheelbase: float
     sensors: tuple[str, ...]
     states: tuple[str, ...] = (*DOF, *(f"{name}_dot" for name in DOF))
-    state_units: tuple[str, ...] = (*COORDINATE_UNITS, *(f"{unit}/s" for unit in COORDINATE_UNITS))
     inputs: tuple[str, ...] = (*(f"z_{w}" for w in WHEELS), *(f"w_{w}" for w in WHEELS))
-    input_units: tuple[str, ...] = (*("m",) * 4, *("m/s",) * 4)
-    output_unit: str = "m/s²"
-
-    @property
-    def poles(self) -> np.ndarray:
-        """Eigenvalues (14,) of A [rad/s]."""
-        return np.linalg.eigvals(self.A)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,11 +139,10 @@ def linearise(
     axles = plant.constants[0]["x"]
     C, D = heights @ A[n:], heights @ B[n:]
     struts, wheelbase = _as_matrix(extension, plant), float(axles[0] - axles[1])
-    names, units = (*DOF, "psi")[:n], (*COORDINATE_UNITS, "rad")[:n]
+    names = (*DOF, "psi")[:n]
     return LinearModel(
         *(A, B, C, D, plant.inertias.copy(), struts, heights, wheelbase, tuple(sensors)),
         states=(*names, *(f"{name}_dot" for name in names)),
-        state_units=(*units, *(f"{unit}/s" for unit in units)),
     )
 
 

@@ -216,7 +216,7 @@ def test_poles_of_a_lightly_damped_car_match_modal_damping_ratios():
         rear=replace(CARS["unequal_axles"].rear, **tyres),
     )
     model = linearise(car, "ride", BODY, damping=np.full(4, 40.0))
-    actual, poles = natural_modes(model), model.poles
+    actual, poles = natural_modes(model), np.linalg.eigvals(model.A)
     poles = poles[poles.imag > 0.0]
     poles = poles[np.argsort(np.abs(poles))]
     np.testing.assert_allclose(np.abs(poles) / (2.0 * np.pi), actual.f, rtol=1e-4)
@@ -289,14 +289,13 @@ def test_given_damping_replaces_the_strut_slopes_in_the_model():
 # --- names and errors -----------------------------------------------------------------------------
 
 
-def test_states_inputs_and_sensors_have_names_and_units():
+def test_states_inputs_and_sensors_have_names():
     instruments, car = load_instruments("paper"), DEFENDER
     model = linearise(car, "ride", instruments.locations(car))
     assert model.sensors == ("RF", "LR", "RR") and model.wheelbase == car.wheelbase
-    assert len(model.states) == len(model.state_units) == model.A.shape[0] == 14
-    assert len(model.inputs) == len(model.input_units) == model.B.shape[1] == 8
-    assert dict(zip(model.states, model.state_units, strict=True))["phi_ar_dot"] == "rad/s"
-    assert dict(zip(model.inputs, model.input_units, strict=True))["w_RL"] == "m/s"
+    assert len(model.states) == model.A.shape[0] == 14
+    assert len(model.inputs) == model.B.shape[1] == 8
+    assert model.states[13] == "phi_ar_dot" and model.inputs[6] == "w_RL"
 
 
 def test_parameters_and_plant_give_the_same_model():
