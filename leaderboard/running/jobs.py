@@ -102,8 +102,10 @@ def to_packed_text(job: Job) -> tuple[str, dict[str, Path]]:
 
 
 def _to_spec(job: Job) -> dict[str, Any]:
-    digests = {"task_digest": job.task.digest, "evaluation_code": evaluation_version()}
-    return to_json_types(dataclasses.replace(job, **digests))
+    evaluation_code = evaluation_version()
+    return to_json_types(
+        dataclasses.replace(job, task_digest=job.task.digest, evaluation_code=evaluation_code)
+    )
 
 
 def from_text(text: str, where: str, folder: Path = Path()) -> Job:
