@@ -188,19 +188,16 @@ def bound_of_passes(
     instruments: Instruments,
     prior: RoadPrior,
     *,
-    residual_as_noise: bool = False,
     n: np.ndarray | None = None,
-    f_c: float = F_C,
 ) -> Posterior:
     """Return the least error of linear reconstruction of one road from several passes over it.
 
     The noise of the passes is independent, so that their information H* R^-1 H adds. `n`
-    [cycles/m] is by default the band of the fastest; other arguments as those of `bound`.
+    [cycles/m] is by default the band of the fastest.
     """
     if n is None:
         n = np.linspace(*scored_band(max(one.v for one in passes)), N_FREQUENCIES)
-    options: dict[str, Any] = {"residual_as_noise": residual_as_noise, "f_c": f_c}
-    parts = [measurement(one, instruments, prior, n, **options) for one in passes]
+    parts = [measurement(one, instruments, prior, n) for one in passes]
     H = np.concatenate([H for H, _ in parts], axis=1)
     R, first = np.zeros((n.size, H.shape[1], H.shape[1]), dtype=complex), 0
     for _, one in parts:
@@ -217,8 +214,8 @@ def measurement(
     *,
     locations: Mapping[str, tuple[Any, ...]] | None = None,
     damping: np.ndarray | None = None,
-    residual_as_noise: bool,
-    f_c: float,
+    residual_as_noise: bool = False,
+    f_c: float = F_C,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return response H (F, S, 2) and noise spectrum R (F, S, S) of the sensors at `n` (F,).
 
@@ -303,17 +300,15 @@ class BoundTable:
         prior: RoadPrior,
         speeds: Iterable[float],
         modes: tuple[str, ...] = ("ride", "handling"),
-        model_error: float = 0.0,
     ) -> "BoundTable":
         """Evaluate the bound for every pair of states and every speed."""
         v = np.unique(np.array(list(speeds), dtype=float))
         plant, locations = build_plant(car), instruments.locations(car)
-        shared: dict[str, Any] = {"locations": locations, "model_error": model_error}
 
         def pooled_nrmse(front: str, rear: str, speed: float) -> float:
             mode = {"front": front, "rear": rear}
             n = np.linspace(*scored_band(speed), N_FREQUENCIES // 4)
-            return bound(plant, mode, speed, instruments, prior, n=n, **shared).pooled
+            return bound(plant, mode, speed, instruments, prior, n=n, locations=locations).pooled
 
         table = [[[pooled_nrmse(f, r, speed) for speed in v] for r in modes] for f in modes]
         return cls(modes, v, np.array(table))
