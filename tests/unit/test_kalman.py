@@ -14,6 +14,7 @@ from estimators import create
 from estimators.api import LAG
 from estimators.common.block_means import block_means
 from estimators.common.model_inputs import build_model_inputs
+from estimators.kalman import estimators as kalman_estimators
 from estimators.kalman import pipeline
 from estimators.kalman.friction_linearization import RATE_STDS, residual_variance, smoothed_tables
 from estimators.kalman.monitoring import local_nis, reduce_uncertain
@@ -269,6 +270,16 @@ def test_nodes_that_have_left_are_smoothed_as_if_all_were_held(monkeypatch):
     all_held = create("kalman_lag").estimate(record, DEFENDER)
     assert steps[0] > 3
     np.testing.assert_allclose(few.z, all_held.z, rtol=0.0, atol=1e-6)
+
+
+def test_variances_are_multiplied_by_the_local_nis(monkeypatch):
+    case, stds = ("handling", 54.0, 3, 20.0), []
+    for factor in (1.0, 4.0):
+        monkeypatch.setattr(
+            kalman_estimators, "local_nis", lambda nis, front, s, lag, x=factor: np.full(s.size, x)
+        )
+        stds.append(create("kalman_lag").estimate(drive(*case)[0], DEFENDER).z_std)
+    assert np.median(stds[1] / stds[0]) == pytest.approx(2.0, rel=0.05)
 
 
 def test_the_local_nis_is_that_of_both_axles_and_no_later_than_the_lag():
