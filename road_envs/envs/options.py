@@ -14,8 +14,6 @@ from road_envs.roads import load_road, with_length
 from road_envs.roads.surface import Surface
 from road_envs.sensing.data_logger import DataLogger, load_instruments
 from road_envs.simulation.control_step import (
-    ANGLES,
-    MAX_ANGLE,
     MAX_EXTENSION,
     MAX_EXTENSION_RATE,
     MAX_PLANAR,
@@ -24,6 +22,7 @@ from road_envs.simulation.control_step import (
     StepOutput,
 )
 from road_envs.simulation.drive import DriveSimulator
+from road_envs.simulation.failures import ANGLES, MAX_ANGLE
 from road_envs.simulation.instrumented_fleet import InstrumentedFleet
 from road_envs.simulation.manoeuvres import load_manoeuvre
 from road_envs.simulation.speed import MAX_SPEED_KMH

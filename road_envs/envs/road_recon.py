@@ -10,7 +10,6 @@ import numpy as np
 from road_envs.config import ConfigError, validate_choice
 from road_envs.envs.options import EnvSetup, EpisodeStart
 from road_envs.simulation.control_step import (
-    END_OF_ROAD,
     OUTPUT_COLUMNS,
     TRUE_LOADS,
     TRUE_PROFILE,
@@ -18,6 +17,7 @@ from road_envs.simulation.control_step import (
     StepOutput,
 )
 from road_envs.simulation.drive import DriveSimulator
+from road_envs.simulation.failures import END_OF_ROAD
 
 RENDERED_HISTORY = 4.0
 """Length of the acceleration traces in a rendered frame [s]."""

@@ -13,6 +13,7 @@ import numpy as np
 from road_envs._numba import kernel
 from road_envs.sensing.filters import filter_sample
 from road_envs.simulation.drive import DriveInputs
+from road_envs.simulation.failures import END_OF_ROAD, NONFINITE_STEP, ROLLOVER, find_failures
 from road_envs.simulation.fleet import (
     NO_MANOEUVRE,
     LaneScratch,
@@ -33,19 +34,13 @@ from road_envs.simulation.rosenbrock import (
 )
 from road_envs.simulation.simd import (
     LANES,
-    any_positive,
     extract_lane,
-    is_zero_or_one,
     maximum,
     minimum,
 )
 from road_envs.simulation.simd_arrays import add, get, put, stack_rows
-from road_envs.vehicle.equations import DOF, N_DOF, PHI, THETA, Z_B, extension
+from road_envs.vehicle.equations import N_DOF, PHI, THETA, Z_B, extension
 from road_envs.vehicle.parameters import GRAVITY
-
-ANGLES = tuple(DOF.index(name) for name in ("phi", "theta", "phi_af", "phi_ar"))
-MAX_ANGLE = float(np.radians(45.0))
-"""Limit [rad] of each of ANGLES, beyond which the small-angle model is invalid."""
 
 OUTPUT_COLUMNS = (
     "t", "station", "speed_kmh", "comfort", "rattle", "tyre_load", "reward", "unresolved_variance",
@@ -65,9 +60,6 @@ STEPS_DONE, STEPS_TOTAL = range(2)
 DRIVE_START, SPEED, SPEED_KMH, SPEED_GAIN = range(4)
 ROAD_OFFSET, ROAD_SIZE, ROAD_START, ROAD_PER_DS = 0, 2, 3, 4
 """Rows of `FleetState.counts`, `FleetState.kinematics` and `FleetState.road_layout`."""
-
-END_OF_ROAD, ROLLOVER, NONFINITE_STEP = range(3)
-"""Columns of `StepOutput.events`."""
 
 TRUE_S, TRUE_PROFILE, TRUE_LOADS, N_TRUE = 0, 1, 3, 7
 """Rows of `StepOutput.truth`, and their number."""
@@ -157,8 +149,8 @@ class StepOutput(NamedTuple):
     """Output of one control interval with k samples, of N vehicles with S accelerometers.
 
     `observation` (N, S k + 5 or more) float32, see `RoadReconEnv`; `values` (N, 8), see
-    OUTPUT_COLUMNS; `events` (N, 3), the columns below; ground truth `truth` (N, 7, k), the rows
-    below, or (N, 0, k) unless requested.
+    OUTPUT_COLUMNS; `events` (N, 3), columns as in `failures`; ground truth `truth` (N, 7, k), the
+    rows below, or (N, 0, k) unless requested.
     """
 
     observation: np.ndarray
@@ -206,46 +198,6 @@ def allocate_workspace(steps: int, sensors: int, keep_signals: bool) -> ControlS
         a=aligned_zeros(sensors, steps),
         signals=aligned_zeros(keep_signals * steps, N_SIGNALS),
     )
-
-
-@kernel(inline=False)
-def _mark_nonfinite(signals, i, events):
-    """Note step `i` as the first non-finite one of diverged lanes; zero their `signals`."""
-    for k in range(LANES):
-        total = 0.0
-        for j in range(N_SIGNALS):
-            total += signals[j, k]
-        if not np.isfinite(total):
-            if k < events.shape[0] and events[k, NONFINITE_STEP] < 0:
-                events[k, NONFINITE_STEP] = i
-            for j in range(N_SIGNALS):
-                signals[j, k] = 0.0  # keeps the output and the filter states finite
-
-
-@kernel(inline=False)
-def _mark_rollover(signals, i, events):
-    """Note the first angle beyond MAX_ANGLE in step `i` of lanes that have not rolled over yet."""
-    for k in range(events.shape[0]):
-        for column in range(len(ANGLES)):
-            if events[k, ROLLOVER] < 0 and abs(signals[ANGLES[column], k]) > MAX_ANGLE:
-                events[k, ROLLOVER] = len(ANGLES) * i + column
-
-
-@kernel
-def _find_failures(signals, i, events):
-    """Note lanes of which the motion of step `i` is not finite, or an angle is beyond MAX_ANGLE.
-
-    What is not finite reaches an acceleration in the same step.
-    """
-    total, angle = get(signals, ACCELERATION), 0.0 * get(signals, ACCELERATION)
-    for j in range(1, N_DOF):
-        total = total + get(signals, ACCELERATION + j)
-    if not is_zero_or_one(0.0 * total):
-        _mark_nonfinite(signals, i, events)
-    for j in ANGLES:
-        angle = maximum(angle, maximum(get(signals, j), -get(signals, j)))
-    if any_positive(angle - MAX_ANGLE):
-        _mark_rollover(signals, i, events)
 
 
 @kernel
@@ -385,7 +337,7 @@ def advance_blocks(blocks, state, parameters, inputs, workspace, output):
         put(scratch.valves, 1, 0.0)
         for i in range(n):
             take_step(vehicles, roads, drive_inputs, i, scratch, signals, None)
-            _find_failures(signals, i, events)
+            find_failures(signals, i, events)
             _measure(
                 parameters, state.sensor_rows[b], state.antialias_state[b], signals, i, workspace.a
             )

@@ -47,6 +47,9 @@ def test_lanes_on_steep_and_on_even_roads_match_vehicles_simulated_alone():
         scale = np.abs(alone).max(axis=0)
         difference = np.abs(select_vehicle(signals, k) - alone).max(axis=0)
         assert (difference <= 1e-8 * scale + 1e-12).all(), surfaces[k].name
+    # all lanes hold this one vehicle: none takes the whole step where the road is steep
+    together = Fleet(simulators()[:1]).advance(commands[:1, :2500])
+    np.testing.assert_array_equal(select_vehicle(together, 0), select_vehicle(signals, 0))
 
 
 def test_inputs_of_a_substep_lie_on_the_lines_between_the_half_steps():
