@@ -15,6 +15,8 @@ body: F_f + F_r = m z'', x_f F_f + x_r F_r = -I_yy theta''. The coupling is one-
 20 Hz the beam bends by 0.06 mm, which the struts do not feel.
 """
 
+from functools import lru_cache
+
 import numpy as np
 import scipy
 
@@ -49,6 +51,11 @@ def section(mode: BendingMode, step: float) -> np.ndarray:
 
     It is the bilinear transform, exact at the mode's frequency.
     """
+    return _section(mode, step).copy()
+
+
+@lru_cache(maxsize=64)
+def _section(mode: BendingMode, step: float) -> np.ndarray:
     w = 2.0 / step * np.tan(np.pi * mode.f * step)
     poles = w * (-mode.zeta + 1j * np.sqrt(1.0 - mode.zeta**2) * np.array([1.0, -1.0]))
     return scipy.signal.zpk2sos(*scipy.signal.bilinear_zpk(np.zeros(2), poles, 1.0, fs=1.0 / step))
