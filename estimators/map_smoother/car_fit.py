@@ -30,8 +30,12 @@ from road_envs.sensing.instruments import on_axle
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import ParameterSpace, parameter_space
 
-MAX_STEPS, ROAD_STEPS = 6, 2
-"""Steps of the parameters at most, and Gauss-Newton steps of the road after each."""
+MAX_STEPS = 6
+"""Steps of the parameters at most."""
+
+ROAD_STEPS, FIRST_ROAD_STEPS, N_FIRST = 2, 1, 3
+"""Gauss-Newton steps of the road after each, and after each of the first over unmeasured roads,
+which the next ones correct."""
 
 STEPS_WITH_SPEED = 14
 """Steps of the parameters at most where the speed is unknown, too: its error follows them."""
@@ -101,8 +105,8 @@ def fit_car(
 
     `solver`: settings of the road's steps. With `instruments`, errors of the readings are fitted
     too, the same in all drives; possible only where the road is known. `start` (P,) is where the
-    search begins. Over unmeasured roads, every other step after the second takes the derivatives
-    of the step before.
+    search begins. Over unmeasured roads the second step takes the derivatives of the first one, and
+    those of the third one serve four steps, and so on.
     """
     errors = InstrumentErrors.of(solutions[0].linearization.objective)
     size = space.size + instruments * len(errors.names)
@@ -110,7 +114,7 @@ def fit_car(
     original, now = [s.linearization.objective for s in solutions], tuple(solutions)
     covariance = np.eye(size)
     for k in range(max_steps):
-        if instruments or k < 2 or k % 2:
+        if instruments or k == 0 or k % 4 == 2:
             cars = perturbed_cars(space, x[: space.size])
             derivatives = [
                 drive_derivatives(solution, objective, cars, x[space.size :])
@@ -126,8 +130,9 @@ def fit_car(
         step *= min(share, MAX_CHANGE / np.abs(step).max())
         x = x + step
         car = space.from_vector(x[: space.size])
+        road_steps = FIRST_ROAD_STEPS if k < N_FIRST and not instruments else ROAD_STEPS
         now = tuple(
-            _resolve(solution, errors.apply(o.with_car(car), x[space.size :]), solver)
+            _resolve(solution, errors.apply(o.with_car(car), x[space.size :]), solver, road_steps)
             for solution, o in zip(now, original, strict=True)
         )
         if (np.abs(step) < SMALL_CHANGE * np.sqrt(np.diag(covariance))).all():
@@ -214,9 +219,10 @@ def _resolve(
     solution: MapSolution,
     objective: Objective,
     solver: GaussNewton,
+    road_steps: int = ROAD_STEPS,
     change: np.ndarray | None = None,
 ) -> MapSolution:
-    """Return the solution of a drive with another `objective`, from its road on.
+    """Return the solution of a drive with another `objective`, after steps from its road on.
 
     With a `change` of the unknowns that is expected, the prior of the road follows it, too.
     """
@@ -225,10 +231,10 @@ def _resolve(
     x = solution.linearization.x + (0.0 if change is None else change)
     lin = linearize(objective, x, objective.information)
     noise_scale, iterations = solution.noise_scale, solution.cg_iterations
-    for _ in range(ROAD_STEPS):
+    for _ in range(road_steps):
         noise_scale = update_noise_scale(lin, stationary, noise_scale)
         lin, k, _ = solver.step(lin, objective.model.plant, noise_scale)
         iterations += k
         if change is not None:
             lin = update_prior(lin, stationary, noise_scale)
-    return MapSolution(lin, stationary, noise_scale, solution.steps + ROAD_STEPS, iterations)
+    return MapSolution(lin, stationary, noise_scale, solution.steps + road_steps, iterations)

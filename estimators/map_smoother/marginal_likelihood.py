@@ -34,11 +34,15 @@ from scipy.fft import rfft, rfftfreq
 from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.instrument_errors import InstrumentErrors
 from estimators.map_smoother.objective import Linearization, Objective
-from estimators.map_smoother.preconditioner import linear_responses, prior_spectrum
+from estimators.map_smoother.preconditioner import (
+    linear_responses,
+    prior_spectrum,
+    response_differences,
+)
 from road_envs.analysis.statistical_linearization import hermitian
 from road_envs.simulation.lanes import SharedInputs, drive_variants
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.tolerances import ParameterSpace
+from road_envs.vehicle.tolerances import ParameterSpace, scale_parameters
 
 DIFFERENCE = 0.1
 """Difference of a parameter for its derivative, in units of its tolerance."""
@@ -77,8 +81,9 @@ class Derivatives(NamedTuple):
 
 def perturbed_cars(space: ParameterSpace, x: np.ndarray) -> list[VehicleParameters]:
     """Return the vehicle at `x` (P,), and for each parameter that with it changed by DIFFERENCE."""
-    points = [x, *(x + DIFFERENCE * unit for unit in np.eye(space.size))]
-    return [space.from_vector(point) for point in points]
+    car = space.from_vector(x)
+    factors = zip(space.names, np.exp(DIFFERENCE * space.std).tolist(), strict=True)
+    return [car, *(scale_parameters(car, {name: factor}) for name, factor in factors)]
 
 
 def perturbed_objectives(
@@ -166,7 +171,7 @@ def drive_terms(solution: MapSolution, derivatives: Derivatives) -> LikelihoodTe
     A, r = _spectrum(objective, G), _spectrum(objective, lin.residual[None])
     weighted = np.linalg.solve(covariance, lines[:, None, None] * A)
     if not is_known:
-        information = np.real(np.einsum("fsp,fsq->pq", A.conj(), weighted))
+        information = _gram(A, weighted)
         fit = np.einsum("psj,sj->p", G, lin.apply_inverse_covariance(lin.residual))
         information += derivatives.curvature
         return LikelihoodTerms(fit - derivatives.log_det, information, information)
@@ -182,6 +187,12 @@ def drive_terms(solution: MapSolution, derivatives: Derivatives) -> LikelihoodTe
         for share in (1.0 / scale, (1.0 + count[band] * excess) / scale**2)
     )
     return LikelihoodTerms(fit, information, score)
+
+
+def _gram(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the real parts (P, P) of the products of spectra (F, S, P), summed over all lines."""
+    a, b = (x.reshape(-1, x.shape[2]) for x in (one, other))
+    return np.real(hermitian(a) @ b)
 
 
 def _spectrum(objective: Objective, means: np.ndarray) -> np.ndarray:
@@ -225,13 +236,11 @@ def _log_det_terms(
     stride = max(1, f.size // MAX_LINES)
     f, lines = f[::stride], stride * lines[::stride]
     base = list(linear_responses(objective, f))
+    changes = response_differences(objective, varied, f)
     S = prior_spectrum(objective, f)[:, None, :]
     inverse = np.linalg.inv(_covariance(objective, f, noise))
     dual = [share * hermitian(S * H) @ inverse for share, H in base]
-    M = []
-    for one in varied[1:]:
-        pairs = zip(linear_responses(one, f), base, dual, strict=True)
-        M.append(np.sum([(new - old) @ d for (_, new), (_, old), d in pairs], axis=0) / DIFFERENCE)
-    flat = np.array(M) * np.sqrt(lines)[:, None, None]
+    M = np.sum([dH @ d for dH, d in zip(changes, dual, strict=True)], axis=0) / DIFFERENCE
+    flat = M * np.sqrt(lines)[:, None, None]
     gradient = np.real(np.einsum("pfss,f->p", flat, np.sqrt(lines)))
     return gradient, np.real(np.einsum("pfst,qfts->pq", flat, flat, optimize=True))

@@ -14,7 +14,7 @@ the nodes are shared out among levels of local roughness, and the preconditioner
 of the levels.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +24,13 @@ from scipy.ndimage import gaussian_filter1d
 from estimators.common.bending import BODY
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.road_prior import TO_WHEEL_PATHS, RoadTransform
-from road_envs.vehicle.linear_model import frequency_response, gaussian_damping, linearise
+from road_envs.vehicle.linear_model import (
+    LinearModel,
+    frequency_response,
+    gaussian_damping,
+    linearise,
+    response_changes,
+)
 from road_envs.vehicle.suspension import MODES, WHEELS, decode_commands
 
 DAMPING_RATE = 0.3
@@ -222,17 +228,50 @@ def linear_responses(objective: Objective, f: np.ndarray) -> Iterator[tuple[floa
     """Yield the share of each strut state in the drive, and its response (F, S, 2) at `f` (F,) [Hz]
     to mean and half difference.
     """
-    inputs, model = objective.inputs, objective.model
+    v = float(objective.inputs.v.mean())
+    for share, mode in _modes(objective):
+        H = frequency_response(_linear_model(objective, mode), v, f=f)
+        yield share, _sensed(objective, H, f)
+
+
+def response_differences(
+    objective: Objective, varied: Sequence[Objective], f: np.ndarray
+) -> Iterator[np.ndarray]:
+    """Yield, of each strut state, by how much the responses (P, F, S, 2) of `linear_responses`
+    change to first order from the first to each other of the objectives `varied`.
+    """
+    v, (base, *others) = float(objective.inputs.v.mean()), varied
+    for _, mode in _modes(objective):
+        linear, *models = (_linear_model(one, mode) for one in varied)
+        H, changes = frequency_response(linear, v, f=f), response_changes(linear, models, v, f)
+        pairs = zip(others, changes, strict=True)
+        yield np.array([_sensed(one, H + dH, f) for one, dH in pairs]) - _sensed(base, H, f)
+
+
+def _modes(objective: Objective) -> Iterator[tuple[float, dict[str, str]]]:
+    """Yield the share of each strut state in the drive, and the command of each wheel."""
+    inputs = objective.inputs
     for byte, count in zip(*np.unique(inputs.commands, return_counts=True), strict=True):
-        mode = _decode_mode(int(byte))
-        damping = gaussian_damping(model.plant, mode, DAMPING_RATE)
-        locations = {**model.locations, **({} if model.bending is None else BODY)}
-        linear = linearise(model.plant, mode, locations, damping=damping)
-        H = frequency_response(linear, float(inputs.v.mean()), f=f)
-        if model.bending is not None:
-            H = model.bending.response(H, f)
-        enveloped = np.sinc(f / inputs.v.mean() * model.contact_length)
-        yield count / inputs.n_steps, enveloped[:, None, None] * H @ TO_WHEEL_PATHS
+        yield count / inputs.n_steps, _decode_mode(int(byte))
+
+
+def _linear_model(objective: Objective, mode: dict[str, str]) -> LinearModel:
+    """Return the linear vehicle with the points whose accelerations the sensors need."""
+    model = objective.model
+    damping = gaussian_damping(model.plant, mode, DAMPING_RATE)
+    locations = {**model.locations, **({} if model.bending is None else BODY)}
+    return linearise(model.plant, mode, locations, damping=damping)
+
+
+def _sensed(objective: Objective, H: np.ndarray, f: np.ndarray) -> np.ndarray:
+    """Return the responses (F, S, 2) of the sensors to mean and half difference, from those of the
+    points of `_linear_model` to the road under the tyres.
+    """
+    model = objective.model
+    if model.bending is not None:
+        H = model.bending.response(H, f)
+    enveloped = np.sinc(f / objective.inputs.v.mean() * model.contact_length)
+    return enveloped[:, None, None] * H @ TO_WHEEL_PATHS
 
 
 def _decode_mode(byte: int) -> dict[str, str]:

@@ -27,6 +27,7 @@ the table of displacement, its damper and friction in both tables of velocity.
 """
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -156,19 +157,21 @@ def velocity_tables(
 
     The handling table follows the ride table. Equal struts share their tables.
     """
-
-    def tabulated(key: tuple[int, float, float]) -> list[np.ndarray]:
-        axle, d, f = key
-        return [
-            tabulate((law.scaled(d), stribeck.scaled(f)), V_0, V_STEP, V_CELLS)
-            for law, stribeck in _velocity_curves(car, axle)
-        ]
-
     factors = zip(variation.damper, variation.friction, strict=True)
     keys = [(w // 2 if car.is_passive else 0, *pair) for w, pair in enumerate(factors)]
     distinct = list(dict.fromkeys(keys))
-    tables = [table for key in distinct for table in tabulated(key)]
+    tables = [
+        _velocity_table(law, stribeck, d, f)
+        for axle, d, f in distinct
+        for law, stribeck in _velocity_curves(car, axle)
+    ]
     return np.stack(tables), [2 * distinct.index(key) for key in keys]
+
+
+@lru_cache(maxsize=64)  # varied vehicles share most struts
+def _velocity_table(damper: Curve, friction: Curve, d: float, f: float) -> np.ndarray:
+    """Tabulate a damper scaled by `d` plus friction scaled by `f`."""
+    return tabulate((damper.scaled(d), friction.scaled(f)), V_0, V_STEP, V_CELLS)
 
 
 def _velocity_curves(car: VehicleParameters, axle: int) -> list[tuple[Curve, Curve]]:
