@@ -107,6 +107,11 @@ def _notes(result: IdentificationResult) -> list[str]:
         notes.append(f"not determined by the drives, kept as described: {', '.join(open_)}")
     if far:
         notes.append(f"more than {FAR:g} tolerances from the description: {', '.join(far)}")
+    if result.fit.x.size > size:
+        notes.append(
+            "errors of the instruments are not in the vehicle's file; calibrate of an estimator "
+            "corrects gains and odometer, and leaves accelerometers at the places of their sheet"
+        )
     for described, fitted in result.unexplained:
         if fitted.power > described.power:
             notes.append("on held-out readings the identified vehicle is no better: do not use it")
