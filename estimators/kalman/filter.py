@@ -45,7 +45,7 @@ def filter_window(
     model: FilterModel, inputs: FilterInputs, local: LocalState, test: StepTest, first, last
 ):
     """Filter the blocks from `first` on, to `last` (excluded) or until a step of the road is
-    likely. Return the number of blocks.
+    likely. Return the number of blocks, and whether one is likely.
     """
     size, n_vehicle = local.x.size, model.force_to_state.shape[0]
     block = LinearizedBlock(np.empty((3 + n_vehicle, size)), np.empty(3), np.empty(n_vehicle))
@@ -55,8 +55,8 @@ def filter_window(
         linearize_block(model, inputs, local, j, block)
         update_block(model, inputs, local, block, force_variance, j, j - first)
         if step_is_likely(test, local, j - first):
-            return j - first + 1
-    return last - first
+            return j - first + 1, True
+    return last - first, False
 
 
 @kernel

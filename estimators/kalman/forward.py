@@ -150,8 +150,10 @@ class WindowFilter:
         self._spare = np.empty_like(self._P)
         self._entries = np.arange(n)
 
-    def filter_window(self, i: int) -> list[FilteredWindow]:
-        """Filter the window `i`, in parts where a step of the road is accepted."""
+    def filter_window(self, i: int, keep: bool = True) -> list[FilteredWindow]:
+        """Filter the window `i`, in parts where a step of the road is accepted. They are complete
+        only with `keep`.
+        """
         state, road, schedule = self.state, self.road, self.schedule
         if state.adaptive[NOISE_SCALE] <= lost_noise_scale(state.adaptive[SIGNAL_POWER]):
             self._update_roughness(i)
@@ -165,10 +167,10 @@ class WindowFilter:
             self._accumulate(i, leaving, rows)
         transitions = self._add_nodes(count)
         first, end = (int(edge) for edge in schedule.edges[i : i + 2])
-        parts = [self._filter_part(i, first, end, transitions, left)]
+        parts = [self._filter_part(i, first, end, transitions, left, keep)]
         nothing = left[0][:0], left[1][:0], left[2][:0]
         while (first := parts[-1].blocks[1]) < end:
-            parts.append(self._filter_part(i, first, end, [], nothing))
+            parts.append(self._filter_part(i, first, end, [], nothing, keep))
         return parts
 
     def _filter_part(
@@ -178,12 +180,13 @@ class WindowFilter:
         end: int,
         transitions: list[NodeTransition],
         left: tuple[np.ndarray, np.ndarray, np.ndarray],
+        keep: bool,
     ) -> FilteredWindow:
         """Filter blocks from `first` on, to `end` or until a step is accepted. `left`: `leaving`,
         `covariance` and `direction` of the part.
         """
         state, n, local = self.state, self.road.n_states, self._local_entries(i)
-        own, last = self._filter_local(i, local, first, end)
+        own, last, likely = self._filter_local(i, local, first, end)
         U, innovation = own.U[: 3 * (last - first)], own.innovation[: 3 * (last - first)]
         state.nis[first:last] = own.nis[: last - first]
         state.noise_scale[first:last] = own.noise_scale[: last - first]
@@ -192,8 +195,10 @@ class WindowFilter:
         self._read_nodes(i, (first, last), P_local, U, innovation)
         self._read_bands(i, (first, last), local, U)
         W, size = U @ P_local, local.size
-        transition, D = own.rows[:, size:], W[:, :n].T @ -U
-        D[local] = transition
+        transition, D = own.rows[:, size:], np.zeros((0, size))
+        if keep:
+            D = W[:, :n].T @ -U
+            D[local] = transition
         self._P -= np.dot(W[:, :n].T, W, out=self._spare)
         heights, response = W[:, self._heights], W[:, self._candidates :].copy()
         self._variance -= np.einsum("rk,rk->k", heights, heights)
@@ -207,25 +212,25 @@ class WindowFilter:
         part = FilteredWindow(
             i, (first, last), local, D, U, innovation, transitions, *left, response
         )
-        self._recent.append(part)
         state.jumps.update(response, innovation)
-        self._accept_jumps(i, last)
+        oldest = self._newest - state.jumps.score.size // 2
+        self._recent = [one for one in self._recent if self.schedule.newest[one.index] > oldest]
+        self._recent.append(part)
+        if likely and last < self.schedule.edges[-1]:
+            self._accept_jumps(last)
         return part
 
-    def _accept_jumps(self, i: int, blocks: int) -> None:
+    def _accept_jumps(self, blocks: int) -> None:
         """Accept the steps that are likely after so many `blocks`, and correct the innovations
         since their nodes are in the state.
         """
         state, newest, reached = self.state, self.schedule.newest, self.schedule.reached[blocks]
-        jumps = state.jumps
-        held = newest[i] - jumps.score.size // 2
-        self._recent = [part for part in self._recent if newest[part.index] > held]
-        if jumps.near_step(self._rear(reached[None]))[0] or blocks == self.schedule.edges[-1]:
-            return
         n, columns = state.x.size, self._candidates
         direction = np.concatenate([self._P[:, columns:], self._direction])
         least = MIN_LOG_RATIO * state.adaptive[NOISE_SCALE]
-        for step in jumps.accept(state.x, self._P[:, :columns], direction, int(reached), least):
+        for step in state.jumps.accept(
+            state.x, self._P[:, :columns], direction, int(reached), least
+        ):
             self._variance += step.added * step.direction[n:] ** 2
             self._recent[-1].accepted.append(step)
             for part in self._recent:
@@ -236,10 +241,6 @@ class WindowFilter:
                     part.response[:] -= np.outer(response, step.variance * step.cross)
                     part.direction[:] -= np.outer(shift, step.variance * step.cross)
         self._P[:, columns:], self._direction[:] = direction[:n], direction[n:]
-
-    def _rear(self, reached: np.ndarray) -> np.ndarray:
-        """Return the node at the rear axle, from the newest one that the front axle has touched."""
-        return (reached - 2 - self.model.wheelbase_nodes).astype(int)
 
     def _update_roughness(self, i: int) -> None:
         low, high = self.free_range
@@ -339,9 +340,9 @@ class WindowFilter:
 
     def _filter_local(
         self, i: int, local: np.ndarray, first: int, end: int
-    ) -> tuple[LocalState, int]:
-        """Filter the window `i` from the block `first` on in its local state. Return it, and the
-        block behind the last one.
+    ) -> tuple[LocalState, int, bool]:
+        """Filter the window `i` from the block `first` on in its local state. Return it, the block
+        behind the last one, and whether a step is likely then.
         """
         schedule, size, state, jumps = self.schedule, local.size, self.state, self.state.jumps
         blocks, front = end - first, self.road.first_sum
@@ -362,15 +363,17 @@ class WindowFilter:
             signal_power=np.empty(blocks),
         )
         reached = schedule.reached[first + 1 : end + 1]
+        rear = np.maximum(reached - 2 - self.model.wheelbase_nodes, 0.0).astype(int)
         test = StepTest(
             direction=self._P[local, self._candidates :],
             score=jumps.score.copy(),
             information=np.diag(jumps.information).copy(),
             reached=reached,
-            near_step=jumps.near_step(self._rear(reached)),
+            near_step=jumps.near[rear],
             n_nodes=jumps.length,
         )
-        return own, first + filter_window(self.model, self.inputs, own, test, first, end)
+        done, likely = filter_window(self.model, self.inputs, own, test, first, end)
+        return own, first + done, likely
 
     def _read_nodes(
         self,

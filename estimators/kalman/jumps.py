@@ -107,12 +107,14 @@ class RoadJumps:
     in the left (0) or right (1) wheel path.
 
     `score` (m,) [1/m]; `information` (m, m) [1/m²]; `square` (N, 2) [m²]: squares of the accepted
-    steps of each node of the drive. In nodes: `length`, JUMP_LENGTH, and `rear_reach`, REAR_REACH.
+    steps of each node of the drive; `near` (N,): whether one is near it. In nodes: `length`,
+    JUMP_LENGTH, and `rear_reach`, REAR_REACH.
     """
 
     score: np.ndarray
     information: np.ndarray
     square: np.ndarray
+    near: np.ndarray
     length: int
     rear_reach: int
 
@@ -122,8 +124,9 @@ class RoadJumps:
         state up to `ahead` [m] before the front axle has reached them.
         """
         m, length = 2 * round((JUMP_LENGTH + ahead) / ds), round(JUMP_LENGTH / ds)
-        score, information = np.zeros(m), np.zeros((m, m))
-        return cls(score, information, np.zeros((nodes, 2)), length, round(REAR_REACH / ds))
+        score, information, reach = np.zeros(m), np.zeros((m, m)), round(REAR_REACH / ds)
+        near = np.zeros(nodes, dtype=bool)
+        return cls(score, information, np.zeros((nodes, 2)), near, length, reach)
 
     def begin(self, nodes: np.ndarray) -> np.ndarray:
         """Replace the oldest candidates by those of new `nodes` (M,); return which (M, 2)."""
@@ -140,10 +143,10 @@ class RoadJumps:
         self.score[:] += innovation @ response
         self.information[:] += response.T @ response
 
-    def near_step(self, rear: np.ndarray) -> np.ndarray:
-        """Return whether the rear axle, at the nodes `rear` (B,), is near an accepted step (B,)."""
-        reach = self.rear_reach
-        return np.array([self.square[max(k - reach, 0) : max(k + reach, 0)].any() for k in rear])
+    def add(self, node: int, side: int, step: float) -> None:
+        """Add a `step` [m] at a `node` in a wheel path."""
+        self.square[node, side] += step**2
+        self.near[max(node - self.rear_reach + 1, 0) : node + self.rear_reach + 1] = True
 
     def accept(
         self, x: np.ndarray, P: np.ndarray, direction: np.ndarray, reached: int, least: float
@@ -170,6 +173,6 @@ class RoadJumps:
             direction -= np.outer(f, variance * cross)
             information -= np.outer(variance * cross, cross)
             node = reached - (reached - best // 2) % (m // 2)
-            self.square[node, best % 2] += step**2
+            self.add(node, best % 2, step)
             accepted.append(AcceptedStep(best, node, step, f, variance, added, cross))
         return accepted

@@ -21,6 +21,9 @@ NIS_BEHIND, NIS_AHEAD = 0.5, 4.79
 """Positions of the front axle [m] before and beyond a station whose NIS counts for it: while either
 axle is within two metres of it."""
 
+MIN_BLOCKS = 20
+"""Blocks whose mean is taken where the vehicle moves less than a length, at least."""
+
 POWER_WINDOW = 1.0
 """Length [m] to either side of a station in which the mean square of the heights is taken."""
 
@@ -61,6 +64,16 @@ def local_nis(nis: np.ndarray, front: np.ndarray, s: np.ndarray, lag: float) -> 
     width = int(np.max(high - low)) + 1
     windows = np.minimum(np.maximum(low, 0)[:, None] + np.arange(width), high[:, None])
     return np.maximum(mean[np.clip(windows, 0, size - 1)].max(axis=1), 1.0)
+
+
+def recent_nis(nis: np.ndarray, front: np.ndarray, length: float) -> np.ndarray:
+    """Return the mean (J,) of the `nis` (J,) over the last `length` [m] of the front axle, which
+    has the station `front` (J,) [m] at each block; over MIN_BLOCKS, at least.
+    """
+    total, last = np.cumsum(np.append(0.0, nis)), np.arange(1, nis.size + 1)
+    first = np.minimum(np.searchsorted(front, front - length), last - MIN_BLOCKS)
+    first = np.maximum(first, 0)
+    return (total[last] - total[first]) / (last - first)
 
 
 def long_waves(z: np.ndarray) -> np.ndarray:

@@ -15,7 +15,10 @@ from estimators.kalman.forward import (
     WindowFilter,
 )
 from estimators.kalman.jumps import RoadJumps
+from estimators.kalman.monitoring import recent_nis
 from estimators.kalman.profile_output import (
+    EARLY_LENGTH,
+    EARLY_NIS,
     EARLY_NOISE_SCALE,
     HALF_WINDOW,
     VARIANCE_STRIDE,
@@ -249,7 +252,7 @@ def run_filter(run: FilterRun, output: ProfileOutput, chunk: int = CHUNK_WINDOWS
     keep = bool(np.any(times.first <= times.window))
     count = run.windows.newest.size
     for i in range(count):
-        parts = one.filter_window(i)
+        parts = one.filter_window(i, keep)
         if not keep:
             continue
         kept += parts
@@ -297,11 +300,14 @@ def run_smoother(run: FilterRun, output: ProfileOutput, chunk: int = CHUNK_WINDO
 
 def emitted_share(run: FilterRun, output: ProfileOutput) -> np.ndarray:
     """Return the share (M,), 0 to 1, by which each height is to be trusted when it is emitted."""
-    last = np.clip(output.emit_block - 1, 0, None)
-    lost = (
-        lost_noise_scale(run.state.signal_power[last]) if output.both_axles else EARLY_NOISE_SCALE
-    )
-    return np.minimum(1.0, lost / run.state.noise_scale[last]) ** 2
+    state, last = run.state, np.clip(output.emit_block - 1, 0, None)
+    if output.both_axles:
+        ratio = lost_noise_scale(state.signal_power) / state.noise_scale
+    else:
+        nis = recent_nis(state.nis, run.known_front(0.0), EARLY_LENGTH)
+        ratio = np.minimum(1.0, EARLY_NOISE_SCALE / state.noise_scale)
+        ratio *= np.minimum(1.0, EARLY_NIS / np.maximum(nis, 1e-300))
+    return np.minimum(1.0, ratio[last]) ** 2
 
 
 def _oldest_needed(output: ProfileOutput, stations: np.ndarray) -> np.ndarray:

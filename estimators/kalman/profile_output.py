@@ -28,7 +28,7 @@ HALF_WINDOW = 1.0
 """Half length [m] of the kernel `low`."""
 
 
-VARIANCE_STRIDE = 8
+VARIANCE_STRIDE = 16
 """Stations from one whose variance is computed to the next."""
 
 LOST_NOISE_SCALE, LOST_POWER_SHARE = 20.0, 0.05
@@ -39,6 +39,10 @@ Heights are then emitted reduced, and the roughness is no longer adapted to them
 EARLY_NOISE_SCALE = 8.0
 """Noise scale above which heights are reduced that are emitted before the rear axle has passed: of
 a vehicle that is not the one described they are worth nothing."""
+
+EARLY_NIS, EARLY_LENGTH = 3.0, 2.0
+"""Mean of the normalized innovation squared over the last so many metres above which they are
+reduced, too: the noise scale follows within ten metres only."""
 
 
 @dataclass(frozen=True, eq=False)

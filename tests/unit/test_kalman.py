@@ -17,7 +17,7 @@ from estimators.common.model_inputs import build_model_inputs
 from estimators.kalman import estimators as kalman_estimators
 from estimators.kalman import pipeline
 from estimators.kalman.friction_linearization import RATE_STDS, residual_variance, smoothed_tables
-from estimators.kalman.monitoring import local_nis, reduce_uncertain
+from estimators.kalman.monitoring import local_nis, recent_nis, reduce_uncertain
 from estimators.kalman.pipeline import NODE_SPACING, run_filter, setup_output, setup_run
 from estimators.kalman.profile_output import HALF_WINDOW, decay_per_node, output_weights
 from estimators.kalman.road_process import fit_ar_model
@@ -295,6 +295,16 @@ def test_the_local_nis_is_that_of_both_axles_and_no_later_than_the_lag():
     known_later = np.where(front > 18.0, 100.0, nis)
     before = s <= 15.0
     np.testing.assert_array_equal(local_nis(known_later, front, s, 3.0)[before], lag[before])
+
+
+def test_the_recent_nis_is_the_mean_of_the_last_metres_or_blocks():
+    front = np.arange(0.0, 10.0, 0.05)
+    nis = np.where((front > 4.0) & (front < 5.0), 7.0, 1.0)
+    recent = np.interp([3.9, 4.5, 5.0, 6.5, 7.2], front, recent_nis(nis, front, 2.0))
+    np.testing.assert_allclose(recent, [1.0, 2.5, 3.8, 2.5, 1.0], atol=0.05)
+    nis[30] = 21.0
+    recent = recent_nis(nis, front, 0.1)[[29, 30, 49, 50]]  # 20 blocks are a metre
+    np.testing.assert_allclose(recent, [1.0, 2.0, 2.0, 1.0])
 
 
 def test_heights_no_larger_than_their_error_are_reduced_and_others_kept():

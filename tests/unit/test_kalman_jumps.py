@@ -99,8 +99,8 @@ def test_a_window_ends_at_the_block_after_which_a_step_is_likely():
 
 
 def test_the_rear_axle_meets_a_step_within_its_reach():
-    one = jumps.RoadJumps.none(0.0, 40, 0.05)
-    one.square[20, 1] = 0.05**2
-    rear = np.arange(40)
+    one, node = jumps.RoadJumps.none(0.0, 40, 0.05), np.arange(40)
+    one.add(20, 1, 0.05)
+    np.testing.assert_array_equal(np.argwhere(one.square > 0.0), [[20, 1]])
     reach = round(jumps.REAR_REACH / 0.05)
-    np.testing.assert_array_equal(one.near_step(rear), (rear > 20 - reach) & (rear <= 20 + reach))
+    np.testing.assert_array_equal(one.near, (node > 20 - reach) & (node <= 20 + reach))
