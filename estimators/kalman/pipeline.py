@@ -7,13 +7,13 @@ import numpy as np
 from estimators.common.block_means import BlockMeans
 from estimators.common.model_inputs import MOVING_STD, REST_STD, ModelInputs, rest_state
 from estimators.kalman.filter_model import build_model
-from estimators.kalman.forward import (
+from estimators.kalman.filtered import (
     BandVariance,
     FilteredWindow,
     FilterState,
     NodesAtEmission,
-    WindowFilter,
 )
+from estimators.kalman.forward import WindowFilter
 from estimators.kalman.jumps import RoadJumps
 from estimators.kalman.monitoring import recent_nis
 from estimators.kalman.profile_output import (

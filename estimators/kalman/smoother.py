@@ -19,7 +19,7 @@ are emitted, which begins there, and ends as the last of its nodes leaves.
 
 import numpy as np
 
-from estimators.kalman.forward import BandVariance, FilteredWindow, NodesAtEmission
+from estimators.kalman.filtered import BandVariance, FilteredWindow, NodesAtEmission
 from estimators.kalman.road_process import NodeTransition, RoadProcess
 from estimators.kalman.state import N_SUMS
 

@@ -1,0 +1,89 @@
+"""What the filter of a drive holds and hands on: its state, its windows, heights at emission."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from estimators.kalman.jumps import AcceptedStep, RoadJumps
+from estimators.kalman.road_process import NodeTransition
+from estimators.kalman.windows import EmissionTimes
+
+
+@dataclass(eq=False)
+class FilterState:
+    """Mean `x` (n,), covariance `P` (n, n), valve states of the struts `strut_state` (4, 3), the
+    parameters `adaptive` (5,) and the steps of the road `jumps`.
+
+    Of each block (J,): normalized innovation squared per measurement `nis`, `noise_scale` and
+    `signal_power` after it.
+    """
+
+    x: np.ndarray
+    P: np.ndarray
+    strut_state: np.ndarray
+    adaptive: np.ndarray
+    jumps: RoadJumps
+    nis: np.ndarray
+    noise_scale: np.ndarray
+    signal_power: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class FilteredWindow:
+    """What the smoother needs of a window, or of the part of one of `blocks` (first, last) before
+    or after an accepted step: its number `index`, the entries `local` (L,) of the state vector, `D`
+    (n, L) the derivative of the error at the end by the local error at the start, `U` (R, L) and
+    `innovation` (R,). Before it, the `transitions`; before these, of
+    the retired-node sums and the nodes that leave, the oldest first, the mean `leaving`
+    (4 + 2 M,) and `covariance` with the state (4 + 2 M, n); all empty in a later part.
+
+    Per unit step of each candidate of the road's: the mean of the innovation `response` (R, m), the
+    error of the mean `direction` (4 + 2 M, m). After it, the steps `accepted`. Of steps that are
+    accepted then or later, `corrections` has the U' response (L,) and direction (4 + 2 M,).
+    """
+
+    index: int
+    blocks: tuple[int, int]
+    local: np.ndarray
+    D: np.ndarray
+    U: np.ndarray
+    innovation: np.ndarray
+    transitions: list[NodeTransition]
+    leaving: np.ndarray
+    covariance: np.ndarray
+    direction: np.ndarray
+    response: np.ndarray
+    accepted: list[AcceptedStep] = field(default_factory=list)
+    corrections: list[tuple[AcceptedStep, np.ndarray, np.ndarray]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class NodesAtEmission:
+    """Estimates of sums and nodes at T moments: `c` (T, 2 + K, 2), mean and half difference of the
+    real and imaginary sums, then of the nodes from the base on. `adjoint` (T, L): the adjoint of
+    the local state at the start of the moment's window.
+    """
+
+    times: EmissionTimes
+    c: np.ndarray
+    adjoint: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class BandVariance:
+    """In-band variance (F, 2) [m²] of heights at F moments, by `weights` (F, 2 + K) of sums and of
+    nodes from the base on. If asked, the `covariance` (F, 2, n) with the state at the start of the
+    moment's window.
+    """
+
+    times: EmissionTimes
+    weights: np.ndarray
+    variance: np.ndarray
+    covariance: np.ndarray | None = None
+    slots: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        live = np.zeros(int(self.times.window.max(initial=0)) + 3, dtype=int)
+        np.add.at(live, self.times.first, 1)
+        np.add.at(live, self.times.window + 1, -1)
+        object.__setattr__(self, "slots", int(np.cumsum(live).max()))
