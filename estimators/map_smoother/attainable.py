@@ -27,7 +27,7 @@ from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.gauss_newton import MapSolution, update_prior
 from estimators.map_smoother.objective import Linearization, Objective, linearize
 from estimators.map_smoother.posterior_sampling import band_pass, draw_deviation, interior
-from estimators.map_smoother.preconditioner import stationary_hessian
+from estimators.map_smoother.preconditioner import StationaryHessian, stationary_hessian
 from estimators.map_smoother.windows import initial_window_state, window_objective
 from estimators.preprocessing import mask_record
 from road_envs.analysis.information_bound import RoadPrior
@@ -93,8 +93,9 @@ def attainable_error(
     u = objective.road.noise_of(truth).ravel()
     x = np.pad(u, (0, objective.size - u.size))
     lin = linearize(objective, x, objective.information)
-    lin = update_prior(lin, stationary_hessian(objective), 1.0)
-    return _relative_error(lin, [lin.x], draws, seed)
+    stationary = stationary_hessian(objective)  # that of the measurements, for any prior
+    lin = update_prior(lin, stationary, 1.0)
+    return _relative_error(lin, stationary, [lin.x], draws, seed)
 
 
 def van_trees_error(
@@ -118,10 +119,14 @@ def van_trees_error(
     rng = np.random.default_rng(seed)
     points = [rng.standard_normal(objective.size) for _ in range(roads)]
     at = [linearize(objective, x, objective.information) for x in points]
-    return _relative_error(ExpectedInformation(at), points, draws, seed)
+    return _relative_error(
+        ExpectedInformation(at), stationary_hessian(objective), points, draws, seed
+    )
 
 
-def _relative_error(lin: Any, points: Sequence[np.ndarray], draws: int, seed: int) -> float:
+def _relative_error(
+    lin: Any, stationary: StationaryHessian, points: Sequence[np.ndarray], draws: int, seed: int
+) -> float:
     """Return the root of the mean power in the scored band of samples of the posterior of `lin`, a
     linearization or several, over that of the roads of `points`.
     """
@@ -135,7 +140,7 @@ def _relative_error(lin: Any, points: Sequence[np.ndarray], draws: int, seed: in
         c = band_pass(road.apply(objective.split(x)[0]), inside)[:, middle]
         return float(np.var(c, axis=1).mean())
 
-    solution = MapSolution(lin, stationary_hessian(objective), noise_scale=1.0)
+    solution = MapSolution(lin, stationary, noise_scale=1.0)
     solve = solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)
     error = np.mean([power(draw_deviation(lin, solve, rng)) for _ in range(draws)])
     return float(np.sqrt(error / np.mean([power(x) for x in points])))

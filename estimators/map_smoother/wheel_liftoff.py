@@ -14,8 +14,8 @@ therefore goes on from a lowered road:
 At the end the posterior there is one-sided: the road is no higher than estimated, where the wheel
 would have pressed on it, and anywhere between there and the lowest that it can be
 (`road_below_light_wheels`). Among obstacles its distribution over this range R is taken as uniform:
-below a lifted wheel it is R / 2 lower in the mean, with a standard deviation of R / sqrt(12). The
-lowest is
+below a lifted wheel it is R / 2 lower in the mean, with a standard deviation of R / sqrt(12) where
+a floor is not seen, and of EDGE_STD R where an edge is not. The lowest is
 
 - the height of landing, if the road goes on from there: the wheel has landed on the floor;
 - the floor of the deepest hole that a road of so many holes may have, if the road rises at once:
@@ -51,6 +51,10 @@ shallow dip instead, which explains the measurements as well, it is light. From 
 EDGE_REACH, EDGE_SHARE = 0.15, 0.25
 """Distance [m] behind a light wheel within which the road rises by at least this share of its fall
 before if the wheel has hit the far edge of a hole."""
+
+EDGE_STD = 0.2
+"""Standard deviation of the road where an edge is not seen, relative to the range in which it may
+lie: 1 / sqrt(12) if all of it were equally probable. From training drives."""
 
 
 def unloaded_nodes(lin: Linearization, share: float = LIFTOFF_LOAD_SHARE) -> np.ndarray:
@@ -175,7 +179,8 @@ def road_below_light_wheels(lin: Any) -> tuple[np.ndarray, list[LiftoffError]]:
         if fall > MIN_DROP and rise > EDGE_SHARE * fall:
             unseen[before : run.stop + 1] = max(falls) * (1.0 + 1.0 / len(falls)) - fall
         lower[path, run] += (unloaded[path] * height + unseen)[run] / 2.0
-        errors += [LiftoffError(path, part / np.sqrt(12.0)) for part in (height, unseen)]
+        errors.append(LiftoffError(path, EDGE_STD * height))
+        errors.append(LiftoffError(path, unseen / np.sqrt(12.0)))
     return lower, errors
 
 

@@ -44,7 +44,9 @@ def test_a_wheel_that_has_landed_on_the_floor_knows_its_depth_and_not_its_edge(b
     lower, (error, floor) = below(c, unloaded)
     assert error.path == 1 and not floor.height.any()
     expected = [0.0, 0.05, 0.03, 0.01, 0.0, 0.0]
-    np.testing.assert_allclose(error.height[39:45], np.divide(expected, 12**0.5), atol=1e-12)
+    np.testing.assert_allclose(
+        error.height[39:45], wheel_liftoff.EDGE_STD * np.array(expected), atol=1e-12
+    )
     np.testing.assert_allclose(lower[1, 39:45], [0.0, 0.0, 0.015, 0.005, 0.0, 0.0], atol=1e-12)
     assert not lower[0].any()
 
