@@ -22,6 +22,10 @@ from road_envs.data.record import LowPass, Record
 TAPER = 1.2
 """Where the spectrum of accelerations that were filtered ends, over the bandwidth."""
 
+GAP_REACH, END_REACH = 2.0, 5.0
+"""Periods of the cut-off around a gap and at the ends of a record in which what is not measured
+exceeds the noise: a gap is bridged, and beyond the ends the signals are guessed."""
+
 FALL, SILENCE = 1e-3, 1e-2
 """Ratio of the power densities at both ends of an octave, and share of the noise's."""
 
@@ -50,7 +54,8 @@ def undo_low_pass(
         low_pass = find_low_pass(a, fs, noise_density)
     if low_pass is None or low_pass.order is None or low_pass.bandwidth >= 0.5 * fs:
         return record, valid, ()
-    reach = int(np.ceil(fs / low_pass.f_c))
+    gap, reach = (int(np.ceil(x * fs / low_pass.f_c)) for x in (GAP_REACH, END_REACH))
+    reach = min(reach, a.shape[1] // 4)
     end = low_pass.bandwidth
     padded = np.pad(a, ((0, 0), (reach, reach)), mode="reflect", reflect_type="odd")
     size = next_fast_len(padded.shape[1], real=True)
@@ -59,7 +64,7 @@ def undo_low_pass(
     inverse = np.sin(0.5 * np.pi * taper) ** 2 / np.maximum(low_pass.gain(f, fs), 1e-6)
     # the beginning is that of the padded signal's end on the circle: both are level
     undone = irfft(inverse * rfft(padded, size), size)[:, reach : reach + a.shape[1]]
-    near = binary_dilation(~valid, np.ones((1, 2 * reach + 1)))
+    near = binary_dilation(~valid, np.ones((1, 2 * gap + 1)))
     near[:, :reach] = near[:, -reach:] = True
     undone[np.isnan(record.a)] = np.nan
     guess = "" if named else f", as it seems with order {low_pass.order}"
