@@ -62,8 +62,8 @@ def identification_speed() -> list[dict[str, Any]]:
         benchmark_row(
             "map_smoother adapting to the drive, against the plain one",
             f"{ratio:.1f} x, {with_fit:.1f} CPU-s", "<= 3 x", ratio <= 3.0,
-            "after each of six steps of the parameters the road follows by one or two of its own, "
-            "about as many as the plain smoother takes, and two of the six drive 28 varied vehicles",
+            "after each of six steps of the parameters the road follows by one or two, "
+            "about as many as the plain smoother takes; two of the six drive 28 varied vehicles",
             ratio=ratio, seconds=with_fit,
         ),
     ]  # fmt: skip
