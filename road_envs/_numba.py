@@ -125,17 +125,7 @@ class _PartOfKernel(JITCodeLibrary):
     """Code of a kernel inside another one, which is optimised and emitted with it."""
 
     def _optimize_final_module(self) -> None:
-        """Inline the kernels that it calls and remove pairs of increments and decrements.
-
-        Once this part is inlined into others, most reference counts of its arrays are not
-        recognised as pairs, and one vehicle takes three to four times as long.
-        """
-        found: Any = self._codegen._module_pass_manager(
-            opt=0, loop_vectorize=False, slp_vectorize=False, cost="cheap"
-        )
-        # Numba 0.61 returns the passes alone, later versions also their options
-        passes, *options = found if isinstance(found, tuple) else (found,)
-        passes.run(self._final_module, *options)
+        """Leave the optimisation to the kernel that this is a part of."""
 
     def _finalize_final_module(self) -> None:
         self._finalized = True
