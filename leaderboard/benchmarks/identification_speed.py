@@ -62,8 +62,8 @@ def identification_speed() -> list[dict[str, Any]]:
         benchmark_row(
             "map_smoother adapting to the drive, against the plain one",
             f"{ratio:.1f} x, {with_fit:.1f} CPU-s", "<= 3 x", ratio <= 3.0,
-            "half of it is the fit: after each of six steps of the parameters the road follows by one "
-            "or two, about as many as the plain smoother takes; two of the six drive 28 varied "
+            "half of it is the fit: after each of six steps of the parameters the road follows by "
+            "one or two, about as many as the plain smoother takes; two of the six drive 28 varied "
             "vehicles. A quarter are eight samples of the vehicle's uncertainty",
             ratio=ratio, seconds=with_fit,
         ),
