@@ -48,7 +48,7 @@ def undo_low_pass(
     Its low-pass is then one without an order. `noise_density` [(m/s²)/sqrt(Hz)] of the
     accelerometers, by which a filter that the record does not name is noticed; 0: it is not.
     """
-    fs, low_pass, a = record.fs, record.low_pass, bridge(record.a, np.isfinite(record.a))
+    fs, low_pass, a = record.fs, record.low_pass, bridge(record.a)
     named = low_pass is not None
     if not named and noise_density > 0.0:
         low_pass = find_low_pass(a, fs, noise_density)
@@ -75,9 +75,9 @@ def undo_low_pass(
     return replace(record, a=undone, low_pass=LowPass(end, None)), valid & ~near, (note,)
 
 
-def bridge(a: np.ndarray, good: np.ndarray) -> np.ndarray:
-    """Return signals (k, N), interpolated where not `good`; 0 if none is."""
-    t = np.arange(a.shape[1])
+def bridge(a: np.ndarray) -> np.ndarray:
+    """Return signals (k, N), interpolated where they are not finite; 0 if none is."""
+    t, good = np.arange(a.shape[1]), np.isfinite(a)
     pairs = zip(a, good, strict=True)
     return np.array([np.interp(t, t[g], x[g]) if g.any() else np.zeros(t.size) for x, g in pairs])
 

@@ -1,4 +1,4 @@
-"""What the filter of a drive holds and hands on: its state, its windows, heights at emission."""
+"""Results of the filter over a drive: its state, its windows, and heights when they are emitted."""
 
 from dataclasses import dataclass, field
 
@@ -30,12 +30,14 @@ class FilterState:
 
 @dataclass(frozen=True, eq=False)
 class FilteredWindow:
-    """What the smoother needs of a window, or of the part of one of `blocks` (first, last) before
-    or after an accepted step: its number `index`, the entries `local` (L,) of the state vector, `D`
-    (n, L) the derivative of the error at the end by the local error at the start, `U` (R, L) and
-    `innovation` (R,). Before it, the `transitions`; before these, of
-    the retired-node sums and the nodes that leave, the oldest first, the mean `leaving`
-    (4 + 2 M,) and `covariance` with the state (4 + 2 M, n); all empty in a later part.
+    """A filtered window for the smoother, or the part of one in its `blocks` (first, last) before
+    or after an accepted step.
+
+    Its number `index`, the entries `local` (L,) of the state vector, the derivative `D` (n, L) of
+    the error at the end by the local error at the start, `U` (R, L) and `innovation` (R,). Before
+    it come the `transitions`, and before these the mean `leaving` (4 + 2 M,) of the retired-node
+    sums and of the nodes that leave, the oldest first, and their `covariance` (4 + 2 M, n) with the
+    state; all empty in a later part.
 
     Per unit step of each candidate of the road's: the mean of the innovation `response` (R, m), the
     error of the mean `direction` (4 + 2 M, m). After it, the steps `accepted`. Of steps that are

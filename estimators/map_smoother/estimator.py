@@ -300,7 +300,7 @@ class MapSmoother(CalibratedByIdentification):
         inputs = build_model_inputs(record, instruments, car, self.step)
         censored = clipped_signs(record, instruments)
         if np.isfinite(record.bandwidth):  # what is left of a gap lies between its ends
-            a = bridge(record.a, np.isfinite(record.a))
+            a = bridge(record.a)
         else:
             a = np.where(valid | (censored != 0), record.a, 0.0)
         # the mean over the drive is mostly sensor bias

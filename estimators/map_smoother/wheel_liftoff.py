@@ -167,10 +167,11 @@ def road_below_light_wheels(lin: Any) -> tuple[np.ndarray, list[LiftoffError]]:
         for path, mask in enumerate(light)
         for (run,) in find_objects(label(mask)[0])
     ]
-    lower, errors, unloaded = np.zeros_like(c), [], unloaded_nodes(lin)
+    lower, errors = np.zeros_like(c), []
     if not road.is_level_between_obstacles:
         step_variance = road.local**2 * irfft(road.amplitude**2, road.size, axis=1)[:, 0].sum()
         return lower, [_bridge(step_variance, gap) for gap in gaps]
+    unloaded = unloaded_nodes(lin)
     falls = [gap.fall for gap in gaps if gap.fall > MIN_DROP]
     for path, run, level, fall, rise in gaps:
         height, unseen = np.zeros((2, road.size))
