@@ -57,7 +57,7 @@ class TwoLayerNetwork:
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Return outputs (K, N) for inputs `x` (R, N)."""
-        return self.output @ _append_ones(np.tanh(self.hidden.T @ _append_ones(x)))
+        return self.output @ append_ones(np.tanh(self.hidden.T @ append_ones(x)))
 
     def add_step(self, step: np.ndarray) -> "TwoLayerNetwork":
         """Return the network with a `step` (P,) added to its weights, hidden layer first."""
@@ -167,8 +167,24 @@ class LmResult:
         )
 
 
+class Evaluation(NamedTuple):
+    """A network at N samples: its `inputs` (R + 1, N) and hidden `units` (S + 1, N), each with ones
+    behind, and its errors `e` (K, N).
+    """
+
+    network: TwoLayerNetwork
+    inputs: np.ndarray
+    units: np.ndarray
+    e: np.ndarray
+
+    @property
+    def mse(self) -> float:
+        """Mean squared error over all outputs and samples; NaN without samples."""
+        return float(np.vdot(self.e, self.e)) / self.e.size if self.e.size else float("nan")
+
+
 class NormalEquations(NamedTuple):
-    """J'J (P, P) and J'e (P,), means over all errors, and the mean squared error."""
+    """Lower triangle of J'J (P, P), and J'e (P,), means over all errors; the mean squared error."""
 
     JJ: np.ndarray
     Je: np.ndarray
@@ -221,20 +237,20 @@ def train(
     occupies the other core, and are summed in the same order on every machine.
     """
     options = options or TrainlmOptions()
-    training, validation, test = ((x[:, part], t[:, part]) for part in split)
+    training, validation, test = ((append_ones(x[:, part]), t[:, part]) for part in split)
+    at = evaluate(network, *training)
     best, best_error, best_epoch = network, np.inf, 0
     mu, stop = options.mu, None
     history: list[tuple[float, ...]] = []
     while stop is None:
-        epoch = len(history)
-        normal = normal_equations(network, *training)
-        errors = mean_squared_error(network, *validation), mean_squared_error(network, *test)
+        epoch, normal = len(history), normal_equations(at)
+        errors = [evaluate(at.network, *part).mse for part in (validation, test)]
         history.append((normal.mse, *errors, mu, normal.gradient))
         if errors[0] < best_error or not split.validation.size:
-            best, best_error, best_epoch = network, errors[0], epoch
+            best, best_error, best_epoch = at.network, errors[0], epoch
         stop = _stop_reason(options, epoch, normal, mu, failures=epoch - best_epoch)
         if stop is None:
-            network, mu = _take_step(network, normal, *training, mu, options)
+            at, mu = _take_step(at, normal, training[1], mu, options)
     return LmResult(best, stop, best_epoch, *np.array(history).T)
 
 
@@ -253,29 +269,24 @@ def _stop_reason(
 
 
 def _take_step(
-    network: TwoLayerNetwork,
-    normal: NormalEquations,
-    x: np.ndarray,
-    t: np.ndarray,
-    mu: float,
-    options: TrainlmOptions,
-) -> tuple[TwoLayerNetwork, float]:
+    at: Evaluation, normal: NormalEquations, t: np.ndarray, mu: float, options: TrainlmOptions
+) -> tuple[Evaluation, float]:
     """Return the network after the first step that lowers the error, and the next mu; the same
     network if mu exceeds its limit first.
     """
     while mu <= options.mu_max:
         step = _damped_step(normal, mu)
         if step is not None:
-            trial = network.add_step(step)
-            if mean_squared_error(trial, x, t) < normal.mse:
+            trial = evaluate(at.network.add_step(step), at.inputs, t)
+            if trial.mse < normal.mse:
                 return trial, max(mu * options.mu_decrease, MU_FLOOR)
         mu *= options.mu_increase
-    return network, mu
+    return at, mu
 
 
 def _damped_step(normal: NormalEquations, mu: float) -> np.ndarray | None:
     """Return the solution (P,) of the damped normal equations, or None if they are singular."""
-    damped = normal.JJ.copy(order="F")
+    damped = normal.JJ.copy(order="F")  # as LAPACK takes it
     damped[np.diag_indices_from(damped)] += mu
     try:
         factor = cho_factor(damped, lower=True, overwrite_a=True, check_finite=False)
@@ -284,58 +295,57 @@ def _damped_step(normal: NormalEquations, mu: float) -> np.ndarray | None:
     return cho_solve(factor, normal.Je, check_finite=False)
 
 
-def normal_equations(network: TwoLayerNetwork, x: np.ndarray, t: np.ndarray) -> NormalEquations:
-    """Return J'J, J'e and the mean squared error for samples `x` (R, N), `t` (K, N)."""
+def evaluate(network: TwoLayerNetwork, inputs: np.ndarray, t: np.ndarray) -> Evaluation:
+    """Return a network at samples with `inputs` (R + 1, N), ones last, and targets `t` (K, N)."""
     hidden, output = network.hidden, network.output
-    P, (K, width) = hidden.size, output.shape
+    units, e = np.empty((output.shape[1], t.shape[1])), np.empty_like(t)
+    units[-1] = 1.0
+    for part in _chunks(t.shape[1]):
+        np.tanh(hidden.T @ inputs[:, part], out=units[:-1, part])
+        np.subtract(t[:, part], output @ units[:, part], out=e[:, part])
+    return Evaluation(network, inputs, units, e)
+
+
+def normal_equations(at: Evaluation) -> NormalEquations:
+    """Return J'J, J'e and the mean squared error of a network at its samples."""
+    (hidden, output), (K, N) = (at.network.hidden, at.network.output), at.e.shape
+    P, width = hidden.size, output.shape[1]
     # hidden derivatives, activations and errors: their products with each other are all that counts
-    rows = np.empty((P + width + K, min(CHUNK, t.shape[1])))
+    rows = np.empty((P + width + K, min(CHUNK, N)))
     products = np.zeros((len(rows), len(rows)), order="F")
-    for x_part, t_part in _chunks(x, t):
-        part = rows[:, : t_part.shape[1]]
-        D, activations, e = np.split(part, [P, P + width])
-        inputs = _append_ones(x_part)
-        np.tanh(hidden.T @ inputs, out=activations[:-1])
-        activations[-1] = 1.0
-        d = 1.0 - activations[:-1] ** 2
-        np.multiply(inputs[:, None], d, out=D.reshape(*hidden.shape, -1))
-        np.subtract(t_part, output @ activations, out=e)
-        products = dsyrk(1.0, part.T, 1.0, products, trans=True, lower=True, overwrite_c=True)
-    products = (products + np.tril(products, -1).T) / t.size  # so far the lower triangle alone
-    D_e, activations_e, e_e = np.split(products[:, P + width :], [P, P + width])
-    weights = np.tile(output[:, :-1], len(hidden))
-    Je = np.concatenate([np.sum(D_e * weights.T, axis=1), activations_e.T.ravel()])
-    return NormalEquations(_assemble_JJ(products, network), Je, float(np.trace(e_e)))
+    for part in _chunks(N):
+        inputs, here = at.inputs[:, part], rows[:, : at.inputs[:, part].shape[1]]
+        D, units, e = np.split(here, [P, P + width])
+        units[:], e[:] = at.units[:, part], at.e[:, part]
+        np.multiply(inputs[:, None], 1.0 - units[:-1] ** 2, out=D.reshape(*hidden.shape, -1))
+        products = dsyrk(1.0, here.T, 1.0, products, trans=True, lower=True, overwrite_c=True)
+    products /= at.e.size
+    of_e, W2 = products[P + width :], output[:, :-1]
+    Je = np.sum(of_e[:, :P] * np.tile(W2, len(hidden)), axis=0), of_e[:, P : P + width].ravel()
+    return NormalEquations(_assemble_JJ(products, at.network), np.concatenate(Je), at.mse)
 
 
 def _assemble_JJ(products: np.ndarray, network: TwoLayerNetwork) -> np.ndarray:
-    """Return J'J (P, P) of all outputs from `products` of hidden derivatives and activations."""
+    """Return J'J (P, P) of all outputs from `products` of hidden derivatives and activations, of
+    both the lower triangle.
+    """
     W2 = network.output[:, :-1]
     R1, P, width = network.hidden.shape[0], network.hidden.size, network.output.shape[1]
     units = slice(P, P + width)
-    JJ = np.zeros((P + network.output.size,) * 2)
+    JJ = np.zeros((P + network.output.size,) * 2, order="F")
     JJ[:P, :P] = products[:P, :P] * np.tile(W2.T @ W2, (R1, R1))
     for k, w in enumerate(W2):
         own = slice(P + k * width, P + (k + 1) * width)
-        JJ[:P, own] = products[:P, units] * np.tile(w, R1)[:, None]
-        JJ[own, :P] = JJ[:P, own].T
+        JJ[own, :P] = products[units, :P] * np.tile(w, R1)
         JJ[own, own] = products[units, units]
     return JJ
 
 
-def mean_squared_error(network: TwoLayerNetwork, x: np.ndarray, t: np.ndarray) -> float:
-    """Return the mean squared error over all outputs and samples; NaN without samples."""
-    if not t.size:
-        return float("nan")
-    return sum(float(np.sum((b - network(a)) ** 2)) for a, b in _chunks(x, t)) / t.size
+def _chunks(size: int) -> Iterator[slice]:
+    """Yield slices of at most CHUNK of `size` samples."""
+    return (slice(start, start + CHUNK) for start in range(0, size, CHUNK))
 
 
-def _chunks(x: np.ndarray, t: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield blocks of at most CHUNK samples."""
-    for start in range(0, t.shape[1], CHUNK):
-        part = slice(start, start + CHUNK)
-        yield x[:, part], t[:, part]
-
-
-def _append_ones(x: np.ndarray) -> np.ndarray:
+def append_ones(x: np.ndarray) -> np.ndarray:
+    """Return `x` (R, N) with a row of ones, the input of the biases."""
     return np.vstack([x, np.ones(x.shape[1])])

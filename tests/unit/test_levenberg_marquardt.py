@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import solve
 from scipy.optimize import least_squares
 
 from estimators.networks import levenberg_marquardt as lm
@@ -42,6 +43,11 @@ def parameters(network: lm.TwoLayerNetwork) -> np.ndarray:
     return np.concatenate([network.hidden.ravel(), network.output.ravel()])
 
 
+def evaluate(network: lm.TwoLayerNetwork, x: np.ndarray, t: np.ndarray) -> lm.Evaluation:
+    """The network at samples without ones."""
+    return lm.evaluate(network, lm.append_ones(x), t)
+
+
 def test_the_normal_equations_agree_with_automatic_differentiation():
     torch = pytest.importorskip("torch")
     network, x, t = problem(0, size=2 * lm.CHUNK // 3)  # one whole chunk and a part of one
@@ -56,8 +62,8 @@ def test_the_normal_equations_agree_with_automatic_differentiation():
 
     J = torch.func.jacrev(forward)(torch.from_numpy(parameters(network))).numpy()
     e = (t - network(x)).ravel()
-    JJ, Je, mse = lm.normal_equations(network, x, t)
-    np.testing.assert_allclose(JJ, J.T @ J / e.size, rtol=0, atol=1e-12)
+    JJ, Je, mse = lm.normal_equations(evaluate(network, x, t))
+    np.testing.assert_allclose(JJ, np.tril(J.T @ J) / e.size, rtol=0, atol=1e-12)
     np.testing.assert_allclose(Je, J.T @ e / e.size, rtol=0, atol=1e-12)
     assert mse == pytest.approx(np.mean(e**2), rel=1e-12)
 
@@ -72,18 +78,16 @@ def test_the_normal_equations_agree_with_complex_steps():
         ]
     ).T
     e = (t - network(x)).ravel()
-    JJ, Je, _ = lm.normal_equations(network, x, t)
-    np.testing.assert_allclose(JJ, J.T @ J / e.size, rtol=0, atol=1e-13)
+    JJ, Je, _ = lm.normal_equations(evaluate(network, x, t))
+    np.testing.assert_allclose(JJ, np.tril(J.T @ J) / e.size, rtol=0, atol=1e-13)
     np.testing.assert_allclose(Je, J.T @ e / e.size, rtol=0, atol=1e-13)
 
 
 def test_the_gradient_is_that_of_the_mean_squared_error():
     network, x, t = problem(14)
-    normal = lm.normal_equations(network, x, t)
+    normal = lm.normal_equations(evaluate(network, x, t))
     downhill = normal.Je / np.linalg.norm(normal.Je)
-    ahead, behind = (
-        lm.mean_squared_error(network.add_step(h * downhill), x, t) for h in (1e-5, -1e-5)
-    )
+    ahead, behind = (evaluate(network.add_step(h * downhill), x, t).mse for h in (1e-5, -1e-5))
     assert normal.gradient == pytest.approx((behind - ahead) / 2e-5, rel=1e-6)
 
 
@@ -102,9 +106,9 @@ def test_the_defaults_are_those_of_trainlm():
 
 def test_the_chunk_size_does_not_change_the_sums(monkeypatch):
     network, x, t = problem(2)
-    whole = lm.normal_equations(network, x, t), lm.mean_squared_error(network, x, t)
+    whole = lm.normal_equations(evaluate(network, x, t)), evaluate(network, x, t).mse
     monkeypatch.setattr(lm, "CHUNK", 37)
-    parts = lm.normal_equations(network, x, t), lm.mean_squared_error(network, x, t)
+    parts = lm.normal_equations(evaluate(network, x, t)), evaluate(network, x, t).mse
     for a, b in zip(whole[0], parts[0], strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-15)
     assert whole[1] == pytest.approx(parts[1], rel=1e-12)
@@ -145,7 +149,7 @@ def test_training_ends_at_the_epoch_limit():
 
 def test_training_ends_at_the_goal():
     network, x, t = problem(6)
-    goal = 0.5 * lm.mean_squared_error(network, x, t)
+    goal = 0.5 * evaluate(network, x, t).mse
     training = lm.train(network, x, t, all_training(300), replace(DEFAULTS, goal=goal))
     assert training.stop == "goal"
     assert training.train[-1] <= goal < training.train[-2]
@@ -184,7 +188,7 @@ def test_a_smaller_validation_error_resets_the_failure_count():
     assert training.epochs == training.best_epoch + 6
     assert training.best_epoch > 0
     assert training.best_epoch == np.argmin(training.validation)
-    best = lm.mean_squared_error(training.network, x[:, split.validation], t[:, split.validation])
+    best = evaluate(training.network, x[:, split.validation], t[:, split.validation]).mse
     assert best == training.validation.min()
 
 
@@ -221,11 +225,11 @@ def test_mu_rises_tenfold_with_every_step_that_fails():
 def assert_first_successful_mu(network, x, t, training, epoch):
     """Assert that mu after `epoch` is that of the first step that lowers the error."""
     at = lm.train(network, x, t, all_training(300), replace(DEFAULTS, max_epochs=epoch, mu=1e-9))
-    JJ, Je, mse = lm.normal_equations(at.network, x, t)
+    JJ, Je, mse = lm.normal_equations(evaluate(at.network, x, t))
     mu = training.mu[epoch]
     while True:
-        step = np.linalg.solve(JJ + mu * np.eye(len(JJ)), Je)
-        if lm.mean_squared_error(at.network.add_step(step), x, t) < mse:
+        step = solve(JJ + mu * np.eye(len(JJ)), Je, lower=True, assume_a="pos")
+        if evaluate(at.network.add_step(step), x, t).mse < mse:
             break
         mu *= 10.0
     assert training.mu[epoch + 1] == pytest.approx(0.1 * mu, rel=1e-9)
@@ -237,7 +241,7 @@ def test_singular_normal_equations_count_as_a_failed_step():
     network = lm.TwoLayerNetwork(np.full((2, 5), 0.3), np.full((1, 6), 0.7))
     x = rng.uniform(-1.0, 1.0, (1, 30))
     with pytest.raises(np.linalg.LinAlgError):
-        np.linalg.cholesky(lm.normal_equations(network, x, x).JJ)
+        np.linalg.cholesky(lm.normal_equations(evaluate(network, x, x)).JJ)
     options = replace(DEFAULTS, mu=1e-30, max_epochs=1)
     training = lm.train(network, x, x, all_training(30), options)
     assert training.mu[1] > 1e-20
