@@ -2,6 +2,8 @@
 PYTHON ?= python3
 VENV := .venv
 READY := $(VENV)/.ready
+# where this is set, as in many containers, each of a hundred processes of a run compiles all it imports
+export PYTHONDONTWRITEBYTECODE :=
 # each file in one worker, in the order of tests/conftest.py
 WORKERS := -n auto --dist loadfile --no-loadscope-reorder
 

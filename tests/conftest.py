@@ -1,10 +1,13 @@
 # ruff: noqa: E402
+import gc
 import os
 import sys
 
 # Workers share the cores: threads of BLAS that wait for each other cost up to half as much again.
 for library in ("OMP", "OPENBLAS", "MKL"):  # before NumPy is imported
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
+gc.disable()  # until all modules are imported: nothing of them is garbage
 
 import pytest
 from hypothesis import Phase, settings
@@ -36,6 +39,11 @@ LONG = """
 def pytest_collection_modifyitems(items):
     order = {f"test_{name}": k for k, name in enumerate(LONG)}
     items.sort(key=lambda item: order.get(item.path.stem, len(order)))
+
+
+def pytest_collection_finish():
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(optionalhook=True)
