@@ -2,12 +2,12 @@
 PYTHON ?= python3
 VENV := .venv
 READY := $(VENV)/.ready
-# where this is set, as in many containers, each of a hundred processes of a run compiles all it imports
+# set in many containers; each of a hundred processes would then compile all modules that it imports
 export PYTHONDONTWRITEBYTECODE :=
 # each file in one worker, in the order of tests/conftest.py
 WORKERS := -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: leaderboard policies test suite test-long test-lowest lint bench mutants docs clean
+.PHONY: leaderboard policies test suite test-processes test-long test-lowest lint bench mutants docs clean
 
 # the comparison of policies, which uses one core, runs beside the first board
 leaderboard: BOARD := out/leaderboard
@@ -27,7 +27,10 @@ test: $(READY)
 suite: $(READY)
 	$(VENV)/bin/pytest $(WORKERS)
 
-test-long: $(READY)
+test-processes: $(READY)
+	$(VENV)/bin/pytest -m "processes and not slow" $(WORKERS)
+
+test-long: test-processes
 	$(VENV)/bin/pytest -m slow -s
 	ROADRECON_EXAMPLES=20 $(VENV)/bin/pytest -m hypothesis
 

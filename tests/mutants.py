@@ -145,7 +145,17 @@ def test_file(tree: Path, tests: str) -> Path:
 
 def run_tests(tree: Path, caches: Path, *tests: str) -> tuple[int, str]:
     """Exit status and output of pytest in a tree."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-m",
+        "not slow",
+        "-x",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+    ]
     command += ["--hypothesis-profile", "faults"]  # a red test need not look for its least example
     names = [f"{test_file(tree, name)}::{name.split('::')[1]}" for name in tests]
     try:

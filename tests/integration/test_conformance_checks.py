@@ -60,6 +60,7 @@ def test_each_defect_fails_only_its_own_checks(sandbox, name, expected):
     assert failed(check_results(sandbox, name)) == expected
 
 
+@pytest.mark.processes
 def test_heights_in_millimetres_are_refused_with_a_hint(sandbox):
     results = check_results(sandbox, "InMillimetres")
     assert failed(results) == {"runs"} and tuple(results) == NAMES
@@ -68,6 +69,7 @@ def test_heights_in_millimetres_are_refused_with_a_hint(sandbox):
     )
 
 
+@pytest.mark.processes
 def test_a_deliberate_refusal_is_accepted_and_an_unintended_error_fails(sandbox):
     results = check_results(sandbox, "RefusesSome")
     assert failed(results) == {"short"} and "IndexError" in UNINTENDED_ERRORS

@@ -159,6 +159,7 @@ def test_the_readme_runs_and_its_estimator_beats_a_flat_road(tmp_path):
     assert values["environments"] == 1024 and values["steps"] < 0.0
 
 
+@pytest.mark.processes
 def test_the_estimator_of_the_readme_passes_the_checks_of_a_board(
     road_recon, tmp_path, monkeypatch
 ):

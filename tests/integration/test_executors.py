@@ -91,6 +91,7 @@ def expected(tmp_path_factory, conditions):
     return rows(board)
 
 
+@pytest.mark.processes
 def test_without_isolation_failing_entries_do_not_change_a_bit_of_the_other_rows(
     tmp_path, expected, conditions
 ):
@@ -172,6 +173,7 @@ def killed_and_resumed(out, expected, delays, conditions, estimators=VALID):
     return kills
 
 
+@pytest.mark.processes
 def test_killing_a_run_ends_its_processes_and_it_can_be_resumed(tmp_path, expected, conditions):
     assert killed_and_resumed(tmp_path, expected, [1.5] * conditions, conditions, ONE) >= 1
 

@@ -70,12 +70,16 @@ def test_a_policy_in_a_process_acts_as_it_does_here():
     ("reference", "sentence"),
     [
         ("Endless", "stopped after 2 s, the time limit"),
-        ("Greedy", "MemoryError"),
+        pytest.param("Greedy", "MemoryError", marks=pytest.mark.processes),
         ("Leaves", "its process ended without a response, by exit status 3"),
         ("Floats", "act must return whole numbers, got float64"),
-        ("TooMany", "act must return 4 actions, one per vehicle"),
+        pytest.param(
+            "TooMany", "act must return 4 actions, one per vehicle", marks=pytest.mark.processes
+        ),
         ("Beyond", "actions must be 0 to 15, got 99"),
-        ("Nowhere", "the policy bad_policies:Nowhere cannot be used"),
+        pytest.param(
+            "Nowhere", "the policy bad_policies:Nowhere cannot be used", marks=pytest.mark.processes
+        ),
     ],
 )
 def test_a_policy_beyond_its_limits_ends_in_a_sentence(reference, sentence):
@@ -108,8 +112,8 @@ def verdicts(name):
     ("name", "failed"),
     [
         ("Remembers", ["reset"]),
-        ("Chance", ["repeat", "reset"]),
-        ("Scribbles", ["unchanged"]),
+        pytest.param("Chance", ["repeat", "reset"], marks=pytest.mark.processes),
+        pytest.param("Scribbles", ["unchanged"], marks=pytest.mark.processes),
         ("Beyond", ["runs"]),
     ],
 )
@@ -125,7 +129,12 @@ def test_a_sound_policy_passes_and_what_it_refuses_is_noted():
 
 
 @pytest.mark.parametrize(
-    "name", ["skyhook", "dqn", pytest.param("greedy_information", marks=pytest.mark.slow)]
+    "name",
+    [
+        "skyhook",
+        pytest.param("dqn", marks=pytest.mark.processes),
+        pytest.param("greedy_information", marks=pytest.mark.slow),
+    ],
 )
 def test_policies_of_this_package_pass(name):
     failed = [r for r in check_policy(name) if r.passed is False]

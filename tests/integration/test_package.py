@@ -50,6 +50,7 @@ def test_the_wheel_contains_the_configurations_and_no_tests(installed):
     assert not (inside / "tests").exists() and not (inside / "configs").exists()
 
 
+@pytest.mark.processes
 def test_the_installed_wheel_runs_a_leaderboard_task_in_another_folder(installed, tmp_path):
     bin_folder, inside = installed
     where = run(

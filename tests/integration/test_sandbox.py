@@ -208,11 +208,13 @@ def test_estimators_of_this_package_share_a_guest_until_one_fails(sandbox):
         ),
         ("crash", "by SIGSEGV; its last output: "),
         pytest.param("grasp", "estimating test drive 1 of 1, seed 1: ", marks=pytest.mark.slow),
-        ("hoard", "memory limit"),
+        pytest.param("hoard", "memory limit", marks=pytest.mark.processes),
         ("hoard_in_children", "using more than 0.5 GiB, the memory limit"),
-        ("multiply", "more than 40 processes"),
-        ("patch_evaluation", "heights z: every value must be finite"),
-        ("fill", ""),
+        pytest.param("multiply", "more than 40 processes", marks=pytest.mark.processes),
+        pytest.param(
+            "patch_evaluation", "heights z: every value must be finite", marks=pytest.mark.processes
+        ),
+        pytest.param("fill", "", marks=pytest.mark.processes),
     ],
 )
 def test_every_failure_is_one_sentence_and_leaves_no_process(sandbox, how, message):
@@ -225,7 +227,7 @@ def test_every_failure_is_one_sentence_and_leaves_no_process(sandbox, how, messa
     assert nothing_left()
 
 
-@pytest.mark.parametrize("how", ["hang", "spin"])
+@pytest.mark.parametrize("how", [pytest.param("hang", marks=pytest.mark.processes), "spin"])
 def test_an_entry_that_does_not_return_is_stopped_at_the_time_limit(sandbox, how):
     limit(sandbox, seconds=0.5)
     with pytest.raises(EntryError, match=r"stopped after 0\.5 s, the time limit"):
@@ -238,6 +240,7 @@ def test_child_processes_do_not_outlive_their_entry(sandbox):
     assert nothing_left()
 
 
+@pytest.mark.processes
 def test_100_megabytes_of_output_are_counted_and_discarded(sandbox):
     with pytest.raises(EntryError, match=r"by SIGKILL; its last output: that was 100 MB"):
         run(sandbox, how="print")
@@ -245,7 +248,9 @@ def test_100_megabytes_of_output_are_counted_and_discarded(sandbox):
     assert len(sandbox.guest.output_tail) <= 4000
 
 
-@pytest.mark.parametrize("how", ["kill_parent", "stop_parent"])
+@pytest.mark.parametrize(
+    "how", ["kill_parent", pytest.param("stop_parent", marks=pytest.mark.processes)]
+)
 def test_an_entry_that_attacks_the_guests_first_process_harms_only_itself(sandbox, how):
     limit(sandbox, seconds=20.0 if sandbox.isolation == "bubblewrap" else 3.0)
     with pytest.raises(EntryError) as error:
@@ -326,6 +331,7 @@ def test_an_entry_cannot_change_the_compiled_kernels_of_others(sandbox):
     assert not poisoned_kernels()
 
 
+@pytest.mark.processes
 def test_user_namespaces_serve_hosts_that_are_not_root(sandbox, monkeypatch):
     if sandbox.isolation != "bubblewrap" or os.geteuid() != 0:
         pytest.skip("the other way to start bubblewrap")

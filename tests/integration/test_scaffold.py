@@ -51,6 +51,7 @@ def test_the_tests_of_all_packages_pass(packages):
     assert "9 passed" in tested
 
 
+@pytest.mark.processes
 def test_the_template_package_installs_and_gets_a_row_on_the_board(
     packages, tmp_path, monkeypatch, road_recon
 ):
@@ -76,7 +77,11 @@ def test_the_template_package_installs_and_gets_a_row_on_the_board(
 @pytest.mark.parametrize(
     ("example", "check"),
     [
-        ("learner", ("check-estimator", "road_recon_learn_it.estimator:LearnIt")),
+        pytest.param(
+            "learner",
+            ("check-estimator", "road_recon_learn_it.estimator:LearnIt"),
+            marks=pytest.mark.processes,
+        ),
         ("policy", ("check-policy", "road_recon_firm_in_corners.policy:FirmInCorners")),
     ],
 )
