@@ -4,8 +4,8 @@ VENV := .venv
 READY := $(VENV)/.ready
 # set in many containers; each of a hundred processes would then compile all modules that it imports
 export PYTHONDONTWRITEBYTECODE :=
-# each file in one worker, in the order of tests/conftest.py
-WORKERS := -n auto --dist loadfile --no-loadscope-reorder
+# in the order of tests/conftest.py
+WORKERS := -n auto --no-loadscope-reorder
 
 .PHONY: leaderboard policies test suite test-processes test-long test-lowest lint bench mutants docs clean
 

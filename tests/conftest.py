@@ -1,6 +1,7 @@
 # ruff: noqa: E402
 import gc
 import os
+import re
 import sys
 
 # Workers share the cores: threads of BLAS that wait for each other cost up to half as much again.
@@ -50,6 +51,18 @@ def pytest_collection_finish():
 def pytest_xdist_auto_num_workers(config):
     """One worker more than there are cores, since some tests wait for time limits and for disks."""
     return (os.cpu_count() or 1) + 1
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Each file in one worker, and those of the site together, which takes seconds to make."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduler(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            return re.sub(r"(tests/browser)/.*", r"\1", super()._split_scope(nodeid))
+
+    return Scheduler(config, log)
 
 
 @pytest.fixture

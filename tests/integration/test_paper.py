@@ -31,7 +31,9 @@ def made():
         driven.append(arguments)
         return fake_drives(*arguments)
 
-    return study.run_study(TRAININGS, network=network, drive=drive)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "NEW_ROAD_SEEDS", (1,))
+        return study.run_study(TRAININGS, network=network, drive=drive)
 
 
 def with_scores(case, where="scores", **scores):
