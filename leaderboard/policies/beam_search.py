@@ -14,7 +14,7 @@ import numpy as np
 from road_envs.config import ConfigError
 from road_envs.envs.options import EnvSetup, EpisodeStart
 from road_envs.sensing.data_logger import DataLogger
-from road_envs.simulation.control_step import OUTPUT_COLUMNS
+from road_envs.simulation.control_step import OUT_REWARD
 from road_envs.simulation.instrumented_fleet import InstrumentedFleet
 from road_envs.vehicle.suspension import encode_command
 
@@ -55,8 +55,7 @@ def search_actions(setup: EnvSetup, starts: Sequence[EpisodeStart]) -> np.ndarra
     while running:
         for _ in range(n_hold):
             output = fleet.advance(bytes_[branch])
-            failed = (output.rollover >= 0) | (output.nonfinite_step >= 0)
-            returns += np.where(failed, -np.inf, output.values[:, OUTPUT_COLUMNS.index("reward")])
+            returns += np.where(output.failed, -np.inf, output.values[:, OUT_REWARD])
             intervals += 1
             running = not output.end_of_road.all()
             if not running:

@@ -11,7 +11,7 @@ from gymnasium.vector.utils import batch_space
 
 from road_envs.config import ConfigError, validate_choice
 from road_envs.envs.options import EnvOptions, EnvSetup
-from road_envs.simulation.control_step import OUTPUT_COLUMNS, StepOutput
+from road_envs.simulation.control_step import OUT_REWARD, OUTPUT_COLUMNS, StepOutput
 
 
 class RoadReconVectorEnv(VectorEnv):
@@ -81,9 +81,7 @@ class RoadReconVectorEnv(VectorEnv):
         self._roads = [""] * num_envs
         self._elapsed = np.zeros(num_envs, dtype=np.int64)
         self._done = np.zeros(num_envs, dtype=bool)
-        self._observations = np.zeros(
-            self.observation_space.shape or (0,), self.single_observation_space.dtype
-        )
+        self._observations = np.zeros((num_envs, 0))
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
@@ -108,8 +106,11 @@ class RoadReconVectorEnv(VectorEnv):
         self._seed_generators(seed, mask)
         output = self._start_and_advance(mask, episode_options)
         self._done[mask] = False
-        self._observations[mask] = output.observation[mask]
-        return self._observations.copy(), self._infos(output, mask)
+        observations = output.observation
+        if not mask.all():
+            observations = np.where(mask[:, None], observations, self._observations)
+        self._keep(observations)
+        return observations, self._infos(output, mask)
 
     def step(
         self, actions: np.ndarray
@@ -118,31 +119,35 @@ class RoadReconVectorEnv(VectorEnv):
         if not self._generators:
             raise gymnasium.error.ResetNeeded("call reset before step")
         commands = self.setup.command_bytes[self._validate_actions(actions)]
-        restarted = np.zeros(self.num_envs, dtype=bool)
-        if self._done.any():
+        restarted = self._done
+        if restarted.any():
             if self.autoreset_mode == AutoresetMode.DISABLED:
                 raise gymnasium.error.ResetNeeded(
                     f"environments {np.flatnonzero(self._done).tolist()} have ended: reset them "
                     f"with options={{'reset_mask': ...}} before the next step"
                 )
-            restarted = self._done  # NEXT_STEP: this step is their reset, whatever the action
+            # NEXT_STEP: this step is their reset, whatever the action
             commands[restarted] = self._start_episodes(restarted, self.setup.options)[restarted]
         output = self.fleet.advance(commands)
         self._elapsed += ~restarted
-        all_envs = np.ones(self.num_envs, dtype=bool)
-        infos = self._infos(output, all_envs)
-        terminated = ((output.nonfinite_step >= 0) | (output.rollover >= 0)) & ~restarted
+        infos = self._infos(output, np.ones(self.num_envs, dtype=bool))
+        terminated = output.failed & ~restarted
         truncated = output.end_of_road & ~terminated & ~restarted
         if self.max_episode_steps is not None:
             truncated |= (self._elapsed >= self.max_episode_steps) & ~restarted
-        rewards = np.where(restarted, 0.0, output.values[:, OUTPUT_COLUMNS.index("reward")])
+        rewards = np.where(restarted, 0.0, output.values[:, OUT_REWARD])
         self._done = terminated | truncated
         observations = output.observation
         if self.autoreset_mode == AutoresetMode.SAME_STEP and self._done.any():
             observations, infos = self._autoreset(self._done, output, infos)
             self._done = np.zeros(self.num_envs, dtype=bool)
-        self._observations[:] = observations
+        self._keep(observations)
         return observations, rewards, terminated, truncated, infos
+
+    def _keep(self, observations: np.ndarray) -> None:
+        """Keep a copy of the observations for a reset of other environments."""
+        if self.autoreset_mode == AutoresetMode.DISABLED:
+            self._observations = observations.copy()
 
     def _autoreset(
         self, ended: np.ndarray, output: StepOutput, infos: dict[str, Any]
@@ -189,9 +194,9 @@ class RoadReconVectorEnv(VectorEnv):
         infos: dict[str, Any] = {
             name: values[:, j] for j, name in enumerate(OUTPUT_COLUMNS) if name not in omitted
         }
-        infos["reason"] = np.where(mask, "", None)  # type: ignore[call-overload]
-        failed = mask & ((output.nonfinite_step >= 0) | (output.rollover >= 0))
-        for i in np.flatnonzero(failed):
+        infos["reason"] = np.full(self.num_envs, "", dtype=object)
+        infos["reason"][~mask] = None
+        for i in np.flatnonzero(mask & output.failed):
             infos["reason"][i] = self.setup.failure_reason(output, int(i), self._roads[i])
         if self.setup.options.truth:
             rows = {"s": output.s, "profile": output.profile, "loads": output.loads}
@@ -209,6 +214,11 @@ class RoadReconVectorEnv(VectorEnv):
             raise ConfigError(
                 f"reset_mask must be an array of {self.num_envs} bools with at least one true, "
                 f"got {mask!r}"
+            )
+        if self.autoreset_mode != AutoresetMode.DISABLED:
+            raise ConfigError(
+                "reset_mask is for autoreset_mode 'Disabled'; in the mode "
+                f"{self.autoreset_mode.value!r} environments that have ended restart by themselves"
             )
         if not self._generators and not mask.all():
             raise gymnasium.error.ResetNeeded("the first reset must be of all environments")

@@ -141,7 +141,8 @@ class ControlStepWorkspace(NamedTuple):
     delayed: np.ndarray  # (n,): command bytes
     s: np.ndarray  # (2 n + 1,)
     v: np.ndarray  # (2 n + 1,)
-    a: np.ndarray  # (k, n)
+    noise: np.ndarray  # (k, n)
+    samples: np.ndarray  # (k, n / decimation) float32: readings of the accelerometers
     signals: np.ndarray  # (n, 29) of each step if they are kept, else (0, 29)
 
 
@@ -159,19 +160,14 @@ class StepOutput(NamedTuple):
     truth: np.ndarray
 
     @property
+    def failed(self) -> np.ndarray:
+        """Whether the motion of the vehicles has failed (N,)."""
+        return (self.events[:, NONFINITE_STEP] >= 0) | (self.events[:, ROLLOVER] >= 0)
+
+    @property
     def end_of_road(self) -> np.ndarray:
         """Whether the vehicles have left their roads (N,)."""
         return self.events[:, END_OF_ROAD] > 0
-
-    @property
-    def rollover(self) -> np.ndarray:
-        """4 i + column of ANGLES if an angle first exceeds MAX_ANGLE in step i, else -1 (N,)."""
-        return self.events[:, ROLLOVER]
-
-    @property
-    def nonfinite_step(self) -> np.ndarray:
-        """First step with a non-finite motion, else -1 (N,)."""
-        return self.events[:, NONFINITE_STEP]
 
     @property
     def s(self) -> np.ndarray:
@@ -189,29 +185,34 @@ class StepOutput(NamedTuple):
         return self.truth[:, TRUE_LOADS:]
 
 
-def allocate_workspace(steps: int, sensors: int, keep_signals: bool) -> ControlStepWorkspace:
+def allocate_workspace(
+    steps: int, samples: int, sensors: int, keep_signals: bool
+) -> ControlStepWorkspace:
     """Allocate the scratch of a thread for intervals of n = `steps`."""
     return ControlStepWorkspace(
         delayed=np.zeros((steps, LANES), dtype=np.uint8),
         s=aligned_zeros(2 * steps + 1),
         v=aligned_zeros(2 * steps + 1),
-        a=aligned_zeros(sensors, steps),
+        noise=aligned_zeros(sensors, steps),
+        samples=np.zeros((sensors, samples, LANES), dtype=np.float32),
         signals=aligned_zeros(keep_signals * steps, N_SIGNALS),
     )
 
 
 @kernel
-def _measure(parameters, sensor_rows, antialias_state, signals, i, a):
-    """Replace the noise in column `i` of `a` (k, n, LANES) by the filtered accelerations."""
-    for j in range(a.shape[0]):
+def _measure(parameters, sensor_rows, antialias_state, signals, i, workspace):
+    """Write the filtered accelerations of step `i` to the samples, if it is one of a sample."""
+    for j in range(parameters.range.size):
         columns, limit = parameters.sensor_columns[j], parameters.range[j]
         z, phi = get(signals, ACCELERATION + columns[0]), get(signals, ACCELERATION + columns[1])
         heave, roll, pitch = get(sensor_rows, j, 0), get(sensor_rows, j, 1), get(sensor_rows, j, 2)
         true = heave * z + roll * phi + pitch * get(signals, ACCELERATION + columns[2])
-        x = true + parameters.noise_std[j] * get(a, j, i)
+        x = true + parameters.noise_std[j] * get(workspace.noise, j, i)
         x = minimum(maximum(x, -limit), limit)
         x = filter_sample(parameters.antialias_sos, antialias_state, j, x)
-        put(a[j], i, minimum(maximum(x, -limit), limit))
+        if i % parameters.decimation == 0:
+            at = i // parameters.decimation
+            put(workspace.samples[j], at, minimum(maximum(x, -limit), limit))
 
 
 @kernel
@@ -242,13 +243,13 @@ def _write_costs(parameters, n, sums, values):
 
 
 @kernel(inline=False)
-def _write_observation(parameters, kinematics, a, commands, observation):
+def _write_observation(parameters, kinematics, samples, commands, observation):
     """Write the observations (lanes in use, S k + 5) of a block."""
     for k in range(observation.shape[0]):
         at, byte = 0, commands[k]
-        for j in range(a.shape[0]):
-            for i in range(0, a.shape[1], parameters.decimation):
-                observation[k, at] = a[j, i, k]
+        for j in range(samples.shape[0]):
+            for i in range(samples.shape[1]):
+                observation[k, at] = samples[j, i, k]
                 at += 1
         measured = kinematics[SPEED_GAIN, k] * kinematics[SPEED, k]
         observation[k, at] = min(max(measured, 0.0), parameters.top_speed)
@@ -300,8 +301,7 @@ def advance_blocks(blocks, state, parameters, inputs, workspace, output):
     The rows of `output` are the vehicles; the last block may have lanes without one.
     """
     delayed = workspace.delayed
-    n, n_sensors, h = delayed.shape[0], parameters.range.size, parameters.h
-    n_samples = (n + parameters.decimation - 1) // parameters.decimation
+    n, h = delayed.shape[0], parameters.h
     scratch = LaneScratch(
         step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16), stack_rows(2), stack_rows(2),
         stack_rows(2), stack_rows(32), stack_rows(N_SIGNALS),
@@ -328,7 +328,7 @@ def advance_blocks(blocks, state, parameters, inputs, workspace, output):
         manoeuvre = a_xy.shape[0] > NO_MANOEUVRE.shape[0]
         drive_inputs = DriveInputs(workspace.s, workspace.v, a_xy, delayed, h)
         if parameters.noisy > 0:
-            fill_normal(state.noise_state[b], lanes, workspace.a)
+            fill_normal(state.noise_state[b], lanes, workspace.noise)
         for j in range(N_SUMS):
             put(sums, j, 0.0)
         for k in range(lanes):
@@ -339,7 +339,7 @@ def advance_blocks(blocks, state, parameters, inputs, workspace, output):
             take_step(vehicles, roads, drive_inputs, i, scratch, signals, None)
             find_failures(signals, i, events)
             _measure(
-                parameters, state.sensor_rows[b], state.antialias_state[b], signals, i, workspace.a
+                parameters, state.sensor_rows[b], state.antialias_state[b], signals, i, workspace
             )
             _add_costs(parameters, state.wk_state[b], signals, sums)
             if parameters.planar > 0:
@@ -363,8 +363,8 @@ def advance_blocks(blocks, state, parameters, inputs, workspace, output):
                     sums[j, k] = 0.0
         _write_costs(parameters, n, sums, values)
         observation = output.observation[rows]
-        _write_observation(parameters, kinematics, workspace.a, commands, observation)
-        k_0 = n_sensors * n_samples + 5
+        _write_observation(parameters, kinematics, workspace.samples, commands, observation)
+        k_0 = workspace.samples.shape[0] * workspace.samples.shape[1] + 5
         _write_optional_groups(parameters, n, sums, signals, k_0, observation)
         for k in range(lanes):
             counts[STEPS_DONE, k] += n

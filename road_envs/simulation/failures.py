@@ -13,7 +13,9 @@ MAX_ANGLE = float(np.radians(45.0))
 """Limit [rad] of each of ANGLES, beyond which the small-angle model is invalid."""
 
 END_OF_ROAD, ROLLOVER, NONFINITE_STEP = range(3)
-"""Columns of `control_step.StepOutput.events`."""
+"""Columns of `control_step.StepOutput.events`: whether the vehicle has left its road; 4 i + column
+of ANGLES if an angle first exceeds MAX_ANGLE in step i, else -1; first step with a non-finite
+motion, else -1."""
 
 
 @kernel(inline=False)

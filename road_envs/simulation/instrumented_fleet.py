@@ -145,7 +145,8 @@ class InstrumentedFleet:
         self._moving = np.arange(blocks)
         self._commands = np.zeros(blocks * LANES, dtype=np.uint8)
         self._workspaces = [
-            allocate_workspace(steps, k, keep_signals) for _ in range(min(threads, blocks))
+            allocate_workspace(steps, self.samples, k, keep_signals)
+            for _ in range(min(threads, blocks))
         ]
 
     def start(self, i: int, drive: DriveSimulator, logger: DataLogger, speed_kmh: float) -> None:

@@ -28,12 +28,14 @@ intrinsic: Any = extending.intrinsic  # its annotations count the typing context
 MULTIPLIER = 0x2360ED051FC65DA44385DF649FCCF645
 """Of the congruential generator (`PCG_DEFAULT_MULTIPLIER_128`)."""
 
-DENSITIES, WIDTHS, LIMITS = fi_double, wi_double, ki_double.astype(np.int64)
-"""Of the 256 layers: density at the edge, width per unit of the 52 bits, and the greatest place at
-which a number is accepted without looking at the density."""
+DENSITIES = fi_double
+"""Of the normal distribution at the edges of the 256 layers."""
+WIDTHS, LIMITS = np.append(wi_double, -wi_double), np.tile(ki_double.astype(np.int64), 2)
+"""Of the layers, for both signs: width per unit of the 52 bits, and the greatest place at which a
+number is accepted without looking at the density."""
 
 TAIL, INVERSE_TAIL = ziggurat_nor_r, ziggurat_nor_inv_r
-LAYER_BITS, SIGN_BIT, PLACE_SHIFT, PLACE_BITS = 0xFF, 0x100, 9, (1 << 52) - 1
+LAYER_BITS, SIGNED_LAYER_BITS, PLACE_SHIFT, PLACE_BITS = 0xFF, 0x1FF, 9, (1 << 52) - 1
 
 
 def generator_state(rng: np.random.Generator) -> np.ndarray:
@@ -79,22 +81,28 @@ def _uniform(bits):
 
 
 @kernel(inline=False)
-def _beside_the_layers(high, low, inc_high, inc_low, bits):
-    """Return whether a number that is not inside its layer is accepted, it, and the state."""
-    layer, sign = bits & LAYER_BITS, -1.0 if bits & SIGN_BIT else 1.0
-    place = (bits >> PLACE_SHIFT) & PLACE_BITS
-    if layer == 0:
-        while True:  # Marsaglia's method for the tail
+def _draw_outside(state, k, bits):
+    """Return lane `k`'s number if its `bits` are not inside their layer; advance its `state`."""
+    high, low, inc_high, inc_low = state[0, k], state[1, k], state[2, k], state[3, k]
+    accepted, x = False, 0.0
+    while not accepted:
+        layer, place = bits & SIGNED_LAYER_BITS, (bits >> PLACE_SHIFT) & PLACE_BITS
+        x, accepted = place * WIDTHS[layer], place < LIMITS[layer]
+        if not accepted and layer & LAYER_BITS > 0:
+            high, low, bits = _next_bits(high, low, inc_high, inc_low)
+            below, above = DENSITIES[layer & LAYER_BITS], DENSITIES[(layer & LAYER_BITS) - 1]
+            accepted = below + (above - below) * _uniform(bits) < np.exp(-0.5 * x * x)
+        while not accepted and layer & LAYER_BITS == 0:  # Marsaglia's method for the tail
             high, low, bits = _next_bits(high, low, inc_high, inc_low)
             x = -INVERSE_TAIL * np.log1p(-_uniform(bits))
             high, low, bits = _next_bits(high, low, inc_high, inc_low)
             y = -np.log1p(-_uniform(bits))
-            if y + y > x * x:
-                return True, (-1.0 if (place >> 8) & 1 else 1.0) * (TAIL + x), high, low
-    high, low, bits = _next_bits(high, low, inc_high, inc_low)
-    x, below = place * WIDTHS[layer], DENSITIES[layer]
-    accepted = below + (DENSITIES[layer - 1] - below) * _uniform(bits) < np.exp(-0.5 * x * x)
-    return accepted, sign * x, high, low
+            accepted = y + y > x * x
+            x = (-1.0 if (place >> 8) & 1 else 1.0) * (TAIL + x)
+        if not accepted:
+            high, low, bits = _next_bits(high, low, inc_high, inc_low)
+    state[0, k], state[1, k] = high, low
+    return x
 
 
 @kernel
@@ -107,18 +115,9 @@ def fill_normal(state, lanes, out):
     for i in range(out.shape[1]):
         for j in range(out.shape[0]):
             for k in range(lanes):
-                high, low, inc_high, inc_low = state[0, k], state[1, k], state[2, k], state[3, k]
-                accepted, x = False, 0.0
-                while not accepted:
-                    high, low, bits = _next_bits(high, low, inc_high, inc_low)
-                    layer, place = bits & LAYER_BITS, (bits >> PLACE_SHIFT) & PLACE_BITS
-                    x = place * WIDTHS[layer]
-                    if bits & SIGN_BIT:
-                        x = -x
-                    accepted = place < LIMITS[layer]
-                    if not accepted:
-                        accepted, x, high, low = _beside_the_layers(
-                            high, low, inc_high, inc_low, bits
-                        )
-                out[j, i, k] = x
+                high, low, bits = _next_bits(state[0, k], state[1, k], state[2, k], state[3, k])
                 state[0, k], state[1, k] = high, low
+                layer, place = bits & SIGNED_LAYER_BITS, (bits >> PLACE_SHIFT) & PLACE_BITS
+                out[j, i, k] = place * WIDTHS[layer]
+                if place >= LIMITS[layer]:
+                    out[j, i, k] = _draw_outside(state, k, bits)

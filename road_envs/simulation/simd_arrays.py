@@ -6,7 +6,8 @@ of LANES they operate on all lanes: an index with one dimension less selects a r
     get(q, j)      q (7,)     a float         q (7, LANES)     a vector
     get(p.x_1)     a float    a float         (LANES,)         a vector
 
-A row of lanes that is stored in single precision or as bytes is read as a vector of doubles.
+A row of lanes that is stored in single precision or as bytes is read as a vector of doubles, and
+one in single precision is written from it.
 Indices are not negative. Without compilation (`py_func`) only the scalar column exists.
 """
 
@@ -145,6 +146,8 @@ def _put(context, builder, signature, values):
     array, _, x = signature.args
     at = _address(context, builder, array, values[0], values[1:2])
     value = as_vector(context, builder, values[2], x) if array.ndim > 1 else values[2]
+    if array.ndim > 1 and array.dtype == types.float32:
+        value = builder.fptrunc(value, ir.VectorType(ir.FloatType(), LANES))
     builder.store(value, at).align = 8
     return context.get_dummy_value()
 

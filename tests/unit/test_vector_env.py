@@ -159,6 +159,8 @@ def test_invalid_input_is_rejected_in_one_sentence():
             envs.step(bad)
     with pytest.raises(ConfigError, match="reset_mask must be an array of 3 bools"):
         envs.reset(options={"reset_mask": np.zeros(3, dtype=bool)})
+    with pytest.raises(ConfigError, match="reset_mask is for autoreset_mode 'Disabled'"):
+        vector().reset(options={"reset_mask": np.ones(3, dtype=bool)})
     with pytest.raises(ConfigError, match="seed must be one number or 3 numbers, got 2"):
         envs.reset(seed=[1, 2])
     with pytest.raises(ConfigError, match="num_envs must be a whole number"):
