@@ -72,7 +72,8 @@ def read_measured_record(
     """Read the record of a measured drive of a vehicle of this `wheelbase` [m].
 
     `speed_kmh` and `mode` apply to the whole drive, as those of the `description` do; each is
-    required if the table does not hold it, and invalid otherwise. Modes are those of the `car`, by
+    required if the table does not hold it. A speed besides that of the table is invalid, and so is
+    a mode that differs from it. Modes are those of the `car`, by
     default of a 4S4 suspension; a car with passive struts needs none. The road extends from the
     position of the rear axle at the first sample to that of the front axle at the last. Raises one
     ConfigError that lists all problems, with the columns, and the rows if there are any.
@@ -164,24 +165,30 @@ def _commands(
     given = [name for name in ("mode", "mode_front", "mode_rear") if name in channels]
     if car is not None and car.is_passive and not given and mode is None:
         mode = "passive"
-    if given not in ([], ["mode"], ["mode_front", "mode_rear"]) or bool(given) == bool(mode):
+    if given not in ([], ["mode"], ["mode_front", "mode_rear"]) or not (given or mode):
         problem = f"given as {', '.join(given)}" if given else "missing"
-        also = " and for the whole drive" if given and mode else ""
         findings.problems.append(
-            f"the state of the struts is {problem}{also}: give the column mode, or mode_front and "
+            f"the state of the struts is {problem}: give the column mode, or mode_front and "
             f"mode_rear, or one mode for the whole drive (--mode); {channels.list_columns()}"
         )
         return None
     try:
-        if mode:
-            return np.full(size, encode_command(mode, car), dtype=np.uint8)
+        whole = np.full(size, encode_command(mode, car), dtype=np.uint8) if mode else None
+        if whole is not None and not given:
+            return whole
         columns = [channels.texts(name) for name in (given if len(given) == 2 else given * 2)]
         pairs = list(zip(*columns, strict=True))
         encoded = {
             pair: encode_command(dict(zip(("front", "rear"), pair, strict=True)), car)
             for pair in set(pairs)
         }
-        return np.array([encoded[pair] for pair in pairs], dtype=np.uint8)
+        commands = np.array([encoded[pair] for pair in pairs], dtype=np.uint8)
+        if whole is not None and (commands != whole).any():
+            raise ConfigError(
+                f"the mode {mode} is given for the whole drive (--mode), and the table has other "
+                f"ones in {' and '.join(given)}: leave out --mode"
+            )
+        return commands
     except ConfigError as error:
         findings.problems.append(str(error))
         return None

@@ -215,8 +215,9 @@ def test_an_invalid_description_is_rejected(changes, message):
 
 def test_a_missing_column_is_named_with_the_nearest(tmp_path):
     path = write(tmp_path / "d.csv", {"t": T, **ACCELERATION, "acc_front": T, "v": SPEED})
-    with pytest.raises(ConfigError, match="no column 'acc_fron' for a_rf"):
+    with pytest.raises(ConfigError, match="no column 'acc_fron' for a_rf") as error:
         read(path, columns={"a_rf": "acc_fron"})
+    assert "the column a_rf is missing" not in str(error.value)
 
 
 @pytest.mark.parametrize(

@@ -179,7 +179,7 @@ def spoilt(column, k, value):
         ({"v": None}, {}, "the speed is missing: give one of the columns v [m/s]"),
         ({}, {"speed_kmh": 50.0}, "the speed is given twice, by the column v"),
         ({"mode": None}, {}, "the state of the struts is missing: give the column mode"),
-        ({}, {"mode": "ride"}, "given as mode and for the whole drive"),
+        ({}, {"mode": "handling"}, "the table has other ones in mode: leave out --mode"),
         ({"mode": None, "mode_rear": CHANNELS["mode"]}, {}, "given as mode_rear"),
         (spoilt("mode", 7, "sport"), {}, "unknown suspension mode 'sport'"),
         (spoilt("a_rr", 4, "over"), {}, "the column a_rr: row 5: 'over' is not a number"),
@@ -208,6 +208,14 @@ def test_an_invalid_record_is_rejected_in_one_sentence(tmp_path, columns, option
         read_measured_record(path, BASE, **options)
     sentence = str(error.value)
     assert message in sentence and str(path) in sentence and "\n" not in sentence
+
+
+def test_a_mode_for_the_whole_drive_may_repeat_that_of_the_table(tmp_path):
+    path = table(tmp_path / "d.csv", changed(mode=["handling"] * 200))
+    repeated, own = (
+        read_measured_record(path, BASE, **o).record for o in ({"mode": "handling"}, {})
+    )
+    assert own.damper_high.all() and np.array_equal(repeated.damper_high, own.damper_high)
 
 
 def test_all_problems_of_a_file_are_named_at_once(tmp_path):

@@ -123,10 +123,11 @@ class Channels:
     def acceleration(self, quantity: str) -> np.ndarray | None:
         """Return one channel [m/s²], upwards and without gravity; None if there is none."""
         if quantity not in self:
-            self.findings.problems.append(
-                f"the column {quantity} is missing: name it {quantity} (m/s²) or {quantity}_g, or "
-                f"say which it is with --columns {quantity}=NAME; {self.list_columns()}"
-            )
+            if quantity not in self.description.columns:  # else `_find` has told it
+                self.findings.problems.append(
+                    f"the column {quantity} is missing: name it {quantity} (m/s²) or {quantity}_g, "
+                    f"or say which it is with --columns {quantity}=NAME; {self.list_columns()}"
+                )
             return None
         if (a := self.numbers(quantity)) is None:
             return None
