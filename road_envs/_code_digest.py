@@ -27,7 +27,7 @@ PACKAGES = ("road_envs", "estimators", "leaderboard")
 DIGITS = 16
 """Hex digits of a digest."""
 
-LARGEST_MEMORY = 4000
+LARGEST_MEMORY = 1000
 """Most files that are remembered from one process to the next."""
 
 
@@ -70,10 +70,10 @@ def code_digest(text: bytes) -> str:
 
 
 @cache
-def closure(module: str, root: Path = ROOT) -> tuple[Path, ...]:
-    """Return the files of this project that `module` reaches by imports, its own first."""
+def closure(*modules: str, root: Path = ROOT) -> tuple[Path, ...]:
+    """Return the files of this project that `modules` reach by imports, their own among them."""
     found: dict[Path, None] = {}
-    front = [path] if (path := find_source(module, root)) else []
+    front = [path for module in modules if (path := find_source(module, root))]
     while front:
         path = front.pop()
         if path not in found:

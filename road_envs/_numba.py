@@ -46,7 +46,7 @@ def _kernel_files(folder: Path) -> list[Path]:
     files = importers(folder, __name__)
     root = folder.parent
     names = [".".join(path.relative_to(root).with_suffix("").parts) for path in files]
-    return [*files, *(path for name in names for path in closure(name, root))]
+    return [*files, *closure(*names, root=root)]
 
 
 CACHE = cache_home() / digest(_kernel_files(HERE))

@@ -202,7 +202,7 @@ def reuse_kernels(tree: Path, clean: list[str], fault: Fault, text: str, caches:
     for before, after in zip(clean, kernel_folders(tree), strict=True):
         for path in (tree / "cache" / "road-recon" / before).glob("*.nb[ci]"):
             (module,) = re.findall(r"-([\w.]+)\.py3", path.name)
-            if not (changed and tree / fault.file in closure(module, tree)):
+            if not (changed and tree / fault.file in closure(module, root=tree)):
                 target = caches / "road-recon" / after / path.name
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy(path, target)

@@ -82,11 +82,11 @@ def test_a_module_is_made_of_what_it_imports_wherever_the_statement_stands(tmp_p
     }
     for name, text in files.items():
         (package / name).write_text(text)
-    found = closure("estimators.a", tmp_path)
+    found = closure("estimators.a", root=tmp_path)
     names = {path.relative_to(package).as_posix() for path in found}
     assert names == {"a.py", "b.py", "inner/c.py"}
     assert [p.name for p in importers(package, "estimators.inner.c")] == ["b.py"]
-    assert closure("elsewhere.a", tmp_path) == ()
+    assert closure("elsewhere.a", root=tmp_path) == ()
 
 
 def test_what_was_parsed_is_remembered_and_a_damaged_memory_is_made_again(tmp_path):
