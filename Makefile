@@ -5,7 +5,7 @@ READY := $(VENV)/.ready
 # set in many containers; each of a hundred processes would then compile all modules that it imports
 export PYTHONDONTWRITEBYTECODE :=
 # in the order of tests/conftest.py
-WORKERS := -n auto --no-loadscope-reorder
+WORKERS := -n logical --no-loadscope-reorder
 
 .PHONY: leaderboard policies test suite test-processes test-long test-lowest lint bench mutants docs clean
 

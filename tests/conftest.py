@@ -28,11 +28,10 @@ settings.load_profile("steady")
 
 
 LONG = """
-    cars examples own_policies site_in_browser executors hostile_entries conformance_checks
-    sandbox scaffold wiener wrong_inputs kalman estimator_contract calibrated_fir board
-    kalman_posterior record_contract accelerometer_layouts_estimated rosenbrock car_fit
-    vector_env conformance_results work_precision paper package adding map_smoother
-    passes_command report kills
+    cars own_policies sandbox examples site_in_browser wiener kalman estimator_contract
+    hostile_entries wrong_inputs calibrated_fir record_contract conformance_checks kalman_posterior
+    rosenbrock conformance_results car_fit vector_env work_precision paper board map_smoother
+    accelerometer_layouts_estimated policies adaptive_drive evaluate report varied_drives adding
 """.split()
 """Files of the most processor time, the longest first, so that the workers end together."""
 
@@ -45,12 +44,6 @@ def pytest_collection_modifyitems(items):
 def pytest_collection_finish():
     gc.freeze()
     gc.enable()
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers(config):
-    """One worker more than there are cores, since some tests wait for time limits and for disks."""
-    return (os.cpu_count() or 1) + 1
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -208,7 +208,7 @@ NOTES = {
         ("estimate", "fir_ridge", "d.csv", "--vehicle", "car.yaml"), "makes no difference"),
     "a dead channel of a record": (
         lambda: record(a=drive()[2].a * np.array([[1.0], [0.0], [1.0]])),
-        ("estimate", "wiener", "d.parquet"), "LR is 0 in all samples: the sensor is dead"),
+        ("estimate", "fir_ridge", "d.parquet"), "LR is 0 in all samples: the sensor is dead"),
 }  # fmt: skip
 
 

@@ -238,6 +238,7 @@ def test_a_rollover_terminates_with_a_reason():
     assert "phi passed 45 degrees at t = 0.050 s" in info["reason"]
 
 
+@pytest.mark.processes
 def test_a_spawned_worker_finds_the_environment_by_module_and_id(tmp_path):
     script = tmp_path / "workers.py"
     script.write_text(
