@@ -26,7 +26,7 @@ import numpy as np
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.gauss_newton import MapSolution, update_prior
 from estimators.map_smoother.objective import Linearization, Objective, linearize
-from estimators.map_smoother.posterior_sampling import band_pass, draw_deviation, interior
+from estimators.map_smoother.posterior_sampling import band_pass, draw_deviations, interior
 from estimators.map_smoother.preconditioner import StationaryHessian, stationary_hessian
 from estimators.map_smoother.windows import initial_window_state, window_objective
 from estimators.preprocessing import mask_record
@@ -142,7 +142,7 @@ def _relative_error(
 
     solution = MapSolution(lin, stationary, noise_scale=1.0)
     solve = solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)
-    error = np.mean([power(draw_deviation(lin, solve, rng)) for _ in range(draws)])
+    error = np.mean([power(dx) for dx in draw_deviations(lin, solve, rng, draws)])
     return float(np.sqrt(error / np.mean([power(x) for x in points])))
 
 

@@ -57,11 +57,11 @@ from estimators.map_smoother.gauss_newton import (
 )
 from estimators.map_smoother.objective import MeasurementModel, Objective
 from estimators.map_smoother.passes import estimate_jointly
-from estimators.map_smoother.posterior_sampling import posterior_std
+from estimators.map_smoother.posterior_sampling import posterior_mean_and_std
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.speed_error import distance_scale, estimate_speed_error
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
-from estimators.map_smoother.wheel_liftoff import at_expected_road, distance_in_air
+from estimators.map_smoother.wheel_liftoff import distance_in_air
 from estimators.map_smoother.windows import MARGIN, PreparedDrive, reconstruct, split_windows
 from estimators.preprocessing import clipped_signs, mask_record
 from road_envs.analysis.information_bound import RoadPrior
@@ -220,12 +220,9 @@ class MapSmoother(CalibratedByIdentification):
             findings.in_air += distance_in_air(solution.linearization)
             if model.speed_std > 0.0:
                 findings.speed_errors.append(estimate_speed_error(solution))
-            uncertain = uncertainty
-            if findings.fit:
-                uncertain = VehicleUncertainty.of_fit(findings.fit)
-            std = posterior_std(solution, band, self.draws, 0, uncertain)
-            expected = at_expected_road(solution.linearization)
-            return replace(solution, linearization=expected), std
+            fit = findings.fit
+            uncertain = VehicleUncertainty.of_fit(fit) if fit else uncertainty
+            return posterior_mean_and_std(solution, band, self.draws, uncertain)
 
         result, noise_scales = reconstruct(model, drive, prior, windows, solve)
         noise_scale = findings.noise_scale = float(max(noise_scales))

@@ -70,11 +70,12 @@ class LikelihoodTerms(NamedTuple):
 
 class Derivatives(NamedTuple):
     """Derivatives that change little from one step of the parameters to the next: `G` (P, S, J) of
-    the block means, and of the log-determinant the gradient `log_det` (P,) with the part
-    `curvature` (P, P) of the Hessian, 0 over a known road.
+    the block means and their `spectra` (F, S, P), and of the log-determinant the gradient `log_det`
+    (P,) with the part `curvature` (P, P) of the Hessian, 0 over a known road.
     """
 
     G: np.ndarray
+    spectra: np.ndarray
     log_det: np.ndarray
     curvature: np.ndarray
 
@@ -103,6 +104,15 @@ def sensitivities(lin: Linearization, varied: Sequence[Objective]) -> np.ndarray
 
     `varied` as of `perturbed_objectives`. Raises ArithmeticError if a motion is not finite.
     """
+    left = varied_residuals(lin, varied)
+    return (left[0] - left[1:]) / DIFFERENCE
+
+
+def varied_residuals(lin: Linearization, varied: Sequence[Objective]) -> np.ndarray:
+    """Return the residuals (V, S, J) of other vehicles on the road of `lin.x`.
+
+    Raises ArithmeticError if a motion is not finite.
+    """
     objective = lin.objective
     u, start, bias = objective.split(lin.x)
     c = objective.road.coefficients(u)
@@ -111,17 +121,16 @@ def sensitivities(lin: Linearization, varied: Sequence[Objective]) -> np.ndarray
     shared = SharedInputs(road, inputs.commands, strut_state, objective.model.valve_lag, inputs.h)
     starts = [one.initial_state + start for one in varied]
     motions = drive_variants([one.model.plant for one in varied], starts, shared)
-    left = [one.residual(a, bias) for one, a in zip(varied, motions, strict=True)]
+    left = np.array([one.residual(a, bias) for one, a in zip(varied, motions, strict=True)])
     for k, one in enumerate(varied):  # the road under longer tyres is another
         if one.model.contact_length != objective.model.contact_length:
             left[k] = one.residual_at(lin.x)[0]
-    found = (left[0] - np.array(left[1:])) / DIFFERENCE
-    if not np.isfinite(found).all():
+    if not np.isfinite(left).all():
         raise ArithmeticError("the motion of a varied vehicle was not finite")
-    return found
+    return left
 
 
-def _reading_sensitivities(lin: Linearization, base: Objective, errors: np.ndarray) -> np.ndarray:
+def reading_sensitivities(lin: Linearization, base: Objective, errors: np.ndarray) -> np.ndarray:
     """Return the derivatives (R, S, J) by errors of the instruments, at `errors` (R,) of them.
 
     `base` is the objective for the vehicle of `lin` and instruments without errors.
@@ -152,29 +161,30 @@ def drive_derivatives(
     varied = perturbed_objectives(original, cars, errors)
     G = sensitivities(lin, varied)
     if errors.size > 0:
-        read = _reading_sensitivities(lin, original.with_car(cars[0]), errors)
+        read = reading_sensitivities(lin, original.with_car(cars[0]), errors)
         G = np.concatenate([G, read])
+    spectra = _spectrum(lin.objective, G)
     if not lin.objective.road.free.any():
-        return Derivatives(G, np.zeros(len(G)), np.zeros((len(G), len(G))))
+        return Derivatives(G, spectra, np.zeros(len(G)), np.zeros((len(G), len(G))))
     noise = lin.objective.model.noise_variance * solution.noise_scale
-    return Derivatives(G, *_log_det_terms(lin.objective, varied, noise))
+    return Derivatives(G, spectra, *_log_det_terms(lin.objective, varied, noise))
 
 
 def drive_terms(solution: MapSolution, derivatives: Derivatives) -> LikelihoodTerms:
     """Return the terms of one drive's marginal likelihood."""
-    lin, G = solution.linearization, derivatives.G
+    lin, A = solution.linearization, derivatives.spectra
     objective = lin.objective
     f, lines = _lines(objective)
     is_known = not objective.road.free.any()
     noise = objective.model.noise_variance * (1.0 if is_known else solution.noise_scale)
     covariance = _covariance(objective, f, noise)
-    A, r = _spectrum(objective, G), _spectrum(objective, lin.residual[None])
     weighted = np.linalg.solve(covariance, lines[:, None, None] * A)
     if not is_known:
         information = _gram(A, weighted)
-        fit = np.einsum("psj,sj->p", G, lin.apply_inverse_covariance(lin.residual))
+        fit = np.einsum("psj,sj->p", derivatives.G, lin.apply_inverse_covariance(lin.residual))
         information += derivatives.curvature
         return LikelihoodTerms(fit - derivatives.log_det, information, information)
+    r = _spectrum(objective, lin.residual[None])
     # the error of the profile is noise; what the model cannot explain inflates it, band by band
     power = np.real(np.einsum("fsq,fsq->f", r.conj(), np.linalg.solve(covariance, r))) / r.shape[1]
     band = (f / ERROR_BANDWIDTH).astype(int)

@@ -29,8 +29,8 @@ from estimators.map_smoother.joint_objective import (
     shift_inputs,
 )
 from estimators.map_smoother.objective import MeasurementModel
-from estimators.map_smoother.posterior_sampling import posterior_std
-from estimators.map_smoother.wheel_liftoff import at_expected_road, distance_in_air
+from estimators.map_smoother.posterior_sampling import posterior_mean_and_std
+from estimators.map_smoother.wheel_liftoff import distance_in_air
 from estimators.map_smoother.windows import (
     PreparedDrive,
     WindowState,
@@ -158,9 +158,7 @@ def estimate_jointly(
         scale = np.maximum(findings.noise_scale[members], solution.noise_scale)
         findings.noise_scale[members] = scale
         findings.in_air[members] += [distance_in_air(one) for one in solution.linearization.passes]
-        std = posterior_std(solution, scored_band(slowest), smoother.draws, 0)
-        expected = at_expected_road(solution.linearization)
-        return replace(solution, linearization=expected), std
+        return posterior_mean_and_std(solution, scored_band(slowest), smoother.draws)
 
     state = reconstruct_passes(smoother, passes, solve)
     drive, s = passes[0].drive, start.s

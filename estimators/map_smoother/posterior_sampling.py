@@ -1,4 +1,4 @@
-"""Standard deviation of the estimate, from samples of the linearized posterior.
+"""Mean and standard deviation of the road, from samples of the linearized posterior.
 
 With e_1, e_2 standard normal, the solution of (I + J' R^-1 J) x = J' R^-1/2 e_1 + e_2 is a sample
 of the posterior's deviation from its mean (Papandreou & Yuille 2010, "Gaussian sampling by local
@@ -7,6 +7,7 @@ error there.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,11 @@ from estimators.common.model_inputs import ModelInputs
 from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.road_prior import RoadTransform
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
-from estimators.map_smoother.wheel_liftoff import LiftoffError, road_below_light_wheels
+from estimators.map_smoother.wheel_liftoff import (
+    LiftoffError,
+    lower_road,
+    road_below_light_wheels,
+)
 
 CG_ITERATIONS, CG_TOLERANCE = 40, 1e-2
 """Iterations of conjugate gradients for one sample, at most, and where they end."""
@@ -38,21 +43,22 @@ OBSTACLE_SHARE = 0.02
 From training drives over potholes and bumps."""
 
 
-def posterior_std(
+def posterior_mean_and_std(
     solution: MapSolution,
     band: tuple[float, float],
     draws: int,
-    seed: int,
     uncertainty: VehicleUncertainty | None = None,
-) -> np.ndarray:
-    """Return the standard deviation (2, K) [m] of the error inside `band` [cycles/m] at each node.
+) -> tuple[MapSolution, np.ndarray]:
+    """Return the solution at the mean of the road below light wheels, and the standard deviation
+    (2, K) [m] of the error inside `band` [cycles/m] at each node.
 
     `uncertainty` is that of an identified vehicle, of one pass.
 
-    Its course along the road is that of the local roughness, by the stationary approximation; its
-    level, from the samples, is the same for all nodes that were passed in the same strut state.
+    The course of the deviation along the road is that of the local roughness, by the stationary
+    approximation; its level, from the samples, is the same for all nodes that were passed in the
+    same strut state.
     """
-    lin, rng = solution.linearization, np.random.default_rng(seed)
+    lin, rng = solution.linearization, np.random.default_rng(0)
     objective, road = lin.objective, lin.objective.road
     noise_variance = objective.noise_variance * solution.noise_scale
     solve = solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)
@@ -62,8 +68,7 @@ def posterior_std(
     square = np.zeros((2, road.size))
     if draws and uncertainty:
         draws = max(draws, VEHICLE_DRAWS)
-    for _ in range(draws):
-        dx = draw_deviation(lin, solve, rng, uncertainty)
+    for dx in draw_deviations(lin, solve, rng, draws, uncertainty):
         part = band_pass(road.apply(objective.split(dx)[0]), inside)
         part -= part[:, middle].mean(axis=1, keepdims=True)
         square += part**2 / draws
@@ -76,7 +81,9 @@ def posterior_std(
     variance = STD_INFLATION**2 * level * shape
     if road.is_uneven:
         variance = variance + OBSTACLE_SHARE * variance[:, middle].mean()
-    return np.sqrt(add_liftoff_errors(variance, road_below_light_wheels(lin)[1], inside))
+    lower, errors = road_below_light_wheels(lin)
+    std = np.sqrt(add_liftoff_errors(variance, errors, inside))
+    return replace(solution, linearization=lower_road(lin, lower)), std
 
 
 def add_liftoff_errors(
@@ -94,23 +101,29 @@ def add_liftoff_errors(
     return total
 
 
-def draw_deviation(
+def draw_deviations(
     lin: Any,
     solve: Operator,
     rng: np.random.Generator,
+    draws: int,
     uncertainty: VehicleUncertainty | None = None,
-) -> np.ndarray:
-    """Return a sample of the deviation of `x` from its posterior mean; `solve` as of
+) -> list[np.ndarray]:
+    """Return samples of the deviation of `x` from its posterior mean; `solve` as of
     `MapSolution.inverse_hessian`.
 
     `lin` is a linearization, of one pass or of several, or the expectation of some over roads
     (`attainable.ExpectedInformation`).
     """
-    b = lin.adjoint(lin.draw_noise(rng)) + rng.standard_normal(lin.objective.size)
-    if uncertainty:
-        change = uncertainty.draw_change(lin, rng)
-        b += lin.adjoint(lin.apply_inverse_covariance(change))
-    return solve(b)
+    noise, of_vehicle = [], []
+    for _ in range(draws):
+        noise.append(lin.adjoint(lin.draw_noise(rng)) + rng.standard_normal(lin.objective.size))
+        if uncertainty:
+            of_vehicle.append(rng.standard_normal(len(uncertainty.covariance)))
+    if uncertainty and draws:
+        changes = uncertainty.draw_changes(lin, np.array(of_vehicle))
+        for b, change in zip(noise, changes, strict=True):
+            b += lin.adjoint(lin.apply_inverse_covariance(change))
+    return [solve(b) for b in noise]
 
 
 def band_pass(c: np.ndarray, lines: np.ndarray) -> np.ndarray:

@@ -17,8 +17,11 @@ from functools import cached_property
 import numpy as np
 
 from estimators.map_smoother.car_fit import CarFit
-from estimators.map_smoother.instrument_errors import InstrumentErrors
-from estimators.map_smoother.marginal_likelihood import DIFFERENCE
+from estimators.map_smoother.marginal_likelihood import (
+    DIFFERENCE,
+    reading_sensitivities,
+    varied_residuals,
+)
 from estimators.map_smoother.objective import Linearization
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import scale_parameters
@@ -75,13 +78,15 @@ class VehicleUncertainty:
         values, vectors = np.linalg.eigh(self.covariance)
         return vectors * np.sqrt(np.maximum(values, 0.0))
 
-    def draw_change(self, lin: Linearization, rng: np.random.Generator) -> np.ndarray:
-        """Return a sample of G dp (S, J) [m/s²]: by how much the block means of a drive are
+    def draw_changes(self, lin: Linearization, white: np.ndarray) -> np.ndarray:
+        """Return samples of G dp (N, S, J) [m/s²]: by how much the block means of a drive are
         mispredicted at `lin`, which is a linearization with `car`.
+
+        `white` (N, P + R) is standard normal. Raises ArithmeticError.
         """
-        error = DIFFERENCE * self._root @ rng.standard_normal(len(self.covariance))
-        of_car, of_instruments = np.split(error, [len(self.names)])
-        factors = dict(zip(self.names, np.exp(of_car).tolist(), strict=True))
-        varied = lin.objective.with_car(scale_parameters(self.car, factors))
-        varied = InstrumentErrors.of(lin.objective).apply(varied, of_instruments)
-        return (lin.residual - varied.residual_at(lin.x)[0]) / DIFFERENCE
+        of_car, of_instruments = np.split(white @ self._root.T, [len(self.names)], axis=1)
+        factors = np.exp(DIFFERENCE * of_car).tolist()
+        cars = [scale_parameters(self.car, dict(zip(self.names, x, strict=True))) for x in factors]
+        left = varied_residuals(lin, [lin.objective.with_car(car) for car in cars])
+        read = reading_sensitivities(lin, lin.objective, np.zeros(of_instruments.shape[1]))
+        return (lin.residual - left) / DIFFERENCE + np.tensordot(of_instruments, read, axes=1)

@@ -185,15 +185,16 @@ def road_below_light_wheels(lin: Any) -> tuple[np.ndarray, list[LiftoffError]]:
     return lower, errors
 
 
-def at_expected_road(lin: Any) -> Any:
-    """Return the linearization at the mean of the road below light wheels."""
-    lower, _ = road_below_light_wheels(lin)
+def lower_road(lin: Any, lower: np.ndarray) -> Any:
+    """Return the linearization on a road that is by `lower` (2, K) [m] below that of `lin`; the
+    same one if the motion is not finite there.
+    """
     if not lower.max() > 0.0:
         return lin
     u = lin.objective.road.whiten(-np.diff(lower, axis=1, prepend=0.0)).ravel()
     try:
         return lin.relinearize(lin.x + np.pad(u, (0, lin.x.size - u.size)), lin.objective.plant)
-    except ArithmeticError:  # the motion was not finite
+    except ArithmeticError:
         return lin
 
 

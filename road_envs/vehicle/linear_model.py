@@ -256,18 +256,16 @@ def wheel_response(model: LinearModel, f: np.ndarray) -> np.ndarray:
     """Return the sensors' complex responses (F, S, 4) [m/s² per m] to the road height under each
     wheel, at `f` (F,) [Hz].
     """
-    s, inside = _state_response(model, f, model.B)
-    inputs = model.C @ inside + model.D
-    return inputs[:, :, :4] + s * inputs[:, :, 4:]
+    s, q = _road_response(model, f)
+    return s**2 * (model.sensor_rows @ q)
 
 
 def strut_rate_response(model: LinearModel, f: np.ndarray) -> np.ndarray:
     """Return the complex responses (F, 4, 4) [m/s per m] of the struts' rates of extension to the
     road height under each wheel, at `f` (F,) [Hz].
     """
-    s, inside = _state_response(model, f, model.B)
-    inputs = model.strut_rows @ inside[:, model.M.size :]
-    return inputs[:, :, :4] + s * inputs[:, :, 4:]
+    s, q = _road_response(model, f)
+    return s * (model.strut_rows @ q)
 
 
 def force_response(model: LinearModel, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -276,17 +274,32 @@ def force_response(model: LinearModel, f: np.ndarray) -> tuple[np.ndarray, np.nd
     A positive force pushes the body up and the axle down. Responses of the sensors (F, S, 4)
     [m/s² per N] and of the struts' rates of extension (F, 4, 4) [m/s per N].
     """
-    force = model.strut_rows.T / model.M[:, None]
-    _, inside = _state_response(model, f, np.vstack([np.zeros_like(force), force]))
-    return model.C @ inside + model.sensor_rows @ force, model.strut_rows @ inside[
-        :, model.M.size :
-    ]
+    s = _laplace_variable(f)
+    q = _coordinates(model, s, model.strut_rows.T / model.M[:, None])
+    return s**2 * (model.sensor_rows @ q), s * (model.strut_rows @ q)
 
 
-def _state_response(model: LinearModel, f: np.ndarray, inputs: np.ndarray):
-    """Return s = 2 pi j f (F, 1, 1) and the responses (F, 14, inputs) of the state."""
-    s = 2j * np.pi * np.atleast_1d(np.asarray(f, dtype=float))[:, None, None]
-    return s, np.linalg.solve(s * np.eye(len(model.A)) - model.A, inputs)
+def _road_response(model: LinearModel, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return s (F, 1, 1), and the coordinates (F, 7, 4) by the road height under each wheel."""
+    s = _laplace_variable(f)
+    of_height, of_rate = np.split(model.B[model.M.size :], 2, axis=1)
+    return s, _coordinates(model, s, of_height + s * of_rate)
+
+
+def _laplace_variable(f: np.ndarray) -> np.ndarray:
+    """Return s = 2 pi j f (F, 1, 1)."""
+    return 2j * np.pi * np.atleast_1d(np.asarray(f, dtype=float))[:, None, None]
+
+
+def _coordinates(model: LinearModel, s: np.ndarray, accelerations: np.ndarray) -> np.ndarray:
+    """Return the coordinates (F, 7, I) under additional `accelerations` (7, I) or (F, 7, I) of them
+    at `s` (F, 1, 1).
+    """
+    n = model.M.size
+    of_coordinates, of_rates = np.split(model.A[n:], 2, axis=1)
+    stiffness = s * -of_rates - of_coordinates
+    stiffness[:, range(n), range(n)] += s[:, 0] ** 2
+    return np.linalg.solve(stiffness, accelerations)
 
 
 def frequency_response(
@@ -316,13 +329,11 @@ def response_changes(
     With x = (s - A)^-1 B u the change of the accelerations of the coordinates by dA and dB is that
     by additional accelerations dA x + dB u. `v` [m/s], `f` (F,) [Hz] as in `frequency_response`.
     """
-    n = model.M.size
-    s, inside = _state_response(model, f, model.B)
+    n, (s, q) = model.M.size, _road_response(model, f)
     u = np.broadcast_to(np.eye(4), (s.size, 4, 4))
-    road = np.concatenate([inside[:, :, :4] + s * inside[:, :, 4:], u, s * u], axis=1)
-    paths = combine_wheel_paths(model, v, f, road)  # states, heights and their rates
-    _, forced = _state_response(model, f, np.eye(2 * n)[:, n:])
-    sensors = s * (model.sensor_rows @ forced[:, n:])
+    # states, heights and their rates
+    paths = combine_wheel_paths(model, v, f, np.concatenate([q, s * q, u, s * u], axis=1))
+    sensors = s**2 * (model.sensor_rows @ _coordinates(model, s, np.eye(n)))
     change = np.array([np.hstack([one.A - model.A, one.B - model.B])[n:] for one in others])
     accelerations = (change.reshape(-1, change.shape[2]) @ paths).reshape(s.size, -1, n, 2)
     return np.moveaxis(sensors[:, None] @ accelerations, 1, 0)

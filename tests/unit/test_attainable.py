@@ -15,7 +15,7 @@ from estimators.map_smoother.attainable import (
 )
 from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.objective import linearize
-from estimators.map_smoother.posterior_sampling import band_pass, draw_deviation, interior
+from estimators.map_smoother.posterior_sampling import band_pass, draw_deviations, interior
 from estimators.map_smoother.preconditioner import stationary_hessian
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.analysis.roughness import CLASSES
@@ -54,7 +54,7 @@ def test_samples_have_the_covariance_of_the_dense_posterior():
     expected = np.trace(B @ np.linalg.solve(0.5 * (H + H.T), B.T))
     solution = MapSolution(lin, stationary_hessian(objective), noise_scale=1.0)
     solve, rng = solution.inverse_hessian(2000, 1e-6), np.random.default_rng(2)
-    drawn = [in_band(draw_deviation(lin, solve, rng)) for _ in range(60)]
+    drawn = [in_band(dx) for dx in draw_deviations(lin, solve, rng, 60)]
     assert np.mean(np.sum(np.square(drawn), axis=1)) == pytest.approx(expected, rel=0.25)
 
 
