@@ -38,6 +38,11 @@ UNEVEN_ITERATIONS = 3
 preconditioner knows it less well there, and over 150 m of potholes a third of this leaves the road
 far from its optimum."""
 
+SETTLED = 0.95
+"""Share of the noise scale before a step from which on it counts as settled. A noise scale above
+NOISE_SCALE_WARNING that still falls is that of an unfinished road, not of another vehicle: of
+measurements with a narrow band the road takes most, and what it has not taken yet weighs more."""
+
 MAX_HALVINGS = 6
 """Halvings of a step in the line search, at most."""
 
@@ -119,13 +124,14 @@ def minimize(
                     lin = lower_under_lifted_wheels(lin)
                 lin = update_prior(lin, stationary, noise_scale)
             lin, k, change = solver.step(lin, plant, noise_scale)
-            steps, total = steps + 1, total + k
+            steps, total, before = steps + 1, total + k, np.max(noise_scale)
             noise_scale = update_noise_scale(lin, stationary, noise_scale)
             report(f"{std} {np.max(noise_scale):.1f} {k} {change:.2f} {lin.cost:.1f}", lin)
             to_come = lin.objective.road.is_level_between_obstacles and n < min(
                 LOWERING_STEPS[-1], updates
             )
-            if change < change_tolerance and not to_come:
+            is_falling = NOISE_SCALE_WARNING < before and np.max(noise_scale) < SETTLED * before
+            if change < change_tolerance and not (to_come or is_falling):
                 break
     if adapt_car is not None:
         found = adapt_car(MapSolution(lin, stationary, noise_scale, steps, total), solver)

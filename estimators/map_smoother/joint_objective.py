@@ -93,10 +93,12 @@ class JointObjective:
         """Return the objective with another prior of the road."""
         return self.with_passes([one.with_road(road) for one in self.passes])
 
-    def offset_scale(self, noise_variance: np.ndarray) -> np.ndarray:
+    def offset_scale(
+        self, noise_variance: np.ndarray, start_information: Sequence[np.ndarray]
+    ) -> np.ndarray:
         """Return about the root of the Hessian's diagonal behind the unknowns of the road."""
-        pairs = zip(self.passes, noise_variance, strict=True)
-        parts = [one.offset_scale(variance) for one, variance in pairs]
+        rows = zip(self.passes, noise_variance, start_information, strict=True)
+        parts = [one.offset_scale(*rest) for one, *rest in rows]
         shifts = np.ones((len(self.passes) - 1, self.knots.size))
         if self.shift_information is not None:
             shifts = np.sqrt(1.0 + self.shift_information / noise_variance[1:, None])
@@ -309,4 +311,5 @@ def joint_stationary_hessian(objective: JointObjective) -> JointStationaryHessia
         for one in objective.passes
     ]
     total = np.sum([one.information for one in passes], axis=0)
-    return JointStationaryHessian(total, passes, np.array(covered))
+    starts = [one.start_information for one in passes]
+    return JointStationaryHessian(total, starts, passes, np.array(covered))

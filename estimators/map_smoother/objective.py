@@ -22,7 +22,7 @@ from scipy.fft import irfft, rfft, rfftfreq
 from estimators.common.bending import SensedBending, sensed_bending
 from estimators.common.block_means import BlockMeans
 from estimators.common.footprint import Footprint
-from estimators.common.model_inputs import ModelInputs
+from estimators.common.model_inputs import REST_STD, ModelInputs
 from estimators.common.spline import sample_under_wheels
 from estimators.map_smoother.block_tangent import BlockTangent, build_block_tangent
 from estimators.map_smoother.road_prior import RoadTransform
@@ -98,11 +98,17 @@ class Objective:
         """Return the objective with another prior of the road."""
         return replace(self, road=road)
 
-    def offset_scale(self, noise_variance: float) -> np.ndarray:
-        """Return about the root of the Hessian's diagonal behind the unknowns of the road."""
+    def offset_scale(self, noise_variance: float, start_information: np.ndarray) -> np.ndarray:
+        """Return about the root of the Hessian's diagonal behind the unknowns of the road.
+
+        `start_information` (14,) is that of measurements of unit variance on the initial state. It
+        counts for a drive that begins in motion; at rest the state is known.
+        """
         count = self.measurements.sample_count.sum(axis=1)
         bias = np.sqrt(1.0 + self.model.bias_std**2 * count / noise_variance)
-        scale = np.concatenate([np.ones(self.initial_std.size), bias])
+        is_moving = self.initial_std.max() > REST_STD.max()
+        start = is_moving * self.initial_std**2 * start_information / noise_variance
+        scale = np.concatenate([np.sqrt(1.0 + start), bias])
         if not self.is_speed_unknown:
             return scale
         # a change of the speed moves the rear axle's share of the signals, about half of them

@@ -15,10 +15,12 @@ of the levels.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
+from scipy.linalg import solve_continuous_lyapunov
 from scipy.ndimage import gaussian_filter1d
 
 from estimators.common.bending import BODY
@@ -68,10 +70,12 @@ MAX_LEVEL_STEP = 1.5
 @dataclass(frozen=True, eq=False)
 class StationaryHessian:
     """Stationary Hessian: `information` (F, 2, 2) of measurements of unit variance on the heights
-    of mean and half difference, at each spatial frequency of the road.
+    of mean and half difference, at each spatial frequency of the road, and `start_information`
+    (14,) on each coordinate of the initial vehicle state; of several passes a list of these.
     """
 
     information: np.ndarray
+    start_information: Any
 
     def reweighted(
         self, objective: Objective, frequency_weights: np.ndarray
@@ -81,7 +85,7 @@ class StationaryHessian:
         block = inputs.h * inputs.decimation * objective.measurements.sample_weight.shape[2]
         f = rfftfreq(objective.measurements.y.shape[1], block)
         response = np.interp(objective.road.n * inputs.v.mean(), f, frequency_weights)
-        return StationaryHessian(self.information * response[:, None, None])
+        return replace(self, information=self.information * response[:, None, None])
 
     def weighted(self, noise_variance: float) -> np.ndarray:
         """Return the information (F, 2, 2) under a `noise_variance` [(m/s²)²] of each sample."""
@@ -102,7 +106,7 @@ class StationaryHessian:
             (np.sqrt(share), _inverse(_root(np.eye(2) + level**2 * excess)))
             for level, share in _split_levels(road.local)
         ]
-        scale = objective.offset_scale(noise_variance)
+        scale = objective.offset_scale(noise_variance, self.start_information)
 
         def apply(g: np.ndarray) -> np.ndarray:
             u, rest = np.split(g, [2 * road.size])
@@ -201,7 +205,8 @@ def stationary_hessian(objective: Objective) -> StationaryHessian:
     fs = 1.0 / (inputs.h * inputs.decimation)
     response = np.sinc(n * v * objective.measurements.sample_weight.shape[2] / fs) ** 2
     response *= n * v <= objective.model.bandwidth
-    return StationaryHessian(information * (response * fs * road.ds / v)[:, None, None])
+    information *= (response * fs * road.ds / v)[:, None, None]
+    return StationaryHessian(information, fs * _start_gramian(objective))
 
 
 def _split_levels(local: np.ndarray) -> list[tuple[float, np.ndarray]]:
@@ -261,6 +266,15 @@ def _linear_model(objective: Objective, mode: dict[str, str]) -> LinearModel:
     damping = gaussian_damping(model.plant, mode, DAMPING_RATE)
     locations = {**model.locations, **({} if model.bending is None else BODY)}
     return linearise(model.plant, mode, locations, damping=damping)
+
+
+def _start_gramian(objective: Objective) -> np.ndarray:
+    """Return the diagonal (14,) of the observability Gramian: the integral over time of the squared
+    accelerations that all sensors have after a unit deviation of a coordinate of the vehicle.
+    """
+    linear = _linear_model(objective, _decode_mode(int(objective.inputs.commands[0])))
+    C = linear.C[: len(objective.model.locations)]
+    return np.diag(solve_continuous_lyapunov(linear.A.T, -C.T @ C))
 
 
 def _sensed(objective: Objective, H: np.ndarray, f: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.preprocessing import mask_record
 from leaderboard.sandbox import messages
 from road_envs.data.record import LowPass, Record
-from road_envs.data.recording import read_record, write_record
+from road_envs.data.recording import read_record, simulate_record, write_record
 from road_envs.vehicle.parameters import load_vehicle
 
 
@@ -57,11 +57,8 @@ def test_a_named_low_pass_is_undone_up_to_its_bandwidth_and_the_reach_of_gaps_is
     assert np.std(undone - expected) < 0.1 * np.std(filtered - expected)
     assert not valid[1, 925:1080].any() and valid[0, 220:-220].all()
     assert not valid[:, :200].any() and not valid[:, -200:].any()
-    cut = slice(1500, 3500)  # of a drive in motion, after it was filtered
-    names = ("t", "v", "s", "spring_stiff", "damper_high")
-    part = {name: getattr(low, name)[cut] for name in names}
-    ends = mask_record(replace(low, a=low.a[:, cut], **part), PAPER)
-    left = (ends.record.a - found.a[:, cut])[ends.valid]
+    ends = mask_record(moving(low, 1500, 3500), PAPER)
+    left = (ends.record.a - found.a[:, 1500:3500])[ends.valid]
     assert np.std(left) < PAPER.noise_density * np.sqrt(33.0)
     again, same, _ = mask_record(found, PAPER)
     assert again is found and same.sum() > valid.sum()
@@ -97,6 +94,33 @@ def test_a_measurement_says_nothing_above_its_bandwidth():
     road, information = objective.road, stationary_hessian(objective).information
     high = road.n * objective.inputs.v.mean() > objective.model.bandwidth
     assert not information[high].any() and information[~high][1:].all()
+
+
+def moving(record: Record, first: int, last: int) -> Record:
+    """The samples `first` to `last` of a drive, as of a logger that is switched on in motion."""
+    names = ("t", "v", "s", "spring_stiff", "damper_high")
+    part = {name: getattr(record, name)[first:last] for name in names}
+    return replace(record, a=record.a[:, first:last], **part)
+
+
+def test_a_low_passed_drive_that_begins_in_motion_leaves_nothing_unexplained():
+    car = load_vehicle("land_rover_defender_110")
+    record, _ = simulate_record("iso_d", speed_kmh=36.0, mode="handling", length=60.0)
+    part = moving(low_passed(record), 2000, 7000)
+    found = create("map_smoother", draws=0, adapt=False).estimate(part, car)
+    assert not any("unexplained" in note for note in found.notes)
+
+
+def test_the_preconditioner_knows_what_is_told_of_the_state_of_a_drive_that_begins_in_motion():
+    objective = objective_of(moving(drive_record()[0], 1500, 4500))
+    start = stationary_hessian(objective).start_information
+    road, states = 2 * objective.road.size, objective.initial_std.size
+    lin = linearize(objective, np.zeros(objective.size), objective.information)
+    unit = np.eye(objective.size)[road : road + states]
+    exact = np.array([np.sqrt(e @ lin.hessian_product(e)) for e in unit])
+    expected = objective.offset_scale(objective.noise_variance, start)[:states]
+    assert exact.max() > 100.0
+    np.testing.assert_allclose(np.log(expected / exact), 0.0, atol=np.log(4.0))
 
 
 @pytest.mark.parametrize("is_named", [True, False], ids=["named", "found"])
