@@ -5,7 +5,7 @@ The help of a group shows the docstrings of its commands as they stand in their 
 """
 
 import ast
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
@@ -55,24 +55,6 @@ class SectionedCommand(TyperCommand):
                     formatter.write_dl(records)
 
 
-class _Commands(Mapping):
-    """Commands by name, each imported and built when it is looked up."""
-
-    def __init__(self, entries: Mapping[str, str | typer.Typer]):
-        self._entries, self._built = entries, dict[str, Any]()
-
-    def __getitem__(self, name: str) -> Any:
-        if name not in self._built:
-            self._built[name] = _build(name, self._entries[name])
-        return self._built[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._entries)
-
-    def __len__(self) -> int:
-        return len(self._entries)
-
-
 class LazyGroup(TyperGroup):
     """A group of commands from a table; a subclass sets `sections`."""
 
@@ -80,11 +62,16 @@ class LazyGroup(TyperGroup):
 
     def __init__(self, *args: Any, **settings: Any):
         super().__init__(*args, **settings)
+        # names only, for listing and for suggestions: a command is imported when it is called
         entries = {n: entry for section in self.sections.values() for n, entry in section.items()}
-        self.commands: Any = _Commands(entries)
+        self.commands: Any = entries
+
+    def get_command(self, ctx: Any, name: str) -> Any:
+        """Import and build a command; None if there is none of this name."""
+        return _build(name, self.commands[name]) if name in self.commands else None
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return the names of the commands, without importing them."""
+        """Return the names of the commands in the order of the help."""
         return list(self.commands)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:

@@ -6,7 +6,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 import yaml
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
 
 from leaderboard.json_values import nan_to_none
 from road_envs.config import ConfigError
@@ -70,6 +71,19 @@ def check_output_folder(path: Path | None) -> Path | None:
     if path is not None and path.exists() and not path.is_dir():
         raise ConfigError(f"--out must be a folder, {path} is a file")
     return path
+
+
+def make_table(
+    heads: Sequence[str], rows: Iterable[Sequence[str]], *, texts: Sequence[str] = (), **look: Any
+) -> Table:
+    """Return a table: the first column and those headed by `texts` on the left, numbers right."""
+    table = Table(**look)
+    for head in heads:
+        is_text = head == heads[0] or head in texts
+        table.add_column(head, justify="left" if is_text else "right", no_wrap=head == heads[0])
+    for row in rows:
+        table.add_row(*row)
+    return table
 
 
 def to_json(data: object) -> str:

@@ -157,7 +157,8 @@ def leaderboard(
             if attainable:
                 board = with_attainable(board, lambda text: progress(text, 1.0))
             progress("writing the site", 1.0)
-            return _write(board, out)
+            report = build_report(board, out)
+            return report, write_site(board, report, out)
 
         report, page = render_with_retry(evaluated, request, out, write)
     if json:
@@ -168,12 +169,6 @@ def leaderboard(
         if (notice := isolation_notice(scored)) is not None:
             notices.print(notice)
         notices.print(f"page: {page}")
-
-
-def _write(board: Board, out: Path) -> tuple[Report, Path]:
-    """Write the site of a board; return its report and its index page."""
-    report = build_report(board, out)
-    return report, write_site(board, report, out)
 
 
 def _tasks(

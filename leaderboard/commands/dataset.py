@@ -15,7 +15,7 @@ from leaderboard.commands import console, print_json, progress_bar, to_json
 from leaderboard.commands.simulate import Json, command_line, print_facts
 from leaderboard.policies.episodes import DATASETS_PATH, write_episodes
 from road_envs import __version__
-from road_envs._atomic_io import atomic_write
+from road_envs._atomic_io import write_text
 from road_envs._extras import optional_import
 from road_envs.config import ConfigError
 from road_envs.data.accelerometers import column
@@ -155,8 +155,7 @@ def write_dataset(
         for path in sorted(folder.iterdir())
     }
     settings = json.loads(json.dumps(asdict(corpus)))
-    with atomic_write(folder / "dataset.json") as target:
-        target.write_text(to_json({**facts, "settings": settings, "files": files}))
+    write_text(folder / "dataset.json", to_json({**facts, "settings": settings, "files": files}))
     return facts
 
 

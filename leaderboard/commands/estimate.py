@@ -15,6 +15,7 @@ from leaderboard.commands import (
     check_output_path,
     console,
     import_from_here,
+    make_table,
     parse_settings,
     print_json,
 )
@@ -167,13 +168,16 @@ def _by_rms(record: Record, corpus: Corpus) -> RoughnessEstimate:
 
 
 def _print_octaves(posterior: spectral.ClassPosterior) -> None:
-    table = Table("octave [cycles/m]", "Gd(n0) [1e-6 m³]", "± [dB]", "class")
-    columns = (
-        posterior.octaves, posterior.levels, posterior.level_stds, posterior.octave_classes
+    rows = zip(
+        posterior.octaves, posterior.levels, posterior.level_stds, posterior.octave_classes,
+        strict=True,
     )  # fmt: skip
-    for centre, level, std, letter in zip(*columns, strict=True):
-        table.add_row(f"{centre:g}", f"{1e6 * level:.0f}", f"{DB_PER_LOG * std:.1f}", letter)
-    console.print(table)
+    cells = [
+        (f"{centre:g}", f"{1e6 * level:.0f}", f"{DB_PER_LOG * std:.1f}", letter)
+        for centre, level, std, letter in rows
+    ]
+    heads = ("octave [cycles/m]", "Gd(n0) [1e-6 m³]", "± [dB]", "class")
+    console.print(make_table(heads, cells, texts=("class",)))
 
 
 def _alignment_note(aligned: Alignment) -> str:

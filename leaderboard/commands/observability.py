@@ -14,6 +14,7 @@ from estimators.map_smoother.attainable import attainable_error, van_trees_error
 from leaderboard.commands import (
     check_output_path,
     console,
+    make_table,
     parse_mode,
     parse_pairs,
     print_json,
@@ -222,18 +223,20 @@ def _nonlinear(
 
 
 def _attainable_table(rows: list[dict[str, Any]]) -> Table:
-    table = Table(
+    heads = ("front / rear", "km/h", *(f"{f:g} Hz" for f in BANDWIDTHS), "van Trees", "linear")
+    errors = [
+        (*row["attainable"].values(), row["van_trees"], row["linear_estimators"]) for row in rows
+    ]
+    return make_table(
+        heads,
+        [
+            (row["mode"], f"{row['speed_kmh']:g}", *(f"{x:.3f}" for x in cells))
+            for row, cells in zip(rows, errors, strict=True)
+        ],
         title="Attainable in-band NRMSE: nonlinear vehicle, data up to ...",
         caption="one road; van Trees: no estimator errs less over all such roads; linear: friction "
         "is noise to linear estimators",
     )
-    heads = *(f"{f:g} Hz" for f in BANDWIDTHS), "van Trees", "linear"
-    for head in ("front / rear", "km/h", *heads):
-        table.add_column(head, justify="left" if head == "front / rear" else "right")
-    for row in rows:
-        cells = (*row["attainable"].values(), row["van_trees"], row["linear_estimators"])
-        table.add_row(row["mode"], f"{row['speed_kmh']:g}", *(f"{x:.3f}" for x in cells))
-    return table
 
 
 def _title(facts: dict[str, Any]) -> str:
@@ -242,19 +245,13 @@ def _title(facts: dict[str, Any]) -> str:
 
 
 def _table(rows: list[dict[str, Any]], speeds: list[float], title: str) -> Table:
-    heads = [f"{speed:g} km/h" for speed in speeds]
-    table = Table(
+    text = "{nrmse_left:.3f}, {nrmse_right:.3f}; {nrmse:.3f}"
+    cells: dict[str, list[str]] = {}
+    for row in rows:
+        cells.setdefault(row["mode"], [row["mode"]]).append(text.format(**row))
+    return make_table(
+        ("front / rear", *(f"{speed:g} km/h" for speed in speeds)),
+        cells.values(),
         title=f"Bound of a linear vehicle without friction: {title}",
         caption="in-band NRMSE: left, right wheel path; pooled",
     )
-    table.add_column("front / rear")
-    for head in heads:
-        table.add_column(head, justify="right")
-    for mode in dict.fromkeys(row["mode"] for row in rows):
-        cells = [
-            "{nrmse_left:.3f}, {nrmse_right:.3f}; {nrmse:.3f}".format(**row)
-            for row in rows
-            if row["mode"] == mode
-        ]
-        table.add_row(mode, *cells)
-    return table

@@ -19,7 +19,14 @@ from leaderboard.benchmarks.integrators import (
     PeerError,
     relative_error,
 )
-from leaderboard.commands import check_output_path, console, notices, print_json, progress_bar
+from leaderboard.commands import (
+    check_output_path,
+    console,
+    make_table,
+    notices,
+    print_json,
+    progress_bar,
+)
 from leaderboard.commands.simulate import Json
 from leaderboard.report import plots
 from leaderboard.report.figures import rounded
@@ -104,9 +111,10 @@ def _timed(run: Callable[[float], np.ndarray], setting: float) -> tuple[np.ndarr
 
 
 def _table(rows: list[dict[str, Any]]) -> Table:
-    table = Table("method", "setting", "error", "x real time", title="error against cost")
-    for row in rows:
+    def cells(row: dict[str, Any]) -> tuple[str, ...]:
         setting = f"h = {1e3 * row['step']:g} ms" if "step" in row else f"rtol {row['rtol']:g}"
         speed = f"{rounded(row['times_real_time'], 3):g}"
-        table.add_row(row["method"], setting, f"{100 * row['error']:.3g} %", speed)
-    return table
+        return row["method"], setting, f"{100 * row['error']:.3g} %", speed
+
+    heads = ("method", "setting", "error", "x real time")
+    return make_table(heads, map(cells, rows), title="error against cost", texts=("setting",))

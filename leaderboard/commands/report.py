@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 
 import estimators
 from leaderboard.commands import (
     check_output_folder,
     console,
     import_from_here,
+    make_table,
     parse_settings,
     print_json,
     progress_bar,
@@ -166,21 +166,18 @@ def _print(result: DriveResult) -> None:
         f"{result.name}: {result.facts['length_m']:.0f} m, "
         f"mean IRI {result.facts['iri_mean']:.2f} mm/m"
     )
-    table = Table("from [m]", "to [m]", "IRI mean [mm/m]")
-    table.add_column("95 %", no_wrap=True)
-    for heading in ("condition", "class", "flags"):
-        table.add_column(heading)
-    for row in result.segments:
-        table.add_row(
+    heads = ("from [m]", "to [m]", "IRI mean [mm/m]", "95 %", "condition", "class", "flags")
+    cells = [
+        (
             f"{row['begin_m']:.0f}",
             f"{row['end_m']:.0f}",
             f"{row['iri_mean']:.2f}",
             f"{row['iri_mean_low']:.2f} to {row['iri_mean_high']:.2f}",
-            row["condition"],
-            row["class"],
-            row["flags"],
+            *(row[name] for name in heads[4:]),
         )
-    console.print(table)
+        for row in result.segments
+    ]
+    console.print(make_table(heads, cells, texts=heads[4:]))
     for row in result.obstacles:
         console.print(
             f"{row['kind']} at {row['station_m']:.1f} ± {1.96 * row['station_std_m']:.1f} m: "

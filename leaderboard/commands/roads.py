@@ -5,9 +5,8 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.table import Column, Table
 
-from leaderboard.commands import check_output_path, console, print_json
+from leaderboard.commands import check_output_path, console, make_table, print_json
 from leaderboard.commands.simulate import Json, Length, Seed
 from leaderboard.report import plots
 from road_envs import config
@@ -27,23 +26,26 @@ Which = Annotated[str, typer.Argument(help="Shipped name, YAML path or surface f
 
 def list_roads(json: Json = False) -> None:
     """List the shipped roads, each realised with seed 1."""
-    rows = [_facts(name, load_road(name).realise(np.random.default_rng(1))) for name in _names()]
+    rows = [
+        _facts(name, load_road(name).realise(np.random.default_rng(1)))
+        for name in config.names("roads")
+    ]
     if json:
         print_json(rows)
         return
-    table = Table(
-        Column("road", no_wrap=True),  # a name that is cut cannot be used
-        *("length [m]", "RMS left, right [mm]", "IRI left, right [mm/m]", "class"),
-    )
-    for row in rows:
-        table.add_row(
-            row["road"],
-            f"{row['length_m']:.1f}",
-            "{:.1f}, {:.1f}".format(*row["rms_mm"]),
-            "{:.1f}, {:.1f}".format(*row["iri_mm_per_m"]),
-            row["class"],
+    pair = "{:.1f}, {:.1f}".format
+    cells = [
+        (
+            x["road"],
+            f"{x['length_m']:.1f}",
+            pair(*x["rms_mm"]),
+            pair(*x["iri_mm_per_m"]),
+            x["class"],
         )
-    console.print(table)
+        for x in rows
+    ]
+    heads = ("road", "length [m]", "RMS left, right [mm]", "IRI left, right [mm/m]", "class")
+    console.print(make_table(heads, cells, texts=("class",)))
 
 
 def plot_road(
@@ -77,10 +79,6 @@ def export(
     else:
         write(surface, out)
     console.print(f"written: {out} ({surface.length:g} m, every {1000 * surface.ds:g} mm)")
-
-
-def _names() -> list[str]:
-    return config.names("roads")
 
 
 def _facts(name: str, surface: Surface) -> dict:

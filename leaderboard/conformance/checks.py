@@ -28,7 +28,7 @@ from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.registry import compute_scores
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
-from road_envs.data.record import Estimate, Profile, Record
+from road_envs.data.record import Profile, Record
 from road_envs.data.recording import simulate_record
 from road_envs.roads import load_road
 from road_envs.sensing.instruments import load_instruments
@@ -72,13 +72,16 @@ COST_TASK = "new_road"
 
 @dataclass(frozen=True)
 class CheckDrives:
-    """Drives of the checks: training drives, one test drive with its truth, and damaged records."""
+    """Drives of the checks: training drives, one test drive with its truth, and records of it that
+    are damaged and perturbed (`probes`).
+    """
 
     car: VehicleParameters
     training: tuple[tuple[Record, Profile], ...]
     record: Record
     truth: Profile
     damaged: Mapping[str, Record]
+    perturbed: Mapping[str, Record]
     description: str
 
 
@@ -95,7 +98,8 @@ def check_drives() -> CheckDrives:
         "mode": _drive(TEST_SEED, mode=UNTRAINED_MODES)[0],
     }
     description = f"{record.length:g} m of class {ROAD['road_class']}, {MODE}, {SPEED_KMH:g} km/h"
-    return CheckDrives(load_vehicle(CAR), training, record, truth, damaged, description)
+    perturbed, car = perturbed_records(record, load_instruments(INSTRUMENTS)), load_vehicle(CAR)
+    return CheckDrives(car, training, record, truth, damaged, perturbed, description)
 
 
 def check_entry(entry: Entry, sandbox: SandboxClient, limits: Limits) -> list[CheckResult]:
@@ -104,27 +108,25 @@ def check_entry(entry: Entry, sandbox: SandboxClient, limits: Limits) -> list[Ch
     Stops after the first check of an estimator that cannot be constructed or does not run.
     """
     if entry.failure is not None:
-        return [CheckResult(name="contract", passed=False, message=entry.failure)]
+        return [CheckResult("contract", False, entry.failure)]
     kind = "causal" if entry.causal else "offline"
     behind = f", {entry.lag:g} m behind the front axle" if entry.lag else ""
-    contract = CheckResult(
-        name="contract", passed=True, message=f"a frozen dataclass, {kind}{behind}"
-    )
+    contract = CheckResult("contract", True, f"a frozen dataclass, {kind}{behind}")
     drives = check_drives()
     try:
         single = _run(sandbox, entry, [drives.record])
     except EntryError as error:
         message = f"on {drives.description}: {error}"
-        return [contract, CheckResult(name="runs", passed=False, message=message)]
+        return [contract, CheckResult("runs", False, message)]
     results = [
         contract,
         _check_run(drives, single),
         *_check_damaged_records(sandbox, entry, drives),
     ]
     try:
-        probed = _run_probes(sandbox, entry, drives)
+        probed = _run(sandbox, entry, list(drives.perturbed.values()))
     except EntryError as error:
-        return [*results, CheckResult(name="probes", passed=False, message=str(error))]
+        return [*results, CheckResult("probes", False, str(error))]
     return [
         *results,
         *_evaluate_probes(entry, drives, single, probed),
@@ -136,7 +138,8 @@ def probe_entry(entry: Entry, sandbox: SandboxClient) -> list[CheckResult]:
     """Run only the probes of an entry. Raises EntryError."""
     drives = check_drives()
     single = _run(sandbox, entry, [drives.record])
-    return _evaluate_probes(entry, drives, single, _run_probes(sandbox, entry, drives))
+    probed = _run(sandbox, entry, list(drives.perturbed.values()))
+    return _evaluate_probes(entry, drives, single, probed)
 
 
 def _run(sandbox: SandboxClient, entry: Entry, records: Sequence[Record]) -> TrainingRun:
@@ -153,7 +156,7 @@ def _check_run(drives: CheckDrives, training_run: TrainingRun) -> CheckResult:
     )
     if error > MAX_ERROR:
         message += "; heights must be in metres, upwards: are these in millimetres?"
-    return CheckResult(name="runs", passed=not error > MAX_ERROR, message=message)
+    return CheckResult("runs", not error > MAX_ERROR, message)
 
 
 def _check_damaged_records(
@@ -175,7 +178,7 @@ def _check_damaged_records(
             for name, record in drives.damaged.items()
         ]
     return [
-        CheckResult(name=name, passed=True, message=f"{description}: estimated")
+        CheckResult(name, True, f"{description}: estimated")
         for name, description in descriptions.items()
     ]
 
@@ -189,12 +192,8 @@ def _check_damaged_record(
         refused = name in REFUSAL_ALLOWED and _is_refusal(str(error))
         message = re.sub(r"^estimating test drive [^:]*: ", "", str(error))
         verb = "refused" if refused else "failed"
-        return CheckResult(
-            name=name,
-            passed=None if refused else False,
-            message=f"{description}: {verb}: {message}",
-        )
-    return CheckResult(name=name, passed=True, message=f"{description}: estimated")
+        return CheckResult(name, None if refused else False, f"{description}: {verb}: {message}")
+    return CheckResult(name, True, f"{description}: estimated")
 
 
 def _is_refusal(failure: str) -> bool:
@@ -203,21 +202,11 @@ def _is_refusal(failure: str) -> bool:
     return found is not None and found[1] not in UNINTENDED_ERRORS and found[2] != "no message"
 
 
-def _run_probes(sandbox: SandboxClient, entry: Entry, drives: CheckDrives) -> TrainingRun:
-    return _run(sandbox, entry, list(_perturbed_records(drives).values()))
-
-
-def _perturbed_records(drives: CheckDrives) -> dict[str, Record]:
-    return perturbed_records(drives.record, load_instruments(INSTRUMENTS))
-
-
 def _evaluate_probes(
     entry: Entry, drives: CheckDrives, single: TrainingRun, probed: TrainingRun
 ) -> list[CheckResult]:
     """Evaluate the probes; `single` is a run on the test record alone, with its own training."""
-    estimates: dict[str, Estimate] = dict(
-        zip(_perturbed_records(drives), probed.estimates, strict=True)
-    )
+    estimates = dict(zip(drives.perturbed, probed.estimates, strict=True))
     estimates["retrained"] = single.estimates[0]
     return evaluate_probes(estimates, drives.record, bool(entry.causal), entry.lag)
 
@@ -245,16 +234,16 @@ def _check_costs(
     memory = training_run.peak_memory or 0.0
     return [
         CheckResult(
-            name="time",
-            passed=predicted < limits.seconds,
-            message=f"{train_seconds:.2f} s to train, {_format_number(per_100m)} ms per 100 m: "
+            "time",
+            predicted < limits.seconds,
+            f"{train_seconds:.2f} s to train, {_format_number(per_100m)} ms per 100 m: "
             f"about {_format_number(predicted)} s for a condition of {COST_TASK}, "
             f"the limit is {limits.seconds:g} s",
         ),
         CheckResult(
-            name="memory",
-            passed=memory < limits.memory,
-            message=f"peak {memory:.2f} GiB, the limit is {limits.memory:g} GiB",
+            "memory",
+            memory < limits.memory,
+            f"peak {memory:.2f} GiB, the limit is {limits.memory:g} GiB",
         ),
     ]
 

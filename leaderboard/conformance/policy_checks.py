@@ -60,16 +60,16 @@ def check_policy(
         try:
             first = roll_out(policy, dict(OPTIONS), SEEDS)
         except (PolicyError, ConfigError) as error:
-            return [CheckResult(name="runs", passed=False, message=str(error))]
+            return [CheckResult("runs", False, str(error))]
         seconds = list(policy.act_seconds)
         reward = {"own": first.returns.mean()}
         for name in ("fixed_ride", "fixed_handling"):
             reward[name] = roll_out(create(name), dict(OPTIONS), SEEDS).returns.mean()
         results = [
             CheckResult(
-                name="runs",
-                passed=True,
-                message=f"{len(SEEDS)} lane changes on class D, in a process of its own: return "
+                "runs",
+                True,
+                f"{len(SEEDS)} lane changes on class D, in a process of its own: return "
                 f"{reward['own']:.2f}, always ride {reward['fixed_ride']:.2f}, always handling "
                 f"{reward['fixed_handling']:.2f}",
             ),
@@ -93,7 +93,7 @@ def _attempt(name: str, check: Callable[[], Verdict], policy: PolicyProcess) -> 
     except (PolicyError, ConfigError) as error:
         passed, message = False, str(error)
         policy.close()  # the next check begins with a new process
-    return CheckResult(name=name, passed=passed, message=message)
+    return CheckResult(name, passed, message)
 
 
 def _with_refusals(attempts: Mapping[str, Callable[[], object]]) -> Verdict:
@@ -186,15 +186,15 @@ def _costs(limits: PolicyLimits, seconds: Sequence[float], memory: float) -> lis
     predicted = once + per_call * calls * scenarios.test.number / len(SEEDS)
     return [
         CheckResult(
-            name="time",
-            passed=predicted < limits.seconds,
-            message=f"{once:.2g} s once and {1e6 * per_call / len(SEEDS):.0f} µs per vehicle and "
+            "time",
+            predicted < limits.seconds,
+            f"{once:.2g} s once and {1e6 * per_call / len(SEEDS):.0f} µs per vehicle and "
             f"interval: at most {predicted:.2g} s for a case of {COMPARISON}, the limit is "
             f"{limits.seconds:g} s",
         ),
         CheckResult(
-            name="memory",
-            passed=memory < limits.memory,
-            message=f"peak {memory:.2f} GiB, the limit is {limits.memory:g} GiB",
+            "memory",
+            memory < limits.memory,
+            f"peak {memory:.2f} GiB, the limit is {limits.memory:g} GiB",
         ),
     ]

@@ -20,7 +20,7 @@ proportional; an estimate that ignores the record has r = 1 with itself where it
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,11 +48,8 @@ EQUALITY_TOLERANCE = 1e-9
 
 MIRRORED_WHEELS = [WHEELS.index(wheel) for wheel in ("FR", "FL", "RR", "RL")]
 
-EstimateFunction = Callable[[Sequence[Record]], Sequence[Estimate]]
-"""Function that trains an estimator with a fixed seed and estimates some records."""
 
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class CheckResult(Settings):
     """Result of one check or probe; `passed` is None if it does not apply to the estimator."""
 
@@ -112,24 +109,24 @@ def evaluate_probes(
     is_nonzero = bool(original.any())
     return [
         CheckResult(
-            name="sign",
-            passed=r["sign"] > MIN_CORRELATION,
-            message=f"accelerations negated: r = {r['sign']:.2f} with the negated estimate",
+            "sign",
+            r["sign"] > MIN_CORRELATION,
+            f"accelerations negated: r = {r['sign']:.2f} with the negated estimate",
         ),
         CheckResult(
-            name="scale",
-            passed=r["scale"] > MIN_CORRELATION and SCALE_FACTOR**2 < level < SCALE_FACTOR**0.5,
-            message=f"accelerations halved: {level:.2f} of the height, r = {r['scale']:.2f}",
+            "scale",
+            r["scale"] > MIN_CORRELATION and SCALE_FACTOR**2 < level < SCALE_FACTOR**0.5,
+            f"accelerations halved: {level:.2f} of the height, r = {r['scale']:.2f}",
         ),
         CheckResult(
-            name="shuffle",
-            passed=is_nonzero and abs(r["shuffle"]) < MIN_CORRELATION,
-            message=f"samples shuffled: r = {r['shuffle']:.2f} with the estimate",
+            "shuffle",
+            is_nonzero and abs(r["shuffle"]) < MIN_CORRELATION,
+            f"samples shuffled: r = {r['shuffle']:.2f} with the estimate",
         ),
         CheckResult(
-            name="swap",
-            passed=r["swap"] > MIN_CORRELATION,
-            message=f"left and right exchanged: r = {r['swap']:.2f} with exchanged wheel paths",
+            "swap",
+            r["swap"] > MIN_CORRELATION,
+            f"left and right exchanged: r = {r['swap']:.2f} with exchanged wheel paths",
         ),
         _evaluate_future(estimates, record, causal, lag),
         _evaluate_repeat(estimates),
@@ -147,15 +144,13 @@ def _evaluate_future(
         early = float(change[original.s < first].max(initial=0.0))
         behind = f", {lag:g} m behind the front axle" if lag else ""
         return CheckResult(
-            name="future",
-            passed=early <= EQUALITY_TOLERANCE,
-            message=f"later samples change the estimate by {1e3 * early:.3g} mm{behind}",
+            "future",
+            early <= EQUALITY_TOLERANCE,
+            f"later samples change the estimate by {1e3 * early:.3g} mm{behind}",
         )
     changed = original.s[change > LOOKAHEAD_THRESHOLD * original.z.std()]
     reach = max(0.0, first - changed.min(initial=first))
-    return CheckResult(
-        name="future", passed=None, message=f"offline: uses samples up to {reach:.1f} m ahead"
-    )
+    return CheckResult("future", None, f"offline: uses samples up to {reach:.1f} m ahead")
 
 
 def _evaluate_repeat(estimates: Mapping[str, Estimate]) -> CheckResult:
@@ -163,26 +158,7 @@ def _evaluate_repeat(estimates: Mapping[str, Estimate]) -> CheckResult:
     original = estimates["original"].z
     gap = {name: float(np.abs(estimates[name].z - original).max()) for name in words}
     message = ", ".join(f"{words[name]}: {1e3 * x:.3g} mm apart" for name, x in gap.items())
-    return CheckResult(
-        name="repeat", passed=max(gap.values()) <= EQUALITY_TOLERANCE, message=message
-    )
-
-
-def run_probes(
-    estimate: EstimateFunction,
-    record: Record,
-    instruments: Instruments,
-    causal: bool,
-    lag: float = 0.0,
-) -> list[CheckResult]:
-    """Probe the estimator behind `estimate` on a `record` of 50 m or more.
-
-    `estimate` is called twice and must train with the same seed each time. Raises what it raises.
-    """
-    records = perturbed_records(record, instruments)
-    estimates = dict(zip(records, estimate(list(records.values())), strict=True))
-    (estimates["retrained"],) = estimate([record])
-    return evaluate_probes(estimates, record, causal, lag)
+    return CheckResult("repeat", max(gap.values()) <= EQUALITY_TOLERANCE, message)
 
 
 def probe_estimator(
@@ -194,17 +170,22 @@ def probe_estimator(
     seed: int = 1,
     instruments: Instruments | None = None,
 ) -> list[CheckResult]:
-    """Probe an estimator in this process; a trainable one is fitted to `training` first."""
+    """Probe an estimator in this process on a `record` of 50 m or more.
 
-    def estimate(records: Sequence[Record]) -> list[Estimate]:
-        fitted = estimator
-        if isinstance(estimator, Trainable) and training:
-            training_records, truths = [list(part) for part in zip(*training, strict=True)]
-            fitted = estimator.fit(training_records, truths, car, seed)
-        return [fitted.estimate(one, car) for one in records]
+    A trainable one is fitted to `training` first, twice. Raises what the estimator raises.
+    """
 
-    sensors, lag = instruments or load_instruments("paper"), declared_lag(estimator)
-    return run_probes(estimate, record, sensors, estimator.causal, lag)
+    def fitted() -> Estimator:
+        if not (isinstance(estimator, Trainable) and training):
+            return estimator
+        records, truths = [list(part) for part in zip(*training, strict=True)]
+        return estimator.fit(records, truths, car, seed)
+
+    one, again = fitted(), fitted()
+    records = perturbed_records(record, instruments or load_instruments("paper"))
+    estimates = {name: one.estimate(perturbed, car) for name, perturbed in records.items()}
+    estimates["retrained"] = again.estimate(record, car)
+    return evaluate_probes(estimates, record, estimator.causal, declared_lag(estimator))
 
 
 def count_passed(probes: Sequence[CheckResult]) -> str:

@@ -22,7 +22,7 @@ from leaderboard.evaluation.provenance import package_version
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from road_envs._code_digest import closure, digest
-from road_envs.config import ConfigError, Settings, build
+from road_envs.config import Settings, build
 
 FORMAT = 1
 CHECKS_MODULE = "leaderboard.conformance.checks"
@@ -59,12 +59,8 @@ def find_card(
 ) -> EstimatorCard | None:
     """Return the card of this version of an estimator; None if it is missing or damaged."""
     identity = card_identity(estimator, settings, code)
-    try:
-        data, _ = store.read_checked_json(_path(out, identity), FORMAT)
-        card = build(EstimatorCard, data, "card")
-    except ConfigError:
-        return None
-    return card if card.identity == identity else None
+    data = store.load_cached(_path(out, identity), FORMAT, identity=identity)
+    return None if data is None else build(EstimatorCard, data, "card")
 
 
 def probe_entries(
@@ -87,7 +83,8 @@ def probe_entries(
         for identity, entry in missing.items():
             report(f"probing {entry.name}")
             card = _probe_entry(identity, entry, sandbox)
-            store.write_durable(_path(out, identity), _text(card))
+            text = store.with_checksum(dataclasses.asdict(card))
+            store.write_durable(_path(out, identity), text)
     return len(missing)
 
 
@@ -105,10 +102,6 @@ def _probe_entry(identity: str, entry: Entry, sandbox: SandboxClient) -> Estimat
         return dataclasses.replace(empty, probes=tuple(probe_entry(entry, sandbox)))
     except EntryError as error:
         return dataclasses.replace(empty, failure=str(error))
-
-
-def _text(card: EstimatorCard) -> str:
-    return store.with_checksum(dataclasses.asdict(card))
 
 
 def _path(out: Path, identity: str) -> Path:

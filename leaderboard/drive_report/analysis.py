@@ -7,7 +7,7 @@ import numpy as np
 
 from estimators.wiener.segments import dominant_modes
 from leaderboard.drive_report.conditions import Conditions
-from leaderboard.drive_report.obstacles import DetectedObstacle, detect
+from leaderboard.drive_report.obstacles import CERTAIN, DetectedObstacle, detect
 from leaderboard.drive_report.posterior_iri import IriPosterior, posterior_iri
 from road_envs.analysis.roughness import (
     displacement_psd,
@@ -199,7 +199,8 @@ def _obstacle(result: DriveResult, found: DetectedObstacle, distance_std: float)
     found = found.in_an_estimate()
     low, high = (found.height + 1.96 * way * found.height_std for way in (-1.0, 1.0))
     return {
-        "kind": "bump" if found.height > 0.0 else "hole",
+        "kind": ("" if found.confidence >= CERTAIN else "possible ")
+        + ("bump" if found.height > 0.0 else "hole"),
         "station_m": result.chainage + found.station,
         "station_std_m": float(np.hypot(PLACE_STD, distance)),
         "height_mm": 1e3 * found.height,

@@ -8,7 +8,7 @@ import numpy as np
 
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.json_values import nan_to_none
-from road_envs._atomic_io import atomic_write
+from road_envs._atomic_io import atomic_write, write_text
 from road_envs._extras import optional_import
 
 VERTEX_SPACING = 2.0
@@ -65,8 +65,7 @@ def write_geojson(result: DriveResult, folder: Path, stem: str) -> list[Path]:
         features.append(_feature("Point", [row["lon"], row["lat"]], {**row, "feature": "obstacle"}))
     path = folder / f"{stem}.geojson"
     collection = {"type": "FeatureCollection", "name": stem, "features": features}
-    with atomic_write(path) as partial:
-        partial.write_text(json.dumps(nan_to_none(collection), allow_nan=False), encoding="utf-8")
+    write_text(path, json.dumps(nan_to_none(collection), allow_nan=False))
     return [path]
 
 

@@ -36,8 +36,13 @@ SCATTER_LENGTH = 60.0
 MIN_HEIGHT = 0.015
 """Least height [m] of an obstacle."""
 
-MIN_CONFIDENCE = 0.95
-"""Obstacles of a lower confidence are left out."""
+MIN_CONFIDENCE, CERTAIN = 0.95, 0.99
+"""Obstacles of a lower confidence than the first are left out, than the second called possible."""
+
+FALSE_ALARMS = {"C": (0.37, 0.03), "D": (1.5, 0.15)}
+"""Obstacles per km that are listed on random roads of an ISO 8608 class, and those of them that are
+not called possible; a slow test of `tests/unit/test_drive_report.py` counts them on 60 km.
+"""
 
 FOOT, FOOT_WIDTH, MIN_FOOT_WIDTH = 0.25, 0.15, 0.2
 """The foot of an obstacle is this share of its length beyond half its height, where a half sine

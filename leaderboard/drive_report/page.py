@@ -9,10 +9,11 @@ from markupsafe import Markup
 from leaderboard.drive_report import pictures
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.conditions import Conditions
+from leaderboard.drive_report.obstacles import CERTAIN, FALSE_ALARMS
 from leaderboard.drive_report.posterior_iri import MODEL_STD
 from leaderboard.report.rendering import render
 from road_envs import __version__
-from road_envs._atomic_io import atomic_write
+from road_envs._atomic_io import write_text
 from road_envs.data.record import scored_band
 
 TABLE_ROWS = 200
@@ -36,10 +37,10 @@ def write_page(
         settings=settings,
         agreement=agreement,
         model_std=MODEL_STD,
+        false_alarms=FALSE_ALARMS,
         version=__version__,
     )
-    with atomic_write(path) as partial:
-        partial.write_text(text, encoding="utf-8")
+    write_text(path, text)
 
 
 def _drive(result: DriveResult, conditions: Conditions) -> dict[str, Any]:
@@ -55,6 +56,7 @@ def _drive(result: DriveResult, conditions: Conditions) -> dict[str, Any]:
         "segments": result.segments[:TABLE_ROWS],
         "hidden": max(0, len(result.segments) - TABLE_ROWS),
         "obstacles": result.obstacles,
+        "possible": sum(row["confidence"] < CERTAIN for row in result.obstacles),
         "shares": {name: length / total for name, length in lengths.items()},
         "band": scored_band(result.v),
         "has_interval": result.estimate.z_std is not None,

@@ -120,9 +120,7 @@ def compare(results: Sequence[DriveResult]) -> dict[str, Any] | None:
         {
             "name": result.name,
             "speed_kmh": result.facts["speed_kmh"],
-            "bias": bland_altman(x[:, k], x[:, 0]).bias,
-            "lower": bland_altman(x[:, k], x[:, 0]).lower,
-            "upper": bland_altman(x[:, k], x[:, 0]).upper,
+            **bland_altman(x[:, k], x[:, 0])._asdict(),
             "rmse": float(np.sqrt(np.mean((x[:, k] - x[:, 0]) ** 2))),
             "correlation": profile_correlation(results[0], result),
         }

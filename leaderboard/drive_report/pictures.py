@@ -1,7 +1,5 @@
 """Pictures of a drive as SVG for a page that is read on a screen and on paper."""
 
-import io
-from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
@@ -10,7 +8,8 @@ import numpy as np
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.conditions import Conditions
 from leaderboard.metrics.heights import band_pass
-from leaderboard.report.plots import COLOURS, SIDES, draw_classes, make_figure
+from leaderboard.report.plots import COLOURS, SIDES, draw_classes
+from leaderboard.report.svg import inline_svg
 from road_envs.analysis.roughness import displacement_psd, smooth_psd
 from road_envs.data.record import scored_band
 
@@ -27,17 +26,6 @@ POINTS = 1500
 
 LONGEST_WAVE = 20.0
 """Longest wave [m] of the profile strip."""
-
-
-def to_svg(paint: Callable[[Any], None], size: tuple[float, float]) -> str:
-    """Return a figure as an SVG element, with text as text."""
-    import matplotlib as mpl
-
-    buffer = io.StringIO()
-    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "road-recon", "font.size": 9}):
-        make_figure(paint, size).savefig(buffer, format="svg", metadata={"Date": None})
-    text = buffer.getvalue()
-    return text[text.index("<svg") :]
 
 
 def colour(conditions: Conditions, iri: float) -> str:
@@ -81,7 +69,7 @@ def profile_strip(result: DriveResult) -> str:
         panels[rows // 2].set_ylabel("height [mm]")
         panels[-1].set_xlabel("chainage [m]")
 
-    return to_svg(paint, (8.0, 0.6 + 1.15 * rows))
+    return inline_svg(paint, (8.0, 0.6 + 1.15 * rows))
 
 
 def iri_chart(result: DriveResult, conditions: Conditions) -> str:
@@ -117,7 +105,7 @@ def iri_chart(result: DriveResult, conditions: Conditions) -> str:
         axes.set_ylim(0.0, top)
         axes.legend(frameon=False, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
 
-    return to_svg(paint, (8.0, 3.0))
+    return inline_svg(paint, (8.0, 3.0))
 
 
 def density_chart(result: DriveResult) -> str:
@@ -136,7 +124,7 @@ def density_chart(result: DriveResult) -> str:
         axes.axvspan(band[1], 10.0, color="0.5", alpha=0.12, lw=0)
         axes.legend(frameon=False)
 
-    return to_svg(paint, (4.6, 3.6))
+    return inline_svg(paint, (4.6, 3.6))
 
 
 def track_map(result: DriveResult, conditions: Conditions) -> str:
@@ -170,4 +158,4 @@ def track_map(result: DriveResult, conditions: Conditions) -> str:
         axes.set(xlabel="east of the start [m]", ylabel="north of the start [m]")
         axes.grid(color="0.92", lw=0.5)
 
-    return to_svg(paint, (4.6, 3.6))
+    return inline_svg(paint, (4.6, 3.6))

@@ -74,8 +74,7 @@ def run_task(
 ) -> list[Result]:
     """Evaluate `estimators` on a task in this process; None is a baseline made from the truth.
 
-    `report` is called at the start of each of `steps(task, estimators)` steps. Raises ConfigError
-    for an invalid task.
+    `report` is called with each step as it begins. Raises ConfigError for an invalid task.
     """
     entries = [_local_entry(name, estimator) for name, estimator in estimators.items()]
     parts: dict[str, list[Result]] = {entry.name: [] for entry in entries}
@@ -88,11 +87,6 @@ def run_task(
                 run = in_process(estimators[entry.name])
                 parts[entry.name].append(evaluate_entry(task, condition, data, entry, seeds, run))
     return [merge_parts(results, "") for results in parts.values()]
-
-
-def steps(task: Task, estimators: Mapping[str, Estimator | None]) -> int:
-    """Return how often `run_task` calls `report`."""
-    return len(task.conditions) * (len(estimators) + 1)
 
 
 def _local_entry(name: str, estimator: Estimator | None) -> Entry:

@@ -105,7 +105,7 @@ def load(path: Path) -> Result:
 
 def load_with_checksum(path: Path) -> tuple[Result, str]:
     """Read a row and the checksum of its file. Raises ConfigError as `load`."""
-    result, checksum = read_with_checksum(path)
+    result, checksum = read(path)
     if (result.task, result.estimator) != (path.parent.name, path.stem):
         raise ConfigError(
             f"{path}: contains the result of {result.estimator} on {result.task}, "
@@ -116,18 +116,13 @@ def load_with_checksum(path: Path) -> tuple[Result, str]:
 
 def load_part(path: Path) -> Result:
     """Read a part from its file. Raises ConfigError that names file and fault."""
-    result = read(path)
+    result, _ = read(path)
     if result.identity != path.stem:
         raise ConfigError(
             f"{path}: contains the part {result.identity}, which its name does not say; "
             "evaluate again"
         )
     return result
-
-
-def read(path: Path) -> Result:
-    """Read a row or a part without checking the file name. Raises ConfigError."""
-    return read_with_checksum(path)[0]
 
 
 def load_rows(out: Path, task: Task) -> list[Result]:
@@ -214,7 +209,7 @@ class _StoredSequence(Sequence[Any]):
 
 @lru_cache(maxsize=CACHED_ROWS)
 def _stored_result(path: Path, checksum: str, identity: str) -> Result:
-    result, current = read_with_checksum(path)
+    result, current = read(path)
     if current != checksum and (not identity or result.identity != identity):
         raise RowChangedError(f"{path}: {ROW_REPLACED}")
     return result
@@ -224,8 +219,8 @@ def _row_files(out: Path, task: str) -> list[Path]:
     return sorted(p for p in (out / "results" / task).glob("*.json") if p.name[0] != ".")
 
 
-def read_with_checksum(path: Path) -> tuple[Result, str]:
-    """Read a row or a part, and the checksum of its file. Raises ConfigError as `read`."""
+def read(path: Path) -> tuple[Result, str]:
+    """Read a row or a part, whatever its name, and the checksum of its file. Raises ConfigError."""
     data, checksum = read_checked_json(path, FORMAT)
     drives = build(_DriveColumns, data.pop("drives", {}), f"{path}: drives")
     result = build(Result, data, str(path))
@@ -268,6 +263,18 @@ def read_checked_json(path: Path, version: int) -> tuple[dict[str, Any], str]:
     return data, str(checksum)
 
 
+def load_cached(path: Path, version: int, **key: str) -> dict[str, Any] | None:
+    """Return the content of a file written by `with_checksum` in format `version`.
+
+    None if it is missing or damaged, or if a field of the `key` differs: it is computed again.
+    """
+    try:
+        data, _ = read_checked_json(path, version)
+    except ConfigError:
+        return None
+    return data if key.items() <= data.items() else None
+
+
 def _columns(drives: Sequence[DriveScores]) -> dict[str, Any]:
     fields = [f.name for f in dataclasses.fields(DriveScores) if f.name != "scores"]
     names = dict.fromkeys(name for drive in drives for name in drive.scores)
@@ -276,24 +283,16 @@ def _columns(drives: Sequence[DriveScores]) -> dict[str, Any]:
 
 
 def _drive_scores(table: _DriveColumns, path: Path) -> tuple[DriveScores, ...]:
-    columns = [table.condition, table.drive, table.road, table.road_seed, table.seed]
-    size = len(table.drive)
-    if any(len(column) != size for column in [*columns, *table.scores.values()]):
+    names = ("condition", "drive", "road", "road_seed", "seed")
+    columns = [getattr(table, name) for name in names]
+    if len({len(column) for column in [*columns, *table.scores.values()]}) > 1:
         raise ConfigError(f"{path}: drives: columns have different lengths; evaluate again")
     return tuple(
         DriveScores(
-            condition=table.condition[k],
-            drive=table.drive[k],
-            road=table.road[k],
-            road_seed=table.road_seed[k],
-            seed=table.seed[k],
-            scores={
-                name: value
-                for name, column in table.scores.items()
-                if (value := column[k]) is not None
-            },
+            **dict(zip(names, place, strict=True)),
+            scores={n: x for n, column in table.scores.items() if (x := column[k]) is not None},
         )
-        for k in range(size)
+        for k, place in enumerate(zip(*columns, strict=True))
     )
 
 

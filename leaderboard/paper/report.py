@@ -13,12 +13,11 @@ from leaderboard.metrics.api import UNDEFINED
 from leaderboard.metrics.bound import nrmse_bound
 from leaderboard.metrics.level import EQ_12_RAW
 from leaderboard.paper.claims import claims, key_findings
-from leaderboard.paper.figures import PaperFigure, paper_figures
+from leaderboard.paper.figures import paper_figures
 from leaderboard.paper.study import PaperScenario, Study
 from leaderboard.report.rendering import render
-from leaderboard.report.svg import STYLE, inline_svg
+from leaderboard.report.svg import inline_svg
 from road_envs._atomic_io import write_text
-from road_envs._extras import optional_import
 
 TITLE = "Reproduction of the paper"
 ABOUT = (
@@ -28,9 +27,6 @@ ABOUT = (
     "published. They are replaced by drives of the field car {grade}, which differs from the car "
     "of the training and has sensor faults, and repeated with the car of the training (S0)."
 )
-
-DrawnFigure = tuple[PaperFigure, Any]
-"""A figure of the paper, and its matplotlib figure."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +41,7 @@ class ReportTable:
 
 def write_report(study: Study, out: Path, command: str) -> list[Path]:
     """Write index.html and numbers.json into `out`, each atomically; return them."""
-    drawn = [(paper_figure, _figure(paper_figure)) for paper_figure in paper_figures(study)]
-    write_text(out / "index.html", render_html(study, drawn, command))
+    write_text(out / "index.html", render_html(study, command))
     write_text(out / "numbers.json", json.dumps(numbers(study, command), indent=1) + "\n")
     return [out / name for name in ("index.html", "numbers.json")]
 
@@ -89,7 +84,7 @@ def numbers(study: Study, command: str) -> dict[str, Any]:
     }
 
 
-def render_html(study: Study, drawn: Sequence[DrawnFigure], command: str) -> str:
+def render_html(study: Study, command: str) -> str:
     """Render the report as a page."""
     return render(
         "paper.html",
@@ -99,24 +94,11 @@ def render_html(study: Study, drawn: Sequence[DrawnFigure], command: str) -> str
         tables=tables(study),
         claims=claims(study),
         figures=[
-            (paper_figure.name, paper_figure.caption, inline_svg(figure))
-            for paper_figure, figure in drawn
+            (figure.name, figure.caption, inline_svg(figure.paint, figure.size))
+            for figure in paper_figures(study)
         ],
         provenance=_provenance(study, command),
     )
-
-
-def _figure(paper_figure: PaperFigure) -> Any:
-    with optional_import("a figure"):
-        import matplotlib
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(paper_figure.size, layout="constrained")
-        FigureCanvasAgg(figure)
-        paper_figure.paint(figure)
-    return figure
 
 
 def _about(study: Study) -> str:

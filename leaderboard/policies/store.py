@@ -5,10 +5,8 @@ code and the configurations are the same. Rows of policies of other packages are
 what they depend on is not known.
 """
 
-import io
 import json
 import re
-import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from functools import cache
@@ -18,13 +16,15 @@ from typing import Any
 
 import numpy as np
 
+from leaderboard.evaluation import store
+from leaderboard.json_values import nan_to_none
 from leaderboard.policies.comparison import PolicyResult
 from leaderboard.policies.scenarios import Scenarios
 from leaderboard.policies.timeline import Timeline
 from road_envs import config
-from road_envs._atomic_io import atomic_write
 from road_envs._code_digest import closure, digest
 
+FORMAT = 1
 MODULES = ("leaderboard.policies.comparison", "road_envs.policies", "estimators")
 """Modules whose code, with all that they import, a row depends on."""
 
@@ -50,39 +50,34 @@ class RowStore:
 
     def load(self, name: str, policy: object) -> PolicyResult | None:
         """Return the row of a policy; None if there is none, or none that is valid."""
-        try:
-            content = io.BytesIO(self._path(name).read_bytes())
-            with np.load(content, allow_pickle=False) as stored:
-                arrays = {key: stored[key] for key in stored.files}
-            about = json.loads(str(arrays.pop("about")))
-            if about["key"] != self._key(name, policy):
-                return None
-            groups: dict[str, dict[str, np.ndarray]] = {"metrics": {}, "errors": {}, "timeline": {}}
-            for key, value in arrays.items():
-                group, _, field = key.partition("/")
-                groups[group][field] = value
-            timeline = Timeline(**groups["timeline"]) if groups["timeline"] else None
-            notes = tuple(map(str, about["notes"]))
-            return PolicyResult(name, groups["metrics"], groups["errors"], None, notes, timeline)
-        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
-            return None  # none there, or a damaged one: it is computed again
+        data = store.load_cached(self._path(name), FORMAT, key=self._key(name, policy))
+        if data is None:
+            return None
+        metrics, errors = (  # null is NaN
+            {key: np.array(x, dtype=float) for key, x in data[group].items()}
+            for group in ("metrics", "errors")
+        )
+        timeline = {key: np.array(x) for key, x in data["timeline"].items()}
+        shown = Timeline(**timeline) if timeline else None
+        return PolicyResult(name, metrics, errors, None, tuple(data["notes"]), shown)
 
     def save(self, result: PolicyResult, policy: object) -> None:
         """Store a row, whole or not at all; a failed one is not stored."""
         if result.failure is not None:
             return
-        about = {"key": self._key(result.policy, policy), "notes": list(result.notes)}
         timeline = result.timeline._asdict() if result.timeline is not None else {}
         groups = {"metrics": result.metrics, "errors": result.errors, "timeline": timeline}
-        arrays: dict[str, Any] = {
-            f"{group}/{name}": x for group, values in groups.items() for name, x in values.items()
+        data = {
+            "format": FORMAT,
+            "key": self._key(result.policy, policy),
+            "notes": list(result.notes),
+            **{group: {n: x.tolist() for n, x in each.items()} for group, each in groups.items()},
         }
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with atomic_write(self._path(result.policy)) as partial, partial.open("wb") as file:
-            np.savez(file, about=np.array(json.dumps(about)), **arrays)
+        text = store.with_checksum(nan_to_none(data))
+        store.write_durable(self._path(result.policy), text)
 
     def _path(self, name: str) -> Path:
-        return self.folder / f"{re.sub(r'[^a-zA-Z0-9._-]', '_', name)}.npz"
+        return self.folder / f"{re.sub(r'[^a-zA-Z0-9._-]', '_', name)}.json"
 
     def _key(self, name: str, policy: object) -> str:
         network = getattr(policy, "network", None)

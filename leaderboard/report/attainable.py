@@ -14,10 +14,12 @@ from collections.abc import Callable
 import numpy as np
 
 from estimators.map_smoother.attainable import attainable_error
+from leaderboard.evaluation import store
 from leaderboard.evaluation.code_version import evaluation_version, module_version
 from leaderboard.evaluation.results import DriveScores, Result
 from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.evaluation.test_data import DriveSimulation, RecordedDrive, simulate_drives
+from leaderboard.json_values import nan_to_none
 from leaderboard.metrics.bound import fit_spectrum
 from leaderboard.running.board import Board
 from road_envs._atomic_io import write_text
@@ -26,6 +28,7 @@ from road_envs.analysis.information_bound import RoadPrior
 from road_envs.data.record import scored_band
 from road_envs.vehicle.parameters import VehicleParameters
 
+FORMAT = 1
 BANDWIDTH = 100.0
 """Bandwidth [Hz] of the data; the estimators of this package use no more."""
 
@@ -55,14 +58,12 @@ def attainable_errors(
     versions = evaluation_version(), module_version(attainable_error.__module__)
     key = hashlib.sha256(json.dumps([task.digest, condition.label, *versions]).encode())
     path = cache_home() / "attainable" / f"{key.hexdigest()[:32]}.json"
-    try:
-        return {int(k): float(x) for k, x in json.loads(path.read_text()).items()}
-    except (OSError, ValueError, AttributeError):  # not computed yet, or damaged
-        pass
-    drives = simulate(task, task.test, condition)
-    errors = {d.index: drive_error(task, condition, d, task.vehicle) for d in drives}
-    write_text(path, json.dumps(errors))
-    return errors
+    if (known := store.load_cached(path, FORMAT)) is None:
+        drives = simulate(task, task.test, condition)
+        errors = {d.index: drive_error(task, condition, d, task.vehicle) for d in drives}
+        known = nan_to_none({"format": FORMAT, "errors": errors})
+        write_text(path, store.with_checksum(known))
+    return {int(k): np.nan if x is None else x for k, x in known["errors"].items()}
 
 
 def drive_error(

@@ -21,8 +21,9 @@ from leaderboard.evaluation.provenance import package_version
 from leaderboard.report.sentences import findings
 from leaderboard.report.tables import BoardView, board_views
 from leaderboard.running.board import Board
+from road_envs._atomic_io import write_text
 from road_envs._code_digest import closure, digest
-from road_envs.config import ConfigError, build
+from road_envs.config import build
 
 CACHE_FILE = ".shown.json"
 FORMAT = 2
@@ -50,8 +51,9 @@ class Report:
 def build_report(board: Board, out: Path | None = None) -> Report:
     """Return the report of a board, from the cache under `out` if nothing has changed."""
     key = report_key(board)
-    if out is not None and (cached := _load_cached(out / CACHE_FILE, key)) is not None:
-        return cached
+    cached = None if out is None else store.load_cached(out / CACHE_FILE, FORMAT, key=key)
+    if cached is not None:
+        return build(Report, cached, CACHE_FILE)
     views = tuple(board_views(board))
     return Report(views, tuple(findings(views)), key)
 
@@ -59,7 +61,7 @@ def build_report(board: Board, out: Path | None = None) -> Report:
 def save_report(report: Report, out: Path) -> None:
     """Cache a report whose pages are written; a large one is not worth its file."""
     if sum(len(s.rows) for view in report.views for s in view.sections) <= MAX_CACHED_ROWS:
-        store.write_text(out / CACHE_FILE, store.with_checksum(dataclasses.asdict(report)))
+        write_text(out / CACHE_FILE, store.with_checksum(dataclasses.asdict(report)))
     else:
         (out / CACHE_FILE).unlink(missing_ok=True)
 
@@ -93,11 +95,3 @@ def _key_parts(board: Board) -> Iterator[str]:
 def _page_code_digest() -> str:
     files = [path for folder in PAGE_FILES for path in folder.rglob("*") if path.is_file()]
     return digest([*closure(SITE_MODULE), *files])
-
-
-def _load_cached(path: Path, key: str) -> Report | None:
-    try:
-        data, _ = store.read_checked_json(path, FORMAT)
-        return build(Report, data, str(path)) if data.get("key") == key else None
-    except ConfigError:  # missing or damaged: the report is built again
-        return None

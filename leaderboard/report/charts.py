@@ -106,7 +106,7 @@ def height_lines(traces: Mapping[str, Trace], side: int, kind: str) -> list[dict
             stride = round(line["dx"] / trace.ds)
             std = trace.z_std[side, first:][::stride][: len(line["dy"])]
             line["std"] = encode_std(std)
-        lines.append({**line, "line": line_style(name), **({} if k < N_SHOWN else visibility(k))})
+        lines.append(line | {"line": line_style(name)} | visibility(k))
     return lines
 
 
@@ -240,8 +240,8 @@ def error_lines(rows: Mapping[str, Row], group: str) -> list[dict[str, Any]]:
     for k, (name, row) in enumerate(rows.items()):
         values = row.groups.get(group, row.values)
         y = [None if (x := values.get(key)) is None else rounded(x, 4) for key in SPECTRUM_SCORES]
-        look = {"line": line_style(name), **({} if k < N_SHOWN else visibility(k))}
-        lines.append(curve(name, THIRD_OCTAVES, y, hovertemplate=ERROR_HOVER, **look))
+        look = {"line": line_style(name), "hovertemplate": ERROR_HOVER}
+        lines.append(curve(name, THIRD_OCTAVES, y, **look, **visibility(k)))
     return lines
 
 

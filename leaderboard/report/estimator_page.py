@@ -13,6 +13,7 @@ from estimators.registry import REGISTRY
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, Trace
 from leaderboard.evaluation.tasks import Task
+from leaderboard.metrics.api import UNDEFINED
 from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.report.board_definitions import COLUMNS
 from leaderboard.report.charts import bound_line, error_axes, error_lines
@@ -210,7 +211,7 @@ def cost(task: Task, result: Result) -> tuple[str, ...]:
 
 
 def _text(value: float | None, form: str) -> str:
-    return "" if value is None else form.format(value)
+    return UNDEFINED if value is None else form.format(value)
 
 
 def settings_in_words(settings: Mapping[str, Any]) -> str:

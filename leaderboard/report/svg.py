@@ -3,8 +3,10 @@
 import hashlib
 import io
 import re
+from collections.abc import Callable
 from typing import Any
 
+from leaderboard.report.plots import make_figure
 from road_envs._extras import optional_import
 
 STYLE: Any = {
@@ -12,8 +14,6 @@ STYLE: Any = {
     "svg.hashsalt": "roadrecon",
     "font.size": 8.5,
     "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
     "axes.titlesize": 9.0,
     "axes.titlelocation": "left",
     "path.simplify_threshold": 0.5,
@@ -21,12 +21,20 @@ STYLE: Any = {
 """Matplotlib style of the figures of a page."""
 
 
-def inline_svg(figure: Any) -> str:
-    """Return the SVG of a figure, without size and fonts; equal figures give equal text."""
+def page_figure(paint: Callable[[Any], None], size: tuple[float, float]) -> Any:
+    """Return a figure of `size` [inch] that `paint` has filled, in the STYLE of a page."""
     with optional_import("a figure"):
         import matplotlib
 
-    buffer = io.StringIO()
+    with matplotlib.rc_context(STYLE):
+        return make_figure(paint, size)
+
+
+def inline_svg(paint: Callable[[Any], None], size: tuple[float, float]) -> str:
+    """Return `page_figure` as SVG, without size and fonts; equal figures give equal text."""
+    figure, buffer = page_figure(paint, size), io.StringIO()
+    import matplotlib
+
     with matplotlib.rc_context(STYLE):
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     svg = buffer.getvalue()

@@ -180,18 +180,7 @@ def run_job_file(spec: Path, out: Path) -> Iterator[JobDone]:
     Raises ConfigError, OSError.
     """
     remove_stale_temp()
-    job = _read(spec)
-    with _sandbox_for(job) as sandbox:
-        yield from run_job(job, out, in_sandbox(sandbox))
-
-
-def _read(spec: Path) -> Job:
-    return from_text(spec.read_text(encoding="utf-8"), str(spec), spec.parent)
-
-
-def _sandbox_for(job: Job) -> SandboxClient:
-    code = job_files.code_folders(job.files, job.entries)
-    return SandboxClient(job.limits, owns_all_children=True, code=code)
+    yield from filter(None, serve([spec], out))
 
 
 def are_ours(entries: Iterable[Entry]) -> bool:
@@ -207,8 +196,11 @@ def serve(specs: Iterable[Path], out: Path) -> Iterator[JobDone | None]:
     with contextlib.ExitStack() as stack:
         sandbox: SandboxClient | None = None
         for spec in specs:
-            job = _read(spec)
-            sandbox = sandbox or stack.enter_context(_sandbox_for(job))
+            job = from_text(spec.read_text(encoding="utf-8"), str(spec), spec.parent)
+            if sandbox is None:
+                code = job_files.code_folders(job.files, job.entries)
+                guests = SandboxClient(job.limits, owns_all_children=True, code=code)
+                sandbox = stack.enter_context(guests)
             yield from run_job(job, out, in_sandbox(sandbox))
             yield None
 

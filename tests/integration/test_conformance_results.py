@@ -15,6 +15,7 @@ from estimators import pretrained_weights
 from leaderboard.conformance import results as conformance_results
 from leaderboard.conformance.probes import PROBES
 from leaderboard.conformance.results import EstimatorCard, find_card, probe_entries
+from leaderboard.evaluation import store
 from leaderboard.evaluation.entries import (
     entry_refit_per_case,
     make_entry,
@@ -182,8 +183,8 @@ def test_cards_are_made_only_on_request_and_loaded_if_they_exist(tmp_path, monke
         code=entry.code,
         drive="a road",
     )
-    conformance_results.store.write_durable(
-        conformance_results._path(tmp_path, identity), conformance_results._text(card)
+    store.write_durable(
+        conformance_results._path(tmp_path, identity), store.with_checksum(dataclasses.asdict(card))
     )
     assert load_board([task()], tmp_path).cards == {identity: card}
 

@@ -167,7 +167,7 @@ def test_policies_compares_a_class_and_a_file_beside_shipped_ones(
     assert code == 0 and set(rows) == {"fixed_ride", "mine", "Lateral"}
     assert all(row["failure"] is None for row in rows.values())
     kept = sorted(path.name for path in (tmp_path / "out/policies").iterdir())
-    assert kept == ["fixed_ride.npz", "mine.npz"]
+    assert kept == ["fixed_ride.json", "mine.json"]
 
 
 @pytest.mark.skipif(bubblewrap.obstacle() is not None, reason="bubblewrap cannot be used here")
@@ -205,7 +205,7 @@ def test_finished_rows_are_kept_until_something_that_they_depend_on_changes(tmp_
         np.testing.assert_array_equal(one, other)
     assert store.load("skyhook", create("skyhook", leak=0.3)) is None
     assert RowStore(tmp_path, scenarios, range(5), {}).load("skyhook", policy) is None
-    (tmp_path / "skyhook.npz").write_bytes((tmp_path / "skyhook.npz").read_bytes()[:500])
+    (tmp_path / "skyhook.json").write_bytes((tmp_path / "skyhook.json").read_bytes()[:500])
     assert store.load("skyhook", policy) is None
 
     def never(*_):
@@ -255,4 +255,4 @@ def test_an_interrupted_comparison_keeps_what_it_has(tmp_path):
     assert done.stderr.splitlines()[-1] == (
         "interrupted: finished policies are kept in out; the same command continues"
     )
-    assert [path.name for path in (tmp_path / "out/policies").iterdir()] == ["fixed_ride.npz"]
+    assert [path.name for path in (tmp_path / "out/policies").iterdir()] == ["fixed_ride.json"]

@@ -16,8 +16,15 @@ from leaderboard.metrics.registry import SCORES
 from leaderboard.paper import claims as statements
 from leaderboard.paper import report, study
 from leaderboard.paper.figures import paper_figures, select_sessions
+from leaderboard.report.svg import page_figure
 
 TRAININGS = 3
+
+
+def drawn_figure(figure):
+    return page_figure(figure.paint, figure.size)
+
+
 driven = []
 """Task, drives and condition of every simulated drive."""
 
@@ -125,13 +132,13 @@ def test_every_figure_of_the_paper_is_drawn_with_its_line_styles():
     again = [f"Figure {name}, on the car of the training" for name in ("10", "11")]
     assert list(figures) == [*(f"Figure {name}" for name in numbers), *again, "Spread"]
     for name in ("Figure 1", "Figure 2", "Figure 3"):
-        assert all(axes.has_data() for axes in report._figure(figures[name]).axes)
+        assert all(axes.has_data() for axes in drawn_figure(figures[name]).axes)
     for name, panels in (("6", 2), ("8", 2), ("10", 4), ("11", 4), ("A.3", 4), ("A.6", 4)):
-        drawn = report._figure(figures[f"Figure {name}"])
+        drawn = drawn_figure(figures[f"Figure {name}"])
         assert len(drawn.axes) == panels
         for axes in drawn.axes:
             assert [line.get_linestyle() for line in axes.lines] == ["-", "--"]
-    titles = [axes.get_title(loc="left") for axes in report._figure(figures["Figure 10"]).axes]
+    titles = [axes.get_title(loc="left") for axes in drawn_figure(figures["Figure 10"]).axes]
     session = select_sessions(made())[0]
     for title, case in zip(titles, made().paving, strict=True):
         error = 100 * case.trainings[session].scores[study.EQ_12_RAW]
@@ -146,7 +153,7 @@ def test_densities_of_a_flat_estimate_are_drawn_over_all_classes_on_log_axes():
         )
     )
     (figure,) = [p for p in paper_figures(flat) if p.name == "Figure 11"]
-    for axes in report._figure(figure).axes:
+    for axes in drawn_figure(figure).axes:
         assert axes.get_xscale() == axes.get_yscale() == "log"
         assert [text.get_text() for text in axes.texts] == list("ABCDEFGH")
 

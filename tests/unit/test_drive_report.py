@@ -10,7 +10,7 @@ from scipy.signal import welch
 from leaderboard.drive_report.analysis import analyse
 from leaderboard.drive_report.conditions import Conditions, load_conditions
 from leaderboard.drive_report.export import write_geojson
-from leaderboard.drive_report.obstacles import HEIGHT_STD, detect
+from leaderboard.drive_report.obstacles import CERTAIN, FALSE_ALARMS, HEIGHT_STD, detect
 from leaderboard.drive_report.posterior_iri import MODEL_STD, posterior_iri, unit_error
 from road_envs.analysis.roughness import iri
 from road_envs.config import ConfigError
@@ -156,6 +156,15 @@ def test_random_roads_have_next_to_no_obstacles():
         assert len(found) <= 12
         assert all(obstacle.confidence < 0.9999 for obstacle in found)
     assert not [o for seed in range(10) for o in detect(estimate("iso_b", seed=seed))]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("letter", FALSE_ALARMS)
+def test_random_roads_have_as_many_obstacles_as_the_report_says(letter):
+    roads = [estimate(f"iso_{letter.lower()}", seed=seed) for seed in range(200)]
+    found = [obstacle for road in roads for obstacle in detect(road)]
+    certain = sum(obstacle.confidence >= CERTAIN for obstacle in found)
+    assert (len(found) / 60.0, certain / 60.0) == pytest.approx(FALSE_ALARMS[letter], abs=0.005)
 
 
 def test_categories_change_at_95_and_170_inches_per_mile():
