@@ -174,7 +174,8 @@ def adaptive_kernel(vehicle, y, surface, inputs, out):
             if ratio > max_ratio or ratio != ratio:  # a NaN must reject the step
                 max_ratio = ratio
         if not max_ratio <= 1.0:
-            y[:] = signals_0[: 2 * N_DOF]
+            for j in range(2 * N_DOF):  # a slice would compile the error of unequal lengths
+                y[j] = signals_0[j]
             n_rejected += 1
             h *= step_size_factor(max_ratio)
             continue

@@ -26,11 +26,10 @@ EXAMPLES = {
 }
 """Options that make an example short, and the files that it writes."""
 
-MARKS = {
-    "simulate_and_reconstruct": pytest.mark.processes,  # as the tutorial of a first drive
-    **dict.fromkeys(("own_estimator", "board_from_python", "train_a_policy"), pytest.mark.slow),
-}
-"""Of examples that do what a page does too, run a whole task or train for seconds."""
+SLOW = {"own_estimator", "board_from_python", "train_a_policy"}
+"""Examples that run a whole task, as README.md and the tutorial of an own estimator do too, or
+train for seconds. The others run in `make test-processes`, the pages in `make test`.
+"""
 
 PNG_SIGNATURE = b"\x89PNG"
 
@@ -117,7 +116,11 @@ def test_every_example_and_every_page_with_code_is_tested():
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=MARKS.get(name, ())) for name in EXAMPLES]
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name in SLOW else pytest.mark.processes)
+        for name in EXAMPLES
+    ],
 )
 def test_an_example_runs_from_another_folder_and_writes_its_files(name, run, tmp_path):
     options, files = EXAMPLES[name]

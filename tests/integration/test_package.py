@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from fakes import SHORT_TASK
 
+pytestmark = pytest.mark.processes
 ROOT = Path(__file__).parents[2]
 
 
@@ -50,7 +51,6 @@ def test_the_wheel_contains_the_configurations_and_no_tests(installed):
     assert not (inside / "tests").exists() and not (inside / "configs").exists()
 
 
-@pytest.mark.processes
 def test_the_installed_wheel_runs_a_leaderboard_task_in_another_folder(installed, tmp_path):
     bin_folder, inside = installed
     where = run(
