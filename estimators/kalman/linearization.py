@@ -93,7 +93,7 @@ def simulate_block(
     motion, bending = Motion(end[:n_dof], end[n_dof : 2 * n_dof]), end[2 * n_dof :]
     road, x, (node, height, slope) = np.empty(16), local.x, weights
     acceleration = np.empty(n_dof)
-    step_inputs, sensor_rows = StepInputs(road, np.zeros(4)), model.sensor_rows
+    step_inputs, sensor_rows = StepInputs(road, np.zeros(4), model.h), model.sensor_rows
     predicted = np.zeros(3)
     alpha = 1.0 - np.exp(-model.h / model.valve_lag)
     samples = 0
@@ -110,9 +110,7 @@ def simulate_block(
                     road[8 * half + 2 * axle + side] = z
                     road[8 * half + 4 + 2 * axle + side] = rate
         update_valves(p, local.strut_state, motion.q, inputs.commands[first + k], alpha, model.h)
-        step_with_derivative(
-            vehicle, motion, step_inputs, model.h, work, out, rows[k], model.flexible
-        )
+        step_with_derivative(vehicle, motion, step_inputs, work, out, rows[k], model.flexible)
         if (first + k) % model.decimation == 0:
             samples += 1
             acceleration[:N_DOF] = out[ACCELERATION : ACCELERATION + N_DOF]
@@ -193,7 +191,8 @@ def tangent_columns(
         samples += sampled
         for group in range(groups):
             motion = Motion(y[group, :n_dof], y[group, n_dof : 2 * n_dof])
-            tangent_step(p, rows[i], motion, road[group], h, work, a, model.flexible)
+            changes = StepInputs(road[group], None, h)
+            tangent_step(p, rows[i], motion, changes, work, a, model.flexible)
             if sampled:
                 bent = broadcast(0.0)
                 if n_vehicle > 2 * n_dof:

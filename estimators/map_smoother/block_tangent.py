@@ -24,7 +24,7 @@ from estimators.common.model_inputs import ModelInputs
 from estimators.common.spline import height_weights, locate_node, slope_weights
 from estimators.map_smoother.road_prior import RoadTransform
 from road_envs._numba import kernel
-from road_envs.simulation.rosenbrock import WORKSPACE_ROWS, step_workspace
+from road_envs.simulation.rosenbrock import WORKSPACE_ROWS, StepInputs, step_workspace
 from road_envs.simulation.sensitivity import tangent_step
 from road_envs.simulation.simd import LANES, broadcast, sum_lanes
 from road_envs.simulation.simd_arrays import get, put, stack_rows
@@ -116,7 +116,8 @@ def fill_chunk_matrices(constants, rows, h, track: NodeTrack, sampling: Sampling
             at = sample // block
             for group in range((begun + LANES - 1) // LANES):
                 motion = Motion(y[group, :n_dof], y[group, n_dof:])
-                tangent_step(p, rows[n], motion, road[group], h, work, a, flexible)
+                step_inputs = StepInputs(road[group], None, h)
+                tangent_step(p, rows[n], motion, step_inputs, work, a, flexible)
                 if n % decimation == 0:
                     for i in range(sensors):
                         sensed = broadcast(0.0)

@@ -52,6 +52,10 @@ RESERVED_NAMES = {"speed", "front", "rear", "planar", "extension", "extension_ra
 MAX_OBSERVED_SPEED = 100.0
 """Upper limit of the observed speed [m/s]."""
 
+MAX_DRAWS = 20
+"""Most roads that an episode draws until one has no step too high for a wheel, as some of class H
+have."""
+
 _bound_tables: dict[tuple[str, str, tuple[float, ...], tuple[str, ...]], BoundTable] = {}
 """Tables that were computed, by all that they depend on."""
 
@@ -281,8 +285,20 @@ class EnvSetup:
         stream: Any = random.bit_generator.seed_seq
         key = repr((type(random.bit_generator), stream.entropy, stream.spawn_key))
         if self._last_road is None or self._last_road[0] != key:
-            self._last_road = key, self.road.realise(random)
+            self._last_road = key, self._draw_climbable(random)
         return self._last_road[1]
+
+    def _draw_climbable(self, random: np.random.Generator) -> Surface:
+        """Return the first of MAX_DRAWS roads that every wheel climbs. Raises ConfigError."""
+        for draw in range(MAX_DRAWS):
+            surface = self.road.realise(random)
+            try:
+                surface.check_climbable()
+                break
+            except ConfigError:
+                if draw == MAX_DRAWS - 1:
+                    raise
+        return surface
 
     def failure_reason(self, output: StepOutput, i: int, road: str) -> str:
         """Return why the episode of environment `i` on `road` has failed; empty if it has not."""

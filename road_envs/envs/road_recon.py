@@ -87,7 +87,8 @@ class RoadReconEnv(gymnasium.Env):
     The vehicle starts in equilibrium on a level apron, front axle 5 m before the road, in the mode
     `mode`. Reset drives one control interval, so that the first observation holds samples. Each
     reset draws a road (unless it is a fixed one), a speed (if a range is given) and the sensor
-    noise, each from its own random stream.
+    noise, each from its own random stream. A random road with a step that no wheel climbs, more
+    than 0.2 m within 0.05 m as on some of class H, is drawn again; a fixed one raises ConfigError.
 
     ## Episode End
     The episode is truncated when the rear axle has left the road and the apron after it. It is

@@ -159,14 +159,14 @@ def adaptive_kernel(vehicle, y, surface, inputs, out):
     p, work = vehicle.constants[0], step_workspace(stack_array(WORKSPACE_ROWS))
     road, a_xy = np.empty(24), np.zeros(4)
     signals_0, error, y_dense = np.empty(N_SIGNALS), np.empty(2 * N_DOF), np.empty(2 * N_DOF)
-    motion, step_inputs = Motion(y[:N_DOF], y[N_DOF:]), StepInputs(road[:16], a_xy)
+    motion = Motion(y[:N_DOF], y[N_DOF:])
     s_0, v, t, rtol, atol, max_step = inputs
     now, h, n_accepted, n_rejected, i = 0.0, max_step, 0, 0, 0
     while i < t.size and h > 1e-12:
         for k in range(3):
             s = s_0 + v * (now + 0.5 * k * h)
             sample_road(p, surface, s, v, road[8 * k : 8 * k + 8])
-        step(vehicle, motion, step_inputs, h, work, signals_0)
+        step(vehicle, motion, StepInputs(road[:16], a_xy, h), work, signals_0)
         step_error(vehicle, signals_0, y, road, h, work, error)
         max_ratio = 0.0
         for j in range(2 * N_DOF):

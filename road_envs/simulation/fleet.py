@@ -195,13 +195,13 @@ def take_step(lanes, roads, inputs, n, scratch, signals, flexible):
             rate = interpolate(speed[2 * n : 2 * n + 3], i - 1, half)
             sample_roads(p, roads, station, rate, road, 8 * half)
         first = (4 * n if manoeuvre else 0) + (2 * (2 * (i - 1) // SUBSTEPS) if i > 0 else 0)
-        step_inputs = StepInputs(road, inputs.a_xy[first : first + 4])
         length = h / SUBSTEPS if i > 0 else h
+        step_inputs = StepInputs(road, inputs.a_xy[first : first + 4], length)
         row = signals if i == begin else scratch.unused
         if flexible is None:
-            step(vehicle, motion, step_inputs, length, scratch.work, row)
+            step(vehicle, motion, step_inputs, scratch.work, row)
         else:
-            flexible_step(vehicle, motion, step_inputs, length, scratch.work, row)
+            flexible_step(vehicle, motion, step_inputs, scratch.work, row)
     if end > 1 and begin == 0:
         copy_lanes(whole, motion, steep[0])
 

@@ -155,9 +155,9 @@ def integrate_on_road(lanes, road, commands, h, out, flexible=None):
                 here = update_lane_valves(own, lanes.strut_state, q, k, commands[n], alpha, h)
                 settled = settled and here
         if flexible is None:
-            step(vehicle, motion, StepInputs(inputs, no_manoeuvre), h, work, row)
+            step(vehicle, motion, StepInputs(inputs, no_manoeuvre, h), work, row)
         else:
-            flexible_step(vehicle, motion, StepInputs(inputs, no_manoeuvre), h, work, row)
+            flexible_step(vehicle, motion, StepInputs(inputs, no_manoeuvre, h), work, row)
             put(out[n], N_DOF, get(row, TWIST + 2))
         for j in range(N_DOF):
             put(out[n], j, get(row, ACCELERATION + j))

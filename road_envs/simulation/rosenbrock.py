@@ -103,19 +103,22 @@ def step_workspace(buffer):
 
 
 class StepInputs(NamedTuple):
-    """Inputs of one step.
+    """Inputs of one step of `h` [s].
 
     `road` (16,): heights [m] of the road under the four wheels at t, their rates [m/s], and both
-    again at t + h/2. `a_xy` (4,): accelerations a_x, a_y [m/s²] of a manoeuvre at t and t + h/2.
+    again at t + h/2. `a_xy` (4,): accelerations a_x, a_y [m/s²] of a manoeuvre at t and t + h/2;
+    None where it is not read.
     """
 
     road: np.ndarray
-    a_xy: np.ndarray
+    a_xy: np.ndarray | None
+    h: float
 
 
 @kernel
-def _stage_1_at_wheel(vehicle, motion, road, h, work, out, twist, w):
+def _stage_1_at_wheel(vehicle, motion, inputs, work, out, twist, w):
     """Write the forces of strut and tyre `w` at t, their stiffness and their part of h d df/dt."""
+    road, _, h = inputs
     hd, p = h * D, vehicle.constants[0]
     (q, v), (F, T, dF, dT) = motion, (work.F, work.T, work.dF, work.dT)
     e, rate = extension(p, q, w), extension(p, v, w)
@@ -141,9 +144,10 @@ def _stage_1_at_wheel(vehicle, motion, road, h, work, out, twist, w):
 
 
 @kernel
-def _stage_2_at_wheel(vehicle, road, h, work, twist, w):
+def _stage_2_at_wheel(vehicle, inputs, work, twist, w):
     """Write the forces of strut and tyre `w` in the right-hand side of stage 2."""
-    hd, p, r, F, T = h * D, vehicle.constants[0], work.r, work.F, work.T
+    road, hd = inputs.road, inputs.h * D
+    p, r, F, T = vehicle.constants[0], work.r, work.F, work.T
     e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
     if twist is not None:
         e, e_dot = e + twist_extension(p, twist[2], w), e_dot + twist_extension(p, twist[3], w)
@@ -156,22 +160,22 @@ def _stage_2_at_wheel(vehicle, road, h, work, twist, w):
 
 
 @kernel
-def step(vehicle, motion, inputs, h, work, out, twist=None):
-    """Advance the `motion` of one or LANES vehicles by `h` [s], in place.
+def step(vehicle, motion, inputs, work, out, twist=None):
+    """Advance the `motion` of one or LANES vehicles by one step of StepInputs, in place.
 
     The signals at t go to `out` (29,). `twist`, if given: the frame's twist [rad] and its rate at
     t and at t + h/2 (4 numbers). With LANES vehicles every array has the lanes as its last axis.
     """
+    (q, v), (_, a_xy, h) = motion, inputs
     hd, p = h * D, vehicle.constants[0]
-    (q, v), (road, a_xy) = motion, inputs
     f, g, r, k_q = work.f, work.g, work.r, work.k_q
     F, T, dF, dT = work.F, work.T, work.dF, work.dT
     # one call for each wheel, since loops are not unrolled and their arrays stay in memory;
     # stage 1: F, T are the forces at t; dF, dT their part of h d (df/dt - K v)
-    _stage_1_at_wheel(vehicle, motion, road, h, work, out, twist, 0)
-    _stage_1_at_wheel(vehicle, motion, road, h, work, out, twist, 1)
-    _stage_1_at_wheel(vehicle, motion, road, h, work, out, twist, 2)
-    _stage_1_at_wheel(vehicle, motion, road, h, work, out, twist, 3)
+    _stage_1_at_wheel(vehicle, motion, inputs, work, out, twist, 0)
+    _stage_1_at_wheel(vehicle, motion, inputs, work, out, twist, 1)
+    _stage_1_at_wheel(vehicle, motion, inputs, work, out, twist, 2)
+    _stage_1_at_wheel(vehicle, motion, inputs, work, out, twist, 3)
     for j in range(N_DOF):
         put(f, j, 0.0)
     # bushings act on the roll of the body relative to each axle, which the frame's twist changes
@@ -206,10 +210,10 @@ def step(vehicle, motion, inputs, h, work, out, twist=None):
         put(work.v, j, v_mid)
         put(r, j, v_mid - kq)
         put(f, j, -get(p.M, j) * kv)
-    _stage_2_at_wheel(vehicle, road, h, work, twist, 0)
-    _stage_2_at_wheel(vehicle, road, h, work, twist, 1)
-    _stage_2_at_wheel(vehicle, road, h, work, twist, 2)
-    _stage_2_at_wheel(vehicle, road, h, work, twist, 3)
+    _stage_2_at_wheel(vehicle, inputs, work, twist, 0)
+    _stage_2_at_wheel(vehicle, inputs, work, twist, 1)
+    _stage_2_at_wheel(vehicle, inputs, work, twist, 2)
+    _stage_2_at_wheel(vehicle, inputs, work, twist, 3)
     front = relative_roll(work.q, 0) + hd * relative_roll(r, 0)
     rear = relative_roll(work.q, 1) + hd * relative_roll(r, 1)
     if twist is not None:
@@ -227,15 +231,15 @@ def step(vehicle, motion, inputs, h, work, out, twist=None):
 
 
 @kernel
-def flexible_step(vehicle, motion, inputs, h, work, out):
+def flexible_step(vehicle, motion, inputs, work, out):
     """`step` of a vehicle with a flexible frame: `motion` (8,) with the twist last, `out` (32,).
 
     The matrix W is block diagonal here: it omits the coupling of the seven rigid coordinates and
     the twist. The formula keeps order 2 with any matrix in place of the Jacobian, since
     k_2 = F(t + h/2, y + h k_1 / 2) + O(h²) still holds, and the omitted coupling is not stiff.
     """
+    (q, v), h = motion, inputs.h
     hd, p = h * D, vehicle.constants[0]
-    q, v = motion
     inertia, rate, damping = get(p.frame_inertia), get(p.frame_rate), get(p.frame_damping)
     inverse = 1.0 / (inertia + hd * (damping + hd * rate))
     psi, psi_dot = get(q, N_DOF), get(v, N_DOF)
@@ -252,7 +256,7 @@ def flexible_step(vehicle, motion, inputs, h, work, out):
     k_v = (moment - hd * rate * psi_dot) * inverse
     k_q = psi_dot + hd * k_v
     psi_mid, psi_mid_dot = psi + 0.5 * h * k_q, psi_dot + 0.5 * h * k_v
-    step(vehicle, motion, inputs, h, work, out, (psi, psi_dot, psi_mid, psi_mid_dot))
+    step(vehicle, motion, inputs, work, out, (psi, psi_dot, psi_mid, psi_mid_dot))
     for w in range(4):
         e = extension(p, work.q, w) + twist_extension(p, psi_mid, w)
         e_dot = extension(p, work.v, w) + twist_extension(p, psi_mid_dot, w)
@@ -334,9 +338,9 @@ def integrate(vehicle, y, surface, inputs, lag, out, flexible=None):
                 speed = interpolate(v[2 * n : 2 * n + 3], i, half)
                 sample_road(p, surface, station, speed, road[8 * half : 8 * half + 8])
             first = 4 * n + 2 * (2 * i // parts)  # a manoeuvre hardly changes in half a step
-            step_inputs = StepInputs(road, a_xy[first : first + 4])
+            step_inputs = StepInputs(road, a_xy[first : first + 4], h / parts)
             row = out[n] if i == 0 else unused
             if flexible is None:
-                step(vehicle, motion, step_inputs, h / parts, work, row)
+                step(vehicle, motion, step_inputs, work, row)
             else:
-                flexible_step(vehicle, motion, step_inputs, h / parts, work, row)
+                flexible_step(vehicle, motion, step_inputs, work, row)

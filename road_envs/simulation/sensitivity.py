@@ -61,17 +61,18 @@ TAPE_ROW_SIZE = 74
 
 
 @kernel
-def step_with_derivative(vehicle, motion, inputs, h, work, out, row, flexible=None):
+def step_with_derivative(vehicle, motion, inputs, work, out, row, flexible=None):
     """Take `rosenbrock.step`, same arguments; write its derivative to `row` (TAPE_ROW_SIZE,).
 
     Of a `flexible` vehicle, `rosenbrock.flexible_step`.
     """
-    p, road, hd, before = vehicle.constants[0], inputs.road, h * D, out[N_DOF : 2 * N_DOF]
+    road, _, h = inputs
+    p, hd, before = vehicle.constants[0], h * D, out[N_DOF : 2 * N_DOF]
     psi_dot = psi_mid = psi_mid_dot = 0.0
     if flexible is None:
-        step(vehicle, motion, inputs, h, work, out)
+        step(vehicle, motion, inputs, work, out)
     else:
-        flexible_step(vehicle, motion, inputs, h, work, out)
+        flexible_step(vehicle, motion, inputs, work, out)
         psi_dot, moment = out[TWIST + 1], p.frame_inertia * out[TWIST + 2]
         k_v = (moment - hd * p.frame_rate * psi_dot) * _inverse_frame(p, hd)
         psi_mid = out[TWIST] + 0.5 * h * (psi_dot + hd * k_v)
@@ -115,15 +116,16 @@ def _inverse_frame(p, hd):
 
 
 @kernel
-def tangent_step(p, row, motion, road, h, work, a, flexible=None):
+def tangent_step(p, row, motion, inputs, work, a, flexible=None):
     """Propagate changes `motion` of coordinates and rates through one step, in place.
 
-    `road` (16,): changes of the road's heights [m] and rates [m/s], in the layout of
-    `rosenbrock.step`. Writes the change of the accelerations (7,) at the step's beginning to `a`.
-    For LANES directions at once, all arrays but `p` and `row` have the lanes as their last axis.
-    Of a `flexible` vehicle, coordinates, rates and accelerations are (8,).
+    `inputs`: changes of the StepInputs' road; their `a_xy` is not read. Writes the change of the
+    accelerations (7,) at the step's beginning to `a`. For LANES directions at once, all arrays but
+    `p` and `row` have the lanes as their last axis. Of a `flexible` vehicle, coordinates, rates and
+    accelerations are (8,).
     """
-    hd, (q, v) = h * D, motion
+    (q, v), (road, _, h) = motion, inputs
+    hd = h * D
     f, g, r, k_q, F, T, dF, dT = work.f, work.g, work.r, work.k_q, work.F, work.T, work.dF, work.dT
     blocks, body = row[BLOCKS:BODY], row[BODY:TAPE_ROW_SIZE]
     # stage 1: F, T give f'; dF, dT give g' - W' k; s, t keep what stage 2 needs of the state at t

@@ -55,8 +55,8 @@ def integrate_with_derivative(vehicle, y, inputs, out, rows, flexible=None):
             update_valves(
                 vehicle.constants[0], vehicle.strut_state, motion.q, inputs.commands[n], alpha, h
             )
-        step_inputs = StepInputs(inputs.road[n], inputs.a_xy[n])
-        step_with_derivative(vehicle, motion, step_inputs, h, work, out[n], rows[n], flexible)
+        step_inputs = StepInputs(inputs.road[n], inputs.a_xy[n], h)
+        step_with_derivative(vehicle, motion, step_inputs, work, out[n], rows[n], flexible)
 
 
 @kernel
@@ -65,7 +65,8 @@ def propagate_tangent(constants, rows, y, road, h, a, flexible=None):
     n_dof, p, work = y.size // 2, constants[0], step_workspace(stack_array(WORKSPACE_ROWS))
     motion = Motion(y[:n_dof], y[n_dof:])
     for n in range(rows.shape[0]):
-        tangent_step(p, rows[n], motion, road[n], h, work, a[n], flexible)
+        changes = StepInputs(road[n], None, h)
+        tangent_step(p, rows[n], motion, changes, work, a[n], flexible)
 
 
 @kernel

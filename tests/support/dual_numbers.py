@@ -81,11 +81,12 @@ def main(cases, derivatives):
         constants = np.frombuffer(case["constants"].tobytes(), dtype=PLANT_DTYPE).view(np.recarray)
         work = rosenbrock.step_workspace(np.empty(rosenbrock.WORKSPACE_ROWS, dtype=object))
         y, out = duals(case["y"], case["dy"]), np.empty(rosenbrock.N_SIGNALS, dtype=object)
-        inputs = rosenbrock.StepInputs(duals(case["road"], case["droad"]), case["a_xy"])
+        road = duals(case["road"], case["droad"])
+        inputs = rosenbrock.StepInputs(road, case["a_xy"], float(case["h"]))
         vehicle = VehicleBuffers(
             constants, case["velocity"], case["displacement"], case["strut_state"]
         )
-        rosenbrock.step(vehicle, Motion(y[:7], y[7:]), inputs, float(case["h"]), work, out)
+        rosenbrock.step(vehicle, Motion(y[:7], y[7:]), inputs, work, out)
         end.append([dual(a).d for a in y])
         signals.append([dual(a).d for a in out])
     np.savez(derivatives, end=end, signals=signals)

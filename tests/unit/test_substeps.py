@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from road_envs.config import ConfigError
+from road_envs.envs.road_recon import RoadReconEnv
 from road_envs.roads import load_road
 from road_envs.roads.surface import MAX_RISE, RISE_LENGTH, Surface
 from road_envs.simulation.adaptive_drive import simulate_adaptive
@@ -66,3 +67,21 @@ def test_a_step_higher_than_half_a_wheel_is_refused_and_a_drop_is_not():
     DriveSimulator(build_plant(CAR), CAR, Surface(-z, 0.01), 5.0)
     ramp = np.clip(0.01 * np.arange(1000) - 5.0, 0.0, 1.0) * 0.9 * MAX_RISE / RISE_LENGTH
     Surface(np.array([ramp, ramp]), 0.01).check_climbable()
+
+
+def test_an_episode_draws_a_random_road_again_that_no_wheel_climbs():
+    env = RoadReconEnv(road="iso_h", length=15.0)
+    env.reset(seed=50)
+    stream, road = np.random.default_rng(50).spawn(3)[0], env.setup.road
+    with pytest.raises(ConfigError, match="no wheel climbs"):
+        road.realise(stream).check_climbable()
+    np.testing.assert_array_equal(env.drive.surface.z, road.realise(stream).z)
+
+
+def test_an_episode_refuses_a_fixed_road_that_no_wheel_climbs(tmp_path):
+    kerb = tmp_path / "kerb.csv"
+    kerb.write_text(
+        "station,left,right\n" + "\n".join(f"{0.05 * i},{0.3 * (i > 80)},0" for i in range(200))
+    )
+    with pytest.raises(ConfigError, match="left wheel path rises by"):
+        RoadReconEnv(road=str(kerb)).reset(seed=0)
