@@ -25,7 +25,7 @@ import numpy as np
 
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.gauss_newton import MapSolution, update_prior
-from estimators.map_smoother.objective import Linearization, Objective, linearize
+from estimators.map_smoother.objective import Linearization, Objective
 from estimators.map_smoother.posterior_sampling import band_pass, draw_deviations, interior
 from estimators.map_smoother.preconditioner import StationaryHessian, stationary_hessian
 from estimators.map_smoother.windows import initial_window_state, window_objective
@@ -92,7 +92,7 @@ def attainable_error(
     objective = whole_drive(record, car, prior, bandwidth, instruments, noise_density)
     u = objective.road.noise_of(truth).ravel()
     x = np.pad(u, (0, objective.size - u.size))
-    lin = linearize(objective, x, objective.information)
+    lin = objective.linearize(x)
     stationary = stationary_hessian(objective)  # that of the measurements, for any prior
     lin = update_prior(lin, stationary, 1.0)
     return _relative_error(lin, stationary, [lin.x], draws, seed)
@@ -118,7 +118,7 @@ def van_trees_error(
     objective = whole_drive(record, car, prior, bandwidth, instruments, noise_density)
     rng = np.random.default_rng(seed)
     points = [rng.standard_normal(objective.size) for _ in range(roads)]
-    at = [linearize(objective, x, objective.information) for x in points]
+    at = [objective.linearize(x) for x in points]
     return _relative_error(
         ExpectedInformation(at), stationary_hessian(objective), points, draws, seed
     )

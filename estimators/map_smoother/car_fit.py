@@ -22,7 +22,7 @@ from estimators.map_smoother.marginal_likelihood import (
     drive_terms,
     perturbed_cars,
 )
-from estimators.map_smoother.objective import Objective, linearize
+from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.tangent_likelihood import tangent_terms
 from estimators.map_smoother.wheel_liftoff import unloaded_nodes
@@ -229,12 +229,10 @@ def _resolve(
     stationary = stationary_hessian(objective)
     solver = replace(solver, stationary=stationary)
     x = solution.linearization.x + (0.0 if change is None else change)
-    lin = linearize(objective, x, objective.information)
-    noise_scale, iterations = solution.noise_scale, solution.cg_iterations
+    lin, noise_scale = objective.linearize(x), solution.noise_scale
     for _ in range(road_steps):
         noise_scale = update_noise_scale(lin, stationary, noise_scale)
-        lin, k, _ = solver.step(lin, objective.model.plant, noise_scale)
-        iterations += k
+        lin, _ = solver.step(lin, noise_scale)
         if change is not None:
             lin = update_prior(lin, stationary, noise_scale)
-    return MapSolution(lin, stationary, noise_scale, solution.steps + road_steps, iterations)
+    return MapSolution(lin, stationary, noise_scale)

@@ -41,7 +41,6 @@ from estimators.common.identified_vehicle import CalibratedByIdentification
 from estimators.common.low_pass import bridge
 from estimators.common.model_inputs import MOVING_STD, REST_STD, build_model_inputs, rest_state
 from estimators.common.odometer import calibrate_odometer
-from estimators.common.spline import evaluate_spline
 from estimators.map_smoother.car_fit import (
     STRUCTURE_POWER,
     CarFit,
@@ -211,8 +210,7 @@ class MapSmoother(CalibratedByIdentification):
                 objective = replace(objective, model=fitted)
             solution = minimize(
                 objective,
-                stationary_hessian(objective),
-                huber=self.huber,
+                GaussNewton(stationary_hessian(objective), self.huber),
                 adapt_prior=self.adapt_prior,
                 prior_updates=self.prior_updates,
                 adapt_car=adapt_car if self.adapt and not findings.fit else None,
@@ -227,9 +225,8 @@ class MapSmoother(CalibratedByIdentification):
         result, noise_scales = reconstruct(model, drive, prior, windows, solve)
         noise_scale = findings.noise_scale = float(max(noise_scales))
         s = profile_stations(record.length)
-        x = np.clip((s - drive.origin) / drive.ds, 1.0, drive.free.size - 3.0)
-        node = np.arange(drive.free.size)
-        z_std = np.array([np.interp(x, node, std) for std in result.std]) if self.draws else None
+        z, std = result.at_stations(drive, s)
+        z_std = std if self.draws else None
         if findings.in_air >= 0.1:
             notes += (
                 f"wheels were in the air for {findings.in_air:.1f} m of the drive; the road below "
@@ -245,8 +242,7 @@ class MapSmoother(CalibratedByIdentification):
         lost = max(LOST_NOISE_SCALE, LOST_POWER_SHARE * float(drive.a.var()) / model.noise_variance)
         distance, doubts = distance_scale(findings.speed_errors, model)
         notes += doubts
-        z, share = evaluate_spline(result.c, x), lost / noise_scale
-        if share < 1.0:
+        if (share := lost / noise_scale) < 1.0:
             z, z_std = reduce_unexplained(z, z_std, share)
             distance = None
             notes += (

@@ -66,15 +66,12 @@ MAX_LIFTOFF_RETRIES, LIFTOFF_STEPS = 2, 5
 @dataclass(frozen=True, eq=False)
 class MapSolution:
     """Result of the minimization: the final `linearization`, the preconditioner's `stationary`
-    Hessian, the `noise_scale` on the instruments' noise variance, and the `steps` and
-    `cg_iterations` taken.
+    Hessian, and the `noise_scale` on the instruments' noise variance.
     """
 
     linearization: Linearization
     stationary: StationaryHessian
     noise_scale: float
-    steps: int = 0
-    cg_iterations: int = 0
 
     def inverse_hessian(self, max_iterations: int, tolerance: float) -> Operator:
         """Return x(b) (n,), the solution of H x = b by preconditioned conjugate gradients."""
@@ -86,28 +83,22 @@ class MapSolution:
 
 def minimize(
     objective: Objective,
-    stationary: StationaryHessian,
+    solver: "GaussNewton",
     *,
-    cg_iterations: int = 40,
-    cg_tolerance: float = 0.1,
-    huber: float = np.inf,
     change_tolerance: float = CHANGE_TOLERANCE,
     adapt_prior: bool = True,
     start: Vector | None = None,
     stages: Sequence[tuple[float, int]] = FRICTION_STAGES,
     prior_updates: int = PRIOR_UPDATES,
     adapt_car: "Callable[[MapSolution, GaussNewton], MapSolution] | None" = None,
-    report: Callable[[str, Linearization], None] = lambda text, lin: None,
 ) -> MapSolution:
     """Minimize the objective, of one pass or of several, from a level road or `start` on.
 
-    `huber`: standard deviations beyond which a block mean is down-weighted. The prior is updated
-    before each of the `stages` and between steps with the true vehicle, there at most
-    `prior_updates` times. Ends when such a step changes the unknowns by less than
+    The prior is updated before each of the `stages` and between steps with the true vehicle, there
+    at most `prior_updates` times. Ends when such a step changes the unknowns by less than
     `change_tolerance`. `adapt_car`, if given, then returns the solution with another vehicle.
     """
-    solver = GaussNewton(stationary, huber, cg_iterations, cg_tolerance)
-    steps, total, noise_scale = 0, 0, np.inf
+    stationary, noise_scale = solver.stationary, np.inf
     lin: Any = None
     x = np.zeros(objective.size) if start is None else start
     for std, max_steps in stages:
@@ -115,7 +106,7 @@ def minimize(
             lin = update_prior(lin, stationary, noise_scale) if adapt_prior else lin
             objective, x = lin.objective, lin.x
         plant = objective.plant if std == 0.0 else smooth_friction(objective.plant, std)
-        lin = objective.linearize(x, objective.information, plant)
+        lin = objective.linearize(x, plant)
         noise_scale = update_noise_scale(lin, stationary, noise_scale)
         for n in range(max_steps):
             updates = prior_updates if std == 0.0 and adapt_prior else 0
@@ -123,10 +114,9 @@ def minimize(
                 if n in LOWERING_STEPS and lin.objective.road.is_level_between_obstacles:
                     lin = lower_under_lifted_wheels(lin)
                 lin = update_prior(lin, stationary, noise_scale)
-            lin, k, change = solver.step(lin, plant, noise_scale)
-            steps, total, before = steps + 1, total + k, np.max(noise_scale)
+            lin, change = solver.step(lin, noise_scale, plant)
+            before = np.max(noise_scale)
             noise_scale = update_noise_scale(lin, stationary, noise_scale)
-            report(f"{std} {np.max(noise_scale):.1f} {k} {change:.2f} {lin.cost:.1f}", lin)
             to_come = lin.objective.road.is_level_between_obstacles and n < min(
                 LOWERING_STEPS[-1], updates
             )
@@ -134,41 +124,41 @@ def minimize(
             if change < change_tolerance and not (to_come or is_falling):
                 break
     if adapt_car is not None:
-        found = adapt_car(MapSolution(lin, stationary, noise_scale, steps, total), solver)
+        found = adapt_car(MapSolution(lin, stationary, noise_scale), solver)
         lin, stationary, noise_scale = found.linearization, found.stationary, found.noise_scale
-        steps, total, plant = found.steps, found.cg_iterations, lin.objective.plant
         solver = replace(solver, stationary=stationary)
     if np.max(noise_scale) > NOISE_SCALE_WARNING:
         for _ in range(REWEIGHTING_STEPS):
             weights = estimate_frequency_weights(lin, stationary, noise_scale)
             lin = lin.with_frequency_weights(weights)
             solver = replace(solver, stationary=stationary.reweighted(lin.objective, weights))
-            lin, k, _ = solver.step(lin, plant, noise_scale)
-            steps, total = steps + 1, total + k
-            report("reweighted", lin)
+            lin, _ = solver.step(lin, noise_scale)
     for _ in range(MAX_LIFTOFF_RETRIES):
         better = retry_after_liftoff(lin, solver, noise_scale)
         if better is lin:
             break
-        report("lowered", better)
         lin = better
-    return MapSolution(lin, solver.stationary, noise_scale, steps, total)
+    return MapSolution(lin, solver.stationary, noise_scale)
 
 
 @dataclass(frozen=True)
 class GaussNewton:
-    """Gauss-Newton steps; settings as in `minimize`."""
+    """Gauss-Newton steps, by conjugate gradients that `stationary` preconditions.
+
+    `huber`: standard deviations beyond which a block mean is down-weighted.
+    """
 
     stationary: StationaryHessian
-    huber: float
-    cg_iterations: int
-    cg_tolerance: float
+    huber: float = np.inf
+    cg_iterations: int = 40
+    cg_tolerance: float = 0.1
 
     def step(
-        self, lin: Linearization, plant: Plant, noise_scale: float
-    ) -> tuple[Linearization, int, float]:
-        """Return the next point, under `noise_scale` times the noise, the CG iterations, and the
-        root mean square change of the resolved unknowns in posterior standard deviations.
+        self, lin: Linearization, noise_scale: float, plant: Plant | None = None
+    ) -> tuple[Linearization, float]:
+        """Return the next point, for the objective's `plant` or another, under `noise_scale` times
+        the noise; and the root mean square change of the resolved unknowns in posterior standard
+        deviations.
         """
         lin = lin.with_inverse_variance(lin.per_pass(self._weights, noise_scale))
         noise_variance = lin.objective.noise_variance * noise_scale
@@ -176,12 +166,12 @@ class GaussNewton:
         is_uneven = lin.objective.road.is_uneven
         limits = self.cg_iterations * (UNEVEN_ITERATIONS if is_uneven else 1), self.cg_tolerance
         gradient = lin.gradient()
-        dx, k = conjugate_gradients(lin.hessian_product, -gradient, M, *limits)
+        dx, _ = conjugate_gradients(lin.hessian_product, -gradient, M, *limits)
         slope = float(gradient @ dx)
         road, others = lin.objective.road, lin.objective.size - 2 * lin.objective.road.size
         dof = np.sum(self.stationary.effective_dof(road, noise_variance)) + others
         # conjugate gradients leave dx' H dx = -slope
-        return line_search(lin, dx, slope, plant), k, float(np.sqrt(-slope / dof))
+        return line_search(lin, dx, slope, plant), float(np.sqrt(-slope / dof))
 
     def _weights(self, lin: Linearization, noise_scale: float) -> np.ndarray:
         return huber_weights(lin.residual, lin.objective.information / noise_scale, self.huber)
@@ -190,7 +180,7 @@ class GaussNewton:
 def lower_under_lifted_wheels(lin: Linearization) -> Linearization:
     """Return the linearization on the road lowered where no wheel pressed on it."""
     x = relax_unloaded(lin)
-    return lin if x is None else lin.relinearize(x, lin.objective.plant)
+    return lin if x is None else lin.relinearize(x)
 
 
 def retry_after_liftoff(
@@ -202,15 +192,15 @@ def retry_after_liftoff(
     """
     if lin.objective.road.is_level_between_obstacles:
         return lin
-    x, plant = relax_unloaded(lin), lin.objective.plant
+    x = relax_unloaded(lin)
     if x is None:
         return lin
     try:
-        new = lin.relinearize(x, plant)
+        new = lin.relinearize(x)
     except ArithmeticError:
         return lin
     for _ in range(LIFTOFF_STEPS):
-        new, _, _ = solver.step(new, plant, noise_scale)
+        new, _ = solver.step(new, noise_scale)
     return new if new.with_inverse_variance(lin.inverse_variance).cost < lin.cost else lin
 
 
@@ -229,7 +219,7 @@ def update_prior(
     return lin.with_road(rough, rough.convert_noise(u, road))
 
 
-def line_search(lin: Linearization, dx: Vector, slope: float, plant: Plant) -> Linearization:
+def line_search(lin: Linearization, dx: Vector, slope: float, plant: Plant | None) -> Linearization:
     """Return a point along `dx` by backtracking: the step is halved until the cost has fallen.
 
     `slope` of the cost along `dx`.

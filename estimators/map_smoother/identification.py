@@ -32,7 +32,8 @@ from estimators.map_smoother.gauss_newton import (
 )
 from estimators.map_smoother.instrument_errors import InstrumentErrors
 from estimators.map_smoother.known_road import check_profile, on_profile
-from estimators.map_smoother.objective import Objective, linearize
+from estimators.map_smoother.marginal_likelihood import NO_ERRORS
+from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty, inflated_std
 from estimators.map_smoother.windows import initial_window_state, window_objective
@@ -214,7 +215,7 @@ def _fit(
 
     errors = len(InstrumentErrors(drives[0].record.channels).names) if known else 0
     x, solutions = _nearest_start(space, space.size + errors, solve)
-    solver = GaussNewton(solutions[0].stationary, smoother.huber, 40, 0.1)
+    solver = GaussNewton(solutions[0].stationary, smoother.huber)
     with_speed = any(one.linearization.objective.is_speed_unknown for one in solutions)
     steps = STEPS_WITH_SPEED if with_speed else MAX_STEPS
     fit = fit_car(solutions, space, solver, instruments=known, start=x, max_steps=steps)
@@ -319,53 +320,47 @@ def _objective(drive: CalibrationDrive, car: VehicleParameters, smoother: MapSmo
 
 
 def _solve(
-    drive: CalibrationDrive, car: VehicleParameters, smoother: MapSmoother, quick: bool = False
+    drive: CalibrationDrive,
+    car: VehicleParameters,
+    smoother: MapSmoother,
+    quick: bool = False,
+    errors: np.ndarray = NO_ERRORS,
 ) -> MapSolution:
-    """Return the most probable road of a drive with the vehicle `car`, `quick`: roughly."""
+    """Return the most probable road of a drive with the vehicle `car`, `quick`: roughly, and with
+    instruments of these `errors`.
+    """
     objective = _objective(drive, car, smoother)
-    stationary = stationary_hessian(objective)
-    if drive.profile is None:
-        options: Any = {"change_tolerance": 1.0, "adapt_prior": False} if quick else {}
-        return minimize(objective, stationary, huber=smoother.huber, **options)
-    return _settle(objective, smoother, 2 if quick else SETTLING_STEPS)
+    objective = InstrumentErrors.of(objective).apply(objective, errors)
+    solver = GaussNewton(stationary_hessian(objective), smoother.huber)
+    if drive.profile is not None:
+        return _settle(objective, solver, 2 if quick else SETTLING_STEPS)
+    options: Any = {"change_tolerance": 1.0, "adapt_prior": False} if quick else {}
+    return minimize(objective, solver, **options)
 
 
-def _settle(
-    objective: Objective, smoother: MapSmoother, max_steps: int = SETTLING_STEPS
-) -> MapSolution:
+def _settle(objective: Objective, solver: GaussNewton, max_steps: int) -> MapSolution:
     """Return the solution over a known road; only first state and biases are found.
 
     A drive that is cut out begins in motion, and only a few steps find its first state.
     """
-    stationary = stationary_hessian(objective)
-    lin = linearize(objective, np.zeros(objective.size), objective.information)
-    noise_scale, solver = np.inf, GaussNewton(stationary, smoother.huber, 40, 0.1)
-    steps = iterations = 0
-    while steps < max_steps:
-        before = noise_scale
-        noise_scale = update_noise_scale(lin, stationary, noise_scale)
+    lin, noise_scale = objective.linearize(np.zeros(objective.size)), np.inf
+    for _ in range(max_steps):
+        before, noise_scale = noise_scale, update_noise_scale(lin, solver.stationary, noise_scale)
         if noise_scale > SETTLED * before:
             break
-        lin, k, _ = solver.step(lin, objective.model.plant, noise_scale)
-        steps, iterations = steps + 1, iterations + k
-    return MapSolution(lin, stationary, noise_scale, steps, iterations)
+        lin, _ = solver.step(lin, noise_scale)
+    return MapSolution(lin, solver.stationary, noise_scale)
 
 
 def _unexplained(
     drive: CalibrationDrive,
     car: VehicleParameters,
     smoother: MapSmoother,
-    errors: np.ndarray | None = None,
+    errors: np.ndarray = NO_ERRORS,
 ) -> Unexplained:
     """Return what `car` leaves unexplained in a drive, with instruments of these `errors`."""
-    objective = _objective(drive, car, smoother)
-    if errors is not None:
-        objective = InstrumentErrors.of(objective).apply(objective, errors)
-    if drive.profile is None:
-        solution = minimize(objective, stationary_hessian(objective), huber=smoother.huber)
-    else:
-        solution = _settle(objective, smoother)
-    lin = solution.linearization
+    lin = _solve(drive, car, smoother, errors=errors).linearization
+    objective = lin.objective
     used = objective.measurements.sample_count > 0
     r = np.where(used, np.sqrt(objective.information) * lin.residual, 0.0)
     f, S = welch(r, fs=1.0 / objective.block_duration, nperseg=min(128, r.shape[1]))

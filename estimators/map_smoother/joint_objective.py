@@ -127,18 +127,18 @@ class JointObjective:
     def linearize(
         self,
         x: np.ndarray,
-        inverse_variance: Sequence[np.ndarray],
         plant: Sequence[Plant] | None = None,
+        inverse_variance: Sequence[np.ndarray] | None = None,
         frequency_weights: Sequence[np.ndarray] | None = None,
     ) -> "JointLinearization":
-        """Return the linearization at `x`, for these plants or others. Raises ArithmeticError."""
+        """Return the linearization at `x`, as of `Objective.linearize`."""
         nothing: list[Any] = [None] * len(self.passes)
         moved = [
             replace(one, inputs=shift_inputs(one.inputs, self.knots, shift)) if shift.any() else one
             for one, shift in zip(self.passes, self.shifts(x), strict=True)
         ]
         rows = zip(
-            moved, self.of_passes(x), inverse_variance, plant or nothing,
+            moved, self.of_passes(x), plant or nothing, inverse_variance or nothing,
             frequency_weights or nothing, strict=True,
         )  # fmt: skip
         return JointLinearization(self, x, tuple(Objective.linearize(*row) for row in rows))
@@ -259,7 +259,7 @@ class JointLinearization:
     ) -> "JointLinearization":
         """Return the same objective and noise at another `x`. Raises ArithmeticError."""
         weights = [one.frequency_weights for one in self.passes]
-        return self.at.linearize(x, self.inverse_variance, plant, weights)  # type: ignore[arg-type]
+        return self.at.linearize(x, plant, self.inverse_variance, weights)  # type: ignore[arg-type]
 
     def _with(self, passes: Sequence[Linearization]) -> "JointLinearization":
         return replace(self, passes=tuple(passes))

@@ -181,12 +181,16 @@ class Objective:
     def linearize(
         self,
         x: np.ndarray,
-        inverse_variance: np.ndarray,
         plant: Plant | None = None,
+        inverse_variance: np.ndarray | None = None,
         frequency_weights: np.ndarray | None = None,
     ) -> "Linearization":
-        """Return the linearization at `x`, for this plant or another. Raises ArithmeticError."""
+        """Return the linearization at `x`, for this plant or another, and for the instruments'
+        noise or another. Raises ArithmeticError.
+        """
         residual, tape = self.residual_at(x, plant)
+        if inverse_variance is None:
+            inverse_variance = self.information
         return Linearization(self, x, tape, residual, inverse_variance, frequency_weights)
 
     def state_after(self, x: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
@@ -345,20 +349,9 @@ class Linearization:
 
     def relinearize(self, x: np.ndarray, plant: Plant | None = None) -> "Linearization":
         """Return the same objective and noise at another `x`. Raises ArithmeticError."""
-        return linearize(self.objective, x, self.inverse_variance, plant, self.frequency_weights)
+        return self.objective.linearize(x, plant, self.inverse_variance, self.frequency_weights)
 
 
 def apply_frequency_weights(frequency_weights: np.ndarray, means: np.ndarray) -> np.ndarray:
     """Return block means (S, J) with each frequency multiplied by its weight (J // 2 + 1,)."""
     return irfft(frequency_weights * rfft(means, axis=1), means.shape[1], axis=1)
-
-
-def linearize(
-    objective: Objective,
-    x: np.ndarray,
-    inverse_variance: np.ndarray,
-    plant: Plant | None = None,
-    frequency_weights: np.ndarray | None = None,
-) -> Linearization:
-    """Linearize `objective` at `x`, for its own plant or another. Raises ArithmeticError."""
-    return objective.linearize(x, inverse_variance, plant, frequency_weights)

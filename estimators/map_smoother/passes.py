@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from estimators.common.spline import evaluate_spline
 from estimators.map_smoother.car_fit import CarFit, fit_if_due, is_believed
 from estimators.map_smoother.gauss_newton import (
     NOISE_SCALE_WARNING,
@@ -147,8 +146,7 @@ def estimate_jointly(
         may_adapt = smoother.adapt and not findings.fits
         solution: Any = minimize(
             known,
-            joint_stationary_hessian(objective),
-            huber=smoother.huber,
+            GaussNewton(joint_stationary_hessian(objective), smoother.huber),
             adapt_prior=smoother.adapt_prior,
             start=np.pad(u.ravel(), (0, objective.size - u.size)),
             stages=STAGES,
@@ -161,11 +159,9 @@ def estimate_jointly(
         return posterior_mean_and_std(solution, scored_band(slowest), smoother.draws)
 
     state = reconstruct_passes(smoother, passes, solve)
-    drive, s = passes[0].drive, start.s
-    x = np.clip((s - drive.origin) / drive.ds, 1.0, drive.free.size - 3.0)
-    node = np.arange(drive.free.size)
-    std = np.array([np.interp(x, node, path) for path in state.std]) if smoother.draws else None
-    return Estimate(s, evaluate_spline(state.c, x), std, (*notes, *findings.notes(passes)))
+    z, std = state.at_stations(passes[0].drive, start.s)
+    z_std = std if smoother.draws else None
+    return Estimate(start.s, z, z_std, (*notes, *findings.notes(passes)))
 
 
 def prepare_passes(
@@ -217,7 +213,7 @@ def _adapt(
     """Return the solution with each vehicle fitted to all its passes, where that is due."""
     lin, stationary = solution.linearization, solution.stationary
     parts = [
-        MapSolution(one, hessian, float(scale), 0, 0)
+        MapSolution(one, hessian, float(scale))
         for one, hessian, scale in zip(
             lin.passes, stationary.passes, solution.noise_scale, strict=True
         )
@@ -238,11 +234,11 @@ def _adapt(
         return solution
     objective = lin.at.with_passes(objectives)
     solver = replace(solver, stationary=joint_stationary_hessian(objective))
-    new: Any = objective.linearize(lin.x, objective.information)
+    new: Any = objective.linearize(lin.x)
     noise_scale = solution.noise_scale
     for _ in range(ADAPTED_STEPS):
         noise_scale = update_noise_scale(new, solver.stationary, noise_scale)
-        new, _, _ = solver.step(new, objective.plant, noise_scale)
+        new, _ = solver.step(new, noise_scale)
     return replace(
         solution, linearization=new, stationary=solver.stationary, noise_scale=noise_scale
     )

@@ -193,7 +193,7 @@ def lower_road(lin: Any, lower: np.ndarray) -> Any:
         return lin
     u = lin.objective.road.whiten(-np.diff(lower, axis=1, prepend=0.0)).ravel()
     try:
-        return lin.relinearize(lin.x + np.pad(u, (0, lin.x.size - u.size)), lin.objective.plant)
+        return lin.relinearize(lin.x + np.pad(u, (0, lin.x.size - u.size)))
     except ArithmeticError:
         return lin
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from estimators.common.block_means import block_means
 from estimators.common.model_inputs import ModelInputs
+from estimators.common.spline import evaluate_spline
 from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.objective import MeasurementModel, Objective
 from estimators.map_smoother.road_prior import RoadTransform, padded_size, prior_amplitude
@@ -69,6 +70,12 @@ class WindowState:
     strut_state: np.ndarray
     n: np.ndarray
     density_scale: np.ndarray
+
+    def at_stations(self, drive: PreparedDrive, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return heights and standard deviations (2, M) [m] at the stations `s` (M,) [m]."""
+        x = np.clip((s - drive.origin) / drive.ds, 1.0, drive.free.size - 3.0)
+        node = np.arange(drive.free.size)
+        return evaluate_spline(self.c, x), np.array([np.interp(x, node, std) for std in self.std])
 
 
 def initial_window_state(drive: PreparedDrive) -> WindowState:

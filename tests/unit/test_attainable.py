@@ -14,7 +14,6 @@ from estimators.map_smoother.attainable import (
     whole_drive,
 )
 from estimators.map_smoother.gauss_newton import MapSolution
-from estimators.map_smoother.objective import linearize
 from estimators.map_smoother.posterior_sampling import band_pass, draw_deviations, interior
 from estimators.map_smoother.preconditioner import stationary_hessian
 from road_envs.analysis.information_bound import RoadPrior
@@ -41,7 +40,7 @@ def test_samples_have_the_covariance_of_the_dense_posterior():
     record, truth = drive(6.0)
     objective = whole_drive(record, DEFENDER, PRIOR, 50.0, "paper")
     u = objective.road.noise_of(truth).ravel()
-    lin = linearize(objective, np.pad(u, (0, objective.size - u.size)), objective.information)
+    lin = objective.linearize(np.pad(u, (0, objective.size - u.size)))
     H = np.array([lin.hessian_product(row) for row in np.eye(objective.size)])
     road = objective.road
     inside = (road.n > 0.3) & (road.n < 1.6)

@@ -10,6 +10,7 @@ from vehicle_fixtures import DEFENDER
 from estimators.api import CalibrationDrive, CalibrationError
 from estimators.map_smoother import identification, marginal_likelihood
 from estimators.map_smoother.estimator import MapSmoother
+from estimators.map_smoother.gauss_newton import GaussNewton
 from estimators.map_smoother.identification import identify
 from estimators.map_smoother.instrument_errors import InstrumentErrors
 from estimators.map_smoother.marginal_likelihood import (
@@ -17,7 +18,8 @@ from estimators.map_smoother.marginal_likelihood import (
     perturbed_objectives,
     sensitivities,
 )
-from estimators.map_smoother.objective import Objective, linearize
+from estimators.map_smoother.objective import Objective
+from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.windows import initial_window_state, window_objective
 from estimators.preprocessing import mask_record
 from leaderboard.metrics.heights import nrmse
@@ -55,7 +57,7 @@ def short_objective() -> Objective:
 def test_sensitivities_are_differences_of_single_drives():
     objective = short_objective()
     x = 0.5 * np.random.default_rng(0).standard_normal(objective.size)
-    lin = linearize(objective, x, objective.information)
+    lin = objective.linearize(x)
     few = ParameterSpace(DEFENDER, SPACE.names[::5], SPACE.std[::5])
     cars = perturbed_cars(few, np.zeros(few.size))
     derivatives = sensitivities(lin, perturbed_objectives(objective, cars))
@@ -114,8 +116,8 @@ def test_the_state_in_which_a_part_of_a_drive_begins_is_found_over_a_known_road(
     car, smoother = perturb_vehicle(DEFENDER, "S1", 2).car, MapSmoother()
     _, later = identification._parts(drive, smoother)
     objective = identification._objective(later, car, smoother)
-    at_rest = identification._settle(objective, smoother, 1)
-    found = identification._settle(objective, smoother)
+    at_rest = identification._settle(objective, GaussNewton(stationary_hessian(objective)), 1)
+    found = identification._solve(later, car, smoother)
     # what remains are the errors of the profile
     assert found.noise_scale < 5.0 < 0.05 * at_rest.noise_scale
 

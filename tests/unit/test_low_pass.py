@@ -12,7 +12,6 @@ from test_map_smoother import PAPER, drive_record, error, objective_of
 from estimators import create
 from estimators.api import CalibrationDrive
 from estimators.common.low_pass import find_low_pass
-from estimators.map_smoother.objective import linearize
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.preprocessing import mask_record
 from leaderboard.sandbox import messages
@@ -80,11 +79,11 @@ def test_a_measurement_says_nothing_above_its_bandwidth():
     objective = objective_of(mask_record(low_passed(record), PAPER).record)
     rng = np.random.default_rng(0)
     x, dx = 0.1 * rng.standard_normal((2, objective.size))
-    lin = linearize(objective, x, objective.information)
+    lin = objective.linearize(x)
     means = rng.standard_normal(lin.residual.shape)
     assert np.sum(lin.tangent(dx) * means) == pytest.approx(dx @ lin.adjoint(means), rel=1e-9)
     step = 1e-6
-    ahead, back = (linearize(objective, x + s * dx, objective.information) for s in (step, -step))
+    ahead, back = (objective.linearize(x + s * dx) for s in (step, -step))
     slope = (ahead.cost - back.cost) / (2.0 * step)
     assert lin.gradient() @ dx == pytest.approx(slope, rel=1e-4)
     f = np.fft.rfftfreq(means.shape[1], objective.block_duration)
@@ -115,7 +114,7 @@ def test_the_preconditioner_knows_what_is_told_of_the_state_of_a_drive_that_begi
     objective = objective_of(moving(drive_record()[0], 1500, 4500))
     start = stationary_hessian(objective).start_information
     road, states = 2 * objective.road.size, objective.initial_std.size
-    lin = linearize(objective, np.zeros(objective.size), objective.information)
+    lin = objective.linearize(np.zeros(objective.size))
     unit = np.eye(objective.size)[road : road + states]
     exact = np.array([np.sqrt(e @ lin.hessian_product(e)) for e in unit])
     expected = objective.offset_scale(objective.noise_variance, start)[:states]

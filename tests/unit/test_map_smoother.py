@@ -15,12 +15,13 @@ from estimators.common.conjugate_gradients import conjugate_gradients
 from estimators.map_smoother import gauss_newton, wheel_liftoff
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.gauss_newton import (
+    GaussNewton,
     huber_weights,
     minimize,
     smooth_friction,
     update_prior,
 )
-from estimators.map_smoother.objective import Objective, linearize
+from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.road_prior import RoadTransform
 from estimators.map_smoother.windows import initial_window_state, window_objective
@@ -161,23 +162,20 @@ def test_the_gradient_equals_finite_differences_of_the_cost(mode):
     objective = objective_of(drive_record(mode, length=12.0)[0], step=0.0005)
     rng = np.random.default_rng(3)
     x = perturb(np.zeros(objective.size), 0.3)
-    lin = linearize(objective, x, objective.information)
+    lin = objective.linearize(x)
     assert lin.tape.signals[:, 25:].min() > 0.0  # no jump where a tyre lifts off
     for _ in range(3):
         dx = rng.standard_normal(objective.size)
         eps = 1e-6
-        costs = [
-            linearize(objective, x + sign * eps * dx, objective.information).cost
-            for sign in (1.0, -1.0)
-        ]
+        costs = [objective.linearize(x + sign * eps * dx).cost for sign in (1.0, -1.0)]
         assert lin.gradient() @ dx == pytest.approx((costs[0] - costs[1]) / (2.0 * eps), rel=1e-4)
 
 
 def test_an_update_of_the_prior_changes_neither_road_nor_motion():
     objective = objective_of(drive_record(length=12.0)[0])
-    lin = linearize(objective, perturb(np.zeros(objective.size)), objective.information)
+    lin = objective.linearize(perturb(np.zeros(objective.size)))
     new = update_prior(lin, stationary_hessian(objective), 1.0)
-    again = linearize(new.objective, new.x, objective.information)
+    again = new.objective.linearize(new.x)
     assert not np.allclose(new.objective.road.amplitude, objective.road.amplitude, rtol=0.1)
     np.testing.assert_allclose(new.residual, again.residual, atol=1e-6)
     assert new.cost == pytest.approx(again.cost, rel=1e-6)
@@ -185,7 +183,7 @@ def test_an_update_of_the_prior_changes_neither_road_nor_motion():
 
 def test_the_adjoint_transposes_the_tangent_and_the_hessian_is_gauss_newton():
     objective = objective_of(drive_record(length=12.0)[0])
-    lin = linearize(objective, perturb(np.zeros(objective.size)), objective.information)
+    lin = objective.linearize(perturb(np.zeros(objective.size)))
     rng = np.random.default_rng(4)
     dx, dual = rng.standard_normal(objective.size), rng.standard_normal(lin.residual.shape)
     a = lin.tangent(dx)
@@ -203,7 +201,7 @@ def test_the_block_tangent_equals_the_tangent_of_the_steps(kmh):
     s = np.concatenate([[0.0], np.cumsum(np.diff(record.t) * 0.5 * (v[1:] + v[:-1]))])
     objective = objective_of(replace(record, a=a, v=v, s=s), step=0.0005, data_rate=250.0)
     rng = np.random.default_rng(8)
-    lin = linearize(objective, perturb(np.zeros(objective.size)), objective.information)
+    lin = objective.linearize(perturb(np.zeros(objective.size)))
     dx = rng.standard_normal(objective.size)
     u, start, bias = objective.split(dx)
     taped, _ = lin.tape.tangent(
@@ -282,9 +280,7 @@ def test_drawn_noise_has_the_inverse_covariance_of_the_cost():
     objective = objective_of(drive_record(length=12.0)[0])
     J, rng = objective.measurements.y.shape[1], np.random.default_rng(10)
     weights, inverse_variance = rng.uniform(0.01, 2.0, J // 2 + 1), rng.uniform(0.5, 2.0, (3, J))
-    lin = linearize(
-        objective, np.zeros(objective.size), inverse_variance, frequency_weights=weights
-    )
+    lin = objective.linearize(np.zeros(objective.size), None, inverse_variance, weights)
     drawn = np.array([lin.draw_noise(rng).ravel() for _ in range(4000)])
     direction = rng.standard_normal((3, J))
     expected = np.sum(direction * lin.apply_inverse_covariance(direction))
@@ -367,11 +363,11 @@ def test_on_a_linear_vehicle_the_map_road_is_the_dense_gaussian_posterior():
     model = replace(objective.model, bias_std=1e-9)
     objective = replace(objective, road=road, model=model, initial_std=0.0 * objective.initial_std)
     # the vehicle is not quite at rest at first
-    settling = linearize(objective, np.zeros(objective.size), objective.information).residual
+    settling = objective.linearize(np.zeros(objective.size)).residual
     measurements = replace(objective.measurements, y=y.reshape(settling.shape) - settling)
     objective = replace(objective, measurements=measurements)
-    tolerances = {"cg_iterations": 400, "cg_tolerance": 1e-6, "change_tolerance": 1e-9}
-    solution = minimize(objective, stationary_hessian(objective), adapt_prior=False, **tolerances)
+    solver = GaussNewton(stationary_hessian(objective), cg_iterations=400, cg_tolerance=1e-6)
+    solution = minimize(objective, solver, adapt_prior=False, change_tolerance=1e-9)
     assert 1.0 <= solution.noise_scale < 1.1
     noise *= np.sqrt(solution.noise_scale)
     J, y = J / noise[:, None], y / noise

@@ -7,7 +7,6 @@ import pytest
 from vehicle_fixtures import DEFENDER, smooth_road
 
 from estimators.map_smoother.estimator import MapSmoother
-from estimators.map_smoother.objective import linearize
 from estimators.map_smoother.preconditioner import linear_responses
 from estimators.map_smoother.windows import initial_window_state, window_objective
 from estimators.preprocessing import mask_record
@@ -39,7 +38,7 @@ def objective_of(variation, blocks=120):
 def test_tangent_and_adjoint_are_transposes_and_the_tangent_a_derivative(variation):
     objective, rng = objective_of(variation), np.random.default_rng(2)
     x = 0.1 * rng.standard_normal(objective.size)
-    lin = linearize(objective, x, objective.information)
+    lin = objective.linearize(x)
     dx, means = rng.standard_normal(objective.size), rng.standard_normal(lin.residual.shape)
     forward, backward = lin.tangent(dx), lin.adjoint(means)
     assert np.vdot(forward, means) == pytest.approx(np.vdot(dx, backward), rel=1e-9)

@@ -7,8 +7,8 @@ import pytest
 from vehicle_fixtures import DEFENDER
 
 from estimators.map_smoother.estimator import MapSmoother
-from estimators.map_smoother.gauss_newton import minimize
-from estimators.map_smoother.objective import Objective, linearize
+from estimators.map_smoother.gauss_newton import GaussNewton, minimize
+from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.speed_error import distance_scale, estimate_speed_error
 from estimators.map_smoother.windows import initial_window_state, window_objective
@@ -41,7 +41,7 @@ def test_the_derivative_by_the_speed_is_that_of_drives_and_has_its_transpose():
     objective = objective_of(0.0, 12.0)
     rng = np.random.default_rng(1)
     x = 0.3 * rng.standard_normal(objective.size)
-    lin = linearize(objective, x, objective.information)
+    lin = objective.linearize(x)
     last = (np.arange(x.size) == x.size - 1).astype(float)
     step = 1e-3 * last
     before, after = (objective.residual_at(x + change)[0] for change in (-step, step))
@@ -54,7 +54,7 @@ def test_the_derivative_by_the_speed_is_that_of_drives_and_has_its_transpose():
 
 def test_a_wrong_speed_is_found_with_the_road():
     objective = objective_of(too_fast=0.012)
-    solution = minimize(objective, stationary_hessian(objective), prior_updates=0)
+    solution = minimize(objective, GaussNewton(stationary_hessian(objective)), prior_updates=0)
     error, variance = estimate_speed_error(solution)
     assert error == pytest.approx(1.0 / 1.012 - 1.0, abs=4e-4)
     assert 1e-5 < np.sqrt(variance) < 4e-4

@@ -11,7 +11,7 @@ from vehicle_fixtures import DEFENDER
 
 from estimators.map_smoother import tangent_likelihood
 from estimators.map_smoother.estimator import MapSmoother
-from estimators.map_smoother.gauss_newton import MapSolution, minimize
+from estimators.map_smoother.gauss_newton import GaussNewton, MapSolution, minimize
 from estimators.map_smoother.marginal_likelihood import (
     DIFFERENCE,
     perturbed_cars,
@@ -46,7 +46,7 @@ def solution() -> MapSolution:
     drive = smoother.prepare_drive(*mask_record(record, PAPER)[:2], DEFENDER, PAPER)
     model = smoother.measurement_model(record, DEFENDER, PAPER)
     objective = window_objective(model, drive, RoadPrior(), initial_window_state(drive), 0, 200)
-    return minimize(objective, stationary_hessian(objective), adapt_prior=False)
+    return minimize(objective, GaussNewton(stationary_hessian(objective)), adapt_prior=False)
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,7 @@ def test_a_sample_of_the_trace_is_the_change_of_the_tangent_by_a_parameter():
     small = 1e-3 * next(posterior_noise(lin)) / np.sqrt(lin.x.size)
     means = lin.tangent(small)
     varied = perturbed_objectives(lin.objective, cars)
-    there = (one.linearize(lin.x, lin.inverse_variance) for one in varied)
+    there = (one.linearize(lin.x, inverse_variance=lin.inverse_variance) for one in varied)
     first, *rest = [np.vdot(one.tangent(small), lin.inverse_variance * means) for one in there]
     found = trace_sample(lin, varied, small)
     np.testing.assert_allclose(found, (np.array(rest) - first) / DIFFERENCE, rtol=0.02)

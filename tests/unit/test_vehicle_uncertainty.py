@@ -12,7 +12,6 @@ from estimators.common.identified_vehicle import IdentifiedVehicle
 from estimators.map_smoother.car_fit import CarFit
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.gauss_newton import MapSolution
-from estimators.map_smoother.objective import linearize
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.vehicle_uncertainty import UNKNOWN_STD_INFLATION, VehicleUncertainty
 from leaderboard.metrics.heights import band_pass, uncertainty
@@ -28,7 +27,7 @@ INSTRUMENTS = 11
 def linearized():
     record, _ = drive_record(length=12.0)
     objective = objective_of(record)
-    return linearize(objective, perturb(np.zeros(objective.size), 0.3), objective.information)
+    return objective.linearize(perturb(np.zeros(objective.size), 0.3))
 
 
 def test_a_change_is_that_of_the_predicted_accelerations():
@@ -64,7 +63,7 @@ def test_of_a_fit_the_covariance_is_inflated_up_to_the_tolerances():
         },
     )
     lin = linearized()
-    solution = MapSolution(lin, stationary_hessian(lin.objective), 1.0, 0, 0)
+    solution = MapSolution(lin, stationary_hessian(lin.objective), 1.0)
     covariance = np.array([[0.01, 0.004, 0.0], [0.004, 0.0025, 0.0], [0.0, 0.0, 0.49]])
     fit = CarFit(parameter_space(car), np.array([0.5, 0.0, 0.0]), covariance, (solution,))
     found = VehicleUncertainty.of_fit(fit)
