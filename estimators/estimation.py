@@ -86,7 +86,7 @@ def estimate(
     check_modes(record, car)
     found = estimator.estimate(record, car)
     check_estimate(found, record)
-    notes = (*found.notes, *training_notes(estimator, car), *layout_notes(estimator, record))
+    notes = (*found.notes, *training_notes(estimator, record, car))
     return dataclasses.replace(found, notes=notes, speed=float(np.nanmedian(record.v)))
 
 
@@ -104,37 +104,28 @@ def resolve_estimator(reference: str | Path | Estimator, settings: Mapping[str, 
     return reference
 
 
-def layout_notes(estimator: Estimator, record: Record) -> tuple[str, ...]:
-    """Return a note if shipped weights were trained with accelerometers at other places."""
-    if not isinstance(estimator, Pretrained) or estimator.fitted_state is not None:
-        return ()
-    trained_with = load_instruments(TRAINING_INSTRUMENTS).accelerometers
-    sensors = record.sensors or {}
-    other = [
-        name
-        for name, sensor in trained_with.items()
-        if name in sensors and not _same_place(sensors[name], sensor)
-    ]
-    if not other:
-        return ()
-    return (
-        f"the shipped weights of {type(estimator).name} were trained with {', '.join(other)} at "
-        "other places; that they differ makes no difference to this estimate",
-    )
-
-
 def _same_place(one: Accelerometer, other: Accelerometer) -> bool:
     return all(getattr(one, x) == getattr(other, x) for x in ("mounted", "axle", "ahead", "y"))
 
 
-def training_notes(estimator: Estimator, car: VehicleParameters) -> tuple[str, ...]:
-    """Return a note if shipped weights were trained on drives of another vehicle."""
-    trained_on = load_vehicle(TRAINING_VEHICLE)
+def training_notes(estimator: Estimator, record: Record, car: VehicleParameters) -> tuple[str, ...]:
+    """Return notes if shipped weights were trained on drives of another vehicle, or with
+    accelerometers at other places.
+    """
     if not isinstance(estimator, Pretrained) or estimator.fitted_state is not None:
         return ()
-    if car == trained_on:
-        return ()
-    return (
-        f"the shipped weights of {type(estimator).name} were trained on {trained_on.name}; that "
-        f"the vehicle is {car.name} makes no difference to this estimate",
-    )
+    weights, notes = f"the shipped weights of {type(estimator).name}", []
+    trained_on = load_vehicle(TRAINING_VEHICLE)
+    if car != trained_on:
+        notes.append(
+            f"{weights} were trained on {trained_on.name}; that the vehicle is {car.name} makes "
+            "no difference to this estimate"
+        )
+    places, sensors = load_instruments(TRAINING_INSTRUMENTS).accelerometers, record.sensors or {}
+    moved = [x for x in places if x in sensors and not _same_place(sensors[x], places[x])]
+    if moved:
+        notes.append(
+            f"{weights} were trained with {', '.join(moved)} at other places; that they differ "
+            "makes no difference to this estimate"
+        )
+    return tuple(notes)

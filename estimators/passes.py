@@ -106,7 +106,8 @@ def estimate_passes(
     notes += [f"{name}: {note}" for name, own in zip(names, odometer, strict=True) for note in own]
     if len(records) > 1:
         notes += [WANDER_NOTE]
-    trained = dict.fromkeys(note for car in cars for note in training_notes(estimator, car))
+    pairs = zip(records, cars, strict=True)
+    trained = dict.fromkeys(x for pair in pairs for x in training_notes(estimator, *pair))
     return dataclasses.replace(
         found, notes=(*found.notes, *notes, *trained), speed=float(np.min(speeds))
     )

@@ -9,25 +9,27 @@ from scipy.linalg import cho_solve
 
 
 class LeastSquaresSums(NamedTuple):
-    """Sums over samples: X'X (p, p), X'Z (p, m) and Z'Z ()."""
+    """Sums over `n` samples: X'X (p, p), X'Z (p, m) and the squares of each target, ZZ (m,)."""
 
     XX: np.ndarray
     XZ: np.ndarray
     ZZ: np.ndarray
+    n: int
 
     @classmethod
     def zeros(cls, size: int, targets: int = 2) -> "LeastSquaresSums":
         """Return empty sums for `size` regressors."""
-        return cls(np.zeros((size, size)), np.zeros((size, targets)), np.zeros(()))
+        return cls(np.zeros((size, size)), np.zeros((size, targets)), np.zeros(targets), 0)
 
     @classmethod
     def from_samples(cls, X: np.ndarray, Z: np.ndarray) -> "LeastSquaresSums":
         """Return the sums of regressors `X` (N, p) and targets `Z` (N, m)."""
-        return cls(X.T @ X, X.T @ Z, np.vdot(Z, Z))
+        return cls(X.T @ X, X.T @ Z, np.sum(Z**2, axis=0), len(X))
 
-    def plus(self, other: "LeastSquaresSums", sign: float = 1.0) -> "LeastSquaresSums":
+    def plus(self, other: "LeastSquaresSums", sign: int = 1) -> "LeastSquaresSums":
         """Return these sums plus `sign` times those of `other`."""
-        return LeastSquaresSums(*(x + sign * y for x, y in zip(self, other, strict=True)))
+        XX, XZ, ZZ = (x + sign * y for x, y in zip(self[:3], other[:3], strict=True))
+        return LeastSquaresSums(XX, XZ, ZZ, self.n + sign * other.n)
 
     def solve(self, ridge: float) -> np.ndarray:
         """Return coefficients (p, m); `ridge` is relative to the mean diagonal of XX."""
@@ -42,7 +44,7 @@ class LeastSquaresSums(NamedTuple):
     def squared_error(self, coefficients: np.ndarray) -> float:
         """Return the sum of squared errors of `coefficients` (p, 2) on these samples."""
         fit = 2.0 * self.XZ - self.XX @ coefficients
-        return float(self.ZZ - np.vdot(coefficients, fit))
+        return float(self.ZZ.sum() - np.vdot(coefficients, fit))
 
 
 def cross_validate(
@@ -54,7 +56,7 @@ def cross_validate(
     total = reduce(LeastSquaresSums.plus, folds)
     errors = np.zeros(ridges.size)
     for fold in folds:
-        others = total.plus(fold, -1.0)
+        others = total.plus(fold, -1)
         errors += [fold.squared_error(others.solve(ridge)) for ridge in ridges]
     best = float(ridges[np.argmin(errors)])
     return best, total.solve(best)

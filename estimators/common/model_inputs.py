@@ -56,12 +56,9 @@ def build_model_inputs(
     s, v = (np.interp(t, record.t, x) for x in (record.s, record.v))
     # beyond the record the vehicle goes on at the speed of its first and last sample
     s += v[0] * np.minimum(t - record.t[0], 0.0) + v[-1] * np.maximum(t - record.t[-1], 0.0)
-    flags = np.concatenate([record.spring_stiff, record.damper_high], axis=1).astype(np.uint8)
-    bits = flags << np.arange(8)
-    commands = bits.sum(axis=1).astype(np.uint8)
     sample = np.floor((t[::2] - car.valve.delay - record.t[0]) * record.fs + 1e-6)
-    sample = np.clip(sample, 0, commands.size - 1).astype(int)
-    return ModelInputs(h, decimation, s, v, commands[sample])
+    sample = np.clip(sample, 0, record.t.size - 1).astype(int)
+    return ModelInputs(h, decimation, s, v, record.commands[sample])
 
 
 def antialias_delay(instruments: Instruments) -> float:

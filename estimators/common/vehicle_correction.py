@@ -133,7 +133,7 @@ def fit_corrections(
 def _held_out(folds: Sequence[LeastSquaresSums], ridge: float) -> float:
     """Return the sum of squared errors of folds that were left out."""
     total = reduce(LeastSquaresSums.plus, folds)
-    return sum(fold.squared_error(total.plus(fold, -1.0).solve(ridge)) for fold in folds)
+    return sum(fold.squared_error(total.plus(fold, -1).solve(ridge)) for fold in folds)
 
 
 def _condition(signals: SpatialSignals) -> tuple[np.ndarray, float]:

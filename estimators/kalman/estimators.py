@@ -42,8 +42,7 @@ from scipy.ndimage import minimum_filter1d
 
 from estimators.api import LAG
 from estimators.common.block_means import MIN_NOISE_DENSITY, block_means
-from estimators.common.explained import trusted_share, untrusted_note
-from estimators.common.fallback import reduce_unexplained
+from estimators.common.explained import reduce_unexplained, trusted_share, untrusted_note
 from estimators.common.identified_vehicle import CalibratedByIdentification
 from estimators.common.model_inputs import antialias_delay, build_model_inputs
 from estimators.common.odometer import calibrate_stations

@@ -25,6 +25,7 @@ from scipy.linalg import cho_solve, solve_toeplitz
 from scipy.optimize import minimize
 
 from estimators.common.blas import single_blas_thread
+from estimators.common.least_squares import LeastSquaresSums
 from road_envs.data.record import F_C, Profile, Record
 from road_envs.sensing.filters import preprocess_accelerations
 
@@ -101,25 +102,6 @@ class IdentifiedResponses(NamedTuple):
     responses: Responses
     held_out: list[Responses]
     explained: np.ndarray
-
-
-class Sums(NamedTuple):
-    """Sums over samples: X'X (p, p), X'a (p, k), a'a (k,), and their number."""
-
-    XX: np.ndarray
-    Xa: np.ndarray
-    aa: np.ndarray
-    n: int
-
-    @classmethod
-    def of(cls, X: np.ndarray, a: np.ndarray) -> "Sums":
-        """Return the sums of regressors `X` (N, p) and sensors `a` (k, N)."""
-        return cls(X.T @ X, X.T @ a.T, np.sum(a**2, axis=1), len(X))
-
-    def plus(self, other: "Sums", sign: int = 1) -> "Sums":
-        """Return these sums plus `sign` times those of `other`."""
-        XX, Xa, aa = (x + sign * y for x, y in zip(self[:3], other[:3], strict=True))
-        return Sums(XX, Xa, aa, self.n + sign * other.n)
 
 
 def sample_times(record: Record) -> np.ndarray:
@@ -203,14 +185,14 @@ def identify_responses(
     X = [stack_delays(drive.u, N_TAPS) for drive in drives]
     a = [drive.a - mean @ x.T for drive, x in zip(drives, X, strict=True)]
     parts = _segment_sums(drives, X, a, np.ones(1))
-    total = reduce(Sums.plus, parts)
+    total = reduce(LeastSquaresSums.plus, parts)
     settings = [_fit_settings(total, j) for j in range(k)]
     powers = [np.sum(drive.a[:, drive.segment >= 0] ** 2, axis=1) for drive in drives]
     explained = _explained(parts, settings, np.sum(powers, axis=0))
     ar = _fit_autoregression(_residuals(drives, X, a, solve_taps(total, settings)))
     white = np.append(1.0, -ar)
     parts = _segment_sums(drives, X, a, white)
-    total = reduce(Sums.plus, parts)
+    total = reduce(LeastSquaresSums.plus, parts)
     settings = [_fit_settings(total, j) for j in range(k)]
     theta = solve_taps(total, settings)
     e = [signal.lfilter(white, 1.0, x) for x in _residuals(drives, X, a, theta)]
@@ -228,23 +210,23 @@ def quick_explained(drive: RoadDrive) -> np.ndarray:
     predict in segments that they were not identified in.
     """
     parts = _segment_sums([drive], [stack_delays(drive.u, N_TAPS)], [drive.a], np.ones(1))
-    total = reduce(Sums.plus, parts)
+    total = reduce(LeastSquaresSums.plus, parts)
     settings = [_first_guess(total, j) for j in range(len(drive.a))]
-    return _explained(parts, settings, total.aa)
+    return _explained(parts, settings, total.ZZ)
 
 
 def _explained(
-    parts: Sequence[Sums], settings: Sequence[np.ndarray], power: np.ndarray
+    parts: Sequence[LeastSquaresSums], settings: Sequence[np.ndarray], power: np.ndarray
 ) -> np.ndarray:
     """Return the shares (k,) of the sensors' `power` (k,) that are predicted in parts left out."""
-    total, left = reduce(Sums.plus, parts), np.zeros(power.shape)
+    total, left = reduce(LeastSquaresSums.plus, parts), np.zeros(power.shape)
     for part in parts:
         taps = solve_taps(total.plus(part, -1), settings)
-        left += part.aa + np.sum(taps * (taps @ part.XX - 2.0 * part.Xa.T), axis=1)
+        left += part.ZZ + np.sum(taps * (taps @ part.XX - 2.0 * part.XZ.T), axis=1)
     return 1.0 - left / np.maximum(power, 1e-12)
 
 
-def solve_taps(sums: Sums, settings: Sequence[np.ndarray]) -> np.ndarray:
+def solve_taps(sums: LeastSquaresSums, settings: Sequence[np.ndarray]) -> np.ndarray:
     """Return the posterior means (k, p) of the taps of all sensors under their `settings`."""
     return np.array([_posterior(sums, j, x)[1] for j, x in enumerate(settings)])
 
@@ -256,7 +238,7 @@ def kernel_factor(log_scale: float, decay: float) -> np.ndarray:
     return np.exp(0.5 * log_scale) * np.triu(np.ones((N_TAPS, N_TAPS))) * np.sqrt(steps)
 
 
-def _posterior(sums: Sums, j: int, settings: np.ndarray) -> tuple[float, np.ndarray]:
+def _posterior(sums: LeastSquaresSums, j: int, settings: np.ndarray) -> tuple[float, np.ndarray]:
     """Return the negative log marginal likelihood of sensor `j` and its taps' posterior mean (p,).
 
     `settings`: log c, logit lambda, log of the noise variance.
@@ -265,21 +247,21 @@ def _posterior(sums: Sums, j: int, settings: np.ndarray) -> tuple[float, np.ndar
     inputs, noise = len(sums.XX) // N_TAPS, float(np.exp(settings[2]))
     blocks = sums.XX.reshape(inputs, N_TAPS, inputs, N_TAPS)
     M = np.einsum("ij,aibk->ajbk", F, blocks @ F, optimize=True).reshape(sums.XX.shape)
-    b = (sums.Xa[:, j].reshape(inputs, N_TAPS) @ F).ravel()
+    b = (sums.XZ[:, j].reshape(inputs, N_TAPS) @ F).ravel()
     factor = np.linalg.cholesky(M / noise + np.eye(len(M)))
     w = cho_solve((factor, True), b / noise)
-    misfit = (float(sums.aa[j]) - b @ w) / noise
+    misfit = (float(sums.ZZ[j]) - b @ w) / noise
     loss = 0.5 * (misfit + sums.n * settings[2]) + np.log(np.diag(factor)).sum()
     return float(loss), (w.reshape(inputs, N_TAPS) @ F.T).ravel()
 
 
-def _first_guess(sums: Sums, j: int) -> np.ndarray:
+def _first_guess(sums: LeastSquaresSums, j: int) -> np.ndarray:
     """Return the settings START, the noise as a share of the power of sensor `j`."""
-    power = float(sums.aa[j]) / max(sums.n, 1) + 1e-12
+    power = float(sums.ZZ[j]) / max(sums.n, 1) + 1e-12
     return np.array(START) + np.array([0.0, 0.0, np.log(power)])
 
 
-def _fit_settings(sums: Sums, j: int) -> np.ndarray:
+def _fit_settings(sums: LeastSquaresSums, j: int) -> np.ndarray:
     """Return the settings of the largest marginal likelihood of sensor `j`."""
     start = _first_guess(sums, j)
     simplex = start + np.array([[0, 0, 0], [1.5, 0, 0], [0, 0.7, 0], [0, 0, -1.5]])
@@ -291,14 +273,14 @@ def _fit_settings(sums: Sums, j: int) -> np.ndarray:
 
 def _segment_sums(
     drives: Sequence[RoadDrive], X: list[np.ndarray], a: list[np.ndarray], white: np.ndarray
-) -> list[Sums]:
+) -> list[LeastSquaresSums]:
     """Return the sums of each segment over all drives, of signals filtered by `white`."""
-    sums: list[Sums | None] = [None] * SEGMENTS
+    sums: list[LeastSquaresSums | None] = [None] * SEGMENTS
     for drive, x, y in zip(drives, X, a, strict=True):
         xw, yw = signal.lfilter(white, 1.0, x, axis=0), signal.lfilter(white, 1.0, y)
         for part in range(SEGMENTS):
             here = drive.segment == part
-            new, old = Sums.of(xw[here], yw[:, here]), sums[part]
+            new, old = LeastSquaresSums.from_samples(xw[here], yw[:, here].T), sums[part]
             sums[part] = new if old is None else old.plus(new)
     return [x for x in sums if x is not None]
 

@@ -71,6 +71,8 @@ PATHS = 0.5 * np.array([[1.0, 1.0, 0.0, 0.0], [1.0, -1.0, 0.0, 0.0],
                         [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 1.0, -1.0]])  # fmt: skip
 """From heights in wheel order to mean and half difference under the front and the rear axle."""
 
+SWITCHED_NOTE = "treated as driven in the dominant strut states"
+
 INITIAL_RATE_STD, DAMPING_ITERATIONS = 0.1, 4
 """Initial standard deviation [m/s] of the struts' rates, and number of damper updates."""
 
@@ -139,7 +141,7 @@ class InverseQuarterCar(Settings):
         return Estimate(
             stations,
             merge_axles(record, z, car.wheelbase),
-            notes=(*notes, *_mode_change_note(record), band),
+            notes=(*notes, *[SWITCHED_NOTE] * record.is_switched, band),
         )
 
 
@@ -233,11 +235,3 @@ def merge_axles(record: Record, z: np.ndarray, wheelbase: float) -> np.ndarray:
         recorded.append((odometer >= record.s[0]) & (odometer <= record.s[-1]))
     weights = np.maximum(np.array(recorded, dtype=float), 1e-9)
     return np.einsum("am,asm->sm", weights / weights.sum(axis=0), np.array(heights))
-
-
-def _mode_change_note(record: Record) -> tuple[str, ...]:
-    """Return a note if a strut changed its state during the record."""
-    flags = np.hstack([record.spring_stiff, record.damper_high])
-    if (flags == flags[0]).all():
-        return ()
-    return ("treated as driven in the dominant strut states",)

@@ -36,7 +36,7 @@ import numpy as np
 from estimators.api import CalibrationError, copy_with
 from estimators.common.bending import sensed_bending
 from estimators.common.block_means import MIN_NOISE_DENSITY
-from estimators.common.fallback import reduce_unexplained
+from estimators.common.explained import reduce_unexplained
 from estimators.common.identified_vehicle import CalibratedByIdentification
 from estimators.common.low_pass import bridge
 from estimators.common.model_inputs import MOVING_STD, REST_STD, build_model_inputs, rest_state

@@ -82,8 +82,7 @@ def check_notes(
     A drive that changes the state of its struts, or has few channels, is not checked. With
     `speed_known`, the speed is not doubted. Raises ConfigError, RecordError.
     """
-    flags = np.hstack([record.spring_stiff, record.damper_high])
-    if (flags != flags[0]).any() or len(record.channels) < LEAST_CHANNELS:
+    if record.is_switched or len(record.channels) < LEAST_CHANNELS:
         return ()
     part = _middle(record)
     described = deviance(part, car, instruments)

@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import signal
 
+from estimators.common.low_pass import bridge
 from estimators.preprocessing import SPEED_MIN, MaskedRecord
 from road_envs.data.record import PROFILE_SPACING, Record
 from road_envs.vehicle.struts import MODES, Modes
@@ -65,11 +66,8 @@ def bridge_and_lowpass(a: np.ndarray, good: np.ndarray, fs: float) -> np.ndarray
     """Return signals (k, N) without their mean over `good` samples, interpolated where not `good`,
     and low-passed at 40 Hz without phase.
     """
-    t = np.arange(a.shape[1])
-    filled = np.zeros(a.shape)
-    for out, x, g in zip(filled, a, good, strict=True):
-        if g.any():
-            out[:] = np.interp(t, t[g], x[g] - x[g].mean())
+    mean = [x[g].mean() if g.any() else 0.0 for x, g in zip(a, good, strict=True)]
+    filled = bridge(np.where(good, a - np.array(mean)[:, None], np.nan))
     sos = signal.butter(PASS_ORDER, min(F_PASS, 0.4 * fs), fs=fs, output="sos")
     return signal.sosfiltfilt(sos, filled, axis=1, padlen=min(50, a.shape[1] - 1))
 
@@ -126,8 +124,8 @@ def _notes(record: Record, part, v: float, core, hidden: np.ndarray) -> tuple[st
         notes.append(
             f"{where}: treated as driven at {v:.1f} m/s, actually {slow:.1f} to {fast:.1f} m/s"
         )
-    flags = np.hstack([record.spring_stiff[part], record.damper_high[part]])
-    if (flags != flags[0]).any():
+    commands = record.commands[part]
+    if (commands != commands[0]).any():
         notes.append(f"{where}: treated as driven in the dominant mode")
     if hidden.size and (share := hidden.mean()) > 0.01:
         notes.append(f"{where}: {share:.0%} of the signals are left out, near invalid samples")

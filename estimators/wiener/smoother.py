@@ -10,8 +10,7 @@ from functools import partial
 import numpy as np
 from scipy.fft import irfft
 
-from estimators.common.explained import trusted_share, untrusted_note
-from estimators.common.fallback import reduce_unexplained
+from estimators.common.explained import reduce_unexplained, trusted_share, untrusted_note
 from estimators.common.odometer import calibrate_odometer
 from estimators.preprocessing import mask_record
 from estimators.wiener.adaptation import adapt_vehicle

@@ -160,7 +160,6 @@ def write_dataset(
 
 
 def _tables(k: int, record: Record, truth: Profile) -> dict[str, dict[str, Any]]:
-    bits = np.concatenate([record.spring_stiff, record.damper_high], axis=1) << np.arange(8)
     a = record.a.astype(np.float32)
     return {
         "records": {
@@ -169,7 +168,7 @@ def _tables(k: int, record: Record, truth: Profile) -> dict[str, dict[str, Any]]
             **dict(zip(map(column, record.channels), a, strict=True)),
             "v": record.v.astype(np.float32),
             "s": record.s,
-            "commands": bits.sum(axis=1).astype(np.uint8),
+            "commands": record.commands,
         },
         "profiles": {
             "drive": np.full(truth.s.size, k, dtype=np.int32),

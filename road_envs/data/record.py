@@ -28,7 +28,6 @@ F_C = 25.0
 SCORED_F_MAX = 0.9 * F_C
 """Highest scored frequency [Hz]: nine tenths of the cut-off of the accelerometers' low-pass."""
 
-
 LEAST_GAIN = 0.1
 """Least gain of a low-pass that is undone: noise of the processing behind it rises tenfold."""
 
@@ -74,9 +73,9 @@ class LowPass(NamedTuple):
             return np.asarray(1.0 / (1.0 + ratio ** (2 * self.order)))
 
 
-def profile_stations(length: float, ds: float = PROFILE_SPACING) -> np.ndarray:
-    """Return the stations (M,) [m], `ds` apart, at which a road of `length` [m] is scored."""
-    return ds * np.arange(int(np.floor(length / ds + 1e-9)))
+def profile_stations(length: float) -> np.ndarray:
+    """Return the stations (M,) [m] at which a road of `length` [m] is scored."""
+    return PROFILE_SPACING * np.arange(int(np.floor(length / PROFILE_SPACING + 1e-9)))
 
 
 @dataclass(frozen=True)
@@ -143,6 +142,17 @@ class Record:
     def channels(self) -> tuple[str, ...]:
         """Names of the rows of `a`."""
         return SENSORS if self.sensors is None else tuple(self.sensors)
+
+    @property
+    def commands(self) -> np.ndarray:
+        """Commanded states as bytes (N,): bits 0 to 3 are stiff springs, 4 to 7 high damping."""
+        flags = np.concatenate([self.spring_stiff, self.damper_high], axis=1)
+        return np.packbits(flags, axis=1, bitorder="little")[:, 0]
+
+    @property
+    def is_switched(self) -> bool:
+        """Whether a strut changes its state during the drive."""
+        return bool((self.commands != self.commands[0]).any())
 
     @property
     def bandwidth(self) -> float:

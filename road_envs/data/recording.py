@@ -107,8 +107,7 @@ def write_record(
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-    bits = np.concatenate([record.spring_stiff, record.damper_high], axis=1) << np.arange(8)
-    data = (record.t, *record.a, record.v, record.s, bits.sum(axis=1).astype(np.uint8))
+    data = (record.t, *record.a, record.v, record.s, record.commands)
     about = {"format": FORMAT, "length": record.length, "provenance": dict(provenance)}
     if record.sensors is not None:
         about["sensors"] = to_plain(record.sensors)
@@ -127,13 +126,8 @@ def _columns(channels: Iterable[str]) -> tuple[str, ...]:
 
 def _write_csv(path: Path, record: Record, provenance: Mapping[str, object], modes: Modes) -> None:
     names = {setting: name for name, setting in modes.items()}
-    by_axle = [
-        [
-            names[pair]
-            for pair in zip(record.spring_stiff[:, w], record.damper_high[:, w], strict=True)
-        ]
-        for w in (0, 2)
-    ]
+    states = np.stack([record.spring_stiff, record.damper_high], axis=2)
+    by_axle = [[names[bool(k), bool(c)] for k, c in states[:, wheel]] for wheel in (0, 2)]
     accelerations = [f"{column(name)} [m/s2]" for name in record.channels]
     header = ("t [s]", *accelerations, "v [m/s]", "s [m]", "mode_front", "mode_rear")
     lines = [f"# simulated: {json.dumps(dict(provenance))}", ",".join(header)]

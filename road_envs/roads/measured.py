@@ -15,10 +15,11 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from road_envs._reading import parsing
 from road_envs.analysis.roughness import TRACK, TrackWidth
 from road_envs.config import Finite, NonNegative, Positive, Settings
 from road_envs.roads.formats import erd, opencrg, table
-from road_envs.roads.formats.opencrg import CurvedGrid, SurfaceFileError, error_context, read_bytes
+from road_envs.roads.formats.opencrg import CurvedGrid, SurfaceFileError, read_bytes
 from road_envs.roads.formats.table import WheelPaths
 from road_envs.roads.surface import Surface, check_size
 
@@ -44,7 +45,7 @@ class Measured(Settings):
 
     def __post_init__(self):
         super().__post_init__()
-        with error_context(self.path):
+        with parsing(self.path, SurfaceFileError, "damaged"):
             natural = self._tile.length
             if natural < self.min_length:
                 raise SurfaceFileError(

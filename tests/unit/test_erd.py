@@ -176,8 +176,8 @@ def test_missing_heights_are_rejected_or_interpolated(tmp_path):
             b"NOTHING ",
             "0 channels match the left wheel path, expected 1 among: LElev. []",
         ),
-        (b"XUNITS  m", b"XUNITS  s", "the step is in 's'"),
-        (b"XUNITS", b"YUNITS", "the step is in 'no unit'"),
+        (b"XUNITS  m", b"XUNITS  s", "the step: the distance unit 's' is unknown"),
+        (b"XUNITS", b"YUNITS", "the step: the distance unit '' is unknown; known: m, km"),
         (b"0.025", b"-0.02", "the step must be positive and below 1e+07 m, got -0.02 m"),
         (b"0.025", b" nan ", "is not a number"),
         (b"0.025", b"1e999", "is not a number"),
@@ -188,7 +188,7 @@ def test_missing_heights_are_rejected_or_interpolated(tmp_path):
         (b"      2,", b"    2.5,", "'2.5' in its second line is not an integer"),
         (b"     40,", b"     41,", "80 numbers, but the header states 41 samples"),
         (b",       0.025,  -1,", b"", "its second line has 5 numbers instead of 6"),
-        (b"     40,", b"100e100,", "is not a number"),
+        (b"     40,", b"100e100,", "'100e100' in its second line is not an integer"),
     ],
 )
 def test_an_inconsistent_header_is_rejected_with_the_reason(old, new, reason):

@@ -7,8 +7,7 @@ import pytest
 from vehicle_fixtures import DEFENDER
 
 import estimators
-from estimators.common.explained import trusted_share, untrusted_note
-from estimators.common.fallback import reduce_unexplained
+from estimators.common.explained import reduce_unexplained, trusted_share, untrusted_note
 from leaderboard.metrics.heights import nrmse
 from road_envs.data.record import PROFILE_SPACING, scored_band
 from road_envs.data.recording import simulate_record

@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 from oracles_roads import crg_file
 
 from examples import examples
-from road_envs.roads.formats.opencrg import SurfaceFileError, parse, read_crg
+from road_envs.roads.formats.opencrg import SurfaceFileError, parse
 from road_envs.roads.formats.table import parse_text
 
 MEASURED = Path(__file__).parents[3] / "shared" / "roads"
@@ -217,7 +217,7 @@ def test_a_corrupted_file_is_read_or_rejected(form, data):
 
 @needs_files
 def test_the_measured_cobbles_match_their_description():
-    grid = read_crg(MEASURED / "opencrg" / "belgian_block.crg")
+    grid = parse((MEASURED / "opencrg" / "belgian_block.crg").read_bytes())
     assert grid.z.shape == (1001, 341)
     assert (grid.u_start, grid.du) == (730.0, 0.01)
     assert grid.v[[0, -1]] == pytest.approx([-1.7, 1.7])
@@ -229,10 +229,10 @@ def test_the_measured_cobbles_match_their_description():
 
 @needs_files
 def test_the_handmade_sample_files_are_read_exactly():
-    straight = read_crg(MEASURED / "opencrg" / "handmade_straight.crg")
+    straight = parse((MEASURED / "opencrg" / "handmade_straight.crg").read_bytes())
     assert straight.z.shape == (23, 7)
     np.testing.assert_array_equal(np.argwhere(np.isnan(straight.z)), [[7, 0], [7, 6], [8, 0]])
     assert straight.z[13, 6] == -0.0111111
-    platform = read_crg(MEASURED / "opencrg" / "handmade_platform.crg")
+    platform = parse((MEASURED / "opencrg" / "handmade_platform.crg").read_bytes())
     np.testing.assert_array_equal(platform.v, [-1.5, -1.25, -1.0, 0.0, 1.0, 1.25, 1.5])
     assert platform.z[1] == pytest.approx(1.5)

@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 from road_envs.config import ConfigError
 from road_envs.roads import load_road
-from road_envs.roads.formats.opencrg import SurfaceFileError, read_crg
+from road_envs.roads.formats.opencrg import SurfaceFileError, parse
 from road_envs.roads.formats.table import parse_parquet
 from road_envs.roads.formats.write import WRITERS, write, write_crg
 from road_envs.roads.measured import Measured
@@ -113,7 +113,7 @@ def test_wheel_paths_of_an_opencrg_file_are_laterally_level(tmp_path, form, prec
     for shift in (-0.3, 0.0, 0.3):
         road = Measured(path=str(tmp_path / "road.crg"), centre=shift)
         np.testing.assert_allclose(road.realise(rng()).z, surface.z, atol=precision)
-    grid = read_crg(tmp_path / "road.crg")
+    grid = parse((tmp_path / "road.crg").read_bytes())
     np.testing.assert_array_equal(grid.v, [-1.125, -0.375, 0.375, 1.125])
     assert grid.du == pytest.approx(0.1) and grid.z.shape == (60, 4)
 

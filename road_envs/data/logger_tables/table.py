@@ -42,8 +42,6 @@ LARGEST = 1e12
 SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 """First bytes of spreadsheets, which are also those of archives."""
 
-TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".parquet", ".mf4", ".mdf")
-
 Table = Mapping[str, Any]
 """Columns of a table by header, as pyarrow arrays."""
 

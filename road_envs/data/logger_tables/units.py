@@ -12,7 +12,16 @@ FACTORS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "acceleration": {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY},
     "speed": {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704, "kn": 1852.0 / 3600.0},
-    "distance": {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048, "mi": 1609.344},
+    "distance": {
+        "m": 1.0,
+        "km": 1e3,
+        "cm": 1e-2,
+        "mm": 1e-3,
+        "mi": 1609.344,
+        "ft": 0.3048,
+        "in": 0.0254,
+        "mil": 25.4e-6,
+    },
     "angle": {"deg": 1.0, "rad": 57.29577951308232},
 }
 """Factor to seconds, m/s², m/s, m or degrees, by kind of quantity and unit."""
@@ -23,6 +32,7 @@ SPELLINGS = {
     "km/hr": "km/h", "mi/h": "mph", "knots": "kn", "kt": "kn", "sec": "s", "second": "s",
     "seconds": "s", "msec": "ms", "millis": "ms", "usec": "us", "degrees": "deg",
     "degree": "deg", "°": "deg", "metre": "m", "meter": "m", "metres": "m", "meters": "m",
+    "feet": "ft", "inch": "in", "inches": "in", "mils": "mil",
 }  # fmt: skip
 
 SUFFIXES = ("g", "kmh", "kph", "mph", "mps", "ms2", "mps2")

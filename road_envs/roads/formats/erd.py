@@ -23,30 +23,18 @@ from pathlib import Path
 
 import numpy as np
 
+from road_envs.data.logger_tables.units import FACTORS, normalise
 from road_envs.roads.formats.opencrg import (
     MAX_LENGTH,
     SurfaceFileError,
     checked_heights,
+    number,
     read_bytes,
 )
-from road_envs.roads.formats.table import WheelPaths, parse_number_rows
+from road_envs.roads.formats.table import WheelPaths, metres, parse_number_rows
 
 FLOAT, TEXT = 1, 5
 """Number types that can be read."""
-
-UNITS = {
-    "m": 1.0,
-    "cm": 0.01,
-    "mm": 0.001,
-    "ft": 0.3048,
-    "feet": 0.3048,
-    "in": 0.0254,
-    "inch": 0.0254,
-    "inches": 0.0254,
-    "mil": 25.4e-6,
-    "mils": 25.4e-6,
-}
-"""Metres in each unit of length."""
 
 PLAUSIBLE_RANGE = (1e-9, 1e9)
 """Range of the magnitude of plausible numbers other than 0."""
@@ -104,7 +92,7 @@ def parse_header(data: bytes) -> tuple[Header, bytes]:
             f"unknown number type {number_type}; known: 1 (4-byte float) and 5 (text)"
         )
     keywords = _keywords(lines[2:])
-    step = _number(fields[5]) * _metres(keywords.get("XUNITS", ""), "the step")
+    step = number(fields[5], "the step") * metres(keywords.get("XUNITS", ""), "the step")
     if not 0.0 < step < MAX_LENGTH:
         raise SurfaceFileError(
             f"the step must be positive and below {MAX_LENGTH:g} m, got {step:g} m"
@@ -156,7 +144,7 @@ def _left_and_right(header: Header) -> list[tuple[int, float]]:
         _fields(header, key, width)
         for key, width in (("SHORTNAM", 8), ("LONGNAME", 32), ("UNITSNAM", 8))
     )
-    lengths = [k for k in range(header.channels) if unit[k].lower() in UNITS]
+    lengths = [k for k in range(header.channels) if normalise(unit[k]) in FACTORS["distance"]]
     if header.channels == 1:
         pair = [0, 0]
     else:
@@ -171,7 +159,7 @@ def _left_and_right(header: Header) -> list[tuple[int, float]]:
                     f"{channels:.200}"
                 )
             pair += matches
-    return [(k, _metres(unit[k], f"channel {k + 1}")) for k in pair]
+    return [(k, metres(unit[k], f"channel {k + 1}")) for k in pair]
 
 
 def _fields(header: Header, keyword: str, width: int) -> list[str]:
@@ -185,25 +173,10 @@ def _keywords(lines: list[str]) -> dict[str, str]:
     return {line[:8].strip().upper(): line[8:] for line in reversed(lines)}
 
 
-def _metres(unit: str, what: str) -> float:
-    name = unit.strip().lower()
-    if name not in UNITS:
-        raise SurfaceFileError(f"{what} is in {name or 'no unit'!r}; known: {', '.join(UNITS)}")
-    return UNITS[name]
-
-
 def _whole_number(text: str) -> int:
-    value = _number(text)
-    if value != round(value):
-        raise SurfaceFileError(f"damaged: {text.strip()!r} in its second line is not an integer")
+    value = number(text, "a number in its second line")
+    if value != round(value) or not abs(value) < 1e12:
+        raise SurfaceFileError(
+            f"damaged: {text.strip()!r:.40} in its second line is not an integer"
+        )
     return int(value)
-
-
-def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.inf
-    if not abs(value) < 1e12:
-        raise SurfaceFileError(f"damaged: {text.strip()!r:.40} in its second line is not a number")
-    return value

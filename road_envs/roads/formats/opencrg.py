@@ -16,8 +16,6 @@ before anything is allocated, so that a damaged header cannot exhaust memory.
 
 import math
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -55,28 +53,11 @@ class CurvedGrid:
     notes: tuple[str, ...] = ()
 
 
-def read_crg(path: str | Path) -> CurvedGrid:
-    """Read the grid in a file. Raises SurfaceFileError with file name and reason."""
-    with error_context(path):
-        return parse(read_bytes(path))
-
-
 def read_bytes(path: str | Path) -> bytes:
     """Return the bytes of a regular file. Raises SurfaceFileError if there is none."""
     if not Path(path).is_file():
         raise SurfaceFileError("no such file")
     return Path(path).read_bytes()
-
-
-@contextmanager
-def error_context(path: str | Path) -> Iterator[None]:
-    """Prefix errors about a file with its path."""
-    try:
-        yield
-    except OSError as error:
-        raise SurfaceFileError(f"{path}: {error.strerror}") from None
-    except SurfaceFileError as error:
-        raise SurfaceFileError(f"{path}: {error}") from None
 
 
 def parse(data: bytes) -> CurvedGrid:
@@ -138,7 +119,7 @@ def _numbers(lines: list[str], block: str) -> dict[str, float]:
             continue
         if key in values:
             raise SurfaceFileError(f"{key} appears twice in ${block}")
-        values[key] = _number(text, key)
+        values[key] = number(text, key)
     return values
 
 
@@ -148,17 +129,18 @@ def _virtual_u(lines: list[str]) -> dict[str, float]:
         name, *rest = (part.strip() for part in line.split(","))
         if name.lower() == "u:reference line u" and len(rest) == 3:
             keys = ("reference_line_start_u", "reference_line_increment")
-            return {key: _number(text, name) for key, text in zip(keys, rest[1:], strict=True)}
+            return {key: number(text, name) for key, text in zip(keys, rest[1:], strict=True)}
     return {}
 
 
-def _number(text: str, what: str) -> float:
+def number(text: str, what: str) -> float:
+    """Return the finite number in a `text` that states `what`. Raises SurfaceFileError."""
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise SurfaceFileError(f"{what} = {text.strip()!r} is not a number")
+        raise SurfaceFileError(f"{what} = {text.strip()!r:.40} is not a number")
     return value
 
 
@@ -191,7 +173,7 @@ def _sections(
     by_position = [re.fullmatch(r"long section at v ?= ?(\S+)", name) for _, name, _ in named]
     by_number = [re.fullmatch(r"long section (\d+)", name) for _, name, _ in named]
     if all(by_position):
-        v = np.array([_number(m[1], m[0]) for m in by_position if m])
+        v = np.array([number(m[1], m[0]) for m in by_position if m])
     elif all(by_number):
         numbers = np.array([float(m[1]) for m in by_number if m])
         if sorted(numbers) != list(range(1, len(named) + 1)):

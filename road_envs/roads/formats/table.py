@@ -12,15 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from road_envs._extras import optional_import
+from road_envs._reading import MAX_COMPRESSION
 from road_envs.config import ConfigError
 from road_envs.data.logger_tables import units
 from road_envs.roads.formats.opencrg import MAX_LENGTH, SurfaceFileError, checked_heights
 
 EVEN_TOLERANCE = 1e-3
 """Stations are uniform if no spacing differs from the median by more than this fraction of it."""
-
-MAX_COMPRESSION = 100
-"""Largest ratio of uncompressed numbers to file size; guards against decompression bombs."""
 
 
 class WheelPaths(NamedTuple):
@@ -57,7 +55,8 @@ def parse_text(data: bytes) -> WheelPaths:
         )
     order = [1, -1]
     if len(names) == table.shape[1]:
-        table = table * [_factor(name) for name in names]
+        found = [(name, units.split_header(name)[1] or "m") for name in names]
+        table = table * [metres(unit, f"the column {name}") for name, unit in found]
         if len(names) == 3 and "right" in names[1] and "left" in names[2]:
             order = [2, 1]
     return resample_evenly(table[:, 0], checked_heights(table[:, order].T))
@@ -69,13 +68,12 @@ def _cells(line: str, mark: str | None) -> list[str]:
     return [cell.strip() for cell in re.split(pattern, line)] or [""]
 
 
-def _factor(name: str) -> float:
-    """Return the factor to metres of a column name with a unit. Raises SurfaceFileError."""
-    unit = units.split_header(name)[1]
+def metres(unit: str, what: str) -> float:
+    """Return the metres in a unit, that of `what`. Raises SurfaceFileError."""
     try:
-        return 1.0 if unit is None else units.factor("distance", unit)
+        return units.factor("distance", unit)
     except ConfigError as error:
-        raise SurfaceFileError(f"the column {name}: {error}") from None
+        raise SurfaceFileError(f"{what}: {error}") from None
 
 
 def parse_parquet(data: bytes) -> WheelPaths:
