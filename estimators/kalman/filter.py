@@ -17,17 +17,22 @@ import math
 
 import numpy as np
 
+from estimators.kalman.filtered import BandVariance, NodesAtEmission
 from estimators.kalman.friction_linearization import choose_linearization
+from estimators.kalman.joint_state import read_heights, read_nodes, update_state
 from estimators.kalman.jumps import step_is_likely
 from estimators.kalman.linearization import linearize_block
+from estimators.kalman.road_process import RoadProcess
 from estimators.kalman.state import (
     NOISE_SCALE,
     SIGNAL_POWER,
     FilterInputs,
     FilterModel,
+    JointState,
     LinearizedBlock,
     LocalState,
     StepTest,
+    WindowPart,
 )
 from road_envs._numba import kernel
 
@@ -42,12 +47,47 @@ fault of the sensor."""
 
 @kernel(inline=False)
 def filter_window(
+    model: FilterModel,
+    inputs: FilterInputs,
+    road: RoadProcess,
+    joint: JointState,
+    part: WindowPart,
+    local: LocalState,
+    test: StepTest,
+    nodes: NodesAtEmission,
+    bands: BandVariance,
+):
+    """Filter the blocks of a `part` of a window, to its last or until a step of the road is likely,
+    read what is emitted until then, and update `joint`. Return the block behind the last one,
+    whether a step is likely, and `update_state`'s V and W.
+    """
+    size, n, P = local.x.size, joint.x.size, joint.P
+    P_local = np.empty((size, P.shape[1]))
+    local.rows[:] = 0.0
+    for i in range(size):
+        at = part.local[i]
+        local.x[i], local.rows[i, size + i] = joint.x[at], 1.0
+        for k in range(P.shape[1]):
+            P_local[i, k] = P[at, k]
+            if k >= n:
+                test.direction[i, k - n] = P[at, k]
+        for k in range(size):
+            local.rows[i, k] = P[at, part.local[k]]
+    last, likely = filter_blocks(model, inputs, local, test, part.first, part.last)
+    read_nodes(road, joint, part, local, P_local, nodes, last)
+    read_heights(road, joint, part, local, bands, last)
+    V, W = update_state(joint, part, local, P_local, road.n_vehicle, 3 * (last - part.first))
+    return last, likely, V, W
+
+
+@kernel(inline=False)
+def filter_blocks(
     model: FilterModel, inputs: FilterInputs, local: LocalState, test: StepTest, first, last
 ):
     """Filter the blocks from `first` on, to `last` (excluded) or until a step of the road is
-    likely. Return the number of blocks, and whether one is likely.
+    likely. Return the block behind the last one, and whether one is likely.
     """
-    size, n_vehicle = local.x.size, model.force_to_state.shape[0]
+    size, n_vehicle = local.x.size, model.force_effect.shape[1] - 3
     block = LinearizedBlock(np.empty((3 + n_vehicle, size)), np.empty(3), np.empty(n_vehicle))
     force_variance = np.empty(4)
     for j in range(first, last):
@@ -55,8 +95,8 @@ def filter_window(
         linearize_block(model, inputs, local, j, block)
         update_block(model, inputs, local, block, force_variance, j, j - first)
         if step_is_likely(test, local, j - first):
-            return j - first + 1, True
-    return last - first, False
+            return j + 1, True
+    return last, False
 
 
 @kernel
@@ -82,45 +122,45 @@ def update_block(
     The vehicle is propagated by simulation from the mean before the update, and by the transition
     matrix for the correction of the update.
     """
-    size, n_vehicle = local.x.size, block.end_state.size
-    moved, x, rows = np.dot(block.factors, local.rows), local.x, local.rows
-    # all covariances of the means and of the vehicle's next state
-    both = np.dot(np.ascontiguousarray(moved[:, :size]), block.factors.T)
-    cross = both[:, :3].copy()
-    for r in range(3 + n_vehicle):
-        effect = model.force_to_sensor[r] if r < 3 else model.force_to_state[r - 3]
-        for s in range(3):
-            for w in range(4):
-                cross[r, s] += effect[w] * force_variance[w] * model.force_to_sensor[s, w]
+    size, n_vehicle, x, rows = local.x.size, block.end_state.size, local.x, local.rows
+    moved = np.dot(block.factors, rows)
+    # of the means and of the vehicle's next state, with the residual forces
+    covariance = np.dot(np.ascontiguousarray(moved[:, :size]), block.factors.T)
+    for w in range(4):
+        for r in range(3 + n_vehicle):
+            effect = force_variance[w] * model.force_effect[w, r]
+            for c in range(3 + n_vehicle):
+                covariance[r, c] += effect * model.force_effect[w, c]
     innovation, T = local.innovation[3 * i : 3 * i + 3], np.zeros((3, 3))
-    whiten(model, inputs, local, block, cross, T, innovation, j, i)
-    V, G = np.dot(T, moved[:3]), np.dot(cross[3:], T.T)
-    local.U[3 * i : 3 * i + 3] = V[:, size:]
-    x[:n_vehicle], rows[:n_vehicle] = block.end_state, moved[3:]
+    whiten(model, inputs, local, block, covariance, T, innovation, j, i)
+    # covariance of the whitened innovations with the local state, and beside it their derivative
+    V, gain = np.empty((3, 2 * size)), np.empty((size, 3))
+    for k in range(2 * size):
+        V[0, k] = T[0, 0] * moved[0, k]
+        V[1, k] = T[1, 0] * moved[0, k] + T[1, 1] * moved[1, k]
+        V[2, k] = T[2, 0] * moved[0, k] + T[2, 1] * moved[1, k] + T[2, 2] * moved[2, k]
+    for s in range(3):
+        for a in range(size):
+            local.U[3 * i + s, a], gain[a, s] = V[s, size + a], V[s, a]
+        for a in range(n_vehicle):
+            gain[a, s] = 0.0
+            for t in range(s + 1):
+                gain[a, s] += T[s, t] * covariance[3 + a, t]
+    for a in range(n_vehicle):
+        x[a] = block.end_state[a]
+        for k in range(2 * size):
+            rows[a, k] = moved[3 + a, k]
     for a in range(size):
-        gain = G[a] if a < n_vehicle else V[:, a]
-        subtract_rows(rows[a], gain[0], gain[1], gain[2], V)
-        x[a] += gain[0] * innovation[0] + gain[1] * innovation[1] + gain[2] * innovation[2]
+        first, second, third = gain[a, 0], gain[a, 1], gain[a, 2]
+        x[a] += first * innovation[0] + second * innovation[1] + third * innovation[2]
+        for k in range(2 * size):
+            rows[a, k] -= first * V[0, k] + second * V[1, k] + third * V[2, k]
     for a in range(n_vehicle):
-        for b in range(size):
+        for b in range(n_vehicle, size):
             rows[b, a] = rows[a, b]
-    for a in range(n_vehicle):
         for b in range(n_vehicle):
-            z = both[3 + a, 3 + b]
-            for w in range(4):
-                effect = model.force_to_state[a, w] * model.force_to_state[b, w]
-                z += effect * force_variance[w]
-            for s in range(3):
-                z -= G[a, s] * G[b, s]
-            rows[a, b] = z
-
-
-@kernel
-def subtract_rows(row, a, b, c, V):
-    """Subtract `a` V[0] + `b` V[1] + `c` V[2] from `row` (M,), of rows `V` (3, M)."""
-    first, second, third = V[0], V[1], V[2]
-    for k in range(row.size):
-        row[k] -= a * first[k] + b * second[k] + c * third[k]
+            known = gain[a, 0] * gain[b, 0] + gain[a, 1] * gain[b, 1] + gain[a, 2] * gain[b, 2]
+            rows[a, b] = covariance[3 + a, 3 + b] - known
 
 
 @kernel(inline=False)
@@ -136,7 +176,8 @@ def whiten(
     i,
 ):
     """Write the matrix `T` (3, 3) that whitens the measurements and the whitened `innovation` (3,),
-    and adapt the noise scale. `covariance` (3, 3), or more rows: of the means without their noise.
+    and adapt the noise scale. `covariance` (3, 3) or larger: of the means without their noise.
+    T comes with zeros.
 
     The measurements are processed one after the other. Each is decorrelated from those before it
     and scaled to unit variance: a Cholesky factorization of the innovation covariance, row by row.
@@ -147,7 +188,6 @@ def whiten(
     noise_scale, n_measured, power, cross = local.adaptive[NOISE_SCALE], 0, 0.0, np.empty(3)
     for s in range(3):
         innovation[s] = 0.0
-        T[s] = 0.0
         if count[s] == 0.0:
             continue
         n_measured += 1
@@ -188,4 +228,6 @@ def whiten(
     local.noise_scale[i] = local.adaptive[NOISE_SCALE]
     local.signal_power[i] = local.adaptive[SIGNAL_POWER]
     if nis > MAX_NIS * n_measured:
-        innovation *= np.sqrt(MAX_NIS * n_measured / nis)
+        reduction = np.sqrt(MAX_NIS * n_measured / nis)
+        for s in range(3):
+            innovation[s] *= reduction

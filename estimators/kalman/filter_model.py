@@ -36,16 +36,15 @@ def build_model(
     # a constant force over so short a time as a block moves the vehicle like free masses
     accel = (line.strut_rows / line.M).T
     time = steps_per_block * model_inputs.h
-    force_to_state = [0.5 * time**2 * accel, time * accel]
-    force_to_sensor = line.sensor_rows @ accel
+    force_effect = [line.sensor_rows @ accel, 0.5 * time**2 * accel, time * accel]
     section = np.zeros((0, 6))
     if bending is not None:
         section = body_bending.section(bending.mode, model_inputs.h * model_inputs.decimation)
         samples = steps_per_block // model_inputs.decimation
         push = np.repeat((bending.force @ accel[[Z_B, THETA]])[:, None], samples, axis=1)
         bent, end = sosfilt(section, push, zi=np.zeros((1, 4, 2)))
-        force_to_state.append(end[0].T)
-        force_to_sensor = force_to_sensor + np.outer(bending.shape, bent.mean(axis=1))
+        force_effect.append(end[0].T)
+        force_effect[0] = force_effect[0] + np.outer(bending.shape, bent.mean(axis=1))
     tables, force_variance = smoothed_tables(one.velocity)
     return FilterModel(
         constants=one.constants.copy(),
@@ -56,8 +55,7 @@ def build_model(
         force_variance=force_variance * FORCE_CORRELATION_TIME / (steps_per_block * model_inputs.h),
         strut_rows=line.strut_rows,
         sensor_rows=line.sensor_rows,
-        force_to_state=np.concatenate(force_to_state),
-        force_to_sensor=force_to_sensor,
+        force_effect=np.concatenate(force_effect).T.copy(),
         h=model_inputs.h,
         steps_per_block=steps_per_block,
         decimation=model_inputs.decimation,

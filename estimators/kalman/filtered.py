@@ -1,11 +1,11 @@
 """Results of the filter over a drive: its state, its windows, and heights when they are emitted."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from estimators.kalman.jumps import AcceptedStep, RoadJumps
-from estimators.kalman.road_process import NodeTransition
 from estimators.kalman.windows import EmissionTimes
 
 
@@ -33,11 +33,12 @@ class FilteredWindow:
     """A filtered window for the smoother, or the part of one in its `blocks` (first, last) before
     or after an accepted step.
 
-    Its number `index`, the entries `local` (L,) of the state vector, the derivative `D` (n, L) of
-    the error at the end by the local error at the start, `U` (R, L) and `innovation` (R,). Before
-    it come the `transitions`, and before these the mean `leaving` (4 + 2 M,) of the retired-node
-    sums and of the nodes that leave, the oldest first, and their `covariance` (4 + 2 M, n) with the
-    state; all empty in a later part.
+    Its number `index`; the entries `local` (L,) of the state vector; `transition` (N, L), the
+    derivative of the vehicle's error at the end by the local error at the start; the whitened
+    `innovation` (R,), its derivative `U` (R, L) by that error, and its covariance `W` (R, n) with
+    the rest of the state at the start, 0 with the vehicle. Before it, M nodes have entered, and
+    before these the retired-node sums and the nodes that leave, the oldest first, had the mean
+    `leaving` (4 + 2 M,) and the `covariance` (4 + 2 M, n) with the state; all none in a later part.
 
     Per unit step of each candidate of the road's: the mean of the innovation `response` (R, m), the
     error of the mean `direction` (4 + 2 M, m). After it, the steps `accepted`. Of steps that are
@@ -47,10 +48,10 @@ class FilteredWindow:
     index: int
     blocks: tuple[int, int]
     local: np.ndarray
-    D: np.ndarray
-    U: np.ndarray
+    transition: np.ndarray
     innovation: np.ndarray
-    transitions: list[NodeTransition]
+    U: np.ndarray
+    W: np.ndarray
     leaving: np.ndarray
     covariance: np.ndarray
     direction: np.ndarray
@@ -58,9 +59,15 @@ class FilteredWindow:
     accepted: list[AcceptedStep] = field(default_factory=list)
     corrections: list[tuple[AcceptedStep, np.ndarray, np.ndarray]] = field(default_factory=list)
 
+    def error_derivative(self) -> np.ndarray:
+        """Return the derivative D (n, L) of the error by the local error at the start."""
+        D, vehicle = self.W.T @ -self.U, len(self.transition)
+        D[self.local, np.arange(self.local.size)] += 1.0
+        D[:vehicle] = self.transition
+        return D
 
-@dataclass(frozen=True, eq=False)
-class NodesAtEmission:
+
+class NodesAtEmission(NamedTuple):
     """Estimates of sums and nodes at T moments: `c` (T, 2 + K, 2), mean and half difference of the
     real and imaginary sums, then of the nodes from the base on. `adjoint` (T, L): the adjoint of
     the local state at the start of the moment's window.
@@ -71,21 +78,21 @@ class NodesAtEmission:
     adjoint: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class BandVariance:
+class BandVariance(NamedTuple):
     """In-band variance (F, 2) [m²] of heights at F moments, by `weights` (F, 2 + K) of sums and of
-    nodes from the base on. If asked, the `covariance` (F, 2, n) with the state at the start of the
-    moment's window.
+    nodes from the base on, and, if asked, the `covariance` (F, 2, n), else (0, 2, n), with the
+    state at the start of the moment's window.
     """
 
     times: EmissionTimes
     weights: np.ndarray
     variance: np.ndarray
-    covariance: np.ndarray | None = None
-    slots: int = field(init=False)
+    covariance: np.ndarray
 
-    def __post_init__(self) -> None:
+    @property
+    def most_live(self) -> int:
+        """Most heights of which nodes have left before they are read, at a time; 1 at least."""
         live = np.zeros(int(self.times.window.max(initial=0)) + 3, dtype=int)
         np.add.at(live, self.times.first, 1)
         np.add.at(live, self.times.window + 1, -1)
-        object.__setattr__(self, "slots", int(np.cumsum(live).max()))
+        return max(int(np.cumsum(live).max()), 1)

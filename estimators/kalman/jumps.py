@@ -56,11 +56,11 @@ MAX_JUMPS = 4
 @kernel(inline=False)
 def most_likely(score, information, reached, n_nodes):
     """Return the most likely candidate of the `n_nodes` nodes up to the number `reached`, from
-    `score` (m,) and `information` (m,), and its log likelihood ratio.
+    `score` (m,) and `information` (m, m), and its log likelihood ratio.
     """
     best, most, m, prior = -1, 0.0, score.size, JUMP_STD**2
     for c in range(m):
-        ratio = prior * information[c]
+        ratio = prior * information[c, c]
         if ratio < MIN_INFORMATION or (reached - c // 2) % (m // 2) >= n_nodes:
             continue
         gain = 0.5 * (prior * score[c] ** 2 / (1.0 + ratio) - np.log1p(ratio))
@@ -74,16 +74,26 @@ def step_is_likely(test: StepTest, local: LocalState, i):
     """Update the scores of a `test` by the `i`-th block of the window of `local`. Return whether a
     candidate is to be accepted.
     """
-    score, information = test.score, test.information
-    response = np.dot(local.U[3 * i : 3 * i + 3], test.direction)
-    for s in range(3):
-        for c in range(score.size):
-            score[c] += local.innovation[3 * i + s] * response[s, c]
-            information[c] += response[s, c] ** 2
+    block = slice(3 * i, 3 * i + 3)
+    response = np.dot(local.U[block], test.direction)
+    add_information(test.score, test.information, response, local.innovation[block])
     if test.near_step[i]:
         return False
-    _, most = most_likely(score, information, test.reached[i], test.n_nodes)
+    _, most = most_likely(test.score, test.information, test.reached[i], test.n_nodes)
     return most > MIN_LOG_RATIO * local.adaptive[NOISE_SCALE]
+
+
+@kernel
+def add_information(score, information, response, innovation):
+    """Update `score` (m,) and `information` (m, m) of the candidates by a whitened `innovation`
+    (R,), whose mean is `response` (R, m) per unit step.
+    """
+    for s in range(innovation.size):
+        for c in range(score.size):
+            share = response[s, c]
+            score[c] += innovation[s] * share
+            for d in range(score.size):
+                information[c, d] += share * response[s, d]
 
 
 class AcceptedStep(NamedTuple):
@@ -129,19 +139,12 @@ class RoadJumps:
         return cls(score, information, np.zeros((nodes, 2)), near, length, reach)
 
     def begin(self, nodes: np.ndarray) -> np.ndarray:
-        """Replace the oldest candidates by those of new `nodes` (M,); return which (M, 2)."""
-        candidates = (2 * nodes[:, None] + np.arange(2)) % self.score.size
+        """Replace the oldest candidates by those of new `nodes` (M,); return which (2 M,)."""
+        candidates = (2 * nodes[:, None] + np.arange(2)).ravel() % self.score.size
         self.score[candidates] = 0.0
         self.information[candidates] = 0.0
         self.information[:, candidates] = 0.0
         return candidates
-
-    def update(self, response: np.ndarray, innovation: np.ndarray) -> None:
-        """Update the candidates by the whitened `innovation` (R,), whose mean is `response` (R, m)
-        per unit step.
-        """
-        self.score[:] += innovation @ response
-        self.information[:] += response.T @ response
 
     def add(self, node: int, side: int, step: float) -> None:
         """Add a `step` [m] at a `node` in a wheel path."""
@@ -159,11 +162,10 @@ class RoadJumps:
         score, information, accepted = self.score, self.information, list[AcceptedStep]()
         m, prior = score.size, JUMP_STD**2
         for _ in range(MAX_JUMPS):
-            diagonal = np.diag(information).copy()
-            best, most = most_likely(score, diagonal, reached, self.length)
+            best, most = most_likely(score, information, reached, self.length)
             if most <= least:
                 break
-            variance = prior / (1.0 + prior * diagonal[best])
+            variance = prior / (1.0 + prior * information[best, best])
             step = variance * score[best]
             f, cross = direction[:, best].copy(), information[best].copy()
             added = variance + (RELATIVE_ERROR * step) ** 2

@@ -82,8 +82,7 @@ of shorter chunks."""
 @dataclass(frozen=True, eq=False)
 class FilterRun:
     """A drive prepared for the filter: `model`, `inputs`, the `road` and the `windows`, and the
-    current `state`. A station s has the node number (s - `origin`) / NODE_SPACING; the road is
-    level outside the node numbers `free_range` (2,).
+    current `state`. A station s has the node number (s - `origin`) / NODE_SPACING.
     """
 
     model: FilterModel
@@ -92,7 +91,6 @@ class FilterRun:
     windows: WindowSchedule
     state: FilterState
     origin: float
-    free_range: np.ndarray
 
     @property
     def n_blocks(self) -> int:
@@ -163,18 +161,24 @@ def setup_run(
         max(increment_span, ar_model.weights.shape[1] - int(model.wheelbase_nodes)),
     )
     road = RoadProcess(
-        n_vehicle=model.force_to_state.shape[0],
+        n_vehicle=model.force_effect.shape[1] - 3,
         n_nodes=windows.n_nodes,
-        ar_model=ar_model,
+        weights=ar_model.weights,
+        prediction_variance=ar_model.prediction_variance,
+        free_range=(ends - origin) / NODE_SPACING,
         decay=decay_per_node(NODE_SPACING),
         increment_span=increment_span,
+        increment_variance=ar_model.increment_variance(increment_span),
         roughness_memory=ROUGHNESS_LENGTH / NODE_SPACING,
     )
     level = level_ends and record.s[0] <= 0.0
     nodes = int(windows.newest[-1]) + 1
     jumps = RoadJumps.none(WINDOW_LENGTH, nodes, NODE_SPACING)
     state = _initial_state(car, model_inputs, road, jumps, measurements.y.shape[1], level)
-    return FilterRun(model, inputs, road, windows, state, origin, (ends - origin) / NODE_SPACING)
+    if not level:
+        held = road.node_entries(windows.initial - np.arange(road.n_nodes))
+        state.P[np.ix_(held, held)] = prior_covariance(ar_model, road.n_nodes)
+    return FilterRun(model, inputs, road, windows, state, origin)
 
 
 def _initial_state(
@@ -195,9 +199,6 @@ def _initial_state(
     )
     P[:n_vehicle, :n_vehicle] = np.diag(std**2)
     P[biases, biases] = BIAS_STD**2 * np.eye(N_BIAS)
-    if not level:
-        nodes = slice(road.first_node, n)
-        P[nodes, nodes] = prior_covariance(road.ar_model, road.n_nodes)
     weight = ROUGHNESS_LENGTH / NODE_SPACING  # that of a stationary average
     return FilterState(
         x=x,
@@ -249,11 +250,11 @@ def run_filter(run: FilterRun, output: ProfileOutput, chunk: int = CHUNK_WINDOWS
     times = emission_times(run.windows, block, _oldest_needed(output, first_station))
     nodes = _empty_nodes(run, times, run.windows.newest[times.window])
     one, kept, smoothed = window_filter(run, output, nodes), [], 0
-    keep = bool(np.any(times.first <= times.window))
+    smoothing = bool(np.any(times.first <= times.window))
     count = run.windows.newest.size
     for i in range(count):
-        parts = one.filter_window(i, keep)
-        if not keep:
+        parts = one.filter_window(i)
+        if not smoothing:
             continue
         kept += parts
         if len(kept) >= chunk or i == count - 1:
@@ -285,8 +286,8 @@ def run_smoother(run: FilterRun, output: ProfileOutput, chunk: int = CHUNK_WINDO
             corrected = count if i == count - 1 else kept[chunk].index
             smooth_backward(run.road, kept, oldest, nodes, bands=one.bands, corrected=corrected)
             kept = [window for window in kept if window.index >= corrected]
-    held = run.state.x[run.road.first_node :].reshape(-1, 2)[::-1]
-    nodes.c[0, 2 + oldest[-1] - oldest[0] :] = held
+    held = np.arange(oldest[-1], windows.newest[-1] + 1)
+    nodes.c[0, 2 + held - oldest[0]] = run.state.x[run.road.node_entries(held)].reshape(-1, 2)
     # the nodes in the low-pass of a station are enough
     c, reach = nodes.c[0, 2:], int(output.half_window) + 3
     size = min(2 * reach, c.shape[0])
@@ -333,7 +334,9 @@ def window_filter(
     """
     if nodes is None:
         nothing = np.zeros(0, dtype=int)
-        nodes = NodesAtEmission(EmissionTimes(*5 * (nothing,), 0), *2 * [np.zeros(0)])
+        nodes = NodesAtEmission(
+            EmissionTimes(*5 * (nothing,), 0), np.zeros((0, 2, 2)), np.zeros((0, 0))
+        )
     chosen = np.arange(0, output.node.size, VARIANCE_STRIDE)
     block = output.emit_block[chosen]
     times = emission_times(run.windows, block, _oldest_needed(output, chosen))
@@ -347,14 +350,13 @@ def window_filter(
         times,
         weights,
         np.zeros((chosen.size, 2)),
-        np.zeros((chosen.size, 2, run.road.n_states)) if covariance else None,
+        np.zeros((chosen.size if covariance else 0, 2, run.road.n_states)),
     )
     return WindowFilter(
         run.model,
         run.inputs,
         run.road,
         run.windows,
-        run.free_range,
         run.state,
         nodes=nodes,
         bands=bands,

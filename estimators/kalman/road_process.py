@@ -7,8 +7,6 @@ half difference of an isotropic surface is level for waves longer than the track
 itself.
 """
 
-from dataclasses import dataclass, field
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +20,9 @@ from estimators.kalman.state import (
     ROUGHNESS_SCALE,
     ROUGHNESS_SUM,
     ROUGHNESS_WEIGHT,
+    JointState,
 )
+from road_envs._numba import kernel
 from road_envs.analysis.information_bound import RoadPrior
 
 AR_LENGTH = 2.0
@@ -80,102 +80,174 @@ def prior_covariance(ar_model: ARModel, size: int) -> np.ndarray:
     return P
 
 
-class NodeTransition(NamedTuple):
-    """Linear step x' = F x + e of the state vector by which the nodes move back and `n_new` new
-    ones come before them: `rows` (4 + 2 count, n) of F for the retired-node sums and the new nodes;
-    `noise` (4 + 2 count, 4 + 2 count), the covariance of e in them, for a roughness scale of 1;
-    `response` (2, count, count), of mean and half difference, of the nodes to a step at each.
-    """
+class RoadProcess(NamedTuple):
+    """The road's model in a state vector of `n_vehicle` states and `n_nodes` nodes.
 
-    n_new: int
-    rows: np.ndarray
-    noise: np.ndarray
-    response: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class RoadProcess:
-    """The road's model in a state vector of `n_vehicle` states and `n_nodes` nodes: `ar_model` of
-    the next node, `decay` per node of the retired-node sums, the span [nodes] of the increments
-    from which roughness is estimated, and the number of nodes over which it is averaged.
+    Weights (2, order) of the last nodes in the next one, mean and half difference, and its
+    `prediction_variance` (2,) [m²] for a roughness scale of 1; outside the node numbers
+    `free_range` (2,) the road goes on level. `decay` per node of the retired-node sums. The span
+    [nodes] of the increments from which roughness is estimated, their variance (2,) [m²], and the
+    number of nodes over which it is averaged, `roughness_memory`.
     """
 
     n_vehicle: int
     n_nodes: int
-    ar_model: ARModel
+    weights: np.ndarray
+    prediction_variance: np.ndarray
+    free_range: np.ndarray
     decay: float
     increment_span: int
+    increment_variance: np.ndarray
     roughness_memory: float
-    transitions: dict[tuple[int, bool], NodeTransition] = field(default_factory=dict)
 
-    @cached_property
+    @property
     def first_sum(self) -> int:
         """Index of the first retired-node sum."""
         return self.n_vehicle + N_BIAS
 
-    @cached_property
+    @property
     def first_node(self) -> int:
-        """Index of the mean of the newest node."""
+        """Index of the first node's mean."""
         return self.first_sum + N_SUMS
 
-    @cached_property
+    @property
     def n_states(self) -> int:
         """Size n of the state vector."""
         return self.first_node + 2 * self.n_nodes
 
-    @cached_property
-    def increment_variance(self) -> np.ndarray:
-        """Variances (2,) [m²] of the increments from which roughness is estimated."""
-        return self.ar_model.increment_variance(self.increment_span)
+    def node_entries(self, nodes: np.ndarray) -> np.ndarray:
+        """Return the entries (2 M,) of mean and half difference of the `nodes` (M,)."""
+        return ((self.first_node + 2 * (nodes % self.n_nodes))[:, None] + np.arange(2)).ravel()
 
-    def transition(self, count: int, free: bool) -> NodeTransition:
-        """Return the step to `count` new nodes. Unless `free`, the road goes on level."""
-        if (count, free) not in self.transitions:
-            self.transitions[count, free] = self._transition(count, free)
-        return self.transitions[count, free]
+    def road_entries(self, nodes: np.ndarray) -> np.ndarray:
+        """Return the entries (4 + 2 M,) of the retired-node sums and of `nodes` (M,)."""
+        sums = np.arange(self.first_sum, self.first_node)
+        return np.concatenate([sums, self.node_entries(nodes)])
 
-    def _transition(self, count: int, free: bool) -> NodeTransition:
-        rows = np.zeros((N_SUMS + 2 * count, self.n_states))
-        noise, response = np.zeros((rows.shape[0], rows.shape[0])), np.zeros((2, count, count))
-        order = self.ar_model.weights.shape[1]
-        turn = np.exp((1j - 1.0) * self.decay * np.arange(1, count + 1))
-        for component in range(2):
-            pair, first = 2 * component, self.first_sum + 2 * component
-            a, b = turn[-1].real, turn[-1].imag
-            rows[pair : pair + 2, first : first + 2] = [[a, -b], [b, a]]
-            retired = self.n_states - 2 * np.arange(count, 0, -1) + component
-            rows[pair, retired], rows[pair + 1, retired] = turn.real, turn.imag
-            # nodes, the newest first, by the old ones and by the innovations
-            old, e = np.zeros((count + order, order)), np.zeros((count + order, count))
-            old[count:] = np.eye(order)
-            for k in range(count - 1, -1, -1):
-                weights = self.ar_model.weights[component] if free else np.eye(order)[0]
-                old[k], e[k] = weights @ old[k + 1 : k + 1 + order], weights @ e[k + 1 :][:order]
-                e[k, k] = float(free)
-            new = slice(N_SUMS + component, None, 2)
-            rows[new, self.first_node + component :: 2][:, :order] = old[:count]
-            variance = self.ar_model.prediction_variance[component]
-            response[component] = e[:count]
-            noise[new, new] = variance * e[:count] @ e[:count].T
-        return NodeTransition(count, rows, noise, response)
 
-    def update_roughness(
-        self, adaptive: np.ndarray, x: np.ndarray, P: np.ndarray, offsets: np.ndarray
-    ) -> None:
-        """Update the roughness scale by the increments up to the nodes `offsets` behind the newest.
+@kernel
+def node_entry(road: RoadProcess, k):
+    """Return the entry of the mean of node `k`."""
+    return road.n_vehicle + N_BIAS + N_SUMS + 2 * (k % road.n_nodes)
 
-        One step of expectation maximization: the expected square is the squared mean plus the
-        variance.
-        """
-        variances = self.increment_variance
-        for offset in offsets:
-            for component in range(2):
-                a = self.first_node + 2 * offset + component
-                b = a + 2 * self.increment_span
-                square = (x[a] - x[b]) ** 2 + P[a, a] + P[b, b] - 2.0 * P[a, b]
-                kept = 1.0 - 0.5 / self.roughness_memory  # half a node: there are two components
-                ratio = 0.5 * square / variances[component]
-                adaptive[ROUGHNESS_SUM] = kept * adaptive[ROUGHNESS_SUM] + ratio
-                adaptive[ROUGHNESS_WEIGHT] = kept * adaptive[ROUGHNESS_WEIGHT] + 0.5
-            scale = adaptive[ROUGHNESS_SUM] / adaptive[ROUGHNESS_WEIGHT]
-            adaptive[ROUGHNESS_SCALE] = min(max(scale, MIN_ROUGHNESS_SCALE), MAX_ROUGHNESS_SCALE)
+
+@kernel
+def is_free(road: RoadProcess, newest):
+    """Return 1.0 if the node behind the `newest` is free, 0.0 if it is level with it."""
+    return 1.0 if road.free_range[0] < newest + 0.5 < road.free_range[1] else 0.0
+
+
+@kernel(inline=False)
+def node_law(road: RoadProcess, newest):
+    """Return the step x' = F x + e of the state vector by which the next node replaces the oldest.
+
+    It changes the `entries` (6,), the retired-node sums and the node's mean and half difference:
+    each is the sum of its `sources` (6, order), entries of x, times the `factors` (6, order).
+    """
+    order, first = road.weights.shape[1], road.n_vehicle + N_BIAS
+    entries, sources = np.empty(6, dtype=np.int64), np.zeros((6, order), dtype=np.int64)
+    factors, at = np.zeros((6, order)), node_entry(road, newest + 1)
+    a, b = np.exp(-road.decay) * np.cos(road.decay), np.exp(-road.decay) * np.sin(road.decay)
+    free = is_free(road, newest)
+    for c in range(2):
+        real, imaginary = first + c, first + 2 + c
+        for part in range(2):
+            entries[2 * part + c] = real + 2 * part
+            for k, source in enumerate((real, imaginary, at + c)):
+                sources[2 * part + c, k] = source
+        for k in range(3):
+            factors[c, k] = (a, -b, a)[k]
+            factors[2 + c, k] = (b, a, b)[k]
+        entries[4 + c] = at + c
+        for k in range(order):
+            sources[4 + c, k] = node_entry(road, newest - k) + c
+            factors[4 + c, k] = free * road.weights[c, k]
+        factors[4 + c, 0] += 1.0 - free
+    return entries, sources, factors
+
+
+@kernel(inline=False)
+def add_node(road: RoadProcess, joint: JointState, newest, scale):
+    """Replace the oldest node by the one behind the `newest`, for a roughness `scale`. Steps of
+    both wheel paths at it are the newest candidates.
+    """
+    entries, sources, factors = node_law(road, newest)
+    x, P, n = joint.x, joint.P, joint.x.size
+    mean, rows = np.zeros(6), np.zeros((6, P.shape[1]))
+    heights = np.zeros((P.shape[0] - n, 6))
+    for e in range(6):
+        for k in range(factors.shape[1]):
+            source, factor = sources[e, k], factors[e, k]
+            if factor == 0.0:
+                continue
+            mean[e] += factor * x[source]
+            for i in range(P.shape[1]):
+                rows[e, i] += factor * P[source, i]
+            for i in range(n, P.shape[0]):
+                heights[i - n, e] += factor * P[i, source]
+    corner = np.zeros((6, 6))
+    for e in range(6):
+        for k in range(factors.shape[1]):
+            for i in range(6):
+                corner[i, e] += factors[e, k] * rows[i, sources[e, k]]
+    free = is_free(road, newest)
+    for c in range(2):
+        corner[4 + c, 4 + c] += scale * road.prediction_variance[c] * free
+    for e in range(6):
+        at = entries[e]
+        x[at] = mean[e]
+        for i in range(P.shape[1]):
+            P[at, i] = rows[e, i]
+        for i in range(P.shape[0]):
+            P[i, at] = rows[e, i] if i < n else heights[i - n, e]
+    for e in range(6):
+        for i in range(6):
+            P[entries[i], entries[e]] = corner[i, e]
+    for side in range(2):
+        candidate = n + (2 * (newest + 1) + side) % (P.shape[1] - n)
+        for i in range(P.shape[0]):
+            P[i, candidate] = 0.0
+        P[entries[4], candidate] = 0.5 * free
+        P[entries[5], candidate] = (0.5 - side) * free
+
+
+@kernel(inline=False)
+def transpose_nodes(road: RoadProcess, nodes, r):
+    """Replace `r` (n, M) by F' r of the steps in which the `nodes` from a first one to a last one
+    (excluded) are replaced.
+    """
+    after = np.empty((6, r.shape[1]))
+    for node in range(nodes[1] - 1, nodes[0] - 1, -1):
+        entries, sources, factors = node_law(road, node + road.n_nodes - 1)
+        for e in range(6):
+            for i in range(r.shape[1]):
+                after[e, i], r[entries[e], i] = r[entries[e], i], 0.0
+        for e in range(6):
+            for k in range(factors.shape[1]):
+                for i in range(r.shape[1]):
+                    r[sources[e, k], i] += factors[e, k] * after[e, i]
+
+
+@kernel(inline=False)
+def update_roughness(road: RoadProcess, joint: JointState, adaptive, square, passed):
+    """Update the roughness scale by the increments up to each node from the first to the last one
+    (excluded) of `passed`; one with an accepted step in `square` (N, 2) is none of the prior.
+
+    One step of expectation maximization: the expected square is the squared mean plus the variance.
+    """
+    x, P, span = joint.x, joint.P, road.increment_span
+    kept = 1.0 - 0.5 / road.roughness_memory  # half a node: there are two components
+    for node in range(passed[0], passed[1]):
+        steps = 0.0
+        for k in range(node - span - 1, node + 2):
+            steps += square[k, 0] + square[k, 1]
+        if steps > 0.0:
+            continue
+        for c in range(2):
+            a, b = node_entry(road, node) + c, node_entry(road, node - span) + c
+            increment = (x[a] - x[b]) ** 2 + P[a, a] + P[b, b] - 2.0 * P[a, b]
+            ratio = 0.5 * increment / road.increment_variance[c]
+            adaptive[ROUGHNESS_SUM] = kept * adaptive[ROUGHNESS_SUM] + ratio
+            adaptive[ROUGHNESS_WEIGHT] = kept * adaptive[ROUGHNESS_WEIGHT] + 0.5
+    scale = adaptive[ROUGHNESS_SUM] / adaptive[ROUGHNESS_WEIGHT]
+    adaptive[ROUGHNESS_SCALE] = min(max(scale, MIN_ROUGHNESS_SCALE), MAX_ROUGHNESS_SCALE)

@@ -6,9 +6,11 @@ covariance at any moment are
     x + P r,     P - P N P
 
 Only the covariances of the nodes that leave with the state must be stored, and no matrix is
-inverted. Through a window that moves the error by D in the local entries, and not in the others,
+inverted. A window moves the vehicle's error by Phi, updates the rest by its innovations, of
+covariance W with the state, and has the derivative D of the error by the local error. Through it
 
     r[local] = D' r' + U' innovation,     N[local, local] = D' N' D + U' U,     N[:, local] = N' D
+    D' r' = r'[local] + U' (innovation - W r') of the rest + Phi' r'[vehicle]
 
 and through a step x' = F x of the nodes r = F' r', N = F' N' F (de Jong 1989, J. Am. Stat. Assoc.
 84, 1085; Durbin & Koopman, "Time Series Analysis by State Space Methods", 2012, section 4.4).
@@ -20,20 +22,8 @@ are emitted, which begins there, and ends as the last of its nodes leaves.
 import numpy as np
 
 from estimators.kalman.filtered import BandVariance, FilteredWindow, NodesAtEmission
-from estimators.kalman.road_process import NodeTransition, RoadProcess
+from estimators.kalman.road_process import RoadProcess, transpose_nodes
 from estimators.kalman.state import N_SUMS
-
-
-def transpose_transition(
-    road: RoadProcess, transition: NodeTransition, r: np.ndarray
-) -> np.ndarray:
-    """Return F' `r` (n, M) of a step of the nodes."""
-    count, rows, *_ = transition
-    start, end, n = road.first_node, road.first_node + 2 * count, road.n_states
-    before = rows.T @ r[road.first_sum : end]
-    before[: road.first_sum] += r[: road.first_sum]
-    before[start : n - 2 * count] += r[end:]
-    return before
 
 
 def smooth_backward(
@@ -54,11 +44,12 @@ def smooth_backward(
     live = np.zeros(1 if entering is None else 0, dtype=int)
     r, N, steps = np.zeros((n, live.size)), np.zeros((n, n)), dict[int, np.ndarray]()
     for window in reversed(windows):
-        i, local, D, U = window.index, window.local, window.D, window.U
+        i, local, U, vehicle = window.index, window.local, window.U, len(window.transition)
         for step in window.accepted:
             steps[id(step)] = step.size + step.added * (step.direction[:n] @ r)
         steps = {id(step): steps[id(step)] for step, *_ in window.corrections}
-        r[local] = D.T @ r + (window.innovation @ U)[:, None]
+        moved, r[:vehicle] = window.transition.T @ r[:vehicle], 0.0
+        r[local] += moved + U.T @ (window.innovation[:, None] - window.W @ r)
         for step, change, _ in window.corrections:
             r[local] -= np.outer(change, steps[id(step)])
         if entering is not None:
@@ -71,24 +62,27 @@ def smooth_backward(
             # a step is not known before it is accepted
             steps = {k: np.append(np.zeros(new.size), size) for k, size in steps.items()}
         if bands is not None:
+            D = window.error_derivative()
             moved = N @ D
             inner = D.T @ moved + U.T @ U
             N[:, local], N[local] = moved, moved.T
             N[np.ix_(local, local)] = inner
-            if i < corrected and bands.covariance is not None:
+            if i < corrected and len(bands.covariance) > 0:
                 here = bands.times.within(window.blocks)
                 at_start = bands.times.block[here] == window.blocks[0]
                 covariance = bands.covariance[here][at_start]
                 reduction = np.einsum("fsi,ij,fsj->fs", covariance, N, covariance, optimize=True)
                 bands.variance[here][at_start] -= reduction
-        for transition in reversed(window.transitions):
-            r = transpose_transition(road, transition, r)
-            if bands is not None:
-                N = transpose_transition(road, transition, N)
-                N = transpose_transition(road, transition, N.T)
+        if window.leaving.size == 0:
+            continue
+        left_nodes = int(oldest[i]), int(oldest[i + 1])
+        transpose_nodes(road, left_nodes, r)
         if bands is not None:
+            transpose_nodes(road, left_nodes, N)
+            N = N.T.copy()
+            transpose_nodes(road, left_nodes, N)
             N = 0.5 * (N + N.T)  # the asymmetry of rounding would grow from window to window
-        if live.size == 0 or window.leaving.size == 0:
+        if live.size == 0:
             continue
         left = window.leaving[:, None] + window.covariance @ r
         for step, _, direction in window.corrections:
@@ -98,6 +92,6 @@ def smooth_backward(
         nodes.c[live[:, None], at[:, None] + np.arange(leave.shape[0])] = leave.transpose(2, 0, 1)
         done = times.first[live] == i
         if done.any():
-            nodes.c[live[done], :2] = left[:N_SUMS, done].reshape(2, 2, -1).transpose(2, 1, 0)
-            live, r = live[~done], r[:, ~done]
+            nodes.c[live[done], :2] = left[:N_SUMS, done].T.reshape(-1, 2, 2)
+            live, r = live[~done], r[:, ~done].copy()
             steps = {k: size[~done] for k, size in steps.items()}

@@ -1,13 +1,13 @@
 """State vector of the filter, constants of a run, and the part of the state that a window changes.
 
-    x = [vehicle (N), biases (3), retired-node sums (4), nodes (2 K), the newest first]
+    x = [vehicle (N), biases (3), retired-node sums (4), nodes (2 K)]
 
 The vehicle part holds the coordinates of the 7-DOF model and their rates, N = 14; with a frame that
 twists, its twist as the eighth, and with a body that bends, the two states of its filter
 (`estimators.common.bending`), N = 18. The biases [m/s²] are the offsets of the sensors. The road is
-K nodes of a cubic B-spline, fixed in space, each as mean and half difference of the wheel paths.
-Retired nodes remain in decaying sums, real and imaginary part for the mean, then for the half
-difference,
+K nodes of a cubic B-spline, fixed in space, each as mean and half difference of the wheel paths:
+node k is the pair of the number k modulo K, so a new node takes the entries of the oldest one.
+Retired nodes remain in decaying sums, the real parts of both, then the imaginary ones,
 
     sum over k < oldest of c_k exp((i - 1) decay (oldest - k))
 
@@ -34,9 +34,9 @@ class FilterModel(NamedTuple):
     `velocity` holds the tables once for each rate standard deviation in `rate_stds` (W,) [m/s], and
     `first_table` (4,) is each strut's number among the tables of one. `force_variance` (W, K, V)
     [N²]: variance of the strut force about its linearization. `strut_rows` (4, D), `sensor_rows`
-    (3, D): strut extension and sensor acceleration per unit of each coordinate. `force_to_state`
-    (N, 4), `force_to_sensor` (3, 4): states at the end of a block and means of the sensors per unit
-    strut force, which is constant over a block. `valve_lag` [s]. Bending of the body: modal force
+    (3, D): strut extension and sensor acceleration per unit of each coordinate. `force_effect`
+    (4, 3 + N): means of the sensors and states at the end of a block per unit strut force, which is
+    constant over a block. `valve_lag` [s]. Bending of the body: modal force
     per heave and pitch acceleration `bending_force` (2,), shape at the sensors `bending_shape`
     (3,), and the coefficients `bending_section` (6,) of its filter, (0,) if the body is stiff.
     `flexible`: True of a frame that twists, else None.
@@ -55,8 +55,7 @@ class FilterModel(NamedTuple):
     force_variance: np.ndarray
     strut_rows: np.ndarray
     sensor_rows: np.ndarray
-    force_to_state: np.ndarray
-    force_to_sensor: np.ndarray
+    force_effect: np.ndarray
     h: float
     steps_per_block: int
     decimation: int
@@ -112,10 +111,37 @@ class LocalState(NamedTuple):
     signal_power: np.ndarray
 
 
+class JointState(NamedTuple):
+    """Filtered state of n entries, and S heights in the left and the right wheel path that are
+    emitted later: mean `x` (n,), `P` (n + 2 S, n + m), the covariance of both with the state and,
+    beside it, their error per unit step of each of m candidates (`jumps.py`), and the `variance`
+    (2 S,) of the heights.
+    """
+
+    x: np.ndarray
+    P: np.ndarray
+    variance: np.ndarray
+
+
+class WindowPart(NamedTuple):
+    """Part of the window `number` from the block `first` to the block `last` (excluded).
+
+    The `oldest` node held; the entries `local` (L,) of the local state in the state vector; the
+    `moments` (2,) at which nodes and heights have been read so far.
+    """
+
+    number: int
+    first: int
+    last: int
+    oldest: int
+    local: np.ndarray
+    moments: np.ndarray
+
+
 class StepTest(NamedTuple):
     """Test for m candidate steps of the road in a window of B blocks (`jumps.py`): `direction`
     (L, m), error of the local state at the window's start per unit step; `score` (m,) and
-    `information` (m,) so far. Of each block: the newest node that the front axle has touched
+    `information` (m, m) so far. Of each block: the newest node that the front axle has touched
     `reached` (B,), and whether the rear axle is near an accepted step, `near_step` (B,). `n_nodes`
     nodes are candidates at a time.
     """

@@ -1,6 +1,8 @@
 """Windows of blocks in which the filter works, and at which of them a height is emitted."""
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,7 +30,7 @@ class WindowSchedule:
     rear: np.ndarray
     reached: np.ndarray
 
-    @property
+    @cached_property
     def oldest(self) -> np.ndarray:
         """Oldest node held in each window, and before the first one (W + 1,): `oldest[i]` before
         the window i, `oldest[i + 1]` in it.
@@ -77,8 +79,7 @@ def schedule_windows(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class EmissionTimes:
+class EmissionTimes(NamedTuple):
     """T moments at which heights are read: after so many blocks `block` (T,) of the `n_blocks` of
     the drive, in the window `window` (T,) or before its first block.
 

@@ -43,9 +43,7 @@ def identify(
     ] = 1.0,
     structure: Annotated[
         bool,
-        typer.Option(
-            "--structure", help="Also identify what the vehicle's file leaves out, such as a frame."
-        ),
+        typer.Option(help="Identify a frame and what else the vehicle's file leaves out, too."),
     ] = False,
     options: DriveOptions,
     out: Annotated[Path | None, typer.Option(help="Write the identified vehicle (.yaml).")] = None,

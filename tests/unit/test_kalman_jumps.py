@@ -38,7 +38,7 @@ def filtered(steps: dict[int, float], seed: int):
         response[j] = white @ direction
         direction -= V.T @ response[j]
         x, P = x + V.T @ innovation[j], P - V.T @ V
-        one.update(response[j], innovation[j])
+        jumps.add_information.py_func(one.score, one.information, response[j], innovation[j])
     return one, (x, P, direction), (innovation, response), (P0, H.reshape(-1, N_STATES), y, unit)
 
 
@@ -76,9 +76,10 @@ def test_a_window_ends_at_the_block_after_which_a_step_is_likely():
     one = jumps.RoadJumps.none(0.0, N_NODES, jumps.JUMP_LENGTH / N_NODES)
     expected = 0
     for expected in range(BLOCKS):
-        one.update(response[expected], innovation[expected])
-        information = np.diag(one.information).copy()
-        if jumps.most_likely(one.score, information, N_NODES - 1, N_NODES)[1] > LEAST:
+        jumps.add_information.py_func(
+            one.score, one.information, response[expected], innovation[expected]
+        )
+        if jumps.most_likely(one.score, one.information, N_NODES - 1, N_NODES)[1] > LEAST:
             break
     assert 0 < expected < BLOCKS - 1
     # any derivative by the state of which the directions have these responses
@@ -86,7 +87,7 @@ def test_a_window_ends_at_the_block_after_which_a_step_is_likely():
     for noise, near, found in ((1.0, False, expected), (1e4, False, None), (1.0, True, None)):
         m = 2 * N_NODES
         test = StepTest(
-            unit.T.copy(), np.zeros(m), np.zeros(m), np.full(BLOCKS, N_NODES - 1),
+            unit.T.copy(), np.zeros(m), np.zeros((m, m)), np.full(BLOCKS, N_NODES - 1),
             np.full(BLOCKS, near), N_NODES,
         )  # fmt: skip
         adaptive = np.array([1.0, 1.0, 1.0, noise, 0.0])

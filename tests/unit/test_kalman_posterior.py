@@ -86,7 +86,7 @@ def run_of(a: np.ndarray, flexible: bool = False):
     run.state.adaptive[[ROUGHNESS_SUM, ROUGHNESS_WEIGHT]] = 1e15
     vehicle = slice(run.road.n_vehicle)
     run.state.P[vehicle, vehicle] *= START**2
-    model, road = run.model._replace(noise_time=np.inf), replace(run.road, roughness_memory=np.inf)
+    model, road = run.model._replace(noise_time=np.inf), run.road._replace(roughness_memory=np.inf)
     return replace(run, model=model, road=road), record, inputs
 
 
@@ -100,8 +100,8 @@ def dense(flexible: bool = False):
     last = int(run.inputs.front_node[-1]) + 3
     number = np.arange(last + 1)
     free = (
-        (number - 0.5 > run.free_range[0])
-        & (number - 0.5 < run.free_range[1])
+        (number - 0.5 > run.road.free_range[0])
+        & (number - 0.5 < run.road.free_range[1])
         & (number > newest_node)
     )
     root = np.zeros((2, last + 1, last + 1))
